@@ -1,0 +1,3 @@
+//! What a body is: skeleton, keypoint conventions, kinematics.
+
+pub mod skeleton;

@@ -1,0 +1,349 @@
+//! Joint names and parents in SMPL's order, and the keypoint conventions of detectors.
+
+use serde::{Deserialize, Serialize};
+
+/// Number of joints of the SMPL skeleton.
+pub const N_JOINTS: usize = 24;
+
+/// The 24 joints in SMPL's order.
+pub const JOINT_NAMES: [&str; N_JOINTS] = [
+    "pelvis",
+    "left_hip",
+    "right_hip",
+    "spine1",
+    "left_knee",
+    "right_knee",
+    "spine2",
+    "left_ankle",
+    "right_ankle",
+    "spine3",
+    "left_foot",
+    "right_foot",
+    "neck",
+    "left_collar",
+    "right_collar",
+    "head",
+    "left_shoulder",
+    "right_shoulder",
+    "left_elbow",
+    "right_elbow",
+    "left_wrist",
+    "right_wrist",
+    "left_hand",
+    "right_hand",
+];
+
+/// Parent of every joint; the pelvis is its own root.
+pub const PARENTS: [Option<usize>; N_JOINTS] = [
+    None,
+    Some(0),
+    Some(0),
+    Some(0),
+    Some(1),
+    Some(2),
+    Some(3),
+    Some(4),
+    Some(5),
+    Some(6),
+    Some(7),
+    Some(8),
+    Some(9),
+    Some(9),
+    Some(9),
+    Some(12),
+    Some(13),
+    Some(14),
+    Some(16),
+    Some(17),
+    Some(18),
+    Some(19),
+    Some(20),
+    Some(21),
+];
+
+/// The order and meaning of a detector's keypoints.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum KeypointConvention {
+    /// COCO, 17 points.
+    Coco17,
+    /// OpenPose COCO, 18 points.
+    Coco18,
+    /// OpenPose BODY_25.
+    Body25,
+    /// OpenPose BODY_25B.
+    Body25b,
+    /// Halpe, 26 body points.
+    Halpe26,
+    /// COCO-WholeBody, 133 points; the first 23 (body and feet) are used, face and hands are carried unread.
+    #[serde(rename = "coco_wholebody133")]
+    CocoWholebody133,
+    /// MediaPipe BlazePose, 33 points.
+    Blazepose33,
+    /// The 24 SMPL joints themselves.
+    Smpl24,
+}
+
+use KeypointConvention as C;
+
+impl KeypointConvention {
+    /// Every convention, for messages and tests.
+    pub const ALL: [Self; 8] =
+        [C::Coco17, C::Coco18, C::Body25, C::Body25b, C::Halpe26, C::CocoWholebody133, C::Blazepose33, C::Smpl24];
+
+    /// The canonical spelling.
+    pub fn name(self) -> &'static str {
+        match self {
+            C::Coco17 => "coco17",
+            C::Coco18 => "coco18",
+            C::Body25 => "body25",
+            C::Body25b => "body25b",
+            C::Halpe26 => "halpe26",
+            C::CocoWholebody133 => "coco_wholebody133",
+            C::Blazepose33 => "blazepose33",
+            C::Smpl24 => "smpl24",
+        }
+    }
+
+    /// Reads the canonical spelling or one of the detectors' own.
+    pub fn parse(name: &str) -> Option<Self> {
+        let plain: String = name.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_ascii_lowercase();
+        Some(match plain.as_str() {
+            "coco17" | "coco" | "cocokeypoints" | "yolopose" | "vitposecoco" => C::Coco17,
+            "coco18" | "openposecoco" | "openposecoco18" => C::Coco18,
+            "body25" | "openposebody25" | "openpose25" | "openpose" => C::Body25,
+            "body25b" | "openposebody25b" | "openpose25b" => C::Body25b,
+            "halpe26" | "halpe26body" | "alphaposehalpe26" | "bodywithfeet" => C::Halpe26,
+            "cocowholebody133" | "cocowholebody" | "wholebody133" | "coco133" => C::CocoWholebody133,
+            "blazepose33" | "blazepose" | "mediapipe" | "mediapipe33" => C::Blazepose33,
+            "smpl24" | "smpl" => C::Smpl24,
+            _ => return None,
+        })
+    }
+
+    /// How many keypoints a person has.
+    pub fn n_keypoints(self) -> usize {
+        match self {
+            C::CocoWholebody133 => 133,
+            _ => self.names().len(),
+        }
+    }
+
+    /// Names of the leading body keypoints, in order; points behind them (face, hands) have none and are not used.
+    pub fn names(self) -> &'static [&'static str] {
+        match self {
+            C::Coco17 => &HALPE26_NAMES[..17],
+            C::Coco18 => &COCO18_NAMES,
+            C::Body25 => &BODY25_NAMES,
+            C::Body25b => &BODY25B_NAMES,
+            C::Halpe26 => &HALPE26_NAMES,
+            C::CocoWholebody133 => &WHOLEBODY_NAMES,
+            C::Blazepose33 => &BLAZEPOSE_NAMES,
+            C::Smpl24 => &JOINT_NAMES,
+        }
+    }
+
+    /// Index of a keypoint by name.
+    pub fn index_of(self, name: &str) -> Option<usize> {
+        self.names().iter().position(|n| *n == name)
+    }
+
+    /// For each named keypoint its left/right counterpart (itself on the midline).
+    pub fn mirror(self) -> Vec<usize> {
+        let names = self.names();
+        let twin = |name: &str| match name.strip_prefix("left_") {
+            Some(rest) => format!("right_{rest}"),
+            None => name.strip_prefix("right_").map_or_else(|| name.to_owned(), |rest| format!("left_{rest}")),
+        };
+        names.iter().enumerate().map(|(i, n)| self.index_of(&twin(n)).unwrap_or(i)).collect()
+    }
+}
+
+const COCO18_NAMES: [&str; 18] = [
+    "nose",
+    "neck",
+    "right_shoulder",
+    "right_elbow",
+    "right_wrist",
+    "left_shoulder",
+    "left_elbow",
+    "left_wrist",
+    "right_hip",
+    "right_knee",
+    "right_ankle",
+    "left_hip",
+    "left_knee",
+    "left_ankle",
+    "right_eye",
+    "left_eye",
+    "right_ear",
+    "left_ear",
+];
+
+const BODY25_NAMES: [&str; 25] = [
+    "nose",
+    "neck",
+    "right_shoulder",
+    "right_elbow",
+    "right_wrist",
+    "left_shoulder",
+    "left_elbow",
+    "left_wrist",
+    "mid_hip",
+    "right_hip",
+    "right_knee",
+    "right_ankle",
+    "left_hip",
+    "left_knee",
+    "left_ankle",
+    "right_eye",
+    "left_eye",
+    "right_ear",
+    "left_ear",
+    "left_big_toe",
+    "left_small_toe",
+    "left_heel",
+    "right_big_toe",
+    "right_small_toe",
+    "right_heel",
+];
+
+const BODY25B_NAMES: [&str; 25] = [
+    "nose",
+    "left_eye",
+    "right_eye",
+    "left_ear",
+    "right_ear",
+    "left_shoulder",
+    "right_shoulder",
+    "left_elbow",
+    "right_elbow",
+    "left_wrist",
+    "right_wrist",
+    "left_hip",
+    "right_hip",
+    "left_knee",
+    "right_knee",
+    "left_ankle",
+    "right_ankle",
+    "neck",
+    "head_top",
+    "left_big_toe",
+    "left_small_toe",
+    "left_heel",
+    "right_big_toe",
+    "right_small_toe",
+    "right_heel",
+];
+
+const HALPE26_NAMES: [&str; 26] = [
+    "nose",
+    "left_eye",
+    "right_eye",
+    "left_ear",
+    "right_ear",
+    "left_shoulder",
+    "right_shoulder",
+    "left_elbow",
+    "right_elbow",
+    "left_wrist",
+    "right_wrist",
+    "left_hip",
+    "right_hip",
+    "left_knee",
+    "right_knee",
+    "left_ankle",
+    "right_ankle",
+    "head_top",
+    "neck",
+    "mid_hip",
+    "left_big_toe",
+    "right_big_toe",
+    "left_small_toe",
+    "right_small_toe",
+    "left_heel",
+    "right_heel",
+];
+
+const WHOLEBODY_NAMES: [&str; 23] = [
+    "nose",
+    "left_eye",
+    "right_eye",
+    "left_ear",
+    "right_ear",
+    "left_shoulder",
+    "right_shoulder",
+    "left_elbow",
+    "right_elbow",
+    "left_wrist",
+    "right_wrist",
+    "left_hip",
+    "right_hip",
+    "left_knee",
+    "right_knee",
+    "left_ankle",
+    "right_ankle",
+    "left_big_toe",
+    "left_small_toe",
+    "left_heel",
+    "right_big_toe",
+    "right_small_toe",
+    "right_heel",
+];
+
+const BLAZEPOSE_NAMES: [&str; 33] = [
+    "nose",
+    "left_eye_inner",
+    "left_eye",
+    "left_eye_outer",
+    "right_eye_inner",
+    "right_eye",
+    "right_eye_outer",
+    "left_ear",
+    "right_ear",
+    "left_mouth",
+    "right_mouth",
+    "left_shoulder",
+    "right_shoulder",
+    "left_elbow",
+    "right_elbow",
+    "left_wrist",
+    "right_wrist",
+    "left_pinky",
+    "right_pinky",
+    "left_index",
+    "right_index",
+    "left_thumb",
+    "right_thumb",
+    "left_hip",
+    "right_hip",
+    "left_knee",
+    "right_knee",
+    "left_ankle",
+    "right_ankle",
+    "left_heel",
+    "right_heel",
+    "left_big_toe",
+    "right_big_toe",
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_convention_reads_its_own_name_and_mirrors_back() {
+        for c in KeypointConvention::ALL {
+            assert_eq!(KeypointConvention::parse(c.name()), Some(c));
+            let m = c.mirror();
+            assert!(m.iter().enumerate().all(|(i, &j)| m[j] == i), "{}", c.name());
+        }
+    }
+
+    #[test]
+    fn a_parent_comes_before_its_child() {
+        for (j, p) in PARENTS.iter().enumerate().skip(1) {
+            assert!(p.is_some_and(|p| p < j));
+        }
+    }
+}

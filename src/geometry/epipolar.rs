@@ -1,0 +1,1 @@
+//! Two views: essential matrix, Sampson distance, Plücker rays.

@@ -1,0 +1,12 @@
+//! Pure maths on points, rotations, cameras: nalgebra only, f64, metres, radians, pixels.
+
+pub mod camera;
+pub mod epipolar;
+pub mod rigid;
+pub mod rotation;
+pub mod similarity;
+pub mod triangulation;
+
+pub use camera::Intrinsics;
+pub use rigid::Rigid;
+pub use similarity::Similarity;

@@ -1,0 +1,1 @@
+//! Points from several views, linear.

@@ -1,0 +1,2 @@
+//! The `wandless` binary.
+fn main() {}

@@ -1,0 +1,183 @@
+//! The result: posed cameras, people, motions, quality figures. Serialised by `export`.
+
+use super::people::{BodyMotion, JointTrajectory};
+use super::recording::{PersonId, UpAxis};
+use crate::geometry::Rigid;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// One camera of the result.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SolvedCamera {
+    /// `None`: the camera could not be placed (`unsolved`).
+    pub camera_from_world: Option<Rigid>,
+    /// Mean and median distance of explained keypoints to their reprojection, px.
+    pub reprojection_px: Option<ErrorSummary>,
+    /// Keypoints used.
+    pub n_observations: usize,
+    /// Standard deviation of the centre, mm, after a similarity alignment, scale apart.
+    pub sigma_position_mm: Option<f64>,
+    /// Standard deviation of the orientation, degrees.
+    pub sigma_angle_deg: Option<f64>,
+}
+
+/// Mean and median of a set of errors.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ErrorSummary {
+    /// Arithmetic mean.
+    pub mean: f64,
+    /// Median.
+    pub median: f64,
+}
+
+/// Everything a run found out.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Reconstruction {
+    /// In the order of the session's views.
+    pub cameras: Vec<SolvedCamera>,
+    /// Best estimate of the detector's points, per person.
+    pub keypoints: Vec<JointTrajectory>,
+    /// SMPL-convention motion, per person, same order.
+    pub motions: Vec<BodyMotion>,
+    /// `identities[view][frame][detection]`: whom each detection was given to.
+    pub identities: Vec<Vec<Vec<Option<PersonId>>>>,
+    /// Up axis of the result's world.
+    pub up_axis: UpAxis,
+    /// Name and digest of the body model behind `motions`.
+    pub body_model: BodyModelId,
+    /// Figures and verdict.
+    pub report: Report,
+}
+
+/// Which body model the shape and pose parameters belong to.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BodyModelId {
+    /// Its name.
+    pub name: String,
+    /// Digest of its numbers.
+    pub sha256: String,
+}
+
+/// What happened in one stage.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StageReport {
+    /// The stage's name.
+    pub stage: String,
+    /// Iterations of its solver, where it has one.
+    pub iterations: usize,
+    /// Cost before.
+    pub cost_before: Option<f64>,
+    /// Cost after.
+    pub cost_after: Option<f64>,
+    /// Why it stopped.
+    pub termination: String,
+    /// Further figures by name; the unit is in the name.
+    pub metrics: BTreeMap<String, f64>,
+}
+
+/// The metric scale and what it rests on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ScaleReport {
+    /// Factor applied to the cameras' own unit.
+    pub value: f64,
+    /// Where the true factor lies with 95 % certainty.
+    pub interval95: [f64; 2],
+    /// One sentence.
+    pub evidence: String,
+}
+
+/// The verdict over a result.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    /// Trust it.
+    Pass,
+    /// Look before use.
+    Warn,
+    /// Do not use.
+    Reject,
+}
+
+/// Verdict with reasons that a user can act on.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Quality {
+    /// The worst of all reasons.
+    pub verdict: Verdict,
+    /// One sentence each: what, how much, what to do.
+    pub reasons: Vec<String>,
+}
+
+/// Figures of one person.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PersonReport {
+    /// Who.
+    pub id: usize,
+    /// First frame, in the session's numbers.
+    pub first_frame: i64,
+    /// Last frame, in the session's numbers.
+    pub last_frame: i64,
+    /// Detections given to the person.
+    pub n_detections: usize,
+    /// Reprojection error of the keypoints, px.
+    pub reprojection_px: Option<ErrorSummary>,
+    /// Relative standard deviation of bone lengths over time, mean over bones.
+    pub bone_length_spread: Option<f64>,
+    /// Mean joint acceleration, m/s^2.
+    pub jitter_m_per_s2: Option<f64>,
+}
+
+/// Figures of one camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CameraReport {
+    /// The camera's name.
+    pub id: String,
+    /// Whether it was placed.
+    pub solved: bool,
+    /// Detections in its frames.
+    pub n_detections: usize,
+    /// Detections given to nobody.
+    pub n_rejected_detections: usize,
+    /// Reprojection error, px.
+    pub reprojection_px: Option<ErrorSummary>,
+}
+
+/// `report.json`. Holds no wall time: the same input gives the same bytes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// In order of running.
+    pub stages: Vec<StageReport>,
+    /// Per camera, in the session's order.
+    pub cameras: Vec<CameraReport>,
+    /// Per person.
+    pub people: Vec<PersonReport>,
+    /// Error of cameras from every other block of frames, judged on the rest, px.
+    pub heldout_px: Option<f64>,
+    /// Metric scale.
+    pub scale: Option<ScaleReport>,
+    /// Share of detections given to nobody.
+    pub rejected_detections: f64,
+    /// What `keypoints3d.json` holds: adjusted points or body landmarks.
+    pub keypoints_from: String,
+    /// Verdict and reasons.
+    pub quality: Quality,
+}
+
+/// A format that the result can be written in (`options.exports`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[allow(missing_docs)] // the names say it
+pub enum ExportFormat {
+    SmplNpz,
+    Easymocap,
+    Glb,
+    Bvh,
+    Usd,
+    Trc,
+    C3d,
+    OpencvYaml,
+    CalibToml,
+    AniposeToml,
+    Colmap,
+    Chan,
+    Blender,
+}
