@@ -27,3 +27,10 @@ pub fn log(r: &Matrix3<f64>) -> Vector3<f64> {
     let s = v.norm();
     if s < 1e-12 { v * 2.0 } else { v * (2.0 * s.atan2(w) / s) }
 }
+
+/// Some unit vector perpendicular to `a`: against the axis along which `a` is shortest.
+pub fn any_perpendicular(a: &Vector3<f64>) -> Vector3<f64> {
+    let mut axis = Vector3::zeros();
+    axis[a.iamin()] = 1.0;
+    a.cross(&axis).normalize()
+}
