@@ -2,4 +2,11 @@
 
 pub mod bones;
 pub mod detector_noise;
+pub mod anthropometry;
+pub mod default_body;
+pub mod kinematics;
+pub mod model;
 pub mod skeleton;
+
+pub use default_body::default_body;
+pub use model::{Betas, BodyModel};
