@@ -1,9 +1,8 @@
 //! Who is who, across views and time, under given cameras.
 
-use crate::body::bones::Bone;
-use crate::geometry::Rigid;
-use crate::matching::sightings::ViewSightings;
-use crate::matching::tracker::{Scene, TrackedPerson, TrackerConfig, track};
+use crate::matching::clusters::Cluster;
+use crate::matching::tracker::{Scene, TrackedPerson, TrackerConfig, skeleton, track};
+use crate::matching::tracklets::Tracklet;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::StageReport;
 use crate::session::recording::{FrameIndex, PersonId, Session};
@@ -34,20 +33,17 @@ pub struct Association {
 /// # Errors
 /// [`Canceled`].
 pub fn associate(
-    session: &Session,
-    views: &[ViewSightings],
-    cameras: &[Option<Rigid>],
-    bones: &[Bone],
+    scene: &Scene,
     n_people: Option<usize>,
     progress: &Progress,
 ) -> Result<(Association, StageReport), Canceled> {
-    let scene = Scene { views, cameras, bones, fps: session.fps, n_frames: session.n_frames };
-    let mut people = track(&scene, &TrackerConfig::default(), progress)?;
+    let mut people = track(scene, &TrackerConfig::default(), progress)?;
     if let Some(n) = n_people {
         people.truncate(n);
     }
-    let explained = explained(&scene, &people);
-    let tracks: Vec<PersonTrack> = people.iter().enumerate().map(|(i, p)| as_track(i, p, views.len())).collect();
+    let explained = explained(scene, &people);
+    let n_views = scene.views.len();
+    let tracks: Vec<PersonTrack> = people.iter().enumerate().map(|(i, p)| as_track(i, p, n_views)).collect();
     let points = people.iter().enumerate().map(|(i, p)| as_points(i, p)).collect();
     let metrics = BTreeMap::from([
         ("people".to_owned(), people.len() as f64),
@@ -55,13 +51,36 @@ pub fn associate(
     ]);
     let report = StageReport {
         stage: "association".to_owned(),
-        iterations: session.n_frames,
+        iterations: scene.n_frames,
         cost_before: None,
         cost_after: None,
         termination: "all_frames".to_owned(),
         metrics,
     };
     Ok((Association { tracks, points, explained }, report))
+}
+
+/// The association that groups of tracklets stand for: the start, before anybody was followed in 3D.
+pub fn from_clusters(scene: &Scene, tracklets: &[Vec<Tracklet>], groups: &[Cluster]) -> Association {
+    let (mut tracks, mut points) = (Vec::new(), Vec::new());
+    for (person, group) in groups.iter().enumerate() {
+        let members = || group.iter().map(|&(view, t)| (view, &tracklets[view][t]));
+        let first = members().map(|(_, t)| t.first()).min().unwrap_or(0);
+        let last = members().map(|(_, t)| t.last()).max().unwrap_or(0);
+        let mut detections = vec![vec![None; scene.views.len()]; last - first + 1];
+        for (view, tracklet) in members() {
+            tracklet.sightings.iter().for_each(|&(frame, d)| detections[frame - first][view] = Some(d));
+        }
+        let skeletons: Vec<_> =
+            detections.iter().enumerate().map(|(t, claim)| skeleton(scene, first + t, claim)).collect();
+        let n_keypoints = skeletons.iter().map(Vec::len).max().unwrap_or(0);
+        let whole = |s: Vec<_>| if s.is_empty() { vec![None; n_keypoints] } else { s };
+        let n_views = vec![vec![0; n_keypoints]; skeletons.len()];
+        let (id, first) = (PersonId(person), FrameIndex(first));
+        points.push(JointTrajectory { person: id, first, points: skeletons.into_iter().map(whole).collect(), n_views });
+        tracks.push(PersonTrack { person: id, first, detections });
+    }
+    Association { tracks, points, explained: 0.0 }
 }
 
 fn as_track(person: usize, tracked: &TrackedPerson, n_views: usize) -> PersonTrack {

@@ -8,12 +8,12 @@ mod link;
 mod person;
 
 use super::assignment::assign;
-use super::sightings::{BODY_SPAN_M, ViewSightings};
+use super::sightings::ViewSightings;
 use crate::body::bones::Bone;
 use crate::geometry::Rigid;
 use crate::progress::{Canceled, Progress};
 use nalgebra::Vector2;
-pub use person::TrackedPerson;
+pub use person::{Skeleton, TrackedPerson};
 
 /// Gates of the tracker. Lengths are metres on a body: what a pixel is worth follows from the depth.
 #[derive(Debug, Clone)]
@@ -118,6 +118,12 @@ fn unclaimed(scene: &Scene, frame: usize, claims: &[Vec<Option<usize>>]) -> Vec<
         (0..n).filter(|d| !claims.iter().any(|c| c[view] == Some(*d))).collect()
     };
     (0..scene.views.len()).map(of_view).collect()
+}
+
+/// The skeleton that the claimed detections of a frame (one per view at most) agree on; holes where fewer than two see.
+pub fn skeleton(scene: &Scene, frame: usize, claim: &[Option<usize>]) -> Skeleton {
+    let seen = person::sightings_of(scene, frame, claim);
+    if seen.is_empty() { Vec::new() } else { person::triangulated(scene, &seen) }
 }
 
 /// Metres that a normalised image distance is worth for a body at `depth`.
