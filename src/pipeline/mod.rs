@@ -1,5 +1,6 @@
 //! The stages, in order; whoever reads this page knows what the program does.
 
+pub mod bundle_adjustment;
 pub mod config;
 
 use crate::progress::{Canceled, Progress};
