@@ -2,7 +2,7 @@
 
 use super::{Scene, TrackerConfig, metres, project};
 use crate::geometry::Rigid;
-use crate::geometry::triangulation::triangulate_linear;
+use crate::geometry::triangulation::{self, triangulate_linear};
 use crate::matching::pair_score::median;
 use crate::matching::sightings::Sighting;
 use nalgebra::Vector3;
@@ -161,7 +161,8 @@ fn triangulated_point(scene: &Scene, seen: &[(usize, &Sighting)], k: usize) -> O
     for (view, sighting) in seen {
         if sighting.confidence[k] > 0.0 {
             let camera = scene.cameras[*view].as_ref()?;
-            rays.push((camera, sighting.bearings[k], sighting.confidence[k]));
+            let (normalized, weight) = (sighting.bearings[k], sighting.confidence[k]);
+            rays.push(triangulation::Sighting { camera_from_world: camera, normalized, weight });
         }
     }
     if rays.len() < 2 {
@@ -171,12 +172,13 @@ fn triangulated_point(scene: &Scene, seen: &[(usize, &Sighting)], k: usize) -> O
     if rays.len() == 2 {
         return Some(point);
     }
-    let base: Vec<f64> = rays.iter().map(|r| r.2).collect();
+    let base: Vec<f64> = rays.iter().map(|r| r.weight).collect();
     for _ in 0..3 {
         for (ray, confidence) in rays.iter_mut().zip(&base) {
-            let residual = project(ray.0, &point).map_or(1.0, |(b, depth)| metres((b - ray.1).norm(), depth));
+            let seen = project(ray.camera_from_world, &point);
+            let residual = seen.map_or(1.0, |(b, depth)| metres((b - ray.normalized).norm(), depth));
             let soft = ROBUST_SCALE_M * ROBUST_SCALE_M;
-            ray.2 = confidence * (soft / (soft + residual * residual)).powi(2);
+            ray.weight = confidence * (soft / (soft + residual * residual)).powi(2);
         }
         point = triangulate_linear(&rays)?;
     }
