@@ -27,7 +27,7 @@ impl<const N: usize> QuadraticModel<N> {
     }
 }
 
-/// A step shorter than this (radians, or units of the baseline) ends the descent: far below any noise.
+/// A step shorter than this (radians, metres, or units of the baseline) ends the descent: far below any noise.
 const SETTLED: f64 = 1e-9;
 
 /// First damping, as a share of the diagonal: nearly Gauss-Newton, since every start here is a good one.

@@ -7,6 +7,8 @@
 pub mod consensus;
 pub mod descent;
 pub mod essential;
+pub mod pnp;
+pub mod triangulation;
 
 /// `rho(e) = s^2 e^2 / (e^2 + s^2)`, Geman and McClure's bounded loss: `e^2` near zero, at most `s^2`.
 fn geman_mcclure(squared_error: f64, squared_scale: f64) -> f64 {

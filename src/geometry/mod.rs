@@ -3,6 +3,7 @@
 pub mod camera;
 pub mod epipolar;
 pub mod five_point;
+pub mod p3p;
 pub mod polynomial;
 pub mod rigid;
 pub mod rotation;
