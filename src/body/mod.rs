@@ -2,6 +2,7 @@
 
 pub mod anthropometry;
 pub mod default_body;
+pub mod joint_ranges;
 pub mod kinematics;
 pub mod model;
 pub mod skeleton;

@@ -1,5 +1,6 @@
 //! The stages, in order; whoever reads this page knows what the program does.
 
+pub mod body_fit;
 pub mod config;
 
 use crate::progress::{Canceled, Progress};

@@ -1,1 +1,4 @@
 //! residuals
+
+pub mod joint_acceleration;
+pub mod joint_angles;
