@@ -4,6 +4,7 @@ pub mod bones;
 pub mod detector_noise;
 pub mod anthropometry;
 pub mod default_body;
+pub mod joint_ranges;
 pub mod kinematics;
 pub mod model;
 pub mod skeleton;

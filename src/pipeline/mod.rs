@@ -1,12 +1,15 @@
 //! The stages, in order; whoever reads this page knows what the program does.
 
 pub mod association;
+pub mod body_fit;
 pub mod bundle_adjustment;
 pub mod calibration;
 pub mod camera_init;
 pub mod config;
+pub mod fit_figures;
 pub mod instants;
 pub mod joint_trajectories;
+pub mod verdict;
 pub mod world_frame;
 
 use crate::body::bones::{Bone, limb_bones};

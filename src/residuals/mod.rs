@@ -7,5 +7,7 @@
 pub mod bone_length;
 #[cfg(test)]
 pub(crate) mod derivative_check;
+pub mod joint_acceleration;
+pub mod joint_angles;
 pub mod reprojection;
 pub mod smoothness;
