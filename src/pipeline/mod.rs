@@ -9,6 +9,8 @@ pub mod config;
 pub mod fit_figures;
 pub mod instants;
 pub mod joint_trajectories;
+pub mod metric_scale;
+pub mod result;
 pub mod verdict;
 pub mod world_frame;
 
@@ -17,7 +19,11 @@ use crate::geometry::Rigid;
 use crate::matching::sightings::{ViewSightings, sightings};
 use crate::matching::tracker::Scene;
 use crate::progress::{Canceled, Progress};
-use crate::session::Session;
+use crate::session::{Reconstruction, Session};
+use bundle_adjustment::CameraFreedom;
+use calibration::{Calibration, estimate_cameras, from_given_cameras, heldout_px};
+use config::Extrinsics;
+use result::Findings;
 pub use config::Options;
 
 /// Why a capture cannot be solved at all.
@@ -42,6 +48,61 @@ pub enum PipelineError {
         /// What is missing and the remedy.
         reason: String,
     },
+}
+
+/// Recovers cameras and people from a session: the stages, top to bottom.
+///
+/// The same session, options and instruction set give the same result, whatever the number of threads.
+///
+/// # Errors
+/// [`PipelineError`] when the work was canceled, an option asks for what the session lacks, or nothing can be solved.
+pub fn reconstruct(session: &Session, options: &Options, progress: &Progress) -> Result<Reconstruction, PipelineError> {
+    options.check(session)?;
+    if session.views.iter().all(|v| v.frames.iter().all(Vec::is_empty)) {
+        let reason = "no camera detected anybody; check that the keypoint files are those of this take".to_owned();
+        return Err(PipelineError::Unsolvable { code: "nobody_detected", reason });
+    }
+    let capture = Capture::new(session, options);
+
+    let stage = progress.stage("cameras", 0, N_STAGES, 0.0, 0.55);
+    let calibration = calibrated(&capture, &stage)?;
+    let n_placed = calibration.cameras.iter().flatten().count();
+    if n_placed < 2 && session.views.len() > 1 {
+        let reason = "no two cameras see the same people move; check that the cameras overlap, that frames are \
+                      synchronised and that the intrinsics belong to these images"
+            .to_owned();
+        return Err(PipelineError::Unsolvable { code: "cameras_unsolvable", reason });
+    }
+
+    let stage = progress.stage("held_out_check", 1, N_STAGES, 0.55, 0.1);
+    let heldout_px = heldout_px(&capture, &calibration, freedom(options), &stage)?;
+
+    let stage = progress.stage("joint_trajectories", 2, N_STAGES, 0.65, 0.05);
+    let paths = result::paths(&capture, &calibration, &stage)?;
+
+    let stage = progress.stage("metric_scale", 3, N_STAGES, 0.7, 0.02);
+    let scale = metric_scale::metric_scale(&capture, &calibration, &paths)?;
+    let findings = Findings::in_world(&capture, calibration, paths, scale, heldout_px);
+
+    let stage_body = stage.stage("body_fit", 4, N_STAGES, 0.72, 0.25);
+    findings.with_bodies(&capture, &stage_body)
+}
+
+/// Stages that a caller is told of.
+const N_STAGES: usize = 5;
+
+/// Cameras and who is who: from nothing, or from what the session gives.
+fn calibrated(capture: &Capture, progress: &Progress) -> Result<Calibration, PipelineError> {
+    let given = || capture.session.views.iter().map(|v| v.camera_from_world).collect();
+    match capture.options.extrinsics {
+        Extrinsics::Estimate => estimate_cameras(capture, progress),
+        Extrinsics::Fixed => from_given_cameras(capture, given(), CameraFreedom::Held, progress),
+        Extrinsics::Refine => from_given_cameras(capture, given(), CameraFreedom::Adjusted, progress),
+    }
+}
+
+fn freedom(options: &Options) -> CameraFreedom {
+    if options.extrinsics == Extrinsics::Fixed { CameraFreedom::Held } else { CameraFreedom::Adjusted }
 }
 
 /// What every stage reads: the recording as rays, and what the options ask for.

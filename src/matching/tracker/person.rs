@@ -49,10 +49,6 @@ impl TrackedPerson {
         self.claims.iter().map(|(_, c)| c.iter().flatten().count()).sum()
     }
 
-    pub(super) fn velocity(&self) -> Vector3<f64> {
-        self.velocity
-    }
-
     pub(super) fn last_skeleton(&self) -> &Skeleton {
         &self.skeletons[self.skeletons.len() - 1]
     }
