@@ -1,8 +1,7 @@
 //! Writing the native layout: the inverse of reading, to the precision of a detector.
 
-use crate::session::formats::rounded;
+use crate::session::formats::{entries, rounded, rows};
 use crate::session::{Detection, FrameIndex, Keypoint, Session, View};
-use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fs;
@@ -141,14 +140,4 @@ fn triple(keypoint: &Keypoint) -> [f64; 3] {
     }
     let confidence = rounded(keypoint.confidence, CONFIDENCE_DECIMALS).max(1e-3);
     [rounded(keypoint.pixel.x, PIXEL_DECIMALS), rounded(keypoint.pixel.y, PIXEL_DECIMALS), confidence]
-}
-
-/// A matrix row by row, as every JSON file of ours writes it.
-pub(crate) fn rows(matrix: &Matrix3<f64>) -> [[f64; 3]; 3] {
-    std::array::from_fn(|r| std::array::from_fn(|c| matrix[(r, c)]))
-}
-
-/// A vector's entries.
-pub(crate) fn entries(vector: &Vector3<f64>) -> [f64; 3] {
-    [vector.x, vector.y, vector.z]
 }
