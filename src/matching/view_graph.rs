@@ -52,7 +52,35 @@ pub fn assemble(graph: &ViewGraph) -> Vec<Rig> {
         rigs.push(grow(graph, pair, seed));
     }
     rigs.sort_by(|a, b| b.quality.total_cmp(&a.quality));
-    rigs
+    let mut distinct: Vec<Rig> = Vec::new();
+    for rig in rigs {
+        if !distinct.iter().any(|better| same_arrangement(better, &rig)) {
+            distinct.push(rig);
+        }
+    }
+    distinct
+}
+
+/// Whether every camera of `rig` stands in `better` as well, to within what a first adjustment evens out: 12 degrees in
+/// every pair's rotation and 30 in its baseline.
+fn same_arrangement(better: &Rig, rig: &Rig) -> bool {
+    let both: Vec<(Rigid, Rigid)> = better
+        .cameras
+        .iter()
+        .zip(&rig.cameras)
+        .filter_map(|(a, b)| b.map(|b| a.map(|a| (a, b))))
+        .flatten()
+        .collect();
+    if both.len() < rig.cameras.iter().flatten().count() {
+        return false;
+    }
+    both.iter().enumerate().all(|(i, (a, b))| {
+        both[..i].iter().all(|(c, d)| {
+            let (one, other) = (*a * c.inverse(), *b * d.inverse());
+            rotation::angle_between(&one.rotation, &other.rotation) < 12f64.to_radians()
+                && one.translation.angle(&other.translation) < 30f64.to_radians()
+        })
+    })
 }
 
 /// Whether a rig already holds a hypothesis, within the noise of hypotheses (6 degrees, 15 of the baseline).
