@@ -112,7 +112,8 @@ impl LeastSquares for Problem<'_> {
         let n_instants = self.variables.len();
         let linearize = |i: usize, block: &mut Block| self.linearize(i, state, block);
         let mut reduced = arrow::reduce(n_instants, self.layout.n_border, damping, linearize);
-        self.add_focal_prior(state, &mut reduced.hessian, &mut reduced.gradient);
+        reduced.hessian += self.focal_prior();
+        reduced.gradient += self.focal_gradient(state);
         let border_step = self.gauge.basis(&self.layout, state).solve(&reduced.hessian, &reduced.gradient)?;
         let mut moved = self.move_border(state, &border_step);
         let instants = arrow::back_substitute(n_instants, damping, &border_step, linearize, |i, step| {
@@ -214,18 +215,24 @@ impl Problem<'_> {
         state.cameras.iter().flatten().map(|c| 0.5 * (c.log_focal / self.focal_sigma).powi(2)).sum()
     }
 
-    /// Normal equations of [`Self::focal_cost`].
-    pub(super) fn add_focal_prior(&self, state: &State, hessian: &mut DMatrix<f64>, gradient: &mut DVector<f64>) {
-        if self.layout.per_camera == 6 {
-            return;
+    /// Hessian of [`Self::focal_cost`]. [border, border]
+    pub(super) fn focal_prior(&self) -> DMatrix<f64> {
+        let mut information = DMatrix::zeros(self.layout.n_border, self.layout.n_border);
+        for first in self.layout.camera_columns.iter().flatten().filter(|_| self.layout.per_camera == 7) {
+            information[(first + 6, first + 6)] = self.focal_sigma.powi(-2);
         }
-        let information = self.focal_sigma.powi(-2);
+        information
+    }
+
+    /// Where [`Self::focal_cost`] pulls: its Hessian is diagonal, its gradient that times the logarithms.
+    fn focal_gradient(&self, state: &State) -> DVector<f64> {
+        let mut gradient = DVector::zeros(self.layout.n_border);
         for (camera, first) in state.cameras.iter().zip(&self.layout.camera_columns) {
-            if let (Some(camera), Some(first)) = (camera, first) {
-                hessian[(first + 6, first + 6)] += information;
-                gradient[first + 6] += information * camera.log_focal;
+            if let (Some(camera), Some(first), 7) = (camera, first, self.layout.per_camera) {
+                gradient[first + 6] = camera.log_focal * self.focal_sigma.powi(-2);
             }
         }
+        gradient
     }
 
     /// Cameras and bone lengths after a step; the gauge is kept exactly. Points stay.

@@ -213,38 +213,60 @@ fn point_error(adjusted: &Adjusted, scene: &Scene) -> f64 {
 fn recovers_the_cameras_from_a_rough_start_with_outliers_and_bones_do_not_hurt() {
     let scene = scene(5, 2, 60);
     for seed in 0..6 {
-    let mut errors = Vec::new();
-    for bones in [&[][..], &scene.bones] {
-        let start = perturbed(&scene.cameras, 5.0, 0.3, seed);
-        let input = AdjustmentInput { bones, ..input(&scene, start, observe(&scene, NOISE, 0.15, seed)) };
-        let clock = std::time::Instant::now();
-        let (adjusted, report) = solve(&input);
-        let (position, angle) = worst(&camera_errors(&poses(&adjusted), &scene.cameras));
-        let sig: Vec<_> = adjusted.cameras.iter().map(|c| (c.uncertainty.unwrap().sigma_position, c.uncertainty.unwrap().sigma_angle)).collect();
-        eprintln!("{position:.4} {:.3} pts {:.4} {:?} {:?} worst sig {:?}", angle.to_degrees(), point_error(&adjusted, &scene), (report.iterations, &report.termination), clock.elapsed(), worst(&sig));
-        errors.push((position, point_error(&adjusted, &scene)));
-    }
+        let mut errors = Vec::new();
+        for bones in [&[][..], &scene.bones] {
+            let start = perturbed(&scene.cameras, 5.0, 0.3, seed);
+            let input = AdjustmentInput { bones, ..input(&scene, start, observe(&scene, NOISE, 0.15, seed)) };
+            let clock = std::time::Instant::now();
+            let (adjusted, report) = solve(&input);
+            let (position, angle) = worst(&camera_errors(&poses(&adjusted), &scene.cameras));
+            let sig: Vec<_> = adjusted
+                .cameras
+                .iter()
+                .map(|c| (c.uncertainty.unwrap().sigma_position, c.uncertainty.unwrap().sigma_angle))
+                .collect();
+            eprintln!(
+                "{position:.4} {:.3} pts {:.4} {:?} {:?} worst sig {:?}",
+                angle.to_degrees(),
+                point_error(&adjusted, &scene),
+                (report.iterations, &report.termination),
+                clock.elapsed(),
+                worst(&sig)
+            );
+            errors.push((position, point_error(&adjusted, &scene)));
+        }
     }
 }
 
 #[test]
 fn coverage() {
     let scene = scene(4, 2, 400);
-    for (persistence, block) in [(0.0, 50), (0.9, 25), (0.9, 50), (0.9, 1)] {
-        let noise = Noise { persistence, ..NOISE };
-        let (mut p2, mut a2, mut n) = (0.0, 0.0, 0.0);
-        for seed in 0..16 {
+    for (persistence, block, outliers, end, decrease) in
+        [(0.0, 50, 0.05, 4.0, 1e-6), (0.9, 50, 0.05, 4.0, 1e-6), (0.9, 25, 0.05, 4.0, 1e-6)]
+    {
+        let noise = Noise { persistence, outliers, ..NOISE };
+        let (mut p2, mut a2, mut n, mut ps, mut as_, mut within) = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0);
+        for seed in 0..32 {
             let start = perturbed(&scene.cameras, 0.5, 0.03, seed);
             let input = AdjustmentInput { bones: &[], ..input(&scene, start, observe(&scene, noise, 0.02, seed)) };
-            let config = AdjustmentConfig { covariance_block_frames: block, ..AdjustmentConfig::default() };
+            let config = AdjustmentConfig {
+                covariance_block_frames: block,
+                relative_decrease: decrease,
+                final_iterations: 100,
+                scale: GraduatedScale { start: 30.0, end, steps: 2 },
+                ..AdjustmentConfig::default()
+            };
             let (adjusted, _) = adjust(&input, &config, &Progress::silent()).unwrap();
             for (c, e) in adjusted.cameras.iter().zip(camera_errors(&poses(&adjusted), &scene.cameras)) {
                 let u = c.uncertainty.unwrap();
-                p2 += (e.0 / u.sigma_position).powi(2);
-                a2 += (e.1 / u.sigma_angle).powi(2);
+                p2 += e.0.powi(2);
+                a2 += e.1.powi(2);
+                ps += u.sigma_position.powi(2);
+                as_ += u.sigma_angle.powi(2);
+                within += f64::from(u8::from(e.0 < 2.0 * u.sigma_position));
                 n += 1.0;
             }
         }
-        eprintln!("{persistence} {block}: {} {}", p2 / n, a2 / n);
+        eprintln!("{persistence} {block} {outliers} {end} {decrease}: {} {} {}", p2 / ps, a2 / as_, within / n);
     }
 }
