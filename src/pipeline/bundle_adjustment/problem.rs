@@ -41,6 +41,9 @@ pub(super) struct Misfit {
     pub(super) sigmas: f64,
 }
 
+/// Shares of a local step that are tried when the whole one does harm.
+const SHORTENED: [f64; 3] = [0.5, 0.1, 0.0];
+
 /// The problem at one robust scale.
 pub(super) struct Problem<'a> {
     pub(super) variables: Vec<Variables>,
@@ -117,13 +120,7 @@ impl LeastSquares for Problem<'_> {
         let border_step = self.gauge.basis(&self.layout, state).solve(&reduced.hessian, &reduced.gradient)?;
         let mut moved = self.move_border(state, &border_step);
         let instants = arrow::back_substitute(n_instants, damping, &border_step, linearize, |i, step| {
-            let points: Vec<_> = state.points[i]
-                .iter()
-                .zip(step.chunks_exact(3))
-                .map(|(x, d)| x + Vector3::new(d[0], d[1], d[2]))
-                .collect();
-            let cost = self.instant_cost(i, &moved, &points);
-            (points, cost)
+            self.move_points(i, state, &moved, step)
         });
         let cost = instants.iter().map(|(_, cost)| cost).sum::<f64>() + self.focal_cost(&moved);
         moved.points = instants.into_iter().map(|(points, _)| points).collect();
@@ -186,6 +183,23 @@ impl Problem<'_> {
             let border = [Column { index: limb.column, derivative: [linear.by_log_length] }];
             block.add_residual(robust.weight, &[linear.residual], &local, &border);
         }
+    }
+
+    /// The points of one instant after a step, with their cost: shortened where the whole step makes the instant worse.
+    ///
+    /// A few badly seen points would otherwise have the step of everything else rejected.
+    fn move_points(&self, i: usize, before: &State, border: &State, step: &[f64]) -> (Vec<Vector3<f64>>, f64) {
+        let by = |share: f64| {
+            let moved = |(x, d): (&Vector3<f64>, &[f64])| x + Vector3::new(d[0], d[1], d[2]) * share;
+            let points: Vec<_> = before.points[i].iter().zip(step.chunks_exact(3)).map(moved).collect();
+            let cost = self.instant_cost(i, border, &points);
+            (points, cost)
+        };
+        let whole = by(1.0);
+        if whole.1 <= self.instant_cost(i, before, &before.points[i]) {
+            return whole;
+        }
+        SHORTENED.iter().map(|&share| by(share)).fold(whole, |best, next| if next.1 < best.1 { next } else { best })
     }
 
     /// Cost of one instant with the border of `state` and these points.
