@@ -13,6 +13,7 @@
 mod covariance;
 mod gauge;
 mod problem;
+mod readout;
 #[cfg(test)]
 mod tests;
 mod variables;

@@ -1,6 +1,6 @@
 //! How well the cameras are known.
 //!
-//! Detector errors are correlated in time, so the inverse Hessian promises far too much (a seventh of the variance at
+//! Detector errors are correlated in time, so the inverse Hessian promises far too much (an eighth of the variance at
 //! AR(0.9)). What holds is the delete-one-block jackknife over blocks of one person's consecutive frames:
 //!
 //! `(B - 1) / B sum_b d_b d_b^T`, `d_b = (A - A_b)^-1 g_b`

@@ -1,18 +1,16 @@
-//! The least-squares problem: linearisation of one instant, one damped step, and what is read off a state.
+//! The least-squares problem: linearisation of one instant and one damped step.
 
 use super::gauge::Gauge;
 use super::variables::{self, Layout, Variables};
-use super::{AdjustmentConfig, AdjustmentInput, Instant, ViewFit, median};
+use super::{AdjustmentConfig, AdjustmentInput, Instant, median};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::optim::arrow::{self, Block, Column};
 use crate::optim::levenberg_marquardt::{LeastSquares, Trial};
 use crate::optim::robust::{geman_mcclure, geman_mcclure_ceiling};
 use crate::progress::Progress;
 use crate::residuals::{bone_length, reprojection};
-use crate::session::reconstruction::ErrorSummary;
 use nalgebra::{DMatrix, DVector, Vector3};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
 
 /// A camera as far as it is unknown.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -31,14 +29,6 @@ pub(super) struct State {
     pub(super) log_lengths: Vec<f64>,
     /// [instant][slot]
     pub(super) points: Vec<Vec<Vector3<f64>>>,
-}
-
-/// How far an observation lies from its reprojection; infinite where the point is behind the camera.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Misfit {
-    pub(super) view: usize,
-    pub(super) distance_px: f64,
-    pub(super) sigmas: f64,
 }
 
 /// Shares of a local step that are tried when the whole one does harm.
@@ -62,8 +52,10 @@ pub(super) fn formulate<'a>(
     config: &AdjustmentConfig,
     progress: &'a Progress,
 ) -> (Problem<'a>, State) {
-    let mut placed: Vec<bool> =
-        input.cameras.iter().enumerate().map(|(v, c)| c.is_some() && v < input.intrinsics.len()).collect();
+    let is_finite = |pose: Rigid| pose.rotation.iter().chain(&pose.translation).all(|x| x.is_finite());
+    let is_placed =
+        |(view, pose): (usize, &Option<Rigid>)| view < input.intrinsics.len() && pose.is_some_and(is_finite);
+    let mut placed: Vec<bool> = input.cameras.iter().enumerate().map(is_placed).collect();
     let (layout, variables) = variables::choose(input, &mut placed);
     let camera = |(view, given): (usize, &Option<Rigid>)| {
         let camera_from_world = given.filter(|_| placed[view])?;
@@ -199,7 +191,7 @@ impl Problem<'_> {
         if whole.1 <= self.instant_cost(i, before, &before.points[i]) {
             return whole;
         }
-        SHORTENED.iter().map(|&share| by(share)).fold(whole, |best, next| if next.1 < best.1 { next } else { best })
+        SHORTENED.iter().map(|&share| by(share)).fold(whole, |best, next| if best.1 <= next.1 { best } else { next })
     }
 
     /// Cost of one instant with the border of `state` and these points.
@@ -267,63 +259,6 @@ impl Problem<'_> {
         let first = self.layout.first_length;
         let log_lengths = state.log_lengths.iter().enumerate().map(|(k, l)| l + step[first + k]).collect();
         State { cameras, log_lengths, points: Vec::new() }
-    }
-
-    /// Every observation against its reprojection.
-    pub(super) fn misfits<'s>(&'s self, state: &'s State) -> impl Iterator<Item = Misfit> + 's {
-        self.variables.iter().zip(&state.points).flat_map(move |(variables, points)| {
-            variables.sightings.iter().filter_map(move |sighting| {
-                let o = &sighting.observation;
-                let camera = state.cameras[o.view].as_ref()?;
-                let point = camera.camera_from_world.transform(&points[sighting.slot]);
-                let predicted = camera.intrinsics.pixel_from_camera(&point);
-                let distance_px = predicted.map_or(f64::INFINITY, |p| (p - o.pixel).norm());
-                Some(Misfit { view: o.view, distance_px, sigmas: distance_px / o.sigma_px })
-            })
-        })
-    }
-
-    /// Reprojection per view.
-    pub(super) fn view_fits(&self, state: &State) -> Vec<ViewFit> {
-        let mut fits = vec![ViewFit::default(); state.cameras.len()];
-        let mut explained = vec![Vec::new(); state.cameras.len()];
-        for misfit in self.misfits(state) {
-            fits[misfit.view].n_observations += 1;
-            if misfit.sigmas <= self.robust_scale {
-                explained[misfit.view].push(misfit.distance_px);
-            }
-        }
-        for (fit, distances) in fits.iter_mut().zip(explained) {
-            fit.n_explained = distances.len();
-            let mean = distances.iter().sum::<f64>() / distances.len() as f64;
-            fit.reprojection_px = median(distances).map(|median| ErrorSummary { mean, median });
-        }
-        fits
-    }
-
-    /// Points in the input's shape; those that were not adjusted as given.
-    pub(super) fn points_by_keypoint(&self, instants: &[Instant], state: &State) -> Vec<Vec<Option<Vector3<f64>>>> {
-        let mut points: Vec<_> = instants.iter().map(|i| i.points.clone()).collect();
-        for ((points, variables), adjusted) in points.iter_mut().zip(&self.variables).zip(&state.points) {
-            for (&keypoint, point) in variables.keypoints.iter().zip(adjusted) {
-                points[keypoint] = Some(*point);
-            }
-        }
-        points
-    }
-
-    /// Lengths per person and bone.
-    pub(super) fn bone_lengths(&self, state: &State) -> BTreeMap<usize, Vec<Option<f64>>> {
-        let n_bones = self.layout.n_bones;
-        let mut lengths: BTreeMap<_, _> = self.layout.persons.iter().map(|&p| (p, vec![None; n_bones])).collect();
-        for variables in &self.variables {
-            if let Some(of_person) = lengths.get_mut(&self.layout.persons[variables.person]) {
-                for limb in &variables.limbs {
-                    of_person[limb.length % n_bones] = Some(state.log_lengths[limb.length].exp());
-                }
-            }
-        }
-        lengths
     }
 }
 
