@@ -230,28 +230,6 @@ pub fn back_substitute<T: Send>(
     portions.into_iter().flatten().collect()
 }
 
-/// Each block's own share of [`Reduced::gradient`], undamped: what a sandwich covariance is made of. [block][border]
-pub fn reduced_gradients(
-    n_blocks: usize,
-    n_border: usize,
-    linearize: impl Fn(usize, &mut Block) + Sync,
-) -> Vec<DVector<f64>> {
-    let portions = by_portion(n_blocks, |blocks| {
-        let mut block = Block::default();
-        blocks
-            .map(|i| {
-                linearize(i, &mut block);
-                block.eliminate(0.0);
-                block.reduce_border(0.0);
-                let mut gradient = DVector::zeros(n_border);
-                block.columns.iter().zip(&block.border_gradient).for_each(|(&a, g)| gradient[a] += g);
-                gradient
-            })
-            .collect::<Vec<_>>()
-    });
-    portions.into_iter().flatten().collect()
-}
-
 /// An order of elimination with little fill-in: always the unknown with the fewest neighbours left (minimum degree,
 /// Tinney and Walker 1967). A tree gets none at all.
 ///

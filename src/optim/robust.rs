@@ -7,19 +7,22 @@ pub struct Robust {
     pub cost: f64,
     /// `rho'(e) / (2 e)`: 1 for small residuals, 0 for gross ones.
     pub weight: f64,
+    /// `rho''(e) / 2`: how fast the pull grows along the residual; negative for outliers. Across it, `weight` is.
+    pub curvature: f64,
 }
 
 /// The Geman-McClure cost of a residual of squared norm `squared`.
 ///
-/// `rho(e) = s^2 e^2 / (s^2 + e^2)`, `w = (s^2 / (s^2 + e^2))^2`: Geman and McClure 1985, in the scaling where rho is
+/// `rho(e) = s^2 e^2 / (s^2 + e^2)`, `w = (s^2 / (s^2 + e^2))^2`, `rho'' / 2 = w (1 - 4 e^2 / (s^2 + e^2))`: Geman and McClure 1985, in the scaling where rho is
 /// `e^2` near zero. For a residual of several components `squared` is that of the whole vector.
 ///
-/// `scale`: positive, in the unit of the residual. The curvature along the residual is left out of the weight: it is
-/// negative beyond `s / sqrt(3)`, and without it the normal matrix stays positive semi-definite.
+/// `scale`: positive, in the unit of the residual. Solvers use the weight in place of the curvature, which
+/// is negative beyond `s / sqrt(3)`: the normal matrix then stays positive semi-definite. A covariance needs both.
 pub fn geman_mcclure(squared: f64, scale: f64) -> Robust {
     let s2 = scale * scale;
     let ratio = s2 / (s2 + squared);
-    Robust { cost: 0.5 * squared * ratio, weight: ratio * ratio }
+    let weight = ratio * ratio;
+    Robust { cost: 0.5 * squared * ratio, weight, curvature: weight * (4.0 * ratio - 3.0) }
 }
 
 /// What [`geman_mcclure`] charges for an infinite residual: `s^2 / 2`.
@@ -64,6 +67,15 @@ mod tests {
             let h = 1e-5 * (1.0 + e2);
             let slope = (geman_mcclure(e2 + h, 3.0).cost - geman_mcclure(e2 - h, 3.0).cost) / h;
             assert!((slope - geman_mcclure(e2, 3.0).weight).abs() < 1e-8);
+        }
+    }
+
+    #[test]
+    fn the_curvature_is_the_derivative_of_the_pull() {
+        for e in [0.0, 0.3, 1.7, 30.0_f64] {
+            let pull = |e: f64| e * geman_mcclure(e * e, 3.0).weight;
+            let slope = (pull(e + 1e-5) - pull(e - 1e-5)) / 2e-5;
+            assert!((slope - geman_mcclure(e * e, 3.0).curvature).abs() < 1e-8);
         }
     }
 

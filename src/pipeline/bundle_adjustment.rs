@@ -7,12 +7,13 @@
 //! with the Geman-McClure rho, whose scale falls step by step ([`GraduatedScale`]), by Levenberg-Marquardt on the
 //! exact Schur complement: every instant is a small local system, cameras and bone lengths are the border.
 //!
-//! Why bone lengths are unknowns of the border and not robust means taken between iterations: see
-//! `lengths_between_iterations` in the tests, which pins that alternation needs many times the iterations.
+//! Why bone lengths are unknowns of the border and not robust means taken between iterations: on the synthetic scene
+//! of the tests the border converges in some 28 iterations, while alternation stands a third above that cost after 50.
 
 mod covariance;
 mod gauge;
 mod problem;
+mod readout;
 #[cfg(test)]
 mod tests;
 mod variables;
@@ -80,7 +81,7 @@ pub struct AdjustmentInput<'a> {
     pub intrinsics: &'a [Intrinsics],
     /// `camera_from_world` per view; `None` for an unplaced one, which stays so.
     pub cameras: Vec<Option<Rigid>>,
-    /// In any order; the order decides nothing but the order of the result.
+    /// In any order; the result's is the same.
     pub instants: Vec<Instant>,
     /// The same for everybody; empty for independent points.
     pub bones: &'a [Bone],
@@ -110,7 +111,7 @@ pub struct AdjustmentConfig {
 impl Default for AdjustmentConfig {
     fn default() -> Self {
         Self {
-            // 30 sigma: a camera 5 degrees off, at 1000 px focal length and 3 px noise. 4 sigma: keeps 96 % of the
+            // 30 sigma: a camera 5 degrees off, at 1000 px focal length and 3 px noise. 4 sigma: keeps 95 % of the
             // efficiency on Gaussian noise, and an outlier of 10 sigma has 2 % of its weight.
             scale: GraduatedScale { start: 30.0, end: 4.0, steps: 5 },
             iterations_per_scale: 5,

@@ -65,13 +65,6 @@ fn elimination_solves_the_whole_system_exactly() {
 }
 
 #[test]
-fn the_shares_of_the_gradient_add_up() {
-    let total = reduce(9, N_BORDER, 0.0, linearize).gradient;
-    let shares = reduced_gradients(9, N_BORDER, linearize);
-    assert!((shares.iter().sum::<DVector<f64>>() - total).amax() < 1e-12);
-}
-
-#[test]
 fn one_and_two_threads_give_the_same_bits() {
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();

@@ -1,26 +1,45 @@
 //! How well the cameras are known.
 //!
-//! Detector errors are correlated in time, so the inverse Hessian promises too much. The sandwich
-//! `A^-1 M A^-1` does not: `A` is the reduced Hessian of the border, `M` the sum over blocks of one person's
-//! consecutive frames of `g g^T`, `g` the block's share of the reduced gradient (Huber 1967; blocks after Liang and
-//! Zeger 1986). The result is moved into the free-network gauge, in which cameras are compared after a similarity.
+//! Detector errors are correlated in time, so the inverse Hessian promises far too much (an eighth of the variance at
+//! AR(0.9)). What holds is the delete-one-block jackknife over blocks of one person's consecutive frames:
 //!
-//! Known limits: errors that never change (a biased detector, wrong intrinsics) are invisible here. Few blocks make
-//! `M` poor, so it is shrunk towards `kappa A`, the inverse Hessian's own claim inflated by the mean ratio of the
-//! two, with `n / (n + blocks)` of the weight, n the number of border unknowns. At AR(0.9) a block of 50 frames sees
-//! 80 % of the long-run variance.
+//! `(B - 1) / B sum_b d_b d_b^T`, `d_b = (A - A_b)^-1 g_b`
+//!
+//! with `A` the border's reduced Hessian, `A_b`, `g_b` the block's share of it and of the gradient: `d_b` is how far
+//! the border moves, in one Newton step, when the block is left out. To first order it is the sandwich
+//! `A^-1 (sum_b g_b g_b^T) A^-1` (Huber 1967; Liang and Zeger 1986), which runs low where blocks are few (MacKinnon and
+//! White 1985). The solver's Hessian takes a residual's weight for its curvature; `A` is that Hessian times the mean
+//! ratio of the two (Huber 1981, section 7.6). The result is moved into the free-network gauge, in which cameras are
+//! compared after a similarity.
+//!
+//! Few blocks make a poor matrix, so it is shrunk towards the inverse Hessian, inflated to the same size in the mean
+//! over all `n` unknowns of the border, with `n / (n + B)` of the weight.
+//!
+//! Known limits: errors that never change (a biased detector, wrong intrinsics) are invisible here. At AR(0.9) a block
+//! of 50 frames sees 80 % of the long-run variance.
 
 use super::CameraUncertainty;
+use super::gauge::hold_idle;
 use super::problem::{Problem, State};
 use crate::geometry::Rigid;
 use crate::geometry::rotation::skew;
 use crate::optim::arrow::{self, Block};
-use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Matrix3, Vector3};
+use crate::optim::robust::geman_mcclure;
+use nalgebra::{DMatrix, Matrix3, Vector3};
 use std::collections::BTreeMap;
 
 /// Orientations count this little in the alignment, in units of the rig's radius: centres decide, as in evaluation,
 /// and only a rig whose centres lie on a line is turned by its orientations.
 const ORIENTATION_WEIGHT: f64 = 1e-2;
+
+/// Floor of the curvature a weight, met where half of the residuals are as large as the robust scale.
+const MIN_CURVATURE: f64 = 0.1;
+
+/// Fewer blocks than this say nothing about their own spread.
+const MIN_BLOCKS: usize = 8;
+
+/// Relative to the diagonal: far above rounding, far below what any block knows.
+const RIDGE: f64 = 1e-9;
 
 /// Uncertainty per view; `None` for views that did not move, and for all where the data leave one undetermined.
 pub(super) fn camera_uncertainties(
@@ -48,50 +67,63 @@ pub(super) fn camera_uncertainties(
     uncertainties
 }
 
-/// Sandwich covariance of the border in the solver's own gauge. [border, border]
+/// Covariance of the border in the solver's own gauge. [border, border]
+///
+/// `None` where the border is not determined, or not without one of the blocks.
 fn border_covariance(problem: &Problem, state: &State, block_frames: usize) -> Option<DMatrix<f64>> {
-    let (n_instants, n_border) = (problem.variables.len(), problem.layout.n_border);
-    let linearize = |i: usize, block: &mut Block| problem.linearize(i, state, block);
-    let mut reduced = arrow::reduce(n_instants, n_border, 0.0, linearize);
-    problem.add_focal_prior(state, &mut reduced.hessian, &mut reduced.gradient);
     let basis = problem.gauge.basis(&problem.layout, state);
-    if basis.0.ncols() == 0 {
+    let blocks = person_time_blocks(problem, block_frames);
+    if basis.0.ncols() == 0 || blocks.len() < 2 {
         return None;
     }
-    let bread = basis.restrict(&reduced.hessian);
-    let factor = bread.clone().cholesky()?;
-    let gradients = arrow::reduced_gradients(n_instants, n_border, linearize);
-    let blocks = block_gradients(problem, &gradients, block_frames);
-    let meat = shrunk_meat(blocks.iter().map(|g| basis.0.tr_mul(g)), &bread, &factor)?;
-    let covariance = factor.solve(&factor.solve(&meat).transpose());
+    let hessian_per_weight = curvature_per_weight(problem, state);
+    let of_block = |members: &Vec<usize>| {
+        let linearize = |k: usize, block: &mut Block| problem.linearize(members[k], state, block);
+        let reduced = arrow::reduce(members.len(), problem.layout.n_border, 0.0, linearize);
+        (basis.project(&reduced.hessian) * hessian_per_weight, basis.0.tr_mul(&reduced.gradient))
+    };
+    let mut whole = basis.project(&problem.focal_prior());
+    for members in &blocks {
+        whole += of_block(members).0;
+    }
+    hold_idle(&mut whole);
+    let inverse = whole.clone().cholesky()?.inverse();
+    // A bone seen in one block only has no length without it: it may be anywhere, but nothing else depends on it.
+    let ridge = DMatrix::from_diagonal(&(whole.diagonal() * RIDGE));
+    let mut jackknife = DMatrix::zeros(whole.nrows(), whole.ncols());
+    for members in &blocks {
+        let (hessian, gradient) = of_block(members);
+        let shift = (&whole + &ridge - hessian).cholesky()?.solve(&gradient);
+        jackknife.ger(1.0, &shift, &shift, 1.0);
+    }
+    let (n_blocks, n_unknowns) = (blocks.len() as f64, whole.nrows() as f64);
+    jackknife *= (n_blocks - 1.0) / n_blocks;
+    let inflation = whole.component_mul(&jackknife).sum() / n_unknowns;
+    let trust = n_blocks / (n_blocks + n_unknowns);
+    let covariance = jackknife * trust + inverse * (inflation * (1.0 - trust));
     Some(&basis.0 * covariance * basis.0.transpose())
 }
 
-/// Sums of gradients over blocks of `block_frames` consecutive frames of one person.
-fn block_gradients(problem: &Problem, gradients: &[DVector<f64>], block_frames: usize) -> Vec<DVector<f64>> {
-    let mut blocks: BTreeMap<(usize, usize), DVector<f64>> = BTreeMap::new();
-    for (variables, gradient) in problem.variables.iter().zip(gradients) {
-        let key = (variables.person, variables.frame / block_frames.max(1));
-        *blocks.entry(key).or_insert_with(|| DVector::zeros(gradient.len())) += gradient;
+/// Instants by person and block of consecutive frames; shorter blocks where there would be too few.
+fn person_time_blocks(problem: &Problem, block_frames: usize) -> Vec<Vec<usize>> {
+    let frames = block_frames.min(problem.variables.len() / MIN_BLOCKS).max(1);
+    let mut blocks: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
+    for (i, variables) in problem.variables.iter().enumerate() {
+        blocks.entry((variables.person, variables.frame / frames)).or_default().push(i);
     }
     blocks.into_values().collect()
 }
 
-/// `M` with the small-sample factor, shrunk towards `kappa A`; `None` for fewer than two blocks.
-fn shrunk_meat(
-    blocks: impl ExactSizeIterator<Item = DVector<f64>>,
-    bread: &DMatrix<f64>,
-    factor: &Cholesky<f64, Dyn>,
-) -> Option<DMatrix<f64>> {
-    let (n_blocks, n_unknowns) = (blocks.len() as f64, bread.nrows() as f64);
-    if n_blocks < 2.0 {
-        return None;
+/// Mean curvature of the reprojection cost (half along, half across the residual) over its mean weight.
+fn curvature_per_weight(problem: &Problem, state: &State) -> f64 {
+    let (mut curvature, mut weight) = (0.0, 0.0);
+    for misfit in problem.misfits(state).filter(|m| m.sigmas.is_finite()) {
+        let robust = geman_mcclure(misfit.sigmas * misfit.sigmas, problem.robust_scale);
+        curvature += 0.5 * (robust.curvature + robust.weight);
+        weight += robust.weight;
     }
-    let mut meat = DMatrix::zeros(bread.nrows(), bread.nrows());
-    blocks.for_each(|g| meat.ger(n_blocks / (n_blocks - 1.0), &g, &g, 1.0));
-    let inflation = factor.solve(&meat).trace() / n_unknowns;
-    let trust = n_blocks / (n_blocks + n_unknowns);
-    Some(meat * trust + bread * (inflation * (1.0 - trust)))
+    // At the minimum the mean is positive; the floor keeps a hopeless fit from claiming certainty.
+    if weight > 0.0 { (curvature / weight).max(MIN_CURVATURE) } else { 1.0 }
 }
 
 /// Takes the best similarity off a joint increment of all cameras: `I - N (N^T D N)^-1 N^T D`. [6 cameras, 6 cameras]

@@ -33,21 +33,23 @@ impl Basis {
         if self.0.ncols() == 0 {
             return Some(DVector::zeros(self.0.nrows()));
         }
-        let free = self.restrict(hessian).cholesky()?.solve(&-self.0.tr_mul(gradient));
-        Some(&self.0 * free)
+        let mut free = self.project(hessian);
+        hold_idle(&mut free);
+        Some(&self.0 * free.cholesky()?.solve(&-self.0.tr_mul(gradient)))
     }
 
     /// A matrix over the border as one over the free directions.
-    ///
-    /// Unknowns that nothing depends on (a bone never seen whole) get a one on the diagonal and stay at rest.
-    pub(super) fn restrict(&self, hessian: &DMatrix<f64>) -> DMatrix<f64> {
-        let mut free = self.0.tr_mul(&(hessian * &self.0));
-        for k in 0..free.nrows() {
-            if free[(k, k)] == 0.0 {
-                free[(k, k)] = 1.0;
-            }
+    pub(super) fn project(&self, hessian: &DMatrix<f64>) -> DMatrix<f64> {
+        self.0.tr_mul(&(hessian * &self.0))
+    }
+}
+
+/// Unknowns that nothing depends on (a bone never seen whole) get a one on the diagonal and stay at rest.
+pub(super) fn hold_idle(hessian: &mut DMatrix<f64>) {
+    for k in 0..hessian.nrows() {
+        if hessian[(k, k)] == 0.0 {
+            hessian[(k, k)] = 1.0;
         }
-        free
     }
 }
 

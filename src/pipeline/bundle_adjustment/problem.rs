@@ -1,18 +1,16 @@
-//! The least-squares problem: linearisation of one instant, one damped step, and what is read off a state.
+//! The least-squares problem: linearisation of one instant and one damped step.
 
 use super::gauge::Gauge;
 use super::variables::{self, Layout, Variables};
-use super::{AdjustmentConfig, AdjustmentInput, Instant, ViewFit, median};
+use super::{AdjustmentConfig, AdjustmentInput, Instant, median};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::optim::arrow::{self, Block, Column};
 use crate::optim::levenberg_marquardt::{LeastSquares, Trial};
 use crate::optim::robust::{geman_mcclure, geman_mcclure_ceiling};
 use crate::progress::Progress;
 use crate::residuals::{bone_length, reprojection};
-use crate::session::reconstruction::ErrorSummary;
 use nalgebra::{DMatrix, DVector, Vector3};
 use rayon::prelude::*;
-use std::collections::BTreeMap;
 
 /// A camera as far as it is unknown.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,13 +31,8 @@ pub(super) struct State {
     pub(super) points: Vec<Vec<Vector3<f64>>>,
 }
 
-/// How far an observation lies from its reprojection; infinite where the point is behind the camera.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Misfit {
-    pub(super) view: usize,
-    pub(super) distance_px: f64,
-    pub(super) sigmas: f64,
-}
+/// Shares of a local step that are tried when the whole one does harm.
+const SHORTENED: [f64; 3] = [0.5, 0.1, 0.0];
 
 /// The problem at one robust scale.
 pub(super) struct Problem<'a> {
@@ -59,8 +52,10 @@ pub(super) fn formulate<'a>(
     config: &AdjustmentConfig,
     progress: &'a Progress,
 ) -> (Problem<'a>, State) {
-    let mut placed: Vec<bool> =
-        input.cameras.iter().enumerate().map(|(v, c)| c.is_some() && v < input.intrinsics.len()).collect();
+    let is_finite = |pose: Rigid| pose.rotation.iter().chain(&pose.translation).all(|x| x.is_finite());
+    let is_placed =
+        |(view, pose): (usize, &Option<Rigid>)| view < input.intrinsics.len() && pose.is_some_and(is_finite);
+    let mut placed: Vec<bool> = input.cameras.iter().enumerate().map(is_placed).collect();
     let (layout, variables) = variables::choose(input, &mut placed);
     let camera = |(view, given): (usize, &Option<Rigid>)| {
         let camera_from_world = given.filter(|_| placed[view])?;
@@ -112,17 +107,12 @@ impl LeastSquares for Problem<'_> {
         let n_instants = self.variables.len();
         let linearize = |i: usize, block: &mut Block| self.linearize(i, state, block);
         let mut reduced = arrow::reduce(n_instants, self.layout.n_border, damping, linearize);
-        self.add_focal_prior(state, &mut reduced.hessian, &mut reduced.gradient);
+        reduced.hessian += self.focal_prior();
+        reduced.gradient += self.focal_gradient(state);
         let border_step = self.gauge.basis(&self.layout, state).solve(&reduced.hessian, &reduced.gradient)?;
         let mut moved = self.move_border(state, &border_step);
         let instants = arrow::back_substitute(n_instants, damping, &border_step, linearize, |i, step| {
-            let points: Vec<_> = state.points[i]
-                .iter()
-                .zip(step.chunks_exact(3))
-                .map(|(x, d)| x + Vector3::new(d[0], d[1], d[2]))
-                .collect();
-            let cost = self.instant_cost(i, &moved, &points);
-            (points, cost)
+            self.move_points(i, state, &moved, step)
         });
         let cost = instants.iter().map(|(_, cost)| cost).sum::<f64>() + self.focal_cost(&moved);
         moved.points = instants.into_iter().map(|(points, _)| points).collect();
@@ -187,6 +177,23 @@ impl Problem<'_> {
         }
     }
 
+    /// The points of one instant after a step, with their cost: shortened where the whole step makes the instant worse.
+    ///
+    /// A few badly seen points would otherwise have the step of everything else rejected.
+    fn move_points(&self, i: usize, before: &State, border: &State, step: &[f64]) -> (Vec<Vector3<f64>>, f64) {
+        let by = |share: f64| {
+            let moved = |(x, d): (&Vector3<f64>, &[f64])| x + Vector3::new(d[0], d[1], d[2]) * share;
+            let points: Vec<_> = before.points[i].iter().zip(step.chunks_exact(3)).map(moved).collect();
+            let cost = self.instant_cost(i, border, &points);
+            (points, cost)
+        };
+        let whole = by(1.0);
+        if whole.1 <= self.instant_cost(i, before, &before.points[i]) {
+            return whole;
+        }
+        SHORTENED.iter().map(|&share| by(share)).fold(whole, |best, next| if best.1 <= next.1 { best } else { next })
+    }
+
     /// Cost of one instant with the border of `state` and these points.
     fn instant_cost(&self, i: usize, state: &State, points: &[Vector3<f64>]) -> f64 {
         let charge = |squared: Option<f64>| {
@@ -214,18 +221,24 @@ impl Problem<'_> {
         state.cameras.iter().flatten().map(|c| 0.5 * (c.log_focal / self.focal_sigma).powi(2)).sum()
     }
 
-    /// Normal equations of [`Self::focal_cost`].
-    pub(super) fn add_focal_prior(&self, state: &State, hessian: &mut DMatrix<f64>, gradient: &mut DVector<f64>) {
-        if self.layout.per_camera == 6 {
-            return;
+    /// Hessian of [`Self::focal_cost`]. [border, border]
+    pub(super) fn focal_prior(&self) -> DMatrix<f64> {
+        let mut information = DMatrix::zeros(self.layout.n_border, self.layout.n_border);
+        for first in self.layout.camera_columns.iter().flatten().filter(|_| self.layout.per_camera == 7) {
+            information[(first + 6, first + 6)] = self.focal_sigma.powi(-2);
         }
-        let information = self.focal_sigma.powi(-2);
+        information
+    }
+
+    /// Where [`Self::focal_cost`] pulls: its Hessian is diagonal, its gradient that times the logarithms.
+    fn focal_gradient(&self, state: &State) -> DVector<f64> {
+        let mut gradient = DVector::zeros(self.layout.n_border);
         for (camera, first) in state.cameras.iter().zip(&self.layout.camera_columns) {
-            if let (Some(camera), Some(first)) = (camera, first) {
-                hessian[(first + 6, first + 6)] += information;
-                gradient[first + 6] += information * camera.log_focal;
+            if let (Some(camera), Some(first), 7) = (camera, first, self.layout.per_camera) {
+                gradient[first + 6] = camera.log_focal * self.focal_sigma.powi(-2);
             }
         }
+        gradient
     }
 
     /// Cameras and bone lengths after a step; the gauge is kept exactly. Points stay.
@@ -246,63 +259,6 @@ impl Problem<'_> {
         let first = self.layout.first_length;
         let log_lengths = state.log_lengths.iter().enumerate().map(|(k, l)| l + step[first + k]).collect();
         State { cameras, log_lengths, points: Vec::new() }
-    }
-
-    /// Every observation against its reprojection.
-    pub(super) fn misfits<'s>(&'s self, state: &'s State) -> impl Iterator<Item = Misfit> + 's {
-        self.variables.iter().zip(&state.points).flat_map(move |(variables, points)| {
-            variables.sightings.iter().filter_map(move |sighting| {
-                let o = &sighting.observation;
-                let camera = state.cameras[o.view].as_ref()?;
-                let point = camera.camera_from_world.transform(&points[sighting.slot]);
-                let predicted = camera.intrinsics.pixel_from_camera(&point);
-                let distance_px = predicted.map_or(f64::INFINITY, |p| (p - o.pixel).norm());
-                Some(Misfit { view: o.view, distance_px, sigmas: distance_px / o.sigma_px })
-            })
-        })
-    }
-
-    /// Reprojection per view.
-    pub(super) fn view_fits(&self, state: &State) -> Vec<ViewFit> {
-        let mut fits = vec![ViewFit::default(); state.cameras.len()];
-        let mut explained = vec![Vec::new(); state.cameras.len()];
-        for misfit in self.misfits(state) {
-            fits[misfit.view].n_observations += 1;
-            if misfit.sigmas <= self.robust_scale {
-                explained[misfit.view].push(misfit.distance_px);
-            }
-        }
-        for (fit, distances) in fits.iter_mut().zip(explained) {
-            fit.n_explained = distances.len();
-            let mean = distances.iter().sum::<f64>() / distances.len() as f64;
-            fit.reprojection_px = median(distances).map(|median| ErrorSummary { mean, median });
-        }
-        fits
-    }
-
-    /// Points in the input's shape; those that were not adjusted as given.
-    pub(super) fn points_by_keypoint(&self, instants: &[Instant], state: &State) -> Vec<Vec<Option<Vector3<f64>>>> {
-        let mut points: Vec<_> = instants.iter().map(|i| i.points.clone()).collect();
-        for ((points, variables), adjusted) in points.iter_mut().zip(&self.variables).zip(&state.points) {
-            for (&keypoint, point) in variables.keypoints.iter().zip(adjusted) {
-                points[keypoint] = Some(*point);
-            }
-        }
-        points
-    }
-
-    /// Lengths per person and bone.
-    pub(super) fn bone_lengths(&self, state: &State) -> BTreeMap<usize, Vec<Option<f64>>> {
-        let n_bones = self.layout.n_bones;
-        let mut lengths: BTreeMap<_, _> = self.layout.persons.iter().map(|&p| (p, vec![None; n_bones])).collect();
-        for variables in &self.variables {
-            if let Some(of_person) = lengths.get_mut(&self.layout.persons[variables.person]) {
-                for limb in &variables.limbs {
-                    of_person[limb.length % n_bones] = Some(state.log_lengths[limb.length].exp());
-                }
-            }
-        }
-        lengths
     }
 }
 

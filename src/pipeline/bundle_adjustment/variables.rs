@@ -64,13 +64,11 @@ pub(super) fn choose(input: &AdjustmentInput, placed: &mut [bool]) -> (Layout, V
     let n_keypoints = input.instants.iter().map(|i| i.points.len()).max().unwrap_or(0);
     let order = elimination_order(n_keypoints, bones.iter().map(|b| (b.a, b.b)));
     let mut supported = supported_keypoints(input, &bones, placed);
-    while input.camera_freedom == CameraFreedom::Adjusted {
-        let counts = sightings_per_view(input, &supported, placed);
-        if placed.iter().zip(&counts).all(|(&p, &n)| !p || n >= MIN_SIGHTINGS) {
-            break;
+    if input.camera_freedom == CameraFreedom::Adjusted {
+        // Without a camera some points lose their support, and without these perhaps another camera.
+        while drop_weak_views(input, &supported, placed) {
+            supported = supported_keypoints(input, &bones, placed);
         }
-        placed.iter_mut().zip(&counts).for_each(|(p, &n)| *p &= n >= MIN_SIGHTINGS);
-        supported = supported_keypoints(input, &bones, placed);
     }
     let layout = layout(input, &bones, placed);
     let dense: BTreeMap<usize, usize> = layout.persons.iter().enumerate().map(|(i, &p)| (p, i)).collect();
@@ -123,12 +121,15 @@ fn supported_keypoints(input: &AdjustmentInput, bones: &[Bone], placed: &[bool])
     input.instants.iter().map(of_instant).collect()
 }
 
-fn sightings_per_view(input: &AdjustmentInput, supported: &[BTreeSet<usize>], placed: &[bool]) -> Vec<usize> {
+/// Clears the views that see too few supported points; whether there were any.
+fn drop_weak_views(input: &AdjustmentInput, supported: &[BTreeSet<usize>], placed: &mut [bool]) -> bool {
     let mut counts = vec![0; placed.len()];
     for (instant, supported) in input.instants.iter().zip(supported) {
         usable(instant, placed).filter(|o| supported.contains(&o.keypoint)).for_each(|o| counts[o.view] += 1);
     }
-    counts
+    let weak: Vec<usize> = (0..placed.len()).filter(|&v| placed[v] && counts[v] < MIN_SIGHTINGS).collect();
+    weak.iter().for_each(|&v| placed[v] = false);
+    !weak.is_empty()
 }
 
 fn layout(input: &AdjustmentInput, bones: &[Bone], placed: &[bool]) -> Layout {
