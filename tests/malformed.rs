@@ -1,5 +1,7 @@
 //! Damaged and hostile sessions: each is refused with its code, its kind and the place named, within two seconds.
 
+#![allow(clippy::unwrap_used)] // a test may
+
 use serde_json::{Value, json};
 use std::fs;
 use std::io::{Cursor, Write};
