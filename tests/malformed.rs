@@ -135,7 +135,7 @@ fn containers() -> Vec<Case> {
     let link =
         zip_with(&members(), |zip| zip.add_symlink("poses/x.json", "/etc", SimpleFileOptions::default()).unwrap());
     let overlap = zip_with(&members(), |zip| zip.shallow_copy_file("poses/left.json", "copy").unwrap());
-    let two = zip_with(&members(), |zip| zip.start_file("b/session.json", SimpleFileOptions::default()).unwrap());
+    let two = zip_with(&[("a/session.json".to_owned(), Vec::new()), ("b/session.json".to_owned(), Vec::new())], |_| {});
     let mut no_poses = members();
     no_poses.pop();
     let mut corrupt = members();
@@ -156,6 +156,7 @@ fn containers() -> Vec<Case> {
         case(zip_with_header(6, 8, [1, 0]), "zip_encrypted", 415, &["\"session.json\""]),
         case(zip_with_header(8, 10, [12, 0]), "zip_method", 415, &["\"session.json\""]),
         case(zip_with_header(14, 16, [1, 2]), "zip_corrupt", 400, &["\"session.json\""]),
+        case(zip_with_header(22, 24, [5, 0]), "zip_corrupt", 400, &["\"session.json\""]),
         case(zip_of_zeros(), "zip_ratio", 413, &["\"session.json\"", "5368709120"]),
         case(two, "session_ambiguous", 400, &["\"b/session.json\""]),
         case(zip_with(&[], |_| {}), "format_unknown", 415, &["no session.json"]),
