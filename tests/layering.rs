@@ -3,6 +3,8 @@
 //! Reads `crate::…` and `super::…` paths in `src/` (code above a file's `#[cfg(test)] mod`, for tests may look up) and
 //! compares them with the table. A change that adds an arrow edits the table and says why.
 
+#![allow(clippy::unwrap_used)] // a test may
+
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};

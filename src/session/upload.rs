@@ -133,8 +133,11 @@ fn read_members<R: Read + Seek>(
     members: &mut Members<R>,
     reading: &mut Reading<'_>,
 ) -> Result<RawSession, UploadError> {
-    let is_root = |name: &&str| name.strip_suffix("session.json").is_some_and(is_root_folder);
-    let headers: Vec<&str> = members.names().filter(is_root).take(2).collect();
+    if members.contains("session.json") {
+        return native::read_members(members, "", reading);
+    }
+    let is_header = |name: &&str| name.strip_suffix("session.json").is_some_and(is_enclosing_folder);
+    let headers: Vec<&str> = members.names().filter(is_header).take(2).collect();
     match headers.as_slice() {
         [] => Err(Fault::FormatUnknown.with("there is no session.json")),
         [header] => {
@@ -147,9 +150,9 @@ fn read_members<R: Read + Seek>(
     }
 }
 
-/// The top of an archive, or its one enclosing folder; the shadow copies of one system's packer are no sessions.
-fn is_root_folder(folder: &str) -> bool {
-    folder.is_empty() || (folder.matches('/').count() == 1 && folder.ends_with('/') && folder != "__MACOSX/")
+/// One folder round the whole session; the shadow copies of one system's packer are none.
+fn is_enclosing_folder(folder: &str) -> bool {
+    folder.matches('/').count() == 1 && folder.ends_with('/') && folder != "__MACOSX/"
 }
 
 fn digest_of_members<R: Read + Seek>(members: &mut Members<R>, session: &Session) -> Result<String, UploadError> {

@@ -1,6 +1,6 @@
 //! Whether a camera can exist: intrinsics and extrinsics as written, checked once.
 
-use super::error::{Fault, UploadError};
+use super::error::{Fault, UploadError, shown};
 use super::json::{Numbers, Rows};
 use super::raw::RawCamera;
 use super::warnings::Warnings;
@@ -61,7 +61,7 @@ pub(super) fn checked_extrinsics(raw: &RawCamera, warnings: &mut Warnings) -> Re
     let translation = vector3(t).ok_or_else(|| invalid(format!("t has {} entries, expected 3", t.0.len())))?;
     if translation.norm() > FAR {
         let norm = translation.norm();
-        warnings.add(format!("camera {:?} has t of length {norm:.0} m: is it in millimetres?", raw.id));
+        warnings.add(format!("camera {} has t of length {norm:.0} m: is it in millimetres?", shown(&raw.id)));
     }
     Ok(Some(Rigid { rotation, translation }))
 }
@@ -105,7 +105,7 @@ fn check_principal_point(camera: &Intrinsics, id: &str, warnings: &mut Warnings)
         return Err(invalid(found));
     }
     if ![x, y].iter().all(|c| (0.0..=1.0).contains(c)) {
-        warnings.add(format!("camera {id:?} has its {found}: is it cropped?"));
+        warnings.add(format!("camera {} has its {found}: is it cropped?", shown(id)));
     }
     Ok(())
 }
@@ -114,7 +114,7 @@ fn checked_distortion(raw: &RawCamera) -> Result<[f64; 5], UploadError> {
     if let Some(model) = &raw.distortion_model {
         let plain = model.to_ascii_lowercase().replace(['_', '-', ' '], "");
         if !["", "none", "pinhole", "opencv", "plumbbob", "brown", "brownconrady", "radtan"].contains(&plain.as_str()) {
-            return Err(Fault::DistortionUnsupported.with(format!("distortion model {}", super::error::shown(model))));
+            return Err(Fault::DistortionUnsupported.with(format!("distortion model {}", shown(model))));
         }
     }
     let given = raw.distortion.as_ref().map_or(&[][..], |d| &d.0);

@@ -23,8 +23,8 @@ pub(crate) struct Reading<'a> {
     pub warnings: &'a mut Warnings,
     /// Where we are.
     pub place: Place,
-    /// Keypoints read so far in the whole session.
-    pub n_keypoints: usize,
+    /// What has been spent of `max_keypoints`.
+    n_keypoints: usize,
     failure: Option<UploadError>,
     /// Parts of the JSON pointer, innermost first: gathered while an error travels outwards.
     pointer: Vec<String>,
@@ -92,6 +92,15 @@ impl<'a> Reading<'a> {
     pub(crate) fn refuse<E: serde::de::Error>(&mut self, error: UploadError) -> E {
         self.failure = Some(self.place.of(error));
         E::custom("refused")
+    }
+
+    /// Counts something that is held in memory as so many keypoints.
+    pub(crate) fn spend(&mut self, n_keypoints: usize) -> Result<(), UploadError> {
+        self.n_keypoints += n_keypoints;
+        if self.n_keypoints <= self.limits.max_keypoints {
+            return Ok(());
+        }
+        Err(Fault::TooManyKeypoints.with(format!("more than {} keypoints in all", self.limits.max_keypoints)))
     }
 
     /// The typed error behind a parser's error.

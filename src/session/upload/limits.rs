@@ -21,7 +21,7 @@ pub struct UploadLimits {
     pub max_view_frames: usize,
     /// People in one frame of one camera.
     pub max_people_per_frame: usize,
-    /// Keypoints of the whole session, missing ones included.
+    /// Keypoints of the whole session, missing ones included; a person takes the memory of 4 more, a frame of 3 more.
     pub max_keypoints: usize,
     /// Nesting of a JSON document.
     pub max_json_depth: usize,

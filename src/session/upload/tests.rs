@@ -159,6 +159,18 @@ fn a_rotation_rounded_to_four_digits_is_made_orthonormal() {
 }
 
 #[test]
+fn people_and_frames_without_points_are_not_free() {
+    let text = to_json(&small_session()).unwrap();
+    // 4 frames of 3, 4 people of 4 and 17 points each.
+    let n_spent = 4 * 3 + 4 * (4 + 17);
+    let code = |max_keypoints| {
+        let limits = UploadLimits { max_keypoints, ..UploadLimits::default() };
+        read_upload(Cursor::new(&text), "upload", &limits).map_err(|e| e.code).map(|_| ())
+    };
+    assert_eq!((code(n_spent), code(n_spent - 1)), (Ok(()), Err("too_many_keypoints")));
+}
+
+#[test]
 fn every_truncation_of_a_zip_is_refused() {
     let zip = small_zip();
     for length in 0..zip.len() {

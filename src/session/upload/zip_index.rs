@@ -131,7 +131,7 @@ fn check_member(entry: &ZipFileEntry<'_>, limits: &UploadLimits) -> Result<(), U
         return Err(Fault::ZipMethod.with(format!("the member is packed by method {}", entry.compression())));
     }
     let (packed, unpacked) = (entry.compressed_size(), entry.size());
-    if unpacked > limits.ratio_free_bytes && unpacked / packed.max(1) >= limits.max_ratio {
+    if unpacked > limits.ratio_free_bytes && unpacked > packed.saturating_mul(limits.max_ratio) {
         let detail = format!("{packed} bytes unpack to {unpacked}, at most {} to 1 is read", limits.max_ratio);
         return Err(Fault::ZipRatio.with(detail));
     }
