@@ -118,7 +118,6 @@ pub fn chain_to_root(joint: usize) -> impl Iterator<Item = usize> {
 #[cfg(test)]
 mod tests {
     use super::super::default_body::default_body;
-    use super::*;
 
     #[test]
     fn every_number_is_in_the_fingerprint() {

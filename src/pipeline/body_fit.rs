@@ -10,6 +10,8 @@ mod motion_problem;
 mod solve;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tests_simulated;
 
 use crate::body::BodyModel;
 use crate::body::anthropometry::N_BETAS;

@@ -1,6 +1,5 @@
 //! The angular acceleration of a joint from three successive rotations.
 
-use super::joint_angles::log_by_right_increment;
 use crate::geometry::rotation;
 use nalgebra::{Matrix3, Vector3};
 
@@ -23,9 +22,9 @@ pub fn turn_change(earlier: &Matrix3<f64>, middle: &Matrix3<f64>, later: &Matrix
     TurnChange {
         value: after - before,
         jacobians: [
-            log_by_right_increment(&-before),
-            -log_by_right_increment(&-after) - log_by_right_increment(&before),
-            log_by_right_increment(&after),
+            rotation::right_jacobian_inverse(&-before),
+            -rotation::right_jacobian_inverse(&-after) - rotation::right_jacobian_inverse(&before),
+            rotation::right_jacobian_inverse(&after),
         ],
     }
 }

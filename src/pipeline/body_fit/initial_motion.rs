@@ -6,6 +6,7 @@ use crate::body::joint_ranges::joint_ranges;
 use crate::body::kinematics::{Pose, landmark_position, posed};
 use crate::body::model::{Betas, BodyModel, ShapedBody};
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
+use crate::geometry::similarity::{ScaleMode, similarity_from_points};
 use crate::geometry::{Rigid, rotation};
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
@@ -107,31 +108,32 @@ fn median(values: &mut [f64]) -> Option<f64> {
 const TRUNK: [&str; 9] =
     ["left_hip", "right_hip", "mid_hip", "left_shoulder", "right_shoulder", "neck", "pelvis", "spine2", "spine3"];
 
-/// `world_from_rest` of the trunk by least squares (Kabsch); `None` with fewer than three points off one line.
+/// `world_from_rest` of the trunk by least squares; `None` with fewer than three points well off one line.
 fn trunk_placement(model: &BodyModel, body: &ShapedBody, places: &Places) -> Option<Rigid> {
     let rest = posed(body, &Pose::rest());
     let seen = TRUNK.iter().filter_map(|name| model.landmark_index(name)).filter_map(|l| {
         let place = places[l]?;
         Some((landmark_position(model, body, &rest, l), place))
     });
-    let pairs: Vec<(Vector3<f64>, Vector3<f64>)> = seen.collect();
-    if pairs.len() < 3 {
+    let (in_rest, in_world): (Vec<_>, Vec<_>) = seen.unzip();
+    if width_across(&in_rest) < MIN_TRUNK_WIDTH {
         return None;
     }
-    let n = pairs.len() as f64;
-    let source_mean = pairs.iter().map(|p| p.0).sum::<Vector3<f64>>() / n;
-    let target_mean = pairs.iter().map(|p| p.1).sum::<Vector3<f64>>() / n;
-    let covariance: Matrix3<f64> =
-        pairs.iter().map(|p| (p.1 - target_mean) * (p.0 - source_mean).transpose()).sum::<Matrix3<f64>>() / n;
-    let svd = covariance.svd(true, true);
-    let (u, v_t) = (svd.u?, svd.v_t?);
-    // A spread of less than 5 cm across the main direction leaves the turn about it open.
-    if svd.singular_values[1] < 0.05 * 0.05 {
-        return None;
-    }
-    let sign = (u.determinant() * v_t.determinant()).signum();
-    let rotation = u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign)) * v_t;
-    Some(Rigid { rotation, translation: target_mean - rotation * source_mean })
+    let world_from_rest = similarity_from_points(&in_rest, &in_world, ScaleMode::Unit).ok()?;
+    Some(Rigid { rotation: world_from_rest.rotation, translation: world_from_rest.translation })
+}
+
+/// A narrower spread (m, root mean square) leaves the turn about the long direction to the noise.
+const MIN_TRUNK_WIDTH: f64 = 0.05;
+
+/// Root mean square distance of points from their centre along their second longest direction, m.
+fn width_across(points: &[Vector3<f64>]) -> f64 {
+    let n = points.len().max(1) as f64;
+    let center = points.iter().sum::<Vector3<f64>>() / n;
+    let scatter: Matrix3<f64> = points.iter().map(|p| (p - center) * (p - center).transpose()).sum();
+    let mut variances: [f64; 3] = (scatter / n).symmetric_eigenvalues().into();
+    variances.sort_by(f64::total_cmp);
+    variances[1].max(0.0).sqrt()
 }
 
 /// What closed form tells about one frame.
@@ -181,11 +183,12 @@ fn limbs(model: &BodyModel, body: &ShapedBody, places: &Places, world_from_trunk
         let Some(middle_seen) = place(limb.joints[1]) else { continue };
         let root_seen = place(limb.joints[0]).unwrap_or_else(|| world_from_trunk.transform(&root));
         let trunk_from_world = world_from_trunk.rotation.transpose();
-        let mut upper = turn_between(&upper_rest, &(trunk_from_world * (middle_seen - root_seen)));
+        let mut upper = rotation::rotation_between(&upper_rest, &(trunk_from_world * (middle_seen - root_seen)));
         if let Some(end_seen) = place(limb.joints[2]) {
             let lower_in_trunk = trunk_from_world * (end_seen - middle_seen);
             upper *= turn_about_bone(&upper_rest, &limb.bends_to, &(upper.transpose() * lower_in_trunk).normalize());
-            pose.rotations[joint[1]] = Some(turn_between(&lower_rest, &(upper.transpose() * lower_in_trunk)));
+            pose.rotations[joint[1]] =
+                Some(rotation::rotation_between(&lower_rest, &(upper.transpose() * lower_in_trunk)));
         }
         pose.rotations[joint[0]] = Some(upper);
     }
@@ -200,23 +203,6 @@ fn turn_about_bone(bone: &Vector3<f64>, bends_to: &Vector3<f64>, lower: &Vector3
         return Matrix3::identity();
     }
     rotation::exp(&(bone * bone.dot(&wanted.cross(&found)).atan2(wanted.dot(&found))))
-}
-
-/// The smallest rotation that takes direction `a` to direction `b`; half a turn about any normal where they are opposite.
-fn turn_between(a: &Vector3<f64>, b: &Vector3<f64>) -> Matrix3<f64> {
-    let (a, b) = (a.normalize(), b.normalize());
-    if !b.iter().all(|v| v.is_finite()) {
-        return Matrix3::identity();
-    }
-    let axis = a.cross(&b);
-    let angle = axis.norm().atan2(a.dot(&b));
-    let normal = if axis.norm() > 1e-9 { axis.normalize() } else { any_normal(&a) };
-    rotation::exp(&(normal * angle))
-}
-
-fn any_normal(a: &Vector3<f64>) -> Vector3<f64> {
-    let other = if a.x.abs() < 0.7 { Vector3::x() } else { Vector3::y() };
-    a.cross(&other).normalize()
 }
 
 /// The known frames on either side of `t` and how far `t` lies between them; one known side counts twice.
