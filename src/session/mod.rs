@@ -3,6 +3,7 @@
 pub mod people;
 pub mod reconstruction;
 pub mod recording;
+pub mod upload;
 
 pub use people::{BodyMotion, JointTrajectory, PersonTrack};
 pub use reconstruction::Reconstruction;
