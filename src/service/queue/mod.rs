@@ -12,6 +12,9 @@ pub mod recovery;
 mod rows;
 mod work;
 
+#[cfg(test)]
+mod tests;
+
 pub use work::{Claim, Finished, Published, Standing};
 
 use super::store::{Store, StoreError};
