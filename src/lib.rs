@@ -17,6 +17,8 @@
 //! - [`evaluation`]: errors of cameras, poses and identities against truth
 //! - [`export`]: the result folder, one file a format
 //! - [`pipeline`]: the stages, in order
+//! - `service` (feature `service`): sessions and jobs over HTTP, each job in a supervised child process
+//! - [`cli`]: the commands
 //!
 //! # Conventions
 //!
@@ -24,6 +26,7 @@
 //! look along +z, x right, y down; pixel (0, 0) is the centre of the first pixel.
 
 pub mod body;
+pub mod cli;
 pub mod estimation;
 pub mod evaluation;
 pub mod export;
@@ -33,5 +36,7 @@ pub mod optim;
 pub mod pipeline;
 pub mod progress;
 pub mod residuals;
+#[cfg(feature = "service")]
+pub mod service;
 pub mod session;
 pub mod simulation;

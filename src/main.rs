@@ -1,2 +1,7 @@
 //! The `wandless` binary.
-fn main() {}
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    wandless::cli::main()
+}

@@ -1,0 +1,79 @@
+//! `wandless demo`: simulate, serve, submit over HTTP, evaluate; every step is a command of its own.
+
+use super::client::Client;
+use super::serve::stop_signal;
+use super::submit::{download, submit};
+use super::{evaluate, simulate};
+use crate::pipeline::Options;
+use crate::service::{self, Settings};
+use clap::Parser;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::{Path, PathBuf};
+use tokio::runtime::Runtime;
+
+/// Arguments of `demo`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Folder for everything that is made; a temporary one is left where it is named
+    #[arg(long)]
+    dir: Option<PathBuf>,
+    /// Seed of the simulated capture
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Go on serving until Ctrl-C
+    #[arg(long)]
+    keep: bool,
+}
+
+/// Runs the command.
+pub(super) fn run(args: Args) -> anyhow::Result<()> {
+    let dir = match args.dir {
+        Some(dir) => dir,
+        None => std::env::temp_dir().join(format!("wandless-demo-{}", uuid::Uuid::new_v4().simple())),
+    };
+    let session = dir.join("session");
+    let result = dir.join("result");
+    println!("simulating 3 people before 5 cameras: {}", session.display());
+    simulate_session(&session, args.seed)?;
+
+    let runtime = Runtime::new()?;
+    let listen = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
+    let running = runtime.block_on(service::start(Settings::new(dir.join("data"), listen)?))?;
+    let server = format!("http://{}", running.address);
+    println!("serving {server}");
+    let done = submit_and_evaluate(&server, &session, &result);
+    if args.keep && done.is_ok() {
+        println!("{server} goes on; stop it with Ctrl-C");
+        runtime.block_on(stop_signal())?;
+    }
+    runtime.block_on(running.stop());
+    done
+}
+
+fn submit_and_evaluate(server: &str, session: &Path, result: &Path) -> anyhow::Result<()> {
+    let client = Client::new(server);
+    let job = submit(&client, session, &serde_json::to_value(Options::default())?)?;
+    println!("{server}/v1/jobs/{}: {}", job.id, job.quality.unwrap_or_default());
+    download(&client, &job.id, result)?;
+    println!("result: {}", result.display());
+    evaluate_result(result, &session.join("gt"))
+}
+
+/// `Parser` for the arguments of a command without its name.
+#[derive(Parser)]
+struct Arguments<T: clap::Args> {
+    #[command(flatten)]
+    args: T,
+}
+
+fn simulate_session(out: &Path, seed: u64) -> anyhow::Result<()> {
+    let seed = seed.to_string();
+    let words = ["simulate", "--people", "3", "--views", "5", "--seed", &seed, "--out"].map(std::ffi::OsStr::new);
+    let arguments = Arguments::try_parse_from(words.into_iter().chain([out.as_os_str()]))?;
+    simulate::run(arguments.args)
+}
+
+fn evaluate_result(result: &Path, truth: &Path) -> anyhow::Result<()> {
+    let words = ["evaluate".as_ref(), result.as_os_str(), "--truth".as_ref(), truth.as_os_str()];
+    evaluate::run(Arguments::try_parse_from(words)?.args)
+}

@@ -1,0 +1,105 @@
+//! The commands; one file each.
+
+mod evaluate;
+mod meter;
+mod reconstruct;
+mod simulate;
+mod solve;
+
+#[cfg(feature = "service")]
+mod client;
+#[cfg(feature = "service")]
+mod demo;
+#[cfg(feature = "service")]
+mod run_job;
+#[cfg(feature = "service")]
+mod serve;
+#[cfg(feature = "service")]
+mod submit;
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+use tracing_subscriber::EnvFilter;
+
+/// Recovers moving people and the cameras that filmed them, without a calibration wand.
+#[derive(Debug, Parser)]
+#[command(name = "wandless", version)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Solve a session without a server
+    Reconstruct(reconstruct::Args),
+    /// Compare a result with the truth
+    Evaluate(evaluate::Args),
+    /// Make a session with exact truth
+    Simulate(simulate::Args),
+    /// Serve sessions and jobs over HTTP
+    #[cfg(feature = "service")]
+    Serve(serve::Args),
+    /// Upload a session, follow its job, download the result
+    #[cfg(feature = "service")]
+    Submit(submit::Args),
+    /// Simulate, serve, submit and evaluate in one go
+    #[cfg(feature = "service")]
+    Demo(demo::Args),
+    /// One job in a child process of the service
+    #[cfg(feature = "service")]
+    #[command(hide = true)]
+    RunJob,
+}
+
+/// The input cannot be used: exit code 2 and one line that names what, where and the remedy.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct BadInput(pub String);
+
+/// Runs the command line; the exit code is 0 for done, 1 for failed, 2 for wrong usage or bad input.
+pub fn main() -> ExitCode {
+    let cli = Cli::parse(); // ends with 2 for wrong usage
+    let filter = EnvFilter::try_from_env("WANDLESS_LOG").unwrap_or_else(|_| EnvFilter::new(default_level(&cli)));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let done = match cli.command {
+        Command::Reconstruct(args) => reconstruct::run(args),
+        Command::Evaluate(args) => evaluate::run(args),
+        Command::Simulate(args) => simulate::run(args),
+        #[cfg(feature = "service")]
+        Command::Serve(args) => serve::run(args),
+        #[cfg(feature = "service")]
+        Command::Submit(args) => submit::run(args),
+        #[cfg(feature = "service")]
+        Command::Demo(args) => demo::run(args),
+        #[cfg(feature = "service")]
+        Command::RunJob => return run_job::run(),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("wandless: {error:#}");
+            ExitCode::from(if error.is::<BadInput>() { 2 } else { 1 })
+        }
+    }
+}
+
+/// A service tells its operator what it does; a command speaks for itself.
+fn default_level(cli: &Cli) -> &'static str {
+    match cli.command {
+        #[cfg(feature = "service")]
+        Command::Serve(_) => "info",
+        _ => "warn",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+}

@@ -1,0 +1,147 @@
+//! `wandless submit`: upload, follow, download.
+
+use super::BadInput;
+use super::client::{Client, JobAnswer};
+use super::meter::Meter;
+use super::reconstruct::{read_options, require_free, staging_folder};
+use anyhow::{Context, bail};
+use std::fs::File;
+use std::io::{Read, Seek};
+use std::path::{Component, Path, PathBuf};
+use zip::ZipWriter;
+use zip::write::SimpleFileOptions;
+
+/// Arguments of `submit`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// Session: a folder, a zip or a JSON document
+    session: PathBuf,
+    /// The service
+    #[arg(long, default_value = "http://127.0.0.1:8700")]
+    server: String,
+    /// JSON file with options
+    #[arg(long)]
+    options: Option<PathBuf>,
+    /// Folder for the result; must not exist, or be empty. Without it nothing is downloaded
+    #[arg(long)]
+    out: Option<PathBuf>,
+}
+
+/// Runs the command.
+pub(super) fn run(args: Args) -> anyhow::Result<()> {
+    let options = serde_json::to_value(read_options(args.options.as_deref())?)?;
+    if let Some(out) = &args.out {
+        require_free(out)?;
+    }
+    let client = Client::new(&args.server);
+    let job = submit(&client, &args.session, &options)?;
+    if let Some(out) = &args.out {
+        download(&client, &job.id, out)?;
+    }
+    println!("{}/v1/jobs/{}: {}", args.server.trim_end_matches('/'), job.id, job.quality.unwrap_or_default());
+    Ok(())
+}
+
+/// Uploads a session and follows its job to its success.
+pub(super) fn submit(client: &Client, session: &Path, options: &serde_json::Value) -> anyhow::Result<JobAnswer> {
+    let unreadable = |error: anyhow::Error| BadInput(format!("{}: {error:#}", session.display()));
+    let upload = open(session).map_err(unreadable)?;
+    let stored = client.upload(&upload.file, upload.media_type)?;
+    for warning in &stored.warnings {
+        eprintln!("{warning}");
+    }
+    follow(client, client.create_job(&stored.id, options)?)
+}
+
+/// Shows the job's progress until it ends.
+fn follow(client: &Client, mut job: JobAnswer) -> anyhow::Result<JobAnswer> {
+    let meter = Meter::new();
+    while !job.is_final() {
+        let stage = if job.state == "queued" { "queued" } else { &job.progress.stage };
+        meter.show(stage, job.progress.fraction, &job.progress.message);
+        job = client.wait_for_job(&job.id)?;
+    }
+    meter.finish();
+    match (job.state.as_str(), &job.error) {
+        ("succeeded", _) => Ok(job),
+        (state, Some(error)) => bail!("job {} {state}: {error}", job.id),
+        (state, None) => bail!("job {} {state}", job.id),
+    }
+}
+
+/// Downloads every file of a result, each checked against its digest; `out` appears whole or not at all.
+pub(super) fn download(client: &Client, job: &str, out: &Path) -> anyhow::Result<()> {
+    let staging = staging_folder(out)?;
+    let fetch = |name: &str, sha256: Option<&str>| -> anyhow::Result<()> {
+        if !Path::new(name).components().all(|part| matches!(part, Component::Normal(_))) {
+            bail!("{name:?}: the service names a file outside of its result");
+        }
+        let path = staging.join(name);
+        if let Some(folder) = path.parent() {
+            std::fs::create_dir_all(folder)?;
+        }
+        client.download(job, name, sha256, &path)
+    };
+    for file in client.manifest(job)?.files {
+        fetch(&file.name, Some(&file.sha256))?;
+    }
+    fetch("manifest.json", None)?;
+    std::fs::rename(&staging, out).with_context(|| out.display().to_string())
+}
+
+/// A session as it goes over the wire.
+struct Upload {
+    file: File,
+    media_type: &'static str,
+}
+
+fn open(session: &Path) -> anyhow::Result<Upload> {
+    if session.is_dir() {
+        return Ok(Upload { file: zipped(session)?, media_type: "application/zip" });
+    }
+    let mut file = File::open(session)?;
+    let mut start = [0; 2];
+    let is_zip = file.read(&mut start)? == 2 && &start == b"PK";
+    file.rewind()?;
+    let media_type = if is_zip { "application/zip" } else { "application/json" };
+    Ok(Upload { file, media_type })
+}
+
+/// A zip of `session.json` and `poses/` in a nameless temporary file; `gt/` is truth and never sent. Members have a fixed
+/// order and time, so that the same folder is the same session.
+fn zipped(folder: &Path) -> anyhow::Result<File> {
+    let name = std::env::temp_dir().join(format!("wandless-{}.zip", uuid::Uuid::new_v4()));
+    let file = File::options().read(true).write(true).create_new(true).open(&name)?;
+    std::fs::remove_file(&name)?; // the file lives as long as its handle
+    let mut members = Vec::new();
+    collect(folder, "", &mut members)?;
+    members.sort();
+    let mut zip = ZipWriter::new(file);
+    let options = SimpleFileOptions::default().last_modified_time(zip::DateTime::default()).large_file(true);
+    for member in members {
+        zip.start_file(member.as_str(), options)?;
+        std::io::copy(&mut File::open(folder.join(&member))?, &mut zip)?;
+    }
+    let mut file = zip.finish()?;
+    file.rewind()?;
+    Ok(file)
+}
+
+fn collect(folder: &Path, prefix: &str, members: &mut Vec<String>) -> anyhow::Result<()> {
+    for entry in std::fs::read_dir(folder.join(prefix))? {
+        let entry = entry?;
+        let file_name = entry.file_name();
+        let name = file_name.to_str().with_context(|| format!("{}: the name is no UTF-8", entry.path().display()))?;
+        let is_truth = prefix.is_empty() && name == "gt";
+        if is_truth || name.starts_with('.') {
+            continue;
+        }
+        let name = format!("{prefix}{name}");
+        if entry.path().is_dir() {
+            collect(folder, &format!("{name}/"), members)?;
+        } else {
+            members.push(name);
+        }
+    }
+    Ok(())
+}

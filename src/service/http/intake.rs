@@ -1,0 +1,178 @@
+//! An upload on its way from the wire to a row: spooled, recognised, validated, kept.
+
+use super::App;
+use super::error::{Place, Problem};
+use super::multipart::Multipart;
+use super::upload::{GuardedBody, Refused, Spool, Spooled, refuse};
+use crate::service::store::new_id;
+use crate::service::store::sessions::{self, Added, SessionSummary};
+use crate::session::upload::{self, LoadedSession, UploadError, UploadErrorKind, UploadLimits};
+use axum::body::Body;
+use axum::http::{HeaderMap, StatusCode, header};
+use std::fs::File;
+
+/// What a client says it sends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum MediaType {
+    Zip,
+    Json,
+    Ndjson,
+    Multipart,
+}
+
+impl MediaType {
+    /// Reads `Content-Type`.
+    pub(super) fn of(headers: &HeaderMap) -> Option<Self> {
+        let value = headers.get(header::CONTENT_TYPE)?.to_str().ok()?;
+        Self::parse(value.split(';').next().unwrap_or(value).trim())
+    }
+
+    fn parse(value: &str) -> Option<Self> {
+        Some(match value.to_ascii_lowercase().as_str() {
+            "application/zip" | "application/x-zip-compressed" => Self::Zip,
+            "application/json" => Self::Json,
+            "application/x-ndjson" | "application/ndjson" => Self::Ndjson,
+            "multipart/form-data" => Self::Multipart,
+            _ => return None,
+        })
+    }
+}
+
+/// Parts of a form: the upload and, where they are allowed, small texts.
+#[derive(Default)]
+pub(super) struct Form {
+    pub(super) session: Option<Spooled>,
+    pub(super) options: Option<Vec<u8>>,
+}
+
+/// Streams a whole body to disk.
+pub(super) async fn receive(app: &App, headers: &HeaderMap, body: Body) -> Result<Spooled, Problem> {
+    app.require_disk()?;
+    let limits = &app.settings.limits;
+    let body = GuardedBody::new(headers, body, limits, limits.max_upload_bytes);
+    let mut body = unless_refused(body).await?;
+    match spool(app, &mut body).await {
+        Ok(spooled) => Ok(spooled),
+        Err(problem) => Err(refuse(body, problem).await),
+    }
+}
+
+async fn spool(app: &App, body: &mut GuardedBody<'_>) -> Result<Spooled, Problem> {
+    let mut spool = Spool::create(app.store.folders.temporary()).await?;
+    while let Some(bytes) = body.chunk().await? {
+        spool.write(&bytes).await?;
+    }
+    spool.finish().await
+}
+
+/// Streams the part `session` of a form to disk and reads the part `options`, where it is `allowed`.
+pub(super) async fn receive_form(
+    app: &App,
+    headers: &HeaderMap,
+    body: Body,
+    allowed: &[&str],
+) -> Result<Form, Problem> {
+    app.require_disk()?;
+    let limits = &app.settings.limits;
+    let body = GuardedBody::new(headers, body, limits, limits.max_upload_bytes);
+    let mut body = unless_refused(body).await?;
+    match read_form(app, headers, &mut body, allowed).await {
+        Ok(form) => Ok(form),
+        Err(problem) => Err(refuse(body, problem).await),
+    }
+}
+
+async fn read_form(
+    app: &App,
+    headers: &HeaderMap,
+    body: &mut GuardedBody<'_>,
+    allowed: &[&str],
+) -> Result<Form, Problem> {
+    let mut multipart = Multipart::new(headers, body)?;
+    let mut form = Form::default();
+    while let Some(part) = multipart.next_part().await? {
+        let is_twice = match part.name.as_str() {
+            "session" => form.session.is_some(),
+            _ => form.options.is_some(),
+        };
+        if !allowed.contains(&part.name.as_str()) || is_twice {
+            let detail =
+                format!("the form has {} part `{}`", if is_twice { "a second" } else { "an unknown" }, part.name);
+            return Err(Problem::malformed(detail, format!("send one part each of: {}", allowed.join(", "))));
+        }
+        if part.name == "options" {
+            form.options = Some(multipart.text(app.settings.limits.max_json_bytes as usize).await?);
+            continue;
+        }
+        let mut spool = Spool::create(app.store.folders.temporary()).await?;
+        while let Some(bytes) = multipart.data().await? {
+            spool.write(&bytes).await?;
+        }
+        form.session = Some(spool.finish().await?);
+    }
+    Ok(form)
+}
+
+pub(super) async fn unless_refused<T>(body: Result<T, Refused<'_>>) -> Result<T, Problem> {
+    match body {
+        Ok(body) => Ok(body),
+        Err(refused) => Err(refused.problem().await),
+    }
+}
+
+/// Validates an upload and keeps it; the same bytes as before are the same session.
+pub(super) async fn keep(app: &App, spooled: Spooled) -> Result<Added, Problem> {
+    if let Some(session) = sessions::get_by_sha256(&app.store, &spooled.sha256).await? {
+        return Ok(Added { session, is_new: false });
+    }
+    let _turn = app.validations.acquire().await.map_err(Problem::internal)?; // each holds a session in memory
+    let folders = app.store.folders.clone();
+    let kept = tokio::task::spawn_blocking(move || -> Result<_, Problem> {
+        let summary = validate(&spooled)?;
+        let id = new_id("session");
+        spooled.file.keep_as(&folders.session(&id)).map_err(|e| Problem::from_io(&e))?;
+        Ok((id, summary))
+    });
+    let (id, summary) = kept.await.map_err(Problem::internal)??;
+    let added = sessions::add(&app.store, &id, &summary).await;
+    if !added.as_ref().is_ok_and(|added| added.is_new) {
+        app.store.folders.remove("sessions", &id); // the same bytes came twice at once, or the row was refused
+    }
+    Ok(added?)
+}
+
+/// Reads the upload as a job would and keeps only the figures. What it is is told by its content.
+fn validate(spooled: &Spooled) -> Result<SessionSummary, Problem> {
+    let file = File::open(&spooled.file.path).map_err(|e| Problem::from_io(&e))?;
+    let loaded = upload::read_upload(file, "upload", &UploadLimits::default()).map_err(upload_problem)?;
+    Ok(summarise(loaded, spooled))
+}
+
+fn summarise(loaded: LoadedSession, spooled: &Spooled) -> SessionSummary {
+    let LoadedSession { session, format, warnings, .. } = loaded;
+    SessionSummary {
+        sha256: spooled.sha256.clone(),
+        bytes: spooled.bytes,
+        cameras: session.views.len(),
+        frames: session.n_frames,
+        people_max: session.views.iter().flat_map(|view| &view.frames).map(Vec::len).max().unwrap_or(0),
+        keypoint_convention: session.convention.name().to_owned(),
+        format: format.to_owned(),
+        warnings,
+        camera_ids: session.views.iter().map(|view| view.id.clone()).collect(),
+        has_extrinsics: session.views.iter().all(|view| view.camera_from_world.is_some()),
+        name: session.name,
+    }
+}
+
+fn upload_problem(error: UploadError) -> Problem {
+    let status = match error.kind {
+        UploadErrorKind::Malformed => StatusCode::BAD_REQUEST,
+        UploadErrorKind::TooLarge => StatusCode::PAYLOAD_TOO_LARGE,
+        UploadErrorKind::Unsupported => StatusCode::UNSUPPORTED_MEDIA_TYPE,
+        UploadErrorKind::Impossible => StatusCode::UNPROCESSABLE_ENTITY,
+    };
+    let UploadError { file, camera, frame, person, pointer, .. } = error;
+    let place = Place { file, camera, frame, person, pointer };
+    Problem::new(status, error.code, error.detail, error.remedy).in_upload(place)
+}

@@ -1,0 +1,167 @@
+//! Request bodies as they come: bounded in size and in patience, streamed to disk with their digest.
+
+use super::error::Problem;
+use crate::service::settings::RequestLimits;
+use crate::service::store::artifacts::hex;
+use crate::service::store::folders::TemporaryFile;
+use axum::body::{Body, Bytes};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use http_body_util::BodyExt;
+use sha2::{Digest, Sha256};
+use std::time::Duration;
+use tokio::io::AsyncWriteExt;
+use tokio::time::{Instant, timeout};
+
+/// How much of a refused body is read so that the client gets to see the answer instead of a broken pipe.
+const POLITENESS: u64 = 16 << 20;
+
+/// A body read chunk by chunk under the limits.
+pub(super) struct GuardedBody<'a> {
+    body: Body,
+    limits: &'a RequestLimits,
+    max_bytes: u64,
+    received: u64,
+    window_end: Instant,
+    window_bytes: u64,
+}
+
+impl<'a> GuardedBody<'a> {
+    /// Refuses at once what says itself that it is too large, or comes encoded.
+    pub(super) fn new(
+        headers: &HeaderMap,
+        body: Body,
+        limits: &'a RequestLimits,
+        max_bytes: u64,
+    ) -> Result<Self, Refused<'a>> {
+        let window_end = Instant::now() + limits.body_window;
+        let guarded = Self { body, limits, max_bytes, received: 0, window_end, window_bytes: 0 };
+        let length = headers.get(header::CONTENT_LENGTH).and_then(|v| v.to_str().ok()?.parse::<u64>().ok());
+        if length.is_some_and(|length| length > max_bytes) {
+            return Err(Refused { problem: Problem::too_large(max_bytes), body: guarded });
+        }
+        if headers.get(header::CONTENT_ENCODING).is_some_and(|encoding| encoding != "identity") {
+            let problem = Problem::new(
+                StatusCode::UNSUPPORTED_MEDIA_TYPE,
+                "unsupported_encoding",
+                "the body has a Content-Encoding",
+                "send it plain; a zip is deflated already",
+            );
+            return Err(Refused { problem, body: guarded });
+        }
+        Ok(guarded)
+    }
+
+    /// The next bytes; `None` at the end.
+    pub(super) async fn chunk(&mut self) -> Result<Option<Bytes>, Problem> {
+        loop {
+            let frame = timeout(self.limits.body_idle_timeout, self.body.frame()).await;
+            let frame = frame.map_err(|_| too_slow("nothing came for too long"))?;
+            let Some(frame) = frame else { return Ok(None) };
+            let frame = frame.map_err(|_| Problem::malformed("the body ended early", "send it again"))?;
+            let Ok(bytes) = frame.into_data() else { continue }; // trailers
+            self.received += bytes.len() as u64;
+            if self.received > self.max_bytes {
+                return Err(Problem::too_large(self.max_bytes));
+            }
+            self.require_minimum_rate(bytes.len() as u64)?;
+            return Ok(Some(bytes));
+        }
+    }
+
+    fn require_minimum_rate(&mut self, bytes: u64) -> Result<(), Problem> {
+        self.window_bytes += bytes;
+        let now = Instant::now();
+        if now < self.window_end {
+            return Ok(());
+        }
+        if self.window_bytes < self.limits.body_min_bytes {
+            return Err(too_slow("the body came too slowly"));
+        }
+        (self.window_end, self.window_bytes) = (now + self.limits.body_window, 0);
+        Ok(())
+    }
+
+    /// The whole of a small body.
+    pub(super) async fn read_all(mut self) -> Result<Vec<u8>, Refused<'a>> {
+        let mut all = Vec::new();
+        loop {
+            match self.chunk().await {
+                Ok(Some(bytes)) => all.extend_from_slice(&bytes),
+                Ok(None) => return Ok(all),
+                Err(problem) => return Err(Refused { problem, body: self }),
+            }
+        }
+    }
+
+    /// Reads on for a while into nothing.
+    async fn drain(mut self) {
+        self.max_bytes = u64::MAX;
+        let end = self.received + POLITENESS;
+        let drained = async { while self.received < end && matches!(self.chunk().await, Ok(Some(_))) {} };
+        let _ = timeout(Duration::from_secs(2), drained).await; // polite, not patient
+    }
+}
+
+/// A refused body: its problem is answered once some of the rest was read.
+pub(super) struct Refused<'a> {
+    problem: Problem,
+    body: GuardedBody<'a>,
+}
+
+impl Refused<'_> {
+    /// The answer.
+    pub(super) async fn problem(self) -> Problem {
+        refuse(self.body, self.problem).await
+    }
+}
+
+/// Reads on for a while, so that the client sees `problem`, and ends the connection after it.
+pub(super) async fn refuse(body: GuardedBody<'_>, problem: Problem) -> Problem {
+    body.drain().await;
+    problem.with_header(header::CONNECTION, HeaderValue::from_static("close"))
+}
+
+fn too_slow(detail: &str) -> Problem {
+    Problem::new(StatusCode::REQUEST_TIMEOUT, "too_slow", detail, "send the body without pauses")
+        .with_header(header::CONNECTION, HeaderValue::from_static("close"))
+}
+
+/// Bytes on their way to disk.
+pub(super) struct Spool {
+    file: TemporaryFile,
+    writer: tokio::fs::File,
+    hasher: Sha256,
+    bytes: u64,
+}
+
+/// An upload that lies complete in `tmp/`, not yet synced.
+#[derive(Debug)]
+pub(super) struct Spooled {
+    /// Gone when dropped.
+    pub(super) file: TemporaryFile,
+    /// Digest of the bytes.
+    pub(super) sha256: String,
+    /// How many.
+    pub(super) bytes: u64,
+}
+
+impl Spool {
+    /// An empty file.
+    pub(super) async fn create(file: TemporaryFile) -> Result<Self, Problem> {
+        let writer = tokio::fs::File::create(&file.path).await.map_err(|e| Problem::from_io(&e))?;
+        Ok(Self { file, writer, hasher: Sha256::new(), bytes: 0 })
+    }
+
+    /// Appends.
+    pub(super) async fn write(&mut self, bytes: &[u8]) -> Result<(), Problem> {
+        self.hasher.update(bytes);
+        self.bytes += bytes.len() as u64;
+        self.writer.write_all(bytes).await.map_err(|e| Problem::from_io(&e))
+    }
+
+    /// Hands the whole over.
+    pub(super) async fn finish(mut self) -> Result<Spooled, Problem> {
+        self.writer.flush().await.map_err(|e| Problem::from_io(&e))?;
+        Ok(Spooled { file: self.file, sha256: hex(&self.hasher.finalize()), bytes: self.bytes })
+    }
+}

@@ -1,0 +1,271 @@
+//! The queue is the `jobs` table: what was accepted reaches exactly one final state, whatever dies.
+//!
+//! Execution is at least once, publication exactly once: a claim raises the job's `fence`, and every later write of that
+//! claim says `AND fence = ?`; where no row answers, the worker throws its work away. No transaction outlasts one group
+//! of statements, and none is open while a job runs.
+//!
+//! Why not a queue library: the promise wants a fence per attempt, deaths counted per job and an orphan known by its boot,
+//! not by a clock; all of it is a few statements on a table that the service needs anyway.
+
+pub mod job;
+pub mod recovery;
+mod rows;
+mod work;
+
+#[cfg(test)]
+mod tests;
+
+pub use work::{Claim, Finished, Published, Standing};
+
+use super::store::{Store, StoreError};
+use job::{Job, Phase};
+use rows::{job_from_row, phase_from_row};
+use sqlx::Row;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use tokio::sync::{Notify, broadcast};
+
+/// The queue of one service process. Cloning shares it.
+#[derive(Debug, Clone)]
+pub struct Queue {
+    pub(super) store: Store,
+    /// Wakes a worker: something may be claimed.
+    work: Arc<Notify>,
+    /// Says whose row has changed.
+    changes: broadcast::Sender<Arc<str>>,
+}
+
+/// What a client asks for, already checked.
+#[derive(Debug, Clone)]
+pub struct NewJob {
+    /// Session id.
+    pub session: String,
+    /// Every option with its value.
+    pub options: serde_json::Value,
+    /// The client's own marks.
+    pub labels: BTreeMap<String, String>,
+    /// Higher runs first.
+    pub priority: i64,
+}
+
+/// `Idempotency-Key` and what was asked under it.
+#[derive(Debug, Clone)]
+pub struct IdempotencyKey {
+    /// The header's value.
+    pub key: String,
+    /// SHA-256 of the canonical request.
+    pub fingerprint: String,
+}
+
+/// Why a job was not accepted.
+#[derive(Debug, thiserror::Error)]
+pub enum EnqueueError {
+    /// No such session.
+    #[error("no such session")]
+    SessionMissing,
+    /// The key was used for another request.
+    #[error("the Idempotency-Key was used for another request")]
+    KeyReused,
+    /// The key's job was deleted.
+    #[error("the job of this Idempotency-Key was deleted")]
+    JobDeleted,
+    /// Too many jobs wait.
+    #[error("{waiting} jobs are waiting")]
+    Full {
+        /// How many.
+        waiting: i64,
+    },
+    /// The store failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+impl From<sqlx::Error> for EnqueueError {
+    fn from(error: sqlx::Error) -> Self {
+        Self::Store(error.into())
+    }
+}
+
+/// Which jobs to list.
+#[derive(Debug, Clone, Default)]
+pub struct JobFilter {
+    /// Only those in this state.
+    pub state: Option<Phase>,
+    /// Only those with this label.
+    pub label: Option<LabelFilter>,
+    /// Only those older than this `seq`.
+    pub before: Option<i64>,
+}
+
+/// `key` or `key=value`.
+#[derive(Debug, Clone)]
+pub struct LabelFilter {
+    /// The label's name.
+    pub key: String,
+    /// Its value, where it matters.
+    pub value: Option<String>,
+}
+
+/// What came of asking a job to stop.
+#[derive(Debug)]
+pub enum Cancel {
+    /// It stops, or has been stopped before.
+    Accepted(Box<Job>),
+    /// It had ended otherwise.
+    AlreadyFinal(Phase),
+    /// There is no such job.
+    Missing,
+}
+
+impl Queue {
+    /// The queue over a store.
+    pub fn new(store: Store) -> Self {
+        Self { store, work: Arc::default(), changes: broadcast::channel(1024).0 }
+    }
+
+    /// Hears of every change from now on.
+    pub fn listen(&self) -> broadcast::Receiver<Arc<str>> {
+        self.changes.subscribe()
+    }
+
+    fn announce(&self, job: &str) {
+        let _ = self.changes.send(job.into()); // nobody listening is fine
+    }
+
+    /// Accepts a job; once this has returned it will reach a final state.
+    ///
+    /// # Errors
+    /// [`EnqueueError`].
+    pub async fn enqueue(
+        &self,
+        new: &NewJob,
+        idempotency: Option<&IdempotencyKey>,
+        max_queued: i64,
+    ) -> Result<Job, EnqueueError> {
+        let mut transaction = self.store.write().await?;
+        if let Some(asked) = idempotency {
+            let row = sqlx::query("SELECT fingerprint, job_id FROM idempotency WHERE key = ?").bind(&asked.key);
+            if let Some(row) = row.fetch_optional(&mut *transaction).await? {
+                if row.try_get::<&str, _>("fingerprint")? != asked.fingerprint {
+                    return Err(EnqueueError::KeyReused);
+                }
+                let job: String = row.try_get("job_id")?;
+                transaction.rollback().await?;
+                return self.get(&job).await?.ok_or(EnqueueError::JobDeleted);
+            }
+        }
+        let session = sqlx::query("SELECT 1 FROM sessions WHERE id = ?").bind(&new.session);
+        session.fetch_optional(&mut *transaction).await?.ok_or(EnqueueError::SessionMissing)?;
+        let waiting: i64 =
+            sqlx::query_scalar("SELECT count(*) FROM jobs WHERE state = 'queued'").fetch_one(&mut *transaction).await?;
+        if waiting >= max_queued {
+            return Err(EnqueueError::Full { waiting });
+        }
+        let id = super::store::new_id("job");
+        sqlx::query(
+            "INSERT INTO jobs (id, session_id, options, labels, priority, state, created_at)
+             VALUES (?, ?, ?, ?, ?, 'queued', strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))",
+        )
+        .bind(&id)
+        .bind(&new.session)
+        .bind(new.options.to_string())
+        .bind(serde_json::to_string(&new.labels).map_err(StoreError::from)?)
+        .bind(new.priority)
+        .execute(&mut *transaction)
+        .await?;
+        if let Some(asked) = idempotency {
+            sqlx::query(
+                "INSERT INTO idempotency (key, fingerprint, job_id, created_at)
+                 VALUES (?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))",
+            )
+            .bind(&asked.key)
+            .bind(&asked.fingerprint)
+            .bind(&id)
+            .execute(&mut *transaction)
+            .await?;
+        }
+        let job = sqlx::query("SELECT jobs.*, NULL AS verdict, NULL AS reasons FROM jobs WHERE id = ?").bind(&id);
+        let job = job_from_row(&job.fetch_one(&mut *transaction).await?)?;
+        transaction.commit().await?;
+        self.work.notify_one();
+        self.announce(&id);
+        Ok(job)
+    }
+
+    /// The job of an id.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub async fn get(&self, id: &str) -> Result<Option<Job>, StoreError> {
+        let row = sqlx::query(
+            "SELECT jobs.*, verdict, reasons FROM jobs LEFT JOIN verdicts ON verdicts.job_id = jobs.id WHERE jobs.id = ?",
+        )
+        .bind(id)
+        .fetch_optional(self.store.read())
+        .await?;
+        row.as_ref().map(job_from_row).transpose()
+    }
+
+    /// Jobs newest first, at most `limit`.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub async fn list(&self, filter: &JobFilter, limit: i64) -> Result<Vec<Job>, StoreError> {
+        let rows = sqlx::query(
+            "SELECT jobs.*, verdict, reasons FROM jobs LEFT JOIN verdicts ON verdicts.job_id = jobs.id
+             WHERE seq < ?1 AND (?2 IS NULL OR state = ?2)
+               AND (?3 IS NULL OR EXISTS (SELECT 1 FROM json_each(jobs.labels) AS label
+                                          WHERE label.key = ?3 AND (?4 IS NULL OR label.value = ?4)))
+             ORDER BY seq DESC LIMIT ?5",
+        )
+        .bind(filter.before.unwrap_or(i64::MAX))
+        .bind(filter.state.map(Phase::name))
+        .bind(filter.label.as_ref().map(|label| label.key.as_str()))
+        .bind(filter.label.as_ref().and_then(|label| label.value.as_deref()))
+        .bind(limit)
+        .fetch_all(self.store.read())
+        .await?;
+        rows.iter().map(job_from_row).collect()
+    }
+
+    /// Asks a job to stop: a waiting one is canceled at once, a running one by its worker.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub async fn cancel(&self, id: &str) -> Result<Cancel, StoreError> {
+        let mut transaction = self.store.write().await?;
+        sqlx::query(
+            "UPDATE jobs SET state = 'canceled', version = version + 1, eta_s = NULL,
+                             finished_at = strftime('%Y-%m-%dT%H:%M:%fZ', 'now')
+             WHERE id = ? AND state = 'queued'",
+        )
+        .bind(id)
+        .execute(&mut *transaction)
+        .await?;
+        sqlx::query("UPDATE jobs SET state = 'canceling', version = version + 1 WHERE id = ? AND state = 'running'")
+            .bind(id)
+            .execute(&mut *transaction)
+            .await?;
+        transaction.commit().await?;
+        self.announce(id);
+        let Some(job) = self.get(id).await? else { return Ok(Cancel::Missing) };
+        Ok(match job.state.phase() {
+            Phase::Canceling | Phase::Canceled => Cancel::Accepted(Box::new(job)),
+            phase => Cancel::AlreadyFinal(phase),
+        })
+    }
+
+    /// Removes a job in any state and its files; the worker of a running one sees it gone and kills the child. False where
+    /// there was none.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub async fn delete(&self, id: &str) -> Result<bool, StoreError> {
+        let mut transaction = self.store.write().await?;
+        let deleted = sqlx::query("DELETE FROM jobs WHERE id = ?").bind(id).execute(&mut *transaction).await?;
+        transaction.commit().await?;
+        self.announce(id);
+        self.store.folders.remove("results", id);
+        Ok(deleted.rows_affected() > 0)
+    }
+}

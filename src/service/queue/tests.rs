@@ -1,0 +1,221 @@
+//! The queue on a real database in a temporary folder.
+
+use super::job::{Ending, JobError, JobProgress, Phase};
+use super::recovery::{Recovered, recover};
+use super::*;
+use crate::service::store::sessions::{self, SessionSummary};
+use tempfile::TempDir;
+
+struct Rig {
+    folder: TempDir,
+    queue: Queue,
+}
+
+impl Rig {
+    async fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let queue = Queue::new(Store::open(folder.path()).await.unwrap());
+        let summary = SessionSummary {
+            name: "take".to_owned(),
+            sha256: "00".to_owned(),
+            cameras: 2,
+            frames: 3,
+            people_max: 1,
+            keypoint_convention: "coco17".to_owned(),
+            format: "native".to_owned(),
+            warnings: Vec::new(),
+            bytes: 5,
+            camera_ids: vec!["a".to_owned(), "b".to_owned()],
+            has_extrinsics: false,
+        };
+        std::fs::write(queue.store.folders.session("s"), b"bytes").unwrap();
+        assert!(sessions::add(&queue.store, "s", &summary).await.unwrap().is_new);
+        Self { folder, queue }
+    }
+
+    /// The same data folder under the next service process.
+    async fn restarted(self) -> Self {
+        let Self { folder, queue } = self;
+        queue.store.close().await;
+        drop(queue);
+        let queue = Queue::new(Store::open(folder.path()).await.unwrap());
+        Self { folder, queue }
+    }
+
+    async fn enqueue(&self, priority: i64) -> String {
+        self.queue.enqueue(&new_job(priority), None, 100).await.unwrap().id
+    }
+
+    async fn phase(&self, id: &str) -> Phase {
+        self.queue.get(id).await.unwrap().unwrap().state.phase()
+    }
+
+    async fn finish(&self, claim: &Claim, ending: Ending<Published>) -> Finished {
+        self.queue.finish(claim, &ending, 3).await.unwrap()
+    }
+}
+
+fn new_job(priority: i64) -> NewJob {
+    let options = serde_json::json!({});
+    NewJob { session: "s".to_owned(), options, labels: BTreeMap::new(), priority }
+}
+
+fn died() -> Ending<Published> {
+    Ending::ChildDied("signal 9".to_owned())
+}
+
+#[tokio::test]
+async fn jobs_are_claimed_by_priority_then_age() {
+    let rig = Rig::new().await;
+    let (first, urgent, second) = (rig.enqueue(0).await, rig.enqueue(5).await, rig.enqueue(0).await);
+    for expected in [urgent, first, second] {
+        assert_eq!(rig.queue.claim().await.unwrap().unwrap().job, expected);
+    }
+    assert!(rig.queue.claim().await.unwrap().is_none());
+}
+
+#[tokio::test]
+async fn a_stale_claim_writes_nothing() {
+    let rig = Rig::new().await;
+    let id = rig.enqueue(0).await;
+    let stale = rig.queue.claim().await.unwrap().unwrap();
+    assert_eq!(rig.finish(&stale, Ending::Released).await, Finished::Recorded(Phase::Queued));
+    let fresh = rig.queue.claim().await.unwrap().unwrap();
+    assert_eq!(fresh.fence, stale.fence + 1);
+    assert_eq!(rig.queue.standing(&stale).await.unwrap(), Standing::Lost);
+    assert_eq!(rig.finish(&stale, Ending::Failed(JobError::default())).await, Finished::Lost);
+    assert_eq!(rig.phase(&id).await, Phase::Running);
+}
+
+#[tokio::test]
+async fn three_deaths_of_the_own_child_are_the_end() {
+    let rig = Rig::new().await;
+    let id = rig.enqueue(0).await;
+    for expected in [Phase::Queued, Phase::Queued, Phase::Dead] {
+        let claim = rig.queue.claim().await.unwrap().unwrap();
+        assert_eq!(rig.finish(&claim, died()).await, Finished::Recorded(expected));
+    }
+    let job = rig.queue.get(&id).await.unwrap().unwrap();
+    assert_eq!((job.attempt, job.state.error().unwrap().code.as_str()), (3, "child_died"));
+}
+
+#[tokio::test]
+async fn the_death_of_the_service_puts_jobs_back_and_counts_nothing() {
+    let mut rig = Rig::new().await;
+    let id = rig.enqueue(0).await;
+    let canceled = rig.enqueue(0).await;
+    for _ in 0..5 {
+        assert_eq!(rig.queue.claim().await.unwrap().unwrap().job, id);
+        rig = rig.restarted().await;
+        assert_eq!(recover(&rig.queue).await.unwrap(), Recovered { requeued: 1, canceled: 0, removed: 0 });
+    }
+    rig.queue.claim().await.unwrap().unwrap();
+    assert_eq!(rig.queue.claim().await.unwrap().unwrap().job, canceled);
+    assert!(matches!(rig.queue.cancel(&canceled).await.unwrap(), Cancel::Accepted(_)));
+    assert_eq!(rig.phase(&canceled).await, Phase::Canceling);
+    rig = rig.restarted().await;
+    assert_eq!(recover(&rig.queue).await.unwrap(), Recovered { requeued: 1, canceled: 1, removed: 0 });
+    let job = rig.queue.get(&id).await.unwrap().unwrap();
+    assert_eq!((job.state.phase(), job.attempt), (Phase::Queued, 1));
+    assert_eq!(rig.phase(&canceled).await, Phase::Canceled);
+}
+
+#[tokio::test]
+async fn recovery_removes_what_no_row_names() {
+    let rig = Rig::new().await;
+    let id = rig.enqueue(0).await;
+    let folders = &rig.queue.store.folders;
+    std::fs::create_dir_all(folders.staging(&id, 1)).unwrap();
+    std::fs::write(folders.session("orphan"), b"").unwrap();
+    std::fs::write(&folders.temporary().path, b"").unwrap();
+    assert_eq!(recover(&rig.queue).await.unwrap().removed, 3);
+    assert_eq!(folders.names("sessions").unwrap(), ["s"]);
+    assert_eq!(recover(&rig.queue).await.unwrap().removed, 0);
+}
+
+#[tokio::test]
+async fn a_cancel_outweighs_whatever_the_child_says_after_it() {
+    for ending in [died(), Ending::Failed(JobError::default()), Ending::Released] {
+        let rig = Rig::new().await;
+        let id = rig.enqueue(0).await;
+        let claim = rig.queue.claim().await.unwrap().unwrap();
+        rig.queue.cancel(&id).await.unwrap();
+        assert_eq!(rig.queue.standing(&claim).await.unwrap(), Standing::Canceling);
+        assert_eq!(rig.finish(&claim, ending).await, Finished::Recorded(Phase::Canceled));
+        assert!(matches!(rig.queue.cancel(&id).await.unwrap(), Cancel::Accepted(_)), "a second cancel is no error");
+    }
+}
+
+#[tokio::test]
+async fn the_shown_fraction_never_falls() {
+    let rig = Rig::new().await;
+    let id = rig.enqueue(0).await;
+    let mut shown = Vec::new();
+    for fraction in [0.4, 0.1, 0.6] {
+        let claim = rig.queue.claim().await.unwrap().unwrap();
+        let progress = JobProgress { fraction, ..JobProgress::default() };
+        rig.queue.heartbeat(&claim, &progress, &BTreeMap::new()).await.unwrap();
+        rig.finish(&claim, Ending::Released).await;
+        shown.push(rig.queue.get(&id).await.unwrap().unwrap().progress.fraction);
+    }
+    assert_eq!(shown, [0.4, 0.4, 0.6]);
+}
+
+#[tokio::test]
+async fn the_database_refuses_to_leave_a_final_state() {
+    let rig = Rig::new().await;
+    let id = rig.enqueue(0).await;
+    rig.queue.cancel(&id).await.unwrap();
+    let mut transaction = rig.queue.store.write().await.unwrap();
+    for phase in Phase::ALL {
+        let forced = sqlx::query("UPDATE jobs SET state = ? WHERE id = ?").bind(phase.name()).bind(&id);
+        assert_eq!(forced.execute(&mut *transaction).await.is_ok(), phase == Phase::Canceled, "{phase:?}");
+    }
+}
+
+#[tokio::test]
+async fn a_key_is_one_job_for_ever() {
+    let rig = Rig::new().await;
+    let key = |fingerprint: &str| IdempotencyKey { key: "k".to_owned(), fingerprint: fingerprint.to_owned() };
+    let first = rig.queue.enqueue(&new_job(0), Some(&key("f")), 100).await.unwrap();
+    let again = rig.queue.enqueue(&new_job(0), Some(&key("f")), 100).await.unwrap();
+    assert_eq!(first.id, again.id);
+    let other = rig.queue.enqueue(&new_job(0), Some(&key("g")), 100).await;
+    assert!(matches!(other, Err(EnqueueError::KeyReused)));
+    assert!(rig.queue.delete(&first.id).await.unwrap());
+    let late = rig.queue.enqueue(&new_job(0), Some(&key("f")), 100).await;
+    assert!(matches!(late, Err(EnqueueError::JobDeleted)));
+}
+
+#[tokio::test]
+async fn a_session_in_use_stays() {
+    let rig = Rig::new().await;
+    let id = rig.enqueue(0).await;
+    let refused = sessions::remove(&rig.queue.store, "s").await;
+    assert!(matches!(refused, Err(sessions::RemoveError::InUse { job }) if job == id));
+    rig.queue.cancel(&id).await.unwrap();
+    sessions::remove(&rig.queue.store, "s").await.unwrap();
+    let refused = rig.queue.enqueue(&new_job(0), None, 100).await;
+    assert!(matches!(refused, Err(EnqueueError::SessionMissing)));
+}
+
+#[tokio::test]
+async fn a_full_queue_refuses() {
+    let rig = Rig::new().await;
+    rig.enqueue(0).await;
+    let refused = rig.queue.enqueue(&new_job(0), None, 1).await;
+    assert!(matches!(refused, Err(EnqueueError::Full { waiting: 1 })));
+}
+
+#[tokio::test]
+async fn two_services_never_share_a_folder_and_a_lost_database_is_no_empty_one() {
+    let rig = Rig::new().await;
+    let second = Store::open(rig.folder.path()).await;
+    assert!(matches!(second, Err(StoreError::InUse { .. })));
+    let database = rig.queue.store.folders.database();
+    rig.queue.store.close().await;
+    let Rig { folder, queue } = rig;
+    drop(queue);
+    std::fs::remove_file(database).unwrap();
+    assert!(matches!(Store::open(folder.path()).await, Err(StoreError::DatabaseLost { .. })));
+}

@@ -1,0 +1,219 @@
+//! The worker's side of the queue: claim, heartbeat, finish; each write fenced.
+
+use super::job::{Ending, JobError, JobProgress, Phase, next_phase};
+use super::{Queue, phase_from_row};
+use crate::service::store::artifacts::{self, Artifact};
+use crate::service::store::summary::Summary;
+use crate::service::store::{Store, StoreError};
+use sqlx::{Row, Sqlite, Transaction};
+use std::collections::BTreeMap;
+
+/// One job taken by one worker.
+#[derive(Debug, Clone)]
+pub struct Claim {
+    /// The job.
+    pub job: String,
+    /// Which claim of it.
+    pub fence: i64,
+    /// The session.
+    pub session: String,
+    /// Digest of the upload.
+    pub session_sha256: String,
+    /// Every option with its value.
+    pub options: serde_json::Value,
+}
+
+/// Whether the work of a claim is still wanted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Standing {
+    /// Go on.
+    Wanted,
+    /// Somebody asked to stop.
+    Canceling,
+    /// Deleted, or claimed by another worker: whatever this one does, nobody will see it.
+    Lost,
+}
+
+/// A result that lies in its final folder and awaits its rows.
+#[derive(Debug)]
+pub struct Published {
+    /// Its files.
+    pub artifacts: Vec<Artifact>,
+    /// Its figures.
+    pub summary: Summary,
+}
+
+/// What became of the job.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Finished {
+    /// The job is in this state now.
+    Recorded(Phase),
+    /// The claim was no longer valid; nothing was written.
+    Lost,
+}
+
+impl Queue {
+    /// Returns when something may have become claimable.
+    pub async fn work(&self) {
+        self.work.notified().await;
+    }
+
+    /// Wakes one more worker: for a worker that leaves with a wake-up it did not use.
+    pub fn wake_next(&self) {
+        self.work.notify_one();
+    }
+
+    /// Takes the first waiting job, by priority, then age.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub async fn claim(&self) -> Result<Option<Claim>, StoreError> {
+        let mut transaction = self.store.write().await?;
+        let row = sqlx::query(
+            "UPDATE jobs SET state = 'running', version = version + 1, fence = fence + 1, attempt = deaths + 1, boot = ?1,
+                             started_at = coalesce(started_at, strftime('%Y-%m-%dT%H:%M:%fZ', 'now')),
+                             solver_version = ?2, stage_seconds = '{}'
+             WHERE seq = (SELECT seq FROM jobs WHERE state = 'queued' ORDER BY priority DESC, seq LIMIT 1)
+             RETURNING id, fence, session_id, options,
+                       (SELECT sha256 FROM sessions WHERE sessions.id = jobs.session_id) AS sha256",
+        )
+        .bind(&self.store.boot)
+        .bind(env!("CARGO_PKG_VERSION"))
+        .fetch_optional(&mut *transaction)
+        .await?;
+        let Some(row) = row else { return Ok(None) };
+        let claim = Claim {
+            job: row.try_get("id")?,
+            fence: row.try_get("fence")?,
+            session: row.try_get("session_id")?,
+            session_sha256: row.try_get("sha256")?,
+            options: serde_json::from_str(row.try_get("options")?)?,
+        };
+        transaction.commit().await?;
+        self.announce(&claim.job);
+        Ok(Some(claim))
+    }
+
+    /// Whether the claim's work is still wanted.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub async fn standing(&self, claim: &Claim) -> Result<Standing, StoreError> {
+        let row = sqlx::query("SELECT state FROM jobs WHERE id = ? AND fence = ?").bind(&claim.job).bind(claim.fence);
+        let row = row.fetch_optional(self.store.read()).await?;
+        Ok(match row.as_ref().map(phase_from_row).transpose()? {
+            Some(Phase::Running) => Standing::Wanted,
+            Some(Phase::Canceling) => Standing::Canceling,
+            _ => Standing::Lost,
+        })
+    }
+
+    /// Writes how far the job is; the shown fraction never falls, whatever a second attempt reports.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub async fn heartbeat(
+        &self,
+        claim: &Claim,
+        progress: &JobProgress,
+        stage_seconds: &BTreeMap<String, f64>,
+    ) -> Result<(), StoreError> {
+        let mut transaction = self.store.note().await?;
+        sqlx::query(
+            "UPDATE jobs SET version = version + 1, stage = ?, stage_index = ?, stage_count = ?,
+                             fraction = max(fraction, ?), message = ?, eta_s = ?, stage_seconds = ?
+             WHERE id = ? AND fence = ? AND state IN ('running', 'canceling')",
+        )
+        .bind(&progress.stage)
+        .bind(progress.stage_index)
+        .bind(progress.stage_count)
+        .bind(progress.fraction)
+        .bind(&progress.message)
+        .bind(progress.eta_s)
+        .bind(serde_json::to_string(stage_seconds)?)
+        .bind(&claim.job)
+        .bind(claim.fence)
+        .execute(&mut *transaction)
+        .await?;
+        transaction.commit().await?;
+        self.announce(&claim.job);
+        Ok(())
+    }
+
+    /// Records how a claim ended, all rows in one transaction.
+    ///
+    /// # Errors
+    /// When the store fails; nothing is recorded then, and the call may be repeated.
+    pub async fn finish(
+        &self,
+        claim: &Claim,
+        ending: &Ending<Published>,
+        max_deaths: u32,
+    ) -> Result<Finished, StoreError> {
+        let mut transaction = self.store.write().await?;
+        let row = sqlx::query(
+            "SELECT state, deaths FROM jobs WHERE id = ? AND fence = ? AND state IN ('running', 'canceling')",
+        )
+        .bind(&claim.job)
+        .bind(claim.fence);
+        let Some(row) = row.fetch_optional(&mut *transaction).await? else { return Ok(Finished::Lost) };
+        let next = next_phase(phase_from_row(&row)?, ending, row.try_get("deaths")?, max_deaths);
+        write_ending(&mut transaction, claim, ending, next).await?;
+        if let (Phase::Succeeded, Ending::Succeeded(published)) = (next, ending) {
+            artifacts::insert(&mut transaction, &claim.job, &published.artifacts).await?;
+            published.summary.insert(&mut transaction, &claim.job).await?;
+        }
+        transaction.commit().await?;
+        if next == Phase::Queued {
+            self.work.notify_one();
+        }
+        remove_unpublished(&self.store, claim, next);
+        self.announce(&claim.job);
+        Ok(Finished::Recorded(next))
+    }
+}
+
+async fn write_ending(
+    transaction: &mut Transaction<'static, Sqlite>,
+    claim: &Claim,
+    ending: &Ending<Published>,
+    next: Phase,
+) -> Result<(), StoreError> {
+    let error = match (next, ending) {
+        (Phase::Failed, Ending::Failed(error)) => Some(serde_json::to_string(error)?),
+        (Phase::Dead, Ending::ChildDied(how)) => Some(serde_json::to_string(&dead(how))?),
+        _ => None,
+    };
+    sqlx::query(
+        "UPDATE jobs SET state = ?1, version = version + 1, boot = NULL, eta_s = NULL, error = ?2,
+                         deaths = deaths + ?3,
+                         fraction = CASE ?1 WHEN 'succeeded' THEN 1.0 ELSE fraction END,
+                         result_fence = CASE ?1 WHEN 'succeeded' THEN fence END,
+                         finished_at = CASE ?1 WHEN 'queued' THEN NULL ELSE strftime('%Y-%m-%dT%H:%M:%fZ', 'now') END
+         WHERE id = ?4 AND fence = ?5",
+    )
+    .bind(next.name())
+    .bind(error)
+    .bind(matches!(ending, Ending::ChildDied(_)))
+    .bind(&claim.job)
+    .bind(claim.fence)
+    .execute(&mut **transaction)
+    .await?;
+    Ok(())
+}
+
+fn dead(how: &str) -> JobError {
+    JobError {
+        code: "child_died".to_owned(),
+        detail: format!("the job's own process died too often; the last time: {how}"),
+        remedy: "look into the service's log; a smaller session or more memory may help".to_owned(),
+        ..JobError::default()
+    }
+}
+
+/// Files that no row will ever name.
+fn remove_unpublished(store: &Store, claim: &Claim, next: Phase) {
+    if next != Phase::Succeeded {
+        store.folders.remove("results", &claim.job);
+    }
+}

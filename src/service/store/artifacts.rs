@@ -1,0 +1,167 @@
+//! Published files of a job: found, hashed and synced once, then served by their digest.
+
+use super::{Store, StoreError};
+use sha2::{Digest, Sha256};
+use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, Sqlite, Transaction};
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::Path;
+
+/// One published file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Artifact {
+    /// Path below the result folder, with `/`.
+    pub name: String,
+    /// What it is.
+    pub media_type: String,
+    /// Its size.
+    pub bytes: u64,
+    /// Its digest, hex.
+    pub sha256: String,
+}
+
+/// Walks a result folder, hashes every file and syncs files and folders; sorted by name.
+///
+/// # Errors
+/// When a file cannot be read or synced, or is neither file nor folder, or its name is no UTF-8.
+pub fn scan(root: &Path) -> io::Result<Vec<Artifact>> {
+    let mut artifacts = Vec::new();
+    scan_folder(root, "", &mut artifacts)?;
+    artifacts.sort_by(|a, b| a.name.cmp(&b.name));
+    Ok(artifacts)
+}
+
+fn scan_folder(folder: &Path, prefix: &str, artifacts: &mut Vec<Artifact>) -> io::Result<()> {
+    for entry in std::fs::read_dir(folder)? {
+        let entry = entry?;
+        let file_name = entry.file_name();
+        let odd = |what: &str| io::Error::other(format!("{}: {what}", entry.path().display()));
+        let name = file_name.to_str().ok_or_else(|| odd("the name is no UTF-8"))?;
+        let name = format!("{prefix}{name}");
+        let kind = entry.file_type()?; // does not follow links
+        if kind.is_dir() {
+            scan_folder(&entry.path(), &format!("{name}/"), artifacts)?;
+        } else if kind.is_file() {
+            File::open(entry.path())?.sync_all()?;
+            let digest = digest_file(&entry.path())?;
+            let media_type = media_type(&name).to_owned();
+            artifacts.push(Artifact { name, media_type, bytes: digest.bytes, sha256: digest.sha256 });
+        } else {
+            return Err(odd("neither file nor folder"));
+        }
+    }
+    File::open(folder)?.sync_all()
+}
+
+/// Size and digest of a file.
+#[derive(Debug, PartialEq, Eq)]
+pub struct FileDigest {
+    /// Its size.
+    pub bytes: u64,
+    /// SHA-256, hex.
+    pub sha256: String,
+}
+
+/// Reads a file once.
+///
+/// # Errors
+/// When it cannot be read.
+pub fn digest_file(path: &Path) -> io::Result<FileDigest> {
+    let mut file = File::open(path)?;
+    let mut hasher = Sha256::new();
+    let mut buffer = vec![0; 1 << 16];
+    let mut bytes = 0;
+    loop {
+        match file.read(&mut buffer)? {
+            0 => return Ok(FileDigest { bytes, sha256: hex(&hasher.finalize()) }),
+            n => {
+                hasher.update(&buffer[..n]);
+                bytes += n as u64;
+            }
+        }
+    }
+}
+
+/// Lower-case hexadecimal.
+pub fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn media_type(name: &str) -> &'static str {
+    match name.rsplit('.').next() {
+        Some("json") => "application/json",
+        Some("glb") => "model/gltf-binary",
+        Some("usda") => "model/vnd.usda",
+        Some("yml" | "yaml") => "application/yaml",
+        Some("toml") => "application/toml",
+        Some("bvh" | "trc" | "txt" | "chan") => "text/plain",
+        Some("py") => "text/x-python",
+        _ => "application/octet-stream",
+    }
+}
+
+/// Writes the rows of a job that is about to succeed.
+///
+/// # Errors
+/// When the database refuses.
+pub async fn insert(
+    transaction: &mut Transaction<'static, Sqlite>,
+    job: &str,
+    artifacts: &[Artifact],
+) -> Result<(), StoreError> {
+    for artifact in artifacts {
+        sqlx::query("INSERT INTO artifacts (job_id, name, media_type, bytes, sha256) VALUES (?, ?, ?, ?, ?)")
+            .bind(job)
+            .bind(&artifact.name)
+            .bind(&artifact.media_type)
+            .bind(artifact.bytes as i64)
+            .bind(&artifact.sha256)
+            .execute(&mut **transaction)
+            .await?;
+    }
+    Ok(())
+}
+
+/// One file of a job by its name.
+///
+/// # Errors
+/// When the store fails.
+pub async fn get(store: &Store, job: &str, name: &str) -> Result<Option<Artifact>, StoreError> {
+    let row = sqlx::query("SELECT * FROM artifacts WHERE job_id = ? AND name = ?").bind(job).bind(name);
+    row.fetch_optional(store.read()).await?.as_ref().map(from_row).transpose()
+}
+
+fn from_row(row: &SqliteRow) -> Result<Artifact, StoreError> {
+    Ok(Artifact {
+        name: row.try_get("name")?,
+        media_type: row.try_get("media_type")?,
+        bytes: row.try_get::<i64, _>("bytes")? as u64,
+        sha256: row.try_get("sha256")?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scan_names_every_file_with_its_digest_in_order() {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::create_dir(folder.path().join("smpl")).unwrap();
+        std::fs::write(folder.path().join("smpl/0.npz"), b"abc").unwrap();
+        std::fs::write(folder.path().join("report.json"), b"").unwrap();
+        let artifacts = scan(folder.path()).unwrap();
+        let names: Vec<_> = artifacts.iter().map(|a| (a.name.as_str(), a.media_type.as_str(), a.bytes)).collect();
+        assert_eq!(names, [("report.json", "application/json", 0), ("smpl/0.npz", "application/octet-stream", 3)]);
+        // FIPS 180-2, appendix B.1.
+        assert_eq!(artifacts[1].sha256, "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+    }
+
+    #[test]
+    fn a_link_in_a_result_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        std::os::unix::fs::symlink("/etc/hostname", folder.path().join("cameras.json")).unwrap();
+        assert!(scan(folder.path()).is_err());
+    }
+}

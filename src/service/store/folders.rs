@@ -1,0 +1,156 @@
+//! Where the files of a data folder lie, and how one is made durable.
+//!
+//! `wandless.db`, `lock`, `tmp/` (uploads on their way), `sessions/<id>`, `results/<job>/<fence>/` (published) and
+//! `results/<job>/<fence>.tmp/` (being written by a child). File names are made here, never taken from a client.
+
+use super::StoreError;
+use rustix::fs::FlockOperation;
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// The folders of a data folder that this process owns: the lock is held as long as a clone lives.
+#[derive(Debug, Clone)]
+pub struct Folders {
+    root: PathBuf,
+    _lock: Arc<File>,
+}
+
+/// A file that is removed when dropped, unless it was kept.
+#[derive(Debug)]
+pub struct TemporaryFile {
+    /// Where it lies.
+    pub path: PathBuf,
+    kept: bool,
+}
+
+impl Folders {
+    /// Makes the folders and takes the lock.
+    ///
+    /// # Errors
+    /// [`StoreError::InUse`] when another process holds the lock, [`StoreError::Folder`] for the rest.
+    pub fn open(root: &Path) -> Result<Self, StoreError> {
+        for folder in ["", "tmp", "sessions", "results"] {
+            let path = root.join(folder);
+            std::fs::create_dir_all(&path).map_err(|source| StoreError::Folder { path, source })?;
+        }
+        let fail = |path: &Path, source| StoreError::Folder { path: path.to_owned(), source };
+        let root = root.canonicalize().map_err(|source| fail(root, source))?; // a child must find it from anywhere
+        let path = root.join("lock");
+        let lock = File::options().create(true).append(true).open(&path).map_err(|source| fail(&path, source))?;
+        match rustix::fs::flock(&lock, FlockOperation::NonBlockingLockExclusive) {
+            Ok(()) => Ok(Self { root, _lock: Arc::new(lock) }),
+            Err(rustix::io::Errno::WOULDBLOCK) => Err(StoreError::InUse { path }),
+            Err(errno) => Err(StoreError::Folder { path, source: errno.into() }),
+        }
+    }
+
+    /// The database file.
+    pub fn database(&self) -> PathBuf {
+        self.root.join("wandless.db")
+    }
+
+    /// The bytes of a session.
+    pub fn session(&self, id: &str) -> PathBuf {
+        self.root.join("sessions").join(id)
+    }
+
+    /// All files of a job.
+    pub fn job(&self, job: &str) -> PathBuf {
+        self.root.join("results").join(job)
+    }
+
+    /// The published result of one claim of a job.
+    pub fn result(&self, job: &str, fence: i64) -> PathBuf {
+        self.job(job).join(fence.to_string())
+    }
+
+    /// Where a child writes the result of one claim.
+    pub fn staging(&self, job: &str, fence: i64) -> PathBuf {
+        self.job(job).join(format!("{fence}.tmp"))
+    }
+
+    /// A new name in `tmp/`.
+    pub fn temporary(&self) -> TemporaryFile {
+        TemporaryFile { path: self.root.join("tmp").join(super::new_id("upload")), kept: false }
+    }
+
+    /// Whether any upload or result is there.
+    pub(super) fn hold_files(&self) -> Result<bool, StoreError> {
+        Ok(!self.names("sessions")?.is_empty() || !self.names("results")?.is_empty())
+    }
+
+    /// The names in `tmp`, `sessions` or `results`, sorted.
+    ///
+    /// # Errors
+    /// When the folder cannot be read.
+    pub fn names(&self, folder: &str) -> Result<Vec<String>, StoreError> {
+        let path = self.root.join(folder);
+        let entries: io::Result<Vec<_>> = std::fs::read_dir(&path).and_then(Iterator::collect);
+        let entries = entries.map_err(|source| StoreError::Folder { path, source })?;
+        let mut names: Vec<String> = entries.iter().map(|e| e.file_name().to_string_lossy().into_owned()).collect();
+        names.sort();
+        Ok(names)
+    }
+
+    /// Removes one name of `tmp`, `sessions` or `results`, folder or file. What is gone already is no error.
+    pub fn remove(&self, folder: &str, name: &str) {
+        let path = self.root.join(folder).join(name);
+        let removed = if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
+        if let Err(error) = removed
+            && error.kind() != io::ErrorKind::NotFound
+        {
+            tracing::warn!(path = %path.display(), %error, "could not be removed; the next start tries again");
+        }
+    }
+
+    /// Removes what one claim of a job has written, and the job's folder where nothing else is in it.
+    pub fn remove_claim(&self, job: &str, fence: i64) {
+        self.remove("results", &format!("{job}/{fence}.tmp"));
+        self.remove("results", &format!("{job}/{fence}"));
+        let _ = std::fs::remove_dir(self.job(job)); // refuses while another claim's files are there
+    }
+
+    /// Bytes that the disk has left for us.
+    ///
+    /// # Errors
+    /// When the system does not tell.
+    pub fn free_bytes(&self) -> io::Result<u64> {
+        let disk = rustix::fs::statvfs(&self.root)?;
+        Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
+    }
+}
+
+impl TemporaryFile {
+    /// Makes the file durable under its final name.
+    ///
+    /// # Errors
+    /// When it cannot be synced or renamed; it is removed then.
+    pub fn keep_as(mut self, path: &Path) -> io::Result<()> {
+        File::open(&self.path)?.sync_all()?;
+        publish(&self.path, path)?;
+        self.kept = true;
+        Ok(())
+    }
+}
+
+impl Drop for TemporaryFile {
+    fn drop(&mut self) {
+        if !self.kept {
+            let _ = std::fs::remove_file(&self.path); // nobody knows of it; the next start clears `tmp/`
+        }
+    }
+}
+
+/// Renames what is already synced and makes the new name durable.
+///
+/// # Errors
+/// When the system refuses either.
+pub fn publish(from: &Path, to: &Path) -> io::Result<()> {
+    std::fs::rename(from, to)?;
+    match to.parent() {
+        Some(parent) => File::open(parent)?.sync_all(),
+        None => Ok(()),
+    }
+}

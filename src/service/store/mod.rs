@@ -1,0 +1,164 @@
+//! The data folder: one SQLite database and the files its rows name. Nothing else knows which database or disk it is.
+
+pub mod artifacts;
+pub mod folders;
+pub mod sessions;
+pub mod summary;
+
+pub use folders::Folders;
+
+use sqlx::migrate::{MigrateError, Migrator};
+use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous};
+use sqlx::{Sqlite, Transaction};
+use std::path::PathBuf;
+use std::time::Duration;
+
+static MIGRATIONS: Migrator = sqlx::migrate!("./migrations");
+
+/// 3.7.0 to 3.51.2 can corrupt the file when two connections write and checkpoint at the same moment.
+const OLDEST_SOUND_SQLITE: [u32; 3] = [3, 51, 3];
+
+/// The database and the folders of one service process.
+#[derive(Debug, Clone)]
+pub struct Store {
+    /// The one connection that changes states: `synchronous = FULL`, so what was acknowledged survives a power cut.
+    writer: SqlitePool,
+    /// Progress is written here: `synchronous = NORMAL`, the last second may be lost, the file never.
+    notes: SqlitePool,
+    readers: SqlitePool,
+    /// Where the files lie.
+    pub folders: Folders,
+    /// Names this process: a running job of another boot is an orphan.
+    pub boot: String,
+}
+
+/// Why the data folder cannot be used, or a statement failed.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// The folder could not be made, read or written.
+    #[error("{path}: {source}", path = .path.display())]
+    Folder {
+        /// Which file or folder.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// Another service owns the folder.
+    #[error("{path}: another wandless service is using this data folder", path = .path.display())]
+    InUse {
+        /// The lock file.
+        path: PathBuf,
+    },
+    /// Uploads or results are there, but the database is not.
+    #[error("{path}: the database is missing or empty although the folder holds uploads or results; restore it from a backup, or choose another --data folder", path = .path.display())]
+    DatabaseLost {
+        /// The database file.
+        path: PathBuf,
+    },
+    /// The database was written by a newer release.
+    #[error("the database holds migration {migration}, which this release does not know: a newer wandless wrote it")]
+    Newer {
+        /// The unknown migration.
+        migration: i64,
+    },
+    /// The library linked has a known corruption bug.
+    #[error("SQLite {found} can corrupt its file; 3.51.3 or newer is needed")]
+    UnsoundSqlite {
+        /// The linked version.
+        found: String,
+    },
+    /// A migration failed.
+    #[error("migration: {0}")]
+    Migration(#[source] MigrateError),
+    /// A statement failed.
+    #[error("database: {0}")]
+    Database(#[from] sqlx::Error),
+    /// A stored JSON text is no longer readable.
+    #[error("stored JSON: {0}")]
+    Json(#[from] serde_json::Error),
+}
+
+impl Store {
+    /// Takes the folder for this process, opens the database and brings it to this release's schema.
+    ///
+    /// # Errors
+    /// [`StoreError`], each naming what stands in the way.
+    pub async fn open(root: &std::path::Path) -> Result<Self, StoreError> {
+        let folders = Folders::open(root)?;
+        let database = folders.database();
+        if std::fs::metadata(&database).map_or(0, |m| m.len()) == 0 && folders.hold_files()? {
+            return Err(StoreError::DatabaseLost { path: database });
+        }
+        let options = SqliteConnectOptions::new()
+            .filename(&database)
+            .create_if_missing(true)
+            .journal_mode(SqliteJournalMode::Wal)
+            .foreign_keys(true)
+            .busy_timeout(Duration::from_secs(10))
+            .pragma("secure_delete", "ON");
+        let pool = |options: SqliteConnectOptions, n: u32| {
+            let pool = SqlitePoolOptions::new().max_connections(n).idle_timeout(None).max_lifetime(None);
+            pool.acquire_timeout(Duration::from_secs(30)).connect_with(options)
+        };
+        let writer = pool(options.clone().synchronous(SqliteSynchronous::Full), 1).await?;
+        require_sound_sqlite(&writer).await?;
+        MIGRATIONS.run(&writer).await.map_err(|error| match error {
+            MigrateError::VersionMissing(migration) => StoreError::Newer { migration },
+            other => StoreError::Migration(other),
+        })?;
+        let notes = pool(options.clone().synchronous(SqliteSynchronous::Normal), 1).await?;
+        let readers = pool(options.read_only(true), 4).await?;
+        Ok(Self { writer, notes, readers, folders, boot: uuid::Uuid::new_v4().simple().to_string() })
+    }
+
+    /// A transaction that may change states; durable once committed.
+    ///
+    /// # Errors
+    /// When the database does not answer.
+    pub(crate) async fn write(&self) -> Result<Transaction<'static, Sqlite>, sqlx::Error> {
+        self.writer.begin_with("BEGIN IMMEDIATE").await
+    }
+
+    /// A transaction whose loss in a power cut would not be missed.
+    ///
+    /// # Errors
+    /// When the database does not answer.
+    pub(crate) async fn note(&self) -> Result<Transaction<'static, Sqlite>, sqlx::Error> {
+        self.notes.begin_with("BEGIN IMMEDIATE").await
+    }
+
+    /// Connections that only read.
+    pub(crate) fn read(&self) -> &SqlitePool {
+        &self.readers
+    }
+
+    /// Whether the database takes writes.
+    ///
+    /// # Errors
+    /// When it does not.
+    pub async fn check_writable(&self) -> Result<(), StoreError> {
+        let transaction = self.notes.begin_with("BEGIN IMMEDIATE").await?;
+        Ok(transaction.rollback().await?)
+    }
+
+    /// Closes the connections after their last statement.
+    pub async fn close(&self) {
+        self.readers.close().await;
+        self.notes.close().await;
+        self.writer.close().await;
+    }
+}
+
+async fn require_sound_sqlite(pool: &SqlitePool) -> Result<(), StoreError> {
+    let found: String = sqlx::query_scalar("SELECT sqlite_version()").fetch_one(pool).await?;
+    let parts: Vec<u32> = found.split('.').filter_map(|part| part.parse().ok()).collect();
+    if parts.as_slice() < OLDEST_SOUND_SQLITE.as_slice() {
+        return Err(StoreError::UnsoundSqlite { found });
+    }
+    Ok(())
+}
+
+/// A fresh id: `<kind>_` and 122 random bits.
+pub fn new_id(kind: &str) -> String {
+    format!("{kind}_{}", uuid::Uuid::new_v4().simple())
+}

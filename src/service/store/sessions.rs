@@ -1,0 +1,193 @@
+//! Rows of uploaded sessions; the bytes lie in `sessions/`.
+
+use super::{Store, StoreError};
+use serde::Serialize;
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+
+/// What a valid upload holds, as far as a client is told of it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SessionSummary {
+    /// For people to read.
+    pub name: String,
+    /// SHA-256 of the bytes as sent, hex.
+    pub sha256: String,
+    /// How many cameras.
+    pub cameras: usize,
+    /// Length of the time line.
+    pub frames: usize,
+    /// Most detections in one image.
+    pub people_max: usize,
+    /// Canonical spelling.
+    pub keypoint_convention: String,
+    /// The dialect that was read.
+    pub format: String,
+    /// What was odd but harmless.
+    pub warnings: Vec<String>,
+    /// Size of the upload.
+    pub bytes: u64,
+    /// The cameras' ids, in the session's order.
+    pub camera_ids: Vec<String>,
+    /// Whether every camera came with `R` and `t`.
+    pub has_extrinsics: bool,
+}
+
+/// A stored session.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct StoredSession {
+    /// `session_` and random bits.
+    pub id: String,
+    /// What it holds.
+    #[serde(flatten)]
+    pub summary: SessionSummary,
+    /// UTC, RFC 3339.
+    pub created_at: String,
+    /// Position in the list of all sessions.
+    #[serde(skip)]
+    pub seq: i64,
+}
+
+/// A session that was added, or the one of the same bytes that was there before.
+#[derive(Debug)]
+pub struct Added {
+    /// The row.
+    pub session: StoredSession,
+    /// False where the same bytes were known.
+    pub is_new: bool,
+}
+
+/// Why a session was not removed.
+#[derive(Debug, thiserror::Error)]
+pub enum RemoveError {
+    /// No such session.
+    #[error("no such session")]
+    Missing,
+    /// A job that has not ended needs it.
+    #[error("job {job} uses the session")]
+    InUse {
+        /// One of the jobs.
+        job: String,
+    },
+    /// The store failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+impl From<sqlx::Error> for RemoveError {
+    fn from(error: sqlx::Error) -> Self {
+        Self::Store(error.into())
+    }
+}
+
+/// Adds a session whose bytes already lie durably under its id.
+///
+/// # Errors
+/// When the store fails.
+pub async fn add(store: &Store, id: &str, summary: &SessionSummary) -> Result<Added, StoreError> {
+    let mut transaction = store.write().await?;
+    let inserted = sqlx::query(
+        "INSERT INTO sessions (id, sha256, bytes, name, cameras, n_frames, people_max, keypoint_convention, format,
+                               warnings, has_extrinsics, created_at)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
+         ON CONFLICT (sha256) DO NOTHING",
+    )
+    .bind(id)
+    .bind(&summary.sha256)
+    .bind(summary.bytes as i64)
+    .bind(&summary.name)
+    .bind(serde_json::to_string(&summary.camera_ids)?)
+    .bind(summary.frames as i64)
+    .bind(summary.people_max as i64)
+    .bind(&summary.keypoint_convention)
+    .bind(&summary.format)
+    .bind(serde_json::to_string(&summary.warnings)?)
+    .bind(summary.has_extrinsics)
+    .execute(&mut *transaction)
+    .await?;
+    let row = sqlx::query("SELECT * FROM sessions WHERE sha256 = ?").bind(&summary.sha256);
+    let session = from_row(&row.fetch_one(&mut *transaction).await?)?;
+    transaction.commit().await?;
+    Ok(Added { session, is_new: inserted.rows_affected() == 1 })
+}
+
+/// The session of an id.
+///
+/// # Errors
+/// When the store fails.
+pub async fn get(store: &Store, id: &str) -> Result<Option<StoredSession>, StoreError> {
+    let row = sqlx::query("SELECT * FROM sessions WHERE id = ?").bind(id).fetch_optional(store.read()).await?;
+    row.as_ref().map(from_row).transpose()
+}
+
+/// The session of the same bytes.
+///
+/// # Errors
+/// When the store fails.
+pub async fn get_by_sha256(store: &Store, sha256: &str) -> Result<Option<StoredSession>, StoreError> {
+    let row = sqlx::query("SELECT * FROM sessions WHERE sha256 = ?").bind(sha256).fetch_optional(store.read()).await?;
+    row.as_ref().map(from_row).transpose()
+}
+
+/// Sessions older than `before` (a `seq`), newest first, at most `limit`.
+///
+/// # Errors
+/// When the store fails.
+pub async fn list(store: &Store, before: i64, limit: i64) -> Result<Vec<StoredSession>, StoreError> {
+    let rows = sqlx::query("SELECT * FROM sessions WHERE seq < ? ORDER BY seq DESC LIMIT ?");
+    rows.bind(before).bind(limit).fetch_all(store.read()).await?.iter().map(from_row).collect()
+}
+
+/// Every id, sorted.
+///
+/// # Errors
+/// When the store fails.
+pub async fn ids(store: &Store) -> Result<Vec<String>, StoreError> {
+    Ok(sqlx::query_scalar("SELECT id FROM sessions ORDER BY id").fetch_all(store.read()).await?)
+}
+
+/// Removes a session and its bytes.
+///
+/// # Errors
+/// [`RemoveError::InUse`] while a job that has not ended needs it.
+pub async fn remove(store: &Store, id: &str) -> Result<(), RemoveError> {
+    let mut transaction = store.write().await?;
+    let job: Option<String> = sqlx::query_scalar(
+        "SELECT id FROM jobs WHERE session_id = ? AND state IN ('queued', 'running', 'canceling') LIMIT 1",
+    )
+    .bind(id)
+    .fetch_optional(&mut *transaction)
+    .await?;
+    if let Some(job) = job {
+        return Err(RemoveError::InUse { job });
+    }
+    let deleted = sqlx::query("DELETE FROM sessions WHERE id = ?").bind(id).execute(&mut *transaction).await?;
+    if deleted.rows_affected() == 0 {
+        return Err(RemoveError::Missing);
+    }
+    transaction.commit().await?;
+    store.folders.remove("sessions", id);
+    Ok(())
+}
+
+fn from_row(row: &SqliteRow) -> Result<StoredSession, StoreError> {
+    let camera_ids: Vec<String> = serde_json::from_str(row.try_get("cameras")?)?;
+    let summary = SessionSummary {
+        name: row.try_get("name")?,
+        sha256: row.try_get("sha256")?,
+        cameras: camera_ids.len(),
+        frames: row.try_get::<i64, _>("n_frames")? as usize,
+        people_max: row.try_get::<i64, _>("people_max")? as usize,
+        keypoint_convention: row.try_get("keypoint_convention")?,
+        format: row.try_get("format")?,
+        warnings: serde_json::from_str(row.try_get("warnings")?)?,
+        bytes: row.try_get::<i64, _>("bytes")? as u64,
+        camera_ids,
+        has_extrinsics: row.try_get("has_extrinsics")?,
+    };
+    Ok(StoredSession {
+        id: row.try_get("id")?,
+        summary,
+        created_at: row.try_get("created_at")?,
+        seq: row.try_get("seq")?,
+    })
+}

@@ -1,0 +1,230 @@
+//! Summary rows of a result, read from the published files, so that SQL says what the files say.
+
+use super::StoreError;
+use crate::session::reconstruction::{CameraReport, ErrorSummary, PersonReport, Quality, ScaleReport};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use sqlx::{Sqlite, Transaction};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// The figures of one result.
+#[derive(Debug)]
+pub struct Summary {
+    report: ReportFile,
+    cameras: Vec<CameraFile>,
+    people: Vec<PersonFile>,
+}
+
+/// A published file does not say what it must.
+#[derive(Debug, thiserror::Error)]
+#[error("{file}: {reason}", file = .file.display())]
+pub struct SummaryError {
+    /// Which file.
+    pub file: PathBuf,
+    /// What is wrong with it.
+    pub reason: String,
+}
+
+#[derive(Debug, Deserialize)]
+struct ReportFile {
+    stages: Vec<StageFile>,
+    cameras: Vec<CameraReport>,
+    people: Vec<PersonReport>,
+    heldout_px: Option<f64>,
+    scale: Option<ScaleReport>,
+    rejected_detections: f64,
+    quality: Quality,
+}
+
+#[derive(Debug, Deserialize)]
+struct StageFile {
+    stage: String,
+    iterations: i64,
+    cost_before: Option<f64>,
+    cost_after: Option<f64>,
+    termination: String,
+    metrics: BTreeMap<String, Option<f64>>, // a figure that was not finite is null in the file
+}
+
+#[derive(Debug, Deserialize)]
+struct CamerasFile {
+    cameras: Vec<CameraFile>,
+}
+
+#[derive(Debug, Deserialize)]
+struct CameraFile {
+    id: String,
+    status: String,
+    n_observations: i64,
+    reprojection_px: Option<ErrorSummary>,
+    position: Option<[f64; 3]>,
+    sigma_position_mm: Option<f64>,
+    sigma_angle_deg: Option<f64>,
+}
+
+#[derive(Debug, Deserialize)]
+struct PeopleFile {
+    people: Vec<PersonFile>,
+}
+
+#[derive(Debug, Deserialize)]
+struct PersonFile {
+    id: i64,
+    frames: Vec<i64>,
+    valid: Vec<bool>,
+}
+
+impl Summary {
+    /// Reads `report.json`, `cameras.json` and `people.json` of a result folder.
+    ///
+    /// # Errors
+    /// [`SummaryError`] naming the file that is missing or says something else.
+    pub fn read(folder: &Path) -> Result<Self, SummaryError> {
+        Ok(Self {
+            report: read_json(folder.join("report.json"))?,
+            cameras: read_json::<CamerasFile>(folder.join("cameras.json"))?.cameras,
+            people: read_json::<PeopleFile>(folder.join("people.json"))?.people,
+        })
+    }
+
+    /// Writes the rows of a job that is about to succeed.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn insert(&self, transaction: &mut Transaction<'static, Sqlite>, job: &str) -> Result<(), StoreError> {
+        insert_verdict(transaction, job, &self.report).await?;
+        for (index, stage) in self.report.stages.iter().enumerate() {
+            insert_stage(transaction, job, index, stage).await?;
+        }
+        for (index, camera) in self.cameras.iter().enumerate() {
+            let report = self.report.cameras.iter().find(|report| report.id == camera.id);
+            insert_camera(transaction, job, index, camera, report).await?;
+        }
+        for person in &self.people {
+            let report = self.report.people.iter().find(|report| report.id as i64 == person.id);
+            insert_person(transaction, job, person, report).await?;
+        }
+        Ok(())
+    }
+}
+
+fn read_json<T: DeserializeOwned>(file: PathBuf) -> Result<T, SummaryError> {
+    let text = std::fs::read(&file).map_err(|e| e.to_string());
+    let value = text.and_then(|text| serde_json::from_slice(&text).map_err(|e| e.to_string()));
+    value.map_err(|reason| SummaryError { file, reason })
+}
+
+async fn insert_verdict(
+    transaction: &mut Transaction<'static, Sqlite>,
+    job: &str,
+    report: &ReportFile,
+) -> Result<(), StoreError> {
+    let verdict = serde_json::to_value(report.quality.verdict)?;
+    let scale = report.scale.as_ref();
+    sqlx::query(
+        "INSERT INTO verdicts (job_id, verdict, reasons, heldout_px, scale, scale_low95, scale_high95, rejected_detections)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+    )
+    .bind(job)
+    .bind(verdict.as_str())
+    .bind(serde_json::to_string(&report.quality.reasons)?)
+    .bind(report.heldout_px)
+    .bind(scale.map(|scale| scale.value))
+    .bind(scale.map(|scale| scale.interval95[0]))
+    .bind(scale.map(|scale| scale.interval95[1]))
+    .bind(report.rejected_detections)
+    .execute(&mut **transaction)
+    .await?;
+    Ok(())
+}
+
+async fn insert_stage(
+    transaction: &mut Transaction<'static, Sqlite>,
+    job: &str,
+    index: usize,
+    stage: &StageFile,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "INSERT INTO stage_metrics (job_id, stage_index, stage, iterations, cost_before, cost_after, termination)
+         VALUES (?, ?, ?, ?, ?, ?, ?)",
+    )
+    .bind(job)
+    .bind(index as i64)
+    .bind(&stage.stage)
+    .bind(stage.iterations)
+    .bind(stage.cost_before)
+    .bind(stage.cost_after)
+    .bind(&stage.termination)
+    .execute(&mut **transaction)
+    .await?;
+    for (name, value) in &stage.metrics {
+        sqlx::query("INSERT INTO stage_metric_values (job_id, stage_index, name, value) VALUES (?, ?, ?, ?)")
+            .bind(job)
+            .bind(index as i64)
+            .bind(name)
+            .bind(value)
+            .execute(&mut **transaction)
+            .await?;
+    }
+    Ok(())
+}
+
+async fn insert_camera(
+    transaction: &mut Transaction<'static, Sqlite>,
+    job: &str,
+    index: usize,
+    camera: &CameraFile,
+    report: Option<&CameraReport>,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "INSERT INTO camera_results (job_id, camera_index, camera, status, n_observations, reprojection_mean_px,
+             reprojection_median_px, sigma_position_mm, sigma_angle_deg, position_x, position_y, position_z,
+             n_detections, n_rejected_detections)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+    )
+    .bind(job)
+    .bind(index as i64)
+    .bind(&camera.id)
+    .bind(&camera.status)
+    .bind(camera.n_observations)
+    .bind(camera.reprojection_px.map(|error| error.mean))
+    .bind(camera.reprojection_px.map(|error| error.median))
+    .bind(camera.sigma_position_mm)
+    .bind(camera.sigma_angle_deg)
+    .bind(camera.position.map(|[x, _, _]| x))
+    .bind(camera.position.map(|[_, y, _]| y))
+    .bind(camera.position.map(|[_, _, z]| z))
+    .bind(report.map(|report| report.n_detections as i64))
+    .bind(report.map(|report| report.n_rejected_detections as i64))
+    .execute(&mut **transaction)
+    .await?;
+    Ok(())
+}
+
+async fn insert_person(
+    transaction: &mut Transaction<'static, Sqlite>,
+    job: &str,
+    person: &PersonFile,
+    report: Option<&PersonReport>,
+) -> Result<(), StoreError> {
+    sqlx::query(
+        "INSERT INTO person_results (job_id, person, first_frame, last_frame, n_frames, n_valid_frames, n_detections,
+             reprojection_mean_px, reprojection_median_px, bone_length_spread, jitter_m_per_s2)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+    )
+    .bind(job)
+    .bind(person.id)
+    .bind(person.frames.first())
+    .bind(person.frames.last())
+    .bind(person.frames.len() as i64)
+    .bind(person.valid.iter().filter(|valid| **valid).count() as i64)
+    .bind(report.map(|report| report.n_detections as i64))
+    .bind(report.and_then(|report| report.reprojection_px).map(|error| error.mean))
+    .bind(report.and_then(|report| report.reprojection_px).map(|error| error.median))
+    .bind(report.and_then(|report| report.bone_length_spread))
+    .bind(report.and_then(|report| report.jitter_m_per_s2))
+    .execute(&mut **transaction)
+    .await?;
+    Ok(())
+}
