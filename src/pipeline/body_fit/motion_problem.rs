@@ -5,7 +5,8 @@
 
 use super::BodyFitConfig;
 use super::block_banded::{BandedStep, BlockBanded};
-use super::evidence::Evidence;
+use super::evidence::{Evidence, PixelEvidence, PointEvidence};
+use super::place_cost::{PlaceCost, pixel_cost, point_cost, summed_by_landmark};
 use crate::body::anthropometry::N_BETAS;
 use crate::body::joint_ranges::{JointRange, joint_ranges};
 use crate::body::kinematics::{
@@ -65,15 +66,6 @@ const TRANSLATION_GROUP: usize = 0;
 
 /// Rate at which a frame counts once.
 const REFERENCE_RATE_HZ: f64 = 30.0;
-
-/// A cost over the position of one landmark, to second order.
-#[derive(Clone, Copy)]
-struct PlaceCost {
-    landmark: usize,
-    cost: f64,
-    gradient: Vector3<f64>,
-    hessian: Matrix3<f64>,
-}
 
 /// The part of the system that one frame's evidence and joint angles give.
 struct FrameSystem {
@@ -227,65 +219,24 @@ impl<'a> MotionProblem<'a> {
         joint_angle_cost(&pose.rotations[joint], &self.ranges[joint], &weights)
     }
 
-    /// Cost over the position of every landmark with evidence at frame `t`.
+    /// Cost over the position of every landmark with evidence at frame `t`, one entry a landmark.
     fn place_costs(&self, t: usize, body: &ShapedBody, skeleton: &PosedSkeleton) -> Vec<PlaceCost> {
-        let mut places: Vec<PlaceCost> = Vec::new();
-        let mut slot = vec![usize::MAX; self.model.landmarks.len()];
-        let mut add = |landmark: usize, cost_at: &dyn Fn(&Vector3<f64>) -> PlaceCost| {
-            let position = landmark_position(self.model, body, skeleton, landmark);
-            let cost = cost_at(&position);
-            if slot[landmark] == usize::MAX {
-                slot[landmark] = places.len();
-                places.push(cost);
-            } else {
-                let sum = &mut places[slot[landmark]];
-                sum.cost += cost.cost;
-                sum.gradient += cost.gradient;
-                sum.hessian += cost.hessian;
-            }
-        };
+        let position_of = |landmark: usize| landmark_position(self.model, body, skeleton, landmark);
         let robust_scale = self.config.robust_scale;
-        match self.data {
+        let costs: Vec<PlaceCost> = match self.data {
             DataTerm::Points { sigma } => {
-                for point in &self.evidence.points[t] {
-                    add(point.landmark, &|position| {
-                        let miss = (position - point.position) / sigma;
-                        let (cost, weight) = geman_mcclure(miss.norm_squared(), robust_scale);
-                        PlaceCost {
-                            landmark: point.landmark,
-                            cost,
-                            gradient: miss * (weight / sigma),
-                            hessian: Matrix3::identity() * (weight / (sigma * sigma)),
-                        }
-                    });
-                }
+                let of_point = |p: &PointEvidence| point_cost(p, &position_of(p.landmark), sigma, robust_scale);
+                self.evidence.points[t].iter().map(of_point).collect()
             }
             DataTerm::Pixels { share } => {
-                for pixel in &self.evidence.pixels[t] {
-                    let camera = &self.evidence.cameras[pixel.camera];
-                    let sigma_px = share * pixel.scale_px;
-                    add(pixel.landmark, &|position| {
-                        let in_camera = camera.camera_from_world.transform(position);
-                        let Some((projected, by_point)) = camera.intrinsics.project_with_jacobian(&in_camera) else {
-                            // Behind the camera: as bad as an outlier can be, and no direction to improve in.
-                            let cost = 0.5 * robust_scale * robust_scale;
-                            let (gradient, hessian) = (Vector3::zeros(), Matrix3::zeros());
-                            return PlaceCost { landmark: pixel.landmark, cost, gradient, hessian };
-                        };
-                        let miss = (projected - pixel.pixel) / sigma_px;
-                        let by_world = by_point * camera.camera_from_world.rotation / sigma_px;
-                        let (cost, weight) = geman_mcclure(miss.norm_squared(), robust_scale);
-                        PlaceCost {
-                            landmark: pixel.landmark,
-                            cost,
-                            gradient: by_world.tr_mul(&miss) * weight,
-                            hessian: by_world.tr_mul(&by_world) * weight,
-                        }
-                    });
-                }
+                let of_pixel = |p: &PixelEvidence| {
+                    let camera = &self.evidence.cameras[p.camera];
+                    pixel_cost(p, camera, &position_of(p.landmark), share * p.scale_px, robust_scale)
+                };
+                self.evidence.pixels[t].iter().map(of_pixel).collect()
             }
-        }
-        places
+        };
+        summed_by_landmark(costs)
     }
 
     fn translation_acceleration(&self, state: &MotionState, t: usize) -> Vector3<f64> {
@@ -355,13 +306,6 @@ const FIRST_HAND: usize = 22;
 
 /// Added to every frame's diagonal (squared residual per rad^2 or m^2): 1e6 times weaker than one keypoint.
 const FLOOR: f64 = 1e-4;
-
-/// Geman-McClure: `rho = s^2 e^2 / (e^2 + s^2) / 2` and the weight `(s^2 / (s^2 + e^2))^2` (method.md 9.4).
-fn geman_mcclure(squared: f64, scale: f64) -> (f64, f64) {
-    let s2 = scale * scale;
-    let share = s2 / (s2 + squared);
-    (0.5 * squared * share, share * share)
-}
 
 /// Charbonnier at scale 1: `rho = sqrt(1 + e^2) - 1`, weight `1 / sqrt(1 + e^2)`. Real accelerations are small most of
 /// the time and large at contacts; a squared cost would round those off.
