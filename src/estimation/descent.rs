@@ -27,8 +27,9 @@ impl<const N: usize> QuadraticModel<N> {
     }
 }
 
-/// A step shorter than this (radians, metres, or units of the baseline) ends the descent: far below any noise.
-const SETTLED: f64 = 1e-9;
+/// A step that promises to lower the cost by less than this share ends the descent. With n observations it is some
+/// `sqrt(n) * 1e-4` standard deviations of the unknowns: far below the noise, whatever the units.
+const SETTLED: f64 = 1e-8;
 
 /// First damping, as a share of the diagonal: nearly Gauss-Newton, since every start here is a good one.
 const FIRST_DAMPING: f64 = 1e-4;
@@ -56,6 +57,7 @@ pub fn descend<State: Copy, const N: usize>(
             continue;
         };
         let step = -factor.solve(&model.gradient);
+        let promised = -step.dot(&model.gradient);
         let candidate = retract(&state, &step);
         match linearize(&candidate) {
             Some(better) if better.cost < model.cost => {
@@ -64,7 +66,7 @@ pub fn descend<State: Copy, const N: usize>(
             }
             _ => damping *= 10.0,
         }
-        if step.norm_squared() < SETTLED * SETTLED {
+        if promised <= SETTLED * model.cost {
             break;
         }
     }

@@ -133,7 +133,8 @@ fn linearize(pose: &Rigid, pairs: &[PointPair], weights: Option<&[f64]>, thresho
         if weight <= 0.0 {
             continue;
         }
-        if let Some(sampson) = epipolar::sampson_gradient(pose, a, b) {
+        // One pair that is not finite must not cost all others their descent.
+        if let Some(sampson) = epipolar::sampson_gradient(pose, a, b).filter(|s| s.distance.is_finite()) {
             let (turn, slide) = (sampson.rotation, tangents.tr_mul(&sampson.translation));
             let jacobian = SVector::from([turn.x, turn.y, turn.z, slide.x, slide.y]);
             let squared = sampson.distance * sampson.distance;

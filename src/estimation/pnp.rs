@@ -5,7 +5,7 @@ use super::descent::{QuadraticModel, descend};
 use super::{geman_mcclure, geman_mcclure_weight};
 use crate::geometry::p3p::{PointSight, p3p};
 use crate::geometry::{Intrinsics, Rigid, rotation};
-use nalgebra::{SVector, Vector2, Vector3};
+use nalgebra::{SVector, Vector2};
 
 /// A pose that points agree on.
 #[derive(Debug, Clone, PartialEq)]
@@ -90,6 +90,9 @@ fn linearize(camera_from_world: &Rigid, points: &[PointSight], scale2: f64) -> Q
         };
         let residual = projected - seen;
         let squared = residual.norm_squared();
+        if !squared.is_finite() {
+            continue; // One point that is not finite must not cost all others their descent.
+        }
         // d point = rho + phi x point.
         let by_turn = -by_point * rotation::skew(&in_camera);
         let weight = geman_mcclure_weight(squared, scale2);
@@ -107,6 +110,7 @@ fn linearize(camera_from_world: &Rigid, points: &[PointSight], scale2: f64) -> Q
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::Vector3;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, Normal};

@@ -101,6 +101,16 @@ fn refinement_reaches_the_truth_on_exact_pairs_from_ten_degrees_away() {
 }
 
 #[test]
+fn one_pair_that_is_not_finite_changes_nothing_for_the_others() {
+    let scene = scene(11, 80, 0.0);
+    let mut pairs = scene.pairs.clone();
+    pairs.push((nalgebra::Vector2::repeat(f64::NAN), nalgebra::Vector2::zeros()));
+    let refined = refine_essential(&scene.pose, &pairs, None, 6e-3, 10);
+    assert_eq!(refined, refine_essential(&scene.pose, &scene.pairs, None, 6e-3, 10));
+    assert!(refined.rotation != scene.pose.rotation);
+}
+
+#[test]
 fn hopeless_input_gives_none_and_no_panic() {
     let scene = scene(10, 4, 0.0);
     assert_eq!(estimate_essential(&scene.pairs, None, 6e-3, 100, 0), None);

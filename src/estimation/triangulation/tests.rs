@@ -135,25 +135,3 @@ fn unusable_observations_are_ignored_and_too_few_give_none() {
     let many = vec![seen[0]; 200];
     assert_eq!(triangulate_robust(&many), None);
 }
-
-#[test]
-fn zz_timing() {
-    let rig = rig(8);
-    let mut rng = ChaCha8Rng::seed_from_u64(2);
-    let normal = Normal::new(0.0, SIGMA_PX).unwrap();
-    for bad in [0, 2] {
-        let sets: Vec<_> = (0..1000)
-            .map(|_| {
-                let p = random_point(&mut rng);
-                let mut s = rig.observe(&p, || normal.sample(&mut rng));
-                for v in 0..bad {
-                    s[v].pixel += Vector2::new(90.0, 70.0);
-                }
-                s
-            })
-            .collect();
-        let t = std::time::Instant::now();
-        let n: usize = sets.iter().filter(|s| triangulate_robust(s).is_some()).count();
-        println!("bad {bad}: {:?} ({n})", t.elapsed() / 1000);
-    }
-}
