@@ -7,6 +7,7 @@ mod block_banded;
 mod evidence;
 mod initial_motion;
 mod motion_problem;
+mod motion_system;
 mod place_cost;
 mod solve;
 #[cfg(test)]
