@@ -7,6 +7,7 @@ pub mod default_body;
 pub mod joint_ranges;
 pub mod kinematics;
 pub mod model;
+pub mod scale;
 pub mod skeleton;
 
 pub use default_body::default_body;

@@ -7,6 +7,8 @@ mod block_banded;
 mod evidence;
 mod initial_motion;
 mod motion_problem;
+mod motion_system;
+mod place_cost;
 mod solve;
 #[cfg(test)]
 mod tests;
@@ -61,7 +63,7 @@ pub struct BodyFitConfig {
     pub rest_weight: f64,
     /// Width of the walls at the ends of the joints' ranges, degrees.
     pub limit_width_deg: f64,
-    /// Frames farther than half of this from the nearest sight of the person are carried, but not valid, s.
+    /// Frames in a gap without sight of the person longer than this are carried, but not valid, s.
     pub gap_limit_secs: f64,
     /// Frames solved at once; longer takes are cut into such windows, their shape taken from the best of them.
     pub window_frames: usize,
@@ -80,10 +82,12 @@ impl Default for BodyFitConfig {
             point_sigma: 0.03,
             // 0.4 % is better than any detector; above 4 % a keypoint is a guess.
             pixel_share: [0.004, 0.04],
-            robust_scale: 3.0,
-            // Medians over everyday motion and dance are 1.5 m/s^2 and those of the table of joint ranges.
-            translation_acceleration: 1.5,
-            angular_acceleration_factor: 1.0,
+            // On the simulated captures 4 beats 3 (17.1 -> 16.1 mm on `hard`) and 2.2 (20.5 mm).
+            robust_scale: 4.0,
+            // Medians over everyday motion and dance are 1.5 m/s^2 and those of the table of joint ranges; half as much
+            // again was best for the joints (0.6: 20.3 mm, 1: 17.1, 1.6: 16.5, 2.5: 16.7 on `hard`).
+            translation_acceleration: 2.0,
+            angular_acceleration_factor: 1.5,
             // One frame's pull is then a hundredth of one keypoint's at the end of its bone.
             rest_weight: 0.1,
             limit_width_deg: 5.0,

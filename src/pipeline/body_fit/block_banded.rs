@@ -189,8 +189,8 @@ fn inverse_of_small_factor(a: &DMatrix<f64>) -> Option<DMatrix<f64>> {
         for j in 0..=i {
             let rest = a[(i, j)] - (0..j).map(|k| factor[i][k] * factor[j][k]).sum::<f64>();
             if i == j {
-                // The negated comparison also refuses NaN.
-                if !(rest > 1e-12 * a[(i, i)].abs()) {
+                let is_positive = rest > 1e-12 * a[(i, i)].abs(); // false for NaN as well
+                if !is_positive {
                     return None;
                 }
                 factor[i][i] = rest.sqrt();

@@ -177,16 +177,16 @@ fn limbs(model: &BodyModel, body: &ShapedBody, places: &Places, world_from_trunk
     pose.translation = Some(world_from_trunk.transform(&pelvis) - pelvis);
     for limb in limb_list() {
         let place = |name: &str| model.landmark_index(name).and_then(|l| places[l]);
-        let joint = limb.joints.map(|name| JOINT_NAMES.iter().position(|n| *n == name).unwrap_or(0));
+        let joint = limb.joints.map(joint_index);
         let [root, middle, end] = joint.map(|j| body.rest_joints[j]);
-        let (upper_rest, lower_rest) = ((middle - root).normalize(), (end - middle).normalize());
+        let (upper_rest, lower_rest) = (middle - root, end - middle);
         let Some(middle_seen) = place(limb.joints[1]) else { continue };
         let root_seen = place(limb.joints[0]).unwrap_or_else(|| world_from_trunk.transform(&root));
         let trunk_from_world = world_from_trunk.rotation.transpose();
         let mut upper = rotation::rotation_between(&upper_rest, &(trunk_from_world * (middle_seen - root_seen)));
         if let Some(end_seen) = place(limb.joints[2]) {
             let lower_in_trunk = trunk_from_world * (end_seen - middle_seen);
-            upper *= turn_about_bone(&upper_rest, &limb.bends_to, &(upper.transpose() * lower_in_trunk).normalize());
+            upper *= turn_about_bone(&upper_rest, &limb.bends_to, &(upper.transpose() * lower_in_trunk));
             pose.rotations[joint[1]] =
                 Some(rotation::rotation_between(&lower_rest, &(upper.transpose() * lower_in_trunk)));
         }
@@ -195,14 +195,22 @@ fn limbs(model: &BodyModel, body: &ShapedBody, places: &Places, world_from_trunk
     pose
 }
 
-/// Turn about the upper bone after which the lower one leaves it towards `bends_to`.
-fn turn_about_bone(bone: &Vector3<f64>, bends_to: &Vector3<f64>, lower: &Vector3<f64>) -> Matrix3<f64> {
-    let across = |v: &Vector3<f64>| v - bone * bone.dot(v);
-    let (wanted, found) = (across(bends_to), across(lower));
+fn joint_index(name: &str) -> usize {
+    JOINT_NAMES.iter().position(|n| *n == name).expect("limbs are listed by names of joints")
+}
+
+/// Turn about the upper bone after which the lower one leaves it towards `bends_to`; the identity where a straight limb
+/// leaves it open.
+fn turn_about_bone(upper: &Vector3<f64>, bends_to: &Vector3<f64>, lower: &Vector3<f64>) -> Matrix3<f64> {
+    let (Some(axis), Some(lower)) = (upper.try_normalize(1e-9), lower.try_normalize(1e-9)) else {
+        return Matrix3::identity();
+    };
+    let across = |v: &Vector3<f64>| v - axis * axis.dot(v);
+    let (wanted, found) = (across(bends_to), across(&lower));
     if found.norm() < MIN_BEND {
         return Matrix3::identity();
     }
-    rotation::exp(&(bone * bone.dot(&wanted.cross(&found)).atan2(wanted.dot(&found))))
+    rotation::exp(&(axis * axis.dot(&wanted.cross(&found)).atan2(wanted.dot(&found))))
 }
 
 /// The known frames on either side of `t` and how far `t` lies between them; one known side counts twice.

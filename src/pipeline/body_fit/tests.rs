@@ -9,6 +9,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
+use std::f64::consts::TAU;
 
 /// A scene of one body with exact truth.
 struct Truth {
@@ -28,14 +29,14 @@ fn smooth_motion(seed: u64, seconds: f64, fps: f64) -> Truth {
             [0.4, 0.9].map(|hertz| {
                 let spread = ranges[j].spread * 0.4;
                 let size = Vector3::from_fn(|axis, _| uniform(-1.0, 1.0) * spread[axis].min(0.4));
-                (size, hertz * uniform(0.6, 1.1), uniform(0.0, 6.28))
+                (size, hertz * uniform(0.6, 1.1), uniform(0.0, TAU))
             })
         })
         .collect();
     let pose_at = |time: f64| {
         let mut pose = Pose::rest();
         for j in (0..22).filter(|j| ![13, 14].contains(j)) {
-            let swing = |(size, hertz, phase): &(Vector3<f64>, f64, f64)| *size * (6.283 * hertz * time + phase).sin();
+            let swing = |(size, hertz, phase): &(Vector3<f64>, f64, f64)| *size * (TAU * hertz * time + phase).sin();
             let bent = if j == 4 || j == 5 { Vector3::x() * 0.4 } else { Vector3::zeros() };
             let turn: Vector3<f64> = if j == 0 { Vector3::y() * (0.8 * time) } else { ranges[j].rest + bent };
             pose.rotations[j] = rotation::exp(&turn) * rotation::exp(&swings[j].iter().map(swing).sum());
@@ -191,4 +192,115 @@ fn noisy_keypoints_with_holes_give_joints_well_below_the_noise() {
         println!("{} from points alone: {:.1} mm", convention.name(), error * 1e3);
         assert!(error < 0.018, "from points alone {} m", error);
     }
+}
+
+/// An arm out of everybody's sight for half a second is carried by smoothness: up to a hand's breadth at the wrist, the
+/// rest of the body unharmed.
+#[test]
+fn a_hidden_arm_is_carried() {
+    let truth = smooth_motion(2, 4.0, 30.0);
+    let hidden = Sight { hidden: Some((&["left_elbow", "left_wrist"], 50, 65)), ..NOISY };
+    let motion = fitted(&scene(&truth, KeypointConvention::Body25, &hidden, 3));
+    let exact = exact_motion(&truth);
+    let error = |joint: usize| joint_error(&motion, &exact, &[joint], 50..65);
+    println!("hidden elbow {:.1} mm, wrist {:.1} mm", error(18) * 1e3, error(20) * 1e3);
+    assert!(error(18) < 0.06 && error(20) < 0.10, "elbow {} wrist {}", error(18), error(20));
+    assert!(joint_error(&motion, &exact, &[1, 2, 4, 5, 7, 8, 16, 17, 19, 21], 50..65) < 0.015);
+}
+
+/// The betas as such are seen only through bones (weight hardly at all): what counts is the rest skeleton they give.
+#[test]
+fn the_shape_is_recovered_in_its_bones() {
+    for seed in 0..4 {
+        let truth = smooth_motion(20 + seed, 3.0, 30.0);
+        let motion = fitted(&scene(&truth, KeypointConvention::Body25, &NOISY, seed));
+        let model = default_body();
+        let (exact, found) = (model.shaped(&truth.betas), model.shaped(&Betas::from(motion.betas)));
+        for (a, b) in [(1, 4), (4, 7), (16, 18), (18, 20), (1, 2), (16, 17)] {
+            let length = |body: &crate::body::model::ShapedBody| (body.rest_joints[a] - body.rest_joints[b]).norm();
+            let error = (length(&found) - length(&exact)).abs();
+            assert!(error < 0.006, "seed {seed}, bone {a}-{b}: {error} m");
+        }
+    }
+}
+
+/// One motion at 25, 30 and 60 Hz, noise-free with the default weights: the same pose at the common instants (every
+/// 0.2 s). The bound is the difference that sampling itself makes to the second differences.
+#[test]
+fn the_frame_rate_does_not_matter() {
+    let clean = Sight { point_noise: 1e-6, pixel_noise_px: 1e-3, missing: 0.0, hidden: None };
+    let at_rate = |fps: f64| {
+        let truth = smooth_motion(5, 3.0, fps);
+        let motion = fitted(&scene(&truth, KeypointConvention::Body25, &clean, 1));
+        let step = (fps * 0.2).round() as usize;
+        motion.frames.into_iter().step_by(step).map(|f| f.joints).collect::<Vec<_>>()
+    };
+    let [slow, middle, fast] = [25.0, 30.0, 60.0].map(at_rate);
+    for other in [slow, fast] {
+        for (t, (a, b)) in middle.iter().zip(&other).enumerate() {
+            for j in LIMBS {
+                assert!((a[j] - b[j]).norm() < 0.004, "instant {t}, joint {j}: {} m", (a[j] - b[j]).norm());
+            }
+        }
+    }
+}
+
+#[test]
+fn windows_join_without_a_seam() {
+    let truth = smooth_motion(6, 6.0, 30.0);
+    let scene = scene(&truth, KeypointConvention::Coco17, &NOISY, 2);
+    let input =
+        BodyFitInput { session: &scene.session, cameras: &scene.cameras, tracks: &scene.tracks, points: &scene.points };
+    let fit = |window_frames: usize| {
+        let config = BodyFitConfig { window_frames, ..BodyFitConfig::default() };
+        fit_bodies(input, &default_body(), &config, &Progress::silent()).unwrap().0.remove(0)
+    };
+    let (whole, cut) = (fit(480), fit(60));
+    assert_eq!(cut.frames.len(), 180);
+    for j in LIMBS {
+        for t in 1..180 {
+            let step = |m: &BodyMotion| m.frames[t].joints[j] - m.frames[t - 1].joints[j];
+            assert!((step(&whole) - step(&cut)).norm() < 0.006, "frame {t}, joint {j}");
+        }
+    }
+    assert!(joint_error(&whole, &cut, &LIMBS, 0..180) < 0.005);
+}
+
+#[test]
+fn the_number_of_threads_does_not_change_a_bit() {
+    let scene = scene(&smooth_motion(8, 1.0, 30.0), KeypointConvention::Coco17, &NOISY, 2);
+    let run = |n_threads: usize| {
+        rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap().install(|| fitted(&scene))
+    };
+    assert_eq!(run(1), run(2));
+}
+
+#[test]
+fn long_gaps_are_carried_but_not_valid_and_unseen_people_are_left_out() {
+    let everything = KeypointConvention::Coco17.names();
+    let truth = smooth_motion(9, 3.0, 30.0);
+    let hidden = Sight { hidden: Some((everything, 30, 60)), ..NOISY };
+    let mut scene = scene(&truth, KeypointConvention::Coco17, &hidden, 4);
+    let motion = fitted(&scene);
+    assert_eq!(motion.frames.len(), 90);
+    for (t, frame) in motion.frames.iter().enumerate() {
+        assert_eq!(frame.valid, !(30..60).contains(&t), "frame {t}");
+        assert!(frame.joints.iter().all(|p| p.iter().all(|v| v.is_finite())));
+    }
+    scene.points[0].points.iter_mut().flatten().for_each(|p| *p = None);
+    let input =
+        BodyFitInput { session: &scene.session, cameras: &scene.cameras, tracks: &scene.tracks, points: &scene.points };
+    let (motions, report) = fit_bodies(input, &default_body(), &BodyFitConfig::default(), &Progress::silent()).unwrap();
+    assert!(motions.is_empty());
+    assert_eq!(report.metrics["people_skipped"], 1.0);
+}
+
+#[test]
+fn a_canceled_fit_stops() {
+    let scene = scene(&smooth_motion(8, 1.0, 30.0), KeypointConvention::Coco17, &NOISY, 2);
+    let input =
+        BodyFitInput { session: &scene.session, cameras: &scene.cameras, tracks: &scene.tracks, points: &scene.points };
+    let canceled = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(true));
+    let progress = Progress::new(|_| {}, canceled);
+    assert!(fit_bodies(input, &default_body(), &BodyFitConfig::default(), &progress).is_err());
 }

@@ -133,7 +133,7 @@ fn simulated_captures_are_fitted_better_than_triangulated() {
         eprintln!("SKIPPED: WANDLESS_TEST_DATA does not name the folder with the simulated captures");
         return;
     };
-    for (name, bound_mm) in [("paper", 25.0), ("hard", 40.0)] {
+    for (name, bound_mm) in [("paper", 10.5), ("hard", 19.0)] {
         let folder = Path::new(&data).join("simulated").join(name);
         let capture = load(&folder);
         let points: Vec<JointTrajectory> = capture.tracks.iter().map(|t| triangulated(&capture, t)).collect();
@@ -145,11 +145,9 @@ fn simulated_captures_are_fitted_better_than_triangulated() {
         };
         let model = default_body();
         let clock = Instant::now();
-        let (motions, report) =
-            fit_bodies(input, &model, &BodyFitConfig::default(), &Progress::silent()).unwrap();
+        let (motions, report) = fit_bodies(input, &model, &BodyFitConfig::default(), &Progress::silent()).unwrap();
         let seconds = clock.elapsed().as_secs_f64();
-        let (joints, keypoints) =
-            (json(&folder.join("gt/poses3d.json")), json(&folder.join("gt/keypoints3d.json")));
+        let (joints, keypoints) = (json(&folder.join("gt/poses3d.json")), json(&folder.join("gt/keypoints3d.json")));
         let (mut of_limbs, mut of_all, mut of_points, mut of_landmarks) = (vec![], vec![], vec![], vec![]);
         let mut of_joint = vec![Vec::new(); N_JOINTS];
         for (motion, points) in motions.iter().zip(&points) {
