@@ -19,7 +19,7 @@ const WARM_UP: f64 = 2.0;
 /// People stay within this distance of the centre, m.
 const AREA: f64 = 1.9;
 /// Nearer than this (m, between the middles of their feet) people step aside.
-const PERSONAL_SPACE: f64 = 0.75;
+const PERSONAL_SPACE: f64 = 0.9;
 /// How fast the springs of posture answer, 1/s: a gesture takes some 0.6 s.
 const POSTURE_RATE: f64 = 7.0;
 
@@ -63,7 +63,7 @@ fn push_from_others(person: usize, positions: &[Vector2<f64>]) -> Vector2<f64> {
     others.fold(Vector2::zeros(), |push, (_, other)| {
         let away = positions[person] - other;
         let distance = away.norm().max(1e-3);
-        push + away / distance * (4.0 * (PERSONAL_SPACE - distance)).clamp(0.0, 1.5)
+        push + away / distance * (4.0 * (PERSONAL_SPACE - distance)).clamp(0.0, 1.8)
     })
 }
 
@@ -240,7 +240,7 @@ impl Mover {
         self.turn_rate += STEP * (16.0 * off.clamp(-0.9, 0.9) - 8.0 * self.turn_rate);
         self.heading += STEP * self.turn_rate;
         self.speed += STEP * 3.5 * (wanted_speed * off.cos().max(0.0) - self.speed);
-        self.push += (push - self.push) * (STEP * 5.0);
+        self.push += (push - self.push) * (STEP * 8.0);
         self.velocity = Vector2::new(self.heading.sin(), self.heading.cos()) * self.speed + self.push;
         self.position += self.velocity * STEP;
         let ground = self.ground_speed();
