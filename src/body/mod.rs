@@ -1,3 +1,13 @@
 //! What a body is: skeleton, keypoint conventions, kinematics.
 
+pub mod bones;
+pub mod detector_noise;
+pub mod anthropometry;
+pub mod default_body;
+pub mod joint_ranges;
+pub mod kinematics;
+pub mod model;
 pub mod skeleton;
+
+pub use default_body::default_body;
+pub use model::{Betas, BodyModel};
