@@ -17,6 +17,7 @@
 //! - [`evaluation`]: errors of cameras, poses and identities against truth
 //! - [`export`]: the result folder, one file a format
 //! - [`pipeline`]: the stages, in order
+//! - [`cli`]: the commands
 //!
 //! # Conventions
 //!
@@ -24,6 +25,7 @@
 //! look along +z, x right, y down; pixel (0, 0) is the centre of the first pixel.
 
 pub mod body;
+pub mod cli;
 pub mod estimation;
 pub mod evaluation;
 pub mod export;

@@ -213,17 +213,28 @@ fn point_error(adjusted: &Adjusted, scene: &Scene) -> f64 {
 fn recovers_the_cameras_from_a_rough_start_with_outliers_and_bones_do_not_hurt() {
     let scene = scene(5, 2, 60);
     for seed in 0..6 {
-    let mut errors = Vec::new();
-    for bones in [&[][..], &scene.bones] {
-        let start = perturbed(&scene.cameras, 5.0, 0.3, seed);
-        let input = AdjustmentInput { bones, ..input(&scene, start, observe(&scene, NOISE, 0.15, seed)) };
-        let clock = std::time::Instant::now();
-        let (adjusted, report) = solve(&input);
-        let (position, angle) = worst(&camera_errors(&poses(&adjusted), &scene.cameras));
-        let sig: Vec<_> = adjusted.cameras.iter().map(|c| (c.uncertainty.unwrap().sigma_position, c.uncertainty.unwrap().sigma_angle)).collect();
-        eprintln!("{position:.4} {:.3} pts {:.4} {:?} {:?} worst sig {:?}", angle.to_degrees(), point_error(&adjusted, &scene), (report.iterations, &report.termination), clock.elapsed(), worst(&sig));
-        errors.push((position, point_error(&adjusted, &scene)));
-    }
+        let mut errors = Vec::new();
+        for bones in [&[][..], &scene.bones] {
+            let start = perturbed(&scene.cameras, 5.0, 0.3, seed);
+            let input = AdjustmentInput { bones, ..input(&scene, start, observe(&scene, NOISE, 0.15, seed)) };
+            let clock = std::time::Instant::now();
+            let (adjusted, report) = solve(&input);
+            let (position, angle) = worst(&camera_errors(&poses(&adjusted), &scene.cameras));
+            let sig: Vec<_> = adjusted
+                .cameras
+                .iter()
+                .map(|c| (c.uncertainty.unwrap().sigma_position, c.uncertainty.unwrap().sigma_angle))
+                .collect();
+            eprintln!(
+                "{position:.4} {:.3} pts {:.4} {:?} {:?} worst sig {:?}",
+                angle.to_degrees(),
+                point_error(&adjusted, &scene),
+                (report.iterations, &report.termination),
+                clock.elapsed(),
+                worst(&sig)
+            );
+            errors.push((position, point_error(&adjusted, &scene)));
+        }
     }
 }
 
