@@ -1,7 +1,7 @@
 //! The files that an evaluation reads: cameras, poses, identities and what it needs of the session. Metres after reading.
 
-use super::joint_error::Frames;
-use super::report::EvaluationError;
+use super::error::EvaluationError;
+use super::person_matching::Frames;
 use super::shelf14::{Point, Skeleton};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::session::recording::UpAxis;

@@ -1,7 +1,7 @@
 //! How much a motion trembles: mean acceleration.
 
 use super::camera_error::mean;
-use super::joint_error::Frames;
+use super::person_matching::Frames;
 use super::shelf14::Point;
 use serde::Serialize;
 

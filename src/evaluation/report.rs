@@ -3,9 +3,11 @@
 use super::alignment::{Alignment, truth_from_solved};
 use super::camera_error::{CameraErrors, CameraPair, RelativeCameraError, camera_errors, relative_camera_error};
 use super::documents::{self, PosesDocument, SessionDocument};
+use super::error::EvaluationError;
 use super::identity_error::{IdentityError, IdentityRow, identity_error};
 use super::jitter::{Jitter, jitter};
-use super::joint_error::{Frames, Matching, Mpjpe, Pcp, mpjpe, pcp};
+use super::joint_error::{Mpjpe, Pcp, mpjpe, pcp};
+use super::person_matching::{Frames, Matching};
 use super::shelf14::{Point, Shelf14, Skeleton, to_shelf14};
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::{Rigid, Similarity};
@@ -13,70 +15,7 @@ use crate::session::recording::UpAxis;
 use nalgebra::Vector3;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt;
-use std::io;
 use std::path::{Path, PathBuf};
-
-/// Why a result cannot be evaluated.
-#[derive(Debug, thiserror::Error)]
-pub enum EvaluationError {
-    /// A file cannot be read.
-    #[error("{}: {source}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The system's words.
-        source: io::Error,
-    },
-    /// A file is not the JSON that it should be.
-    #[error("{}: {source}", path.display())]
-    Json {
-        /// The file.
-        path: PathBuf,
-        /// What was found where.
-        source: serde_json::Error,
-    },
-    /// The joints of a file are none of ours.
-    #[error("{}: unknown joint names, beginning {:?}", path.display(), names.first())]
-    UnknownJoints {
-        /// The file.
-        path: PathBuf,
-        /// Its joints.
-        names: Vec<String>,
-    },
-    /// A person has too few or too many joints.
-    #[error("{}: frame {frame}, person {person}: {expected} joints expected, found {found}", path.display())]
-    Joints {
-        /// The file.
-        path: PathBuf,
-        /// The frame.
-        frame: i64,
-        /// The person.
-        person: String,
-        /// Joints that the file names.
-        expected: usize,
-        /// Joints that the person has.
-        found: usize,
-    },
-    /// Identities do not fit the session's detections.
-    #[error("camera {camera}, frame entry {frame}: {expected} identities expected, found {found}")]
-    Identities {
-        /// The camera.
-        camera: String,
-        /// Position of the frame in the camera's file.
-        frame: usize,
-        /// Detections of the session.
-        expected: usize,
-        /// Identities given.
-        found: usize,
-    },
-    /// The result holds nothing that can be compared.
-    #[error("{}: cameras.json, keypoints3d.json, poses3d.json or identities.json expected", result.display())]
-    Nothing {
-        /// The folder.
-        result: PathBuf,
-    },
-}
 
 /// How poses are compared.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -319,63 +258,4 @@ fn identity_rows(
         }
     }
     Ok(rows)
-}
-
-impl fmt::Display for Evaluation {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if let Some(cameras) = &self.cameras {
-            writeln!(f, "{:<22}{:>12}{:>12}{:>12}{:>10}", "cameras", "mm", "degrees", "px", "scale")?;
-            for errors in [&cameras.rigid, &cameras.sim3, &cameras.rigid_pose] {
-                write_camera_row(f, errors)?;
-            }
-            for (id, error) in &cameras.sim3.per_camera {
-                let label = format!("  sim3, camera {id}");
-                let px = number(error.reprojection_px, 2);
-                writeln!(f, "{label:<22}{:>12.2}{:>12.3}{px:>12}", error.position_mm, error.angle_deg)?;
-            }
-        }
-        if let Some(worst) = &self.cameras_relative {
-            writeln!(
-                f,
-                "worst camera pair     rotation {:.3}, direction {:.3} degrees",
-                worst.rotation_deg, worst.direction_deg
-            )?;
-        }
-        for poses in self.poses.iter().chain(&self.other_poses) {
-            write_poses(f, poses)?;
-        }
-        if let Some(identity) = &self.identity {
-            writeln!(f, "\n{:<22}{:>12}{:>12}{:>18}", "identities", "accuracy", "coverage", "swapped recall")?;
-            let recall = number(identity.swapped_recall, 4);
-            writeln!(f, "  {:<20}{:>12.4}{:>12.4}{recall:>18}", identity.n, identity.accuracy, identity.coverage)?;
-        }
-        Ok(())
-    }
-}
-
-fn write_camera_row(f: &mut fmt::Formatter<'_>, errors: &CameraErrors) -> fmt::Result {
-    let (mm, degrees) = (number(errors.position_mm, 2), number(errors.angle_deg, 3));
-    let px = number(errors.reprojection_px, 2);
-    writeln!(f, "  {:<20}{mm:>12}{degrees:>12}{px:>12}{:>10.4}", errors.mode.name(), errors.scale)
-}
-
-fn write_poses(f: &mut fmt::Formatter<'_>, poses: &PoseErrors) -> fmt::Result {
-    let (m, jitter) = (&poses.mpjpe, &poses.jitter);
-    writeln!(f, "\n{:<22}{:>12}{:>12}{:>12}{:>10}", poses.joints_from, "raw mm", "root mm", "aligned mm", "recall")?;
-    let rows = [("14 joints", m.raw14, m.root14, m.pa14), ("12 limb joints", m.raw12, m.root12, m.pa12)];
-    for (name, raw, root, aligned) in rows {
-        let (raw, root, aligned) = (number(raw, 2), number(root, 2), number(aligned, 2));
-        writeln!(f, "  {name:<20}{raw:>12}{root:>12}{aligned:>12}{:>10.4}", m.recall)?;
-    }
-    for (name, pcp) in [("PCP", &poses.pcp), ("PCP one to one", &poses.pcp_one2one)] {
-        let actors: Vec<String> =
-            pcp.per_actor.iter().map(|(actor, percent)| format!("{actor}: {percent:.1}")).collect();
-        writeln!(f, "  {name:<20}{:>12}   {}", number(pcp.average, 2), actors.join("  "))?;
-    }
-    let (solved, truth) = (number(jitter.pred.m_per_s2, 2), number(jitter.gt.m_per_s2, 2));
-    writeln!(f, "  {:<20}{solved:>12}   truth: {truth}", "jitter m/s^2")
-}
-
-fn number(value: Option<f64>, decimals: usize) -> String {
-    value.map_or_else(|| "-".to_owned(), |value| format!("{value:.decimals$}"))
 }
