@@ -1,9 +1,9 @@
 //! What a body is: skeleton, keypoint conventions, kinematics.
 
-pub mod bones;
-pub mod detector_noise;
 pub mod anthropometry;
+pub mod bones;
 pub mod default_body;
+pub mod detector_noise;
 pub mod joint_ranges;
 pub mod kinematics;
 pub mod model;

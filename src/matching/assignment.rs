@@ -4,7 +4,12 @@
 ///
 /// Shortest augmenting paths with potentials (Jonker and Volgenant 1987), O(n^3). `cost(row, column)` must be finite.
 /// Returns the column of each row.
-pub fn assign(n_rows: usize, n_columns: usize, forbidden: f64, cost: impl Fn(usize, usize) -> f64) -> Vec<Option<usize>> {
+pub fn assign(
+    n_rows: usize,
+    n_columns: usize,
+    forbidden: f64,
+    cost: impl Fn(usize, usize) -> f64,
+) -> Vec<Option<usize>> {
     if n_rows == 0 || n_columns == 0 {
         return vec![None; n_rows];
     }

@@ -20,11 +20,7 @@ const MAX_TRACKLETS: usize = 60;
 pub type Cluster = Vec<(usize, usize)>;
 
 /// Groups tracklets into people; never two of one view at one time. Clusters of at least two views, largest first.
-pub fn clusters(
-    views: &[ViewSightings],
-    tracklets: &[Vec<Tracklet>],
-    cameras: &[Option<Rigid>],
-) -> Vec<Cluster> {
+pub fn clusters(views: &[ViewSightings], tracklets: &[Vec<Tracklet>], cameras: &[Option<Rigid>]) -> Vec<Cluster> {
     let nodes = nodes(tracklets, cameras);
     let affinity = affinities(views, tracklets, cameras, &nodes);
     let mut groups = agglomerate(&nodes, tracklets, affinity);
@@ -55,26 +51,27 @@ fn affinities(
 ) -> Vec<Vec<f64>> {
     let row = |i: usize| {
         let (v, a) = nodes[i];
-        (0..i).map(|j| {
-            let (w, b) = nodes[j];
-            let (Some(first), Some(second)) = (cameras[v], cameras[w]) else { return 0.0 };
-            if v == w {
-                return 0.0;
-            }
-            let essential = essential_from_pose(&(second * first.inverse()));
-            let (s, t) = (&tracklets[v][a], &tracklets[w][b]);
-            let shared: Vec<(usize, usize, usize)> =
-                s.sightings.iter().filter_map(|&(f, p)| t.at(f).map(|q| (f, p, q))).collect();
-            let n = shared.len().min(MAX_FRAMES);
-            let sum: f64 = (0..n)
-                .map(|k| {
-                    let (f, p, q) = shared[k * shared.len() / n];
-                    similarity(&essential, &views[v].frames[f][p], &views[w].frames[f][q], VOTE_RADIUS) - NEUTRAL
-                })
-                .sum();
-            if n == 0 { 0.0 } else { sum * shared.len() as f64 / n as f64 }
-        })
-        .collect()
+        (0..i)
+            .map(|j| {
+                let (w, b) = nodes[j];
+                let (Some(first), Some(second)) = (cameras[v], cameras[w]) else { return 0.0 };
+                if v == w {
+                    return 0.0;
+                }
+                let essential = essential_from_pose(&(second * first.inverse()));
+                let (s, t) = (&tracklets[v][a], &tracklets[w][b]);
+                let shared: Vec<(usize, usize, usize)> =
+                    s.sightings.iter().filter_map(|&(f, p)| t.at(f).map(|q| (f, p, q))).collect();
+                let n = shared.len().min(MAX_FRAMES);
+                let sum: f64 = (0..n)
+                    .map(|k| {
+                        let (f, p, q) = shared[k * shared.len() / n];
+                        similarity(&essential, &views[v].frames[f][p], &views[w].frames[f][q], VOTE_RADIUS) - NEUTRAL
+                    })
+                    .sum();
+                if n == 0 { 0.0 } else { sum * shared.len() as f64 / n as f64 }
+            })
+            .collect()
     };
     (0..nodes.len()).into_par_iter().map(row).collect()
 }

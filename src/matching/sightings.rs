@@ -29,7 +29,8 @@ impl Sighting {
         let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
         for keypoint in &detection.keypoints[..n_keypoints] {
             let usable = keypoint.confidence >= MIN_CONFIDENCE;
-            let bearing = if usable { view.intrinsics.normalized_from_pixel(&keypoint.pixel) } else { Vector2::zeros() };
+            let bearing =
+                if usable { view.intrinsics.normalized_from_pixel(&keypoint.pixel) } else { Vector2::zeros() };
             if usable {
                 low = low.inf(&bearing);
                 high = high.sup(&bearing);

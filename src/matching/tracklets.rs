@@ -61,9 +61,7 @@ pub fn tracklets(view: &ViewSightings, fps: f64, config: &TrackletConfig) -> Vec
             open[tracklet].sightings.push((frame, person));
         }
         let taken: Vec<usize> = open.iter().filter_map(|t| t.at(frame)).collect();
-        open.extend(
-            (0..people.len()).filter(|p| !taken.contains(p)).map(|p| Tracklet { sightings: vec![(frame, p)] }),
-        );
+        open.extend((0..people.len()).filter(|p| !taken.contains(p)).map(|p| Tracklet { sightings: vec![(frame, p)] }));
     }
     closed.extend(open);
     closed.sort_by_key(|t| (t.first(), t.sightings[0].1));

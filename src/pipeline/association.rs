@@ -45,10 +45,8 @@ pub fn associate(
     let n_views = scene.views.len();
     let tracks: Vec<PersonTrack> = people.iter().enumerate().map(|(i, p)| as_track(i, p, n_views)).collect();
     let points = people.iter().enumerate().map(|(i, p)| as_points(i, p)).collect();
-    let metrics = BTreeMap::from([
-        ("people".to_owned(), people.len() as f64),
-        ("explained_share".to_owned(), explained),
-    ]);
+    let metrics =
+        BTreeMap::from([("people".to_owned(), people.len() as f64), ("explained_share".to_owned(), explained)]);
     let report = StageReport {
         stage: "association".to_owned(),
         iterations: scene.n_frames,

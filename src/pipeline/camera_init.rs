@@ -36,7 +36,8 @@ pub fn initial_rigs(
         .map(|&(a, b)| {
             progress.check()?;
             let evidence = PairEvidence::new(&views[a], &views[b], &frames, bones);
-            let pair = CameraPair { views: [&views[a], &views[b]], tracklets: [&tracklets[a], &tracklets[b]], evidence };
+            let pair =
+                CameraPair { views: [&views[a], &views[b]], tracklets: [&tracklets[a], &tracklets[b]], evidence };
             let hypotheses = pair_hypotheses(&pair, mix(seed, (a * views.len() + b) as u64), &config);
             Ok(((a, b), hypotheses, pair.evidence))
         })

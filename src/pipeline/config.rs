@@ -75,7 +75,10 @@ impl Options {
             return refuse("/intrinsics", "refine_focal is not supported yet; use \"fixed\"".to_owned());
         }
         if self.sync == Sync::Estimate {
-            return refuse("/sync", "estimate is not supported yet; synchronise the frames and use \"given\"".to_owned());
+            return refuse(
+                "/sync",
+                "estimate is not supported yet; synchronise the frames and use \"given\"".to_owned(),
+            );
         }
         if self.body != "default" {
             return refuse("/body", format!("{:?} is not a registered body; use \"default\"", self.body));

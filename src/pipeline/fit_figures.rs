@@ -73,9 +73,7 @@ pub fn camera_reports(
     tracks: &[PersonTrack],
     distances: &Distances,
 ) -> Vec<CameraReport> {
-    let given = |view: usize| {
-        tracks.iter().flat_map(|t| &t.detections).filter(|claim| claim[view].is_some()).count()
-    };
+    let given = |view: usize| tracks.iter().flat_map(|t| &t.detections).filter(|claim| claim[view].is_some()).count();
     session
         .views
         .iter()

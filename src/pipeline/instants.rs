@@ -32,9 +32,8 @@ pub fn instants(
     allowed: FrameFilter,
 ) -> Vec<Instant> {
     let sigmas = keypoint_sigmas(session.convention);
-    let candidates: Vec<Vec<(usize, usize)>> = (0..association.tracks.len())
-        .map(|p| candidates(association, cameras, p, allowed))
-        .collect();
+    let candidates: Vec<Vec<(usize, usize)>> =
+        (0..association.tracks.len()).map(|p| candidates(association, cameras, p, allowed)).collect();
     let total: usize = candidates.iter().map(Vec::len).sum();
     let mut chosen = Vec::new();
     for (person, frames) in candidates.iter().enumerate() {
@@ -58,7 +57,8 @@ fn candidates(
     allowed: FrameFilter,
 ) -> Vec<(usize, usize)> {
     let track = &association.tracks[person];
-    let n_views = |claim: &[Option<usize>]| claim.iter().zip(cameras).filter(|(d, c)| d.is_some() && c.is_some()).count();
+    let n_views =
+        |claim: &[Option<usize>]| claim.iter().zip(cameras).filter(|(d, c)| d.is_some() && c.is_some()).count();
     track
         .detections
         .iter()
@@ -85,7 +85,8 @@ fn instant(
     for (view, detection) in track.detections[t].iter().enumerate() {
         let (Some(detection), Some(camera)) = (detection, &cameras[view]) else { continue };
         let intrinsics = &session.views[view].intrinsics;
-        for (keypoint, k) in session.views[view].frames[frame][*detection].keypoints[..sigmas.len()].iter().enumerate() {
+        for (keypoint, k) in session.views[view].frames[frame][*detection].keypoints[..sigmas.len()].iter().enumerate()
+        {
             let Some(point) = guess[keypoint].filter(|_| k.confidence >= MIN_CONFIDENCE) else { continue };
             let depth = (camera.transform(&point).z * budget.metres_per_unit).max(0.3);
             let sigma_px = budget.noise * sigmas[keypoint] * intrinsics.focal() / depth / k.confidence.sqrt();

@@ -67,7 +67,8 @@ pub fn joint_trajectories(
         let paths: Vec<Path> = (0..names.len())
             .into_par_iter()
             .map(|k| {
-                let limb = ["wrist", "elbow", "ankle", "knee", "toe", "heel", "hand", "foot", "index", "pinky", "thumb"];
+                let limb =
+                    ["wrist", "elbow", "ankle", "knee", "toe", "heel", "hand", "foot", "index", "pinky", "thumb"];
                 let is_limb = limb.iter().any(|part| names[k].ends_with(part));
                 let density = if is_limb { config.limb_acceleration } else { config.trunk_acceleration };
                 path(input, track, start, k, sigmas[k], density, config)

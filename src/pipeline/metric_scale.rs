@@ -34,7 +34,9 @@ pub fn metric_scale(
     match &capture.options.scale {
         ScaleSource::Body => Ok(from_bones(capture, paths)),
         ScaleSource::Height { metres, who } => from_height(capture, calibration, paths, *metres, who).map(Some),
-        ScaleSource::CameraDistance { cameras, metres } => from_distance(capture, calibration, cameras, *metres).map(Some),
+        ScaleSource::CameraDistance { cameras, metres } => {
+            from_distance(capture, calibration, cameras, *metres).map(Some)
+        }
     }
 }
 
@@ -76,9 +78,9 @@ fn from_height(
     let heights: Vec<Option<f64>> = paths.iter().map(|p| standing_height(capture, p)).collect();
     let chosen = match who.parse::<i64>() {
         Ok(id) => person_of_track(capture, calibration, id),
-        Err(_) => (0..heights.len()).filter(|&i| heights[i].is_some()).max_by(|&a, &b| {
-            heights[a].unwrap_or(0.0).total_cmp(&heights[b].unwrap_or(0.0))
-        }),
+        Err(_) => (0..heights.len())
+            .filter(|&i| heights[i].is_some())
+            .max_by(|&a, &b| heights[a].unwrap_or(0.0).total_cmp(&heights[b].unwrap_or(0.0))),
     };
     match chosen.and_then(|i| heights[i]) {
         Some(height) => {
@@ -87,14 +89,17 @@ fn from_height(
         }
         None => Err(PipelineError::Option {
             option: "/scale/who",
-            reason: format!("{who:?}: nobody of that name was seen standing from head to foot; choose another or \"tallest\""),
+            reason: format!(
+                "{who:?}: nobody of that name was seen standing from head to foot; choose another or \"tallest\""
+            ),
         }),
     }
 }
 
 fn standing_height(capture: &Capture, path: &JointTrajectory) -> Option<f64> {
     let index = |name: &str| capture.session.convention.index_of(name);
-    let heads: Vec<usize> = ["left_eye", "right_eye", "left_ear", "right_ear", "nose"].iter().filter_map(|n| index(n)).collect();
+    let heads: Vec<usize> =
+        ["left_eye", "right_eye", "left_ear", "right_ear", "nose"].iter().filter_map(|n| index(n)).collect();
     let ankles = [index("left_ankle")?, index("right_ankle")?];
     let mean = |points: &[Option<Vector3<f64>>], of: &[usize]| {
         let found: Vec<Vector3<f64>> = of.iter().filter_map(|&k| points[k]).collect();

@@ -23,8 +23,8 @@ use crate::session::{Reconstruction, Session};
 use bundle_adjustment::CameraFreedom;
 use calibration::{Calibration, estimate_cameras, from_given_cameras, heldout_px};
 use config::Extrinsics;
-use result::Findings;
 pub use config::Options;
+use result::Findings;
 
 /// Why a capture cannot be solved at all.
 #[derive(Debug, thiserror::Error)]

@@ -130,7 +130,8 @@ impl Findings {
         let n_detections: usize = cameras.iter().map(|c| c.n_detections).sum();
         let n_rejected: usize = cameras.iter().map(|c| c.n_rejected_detections).sum();
         let adjusted = self.calibration.adjusted.as_ref();
-        let sigmas = adjusted.map(|a| a.cameras.iter().filter_map(|c| c.uncertainty).map(|u| u.sigma_angle.to_degrees()));
+        let sigmas =
+            adjusted.map(|a| a.cameras.iter().filter_map(|c| c.uncertainty).map(|u| u.sigma_angle.to_degrees()));
         let placed: Vec<bool> = self.calibration.cameras.iter().map(Option::is_some).collect();
         let track_secs: Vec<f64> = tracks.iter().map(|t| t.detections.len() as f64 / session.fps).collect();
         let evidence = Evidence {

@@ -50,7 +50,8 @@ pub fn quality(evidence: &Evidence) -> Quality {
         camera_reasons(evidence, n_placed, &mut reasons);
     }
     if evidence.track_secs.is_empty() && n_placed >= 2 {
-        let text = "nobody was seen by two cameras at once for 0.3 s; check that the cameras overlap and are synchronised";
+        let text =
+            "nobody was seen by two cameras at once for 0.3 s; check that the cameras overlap and are synchronised";
         reasons.push((Verdict::Reject, text.to_owned()));
     }
     let verdict = reasons.iter().map(|(v, _)| *v).max().unwrap_or(Verdict::Pass);
@@ -93,7 +94,8 @@ fn camera_reasons(evidence: &Evidence, n_placed: usize, reasons: &mut Vec<(Verdi
         }
         None if n_placed >= 2 => reasons.push((
             Verdict::Warn,
-            "the uncertainty of the cameras could not be computed: too few points are shared; record people longer".to_owned(),
+            "the uncertainty of the cameras could not be computed: too few points are shared; record people longer"
+                .to_owned(),
         )),
         _ => {}
     }
@@ -106,7 +108,8 @@ fn camera_reasons(evidence: &Evidence, n_placed: usize, reasons: &mut Vec<(Verdi
     }
     let seconds: f64 = evidence.track_secs.iter().sum();
     if seconds < SHORT_SECS && !evidence.track_secs.is_empty() {
-        let text = format!("little evidence: {seconds:.1} s of people in all (expected above {SHORT_SECS} s); record longer");
+        let text =
+            format!("little evidence: {seconds:.1} s of people in all (expected above {SHORT_SECS} s); record longer");
         reasons.push((Verdict::Warn, text));
     }
 }

@@ -41,6 +41,28 @@ pub struct Arm {
     pub swing: f64,
 }
 
+impl Posture {
+    /// Combines two postures number by number.
+    pub(super) fn zip(&self, other: &Self, f: impl Fn(f64, f64) -> f64) -> Self {
+        let arm = |a: &Arm, b: &Arm| Arm {
+            flexion: f(a.flexion, b.flexion),
+            abduction: f(a.abduction, b.abduction),
+            elbow: f(a.elbow, b.elbow),
+            swing: f(a.swing, b.swing),
+        };
+        Self {
+            crouch: f(self.crouch, other.crouch),
+            sit: f(self.sit, other.sit),
+            lean: f(self.lean, other.lean),
+            trunk_yaw: f(self.trunk_yaw, other.trunk_yaw),
+            trunk_roll: f(self.trunk_roll, other.trunk_roll),
+            head_yaw: f(self.head_yaw, other.head_yaw),
+            head_pitch: f(self.head_pitch, other.head_pitch),
+            arms: [arm(&self.arms[0], &other.arms[0]), arm(&self.arms[1], &other.arms[1])],
+        }
+    }
+}
+
 /// Where a person is on the floor and in their stride.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stance {

@@ -2,10 +2,10 @@
 //!
 //! In reading order:
 //!
-//! - [`config`]: what is simulated: presets, rigs, noise
+//! - [`config`], [`presets`]: what is simulated: people, cameras, noise
 //! - [`skeleton`]: the simulated body, deliberately not the one that is fitted
 //! - [`choreography`], [`gait`]: people who walk, stop, turn, crouch, sit, reach and gesture
-//! - [`motion_file`]: people from motion capture (AMASS layout), put on the floor
+//! - [`motion_file`], [`placement`]: people from motion capture (AMASS layout), put on the floor
 //! - [`landmarks`]: the points a detector looks for, from a posed skeleton
 //! - [`rig`]: cameras around the scene
 //! - [`occlusion`], [`detector`]: what each camera's detector and tracker report
@@ -20,15 +20,19 @@ pub mod detector;
 pub mod gait;
 pub mod landmarks;
 pub mod motion_file;
+mod mover;
+mod observer;
 pub mod occlusion;
+pub mod placement;
+pub mod presets;
 mod random;
 pub mod rig;
 pub mod skeleton;
+mod tracker;
 pub mod truth;
 
-pub use config::{
-    Arrangement, MotionSource, NoiseConfig, Preset, RigConfig, SimulationConfig, Tracks, random_rig_config,
-};
+pub use config::{Arrangement, MotionSource, NoiseConfig, RigConfig, SimulationConfig, Tracks};
+pub use presets::{Preset, random_rig_config};
 pub use truth::{Simulated, Statistics, Truth, write_truth};
 
 use crate::body::skeleton::KeypointConvention;
@@ -105,7 +109,7 @@ pub fn simulate(config: &SimulationConfig) -> Result<Simulated, SimulationError>
 fn people_in_motion(config: &SimulationConfig) -> Result<Vec<Person>, SimulationError> {
     match &config.motion {
         MotionSource::Procedural => Ok(choreography::procedural_people(config)),
-        MotionSource::Files(paths) => motion_file::people_from_files(paths, config),
+        MotionSource::Files(paths) => placement::people_from_files(paths, config),
     }
 }
 

@@ -76,13 +76,7 @@ impl TrackedPerson {
     }
 
     /// Takes the claimed detections of a frame; views that contradict the others are given back in `claim`.
-    pub(super) fn update(
-        &mut self,
-        scene: &Scene,
-        config: &TrackerConfig,
-        frame: usize,
-        claim: &mut [Option<usize>],
-    ) {
+    pub(super) fn update(&mut self, scene: &Scene, config: &TrackerConfig, frame: usize, claim: &mut [Option<usize>]) {
         let predicted = self.predict(frame, scene.fps);
         let skeleton = loop {
             let seen: Vec<(usize, &Sighting)> = sightings_of(scene, frame, claim);
@@ -107,8 +101,11 @@ impl TrackedPerson {
     fn learn_velocity(&mut self, skeleton: &Skeleton, frame: usize, fps: f64) {
         let seconds = (frame - self.last_seen()) as f64 / fps;
         let shift = |axis: usize| {
-            let mut moves: Vec<f64> =
-                skeleton.iter().zip(self.last_skeleton()).filter_map(|(a, b)| Some((*a)?[axis] - (*b)?[axis])).collect();
+            let mut moves: Vec<f64> = skeleton
+                .iter()
+                .zip(self.last_skeleton())
+                .filter_map(|(a, b)| Some((*a)?[axis] - (*b)?[axis]))
+                .collect();
             median(&mut moves).unwrap_or(0.0) / seconds
         };
         let measured = Vector3::new(shift(0), shift(1), shift(2));
@@ -124,11 +121,7 @@ impl TrackedPerson {
 /// Nobody's middle moves faster indoors, m/s.
 const MAX_SPEED: f64 = 6.0;
 
-pub(super) fn sightings_of<'a>(
-    scene: &Scene<'a>,
-    frame: usize,
-    claim: &[Option<usize>],
-) -> Vec<(usize, &'a Sighting)> {
+pub(super) fn sightings_of<'a>(scene: &Scene<'a>, frame: usize, claim: &[Option<usize>]) -> Vec<(usize, &'a Sighting)> {
     claim.iter().enumerate().filter_map(|(v, d)| d.map(|d| (v, &scene.views[v].frames[frame][d]))).collect()
 }
 
