@@ -63,7 +63,7 @@ fn a_session_lost_from_the_disk_fails_its_job_with_a_cause() {
 }
 
 #[test]
-fn a_second_signal_stops_at_once() {
+fn an_idle_service_stops_at_an_interrupt() {
     let data = tempfile::tempdir().unwrap();
     let mut process = crate::server::command(data.path()).stdout(std::process::Stdio::null()).spawn().unwrap();
     std::thread::sleep(Duration::from_millis(500));

@@ -4,6 +4,7 @@ use super::job::{Ending, JobError, JobProgress, Phase};
 use super::recovery::{Recovered, recover};
 use super::*;
 use crate::service::store::sessions::{self, SessionSummary};
+use std::collections::BTreeMap;
 use tempfile::TempDir;
 
 struct Rig {
