@@ -148,6 +148,15 @@ impl KeypointConvention {
         self.names().iter().position(|n| *n == name)
     }
 
+    /// Pairs of keypoints whose distance a person keeps: limbs and, where the convention has them, feet and face.
+    pub fn bones(self) -> Vec<(usize, usize)> {
+        let index = |side: &str, name: &str| self.index_of(&format!("{side}_{name}"));
+        let pair = |side: &str, (a, b): (&str, &str)| Some((index(side, a)?, index(side, b)?));
+        let of_side = |side| SIDE_BONES.iter().filter_map(move |&bone| pair(side, bone));
+        let across = ["eye", "hip"].iter().filter_map(|name| Some((index("left", name)?, index("right", name)?)));
+        of_side("left").chain(of_side("right")).chain(across).collect()
+    }
+
     /// For each named keypoint its left/right counterpart (itself on the midline).
     pub fn mirror(self) -> Vec<usize> {
         let names = self.names();
@@ -158,6 +167,19 @@ impl KeypointConvention {
         names.iter().enumerate().map(|(i, n)| self.index_of(&twin(n)).unwrap_or(i)).collect()
     }
 }
+
+/// Rigid pairs of one side.
+const SIDE_BONES: [(&str, &str); 9] = [
+    ("hip", "knee"),
+    ("knee", "ankle"),
+    ("shoulder", "elbow"),
+    ("elbow", "wrist"),
+    ("ankle", "heel"),
+    ("ankle", "foot"),
+    ("heel", "big_toe"),
+    ("big_toe", "small_toe"),
+    ("eye", "ear"),
+];
 
 const COCO18_NAMES: [&str; 18] = [
     "nose",
@@ -337,6 +359,18 @@ mod tests {
             assert_eq!(KeypointConvention::parse(c.name()), Some(c));
             let m = c.mirror();
             assert!(m.iter().enumerate().all(|(i, &j)| m[j] == i), "{}", c.name());
+        }
+    }
+
+    #[test]
+    fn every_convention_has_the_limbs_and_bones_mirror() {
+        for c in KeypointConvention::ALL {
+            let (bones, mirror) = (c.bones(), c.mirror());
+            assert!(bones.len() >= 9, "{}", c.name());
+            for (a, b) in &bones {
+                let twin = (mirror[*a], mirror[*b]);
+                assert!(bones.contains(&twin) || bones.contains(&(twin.1, twin.0)), "{}", c.name());
+            }
         }
     }
 

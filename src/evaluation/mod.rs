@@ -1,1 +1,29 @@
-//! evaluation
+//! Errors of cameras, poses and identities against truth.
+//!
+//! - [`alignment`]: the transform between the result's world and the truth's
+//! - [`camera_error`]: position, orientation and reprojection of cameras; relative errors, which need no alignment
+//! - [`shelf14`]: every skeleton as the 14 joints that pose errors are defined on
+//! - [`person_matching`], [`joint_error`]: PCP and MPJPE
+//! - [`jitter`]: mean acceleration
+//! - [`identity_error`]: who was taken for whom
+//! - [`documents`]: the files that all of it is read from
+//! - [`report`]: one result against one truth, as a table and as JSON
+
+pub mod alignment;
+pub mod camera_error;
+pub mod documents;
+pub mod error;
+pub mod identity_error;
+pub mod jitter;
+pub mod joint_error;
+pub mod person_matching;
+pub mod report;
+pub mod shelf14;
+mod table;
+
+pub use camera_error::{CameraPair, camera_errors, relative_camera_error};
+pub use error::EvaluationError;
+pub use report::{Evaluation, EvaluationOptions, evaluate};
+
+#[cfg(test)]
+mod reference_tests;

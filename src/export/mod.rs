@@ -1,55 +1,99 @@
-//! Stand-in in this worktree only.
-#![allow(missing_docs)]
+//! The result folder, one file a format: what `wandless reconstruct --out` and a job's artifacts hold.
+//!
+//! World: right-handed, metres; `x_camera = R x_world + t` with OpenCV's camera axes. Frames carry the session's own
+//! numbers. The same reconstruction gives the same bytes: no clock, no map whose order could change.
+
+mod cameras;
+mod files;
+mod identities;
+mod joints;
+mod manifest;
+mod people;
+mod smpl_npz;
+
+#[cfg(test)]
+mod tests;
 
 use crate::session::reconstruction::ExportFormat;
 use crate::session::{Reconstruction, Session};
-use serde_json::json;
-use sha2::Digest;
+use files::ResultFiles;
 use std::io;
 use std::path::Path;
 
+/// What a result says of its own making.
+#[derive(Debug, Clone, PartialEq)]
 pub struct ResultContext<'a> {
+    /// Digest of the input (`LoadedSession::sha256`).
     pub input_sha256: &'a str,
+    /// The options as they were in force.
     pub options: serde_json::Value,
+    /// Version of the program.
     pub solver_version: &'a str,
+    /// Formats to write beside the JSON files.
     pub exports: &'a [ExportFormat],
 }
 
-pub fn supported(format: ExportFormat) -> bool {
-    format == ExportFormat::SmplNpz
+/// Why a result cannot be written as asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum ExportError {
+    /// There is no writer of the format.
+    #[error("the format {} cannot be written, smpl_npz can", name(*format))]
+    Unsupported {
+        /// The format asked for.
+        format: ExportFormat,
+    },
 }
 
+/// Whether the format can be written.
+pub fn supported(format: ExportFormat) -> bool {
+    matches!(format, ExportFormat::SmplNpz)
+}
+
+/// Whether every format can be written: to be asked before any work is done.
+///
+/// # Errors
+/// [`ExportError::Unsupported`] for the first that cannot.
+pub fn check(exports: &[ExportFormat]) -> Result<(), ExportError> {
+    match exports.iter().find(|format| !supported(**format)) {
+        Some(&format) => Err(ExportError::Unsupported { format }),
+        None => Ok(()),
+    }
+}
+
+/// The format's name in options and messages.
+pub fn name(format: ExportFormat) -> String {
+    match serde_json::to_value(format) {
+        Ok(serde_json::Value::String(name)) => name,
+        _ => format!("{format:?}"),
+    }
+}
+
+/// Writes every file of a result into `dir`, which is made where it is missing; the manifest comes last.
+///
+/// Numbers are finite or null. Metres and radians are rounded to 1e-6, the poses of cameras are not. Files of an earlier
+/// result that this one does not have are left alone and not listed in the manifest.
+///
+/// # Errors
+/// Whatever writing fails with; `Unsupported` around an [`ExportError`] where a format cannot be written.
 pub fn write_result(
     dir: &Path,
     session: &Session,
     context: &ResultContext<'_>,
     reconstruction: &Reconstruction,
 ) -> io::Result<()> {
-    let cameras: Vec<_> = session
-        .views
-        .iter()
-        .zip(&reconstruction.cameras)
-        .map(|(view, camera)| {
-            let position = camera.camera_from_world.map(|c| c.center().as_slice().to_vec());
-            json!({"id": view.id, "status": if position.is_some() {"solved"} else {"unsolved"},
-                "position": position, "n_observations": camera.n_observations, "reprojection_px": camera.reprojection_px})
-        })
-        .collect();
-    let files = [
-        ("cameras.json", json!({"units": "m", "cameras": cameras})),
-        ("people.json", json!({"units": "m", "people": []})),
-        ("report.json", serde_json::to_value(&reconstruction.report)?),
-        ("smpl/about.json", json!({"people": 0})),
-    ];
-    std::fs::create_dir_all(dir.join("smpl"))?;
-    let mut listed = Vec::new();
-    for (name, value) in files {
-        let text = value.to_string();
-        let sha256: String = sha2::Sha256::digest(text.as_bytes()).iter().map(|b| format!("{b:02x}")).collect();
-        listed.push(json!({"name": name, "bytes": text.len(), "sha256": sha256, "media_type": "application/json"}));
-        std::fs::write(dir.join(name), text)?;
+    check(context.exports).map_err(|e| io::Error::new(io::ErrorKind::Unsupported, e))?;
+    let mut files = ResultFiles::create(dir)?;
+    files.json("cameras.json", &cameras::cameras(session, reconstruction))?;
+    files.json("people.json", &people::people(session, reconstruction))?;
+    files.json("poses3d.json", &joints::body_joints(session, reconstruction))?;
+    files.json("keypoints3d.json", &joints::keypoints(session, reconstruction))?;
+    files.json("identities.json", &identities::Identities { session, reconstruction })?;
+    files.json("report.json", &reconstruction.report)?;
+    for format in context.exports {
+        if *format == ExportFormat::SmplNpz {
+            smpl_npz::write(&mut files, session, reconstruction)?;
+        }
     }
-    let manifest = json!({"files": listed, "input_sha256": context.input_sha256, "options": context.options,
-        "solver_version": context.solver_version});
-    std::fs::write(dir.join("manifest.json"), manifest.to_string())
+    let manifest = manifest::manifest(session, context, reconstruction, files.written().to_vec());
+    files.json("manifest.json", &manifest)
 }

@@ -129,3 +129,6 @@ impl Intrinsics {
         n
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,1 +1,160 @@
-//! Two views: essential matrix, Sampson distance, Plücker rays.
+//! Two views: essential matrix, Sampson distance, depths, Plücker rays.
+//!
+//! Points are ideal normalised coordinates, `a` in the first view, `b` in the second; `E = [t]x R` of
+//! `second_from_first`, so that `(b, 1)^T E (a, 1) = 0`.
+
+use super::{Rigid, rotation, svd};
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+/// A pair of corresponding points: ideal normalised coordinates in the first and in the second view.
+pub type PointPair = (Vector2<f64>, Vector2<f64>);
+
+/// `E = [t]x R`; Frobenius norm sqrt 2 for a baseline of length 1.
+pub fn essential_from_pose(second_from_first: &Rigid) -> Matrix3<f64> {
+    rotation::skew(&second_from_first.translation) * second_from_first.rotation
+}
+
+/// Squared Sampson distance (normalised units; times the focal length squared: px^2).
+///
+/// `(b^T E a)^2 / ((E a)_1^2 + (E a)_2^2 + (E^T b)_1^2 + (E^T b)_2^2)`: Hartley and Zisserman, Eq. (11.9). Independent
+/// of the scale of E. At both epipoles at once it is 0 / 0 and reported as 0.
+pub fn sampson_squared(essential: &Matrix3<f64>, a: &Vector2<f64>, b: &Vector2<f64>) -> f64 {
+    let e = essential;
+    let (lx, ly) = (e.m11 * a.x + e.m12 * a.y + e.m13, e.m21 * a.x + e.m22 * a.y + e.m23);
+    let (mx, my) = (e.m11 * b.x + e.m21 * b.y + e.m31, e.m12 * b.x + e.m22 * b.y + e.m32);
+    let algebraic = b.x * lx + b.y * ly + e.m31 * a.x + e.m32 * a.y + e.m33;
+    let slope2 = lx * lx + ly * ly + mx * mx + my * my;
+    if slope2 > 0.0 { algebraic * algebraic / slope2 } else { 0.0 }
+}
+
+/// A signed Sampson distance and its derivatives.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SampsonGradient {
+    /// The distance; its square is [`sampson_squared`].
+    pub distance: f64,
+    /// Derivative to a left turn, `R <- exp(phi) R` (the translation is not turned).
+    pub rotation: Vector3<f64>,
+    /// Derivative to the translation; orthogonal to it, since scale does not matter.
+    pub translation: Vector3<f64>,
+}
+
+/// The Sampson distance of a relative pose with its derivatives.
+///
+/// With `q = R a`, `p = b x t`, `l = t x q = E a`, `m = R^T p = E^T b`, `r = (b . l) / sqrt(g)`:
+/// `dr = u . dl + v . dm`, `u = b / sqrt(g) - k (l_1, l_2, 0)`, `v = -k (m_1, m_2, 0)`, `k = (b . l) / g^(3/2)`;
+/// then `dr/dphi = q x (u x t) + (R v) x p` and `dr/dt = q x u + (R v) x b`. `None` at both epipoles, where g vanishes.
+pub fn sampson_gradient(second_from_first: &Rigid, a: &Vector2<f64>, b: &Vector2<f64>) -> Option<SampsonGradient> {
+    let (turn, t, b) = (&second_from_first.rotation, &second_from_first.translation, b.push(1.0));
+    let (q, p) = (turn * a.push(1.0), b.cross(t));
+    let (l, m) = (t.cross(&q), turn.tr_mul(&p));
+    let g = l.x * l.x + l.y * l.y + m.x * m.x + m.y * m.y;
+    if g <= 0.0 {
+        return None;
+    }
+    let (algebraic, inverse) = (b.dot(&l), 1.0 / g.sqrt());
+    let k = algebraic * inverse / g;
+    let u = b * inverse - Vector3::new(l.x, l.y, 0.0) * k;
+    let s = turn * Vector3::new(-k * m.x, -k * m.y, 0.0);
+    Some(SampsonGradient {
+        distance: algebraic * inverse,
+        rotation: q.cross(&u.cross(t)) + s.cross(&p),
+        translation: q.cross(&u) + s.cross(&b),
+    })
+}
+
+/// The four relative poses (`second_from_first`, baseline 1) of an essential matrix of either sign.
+///
+/// `R = U W V^T` or `U W^T V^T`, `t = +-u_3`: Hartley and Zisserman, result 9.19. A matrix with unequal singular values
+/// gives the poses of the nearest essential matrix.
+pub fn poses_from_essential(essential: &Matrix3<f64>) -> [Rigid; 4] {
+    let svd = svd::decompose(essential);
+    // The third singular value is zero: its vectors may be flipped to make both factors rotations.
+    let proper = |mut m: Matrix3<f64>| {
+        let sign = m.determinant().signum();
+        m.column_mut(2).scale_mut(sign);
+        m
+    };
+    let (u, v) = (proper(svd.u), proper(svd.v));
+    let quarter = Matrix3::new(0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0);
+    let (one, other) = (u * quarter * v.transpose(), u * quarter.transpose() * v.transpose());
+    let translation: Vector3<f64> = u.column(2).into_owned();
+    [(one, translation), (one, -translation), (other, translation), (other, -translation)]
+        .map(|(rotation, translation)| Rigid { rotation, translation })
+}
+
+/// Depths (z, in units of the baseline's length) of one point in two views.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PairDepths {
+    /// In the first view.
+    pub first: f64,
+    /// In the second view.
+    pub second: f64,
+}
+
+/// Depths of a point pair by linear triangulation, from `z_b b = z_a R a + t`: least-squares solutions of
+/// `z_a (b x R a) = t x b` and `z_b (b x R a) = t x R a`. `None` for parallel rays.
+pub fn pair_depths(second_from_first: &Rigid, a: &Vector2<f64>, b: &Vector2<f64>) -> Option<PairDepths> {
+    let t = &second_from_first.translation;
+    let (q, b) = (second_from_first.rotation * a.push(1.0), b.push(1.0));
+    let normal = b.cross(&q);
+    let squared = normal.norm_squared();
+    if squared <= 1e-24 * q.norm_squared() * b.norm_squared() {
+        return None;
+    }
+    Some(PairDepths { first: t.cross(&b).dot(&normal) / squared, second: t.cross(&q).dot(&normal) / squared })
+}
+
+/// Whether a point pair lies in front of both views.
+pub fn in_front(second_from_first: &Rigid, a: &Vector2<f64>, b: &Vector2<f64>) -> bool {
+    pair_depths(second_from_first, a, b).is_some_and(|z| z.first > 0.0 && z.second > 0.0)
+}
+
+/// How many pairs lie in front of both views.
+pub fn cheirality_count(second_from_first: &Rigid, pairs: &[PointPair]) -> usize {
+    pairs.iter().filter(|(a, b)| in_front(second_from_first, a, b)).count()
+}
+
+/// A line of sight in the world in Plücker coordinates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ray {
+    /// Unit direction, away from the camera.
+    pub direction: Vector3<f64>,
+    /// `point x direction` of any point on the line, m.
+    pub moment: Vector3<f64>,
+}
+
+/// Below this sine two rays count as parallel: the gap's numerator would be all rounding.
+const PARALLEL_SINE: f64 = 1e-9;
+
+impl Ray {
+    /// The ray through ideal normalised coordinates of a camera.
+    pub fn through(camera_from_world: &Rigid, normalized: &Vector2<f64>) -> Self {
+        let direction = camera_from_world.rotation.tr_mul(&normalized.push(1.0)).normalize();
+        Self { direction, moment: camera_from_world.center().cross(&direction) }
+    }
+
+    /// The point of the line that is nearest to the world's origin.
+    pub fn foot(&self) -> Vector3<f64> {
+        self.direction.cross(&self.moment)
+    }
+}
+
+/// Distance of a point to a ray's line, m: `|x x n - l|`.
+pub fn ray_point_distance(ray: &Ray, point: &Vector3<f64>) -> f64 {
+    (point.cross(&ray.direction) - ray.moment).norm()
+}
+
+/// The gap between two rays' lines, m: `|n_i . l_j + n_j . l_i| / |n_i x n_j|`; for parallel lines their distance.
+///
+/// The numerator alone is the gap times the sine of the angle and under-reports for nearly parallel rays. The lines
+/// may be nearest behind the cameras; depth is not looked at.
+pub fn ray_ray_distance(one: &Ray, other: &Ray) -> f64 {
+    let sine = one.direction.cross(&other.direction).norm();
+    if sine < PARALLEL_SINE {
+        return ray_point_distance(one, &other.foot());
+    }
+    (one.direction.dot(&other.moment) + other.direction.dot(&one.moment)).abs() / sine
+}
+
+#[cfg(test)]
+mod tests;

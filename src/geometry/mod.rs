@@ -2,9 +2,13 @@
 
 pub mod camera;
 pub mod epipolar;
+pub mod five_point;
+pub mod p3p;
+pub mod polynomial;
 pub mod rigid;
 pub mod rotation;
 pub mod similarity;
+pub mod svd;
 pub mod triangulation;
 
 pub use camera::Intrinsics;

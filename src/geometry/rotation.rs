@@ -1,5 +1,6 @@
-//! SO(3): exponential, logarithm, their Jacobians, the 6D form.
+//! SO(3): exponential, logarithm, their Jacobians, the 6D form, nearest and mean rotations.
 
+use super::svd;
 use nalgebra::{Matrix3, Vector3};
 
 /// `[a]x`, so that `[a]x b = a x b`.
@@ -27,3 +28,109 @@ pub fn log(r: &Matrix3<f64>) -> Vector3<f64> {
     let s = v.norm();
     if s < 1e-12 { v * 2.0 } else { v * (2.0 * s.atan2(w) / s) }
 }
+
+/// `J_l(w) = I + (1 - cos t) / t^2 [w]x + (t - sin t) / t^3 [w]x^2`, `t = |w|`: `exp(w + d) = exp(J_l d) exp(w)` to
+/// first order in d.
+pub fn left_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
+    let t2 = w.norm_squared();
+    let t = t2.sqrt();
+    let (a, b) = if t < SMALL_ANGLE {
+        (0.5 - t2 / 24.0, 1.0 / 6.0 - t2 / 120.0)
+    } else {
+        let half_chord = (0.5 * t).sin() / t; // 1 - cos t = 2 sin^2(t / 2), without its cancellation
+        (2.0 * half_chord * half_chord, (t - t.sin()) / (t2 * t))
+    };
+    let k = skew(w);
+    Matrix3::identity() + k * a + k * k * b
+}
+
+/// `J_r(w) = J_l(-w)`: `exp(w + d) = exp(w) exp(J_r d)` to first order in d.
+pub fn right_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
+    left_jacobian(&-w)
+}
+
+/// `J_l(w)^-1 = I - [w]x / 2 + (1 - (t / 2) cot(t / 2)) / t^2 [w]x^2`: `log(exp(d) exp(w)) = w + J_l^-1 d` to first
+/// order in d. It does not exist at `t = 2 pi`; regular at pi.
+pub fn left_jacobian_inverse(w: &Vector3<f64>) -> Matrix3<f64> {
+    let t2 = w.norm_squared();
+    let t = t2.sqrt();
+    let b = if t < SMALL_ANGLE { 1.0 / 12.0 + t2 / 720.0 } else { (1.0 - 0.5 * t / (0.5 * t).tan()) / t2 };
+    let k = skew(w);
+    Matrix3::identity() - k * 0.5 + k * k * b
+}
+
+/// `J_r(w)^-1 = J_l(-w)^-1`: `log(exp(w) exp(d)) = w + J_r^-1 d` to first order in d.
+pub fn right_jacobian_inverse(w: &Vector3<f64>) -> Matrix3<f64> {
+    left_jacobian_inverse(&-w)
+}
+
+/// Angle between two rotations, rad, 0 to pi.
+pub fn angle_between(a: &Matrix3<f64>, b: &Matrix3<f64>) -> f64 {
+    log(&(a.transpose() * b)).norm()
+}
+
+/// The rotation nearest to a matrix in Frobenius norm: `U diag(1, 1, det U V^T) V^T` (Umeyama 1991, Lemma).
+///
+/// Where it is not unique (rank below 2, or a reflection with two equal smallest singular values) one of the nearest.
+/// Non-finite input gives non-finite output.
+pub fn nearest_rotation(m: &Matrix3<f64>) -> Matrix3<f64> {
+    let svd::Svd { mut u, v, .. } = svd::decompose(m);
+    if u.determinant() * v.determinant() < 0.0 {
+        u.column_mut(2).neg_mut();
+    }
+    u * v.transpose()
+}
+
+/// The first two columns of a rotation, one after the other: the continuous form that networks speak.
+pub fn to_6d(r: &Matrix3<f64>) -> [f64; 6] {
+    [r.m11, r.m21, r.m31, r.m12, r.m22, r.m32]
+}
+
+/// A rotation from two columns by Gram and Schmidt: `b1 = a / |a|`, `b2` the part of b across `b1`, `b3 = b1 x b2`.
+///
+/// `None` where the columns are zero or parallel.
+pub fn from_6d(columns: &[f64; 6]) -> Option<Matrix3<f64>> {
+    let [ax, ay, az, bx, by, bz] = *columns;
+    let (a, b) = (Vector3::new(ax, ay, az), Vector3::new(bx, by, bz));
+    let b1 = a.try_normalize(0.0)?;
+    let b2 = (b - b1 * b1.dot(&b)).try_normalize(1e-12 * b.norm())?;
+    // One more projection: what rounding left of b1 in a nearly parallel b was magnified by the normalisation.
+    let b2 = (b2 - b1 * b1.dot(&b2)).normalize();
+    Some(Matrix3::from_columns(&[b1, b2, b1.cross(&b2)]))
+}
+
+/// The rotation with the least weighted sum of squared chordal distances: the nearest one to the weighted sum.
+///
+/// `None` without rotations of positive weight (missing weights are zero) or where opposite ones leave it open.
+pub fn chordal_mean(rotations: &[Matrix3<f64>], weights: &[f64]) -> Option<Matrix3<f64>> {
+    let sum = rotations.iter().zip(weights).fold(Matrix3::zeros(), |sum, (r, w)| sum + r * *w);
+    let total: f64 = rotations.iter().zip(weights).map(|(_, w)| w).sum();
+    let svd = svd::decompose(&sum);
+    let sign = svd.u.determinant() * svd.v.determinant();
+    // The minimiser is unique where the two smaller singular values, the last one signed, do not cancel.
+    let unique = svd.singular[1] + sign.signum() * svd.singular[2] > 1e-9 * total;
+    (total > 0.0 && unique).then(|| nearest_rotation(&sum))
+}
+
+/// The least rotation that takes the direction of `a` to that of `b`; about some axis across `a` where they are
+/// opposite. The identity where one of them is zero.
+pub fn rotation_between(a: &Vector3<f64>, b: &Vector3<f64>) -> Matrix3<f64> {
+    let (Some(a), Some(b)) = (a.try_normalize(0.0), b.try_normalize(0.0)) else {
+        return Matrix3::identity();
+    };
+    let cross = a.cross(&b);
+    let angle = cross.norm().atan2(a.dot(&b));
+    // Nearly opposite directions leave an axis of rounding: what is not across a is taken out again.
+    let across = cross.try_normalize(1e-300).and_then(|axis| (axis - a * a.dot(&axis)).try_normalize(0.5));
+    exp(&(across.unwrap_or_else(|| any_perpendicular(&a)) * angle))
+}
+
+/// Some unit vector perpendicular to `a`: across the axis along which `a` is shortest.
+pub fn any_perpendicular(a: &Vector3<f64>) -> Vector3<f64> {
+    let mut axis = Vector3::zeros();
+    axis[a.iamin()] = 1.0;
+    a.cross(&axis).normalize()
+}
+
+#[cfg(test)]
+mod tests;

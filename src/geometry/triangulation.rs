@@ -1,1 +1,109 @@
 //! Points from several views, linear.
+
+use super::Rigid;
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+/// One view's sight of a point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sighting<'a> {
+    /// The view's pose.
+    pub camera_from_world: &'a Rigid,
+    /// Ideal normalised coordinates.
+    pub normalized: Vector2<f64>,
+    /// Worth, not negative; zero to ignore.
+    pub weight: f64,
+}
+
+/// Normal matrices whose determinant is below this share of an isotropic one's are not solved: for two rays, an angle
+/// of some 0.06 degrees.
+const MIN_DETERMINANT: f64 = 1e-6;
+
+/// The point nearest to all rays: `min_x sum w |(I - n n^T)(x - C)|^2`, metres in the world.
+///
+/// `None` with fewer than two rays, with rays too parallel, or when the point is behind one of the cameras. Errors are
+/// metric, not angular: a far camera pulls as hard as a near one.
+pub fn triangulate_linear(sightings: &[Sighting<'_>]) -> Option<Vector3<f64>> {
+    let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+    for sighting in sightings.iter().filter(|s| s.weight > 0.0) {
+        let camera = sighting.camera_from_world;
+        let direction = camera.rotation.tr_mul(&sighting.normalized.push(1.0)).normalize();
+        let across = (Matrix3::identity() - direction * direction.transpose()) * sighting.weight;
+        normal += across;
+        right += across * camera.center();
+    }
+    let point = solve_rays(&normal, &right)?;
+    let in_front = |s: &Sighting<'_>| s.weight <= 0.0 || s.camera_from_world.transform(&point).z > 0.0;
+    sightings.iter().all(in_front).then_some(point)
+}
+
+/// Solves the normal equations of rays; `None` where the rays leave the point open.
+fn solve_rays(normal: &Matrix3<f64>, right: &Vector3<f64>) -> Option<Vector3<f64>> {
+    let mean = normal.trace() / 3.0;
+    let solvable = normal.determinant() > MIN_DETERMINANT * mean * mean * mean;
+    if solvable { Some(normal.cholesky()?.solve(right)) } else { None }
+}
+
+/// The angle (rad, 0 to pi) under which a point sees two camera centres.
+pub fn triangulation_angle(center_a: &Vector3<f64>, center_b: &Vector3<f64>, point: &Vector3<f64>) -> f64 {
+    let (a, b) = (center_a - point, center_b - point);
+    a.cross(&b).norm().atan2(a.dot(&b))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::rotation;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// Cameras on a circle of 5 m that look at its middle.
+    fn ring(n: usize) -> Vec<Rigid> {
+        let turn = |i: usize| rotation::exp(&(Vector3::y() * (i as f64 * 0.9)));
+        (0..n).map(|i| Rigid { rotation: turn(i), translation: Vector3::z() * 5.0 }).collect()
+    }
+
+    fn sightings<'a>(cameras: &'a [Rigid], point: &Vector3<f64>) -> Vec<Sighting<'a>> {
+        let see = |camera: &'a Rigid| {
+            let p = camera.transform(point);
+            Sighting { camera_from_world: camera, normalized: p.xy() / p.z, weight: 1.0 }
+        };
+        cameras.iter().map(see).collect()
+    }
+
+    #[test]
+    fn exact_rays_meet_in_their_point() {
+        let cameras = ring(5);
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for _ in 0..100 {
+            let point = Vector3::from_fn(|_, _| rng.random_range(-1.0..1.0));
+            let mut seen = sightings(&cameras, &point);
+            assert!((triangulate_linear(&seen).unwrap() - point).norm() < 1e-13);
+            assert!((triangulate_linear(&seen[1..3]).unwrap() - point).norm() < 1e-13);
+            seen[0].normalized.x += 1.0;
+            seen[0].weight = 0.0;
+            assert!((triangulate_linear(&seen).unwrap() - point).norm() < 1e-13, "no weight, no say");
+        }
+    }
+
+    #[test]
+    fn open_or_impossible_points_are_none() {
+        let cameras = ring(3);
+        let seen = sightings(&cameras, &Vector3::zeros());
+        assert_eq!(triangulate_linear(&[]), None);
+        assert_eq!(triangulate_linear(&seen[..1]), None);
+        assert_eq!(triangulate_linear(&[seen[0], seen[0]]), None, "parallel");
+        // Two cameras side by side whose rays part in front of them meet behind.
+        let side = Rigid { translation: Vector3::x() * -1.0, ..Rigid::identity() };
+        let apart = |camera, x| Sighting { camera_from_world: camera, normalized: Vector2::new(x, 0.0), weight: 1.0 };
+        let origin = Rigid::identity();
+        assert_eq!(triangulate_linear(&[apart(&origin, -0.2), apart(&side, 0.2)]), None);
+        assert!(triangulate_linear(&[apart(&origin, 0.2), apart(&side, -0.2)]).is_some());
+        assert_eq!(triangulate_linear(&[apart(&origin, f64::NAN), apart(&side, 0.2)]), None);
+    }
+
+    #[test]
+    fn the_angle_of_a_square_corner_is_right() {
+        let angle = triangulation_angle(&Vector3::x(), &(Vector3::y() * 7.0), &Vector3::zeros());
+        assert!((angle - std::f64::consts::FRAC_PI_2).abs() < 1e-15);
+    }
+}

@@ -1,1 +1,11 @@
 //! Least squares that knows no cameras and no bodies.
+//!
+//! - [`robust`]: a bounded cost for residuals of which some are grossly wrong
+//! - [`levenberg_marquardt`]: the damping loop, written once
+//! - [`banded`]: Cholesky factors of a band matrix
+//! - [`arrow`]: many small local systems coupled only through a few shared unknowns
+
+pub mod arrow;
+pub mod banded;
+pub mod levenberg_marquardt;
+pub mod robust;

@@ -1,5 +1,7 @@
 //! What a user may ask for. Stored with the job, so that a run can be repeated.
 
+use super::PipelineError;
+use crate::session::Session;
 use crate::session::reconstruction::ExportFormat;
 use crate::session::recording::UpAxis;
 use serde::{Deserialize, Serialize};
@@ -49,6 +51,67 @@ impl Default for Options {
             sync: Sync::Given,
             seed: 0,
             exports: vec![ExportFormat::SmplNpz],
+        }
+    }
+}
+
+impl Options {
+    /// Checks what can be checked against the session before any work is spent.
+    ///
+    /// # Errors
+    /// [`PipelineError::Option`] naming the option and the remedy.
+    pub fn check(&self, session: &Session) -> Result<(), PipelineError> {
+        let refuse = |option, reason: String| Err(PipelineError::Option { option, reason });
+        if self.extrinsics != Extrinsics::Estimate {
+            if let Some(view) = session.views.iter().find(|v| v.camera_from_world.is_none()) {
+                let reason = format!(
+                    "camera {}: fixed and refined extrinsics need R and t of every camera; give them, or use \"estimate\"",
+                    view.id
+                );
+                return refuse("/extrinsics", reason);
+            }
+        }
+        if self.intrinsics == IntrinsicsMode::RefineFocal {
+            return refuse("/intrinsics", "refine_focal is not supported yet; use \"fixed\"".to_owned());
+        }
+        if self.sync == Sync::Estimate {
+            return refuse(
+                "/sync",
+                "estimate is not supported yet; synchronise the frames and use \"given\"".to_owned(),
+            );
+        }
+        if self.body != "default" {
+            return refuse("/body", format!("{:?} is not a registered body; use \"default\"", self.body));
+        }
+        if self.people == Some(0) {
+            return refuse("/people", "0 people leave nothing to solve; give 1 or more, or null".to_owned());
+        }
+        self.check_scale(session)
+    }
+
+    fn check_scale(&self, session: &Session) -> Result<(), PipelineError> {
+        let refuse = |option, reason: String| Err(PipelineError::Option { option, reason });
+        match &self.scale {
+            ScaleSource::Body => Ok(()),
+            ScaleSource::Height { metres, .. } if !(0.5..=2.6).contains(metres) => {
+                refuse("/scale/metres", format!("{metres} is not a person's height; give metres between 0.5 and 2.6"))
+            }
+            ScaleSource::Height { who, .. } if who != "tallest" && who.parse::<i64>().is_err() => {
+                refuse("/scale/who", format!("{who:?} is neither \"tallest\" nor a track id"))
+            }
+            ScaleSource::Height { .. } => Ok(()),
+            ScaleSource::CameraDistance { cameras, metres } => {
+                if !(metres.is_finite() && *metres > 0.0) {
+                    return refuse("/scale/metres", format!("{metres} is no distance; give metres above 0"));
+                }
+                if cameras[0] == cameras[1] {
+                    return refuse("/scale/cameras", "two different cameras are needed".to_owned());
+                }
+                match cameras.iter().find(|id| session.views.iter().all(|v| v.id != **id)) {
+                    Some(id) => refuse("/scale/cameras", format!("there is no camera {id:?} in the session")),
+                    None => Ok(()),
+                }
+            }
         }
     }
 }

@@ -1,10 +1,30 @@
 //! The stages, in order; whoever reads this page knows what the program does.
 
+pub mod association;
+pub mod body_fit;
+pub mod bundle_adjustment;
+pub mod calibration;
+pub mod camera_init;
 pub mod config;
+pub mod fit_figures;
+pub mod instants;
+pub mod joint_trajectories;
+pub mod metric_scale;
+pub mod result;
+pub mod verdict;
+pub mod world_frame;
 
+use crate::body::bones::{Bone, limb_bones};
+use crate::geometry::Rigid;
+use crate::matching::sightings::{ViewSightings, sightings};
+use crate::matching::tracker::Scene;
 use crate::progress::{Canceled, Progress};
 use crate::session::{Reconstruction, Session};
+use bundle_adjustment::CameraFreedom;
+use calibration::{Calibration, estimate_cameras, from_given_cameras, heldout_px};
+use config::Extrinsics;
 pub use config::Options;
+use result::Findings;
 
 /// Why a capture cannot be solved at all.
 #[derive(Debug, thiserror::Error)]
@@ -30,56 +50,90 @@ pub enum PipelineError {
     },
 }
 
-/// Recovers cameras and people from a session.
+/// Recovers cameras and people from a session: the stages, top to bottom.
+///
+/// The same session, options and instruction set give the same result, whatever the number of threads.
 ///
 /// # Errors
-/// [`PipelineError`] when the work was canceled, or when nothing can be solved.
-pub fn reconstruct(
-    session: &Session,
-    _options: &Options,
-    progress: &Progress,
-) -> Result<Reconstruction, PipelineError> {
-    use crate::session::reconstruction::*;
-    for stage in ["association", "camera_init"] {
-        let index = usize::from(stage == "camera_init");
-        let progress = progress.stage(stage, index, 2, 0.5 * index as f64, 0.5);
-        for step in 0..session.n_frames.min(600) / 2 {
-            progress.check()?;
-            progress.report(step as f64 / 300.0, "working");
-            std::thread::sleep(std::time::Duration::from_millis(20));
-        }
+/// [`PipelineError`] when the work was canceled, an option asks for what the session lacks, or nothing can be solved.
+pub fn reconstruct(session: &Session, options: &Options, progress: &Progress) -> Result<Reconstruction, PipelineError> {
+    options.check(session)?;
+    if session.views.iter().all(|v| v.frames.iter().all(Vec::is_empty)) {
+        let reason = "no camera detected anybody; check that the keypoint files are those of this take".to_owned();
+        return Err(PipelineError::Unsolvable { code: "nobody_detected", reason });
     }
-    let cameras = session.views.iter().map(|view| SolvedCamera {
-        camera_from_world: view.camera_from_world,
-        reprojection_px: None,
-        n_observations: 0,
-        sigma_position_mm: None,
-        sigma_angle_deg: None,
-    });
-    let report = Report {
-        stages: vec![StageReport {
-            stage: "association".to_owned(),
-            iterations: 1,
-            cost_before: Some(2.0),
-            cost_after: Some(1.0),
-            termination: "done".to_owned(),
-            metrics: [("pairs".to_owned(), 3.0)].into(),
-        }],
-        cameras: Vec::new(),
-        people: Vec::new(),
-        heldout_px: None,
-        scale: None,
-        rejected_detections: 0.0,
-        keypoints_from: "points".to_owned(),
-        quality: Quality { verdict: Verdict::Reject, reasons: vec!["nobody was solved".to_owned()] },
-    };
-    Ok(Reconstruction {
-        cameras: cameras.collect(),
-        keypoints: Vec::new(),
-        motions: Vec::new(),
-        identities: Vec::new(),
-        up_axis: crate::session::recording::UpAxis::Y,
-        body_model: BodyModelId { name: "default".to_owned(), sha256: String::new() },
-        report,
-    })
+    let capture = Capture::new(session, options);
+
+    let stage = progress.stage("cameras", 0, N_STAGES, 0.0, 0.55);
+    let calibration = calibrated(&capture, &stage)?;
+    let n_placed = calibration.cameras.iter().flatten().count();
+    if n_placed < 2 && session.views.len() > 1 {
+        let reason = "no two cameras see the same people move; check that the cameras overlap, that frames are \
+                      synchronised and that the intrinsics belong to these images"
+            .to_owned();
+        return Err(PipelineError::Unsolvable { code: "cameras_unsolvable", reason });
+    }
+
+    let stage = progress.stage("held_out_check", 1, N_STAGES, 0.55, 0.1);
+    let heldout_px = heldout_px(&capture, &calibration, freedom(options), &stage)?;
+
+    let stage = progress.stage("joint_trajectories", 2, N_STAGES, 0.65, 0.05);
+    let paths = result::paths(&capture, &calibration, &stage)?;
+
+    let stage = progress.stage("metric_scale", 3, N_STAGES, 0.7, 0.02);
+    let scale = metric_scale::metric_scale(&capture, &calibration, &paths)?;
+    let findings = Findings::in_world(&capture, calibration, paths, scale, heldout_px);
+
+    let stage_body = stage.stage("body_fit", 4, N_STAGES, 0.72, 0.25);
+    findings.with_bodies(&capture, &stage_body)
+}
+
+/// Stages that a caller is told of.
+const N_STAGES: usize = 5;
+
+/// Cameras and who is who: from nothing, or from what the session gives.
+fn calibrated(capture: &Capture, progress: &Progress) -> Result<Calibration, PipelineError> {
+    let given = || capture.session.views.iter().map(|v| v.camera_from_world).collect();
+    match capture.options.extrinsics {
+        Extrinsics::Estimate => estimate_cameras(capture, progress),
+        Extrinsics::Fixed => from_given_cameras(capture, given(), CameraFreedom::Held, progress),
+        Extrinsics::Refine => from_given_cameras(capture, given(), CameraFreedom::Adjusted, progress),
+    }
+}
+
+fn freedom(options: &Options) -> CameraFreedom {
+    if options.extrinsics == Extrinsics::Fixed { CameraFreedom::Held } else { CameraFreedom::Adjusted }
+}
+
+/// What every stage reads: the recording as rays, and what the options ask for.
+pub struct Capture<'a> {
+    /// The recording.
+    pub session: &'a Session,
+    /// What the user asked for.
+    pub options: &'a Options,
+    /// Every detection as rays.
+    pub views: Vec<ViewSightings>,
+    /// Limb bones with reference lengths.
+    pub bones: Vec<Bone>,
+    /// The same bones as the adjustment knows them.
+    pub adjusted_bones: Vec<bundle_adjustment::Bone>,
+}
+
+/// Relative spread of a limb's length over time as detectors see it: 20 mm of noise at either end of 0.35 m.
+const BONE_SIGMA: f64 = 0.08;
+
+impl<'a> Capture<'a> {
+    /// Prepares a session.
+    pub fn new(session: &'a Session, options: &'a Options) -> Self {
+        let bones = limb_bones(session.convention);
+        let adjusted_bones =
+            bones.iter().map(|b| bundle_adjustment::Bone { a: b.a, b: b.b, sigma: BONE_SIGMA }).collect();
+        Self { session, options, views: sightings(session), bones, adjusted_bones }
+    }
+
+    /// The session under given cameras.
+    pub fn scene<'b>(&'b self, cameras: &'b [Option<Rigid>]) -> Scene<'b> {
+        let (fps, n_frames) = (self.session.fps, self.session.n_frames);
+        Scene { views: &self.views, cameras, bones: &self.bones, fps, n_frames }
+    }
 }

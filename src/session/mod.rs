@@ -1,5 +1,7 @@
-//! Every noun that travels; no algorithm.
+//! Every noun that travels, how a session is read and written; no algorithm.
 
+pub mod digest;
+pub mod formats;
 pub mod people;
 pub mod reconstruction;
 pub mod recording;

@@ -1,154 +1,168 @@
-//! Stand-in in this worktree only: the native layout as a folder, a stored zip or one JSON document.
-#![allow(missing_docs)]
+//! From the bytes of an upload to a [`Session`], once; a refusal names file, camera, frame, value and remedy.
+//!
+//! What it is is told by content, never by a name's ending: a zip by its first bytes, a document by its first brace.
 
-use super::recording::{Detection, FrameIndex, Keypoint, Session, View};
-use crate::body::skeleton::KeypointConvention;
-use crate::geometry::{Intrinsics, Rigid};
-use nalgebra::{Matrix3, Vector2, Vector3};
-use serde_json::Value;
-use std::collections::BTreeMap;
-use std::io::Read;
+mod assemble;
+mod camera;
+pub mod error;
+mod guard;
+pub(crate) mod json;
+mod limits;
+pub(crate) mod members;
+pub(crate) mod raw;
+mod warnings;
+mod zip_index;
+
+#[cfg(test)]
+mod tests;
+
+pub use error::{Fault, UploadError, UploadErrorKind};
+pub use limits::UploadLimits;
+
+use super::Session;
+use super::digest::{NamedDigest, sha256_of_reader};
+use super::formats::native;
+use json::Reading;
+use members::Members;
+use raw::RawSession;
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
+use warnings::Warnings;
 
-#[derive(Debug, Default)]
-pub struct UploadLimits {}
-
-#[derive(Debug)]
+/// An accepted upload.
+#[derive(Debug, Clone, PartialEq)]
 pub struct LoadedSession {
+    /// What was filmed.
     pub session: Session,
+    /// The dialect: `native` (folder or zip), `native_json` or `native_ndjson`.
     pub format: &'static str,
+    /// What is worth telling although the upload was accepted, one sentence each.
     pub warnings: Vec<String>,
+    /// Digest of the uploaded bytes; for a folder of the names and contents of the files that were read, in order of
+    /// their names. The same session as folder, zip and document has three digests.
     pub sha256: String,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum UploadErrorKind {
-    Malformed,
-    TooLarge,
-    Unsupported,
-    Impossible,
-}
-
-#[derive(Debug, thiserror::Error)]
-#[error("{detail}; {remedy}")]
-pub struct UploadError {
-    pub kind: UploadErrorKind,
-    pub code: &'static str,
-    pub file: Option<String>,
-    pub camera: Option<String>,
-    pub frame: Option<i64>,
-    pub person: Option<usize>,
-    pub pointer: Option<String>,
-    pub detail: String,
-    pub remedy: String,
-}
-
-fn bad(detail: impl Into<String>) -> UploadError {
-    UploadError {
-        kind: UploadErrorKind::Malformed,
-        code: "malformed",
-        file: Some("session.json".into()),
-        camera: None,
-        frame: None,
-        person: None,
-        pointer: None,
-        detail: detail.into(),
-        remedy: "mend the file".into(),
-    }
-}
-
+/// Reads a session from a folder or a file on this machine.
+///
+/// # Errors
+/// [`UploadError`], with the place where it was found.
 pub fn read_path(path: &Path, limits: &UploadLimits) -> Result<LoadedSession, UploadError> {
-    if !path.is_dir() {
-        return read_file(path, limits);
-    }
-    let mut files = BTreeMap::new();
-    let text = |p: &Path| std::fs::read_to_string(p).map_err(|e| bad(format!("{}: {e}", p.display())));
-    files.insert("session.json".to_owned(), text(&path.join("session.json"))?);
-    if let Ok(entries) = std::fs::read_dir(path.join("poses")) {
-        for entry in entries.flatten() {
-            files.insert(format!("poses/{}", entry.file_name().to_string_lossy()), text(&entry.path())?);
-        }
-    }
-    load(files, String::new())
+    if path.is_dir() { read_folder(path, limits) } else { read_file(path, limits) }
 }
 
+/// Reads an uploaded file: a zip, a JSON document or NDJSON.
+///
+/// # Errors
+/// [`UploadError`], with the place where it was found.
 pub fn read_file(path: &Path, limits: &UploadLimits) -> Result<LoadedSession, UploadError> {
-    read_upload(std::fs::File::open(path).map_err(|e| bad(e.to_string()))?, "", limits)
+    let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
+    let file = File::open(path)
+        .map_err(|e| UploadError { file: Some(name.to_string()), ..Fault::FileUnreadable.with(e.to_string()) })?;
+    read_upload(file, &name, limits)
 }
 
-pub fn read_upload<R: Read>(mut reader: R, _: &str, _: &UploadLimits) -> Result<LoadedSession, UploadError> {
-    use sha2::Digest;
-    let mut bytes = Vec::new();
-    reader.read_to_end(&mut bytes).map_err(|e| bad(e.to_string()))?;
-    let sha256 = sha2::Sha256::digest(&bytes).iter().map(|b| format!("{b:02x}")).collect();
-    let mut files = BTreeMap::new();
-    if bytes.starts_with(b"PK") {
-        let mut archive = zip::ZipArchive::new(std::io::Cursor::new(bytes)).map_err(|e| bad(e.to_string()))?;
-        for i in 0..archive.len() {
-            let mut member = archive.by_index(i).map_err(|e| bad(e.to_string()))?;
-            let mut text = String::new();
-            member.read_to_string(&mut text).map_err(|e| bad(e.to_string()))?;
-            files.insert(format!("{}", member.name().unwrap_or_default()), text);
+/// Reads an upload from any seekable bytes; `name` is what messages call it.
+///
+/// # Errors
+/// [`UploadError`], with the place where it was found.
+pub fn read_upload<R: Read + Seek>(
+    mut reader: R,
+    name: &str,
+    limits: &UploadLimits,
+) -> Result<LoadedSession, UploadError> {
+    let of_upload = |error: UploadError| UploadError { file: error.file.or_else(|| Some(name.to_owned())), ..error };
+    let unreadable = |e: std::io::Error| of_upload(Fault::FileUnreadable.with(e.to_string()));
+    let mut warnings = Warnings::default();
+    let container = sniff(&mut reader).map_err(of_upload)?;
+    let mut reading = Reading::new(limits, &mut warnings);
+    let (raw, format) = match container {
+        Container::Zip => {
+            let mut members = Members::of_zip(&mut reader, limits).map_err(of_upload)?;
+            (read_members(&mut members, &mut reading).map_err(of_upload)?, native::Shape::Folder.name())
         }
-    } else {
-        files.insert("session.json".into(), String::from_utf8(bytes).map_err(|e| bad(e.to_string()))?);
-    }
-    load(files, sha256)
-}
-
-fn load(files: BTreeMap<String, String>, sha256: String) -> Result<LoadedSession, UploadError> {
-    let text = files.get("session.json").ok_or_else(|| bad("no session.json"))?;
-    let root: Value = serde_json::from_str(text).map_err(|e| bad(e.to_string()))?;
-    let n_frames = root["n_frames"].as_u64().ok_or_else(|| bad("n_frames"))? as usize;
-    let convention = root["keypoint_convention"].as_str().and_then(KeypointConvention::parse);
-    let convention = convention.ok_or_else(|| bad("keypoint_convention"))?;
-    let mut views = Vec::new();
-    for camera in root["cameras"].as_array().ok_or_else(|| bad("cameras"))? {
-        let id = camera["id"].as_str().ok_or_else(|| bad("camera id"))?.to_owned();
-        let n = |v: &Value| v.as_f64().unwrap_or(0.0);
-        let k = &camera["K"];
-        let intrinsics = Intrinsics {
-            width: n(&camera["width"]) as u32,
-            height: n(&camera["height"]) as u32,
-            fx: n(&k[0][0]),
-            fy: n(&k[1][1]),
-            cx: n(&k[0][2]),
-            cy: n(&k[1][2]),
-            skew: n(&k[0][1]),
-            dist: std::array::from_fn(|i| n(&camera["dist"][i])),
-        };
-        let camera_from_world = camera["R"].is_array().then(|| Rigid {
-            rotation: Matrix3::from_fn(|i, j| n(&camera["R"][i][j])),
-            translation: Vector3::from_fn(|i, _| n(&camera["t"][i])),
-        });
-        let poses: Value = match files.get(&format!("poses/{id}.json")) {
-            Some(text) => serde_json::from_str(text).map_err(|e| bad(e.to_string()))?,
-            None => root["poses"][&id].clone(),
-        };
-        let mut frames = vec![Vec::new(); n_frames];
-        let mut delivered = Vec::new();
-        for frame in poses["frames"].as_array().ok_or_else(|| bad(format!("no poses of {id}")))? {
-            let index = frame["frame"].as_u64().unwrap_or(0) as usize;
-            delivered.push(FrameIndex(index));
-            for person in frame["people"].as_array().into_iter().flatten() {
-                let keypoints = person["keypoints"].as_array().into_iter().flatten();
-                let keypoints = keypoints
-                    .map(|p| Keypoint { pixel: Vector2::new(n(&p[0]), n(&p[1])), confidence: n(&p[2]) })
-                    .collect();
-                let slot: &mut Vec<Detection> = frames.get_mut(index).ok_or_else(|| bad("frame"))?;
-                slot.push(Detection { track_id: person["track_id"].as_i64(), keypoints });
-            }
+        Container::Document => {
+            let (raw, shape) = native::read_document(&mut reader, name, &mut reading)?;
+            (raw, shape.name())
         }
-        views.push(View { id, intrinsics, camera_from_world, frames, delivered });
-    }
-    let session = Session {
-        name: root["name"].as_str().unwrap_or("").to_owned(),
-        fps: root["fps"].as_f64().ok_or_else(|| bad("fps"))?,
-        first_frame: 0,
-        n_frames,
-        convention,
-        up_axis: None,
-        views,
     };
-    Ok(LoadedSession { session, format: "native", warnings: Vec::new(), sha256 })
+    let session = assemble::assemble(raw, limits, &mut warnings)?;
+    reader.rewind().map_err(unreadable)?;
+    let sha256 = sha256_of_reader(&mut reader).map_err(unreadable)?;
+    Ok(LoadedSession { session, format, warnings: warnings.into_lines(), sha256 })
+}
+
+fn read_folder(dir: &Path, limits: &UploadLimits) -> Result<LoadedSession, UploadError> {
+    let of_folder = |e: UploadError| UploadError { file: e.file.or_else(|| Some(dir.display().to_string())), ..e };
+    let mut warnings = Warnings::default();
+    let mut members = Members::of_folder(dir, limits).map_err(of_folder)?;
+    let raw = read_members(&mut members, &mut Reading::new(limits, &mut warnings)).map_err(of_folder)?;
+    let session = assemble::assemble(raw, limits, &mut warnings)?;
+    let sha256 = digest_of_members(&mut members, &session)?;
+    Ok(LoadedSession { session, format: native::Shape::Folder.name(), warnings: warnings.into_lines(), sha256 })
+}
+
+enum Container {
+    Zip,
+    Document,
+}
+
+/// Tells the container by its first bytes and goes back to the start.
+fn sniff<R: Read + Seek>(reader: &mut R) -> Result<Container, UploadError> {
+    let mut head = Vec::new();
+    let read = reader.by_ref().take(64).read_to_end(&mut head).and_then(|_| reader.seek(SeekFrom::Start(0)));
+    read.map_err(|e| Fault::FileUnreadable.with(e.to_string()))?;
+    match head.as_slice() {
+        [b'P', b'K', 3, 4, ..] | [b'P', b'K', 5, 6, ..] => Ok(Container::Zip),
+        [0xef, 0xbb, 0xbf, ..] => Err(Fault::Encoding.with("the file starts with a byte order mark")),
+        [0xff, 0xfe, ..] | [0xfe, 0xff, ..] | [b'{', 0, ..] | [0, b'{', ..] => {
+            Err(Fault::Encoding.with("the file is UTF-16"))
+        }
+        _ if head.trim_ascii_start().first() == Some(&b'{') => Ok(Container::Document),
+        [] => Err(Fault::FormatUnknown.with("the file is empty")),
+        _ => {
+            let start: String = head.iter().take(8).map(|b| format!("{b:02x}")).collect();
+            Err(Fault::FormatUnknown.with(format!("the file starts with bytes {start}, neither a zip nor an object")))
+        }
+    }
+}
+
+/// Finds the dialect by the names of the members and reads it.
+fn read_members<R: Read + Seek>(
+    members: &mut Members<R>,
+    reading: &mut Reading<'_>,
+) -> Result<RawSession, UploadError> {
+    if members.contains("session.json") {
+        return native::read_members(members, "", reading);
+    }
+    let is_header = |name: &&str| name.strip_suffix("session.json").is_some_and(is_enclosing_folder);
+    let headers: Vec<&str> = members.names().filter(is_header).take(2).collect();
+    match headers.as_slice() {
+        [] => Err(Fault::FormatUnknown.with("there is no session.json")),
+        [header] => {
+            let root = header.trim_end_matches("session.json").to_owned();
+            native::read_members(members, &root, reading)
+        }
+        [first, second, ..] => {
+            Err(Fault::SessionAmbiguous.with(format!("there are two sessions, {first:?} and {second:?}")))
+        }
+    }
+}
+
+/// One folder round the whole session; the shadow copies of one system's packer are none.
+fn is_enclosing_folder(folder: &str) -> bool {
+    folder.matches('/').count() == 1 && folder.ends_with('/') && folder != "__MACOSX/"
+}
+
+fn digest_of_members<R: Read + Seek>(members: &mut Members<R>, session: &Session) -> Result<String, UploadError> {
+    let mut names: Vec<String> = native::member_names(session);
+    names.retain(|name| members.contains(name));
+    names.sort_unstable();
+    let mut digest = NamedDigest::default();
+    for name in names {
+        let added = digest.add(&name, &mut members.open(&name)?);
+        added.map_err(|e| UploadError { file: Some(name), ..Fault::FileUnreadable.with(e.to_string()) })?;
+    }
+    Ok(digest.finish())
 }

@@ -1,0 +1,91 @@
+//! How far each joint turns, where it rests, and how fast it changes: the weak knowledge that fills what no view sees.
+//!
+//! All in components of the rotation vector `log(parent_from_joint)`, T-pose frames (x left, y up, z front), written for
+//! the midline and the left side; the right side mirrors y and z. Ranges are the clinical ranges of motion of the
+//! American Academy of Orthopaedic Surgeons (Joint Motion, 1965), widened by 10 to 20 degrees, since a component of a
+//! rotation vector is not a clinical angle when several axes turn together. Rests are those of standing with the arms
+//! hanging. Accelerations are typical (median) magnitudes of everyday motion and dance, rad/s^2.
+
+use super::skeleton::{JOINT_NAMES, N_JOINTS};
+use nalgebra::Vector3;
+
+/// What one joint does, radians.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JointRange {
+    /// Rotation vector of the natural rest pose.
+    pub rest: Vector3<f64>,
+    /// Standard deviation about the rest, per component.
+    pub spread: Vector3<f64>,
+    /// Smallest component that a joint allows.
+    pub min: Vector3<f64>,
+    /// Largest.
+    pub max: Vector3<f64>,
+    /// Typical angular acceleration, rad/s^2.
+    pub acceleration: f64,
+}
+
+/// One line of the table: rest, spread, min, max per axis in degrees; acceleration in rad/s^2.
+type Line = ([f64; 3], [f64; 3], [f64; 3], [f64; 3], f64);
+
+#[rustfmt::skip]
+fn line_deg(part: &str) -> Line {
+    match part {
+        "hip" =>      ([-10.0, 0.0, 0.0],    [40.0, 20.0, 20.0], [-135.0, -60.0, -45.0], [40.0, 60.0, 60.0], 12.0),
+        "knee" =>     ([15.0, 0.0, 0.0],     [45.0, 8.0, 8.0],   [-5.0, -15.0, -15.0],   [155.0, 15.0, 15.0], 12.0),
+        "ankle" =>    ([0.0, 0.0, 0.0],      [25.0, 15.0, 15.0], [-40.0, -40.0, -35.0],  [60.0, 40.0, 35.0], 15.0),
+        "foot" =>     ([0.0, 0.0, 0.0],      [20.0, 4.0, 4.0],   [-60.0, -10.0, -10.0],  [35.0, 10.0, 10.0], 15.0),
+        "spine1" =>   ([0.0, 0.0, 0.0],      [15.0, 8.0, 8.0],   [-25.0, -25.0, -25.0],  [50.0, 25.0, 25.0], 7.0),
+        "spine2" =>   ([0.0, 0.0, 0.0],      [10.0, 8.0, 8.0],   [-20.0, -20.0, -20.0],  [30.0, 20.0, 20.0], 5.0),
+        "spine3" =>   ([0.0, 0.0, 0.0],      [8.0, 8.0, 8.0],    [-20.0, -20.0, -20.0],  [25.0, 20.0, 20.0], 5.0),
+        "neck" =>     ([0.0, 0.0, 0.0],      [20.0, 25.0, 12.0], [-50.0, -60.0, -35.0],  [50.0, 60.0, 35.0], 8.0),
+        "head" =>     ([0.0, 0.0, 0.0],      [15.0, 20.0, 12.0], [-40.0, -45.0, -30.0],  [35.0, 45.0, 30.0], 8.0),
+        "collar" =>   ([0.0, 0.0, 0.0],      [5.0, 8.0, 10.0],   [-10.0, -25.0, -20.0],  [10.0, 25.0, 35.0], 5.0),
+        "shoulder" => ([0.0, -15.0, -65.0],  [50.0, 50.0, 50.0], [-120.0, -150.0, -125.0], [120.0, 70.0, 110.0], 15.0),
+        "elbow" =>    ([0.0, -30.0, 0.0],    [40.0, 45.0, 30.0], [-130.0, -160.0, -60.0], [110.0, 10.0, 80.0], 15.0),
+        "wrist" =>    ([0.0, 0.0, 0.0],      [20.0, 20.0, 25.0], [-60.0, -50.0, -90.0],  [60.0, 50.0, 85.0], 15.0),
+        // The pelvis is free; the hands stay at identity.
+        _ =>          ([0.0; 3],             [180.0; 3],         [-360.0; 3],            [360.0; 3], 8.0),
+    }
+}
+
+/// The ranges of all joints in SMPL's order. The pelvis has none that binds.
+pub fn joint_ranges() -> [JointRange; N_JOINTS] {
+    std::array::from_fn(|j| {
+        let name = JOINT_NAMES[j];
+        let (part, is_right) = match (name.strip_prefix("left_"), name.strip_prefix("right_")) {
+            (_, Some(part)) => (part, true),
+            (Some(part), _) => (part, false),
+            _ => (name, false),
+        };
+        let (rest, spread, min, max, acceleration) = line_deg(part);
+        let mirrored = |v: [f64; 3], w: [f64; 3]| {
+            let v = if is_right { [v[0], -w[1], -w[2]] } else { v };
+            Vector3::from(v).map(f64::to_radians)
+        };
+        JointRange {
+            rest: mirrored(rest, rest),
+            spread: Vector3::from(spread).map(f64::to_radians),
+            min: mirrored(min, max),
+            max: mirrored(max, min),
+            acceleration,
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_joint_rests_inside_its_range_and_sides_mirror() {
+        let ranges = joint_ranges();
+        for r in &ranges {
+            for axis in 0..3 {
+                assert!(r.min[axis] < r.rest[axis] && r.rest[axis] < r.max[axis] && r.spread[axis] > 0.0);
+            }
+        }
+        let (left, right) = (&ranges[18], &ranges[19]);
+        assert_eq!((left.min.y, left.max.y), (-right.max.y, -right.min.y));
+        assert_eq!((left.min.x, left.max.x), (right.min.x, right.max.x));
+    }
+}

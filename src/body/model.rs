@@ -1,0 +1,135 @@
+//! The body as the fit sees it: rest joints that depend on the shape, and landmarks carried by the bones.
+
+use super::anthropometry::N_BETAS;
+use super::skeleton::{KeypointConvention, N_JOINTS, PARENTS};
+use nalgebra::{SMatrix, SVector, Vector3};
+use sha2::{Digest, Sha256};
+
+/// Name of the landmark at SMPL's neck joint, since `neck` is taken by the detectors' point between the shoulders.
+pub const NECK_JOINT: &str = "neck_joint";
+
+/// What each unit of the betas adds to a point: 3 x 10, m.
+pub type ShapeDirections = SMatrix<f64, 3, N_BETAS>;
+
+/// Shape coefficients in population standard deviations.
+pub type Betas = SVector<f64, N_BETAS>;
+
+/// A body model in SMPL's conventions: y up, facing +z, left is +x, metres; the rest pose is a T-pose with all joint
+/// frames parallel to the world; joint tree and order of [`super::skeleton`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct BodyModel {
+    /// Its name.
+    pub name: String,
+    /// `J0`: rest joints of the mean shape.
+    pub rest_joints: [Vector3<f64>; N_JOINTS],
+    /// `S`: rest joints of shape beta are `J(beta) = J0 + S beta`.
+    pub shape_directions: [ShapeDirections; N_JOINTS],
+    /// Named points on the body that detectors report.
+    pub landmarks: Vec<Landmark>,
+}
+
+/// A named point: a sum over bones that moves with them, `sum_i [ w_i p_i + G_i (a_i + A_i beta) ]`.
+///
+/// `p_i`, `G_i`: posed joint and `world_from_joint` rotation. The weights sum to 1. It is the exact form of a point
+/// under linear blend skinning (method: landmarks without vertices), and of a joint, a midpoint or a point fixed to
+/// one bone.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Landmark {
+    /// Keypoint name as in the conventions.
+    pub name: String,
+    /// The bones that carry it.
+    pub terms: Vec<LandmarkTerm>,
+}
+
+/// One bone's part of a [`Landmark`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct LandmarkTerm {
+    /// The joint whose frame carries this part.
+    pub joint: usize,
+    /// Share of the joint's own position.
+    pub weight: f64,
+    /// Rest offset in the joint's frame at beta 0, already weighted, m.
+    pub offset: Vector3<f64>,
+    /// Change of the offset per beta, already weighted, m.
+    pub offset_directions: ShapeDirections,
+}
+
+/// A body model at one shape.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ShapedBody {
+    /// `J(beta)`, m.
+    pub rest_joints: [Vector3<f64>; N_JOINTS],
+    /// `offsets[landmark][term]` in the bone's frame, m.
+    pub landmark_offsets: Vec<Vec<Vector3<f64>>>,
+}
+
+impl BodyModel {
+    /// The model at shape `betas`.
+    pub fn shaped(&self, betas: &Betas) -> ShapedBody {
+        let offset = |t: &LandmarkTerm| t.offset + t.offset_directions * betas;
+        ShapedBody {
+            rest_joints: std::array::from_fn(|j| self.rest_joints[j] + self.shape_directions[j] * betas),
+            landmark_offsets: self.landmarks.iter().map(|l| l.terms.iter().map(offset).collect()).collect(),
+        }
+    }
+
+    /// Index of a landmark by keypoint name.
+    pub fn landmark_index(&self, name: &str) -> Option<usize> {
+        self.landmarks.iter().position(|l| l.name == name)
+    }
+
+    /// For every named keypoint of a convention the landmark that it shows, where the body has one.
+    ///
+    /// A detector's `neck` is the middle of the shoulders; that of the SMPL joints is the landmark [`NECK_JOINT`].
+    pub fn landmarks_of(&self, convention: KeypointConvention) -> Vec<Option<usize>> {
+        let shown = |name: &&'static str| match (convention, *name) {
+            (KeypointConvention::Smpl24, "neck") => NECK_JOINT,
+            _ => name,
+        };
+        convention.names().iter().map(|name| self.landmark_index(shown(name))).collect()
+    }
+
+    /// SHA-256 over every number and name of the model, as lowercase hexadecimal digits.
+    pub fn sha256(&self) -> String {
+        let mut hash = Sha256::new();
+        hash.update(self.name.as_bytes());
+        let mut number = |value: &f64| hash.update(value.to_le_bytes());
+        for j in 0..N_JOINTS {
+            self.rest_joints[j].iter().chain(self.shape_directions[j].iter()).for_each(&mut number);
+        }
+        for landmark in &self.landmarks {
+            hash.update(landmark.name.as_bytes());
+            for term in &landmark.terms {
+                hash.update((term.joint as u64).to_le_bytes());
+                let mut number = |value: &f64| hash.update(value.to_le_bytes());
+                number(&term.weight);
+                term.offset.iter().chain(term.offset_directions.iter()).for_each(&mut number);
+            }
+        }
+        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+}
+
+/// Joint `joint` and all its ancestors up to the root, nearest first.
+pub fn chain_to_root(joint: usize) -> impl Iterator<Item = usize> {
+    std::iter::successors(Some(joint), |&j| PARENTS[j])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::default_body::default_body;
+
+    #[test]
+    fn every_number_is_in_the_fingerprint() {
+        let model = default_body();
+        let digest = model.sha256();
+        assert_eq!(digest.len(), 64);
+        assert_eq!(digest, default_body().sha256());
+        let mut other = model.clone();
+        other.landmarks[3].terms[0].offset.x += 1e-12;
+        assert_ne!(digest, other.sha256());
+        let mut other = model;
+        other.shape_directions[20][(2, 9)] += 1e-12;
+        assert_ne!(digest, other.sha256());
+    }
+}

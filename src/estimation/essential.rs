@@ -1,0 +1,153 @@
+//! The relative pose of two views from point pairs, many of them wrong.
+
+use super::consensus::{ConsensusProblem, find_consensus};
+use super::descent::{QuadraticModel, descend};
+use super::{geman_mcclure, geman_mcclure_weight};
+use crate::geometry::epipolar::{self, PointPair};
+use crate::geometry::five_point::five_point;
+use crate::geometry::{Rigid, rotation};
+use nalgebra::{Matrix3, Matrix3x2, SVector};
+
+/// What the pairs say about the two views.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EssentialEstimate {
+    /// `[t]x R` of the pose.
+    pub essential: Matrix3<f64>,
+    /// The one of its four poses with most inliers in front of both views; baseline 1.
+    pub second_from_first: Rigid,
+    /// `sum w max(0, 1 - d^2 / threshold^2)` over all pairs, d the Sampson distance.
+    pub support: f64,
+    /// Weight of the pairs within the threshold as a share of all weight.
+    pub inlier_ratio: f64,
+    /// Share of the inliers in front of both views; half means that direction or rotation is open.
+    pub cheirality_ratio: f64,
+}
+
+/// Linearisations when a new best model is re-fitted, and at the very end.
+const REFIT_ITERATIONS: usize = 4;
+const FINAL_ITERATIONS: usize = 10;
+
+/// Finds the essential matrix that most pairs agree on: five-point samples, soft score, re-fits.
+///
+/// `pairs`: ideal normalised coordinates. `weights`: worth of each pair, zero to ignore; `None`: all 1. `threshold`:
+/// Sampson distance at which a pair counts for nothing, normalised (px / focal). `iterations`: most samples drawn.
+///
+/// `None` with fewer than five usable pairs or when nothing agrees. Known limit: pairs of a pure rotation fit many
+/// essential matrices; `cheirality_ratio` and the angles of triangulation tell.
+pub fn estimate_essential(
+    pairs: &[PointPair],
+    weights: Option<&[f64]>,
+    threshold: f64,
+    iterations: usize,
+    seed: u64,
+) -> Option<EssentialEstimate> {
+    let problem = ConsensusProblem { n_data: pairs.len(), weights, threshold, iterations, seed };
+    let refit = |pose: &Rigid, n: usize| refine_essential(pose, pairs, weights, threshold, n);
+    let found = find_consensus(
+        &problem,
+        |sample| five_point(&sample.map(|i| pairs[i])),
+        |essential, i| epipolar::sampson_squared(essential, &pairs[i].0, &pairs[i].1),
+        // Any of the four poses will do: they share their essential matrix.
+        |essential| {
+            let [pose, ..] = epipolar::poses_from_essential(essential);
+            epipolar::essential_from_pose(&refit(&pose, REFIT_ITERATIONS))
+        },
+    )?;
+    let [pose, ..] = epipolar::poses_from_essential(&found.model);
+    let refined = epipolar::essential_from_pose(&refit(&pose, FINAL_ITERATIONS));
+    // The descent minimises a smooth robust cost, not the score; of two nearly equal models the score decides.
+    let before = judge_essential(&found.model, pairs, weights, threshold);
+    let after = judge_essential(&refined, pairs, weights, threshold);
+    Some(if after.support >= before.support { after } else { before })
+}
+
+/// Scores an essential matrix on pairs and chooses its pose by cheirality.
+pub fn judge_essential(
+    essential: &Matrix3<f64>,
+    pairs: &[PointPair],
+    weights: Option<&[f64]>,
+    threshold: f64,
+) -> EssentialEstimate {
+    let poses = epipolar::poses_from_essential(essential);
+    let (mut support, mut total, mut inliers, mut in_front) = (0.0, 0.0, 0.0, [0.0; 4]);
+    for (i, (a, b)) in pairs.iter().enumerate() {
+        let weight = weight_of(weights, i);
+        total += weight;
+        let gain = 1.0 - epipolar::sampson_squared(essential, a, b) / (threshold * threshold);
+        if gain > 0.0 {
+            support += weight * gain;
+            inliers += weight;
+            for (sum, pose) in in_front.iter_mut().zip(&poses) {
+                *sum += if epipolar::in_front(pose, a, b) { weight } else { 0.0 };
+            }
+        }
+    }
+    let best = (1..4).fold(0, |best, i| if in_front[i] > in_front[best] { i } else { best });
+    let share = |part: f64, whole: f64| if whole > 0.0 { part / whole } else { 0.0 };
+    EssentialEstimate {
+        essential: epipolar::essential_from_pose(&poses[best]),
+        second_from_first: poses[best],
+        support,
+        inlier_ratio: share(inliers, total),
+        cheirality_ratio: share(in_front[best], inliers),
+    }
+}
+
+/// Refines a relative pose on pairs: the Geman-McClure loss of Sampson distances, with `threshold` as its scale, over
+/// the five degrees of freedom of an essential matrix (a turn, and a direction of the baseline).
+///
+/// Returns `second_from_first` with a baseline of 1, on the branch (of four) that it started from; the start itself,
+/// normalised, where nothing improves it. A zero baseline has no direction to refine and is returned untouched.
+pub fn refine_essential(
+    start: &Rigid,
+    pairs: &[PointPair],
+    weights: Option<&[f64]>,
+    threshold: f64,
+    iterations: usize,
+) -> Rigid {
+    let Some(translation) = start.translation.try_normalize(0.0) else {
+        return *start;
+    };
+    let linearize = |pose: &Rigid| Some(linearize(pose, pairs, weights, threshold));
+    descend(Rigid { translation, ..*start }, iterations, linearize, retract)
+}
+
+/// Two unit tangents of the sphere at the baseline's direction.
+fn baseline_tangents(pose: &Rigid) -> Matrix3x2<f64> {
+    let first = rotation::any_perpendicular(&pose.translation);
+    Matrix3x2::from_columns(&[first, pose.translation.cross(&first)])
+}
+
+fn retract(pose: &Rigid, step: &SVector<f64, 5>) -> Rigid {
+    let turn = rotation::exp(&step.fixed_rows::<3>(0).into_owned());
+    let moved = pose.translation + baseline_tangents(pose) * step.fixed_rows::<2>(3);
+    Rigid { rotation: turn * pose.rotation, translation: moved.normalize() }
+}
+
+fn linearize(pose: &Rigid, pairs: &[PointPair], weights: Option<&[f64]>, threshold: f64) -> QuadraticModel<5> {
+    let tangents = baseline_tangents(pose);
+    let scale2 = threshold * threshold;
+    let mut model = QuadraticModel::zeros();
+    for (i, (a, b)) in pairs.iter().enumerate() {
+        let weight = weight_of(weights, i);
+        if weight <= 0.0 {
+            continue;
+        }
+        // One pair that is not finite must not cost all others their descent.
+        if let Some(sampson) = epipolar::sampson_gradient(pose, a, b).filter(|s| s.distance.is_finite()) {
+            let (turn, slide) = (sampson.rotation, tangents.tr_mul(&sampson.translation));
+            let jacobian = SVector::from([turn.x, turn.y, turn.z, slide.x, slide.y]);
+            let squared = sampson.distance * sampson.distance;
+            let robust_weight = weight * geman_mcclure_weight(squared, scale2);
+            model.add(sampson.distance, &jacobian, robust_weight, weight * geman_mcclure(squared, scale2));
+        }
+    }
+    model
+}
+
+fn weight_of(weights: Option<&[f64]>, index: usize) -> f64 {
+    weights.map_or(1.0, |w| w.get(index).copied().unwrap_or(0.0))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,121 @@
+use super::*;
+use nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
+
+/// Pixel noise over a focal length of 1000 px.
+const NOISE: f64 = 2.0 / 1000.0;
+
+struct Scene {
+    pose: Rigid,
+    pairs: Vec<PointPair>,
+}
+
+/// Two views 4 m apart and some 60 degrees turned, that look at a stage of 4 m; a share of the pairs is arbitrary.
+fn scene(seed: u64, n: usize, outliers: f64) -> Scene {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let noise = Normal::new(0.0, NOISE).unwrap();
+    let yaw = rng.random_range(-1.2..-0.6);
+    let rotation = rotation::exp(&Vector3::new(rng.random_range(-0.1..0.1), yaw, rng.random_range(-0.1..0.1)));
+    // The second camera looks at the same middle, 5 m away.
+    let middle = Vector3::new(0.0, 0.0, 5.0);
+    let pose = Rigid { rotation, translation: middle - rotation * middle };
+    let mut pairs = Vec::new();
+    for _ in 0..n {
+        let point = middle + Vector3::from_fn(|_, _| rng.random_range(-1.5..1.5));
+        let moved = pose.transform(&point);
+        let mut jitter = |v: Vector3<f64>| (v.xy() / v.z).map(|c| c + noise.sample(&mut rng));
+        let (a, mut b) = (jitter(point), jitter(moved));
+        if rng.random_bool(outliers) {
+            b = nalgebra::Vector2::from_fn(|_, _| rng.random_range(-0.5..0.5));
+        }
+        pairs.push((a, b));
+    }
+    Scene { pose, pairs }
+}
+
+fn rotation_error_deg(pose: &Rigid, truth: &Rigid) -> f64 {
+    rotation::log(&(pose.rotation * truth.rotation.transpose())).norm().to_degrees()
+}
+
+fn direction_error_deg(pose: &Rigid, truth: &Rigid) -> f64 {
+    pose.translation.normalize().dot(&truth.translation.normalize()).clamp(-1.0, 1.0).acos().to_degrees()
+}
+
+#[test]
+fn half_wrong_pairs_leave_the_pose_within_its_noise() {
+    for seed in 0..20 {
+        let scene = scene(seed, 150, 0.5);
+        let found = estimate_essential(&scene.pairs, None, 6e-3, 300, seed).unwrap();
+        // The best that these pairs can say: the descent from the truth, which knows no sampling.
+        let from_truth = refine_essential(&scene.pose, &scene.pairs, None, 6e-3, 20);
+        let best = judge_essential(&epipolar::essential_from_pose(&from_truth), &scene.pairs, None, 6e-3);
+        assert!(found.support > 0.99 * best.support, "{seed}: {} {}", found.support, best.support);
+        // 75 pairs at 2 px on a stage of 3 m: a median of 0.5 degrees, so 2.5 is out of the noise's reach.
+        let pose = &found.second_from_first;
+        assert!(rotation_error_deg(pose, &scene.pose) < 2.5, "{seed}: {}", rotation_error_deg(pose, &scene.pose));
+        assert!(direction_error_deg(pose, &scene.pose) < 2.5, "{seed}: {}", direction_error_deg(pose, &scene.pose));
+        assert!((0.4..0.65).contains(&found.inlier_ratio), "{}", found.inlier_ratio);
+        assert!(found.cheirality_ratio > 0.9, "{}", found.cheirality_ratio);
+        assert!(found.support > 0.25 * 150.0 && found.support < found.inlier_ratio * 150.0);
+    }
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bits() {
+    let scene = scene(7, 100, 0.4);
+    let run = || estimate_essential(&scene.pairs, None, 6e-3, 100, 5);
+    assert_eq!(run(), run());
+}
+
+#[test]
+fn pairs_of_no_weight_are_not_seen() {
+    let mut scene = scene(8, 120, 0.0);
+    let weights: Vec<f64> = (0..120).map(|i| if i < 60 { 1.0 } else { 0.0 }).collect();
+    scene.pairs[60..].iter_mut().for_each(|(_, b)| b.x = f64::NAN);
+    let found = estimate_essential(&scene.pairs, Some(&weights), 6e-3, 100, 0).unwrap();
+    assert!(rotation_error_deg(&found.second_from_first, &scene.pose) < 1.0);
+    assert!(found.inlier_ratio > 0.95);
+}
+
+#[test]
+fn refinement_reaches_the_truth_on_exact_pairs_from_ten_degrees_away() {
+    let scene = scene(9, 60, 0.0);
+    let exact: Vec<PointPair> = scene
+        .pairs
+        .iter()
+        .map(|(a, _)| {
+            let point = a.push(1.0) * 5.0;
+            let moved = scene.pose.transform(&point);
+            (*a, moved.xy() / moved.z)
+        })
+        .collect();
+    let turned = Rigid {
+        rotation: rotation::exp(&Vector3::new(0.1, -0.1, 0.1)) * scene.pose.rotation,
+        translation: scene.pose.translation.normalize() + Vector3::new(0.1, 0.1, -0.1),
+    };
+    let refined = refine_essential(&turned, &exact, None, 0.05, 30);
+    assert!(rotation_error_deg(&refined, &scene.pose) < 1e-6);
+    assert!((refined.translation - scene.pose.translation.normalize()).norm() < 1e-8);
+}
+
+#[test]
+fn one_pair_that_is_not_finite_changes_nothing_for_the_others() {
+    let scene = scene(11, 80, 0.0);
+    let mut pairs = scene.pairs.clone();
+    pairs.push((nalgebra::Vector2::repeat(f64::NAN), nalgebra::Vector2::zeros()));
+    let refined = refine_essential(&scene.pose, &pairs, None, 6e-3, 10);
+    assert_eq!(refined, refine_essential(&scene.pose, &scene.pairs, None, 6e-3, 10));
+    assert!(refined.rotation != scene.pose.rotation);
+}
+
+#[test]
+fn hopeless_input_gives_none_and_no_panic() {
+    let scene = scene(10, 4, 0.0);
+    assert_eq!(estimate_essential(&scene.pairs, None, 6e-3, 100, 0), None);
+    assert_eq!(estimate_essential(&[], None, 6e-3, 100, 0), None);
+    let nan = nalgebra::Vector2::repeat(f64::NAN);
+    assert_eq!(estimate_essential(&[(nan, nan); 20], None, 6e-3, 20, 0), None);
+    estimate_essential(&[(nalgebra::Vector2::zeros(), nalgebra::Vector2::zeros()); 20], None, 6e-3, 20, 0);
+}

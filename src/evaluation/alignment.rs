@@ -1,0 +1,152 @@
+//! The transform between the result's world and the truth's.
+
+use crate::geometry::{Rigid, Similarity};
+use nalgebra::{Matrix3, Matrix4, SymmetricEigen, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+/// What is fitted, and to what.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Alignment {
+    /// Rotation and translation, to the camera centres. Needs three centres off one line.
+    Rigid,
+    /// Rotation, translation and scale, to the camera centres. Needs three centres off one line.
+    Sim3,
+    /// Rotation to the orientations (chordal mean), then translation to the centres. Needs one camera.
+    RigidPose,
+    /// Nothing: both worlds are one already.
+    None,
+}
+
+impl Alignment {
+    /// The name in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Rigid => "rigid",
+            Self::Sim3 => "sim3",
+            Self::RigidPose => "rigid_pose",
+            Self::None => "none",
+        }
+    }
+}
+
+/// A proper rotation and how well it fits.
+struct RotationFit {
+    rotation: Matrix3<f64>,
+    /// `tr(rotation^T covariance)`, the greatest that any rotation reaches.
+    trace: f64,
+}
+
+/// `truth_from_solved` for cameras that correspond by position; the identity where there are none.
+///
+/// `solved`, `truth`: `camera_from_world`, equally many.
+pub fn truth_from_solved(solved: &[Rigid], truth: &[Rigid], alignment: Alignment) -> Similarity {
+    let centers = |cameras: &[Rigid]| cameras.iter().map(Rigid::center).collect::<Vec<_>>();
+    let (source, target) = (centers(solved), centers(truth));
+    match alignment {
+        Alignment::Rigid => align_points(&source, &target, Scale::One),
+        Alignment::Sim3 => align_points(&source, &target, Scale::Free),
+        Alignment::RigidPose => {
+            let sum: Matrix3<f64> = solved.iter().zip(truth).map(|(s, t)| t.rotation.transpose() * s.rotation).sum();
+            let rotation = best_rotation(&sum).rotation;
+            Similarity { scale: 1.0, rotation, translation: mean(&target) - rotation * mean(&source) }
+        }
+        Alignment::None => align_points(&[], &[], Scale::One),
+    }
+}
+
+/// Whether [`align_points`] may change the size.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Scale {
+    /// It may not.
+    One,
+    /// It may.
+    Free,
+}
+
+/// Least-squares alignment of corresponding points.
+///
+/// min over s, Q, b of `sum |y_i - (s Q x_i + b)|^2` (Umeyama, PAMI 1991). The rotation is found as Horn's quaternion
+/// (J. Opt. Soc. Am. A 4, 1987), which never is a reflection, and `s = tr(Q^T Y X^T) / |X|^2` of the centred points.
+///
+/// `source`, `target`: n points each. Returns `target_from_source`; the identity for no points.
+///
+/// Known limit: the rotation about the line is arbitrary where the points lie on one.
+pub fn align_points(source: &[Vector3<f64>], target: &[Vector3<f64>], scale: Scale) -> Similarity {
+    let (source_mean, target_mean) = (mean(source), mean(target));
+    let pairs = || source.iter().zip(target).map(|(x, y)| (x - source_mean, y - target_mean));
+    let covariance: Matrix3<f64> = pairs().map(|(x, y)| y * x.transpose()).sum();
+    let spread: f64 = pairs().map(|(x, _)| x.norm_squared()).sum();
+    let fit = best_rotation(&covariance);
+    let scale = if scale == Scale::Free && spread > 0.0 { fit.trace / spread } else { 1.0 };
+    Similarity { scale, rotation: fit.rotation, translation: target_mean - fit.rotation * source_mean * scale }
+}
+
+fn mean(points: &[Vector3<f64>]) -> Vector3<f64> {
+    points.iter().sum::<Vector3<f64>>() / points.len().max(1) as f64
+}
+
+/// The rotation Q that maximises `tr(Q^T covariance)`: the eigenvector of Horn's 4x4 matrix with the largest eigenvalue.
+fn best_rotation(covariance: &Matrix3<f64>) -> RotationFit {
+    if covariance.norm_squared() == 0.0 {
+        return RotationFit { rotation: Matrix3::identity(), trace: 0.0 };
+    }
+    let s = covariance.transpose();
+    let trace = s.trace();
+    let axial = Vector3::new(s[(1, 2)] - s[(2, 1)], s[(2, 0)] - s[(0, 2)], s[(0, 1)] - s[(1, 0)]);
+    let mut horn = Matrix4::zeros();
+    horn[(0, 0)] = trace;
+    horn.fixed_view_mut::<3, 1>(1, 0).copy_from(&axial);
+    horn.fixed_view_mut::<1, 3>(0, 1).copy_from(&axial.transpose());
+    horn.fixed_view_mut::<3, 3>(1, 1).copy_from(&(s + s.transpose() - Matrix3::identity() * trace));
+    let eigen = SymmetricEigen::new(horn);
+    let (best, largest) = eigen.eigenvalues.argmax();
+    let q = eigen.eigenvectors.column(best);
+    let quaternion = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(q[0], q[1], q[2], q[3]));
+    RotationFit { rotation: quaternion.to_rotation_matrix().into_inner(), trace: largest }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::rotation;
+
+    fn points() -> Vec<Vector3<f64>> {
+        (0..7).map(|i| f64::from(i)).map(|i| Vector3::new(i.sin(), (2.0 * i).cos(), 0.3 * i)).collect()
+    }
+
+    #[test]
+    fn a_similarity_is_recovered_exactly() {
+        let truth = Similarity {
+            scale: 1.7,
+            rotation: rotation::exp(&Vector3::new(2.0, -1.5, 1.0)),
+            translation: Vector3::new(3.0, -4.0, 5.0),
+        };
+        let target: Vec<_> = points().iter().map(|p| truth.transform(p)).collect();
+        let found = align_points(&points(), &target, Scale::Free);
+        assert!((found.scale - truth.scale).abs() < 1e-12);
+        assert!((found.rotation - truth.rotation).norm() < 1e-12);
+        assert!((found.translation - truth.translation).norm() < 1e-11);
+        assert_eq!(align_points(&points(), &target, Scale::One).scale, 1.0);
+    }
+
+    #[test]
+    fn mirrored_points_are_aligned_by_a_rotation() {
+        let target: Vec<_> = points().iter().map(|p| Vector3::new(-p.x, p.y, p.z)).collect();
+        let found = align_points(&points(), &target, Scale::Free);
+        assert!((found.rotation.determinant() - 1.0).abs() < 1e-12);
+        assert!(found.scale > 0.0 && found.scale < 1.0);
+    }
+
+    #[test]
+    fn one_camera_is_enough_for_orientations() {
+        let camera =
+            Rigid { rotation: rotation::exp(&Vector3::new(0.3, 0.2, 0.1)), translation: Vector3::new(1.0, 2.0, 3.0) };
+        let moved = Similarity { scale: 1.0, rotation: rotation::exp(&Vector3::y()), translation: Vector3::x() };
+        let solved = moved.move_camera(&camera);
+        let found = truth_from_solved(&[solved], &[camera], Alignment::RigidPose);
+        let back = found.move_camera(&solved);
+        assert!((back.rotation - camera.rotation).norm() < 1e-12);
+        assert!((back.translation - camera.translation).norm() < 1e-12);
+    }
+}

@@ -1,0 +1,213 @@
+//! The files that an evaluation reads: cameras, poses, identities and what it needs of the session. Metres after reading.
+
+use super::error::EvaluationError;
+use super::person_matching::Frames;
+use super::shelf14::{Point, Skeleton};
+use crate::geometry::{Intrinsics, Rigid};
+use crate::session::recording::UpAxis;
+use nalgebra::{Matrix3, Vector3};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Deserializer};
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+/// What an evaluation needs of `session.json`.
+#[derive(Debug, Clone, Deserialize)]
+pub struct SessionDocument {
+    /// Frames per second.
+    pub fps: f64,
+    /// Up axis of the given world.
+    pub up_axis: Option<UpAxis>,
+    /// The cameras, in order.
+    pub cameras: Vec<SessionCamera>,
+}
+
+/// A camera of `session.json`.
+#[derive(Debug, Clone, Deserialize)]
+pub struct SessionCamera {
+    /// Its name.
+    #[serde(deserialize_with = "text")]
+    pub id: String,
+    /// Image width, px.
+    pub width: u32,
+    /// Image height, px.
+    pub height: u32,
+    #[serde(rename = "K")]
+    matrix: [[f64; 3]; 3],
+}
+
+impl SessionCamera {
+    /// The camera's intrinsics without distortion.
+    pub fn intrinsics(&self) -> Intrinsics {
+        let k = &self.matrix;
+        let (width, height) = (self.width, self.height);
+        Intrinsics { width, height, fx: k[0][0], fy: k[1][1], cx: k[0][2], cy: k[1][2], skew: k[0][1], dist: [0.0; 5] }
+    }
+}
+
+/// A file of poses or keypoints.
+#[derive(Debug, Clone)]
+pub struct PosesDocument {
+    /// What the joints are.
+    pub skeleton: Skeleton,
+    /// Up axis, where the file names it.
+    pub up_axis: Option<UpAxis>,
+    /// All joints of everybody; frames without anybody are left out.
+    pub frames: Frames<Vec<Point>>,
+}
+
+/// `identities[camera][frame][detection]`: a person's name.
+pub type Identities = BTreeMap<String, Vec<Vec<Option<String>>>>;
+
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum CamerasFile {
+    List(Vec<PosedCamera>),
+    Wrapped { cameras: Vec<PosedCamera> },
+}
+
+#[derive(Deserialize)]
+struct PosedCamera {
+    #[serde(deserialize_with = "text")]
+    id: String,
+    #[serde(rename = "R")]
+    rotation: Option<[[f64; 3]; 3]>,
+    #[serde(rename = "t")]
+    translation: Option<[f64; 3]>,
+    #[serde(default)]
+    units: Unit,
+}
+
+#[derive(Deserialize)]
+struct PosesFile {
+    #[serde(alias = "keypoint_names")]
+    joint_names: Vec<String>,
+    #[serde(default)]
+    units: Unit,
+    #[serde(alias = "up")]
+    up_axis: Option<UpAxis>,
+    frames: BTreeMap<i64, BTreeMap<String, Vec<Option<[f64; 3]>>>>,
+}
+
+#[derive(Deserialize, Default, Clone, Copy)]
+#[serde(rename_all = "lowercase")]
+enum Unit {
+    #[default]
+    M,
+    Cm,
+    Mm,
+}
+
+impl Unit {
+    fn metres(self) -> f64 {
+        match self {
+            Self::M => 1.0,
+            Self::Cm => 1e-2,
+            Self::Mm => 1e-3,
+        }
+    }
+}
+
+/// `camera_from_world` of every camera that has a pose.
+///
+/// # Errors
+/// [`EvaluationError`] where the file cannot be read.
+pub fn read_cameras(path: &Path) -> Result<BTreeMap<String, Rigid>, EvaluationError> {
+    let (CamerasFile::List(cameras) | CamerasFile::Wrapped { cameras }) = read_json(path)?;
+    let posed = |camera: PosedCamera| {
+        let translation = Vector3::from(camera.translation?) * camera.units.metres();
+        Some((camera.id, Rigid { rotation: matrix(&camera.rotation?), translation }))
+    };
+    Ok(cameras.into_iter().filter_map(posed).collect())
+}
+
+/// Poses of everybody in every frame.
+///
+/// # Errors
+/// [`EvaluationError`] where the file cannot be read, its joints are unknown, or a person has too few of them.
+pub fn read_poses(path: &Path) -> Result<PosesDocument, EvaluationError> {
+    let file: PosesFile = read_json(path)?;
+    let skeleton = Skeleton::from_names(&file.joint_names)
+        .ok_or_else(|| EvaluationError::UnknownJoints { path: path.to_owned(), names: file.joint_names.clone() })?;
+    let metres = file.units.metres();
+    let mut frames = Frames::new();
+    for (frame, people) in file.frames.into_iter().filter(|(_, people)| !people.is_empty()) {
+        let mut poses = BTreeMap::new();
+        for (person, joints) in people {
+            let (expected, found) = (file.joint_names.len(), joints.len());
+            if expected != found {
+                return Err(EvaluationError::Joints { path: path.to_owned(), frame, person, expected, found });
+            }
+            poses.insert(person, joints.into_iter().map(|joint| joint.map(|p| Vector3::from(p) * metres)).collect());
+        }
+        frames.insert(frame, poses);
+    }
+    Ok(PosesDocument { skeleton, up_axis: file.up_axis, frames })
+}
+
+/// Names of people per detection.
+///
+/// # Errors
+/// [`EvaluationError`] where the file cannot be read.
+pub fn read_identities(path: &Path) -> Result<Identities, EvaluationError> {
+    let named: BTreeMap<String, Vec<Vec<Option<Name>>>> = read_json(path)?;
+    let names = |detections: Vec<Option<Name>>| detections.into_iter().map(|name| name.map(|n| n.0)).collect();
+    Ok(named.into_iter().map(|(camera, frames)| (camera, frames.into_iter().map(names).collect())).collect())
+}
+
+/// Track ids of every detection of a camera's `poses/<camera>.json`, frame by frame.
+///
+/// # Errors
+/// [`EvaluationError`] where the file cannot be read.
+pub fn read_track_ids(path: &Path) -> Result<Vec<Vec<Option<i64>>>, EvaluationError> {
+    #[derive(Deserialize)]
+    struct File {
+        frames: Vec<Frame>,
+    }
+    #[derive(Deserialize)]
+    struct Frame {
+        people: Vec<Person>,
+    }
+    #[derive(Deserialize)]
+    struct Person {
+        track_id: Option<i64>,
+    }
+    let file: File = read_json(path)?;
+    Ok(file.frames.into_iter().map(|frame| frame.people.into_iter().map(|person| person.track_id).collect()).collect())
+}
+
+/// Any JSON file.
+///
+/// # Errors
+/// [`EvaluationError::Read`] and [`EvaluationError::Json`] name the file.
+pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, EvaluationError> {
+    let bytes = fs::read(path).map_err(|source| EvaluationError::Read { path: path.to_owned(), source })?;
+    serde_json::from_slice(&bytes).map_err(|source| EvaluationError::Json { path: path.to_owned(), source })
+}
+
+fn matrix(rows: &[[f64; 3]; 3]) -> Matrix3<f64> {
+    Matrix3::from_fn(|row, column| rows[row][column])
+}
+
+/// A name given as text or as a number.
+struct Name(String);
+
+impl<'de> Deserialize<'de> for Name {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        text(deserializer).map(Self)
+    }
+}
+
+fn text<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Either {
+        Text(String),
+        Number(i64),
+    }
+    Ok(match Either::deserialize(deserializer)? {
+        Either::Text(text) => text,
+        Either::Number(number) => number.to_string(),
+    })
+}

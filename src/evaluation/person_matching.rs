@@ -1,0 +1,68 @@
+//! Which person of the result is compared with which true person, frame by frame.
+
+use super::camera_error::mean;
+use super::shelf14::Shelf14;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// People of one frame, by name.
+pub type People<J> = BTreeMap<String, J>;
+/// People of every frame, by the session's frame number.
+pub type Frames<J> = BTreeMap<i64, People<J>>;
+
+/// How people of the result are matched to true people in a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Matching {
+    /// Each true person gets the nearest one; several may share it. The literature's rule.
+    Nearest,
+    /// Greedily by distance, one to one.
+    One2one,
+}
+
+/// Mean distance over the joints that both have; `None` where they share none.
+pub(super) fn mean_distance(truth: &Shelf14, solved: &Shelf14) -> Option<f64> {
+    mean(truth.iter().zip(solved).filter_map(|(t, s)| Some(((*t)? - (*s)?).norm())))
+}
+
+/// Calls `visit(true person, true pose, matched pose)` for every true person of every frame.
+pub(super) fn for_each_match<'a>(
+    truth: &'a Frames<Shelf14>,
+    solved: &'a Frames<Shelf14>,
+    matching: Matching,
+    mut visit: impl FnMut(&'a str, &'a Shelf14, Option<&'a Shelf14>),
+) {
+    let nobody = People::new();
+    for (frame, true_people) in truth {
+        let people = solved.get(frame);
+        let matches = matched(true_people, people.unwrap_or(&nobody), matching);
+        for (actor, pose) in true_people {
+            let found = matches.get(actor.as_str()).and_then(|name| people.and_then(|people| people.get(*name)));
+            visit(actor, pose, found);
+        }
+    }
+}
+
+/// Name in the result for each true person that has a match.
+fn matched<'a>(
+    truth: &'a People<Shelf14>,
+    solved: &'a People<Shelf14>,
+    matching: Matching,
+) -> BTreeMap<&'a str, &'a str> {
+    let mut distances: Vec<(&str, &str, f64)> = Vec::with_capacity(truth.len() * solved.len());
+    for (actor, true_pose) in truth {
+        for (name, pose) in solved {
+            // Without a common joint nothing speaks for the pair.
+            distances.extend(mean_distance(true_pose, pose).map(|d| (actor.as_str(), name.as_str(), d)));
+        }
+    }
+    distances.sort_by(|a, b| a.2.total_cmp(&b.2));
+    let mut matches = BTreeMap::new();
+    for (actor, name, _) in distances {
+        let taken = matching == Matching::One2one && matches.values().any(|other| *other == name);
+        if !taken && !matches.contains_key(actor) {
+            matches.insert(actor, name);
+        }
+    }
+    matches
+}

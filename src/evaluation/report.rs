@@ -1,0 +1,261 @@
+//! One result against one truth, as a table and as JSON. The numbers are those of the independent reference scorer.
+
+use super::alignment::{Alignment, truth_from_solved};
+use super::camera_error::{CameraErrors, CameraPair, RelativeCameraError, camera_errors, relative_camera_error};
+use super::documents::{self, PosesDocument, SessionDocument};
+use super::error::EvaluationError;
+use super::identity_error::{IdentityError, IdentityRow, identity_error};
+use super::jitter::{Jitter, jitter};
+use super::joint_error::{Mpjpe, Pcp, mpjpe, pcp};
+use super::person_matching::{Frames, Matching};
+use super::shelf14::{Point, Shelf14, Skeleton, to_shelf14};
+use crate::body::skeleton::KeypointConvention;
+use crate::geometry::{Rigid, Similarity};
+use crate::session::recording::UpAxis;
+use nalgebra::Vector3;
+use serde::Serialize;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+/// How poses are compared.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct EvaluationOptions {
+    /// How the result's world is laid over the truth's before poses are compared. `None`: rigidly by the camera centres;
+    /// by orientations too where fewer than three cameras are solved; not at all where there are none.
+    pub align: Option<Alignment>,
+    /// Up axis of the truth's world. `None`: as its files say, else z.
+    pub up: Option<UpAxis>,
+    /// Whom averages are over. `None`: everybody, on Shelf truth the three actors of the literature.
+    pub actors: Option<Vec<String>>,
+}
+
+/// Everything that can be said of a result.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Evaluation {
+    /// The session's folder.
+    pub data: PathBuf,
+    /// Camera errors under three alignments.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cameras: Option<AlignedCameras>,
+    /// Camera errors that need no alignment.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cameras_relative: Option<RelativeCameraError>,
+    /// Errors of the poses whose joints are most like the truth's.
+    #[serde(flatten)]
+    pub poses: Option<PoseErrors>,
+    /// Errors of the result's other file of poses.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub other_poses: Option<PoseErrors>,
+    /// Errors of identities.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub identity: Option<IdentityError>,
+}
+
+/// Camera errors under three alignments.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct AlignedCameras {
+    /// [`Alignment::Rigid`].
+    pub rigid: CameraErrors,
+    /// [`Alignment::Sim3`].
+    pub sim3: CameraErrors,
+    /// [`Alignment::RigidPose`].
+    pub rigid_pose: CameraErrors,
+}
+
+/// Errors of one file of poses.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PoseErrors {
+    /// The file.
+    pub joints_from: &'static str,
+    /// Mean accelerations.
+    pub jitter: Jitters,
+    /// PCP, nearest person.
+    pub pcp: Pcp,
+    /// PCP, one to one.
+    pub pcp_one2one: Pcp,
+    /// MPJPE.
+    pub mpjpe: Mpjpe,
+}
+
+/// Mean accelerations of result and truth.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Jitters {
+    /// The result's.
+    pub pred: Jitter,
+    /// The truth's.
+    pub gt: Jitter,
+}
+
+const POSES: &str = "poses3d.json";
+const KEYPOINTS: &str = "keypoints3d.json";
+/// The actors that papers average over.
+const SHELF_ACTORS: [&str; 3] = ["0", "1", "2"];
+
+/// Compares a result folder with a truth folder (`…/gt`), beside which the session lies.
+///
+/// Read are `cameras.json`, `keypoints3d.json`, `poses3d.json` and `identities.json`, as far as both folders have what
+/// they need.
+///
+/// # Errors
+/// [`EvaluationError`] where a file cannot be read or contradicts the session.
+pub fn evaluate(result: &Path, truth: &Path, options: &EvaluationOptions) -> Result<Evaluation, EvaluationError> {
+    let data = truth.join("..");
+    let data = data.canonicalize().map_err(|source| EvaluationError::Read { path: data.clone(), source })?;
+    let session: SessionDocument = documents::read_json(&data.join("session.json"))?;
+    let true_poses = documents::read_poses(&truth.join(POSES))?;
+    let pairs = match existing(result, "cameras.json") {
+        Some(path) => camera_pairs(&session, &path, &truth.join("cameras.json"))?,
+        None => Vec::new(),
+    };
+    let truth_from_result = world_alignment(&pairs, options.align);
+    let judge = PoseJudge::new(&session, &true_poses, options);
+    let mut poses = Vec::new();
+    for name in judge.files_in_order() {
+        if let Some(path) = existing(result, name) {
+            poses.push(judge.errors(name, &documents::read_poses(&path)?, &truth_from_result));
+        }
+    }
+    let identity = match (existing(result, "identities.json"), existing(truth, "identities.json")) {
+        (Some(given), Some(truth)) => Some(identity_error(&identity_rows(&data, &session, &given, &truth)?)),
+        _ => None,
+    };
+    if pairs.is_empty() && poses.is_empty() && identity.is_none() {
+        return Err(EvaluationError::Nothing { result: result.to_owned() });
+    }
+    let mut poses = poses.into_iter();
+    Ok(Evaluation {
+        data,
+        cameras: (!pairs.is_empty()).then(|| aligned_cameras(&pairs, &true_poses)),
+        cameras_relative: relative_camera_error(&pairs),
+        poses: poses.next(),
+        other_poses: poses.next(),
+        identity,
+    })
+}
+
+fn existing(folder: &Path, name: &str) -> Option<PathBuf> {
+    let path = folder.join(name);
+    path.is_file().then_some(path)
+}
+
+/// The solved cameras, in the session's order.
+fn camera_pairs(session: &SessionDocument, result: &Path, truth: &Path) -> Result<Vec<CameraPair>, EvaluationError> {
+    let (solved, truth) = (documents::read_cameras(result)?, documents::read_cameras(truth)?);
+    let pair = |camera: &documents::SessionCamera| {
+        let (solved, truth) = (*solved.get(&camera.id)?, *truth.get(&camera.id)?);
+        Some(CameraPair { id: camera.id.clone(), intrinsics: camera.intrinsics(), truth, solved })
+    };
+    Ok(session.cameras.iter().filter_map(pair).collect())
+}
+
+fn aligned_cameras(pairs: &[CameraPair], truth: &PosesDocument) -> AlignedCameras {
+    let points: Vec<Vector3<f64>> =
+        truth.frames.values().flat_map(BTreeMap::values).flatten().copied().flatten().collect();
+    let errors = |alignment| camera_errors(pairs, &points, alignment);
+    AlignedCameras {
+        rigid: errors(Alignment::Rigid),
+        sim3: errors(Alignment::Sim3),
+        rigid_pose: errors(Alignment::RigidPose),
+    }
+}
+
+fn world_alignment(pairs: &[CameraPair], wanted: Option<Alignment>) -> Similarity {
+    let usual = match pairs.len() {
+        0 => Alignment::None,
+        1 | 2 => Alignment::RigidPose,
+        _ => Alignment::Rigid,
+    };
+    let (solved, truth): (Vec<Rigid>, Vec<Rigid>) = pairs.iter().map(|pair| (pair.solved, pair.truth)).unzip();
+    truth_from_solved(&solved, &truth, wanted.unwrap_or(usual))
+}
+
+/// True poses, ready to be compared with.
+struct PoseJudge<'a> {
+    truth: &'a PosesDocument,
+    true_shelf: Frames<Shelf14>,
+    actors: Vec<String>,
+    up: Vector3<f64>,
+    fps: f64,
+}
+
+impl<'a> PoseJudge<'a> {
+    fn new(session: &SessionDocument, truth: &'a PosesDocument, options: &EvaluationOptions) -> Self {
+        let up = match options.up.or(truth.up_axis).or(session.up_axis).unwrap_or(UpAxis::Z) {
+            UpAxis::X => Vector3::x(),
+            UpAxis::Y => Vector3::y(),
+            UpAxis::Z => Vector3::z(),
+        };
+        let everybody = || truth.frames.values().flat_map(BTreeMap::keys).collect::<BTreeSet<_>>().into_iter().cloned();
+        let usual = || match truth.skeleton {
+            Skeleton::Shelf => SHELF_ACTORS.map(str::to_owned).to_vec(),
+            Skeleton::Keypoints(_) => everybody().collect(),
+        };
+        Self {
+            true_shelf: shelf_frames(&truth.frames, truth.skeleton, &up),
+            actors: options.actors.clone().unwrap_or_else(usual),
+            truth,
+            up,
+            fps: session.fps,
+        }
+    }
+
+    /// SMPL's joints are compared with SMPL's, annotated ones with a detector's.
+    fn files_in_order(&self) -> [&'static str; 2] {
+        match self.truth.skeleton {
+            Skeleton::Keypoints(KeypointConvention::Smpl24) => [POSES, KEYPOINTS],
+            _ => [KEYPOINTS, POSES],
+        }
+    }
+
+    fn errors(&self, joints_from: &'static str, solved: &PosesDocument, truth_from_result: &Similarity) -> PoseErrors {
+        let mut frames = solved.frames.clone();
+        for point in frames.values_mut().flat_map(BTreeMap::values_mut).flatten().flatten() {
+            *point = truth_from_result.transform(point);
+        }
+        let shelf = shelf_frames(&frames, solved.skeleton, &self.up);
+        PoseErrors {
+            joints_from,
+            jitter: Jitters { pred: jitter(&frames, self.fps), gt: jitter(&self.truth.frames, self.fps) },
+            pcp: pcp(&self.true_shelf, &shelf, &self.actors, Matching::Nearest),
+            pcp_one2one: pcp(&self.true_shelf, &shelf, &self.actors, Matching::One2one),
+            mpjpe: mpjpe(&self.true_shelf, &shelf, &self.actors),
+        }
+    }
+}
+
+fn shelf_frames(frames: &Frames<Vec<Point>>, skeleton: Skeleton, up: &Vector3<f64>) -> Frames<Shelf14> {
+    let people = |people: &BTreeMap<String, Vec<Point>>| {
+        people.iter().map(|(name, points)| (name.clone(), to_shelf14(points, skeleton, up))).collect()
+    };
+    frames.iter().map(|(frame, of_frame)| (*frame, people(of_frame))).collect()
+}
+
+fn identity_rows(
+    data: &Path,
+    session: &SessionDocument,
+    given: &Path,
+    truth: &Path,
+) -> Result<Vec<IdentityRow>, EvaluationError> {
+    let given = documents::read_identities(given)?;
+    let truth: BTreeMap<String, Vec<Vec<Option<i64>>>> = documents::read_json(truth)?;
+    let (no_given, no_truth) = (Vec::new(), Vec::new());
+    let mut rows = Vec::new();
+    for camera in session.cameras.iter().map(|camera| &camera.id) {
+        let track_ids = documents::read_track_ids(&data.join("poses").join(format!("{camera}.json")))?;
+        let (given, truth) = (given.get(camera).unwrap_or(&no_given), truth.get(camera).unwrap_or(&no_truth));
+        for (frame, track_ids) in track_ids.iter().enumerate() {
+            let expected = track_ids.len();
+            let fits = |found: Option<usize>| match found.unwrap_or(0) {
+                found if found == expected => Ok(()),
+                found => Err(EvaluationError::Identities { camera: camera.clone(), frame, expected, found }),
+            };
+            fits(given.get(frame).map(Vec::len))?;
+            fits(truth.get(frame).map(Vec::len))?;
+            for (detection, track_id) in track_ids.iter().enumerate() {
+                let (truth, given) = (truth[frame][detection], given[frame][detection].clone());
+                rows.push(IdentityRow { truth, given, track_id: *track_id });
+            }
+        }
+    }
+    Ok(rows)
+}

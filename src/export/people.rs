@@ -1,0 +1,63 @@
+//! `people.json`: shape and motion of every person, SMPL's convention.
+
+use super::files::{micro, micro_entries};
+use crate::geometry::rotation;
+use crate::session::people::BodyPose;
+use crate::session::reconstruction::BodyModelId;
+use crate::session::{BodyMotion, FrameIndex, Reconstruction, Session};
+use serde::Serialize;
+
+/// The file.
+#[derive(Serialize)]
+pub(super) struct People<'a> {
+    units: &'static str,
+    fps: f64,
+    body_model: &'a BodyModelId,
+    people: Vec<Person>,
+}
+
+#[derive(Serialize)]
+struct Person {
+    id: usize,
+    betas: [f64; 10],
+    frames: Vec<i64>,
+    global_orient: Vec<[f64; 3]>,
+    body_pose: Vec<Vec<f64>>,
+    transl: Vec<[f64; 3]>,
+    valid: Vec<bool>,
+}
+
+/// The content of `people.json`.
+pub(super) fn people<'a>(session: &Session, reconstruction: &'a Reconstruction) -> People<'a> {
+    People {
+        units: "m",
+        fps: session.fps,
+        body_model: &reconstruction.body_model,
+        people: reconstruction.motions.iter().map(|motion| person(session, motion)).collect(),
+    }
+}
+
+/// The session's own numbers of a motion's frames, without holes.
+pub(super) fn frame_numbers(session: &Session, motion: &BodyMotion) -> Vec<i64> {
+    (0..motion.frames.len()).map(|i| session.frame_number(FrameIndex(motion.first.0 + i))).collect()
+}
+
+/// The 24 local rotations of a frame as axis-angle, radians: SMPL's `poses`, 72 wide.
+pub(super) fn axis_angles(pose: &BodyPose) -> Vec<f64> {
+    pose.rotations.iter().flat_map(|r| <[f64; 3]>::from(rotation::log(r))).collect()
+}
+
+fn person(session: &Session, motion: &BodyMotion) -> Person {
+    // [frames, 72]
+    let poses: Vec<Vec<f64>> =
+        motion.frames.iter().map(|pose| axis_angles(pose).into_iter().map(micro).collect()).collect();
+    Person {
+        id: motion.person.0,
+        betas: motion.betas.map(micro),
+        frames: frame_numbers(session, motion),
+        global_orient: poses.iter().map(|pose| [pose[0], pose[1], pose[2]]).collect(),
+        body_pose: poses.iter().map(|pose| pose[3..].to_vec()).collect(),
+        transl: motion.frames.iter().map(|pose| micro_entries(&pose.translation)).collect(),
+        valid: motion.frames.iter().map(|pose| pose.valid).collect(),
+    }
+}

@@ -1,0 +1,222 @@
+//! A made-up result, read back.
+
+use super::*;
+use crate::body::skeleton::{JOINT_NAMES, KeypointConvention, N_JOINTS};
+use crate::geometry::{Intrinsics, Rigid, rotation};
+use crate::session::people::{BodyMotion, BodyPose, JointTrajectory};
+use crate::session::reconstruction::*;
+use crate::session::recording::UpAxis;
+use crate::session::{Detection, FrameIndex, Keypoint, PersonId, View};
+use nalgebra::{Matrix3, Vector2, Vector3};
+use serde_json::{Value, json};
+use std::fs;
+use std::io::Read;
+
+const TURN: Vector3<f64> = Vector3::new(0.3, -0.2, 0.1);
+
+fn session() -> Session {
+    let detection =
+        Detection { track_id: None, keypoints: vec![Keypoint { pixel: Vector2::new(1.0, 2.0), confidence: 1.0 }; 17] };
+    let view = |id: &str| View {
+        id: id.to_owned(),
+        intrinsics: Intrinsics {
+            width: 640,
+            height: 480,
+            fx: 500.0,
+            fy: 501.0,
+            cx: 320.0,
+            cy: 240.0,
+            skew: 0.0,
+            dist: [0.0; 5],
+        },
+        camera_from_world: None,
+        frames: vec![vec![detection.clone()], Vec::new(), vec![detection.clone(), detection.clone()]],
+        delivered: vec![FrameIndex(2), FrameIndex(0)],
+    };
+    Session {
+        name: "made up".to_owned(),
+        fps: 25.0,
+        first_frame: 300,
+        n_frames: 3,
+        convention: KeypointConvention::Coco17,
+        up_axis: None,
+        views: vec![view("b"), view("a")],
+    }
+}
+
+fn reconstruction() -> Reconstruction {
+    let camera_from_world = Rigid { rotation: rotation::exp(&TURN), translation: Vector3::new(0.1, 0.2, 1.0 / 3.0) };
+    let camera = |camera_from_world: Option<Rigid>| SolvedCamera {
+        camera_from_world,
+        reprojection_px: camera_from_world.map(|_| ErrorSummary { mean: 2.5, median: f64::NAN }),
+        n_observations: 34,
+        sigma_position_mm: camera_from_world.map(|_| 1.5),
+        sigma_angle_deg: None,
+    };
+    let pose = |x: f64| BodyPose {
+        rotations: std::array::from_fn(|j| if j == 1 { rotation::exp(&TURN) } else { Matrix3::identity() }),
+        translation: Vector3::new(x, 1.0 / 3.0, 0.0),
+        joints: std::array::from_fn(|j| Vector3::new(j as f64, x, 0.0)),
+        valid: x < 0.5,
+    };
+    let mut points = vec![None; 17];
+    points[5] = Some(Vector3::new(1.0, f64::INFINITY, 0.0));
+    points[6] = Some(Vector3::new(1.0, 2.0, 3.000_000_4));
+    Reconstruction {
+        cameras: vec![camera(Some(camera_from_world)), camera(None)],
+        keypoints: vec![JointTrajectory {
+            person: PersonId(0),
+            first: FrameIndex(0),
+            points: vec![points, vec![None; 17]],
+            n_views: vec![vec![0; 17]; 2],
+        }],
+        motions: vec![BodyMotion {
+            person: PersonId(0),
+            first: FrameIndex(1),
+            betas: [0.5; 10],
+            frames: vec![pose(0.25), pose(0.75)],
+        }],
+        identities: vec![
+            vec![vec![Some(PersonId(0))], vec![], vec![None, Some(PersonId(0))]],
+            vec![vec![None], vec![], vec![None, None]],
+        ],
+        up_axis: UpAxis::Y,
+        body_model: BodyModelId { name: "default".to_owned(), sha256: "00".repeat(32) },
+        report: Report {
+            stages: vec![],
+            cameras: vec![],
+            people: vec![],
+            heldout_px: Some(f64::INFINITY),
+            scale: None,
+            rejected_detections: 0.25,
+            keypoints_from: "points".to_owned(),
+            quality: Quality { verdict: Verdict::Warn, reasons: vec!["few views".to_owned()] },
+        },
+    }
+}
+
+fn context() -> ResultContext<'static> {
+    ResultContext {
+        input_sha256: "ab",
+        options: json!({"seed": 0, "people": null}),
+        solver_version: "0.0.0",
+        exports: &[ExportFormat::SmplNpz],
+    }
+}
+
+fn written() -> tempfile::TempDir {
+    let dir = tempfile::tempdir().unwrap();
+    write_result(dir.path(), &session(), &context(), &reconstruction()).unwrap();
+    dir
+}
+
+fn read(dir: &Path, name: &str) -> Value {
+    serde_json::from_slice(&fs::read(dir.join(name)).unwrap()).unwrap()
+}
+
+#[test]
+fn cameras_keep_every_digit_and_unsolved_ones_are_null() {
+    let dir = written();
+    let cameras = read(dir.path(), "cameras.json");
+    let (solved, unsolved) = (&cameras["cameras"][0], &cameras["cameras"][1]);
+    let pose = reconstruction().cameras[0].camera_from_world.unwrap();
+    assert_eq!(solved["R"][1][2].as_f64(), Some(pose.rotation[(1, 2)]));
+    assert_eq!(solved["t"][2].as_f64(), Some(1.0 / 3.0));
+    assert_eq!(solved["position"][0].as_f64(), Some(pose.center().x));
+    assert_eq!(solved["reprojection_px"], json!({"mean": 2.5, "median": null}));
+    assert_eq!((&solved["status"], &solved["sigma_position_mm"]), (&json!("solved"), &json!(1.5)));
+    assert_eq!((&unsolved["id"], &unsolved["status"]), (&json!("a"), &json!("unsolved")));
+    assert!(unsolved["R"].is_null() && unsolved["t"].is_null() && unsolved["position"].is_null());
+}
+
+#[test]
+fn people_and_joints_carry_the_sessions_frame_numbers() {
+    let dir = written();
+    let person = &read(dir.path(), "people.json")["people"][0];
+    assert_eq!(person["frames"], json!([301, 302]));
+    assert_eq!(person["valid"], json!([true, false]));
+    assert_eq!(person["transl"][0], json!([0.25, 0.333333, 0.0]));
+    assert_eq!(person["body_pose"][0].as_array().unwrap().len(), 69);
+    assert_eq!(person["body_pose"][0][0], json!(0.3));
+    assert_eq!(person["global_orient"][1], json!([0.0, 0.0, 0.0]));
+
+    let joints = read(dir.path(), "poses3d.json");
+    assert_eq!(joints["joint_names"], json!(JOINT_NAMES));
+    assert_eq!(joints["frames"]["302"]["0"][2], json!([2.0, 0.75, 0.0]));
+    assert_eq!(joints["frames"]["301"]["0"].as_array().unwrap().len(), N_JOINTS);
+
+    let keypoints = read(dir.path(), "keypoints3d.json");
+    assert_eq!(keypoints["joint_names"].as_array().unwrap().len(), 17);
+    assert_eq!(keypoints["frames"].as_object().unwrap().len(), 1, "a frame without points is left out");
+    assert_eq!(keypoints["frames"]["300"]["0"][5], Value::Null, "infinity is not written");
+    assert_eq!(keypoints["frames"]["300"]["0"][6], json!([1.0, 2.0, 3.0]));
+}
+
+#[test]
+fn identities_follow_the_order_of_the_input() {
+    let dir = written();
+    let text = fs::read_to_string(dir.path().join("identities.json")).unwrap();
+    assert_eq!(text, "{\"b\":[[null,0],[0]],\"a\":[[null,null],[null]]}\n");
+}
+
+#[test]
+fn numbers_that_are_not_finite_become_null() {
+    let dir = written();
+    assert_eq!(read(dir.path(), "report.json")["heldout_px"], Value::Null);
+}
+
+#[test]
+fn the_npz_reads_back() {
+    let dir = written();
+    let npz = fs::File::open(dir.path().join("smplh/0.npz")).unwrap();
+    let mut npz = zip::ZipArchive::new(npz).unwrap();
+    let mut member = |name: &str| {
+        let mut bytes = Vec::new();
+        npz.by_name(&format!("{name}.npy")).unwrap().read_to_end(&mut bytes).unwrap();
+        bytes
+    };
+    let poses = member("poses");
+    let poses = npyz::NpyFile::new(&poses[..]).unwrap();
+    assert_eq!(poses.shape(), [2, 156]);
+    let poses: Vec<f64> = poses.into_vec().unwrap();
+    assert!((Vector3::new(poses[3], poses[4], poses[5]) - TURN).norm() < 1e-12);
+    assert!(poses[66..156].iter().all(|x| *x == 0.0));
+    let frames: Vec<i64> = npyz::NpyFile::new(&member("frames")[..]).unwrap().into_vec().unwrap();
+    assert_eq!(frames, [301, 302]);
+    let gender = member("gender");
+    let gender = npyz::NpyFile::new(&gender[..]).unwrap();
+    assert_eq!((gender.dtype().descr(), gender.shape().len()), ("'<U7'".to_owned(), 0));
+    assert_eq!(gender.into_vec::<String>().unwrap(), ["neutral"]);
+}
+
+#[test]
+fn the_manifest_lists_every_file_but_itself() {
+    let dir = written();
+    let mut manifest = read(dir.path(), "manifest.json");
+    for file in manifest["files"].as_array_mut().unwrap() {
+        let bytes = fs::read(dir.path().join(file["name"].as_str().unwrap())).unwrap();
+        assert_eq!(file["bytes"], json!(bytes.len()));
+        assert_eq!(file["sha256"], json!(crate::session::digest::sha256_of_reader(&mut &bytes[..]).unwrap()));
+        // Sizes and digests are checked above; they follow the last digit of the machine's arithmetic.
+        (file["bytes"], file["sha256"]) = (json!("checked"), json!("checked"));
+    }
+    insta::assert_json_snapshot!(manifest);
+}
+
+#[test]
+fn the_same_result_gives_the_same_bytes() {
+    let (a, b) = (written(), written());
+    for name in ["manifest.json", "people.json", "smpl/0.npz"] {
+        assert_eq!(fs::read(a.path().join(name)).unwrap(), fs::read(b.path().join(name)).unwrap(), "{name}");
+    }
+}
+
+#[test]
+fn a_format_without_a_writer_is_refused_before_anything_is_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let context = ResultContext { exports: &[ExportFormat::SmplNpz, ExportFormat::Glb], ..context() };
+    let error = write_result(&dir.path().join("out"), &session(), &context, &reconstruction()).unwrap_err();
+    assert_eq!(error.to_string(), "the format glb cannot be written, smpl_npz can");
+    assert!(!dir.path().join("out").exists());
+    assert!(supported(ExportFormat::SmplNpz) && !supported(ExportFormat::Colmap));
+}

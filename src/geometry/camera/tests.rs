@@ -1,0 +1,86 @@
+use super::*;
+
+fn camera(dist: [f64; 5]) -> Intrinsics {
+    Intrinsics { width: 1920, height: 1080, fx: 1100.0, fy: 1090.0, cx: 950.0, cy: 545.0, skew: 0.7, dist }
+}
+
+/// None, mild, and the strong barrel of a wide lens with tangential terms.
+const LENSES: [[f64; 5]; 4] =
+    [[0.0; 5], [-0.05, 0.01, 0.0, 0.0, 0.0], [0.12, -0.2, -0.001, 0.002, 0.08], [-0.28, 0.09, 0.0007, -0.0004, -0.012]];
+
+#[test]
+fn a_point_on_the_axis_lies_on_the_principal_point() {
+    for dist in LENSES {
+        assert_eq!(camera(dist).pixel_from_camera(&Vector3::new(0.0, 0.0, 3.0)), Some(Vector2::new(950.0, 545.0)));
+    }
+}
+
+#[test]
+fn distortion_follows_opencvs_formula() {
+    // By hand at x = 0.5, y = 0.2: r2 = 0.29.
+    let [k1, k2, p1, p2, k3] = [0.1, -0.05, 0.001, 0.002, 0.01];
+    let radial = 1.0 + k1 * 0.29 + k2 * 0.0841 + k3 * 0.024389;
+    let x = 0.5 * radial + 2.0 * p1 * 0.1 + p2 * (0.29 + 0.5);
+    let y = 0.2 * radial + p1 * (0.29 + 0.08) + 2.0 * p2 * 0.1;
+    let pixel = camera([k1, k2, p1, p2, k3]).pixel_from_normalized(&Vector2::new(0.5, 0.2));
+    assert!((pixel - Vector2::new(1100.0 * x + 0.7 * y + 950.0, 1090.0 * y + 545.0)).norm() < 1e-11);
+}
+
+#[test]
+fn what_is_not_in_front_does_not_project() {
+    let camera = camera([0.0; 5]);
+    for z in [-1.0, 0.0, 0.5 * MIN_DEPTH] {
+        let point = Vector3::new(0.1, 0.1, z);
+        assert!(camera.pixel_from_camera(&point).is_none() && camera.project_with_jacobian(&point).is_none());
+    }
+}
+
+#[test]
+fn the_projections_derivative_agrees_with_central_differences() {
+    let step = 1e-6;
+    for dist in LENSES {
+        let camera = camera(dist);
+        for point in [Vector3::new(0.3, -0.2, 2.0), Vector3::new(-1.9, 1.0, 2.5), Vector3::new(1.0, 0.4, 1.2)] {
+            let (pixel, jacobian) = camera.project_with_jacobian(&point).unwrap();
+            assert_eq!(Some(pixel), camera.pixel_from_camera(&point));
+            for axis in 0..3 {
+                let mut d = Vector3::zeros();
+                d[axis] = step;
+                let ahead = camera.pixel_from_camera(&(point + d)).unwrap();
+                let behind = camera.pixel_from_camera(&(point - d)).unwrap();
+                let slope = (ahead - behind) / (2.0 * step);
+                // Pixels of 1e3 are exact to 1e-13, so the difference quotient is to 1e-7.
+                assert!((slope - jacobian.column(axis)).norm() < 1e-6, "{dist:?} {point} {axis}");
+            }
+        }
+    }
+}
+
+fn without_lens(distorted: &Intrinsics) -> Intrinsics {
+    Intrinsics { dist: [0.0; 5], ..*distorted }
+}
+
+#[test]
+fn undistortion_comes_back_to_every_pixel_of_the_image() {
+    for dist in LENSES {
+        let camera = camera(dist);
+        for row in (0..=1080).step_by(60) {
+            for column in (0..=1920).step_by(60) {
+                let pixel = Vector2::new(column as f64 - 0.5, row as f64 - 0.5);
+                let again = camera.pixel_from_normalized(&camera.normalized_from_pixel(&pixel));
+                assert!((again - pixel).norm() < 1e-9, "{dist:?} {pixel}: {again}");
+                // Not on another branch of the polynomial: the lens bends a ray by less than a third of its slope.
+                let (straight, bent) =
+                    (without_lens(&camera).normalized_from_pixel(&pixel), camera.normalized_from_pixel(&pixel));
+                assert!((straight - bent).norm() <= 0.34 * bent.norm(), "{dist:?} {pixel}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_sensor_ends_half_a_pixel_beyond_the_outer_centres() {
+    let camera = camera([0.0; 5]);
+    assert!(camera.contains(&Vector2::new(-0.5, -0.5)) && camera.contains(&Vector2::new(1919.4, 1079.4)));
+    assert!(!camera.contains(&Vector2::new(-0.6, 0.0)) && !camera.contains(&Vector2::new(0.0, 1079.5)));
+}

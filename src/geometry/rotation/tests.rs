@@ -1,0 +1,119 @@
+use super::*;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::f64::consts::PI;
+
+fn random_direction(rng: &mut ChaCha8Rng) -> Vector3<f64> {
+    Vector3::from_fn(|_, _| rng.random_range(-1.0..1.0)).normalize()
+}
+
+/// Directions times angles from the smallest to those just below pi.
+fn turns() -> Vec<Vector3<f64>> {
+    let mut rng = ChaCha8Rng::seed_from_u64(1);
+    let angles = [0.0, 1e-12, 1e-7, 0.99e-4, 1.01e-4, 1e-3, 0.1, 1.0, 2.0, 3.0, PI - 1e-4, PI - 1e-7];
+    angles.iter().flat_map(|t| [random_direction(&mut rng) * *t, random_direction(&mut rng) * *t]).collect()
+}
+
+#[test]
+fn a_quarter_turn_about_z_takes_x_to_y() {
+    let quarter = exp(&Vector3::new(0.0, 0.0, 0.5 * PI));
+    assert!((quarter * Vector3::x() - Vector3::y()).norm() < 1e-15);
+}
+
+#[test]
+fn log_undoes_exp_near_zero_and_near_pi() {
+    for w in turns() {
+        assert!((log(&exp(&w)) - w).norm() < 1e-12, "{w}");
+        assert!((exp(&w).transpose() * exp(&w) - Matrix3::identity()).norm() < 1e-14);
+    }
+    let half = exp(&(Vector3::y() * PI));
+    assert!((log(&half).norm() - PI).abs() < 1e-14);
+}
+
+#[test]
+fn jacobians_agree_with_central_differences() {
+    let step = 1e-6;
+    for w in turns() {
+        let (left, right) = (left_jacobian(&w), right_jacobian(&w));
+        for axis in 0..3 {
+            let mut d = Vector3::zeros();
+            d[axis] = step;
+            let (ahead, behind) = (exp(&(w + d)), exp(&(w - d)));
+            let by_left = log(&(ahead * behind.transpose())) / (2.0 * step);
+            let by_right = log(&(behind.transpose() * ahead)) / (2.0 * step);
+            assert!((by_left - left.column(axis)).norm() < 1e-9, "{w}");
+            assert!((by_right - right.column(axis)).norm() < 1e-9, "{w}");
+        }
+    }
+}
+
+#[test]
+fn inverse_jacobians_are_the_inverses() {
+    for w in turns() {
+        assert!((left_jacobian(&w) * left_jacobian_inverse(&w) - Matrix3::identity()).norm() < 1e-12, "{w}");
+        assert!((right_jacobian(&w) * right_jacobian_inverse(&w) - Matrix3::identity()).norm() < 1e-12, "{w}");
+    }
+}
+
+#[test]
+fn angles_between_rotations_are_exact_to_the_ends() {
+    let base = exp(&Vector3::new(0.3, -0.2, 0.9));
+    for t in [0.0, 1e-9, 0.5, 3.0, PI - 1e-9] {
+        let turned = base * exp(&(Vector3::new(2.0, 1.0, -2.0) / 3.0 * t));
+        assert!((angle_between(&base, &turned) - t).abs() < 1e-14, "{t}");
+    }
+}
+
+#[test]
+fn the_nearest_rotation_is_one_and_nobody_is_nearer() {
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    for _ in 0..100 {
+        let m = Matrix3::from_fn(|_, _| rng.random_range(-1.0..1.0));
+        let nearest = nearest_rotation(&m);
+        assert!((nearest.transpose() * nearest - Matrix3::identity()).norm() < 1e-14);
+        assert!((nearest.determinant() - 1.0).abs() < 1e-14);
+        for _ in 0..20 {
+            let other = exp(&(random_direction(&mut rng) * 0.05)) * nearest;
+            assert!((other - m).norm() >= (nearest - m).norm() - 1e-14);
+        }
+    }
+    let r = exp(&Vector3::new(1.0, 2.0, -0.5));
+    assert!((nearest_rotation(&(r * 3.0)) - r).norm() < 1e-14);
+}
+
+#[test]
+fn the_6d_form_round_trips_and_rejects_parallel_columns() {
+    for w in turns() {
+        let r = exp(&w);
+        assert!((from_6d(&to_6d(&r)).unwrap() - r).norm() < 1e-14);
+    }
+    let skewed = from_6d(&[2.0, 0.0, 0.0, 5.0, 0.0, 3.0]).unwrap();
+    assert!((skewed - Matrix3::from_columns(&[Vector3::x(), Vector3::z(), -Vector3::y()])).norm() < 1e-15);
+    assert_eq!(from_6d(&[0.0; 6]), None);
+    assert_eq!(from_6d(&[1.0, 2.0, 3.0, -2.0, -4.0, -6.0]), None);
+}
+
+#[test]
+fn the_mean_lies_in_the_middle_and_opposite_rotations_have_none() {
+    let base = exp(&Vector3::new(0.3, -0.2, 0.9));
+    let (ahead, behind) = (exp(&(Vector3::x() * 0.4)) * base, exp(&(Vector3::x() * -0.4)) * base);
+    assert!((chordal_mean(&[ahead, behind], &[1.0, 1.0]).unwrap() - base).norm() < 1e-14);
+    assert!((chordal_mean(&[ahead, behind], &[1.0, 0.0]).unwrap() - ahead).norm() < 1e-14);
+    assert_eq!(chordal_mean(&[], &[]), None);
+    assert_eq!(chordal_mean(&[base, exp(&(Vector3::x() * PI)) * base], &[1.0, 1.0]), None);
+}
+
+#[test]
+fn the_least_rotation_takes_one_direction_to_the_other() {
+    let mut rng = ChaCha8Rng::seed_from_u64(3);
+    for gap in [0.0, 1e-14, 1e-9, 1e-5, 0.1, 1.0] {
+        let a = random_direction(&mut rng);
+        let tilt = exp(&(any_perpendicular(&a) * gap));
+        for b in [tilt * a, -(tilt * a)] {
+            let turn = rotation_between(&(a * 3.0), &(b * 0.2));
+            assert!((turn * a - b).norm() < 1e-14, "{gap}: {}", (turn * a - b).norm());
+            assert!((angle_between(&turn, &Matrix3::identity()) - a.angle(&b)).abs() < 1e-7, "the least one");
+        }
+    }
+    assert_eq!(rotation_between(&Vector3::zeros(), &Vector3::x()), Matrix3::identity());
+}

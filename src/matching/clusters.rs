@@ -1,0 +1,128 @@
+//! Tracklets of one person, across views: agglomeration under known (rough) cameras.
+
+use super::pair_score::{VOTE_RADIUS, similarity};
+use super::sightings::ViewSightings;
+use super::tracklets::Tracklet;
+use crate::geometry::Rigid;
+use crate::geometry::epipolar::essential_from_pose;
+use rayon::prelude::*;
+
+/// Similarity at which a pair of tracklets speaks neither for nor against being one person.
+const NEUTRAL: f64 = 0.45;
+
+/// Frames of an overlap that are looked at.
+const MAX_FRAMES: usize = 30;
+
+/// Tracklets per view that take part, longest first: bounds the cost of long sessions, and the longest carry the poses.
+const MAX_TRACKLETS: usize = 60;
+
+/// Tracklets of one person: pairs of view and index into that view's tracklets.
+pub type Cluster = Vec<(usize, usize)>;
+
+/// Groups tracklets into people; never two of one view at one time. Clusters of at least two views, largest first.
+pub fn clusters(views: &[ViewSightings], tracklets: &[Vec<Tracklet>], cameras: &[Option<Rigid>]) -> Vec<Cluster> {
+    let nodes = nodes(tracklets, cameras);
+    let affinity = affinities(views, tracklets, cameras, &nodes);
+    let mut groups = agglomerate(&nodes, tracklets, affinity);
+    groups.retain(|g| g.iter().any(|&(v, _)| v != g[0].0));
+    let support = |g: &Cluster| g.iter().map(|&(v, t)| tracklets[v][t].sightings.len()).sum::<usize>();
+    groups.sort_by_key(|g| (std::cmp::Reverse(support(g)), g[0]));
+    groups
+}
+
+fn nodes(tracklets: &[Vec<Tracklet>], cameras: &[Option<Rigid>]) -> Vec<(usize, usize)> {
+    let mut nodes = Vec::new();
+    for (view, list) in tracklets.iter().enumerate().filter(|(v, _)| cameras[*v].is_some()) {
+        let mut order: Vec<usize> = (0..list.len()).collect();
+        order.sort_by_key(|&t| (std::cmp::Reverse(list[t].sightings.len()), t));
+        order.truncate(MAX_TRACKLETS);
+        order.sort_unstable();
+        nodes.extend(order.into_iter().map(|t| (view, t)));
+    }
+    nodes
+}
+
+/// Summed (similarity - neutral) over the overlap of every two tracklets of different views.
+fn affinities(
+    views: &[ViewSightings],
+    tracklets: &[Vec<Tracklet>],
+    cameras: &[Option<Rigid>],
+    nodes: &[(usize, usize)],
+) -> Vec<Vec<f64>> {
+    let row = |i: usize| {
+        let (v, a) = nodes[i];
+        (0..i)
+            .map(|j| {
+                let (w, b) = nodes[j];
+                let (Some(first), Some(second)) = (cameras[v], cameras[w]) else { return 0.0 };
+                if v == w {
+                    return 0.0;
+                }
+                let essential = essential_from_pose(&(second * first.inverse()));
+                let (s, t) = (&tracklets[v][a], &tracklets[w][b]);
+                let shared: Vec<(usize, usize, usize)> =
+                    s.sightings.iter().filter_map(|&(f, p)| t.at(f).map(|q| (f, p, q))).collect();
+                let n = shared.len().min(MAX_FRAMES);
+                let sum: f64 = (0..n)
+                    .map(|k| {
+                        let (f, p, q) = shared[k * shared.len() / n];
+                        similarity(&essential, &views[v].frames[f][p], &views[w].frames[f][q], VOTE_RADIUS) - NEUTRAL
+                    })
+                    .sum();
+                if n == 0 { 0.0 } else { sum * shared.len() as f64 / n as f64 }
+            })
+            .collect()
+    };
+    (0..nodes.len()).into_par_iter().map(row).collect()
+}
+
+/// Merges the two groups with the largest summed affinity until none is positive.
+fn agglomerate(nodes: &[(usize, usize)], tracklets: &[Vec<Tracklet>], affinity: Vec<Vec<f64>>) -> Vec<Cluster> {
+    let n = nodes.len();
+    let at_once = |i: usize, j: usize| nodes[i].0 == nodes[j].0 && share_a_frame(nodes[i], nodes[j], tracklets);
+    // Full symmetric tables; `-inf` marks groups that hold two people of one view at one time.
+    let mut sum = vec![vec![0.0f64; n]; n];
+    for i in 0..n {
+        for j in 0..i {
+            let value = if at_once(i, j) { f64::NEG_INFINITY } else { affinity[i][j] };
+            sum[i][j] = value;
+            sum[j][i] = value;
+        }
+    }
+    let mut members: Vec<Vec<usize>> = (0..n).map(|i| vec![i]).collect();
+    let mut alive: Vec<bool> = vec![true; n];
+    loop {
+        let mut best = (0.0, 0, 0);
+        for i in (0..n).filter(|&i| alive[i]) {
+            for j in (0..i).filter(|&j| alive[j]) {
+                if sum[i][j] > best.0 {
+                    best = (sum[i][j], i, j);
+                }
+            }
+        }
+        let (value, i, j) = best;
+        if value <= 0.0 {
+            break;
+        }
+        alive[i] = false;
+        let moved = std::mem::take(&mut members[i]);
+        members[j].extend(moved);
+        for k in (0..n).filter(|&k| alive[k] && k != j) {
+            let merged = sum[i][k] + sum[j][k];
+            sum[j][k] = merged;
+            sum[k][j] = merged;
+        }
+    }
+    let mut groups: Vec<Cluster> = Vec::new();
+    for list in members.iter().filter(|m| !m.is_empty()) {
+        let mut group: Cluster = list.iter().map(|&i| nodes[i]).collect();
+        group.sort_unstable();
+        groups.push(group);
+    }
+    groups
+}
+
+fn share_a_frame(a: (usize, usize), b: (usize, usize), tracklets: &[Vec<Tracklet>]) -> bool {
+    let (s, t) = (&tracklets[a.0][a.1], &tracklets[b.0][b.1]);
+    s.first() <= t.last() && t.first() <= s.last() && s.sightings.iter().any(|&(f, _)| t.at(f).is_some())
+}

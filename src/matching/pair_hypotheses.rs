@@ -1,0 +1,225 @@
+//! Hypotheses of the relative pose of two cameras, each fitted to whole tracklets and judged by everything both saw.
+
+use super::pair_score::{Match, PairEvidence, PairScore, VOTE_RADIUS, score_pair, vote};
+use super::sightings::ViewSightings;
+use super::tracklets::Tracklet;
+use crate::estimation::essential::{EssentialEstimate, estimate_essential, refine_essential};
+use crate::geometry::epipolar::essential_from_pose;
+use crate::geometry::{Rigid, rotation};
+use nalgebra::Vector2;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// How many hypotheses are made, and from what.
+#[derive(Debug, Clone)]
+pub struct HypothesisConfig {
+    /// Longest tracklets of a view that are tried.
+    pub n_tracklets: usize,
+    /// Frames that two tracklets must share.
+    pub min_overlap: usize,
+    /// Frames of the overlap that are used at most.
+    pub max_frames: usize,
+    /// Point pairs given to one robust fit.
+    pub max_points: usize,
+    /// Epipolar tolerance of the fit, rad: 6 px at a focal length of 1,060 px.
+    pub tolerance: f64,
+    /// Minimal samples per fit.
+    pub iterations: usize,
+    /// Two-person fits, on the best pairs of tracklet pairs.
+    pub n_unions: usize,
+    /// Hypotheses that are re-fitted on everything that votes for them.
+    pub n_refits: usize,
+    /// Hypotheses kept for a pair of views.
+    pub n_kept: usize,
+}
+
+impl Default for HypothesisConfig {
+    fn default() -> Self {
+        Self {
+            n_tracklets: 7,
+            min_overlap: 5,
+            max_frames: 60,
+            max_points: 150,
+            tolerance: 0.0057,
+            iterations: 150,
+            n_unions: 24,
+            n_refits: 14,
+            n_kept: 6,
+        }
+    }
+}
+
+/// A relative pose with its judgement; the translation is in metres as far as the people's bones tell.
+#[derive(Debug, Clone)]
+pub struct PairHypothesis {
+    /// From the first camera of the pair to the second.
+    pub second_from_first: Rigid,
+    /// The judgement.
+    pub score: PairScore,
+}
+
+/// A camera pair with its tracklets.
+pub struct CameraPair<'a> {
+    /// Sightings of the first and the second camera.
+    pub views: [&'a ViewSightings; 2],
+    /// Their tracklets.
+    pub tracklets: [&'a [Tracklet]; 2],
+    /// What every hypothesis is judged on.
+    pub evidence: PairEvidence<'a>,
+}
+
+type PointPairs = Vec<(Vector2<f64>, Vector2<f64>)>;
+
+/// Proposes relative poses of a camera pair, best first.
+pub fn pair_hypotheses(pair: &CameraPair, seed: u64, config: &HypothesisConfig) -> Vec<PairHypothesis> {
+    let singles = single_fits(pair, seed, config);
+    let unions = union_fits(&singles, seed, config);
+    let fits = singles.iter().map(|s| s.fit.second_from_first).chain(unions);
+    let mut scored: Vec<PairHypothesis> = fits.map(|pose| judged(pair, pose)).collect();
+    sort_best_first(&mut scored);
+    scored.truncate(config.n_refits);
+    let mut refitted: Vec<PairHypothesis> = scored.iter().map(|h| refit(pair, h, config)).collect();
+    refitted.extend(scored);
+    sort_best_first(&mut refitted);
+    distinct(refitted, config.n_kept)
+}
+
+struct SingleFit {
+    tracklets: [usize; 2],
+    points: PointPairs,
+    fit: EssentialEstimate,
+}
+
+/// One robust fit for each pair of long tracklets that overlap.
+fn single_fits(pair: &CameraPair, seed: u64, config: &HypothesisConfig) -> Vec<SingleFit> {
+    let mut fits = Vec::new();
+    let longest = [0, 1].map(|side| longest_tracklets(pair.tracklets[side], config.n_tracklets));
+    for &a in &longest[0] {
+        for &b in &longest[1] {
+            let item_seed = mix(seed, (a as u64) << 32 | b as u64);
+            let points = point_pairs(pair, a, b, item_seed, config);
+            let fit = estimate_essential(&points, None, config.tolerance, config.iterations, item_seed);
+            if let Some(fit) = fit {
+                fits.push(SingleFit { tracklets: [a, b], points, fit });
+            }
+        }
+    }
+    fits.sort_by(|x, y| y.fit.support.total_cmp(&x.fit.support).then(x.tracklets.cmp(&y.tracklets)));
+    fits
+}
+
+/// Fits on the union of two tracklet pairs: one person alone leaves the pose weak.
+fn union_fits(singles: &[SingleFit], seed: u64, config: &HypothesisConfig) -> Vec<Rigid> {
+    let mut unions: Vec<(f64, usize, usize)> = Vec::new();
+    for i in 0..singles.len() {
+        for j in 0..i {
+            let disjoint = (0..2).all(|side| singles[i].tracklets[side] != singles[j].tracklets[side]);
+            if disjoint {
+                unions.push((singles[i].fit.support.min(singles[j].fit.support), i, j));
+            }
+        }
+    }
+    unions.sort_by(|x, y| y.0.total_cmp(&x.0).then((x.1, x.2).cmp(&(y.1, y.2))));
+    unions.truncate(config.n_unions);
+    unions
+        .iter()
+        .filter_map(|&(_, i, j)| {
+            let points: PointPairs = singles[i].points.iter().chain(&singles[j].points).copied().collect();
+            let item_seed = mix(seed, 1 << 63 | (i as u64) << 32 | j as u64);
+            estimate_essential(&points, None, config.tolerance, config.iterations, item_seed)
+        })
+        .map(|fit| fit.second_from_first)
+        .collect()
+}
+
+fn longest_tracklets(tracklets: &[Tracklet], n: usize) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..tracklets.len()).collect();
+    order.sort_by_key(|&t| (std::cmp::Reverse(tracklets[t].sightings.len()), t));
+    order.truncate(n);
+    order
+}
+
+/// Confident point pairs from well-spread frames of the overlap of two tracklets.
+fn point_pairs(pair: &CameraPair, a: usize, b: usize, seed: u64, config: &HypothesisConfig) -> PointPairs {
+    let (first, second) = (&pair.tracklets[0][a], &pair.tracklets[1][b]);
+    let shared: Vec<(usize, usize, usize)> =
+        first.sightings.iter().filter_map(|&(f, p)| second.at(f).map(|q| (f, p, q))).collect();
+    if shared.len() < config.min_overlap {
+        return Vec::new();
+    }
+    let n_frames = shared.len().min(config.max_frames);
+    let mut points = Vec::new();
+    for i in 0..n_frames {
+        let (frame, p, q) = shared[i * shared.len() / n_frames];
+        let (s, t) = (&pair.views[0].frames[frame][p], &pair.views[1].frames[frame][q]);
+        let confident = (0..s.bearings.len()).filter(|&k| s.confidence[k] > 0.4 && t.confidence[k] > 0.4);
+        points.extend(confident.map(|k| (s.bearings[k], t.bearings[k])));
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    for i in 0..points.len().min(config.max_points) {
+        let j = rng.random_range(i..points.len());
+        points.swap(i, j);
+    }
+    points.truncate(config.max_points);
+    points
+}
+
+/// Scores a pose and gives its translation the metric length that the people's bones ask for.
+fn judged(pair: &CameraPair, second_from_first: Rigid) -> PairHypothesis {
+    let score = score_pair(&pair.evidence, &second_from_first);
+    let metres = score.log_metres.exp();
+    let metric = Rigid { translation: second_from_first.translation * metres, ..second_from_first };
+    PairHypothesis { second_from_first: metric, score: PairScore { log_metres: 0.0, ..score } }
+}
+
+/// Re-fits a hypothesis on all points of all people that vote for it, twice.
+fn refit(pair: &CameraPair, hypothesis: &PairHypothesis, config: &HypothesisConfig) -> PairHypothesis {
+    let mut pose = hypothesis.second_from_first;
+    for radius in [VOTE_RADIUS, config.tolerance] {
+        let (matches, _) = vote(&pair.evidence, &essential_from_pose(&pose));
+        let points = matched_points(&matches);
+        if points.len() < 20 {
+            break;
+        }
+        let unit = Rigid { translation: pose.translation.normalize(), ..pose };
+        pose = refine_essential(&unit, &points, None, radius, 10);
+    }
+    judged(pair, pose)
+}
+
+fn matched_points(matches: &[Match]) -> PointPairs {
+    let mut points = Vec::new();
+    for m in matches {
+        let seen = (0..m.first.bearings.len()).filter(|&k| m.first.confidence[k] > 0.3 && m.second.confidence[k] > 0.3);
+        points.extend(seen.map(|k| (m.first.bearings[k], m.second.bearings[k])));
+    }
+    points
+}
+
+fn sort_best_first(hypotheses: &mut [PairHypothesis]) {
+    hypotheses.sort_by(|a, b| b.score.quality.total_cmp(&a.score.quality));
+}
+
+/// The best hypotheses that differ by more than 6 degrees in rotation or 15 in direction.
+fn distinct(ordered: Vec<PairHypothesis>, n: usize) -> Vec<PairHypothesis> {
+    let mut kept: Vec<PairHypothesis> = Vec::new();
+    for h in ordered {
+        let same = |k: &PairHypothesis| {
+            let turn = rotation::angle_between(&k.second_from_first.rotation, &h.second_from_first.rotation);
+            let bend = k.second_from_first.translation.angle(&h.second_from_first.translation);
+            turn < 6f64.to_radians() && bend < 15f64.to_radians()
+        };
+        if kept.len() < n && h.score.quality > 0.0 && !kept.iter().any(same) {
+            kept.push(h);
+        }
+    }
+    kept
+}
+
+/// One seed from two: the finaliser of SplitMix64.
+pub fn mix(seed: u64, item: u64) -> u64 {
+    let mut x = seed ^ item.wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
+}

@@ -1,0 +1,167 @@
+//! How well a relative pose of two cameras explains what both saw: epipolar votes, cheirality, human proportions.
+
+use super::assignment::assign;
+use super::sightings::{Sighting, ViewSightings};
+use crate::body::bones::Bone;
+use crate::geometry::Rigid;
+use crate::geometry::epipolar::{essential_from_pose, sampson_squared};
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+/// Distance from the epipolar line beyond which a point does not vote, rad: 16 px at a focal length of 1,060 px, four
+/// times the detectors' own noise on people 4 m away.
+pub const VOTE_RADIUS: f64 = 0.015;
+
+/// A pair of sightings below this similarity is no match: chance agreement of two standing people reaches 0.4.
+const MIN_SIMILARITY: f64 = 0.4;
+
+/// Spread (MAD) of log bone ratios at which belief falls to 1/e: true pairs have 0.05 to 0.07, wrong ones 0.1 to 1.
+const BONE_SPREAD: f64 = 0.25;
+
+/// Two sightings must share this many points to vote.
+const MIN_SHARED: usize = 6;
+
+/// What two cameras saw at a fixed set of frames.
+pub struct PairEvidence<'a> {
+    /// Sightings of the first and the second camera, frame by frame.
+    pub frames: Vec<(&'a [Sighting], &'a [Sighting])>,
+    /// Bones with reference lengths.
+    pub bones: &'a [Bone],
+}
+
+impl<'a> PairEvidence<'a> {
+    /// The evidence of `frames`.
+    pub fn new(first: &'a ViewSightings, second: &'a ViewSightings, frames: &[usize], bones: &'a [Bone]) -> Self {
+        let at = |&f: &usize| (first.frames[f].as_slice(), second.frames[f].as_slice());
+        Self { frames: frames.iter().map(at).filter(|(a, b)| !a.is_empty() && !b.is_empty()).collect(), bones }
+    }
+}
+
+/// The judgement on one relative pose.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct PairScore {
+    /// Matched similarity above chance over the most that was possible, 0 to 1.
+    pub vote: f64,
+    /// Share of voting points in front of both cameras.
+    pub cheirality: f64,
+    /// Median absolute deviation of log (length / reference) over bones and people.
+    pub bone_spread: f64,
+    /// Log of the metres that one unit of `second_from_first`'s translation stands for.
+    pub log_metres: f64,
+    /// Bones measured.
+    pub n_bones: usize,
+    /// The product that hypotheses are ranked by, 0 to 1.
+    pub quality: f64,
+}
+
+/// Two sightings of one person in one frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Match<'a> {
+    /// In the first camera.
+    pub first: &'a Sighting,
+    /// In the second camera.
+    pub second: &'a Sighting,
+    /// 0 to 1.
+    pub similarity: f64,
+}
+
+/// Share of agreement of two sightings with an essential matrix: mean of `max(0, 1 - (d / r)^2)` over shared points.
+pub fn similarity(essential: &Matrix3<f64>, a: &Sighting, b: &Sighting, radius: f64) -> f64 {
+    let (mut sum, mut n) = (0.0, 0usize);
+    let inverse = 1.0 / (radius * radius);
+    for k in 0..a.bearings.len() {
+        if a.confidence[k] > 0.2 && b.confidence[k] > 0.2 {
+            sum += (1.0 - sampson_squared(essential, &a.bearings[k], &b.bearings[k]) * inverse).max(0.0);
+            n += 1;
+        }
+    }
+    if n < MIN_SHARED { 0.0 } else { sum / n as f64 }
+}
+
+/// The best one-to-one matches of every frame under an essential matrix, and the vote they add up to.
+pub fn vote<'a>(evidence: &PairEvidence<'a>, essential: &Matrix3<f64>) -> (Vec<Match<'a>>, f64) {
+    let mut matches = Vec::new();
+    let (mut sum, mut possible) = (0.0, 0.0);
+    for (first, second) in &evidence.frames {
+        let table: Vec<Vec<f64>> =
+            first.iter().map(|a| second.iter().map(|b| similarity(essential, a, b, VOTE_RADIUS)).collect()).collect();
+        let columns = assign(first.len(), second.len(), 1.0 - MIN_SIMILARITY, |i, j| 1.0 - table[i][j]);
+        for (i, column) in columns.iter().enumerate() {
+            let Some(j) = *column else { continue };
+            sum += table[i][j] - MIN_SIMILARITY;
+            matches.push(Match { first: &first[i], second: &second[j], similarity: table[i][j] });
+        }
+        possible += first.len().min(second.len()) as f64 * (1.0 - MIN_SIMILARITY);
+    }
+    (matches, if possible > 0.0 { sum / possible } else { 0.0 })
+}
+
+/// Scores `second_from_first` (any unit of length) on the evidence.
+pub fn score_pair(evidence: &PairEvidence, second_from_first: &Rigid) -> PairScore {
+    let (matches, vote) = vote(evidence, &essential_from_pose(second_from_first));
+    let mut log_ratios = Vec::new();
+    let (mut in_front, mut behind) = (0usize, 0usize);
+    for m in &matches {
+        let points = triangulate_match(m, second_from_first);
+        for p in points.iter().flatten() {
+            if p.1 { in_front += 1 } else { behind += 1 }
+        }
+        for bone in evidence.bones {
+            if let (Some((a, true)), Some((b, true))) = (points[bone.a], points[bone.b]) {
+                log_ratios.push((bone.length / (a - b).norm().max(1e-9)).ln());
+            }
+        }
+    }
+    let cheirality = in_front as f64 / (in_front + behind).max(1) as f64;
+    let n_bones = log_ratios.len();
+    let (log_metres, bone_spread) = median_and_spread(&mut log_ratios);
+    let human = if n_bones >= MIN_BONES { (-(bone_spread / BONE_SPREAD).powi(2)).exp() } else { 0.0 };
+    let quality = vote * (2.0 * cheirality - 1.0).max(0.0) * human;
+    PairScore { vote, cheirality, bone_spread, log_metres, n_bones, quality }
+}
+
+/// Fewer bones than this say nothing of human proportions.
+const MIN_BONES: usize = 8;
+
+/// Points of a match in the first camera's frame and whether they lie in front of both cameras.
+fn triangulate_match(m: &Match, second_from_first: &Rigid) -> Vec<Option<(Vector3<f64>, bool)>> {
+    let n = m.first.bearings.len();
+    (0..n)
+        .map(|k| {
+            let seen = m.first.confidence[k] > 0.2 && m.second.confidence[k] > 0.2;
+            if seen { midpoint(second_from_first, &m.first.bearings[k], &m.second.bearings[k]) } else { None }
+        })
+        .collect()
+}
+
+/// The point nearest to both rays (first camera's frame) and whether it is in front of both; `None` for parallel rays.
+pub fn midpoint(second_from_first: &Rigid, a: &Vector2<f64>, b: &Vector2<f64>) -> Option<(Vector3<f64>, bool)> {
+    let center = second_from_first.center();
+    let u = Vector3::new(a.x, a.y, 1.0);
+    let v = second_from_first.rotation.tr_mul(&Vector3::new(b.x, b.y, 1.0));
+    // Minimise |s u - (center + t v)|^2: a 2x2 system.
+    let (uu, vv, uv) = (u.dot(&u), v.dot(&v), u.dot(&v));
+    let det = uu * vv - uv * uv;
+    if det < 1e-6 * uu * vv {
+        return None; // less than 0.06 degrees between the rays
+    }
+    let (uc, vc) = (u.dot(&center), v.dot(&center));
+    let s = (uc * vv - vc * uv) / det;
+    let t = (uc * uv - vc * uu) / det;
+    Some(((u * s + center + v * t) * 0.5, s > 0.0 && t > 0.0))
+}
+
+/// Median and median absolute deviation; zeros for an empty set.
+pub fn median_and_spread(values: &mut [f64]) -> (f64, f64) {
+    let Some(center) = median(values) else { return (0.0, 0.0) };
+    let mut deviations: Vec<f64> = values.iter().map(|v| (v - center).abs()).collect();
+    (center, median(&mut deviations).unwrap_or(0.0))
+}
+
+/// The upper median; reorders `values`.
+pub fn median(values: &mut [f64]) -> Option<f64> {
+    if values.is_empty() {
+        return None;
+    }
+    let middle = values.len() / 2;
+    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}

@@ -1,0 +1,75 @@
+//! What every view saw, as rays: undistorted, normalised, with an apparent size.
+
+use crate::session::{Detection, Session, View};
+use nalgebra::Vector2;
+
+/// Points below this detector confidence are treated as missing: under it OpenPose and COCO detectors guess.
+pub const MIN_CONFIDENCE: f64 = 0.1;
+
+/// A person of ordinary build standing upright spans this much from eyes to ankles, m: turns an apparent size into a depth.
+pub const BODY_SPAN_M: f64 = 1.6;
+
+/// One detection as rays.
+#[derive(Debug, Clone)]
+pub struct Sighting {
+    /// Ideal normalised image coordinates per named keypoint; meaningless where `confidence` is 0.
+    pub bearings: Vec<Vector2<f64>>,
+    /// Confidence per named keypoint, 0 where missing.
+    pub confidence: Vec<f64>,
+    /// Larger side of the box of all points, normalised units.
+    pub size: f64,
+    /// The detector's own track.
+    pub track_id: Option<i64>,
+}
+
+impl Sighting {
+    fn from_detection(view: &View, detection: &Detection, n_keypoints: usize) -> Self {
+        let mut bearings = Vec::with_capacity(n_keypoints);
+        let mut confidence = Vec::with_capacity(n_keypoints);
+        let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
+        for keypoint in &detection.keypoints[..n_keypoints] {
+            let usable = keypoint.confidence >= MIN_CONFIDENCE;
+            let bearing =
+                if usable { view.intrinsics.normalized_from_pixel(&keypoint.pixel) } else { Vector2::zeros() };
+            if usable {
+                low = low.inf(&bearing);
+                high = high.sup(&bearing);
+            }
+            bearings.push(bearing);
+            confidence.push(if usable { keypoint.confidence } else { 0.0 });
+        }
+        let size = if low.x.is_finite() { (high - low).max().max(MIN_SIZE) } else { MIN_SIZE };
+        Self { bearings, confidence, size, track_id: detection.track_id }
+    }
+
+    /// How many keypoints are usable.
+    pub fn n_points(&self) -> usize {
+        self.confidence.iter().filter(|c| **c > 0.0).count()
+    }
+}
+
+/// Smallest apparent size, normalised units (about 10 px at a focal length of 1000 px): keeps ratios finite.
+const MIN_SIZE: f64 = 0.01;
+
+/// Everything that one camera saw.
+#[derive(Debug, Clone)]
+pub struct ViewSightings {
+    /// Mean focal length, px.
+    pub focal: f64,
+    /// Sightings by frame, in the order of the session's detections.
+    pub frames: Vec<Vec<Sighting>>,
+}
+
+/// All views of a session as rays.
+pub fn sightings(session: &Session) -> Vec<ViewSightings> {
+    let n_keypoints = session.convention.names().len();
+    let of_view = |view: &View| ViewSightings {
+        focal: view.intrinsics.focal(),
+        frames: view
+            .frames
+            .iter()
+            .map(|people| people.iter().map(|d| Sighting::from_detection(view, d, n_keypoints)).collect())
+            .collect(),
+    };
+    session.views.iter().map(of_view).collect()
+}

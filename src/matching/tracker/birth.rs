@@ -1,0 +1,104 @@
+//! New people: detections that nobody claims, where at least two views agree on a human skeleton.
+
+use super::person::{Skeleton, TrackedPerson, distance_m, sightings_of, triangulated};
+use super::{Scene, TrackerConfig};
+use crate::geometry::epipolar::essential_from_pose;
+use crate::matching::pair_score::{median, median_and_spread, similarity};
+
+/// Two detections are one person when this share of their points agrees.
+const MIN_SIMILARITY: f64 = 0.5;
+
+/// Log ratio of bones to an adult's beyond which a skeleton is not one person (a child of 1 m has -0.5).
+const MAX_LOG_SIZE: f64 = 0.6;
+
+/// Spread of log bone ratios beyond which a skeleton is two people's: true ones have 0.05 to 0.1.
+const MAX_BONE_SPREAD: f64 = 0.35;
+
+/// Two skeletons whose median joint is nearer than this are one person seen twice, m.
+const SAME_PERSON_M: f64 = 0.15;
+
+/// The best supported new person among the free detections of a frame.
+pub(super) fn strongest(
+    scene: &Scene,
+    config: &TrackerConfig,
+    frame: usize,
+    free: &[Vec<usize>],
+    people: &[TrackedPerson],
+) -> Option<TrackedPerson> {
+    let mut pairs = agreeing_pairs(scene, config, frame, free);
+    pairs.sort_by(|a, b| b.0.total_cmp(&a.0));
+    for (_, claim) in pairs {
+        let claim = joined_by_others(scene, config, frame, free, claim);
+        let skeleton = triangulated(scene, &sightings_of(scene, frame, &claim));
+        if is_human(scene, &skeleton) && !is_known(&skeleton, people, frame) {
+            return Some(TrackedPerson::new(frame, claim, skeleton));
+        }
+    }
+    None
+}
+
+/// Pairs of free detections of two views that agree, with their agreement.
+fn agreeing_pairs(
+    scene: &Scene,
+    config: &TrackerConfig,
+    frame: usize,
+    free: &[Vec<usize>],
+) -> Vec<(f64, Vec<Option<usize>>)> {
+    let mut pairs = Vec::new();
+    for w in 0..scene.views.len() {
+        for v in 0..w {
+            let (Some(first), Some(second)) = (&scene.cameras[v], &scene.cameras[w]) else { continue };
+            let essential = essential_from_pose(&(*second * first.inverse()));
+            for &a in &free[v] {
+                for &b in &free[w] {
+                    let (s, t) = (&scene.views[v].frames[frame][a], &scene.views[w].frames[frame][b]);
+                    // The Sampson distance combines both views: the radius follows the larger (nearer) image.
+                    let radius = config.birth_radius * s.size.max(t.size) / crate::matching::sightings::BODY_SPAN_M;
+                    let agreement = similarity(&essential, s, t, radius);
+                    if agreement > MIN_SIMILARITY {
+                        let mut claim = vec![None; scene.views.len()];
+                        (claim[v], claim[w]) = (Some(a), Some(b));
+                        pairs.push((agreement * s.n_points().min(t.n_points()) as f64, claim));
+                    }
+                }
+            }
+        }
+    }
+    pairs
+}
+
+/// Adds the free detection of every further view that fits the skeleton of the first two.
+fn joined_by_others(
+    scene: &Scene,
+    config: &TrackerConfig,
+    frame: usize,
+    free: &[Vec<usize>],
+    mut claim: Vec<Option<usize>>,
+) -> Vec<Option<usize>> {
+    let skeleton = triangulated(scene, &sightings_of(scene, frame, &claim));
+    for view in 0..scene.views.len() {
+        let Some(camera) = scene.cameras[view].as_ref().filter(|_| claim[view].is_none()) else { continue };
+        let distance = |d: &usize| distance_m(&skeleton, camera, &scene.views[view].frames[frame][*d]);
+        let nearest = free[view].iter().filter_map(|d| Some((distance(d)?, *d))).min_by(|a, b| a.0.total_cmp(&b.0));
+        claim[view] = nearest.filter(|(m, _)| *m < config.max_residual).map(|(_, d)| d);
+    }
+    claim
+}
+
+/// Whether bones have human lengths and proportions, as far as they can be measured.
+fn is_human(scene: &Scene, skeleton: &Skeleton) -> bool {
+    let ratio = |b: &crate::body::bones::Bone| Some(((skeleton[b.a]? - skeleton[b.b]?).norm() / b.length).ln());
+    let mut ratios: Vec<f64> = scene.bones.iter().filter_map(ratio).collect();
+    let n = ratios.len();
+    let (size, spread) = median_and_spread(&mut ratios);
+    n < 2 || (size.abs() < MAX_LOG_SIZE && spread < MAX_BONE_SPREAD)
+}
+
+/// Whether somebody already stands there: detectors report some people twice.
+fn is_known(skeleton: &Skeleton, people: &[TrackedPerson], frame: usize) -> bool {
+    people.iter().filter(|p| p.last_seen() == frame).any(|p| {
+        let mut distances: Vec<f64> =
+            skeleton.iter().zip(p.last_skeleton()).filter_map(|(a, b)| Some(((*a)? - (*b)?).norm())).collect();
+        median(&mut distances).is_some_and(|d| d < SAME_PERSON_M)
+    })
+}

@@ -1,0 +1,238 @@
+//! One tracked person: claimed detections, the last skeleton, its motion.
+
+use super::{Scene, TrackerConfig, metres, project};
+use crate::geometry::Rigid;
+use crate::geometry::triangulation::{self, triangulate_linear};
+use crate::matching::pair_score::median;
+use crate::matching::sightings::Sighting;
+use nalgebra::Vector3;
+
+/// A skeleton with holes, world frame.
+pub type Skeleton = Vec<Option<Vector3<f64>>>;
+
+/// A person followed through the session.
+#[derive(Debug, Clone)]
+pub struct TrackedPerson {
+    /// `(frame, detection of every view)` in rising order of frames; only frames with at least one sighting.
+    pub claims: Vec<(usize, Vec<Option<usize>>)>,
+    /// Skeletons of the same frames.
+    pub skeletons: Vec<Skeleton>,
+    /// Velocity of the body's middle, m/s.
+    velocity: Vector3<f64>,
+    /// Frames seen by at least two views.
+    n_stereo: usize,
+}
+
+/// The velocity estimate forgets the past with this time constant, s: the time of half a step.
+const VELOCITY_MEMORY: f64 = 0.15;
+
+/// A median joint must be seen by this many points to measure a distance.
+const MIN_SHARED: usize = 4;
+
+impl TrackedPerson {
+    pub(super) fn new(frame: usize, claim: Vec<Option<usize>>, skeleton: Skeleton) -> Self {
+        Self { claims: vec![(frame, claim)], skeletons: vec![skeleton], velocity: Vector3::zeros(), n_stereo: 1 }
+    }
+
+    /// First frame with a sighting.
+    pub fn first(&self) -> usize {
+        self.claims[0].0
+    }
+
+    /// Last frame with a sighting.
+    pub fn last_seen(&self) -> usize {
+        self.claims[self.claims.len() - 1].0
+    }
+
+    /// Number of detections.
+    pub fn support(&self) -> usize {
+        self.claims.iter().map(|(_, c)| c.iter().flatten().count()).sum()
+    }
+
+    pub(super) fn last_skeleton(&self) -> &Skeleton {
+        &self.skeletons[self.skeletons.len() - 1]
+    }
+
+    /// Seen by two views for long enough.
+    pub(super) fn is_real(&self, scene: &Scene, config: &TrackerConfig) -> bool {
+        let wanted = (config.min_duration * scene.fps).ceil().max(2.0) as usize;
+        self.n_stereo >= wanted.min(scene.n_frames.div_ceil(3).max(1))
+    }
+
+    pub(super) fn detections_at(&self, frame: usize) -> Vec<(usize, usize)> {
+        let (f, claim) = &self.claims[self.claims.len() - 1];
+        if *f != frame {
+            return Vec::new();
+        }
+        claim.iter().enumerate().filter_map(|(v, d)| d.map(|d| (v, d))).collect()
+    }
+
+    /// Where the skeleton should be at `frame`.
+    pub(super) fn predict(&self, frame: usize, fps: f64) -> Skeleton {
+        // Beyond the memory of the velocity a body is as likely to have stopped as to have gone on.
+        let seconds = ((frame - self.last_seen()) as f64 / fps).min(VELOCITY_MEMORY);
+        let step = self.velocity * seconds;
+        self.last_skeleton().iter().map(|p| p.map(|p| p + step)).collect()
+    }
+
+    /// Takes the claimed detections of a frame; views that contradict the others are given back in `claim`.
+    pub(super) fn update(&mut self, scene: &Scene, config: &TrackerConfig, frame: usize, claim: &mut [Option<usize>]) {
+        let predicted = self.predict(frame, scene.fps);
+        let skeleton = loop {
+            let seen: Vec<(usize, &Sighting)> = sightings_of(scene, frame, claim);
+            if seen.is_empty() {
+                return;
+            }
+            let skeleton = triangulated(scene, &seen);
+            match worst_view(scene, config, &seen, &skeleton, &predicted) {
+                Some(view) => claim[view] = None,
+                None => break completed(scene, &seen, skeleton, &predicted),
+            }
+        };
+        let n_views = claim.iter().flatten().count();
+        if n_views >= 2 {
+            self.n_stereo += 1;
+        }
+        self.learn_velocity(&skeleton, frame, scene.fps);
+        self.claims.push((frame, claim.to_vec()));
+        self.skeletons.push(skeleton);
+    }
+
+    fn learn_velocity(&mut self, skeleton: &Skeleton, frame: usize, fps: f64) {
+        let seconds = (frame - self.last_seen()) as f64 / fps;
+        let shift = |axis: usize| {
+            let mut moves: Vec<f64> = skeleton
+                .iter()
+                .zip(self.last_skeleton())
+                .filter_map(|(a, b)| Some((*a)?[axis] - (*b)?[axis]))
+                .collect();
+            median(&mut moves).unwrap_or(0.0) / seconds
+        };
+        let measured = Vector3::new(shift(0), shift(1), shift(2));
+        let keep = (-seconds / VELOCITY_MEMORY).exp();
+        self.velocity = self.velocity * keep + measured * (1.0 - keep);
+        let speed = self.velocity.norm();
+        if speed > MAX_SPEED {
+            self.velocity *= MAX_SPEED / speed;
+        }
+    }
+}
+
+/// Nobody's middle moves faster indoors, m/s.
+const MAX_SPEED: f64 = 6.0;
+
+pub(super) fn sightings_of<'a>(scene: &Scene<'a>, frame: usize, claim: &[Option<usize>]) -> Vec<(usize, &'a Sighting)> {
+    claim.iter().enumerate().filter_map(|(v, d)| d.map(|d| (v, &scene.views[v].frames[frame][d]))).collect()
+}
+
+/// Median distance of a detection to a projected skeleton, in metres on the body; `None` with too few shared points.
+pub(super) fn distance_m(skeleton: &Skeleton, camera: &Rigid, sighting: &Sighting) -> Option<f64> {
+    let mut distances: Vec<f64> = Vec::with_capacity(skeleton.len());
+    for (k, point) in skeleton.iter().enumerate() {
+        if sighting.confidence[k] < 0.2 {
+            continue;
+        }
+        if let Some((bearing, depth)) = point.and_then(|p| project(camera, &p)) {
+            distances.push(metres((bearing - sighting.bearings[k]).norm(), depth));
+        }
+    }
+    if distances.len() < MIN_SHARED { None } else { median(&mut distances) }
+}
+
+/// Points seen by at least two views, re-weighted so that one bad view does not drag them.
+pub(super) fn triangulated(scene: &Scene, seen: &[(usize, &Sighting)]) -> Skeleton {
+    let n = seen[0].1.bearings.len();
+    (0..n).map(|k| triangulated_point(scene, seen, k)).collect()
+}
+
+fn triangulated_point(scene: &Scene, seen: &[(usize, &Sighting)], k: usize) -> Option<Vector3<f64>> {
+    let mut rays = Vec::with_capacity(seen.len());
+    for (view, sighting) in seen {
+        if sighting.confidence[k] > 0.0 {
+            let camera = scene.cameras[*view].as_ref()?;
+            let (normalized, weight) = (sighting.bearings[k], sighting.confidence[k]);
+            rays.push(triangulation::Sighting { camera_from_world: camera, normalized, weight });
+        }
+    }
+    if rays.len() < 2 {
+        return None;
+    }
+    let mut point = triangulate_linear(&rays)?;
+    if rays.len() == 2 {
+        return Some(point);
+    }
+    let base: Vec<f64> = rays.iter().map(|r| r.weight).collect();
+    for _ in 0..3 {
+        for (ray, confidence) in rays.iter_mut().zip(&base) {
+            let seen = project(ray.camera_from_world, &point);
+            let residual = seen.map_or(1.0, |(b, depth)| metres((b - ray.normalized).norm(), depth));
+            let soft = ROBUST_SCALE_M * ROBUST_SCALE_M;
+            ray.weight = confidence * (soft / (soft + residual * residual)).powi(2);
+        }
+        point = triangulate_linear(&rays)?;
+    }
+    Some(point)
+}
+
+/// Residual at which a ray loses three quarters of its weight, m on the body: three times a good detector's noise.
+const ROBUST_SCALE_M: f64 = 0.06;
+
+/// The view that contradicts the rest most, if any does beyond the limit. With two views the prediction decides.
+fn worst_view(
+    scene: &Scene,
+    config: &TrackerConfig,
+    seen: &[(usize, &Sighting)],
+    skeleton: &Skeleton,
+    predicted: &Skeleton,
+) -> Option<usize> {
+    if seen.len() < 2 {
+        return None;
+    }
+    let residual = |skeleton: &Skeleton, view: usize, sighting: &Sighting| {
+        scene.cameras[view].as_ref().and_then(|c| distance_m(skeleton, c, sighting)).unwrap_or(0.0)
+    };
+    let worst = seen.iter().map(|(v, s)| residual(skeleton, *v, s)).fold(0.0, f64::max);
+    if worst <= config.max_residual {
+        return None;
+    }
+    // Which view to blame: the one whose absence makes the others agree best; two views cannot tell, time can.
+    let blame = |out: usize| {
+        if seen.len() == 2 {
+            return -residual(predicted, seen[out].0, seen[out].1);
+        }
+        let rest: Vec<(usize, &Sighting)> =
+            seen.iter().enumerate().filter(|(i, _)| *i != out).map(|(_, s)| *s).collect();
+        let without = triangulated(scene, &rest);
+        rest.iter().map(|(v, s)| residual(&without, *v, s)).fold(0.0, f64::max)
+    };
+    let blamed = (0..seen.len()).min_by(|a, b| blame(*a).total_cmp(&blame(*b)))?;
+    Some(seen[blamed].0)
+}
+
+/// Fills points that two views did not see: one ray moves the prediction sideways, none carries it along.
+fn completed(scene: &Scene, seen: &[(usize, &Sighting)], mut skeleton: Skeleton, predicted: &Skeleton) -> Skeleton {
+    let mut moves: Vec<Vector3<f64>> =
+        skeleton.iter().zip(predicted).filter_map(|(a, b)| Some((*a)? - (*b)?)).collect();
+    let drift = componentwise_median(&mut moves);
+    for (k, point) in skeleton.iter_mut().enumerate() {
+        if point.is_some() {
+            continue;
+        }
+        let Some(start) = predicted[k].map(|p| p + drift) else { continue };
+        let ray = seen.iter().find(|(_, s)| s.confidence[k] > 0.2);
+        *point = Some(match ray.and_then(|(v, s)| Some((scene.cameras[*v].as_ref()?, s.bearings[k]))) {
+            Some((camera, bearing)) => {
+                let in_camera = camera.transform(&start);
+                let on_ray = Vector3::new(bearing.x * in_camera.z, bearing.y * in_camera.z, in_camera.z);
+                camera.inverse().transform(&on_ray)
+            }
+            None => start,
+        });
+    }
+    skeleton
+}
+
+fn componentwise_median(moves: &mut [Vector3<f64>]) -> Vector3<f64> {
+    let axis = |a: usize| median(&mut moves.iter().map(|m| m[a]).collect::<Vec<_>>()).unwrap_or(0.0);
+    Vector3::new(axis(0), axis(1), axis(2))
+}

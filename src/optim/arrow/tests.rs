@@ -1,0 +1,102 @@
+use super::*;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+const N_BORDER: usize = 7;
+const N_LOCAL: usize = 6;
+
+/// Residuals of one block: local unknowns in a chain, each residual touching two of them and two border unknowns.
+fn linearize(i: usize, block: &mut Block) {
+    let mut rng = ChaCha8Rng::seed_from_u64(i as u64);
+    let columns = [(i * 3 + 4) % N_BORDER, (i * 3 + 1) % N_BORDER, (i * 3) % N_BORDER];
+    block.reset(N_LOCAL, &columns);
+    for r in 0..24 {
+        let mut column =
+            |index| Column { index, derivative: [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0)] };
+        let local = [column(r % N_LOCAL), column((r + 1) % N_LOCAL)];
+        let border = [column(r % 3), column((r + 1) % 3)];
+        let residual = [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0)];
+        block.add_residual(0.5 + r as f64 * 0.1, &residual, &local, &border);
+        block.add_cost(residual[0] * residual[0]);
+    }
+}
+
+/// The whole system, assembled: border first, then the blocks.
+fn dense_system(n_blocks: usize, damping: f64) -> (DMatrix<f64>, DVector<f64>) {
+    let n = N_BORDER + n_blocks * N_LOCAL;
+    let (mut hessian, mut gradient) = (DMatrix::zeros(n, n), DVector::zeros(n));
+    for i in 0..n_blocks {
+        let mut block = Block::default();
+        linearize(i, &mut block);
+        let place: Vec<usize> =
+            (0..N_LOCAL).map(|k| N_BORDER + i * N_LOCAL + k).chain(block.columns.iter().copied()).collect();
+        let m = block.columns.len();
+        let value = |a: usize, b: usize| match (a.checked_sub(N_LOCAL), b.checked_sub(N_LOCAL)) {
+            (None, None) => block.hessian[a.max(b) * N_LOCAL + a.min(b)],
+            (None, Some(b)) => block.coupling[a * m + b],
+            (Some(a), None) => block.coupling[b * m + a],
+            (Some(a), Some(b)) => block.border_hessian[a.max(b) * m + a.min(b)],
+        };
+        for a in 0..place.len() {
+            gradient[place[a]] += if a < N_LOCAL { block.gradient[a] } else { block.border_gradient[a - N_LOCAL] };
+            for b in 0..place.len() {
+                hessian[(place[a], place[b])] += value(a, b);
+            }
+        }
+    }
+    for k in 0..n {
+        hessian[(k, k)] *= 1.0 + damping;
+    }
+    (hessian, gradient)
+}
+
+#[test]
+fn elimination_solves_the_whole_system_exactly() {
+    let (n_blocks, damping) = (9, 0.01);
+    let (hessian, gradient) = dense_system(n_blocks, damping);
+    let expected = hessian.lu().solve(&-gradient).unwrap();
+
+    let reduced = reduce(n_blocks, N_BORDER, damping, linearize);
+    let border_step = reduced.hessian.cholesky().unwrap().solve(&-reduced.gradient);
+    let local = back_substitute(n_blocks, damping, &border_step, linearize, |_, step| step.to_vec());
+
+    let found = DVector::from_iterator(expected.len(), border_step.iter().copied().chain(local.into_iter().flatten()));
+    assert!((found - expected).amax() < 1e-9);
+}
+
+#[test]
+fn one_and_two_threads_give_the_same_bits() {
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| reduce(200, N_BORDER, 1e-3, linearize))
+    };
+    assert_eq!(run(1), run(2));
+}
+
+#[test]
+fn an_unknown_without_information_does_not_move_and_spoils_nothing() {
+    let with_idle = |i: usize, block: &mut Block| {
+        block.reset(3, &[0]);
+        let local = [Column { index: 0, derivative: [1.0] }, Column { index: 2, derivative: [2.0] }];
+        block.add_residual(1.0, &[1.0 + i as f64], &local, &[Column { index: 0, derivative: [1.0] }]);
+        block.add_residual(1.0, &[0.5], &local[..1], &[]);
+        block.add_residual(1.0, &[-0.5], &local[1..], &[]);
+    };
+    let reduced = reduce(4, 1, 0.0, with_idle);
+    let step = reduced.hessian.clone().cholesky().unwrap().solve(&-&reduced.gradient);
+    for local in back_substitute(4, 0.0, &step, with_idle, |_, step| step.to_vec()) {
+        assert!(local[1] == 0.0 && local.iter().all(|v| v.is_finite()));
+    }
+}
+
+#[test]
+fn leaves_go_first_and_a_tree_has_no_fill_in() {
+    // A star with centre 0 and a tail 3-4: whoever is eliminated has at most one neighbour left.
+    let edges = [(0, 1), (0, 2), (0, 3), (3, 4)];
+    let order = elimination_order(5, edges);
+    let place = |v| order.iter().position(|&o| o == v).unwrap();
+    for v in 0..5 {
+        let later = edges.iter().filter(|&&(a, b)| (a == v && place(b) > place(v)) || (b == v && place(a) > place(v)));
+        assert!(later.count() <= 1);
+    }
+}

@@ -1,0 +1,96 @@
+//! Bounded costs for residuals of which some are grossly wrong, and the schedule that tightens them.
+
+/// A robust cost and the weight with which its residual enters the normal equations.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Robust {
+    /// Half of rho, so that for small residuals it equals half the squared residual.
+    pub cost: f64,
+    /// `rho'(e) / (2 e)`: 1 for small residuals, 0 for gross ones.
+    pub weight: f64,
+    /// `rho''(e) / 2`: how fast the pull grows along the residual; negative for outliers. Across it, `weight` is.
+    pub curvature: f64,
+}
+
+/// The Geman-McClure cost of a residual of squared norm `squared`.
+///
+/// `rho(e) = s^2 e^2 / (s^2 + e^2)`, `w = (s^2 / (s^2 + e^2))^2`, `rho'' / 2 = w (1 - 4 e^2 / (s^2 + e^2))`: Geman and McClure 1985, in the scaling where rho is
+/// `e^2` near zero. For a residual of several components `squared` is that of the whole vector.
+///
+/// `scale`: positive, in the unit of the residual. Solvers use the weight in place of the curvature, which
+/// is negative beyond `s / sqrt(3)`: the normal matrix then stays positive semi-definite. A covariance needs both.
+pub fn geman_mcclure(squared: f64, scale: f64) -> Robust {
+    let s2 = scale * scale;
+    let ratio = s2 / (s2 + squared);
+    let weight = ratio * ratio;
+    Robust { cost: 0.5 * squared * ratio, weight, curvature: weight * (4.0 * ratio - 3.0) }
+}
+
+/// What [`geman_mcclure`] charges for an infinite residual: `s^2 / 2`.
+///
+/// A datum that cannot be explained at all (a point behind the camera that saw it) pays this much; free of charge, the
+/// solver would push bad points there.
+pub fn geman_mcclure_ceiling(scale: f64) -> f64 {
+    0.5 * scale * scale
+}
+
+/// Graduated non-convexity: the scale falls geometrically, so that a rough start is not taken for a set of outliers.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GraduatedScale {
+    /// First scale, in units of the residual's standard deviation.
+    pub start: f64,
+    /// Last scale, same unit.
+    pub end: f64,
+    /// How many scales, both ends included; at least 1 (which is `end` alone).
+    pub steps: usize,
+}
+
+impl GraduatedScale {
+    /// The scales from `start` to `end`, in order; `end` exactly.
+    pub fn scales(&self) -> Vec<f64> {
+        let last = self.steps.max(1) - 1;
+        (0..last).map(|k| self.start * (self.end / self.start).powf(k as f64 / last as f64)).chain([self.end]).collect()
+    }
+
+    /// The same schedule starting no wider than `widest`; a start that is good already is not shaken by outliers.
+    pub fn starting_within(&self, widest: f64) -> Self {
+        Self { start: self.start.min(widest.max(self.end)), ..*self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_weight_is_the_derivative_of_the_cost_by_half_the_squared_residual() {
+        for e2 in [0.0, 0.3, 4.0, 900.0] {
+            let h = 1e-5 * (1.0 + e2);
+            let slope = (geman_mcclure(e2 + h, 3.0).cost - geman_mcclure(e2 - h, 3.0).cost) / h;
+            assert!((slope - geman_mcclure(e2, 3.0).weight).abs() < 1e-8);
+        }
+    }
+
+    #[test]
+    fn the_curvature_is_the_derivative_of_the_pull() {
+        for e in [0.0, 0.3, 1.7, 30.0_f64] {
+            let pull = |e: f64| e * geman_mcclure(e * e, 3.0).weight;
+            let slope = (pull(e + 1e-5) - pull(e - 1e-5)) / 2e-5;
+            assert!((slope - geman_mcclure(e * e, 3.0).curvature).abs() < 1e-8);
+        }
+    }
+
+    #[test]
+    fn the_cost_ends_at_its_ceiling() {
+        let far = geman_mcclure(1e12, 3.0);
+        assert!((far.cost - geman_mcclure_ceiling(3.0)).abs() < 1e-6 && far.weight < 1e-12);
+    }
+
+    #[test]
+    fn scales_fall_geometrically_and_end_exactly() {
+        let schedule = GraduatedScale { start: 32.0, end: 4.0, steps: 4 };
+        let scales = schedule.scales();
+        assert!(scales.iter().zip([32.0, 16.0, 8.0, 4.0]).all(|(a, b)| (a - b).abs() < 1e-12));
+        assert_eq!(schedule.starting_within(1.0).scales(), vec![4.0; 4]);
+        assert_eq!(GraduatedScale { steps: 0, ..schedule }.scales(), vec![4.0]);
+    }
+}

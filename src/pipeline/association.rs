@@ -1,0 +1,149 @@
+//! Who is who, across views and time, under given cameras.
+
+use crate::matching::clusters::Cluster;
+use crate::matching::tracker::{Scene, TrackedPerson, TrackerConfig, skeleton, track};
+use crate::matching::tracklets::Tracklet;
+use crate::progress::{Canceled, Progress};
+use crate::session::reconstruction::StageReport;
+use crate::session::recording::{FrameIndex, PersonId, Session};
+use crate::session::{JointTrajectory, PersonTrack};
+use std::collections::BTreeMap;
+
+/// A keypoint counts as explained within this angle of its reprojection, rad: 24 px at a focal length of 1,060 px.
+const EXPLAINED_RADIUS: f64 = 0.0225;
+
+/// Keypoints below this confidence are not asked for an explanation.
+const CONFIDENT: f64 = 0.4;
+
+/// Everybody found, as tracks, with a first guess of their points.
+#[derive(Debug, Clone)]
+pub struct Association {
+    /// Who is where; person `i` is entry `i`.
+    pub tracks: Vec<PersonTrack>,
+    /// First guess of each person's points, same frames.
+    pub points: Vec<JointTrajectory>,
+    /// Share of confident keypoints that lie where a person was found to be.
+    pub explained: f64,
+}
+
+/// Gives every detection to a person or to nobody.
+///
+/// `n_people`: keep the best supported so many, where the number is known.
+///
+/// # Errors
+/// [`Canceled`].
+pub fn associate(
+    scene: &Scene,
+    n_people: Option<usize>,
+    progress: &Progress,
+) -> Result<(Association, StageReport), Canceled> {
+    let mut people = track(scene, &TrackerConfig::default(), progress)?;
+    if let Some(n) = n_people {
+        people.truncate(n);
+    }
+    let explained = explained(scene, &people);
+    let n_views = scene.views.len();
+    let tracks: Vec<PersonTrack> = people.iter().enumerate().map(|(i, p)| as_track(i, p, n_views)).collect();
+    let points = people.iter().enumerate().map(|(i, p)| as_points(i, p)).collect();
+    let metrics =
+        BTreeMap::from([("people".to_owned(), people.len() as f64), ("explained_share".to_owned(), explained)]);
+    let report = StageReport {
+        stage: "association".to_owned(),
+        iterations: scene.n_frames,
+        cost_before: None,
+        cost_after: None,
+        termination: "all_frames".to_owned(),
+        metrics,
+    };
+    Ok((Association { tracks, points, explained }, report))
+}
+
+/// The association that groups of tracklets stand for: the start, before anybody was followed in 3D.
+pub fn from_clusters(scene: &Scene, tracklets: &[Vec<Tracklet>], groups: &[Cluster]) -> Association {
+    let (mut tracks, mut points) = (Vec::new(), Vec::new());
+    for (person, group) in groups.iter().enumerate() {
+        let members = || group.iter().map(|&(view, t)| (view, &tracklets[view][t]));
+        let first = members().map(|(_, t)| t.first()).min().unwrap_or(0);
+        let last = members().map(|(_, t)| t.last()).max().unwrap_or(0);
+        let mut detections = vec![vec![None; scene.views.len()]; last - first + 1];
+        for (view, tracklet) in members() {
+            tracklet.sightings.iter().for_each(|&(frame, d)| detections[frame - first][view] = Some(d));
+        }
+        let skeletons: Vec<_> =
+            detections.iter().enumerate().map(|(t, claim)| skeleton(scene, first + t, claim)).collect();
+        let n_keypoints = skeletons.iter().map(Vec::len).max().unwrap_or(0);
+        let whole = |s: Vec<_>| if s.is_empty() { vec![None; n_keypoints] } else { s };
+        let n_views = vec![vec![0; n_keypoints]; skeletons.len()];
+        let (id, first) = (PersonId(person), FrameIndex(first));
+        points.push(JointTrajectory { person: id, first, points: skeletons.into_iter().map(whole).collect(), n_views });
+        tracks.push(PersonTrack { person: id, first, detections });
+    }
+    Association { tracks, points, explained: 0.0 }
+}
+
+fn as_track(person: usize, tracked: &TrackedPerson, n_views: usize) -> PersonTrack {
+    let first = tracked.first();
+    let mut detections = vec![vec![None; n_views]; tracked.last_seen() - first + 1];
+    for (frame, claim) in &tracked.claims {
+        detections[frame - first].clone_from(claim);
+    }
+    PersonTrack { person: PersonId(person), first: FrameIndex(first), detections }
+}
+
+fn as_points(person: usize, tracked: &TrackedPerson) -> JointTrajectory {
+    let first = tracked.first();
+    let n_keypoints = tracked.skeletons[0].len();
+    let mut points = vec![vec![None; n_keypoints]; tracked.last_seen() - first + 1];
+    for ((frame, _), skeleton) in tracked.claims.iter().zip(&tracked.skeletons) {
+        points[frame - first].clone_from(skeleton);
+    }
+    let n_views = vec![vec![0; n_keypoints]; points.len()];
+    JointTrajectory { person: PersonId(person), first: FrameIndex(first), points, n_views }
+}
+
+/// Share of confident keypoints of all placed views that lie where a person was found to be.
+fn explained(scene: &Scene, people: &[TrackedPerson]) -> f64 {
+    let confident = |s: &crate::matching::sightings::Sighting| s.confidence.iter().filter(|c| **c > CONFIDENT).count();
+    let all: usize = scene
+        .views
+        .iter()
+        .zip(scene.cameras)
+        .filter(|(_, c)| c.is_some())
+        .flat_map(|(v, _)| v.frames.iter().flatten())
+        .map(confident)
+        .sum();
+    let mut near = 0usize;
+    for person in people {
+        for ((frame, claim), skeleton) in person.claims.iter().zip(&person.skeletons) {
+            if claim.iter().flatten().count() < 2 {
+                continue; // a single view agrees with itself
+            }
+            for (view, detection) in claim.iter().enumerate() {
+                let (Some(d), Some(camera)) = (detection, &scene.cameras[view]) else { continue };
+                let sighting = &scene.views[view].frames[*frame][*d];
+                for (k, point) in skeleton.iter().enumerate() {
+                    let Some(x) = point.map(|p| camera.transform(&p)).filter(|x| x.z > 0.1) else { continue };
+                    let offset = (x.xy() / x.z - sighting.bearings[k]).norm();
+                    near += usize::from(sighting.confidence[k] > CONFIDENT && offset < EXPLAINED_RADIUS);
+                }
+            }
+        }
+    }
+    near as f64 / all.max(1) as f64
+}
+
+/// `identities[view][frame][detection]`.
+pub fn identities(session: &Session, tracks: &[PersonTrack]) -> Vec<Vec<Vec<Option<PersonId>>>> {
+    let mut table: Vec<Vec<Vec<Option<PersonId>>>> =
+        session.views.iter().map(|v| v.frames.iter().map(|f| vec![None; f.len()]).collect()).collect();
+    for track in tracks {
+        for (t, claim) in track.detections.iter().enumerate() {
+            for (view, detection) in claim.iter().enumerate() {
+                if let Some(d) = detection {
+                    table[view][track.first.0 + t][*d] = Some(track.person);
+                }
+            }
+        }
+    }
+    table
+}

@@ -1,0 +1,291 @@
+//! Gauss-Newton systems of motions: one dense block per frame, coupled over two frames, with a narrow border.
+//!
+//! Exact and linear in the number of frames: a block Cholesky factor `H = L L^T` of bandwidth two blocks. Instead of a
+//! frame's factor its inverse is kept, so that all heavy work is matrix products.
+
+use nalgebra::{DMatrix, DVector, Matrix3};
+
+/// Half of a symmetric system `H x = -gradient` over frames of `3 * n_groups` unknowns and a border.
+///
+/// Frames couple group by group only (a joint's acceleration involves that joint alone).
+#[derive(Debug, Clone)]
+pub(super) struct BlockBanded {
+    /// `H[t][t]`; only the lower triangle is read.
+    pub diagonal: Vec<DMatrix<f64>>,
+    /// `H[t + 1][t]`, one 3 x 3 block a group.
+    pub next: Vec<Vec<Matrix3<f64>>>,
+    /// `H[t + 2][t]`, likewise.
+    pub after_next: Vec<Vec<Matrix3<f64>>>,
+    /// `H[t][border]`.
+    pub border: Vec<DMatrix<f64>>,
+    /// `H[border][border]`, full.
+    pub corner: DMatrix<f64>,
+    /// Gradient by frame.
+    pub gradient: Vec<DVector<f64>>,
+    /// Gradient of the border.
+    pub border_gradient: DVector<f64>,
+}
+
+/// A solution.
+#[derive(Debug, Clone)]
+pub(super) struct BandedStep {
+    /// By frame.
+    pub frames: Vec<DVector<f64>>,
+    /// The border's.
+    pub border: DVector<f64>,
+}
+
+impl BlockBanded {
+    /// The zero system.
+    pub(super) fn zeros(n_frames: usize, n_groups: usize, n_border: usize) -> Self {
+        let n = 3 * n_groups;
+        let couplings = |distance: usize| vec![vec![Matrix3::zeros(); n_groups]; n_frames.saturating_sub(distance)];
+        Self {
+            diagonal: vec![DMatrix::zeros(n, n); n_frames],
+            next: couplings(1),
+            after_next: couplings(2),
+            border: vec![DMatrix::zeros(n, n_border); n_frames],
+            corner: DMatrix::zeros(n_border, n_border),
+            gradient: vec![DVector::zeros(n); n_frames],
+            border_gradient: DVector::zeros(n_border),
+        }
+    }
+
+    /// Solves with every diagonal entry raised by its `damping`-fold (Marquardt).
+    ///
+    /// Returns `None` where the damped system is not positive definite, or not finite.
+    pub(super) fn solve(&self, damping: f64) -> Option<BandedStep> {
+        let n_frames = self.diagonal.len();
+        let n_border = self.border_gradient.len();
+        // Rolling: what earlier frames leave in blocks (t, t), (t + 1, t + 1) and (t + 1, t).
+        let mut factors: Vec<FrameFactor> = Vec::with_capacity(n_frames);
+        let mut corner = damped(&self.corner, damping);
+        let mut corner_right = -&self.border_gradient;
+        for t in 0..n_frames {
+            let mut block = damped(&self.diagonal[t], damping);
+            let mut right = self.border[t].clone().insert_column(n_border, 0.0);
+            right.column_mut(n_border).copy_from(&-&self.gradient[t]);
+            let mut to_next = self.next.get(t).map(|groups| block_diagonal(groups));
+            if let Some(one) = t.checked_sub(1).map(|i| &factors[i]) {
+                subtract_product(&mut block, &one.to_next, &one.to_next);
+                right.gemm(-1.0, &one.to_next, &one.right, 1.0);
+                if let Some(to_next) = &mut to_next {
+                    subtract_product(to_next, &one.to_after_next, &one.to_next);
+                }
+            }
+            if let Some(two) = t.checked_sub(2).map(|i| &factors[i]) {
+                subtract_product(&mut block, &two.to_after_next, &two.to_after_next);
+                right.gemm(-1.0, &two.to_after_next, &two.right, 1.0);
+            }
+            let inverse = inverse_of_cholesky_factor(&block)?;
+            let inverse_transposed = inverse.transpose();
+            let empty = || DMatrix::zeros(0, block.nrows());
+            let right = &inverse * right;
+            let fixed = right.columns(0, n_border);
+            corner -= fixed.tr_mul(&fixed);
+            corner_right -= fixed.tr_mul(&right.column(n_border));
+            factors.push(FrameFactor {
+                to_next: to_next.map_or_else(empty, |c| c * &inverse_transposed),
+                to_after_next: self
+                    .after_next
+                    .get(t)
+                    .map_or_else(empty, |groups| block_diagonal_times(groups, &inverse_transposed)),
+                inverse_transposed,
+                right,
+            });
+        }
+        let border = if n_border == 0 { DVector::zeros(0) } else { corner.cholesky()?.solve(&corner_right) };
+        let mut frames: Vec<DVector<f64>> = vec![DVector::zeros(0); n_frames];
+        for t in (0..n_frames).rev() {
+            let factor = &factors[t];
+            let mut y = factor.right.column(n_border) - factor.right.columns(0, n_border) * &border;
+            if t + 1 < n_frames {
+                y -= factor.to_next.tr_mul(&frames[t + 1]);
+            }
+            if t + 2 < n_frames {
+                y -= factor.to_after_next.tr_mul(&frames[t + 2]);
+            }
+            frames[t] = &factor.inverse_transposed * y;
+        }
+        let is_finite = border.iter().chain(frames.iter().flat_map(|f| f.iter())).all(|v| v.is_finite());
+        is_finite.then_some(BandedStep { frames, border })
+    }
+}
+
+/// What the elimination of a frame leaves for the way back.
+struct FrameFactor {
+    /// `L[t][t]^-T`.
+    inverse_transposed: DMatrix<f64>,
+    /// `L[t + 1][t]`.
+    to_next: DMatrix<f64>,
+    /// `L[t + 2][t]`.
+    to_after_next: DMatrix<f64>,
+    /// `L^-1 [border, right-hand side]` of this frame.
+    right: DMatrix<f64>,
+}
+
+fn damped(block: &DMatrix<f64>, damping: f64) -> DMatrix<f64> {
+    let mut block = block.clone();
+    for i in 0..block.nrows() {
+        block[(i, i)] *= 1.0 + damping;
+    }
+    block
+}
+
+fn subtract_product(target: &mut DMatrix<f64>, a: &DMatrix<f64>, b: &DMatrix<f64>) {
+    if a.nrows() > 0 {
+        target.gemm(-1.0, a, &b.transpose(), 1.0);
+    }
+}
+
+fn block_diagonal(groups: &[Matrix3<f64>]) -> DMatrix<f64> {
+    let mut dense = DMatrix::zeros(3 * groups.len(), 3 * groups.len());
+    for (g, block) in groups.iter().enumerate() {
+        dense.fixed_view_mut::<3, 3>(3 * g, 3 * g).copy_from(block);
+    }
+    dense
+}
+
+fn block_diagonal_times(groups: &[Matrix3<f64>], right: &DMatrix<f64>) -> DMatrix<f64> {
+    let mut product = DMatrix::zeros(right.nrows(), right.ncols());
+    for column in 0..right.ncols() {
+        for (g, block) in groups.iter().enumerate() {
+            let part = block * right.fixed_view::<3, 1>(3 * g, column);
+            product.fixed_view_mut::<3, 1>(3 * g, column).copy_from(&part);
+        }
+    }
+    product
+}
+
+/// Blocks of this size are factored entry by entry, larger ones by halves and matrix products.
+const LEAF: usize = 18;
+
+/// `L^-1` of `A = L L^T`, lower triangular; `None` if `A` is not positive definite. Reads the lower triangle of `A`.
+///
+/// By halves: `L21 = A21 L11^-T`, `A22 - L21 L21^T = L22 L22^T`, and the inverse is
+/// `[L11^-1, 0; -L22^-1 L21 L11^-1, L22^-1]`.
+fn inverse_of_cholesky_factor(a: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let n = a.nrows();
+    if n <= LEAF {
+        return inverse_of_small_factor(a);
+    }
+    let (h, rest) = (n / 2, n - n / 2);
+    let first = inverse_of_cholesky_factor(&a.view((0, 0), (h, h)).into_owned())?;
+    let below = a.view((h, 0), (rest, h)) * first.transpose();
+    let mut last = a.view((h, h), (rest, rest)).into_owned();
+    subtract_product(&mut last, &below, &below);
+    let last = inverse_of_cholesky_factor(&last)?;
+    let mut inverse = DMatrix::zeros(n, n);
+    inverse.view_mut((h, 0), (rest, h)).copy_from(&-(&last * (below * &first)));
+    inverse.view_mut((0, 0), (h, h)).copy_from(&first);
+    inverse.view_mut((h, h), (rest, rest)).copy_from(&last);
+    Some(inverse)
+}
+
+fn inverse_of_small_factor(a: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let n = a.nrows();
+    let mut factor = [[0.0; LEAF]; LEAF];
+    for i in 0..n {
+        for j in 0..=i {
+            let rest = a[(i, j)] - (0..j).map(|k| factor[i][k] * factor[j][k]).sum::<f64>();
+            if i == j {
+                let is_positive = rest > 1e-12 * a[(i, i)].abs(); // false for NaN as well
+                if !is_positive {
+                    return None;
+                }
+                factor[i][i] = rest.sqrt();
+            } else {
+                factor[i][j] = rest / factor[j][j];
+            }
+        }
+    }
+    let mut inverse = DMatrix::zeros(n, n);
+    for column in 0..n {
+        for i in column..n {
+            let unit = f64::from(u8::from(i == column));
+            let rest = unit - (column..i).map(|k| factor[i][k] * inverse[(k, column)]).sum::<f64>();
+            inverse[(i, column)] = rest / factor[i][i];
+        }
+    }
+    Some(inverse)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+
+    /// A random positive definite system of the right pattern: sums of squares of rows that touch it legally.
+    fn random_system(n_frames: usize, n_groups: usize, n_border: usize, seed: u64) -> BlockBanded {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+        let mut uniform = || rng.random_range(-1.0..1.0);
+        let n = 3 * n_groups;
+        let mut system = BlockBanded::zeros(n_frames, n_groups, n_border);
+        for t in 0..n_frames {
+            let rows = DMatrix::from_fn(n + 4, n + n_border, |_, _| uniform());
+            let square = rows.tr_mul(&rows);
+            system.diagonal[t] += square.view((0, 0), (n, n));
+            system.border[t] += square.view((0, n), (n, n_border));
+            system.corner += square.view((n, n), (n_border, n_border));
+            system.gradient[t] = DVector::from_fn(n, |_, _| uniform());
+        }
+        for t in 0..n_frames.saturating_sub(2) {
+            for g in 0..n_groups {
+                let j: [Matrix3<f64>; 3] = std::array::from_fn(|_| Matrix3::from_fn(|_, _| uniform()));
+                for (i, a) in j.iter().enumerate() {
+                    let mut view = system.diagonal[t + i].fixed_view_mut::<3, 3>(3 * g, 3 * g);
+                    view += a.transpose() * a;
+                }
+                system.next[t][g] += j[1].transpose() * j[0];
+                system.next[t + 1][g] += j[2].transpose() * j[1];
+                system.after_next[t][g] += j[2].transpose() * j[0];
+            }
+        }
+        system.border_gradient = DVector::from_fn(n_border, |_, _| uniform());
+        system
+    }
+
+    fn dense(system: &BlockBanded) -> (DMatrix<f64>, DVector<f64>) {
+        let (n, t_count, m) = (system.diagonal[0].nrows(), system.diagonal.len(), system.corner.nrows());
+        let mut h = DMatrix::zeros(n * t_count + m, n * t_count + m);
+        let mut g = DVector::zeros(n * t_count + m);
+        for t in 0..t_count {
+            h.view_mut((n * t, n * t), (n, n)).copy_from(&system.diagonal[t]);
+            h.view_mut((n * t, n * t_count), (n, m)).copy_from(&system.border[t]);
+            h.view_mut((n * t_count, n * t), (m, n)).copy_from(&system.border[t].transpose());
+            g.rows_mut(n * t, n).copy_from(&system.gradient[t]);
+            for (distance, couplings) in [(1, &system.next), (2, &system.after_next)] {
+                if let Some(groups) = couplings.get(t) {
+                    let block = block_diagonal(groups);
+                    h.view_mut((n * (t + distance), n * t), (n, n)).copy_from(&block);
+                    h.view_mut((n * t, n * (t + distance)), (n, n)).copy_from(&block.transpose());
+                }
+            }
+        }
+        h.view_mut((n * t_count, n * t_count), (m, m)).copy_from(&system.corner);
+        g.rows_mut(n * t_count, m).copy_from(&system.border_gradient);
+        (h, g)
+    }
+
+    #[test]
+    fn the_banded_solution_is_the_dense_one() {
+        for (n_frames, n_groups, n_border) in [(1, 2, 3), (2, 3, 0), (7, 9, 4), (5, 21, 10)] {
+            let system = random_system(n_frames, n_groups, n_border, 5);
+            let step = system.solve(0.0).unwrap();
+            let (h, g) = dense(&system);
+            let expected = h.lu().solve(&-g).unwrap();
+            let found: Vec<f64> =
+                step.frames.iter().flat_map(|f| f.iter()).chain(step.border.iter()).copied().collect();
+            assert!((DVector::from_vec(found) - &expected).norm() < 1e-8 * expected.norm());
+        }
+    }
+
+    #[test]
+    fn an_indefinite_system_is_refused() {
+        let mut system = random_system(4, 8, 2, 1);
+        system.diagonal[2][(20, 20)] = -1.0;
+        assert!(system.solve(0.0).is_none());
+        system.diagonal[2][(20, 20)] = f64::NAN;
+        assert!(system.solve(0.0).is_none());
+    }
+}

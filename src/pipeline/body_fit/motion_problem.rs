@@ -1,0 +1,177 @@
+//! The least-squares problem of one person's motion: its unknowns and its cost.
+//!
+//! The cost is an integral over time: every frame counts `dt * 30 Hz`, so that one motion filmed at 25, 30 or 60 Hz
+//! has one optimum. A detector's error drifts over some frames, hence more frames a second are not more information.
+
+use super::BodyFitConfig;
+use super::block_banded::BandedStep;
+use super::evidence::{Evidence, PixelEvidence, PointEvidence};
+use super::place_cost::{PlaceCost, pixel_cost, point_cost, summed_by_landmark};
+use crate::body::joint_ranges::{JointRange, joint_ranges};
+use crate::body::kinematics::{Pose, PosedSkeleton, landmark_position, moving_joints, posed};
+use crate::body::model::{Betas, BodyModel, ShapedBody};
+use crate::body::skeleton::N_JOINTS;
+use crate::geometry::rotation;
+use crate::residuals::joint_angles::{JointAngleWeights, joint_angle_cost};
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+/// The unknowns.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct MotionState {
+    pub betas: Betas,
+    /// One per frame.
+    pub poses: Vec<Pose>,
+}
+
+/// Which evidence is fitted, and how precise it is taken to be.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum DataTerm {
+    /// Triangulated points, standard deviation in m per axis.
+    Points { sigma: f64 },
+    /// Pixels, standard deviation per axis as a share of [`super::evidence::PixelEvidence::scale_px`].
+    Pixels { share: f64 },
+}
+
+/// Whether the shape moves with the pose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Shape {
+    Free,
+    Held,
+}
+
+/// One person's motion over a run of frames.
+pub(super) struct MotionProblem<'a> {
+    pub model: &'a BodyModel,
+    pub evidence: &'a Evidence,
+    pub config: &'a BodyFitConfig,
+    pub data: DataTerm,
+    pub shape: Shape,
+    /// s.
+    pub frame_interval: f64,
+    /// The joints that turn, ascending; the root is the first.
+    pub active: Vec<usize>,
+    /// `moved_by[landmark]`: `(group, joint)` of the active joints that move it.
+    pub moved_by: Vec<Vec<(usize, usize)>>,
+    pub ranges: [JointRange; N_JOINTS],
+}
+
+/// Position of the translation's three unknowns in a frame; joint `active[i]` has group `i + 1`.
+pub(super) const TRANSLATION_GROUP: usize = 0;
+
+/// Rate at which a frame counts once.
+const REFERENCE_RATE_HZ: f64 = 30.0;
+
+impl<'a> MotionProblem<'a> {
+    /// The problem over all frames of `evidence`.
+    ///
+    /// Only joints that move a landmark with evidence turn; the others (the hands always) stay where they started.
+    pub(super) fn new(
+        model: &'a BodyModel,
+        evidence: &'a Evidence,
+        config: &'a BodyFitConfig,
+        data: DataTerm,
+        shape: Shape,
+        frame_interval: f64,
+    ) -> Self {
+        let moving: Vec<Vec<usize>> = model.landmarks.iter().map(moving_joints).collect();
+        let mut turns = [false; N_JOINTS];
+        turns[0] = true;
+        let of_points = evidence.points.iter().flatten().map(|p| p.landmark);
+        for landmark in of_points.chain(evidence.pixels.iter().flatten().map(|p| p.landmark)) {
+            moving[landmark].iter().for_each(|&j| turns[j] = true);
+        }
+        let active: Vec<usize> = (0..FIRST_HAND).filter(|&j| turns[j]).collect();
+        let group_of = |joint: &usize| active.iter().position(|a| a == joint).map(|g| (g + 1, *joint));
+        let moved_by = moving.iter().map(|joints| joints.iter().filter_map(group_of).collect()).collect();
+        Self { model, evidence, config, data, shape, frame_interval, active, moved_by, ranges: joint_ranges() }
+    }
+
+    pub(super) fn time_weight(&self) -> f64 {
+        self.frame_interval * REFERENCE_RATE_HZ
+    }
+
+    /// The state after a step of the solver: betas added, right increments of the rotations.
+    pub(super) fn moved(&self, state: &MotionState, step: &BandedStep) -> MotionState {
+        let mut moved = state.clone();
+        moved.betas += Betas::from_fn(|k, _| step.border.get(k).copied().unwrap_or(0.0));
+        for (pose, step) in moved.poses.iter_mut().zip(&step.frames) {
+            let group = |g: usize| step.fixed_rows::<3>(3 * g).into_owned();
+            pose.translation += group(TRANSLATION_GROUP);
+            for (i, &joint) in self.active.iter().enumerate() {
+                pose.rotations[joint] *= rotation::exp(&group(i + 1));
+            }
+        }
+        moved
+    }
+
+    /// The whole cost.
+    pub(super) fn cost(&self, state: &MotionState) -> f64 {
+        let body = self.model.shaped(&state.betas);
+        let frame_cost = |(t, pose): (usize, &Pose)| {
+            let skeleton = posed(&body, pose);
+            let data: f64 = self.place_costs(t, &body, &skeleton).iter().map(|p| p.cost).sum();
+            data + self.active[1..].iter().map(|&j| self.angle_cost(pose, j).cost).sum::<f64>()
+        };
+        let frames: Vec<f64> = state.poses.par_iter().enumerate().map(frame_cost).collect();
+        let smooth: f64 = (1..state.poses.len().saturating_sub(1)).map(|t| self.smoothness_cost(state, t)).sum();
+        0.5 * state.betas.norm_squared() + self.time_weight() * (frames.iter().sum::<f64>() + smooth)
+    }
+
+    pub(super) fn angle_cost(&self, pose: &Pose, joint: usize) -> crate::residuals::joint_angles::JointAngleCost {
+        let weights =
+            JointAngleWeights { rest: self.config.rest_weight, limit_width: self.config.limit_width_deg.to_radians() };
+        joint_angle_cost(&pose.rotations[joint], &self.ranges[joint], &weights)
+    }
+
+    /// Cost over the position of every landmark with evidence at frame `t`, one entry a landmark.
+    pub(super) fn place_costs(&self, t: usize, body: &ShapedBody, skeleton: &PosedSkeleton) -> Vec<PlaceCost> {
+        let position_of = |landmark: usize| landmark_position(self.model, body, skeleton, landmark);
+        let robust_scale = self.config.robust_scale;
+        let costs: Vec<PlaceCost> = match self.data {
+            DataTerm::Points { sigma } => {
+                let of_point = |p: &PointEvidence| point_cost(p, &position_of(p.landmark), sigma, robust_scale);
+                self.evidence.points[t].iter().map(of_point).collect()
+            }
+            DataTerm::Pixels { share } => {
+                let of_pixel = |p: &PixelEvidence| {
+                    let camera = &self.evidence.cameras[p.camera];
+                    pixel_cost(p, camera, &position_of(p.landmark), share * p.scale_px, robust_scale)
+                };
+                self.evidence.pixels[t].iter().map(of_pixel).collect()
+            }
+        };
+        summed_by_landmark(costs)
+    }
+
+    pub(super) fn translation_acceleration(&self, state: &MotionState, t: usize) -> Vector3<f64> {
+        let at = |i: usize| state.poses[i].translation;
+        (at(t - 1) - at(t) * 2.0 + at(t + 1)) / (self.frame_interval.powi(2) * self.config.translation_acceleration)
+    }
+
+    /// Angular acceleration over its typical size, one unit per radian of turn change.
+    pub(super) fn angular_scale(&self, joint: usize) -> f64 {
+        1.0 / (self.frame_interval.powi(2) * self.ranges[joint].acceleration * self.config.angular_acceleration_factor)
+    }
+
+    fn smoothness_cost(&self, state: &MotionState, t: usize) -> f64 {
+        let joint_cost = |&joint: &usize| {
+            let [a, b, c] = [t - 1, t, t + 1].map(|i| &state.poses[i].rotations[joint]);
+            let before = rotation::log(&(a.transpose() * b));
+            let change = rotation::log(&(b.transpose() * c)) - before;
+            charbonnier((change * self.angular_scale(joint)).norm_squared()).0
+        };
+        charbonnier(self.translation_acceleration(state, t).norm_squared()).0
+            + self.active.iter().map(joint_cost).sum::<f64>()
+    }
+}
+
+/// First of the two hand joints, which have no keypoints of their own to turn by.
+const FIRST_HAND: usize = 22;
+
+/// Charbonnier at scale 1: `rho = sqrt(1 + e^2) - 1`, weight `1 / sqrt(1 + e^2)`. Real accelerations are small most of
+/// the time and large at contacts; a squared cost would round those off.
+pub(super) fn charbonnier(squared: f64) -> (f64, f64) {
+    let root = (1.0 + squared).sqrt();
+    (root - 1.0, 1.0 / root)
+}

@@ -1,0 +1,184 @@
+//! Damped Gauss-Newton over one person's motion, whole or window by window.
+
+use super::BodyFitConfig;
+use super::evidence::Evidence;
+use super::initial_motion::initial_motion;
+use super::motion_problem::{DataTerm, MotionProblem, MotionState, Shape};
+use crate::body::BodyModel;
+use crate::body::kinematics::{landmark_position, posed};
+use crate::progress::{Canceled, Progress};
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// One person's fit and how it went.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct FittedMotion {
+    pub state: MotionState,
+    /// Of the last stage, summed over windows.
+    pub cost_before: f64,
+    pub cost_after: f64,
+    /// The most that one window took.
+    pub iterations: usize,
+    pub converged: bool,
+    pub median_reprojection_px: Option<f64>,
+}
+
+/// Fits one person; `None` when closed form finds no start.
+pub(super) fn fit_motion(
+    model: &BodyModel,
+    evidence: &Evidence,
+    config: &BodyFitConfig,
+    frame_interval: f64,
+    progress: &Progress,
+) -> Result<Option<FittedMotion>, Canceled> {
+    let Some(start) = initial_motion(model, evidence) else { return Ok(None) };
+    let stages = Stages { model, config, frame_interval, progress };
+    let windows = windows(start.poses.len(), config.window_frames.max(3));
+    let Some(best) = windows.iter().max_by_key(|w| (n_pixels(evidence, w), std::cmp::Reverse(w.start))) else {
+        return Ok(None);
+    };
+    let mut fitted = stages.fit_window(evidence, &start, best, Shape::Free)?;
+    if windows.len() > 1 {
+        let shaped = MotionState { betas: fitted.state.betas, ..start };
+        let parts: Vec<FittedMotion> = windows
+            .par_iter()
+            .map(|w| stages.fit_window(evidence, &shaped, w, Shape::Held))
+            .collect::<Result<_, Canceled>>()?;
+        fitted = joined(parts);
+    }
+    let share_and_px = residuals(model, evidence, &fitted.state);
+    fitted.median_reprojection_px = median(share_and_px.into_iter().map(|r| r.distance_px).collect());
+    Ok(Some(fitted))
+}
+
+/// Runs of at most `length` frames, as equal as can be.
+fn windows(n_frames: usize, length: usize) -> Vec<Range<usize>> {
+    let count = n_frames.div_ceil(length);
+    (0..count).map(|i| i * n_frames / count..(i + 1) * n_frames / count).collect()
+}
+
+fn n_pixels(evidence: &Evidence, window: &Range<usize>) -> usize {
+    window.clone().map(|t| evidence.pixels[t].len() + evidence.points[t].len()).sum()
+}
+
+fn joined(parts: Vec<FittedMotion>) -> FittedMotion {
+    let betas = parts[0].state.betas;
+    FittedMotion {
+        cost_before: parts.iter().map(|p| p.cost_before).sum(),
+        cost_after: parts.iter().map(|p| p.cost_after).sum(),
+        iterations: parts.iter().map(|p| p.iterations).max().unwrap_or(0),
+        converged: parts.iter().all(|p| p.converged),
+        median_reprojection_px: None,
+        state: MotionState { betas, poses: parts.into_iter().flat_map(|p| p.state.poses).collect() },
+    }
+}
+
+/// What all windows share.
+struct Stages<'a> {
+    model: &'a BodyModel,
+    config: &'a BodyFitConfig,
+    frame_interval: f64,
+    progress: &'a Progress,
+}
+
+impl Stages<'_> {
+    /// Points, then pixels, over a window and its halo; returns the window's own frames.
+    fn fit_window(
+        &self,
+        evidence: &Evidence,
+        start: &MotionState,
+        window: &Range<usize>,
+        shape: Shape,
+    ) -> Result<FittedMotion, Canceled> {
+        let halo = self.config.halo_frames;
+        let seen = window.start.saturating_sub(halo)..(window.end + halo).min(start.poses.len());
+        let evidence = evidence.slice(seen.clone());
+        let state = MotionState { betas: start.betas, poses: start.poses[seen.clone()].to_vec() };
+        let problem = |data| MotionProblem::new(self.model, &evidence, self.config, data, shape, self.frame_interval);
+        let [on_points, on_pixels] = self.config.max_iterations;
+        let points = problem(DataTerm::Points { sigma: self.config.point_sigma });
+        let mut fitted = self.minimised(&points, state, on_points)?;
+        if evidence.pixels.iter().any(|frame| !frame.is_empty()) {
+            let share = self.pixel_share(&evidence, &fitted.state);
+            let iterations = fitted.iterations;
+            fitted = self.minimised(&problem(DataTerm::Pixels { share }), fitted.state, on_pixels)?;
+            fitted.iterations += iterations;
+        }
+        let own = window.start - seen.start..window.end - seen.start;
+        fitted.state.poses = fitted.state.poses[own].to_vec();
+        Ok(fitted)
+    }
+
+    /// The detector's standard deviation per axis as a share of apparent size, from the median residual: that of a
+    /// 2D normal distribution is 1.177 sigma.
+    fn pixel_share(&self, evidence: &Evidence, state: &MotionState) -> f64 {
+        let shares = residuals(self.model, evidence, state).into_iter().map(|r| r.share).collect();
+        let [low, high] = self.config.pixel_share;
+        median(shares).map_or(high, |m| (m / 1.177).clamp(low, high))
+    }
+
+    fn minimised(
+        &self,
+        problem: &MotionProblem,
+        start: MotionState,
+        max_iterations: usize,
+    ) -> Result<FittedMotion, Canceled> {
+        let mut state = start;
+        let cost_before = problem.cost(&state);
+        let (mut cost, mut damping, mut iterations, mut converged) = (cost_before, 1e-4, 0, false);
+        while iterations < max_iterations && !converged {
+            self.progress.check()?;
+            iterations += 1;
+            let (_, system) = problem.linearised(&state);
+            let mut is_better = false;
+            for _ in 0..MAX_TRIALS {
+                if let Some(step) = system.solve(damping) {
+                    let moved = problem.moved(&state, &step);
+                    let moved_cost = problem.cost(&moved);
+                    if moved_cost < cost {
+                        converged = cost - moved_cost < self.config.min_decrease * cost;
+                        (state, cost, damping, is_better) = (moved, moved_cost, damping * 0.1, true);
+                        break;
+                    }
+                }
+                damping = (damping * 20.0).max(1e-6);
+            }
+            converged |= !is_better;
+        }
+        let (cost_after, median_reprojection_px) = (cost, None);
+        Ok(FittedMotion { state, cost_before, cost_after, iterations, converged, median_reprojection_px })
+    }
+}
+
+/// Dampings tried before a state counts as the best that can be had: 1e-4 to 1e3 and beyond.
+const MAX_TRIALS: usize = 6;
+
+/// Distance of one detected pixel from its landmark's projection.
+struct PixelResidual {
+    distance_px: f64,
+    /// In units of [`super::evidence::PixelEvidence::scale_px`].
+    share: f64,
+}
+
+fn residuals(model: &BodyModel, evidence: &Evidence, state: &MotionState) -> Vec<PixelResidual> {
+    let body = model.shaped(&state.betas);
+    let mut residuals = Vec::new();
+    for (pixels, pose) in evidence.pixels.iter().zip(&state.poses) {
+        let skeleton = posed(&body, pose);
+        for pixel in pixels {
+            let camera = &evidence.cameras[pixel.camera];
+            let position = landmark_position(model, &body, &skeleton, pixel.landmark);
+            let in_camera = camera.camera_from_world.transform(&position);
+            if let Some(projected) = camera.intrinsics.pixel_from_camera(&in_camera) {
+                let distance_px = (projected - pixel.pixel).norm();
+                residuals.push(PixelResidual { distance_px, share: distance_px / pixel.scale_px });
+            }
+        }
+    }
+    residuals
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}

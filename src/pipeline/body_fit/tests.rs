@@ -1,0 +1,306 @@
+//! The fit against motions of known truth.
+
+use super::*;
+use crate::body::default_body;
+use crate::body::skeleton::N_JOINTS;
+use crate::geometry::{Intrinsics, rotation};
+use crate::session::{Detection, FrameIndex, Keypoint, PersonId, View};
+use nalgebra::{Matrix3, Vector2, Vector3};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
+use std::f64::consts::TAU;
+
+/// A scene of one body with exact truth.
+struct Truth {
+    betas: Betas,
+    poses: Vec<Pose>,
+    fps: f64,
+}
+
+/// A smooth motion: every joint swings about its rest at up to 1 Hz, the body walks and turns.
+fn smooth_motion(seed: u64, seconds: f64, fps: f64) -> Truth {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let ranges = crate::body::joint_ranges::joint_ranges();
+    let mut uniform = |low: f64, high: f64| rng.random_range(low..high);
+    let betas = Betas::from_fn(|_, _| uniform(-1.5, 1.5));
+    let swings: Vec<[(Vector3<f64>, f64, f64); 2]> = (0..N_JOINTS)
+        .map(|j| {
+            [0.4, 0.9].map(|hertz| {
+                let spread = ranges[j].spread * 0.4;
+                let size = Vector3::from_fn(|axis, _| uniform(-1.0, 1.0) * spread[axis].min(0.4));
+                (size, hertz * uniform(0.6, 1.1), uniform(0.0, TAU))
+            })
+        })
+        .collect();
+    let pose_at = |time: f64| {
+        let mut pose = Pose::rest();
+        for j in (0..22).filter(|j| ![13, 14].contains(j)) {
+            let swing = |(size, hertz, phase): &(Vector3<f64>, f64, f64)| *size * (TAU * hertz * time + phase).sin();
+            let bent = if j == 4 || j == 5 { Vector3::x() * 0.4 } else { Vector3::zeros() };
+            let turn: Vector3<f64> = if j == 0 { Vector3::y() * (0.8 * time) } else { ranges[j].rest + bent };
+            pose.rotations[j] = rotation::exp(&turn) * rotation::exp(&swings[j].iter().map(swing).sum());
+        }
+        pose.translation = Vector3::new((0.7 * time).sin(), 0.05 * (5.0 * time).sin(), (0.5 * time).cos());
+        pose
+    };
+    let n_frames = (seconds * fps).round() as usize;
+    Truth { betas, poses: (0..n_frames).map(|t| pose_at(t as f64 / fps)).collect(), fps }
+}
+
+/// Four cameras on a ring of 4 m radius, 1280 x 720, 65 degrees.
+fn ring() -> Vec<(Intrinsics, Rigid)> {
+    let intrinsics = Intrinsics {
+        width: 1280,
+        height: 720,
+        fx: 1000.0,
+        fy: 1000.0,
+        cx: 639.5,
+        cy: 359.5,
+        skew: 0.0,
+        dist: [-0.05, 0.01, 0.0, 0.0, 0.0],
+    };
+    let camera = |i: usize| {
+        let angle = i as f64 * std::f64::consts::FRAC_PI_2 + 0.3;
+        let center = Vector3::new(4.0 * angle.sin(), 1.8, 4.0 * angle.cos());
+        let z = (Vector3::new(0.0, 0.95, 0.0) - center).normalize();
+        let x = z.cross(&Vector3::y()).normalize();
+        let rotation = Matrix3::from_rows(&[x.transpose(), z.cross(&x).transpose(), z.transpose()]);
+        (intrinsics, Rigid { rotation, translation: -(rotation * center) })
+    };
+    (0..4).map(camera).collect()
+}
+
+/// What is taken from the fit's sight.
+#[derive(Clone, Copy)]
+struct Sight {
+    point_noise: f64,
+    pixel_noise_px: f64,
+    missing: f64,
+    /// Keypoint and frames that nobody sees.
+    hidden: Option<(&'static [&'static str], usize, usize)>,
+}
+
+/// A session of one person with its tracks and noisy points.
+struct Scene {
+    session: Session,
+    cameras: Vec<Option<Rigid>>,
+    tracks: Vec<PersonTrack>,
+    points: Vec<JointTrajectory>,
+}
+
+fn scene(truth: &Truth, convention: KeypointConvention, sight: &Sight, seed: u64) -> Scene {
+    let model = default_body();
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let (metres, pixels) =
+        (Normal::new(0.0, sight.point_noise).unwrap(), Normal::new(0.0, sight.pixel_noise_px).unwrap());
+    let exact = landmark_trajectory(&model, &exact_motion(truth), convention);
+    let names = convention.names();
+    let mut points = exact.clone();
+    let mut frames = vec![Vec::new(); 4];
+    for (t, row) in points.points.iter_mut().enumerate() {
+        for (k, point) in row.iter_mut().enumerate() {
+            let is_hidden = sight.hidden.is_some_and(|(list, a, b)| list.contains(&names[k]) && (a..b).contains(&t));
+            if is_hidden || rng.random_range(0.0..1.0) < sight.missing {
+                *point = None;
+            }
+        }
+        for ((intrinsics, camera), frames) in ring().iter().zip(&mut frames) {
+            let mut keypoint = |k: usize| -> Keypoint {
+                let seen = row[k].and_then(|_| intrinsics.pixel_from_camera(&camera.transform(&exact.points[t][k]?)));
+                let noise = Vector2::from_fn(|_, _| pixels.sample(&mut rng));
+                Keypoint { pixel: seen.unwrap_or_default() + noise, confidence: if seen.is_some() { 0.9 } else { 0.0 } }
+            };
+            let keypoints = (0..names.len()).map(&mut keypoint).collect();
+            frames.push(vec![Detection { track_id: None, keypoints }]);
+        }
+        for point in row.iter_mut().flatten() {
+            *point += Vector3::from_fn(|_, _| metres.sample(&mut rng));
+        }
+    }
+    let n_frames = truth.poses.len();
+    let view = |(i, frames): (usize, Vec<Vec<Detection>>)| View {
+        id: format!("cam{i}"),
+        intrinsics: ring()[i].0,
+        camera_from_world: None,
+        frames,
+        delivered: (0..n_frames).map(FrameIndex).collect(),
+    };
+    let session = Session {
+        name: "synthetic".to_owned(),
+        fps: truth.fps,
+        first_frame: 0,
+        n_frames,
+        convention,
+        up_axis: None,
+        views: frames.into_iter().enumerate().map(view).collect(),
+    };
+    let track = PersonTrack { person: PersonId(0), first: FrameIndex(0), detections: vec![vec![Some(0); 4]; n_frames] };
+    let cameras = ring().into_iter().map(|(_, camera)| Some(camera)).collect();
+    Scene { session, cameras, tracks: vec![track], points: vec![points] }
+}
+
+fn exact_motion(truth: &Truth) -> BodyMotion {
+    let body = default_body().shaped(&truth.betas);
+    let frame = |pose: &Pose| BodyPose {
+        rotations: pose.rotations,
+        translation: pose.translation,
+        joints: posed(&body, pose).joints,
+        valid: true,
+    };
+    BodyMotion {
+        person: PersonId(0),
+        first: FrameIndex(0),
+        betas: truth.betas.into(),
+        frames: truth.poses.iter().map(frame).collect(),
+    }
+}
+
+fn fitted(scene: &Scene) -> BodyMotion {
+    let input =
+        BodyFitInput { session: &scene.session, cameras: &scene.cameras, tracks: &scene.tracks, points: &scene.points };
+    let config = BodyFitConfig::default();
+    let (mut motions, report) = fit_bodies(input, &default_body(), &config, &Progress::silent()).unwrap();
+    println!("{} iterations, {}, {:?}", report.iterations, report.termination, report.metrics);
+    motions.remove(0)
+}
+
+/// Mean distance (m) of some joints over some frames.
+fn joint_error(a: &BodyMotion, b: &BodyMotion, joints: &[usize], frames: std::ops::Range<usize>) -> f64 {
+    let n = (joints.len() * frames.len()) as f64;
+    let distance = |t: usize, j: usize| (a.frames[t].joints[j] - b.frames[t].joints[j]).norm();
+    frames.flat_map(|t| joints.iter().map(move |&j| (t, j))).map(|(t, j)| distance(t, j)).sum::<f64>() / n
+}
+
+const LIMBS: [usize; 12] = [1, 2, 4, 5, 7, 8, 16, 17, 18, 19, 20, 21];
+
+const NOISY: Sight = Sight { point_noise: 0.020, pixel_noise_px: 5.0, missing: 0.2, hidden: None };
+
+/// Points with 20 mm noise per axis lie 32 mm off on average; 5 px at 4 m are 20 mm, from four views 12 mm a point.
+#[test]
+fn noisy_keypoints_with_holes_give_joints_well_below_the_noise() {
+    let truth = smooth_motion(1, 4.0, 30.0);
+    for convention in [KeypointConvention::Coco17, KeypointConvention::Body25] {
+        let scene = scene(&truth, convention, &NOISY, 7);
+        let motion = fitted(&scene);
+        let error = joint_error(&motion, &exact_motion(&truth), &LIMBS, 0..120);
+        println!("{}: {:.1} mm", convention.name(), error * 1e3);
+        assert!(error < 0.012, "{} m", error);
+        let mut blind = scene;
+        blind.cameras = vec![None; 4];
+        let error = joint_error(&fitted(&blind), &exact_motion(&truth), &LIMBS, 0..120);
+        println!("{} from points alone: {:.1} mm", convention.name(), error * 1e3);
+        assert!(error < 0.018, "from points alone {} m", error);
+    }
+}
+
+/// An arm out of everybody's sight for half a second is carried by smoothness: up to a hand's breadth at the wrist, the
+/// rest of the body unharmed.
+#[test]
+fn a_hidden_arm_is_carried() {
+    let truth = smooth_motion(2, 4.0, 30.0);
+    let hidden = Sight { hidden: Some((&["left_elbow", "left_wrist"], 50, 65)), ..NOISY };
+    let motion = fitted(&scene(&truth, KeypointConvention::Body25, &hidden, 3));
+    let exact = exact_motion(&truth);
+    let error = |joint: usize| joint_error(&motion, &exact, &[joint], 50..65);
+    println!("hidden elbow {:.1} mm, wrist {:.1} mm", error(18) * 1e3, error(20) * 1e3);
+    assert!(error(18) < 0.06 && error(20) < 0.10, "elbow {} wrist {}", error(18), error(20));
+    assert!(joint_error(&motion, &exact, &[1, 2, 4, 5, 7, 8, 16, 17, 19, 21], 50..65) < 0.015);
+}
+
+/// The betas as such are seen only through bones (weight hardly at all): what counts is the rest skeleton they give.
+#[test]
+fn the_shape_is_recovered_in_its_bones() {
+    for seed in 0..4 {
+        let truth = smooth_motion(20 + seed, 3.0, 30.0);
+        let motion = fitted(&scene(&truth, KeypointConvention::Body25, &NOISY, seed));
+        let model = default_body();
+        let (exact, found) = (model.shaped(&truth.betas), model.shaped(&Betas::from(motion.betas)));
+        for (a, b) in [(1, 4), (4, 7), (16, 18), (18, 20), (1, 2), (16, 17)] {
+            let length = |body: &crate::body::model::ShapedBody| (body.rest_joints[a] - body.rest_joints[b]).norm();
+            let error = (length(&found) - length(&exact)).abs();
+            assert!(error < 0.006, "seed {seed}, bone {a}-{b}: {error} m");
+        }
+    }
+}
+
+/// One motion at 25, 30 and 60 Hz, noise-free with the default weights: the same pose at the common instants (every
+/// 0.2 s). The bound is the difference that sampling itself makes to the second differences.
+#[test]
+fn the_frame_rate_does_not_matter() {
+    let clean = Sight { point_noise: 1e-6, pixel_noise_px: 1e-3, missing: 0.0, hidden: None };
+    let at_rate = |fps: f64| {
+        let truth = smooth_motion(5, 3.0, fps);
+        let motion = fitted(&scene(&truth, KeypointConvention::Body25, &clean, 1));
+        let step = (fps * 0.2).round() as usize;
+        motion.frames.into_iter().step_by(step).map(|f| f.joints).collect::<Vec<_>>()
+    };
+    let [slow, middle, fast] = [25.0, 30.0, 60.0].map(at_rate);
+    for other in [slow, fast] {
+        for (t, (a, b)) in middle.iter().zip(&other).enumerate() {
+            for j in LIMBS {
+                assert!((a[j] - b[j]).norm() < 0.004, "instant {t}, joint {j}: {} m", (a[j] - b[j]).norm());
+            }
+        }
+    }
+}
+
+#[test]
+fn windows_join_without_a_seam() {
+    let truth = smooth_motion(6, 6.0, 30.0);
+    let scene = scene(&truth, KeypointConvention::Coco17, &NOISY, 2);
+    let input =
+        BodyFitInput { session: &scene.session, cameras: &scene.cameras, tracks: &scene.tracks, points: &scene.points };
+    let fit = |window_frames: usize| {
+        let config = BodyFitConfig { window_frames, ..BodyFitConfig::default() };
+        fit_bodies(input, &default_body(), &config, &Progress::silent()).unwrap().0.remove(0)
+    };
+    let (whole, cut) = (fit(480), fit(60));
+    assert_eq!(cut.frames.len(), 180);
+    for j in LIMBS {
+        for t in 1..180 {
+            let step = |m: &BodyMotion| m.frames[t].joints[j] - m.frames[t - 1].joints[j];
+            assert!((step(&whole) - step(&cut)).norm() < 0.006, "frame {t}, joint {j}");
+        }
+    }
+    assert!(joint_error(&whole, &cut, &LIMBS, 0..180) < 0.005);
+}
+
+#[test]
+fn the_number_of_threads_does_not_change_a_bit() {
+    let scene = scene(&smooth_motion(8, 1.0, 30.0), KeypointConvention::Coco17, &NOISY, 2);
+    let run = |n_threads: usize| {
+        rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap().install(|| fitted(&scene))
+    };
+    assert_eq!(run(1), run(2));
+}
+
+#[test]
+fn long_gaps_are_carried_but_not_valid_and_unseen_people_are_left_out() {
+    let everything = KeypointConvention::Coco17.names();
+    let truth = smooth_motion(9, 3.0, 30.0);
+    let hidden = Sight { hidden: Some((everything, 30, 60)), ..NOISY };
+    let mut scene = scene(&truth, KeypointConvention::Coco17, &hidden, 4);
+    let motion = fitted(&scene);
+    assert_eq!(motion.frames.len(), 90);
+    for (t, frame) in motion.frames.iter().enumerate() {
+        assert_eq!(frame.valid, !(30..60).contains(&t), "frame {t}");
+        assert!(frame.joints.iter().all(|p| p.iter().all(|v| v.is_finite())));
+    }
+    scene.points[0].points.iter_mut().flatten().for_each(|p| *p = None);
+    let input =
+        BodyFitInput { session: &scene.session, cameras: &scene.cameras, tracks: &scene.tracks, points: &scene.points };
+    let (motions, report) = fit_bodies(input, &default_body(), &BodyFitConfig::default(), &Progress::silent()).unwrap();
+    assert!(motions.is_empty());
+    assert_eq!(report.metrics["people_skipped"], 1.0);
+}
+
+#[test]
+fn a_canceled_fit_stops() {
+    let scene = scene(&smooth_motion(8, 1.0, 30.0), KeypointConvention::Coco17, &NOISY, 2);
+    let input =
+        BodyFitInput { session: &scene.session, cameras: &scene.cameras, tracks: &scene.tracks, points: &scene.points };
+    let canceled = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(true));
+    let progress = Progress::new(|_| {}, canceled);
+    assert!(fit_bodies(input, &default_body(), &BodyFitConfig::default(), &progress).is_err());
+}

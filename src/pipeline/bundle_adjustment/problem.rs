@@ -1,0 +1,268 @@
+//! The least-squares problem: linearisation of one instant and one damped step.
+
+use super::gauge::Gauge;
+use super::variables::{self, Layout, Variables};
+use super::{AdjustmentConfig, AdjustmentInput, Instant, median};
+use crate::geometry::{Intrinsics, Rigid};
+use crate::optim::arrow::{self, Block, Column};
+use crate::optim::levenberg_marquardt::{LeastSquares, Trial};
+use crate::optim::robust::{geman_mcclure, geman_mcclure_ceiling};
+use crate::progress::Progress;
+use crate::residuals::{bone_length, reprojection};
+use nalgebra::{DMatrix, DVector, Vector3};
+use rayon::prelude::*;
+
+/// A camera as far as it is unknown.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Camera {
+    pub(super) intrinsics: Intrinsics,
+    pub(super) log_focal: f64,
+    pub(super) camera_from_world: Rigid,
+}
+
+/// All unknowns.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct State {
+    /// `None` for views that take no part.
+    pub(super) cameras: Vec<Option<Camera>>,
+    /// [person, bone], flat.
+    pub(super) log_lengths: Vec<f64>,
+    /// [instant][slot]
+    pub(super) points: Vec<Vec<Vector3<f64>>>,
+}
+
+/// Shares of a local step that are tried when the whole one does harm.
+const SHORTENED: [f64; 3] = [0.5, 0.1, 0.0];
+
+/// The problem at one robust scale.
+pub(super) struct Problem<'a> {
+    pub(super) variables: Vec<Variables>,
+    pub(super) layout: Layout,
+    pub(super) gauge: Gauge,
+    /// In standard deviations; the only thing that changes between runs of the solver.
+    pub(super) robust_scale: f64,
+    intrinsics: &'a [Intrinsics],
+    focal_sigma: f64,
+    progress: &'a Progress,
+}
+
+/// Turns the input into a problem and its start.
+pub(super) fn formulate<'a>(
+    input: &AdjustmentInput<'a>,
+    config: &AdjustmentConfig,
+    progress: &'a Progress,
+) -> (Problem<'a>, State) {
+    let is_finite = |pose: Rigid| pose.rotation.iter().chain(&pose.translation).all(|x| x.is_finite());
+    let is_placed =
+        |(view, pose): (usize, &Option<Rigid>)| view < input.intrinsics.len() && pose.is_some_and(is_finite);
+    let mut placed: Vec<bool> = input.cameras.iter().enumerate().map(is_placed).collect();
+    let (layout, variables) = variables::choose(input, &mut placed);
+    let camera = |(view, given): (usize, &Option<Rigid>)| {
+        let camera_from_world = given.filter(|_| placed[view])?;
+        Some(Camera { intrinsics: input.intrinsics[view], log_focal: 0.0, camera_from_world })
+    };
+    let cameras: Vec<_> = input.cameras.iter().enumerate().map(camera).collect();
+    let start_of = |(instant, variables): (&Instant, &Variables)| {
+        variables.keypoints.iter().filter_map(|&k| instant.points[k]).collect::<Vec<_>>()
+    };
+    let points: Vec<_> = input.instants.iter().zip(&variables).map(start_of).collect();
+    let log_lengths = median_log_lengths(&layout, &variables, &points);
+    let gauge = Gauge::choose(&layout, &variables, &cameras);
+    let problem = Problem {
+        variables,
+        layout,
+        gauge,
+        robust_scale: config.scale.end,
+        intrinsics: input.intrinsics,
+        focal_sigma: config.focal_sigma,
+        progress,
+    };
+    (problem, State { cameras, log_lengths, points })
+}
+
+/// Each bone's median length over its person's instants.
+fn median_log_lengths(layout: &Layout, variables: &[Variables], points: &[Vec<Vector3<f64>>]) -> Vec<f64> {
+    let mut samples = vec![Vec::new(); layout.n_border - layout.first_length];
+    for (variables, points) in variables.iter().zip(points) {
+        for limb in &variables.limbs {
+            let length = (points[limb.slot_a] - points[limb.slot_b]).norm();
+            if length > 0.0 {
+                samples[limb.length].push(length.ln());
+            }
+        }
+    }
+    samples.into_iter().map(|s| median(s).unwrap_or(0.0)).collect()
+}
+
+impl LeastSquares for Problem<'_> {
+    type State = State;
+
+    fn cost(&self, state: &State) -> f64 {
+        let costs: Vec<f64> =
+            (0..self.variables.len()).into_par_iter().map(|i| self.instant_cost(i, state, &state.points[i])).collect();
+        costs.iter().sum::<f64>() + self.focal_cost(state)
+    }
+
+    fn step(&self, state: &State, damping: f64) -> Option<Trial<State>> {
+        let n_instants = self.variables.len();
+        let linearize = |i: usize, block: &mut Block| self.linearize(i, state, block);
+        let mut reduced = arrow::reduce(n_instants, self.layout.n_border, damping, linearize);
+        reduced.hessian += self.focal_prior();
+        reduced.gradient += self.focal_gradient(state);
+        let border_step = self.gauge.basis(&self.layout, state).solve(&reduced.hessian, &reduced.gradient)?;
+        let mut moved = self.move_border(state, &border_step);
+        let instants = arrow::back_substitute(n_instants, damping, &border_step, linearize, |i, step| {
+            self.move_points(i, state, &moved, step)
+        });
+        let cost = instants.iter().map(|(_, cost)| cost).sum::<f64>() + self.focal_cost(&moved);
+        moved.points = instants.into_iter().map(|(points, _)| points).collect();
+        Some(Trial { state: moved, cost })
+    }
+}
+
+impl Problem<'_> {
+    /// Normal equations of one instant at `state`.
+    pub(super) fn linearize(&self, i: usize, state: &State, block: &mut Block) {
+        let (variables, points) = (&self.variables[i], &state.points[i]);
+        block.reset(3 * variables.keypoints.len(), &variables.columns);
+        if self.progress.check().is_err() {
+            return; // The solver looks at the flag before it looks at the step.
+        }
+        for sighting in &variables.sightings {
+            let (o, slot) = (&sighting.observation, sighting.slot);
+            let Some(camera) = &state.cameras[o.view] else { continue };
+            let linear = reprojection::linearize(
+                &camera.intrinsics,
+                &camera.camera_from_world,
+                &points[slot],
+                &o.pixel,
+                o.sigma_px,
+            );
+            let Some(linear) = linear else {
+                block.add_cost(geman_mcclure_ceiling(self.robust_scale));
+                continue;
+            };
+            let robust = geman_mcclure(linear.residual.norm_squared(), self.robust_scale);
+            block.add_cost(robust.cost);
+            let local: [Column<2>; 3] = std::array::from_fn(|k| Column {
+                index: 3 * slot + k,
+                derivative: linear.by_point.column(k).into_owned().into(),
+            });
+            let first = sighting.column.unwrap_or(0);
+            let border: [Column<2>; 7] = std::array::from_fn(|k| Column {
+                index: first + k,
+                derivative: if k < 6 {
+                    linear.by_camera.column(k).into_owned().into()
+                } else {
+                    linear.by_log_focal.into()
+                },
+            });
+            let n_border = sighting.column.map_or(0, |_| self.layout.per_camera);
+            block.add_residual(robust.weight, &linear.residual.into(), &local, &border[..n_border]);
+        }
+        for limb in &variables.limbs {
+            let (a, b) = (&points[limb.slot_a], &points[limb.slot_b]);
+            let Some(linear) = bone_length::linearize(a, b, state.log_lengths[limb.length], limb.sigma) else {
+                block.add_cost(geman_mcclure_ceiling(self.robust_scale));
+                continue;
+            };
+            let robust = geman_mcclure(linear.residual * linear.residual, self.robust_scale);
+            block.add_cost(robust.cost);
+            let local: [Column<1>; 6] = std::array::from_fn(|k| {
+                let (slot, sign) = if k < 3 { (limb.slot_a, 1.0) } else { (limb.slot_b, -1.0) };
+                Column { index: 3 * slot + k % 3, derivative: [sign * linear.by_a[k % 3]] }
+            });
+            let border = [Column { index: limb.column, derivative: [linear.by_log_length] }];
+            block.add_residual(robust.weight, &[linear.residual], &local, &border);
+        }
+    }
+
+    /// The points of one instant after a step, with their cost: shortened where the whole step makes the instant worse.
+    ///
+    /// A few badly seen points would otherwise have the step of everything else rejected.
+    fn move_points(&self, i: usize, before: &State, border: &State, step: &[f64]) -> (Vec<Vector3<f64>>, f64) {
+        let by = |share: f64| {
+            let moved = |(x, d): (&Vector3<f64>, &[f64])| x + Vector3::new(d[0], d[1], d[2]) * share;
+            let points: Vec<_> = before.points[i].iter().zip(step.chunks_exact(3)).map(moved).collect();
+            let cost = self.instant_cost(i, border, &points);
+            (points, cost)
+        };
+        let whole = by(1.0);
+        if whole.1 <= self.instant_cost(i, before, &before.points[i]) {
+            return whole;
+        }
+        SHORTENED.iter().map(|&share| by(share)).fold(whole, |best, next| if best.1 <= next.1 { best } else { next })
+    }
+
+    /// Cost of one instant with the border of `state` and these points.
+    fn instant_cost(&self, i: usize, state: &State, points: &[Vector3<f64>]) -> f64 {
+        let charge = |squared: Option<f64>| {
+            squared.map_or(geman_mcclure_ceiling(self.robust_scale), |e2| geman_mcclure(e2, self.robust_scale).cost)
+        };
+        let variables = &self.variables[i];
+        let sightings = variables.sightings.iter().map(|sighting| {
+            let o = &sighting.observation;
+            let residual = state.cameras[o.view].and_then(|camera| {
+                let point = &points[sighting.slot];
+                reprojection::residual(&camera.intrinsics, &camera.camera_from_world, point, &o.pixel, o.sigma_px)
+            });
+            charge(residual.map(|r| r.norm_squared()))
+        });
+        let limbs = variables.limbs.iter().map(|limb| {
+            let (a, b) = (&points[limb.slot_a], &points[limb.slot_b]);
+            let linear = bone_length::linearize(a, b, state.log_lengths[limb.length], limb.sigma);
+            charge(linear.map(|l| l.residual * l.residual))
+        });
+        sightings.sum::<f64>() + limbs.sum::<f64>()
+    }
+
+    /// Focal factors stay near 1: `(log_focal / focal_sigma)^2 / 2` each.
+    fn focal_cost(&self, state: &State) -> f64 {
+        state.cameras.iter().flatten().map(|c| 0.5 * (c.log_focal / self.focal_sigma).powi(2)).sum()
+    }
+
+    /// Hessian of [`Self::focal_cost`]. [border, border]
+    pub(super) fn focal_prior(&self) -> DMatrix<f64> {
+        let mut information = DMatrix::zeros(self.layout.n_border, self.layout.n_border);
+        for first in self.layout.camera_columns.iter().flatten().filter(|_| self.layout.per_camera == 7) {
+            information[(first + 6, first + 6)] = self.focal_sigma.powi(-2);
+        }
+        information
+    }
+
+    /// Where [`Self::focal_cost`] pulls: its Hessian is diagonal, its gradient that times the logarithms.
+    fn focal_gradient(&self, state: &State) -> DVector<f64> {
+        let mut gradient = DVector::zeros(self.layout.n_border);
+        for (camera, first) in state.cameras.iter().zip(&self.layout.camera_columns) {
+            if let (Some(camera), Some(first), 7) = (camera, first, self.layout.per_camera) {
+                gradient[first + 6] = camera.log_focal * self.focal_sigma.powi(-2);
+            }
+        }
+        gradient
+    }
+
+    /// Cameras and bone lengths after a step; the gauge is kept exactly. Points stay.
+    fn move_border(&self, state: &State, step: &DVector<f64>) -> State {
+        let move_camera = |(view, camera): (usize, &Option<Camera>)| {
+            let (camera, Some(first)) = ((*camera)?, self.layout.camera_columns[view]) else { return *camera };
+            let rho = Vector3::new(step[first], step[first + 1], step[first + 2]);
+            let phi = Vector3::new(step[first + 3], step[first + 4], step[first + 5]);
+            let log_focal = camera.log_focal + if self.layout.per_camera == 7 { step[first + 6] } else { 0.0 };
+            Some(Camera {
+                camera_from_world: camera.camera_from_world.perturbed_left(&rho, &phi),
+                log_focal,
+                intrinsics: with_focal_factor(&self.intrinsics[view], log_focal.exp()),
+            })
+        };
+        let mut cameras: Vec<_> = state.cameras.iter().enumerate().map(move_camera).collect();
+        self.gauge.restore(&mut cameras);
+        let first = self.layout.first_length;
+        let log_lengths = state.log_lengths.iter().enumerate().map(|(k, l)| l + step[first + k]).collect();
+        State { cameras, log_lengths, points: Vec::new() }
+    }
+}
+
+/// The same lens with `fx`, `fy` and the skew times `factor`.
+fn with_focal_factor(intrinsics: &Intrinsics, factor: f64) -> Intrinsics {
+    Intrinsics { fx: intrinsics.fx * factor, fy: intrinsics.fy * factor, skew: intrinsics.skew * factor, ..*intrinsics }
+}

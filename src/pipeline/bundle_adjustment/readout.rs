@@ -1,0 +1,74 @@
+//! What is read off a state: misfits, fits per view, points and bone lengths.
+
+use super::problem::{Problem, State};
+use super::{Instant, ViewFit, median};
+use crate::session::reconstruction::ErrorSummary;
+use nalgebra::Vector3;
+use std::collections::BTreeMap;
+
+/// How far an observation lies from its reprojection; infinite where the point is behind the camera.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Misfit {
+    pub(super) view: usize,
+    pub(super) distance_px: f64,
+    pub(super) sigmas: f64,
+}
+
+impl Problem<'_> {
+    /// Every observation against its reprojection.
+    pub(super) fn misfits<'s>(&'s self, state: &'s State) -> impl Iterator<Item = Misfit> + 's {
+        self.variables.iter().zip(&state.points).flat_map(move |(variables, points)| {
+            variables.sightings.iter().filter_map(move |sighting| {
+                let o = &sighting.observation;
+                let camera = state.cameras[o.view].as_ref()?;
+                let point = camera.camera_from_world.transform(&points[sighting.slot]);
+                let predicted = camera.intrinsics.pixel_from_camera(&point);
+                let distance_px = predicted.map_or(f64::INFINITY, |p| (p - o.pixel).norm());
+                Some(Misfit { view: o.view, distance_px, sigmas: distance_px / o.sigma_px })
+            })
+        })
+    }
+
+    /// Reprojection per view.
+    pub(super) fn view_fits(&self, state: &State) -> Vec<ViewFit> {
+        let mut fits = vec![ViewFit::default(); state.cameras.len()];
+        let mut explained = vec![Vec::new(); state.cameras.len()];
+        for misfit in self.misfits(state) {
+            fits[misfit.view].n_observations += 1;
+            if misfit.sigmas <= self.robust_scale {
+                explained[misfit.view].push(misfit.distance_px);
+            }
+        }
+        for (fit, distances) in fits.iter_mut().zip(explained) {
+            fit.n_explained = distances.len();
+            let mean = distances.iter().sum::<f64>() / distances.len() as f64;
+            fit.reprojection_px = median(distances).map(|median| ErrorSummary { mean, median });
+        }
+        fits
+    }
+
+    /// Points in the input's shape; those that were not adjusted as given.
+    pub(super) fn points_by_keypoint(&self, instants: &[Instant], state: &State) -> Vec<Vec<Option<Vector3<f64>>>> {
+        let mut points: Vec<_> = instants.iter().map(|i| i.points.clone()).collect();
+        for ((points, variables), adjusted) in points.iter_mut().zip(&self.variables).zip(&state.points) {
+            for (&keypoint, point) in variables.keypoints.iter().zip(adjusted) {
+                points[keypoint] = Some(*point);
+            }
+        }
+        points
+    }
+
+    /// Lengths per person and bone.
+    pub(super) fn bone_lengths(&self, state: &State) -> BTreeMap<usize, Vec<Option<f64>>> {
+        let n_bones = self.layout.n_bones;
+        let mut lengths: BTreeMap<_, _> = self.layout.persons.iter().map(|&p| (p, vec![None; n_bones])).collect();
+        for variables in &self.variables {
+            if let Some(of_person) = lengths.get_mut(&self.layout.persons[variables.person]) {
+                for limb in &variables.limbs {
+                    of_person[limb.length % n_bones] = Some(state.log_lengths[limb.length].exp());
+                }
+            }
+        }
+        lengths
+    }
+}

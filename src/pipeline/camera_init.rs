@@ -1,0 +1,91 @@
+//! First extrinsics from people seen in common: nothing is known but the intrinsics.
+
+use crate::body::bones::Bone;
+use crate::matching::pair_hypotheses::{CameraPair, HypothesisConfig, mix, pair_hypotheses};
+use crate::matching::pair_score::PairEvidence;
+use crate::matching::sightings::ViewSightings;
+use crate::matching::tracklets::Tracklet;
+use crate::matching::view_graph::{Rig, ViewGraph, assemble};
+use crate::progress::{Canceled, Progress};
+use crate::session::reconstruction::StageReport;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Frames that every hypothesis is judged on: people's places and poses differ over two seconds, so 60 frames of a longer
+/// take are nearly independent evidence; more cost time and change no ranking.
+const N_JUDGED_FRAMES: usize = 60;
+
+/// Proposes camera arrangements, best first; each places at least two cameras.
+///
+/// # Errors
+/// [`Canceled`].
+pub fn initial_rigs(
+    views: &[ViewSightings],
+    tracklets: &[Vec<Tracklet>],
+    bones: &[Bone],
+    seed: u64,
+    progress: &Progress,
+) -> Result<(Vec<Rig>, StageReport), Canceled> {
+    let frames = judged_frames(views, seed);
+    let pairs: Vec<(usize, usize)> = (0..views.len()).flat_map(|b| (0..b).map(move |a| (a, b))).collect();
+    let config = HypothesisConfig::default();
+    let found: Vec<Result<_, Canceled>> = pairs
+        .par_iter()
+        .map(|&(a, b)| {
+            progress.check()?;
+            let evidence = PairEvidence::new(&views[a], &views[b], &frames, bones);
+            let pair =
+                CameraPair { views: [&views[a], &views[b]], tracklets: [&tracklets[a], &tracklets[b]], evidence };
+            let hypotheses = pair_hypotheses(&pair, mix(seed, (a * views.len() + b) as u64), &config);
+            Ok(((a, b), hypotheses, pair.evidence))
+        })
+        .collect();
+    let mut graph = ViewGraph { n_views: views.len(), hypotheses: BTreeMap::new(), evidence: BTreeMap::new() };
+    for item in found {
+        let (pair, hypotheses, evidence) = item?;
+        graph.hypotheses.insert(pair, hypotheses);
+        graph.evidence.insert(pair, evidence);
+    }
+    progress.report(0.7, "pairs of cameras compared");
+    let rigs = assemble(&graph);
+    let report = report(&graph, &rigs);
+    Ok((rigs, report))
+}
+
+/// Well-spread frames in which at least two cameras see somebody, one drawn from each equal stretch of time.
+fn judged_frames(views: &[ViewSightings], seed: u64) -> Vec<usize> {
+    let n_frames = views.first().map_or(0, |v| v.frames.len());
+    let useful: Vec<usize> =
+        (0..n_frames).filter(|&f| views.iter().filter(|v| !v.frames[f].is_empty()).count() >= 2).collect();
+    let n = useful.len().min(N_JUDGED_FRAMES);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let drawn = |i: usize, rng: &mut ChaCha8Rng| {
+        let (start, end) = (i * useful.len() / n, (i + 1) * useful.len() / n);
+        useful[rng.random_range(start..end)]
+    };
+    (0..n).map(|i| drawn(i, &mut rng)).collect()
+}
+
+fn report(graph: &ViewGraph, rigs: &[Rig]) -> StageReport {
+    let mut metrics = BTreeMap::new();
+    metrics.insert("pairs".to_owned(), graph.hypotheses.len() as f64);
+    metrics.insert("hypotheses".to_owned(), graph.hypotheses.values().map(Vec::len).sum::<usize>() as f64);
+    metrics.insert("rigs".to_owned(), rigs.len() as f64);
+    if let Some(best) = rigs.first() {
+        metrics.insert("best_quality".to_owned(), best.quality);
+        metrics.insert("cameras_placed".to_owned(), best.cameras.iter().flatten().count() as f64);
+    }
+    if let Some(second) = rigs.get(1) {
+        metrics.insert("runner_up_quality".to_owned(), second.quality);
+    }
+    StageReport {
+        stage: "camera_init".to_owned(),
+        iterations: rigs.len(),
+        cost_before: None,
+        cost_after: None,
+        termination: "hypotheses_exhausted".to_owned(),
+        metrics,
+    }
+}

@@ -1,0 +1,116 @@
+//! A fixed budget of well-spread skeletons for the adjustment: cameras cost the same however long the take.
+
+use super::association::Association;
+use super::bundle_adjustment::{Instant, Observation};
+use crate::body::detector_noise::keypoint_sigmas;
+use crate::geometry::Rigid;
+use crate::session::recording::Session;
+
+/// Points below this confidence do not enter the adjustment.
+const MIN_CONFIDENCE: f64 = 0.3;
+
+/// How instants are chosen.
+#[derive(Debug, Clone, Copy)]
+pub struct InstantBudget {
+    /// At most so many skeletons.
+    pub max_instants: usize,
+    /// Standard deviations of keypoints are multiplied by this (see [`noise_factor`]).
+    pub noise: f64,
+    /// Metres that one unit of the cameras' world stands for.
+    pub metres_per_unit: f64,
+}
+
+/// Which frames may be used.
+pub type FrameFilter<'a> = &'a (dyn Fn(usize) -> bool + Sync);
+
+/// Chooses skeletons seen by at least two cameras, evenly over people and time; in each stretch the best seen one.
+pub fn instants(
+    session: &Session,
+    cameras: &[Option<Rigid>],
+    association: &Association,
+    budget: InstantBudget,
+    allowed: FrameFilter,
+) -> Vec<Instant> {
+    let sigmas = keypoint_sigmas(session.convention);
+    let candidates: Vec<Vec<(usize, usize)>> =
+        (0..association.tracks.len()).map(|p| candidates(association, cameras, p, allowed)).collect();
+    let total: usize = candidates.iter().map(Vec::len).sum();
+    let mut chosen = Vec::new();
+    for (person, frames) in candidates.iter().enumerate() {
+        let share = (frames.len() * budget.max_instants).div_ceil(total.max(1)).min(frames.len());
+        for i in 0..share {
+            let stretch = &frames[i * frames.len() / share..(i + 1) * frames.len() / share];
+            let Some(best) = stretch.iter().max_by_key(|(_, n)| *n) else { continue };
+            chosen.push(instant(session, cameras, association, person, best.0, &sigmas, budget));
+        }
+    }
+    chosen.retain(|i: &Instant| i.observations.len() >= 8);
+    chosen.sort_by_key(|i| (i.frame, i.person));
+    chosen
+}
+
+/// Frames of a person seen by two placed cameras, as offset in the track and number of views.
+fn candidates(
+    association: &Association,
+    cameras: &[Option<Rigid>],
+    person: usize,
+    allowed: FrameFilter,
+) -> Vec<(usize, usize)> {
+    let track = &association.tracks[person];
+    let n_views =
+        |claim: &[Option<usize>]| claim.iter().zip(cameras).filter(|(d, c)| d.is_some() && c.is_some()).count();
+    track
+        .detections
+        .iter()
+        .enumerate()
+        .filter(|(t, _)| allowed(track.first.0 + t))
+        .map(|(t, claim)| (t, n_views(claim)))
+        .filter(|(_, n)| *n >= 2)
+        .collect()
+}
+
+fn instant(
+    session: &Session,
+    cameras: &[Option<Rigid>],
+    association: &Association,
+    person: usize,
+    t: usize,
+    sigmas: &[f64],
+    budget: InstantBudget,
+) -> Instant {
+    let track = &association.tracks[person];
+    let frame = track.first.0 + t;
+    let guess = &association.points[person].points[t];
+    let mut observations = Vec::new();
+    for (view, detection) in track.detections[t].iter().enumerate() {
+        let (Some(detection), Some(camera)) = (detection, &cameras[view]) else { continue };
+        let intrinsics = &session.views[view].intrinsics;
+        for (keypoint, k) in session.views[view].frames[frame][*detection].keypoints[..sigmas.len()].iter().enumerate()
+        {
+            let Some(point) = guess[keypoint].filter(|_| k.confidence >= MIN_CONFIDENCE) else { continue };
+            let depth = (camera.transform(&point).z * budget.metres_per_unit).max(0.3);
+            let sigma_px = budget.noise * sigmas[keypoint] * intrinsics.focal() / depth / k.confidence.sqrt();
+            observations.push(Observation { keypoint, view, pixel: k.pixel, sigma_px });
+        }
+    }
+    let mut seen = vec![0u8; sigmas.len()];
+    observations.iter().for_each(|o| seen[o.keypoint] += 1);
+    observations.retain(|o| seen[o.keypoint] >= 2);
+    let points = guess.iter().zip(&seen).map(|(p, n)| p.filter(|_| *n >= 2)).collect();
+    Instant { person, frame, points, observations }
+}
+
+/// By how much the residuals of an adjustment exceed the standard deviations it was given: median of the distance over
+/// sigma against that of a normal error in two dimensions, 1.177.
+pub fn noise_factor(session: &Session, cameras: &[Option<Rigid>], instants: &[Instant]) -> f64 {
+    let mut ratios = Vec::new();
+    for instant in instants {
+        for o in &instant.observations {
+            let (Some(point), Some(camera)) = (instant.points[o.keypoint], &cameras[o.view]) else { continue };
+            if let Some(pixel) = session.views[o.view].intrinsics.pixel_from_camera(&camera.transform(&point)) {
+                ratios.push((pixel - o.pixel).norm() / o.sigma_px);
+            }
+        }
+    }
+    crate::matching::pair_score::median(&mut ratios).map_or(1.0, |m| (m / 1.177).clamp(0.2, 5.0))
+}

@@ -1,0 +1,177 @@
+//! From findings to the result: everything moved into the world, bodies fitted, figures and verdict gathered.
+
+use super::association::identities;
+use super::body_fit::{BodyFitConfig, BodyFitInput, fit_bodies, landmark_trajectory};
+use super::calibration::Calibration;
+use super::config::Extrinsics;
+use super::fit_figures::{Distances, camera_reports, distances, person_report, summary};
+use super::joint_trajectories::{TrajectoryConfig, TrajectoryInput, joint_trajectories};
+use super::verdict::{Evidence, quality};
+use super::world_frame::world_from_solution;
+use super::{Capture, PipelineError};
+use crate::body::default_body;
+use crate::geometry::{Rigid, Similarity};
+use crate::progress::{Canceled, Progress};
+use crate::session::reconstruction::{BodyModelId, Report, ScaleReport, SolvedCamera};
+use crate::session::recording::UpAxis;
+use crate::session::{JointTrajectory, PersonTrack, Reconstruction};
+
+/// Smooth paths of everybody's keypoints under the calibration's cameras.
+///
+/// # Errors
+/// [`Canceled`].
+pub fn paths(
+    capture: &Capture,
+    calibration: &Calibration,
+    progress: &Progress,
+) -> Result<Vec<JointTrajectory>, Canceled> {
+    let input = TrajectoryInput {
+        session: capture.session,
+        cameras: &calibration.cameras,
+        tracks: &calibration.association.tracks,
+        start: &calibration.association.points,
+        metres_per_unit: 1.0,
+    };
+    joint_trajectories(&input, &TrajectoryConfig::default(), progress)
+}
+
+/// What was found, in the result's world.
+pub struct Findings {
+    calibration: Calibration,
+    paths: Vec<JointTrajectory>,
+    metres_per_unit: f64,
+    scale: Option<ScaleReport>,
+    heldout_px: Option<f64>,
+    up_axis: UpAxis,
+}
+
+impl Findings {
+    /// Moves cameras and paths into the world that the options ask for; given extrinsics keep theirs.
+    pub fn in_world(
+        capture: &Capture,
+        mut calibration: Calibration,
+        mut paths: Vec<JointTrajectory>,
+        scale: Option<ScaleReport>,
+        heldout_px: Option<f64>,
+    ) -> Self {
+        let options = capture.options;
+        let metres_per_unit = scale.as_ref().map_or(1.0, |s| s.value);
+        let given = options.extrinsics != Extrinsics::Estimate;
+        let up_axis = if given { capture.session.up_axis.unwrap_or(options.up_axis) } else { options.up_axis };
+        if !given {
+            let world_from_solution =
+                world_from_solution(capture.session, &calibration.cameras, &paths, metres_per_unit, up_axis);
+            move_into(&world_from_solution, &mut calibration.cameras, &mut paths);
+        }
+        Self { calibration, paths, metres_per_unit, scale, heldout_px, up_axis }
+    }
+
+    /// Fits bodies and gathers the result.
+    ///
+    /// # Errors
+    /// [`PipelineError::Canceled`].
+    pub fn with_bodies(mut self, capture: &Capture, progress: &Progress) -> Result<Reconstruction, PipelineError> {
+        let model = default_body();
+        let tracks = self.calibration.association.tracks.clone();
+        let input = BodyFitInput {
+            session: capture.session,
+            cameras: &self.calibration.cameras,
+            tracks: &tracks,
+            points: &self.paths,
+        };
+        let (motions, report) = fit_bodies(input, &model, &BodyFitConfig::default(), progress)?;
+        self.calibration.stages.push(report);
+        // A track whose trunk was never triangulated has no body; such a person is nobody in the result.
+        let kept: Vec<PersonTrack> =
+            tracks.into_iter().filter(|t| motions.iter().any(|m| m.person == t.person)).collect();
+        self.paths.retain(|p| motions.iter().any(|m| m.person == p.person));
+        let distances = distances(capture.session, &self.calibration.cameras, &kept, &self.paths);
+        let report = self.report(capture, &kept, &distances);
+        let mut keypoints = std::mem::take(&mut self.paths);
+        for (path, motion) in keypoints.iter_mut().zip(&motions) {
+            fill_from_body(path, &landmark_trajectory(&model, motion, capture.session.convention));
+        }
+        Ok(Reconstruction {
+            cameras: self.solved_cameras(&distances),
+            keypoints,
+            motions,
+            identities: identities(capture.session, &kept),
+            up_axis: self.up_axis,
+            body_model: BodyModelId { name: model.name.clone(), sha256: model.sha256() },
+            report,
+        })
+    }
+
+    fn solved_cameras(&self, distances: &Distances) -> Vec<SolvedCamera> {
+        let uncertainty = |v: usize| self.calibration.adjusted.as_ref().and_then(|a| a.cameras[v].uncertainty);
+        self.calibration
+            .cameras
+            .iter()
+            .enumerate()
+            .map(|(v, camera)| SolvedCamera {
+                camera_from_world: *camera,
+                reprojection_px: summary(&distances.by_view[v]),
+                n_observations: distances.by_view[v].len(),
+                sigma_position_mm: uncertainty(v).map(|u| 1e3 * u.sigma_position * self.metres_per_unit),
+                sigma_angle_deg: uncertainty(v).map(|u| u.sigma_angle.to_degrees()),
+            })
+            .collect()
+    }
+
+    fn report(&self, capture: &Capture, tracks: &[PersonTrack], distances: &Distances) -> Report {
+        let session = capture.session;
+        let cameras = camera_reports(session, &self.calibration.cameras, tracks, distances);
+        let people = tracks
+            .iter()
+            .zip(&self.paths)
+            .enumerate()
+            .map(|(i, (track, path))| person_report(session, &capture.bones, track, path, distances, i))
+            .collect();
+        let n_detections: usize = cameras.iter().map(|c| c.n_detections).sum();
+        let n_rejected: usize = cameras.iter().map(|c| c.n_rejected_detections).sum();
+        let adjusted = self.calibration.adjusted.as_ref();
+        let sigmas =
+            adjusted.map(|a| a.cameras.iter().filter_map(|c| c.uncertainty).map(|u| u.sigma_angle.to_degrees()));
+        let placed: Vec<bool> = self.calibration.cameras.iter().map(Option::is_some).collect();
+        let track_secs: Vec<f64> = tracks.iter().map(|t| t.detections.len() as f64 / session.fps).collect();
+        let evidence = Evidence {
+            session,
+            placed: &placed,
+            explained: self.calibration.association.explained,
+            sigma_angle_deg: sigmas.and_then(|s| s.reduce(f64::max)),
+            rivals: self.calibration.rivals,
+            track_secs: &track_secs,
+            estimated: capture.options.extrinsics == Extrinsics::Estimate,
+        };
+        Report {
+            stages: self.calibration.stages.clone(),
+            quality: quality(&evidence),
+            cameras,
+            people,
+            heldout_px: self.heldout_px,
+            scale: self.scale.clone(),
+            rejected_detections: n_rejected as f64 / n_detections.max(1) as f64,
+            keypoints_from: "adjusted points; body landmarks where no view saw the point".to_owned(),
+        }
+    }
+}
+
+fn move_into(world_from_solution: &Similarity, cameras: &mut [Option<Rigid>], paths: &mut [JointTrajectory]) {
+    for camera in cameras.iter_mut().flatten() {
+        *camera = world_from_solution.move_camera(camera);
+    }
+    for point in paths.iter_mut().flat_map(|p| p.points.iter_mut().flatten()).flatten() {
+        *point = world_from_solution.transform(point);
+    }
+}
+
+/// Where no view saw a point, the body knows better than a path through air.
+fn fill_from_body(path: &mut JointTrajectory, body: &JointTrajectory) {
+    for k in 0..path.points.first().map_or(0, Vec::len) {
+        for t in 0..path.points.len() {
+            if path.points[t][k].is_none() || path.n_views[t][k] == 0 {
+                path.points[t][k] = body.points.get(t).and_then(|p| p[k]).or(path.points[t][k]);
+            }
+        }
+    }
+}

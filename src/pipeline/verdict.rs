@@ -1,0 +1,115 @@
+//! The verdict: what a user must know before trusting a result, in sentences that can be acted on.
+
+use crate::session::reconstruction::{Quality, Verdict};
+use crate::session::recording::Session;
+
+/// What the verdict is made from.
+#[derive(Debug, Clone, Copy)]
+pub struct Evidence<'a> {
+    /// The recording.
+    pub session: &'a Session,
+    /// Whether each camera was placed.
+    pub placed: &'a [bool],
+    /// Share of confident keypoints explained.
+    pub explained: f64,
+    /// Largest standard deviation of a camera's orientation, degrees, where it is known.
+    pub sigma_angle_deg: Option<f64>,
+    /// Quality of the best arrangement and of the best different one; `[1, 0]` for given cameras.
+    pub rivals: [f64; 2],
+    /// Seconds of each person's track.
+    pub track_secs: &'a [f64],
+    /// Whether the cameras were estimated from nothing.
+    pub estimated: bool,
+}
+
+/// Below these shares of explained keypoints an association is suspect, or wrong: association failures show 0.5 to 0.8.
+const EXPLAINED_WARN: f64 = 0.80;
+const EXPLAINED_REJECT: f64 = 0.60;
+
+/// Orientation uncertainty beyond which a result needs a look, or is of no use, degrees. The stated sigma is of one
+/// camera; the error between the two worst cameras is three to four times as large.
+const SIGMA_WARN_DEG: f64 = 0.4;
+const SIGMA_REJECT_DEG: f64 = 2.0;
+
+/// A different arrangement of the cameras that explains this share of what the chosen one does is a real alternative.
+const RIVAL_WARN: f64 = 0.85;
+
+/// Shorter tracks than this in sum leave the volume uncovered, s.
+const SHORT_SECS: f64 = 3.0;
+
+/// Judges a result.
+pub fn quality(evidence: &Evidence) -> Quality {
+    let mut reasons: Vec<(Verdict, String)> = Vec::new();
+    let n_placed = evidence.placed.iter().filter(|p| **p).count();
+    if evidence.session.views.len() == 1 {
+        reasons.push((
+            Verdict::Reject,
+            "monocular: one camera alone gives neither depth nor scale; add a second synchronised camera".to_owned(),
+        ));
+    } else {
+        camera_reasons(evidence, n_placed, &mut reasons);
+    }
+    if evidence.track_secs.is_empty() && n_placed >= 2 {
+        let text =
+            "nobody was seen by two cameras at once for 0.3 s; check that the cameras overlap and are synchronised";
+        reasons.push((Verdict::Reject, text.to_owned()));
+    }
+    let verdict = reasons.iter().map(|(v, _)| *v).max().unwrap_or(Verdict::Pass);
+    Quality { verdict, reasons: reasons.into_iter().map(|(_, text)| text).collect() }
+}
+
+fn camera_reasons(evidence: &Evidence, n_placed: usize, reasons: &mut Vec<(Verdict, String)>) {
+    for (view, placed) in evidence.session.views.iter().zip(evidence.placed) {
+        if !placed {
+            let verdict = if n_placed >= 2 { Verdict::Warn } else { Verdict::Reject };
+            let text = format!(
+                "camera {} could not be placed: it shares no consistent view of people with the others; check its frames, \
+                 intrinsics and synchronisation",
+                view.id
+            );
+            reasons.push((verdict, text));
+        }
+    }
+    if evidence.explained < EXPLAINED_WARN && n_placed >= 2 {
+        let verdict = if evidence.explained < EXPLAINED_REJECT { Verdict::Reject } else { Verdict::Warn };
+        let text = format!(
+            "only {:.0} % of confident keypoints agree between cameras (expected above {:.0} %); check synchronisation and \
+             intrinsics, or look for people whom a single camera sees",
+            100.0 * evidence.explained,
+            100.0 * EXPLAINED_WARN
+        );
+        reasons.push((verdict, text));
+    }
+    if !evidence.estimated {
+        return;
+    }
+    match evidence.sigma_angle_deg {
+        Some(sigma) if sigma > SIGMA_WARN_DEG => {
+            let verdict = if sigma > SIGMA_REJECT_DEG { Verdict::Reject } else { Verdict::Warn };
+            let text = format!(
+                "weak geometry: camera orientations are known to {sigma:.1} degrees only (expected below {SIGMA_WARN_DEG}); let \
+                 people walk through more of the volume, or move cameras that look at each other or stand together"
+            );
+            reasons.push((verdict, text));
+        }
+        None if n_placed >= 2 => reasons.push((
+            Verdict::Warn,
+            "the uncertainty of the cameras could not be computed: too few points are shared; record people longer"
+                .to_owned(),
+        )),
+        _ => {}
+    }
+    if evidence.rivals[1] > RIVAL_WARN * evidence.rivals[0] {
+        let text = format!(
+            "ambiguous: a different arrangement of the cameras explains {:.0} % as much; record people moving independently",
+            100.0 * evidence.rivals[1] / evidence.rivals[0].max(1e-9)
+        );
+        reasons.push((Verdict::Warn, text));
+    }
+    let seconds: f64 = evidence.track_secs.iter().sum();
+    if seconds < SHORT_SECS && !evidence.track_secs.is_empty() {
+        let text =
+            format!("little evidence: {seconds:.1} s of people in all (expected above {SHORT_SECS} s); record longer");
+        reasons.push((Verdict::Warn, text));
+    }
+}

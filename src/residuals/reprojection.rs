@@ -1,0 +1,108 @@
+//! Where a point should appear against where it was seen.
+
+use crate::geometry::{Intrinsics, Rigid};
+use nalgebra::{Matrix2x3, Matrix2x6, Vector2, Vector3};
+
+/// A reprojection residual and its derivatives.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reprojection {
+    /// `(pixel_from_camera(X) - pixel) / sigma_px`.
+    pub residual: Vector2<f64>,
+    /// By the point in the world: `Jpi R`, per m.
+    pub by_point: Matrix2x3<f64>,
+    /// By the camera's left increment (rho, phi) of [`Rigid::perturbed_left`]: `Jpi [ I | -[Xc]x ]`.
+    pub by_camera: Matrix2x6<f64>,
+    /// By the logarithm of a common factor on both focal lengths (and the skew): pixel from the principal point.
+    pub by_log_focal: Vector2<f64>,
+}
+
+/// The residual alone; `None` where the point lies behind the camera.
+pub fn residual(
+    intrinsics: &Intrinsics,
+    camera_from_world: &Rigid,
+    point_in_world: &Vector3<f64>,
+    pixel: &Vector2<f64>,
+    sigma_px: f64,
+) -> Option<Vector2<f64>> {
+    let predicted = intrinsics.pixel_from_camera(&camera_from_world.transform(point_in_world))?;
+    Some((predicted - pixel) / sigma_px)
+}
+
+/// The residual with its derivatives (method.md 9.1); `None` where the point lies behind the camera.
+///
+/// `pixel`: as detected, distorted. `sigma_px`: its standard deviation per axis, positive.
+pub fn linearize(
+    intrinsics: &Intrinsics,
+    camera_from_world: &Rigid,
+    point_in_world: &Vector3<f64>,
+    pixel: &Vector2<f64>,
+    sigma_px: f64,
+) -> Option<Reprojection> {
+    let p = camera_from_world.transform(point_in_world);
+    let (predicted, by_p) = intrinsics.project_with_jacobian(&p)?;
+    let per_sigma = sigma_px.recip();
+    let by_p = by_p * per_sigma;
+    let (u, v) = (by_p.row(0), by_p.row(1));
+    #[rustfmt::skip]
+    let by_camera = Matrix2x6::new(
+        u[0], u[1], u[2], u[2] * p.y - u[1] * p.z, u[0] * p.z - u[2] * p.x, u[1] * p.x - u[0] * p.y,
+        v[0], v[1], v[2], v[2] * p.y - v[1] * p.z, v[0] * p.z - v[2] * p.x, v[1] * p.x - v[0] * p.y,
+    );
+    Some(Reprojection {
+        residual: (predicted - pixel) * per_sigma,
+        by_point: by_p * camera_from_world.rotation,
+        by_camera,
+        by_log_focal: (predicted - Vector2::new(intrinsics.cx, intrinsics.cy)) * per_sigma,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::rotation;
+    use crate::residuals::derivative_check::assert_derivative;
+    use nalgebra::DMatrix;
+
+    const INTRINSICS: Intrinsics = Intrinsics {
+        width: 1280,
+        height: 720,
+        fx: 900.0,
+        fy: 910.0,
+        cx: 640.0,
+        cy: 350.0,
+        skew: 3.0,
+        dist: [-0.2, 0.07, 0.002, -0.001, -0.01],
+    };
+
+    #[test]
+    fn the_derivatives_match_central_differences() {
+        let camera =
+            Rigid { rotation: rotation::exp(&Vector3::new(0.3, -0.8, 0.2)), translation: Vector3::new(0.2, -0.4, 4.0) };
+        let (point, pixel) = (Vector3::new(0.5, -0.3, 0.6), Vector2::new(500.0, 300.0));
+        let found = linearize(&INTRINSICS, &camera, &point, &pixel, 2.5).unwrap();
+        let mut jacobian = DMatrix::zeros(2, 10);
+        jacobian.view_mut((0, 0), (2, 3)).copy_from(&found.by_point);
+        jacobian.view_mut((0, 3), (2, 6)).copy_from(&found.by_camera);
+        jacobian.view_mut((0, 9), (2, 1)).copy_from(&found.by_log_focal);
+        assert_derivative(&jacobian, |d| {
+            let factor = d[9].exp();
+            let lens = Intrinsics {
+                fx: INTRINSICS.fx * factor,
+                fy: INTRINSICS.fy * factor,
+                skew: INTRINSICS.skew * factor,
+                ..INTRINSICS
+            };
+            let moved = camera.perturbed_left(&Vector3::new(d[3], d[4], d[5]), &Vector3::new(d[6], d[7], d[8]));
+            let point = point + Vector3::new(d[0], d[1], d[2]);
+            residual(&lens, &moved, &point, &pixel, 2.5).unwrap().as_slice().to_vec()
+        });
+    }
+
+    #[test]
+    fn a_point_on_the_axis_appears_at_the_principal_point() {
+        let camera = Rigid { rotation: nalgebra::Matrix3::identity(), translation: Vector3::new(0.0, 0.0, 2.0) };
+        let found = residual(&INTRINSICS, &camera, &Vector3::zeros(), &Vector2::new(638.0, 353.0), 2.0).unwrap();
+        assert_eq!(found, Vector2::new(1.0, -1.5));
+        assert_eq!(residual(&INTRINSICS, &camera, &Vector3::new(0.0, 0.0, -3.0), &Vector2::zeros(), 1.0), None);
+    }
+}

@@ -1,0 +1,77 @@
+//! SHA-256 digests as lower-case hex.
+
+use sha2::{Digest, Sha256};
+use std::io::{self, Read};
+
+/// Digest of all that `reader` still holds.
+///
+/// # Errors
+/// Whatever reading fails with.
+pub fn sha256_of_reader(reader: &mut impl Read) -> io::Result<String> {
+    let mut hasher = Sha256::new();
+    absorb(&mut hasher, reader)?;
+    Ok(hex(&hasher.finalize()))
+}
+
+/// Digest of named byte streams: of each name, then its content's own digest, in the order given.
+#[derive(Default)]
+pub struct NamedDigest(Sha256);
+
+impl NamedDigest {
+    /// Adds one stream. Both parts are of fixed length, so that no two lists of streams write the same bytes.
+    ///
+    /// # Errors
+    /// Whatever reading fails with.
+    pub fn add(&mut self, name: &str, reader: &mut impl Read) -> io::Result<()> {
+        let mut content = Sha256::new();
+        absorb(&mut content, reader)?;
+        self.0.update(Sha256::digest(name.as_bytes()));
+        self.0.update(content.finalize());
+        Ok(())
+    }
+
+    /// The digest of all that was added.
+    pub fn finish(self) -> String {
+        hex(&self.0.finalize())
+    }
+}
+
+fn absorb(hasher: &mut Sha256, reader: &mut impl Read) -> io::Result<()> {
+    let mut block = vec![0; 1 << 16];
+    loop {
+        match reader.read(&mut block) {
+            Ok(0) => return Ok(()),
+            Ok(n) => hasher.update(&block[..n]),
+            Err(e) if e.kind() == io::ErrorKind::Interrupted => {}
+            Err(e) => return Err(e),
+        }
+    }
+}
+
+fn hex(bytes: &[u8]) -> String {
+    const DIGITS: &[u8; 16] = b"0123456789abcdef";
+    bytes.iter().flat_map(|b| [DIGITS[usize::from(b >> 4)], DIGITS[usize::from(b & 15)]]).map(char::from).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_digest_of_abc_is_that_of_fips_180() {
+        let digest = sha256_of_reader(&mut &b"abc"[..]).unwrap();
+        assert_eq!(digest, "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+    }
+
+    #[test]
+    fn names_and_contents_do_not_run_into_each_other() {
+        let digest = |parts: &[(&str, &str)]| {
+            let mut d = NamedDigest::default();
+            for (name, content) in parts {
+                d.add(name, &mut content.as_bytes()).unwrap();
+            }
+            d.finish()
+        };
+        assert_ne!(digest(&[("ab", "c")]), digest(&[("a", "bc")]));
+    }
+}

@@ -1,0 +1,23 @@
+//! The dialects that sessions are written in, one file each.
+
+pub mod native;
+
+use nalgebra::{Matrix3, Vector3};
+
+/// `value` to that many decimal places, as it is written in a file; never a negative zero.
+///
+/// Values beyond 2^53 units of the last place come back unchanged to within rounding.
+pub(crate) fn rounded(value: f64, decimals: i32) -> f64 {
+    let unit = 10f64.powi(decimals);
+    (value * unit).round() / unit + 0.0
+}
+
+/// A matrix row by row, as every JSON file of ours writes it.
+pub(crate) fn rows(matrix: &Matrix3<f64>) -> [[f64; 3]; 3] {
+    std::array::from_fn(|r| std::array::from_fn(|c| matrix[(r, c)]))
+}
+
+/// A vector's entries.
+pub(crate) fn entries(vector: &Vector3<f64>) -> [f64; 3] {
+    [vector.x, vector.y, vector.z]
+}

@@ -1,0 +1,138 @@
+//! The native layout: `session.json` with `poses/<camera id>.json` beside it, the same inline, or line by line.
+
+mod frames;
+mod header;
+mod write;
+
+pub use write::{to_json, write_folder};
+
+use crate::session::Session;
+use crate::session::upload::error::{Fault, UploadError, shown};
+use crate::session::upload::json::{Fields, JsonStream, Reading};
+use crate::session::upload::members::Members;
+use crate::session::upload::raw::{RawPoses, RawSession};
+use frames::{LineFields, PosesFields};
+use header::DocumentFields;
+use std::collections::BTreeMap;
+use std::io::{Read, Seek};
+
+/// How the layout came; the names stand in the answer to an upload.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Shape {
+    Folder,
+    Json,
+    Ndjson,
+}
+
+impl Shape {
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Folder => "native",
+            Self::Json => "native_json",
+            Self::Ndjson => "native_ndjson",
+        }
+    }
+}
+
+/// Reads one document with its poses inline, or a header followed by one line a camera and frame.
+pub(crate) fn read_document(
+    reader: impl Read,
+    file: &str,
+    reading: &mut Reading<'_>,
+) -> Result<(RawSession, Shape), UploadError> {
+    reading.place.file = Some(file.to_owned());
+    let mut stream = JsonStream::new(reader, reading.limits);
+    let mut document = DocumentFields::default();
+    stream.next(&mut document, reading)?;
+    if let Some(poses) = document.poses.take() {
+        stream.expect_end(reading)?;
+        return Ok((document.finish(reading, poses)?, Shape::Json));
+    }
+    if stream.at_end(reading)? {
+        return Err(reading
+            .place
+            .of(Fault::PosesMissing.with("the document holds no `poses` and no frames follow it")));
+    }
+    let mut raw = document.finish(reading, BTreeMap::new())?;
+    read_lines(&mut stream, &mut raw, reading)?;
+    Ok((raw, Shape::Ndjson))
+}
+
+/// Reads `session.json` under `root` (`""` or `"<folder>/"`) and the poses of every camera in it.
+pub(crate) fn read_members<R: Read + Seek>(
+    members: &mut Members<R>,
+    root: &str,
+    reading: &mut Reading<'_>,
+) -> Result<RawSession, UploadError> {
+    let file = format!("{root}session.json");
+    reading.place.file = Some(file.clone());
+    let mut document = DocumentFields::default();
+    read_whole(members, &file, &mut document, reading)?;
+    if let Some(poses) = document.poses.take() {
+        return document.finish(reading, poses);
+    }
+    let mut raw = document.finish(reading, BTreeMap::new())?;
+    for camera in raw.cameras.iter().take(reading.limits.max_cameras) {
+        let name = format!("{root}poses/{}.json", camera.id);
+        if !members.contains(&name) {
+            let error = Fault::PosesMissing.with(format!("there is no file {}", shown(&name)));
+            return Err(UploadError { file: Some(file), camera: Some(camera.id.clone()), ..error });
+        }
+        reading.place.file = Some(name.clone());
+        reading.place.camera = Some(camera.id.clone());
+        let mut poses = PosesFields::new(&name);
+        read_whole(members, &name, &mut poses, reading)?;
+        raw.poses.insert(camera.id.clone(), poses.finish(reading)?);
+    }
+    warn_of_strangers(members, root, &raw, reading);
+    Ok(raw)
+}
+
+/// The files of a session folder that [`read_members`] may have read.
+pub(crate) fn member_names(session: &Session) -> Vec<String> {
+    let poses = session.views.iter().map(|view| format!("poses/{}.json", view.id));
+    std::iter::once("session.json".to_owned()).chain(poses).collect()
+}
+
+fn read_whole<R: Read + Seek>(
+    members: &mut Members<R>,
+    name: &str,
+    fields: &mut impl Fields,
+    reading: &mut Reading<'_>,
+) -> Result<(), UploadError> {
+    let mut stream = JsonStream::new(members.open(name)?, reading.limits);
+    stream.next(fields, reading)?;
+    stream.expect_end(reading)
+}
+
+fn read_lines<R: Read>(
+    stream: &mut JsonStream<'_, R>,
+    raw: &mut RawSession,
+    reading: &mut Reading<'_>,
+) -> Result<(), UploadError> {
+    for camera in &raw.cameras {
+        raw.poses.insert(camera.id.clone(), RawPoses { file: raw.file.clone(), ..RawPoses::default() });
+    }
+    for n in 1.. {
+        if stream.at_end(reading)? {
+            break;
+        }
+        let mut line = LineFields::default();
+        let read = stream.next(&mut line, reading).and_then(|()| line.finish(raw, reading));
+        read.map_err(|e| UploadError { pointer: Some(format!("/{n}{}", e.pointer.unwrap_or_default())), ..e })?;
+    }
+    Ok(())
+}
+
+fn warn_of_strangers<R: Read + Seek>(members: &Members<R>, root: &str, raw: &RawSession, reading: &mut Reading<'_>) {
+    for name in members.names() {
+        let Some(name) = name.strip_prefix(root) else { continue };
+        if let Some(id) = name.strip_prefix("poses/").and_then(|rest| rest.strip_suffix(".json")) {
+            if !raw.cameras.iter().any(|camera| camera.id == id) {
+                reading.warnings.add(format!("poses of unknown camera {} are ignored", shown(id)));
+            }
+        } else if name.starts_with("gt/") {
+            reading.warnings.add("gt/ is truth and no part of an upload: it is ignored".to_owned());
+        }
+    }
+}

@@ -1,0 +1,143 @@
+//! Writing the native layout: the inverse of reading, to the precision of a detector.
+
+use crate::session::formats::{entries, rounded, rows};
+use crate::session::{Detection, FrameIndex, Keypoint, Session, View};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::Path;
+
+/// Decimal places of written pixels and confidences.
+const PIXEL_DECIMALS: i32 = 2;
+const CONFIDENCE_DECIMALS: i32 = 3;
+
+/// Writes `session.json` and `poses/<camera id>.json` into `dir`, which is made where it is missing.
+///
+/// Keypoints are rounded to 0.01 px and confidences to 0.001 (never to 0 where a point is present); a missing keypoint
+/// is `[0, 0, 0]`.
+///
+/// # Errors
+/// Whatever writing fails with; `InvalidInput` where a camera's id cannot be a file name.
+pub fn write_folder(session: &Session, dir: &Path) -> io::Result<()> {
+    let poses_dir = dir.join("poses");
+    fs::create_dir_all(&poses_dir)?;
+    for view in &session.views {
+        let name = file_name(&view.id)?;
+        fs::write(poses_dir.join(name), to_text(&poses_of(session, view))?)?;
+    }
+    fs::write(dir.join("session.json"), to_text(&document_of(session, None))?)
+}
+
+/// The session as one JSON document with its poses inline, rounded as by [`write_folder`].
+///
+/// # Errors
+/// None that a valid session can cause; writing JSON is fallible in general.
+pub fn to_json(session: &Session) -> io::Result<String> {
+    let poses = session.views.iter().map(|view| (view.id.as_str(), poses_of(session, view))).collect();
+    to_text(&document_of(session, Some(poses)))
+}
+
+fn to_text(value: &impl Serialize) -> io::Result<String> {
+    Ok(serde_json::to_string(value)?)
+}
+
+/// A camera's id is the sender's: it becomes a file name only where it is a plain one.
+fn file_name(id: &str) -> io::Result<String> {
+    let name = format!("{id}.json");
+    let is_plain = !id.is_empty() && !id.starts_with('.') && !id.contains(['/', '\\', '\0', ':']) && name.len() <= 255;
+    if is_plain {
+        return Ok(name);
+    }
+    Err(io::Error::new(io::ErrorKind::InvalidInput, format!("camera id {id:?} cannot be a file name")))
+}
+
+#[derive(Serialize)]
+struct Document<'a> {
+    name: &'a str,
+    fps: f64,
+    n_frames: usize,
+    first_frame: i64,
+    keypoint_convention: &'static str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    up_axis: Option<crate::session::recording::UpAxis>,
+    cameras: Vec<Camera<'a>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    poses: Option<BTreeMap<&'a str, Poses>>,
+}
+
+#[derive(Serialize)]
+struct Camera<'a> {
+    id: &'a str,
+    width: u32,
+    height: u32,
+    #[serde(rename = "K")]
+    matrix: [[f64; 3]; 3],
+    dist: [f64; 5],
+    #[serde(rename = "R", skip_serializing_if = "Option::is_none")]
+    rotation: Option<[[f64; 3]; 3]>,
+    #[serde(rename = "t", skip_serializing_if = "Option::is_none")]
+    translation: Option<[f64; 3]>,
+}
+
+#[derive(Serialize)]
+struct Poses {
+    frames: Vec<Frame>,
+}
+
+#[derive(Serialize)]
+struct Frame {
+    frame: i64,
+    people: Vec<Person>,
+}
+
+#[derive(Serialize)]
+struct Person {
+    track_id: Option<i64>,
+    keypoints: Vec<[f64; 3]>,
+}
+
+fn document_of<'a>(session: &'a Session, poses: Option<BTreeMap<&'a str, Poses>>) -> Document<'a> {
+    Document {
+        name: &session.name,
+        fps: session.fps,
+        n_frames: session.n_frames,
+        first_frame: session.first_frame,
+        keypoint_convention: session.convention.name(),
+        up_axis: session.up_axis,
+        cameras: session.views.iter().map(camera_of).collect(),
+        poses,
+    }
+}
+
+fn camera_of(view: &View) -> Camera<'_> {
+    Camera {
+        id: &view.id,
+        width: view.intrinsics.width,
+        height: view.intrinsics.height,
+        matrix: rows(&view.intrinsics.matrix()),
+        dist: view.intrinsics.dist,
+        rotation: view.camera_from_world.map(|pose| rows(&pose.rotation)),
+        translation: view.camera_from_world.map(|pose| entries(&pose.translation)),
+    }
+}
+
+fn poses_of(session: &Session, view: &View) -> Poses {
+    let frame = |&index: &FrameIndex| Frame {
+        frame: session.frame_number(index),
+        people: view.frames[index.0].iter().map(person_of).collect(),
+    };
+    Poses { frames: view.delivered.iter().map(frame).collect() }
+}
+
+fn person_of(detection: &Detection) -> Person {
+    Person { track_id: detection.track_id, keypoints: detection.keypoints.iter().map(triple).collect() }
+}
+
+fn triple(keypoint: &Keypoint) -> [f64; 3] {
+    if !keypoint.is_present() {
+        return [0.0; 3];
+    }
+    let confidence = rounded(keypoint.confidence, CONFIDENCE_DECIMALS).max(1e-3);
+    [rounded(keypoint.pixel.x, PIXEL_DECIMALS), rounded(keypoint.pixel.y, PIXEL_DECIMALS), confidence]
+}

@@ -1,0 +1,178 @@
+//! From what a dialect handed over to a [`Session`]: every check that needs two things at once.
+
+use super::camera::{checked_extrinsics, checked_intrinsics};
+use super::error::{Fault, UploadError, shown};
+use super::limits::UploadLimits;
+use super::raw::{RawCamera, RawPoses, RawSession};
+use super::warnings::Warnings;
+use crate::body::skeleton::KeypointConvention;
+use crate::session::recording::UpAxis;
+use crate::session::{Detection, FrameIndex, Session, View};
+
+/// Frames per second that a camera can have: time lapse to high speed.
+const FPS_RANGE: [f64; 2] = [0.1, 2000.0];
+/// Bytes of a camera's name.
+const MAX_ID_BYTES: usize = 4096;
+
+/// Checks a session and builds it.
+///
+/// # Errors
+/// The first thing that cannot be, with its place.
+pub(crate) fn assemble(
+    mut raw: RawSession,
+    limits: &UploadLimits,
+    warnings: &mut Warnings,
+) -> Result<Session, UploadError> {
+    let in_header = |error: UploadError| UploadError { file: Some(raw.file.clone()), ..error };
+    let fps = checked_fps(raw.fps).map_err(in_header)?;
+    let convention = checked_convention(&raw.keypoint_convention).map_err(in_header)?;
+    let up_axis = raw.up_axis.as_deref().map(checked_up_axis).transpose().map_err(in_header)?;
+    check_ids(&raw.cameras, limits).map_err(in_header)?;
+    let n_frames = checked_n_frames(&raw, limits, warnings).map_err(in_header)?;
+    let time_line = TimeLine { first_frame: raw.first_frame, n_frames };
+
+    let mut views = Vec::with_capacity(raw.cameras.len());
+    for camera in &raw.cameras {
+        let in_camera = |error| of_camera(&raw.file, &camera.id, error);
+        let intrinsics = checked_intrinsics(camera, warnings).map_err(in_camera)?;
+        let camera_from_world = checked_extrinsics(camera, warnings).map_err(in_camera)?;
+        let poses = raw.poses.remove(&camera.id).ok_or_else(|| in_camera(Fault::PosesMissing.with("no poses")))?;
+        check_poses(&poses, &camera.id, &time_line, convention)?;
+        let (frames, delivered) = dense(poses, &time_line);
+        views.push(View { id: camera.id.clone(), intrinsics, camera_from_world, frames, delivered });
+    }
+    if views.iter().all(|view| view.delivered.is_empty()) {
+        return Err(in_header(Fault::NoFrames.with("no camera delivered a frame")));
+    }
+    for view in views.iter().filter(|view| view.delivered.is_empty()) {
+        warnings.add(format!("camera {} delivered no frame", shown(&view.id)));
+    }
+    for id in raw.poses.keys() {
+        warnings.add(format!("poses of unknown camera {} are ignored", shown(id)));
+    }
+    Ok(Session { name: raw.name, fps, first_frame: raw.first_frame, n_frames, convention, up_axis, views })
+}
+
+struct TimeLine {
+    first_frame: i64,
+    n_frames: usize,
+}
+
+impl TimeLine {
+    fn index_of(&self, frame: i64) -> Option<FrameIndex> {
+        let index = usize::try_from(frame.checked_sub(self.first_frame)?).ok()?;
+        (index < self.n_frames).then_some(FrameIndex(index))
+    }
+}
+
+fn of_camera(file: &str, camera: &str, error: UploadError) -> UploadError {
+    UploadError { file: Some(file.to_owned()), camera: Some(camera.to_owned()), ..error }
+}
+
+fn checked_fps(fps: f64) -> Result<f64, UploadError> {
+    if (FPS_RANGE[0]..=FPS_RANGE[1]).contains(&fps) {
+        return Ok(fps);
+    }
+    Err(Fault::FpsInvalid.with(format!("fps is {fps}")))
+}
+
+fn checked_convention(name: &str) -> Result<KeypointConvention, UploadError> {
+    KeypointConvention::parse(name).ok_or_else(|| {
+        let known = KeypointConvention::ALL.map(KeypointConvention::name).join(", ");
+        Fault::ConventionUnknown.with(format!("keypoint_convention is {}, known are {known}", shown(name)))
+    })
+}
+
+fn checked_up_axis(name: &str) -> Result<UpAxis, UploadError> {
+    match name {
+        "x" | "X" => Ok(UpAxis::X),
+        "y" | "Y" => Ok(UpAxis::Y),
+        "z" | "Z" => Ok(UpAxis::Z),
+        _ => Err(Fault::CameraInvalid.with(format!("up_axis is {}, expected x, y or z", shown(name)))),
+    }
+}
+
+/// Names that differ in one byte are different: neither case nor Unicode normal form is folded.
+fn check_ids(cameras: &[RawCamera], limits: &UploadLimits) -> Result<(), UploadError> {
+    if cameras.is_empty() {
+        return Err(Fault::NoCameras.with("`cameras` is empty"));
+    }
+    if cameras.len() > limits.max_cameras {
+        return Err(Fault::TooManyCameras.with(format!("more than {} cameras", limits.max_cameras)));
+    }
+    for (i, camera) in cameras.iter().enumerate() {
+        let at = |error| UploadError { pointer: Some(format!("/cameras/{i}/id")), ..error };
+        if camera.id.is_empty() {
+            return Err(at(Fault::CameraIdInvalid.with("the camera's id is empty")));
+        }
+        if camera.id.len() > MAX_ID_BYTES {
+            return Err(at(Fault::CameraIdInvalid.with(format!("the camera's id has {} bytes", camera.id.len()))));
+        }
+        if cameras[..i].iter().any(|other| other.id == camera.id) {
+            let error = Fault::CameraDuplicate.with("the camera's id stands twice");
+            return Err(at(UploadError { camera: Some(camera.id.clone()), ..error }));
+        }
+    }
+    Ok(())
+}
+
+/// Length of the time line: as given, or up to the last frame that any camera delivered.
+fn checked_n_frames(raw: &RawSession, limits: &UploadLimits, warnings: &mut Warnings) -> Result<usize, UploadError> {
+    let n_frames = raw.n_frames.unwrap_or_else(|| {
+        let last = raw.poses.values().filter_map(|poses| poses.detections.keys().next_back()).max();
+        let n = last.map_or(0, |last| last.saturating_sub(raw.first_frame).saturating_add(1).max(0));
+        warnings.add(format!("`n_frames` is missing; {n} frames were found"));
+        n.unsigned_abs()
+    });
+    if n_frames == 0 {
+        return Err(Fault::NoFrames.with("n_frames is 0"));
+    }
+    let n = usize::try_from(n_frames).unwrap_or(usize::MAX);
+    if n > limits.max_frames || n.saturating_mul(raw.cameras.len()) > limits.max_view_frames {
+        let detail = format!(
+            "{n} frames of {} cameras, at most {} and {} in all are read",
+            raw.cameras.len(),
+            limits.max_frames,
+            limits.max_view_frames
+        );
+        return Err(Fault::TooManyFrames.with(detail));
+    }
+    Ok(n)
+}
+
+fn check_poses(
+    poses: &RawPoses,
+    camera: &str,
+    time_line: &TimeLine,
+    convention: KeypointConvention,
+) -> Result<(), UploadError> {
+    for (&frame, people) in &poses.detections {
+        let at_frame = |error| UploadError { frame: Some(frame), ..of_camera(&poses.file, camera, error) };
+        if time_line.index_of(frame).is_none() {
+            let TimeLine { first_frame, n_frames } = time_line;
+            let last = first_frame.saturating_add(*n_frames as i64 - 1);
+            let detail = format!("frame {frame} lies outside {first_frame} to {last} (n_frames {n_frames})");
+            return Err(at_frame(Fault::FrameOutOfRange.with(detail)));
+        }
+        for (person, detection) in people.iter().enumerate() {
+            let (found, expected) = (detection.keypoints.len(), convention.n_keypoints());
+            if found != expected {
+                let detail = format!("{expected} keypoints of {} expected, found {found}", convention.name());
+                return Err(UploadError { person: Some(person), ..at_frame(Fault::KeypointCount.with(detail)) });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Spreads the frames over the time line. Every frame lies on it: [`check_poses`] has passed.
+fn dense(poses: RawPoses, time_line: &TimeLine) -> (Vec<Vec<Detection>>, Vec<FrameIndex>) {
+    let mut frames = vec![Vec::new(); time_line.n_frames];
+    for (frame, people) in poses.detections {
+        if let Some(FrameIndex(index)) = time_line.index_of(frame) {
+            frames[index] = people;
+        }
+    }
+    let delivered = poses.order.iter().filter_map(|&frame| time_line.index_of(frame)).collect();
+    (frames, delivered)
+}

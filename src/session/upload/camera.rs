@@ -1,0 +1,178 @@
+//! Whether a camera can exist: intrinsics and extrinsics as written, checked once.
+
+use super::error::{Fault, UploadError, shown};
+use super::json::{Numbers, Rows};
+use super::raw::RawCamera;
+use super::warnings::Warnings;
+use crate::geometry::{Intrinsics, Rigid};
+use nalgebra::{Matrix3, Vector3};
+
+/// How far `R^T R` may be from the identity: rounding to three digits passes, a scaled or sheared matrix does not.
+const ROTATION_TOLERANCE: f64 = 1e-3;
+/// A rotation this near to orthonormal is kept bit for bit.
+const EXACT_ROTATION: f64 = 1e-9;
+/// Focal length over image size: from 179 degrees of view to 0.06 degrees. Beyond lie normalised or damaged matrices.
+const FOCAL_RANGE: [f64; 2] = [0.01, 1000.0];
+/// A camera farther than this (m) from the world's origin suggests millimetres.
+const FAR: f64 = 100.0;
+
+/// Checked intrinsics of a camera.
+///
+/// # Errors
+/// [`Fault::CameraInvalid`] or [`Fault::DistortionUnsupported`].
+pub(super) fn checked_intrinsics(raw: &RawCamera, warnings: &mut Warnings) -> Result<Intrinsics, UploadError> {
+    if raw.width == 0 || raw.height == 0 {
+        return Err(invalid(format!("image size {}x{}", raw.width, raw.height)));
+    }
+    let rows = raw.matrix.as_ref().ok_or_else(|| Fault::MissingField.with("a camera has no `K`"))?;
+    let k = matrix3(rows).ok_or_else(|| invalid(format!("K is {}, expected 3x3", shape(rows))))?;
+    check_matrix(&k)?;
+    let intrinsics = Intrinsics {
+        width: raw.width,
+        height: raw.height,
+        fx: k[(0, 0)],
+        fy: k[(1, 1)],
+        cx: k[(0, 2)],
+        cy: k[(1, 2)],
+        skew: k[(0, 1)],
+        dist: checked_distortion(raw)?,
+    };
+    check_focal(&intrinsics)?;
+    check_principal_point(&intrinsics, &raw.id, warnings)?;
+    check_distortion_at_corner(&intrinsics)?;
+    Ok(intrinsics)
+}
+
+/// Checked `camera_from_world`, where the session gives it.
+///
+/// A rotation within [`ROTATION_TOLERANCE`] is replaced by the nearest one.
+///
+/// # Errors
+/// [`Fault::CameraInvalid`].
+pub(super) fn checked_extrinsics(raw: &RawCamera, warnings: &mut Warnings) -> Result<Option<Rigid>, UploadError> {
+    let (rows, t) = match (&raw.rotation, &raw.translation) {
+        (None, None) => return Ok(None),
+        (Some(_), None) => return Err(invalid("R is given without t")),
+        (None, Some(_)) => return Err(invalid("t is given without R")),
+        (Some(rows), Some(t)) => (rows, t),
+    };
+    let matrix = matrix3(rows).ok_or_else(|| invalid(format!("R is {}, expected 3x3", shape(rows))))?;
+    let rotation = checked_rotation(&matrix)?;
+    let translation = vector3(t).ok_or_else(|| invalid(format!("t has {} entries, expected 3", t.0.len())))?;
+    if translation.norm() > FAR {
+        let norm = translation.norm();
+        warnings.add(format!("camera {} has t of length {norm:.0} m: is it in millimetres?", shown(&raw.id)));
+    }
+    Ok(Some(Rigid { rotation, translation }))
+}
+
+fn invalid(detail: impl Into<String>) -> UploadError {
+    Fault::CameraInvalid.with(detail)
+}
+
+fn check_matrix(k: &Matrix3<f64>) -> Result<(), UploadError> {
+    if k.row(2) != nalgebra::RowVector3::new(0.0, 0.0, 1.0) {
+        let hint = if k[(0, 2)] == 0.0 && k[(1, 2)] == 0.0 { "; is it transposed?" } else { "" };
+        let [a, b, c] = [k[(2, 0)], k[(2, 1)], k[(2, 2)]];
+        return Err(invalid(format!("bottom row of K is [{a}, {b}, {c}], expected [0, 0, 1]{hint}")));
+    }
+    if k[(1, 0)] != 0.0 {
+        return Err(invalid(format!("K[1][0] is {}, expected 0", k[(1, 0)])));
+    }
+    if k[(0, 1)].abs() > 0.5 * k[(0, 0)].abs() {
+        return Err(invalid(format!("skew K[0][1] is {} px, expected about 0", k[(0, 1)])));
+    }
+    Ok(())
+}
+
+fn check_focal(camera: &Intrinsics) -> Result<(), UploadError> {
+    let size = f64::from(camera.width.max(camera.height));
+    for (name, focal) in [("fx", camera.fx), ("fy", camera.fy)] {
+        let [least, most] = FOCAL_RANGE.map(|factor| factor * size);
+        if !(least..=most).contains(&focal) {
+            return Err(invalid(format!("{name} is {focal} px, expected {least} to {most} for this image size")));
+        }
+    }
+    Ok(())
+}
+
+/// Outside the image is possible for a cropped image; farther than a whole image beside it is not.
+fn check_principal_point(camera: &Intrinsics, id: &str, warnings: &mut Warnings) -> Result<(), UploadError> {
+    let (x, y) = (camera.cx / f64::from(camera.width), camera.cy / f64::from(camera.height));
+    let found =
+        format!("principal point ({}, {}) px in an image of {}x{}", camera.cx, camera.cy, camera.width, camera.height);
+    if ![x, y].iter().all(|c| (-1.0..=2.0).contains(c)) {
+        return Err(invalid(found));
+    }
+    if ![x, y].iter().all(|c| (0.0..=1.0).contains(c)) {
+        warnings.add(format!("camera {} has its {found}: is it cropped?", shown(id)));
+    }
+    Ok(())
+}
+
+fn checked_distortion(raw: &RawCamera) -> Result<[f64; 5], UploadError> {
+    if let Some(model) = &raw.distortion_model {
+        let plain = model.to_ascii_lowercase().replace(['_', '-', ' '], "");
+        if !["", "none", "pinhole", "opencv", "plumbbob", "brown", "brownconrady", "radtan"].contains(&plain.as_str()) {
+            return Err(Fault::DistortionUnsupported.with(format!("distortion model {}", shown(model))));
+        }
+    }
+    let given = raw.distortion.as_ref().map_or(&[][..], |d| &d.0);
+    match *given {
+        [] => Ok([0.0; 5]),
+        [k1, k2, p1, p2] => Ok([k1, k2, p1, p2, 0.0]),
+        [k1, k2, p1, p2, k3] => Ok([k1, k2, p1, p2, k3]),
+        _ => {
+            let n = given.len();
+            let model = if n == 8 { " (the rational model)" } else { "" };
+            Err(Fault::DistortionUnsupported.with(format!("{n} distortion coefficients{model}, expected 0, 4 or 5")))
+        }
+    }
+}
+
+/// Coefficients that move the farthest image corner tenfold, or through the centre, belong to no lens.
+fn check_distortion_at_corner(camera: &Intrinsics) -> Result<(), UploadError> {
+    let x = camera.cx.abs().max((f64::from(camera.width) - camera.cx).abs()) / camera.fx;
+    let y = camera.cy.abs().max((f64::from(camera.height) - camera.cy).abs()) / camera.fy;
+    let [k1, k2, p1, p2, k3] = camera.dist;
+    let r2 = x * x + y * y;
+    let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+    let tangential = 3.0 * r2.sqrt() * p1.hypot(p2);
+    if !(0.1..=10.0).contains(&radial) || tangential.is_nan() || tangential > 1.0 {
+        return Err(invalid(format!("dist {:?} moves the image corner by a factor of {radial:.3}", camera.dist)));
+    }
+    Ok(())
+}
+
+fn checked_rotation(matrix: &Matrix3<f64>) -> Result<Matrix3<f64>, UploadError> {
+    let deviation = (matrix.transpose() * matrix - Matrix3::identity()).abs().max();
+    if !deviation.is_finite() || deviation > ROTATION_TOLERANCE {
+        return Err(invalid(format!("R is not orthonormal: R^T R differs from the identity by {deviation:.2e}")));
+    }
+    if matrix.determinant() < 0.0 {
+        return Err(invalid("R is a reflection: its determinant is -1"));
+    }
+    if deviation <= EXACT_ROTATION {
+        return Ok(*matrix);
+    }
+    // The nearest rotation in the Frobenius norm is U V^T (Higham 1989, Section 2).
+    let svd = matrix.svd(true, true);
+    match (svd.u, svd.v_t) {
+        (Some(u), Some(v_t)) => Ok(u * v_t),
+        _ => Err(invalid("R cannot be made orthonormal")),
+    }
+}
+
+fn matrix3(rows: &Rows) -> Option<Matrix3<f64>> {
+    let [a, b, c] = rows.0.as_slice() else { return None };
+    Some(Matrix3::from_rows(&[vector3(a)?.transpose(), vector3(b)?.transpose(), vector3(c)?.transpose()]))
+}
+
+fn vector3(numbers: &Numbers) -> Option<Vector3<f64>> {
+    let [x, y, z] = *numbers.0.as_slice() else { return None };
+    Some(Vector3::new(x, y, z))
+}
+
+fn shape(rows: &Rows) -> String {
+    format!("{}x{}", rows.0.len(), rows.0.first().map_or(0, |row| row.0.len()))
+}

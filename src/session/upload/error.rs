@@ -1,0 +1,282 @@
+//! Why an upload was refused: the whole list on one page.
+
+use std::fmt;
+
+/// What a refusal means to the sender; [`UploadErrorKind::http_status`] is its number.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum UploadErrorKind {
+    /// The bytes are not what they claim to be.
+    Malformed,
+    /// More than the limits allow.
+    TooLarge,
+    /// A container, an encoding or a dialect that is not read.
+    Unsupported,
+    /// Well written, but no such capture can exist or be solved.
+    Impossible,
+}
+
+impl UploadErrorKind {
+    /// The HTTP status of the refusal: 400, 413, 415 or 422.
+    pub fn http_status(self) -> u16 {
+        match self {
+            Self::Malformed => 400,
+            Self::TooLarge => 413,
+            Self::Unsupported => 415,
+            Self::Impossible => 422,
+        }
+    }
+}
+
+/// A refused upload: what was found, where, and what to do.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub struct UploadError {
+    /// What it means to the sender.
+    pub kind: UploadErrorKind,
+    /// Machine-readable reason; one of [`Fault::ALL`]'s codes.
+    pub code: &'static str,
+    /// File or archive member.
+    pub file: Option<String>,
+    /// Camera id.
+    pub camera: Option<String>,
+    /// The session's own frame number.
+    pub frame: Option<i64>,
+    /// Position of the person in the frame.
+    pub person: Option<usize>,
+    /// JSON pointer (RFC 6901) into the file; in a stream of lines its first part is the line's number from 0.
+    pub pointer: Option<String>,
+    /// What was found, with its value.
+    pub detail: String,
+    /// What the sender can do about it.
+    pub remedy: String,
+}
+
+impl fmt::Display for UploadError {
+    /// One line: place, what was found, remedy. Names are quoted and escaped, so that no name breaks the line.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut place = Vec::new();
+        place.extend(self.file.as_ref().map(|file| format!("file {}", shown(file))));
+        place.extend(self.camera.as_ref().map(|camera| format!("camera {}", shown(camera))));
+        place.extend(self.frame.map(|frame| format!("frame {frame}")));
+        place.extend(self.person.map(|person| format!("person {person}")));
+        place.extend(self.pointer.as_ref().map(|pointer| format!("at {}", shown(pointer))));
+        let place = if place.is_empty() { "upload".to_owned() } else { place.join(", ") };
+        write!(f, "{place}: {} ({}); {}", self.detail, self.code, self.remedy)
+    }
+}
+
+/// A foreign string as it may stand in a message: quoted, escaped, at most some 80 characters long.
+pub(crate) fn shown(text: &str) -> String {
+    const MAX_CHARS: usize = 80;
+    match text.char_indices().nth(MAX_CHARS) {
+        Some((end, _)) => format!("{:?}…", &text[..end]),
+        None => format!("{text:?}"),
+    }
+}
+
+/// Every reason for which an upload is refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(missing_docs)] // the table in `row` says what each means
+pub enum Fault {
+    FileUnreadable,
+    FormatUnknown,
+    Encoding,
+    ZipInvalid,
+    ZipNameUnsafe,
+    ZipSymlink,
+    ZipDuplicateMember,
+    ZipOverlap,
+    ZipCorrupt,
+    ZipEncrypted,
+    ZipMethod,
+    ZipRatio,
+    TooLarge,
+    TooManyMembers,
+    TooManyCameras,
+    TooManyFrames,
+    TooManyPeople,
+    TooManyKeypoints,
+    TokenTooLong,
+    JsonTooDeep,
+    JsonInvalid,
+    JsonType,
+    TrailingData,
+    DuplicateKey,
+    MissingField,
+    NumberNotFinite,
+    SessionAmbiguous,
+    PosesMissing,
+    NoCameras,
+    NoFrames,
+    FpsInvalid,
+    ConventionUnknown,
+    CameraIdInvalid,
+    CameraDuplicate,
+    CameraUnknown,
+    CameraInvalid,
+    DistortionUnsupported,
+    FrameInvalid,
+    FrameOutOfRange,
+    FrameDuplicate,
+    KeypointCount,
+    KeypointInvalid,
+}
+
+use Fault as F;
+use UploadErrorKind::{Impossible, Malformed, TooLarge, Unsupported};
+
+impl Fault {
+    /// Every fault, for the service's description and for tests.
+    pub const ALL: [Self; 42] = [
+        F::FileUnreadable,
+        F::FormatUnknown,
+        F::Encoding,
+        F::ZipInvalid,
+        F::ZipNameUnsafe,
+        F::ZipSymlink,
+        F::ZipDuplicateMember,
+        F::ZipOverlap,
+        F::ZipCorrupt,
+        F::ZipEncrypted,
+        F::ZipMethod,
+        F::ZipRatio,
+        F::TooLarge,
+        F::TooManyMembers,
+        F::TooManyCameras,
+        F::TooManyFrames,
+        F::TooManyPeople,
+        F::TooManyKeypoints,
+        F::TokenTooLong,
+        F::JsonTooDeep,
+        F::JsonInvalid,
+        F::JsonType,
+        F::TrailingData,
+        F::DuplicateKey,
+        F::MissingField,
+        F::NumberNotFinite,
+        F::SessionAmbiguous,
+        F::PosesMissing,
+        F::NoCameras,
+        F::NoFrames,
+        F::FpsInvalid,
+        F::ConventionUnknown,
+        F::CameraIdInvalid,
+        F::CameraDuplicate,
+        F::CameraUnknown,
+        F::CameraInvalid,
+        F::DistortionUnsupported,
+        F::FrameInvalid,
+        F::FrameOutOfRange,
+        F::FrameDuplicate,
+        F::KeypointCount,
+        F::KeypointInvalid,
+    ];
+
+    /// The machine-readable reason.
+    pub fn code(self) -> &'static str {
+        self.row().0
+    }
+
+    /// What the fault means to the sender.
+    pub fn kind(self) -> UploadErrorKind {
+        self.row().1
+    }
+
+    /// The error with what was found; its place is filled in by whoever knows it.
+    pub(crate) fn with(self, detail: impl Into<String>) -> UploadError {
+        let (code, kind, remedy) = self.row();
+        UploadError {
+            kind,
+            code,
+            file: None,
+            camera: None,
+            frame: None,
+            person: None,
+            pointer: None,
+            detail: detail.into(),
+            remedy: remedy.to_owned(),
+        }
+    }
+
+    /// Code, kind and remedy of every fault.
+    fn row(self) -> (&'static str, UploadErrorKind, &'static str) {
+        match self {
+            F::FileUnreadable => ("file_unreadable", Malformed, "check the path and its permissions"),
+            F::FormatUnknown => {
+                ("format_unknown", Unsupported, "send a session folder, a zip of it, or one JSON or NDJSON document")
+            }
+            F::Encoding => ("encoding", Malformed, "save the file as UTF-8 without a byte order mark"),
+            F::ZipInvalid => ("zip_invalid", Malformed, "the archive is cut off or damaged: pack and send it again"),
+            F::ZipNameUnsafe => ("zip_name_unsafe", Malformed, "pack the session folder with plain relative names"),
+            F::ZipSymlink => ("zip_symlink", Malformed, "pack files, not links to them"),
+            F::ZipDuplicateMember => ("zip_duplicate_member", Malformed, "pack every file once"),
+            F::ZipOverlap => ("zip_overlap", Malformed, "members may not share bytes: pack the folder again"),
+            F::ZipCorrupt => ("zip_corrupt", Malformed, "the member does not unpack to what was packed: send it again"),
+            F::ZipEncrypted => ("zip_encrypted", Unsupported, "pack without a password"),
+            F::ZipMethod => ("zip_method", Unsupported, "pack with deflate or without compression"),
+            F::ZipRatio => ("zip_ratio", TooLarge, "no pose file shrinks that well: pack the real session"),
+            F::TooLarge => ("too_large", TooLarge, "send fewer frames or cameras at a time"),
+            F::TooManyMembers => ("too_many_members", TooLarge, "pack only session.json and poses/"),
+            F::TooManyCameras => ("too_many_cameras", TooLarge, "leave cameras out"),
+            F::TooManyFrames => ("too_many_frames", TooLarge, "cut the take into shorter ones"),
+            F::TooManyPeople => ("too_many_people", TooLarge, "keep only the most confident people of the frame"),
+            F::TooManyKeypoints => ("too_many_keypoints", TooLarge, "cut the take into shorter ones"),
+            F::TokenTooLong => ("token_too_long", TooLarge, "leave out what is no pose"),
+            F::JsonTooDeep => ("json_too_deep", Malformed, "follow the session layout, which nests 8 levels"),
+            F::JsonInvalid => ("json_invalid", Malformed, "write the file with a JSON library"),
+            F::JsonType => ("json_type", Malformed, "follow the session layout"),
+            F::TrailingData => ("trailing_data", Malformed, "end the file after the document"),
+            F::DuplicateKey => ("duplicate_key", Malformed, "write every key once"),
+            F::MissingField => ("missing_field", Malformed, "add the field"),
+            F::NumberNotFinite => ("number_not_finite", Malformed, "write a missing keypoint as [0, 0, 0]"),
+            F::SessionAmbiguous => ("session_ambiguous", Malformed, "send one session at a time"),
+            F::PosesMissing => ("poses_missing", Malformed, "add poses/<camera id>.json, or `poses` inline"),
+            F::NoCameras => ("no_cameras", Impossible, "list at least one camera"),
+            F::NoFrames => ("no_frames", Impossible, "send at least one frame"),
+            F::FpsInvalid => ("fps_invalid", Impossible, "give frames per second between 0.1 and 2000"),
+            F::ConventionUnknown => ("convention_unknown", Impossible, "name one of the supported conventions"),
+            F::CameraIdInvalid => ("camera_id_invalid", Impossible, "give every camera a short name"),
+            F::CameraDuplicate => ("camera_duplicate", Impossible, "give every camera its own id"),
+            F::CameraUnknown => ("camera_unknown", Impossible, "list the camera in the session's `cameras`"),
+            F::CameraInvalid => ("camera_invalid", Impossible, "correct the camera's calibration"),
+            F::DistortionUnsupported => {
+                ("distortion_unsupported", Impossible, "undistort the keypoints, or calibrate with k1 k2 p1 p2 k3")
+            }
+            F::FrameInvalid => ("frame_invalid", Impossible, "number frames with whole numbers below 2^53"),
+            F::FrameOutOfRange => ("frame_out_of_range", Impossible, "correct `first_frame` or `n_frames`"),
+            F::FrameDuplicate => ("frame_duplicate", Impossible, "write every frame of a camera once"),
+            F::KeypointCount => {
+                ("keypoint_count", Impossible, "correct `keypoint_convention` or the detector's output")
+            }
+            F::KeypointInvalid => ("keypoint_invalid", Impossible, "write [x px, y px, confidence 0 to 1]"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_are_unique_and_remedies_are_given() {
+        let mut codes: Vec<_> = Fault::ALL.iter().map(|fault| fault.code()).collect();
+        codes.sort_unstable();
+        codes.dedup();
+        assert_eq!(codes.len(), Fault::ALL.len());
+        assert!(Fault::ALL.iter().all(|fault| !fault.with("x").remedy.is_empty()));
+    }
+
+    #[test]
+    fn a_message_is_one_line_whatever_the_names() {
+        let error = UploadError {
+            camera: Some("a\nb\u{202e}c".to_owned()),
+            frame: Some(-3),
+            person: Some(2),
+            ..Fault::KeypointCount.with("17 keypoints expected, found 25")
+        };
+        assert_eq!(
+            error.to_string(),
+            "camera \"a\\nb\\u{202e}c\", frame -3, person 2: 17 keypoints expected, found 25 (keypoint_count); \
+             correct `keypoint_convention` or the detector's output"
+        );
+    }
+}

@@ -1,0 +1,290 @@
+//! Streaming JSON: objects and lists are handed over piece by piece, and every refusal knows its place.
+//!
+//! Why not derived structs: a derived reader holds a whole list before it is asked whether the list is too long, and
+//! its errors carry text only. Here a reader of [`Fields`] or [`Items`] sees one value at a time and refuses with a
+//! typed [`UploadError`].
+
+use super::error::{Fault, UploadError, shown};
+use super::guard::JsonGuard;
+use super::limits::UploadLimits;
+use super::warnings::Warnings;
+use serde::Deserialize;
+use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde_json::error::Category;
+use std::fmt;
+use std::io::{self, BufReader, Read};
+use std::marker::PhantomData;
+
+/// The state of one reading: limits, warnings, and where we are.
+pub(crate) struct Reading<'a> {
+    /// What the upload may cost.
+    pub limits: &'a UploadLimits,
+    /// What is worth telling although the upload is accepted.
+    pub warnings: &'a mut Warnings,
+    /// Where we are.
+    pub place: Place,
+    /// What has been spent of `max_keypoints`.
+    n_keypoints: usize,
+    failure: Option<UploadError>,
+    /// Parts of the JSON pointer, innermost first: gathered while an error travels outwards.
+    pointer: Vec<String>,
+}
+
+/// Where in an upload something stands.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Place {
+    pub file: Option<String>,
+    pub camera: Option<String>,
+    pub frame: Option<i64>,
+    pub person: Option<usize>,
+}
+
+impl Place {
+    /// The error with its place, where it has none of its own.
+    pub(crate) fn of(&self, error: UploadError) -> UploadError {
+        UploadError {
+            file: error.file.or_else(|| self.file.clone()),
+            camera: error.camera.or_else(|| self.camera.clone()),
+            frame: error.frame.or(self.frame),
+            person: error.person.or(self.person),
+            ..error
+        }
+    }
+}
+
+/// Reads the values of an object, key by key.
+pub(crate) trait Fields {
+    /// What the object is, for messages: `a camera`.
+    const WHAT: &'static str;
+
+    /// Takes the value of `key`; false, and the value left alone, where the key means nothing.
+    fn field<'de, A: MapAccess<'de>>(
+        &mut self,
+        key: &str,
+        map: &mut A,
+        reading: &mut Reading<'_>,
+    ) -> Result<bool, A::Error>;
+}
+
+/// Reads the items of a list, one by one.
+pub(crate) trait Items {
+    /// Takes item `index`; false at the end of the list.
+    fn item<'de, A: SeqAccess<'de>>(
+        &mut self,
+        index: usize,
+        seq: &mut A,
+        reading: &mut Reading<'_>,
+    ) -> Result<bool, A::Error>;
+}
+
+/// A JSON object to be read into `F`.
+pub(crate) struct Object<'f, 'r, 'a, F>(pub &'f mut F, pub &'r mut Reading<'a>);
+
+/// A JSON list to be read into `I`.
+pub(crate) struct List<'i, 'r, 'a, I>(pub &'i mut I, pub &'r mut Reading<'a>);
+
+impl<'a> Reading<'a> {
+    pub(crate) fn new(limits: &'a UploadLimits, warnings: &'a mut Warnings) -> Self {
+        Self { limits, warnings, place: Place::default(), n_keypoints: 0, failure: None, pointer: Vec::new() }
+    }
+
+    /// Refuses from inside a reader: keeps the typed error and gives the parser one of its own to carry outwards.
+    pub(crate) fn refuse<E: serde::de::Error>(&mut self, error: UploadError) -> E {
+        self.failure = Some(self.place.of(error));
+        E::custom("refused")
+    }
+
+    /// Counts something that is held in memory as so many keypoints.
+    pub(crate) fn spend(&mut self, n_keypoints: usize) -> Result<(), UploadError> {
+        self.n_keypoints += n_keypoints;
+        if self.n_keypoints <= self.limits.max_keypoints {
+            return Ok(());
+        }
+        Err(Fault::TooManyKeypoints.with(format!("more than {} keypoints in all", self.limits.max_keypoints)))
+    }
+
+    /// The typed error behind a parser's error.
+    fn explain(&mut self, error: serde_json::Error) -> UploadError {
+        let pointer = self.pointer.drain(..).rev().map(|part| format!("/{part}")).collect::<String>();
+        let error = match self.failure.take() {
+            Some(failure) => failure,
+            None => self.place.of(fault_of_parser(error)),
+        };
+        UploadError { pointer: Some(pointer).filter(|p| !p.is_empty()), ..error }
+    }
+}
+
+fn fault_of_parser(error: serde_json::Error) -> UploadError {
+    let text = error.to_string();
+    // The parser quotes what it found; a value of any length may stand in it.
+    let detail = if text.chars().count() > 200 { shown(&text) } else { text };
+    match error.classify() {
+        Category::Io => fault_of_io(io::Error::from(error)),
+        Category::Data => Fault::JsonType.with(detail),
+        Category::Syntax if detail.starts_with("number out of range") => Fault::NumberNotFinite.with(detail),
+        Category::Syntax if detail.starts_with("recursion limit") => Fault::JsonTooDeep.with(detail),
+        Category::Syntax | Category::Eof => Fault::JsonInvalid.with(detail),
+    }
+}
+
+/// What a failed read means: a limit broken on the way, a bad disk, or a member that does not unpack.
+pub(super) fn fault_of_io(error: io::Error) -> UploadError {
+    match error.downcast::<UploadError>() {
+        Ok(error) => error,
+        Err(error) if error.raw_os_error().is_some() => Fault::FileUnreadable.with(error.to_string()),
+        Err(error) => Fault::ZipCorrupt.with(error.to_string()),
+    }
+}
+
+/// A stream of JSON documents.
+pub(crate) struct JsonStream<'a, R: Read> {
+    parser: serde_json::Deserializer<serde_json::de::IoRead<BufReader<JsonGuard<'a, R>>>>,
+}
+
+impl<'a, R: Read> JsonStream<'a, R> {
+    pub(crate) fn new(reader: R, limits: &'a UploadLimits) -> Self {
+        let reader = BufReader::with_capacity(1 << 16, JsonGuard::new(reader, limits));
+        Self { parser: serde_json::Deserializer::from_reader(reader) }
+    }
+
+    /// Reads the next document, an object.
+    ///
+    /// # Errors
+    /// The refusal, with its place.
+    pub(crate) fn next<F: Fields>(&mut self, fields: &mut F, reading: &mut Reading<'_>) -> Result<(), UploadError> {
+        Object(fields, reading).deserialize(&mut self.parser).map_err(|e| reading.explain(e))
+    }
+
+    /// Whether nothing but white space is left.
+    ///
+    /// # Errors
+    /// When the rest cannot be read.
+    pub(crate) fn at_end(&mut self, reading: &mut Reading<'_>) -> Result<bool, UploadError> {
+        match self.parser.end() {
+            Ok(()) => Ok(true),
+            Err(e) if e.is_io() => Err(reading.explain(e)),
+            Err(_) => Ok(false),
+        }
+    }
+
+    /// Refuses whatever follows the last document.
+    ///
+    /// # Errors
+    /// [`Fault::TrailingData`].
+    pub(crate) fn expect_end(&mut self, reading: &mut Reading<'_>) -> Result<(), UploadError> {
+        if self.at_end(reading)? {
+            return Ok(());
+        }
+        Err(reading.place.of(Fault::TrailingData.with("something follows the JSON document")))
+    }
+}
+
+impl<'de, F: Fields> DeserializeSeed<'de> for Object<'_, '_, '_, F> {
+    type Value = ();
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_map(self)
+    }
+}
+
+impl<'de, F: Fields> Visitor<'de> for Object<'_, '_, '_, F> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} as an object", F::WHAT)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
+        let Self(fields, reading) = self;
+        // Only keys with a meaning are kept, and the readers bound their number.
+        let mut seen: Vec<String> = Vec::new();
+        while let Some(key) = map.next_key::<String>()? {
+            if seen.contains(&key) {
+                let error = Fault::DuplicateKey.with(format!("key {} stands twice in {}", shown(&key), F::WHAT));
+                return Err(reading.refuse(error));
+            }
+            match fields.field(&key, &mut map, reading) {
+                Ok(true) => seen.push(key),
+                Ok(false) => {
+                    map.next_value::<IgnoredAny>()?;
+                    let file = reading.place.file.as_deref().unwrap_or("upload");
+                    reading.warnings.unknown_key(file, F::WHAT, &key);
+                }
+                Err(error) => {
+                    reading.pointer.push(key.replace('~', "~0").replace('/', "~1"));
+                    return Err(error);
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+impl<'de, I: Items> DeserializeSeed<'de> for List<'_, '_, '_, I> {
+    type Value = ();
+    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_seq(self)
+    }
+}
+
+impl<'de, I: Items> Visitor<'de> for List<'_, '_, '_, I> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a list")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<(), A::Error> {
+        let Self(items, reading) = self;
+        for index in 0.. {
+            match items.item(index, &mut seq, reading) {
+                Ok(true) => {}
+                Ok(false) => break,
+                Err(error) => {
+                    reading.pointer.push(index.to_string());
+                    return Err(error);
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A short list of numbers: a vector or a row of a matrix.
+pub(crate) type Numbers = ShortList<f64>;
+
+/// A small matrix, row by row.
+pub(crate) type Rows = ShortList<Numbers>;
+
+/// A list that is refused once it is longer than any vector of a session.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct ShortList<T>(pub Vec<T>);
+
+/// Distortion models have up to 14 coefficients; nothing else in a session is as long.
+const MAX_SHORT: usize = 32;
+
+impl<'de, T: Deserialize<'de>> Deserialize<'de> for ShortList<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_seq(ShortListVisitor(PhantomData))
+    }
+}
+
+struct ShortListVisitor<T>(PhantomData<T>);
+
+impl<'de, T: Deserialize<'de>> Visitor<'de> for ShortListVisitor<T> {
+    type Value = ShortList<T>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "a list of at most {MAX_SHORT} entries")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<ShortList<T>, A::Error> {
+        let mut items = Vec::new();
+        while let Some(item) = seq.next_element()? {
+            if items.len() == MAX_SHORT {
+                return Err(A::Error::invalid_length(MAX_SHORT + 1, &self));
+            }
+            items.push(item);
+        }
+        Ok(ShortList(items))
+    }
+}

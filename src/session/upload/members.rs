@@ -1,0 +1,97 @@
+//! The files of an upload by name: a folder's, or a zip's.
+//!
+//! Names of members are looked up in a list that was read beforehand; nothing of an upload is ever joined to a path.
+
+use super::error::{Fault, UploadError, shown};
+use super::limits::UploadLimits;
+use super::zip_index::index_zip;
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::{BufReader, Read, Seek};
+use std::path::{Path, PathBuf};
+use zip::ZipArchive;
+
+/// Files by name.
+pub(crate) enum Members<R> {
+    /// Files of a folder on this machine.
+    Folder(BTreeMap<String, PathBuf>),
+    /// Members of an archive, by position.
+    Zip(Box<ZipArchive<BufReader<R>>>, BTreeMap<String, usize>),
+}
+
+impl Members<File> {
+    /// `session.json` and the files of `poses/`; a link counts as what it points to, for the folder is the user's own.
+    pub(super) fn of_folder(dir: &Path, limits: &UploadLimits) -> Result<Self, UploadError> {
+        let mut files = BTreeMap::new();
+        if dir.join("session.json").is_file() {
+            files.insert("session.json".to_owned(), dir.join("session.json"));
+        }
+        if dir.join("poses").is_dir() {
+            add_files(&mut files, &dir.join("poses"), limits)?;
+        }
+        if dir.join("gt").is_dir() {
+            files.insert("gt/".to_owned(), dir.join("gt"));
+        }
+        Ok(Self::Folder(files))
+    }
+}
+
+fn add_files(files: &mut BTreeMap<String, PathBuf>, dir: &Path, limits: &UploadLimits) -> Result<(), UploadError> {
+    let unreadable = |e: std::io::Error| UploadError {
+        file: Some(dir.display().to_string()),
+        ..Fault::FileUnreadable.with(e.to_string())
+    };
+    for entry in fs::read_dir(dir).map_err(unreadable)? {
+        let entry = entry.map_err(unreadable)?;
+        // A name that is not Unicode can be no camera's.
+        let Ok(name) = entry.file_name().into_string() else { continue };
+        if entry.path().is_file() {
+            files.insert(format!("poses/{name}"), entry.path());
+        }
+        if files.len() > limits.max_members {
+            return Err(Fault::TooManyMembers.with(format!("more than {} files", limits.max_members)));
+        }
+    }
+    Ok(())
+}
+
+impl<R: Read + Seek> Members<R> {
+    /// The members of a zip, once its directory has passed every check.
+    pub(super) fn of_zip(reader: R, limits: &UploadLimits) -> Result<Self, UploadError> {
+        let index = index_zip(BufReader::new(reader), limits)?;
+        Ok(Self::Zip(Box::new(index.archive), index.positions))
+    }
+
+    /// Every name, sorted.
+    pub(crate) fn names(&self) -> Box<dyn Iterator<Item = &str> + '_> {
+        match self {
+            Self::Folder(files) => Box::new(files.keys().map(String::as_str)),
+            Self::Zip(_, positions) => Box::new(positions.keys().map(String::as_str)),
+        }
+    }
+
+    /// Whether there is such a file.
+    pub(crate) fn contains(&self, name: &str) -> bool {
+        match self {
+            Self::Folder(files) => files.contains_key(name),
+            Self::Zip(_, positions) => positions.contains_key(name),
+        }
+    }
+
+    /// Opens a file for reading.
+    pub(crate) fn open(&mut self, name: &str) -> Result<Box<dyn Read + '_>, UploadError> {
+        let missing = || Fault::FileUnreadable.with(format!("there is no file {}", shown(name)));
+        let failed = |detail: String| UploadError { file: Some(name.to_owned()), ..Fault::ZipCorrupt.with(detail) };
+        match self {
+            Self::Folder(files) => {
+                let file = File::open(files.get(name).ok_or_else(missing)?);
+                let unreadable = |e: std::io::Error| Fault::FileUnreadable.with(e.to_string());
+                Ok(Box::new(file.map_err(|e| UploadError { file: Some(name.to_owned()), ..unreadable(e) })?))
+            }
+            Self::Zip(archive, positions) => {
+                let position = *positions.get(name).ok_or_else(missing)?;
+                Ok(Box::new(archive.by_index(position).map_err(|e| failed(e.to_string()))?))
+            }
+        }
+    }
+}

@@ -1,0 +1,139 @@
+//! The directory of a zip, checked before anything is unpacked.
+//!
+//! Only what a session needs is read: one archive from the first byte to the last, without the 64-bit end record, plain
+//! relative names, stored or deflated members. The reader behind holds every member to the size that the directory
+//! states, so sizes checked here bound what is unpacked.
+
+use super::error::{Fault, UploadError, shown};
+use super::limits::UploadLimits;
+use std::collections::BTreeMap;
+use std::io::{Read, Seek, SeekFrom};
+use zip::read::{ArchiveOffset, Config, ZipFileEntry};
+use zip::{CompressionMethod, ZipArchive};
+
+/// An opened archive and where each file stands in it.
+pub(super) struct ZipIndex<R> {
+    pub(super) archive: ZipArchive<R>,
+    pub(super) positions: BTreeMap<String, usize>,
+}
+
+/// Size of the end record without its comment (APPNOTE 4.3.16).
+const END_BYTES: usize = 22;
+/// Bytes of the longest member name that is looked at.
+const MAX_NAME_BYTES: usize = 4200;
+
+/// Opens a zip and checks its directory.
+///
+/// # Errors
+/// The first member that breaks a rule, or the archive as a whole.
+pub(super) fn index_zip<R: Read + Seek>(mut reader: R, limits: &UploadLimits) -> Result<ZipIndex<R>, UploadError> {
+    check_end_record(&mut reader, limits)?;
+    let config = Config { archive_offset: ArchiveOffset::Known(0) };
+    let mut archive = ZipArchive::with_config(config, reader).map_err(|e| Fault::ZipInvalid.with(e.to_string()))?;
+    if archive.has_duplicate_names() {
+        return Err(Fault::ZipDuplicateMember.with("the archive holds one name twice"));
+    }
+    let positions = checked_positions(&archive, limits)?;
+    match archive.has_overlapping_entries() {
+        Ok(false) => Ok(ZipIndex { archive, positions }),
+        Ok(true) => Err(Fault::ZipOverlap.with("members of the archive share bytes")),
+        Err(e) => Err(Fault::ZipInvalid.with(e.to_string())),
+    }
+}
+
+/// Reads the end record ourselves: the reader behind allocates for as many members as it announces.
+fn check_end_record<R: Read + Seek>(reader: &mut R, limits: &UploadLimits) -> Result<(), UploadError> {
+    let invalid = |detail: &str| Fault::ZipInvalid.with(detail);
+    let unreadable = |e: std::io::Error| Fault::FileUnreadable.with(e.to_string());
+    let length = reader.seek(SeekFrom::End(0)).map_err(unreadable)?;
+    let tail_start = length.saturating_sub((END_BYTES + usize::from(u16::MAX)) as u64);
+    reader.seek(SeekFrom::Start(tail_start)).map_err(unreadable)?;
+    let mut tail = Vec::new();
+    reader.take(length - tail_start).read_to_end(&mut tail).map_err(unreadable)?;
+
+    let at =
+        tail.windows(4).rposition(|w| w == b"PK\x05\x06").ok_or_else(|| invalid("the archive has no end record"))?;
+    let end = tail.get(at..at + END_BYTES).ok_or_else(|| invalid("the end record is cut off"))?;
+    let u16_at = |i: usize| u16::from_le_bytes([end[i], end[i + 1]]);
+    let u32_at = |i: usize| u32::from_le_bytes([end[i], end[i + 1], end[i + 2], end[i + 3]]);
+    if at + END_BYTES + usize::from(u16_at(20)) != tail.len() {
+        return Err(invalid("something follows the end of the archive, or its comment is cut off"));
+    }
+    let (n_members, directory_bytes, directory_start) = (u16_at(10), u64::from(u32_at(12)), u64::from(u32_at(16)));
+    let is_zip64 = at >= 20 && tail[at - 20..].starts_with(b"PK\x06\x07");
+    if is_zip64 || n_members == u16::MAX || usize::from(n_members) > limits.max_members {
+        let most = limits.max_members.min(usize::from(u16::MAX) - 1);
+        return Err(Fault::TooManyMembers.with(format!("more than {most} members, or more than 4 GiB")));
+    }
+    if directory_bytes > limits.max_directory_bytes {
+        return Err(Fault::TooManyMembers.with(format!("a directory of {directory_bytes} bytes")));
+    }
+    if directory_start + directory_bytes != tail_start + at as u64 {
+        return Err(invalid("the directory does not lie where the end record says"));
+    }
+    Ok(())
+}
+
+fn checked_positions<R: Read + Seek>(
+    archive: &ZipArchive<R>,
+    limits: &UploadLimits,
+) -> Result<BTreeMap<String, usize>, UploadError> {
+    let mut positions = BTreeMap::new();
+    let mut unpacked: u64 = 0;
+    for position in 0..archive.len() {
+        let entry = archive.by_index_data(position).map_err(|e| Fault::ZipInvalid.with(e.to_string()))?;
+        let name = checked_name(entry.name_raw())?;
+        let in_member = |error| UploadError { file: Some(name.to_owned()), ..error };
+        check_member(&entry, limits).map_err(in_member)?;
+        unpacked = unpacked.saturating_add(entry.size());
+        if unpacked > limits.max_unpacked_bytes {
+            let detail = format!("the archive unpacks to more than {} bytes", limits.max_unpacked_bytes);
+            return Err(in_member(Fault::TooLarge.with(detail)));
+        }
+        if !entry.is_dir() {
+            positions.insert(name.to_owned(), position);
+        }
+    }
+    Ok(positions)
+}
+
+/// A relative path of plain parts: nothing that any system could read as a way out of a folder.
+fn checked_name(raw: &[u8]) -> Result<&str, UploadError> {
+    let refuse = |name: &str, why: &str| UploadError {
+        file: Some(name.to_owned()),
+        ..Fault::ZipNameUnsafe.with(format!("the member's name {why}"))
+    };
+    let name = std::str::from_utf8(raw).map_err(|_| refuse(&String::from_utf8_lossy(raw), "is not UTF-8"))?;
+    let has_drive = name.as_bytes().get(1) == Some(&b':') && name.as_bytes()[0].is_ascii_alphabetic();
+    if name.len() > MAX_NAME_BYTES {
+        return Err(refuse(&shown(name), "is too long"));
+    }
+    if name.contains(['\0', '\\']) {
+        return Err(refuse(name, "holds a NUL or a backslash"));
+    }
+    if name.starts_with('/') || has_drive {
+        return Err(refuse(name, "is absolute"));
+    }
+    if name.strip_suffix('/').unwrap_or(name).split('/').any(|part| matches!(part, "" | "." | "..")) {
+        return Err(refuse(name, "has an empty part, . or .."));
+    }
+    Ok(name)
+}
+
+fn check_member(entry: &ZipFileEntry<'_>, limits: &UploadLimits) -> Result<(), UploadError> {
+    if entry.is_symlink() {
+        return Err(Fault::ZipSymlink.with("the member is a symbolic link"));
+    }
+    if entry.encrypted() {
+        return Err(Fault::ZipEncrypted.with("the member is encrypted"));
+    }
+    if !matches!(entry.compression(), CompressionMethod::Stored | CompressionMethod::Deflated) {
+        return Err(Fault::ZipMethod.with(format!("the member is packed by method {}", entry.compression())));
+    }
+    let (packed, unpacked) = (entry.compressed_size(), entry.size());
+    if unpacked > limits.ratio_free_bytes && unpacked > packed.saturating_mul(limits.max_ratio) {
+        let detail = format!("{packed} bytes unpack to {unpacked}, at most {} to 1 is read", limits.max_ratio);
+        return Err(Fault::ZipRatio.with(detail));
+    }
+    Ok(())
+}

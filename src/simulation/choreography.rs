@@ -1,0 +1,59 @@
+//! What people do: they walk to places, stop, turn, crouch, sit, reach and gesture, and keep out of each other's way.
+//!
+//! Time runs in fixed steps of its own, so that a motion does not depend on the frame rate.
+
+use super::config::SimulationConfig;
+use super::gait;
+use super::mover::{Mover, STEP};
+use super::random::{Purpose, stream};
+use super::skeleton::{Person, Skeleton};
+use nalgebra::Vector2;
+
+/// People move this long before the first frame, s, so that nobody starts from rest in a T.
+const WARM_UP: f64 = 2.0;
+/// Nearer than this (m, between the middles of their feet) people step aside.
+const PERSONAL_SPACE: f64 = 0.9;
+
+/// People of `config`, each with an own body and an own random choreography.
+pub fn procedural_people(config: &SimulationConfig) -> Vec<Person> {
+    let mut movers: Vec<Mover> = (0..config.people).map(|person| Mover::new(person, config)).collect();
+    let mut people: Vec<Person> = (0..config.people)
+        .map(|person| Person {
+            skeleton: Skeleton::random(&mut stream(config.seed, Purpose::Body, 0, person)),
+            poses: Vec::with_capacity(config.frames),
+            source: "procedural".to_owned(),
+        })
+        .collect();
+    let mut step = 0_u64;
+    for frame in 0..config.frames {
+        let due = WARM_UP + frame as f64 / config.fps;
+        // Up to the last step before the frame; the rest is a straight line.
+        while (step + 1) as f64 * STEP <= due {
+            advance_all(&mut movers, step as f64 * STEP);
+            step += 1;
+        }
+        let rest = due - step as f64 * STEP;
+        for (person, mover) in people.iter_mut().zip(&movers) {
+            person.poses.push(gait::pose(&person.skeleton, &mover.stance_after(rest), &mover.posture_after(rest)));
+        }
+    }
+    people
+}
+
+fn advance_all(movers: &mut [Mover], time: f64) {
+    let positions: Vec<Vector2<f64>> = movers.iter().map(|mover| mover.position()).collect();
+    for (person, mover) in movers.iter_mut().enumerate() {
+        let push = push_from_others(person, &positions);
+        mover.advance(time, &push);
+    }
+}
+
+/// Velocity that takes a person out of the others' space, m/s.
+fn push_from_others(person: usize, positions: &[Vector2<f64>]) -> Vector2<f64> {
+    let others = positions.iter().enumerate().filter(|(other, _)| *other != person);
+    others.fold(Vector2::zeros(), |push, (_, other)| {
+        let away = positions[person] - other;
+        let distance = away.norm().max(1e-3);
+        push + away / distance * (4.0 * (PERSONAL_SPACE - distance)).clamp(0.0, 1.8)
+    })
+}

@@ -1,0 +1,186 @@
+//! What is simulated: people, cameras, noise; every number with its unit.
+
+use super::SimulationError;
+use crate::body::skeleton::KeypointConvention;
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// One simulated session; the same configuration gives the same session, byte for byte.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SimulationConfig {
+    /// How many people.
+    pub people: usize,
+    /// How many cameras.
+    pub views: usize,
+    /// Length, frames; a motion file that ends earlier ends the session.
+    pub frames: usize,
+    /// Frames per second.
+    pub fps: f64,
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// The detector's and tracker's faults.
+    pub noise: NoiseConfig,
+    /// The cameras.
+    pub rig: RigConfig,
+    /// What the detector reports.
+    pub convention: KeypointConvention,
+    /// What the tracker reports.
+    pub tracks: Tracks,
+    /// Where the motion comes from.
+    #[serde(skip)]
+    pub motion: MotionSource,
+}
+
+/// The faults of a detector and a tracker. A share "of size" is relative to the longer side of the person's box, px.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct NoiseConfig {
+    /// Standard deviation of a joint's error, of size: 0.6 of it drifts slowly, 0.8 of it is white; x 2.5 where hidden.
+    pub jitter_of_size: f64,
+    /// Share of joints that are outliers; x 4 where hidden.
+    pub outlier_rate: f64,
+    /// Scale of an outlier, of size; Student's t with 1.8 degrees of freedom, x 0.35, at most one size.
+    pub outlier_of_size: f64,
+    /// Share of joints missing at random.
+    pub missed_joint_rate: f64,
+    /// Share of detections missing at random, in runs of 1 to 7 frames (a run starts with a quarter of it).
+    pub missed_detection_rate: f64,
+    /// Share of hidden joints that are not reported.
+    pub occluded_joint_missing_rate: f64,
+    /// Share of people with more than 85 % of their points hidden that are not detected.
+    pub hidden_person_missing_rate: f64,
+    /// Identity swaps between two people, per view and minute; each lasts 5 to 60 frames.
+    pub swaps_per_minute: f64,
+    /// Share of detections with left and right exchanged: whole body (half of them), legs or arms.
+    pub flip_rate: f64,
+}
+
+impl NoiseConfig {
+    /// A perfect detector and tracker: hidden joints are seen too.
+    pub const NONE: Self = Self {
+        jitter_of_size: 0.0,
+        outlier_rate: 0.0,
+        outlier_of_size: 0.0,
+        missed_joint_rate: 0.0,
+        missed_detection_rate: 0.0,
+        occluded_joint_missing_rate: 0.0,
+        hidden_person_missing_rate: 0.0,
+        swaps_per_minute: 0.0,
+        flip_rate: 0.0,
+    };
+}
+
+/// Cameras around the scene, all aimed near its centre.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct RigConfig {
+    /// Distance from the centre, m (sd 5 %).
+    pub radius: f64,
+    /// Height above the floor, m (sd 0.25 m, at least 0.6 m).
+    pub height: f64,
+    /// Horizontal field of view, degrees (sd 3 %).
+    pub fov_deg: f64,
+    /// Standard deviation of the point aimed at, per axis, m.
+    pub aim_jitter: f64,
+    /// Standard deviation of the roll about the optical axis, degrees.
+    pub roll_jitter_deg: f64,
+    /// Image width, px.
+    pub image_width: u32,
+    /// Image height, px.
+    pub image_height: u32,
+    /// How the cameras stand.
+    pub arrangement: Arrangement,
+}
+
+/// How the cameras stand.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Arrangement {
+    /// Evenly on a full circle.
+    Ring,
+    /// Evenly on a part of it.
+    Arc {
+        /// Angle between the first and the last camera, degrees.
+        span_deg: f64,
+    },
+}
+
+/// Whom a track id names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Tracks {
+    /// The same person in every view, but for the swaps.
+    Consistent,
+    /// Each view numbers its people in its own way: what a tracker really gives.
+    PerView,
+    /// There are none.
+    None,
+}
+
+/// Where the motion comes from.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub enum MotionSource {
+    /// Walking, stopping, turning, crouching, sitting, reaching, gesturing.
+    #[default]
+    Procedural,
+    /// One AMASS-layout `.npz` a person, in this order.
+    Files(Vec<PathBuf>),
+}
+
+impl SimulationConfig {
+    /// Refuses numbers that no session can have.
+    ///
+    /// # Errors
+    /// [`SimulationError::Config`] names the first field that is out of its range.
+    pub fn check(&self) -> Result<(), SimulationError> {
+        let (n, r) = (&self.noise, &self.rig);
+        let ranges: [(&'static str, f64, f64, f64, &'static str); 20] = [
+            ("people", self.people as f64, 1.0, 100.0, "1 to 100"),
+            ("views", self.views as f64, 1.0, 1000.0, "1 to 1000"),
+            ("frames", self.frames as f64, 1.0, 1e6, "1 to 1000000"),
+            ("fps", self.fps, 1.0, 1000.0, "1 to 1000"),
+            ("jitter_of_size", n.jitter_of_size, 0.0, 1.0, "0 to 1"),
+            ("outlier_rate", n.outlier_rate, 0.0, 1.0, "0 to 1"),
+            ("outlier_of_size", n.outlier_of_size, 0.0, 10.0, "0 to 10"),
+            ("missed_joint_rate", n.missed_joint_rate, 0.0, 1.0, "0 to 1"),
+            ("missed_detection_rate", n.missed_detection_rate, 0.0, 1.0, "0 to 1"),
+            ("occluded_joint_missing_rate", n.occluded_joint_missing_rate, 0.0, 1.0, "0 to 1"),
+            ("hidden_person_missing_rate", n.hidden_person_missing_rate, 0.0, 1.0, "0 to 1"),
+            ("swaps_per_minute", n.swaps_per_minute, 0.0, 1000.0, "0 to 1000"),
+            ("flip_rate", n.flip_rate, 0.0, 1.0, "0 to 1"),
+            ("radius", r.radius, 0.5, 1000.0, "0.5 to 1000 m"),
+            ("height", r.height, 0.0, 1000.0, "0 to 1000 m"),
+            ("fov_deg", r.fov_deg, 1.0, 150.0, "1 to 150 degrees"),
+            ("aim_jitter", r.aim_jitter, 0.0, 10.0, "0 to 10 m"),
+            ("roll_jitter_deg", r.roll_jitter_deg, 0.0, 180.0, "0 to 180 degrees"),
+            ("image_width", r.image_width as f64, 16.0, 65536.0, "16 to 65536 px"),
+            ("image_height", r.image_height as f64, 16.0, 65536.0, "16 to 65536 px"),
+        ];
+        for (field, value, low, high, expected) in ranges {
+            // A NaN lies in no range.
+            if !(low..=high).contains(&value) {
+                return Err(SimulationError::Config { field, value, expected });
+            }
+        }
+        if let Arrangement::Arc { span_deg } = r.arrangement
+            && !(0.0..=360.0).contains(&span_deg)
+        {
+            return Err(SimulationError::Config { field: "span_deg", value: span_deg, expected: "0 to 360 degrees" });
+        }
+        Ok(())
+    }
+}
+
+impl Default for RigConfig {
+    /// A 4 m ring of 1280 x 720 cameras of 65 degrees, held by hand: 0.15 m and 1 degree off their aim.
+    fn default() -> Self {
+        Self {
+            radius: 4.0,
+            height: 1.9,
+            fov_deg: 65.0,
+            aim_jitter: 0.15,
+            roll_jitter_deg: 1.0,
+            image_width: 1280,
+            image_height: 720,
+            arrangement: Arrangement::Ring,
+        }
+    }
+}

@@ -1,0 +1,121 @@
+//! People from motion files: resampled, cut to length, put on the floor and next to each other.
+
+use super::SimulationError;
+use super::config::SimulationConfig;
+use super::motion_file::{Take, read_take};
+use super::random::{Purpose, stream};
+use super::skeleton::{Person, Pose, joint};
+use crate::geometry::rotation;
+use nalgebra::{Matrix3, Vector3};
+use rand::RngExt;
+use std::path::{Path, PathBuf};
+
+/// One person a file, in the given order; the session is as long as the shortest of them, at most `config.frames`.
+///
+/// A longer take is read from a random start. Each person is shifted and turned on the floor so that people share the
+/// space, 0.45 m apart where a place is found within 200 tries, within 2.2 m of the centre.
+///
+/// # Errors
+/// [`SimulationError`] where there are too few files or one cannot be read.
+pub fn people_from_files(paths: &[PathBuf], config: &SimulationConfig) -> Result<Vec<Person>, SimulationError> {
+    if paths.len() < config.people {
+        return Err(SimulationError::TooFewMotions { people: config.people, files: paths.len() });
+    }
+    let mut people: Vec<Person> = Vec::with_capacity(config.people);
+    for (index, path) in paths[..config.people].iter().enumerate() {
+        let motion = |problem| SimulationError::Motion { path: path.clone(), problem };
+        let take = read_take(path).map_err(motion)?;
+        let mut person = resampled(take, path, config.fps);
+        cut(&mut person, config, index);
+        put_on_floor(&mut person);
+        people.push(person);
+    }
+    let n_frames = people.iter().map(|p| p.poses.len()).min().unwrap_or(0);
+    people.iter_mut().for_each(|p| p.poses.truncate(n_frames));
+    for index in 0..people.len() {
+        let (placed, rest) = people.split_at_mut(index);
+        place(&mut rest[0], placed, config, index);
+    }
+    Ok(people)
+}
+
+/// The take at the session's rate: rotations along the geodesic, positions along the line.
+fn resampled(take: Take, path: &Path, fps: f64) -> Person {
+    let duration = (take.poses.len() - 1) as f64 / take.fps;
+    let n_frames = (duration * fps + 1e-9).floor() as usize + 1;
+    let pose = |frame: usize| {
+        let at = frame as f64 / fps * take.fps;
+        let first = (at.floor() as usize).min(take.poses.len() - 1);
+        let (a, b) = (&take.poses[first], &take.poses[(first + 1).min(take.poses.len() - 1)]);
+        let share = (at - first as f64).clamp(0.0, 1.0);
+        let turn = |j: usize| {
+            a.rotations[j] * rotation::exp(&(rotation::log(&(a.rotations[j].transpose() * b.rotations[j])) * share))
+        };
+        Pose { rotations: std::array::from_fn(turn), pelvis: a.pelvis.lerp(&b.pelvis, share) }
+    };
+    let source = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+    Person { skeleton: take.skeleton, poses: (0..n_frames).map(pose).collect(), source }
+}
+
+/// A random window of at most the session's length.
+fn cut(person: &mut Person, config: &SimulationConfig, index: usize) {
+    let spare = person.poses.len().saturating_sub(config.frames);
+    let start = stream(config.seed, Purpose::Motion, 0, index).random_range(0..=spare);
+    person.poses.drain(..start);
+    person.poses.truncate(config.frames);
+    if start > 0 {
+        person.source = format!("{}@{start}", person.source);
+    }
+}
+
+/// Foot joints lie this high above the floor when the foot stands on it, m.
+const FOOT_HEIGHT: f64 = 0.03;
+
+/// Shifts the take in height: its lowest foot is on the floor in 95 % of all frames or higher.
+fn put_on_floor(person: &mut Person) {
+    let lowest_foot = |pose: &Pose| {
+        let joints = person.skeleton.pose(pose).joints;
+        joints[joint("left_foot")].y.min(joints[joint("right_foot")].y)
+    };
+    let mut heights: Vec<f64> = person.poses.iter().map(lowest_foot).collect();
+    heights.sort_by(f64::total_cmp);
+    let floor = heights[heights.len() / 20] - FOOT_HEIGHT;
+    person.poses.iter_mut().for_each(|pose| pose.pelvis.y -= floor);
+}
+
+/// Turns and shifts a person on the floor, away from those already placed.
+fn place(person: &mut Person, placed: &[Person], config: &SimulationConfig, index: usize) {
+    const NEAR: f64 = 0.45;
+    const FAR: f64 = 2.2;
+    let mut rng = stream(config.seed, Purpose::Placement, 0, index);
+    let area = if config.people > 2 { 1.0 } else { 0.6 };
+    let n_frames = person.poses.len().max(1) as f64;
+    let middle = person.poses.iter().map(|pose| pose.pelvis).sum::<Vector3<f64>>() / n_frames;
+    let mut best = (f64::NEG_INFINITY, Matrix3::identity(), Vector3::zeros());
+    for _ in 0..200 {
+        let turn =
+            rotation::exp(&Vector3::new(0.0, rng.random_range(-std::f64::consts::PI..std::f64::consts::PI), 0.0));
+        let mut shift = Vector3::new(rng.random_range(-area..area), 0.0, rng.random_range(-area..area));
+        if config.people == 1 {
+            shift = Vector3::zeros();
+        }
+        shift -= turn * Vector3::new(middle.x, 0.0, middle.z);
+        let track: Vec<Vector3<f64>> = person.poses.iter().map(|pose| turn * pose.pelvis + shift).collect();
+        let floor_distance = |a: &Vector3<f64>, b: &Vector3<f64>| (a.x - b.x).hypot(a.z - b.z);
+        let gaps =
+            placed.iter().flat_map(|other| track.iter().zip(&other.poses).map(|(a, b)| floor_distance(a, &b.pelvis)));
+        let gap = gaps.fold(9.0, f64::min);
+        let far = track.iter().map(|p| p.x.abs().max(p.z.abs())).fold(0.0, f64::max);
+        let score = gap.min(0.55) - 0.3 * (far - FAR).max(0.0);
+        if score > best.0 {
+            best = (score, turn, shift);
+        }
+        if gap > NEAR && far < FAR {
+            break;
+        }
+    }
+    for pose in &mut person.poses {
+        pose.rotations[0] = best.1 * pose.rotations[0];
+        pose.pelvis = best.1 * pose.pelvis + best.2;
+    }
+}

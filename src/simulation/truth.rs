@@ -1,0 +1,152 @@
+//! What really was, and its files.
+
+use super::config::SimulationConfig;
+use super::detector::{Scene, ViewRecording};
+use super::skeleton::Person;
+use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
+use crate::geometry::Rigid;
+use crate::session::Session;
+use nalgebra::Vector3;
+use serde::Serialize;
+use serde_json::json;
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::Path;
+
+/// A session and the truth about it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Simulated {
+    /// What a user would upload.
+    pub session: Session,
+    /// What they would like to know.
+    pub truth: Truth,
+    /// What was asked for.
+    pub config: SimulationConfig,
+}
+
+/// Exact truth. World: y up, m, floor at y = 0.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Truth {
+    /// `camera_from_world`, per view.
+    pub cameras: Vec<Rigid>,
+    /// `joints[frame][person][joint]`, SMPL's order.
+    pub joints: Vec<Vec<[Vector3<f64>; N_JOINTS]>>,
+    /// `keypoints[frame][person][keypoint]`, the convention's named points.
+    pub keypoints: Vec<Vec<Vec<Vector3<f64>>>>,
+    /// `identities[view][frame][detection]`: the true person.
+    pub identities: Vec<Vec<Vec<usize>>>,
+    /// Bodies and their motion.
+    pub people: Vec<Person>,
+    /// How hard the session turned out.
+    pub statistics: Statistics,
+}
+
+/// How hard a session turned out.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Statistics {
+    /// Detections.
+    pub det: usize,
+    /// People and views and frames with at least four points in the image.
+    pub det_possible: usize,
+    /// `det / det_possible`.
+    pub det_rate: f64,
+    /// Points reported.
+    pub joints: usize,
+    /// Points in the image, of the people detected.
+    pub joints_in_view: usize,
+    /// `joints / joints_in_view`.
+    pub joint_rate: f64,
+    /// Identity swaps.
+    pub swaps: usize,
+    /// Left/right flips.
+    pub flips: usize,
+    /// Outliers reported.
+    pub outliers: usize,
+    /// Median error of the points reported, px.
+    pub err_px_median: Option<f64>,
+    /// 95th percentile, px.
+    pub err_px_p95: Option<f64>,
+    /// 99th percentile, px.
+    pub err_px_p99: Option<f64>,
+    /// Seed.
+    pub seed: u64,
+    /// People.
+    pub people: usize,
+    /// Cameras.
+    pub views: usize,
+    /// Frames.
+    pub frames: usize,
+    /// Name of each person's motion.
+    pub sources: Vec<String>,
+}
+
+pub(super) fn statistics(
+    config: &SimulationConfig,
+    scene: &Scene,
+    recordings: &[ViewRecording],
+    people: &[Person],
+) -> Statistics {
+    let sum = |count: fn(&ViewRecording) -> usize| recordings.iter().map(count).sum::<usize>();
+    let mut errors: Vec<f64> = recordings.iter().flat_map(|r| r.tally.errors_px.iter().copied()).collect();
+    errors.sort_by(f64::total_cmp);
+    let percentile = |share: f64| errors.get(((errors.len() as f64 - 1.0).max(0.0) * share).round() as usize).copied();
+    let det = sum(|r| r.frames.iter().map(Vec::len).sum());
+    let (det_possible, joints) = (sum(|r| r.tally.detections_possible), sum(|r| r.tally.joints));
+    let joints_in_view = sum(|r| r.tally.joints_in_view);
+    Statistics {
+        det,
+        det_possible,
+        det_rate: det as f64 / det_possible.max(1) as f64,
+        joints,
+        joints_in_view,
+        joint_rate: joints as f64 / joints_in_view.max(1) as f64,
+        swaps: sum(|r| r.tally.swaps),
+        flips: sum(|r| r.tally.flips),
+        outliers: sum(|r| r.tally.outliers),
+        err_px_median: percentile(0.5),
+        err_px_p95: percentile(0.95),
+        err_px_p99: percentile(0.99),
+        seed: config.seed,
+        people: config.people,
+        views: recordings.len(),
+        frames: scene.joints.len(),
+        sources: people.iter().map(|p| p.source.clone()).collect(),
+    }
+}
+
+/// Writes `gt/cameras.json`, `gt/poses3d.json`, `gt/keypoints3d.json`, `gt/identities.json`, `gt/simulation.json` under
+/// `session_folder`, which is made where it does not exist. Points are rounded to a thousandth of a millimetre.
+///
+/// # Errors
+/// Whatever the file system says.
+pub fn write_truth(simulated: &Simulated, session_folder: &Path) -> io::Result<()> {
+    let (session, truth) = (&simulated.session, &simulated.truth);
+    let folder = session_folder.join("gt");
+    fs::create_dir_all(&folder)?;
+    let write = |name: &str, value: &serde_json::Value| fs::write(folder.join(name), format!("{value}\n"));
+    let ids = || session.views.iter().map(|view| view.id.as_str());
+    let camera = |(id, camera): (&str, &Rigid)| {
+        let rows: Vec<Vec<f64>> = camera.rotation.row_iter().map(|row| row.iter().copied().collect()).collect();
+        json!({"id": id, "R": rows, "t": camera.translation.as_slice(), "units": "m"})
+    };
+    write("cameras.json", &ids().zip(&truth.cameras).map(camera).collect())?;
+    let joints = frames(truth.joints.iter().map(|people| people.iter().map(|j| j.as_slice())));
+    write("poses3d.json", &json!({"joint_names": JOINT_NAMES, "units": "m", "up": "y", "frames": joints}))?;
+    let points = frames(truth.keypoints.iter().map(|people| people.iter().map(Vec::as_slice)));
+    let names = session.convention.names();
+    write("keypoints3d.json", &json!({"keypoint_names": names, "units": "m", "up": "y", "frames": points}))?;
+    let identities: BTreeMap<&str, &Vec<Vec<usize>>> = ids().zip(&truth.identities).collect();
+    write("identities.json", &json!(identities))?;
+    write("simulation.json", &json!({"params": simulated.config, "stats": truth.statistics}))
+}
+
+type Frames = BTreeMap<usize, BTreeMap<usize, Vec<[f64; 3]>>>;
+
+fn frames<'a>(frames: impl Iterator<Item = impl Iterator<Item = &'a [Vector3<f64>]>>) -> Frames {
+    let rounded = |point: &Vector3<f64>| [point.x, point.y, point.z].map(|v| (v * 1e6).round() / 1e6);
+    let people = |people: &mut dyn Iterator<Item = &'a [Vector3<f64>]>| {
+        people.enumerate().map(|(person, points)| (person, points.iter().map(rounded).collect())).collect()
+    };
+    frames.enumerate().map(|(frame, mut of_frame)| (frame, people(&mut of_frame))).collect()
+}

@@ -1,0 +1,355 @@
+//! Damaged and hostile sessions: each is refused with its code, its kind and the place named, within two seconds.
+
+#![allow(clippy::unwrap_used)] // a test may
+
+use serde_json::{Value, json};
+use std::fs;
+use std::io::{Cursor, Write};
+use std::path::Path;
+use std::time::{Duration, Instant};
+use wandless::session::upload::{LoadedSession, UploadError, UploadLimits, read_path, read_upload};
+use zip::ZipWriter;
+use zip::write::SimpleFileOptions;
+
+/// A refusal costs no more than this.
+const MAX_TIME: Duration = Duration::from_secs(2);
+/// Nor more memory than this, whatever the upload unpacks to.
+const MAX_GROWTH_KIB: u64 = 64 * 1024;
+
+/// One upload and what must be said of it.
+struct Case {
+    upload: Vec<u8>,
+    code: &'static str,
+    status: u16,
+    /// Parts of the message: the place and the value that was found.
+    says: &'static [&'static str],
+}
+
+fn case(upload: impl Into<Vec<u8>>, code: &'static str, status: u16, says: &'static [&'static str]) -> Case {
+    Case { upload: upload.into(), code, status, says }
+}
+
+/// A valid session of two cameras, one person and two frames.
+fn session() -> Value {
+    let camera = |id: &str| {
+        json!({
+            "id": id, "width": 640, "height": 480,
+            "K": [[500.0, 0.0, 320.0], [0.0, 500.0, 240.0], [0.0, 0.0, 1.0]], "dist": [0, 0, 0, 0, 0],
+            "R": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], "t": [0.0, 0.0, 3.0]
+        })
+    };
+    let frame = |n: i64| json!({"frame": n, "people": [{"track_id": null, "keypoints": vec![[1.5, 2.5, 0.5]; 17]}]});
+    let poses = json!({"frames": [frame(0), frame(1)]});
+    json!({
+        "name": "s", "fps": 30, "n_frames": 2, "keypoint_convention": "coco17",
+        "cameras": [camera("left"), camera("right")], "poses": {"left": poses, "right": poses}
+    })
+}
+
+/// The valid session with one value replaced.
+fn with(pointer: &str, value: Value) -> Vec<u8> {
+    let mut session = session();
+    *session.pointer_mut(pointer).unwrap_or_else(|| panic!("{pointer}")) = value;
+    session.to_string().into_bytes()
+}
+
+/// The valid session without one value.
+fn without(parent: &str, key: &str) -> Vec<u8> {
+    let mut session = session();
+    session.pointer_mut(parent).unwrap().as_object_mut().unwrap().remove(key).unwrap();
+    session.to_string().into_bytes()
+}
+
+/// The valid session's text with one part replaced.
+fn replaced(from: &str, to: &str) -> Vec<u8> {
+    let text = session().to_string();
+    assert!(text.contains(from), "{from}");
+    text.replacen(from, to, 1).into_bytes()
+}
+
+/// The members of the valid session's zip.
+fn members() -> Vec<(String, Vec<u8>)> {
+    let mut header = session();
+    let poses = header.as_object_mut().unwrap().remove("poses").unwrap();
+    let member = |id: &str| (format!("poses/{id}.json"), poses[id].to_string().into_bytes());
+    vec![("session.json".to_owned(), header.to_string().into_bytes()), member("left"), member("right")]
+}
+
+fn zip_with(members: &[(String, Vec<u8>)], more: impl FnOnce(&mut ZipWriter<Cursor<Vec<u8>>>)) -> Vec<u8> {
+    let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
+    for (name, content) in members {
+        zip.start_file(name, SimpleFileOptions::default()).unwrap();
+        zip.write_all(content).unwrap();
+    }
+    more(&mut zip);
+    zip.finish().unwrap().into_inner()
+}
+
+fn valid_zip() -> Vec<u8> {
+    zip_with(&members(), |_| {})
+}
+
+/// A valid zip with a further member of that name, which no writer would put there.
+fn zip_with_name(name: &str) -> Vec<u8> {
+    let placeholder = "#".repeat(name.len());
+    let zip = zip_with(&members(), |zip| zip.start_file(&placeholder, SimpleFileOptions::default()).unwrap());
+    substituted(zip, placeholder.as_bytes(), name.as_bytes())
+}
+
+fn substituted(mut bytes: Vec<u8>, from: &[u8], to: &[u8]) -> Vec<u8> {
+    assert_eq!(from.len(), to.len());
+    let places: Vec<usize> = (0..=bytes.len() - from.len()).filter(|&i| bytes[i..].starts_with(from)).collect();
+    assert!(!places.is_empty());
+    for at in places {
+        bytes[at..at + to.len()].copy_from_slice(to);
+    }
+    bytes
+}
+
+/// The valid zip with bytes of the first member's two headers changed (offsets in the local and the central one).
+fn zip_with_header(local: usize, central: usize, value: [u8; 2]) -> Vec<u8> {
+    let mut zip = valid_zip();
+    let directory = zip.windows(4).position(|w| w == b"PK\x01\x02").unwrap();
+    zip[local..local + 2].copy_from_slice(&value);
+    zip[directory + central..directory + central + 2].copy_from_slice(&value);
+    zip
+}
+
+/// A zip of one member that unpacks to five gibibytes of zeros, some five megabytes large.
+fn zip_of_zeros() -> Vec<u8> {
+    zip_with(&[], |zip| {
+        let options = SimpleFileOptions::default().large_file(true);
+        zip.start_file("session.json", options).unwrap();
+        let zeros = vec![0; 1 << 20];
+        for _ in 0..5 << 10 {
+            zip.write_all(&zeros).unwrap();
+        }
+    })
+}
+
+fn containers() -> Vec<Case> {
+    let zip = valid_zip();
+    let trailing = [&zip[..], b"and more"].concat();
+    let prepended = [b"PK\x03\x04 and ", &zip[..]].concat();
+    let twins = zip_with(&members(), |zip| zip.start_file("poses/lefX.json", SimpleFileOptions::default()).unwrap());
+    let link =
+        zip_with(&members(), |zip| zip.add_symlink("poses/x.json", "/etc", SimpleFileOptions::default()).unwrap());
+    let overlap = zip_with(&members(), |zip| zip.shallow_copy_file("poses/left.json", "copy").unwrap());
+    let two = zip_with(&[("a/session.json".to_owned(), Vec::new()), ("b/session.json".to_owned(), Vec::new())], |_| {});
+    let mut no_poses = members();
+    no_poses.pop();
+    let mut corrupt = members();
+    corrupt[1].1.push(b'x');
+    vec![
+        case(&zip[..zip.len() / 2], "zip_invalid", 400, &["\"upload\""]),
+        case(trailing, "zip_invalid", 400, &["\"upload\""]),
+        case(prepended, "zip_invalid", 400, &["\"upload\""]),
+        case(zip_with_name("../x"), "zip_name_unsafe", 400, &["\"../x\""]),
+        case(zip_with_name("a/../../b"), "zip_name_unsafe", 400, &["\"a/../../b\""]),
+        case(zip_with_name("/etc/passwd"), "zip_name_unsafe", 400, &["\"/etc/passwd\"", "absolute"]),
+        case(zip_with_name("C:/x"), "zip_name_unsafe", 400, &["\"C:/x\"", "absolute"]),
+        case(zip_with_name("..\\x"), "zip_name_unsafe", 400, &["backslash"]),
+        case(zip_with_name("a\0b"), "zip_name_unsafe", 400, &["\"a\\0b\"", "NUL"]),
+        case(link, "zip_symlink", 400, &["\"poses/x.json\""]),
+        case(substituted(twins, b"lefX", b"left"), "zip_duplicate_member", 400, &["\"upload\""]),
+        case(overlap, "zip_overlap", 400, &["share bytes"]),
+        case(zip_with_header(6, 8, [1, 0]), "zip_encrypted", 415, &["\"session.json\""]),
+        case(zip_with_header(8, 10, [12, 0]), "zip_method", 415, &["\"session.json\""]),
+        case(zip_with_header(14, 16, [1, 2]), "zip_corrupt", 400, &["\"session.json\""]),
+        case(zip_with_header(22, 24, [5, 0]), "zip_corrupt", 400, &["\"session.json\""]),
+        case(zip_of_zeros(), "zip_ratio", 413, &["\"session.json\"", "5368709120"]),
+        case(two, "session_ambiguous", 400, &["\"b/session.json\""]),
+        case(zip_with(&[], |_| {}), "format_unknown", 415, &["no session.json"]),
+        case(zip_with(&no_poses, |_| {}), "poses_missing", 400, &["\"right\"", "poses/right.json"]),
+        case(zip_with(&corrupt, |_| {}), "trailing_data", 400, &["\"poses/left.json\""]),
+        case(Vec::new(), "format_unknown", 415, &["empty"]),
+        case(*b"%YAML:1.0", "format_unknown", 415, &["25594"]),
+    ]
+}
+
+fn documents() -> Vec<Case> {
+    let person = "/poses/left/frames/1/people/0/keypoints";
+    let deep = "[".repeat(100_000);
+    let utf16: Vec<u8> = session().to_string().encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let text = session().to_string();
+    let valid = text.as_bytes();
+    let at_keypoint = &["\"left\"", "frame 0", "person 0", "/poses/left/frames/0/people/0/keypoints/0"];
+    vec![
+        case(&valid[..valid.len() - 9], "json_invalid", 400, &["\"upload\"", "EOF"]),
+        case([valid, b" {}"].concat(), "trailing_data", 400, &["\"upload\""]),
+        case([b"\xef\xbb\xbf", valid].concat(), "encoding", 400, &["byte order mark"]),
+        case([b"\xff\xfe", &utf16[..]].concat(), "encoding", 400, &["UTF-16"]),
+        case(utf16, "encoding", 400, &["UTF-16"]),
+        case(replaced("[1.5,2.5,0.5]", "[NaN,2.5,0.5]"), "number_not_finite", 400, at_keypoint),
+        case(replaced("[1.5,2.5,0.5]", "[1.5,-Infinity,0.5]"), "number_not_finite", 400, at_keypoint),
+        case(replaced("[1.5,2.5,0.5]", "[1e400,2.5,0.5]"), "number_not_finite", 400, at_keypoint),
+        case(replaced("[1.5,2.5,0.5]", "[1.5,\"2\",0.5]"), "json_type", 400, at_keypoint),
+        case(replaced("[1.5,2.5,0.5]", "[1.5,2.5]"), "keypoint_invalid", 422, at_keypoint),
+        case(replaced("[1.5,2.5,0.5]", "[1e9,2.5,0.5]"), "keypoint_invalid", 422, at_keypoint),
+        case(replaced("[1.5,2.5,0.5]", "[1.5,2.5,-0.5]"), "keypoint_invalid", 422, at_keypoint),
+        case(replaced("[1.5,2.5,0.5]", &format!("[{},2,1]", "1".repeat(10_000))), "token_too_long", 413, at_keypoint),
+        case(with("/name", json!("x".repeat(2 << 20))), "token_too_long", 413, &["/name"]),
+        case(format!("{{\"lens\":{deep}"), "json_too_deep", 400, &["32 levels"]),
+        case(replaced("\"fps\":30", "\"fps\":30,\"fps\":25"), "duplicate_key", 400, &["\"fps\"", "the session"]),
+        case(replaced("\"left\":{\"frames\"", "\"right\":{\"frames\""), "duplicate_key", 400, &["\"right\""]),
+        case(without("", "fps"), "missing_field", 400, &["`fps`"]),
+        case(without("", "poses"), "poses_missing", 400, &["`poses`"]),
+        case(without("/poses", "right"), "poses_missing", 400, &["\"right\""]),
+        case(
+            with(person, json!(vec![[1, 2, 1]; 25])),
+            "keypoint_count",
+            422,
+            &["\"left\"", "frame 1", "person 0", "17 keypoints of coco17 expected, found 25"],
+        ),
+        case(with(person, json!(vec![[1, 2, 1]; 2000])), "keypoint_count", 422, &["\"left\"", "frame 1", "person 0"]),
+        case(
+            with("/poses/left/frames/1/people", json!(vec![json!({"keypoints": []}); 300])),
+            "too_many_people",
+            413,
+            &["\"left\"", "frame 1", "200"],
+        ),
+        case(with("/poses/left/frames/1/frame", json!(0)), "frame_duplicate", 422, &["\"left\"", "frame 0"]),
+        case(with("/poses/left/frames/1/frame", json!(2)), "frame_out_of_range", 422, &["\"left\"", "frame 2"]),
+        case(with("/poses/left/frames/1/frame", json!(-1)), "frame_out_of_range", 422, &["\"left\"", "frame -1"]),
+        case(
+            with("/poses/left/frames/1/frame", json!(i64::MAX)),
+            "frame_invalid",
+            422,
+            &["\"left\"", "/frames/1/frame"],
+        ),
+        case(with("/n_frames", json!(1)), "frame_out_of_range", 422, &["\"left\"", "frame 1", "n_frames 1"]),
+        case(with("/n_frames", json!(0)), "no_frames", 422, &["n_frames is 0"]),
+        case(with("/n_frames", json!(2_000_000)), "too_many_frames", 413, &["2000000"]),
+        case(replaced("\"fps\"", "\"first_frame\":1,\"fps\""), "frame_out_of_range", 422, &["\"left\"", "frame 0"]),
+        case(with("/fps", json!(0)), "fps_invalid", 422, &["fps is 0"]),
+        case(with("/fps", json!(-30)), "fps_invalid", 422, &["fps is -30"]),
+        case(with("/fps", json!(1e9)), "fps_invalid", 422, &["fps is 1000000000"]),
+        case(with("/keypoint_convention", json!("body99")), "convention_unknown", 422, &["\"body99\"", "coco17"]),
+        case(with("/cameras", json!([])), "no_cameras", 422, &["\"upload\""]),
+        case(with("/cameras", json!(vec![session()["cameras"][0].clone(); 65])), "too_many_cameras", 413, &["64"]),
+        case(with("/cameras/1/id", json!("left")), "camera_duplicate", 422, &["\"left\"", "/cameras/1/id"]),
+        case(with("/cameras/1/id", json!("")), "camera_id_invalid", 422, &["/cameras/1/id"]),
+    ]
+}
+
+fn cameras() -> Vec<Case> {
+    let k = |row: usize, column: usize, value: f64| with(&format!("/cameras/1/K/{row}/{column}"), json!(value));
+    let transposed = json!([[500.0, 0.0, 0.0], [0.0, 500.0, 0.0], [320.0, 240.0, 1.0]]);
+    let wide = json!([[500.0, 0.0, 320.0, 0.0], [0.0, 500.0, 240.0, 0.0], [0.0, 0.0, 1.0, 0.0]]);
+    vec![
+        case(k(0, 0, 0.0), "camera_invalid", 422, &["\"right\"", "fx is 0"]),
+        case(k(1, 1, -500.0), "camera_invalid", 422, &["\"right\"", "fy is -500"]),
+        case(k(0, 0, 1.2), "camera_invalid", 422, &["\"right\"", "fx is 1.2"]),
+        case(k(2, 0, 1.0), "camera_invalid", 422, &["\"right\"", "bottom row of K is [1, 0, 1]"]),
+        case(k(0, 2, 5000.0), "camera_invalid", 422, &["\"right\"", "principal point (5000, 240)"]),
+        case(with("/cameras/1/K", transposed), "camera_invalid", 422, &["\"right\"", "transposed"]),
+        case(with("/cameras/1/K", wide), "camera_invalid", 422, &["\"right\"", "K is 3x4"]),
+        case(with("/cameras/1/width", json!(0)), "camera_invalid", 422, &["\"right\"", "image size 0x480"]),
+        case(without("/cameras/1", "height"), "missing_field", 400, &["\"right\"", "`height`"]),
+        case(without("/cameras/1", "K"), "missing_field", 400, &["\"right\"", "`K`"]),
+        case(with("/cameras/1/dist", json!(vec![0; 8])), "distortion_unsupported", 422, &["\"right\"", "rational"]),
+        case(with("/cameras/1/dist", json!(vec![0; 3])), "distortion_unsupported", 422, &["\"right\"", "3 distortion"]),
+        case(with("/cameras/1/dist", json!([1e6, 0, 0, 0])), "camera_invalid", 422, &["\"right\"", "corner"]),
+        case(replaced("\"height\"", "\"fisheye\":true,\"height\""), "distortion_unsupported", 422, &["fisheye"]),
+        case(with("/cameras/1/R/0/0", json!(-1.0)), "camera_invalid", 422, &["\"right\"", "reflection"]),
+        case(with("/cameras/1/R/0/0", json!(1.1)), "camera_invalid", 422, &["\"right\"", "not orthonormal"]),
+        case(without("/cameras/1", "t"), "camera_invalid", 422, &["\"right\"", "R is given without t"]),
+        case(without("/cameras/1", "R"), "camera_invalid", 422, &["\"right\"", "t is given without R"]),
+    ]
+}
+
+fn read(upload: &[u8]) -> Result<LoadedSession, UploadError> {
+    read_upload(Cursor::new(upload), "upload", &UploadLimits::default())
+}
+
+/// Peak memory of this process, KiB; `None` where the system does not tell.
+fn peak_kib() -> Option<u64> {
+    let status = fs::read_to_string("/proc/self/status").ok()?;
+    status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?.trim().strip_suffix(" kB")?.parse().ok()
+}
+
+#[test]
+fn each_is_refused_with_its_code_and_place_in_little_time_and_memory() {
+    assert_eq!(read(&valid_zip()).unwrap().session.views.len(), 2, "the untouched session is accepted");
+    assert_eq!(read(session().to_string().as_bytes()).unwrap().session.n_frames, 2);
+    let cases: Vec<Case> = [containers(), documents(), cameras()].into_iter().flatten().collect();
+    let long_list = format!("{{\"lens\":[{}1],{}", "1,".repeat(20_000_000), &session().to_string()[1..]);
+    let before = peak_kib();
+    assert!(read(long_list.as_bytes()).is_ok(), "a key without meaning is passed over");
+    for (i, Case { upload, code, status, says }) in cases.iter().enumerate() {
+        let start = Instant::now();
+        let error = read(upload).expect_err(code);
+        assert!(start.elapsed() < MAX_TIME, "case {i}, {code}: {:?}", start.elapsed());
+        let message = error.to_string();
+        assert_eq!((error.code, error.kind.http_status()), (*code, *status), "case {i}: {message}");
+        for part in *says {
+            assert!(message.contains(part), "case {i}: {message:?} does not say {part:?}");
+        }
+        assert!(message.contains(&error.remedy) && !message.contains('\n'), "{message:?}");
+    }
+    if let (Some(before), Some(after)) = (before, peak_kib()) {
+        assert!(after - before < MAX_GROWTH_KIB, "reading took {} KiB", after - before);
+    }
+}
+
+#[test]
+fn what_is_odd_but_possible_is_accepted_and_told() {
+    let warnings = |upload: Vec<u8>| read(&upload).unwrap().warnings.join("; ");
+    assert!(warnings(with("/cameras/1/K/0/2", json!(700.0))).contains("\"right\""));
+    assert!(warnings(with("/cameras/1/t", json!([0.0, 0.0, 3000.0]))).contains("millimetres"));
+    assert!(warnings(with("/poses/right/frames", json!([]))).contains("\"right\" delivered no frame"));
+    assert!(warnings(without("", "n_frames")).contains("2 frames were found"));
+}
+
+#[test]
+fn names_of_cameras_are_kept_byte_for_byte() {
+    // Composed and decomposed, two cases, a way out of the folder, a device, a long one: all different, none a path.
+    for (a, b) in
+        [("caf\u{e9}", "cafe\u{301}"), ("A", "a"), ("..", "con"), ("\u{202e}x", "🎥"), (&"x".repeat(1000), "/etc")]
+    {
+        let mut session = session();
+        let poses = session["poses"]["left"].clone();
+        session["cameras"][0]["id"] = json!(a);
+        session["cameras"][1]["id"] = json!(b);
+        session["poses"] = json!({a: poses, b: poses});
+        let views = read(session.to_string().as_bytes()).unwrap().session.views;
+        assert_eq!((views[0].id.as_str(), views[1].id.as_str()), (a, b));
+    }
+}
+
+#[test]
+fn one_camera_alone_and_frames_from_elsewhere_are_accepted() {
+    let mut session = session();
+    session["cameras"].as_array_mut().unwrap().pop();
+    session["first_frame"] = json!(-1);
+    session["n_frames"] = json!(3);
+    let read = read(session.to_string().as_bytes()).unwrap();
+    assert_eq!((read.session.views.len(), read.session.first_frame), (1, -1));
+    assert_eq!(read.session.views[0].delivered.iter().map(|f| f.0).collect::<Vec<_>>(), [1, 2]);
+    assert!(read.warnings.iter().any(|w| w.contains("unknown camera \"right\"")));
+}
+
+#[test]
+fn a_folder_without_a_session_and_a_path_to_nowhere_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let error = |path: &Path| read_path(path, &UploadLimits::default()).unwrap_err();
+    assert_eq!(error(dir.path()).code, "format_unknown");
+    assert_eq!(error(&dir.path().join("nowhere")).code, "file_unreadable");
+    fs::write(dir.path().join("session.json"), replaced("\"fps\":30", "\"fps\":[]")).unwrap();
+    let error = error(dir.path());
+    assert_eq!(
+        (error.code, error.file.as_deref(), error.pointer.as_deref()),
+        ("json_type", Some("session.json"), Some("/fps"))
+    );
+}
+
+#[test]
+fn a_line_names_its_number() {
+    let mut header = session();
+    header.as_object_mut().unwrap().remove("poses");
+    let line = |camera: &str, frame: i64| json!({"camera": camera, "frame": frame, "people": []});
+    let text = format!("{header}\n{}\n{}\n", line("left", 0), line("left", 0));
+    let error = read(text.as_bytes()).unwrap_err();
+    assert_eq!((error.code, error.camera.as_deref(), error.frame), ("frame_duplicate", Some("left"), Some(0)));
+    assert_eq!(error.pointer.as_deref(), Some("/2"));
+}
