@@ -8,9 +8,16 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 
-/// An error as the client sees it. `instance` is the request's path; of an internal error an id that stands in the log.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+/// An error as the client sees it.
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Problem {
+    document: Box<Document>,
+    headers: Vec<(HeaderName, HeaderValue)>,
+}
+
+/// The body. `instance` is the request's path; of an internal error an id that stands in the log.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+struct Document {
     /// `about:blank`: the code says more than a page would.
     #[serde(rename = "type")]
     kind: &'static str,
@@ -20,37 +27,32 @@ pub(super) struct Problem {
     detail: String,
     instance: String,
     code: &'static str,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    camera: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    frame: Option<i64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    person: Option<usize>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pointer: Option<String>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    file: Option<String>,
+    #[serde(flatten)]
+    place: Place,
     remedy: String,
-    #[serde(skip)]
-    headers: Vec<(HeaderName, HeaderValue)>,
 }
 
 fn status_as_number<S: serde::Serializer>(status: &StatusCode, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_u16(status.as_u16())
 }
 
-/// Where in an upload the fault lies.
-#[derive(Debug, Clone, Default, PartialEq)]
+/// Where in the request or the upload the fault lies.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub(super) struct Place {
     /// Member of the upload.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) file: Option<String>,
     /// Camera id.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) camera: Option<String>,
     /// Frame, in the session's numbers.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) frame: Option<i64>,
     /// Position of the person in the frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) person: Option<usize>,
     /// JSON pointer.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) pointer: Option<String>,
 }
 
@@ -62,33 +64,28 @@ impl Problem {
         detail: impl Into<String>,
         remedy: impl Into<String>,
     ) -> Self {
-        Self {
+        let document = Document {
             kind: "about:blank",
             title: status.canonical_reason().unwrap_or("Error"),
             status,
             detail: detail.into(),
             instance: String::new(),
             code,
-            camera: None,
-            frame: None,
-            person: None,
-            pointer: None,
-            file: None,
+            place: Place::default(),
             remedy: remedy.into(),
-            headers: Vec::new(),
-        }
+        };
+        Self { document: Box::new(document), headers: Vec::new() }
     }
 
     /// The same, naming a place in the request's JSON.
     pub(super) fn at(mut self, pointer: impl Into<String>) -> Self {
-        self.pointer = Some(pointer.into());
+        self.document.place.pointer = Some(pointer.into());
         self
     }
 
     /// The same, naming a place in an upload.
     pub(super) fn in_upload(mut self, place: Place) -> Self {
-        Place { file: self.file, camera: self.camera, frame: self.frame, person: self.person, pointer: self.pointer } =
-            place;
+        self.document.place = place;
         self
     }
 
@@ -143,7 +140,7 @@ impl Problem {
             "the service failed",
             "try again; if it stays so, give the operator the instance",
         );
-        problem.instance = format!("urn:uuid:{incident}");
+        problem.document.instance = format!("urn:uuid:{incident}");
         problem
     }
 
@@ -188,7 +185,7 @@ impl From<StoreError> for Problem {
 
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
-        let mut response = self.status.into_response();
+        let mut response = self.document.status.into_response();
         response.extensions_mut().insert(self); // written by `write_problems`, which knows the request
         response
     }
@@ -199,8 +196,8 @@ pub(super) async fn write_problems(request: Request, next: Next) -> Response {
     let path = request.uri().path().to_owned();
     let mut response = next.run(request).await;
     let Some(mut problem) = response.extensions_mut().remove::<Problem>() else { return response };
-    if problem.instance.is_empty() {
-        problem.instance = path;
+    if problem.document.instance.is_empty() {
+        problem.document.instance = path;
     }
     let headers = response.headers_mut();
     headers.remove(header::CONTENT_LENGTH);
@@ -208,7 +205,7 @@ pub(super) async fn write_problems(request: Request, next: Next) -> Response {
     for (name, value) in std::mem::take(&mut problem.headers) {
         headers.insert(name, value);
     }
-    let body = serde_json::to_vec(&problem).expect("a problem is strings and numbers, which always serialise");
+    let body = serde_json::to_vec(&problem.document).expect("a problem is strings and numbers, which always serialise");
     *response.body_mut() = Body::from(body);
     response
 }

@@ -10,6 +10,7 @@ mod range;
 mod results;
 mod server;
 mod sessions;
+mod submission;
 mod upload;
 
 use super::queue::Queue;
@@ -70,7 +71,7 @@ fn routes(app: App) -> Router {
     Router::new()
         .route("/v1/sessions", post(sessions::create).get(sessions::list))
         .route("/v1/sessions/{id}", get(sessions::get).delete(sessions::delete))
-        .route("/v1/jobs", post(jobs::create).get(jobs::list))
+        .route("/v1/jobs", post(submission::create).get(jobs::list))
         .route("/v1/jobs/{id}", get(jobs::get).delete(jobs::delete))
         .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
         .route("/v1/jobs/{id}/result", get(results::manifest))

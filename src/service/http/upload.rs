@@ -23,6 +23,8 @@ pub(super) struct GuardedBody<'a> {
     received: u64,
     window_end: Instant,
     window_bytes: u64,
+    /// The client asked whether to send at all (`Expect: 100-continue`): an answer before the first read is a no.
+    asks_first: bool,
 }
 
 impl<'a> GuardedBody<'a> {
@@ -34,7 +36,8 @@ impl<'a> GuardedBody<'a> {
         max_bytes: u64,
     ) -> Result<Self, Refused<'a>> {
         let window_end = Instant::now() + limits.body_window;
-        let guarded = Self { body, limits, max_bytes, received: 0, window_end, window_bytes: 0 };
+        let asks_first = headers.contains_key(header::EXPECT);
+        let guarded = Self { body, limits, max_bytes, received: 0, window_end, window_bytes: 0, asks_first };
         let length = headers.get(header::CONTENT_LENGTH).and_then(|v| v.to_str().ok()?.parse::<u64>().ok());
         if length.is_some_and(|length| length > max_bytes) {
             return Err(Refused { problem: Problem::too_large(max_bytes), body: guarded });
@@ -95,6 +98,9 @@ impl<'a> GuardedBody<'a> {
 
     /// Reads on for a while into nothing.
     async fn drain(mut self) {
+        if self.asks_first && self.received == 0 {
+            return;
+        }
         self.max_bytes = u64::MAX;
         let end = self.received + POLITENESS;
         let drained = async { while self.received < end && matches!(self.chunk().await, Ok(Some(_))) {} };
@@ -163,5 +169,47 @@ impl Spool {
     pub(super) async fn finish(mut self) -> Result<Spooled, Problem> {
         self.writer.flush().await.map_err(|e| Problem::from_io(&e))?;
         Ok(Spooled { file: self.file, sha256: hex(&self.hasher.finalize()), bytes: self.bytes })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use futures_util::{StreamExt, stream};
+
+    type Chunks = Vec<Result<Vec<u8>, std::io::Error>>;
+
+    fn body(chunks: usize, then_hangs: bool) -> Body {
+        let chunks: Chunks = (0..chunks).map(|_| Ok(vec![0; 100])).collect();
+        let chunks = stream::iter(chunks);
+        if then_hangs { Body::from_stream(chunks.chain(stream::pending())) } else { Body::from_stream(chunks) }
+    }
+
+    async fn read(body: Body, limits: &RequestLimits, max_bytes: u64) -> Result<usize, u16> {
+        let status = |problem: Problem| axum::response::IntoResponse::into_response(problem).status().as_u16();
+        let mut guarded =
+            GuardedBody::new(&HeaderMap::new(), body, limits, max_bytes).ok().expect("no header to refuse");
+        let mut received = 0;
+        while let Some(bytes) = guarded.chunk().await.map_err(status)? {
+            received += bytes.len();
+        }
+        Ok(received)
+    }
+
+    #[tokio::test]
+    async fn a_body_may_be_as_large_as_allowed_and_no_larger() {
+        let limits = RequestLimits::default();
+        assert_eq!(read(body(5, false), &limits, 500).await, Ok(500));
+        assert_eq!(read(body(5, false), &limits, 499).await, Err(413));
+    }
+
+    #[tokio::test]
+    async fn a_body_that_stalls_or_dribbles_is_cut() {
+        let idle = RequestLimits { body_idle_timeout: Duration::from_millis(20), ..RequestLimits::default() };
+        assert_eq!(read(body(2, true), &idle, 1000).await, Err(408));
+        let slow = RequestLimits { body_window: Duration::ZERO, body_min_bytes: 101, ..RequestLimits::default() };
+        assert_eq!(read(body(2, false), &slow, 1000).await, Err(408));
+        let fast_enough = RequestLimits { body_window: Duration::ZERO, body_min_bytes: 100, ..slow };
+        assert_eq!(read(body(2, false), &fast_enough, 1000).await, Ok(200));
     }
 }

@@ -7,7 +7,9 @@
 //! Why not a queue library: the promise wants a fence per attempt, deaths counted per job and an orphan known by its boot,
 //! not by a clock; all of it is a few statements on a table that the service needs anyway.
 
+mod acceptance;
 pub mod job;
+mod phase;
 pub mod recovery;
 mod rows;
 mod work;
@@ -15,13 +17,12 @@ mod work;
 #[cfg(test)]
 mod tests;
 
+pub use acceptance::{EnqueueError, IdempotencyKey, NewJob};
 pub use work::{Claim, Finished, Published, Standing};
 
 use super::store::{Store, StoreError};
 use job::{Job, Phase};
 use rows::{job_from_row, phase_from_row};
-use sqlx::Row;
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use tokio::sync::{Notify, broadcast};
 
@@ -33,57 +34,6 @@ pub struct Queue {
     work: Arc<Notify>,
     /// Says whose row has changed.
     changes: broadcast::Sender<Arc<str>>,
-}
-
-/// What a client asks for, already checked.
-#[derive(Debug, Clone)]
-pub struct NewJob {
-    /// Session id.
-    pub session: String,
-    /// Every option with its value.
-    pub options: serde_json::Value,
-    /// The client's own marks.
-    pub labels: BTreeMap<String, String>,
-    /// Higher runs first.
-    pub priority: i64,
-}
-
-/// `Idempotency-Key` and what was asked under it.
-#[derive(Debug, Clone)]
-pub struct IdempotencyKey {
-    /// The header's value.
-    pub key: String,
-    /// SHA-256 of the canonical request.
-    pub fingerprint: String,
-}
-
-/// Why a job was not accepted.
-#[derive(Debug, thiserror::Error)]
-pub enum EnqueueError {
-    /// No such session.
-    #[error("no such session")]
-    SessionMissing,
-    /// The key was used for another request.
-    #[error("the Idempotency-Key was used for another request")]
-    KeyReused,
-    /// The key's job was deleted.
-    #[error("the job of this Idempotency-Key was deleted")]
-    JobDeleted,
-    /// Too many jobs wait.
-    #[error("{waiting} jobs are waiting")]
-    Full {
-        /// How many.
-        waiting: i64,
-    },
-    /// The store failed.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-}
-
-impl From<sqlx::Error> for EnqueueError {
-    fn from(error: sqlx::Error) -> Self {
-        Self::Store(error.into())
-    }
 }
 
 /// Which jobs to list.
@@ -130,66 +80,6 @@ impl Queue {
 
     fn announce(&self, job: &str) {
         let _ = self.changes.send(job.into()); // nobody listening is fine
-    }
-
-    /// Accepts a job; once this has returned it will reach a final state.
-    ///
-    /// # Errors
-    /// [`EnqueueError`].
-    pub async fn enqueue(
-        &self,
-        new: &NewJob,
-        idempotency: Option<&IdempotencyKey>,
-        max_queued: i64,
-    ) -> Result<Job, EnqueueError> {
-        let mut transaction = self.store.write().await?;
-        if let Some(asked) = idempotency {
-            let row = sqlx::query("SELECT fingerprint, job_id FROM idempotency WHERE key = ?").bind(&asked.key);
-            if let Some(row) = row.fetch_optional(&mut *transaction).await? {
-                if row.try_get::<&str, _>("fingerprint")? != asked.fingerprint {
-                    return Err(EnqueueError::KeyReused);
-                }
-                let job: String = row.try_get("job_id")?;
-                transaction.rollback().await?;
-                return self.get(&job).await?.ok_or(EnqueueError::JobDeleted);
-            }
-        }
-        let session = sqlx::query("SELECT 1 FROM sessions WHERE id = ?").bind(&new.session);
-        session.fetch_optional(&mut *transaction).await?.ok_or(EnqueueError::SessionMissing)?;
-        let waiting: i64 =
-            sqlx::query_scalar("SELECT count(*) FROM jobs WHERE state = 'queued'").fetch_one(&mut *transaction).await?;
-        if waiting >= max_queued {
-            return Err(EnqueueError::Full { waiting });
-        }
-        let id = super::store::new_id("job");
-        sqlx::query(
-            "INSERT INTO jobs (id, session_id, options, labels, priority, state, created_at)
-             VALUES (?, ?, ?, ?, ?, 'queued', strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))",
-        )
-        .bind(&id)
-        .bind(&new.session)
-        .bind(new.options.to_string())
-        .bind(serde_json::to_string(&new.labels).map_err(StoreError::from)?)
-        .bind(new.priority)
-        .execute(&mut *transaction)
-        .await?;
-        if let Some(asked) = idempotency {
-            sqlx::query(
-                "INSERT INTO idempotency (key, fingerprint, job_id, created_at)
-                 VALUES (?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))",
-            )
-            .bind(&asked.key)
-            .bind(&asked.fingerprint)
-            .bind(&id)
-            .execute(&mut *transaction)
-            .await?;
-        }
-        let job = sqlx::query("SELECT jobs.*, NULL AS verdict, NULL AS reasons FROM jobs WHERE id = ?").bind(&id);
-        let job = job_from_row(&job.fetch_one(&mut *transaction).await?)?;
-        transaction.commit().await?;
-        self.work.notify_one();
-        self.announce(&id);
-        Ok(job)
     }
 
     /// The job of an id.

@@ -4,6 +4,7 @@ use super::job::{Ending, JobError, JobProgress, Phase};
 use super::recovery::{Recovered, recover};
 use super::*;
 use crate::service::store::sessions::{self, SessionSummary};
+use std::collections::BTreeMap;
 use tempfile::TempDir;
 
 struct Rig {
@@ -127,7 +128,8 @@ async fn recovery_removes_what_no_row_names() {
     let folders = &rig.queue.store.folders;
     std::fs::create_dir_all(folders.staging(&id, 1)).unwrap();
     std::fs::write(folders.session("orphan"), b"").unwrap();
-    std::fs::write(&folders.temporary().path, b"").unwrap();
+    let upload = folders.temporary();
+    std::fs::write(&upload.path, b"").unwrap();
     assert_eq!(recover(&rig.queue).await.unwrap().removed, 3);
     assert_eq!(folders.names("sessions").unwrap(), ["s"]);
     assert_eq!(recover(&rig.queue).await.unwrap().removed, 0);

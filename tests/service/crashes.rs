@@ -1,0 +1,95 @@
+//! Deaths: of the service, of a job's child; and the commands that go through the service.
+
+use crate::server::{Server, signal};
+use crate::take::take;
+use rustix::process::Signal;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+#[test]
+fn a_killed_service_takes_its_child_along_and_the_next_one_finishes_the_job() {
+    let mut server = Server::start();
+    let id = server.submit(&server.upload(100, 1));
+    let queued = server.submit(&server.upload(10, 2));
+    for _ in 0..2 {
+        server.wait_until(&id, |job| job["state"] == "running" && job["progress"]["stage_count"] != 0);
+        let [child] = server.children()[..] else { panic!("no child") };
+        server = server.killed_and_restarted();
+        let deadline = Instant::now() + Duration::from_secs(2);
+        while std::fs::read_to_string(format!("/proc/{child}/stat")).is_ok_and(|stat| !stat.contains(") Z")) {
+            assert!(Instant::now() < deadline, "the child outlived its service");
+        }
+    }
+    let job = server.wait_for_state(&id, "succeeded");
+    assert_eq!(job["attempt"], 1, "the service's death is not the job's fault");
+    server.wait_for_state(&queued, "succeeded");
+    server.get(&format!("/v1/jobs/{id}/result")).expect(200);
+}
+
+#[test]
+fn a_stopped_service_puts_its_job_back_and_the_next_one_finishes_it() {
+    let server = Server::start();
+    let id = server.submit(&server.upload(100, 1));
+    server.wait_for_state(&id, "running");
+    let server = server.stopped_and_restarted();
+    assert_eq!(server.wait_for_state(&id, "succeeded")["attempt"], 1);
+}
+
+#[test]
+fn a_job_whose_child_dies_three_times_is_dead_and_the_others_go_on() {
+    let server = Server::start();
+    let poison = server.submit(&server.upload(600, 1));
+    let other = server.submit(&server.upload(10, 2));
+    let mut killed = Vec::new();
+    for _ in 0..3 {
+        killed.push(server.kill_child());
+        while server.children().contains(killed.last().unwrap()) {}
+    }
+    let job = server.wait_for_state(&poison, "dead");
+    assert_eq!((&job["attempt"], &job["error"]["code"]), (&3.into(), &"child_died".into()));
+    server.wait_for_state(&other, "succeeded");
+}
+
+#[test]
+fn a_session_lost_from_the_disk_fails_its_job_with_a_cause() {
+    let server = Server::start();
+    let busy = server.submit(&server.upload(600, 1));
+    let id = server.submit(&server.upload(10, 2));
+    let job = server.job(&id);
+    std::fs::remove_file(server.data().join("sessions").join(job["session"].as_str().unwrap())).unwrap();
+    server.delete(&format!("/v1/jobs/{busy}")).expect(204);
+    let failed = server.wait_for_state(&id, "failed");
+    assert!(failed["error"]["code"].is_string() && failed["error"]["detail"].is_string(), "{failed}");
+}
+
+#[test]
+fn an_idle_service_stops_at_an_interrupt() {
+    let data = tempfile::tempdir().unwrap();
+    let mut process = crate::server::command(data.path()).stdout(std::process::Stdio::null()).spawn().unwrap();
+    std::thread::sleep(Duration::from_millis(500));
+    signal(process.id(), Signal::INT);
+    let start = Instant::now();
+    assert!(process.wait().unwrap().success());
+    assert!(start.elapsed() < Duration::from_secs(10));
+}
+
+#[test]
+fn submit_and_reconstruct_give_the_same_result() {
+    let server = Server::start();
+    let folder = tempfile::tempdir().unwrap();
+    let (session, options) = (folder.path().join("take.json"), folder.path().join("options.json"));
+    std::fs::write(&session, take(20, 1).to_string()).unwrap();
+    std::fs::write(&options, r#"{"extrinsics": "fixed"}"#).unwrap();
+    let run = |words: &[&str], out: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_wandless"));
+        command.args(words).arg(&session).arg("--options").arg(&options).arg("--out").arg(folder.path().join(out));
+        let output = command.output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    };
+    run(&["submit", "--server", &server.url("")], "submitted");
+    run(&["reconstruct", "--threads", "1"], "reconstructed");
+    for name in ["manifest.json", "cameras.json", "people.json", "report.json"] {
+        let bytes = |out: &str| std::fs::read(folder.path().join(out).join(name)).unwrap();
+        assert_eq!(bytes("submitted"), bytes("reconstructed"), "{name}");
+    }
+}

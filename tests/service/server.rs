@@ -1,0 +1,188 @@
+//! A service under test: the real binary, its own data folder, a free port.
+
+use crate::http::{Answer, JSON, send};
+use crate::take::take;
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// Longest that a small job may take here, on two busy cores.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+pub struct Server {
+    process: Child,
+    address: String,
+    data: TempDir,
+}
+
+impl Server {
+    pub fn start() -> Self {
+        Self::on(tempfile::tempdir().unwrap())
+    }
+
+    fn on(data: TempDir) -> Self {
+        let mut process = command(data.path()).stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let address = line.trim().rsplit("http://").next().unwrap().to_owned();
+        assert!(address.starts_with("127.0.0.1:"), "the service said: {line}");
+        Self { process, address, data }
+    }
+
+    /// Kills the service as a power cut would, child processes not asked, and starts it again.
+    pub fn killed_and_restarted(mut self) -> Self {
+        self.process.kill().unwrap();
+        self.process.wait().unwrap();
+        self.restarted()
+    }
+
+    /// Asks the service to stop and starts it again.
+    pub fn stopped_and_restarted(mut self) -> Self {
+        signal(self.process.id(), rustix::process::Signal::TERM);
+        let start = Instant::now();
+        assert!(self.process.wait().unwrap().success());
+        assert!(start.elapsed() < Duration::from_secs(10), "a stop took {:?}", start.elapsed());
+        self.restarted()
+    }
+
+    fn restarted(mut self) -> Self {
+        let data = std::mem::replace(&mut self.data, tempfile::tempdir().unwrap());
+        drop(self);
+        Self::on(data)
+    }
+
+    pub fn address(&self) -> &str {
+        &self.address
+    }
+
+    pub fn data(&self) -> &Path {
+        self.data.path()
+    }
+
+    pub fn url(&self, path: &str) -> String {
+        format!("http://{}{path}", self.address)
+    }
+
+    pub fn get(&self, path: &str) -> Answer {
+        send("GET", &self.url(path), &[], None)
+    }
+
+    pub fn get_with(&self, path: &str, headers: &[(&str, &str)]) -> Answer {
+        send("GET", &self.url(path), headers, None)
+    }
+
+    pub fn delete(&self, path: &str) -> Answer {
+        send("DELETE", &self.url(path), &[], None)
+    }
+
+    pub fn post(&self, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Answer {
+        send("POST", &self.url(path), headers, Some(body))
+    }
+
+    pub fn post_json(&self, path: &str, body: &Value) -> Answer {
+        self.post(path, &[JSON], body.to_string().as_bytes())
+    }
+
+    /// Uploads a take of some frames and gives its id.
+    pub fn upload(&self, frames: usize, seed: u32) -> String {
+        let answer = self.post_json("/v1/sessions", &take(frames, seed));
+        assert!(matches!(answer.status, 200 | 201), "{}", String::from_utf8_lossy(&answer.body));
+        answer.json()["id"].as_str().unwrap().to_owned()
+    }
+
+    /// Submits a job on a session, its cameras taken as given.
+    pub fn submit(&self, session: &str) -> String {
+        let body = json!({ "session": session, "options": { "extrinsics": "fixed" } });
+        self.post_json("/v1/jobs", &body).expect(202).json()["id"].as_str().unwrap().to_owned()
+    }
+
+    pub fn job(&self, id: &str) -> Value {
+        self.get(&format!("/v1/jobs/{id}")).expect(200).json()
+    }
+
+    /// Follows a job until `is_reached`, checking on the way that its fraction never falls.
+    pub fn wait_until(&self, id: &str, is_reached: impl Fn(&Value) -> bool) -> Value {
+        let deadline = Instant::now() + PATIENCE;
+        let mut fraction = 0.0;
+        loop {
+            let job = self.get(&format!("/v1/jobs/{id}?wait=1")).expect(200).json();
+            let next = job["progress"]["fraction"].as_f64().unwrap();
+            assert!(next >= fraction, "the fraction fell from {fraction} to {next}");
+            fraction = next;
+            if is_reached(&job) {
+                return job;
+            }
+            assert!(Instant::now() < deadline, "gave up waiting: {job}");
+        }
+    }
+
+    pub fn wait_for_state(&self, id: &str, state: &str) -> Value {
+        let is_final =
+            |job: &Value| matches!(job["state"].as_str(), Some("succeeded" | "failed" | "canceled" | "dead"));
+        let job = self.wait_until(id, |job| job["state"] == state || is_final(job));
+        assert_eq!(job["state"], state, "{job}");
+        job
+    }
+
+    /// Process ids of the children at work.
+    pub fn children(&self) -> Vec<u32> {
+        let entries = std::fs::read_dir("/proc").unwrap().flatten();
+        let pids = entries.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
+        pids.filter(|pid| parent(*pid) == Some(self.process.id())).collect()
+    }
+
+    /// Kills the child at work, once there is one.
+    pub fn kill_child(&self) -> u32 {
+        let deadline = Instant::now() + PATIENCE;
+        loop {
+            if let [pid] = self.children()[..] {
+                signal(pid, rustix::process::Signal::KILL);
+                return pid;
+            }
+            assert!(Instant::now() < deadline, "no child came up");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+
+    /// Every file below a folder of the data folder.
+    pub fn files(&self, folder: &str) -> Vec<PathBuf> {
+        let mut files = Vec::new();
+        let mut folders = vec![self.data.path().join(folder)];
+        while let Some(folder) = folders.pop() {
+            for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+                if entry.path().is_dir() { folders.push(entry.path()) } else { files.push(entry.path()) }
+            }
+        }
+        files
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+/// `wandless serve` on a data folder and a free port.
+pub fn command(data: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_wandless"));
+    command.args(["serve", "--listen", "127.0.0.1:0", "--data"]).arg(data).env("WANDLESS_LOG", "warn");
+    command
+}
+
+pub fn signal(pid: u32, signal: rustix::process::Signal) {
+    let pid = rustix::process::Pid::from_raw(pid.try_into().unwrap()).unwrap();
+    rustix::process::kill_process(pid, signal).unwrap();
+}
+
+/// The parent of a live process; zombies do not count.
+fn parent(pid: u32) -> Option<u32> {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+    let mut words = stat.rsplit(')').next()?.split_whitespace();
+    let state = words.next()?;
+    (state != "Z").then(|| words.next()?.parse().ok())?
+}
