@@ -13,22 +13,12 @@ use super::surface::{JointWeight, Surface, VertexWeight};
 use nalgebra::Vector3;
 use std::collections::BTreeSet;
 
-/// A named point of the skin: shares of vertices that sum to 1.
-#[derive(Debug, Clone, PartialEq)]
-pub struct SurfacePoint {
-    /// Keypoint name as in the conventions.
-    pub name: String,
-    /// Shares of vertices.
-    pub vertices: Vec<VertexWeight>,
-}
-
-/// Every landmark that some convention names and this body has: joints, midpoints, and the given points of the skin.
+/// Every landmark that some convention names and this body has: joints, midpoints, and the named points of the skin.
 ///
 /// The detectors' `neck` is the middle of the shoulders, their `mid_hip` that of the hips (formats differ from SMPL's
 /// joints here, also where the words agree).
 pub(super) fn landmarks(
     surface: &Surface,
-    points: &[SurfacePoint],
     rest_joints: &[Vector3<f64>; N_JOINTS],
     shape_directions: &[ShapeDirections; N_JOINTS],
 ) -> Vec<Landmark> {
@@ -42,7 +32,7 @@ pub(super) fn landmarks(
             NECK_JOINT => return Some(vec![joint_term(joint("neck")?, 1.0)]),
             _ => {}
         }
-        match points.iter().find(|point| point.name == name) {
+        match surface.points.iter().find(|point| point.name == name) {
             Some(point) => Some(skin_terms(surface, &point.vertices, rest_joints, shape_directions)),
             None => Some(vec![joint_term(joint(name)?, 1.0)]),
         }

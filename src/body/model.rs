@@ -2,7 +2,7 @@
 //! from.
 
 use super::anthropometry::N_BETAS;
-use super::landmarks::{SurfacePoint, landmarks};
+use super::landmarks::landmarks;
 use super::skeleton::{KeypointConvention, N_JOINTS, PARENTS};
 use super::surface::{Surface, VertexWeight};
 use nalgebra::{SMatrix, SVector, Vector3};
@@ -70,14 +70,14 @@ pub struct ShapedBody {
 }
 
 impl BodyModel {
-    /// The body of a surface with named points on it: joints are what the regressor makes of the mesh, by definition.
-    pub fn new(name: String, surface: Surface, points: &[SurfacePoint]) -> Self {
+    /// The body of a surface: joints are what the regressor makes of the mesh, by definition.
+    pub fn new(name: String, surface: Surface) -> Self {
         let row = |j: usize| surface.regressor[j].iter();
         let rest_joint = |v: &VertexWeight| surface.vertices[v.vertex] * v.weight;
         let direction = |v: &VertexWeight| surface.shape_directions[v.vertex] * v.weight;
         let rest_joints = std::array::from_fn(|j| row(j).map(rest_joint).sum());
         let shape_directions = std::array::from_fn(|j| row(j).map(direction).sum());
-        let landmarks = landmarks(&surface, points, &rest_joints, &shape_directions);
+        let landmarks = landmarks(&surface, &rest_joints, &shape_directions);
         Self { name, rest_joints, shape_directions, landmarks, surface: Arc::new(surface) }
     }
 

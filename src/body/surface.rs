@@ -23,6 +23,15 @@ pub struct JointWeight {
     pub weight: f64,
 }
 
+/// A named point of the skin: shares of vertices that sum to 1.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SurfacePoint {
+    /// Keypoint name as in the conventions.
+    pub name: String,
+    /// Shares of vertices.
+    pub vertices: Vec<VertexWeight>,
+}
+
 /// Number of entries of SMPL's pose feature: 23 rotation matrices less the identity, row by row.
 pub const N_POSE_FEATURES: usize = 9 * (N_JOINTS - 1);
 
@@ -42,6 +51,8 @@ pub struct Surface {
     /// `P`: change per entry of the pose feature, m; empty where the model has none. `[V * 3 * 207]`, vertex by vertex,
     /// coordinate by coordinate.
     pub pose_directions: Vec<f32>,
+    /// Where the detectors' surface points lie.
+    pub points: Vec<SurfacePoint>,
 }
 
 impl Surface {

@@ -1,5 +1,6 @@
 //! The commands; one file each.
 
+mod body;
 mod evaluate;
 mod meter;
 mod reconstruct;
@@ -37,6 +38,8 @@ enum Command {
     Evaluate(evaluate::Args),
     /// Make a session with exact truth
     Simulate(simulate::Args),
+    /// Look at a body model, or write it in other formats
+    Body(body::Args),
     /// Serve sessions and jobs over HTTP
     #[cfg(feature = "service")]
     Serve(serve::Args),
@@ -66,6 +69,7 @@ pub fn main() -> ExitCode {
         Command::Reconstruct(args) => reconstruct::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Simulate(args) => simulate::run(args),
+        Command::Body(args) => body::run(args),
         #[cfg(feature = "service")]
         Command::Serve(args) => serve::run(args),
         #[cfg(feature = "service")]

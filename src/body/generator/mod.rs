@@ -18,10 +18,9 @@ mod tests;
 mod tubes;
 
 use super::anthropometry::Population;
-use super::landmarks::SurfacePoint;
 use super::model::ShapeDirections;
 use super::skeleton::{JOINT_NAMES, KeypointConvention, N_JOINTS};
-use super::surface::{JointWeight, Surface, VertexWeight};
+use super::surface::{JointWeight, Surface, SurfacePoint, VertexWeight};
 use half_mesh::{HalfMesh, half_surface};
 use nalgebra::Vector3;
 use places::{VariedPlace, joint_place, side_and_part, surface_place, varied};
@@ -36,8 +35,6 @@ use tubes::surface_directions;
 pub struct GeneratedBody {
     /// The mesh with all that hangs on it.
     pub surface: Surface,
-    /// Where the detectors' surface points lie on it.
-    pub points: Vec<SurfacePoint>,
     /// The joints that the regressor was fitted to, m.
     pub joints: [Vector3<f64>; N_JOINTS],
     /// Their change per beta, m.
@@ -64,8 +61,8 @@ pub fn generate() -> GeneratedBody {
     let mut surface = mirror.whole(&half, &directions, &skin);
     let carriers = Carriers::of(&surface, &mirror);
     surface.regressor = regressor(&carriers, &mirror, &places);
-    let points = surface_points(&carriers, &mirror, &population);
-    GeneratedBody { surface, points, joints, joint_directions: std::array::from_fn(|j| places[j].directions) }
+    surface.points = surface_points(&carriers, &mirror, &population);
+    GeneratedBody { surface, joints, joint_directions: std::array::from_fn(|j| places[j].directions) }
 }
 
 fn tips(population: &Population) -> Tips {
@@ -120,6 +117,7 @@ impl Mirror {
             skin: skin.iter().cloned().chain(rows).collect(),
             regressor: std::array::from_fn(|_| Vec::new()),
             pose_directions: Vec::new(),
+            points: Vec::new(),
         }
     }
 

@@ -4,10 +4,9 @@ use super::array::{Array, Fields};
 use super::error::BodyFileError;
 use super::landmark_table::LandmarkTable;
 use crate::body::anthropometry::N_BETAS;
-use crate::body::landmarks::SurfacePoint;
 use crate::body::model::{BodyModel, ShapeDirections};
 use crate::body::skeleton::{N_JOINTS, PARENTS};
-use crate::body::surface::{JointWeight, N_POSE_FEATURES, Surface, VertexWeight};
+use crate::body::surface::{JointWeight, N_POSE_FEATURES, Surface, SurfacePoint, VertexWeight};
 use nalgebra::Vector3;
 
 /// A generic body in SMPL's layout may have this many vertices.
@@ -28,22 +27,23 @@ pub(super) fn body(name: String, mut fields: Fields, table: &LandmarkTable) -> R
         faces: faces(&take(&mut fields, "f")?, n)?,
         regressor: regressor(&take(&mut fields, "J_regressor")?, n)?,
         pose_directions: Vec::new(),
+        points: own_points(&fields)?,
         vertices,
         skin,
     };
     if let Some(array) = fields.remove("posedirs") {
         surface.pose_directions = pose_directions(&array, n)?;
     }
-    let mut points = own_points(&fields)?;
+    let points = &mut surface.points;
     points.retain(|point| !table.points.iter().any(|other| other.name == point.name));
     points.extend(table.points.iter().cloned());
-    for point in &points {
+    for point in &*points {
         if let Some(share) = point.vertices.iter().find(|share| share.vertex >= n) {
             let (name, vertex) = (point.name.clone(), share.vertex);
             return Err(BodyFileError::LandmarkVertex { name, vertex, n_vertices: n });
         }
     }
-    Ok(BodyModel::new(name, surface, &points))
+    Ok(BodyModel::new(name, surface))
 }
 
 fn take(fields: &mut Fields, field: &'static str) -> Result<Array, BodyFileError> {

@@ -6,9 +6,8 @@
 //! Names are those of the keypoint conventions; the weights of a point sum to 1. Vertex numbers belong to the user's
 //! file and come from its licensor.
 
-use crate::body::landmarks::SurfacePoint;
 use crate::body::skeleton::KeypointConvention;
-use crate::body::surface::VertexWeight;
+use crate::body::surface::{SurfacePoint, VertexWeight};
 use std::collections::BTreeMap;
 
 /// Points of the skin by name.

@@ -18,7 +18,7 @@ mod write;
 
 pub use error::BodyFileError;
 pub use landmark_table::{LandmarkTable, LandmarkTableError};
-pub use write::{body_npz, body_obj};
+pub use write::{body_glb, body_npz, body_obj};
 
 use super::model::BodyModel;
 use std::io::Read;
@@ -52,6 +52,3 @@ pub fn body_from_bytes(name: String, bytes: &[u8], landmarks: &LandmarkTable) ->
     let fields = if bytes.starts_with(b"PK\x03\x04") { npz::read_fields(bytes)? } else { tree::read_fields(bytes)? };
     assemble::body(name, fields, landmarks)
 }
-
-#[cfg(test)]
-mod tests;

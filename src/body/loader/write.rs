@@ -1,7 +1,6 @@
-//! Writing a body: SMPL's `.npz` layout with our landmarks, and Wavefront OBJ.
+//! Writing a body: SMPL's `.npz` layout with our landmarks, and Wavefront OBJ, binary glTF.
 
 use crate::body::anthropometry::N_BETAS;
-use crate::body::landmarks::SurfacePoint;
 use crate::body::skeleton::{N_JOINTS, PARENTS};
 use crate::body::surface::{N_POSE_FEATURES, Surface};
 use nalgebra::Vector3;
@@ -18,7 +17,7 @@ use zip::{CompressionMethod, DateTime, System, ZipWriter};
 ///
 /// # Errors
 /// None that memory does not cause; kept for the writer's sake.
-pub fn body_npz(surface: &Surface, points: &[SurfacePoint], with_posedirs: bool) -> io::Result<Vec<u8>> {
+pub fn body_npz(surface: &Surface, with_posedirs: bool) -> io::Result<Vec<u8>> {
     let n = surface.vertices.len();
     let mut file = Npz(ZipWriter::new(Cursor::new(Vec::new())));
     file.array("v_template", &[n, 3], surface.vertices.iter().flat_map(|v| [v.x as f32, v.y as f32, v.z as f32]))?;
@@ -43,6 +42,7 @@ pub fn body_npz(surface: &Surface, points: &[SurfacePoint], with_posedirs: bool)
         let values = surface.pose_directions.iter().copied().chain(std::iter::repeat(0.0)).take(full);
         file.array("posedirs", &[n, 3, N_POSE_FEATURES], values)?;
     }
+    let points = &surface.points;
     let names = points.iter().flat_map(|point| point.name.bytes().chain([b'\n']));
     let names: Vec<u8> = names.collect();
     file.array("landmark_names", &[names.len()], names)?;
@@ -63,6 +63,47 @@ pub fn body_obj(vertices: &[Vector3<f64>], faces: &[[usize; 3]]) -> String {
         let _ = writeln!(text, "f {} {} {}", a + 1, b + 1, c + 1);
     }
     text
+}
+
+/// A mesh as binary glTF 2.0 (Khronos, section 4.4): one node, one mesh, positions and indices.
+pub fn body_glb(vertices: &[Vector3<f64>], faces: &[[usize; 3]]) -> Vec<u8> {
+    let positions = vertices.iter().flat_map(|v| v.iter()).flat_map(|c| (*c as f32).to_le_bytes());
+    let n_position_bytes = 12 * vertices.len();
+    let indices = faces.iter().flatten().flat_map(|v| (*v as u32).to_le_bytes());
+    let binary: Vec<u8> = positions.chain(indices).collect();
+    let bound = |pick: fn(f32, f32) -> f32, start: f32| -> Vec<f32> {
+        (0..3).map(|axis| vertices.iter().map(|v| v[axis] as f32).fold(start, pick)).collect()
+    };
+    let document = serde_json::json!({
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+        "buffers": [{"byteLength": binary.len()}],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": 0, "byteLength": n_position_bytes, "target": 34962},
+            {"buffer": 0, "byteOffset": n_position_bytes, "byteLength": 12 * faces.len(), "target": 34963},
+        ],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": vertices.len(), "type": "VEC3",
+             "min": bound(f32::min, f32::MAX), "max": bound(f32::max, f32::MIN)},
+            {"bufferView": 1, "componentType": 5125, "count": 3 * faces.len(), "type": "SCALAR"},
+        ],
+    });
+    let mut json = document.to_string().into_bytes();
+    json.resize(json.len().next_multiple_of(4), b' ');
+    let mut glb = Vec::with_capacity(28 + json.len() + binary.len());
+    let length = 28 + json.len() + binary.len();
+    for word in [0x4654_6C67, 2, length as u32, json.len() as u32, 0x4E4F_534A] {
+        glb.extend(u32::to_le_bytes(word));
+    }
+    glb.extend(json);
+    for word in [binary.len() as u32, 0x004E_4942] {
+        glb.extend(u32::to_le_bytes(word));
+    }
+    glb.extend(binary);
+    glb
 }
 
 struct Npz(ZipWriter<Cursor<Vec<u8>>>);
