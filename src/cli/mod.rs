@@ -1,9 +1,9 @@
 //! The commands; one file each.
 
-mod evaluate;
+pub mod evaluate;
 mod meter;
 mod reconstruct;
-mod simulate;
+pub mod simulate;
 mod solve;
 
 #[cfg(feature = "service")]

@@ -64,13 +64,8 @@ pub fn assemble(graph: &ViewGraph) -> Vec<Rig> {
 /// Whether every camera of `rig` stands in `better` as well, to within what a first adjustment evens out: 12 degrees in
 /// every pair's rotation and 30 in its baseline.
 fn same_arrangement(better: &Rig, rig: &Rig) -> bool {
-    let both: Vec<(Rigid, Rigid)> = better
-        .cameras
-        .iter()
-        .zip(&rig.cameras)
-        .filter_map(|(a, b)| b.map(|b| a.map(|a| (a, b))))
-        .flatten()
-        .collect();
+    let both: Vec<(Rigid, Rigid)> =
+        better.cameras.iter().zip(&rig.cameras).filter_map(|(a, b)| b.map(|b| a.map(|a| (a, b)))).flatten().collect();
     if both.len() < rig.cameras.iter().flatten().count() {
         return false;
     }
