@@ -9,33 +9,33 @@ use std::path::PathBuf;
 
 /// Errors of cameras, poses and identities against truth, as a table and as JSON.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(super) struct Args {
     /// Result folder: cameras.json, keypoints3d.json, poses3d.json, identities.json, as far as they are there
-    pub result: PathBuf,
+    result: PathBuf,
     /// Truth folder, beside which the session lies (SESSION/gt)
     #[arg(long)]
-    pub truth: PathBuf,
+    truth: PathBuf,
     /// How worlds are laid over each other before poses are compared [default: rigid; rigid-pose below three cameras]
     #[arg(long, value_enum)]
-    pub align: Option<AlignName>,
+    align: Option<AlignName>,
     /// Up axis of the truth's world [default: as its files say, else z]
     #[arg(long, value_enum)]
-    pub up: Option<UpName>,
+    up: Option<UpName>,
     /// Whom averages are over, separated by commas [default: everybody; on Shelf 0,1,2]
     #[arg(long, value_delimiter = ',')]
-    pub actors: Option<Vec<String>>,
+    actors: Option<Vec<String>>,
     /// Print JSON; the table goes to standard error
     #[arg(long)]
-    pub json: bool,
+    json: bool,
     /// Write the JSON to this file too
     #[arg(long)]
-    pub out: Option<PathBuf>,
+    out: Option<PathBuf>,
 }
 
 /// Alignments by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 #[allow(missing_docs)] // clap would print them; the library says what they mean
-pub enum AlignName {
+pub(super) enum AlignName {
     Rigid,
     Sim3,
     #[value(alias = "rigid_pose")]
@@ -46,7 +46,7 @@ pub enum AlignName {
 /// Axes by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 #[allow(missing_docs)] // as above
-pub enum UpName {
+pub(super) enum UpName {
     X,
     Y,
     Z,
@@ -56,7 +56,7 @@ pub enum UpName {
 ///
 /// # Errors
 /// Files that are missing or contradict each other.
-pub fn run(args: Args) -> anyhow::Result<()> {
+pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let options = EvaluationOptions {
         align: args.align.map(|name| match name {
             AlignName::Rigid => Alignment::Rigid,

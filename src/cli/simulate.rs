@@ -12,58 +12,58 @@ use std::path::PathBuf;
 ///
 /// What is not given is as the preset says; the same arguments give the same bytes.
 #[derive(Debug, clap::Args)]
-pub struct Args {
+pub(super) struct Args {
     /// Folder to write
     #[arg(long)]
-    pub out: PathBuf,
+    out: PathBuf,
     /// How hard; `random` draws cameras and people from the seed
     #[arg(long, value_enum, default_value_t = PresetName::Paper)]
-    pub preset: PresetName,
+    preset: PresetName,
     /// Seed of every random choice
     #[arg(long, default_value_t = 1)]
-    pub seed: u64,
+    seed: u64,
     /// How many people
     #[arg(long)]
-    pub people: Option<usize>,
+    people: Option<usize>,
     /// How many cameras
     #[arg(long)]
-    pub views: Option<usize>,
+    views: Option<usize>,
     /// Length in frames
     #[arg(long)]
-    pub frames: Option<usize>,
+    frames: Option<usize>,
     /// Frames per second
     #[arg(long)]
-    pub fps: Option<f64>,
+    fps: Option<f64>,
     /// Keypoint convention
     #[arg(long, value_parser = parse_convention)]
-    pub convention: Option<KeypointConvention>,
+    convention: Option<KeypointConvention>,
     /// Whom track ids name
     #[arg(long, value_enum)]
-    pub tracks: Option<TracksName>,
+    tracks: Option<TracksName>,
     /// Motion files in AMASS's layout, one a person, instead of procedural motion
     #[arg(long, num_args = 1..)]
-    pub motion: Vec<PathBuf>,
+    motion: Vec<PathBuf>,
     /// Distance of the cameras from the centre, m
     #[arg(long)]
-    pub radius: Option<f64>,
+    radius: Option<f64>,
     /// Height of the cameras, m
     #[arg(long)]
-    pub height: Option<f64>,
+    height: Option<f64>,
     /// Horizontal field of view, degrees
     #[arg(long)]
-    pub fov: Option<f64>,
+    fov: Option<f64>,
     /// Image width and height, px
     #[arg(long, num_args = 2, value_names = ["WIDTH", "HEIGHT"])]
-    pub size: Option<Vec<u32>>,
+    size: Option<Vec<u32>>,
     /// Identity swaps per view and minute
     #[arg(long)]
-    pub swaps_per_minute: Option<f64>,
+    swaps_per_minute: Option<f64>,
 }
 
 /// Presets by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 #[allow(missing_docs)] // clap would print them; the library says what they hold
-pub enum PresetName {
+pub(super) enum PresetName {
     Easy,
     Paper,
     Hard,
@@ -73,7 +73,7 @@ pub enum PresetName {
 /// Track ids by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 #[allow(missing_docs)] // as above
-pub enum TracksName {
+pub(super) enum TracksName {
     Consistent,
     PerView,
     None,
@@ -83,7 +83,7 @@ pub enum TracksName {
 ///
 /// # Errors
 /// Numbers out of range, unreadable motion files, whatever the file system says.
-pub fn run(args: Args) -> anyhow::Result<()> {
+pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let config = config(&args);
     let simulated = simulate(&config)?;
     let write =

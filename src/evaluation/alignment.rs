@@ -112,7 +112,7 @@ mod tests {
     use crate::geometry::rotation;
 
     fn points() -> Vec<Vector3<f64>> {
-        (0..7).map(|i| f64::from(i)).map(|i| Vector3::new(i.sin(), (2.0 * i).cos(), 0.3 * i)).collect()
+        (0..7).map(f64::from).map(|i| Vector3::new(i.sin(), (2.0 * i).cos(), 0.3 * i)).collect()
     }
 
     #[test]

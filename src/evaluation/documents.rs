@@ -87,7 +87,7 @@ struct PosesFile {
     units: Unit,
     #[serde(alias = "up")]
     up_axis: Option<UpAxis>,
-    frames: BTreeMap<i64, BTreeMap<String, Vec<Option<[f64; 3]>>>>,
+    frames: Frames<Vec<Option<[f64; 3]>>>,
 }
 
 #[derive(Deserialize, Default, Clone, Copy)]

@@ -62,14 +62,13 @@ impl Options {
     /// [`PipelineError::Option`] naming the option and the remedy.
     pub fn check(&self, session: &Session) -> Result<(), PipelineError> {
         let refuse = |option, reason: String| Err(PipelineError::Option { option, reason });
-        if self.extrinsics != Extrinsics::Estimate {
-            if let Some(view) = session.views.iter().find(|v| v.camera_from_world.is_none()) {
-                let reason = format!(
-                    "camera {}: fixed and refined extrinsics need R and t of every camera; give them, or use \"estimate\"",
-                    view.id
-                );
-                return refuse("/extrinsics", reason);
-            }
+        let unposed = session.views.iter().find(|v| v.camera_from_world.is_none());
+        if let Some(view) = unposed.filter(|_| self.extrinsics != Extrinsics::Estimate) {
+            let reason = format!(
+                "camera {}: fixed and refined extrinsics need R and t of every camera; give them, or use \"estimate\"",
+                view.id
+            );
+            return refuse("/extrinsics", reason);
         }
         if self.intrinsics == IntrinsicsMode::RefineFocal {
             return refuse("/intrinsics", "refine_focal is not supported yet; use \"fixed\"".to_owned());

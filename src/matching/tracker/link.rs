@@ -22,10 +22,9 @@ pub(super) fn join_fragments(scene: &Scene, mut people: Vec<TrackedPerson>) -> V
                 if i == j {
                     continue;
                 }
-                if let Some(cost) = gap_cost(scene, earlier, later) {
-                    if best.is_none_or(|b| cost < b.0) {
-                        best = Some((cost, i, j));
-                    }
+                let cost = gap_cost(scene, earlier, later);
+                if let Some(cost) = cost.filter(|c| best.is_none_or(|b| *c < b.0)) {
+                    best = Some((cost, i, j));
                 }
             }
         }
