@@ -23,7 +23,7 @@ use crate::session::{Reconstruction, Session};
 use bundle_adjustment::CameraFreedom;
 use calibration::{Calibration, estimate_cameras, from_given_cameras, heldout_px};
 use config::Extrinsics;
-pub use config::Options;
+pub use config::{CameraFacts, Options};
 use result::Findings;
 
 /// Why a capture cannot be solved at all.
@@ -57,7 +57,7 @@ pub enum PipelineError {
 /// # Errors
 /// [`PipelineError`] when the work was canceled, an option asks for what the session lacks, or nothing can be solved.
 pub fn reconstruct(session: &Session, options: &Options, progress: &Progress) -> Result<Reconstruction, PipelineError> {
-    options.check(session)?;
+    options.check(&CameraFacts::of(session))?;
     if session.views.iter().all(|v| v.frames.iter().all(Vec::is_empty)) {
         let reason = "no camera detected anybody; check that the keypoint files are those of this take".to_owned();
         return Err(PipelineError::Unsolvable { code: "nobody_detected", reason });
