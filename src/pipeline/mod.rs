@@ -7,7 +7,6 @@ pub mod calibration;
 pub mod camera_init;
 pub mod config;
 pub mod fit_figures;
-pub mod instants;
 pub mod joint_trajectories;
 pub mod metric_scale;
 pub mod result;
@@ -81,7 +80,7 @@ pub fn reconstruct(session: &Session, options: &Options, progress: &Progress) ->
     let paths = result::paths(&capture, &calibration, &stage)?;
 
     let stage = progress.stage("metric_scale", 3, N_STAGES, 0.7, 0.02);
-    let scale = metric_scale::metric_scale(&capture, &calibration, &paths)?;
+    let scale = metric_scale::metric_scale(&capture, &calibration.cameras, &calibration.association.tracks, &paths)?;
     let findings = Findings::in_world(&capture, calibration, paths, scale, heldout_px);
 
     let stage_body = stage.stage("body_fit", 4, N_STAGES, 0.72, 0.25);
