@@ -1,6 +1,7 @@
 //! The commands; one file each.
 
 pub mod evaluate;
+mod export;
 mod meter;
 mod reconstruct;
 pub mod simulate;
@@ -35,6 +36,8 @@ enum Command {
     Reconstruct(reconstruct::Args),
     /// Compare a result with the truth
     Evaluate(evaluate::Args),
+    /// Write a finished result in further formats
+    Export(export::Args),
     /// Make a session with exact truth
     Simulate(simulate::Args),
     /// Serve sessions and jobs over HTTP
@@ -65,6 +68,7 @@ pub fn main() -> ExitCode {
     let done = match cli.command {
         Command::Reconstruct(args) => reconstruct::run(args),
         Command::Evaluate(args) => evaluate::run(args),
+        Command::Export(args) => export::run(args),
         Command::Simulate(args) => simulate::run(args),
         #[cfg(feature = "service")]
         Command::Serve(args) => serve::run(args),
