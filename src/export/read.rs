@@ -102,8 +102,11 @@ struct Person {
 #[derive(Deserialize)]
 struct PosesFile {
     joint_names: Vec<String>,
-    frames: BTreeMap<i64, BTreeMap<usize, Vec<Option<[f64; 3]>>>>,
+    frames: BTreeMap<i64, JointsByPerson>,
 }
+
+/// A joint that was not finite is null.
+type JointsByPerson = BTreeMap<usize, Vec<Option<[f64; 3]>>>;
 
 /// Longest time line that is read, frames: nine hours at 30 fps, as sessions have it.
 const MAX_FRAMES: i64 = 1_000_000;

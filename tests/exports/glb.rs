@@ -7,6 +7,14 @@ use std::fs;
 use wandless::body::skeleton::JOINT_NAMES;
 use wandless::session::recording::UpAxis;
 
+/// A channel of an animation with its sampler's values.
+struct Channel {
+    node: usize,
+    path: String,
+    times: Vec<Vec<f64>>,
+    values: Vec<Vec<f64>>,
+}
+
 struct Glb {
     root: Value,
     binary: Vec<u8>,
@@ -81,8 +89,7 @@ fn joints_are_where_the_result_has_them() {
     for written in both_up_axes() {
         let glb = Glb::read(&written);
         let animation = &glb.root["animations"][0];
-        // [channels]: node, path, times, values
-        let channels: Vec<(usize, String, Vec<Vec<f64>>, Vec<Vec<f64>>)> = animation["channels"]
+        let channels: Vec<Channel> = animation["channels"]
             .as_array()
             .unwrap()
             .iter()
@@ -91,7 +98,7 @@ fn joints_are_where_the_result_has_them() {
                 let target = &channel["target"];
                 let node = target["node"].as_u64().unwrap() as usize;
                 let (times, values) = (glb.floats(&sampler["input"]), glb.floats(&sampler["output"]));
-                (node, target["path"].as_str().unwrap().to_owned(), times, values)
+                Channel { node, path: target["path"].as_str().unwrap().to_owned(), times, values }
             })
             .collect();
         for person in written.people() {
@@ -104,9 +111,9 @@ fn joints_are_where_the_result_has_them() {
             let joints: Vec<usize> = numbers(&skin["joints"]).iter().map(|j| *j as usize).collect();
             for (i, frame) in person.frames.iter().enumerate() {
                 let animated = |node: usize, path: &str| {
-                    let channel = channels.iter().find(|(n, p, _, _)| *n == node && p == path)?;
-                    assert!((channel.2[i][0] - (frame - FIRST_FRAME) as f64 / FPS).abs() < 1e-5);
-                    Some(channel.3[i].clone())
+                    let channel = channels.iter().find(|c| c.node == node && c.path == path)?;
+                    assert!((channel.times[i][0] - (frame - FIRST_FRAME) as f64 / FPS).abs() < 1e-5);
+                    Some(channel.values[i].clone())
                 };
                 for (j, node) in joints.iter().enumerate() {
                     assert_eq!(glb.nodes()[*node]["name"], JOINT_NAMES[j]);

@@ -278,7 +278,7 @@ fn motion(person: usize, first: usize, n_frames: usize, up_axis: UpAxis) -> Body
     let upright = if up_axis == UpAxis::Y {
         Matrix3::identity()
     } else {
-        rotation::exp(&(Vector3::x() * 1.570_796_326_794_896_6))
+        rotation::exp(&(Vector3::x() * std::f64::consts::FRAC_PI_2))
     };
     let pose = |t: usize| {
         let phase = t as f64 * 0.3 + person as f64;
