@@ -1,8 +1,9 @@
-"""BVH, GLB and the script opened by Blender: blender --background --python blender.py -- RESULT EXPORTS."""
+"""BVH, GLB, the script and the .chan files opened by Blender: blender --background --python blender.py -- RESULT EXPORTS."""
 
 import json
 import sys
 
+import addon_utils
 import bpy
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
@@ -44,11 +45,13 @@ def worst_joint(person, armature, first_shown):
     return worst
 
 
-def worst_pixel(camera, thing, principal_point):
-    """Largest distance of projections, without distortion, and without principal point where the format has none."""
+def worst_pixel(camera, thing, principal_point, pixel_aspect=True):
+    """Largest distance of projections, without distortion, and without what else the format has no place for."""
     scene = bpy.context.scene
     scene.render.resolution_x, scene.render.resolution_y = camera["width"], camera["height"]
-    k, pose = camera["K"], Matrix(camera["R"])
+    k, pose = [list(row) for row in camera["K"]], Matrix(camera["R"])
+    if not pixel_aspect:
+        k[0][0] = k[1][1]
     # Pixels that are not square are the scene's, not the camera's.
     scene.render.pixel_aspect_x = max(1.0, k[1][1] / k[0][0])
     scene.render.pixel_aspect_y = max(1.0, k[0][0] / k[1][1])
@@ -86,9 +89,9 @@ def check_bvh():
     joint = 0.0
     for person in PEOPLE:
         empty_scene()
-        first = person["frames"][0]
-        bpy.ops.import_anim.bvh(filepath=f"{EXPORTS}/{person['id']}.bvh", global_scale=0.01, frame_start=first)
-        joint = max(joint, worst_joint(person, bpy.context.object, FIRST))
+        start = person["frames"][0] - FIRST + 1  # Blender starts no BVH before frame 1
+        bpy.ops.import_anim.bvh(filepath=f"{EXPORTS}/{person['id']}.bvh", global_scale=0.01, frame_start=start)
+        joint = max(joint, worst_joint(person, bpy.context.object, 1))
     return say("bvh", joint)
 
 
@@ -119,6 +122,22 @@ def check_script():
     return say("scene.py", joint, pixel)
 
 
+def check_chan():
+    pixel = 0.0
+    for camera in CAMERAS:
+        empty_scene()
+        addon_utils.enable("io_anim_nuke_chan")
+        thing = bpy.data.objects.new(camera["id"], bpy.data.cameras.new(camera["id"]))
+        bpy.context.scene.collection.objects.link(thing)
+        bpy.context.view_layer.objects.active = thing
+        height = 36.0 * camera["height"] / camera["width"]
+        path = f"{EXPORTS}/{camera['id']}.chan"
+        options = {"z_up": True, "rotation_order": "ZXY", "sensor_width": 36.0, "sensor_height": height}
+        bpy.ops.import_scene.import_chan(filepath=path, **options)
+        pixel = max(pixel, worst_pixel(camera, thing, False, pixel_aspect=False))
+    return say("chan", 0.0, pixel)
+
+
 mend_readers()
-if not all([check_bvh(), check_glb(), check_script()]):
+if not all([check_bvh(), check_glb(), check_script(), check_chan()]):
     sys.exit(1)
