@@ -325,7 +325,7 @@ def row_15(args, server):
     report, cameras, people = (json.loads(files[f"{n}.json"]) for n in ("report", "cameras", "people"))
     db = sqlite3.connect(f"file:{next(server.data.rglob('*.sqlite*')) if list(server.data.rglob('*.sqlite')) else next(server.data.rglob('*.db'))}?mode=ro", uri=True)
     db.row_factory = sqlite3.Row
-    rows = lambda table: [dict(r) for r in db.execute(f"select * from {table} where job = ?", (job,))]
+    rows = lambda table: [dict(r) for r in db.execute(f"select * from {table} where job_id = ?", (job,))]
     stages = sorted(rows("stage_metrics"), key=lambda r: r["stage_index"])
     ok = [(r["stage"], r["iterations"], r["cost_before"], r["cost_after"], r["termination"]) for r in stages] == [
         (s["stage"], s["iterations"], s["cost_before"], s["cost_after"], s["termination"]) for s in report["stages"]]
