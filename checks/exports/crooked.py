@@ -1,4 +1,4 @@
-"""crooked.py RESULT: gives a result's cameras lenses that no format finds easy; their poses stay."""
+"""crooked.py RESULT: makes a result hard for every format: crooked lenses, and a person who comes, is lost, and goes."""
 
 import json
 import sys
@@ -20,3 +20,13 @@ for i, camera in enumerate(cameras["cameras"]):
     camera["dist"] = dist
 with open(path, "w") as file:
     json.dump(cameras, file)
+
+path = f"{sys.argv[1]}/people.json"
+with open(path) as file:
+    people = json.load(file)
+person = people["people"][-1]
+for key in ["frames", "global_orient", "body_pose", "transl", "valid"]:
+    person[key] = person[key][12:70]
+person["valid"][20:25] = [False] * 5
+with open(path, "w") as file:
+    json.dump(people, file)

@@ -1,6 +1,7 @@
 //! The commands; one file each.
 
-pub mod evaluate;
+pub mod bench;
+mod evaluate;
 mod export;
 mod meter;
 mod reconstruct;
@@ -40,6 +41,8 @@ enum Command {
     Export(export::Args),
     /// Make a session with exact truth
     Simulate(simulate::Args),
+    /// Measure success and speed
+    Bench(bench::Args),
     /// Serve sessions and jobs over HTTP
     #[cfg(feature = "service")]
     Serve(serve::Args),
@@ -70,6 +73,7 @@ pub fn main() -> ExitCode {
         Command::Evaluate(args) => evaluate::run(args),
         Command::Export(args) => export::run(args),
         Command::Simulate(args) => simulate::run(args),
+        Command::Bench(args) => bench::run(args),
         #[cfg(feature = "service")]
         Command::Serve(args) => serve::run(args),
         #[cfg(feature = "service")]
