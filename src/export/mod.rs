@@ -3,11 +3,14 @@
 //! World: right-handed, metres; `x_camera = R x_world + t` with OpenCV's camera axes. Frames carry the session's own
 //! numbers. The same reconstruction gives the same bytes: no clock, no map whose order could change.
 
+mod buffers;
 mod cameras;
+mod detections_bin;
 mod files;
 mod identities;
 mod joints;
 mod manifest;
+mod motion_bin;
 mod people;
 mod smpl_npz;
 
@@ -68,6 +71,9 @@ pub fn name(format: ExportFormat) -> String {
     }
 }
 
+/// Media type of files that only the viewer reads.
+const OCTETS: &str = "application/octet-stream";
+
 /// Writes every file of a result into `dir`, which is made where it is missing; the manifest comes last.
 ///
 /// Numbers are finite or null. Metres and radians are rounded to 1e-6, the poses of cameras are not. Files of an earlier
@@ -89,6 +95,8 @@ pub fn write_result(
     files.json("keypoints3d.json", &joints::keypoints(session, reconstruction))?;
     files.json("identities.json", &identities::Identities { session, reconstruction })?;
     files.json("report.json", &reconstruction.report)?;
+    files.bytes("stages/motion.bin", OCTETS, &motion_bin::motion_bin(session, reconstruction)?)?;
+    files.bytes("stages/detections.bin", OCTETS, &detections_bin::detections_bin(session, reconstruction)?)?;
     for format in context.exports {
         if *format == ExportFormat::SmplNpz {
             smpl_npz::write(&mut files, session, reconstruction)?;
