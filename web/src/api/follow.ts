@@ -25,7 +25,6 @@ export async function follow(
   try {
     while (!signal.aborted) {
       try {
-        if (hasEvents && !events) hasEvents = (events = await openEvents(id, signal)) !== null
         const wait = hasEvents || !tag ? 0 : WAIT_SECS
         const answer: Response = await request(`/v1/jobs/${id}?wait=${wait}`, {
           headers: tag ? { 'If-None-Match': tag } : {},
@@ -39,6 +38,7 @@ export async function follow(
           onJob(job)
           if (isFinal(job.state)) return
         }
+        if (hasEvents && !events) hasEvents = (events = await openEvents(id, signal)) !== null
         await pause(CALM_MS, signal)
         if (events && (await events.read()).done) events = null
       } catch (error) {

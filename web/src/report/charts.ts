@@ -2,11 +2,11 @@
 
 import { el, svg } from '../dom'
 
-const WIDTH = 720
+const WIDTH = 540
 
 /** One bar per row with its number at the end; `mark` is drawn as a tick (a mean beside a median). */
 export function barChart(title: string, unit: string, rows: { name: string; value: number | null; mark?: number | null; note?: string }[]) {
-  const [row, left, right] = [26, 130, 110]
+  const [row, left, right] = [26, 110, 90]
   const most = Math.max(...rows.map(({ value, mark }) => Math.max(value ?? 0, mark ?? 0)), 1e-9) * 1.02
   const x = (value: number) => left + (value / most) * (WIDTH - left - right)
   const height = rows.length * row + 8

@@ -69,9 +69,9 @@ export class Overlay {
   private drawBody(index: number, view: number, frame: number) {
     const pixels = projectedJoints(this.motion, view, frame, index)
     if (!pixels) return
-    this.pen('#ffffff', 4.2, 0.5)
+    this.pen('#0b0f14', 4.6, 0.55)
     this.strokeBones(pixels)
-    this.pen(personColor(index), 2.2, 1)
+    this.pen(personColor(index), 2.4, 1)
     this.strokeBones(pixels)
   }
 
@@ -107,7 +107,7 @@ export class Overlay {
     const { context, motion } = this
     const n = motion.keypoint_names.length
     const at = (k: number) => 2 * (d * n + k)
-    this.pen(index < 0 ? '#e5484d' : '#ffffff', 1.3, 0.95, index < 0 ? [5, 4] : [])
+    this.pen(index < 0 ? '#e5484d' : '#ffffff', 1.3, 0.9, index < 0 ? [5, 4] : [])
     context.beginPath()
     for (const [a, b] of this.edges) {
       if (Math.min(seen.confidence[d * n + a], seen.confidence[d * n + b]) < MIN_CONFIDENCE) continue

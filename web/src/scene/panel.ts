@@ -106,11 +106,11 @@ export class Panel {
     return [
       el('h3', {}, camera.id),
       table([
-        ['Image', `${camera.width} × ${camera.height} px`],
+        ['Image', `${camera.width}\u202f×\u202f${camera.height}\u202fpx`],
         ['Reprojection, median', px(camera.reprojection_px?.median)],
         ['Reprojection, mean', px(camera.reprojection_px?.mean)],
         ['Position', position ? `${position} m` : 'not placed'],
-        ['Height over the floor', metres(camera.position?.[this.view.motion.up_axis === 'y' ? 1 : 2])],
+        ['Height', metres(camera.position?.[this.view.motion.up_axis === 'y' ? 1 : 2])],
         ['Position known to', camera.sigma_position_mm == null ? '–' : `± ${millimetres(camera.sigma_position_mm)}`],
         ['Direction known to', camera.sigma_angle_deg == null ? '–' : `± ${degrees(camera.sigma_angle_deg)}`],
         ['Detections rejected', figures ? `${figures.n_rejected_detections} of ${figures.n_detections}` : '–'],

@@ -47,6 +47,8 @@ export interface PeopleLook {
   skeleton: boolean
   points: boolean
   selected: number | null
+  /** Set back behind what is drawn over it. */
+  isMuted: boolean
 }
 
 export class People {
@@ -80,6 +82,7 @@ export class People {
       const isCarried = person.valid[row] === 0
       const isAside = look.selected !== null && look.selected !== index
       if (isCarried || isAside) this.color.lerp(this.tone.set(ground.carried), isCarried ? 0.75 : 0.6)
+      if (look.isMuted) this.color.lerp(this.tone.set(ground.background), 0.62)
       if (look.body) this.addBody(person, row)
       if (look.skeleton) this.addSkeleton(person, row)
       if (look.points) this.addPoints(person, row)

@@ -92,7 +92,7 @@ export class Stage {
   }
 
   private shadowCatcher() {
-    const floor = new Mesh(new PlaneGeometry(FLOOR, FLOOR), new ShadowMaterial({ opacity: 0.28 }))
+    const floor = new Mesh(new PlaneGeometry(FLOOR, FLOOR), new ShadowMaterial({ opacity: 0.32 }))
     floor.rotation.x = -Math.PI / 2
     floor.position.y = 0.001
     floor.receiveShadow = true
@@ -119,7 +119,7 @@ export class Stage {
   /** The free view as it is at first: everybody and every camera in the picture. */
   resetView() {
     this.controls.target.copy(this.centre)
-    const distance = 2.05 * this.reach
+    const distance = 1.75 * this.reach
     this.free.position.copy(this.centre).add(new Vector3(0.55, 0.5, 0.8).normalize().multiplyScalar(distance))
     this.controls.update()
   }

@@ -15,6 +15,9 @@ import { Trails } from './trails'
 /** A click nearer to a thing's middle than this chooses it, CSS pixels. */
 const REACH = 28
 
+/** Room for the switches over a camera's image, CSS pixels. */
+const BAR = 54
+
 export class SceneView {
   readonly element: HTMLElement
   readonly stage: Stage
@@ -100,8 +103,8 @@ export class SceneView {
     const { state, stage, frame } = this
     const isThrough = state.through !== null
     const isCompared = state.isCompared && !isThrough
-    const look = { ...state, body: state.body || isCompared, points: state.points || isCompared, selected: state.person }
-    this.people.show(frame, look, stage.ground)
+    const look = { ...state, body: state.body || isCompared, points: state.points || isCompared }
+    this.people.show(frame, { ...look, selected: state.person, isMuted: isThrough }, stage.ground)
     this.trails.show(frame, state.trails && !isThrough)
     this.rig.show(state.cameras, state.camera, state.through, stage.ground)
     this.divider.hidden = !isCompared
@@ -141,9 +144,10 @@ export class SceneView {
   /** The largest rectangle of an image's shape in the middle of the stage. */
   private imagePart(width: number, height: number): Rectangle {
     const { clientWidth, clientHeight } = this.element
-    const scale = Math.min(clientWidth / width, clientHeight / height)
+    const room = clientHeight - BAR
+    const scale = Math.min(clientWidth / width, room / height)
     const [w, h] = [width * scale, height * scale]
-    return { left: (clientWidth - w) / 2, top: (clientHeight - h) / 2, width: w, height: h }
+    return { left: (clientWidth - w) / 2, top: BAR + (room - h) / 2, width: w, height: h }
   }
 
   private resize() {
