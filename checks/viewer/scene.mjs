@@ -70,6 +70,7 @@ export async function checkPlay(page, minutes, what) {
     await session.detach()
     return usedSize
   }
+  await page.locator('.stage canvas').first().focus()
   await page.keyboard.press('Space')
   await page.waitForTimeout(3000)
   const [before, held] = [await heap(), await page.evaluate(() => window.wandless.memory())]
@@ -77,7 +78,7 @@ export async function checkPlay(page, minutes, what) {
   const [after, holds] = [await heap(), await page.evaluate(() => window.wandless.memory())]
   const times = (await page.evaluate(() => window.wandless.frameTimes())).sort((a, b) => a - b)
   await page.keyboard.press('Space')
-  const at = (share) => times[Math.floor(share * (times.length - 1))].toFixed(1)
+  const at = (share) => times[Math.floor(share * (times.length - 1))]?.toFixed(1)
   check(`${what}: frame time stated`, times.length > 0, `median ${at(0.5)} ms, 95 % ${at(0.95)} ms`)
   const grown = `${(before / 1e6).toFixed(1)} to ${(after / 1e6).toFixed(1)} MB in ${minutes} min, geometries ${held.geometries} to ${holds.geometries}`
   check(`${what}: memory does not grow`, after < Math.max(1.1 * before, before + 8e6) && holds.geometries === held.geometries, grown)

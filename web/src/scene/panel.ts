@@ -90,7 +90,7 @@ export class Panel {
       el('h3', {}, `Person ${person.id}`),
       table([
         ['Frames', `${from} to ${from + person.n_frames - 1}`],
-        ['Reprojection, median', px(figures?.reprojection_px?.median)],
+        ['Median error', px(figures?.reprojection_px?.median)],
         ['Bone lengths vary by', percent(figures?.bone_length_spread, 1)],
         ['Mean acceleration', acceleration(figures?.jitter_m_per_s2)],
         ['Poses carried over gaps', carried ? count(carried, 'frame') : 'none'],
@@ -107,13 +107,13 @@ export class Panel {
       el('h3', {}, camera.id),
       table([
         ['Image', `${camera.width}\u202f×\u202f${camera.height}\u202fpx`],
-        ['Reprojection, median', px(camera.reprojection_px?.median)],
-        ['Reprojection, mean', px(camera.reprojection_px?.mean)],
+        ['Median error', px(camera.reprojection_px?.median)],
+        ['Mean error', px(camera.reprojection_px?.mean)],
         ['Position', position ? `${position} m` : 'not placed'],
         ['Height', metres(camera.position?.[this.view.motion.up_axis === 'y' ? 1 : 2])],
-        ['Position known to', camera.sigma_position_mm == null ? '–' : `± ${millimetres(camera.sigma_position_mm)}`],
-        ['Direction known to', camera.sigma_angle_deg == null ? '–' : `± ${degrees(camera.sigma_angle_deg)}`],
-        ['Detections rejected', figures ? `${figures.n_rejected_detections} of ${figures.n_detections}` : '–'],
+        ['Position within', camera.sigma_position_mm == null ? '–' : `± ${millimetres(camera.sigma_position_mm)}`],
+        ['Direction within', camera.sigma_angle_deg == null ? '–' : `± ${degrees(camera.sigma_angle_deg)}`],
+        ['Rejected', figures ? `${figures.n_rejected_detections} of ${figures.n_detections} detections` : '–'],
       ]),
       el('p', { class: 'hint' }, `The ball round it shows the uncertainty of its position, ${SIGMA_SCALE} times as large.`),
     ]
