@@ -1,9 +1,10 @@
 //! The commands; one file each.
 
+pub mod bench;
 mod evaluate;
 mod meter;
 mod reconstruct;
-mod simulate;
+pub mod simulate;
 mod solve;
 
 #[cfg(feature = "service")]
@@ -37,6 +38,8 @@ enum Command {
     Evaluate(evaluate::Args),
     /// Make a session with exact truth
     Simulate(simulate::Args),
+    /// Measure success and speed
+    Bench(bench::Args),
     /// Serve sessions and jobs over HTTP
     #[cfg(feature = "service")]
     Serve(serve::Args),
@@ -66,6 +69,7 @@ pub fn main() -> ExitCode {
         Command::Reconstruct(args) => reconstruct::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Simulate(args) => simulate::run(args),
+        Command::Bench(args) => bench::run(args),
         #[cfg(feature = "service")]
         Command::Serve(args) => serve::run(args),
         #[cfg(feature = "service")]

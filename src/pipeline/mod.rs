@@ -7,7 +7,6 @@ pub mod calibration;
 pub mod camera_init;
 pub mod config;
 pub mod fit_figures;
-pub mod instants;
 pub mod joint_trajectories;
 pub mod metric_scale;
 pub mod result;
@@ -23,7 +22,7 @@ use crate::session::{Reconstruction, Session};
 use bundle_adjustment::CameraFreedom;
 use calibration::{Calibration, estimate_cameras, from_given_cameras, heldout_px};
 use config::Extrinsics;
-pub use config::Options;
+pub use config::{CameraFacts, Options};
 use result::Findings;
 
 /// Why a capture cannot be solved at all.
@@ -57,7 +56,7 @@ pub enum PipelineError {
 /// # Errors
 /// [`PipelineError`] when the work was canceled, an option asks for what the session lacks, or nothing can be solved.
 pub fn reconstruct(session: &Session, options: &Options, progress: &Progress) -> Result<Reconstruction, PipelineError> {
-    options.check(session)?;
+    options.check(&CameraFacts::of(session))?;
     if session.views.iter().all(|v| v.frames.iter().all(Vec::is_empty)) {
         let reason = "no camera detected anybody; check that the keypoint files are those of this take".to_owned();
         return Err(PipelineError::Unsolvable { code: "nobody_detected", reason });
@@ -81,7 +80,7 @@ pub fn reconstruct(session: &Session, options: &Options, progress: &Progress) ->
     let paths = result::paths(&capture, &calibration, &stage)?;
 
     let stage = progress.stage("metric_scale", 3, N_STAGES, 0.7, 0.02);
-    let scale = metric_scale::metric_scale(&capture, &calibration, &paths)?;
+    let scale = metric_scale::metric_scale(&capture, &calibration.cameras, &calibration.association.tracks, &paths)?;
     let findings = Findings::in_world(&capture, calibration, paths, scale, heldout_px);
 
     let stage_body = stage.stage("body_fit", 4, N_STAGES, 0.72, 0.25);
