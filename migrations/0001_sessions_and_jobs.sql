@@ -9,13 +9,12 @@ CREATE TABLE sessions (
     sha256              TEXT NOT NULL UNIQUE,
     bytes               INTEGER NOT NULL,
     name                TEXT NOT NULL,
-    cameras             TEXT NOT NULL,           -- JSON list of camera ids, in the session's order
+    cameras             TEXT NOT NULL,           -- JSON list of {id, has_extrinsics}, in the session's order
     n_frames            INTEGER NOT NULL,
     people_max          INTEGER NOT NULL,        -- most detections in one image
     keypoint_convention TEXT NOT NULL,
     format              TEXT NOT NULL,
     warnings            TEXT NOT NULL,           -- JSON list of sentences
-    has_extrinsics      INTEGER NOT NULL,        -- every camera came with R and t
     created_at          TEXT NOT NULL
 ) STRICT;
 

@@ -1,10 +1,12 @@
 //! The commands; one file each.
 
+pub mod bench;
 mod body;
 mod evaluate;
+mod export;
 mod meter;
 mod reconstruct;
-mod simulate;
+pub mod simulate;
 mod solve;
 
 #[cfg(feature = "service")]
@@ -36,8 +38,12 @@ enum Command {
     Reconstruct(reconstruct::Args),
     /// Compare a result with the truth
     Evaluate(evaluate::Args),
+    /// Write a finished result in further formats
+    Export(export::Args),
     /// Make a session with exact truth
     Simulate(simulate::Args),
+    /// Measure success and speed
+    Bench(bench::Args),
     /// Look at a body model, or write it in other formats
     Body(body::Args),
     /// Serve sessions and jobs over HTTP
@@ -68,7 +74,9 @@ pub fn main() -> ExitCode {
     let done = match cli.command {
         Command::Reconstruct(args) => reconstruct::run(args),
         Command::Evaluate(args) => evaluate::run(args),
+        Command::Export(args) => export::run(args),
         Command::Simulate(args) => simulate::run(args),
+        Command::Bench(args) => bench::run(args),
         Command::Body(args) => body::run(args),
         #[cfg(feature = "service")]
         Command::Serve(args) => serve::run(args),

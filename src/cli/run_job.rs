@@ -129,7 +129,7 @@ fn cause(error: SolveError) -> JobError {
         SolveError::Pipeline(PipelineError::Option { option, reason }) => JobError {
             code: "option_impossible".to_owned(),
             detail: reason,
-            pointer: Some(format!("/options/{}", option.trim_start_matches('/'))),
+            pointer: Some(format!("/options{option}")),
             ..JobError::default()
         },
         SolveError::Pipeline(PipelineError::Unsolvable { code, reason }) => {

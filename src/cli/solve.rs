@@ -45,7 +45,7 @@ pub(super) fn solve(
     if sha256.is_some_and(|sha256| sha256 != loaded.sha256) {
         return Err(SolveError::Changed);
     }
-    let reconstruction = pipeline::reconstruct(&loaded.session, options, body, progress)?;
+    let reconstruction = pipeline::reconstruct_with_body(&loaded.session, options, body, progress)?;
     let context = ResultContext {
         input_sha256: &loaded.sha256,
         options: serde_json::to_value(options).map_err(io::Error::from)?,

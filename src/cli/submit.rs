@@ -57,7 +57,10 @@ pub(super) fn submit(client: &Client, session: &Path, options: &serde_json::Valu
 fn follow(client: &Client, mut job: JobAnswer) -> anyhow::Result<JobAnswer> {
     let meter = Meter::new();
     while !job.is_final() {
-        let stage = if job.state == "queued" { "queued" } else { &job.progress.stage };
+        let stage = match job.progress.stage.as_str() {
+            "" => &job.state, // no word of its child yet
+            stage => stage,
+        };
         meter.show(stage, job.progress.fraction, &job.progress.message);
         job = client.wait_for_job(&job.id)?;
     }

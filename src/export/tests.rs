@@ -211,12 +211,122 @@ fn the_same_result_gives_the_same_bytes() {
     }
 }
 
+const ALL_FORMATS: [ExportFormat; 13] = [
+    ExportFormat::SmplNpz,
+    ExportFormat::Easymocap,
+    ExportFormat::Glb,
+    ExportFormat::Bvh,
+    ExportFormat::Usd,
+    ExportFormat::Trc,
+    ExportFormat::C3d,
+    ExportFormat::OpencvYaml,
+    ExportFormat::CalibToml,
+    ExportFormat::AniposeToml,
+    ExportFormat::Colmap,
+    ExportFormat::Chan,
+    ExportFormat::Blender,
+];
+
 #[test]
-fn a_format_without_a_writer_is_refused_before_anything_is_written() {
+fn a_format_written_later_has_the_bytes_it_would_have_had_at_once() {
+    let (at_once, later) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let context = ResultContext { exports: &ALL_FORMATS, ..context() };
+    write_result(at_once.path(), &session(), &context, &reconstruction()).unwrap();
+    let take = read_take(at_once.path()).unwrap();
+    assert_eq!((take.motions.len(), take.unplaced.as_slice()), (1, &["a".to_owned()][..]));
+    let representations = write_formats(later.path(), &take, &ALL_FORMATS).unwrap();
+    let files: Vec<&String> = representations.iter().flat_map(|r| &r.files).collect();
+    assert!(files.len() >= 13);
+    for name in files {
+        assert_eq!(
+            fs::read(at_once.path().join(name)).unwrap(),
+            fs::read(later.path().join(name)).unwrap(),
+            "{name} differs"
+        );
+    }
+}
+
+#[test]
+fn a_pose_that_is_not_finite_is_carried_and_said_so() {
+    let mut broken = reconstruction();
+    broken.motions[0].frames[0].joints[3].y = f64::NAN;
     let dir = tempfile::tempdir().unwrap();
-    let context = ResultContext { exports: &[ExportFormat::SmplNpz, ExportFormat::Glb], ..context() };
-    let error = write_result(&dir.path().join("out"), &session(), &context, &reconstruction()).unwrap_err();
-    assert_eq!(error.to_string(), "the format glb cannot be written, smpl_npz can");
-    assert!(!dir.path().join("out").exists());
-    assert!(supported(ExportFormat::SmplNpz) && !supported(ExportFormat::Colmap));
+    write_result(dir.path(), &session(), &context(), &broken).unwrap();
+    let take = read_take(dir.path()).unwrap();
+    assert_eq!(take, take::take_of(&session(), &broken));
+    let frames = &take.motions[0].frames;
+    assert_eq!((frames[0].joints, frames[0].valid), (frames[1].joints, false));
+}
+
+#[test]
+fn a_result_that_was_changed_into_something_else_is_no_result() {
+    let faults = [
+        ("manifest.json", "\"frame_range\":[300,302]", "\"frame_range\":[302,300]", "publish.frame_range"),
+        ("manifest.json", "\"frame_range\":[300,302]", "\"frame_range\":[-9223372036854775808,302]", "frame_range"),
+        ("people.json", "[301,302]", "[301,303]", "frames without holes"),
+        ("people.json", "[301,302]", "[302,303]", "frames without holes from 300 to 302"),
+        ("people.json", "[true,false]", "[true]", "2 entries of everything"),
+        ("poses3d.json", "\"302\"", "\"309\"", "24 joints"),
+        ("cameras.json", "\"width\":640", "\"width\":0", "camera b: size"),
+        ("cameras.json", "[500.0,", "[-500.0,", "focal lengths"),
+        ("cameras.json", "{", "[", "cameras.json"),
+    ];
+    for (file, right, wrong, said) in faults {
+        let dir = written();
+        let text = fs::read_to_string(dir.path().join(file)).unwrap();
+        assert!(text.contains(right), "{file}: {right}");
+        fs::write(dir.path().join(file), text.replacen(right, wrong, 1)).unwrap();
+        let error = read_take(dir.path()).unwrap_err().to_string();
+        assert!(error.contains(said), "{file}: {error}");
+    }
+}
+
+/// Header and payload of a self-describing file.
+fn opened(dir: &Path, name: &str) -> (Value, Vec<u8>) {
+    let bytes = fs::read(dir.join(name)).unwrap();
+    let end = 12 + u32::from_le_bytes(bytes[8..12].try_into().unwrap()) as usize;
+    (serde_json::from_slice(&bytes[12..end]).unwrap(), bytes[end..].to_vec())
+}
+
+/// One f32 of an array by its place in it.
+fn f32_at(payload: &[u8], array: &Value, index: usize) -> f32 {
+    assert_eq!(array["type"], "f32");
+    let at = array["offset"].as_u64().unwrap() as usize + 4 * index;
+    f32::from_le_bytes(payload[at..at + 4].try_into().unwrap())
+}
+
+#[test]
+fn the_viewers_motion_reads_back() {
+    let mut session = session();
+    for (frame, track_id) in [(0, 7), (2, 8)] {
+        session.views[0].frames[frame].iter_mut().for_each(|d| d.track_id = Some(track_id));
+    }
+    let dir = tempfile::tempdir().unwrap();
+    write_result(dir.path(), &session, &context(), &reconstruction()).unwrap();
+    let (header, payload) = opened(dir.path(), "stages/motion.bin");
+    assert_eq!(header["world"], read(dir.path(), "cameras.json"));
+    assert_eq!((&header["first_frame"], &header["n_frames"]), (&json!(300), &json!(3)));
+    let person = &header["people"][0];
+    assert_eq!(person["first"], 1);
+    assert_eq!(person["joints"]["shape"], json!([2, 24, 3]));
+    assert_eq!(f32_at(&payload, &person["joints"], (24 + 5) * 3), 5.0);
+    assert_eq!(f32_at(&payload, &person["joints"], (24 + 5) * 3 + 1), 0.75);
+    // The path begins a frame before the motion; its second row, the motion's first, knows nothing.
+    assert!(f32_at(&payload, &person["keypoints"], 6 * 3).is_nan());
+    assert_eq!(person["repairs"], json!([[2, 0]]));
+    let rejected = header["rejected"]["offset"].as_u64().unwrap() as usize;
+    assert_eq!(payload[rejected..rejected + 6], [0, 0, 1, 1, 0, 2]);
+}
+
+#[test]
+fn the_viewers_detections_read_back() {
+    let dir = written();
+    let (header, payload) = opened(dir.path(), "stages/detections.bin");
+    let camera = &header["cameras"][0];
+    let at = |name: &str| camera[name]["offset"].as_u64().unwrap() as usize;
+    assert_eq!(camera["id"], "b");
+    assert_eq!(payload[at("starts")..at("starts") + 16], [0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 3, 0, 0, 0]);
+    assert_eq!(payload[at("person")..at("person") + 6], [0, 0, 0xff, 0xff, 0, 0]);
+    assert_eq!(f32_at(&payload, &camera["pixels"], 3), 2.0);
+    assert_eq!(payload[at("confidence")], 255);
 }

@@ -46,7 +46,7 @@ pub struct SampsonGradient {
 pub fn sampson_gradient(second_from_first: &Rigid, a: &Vector2<f64>, b: &Vector2<f64>) -> Option<SampsonGradient> {
     let (turn, t, b) = (&second_from_first.rotation, &second_from_first.translation, b.push(1.0));
     let (q, p) = (turn * a.push(1.0), b.cross(t));
-    let (l, m) = (t.cross(&q), turn.tr_mul(&p));
+    let (l, m) = (t.cross(&q), turn.transpose() * p);
     let g = l.x * l.x + l.y * l.y + m.x * m.x + m.y * m.y;
     if g <= 0.0 {
         return None;

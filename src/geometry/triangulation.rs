@@ -26,7 +26,7 @@ pub fn triangulate_linear(sightings: &[Sighting<'_>]) -> Option<Vector3<f64>> {
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for sighting in sightings.iter().filter(|s| s.weight > 0.0) {
         let camera = sighting.camera_from_world;
-        let direction = camera.rotation.tr_mul(&sighting.normalized.push(1.0)).normalize();
+        let direction = (camera.rotation.transpose() * sighting.normalized.push(1.0)).normalize();
         let across = (Matrix3::identity() - direction * direction.transpose()) * sighting.weight;
         normal += across;
         right += across * camera.center();

@@ -137,7 +137,7 @@ fn triangulate_match(m: &Match, second_from_first: &Rigid) -> Vec<Option<(Vector
 pub fn midpoint(second_from_first: &Rigid, a: &Vector2<f64>, b: &Vector2<f64>) -> Option<(Vector3<f64>, bool)> {
     let center = second_from_first.center();
     let u = Vector3::new(a.x, a.y, 1.0);
-    let v = second_from_first.rotation.tr_mul(&Vector3::new(b.x, b.y, 1.0));
+    let v = second_from_first.rotation.transpose() * Vector3::new(b.x, b.y, 1.0);
     // Minimise |s u - (center + t v)|^2: a 2x2 system.
     let (uu, vv, uv) = (u.dot(&u), v.dot(&v), u.dot(&v));
     let det = uu * vv - uv * uv;

@@ -22,8 +22,10 @@ pub struct Association {
     pub tracks: Vec<PersonTrack>,
     /// First guess of each person's points, same frames.
     pub points: Vec<JointTrajectory>,
-    /// Share of confident keypoints that lie where a person was found to be.
+    /// Share of confident keypoints of placed views that lie where a person was found to be.
     pub explained: f64,
+    /// How many views were placed then.
+    pub n_views_placed: usize,
 }
 
 /// Gives every detection to a person or to nobody.
@@ -55,7 +57,8 @@ pub fn associate(
         termination: "all_frames".to_owned(),
         metrics,
     };
-    Ok((Association { tracks, points, explained }, report))
+    let n_views_placed = scene.cameras.iter().flatten().count();
+    Ok((Association { tracks, points, explained, n_views_placed }, report))
 }
 
 /// The association that groups of tracklets stand for: the start, before anybody was followed in 3D.
@@ -78,7 +81,7 @@ pub fn from_clusters(scene: &Scene, tracklets: &[Vec<Tracklet>], groups: &[Clust
         points.push(JointTrajectory { person: id, first, points: skeletons.into_iter().map(whole).collect(), n_views });
         tracks.push(PersonTrack { person: id, first, detections });
     }
-    Association { tracks, points, explained: 0.0 }
+    Association { tracks, points, explained: 0.0, n_views_placed: scene.cameras.iter().flatten().count() }
 }
 
 fn as_track(person: usize, tracked: &TrackedPerson, n_views: usize) -> PersonTrack {

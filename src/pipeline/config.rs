@@ -1,9 +1,9 @@
 //! What a user may ask for. Stored with the job, so that a run can be repeated.
 
 use super::PipelineError;
-use crate::session::Session;
 use crate::session::reconstruction::ExportFormat;
 use crate::session::recording::UpAxis;
+use crate::session::{Session, View};
 use serde::{Deserialize, Serialize};
 
 /// Options of one job; names and defaults are the HTTP contract's.
@@ -55,18 +55,35 @@ impl Default for Options {
     }
 }
 
+/// What must be known of a camera to judge the options; a service keeps it beside a session that it does not hold.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CameraFacts {
+    /// The camera's name.
+    pub id: String,
+    /// Whether the session gives its `R` and `t`.
+    pub has_extrinsics: bool,
+}
+
+impl CameraFacts {
+    /// Of every camera, in the session's order.
+    pub fn of(session: &Session) -> Vec<Self> {
+        let facts = |view: &View| Self { id: view.id.clone(), has_extrinsics: view.camera_from_world.is_some() };
+        session.views.iter().map(facts).collect()
+    }
+}
+
 impl Options {
     /// Checks what can be checked against the session before any work is spent.
     ///
     /// # Errors
     /// [`PipelineError::Option`] naming the option and the remedy.
-    pub fn check(&self, session: &Session) -> Result<(), PipelineError> {
+    pub fn check(&self, cameras: &[CameraFacts]) -> Result<(), PipelineError> {
         let refuse = |option, reason: String| Err(PipelineError::Option { option, reason });
-        let unposed = session.views.iter().find(|v| v.camera_from_world.is_none());
-        if let Some(view) = unposed.filter(|_| self.extrinsics != Extrinsics::Estimate) {
+        let unposed = cameras.iter().find(|camera| !camera.has_extrinsics);
+        if let Some(camera) = unposed.filter(|_| self.extrinsics != Extrinsics::Estimate) {
             let reason = format!(
                 "camera {}: fixed and refined extrinsics need R and t of every camera; give them, or use \"estimate\"",
-                view.id
+                camera.id
             );
             return refuse("/extrinsics", reason);
         }
@@ -85,10 +102,13 @@ impl Options {
         if self.people == Some(0) {
             return refuse("/people", "0 people leave nothing to solve; give 1 or more, or null".to_owned());
         }
-        self.check_scale(session)
+        if self.up_axis == UpAxis::X {
+            return refuse("/up_axis", "the result's world has y or z up; use \"y\" or \"z\"".to_owned());
+        }
+        self.check_scale(cameras)
     }
 
-    fn check_scale(&self, session: &Session) -> Result<(), PipelineError> {
+    fn check_scale(&self, known: &[CameraFacts]) -> Result<(), PipelineError> {
         let refuse = |option, reason: String| Err(PipelineError::Option { option, reason });
         match &self.scale {
             ScaleSource::Body => Ok(()),
@@ -106,7 +126,7 @@ impl Options {
                 if cameras[0] == cameras[1] {
                     return refuse("/scale/cameras", "two different cameras are needed".to_owned());
                 }
-                match cameras.iter().find(|id| session.views.iter().all(|v| v.id != **id)) {
+                match cameras.iter().find(|id| known.iter().all(|camera| camera.id != **id)) {
                     Some(id) => refuse("/scale/cameras", format!("there is no camera {id:?} in the session")),
                     None => Ok(()),
                 }

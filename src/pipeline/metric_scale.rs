@@ -1,11 +1,12 @@
 //! Metres: from the people's bones, from one known height, from the distance of two cameras, or from given extrinsics.
 
-use super::calibration::Calibration;
 use super::config::{Extrinsics, ScaleSource};
 use super::{Capture, PipelineError};
-use crate::matching::pair_score::median;
-use crate::session::JointTrajectory;
+use crate::body::default_body;
+use crate::body::scale::{measured_limbs, scale_from_people};
+use crate::geometry::Rigid;
 use crate::session::reconstruction::ScaleReport;
+use crate::session::{JointTrajectory, PersonTrack};
 use nalgebra::Vector3;
 
 /// From the top keypoint of the face (eyes, ears: 0.93 of stature, Drillis and Contini 1966) and the ankles (0.04) to
@@ -24,7 +25,8 @@ const DISTANCE_SIGMA: f64 = 0.01;
 /// [`PipelineError::Option`] where the chosen source is not in the capture.
 pub fn metric_scale(
     capture: &Capture,
-    calibration: &Calibration,
+    cameras: &[Option<Rigid>],
+    tracks: &[PersonTrack],
     paths: &[JointTrajectory],
 ) -> Result<Option<ScaleReport>, PipelineError> {
     if capture.options.extrinsics != Extrinsics::Estimate {
@@ -33,10 +35,8 @@ pub fn metric_scale(
     }
     match &capture.options.scale {
         ScaleSource::Body => Ok(from_bones(capture, paths)),
-        ScaleSource::Height { metres, who } => from_height(capture, calibration, paths, *metres, who).map(Some),
-        ScaleSource::CameraDistance { cameras, metres } => {
-            from_distance(capture, calibration, cameras, *metres).map(Some)
-        }
+        ScaleSource::Height { metres, who } => from_height(capture, tracks, paths, *metres, who).map(Some),
+        ScaleSource::CameraDistance { cameras: ids, metres } => from_distance(capture, cameras, ids, *metres).map(Some),
     }
 }
 
@@ -47,22 +47,22 @@ fn report(log_scale: f64, sigma: f64, evidence: String) -> ScaleReport {
 
 fn from_distance(
     capture: &Capture,
-    calibration: &Calibration,
-    cameras: &[String; 2],
+    cameras: &[Option<Rigid>],
+    ids: &[String; 2],
     metres: f64,
 ) -> Result<ScaleReport, PipelineError> {
     let center = |id: &String| {
         let view = capture.session.views.iter().position(|v| v.id == *id);
-        view.and_then(|v| calibration.cameras[v]).map(|c| c.center())
+        view.and_then(|v| cameras[v]).map(|c| c.center())
     };
-    match (center(&cameras[0]), center(&cameras[1])) {
+    match (center(&ids[0]), center(&ids[1])) {
         (Some(a), Some(b)) if (a - b).norm() > 1e-6 => {
-            let evidence = format!("{metres} m between cameras {} and {}", cameras[0], cameras[1]);
+            let evidence = format!("{metres} m between cameras {} and {}", ids[0], ids[1]);
             Ok(report((metres / (a - b).norm()).ln(), DISTANCE_SIGMA, evidence))
         }
         _ => Err(PipelineError::Option {
             option: "/scale/cameras",
-            reason: format!("cameras {} and {} could not both be placed; name two others", cameras[0], cameras[1]),
+            reason: format!("cameras {} and {} could not both be placed; name two others", ids[0], ids[1]),
         }),
     }
 }
@@ -70,14 +70,14 @@ fn from_distance(
 /// Standing height of each person: the upper tenth of the length from ankles to eyes or ears.
 fn from_height(
     capture: &Capture,
-    calibration: &Calibration,
+    tracks: &[PersonTrack],
     paths: &[JointTrajectory],
     metres: f64,
     who: &str,
 ) -> Result<ScaleReport, PipelineError> {
     let heights: Vec<Option<f64>> = paths.iter().map(|p| standing_height(capture, p)).collect();
     let chosen = match who.parse::<i64>() {
-        Ok(id) => person_of_track(capture, calibration, id),
+        Ok(id) => person_of_track(capture, tracks, id),
         Err(_) => (0..heights.len())
             .filter(|&i| heights[i].is_some())
             .max_by(|&a, &b| heights[a].unwrap_or(0.0).total_cmp(&heights[b].unwrap_or(0.0))),
@@ -118,8 +118,8 @@ fn standing_height(capture: &Capture, path: &JointTrajectory) -> Option<f64> {
 }
 
 /// The person most of whose detections carry a track id.
-fn person_of_track(capture: &Capture, calibration: &Calibration, id: i64) -> Option<usize> {
-    let votes = |track: &crate::session::PersonTrack| {
+fn person_of_track(capture: &Capture, tracks: &[PersonTrack], id: i64) -> Option<usize> {
+    let votes = |track: &PersonTrack| {
         let mut n = 0usize;
         for (t, claim) in track.detections.iter().enumerate() {
             for (view, detection) in claim.iter().enumerate() {
@@ -129,48 +129,19 @@ fn person_of_track(capture: &Capture, calibration: &Calibration, id: i64) -> Opt
         }
         n
     };
-    let counts: Vec<usize> = calibration.association.tracks.iter().map(votes).collect();
+    let counts: Vec<usize> = tracks.iter().map(votes).collect();
     (0..counts.len()).filter(|&i| counts[i] > 0).max_by_key(|&i| counts[i])
 }
 
-/// Standard deviation of the mean log bone length of one adult about the population's, and of detectors' own bias, log
-/// units: leave-one-out on simulated captures gave 4.4, 3.2 and 2.5 % for one, two and four people.
-const PERSON_SIGMA: f64 = 0.042;
-const BIAS_SIGMA: f64 = 0.013;
-
-/// From limb bones: per person the mean log ratio of reference to measured median length, over people by support.
+/// From limb bones, as far as two views saw both ends.
 fn from_bones(capture: &Capture, paths: &[JointTrajectory]) -> Option<ScaleReport> {
-    let (mut sum, mut weight, mut square) = (0.0, 0.0, 0.0);
-    for path in paths {
-        let Some((log_ratio, support)) = person_ratio(capture, path) else { continue };
-        // A person seen for a second says all there is to say of their bones; less says less.
-        let w = (support as f64 / capture.session.fps).min(1.0);
-        sum += w * log_ratio;
-        weight += w;
-        square += w * w;
-    }
-    if weight <= 0.0 {
-        return None;
-    }
-    let n_effective = weight * weight / square;
-    let sigma = (PERSON_SIGMA * PERSON_SIGMA / n_effective + BIAS_SIGMA * BIAS_SIGMA).sqrt();
-    Some(report(sum / weight, sigma, format!("limb lengths of {n_effective:.1} people against adult means")))
-}
-
-fn person_ratio(capture: &Capture, path: &JointTrajectory) -> Option<(f64, usize)> {
-    let (mut ratios, mut support) = (Vec::new(), 0);
-    for bone in &capture.bones {
-        let mut lengths: Vec<f64> = path
-            .points
-            .iter()
-            .zip(&path.n_views)
-            .filter(|(_, n)| n[bone.a] >= 2 && n[bone.b] >= 2)
-            .filter_map(|(p, _)| Some((p[bone.a]? - p[bone.b]?).norm()))
-            .collect();
-        support = support.max(lengths.len());
-        if lengths.len() >= 5 {
-            ratios.extend(median(&mut lengths).map(|l| (bone.length / l).ln()));
-        }
-    }
-    (ratios.len() >= 2).then(|| (ratios.iter().sum::<f64>() / ratios.len() as f64, support))
+    let seen = |path: &JointTrajectory| {
+        let row = |(points, n_views): (&Vec<Option<Vector3<f64>>>, &Vec<u8>)| {
+            points.iter().zip(n_views).map(|(p, n)| p.filter(|_| *n >= 2)).collect::<Vec<_>>()
+        };
+        path.points.iter().zip(&path.n_views).map(row).collect::<Vec<_>>()
+    };
+    let people: Vec<_> = paths.iter().map(|p| measured_limbs(&seen(p), capture.session.convention)).collect();
+    let estimate = scale_from_people(&default_body(), &people)?;
+    Some(ScaleReport { value: estimate.scale, interval95: estimate.interval95, evidence: estimate.evidence })
 }

@@ -7,15 +7,14 @@ pub mod calibration;
 pub mod camera_init;
 pub mod config;
 pub mod fit_figures;
-pub mod instants;
 pub mod joint_trajectories;
 pub mod metric_scale;
 pub mod result;
 pub mod verdict;
 pub mod world_frame;
 
-use crate::body::BodyModel;
 use crate::body::bones::{Bone, limb_bones};
+use crate::body::{BodyModel, default_body};
 use crate::geometry::Rigid;
 use crate::matching::sightings::{ViewSightings, sightings};
 use crate::matching::tracker::Scene;
@@ -24,7 +23,7 @@ use crate::session::{Reconstruction, Session};
 use bundle_adjustment::CameraFreedom;
 use calibration::{Calibration, estimate_cameras, from_given_cameras, heldout_px};
 use config::Extrinsics;
-pub use config::Options;
+pub use config::{CameraFacts, Options};
 use result::Findings;
 
 /// Why a capture cannot be solved at all.
@@ -51,19 +50,27 @@ pub enum PipelineError {
     },
 }
 
+/// [`reconstruct_with_body`] with the embedded body.
+///
+/// # Errors
+/// As there.
+pub fn reconstruct(session: &Session, options: &Options, progress: &Progress) -> Result<Reconstruction, PipelineError> {
+    reconstruct_with_body(session, options, &default_body(), progress)
+}
+
 /// Recovers cameras and people from a session: the stages, top to bottom.
 ///
 /// `body`: the model that every person is fitted with. The same session, options, body and instruction set give the same result, whatever the number of threads.
 ///
 /// # Errors
 /// [`PipelineError`] when the work was canceled, an option asks for what the session lacks, or nothing can be solved.
-pub fn reconstruct(
+pub fn reconstruct_with_body(
     session: &Session,
     options: &Options,
     body: &BodyModel,
     progress: &Progress,
 ) -> Result<Reconstruction, PipelineError> {
-    options.check(session)?;
+    options.check(&CameraFacts::of(session))?;
     if session.views.iter().all(|v| v.frames.iter().all(Vec::is_empty)) {
         let reason = "no camera detected anybody; check that the keypoint files are those of this take".to_owned();
         return Err(PipelineError::Unsolvable { code: "nobody_detected", reason });
@@ -87,7 +94,7 @@ pub fn reconstruct(
     let paths = result::paths(&capture, &calibration, &stage)?;
 
     let stage = progress.stage("metric_scale", 3, N_STAGES, 0.7, 0.02);
-    let scale = metric_scale::metric_scale(&capture, &calibration, &paths)?;
+    let scale = metric_scale::metric_scale(&capture, &calibration.cameras, &calibration.association.tracks, &paths)?;
     let findings = Findings::in_world(&capture, calibration, paths, scale, heldout_px);
 
     let stage_body = stage.stage("body_fit", 4, N_STAGES, 0.72, 0.25);

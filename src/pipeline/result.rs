@@ -143,7 +143,7 @@ impl Findings {
             placed: &placed,
             explained: self.calibration.association.explained,
             sigma_angle_deg: sigmas.and_then(|s| s.reduce(f64::max)),
-            rivals: self.calibration.rivals,
+            rival_explained: self.calibration.rival_explained,
             track_secs: &track_secs,
             estimated: capture.options.extrinsics == Extrinsics::Estimate,
         };

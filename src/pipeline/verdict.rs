@@ -14,8 +14,8 @@ pub struct Evidence<'a> {
     pub explained: f64,
     /// Largest standard deviation of a camera's orientation, degrees, where it is known.
     pub sigma_angle_deg: Option<f64>,
-    /// Quality of the best arrangement and of the best different one; `[1, 0]` for given cameras.
-    pub rivals: [f64; 2],
+    /// Share of keypoints that the best truly different arrangement of the cameras explained; 0 without one.
+    pub rival_explained: f64,
     /// Seconds of each person's track.
     pub track_secs: &'a [f64],
     /// Whether the cameras were estimated from nothing.
@@ -31,8 +31,9 @@ const EXPLAINED_REJECT: f64 = 0.60;
 const SIGMA_WARN_DEG: f64 = 0.4;
 const SIGMA_REJECT_DEG: f64 = 2.0;
 
-/// A different arrangement of the cameras that explains this share of what the chosen one does is a real alternative.
-const RIVAL_WARN: f64 = 0.85;
+/// A different arrangement of the cameras that explains this share of what the chosen one does is a real alternative:
+/// wrong ones mistake people for each other and explain a fifth less.
+const RIVAL_WARN: f64 = 0.93;
 
 /// Shorter tracks than this in sum leave the volume uncovered, s.
 const SHORT_SECS: f64 = 3.0;
@@ -99,10 +100,10 @@ fn camera_reasons(evidence: &Evidence, n_placed: usize, reasons: &mut Vec<(Verdi
         )),
         _ => {}
     }
-    if evidence.rivals[1] > RIVAL_WARN * evidence.rivals[0] {
+    if evidence.rival_explained > RIVAL_WARN * evidence.explained {
         let text = format!(
             "ambiguous: a different arrangement of the cameras explains {:.0} % as much; record people moving independently",
-            100.0 * evidence.rivals[1] / evidence.rivals[0].max(1e-9)
+            100.0 * evidence.rival_explained / evidence.explained.max(1e-9)
         );
         reasons.push((Verdict::Warn, text));
     }

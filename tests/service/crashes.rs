@@ -1,7 +1,7 @@
 //! Deaths: of the service, of a job's child; and the commands that go through the service.
 
 use crate::server::{Server, signal};
-use crate::take::take;
+use crate::take::{LONG, take};
 use rustix::process::Signal;
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -9,11 +9,10 @@ use std::time::{Duration, Instant};
 #[test]
 fn a_killed_service_takes_its_child_along_and_the_next_one_finishes_the_job() {
     let mut server = Server::start();
-    let id = server.submit(&server.upload(100, 1));
+    let id = server.submit(&server.upload(LONG, 1));
     let queued = server.submit(&server.upload(10, 2));
     for _ in 0..2 {
-        server.wait_until(&id, |job| job["state"] == "running" && job["progress"]["stage_count"] != 0);
-        let [child] = server.children()[..] else { panic!("no child") };
+        let child = server.child();
         server = server.killed_and_restarted();
         let deadline = Instant::now() + Duration::from_secs(2);
         while std::fs::read_to_string(format!("/proc/{child}/stat")).is_ok_and(|stat| !stat.contains(") Z")) {
@@ -29,7 +28,7 @@ fn a_killed_service_takes_its_child_along_and_the_next_one_finishes_the_job() {
 #[test]
 fn a_stopped_service_puts_its_job_back_and_the_next_one_finishes_it() {
     let server = Server::start();
-    let id = server.submit(&server.upload(100, 1));
+    let id = server.submit(&server.upload(LONG, 1));
     server.wait_for_state(&id, "running");
     let server = server.stopped_and_restarted();
     assert_eq!(server.wait_for_state(&id, "succeeded")["attempt"], 1);
@@ -38,12 +37,12 @@ fn a_stopped_service_puts_its_job_back_and_the_next_one_finishes_it() {
 #[test]
 fn a_job_whose_child_dies_three_times_is_dead_and_the_others_go_on() {
     let server = Server::start();
-    let poison = server.submit(&server.upload(600, 1));
+    let poison = server.submit(&server.upload(LONG, 1));
     let other = server.submit(&server.upload(10, 2));
-    let mut killed = Vec::new();
     for _ in 0..3 {
-        killed.push(server.kill_child());
-        while server.children().contains(killed.last().unwrap()) {}
+        let child = server.child();
+        signal(child, Signal::KILL);
+        while server.children().contains(&child) {}
     }
     let job = server.wait_for_state(&poison, "dead");
     assert_eq!((&job["attempt"], &job["error"]["code"]), (&3.into(), &"child_died".into()));
@@ -53,7 +52,7 @@ fn a_job_whose_child_dies_three_times_is_dead_and_the_others_go_on() {
 #[test]
 fn a_session_lost_from_the_disk_fails_its_job_with_a_cause() {
     let server = Server::start();
-    let busy = server.submit(&server.upload(600, 1));
+    let busy = server.submit(&server.upload(LONG, 1));
     let id = server.submit(&server.upload(10, 2));
     let job = server.job(&id);
     std::fs::remove_file(server.data().join("sessions").join(job["session"].as_str().unwrap())).unwrap();

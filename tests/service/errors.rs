@@ -80,12 +80,14 @@ fn jobs_that_cannot_be_are_refused_with_a_pointer() {
         (json!({ "scale": { "from": "guess" } }), 400, "option_malformed", "/options/scale"),
         (json!({ "extrinsics": "fixed" }), 422, "option_impossible", "/options/extrinsics"),
         (json!({ "people": 0 }), 422, "option_impossible", "/options/people"),
+        (json!({ "up_axis": "x" }), 422, "option_impossible", "/options/up_axis"),
+        (json!({ "exports": ["smpl_npz", "fbx"] }), 400, "option_malformed", "/options/exports"),
         (json!({ "body": "other" }), 422, "option_impossible", "/options/body"),
         (
             json!({ "scale": { "from": "camera_distance", "cameras": ["cam0", "cam9"], "metres": 1 } }),
             422,
             "option_impossible",
-            "/options/scale/cameras/1",
+            "/options/scale/cameras",
         ),
         (
             json!({ "scale": { "from": "height", "metres": -1, "who": "tallest" } }),

@@ -2,7 +2,7 @@
 
 use crate::http::{FORM, JSON, form};
 use crate::server::Server;
-use crate::take::{take, zipped};
+use crate::take::{LONG, take, zipped};
 use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 
@@ -71,7 +71,7 @@ fn an_idempotency_key_is_one_job_however_often_and_fast_it_is_said() {
 #[test]
 fn waiting_ends_with_a_change_and_an_unchanged_job_is_304() {
     let server = Server::start();
-    let first = server.submit(&server.upload(600, 1));
+    let first = server.submit(&server.upload(LONG, 1));
     let waiting = server.submit(&server.upload(10, 2));
     let path = format!("/v1/jobs/{waiting}");
     let tag = server.get(&path).expect(200).header("etag").to_owned();
@@ -93,7 +93,7 @@ fn waiting_ends_with_a_change_and_an_unchanged_job_is_304() {
 #[test]
 fn a_cancel_stops_the_work_within_two_seconds() {
     let server = Server::start();
-    let id = server.submit(&server.upload(600, 1));
+    let id = server.submit(&server.upload(LONG, 1));
     server.wait_for_state(&id, "running");
     let path = format!("/v1/jobs/{id}/cancel");
     let start = Instant::now();
@@ -111,14 +111,9 @@ fn a_cancel_stops_the_work_within_two_seconds() {
 #[test]
 fn a_child_that_cannot_answer_is_canceled_by_force() {
     let server = Server::start();
-    let id = server.submit(&server.upload(600, 1));
+    let id = server.submit(&server.upload(LONG, 1));
     server.wait_for_state(&id, "running");
-    let child = loop {
-        if let [pid] = server.children()[..] {
-            break pid;
-        }
-    };
-    crate::server::signal(child, rustix::process::Signal::STOP);
+    crate::server::signal(server.child(), rustix::process::Signal::STOP);
     let start = Instant::now();
     server.post_json(&format!("/v1/jobs/{id}/cancel"), &Value::Null).expect(202);
     server.wait_for_state(&id, "canceled");
@@ -130,7 +125,7 @@ fn a_deleted_job_is_gone_in_whatever_state() {
     let server = Server::start();
     let done = server.submit(&server.upload(10, 1));
     server.wait_for_state(&done, "succeeded");
-    let running = server.submit(&server.upload(600, 2));
+    let running = server.submit(&server.upload(LONG, 2));
     server.wait_for_state(&running, "running");
     for id in [&done, &running] {
         server.delete(&format!("/v1/jobs/{id}")).expect(204);
@@ -146,7 +141,7 @@ fn a_deleted_job_is_gone_in_whatever_state() {
 #[test]
 fn jobs_are_listed_newest_first_by_state_label_and_page() {
     let server = Server::start();
-    let busy = server.submit(&server.upload(600, 1));
+    let busy = server.submit(&server.upload(LONG, 1));
     let session = server.upload(10, 2);
     let submit = |label: &str| {
         let body = json!({ "session": session, "labels": { "scene": label } });

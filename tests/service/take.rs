@@ -20,6 +20,9 @@ const FIGURE: [Point; 9] = [
     [0.10, 0.08, 0.0],
 ];
 
+/// Frames of a take whose job is still at work after some seconds on two cores.
+pub const LONG: usize = 2000;
+
 /// A session with the extrinsics of all its cameras, as one JSON document; `seed` shifts the walk.
 pub fn take(frames: usize, seed: u32) -> Value {
     let cameras: Vec<Value> = (0..4).map(camera).collect();
@@ -104,7 +107,8 @@ fn seen(camera: &Value, point: Point) -> Value {
     let number = |value: &Value| value.as_f64().unwrap();
     let row = |i: usize| (0..3).map(|j| number(&camera["R"][i][j]) * point[j]).sum::<f64>() + number(&camera["t"][i]);
     let (x, y, z) = (row(0), row(1), row(2));
-    json!([640.0 + 900.0 * x / z, 360.0 + 900.0 * y / z, 0.9])
+    let pixel = |center: f64, slope: f64| ((center + 900.0 * slope) * 100.0).round() / 100.0;
+    json!([pixel(640.0, x / z), pixel(360.0, y / z), 0.9])
 }
 
 fn dot(a: Point, b: Point) -> f64 {

@@ -2,7 +2,7 @@
 
 use crate::http::{FORM, JSON, ZIP, form};
 use crate::server::Server;
-use crate::take::{take, zipped};
+use crate::take::{LONG, take, zipped};
 
 #[test]
 fn a_session_is_accepted_in_every_form_and_the_same_bytes_are_the_same_session() {
@@ -54,7 +54,7 @@ fn sessions_are_listed_newest_first_in_pages_and_removed_unless_in_use() {
     assert_eq!(listed, [&ids[2], &ids[1], &ids[0]]);
     assert!(second["next_page_token"].is_null());
 
-    let long = server.upload(600, 9);
+    let long = server.upload(LONG, 9);
     let job = server.submit(&long);
     server.delete(&format!("/v1/sessions/{long}")).expect_problem(409, "session_in_use");
     server.post_json(&format!("/v1/jobs/{job}/cancel"), &serde_json::Value::Null).expect(202);

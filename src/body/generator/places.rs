@@ -75,7 +75,8 @@ pub(super) fn joint_place(name: &str) -> Place {
         "spine2" => spine(0.48, -0.015),
         "spine3" => spine(0.60, -0.020),
         "neck" => spine(1.0, -0.020),
-        "head" => head(0.0, &[(-1.0, TragionToTop)], -0.018, 0.0),
+        // The occipital condyles, about which the head nods, lie some 30 mm below the ear canal.
+        "head" => head(0.0, &[(-1.0, TragionToTop)], -0.030, 0.0),
         // Between the inner end of the clavicle (25 mm) and SMPL's collar joint (some 75 mm).
         "collar" => [length(0.0, &[(0.13, BiacromialBreadth)]), length(-0.004, &[(1.0, AcromialHeight)]), fixed(0.0)],
         "shoulder" => arm(0.0, 0.0, 0.0, 0.0),

@@ -4,6 +4,7 @@ use super::App;
 use super::error::{Place, Problem};
 use super::multipart::Multipart;
 use super::upload::{GuardedBody, Refused, Spool, Spooled, refuse};
+use crate::pipeline::CameraFacts;
 use crate::service::store::new_id;
 use crate::service::store::sessions::{self, Added, SessionSummary};
 use crate::session::upload::{self, LoadedSession, UploadError, UploadErrorKind, UploadLimits};
@@ -136,7 +137,7 @@ pub(super) async fn keep(app: &App, spooled: Spooled) -> Result<Added, Problem> 
     let (id, summary) = kept.await.map_err(Problem::internal)??;
     let added = sessions::add(&app.store, &id, &summary).await;
     if !added.as_ref().is_ok_and(|added| added.is_new) {
-        app.store.folders.remove("sessions", &id); // the same bytes came twice at once, or the row was refused
+        app.store.remove_files("sessions", &id).await; // the same bytes came twice at once, or the row was refused
     }
     Ok(added?)
 }
@@ -159,8 +160,7 @@ fn summarise(loaded: LoadedSession, spooled: &Spooled) -> SessionSummary {
         keypoint_convention: session.convention.name().to_owned(),
         format: format.to_owned(),
         warnings,
-        camera_ids: session.views.iter().map(|view| view.id.clone()).collect(),
-        has_extrinsics: session.views.iter().all(|view| view.camera_from_world.is_some()),
+        camera_facts: CameraFacts::of(&session),
         name: session.name,
     }
 }

@@ -155,7 +155,7 @@ impl Queue {
         let deleted = sqlx::query("DELETE FROM jobs WHERE id = ?").bind(id).execute(&mut *transaction).await?;
         transaction.commit().await?;
         self.announce(id);
-        self.store.folders.remove("results", id);
+        self.store.remove_files("results", id).await;
         Ok(deleted.rows_affected() > 0)
     }
 }

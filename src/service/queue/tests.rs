@@ -19,15 +19,14 @@ impl Rig {
         let summary = SessionSummary {
             name: "take".to_owned(),
             sha256: "00".to_owned(),
-            cameras: 2,
+            cameras: 0,
             frames: 3,
             people_max: 1,
             keypoint_convention: "coco17".to_owned(),
             format: "native".to_owned(),
             warnings: Vec::new(),
             bytes: 5,
-            camera_ids: vec!["a".to_owned(), "b".to_owned()],
-            has_extrinsics: false,
+            camera_facts: Vec::new(),
         };
         std::fs::write(queue.store.folders.session("s"), b"bytes").unwrap();
         assert!(sessions::add(&queue.store, "s", &summary).await.unwrap().is_new);

@@ -2,9 +2,9 @@
 
 use super::job::{Ending, JobError, JobProgress, Phase, next_phase};
 use super::{Queue, phase_from_row};
+use crate::service::store::StoreError;
 use crate::service::store::artifacts::{self, Artifact};
 use crate::service::store::summary::Summary;
-use crate::service::store::{Store, StoreError};
 use sqlx::{Row, Sqlite, Transaction};
 use std::collections::BTreeMap;
 
@@ -167,7 +167,9 @@ impl Queue {
         if next == Phase::Queued {
             self.work.notify_one();
         }
-        remove_unpublished(&self.store, claim, next);
+        if next != Phase::Succeeded {
+            self.store.remove_files("results", &claim.job).await; // no row will ever name them
+        }
         self.announce(&claim.job);
         Ok(Finished::Recorded(next))
     }
@@ -208,12 +210,5 @@ fn dead(how: &str) -> JobError {
         detail: format!("the job's own process died too often; the last time: {how}"),
         remedy: "look into the service's log; a smaller session or more memory may help".to_owned(),
         ..JobError::default()
-    }
-}
-
-/// Files that no row will ever name.
-fn remove_unpublished(store: &Store, claim: &Claim, next: Phase) {
-    if next != Phase::Succeeded {
-        store.folders.remove("results", &claim.job);
     }
 }

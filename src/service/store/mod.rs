@@ -141,6 +141,13 @@ impl Store {
         Ok(transaction.rollback().await?)
     }
 
+    /// Removes one name of `sessions` or `results` without holding up the threads that answer clients.
+    pub async fn remove_files(&self, folder: &'static str, name: &str) {
+        let (folders, name) = (self.folders.clone(), name.to_owned());
+        // Fails only where the process ends; the next start removes what no row names.
+        let _ = tokio::task::spawn_blocking(move || folders.remove(folder, &name)).await;
+    }
+
     /// Closes the connections after their last statement.
     pub async fn close(&self) {
         self.readers.close().await;

@@ -1,6 +1,7 @@
 //! Rows of uploaded sessions; the bytes lie in `sessions/`.
 
 use super::{Store, StoreError};
+use crate::pipeline::CameraFacts;
 use serde::Serialize;
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
@@ -26,10 +27,8 @@ pub struct SessionSummary {
     pub warnings: Vec<String>,
     /// Size of the upload.
     pub bytes: u64,
-    /// The cameras' ids, in the session's order.
-    pub camera_ids: Vec<String>,
-    /// Whether every camera came with `R` and `t`.
-    pub has_extrinsics: bool,
+    /// What the options are judged by, in the session's order.
+    pub camera_facts: Vec<CameraFacts>,
 }
 
 /// A stored session.
@@ -87,21 +86,20 @@ pub async fn add(store: &Store, id: &str, summary: &SessionSummary) -> Result<Ad
     let mut transaction = store.write().await?;
     let inserted = sqlx::query(
         "INSERT INTO sessions (id, sha256, bytes, name, cameras, n_frames, people_max, keypoint_convention, format,
-                               warnings, has_extrinsics, created_at)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
+                               warnings, created_at)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
          ON CONFLICT (sha256) DO NOTHING",
     )
     .bind(id)
     .bind(&summary.sha256)
     .bind(summary.bytes as i64)
     .bind(&summary.name)
-    .bind(serde_json::to_string(&summary.camera_ids)?)
+    .bind(serde_json::to_string(&summary.camera_facts)?)
     .bind(summary.frames as i64)
     .bind(summary.people_max as i64)
     .bind(&summary.keypoint_convention)
     .bind(&summary.format)
     .bind(serde_json::to_string(&summary.warnings)?)
-    .bind(summary.has_extrinsics)
     .execute(&mut *transaction)
     .await?;
     let row = sqlx::query("SELECT * FROM sessions WHERE sha256 = ?").bind(&summary.sha256);
@@ -165,24 +163,23 @@ pub async fn remove(store: &Store, id: &str) -> Result<(), RemoveError> {
         return Err(RemoveError::Missing);
     }
     transaction.commit().await?;
-    store.folders.remove("sessions", id);
+    store.remove_files("sessions", id).await;
     Ok(())
 }
 
 fn from_row(row: &SqliteRow) -> Result<StoredSession, StoreError> {
-    let camera_ids: Vec<String> = serde_json::from_str(row.try_get("cameras")?)?;
+    let camera_facts: Vec<CameraFacts> = serde_json::from_str(row.try_get("cameras")?)?;
     let summary = SessionSummary {
         name: row.try_get("name")?,
         sha256: row.try_get("sha256")?,
-        cameras: camera_ids.len(),
+        cameras: camera_facts.len(),
         frames: row.try_get::<i64, _>("n_frames")? as usize,
         people_max: row.try_get::<i64, _>("people_max")? as usize,
         keypoint_convention: row.try_get("keypoint_convention")?,
         format: row.try_get("format")?,
         warnings: serde_json::from_str(row.try_get("warnings")?)?,
         bytes: row.try_get::<i64, _>("bytes")? as u64,
-        camera_ids,
-        has_extrinsics: row.try_get("has_extrinsics")?,
+        camera_facts,
     };
     Ok(StoredSession {
         id: row.try_get("id")?,

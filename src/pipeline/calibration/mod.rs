@@ -1,17 +1,22 @@
 //! The rounds of association, cameras and adjustment: from no start to cameras that everything seen agrees with.
 
+mod held_out;
+mod instants;
+mod registration;
+
 use super::association::{Association, associate, from_clusters};
 use super::bundle_adjustment::{self as ba, Adjusted, AdjustmentConfig, AdjustmentInput, CameraFreedom};
 use super::camera_init::initial_rigs;
-use super::instants::{FrameFilter, InstantBudget, instants, noise_factor};
 use super::{Capture, PipelineError};
-use crate::geometry::{Intrinsics, Rigid};
+use crate::geometry::{Intrinsics, Rigid, rotation};
 use crate::matching::clusters::clusters;
 use crate::matching::pair_score::median;
 use crate::matching::tracklets::{Tracklet, TrackletConfig, tracklets};
 use crate::matching::view_graph::Rig;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::StageReport;
+pub use held_out::heldout_px;
+use instants::{FrameFilter, InstantBudget, instants, noise_factor};
 use rayon::prelude::*;
 
 /// Cameras and who is who under them.
@@ -25,8 +30,8 @@ pub struct Calibration {
     pub adjusted: Option<Adjusted>,
     /// Factor on the keypoints' standard deviations that the residuals ask for.
     pub noise: f64,
-    /// Quality of the arrangement that was chosen, and of the best other one.
-    pub rivals: [f64; 2],
+    /// Share of keypoints that the best truly different arrangement explained; 0 without one.
+    pub rival_explained: f64,
     /// What happened.
     pub stages: Vec<StageReport>,
 }
@@ -35,11 +40,27 @@ pub struct Calibration {
 const MAX_TRIALS: usize = 3;
 const TRIAL_SHARE: f64 = 0.5;
 
-/// Skeletons in the adjustments of a trial, a round, the end. Errors of one person's detections are correlated over half
-/// a second, so more than this adds cost and hardly information.
-const TRIAL_INSTANTS: usize = 120;
-const ROUND_INSTANTS: usize = 250;
-const FINAL_INSTANTS: usize = 500;
+/// How much one adjustment is worth.
+#[derive(Debug, Clone, Copy)]
+struct Effort {
+    /// Skeletons that take part. Errors of one person's detections are correlated over half a second, so more cost time and
+    /// bring hardly any information.
+    max_instants: usize,
+    /// Share of the cost below which a gain ends the work: the next association changes more than the last digits would.
+    relative_decrease: f64,
+    /// Seconds of one person that count as one independent block in the cameras' uncertainty; `None`: not computed.
+    uncertainty_block_secs: Option<f64>,
+}
+
+const TRIAL: Effort = Effort { max_instants: 120, relative_decrease: 1e-3, uncertainty_block_secs: None };
+const ROUND: Effort = Effort { max_instants: 250, relative_decrease: 1e-4, uncertainty_block_secs: None };
+/// Detector errors are correlated over a third of a second (AR(0.9) at 30 Hz); a block must span several such times.
+const FINAL: Effort = Effort { max_instants: 500, relative_decrease: 1e-6, uncertainty_block_secs: Some(2.0) };
+
+/// Settings of an adjustment whose uncertainty nobody asks for.
+fn quick() -> AdjustmentConfig {
+    AdjustmentConfig { relative_decrease: 1e-4, uncertainty_block_frames: None, ..AdjustmentConfig::default() }
+}
 
 /// Rounds of association and adjustment before the last one: the second changed associations in half of the trials, a
 /// third in none.
@@ -59,10 +80,11 @@ pub fn estimate_cameras(capture: &Capture, progress: &Progress) -> Result<Calibr
     calibration.stages.insert(0, report);
     progress.report(0.6, "cameras placed");
     for round in 0..N_ROUNDS {
-        calibration = improved(capture, calibration, ROUND_INSTANTS, progress)?;
+        registration::place_remaining(capture, &tracklets, &mut calibration);
+        calibration = improved(capture, calibration, ROUND, progress)?;
         progress.report(0.65 + 0.1 * round as f64, "detections given out anew");
     }
-    improved(capture, calibration, FINAL_INSTANTS, progress)
+    improved(capture, calibration, FINAL, progress)
 }
 
 /// Cameras that the session gives: associated under them and, where asked, adjusted.
@@ -77,10 +99,10 @@ pub fn from_given_cameras(
 ) -> Result<Calibration, PipelineError> {
     let (association, report) = associated(capture, &cameras, progress)?;
     let calibration =
-        Calibration { cameras, association, adjusted: None, noise: 1.0, rivals: [1.0, 0.0], stages: vec![report] };
+        Calibration { cameras, association, adjusted: None, noise: 1.0, rival_explained: 0.0, stages: vec![report] };
     match freedom {
         CameraFreedom::Held => Ok(calibration),
-        CameraFreedom::Adjusted => improved(capture, calibration, FINAL_INSTANTS, progress),
+        CameraFreedom::Adjusted => improved(capture, calibration, FINAL, progress),
     }
 }
 
@@ -91,21 +113,28 @@ fn best_trial(
     rigs: &[Rig],
     progress: &Progress,
 ) -> Result<Calibration, PipelineError> {
-    let mut best: Option<(f64, Calibration)> = None;
     let worth_it = rigs.iter().filter(|r| r.quality >= TRIAL_SHARE * rigs[0].quality).take(MAX_TRIALS);
-    for (i, rig) in worth_it.enumerate() {
-        let mut trial = trial(capture, tracklets, rig, progress)?;
-        let rival = rigs.iter().enumerate().find(|(j, _)| *j != i).map_or(0.0, |(_, r)| r.quality);
-        trial.rivals = [rig.quality, rival];
-        let score = trial.association.explained * trial.cameras.iter().flatten().count() as f64;
-        if best.as_ref().is_none_or(|(s, _)| score > *s) {
-            best = Some((score, trial));
-        }
-    }
-    match best {
-        Some((_, calibration)) => Ok(calibration),
-        None => from_given_cameras(capture, vec![None; capture.views.len()], CameraFreedom::Held, progress),
-    }
+    let trials: Vec<Calibration> =
+        worth_it.map(|rig| trial(capture, tracklets, rig, progress)).collect::<Result<_, PipelineError>>()?;
+    let score = |c: &Calibration| c.association.explained * c.cameras.iter().flatten().count() as f64;
+    let Some(best) = trials.iter().max_by(|a, b| score(a).total_cmp(&score(b))) else {
+        let nothing = vec![None; capture.views.len()];
+        return from_given_cameras(capture, nothing, CameraFreedom::Held, progress);
+    };
+    let rivals = trials.iter().filter(|t| differs(&t.cameras, &best.cameras));
+    let rival_explained = rivals.map(|t| t.association.explained).fold(0.0, f64::max);
+    Ok(Calibration { rival_explained, ..best.clone() })
+}
+
+/// Whether two adjusted arrangements are truly different: some pair of cameras stands more than 5 degrees apart.
+fn differs(some: &[Option<Rigid>], others: &[Option<Rigid>]) -> bool {
+    let both: Vec<(Rigid, Rigid)> = some.iter().zip(others).filter_map(|(a, b)| Some(((*a)?, (*b)?))).collect();
+    both.iter().enumerate().any(|(i, (a, b))| {
+        both[..i].iter().any(|(c, d)| {
+            let (one, other) = (*a * c.inverse(), *b * d.inverse());
+            rotation::angle_between(&one.rotation, &other.rotation) > 5f64.to_radians()
+        })
+    })
 }
 
 /// One arrangement: tracklets grouped under it, a first adjustment, everybody associated.
@@ -122,10 +151,10 @@ fn trial(
         association: rough,
         adjusted: None,
         noise: 1.0,
-        rivals: [0.0; 2],
+        rival_explained: 0.0,
         stages: Vec::new(),
     };
-    let mut adjusted = adjusted(capture, &start, TRIAL_INSTANTS, &|_| true, progress)?;
+    let mut adjusted = adjusted(capture, &start, TRIAL, &|_| true, progress)?;
     let (association, report) = associated(capture, &adjusted.cameras, progress)?;
     adjusted.association = association;
     adjusted.stages.push(report);
@@ -136,13 +165,15 @@ fn trial(
 fn improved(
     capture: &Capture,
     before: Calibration,
-    n_instants: usize,
+    effort: Effort,
     progress: &Progress,
 ) -> Result<Calibration, PipelineError> {
-    let mut after = adjusted(capture, &before, n_instants, &|_| true, progress)?;
+    let mut after = adjusted(capture, &before, effort, &|_| true, progress)?;
     let (association, report) = associated(capture, &after.cameras, progress)?;
     // A wrong association after a right start is the real danger: a round that explains less is thrown away.
-    if association.explained < before.association.explained - 0.01 {
+    let n_placed = |c: &[Option<Rigid>]| c.iter().flatten().count();
+    let fair = n_placed(&before.cameras) == before.association.n_views_placed;
+    if fair && association.explained < before.association.explained - 0.01 {
         return Ok(before);
     }
     after.association = association;
@@ -162,12 +193,12 @@ fn associated(
 fn adjusted(
     capture: &Capture,
     before: &Calibration,
-    n_instants: usize,
+    effort: Effort,
     allowed: FrameFilter,
     progress: &Progress,
 ) -> Result<Calibration, Canceled> {
     let session = capture.session;
-    let budget = InstantBudget { max_instants: n_instants, noise: before.noise, metres_per_unit: 1.0 };
+    let budget = InstantBudget { max_instants: effort.max_instants, noise: before.noise, metres_per_unit: 1.0 };
     let chosen = instants(session, &before.cameras, &before.association, budget, allowed);
     if chosen.is_empty() {
         return Ok(before.clone());
@@ -181,7 +212,10 @@ fn adjusted(
         camera_freedom: CameraFreedom::Adjusted,
         refine_focal: false,
     };
-    let (adjusted, report) = ba::adjust(&input, &AdjustmentConfig::default(), progress)?;
+    let uncertainty_block_frames = effort.uncertainty_block_secs.map(|s| ((s * session.fps).round() as usize).max(1));
+    let relative_decrease = effort.relative_decrease;
+    let config = AdjustmentConfig { relative_decrease, uncertainty_block_frames, ..AdjustmentConfig::default() };
+    let (adjusted, report) = ba::adjust(&input, &config, progress)?;
     let cameras: Vec<Option<Rigid>> = adjusted.cameras.iter().map(|c| c.camera_from_world).collect();
     let mut instants = input.instants;
     for (instant, points) in instants.iter_mut().zip(&adjusted.points) {
@@ -204,73 +238,4 @@ fn bone_scale(capture: &Capture, adjusted: &Adjusted) -> f64 {
         }
     }
     median(&mut logs).map_or(1.0, f64::exp)
-}
-
-/// Mean reprojection distance (px) of cameras from every other block of frames, judged on the rest.
-///
-/// `None` where a half of the frames is not enough. With held cameras both halves are judged with the same ones.
-///
-/// # Errors
-/// [`Canceled`].
-pub fn heldout_px(
-    capture: &Capture,
-    calibration: &Calibration,
-    freedom: CameraFreedom,
-    progress: &Progress,
-) -> Result<Option<f64>, Canceled> {
-    let halves = [0, 1].map(|half| move |frame: usize| (frame / HELDOUT_BLOCK) % 2 == half);
-    let mut sum = 0.0;
-    for (trained, judged) in [(&halves[0], &halves[1]), (&halves[1], &halves[0])] {
-        let cameras = match freedom {
-            CameraFreedom::Held => calibration.cameras.clone(),
-            CameraFreedom::Adjusted => adjusted(capture, calibration, ROUND_INSTANTS, trained, progress)?.cameras,
-        };
-        let Some(error) = judged_px(capture, calibration, &cameras, judged, progress)? else { return Ok(None) };
-        sum += 0.5 * error;
-    }
-    Ok(Some(sum))
-}
-
-/// Frames of a block that is trained on or judged as a whole: neighbouring frames share their errors.
-const HELDOUT_BLOCK: usize = 15;
-
-/// Distances beyond this are wrong detections, and count as this much, px.
-const HELDOUT_CLIP_PX: f64 = 25.0;
-
-/// Mean clipped distance of points seen by at least three views to their reprojection, points alone adjusted.
-fn judged_px(
-    capture: &Capture,
-    calibration: &Calibration,
-    cameras: &[Option<Rigid>],
-    allowed: FrameFilter,
-    progress: &Progress,
-) -> Result<Option<f64>, Canceled> {
-    let session = capture.session;
-    let budget = InstantBudget { max_instants: FINAL_INSTANTS, noise: calibration.noise, metres_per_unit: 1.0 };
-    let mut chosen = instants(session, cameras, &calibration.association, budget, allowed);
-    for instant in &mut chosen {
-        let mut seen = vec![0u8; instant.points.len()];
-        instant.observations.iter().for_each(|o| seen[o.keypoint] += 1);
-        instant.observations.retain(|o| seen[o.keypoint] >= 3);
-    }
-    let intrinsics: Vec<Intrinsics> = session.views.iter().map(|v| v.intrinsics).collect();
-    let input = AdjustmentInput {
-        intrinsics: &intrinsics,
-        cameras: cameras.to_vec(),
-        instants: chosen,
-        bones: &[],
-        camera_freedom: CameraFreedom::Held,
-        refine_focal: false,
-    };
-    let (judged, _) = ba::adjust(&input, &AdjustmentConfig::default(), progress)?;
-    let (mut sum, mut n) = (0.0, 0usize);
-    for (instant, points) in input.instants.iter().zip(&judged.points) {
-        for o in &instant.observations {
-            let (Some(point), Some(camera)) = (points[o.keypoint], &cameras[o.view]) else { continue };
-            let pixel = intrinsics[o.view].pixel_from_camera(&camera.transform(&point));
-            sum += pixel.map_or(HELDOUT_CLIP_PX, |p| (p - o.pixel).norm().min(HELDOUT_CLIP_PX));
-            n += 1;
-        }
-    }
-    Ok((n >= 100).then(|| sum / n as f64))
 }

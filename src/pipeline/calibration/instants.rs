@@ -1,9 +1,9 @@
 //! A fixed budget of well-spread skeletons for the adjustment: cameras cost the same however long the take.
 
-use super::association::Association;
-use super::bundle_adjustment::{Instant, Observation};
 use crate::body::detector_noise::keypoint_sigmas;
 use crate::geometry::Rigid;
+use crate::pipeline::association::Association;
+use crate::pipeline::bundle_adjustment::{Instant, Observation};
 use crate::session::recording::Session;
 
 /// Points below this confidence do not enter the adjustment.
@@ -11,20 +11,20 @@ const MIN_CONFIDENCE: f64 = 0.3;
 
 /// How instants are chosen.
 #[derive(Debug, Clone, Copy)]
-pub struct InstantBudget {
+pub(super) struct InstantBudget {
     /// At most so many skeletons.
-    pub max_instants: usize,
+    pub(super) max_instants: usize,
     /// Standard deviations of keypoints are multiplied by this (see [`noise_factor`]).
-    pub noise: f64,
+    pub(super) noise: f64,
     /// Metres that one unit of the cameras' world stands for.
-    pub metres_per_unit: f64,
+    pub(super) metres_per_unit: f64,
 }
 
 /// Which frames may be used.
-pub type FrameFilter<'a> = &'a (dyn Fn(usize) -> bool + Sync);
+pub(super) type FrameFilter<'a> = &'a (dyn Fn(usize) -> bool + Sync);
 
 /// Chooses skeletons seen by at least two cameras, evenly over people and time; in each stretch the best seen one.
-pub fn instants(
+pub(super) fn instants(
     session: &Session,
     cameras: &[Option<Rigid>],
     association: &Association,
@@ -102,7 +102,7 @@ fn instant(
 
 /// By how much the residuals of an adjustment exceed the standard deviations it was given: median of the distance over
 /// sigma against that of a normal error in two dimensions, 1.177.
-pub fn noise_factor(session: &Session, cameras: &[Option<Rigid>], instants: &[Instant]) -> f64 {
+pub(super) fn noise_factor(session: &Session, cameras: &[Option<Rigid>], instants: &[Instant]) -> f64 {
     let mut ratios = Vec::new();
     for instant in instants {
         for o in &instant.observations {

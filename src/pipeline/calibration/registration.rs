@@ -1,0 +1,78 @@
+//! Cameras that no pair could place: registered on the people whom the others have found.
+
+use super::Calibration;
+use crate::estimation::pnp::{PoseEstimate, estimate_pose};
+use crate::geometry::Rigid;
+use crate::matching::pair_hypotheses::mix;
+use crate::matching::tracklets::Tracklet;
+use crate::pipeline::Capture;
+use nalgebra::{Vector2, Vector3};
+use rayon::prelude::*;
+
+/// Longest tracklets of the camera that are tried on every person.
+const N_TRACKLETS: usize = 6;
+
+/// Correspondences given to one robust pose.
+const MAX_POINTS: usize = 300;
+
+/// Fewer correspondences than this are no evidence for an identity.
+const MIN_POINTS: usize = 40;
+
+/// Reprojection error at which a point counts for nothing, rad: 10 px at a focal length of 1,060 px.
+const TOLERANCE: f64 = 0.01;
+
+/// A tracklet is the person when this share of points agrees: chance poses of another person reach a third.
+const MIN_INLIERS: f64 = 0.5;
+
+/// Places every remaining camera on which one tracklet agrees with one person in space.
+pub(super) fn place_remaining(capture: &Capture, tracklets: &[Vec<Tracklet>], calibration: &mut Calibration) {
+    let found: Vec<(usize, Option<Rigid>)> = (0..calibration.cameras.len())
+        .filter(|&v| calibration.cameras[v].is_none())
+        .map(|view| (view, pose_of(capture, &tracklets[view], calibration, view)))
+        .collect();
+    for (view, pose) in found {
+        calibration.cameras[view] = pose;
+    }
+}
+
+/// The best supported pose of a camera over its tracklets and all people.
+fn pose_of(capture: &Capture, tracklets: &[Tracklet], calibration: &Calibration, view: usize) -> Option<Rigid> {
+    let mut order: Vec<usize> = (0..tracklets.len()).collect();
+    order.sort_by_key(|&t| (std::cmp::Reverse(tracklets[t].sightings.len()), t));
+    order.truncate(N_TRACKLETS);
+    let people = calibration.association.points.len();
+    let pairs: Vec<(usize, usize)> = order.iter().flat_map(|&t| (0..people).map(move |p| (t, p))).collect();
+    let poses: Vec<Option<PoseEstimate>> = pairs
+        .par_iter()
+        .map(|&(t, person)| {
+            let points = correspondences(capture, &tracklets[t], calibration, view, person);
+            let seed = mix(capture.options.seed, (view * 1_000_003 + t * 1009 + person) as u64);
+            (points.len() >= MIN_POINTS).then(|| estimate_pose(&points, TOLERANCE, 300, seed)).flatten()
+        })
+        .collect();
+    let good = poses.into_iter().flatten().filter(|p| p.inlier_ratio >= MIN_INLIERS);
+    good.max_by(|a, b| a.support.total_cmp(&b.support)).map(|p| p.camera_from_world)
+}
+
+/// Points of a person in space and where a tracklet shows them, from well-spread frames.
+fn correspondences(
+    capture: &Capture,
+    tracklet: &Tracklet,
+    calibration: &Calibration,
+    view: usize,
+    person: usize,
+) -> Vec<(Vector3<f64>, Vector2<f64>)> {
+    let path = &calibration.association.points[person];
+    let mut points = Vec::new();
+    for &(frame, detection) in &tracklet.sightings {
+        let Some(skeleton) = frame.checked_sub(path.first.0).and_then(|t| path.points.get(t)) else { continue };
+        let sighting = &capture.views[view].frames[frame][detection];
+        for (k, point) in skeleton.iter().enumerate() {
+            if let Some(point) = point.filter(|_| sighting.confidence[k] > 0.3) {
+                points.push((point, sighting.bearings[k]));
+            }
+        }
+    }
+    let stride = points.len().div_ceil(MAX_POINTS).max(1);
+    points.into_iter().step_by(stride).collect()
+}
