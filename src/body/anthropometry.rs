@@ -131,6 +131,7 @@ const MOMENTS: [(f64, f64); N_MEASURES] = [
 
 /// Pooled correlations with the first ten measures, row by row; below the diagonal.
 #[rustfmt::skip]
+#[allow(clippy::approx_constant)] // one of them happens to look like pi / 6
 const CORRELATIONS: [&[f64]; N_MEASURES] = [
     &[],
     &[0.6889],

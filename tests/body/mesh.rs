@@ -88,7 +88,7 @@ fn regressed_joints_follow_the_measures() {
 #[test]
 fn left_is_the_mirror_image_of_right() {
     let surface = &default_body().surface;
-    let key = |v: &Vector3<f64>| [v.x, v.y, v.z].map(|c| (c * 1e7).round() as i64 + 0);
+    let key = |v: &Vector3<f64>| [v.x, v.y, v.z].map(|c| (c * 1e7).round() as i64);
     let index: BTreeMap<[i64; 3], usize> = surface.vertices.iter().enumerate().map(|(i, v)| (key(v), i)).collect();
     let image =
         |i: usize| index[&key(&Vector3::new(-surface.vertices[i].x, surface.vertices[i].y, surface.vertices[i].z))];

@@ -1,8 +1,11 @@
 //! The default body's generator: from published anthropometry to a mesh, deterministic to the last bit.
 //!
-//! 1. [`places`]: where joints and landmarks lie, in terms of measures; 2. [`figure`]: the body as tubes;
-//! 3. [`half_mesh`], [`relaxation`]: the left half as well-shaped triangles, mirrored; 4. [`tubes`]: how every vertex
-//! moves per beta; 5. [`skin`]: which joints carry it; 6. [`regressor`]: joints and landmarks as shares of vertices.
+//! 1. `places`: where joints and landmarks lie, in terms of measures;
+//! 2. `figure`: the body as `tubes`, in terms of measures too;
+//! 3. `half_mesh`, `relaxation`: the left half as well-shaped triangles, mirrored;
+//! 4. `tubes`: how every vertex moves per beta;
+//! 5. `skin`: which joints carry it;
+//! 6. `regressor`: joints and landmarks as shares of vertices.
 //!
 //! Why not a scan-based model: none may be shipped. Why no pose blend shapes: they are what the patents on SMPL claim.
 //! Known limits: no fingers, no face beyond nose and jaw; the muscles do not bulge; arms hang at identity collars.

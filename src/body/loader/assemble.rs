@@ -3,7 +3,6 @@
 use super::array::{Array, Fields};
 use super::error::BodyFileError;
 use super::landmark_table::LandmarkTable;
-use crate::body::anthropometry::N_BETAS;
 use crate::body::model::{BodyModel, ShapeDirections};
 use crate::body::skeleton::{N_JOINTS, PARENTS};
 use crate::body::surface::{JointWeight, N_POSE_FEATURES, Surface, SurfacePoint, VertexWeight};
@@ -44,6 +43,11 @@ pub(super) fn body(name: String, mut fields: Fields, table: &LandmarkTable) -> R
         }
     }
     Ok(BodyModel::new(name, surface))
+}
+
+/// Whether a sum of shares is 1 as nearly as files have it; not for one that is no number.
+fn is_one(sum: f64) -> bool {
+    (sum - 1.0).abs() <= SUM_TOLERANCE
 }
 
 fn take(fields: &mut Fields, field: &'static str) -> Result<Array, BodyFileError> {
@@ -92,7 +96,6 @@ fn shape_directions(array: &Array, n: usize) -> Result<Vec<ShapeDirections>, Bod
         true => array.values[(vertex * 3 + axis) * n_components + k],
         false => 0.0,
     };
-    debug_assert!(N_BETAS == 10);
     Ok((0..n).map(|vertex| ShapeDirections::from_fn(|axis, k| entry(vertex, axis, k))).collect())
 }
 
@@ -105,7 +108,7 @@ fn skin(array: &Array, n: usize) -> Result<Vec<Vec<JointWeight>>, BodyFileError>
     }
     let row = |(row, weights): (usize, &[f64])| {
         let sum: f64 = weights.iter().sum();
-        if !weights.iter().all(|w| *w >= -1e-6) || !((sum - 1.0).abs() <= SUM_TOLERANCE) {
+        if !weights.iter().all(|w| *w >= -1e-6) || !is_one(sum) {
             let rule = "weights must be finite, not negative, and sum to 1";
             return Err(BodyFileError::Value { field, row, rule });
         }
@@ -122,7 +125,7 @@ fn regressor(array: &Array, n: usize) -> Result<[Vec<VertexWeight>; N_JOINTS], B
     let mut rows: [Vec<VertexWeight>; N_JOINTS] = std::array::from_fn(|_| Vec::new());
     for (row, weights) in array.values.chunks_exact(n).enumerate() {
         let sum: f64 = weights.iter().sum();
-        if !((sum - 1.0).abs() <= SUM_TOLERANCE) {
+        if !is_one(sum) {
             return Err(BodyFileError::Value { field, row, rule: "a joint's shares must be finite and sum to 1" });
         }
         let shares = weights.iter().enumerate().filter(|(_, w)| **w != 0.0);
@@ -183,7 +186,7 @@ fn own_points(fields: &Fields) -> Result<Vec<SurfacePoint>, BodyFileError> {
     }
     for (row, point) in points.iter_mut().enumerate() {
         let sum: f64 = point.vertices.iter().map(|share| share.weight).sum();
-        if !((sum - 1.0).abs() <= SUM_TOLERANCE) {
+        if !is_one(sum) {
             return Err(BodyFileError::Value { field: "landmark_weights", row, rule: "must sum to 1" });
         }
         point.vertices.iter_mut().for_each(|share| share.weight /= sum);

@@ -1,7 +1,7 @@
 //! Reading a body file: SMPL's `.npz` and official `.pkl`, and our own.
 //!
 //! The licence of a user's model is the user's; its numbers stay in memory. Nothing in a file is ever executed: pickles
-//! become an inert tree ([`pickle`]), of which only numeric arrays are read ([`tree`]).
+//! become an inert tree, of which only numeric arrays are read.
 //!
 //! Fields (V vertices, F faces, 24 joints): `v_template` (V, 3), `shapedirs` (V, 3, n >= 1, of which ten are used),
 //! `weights` (V, 24), `J_regressor` (24, V) dense or sparse, `kintree_table` (2, 24), `f` (F, 3), optional `posedirs`
