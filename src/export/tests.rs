@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention, N_JOINTS};
-use crate::geometry::{Intrinsics, Rigid, rotation};
+use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
 use crate::session::people::{BodyMotion, BodyPose, JointTrajectory};
 use crate::session::reconstruction::*;
 use crate::session::recording::UpAxis;
@@ -27,7 +27,7 @@ fn session() -> Session {
             cx: 320.0,
             cy: 240.0,
             skew: 0.0,
-            dist: [0.0; 5],
+            dist: Distortion::None,
         },
         camera_from_world: None,
         frames: vec![vec![detection.clone()], Vec::new(), vec![detection.clone(), detection.clone()]],

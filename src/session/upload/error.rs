@@ -238,9 +238,11 @@ impl Fault {
             F::CameraDuplicate => ("camera_duplicate", Impossible, "give every camera its own id"),
             F::CameraUnknown => ("camera_unknown", Impossible, "list the camera in the session's `cameras`"),
             F::CameraInvalid => ("camera_invalid", Impossible, "correct the camera's calibration"),
-            F::DistortionUnsupported => {
-                ("distortion_unsupported", Impossible, "undistort the keypoints, or calibrate with k1 k2 p1 p2 k3")
-            }
+            F::DistortionUnsupported => (
+                "distortion_unsupported",
+                Impossible,
+                "undistort the keypoints, or calibrate with OpenCV's 5, rational 8 or fisheye 4 coefficients",
+            ),
             F::FrameInvalid => ("frame_invalid", Impossible, "number frames with whole numbers below 2^53"),
             F::FrameOutOfRange => ("frame_out_of_range", Impossible, "correct `first_frame` or `n_frames`"),
             F::FrameDuplicate => ("frame_duplicate", Impossible, "write every frame of a camera once"),

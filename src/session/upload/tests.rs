@@ -31,7 +31,7 @@ fn small_session() -> Session {
                 cx: 320.25,
                 cy: 239.5,
                 skew: 0.0,
-                dist: [-0.1, 0.02, 1e-4, -2e-4, 0.001],
+                dist: [-0.1, 0.02, 1e-4, -2e-4, 0.001].into(),
             },
             camera_from_world: Some(Rigid {
                 rotation: rotation::exp(&Vector3::new(0.1, -2.0, 0.3)),
