@@ -1,6 +1,10 @@
 //! The dialects that sessions are written in, one file each.
 
+pub(crate) mod calibration;
+pub(crate) mod foreign;
+pub(crate) mod joints;
 pub mod native;
+pub(crate) mod poses;
 
 use crate::geometry::Distortion;
 use nalgebra::{Matrix3, Vector3};

@@ -119,6 +119,10 @@ pub enum Fault {
     FrameDuplicate,
     KeypointCount,
     KeypointInvalid,
+    CalibrationInvalid,
+    TableInvalid,
+    SkeletonUnknown,
+    ImageSizeUnknown,
 }
 
 use Fault as F;
@@ -126,7 +130,7 @@ use UploadErrorKind::{Impossible, Malformed, TooLarge, Unsupported};
 
 impl Fault {
     /// Every fault, for the service's description and for tests.
-    pub const ALL: [Self; 42] = [
+    pub const ALL: [Self; 46] = [
         F::FileUnreadable,
         F::FormatUnknown,
         F::Encoding,
@@ -169,6 +173,10 @@ impl Fault {
         F::FrameDuplicate,
         F::KeypointCount,
         F::KeypointInvalid,
+        F::CalibrationInvalid,
+        F::TableInvalid,
+        F::SkeletonUnknown,
+        F::ImageSizeUnknown,
     ];
 
     /// The machine-readable reason.
@@ -250,6 +258,16 @@ impl Fault {
                 ("keypoint_count", Impossible, "correct `keypoint_convention` or the detector's output")
             }
             F::KeypointInvalid => ("keypoint_invalid", Impossible, "write [x px, y px, confidence 0 to 1]"),
+            F::CalibrationInvalid => ("calibration_invalid", Malformed, "write the file again with its own tool"),
+            F::TableInvalid => ("table_invalid", Malformed, "write the table again with its own tool"),
+            F::SkeletonUnknown => (
+                "skeleton_unknown",
+                Impossible,
+                "name the joints: `keypoint_convention` or `keypoint_names` in session.json",
+            ),
+            F::ImageSizeUnknown => {
+                ("image_size_unknown", Impossible, "give `width` and `height` of the camera in session.json")
+            }
         }
     }
 }
