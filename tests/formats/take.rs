@@ -74,8 +74,10 @@ pub(crate) struct Camera {
 
 pub(crate) fn camera(index: usize, dist: Distortion) -> Camera {
     let turn = Rotation3::from_axis_angle(&Vector3::y_axis(), 0.4 + 1.7 * index as f64).into_inner();
-    // World is y up, the camera's y is down.
-    let rotation = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0)) * turn;
+    // World is y up, the camera's y is down; a level camera's rotation would be symmetric, so that nobody could tell it
+    // from its transpose.
+    let tilt = Rotation3::from_euler_angles(0.08 + 0.02 * index as f64, 0.0, 0.1 - 0.07 * index as f64).into_inner();
+    let rotation = tilt * Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0)) * turn;
     let center = turn.transpose() * Vector3::new(0.0, 0.0, 4.0) + Vector3::new(0.0, 1.1 + 0.3 * index as f64, 0.0);
     Camera {
         intrinsics: Intrinsics {

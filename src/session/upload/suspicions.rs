@@ -26,8 +26,8 @@ const MAX_PAIRS: usize = 60;
 const MIN_PEOPLE: usize = 20;
 /// Points that two detections must share to be compared.
 const MIN_SHARED: usize = 5;
-/// A calibration as good as this (px) is not suspected.
-const GOOD_PX: f64 = 3.0;
+/// A calibration as good as this (px) is not suspected; a detector's own noise is larger.
+const GOOD_PX: f64 = 1.0;
 /// Another reading must explain the people better by this factor.
 const BETTER: f64 = 0.6;
 
