@@ -1,6 +1,8 @@
 //! The commands; one file each.
 
-pub mod evaluate;
+pub mod bench;
+mod evaluate;
+mod export;
 mod meter;
 mod reconstruct;
 pub mod simulate;
@@ -35,8 +37,12 @@ enum Command {
     Reconstruct(reconstruct::Args),
     /// Compare a result with the truth
     Evaluate(evaluate::Args),
+    /// Write a finished result in further formats
+    Export(export::Args),
     /// Make a session with exact truth
     Simulate(simulate::Args),
+    /// Measure success and speed
+    Bench(bench::Args),
     /// Serve sessions and jobs over HTTP
     #[cfg(feature = "service")]
     Serve(serve::Args),
@@ -65,7 +71,9 @@ pub fn main() -> ExitCode {
     let done = match cli.command {
         Command::Reconstruct(args) => reconstruct::run(args),
         Command::Evaluate(args) => evaluate::run(args),
+        Command::Export(args) => export::run(args),
         Command::Simulate(args) => simulate::run(args),
+        Command::Bench(args) => bench::run(args),
         #[cfg(feature = "service")]
         Command::Serve(args) => serve::run(args),
         #[cfg(feature = "service")]

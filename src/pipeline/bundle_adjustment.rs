@@ -104,8 +104,9 @@ pub struct AdjustmentConfig {
     pub relative_decrease: f64,
     /// Standard deviation of the logarithm of a focal factor; where focal lengths are refined.
     pub focal_sigma: f64,
-    /// Length of a block of one person's frames, the unit whose errors count as independent in the covariance.
-    pub covariance_block_frames: usize,
+    /// Length of a block of one person's frames, the unit whose errors count as independent in the cameras' uncertainty;
+    /// `None`: no uncertainty is computed, which saves as much time as some ten iterations.
+    pub uncertainty_block_frames: Option<usize>,
 }
 
 impl Default for AdjustmentConfig {
@@ -121,7 +122,7 @@ impl Default for AdjustmentConfig {
             // Focal lengths from a lens's own data are seldom more than 5 % off.
             focal_sigma: 0.05,
             // 2 s at 25 Hz: detector errors are correlated over some 10 frames (AR(0.9)); a block must span several.
-            covariance_block_frames: 50,
+            uncertainty_block_frames: Some(50),
         }
     }
 }
@@ -198,7 +199,10 @@ pub fn adjust(
     problem.robust_scale = config.scale.end;
     let cost_before = problem.cost(&start);
     let outcome = descend(&mut problem, start, &schedule.scales(), config, progress)?;
-    let uncertainties = covariance::camera_uncertainties(&problem, &outcome.state, config.covariance_block_frames);
+    let uncertainties = match config.uncertainty_block_frames {
+        Some(frames) => covariance::camera_uncertainties(&problem, &outcome.state, frames),
+        None => vec![None; input.cameras.len()],
+    };
     progress.check()?;
 
     let report = report(&problem, &outcome, cost_before);

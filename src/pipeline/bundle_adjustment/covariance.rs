@@ -25,7 +25,7 @@ use crate::geometry::Rigid;
 use crate::geometry::rotation::skew;
 use crate::optim::arrow::{self, Block};
 use crate::optim::robust::geman_mcclure;
-use nalgebra::{DMatrix, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use std::collections::BTreeMap;
 
 /// Orientations count this little in the alignment, in units of the rig's radius: centres decide, as in evaluation,
@@ -37,6 +37,9 @@ const MIN_CURVATURE: f64 = 0.1;
 
 /// Fewer blocks than this say nothing about their own spread.
 const MIN_BLOCKS: usize = 8;
+
+/// An unknown keeps its value when a block is left out that holds all but this share of what is known of it.
+const MIN_REST: f64 = 0.05;
 
 /// Relative to the diagonal: far above rounding, far below what any block knows.
 const RIDGE: f64 = 1e-9;
@@ -88,12 +91,10 @@ fn border_covariance(problem: &Problem, state: &State, block_frames: usize) -> O
     }
     hold_idle(&mut whole);
     let inverse = whole.clone().cholesky()?.inverse();
-    // A bone seen in one block only has no length without it: it may be anywhere, but nothing else depends on it.
-    let ridge = DMatrix::from_diagonal(&(whole.diagonal() * RIDGE));
     let mut jackknife = DMatrix::zeros(whole.nrows(), whole.ncols());
     for members in &blocks {
         let (hessian, gradient) = of_block(members);
-        let shift = (&whole + &ridge - hessian).cholesky()?.solve(&gradient);
+        let shift = shift_without(&whole, hessian, gradient)?;
         jackknife.ger(1.0, &shift, &shift, 1.0);
     }
     let (n_blocks, n_unknowns) = (blocks.len() as f64, whole.nrows() as f64);
@@ -102,6 +103,24 @@ fn border_covariance(problem: &Problem, state: &State, block_frames: usize) -> O
     let trust = n_blocks / (n_blocks + n_unknowns);
     let covariance = jackknife * trust + inverse * (inflation * (1.0 - trust));
     Some(&basis.0 * covariance * basis.0.transpose())
+}
+
+/// How far the border moves when a block is left out, in one Newton step; `None` where the rest leaves it open.
+///
+/// Unknowns that hardly anything but the block informs (the bones of a person seen in no other) stay: without the block
+/// they may be anywhere, and nothing else depends on them.
+fn shift_without(whole: &DMatrix<f64>, block: DMatrix<f64>, mut gradient: DVector<f64>) -> Option<DVector<f64>> {
+    let mut rest = whole - block;
+    for k in 0..rest.nrows() {
+        if rest[(k, k)] < MIN_REST * whole[(k, k)] {
+            rest.row_mut(k).fill(0.0);
+            rest.column_mut(k).fill(0.0);
+            rest[(k, k)] = 1.0;
+            gradient[k] = 0.0;
+        }
+        rest[(k, k)] *= 1.0 + RIDGE;
+    }
+    Some(rest.cholesky()?.solve(&gradient))
 }
 
 /// Instants by person and block of consecutive frames; shorter blocks where there would be too few.

@@ -1,10 +1,10 @@
 //! The judge: cameras from every other block of frames, scored on the frames they have not seen.
 
 use super::instants::{FrameFilter, InstantBudget, instants};
-use super::{Calibration, FINAL_INSTANTS, ROUND_INSTANTS, adjusted};
+use super::{Calibration, FINAL, ROUND, adjusted, quick};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::pipeline::Capture;
-use crate::pipeline::bundle_adjustment::{self as ba, AdjustmentConfig, AdjustmentInput, CameraFreedom};
+use crate::pipeline::bundle_adjustment::{self as ba, AdjustmentInput, CameraFreedom};
 use crate::progress::{Canceled, Progress};
 
 /// Mean reprojection distance (px) of cameras from every other block of frames, judged on the rest.
@@ -24,7 +24,7 @@ pub fn heldout_px(
     for (trained, judged) in [(&halves[0], &halves[1]), (&halves[1], &halves[0])] {
         let cameras = match freedom {
             CameraFreedom::Held => calibration.cameras.clone(),
-            CameraFreedom::Adjusted => adjusted(capture, calibration, ROUND_INSTANTS, trained, progress)?.cameras,
+            CameraFreedom::Adjusted => adjusted(capture, calibration, ROUND, trained, progress)?.cameras,
         };
         let Some(error) = judged_px(capture, calibration, &cameras, judged, progress)? else { return Ok(None) };
         sum += 0.5 * error;
@@ -47,7 +47,7 @@ fn judged_px(
     progress: &Progress,
 ) -> Result<Option<f64>, Canceled> {
     let session = capture.session;
-    let budget = InstantBudget { max_instants: FINAL_INSTANTS, noise: calibration.noise, metres_per_unit: 1.0 };
+    let budget = InstantBudget { max_instants: FINAL.max_instants, noise: calibration.noise, metres_per_unit: 1.0 };
     let mut chosen = instants(session, cameras, &calibration.association, budget, allowed);
     for instant in &mut chosen {
         let mut seen = vec![0u8; instant.points.len()];
@@ -63,7 +63,7 @@ fn judged_px(
         camera_freedom: CameraFreedom::Held,
         refine_focal: false,
     };
-    let (judged, _) = ba::adjust(&input, &AdjustmentConfig::default(), progress)?;
+    let (judged, _) = ba::adjust(&input, &quick(), progress)?;
     let (mut sum, mut n) = (0.0, 0usize);
     for (instant, points) in input.instants.iter().zip(&judged.points) {
         for o in &instant.observations {

@@ -40,11 +40,27 @@ pub struct Calibration {
 const MAX_TRIALS: usize = 3;
 const TRIAL_SHARE: f64 = 0.5;
 
-/// Skeletons in the adjustments of a trial, a round, the end. Errors of one person's detections are correlated over half
-/// a second, so more than this adds cost and hardly information.
-const TRIAL_INSTANTS: usize = 120;
-const ROUND_INSTANTS: usize = 250;
-const FINAL_INSTANTS: usize = 500;
+/// How much one adjustment is worth.
+#[derive(Debug, Clone, Copy)]
+struct Effort {
+    /// Skeletons that take part. Errors of one person's detections are correlated over half a second, so more cost time and
+    /// bring hardly any information.
+    max_instants: usize,
+    /// Share of the cost below which a gain ends the work: the next association changes more than the last digits would.
+    relative_decrease: f64,
+    /// Seconds of one person that count as one independent block in the cameras' uncertainty; `None`: not computed.
+    uncertainty_block_secs: Option<f64>,
+}
+
+const TRIAL: Effort = Effort { max_instants: 120, relative_decrease: 1e-3, uncertainty_block_secs: None };
+const ROUND: Effort = Effort { max_instants: 250, relative_decrease: 1e-4, uncertainty_block_secs: None };
+/// Detector errors are correlated over a third of a second (AR(0.9) at 30 Hz); a block must span several such times.
+const FINAL: Effort = Effort { max_instants: 500, relative_decrease: 1e-6, uncertainty_block_secs: Some(2.0) };
+
+/// Settings of an adjustment whose uncertainty nobody asks for.
+fn quick() -> AdjustmentConfig {
+    AdjustmentConfig { relative_decrease: 1e-4, uncertainty_block_frames: None, ..AdjustmentConfig::default() }
+}
 
 /// Rounds of association and adjustment before the last one: the second changed associations in half of the trials, a
 /// third in none.
@@ -65,10 +81,10 @@ pub fn estimate_cameras(capture: &Capture, progress: &Progress) -> Result<Calibr
     progress.report(0.6, "cameras placed");
     for round in 0..N_ROUNDS {
         registration::place_remaining(capture, &tracklets, &mut calibration);
-        calibration = improved(capture, calibration, ROUND_INSTANTS, progress)?;
+        calibration = improved(capture, calibration, ROUND, progress)?;
         progress.report(0.65 + 0.1 * round as f64, "detections given out anew");
     }
-    improved(capture, calibration, FINAL_INSTANTS, progress)
+    improved(capture, calibration, FINAL, progress)
 }
 
 /// Cameras that the session gives: associated under them and, where asked, adjusted.
@@ -86,7 +102,7 @@ pub fn from_given_cameras(
         Calibration { cameras, association, adjusted: None, noise: 1.0, rival_explained: 0.0, stages: vec![report] };
     match freedom {
         CameraFreedom::Held => Ok(calibration),
-        CameraFreedom::Adjusted => improved(capture, calibration, FINAL_INSTANTS, progress),
+        CameraFreedom::Adjusted => improved(capture, calibration, FINAL, progress),
     }
 }
 
@@ -138,7 +154,7 @@ fn trial(
         rival_explained: 0.0,
         stages: Vec::new(),
     };
-    let mut adjusted = adjusted(capture, &start, TRIAL_INSTANTS, &|_| true, progress)?;
+    let mut adjusted = adjusted(capture, &start, TRIAL, &|_| true, progress)?;
     let (association, report) = associated(capture, &adjusted.cameras, progress)?;
     adjusted.association = association;
     adjusted.stages.push(report);
@@ -149,10 +165,10 @@ fn trial(
 fn improved(
     capture: &Capture,
     before: Calibration,
-    n_instants: usize,
+    effort: Effort,
     progress: &Progress,
 ) -> Result<Calibration, PipelineError> {
-    let mut after = adjusted(capture, &before, n_instants, &|_| true, progress)?;
+    let mut after = adjusted(capture, &before, effort, &|_| true, progress)?;
     let (association, report) = associated(capture, &after.cameras, progress)?;
     // A wrong association after a right start is the real danger: a round that explains less is thrown away.
     let n_placed = |c: &[Option<Rigid>]| c.iter().flatten().count();
@@ -177,12 +193,12 @@ fn associated(
 fn adjusted(
     capture: &Capture,
     before: &Calibration,
-    n_instants: usize,
+    effort: Effort,
     allowed: FrameFilter,
     progress: &Progress,
 ) -> Result<Calibration, Canceled> {
     let session = capture.session;
-    let budget = InstantBudget { max_instants: n_instants, noise: before.noise, metres_per_unit: 1.0 };
+    let budget = InstantBudget { max_instants: effort.max_instants, noise: before.noise, metres_per_unit: 1.0 };
     let chosen = instants(session, &before.cameras, &before.association, budget, allowed);
     if chosen.is_empty() {
         return Ok(before.clone());
@@ -196,7 +212,10 @@ fn adjusted(
         camera_freedom: CameraFreedom::Adjusted,
         refine_focal: false,
     };
-    let (adjusted, report) = ba::adjust(&input, &AdjustmentConfig::default(), progress)?;
+    let uncertainty_block_frames = effort.uncertainty_block_secs.map(|s| ((s * session.fps).round() as usize).max(1));
+    let relative_decrease = effort.relative_decrease;
+    let config = AdjustmentConfig { relative_decrease, uncertainty_block_frames, ..AdjustmentConfig::default() };
+    let (adjusted, report) = ba::adjust(&input, &config, progress)?;
     let cameras: Vec<Option<Rigid>> = adjusted.cameras.iter().map(|c| c.camera_from_world).collect();
     let mut instants = input.instants;
     for (instant, points) in instants.iter_mut().zip(&adjusted.points) {

@@ -1,0 +1,188 @@
+//! `wandless bench`: how often cameras are found on random rigs, and how fast a capture is solved.
+
+use super::BadInput;
+use super::solve::use_threads;
+use crate::evaluation::camera_error::{CameraPair, relative_camera_error};
+use crate::pipeline::{Options, PipelineError, reconstruct};
+use crate::progress::{Progress, ProgressEvent};
+use crate::session::reconstruction::Verdict;
+use crate::session::upload::{UploadLimits, read_path};
+use crate::simulation::{Simulated, random_rig_config, simulate};
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
+
+/// Arguments of `bench`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    #[command(subcommand)]
+    bench: Bench,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Bench {
+    /// Cameras from nothing on random simulated rigs: the share in which every pair of cameras is right
+    Rigs {
+        /// How many rigs
+        #[arg(long, default_value_t = 200)]
+        count: u64,
+        /// Seed of the first rig; the others follow
+        #[arg(long, default_value_t = 0)]
+        seed: u64,
+        /// A rig fails when some pair of cameras is off by more than this, degrees
+        #[arg(long, default_value_t = 5.0)]
+        limit_deg: f64,
+        /// Solver threads; 0 takes all cores
+        #[arg(long, default_value_t = 0)]
+        threads: usize,
+    },
+    /// Seconds per stage on one session, and frames x views x people a second and core
+    Speed {
+        /// Session: a folder, a zip or a JSON document
+        session: PathBuf,
+        /// Solver threads; 0 takes all cores
+        #[arg(long, default_value_t = 0)]
+        threads: usize,
+    },
+}
+
+/// Runs the command.
+pub(super) fn run(args: Args) -> anyhow::Result<()> {
+    match args.bench {
+        Bench::Rigs { count, seed, limit_deg, threads } => {
+            use_threads(threads);
+            rigs(seed..seed + count, limit_deg)
+        }
+        Bench::Speed { session, threads } => {
+            use_threads(threads);
+            speed(session)
+        }
+    }
+}
+
+/// One rig's outcome.
+struct RigOutcome {
+    /// Worst error over all pairs of cameras, degrees; infinite where a camera is missing.
+    worst_deg: f64,
+    /// The verdict; `None` for a capture that was refused as unsolvable.
+    verdict: Option<Verdict>,
+}
+
+/// Tallies of one class of rigs.
+#[derive(Default)]
+struct Tally {
+    n: usize,
+    failed: usize,
+    failed_unwarned: usize,
+    warned: usize,
+    worst: Vec<f64>,
+}
+
+fn rigs(seeds: std::ops::Range<u64>, limit_deg: f64) -> anyhow::Result<()> {
+    let (mut main, mut few) = (Tally::default(), Tally::default());
+    for seed in seeds {
+        let config = random_rig_config(seed);
+        let started = Instant::now();
+        let outcome = solve_rig(&simulate(&config)?, seed);
+        let failed = outcome.worst_deg > limit_deg;
+        println!(
+            "rig {seed:4}: {} views, {} people: worst pair {:8.3} deg, {}{}, {:.1} s",
+            config.views,
+            config.people,
+            outcome.worst_deg,
+            outcome.verdict.map_or("refused".to_owned(), |v| format!("{v:?}").to_lowercase()),
+            if failed { "  FAILED" } else { "" },
+            started.elapsed().as_secs_f64()
+        );
+        let tally = if config.views >= 3 && config.people >= 2 { &mut main } else { &mut few };
+        tally.add(&outcome, failed);
+    }
+    main.print("3 or more views, 2 or more people");
+    few.print("fewer");
+    Ok(())
+}
+
+impl Tally {
+    fn add(&mut self, outcome: &RigOutcome, failed: bool) {
+        let warned = outcome.verdict != Some(Verdict::Pass);
+        self.n += 1;
+        self.failed += usize::from(failed);
+        self.failed_unwarned += usize::from(failed && !warned);
+        self.warned += usize::from(warned && !failed);
+        self.worst.push(outcome.worst_deg);
+    }
+
+    fn print(mut self, name: &str) {
+        if self.n == 0 {
+            return;
+        }
+        self.worst.sort_by(f64::total_cmp);
+        println!(
+            "{name}: {} of {} within the limit ({:.1} %); median worst pair {:.3} deg; failures without a warning: {}; warnings on good \
+             rigs: {}",
+            self.n - self.failed,
+            self.n,
+            100.0 * (self.n - self.failed) as f64 / self.n as f64,
+            self.worst[self.n / 2],
+            self.failed_unwarned,
+            self.warned
+        );
+    }
+}
+
+fn solve_rig(simulated: &Simulated, seed: u64) -> RigOutcome {
+    let options = Options { seed, ..Options::default() };
+    let Ok(found) = reconstruct(&simulated.session, &options, &Progress::silent()) else {
+        return RigOutcome { worst_deg: f64::INFINITY, verdict: None };
+    };
+    let views = simulated.session.views.iter().zip(&simulated.truth.cameras).zip(&found.cameras);
+    let pairs: Vec<CameraPair> = views
+        .filter_map(|((view, truth), solved)| {
+            let (id, intrinsics) = (view.id.clone(), view.intrinsics);
+            Some(CameraPair { id, intrinsics, truth: *truth, solved: solved.camera_from_world? })
+        })
+        .collect();
+    let complete = pairs.len() == simulated.session.views.len();
+    let error = relative_camera_error(&pairs).filter(|_| complete);
+    let worst_deg = error.map_or(f64::INFINITY, |e| e.rotation_deg.max(e.direction_deg));
+    RigOutcome { worst_deg, verdict: Some(found.report.quality.verdict) }
+}
+
+fn speed(session: PathBuf) -> anyhow::Result<()> {
+    let started = Instant::now();
+    let loaded = read_path(&session, &UploadLimits::default()).map_err(|e| BadInput(e.to_string()))?;
+    println!("{:<20} {:8.3} s", "read", started.elapsed().as_secs_f64());
+    let marks: Arc<Mutex<Vec<(&'static str, Instant)>>> = Arc::default();
+    let heard = marks.clone();
+    let listen = move |event: &ProgressEvent| {
+        let Ok(mut marks) = heard.lock() else { return };
+        if marks.last().is_none_or(|(stage, _)| *stage != event.stage) {
+            marks.push((event.stage, Instant::now()));
+        }
+    };
+    let begun = Instant::now();
+    let result = reconstruct(&loaded.session, &Options::default(), &Progress::new(listen, Arc::default()));
+    let ended = Instant::now();
+    let found = match result {
+        Ok(found) => found,
+        Err(PipelineError::Option { option, reason }) => return Err(BadInput(format!("{option}: {reason}")).into()),
+        Err(error) => return Err(error.into()),
+    };
+    let marks = marks.lock().map(|m| m.clone()).unwrap_or_default();
+    for (i, (stage, from)) in marks.iter().enumerate() {
+        let until = marks.get(i + 1).map_or(ended, |next| next.1);
+        println!("{stage:<20} {:8.3} s", (until - *from).as_secs_f64());
+    }
+    let seconds = (ended - begun).as_secs_f64();
+    let cores = rayon::current_num_threads();
+    let work = loaded.session.n_frames * loaded.session.views.len() * found.motions.len();
+    println!("{:<20} {seconds:8.3} s", "whole solve");
+    println!(
+        "{} frames x {} views x {} people on {cores} threads: {:.0} a second and core",
+        loaded.session.n_frames,
+        loaded.session.views.len(),
+        found.motions.len(),
+        work as f64 / seconds / cores as f64
+    );
+    Ok(())
+}

@@ -1,0 +1,90 @@
+//! Captures at the edge: two cameras, one person, a blind camera, one camera, nobody.
+
+use super::{solved, worst_pair_deg};
+use wandless::pipeline::config::Extrinsics;
+use wandless::pipeline::{Options, PipelineError, reconstruct};
+use wandless::progress::Progress;
+use wandless::session::reconstruction::Verdict;
+use wandless::simulation::{Arrangement, Preset, SimulationConfig, Tracks, simulate};
+
+fn paper(people: usize, views: usize, frames: usize) -> SimulationConfig {
+    SimulationConfig { people, views, frames, tracks: Tracks::None, ..SimulationConfig::preset(Preset::Paper) }
+}
+
+#[test]
+fn two_cameras_a_quarter_turn_apart_and_two_people() {
+    let mut config = paper(2, 2, 200);
+    config.rig.arrangement = Arrangement::Arc { span_deg: 90.0 };
+    let (simulated, found) = solved(&config);
+    assert!(worst_pair_deg(&simulated, &found) < 2.0);
+    assert_eq!(found.motions.len(), 2);
+}
+
+#[test]
+fn one_person_before_four_cameras() {
+    let (simulated, found) = solved(&paper(1, 4, 200));
+    assert!(worst_pair_deg(&simulated, &found) < 2.0);
+    assert_eq!(found.motions.len(), 1);
+}
+
+#[test]
+fn a_camera_that_sees_nobody_is_unsolved_and_the_rest_solved() {
+    let mut simulated = simulate(&paper(2, 5, 150)).unwrap();
+    simulated.session.views[2].frames.iter_mut().for_each(Vec::clear);
+    let found = reconstruct(&simulated.session, &Options::default(), &Progress::silent()).unwrap();
+    assert!(found.cameras[2].camera_from_world.is_none());
+    assert_eq!(found.cameras.iter().filter(|c| c.camera_from_world.is_some()).count(), 4);
+    assert!(worst_pair_deg(&simulated, &found) < 1.0);
+    let id = &simulated.session.views[2].id;
+    assert!(found.report.quality.reasons.iter().any(|r| r.contains(id.as_str())));
+    assert_eq!(found.report.quality.verdict, Verdict::Warn);
+}
+
+#[test]
+fn one_camera_alone_is_told_to_be_monocular() {
+    let (_, found) = solved(&paper(2, 1, 60));
+    assert_eq!(found.report.quality.verdict, Verdict::Reject);
+    assert!(found.report.quality.reasons[0].contains("monocular"));
+    assert!(found.cameras[0].camera_from_world.is_none() && found.motions.is_empty());
+}
+
+#[test]
+fn a_capture_without_anybody_is_refused_by_name() {
+    let mut simulated = simulate(&paper(1, 3, 30)).unwrap();
+    simulated.session.views.iter_mut().flat_map(|v| &mut v.frames).for_each(Vec::clear);
+    let error = reconstruct(&simulated.session, &Options::default(), &Progress::silent()).unwrap_err();
+    assert!(matches!(error, PipelineError::Unsolvable { code: "nobody_detected", .. }));
+}
+
+#[test]
+fn given_cameras_are_kept_to_the_last_digit() {
+    let mut simulated = simulate(&paper(2, 4, 80)).unwrap();
+    for (view, truth) in simulated.session.views.iter_mut().zip(&simulated.truth.cameras) {
+        view.camera_from_world = Some(*truth);
+    }
+    let options = Options { extrinsics: Extrinsics::Fixed, ..Options::default() };
+    let found = reconstruct(&simulated.session, &options, &Progress::silent()).unwrap();
+    let kept = found.cameras.iter().zip(&simulated.truth.cameras).all(|(c, t)| c.camera_from_world == Some(*t));
+    assert!(kept);
+    assert_eq!(found.motions.len(), 2);
+}
+
+#[test]
+fn ten_frames_and_every_thirtieth_frame_end_in_an_answer() {
+    for (frames, stride) in [(10, 1), (300, 30)] {
+        let mut simulated = simulate(&paper(2, 4, frames)).unwrap();
+        for view in &mut simulated.session.views {
+            view.frames = view.frames.iter().step_by(stride).cloned().collect();
+            view.delivered.truncate(view.frames.len());
+        }
+        simulated.session.n_frames = simulated.session.views[0].frames.len();
+        simulated.session.fps /= stride as f64;
+        match reconstruct(&simulated.session, &Options::default(), &Progress::silent()) {
+            Ok(found) => {
+                let good = worst_pair_deg(&simulated, &found) < 5.0;
+                assert!(good || found.report.quality.verdict != Verdict::Pass, "{frames} frames: wrong without a word");
+            }
+            Err(error) => assert!(matches!(error, PipelineError::Unsolvable { .. })),
+        }
+    }
+}

@@ -1,0 +1,49 @@
+//! Seeded synthetic captures: noise in, known truth out.
+#![allow(clippy::unwrap_used)] // a test that meets what it did not expect has failed
+
+mod edge_cases;
+mod presets;
+
+use wandless::evaluation::camera_error::{CameraPair, relative_camera_error};
+use wandless::pipeline::{Options, reconstruct};
+use wandless::progress::Progress;
+use wandless::session::Reconstruction;
+use wandless::simulation::{Simulated, SimulationConfig, simulate};
+
+/// Simulates and solves with default options.
+fn solved(config: &SimulationConfig) -> (Simulated, Reconstruction) {
+    let simulated = simulate(config).unwrap();
+    let found = reconstruct(&simulated.session, &Options::default(), &Progress::silent()).unwrap();
+    (simulated, found)
+}
+
+/// Worst error between two placed cameras, degrees, over rotations and directions.
+fn worst_pair_deg(simulated: &Simulated, found: &Reconstruction) -> f64 {
+    let views = simulated.session.views.iter().zip(&simulated.truth.cameras).zip(&found.cameras);
+    let pairs: Vec<CameraPair> = views
+        .filter_map(|((view, truth), solved)| {
+            let (id, intrinsics) = (view.id.clone(), view.intrinsics);
+            Some(CameraPair { id, intrinsics, truth: *truth, solved: solved.camera_from_world? })
+        })
+        .collect();
+    let error = relative_camera_error(&pairs).unwrap();
+    error.rotation_deg.max(error.direction_deg)
+}
+
+/// Shares of detections given to the right person, and to anybody.
+fn identity_shares(simulated: &Simulated, found: &Reconstruction) -> (f64, f64) {
+    let n_people = simulated.truth.joints[0].len();
+    let mut votes = vec![vec![0usize; n_people]; found.motions.len()];
+    let (mut n_given, mut n_all) = (0usize, 0usize);
+    for (truth, given) in simulated.truth.identities.iter().zip(&found.identities) {
+        for (truth, given) in truth.iter().flatten().zip(given.iter().flatten()) {
+            n_all += 1;
+            if let Some(person) = given {
+                n_given += 1;
+                votes[person.0][*truth] += 1;
+            }
+        }
+    }
+    let right: usize = votes.iter().map(|v| v.iter().max().copied().unwrap_or(0)).sum();
+    (right as f64 / n_given.max(1) as f64, n_given as f64 / n_all.max(1) as f64)
+}
