@@ -54,7 +54,8 @@ fn camera(camera: &TakeCamera) -> Value {
         "shift": [film.offset_right / film.sensor_width, film.offset_up / film.sensor_width],
         "pixel_aspect": lens.fx / lens.fy,
         "K": rows(&lens.matrix()),
-        "dist": lens.dist,
+        "dist_model": lens.dist.name(),
+        "dist": lens.dist.coefficients(),
     })
 }
 

@@ -149,8 +149,8 @@ impl Document {
                 "width": lens.width,
                 "height": lens.height,
                 "K": rows(&lens.matrix()),
-                "dist_model": "opencv5",
-                "dist": lens.dist,
+                "dist_model": lens.dist.name(),
+                "dist": lens.dist.coefficients(),
             },
         }));
         self.scene_nodes.push(node);

@@ -8,7 +8,7 @@
 use super::files::ResultFiles;
 use super::names::file_names;
 use super::take::Take;
-use crate::geometry::rotation;
+use crate::geometry::{Distortion, rotation};
 use nalgebra::Matrix3;
 use std::io;
 
@@ -27,7 +27,13 @@ fn intrinsics(take: &Take) -> String {
     for (name, camera) in names.iter().zip(&take.cameras) {
         let lens = &camera.intrinsics;
         text += &matrix(&format!("K_{name}"), 3, 3, &row_major(&lens.matrix()));
-        text += &matrix(&format!("dist_{name}"), 1, 5, &lens.dist);
+        // Readers take the list for a polynomial: a fisheye's has no place here, and that is reported.
+        let dist = match lens.dist {
+            Distortion::Fisheye4(_) => Distortion::None,
+            held => held,
+        };
+        let coefficients = dist.coefficients();
+        text += &matrix(&format!("dist_{name}"), 1, coefficients.len(), coefficients);
         text += &format!("H_{name}: {}\nW_{name}: {}\n", lens.height, lens.width);
     }
     text

@@ -150,7 +150,7 @@ fn film_camera(camera: &TakeCamera, name: &str) -> String {
     let t = pose.translation;
     let k = lens.matrix();
     let k_rows = list((0..3).map(|r| format!("{:?}, {:?}, {:?}", k[(r, 0)], k[(r, 1)], k[(r, 2)])));
-    let dist = list(lens.dist.iter().map(|d| format!("{d:?}")));
+    let dist = list(lens.dist.coefficients().iter().map(|d| format!("{d:?}")));
     format!(
         r#"
     def Camera "{name}"
@@ -168,6 +168,7 @@ fn film_camera(camera: &TakeCamera, name: &str) -> String {
         custom int userProperties:width = {}
         custom int userProperties:height = {}
         custom double[] userProperties:K = {k_rows}
+        custom string userProperties:dist_model = {}
         custom double[] userProperties:dist = {dist}
     }}
 "#,
@@ -185,6 +186,7 @@ fn film_camera(camera: &TakeCamera, name: &str) -> String {
         quoted(&camera.id),
         lens.width,
         lens.height,
+        quoted(lens.dist.name()),
     )
 }
 

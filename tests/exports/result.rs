@@ -138,7 +138,7 @@ impl Written {
                         cx: k[(0, 2)],
                         cy: k[(1, 2)],
                         skew: k[(0, 1)],
-                        dist: numbers(&camera["dist"]).try_into().unwrap(),
+                        dist: wandless::geometry::Distortion::from_opencv(&numbers(&camera["dist"])).unwrap(),
                     },
                     camera_from_world: Rigid {
                         rotation: matrix(&camera["R"]),
@@ -203,7 +203,7 @@ fn session() -> Session {
         cx,
         cy: 530.25,
         skew,
-        dist,
+        dist: dist.into(),
     };
     let lenses = [
         lens(970.5, 1400.0, 0.0, [0.0; 5]),

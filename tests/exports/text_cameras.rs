@@ -3,7 +3,7 @@
 use crate::result::{FIRST_FRAME, N_FRAMES, assert_near, both_up_axes, centred, numbers};
 use nalgebra::{Isometry3, Point3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
 use serde_json::Value;
-use wandless::geometry::Intrinsics;
+use wandless::geometry::{Distortion, Intrinsics};
 use wandless::session::recording::UpAxis;
 
 #[test]
@@ -29,7 +29,7 @@ fn chan_projects_alike_but_for_what_it_lacks() {
             };
             let hold = |lens: &mut Intrinsics| {
                 centred(lens);
-                (lens.fx, lens.skew, lens.dist) = (lens.fy, 0.0, [0.0; 5]);
+                (lens.fx, lens.skew, lens.dist) = (lens.fy, 0.0, Distortion::None);
             };
             written.assert_projects(camera, hold, project);
         }
@@ -94,7 +94,7 @@ fn the_script_has_cameras_that_project_alike_but_for_what_blender_lacks() {
                 let (x, y) = (p.x / -p.z * focal - shift[0], p.y / -p.z * focal - shift[1]);
                 Vector2::new(x * width + width / 2.0 - 0.5, height / 2.0 - 0.5 - y * width / aspect)
             };
-            let hold = |lens: &mut Intrinsics| (lens.skew, lens.dist) = (0.0, [0.0; 5]);
+            let hold = |lens: &mut Intrinsics| (lens.skew, lens.dist) = (0.0, Distortion::None);
             written.assert_projects(camera, hold, project);
         }
     }

@@ -217,7 +217,7 @@ pub(crate) fn deeplabcut() -> Files {
         text += &row("coords", &|_, _, axis| axis.to_owned());
         for frame in 0..N_FRAMES {
             let points = people(i, frame, &COCO17);
-            let numbers: Vec<String> = points.iter().map(|p| flat(p)).flatten().map(|n| n.to_string()).collect();
+            let numbers: Vec<String> = points.iter().flat_map(|p| flat(p)).map(|n| n.to_string()).collect();
             text += &format!("{frame},{}\n", numbers.join(","));
         }
         files.push((format!("{camera}.csv"), text.into_bytes()));

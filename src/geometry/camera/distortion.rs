@@ -58,6 +58,30 @@ impl Distortion {
         }
     }
 
+    /// OpenCV's list of growing length: 0, 4, 5 or 8 coefficients, or 12 or 14 whose thin prism and tilt terms are zero;
+    /// `None` for any other.
+    pub fn from_opencv(coefficients: &[f64]) -> Option<Self> {
+        match *coefficients {
+            [] => Some(Self::None),
+            [k1, k2, p1, p2] => Some([k1, k2, p1, p2, 0.0].into()),
+            [k1, k2, p1, p2, k3] | [k1, k2, p1, p2, k3, 0.0, 0.0, 0.0] => Some([k1, k2, p1, p2, k3].into()),
+            [k1, k2, p1, p2, k3, k4, k5, k6] => Some(Self::Rational8([k1, k2, p1, p2, k3, k4, k5, k6])),
+            _ => {
+                let (known, rest) = coefficients.split_at_checked(8)?;
+                let is_ours = [4, 6].contains(&rest.len()) && rest.iter().all(|k| *k == 0.0);
+                if is_ours { Self::from_opencv(known) } else { None }
+            }
+        }
+    }
+
+    /// A fisheye's `k1 k2 k3 k4`, with the zero that some writers append; `None` for any other list.
+    pub fn from_fisheye(coefficients: &[f64]) -> Option<Self> {
+        match *coefficients {
+            [k1, k2, k3, k4] | [k1, k2, k3, k4, 0.0] => Some(Self::Fisheye4([k1, k2, k3, k4])),
+            _ => None,
+        }
+    }
+
     /// Distorted normalised coordinates of ideal ones.
     pub fn distorted(&self, n: &Vector2<f64>) -> Vector2<f64> {
         self.bend(n).point

@@ -123,31 +123,19 @@ fn checked_distortion(raw: &RawCamera) -> Result<Distortion, UploadError> {
     }
 }
 
-/// OpenCV's list of growing length: 4, 5 or 8 coefficients; what follows (thin prism, tilt) must be zero.
 fn polynomial_distortion(given: &[f64]) -> Result<Distortion, UploadError> {
-    let n = given.len();
-    match *given {
-        [] => Ok(Distortion::None),
-        [k1, k2, p1, p2] => Ok([k1, k2, p1, p2, 0.0].into()),
-        [k1, k2, p1, p2, k3] | [k1, k2, p1, p2, k3, 0.0, 0.0, 0.0] => Ok([k1, k2, p1, p2, k3].into()),
-        [k1, k2, p1, p2, k3, k4, k5, k6] => Ok(Distortion::Rational8([k1, k2, p1, p2, k3, k4, k5, k6])),
-        _ if [12, 14].contains(&n) && given[8..].iter().all(|k| *k == 0.0) => polynomial_distortion(&given[..8]),
-        _ if [12, 14].contains(&n) => {
-            Err(Fault::DistortionUnsupported.with(format!("{n} distortion coefficients with thin prism or tilt terms")))
-        }
-        _ => Err(Fault::DistortionUnsupported.with(format!("{n} distortion coefficients, expected 0, 4, 5 or 8"))),
-    }
+    Distortion::from_opencv(given).ok_or_else(|| {
+        let n = given.len();
+        let has_more = [12, 14].contains(&n);
+        let why = if has_more { "with thin prism or tilt terms" } else { "where 0, 4, 5 or 8 are expected" };
+        Fault::DistortionUnsupported.with(format!("{n} distortion coefficients {why}"))
+    })
 }
 
-/// Four coefficients; a fifth is a placeholder that some writers append.
 fn fisheye_distortion(given: &[f64]) -> Result<Distortion, UploadError> {
-    match *given {
-        [k1, k2, k3, k4] | [k1, k2, k3, k4, 0.0] => Ok(Distortion::Fisheye4([k1, k2, k3, k4])),
-        _ => {
-            Err(Fault::DistortionUnsupported
-                .with(format!("{} fisheye coefficients, expected k1 k2 k3 k4", given.len())))
-        }
-    }
+    Distortion::from_fisheye(given).ok_or_else(|| {
+        Fault::DistortionUnsupported.with(format!("{} fisheye coefficients, expected k1 k2 k3 k4", given.len()))
+    })
 }
 
 /// Coefficients that move the farthest image corner tenfold, or through the centre, belong to no lens.
