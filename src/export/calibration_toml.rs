@@ -1,10 +1,12 @@
 //! `Calib.toml` (Pose2Sim) and `calibration.toml` (anipose): cameras as TOML tables.
 //!
-//! `name`; `size` px; `matrix` K; `distortions` `k1 k2 p1 p2` and, for anipose, `k3`; `rotation` Rodrigues vector rad,
-//! `translation` m: `x_camera = exp(rotation) x_world + translation`; `fisheye`. The world is the result's own: Pose2Sim
-//! takes z as up.
+//! `name`; `size` px; `matrix` K; `distortions` `k1 k2 p1 p2` and, for anipose, `k3` and a rational lens's `k4 k5 k6`;
+//! `rotation` Rodrigues vector rad, `translation` m: `x_camera = exp(rotation) x_world + translation`; `fisheye`, and
+//! where it is true, `distortions` is `k1 k2 k3 k4`. The world is the result's own: Pose2Sim takes z as up.
 //!
-//! Known limit: Pose2Sim's layout has four coefficients of distortion; a `k3` is left out and reported.
+//! Known limits: Pose2Sim's layout has four coefficients of distortion; a `k3` or a rational lens is left out and
+//! reported. Its own reader passes over `fisheye`. Those versions of anipose's that project without OpenCV take five
+//! coefficients and no other number of them.
 
 use super::files::ResultFiles;
 use super::names::{file_names, quoted};

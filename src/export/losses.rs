@@ -121,9 +121,13 @@ mod tests {
         let of_pose2sim = losses(F::CalibToml, &take(k3));
         assert_eq!(of_pose2sim[1], "camera a: the format has no place for k3; cameras.json has it");
         assert_eq!(losses(F::AniposeToml, &take(k3)).len(), 1);
+        let rational = Intrinsics { dist: Distortion::Rational8([0.1, 0.0, 0.0, 0.0, 0.0, 0.2, 0.0, 0.0]), ..plain };
+        assert!(losses(F::CalibToml, &take(rational))[1].contains("rational distortion"));
+        assert_eq!(losses(F::OpencvYaml, &take(rational)).len(), 1);
         let fisheye = Intrinsics { dist: Distortion::Fisheye4([0.1, 0.0, 0.0, 0.0]), ..plain };
         assert!(losses(F::OpencvYaml, &take(fisheye))[1].contains("fisheye distortion"));
         assert_eq!(losses(F::Colmap, &take(fisheye)).len(), 1);
+        assert_eq!(losses(F::CalibToml, &take(fisheye)).len(), 1);
         let odd = Intrinsics { cx: 53.0, fy: 81.0, skew: 0.1, ..k3 };
         assert!(losses(F::Chan, &take(odd))[1].contains("the principal point and focal lengths that differ and skew"));
     }

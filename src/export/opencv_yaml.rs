@@ -1,9 +1,10 @@
 //! `intri.yml` and `extri.yml`: OpenCV's file storage with EasyMocap's names.
 //!
-//! `names`; per camera `K_` 3x3 px, `dist_` 1x5 (`k1 k2 p1 p2 k3`), `H_`, `W_` px; `R_` Rodrigues vector rad, `Rot_`
-//! 3x3, `T_` m: `x_camera = Rot x_world + T`. The world is the result's own.
+//! `names`; per camera `K_` 3x3 px, `dist_` 1x5 (`k1 k2 p1 p2 k3`) or, of a rational lens, 1x8 (`k4 k5 k6` after them),
+//! `H_`, `W_` px; `R_` Rodrigues vector rad, `Rot_` 3x3, `T_` m: `x_camera = Rot x_world + T`. The world is the result's
+//! own.
 //!
-//! Known limit: keys hold letters, digits, `_` and `-` only; `names` holds the names as they are in the keys.
+//! Known limits: a list of four is read as `k1 k2 p1 p2`, so a fisheye's is left out and reported. Keys hold letters, digits, `_` and `-` only; `names` holds the names as they are in the keys.
 
 use super::files::ResultFiles;
 use super::names::file_names;

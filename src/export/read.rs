@@ -168,10 +168,14 @@ fn placed(camera: &Camera) -> Result<Option<TakeCamera>, ReadError> {
     let fault = |what: &str, expected: &str, found: String| {
         Err(contradiction("cameras.json", &format!("camera {}: {what}", camera.id), expected, found))
     };
-    let is_fisheye = camera.distortion_model.as_deref() == Some("fisheye");
-    let dist = if is_fisheye { Distortion::from_fisheye(&camera.dist) } else { Distortion::from_opencv(&camera.dist) };
+    let dist = match camera.distortion_model.as_deref() {
+        None | Some("rational") => Distortion::from_opencv(&camera.dist),
+        Some("fisheye") => Distortion::from_fisheye(&camera.dist),
+        Some(_) => None,
+    };
     let Some(dist) = dist else {
-        return fault("dist", "a lens of OpenCV's", format!("{:?}", camera.dist));
+        let model = camera.distortion_model.as_deref().unwrap_or("opencv");
+        return fault("dist", "a lens of OpenCV's", format!("{model} {:?}", camera.dist));
     };
     let intrinsics = Intrinsics {
         width: camera.width,

@@ -150,6 +150,7 @@ fn cameras_project_alike_but_for_what_gltf_lacks() {
                 (&extras["K"][0][2], numbers(&extras["dist"])),
                 (&camera.lens.cx.into(), camera.lens.dist.coefficients().to_vec())
             );
+            assert_eq!(extras["distortion_model"], camera.lens.dist.name());
             let number = glb.nodes()[node]["camera"].as_u64().unwrap() as usize;
             let perspective = &glb.root["cameras"][number]["perspective"];
             let [yfov, aspect] = ["yfov", "aspectRatio"].map(|key| perspective[key].as_f64().unwrap());

@@ -9,7 +9,7 @@ use wandless::session::recording::UpAxis;
 #[test]
 fn chan_projects_alike_but_for_what_it_lacks() {
     for written in both_up_axes() {
-        let names = ["01", "left_front", "cam_c", "kamera-4"];
+        let names = ["01", "left_front", "cam_c", "kamera-4", "wide", "dome"];
         for (camera, name) in written.cameras().iter().zip(names) {
             let text = written.text(&format!("{name}.chan"));
             assert_eq!(text.lines().count(), N_FRAMES);
@@ -81,6 +81,8 @@ fn the_script_has_cameras_that_project_alike_but_for_what_blender_lacks() {
     for written in both_up_axes() {
         let take = take(&written.text("scene.py"));
         for (camera, theirs) in written.cameras().iter().zip(take["cameras"].as_array().unwrap()) {
+            assert_eq!(theirs["distortion_model"], camera.lens.dist.name());
+            assert_eq!(numbers(&theirs["dist"]), camera.lens.dist.coefficients());
             let place = Vector3::from_vec(numbers(&theirs["location"]));
             let world_from_camera = Isometry3::from_parts(Translation3::from(place), turn(&theirs["rotation_xyzw"]));
             let number = |key: &str| theirs[key].as_f64().unwrap();
