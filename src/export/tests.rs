@@ -288,7 +288,7 @@ fn a_result_that_was_changed_into_something_else_is_no_result() {
         ("poses3d.json", "\"302\"", "\"309\"", "24 joints"),
         ("cameras.json", "\"width\":640", "\"width\":0", "camera b: size"),
         ("cameras.json", "[500.0,", "[-500.0,", "focal lengths"),
-        ("cameras.json", "\"dist\":[0.0,", "\"dist\":[", "camera b: dist"),
+        ("cameras.json", "\"dist\":[0.0,0.0,", "\"dist\":[", "camera b: dist"),
         ("cameras.json", "\"dist\":", "\"distortion_model\":\"fov\",\"dist\":", "fov [0.0,"),
         ("cameras.json", "\"dist\":", "\"distortion_model\":\"fisheye\",\"dist\":[1.0],\"was\":", "fisheye [1.0]"),
         ("cameras.json", "{", "[", "cameras.json"),
