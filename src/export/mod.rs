@@ -7,12 +7,14 @@
 //! can also be read back from the JSON files ([`read_take`]). What a format cannot hold of it, the manifest says.
 
 mod blender;
+mod buffers;
 mod bvh;
 mod c3d;
 mod calibration_toml;
 mod cameras;
 mod chan;
 mod colmap;
+mod detections_bin;
 mod easymocap;
 mod files;
 mod film;
@@ -22,6 +24,7 @@ mod identities;
 mod joints;
 mod losses;
 mod manifest;
+mod motion_bin;
 mod names;
 mod opencv_yaml;
 mod people;
@@ -67,6 +70,9 @@ pub fn name(format: ExportFormat) -> String {
     }
 }
 
+/// Media type of files that only the viewer reads.
+const OCTETS: &str = "application/octet-stream";
+
 /// Writes every file of a result into `dir`, which is made where it is missing; the manifest comes last.
 ///
 /// Numbers are finite or null. Metres and radians are rounded to 1e-6, the poses of cameras are not. Files of an earlier
@@ -87,6 +93,8 @@ pub fn write_result(
     files.json("keypoints3d.json", &joints::keypoints(session, reconstruction))?;
     files.json("identities.json", &identities::Identities { session, reconstruction })?;
     files.json("report.json", &reconstruction.report)?;
+    files.bytes("stages/motion.bin", OCTETS, &motion_bin::motion_bin(session, reconstruction)?)?;
+    files.bytes("stages/detections.bin", OCTETS, &detections_bin::detections_bin(session, reconstruction)?)?;
     let take = take::take_of(session, reconstruction);
     let representations = write_all(&mut files, &take, context.exports)?;
     let written = Written { representations, files: files.written().to_vec() };

@@ -280,3 +280,53 @@ fn a_result_that_was_changed_into_something_else_is_no_result() {
         assert!(error.contains(said), "{file}: {error}");
     }
 }
+
+/// Header and payload of a self-describing file.
+fn opened(dir: &Path, name: &str) -> (Value, Vec<u8>) {
+    let bytes = fs::read(dir.join(name)).unwrap();
+    let end = 12 + u32::from_le_bytes(bytes[8..12].try_into().unwrap()) as usize;
+    (serde_json::from_slice(&bytes[12..end]).unwrap(), bytes[end..].to_vec())
+}
+
+/// One f32 of an array by its place in it.
+fn f32_at(payload: &[u8], array: &Value, index: usize) -> f32 {
+    assert_eq!(array["type"], "f32");
+    let at = array["offset"].as_u64().unwrap() as usize + 4 * index;
+    f32::from_le_bytes(payload[at..at + 4].try_into().unwrap())
+}
+
+#[test]
+fn the_viewers_motion_reads_back() {
+    let mut session = session();
+    for (frame, track_id) in [(0, 7), (2, 8)] {
+        session.views[0].frames[frame].iter_mut().for_each(|d| d.track_id = Some(track_id));
+    }
+    let dir = tempfile::tempdir().unwrap();
+    write_result(dir.path(), &session, &context(), &reconstruction()).unwrap();
+    let (header, payload) = opened(dir.path(), "stages/motion.bin");
+    assert_eq!(header["world"], read(dir.path(), "cameras.json"));
+    assert_eq!((&header["first_frame"], &header["n_frames"]), (&json!(300), &json!(3)));
+    let person = &header["people"][0];
+    assert_eq!(person["first"], 1);
+    assert_eq!(person["joints"]["shape"], json!([2, 24, 3]));
+    assert_eq!(f32_at(&payload, &person["joints"], (24 + 5) * 3), 5.0);
+    assert_eq!(f32_at(&payload, &person["joints"], (24 + 5) * 3 + 1), 0.75);
+    // The path begins a frame before the motion; its second row, the motion's first, knows nothing.
+    assert!(f32_at(&payload, &person["keypoints"], 6 * 3).is_nan());
+    assert_eq!(person["repairs"], json!([[2, 0]]));
+    let rejected = header["rejected"]["offset"].as_u64().unwrap() as usize;
+    assert_eq!(payload[rejected..rejected + 6], [0, 0, 1, 1, 0, 2]);
+}
+
+#[test]
+fn the_viewers_detections_read_back() {
+    let dir = written();
+    let (header, payload) = opened(dir.path(), "stages/detections.bin");
+    let camera = &header["cameras"][0];
+    let at = |name: &str| camera[name]["offset"].as_u64().unwrap() as usize;
+    assert_eq!(camera["id"], "b");
+    assert_eq!(payload[at("starts")..at("starts") + 16], [0, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 3, 0, 0, 0]);
+    assert_eq!(payload[at("person")..at("person") + 6], [0, 0, 0xff, 0xff, 0, 0]);
+    assert_eq!(f32_at(&payload, &camera["pixels"], 3), 2.0);
+    assert_eq!(payload[at("confidence")], 255);
+}

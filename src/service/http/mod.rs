@@ -12,6 +12,7 @@ mod server;
 mod sessions;
 mod submission;
 mod upload;
+mod viewer;
 
 use super::queue::Queue;
 use super::settings::Settings;
@@ -81,6 +82,7 @@ fn routes(app: App) -> Router {
         .route("/v1/jobs/{id}/report", get(results::report))
         .route("/healthz", get(alive))
         .route("/readyz", get(ready))
+        .merge(viewer::routes())
         .fallback(no_such_route)
         .method_not_allowed_fallback(no_such_method)
         .layer(axum::middleware::from_fn(error::write_problems))

@@ -1,0 +1,57 @@
+// Chromium, what the checks do with a page, and how they speak of it.
+
+import axe from 'axe-core'
+import { existsSync, mkdirSync } from 'node:fs'
+import { dirname, join } from 'node:path'
+import { fileURLToPath } from 'node:url'
+import { chromium } from 'playwright-core'
+
+const EXECUTABLE = process.env.CHROMIUM ?? '/usr/bin/chromium'
+const FLAGS = [
+  '--headless', '--no-sandbox', '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--enable-precise-memory-info',
+  '--disable-quic', '--no-first-run', '--disable-background-networking', '--disable-component-update', '--disable-sync',
+]
+const SHOTS = join(dirname(fileURLToPath(import.meta.url)), 'shots')
+
+export const hasBrowser = () => existsSync(EXECUTABLE)
+
+export function openBrowser() {
+  mkdirSync(SHOTS, { recursive: true })
+  return chromium.launch({ executablePath: EXECUTABLE, args: FLAGS })
+}
+
+/** A page that fails the check where a script of it fails or the policy stops something. */
+export async function openPage(browser, colorScheme = 'dark') {
+  const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, colorScheme, bypassCSP: false })
+  const page = await context.newPage()
+  page.on('pageerror', (error) => fail(`a script failed: ${error.message}`))
+  page.on('console', (message) => /Content Security Policy/.test(message.text()) && fail(message.text()))
+  return page
+}
+
+export const shot = (page, name) => page.screenshot({ path: join(SHOTS, `${name}.png`) })
+
+let failures = 0
+
+export function check(what, isTrue, figure = '') {
+  console.log(`${isTrue ? 'ok  ' : 'FAIL'} ${what}${figure === '' ? '' : `: ${figure}`}`)
+  if (!isTrue) failures++
+}
+
+export const fail = (what) => check(what, false)
+export const failed = () => failures > 0
+
+/** Serious and critical findings of axe-core, in a world of its own so that the page's policy stays as it is. */
+export async function checkAccess(page, state) {
+  const session = await page.context().newCDPSession(page)
+  const { frameTree } = await session.send('Page.getFrameTree')
+  const world = await session.send('Page.createIsolatedWorld', { frameId: frameTree.frame.id, worldName: 'axe' })
+  const contextId = world.executionContextId
+  await session.send('Runtime.evaluate', { expression: axe.source, contextId })
+  const expression = `axe.run({ resultTypes: ['violations'] }).then((found) => found.violations
+    .filter(({ impact }) => impact === 'serious' || impact === 'critical')
+    .map(({ id, nodes }) => id + ' ' + nodes.map((node) => node.target.join(' ')).join(', ')))`
+  const { result } = await session.send('Runtime.evaluate', { expression, contextId, awaitPromise: true, returnByValue: true })
+  await session.detach()
+  check(`axe-core, ${state}`, result.value?.length === 0, (result.value ?? ['axe did not run']).join(' | ') || '0 findings')
+}

@@ -1,0 +1,59 @@
+// A service of our own on fresh data, and the sessions that are given to it.
+
+import { execFileSync, spawn } from 'node:child_process'
+import { mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs'
+import { tmpdir } from 'node:os'
+import { dirname, join, resolve } from 'node:path'
+import { fileURLToPath } from 'node:url'
+
+const ROOT = resolve(dirname(fileURLToPath(import.meta.url)), '../..')
+const PROGRAM = process.env.WANDLESS ?? join(ROOT, 'target/release/wandless')
+
+/** A folder that is gone at the end. */
+export function temporaryFolder() {
+  const folder = mkdtempSync(join(tmpdir(), 'wandless-viewer-'))
+  process.on('exit', () => rmSync(folder, { recursive: true, force: true }))
+  return folder
+}
+
+/** Starts the service and waits for its address. */
+export function startService(folder) {
+  const child = spawn(PROGRAM, ['serve', '--data', join(folder, 'data'), '--listen', '127.0.0.1:0'])
+  process.on('exit', () => child.kill('SIGKILL'))
+  return new Promise((resolve, reject) => {
+    child.on('error', reject)
+    child.on('exit', (code) => reject(new Error(`the service ended with ${code}`)))
+    child.stdout.on('data', (text) => {
+      const address = /http:\/\/[\d.:]+/.exec(String(text))
+      if (address) resolve({ base: address[0], stop: () => child.kill('SIGTERM') })
+    })
+  })
+}
+
+/** Makes a session; `name` takes the place of the simulated one's. */
+export function simulate(folder, { people, views, frames, name }) {
+  const words = ['--people', people, '--views', views, '--frames', frames, '--seed', 1, '--out', folder]
+  execFileSync(PROGRAM, ['simulate', ...words.map(String)], { stdio: 'ignore' })
+  const path = join(folder, 'session.json')
+  const session = JSON.parse(readFileSync(path, 'utf8'))
+  if (name) writeFileSync(path, JSON.stringify({ ...session, name }))
+  return folder
+}
+
+/** The session as one JSON document. */
+export function asDocument(folder) {
+  const session = JSON.parse(readFileSync(join(folder, 'session.json'), 'utf8'))
+  const poses = session.cameras.map(({ id }) => [id, JSON.parse(readFileSync(join(folder, 'poses', `${id}.json`), 'utf8'))])
+  return JSON.stringify({ ...session, poses: Object.fromEntries(poses) })
+}
+
+/** Uploads a document and solves it over HTTP; the finished job. */
+export async function solve(base, document) {
+  const post = (path, body) => fetch(base + path, { method: 'POST', headers: { 'Content-Type': 'application/json' }, body })
+  const session = await (await post('/v1/sessions', document)).json()
+  let job = await (await post('/v1/jobs', JSON.stringify({ session: session.id }))).json()
+  while (!['succeeded', 'failed', 'canceled', 'dead'].includes(job.state)) {
+    job = await (await fetch(`${base}/v1/jobs/${job.id}?wait=20`)).json()
+  }
+  return job
+}

@@ -1,0 +1,101 @@
+//! A binary file that describes itself: a JSON header, then plain arrays. What the viewer's `stages/*.bin` are made of.
+//!
+//! | bytes | hold |
+//! |---|---|
+//! | 0..8 | `WANDLESS` |
+//! | 8..12 | `L`: length of the header, u32 little endian, a multiple of 4 |
+//! | 12..12 + L | the header, JSON in UTF-8, blanks at its end |
+//! | 12 + L.. | the payload: arrays one after another, each padded with zeros to a multiple of 4 bytes |
+//!
+//! An array is announced in the header as `{type: "f32" | "u8" | "i16" | "u32", offset, shape}`: little endian, row by
+//! row, `offset` in bytes from the start of the payload. Since every part is a multiple of 4 bytes long, a browser lays
+//! typed arrays over the file without a copy. A number that is not known is NaN in an `f32` array.
+
+use serde::Serialize;
+
+/// First bytes of every such file.
+const MAGIC: &[u8; 8] = b"WANDLESS";
+
+/// Where an array lies, as the header says it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub(super) struct Array {
+    #[serde(rename = "type")]
+    kind: &'static str,
+    offset: usize,
+    shape: Vec<usize>,
+}
+
+/// The payload being gathered.
+#[derive(Debug, Default)]
+pub(super) struct Payload(Vec<u8>);
+
+impl Payload {
+    /// Appends 32-bit floats; what is not finite becomes NaN.
+    pub(super) fn f32(&mut self, shape: &[usize], values: impl IntoIterator<Item = f64>) -> Array {
+        let written = |value: f64| if value.is_finite() { value as f32 } else { f32::NAN };
+        self.array("f32", shape, values.into_iter().map(|value| written(value).to_le_bytes()))
+    }
+
+    /// Appends bytes.
+    pub(super) fn u8(&mut self, shape: &[usize], values: impl IntoIterator<Item = u8>) -> Array {
+        self.array("u8", shape, values.into_iter().map(|value| [value]))
+    }
+
+    /// Appends signed 16-bit integers.
+    pub(super) fn i16(&mut self, shape: &[usize], values: impl IntoIterator<Item = i16>) -> Array {
+        self.array("i16", shape, values.into_iter().map(i16::to_le_bytes))
+    }
+
+    /// Appends unsigned 32-bit integers.
+    pub(super) fn u32(&mut self, shape: &[usize], values: impl IntoIterator<Item = u32>) -> Array {
+        self.array("u32", shape, values.into_iter().map(u32::to_le_bytes))
+    }
+
+    fn array<const N: usize>(
+        &mut self,
+        kind: &'static str,
+        shape: &[usize],
+        values: impl Iterator<Item = [u8; N]>,
+    ) -> Array {
+        let offset = self.0.len();
+        values.for_each(|value| self.0.extend_from_slice(&value));
+        debug_assert_eq!(self.0.len() - offset, N * shape.iter().product::<usize>(), "the shape counts the values");
+        self.0.resize(self.0.len().next_multiple_of(4), 0);
+        Array { kind, offset, shape: shape.to_vec() }
+    }
+
+    /// The whole file.
+    ///
+    /// # Errors
+    /// Where the header cannot be written as JSON, or is longer than 4 GiB.
+    pub(super) fn file(self, header: &impl Serialize) -> std::io::Result<Vec<u8>> {
+        let mut header = serde_json::to_vec(header)?;
+        header.resize(header.len().next_multiple_of(4), b' ');
+        let length = u32::try_from(header.len()).map_err(std::io::Error::other)?;
+        Ok([MAGIC.as_slice(), &length.to_le_bytes(), &header, &self.0].concat())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn the_file_is_laid_out_as_the_page_says() {
+        let mut payload = Payload::default();
+        let bytes = payload.u8(&[3], [1, 2, 3]);
+        let floats = payload.f32(&[1, 2], [0.5, f64::INFINITY]);
+        let shorts = payload.i16(&[1], [-2]);
+        assert_eq!((bytes.offset, floats.offset, shorts.offset), (0, 4, 12));
+        let file = payload.file(&json!({ "a": floats })).unwrap();
+        let length = u32::from_le_bytes(file[8..12].try_into().unwrap()) as usize;
+        assert_eq!((&file[..8], length % 4, file.len() % 4), (&b"WANDLESS"[..], 0, 0));
+        let header: serde_json::Value = serde_json::from_slice(&file[12..12 + length]).unwrap();
+        assert_eq!(header, json!({ "a": { "type": "f32", "offset": 4, "shape": [1, 2] } }));
+        let payload = &file[12 + length..];
+        assert_eq!(&payload[..8], [1, 2, 3, 0, 0, 0, 0, 0x3f]);
+        assert!(f32::from_le_bytes(payload[8..12].try_into().unwrap()).is_nan());
+        assert_eq!(&payload[12..], [0xfe, 0xff, 0, 0]);
+    }
+}

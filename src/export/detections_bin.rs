@@ -1,0 +1,91 @@
+//! `stages/detections.bin`: what the detectors saw and whom it was given to, in the layout of [`super::buffers`].
+//!
+//! The viewer asks for it when it looks through a camera. Header: `format: "wandless.detections"`, `version: 1` and
+//! `cameras`, each with
+//!
+//! - `id`
+//! - `starts` `[n_frames + 1]`: detections `starts[f]..starts[f + 1]` are those of frame index `f`
+//! - `person` `[detections]`: whom each was given to, -1 for nobody
+//! - `pixels` `[detections, K, 2]`: px as detected (distorted), NaN where the detector gave no point
+//! - `confidence` `[detections, K]`: 0 to 255 for 0 to 1
+
+use super::buffers::{Array, Payload};
+use crate::session::{Detection, Keypoint, Reconstruction, Session, View};
+use serde::Serialize;
+use std::io;
+
+/// The layout described above.
+const VERSION: u32 = 1;
+
+#[derive(Serialize)]
+struct Header<'a> {
+    format: &'static str,
+    version: u32,
+    cameras: Vec<Camera<'a>>,
+}
+
+#[derive(Serialize)]
+struct Camera<'a> {
+    id: &'a str,
+    starts: Array,
+    person: Array,
+    pixels: Array,
+    confidence: Array,
+}
+
+/// The bytes of the file.
+///
+/// # Errors
+/// See [`Payload::file`].
+pub(super) fn detections_bin(session: &Session, reconstruction: &Reconstruction) -> io::Result<Vec<u8>> {
+    let mut payload = Payload::default();
+    let n_keypoints = session.convention.names().len();
+    let camera = |(index, view)| camera(view, index, n_keypoints, reconstruction, &mut payload);
+    let cameras = session.views.iter().enumerate().map(camera).collect();
+    payload.file(&Header { format: "wandless.detections", version: VERSION, cameras })
+}
+
+fn camera<'a>(
+    view: &'a View,
+    index: usize,
+    n_keypoints: usize,
+    reconstruction: &Reconstruction,
+    payload: &mut Payload,
+) -> Camera<'a> {
+    let given = |frame: usize, detection: usize| {
+        let person = (*reconstruction.identities.get(index)?.get(frame)?.get(detection)?)?;
+        i16::try_from(person.0).ok()
+    };
+    let detections = || view.frames.iter().flatten();
+    let n_detections = detections().count();
+    let ends = view.frames.iter().scan(0, |n, frame| {
+        *n += frame.len() as u32;
+        Some(*n)
+    });
+    let people = view.frames.iter().enumerate().flat_map(|(frame, detections)| {
+        (0..detections.len()).map(move |detection| given(frame, detection).unwrap_or(-1))
+    });
+    Camera {
+        id: &view.id,
+        starts: payload.u32(&[view.frames.len() + 1], std::iter::once(0).chain(ends)),
+        person: payload.i16(&[n_detections], people),
+        pixels: payload.f32(
+            &[n_detections, n_keypoints, 2],
+            detections().flat_map(|d| keypoints(d, n_keypoints)).flat_map(|point| match point {
+                Some(point) if point.is_present() => [point.pixel.x, point.pixel.y],
+                _ => [f64::NAN; 2],
+            }),
+        ),
+        confidence: payload.u8(
+            &[n_detections, n_keypoints],
+            detections()
+                .flat_map(|d| keypoints(d, n_keypoints))
+                .map(|point| point.map_or(0, |point| (255.0 * point.confidence.clamp(0.0, 1.0)).round() as u8)),
+        ),
+    }
+}
+
+/// The leading, named keypoints of a detection.
+fn keypoints(detection: &Detection, n_keypoints: usize) -> impl Iterator<Item = Option<&Keypoint>> {
+    (0..n_keypoints).map(|k| detection.keypoints.get(k))
+}

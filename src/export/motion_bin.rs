@@ -1,0 +1,137 @@
+//! `stages/motion.bin`: all that the viewer draws of the scene, in the layout of [`super::buffers`].
+//!
+//! Header: `format: "wandless.motion"`, `version: 1`, `name`, `fps`, `first_frame`, `n_frames`, `joint_names`,
+//! `joint_parents` (null for the root), `keypoint_names`, `world` (`cameras.json` as it is) and `people`, each with
+//!
+//! - `id`; `first`: frame index (from 0, not the session's number) of the first row of all arrays
+//! - `joints` `[frames, 24, 3]`: the body's joints, world metres
+//! - `valid` `[frames]`: 0 where the pose is carried
+//! - `keypoints` `[frames, K, 3]`: the detector's points in the world, metres, NaN where nothing is known
+//! - `n_views` `[frames, K]`: cameras that saw each of them
+//! - `repairs`: `[frame index, camera index]` where the detector's own track of this person broke and ours went on
+//!
+//! and `rejected` `[cameras, n_frames]`: detections given to nobody, at most 255.
+
+use super::buffers::{Array, Payload};
+use super::cameras::{Cameras, cameras};
+use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
+use crate::session::{BodyMotion, JointTrajectory, PersonId, Reconstruction, Session};
+use serde::Serialize;
+use std::io;
+
+/// The layout described above.
+const VERSION: u32 = 1;
+
+#[derive(Serialize)]
+struct Header<'a> {
+    format: &'static str,
+    version: u32,
+    name: &'a str,
+    fps: f64,
+    first_frame: i64,
+    n_frames: usize,
+    joint_names: [&'static str; N_JOINTS],
+    joint_parents: [Option<usize>; N_JOINTS],
+    keypoint_names: &'static [&'static str],
+    world: Cameras<'a>,
+    people: Vec<Person>,
+    rejected: Array,
+}
+
+#[derive(Serialize)]
+struct Person {
+    id: usize,
+    first: usize,
+    joints: Array,
+    valid: Array,
+    keypoints: Array,
+    n_views: Array,
+    repairs: Vec<[usize; 2]>,
+}
+
+/// The bytes of the file.
+///
+/// # Errors
+/// See [`Payload::file`].
+pub(super) fn motion_bin(session: &Session, reconstruction: &Reconstruction) -> io::Result<Vec<u8>> {
+    let mut payload = Payload::default();
+    let people = reconstruction
+        .motions
+        .iter()
+        .map(|motion| {
+            let path = reconstruction.keypoints.iter().find(|path| path.person == motion.person);
+            person(session, reconstruction, motion, path, &mut payload)
+        })
+        .collect();
+    let header = Header {
+        format: "wandless.motion",
+        version: VERSION,
+        name: &session.name,
+        fps: session.fps,
+        first_frame: session.first_frame,
+        n_frames: session.n_frames,
+        joint_names: JOINT_NAMES,
+        joint_parents: PARENTS,
+        keypoint_names: session.convention.names(),
+        world: cameras(session, reconstruction),
+        people,
+        rejected: rejected(session, reconstruction, &mut payload),
+    };
+    payload.file(&header)
+}
+
+fn person(
+    session: &Session,
+    reconstruction: &Reconstruction,
+    motion: &BodyMotion,
+    path: Option<&JointTrajectory>,
+    payload: &mut Payload,
+) -> Person {
+    let (n_frames, n_keypoints) = (motion.frames.len(), session.convention.names().len());
+    // Rows of the path that belong to the motion's frames: either may be the longer one.
+    let row = |i: usize| Some((path?, (motion.first.0 + i).checked_sub(path?.first.0)?));
+    let point = |i: usize, k: usize| row(i).and_then(|(path, t)| *path.points.get(t)?.get(k)?);
+    let count = |i: usize, k: usize| row(i).and_then(|(path, t)| path.n_views.get(t)?.get(k).copied()).unwrap_or(0);
+    let cells = || (0..n_frames).flat_map(|i| (0..n_keypoints).map(move |k| (i, k)));
+    let joints = motion.frames.iter().flat_map(|pose| pose.joints.iter().flat_map(|joint| [joint.x, joint.y, joint.z]));
+    Person {
+        id: motion.person.0,
+        first: motion.first.0,
+        joints: payload.f32(&[n_frames, N_JOINTS, 3], joints),
+        valid: payload.u8(&[n_frames], motion.frames.iter().map(|pose| u8::from(pose.valid))),
+        keypoints: payload.f32(
+            &[n_frames, n_keypoints, 3],
+            cells().flat_map(|(i, k)| point(i, k).map_or([f64::NAN; 3], <[f64; 3]>::from)),
+        ),
+        n_views: payload.u8(&[n_frames, n_keypoints], cells().map(|(i, k)| count(i, k))),
+        repairs: repairs(session, reconstruction, motion.person),
+    }
+}
+
+/// Where, in a camera, the detection given to a person bears another track id than the one before it did.
+fn repairs(session: &Session, reconstruction: &Reconstruction, person: PersonId) -> Vec<[usize; 2]> {
+    let mut found = Vec::new();
+    for (view_index, (view, given)) in session.views.iter().zip(&reconstruction.identities).enumerate() {
+        let mut last = None;
+        for (frame, (detections, given)) in view.frames.iter().zip(given).enumerate() {
+            let own = detections.iter().zip(given).find(|(_, given)| **given == Some(person));
+            let Some(track_id) = own.and_then(|(detection, _)| detection.track_id) else { continue };
+            if last.is_some_and(|last| last != track_id) {
+                found.push([frame, view_index]);
+            }
+            last = Some(track_id);
+        }
+    }
+    found.sort_unstable();
+    found
+}
+
+fn rejected(session: &Session, reconstruction: &Reconstruction, payload: &mut Payload) -> Array {
+    let count = |view: usize, frame: usize| {
+        let given = reconstruction.identities.get(view).and_then(|frames| frames.get(frame));
+        let n = given.map_or(0, |given| given.iter().filter(|given| given.is_none()).count());
+        u8::try_from(n).unwrap_or(u8::MAX)
+    };
+    let cells = (0..session.views.len()).flat_map(|view| (0..session.n_frames).map(move |frame| count(view, frame)));
+    payload.u8(&[session.views.len(), session.n_frames], cells)
+}

@@ -1,0 +1,110 @@
+//! `/` and `/assets/{name}`: the web viewer, embedded when the program was built.
+//!
+//! The page may load nothing from elsewhere and run nothing written into it: its `Content-Security-Policy` allows its own
+//! scripts, styles and requests only, nothing inline.
+
+use super::App;
+use super::error::Problem;
+use axum::Router;
+use axum::extract::Path;
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+
+/// One file of the built page.
+struct Asset {
+    /// Path below the page's folder.
+    name: &'static str,
+    bytes: &'static [u8],
+}
+
+/// Every file of the page; none where it was left out of the build.
+const ASSETS: &[Asset] = include!(concat!(env!("OUT_DIR"), "/viewer_assets.rs"));
+
+/// What is served where the viewer was left out.
+const PLAIN_PAGE: &str = "<!doctype html>
+<html lang=\"en\"><meta charset=\"utf-8\"><title>wandless</title>
+<h1>wandless is running</h1>
+<p>This program was built without its web viewer, because Node.js or the packages of <code>web/</code> were not there.
+The API lies under <a href=\"/v1/jobs\">/v1</a>. To get the viewer, install Node.js 20.19 or later, touch
+<code>web/package.json</code> and build again.</p>
+</html>
+";
+
+/// `script-src` and `style-src` without `unsafe-inline`: a name with HTML in it stays a name. Images made by the page
+/// itself (downloads, favicons) are `blob:` and `data:`.
+const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: \
+     blob:; connect-src 'self'; font-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// The viewer's routes.
+pub(super) fn routes() -> Router<App> {
+    Router::new().route("/", get(page)).route("/assets/{*name}", get(asset))
+}
+
+async fn page() -> Response {
+    match ASSETS.iter().find(|asset| asset.name == "index.html") {
+        Some(page) => answer(page, "no-cache"),
+        None => answer(&Asset { name: "index.html", bytes: PLAIN_PAGE.as_bytes() }, "no-cache"),
+    }
+}
+
+/// A script or a style sheet; its name holds the digest of its content, so it may be kept for ever.
+async fn asset(Path(name): Path<String>) -> Result<Response, Problem> {
+    let found = ASSETS.iter().find(|asset| asset.name.strip_prefix("assets/") == Some(name.as_str()));
+    found.map(|asset| answer(asset, "public, max-age=31536000, immutable")).ok_or_else(|| {
+        let detail = "the viewer has no such file";
+        Problem::new(StatusCode::NOT_FOUND, "not_found", detail, "reload the page")
+    })
+}
+
+fn answer(asset: &Asset, cache_control: &'static str) -> Response {
+    let headers = [
+        (header::CONTENT_TYPE, media_type(asset.name)),
+        (header::CACHE_CONTROL, cache_control),
+        (header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY),
+        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (header::REFERRER_POLICY, "no-referrer"),
+    ];
+    (headers, asset.bytes).into_response()
+}
+
+fn media_type(name: &str) -> &'static str {
+    match name.rsplit('.').next() {
+        Some("html") => "text/html; charset=utf-8",
+        Some("js") => "text/javascript; charset=utf-8",
+        Some("css") => "text/css; charset=utf-8",
+        Some("svg") => "image/svg+xml",
+        _ => "application/octet-stream",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Scripts and styles together, bytes.
+    const MAX_ASSETS: usize = 3_000_000;
+
+    #[tokio::test]
+    async fn the_page_comes_with_a_policy_that_runs_nothing_inline() {
+        let response = page().await;
+        assert_eq!(response.status(), StatusCode::OK);
+        let policy = response.headers()[header::CONTENT_SECURITY_POLICY].to_str().unwrap();
+        assert!(policy.starts_with("default-src 'none'") && !policy.contains("unsafe"), "{policy}");
+    }
+
+    #[tokio::test]
+    async fn a_file_that_is_not_there_is_a_problem() {
+        assert!(asset(Path("../index.html".to_owned())).await.is_err());
+    }
+
+    #[test]
+    fn the_viewer_is_small_and_its_page_holds_no_script_of_its_own() {
+        let bytes: usize = ASSETS.iter().map(|asset| asset.bytes.len()).sum();
+        assert!(bytes <= MAX_ASSETS, "{bytes}");
+        let page = ASSETS.iter().find(|asset| asset.name == "index.html").map_or(PLAIN_PAGE.as_bytes(), |p| p.bytes);
+        let page = String::from_utf8(page.to_vec()).unwrap();
+        assert!(!page.contains("<style") && !page.contains("style=") && !page.contains("onclick"));
+        assert!(page.split("<script").skip(1).all(|tag| tag.contains("src=") && tag.contains("></script>")));
+    }
+}

@@ -1,0 +1,120 @@
+// What the service says, as far as the viewer reads it.
+
+export type State = 'queued' | 'running' | 'canceling' | 'succeeded' | 'failed' | 'canceled' | 'dead'
+export type Verdict = 'pass' | 'warn' | 'reject'
+
+export interface Session {
+  id: string
+  name: string
+  cameras: number
+  frames: number
+  people_max: number
+  keypoint_convention: string
+  format: string
+  warnings: string[]
+  bytes: number
+  camera_ids: string[]
+  has_extrinsics: boolean
+  created_at: string
+}
+
+export interface Progress {
+  stage: string
+  stage_index: number
+  stage_count: number
+  fraction: number
+  message: string
+  eta_s: number | null
+}
+
+export interface Quality {
+  verdict: Verdict
+  reasons: string[]
+}
+
+/** Why a job failed; the same fields as in a problem. */
+export interface Cause {
+  code: string
+  detail: string
+  remedy?: string
+  camera?: string | null
+  frame?: number | null
+  person?: number | null
+  pointer?: string | null
+  file?: string | null
+}
+
+export interface Job {
+  id: string
+  state: State
+  session: string
+  options: Record<string, unknown>
+  labels: Record<string, string>
+  created_at: string
+  started_at: string | null
+  finished_at: string | null
+  attempt: number
+  progress: Progress | null
+  stage_seconds: Record<string, number>
+  quality: Quality | null
+  error: Cause | null
+  solver_version: string
+}
+
+export interface FileEntry {
+  name: string
+  media_type: string
+  bytes: number
+  sha256: string
+}
+
+export interface Manifest {
+  input: { name: string; sha256: string }
+  solver_version: string
+  publish: { up_axis: string; frame_range: [number, number]; fps: number }
+  files: FileEntry[]
+}
+
+export interface Summary {
+  mean: number
+  median: number
+}
+
+export interface Report {
+  stages: {
+    stage: string
+    iterations: number
+    cost_before: number | null
+    cost_after: number | null
+    termination: string
+    metrics: Record<string, number>
+  }[]
+  cameras: {
+    id: string
+    solved: boolean
+    n_detections: number
+    n_rejected_detections: number
+    reprojection_px: Summary | null
+  }[]
+  people: {
+    id: number
+    first_frame: number
+    last_frame: number
+    n_detections: number
+    reprojection_px: Summary | null
+    bone_length_spread: number | null
+    jitter_m_per_s2: number | null
+  }[]
+  heldout_px: number | null
+  scale: { value: number; interval95: [number, number]; evidence: string } | null
+  rejected_detections: number
+  keypoints_from: string
+  quality: Quality
+}
+
+const FINAL: State[] = ['succeeded', 'failed', 'canceled', 'dead']
+
+/** A final state never changes. */
+export function isFinal(state: State) {
+  return FINAL.includes(state)
+}

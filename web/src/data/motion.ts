@@ -1,0 +1,104 @@
+// The scene of a result: cameras and people over time, from `stages/motion.bin`.
+
+import { type ArrayRef, Described } from './described'
+
+export interface Camera {
+  id: string
+  width: number
+  height: number
+  K: number[][]
+  dist: number[]
+  R: number[][] | null
+  t: number[] | null
+  position: number[] | null
+  reprojection_px: { mean: number; median: number } | null
+  n_observations: number
+  sigma_position_mm?: number
+  sigma_angle_deg?: number
+}
+
+export interface Person {
+  id: number
+  /** Frame index of row 0. */
+  first: number
+  n_frames: number
+  /** [frames, 24, 3], world metres. */
+  joints: Float32Array
+  /** [frames]: 0 where the pose is carried. */
+  valid: Uint8Array
+  /** [frames, K, 3], world metres, NaN where nothing is known. */
+  keypoints: Float32Array
+  /** [frames, K]: cameras that saw each keypoint. */
+  n_views: Uint8Array
+  /** [frame index, camera index] where the detector's track broke and ours went on. */
+  repairs: [number, number][]
+}
+
+export interface Motion {
+  name: string
+  fps: number
+  first_frame: number
+  n_frames: number
+  up_axis: 'y' | 'z'
+  joint_names: string[]
+  joint_parents: (number | null)[]
+  keypoint_names: string[]
+  cameras: Camera[]
+  people: Person[]
+  /** [cameras, n_frames]: detections given to nobody. */
+  rejected: Uint8Array
+}
+
+export const N_JOINTS = 24
+
+interface Header extends Omit<Motion, 'cameras' | 'people' | 'rejected' | 'up_axis'> {
+  world: { up_axis: 'y' | 'z'; cameras: Camera[] }
+  people: (Pick<Person, 'id' | 'first' | 'repairs'> & Record<'joints' | 'valid' | 'keypoints' | 'n_views', ArrayRef>)[]
+  rejected: ArrayRef
+}
+
+export function readMotion(bytes: ArrayBuffer): Motion {
+  const file = new Described<Header>(bytes, 'wandless.motion')
+  const { world, people, rejected, ...rest } = file.header
+  return {
+    ...rest,
+    up_axis: world.up_axis,
+    cameras: world.cameras,
+    people: people.map((person) => ({
+      id: person.id,
+      first: person.first,
+      repairs: person.repairs,
+      n_frames: person.joints.shape[0],
+      joints: file.f32(person.joints),
+      valid: file.u8(person.valid),
+      keypoints: file.f32(person.keypoints),
+      n_views: file.u8(person.n_views),
+    })),
+    rejected: file.u8(rejected),
+  }
+}
+
+/** Row of a person's arrays at a frame index; -1 where the person is not there. */
+export function rowAt(person: Person, frame: number) {
+  const row = frame - person.first
+  return row >= 0 && row < person.n_frames ? row : -1
+}
+
+/** Edges of a skeleton between names, as far as a convention has them. */
+const EDGES = [
+  ['nose', 'left_eye'], ['nose', 'right_eye'], ['left_eye', 'left_ear'], ['right_eye', 'right_ear'],
+  ['left_shoulder', 'right_shoulder'], ['left_hip', 'right_hip'],
+  ['left_shoulder', 'left_hip'], ['right_shoulder', 'right_hip'],
+  ['left_shoulder', 'left_elbow'], ['left_elbow', 'left_wrist'],
+  ['right_shoulder', 'right_elbow'], ['right_elbow', 'right_wrist'],
+  ['left_hip', 'left_knee'], ['left_knee', 'left_ankle'],
+  ['right_hip', 'right_knee'], ['right_knee', 'right_ankle'],
+  ['left_ankle', 'left_heel'], ['left_ankle', 'left_big_toe'],
+  ['right_ankle', 'right_heel'], ['right_ankle', 'right_big_toe'],
+]
+
+/** Pairs of indices that are joined by a line when a convention's keypoints are drawn. */
+export function keypointEdges(names: string[]): [number, number][] {
+  const pairs = EDGES.map(([a, b]) => [names.indexOf(a), names.indexOf(b)] as [number, number])
+  return pairs.filter(([a, b]) => a >= 0 && b >= 0)
+}

@@ -1,0 +1,62 @@
+// The frame of all pages: which one the address asks for, the theme, and whether the service answers.
+
+import { Problem } from './api/client'
+import { button, el, fill } from './dom'
+import { openHome } from './pages/home'
+import { type JobPage, type Tab, openJob } from './pages/job'
+import { askForKey } from './pages/key'
+import { problemCard } from './pages/notice'
+import { isDark, onThemeChange, startTheme, toggleTheme } from './theme'
+
+startTheme()
+const banner = el('div', { class: 'banner', 'aria-live': 'assertive' })
+const page = el('main', {})
+const theme = button('', toggleTheme, { class: 'quiet' })
+const nameTheme = () => (theme.textContent = isDark() ? 'Light' : 'Dark')
+onThemeChange(nameTheme)
+nameTheme()
+
+document.getElementById('app')!.append(
+  el('header', { class: 'top' },
+    el('a', { class: 'brand', href: '#/' }, 'wandless'),
+    el('nav', { 'aria-label': 'Pages' }, el('a', { href: '#/' }, 'Sessions and jobs')),
+    theme),
+  banner,
+  page,
+)
+
+let closing = new AbortController()
+let open: { id: string; page: JobPage } | null = null
+
+function route() {
+  const [, kind, id, tab = 'scene'] = location.hash.split('/')
+  if (kind === 'jobs' && id && open?.id === id) return open.page.show(tab as Tab)
+  closing.abort()
+  closing = new AbortController()
+  const { signal } = closing
+  open = null
+  if (kind === 'jobs' && id) {
+    open = { id, page: openJob(encodeURIComponent(id), tab as Tab, signal, told) }
+    fill(page, open.page.element)
+  } else {
+    document.title = 'wandless'
+    fill(page, openHome(signal, told).element)
+  }
+}
+
+/** Says at the top of every page that the service does not answer, and takes it back once it does. */
+function told(problem: Problem | null) {
+  if (problem?.status === 401 || problem?.status === 403) askForKey(restart)
+  if (!problem) return fill(banner)
+  const title = problem.status === 0 ? 'No connection' : problem.status === 401 ? 'A key is needed' : 'The service could not answer'
+  const action = problem.status === 401 && button('Enter the key', () => askForKey(restart))
+  fill(banner, problemCard(title, problem), action)
+}
+
+function restart() {
+  open = null
+  route()
+}
+
+window.addEventListener('hashchange', route)
+route()

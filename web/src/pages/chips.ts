@@ -1,0 +1,32 @@
+// Small signs: the state of a job, the verdict over a result.
+
+import type { Job, Verdict } from '../api/types'
+import { el } from '../dom'
+import { NOTHING, percent, seconds, words } from '../format'
+
+export function stateChip(job: Job) {
+  return el('span', { class: `chip state-${job.state}` }, job.state)
+}
+
+export function verdictChip(verdict: Verdict) {
+  const text = { pass: 'pass', warn: 'look before use', reject: 'do not use' }[verdict]
+  return el('span', { class: `chip verdict-${verdict}` }, text)
+}
+
+/** A bar with the stage in words; nothing once the job has ended. */
+export function progressBar(job: Job) {
+  const { progress } = job
+  if (!progress || !['queued', 'running', 'canceling'].includes(job.state)) return null
+  const stage = progress.stage ? words(progress.stage) : job.state
+  const eta = progress.eta_s == null ? '' : ` · ${seconds(progress.eta_s)} left`
+  const bar = el('progress', { max: 1, value: progress.fraction, 'aria-label': `Progress, ${stage}` })
+  const step = progress.stage ? `${progress.stage_index + 1} of ${progress.stage_count}: ` : ''
+  return el('div', { class: 'progress' }, bar,
+    el('span', {}, `${percent(progress.fraction)} · ${step}${stage}${progress.message ? ` · ${progress.message}` : ''}${eta}`))
+}
+
+export function duration(job: Job) {
+  if (!job.started_at) return NOTHING
+  const end = job.finished_at ? Date.parse(job.finished_at) : Date.now()
+  return seconds((end - Date.parse(job.started_at)) / 1000)
+}

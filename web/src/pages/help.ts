@@ -1,0 +1,14 @@
+// The list of keys.
+
+import { button, el } from '../dom'
+import { KEY_HELP } from '../scene/keys'
+import { openDialog } from './dialog'
+
+export function showHelp() {
+  const rows = KEY_HELP.flatMap(([key, meaning]) => [el('dt', {}, el('kbd', {}, key)), el('dd', {}, meaning)])
+  const dialog = openDialog(
+    'Keys',
+    el('dl', { class: 'keys' }, ...rows),
+    el('div', { class: 'actions' }, button('Close', () => dialog.close())),
+  )
+}

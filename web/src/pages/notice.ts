@@ -1,0 +1,30 @@
+// What went wrong and what to do, the same everywhere.
+
+import { Problem } from '../api/client'
+import type { Cause } from '../api/types'
+import { el } from '../dom'
+
+/** A card of a problem; errors of our own are told as they are. */
+export function problemCard(title: string, error: unknown) {
+  if (error instanceof Problem) return causeCard(title, error.cause)
+  return causeCard(title, { code: 'viewer', detail: error instanceof Error ? error.message : String(error) })
+}
+
+export function causeCard(title: string, cause: Cause) {
+  const places: [string, unknown][] = [
+    ['File', cause.file],
+    ['Camera', cause.camera],
+    ['Frame', cause.frame],
+    ['Person', cause.person],
+    ['Where', cause.pointer],
+  ]
+  const rows = places.filter(([, value]) => value !== null && value !== undefined && value !== '')
+  return el(
+    'section',
+    { class: 'notice bad', role: 'alert' },
+    el('h3', {}, title),
+    el('p', {}, cause.detail),
+    rows.length > 0 && el('dl', {}, ...rows.flatMap(([name, value]) => [el('dt', {}, name), el('dd', {}, String(value))])),
+    cause.remedy ? el('p', { class: 'remedy' }, el('strong', {}, 'What to do: '), cause.remedy) : null,
+  )
+}

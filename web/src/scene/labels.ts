@@ -1,0 +1,56 @@
+// Names of cameras and people over the picture, as text of the page.
+
+import { type PerspectiveCamera, type Matrix4, Vector3 } from 'three'
+import { el } from '../dom'
+import { type Motion, N_JOINTS, rowAt } from '../data/motion'
+import { personColor } from './palette'
+import type { Rectangle } from './stage'
+
+/** A person's name stands so far above the head joint, m. */
+const ABOVE_HEAD = 0.33
+const HEAD = 15
+
+export class Labels {
+  readonly element = el('div', { class: 'labels', 'aria-hidden': 'true' })
+  private readonly cameras: HTMLElement[]
+  private readonly people: HTMLElement[]
+  private readonly point = new Vector3()
+
+  constructor(private readonly motion: Motion) {
+    this.cameras = motion.cameras.map((camera) => el('span', { class: 'label camera-label' }, camera.id))
+    this.people = motion.people.map((person, index) => {
+      const label = el('span', { class: 'label person-label' }, String(person.id))
+      label.style.background = personColor(index)
+      return label
+    })
+    this.element.append(...this.cameras, ...this.people)
+  }
+
+  /** Puts every name where `view` shows its thing; `isShown` false hides them all. */
+  show(frame: number, view: PerspectiveCamera, threeFromWorld: Matrix4, part: Rectangle, isShown: boolean) {
+    this.element.hidden = !isShown
+    if (!isShown) return
+    const up = this.motion.up_axis === 'y' ? 1 : 2
+    this.motion.cameras.forEach(({ position }, i) => {
+      if (!position) return void (this.cameras[i].hidden = true)
+      this.place(this.cameras[i], this.point.fromArray(position), view, threeFromWorld, part)
+    })
+    this.motion.people.forEach((person, i) => {
+      const row = rowAt(person, frame)
+      if (row < 0) return void (this.people[i].hidden = true)
+      this.point.fromArray(person.joints, 3 * (row * N_JOINTS + HEAD))
+      this.point.setComponent(up, this.point.getComponent(up) + ABOVE_HEAD)
+      this.place(this.people[i], this.point, view, threeFromWorld, part)
+    })
+  }
+
+  private place(label: HTMLElement, point: Vector3, view: PerspectiveCamera, turn: Matrix4, part: Rectangle) {
+    point.applyMatrix4(turn).project(view)
+    const isVisible = Math.abs(point.z) < 1 && Math.abs(point.x) < 1.05 && Math.abs(point.y) < 1.05
+    label.hidden = !isVisible
+    if (!isVisible) return
+    const x = part.left + ((point.x + 1) / 2) * part.width
+    const y = part.top + ((1 - point.y) / 2) * part.height
+    label.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) translate(-50%, -130%)`
+  }
+}

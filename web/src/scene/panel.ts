@@ -1,0 +1,162 @@
+// The column beside the scene: people and cameras with their figures, selected and looked through from here.
+
+import type { Report } from '../api/types'
+import type { Motion } from '../data/motion'
+import { median } from '../data/residuals'
+import { button, el, fill } from '../dom'
+import { acceleration, count, degrees, metres, millimetres, percent, px } from '../format'
+import { WORST_PX, errorColor, personColor } from './palette'
+import { SIGMA_SCALE } from './rig'
+import type { SceneView } from './view'
+
+export class Panel {
+  readonly element: HTMLElement
+  private readonly people: HTMLButtonElement[]
+  private readonly cameras: { select: HTMLButtonElement; look: HTMLButtonElement }[]
+  private readonly details = el('div', { class: 'details', 'aria-live': 'polite' })
+  private shown = ''
+
+  constructor(private readonly view: SceneView, private readonly report: Report | null) {
+    const { motion } = view
+    this.people = motion.people.map((_, index) => this.personRow(motion, index))
+    this.cameras = motion.cameras.map((_, index) => this.cameraRow(motion, index))
+    this.element = el(
+      'aside',
+      { class: 'panel', 'aria-label': 'People and cameras' },
+      el('h2', {}, 'People'),
+      this.people.length ? el('ul', {}, ...this.people.map((row) => el('li', {}, row))) : noPeople(),
+      el('h2', {}, 'Cameras'),
+      el('ul', {}, ...this.cameras.map(({ select, look }) => el('li', { class: 'camera-row' }, select, look))),
+      this.details,
+    )
+  }
+
+  private personRow(motion: Motion, index: number) {
+    const person = motion.people[index]
+    const figures = this.report?.people.find((one) => one.id === person.id)
+    const swatch = el('span', { class: 'swatch', 'aria-hidden': 'true' })
+    swatch.style.background = personColor(index)
+    return button(
+      `Person ${person.id}`,
+      () => this.view.set({ person: this.view.state.person === index ? null : index, camera: null }),
+      { class: 'row', 'aria-pressed': 'false' },
+      swatch,
+      el('span', { class: 'row-name' }, `Person ${person.id}`),
+      el('span', { class: 'row-figure' }, px(figures?.reprojection_px?.median)),
+    )
+  }
+
+  private cameraRow(motion: Motion, index: number) {
+    const camera = motion.cameras[index]
+    const select = button(
+      camera.id,
+      () => this.view.set({ camera: this.view.state.camera === index ? null : index, person: null }),
+      { class: 'row', 'aria-pressed': 'false' },
+      el('span', { class: 'swatch camera-swatch', 'aria-hidden': 'true' }),
+      el('span', { class: 'row-name' }, camera.id),
+      el('span', { class: 'row-figure' }, camera.R ? px(camera.reprojection_px?.median) : 'not placed'),
+    )
+    const look = button(
+      'Look',
+      () => this.view.set(this.view.state.through === index ? { through: null } : { through: index, camera: index }),
+      { class: 'look', 'aria-pressed': 'false', 'aria-label': `Look through ${camera.id}`, disabled: !camera.R },
+    )
+    return { select, look }
+  }
+
+  /** Marks what is selected and writes its figures down. */
+  show() {
+    const { person, camera, through } = this.view.state
+    this.people.forEach((row, index) => row.setAttribute('aria-pressed', String(index === person)))
+    this.cameras.forEach(({ select, look }, index) => {
+      select.setAttribute('aria-pressed', String(index === camera))
+      look.setAttribute('aria-pressed', String(index === through))
+    })
+    const wanted = `${person} ${camera}`
+    if (wanted === this.shown) return
+    this.shown = wanted
+    if (person !== null) fill(this.details, ...this.personDetails(person))
+    else if (camera !== null) fill(this.details, ...this.cameraDetails(camera))
+    else fill(this.details, el('p', { class: 'hint' }, 'Choose a person or a camera, here or in the scene.'))
+  }
+
+  private personDetails(index: number) {
+    const { motion } = this.view
+    const person = motion.people[index]
+    const figures = this.report?.people.find((one) => one.id === person.id)
+    const carried = person.valid.reduce((n, valid) => n + (valid ? 0 : 1), 0)
+    const from = motion.first_frame + person.first
+    return [
+      el('h3', {}, `Person ${person.id}`),
+      table([
+        ['Frames', `${from} to ${from + person.n_frames - 1}`],
+        ['Median error', px(figures?.reprojection_px?.median)],
+        ['Bone lengths vary by', percent(figures?.bone_length_spread, 1)],
+        ['Mean acceleration', acceleration(figures?.jitter_m_per_s2)],
+        ['Poses carried over gaps', carried ? count(carried, 'frame') : 'none'],
+        ['Identities repaired', person.repairs.length ? count(person.repairs.length, 'time') : 'none'],
+      ]),
+    ]
+  }
+
+  private cameraDetails(index: number) {
+    const camera = this.view.motion.cameras[index]
+    const figures = this.report?.cameras.find((one) => one.id === camera.id)
+    const position = camera.position?.map((c) => c.toFixed(2)).join(', ')
+    return [
+      el('h3', {}, camera.id),
+      table([
+        ['Image', `${camera.width}\u202f×\u202f${camera.height}\u202fpx`],
+        ['Median error', px(camera.reprojection_px?.median)],
+        ['Mean error', px(camera.reprojection_px?.mean)],
+        ['Position', position ? `${position} m` : 'not placed'],
+        ['Height', metres(camera.position?.[this.view.motion.up_axis === 'y' ? 1 : 2])],
+        ['Position within', camera.sigma_position_mm == null ? '–' : `± ${millimetres(camera.sigma_position_mm)}`],
+        ['Direction within', camera.sigma_angle_deg == null ? '–' : `± ${degrees(camera.sigma_angle_deg)}`],
+        ['Rejected', figures ? `${figures.n_rejected_detections} of ${figures.n_detections} detections` : '–'],
+      ]),
+      el('p', { class: 'hint' }, `The ball round it shows the uncertainty of its position, ${SIGMA_SCALE} times as large.`),
+    ]
+  }
+}
+
+function noPeople() {
+  return el('p', { class: 'hint' }, 'Nobody was found. The report says why.')
+}
+
+function table(rows: [string, string][]) {
+  return el('dl', {}, ...rows.flatMap(([name, value]) => [el('dt', {}, name), el('dd', {}, value)]))
+}
+
+/** The line over a camera's picture: its name, what is seen in this frame, the colours of distances. */
+export class CameraLine {
+  readonly element = el('div', { class: 'camera-line', hidden: true })
+  private readonly name = el('strong')
+  private readonly figures = el('span', { class: 'figures' })
+
+  constructor(private readonly view: SceneView) {
+    const ramp = el('canvas', { class: 'ramp', width: 64, height: 8, 'aria-hidden': 'true' })
+    const context = ramp.getContext('2d')!
+    for (let x = 0; x < 64; x++) {
+      context.fillStyle = errorColor((x / 63) * WORST_PX)
+      context.fillRect(x, 0, 1, 8)
+    }
+    const legend = el('span', { class: 'legend' }, '0', ramp, `${WORST_PX} px and more`)
+    const leave = button('Leave', () => view.set({ through: null }), { class: 'quiet', title: 'Esc' })
+    this.element.append(this.name, this.figures, legend, leave)
+  }
+
+  show() {
+    const { through } = this.view.state
+    this.element.hidden = through === null
+    const { figures } = this.view
+    if (through === null) return
+    this.name.textContent = this.view.motion.cameras[through].id
+    if (!this.view.detections) return void (this.figures.textContent = 'The result holds no detections to lay over it.')
+    if (!figures) return
+    const seen = count(figures.n_detections, 'detection')
+    const rejected = figures.n_rejected ? `, ${figures.n_rejected} rejected` : ''
+    const middle = figures.distances.length ? ` · median distance ${px(median([...figures.distances]))}` : ''
+    this.figures.textContent = seen + rejected + middle
+  }
+}

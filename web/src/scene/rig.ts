@@ -1,0 +1,112 @@
+// The cameras of a result as frusta, and how to look through one.
+
+import {
+  BufferGeometry,
+  Float32BufferAttribute,
+  LineBasicMaterial,
+  LineSegments,
+  Matrix4,
+  Mesh,
+  MeshBasicMaterial,
+  type Object3D,
+  type PerspectiveCamera,
+  SphereGeometry,
+  Vector3,
+} from 'three'
+import type { Camera } from '../data/motion'
+import type { Ground } from './palette'
+
+/** Depth at which a frustum ends, m. */
+const DEPTH = 0.45
+
+/** The sphere round a camera has so many standard deviations of its position as radius: one alone is a few millimetres. */
+export const SIGMA_SCALE = 20
+
+/** Least radius of that sphere, m, so that a camera of unknown uncertainty still has a body. */
+const LEAST_RADIUS = 0.025
+
+const [NEAR, FAR] = [0.05, 200]
+
+export class Rig {
+  private readonly items: { index: number; lines: LineSegments; ball: Mesh }[]
+
+  constructor(readonly cameras: Camera[], parent: Object3D) {
+    this.items = cameras.flatMap((camera, index) => {
+      const pose = worldFromCamera(camera)
+      if (!pose) return []
+      const lines = new LineSegments(frustum(camera), new LineBasicMaterial({ transparent: true }))
+      const radius = Math.max(LEAST_RADIUS, (SIGMA_SCALE * (camera.sigma_position_mm ?? 0)) / 1000)
+      const ball = new Mesh(new SphereGeometry(radius, 20, 14), new MeshBasicMaterial({ transparent: true }))
+      for (const object of [lines, ball]) {
+        object.matrixAutoUpdate = false
+        object.matrix.copy(pose)
+        parent.add(object)
+      }
+      return [{ index, lines, ball }]
+    })
+  }
+
+  show(isShown: boolean, selected: number | null, through: number | null, ground: Ground) {
+    for (const { index, lines, ball } of this.items) {
+      lines.visible = ball.visible = isShown && index !== through
+      const material = lines.material as LineBasicMaterial
+      material.color.set(index === selected ? ground.accent : ground.line)
+      material.opacity = index === selected ? 1 : 0.8
+      const fill = ball.material as MeshBasicMaterial
+      fill.color.set(ground.accent)
+      fill.opacity = index === selected ? 0.75 : 0.35
+    }
+  }
+
+  dispose() {
+    for (const mesh of this.items.flatMap(({ lines, ball }) => [lines, ball])) {
+      mesh.geometry.dispose()
+      ;(mesh.material as LineBasicMaterial | MeshBasicMaterial).dispose()
+    }
+  }
+}
+
+/** `world_from_camera` in the camera's own (OpenCV) axes; null for a camera that was not placed. */
+export function worldFromCamera({ R, t, position }: Camera): Matrix4 | null {
+  if (!R || !t || !position) return null
+  const [x, y, z] = position
+  return new Matrix4().set(
+    R[0][0], R[1][0], R[2][0], x,
+    R[0][1], R[1][1], R[2][1], y,
+    R[0][2], R[1][2], R[2][2], z,
+    0, 0, 0, 1,
+  )
+}
+
+/** Apex, four edges, the image's border and a mark at its upper side. */
+function frustum({ K, width, height }: Camera) {
+  const corner = (u: number, v: number) =>
+    new Vector3(((u - K[0][2]) / K[0][0]) * DEPTH, ((v - K[1][2]) / K[1][1]) * DEPTH, DEPTH)
+  const [a, b, c, d] = [corner(0, 0), corner(width, 0), corner(width, height), corner(0, height)]
+  const [left, top, right] = [corner(0.38 * width, 0), corner(0.5 * width, -0.22 * height), corner(0.62 * width, 0)]
+  const apex = new Vector3()
+  const ends = [apex, a, apex, b, apex, c, apex, d, a, b, b, c, c, d, d, a, left, top, top, right]
+  return new BufferGeometry().setAttribute('position', new Float32BufferAttribute(ends.flatMap((p) => p.toArray()), 3))
+}
+
+/** From three.js' camera axes (y up, looking along -z) to OpenCV's. */
+const FLIP = new Matrix4().makeScale(1, -1, -1)
+
+/** Makes `view` see what the filmed image shows, lens distortion apart; `three_from_world` is the scene's turn. */
+export function lookThrough(view: PerspectiveCamera, camera: Camera, threeFromWorld: Matrix4) {
+  const pose = worldFromCamera(camera)
+  if (!pose) return
+  view.matrixAutoUpdate = false
+  view.matrix.copy(threeFromWorld).multiply(pose).multiply(FLIP)
+  view.matrixWorldNeedsUpdate = true
+  view.updateMatrixWorld(true)
+  const { K, width, height } = camera
+  // Pixel (0, 0) is the centre of the first pixel: the image reaches from -0.5 to width - 0.5.
+  const left = (NEAR * (-0.5 - K[0][2])) / K[0][0]
+  const top = (NEAR * (0.5 + K[1][2])) / K[1][1]
+  const right = left + (NEAR * width) / K[0][0]
+  const bottom = top - (NEAR * height) / K[1][1]
+  view.projectionMatrix.makePerspective(left, right, top, bottom, NEAR, FAR)
+  view.projectionMatrix.elements[4] -= (2 * K[0][1]) / width
+  view.projectionMatrixInverse.copy(view.projectionMatrix).invert()
+}
