@@ -1,7 +1,8 @@
 //! The directory of a zip, checked before anything is unpacked.
 //!
-//! Only what a session needs is read: one archive from the first byte to the last, plain relative names, stored or deflated members. The reader behind holds every member to the size that the directory
-//! states, so sizes checked here bound what is unpacked.
+//! Only what a session needs is read: one archive from the first byte to the last, plain relative names, stored or
+//! deflated members. The reader behind holds every member to the size that the directory states, so sizes checked here
+//! bound what is unpacked.
 
 use super::error::{Fault, UploadError, shown};
 use super::limits::UploadLimits;
