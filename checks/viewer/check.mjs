@@ -65,7 +65,7 @@ async function rejectedUpload() {
 }
 
 async function dropAndSolve() {
-  const session = simulate(join(folder, 'take'), { people: 3, views: 5, frames: 300 })
+  const session = await simulate(join(folder, 'take'), { people: 3, views: 5, frames: 300 })
   await drop('take.json', asDocument(session))
   await page.getByRole('button', { name: 'Start', exact: true }).waitFor()
   await shot(page, 'start')
@@ -159,7 +159,7 @@ async function failedJob() {
 }
 
 async function hostileNames() {
-  const session = simulate(join(folder, 'hostile'), { people: 2, views: 3, frames: 60, name: HOSTILE })
+  const session = await simulate(join(folder, 'hostile'), { people: 2, views: 3, frames: 60, name: HOSTILE })
   const job = await solve(base, asDocument(session))
   await page.goto(`${base}/#/`)
   await page.getByRole('link', { name: HOSTILE }).first().waitFor()
@@ -194,7 +194,7 @@ async function wrongKey(job) {
 
 async function largeTake() {
   if (!isLong) return
-  const session = simulate(join(folder, 'large'), { people: 5, views: 5, frames: 1500 })
+  const session = await simulate(join(folder, 'large'), { people: 5, views: 5, frames: 1500 })
   const job = await solve(base, asDocument(session))
   const fresh = await openPage(browser)
   await checkFirstView(fresh, base, job, '1,500 frames')
