@@ -2,6 +2,7 @@
 
 pub mod bench;
 mod evaluate;
+mod export;
 mod meter;
 mod reconstruct;
 pub mod simulate;
@@ -36,6 +37,8 @@ enum Command {
     Reconstruct(reconstruct::Args),
     /// Compare a result with the truth
     Evaluate(evaluate::Args),
+    /// Write a finished result in further formats
+    Export(export::Args),
     /// Make a session with exact truth
     Simulate(simulate::Args),
     /// Measure success and speed
@@ -68,6 +71,7 @@ pub fn main() -> ExitCode {
     let done = match cli.command {
         Command::Reconstruct(args) => reconstruct::run(args),
         Command::Evaluate(args) => evaluate::run(args),
+        Command::Export(args) => export::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Bench(args) => bench::run(args),
         #[cfg(feature = "service")]

@@ -3,7 +3,6 @@
 use super::BadInput;
 use super::meter::Meter;
 use super::solve::{SolveError, solve, use_threads};
-use crate::export;
 use crate::pipeline::{Options, PipelineError};
 use crate::progress::{Progress, ProgressEvent};
 use anyhow::Context;
@@ -51,11 +50,7 @@ pub(super) fn read_options(file: Option<&Path>) -> anyhow::Result<Options> {
     let Some(file) = file else { return Ok(Options::default()) };
     let bad = |reason: String| BadInput(format!("{}: {reason}; see the list of options", file.display()));
     let text = std::fs::read(file).map_err(|error| bad(error.to_string()))?;
-    let options: Options = serde_json::from_slice(&text).map_err(|error| bad(error.to_string()))?;
-    match options.exports.iter().find(|format| !export::supported(**format)) {
-        Some(format) => Err(bad(format!("export {} is not written yet", serde_json::to_string(format)?)).into()),
-        None => Ok(options),
-    }
+    Ok(serde_json::from_slice(&text).map_err(|error| bad(error.to_string()))?)
 }
 
 /// A result is never mixed with other files.

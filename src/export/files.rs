@@ -48,6 +48,11 @@ impl ResultFiles {
         Ok(())
     }
 
+    /// The names of what has been written from the `n`th file on.
+    pub(super) fn names_from(&self, n: usize) -> Vec<String> {
+        self.written.iter().skip(n).map(|file| file.name.clone()).collect()
+    }
+
     /// What has been written, in order.
     pub(super) fn written(&self) -> &[FileEntry] {
         &self.written

@@ -2,9 +2,11 @@
 
 use super::ResultContext;
 use super::files::FileEntry;
+use super::formats::Representation;
+use super::take::Take;
 use crate::session::reconstruction::BodyModelId;
 use crate::session::recording::UpAxis;
-use crate::session::{FrameIndex, Reconstruction, Session};
+use crate::session::{BodyMotion, Reconstruction, Session};
 use serde::Serialize;
 
 /// The file.
@@ -37,28 +39,48 @@ struct Publish {
     metres_per_unit: f64,
     frame_range: [i64; 2],
     fps: f64,
+    people: Vec<Presence>,
+    representations: Vec<Representation>,
 }
 
-/// The content of `manifest.json`; `files` is every file but itself.
+/// When a person is there: the formats that have no word for it begin with the first of these frames.
+#[derive(Serialize)]
+struct Presence {
+    id: usize,
+    frame_range: [i64; 2],
+}
+
+/// What has been written.
+pub(super) struct Written {
+    /// In the formats asked for.
+    pub(super) representations: Vec<Representation>,
+    /// Every file but the manifest.
+    pub(super) files: Vec<FileEntry>,
+}
+
+/// The content of `manifest.json`.
 pub(super) fn manifest<'a>(
     session: &'a Session,
     context: &'a ResultContext<'_>,
     reconstruction: &'a Reconstruction,
-    files: Vec<FileEntry>,
+    take: &Take,
+    written: Written,
 ) -> Manifest<'a> {
-    let last = FrameIndex(session.n_frames.saturating_sub(1));
+    let present = |motion: &BodyMotion| Presence { id: motion.person.0, frame_range: take.presence(motion) };
     Manifest {
         input: Input { name: &session.name, sha256: context.input_sha256 },
         options: &context.options,
         solver_version: context.solver_version,
         models: Models { body: &reconstruction.body_model },
         publish: Publish {
-            up_axis: reconstruction.up_axis,
+            up_axis: take.up_axis,
             handedness: "right",
             metres_per_unit: 1.0,
-            frame_range: [session.first_frame, session.frame_number(last)],
-            fps: session.fps,
+            frame_range: take.frame_range(),
+            fps: take.fps,
+            people: take.motions.iter().map(present).collect(),
+            representations: written.representations,
         },
-        files,
+        files: written.files,
     }
 }

@@ -2,24 +2,50 @@
 //!
 //! World: right-handed, metres; `x_camera = R x_world + t` with OpenCV's camera axes. Frames carry the session's own
 //! numbers. The same reconstruction gives the same bytes: no clock, no map whose order could change.
+//!
+//! The JSON files are written from the [`Reconstruction`], the formats of other programs from a [`Take`] of it, which
+//! can also be read back from the JSON files ([`read_take`]). What a format cannot hold of it, the manifest says.
 
+mod blender;
 mod buffers;
+mod bvh;
+mod c3d;
+mod calibration_toml;
 mod cameras;
+mod chan;
+mod colmap;
 mod detections_bin;
+mod easymocap;
 mod files;
+mod film;
+mod formats;
+mod glb;
 mod identities;
 mod joints;
+mod losses;
 mod manifest;
 mod motion_bin;
+mod names;
+mod opencv_yaml;
 mod people;
+mod read;
+mod rotation_forms;
 mod smpl_npz;
+mod take;
+mod trc;
+mod usd;
 
 #[cfg(test)]
 mod tests;
 
+pub use formats::{Representation, RepresentationData};
+pub use read::{ReadError, read_take};
+pub use take::{Take, TakeCamera};
+
 use crate::session::reconstruction::ExportFormat;
 use crate::session::{Reconstruction, Session};
 use files::ResultFiles;
+use manifest::Written;
 use std::io;
 use std::path::Path;
 
@@ -34,33 +60,6 @@ pub struct ResultContext<'a> {
     pub solver_version: &'a str,
     /// Formats to write beside the JSON files.
     pub exports: &'a [ExportFormat],
-}
-
-/// Why a result cannot be written as asked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum ExportError {
-    /// There is no writer of the format.
-    #[error("the format {} cannot be written, smpl_npz can", name(*format))]
-    Unsupported {
-        /// The format asked for.
-        format: ExportFormat,
-    },
-}
-
-/// Whether the format can be written.
-pub fn supported(format: ExportFormat) -> bool {
-    matches!(format, ExportFormat::SmplNpz)
-}
-
-/// Whether every format can be written: to be asked before any work is done.
-///
-/// # Errors
-/// [`ExportError::Unsupported`] for the first that cannot.
-pub fn check(exports: &[ExportFormat]) -> Result<(), ExportError> {
-    match exports.iter().find(|format| !supported(**format)) {
-        Some(&format) => Err(ExportError::Unsupported { format }),
-        None => Ok(()),
-    }
 }
 
 /// The format's name in options and messages.
@@ -80,14 +79,13 @@ const OCTETS: &str = "application/octet-stream";
 /// result that this one does not have are left alone and not listed in the manifest.
 ///
 /// # Errors
-/// Whatever writing fails with; `Unsupported` around an [`ExportError`] where a format cannot be written.
+/// Whatever writing fails with.
 pub fn write_result(
     dir: &Path,
     session: &Session,
     context: &ResultContext<'_>,
     reconstruction: &Reconstruction,
 ) -> io::Result<()> {
-    check(context.exports).map_err(|e| io::Error::new(io::ErrorKind::Unsupported, e))?;
     let mut files = ResultFiles::create(dir)?;
     files.json("cameras.json", &cameras::cameras(session, reconstruction))?;
     files.json("people.json", &people::people(session, reconstruction))?;
@@ -97,11 +95,25 @@ pub fn write_result(
     files.json("report.json", &reconstruction.report)?;
     files.bytes("stages/motion.bin", OCTETS, &motion_bin::motion_bin(session, reconstruction)?)?;
     files.bytes("stages/detections.bin", OCTETS, &detections_bin::detections_bin(session, reconstruction)?)?;
-    for format in context.exports {
-        if *format == ExportFormat::SmplNpz {
-            smpl_npz::write(&mut files, session, reconstruction)?;
-        }
-    }
-    let manifest = manifest::manifest(session, context, reconstruction, files.written().to_vec());
-    files.json("manifest.json", &manifest)
+    let take = take::take_of(session, reconstruction);
+    let representations = write_all(&mut files, &take, context.exports)?;
+    let written = Written { representations, files: files.written().to_vec() };
+    files.json("manifest.json", &manifest::manifest(session, context, reconstruction, &take, written))
+}
+
+/// Writes a take in further formats into `dir`, which is made where it is missing; says what each format could not hold.
+///
+/// The bytes are those that the result would have got at once. Files of the same name are replaced.
+///
+/// # Errors
+/// Whatever writing fails with.
+pub fn write_formats(dir: &Path, take: &Take, formats: &[ExportFormat]) -> io::Result<Vec<Representation>> {
+    write_all(&mut ResultFiles::create(dir)?, take, formats)
+}
+
+/// A format asked for twice is written once.
+fn write_all(files: &mut ResultFiles, take: &Take, formats: &[ExportFormat]) -> io::Result<Vec<Representation>> {
+    let is_new = |i: usize| !formats[..i].contains(&formats[i]);
+    let formats = (0..formats.len()).filter(|&i| is_new(i)).map(|i| formats[i]);
+    formats.map(|format| formats::write(format, files, take)).collect()
 }

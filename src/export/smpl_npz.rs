@@ -7,9 +7,9 @@
 //! Known limit: SMPL-H has 30 finger joints where SMPL has two hands; they are written as the rest pose.
 
 use super::files::ResultFiles;
-use super::people::{axis_angles, frame_numbers};
-use crate::session::recording::UpAxis;
-use crate::session::{BodyMotion, Reconstruction, Session};
+use super::people::axis_angles;
+use super::take::{Take, letter};
+use crate::session::BodyMotion;
 use npyz::{AutoSerialize, DType, Serialize as NpySerialize, WriterBuilder};
 use std::io::{self, Cursor, Write};
 use zip::write::SimpleFileOptions;
@@ -21,13 +21,13 @@ const SHARED_WIDTH: usize = 66;
 const SMPLH_WIDTH: usize = 156;
 
 /// Writes both files of every person.
-pub(super) fn write(files: &mut ResultFiles, session: &Session, reconstruction: &Reconstruction) -> io::Result<()> {
-    for motion in &reconstruction.motions {
+pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
+    for motion in &take.motions {
         // [frames, 72]
         let smpl: Vec<Vec<f64>> = motion.frames.iter().map(axis_angles).collect();
         let smplh: Vec<Vec<f64>> = smpl.iter().map(|pose| with_fingers_at_rest(pose)).collect();
         for (model, poses) in [("smpl", smpl), ("smplh", smplh)] {
-            let bytes = motion_npz(session, motion, reconstruction.up_axis, model, &poses)?;
+            let bytes = motion_npz(take, motion, model, &poses)?;
             files.bytes(&format!("{model}/{}.npz", motion.person.0), "application/octet-stream", &bytes)?;
         }
     }
@@ -40,30 +40,20 @@ fn with_fingers_at_rest(pose: &[f64]) -> Vec<f64> {
     wide
 }
 
-fn motion_npz(
-    session: &Session,
-    motion: &BodyMotion,
-    up_axis: UpAxis,
-    model: &str,
-    poses: &[Vec<f64>],
-) -> io::Result<Vec<u8>> {
+fn motion_npz(take: &Take, motion: &BodyMotion, model: &str, poses: &[Vec<f64>]) -> io::Result<Vec<u8>> {
     let n_frames = poses.len() as u64;
     let width = poses.first().map_or(0, Vec::len) as u64;
-    let up_axis = match up_axis {
-        UpAxis::X => "x",
-        UpAxis::Y => "y",
-        UpAxis::Z => "z",
-    };
+    let frames = (0..motion.frames.len()).map(|i| take.frame_number(motion.first.0 + i));
     let mut npz = NpzFile::new();
     npz.array("poses", &[n_frames, width], poses.iter().flatten().copied())?;
     npz.array("trans", &[n_frames, 3], motion.frames.iter().flat_map(|pose| <[f64; 3]>::from(pose.translation)))?;
     npz.array("betas", &[10], motion.betas)?;
     npz.text("gender", "neutral")?;
-    npz.array("mocap_framerate", &[], [session.fps])?;
-    npz.array("mocap_frame_rate", &[], [session.fps])?;
+    npz.array("mocap_framerate", &[], [take.fps])?;
+    npz.array("mocap_frame_rate", &[], [take.fps])?;
     npz.text("surface_model_type", model)?;
-    npz.text("up_axis", up_axis)?;
-    npz.array("frames", &[n_frames], frame_numbers(session, motion))?;
+    npz.text("up_axis", letter(take.up_axis))?;
+    npz.array("frames", &[n_frames], frames)?;
     npz.array("valid", &[n_frames], motion.frames.iter().map(|pose| pose.valid))?;
     npz.finish()
 }

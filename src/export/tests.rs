@@ -211,14 +211,74 @@ fn the_same_result_gives_the_same_bytes() {
     }
 }
 
+const ALL_FORMATS: [ExportFormat; 13] = [
+    ExportFormat::SmplNpz,
+    ExportFormat::Easymocap,
+    ExportFormat::Glb,
+    ExportFormat::Bvh,
+    ExportFormat::Usd,
+    ExportFormat::Trc,
+    ExportFormat::C3d,
+    ExportFormat::OpencvYaml,
+    ExportFormat::CalibToml,
+    ExportFormat::AniposeToml,
+    ExportFormat::Colmap,
+    ExportFormat::Chan,
+    ExportFormat::Blender,
+];
+
 #[test]
-fn a_format_without_a_writer_is_refused_before_anything_is_written() {
+fn a_format_written_later_has_the_bytes_it_would_have_had_at_once() {
+    let (at_once, later) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let context = ResultContext { exports: &ALL_FORMATS, ..context() };
+    write_result(at_once.path(), &session(), &context, &reconstruction()).unwrap();
+    let take = read_take(at_once.path()).unwrap();
+    assert_eq!((take.motions.len(), take.unplaced.as_slice()), (1, &["a".to_owned()][..]));
+    let representations = write_formats(later.path(), &take, &ALL_FORMATS).unwrap();
+    let files: Vec<&String> = representations.iter().flat_map(|r| &r.files).collect();
+    assert!(files.len() >= 13);
+    for name in files {
+        assert_eq!(
+            fs::read(at_once.path().join(name)).unwrap(),
+            fs::read(later.path().join(name)).unwrap(),
+            "{name} differs"
+        );
+    }
+}
+
+#[test]
+fn a_pose_that_is_not_finite_is_carried_and_said_so() {
+    let mut broken = reconstruction();
+    broken.motions[0].frames[0].joints[3].y = f64::NAN;
     let dir = tempfile::tempdir().unwrap();
-    let context = ResultContext { exports: &[ExportFormat::SmplNpz, ExportFormat::Glb], ..context() };
-    let error = write_result(&dir.path().join("out"), &session(), &context, &reconstruction()).unwrap_err();
-    assert_eq!(error.to_string(), "the format glb cannot be written, smpl_npz can");
-    assert!(!dir.path().join("out").exists());
-    assert!(supported(ExportFormat::SmplNpz) && !supported(ExportFormat::Colmap));
+    write_result(dir.path(), &session(), &context(), &broken).unwrap();
+    let take = read_take(dir.path()).unwrap();
+    assert_eq!(take, take::take_of(&session(), &broken));
+    let frames = &take.motions[0].frames;
+    assert_eq!((frames[0].joints, frames[0].valid), (frames[1].joints, false));
+}
+
+#[test]
+fn a_result_that_was_changed_into_something_else_is_no_result() {
+    let faults = [
+        ("manifest.json", "\"frame_range\":[300,302]", "\"frame_range\":[302,300]", "publish.frame_range"),
+        ("manifest.json", "\"frame_range\":[300,302]", "\"frame_range\":[-9223372036854775808,302]", "frame_range"),
+        ("people.json", "[301,302]", "[301,303]", "frames without holes"),
+        ("people.json", "[301,302]", "[302,303]", "frames without holes from 300 to 302"),
+        ("people.json", "[true,false]", "[true]", "2 entries of everything"),
+        ("poses3d.json", "\"302\"", "\"309\"", "24 joints"),
+        ("cameras.json", "\"width\":640", "\"width\":0", "camera b: size"),
+        ("cameras.json", "[500.0,", "[-500.0,", "focal lengths"),
+        ("cameras.json", "{", "[", "cameras.json"),
+    ];
+    for (file, right, wrong, said) in faults {
+        let dir = written();
+        let text = fs::read_to_string(dir.path().join(file)).unwrap();
+        assert!(text.contains(right), "{file}: {right}");
+        fs::write(dir.path().join(file), text.replacen(right, wrong, 1)).unwrap();
+        let error = read_take(dir.path()).unwrap_err().to_string();
+        assert!(error.contains(said), "{file}: {error}");
+    }
 }
 
 /// Header and payload of a self-describing file.

@@ -81,7 +81,7 @@ fn jobs_that_cannot_be_are_refused_with_a_pointer() {
         (json!({ "extrinsics": "fixed" }), 422, "option_impossible", "/options/extrinsics"),
         (json!({ "people": 0 }), 422, "option_impossible", "/options/people"),
         (json!({ "up_axis": "x" }), 422, "option_impossible", "/options/up_axis"),
-        (json!({ "exports": ["smpl_npz", "c3d"] }), 422, "not_supported", "/options/exports/1"),
+        (json!({ "exports": ["smpl_npz", "fbx"] }), 400, "option_malformed", "/options/exports"),
         (json!({ "body": "other" }), 422, "option_impossible", "/options/body"),
         (
             json!({ "scale": { "from": "camera_distance", "cameras": ["cam0", "cam9"], "metres": 1 } }),

@@ -1,7 +1,6 @@
 //! What a client may ask of a job, checked before it is accepted.
 
 use super::error::Problem;
-use crate::export;
 use crate::pipeline::{CameraFacts, Options, PipelineError};
 use axum::http::StatusCode;
 use serde_json::{Map, Value};
@@ -43,11 +42,7 @@ pub(super) fn check(options: &Options, cameras: &[CameraFacts]) -> Result<(), Pr
                 .at(format!("/options{option}"))
         }
         other => Problem::internal(other),
-    })?;
-    match options.exports.iter().position(|format| !export::supported(*format)) {
-        Some(at) => Err(not_supported("this export is not written yet").at(format!("/options/exports/{at}"))),
-        None => Ok(()),
-    }
+    })
 }
 
 /// 422 for what a later release will do.

@@ -1,0 +1,58 @@
+"""amass.py RESULT EXPORTS: the npz files by numpy, posed by a forward pass in numpy."""
+
+import numpy as np
+from result import Result, Worst
+
+PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21]
+
+
+def rotation(vectors):
+    """Rodrigues: axis-angle [..., 3] to matrices [..., 3, 3]."""
+    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
+    x, y, z = np.moveaxis(vectors / np.maximum(angle[..., 0], 1e-300), -1, 0)
+    o = np.zeros_like(x)
+    k = np.stack([o, -z, y, z, o, -x, -y, x, o], -1).reshape(*x.shape, 3, 3)
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * (k @ k)
+
+
+def chain(poses):
+    """World rotations [frames, 24, 3, 3]."""
+    local = rotation(poses.reshape(len(poses), 24, 3))
+    world = [local[:, 0]]
+    for j in range(1, 24):
+        world.append(world[PARENTS[j]] @ local[:, j])
+    return np.stack(world, 1)
+
+
+def forward(rest, poses, trans):
+    world = chain(poses)
+    joints = [rest[0] + trans]
+    for j in range(1, 24):
+        p = PARENTS[j]
+        joints.append(joints[p] + world[:, p] @ (rest[j] - rest[p]))
+    return np.stack(joints, 1)
+
+
+def rest_joints(poses, trans, joints):
+    """The npz has no skeleton: it is taken from the first frame, all others must agree with it."""
+    world = chain(poses[:1])[0]
+    rest = [joints[0, 0] - trans[0]]
+    for j in range(1, 24):
+        p = PARENTS[j]
+        rest.append(rest[p] + world[p].T @ (joints[0, j] - joints[0, p]))
+    return np.stack(rest)
+
+
+result, worst = Result(), Worst("amass", joint_tolerance=1e-4)
+for person in result.people:
+    npz = np.load(f"{result.exports}/smpl/{person['id']}.npz", allow_pickle=False)
+    wide = np.load(f"{result.exports}/smplh/{person['id']}.npz", allow_pickle=False)
+    assert npz["poses"].shape[1] == 72 and wide["poses"].shape[1] == 156
+    assert (npz["poses"][:, :66] == wide["poses"][:, :66]).all() and not wide["poses"][:, 66:].any()
+    assert str(npz["gender"]) == "neutral" and npz["gender"].dtype.kind == "U"
+    assert float(npz["mocap_framerate"]) == float(npz["mocap_frame_rate"]) == result.fps
+    assert str(npz["up_axis"]) == result.up and str(wide["surface_model_type"]) == "smplh"
+    assert npz["frames"].tolist() == person["frames"] and npz["valid"].tolist() == person["valid"]
+    rest = rest_joints(npz["poses"], npz["trans"], person["joints"])
+    worst.joints(person["joints"], forward(rest, npz["poses"], npz["trans"]))
+worst.end()

@@ -1,0 +1,82 @@
+"""A result's JSON files, and the projection of its cameras by numpy alone."""
+
+import json
+import sys
+
+import numpy as np
+
+JOINT_TOLERANCE = 0.5e-3  # m
+PIXEL_TOLERANCE = 0.1
+
+
+class Result:
+    def __init__(self):
+        self.folder, self.exports = sys.argv[1:3]
+        read = lambda name: json.load(open(f"{self.folder}/{name}"))
+        cameras, poses, people = read("cameras.json"), read("poses3d.json"), read("people.json")
+        publish = read("manifest.json")["publish"]
+        self.up, self.fps, self.frame_range = publish["up_axis"], publish["fps"], publish["frame_range"]
+        self.joint_names = poses["joint_names"]
+        self.cameras = [camera for camera in cameras["cameras"] if camera["status"] == "solved"]
+        self.people = []
+        for person in people["people"]:
+            joints = [poses["frames"][str(frame)][str(person["id"])] for frame in person["frames"]]
+            self.people.append({**person, "joints": np.array(joints)})  # [frames, 24, 3]
+
+    def turned(self, up, points):
+        """Points of the result's world in one with another axis up."""
+        x, y, z = np.moveaxis(np.asarray(points), -1, 0)
+        if (self.up, up) == ("y", "z"):
+            return np.stack([x, -z, y], -1)
+        if (self.up, up) == ("z", "y"):
+            return np.stack([x, z, -y], -1)
+        return np.asarray(points)
+
+    def all_joints(self):
+        return np.concatenate([person["joints"].reshape(-1, 3) for person in self.people])
+
+
+def project(camera, points, n_distortions=5, principal_point=True, square=False):
+    """OpenCV's model by its published formula; `None` rows behind the camera are left out: (pixels, is_before)."""
+    p = points @ np.array(camera["R"]).T + np.array(camera["t"])
+    before = p[:, 2] > 0.1
+    x, y = (p[before, :2] / p[before, 2:]).T
+    k1, k2, p1, p2, k3 = (list(camera["dist"]) + [0.0] * 5)[:5] if n_distortions else [0.0] * 5
+    k3 = k3 if n_distortions == 5 else 0.0
+    r2 = x * x + y * y
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    k = np.array(camera["K"])
+    fx, fy, cx, cy = k[0, 0], k[1, 1], k[0, 2], k[1, 2]
+    if not principal_point:
+        cx, cy = (camera["width"] - 1) / 2, (camera["height"] - 1) / 2
+    if square:
+        fx = fy
+    return np.stack([fx * xd + cx, fy * yd + cy], -1), before
+
+
+class Worst:
+    """The largest errors seen; says them and ends with 1 beyond the bounds."""
+
+    def __init__(self, name, joint_tolerance=JOINT_TOLERANCE):
+        self.name, self.joint_tolerance = name, joint_tolerance
+        self.joint, self.pixel, self.n = 0.0, 0.0, 0
+
+    def joints(self, ours, theirs):
+        ours, theirs = np.asarray(ours, float), np.asarray(theirs, float)
+        assert ours.shape == theirs.shape, f"{ours.shape} and {theirs.shape}"
+        self.n += ours.size // 3
+        self.joint = max(self.joint, float(np.linalg.norm(ours - theirs, axis=-1).max(initial=0.0)))
+
+    def pixels(self, ours, theirs):
+        ours, theirs = np.asarray(ours, float), np.asarray(theirs, float)
+        assert ours.shape == theirs.shape, f"{ours.shape} and {theirs.shape}"
+        self.n += ours.size // 2
+        self.pixel = max(self.pixel, float(np.linalg.norm(ours - theirs, axis=-1).max(initial=0.0)))
+
+    def end(self):
+        good = self.n > 0 and self.joint <= self.joint_tolerance and self.pixel <= PIXEL_TOLERANCE
+        word = "ok" if good else "FAILED"
+        print(f"{word} {self.name}: {1e3 * self.joint:.5f} mm, {self.pixel:.6f} px over {self.n} points", flush=True)
+        sys.exit(0 if good else 1)

@@ -1,0 +1,31 @@
+#!/usr/bin/env bash
+# Every export opened by an independent reader: run.sh WANDLESS WORK; see checks/README.md.
+set -euo pipefail
+wandless=$(realpath "$1")
+work=$2
+here=$(realpath "$(dirname "$0")")
+python=${PYTHON:-python3}
+formats=smpl_npz,easymocap,glb,bvh,usd,trc,c3d,opencv_yaml,calib_toml,anipose_toml,colmap,chan,blender
+
+mkdir "$work"
+"$wandless" simulate --out "$work/session" --seed 3 --people 2 --views 4 --frames 90
+failed=0
+for up in y z; do
+    result=$work/result_$up
+    exports=$work/exports_$up
+    echo "{\"up_axis\": \"$up\", \"exports\": []}" > "$work/options_$up.json"
+    "$wandless" reconstruct "$work/session" --out "$result" --options "$work/options_$up.json"
+    "$python" "$here/crooked.py" "$result"
+    "$wandless" export "$result" --to "$formats" --out "$exports" > /dev/null
+    for check in amass usd c3d colmap opencv; do
+        "$python" "$here/$check.py" "$result" "$exports" || failed=1
+    done
+    NODE_MODULES=$(realpath "${NODE_MODULES:-node_modules}") node "$here/gltf.mjs" "$result" "$exports" || failed=1
+    if command -v blender > /dev/null; then
+        blender --background --factory-startup --python-exit-code 1 --python "$here/blender.py" -- \
+            "$result" "$exports" | grep -E '^(ok|FAILED)|Error' || failed=1
+    else
+        echo "skipped: blender is not installed"
+    fi
+done
+exit $failed

@@ -1,0 +1,39 @@
+"""usd.py RESULT EXPORTS: the stage by OpenUSD: skeletons by UsdSkel's queries, cameras by GfCamera's frusta."""
+
+import numpy as np
+from pxr import Gf, Usd, UsdGeom, UsdSkel
+from result import Result, Worst, project
+
+result, worst = Result(), Worst("usd")
+stage = Usd.Stage.Open(f"{result.exports}/scene.usda")
+assert UsdGeom.GetStageUpAxis(stage) == "Y" and UsdGeom.GetStageMetersPerUnit(stage) == 1.0
+assert [stage.GetStartTimeCode(), stage.GetEndTimeCode()] == result.frame_range
+assert stage.GetTimeCodesPerSecond() == result.fps
+cache = UsdSkel.Cache()
+for person in result.people:
+    prim = stage.GetPrimAtPath(f"/World/person_{person['id']}")
+    assert cache.Populate(UsdSkel.Root(prim), Usd.PrimDefaultPredicate)
+    query = cache.GetSkelQuery(UsdSkel.Skeleton(stage.GetPrimAtPath(prim.GetPath().AppendChild("Skeleton"))))
+    assert [path.split("/")[-1] for path in query.GetJointOrder()] == result.joint_names
+    visibility = UsdGeom.Imageable(prim).GetVisibilityAttr()
+    valid = prim.GetAttribute("userProperties:valid")
+    for frame, is_valid, joints in zip(person["frames"], person["valid"], person["joints"]):
+        posed = query.ComputeJointSkelTransforms(frame)
+        worst.joints(result.turned("y", joints), [m.ExtractTranslation() for m in posed])
+        assert visibility.Get(frame) == "inherited" and valid.Get(frame) == is_valid
+    if person["frames"][0] > result.frame_range[0]:
+        assert visibility.Get(person["frames"][0] - 1) == "invisible"
+    if person["frames"][-1] < result.frame_range[1]:
+        assert visibility.Get(person["frames"][-1] + 1) == "invisible"
+
+prims = {p.GetAttribute("userProperties:id").Get(): p for p in stage.Traverse() if p.IsA(UsdGeom.Camera)}
+points = result.all_joints()
+for camera in result.cameras:
+    frustum = UsdGeom.Camera(prims[camera["id"]]).GetCamera(Usd.TimeCode(result.frame_range[0])).frustum
+    to_screen = np.array(frustum.ComputeViewMatrix() * frustum.ComputeProjectionMatrix())  # on row vectors
+    ours, before = project(camera, points, n_distortions=0)
+    p = np.concatenate([result.turned("y", points[before]), np.ones((before.sum(), 1))], 1) @ to_screen
+    x, y = (p[:, :2] / p[:, 3:]).T
+    theirs = np.stack([(x + 1) / 2 * camera["width"] - 0.5, (1 - y) / 2 * camera["height"] - 0.5], -1)
+    worst.pixels(ours, theirs)
+worst.end()

@@ -1,0 +1,133 @@
+//! `<person>.bvh`, `<person>.humanik.bvh`, `<person>.mixamo.bvh`: one skeleton, its motion, and its joints' names.
+//!
+//! Centimetres, degrees, y up; rest pose: SMPL's T-pose with all joint frames parallel to the world. Rotation channels
+//! are `Z X Y` (`R = R_z R_x R_y`), without jumps of whole turns. The root's offset is zero: its channels are the
+//! pelvis's place. The file starts with the person's first frame, which the format has no word for (`publish.people` of
+//! the manifest says it), nor has it one for frames in which nobody was seen.
+
+use super::files::ResultFiles;
+use super::rotation_forms::{ZxyAngles, nearest_angles, zxy_angles};
+use super::take::{Take, rest_joints};
+use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
+use crate::session::BodyMotion;
+use crate::session::formats::rounded;
+use crate::session::recording::UpAxis;
+use nalgebra::Vector3;
+use std::io;
+
+/// Centimetres in a metre.
+const CM: f64 = 100.0;
+/// A leaf's end beyond its joint, as a share of its own bone: BVH draws a bone to it.
+const END_SHARE: f64 = 0.5;
+
+/// HumanIK's names, as MotionBuilder characterises them; Mixamo's are the same behind `mixamorig:`.
+const HUMANIK_NAMES: [&str; N_JOINTS] = [
+    "Hips",
+    "LeftUpLeg",
+    "RightUpLeg",
+    "Spine",
+    "LeftLeg",
+    "RightLeg",
+    "Spine1",
+    "LeftFoot",
+    "RightFoot",
+    "Spine2",
+    "LeftToeBase",
+    "RightToeBase",
+    "Neck",
+    "LeftShoulder",
+    "RightShoulder",
+    "Head",
+    "LeftArm",
+    "RightArm",
+    "LeftForeArm",
+    "RightForeArm",
+    "LeftHand",
+    "RightHand",
+    "LeftHandMiddle1",
+    "RightHandMiddle1",
+];
+
+/// Writes three files per person.
+pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
+    let take = take.turned_up(UpAxis::Y);
+    let profiles = [
+        ("", JOINT_NAMES.map(str::to_owned)),
+        (".humanik", HUMANIK_NAMES.map(str::to_owned)),
+        (".mixamo", HUMANIK_NAMES.map(|name| format!("mixamorig:{name}"))),
+    ];
+    for motion in &take.motions {
+        let rest = rest_joints(motion);
+        let motion_text = motion_section(&take, motion);
+        for (suffix, names) in &profiles {
+            let mut text = "HIERARCHY\n".to_owned();
+            add_joint(&mut text, names, &rest, 0, 0);
+            text += &motion_text;
+            files.bytes(&format!("{}{suffix}.bvh", motion.person.0), "text/plain", text.as_bytes())?;
+        }
+    }
+    Ok(())
+}
+
+/// The joint and what hangs on it, children in order of their numbers.
+fn add_joint(
+    text: &mut String,
+    names: &[String; N_JOINTS],
+    rest: &[Vector3<f64>; N_JOINTS],
+    joint: usize,
+    depth: usize,
+) {
+    let indent = "\t".repeat(depth);
+    let offset = PARENTS[joint].map_or_else(Vector3::zeros, |parent| rest[joint] - rest[parent]);
+    let (kind, channels) = match PARENTS[joint] {
+        None => ("ROOT", "6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"),
+        Some(_) => ("JOINT", "3 Zrotation Xrotation Yrotation"),
+    };
+    *text += &format!("{indent}{kind} {}\n{indent}{{\n{indent}\tOFFSET {}\n", names[joint], place(&offset));
+    *text += &format!("{indent}\tCHANNELS {channels}\n");
+    if children(joint).next().is_none() {
+        let end = place(&(offset * END_SHARE));
+        *text += &format!("{indent}\tEnd Site\n{indent}\t{{\n{indent}\t\tOFFSET {end}\n{indent}\t}}\n");
+    }
+    for child in children(joint) {
+        add_joint(text, names, rest, child, depth + 1);
+    }
+    *text += &format!("{indent}}}\n");
+}
+
+fn children(joint: usize) -> impl Iterator<Item = usize> {
+    (0..N_JOINTS).filter(move |&child| PARENTS[child] == Some(joint))
+}
+
+/// The joints in the order in which the hierarchy names them.
+fn hierarchy_order() -> Vec<usize> {
+    fn visit(joint: usize, order: &mut Vec<usize>) {
+        order.push(joint);
+        children(joint).for_each(|child| visit(child, order));
+    }
+    let mut order = Vec::with_capacity(N_JOINTS);
+    visit(0, &mut order);
+    order
+}
+
+fn motion_section(take: &Take, motion: &BodyMotion) -> String {
+    let order = hierarchy_order();
+    let mut before = [ZxyAngles { z: 0.0, x: 0.0, y: 0.0 }; N_JOINTS];
+    let mut text = format!("MOTION\nFrames: {}\nFrame Time: {:.9}\n", motion.frames.len(), 1.0 / take.fps);
+    for pose in &motion.frames {
+        text += &place(&pose.joints[0]);
+        for &joint in &order {
+            let angles = nearest_angles(zxy_angles(&pose.rotations[joint]), before[joint]);
+            before[joint] = angles;
+            let [z, x, y] = [angles.z, angles.x, angles.y].map(|angle| rounded(angle.to_degrees(), 6));
+            text += &format!(" {z:.6} {x:.6} {y:.6}");
+        }
+        text.push('\n');
+    }
+    text
+}
+
+fn place(point: &Vector3<f64>) -> String {
+    let [x, y, z] = [point.x, point.y, point.z].map(|c| rounded(c * CM, 6));
+    format!("{x:.6} {y:.6} {z:.6}")
+}

@@ -1,0 +1,172 @@
+//! `<person>.c3d`: the 24 joints as points, in the layout of the C3D user's guide (c3d.org).
+//!
+//! Little-endian, 32-bit floats; millimetres, z up (`POINT:X_SCREEN` +X, `Y_SCREEN` +Z). A point's residual is -1 where
+//! nobody saw the person: its coordinates are then zero. Frames have the session's own numbers where the 16 bits of
+//! the header can hold them (1 to 65535), else they count from 1; `TRIAL:ACTUAL_START_FIELD` says the same in 32 bits.
+//!
+//! Known limit: at most 65535 frames by the header; a longer person's `POINT:LONG_FRAMES` says how many there are.
+
+use super::files::ResultFiles;
+use super::take::Take;
+use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
+use crate::session::BodyMotion;
+use crate::session::recording::UpAxis;
+use std::io;
+
+const BLOCK_BYTES: usize = 512;
+/// Blocks are numbered from 1; the header is the first.
+const FIRST_PARAMETER_BLOCK: u8 = 2;
+/// Marks header and parameters as C3D.
+const KEY: u8 = 0x50;
+/// Numbers are stored as on Intel's processors.
+const LITTLE_ENDIAN: u8 = 84;
+const MM: f64 = 1000.0;
+
+/// Which frames the file says it holds.
+struct FrameRange {
+    first: u32,
+    last: u32,
+}
+
+/// Writes a file per person.
+pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
+    let take = take.turned_up(UpAxis::Z);
+    for motion in &take.motions {
+        files.bytes(&format!("{}.c3d", motion.person.0), "application/octet-stream", &points(&take, motion))?;
+    }
+    Ok(())
+}
+
+fn points(take: &Take, motion: &BodyMotion) -> Vec<u8> {
+    let range = frame_range(take, motion);
+    // The parameters hold the number of the block behind them, which does not change their length.
+    let n_parameter_blocks = parameters(take, motion, &range, 0).len() / BLOCK_BYTES;
+    let data_block = u16::from(FIRST_PARAMETER_BLOCK) + n_parameter_blocks as u16;
+    let mut bytes = header(take, &range, data_block);
+    bytes.extend(parameters(take, motion, &range, data_block));
+    for pose in &motion.frames {
+        for joint in &pose.joints {
+            let (point, residual) = if pose.valid { (joint * MM, 0.0) } else { (joint * 0.0, -1.0) };
+            for value in [point.x, point.y, point.z, residual] {
+                bytes.extend((value as f32 + 0.0).to_le_bytes()); // never a negative zero
+            }
+        }
+    }
+    fill_block(&mut bytes);
+    bytes
+}
+
+fn frame_range(take: &Take, motion: &BodyMotion) -> FrameRange {
+    let [first, last] = take.presence(motion);
+    match (u16::try_from(first), u16::try_from(last)) {
+        (Ok(first @ 1..), Ok(last)) => FrameRange { first: first.into(), last: last.into() },
+        _ => FrameRange { first: 1, last: motion.frames.len().max(1) as u32 },
+    }
+}
+
+fn header(take: &Take, range: &FrameRange, data_block: u16) -> Vec<u8> {
+    let mut bytes = vec![FIRST_PARAMETER_BLOCK, KEY];
+    let word = |value: u32| u16::try_from(value).unwrap_or(u16::MAX).to_le_bytes();
+    bytes.extend((N_JOINTS as u16).to_le_bytes());
+    bytes.extend(0u16.to_le_bytes()); // analog values a frame
+    bytes.extend(word(range.first));
+    bytes.extend(word(range.last));
+    bytes.extend(0u16.to_le_bytes()); // longest gap that was filled by interpolation
+    bytes.extend((-1.0f32).to_le_bytes()); // negative: points are floats
+    bytes.extend(data_block.to_le_bytes());
+    bytes.extend(0u16.to_le_bytes()); // analog samples a frame
+    bytes.extend((take.fps as f32).to_le_bytes());
+    fill_block(&mut bytes);
+    bytes
+}
+
+/// A value of a parameter.
+enum Value<'a> {
+    Integers(&'a [u16]),
+    Floats(&'a [f32]),
+    Text(&'a str),
+    Texts(&'a [&'a str]),
+}
+
+fn parameters(take: &Take, motion: &BodyMotion, range: &FrameRange, data_block: u16) -> Vec<u8> {
+    let n_frames = u16::try_from(motion.frames.len()).unwrap_or(u16::MAX);
+    let halves = |value: u32| [value as u16, (value >> 16) as u16]; // the low 16 bits come first
+    let rate = take.fps as f32;
+    let groups: [(&str, &[(&str, Value)]); 3] = [
+        (
+            "POINT",
+            &[
+                ("USED", Value::Integers(&[N_JOINTS as u16])),
+                ("FRAMES", Value::Integers(&[n_frames])),
+                ("LONG_FRAMES", Value::Floats(&[motion.frames.len() as f32])),
+                ("SCALE", Value::Floats(&[-1.0])),
+                ("RATE", Value::Floats(&[rate])),
+                ("DATA_START", Value::Integers(&[data_block])),
+                ("LABELS", Value::Texts(&JOINT_NAMES)),
+                ("DESCRIPTIONS", Value::Texts(&[""; N_JOINTS])),
+                ("UNITS", Value::Text("mm")),
+                ("X_SCREEN", Value::Text("+X")),
+                ("Y_SCREEN", Value::Text("+Z")),
+            ],
+        ),
+        ("ANALOG", &[("USED", Value::Integers(&[0])), ("RATE", Value::Floats(&[rate]))]),
+        (
+            "TRIAL",
+            &[
+                ("ACTUAL_START_FIELD", Value::Integers(&halves(range.first))),
+                ("ACTUAL_END_FIELD", Value::Integers(&halves(range.last))),
+                ("CAMERA_RATE", Value::Floats(&[rate])),
+            ],
+        ),
+    ];
+    let mut records = Vec::new();
+    for (i, (name, group)) in groups.iter().enumerate() {
+        let id = i as i8 + 1;
+        add_record(&mut records, name, -id, &[]);
+        for (name, value) in *group {
+            add_record(&mut records, name, id, &encoded(value));
+        }
+    }
+    // What follows the last record begins with a name of length zero.
+    let n_blocks = (4 + records.len() + 1).div_ceil(BLOCK_BYTES);
+    let mut bytes = vec![1, KEY, n_blocks as u8, LITTLE_ENDIAN];
+    bytes.extend(records);
+    bytes.push(0);
+    fill_block(&mut bytes);
+    bytes
+}
+
+/// Name, group, distance to the next record, value, and an empty description.
+fn add_record(records: &mut Vec<u8>, name: &str, group: i8, value: &[u8]) {
+    records.push(name.len() as u8);
+    records.push(group.to_le_bytes()[0]);
+    records.extend(name.as_bytes());
+    records.extend((value.len() as u16 + 3).to_le_bytes());
+    records.extend(value);
+    records.push(0);
+}
+
+/// Type (-1 text, 2 integers, 4 floats), number of dimensions, dimensions, values.
+fn encoded(value: &Value) -> Vec<u8> {
+    const TEXT: u8 = 0xff;
+    match value {
+        Value::Integers(values) => {
+            let data = values.iter().flat_map(|v| v.to_le_bytes());
+            [2, 1, values.len() as u8].into_iter().chain(data).collect()
+        }
+        Value::Floats(values) => {
+            let data = values.iter().flat_map(|v| v.to_le_bytes());
+            [4, 1, values.len() as u8].into_iter().chain(data).collect()
+        }
+        Value::Text(text) => [TEXT, 1, text.len() as u8].into_iter().chain(text.bytes()).collect(),
+        Value::Texts(texts) => {
+            let width = texts.iter().map(|text| text.len()).max().unwrap_or(0).max(1);
+            let data = texts.iter().flat_map(|text| format!("{text:width$}").into_bytes());
+            [TEXT, 2, width as u8, texts.len() as u8].into_iter().chain(data).collect()
+        }
+    }
+}
+
+fn fill_block(bytes: &mut Vec<u8>) {
+    bytes.resize(bytes.len().next_multiple_of(BLOCK_BYTES), 0);
+}

@@ -1,0 +1,118 @@
+//! The table of formats: who writes each, and what an asset system asks about it.
+
+use super::files::ResultFiles;
+use super::take::Take;
+use super::{
+    blender, bvh, c3d, calibration_toml, chan, colmap, easymocap, glb, losses, opencv_yaml, smpl_npz, trc, usd,
+};
+use crate::session::reconstruction::ExportFormat as F;
+use crate::session::recording::UpAxis;
+use serde::Serialize;
+use std::io;
+
+/// One format of a published take, as AYON describes representations.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Representation {
+    /// The format's name in `options.exports`.
+    pub name: String,
+    /// The files' extension.
+    pub ext: &'static str,
+    /// The files, below the folder of the result.
+    pub files: Vec<String>,
+    /// First frame, in the session's numbers.
+    #[serde(rename = "frameStart")]
+    pub frame_start: i64,
+    /// Last frame, in the session's numbers.
+    #[serde(rename = "frameEnd")]
+    pub frame_end: i64,
+    /// Frames per second.
+    pub fps: f64,
+    /// What else there is to know.
+    pub data: RepresentationData,
+}
+
+/// The world of a format's files.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RepresentationData {
+    /// Which axis points up.
+    pub up_axis: UpAxis,
+    /// Always `right`.
+    pub handedness: &'static str,
+    /// How long a unit is, m.
+    pub metres_per_unit: f64,
+    /// Order of Euler angles, first turn first, where the files leave it open.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rotation_order: Option<&'static str>,
+    /// What the format has no place for, a sentence each.
+    pub lost: Vec<String>,
+}
+
+/// Writes the files of a format and describes them.
+pub(super) fn write(format: F, files: &mut ResultFiles, take: &Take) -> io::Result<Representation> {
+    let n_before = files.written().len();
+    match format {
+        F::SmplNpz => smpl_npz::write(files, take),
+        F::Easymocap => easymocap::write(files, take),
+        F::Glb => glb::write(files, take),
+        F::Bvh => bvh::write(files, take),
+        F::Usd => usd::write(files, take),
+        F::Trc => trc::write(files, take),
+        F::C3d => c3d::write(files, take),
+        F::OpencvYaml => opencv_yaml::write(files, take, ""),
+        F::CalibToml => calibration_toml::write_pose2sim(files, take),
+        F::AniposeToml => calibration_toml::write_anipose(files, take),
+        F::Colmap => colmap::write(files, take),
+        F::Chan => chan::write(files, take),
+        F::Blender => blender::write(files, take),
+    }?;
+    let [frame_start, frame_end] = take.frame_range();
+    Ok(Representation {
+        name: super::name(format),
+        ext: extension(format),
+        files: files.names_from(n_before),
+        frame_start,
+        frame_end,
+        fps: take.fps,
+        data: RepresentationData {
+            up_axis: up_axis(format).unwrap_or(take.up_axis),
+            handedness: "right",
+            metres_per_unit: metres_per_unit(format),
+            rotation_order: (format == F::Chan).then_some("ZXY"),
+            lost: losses::losses(format, take),
+        },
+    })
+}
+
+fn extension(format: F) -> &'static str {
+    match format {
+        F::SmplNpz => "npz",
+        F::Easymocap => "json",
+        F::Glb => "glb",
+        F::Bvh => "bvh",
+        F::Usd => "usda",
+        F::Trc => "trc",
+        F::C3d => "c3d",
+        F::OpencvYaml => "yml",
+        F::CalibToml | F::AniposeToml => "toml",
+        F::Colmap => "txt",
+        F::Chan => "chan",
+        F::Blender => "py",
+    }
+}
+
+/// Where the format's readers expect an axis up; the others keep the result's world.
+fn up_axis(format: F) -> Option<UpAxis> {
+    match format {
+        F::Glb | F::Bvh | F::Usd | F::Trc | F::Chan => Some(UpAxis::Y),
+        F::C3d | F::Blender => Some(UpAxis::Z),
+        F::SmplNpz | F::Easymocap | F::OpencvYaml | F::CalibToml | F::AniposeToml | F::Colmap => None,
+    }
+}
+
+fn metres_per_unit(format: F) -> f64 {
+    match format {
+        F::Bvh => 0.01,
+        F::C3d => 0.001,
+        _ => 1.0,
+    }
+}

@@ -1,0 +1,154 @@
+//! The binary half of a glb: one buffer, a view and an accessor per array.
+
+use serde_json::{Value, json};
+use std::io;
+
+const GLTF_MAGIC: u32 = 0x4654_6c67;
+const GLTF_VERSION: u32 = 2;
+const JSON_CHUNK: u32 = 0x4e4f_534a;
+const BINARY_CHUNK: u32 = 0x004e_4942;
+const FLOAT: u32 = 5126;
+const UNSIGNED_BYTE: u32 = 5121;
+const UNSIGNED_SHORT: u32 = 5123;
+const ARRAY_BUFFER: u32 = 34962;
+const ELEMENT_ARRAY_BUFFER: u32 = 34963;
+
+/// What an accessor counts.
+#[derive(Clone, Copy)]
+pub(super) enum Element {
+    Scalar,
+    Vec3,
+    Vec4,
+    Mat4,
+}
+
+impl Element {
+    fn name(self) -> &'static str {
+        match self {
+            Self::Scalar => "SCALAR",
+            Self::Vec3 => "VEC3",
+            Self::Vec4 => "VEC4",
+            Self::Mat4 => "MAT4",
+        }
+    }
+
+    fn width(self) -> usize {
+        match self {
+            Self::Scalar => 1,
+            Self::Vec3 => 3,
+            Self::Vec4 => 4,
+            Self::Mat4 => 16,
+        }
+    }
+}
+
+/// The buffer so far.
+#[derive(Default)]
+pub(super) struct Buffer {
+    bytes: Vec<u8>,
+    views: Vec<Value>,
+    accessors: Vec<Value>,
+}
+
+impl Buffer {
+    /// Adds floats with their bounds, which times and positions must have; gives the accessor's number.
+    pub(super) fn floats(&mut self, values: &[f32], element: Element) -> usize {
+        let bytes = values.iter().flat_map(|value| value.to_le_bytes());
+        self.add(bytes, None, json!({ "componentType": FLOAT }), values.len(), element);
+        let width = element.width();
+        if width <= 3 {
+            let of_column = |c: usize| values.iter().skip(c).step_by(width).copied();
+            let bound = |pick: fn(f32, f32) -> f32| -> Vec<Option<f32>> {
+                (0..width).map(|c| of_column(c).reduce(pick)).collect()
+            };
+            let (min, max) = (bound(f32::min), bound(f32::max));
+            self.accessors[self.views.len() - 1]["min"] = json!(min);
+            self.accessors[self.views.len() - 1]["max"] = json!(max);
+        }
+        self.views.len() - 1
+    }
+
+    /// Adds floats of vertices.
+    pub(super) fn vertex_floats(&mut self, values: &[f32], element: Element) -> usize {
+        let accessor = self.floats(values, element);
+        self.views[accessor]["target"] = json!(ARRAY_BUFFER);
+        accessor
+    }
+
+    /// Adds four bytes a vertex.
+    pub(super) fn vertex_bytes(&mut self, values: &[[u8; 4]]) -> usize {
+        let bytes = values.iter().flatten().copied();
+        self.add(bytes, Some(ARRAY_BUFFER), json!({ "componentType": UNSIGNED_BYTE }), values.len() * 4, Element::Vec4);
+        self.views.len() - 1
+    }
+
+    /// Adds indices of triangles.
+    pub(super) fn indices(&mut self, values: &[u16]) -> usize {
+        let bytes = values.iter().flat_map(|value| value.to_le_bytes());
+        self.add(
+            bytes,
+            Some(ELEMENT_ARRAY_BUFFER),
+            json!({ "componentType": UNSIGNED_SHORT }),
+            values.len(),
+            Element::Scalar,
+        );
+        self.views.len() - 1
+    }
+
+    fn add(
+        &mut self,
+        bytes: impl Iterator<Item = u8>,
+        target: Option<u32>,
+        mut accessor: Value,
+        n_values: usize,
+        element: Element,
+    ) {
+        let offset = self.bytes.len();
+        self.bytes.extend(bytes);
+        let mut view = json!({ "buffer": 0, "byteOffset": offset, "byteLength": self.bytes.len() - offset });
+        if let Some(target) = target {
+            view["target"] = json!(target);
+        }
+        fill(&mut self.bytes, 0);
+        accessor["bufferView"] = json!(self.views.len());
+        accessor["count"] = json!(n_values / element.width());
+        accessor["type"] = json!(element.name());
+        self.views.push(view);
+        self.accessors.push(accessor);
+    }
+
+    /// The whole file, `root` completed by what the buffer holds.
+    ///
+    /// # Errors
+    /// Beyond 4 GiB, which the format's 32 bits cannot count.
+    pub(super) fn into_glb(self, mut root: Value) -> io::Result<Vec<u8>> {
+        if !self.bytes.is_empty() {
+            root["buffers"] = json!([{ "byteLength": self.bytes.len() }]);
+            root["bufferViews"] = Value::from(self.views);
+            root["accessors"] = Value::from(self.accessors);
+        }
+        let mut text = serde_json::to_vec(&root)?;
+        fill(&mut text, b' ');
+        let mut chunks = vec![(JSON_CHUNK, text)];
+        if !self.bytes.is_empty() {
+            chunks.push((BINARY_CHUNK, self.bytes));
+        }
+        let n_bytes = 12 + chunks.iter().map(|(_, bytes)| 8 + bytes.len()).sum::<usize>();
+        let counted = |n: usize| u32::try_from(n).map_err(|_| io::Error::other("the scene is too long for a glb"));
+        let mut glb = Vec::with_capacity(n_bytes);
+        for word in [GLTF_MAGIC, GLTF_VERSION, counted(n_bytes)?] {
+            glb.extend(word.to_le_bytes());
+        }
+        for (kind, bytes) in chunks {
+            glb.extend(counted(bytes.len())?.to_le_bytes());
+            glb.extend(kind.to_le_bytes());
+            glb.extend(bytes);
+        }
+        Ok(glb)
+    }
+}
+
+/// Chunks and arrays begin at multiples of four bytes.
+fn fill(bytes: &mut Vec<u8>, with: u8) {
+    bytes.resize(bytes.len().next_multiple_of(4), with);
+}

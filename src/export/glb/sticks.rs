@@ -1,0 +1,44 @@
+//! A mesh of octahedra, one a bone: what is seen of a skeleton that has no skin of its own.
+
+use super::buffer::{Buffer, Element};
+use crate::body::skeleton::{N_JOINTS, PARENTS};
+use crate::geometry::rotation::any_perpendicular;
+use nalgebra::Vector3;
+use serde_json::{Value, json};
+
+/// Where along the bone it is thickest, and how thick it is there, as shares of its length.
+const WAIST_AT: f64 = 0.15;
+const WAIST_RADIUS: f64 = 0.1;
+/// Corners 0 (parent), 1 to 4 (waist), 5 (child); counter-clockwise from outside.
+const FACES: [[u16; 3]; 8] = [[0, 2, 1], [0, 3, 2], [0, 4, 3], [0, 1, 4], [5, 1, 2], [5, 2, 3], [5, 3, 4], [5, 4, 1]];
+
+/// The primitive in the rest pose; every octahedron is carried by the joint that its bone starts from.
+pub(super) fn primitive(buffer: &mut Buffer, rest: &[Vector3<f64>; N_JOINTS]) -> Value {
+    let (mut places, mut carriers, mut corners) = (Vec::new(), Vec::new(), Vec::new());
+    for (joint, parent) in PARENTS.iter().enumerate() {
+        let Some(parent) = *parent else { continue };
+        let first = carriers.len() as u16;
+        for corner in octahedron(&rest[parent], &rest[joint]) {
+            places.extend([corner.x as f32, corner.y as f32, corner.z as f32]);
+            carriers.push([parent as u8, 0, 0, 0]);
+        }
+        corners.extend(FACES.iter().flatten().map(|corner| first + corner));
+    }
+    let weights = [1.0, 0.0, 0.0, 0.0].repeat(carriers.len());
+    json!({
+        "attributes": {
+            "POSITION": buffer.vertex_floats(&places, Element::Vec3),
+            "JOINTS_0": buffer.vertex_bytes(&carriers),
+            "WEIGHTS_0": buffer.vertex_floats(&weights, Element::Vec4),
+        },
+        "indices": buffer.indices(&corners),
+    })
+}
+
+fn octahedron(from: &Vector3<f64>, to: &Vector3<f64>) -> [Vector3<f64>; 6] {
+    let bone = to - from;
+    let across = bone.try_normalize(0.0).map_or_else(Vector3::zeros, |axis| any_perpendicular(&axis));
+    let (a, b) = (across * (WAIST_RADIUS * bone.norm()), across.cross(&bone) * -WAIST_RADIUS);
+    let waist = from + bone * WAIST_AT;
+    [*from, waist + a, waist + b, waist - a, waist - b, *to]
+}

@@ -1,0 +1,101 @@
+//! What a format cannot hold of a take, in words: what is lost is said.
+
+use super::take::{Take, TakeCamera};
+use crate::geometry::Intrinsics;
+use crate::session::reconstruction::ExportFormat as F;
+
+/// What a format's camera has, where it has cameras.
+struct Holds {
+    principal_point: bool,
+    /// Of `k1 k2 p1 p2 k3`, the first so many.
+    n_distortions: usize,
+    skew: bool,
+    /// Pixels of `fx` other than `fy`.
+    pixel_aspect: bool,
+}
+
+fn holds(format: F) -> Option<Holds> {
+    let all = Holds { principal_point: true, n_distortions: 5, skew: true, pixel_aspect: true };
+    match format {
+        F::SmplNpz | F::Bvh | F::Trc | F::C3d => None,
+        F::Easymocap | F::OpencvYaml | F::AniposeToml => Some(all),
+        F::CalibToml => Some(Holds { n_distortions: 4, ..all }),
+        F::Colmap => Some(Holds { skew: false, ..all }),
+        F::Usd => Some(Holds { n_distortions: 0, skew: false, ..all }),
+        F::Blender => Some(Holds { n_distortions: 0, skew: false, pixel_aspect: false, ..all }),
+        F::Glb => Some(Holds { principal_point: false, n_distortions: 0, skew: false, pixel_aspect: true }),
+        F::Chan => Some(Holds { principal_point: false, n_distortions: 0, skew: false, pixel_aspect: false }),
+    }
+}
+
+/// One sentence for each camera that is not in the file, or not whole.
+pub(super) fn losses(format: F, take: &Take) -> Vec<String> {
+    let Some(holds) = holds(format) else { return Vec::new() };
+    let unplaced = take.unplaced.iter().map(|id| format!("camera {id}: was not placed and is left out"));
+    let partial = take.cameras.iter().filter_map(|camera| {
+        let lost = lost(&holds, &camera.intrinsics);
+        (!lost.is_empty()).then(|| sentence(camera, &lost))
+    });
+    unplaced.chain(partial).collect()
+}
+
+/// Below this, px, a principal point is in the middle, and below it the focal lengths are one.
+const SAME_PX: f64 = 1e-6;
+
+fn lost(holds: &Holds, lens: &Intrinsics) -> Vec<&'static str> {
+    let middle = [f64::from(lens.width) - 1.0, f64::from(lens.height) - 1.0].map(|size| size / 2.0);
+    let is_off_centre = (lens.cx - middle[0]).abs() > SAME_PX || (lens.cy - middle[1]).abs() > SAME_PX;
+    let mut lost = Vec::new();
+    if is_off_centre && !holds.principal_point {
+        lost.push("the principal point");
+    }
+    if (lens.fx - lens.fy).abs() > SAME_PX && !holds.pixel_aspect {
+        lost.push("focal lengths that differ");
+    }
+    if lens.skew != 0.0 && !holds.skew {
+        lost.push("skew");
+    }
+    if lens.dist[holds.n_distortions..].iter().any(|d| *d != 0.0) {
+        lost.push(if holds.n_distortions == 4 { "k3" } else { "distortion" });
+    }
+    lost
+}
+
+fn sentence(camera: &TakeCamera, lost: &[&str]) -> String {
+    format!("camera {}: the format has no place for {}; cameras.json has it", camera.id, lost.join(" and "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Rigid;
+    use crate::session::recording::UpAxis;
+
+    fn take(lens: Intrinsics) -> Take {
+        let camera = TakeCamera { id: "a".to_owned(), intrinsics: lens, camera_from_world: Rigid::identity() };
+        Take {
+            name: String::new(),
+            fps: 25.0,
+            first_frame: 0,
+            n_frames: 1,
+            up_axis: UpAxis::Y,
+            cameras: vec![camera],
+            unplaced: vec!["b".to_owned()],
+            motions: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn only_what_is_there_can_be_lost() {
+        let plain =
+            Intrinsics { width: 101, height: 51, fx: 80.0, fy: 80.0, cx: 50.0, cy: 25.0, skew: 0.0, dist: [0.0; 5] };
+        assert_eq!(losses(F::Chan, &take(plain)), ["camera b: was not placed and is left out"]);
+        assert!(losses(F::Bvh, &take(plain)).is_empty());
+        let k3 = Intrinsics { dist: [0.1, 0.0, 0.0, 0.0, 0.01], ..plain };
+        let of_pose2sim = losses(F::CalibToml, &take(k3));
+        assert_eq!(of_pose2sim[1], "camera a: the format has no place for k3; cameras.json has it");
+        assert_eq!(losses(F::AniposeToml, &take(k3)).len(), 1);
+        let odd = Intrinsics { cx: 53.0, fy: 81.0, skew: 0.1, ..k3 };
+        assert!(losses(F::Chan, &take(odd))[1].contains("the principal point and focal lengths that differ and skew"));
+    }
+}

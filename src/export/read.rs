@@ -1,0 +1,254 @@
+//! A finished result read back as a [`Take`]: what one more format of it is written from.
+
+use super::take::{Take, TakeCamera, carried_where_not_finite};
+use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
+use crate::geometry::{Intrinsics, Rigid, rotation};
+use crate::session::people::BodyPose;
+use crate::session::recording::UpAxis;
+use crate::session::{BodyMotion, FrameIndex, PersonId};
+use nalgebra::{Matrix3, Vector3};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use std::collections::{BTreeMap, BTreeSet};
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// Why a folder is no finished result.
+#[derive(Debug, thiserror::Error)]
+pub enum ReadError {
+    /// A file cannot be read.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What the file system says.
+        source: io::Error,
+    },
+    /// A file is not the JSON document that a result has.
+    #[error("{}: {source}", path.display())]
+    Json {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: serde_json::Error,
+    },
+    /// The files contradict each other or themselves.
+    #[error("{file}: {what}: {expected} expected, found {found}")]
+    Contradiction {
+        /// Name of the file.
+        file: &'static str,
+        /// What is wrong there.
+        what: String,
+        /// What would be right.
+        expected: String,
+        /// What it says.
+        found: String,
+    },
+}
+
+#[derive(Deserialize)]
+struct ManifestFile {
+    input: Input,
+    publish: Publish,
+}
+
+#[derive(Deserialize)]
+struct Input {
+    name: String,
+}
+
+#[derive(Deserialize)]
+struct Publish {
+    up_axis: UpAxis,
+    frame_range: [i64; 2],
+    fps: f64,
+}
+
+#[derive(Deserialize)]
+struct CamerasFile {
+    cameras: Vec<Camera>,
+}
+
+#[derive(Deserialize)]
+struct Camera {
+    id: String,
+    width: u32,
+    height: u32,
+    #[serde(rename = "K")]
+    matrix: [[f64; 3]; 3],
+    dist: [f64; 5],
+    #[serde(rename = "R")]
+    rotation: Option<[[f64; 3]; 3]>,
+    #[serde(rename = "t")]
+    translation: Option<[f64; 3]>,
+}
+
+#[derive(Deserialize)]
+struct PeopleFile {
+    people: Vec<Person>,
+}
+
+#[derive(Deserialize)]
+struct Person {
+    id: usize,
+    betas: Vec<Option<f64>>,
+    frames: Vec<i64>,
+    global_orient: Vec<[Option<f64>; 3]>,
+    body_pose: Vec<Vec<Option<f64>>>,
+    transl: Vec<[Option<f64>; 3]>,
+    valid: Vec<bool>,
+}
+
+#[derive(Deserialize)]
+struct PosesFile {
+    joint_names: Vec<String>,
+    frames: BTreeMap<i64, JointsByPerson>,
+}
+
+/// A joint that was not finite is null.
+type JointsByPerson = BTreeMap<usize, Vec<Option<[f64; 3]>>>;
+
+/// Longest time line that is read, frames: nine hours at 30 fps, as sessions have it.
+const MAX_FRAMES: i64 = 1_000_000;
+
+/// Reads `manifest.json`, `cameras.json`, `people.json` and `poses3d.json` of a result.
+///
+/// # Errors
+/// [`ReadError`]: the folder is no result, or one that was changed by hand into something else.
+pub fn read_take(dir: &Path) -> Result<Take, ReadError> {
+    let manifest: ManifestFile = json(dir, "manifest.json")?;
+    let cameras: CamerasFile = json(dir, "cameras.json")?;
+    let people: PeopleFile = json(dir, "people.json")?;
+    let poses: PosesFile = json(dir, "poses3d.json")?;
+    let Publish { up_axis, frame_range: [first, last], fps } = manifest.publish;
+    let length = last.checked_sub(first).filter(|length| (0..MAX_FRAMES).contains(length));
+    let Some(length) = length else {
+        let found = format!("[{first}, {last}]");
+        return Err(contradiction("manifest.json", "publish.frame_range", "a first and a last frame", found));
+    };
+    if !(fps.is_finite() && fps > 0.0) {
+        return Err(contradiction("manifest.json", "publish.fps", "a positive number", fps.to_string()));
+    }
+    if poses.joint_names != JOINT_NAMES {
+        let found = poses.joint_names.join(" ");
+        return Err(contradiction("poses3d.json", "joint_names", "the 24 joints of SMPL", found));
+    }
+    let mut take = Take {
+        name: manifest.input.name,
+        fps,
+        first_frame: first,
+        n_frames: length as usize + 1,
+        up_axis,
+        cameras: Vec::new(),
+        unplaced: Vec::new(),
+        motions: Vec::new(),
+    };
+    for camera in cameras.cameras {
+        match placed(&camera)? {
+            Some(placed) => take.cameras.push(placed),
+            None => take.unplaced.push(camera.id),
+        }
+    }
+    let mut ids = BTreeSet::new();
+    for person in &people.people {
+        if !ids.insert(person.id) {
+            let what = format!("person {}", person.id);
+            return Err(contradiction("people.json", &what, "one of each id", "another".to_owned()));
+        }
+        take.motions.extend(carried_where_not_finite(motion(&take, person, &poses)?));
+    }
+    Ok(take)
+}
+
+fn placed(camera: &Camera) -> Result<Option<TakeCamera>, ReadError> {
+    let (Some(rotation), Some(translation)) = (camera.rotation, camera.translation) else { return Ok(None) };
+    let k = camera.matrix;
+    let intrinsics = Intrinsics {
+        width: camera.width,
+        height: camera.height,
+        fx: k[0][0],
+        fy: k[1][1],
+        cx: k[0][2],
+        cy: k[1][2],
+        skew: k[0][1],
+        dist: camera.dist,
+    };
+    let fault = |what: &str, expected: &str, found: String| {
+        Err(contradiction("cameras.json", &format!("camera {}: {what}", camera.id), expected, found))
+    };
+    if camera.width == 0 || camera.height == 0 {
+        return fault("size", "a size", format!("{}x{}", camera.width, camera.height));
+    }
+    if intrinsics.fx.min(intrinsics.fy) <= 0.0 {
+        return fault("K", "positive focal lengths", format!("{} and {}", intrinsics.fx, intrinsics.fy));
+    }
+    let rotation = Matrix3::from_fn(|r, c| rotation[r][c]);
+    // Three digits of a matrix typed by hand pass, a scaled or mirrored one does not.
+    let is_rotation = (rotation.transpose() * rotation - Matrix3::identity()).norm() < 1e-2;
+    if !(is_rotation && rotation.determinant() > 0.0) {
+        return fault("R", "a rotation", format!("{:?}", rotation.transpose().as_slice()));
+    }
+    let camera_from_world = Rigid { rotation, translation: Vector3::from(translation) };
+    Ok(Some(TakeCamera { id: camera.id.clone(), intrinsics, camera_from_world }))
+}
+
+fn motion(take: &Take, person: &Person, poses: &PosesFile) -> Result<BodyMotion, ReadError> {
+    let n_frames = person.frames.len();
+    let fault = |what: &str, expected: String, found: String| {
+        contradiction("people.json", &format!("person {}: {what}", person.id), &expected, found)
+    };
+    let counts = [person.global_orient.len(), person.body_pose.len(), person.transl.len(), person.valid.len()];
+    if let Some(found) = counts.into_iter().find(|count| *count != n_frames) {
+        return Err(fault("frames", format!("{n_frames} entries of everything"), found.to_string()));
+    }
+    let [start, end] = take.frame_range();
+    let first = person.frames.first().copied().unwrap_or(start);
+    let last = first.saturating_add_unsigned(n_frames.saturating_sub(1) as u64);
+    let has_hole = person.frames.windows(2).any(|pair| pair[0].checked_add(1) != Some(pair[1]));
+    if first < start || last > end || has_hole {
+        let found = format!("{first} to {}", person.frames.last().unwrap_or(&first));
+        return Err(fault("frames", format!("frames without holes from {start} to {end}"), found));
+    }
+    let Ok(betas) = <[f64; 10]>::try_from(person.betas.iter().map(|b| number(*b)).collect::<Vec<_>>()) else {
+        return Err(fault("betas", "10 numbers".to_owned(), person.betas.len().to_string()));
+    };
+    let mut frames = Vec::with_capacity(n_frames);
+    for (i, frame) in person.frames.iter().enumerate() {
+        if person.body_pose[i].len() != 3 * (N_JOINTS - 1) {
+            return Err(fault("body_pose", "69 numbers".to_owned(), person.body_pose[i].len().to_string()));
+        }
+        let joints = poses.frames.get(frame).and_then(|people| people.get(&person.id));
+        let Some(joints) = joints.filter(|joints| joints.len() == N_JOINTS) else {
+            let what = format!("frame {frame}: person {}", person.id);
+            let found = joints.map_or(0, Vec::len).to_string();
+            return Err(contradiction("poses3d.json", &what, "24 joints", found));
+        };
+        let angles: Vec<f64> = person.global_orient[i].iter().chain(&person.body_pose[i]).map(|a| number(*a)).collect();
+        let turn = |j: usize| rotation::exp(&Vector3::new(angles[3 * j], angles[3 * j + 1], angles[3 * j + 2]));
+        frames.push(BodyPose {
+            rotations: std::array::from_fn(turn),
+            translation: Vector3::from(person.transl[i].map(number)),
+            joints: std::array::from_fn(|j| joints[j].map_or(Vector3::repeat(f64::NAN), Vector3::from)),
+            valid: person.valid[i],
+        });
+    }
+    let first = FrameIndex(first.abs_diff(start) as usize);
+    Ok(BodyMotion { person: PersonId(person.id), first, betas, frames })
+}
+
+/// JSON's null is a number that was not finite.
+fn number(value: Option<f64>) -> f64 {
+    value.unwrap_or(f64::NAN)
+}
+
+fn json<T: DeserializeOwned>(dir: &Path, name: &str) -> Result<T, ReadError> {
+    let path = dir.join(name);
+    match std::fs::read(&path) {
+        Ok(bytes) => serde_json::from_slice(&bytes).map_err(|source| ReadError::Json { path, source }),
+        Err(source) => Err(ReadError::File { path, source }),
+    }
+}
+
+fn contradiction(file: &'static str, what: &str, expected: &str, found: String) -> ReadError {
+    ReadError::Contradiction { file, what: what.to_owned(), expected: expected.to_owned(), found }
+}

@@ -1,0 +1,208 @@
+//! `scene.usda`: USD as text, with a UsdSkel skeleton and animation per person and a camera per camera.
+//!
+//! Metres (`metersPerUnit` 1), y up; time codes are the session's own frame numbers. Lengths of a UsdGeomCamera are in
+//! tenths of a unit; the principal point is its aperture offset. Distortion, K and the image size are custom
+//! attributes (`userProperties:…`), as UsdGeomCamera has none. `visibility` says when a person is there,
+//! `userProperties:valid` in which frames somebody saw them.
+
+use super::files::{ResultFiles, micro};
+use super::film::{film_lens, world_from_film};
+use super::names::{identifiers, quoted};
+use super::rotation_forms::quaternions_xyzw;
+use super::take::{Take, TakeCamera, rest_joints};
+use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
+use crate::session::BodyMotion;
+use crate::session::formats::{entries, rounded};
+use crate::session::recording::UpAxis;
+use nalgebra::Vector3;
+use std::io;
+
+/// Tenths of a unit in a unit, the unit being a metre.
+const TENTHS: f64 = 10.0;
+
+/// Writes the file.
+pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
+    files.bytes("scene.usda", "model/vnd.usda", scene(&take.turned_up(UpAxis::Y)).as_bytes())
+}
+
+fn scene(take: &Take) -> String {
+    let ([first, last], fps) = (take.frame_range(), take.fps);
+    let mut text = format!(
+        "#usda 1.0\n(\n    defaultPrim = \"World\"\n    metersPerUnit = 1\n    upAxis = \"Y\"\n    \
+         startTimeCode = {first}\n    endTimeCode = {last}\n    timeCodesPerSecond = {fps:?}\n    \
+         framesPerSecond = {fps:?}\n)\n\ndef Xform \"World\"\n{{\n"
+    );
+    for motion in &take.motions {
+        text += &person(take, motion);
+    }
+    let names = identifiers(take.cameras.iter().map(|camera| camera.id.as_str()));
+    for (camera, name) in take.cameras.iter().zip(names) {
+        text += &film_camera(camera, &name);
+    }
+    text + "}\n"
+}
+
+fn person(take: &Take, motion: &BodyMotion) -> String {
+    let id = motion.person.0;
+    let paths = list((0..N_JOINTS).map(|joint| quoted(&path(joint))));
+    let rest = rest_joints(motion).map(|joint| joint.map(micro));
+    let local = |joint: usize| PARENTS[joint].map_or(rest[joint], |parent| rest[joint] - rest[parent]);
+    format!(
+        r#"    def SkelRoot "person_{id}"
+    {{
+        token visibility.timeSamples = {visibility}
+        custom bool userProperties:valid.timeSamples = {valid}
+
+        def Skeleton "Skeleton" (
+            prepend apiSchemas = ["SkelBindingAPI"]
+        )
+        {{
+            uniform token[] joints = {paths}
+            uniform matrix4d[] bindTransforms = {bind}
+            uniform matrix4d[] restTransforms = {local}
+            rel skel:animationSource = </World/person_{id}/Skeleton/Animation>
+
+            def SkelAnimation "Animation"
+            {{
+                uniform token[] joints = {paths}
+                half3[] scales = {scales}
+                float3[] translations.timeSamples = {translations}
+                quatf[] rotations.timeSamples = {rotations}
+            }}
+        }}
+    }}
+"#,
+        visibility = visibility(take, motion),
+        valid = valid(take, motion),
+        bind = list(rest.iter().map(shifted)),
+        local = list((0..N_JOINTS).map(|joint| shifted(&local(joint)))),
+        scales = list((0..N_JOINTS).map(|_| "(1, 1, 1)".to_owned())),
+        translations = samples(take, motion, |t| {
+            list((0..N_JOINTS).map(|joint| match joint {
+                0 => tuple(&entries(&motion.frames[t].joints[0])),
+                _ => tuple(&entries(&local(joint))),
+            }))
+        }),
+        rotations = rotations(take, motion),
+    )
+}
+
+/// `pelvis/left_hip/left_knee`
+fn path(joint: usize) -> String {
+    match PARENTS[joint] {
+        Some(parent) => format!("{}/{}", path(parent), JOINT_NAMES[joint]),
+        None => JOINT_NAMES[joint].to_owned(),
+    }
+}
+
+fn rotations(take: &Take, motion: &BodyMotion) -> String {
+    // [joints][frames]
+    let by_joint: Vec<Vec<[f64; 4]>> =
+        (0..N_JOINTS).map(|j| quaternions_xyzw(motion.frames.iter().map(|pose| &pose.rotations[j]))).collect();
+    samples(take, motion, |t| {
+        list(by_joint.iter().map(|quaternions| {
+            let [x, y, z, w] = quaternions[t].map(|c| rounded(c, 9));
+            format!("({w:?}, {x:?}, {y:?}, {z:?})")
+        }))
+    })
+}
+
+/// Hidden before the first frame and after the last.
+fn visibility(take: &Take, motion: &BodyMotion) -> String {
+    let ([start, end], [first, last]) = (take.frame_range(), take.presence(motion));
+    let mut samples = vec![(first, "inherited")];
+    if first > start {
+        samples.insert(0, (start, "invisible"));
+    }
+    if last < end {
+        samples.push((last.saturating_add(1), "invisible"));
+    }
+    let samples = samples.iter().map(|(frame, word)| format!("{frame}: {}", quoted(word)));
+    format!("{{ {} }}", samples.collect::<Vec<_>>().join(", "))
+}
+
+/// A sample where the word changes: a bool is held until the next.
+fn valid(take: &Take, motion: &BodyMotion) -> String {
+    let mut samples = Vec::new();
+    let mut before = None;
+    for (t, pose) in motion.frames.iter().enumerate() {
+        if before != Some(pose.valid) {
+            samples.push(format!("{}: {}", take.frame_number(motion.first.0 + t), u8::from(pose.valid)));
+        }
+        before = Some(pose.valid);
+    }
+    format!("{{ {} }}", samples.join(", "))
+}
+
+fn samples(take: &Take, motion: &BodyMotion, value: impl Fn(usize) -> String) -> String {
+    let sample = |t: usize| format!("                    {}: {},\n", take.frame_number(motion.first.0 + t), value(t));
+    let samples: String = (0..motion.frames.len()).map(sample).collect();
+    format!("{{\n{samples}                }}")
+}
+
+fn film_camera(camera: &TakeCamera, name: &str) -> String {
+    let (lens, film) = (&camera.intrinsics, film_lens(&camera.intrinsics));
+    let pose = world_from_film(camera);
+    let axis = |c: usize| {
+        let column = pose.rotation.column(c);
+        format!("({:?}, {:?}, {:?}, 0)", column[0], column[1], column[2])
+    };
+    let t = pose.translation;
+    let k = lens.matrix();
+    let k_rows = list((0..3).map(|r| format!("{:?}, {:?}, {:?}", k[(r, 0)], k[(r, 1)], k[(r, 2)])));
+    let dist = list(lens.dist.iter().map(|d| format!("{d:?}")));
+    format!(
+        r#"
+    def Camera "{name}"
+    {{
+        float focalLength = {:?}
+        float horizontalAperture = {:?}
+        float verticalAperture = {:?}
+        float horizontalApertureOffset = {:?}
+        float verticalApertureOffset = {:?}
+        float2 clippingRange = (0.01, 1000)
+        token projection = "perspective"
+        matrix4d xformOp:transform = ( {}, {}, {}, ({:?}, {:?}, {:?}, 1) )
+        uniform token[] xformOpOrder = ["xformOp:transform"]
+        custom string userProperties:id = {}
+        custom int userProperties:width = {}
+        custom int userProperties:height = {}
+        custom double[] userProperties:K = {k_rows}
+        custom double[] userProperties:dist = {dist}
+    }}
+"#,
+        film.focal_length * TENTHS,
+        film.sensor_width * TENTHS,
+        film.sensor_height * TENTHS,
+        film.offset_right * TENTHS,
+        film.offset_up * TENTHS,
+        axis(0),
+        axis(1),
+        axis(2),
+        t.x,
+        t.y,
+        t.z,
+        quoted(&camera.id),
+        lens.width,
+        lens.height,
+    )
+}
+
+/// A translation as a matrix on row vectors, which is how USD writes them.
+fn shifted(by: &Vector3<f64>) -> String {
+    format!(
+        "( (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), ({:?}, {:?}, {:?}, 1) )",
+        micro(by.x),
+        micro(by.y),
+        micro(by.z)
+    )
+}
+
+fn tuple(values: &[f64; 3]) -> String {
+    let [x, y, z] = values.map(micro);
+    format!("({x:?}, {y:?}, {z:?})")
+}
+
+fn list(items: impl Iterator<Item = String>) -> String {
+    format!("[{}]", items.collect::<Vec<_>>().join(", "))
+}

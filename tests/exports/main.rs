@@ -1,0 +1,15 @@
+//! Every export, written to disk and read back by a small reader of its own that shares no code with the writer.
+//!
+//! Joints are compared with `poses3d.json` (at most 0.5 mm), cameras with the projection of `cameras.json` (at most
+//! 0.1 px over what the format can hold), in results with y and with z up.
+
+#![allow(clippy::unwrap_used)] // a test may
+
+mod bvh;
+mod calibrations;
+mod glb;
+mod markers;
+mod result;
+mod smpl;
+mod text_cameras;
+mod usd;
