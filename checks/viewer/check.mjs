@@ -68,6 +68,8 @@ async function dropAndSolve() {
   const session = await simulate(join(folder, 'take'), { people: 3, views: 5, frames: 300 })
   await drop('take.json', asDocument(session))
   await page.getByRole('button', { name: 'Start', exact: true }).waitFor()
+  await page.getByText('Files to write beside the JSON').click()
+  await page.getByLabel('glb').check()
   await shot(page, 'start')
   await checkAccess(page, 'start of a job')
   await page.getByRole('button', { name: 'Start', exact: true }).click()
@@ -126,7 +128,7 @@ async function files(job) {
   await shot(page, 'files')
   await checkAccess(page, 'files')
   const manifest = await (await fetch(`${base}/v1/jobs/${job.id}/result`)).json()
-  const wanted = ['cameras.json', ...manifest.files.map(({ name }) => name).filter((name) => /\.(glb|npz)$/.test(name)).slice(0, 1)]
+  const wanted = ['cameras.json', manifest.files.map(({ name }) => name).find((name) => name.endsWith('.glb'))]
   for (const name of wanted) {
     const [download] = await Promise.all([page.waitForEvent('download'), page.getByRole('link', { name, exact: true }).click()])
     const bytes = readFileSync(await download.path())
