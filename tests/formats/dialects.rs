@@ -412,3 +412,13 @@ fn what_cannot_be_meant_is_refused_with_its_place() {
     twice.extend(alphapose(1.0).into_iter().filter(|(name, _)| name.contains("cam1/")));
     assert_eq!(code(&twice).0, "session_ambiguous");
 }
+
+#[test]
+fn more_frame_files_than_a_plain_zip_can_count_are_read() {
+    let mut files = vec![header(), calib_toml()];
+    for camera in CAMERAS {
+        files.extend((0..22_000).map(|i| (format!("{camera}/{i:06}.json"), br#"{"people":[]}"#.to_vec())));
+    }
+    assert!(files.len() > usize::from(u16::MAX));
+    assert_eq!(read(&files).unwrap().session.n_frames, 22_000);
+}

@@ -104,10 +104,11 @@ fn undistortion_comes_back_to_every_pixel_of_the_image() {
                 let pixel = Vector2::new(column as f64 - 0.5, row as f64 - 0.5);
                 let again = camera.pixel_from_normalized(&camera.normalized_from_pixel(&pixel));
                 assert!((again - pixel).norm() < 1e-9, "{dist:?} {pixel}: {again}");
-                // Not on another branch of the polynomial: no lens here bends a ray by more than two fifths of its slope.
+                // Not on another branch of the polynomial: no lens here bends a ray by half of its slope. The fisheyes
+                // bend most, at their corners 57 degrees from the axis: (tan 1 - 1) / tan 1 is 0.36.
                 let (straight, bent) =
                     (without_lens(&camera).normalized_from_pixel(&pixel), camera.normalized_from_pixel(&pixel));
-                assert!((straight - bent).norm() <= 0.4 * bent.norm(), "{dist:?} {pixel}");
+                assert!((straight - bent).norm() < 0.5 * bent.norm(), "{dist:?} {pixel}");
             }
         }
     }

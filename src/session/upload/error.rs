@@ -223,7 +223,7 @@ impl Fault {
             F::ZipMethod => ("zip_method", Unsupported, "pack with deflate or without compression"),
             F::ZipRatio => ("zip_ratio", TooLarge, "no pose file shrinks that well: pack the real session"),
             F::TooLarge => ("too_large", TooLarge, "send fewer frames or cameras at a time"),
-            F::TooManyMembers => ("too_many_members", TooLarge, "pack only session.json and poses/"),
+            F::TooManyMembers => ("too_many_members", TooLarge, "pack only poses and calibration, without images"),
             F::TooManyCameras => ("too_many_cameras", TooLarge, "leave cameras out"),
             F::TooManyFrames => ("too_many_frames", TooLarge, "cut the take into shorter ones"),
             F::TooManyPeople => ("too_many_people", TooLarge, "keep only the most confident people of the frame"),

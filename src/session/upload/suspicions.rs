@@ -3,7 +3,8 @@
 //! Each camera's points must lie in its image; and where poses are given, people seen by two cameras must lie on each
 //! other's epipolar lines. Another reading of the calibration that explains the people far better is named.
 //!
-//! Known limit: points that are already undistorted are only noticed where poses are given.
+//! Known limits: points that are already undistorted are only noticed where poses are given, and no mistake is noticed
+//! that costs less than the detector's own noise; such a one spoils no body either.
 
 use super::error::shown;
 use super::warnings::Warnings;
@@ -26,8 +27,8 @@ const MAX_PAIRS: usize = 60;
 const MIN_PEOPLE: usize = 20;
 /// Points that two detections must share to be compared.
 const MIN_SHARED: usize = 5;
-/// A calibration as good as this (px) is not suspected; a detector's own noise is larger.
-const GOOD_PX: f64 = 1.0;
+/// A calibration as good as this (px) is not suspected; every detector's own noise is larger.
+const GOOD_PX: f64 = 0.5;
 /// Another reading must explain the people better by this factor.
 const BETTER: f64 = 0.6;
 
