@@ -1,4 +1,4 @@
-//! How adults differ: fourteen measures of the ANSUR II survey, and ten independent ways to vary them.
+//! How adults differ: 35 measures of the ANSUR II survey, and ten independent ways to vary them.
 //!
 //! Source: Gordon et al., 2012 Anthropometric Survey of U.S. Army Personnel, NATICK/TR-15/007 (public release,
 //! distribution unlimited): 4,082 men and 1,986 women, here pooled half and half. Soldiers are heavier-muscled than
@@ -13,7 +13,7 @@ pub const N_BETAS: usize = 10;
 pub type BetaRow = SVector<f64, N_BETAS>;
 
 /// Number of measures in the table.
-pub const N_MEASURES: usize = 14;
+pub const N_MEASURES: usize = 35;
 
 /// A body measure, in the table's order. The first ten drive one beta each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -46,6 +46,48 @@ pub enum Measure {
     HandLength,
     /// Tragion (ear) below the top of the head.
     TragionToTop,
+    /// Fullest height of the chest above the floor.
+    ChestHeight,
+    /// Navel above the floor.
+    WaistHeight,
+    /// Rearmost point of the buttocks above the floor.
+    ButtockHeight,
+    /// Crotch above the floor.
+    CrotchHeight,
+    /// Across the knuckles.
+    HandBreadth,
+    /// Round the chest at its height.
+    ChestGirth,
+    /// Round the waist at the navel.
+    WaistGirth,
+    /// Round the buttocks at their height.
+    ButtockGirth,
+    /// Round the thigh just below the gluteal furrow.
+    ThighGirth,
+    /// Round the thigh just above the knee.
+    LowerThighGirth,
+    /// Round the calf at its fullest.
+    CalfGirth,
+    /// Round the ankle at its slimmest.
+    AnkleGirth,
+    /// Round the flexed upper arm.
+    BicepsGirth,
+    /// Round the flexed forearm.
+    ForearmGirth,
+    /// Round the wrist.
+    WristGirth,
+    /// Round the neck at the larynx.
+    NeckGirth,
+    /// Across the head above the ears.
+    HeadBreadth,
+    /// Brow to the back of the head.
+    HeadLength,
+    /// Across the ball of the foot.
+    FootBreadth,
+    /// Across the heel.
+    HeelBreadth,
+    /// Between the deltoids, arms hanging.
+    BideltoidBreadth,
 }
 
 /// Pooled mean and standard deviation (mm; kg for the weight), in the order of [`Measure`].
@@ -64,10 +106,32 @@ const MOMENTS: [(f64, f64); N_MEASURES] = [
     (67.826, 7.409),
     (187.180, 11.714),
     (128.811, 6.773),
+    (1231.378, 82.044),
+    (1018.317, 63.781),
+    (860.804, 54.990),
+    (814.124, 55.578),
+    (83.208, 6.523),
+    (1002.782, 101.831),
+    (900.741, 113.222),
+    (1020.383, 76.294),
+    (620.645, 57.323),
+    (404.998, 33.832),
+    (382.759, 30.629),
+    (222.542, 16.262),
+    (331.857, 41.985),
+    (287.070, 30.688),
+    (165.355, 13.501),
+    (363.722, 40.841),
+    (151.050, 6.288),
+    (194.662, 8.710),
+    (97.286, 6.785),
+    (69.834, 5.958),
+    (480.375, 42.928),
 ];
 
-/// Pooled correlations below the diagonal, row by row.
+/// Pooled correlations with the first ten measures, row by row; below the diagonal.
 #[rustfmt::skip]
+#[allow(clippy::approx_constant)] // one of them happens to look like pi / 6
 const CORRELATIONS: [&[f64]; N_MEASURES] = [
     &[],
     &[0.6889],
@@ -80,9 +144,30 @@ const CORRELATIONS: [&[f64]; N_MEASURES] = [
     &[0.9820, 0.7077, 0.8927, 0.8776, 0.7548, 0.3824, 0.8324, 0.8550],
     &[0.8554, 0.6953, 0.7840, 0.7698, 0.7821, 0.2787, 0.8243, 0.7569, 0.8415],
     &[0.9918, 0.7036, 0.8926, 0.8743, 0.8003, 0.3494, 0.8495, 0.8476, 0.9850, 0.8604],
-    &[0.7134, 0.5853, 0.5807, 0.5798, 0.6589, 0.2447, 0.5950, 0.5525, 0.6993, 0.6462, 0.7144],
-    &[0.7667, 0.6109, 0.7589, 0.7360, 0.6751, 0.2514, 0.7800, 0.7520, 0.7637, 0.8481, 0.7751, 0.5296],
-    &[0.3798, 0.3468, 0.2812, 0.3034, 0.3574, 0.2061, 0.2910, 0.2758, 0.3389, 0.3524, 0.3553, 0.3092, 0.2849],
+    &[0.7134, 0.5853, 0.5807, 0.5798, 0.6589, 0.2447, 0.5950, 0.5525, 0.6993, 0.6462],
+    &[0.7667, 0.6109, 0.7589, 0.7360, 0.6751, 0.2514, 0.7800, 0.7520, 0.7637, 0.8481],
+    &[0.3798, 0.3468, 0.2812, 0.3034, 0.3574, 0.2061, 0.2910, 0.2758, 0.3389, 0.3524],
+    &[0.9653, 0.6609, 0.8824, 0.8518, 0.7828, 0.2752, 0.8454, 0.8402, 0.9598, 0.8482],
+    &[0.9395, 0.5661, 0.9160, 0.8582, 0.7139, 0.2386, 0.8411, 0.8850, 0.9376, 0.8177],
+    &[0.8635, 0.5741, 0.9677, 0.8323, 0.6344, 0.2883, 0.8314, 0.8980, 0.8773, 0.7709],
+    &[0.9013, 0.5593, 0.9452, 0.8635, 0.6791, 0.2375, 0.8616, 0.9200, 0.9058, 0.8112],
+    &[0.7507, 0.7124, 0.6104, 0.6508, 0.7914, 0.2496, 0.6985, 0.5656, 0.7315, 0.7879],
+    &[0.5331, 0.9105, 0.4113, 0.5038, 0.6448, 0.5474, 0.4766, 0.3892, 0.5589, 0.5589],
+    &[0.3907, 0.8649, 0.3038, 0.3880, 0.4632, 0.6476, 0.3400, 0.2968, 0.4283, 0.4096],
+    &[0.2504, 0.7450, 0.2168, 0.2706, 0.2370, 0.6519, 0.1952, 0.2540, 0.2929, 0.2654],
+    &[0.2586, 0.7751, 0.2340, 0.2701, 0.2911, 0.5515, 0.2433, 0.2568, 0.2959, 0.3061],
+    &[0.3101, 0.7561, 0.2628, 0.3028, 0.3164, 0.5064, 0.2630, 0.3121, 0.3344, 0.3694],
+    &[0.4221, 0.8099, 0.3286, 0.3826, 0.4688, 0.4812, 0.3536, 0.3545, 0.4316, 0.4833],
+    &[0.5310, 0.7368, 0.3969, 0.4381, 0.5439, 0.4287, 0.4225, 0.4018, 0.5236, 0.5905],
+    &[0.5559, 0.8878, 0.4415, 0.4986, 0.6770, 0.3995, 0.5354, 0.4146, 0.5619, 0.6138],
+    &[0.6746, 0.8687, 0.5391, 0.5945, 0.7790, 0.3347, 0.6396, 0.5040, 0.6696, 0.7254],
+    &[0.7729, 0.8143, 0.6139, 0.6674, 0.8185, 0.3309, 0.7005, 0.5708, 0.7559, 0.7981],
+    &[0.6700, 0.8325, 0.5109, 0.5858, 0.8077, 0.3115, 0.6250, 0.4600, 0.6649, 0.7024],
+    &[0.4312, 0.5029, 0.3124, 0.3585, 0.5257, 0.2079, 0.3888, 0.2827, 0.4162, 0.4631],
+    &[0.6027, 0.5680, 0.5124, 0.5182, 0.6035, 0.1749, 0.5653, 0.4809, 0.5779, 0.6185],
+    &[0.6975, 0.7175, 0.5760, 0.6015, 0.7295, 0.2958, 0.6561, 0.5547, 0.6828, 0.7735],
+    &[0.4734, 0.6227, 0.4383, 0.4612, 0.5398, 0.1747, 0.5422, 0.4371, 0.4700, 0.6316],
+    &[0.6570, 0.9110, 0.5185, 0.5972, 0.8325, 0.4520, 0.6051, 0.4827, 0.6601, 0.6808],
 ];
 
 /// The population as a linear model: `measure_i = mean_i + loadings_i . beta`, `beta ~ N(0, I)`.
@@ -104,23 +189,24 @@ impl Population {
     /// stature), beta 1 is weight at a given stature, beta 2 leg length given both, then arm, shoulders, pelvis,
     /// forearm, knee height, shoulder height, foot: each is what the earlier ones leave open. So no beta but the
     /// first changes the stature, and the ten are independent with variance one by construction. Known limit: the
-    /// last four measures keep an unexplained rest of 5 to 9 mm.
+    /// later measures keep an unexplained rest (5 to 9 mm for lengths, up to 45 mm for girths).
     pub fn ansur2() -> Self {
-        let mut factor = [[0.0; N_MEASURES]; N_MEASURES];
+        let mut factor = [BetaRow::zeros(); N_MEASURES];
+        let mut unexplained = [0.0; N_MEASURES];
         for i in 0..N_MEASURES {
-            for j in 0..=i {
-                let correlation = if i == j { 1.0 } else { CORRELATIONS[i][j] };
-                let rest = correlation - (0..j).map(|k| factor[i][k] * factor[j][k]).sum::<f64>();
-                factor[i][j] = if i == j { rest.sqrt() } else { rest / factor[j][j] };
+            for j in 0..N_BETAS.min(i) {
+                let rest = CORRELATIONS[i][j] - (0..j).map(|k| factor[i][k] * factor[j][k]).sum::<f64>();
+                factor[i][j] = rest / factor[j][j];
             }
+            let rest = (1.0 - factor[i].norm_squared()).sqrt();
+            *(if i < N_BETAS { &mut factor[i][i] } else { &mut unexplained[i] }) = rest;
         }
         let unit = |i: usize| if i == Measure::Weight as usize { 1.0 } else { 1e-3 };
         let sd = |i: usize| MOMENTS[i].1 * unit(i);
-        let unexplained = |i: usize| (N_BETAS..N_MEASURES).map(|k| factor[i][k] * factor[i][k]).sum::<f64>().sqrt();
         Self {
             means: std::array::from_fn(|i| MOMENTS[i].0 * unit(i)),
-            loadings: std::array::from_fn(|i| BetaRow::from_fn(|k, _| factor[i][k] * sd(i))),
-            unexplained: std::array::from_fn(|i| unexplained(i) * sd(i)),
+            loadings: std::array::from_fn(|i| factor[i] * sd(i)),
+            unexplained: std::array::from_fn(|i| unexplained[i] * sd(i)),
         }
     }
 }

@@ -4,11 +4,16 @@ pub mod anthropometry;
 pub mod bones;
 pub mod default_body;
 pub mod detector_noise;
+pub mod generator;
 pub mod joint_ranges;
 pub mod kinematics;
+pub mod landmarks;
+pub mod loader;
 pub mod model;
 pub mod scale;
 pub mod skeleton;
+pub mod skinning;
+pub mod surface;
 
 pub use default_body::default_body;
 pub use model::{Betas, BodyModel};

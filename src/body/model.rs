@@ -1,9 +1,13 @@
-//! The body as the fit sees it: rest joints that depend on the shape, and landmarks carried by the bones.
+//! One body model for the fit and for the mesh: joints and landmarks that need no vertices, and the surface they follow
+//! from.
 
 use super::anthropometry::N_BETAS;
+use super::landmarks::landmarks;
 use super::skeleton::{KeypointConvention, N_JOINTS, PARENTS};
+use super::surface::{Surface, VertexWeight};
 use nalgebra::{SMatrix, SVector, Vector3};
 use sha2::{Digest, Sha256};
+use std::sync::Arc;
 
 /// Name of the landmark at SMPL's neck joint, since `neck` is taken by the detectors' point between the shoulders.
 pub const NECK_JOINT: &str = "neck_joint";
@@ -26,6 +30,8 @@ pub struct BodyModel {
     pub shape_directions: [ShapeDirections; N_JOINTS],
     /// Named points on the body that detectors report.
     pub landmarks: Vec<Landmark>,
+    /// The mesh that the joints and landmarks were taken from.
+    pub surface: Arc<Surface>,
 }
 
 /// A named point: a sum over bones that moves with them, `sum_i [ w_i p_i + G_i (a_i + A_i beta) ]`.
@@ -64,6 +70,17 @@ pub struct ShapedBody {
 }
 
 impl BodyModel {
+    /// The body of a surface: joints are what the regressor makes of the mesh, by definition.
+    pub fn new(name: String, surface: Surface) -> Self {
+        let row = |j: usize| surface.regressor[j].iter();
+        let rest_joint = |v: &VertexWeight| surface.vertices[v.vertex] * v.weight;
+        let direction = |v: &VertexWeight| surface.shape_directions[v.vertex] * v.weight;
+        let rest_joints = std::array::from_fn(|j| row(j).map(rest_joint).sum());
+        let shape_directions = std::array::from_fn(|j| row(j).map(direction).sum());
+        let landmarks = landmarks(&surface, &rest_joints, &shape_directions);
+        Self { name, rest_joints, shape_directions, landmarks, surface: Arc::new(surface) }
+    }
+
     /// The model at shape `betas`.
     pub fn shaped(&self, betas: &Betas) -> ShapedBody {
         let offset = |t: &LandmarkTerm| t.offset + t.offset_directions * betas;
@@ -106,6 +123,7 @@ impl BodyModel {
                 term.offset.iter().chain(term.offset_directions.iter()).for_each(&mut number);
             }
         }
+        self.surface.digest_into(&mut hash);
         hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
     }
 }

@@ -1,6 +1,7 @@
 //! The commands; one file each.
 
 pub mod bench;
+mod body;
 mod evaluate;
 mod export;
 mod meter;
@@ -43,6 +44,8 @@ enum Command {
     Simulate(simulate::Args),
     /// Measure success and speed
     Bench(bench::Args),
+    /// Look at a body model, or write it in other formats
+    Body(body::Args),
     /// Serve sessions and jobs over HTTP
     #[cfg(feature = "service")]
     Serve(serve::Args),
@@ -74,6 +77,7 @@ pub fn main() -> ExitCode {
         Command::Export(args) => export::run(args),
         Command::Simulate(args) => simulate::run(args),
         Command::Bench(args) => bench::run(args),
+        Command::Body(args) => body::run(args),
         #[cfg(feature = "service")]
         Command::Serve(args) => serve::run(args),
         #[cfg(feature = "service")]

@@ -1,6 +1,7 @@
 //! `wandless reconstruct`: the pipeline without a server.
 
 use super::BadInput;
+use super::body::read_body;
 use super::meter::Meter;
 use super::solve::{SolveError, solve, use_threads};
 use crate::pipeline::{Options, PipelineError};
@@ -20,6 +21,12 @@ pub(super) struct Args {
     /// JSON file with options
     #[arg(long)]
     options: Option<PathBuf>,
+    /// Body model: a SMPL .npz or .pkl file of yours; the embedded one is the default
+    #[arg(long)]
+    body: Option<PathBuf>,
+    /// JSON file that says where keypoints of face and feet lie on that body
+    #[arg(long, requires = "body")]
+    landmarks: Option<PathBuf>,
     /// Solver threads; 0 takes all cores
     #[arg(long, default_value_t = 0)]
     threads: usize,
@@ -28,13 +35,14 @@ pub(super) struct Args {
 /// Runs the command.
 pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let options = read_options(args.options.as_deref())?;
+    let body = read_body(args.body.as_deref(), args.landmarks.as_deref())?;
     require_free(&args.out)?;
     use_threads(args.threads);
     let meter = Arc::new(Meter::new());
     let shown = meter.clone();
     let show = move |event: &ProgressEvent| shown.show(event.stage, event.fraction, &event.message);
     let staging = staging_folder(&args.out)?;
-    let solved = solve(&args.session, None, &options, &staging, &Progress::new(show, Arc::default()));
+    let solved = solve(&args.session, None, &options, &body, &staging, &Progress::new(show, Arc::default()));
     meter.finish();
     if solved.is_err() {
         let _ = std::fs::remove_dir_all(&staging); // half a result helps nobody

@@ -4,6 +4,7 @@
 //! which is how a job is canceled: nothing of it was published, and the service clears its folder.
 
 use super::solve::{SolveError, solve, use_threads};
+use crate::body::default_body;
 use crate::pipeline::PipelineError;
 use crate::progress::{Progress, ProgressEvent};
 use crate::service::protocol::{Message, Order};
@@ -44,7 +45,7 @@ pub(super) fn run() -> ExitCode {
     }
     use_threads(order.threads);
     let progress = Progress::new(teller(), Arc::default());
-    match solve(&order.session, Some(&order.session_sha256), &order.options, &order.out, &progress) {
+    match solve(&order.session, Some(&order.session_sha256), &order.options, &default_body(), &order.out, &progress) {
         Ok(_) => {
             say(&Message::Done);
             ExitCode::SUCCESS

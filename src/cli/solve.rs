@@ -1,5 +1,6 @@
 //! From a session on disk to a result folder: what `reconstruct` and a job's child have in common.
 
+use crate::body::BodyModel;
 use crate::export::{self, ResultContext};
 use crate::pipeline::{self, Options, PipelineError};
 use crate::progress::Progress;
@@ -33,6 +34,7 @@ pub(super) fn solve(
     session: &Path,
     sha256: Option<&str>,
     options: &Options,
+    body: &BodyModel,
     out: &Path,
     progress: &Progress,
 ) -> Result<Quality, SolveError> {
@@ -43,7 +45,7 @@ pub(super) fn solve(
     if sha256.is_some_and(|sha256| sha256 != loaded.sha256) {
         return Err(SolveError::Changed);
     }
-    let reconstruction = pipeline::reconstruct(&loaded.session, options, progress)?;
+    let reconstruction = pipeline::reconstruct_with_body(&loaded.session, options, body, progress)?;
     let context = ResultContext {
         input_sha256: &loaded.sha256,
         options: serde_json::to_value(options).map_err(io::Error::from)?,

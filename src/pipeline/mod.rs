@@ -14,6 +14,7 @@ pub mod verdict;
 pub mod world_frame;
 
 use crate::body::bones::{Bone, limb_bones};
+use crate::body::{BodyModel, default_body};
 use crate::geometry::Rigid;
 use crate::matching::sightings::{ViewSightings, sightings};
 use crate::matching::tracker::Scene;
@@ -49,13 +50,26 @@ pub enum PipelineError {
     },
 }
 
+/// [`reconstruct_with_body`] with the embedded body.
+///
+/// # Errors
+/// As there.
+pub fn reconstruct(session: &Session, options: &Options, progress: &Progress) -> Result<Reconstruction, PipelineError> {
+    reconstruct_with_body(session, options, &default_body(), progress)
+}
+
 /// Recovers cameras and people from a session: the stages, top to bottom.
 ///
-/// The same session, options and instruction set give the same result, whatever the number of threads.
+/// `body`: the model that every person is fitted with. The same session, options, body and instruction set give the same result, whatever the number of threads.
 ///
 /// # Errors
 /// [`PipelineError`] when the work was canceled, an option asks for what the session lacks, or nothing can be solved.
-pub fn reconstruct(session: &Session, options: &Options, progress: &Progress) -> Result<Reconstruction, PipelineError> {
+pub fn reconstruct_with_body(
+    session: &Session,
+    options: &Options,
+    body: &BodyModel,
+    progress: &Progress,
+) -> Result<Reconstruction, PipelineError> {
     options.check(&CameraFacts::of(session))?;
     if session.views.iter().all(|v| v.frames.iter().all(Vec::is_empty)) {
         let reason = "no camera detected anybody; check that the keypoint files are those of this take".to_owned();
@@ -84,7 +98,7 @@ pub fn reconstruct(session: &Session, options: &Options, progress: &Progress) ->
     let findings = Findings::in_world(&capture, calibration, paths, scale, heldout_px);
 
     let stage_body = stage.stage("body_fit", 4, N_STAGES, 0.72, 0.25);
-    findings.with_bodies(&capture, &stage_body)
+    findings.with_bodies(&capture, body, &stage_body)
 }
 
 /// Stages that a caller is told of.

@@ -9,7 +9,7 @@ use super::joint_trajectories::{TrajectoryConfig, TrajectoryInput, joint_traject
 use super::verdict::{Evidence, quality};
 use super::world_frame::world_from_solution;
 use super::{Capture, PipelineError};
-use crate::body::default_body;
+use crate::body::BodyModel;
 use crate::geometry::{Rigid, Similarity};
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{BodyModelId, Report, ScaleReport, SolvedCamera};
@@ -70,8 +70,12 @@ impl Findings {
     ///
     /// # Errors
     /// [`PipelineError::Canceled`].
-    pub fn with_bodies(mut self, capture: &Capture, progress: &Progress) -> Result<Reconstruction, PipelineError> {
-        let model = default_body();
+    pub fn with_bodies(
+        mut self,
+        capture: &Capture,
+        model: &BodyModel,
+        progress: &Progress,
+    ) -> Result<Reconstruction, PipelineError> {
         let tracks = self.calibration.association.tracks.clone();
         let input = BodyFitInput {
             session: capture.session,
@@ -79,7 +83,7 @@ impl Findings {
             tracks: &tracks,
             points: &self.paths,
         };
-        let (motions, report) = fit_bodies(input, &model, &BodyFitConfig::default(), progress)?;
+        let (motions, report) = fit_bodies(input, model, &BodyFitConfig::default(), progress)?;
         self.calibration.stages.push(report);
         // A track whose trunk was never triangulated has no body; such a person is nobody in the result.
         let kept: Vec<PersonTrack> =
@@ -89,7 +93,7 @@ impl Findings {
         let report = self.report(capture, &kept, &distances);
         let mut keypoints = std::mem::take(&mut self.paths);
         for (path, motion) in keypoints.iter_mut().zip(&motions) {
-            fill_from_body(path, &landmark_trajectory(&model, motion, capture.session.convention));
+            fill_from_body(path, &landmark_trajectory(model, motion, capture.session.convention));
         }
         Ok(Reconstruction {
             cameras: self.solved_cameras(&distances),

@@ -1,0 +1,151 @@
+//! Skin weights: which joints carry a point, by its distance to their bones.
+
+use super::half_mesh::HalfMesh;
+use super::relaxation::neighbours;
+use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
+use crate::body::surface::JointWeight;
+use nalgebra::Vector3;
+
+/// Shares of all joints at one vertex.
+type Row = [f64; N_JOINTS];
+
+/// A bone farther than the nearest one by this much has no share, m.
+const REACH: f64 = 0.060;
+/// Rounds of smoothing over the mesh.
+const SMOOTHING: usize = 6;
+/// Most joints that a vertex hangs on.
+const MOST: usize = 4;
+/// Right of the midplane by this much nothing hangs on a left limb, and the reverse, m.
+const SIDE_MARGIN: f64 = 0.018;
+
+/// The shares of every vertex of the left half: at most four, in descending order, summing to 1.
+///
+/// A joint's share falls with the distance of its bone beyond that of the nearest bone, `(1 - excess / reach)^3`; only
+/// the nearest bone's joint, its parent and its children take part, so that no arm hangs on a hip. The shares are then
+/// smoothed over the mesh and its mirror image.
+pub(super) fn skin_weights(mesh: &HalfMesh, joints: &[Vector3<f64>; N_JOINTS], tips: &Tips) -> Vec<Vec<JointWeight>> {
+    let bones = bones(joints, tips);
+    let near = neighbours(mesh);
+    let mut rows: Vec<Row> = mesh.vertices.iter().map(|vertex| distance_shares(&bones, vertex)).collect();
+    for (row, on_plane) in rows.iter_mut().zip(&mesh.on_plane) {
+        if *on_plane {
+            *row = mean(*row, mirrored(row));
+        }
+    }
+    for _ in 0..SMOOTHING {
+        rows = smoothed(&rows, &near, &mesh.on_plane);
+    }
+    rows.iter().zip(&mesh.vertices).map(|(row, vertex)| strongest(row, vertex)).collect()
+}
+
+/// Where the bones without a child joint end, left side.
+pub(super) struct Tips {
+    pub crown: Vector3<f64>,
+    pub finger: Vector3<f64>,
+    pub toe: Vector3<f64>,
+    pub heel: Vector3<f64>,
+    /// Between the legs: the lower end of the pelvis.
+    pub crotch: Vector3<f64>,
+}
+
+/// A segment that a joint carries.
+struct Bone {
+    joint: usize,
+    from: Vector3<f64>,
+    to: Vector3<f64>,
+}
+
+/// The bones at x >= 0 and on the midline.
+fn bones(joints: &[Vector3<f64>; N_JOINTS], tips: &Tips) -> Vec<Bone> {
+    let is_right = |joint: usize| JOINT_NAMES[joint].starts_with("right_");
+    let index = |name: &str| JOINT_NAMES.iter().position(|n| *n == name).expect("the names below are joints");
+    let to_child = |child: usize| {
+        let joint = PARENTS[child]?;
+        (!is_right(child)).then(|| Bone { joint, from: joints[joint], to: joints[child] })
+    };
+    let to_tip = |name: &str, to: Vector3<f64>| Bone { joint: index(name), from: joints[index(name)], to };
+    let ends = [
+        to_tip("head", tips.crown),
+        to_tip("left_hand", tips.finger),
+        to_tip("left_foot", tips.toe),
+        to_tip("left_ankle", tips.heel),
+        to_tip("pelvis", tips.crotch),
+    ];
+    (1..N_JOINTS).filter_map(to_child).chain(ends).collect()
+}
+
+fn distance_to(bone: &Bone, point: &Vector3<f64>) -> f64 {
+    let along = bone.to - bone.from;
+    let t = ((point - bone.from).dot(&along) / along.norm_squared()).clamp(0.0, 1.0);
+    (point - bone.from - along * t).norm()
+}
+
+fn distance_shares(bones: &[Bone], point: &Vector3<f64>) -> Row {
+    let mut distances = [f64::INFINITY; N_JOINTS];
+    for bone in bones {
+        distances[bone.joint] = distances[bone.joint].min(distance_to(bone, point));
+    }
+    let nearest = (0..N_JOINTS).fold(0, |best, j| if distances[j] < distances[best] { j } else { best });
+    let takes_part = |j: usize| j == nearest || PARENTS[j] == Some(nearest) || PARENTS[nearest] == Some(j);
+    normalised(std::array::from_fn(|j| {
+        if !takes_part(j) {
+            return 0.0;
+        }
+        let nearness = 1.0 - ((distances[j] - distances[nearest]) / REACH).min(1.0);
+        nearness * nearness * nearness
+    }))
+}
+
+fn smoothed(rows: &[Row], near: &[Vec<usize>], on_plane: &[bool]) -> Vec<Row> {
+    let smooth = |i: usize| {
+        let mut sum: Row = rows[i].map(|v| v * near[i].len() as f64);
+        for &n in &near[i] {
+            let twice = on_plane[i] && !on_plane[n];
+            let row = if twice { mean(rows[n], mirrored(&rows[n])) } else { rows[n] };
+            (0..N_JOINTS).for_each(|j| sum[j] += row[j]);
+        }
+        normalised(sum)
+    };
+    (0..rows.len()).map(smooth).collect()
+}
+
+/// The joint on the other side; itself on the midline.
+pub(super) fn mirror_joint(joint: usize) -> usize {
+    let name = JOINT_NAMES[joint];
+    let other = match (name.strip_prefix("left_"), name.strip_prefix("right_")) {
+        (Some(part), _) => format!("right_{part}"),
+        (_, Some(part)) => format!("left_{part}"),
+        _ => return joint,
+    };
+    JOINT_NAMES.iter().position(|n| *n == other).unwrap_or(joint)
+}
+
+fn mirrored(row: &Row) -> Row {
+    std::array::from_fn(|j| row[mirror_joint(j)])
+}
+
+fn mean(a: Row, b: Row) -> Row {
+    std::array::from_fn(|j| 0.5 * (a[j] + b[j]))
+}
+
+fn normalised(row: Row) -> Row {
+    let total: f64 = row.iter().sum();
+    row.map(|v| v / total)
+}
+
+/// The four largest shares; on the plane an even number of sided ones, so that the mirror image is the same.
+fn strongest(row: &Row, vertex: &Vector3<f64>) -> Vec<JointWeight> {
+    let is_far = vertex.x > SIDE_MARGIN;
+    let allowed = |j: &usize| !(is_far && JOINT_NAMES[*j].starts_with("right_"));
+    let share = |joint: usize| JointWeight { joint, weight: row[joint] };
+    let mut shares: Vec<JointWeight> = (0..N_JOINTS).filter(allowed).map(share).filter(|s| s.weight > 2e-3).collect();
+    shares.sort_by(|a, b| b.weight.total_cmp(&a.weight).then(a.joint.cmp(&b.joint)));
+    let splits_a_pair = |n: usize, shares: &[JointWeight]| {
+        vertex.x == 0.0 && shares.len() > n && shares[n - 1].joint == mirror_joint(shares[n].joint)
+    };
+    let kept = if splits_a_pair(MOST, &shares) { MOST - 1 } else { MOST };
+    shares.truncate(kept);
+    let total: f64 = shares.iter().map(|s| s.weight).sum();
+    shares.iter_mut().for_each(|s| s.weight /= total);
+    shares
+}

@@ -1,0 +1,66 @@
+//! Named points on the body, as per-bone constants.
+//!
+//! A point of the skin is a sum over few bones, exact to the full mesh under linear blend skinning (method.md 9.3): with
+//! shares `r_i` of vertices and skin weights `w_ib`, bone b carries `a_b = sum_i r_i w_ib` of its own position and the
+//! offset `sum_i r_i w_ib (T_i - J_b) + sum_i r_i w_ib (S_i - S_b) beta`.
+//!
+//! Known limit: a user's pose blend shapes are left out here (they enter in skinning); they move surface points by
+//! some millimetres, joints not at all.
+
+use super::model::{Landmark, LandmarkTerm, NECK_JOINT, ShapeDirections};
+use super::skeleton::{JOINT_NAMES, KeypointConvention, N_JOINTS};
+use super::surface::{JointWeight, Surface, VertexWeight};
+use nalgebra::Vector3;
+use std::collections::BTreeSet;
+
+/// Every landmark that some convention names and this body has: joints, midpoints, and the named points of the skin.
+///
+/// The detectors' `neck` is the middle of the shoulders, their `mid_hip` that of the hips (formats differ from SMPL's
+/// joints here, also where the words agree).
+pub(super) fn landmarks(
+    surface: &Surface,
+    rest_joints: &[Vector3<f64>; N_JOINTS],
+    shape_directions: &[ShapeDirections; N_JOINTS],
+) -> Vec<Landmark> {
+    let terms = |name: &str| -> Option<Vec<LandmarkTerm>> {
+        let joint = |name: &str| JOINT_NAMES.iter().position(|n| *n == name);
+        match name {
+            "neck" => {
+                return Some(vec![joint_term(joint("left_shoulder")?, 0.5), joint_term(joint("right_shoulder")?, 0.5)]);
+            }
+            "mid_hip" => return Some(vec![joint_term(joint("left_hip")?, 0.5), joint_term(joint("right_hip")?, 0.5)]),
+            NECK_JOINT => return Some(vec![joint_term(joint("neck")?, 1.0)]),
+            _ => {}
+        }
+        match surface.points.iter().find(|point| point.name == name) {
+            Some(point) => Some(skin_terms(surface, &point.vertices, rest_joints, shape_directions)),
+            None => Some(vec![joint_term(joint(name)?, 1.0)]),
+        }
+    };
+    let conventions = KeypointConvention::ALL.iter().flat_map(|c| c.names().iter().copied());
+    let names: BTreeSet<&str> = conventions.chain([NECK_JOINT]).collect();
+    names.iter().filter_map(|name| Some(Landmark { name: (*name).to_owned(), terms: terms(name)? })).collect()
+}
+
+fn joint_term(joint: usize, weight: f64) -> LandmarkTerm {
+    LandmarkTerm { joint, weight, offset: Vector3::zeros(), offset_directions: ShapeDirections::zeros() }
+}
+
+fn skin_terms(
+    surface: &Surface,
+    shares: &[VertexWeight],
+    rest_joints: &[Vector3<f64>; N_JOINTS],
+    shape_directions: &[ShapeDirections; N_JOINTS],
+) -> Vec<LandmarkTerm> {
+    let mut terms: Vec<LandmarkTerm> = (0..N_JOINTS).map(|j| joint_term(j, 0.0)).collect();
+    for VertexWeight { vertex, weight: share } in shares {
+        for JointWeight { joint, weight } in &surface.skin[*vertex] {
+            let (weight, term) = (share * weight, &mut terms[*joint]);
+            term.weight += weight;
+            term.offset += (surface.vertices[*vertex] - rest_joints[*joint]) * weight;
+            term.offset_directions += (surface.shape_directions[*vertex] - shape_directions[*joint]) * weight;
+        }
+    }
+    terms.retain(|term| term.weight != 0.0);
+    terms
+}

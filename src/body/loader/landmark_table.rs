@@ -1,0 +1,70 @@
+//! The operator's table of landmarks: where the detectors' surface points lie on a user's mesh.
+//!
+//! ```json
+//! {"nose": [{"vertex": 12, "weight": 1.0}], "left_heel": [{"vertex": 7, "weight": 0.5}, {"vertex": 9, "weight": 0.5}]}
+//! ```
+//! Names are those of the keypoint conventions; the weights of a point sum to 1. Vertex numbers belong to the user's
+//! file and come from its licensor.
+
+use crate::body::skeleton::KeypointConvention;
+use crate::body::surface::{SurfacePoint, VertexWeight};
+use std::collections::BTreeMap;
+
+/// Points of the skin by name.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct LandmarkTable {
+    /// In alphabetical order of their names.
+    pub points: Vec<SurfacePoint>,
+}
+
+/// Why a landmark table is refused.
+#[derive(Debug, thiserror::Error)]
+pub enum LandmarkTableError {
+    /// Not the documented JSON.
+    #[error("the landmark table is not readable: {0}")]
+    Json(#[from] serde_json::Error),
+    /// No convention has a keypoint of this name.
+    #[error("no keypoint is called {name}; names are those of the keypoint conventions, as left_heel")]
+    UnknownName {
+        /// The name.
+        name: String,
+    },
+    /// Weights that do not sum to 1.
+    #[error("landmark {name}: the weights sum to {sum}, 1 expected")]
+    Weights {
+        /// The landmark.
+        name: String,
+        /// What they sum to.
+        sum: f64,
+    },
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Entry {
+    vertex: usize,
+    weight: f64,
+}
+
+impl LandmarkTable {
+    /// Reads the documented JSON.
+    ///
+    /// # Errors
+    /// [`LandmarkTableError`]; vertex numbers are checked when the table meets a mesh.
+    pub fn from_json(json: &[u8]) -> Result<Self, LandmarkTableError> {
+        let entries: BTreeMap<String, Vec<Entry>> = serde_json::from_slice(json)?;
+        let mut points = Vec::new();
+        for (name, entries) in entries {
+            if !KeypointConvention::ALL.iter().any(|convention| convention.index_of(&name).is_some()) {
+                return Err(LandmarkTableError::UnknownName { name });
+            }
+            let sum: f64 = entries.iter().map(|entry| entry.weight).sum();
+            if (sum - 1.0).abs() > 1e-3 || !sum.is_finite() {
+                return Err(LandmarkTableError::Weights { name, sum });
+            }
+            let share = |entry: &Entry| VertexWeight { vertex: entry.vertex, weight: entry.weight / sum };
+            points.push(SurfacePoint { name, vertices: entries.iter().map(share).collect() });
+        }
+        Ok(Self { points })
+    }
+}

@@ -1,0 +1,228 @@
+//! Numeric arrays out of a pickle's tree: numpy arrays, scipy's sparse matrices, chumpy's `Ch` and `Select`.
+
+use super::array::{Array, FIELDS, Fields, MAX_ELEMENTS, NumberType, n_elements};
+use super::error::BodyFileError;
+use super::pickle::{Global, Node, NodeId, Pickle, parse};
+use std::borrow::Cow;
+
+/// Nesting of a released model's deepest field is 6; a pickle that holds itself is deeper than any bound.
+const MAX_DEPTH: usize = 64;
+
+/// Reads the fields of a body model from a pickle.
+pub(super) fn read_fields(bytes: &[u8]) -> Result<Fields, BodyFileError> {
+    let pickle = parse(bytes)?;
+    let Node::Dict(entries) = &pickle.nodes[pickle.root] else {
+        return Err(BodyFileError::Malformed { offset: bytes.len(), expected: "a dictionary of fields" });
+    };
+    let mut fields = Fields::new();
+    for field in FIELDS {
+        if let Some(value) = lookup(&pickle, entries, field) {
+            fields.insert(field.to_owned(), Reader { pickle: &pickle, field }.array(value, 0)?);
+        }
+    }
+    Ok(fields)
+}
+
+fn lookup(pickle: &Pickle, entries: &[(NodeId, NodeId)], key: &str) -> Option<NodeId> {
+    let is_key = |id: NodeId| match &pickle.nodes[id] {
+        Node::Text(text) => text == key,
+        Node::Bytes(bytes) => bytes.as_ref() == key.as_bytes(),
+        _ => false,
+    };
+    entries.iter().rev().find(|(id, _)| is_key(*id)).map(|(_, value)| *value)
+}
+
+/// One field being read.
+#[derive(Clone, Copy)]
+struct Reader<'p, 'b> {
+    pickle: &'p Pickle<'b>,
+    field: &'p str,
+}
+
+/// An object's parts.
+struct Object {
+    class: Global,
+    arguments: NodeId,
+    state: Option<NodeId>,
+}
+
+impl<'p> Reader<'p, '_> {
+    fn fault(&self, expected: &'static str) -> BodyFileError {
+        BodyFileError::NotAnArray { field: self.field.to_owned(), expected }
+    }
+
+    fn array(&self, id: NodeId, depth: usize) -> Result<Array, BodyFileError> {
+        if depth > MAX_DEPTH {
+            return Err(self.fault("a value that does not contain itself"));
+        }
+        let object = self.object(id)?;
+        match object.class {
+            Global::ArrayReconstruct | Global::NdArray => self.numpy_array(&object),
+            Global::Csc => self.sparse(&object, depth, Compressed::Columns),
+            Global::Csr => self.sparse(&object, depth, Compressed::Rows),
+            Global::Ch => self.array(self.member(&object, "x")?, depth + 1),
+            Global::Select => self.select(&object, depth),
+            _ => Err(self.fault("an array, a sparse matrix, a chumpy Ch or Select")),
+        }
+    }
+
+    /// The class, whether called, made anew or reconstructed, and what it was made of.
+    fn object(&self, id: NodeId) -> Result<Object, BodyFileError> {
+        let Node::Object { callable, arguments, state } = &self.pickle.nodes[id] else {
+            return Err(self.fault("an array"));
+        };
+        let Node::Global(class) = self.pickle.nodes[*callable] else { return Err(self.fault("a known class")) };
+        let class = match class {
+            Global::Reconstructor => match self.sequence(*arguments)?.first().map(|first| &self.pickle.nodes[*first]) {
+                Some(Node::Global(class)) => *class,
+                _ => return Err(self.fault("a known class")),
+            },
+            class => class,
+        };
+        Ok(Object { class, arguments: *arguments, state: *state })
+    }
+
+    fn sequence(&self, id: NodeId) -> Result<&'p [NodeId], BodyFileError> {
+        match &self.pickle.nodes[id] {
+            Node::Sequence(items) => Ok(items),
+            _ => Err(self.fault("a tuple")),
+        }
+    }
+
+    fn integer(&self, id: NodeId) -> Result<i64, BodyFileError> {
+        match &self.pickle.nodes[id] {
+            Node::Int(value) => Ok(*value),
+            // A scalar's arguments: its type and its bytes.
+            Node::Object { .. } => {
+                let object = self.object(id)?;
+                let (Global::Scalar, [dtype, bytes]) = (object.class, self.sequence(object.arguments)?) else {
+                    return Err(self.fault("an integer"));
+                };
+                let array =
+                    Array::decode(self.field, Vec::new(), self.number_type(*dtype)?, false, &self.bytes(*bytes)?)?;
+                Ok(array.values[0] as i64)
+            }
+            _ => Err(self.fault("an integer")),
+        }
+    }
+
+    fn shape(&self, id: NodeId) -> Result<Vec<usize>, BodyFileError> {
+        let length =
+            |id: &NodeId| usize::try_from(self.integer(*id)?).map_err(|_| self.fault("lengths of at least zero"));
+        match &self.pickle.nodes[id] {
+            Node::Sequence(items) => items.iter().map(length).collect(),
+            // A preferred shape may be an array itself.
+            Node::Object { .. } => {
+                Ok(self.numpy_array(&self.object(id)?)?.values.iter().map(|v| *v as usize).collect())
+            }
+            _ => Ok(vec![length(&id)?]),
+        }
+    }
+
+    /// Raw bytes, or the text that Python 3 spells them as (`_codecs.encode(text, 'latin1')`, or Latin-1 text itself).
+    fn bytes(&self, id: NodeId) -> Result<Cow<'p, [u8]>, BodyFileError> {
+        let latin1 = |text: &str| -> Result<Vec<u8>, BodyFileError> {
+            text.chars().map(|c| u8::try_from(u32::from(c)).map_err(|_| self.fault("Latin-1 text"))).collect()
+        };
+        match &self.pickle.nodes[id] {
+            Node::Bytes(bytes) => Ok(Cow::Borrowed(bytes)),
+            Node::Text(text) => Ok(Cow::Owned(latin1(text)?)),
+            Node::Object { .. } => {
+                let object = self.object(id)?;
+                match (object.class, self.sequence(object.arguments)?.first().map(|first| &self.pickle.nodes[*first])) {
+                    (Global::Encode, Some(Node::Text(text))) => Ok(Cow::Owned(latin1(text)?)),
+                    (Global::Encode, Some(Node::Bytes(bytes))) => Ok(Cow::Borrowed(bytes)),
+                    _ => Err(self.fault("raw bytes")),
+                }
+            }
+            _ => Err(self.fault("raw bytes")),
+        }
+    }
+
+    /// State: (version, shape, dtype, is Fortran order, bytes).
+    fn numpy_array(&self, object: &Object) -> Result<Array, BodyFileError> {
+        let state = object.state.ok_or_else(|| self.fault("an array with contents"))?;
+        let [_, shape, dtype, is_fortran, bytes] = self.sequence(state)? else {
+            return Err(self.fault("numpy's state of an array"));
+        };
+        let (number, is_fortran) = (self.number_type(*dtype)?, self.integer(*is_fortran)? != 0);
+        Array::decode(self.field, self.shape(*shape)?, number, is_fortran, &self.bytes(*bytes)?)
+    }
+
+    /// Arguments: (code, ...), state: (version, byte order, ...).
+    fn number_type(&self, id: NodeId) -> Result<NumberType, BodyFileError> {
+        let object = self.object(id)?;
+        let numbers = || self.fault("an array of numbers");
+        let (Global::DType, Some(code)) = (object.class, self.sequence(object.arguments)?.first()) else {
+            return Err(numbers());
+        };
+        let order = match object.state {
+            Some(state) => self.bytes(*self.sequence(state)?.get(1).ok_or_else(numbers)?)?,
+            None => Cow::Borrowed(b"<".as_slice()),
+        };
+        let code = self.bytes(*code)?;
+        let code = std::str::from_utf8(&code).map_err(|_| numbers())?;
+        NumberType::parse(code, order.as_ref() == b">").ok_or_else(numbers)
+    }
+
+    fn member(&self, object: &Object, name: &str) -> Result<NodeId, BodyFileError> {
+        let missing = || self.fault("an object with all its members");
+        match &self.pickle.nodes[object.state.ok_or_else(missing)?] {
+            Node::Dict(entries) => lookup(self.pickle, entries, name).ok_or_else(missing),
+            _ => Err(missing()),
+        }
+    }
+
+    fn sparse(&self, object: &Object, depth: usize, compressed: Compressed) -> Result<Array, BodyFileError> {
+        let part = |name: &str| self.array(self.member(object, name)?, depth + 1);
+        let (data, indices, starts) = (part("data")?, part("indices")?, part("indptr")?);
+        let shape = self.member(object, "_shape").or_else(|_| self.member(object, "shape"))?;
+        let shape = self.shape(shape)?;
+        let faulty = || self.fault("a consistent sparse matrix");
+        let (&[rows, columns], Some(count)) = (shape.as_slice(), n_elements(&shape)) else { return Err(faulty()) };
+        let n_lines = if compressed == Compressed::Columns { columns } else { rows };
+        if starts.values.len() != n_lines + 1 {
+            return Err(faulty());
+        }
+        let mut values = vec![0.0; count];
+        for line in 0..n_lines {
+            let (from, to) = (starts.values[line] as usize, starts.values[line + 1] as usize);
+            for k in from..to {
+                let (Some(value), Some(index)) = (data.values.get(k), indices.values.get(k)) else {
+                    return Err(faulty());
+                };
+                let index = *index as usize;
+                let (row, column) = if compressed == Compressed::Columns { (index, line) } else { (line, index) };
+                if row >= rows || column >= columns {
+                    return Err(faulty());
+                }
+                values[row * columns + column] += value;
+            }
+        }
+        Ok(Array { shape, values })
+    }
+
+    /// `a.ravel()[idxs].reshape(preferred_shape)`.
+    fn select(&self, object: &Object, depth: usize) -> Result<Array, BodyFileError> {
+        let source = self.array(self.member(object, "a")?, depth + 1)?;
+        let chosen = self.array(self.member(object, "idxs")?, depth + 1)?;
+        let shape = match self.member(object, "preferred_shape") {
+            Ok(shape) => self.shape(shape)?,
+            Err(_) => chosen.shape.clone(),
+        };
+        let element = |index: &f64| source.values.get(*index as usize).copied();
+        let values: Option<Vec<f64>> = chosen.values.iter().map(element).collect();
+        let values = values.ok_or_else(|| self.fault("choices within the array"))?;
+        if n_elements(&shape) != Some(values.len()) || values.len() > MAX_ELEMENTS {
+            return Err(self.fault("as many choices as the shape says"));
+        }
+        Ok(Array { shape, values })
+    }
+}
+
+/// Which lines of a sparse matrix lie together.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Compressed {
+    Columns,
+    Rows,
+}

@@ -1,0 +1,116 @@
+//! `wandless body`: what a body model is, and the model in other formats.
+
+use super::BadInput;
+use crate::body::loader::{LandmarkTable, body_glb, body_npz, body_obj, load_body};
+use crate::body::skeleton::{JOINT_NAMES, KeypointConvention, PARENTS};
+use crate::body::{Betas, BodyModel, default_body};
+use anyhow::Context;
+use std::path::{Path, PathBuf};
+
+/// Arguments of `body`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Action {
+    /// Check a body file and say what it is
+    Info {
+        /// A SMPL .npz or .pkl file; the embedded body without it
+        file: Option<PathBuf>,
+        /// JSON file that says where keypoints of face and feet lie on it
+        #[arg(long, requires = "file")]
+        landmarks: Option<PathBuf>,
+    },
+    /// Write a body at rest
+    Export {
+        /// File to write: .npz (SMPL's layout), .obj or .glb (the mesh)
+        #[arg(long)]
+        out: PathBuf,
+        /// A SMPL .npz or .pkl file; the embedded body without it
+        #[arg(long)]
+        body: Option<PathBuf>,
+    },
+}
+
+/// Runs the command.
+pub(super) fn run(args: Args) -> anyhow::Result<()> {
+    match args.action {
+        Action::Info { file, landmarks } => {
+            print!("{}", description(&read_body(file.as_deref(), landmarks.as_deref())?));
+            Ok(())
+        }
+        Action::Export { out, body } => {
+            let bytes = exported(&read_body(body.as_deref(), None)?, &out)?;
+            std::fs::write(&out, bytes).with_context(|| out.display().to_string())
+        }
+    }
+}
+
+/// The body of a file with its landmark table, or the embedded one.
+pub(super) fn read_body(file: Option<&Path>, landmarks: Option<&Path>) -> anyhow::Result<BodyModel> {
+    let Some(file) = file else { return Ok(default_body()) };
+    let bad = |path: &Path, reason: String| BadInput(format!("{}: {reason}", path.display()));
+    let table = match landmarks {
+        Some(path) => {
+            let json = std::fs::read(path).map_err(|error| bad(path, error.to_string()))?;
+            LandmarkTable::from_json(&json).map_err(|error| bad(path, error.to_string()))?
+        }
+        None => LandmarkTable::default(),
+    };
+    load_body(file, &table).map_err(|error| bad(file, error.to_string()).into())
+}
+
+fn exported(model: &BodyModel, out: &Path) -> anyhow::Result<Vec<u8>> {
+    let surface = &model.surface;
+    match out.extension().and_then(|extension| extension.to_str()) {
+        Some("npz") => Ok(body_npz(surface, true)?),
+        Some("obj") => Ok(body_obj(&surface.vertices, &surface.faces).into_bytes()),
+        Some("glb") => Ok(body_glb(&surface.vertices, &surface.faces)),
+        _ => Err(BadInput(format!("{}: the name must end with .npz, .obj or .glb", out.display())).into()),
+    }
+}
+
+fn description(model: &BodyModel) -> String {
+    let surface = &model.surface;
+    let ys = || surface.vertices.iter().map(|v| v.y);
+    let height = ys().fold(f64::MIN, f64::max) - ys().fold(f64::MAX, f64::min);
+    let mut text = format!(
+        "{} (sha256 {})\n{} vertices, {} faces, {}, {:.1} l\nheight {height:.3} m; per beta {:+.3?} m\n",
+        model.name,
+        model.sha256(),
+        surface.vertices.len(),
+        surface.faces.len(),
+        if surface.is_watertight() { "watertight" } else { "not watertight" },
+        surface.volume(&surface.vertices) * 1e3,
+        heights_per_beta(model, height),
+    );
+    for convention in KeypointConvention::ALL {
+        let found = model.landmarks_of(convention);
+        let n_found = found.iter().flatten().count();
+        text += &format!("{}: {n_found} of {} keypoints\n", convention.name(), found.len());
+    }
+    text += "bones against the embedded body (m, degrees):\n";
+    let embedded = default_body();
+    for (j, parent) in PARENTS.iter().enumerate() {
+        if let Some(p) = *parent {
+            let bone = model.rest_joints[j] - model.rest_joints[p];
+            let reference = embedded.rest_joints[j] - embedded.rest_joints[p];
+            let angle_deg = bone.angle(&reference).to_degrees();
+            let (own, other) = (bone.norm(), reference.norm());
+            text += &format!("  {:15} {own:.3} {other:.3} {angle_deg:5.1}\n", JOINT_NAMES[j]);
+        }
+    }
+    text
+}
+
+fn heights_per_beta(model: &BodyModel, mean: f64) -> Vec<f64> {
+    let height = |k: usize| {
+        let vertices = model.surface.shaped(&Betas::ith(k, 1.0));
+        let ys = || vertices.iter().map(|v| v.y);
+        ys().fold(f64::MIN, f64::max) - ys().fold(f64::MAX, f64::min)
+    };
+    (0..10).map(|k| height(k) - mean).collect()
+}

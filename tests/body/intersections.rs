@@ -1,0 +1,94 @@
+//! M5: no triangle cuts another.
+
+use crate::posing::standard_poses;
+use nalgebra::Vector3;
+use rand::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+use std::collections::BTreeMap;
+use wandless::body::kinematics::Pose;
+use wandless::body::skinning::skinned;
+use wandless::body::{Betas, default_body};
+use wandless::geometry::rotation::exp;
+
+/// Pairs of faces without a common vertex that intersect, by an edge of one through the other.
+fn n_intersections(vertices: &[Vector3<f64>], faces: &[[usize; 3]]) -> usize {
+    const CELL: f64 = 0.03;
+    let mut cells: BTreeMap<[i32; 3], Vec<usize>> = BTreeMap::new();
+    for (f, face) in faces.iter().enumerate() {
+        let bound = |pick: fn(f64, f64) -> f64| {
+            [0, 1, 2].map(|k| (face.map(|v| vertices[v][k]).into_iter().reduce(pick).unwrap() / CELL).floor() as i32)
+        };
+        let (low, high) = (bound(f64::min), bound(f64::max));
+        for i in low[0]..=high[0] {
+            for j in low[1]..=high[1] {
+                for k in low[2]..=high[2] {
+                    cells.entry([i, j, k]).or_default().push(f);
+                }
+            }
+        }
+    }
+    let mut pairs = std::collections::BTreeSet::new();
+    for members in cells.values() {
+        for (n, &f) in members.iter().enumerate() {
+            for &g in &members[n + 1..] {
+                let apart = !faces[f].iter().any(|v| faces[g].contains(v));
+                if apart && !pairs.contains(&(f, g)) {
+                    let (p, q) = (faces[f].map(|v| vertices[v]), faces[g].map(|v| vertices[v]));
+                    if cuts(&p, &q) || cuts(&q, &p) {
+                        pairs.insert((f, g));
+                    }
+                }
+            }
+        }
+    }
+    pairs.len()
+}
+
+/// Whether an edge of `p` passes through `q`.
+fn cuts(p: &[Vector3<f64>; 3], q: &[Vector3<f64>; 3]) -> bool {
+    let normal = (q[1] - q[0]).cross(&(q[2] - q[0]));
+    (0..3).any(|k| {
+        let (a, b) = (p[k], p[(k + 1) % 3]);
+        let (da, db) = (normal.dot(&(a - q[0])), normal.dot(&(b - q[0])));
+        if da * db >= 0.0 {
+            return false;
+        }
+        let x = a.lerp(&b, da / (da - db));
+        (0..3).all(|m| (q[(m + 1) % 3] - q[m]).cross(&(x - q[m])).dot(&normal) > 0.0)
+    })
+}
+
+#[test]
+fn the_counter_counts() {
+    let triangle = |z: f64| [Vector3::new(0.0, 0.0, z), Vector3::new(0.02, 0.0, z), Vector3::new(0.0, 0.02, z)];
+    let spike = [Vector3::new(0.005, 0.005, -0.01), Vector3::new(0.006, 0.005, 0.01), Vector3::new(0.005, 0.007, 0.01)];
+    let vertices: Vec<_> = triangle(0.0).into_iter().chain(spike).chain(triangle(0.5)).collect();
+    assert_eq!(n_intersections(&vertices, &[[0, 1, 2], [3, 4, 5], [6, 7, 8]]), 1);
+}
+
+#[test]
+fn no_shape_cuts_itself_at_rest_nor_with_lowered_arms() {
+    let model = default_body();
+    let surface = &model.surface;
+    let mut a_pose = Pose::rest();
+    a_pose.rotations[16] = exp(&Vector3::new(0.0, 0.0, -(45.0_f64.to_radians())));
+    a_pose.rotations[17] = exp(&Vector3::new(0.0, 0.0, 45.0_f64.to_radians()));
+    assert_eq!(n_intersections(&surface.vertices, &surface.faces), 0);
+    assert_eq!(n_intersections(&skinned(&model, &Betas::zeros(), &a_pose), &surface.faces), 0);
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
+    for k in 0..200 {
+        let direction = Betas::from_fn(|_, _| StandardNormal.sample(&mut rng));
+        let betas = direction * (2.0 * f64::from(k % 10 + 1) / 10.0 / direction.norm());
+        assert_eq!(n_intersections(&surface.shaped(&betas), &surface.faces), 0, "{betas:?}");
+    }
+}
+
+/// Creases cut themselves under linear blending; the counts are reported, not judged.
+#[test]
+fn creases_are_counted() {
+    let model = default_body();
+    for (name, pose) in standard_poses() {
+        let vertices = skinned(&model, &Betas::zeros(), &pose);
+        println!("{name}: {} pairs", n_intersections(&vertices, &model.surface.faces));
+    }
+}
