@@ -65,9 +65,11 @@ async function rejectedUpload() {
 }
 
 async function dropAndSolve() {
-  const session = simulate(join(folder, 'take'), { people: 3, views: 5, frames: 300 })
+  const session = await simulate(join(folder, 'take'), { people: 3, views: 5, frames: 300 })
   await drop('take.json', asDocument(session))
   await page.getByRole('button', { name: 'Start', exact: true }).waitFor()
+  await page.getByText('Files to write beside the JSON').click()
+  await page.getByLabel('glb').check()
   await shot(page, 'start')
   await checkAccess(page, 'start of a job')
   await page.getByRole('button', { name: 'Start', exact: true }).click()
@@ -126,7 +128,7 @@ async function files(job) {
   await shot(page, 'files')
   await checkAccess(page, 'files')
   const manifest = await (await fetch(`${base}/v1/jobs/${job.id}/result`)).json()
-  const wanted = ['cameras.json', ...manifest.files.map(({ name }) => name).filter((name) => /\.(glb|npz)$/.test(name)).slice(0, 1)]
+  const wanted = ['cameras.json', manifest.files.map(({ name }) => name).find((name) => name.endsWith('.glb'))]
   for (const name of wanted) {
     const [download] = await Promise.all([page.waitForEvent('download'), page.getByRole('link', { name, exact: true }).click()])
     const bytes = readFileSync(await download.path())
@@ -159,7 +161,7 @@ async function failedJob() {
 }
 
 async function hostileNames() {
-  const session = simulate(join(folder, 'hostile'), { people: 2, views: 3, frames: 60, name: HOSTILE })
+  const session = await simulate(join(folder, 'hostile'), { people: 2, views: 3, frames: 60, name: HOSTILE })
   const job = await solve(base, asDocument(session))
   await page.goto(`${base}/#/`)
   await page.getByRole('link', { name: HOSTILE }).first().waitFor()
@@ -194,7 +196,7 @@ async function wrongKey(job) {
 
 async function largeTake() {
   if (!isLong) return
-  const session = simulate(join(folder, 'large'), { people: 5, views: 5, frames: 1500 })
+  const session = await simulate(join(folder, 'large'), { people: 5, views: 5, frames: 1500 })
   const job = await solve(base, asDocument(session))
   const fresh = await openPage(browser)
   await checkFirstView(fresh, base, job, '1,500 frames')

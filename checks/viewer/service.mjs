@@ -1,10 +1,11 @@
 // A service of our own on fresh data, and the sessions that are given to it.
 
-import { execFileSync, spawn } from 'node:child_process'
+import { execFile, spawn } from 'node:child_process'
 import { mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs'
 import { tmpdir } from 'node:os'
 import { dirname, join, resolve } from 'node:path'
 import { fileURLToPath } from 'node:url'
+import { promisify } from 'node:util'
 
 const ROOT = resolve(dirname(fileURLToPath(import.meta.url)), '../..')
 const PROGRAM = process.env.WANDLESS ?? join(ROOT, 'target/release/wandless')
@@ -31,9 +32,9 @@ export function startService(folder) {
 }
 
 /** Makes a session; `name` takes the place of the simulated one's. */
-export function simulate(folder, { people, views, frames, name }) {
+export async function simulate(folder, { people, views, frames, name }) {
   const words = ['--people', people, '--views', views, '--frames', frames, '--seed', 1, '--out', folder]
-  execFileSync(PROGRAM, ['simulate', ...words.map(String)], { stdio: 'ignore' })
+  await promisify(execFile)(PROGRAM, ['simulate', ...words.map(String)])
   const path = join(folder, 'session.json')
   const session = JSON.parse(readFileSync(path, 'utf8'))
   if (name) writeFileSync(path, JSON.stringify({ ...session, name }))

@@ -4,7 +4,7 @@ use super::consensus::{ConsensusProblem, find_consensus};
 use super::descent::{QuadraticModel, descend};
 use super::{geman_mcclure, geman_mcclure_weight};
 use crate::geometry::p3p::{PointSight, p3p};
-use crate::geometry::{Intrinsics, Rigid, rotation};
+use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
 use nalgebra::{SVector, Vector2};
 
 /// A pose that points agree on.
@@ -26,7 +26,7 @@ const FINAL_ITERATIONS: usize = 15;
 
 /// The camera whose pixels are normalised coordinates: the house's one projection serves here as well.
 const NORMALIZED_CAMERA: Intrinsics =
-    Intrinsics { width: 0, height: 0, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0, skew: 0.0, dist: [0.0; 5] };
+    Intrinsics { width: 0, height: 0, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0, skew: 0.0, dist: Distortion::None };
 
 /// Finds the pose from which most points are seen where they are seen: three-point samples, soft score, re-fits.
 ///

@@ -1,7 +1,7 @@
 //! How far solved cameras are from the true ones.
 
 use super::alignment::{Alignment, truth_from_solved};
-use crate::geometry::{Intrinsics, Rigid, rotation};
+use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
 use nalgebra::{Vector2, Vector3};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -114,7 +114,7 @@ fn angle_between(a: &Rigid, b: &Rigid) -> f64 {
 
 /// Mean over the points that the true camera has in its image.
 fn reprojection_error(pair: &CameraPair, aligned: &Rigid, points: &[Vector3<f64>]) -> Option<f64> {
-    let ideal = Intrinsics { dist: [0.0; 5], ..pair.intrinsics };
+    let ideal = Intrinsics { dist: Distortion::None, ..pair.intrinsics };
     let (width, height) = (f64::from(ideal.width), f64::from(ideal.height));
     let project = |camera: &Rigid, point: &Vector3<f64>| {
         let p = camera.transform(point);
@@ -148,7 +148,7 @@ mod tests {
             cx: 640.0,
             cy: 360.0,
             skew: 0.0,
-            dist: [0.0; 5],
+            dist: Distortion::None,
         };
         (0..n)
             .map(|i| {

@@ -3,7 +3,7 @@
 use super::error::EvaluationError;
 use super::person_matching::Frames;
 use super::shelf14::{Point, Skeleton};
-use crate::geometry::{Intrinsics, Rigid};
+use crate::geometry::{Distortion, Intrinsics, Rigid};
 use crate::session::recording::UpAxis;
 use nalgebra::{Matrix3, Vector3};
 use serde::de::DeserializeOwned;
@@ -42,7 +42,16 @@ impl SessionCamera {
     pub fn intrinsics(&self) -> Intrinsics {
         let k = &self.matrix;
         let (width, height) = (self.width, self.height);
-        Intrinsics { width, height, fx: k[0][0], fy: k[1][1], cx: k[0][2], cy: k[1][2], skew: k[0][1], dist: [0.0; 5] }
+        Intrinsics {
+            width,
+            height,
+            fx: k[0][0],
+            fy: k[1][1],
+            cx: k[0][2],
+            cy: k[1][2],
+            skew: k[0][1],
+            dist: Distortion::None,
+        }
     }
 }
 

@@ -1,8 +1,9 @@
 //! `scene.py`: a script that builds the take in Blender: cameras with shifted lenses, an armature per person, keyframes.
 //!
 //! Run as `blender --python scene.py`. The data are y up below one empty that turns them to Blender's z up; frames have
-//! the session's own numbers. Distortion and K stand in custom properties of the camera objects. Armatures are hidden
-//! while the person is not there; the custom property `carried` says in which frames nobody saw them.
+//! the session's own numbers. K, the distortion's model and its coefficients stand in custom properties of the camera
+//! objects. Armatures are hidden while the person is not there; the custom property `carried` says in which frames
+//! nobody saw them.
 //!
 //! Known limit: Blender has one image size and one pixel aspect a scene; the script takes the first camera's.
 
@@ -54,7 +55,8 @@ fn camera(camera: &TakeCamera) -> Value {
         "shift": [film.offset_right / film.sensor_width, film.offset_up / film.sensor_width],
         "pixel_aspect": lens.fx / lens.fy,
         "K": rows(&lens.matrix()),
-        "dist": lens.dist,
+        "distortion_model": lens.dist.name(),
+        "dist": lens.dist.coefficients(),
     })
 }
 

@@ -1,15 +1,17 @@
 //! `Calib.toml` (Pose2Sim) and `calibration.toml` (anipose): cameras as TOML tables.
 //!
-//! `name`; `size` px; `matrix` K; `distortions` `k1 k2 p1 p2` and, for anipose, `k3`; `rotation` Rodrigues vector rad,
-//! `translation` m: `x_camera = exp(rotation) x_world + translation`; `fisheye`. The world is the result's own: Pose2Sim
-//! takes z as up.
+//! `name`; `size` px; `matrix` K; `distortions` `k1 k2 p1 p2` and, for anipose, `k3` and a rational lens's `k4 k5 k6`;
+//! `rotation` Rodrigues vector rad, `translation` m: `x_camera = exp(rotation) x_world + translation`; `fisheye`, and
+//! where it is true, `distortions` is `k1 k2 k3 k4`. The world is the result's own: Pose2Sim takes z as up.
 //!
-//! Known limit: Pose2Sim's layout has four coefficients of distortion; a `k3` is left out and reported.
+//! Known limits: Pose2Sim's layout has four coefficients of distortion; a `k3` or a rational lens is left out and
+//! reported. Its own reader passes over `fisheye`. Those versions of anipose's that project without OpenCV take five
+//! coefficients and no other number of them.
 
 use super::files::ResultFiles;
 use super::names::{file_names, quoted};
 use super::take::{Take, TakeCamera};
-use crate::geometry::rotation;
+use crate::geometry::{Distortion, rotation};
 use std::io;
 
 const MEDIA_TYPE: &str = "application/toml";
@@ -35,15 +37,22 @@ fn table(key: &str, camera: &TakeCamera, n_distortions: usize) -> String {
     let k = lens.matrix();
     let row = |r: usize| array(&[k[(r, 0)], k[(r, 1)], k[(r, 2)]]);
     let pose = &camera.camera_from_world;
+    let is_fisheye = matches!(lens.dist, Distortion::Fisheye4(_));
+    let coefficients = match lens.dist {
+        Distortion::None | Distortion::OpenCv5(_) => lens.dist.coefficients()[..n_distortions].to_vec(),
+        // A part of a rational lens is no lens: without room for all of it there is none, and that is reported.
+        Distortion::Rational8(_) if n_distortions < 5 => vec![0.0; n_distortions],
+        Distortion::Rational8(_) | Distortion::Fisheye4(_) => lens.dist.coefficients().to_vec(),
+    };
     format!(
         "[{key}]\nname = {}\nsize = {}\nmatrix = [{}, {}, {}]\ndistortions = {}\nrotation = {}\ntranslation = {}\n\
-         fisheye = false\n\n",
+         fisheye = {is_fisheye}\n\n",
         quoted(&camera.id),
         array(&[f64::from(lens.width), f64::from(lens.height)]),
         row(0),
         row(1),
         row(2),
-        array(&lens.dist[..n_distortions]),
+        array(&coefficients),
         array(rotation::log(&pose.rotation).as_slice()),
         array(pose.translation.as_slice()),
     )

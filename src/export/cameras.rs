@@ -1,6 +1,6 @@
 //! `cameras.json`: intrinsics as given, poses as found.
 
-use crate::session::formats::{entries, rows};
+use crate::session::formats::{distortion_model, entries, rows};
 use crate::session::reconstruction::{ErrorSummary, SolvedCamera};
 use crate::session::recording::UpAxis;
 use crate::session::{Reconstruction, Session, View};
@@ -22,7 +22,9 @@ struct Camera<'a> {
     height: u32,
     #[serde(rename = "K")]
     matrix: [[f64; 3]; 3],
-    dist: [f64; 5],
+    dist: &'a [f64],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    distortion_model: Option<&'static str>,
     #[serde(rename = "R")]
     rotation: Option<[[f64; 3]; 3]>,
     #[serde(rename = "t")]
@@ -55,7 +57,8 @@ fn camera<'a>(view: &'a View, solved: &SolvedCamera) -> Camera<'a> {
         width: view.intrinsics.width,
         height: view.intrinsics.height,
         matrix: rows(&view.intrinsics.matrix()),
-        dist: view.intrinsics.dist,
+        dist: view.intrinsics.dist.coefficients(),
+        distortion_model: distortion_model(&view.intrinsics.dist),
         rotation: camera_from_world.map(|pose| rows(&pose.rotation)),
         translation: camera_from_world.map(|pose| entries(&pose.translation)),
         position: camera_from_world.map(|pose| entries(&pose.center())),

@@ -1,14 +1,15 @@
 //! `colmap/cameras.txt`, `images.txt` and an empty `points3D.txt`: COLMAP's text model, one image per camera.
 //!
-//! Model `PINHOLE` without distortion, `OPENCV` (`k1 k2 p1 p2`) or, with a `k3`, `FULL_OPENCV`. COLMAP's first pixel has
-//! its centre at (0.5, 0.5): half a pixel is added to the principal point. Poses are `camera_from_world`, quaternions
-//! `w x y z`, metres, in the result's own world. Images are named after their camera, `<camera>.png`.
+//! Model `PINHOLE` without distortion, `OPENCV` (`k1 k2 p1 p2`), with a `k3` or a rational lens `FULL_OPENCV`, of a
+//! fisheye `OPENCV_FISHEYE`. COLMAP's first pixel has its centre at (0.5, 0.5): half a pixel is added to the principal
+//! point. Poses are `camera_from_world`, quaternions `w x y z`, metres, in the result's own world. Images are named after
+//! their camera, `<camera>.png`.
 
 use super::files::ResultFiles;
 use super::names::file_names;
 use super::rotation_forms::quaternion_xyzw;
 use super::take::Take;
-use crate::geometry::Intrinsics;
+use crate::geometry::{Distortion, Intrinsics};
 use std::io;
 
 /// From the centre of the first pixel to its corner, px.
@@ -22,7 +23,9 @@ pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
         "# IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME, then a line of POINTS2D[], which is empty\n".to_owned();
     for (i, (camera, name)) in take.cameras.iter().zip(names).enumerate() {
         let (id, lens) = (i + 1, &camera.intrinsics);
-        cameras += &format!("{id} {} {} {} {}\n", model(lens), lens.width, lens.height, parameters(lens));
+        let Model { name: model, coefficients } = model(lens);
+        let parameters = parameters(lens, &coefficients);
+        cameras += &format!("{id} {model} {} {} {parameters}\n", lens.width, lens.height);
         let [x, y, z, w] = quaternion_xyzw(&camera.camera_from_world.rotation);
         let t = camera.camera_from_world.translation;
         images += &format!("{id} {w:?} {x:?} {y:?} {z:?} {:?} {:?} {:?} {id} {name}.png\n\n", t.x, t.y, t.z);
@@ -32,22 +35,25 @@ pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
     files.bytes("colmap/points3D.txt", "text/plain", b"# POINT3D_ID X Y Z R G B ERROR TRACK[]\n")
 }
 
-fn model(lens: &Intrinsics) -> &'static str {
-    match lens.dist {
-        [0.0, 0.0, 0.0, 0.0, 0.0] => "PINHOLE",
-        [_, _, _, _, 0.0] => "OPENCV",
-        _ => "FULL_OPENCV",
-    }
+/// COLMAP's name and coefficients of a lens.
+struct Model {
+    name: &'static str,
+    coefficients: Vec<f64>,
 }
 
-fn parameters(lens: &Intrinsics) -> String {
-    let [k1, k2, p1, p2, k3] = lens.dist;
-    let mut values = vec![lens.fx, lens.fy, lens.cx + HALF_PIXEL, lens.cy + HALF_PIXEL];
-    match model(lens) {
-        "PINHOLE" => {}
-        "OPENCV" => values.extend([k1, k2, p1, p2]),
-        _ => values.extend([k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]),
-    }
-    let values: Vec<String> = values.iter().map(|value| format!("{value:?}")).collect();
+fn model(lens: &Intrinsics) -> Model {
+    let (name, coefficients) = match lens.dist {
+        Distortion::None => ("PINHOLE", Vec::new()),
+        Distortion::OpenCv5([k1, k2, p1, p2, 0.0]) => ("OPENCV", vec![k1, k2, p1, p2]),
+        Distortion::OpenCv5([k1, k2, p1, p2, k3]) => ("FULL_OPENCV", vec![k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]),
+        Distortion::Rational8(dist) => ("FULL_OPENCV", dist.to_vec()),
+        Distortion::Fisheye4(dist) => ("OPENCV_FISHEYE", dist.to_vec()),
+    };
+    Model { name, coefficients }
+}
+
+fn parameters(lens: &Intrinsics, coefficients: &[f64]) -> String {
+    let pinhole = [lens.fx, lens.fy, lens.cx + HALF_PIXEL, lens.cy + HALF_PIXEL];
+    let values: Vec<String> = pinhole.iter().chain(coefficients).map(|value| format!("{value:?}")).collect();
     values.join(" ")
 }

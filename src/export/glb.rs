@@ -2,8 +2,8 @@
 //!
 //! Metres, y up; time 0 s is the session's first frame. Every person has a skin whose joints are SMPL's, bound in the
 //! T-pose, and a mesh of one small octahedron a bone, so that viewers show something. A glTF camera has neither
-//! principal point nor distortion: `extras` of its node hold K, `dist` and the image size, those of a person's node
-//! `frame_presence` and the frames in which nobody saw them (`carried`), all in the session's own numbers.
+//! principal point nor distortion: `extras` of its node hold K, `distortion_model`, `dist` and the image size, those of a
+//! person's node `frame_presence` and the frames in which nobody saw them (`carried`), all in the session's own numbers.
 
 mod buffer;
 mod sticks;
@@ -149,8 +149,8 @@ impl Document {
                 "width": lens.width,
                 "height": lens.height,
                 "K": rows(&lens.matrix()),
-                "dist_model": "opencv5",
-                "dist": lens.dist,
+                "distortion_model": lens.dist.name(),
+                "dist": lens.dist.coefficients(),
             },
         }));
         self.scene_nodes.push(node);

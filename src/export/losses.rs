@@ -1,7 +1,7 @@
 //! What a format cannot hold of a take, in words: what is lost is said.
 
 use super::take::{Take, TakeCamera};
-use crate::geometry::Intrinsics;
+use crate::geometry::{Distortion, Intrinsics};
 use crate::session::reconstruction::ExportFormat as F;
 
 /// What a format's camera has, where it has cameras.
@@ -9,22 +9,35 @@ struct Holds {
     principal_point: bool,
     /// Of `k1 k2 p1 p2 k3`, the first so many.
     n_distortions: usize,
+    /// The rational model.
+    rational: bool,
+    /// The fisheye model.
+    fisheye: bool,
     skew: bool,
     /// Pixels of `fx` other than `fy`.
     pixel_aspect: bool,
 }
 
 fn holds(format: F) -> Option<Holds> {
-    let all = Holds { principal_point: true, n_distortions: 5, skew: true, pixel_aspect: true };
+    let all = Holds {
+        principal_point: true,
+        n_distortions: 5,
+        rational: true,
+        fisheye: true,
+        skew: true,
+        pixel_aspect: true,
+    };
+    let no_lens = Holds { n_distortions: 0, rational: false, fisheye: false, ..all };
     match format {
         F::SmplNpz | F::Bvh | F::Trc | F::C3d => None,
-        F::Easymocap | F::OpencvYaml | F::AniposeToml => Some(all),
-        F::CalibToml => Some(Holds { n_distortions: 4, ..all }),
+        F::AniposeToml => Some(all),
+        F::Easymocap | F::OpencvYaml => Some(Holds { fisheye: false, ..all }),
+        F::CalibToml => Some(Holds { n_distortions: 4, rational: false, ..all }),
         F::Colmap => Some(Holds { skew: false, ..all }),
-        F::Usd => Some(Holds { n_distortions: 0, skew: false, ..all }),
-        F::Blender => Some(Holds { n_distortions: 0, skew: false, pixel_aspect: false, ..all }),
-        F::Glb => Some(Holds { principal_point: false, n_distortions: 0, skew: false, pixel_aspect: true }),
-        F::Chan => Some(Holds { principal_point: false, n_distortions: 0, skew: false, pixel_aspect: false }),
+        F::Usd => Some(Holds { skew: false, ..no_lens }),
+        F::Blender => Some(Holds { skew: false, pixel_aspect: false, ..no_lens }),
+        F::Glb => Some(Holds { principal_point: false, skew: false, ..no_lens }),
+        F::Chan => Some(Holds { principal_point: false, skew: false, pixel_aspect: false, ..no_lens }),
     }
 }
 
@@ -55,9 +68,14 @@ fn lost(holds: &Holds, lens: &Intrinsics) -> Vec<&'static str> {
     if lens.skew != 0.0 && !holds.skew {
         lost.push("skew");
     }
-    if lens.dist[holds.n_distortions..].iter().any(|d| *d != 0.0) {
-        lost.push(if holds.n_distortions == 4 { "k3" } else { "distortion" });
-    }
+    lost.extend(match lens.dist {
+        Distortion::OpenCv5(dist) if dist[holds.n_distortions..].iter().any(|d| *d != 0.0) => {
+            Some(if holds.n_distortions == 4 { "k3" } else { "distortion" })
+        }
+        Distortion::Rational8(_) if !holds.rational => Some("rational distortion"),
+        Distortion::Fisheye4(_) if !holds.fisheye => Some("fisheye distortion"),
+        _ => None,
+    });
     lost
 }
 
@@ -87,14 +105,29 @@ mod tests {
 
     #[test]
     fn only_what_is_there_can_be_lost() {
-        let plain =
-            Intrinsics { width: 101, height: 51, fx: 80.0, fy: 80.0, cx: 50.0, cy: 25.0, skew: 0.0, dist: [0.0; 5] };
+        let plain = Intrinsics {
+            width: 101,
+            height: 51,
+            fx: 80.0,
+            fy: 80.0,
+            cx: 50.0,
+            cy: 25.0,
+            skew: 0.0,
+            dist: Distortion::None,
+        };
         assert_eq!(losses(F::Chan, &take(plain)), ["camera b: was not placed and is left out"]);
         assert!(losses(F::Bvh, &take(plain)).is_empty());
-        let k3 = Intrinsics { dist: [0.1, 0.0, 0.0, 0.0, 0.01], ..plain };
+        let k3 = Intrinsics { dist: Distortion::OpenCv5([0.1, 0.0, 0.0, 0.0, 0.01]), ..plain };
         let of_pose2sim = losses(F::CalibToml, &take(k3));
         assert_eq!(of_pose2sim[1], "camera a: the format has no place for k3; cameras.json has it");
         assert_eq!(losses(F::AniposeToml, &take(k3)).len(), 1);
+        let rational = Intrinsics { dist: Distortion::Rational8([0.1, 0.0, 0.0, 0.0, 0.0, 0.2, 0.0, 0.0]), ..plain };
+        assert!(losses(F::CalibToml, &take(rational))[1].contains("rational distortion"));
+        assert_eq!(losses(F::OpencvYaml, &take(rational)).len(), 1);
+        let fisheye = Intrinsics { dist: Distortion::Fisheye4([0.1, 0.0, 0.0, 0.0]), ..plain };
+        assert!(losses(F::OpencvYaml, &take(fisheye))[1].contains("fisheye distortion"));
+        assert_eq!(losses(F::Colmap, &take(fisheye)).len(), 1);
+        assert_eq!(losses(F::CalibToml, &take(fisheye)).len(), 1);
         let odd = Intrinsics { cx: 53.0, fy: 81.0, skew: 0.1, ..k3 };
         assert!(losses(F::Chan, &take(odd))[1].contains("the principal point and focal lengths that differ and skew"));
     }

@@ -1,14 +1,15 @@
 //! `intri.yml` and `extri.yml`: OpenCV's file storage with EasyMocap's names.
 //!
-//! `names`; per camera `K_` 3x3 px, `dist_` 1x5 (`k1 k2 p1 p2 k3`), `H_`, `W_` px; `R_` Rodrigues vector rad, `Rot_`
-//! 3x3, `T_` m: `x_camera = Rot x_world + T`. The world is the result's own.
+//! `names`; per camera `K_` 3x3 px, `dist_` 1x5 (`k1 k2 p1 p2 k3`) or, of a rational lens, 1x8 (`k4 k5 k6` after them),
+//! `H_`, `W_` px; `R_` Rodrigues vector rad, `Rot_` 3x3, `T_` m: `x_camera = Rot x_world + T`. The world is the result's
+//! own.
 //!
-//! Known limit: keys hold letters, digits, `_` and `-` only; `names` holds the names as they are in the keys.
+//! Known limits: a list of four is read as `k1 k2 p1 p2`, so a fisheye's is left out and reported. Keys hold letters, digits, `_` and `-` only; `names` holds the names as they are in the keys.
 
 use super::files::ResultFiles;
 use super::names::file_names;
 use super::take::Take;
-use crate::geometry::rotation;
+use crate::geometry::{Distortion, rotation};
 use nalgebra::Matrix3;
 use std::io;
 
@@ -27,7 +28,13 @@ fn intrinsics(take: &Take) -> String {
     for (name, camera) in names.iter().zip(&take.cameras) {
         let lens = &camera.intrinsics;
         text += &matrix(&format!("K_{name}"), 3, 3, &row_major(&lens.matrix()));
-        text += &matrix(&format!("dist_{name}"), 1, 5, &lens.dist);
+        // Readers take the list for a polynomial: a fisheye's has no place here, and that is reported.
+        let dist = match lens.dist {
+            Distortion::Fisheye4(_) => Distortion::None,
+            held => held,
+        };
+        let coefficients = dist.coefficients();
+        text += &matrix(&format!("dist_{name}"), 1, coefficients.len(), coefficients);
         text += &format!("H_{name}: {}\nW_{name}: {}\n", lens.height, lens.width);
     }
     text

@@ -2,7 +2,7 @@
 
 use super::take::{Take, TakeCamera, carried_where_not_finite};
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
-use crate::geometry::{Intrinsics, Rigid, rotation};
+use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
 use crate::session::people::BodyPose;
 use crate::session::recording::UpAxis;
 use crate::session::{BodyMotion, FrameIndex, PersonId};
@@ -76,7 +76,9 @@ struct Camera {
     height: u32,
     #[serde(rename = "K")]
     matrix: [[f64; 3]; 3],
-    dist: [f64; 5],
+    dist: Vec<f64>,
+    /// Where the coefficients alone do not say it.
+    distortion_model: Option<String>,
     #[serde(rename = "R")]
     rotation: Option<[[f64; 3]; 3]>,
     #[serde(rename = "t")]
@@ -163,6 +165,18 @@ pub fn read_take(dir: &Path) -> Result<Take, ReadError> {
 fn placed(camera: &Camera) -> Result<Option<TakeCamera>, ReadError> {
     let (Some(rotation), Some(translation)) = (camera.rotation, camera.translation) else { return Ok(None) };
     let k = camera.matrix;
+    let fault = |what: &str, expected: &str, found: String| {
+        Err(contradiction("cameras.json", &format!("camera {}: {what}", camera.id), expected, found))
+    };
+    let dist = match camera.distortion_model.as_deref() {
+        None | Some("rational") => Distortion::from_opencv(&camera.dist),
+        Some("fisheye") => Distortion::from_fisheye(&camera.dist),
+        Some(_) => None,
+    };
+    let Some(dist) = dist else {
+        let model = camera.distortion_model.as_deref().unwrap_or("opencv");
+        return fault("dist", "a lens of OpenCV's", format!("{model} {:?}", camera.dist));
+    };
     let intrinsics = Intrinsics {
         width: camera.width,
         height: camera.height,
@@ -171,10 +185,7 @@ fn placed(camera: &Camera) -> Result<Option<TakeCamera>, ReadError> {
         cx: k[0][2],
         cy: k[1][2],
         skew: k[0][1],
-        dist: camera.dist,
-    };
-    let fault = |what: &str, expected: &str, found: String| {
-        Err(contradiction("cameras.json", &format!("camera {}: {what}", camera.id), expected, found))
+        dist,
     };
     if camera.width == 0 || camera.height == 0 {
         return fault("size", "a size", format!("{}x{}", camera.width, camera.height));

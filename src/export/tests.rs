@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention, N_JOINTS};
-use crate::geometry::{Intrinsics, Rigid, rotation};
+use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
 use crate::session::people::{BodyMotion, BodyPose, JointTrajectory};
 use crate::session::reconstruction::*;
 use crate::session::recording::UpAxis;
@@ -27,7 +27,7 @@ fn session() -> Session {
             cx: 320.0,
             cy: 240.0,
             skew: 0.0,
-            dist: [0.0; 5],
+            dist: Distortion::None,
         },
         camera_from_world: None,
         frames: vec![vec![detection.clone()], Vec::new(), vec![detection.clone(), detection.clone()]],
@@ -247,6 +247,25 @@ fn a_format_written_later_has_the_bytes_it_would_have_had_at_once() {
 }
 
 #[test]
+fn every_lens_reads_back() {
+    let lenses = [
+        Distortion::None,
+        Distortion::OpenCv5([-0.1, 0.02, 0.001, -0.0005, 0.004]),
+        Distortion::Rational8([0.6, 0.1, 0.0005, -0.0003, 0.01, 0.75, 0.2, 0.02]),
+        // Without coefficients a fisheye still measures the angle.
+        Distortion::Fisheye4([0.0; 4]),
+        Distortion::Fisheye4([-0.03, 0.012, -0.006, 0.001]),
+    ];
+    for dist in lenses {
+        let mut session = session();
+        session.views[0].intrinsics.dist = dist;
+        let dir = tempfile::tempdir().unwrap();
+        write_result(dir.path(), &session, &context(), &reconstruction()).unwrap();
+        assert_eq!(read_take(dir.path()).unwrap().cameras[0].intrinsics.dist, dist);
+    }
+}
+
+#[test]
 fn a_pose_that_is_not_finite_is_carried_and_said_so() {
     let mut broken = reconstruction();
     broken.motions[0].frames[0].joints[3].y = f64::NAN;
@@ -269,6 +288,9 @@ fn a_result_that_was_changed_into_something_else_is_no_result() {
         ("poses3d.json", "\"302\"", "\"309\"", "24 joints"),
         ("cameras.json", "\"width\":640", "\"width\":0", "camera b: size"),
         ("cameras.json", "[500.0,", "[-500.0,", "focal lengths"),
+        ("cameras.json", "\"dist\":[0.0,0.0,", "\"dist\":[", "camera b: dist"),
+        ("cameras.json", "\"dist\":", "\"distortion_model\":\"fov\",\"dist\":", "fov [0.0,"),
+        ("cameras.json", "\"dist\":", "\"distortion_model\":\"fisheye\",\"dist\":[1.0],\"was\":", "fisheye [1.0]"),
         ("cameras.json", "{", "[", "cameras.json"),
     ];
     for (file, right, wrong, said) in faults {

@@ -1,9 +1,9 @@
 //! `scene.usda`: USD as text, with a UsdSkel skeleton and animation per person and a camera per camera.
 //!
 //! Metres (`metersPerUnit` 1), y up; time codes are the session's own frame numbers. Lengths of a UsdGeomCamera are in
-//! tenths of a unit; the principal point is its aperture offset. Distortion, K and the image size are custom
-//! attributes (`userProperties:…`), as UsdGeomCamera has none. `visibility` says when a person is there,
-//! `userProperties:valid` in which frames somebody saw them.
+//! tenths of a unit; the principal point is its aperture offset. The distortion's model and coefficients, K
+//! and the image size are custom attributes (`userProperties:…`), as UsdGeomCamera has none. `visibility` says when a
+//! person is there, `userProperties:valid` in which frames somebody saw them.
 
 use super::files::{ResultFiles, micro};
 use super::film::{film_lens, world_from_film};
@@ -150,7 +150,7 @@ fn film_camera(camera: &TakeCamera, name: &str) -> String {
     let t = pose.translation;
     let k = lens.matrix();
     let k_rows = list((0..3).map(|r| format!("{:?}, {:?}, {:?}", k[(r, 0)], k[(r, 1)], k[(r, 2)])));
-    let dist = list(lens.dist.iter().map(|d| format!("{d:?}")));
+    let dist = list(lens.dist.coefficients().iter().map(|d| format!("{d:?}")));
     format!(
         r#"
     def Camera "{name}"
@@ -168,6 +168,7 @@ fn film_camera(camera: &TakeCamera, name: &str) -> String {
         custom int userProperties:width = {}
         custom int userProperties:height = {}
         custom double[] userProperties:K = {k_rows}
+        custom string userProperties:distortion_model = {}
         custom double[] userProperties:dist = {dist}
     }}
 "#,
@@ -185,6 +186,7 @@ fn film_camera(camera: &TakeCamera, name: &str) -> String {
         quoted(&camera.id),
         lens.width,
         lens.height,
+        quoted(lens.dist.name()),
     )
 }
 

@@ -11,6 +11,6 @@ pub mod similarity;
 pub mod svd;
 pub mod triangulation;
 
-pub use camera::Intrinsics;
+pub use camera::{Distortion, Intrinsics};
 pub use rigid::Rigid;
 pub use similarity::Similarity;

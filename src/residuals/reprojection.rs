@@ -59,7 +59,7 @@ pub fn linearize(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::rotation;
+    use crate::geometry::{Distortion, rotation};
     use crate::residuals::derivative_check::assert_derivative;
     use nalgebra::DMatrix;
 
@@ -71,7 +71,7 @@ mod tests {
         cx: 640.0,
         cy: 350.0,
         skew: 3.0,
-        dist: [-0.2, 0.07, 0.002, -0.001, -0.01],
+        dist: Distortion::OpenCv5([-0.2, 0.07, 0.002, -0.001, -0.01]),
     };
 
     #[test]

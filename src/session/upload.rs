@@ -10,7 +10,8 @@ pub(crate) mod json;
 mod limits;
 pub(crate) mod members;
 pub(crate) mod raw;
-mod warnings;
+mod suspicions;
+pub(crate) mod warnings;
 mod zip_index;
 
 #[cfg(test)]
@@ -21,7 +22,7 @@ pub use limits::UploadLimits;
 
 use super::Session;
 use super::digest::{NamedDigest, sha256_of_reader};
-use super::formats::native;
+use super::formats::{foreign, native};
 use json::Reading;
 use members::Members;
 use raw::RawSession;
@@ -35,8 +36,9 @@ use warnings::Warnings;
 pub struct LoadedSession {
     /// What was filmed.
     pub session: Session,
-    /// The dialect: `native` (folder or zip), `native_json` or `native_ndjson`.
-    pub format: &'static str,
+    /// The dialect: `native` (folder or zip), `native_json` or `native_ndjson`; of other tools' files the dialects of
+    /// the poses and the formats of the calibration, `openpose+easymocap with opencv_yaml`.
+    pub format: String,
     /// What is worth telling although the upload was accepted, one sentence each.
     pub warnings: Vec<String>,
     /// Digest of the uploaded bytes; for a folder of the names and contents of the files that were read, in order of
@@ -77,17 +79,18 @@ pub fn read_upload<R: Read + Seek>(
     let mut warnings = Warnings::default();
     let container = sniff(&mut reader).map_err(of_upload)?;
     let mut reading = Reading::new(limits, &mut warnings);
-    let (raw, format) = match container {
+    let MembersRead { raw, format, .. } = match container {
         Container::Zip => {
             let mut members = Members::of_zip(&mut reader, limits).map_err(of_upload)?;
-            (read_members(&mut members, &mut reading).map_err(of_upload)?, native::Shape::Folder.name())
+            read_members(&mut members, &mut reading).map_err(of_upload)?
         }
         Container::Document => {
             let (raw, shape) = native::read_document(&mut reader, name, &mut reading)?;
-            (raw, shape.name())
+            MembersRead { raw, format: shape.name().to_owned(), files: Vec::new() }
         }
     };
     let session = assemble::assemble(raw, limits, &mut warnings)?;
+    suspicions::tell(&session, &mut warnings);
     reader.rewind().map_err(unreadable)?;
     let sha256 = sha256_of_reader(&mut reader).map_err(unreadable)?;
     Ok(LoadedSession { session, format, warnings: warnings.into_lines(), sha256 })
@@ -97,10 +100,11 @@ fn read_folder(dir: &Path, limits: &UploadLimits) -> Result<LoadedSession, Uploa
     let of_folder = |e: UploadError| UploadError { file: e.file.or_else(|| Some(dir.display().to_string())), ..e };
     let mut warnings = Warnings::default();
     let mut members = Members::of_folder(dir, limits).map_err(of_folder)?;
-    let raw = read_members(&mut members, &mut Reading::new(limits, &mut warnings)).map_err(of_folder)?;
-    let session = assemble::assemble(raw, limits, &mut warnings)?;
-    let sha256 = digest_of_members(&mut members, &session)?;
-    Ok(LoadedSession { session, format: native::Shape::Folder.name(), warnings: warnings.into_lines(), sha256 })
+    let read = read_members(&mut members, &mut Reading::new(limits, &mut warnings)).map_err(of_folder)?;
+    let session = assemble::assemble(read.raw, limits, &mut warnings)?;
+    suspicions::tell(&session, &mut warnings);
+    let sha256 = digest_of_members(&mut members, read.files)?;
+    Ok(LoadedSession { session, format: read.format, warnings: warnings.into_lines(), sha256 })
 }
 
 enum Container {
@@ -128,26 +132,47 @@ fn sniff<R: Read + Seek>(reader: &mut R) -> Result<Container, UploadError> {
     }
 }
 
-/// Finds the dialect by the names of the members and reads it.
+/// What the files of a folder or an archive hold.
+struct MembersRead {
+    raw: RawSession,
+    format: String,
+    /// The files that were read.
+    files: Vec<String>,
+}
+
+/// Finds out whether the files are a native session or other tools', and reads them.
 fn read_members<R: Read + Seek>(
     members: &mut Members<R>,
     reading: &mut Reading<'_>,
-) -> Result<RawSession, UploadError> {
-    if members.contains("session.json") {
-        return native::read_members(members, "", reading);
-    }
-    let is_header = |name: &&str| name.strip_suffix("session.json").is_some_and(is_enclosing_folder);
-    let headers: Vec<&str> = members.names().filter(is_header).take(2).collect();
-    match headers.as_slice() {
-        [] => Err(Fault::FormatUnknown.with("there is no session.json")),
-        [header] => {
-            let root = header.trim_end_matches("session.json").to_owned();
-            native::read_members(members, &root, reading)
-        }
+) -> Result<MembersRead, UploadError> {
+    let is_header =
+        |name: &&str| name.strip_suffix("session.json").is_some_and(|f| f.is_empty() || is_enclosing_folder(f));
+    let headers: Vec<String> = members.names().filter(is_header).take(2).map(str::to_owned).collect();
+    let header = match headers.as_slice() {
+        [] => None,
+        [header] => Some(header.clone()),
+        [..] if members.contains("session.json") => Some("session.json".to_owned()),
         [first, second, ..] => {
-            Err(Fault::SessionAmbiguous.with(format!("there are two sessions, {first:?} and {second:?}")))
+            return Err(Fault::SessionAmbiguous.with(format!("there are two sessions, {first:?} and {second:?}")));
         }
+    };
+    let survey = foreign::survey(members);
+    let is_foreign = match &header {
+        None if !survey.has_poses() => {
+            return Err(Fault::FormatUnknown.with("there is no session.json, and no pose file of a known dialect"));
+        }
+        None => true,
+        Some(header) => survey.has_foreign_poses() || foreign::names_joints(members, header),
+    };
+    if is_foreign {
+        let foreign::ForeignSession { raw, format, files } =
+            foreign::read_members(foreign::Survey { header, ..survey }, members, reading)?;
+        return Ok(MembersRead { raw, format, files });
     }
+    let root = header.unwrap_or_default().trim_end_matches("session.json").to_owned();
+    let raw = native::read_members(members, &root, reading)?;
+    let files = native::member_names(&raw, &root);
+    Ok(MembersRead { raw, format: native::Shape::Folder.name().to_owned(), files })
 }
 
 /// One folder round the whole session; the shadow copies of one system's packer are none.
@@ -155,8 +180,7 @@ fn is_enclosing_folder(folder: &str) -> bool {
     folder.matches('/').count() == 1 && folder.ends_with('/') && folder != "__MACOSX/"
 }
 
-fn digest_of_members<R: Read + Seek>(members: &mut Members<R>, session: &Session) -> Result<String, UploadError> {
-    let mut names: Vec<String> = native::member_names(session);
+fn digest_of_members<R: Read + Seek>(members: &mut Members<R>, mut names: Vec<String>) -> Result<String, UploadError> {
     names.retain(|name| members.contains(name));
     names.sort_unstable();
     let mut digest = NamedDigest::default();

@@ -2,7 +2,7 @@
 
 use super::config::{Arrangement, RigConfig};
 use super::random::{Purpose, normal, stream};
-use crate::geometry::{Intrinsics, Rigid, rotation};
+use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
 use nalgebra::{Matrix3, Vector3};
 
 /// One camera of the rig.
@@ -45,7 +45,7 @@ fn camera(config: &RigConfig, view: usize, views: usize, seed: u64) -> RigCamera
         cx: ten_thousandths(0.5 * width + normal(&mut rng, 3.0)),
         cy: ten_thousandths(0.5 * height + normal(&mut rng, 3.0)),
         skew: 0.0,
-        dist: [0.0; 5],
+        dist: Distortion::None,
     };
     let rotation = rotation::exp(&Vector3::new(0.0, 0.0, roll)) * camera_rotation_towards(&(aim - center));
     RigCamera {

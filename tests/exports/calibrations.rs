@@ -3,11 +3,13 @@
 use crate::result::{Written, both_up_axes};
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector2, Vector3};
 use std::collections::BTreeMap;
+use wandless::geometry::{Distortion, Intrinsics};
 
-/// A camera as OpenCV's `projectPoints` takes it.
+/// A camera as OpenCV's `projectPoints` takes it, or its `fisheye::projectPoints`.
 struct OpenCv {
     matrix: Matrix3<f64>,
     dist: Vec<f64>,
+    is_fisheye: bool,
     rotation: Rotation3<f64>,
     translation: Vector3<f64>,
 }
@@ -18,7 +20,14 @@ impl OpenCv {
         let (x, y) = (p.x / p.z, p.y / p.z);
         let r2 = x * x + y * y;
         let d = |i: usize| self.dist.get(i).copied().unwrap_or(0.0);
-        let radial = 1.0 + d(0) * r2 + d(1) * r2.powi(2) + d(4) * r2.powi(3);
+        if self.is_fisheye {
+            let theta = r2.sqrt().atan();
+            let bent = theta + (0..4).map(|i| d(i) * theta.powi(2 * i as i32 + 3)).sum::<f64>();
+            let pixel = self.matrix * Vector3::new(x * bent / r2.sqrt(), y * bent / r2.sqrt(), 1.0);
+            return Vector2::new(pixel.x, pixel.y);
+        }
+        let above = 1.0 + d(0) * r2 + d(1) * r2.powi(2) + d(4) * r2.powi(3);
+        let radial = above / (1.0 + d(5) * r2 + d(6) * r2.powi(2) + d(7) * r2.powi(3));
         let xd = x * radial + 2.0 * d(2) * x * y + d(3) * (r2 + 2.0 * x * x);
         let yd = y * radial + d(2) * (r2 + 2.0 * y * y) + 2.0 * d(3) * x * y;
         let pixel = self.matrix * Vector3::new(xd, yd, 1.0);
@@ -55,7 +64,7 @@ fn check_yaml(written: &Written, folder: &str) {
     let (intri, extri) = (yaml(&intri_text), yaml(&written.text(&format!("{folder}extri.yml"))));
     let names: Vec<&str> =
         intri_text.lines().filter_map(|line| line.strip_prefix("   - \"")?.strip_suffix('"')).collect();
-    assert_eq!(names, ["01", "left_front", "cam_c", "kamera-4"]);
+    assert_eq!(names, ["01", "left_front", "cam_c", "kamera-4", "wide", "dome"]);
     for (camera, name) in written.cameras().iter().zip(names) {
         assert_eq!((intri[&format!("H_{name}")][0], intri[&format!("W_{name}")][0]), (1080.0, 1920.0));
         let vector = Rotation3::new(Vector3::from_column_slice(&extri[&format!("R_{name}")]));
@@ -64,10 +73,17 @@ fn check_yaml(written: &Written, folder: &str) {
         let theirs = OpenCv {
             matrix: Matrix3::from_row_slice(&intri[&format!("K_{name}")]),
             dist: intri[&format!("dist_{name}")].clone(),
+            is_fisheye: false,
             rotation: vector,
             translation: Vector3::from_column_slice(&extri[&format!("T_{name}")]),
         };
-        written.assert_projects(camera, |_| (), |point| theirs.pixel(point));
+        assert_eq!(theirs.dist.len(), if name == "wide" { 8 } else { 5 });
+        let hold = |lens: &mut Intrinsics| {
+            if let Distortion::Fisheye4(_) = lens.dist {
+                lens.dist = Distortion::None;
+            }
+        };
+        written.assert_projects(camera, hold, |point| theirs.pixel(point));
     }
 }
 
@@ -99,21 +115,29 @@ fn toml_calibrations_project_alike() {
         for (file, n_distortions) in [("Calib.toml", 4), ("calibration.toml", 5)] {
             let tables = toml(&written.text(file));
             assert_eq!(tables.last().unwrap().0, "metadata");
-            assert_eq!(tables.len(), 5);
+            assert_eq!(tables.len(), 7);
             for (camera, (_, table)) in written.cameras().iter().zip(&tables) {
                 assert_eq!(table["name"], format!("{:?}", camera.id));
-                assert_eq!(
-                    (floats(&table["size"]).as_slice(), table["fisheye"].as_str()),
-                    (&[1920.0, 1080.0][..], "false")
-                );
+                assert_eq!(floats(&table["size"]), [1920.0, 1080.0]);
                 let theirs = OpenCv {
                     matrix: Matrix3::from_row_slice(&floats(&table["matrix"])),
                     dist: floats(&table["distortions"]),
+                    is_fisheye: table["fisheye"].parse().unwrap(),
                     rotation: Rotation3::new(Vector3::from_vec(floats(&table["rotation"]))),
                     translation: Vector3::from_vec(floats(&table["translation"])),
                 };
-                assert_eq!(theirs.dist.len(), n_distortions);
-                let hold = |lens: &mut wandless::geometry::Intrinsics| lens.dist[n_distortions..].fill(0.0);
+                assert_eq!(theirs.is_fisheye, camera.id == "dome");
+                let n_expected = match camera.id.as_str() {
+                    "dome" => 4,
+                    "wide" if n_distortions == 5 => 8,
+                    _ => n_distortions,
+                };
+                assert_eq!(theirs.dist.len(), n_expected);
+                let hold = |lens: &mut Intrinsics| match &mut lens.dist {
+                    Distortion::OpenCv5(dist) => dist[n_distortions..].fill(0.0),
+                    Distortion::Rational8(_) if n_distortions < 5 => lens.dist = Distortion::None,
+                    _ => {}
+                };
                 written.assert_projects(camera, hold, |point| theirs.pixel(point));
             }
         }
@@ -129,9 +153,9 @@ fn colmap_projects_alike_but_for_its_half_pixel() {
         };
         let (cameras, images) = (content("colmap/cameras.txt"), content("colmap/images.txt"));
         assert!(content("colmap/points3D.txt").is_empty());
-        assert_eq!((cameras.len(), images.len()), (4, 8), "an image is two lines, the second may be empty");
+        assert_eq!((cameras.len(), images.len()), (6, 12), "an image is two lines, the second may be empty");
         let models: Vec<&str> = cameras.iter().map(|line| line.split(' ').nth(1).unwrap()).collect();
-        assert_eq!(models, ["PINHOLE", "OPENCV", "FULL_OPENCV", "PINHOLE"]);
+        assert_eq!(models, ["PINHOLE", "OPENCV", "FULL_OPENCV", "PINHOLE", "FULL_OPENCV", "OPENCV_FISHEYE"]);
         for (i, camera) in written.cameras().iter().enumerate() {
             let words: Vec<&str> = cameras[i].split(' ').collect();
             assert_eq!((words[2], words[3]), ("1920", "1080"));
@@ -143,6 +167,7 @@ fn colmap_projects_alike_but_for_its_half_pixel() {
                 // COLMAP counts from the corner of the first pixel.
                 matrix: Matrix3::new(p[0], 0.0, p[2] - 0.5, 0.0, p[1], p[3] - 0.5, 0.0, 0.0, 1.0),
                 dist: p[4..].to_vec(),
+                is_fisheye: models[i] == "OPENCV_FISHEYE",
                 rotation: UnitQuaternion::from_quaternion(Quaternion::new(v[0], v[1], v[2], v[3])).into(),
                 translation: Vector3::new(v[4], v[5], v[6]),
             };

@@ -8,7 +8,7 @@ use tempfile::TempDir;
 use wandless::body::skeleton::{KeypointConvention, N_JOINTS};
 use wandless::body::{Betas, default_body, kinematics};
 use wandless::export::{ResultContext, write_result};
-use wandless::geometry::{Intrinsics, Rigid, rotation};
+use wandless::geometry::{Distortion, Intrinsics, Rigid, rotation};
 use wandless::session::people::{BodyMotion, BodyPose};
 use wandless::session::reconstruction::*;
 use wandless::session::recording::UpAxis;
@@ -138,7 +138,7 @@ impl Written {
                         cx: k[(0, 2)],
                         cy: k[(1, 2)],
                         skew: k[(0, 1)],
-                        dist: numbers(&camera["dist"]).try_into().unwrap(),
+                        dist: distortion(camera),
                     },
                     camera_from_world: Rigid {
                         rotation: matrix(&camera["R"]),
@@ -179,6 +179,15 @@ impl Written {
     }
 }
 
+fn distortion(camera: &Value) -> Distortion {
+    let dist = numbers(&camera["dist"]);
+    if camera["distortion_model"] == "fisheye" {
+        Distortion::Fisheye4(dist.try_into().unwrap())
+    } else {
+        Distortion::from_opencv(&dist).unwrap()
+    }
+}
+
 pub(crate) fn numbers(value: &Value) -> Vec<f64> {
     value.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
 }
@@ -195,7 +204,7 @@ pub(crate) fn centred(lens: &mut Intrinsics) {
 }
 
 fn session() -> Session {
-    let lens = |cx: f64, fy: f64, skew: f64, dist: [f64; 5]| Intrinsics {
+    let lens = |cx: f64, fy: f64, skew: f64, dist: Distortion| Intrinsics {
         width: 1920,
         height: 1080,
         fx: 1400.0,
@@ -206,11 +215,13 @@ fn session() -> Session {
         dist,
     };
     let lenses = [
-        lens(970.5, 1400.0, 0.0, [0.0; 5]),
-        lens(940.0, 1410.0, 0.0, [-0.1, 0.02, 0.001, -0.0005, 0.0]),
-        lens(960.0, 1390.0, 0.0, [-0.1, 0.02, 0.001, -0.0005, 0.004]),
-        lens(960.0, 1400.0, 1.5, [0.0; 5]),
-        lens(960.0, 1400.0, 0.0, [0.0; 5]),
+        lens(970.5, 1400.0, 0.0, Distortion::None),
+        lens(940.0, 1410.0, 0.0, Distortion::OpenCv5([-0.1, 0.02, 0.001, -0.0005, 0.0])),
+        lens(960.0, 1390.0, 0.0, Distortion::OpenCv5([-0.1, 0.02, 0.001, -0.0005, 0.004])),
+        lens(960.0, 1400.0, 1.5, Distortion::None),
+        lens(950.0, 1400.0, 0.0, Distortion::Rational8([0.6, 0.1, 0.0005, -0.0003, 0.01, 0.75, 0.2, 0.02])),
+        lens(965.0, 1405.0, 0.0, Distortion::Fisheye4([-0.03, 0.012, -0.006, 0.001])),
+        lens(960.0, 1400.0, 0.0, Distortion::None),
     ];
     let view = |(id, intrinsics): (&str, Intrinsics)| View {
         id: id.to_owned(),
@@ -226,7 +237,11 @@ fn session() -> Session {
         n_frames: N_FRAMES,
         convention: KeypointConvention::Coco17,
         up_axis: None,
-        views: ["01", "left/front", "cam c", "kamera-4", "lost"].into_iter().zip(lenses).map(view).collect(),
+        views: ["01", "left/front", "cam c", "kamera-4", "wide", "dome", "lost"]
+            .into_iter()
+            .zip(lenses)
+            .map(view)
+            .collect(),
     }
 }
 
@@ -250,7 +265,7 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
         let rotation = Matrix3::from_rows(&[x.transpose(), z.cross(&x).transpose(), z.transpose()]);
         Rigid { rotation, translation: -(rotation * center) }
     };
-    let placed = (0..4).map(|i| camera(Some(look(i))));
+    let placed = (0..6).map(|i| camera(Some(look(i))));
     Reconstruction {
         cameras: placed.chain([camera(None)]).collect(),
         keypoints: Vec::new(),
@@ -317,6 +332,15 @@ fn the_manifest_describes_every_format() {
         }
         assert!(written.lost("colmap").iter().any(|line| line.contains("camera kamera-4") && line.contains("skew")));
         assert!(written.lost("calib_toml").iter().any(|line| line.contains("camera cam c") && line.contains("k3")));
-        assert_eq!(written.lost("opencv_yaml"), ["camera lost: was not placed and is left out"]);
+        let says = |format: &str, id: &str, what: &str| {
+            written
+                .lost(format)
+                .contains(&format!("camera {id}: the format has no place for {what}; cameras.json has it"))
+        };
+        assert!(says("calib_toml", "wide", "rational distortion"));
+        assert!(says("glb", "dome", "the principal point and fisheye distortion"));
+        assert!(says("opencv_yaml", "dome", "fisheye distortion") && says("easymocap", "dome", "fisheye distortion"));
+        assert_eq!(written.lost("opencv_yaml").len(), 2);
+        assert_eq!(written.lost("anipose_toml"), ["camera lost: was not placed and is left out"]);
     }
 }

@@ -3,13 +3,13 @@
 use crate::result::{FIRST_FRAME, N_FRAMES, assert_near, both_up_axes, centred, numbers};
 use nalgebra::{Isometry3, Point3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
 use serde_json::Value;
-use wandless::geometry::Intrinsics;
+use wandless::geometry::{Distortion, Intrinsics};
 use wandless::session::recording::UpAxis;
 
 #[test]
 fn chan_projects_alike_but_for_what_it_lacks() {
     for written in both_up_axes() {
-        let names = ["01", "left_front", "cam_c", "kamera-4"];
+        let names = ["01", "left_front", "cam_c", "kamera-4", "wide", "dome"];
         for (camera, name) in written.cameras().iter().zip(names) {
             let text = written.text(&format!("{name}.chan"));
             assert_eq!(text.lines().count(), N_FRAMES);
@@ -29,7 +29,7 @@ fn chan_projects_alike_but_for_what_it_lacks() {
             };
             let hold = |lens: &mut Intrinsics| {
                 centred(lens);
-                (lens.fx, lens.skew, lens.dist) = (lens.fy, 0.0, [0.0; 5]);
+                (lens.fx, lens.skew, lens.dist) = (lens.fy, 0.0, Distortion::None);
             };
             written.assert_projects(camera, hold, project);
         }
@@ -81,6 +81,8 @@ fn the_script_has_cameras_that_project_alike_but_for_what_blender_lacks() {
     for written in both_up_axes() {
         let take = take(&written.text("scene.py"));
         for (camera, theirs) in written.cameras().iter().zip(take["cameras"].as_array().unwrap()) {
+            assert_eq!(theirs["distortion_model"], camera.lens.dist.name());
+            assert_eq!(numbers(&theirs["dist"]), camera.lens.dist.coefficients());
             let place = Vector3::from_vec(numbers(&theirs["location"]));
             let world_from_camera = Isometry3::from_parts(Translation3::from(place), turn(&theirs["rotation_xyzw"]));
             let number = |key: &str| theirs[key].as_f64().unwrap();
@@ -94,7 +96,7 @@ fn the_script_has_cameras_that_project_alike_but_for_what_blender_lacks() {
                 let (x, y) = (p.x / -p.z * focal - shift[0], p.y / -p.z * focal - shift[1]);
                 Vector2::new(x * width + width / 2.0 - 0.5, height / 2.0 - 0.5 - y * width / aspect)
             };
-            let hold = |lens: &mut Intrinsics| (lens.skew, lens.dist) = (0.0, [0.0; 5]);
+            let hold = |lens: &mut Intrinsics| (lens.skew, lens.dist) = (0.0, Distortion::None);
             written.assert_projects(camera, hold, project);
         }
     }

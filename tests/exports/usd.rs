@@ -114,9 +114,10 @@ fn check_camera(written: &Written, prim: &BTreeMap<String, String>, camera: &cra
         let (u, v) = ((x - offset_x) / aperture_x, (y - offset_y) / aperture_y); // -1/2 to 1/2
         Vector2::new((u + 0.5) * width - 0.5, (0.5 - v) * height - 0.5)
     };
-    let hold = |lens: &mut Intrinsics| (lens.skew, lens.dist) = (0.0, [0.0; 5]);
+    let hold = |lens: &mut Intrinsics| (lens.skew, lens.dist) = (0.0, wandless::geometry::Distortion::None);
     written.assert_projects(camera, hold, project);
-    assert_eq!(numbers(&prim["userProperties:dist"]), camera.lens.dist);
+    assert_eq!(prim["userProperties:distortion_model"], format!("{:?}", camera.lens.dist.name()));
+    assert_eq!(numbers(&prim["userProperties:dist"]), camera.lens.dist.coefficients());
     assert_eq!(numbers(&prim["userProperties:K"])[2], camera.lens.cx);
 }
 
@@ -124,7 +125,7 @@ fn check_camera(written: &Written, prim: &BTreeMap<String, String>, camera: &cra
 fn cameras_project_alike_but_for_distortion_and_skew() {
     for written in both_up_axes() {
         let prims = attributes(&written.text("scene.usda"));
-        let names = ["camera_01", "camera_left_front", "camera_cam_c", "camera_kamera_4"];
+        let names = ["camera_01", "camera_left_front", "camera_cam_c", "camera_kamera_4", "camera_wide", "camera_dome"];
         for (camera, name) in written.cameras().iter().zip(names) {
             check_camera(&written, &prims[&format!("World/{name}")], camera);
         }

@@ -22,7 +22,7 @@ fn rig(n: usize) -> Rig {
         cx: 950.0,
         cy: 545.0,
         skew: 0.0,
-        dist: [-0.1, 0.03, 0.001, -0.0005, 0.0],
+        dist: [-0.1, 0.03, 0.001, -0.0005, 0.0].into(),
     };
     let cameras = (0..n).map(|i| Rigid { rotation: turn(i), translation: Vector3::z() * 5.0 }).collect();
     Rig { cameras, intrinsics }

@@ -49,7 +49,7 @@ def add_camera(take_camera, world):
     camera.rotation_quaternion = quaternion(take_camera["rotation_xyzw"])
     camera["width"], camera["height"] = take_camera["width"], take_camera["height"]
     camera["K"] = [value for row in take_camera["K"] for value in row]
-    camera["dist"] = take_camera["dist"]
+    camera["distortion_model"], camera["dist"] = take_camera["distortion_model"], take_camera["dist"]
     return camera
 
 

@@ -1,12 +1,19 @@
 use super::*;
 
-fn camera(dist: [f64; 5]) -> Intrinsics {
+fn camera(dist: Distortion) -> Intrinsics {
     Intrinsics { width: 1920, height: 1080, fx: 1100.0, fy: 1090.0, cx: 950.0, cy: 545.0, skew: 0.7, dist }
 }
 
-/// None, mild, and the strong barrel of a wide lens with tangential terms.
-const LENSES: [[f64; 5]; 4] =
-    [[0.0; 5], [-0.05, 0.01, 0.0, 0.0, 0.0], [0.12, -0.2, -0.001, 0.002, 0.08], [-0.28, 0.09, 0.0007, -0.0004, -0.012]];
+/// None, mild, the strong barrel of a wide lens with tangential terms, the rational model, and two fisheyes.
+const LENSES: [Distortion; 7] = [
+    Distortion::None,
+    Distortion::OpenCv5([-0.05, 0.01, 0.0, 0.0, 0.0]),
+    Distortion::OpenCv5([0.12, -0.2, -0.001, 0.002, 0.08]),
+    Distortion::OpenCv5([-0.28, 0.09, 0.0007, -0.0004, -0.012]),
+    Distortion::Rational8([0.6, 0.1, 0.0005, -0.0003, 0.01, 0.75, 0.2, 0.02]),
+    Distortion::Fisheye4([0.0; 4]),
+    Distortion::Fisheye4([-0.03, 0.012, -0.006, 0.001]),
+];
 
 #[test]
 fn a_point_on_the_axis_lies_on_the_principal_point() {
@@ -22,13 +29,36 @@ fn distortion_follows_opencvs_formula() {
     let radial = 1.0 + k1 * 0.29 + k2 * 0.0841 + k3 * 0.024389;
     let x = 0.5 * radial + 2.0 * p1 * 0.1 + p2 * (0.29 + 0.5);
     let y = 0.2 * radial + p1 * (0.29 + 0.08) + 2.0 * p2 * 0.1;
-    let pixel = camera([k1, k2, p1, p2, k3]).pixel_from_normalized(&Vector2::new(0.5, 0.2));
+    let pixel = camera([k1, k2, p1, p2, k3].into()).pixel_from_normalized(&Vector2::new(0.5, 0.2));
     assert!((pixel - Vector2::new(1100.0 * x + 0.7 * y + 950.0, 1090.0 * y + 545.0)).norm() < 1e-11);
 }
 
 #[test]
+fn the_rational_model_without_a_denominator_is_the_polynomial() {
+    let [k1, k2, p1, p2, k3] = [-0.28, 0.09, 0.0007, -0.0004, -0.012];
+    let (short, long) =
+        (Distortion::OpenCv5([k1, k2, p1, p2, k3]), Distortion::Rational8([k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]));
+    for n in [Vector2::new(0.5, 0.2), Vector2::new(-0.7, 0.6)] {
+        assert_eq!(camera(short).pixel_from_normalized(&n), camera(long).pixel_from_normalized(&n));
+    }
+}
+
+#[test]
+fn an_ideal_fisheye_measures_the_angle() {
+    // 60 degrees to the right: pi / 3 focal lengths from the principal point.
+    let pixel = camera(Distortion::Fisheye4([0.0; 4])).pixel_from_normalized(&Vector2::new(3f64.sqrt(), 0.0));
+    assert!((pixel.x - (950.0 + 1100.0 * std::f64::consts::FRAC_PI_3)).abs() < 1e-10);
+    // With coefficients at theta = pi / 4, by the formula of the model.
+    let (theta, k) = (std::f64::consts::FRAC_PI_4, [-0.03, 0.012, -0.006, 0.001]);
+    let bent =
+        theta * (1.0 + k[0] * theta.powi(2) + k[1] * theta.powi(4) + k[2] * theta.powi(6) + k[3] * theta.powi(8));
+    let pixel = camera(Distortion::Fisheye4(k)).pixel_from_normalized(&Vector2::new(0.0, 1.0));
+    assert!((pixel.y - (545.0 + 1090.0 * bent)).abs() < 1e-10);
+}
+
+#[test]
 fn what_is_not_in_front_does_not_project() {
-    let camera = camera([0.0; 5]);
+    let camera = camera(Distortion::None);
     for z in [-1.0, 0.0, 0.5 * MIN_DEPTH] {
         let point = Vector3::new(0.1, 0.1, z);
         assert!(camera.pixel_from_camera(&point).is_none() && camera.project_with_jacobian(&point).is_none());
@@ -40,7 +70,12 @@ fn the_projections_derivative_agrees_with_central_differences() {
     let step = 1e-6;
     for dist in LENSES {
         let camera = camera(dist);
-        for point in [Vector3::new(0.3, -0.2, 2.0), Vector3::new(-1.9, 1.0, 2.5), Vector3::new(1.0, 0.4, 1.2)] {
+        for point in [
+            Vector3::new(0.3, -0.2, 2.0),
+            Vector3::new(-1.9, 1.0, 2.5),
+            Vector3::new(1.0, 0.4, 1.2),
+            Vector3::new(1e-5, -2e-5, 0.5),
+        ] {
             let (pixel, jacobian) = camera.project_with_jacobian(&point).unwrap();
             assert_eq!(Some(pixel), camera.pixel_from_camera(&point));
             for axis in 0..3 {
@@ -57,7 +92,7 @@ fn the_projections_derivative_agrees_with_central_differences() {
 }
 
 fn without_lens(distorted: &Intrinsics) -> Intrinsics {
-    Intrinsics { dist: [0.0; 5], ..*distorted }
+    Intrinsics { dist: Distortion::None, ..*distorted }
 }
 
 #[test]
@@ -69,10 +104,11 @@ fn undistortion_comes_back_to_every_pixel_of_the_image() {
                 let pixel = Vector2::new(column as f64 - 0.5, row as f64 - 0.5);
                 let again = camera.pixel_from_normalized(&camera.normalized_from_pixel(&pixel));
                 assert!((again - pixel).norm() < 1e-9, "{dist:?} {pixel}: {again}");
-                // Not on another branch of the polynomial: the lens bends a ray by less than a third of its slope.
+                // Not on another branch of the polynomial: no lens here bends a ray by half of its slope. The fisheyes
+                // bend most, at their corners 57 degrees from the axis: (tan 1 - 1) / tan 1 is 0.36.
                 let (straight, bent) =
                     (without_lens(&camera).normalized_from_pixel(&pixel), camera.normalized_from_pixel(&pixel));
-                assert!((straight - bent).norm() <= 0.34 * bent.norm(), "{dist:?} {pixel}");
+                assert!((straight - bent).norm() < 0.5 * bent.norm(), "{dist:?} {pixel}");
             }
         }
     }
@@ -80,7 +116,7 @@ fn undistortion_comes_back_to_every_pixel_of_the_image() {
 
 #[test]
 fn the_sensor_ends_half_a_pixel_beyond_the_outer_centres() {
-    let camera = camera([0.0; 5]);
+    let camera = camera(Distortion::None);
     assert!(camera.contains(&Vector2::new(-0.5, -0.5)) && camera.contains(&Vector2::new(1919.4, 1079.4)));
     assert!(!camera.contains(&Vector2::new(-0.6, 0.0)) && !camera.contains(&Vector2::new(0.0, 1079.5)));
 }

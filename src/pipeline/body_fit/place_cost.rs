@@ -83,7 +83,7 @@ mod tests {
     use nalgebra::Vector2;
 
     fn camera() -> PlacedCamera {
-        let dist = [-0.1, 0.02, 0.001, -0.002, 0.0];
+        let dist = [-0.1, 0.02, 0.001, -0.002, 0.0].into();
         let intrinsics =
             Intrinsics { width: 1280, height: 720, fx: 900.0, fy: 910.0, cx: 640.0, cy: 360.0, skew: 0.0, dist };
         let rotation = rotation::exp(&Vector3::new(0.1, -0.4, 0.05));

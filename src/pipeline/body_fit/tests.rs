@@ -58,7 +58,7 @@ fn ring() -> Vec<(Intrinsics, Rigid)> {
         cx: 639.5,
         cy: 359.5,
         skew: 0.0,
-        dist: [-0.05, 0.01, 0.0, 0.0, 0.0],
+        dist: [-0.05, 0.01, 0.0, 0.0, 0.0].into(),
     };
     let camera = |i: usize| {
         let angle = i as f64 * std::f64::consts::FRAC_PI_2 + 0.3;

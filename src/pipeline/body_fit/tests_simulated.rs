@@ -4,7 +4,7 @@ use super::*;
 use crate::body::default_body;
 use crate::body::skeleton::N_JOINTS;
 use crate::estimation::triangulation::{RayObservation, triangulate_robust};
-use crate::geometry::Intrinsics;
+use crate::geometry::{Distortion, Intrinsics};
 use crate::session::{Detection, FrameIndex, Keypoint, PersonId, View};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use serde_json::Value;
@@ -48,7 +48,7 @@ fn load(folder: &Path) -> Capture {
             cx: k[2],
             cy: k[5],
             skew: 0.0,
-            dist: [0.0; 5],
+            dist: Distortion::None,
         };
         let keypoint = |k: &Value| {
             let [x, y, confidence] = numbers(k)[..] else { panic!("three numbers a keypoint") };

@@ -89,7 +89,7 @@ fn scene(n_cameras: usize, n_people: usize, n_frames: usize) -> Scene {
         cx: 960.0,
         cy: 540.0,
         skew: 0.0,
-        dist: [-0.1, 0.02, 0.001, -0.001, 0.0],
+        dist: [-0.1, 0.02, 0.001, -0.001, 0.0].into(),
     };
     let camera = |v: usize| {
         let angle = v as f64 / n_cameras as f64 * std::f64::consts::TAU + 0.3 * (v % 2) as f64;

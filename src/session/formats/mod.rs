@@ -1,7 +1,12 @@
 //! The dialects that sessions are written in, one file each.
 
+pub(crate) mod calibration;
+pub(crate) mod foreign;
+pub(crate) mod joints;
 pub mod native;
+pub(crate) mod poses;
 
+use crate::geometry::Distortion;
 use nalgebra::{Matrix3, Vector3};
 
 /// `value` to that many decimal places, as it is written in a file; never a negative zero.
@@ -15,6 +20,14 @@ pub(crate) fn rounded(value: f64, decimals: i32) -> f64 {
 /// A matrix row by row, as every JSON file of ours writes it.
 pub(crate) fn rows(matrix: &Matrix3<f64>) -> [[f64; 3]; 3] {
     std::array::from_fn(|r| std::array::from_fn(|c| matrix[(r, c)]))
+}
+
+/// How our JSON files name a camera's distortion, where its coefficients alone do not say it.
+pub(crate) fn distortion_model(dist: &Distortion) -> Option<&'static str> {
+    match dist {
+        Distortion::None | Distortion::OpenCv5(_) => None,
+        Distortion::Rational8(_) | Distortion::Fisheye4(_) => Some(dist.name()),
+    }
 }
 
 /// A vector's entries.

@@ -6,7 +6,6 @@ mod write;
 
 pub use write::{to_json, write_folder};
 
-use crate::session::Session;
 use crate::session::upload::error::{Fault, UploadError, shown};
 use crate::session::upload::json::{Fields, JsonStream, Reading};
 use crate::session::upload::members::Members;
@@ -80,18 +79,28 @@ pub(crate) fn read_members<R: Read + Seek>(
         }
         reading.place.file = Some(name.clone());
         reading.place.camera = Some(camera.id.clone());
-        let mut poses = PosesFields::new(&name);
-        read_whole(members, &name, &mut poses, reading)?;
-        raw.poses.insert(camera.id.clone(), poses.finish(reading)?);
+        let poses = read_poses(members, &name, reading)?;
+        raw.poses.insert(camera.id.clone(), poses);
     }
     warn_of_strangers(members, root, &raw, reading);
     Ok(raw)
 }
 
+/// Reads one camera's poses where they stand in a file of their own.
+pub(crate) fn read_poses<R: Read + Seek>(
+    members: &mut Members<R>,
+    name: &str,
+    reading: &mut Reading<'_>,
+) -> Result<RawPoses, UploadError> {
+    let mut poses = PosesFields::new(name);
+    read_whole(members, name, &mut poses, reading)?;
+    poses.finish(reading)
+}
+
 /// The files of a session folder that [`read_members`] may have read.
-pub(crate) fn member_names(session: &Session) -> Vec<String> {
-    let poses = session.views.iter().map(|view| format!("poses/{}.json", view.id));
-    std::iter::once("session.json".to_owned()).chain(poses).collect()
+pub(crate) fn member_names(raw: &RawSession, root: &str) -> Vec<String> {
+    let poses = raw.cameras.iter().map(|camera| format!("{root}poses/{}.json", camera.id));
+    std::iter::once(format!("{root}session.json")).chain(poses).collect()
 }
 
 fn read_whole<R: Read + Seek>(

@@ -4,8 +4,8 @@ use super::error::{Fault, UploadError, shown};
 use super::json::{Numbers, Rows};
 use super::raw::RawCamera;
 use super::warnings::Warnings;
-use crate::geometry::{Intrinsics, Rigid};
-use nalgebra::{Matrix3, Vector3};
+use crate::geometry::{Distortion, Intrinsics, Rigid};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// How far `R^T R` may be from the identity: rounding to three digits passes, a scaled or sheared matrix does not.
 const ROTATION_TOLERANCE: f64 = 1e-3;
@@ -110,36 +110,51 @@ fn check_principal_point(camera: &Intrinsics, id: &str, warnings: &mut Warnings)
     Ok(())
 }
 
-fn checked_distortion(raw: &RawCamera) -> Result<[f64; 5], UploadError> {
-    if let Some(model) = &raw.distortion_model {
-        let plain = model.to_ascii_lowercase().replace(['_', '-', ' '], "");
-        if !["", "none", "pinhole", "opencv", "plumbbob", "brown", "brownconrady", "radtan"].contains(&plain.as_str()) {
-            return Err(Fault::DistortionUnsupported.with(format!("distortion model {}", shown(model))));
-        }
-    }
+fn checked_distortion(raw: &RawCamera) -> Result<Distortion, UploadError> {
     let given = raw.distortion.as_ref().map_or(&[][..], |d| &d.0);
-    match *given {
-        [] => Ok([0.0; 5]),
-        [k1, k2, p1, p2] => Ok([k1, k2, p1, p2, 0.0]),
-        [k1, k2, p1, p2, k3] => Ok([k1, k2, p1, p2, k3]),
-        _ => {
-            let n = given.len();
-            let model = if n == 8 { " (the rational model)" } else { "" };
-            Err(Fault::DistortionUnsupported.with(format!("{n} distortion coefficients{model}, expected 0, 4 or 5")))
-        }
+    let model = raw.distortion_model.as_deref().unwrap_or_default();
+    let plain = model.to_ascii_lowercase().replace(['_', '-', ' '], "");
+    match plain.as_str() {
+        "none" | "pinhole" if given.iter().all(|k| *k == 0.0) => Ok(Distortion::None),
+        "" | "none" | "pinhole" | "opencv" | "plumbbob" | "brown" | "brownconrady" | "radtan" | "rational"
+        | "rationalpolynomial" => polynomial_distortion(given),
+        "fisheye" | "equidistant" | "opencvfisheye" | "kannalabrandt" => fisheye_distortion(given),
+        _ => Err(Fault::DistortionUnsupported.with(format!("distortion model {}", shown(model)))),
     }
+}
+
+fn polynomial_distortion(given: &[f64]) -> Result<Distortion, UploadError> {
+    Distortion::from_opencv(given).ok_or_else(|| {
+        let n = given.len();
+        let has_more = [12, 14].contains(&n);
+        let why = if has_more { "with thin prism or tilt terms" } else { "where 0, 4, 5 or 8 are expected" };
+        Fault::DistortionUnsupported.with(format!("{n} distortion coefficients {why}"))
+    })
+}
+
+fn fisheye_distortion(given: &[f64]) -> Result<Distortion, UploadError> {
+    Distortion::from_fisheye(given).ok_or_else(|| {
+        Fault::DistortionUnsupported.with(format!("{} fisheye coefficients, expected k1 k2 k3 k4", given.len()))
+    })
 }
 
 /// Coefficients that move the farthest image corner tenfold, or through the centre, belong to no lens.
 fn check_distortion_at_corner(camera: &Intrinsics) -> Result<(), UploadError> {
     let x = camera.cx.abs().max((f64::from(camera.width) - camera.cx).abs()) / camera.fx;
     let y = camera.cy.abs().max((f64::from(camera.height) - camera.cy).abs()) / camera.fy;
-    let [k1, k2, p1, p2, k3] = camera.dist;
-    let r2 = x * x + y * y;
-    let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-    let tangential = 3.0 * r2.sqrt() * p1.hypot(p2);
-    if !(0.1..=10.0).contains(&radial) || tangential.is_nan() || tangential > 1.0 {
-        return Err(invalid(format!("dist {:?} moves the image corner by a factor of {radial:.3}", camera.dist)));
+    // A fisheye's corner lies at an angle, not at a slope; beyond 80 degrees no ray is asked for.
+    let slope = match camera.dist {
+        Distortion::Fisheye4(_) => x.hypot(y).min(1.4).tan() / x.hypot(y),
+        Distortion::None | Distortion::OpenCv5(_) | Distortion::Rational8(_) => 1.0,
+    };
+    let corner = Vector2::new(x, y) * slope;
+    let bent = camera.dist.distorted(&corner);
+    // Coefficients beyond reason overflow: what is not a number is outside every range.
+    let factor = bent.dot(&corner) / corner.norm_squared();
+    let sideways = (bent - corner * factor).norm() / corner.norm();
+    if !(0.1..=10.0).contains(&factor) || sideways.is_nan() || sideways > 1.0 {
+        let dist = camera.dist.coefficients();
+        return Err(invalid(format!("dist {dist:?} moves the image corner by a factor of {factor:.3}")));
     }
     Ok(())
 }

@@ -119,6 +119,10 @@ pub enum Fault {
     FrameDuplicate,
     KeypointCount,
     KeypointInvalid,
+    CalibrationInvalid,
+    TableInvalid,
+    SkeletonUnknown,
+    ImageSizeUnknown,
 }
 
 use Fault as F;
@@ -126,7 +130,7 @@ use UploadErrorKind::{Impossible, Malformed, TooLarge, Unsupported};
 
 impl Fault {
     /// Every fault, for the service's description and for tests.
-    pub const ALL: [Self; 42] = [
+    pub const ALL: [Self; 46] = [
         F::FileUnreadable,
         F::FormatUnknown,
         F::Encoding,
@@ -169,6 +173,10 @@ impl Fault {
         F::FrameDuplicate,
         F::KeypointCount,
         F::KeypointInvalid,
+        F::CalibrationInvalid,
+        F::TableInvalid,
+        F::SkeletonUnknown,
+        F::ImageSizeUnknown,
     ];
 
     /// The machine-readable reason.
@@ -215,7 +223,7 @@ impl Fault {
             F::ZipMethod => ("zip_method", Unsupported, "pack with deflate or without compression"),
             F::ZipRatio => ("zip_ratio", TooLarge, "no pose file shrinks that well: pack the real session"),
             F::TooLarge => ("too_large", TooLarge, "send fewer frames or cameras at a time"),
-            F::TooManyMembers => ("too_many_members", TooLarge, "pack only session.json and poses/"),
+            F::TooManyMembers => ("too_many_members", TooLarge, "pack only poses and calibration, without images"),
             F::TooManyCameras => ("too_many_cameras", TooLarge, "leave cameras out"),
             F::TooManyFrames => ("too_many_frames", TooLarge, "cut the take into shorter ones"),
             F::TooManyPeople => ("too_many_people", TooLarge, "keep only the most confident people of the frame"),
@@ -238,9 +246,11 @@ impl Fault {
             F::CameraDuplicate => ("camera_duplicate", Impossible, "give every camera its own id"),
             F::CameraUnknown => ("camera_unknown", Impossible, "list the camera in the session's `cameras`"),
             F::CameraInvalid => ("camera_invalid", Impossible, "correct the camera's calibration"),
-            F::DistortionUnsupported => {
-                ("distortion_unsupported", Impossible, "undistort the keypoints, or calibrate with k1 k2 p1 p2 k3")
-            }
+            F::DistortionUnsupported => (
+                "distortion_unsupported",
+                Impossible,
+                "undistort the keypoints, or calibrate with OpenCV's 5, rational 8 or fisheye 4 coefficients",
+            ),
             F::FrameInvalid => ("frame_invalid", Impossible, "number frames with whole numbers below 2^53"),
             F::FrameOutOfRange => ("frame_out_of_range", Impossible, "correct `first_frame` or `n_frames`"),
             F::FrameDuplicate => ("frame_duplicate", Impossible, "write every frame of a camera once"),
@@ -248,6 +258,16 @@ impl Fault {
                 ("keypoint_count", Impossible, "correct `keypoint_convention` or the detector's output")
             }
             F::KeypointInvalid => ("keypoint_invalid", Impossible, "write [x px, y px, confidence 0 to 1]"),
+            F::CalibrationInvalid => ("calibration_invalid", Malformed, "write the file again with its own tool"),
+            F::TableInvalid => ("table_invalid", Malformed, "write the table again with its own tool"),
+            F::SkeletonUnknown => (
+                "skeleton_unknown",
+                Impossible,
+                "name the joints: `keypoint_convention` or `keypoint_names` in session.json",
+            ),
+            F::ImageSizeUnknown => {
+                ("image_size_unknown", Impossible, "give `width` and `height` of the camera in session.json")
+            }
         }
     }
 }

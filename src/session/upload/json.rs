@@ -9,7 +9,9 @@ use super::guard::JsonGuard;
 use super::limits::UploadLimits;
 use super::warnings::Warnings;
 use serde::Deserialize;
-use serde::de::{DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor};
+use serde::de::{
+    DeserializeOwned, DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor,
+};
 use serde_json::error::Category;
 use std::fmt;
 use std::io::{self, BufReader, Read};
@@ -128,12 +130,25 @@ fn fault_of_parser(error: serde_json::Error) -> UploadError {
 }
 
 /// What a failed read means: a limit broken on the way, a bad disk, or a member that does not unpack.
-pub(super) fn fault_of_io(error: io::Error) -> UploadError {
+pub(crate) fn fault_of_io(error: io::Error) -> UploadError {
     match error.downcast::<UploadError>() {
         Ok(error) => error,
         Err(error) if error.raw_os_error().is_some() => Fault::FileUnreadable.with(error.to_string()),
         Err(error) => Fault::ZipCorrupt.with(error.to_string()),
     }
+}
+
+/// Reads a small document as a whole.
+///
+/// # Errors
+/// The refusal, without a place.
+pub(crate) fn document_from_bytes<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, UploadError> {
+    serde_json::from_slice(bytes).map_err(|error| {
+        // The parser stumbles over `NaN` as over any typing error; the guard knows it by name.
+        let limits = UploadLimits::default();
+        let guarded = io::copy(&mut JsonGuard::new(bytes, &limits), &mut io::sink());
+        guarded.map_or_else(fault_of_io, |_| fault_of_parser(error))
+    })
 }
 
 /// A stream of JSON documents.
@@ -153,6 +168,14 @@ impl<'a, R: Read> JsonStream<'a, R> {
     /// The refusal, with its place.
     pub(crate) fn next<F: Fields>(&mut self, fields: &mut F, reading: &mut Reading<'_>) -> Result<(), UploadError> {
         Object(fields, reading).deserialize(&mut self.parser).map_err(|e| reading.explain(e))
+    }
+
+    /// Reads the next document, a list.
+    ///
+    /// # Errors
+    /// The refusal, with its place.
+    pub(crate) fn next_list<I: Items>(&mut self, items: &mut I, reading: &mut Reading<'_>) -> Result<(), UploadError> {
+        List(items, reading).deserialize(&mut self.parser).map_err(|e| reading.explain(e))
     }
 
     /// Whether nothing but white space is left.

@@ -20,23 +20,25 @@ pub(crate) enum Members<R> {
 }
 
 impl Members<File> {
-    /// `session.json` and the files of `poses/`; a link counts as what it points to, for the folder is the user's own.
+    /// Every file below the folder, but for hidden ones; a link counts as what it points to, for the folder is the
+    /// user's own. Of `gt/` the name alone: truth is never read.
     pub(super) fn of_folder(dir: &Path, limits: &UploadLimits) -> Result<Self, UploadError> {
         let mut files = BTreeMap::new();
-        if dir.join("session.json").is_file() {
-            files.insert("session.json".to_owned(), dir.join("session.json"));
-        }
-        if dir.join("poses").is_dir() {
-            add_files(&mut files, &dir.join("poses"), limits)?;
-        }
-        if dir.join("gt").is_dir() {
-            files.insert("gt/".to_owned(), dir.join("gt"));
-        }
+        add_files(&mut files, dir, "", limits, 0)?;
         Ok(Self::Folder(files))
     }
 }
 
-fn add_files(files: &mut BTreeMap<String, PathBuf>, dir: &Path, limits: &UploadLimits) -> Result<(), UploadError> {
+/// Tools nest take, camera and kind of file; a link to a folder above ends here as well.
+const MAX_FOLDER_DEPTH: usize = 6;
+
+fn add_files(
+    files: &mut BTreeMap<String, PathBuf>,
+    dir: &Path,
+    prefix: &str,
+    limits: &UploadLimits,
+    depth: usize,
+) -> Result<(), UploadError> {
     let unreadable = |e: std::io::Error| UploadError {
         file: Some(dir.display().to_string()),
         ..Fault::FileUnreadable.with(e.to_string())
@@ -45,8 +47,16 @@ fn add_files(files: &mut BTreeMap<String, PathBuf>, dir: &Path, limits: &UploadL
         let entry = entry.map_err(unreadable)?;
         // A name that is not Unicode can be no camera's.
         let Ok(name) = entry.file_name().into_string() else { continue };
-        if entry.path().is_file() {
-            files.insert(format!("poses/{name}"), entry.path());
+        if name.starts_with('.') && depth == 0 {
+            continue;
+        }
+        let (path, name) = (entry.path(), format!("{prefix}{name}"));
+        if name == "gt" && path.is_dir() {
+            files.insert("gt/".to_owned(), path);
+        } else if path.is_dir() && depth < MAX_FOLDER_DEPTH {
+            add_files(files, &path, &format!("{name}/"), limits, depth + 1)?;
+        } else if path.is_file() {
+            files.insert(name, path);
         }
         if files.len() > limits.max_members {
             return Err(Fault::TooManyMembers.with(format!("more than {} files", limits.max_members)));

@@ -21,7 +21,7 @@ pub(crate) struct RawSession {
 }
 
 /// One camera as written.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct RawCamera {
     pub id: String,
     pub width: u32,

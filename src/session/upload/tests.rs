@@ -31,7 +31,7 @@ fn small_session() -> Session {
                 cx: 320.25,
                 cy: 239.5,
                 skew: 0.0,
-                dist: [-0.1, 0.02, 1e-4, -2e-4, 0.001],
+                dist: [-0.1, 0.02, 1e-4, -2e-4, 0.001].into(),
             },
             camera_from_world: Some(Rigid {
                 rotation: rotation::exp(&Vector3::new(0.1, -2.0, 0.3)),
@@ -86,14 +86,14 @@ fn a_session_survives_as_folder_zip_and_document() {
     let dir = tempfile::tempdir().unwrap();
     write_folder(&session, dir.path()).unwrap();
     let folder = read_path(dir.path(), &UploadLimits::default()).unwrap();
-    assert_eq!((&folder.session, folder.format), (&session, "native"));
+    assert_eq!((&folder.session, folder.format.as_str()), (&session, "native"));
     assert_eq!(folder.warnings, [""; 0]);
     for prefix in ["", "take 1/"] {
         let zipped = read_bytes(&zip_of(&files_of(dir.path(), prefix))).unwrap();
-        assert_eq!((&zipped.session, zipped.format), (&session, "native"));
+        assert_eq!((&zipped.session, zipped.format.as_str()), (&session, "native"));
     }
     let document = read_bytes(to_json(&session).unwrap().as_bytes()).unwrap();
-    assert_eq!((&document.session, document.format), (&session, "native_json"));
+    assert_eq!((&document.session, document.format.as_str()), (&session, "native_json"));
     assert_eq!(document.sha256.len(), 64);
     assert_ne!(document.sha256, folder.sha256);
 }
@@ -112,7 +112,7 @@ fn a_session_survives_as_lines() {
         }
     }
     let read = read_bytes(text.as_bytes()).unwrap();
-    assert_eq!((&read.session, read.format), (&session, "native_ndjson"));
+    assert_eq!((&read.session, read.format.as_str()), (&session, "native_ndjson"));
 }
 
 #[test]

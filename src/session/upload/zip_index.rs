@@ -1,8 +1,8 @@
 //! The directory of a zip, checked before anything is unpacked.
 //!
-//! Only what a session needs is read: one archive from the first byte to the last, without the 64-bit end record, plain
-//! relative names, stored or deflated members. The reader behind holds every member to the size that the directory
-//! states, so sizes checked here bound what is unpacked.
+//! Only what a session needs is read: one archive from the first byte to the last, plain relative names, stored or
+//! deflated members. The reader behind holds every member to the size that the directory states, so sizes checked here
+//! bound what is unpacked.
 
 use super::error::{Fault, UploadError, shown};
 use super::limits::UploadLimits;
@@ -59,19 +59,55 @@ fn check_end_record<R: Read + Seek>(reader: &mut R, limits: &UploadLimits) -> Re
     if at + END_BYTES + usize::from(u16_at(20)) != tail.len() {
         return Err(invalid("something follows the end of the archive, or its comment is cut off"));
     }
-    let (n_members, directory_bytes, directory_start) = (u16_at(10), u64::from(u32_at(12)), u64::from(u32_at(16)));
-    let is_zip64 = at >= 20 && tail[at - 20..].starts_with(b"PK\x06\x07");
-    if is_zip64 || n_members == u16::MAX || usize::from(n_members) > limits.max_members {
-        let most = limits.max_members.min(usize::from(u16::MAX) - 1);
-        return Err(Fault::TooManyMembers.with(format!("more than {most} members, or more than 4 GiB")));
+    let short = Directory {
+        n_members: u64::from(u16_at(10)),
+        bytes: u64::from(u32_at(12)),
+        start: u64::from(u32_at(16)),
+        end: tail_start + at as u64,
+    };
+    let directory = if at >= 20 && tail[at - 20..].starts_with(b"PK\x06\x07") {
+        long_directory(&tail[..at], tail_start).ok_or_else(|| invalid("the 64-bit end record is damaged"))?
+    } else {
+        short
+    };
+    if directory.n_members > limits.max_members as u64 {
+        return Err(Fault::TooManyMembers.with(format!("more than {} members", limits.max_members)));
     }
-    if directory_bytes > limits.max_directory_bytes {
-        return Err(Fault::TooManyMembers.with(format!("a directory of {directory_bytes} bytes")));
+    if directory.bytes > limits.max_directory_bytes {
+        return Err(Fault::TooManyMembers.with(format!("a directory of {} bytes", directory.bytes)));
     }
-    if directory_start + directory_bytes != tail_start + at as u64 {
+    if directory.start.checked_add(directory.bytes) != Some(directory.end) {
         return Err(invalid("the directory does not lie where the end record says"));
     }
     Ok(())
+}
+
+/// What an end record says of the directory, and where the directory must end.
+struct Directory {
+    n_members: u64,
+    bytes: u64,
+    start: u64,
+    end: u64,
+}
+
+/// Sizes of the 64-bit end record without extensions and of its locator (APPNOTE 4.3.14, 4.3.15).
+const LONG_END_BYTES: usize = 56;
+const LOCATOR_BYTES: usize = 20;
+
+/// The 64-bit end record before the plain one: more than 65535 members, one a camera and frame, need it.
+fn long_directory(before_end: &[u8], tail_start: u64) -> Option<Directory> {
+    let at = before_end.len().checked_sub(LOCATOR_BYTES + LONG_END_BYTES)?;
+    let (record, locator) = before_end[at..].split_at(LONG_END_BYTES);
+    let u64_at = |bytes: &[u8], i: usize| Some(u64::from_le_bytes(bytes.get(i..i + 8)?.try_into().ok()?));
+    let end = tail_start + at as u64;
+    let is_whole = record.starts_with(b"PK\x06\x06") && u64_at(record, 4)? == LONG_END_BYTES as u64 - 12;
+    let is_located = u64_at(locator, 8)? == end;
+    (is_whole && is_located).then_some(Directory {
+        n_members: u64_at(record, 32)?,
+        bytes: u64_at(record, 40)?,
+        start: u64_at(record, 48)?,
+        end,
+    })
 }
 
 fn checked_positions<R: Read + Seek>(

@@ -1,6 +1,6 @@
 //! Writing the native layout: the inverse of reading, to the precision of a detector.
 
-use crate::session::formats::{entries, rounded, rows};
+use crate::session::formats::{distortion_model, entries, rounded, rows};
 use crate::session::{Detection, FrameIndex, Keypoint, Session, View};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -73,7 +73,9 @@ struct Camera<'a> {
     height: u32,
     #[serde(rename = "K")]
     matrix: [[f64; 3]; 3],
-    dist: [f64; 5],
+    dist: &'a [f64],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    distortion_model: Option<&'static str>,
     #[serde(rename = "R", skip_serializing_if = "Option::is_none")]
     rotation: Option<[[f64; 3]; 3]>,
     #[serde(rename = "t", skip_serializing_if = "Option::is_none")]
@@ -116,7 +118,8 @@ fn camera_of(view: &View) -> Camera<'_> {
         width: view.intrinsics.width,
         height: view.intrinsics.height,
         matrix: rows(&view.intrinsics.matrix()),
-        dist: view.intrinsics.dist,
+        dist: view.intrinsics.dist.coefficients(),
+        distortion_model: distortion_model(&view.intrinsics.dist),
         rotation: view.camera_from_world.map(|pose| rows(&pose.rotation)),
         translation: view.camera_from_world.map(|pose| entries(&pose.translation)),
     }

@@ -1,0 +1,206 @@
+//! How a lens bends ideal normalised coordinates: OpenCV's polynomial, rational and fisheye models.
+
+use nalgebra::Vector2;
+
+/// A lens model with its coefficients, each list in OpenCV's order.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Distortion {
+    /// An ideal pinhole.
+    None,
+    /// `k1 k2 p1 p2 k3`: radial polynomial and tangential terms.
+    OpenCv5([f64; 5]),
+    /// `k1 k2 p1 p2 k3 k4 k5 k6`: the radial factor is a quotient of two polynomials.
+    Rational8([f64; 8]),
+    /// `k1 k2 k3 k4`: a polynomial of the angle to the axis (Kannala and Brandt, PAMI 2006, Eq. (6)).
+    ///
+    /// Known limit: points are normalised coordinates, so a ray at 90 degrees or more from the axis does not exist.
+    Fisheye4([f64; 4]),
+}
+
+/// Five coefficients in OpenCV's order; five zeros are no distortion.
+impl From<[f64; 5]> for Distortion {
+    fn from(dist: [f64; 5]) -> Self {
+        if dist == [0.0; 5] { Self::None } else { Self::OpenCv5(dist) }
+    }
+}
+
+/// Distorted coordinates and their derivative to the ideal ones.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Bent {
+    pub(super) point: Vector2<f64>,
+    /// 2x2, row by row.
+    pub(super) jacobian: [f64; 4],
+}
+
+/// A ray farther than this (rad) from the axis is not undistorted: its tangent belongs to no image of a body.
+const MAX_FISHEYE_ANGLE: f64 = 1.55;
+/// Below this squared radius the fisheye's quotients are replaced by their series: its next term is 1e-12 relative.
+const SMALL_SQUARED_RADIUS: f64 = 1e-6;
+
+impl Distortion {
+    /// The model's name, as `distortion_model` of a session spells it.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::OpenCv5(_) => "opencv",
+            Self::Rational8(_) => "rational",
+            Self::Fisheye4(_) => "fisheye",
+        }
+    }
+
+    /// The coefficients in OpenCV's order; five zeros where there is no distortion, as most readers expect.
+    pub fn coefficients(&self) -> &[f64] {
+        match self {
+            Self::None => &[0.0; 5],
+            Self::OpenCv5(dist) => dist,
+            Self::Rational8(dist) => dist,
+            Self::Fisheye4(dist) => dist,
+        }
+    }
+
+    /// OpenCV's list of growing length: 0, 4, 5 or 8 coefficients, or 12 or 14 whose thin prism and tilt terms are zero;
+    /// `None` for any other.
+    pub fn from_opencv(coefficients: &[f64]) -> Option<Self> {
+        match *coefficients {
+            [] => Some(Self::None),
+            [k1, k2, p1, p2] => Some([k1, k2, p1, p2, 0.0].into()),
+            [k1, k2, p1, p2, k3] | [k1, k2, p1, p2, k3, 0.0, 0.0, 0.0] => Some([k1, k2, p1, p2, k3].into()),
+            [k1, k2, p1, p2, k3, k4, k5, k6] => Some(Self::Rational8([k1, k2, p1, p2, k3, k4, k5, k6])),
+            _ => {
+                let (known, rest) = coefficients.split_at_checked(8)?;
+                let is_ours = [4, 6].contains(&rest.len()) && rest.iter().all(|k| *k == 0.0);
+                if is_ours { Self::from_opencv(known) } else { None }
+            }
+        }
+    }
+
+    /// A fisheye's `k1 k2 k3 k4`, with the zero that some writers append; `None` for any other list.
+    pub fn from_fisheye(coefficients: &[f64]) -> Option<Self> {
+        match *coefficients {
+            [k1, k2, k3, k4] | [k1, k2, k3, k4, 0.0] => Some(Self::Fisheye4([k1, k2, k3, k4])),
+            _ => None,
+        }
+    }
+
+    /// Distorted normalised coordinates of ideal ones.
+    pub fn distorted(&self, n: &Vector2<f64>) -> Vector2<f64> {
+        self.bend(n).point
+    }
+
+    /// Distorted coordinates with their derivative.
+    pub(super) fn bend(&self, n: &Vector2<f64>) -> Bent {
+        match *self {
+            Self::None => Bent { point: *n, jacobian: [1.0, 0.0, 0.0, 1.0] },
+            Self::OpenCv5([k1, k2, p1, p2, k3]) => {
+                let r2 = n.norm_squared();
+                let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+                let slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3);
+                bend_brown(n, radial, slope, [p1, p2])
+            }
+            Self::Rational8([k1, k2, p1, p2, k3, k4, k5, k6]) => {
+                let r2 = n.norm_squared();
+                let above = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
+                let below = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6));
+                let above_slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3);
+                let below_slope = k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6);
+                let radial = above / below;
+                bend_brown(n, radial, (above_slope - radial * below_slope) / below, [p1, p2])
+            }
+            Self::Fisheye4(k) => bend_fisheye(n, &k),
+        }
+    }
+
+    /// Ideal normalised coordinates of distorted ones.
+    ///
+    /// Known limit: beyond the radius where the polynomial folds over there is no inverse; the last iterate is returned.
+    pub(super) fn straighten(&self, bent: &Vector2<f64>) -> Vector2<f64> {
+        match self {
+            Self::None => *bent,
+            Self::Fisheye4(k) => straighten_fisheye(bent, k),
+            Self::OpenCv5(_) | Self::Rational8(_) => self.straighten_by_newton(bent),
+        }
+    }
+
+    fn straighten_by_newton(&self, target: &Vector2<f64>) -> Vector2<f64> {
+        let mut n = *target;
+        for _ in 0..20 {
+            let Bent { point, jacobian: [a, b, c, e] } = self.bend(&n);
+            let r = target - point;
+            let det = a * e - b * c;
+            if det.abs() < 1e-9 {
+                break;
+            }
+            let step = Vector2::new((e * r.x - b * r.y) / det, (a * r.y - c * r.x) / det);
+            n += step;
+            if step.norm_squared() < 1e-24 {
+                break;
+            }
+        }
+        n
+    }
+}
+
+/// Brown's model: `n radial + (2 p1 x y + p2 (r^2 + 2 x^2), p1 (r^2 + 2 y^2) + 2 p2 x y)`, with the radial factor and
+/// its derivative to `r^2` given.
+fn bend_brown(n: &Vector2<f64>, radial: f64, radial_slope: f64, [p1, p2]: [f64; 2]) -> Bent {
+    let (x, y) = (n.x, n.y);
+    let r2 = x * x + y * y;
+    let slope = 2.0 * radial_slope;
+    let point = Vector2::new(
+        x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+        y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+    );
+    let cross = x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y;
+    let jacobian = [
+        radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x,
+        cross,
+        cross,
+        radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x,
+    ];
+    Bent { point, jacobian }
+}
+
+/// `theta_d(theta) / theta` and the derivative of `theta_d` to theta.
+fn fisheye_polynomial(theta2: f64, [k1, k2, k3, k4]: &[f64; 4]) -> [f64; 2] {
+    let factor = 1.0 + theta2 * (k1 + theta2 * (k2 + theta2 * (k3 + theta2 * k4)));
+    let slope = 1.0 + theta2 * (3.0 * k1 + theta2 * (5.0 * k2 + theta2 * (7.0 * k3 + theta2 * 9.0 * k4)));
+    [factor, slope]
+}
+
+/// `n s(r)` with `s = theta_d / r`, `theta = atan r`; its derivative is `s I + (s' / r) n n^T`.
+fn bend_fisheye(n: &Vector2<f64>, k: &[f64; 4]) -> Bent {
+    let r2 = n.norm_squared();
+    let (scale, growth) = if r2 < SMALL_SQUARED_RADIUS {
+        // theta_d / r = 1 + (k1 - 1/3) r^2 + O(r^4).
+        (1.0 + (k[0] - 1.0 / 3.0) * r2, 2.0 * (k[0] - 1.0 / 3.0))
+    } else {
+        let r = r2.sqrt();
+        let theta = r.atan();
+        let [factor, slope] = fisheye_polynomial(theta * theta, k);
+        let scale = theta * factor / r;
+        (scale, (slope / (1.0 + r2) - scale) / r2)
+    };
+    let cross = growth * n.x * n.y;
+    Bent { point: n * scale, jacobian: [scale + growth * n.x * n.x, cross, cross, scale + growth * n.y * n.y] }
+}
+
+/// Newton's method on the angle alone: in normalised coordinates the tangent makes it overshoot.
+fn straighten_fisheye(bent: &Vector2<f64>, k: &[f64; 4]) -> Vector2<f64> {
+    let distorted_angle = bent.norm();
+    if distorted_angle == 0.0 {
+        return *bent;
+    }
+    let mut theta = distorted_angle.min(MAX_FISHEYE_ANGLE);
+    for _ in 0..30 {
+        let [factor, slope] = fisheye_polynomial(theta * theta, k);
+        if slope < 1e-9 {
+            break;
+        }
+        let step = (distorted_angle - theta * factor) / slope;
+        theta = (theta + step).clamp(0.0, MAX_FISHEYE_ANGLE);
+        if step.abs() < 1e-15 {
+            break;
+        }
+    }
+    bent * (theta.tan() / distorted_angle)
+}

@@ -1,0 +1,47 @@
+//! DMMR's `camparams.txt`: a block a camera of its number, three rows of K, `0 0`, and three rows of `[R t]`.
+//!
+//! The file holds neither distortion nor an image size.
+
+use super::{invalid, rows_of};
+use crate::session::upload::error::UploadError;
+use crate::session::upload::json::ShortList;
+use crate::session::upload::raw::RawCamera;
+
+/// Numbers of a block without its heading: K, the two zeros, `[R t]`.
+const BLOCK: usize = 9 + 2 + 12;
+
+/// Whether the first lines are a number and three rows of three.
+pub(super) fn recognise(head: &str) -> bool {
+    let lines = head.lines().filter(|line| !line.trim().is_empty()).take(5);
+    let counts: Vec<Option<usize>> = lines
+        .map(|line| {
+            let numbers: Result<Vec<f64>, _> = line.split_whitespace().map(str::parse).collect();
+            numbers.ok().map(|numbers| numbers.len())
+        })
+        .collect();
+    counts == [Some(1), Some(3), Some(3), Some(3), Some(2)]
+}
+
+/// Every camera, named by its number.
+pub(super) fn read(text: &str) -> Result<Vec<RawCamera>, UploadError> {
+    let words: Vec<&str> = text.split_whitespace().collect();
+    if !words.len().is_multiple_of(BLOCK + 1) {
+        return Err(invalid(format!("{} numbers, expected {} a camera", words.len(), BLOCK + 1)));
+    }
+    words.chunks(BLOCK + 1).map(camera).collect()
+}
+
+fn camera(block: &[&str]) -> Result<RawCamera, UploadError> {
+    let finite = |word: &&str| word.parse().ok().filter(|number: &f64| number.is_finite());
+    let numbers: Option<Vec<f64>> = block[1..].iter().map(finite).collect();
+    let numbers = numbers.ok_or_else(|| invalid(format!("camera {:?} holds what is no number", block[0])))?;
+    let pose = &numbers[11..];
+    let rotation: Vec<f64> = pose.chunks(4).flat_map(|row| row[..3].to_vec()).collect();
+    Ok(RawCamera {
+        id: block[0].to_owned(),
+        matrix: rows_of(&numbers[..9]),
+        rotation: rows_of(&rotation),
+        translation: Some(ShortList(pose.chunks(4).map(|row| row[3]).collect())),
+        ..RawCamera::default()
+    })
+}

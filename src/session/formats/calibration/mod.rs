@@ -1,0 +1,166 @@
+//! Calibration files, told by their content: each reader gives cameras as written, merged by name.
+
+mod agisoft;
+mod colmap;
+mod dmmr;
+mod opencv_yaml;
+mod ros;
+mod toml_cameras;
+mod yaml;
+
+use crate::session::upload::error::{Fault, UploadError};
+use crate::session::upload::json::ShortList;
+use crate::session::upload::raw::RawCamera;
+use crate::session::upload::warnings::Warnings;
+
+/// A kind of calibration file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum CalibrationFormat {
+    OpenCvYaml,
+    RosCameraInfo,
+    Toml,
+    ColmapCameras,
+    ColmapImages,
+    Agisoft,
+    Dmmr,
+}
+
+impl CalibrationFormat {
+    /// The name in the answer to an upload.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::OpenCvYaml => "opencv_yaml",
+            Self::RosCameraInfo => "ros_camera_info",
+            Self::Toml => "toml",
+            Self::ColmapCameras | Self::ColmapImages => "colmap",
+            Self::Agisoft => "agisoft_xml",
+            Self::Dmmr => "dmmr_camparams",
+        }
+    }
+}
+
+/// What the calibration files of an upload say together.
+#[derive(Debug, Default)]
+pub(crate) struct Calibration {
+    /// Names of the formats, in order of reading, each once.
+    pub(crate) formats: Vec<&'static str>,
+    pub(crate) cameras: Vec<RawCamera>,
+    /// Frames per second, where a file tells.
+    pub(crate) fps: Option<f64>,
+    colmap: colmap::Model,
+}
+
+/// Tells a calibration file by its beginning; `None` for anything else.
+pub(crate) fn recognise(head: &str) -> Option<CalibrationFormat> {
+    use CalibrationFormat as F;
+    let start = head.trim_start();
+    let has_line = |prefix: &str| head.lines().any(|line| line.trim_start().starts_with(prefix));
+    if start.starts_with('<') {
+        return (head.contains("<sensor") || head.contains("<chunk")).then_some(F::Agisoft);
+    }
+    if start.starts_with("%YAML") || head.contains("!!opencv-matrix") {
+        return Some(F::OpenCvYaml);
+    }
+    if has_line("camera_matrix:") || has_line("distortion_model:") {
+        return Some(F::RosCameraInfo);
+    }
+    if start.starts_with('{') {
+        return None;
+    }
+    if has_line("[") && ["matrix", "frame_rate", "distortions"].iter().any(|key| has_line(key)) {
+        return Some(F::Toml);
+    }
+    colmap::recognise(head).or_else(|| dmmr::recognise(head).then_some(F::Dmmr))
+}
+
+impl Calibration {
+    /// Reads one more file.
+    ///
+    /// # Errors
+    /// What cannot be read, or holds a lens that is not ours.
+    pub(crate) fn add(
+        &mut self,
+        format: CalibrationFormat,
+        file: &str,
+        text: &str,
+        warnings: &mut Warnings,
+    ) -> Result<(), UploadError> {
+        use CalibrationFormat as F;
+        let cameras = match format {
+            F::OpenCvYaml => opencv_yaml::read(text)?,
+            F::RosCameraInfo => vec![ros::read(file, text)?],
+            F::Toml => toml_cameras::read(text, &mut self.fps, warnings)?,
+            F::ColmapCameras => self.colmap.add_cameras(text).map(|()| Vec::new())?,
+            F::ColmapImages => self.colmap.add_images(text).map(|()| Vec::new())?,
+            F::Agisoft => agisoft::read(text, warnings)?,
+            F::Dmmr => dmmr::read(text)?,
+        };
+        if !self.formats.contains(&format.name()) {
+            self.formats.push(format.name());
+        }
+        cameras.into_iter().for_each(|camera| self.merge(camera));
+        Ok(())
+    }
+
+    /// Joins what several files say together, once all are read.
+    ///
+    /// # Errors
+    /// An image of an unknown camera.
+    pub(crate) fn finish(&mut self, warnings: &mut Warnings) -> Result<(), UploadError> {
+        for camera in std::mem::take(&mut self.colmap).into_cameras(warnings)? {
+            self.merge(camera);
+        }
+        Ok(())
+    }
+
+    /// Adds a camera, or what a second file knows of it.
+    pub(crate) fn merge(&mut self, camera: RawCamera) {
+        let Some(own) = self.cameras.iter_mut().find(|own| own.id == camera.id) else {
+            self.cameras.push(camera);
+            return;
+        };
+        if own.width == 0 || own.height == 0 {
+            (own.width, own.height) = (camera.width, camera.height);
+        }
+        own.matrix = own.matrix.take().or(camera.matrix);
+        own.distortion = own.distortion.take().or(camera.distortion);
+        own.distortion_model = own.distortion_model.take().or(camera.distortion_model);
+        own.rotation = own.rotation.take().or(camera.rotation);
+        own.translation = own.translation.take().or(camera.translation);
+    }
+}
+
+/// The refusal of a file that looks like a calibration but cannot be read.
+fn invalid(detail: impl Into<String>) -> UploadError {
+    Fault::CalibrationInvalid.with(detail)
+}
+
+/// A 3x3 matrix from nine numbers, row by row.
+fn rows_of(numbers: &[f64]) -> Option<ShortList<ShortList<f64>>> {
+    (numbers.len() == 9).then(|| ShortList(numbers.chunks(3).map(|row| ShortList(row.to_vec())).collect()))
+}
+
+/// K of focal lengths and a principal point, px.
+fn pinhole(fx: f64, fy: f64, cx: f64, cy: f64, skew: f64) -> Option<ShortList<ShortList<f64>>> {
+    rows_of(&[fx, skew, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
+}
+
+/// A rotation matrix from an axis-angle vector, rad.
+fn rows_of_axis_angle(axis_angle: &[f64]) -> Option<ShortList<ShortList<f64>>> {
+    let [x, y, z] = *axis_angle else { return None };
+    let rotation = crate::geometry::rotation::exp(&nalgebra::Vector3::new(x, y, z));
+    Some(ShortList(crate::session::formats::rows(&rotation).iter().map(|row| ShortList(row.to_vec())).collect()))
+}
+
+/// An image size that is a whole number of pixels.
+fn size(value: f64) -> Option<u32> {
+    (value.fract() == 0.0 && (0.0..=1e6).contains(&value)).then_some(value as u32)
+}
+
+/// The name of a camera after an image or a file: its folder, or itself without the ending.
+fn camera_of_image(name: &str) -> &str {
+    match name.rsplit_once('/') {
+        Some((folder, _)) => folder.rsplit('/').next().unwrap_or(folder),
+        None => name.rsplit_once('.').map_or(name, |(stem, _)| stem),
+    }
+}

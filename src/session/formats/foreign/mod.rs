@@ -1,0 +1,263 @@
+//! A session of other tools' files: calibration files and pose files in any dialect, mixed as they come.
+//!
+//! `session.json` may stand beside them and say what they cannot: `fps`, `keypoint_convention` or `keypoint_names`,
+//! image sizes, the up axis. What was found is told: dialects in the format's name, the joint map in the warnings.
+
+mod header;
+mod names;
+mod order_evidence;
+mod skeleton;
+mod sources;
+mod survey;
+
+pub(crate) use survey::{Survey, survey};
+
+use crate::session::formats::calibration::Calibration;
+use crate::session::formats::poses::PoseDialect;
+use crate::session::upload::error::{Fault, UploadError, shown};
+use crate::session::upload::json::{Reading, ShortList};
+use crate::session::upload::members::Members;
+use crate::session::upload::raw::{RawCamera, RawSession};
+use header::Header;
+use sources::{Source, read_bytes, read_sources};
+use std::collections::BTreeMap;
+use std::io::{Read, Seek};
+
+/// What was read.
+#[derive(Debug)]
+pub(crate) struct ForeignSession {
+    pub(crate) raw: RawSession,
+    /// Dialects of the poses and formats of the calibration: `openpose with opencv_yaml`.
+    pub(crate) format: String,
+    /// Every file that was read.
+    pub(crate) files: Vec<String>,
+}
+
+/// A header is a page; a calibration of a thousand images some megabytes.
+const MAX_HEADER_BYTES: u64 = 4 << 20;
+const MAX_CALIBRATION_BYTES: u64 = 32 << 20;
+/// Frames per second where nothing tells: what most cameras deliver.
+const DEFAULT_FPS: f64 = 30.0;
+
+/// Whether the header asks for what only this reader does: joints of a custom skeleton.
+pub(crate) fn names_joints<R: Read + Seek>(members: &mut Members<R>, header: &str) -> bool {
+    let header = read_bytes(members, header, MAX_HEADER_BYTES).and_then(|bytes| Header::read(&bytes));
+    header.is_ok_and(|header| header.keypoint_names.is_some())
+}
+
+/// Reads the files of a survey.
+///
+/// # Errors
+/// The first thing that cannot be, with its place.
+pub(crate) fn read_members<R: Read + Seek>(
+    survey: Survey,
+    members: &mut Members<R>,
+    reading: &mut Reading<'_>,
+) -> Result<ForeignSession, UploadError> {
+    let mut header = read_header(&survey, members)?;
+    let header_cameras = header.take_cameras();
+    let mut calibration = read_calibrations(&survey, &header_cameras, members, reading)?;
+    let found = read_sources(&survey, members, reading)?;
+    let mut sources = found.sources;
+    sources.retain(|source| !source.poses.order.is_empty());
+    if sources.is_empty() {
+        return Err(Fault::NoFrames.with("the pose files hold no frame"));
+    }
+    let cameras = std::mem::take(&mut calibration.cameras);
+    let (cameras, mut sources) = paired(cameras, sources, reading)?;
+    let convention = skeleton::unify(&mut sources, &header, reading.warnings)?;
+    let cameras: Vec<RawCamera> = cameras
+        .into_iter()
+        .zip(&sources)
+        .map(|(camera, source)| sized(camera, source, &header_cameras, reading))
+        .collect::<Result<_, _>>()?;
+    for stranger in &survey.strangers {
+        reading.warnings.add(format!("file {} is neither poses nor a calibration: it is ignored", shown(stranger)));
+    }
+    let fps = header.fps.or(found.fps).or(calibration.fps).unwrap_or_else(|| {
+        let line =
+            format!("no file tells the frame rate: {DEFAULT_FPS} per second are assumed; give `fps` in session.json");
+        reading.warnings.add(line);
+        DEFAULT_FPS
+    });
+    let frames = || sources.iter().flat_map(|source| source.poses.order.iter().copied());
+    let first_frame = header.first_frame.or(frames().min()).unwrap_or(0);
+    let last_frame = frames().max().unwrap_or(first_frame);
+    let n_found = last_frame.saturating_sub(first_frame).saturating_add(1).max(0).unsigned_abs();
+    let format = format_name(&sources, &calibration, &header_cameras);
+    let file = survey.header.clone().or(survey.calibrations.first().map(|(name, _)| name.clone()));
+    let raw = RawSession {
+        file: file.unwrap_or_default(),
+        name: header.name.unwrap_or_default(),
+        fps,
+        first_frame,
+        n_frames: header.n_frames.or(Some(n_found)),
+        keypoint_convention: convention.name().to_owned(),
+        up_axis: header.up_axis,
+        poses: cameras.iter().map(|camera| camera.id.clone()).zip(sources.into_iter().map(|s| s.poses)).collect(),
+        cameras,
+    };
+    Ok(ForeignSession { raw, format, files: files_of(survey) })
+}
+
+fn read_header<R: Read + Seek>(survey: &Survey, members: &mut Members<R>) -> Result<Header, UploadError> {
+    let Some(name) = &survey.header else { return Ok(Header::default()) };
+    let bytes = read_bytes(members, name, MAX_HEADER_BYTES)?;
+    Header::read(&bytes).map_err(|e| UploadError { file: Some(name.clone()), ..e })
+}
+
+fn read_calibrations<R: Read + Seek>(
+    survey: &Survey,
+    header_cameras: &[RawCamera],
+    members: &mut Members<R>,
+    reading: &mut Reading<'_>,
+) -> Result<Calibration, UploadError> {
+    let mut calibration = Calibration::default();
+    for (name, format) in &survey.calibrations {
+        let of_file = |e: UploadError| UploadError { file: Some(name.clone()), ..e };
+        let text = String::from_utf8(read_bytes(members, name, MAX_CALIBRATION_BYTES)?)
+            .map_err(|_| of_file(Fault::Encoding.with("the calibration is not UTF-8")))?;
+        calibration.add(*format, name, &text, reading.warnings).map_err(of_file)?;
+    }
+    calibration.finish(reading.warnings)?;
+    for camera in header_cameras.iter().filter(|camera| camera.matrix.is_some()) {
+        calibration.merge(camera.clone());
+    }
+    calibration.cameras.retain(|camera| {
+        let is_whole = camera.matrix.is_some();
+        if !is_whole {
+            reading.warnings.add(format!("camera {} has a pose and no intrinsics: it is ignored", shown(&camera.id)));
+        }
+        is_whole
+    });
+    if calibration.cameras.is_empty() {
+        return Err(Fault::NoCameras.with("there is no calibration file"));
+    }
+    if calibration.cameras.len() > 4 * reading.limits.max_cameras {
+        return Err(Fault::TooManyCameras.with(format!("a calibration of {} cameras", calibration.cameras.len())));
+    }
+    Ok(calibration)
+}
+
+/// Cameras with their poses, in the calibration's order; what has no partner is told and left out.
+fn paired(
+    cameras: Vec<RawCamera>,
+    sources: Vec<Source>,
+    reading: &mut Reading<'_>,
+) -> Result<(Vec<RawCamera>, Vec<Source>), UploadError> {
+    let ids: Vec<&str> = cameras.iter().map(|camera| camera.id.as_str()).collect();
+    let source_names: Vec<Vec<String>> = sources.iter().map(|source| source.names.clone()).collect();
+    let matched = names::match_cameras(&source_names, &ids, reading.warnings)?;
+    let mut by_camera: BTreeMap<usize, Source> = BTreeMap::new();
+    for (source, camera) in sources.into_iter().zip(matched) {
+        match camera {
+            Some(camera) => {
+                by_camera.insert(camera, source);
+            }
+            None => {
+                let name = source.names.first().map_or("", String::as_str);
+                reading.warnings.add(format!("poses of unknown camera {} are ignored", shown(name)));
+            }
+        }
+    }
+    if by_camera.is_empty() {
+        let detail = format!("no poses belong to a camera of the calibration ({})", ids.join(", "));
+        return Err(Fault::CameraUnknown.with(shown(&detail)));
+    }
+    let (mut kept, mut poses) = (Vec::new(), Vec::new());
+    for (i, camera) in cameras.into_iter().enumerate() {
+        match by_camera.remove(&i) {
+            Some(source) => {
+                kept.push(camera);
+                poses.push(source);
+            }
+            None => {
+                let id = shown(&camera.id);
+                reading.warnings.add(format!("camera {id} of the calibration has no poses: it is left out"));
+            }
+        }
+    }
+    Ok((kept, poses))
+}
+
+/// The camera for images of the keypoints' size: as the pose file or the header proves it, else as calibrated.
+fn sized(
+    mut camera: RawCamera,
+    source: &Source,
+    header_cameras: &[RawCamera],
+    reading: &mut Reading<'_>,
+) -> Result<RawCamera, UploadError> {
+    let of_camera = |e: UploadError| UploadError { camera: Some(camera.id.clone()), ..e };
+    let given = header_cameras.iter().find(|own| own.id == camera.id && own.width > 0 && own.height > 0);
+    let proved = source.image_size.or(given.map(|own| [own.width, own.height]));
+    let calibrated = [camera.width, camera.height];
+    let size = match proved {
+        Some(size) => size,
+        None if calibrated.contains(&0) => {
+            let detail = "neither the calibration nor the poses tell the image size";
+            return Err(of_camera(Fault::ImageSizeUnknown.with(detail)));
+        }
+        None => calibrated,
+    };
+    if !calibrated.contains(&0) && size != calibrated {
+        let scale = scale_between(calibrated, size).map_err(of_camera)?;
+        let [[w0, h0], [w, h]] = [calibrated, size];
+        reading.warnings.add(format!(
+            "camera {} was calibrated at {w0}x{h0} and its keypoints lie in images of {w}x{h}: K is scaled by {scale}",
+            shown(&camera.id)
+        ));
+        scale_matrix(&mut camera, scale);
+    }
+    [camera.width, camera.height] = size;
+    Ok(camera)
+}
+
+fn scale_between(calibrated: [u32; 2], size: [u32; 2]) -> Result<f64, UploadError> {
+    let ratio = |i: usize| f64::from(size[i]) / f64::from(calibrated[i]);
+    let found = format!("calibrated at {}x{}, keypoints in {}x{}", calibrated[0], calibrated[1], size[0], size[1]);
+    if (ratio(0) / ratio(1) - 1.0).abs() < 0.01 {
+        return Ok(ratio(0));
+    }
+    let is_turned =
+        (f64::from(size[0]) / f64::from(calibrated[1]) - f64::from(size[1]) / f64::from(calibrated[0])).abs() < 0.01;
+    let why = if is_turned { "the video was turned" } else { "the image was cropped or squeezed" };
+    Err(Fault::CameraInvalid.with(format!("{found}: {why}")))
+}
+
+/// K of an image of another size; the centre of the first pixel stays (0, 0).
+fn scale_matrix(camera: &mut RawCamera, scale: f64) {
+    let Some(ShortList(rows)) = &mut camera.matrix else { return };
+    for row in rows.iter_mut().take(2) {
+        for (column, value) in row.0.iter_mut().enumerate() {
+            *value = if column == 2 { (*value + 0.5) * scale - 0.5 } else { *value * scale };
+        }
+    }
+}
+
+fn format_name(sources: &[Source], calibration: &Calibration, header_cameras: &[RawCamera]) -> String {
+    let mut dialects: Vec<&str> = Vec::new();
+    let has_placeholders = sources.iter().any(|source| source.has_placeholders);
+    for source in sources {
+        let is_dmmr = has_placeholders && source.dialect == PoseDialect::OpenPose;
+        let name = match source.dialect.name() {
+            _ if is_dmmr => "dmmr",
+            "openpose" if source.is_alphapose => "alphapose_open",
+            name => name,
+        };
+        if !dialects.contains(&name) {
+            dialects.push(name);
+        }
+    }
+    let mut formats = calibration.formats.clone();
+    if header_cameras.iter().any(|camera| camera.matrix.is_some()) {
+        formats.push("native");
+    }
+    format!("{} with {}", dialects.join("+"), formats.join("+"))
+}
+
+fn files_of(survey: Survey) -> Vec<String> {
+    let Survey { header, calibrations, streams, groups, strangers: _ } = survey;
+    let named = calibrations.into_iter().map(|(name, _)| name).chain(streams.into_iter().map(|(name, _)| name));
+    let frames = groups.into_iter().flat_map(|group| group.files).map(|(_, name)| name);
+    header.into_iter().chain(named).chain(frames).collect()
+}

@@ -1,0 +1,180 @@
+//! From each source's own order of points to the session's one convention, by joint names.
+
+use super::header::Header;
+use super::order_evidence::{Evidence, best_order};
+use super::sources::Source;
+use crate::body::skeleton::KeypointConvention;
+use crate::session::formats::joints::{JointOrder, mapped};
+use crate::session::formats::poses::PoseDialect;
+use crate::session::upload::error::{Fault, UploadError, shown};
+use crate::session::upload::warnings::Warnings;
+use std::collections::BTreeMap;
+
+/// AlphaPose's largest confidence of a COCO model.
+const ALPHAPOSE_SCALE: f64 = 6.0;
+/// Confidences a little above 1 are rounding, not another scale.
+const ROUNDING: f64 = 1.05;
+/// Points within so many pixels of the origin, all of them, are no pixels.
+const NORMALISED: f64 = 2.0;
+
+/// Brings every source to one convention and tells what was found.
+///
+/// # Errors
+/// Points whose meaning nothing tells, or that are no pixels.
+pub(super) fn unify(
+    sources: &mut [Source],
+    header: &Header,
+    warnings: &mut Warnings,
+) -> Result<KeypointConvention, UploadError> {
+    settle_identities(sources);
+    settle_confidences(sources, warnings);
+    let mut orders = Vec::with_capacity(sources.len());
+    for source in sources.iter() {
+        let of_source = |e| UploadError { file: Some(source.poses.file.clone()), ..e };
+        check_pixels(source).map_err(of_source)?;
+        orders.push(order_of(source, header, warnings).map_err(of_source)?);
+    }
+    let convention = match &header.keypoint_convention {
+        Some(name) => KeypointConvention::parse(name)
+            .ok_or_else(|| Fault::ConventionUnknown.with(format!("keypoint_convention is {}", shown(name))))?,
+        None => widest_convention(&orders),
+    };
+    tell(sources, &orders, convention, warnings);
+    for (source, order) in sources.iter_mut().zip(&orders) {
+        let map = order.map_to(convention);
+        let is_identity = map.len() == order.joints.len() && map.iter().enumerate().all(|(i, m)| *m == Some(i));
+        if !is_identity {
+            let people = source.poses.detections.values_mut().flatten();
+            people.for_each(|person| person.keypoints = mapped(&person.keypoints, &map));
+        }
+    }
+    Ok(convention)
+}
+
+/// Where one file has placeholders, positions are identities in all; then people without points are dropped.
+fn settle_identities(sources: &mut [Source]) {
+    let is_by_position = sources.iter().any(|source| source.has_placeholders);
+    for source in sources {
+        for people in source.poses.detections.values_mut() {
+            if is_by_position && source.dialect == PoseDialect::OpenPose {
+                people.iter_mut().enumerate().for_each(|(i, person)| person.track_id = Some(i as i64));
+            }
+            people.retain(|person| !person.keypoints.is_empty());
+        }
+    }
+}
+
+/// Confidences from 0 to 1: AlphaPose's divided where they reach 6, all others cut off.
+fn settle_confidences(sources: &mut [Source], warnings: &mut Warnings) {
+    let largest = |source: &Source| {
+        let people = source.poses.detections.values().flatten();
+        people.flat_map(|person| &person.keypoints).map(|keypoint| keypoint.confidence).fold(0.0, f64::max)
+    };
+    let of_alphapose = sources.iter().filter(|source| source.is_alphapose).map(largest).fold(0.0, f64::max);
+    let is_scaled = of_alphapose > ROUNDING;
+    if is_scaled {
+        warnings
+            .add(format!("confidences of AlphaPose reach {of_alphapose:.2}: they are divided by {ALPHAPOSE_SCALE}"));
+    }
+    for source in sources {
+        let scale = if is_scaled && source.is_alphapose { 1.0 / ALPHAPOSE_SCALE } else { 1.0 };
+        let people = source.poses.detections.values_mut().flatten();
+        for keypoint in people.flat_map(|person| &mut person.keypoints) {
+            keypoint.confidence *= scale;
+            if keypoint.confidence > 1.0 {
+                warnings.clamped_confidence(keypoint.confidence);
+                keypoint.confidence = 1.0;
+            }
+        }
+    }
+}
+
+fn check_pixels(source: &Source) -> Result<(), UploadError> {
+    let people = || source.poses.detections.values().flatten();
+    let seen = || people().flat_map(|person| &person.keypoints).filter(|keypoint| keypoint.is_present());
+    let n_seen = seen().take(50).count();
+    if n_seen == 50 && seen().all(|keypoint| keypoint.pixel.amax() <= NORMALISED) {
+        return Err(
+            Fault::KeypointInvalid.with("all points lie within 2 px of the origin: they are normalised, not pixels")
+        );
+    }
+    Ok(())
+}
+
+/// The order of a source's points: as declared, as the file names them, or as the points themselves prove.
+fn order_of(source: &Source, header: &Header, warnings: &mut Warnings) -> Result<JointOrder, UploadError> {
+    let people = || source.poses.detections.values().flatten();
+    let Some(n_points) = people().map(|person| person.keypoints.len()).max() else {
+        return Ok(JointOrder { name: "none".to_owned(), joints: Vec::new() });
+    };
+    for (frame, people) in &source.poses.detections {
+        if let Some(person) = people.iter().position(|person| person.keypoints.len() != n_points) {
+            let found = people[person].keypoints.len();
+            let error = Fault::KeypointCount.with(format!("{found} keypoints, {n_points} in other frames"));
+            return Err(UploadError { frame: Some(*frame), person: Some(person), ..error });
+        }
+    }
+    let names =
+        header.keypoint_names.as_ref().map(|names| JointOrder::of_names("named", names.iter().map(String::as_str)));
+    let convention = header.keypoint_convention.as_deref().and_then(KeypointConvention::parse);
+    let declared = names.or_else(|| convention.map(JointOrder::of_convention));
+    let own = declared.into_iter().chain(source.order.clone()).find(|order| order.joints.len() == n_points);
+    if let Some(order) = own {
+        if order.joints.iter().flatten().count() < 4 {
+            return Err(Fault::SkeletonUnknown.with("fewer than 4 of the named joints are known"));
+        }
+        return Ok(order);
+    }
+    match best_order(JointOrder::candidates(n_points), people()) {
+        None => Err(Fault::SkeletonUnknown.with(format!("no known skeleton has {n_points} points"))),
+        Some(Evidence { order, is_proved }) => {
+            if !is_proved {
+                let camera = shown(source.names.first().map_or("", String::as_str));
+                warnings.add(format!("{n_points} points of {camera} are taken as {}; name the joints", order.name));
+            }
+            Ok(order)
+        }
+    }
+}
+
+/// The convention that keeps most joints of all sources; of equals the sources' own, then the one with least to spare.
+fn widest_convention(orders: &[JointOrder]) -> KeypointConvention {
+    let worth = |convention: &KeypointConvention| {
+        let own = JointOrder::of_convention(*convention);
+        let kept: usize = orders
+            .iter()
+            .map(|order| {
+                let map = order.map_to(*convention);
+                map.iter().take(convention.names().len()).flatten().count()
+            })
+            .sum();
+        let is_own = orders.iter().filter(|order| **order == own).count();
+        (kept, is_own, std::cmp::Reverse(convention.n_keypoints()))
+    };
+    let mut best = KeypointConvention::Coco17;
+    for convention in KeypointConvention::ALL {
+        if worth(&convention) > worth(&best) {
+            best = convention;
+        }
+    }
+    best
+}
+
+/// One line a dialect and order: which cameras, how many points, how many of them are kept.
+fn tell(sources: &[Source], orders: &[JointOrder], convention: KeypointConvention, warnings: &mut Warnings) {
+    let mut lines: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for (source, order) in sources.iter().zip(orders) {
+        let kept = order.map_to(convention).iter().take(convention.names().len()).flatten().count();
+        let finding = format!(
+            "{} with {} points in the order of {}, {kept} joints kept as {}",
+            source.dialect.name(),
+            order.joints.len(),
+            shown(&order.name),
+            convention.name()
+        );
+        lines.entry(finding).or_default().push(shown(source.names.first().map_or("", String::as_str)));
+    }
+    for (finding, cameras) in lines {
+        warnings.add(format!("poses of {}: {finding}", cameras.join(", ")));
+    }
+}

@@ -1,0 +1,224 @@
+//! Reading the pose files of a survey: each camera's people in the order of points of its file.
+
+use super::survey::{FrameGroup, Survey};
+use crate::session::Detection;
+use crate::session::formats::joints::JointOrder;
+use crate::session::formats::native;
+use crate::session::formats::poses::{
+    FoundPoses, FrameContent, ImageTable, PoseDialect, read_caliscope, read_deeplabcut, read_frame, read_list,
+    read_mmpose, read_timestamps,
+};
+use crate::session::upload::error::{Fault, UploadError};
+use crate::session::upload::json::Reading;
+use crate::session::upload::members::Members;
+use crate::session::upload::raw::RawPoses;
+use rayon::prelude::*;
+use std::io::{Read, Seek};
+
+/// One camera's poses as a file or a group of files holds them.
+#[derive(Debug)]
+pub(super) struct Source {
+    pub(super) dialect: PoseDialect,
+    /// What the camera may be called, the likeliest first.
+    pub(super) names: Vec<String>,
+    pub(super) poses: RawPoses,
+    /// Placeholders of absent people were found: a position in the list is an identity.
+    pub(super) has_placeholders: bool,
+    /// Whether AlphaPose wrote it, whose confidences may reach 6.
+    pub(super) is_alphapose: bool,
+    pub(super) order: Option<JointOrder>,
+    pub(super) image_size: Option<[u32; 2]>,
+}
+
+/// Everything that the pose files say.
+#[derive(Debug, Default)]
+pub(super) struct Sources {
+    pub(super) sources: Vec<Source>,
+    /// Frames per second, where time stamps tell.
+    pub(super) fps: Option<f64>,
+}
+
+/// The largest file of one frame: a thousand people of 133 points.
+const MAX_FRAME_FILE_BYTES: u64 = 16 << 20;
+/// Bytes and files that are held at a time while they are parsed.
+const BATCH_BYTES: usize = 16 << 20;
+const BATCH_FILES: usize = 512;
+/// A frame's and a person's memory besides the keypoints, in keypoints (see the native reader).
+const FRAME_AS_KEYPOINTS: usize = 3;
+const PERSON_AS_KEYPOINTS: usize = 4;
+
+/// Reads every pose file of the survey.
+///
+/// # Errors
+/// The first file that cannot be read.
+pub(super) fn read_sources<R: Read + Seek>(
+    survey: &Survey,
+    members: &mut Members<R>,
+    reading: &mut Reading<'_>,
+) -> Result<Sources, UploadError> {
+    let mut all = Sources::default();
+    let mut images = ImageTable::new();
+    // The tables that number images come before the lists that use the numbers.
+    let tables = survey.streams.iter().filter(|(_, dialect)| *dialect == PoseDialect::CocoImages);
+    let others = survey.streams.iter().filter(|(_, dialect)| *dialect != PoseDialect::CocoImages);
+    for (name, dialect) in tables.chain(others) {
+        reading.place.file = Some(name.clone());
+        let found = read_stream(name, *dialect, members, &mut images, &mut all.fps, reading);
+        let found = found.map_err(|e| reading.place.of(e))?;
+        all.sources.extend(split_by_camera(name, *dialect, found));
+    }
+    for group in &survey.groups {
+        all.sources.push(read_group(group, members, reading)?);
+    }
+    reading.place.file = None;
+    Ok(all)
+}
+
+fn read_stream<R: Read + Seek>(
+    name: &str,
+    dialect: PoseDialect,
+    members: &mut Members<R>,
+    images: &mut ImageTable,
+    fps: &mut Option<f64>,
+    reading: &mut Reading<'_>,
+) -> Result<FoundPoses, UploadError> {
+    if dialect == PoseDialect::Native {
+        let poses = native::read_poses(members, name, reading)?;
+        return Ok(FoundPoses { by_camera: [(None, poses)].into(), ..FoundPoses::default() });
+    }
+    let is_document = is_document(members, name)?;
+    let reader = members.open(name)?;
+    match dialect {
+        PoseDialect::Mmpose => read_mmpose(reader, is_document, reading),
+        PoseDialect::CaliscopeCsv => read_caliscope(reader, reading),
+        PoseDialect::DeepLabCutCsv => read_deeplabcut(reader, reading),
+        PoseDialect::CaliscopeTimestamps => {
+            *fps = fps.or(read_timestamps(reader)?);
+            Ok(FoundPoses::default())
+        }
+        _ => read_list(reader, is_document, images, reading),
+    }
+}
+
+/// Whether the outermost value is an object.
+fn is_document<R: Read + Seek>(members: &mut Members<R>, name: &str) -> Result<bool, UploadError> {
+    let mut head = Vec::new();
+    let read = members.open(name)?.take(4096).read_to_end(&mut head);
+    read.map_err(crate::session::upload::json::fault_of_io)?;
+    Ok(head.trim_ascii_start().first() == Some(&b'{'))
+}
+
+/// A source a camera of a file; a camera is called as the file says, or as the file.
+fn split_by_camera(name: &str, dialect: PoseDialect, found: FoundPoses) -> Vec<Source> {
+    let FoundPoses { by_camera, order, image_size } = found;
+    let n_cameras = by_camera.len();
+    let source = |(camera, poses): (Option<String>, RawPoses)| Source {
+        dialect,
+        image_size: image_size.get(&camera).copied(),
+        // Images that carry no camera's name, or a video's, leave the file's own.
+        names: camera.clone().into_iter().chain(if n_cameras > 1 { Vec::new() } else { path_names(name) }).collect(),
+        poses,
+        has_placeholders: false,
+        is_alphapose: dialect == PoseDialect::AlphaPose,
+        order: order.clone(),
+    };
+    by_camera.into_iter().map(source).collect()
+}
+
+/// A file's name without its ending, then its folders, innermost first.
+fn path_names(path: &str) -> Vec<String> {
+    let mut parts: Vec<String> = path.split('/').rev().map(str::to_owned).collect();
+    if let Some(file_name) = parts.first_mut() {
+        *file_name = file_name.rsplit_once('.').map_or(file_name.as_str(), |(stem, _)| stem).to_owned();
+    }
+    parts
+}
+
+/// Reads a group of frame files: bytes one after the other, parsing on all cores, batch by batch.
+fn read_group<R: Read + Seek>(
+    group: &FrameGroup,
+    members: &mut Members<R>,
+    reading: &mut Reading<'_>,
+) -> Result<Source, UploadError> {
+    let mut names: Vec<String> = group.folder.split('/').rev().map(str::to_owned).filter(|n| !n.is_empty()).collect();
+    let stem = Some(group.stem.clone()).filter(|stem| !stem.is_empty());
+    if group.shares_folder {
+        names = stem.into_iter().collect();
+    } else {
+        names.extend(stem);
+    }
+    let mut source = Source {
+        dialect: group.dialect,
+        names,
+        poses: RawPoses { file: group.folder.clone(), ..RawPoses::default() },
+        has_placeholders: false,
+        is_alphapose: group.dialect == PoseDialect::AlphaPoseCmu,
+        order: None,
+        image_size: None,
+    };
+    if group.files.len() > reading.limits.max_frames {
+        return Err(Fault::TooManyFrames.with(format!("{} frames of a camera", group.files.len())));
+    }
+    let mut rest = group.files.as_slice();
+    while !rest.is_empty() {
+        let mut batch: Vec<(i64, &str, Vec<u8>)> = Vec::new();
+        let mut n_bytes = 0;
+        while let Some((frame, name)) = rest.first().filter(|_| n_bytes < BATCH_BYTES && batch.len() < BATCH_FILES) {
+            let bytes = read_bytes(members, name, MAX_FRAME_FILE_BYTES)?;
+            n_bytes += bytes.len();
+            batch.push((*frame, name, bytes));
+            rest = &rest[1..];
+        }
+        let parsed: Vec<Result<FrameContent, UploadError>> =
+            batch.par_iter().map(|(_, _, bytes)| read_frame(group.dialect, bytes)).collect();
+        for ((frame, name, _), content) in batch.iter().zip(parsed) {
+            let added = content.and_then(|content| add_frame(&mut source, *frame, content, reading));
+            added.map_err(|e| UploadError { file: Some((*name).to_owned()), frame: Some(*frame), ..e })?;
+        }
+    }
+    Ok(source)
+}
+
+fn add_frame(
+    source: &mut Source,
+    frame: i64,
+    content: FrameContent,
+    reading: &mut Reading<'_>,
+) -> Result<(), UploadError> {
+    if content.people.len() > reading.limits.max_people_per_frame {
+        return Err(Fault::TooManyPeople.with(format!("{} people in a frame", content.people.len())));
+    }
+    let n_points: usize =
+        content.people.iter().flatten().map(|person| person.keypoints.len() + PERSON_AS_KEYPOINTS).sum();
+    reading.spend(FRAME_AS_KEYPOINTS + n_points)?;
+    source.has_placeholders |= content.people.iter().any(Option::is_none);
+    source.is_alphapose |= content.is_alphapose;
+    source.image_size = source.image_size.or(content.image_size);
+    // A placeholder stays as a person without points until all files have been seen.
+    let absent = Detection { track_id: None, keypoints: Vec::new() };
+    let people = content.people.into_iter().map(|person| person.unwrap_or_else(|| absent.clone())).collect();
+    if source.poses.detections.insert(frame, people).is_some() {
+        return Err(Fault::FrameDuplicate.with(format!("frame {frame} has two files")));
+    }
+    source.poses.order.push(frame);
+    Ok(())
+}
+
+/// A whole small file.
+///
+/// # Errors
+/// [`Fault::TooLarge`], or what reading fails with.
+pub(super) fn read_bytes<R: Read + Seek>(
+    members: &mut Members<R>,
+    name: &str,
+    max_bytes: u64,
+) -> Result<Vec<u8>, UploadError> {
+    let mut bytes = Vec::new();
+    let of_file = |e| UploadError { file: Some(name.to_owned()), ..e };
+    let read = members.open(name)?.take(max_bytes + 1).read_to_end(&mut bytes);
+    read.map_err(|e| of_file(crate::session::upload::json::fault_of_io(e)))?;
+    if bytes.len() as u64 > max_bytes {
+        return Err(of_file(Fault::TooLarge.with(format!("more than {max_bytes} bytes"))));
+    }
+    Ok(bytes)
+}

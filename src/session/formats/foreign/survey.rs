@@ -1,0 +1,127 @@
+//! What lies in an upload of other tools' files: each told by its first bytes, frames gathered to groups.
+
+use crate::session::formats::calibration::{self, CalibrationFormat};
+use crate::session::formats::poses::{self, PoseDialect, frame_name};
+use crate::session::upload::members::Members;
+use std::collections::BTreeMap;
+use std::io::{Read, Seek};
+
+/// The files by their meaning, each list in the order of names.
+#[derive(Debug, Default)]
+pub(crate) struct Survey {
+    /// `session.json`, at the top or below one folder.
+    pub(crate) header: Option<String>,
+    pub(crate) calibrations: Vec<(String, CalibrationFormat)>,
+    /// Files of a camera or a take.
+    pub(crate) streams: Vec<(String, PoseDialect)>,
+    pub(crate) groups: Vec<FrameGroup>,
+    /// What is nothing of ours.
+    pub(crate) strangers: Vec<String>,
+}
+
+/// Files of one frame each that make one camera.
+#[derive(Debug)]
+pub(crate) struct FrameGroup {
+    pub(crate) dialect: PoseDialect,
+    pub(crate) folder: String,
+    /// What stands before the frame number in every name.
+    pub(crate) stem: String,
+    /// Whether files of other stems lie in the same folder.
+    pub(crate) shares_folder: bool,
+    /// Frame number and name.
+    pub(crate) files: Vec<(i64, String)>,
+}
+
+/// Bytes of a file that are looked at: the header of a COCO data set before its first list.
+const HEAD_BYTES: u64 = 1 << 16;
+/// Files of a group that are opened before it counts as a stranger: cameras begin with empty frames.
+const MAX_TRIES: usize = 8;
+/// More numbered files than this are frames of something, not calibrations of as many cameras.
+const MAX_NUMBERED: usize = 256;
+
+enum Finding {
+    Calibration(CalibrationFormat),
+    Poses(PoseDialect),
+}
+
+/// Looks at every file once, at frame files by example.
+pub(crate) fn survey<R: Read + Seek>(members: &mut Members<R>) -> Survey {
+    let mut survey = Survey::default();
+    let mut groups: BTreeMap<(String, String, String), Vec<(i64, String)>> = BTreeMap::new();
+    let mut singles: Vec<String> = Vec::new();
+    for name in members.names() {
+        let (folder, file_name) = name.rsplit_once('/').unwrap_or(("", name));
+        let is_hidden = name.starts_with("__MACOSX/") || name.split('/').any(|part| part.starts_with('.'));
+        if is_hidden || file_name.is_empty() || folder.split('/').any(|part| part == "gt") {
+            continue;
+        }
+        if file_name == "session.json" && !folder.contains('/') && survey.header.is_none() {
+            survey.header = Some(name.to_owned());
+            continue;
+        }
+        match frame_name(file_name) {
+            Some(numbered) => {
+                let end = file_name.rsplit_once(|c: char| c.is_ascii_digit()).map_or("", |(_, end)| end);
+                let key = (folder.to_owned(), numbered.stem, end.to_owned());
+                groups.entry(key).or_default().push((numbered.frame, name.to_owned()));
+            }
+            None => singles.push(name.to_owned()),
+        }
+    }
+    for ((folder, stem, _), files) in groups {
+        let finding = files.iter().take(MAX_TRIES).find_map(|(_, name)| finding(members, name));
+        match finding {
+            Some(Finding::Poses(dialect)) if dialect.is_file_per_frame() => {
+                survey.groups.push(FrameGroup { dialect, folder, stem, shares_folder: false, files });
+            }
+            Some(_) if files.len() <= MAX_NUMBERED => singles.extend(files.into_iter().map(|(_, name)| name)),
+            _ => survey.strangers.push(format!("{}… ({} files)", files[0].1, files.len())),
+        }
+    }
+    singles.sort_unstable();
+    for name in singles {
+        match finding(members, &name) {
+            Some(Finding::Calibration(format)) => survey.calibrations.push((name, format)),
+            Some(Finding::Poses(dialect)) if dialect.is_file_per_frame() => survey.strangers.push(name),
+            Some(Finding::Poses(dialect)) => survey.streams.push((name, dialect)),
+            None => survey.strangers.push(name),
+        }
+    }
+    mark_shared_folders(&mut survey.groups);
+    survey
+}
+
+impl Survey {
+    /// Whether there are poses in a dialect other than the native one.
+    pub(crate) fn has_foreign_poses(&self) -> bool {
+        let is_foreign = |(_, dialect): &(String, PoseDialect)| {
+            !matches!(dialect, PoseDialect::Native | PoseDialect::CocoImages | PoseDialect::CaliscopeTimestamps)
+        };
+        !self.groups.is_empty() || self.streams.iter().any(is_foreign)
+    }
+
+    /// Whether there are poses at all.
+    pub(crate) fn has_poses(&self) -> bool {
+        !self.groups.is_empty() || self.streams.iter().any(|(_, d)| *d != PoseDialect::CaliscopeTimestamps)
+    }
+}
+
+fn mark_shared_folders(groups: &mut [FrameGroup]) {
+    for i in 0..groups.len() {
+        let folder = &groups[i].folder;
+        let shares = groups.iter().enumerate().any(|(other, group)| other != i && group.folder == *folder);
+        groups[i].shares_folder = shares;
+    }
+}
+
+/// What a file is; a file that cannot be read is nothing, for whoever needs it will say so.
+fn finding<R: Read + Seek>(members: &mut Members<R>, name: &str) -> Option<Finding> {
+    let mut head = Vec::new();
+    members.open(name).ok()?.take(HEAD_BYTES).read_to_end(&mut head).ok()?;
+    if head.contains(&0) {
+        return None;
+    }
+    let head = String::from_utf8_lossy(&head);
+    let poses = poses::recognise(&head).map(Finding::Poses);
+    poses.or_else(|| calibration::recognise(&head).map(Finding::Calibration))
+}

@@ -1,0 +1,209 @@
+//! What a calibration probably is instead: told before any compute is spent on it.
+//!
+//! Each camera's points must lie in its image; and where poses are given, people seen by two cameras must lie on each
+//! other's epipolar lines. Another reading of the calibration that explains the people far better is named.
+//!
+//! Known limits: points that are already undistorted are only noticed where poses are given, and no mistake is noticed
+//! that costs less than the detector's own noise; such a one spoils no body either.
+
+use super::error::shown;
+use super::warnings::Warnings;
+use crate::geometry::{Distortion, Intrinsics, Rigid, epipolar};
+use crate::session::{Detection, Keypoint, Session, View};
+use nalgebra::{Matrix3, Vector2};
+
+/// Points less certain than this are no evidence.
+const MIN_CONFIDENCE: f64 = 0.3;
+/// With fewer points nothing is suspected.
+const MIN_POINTS: usize = 200;
+/// Share of points that a detector may set outside its image.
+const OUTSIDE: f64 = 0.05;
+/// People who never leave this part of the image's width and height suggest an image of half the size.
+const NEAR_ORIGIN: f64 = 0.55;
+/// Frames and pairs of cameras looked at.
+const MAX_FRAMES: usize = 30;
+const MAX_PAIRS: usize = 60;
+/// People seen by both cameras of a pair below which nothing is suspected.
+const MIN_PEOPLE: usize = 20;
+/// Points that two detections must share to be compared.
+const MIN_SHARED: usize = 5;
+/// A calibration as good as this (px) is not suspected; every detector's own noise is larger.
+const GOOD_PX: f64 = 0.5;
+/// Another reading must explain the people better by this factor.
+const BETTER: f64 = 0.6;
+
+/// Tells what looks wrong with the session's cameras.
+pub(super) fn tell(session: &Session, warnings: &mut Warnings) {
+    for view in &session.views {
+        if let Some(suspicion) = suspicion_of_image(view) {
+            warnings.add(format!(
+                "camera {} of {}x{}: {suspicion}",
+                shown(&view.id),
+                view.intrinsics.width,
+                view.intrinsics.height
+            ));
+        }
+    }
+    if let Some(line) = suspicion_of_poses(session) {
+        warnings.add(line);
+    }
+}
+
+fn certain(detection: &Detection) -> impl Iterator<Item = &Keypoint> {
+    detection.keypoints.iter().filter(|keypoint| keypoint.confidence >= MIN_CONFIDENCE)
+}
+
+/// Whether the points lie in an image of the camera's size.
+fn suspicion_of_image(view: &View) -> Option<&'static str> {
+    let points = || view.frames.iter().flatten().flat_map(certain).map(|keypoint| keypoint.pixel);
+    let (width, height) = (f64::from(view.intrinsics.width), f64::from(view.intrinsics.height));
+    let n = points().count();
+    if n < MIN_POINTS {
+        return None;
+    }
+    let share_outside = |w: f64, h: f64| {
+        let outside = |p: &Vector2<f64>| p.x < -1.0 || p.y < -1.0 || p.x > w || p.y > h;
+        points().filter(outside).count() as f64 / n as f64
+    };
+    if share_outside(width, height) > OUTSIDE {
+        let is_turned = width != height && share_outside(height, width) < 0.2 * OUTSIDE;
+        return Some(if is_turned {
+            "its points lie in an image of height times width; was the video turned by 90 degrees?"
+        } else {
+            "its points lie outside the image; is the calibration of another resolution?"
+        });
+    }
+    (share_outside(NEAR_ORIGIN * width, NEAR_ORIGIN * height) < 0.2 * OUTSIDE)
+        .then_some("all its points lie in the first quarter; were they found at half the calibration's resolution?")
+}
+
+/// Another way to read all cameras.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Hypothesis {
+    AsGiven,
+    AlreadyUndistorted,
+    OtherResolution(f64),
+    QuarterTurn,
+    ThreeQuarterTurn,
+    HalfTurn,
+    WorldFromCamera,
+    TransposedRotation,
+}
+
+use Hypothesis as H;
+
+impl Hypothesis {
+    const OTHERS: [Self; 8] = [
+        H::AlreadyUndistorted,
+        H::OtherResolution(0.5),
+        H::OtherResolution(2.0),
+        H::QuarterTurn,
+        H::ThreeQuarterTurn,
+        H::HalfTurn,
+        H::WorldFromCamera,
+        H::TransposedRotation,
+    ];
+
+    fn sentence(self) -> String {
+        match self {
+            H::AsGiven => String::new(),
+            H::AlreadyUndistorted => {
+                "the keypoints are already undistorted; give the cameras without distortion".to_owned()
+            }
+            H::OtherResolution(factor) => {
+                format!("the keypoints lie in images {factor} times as large as those that were calibrated")
+            }
+            H::QuarterTurn => "the videos were turned by 90 degrees clockwise".to_owned(),
+            H::ThreeQuarterTurn => "the videos were turned by 90 degrees counter-clockwise".to_owned(),
+            H::HalfTurn => "the videos were turned by 180 degrees".to_owned(),
+            H::WorldFromCamera => "R and t are world from camera; give camera from world".to_owned(),
+            H::TransposedRotation => "R is transposed".to_owned(),
+        }
+    }
+
+    /// Ideal normalised coordinates of a pixel of the view.
+    fn normalized(self, view: &View, pixel: &Vector2<f64>) -> Vector2<f64> {
+        let camera = &view.intrinsics;
+        let (last_x, last_y) = (f64::from(camera.width) - 1.0, f64::from(camera.height) - 1.0);
+        match self {
+            H::AlreadyUndistorted => Intrinsics { dist: Distortion::None, ..*camera }.normalized_from_pixel(pixel),
+            H::OtherResolution(factor) => camera.normalized_from_pixel(&pixel.map(|c| (c + 0.5) / factor - 0.5)),
+            // The pixel that was at (x, y) before the turn.
+            H::QuarterTurn => camera.normalized_from_pixel(&Vector2::new(pixel.y, last_y - pixel.x)),
+            H::ThreeQuarterTurn => camera.normalized_from_pixel(&Vector2::new(last_x - pixel.y, pixel.x)),
+            H::HalfTurn => camera.normalized_from_pixel(&Vector2::new(last_x - pixel.x, last_y - pixel.y)),
+            H::AsGiven | H::WorldFromCamera | H::TransposedRotation => camera.normalized_from_pixel(pixel),
+        }
+    }
+
+    fn pose(self, given: &Rigid) -> Rigid {
+        match self {
+            H::WorldFromCamera => given.inverse(),
+            H::TransposedRotation => Rigid { rotation: given.rotation.transpose(), ..*given },
+            _ => *given,
+        }
+    }
+}
+
+fn suspicion_of_poses(session: &Session) -> Option<String> {
+    let given = epipolar_error_px(session, H::AsGiven).filter(|error| *error > GOOD_PX)?;
+    let has_lens = session.views.iter().any(|view| view.intrinsics.dist != Distortion::None);
+    let others = H::OTHERS.into_iter().filter(|other| has_lens || *other != H::AlreadyUndistorted);
+    let errors = others.filter_map(|other| Some((epipolar_error_px(session, other)?, other)));
+    let (error, best) = errors.min_by(|(a, _), (b, _)| a.total_cmp(b))?;
+    if error > BETTER * given {
+        return None;
+    }
+    let sentence = best.sentence();
+    Some(format!("people lie {given:.1} px off the given cameras' epipolar lines, and {error:.1} px if {sentence}"))
+}
+
+/// Median distance (px) of people to the epipolar lines of whom they fit best in another camera.
+fn epipolar_error_px(session: &Session, hypothesis: Hypothesis) -> Option<f64> {
+    let posed: Vec<(&View, Rigid)> =
+        session.views.iter().filter_map(|v| Some((v, hypothesis.pose(&v.camera_from_world?)))).collect();
+    let mut errors = Vec::new();
+    let pairs = (0..posed.len()).flat_map(|a| (a + 1..posed.len()).map(move |b| (a, b)));
+    let step = session.n_frames.div_ceil(MAX_FRAMES).max(1);
+    for (a, b) in pairs.take(MAX_PAIRS) {
+        let ((one, one_from_world), (other, other_from_world)) = (&posed[a], &posed[b]);
+        let other_from_one = *other_from_world * one_from_world.inverse();
+        if other_from_one.translation.norm() < 1e-9 {
+            continue;
+        }
+        let essential = epipolar::essential_from_pose(&other_from_one);
+        let focal = 0.5 * (one.intrinsics.focal() + other.intrinsics.focal());
+        for frame in (0..session.n_frames).step_by(step) {
+            let rays = |view: &View| -> Vec<Vec<Option<Vector2<f64>>>> {
+                let ray = |keypoint: &Keypoint| {
+                    let is_certain = keypoint.confidence >= MIN_CONFIDENCE;
+                    is_certain.then(|| hypothesis.normalized(view, &keypoint.pixel))
+                };
+                view.frames[frame].iter().map(|person| person.keypoints.iter().map(ray).collect()).collect()
+            };
+            let others = rays(other);
+            for person in rays(one) {
+                let fits = others.iter().filter_map(|candidate| person_distance(&essential, &person, candidate));
+                errors.extend(fits.min_by(f64::total_cmp).map(|distance| distance * focal));
+            }
+        }
+    }
+    errors.sort_unstable_by(f64::total_cmp);
+    (errors.len() >= MIN_PEOPLE).then(|| errors[errors.len() / 2])
+}
+
+/// Mean Sampson distance of the points that both detections have, normalised units.
+fn person_distance(
+    essential: &Matrix3<f64>,
+    one: &[Option<Vector2<f64>>],
+    other: &[Option<Vector2<f64>>],
+) -> Option<f64> {
+    let (mut sum, mut n) = (0.0, 0usize);
+    for (a, b) in one.iter().zip(other) {
+        if let (Some(a), Some(b)) = (a, b) {
+            sum += epipolar::sampson_squared(essential, a, b).sqrt();
+            n += 1;
+        }
+    }
+    (n >= MIN_SHARED).then(|| sum / n as f64).filter(|mean| mean.is_finite())
+}

@@ -1,0 +1,296 @@
+//! Every calibration file projects as the camera it was written from; what it cannot hold is said.
+
+use crate::dialects::openpose;
+use crate::take::{CAMERAS, COCO17, Camera, Files, HEIGHT, WIDTH, camera, read};
+use nalgebra::{Rotation3, UnitQuaternion, Vector3};
+use serde_json::json;
+use wandless::geometry::{Distortion, rotation};
+use wandless::session::upload::LoadedSession;
+
+const OPENCV4: Distortion = Distortion::OpenCv5([-0.11, 0.07, 0.0006, -0.0004, 0.0]);
+const OPENCV5: Distortion = Distortion::OpenCv5([-0.11, 0.07, 0.0006, -0.0004, -0.012]);
+const RATIONAL: Distortion = Distortion::Rational8([0.6, 0.1, 0.0005, -0.0003, 0.01, 0.75, 0.2, 0.02]);
+const FISHEYE: Distortion = Distortion::Fisheye4([-0.03, 0.012, -0.006, 0.001]);
+
+fn comma(numbers: &[f64]) -> String {
+    numbers.iter().map(|n| format!("{n:?}")).collect::<Vec<_>>().join(", ")
+}
+
+fn spaced(numbers: &[f64]) -> String {
+    numbers.iter().map(|n| format!("{n:?}")).collect::<Vec<_>>().join(" ")
+}
+
+fn rig(dist: Distortion) -> Vec<(&'static str, Camera)> {
+    CAMERAS.iter().enumerate().map(|(i, id)| (*id, camera(i, dist))).collect()
+}
+
+/// The nine entries of a rotation, row by row.
+fn row_major(camera: &Camera) -> Vec<f64> {
+    camera.pose.rotation.transpose().as_slice().to_vec()
+}
+
+fn matrix(camera: &Camera) -> Vec<f64> {
+    camera.intrinsics.matrix().transpose().as_slice().to_vec()
+}
+
+fn translation(camera: &Camera) -> [f64; 3] {
+    camera.pose.translation.into()
+}
+
+fn opencv_yaml(dist: Distortion, as_axis_angle: bool) -> Files {
+    let (mut intri, mut extri) = ("%YAML:1.0\r\n---\r\nnames:\r\n".to_owned(), String::new());
+    CAMERAS.iter().for_each(|id| intri += &format!("   - \"{id}\"\r\n"));
+    extri += &intri;
+    let matrix_of = |name: String, rows: usize, numbers: &[f64]| {
+        let (cols, data) = (numbers.len() / rows, comma(numbers));
+        format!("{name}: !!opencv-matrix\r\n   rows: {rows}\r\n   cols: {cols}\r\n   dt: d\r\n   data: [ {data} ]\r\n")
+    };
+    for (id, camera) in rig(dist) {
+        intri += &matrix_of(format!("K_{id}"), 3, &matrix(&camera));
+        intri += &matrix_of(format!("dist_{id}"), 1, dist.coefficients());
+        intri += &format!("H_{id}: {HEIGHT}\r\nW_{id}: {WIDTH}\r\n");
+        extri += &match as_axis_angle {
+            true => matrix_of(format!("R_{id}"), 3, rotation::log(&camera.pose.rotation).as_slice()),
+            false => matrix_of(format!("Rot_{id}"), 3, &row_major(&camera)),
+        };
+        extri += &matrix_of(format!("T_{id}"), 3, &translation(&camera));
+    }
+    vec![("intri.yml".to_owned(), intri.into_bytes()), ("extri.yml".to_owned(), extri.into_bytes())]
+}
+
+fn toml(dist: Distortion, n_coefficients: usize, table: &str, unit: f64, more: &str) -> Files {
+    let mut text = String::new();
+    for (i, (id, camera)) in rig(dist).into_iter().enumerate() {
+        let k = matrix(&camera);
+        let t = translation(&camera).map(|t| t * unit);
+        let is_fisheye = matches!(dist, Distortion::Fisheye4(_));
+        text += &format!(
+            "[{}]\nname = \"{id}\"\nsize = [{WIDTH}, {HEIGHT}]\nmatrix = [[{}], [{}], [{}]]\ndistortions = [{}]\n\
+             rotation = [{}]\ntranslation = [{}]\nfisheye = {is_fisheye}\n{more}\n",
+            table.replace('#', &i.to_string()),
+            comma(&k[..3]),
+            comma(&k[3..6]),
+            comma(&k[6..]),
+            comma(&dist.coefficients()[..n_coefficients]),
+            comma(rotation::log(&camera.pose.rotation).as_slice()),
+            comma(&t)
+        );
+    }
+    vec![("calibration.toml".to_owned(), text.into_bytes())]
+}
+
+fn colmap(dist: Distortion) -> Files {
+    let (mut cameras, mut images) = ("# Camera list\n".to_owned(), "# Image list\n".to_owned());
+    for (i, (id, camera)) in rig(dist).into_iter().enumerate() {
+        let k = &camera.intrinsics;
+        let model = match dist {
+            Distortion::None => "PINHOLE",
+            Distortion::OpenCv5(_) => "OPENCV",
+            Distortion::Rational8(_) => "FULL_OPENCV",
+            Distortion::Fisheye4(_) => "OPENCV_FISHEYE",
+        };
+        let n = if dist == Distortion::None { 0 } else { dist.coefficients().len().min(8) & !1 };
+        let lens = [&[k.fx, k.fy, k.cx + 0.5, k.cy + 0.5], &dist.coefficients()[..n]].concat();
+        cameras += &format!("{} {model} {WIDTH} {HEIGHT} {}\n", i + 1, spaced(&lens));
+        let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(camera.pose.rotation));
+        let pose = spaced(&[&[q.w, q.i, q.j, q.k], &translation(&camera)[..]].concat());
+        images += &format!("{} {pose} {} {id}.jpg\n\n", i + 1, i + 1);
+    }
+    vec![("sparse/cameras.txt".to_owned(), cameras.into_bytes()), ("sparse/images.txt".to_owned(), images.into_bytes())]
+}
+
+fn ros(dist: Distortion) -> Files {
+    let model = match dist {
+        Distortion::None | Distortion::OpenCv5(_) => "plumb_bob",
+        Distortion::Rational8(_) => "rational_polynomial",
+        Distortion::Fisheye4(_) => "equidistant",
+    };
+    let file = |(id, camera): (&str, Camera)| {
+        let (k, d) = (comma(&matrix(&camera)), dist.coefficients());
+        let text = format!(
+            "image_width: {WIDTH}\nimage_height: {HEIGHT}\ncamera_name: {id}\ncamera_matrix:\n  rows: 3\n  cols: 3\n  \
+             data: [{k}]\ndistortion_model: {model}\ndistortion_coefficients:\n  rows: 1\n  cols: {}\n  data: [{}]\n\
+             projection_matrix:\n  rows: 3\n  cols: 4\n  data: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]\n",
+            d.len(),
+            comma(d)
+        );
+        (format!("info/{id}.yaml"), text.into_bytes())
+    };
+    rig(dist).into_iter().map(file).collect()
+}
+
+fn agisoft(dist: Distortion) -> Files {
+    let (mut sensors, mut cameras) = (String::new(), String::new());
+    for (i, (id, camera)) in rig(dist).into_iter().enumerate() {
+        let (k, world_from_camera) = (&camera.intrinsics, camera.pose.inverse());
+        let (kind, lens) = match dist {
+            Distortion::Fisheye4([k1, k2, k3, k4]) => ("equidistant_fisheye", [k1, k2, k3, k4, 0.0, 0.0]),
+            Distortion::OpenCv5([k1, k2, p1, p2, k3]) => ("frame", [k1, k2, k3, 0.0, p2, p1]),
+            _ => ("frame", [0.0; 6]),
+        };
+        let [k1, k2, k3, k4, p1, p2] = lens;
+        sensors += &format!(
+            "<sensor id=\"{i}\" label=\"s\" type=\"{kind}\"><resolution width=\"{WIDTH}\" height=\"{HEIGHT}\"/>\
+             <calibration type=\"{kind}\" class=\"adjusted\"><resolution width=\"{WIDTH}\" height=\"{HEIGHT}\"/>\
+             <f>{:?}</f><cx>{:?}</cx><cy>{:?}</cy><b1>{:?}</b1><k1>{k1:?}</k1><k2>{k2:?}</k2><k3>{k3:?}</k3><k4>{k4:?}</k4>\
+             <p1>{p1:?}</p1><p2>{p2:?}</p2></calibration></sensor>",
+            k.fy,
+            k.cx + 0.5 - 0.5 * f64::from(WIDTH),
+            k.cy + 0.5 - 0.5 * f64::from(HEIGHT),
+            k.fx - k.fy
+        );
+        let transform = world_from_camera.rotation.transpose();
+        let c: Vector3<f64> = world_from_camera.translation;
+        let r = transform.as_slice();
+        let rows = [&r[..3], &[c.x], &r[3..6], &[c.y], &r[6..], &[c.z], &[0.0, 0.0, 0.0, 1.0]].concat();
+        cameras += &format!(
+            "<camera id=\"{i}\" sensor_id=\"{i}\" label=\"{id}.jpg\"><transform>{}</transform></camera>",
+            spaced(&rows)
+        );
+    }
+    let text = format!(
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<document version=\"1.5.0\"><chunk label=\"c\"><sensors>{sensors}\
+         </sensors><cameras>{cameras}</cameras></chunk></document>"
+    );
+    vec![("cameras.xml".to_owned(), text.into_bytes())]
+}
+
+fn dmmr() -> Files {
+    let mut text = String::new();
+    for (i, (_, camera)) in rig(Distortion::None).into_iter().enumerate() {
+        let (k, r, t) = (matrix(&camera), row_major(&camera), translation(&camera));
+        text += &format!("{}\n", i + 1);
+        k.chunks(3).for_each(|row| text += &format!("{}\n", spaced(row)));
+        text += "0 0\n";
+        (0..3).for_each(|i| text += &format!("{} {:?}\n", spaced(&r[3 * i..3 * i + 3]), t[i]));
+        text += "\n";
+    }
+    vec![("camparams.txt".to_owned(), text.into_bytes())]
+}
+
+pub(crate) fn native(dist: Distortion, change: impl Fn(&mut serde_json::Value)) -> (String, Vec<u8>) {
+    let cameras: Vec<serde_json::Value> = rig(dist)
+        .into_iter()
+        .map(|(id, camera)| {
+            let rows = |numbers: Vec<f64>| numbers.chunks(3).map(<[f64]>::to_vec).collect::<Vec<_>>();
+            let mut value = json!({
+                "id": id, "width": WIDTH, "height": HEIGHT, "K": rows(matrix(&camera)), "dist": dist.coefficients(),
+                "distortion_model": dist.name(), "R": rows(row_major(&camera)), "t": translation(&camera)
+            });
+            change(&mut value);
+            value
+        })
+        .collect();
+    ("session.json".to_owned(), json!({"fps": 50, "cameras": cameras}).to_string().into_bytes())
+}
+
+fn with_poses(calibration: Files) -> Files {
+    let poses = openpose(&COCO17).into_iter().filter(|(name, _)| name.contains("keypoints"));
+    calibration.into_iter().chain(poses).collect()
+}
+
+/// The largest distance, px, between the read cameras' pixels and those of the rig they were written from.
+fn largest_difference_px(loaded: &LoadedSession, dist: Distortion, has_poses: bool) -> f64 {
+    let mut largest: f64 = 0.0;
+    for (view, (_, truth)) in loaded.session.views.iter().zip(rig(dist)) {
+        assert_eq!(view.camera_from_world.is_some(), has_poses);
+        let pose = view.camera_from_world.unwrap_or(truth.pose);
+        assert_eq!((view.intrinsics.width, view.intrinsics.height), (WIDTH, HEIGHT));
+        for x in [-1.0, -0.3, 0.4, 0.9] {
+            for y in [0.1, 1.0, 1.9] {
+                let point = Vector3::new(x, y, 0.5 * x - 0.2 * y);
+                let expected = truth.intrinsics.pixel_from_camera(&truth.pose.transform(&point)).unwrap();
+                let found = view.intrinsics.pixel_from_camera(&pose.transform(&point)).unwrap();
+                largest = largest.max((found - expected).norm());
+            }
+        }
+    }
+    largest
+}
+
+#[test]
+fn every_calibration_projects_as_it_was_written() {
+    let none = Distortion::None;
+    let cases: Vec<(&str, Files, Distortion, bool)> = vec![
+        ("opencv_yaml", opencv_yaml(OPENCV5, false), OPENCV5, true),
+        ("opencv_yaml", opencv_yaml(RATIONAL, true), RATIONAL, true),
+        ("toml", toml(OPENCV5, 5, "cam_#", 1.0, ""), OPENCV5, true),
+        ("toml", toml(OPENCV4, 4, "cam_#", 1.0, ""), OPENCV4, true),
+        ("toml", toml(FISHEYE, 4, "cam_#", 1.0, ""), FISHEYE, true),
+        ("toml", toml(OPENCV5, 5, "cameras.#", 1.0, "cam_id = 7\nrotation_count = 0\ngrid_count = 9"), OPENCV5, true),
+        ("toml", toml(OPENCV5, 5, "cam_#", 1000.0, "world_position = [0.0, 0.0, 0.0]"), OPENCV5, true),
+        ("colmap", colmap(none), none, true),
+        ("colmap", colmap(OPENCV4), OPENCV4, true),
+        ("colmap", colmap(RATIONAL), RATIONAL, true),
+        ("colmap", colmap(FISHEYE), FISHEYE, true),
+        ("ros_camera_info", ros(OPENCV5), OPENCV5, false),
+        ("ros_camera_info", ros(RATIONAL), RATIONAL, false),
+        ("ros_camera_info", ros(FISHEYE), FISHEYE, false),
+        ("agisoft_xml", agisoft(OPENCV5), OPENCV5, true),
+        ("agisoft_xml", agisoft(FISHEYE), FISHEYE, true),
+        ("native", vec![native(RATIONAL, |_| {})], RATIONAL, true),
+        ("native", vec![native(FISHEYE, |_| {})], FISHEYE, true),
+    ];
+    for (name, files, dist, has_poses) in cases {
+        let loaded = read(&with_poses(files)).unwrap_or_else(|e| panic!("{name} {dist:?}: {e}"));
+        assert_eq!(loaded.format, format!("openpose with {name}"));
+        let difference = largest_difference_px(&loaded, dist, has_poses);
+        assert!(difference < 1e-6, "{name} {dist:?}: {difference} px");
+    }
+}
+
+#[test]
+fn cameras_without_an_image_size_need_one_from_elsewhere() {
+    assert_eq!(read(&with_poses(dmmr())).unwrap_err().code, "image_size_unknown");
+    let sizes: Vec<_> = (1..=3).map(|i| json!({"id": i.to_string(), "width": WIDTH, "height": HEIGHT})).collect();
+    let header = ("session.json".to_owned(), json!({"fps": 25, "cameras": sizes}).to_string().into_bytes());
+    let loaded = read(&with_poses([dmmr(), vec![header]].concat())).unwrap();
+    assert_eq!(loaded.format, "openpose with dmmr_camparams");
+    assert!(largest_difference_px(&loaded, Distortion::None, true) < 1e-6);
+}
+
+#[test]
+fn what_a_format_cannot_hold_is_said() {
+    let says = |files: Files, part: &str| {
+        let warnings = read(&with_poses(files)).unwrap().warnings;
+        assert!(warnings.iter().any(|line| line.contains(part)), "{part}: {warnings:?}");
+    };
+    says(toml(OPENCV4, 4, "cam_#", 1.0, ""), "k3, if there was one, is lost");
+    says(toml(OPENCV5, 5, "cam_#", 1000.0, "world_position = [0.0, 0.0, 0.0]"), "FreeMoCap's, in millimetres");
+    says(toml(OPENCV5, 5, "cam_#", 1.0, "rotation_count = 1"), "rotation_count 1");
+    says(colmap(Distortion::None), "no unit of its own");
+    let refused = |files: Files| read(&with_poses(files)).map_err(|e| e.code).unwrap_err();
+    let fov = b"1 FOV 1280 720 800 800 640 360 0.9\n".to_vec();
+    assert_eq!(refused(vec![("cameras.txt".to_owned(), fov)]), "distortion_unsupported");
+    let mut k4 = agisoft(OPENCV5);
+    k4[0].1 = String::from_utf8(k4[0].1.clone()).unwrap().replace("<k4>0.0", "<k4>0.1").into_bytes();
+    assert_eq!(refused(k4), "distortion_unsupported");
+}
+
+#[test]
+fn keypoints_of_a_proved_size_scale_the_calibration() {
+    let mut files = crate::dialects::easymocap(false);
+    files[1].1 = String::from_utf8(files[1].1.clone()).unwrap().replace("1280.0, 720.0", "2560.0, 1440.0").into_bytes();
+    let loaded = read(&files).unwrap();
+    let fx = loaded.session.views[0].intrinsics.fx;
+    assert_eq!((loaded.session.views[0].intrinsics.width, fx), (WIDTH, 0.5 * 800.5));
+    assert!(loaded.warnings.iter().any(|line| line.contains("calibrated at 2560x1440")), "{:?}", loaded.warnings);
+    files[1].1 = String::from_utf8(files[1].1.clone()).unwrap().replace("2560.0, 1440.0", "720.0, 1280.0").into_bytes();
+    let error = read(&files).unwrap_err();
+    assert_eq!(error.code, "camera_invalid");
+    assert!(error.detail.contains("turned"), "{}", error.detail);
+}
+
+/// One set of files a calibration format, for damage.
+pub(crate) fn damaged_sets() -> Vec<Files> {
+    let calibrations = [
+        opencv_yaml(OPENCV5, false),
+        toml(OPENCV5, 5, "cameras.#", 1.0, "rotation_count = 0"),
+        colmap(RATIONAL),
+        ros(FISHEYE),
+        agisoft(OPENCV5),
+        dmmr(),
+        vec![native(RATIONAL, |_| {})],
+    ];
+    calibrations.into_iter().map(with_poses).collect()
+}

@@ -1,0 +1,424 @@
+//! The same take in every pose dialect is the same session.
+
+use crate::take::{CAMERAS, COCO17, Files, HEIGHT, N_FRAMES, Point, WIDTH, calib_toml, header, people, read};
+use serde_json::{Value, json};
+use wandless::body::skeleton::KeypointConvention;
+use wandless::session::upload::LoadedSession;
+
+const COCO18: [&str; 18] = [
+    "nose",
+    "neck",
+    "right_shoulder",
+    "right_elbow",
+    "right_wrist",
+    "left_shoulder",
+    "left_elbow",
+    "left_wrist",
+    "right_hip",
+    "right_knee",
+    "right_ankle",
+    "left_hip",
+    "left_knee",
+    "left_ankle",
+    "right_eye",
+    "left_eye",
+    "right_ear",
+    "left_ear",
+];
+
+fn flat(points: &[Point]) -> Vec<f64> {
+    points.iter().flatten().copied().collect()
+}
+
+/// One file a camera and frame.
+pub(crate) fn per_frame(
+    name: impl Fn(&str, i64) -> String,
+    joints: &[&str],
+    content: impl Fn(&[Vec<Point>]) -> Value,
+) -> Files {
+    let mut files = vec![header(), calib_toml()];
+    for (i, camera) in CAMERAS.iter().enumerate() {
+        for frame in 0..N_FRAMES {
+            files.push((name(camera, frame), content(&people(i, frame, joints)).to_string().into_bytes()));
+        }
+    }
+    files
+}
+
+/// One file a camera of items, one a person.
+fn per_camera(name: impl Fn(&str) -> String, item: impl Fn(&str, i64, usize, &[Point]) -> Value) -> Files {
+    let mut files = vec![header(), calib_toml()];
+    for (i, camera) in CAMERAS.iter().enumerate() {
+        let mut items = Vec::new();
+        for frame in 0..N_FRAMES {
+            for (person, points) in people(i, frame, &COCO17).iter().enumerate() {
+                items.push(item(camera, frame, person, points));
+            }
+        }
+        files.push((name(camera), Value::Array(items).to_string().into_bytes()));
+    }
+    files
+}
+
+pub(crate) fn openpose(joints: &[&str]) -> Files {
+    per_frame(
+        |camera, frame| format!("pose/{camera}_json/{camera}_{frame:012}_keypoints.json"),
+        joints,
+        |people| {
+            let person = |points: &Vec<Point>| {
+                json!({"person_id": [-1], "pose_keypoints_2d": flat(points), "face_keypoints_2d": [1.0, 2.0, 0.5],
+                       "hand_left_keypoints_2d": [], "hand_right_keypoints_2d": [], "pose_keypoints_3d": []})
+            };
+            json!({"version": 1.3, "people": people.iter().map(person).collect::<Vec<_>>()})
+        },
+    )
+}
+
+fn openpose_of_version_0_1() -> Files {
+    per_frame(
+        |camera, frame| format!("{camera}/frame_{frame:06}.json"),
+        &COCO17,
+        |people| {
+            let person = |points: &Vec<Point>| json!({"pose_keypoints": flat(points)});
+            json!({"version": 0.1, "people": people.iter().map(person).collect::<Vec<_>>()})
+        },
+    )
+}
+
+fn dmmr() -> Files {
+    let mut files = per_frame(
+        |camera, frame| format!("keypoints/take/{camera}/{frame:06}_keypoints.json"),
+        &COCO17,
+        |people| {
+            let person = |points: &Vec<Point>| json!({"pose_keypoints_2d": flat(points)});
+            json!({"version": 1.1, "people": people.iter().map(person).collect::<Vec<_>>()})
+        },
+    );
+    // A third person, known and not seen, makes positions identities.
+    let first = &mut files.iter_mut().find(|(name, _)| name.starts_with("keypoints/")).unwrap().1;
+    let mut document: Value = serde_json::from_slice(first).unwrap();
+    document["people"].as_array_mut().unwrap().push(Value::Null);
+    *first = document.to_string().into_bytes();
+    files
+}
+
+pub(crate) fn alphapose(confidence_scale: f64) -> Files {
+    per_camera(
+        |camera| format!("{camera}/alphapose-results.json"),
+        |_, frame, person, points| {
+            let scaled = points.iter().flat_map(|[x, y, c]| [*x, *y, c * confidence_scale]).collect::<Vec<_>>();
+            json!({"image_id": format!("{frame}.jpg"), "category_id": 1, "keypoints": scaled, "score": 2.9,
+                   "box": [1, 2, 3, 4], "idx": [person]})
+        },
+    )
+}
+
+fn alphapose_cmu() -> Files {
+    per_frame(
+        |camera, frame| format!("{camera}/sep-json/{frame}.json"),
+        &COCO18,
+        |people| {
+            let body = |points: &Vec<Point>| json!({"joints": flat(points)});
+            json!({"version": 0.1, "bodies": people.iter().map(body).collect::<Vec<_>>()})
+        },
+    )
+}
+
+fn alphapose_open() -> Files {
+    per_frame(
+        |camera, frame| format!("{camera}/sep-json/{frame}.json"),
+        &COCO18,
+        |people| {
+            let person = |points: &Vec<Point>| json!({"pose_keypoints_2d": flat(points)});
+            json!({"version": "AlphaPose v0.3", "people": people.iter().map(person).collect::<Vec<_>>()})
+        },
+    )
+}
+
+pub(crate) fn coco() -> Files {
+    let id = |camera: usize, frame: i64| 1000 * (camera as i64 + 1) + frame;
+    let mut images = Vec::new();
+    let mut results = Vec::new();
+    for (i, camera) in CAMERAS.iter().enumerate() {
+        for frame in 0..N_FRAMES {
+            let name = format!("{camera}/{frame:06}.jpg");
+            images.push(json!({"id": id(i, frame), "file_name": name, "width": WIDTH, "height": HEIGHT}));
+            for points in people(i, frame, &COCO17) {
+                let keypoints = flat(&points);
+                results.push(json!({"image_id": id(i, frame), "category_id": 1, "keypoints": keypoints, "score": 0.9}));
+            }
+        }
+    }
+    let categories = json!([{"id": 1, "name": "person", "keypoints": COCO17, "skeleton": [[1, 2]]}]);
+    let table = json!({"info": {}, "images": images, "annotations": [], "categories": categories});
+    vec![
+        header(),
+        calib_toml(),
+        ("image_info.json".to_owned(), table.to_string().into_bytes()),
+        ("results.json".to_owned(), Value::Array(results).to_string().into_bytes()),
+    ]
+}
+
+pub(crate) fn mmpose(with_meta: bool) -> Files {
+    let mut files = vec![header(), calib_toml()];
+    for (i, camera) in CAMERAS.iter().enumerate() {
+        let instance = |points: &Vec<Point>| {
+            let xy: Vec<[f64; 2]> = points.iter().map(|[x, y, _]| [*x, *y]).collect();
+            let scores: Vec<f64> = points.iter().map(|[.., c]| *c).collect();
+            json!({"keypoints": xy, "keypoint_scores": scores, "bbox": [[1, 2, 3, 4]], "bbox_score": 0.9})
+        };
+        let frame = |frame: i64| {
+            let instances: Vec<Value> = people(i, frame, &COCO17).iter().map(instance).collect();
+            json!({"frame_id": frame, "instances": instances})
+        };
+        let frames: Vec<Value> = (0..N_FRAMES).map(frame).collect();
+        let names: serde_json::Map<String, Value> =
+            COCO17.iter().enumerate().map(|(i, name)| (i.to_string(), json!(name))).collect();
+        let document = json!({"meta_info": {"dataset_name": "coco", "num_keypoints": 17, "keypoint_id2name": names},
+                              "instance_info": frames});
+        let text = if with_meta { document } else { document["instance_info"].clone() };
+        files.push((format!("results_{camera}.json"), text.to_string().into_bytes()));
+    }
+    files
+}
+
+pub(crate) fn easymocap(as_list: bool) -> Files {
+    per_frame(
+        |camera, frame| format!("annots/{camera}/{frame:06}.json"),
+        &COCO17,
+        |people| {
+            let annotation = |(i, points): (usize, &Vec<Point>)| json!({"bbox": [1, 2, 3, 4, 0.9], "personID": i, "keypoints": points, "isKeyframe": false});
+            let annots: Vec<Value> = people.iter().enumerate().map(annotation).collect();
+            if as_list {
+                return Value::Array(annots);
+            }
+            json!({"filename": "x.jpg", "width": WIDTH, "height": HEIGHT, "annots": annots, "isKeyframe": false})
+        },
+    )
+}
+
+pub(crate) fn deeplabcut() -> Files {
+    let mut files = vec![header(), calib_toml()];
+    for (i, camera) in CAMERAS.iter().enumerate() {
+        let row = |key: &str, cell: &dyn Fn(usize, &str, &str) -> String| {
+            let mut line = key.to_owned();
+            for person in 0..2 {
+                for joint in COCO17 {
+                    for axis in ["x", "y", "likelihood"] {
+                        line += &format!(",{}", cell(person, joint, axis));
+                    }
+                }
+            }
+            line + "\n"
+        };
+        let mut text = row("scorer", &|_, _, _| "net".to_owned());
+        text += &row("individuals", &|person, _, _| format!("mouse{person}"));
+        text += &row("bodyparts", &|_, joint, _| joint.to_owned());
+        text += &row("coords", &|_, _, axis| axis.to_owned());
+        for frame in 0..N_FRAMES {
+            let points = people(i, frame, &COCO17);
+            let numbers: Vec<String> = points.iter().flat_map(|p| flat(p)).map(|n| n.to_string()).collect();
+            text += &format!("{frame},{}\n", numbers.join(","));
+        }
+        files.push((format!("{camera}.csv"), text.into_bytes()));
+    }
+    files
+}
+
+fn native_poses() -> Files {
+    let mut files = vec![header(), calib_toml()];
+    for (i, camera) in CAMERAS.iter().enumerate() {
+        let person = |points: &Vec<Point>| json!({"track_id": null, "keypoints": points});
+        let frame = |n: i64| {
+            let people: Vec<Value> = people(i, n, &COCO17).iter().map(person).collect();
+            json!({"frame": n, "people": people})
+        };
+        let frames: Vec<Value> = (0..N_FRAMES).map(frame).collect();
+        files.push((format!("poses/{camera}.json"), json!({"frames": frames}).to_string().into_bytes()));
+    }
+    // One camera by another tool: mixed dialects.
+    files.retain(|(name, _)| name != "poses/cam3.json");
+    let other = openpose(&COCO17);
+    files.extend(other.into_iter().filter(|(name, _)| name.contains("cam3")));
+    files
+}
+
+/// Checks a session against the take, as far as `joints` go; `None` where a dialect holds no identities.
+fn check(loaded: &LoadedSession, what: &str, joints: &[&str], tracks: Option<[i64; 2]>) {
+    let session = &loaded.session;
+    assert_eq!((session.fps, session.first_frame, session.n_frames), (50.0, 0, N_FRAMES as usize), "{what}");
+    assert_eq!(session.views.iter().map(|view| view.id.as_str()).collect::<Vec<_>>(), CAMERAS, "{what}");
+    for (i, view) in session.views.iter().enumerate() {
+        assert_eq!(view.delivered.len(), N_FRAMES as usize, "{what}");
+        for frame in 0..N_FRAMES {
+            let found = &view.frames[frame as usize];
+            assert_eq!(found.len(), 2, "{what}: frame {frame}");
+            for (person, expected) in people(i, frame, joints).iter().enumerate() {
+                let track = found[person].track_id;
+                assert_eq!(track, tracks.map(|ids| ids[person]), "{what}");
+                for (name, [x, y, confidence]) in joints.iter().zip(expected) {
+                    let Some(index) = session.convention.index_of(name) else { panic!("{what}: no {name}") };
+                    let own = &found[person].keypoints[index];
+                    // Six times a confidence, divided by six, is off by one rounding.
+                    assert!((own.confidence - confidence).abs() < 1e-12, "{what}: {name} {own:?} {confidence}");
+                    assert_eq!((own.pixel.x, own.pixel.y), (*x, *y), "{what}: {name} in frame {frame}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_take_is_the_same_in_every_dialect() {
+    let by_place = Some([0, 1]);
+    let cases: Vec<(&str, Files, Option<[i64; 2]>)> = vec![
+        ("openpose", openpose(&COCO17), None),
+        ("openpose", openpose_of_version_0_1(), None),
+        ("dmmr", dmmr(), by_place),
+        ("alphapose", alphapose(1.0), by_place),
+        ("alphapose", alphapose(6.0), by_place),
+        ("coco", coco(), None),
+        ("mmpose", mmpose(true), None),
+        ("mmpose", mmpose(false), None),
+        ("easymocap", easymocap(false), by_place),
+        ("easymocap", easymocap(true), by_place),
+        ("deeplabcut", deeplabcut(), by_place),
+    ];
+    for (name, files, tracks) in cases {
+        let loaded = read(&files).unwrap_or_else(|e| panic!("{name}: {e}"));
+        assert_eq!(loaded.format, format!("{name} with toml"));
+        assert_eq!(loaded.session.convention, KeypointConvention::Coco17, "{name}");
+        assert!(loaded.warnings.iter().any(|line| line.contains("17 joints kept as coco17")), "{:?}", loaded.warnings);
+        check(&loaded, name, &COCO17, tracks);
+    }
+    let mixed = read(&native_poses()).unwrap();
+    assert_eq!(mixed.format, "native+openpose with toml");
+    check(&mixed, "mixed", &COCO17, None);
+}
+
+#[test]
+fn eighteen_points_keep_their_neck() {
+    for (name, files) in [("alphapose_cmu", alphapose_cmu()), ("alphapose_open", alphapose_open())] {
+        let loaded = read(&files).unwrap_or_else(|e| panic!("{name}: {e}"));
+        assert_eq!(
+            (loaded.format, loaded.session.convention),
+            (format!("{name} with toml"), KeypointConvention::Coco18)
+        );
+    }
+    check(&read(&openpose(&COCO18)).unwrap(), "coco18", &COCO18, None);
+}
+
+#[test]
+fn twenty_five_points_are_told_apart_by_the_body_they_draw() {
+    let vitpose: Vec<&str> = ["nose", "left_eye", "right_eye", "left_ear", "right_ear", "neck"]
+        .into_iter()
+        .chain(["left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist"])
+        .chain(["left_hip", "right_hip", "mid_hip", "left_knee", "right_knee", "left_ankle", "right_ankle"])
+        .chain(["left_big_toe", "left_small_toe", "left_heel", "right_big_toe", "right_small_toe", "right_heel"])
+        .collect();
+    let of = |convention: KeypointConvention| convention.names().to_vec();
+    for (name, joints, convention) in [
+        ("\"body25\"", of(KeypointConvention::Body25), KeypointConvention::Body25),
+        ("\"body25b\"", of(KeypointConvention::Body25b), KeypointConvention::Body25b),
+        ("\"vitpose25\"", vitpose, KeypointConvention::Body25),
+    ] {
+        let loaded = read(&openpose(&joints)).unwrap();
+        assert_eq!(loaded.session.convention, convention, "{name}");
+        assert!(loaded.warnings.iter().any(|line| line.contains(name)), "{name}: {:?}", loaded.warnings);
+        check(&loaded, name, &joints, None);
+    }
+}
+
+#[test]
+fn cameras_of_mixed_skeletons_share_the_one_that_keeps_most() {
+    let halpe = KeypointConvention::Halpe26.names();
+    let mut files = openpose(&COCO17);
+    files.retain(|(name, _)| !name.contains("cam2_"));
+    files.extend(openpose(halpe).into_iter().filter(|(name, _)| name.contains("cam2_")));
+    let loaded = read(&files).unwrap();
+    assert_eq!(loaded.session.convention, KeypointConvention::Halpe26);
+    check(&loaded, "mixed", &COCO17, None);
+    let toe = KeypointConvention::Halpe26.index_of("left_big_toe").unwrap();
+    assert!(loaded.session.views[1].frames[0][0].keypoints[toe].is_present());
+    assert!(!loaded.session.views[0].frames[0][0].keypoints[toe].is_present());
+}
+
+#[test]
+fn a_custom_skeleton_is_read_by_its_names() {
+    let joints = ["right_knee", "right_hip", "nose", "left_hip", "neck", "left_knee", "left_ankle"];
+    let mut files = openpose(&joints);
+    assert_eq!(read(&files).unwrap_err().code, "skeleton_unknown");
+    let names = ["RKnee", "RHip", "snout", "LHip", "Neck", "LKnee", "LAnkle"];
+    files[0].1 = json!({"fps": 50, "keypoint_names": names}).to_string().into_bytes();
+    let known = ["right_knee", "right_hip", "left_hip", "neck", "left_knee", "left_ankle"];
+    let loaded = read(&files).unwrap();
+    let neck = loaded.session.convention.index_of("neck").unwrap();
+    let expected = people(0, 0, &joints)[0][4];
+    assert_eq!(loaded.session.views[0].frames[0][0].keypoints[neck].pixel.x, expected[0]);
+    assert!(known.iter().all(|name| loaded.session.convention.index_of(name).is_some()));
+}
+
+#[test]
+fn caliscopes_points_come_with_their_time_stamps() {
+    let mut text =
+        "sync_index,cam_id,frame_index,frame_time,point_id,img_loc_x,img_loc_y,obj_loc_x,obj_loc_y\n".to_owned();
+    let mut stamps = "cam_id,frame_time\n".to_owned();
+    for frame in 0..N_FRAMES {
+        for i in 0..CAMERAS.len() {
+            stamps += &format!("{},{}\n", i + 1, 0.02 * frame as f64);
+            for (id, [x, y, _]) in people(i, frame, &COCO17)[0].iter().enumerate() {
+                text += &format!("{frame},{},{frame},{},{id},{x},{y},,\n", i + 1, 0.02 * frame as f64);
+            }
+        }
+    }
+    let files = vec![
+        calib_toml(),
+        ("xy_rtmpose.csv".to_owned(), text.into_bytes()),
+        ("timestamps.csv".to_owned(), stamps.into_bytes()),
+    ];
+    let loaded = read(&files).unwrap();
+    assert_eq!((loaded.format.as_str(), loaded.session.n_frames), ("caliscope with toml", N_FRAMES as usize));
+    assert!((loaded.session.fps - 50.0).abs() < 1e-9);
+    let expected = people(2, 5, &COCO17)[0][9];
+    assert_eq!(loaded.session.views[2].frames[5][0].keypoints[9].pixel.x, expected[0]);
+}
+
+#[test]
+fn what_cannot_be_meant_is_refused_with_its_place() {
+    let code = |files: &Files| read(files).map_err(|e| (e.code, e.file)).unwrap_err();
+    let mut normalised = openpose(&COCO17);
+    for (name, content) in &mut normalised {
+        if name.ends_with("keypoints.json") {
+            let mut document: Value = serde_json::from_slice(content).unwrap();
+            for number in document["people"]
+                .as_array_mut()
+                .unwrap()
+                .iter_mut()
+                .flat_map(|p| p["pose_keypoints_2d"].as_array_mut().unwrap())
+            {
+                *number = json!(number.as_f64().unwrap() / 1280.0);
+            }
+            *content = document.to_string().into_bytes();
+        }
+    }
+    assert_eq!(code(&normalised).0, "keypoint_invalid");
+    let mut damaged = openpose(&COCO17);
+    damaged[10].1 = br#"{"people": [{"pose_keypoints_2d": [NaN, 1, 1]}]}"#.to_vec();
+    assert_eq!(code(&damaged), ("number_not_finite", Some(damaged[10].0.clone())));
+    let mut uncalibrated = openpose(&COCO17);
+    uncalibrated.remove(1);
+    assert_eq!(code(&uncalibrated).0, "no_cameras");
+    let mut twice = openpose(&COCO17);
+    twice.extend(alphapose(1.0).into_iter().filter(|(name, _)| name.contains("cam1/")));
+    assert_eq!(code(&twice).0, "session_ambiguous");
+}
+
+#[test]
+fn more_frame_files_than_a_plain_zip_can_count_are_read() {
+    let mut files = vec![header(), calib_toml()];
+    for camera in CAMERAS {
+        files.extend((0..22_000).map(|i| (format!("{camera}/{i:06}.json"), br#"{"people":[]}"#.to_vec())));
+    }
+    assert!(files.len() > usize::from(u16::MAX));
+    assert_eq!(read(&files).unwrap().session.n_frames, 22_000);
+}

@@ -1,0 +1,157 @@
+//! One take of two people and three cameras, and the files of other tools it is written into.
+
+use nalgebra::{Matrix3, Rotation3, Vector3};
+use std::io::{Cursor, Write};
+use wandless::geometry::{Distortion, Intrinsics, Rigid};
+use wandless::session::upload::{LoadedSession, UploadError, UploadLimits, read_upload};
+
+pub(crate) const N_FRAMES: i64 = 24;
+pub(crate) const CAMERAS: [&str; 3] = ["cam1", "cam2", "cam3"];
+pub(crate) const WIDTH: u32 = 1280;
+pub(crate) const HEIGHT: u32 = 720;
+
+/// A file by its name.
+pub(crate) type Files = Vec<(String, Vec<u8>)>;
+
+/// Joints of a standing body, metres: right is -x, up is +y.
+const BODY: [(&str, [f64; 3]); 26] = [
+    ("nose", [0.0, 1.62, 0.12]),
+    ("neck", [0.0, 1.45, 0.0]),
+    ("head_top", [0.0, 1.8, 0.0]),
+    ("mid_hip", [0.0, 0.95, 0.0]),
+    ("left_shoulder", [0.18, 1.44, 0.0]),
+    ("right_shoulder", [-0.18, 1.44, 0.01]),
+    ("left_elbow", [0.25, 1.16, 0.02]),
+    ("right_elbow", [-0.28, 1.18, 0.05]),
+    ("left_wrist", [0.3, 0.92, 0.1]),
+    ("right_wrist", [-0.35, 0.97, 0.2]),
+    ("left_hip", [0.1, 0.94, 0.0]),
+    ("right_hip", [-0.1, 0.94, 0.0]),
+    ("left_knee", [0.11, 0.5, 0.05]),
+    ("right_knee", [-0.12, 0.5, -0.03]),
+    ("left_ankle", [0.12, 0.09, 0.0]),
+    ("right_ankle", [-0.13, 0.09, -0.1]),
+    ("left_eye", [0.03, 1.66, 0.1]),
+    ("right_eye", [-0.03, 1.66, 0.1]),
+    ("left_ear", [0.07, 1.64, 0.02]),
+    ("right_ear", [-0.07, 1.64, 0.02]),
+    ("left_big_toe", [0.13, 0.02, 0.16]),
+    ("right_big_toe", [-0.14, 0.02, 0.06]),
+    ("left_small_toe", [0.18, 0.02, 0.13]),
+    ("right_small_toe", [-0.19, 0.02, 0.03]),
+    ("left_heel", [0.11, 0.03, -0.06]),
+    ("right_heel", [-0.12, 0.03, -0.16]),
+];
+
+pub(crate) const COCO17: [&str; 17] = [
+    "nose",
+    "left_eye",
+    "right_eye",
+    "left_ear",
+    "right_ear",
+    "left_shoulder",
+    "right_shoulder",
+    "left_elbow",
+    "right_elbow",
+    "left_wrist",
+    "right_wrist",
+    "left_hip",
+    "right_hip",
+    "left_knee",
+    "right_knee",
+    "left_ankle",
+    "right_ankle",
+];
+
+/// A detected point: x and y in pixels, confidence.
+pub(crate) type Point = [f64; 3];
+
+/// A camera of the rig on a circle of 4 m, looking at its middle.
+pub(crate) struct Camera {
+    pub(crate) intrinsics: Intrinsics,
+    pub(crate) pose: Rigid,
+}
+
+pub(crate) fn camera(index: usize, dist: Distortion) -> Camera {
+    let turn = Rotation3::from_axis_angle(&Vector3::y_axis(), 0.4 + 1.7 * index as f64).into_inner();
+    // World is y up, the camera's y is down; a level camera's rotation would be symmetric, so that nobody could tell it
+    // from its transpose.
+    let tilt = Rotation3::from_euler_angles(0.08 + 0.02 * index as f64, 0.0, 0.1 - 0.07 * index as f64).into_inner();
+    let rotation = tilt * Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0)) * turn;
+    let center = turn.transpose() * Vector3::new(0.0, 0.0, 4.0) + Vector3::new(0.0, 1.1 + 0.3 * index as f64, 0.0);
+    Camera {
+        intrinsics: Intrinsics {
+            width: WIDTH,
+            height: HEIGHT,
+            fx: 800.5,
+            fy: 801.25,
+            cx: 640.5 + index as f64,
+            cy: 358.25,
+            skew: 0.0,
+            dist,
+        },
+        pose: Rigid { rotation, translation: -(rotation * center) },
+    }
+}
+
+/// Where a person's joint lies at a frame, world metres.
+fn joint(person: usize, frame: i64, name: &str) -> Option<Vector3<f64>> {
+    let (_, position) = BODY.iter().find(|(own, _)| *own == name)?;
+    let turn = Rotation3::from_axis_angle(&Vector3::y_axis(), 0.9 * person as f64 + 0.05 * frame as f64);
+    let at = Vector3::new(1.3 * person as f64 - 0.7, 0.0, 0.03 * frame as f64 - 0.4);
+    Some(turn * Vector3::from(*position) + at)
+}
+
+/// What a camera's detector writes of a person: points to 0.01 px, confidences of three digits; unknown joints missing.
+pub(crate) fn points(camera: &Camera, person: usize, frame: i64, joints: &[&str]) -> Vec<Point> {
+    let point = |(i, name): (usize, &&str)| {
+        let pixel =
+            joint(person, frame, name).and_then(|x| camera.intrinsics.pixel_from_camera(&camera.pose.transform(&x)));
+        let confidence = 0.5 + 0.001 * ((7 * i + 3 * person + frame as usize) % 400) as f64;
+        pixel.map_or([0.0; 3], |p| [round(p.x, 100.0), round(p.y, 100.0), round(confidence, 1000.0)])
+    };
+    joints.iter().enumerate().map(point).collect()
+}
+
+fn round(value: f64, per_unit: f64) -> f64 {
+    (value * per_unit).round() / per_unit
+}
+
+/// The two people of a frame as the rig's camera `index` sees them.
+pub(crate) fn people(index: usize, frame: i64, joints: &[&str]) -> Vec<Vec<Point>> {
+    (0..2).map(|person| points(&camera(index, Distortion::None), person, frame, joints)).collect()
+}
+
+/// Pose2Sim's calibration of the rig.
+pub(crate) fn calib_toml() -> (String, Vec<u8>) {
+    let mut text = String::new();
+    for (i, id) in CAMERAS.iter().enumerate() {
+        let Camera { intrinsics: k, pose } = camera(i, Distortion::None);
+        let r = wandless::geometry::rotation::log(&pose.rotation);
+        let t = pose.translation;
+        text += &format!(
+            "[{id}]\nname = \"{id}\"\nsize = [{WIDTH}.0, {HEIGHT}.0]\nmatrix = [[{}, 0.0, {}], [0.0, {}, {}], [0.0, 0.0, 1.0]]\n\
+             distortions = [0.0, 0.0, 0.0, 0.0]\nrotation = [{:?}, {:?}, {:?}]\ntranslation = [{:?}, {:?}, {:?}]\nfisheye = false\n\n",
+            k.fx, k.cx, k.fy, k.cy, r.x, r.y, r.z, t.x, t.y, t.z
+        );
+    }
+    text += "[metadata]\nadjusted = false\nerror = 0.0\n";
+    ("calibration/Calib.toml".to_owned(), text.into_bytes())
+}
+
+pub(crate) fn header() -> (String, Vec<u8>) {
+    ("session.json".to_owned(), br#"{"name": "take", "fps": 50}"#.to_vec())
+}
+
+pub(crate) fn zip(files: &Files) -> Vec<u8> {
+    let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    for (name, content) in files {
+        zip.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+        zip.write_all(content).unwrap();
+    }
+    zip.finish().unwrap().into_inner()
+}
+
+pub(crate) fn read(files: &Files) -> Result<LoadedSession, UploadError> {
+    read_upload(Cursor::new(zip(files)), "upload", &UploadLimits::default())
+}
