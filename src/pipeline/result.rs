@@ -1,7 +1,7 @@
 //! From findings to the result: everything moved into the world, bodies fitted, figures and verdict gathered.
 
 use super::association::identities;
-use super::body_fit::{BodyFitConfig, BodyFitInput, fit_bodies, landmark_trajectory};
+use super::body_fit::{BodyFitConfig, BodyFitInput, FittedBodies, fit_bodies, landmark_trajectory};
 use super::calibration::Calibration;
 use super::config::Extrinsics;
 use super::fit_figures::{Distances, camera_reports, distances, person_report, summary};
@@ -12,7 +12,7 @@ use super::{Capture, PipelineError};
 use crate::body::BodyModel;
 use crate::geometry::{Rigid, Similarity};
 use crate::progress::{Canceled, Progress};
-use crate::session::reconstruction::{BodyModelId, Report, ScaleReport, SolvedCamera};
+use crate::session::reconstruction::{BodyModelId, DetectorHabits, Report, ScaleReport, SolvedCamera};
 use crate::session::recording::UpAxis;
 use crate::session::{JointTrajectory, PersonTrack, Reconstruction};
 
@@ -83,17 +83,18 @@ impl Findings {
             tracks: &tracks,
             points: &self.paths,
         };
-        let (motions, report) = fit_bodies(input, model, &BodyFitConfig::default(), progress)?;
+        let FittedBodies { motions, detector_model, detector, report } =
+            fit_bodies(input, model, &BodyFitConfig::default(), progress)?;
         self.calibration.stages.push(report);
         // A track whose trunk was never triangulated has no body; such a person is nobody in the result.
         let kept: Vec<PersonTrack> =
             tracks.into_iter().filter(|t| motions.iter().any(|m| m.person == t.person)).collect();
         self.paths.retain(|p| motions.iter().any(|m| m.person == p.person));
         let distances = distances(capture.session, &self.calibration.cameras, &kept, &self.paths);
-        let report = self.report(capture, &kept, &distances);
+        let report = Report { detector, ..self.report(capture, &kept, &distances) };
         let mut keypoints = std::mem::take(&mut self.paths);
         for (path, motion) in keypoints.iter_mut().zip(&motions) {
-            fill_from_body(path, &landmark_trajectory(model, motion, capture.session.convention));
+            fill_from_body(path, &landmark_trajectory(&detector_model, motion, capture.session.convention));
         }
         Ok(Reconstruction {
             cameras: self.solved_cameras(&distances),
@@ -154,6 +155,7 @@ impl Findings {
             people,
             heldout_px: self.heldout_px,
             scale: self.scale.clone(),
+            detector: DetectorHabits::default(),
             rejected_detections: n_rejected as f64 / n_detections.max(1) as f64,
             keypoints_from: "adjusted points; body landmarks where no view saw the point".to_owned(),
         }

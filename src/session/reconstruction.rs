@@ -86,6 +86,31 @@ pub struct ScaleReport {
     pub evidence: String,
 }
 
+/// What the session's detector means by its keypoints, against the body.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct DetectorHabits {
+    /// Whether the bodies were fitted with these offsets. They are not where unusual skeletons explain the session
+    /// better, or where an offset is larger than any detector's habit: then it is the body that does not fit.
+    pub applied: bool,
+    /// One sentence: why, or why not.
+    pub reason: String,
+    /// By kind of keypoint.
+    pub offsets: Vec<DetectorOffset>,
+}
+
+/// How far the session's detector places one kind of keypoint from the body's own point.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DetectorOffset {
+    /// The keypoint's name without its side.
+    pub keypoint: String,
+    /// The joint whose frame carries the offset; of a pair the left one.
+    pub bone: String,
+    /// In that frame at rest (x: to the body's left, y: up, z: forward), mm; mirrored for the right side.
+    pub offset_mm: [f64; 3],
+    /// Standard deviations, mm; that of the prior where the motion tells nothing.
+    pub sigma_mm: [f64; 3],
+}
+
 /// The verdict over a result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -154,6 +179,9 @@ pub struct Report {
     pub heldout_px: Option<f64>,
     /// Metric scale.
     pub scale: Option<ScaleReport>,
+    /// What the detector means by its keypoints, against the body.
+    #[serde(default)]
+    pub detector: DetectorHabits,
     /// Share of detections given to nobody.
     pub rejected_detections: f64,
     /// What `keypoints3d.json` holds: adjusted points or body landmarks.
