@@ -165,7 +165,7 @@ pub fn fit_bodies(
     let finish_person = |(track, started): (&PersonTrack, Option<(Evidence, StartedMotion)>)| {
         progress.check()?;
         let Some((evidence, started)) = started else { return Ok(None) };
-        let fitted = finish_motion(&stages, &evidence, started)?;
+        let fitted = finish_motion(&stages, &evidence, started, detector.applied)?;
         let valid = valid_frames(&evidence, (config.gap_limit_secs / frame_interval).round() as usize);
         Ok(Some((body_motion(model, track, &fitted, &valid), fitted)))
     };

@@ -52,17 +52,21 @@ pub(super) fn start_motion(stages: &Stages, evidence: &Evidence) -> Result<Optio
     Ok(Some(StartedMotion { start, window: best, fitted }))
 }
 
-/// Fits the whole track: the most telling window anew, from where it stands, then all others with its shape.
+/// Fits the whole track: the most telling window anew where the model has changed, from where it stands; then all others
+/// with its shape.
 pub(super) fn finish_motion(
     stages: &Stages,
     evidence: &Evidence,
     started: StartedMotion,
+    has_changed: bool,
 ) -> Result<FittedMotion, Canceled> {
-    let StartedMotion { mut start, window, fitted } = started;
-    let first_iterations = fitted.iterations;
-    start.betas = fitted.state.betas;
-    start.poses[window.clone()].copy_from_slice(&fitted.state.poses);
-    let mut fitted = stages.fit_window(evidence, &start, &window, Shape::Free, Start::Good)?;
+    let StartedMotion { mut start, window, mut fitted } = started;
+    let first_iterations = if has_changed { fitted.iterations } else { 0 };
+    if has_changed {
+        start.betas = fitted.state.betas;
+        start.poses[window.clone()].copy_from_slice(&fitted.state.poses);
+        fitted = stages.fit_window(evidence, &start, &window, Shape::Free, Start::Good)?;
+    }
     let windows = windows(start.poses.len(), stages.config.window_frames.max(3));
     if windows.len() > 1 {
         let shaped = MotionState { betas: fitted.state.betas, ..start };
