@@ -12,8 +12,10 @@ use nalgebra::Vector3;
 /// Standard deviations beyond which a keypoint is more likely wrong than noisy.
 const SOFT_SIGMAS: f64 = 3.0;
 
-/// Keypoints that must be shared before an affinity says anything.
-const MIN_SHARED: usize = 4;
+/// Keypoints that must be shared before an affinity says anything, and the number below which what is missing counts as
+/// disagreement: two joints that fit are some evidence, four are enough.
+const MIN_SHARED: usize = 2;
+const ENOUGH_SHARED: usize = 4;
 
 /// Keypoints below this confidence have no say.
 const MIN_CONFIDENCE: f64 = 0.2;
@@ -73,7 +75,7 @@ fn affinity(misfits: impl Iterator<Item = f64>) -> Option<f64> {
         n += 1;
         sum += SOFT_SIGMAS * SOFT_SIGMAS / (e * e + SOFT_SIGMAS * SOFT_SIGMAS);
     }
-    (n >= MIN_SHARED).then(|| sum / n as f64)
+    (n >= MIN_SHARED).then(|| sum / n.max(ENOUGH_SHARED) as f64)
 }
 
 #[cfg(test)]
@@ -111,6 +113,7 @@ mod tests {
         let order: Vec<usize> = (0..12).collect();
         assert!(physics_affinity(b, &expected, &sigmas, &order).unwrap() > 0.99);
         assert!(physics_affinity(c, &expected, &sigmas, &order).unwrap() < 0.1);
-        assert!(physics_affinity(b, &expected[..3], &sigmas, &order).is_none());
+        assert!((physics_affinity(b, &expected[..3], &sigmas, &order).unwrap() - 0.75).abs() < 0.01);
+        assert!(physics_affinity(b, &expected[..1], &sigmas, &order).is_none());
     }
 }
