@@ -140,13 +140,7 @@ pub fn fit_bodies(
 ) -> Result<FittedBodies, Canceled> {
     let frame_interval = input.session.frame_interval();
     let stages = Stages { model, config, frame_interval, progress };
-    let start_person = |track: &PersonTrack| -> Result<Option<(Evidence, StartedMotion)>, Canceled> {
-        progress.check()?;
-        let points = input.points.iter().find(|p| p.person == track.person);
-        let evidence = gather_evidence(input.session, input.cameras, track, points, model);
-        Ok(start_motion(&stages, &evidence)?.map(|started| (evidence, started)))
-    };
-    let started: Vec<_> = input.tracks.par_iter().map(start_person).collect::<Result<_, Canceled>>()?;
+    let started = started_people(input, &stages)?;
     progress.report(0.5, "bodies fitted one by one");
 
     let table = OffsetTable::new(model, input.session.convention);
@@ -177,6 +171,35 @@ pub fn fit_bodies(
         detector,
         detector_model,
     })
+}
+
+/// Everybody's first fit, by track.
+fn started_people(input: BodyFitInput, stages: &Stages) -> Result<Vec<Option<(Evidence, StartedMotion)>>, Canceled> {
+    let start_person = |track: &PersonTrack| {
+        stages.progress.check()?;
+        let points = input.points.iter().find(|p| p.person == track.person);
+        let evidence = gather_evidence(input.session, input.cameras, track, points, stages.model);
+        Ok(start_motion(stages, &evidence)?.map(|started| (evidence, started)))
+    };
+    input.tracks.par_iter().map(start_person).collect()
+}
+
+/// Statures of the fitted bodies at rest, m, by track; `None` for whom closed form finds no start.
+///
+/// # Errors
+/// [`Canceled`].
+pub fn fitted_statures(
+    input: BodyFitInput,
+    model: &BodyModel,
+    config: &BodyFitConfig,
+    progress: &Progress,
+) -> Result<Vec<Option<f64>>, Canceled> {
+    let stages = Stages { model, config, frame_interval: input.session.frame_interval(), progress };
+    let people = started_people(input, &stages)?;
+    let stature = |person: &Option<(Evidence, StartedMotion)>| {
+        person.as_ref().map(|(_, started)| model.surface.stature(&started.fitted.state.betas))
+    };
+    Ok(people.iter().map(stature).collect())
 }
 
 /// What one person can tell of the detector: the run of frames with most pixels in the window that was fitted.
