@@ -5,6 +5,7 @@ mod body;
 mod evaluate;
 mod export;
 mod meter;
+mod prior;
 mod reconstruct;
 pub mod simulate;
 mod solve;
@@ -46,6 +47,8 @@ enum Command {
     Bench(bench::Args),
     /// Look at a body model, or write it in other formats
     Body(body::Args),
+    /// Train, measure and look at the motion prior
+    Prior(prior::Args),
     /// Serve sessions and jobs over HTTP
     #[cfg(feature = "service")]
     Serve(serve::Args),
@@ -78,6 +81,7 @@ pub fn main() -> ExitCode {
         Command::Simulate(args) => simulate::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Body(args) => body::run(args),
+        Command::Prior(args) => prior::run(args),
         #[cfg(feature = "service")]
         Command::Serve(args) => serve::run(args),
         #[cfg(feature = "service")]
