@@ -7,6 +7,7 @@ pub mod calibration;
 pub mod camera_init;
 pub mod config;
 pub mod fit_figures;
+pub mod inspection;
 pub mod joint_trajectories;
 pub mod metric_scale;
 pub mod result;

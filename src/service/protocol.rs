@@ -20,6 +20,8 @@ pub struct Order {
     pub out: PathBuf,
     /// Solver threads.
     pub threads: usize,
+    /// Address space that the child may take, bytes.
+    pub memory_bytes: Option<u64>,
     /// Process id of the service; a child whose parent is another one was orphaned before it could say so.
     pub parent: i32,
 }

@@ -1,6 +1,7 @@
 //! Problem documents (RFC 9457): every error a client can meet.
 
 use crate::service::store::StoreError;
+use crate::service::store::sessions::AddError;
 use axum::body::Body;
 use axum::extract::Request;
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
@@ -75,6 +76,11 @@ impl Problem {
             remedy: remedy.into(),
         };
         Self { document: Box::new(document), headers: Vec::new() }
+    }
+
+    /// For machines.
+    pub(super) fn code(&self) -> &'static str {
+        self.document.code
     }
 
     /// The same, naming a place in the request's JSON.
@@ -183,6 +189,20 @@ impl From<StoreError> for Problem {
     }
 }
 
+impl From<AddError> for Problem {
+    fn from(error: AddError) -> Self {
+        match error {
+            AddError::QuotaExceeded { .. } => Self::new(
+                StatusCode::INSUFFICIENT_STORAGE,
+                "quota_exceeded",
+                error.to_string(),
+                "delete sessions and jobs that nobody needs, or ask the operator for more",
+            ),
+            AddError::Store(error) => error.into(),
+        }
+    }
+}
+
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
         let mut response = self.document.status.into_response();
@@ -195,7 +215,7 @@ impl IntoResponse for Problem {
 pub(super) async fn write_problems(request: Request, next: Next) -> Response {
     let path = request.uri().path().to_owned();
     let mut response = next.run(request).await;
-    let Some(mut problem) = response.extensions_mut().remove::<Problem>() else { return response };
+    let Some(mut problem) = response.extensions_mut().get::<Problem>().cloned() else { return response };
     if problem.document.instance.is_empty() {
         problem.document.instance = path;
     }

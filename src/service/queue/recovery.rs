@@ -1,6 +1,7 @@
 //! What a start does before anything is served: orphans go back to the queue, files that no row names are removed.
 
 use super::Queue;
+use crate::service::failpoint::failpoint;
 use crate::service::store::{StoreError, sessions};
 use sqlx::Row;
 use std::collections::BTreeMap;
@@ -43,7 +44,9 @@ pub async fn recover(queue: &Queue) -> Result<Recovered, StoreError> {
     .await?
     .rows_affected();
     transaction.commit().await?;
+    failpoint("recover.committed");
     let removed = sweep(queue).await?;
+    failpoint("recover.swept");
     Ok(Recovered { requeued, canceled, removed })
 }
 

@@ -4,17 +4,25 @@
 //! `results/<job>/<fence>.tmp/` (being written by a child). File names are made here, never taken from a client.
 
 use super::StoreError;
+use crate::service::failpoint::failpoint;
 use rustix::fs::FlockOperation;
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+/// Name of the database in a data folder and in a backup.
+pub const DATABASE: &str = "wandless.db";
+
+/// Name of the database's digest: there while no service is at work and the last one stopped in order.
+pub const DATABASE_DIGEST: &str = "wandless.db.sha256";
+
 /// The folders of a data folder that this process owns: the lock is held as long as a clone lives.
 #[derive(Debug, Clone)]
 pub struct Folders {
     root: PathBuf,
-    _lock: Arc<File>,
+    /// None beside a service that holds the lock.
+    _lock: Option<Arc<File>>,
 }
 
 /// A file that is removed when dropped, unless it was kept.
@@ -40,15 +48,29 @@ impl Folders {
         let path = root.join("lock");
         let lock = File::options().create(true).append(true).open(&path).map_err(|source| fail(&path, source))?;
         match rustix::fs::flock(&lock, FlockOperation::NonBlockingLockExclusive) {
-            Ok(()) => Ok(Self { root, _lock: Arc::new(lock) }),
+            Ok(()) => Ok(Self { root, _lock: Some(Arc::new(lock)) }),
             Err(rustix::io::Errno::WOULDBLOCK) => Err(StoreError::InUse { path }),
             Err(errno) => Err(StoreError::Folder { path, source: errno.into() }),
         }
     }
 
+    /// The folders of a service that is at work, for a command beside it.
+    ///
+    /// # Errors
+    /// When there is no such folder.
+    pub(super) fn beside(root: &Path) -> Result<Self, StoreError> {
+        let root = root.canonicalize().map_err(|source| StoreError::Folder { path: root.to_owned(), source })?;
+        Ok(Self { root, _lock: None })
+    }
+
+    /// Where the digest of the database lies while nobody writes to it.
+    pub fn database_digest(&self) -> PathBuf {
+        self.root.join(DATABASE_DIGEST)
+    }
+
     /// The database file.
     pub fn database(&self) -> PathBuf {
-        self.root.join("wandless.db")
+        self.root.join(DATABASE)
     }
 
     /// The bytes of a session.
@@ -129,7 +151,9 @@ impl TemporaryFile {
     /// When it cannot be synced or renamed; it is removed then.
     pub fn keep_as(mut self, path: &Path) -> io::Result<()> {
         File::open(&self.path)?.sync_all()?;
+        failpoint("upload.synced");
         publish(&self.path, path)?;
+        failpoint("upload.published");
         self.kept = true;
         Ok(())
     }
