@@ -132,7 +132,9 @@ def main():
             for _ in range(asked.kills):
                 time.sleep(dice.uniform(0.0, 0.6))
                 service.kill()
-                starts.append(service.start())
+                seconds = service.start()
+                faults.require(seconds is not None, "a start was refused")
+                starts.append(seconds or service.start())
 
         run(service, faults, asked.seed, asked.clients, asked.frames, kill_at_random)
         print(f"{asked.kills} kills; start to serving: median {sorted(starts)[len(starts) // 2] * 1000:.0f} ms, "

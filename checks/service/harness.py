@@ -98,6 +98,8 @@ class Service:
         line = self.process.stdout.readline()
         if "http://" not in line:
             self.process.wait()
+            time.sleep(0.05)
+            print("did not start:", "".join(self.stderr).strip(), flush=True)
             return None
         self.port = int(line.rsplit(":", 1)[1])
         return time.monotonic() - start

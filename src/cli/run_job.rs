@@ -46,7 +46,8 @@ pub(super) fn run() -> ExitCode {
     hold_memory_to(order.memory_bytes);
     use_threads(order.threads);
     let progress = Progress::new(teller(), Arc::default());
-    match solve(&order.session, Some(&order.session_sha256), &order.options, &default_body(), &order.out, &progress) {
+    let (sha256, checkpoints) = (Some(order.session_sha256.as_str()), Some(order.checkpoints.as_path()));
+    match solve(&order.session, sha256, &order.options, &default_body(), checkpoints, &order.out, &progress) {
         Ok(_) => {
             say(&Message::Done);
             ExitCode::SUCCESS

@@ -5,6 +5,7 @@ pub mod body_fit;
 pub mod bundle_adjustment;
 pub mod calibration;
 pub mod camera_init;
+pub mod checkpoints;
 pub mod config;
 pub mod fit_figures;
 pub mod inspection;
@@ -23,6 +24,7 @@ use crate::progress::{Canceled, Progress};
 use crate::session::{Reconstruction, Session};
 use bundle_adjustment::CameraFreedom;
 use calibration::{Calibration, estimate_cameras, from_given_cameras, heldout_px};
+use checkpoints::Checkpoints;
 use config::Extrinsics;
 pub use config::{CameraFacts, Options};
 use result::Findings;
@@ -71,6 +73,20 @@ pub fn reconstruct_with_body(
     body: &BodyModel,
     progress: &Progress,
 ) -> Result<Reconstruction, PipelineError> {
+    reconstruct_with_checkpoints(session, options, body, &Checkpoints::none(), progress)
+}
+
+/// [`reconstruct_with_body`] that goes on after the last stage that `checkpoints` keep; the same result to the last bit.
+///
+/// # Errors
+/// As there.
+pub fn reconstruct_with_checkpoints(
+    session: &Session,
+    options: &Options,
+    body: &BodyModel,
+    checkpoints: &Checkpoints,
+    progress: &Progress,
+) -> Result<Reconstruction, PipelineError> {
     options.check(&CameraFacts::of(session))?;
     if session.views.iter().all(|v| v.frames.iter().all(Vec::is_empty)) {
         let reason = "no camera detected anybody; check that the keypoint files are those of this take".to_owned();
@@ -79,7 +95,7 @@ pub fn reconstruct_with_body(
     let capture = Capture::new(session, options);
 
     let stage = progress.stage("cameras", 0, N_STAGES, 0.0, 0.55);
-    let calibration = calibrated(&capture, &stage)?;
+    let calibration = checkpoints.stage("cameras", || calibrated(&capture, &stage))?;
     let n_placed = calibration.cameras.iter().flatten().count();
     if n_placed < 2 && session.views.len() > 1 {
         let reason = "no two cameras see the same people move; check that the cameras overlap, that frames are \
@@ -89,10 +105,11 @@ pub fn reconstruct_with_body(
     }
 
     let stage = progress.stage("held_out_check", 1, N_STAGES, 0.55, 0.1);
-    let heldout_px = heldout_px(&capture, &calibration, freedom(options), &stage)?;
+    let heldout_px =
+        checkpoints.stage("held_out_check", || heldout_px(&capture, &calibration, freedom(options), &stage))?;
 
     let stage = progress.stage("joint_trajectories", 2, N_STAGES, 0.65, 0.05);
-    let paths = result::paths(&capture, &calibration, &stage)?;
+    let paths = checkpoints.stage("joint_trajectories", || result::paths(&capture, &calibration, &stage))?;
 
     let stage = progress.stage("metric_scale", 3, N_STAGES, 0.7, 0.02);
     let scale = metric_scale::metric_scale(&capture, &calibration.cameras, &calibration.association.tracks, &paths)?;

@@ -18,6 +18,8 @@ pub struct Order {
     pub options: Options,
     /// An empty folder for the result.
     pub out: PathBuf,
+    /// A folder for finished stages, which outlives the process.
+    pub checkpoints: PathBuf,
     /// Solver threads.
     pub threads: usize,
     /// Address space that the child may take, bytes.

@@ -70,7 +70,7 @@ fn every_route_of_another_tenant_is_a_route_to_nothing() {
             }
         }
     }
-    assert!(n_routes >= 15, "{n_routes}");
+    assert!(n_routes >= 14, "{n_routes}");
     assert_eq!(ask(&server, "GET", "/v1/jobs", &b, None).expect(200).json()["jobs"], json!([]));
     assert_eq!(ask(&server, "GET", "/v1/sessions", &b, None).expect(200).json()["sessions"], json!([]));
     ask(&server, "POST", "/v1/jobs", &b, Some(&asked)).expect_problem(404, "session_not_found");

@@ -61,7 +61,7 @@ fn what_is_degenerate_is_told() {
     assert_eq!(codes(&session(&apart, 20, 20.0)), ["few_frames"]);
     let row = session(&[[0.0; 3], [2.0, 0.0, 0.0], [4.0, 0.01, 0.0]], 100, 5.0);
     assert_eq!(codes(&row), ["collinear"]);
-    let close = session(&[[0.0; 3], [0.1, 0.0, 0.0], [0.0, 0.0, 4.0]], 100, 5.0);
+    let close = session(&[[0.0; 3], [0.1, 0.0, 0.0], [0.0, 0.0, 4.0], [3.0, 0.0, 2.0]], 100, 5.0);
     assert_eq!(codes(&close), ["tiny_baseline"]);
 }
 

@@ -181,7 +181,7 @@ impl From<StoreError> for Problem {
             StoreError::Database(sqlx::Error::PoolTimedOut) => Self::unavailable("busy", "the database is busy"),
             StoreError::Database(sqlx::Error::Database(cause)) => match cause.code().as_deref() {
                 Some("5" | "6" | "261" | "517") => Self::unavailable("busy", "the database is busy"), // BUSY, LOCKED
-                Some("13") => Self::disk_full(),                                                      // FULL
+                _ if error.is_disk_full() => Self::disk_full(),
                 _ => Self::internal(error),
             },
             _ => Self::internal(error),

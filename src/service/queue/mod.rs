@@ -149,6 +149,16 @@ impl Queue {
     /// # Errors
     /// When the store fails.
     pub async fn cancel(&self, tenant: &Tenant, id: &str) -> Result<Cancel, StoreError> {
+        match self.try_to_cancel(tenant, id).await {
+            Err(error) if error.is_disk_full() => {
+                self.store.give_reserve_up().await;
+                self.try_to_cancel(tenant, id).await
+            }
+            done => done,
+        }
+    }
+
+    async fn try_to_cancel(&self, tenant: &Tenant, id: &str) -> Result<Cancel, StoreError> {
         let mut transaction = self.store.write().await?;
         sqlx::query(
             "UPDATE jobs SET state = 'canceled', version = version + 1, eta_s = NULL,
@@ -171,6 +181,9 @@ impl Queue {
         failpoint("cancel.committed");
         self.announce(id);
         let Some(job) = self.get(tenant, id).await? else { return Ok(Cancel::Missing) };
+        if job.state.phase() == Phase::Canceled {
+            self.store.remove_files("checkpoints", id).await; // of an attempt before a restart
+        }
         Ok(match job.state.phase() {
             Phase::Canceling | Phase::Canceled => Cancel::Accepted(Box::new(job)),
             phase => Cancel::AlreadyFinal(phase),
@@ -183,6 +196,16 @@ impl Queue {
     /// # Errors
     /// When the store fails.
     pub async fn delete(&self, tenant: &Tenant, id: &str) -> Result<bool, StoreError> {
+        match self.try_to_delete(tenant, id).await {
+            Err(error) if error.is_disk_full() => {
+                self.store.give_reserve_up().await;
+                self.try_to_delete(tenant, id).await
+            }
+            done => done,
+        }
+    }
+
+    async fn try_to_delete(&self, tenant: &Tenant, id: &str) -> Result<bool, StoreError> {
         let mut transaction = self.store.write().await?;
         let deleted = sqlx::query("DELETE FROM jobs WHERE id = ? AND tenant = ?").bind(id).bind(tenant.name());
         let deleted = deleted.execute(&mut *transaction).await?;
@@ -193,6 +216,8 @@ impl Queue {
         failpoint("delete.committed");
         self.announce(id);
         self.store.remove_files("results", id).await;
+        self.store.remove_files("checkpoints", id).await;
+        self.store.take_reserve().await;
         Ok(true)
     }
 }

@@ -50,7 +50,7 @@ pub async fn recover(queue: &Queue) -> Result<Recovered, StoreError> {
     Ok(Recovered { requeued, canceled, removed })
 }
 
-/// Removes uploads on their way, uploads without a row, and results other than the published ones.
+/// Removes uploads on their way, uploads without a row, stages of ended jobs, and results other than the published ones.
 async fn sweep(queue: &Queue) -> Result<usize, StoreError> {
     let folders = &queue.store.folders;
     let mut removed = 0;
@@ -67,6 +67,12 @@ async fn sweep(queue: &Queue) -> Result<usize, StoreError> {
             remove("sessions", &name);
         }
     }
+    let unended = unended(queue).await?;
+    for job in folders.names("checkpoints")? {
+        if unended.binary_search(&job).is_err() {
+            remove("checkpoints", &job);
+        }
+    }
     let published = published_fences(queue).await?;
     for job in folders.names("results")? {
         match published.get(&job) {
@@ -81,6 +87,12 @@ async fn sweep(queue: &Queue) -> Result<usize, StoreError> {
         }
     }
     Ok(removed)
+}
+
+/// Jobs that may still be resumed, sorted.
+async fn unended(queue: &Queue) -> Result<Vec<String>, StoreError> {
+    let ids = sqlx::query_scalar("SELECT id FROM jobs WHERE state IN ('queued', 'running', 'canceling') ORDER BY id");
+    Ok(ids.fetch_all(queue.store.read()).await?)
 }
 
 async fn published_fences(queue: &Queue) -> Result<BTreeMap<String, i64>, StoreError> {

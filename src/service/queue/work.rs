@@ -177,6 +177,9 @@ impl Queue {
         if next == Phase::Queued {
             self.work.notify_one();
         }
+        if next.is_final() {
+            self.store.remove_files("checkpoints", &claim.job).await;
+        }
         if next != Phase::Succeeded {
             self.store.remove_files("results", &claim.job).await; // no row will ever name them
         }

@@ -12,7 +12,7 @@ pub use tenants::Tenant;
 
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous};
-use sqlx::{Sqlite, Transaction};
+use sqlx::{Connection, Sqlite, Transaction};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -33,6 +33,14 @@ pub struct Store {
     pub folders: Folders,
     /// Names this process: a running job of another boot is an orphan.
     pub boot: String,
+}
+
+impl StoreError {
+    /// Whether the disk is what stands in the way: SQLite's FULL, or a write, or its shared memory that found no room.
+    pub fn is_disk_full(&self) -> bool {
+        let Self::Database(sqlx::Error::Database(cause)) = self else { return false };
+        matches!(cause.code().as_deref(), Some("13" | "778" | "4874"))
+    }
 }
 
 /// The data folder in figures; what the system does not tell is 0.
@@ -130,6 +138,9 @@ impl Store {
             .pragma("secure_delete", "ON");
         let pool = |options: SqliteConnectOptions, n: u32| {
             let pool = SqlitePoolOptions::new().max_connections(n).idle_timeout(None).max_lifetime(None);
+            // SQLite ends a transaction by itself where the disk is full; the connection then believes for ever that it is
+            // still inside of one, and is replaced.
+            let pool = pool.before_acquire(|connection, _| Box::pin(async { Ok(!connection.is_in_transaction()) }));
             pool.acquire_timeout(Duration::from_secs(30)).connect_with(options)
         };
         let writer = pool(options.clone().synchronous(SqliteSynchronous::Full), 1).await?;
@@ -138,6 +149,7 @@ impl Store {
             MigrateError::VersionMissing(migration) => StoreError::Newer { migration },
             other => StoreError::Migration(other),
         })?;
+        folders.take_reserve();
         let notes = pool(options.clone().synchronous(SqliteSynchronous::Normal), 1).await?;
         let readers = pool(options.read_only(true), 4).await?;
         Ok(Self { writer, notes, readers, folders, boot: uuid::Uuid::new_v4().simple().to_string() })
@@ -189,6 +201,18 @@ impl Store {
         let (folders, name) = (self.folders.clone(), name.to_owned());
         // Fails only where the process ends; the next start removes what no row names.
         let _ = tokio::task::spawn_blocking(move || folders.remove(folder, &name)).await;
+    }
+
+    /// Gives the bytes up that were kept for this moment: what frees space must work on a full disk, too.
+    pub async fn give_reserve_up(&self) {
+        let folders = self.folders.clone();
+        let _ = tokio::task::spawn_blocking(move || folders.give_reserve_up()).await; // fails only where the process ends
+    }
+
+    /// Keeps bytes back again, where there is room.
+    pub async fn take_reserve(&self) {
+        let folders = self.folders.clone();
+        let _ = tokio::task::spawn_blocking(move || folders.take_reserve()).await; // fails only where the process ends
     }
 
     /// Closes the connections after their last statement.

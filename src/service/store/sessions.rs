@@ -185,6 +185,16 @@ pub async fn ids(store: &Store) -> Result<Vec<String>, StoreError> {
 /// # Errors
 /// [`RemoveError::InUse`] while a job that has not ended needs it.
 pub async fn remove(store: &Store, tenant: &Tenant, id: &str) -> Result<(), RemoveError> {
+    match try_to_remove(store, tenant, id).await {
+        Err(RemoveError::Store(error)) if error.is_disk_full() => {
+            store.give_reserve_up().await;
+            try_to_remove(store, tenant, id).await
+        }
+        done => done,
+    }
+}
+
+async fn try_to_remove(store: &Store, tenant: &Tenant, id: &str) -> Result<(), RemoveError> {
     let mut transaction = store.write().await?;
     let job: Option<String> = sqlx::query_scalar(
         "SELECT id FROM jobs WHERE session_id = ? AND tenant = ? AND state IN ('queued', 'running', 'canceling') LIMIT 1",
@@ -203,6 +213,7 @@ pub async fn remove(store: &Store, tenant: &Tenant, id: &str) -> Result<(), Remo
     }
     transaction.commit().await?;
     store.remove_files("sessions", id).await;
+    store.take_reserve().await;
     Ok(())
 }
 

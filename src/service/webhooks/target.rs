@@ -170,7 +170,7 @@ fn is_public(address: IpAddr) -> bool {
             // Global unicast is 2000::/3; of it Teredo, benchmarking, ORCHID and documentation are taken out.
             None => {
                 let [a, b, ..] = v6.segments();
-                let is_special = (a == 0x2001 && b < 0x200) || (a == 0x2001 && b == 0xdb8) || a == 0x3fff;
+                let is_special = (a == 0x2001 && (b < 0x200 || b == 0xdb8)) || a == 0x3fff;
                 a & 0xe000 == 0x2000 && !is_special
             }
         },

@@ -92,6 +92,7 @@ fn order(store: &Store, settings: &Settings, claim: &Claim) -> Result<Order, Job
         session_sha256: claim.session_sha256.clone(),
         options,
         out: store.folders.staging(&claim.job, claim.fence),
+        checkpoints: store.folders.checkpoints(&claim.job),
         threads: settings.jobs.threads,
         memory_bytes: child_limit(&settings.jobs),
         parent: rustix::process::getpid().as_raw_nonzero().get(),
@@ -109,8 +110,9 @@ fn out_of_memory(order: &Order) -> JobError {
 }
 
 async fn start(settings: &Settings, queue: &Queue, claim: &Claim, order: &Order) -> anyhow::Result<Child> {
-    let out = order.out.clone();
-    tokio::task::spawn_blocking(move || std::fs::create_dir_all(out)).await?.context("result folder")?;
+    let (out, checkpoints) = (order.out.clone(), order.checkpoints.clone());
+    let made = move || std::fs::create_dir_all(out).and_then(|()| std::fs::create_dir_all(checkpoints));
+    tokio::task::spawn_blocking(made).await?.context("result folder")?;
     let (queue, job) = (queue.clone(), claim.job.clone());
     Child::start(&settings.program, order, move |line| {
         tracing::warn!(job.id = job, "{line}");
@@ -164,6 +166,9 @@ async fn record(
                 return "lost";
             }
             Err(error) if tries < 30 => {
+                if error.is_disk_full() {
+                    store.give_reserve_up().await; // an end that was reached must be told
+                }
                 tracing::error!(job.id = %claim.job, %error, "the job's end could not be recorded; trying again");
                 tries += 1;
                 tokio::time::sleep(RETRY).await;

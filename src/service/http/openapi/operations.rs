@@ -36,7 +36,8 @@ fn sessions() -> Vec<Operation> {
         json!({ "required": true, "content": {
             "application/zip": binary(),
             "application/x-ndjson": binary(),
-            "application/json": { "schema": { "$ref": "#/components/schemas/SessionDocument" } },
+            "application/json": {
+                "schema": { "$ref": "#/components/schemas/SessionDocument" }, "example": example_session() },
             "multipart/form-data": { "schema": {
                 "type": "object", "required": ["session"], "additionalProperties": false,
                 "properties": { "session": { "type": "string", "contentMediaType": "application/octet-stream" } } } },
@@ -47,7 +48,7 @@ fn sessions() -> Vec<Operation> {
         Operation {
             body: Some(upload()),
             answers: vec![
-                (201, located(document("A new session", session))),
+                (201, linked(located(document("A new session", session)), &OF_SESSION)),
                 (200, located(document("The same bytes were known", session))),
             ],
             refusals: &[400, 408, 413, 415, 422, 507],
@@ -104,7 +105,7 @@ fn jobs() -> Vec<Operation> {
         Operation {
             parameters: vec![key],
             body: Some(new_job),
-            answers: vec![(202, located(document("Accepted: it will reach a final state", job)))],
+            answers: vec![(202, linked(located(document("Accepted: it will reach a final state", job)), &OF_JOB))],
             refusals: &[400, 404, 408, 409, 413, 415, 422, 507],
             ..operation("post", "/v1/jobs", "createJob", tag, "Submit a job")
         },
@@ -119,8 +120,8 @@ fn jobs() -> Vec<Operation> {
                 id("job"),
                 query(
                     "wait",
-                    json!({ "type": "number", "minimum": 0, "maximum": 60,
-                    "description": "Seconds to hold the answer until the job differs from If-None-Match" }),
+                    json!({ "type": "number", "minimum": 0,
+                        "description": "Seconds to hold the answer until the job differs from If-None-Match; 60 at most" }),
                 ),
                 json!({ "name": "If-None-Match", "in": "header", "required": false, "schema": { "type": "string", "pattern": "^[!-~]*$" } }),
             ],
@@ -252,6 +253,48 @@ fn located(mut answer: Value) -> Value {
     answer
 }
 
+/// Operations on what was just made.
+const OF_SESSION: [&str; 3] = ["getSession", "inspectSession", "deleteSession"];
+const OF_JOB: [&str; 9] = [
+    "getJob",
+    "getResult",
+    "getCameras",
+    "getPeople",
+    "getReport",
+    "listDeliveries",
+    "followJob",
+    "cancelJob",
+    "deleteJob",
+];
+
+/// Says which operations take the id of the answer; a new session is also what a job is made of.
+fn linked(mut answer: Value, operations: &[&str]) -> Value {
+    for operation in operations {
+        let parameters = json!({ "id": "$response.body#/id" });
+        answer["links"][*operation] = json!({ "operationId": operation, "parameters": parameters });
+    }
+    if operations.contains(&"getSession") {
+        let body = json!({ "session": "$response.body#/id" });
+        answer["links"]["createJob"] = json!({ "operationId": "createJob", "requestBody": body });
+    }
+    answer
+}
+
+/// One person before two cameras, in one frame.
+fn example_session() -> Value {
+    let keypoints: Vec<Value> =
+        (0..17).map(|i| json!([600.0 + f64::from(i % 2) * 40.0, 100.0 + 30.0 * f64::from(i), 0.9])).collect();
+    let camera = |id: &str| {
+        let k = json!([[900.0, 0.0, 640.0], [0.0, 900.0, 360.0], [0.0, 0.0, 1.0]]);
+        json!({ "id": id, "width": 1280, "height": 720, "K": k, "dist": [0.0, 0.0, 0.0, 0.0, 0.0] })
+    };
+    let poses = json!({ "frames": [{ "frame": 0, "people": [{ "track_id": null, "keypoints": keypoints }] }] });
+    json!({
+        "name": "example", "fps": 25.0, "n_frames": 1, "keypoint_convention": "coco17",
+        "cameras": [camera("left"), camera("right")], "poses": { "left": poses, "right": poses },
+    })
+}
+
 fn tagged(mut answer: Value) -> Value {
     answer["headers"]["ETag"] = json!({ "schema": { "type": "string" } });
     answer
@@ -268,7 +311,11 @@ fn query(name: &str, schema: Value) -> Value {
 
 fn page_parameters() -> Vec<Value> {
     vec![
-        query("page_size", json!({ "type": "integer", "minimum": 0, "maximum": 500, "default": 50 })),
+        query(
+            "page_size",
+            json!({ "type": "integer", "minimum": 0, "default": 50,
+                "description": "More than 500 are 500" }),
+        ),
         query(
             "page_token",
             json!({ "type": "string", "pattern": "^(s[0-9a-f]{1,15})?$",
