@@ -1,9 +1,11 @@
 //! What a body is: skeleton, keypoint conventions, kinematics.
 
 pub mod anthropometry;
+pub mod bone_offsets;
 pub mod bones;
 pub mod default_body;
 pub mod detector_noise;
+pub mod detector_offsets;
 pub mod generator;
 pub mod joint_ranges;
 pub mod kinematics;

@@ -83,6 +83,8 @@ fn reconstruction() -> Reconstruction {
         up_axis: UpAxis::Y,
         body_model: BodyModelId { name: "default".to_owned(), sha256: "00".repeat(32) },
         report: Report {
+            detector: DetectorHabits::default(),
+            consistency: None,
             stages: vec![],
             cameras: vec![],
             people: vec![],

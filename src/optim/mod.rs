@@ -3,9 +3,11 @@
 //! - [`robust`]: a bounded cost for residuals of which some are grossly wrong
 //! - [`levenberg_marquardt`]: the damping loop, written once
 //! - [`banded`]: Cholesky factors of a band matrix
+//! - [`block_banded`]: one dense block per frame, coupled over two frames, with a border
 //! - [`arrow`]: many small local systems coupled only through a few shared unknowns
 
 pub mod arrow;
 pub mod banded;
+pub mod block_banded;
 pub mod levenberg_marquardt;
 pub mod robust;

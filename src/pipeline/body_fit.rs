@@ -1,14 +1,15 @@
 //! Shape and pose of each person: the articulated fit.
 //!
-//! Per person one shape, per frame a root motion and 21 joint rotations. In stages, since a fit straight to pixels gets
-//! stuck (method.md 15): a closed-form start, then the triangulated points, then the detected pixels.
+//! Per person one shape, per frame a root motion and 21 joint rotations, and for the session what its detector means by
+//! its keypoints. In stages, since a fit straight to pixels gets stuck (method.md 15): a closed-form start, then the
+//! triangulated points, then the detected pixels, then pixels with the detector's offsets released.
 
-mod block_banded;
 mod evidence;
 mod initial_motion;
 mod motion_problem;
 mod motion_system;
 mod place_cost;
+mod session_offsets;
 mod solve;
 #[cfg(test)]
 mod tests;
@@ -17,18 +18,23 @@ mod tests_simulated;
 
 use crate::body::BodyModel;
 use crate::body::anthropometry::N_BETAS;
+use crate::body::bone_offsets::BoneOffsets;
+use crate::body::detector_offsets::{OffsetKind, OffsetTable};
 use crate::body::kinematics::{Pose, landmark_position, posed};
 use crate::body::model::Betas;
-use crate::body::skeleton::KeypointConvention;
+use crate::body::skeleton::{JOINT_NAMES, KeypointConvention};
 use crate::geometry::Rigid;
 use crate::progress::{Canceled, Progress};
 use crate::session::people::BodyPose;
-use crate::session::reconstruction::StageReport;
+use crate::session::reconstruction::{DetectorHabits, DetectorOffset, StageReport};
 use crate::session::{BodyMotion, JointTrajectory, PersonTrack, Session};
 use evidence::{Evidence, gather_evidence};
+use motion_problem::MotionState;
+use nalgebra::Vector3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
-use solve::{FittedMotion, fit_motion};
+use session_offsets::{Cause, OffsetWitness, SessionOffsets, detector_habits};
+use solve::{FittedMotion, Stages, StartedMotion, finish_motion, start_motion};
 use std::collections::BTreeMap;
 
 /// What the fit reads.
@@ -69,6 +75,10 @@ pub struct BodyFitConfig {
     pub window_frames: usize,
     /// Frames that a window sees beyond its own on each side.
     pub halo_frames: usize,
+    /// Whether the detector's offsets are estimated.
+    pub detector_offsets: bool,
+    /// Most frames of a person that the estimate of the offsets looks at.
+    pub offset_frames: usize,
     /// Most iterations on points, and on pixels.
     pub max_iterations: [usize; 2],
     /// A step that lowers the cost by less than this share is the last.
@@ -95,16 +105,30 @@ impl Default for BodyFitConfig {
             // Some 70 MB a window; the factor of a frame is 0.12 MB.
             window_frames: 480,
             halo_frames: 30,
+            detector_offsets: true,
+            // Four to five seconds of walking or talking turn every limb.
+            offset_frames: 180,
             max_iterations: [6, 8],
             min_decrease: 2e-3,
         }
     }
 }
 
-/// Fits every person's body.
-///
-/// Returns one motion per track for which the trunk was triangulated at least once, in the order of the tracks; a
-/// motion covers its track's frames without holes. The same input gives the same bytes whatever the thread count.
+/// Everybody's bodies, and how they were found.
+#[derive(Debug, Clone)]
+pub struct FittedBodies {
+    /// One motion per track for which the trunk was triangulated at least once, in the order of the tracks; a motion
+    /// covers its track's frames without holes.
+    pub motions: Vec<BodyMotion>,
+    /// The model that was fitted: its landmarks lie where the session's detector has them, if that was applied.
+    pub detector_model: BodyModel,
+    /// What the detector means by its keypoints; empty where it was not asked for.
+    pub detector: DetectorHabits,
+    /// Figures.
+    pub report: StageReport,
+}
+
+/// Fits every person's body. The same input gives the same bytes whatever the thread count.
 ///
 /// # Errors
 /// [`Canceled`] once the caller has asked the work to stop.
@@ -113,21 +137,104 @@ pub fn fit_bodies(
     model: &BodyModel,
     config: &BodyFitConfig,
     progress: &Progress,
-) -> Result<(Vec<BodyMotion>, StageReport), Canceled> {
-    let dt = input.session.frame_interval();
-    let fit_person = |track: &PersonTrack| -> Result<Option<(BodyMotion, FittedMotion)>, Canceled> {
+) -> Result<FittedBodies, Canceled> {
+    let frame_interval = input.session.frame_interval();
+    let stages = Stages { model, config, frame_interval, progress };
+    let started = started_people(input, &stages)?;
+    progress.report(0.5, "bodies fitted one by one");
+
+    let table = OffsetTable::new(model, input.session.convention);
+    let (mut detector_model, mut detector) = (model.clone(), DetectorHabits::default());
+    if config.detector_offsets && !table.kinds.is_empty() {
+        let witnesses: Vec<OffsetWitness> = started.iter().flatten().map(|(e, s)| witness(&stages, e, s)).collect();
+        let found = detector_habits(&table, &witnesses, &stages)?;
+        detector = reported(&table, &found);
+        if detector.applied {
+            detector_model = table.applied(model, &found.offsets);
+        }
+        progress.report(0.75, "what the detector means by its keypoints");
+    }
+
+    let stages = Stages { model: &detector_model, ..stages };
+    let finish_person = |(track, started): (&PersonTrack, Option<(Evidence, StartedMotion)>)| {
         progress.check()?;
-        let points = input.points.iter().find(|p| p.person == track.person);
-        let evidence = gather_evidence(input.session, input.cameras, track, points, model);
-        let Some(fitted) = fit_motion(model, &evidence, config, dt, progress)? else { return Ok(None) };
-        let valid = valid_frames(&evidence, (config.gap_limit_secs / dt).round() as usize);
-        let motion = body_motion(model, track, &fitted, &valid);
-        Ok(Some((motion, fitted)))
+        let Some((evidence, started)) = started else { return Ok(None) };
+        let fitted = finish_motion(&stages, &evidence, started, detector.applied)?;
+        let valid = valid_frames(&evidence, (config.gap_limit_secs / frame_interval).round() as usize);
+        Ok(Some((body_motion(model, track, &fitted, &valid), fitted)))
     };
-    let people: Vec<_> = input.tracks.par_iter().map(fit_person).collect::<Result<_, Canceled>>()?;
+    let people: Vec<_> = input.tracks.par_iter().zip(started).map(finish_person).collect::<Result<_, Canceled>>()?;
     let fitted: Vec<&FittedMotion> = people.iter().flatten().map(|(_, fitted)| fitted).collect();
-    let report = stage_report(&fitted, input.tracks.len());
-    Ok((people.into_iter().flatten().map(|(motion, _)| motion).collect(), report))
+    Ok(FittedBodies {
+        report: stage_report(&fitted, input.tracks.len()),
+        motions: people.into_iter().flatten().map(|(motion, _)| motion).collect(),
+        detector,
+        detector_model,
+    })
+}
+
+/// Everybody's first fit, by track.
+fn started_people(input: BodyFitInput, stages: &Stages) -> Result<Vec<Option<(Evidence, StartedMotion)>>, Canceled> {
+    let start_person = |track: &PersonTrack| {
+        stages.progress.check()?;
+        let points = input.points.iter().find(|p| p.person == track.person);
+        let evidence = gather_evidence(input.session, input.cameras, track, points, stages.model);
+        Ok(start_motion(stages, &evidence)?.map(|started| (evidence, started)))
+    };
+    input.tracks.par_iter().map(start_person).collect()
+}
+
+/// Statures of the fitted bodies at rest, m, by track; `None` for whom closed form finds no start.
+///
+/// # Errors
+/// [`Canceled`].
+pub fn fitted_statures(
+    input: BodyFitInput,
+    model: &BodyModel,
+    config: &BodyFitConfig,
+    progress: &Progress,
+) -> Result<Vec<Option<f64>>, Canceled> {
+    let stages = Stages { model, config, frame_interval: input.session.frame_interval(), progress };
+    let people = started_people(input, &stages)?;
+    let stature = |person: &Option<(Evidence, StartedMotion)>| {
+        person.as_ref().map(|(_, started)| model.surface.stature(&started.fitted.state.betas))
+    };
+    Ok(people.iter().map(stature).collect())
+}
+
+/// What one person can tell of the detector: the run of frames with most pixels in the window that was fitted.
+fn witness(stages: &Stages, evidence: &Evidence, started: &StartedMotion) -> OffsetWitness {
+    let window = started.window.clone();
+    let length = window.len().min(stages.config.offset_frames);
+    let n_pixels: Vec<usize> = evidence.pixels[window.clone()].iter().map(Vec::len).collect();
+    let seen = |first: usize| n_pixels[first..first + length].iter().sum::<usize>();
+    let first = (0..=window.len() - length).max_by_key(|&first| (seen(first), std::cmp::Reverse(first))).unwrap_or(0);
+    let evidence = evidence.slice(window.start + first..window.start + first + length);
+    let fitted = &started.fitted.state;
+    let state = MotionState { betas: fitted.betas, poses: fitted.poses[first..first + length].to_vec() };
+    let share = stages.pixel_share(&evidence, &state);
+    OffsetWitness { evidence, state, bones: BoneOffsets::default(), share }
+}
+
+fn reported(table: &OffsetTable, found: &SessionOffsets) -> DetectorHabits {
+    let rows = table.kinds.iter().zip(&found.offsets).zip(&found.sigmas);
+    let offset = |((kind, offset), sigma): ((&OffsetKind, &Vector3<f64>), &Vector3<f64>)| DetectorOffset {
+        keypoint: kind.name.clone(),
+        bone: JOINT_NAMES[kind.joint].to_owned(),
+        offset_mm: (offset * 1e3).into(),
+        sigma_mm: (sigma * 1e3).into(),
+    };
+    let (applied, reason) = match (found.cause, table.implausible(&found.offsets)) {
+        (Cause::Skeletons, _) => (false, "people's own proportions explain the session better".to_owned()),
+        (Cause::Detector, Some(kind)) => (
+            false,
+            format!("the offset of {} is larger than a detector's habit; the body does not fit there", kind.name),
+        ),
+        (Cause::Detector, None) => {
+            (true, "a habit of the detector explains the session better than unusual people".to_owned())
+        }
+    };
+    DetectorHabits { applied, reason, offsets: rows.map(offset).collect() }
 }
 
 fn body_motion(model: &BodyModel, track: &PersonTrack, fitted: &FittedMotion, valid: &[bool]) -> BodyMotion {

@@ -86,6 +86,58 @@ pub struct ScaleReport {
     pub evidence: String,
 }
 
+/// What the session's detector means by its keypoints, against the body.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct DetectorHabits {
+    /// Whether the bodies were fitted with these offsets. They are not where unusual skeletons explain the session
+    /// better, or where an offset is larger than any detector's habit: then it is the body that does not fit.
+    pub applied: bool,
+    /// One sentence: why, or why not.
+    pub reason: String,
+    /// By kind of keypoint.
+    pub offsets: Vec<DetectorOffset>,
+}
+
+/// How far the session's detector places one kind of keypoint from the body's own point.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DetectorOffset {
+    /// The keypoint's name without its side.
+    pub keypoint: String,
+    /// The joint whose frame carries the offset; of a pair the left one.
+    pub bone: String,
+    /// In that frame at rest (x: to the body's left, y: up, z: forward), mm; mirrored for the right side.
+    pub offset_mm: [f64; 3],
+    /// Standard deviations, mm; that of the prior where the motion tells nothing.
+    pub sigma_mm: [f64; 3],
+}
+
+/// What the consistency stage did.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct ConsistencyReport {
+    /// Frames that left a choice of who is who and were solved as a whole.
+    pub ambiguous_frames: usize,
+    /// By camera and person; pairs of whom nothing was seen are left out.
+    pub pairs: Vec<ConsistencyPair>,
+}
+
+/// What was done to one person's detections in one camera.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct ConsistencyPair {
+    /// The camera's name.
+    pub camera: String,
+    /// Who.
+    pub person: usize,
+    /// Detections taken from the person again, for another person or for nobody.
+    pub rejected_detections: usize,
+    /// Keypoints that contradicted all other views.
+    pub rejected_joints: usize,
+    /// Detections whose left and right were exchanged.
+    pub flips_undone: usize,
+    /// First and last frame (the session's numbers) of runs in which a track id of the camera that mostly names somebody
+    /// else named this person.
+    pub swaps_repaired: Vec<[i64; 2]>,
+}
+
 /// The verdict over a result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -154,6 +206,12 @@ pub struct Report {
     pub heldout_px: Option<f64>,
     /// Metric scale.
     pub scale: Option<ScaleReport>,
+    /// What the detector means by its keypoints, against the body.
+    #[serde(default)]
+    pub detector: DetectorHabits,
+    /// What the consistency stage did; `None` where it was switched off.
+    #[serde(default)]
+    pub consistency: Option<ConsistencyReport>,
     /// Share of detections given to nobody.
     pub rejected_detections: f64,
     /// What `keypoints3d.json` holds: adjusted points or body landmarks.

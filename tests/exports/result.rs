@@ -274,6 +274,8 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
         up_axis,
         body_model: BodyModelId { name: "default".to_owned(), sha256: "00".repeat(32) },
         report: Report {
+            detector: Default::default(),
+            consistency: None,
             stages: Vec::new(),
             cameras: Vec::new(),
             people: Vec::new(),

@@ -4,14 +4,17 @@
 //! has one optimum. A detector's error drifts over some frames, hence more frames a second are not more information.
 
 use super::BodyFitConfig;
-use super::block_banded::BandedStep;
 use super::evidence::{Evidence, PixelEvidence, PointEvidence};
 use super::place_cost::{PlaceCost, pixel_cost, point_cost, summed_by_landmark};
+use crate::body::anthropometry::N_BETAS;
+use crate::body::bone_offsets::N_BONE_KINDS;
+use crate::body::detector_offsets::OffsetTable;
 use crate::body::joint_ranges::{JointRange, joint_ranges};
 use crate::body::kinematics::{Pose, PosedSkeleton, landmark_position, moving_joints, posed};
 use crate::body::model::{Betas, BodyModel, ShapedBody};
 use crate::body::skeleton::N_JOINTS;
 use crate::geometry::rotation;
+use crate::optim::block_banded::BandedStep;
 use crate::residuals::joint_angles::{JointAngleWeights, joint_angle_cost};
 use nalgebra::Vector3;
 use rayon::prelude::*;
@@ -47,6 +50,11 @@ pub(super) struct MotionProblem<'a> {
     pub config: &'a BodyFitConfig,
     pub data: DataTerm,
     pub shape: Shape,
+    /// Offsets of landmarks that stand in the border after the betas and the person's bones; their values, like those of
+    /// the bones, are in `model`.
+    pub free_offsets: Option<&'a OffsetTable>,
+    /// Weight of the betas' prior against one frame's evidence.
+    pub shape_prior: f64,
     /// s.
     pub frame_interval: f64,
     /// The joints that turn, ascending; the root is the first.
@@ -84,17 +92,54 @@ impl<'a> MotionProblem<'a> {
         let active: Vec<usize> = (0..FIRST_HAND).filter(|&j| turns[j]).collect();
         let group_of = |joint: &usize| active.iter().position(|a| a == joint).map(|g| (g + 1, *joint));
         let moved_by = moving.iter().map(|joints| joints.iter().filter_map(group_of).collect()).collect();
-        Self { model, evidence, config, data, shape, frame_interval, active, moved_by, ranges: joint_ranges() }
+        let (free_offsets, shape_prior, ranges) = (None, 1.0, joint_ranges());
+        Self {
+            model,
+            evidence,
+            config,
+            data,
+            shape,
+            free_offsets,
+            shape_prior,
+            frame_interval,
+            active,
+            moved_by,
+            ranges,
+        }
+    }
+
+    /// The same with the person's bones and the offsets of landmarks as further unknowns and a stronger prior of the
+    /// shape, for what offsets and skeleton share is told apart by their priors alone.
+    pub(super) fn with_free_offsets(self, table: &'a OffsetTable, shape_prior: f64) -> Self {
+        Self { free_offsets: Some(table), shape_prior, ..self }
+    }
+
+    /// Unknowns of the border: the betas, the person's bones, the offsets.
+    pub(super) fn n_border(&self) -> usize {
+        self.first_offset() + self.free_offsets.map_or(0, |table| 3 * table.kinds.len())
+    }
+
+    /// Column of the border where the offsets begin.
+    pub(super) fn first_offset(&self) -> usize {
+        self.n_betas() + if self.free_offsets.is_some() { 3 * N_BONE_KINDS } else { 0 }
+    }
+
+    /// Betas among the unknowns.
+    pub(super) fn n_betas(&self) -> usize {
+        if self.shape == Shape::Free { N_BETAS } else { 0 }
     }
 
     pub(super) fn time_weight(&self) -> f64 {
         self.frame_interval * REFERENCE_RATE_HZ
     }
 
-    /// The state after a step of the solver: betas added, right increments of the rotations.
+    /// The state after a step of the solver: betas added, right increments of the rotations. Bones and offsets
+    /// are no part of it.
     pub(super) fn moved(&self, state: &MotionState, step: &BandedStep) -> MotionState {
         let mut moved = state.clone();
-        moved.betas += Betas::from_fn(|k, _| step.border.get(k).copied().unwrap_or(0.0));
+        if self.shape == Shape::Free {
+            moved.betas += step.border.fixed_rows::<N_BETAS>(0);
+        }
         for (pose, step) in moved.poses.iter_mut().zip(&step.frames) {
             let group = |g: usize| step.fixed_rows::<3>(3 * g).into_owned();
             pose.translation += group(TRANSLATION_GROUP);
@@ -115,7 +160,7 @@ impl<'a> MotionProblem<'a> {
         };
         let frames: Vec<f64> = state.poses.par_iter().enumerate().map(frame_cost).collect();
         let smooth: f64 = (1..state.poses.len().saturating_sub(1)).map(|t| self.smoothness_cost(state, t)).sum();
-        0.5 * state.betas.norm_squared() + self.time_weight() * (frames.iter().sum::<f64>() + smooth)
+        0.5 * self.shape_prior * state.betas.norm_squared() + self.time_weight() * (frames.iter().sum::<f64>() + smooth)
     }
 
     pub(super) fn angle_cost(&self, pose: &Pose, joint: usize) -> crate::residuals::joint_angles::JointAngleCost {

@@ -1,37 +1,40 @@
 //! The Gauss-Newton system of a person's motion.
 
-use super::block_banded::BlockBanded;
-use super::motion_problem::{MotionProblem, MotionState, Shape, TRANSLATION_GROUP, charbonnier};
+use super::motion_problem::{MotionProblem, MotionState, TRANSLATION_GROUP, charbonnier};
+use super::place_cost::PlaceCost;
 use crate::body::anthropometry::N_BETAS;
-use crate::body::kinematics::{Pose, joints_by_betas, landmark_by_betas, landmark_by_rotation, posed};
-use crate::body::model::ShapedBody;
+use crate::body::bone_offsets::landmark_by_bones;
+use crate::body::kinematics::{Pose, PosedSkeleton, joints_by_betas, landmark_by_betas, landmark_by_rotation, posed};
+use crate::body::model::{ShapeDirections, ShapedBody};
+use crate::body::skeleton::N_JOINTS;
+use crate::optim::block_banded::BlockBanded;
 use crate::residuals::joint_acceleration::turn_change;
-use nalgebra::{Matrix3, SVector, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use rayon::prelude::*;
 
 /// The part of the system that one frame's evidence and joint angles give.
 struct FrameSystem {
     cost: f64,
-    diagonal: nalgebra::DMatrix<f64>,
-    border: nalgebra::DMatrix<f64>,
-    gradient: nalgebra::DVector<f64>,
-    corner: nalgebra::SMatrix<f64, N_BETAS, N_BETAS>,
-    border_gradient: SVector<f64, N_BETAS>,
+    diagonal: DMatrix<f64>,
+    border: DMatrix<f64>,
+    gradient: DVector<f64>,
+    corner: DMatrix<f64>,
+    border_gradient: DVector<f64>,
 }
 
 impl MotionProblem<'_> {
     /// Cost and Gauss-Newton system at `state`.
     pub(super) fn linearised(&self, state: &MotionState) -> (f64, BlockBanded) {
-        let n_border = if self.shape == Shape::Free { N_BETAS } else { 0 };
+        let n_border = self.n_border();
         let mut system = BlockBanded::zeros(state.poses.len(), self.active.len() + 1, n_border);
         let body = self.model.shaped(&state.betas);
         let weight = self.time_weight();
         let frames: Vec<FrameSystem> =
             state.poses.par_iter().enumerate().map(|(t, pose)| self.frame_system(t, &body, pose)).collect();
-        let mut cost = 0.5 * state.betas.norm_squared();
-        for k in 0..n_border {
-            system.corner[(k, k)] += 1.0;
-            system.border_gradient[k] += state.betas[k];
+        let mut cost = 0.5 * self.shape_prior * state.betas.norm_squared();
+        for k in 0..self.n_betas() {
+            system.corner[(k, k)] += self.shape_prior;
+            system.border_gradient[k] += self.shape_prior * state.betas[k];
         }
         for (t, frame) in frames.into_iter().enumerate() {
             cost += weight * frame.cost;
@@ -50,14 +53,14 @@ impl MotionProblem<'_> {
     }
 
     fn frame_system(&self, t: usize, body: &ShapedBody, pose: &Pose) -> FrameSystem {
-        let n = 3 * (self.active.len() + 1);
+        let (n, n_border) = (3 * (self.active.len() + 1), self.n_border());
         let mut system = FrameSystem {
             cost: 0.0,
-            diagonal: nalgebra::DMatrix::zeros(n, n),
-            border: nalgebra::DMatrix::zeros(n, N_BETAS),
-            gradient: nalgebra::DVector::zeros(n),
-            corner: nalgebra::SMatrix::zeros(),
-            border_gradient: SVector::zeros(),
+            diagonal: DMatrix::zeros(n, n),
+            border: DMatrix::zeros(n, n_border),
+            gradient: DVector::zeros(n),
+            corner: DMatrix::zeros(n_border, n_border),
+            border_gradient: DVector::zeros(n_border),
         };
         let skeleton = posed(body, pose);
         let joint_directions = joints_by_betas(self.model, &skeleton);
@@ -69,16 +72,13 @@ impl MotionProblem<'_> {
             let jacobians: Vec<(usize, Matrix3<f64>)> = std::iter::once((TRANSLATION_GROUP, Matrix3::identity()))
                 .chain(self.moved_by[place.landmark].iter().map(by_rotation))
                 .collect();
-            let by_betas = landmark_by_betas(&self.model.landmarks[place.landmark], &skeleton, &joint_directions);
-            let pulled = place.hessian * by_betas;
-            system.corner += by_betas.tr_mul(&pulled);
-            system.border_gradient += by_betas.tr_mul(&place.gradient);
+            let by_border = self.by_border(place.landmark, &skeleton, &joint_directions);
+            by_border.add_to_corner(&place, &mut system.corner, &mut system.border_gradient);
             for (i, (row, a)) in jacobians.iter().enumerate() {
                 let mut gradient = system.gradient.fixed_rows_mut::<3>(3 * row);
                 gradient += a.tr_mul(&place.gradient);
-                let mut border = system.border.fixed_view_mut::<3, N_BETAS>(3 * row, 0);
-                border += a.tr_mul(&pulled);
                 let left = a.tr_mul(&place.hessian);
+                by_border.add_to_border(3 * row, &left, &mut system.border);
                 for (column, b) in &jacobians[..=i] {
                     let mut block = system.diagonal.fixed_view_mut::<3, 3>(3 * row, 3 * column);
                     block += left * b;
@@ -98,6 +98,31 @@ impl MotionProblem<'_> {
             system.diagonal[(i, i)] += FLOOR;
         }
         system
+    }
+
+    fn by_border(
+        &self,
+        landmark: usize,
+        skeleton: &PosedSkeleton,
+        joint_directions: &[ShapeDirections; N_JOINTS],
+    ) -> BorderJacobian {
+        let betas = (self.n_betas() > 0)
+            .then(|| landmark_by_betas(&self.model.landmarks[landmark], skeleton, joint_directions));
+        let mut blocks = Vec::new();
+        if let Some(table) = self.free_offsets {
+            let mut add = |column: usize, block: Matrix3<f64>| match blocks.iter_mut().find(|(c, _)| *c == column) {
+                Some((_, sum)) => *sum += block,
+                None => blocks.push((column, block)),
+            };
+            for (kind, block) in landmark_by_bones(&self.model.landmarks[landmark], &skeleton.rotations) {
+                add(self.n_betas() + 3 * kind, block);
+            }
+            if let Some(carried) = table.carried(landmark) {
+                let block = skeleton.rotations[carried.joint] * carried.mirror;
+                add(self.first_offset() + 3 * carried.kind, block);
+            }
+        }
+        BorderJacobian { betas, blocks }
     }
 
     /// Adds the accelerations about frame `t`; returns their unweighted cost.
@@ -141,22 +166,71 @@ impl MotionProblem<'_> {
     }
 }
 
+/// Derivatives of a landmark to the unknowns of the border: the betas in the first columns; further blocks of three
+/// columns (the person's bones, the detector's offset) each from a column of its own on.
+struct BorderJacobian {
+    betas: Option<ShapeDirections>,
+    blocks: Vec<(usize, Matrix3<f64>)>,
+}
+
+impl BorderJacobian {
+    fn add_to_corner(&self, place: &PlaceCost, corner: &mut DMatrix<f64>, gradient: &mut DVector<f64>) {
+        if let Some(betas) = &self.betas {
+            let mut block = corner.fixed_view_mut::<N_BETAS, N_BETAS>(0, 0);
+            block += betas.tr_mul(&(place.hessian * betas));
+            let mut gradient = gradient.fixed_rows_mut::<N_BETAS>(0);
+            gradient += betas.tr_mul(&place.gradient);
+        }
+        for (row, a) in &self.blocks {
+            let pulled = a.tr_mul(&place.hessian);
+            let mut gradient = gradient.fixed_rows_mut::<3>(*row);
+            gradient += a.tr_mul(&place.gradient);
+            for (column, b) in &self.blocks {
+                let mut block = corner.fixed_view_mut::<3, 3>(*row, *column);
+                block += pulled * b;
+            }
+            if let Some(betas) = &self.betas {
+                let crossed = pulled * betas;
+                let mut block = corner.fixed_view_mut::<3, N_BETAS>(*row, 0);
+                block += crossed;
+                let mut block = corner.fixed_view_mut::<N_BETAS, 3>(0, *row);
+                block += crossed.transpose();
+            }
+        }
+    }
+
+    /// `left`: derivative to three unknowns of the frame from row `row` on, times the Hessian of the place.
+    fn add_to_border(&self, row: usize, left: &Matrix3<f64>, border: &mut DMatrix<f64>) {
+        if let Some(betas) = &self.betas {
+            let mut block = border.fixed_view_mut::<3, N_BETAS>(row, 0);
+            block += left * betas;
+        }
+        for (column, b) in &self.blocks {
+            let mut block = border.fixed_view_mut::<3, 3>(row, *column);
+            block += left * b;
+        }
+    }
+}
+
 /// Added to every frame's diagonal (squared residual per rad^2 or m^2): 1e6 times weaker than one keypoint.
 const FLOOR: f64 = 1e-4;
 
 #[cfg(test)]
 mod tests {
     use super::super::BodyFitConfig;
-    use super::super::block_banded::BandedStep;
     use super::super::evidence::{Evidence, PointEvidence};
-    use super::super::motion_problem::DataTerm;
+    use super::super::motion_problem::{DataTerm, Shape};
     use super::*;
+    use crate::body::bone_offsets::{BoneOffsets, with_bones};
     use crate::body::default_body;
-    use crate::body::model::Betas;
+    use crate::body::detector_offsets::OffsetTable;
+    use crate::body::model::{Betas, BodyModel};
+    use crate::body::skeleton::KeypointConvention;
     use crate::geometry::rotation;
-    use nalgebra::DVector;
+    use crate::optim::block_banded::BandedStep;
 
-    /// The gradient against central differences of the cost along some directions: data, angles, accelerations, betas.
+    /// The gradient against central differences of the cost along some directions: data, angles, accelerations, betas, bones
+    /// and the detector's offsets.
     #[test]
     fn the_gradient_is_that_of_the_cost() {
         let model = default_body();
@@ -176,20 +250,42 @@ mod tests {
             pixels: vec![Vec::new(); 5],
         };
         let config = BodyFitConfig::default();
-        let problem =
-            MotionProblem::new(&model, &evidence, &config, DataTerm::Points { sigma: 0.5 }, Shape::Free, 1.0 / 25.0);
+        let table = OffsetTable::new(&model, KeypointConvention::Body25);
+        let offsets: Vec<Vector3<f64>> =
+            (0..table.kinds.len()).map(|k| Vector3::from_fn(|a, _| 0.1 * wave(5 * k + a))).collect();
+        fn problem_at<'a>(
+            model: &'a BodyModel,
+            evidence: &'a Evidence,
+            config: &'a BodyFitConfig,
+            table: &'a OffsetTable,
+        ) -> MotionProblem<'a> {
+            MotionProblem::new(model, evidence, config, DataTerm::Points { sigma: 0.5 }, Shape::Free, 1.0 / 25.0)
+                .with_free_offsets(table, 3.0)
+        }
+        let bones: BoneOffsets = std::array::from_fn(|k| Vector3::from_fn(|a, _| 0.1 * wave(9 * k + a)));
+        let detector_model = with_bones(&table.applied(&model, &offsets), &bones);
+        let problem = problem_at(&detector_model, &evidence, &config, &table);
         let (cost, system) = problem.linearised(&state);
         assert!((cost - problem.cost(&state)).abs() < 1e-9 * cost);
         let n = system.gradient[0].len();
         for direction in 0..20 {
             let step = |h: f64| BandedStep {
                 frames: (0..5).map(|t| DVector::from_fn(n, |i, _| h * wave(11 * t + 13 * i + direction))).collect(),
-                border: DVector::from_fn(N_BETAS, |i, _| h * wave(17 * i + direction)),
+                border: DVector::from_fn(problem.n_border(), |i, _| h * wave(17 * i + direction)),
             };
             let unit = step(1.0);
             let slope = system.border_gradient.dot(&unit.border)
                 + system.gradient.iter().zip(&unit.frames).map(|(g, s)| g.dot(s)).sum::<f64>();
-            let at = |h: f64| problem.cost(&problem.moved(&state, &step(h)));
+            let at = |h: f64| {
+                let step = step(h);
+                let by_bones = step.border.rows(N_BETAS, 3 * bones.len());
+                let bones: BoneOffsets = std::array::from_fn(|k| bones[k] + by_bones.fixed_rows::<3>(3 * k));
+                let by_offsets = step.border.rows(problem.first_offset(), 3 * offsets.len());
+                let moved = |(k, o): (usize, &Vector3<f64>)| o + by_offsets.fixed_rows::<3>(3 * k);
+                let model = table.applied(&model, &offsets.iter().enumerate().map(moved).collect::<Vec<_>>());
+                let model = with_bones(&model, &bones);
+                problem_at(&model, &evidence, &config, &table).cost(&problem.moved(&state, &step))
+            };
             let difference = (at(1e-6) - at(-1e-6)) / 2e-6;
             assert!((difference - slope).abs() < 1e-5 * (1.0 + slope.abs()), "{difference} and {slope}");
         }

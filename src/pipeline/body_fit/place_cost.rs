@@ -1,6 +1,7 @@
 //! What the place of one landmark costs, given a triangulated point or a detected pixel.
 
 use super::evidence::{PixelEvidence, PlacedCamera, PointEvidence};
+use crate::optim::robust::{Robust, geman_mcclure, geman_mcclure_ceiling};
 use nalgebra::{Matrix3, Vector3};
 
 /// A robust cost over the world position of one landmark, to second order (per m, per m^2).
@@ -16,7 +17,7 @@ pub(super) struct PlaceCost {
 /// The distance to a triangulated point in units of `sigma` (m).
 pub(super) fn point_cost(point: &PointEvidence, position: &Vector3<f64>, sigma: f64, robust_scale: f64) -> PlaceCost {
     let miss = (position - point.position) / sigma;
-    let (cost, weight) = geman_mcclure(miss.norm_squared(), robust_scale);
+    let Robust { cost, weight, .. } = geman_mcclure(miss.norm_squared(), robust_scale);
     PlaceCost {
         landmark: point.landmark,
         cost,
@@ -38,12 +39,12 @@ pub(super) fn pixel_cost(
     let landmark = pixel.landmark;
     let in_camera = camera.camera_from_world.transform(position);
     let Some((projected, by_point)) = camera.intrinsics.project_with_jacobian(&in_camera) else {
-        let cost = 0.5 * robust_scale * robust_scale;
+        let cost = geman_mcclure_ceiling(robust_scale);
         return PlaceCost { landmark, cost, gradient: Vector3::zeros(), hessian: Matrix3::zeros() };
     };
     let miss = (projected - pixel.pixel) / sigma_px;
     let by_world = by_point * camera.camera_from_world.rotation / sigma_px;
-    let (cost, weight) = geman_mcclure(miss.norm_squared(), robust_scale);
+    let Robust { cost, weight, .. } = geman_mcclure(miss.norm_squared(), robust_scale);
     PlaceCost {
         landmark,
         cost,
@@ -67,13 +68,6 @@ pub(super) fn summed_by_landmark(mut costs: Vec<PlaceCost>) -> Vec<PlaceCost> {
         }
     }
     sums
-}
-
-/// Geman-McClure: `rho = s^2 e^2 / (e^2 + s^2) / 2` and the weight `(s^2 / (s^2 + e^2))^2` (method.md 9.4).
-fn geman_mcclure(squared: f64, scale: f64) -> (f64, f64) {
-    let s2 = scale * scale;
-    let share = s2 / (s2 + squared);
-    (0.5 * squared * share, share * share)
 }
 
 #[cfg(test)]

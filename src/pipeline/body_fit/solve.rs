@@ -23,32 +23,72 @@ pub(super) struct FittedMotion {
     pub median_reprojection_px: Option<f64>,
 }
 
-/// Fits one person; `None` when closed form finds no start.
-pub(super) fn fit_motion(
-    model: &BodyModel,
-    evidence: &Evidence,
-    config: &BodyFitConfig,
-    frame_interval: f64,
-    progress: &Progress,
-) -> Result<Option<FittedMotion>, Canceled> {
-    let Some(start) = initial_motion(model, evidence) else { return Ok(None) };
-    let stages = Stages { model, config, frame_interval, progress };
-    let windows = windows(start.poses.len(), config.window_frames.max(3));
-    let Some(best) = windows.iter().max_by_key(|w| (n_pixels(evidence, w), std::cmp::Reverse(w.start))) else {
+impl FittedMotion {
+    fn unmoved(state: MotionState) -> Self {
+        let (cost_before, cost_after, iterations, converged, median_reprojection_px) = (0.0, 0.0, 0, true, None);
+        Self { state, cost_before, cost_after, iterations, converged, median_reprojection_px }
+    }
+}
+
+/// One person after the first fit of the window that tells most about the shape.
+pub(super) struct StartedMotion {
+    /// The closed-form start over the whole track.
+    pub start: MotionState,
+    /// The most telling window.
+    pub window: Range<usize>,
+    /// The fit over that window.
+    pub fitted: FittedMotion,
+}
+
+/// Starts one person and fits the window with most evidence, shape free; `None` when closed form finds no start.
+pub(super) fn start_motion(stages: &Stages, evidence: &Evidence) -> Result<Option<StartedMotion>, Canceled> {
+    let Some(start) = initial_motion(stages.model, evidence) else { return Ok(None) };
+    let windows = windows(start.poses.len(), stages.config.window_frames.max(3));
+    let Some(best) = windows.into_iter().max_by_key(|w| (n_pixels(evidence, w), std::cmp::Reverse(w.start))) else {
         return Ok(None);
     };
-    let mut fitted = stages.fit_window(evidence, &start, best, Shape::Free)?;
+    let own = MotionState { betas: start.betas, poses: start.poses.clone() };
+    let fitted = stages.fit_window(evidence, &own, &best, Shape::Free, Start::Rough)?;
+    Ok(Some(StartedMotion { start, window: best, fitted }))
+}
+
+/// Fits the whole track: the most telling window anew where the model has changed, from where it stands; then all others
+/// with its shape.
+pub(super) fn finish_motion(
+    stages: &Stages,
+    evidence: &Evidence,
+    started: StartedMotion,
+    has_changed: bool,
+) -> Result<FittedMotion, Canceled> {
+    let StartedMotion { mut start, window, mut fitted } = started;
+    let first_iterations = if has_changed { fitted.iterations } else { 0 };
+    if has_changed {
+        start.betas = fitted.state.betas;
+        start.poses[window.clone()].copy_from_slice(&fitted.state.poses);
+        fitted = stages.fit_window(evidence, &start, &window, Shape::Free, Start::Good)?;
+    }
+    let windows = windows(start.poses.len(), stages.config.window_frames.max(3));
     if windows.len() > 1 {
         let shaped = MotionState { betas: fitted.state.betas, ..start };
         let parts: Vec<FittedMotion> = windows
             .par_iter()
-            .map(|w| stages.fit_window(evidence, &shaped, w, Shape::Held))
+            .map(|w| stages.fit_window(evidence, &shaped, w, Shape::Held, Start::Rough))
             .collect::<Result<_, Canceled>>()?;
         fitted = joined(parts);
     }
-    let share_and_px = residuals(model, evidence, &fitted.state);
+    fitted.iterations += first_iterations;
+    let share_and_px = residuals(stages.model, evidence, &fitted.state);
     fitted.median_reprojection_px = median(share_and_px.into_iter().map(|r| r.distance_px).collect());
-    Ok(Some(fitted))
+    Ok(fitted)
+}
+
+/// How near the solution a fit starts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Start {
+    /// Closed form: points first, since a fit straight to pixels gets stuck.
+    Rough,
+    /// A fit: pixels at once.
+    Good,
 }
 
 /// Runs of at most `length` frames, as equal as can be.
@@ -74,11 +114,12 @@ fn joined(parts: Vec<FittedMotion>) -> FittedMotion {
 }
 
 /// What all windows share.
-struct Stages<'a> {
-    model: &'a BodyModel,
-    config: &'a BodyFitConfig,
-    frame_interval: f64,
-    progress: &'a Progress,
+pub(super) struct Stages<'a> {
+    pub model: &'a BodyModel,
+    pub config: &'a BodyFitConfig,
+    /// s.
+    pub frame_interval: f64,
+    pub progress: &'a Progress,
 }
 
 impl Stages<'_> {
@@ -89,6 +130,7 @@ impl Stages<'_> {
         start: &MotionState,
         window: &Range<usize>,
         shape: Shape,
+        nearness: Start,
     ) -> Result<FittedMotion, Canceled> {
         let halo = self.config.halo_frames;
         let seen = window.start.saturating_sub(halo)..(window.end + halo).min(start.poses.len());
@@ -96,9 +138,13 @@ impl Stages<'_> {
         let state = MotionState { betas: start.betas, poses: start.poses[seen.clone()].to_vec() };
         let problem = |data| MotionProblem::new(self.model, &evidence, self.config, data, shape, self.frame_interval);
         let [on_points, on_pixels] = self.config.max_iterations;
-        let points = problem(DataTerm::Points { sigma: self.config.point_sigma });
-        let mut fitted = self.minimised(&points, state, on_points)?;
-        if evidence.pixels.iter().any(|frame| !frame.is_empty()) {
+        let has_pixels = evidence.pixels.iter().any(|frame| !frame.is_empty());
+        let mut fitted = FittedMotion::unmoved(state);
+        if nearness == Start::Rough || !has_pixels {
+            let points = problem(DataTerm::Points { sigma: self.config.point_sigma });
+            fitted = self.minimised(&points, fitted.state, on_points)?;
+        }
+        if has_pixels {
             let share = self.pixel_share(&evidence, &fitted.state);
             let iterations = fitted.iterations;
             fitted = self.minimised(&problem(DataTerm::Pixels { share }), fitted.state, on_pixels)?;
@@ -111,7 +157,7 @@ impl Stages<'_> {
 
     /// The detector's standard deviation per axis as a share of apparent size, from the median residual: that of a
     /// 2D normal distribution is 1.177 sigma.
-    fn pixel_share(&self, evidence: &Evidence, state: &MotionState) -> f64 {
+    pub(super) fn pixel_share(&self, evidence: &Evidence, state: &MotionState) -> f64 {
         let shares = residuals(self.model, evidence, state).into_iter().map(|r| r.share).collect();
         let [low, high] = self.config.pixel_share;
         median(shares).map_or(high, |m| (m / 1.177).clamp(low, high))

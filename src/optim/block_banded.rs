@@ -1,4 +1,4 @@
-//! Gauss-Newton systems of motions: one dense block per frame, coupled over two frames, with a narrow border.
+//! Gauss-Newton systems over time: one dense block per frame, coupled over two frames, with a narrow border.
 //!
 //! Exact and linear in the number of frames: a block Cholesky factor `H = L L^T` of bandwidth two blocks. Instead of a
 //! frame's factor its inverse is kept, so that all heavy work is matrix products.
@@ -9,7 +9,7 @@ use nalgebra::{DMatrix, DVector, Matrix3};
 ///
 /// Frames couple group by group only (a joint's acceleration involves that joint alone).
 #[derive(Debug, Clone)]
-pub(super) struct BlockBanded {
+pub struct BlockBanded {
     /// `H[t][t]`; only the lower triangle is read.
     pub diagonal: Vec<DMatrix<f64>>,
     /// `H[t + 1][t]`, one 3 x 3 block a group.
@@ -28,7 +28,7 @@ pub(super) struct BlockBanded {
 
 /// A solution.
 #[derive(Debug, Clone)]
-pub(super) struct BandedStep {
+pub struct BandedStep {
     /// By frame.
     pub frames: Vec<DVector<f64>>,
     /// The border's.
@@ -37,7 +37,7 @@ pub(super) struct BandedStep {
 
 impl BlockBanded {
     /// The zero system.
-    pub(super) fn zeros(n_frames: usize, n_groups: usize, n_border: usize) -> Self {
+    pub fn zeros(n_frames: usize, n_groups: usize, n_border: usize) -> Self {
         let n = 3 * n_groups;
         let couplings = |distance: usize| vec![vec![Matrix3::zeros(); n_groups]; n_frames.saturating_sub(distance)];
         Self {
@@ -54,12 +54,28 @@ impl BlockBanded {
     /// Solves with every diagonal entry raised by its `damping`-fold (Marquardt).
     ///
     /// Returns `None` where the damped system is not positive definite, or not finite.
-    pub(super) fn solve(&self, damping: f64) -> Option<BandedStep> {
+    pub fn solve(&self, damping: f64) -> Option<BandedStep> {
+        let eliminated = self.eliminated(damping)?;
+        let mut corner = eliminated.corner.clone();
+        for k in 0..corner.nrows() {
+            corner[(k, k)] += damping * self.corner[(k, k)];
+        }
+        let border = match corner.nrows() {
+            0 => DVector::zeros(0),
+            _ => corner.cholesky()?.solve(&eliminated.right),
+        };
+        eliminated.step(border)
+    }
+
+    /// Eliminates the frames, their diagonal raised by its `damping`-fold: what is left is a system of the border alone.
+    ///
+    /// Systems that share unknowns of their borders are solved together by adding up what is left of each.
+    pub fn eliminated(&self, damping: f64) -> Option<Eliminated> {
         let n_frames = self.diagonal.len();
         let n_border = self.border_gradient.len();
         // Rolling: what earlier frames leave in blocks (t, t), (t + 1, t + 1) and (t + 1, t).
         let mut factors: Vec<FrameFactor> = Vec::with_capacity(n_frames);
-        let mut corner = damped(&self.corner, damping);
+        let mut corner = self.corner.clone();
         let mut corner_right = -&self.border_gradient;
         for t in 0..n_frames {
             let mut block = damped(&self.diagonal[t], damping);
@@ -94,10 +110,26 @@ impl BlockBanded {
                 right,
             });
         }
-        let border = if n_border == 0 { DVector::zeros(0) } else { corner.cholesky()?.solve(&corner_right) };
+        Some(Eliminated { factors, corner, right: corner_right })
+    }
+}
+
+/// A system whose frames are eliminated: `corner * border = right` is left.
+pub struct Eliminated {
+    factors: Vec<FrameFactor>,
+    /// Schur complement of the undamped corner.
+    pub corner: DMatrix<f64>,
+    /// Its right-hand side.
+    pub right: DVector<f64>,
+}
+
+impl Eliminated {
+    /// The whole step, given the border's; `None` where it is not finite.
+    pub fn step(&self, border: DVector<f64>) -> Option<BandedStep> {
+        let (n_frames, n_border) = (self.factors.len(), border.len());
         let mut frames: Vec<DVector<f64>> = vec![DVector::zeros(0); n_frames];
         for t in (0..n_frames).rev() {
-            let factor = &factors[t];
+            let factor = &self.factors[t];
             let mut y = factor.right.column(n_border) - factor.right.columns(0, n_border) * &border;
             if t + 1 < n_frames {
                 y -= factor.to_next.tr_mul(&frames[t + 1]);

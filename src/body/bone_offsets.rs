@@ -1,0 +1,56 @@
+//! How one person's skeleton differs from the body model's beyond what its shape directions reach: one correction a bone.
+//!
+//! $J_j - J_{par(j)} = S\text{-bone}(\beta) + M d$, mirrored between left and right; everything below the bone moves along. A
+//! nuisance: it keeps a person's proportions from being taken for a habit of the detector. No result is expressed in it.
+
+use super::model::{BodyModel, Landmark, chain_to_root};
+use super::skeleton::{N_JOINTS, PARENTS};
+use nalgebra::{Matrix3, Vector3};
+
+/// Corrected bones by the joints at their lower ends, left and right.
+const BONES: [[usize; 2]; 8] = [[1, 2], [4, 5], [7, 8], [6, 6], [12, 12], [16, 17], [18, 19], [20, 21]];
+
+/// Number of corrected kinds of bones: hips, thighs, shanks, spine, neck, shoulders, upper arms, forearms.
+pub const N_BONE_KINDS: usize = BONES.len();
+
+/// Corrections by kind, m, as on the left side.
+pub type BoneOffsets = [Vector3<f64>; N_BONE_KINDS];
+
+/// The kind of the bone that ends at `joint`, and `bone_from_offset`.
+fn kind_of(joint: usize) -> Option<(usize, Matrix3<f64>)> {
+    let kind = BONES.iter().position(|pair| pair.contains(&joint))?;
+    let [left, right] = BONES[kind];
+    let lateral = match joint {
+        _ if left == right => 0.0,
+        _ if joint == right => -1.0,
+        _ => 1.0,
+    };
+    Some((kind, Matrix3::from_diagonal(&Vector3::new(lateral, 1.0, 1.0))))
+}
+
+/// The model with one person's bones.
+pub fn with_bones(model: &BodyModel, offsets: &BoneOffsets) -> BodyModel {
+    let mut own = model.clone();
+    let mut shift = [Vector3::zeros(); N_JOINTS];
+    for (joint, parent) in PARENTS.iter().enumerate() {
+        let inherited = parent.map_or_else(Vector3::zeros, |p| shift[p]);
+        shift[joint] = inherited + kind_of(joint).map_or_else(Vector3::zeros, |(kind, mirror)| mirror * offsets[kind]);
+        own.rest_joints[joint] += shift[joint];
+    }
+    own
+}
+
+/// Derivatives of a landmark to the corrections that move it: kind and 3 x 3 block; a kind may come up more than once.
+///
+/// `rotations`: `world_from_joint` of the posed skeleton.
+pub fn landmark_by_bones<'a>(
+    landmark: &'a Landmark,
+    rotations: &'a [Matrix3<f64>; N_JOINTS],
+) -> impl Iterator<Item = (usize, Matrix3<f64>)> + 'a {
+    landmark.terms.iter().filter(|term| term.weight != 0.0).flat_map(move |term| {
+        chain_to_root(term.joint).filter_map(move |joint| {
+            let (kind, mirror) = kind_of(joint)?;
+            Some((kind, rotations[PARENTS[joint]?] * mirror * term.weight))
+        })
+    })
+}

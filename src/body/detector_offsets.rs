@@ -1,0 +1,201 @@
+//! What a detector means by a keypoint, against where the body has it: one offset a kind of keypoint, for a whole session.
+//!
+//! Detectors are trained on points that annotators clicked: hips come out too high and too wide, shoulders on the skin
+//! (30 to 50 mm at hip and knee: Needham et al., Scientific Reports 11, 2021). The offset is fixed in the frame of the
+//! bone that carries the keypoint, the same for all people and frames, and mirrored between left and right:
+//! $l = \sum_i [w_i p_i + G_i a_i] + G_b M o$ with $M = \mathrm{diag}(-1, 1, 1)$ for a right keypoint.
+
+use super::model::{BodyModel, Landmark, LandmarkTerm, ShapeDirections, chain_to_root};
+use super::skeleton::{JOINT_NAMES, KeypointConvention, PARENTS};
+use nalgebra::{Matrix3, Vector3};
+
+/// How far a detector's idea of a point may lie from the body's, m per axis (standard deviation).
+const SIGMAS_M: [(&str, f64); 7] = [
+    ("hip", 0.025),
+    ("shoulder", 0.020),
+    ("neck", 0.020),
+    ("knee", 0.015),
+    ("elbow", 0.010),
+    ("wrist", 0.010),
+    ("ankle", 0.010),
+];
+
+/// Points of the face and the feet, which are seen directly.
+const SURFACE_SIGMA_M: f64 = 0.008;
+
+/// Points of the middle stay in the middle.
+const MIDDLE_SIGMA_M: f64 = 1e-3;
+
+/// No detector's habit is larger than this many standard deviations.
+const MAX_SIGMAS: f64 = 3.0;
+
+/// The keypoints of one name, left and right taken together.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OffsetKind {
+    /// Name without its side.
+    pub name: String,
+    /// The bone that carries it (of a pair: the left one), by the joint at its start.
+    pub joint: usize,
+    /// Whether it stands for joints rather than for a point of the skin.
+    pub is_joint: bool,
+    /// Standard deviation of the offset's prior per axis, m.
+    pub prior_sigma: Vector3<f64>,
+}
+
+/// Which offset moves a landmark.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Carried {
+    /// Index in [`OffsetTable::kinds`].
+    pub kind: usize,
+    /// The joint whose frame carries the offset.
+    pub joint: usize,
+    /// `bone_from_offset`: the identity, or the mirror image for a right keypoint.
+    pub mirror: Matrix3<f64>,
+}
+
+/// The offsets that one convention has on one body.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OffsetTable {
+    /// Every kind of keypoint.
+    pub kinds: Vec<OffsetKind>,
+    carried: Vec<Option<Carried>>,
+}
+
+impl OffsetTable {
+    /// The offsets of a convention's landmarks; none for SMPL's own joints, which are no detector's.
+    pub fn new(model: &BodyModel, convention: KeypointConvention) -> Self {
+        let mut table = Self { kinds: Vec::new(), carried: vec![None; model.landmarks.len()] };
+        if convention == KeypointConvention::Smpl24 {
+            return table;
+        }
+        for landmark in model.landmarks_of(convention).into_iter().flatten() {
+            let shown = &model.landmarks[landmark];
+            let (name, side) = match (shown.name.strip_prefix("left_"), shown.name.strip_prefix("right_")) {
+                (Some(name), _) => (name, Side::Left),
+                (_, Some(name)) => (name, Side::Right),
+                _ => (shown.name.as_str(), Side::Middle),
+            };
+            let joint = carrying_joint(shown);
+            let known = table.kinds.iter().position(|kind| kind.name == name);
+            let kind = known.unwrap_or_else(|| {
+                let joint = if side == Side::Right { mirrored(joint) } else { joint };
+                let (is_joint, prior_sigma) = (is_joint(shown), prior_sigma(name, side));
+                table.kinds.push(OffsetKind { name: name.to_owned(), joint, is_joint, prior_sigma });
+                table.kinds.len() - 1
+            });
+            let mirror = Matrix3::from_diagonal(&Vector3::new(if side == Side::Right { -1.0 } else { 1.0 }, 1.0, 1.0));
+            table.carried[landmark] = Some(Carried { kind, joint, mirror });
+        }
+        table
+    }
+
+    /// The offset that moves a landmark, by index in the model.
+    pub fn carried(&self, landmark: usize) -> Option<&Carried> {
+        self.carried.get(landmark)?.as_ref()
+    }
+
+    /// The first kind whose offset lies beyond [`MAX_SIGMAS`] of its prior along some axis.
+    pub fn implausible(&self, offsets: &[Vector3<f64>]) -> Option<&OffsetKind> {
+        let is_large = |kind: &OffsetKind, o: &Vector3<f64>| o.component_div(&kind.prior_sigma).amax() > MAX_SIGMAS;
+        self.kinds.iter().zip(offsets).find(|(kind, offset)| is_large(kind, offset)).map(|(kind, _)| kind)
+    }
+
+    /// The model with its landmarks where the detector has them; `offsets` by kind, m.
+    pub fn applied(&self, model: &BodyModel, offsets: &[Vector3<f64>]) -> BodyModel {
+        let mut moved = model.clone();
+        for (landmark, carried) in moved.landmarks.iter_mut().zip(&self.carried) {
+            if let Some(Carried { kind, joint, mirror }) = *carried {
+                let (offset, offset_directions) = (mirror * offsets[kind], ShapeDirections::zeros());
+                landmark.terms.push(LandmarkTerm { joint, weight: 0.0, offset, offset_directions });
+            }
+        }
+        moved
+    }
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Side {
+    Left,
+    Right,
+    Middle,
+}
+
+fn prior_sigma(name: &str, side: Side) -> Vector3<f64> {
+    let sigma = SIGMAS_M.iter().find(|(part, _)| name.ends_with(part)).map_or(SURFACE_SIGMA_M, |(_, sigma)| *sigma);
+    let lateral = if side == Side::Middle { MIDDLE_SIGMA_M } else { sigma };
+    Vector3::new(lateral, sigma, sigma)
+}
+
+fn is_joint(landmark: &Landmark) -> bool {
+    landmark.terms.iter().all(|term| term.offset == Vector3::zeros())
+}
+
+/// A joint hangs on the bone above it, a midpoint on what both joints hang on, a point of the skin on the nearest of the
+/// joints that move it.
+fn carrying_joint(landmark: &Landmark) -> usize {
+    if is_joint(landmark) {
+        let parents = landmark.terms.iter().map(|term| PARENTS[term.joint].unwrap_or(term.joint));
+        return parents.reduce(common_ancestor).unwrap_or(0);
+    }
+    let heaviest = landmark.terms.iter().max_by(|a, b| a.weight.total_cmp(&b.weight));
+    heaviest.map_or(0, |term| term.joint)
+}
+
+fn common_ancestor(a: usize, b: usize) -> usize {
+    chain_to_root(a).find(|joint| chain_to_root(b).any(|other| other == *joint)).unwrap_or(0)
+}
+
+fn mirrored(joint: usize) -> usize {
+    let twin = JOINT_NAMES[joint].replacen("right_", "left_", 1);
+    JOINT_NAMES.iter().position(|name| *name == twin).unwrap_or(joint)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::default_body::default_body;
+    use super::super::kinematics::{Pose, landmark_position, posed};
+    use super::super::model::Betas;
+    use super::*;
+
+    fn place(model: &BodyModel, name: &str) -> Vector3<f64> {
+        let body = model.shaped(&Betas::zeros());
+        landmark_position(model, &body, &posed(&body, &Pose::rest()), model.landmark_index(name).unwrap())
+    }
+
+    #[test]
+    fn an_offset_moves_both_sides_outward_in_the_bones_frame() {
+        let model = default_body();
+        let table = OffsetTable::new(&model, KeypointConvention::Body25);
+        let mut offsets = vec![Vector3::zeros(); table.kinds.len()];
+        let hip = table.kinds.iter().position(|kind| kind.name == "hip").unwrap();
+        offsets[hip] = Vector3::new(0.04, 0.01, 0.0);
+        let moved = table.applied(&model, &offsets);
+        for (name, side) in [("left_hip", 1.0), ("right_hip", -1.0)] {
+            let shift = place(&moved, name) - place(&model, name);
+            assert!((shift - Vector3::new(0.04 * side, 0.01, 0.0)).norm() < 1e-12);
+        }
+        assert_eq!(place(&moved, "left_knee"), place(&model, "left_knee"));
+    }
+
+    #[test]
+    fn keypoints_hang_on_the_bone_above_them() {
+        let model = default_body();
+        let table = OffsetTable::new(&model, KeypointConvention::Body25);
+        let bone = |name: &str| JOINT_NAMES[table.kinds.iter().find(|kind| kind.name == name).unwrap().joint];
+        let found = ["hip", "knee", "ankle", "shoulder", "elbow", "wrist", "neck", "mid_hip", "nose", "heel"].map(bone);
+        let expected = [
+            "pelvis",
+            "left_hip",
+            "left_knee",
+            "left_collar",
+            "left_shoulder",
+            "left_elbow",
+            "spine3",
+            "pelvis",
+            "head",
+            "left_ankle",
+        ];
+        assert_eq!(found, expected);
+        assert!(OffsetTable::new(&model, KeypointConvention::Smpl24).kinds.is_empty());
+    }
+}
