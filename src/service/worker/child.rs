@@ -24,8 +24,8 @@ pub(super) struct Child {
     listener: JoinHandle<()>,
 }
 
-/// How the standard library's last words begin when an allocation fails.
-const OUT_OF_MEMORY: &str = "memory allocation of ";
+/// Last words for want of memory: the standard library's where an allocation fails, and an error's where one was refused.
+const OUT_OF_MEMORY: [&str; 2] = ["memory allocation of ", "OutOfMemory"];
 
 /// Characters of a line of the child's log that are kept.
 const MAX_LINE: usize = 2000;
@@ -114,7 +114,7 @@ impl Child {
 async fn listen(stderr: ChildStderr, ran_out_of_memory: Arc<AtomicBool>, log: impl Fn(&str)) {
     let mut lines = BufReader::new(stderr).lines();
     while let Ok(Some(line)) = lines.next_line().await {
-        if line.starts_with(OUT_OF_MEMORY) {
+        if OUT_OF_MEMORY.iter().any(|words| line.contains(words)) {
             ran_out_of_memory.store(true, Ordering::Relaxed);
         }
         log(line.char_indices().nth(MAX_LINE).map_or(&line, |(end, _)| &line[..end]));

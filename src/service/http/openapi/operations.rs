@@ -96,7 +96,7 @@ fn jobs() -> Vec<Operation> {
         "description": "The same key and request is the same job; with another request 422",
         "schema": { "type": "string", "minLength": 1, "maxLength": 256, "pattern": "^[!-~]+$" } });
     let mut filters = vec![
-        query("state", json!({ "type": "string", "enum": STATES })),
+        query("state", json!({ "type": "string", "enum": STATES_OR_ALL })),
         query("label", json!({ "type": "string", "description": "`key` or `key=value`" })),
     ];
     filters.extend(page_parameters());
@@ -232,6 +232,9 @@ fn service() -> Vec<Operation> {
 /// States of a job.
 pub(super) const STATES: [&str; 7] = ["queued", "running", "canceling", "succeeded", "failed", "canceled", "dead"];
 
+/// As a filter; an empty one filters nothing.
+const STATES_OR_ALL: [&str; 8] = ["", "queued", "running", "canceling", "succeeded", "failed", "canceled", "dead"];
+
 fn operation(
     method: &'static str,
     path: &'static str,
@@ -313,7 +316,7 @@ fn page_parameters() -> Vec<Value> {
     vec![
         query(
             "page_size",
-            json!({ "type": "integer", "minimum": 0, "default": 50,
+            json!({ "type": "integer", "minimum": 0, "maximum": i64::MAX, "default": 50,
                 "description": "More than 500 are 500" }),
         ),
         query(
