@@ -22,7 +22,7 @@ use instants::{FrameFilter, InstantBudget, instants, noise_factor};
 use rayon::prelude::*;
 
 /// Cameras and who is who under them.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Calibration {
     /// `camera_from_world` in units that are metres as far as bones tell.
     pub cameras: Vec<Option<Rigid>>,
