@@ -37,7 +37,15 @@ pub type Match = Vec<usize>;
 ///
 /// `affinity`: symmetric, 0 to 1. `group[i]`: the view of candidate `i`; no two of one group are matched. Deterministic.
 pub fn match_all(affinity: &DMatrix<f64>, group: &[usize], config: &MatcherConfig) -> Vec<Match> {
-    rounded(affinity, &relaxed(affinity, group, config), group, config)
+    let relaxed = relaxed(affinity, group, config);
+    // Where noise leaves the relaxation undecided, what is rounded first decides: the best of a few orders is kept.
+    let starts = [(&relaxed, config.threshold), (&relaxed, 0.6), (affinity, config.threshold), (affinity, 0.6)];
+    let tries = starts.map(|(x, threshold)| rounded(affinity, x, group, &MatcherConfig { threshold, ..*config }));
+    let value = |matches: &Vec<Match>| objective(affinity, matches, config);
+    tries
+        .into_iter()
+        .reduce(|best, other| if value(&other) > value(&best) + 1e-9 { other } else { best })
+        .unwrap_or_default()
 }
 
 /// What a matching is worth: the summed affinity over [`MatcherConfig::sparsity`] of all pairs matched.
@@ -55,6 +63,10 @@ pub fn objective(affinity: &DMatrix<f64>, matches: &[Match], config: &MatcherCon
 fn relaxed(affinity: &DMatrix<f64>, group: &[usize], config: &MatcherConfig) -> DMatrix<f64> {
     let n = group.len();
     let mut x = affinity.clone();
+    // An empty matrix has no eigenvalues to ask for.
+    if n == 0 {
+        return x;
+    }
     project(&mut x, group);
     let mut dual = DMatrix::<f64>::zeros(n, n);
     let mut penalty = config.penalty;
@@ -276,6 +288,11 @@ mod tests {
         }
         println!("{near} of {solved} within 1 % of the exact solution, of {n_problems} problems");
         assert!(solved * 10 >= n_problems as usize * 9 && near * 100 >= solved * 99);
+    }
+
+    #[test]
+    fn a_frame_without_candidates_has_no_matches() {
+        assert!(match_all(&DMatrix::zeros(0, 0), &[], &MatcherConfig::default()).is_empty());
     }
 
     #[test]
