@@ -77,8 +77,8 @@ pub struct BodyFitConfig {
     pub halo_frames: usize,
     /// Whether the detector's offsets are estimated.
     pub detector_offsets: bool,
-    /// Most frames of a person that the estimate of the offsets looks at.
-    pub offset_frames: usize,
+    /// Most frames of one person, and of all together, that the estimate of the offsets looks at.
+    pub offset_frames: [usize; 2],
     /// Most iterations on points, and on pixels.
     pub max_iterations: [usize; 2],
     /// A step that lowers the cost by less than this share is the last.
@@ -106,8 +106,8 @@ impl Default for BodyFitConfig {
             window_frames: 480,
             halo_frames: 30,
             detector_offsets: true,
-            // Four to five seconds of walking or talking turn every limb.
-            offset_frames: 180,
+            // Six seconds of walking or talking turn every limb; offsets are shared, so that more people need less of each.
+            offset_frames: [180, 360],
             max_iterations: [6, 8],
             min_decrease: 2e-3,
         }
@@ -146,7 +146,10 @@ pub fn fit_bodies(
     let table = OffsetTable::new(model, input.session.convention);
     let (mut detector_model, mut detector) = (model.clone(), DetectorHabits::default());
     if config.detector_offsets && !table.kinds.is_empty() {
-        let witnesses: Vec<OffsetWitness> = started.iter().flatten().map(|(e, s)| witness(&stages, e, s)).collect();
+        let n_people = started.iter().flatten().count().max(1);
+        let n_frames = (config.offset_frames[1] / n_people).min(config.offset_frames[0]);
+        let ask = |(evidence, started): &(Evidence, StartedMotion)| witness(&stages, evidence, started, n_frames);
+        let witnesses: Vec<OffsetWitness> = started.iter().flatten().map(ask).collect();
         let found = detector_habits(&table, &witnesses, &stages)?;
         detector = reported(&table, &found);
         if detector.applied {
@@ -213,9 +216,9 @@ pub fn fitted_statures(
 }
 
 /// What one person can tell of the detector: the run of frames with most pixels in the window that was fitted.
-fn witness(stages: &Stages, evidence: &Evidence, started: &StartedMotion) -> OffsetWitness {
+fn witness(stages: &Stages, evidence: &Evidence, started: &StartedMotion, n_frames: usize) -> OffsetWitness {
     let window = started.window.clone();
-    let length = window.len().min(stages.config.offset_frames);
+    let length = window.len().min(n_frames.max(1));
     let n_pixels: Vec<usize> = evidence.pixels[window.clone()].iter().map(Vec::len).collect();
     let seen = |first: usize| n_pixels[first..first + length].iter().sum::<usize>();
     let first = (0..=window.len() - length).max_by_key(|&first| (seen(first), std::cmp::Reverse(first))).unwrap_or(0);
