@@ -8,6 +8,7 @@
 
 use super::model::{Betas, BodyModel};
 use super::skeleton::{JOINT_NAMES, KeypointConvention};
+use crate::optim::robust::median;
 use nalgebra::{DMatrix, DVector, Vector3};
 
 /// A limb bone, left and right taken together.
@@ -82,18 +83,13 @@ pub fn measured_limbs(points: &[Vec<Option<Vector3<f64>>>], convention: Keypoint
         if n_samples < 5 {
             return None;
         }
-        let length = median(&mut lengths);
+        let length = median(&mut lengths)?;
         let mut deviations: Vec<f64> = lengths.iter().map(|l| (l / length).ln().abs()).collect();
-        let spread = 1.4826 * median(&mut deviations);
+        let spread = 1.4826 * median(&mut deviations)?;
         let sigma_log = 1.2533 * spread / (n_samples as f64 / 10.0).max(1.0).sqrt();
         Some(MeasuredBone { bone, length, sigma_log, n_samples })
     };
     LimbBone::ALL.into_iter().filter_map(measured).collect()
-}
-
-fn median(values: &mut [f64]) -> f64 {
-    values.sort_by(f64::total_cmp);
-    values[values.len() / 2]
 }
 
 /// The factor from the cameras' own unit to metres.

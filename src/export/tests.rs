@@ -213,30 +213,14 @@ fn the_same_result_gives_the_same_bytes() {
     }
 }
 
-const ALL_FORMATS: [ExportFormat; 13] = [
-    ExportFormat::SmplNpz,
-    ExportFormat::Easymocap,
-    ExportFormat::Glb,
-    ExportFormat::Bvh,
-    ExportFormat::Usd,
-    ExportFormat::Trc,
-    ExportFormat::C3d,
-    ExportFormat::OpencvYaml,
-    ExportFormat::CalibToml,
-    ExportFormat::AniposeToml,
-    ExportFormat::Colmap,
-    ExportFormat::Chan,
-    ExportFormat::Blender,
-];
-
 #[test]
 fn a_format_written_later_has_the_bytes_it_would_have_had_at_once() {
     let (at_once, later) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let context = ResultContext { exports: &ALL_FORMATS, ..context() };
+    let context = ResultContext { exports: &ExportFormat::ALL, ..context() };
     write_result(at_once.path(), &session(), &context, &reconstruction()).unwrap();
     let take = read_take(at_once.path()).unwrap();
     assert_eq!((take.motions.len(), take.unplaced.as_slice()), (1, &["a".to_owned()][..]));
-    let representations = write_formats(later.path(), &take, &ALL_FORMATS).unwrap();
+    let representations = write_formats(later.path(), &take, &ExportFormat::ALL).unwrap();
     let files: Vec<&String> = representations.iter().flat_map(|r| &r.files).collect();
     assert!(files.len() >= 13);
     for name in files {

@@ -5,6 +5,7 @@ use super::sightings::{Sighting, ViewSightings};
 use crate::body::bones::Bone;
 use crate::geometry::Rigid;
 use crate::geometry::epipolar::{essential_from_pose, sampson_squared};
+use crate::optim::robust::median_and_spread;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// Distance from the epipolar line beyond which a point does not vote, rad: 16 px at a focal length of 1,060 px, four
@@ -148,20 +149,4 @@ pub fn midpoint(second_from_first: &Rigid, a: &Vector2<f64>, b: &Vector2<f64>) -
     let s = (uc * vv - vc * uv) / det;
     let t = (uc * uv - vc * uu) / det;
     Some(((u * s + center + v * t) * 0.5, s > 0.0 && t > 0.0))
-}
-
-/// Median and median absolute deviation; zeros for an empty set.
-pub fn median_and_spread(values: &mut [f64]) -> (f64, f64) {
-    let Some(center) = median(values) else { return (0.0, 0.0) };
-    let mut deviations: Vec<f64> = values.iter().map(|v| (v - center).abs()).collect();
-    (center, median(&mut deviations).unwrap_or(0.0))
-}
-
-/// The upper median; reorders `values`.
-pub fn median(values: &mut [f64]) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    let middle = values.len() / 2;
-    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }

@@ -156,7 +156,8 @@ struct FrameFactor {
     right: DMatrix<f64>,
 }
 
-fn damped(block: &DMatrix<f64>, damping: f64) -> DMatrix<f64> {
+/// A matrix with every diagonal entry raised by its `damping`-fold (Marquardt).
+pub fn damped(block: &DMatrix<f64>, damping: f64) -> DMatrix<f64> {
     let mut block = block.clone();
     for i in 0..block.nrows() {
         block[(i, i)] *= 1.0 + damping;

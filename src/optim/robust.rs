@@ -57,6 +57,22 @@ impl GraduatedScale {
     }
 }
 
+/// Median and median absolute deviation; zeros for an empty set.
+pub fn median_and_spread(values: &mut [f64]) -> (f64, f64) {
+    let Some(center) = median(values) else { return (0.0, 0.0) };
+    let mut deviations: Vec<f64> = values.iter().map(|v| (v - center).abs()).collect();
+    (center, median(&mut deviations).unwrap_or(0.0))
+}
+
+/// The upper median; reorders `values`.
+pub fn median(values: &mut [f64]) -> Option<f64> {
+    if values.is_empty() {
+        return None;
+    }
+    let middle = values.len() / 2;
+    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -20,7 +20,7 @@ mod variables;
 
 use crate::geometry::{Intrinsics, Rigid};
 use crate::optim::levenberg_marquardt::{self, LeastSquares, Outcome, Stopping};
-use crate::optim::robust::GraduatedScale;
+use crate::optim::robust::{GraduatedScale, median};
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{ErrorSummary, StageReport};
 use nalgebra::{Matrix6, Vector2, Vector3};
@@ -193,7 +193,7 @@ pub fn adjust(
     progress: &Progress,
 ) -> Result<(Adjusted, StageReport), Canceled> {
     let (mut problem, start) = problem::formulate(input, config, progress);
-    let start_median = median(problem.misfits(&start).map(|misfit| misfit.sigmas).collect());
+    let start_median = median(&mut problem.misfits(&start).map(|misfit| misfit.sigmas).collect::<Vec<_>>());
     let schedule = config.scale.starting_within(START_MEDIANS * start_median.unwrap_or(0.0));
 
     problem.robust_scale = config.scale.end;
@@ -257,7 +257,9 @@ fn report(problem: &Problem, outcome: &Outcome<State>, cost_before: f64) -> Stag
     metrics.insert("border_unknowns".to_owned(), problem.layout.n_border as f64);
     let n_explained = misfits.iter().filter(|m| m.sigmas <= problem.robust_scale).count();
     metrics.insert("explained_observations".to_owned(), n_explained as f64);
-    if let Some(median_px) = median(misfits.iter().map(|m| m.distance_px).filter(|d| d.is_finite()).collect()) {
+    if let Some(median_px) =
+        median(&mut misfits.iter().map(|m| m.distance_px).filter(|d| d.is_finite()).collect::<Vec<_>>())
+    {
         metrics.insert("median_reprojection_px".to_owned(), median_px);
     }
     StageReport {
@@ -268,13 +270,4 @@ fn report(problem: &Problem, outcome: &Outcome<State>, cost_before: f64) -> Stag
         termination: outcome.termination.name().to_owned(),
         metrics,
     }
-}
-
-/// The upper median; `None` of nothing.
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    let middle = values.len() / 2;
-    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }

@@ -2,7 +2,7 @@
 
 use crate::body::bones::Bone;
 use crate::geometry::Rigid;
-use crate::matching::pair_score::median;
+use crate::optim::robust::median;
 use crate::session::reconstruction::{CameraReport, ErrorSummary, PersonReport};
 use crate::session::recording::Session;
 use crate::session::{JointTrajectory, PersonTrack};

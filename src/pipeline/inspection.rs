@@ -6,6 +6,7 @@
 
 use crate::body::detector_noise::keypoint_sigmas;
 use crate::geometry::Rigid;
+use crate::optim::robust::median;
 use crate::session::{Detection, Session, View};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use serde::Serialize;
@@ -86,7 +87,8 @@ const COLLINEAR: f64 = 0.05;
 /// People who move less than this share of their own height in every camera do not move.
 const STATIC: f64 = 0.1;
 
-/// Detections that one core solves in a second, all stages together, measured on takes of 4 cameras.
+/// Detections that one core is taken to solve in a second, all stages together: an estimate for the cost that is told before
+/// a solve, not a measurement.
 const DETECTIONS_PER_CORE_SECOND: f64 = 400.0;
 
 /// Wall seconds that even the shortest job takes.
@@ -109,8 +111,8 @@ pub fn inspect(session: &Session, n_threads: usize) -> Inspection {
 }
 
 fn inspected(view: &View) -> InspectedCamera {
-    let heights: Vec<f64> = view.frames.iter().flatten().filter_map(height_px).collect();
-    let distance_m = median(heights).map(|height| view.intrinsics.fy * SEEN_HEIGHT_M / height);
+    let mut heights: Vec<f64> = view.frames.iter().flatten().filter_map(height_px).collect();
+    let distance_m = median(&mut heights).map(|height| view.intrinsics.fy * SEEN_HEIGHT_M / height);
     InspectedCamera {
         id: view.id.clone(),
         frames_with_people: view.frames.iter().filter(|people| !people.is_empty()).count(),
@@ -199,7 +201,7 @@ fn unmoved(session: &Session) -> Option<Finding> {
 /// How far the first person of each frame wanders through the image, in heights of that person.
 fn spread(view: &View) -> Option<f64> {
     let middles: Vec<Vector2<f64>> = view.frames.iter().flatten().filter_map(middle).collect();
-    let height = median(view.frames.iter().flatten().filter_map(height_px).collect())?;
+    let height = median(&mut view.frames.iter().flatten().filter_map(height_px).collect::<Vec<_>>())?;
     let mean = middles.iter().sum::<Vector2<f64>>() / middles.len() as f64;
     let variance = middles.iter().map(|middle| (middle - mean).norm_squared()).sum::<f64>() / middles.len() as f64;
     Some(variance.sqrt() / height)
@@ -248,11 +250,6 @@ fn expectation(session: &Session, cameras: &[InspectedCamera], n_threads: usize)
     let joint_error_mm = (cameras_per_person >= 1.5).then(|| 1000.0 * sigma_m * (4.5 / cameras_per_person).sqrt());
     let solve_s = LEAST_S + detections as f64 / DETECTIONS_PER_CORE_SECOND / n_threads.max(1) as f64;
     Expectation { joint_error_mm, solve_s, cameras_per_person }
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 #[cfg(test)]

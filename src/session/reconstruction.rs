@@ -239,3 +239,22 @@ pub enum ExportFormat {
     Chan,
     Blender,
 }
+
+impl ExportFormat {
+    /// Every format, in the order of the contract.
+    pub const ALL: [Self; 13] = [
+        Self::SmplNpz,
+        Self::Easymocap,
+        Self::Glb,
+        Self::Bvh,
+        Self::Usd,
+        Self::Trc,
+        Self::C3d,
+        Self::OpencvYaml,
+        Self::CalibToml,
+        Self::AniposeToml,
+        Self::Colmap,
+        Self::Chan,
+        Self::Blender,
+    ];
+}

@@ -22,22 +22,6 @@ pub(crate) const FIRST_FRAME: i64 = 100;
 pub(crate) const N_FRAMES: usize = 40;
 pub(crate) const FPS: f64 = 30.0;
 
-const FORMATS: [ExportFormat; 13] = [
-    ExportFormat::SmplNpz,
-    ExportFormat::Easymocap,
-    ExportFormat::Glb,
-    ExportFormat::Bvh,
-    ExportFormat::Usd,
-    ExportFormat::Trc,
-    ExportFormat::C3d,
-    ExportFormat::OpencvYaml,
-    ExportFormat::CalibToml,
-    ExportFormat::AniposeToml,
-    ExportFormat::Colmap,
-    ExportFormat::Chan,
-    ExportFormat::Blender,
-];
-
 /// A result folder and what its JSON files say.
 pub(crate) struct Written {
     pub(crate) dir: TempDir,
@@ -73,8 +57,12 @@ pub(crate) fn both_up_axes() -> [Written; 2] {
 
 fn written(up_axis: UpAxis) -> Written {
     let dir = tempfile::tempdir().unwrap();
-    let context =
-        ResultContext { input_sha256: "00", options: Value::Null, solver_version: "0.0.0", exports: &FORMATS };
+    let context = ResultContext {
+        input_sha256: "00",
+        options: Value::Null,
+        solver_version: "0.0.0",
+        exports: &ExportFormat::ALL,
+    };
     write_result(dir.path(), &session(), &context, &reconstruction(up_axis)).unwrap();
     Written { dir, up_axis }
 }
@@ -326,7 +314,7 @@ fn the_manifest_describes_every_format() {
         let publish = &manifest["publish"];
         assert_eq!(publish["people"][1]["frame_range"], serde_json::json!([107, 126]));
         let representations = publish["representations"].as_array().unwrap();
-        assert_eq!(representations.len(), FORMATS.len());
+        assert_eq!(representations.len(), ExportFormat::ALL.len());
         for representation in representations {
             assert_eq!((&representation["frameStart"], &representation["frameEnd"]), (&100.into(), &139.into()));
             let files = representation["files"].as_array().unwrap();

@@ -3,7 +3,8 @@
 use super::person::{Skeleton, TrackedPerson, distance_m, sightings_of, triangulated};
 use super::{Scene, TrackerConfig};
 use crate::geometry::epipolar::essential_from_pose;
-use crate::matching::pair_score::{median, median_and_spread, similarity};
+use crate::matching::pair_score::similarity;
+use crate::optim::robust::{median, median_and_spread};
 
 /// Two detections are one person when this share of their points agrees.
 const MIN_SIMILARITY: f64 = 0.5;

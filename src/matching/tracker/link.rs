@@ -2,7 +2,7 @@
 
 use super::Scene;
 use super::person::TrackedPerson;
-use crate::matching::pair_score::median;
+use crate::optim::robust::median;
 
 /// Fragments further apart than this in time are left apart, s: nothing but place and size speaks for them.
 const MAX_GAP: f64 = 4.0;

@@ -3,8 +3,8 @@
 use super::{Scene, TrackerConfig, metres, project};
 use crate::geometry::Rigid;
 use crate::geometry::triangulation::{self, triangulate_linear};
-use crate::matching::pair_score::median;
 use crate::matching::sightings::Sighting;
+use crate::optim::robust::median;
 use nalgebra::Vector3;
 
 /// A skeleton with holes, world frame.

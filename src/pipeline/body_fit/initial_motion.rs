@@ -8,6 +8,7 @@ use crate::body::model::{Betas, BodyModel, ShapedBody};
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
 use crate::geometry::similarity::{ScaleMode, similarity_from_points};
 use crate::geometry::{Rigid, rotation};
+use crate::optim::robust::median;
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
 /// Points of one frame by landmark.
@@ -97,11 +98,6 @@ fn betas_from_bone_lengths(model: &BodyModel, places: &[Places]) -> Betas {
         }
     }
     betas
-}
-
-fn median(values: &mut [f64]) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 /// Landmarks that move little against the pelvis.

@@ -11,7 +11,7 @@ use crate::body::BodyModel;
 use crate::body::anthropometry::N_BETAS;
 use crate::body::bone_offsets::{BoneOffsets, with_bones};
 use crate::body::detector_offsets::{OffsetKind, OffsetTable};
-use crate::optim::block_banded::{BandedStep, Eliminated};
+use crate::optim::block_banded::{BandedStep, Eliminated, damped};
 use crate::progress::Canceled;
 use nalgebra::{DMatrix, DVector, Vector3};
 use rayon::prelude::*;
@@ -200,7 +200,7 @@ impl Solver<'_> {
             let n_own = person.corner.nrows() - n;
             let (own, across) =
                 (person.corner.view((0, 0), (n_own, n_own)), person.corner.view((0, n_own), (n_own, n)));
-            let own = damped(own.into_owned(), damping).cholesky()?;
+            let own = damped(&own.into_owned(), damping).cholesky()?;
             let (by_offsets, rest) = (own.solve(&across), own.solve(&person.right.rows(0, n_own)));
             hessian += person.corner.view((n_own, n_own), (n, n)) - across.tr_mul(&by_offsets);
             right += person.right.rows(n_own, n) - across.tr_mul(&rest);
@@ -228,7 +228,7 @@ struct Reduced {
 
 impl Reduced {
     fn solved(&self, damping: f64) -> Option<Step> {
-        let offsets = damped(self.hessian.clone(), damping).cholesky()?.solve(&self.right);
+        let offsets = damped(&self.hessian, damping).cholesky()?.solve(&self.right);
         let motion = |(person, (by_offsets, rest)): (&Eliminated, &(DMatrix<f64>, DVector<f64>))| {
             let own = rest - by_offsets * &offsets;
             let border = own.iter().chain(offsets.iter()).copied();
@@ -244,11 +244,4 @@ impl Reduced {
         let sigma = |i: usize| (CORRELATED_FRAMES * inverse[(i, i)]).max(0.0).sqrt();
         Some((0..inverse.nrows() / 3).map(|k| Vector3::from_fn(|axis, _| sigma(3 * k + axis))).collect())
     }
-}
-
-fn damped(mut matrix: DMatrix<f64>, damping: f64) -> DMatrix<f64> {
-    for i in 0..matrix.nrows() {
-        matrix[(i, i)] *= 1.0 + damping;
-    }
-    matrix
 }

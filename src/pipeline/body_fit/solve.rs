@@ -6,6 +6,7 @@ use super::initial_motion::initial_motion;
 use super::motion_problem::{DataTerm, MotionProblem, MotionState, Shape};
 use crate::body::BodyModel;
 use crate::body::kinematics::{landmark_position, posed};
+use crate::optim::robust::median;
 use crate::progress::{Canceled, Progress};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -78,7 +79,7 @@ pub(super) fn finish_motion(
     }
     fitted.iterations += first_iterations;
     let share_and_px = residuals(stages.model, evidence, &fitted.state);
-    fitted.median_reprojection_px = median(share_and_px.into_iter().map(|r| r.distance_px).collect());
+    fitted.median_reprojection_px = median(&mut share_and_px.into_iter().map(|r| r.distance_px).collect::<Vec<_>>());
     Ok(fitted)
 }
 
@@ -158,9 +159,9 @@ impl Stages<'_> {
     /// The detector's standard deviation per axis as a share of apparent size, from the median residual: that of a
     /// 2D normal distribution is 1.177 sigma.
     pub(super) fn pixel_share(&self, evidence: &Evidence, state: &MotionState) -> f64 {
-        let shares = residuals(self.model, evidence, state).into_iter().map(|r| r.share).collect();
+        let mut shares: Vec<f64> = residuals(self.model, evidence, state).into_iter().map(|r| r.share).collect();
         let [low, high] = self.config.pixel_share;
-        median(shares).map_or(high, |m| (m / 1.177).clamp(low, high))
+        median(&mut shares).map_or(high, |m| (m / 1.177).clamp(low, high))
     }
 
     fn minimised(
@@ -222,9 +223,4 @@ fn residuals(model: &BodyModel, evidence: &Evidence, state: &MotionState) -> Vec
         }
     }
     residuals
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }

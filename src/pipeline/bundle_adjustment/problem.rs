@@ -2,11 +2,11 @@
 
 use super::gauge::Gauge;
 use super::variables::{self, Layout, Variables};
-use super::{AdjustmentConfig, AdjustmentInput, Instant, median};
+use super::{AdjustmentConfig, AdjustmentInput, Instant};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::optim::arrow::{self, Block, Column};
 use crate::optim::levenberg_marquardt::{LeastSquares, Trial};
-use crate::optim::robust::{geman_mcclure, geman_mcclure_ceiling};
+use crate::optim::robust::{geman_mcclure, geman_mcclure_ceiling, median};
 use crate::progress::Progress;
 use crate::residuals::{bone_length, reprojection};
 use nalgebra::{DMatrix, DVector, Vector3};
@@ -91,7 +91,7 @@ fn median_log_lengths(layout: &Layout, variables: &[Variables], points: &[Vec<Ve
             }
         }
     }
-    samples.into_iter().map(|s| median(s).unwrap_or(0.0)).collect()
+    samples.iter_mut().map(|s| median(s).unwrap_or(0.0)).collect()
 }
 
 impl LeastSquares for Problem<'_> {

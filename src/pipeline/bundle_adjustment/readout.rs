@@ -1,7 +1,8 @@
 //! What is read off a state: misfits, fits per view, points and bone lengths.
 
 use super::problem::{Problem, State};
-use super::{Instant, ViewFit, median};
+use super::{Instant, ViewFit};
+use crate::optim::robust::median;
 use crate::session::reconstruction::ErrorSummary;
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
@@ -39,10 +40,10 @@ impl Problem<'_> {
                 explained[misfit.view].push(misfit.distance_px);
             }
         }
-        for (fit, distances) in fits.iter_mut().zip(explained) {
+        for (fit, mut distances) in fits.iter_mut().zip(explained) {
             fit.n_explained = distances.len();
             let mean = distances.iter().sum::<f64>() / distances.len() as f64;
-            fit.reprojection_px = median(distances).map(|median| ErrorSummary { mean, median });
+            fit.reprojection_px = median(&mut distances).map(|median| ErrorSummary { mean, median });
         }
         fits
     }

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::geometry::{Similarity, rotation};
+use crate::optim::robust::median;
 use nalgebra::Matrix3;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -206,7 +207,7 @@ fn point_error(adjusted: &Adjusted, scene: &Scene) -> f64 {
     let truth_from_found = similarity(&source, &target);
     let found = adjusted.points.iter().flatten().flatten();
     let errors = found.zip(scene.points.iter().flatten()).map(|(f, t)| (truth_from_found.transform(f) - t).norm());
-    median(errors.collect()).unwrap()
+    median(&mut errors.collect::<Vec<_>>()).unwrap()
 }
 
 #[test]

@@ -112,5 +112,5 @@ pub(super) fn noise_factor(session: &Session, cameras: &[Option<Rigid>], instant
             }
         }
     }
-    crate::matching::pair_score::median(&mut ratios).map_or(1.0, |m| (m / 1.177).clamp(0.2, 5.0))
+    crate::optim::robust::median(&mut ratios).map_or(1.0, |m| (m / 1.177).clamp(0.2, 5.0))
 }
