@@ -4,11 +4,13 @@
 //!
 //! - [`settings`]: what an operator may set
 //! - [`store`]: the data folder: database, uploads, results
+//! - [`bodies`]: body models that jobs may ask for by name
 //! - [`queue`]: the `jobs` table: accept, claim, finish, cancel, recover
 //! - [`protocol`]: what the service and a job's child say to each other
 //! - `worker`: one claimed job -> one child process -> one recorded end
 //! - `http`: every route
 
+pub mod bodies;
 mod http;
 pub mod protocol;
 pub mod queue;

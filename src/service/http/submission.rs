@@ -45,7 +45,7 @@ pub(super) async fn create(State(app): State<App>, headers: HeaderMap, body: Bod
         _ => return Err(Problem::unsupported_media_type("application/json or multipart/form-data")),
     };
     let parsed = options::parse(asked.options)?;
-    options::check(&parsed, &session.summary.camera_facts)?;
+    options::check(&parsed, &session.summary.camera_facts, &app.store.folders.bodies())?;
     check_marks(&asked.labels, asked.priority)?;
     let options = serde_json::to_value(&parsed).map_err(Problem::internal)?;
     let new = NewJob { session: session.id, options, labels: asked.labels, priority: asked.priority };

@@ -80,6 +80,7 @@ fn order(store: &Store, settings: &Settings, claim: &Claim) -> Result<Order, Job
         session: store.folders.session(&claim.session),
         session_sha256: claim.session_sha256.clone(),
         options,
+        bodies: store.folders.bodies(),
         out: store.folders.staging(&claim.job, claim.fence),
         threads: settings.jobs.threads,
         parent: rustix::process::getpid().as_raw_nonzero().get(),
