@@ -9,6 +9,7 @@
 //! - [`progress`]: progress and cancellation, all that the core knows of its caller
 //! - [`optim`]: least squares that knows no cameras and no bodies
 //! - [`body`]: what a body is: skeleton, keypoint conventions, kinematics
+//! - [`motion_prior`]: what is known of human motion: a network over whole takes, trained here, shipped inside
 //! - [`session`]: every noun that travels, from the recording to the reconstruction
 //! - [`residuals`]: each formula and its derivative, once
 //! - [`estimation`]: how one geometric thing is found robustly
@@ -32,6 +33,7 @@ pub mod evaluation;
 pub mod export;
 pub mod geometry;
 pub mod matching;
+pub mod motion_prior;
 pub mod optim;
 pub mod pipeline;
 pub mod progress;

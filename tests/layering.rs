@@ -102,7 +102,7 @@ fn nothing_looks_up() {
 }
 
 /// What of `pipeline` sees all stages: the options, the rounds of association and cameras, the gathering of the result.
-const CONDUCTORS: [&str; 3] = ["config", "calibration", "result"];
+const CONDUCTORS: [&str; 4] = ["config", "calibration", "checkpoints", "result"];
 
 #[test]
 fn no_stage_imports_another_stage() {

@@ -4,8 +4,8 @@
 //! collar, upper arm, forearm, hand, thigh, shank, foot. Every end is fixed in a joint's frame and linear in the betas, as
 //! a landmark is: `c = p_j + G_j (a + A beta)`, `r = r_0 + r_beta beta`.
 //!
-//! Known limits: fitted to the skin to some 7 mm (root mean square) at rest and in poses near standing; where joints bend
-//! far, some 10 to 17 mm (creases more), since a capsule follows one bone where the skin blends two. Thumbs and nose stick
+//! Known limits: fitted to the skin to some 6 mm (root mean square) at rest, 7 mm in poses near standing; where joints bend
+//! far, some 9 to 17 mm (creases more), since a capsule follows one bone where the skin blends two. Thumbs and nose stick
 //! out.
 
 mod fit;
@@ -63,7 +63,7 @@ pub struct NearestBall {
 }
 
 impl BodyCapsules {
-    /// Fits the capsules to a model's surface at rest and in some natural poses; a fifth of a second.
+    /// Fits the capsules to a model's surface at rest and in some natural poses; half a second.
     pub fn fitted(model: &BodyModel) -> Self {
         fit::fitted(model)
     }

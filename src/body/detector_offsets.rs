@@ -94,7 +94,7 @@ impl OffsetTable {
         self.carried.get(landmark)?.as_ref()
     }
 
-    /// The first kind whose offset lies beyond [`MAX_SIGMAS`] of its prior along some axis.
+    /// The first kind whose offset lies beyond three standard deviations of its prior along some axis.
     pub fn implausible(&self, offsets: &[Vector3<f64>]) -> Option<&OffsetKind> {
         let is_large = |kind: &OffsetKind, o: &Vector3<f64>| o.component_div(&kind.prior_sigma).amax() > MAX_SIGMAS;
         self.kinds.iter().zip(offsets).find(|(kind, offset)| is_large(kind, offset)).map(|(kind, _)| kind)

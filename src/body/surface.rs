@@ -61,6 +61,13 @@ impl Surface {
         self.vertices.iter().zip(&self.shape_directions).map(|(vertex, s)| vertex + s * betas).collect()
     }
 
+    /// Height of the rest pose from soles to crown, m.
+    pub fn stature(&self, betas: &Betas) -> f64 {
+        let heights = self.vertices.iter().zip(&self.shape_directions).map(|(v, s)| v.y + s.row(1).tr_dot(betas));
+        let (low, high) = heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), y| (l.min(y), h.max(y)));
+        high - low
+    }
+
     /// Volume enclosed by the faces, m^3: the sum of signed tetrahedra at the origin.
     pub fn volume(&self, vertices: &[Vector3<f64>]) -> f64 {
         let tetrahedron = |[a, b, c]: &[usize; 3]| vertices[*a].dot(&vertices[*b].cross(&vertices[*c])) / 6.0;

@@ -5,6 +5,7 @@ mod body;
 mod evaluate;
 mod export;
 mod meter;
+mod prior;
 mod reconstruct;
 pub mod simulate;
 mod solve;
@@ -13,6 +14,10 @@ mod solve;
 mod client;
 #[cfg(feature = "service")]
 mod demo;
+#[cfg(feature = "service")]
+mod key;
+#[cfg(feature = "service")]
+mod operator;
 #[cfg(feature = "service")]
 mod run_job;
 #[cfg(feature = "service")]
@@ -46,6 +51,8 @@ enum Command {
     Bench(bench::Args),
     /// Look at a body model, or write it in other formats
     Body(body::Args),
+    /// Train, measure and look at the motion prior
+    Prior(prior::Args),
     /// Serve sessions and jobs over HTTP
     #[cfg(feature = "service")]
     Serve(serve::Args),
@@ -55,6 +62,24 @@ enum Command {
     /// Simulate, serve, submit and evaluate in one go
     #[cfg(feature = "service")]
     Demo(demo::Args),
+    /// Make, list and revoke API keys
+    #[cfg(feature = "service")]
+    Key(key::Args),
+    /// Copy a data folder, its service may be at work
+    #[cfg(feature = "service")]
+    Backup(operator::BackupArgs),
+    /// Make a data folder out of a backup
+    #[cfg(feature = "service")]
+    Restore(operator::RestoreArgs),
+    /// Check every byte of a data folder or a backup
+    #[cfg(feature = "service")]
+    Verify(operator::VerifyArgs),
+    /// Ask a service whether it is ready; for health checks
+    #[cfg(feature = "service")]
+    Health(operator::HealthArgs),
+    /// Print the description of the HTTP API
+    #[cfg(feature = "service")]
+    Openapi,
     /// One job in a child process of the service
     #[cfg(feature = "service")]
     #[command(hide = true)]
@@ -70,7 +95,11 @@ pub struct BadInput(pub String);
 pub fn main() -> ExitCode {
     let cli = Cli::parse(); // ends with 2 for wrong usage
     let filter = EnvFilter::try_from_env("WANDLESS_LOG").unwrap_or_else(|_| EnvFilter::new(default_level(&cli)));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    match wants_json_log(&cli) {
+        true => log.json().flatten_event(true).init(),
+        false => log.init(),
+    }
     let done = match cli.command {
         Command::Reconstruct(args) => reconstruct::run(args),
         Command::Evaluate(args) => evaluate::run(args),
@@ -78,12 +107,28 @@ pub fn main() -> ExitCode {
         Command::Simulate(args) => simulate::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Body(args) => body::run(args),
+        Command::Prior(args) => prior::run(args),
         #[cfg(feature = "service")]
         Command::Serve(args) => serve::run(args),
         #[cfg(feature = "service")]
         Command::Submit(args) => submit::run(args),
         #[cfg(feature = "service")]
         Command::Demo(args) => demo::run(args),
+        #[cfg(feature = "service")]
+        Command::Key(args) => key::run(args),
+        #[cfg(feature = "service")]
+        Command::Backup(args) => operator::back_up(args),
+        #[cfg(feature = "service")]
+        Command::Restore(args) => operator::restore(args),
+        #[cfg(feature = "service")]
+        Command::Verify(args) => operator::verify(args),
+        #[cfg(feature = "service")]
+        Command::Health(args) => operator::health(args),
+        #[cfg(feature = "service")]
+        Command::Openapi => {
+            println!("{}", crate::service::http::openapi::text());
+            Ok(())
+        }
         #[cfg(feature = "service")]
         Command::RunJob => return run_job::run(),
     };
@@ -93,6 +138,15 @@ pub fn main() -> ExitCode {
             eprintln!("wandless: {error:#}");
             ExitCode::from(if error.is::<BadInput>() { 2 } else { 1 })
         }
+    }
+}
+
+/// Log collectors read JSON; people do not.
+fn wants_json_log(cli: &Cli) -> bool {
+    match &cli.command {
+        #[cfg(feature = "service")]
+        Command::Serve(args) => args.log_format == serve::LogFormat::Json,
+        _ => false,
     }
 }
 

@@ -47,7 +47,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let shown = meter.clone();
     let show = move |event: &ProgressEvent| shown.show(event.stage, event.fraction, &event.message);
     let staging = staging_folder(&args.out)?;
-    let solved = solve(&args.session, None, &options, &body, &staging, &Progress::new(show, Arc::default()));
+    let solved = solve(&args.session, None, &options, &body, None, &staging, &Progress::new(show, Arc::default()));
     meter.finish();
     if solved.is_err() {
         let _ = std::fs::remove_dir_all(&staging); // half a result helps nobody

@@ -12,7 +12,7 @@ use crate::service::bodies;
 use crate::service::protocol::{Message, Order};
 use crate::service::queue::job::JobError;
 use crate::session::upload::UploadError;
-use rustix::process::{getppid, nice};
+use rustix::process::{Resource, Rlimit, getppid, nice, setrlimit};
 use std::io::{BufRead, Read, Write};
 use std::process::ExitCode;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -45,6 +45,7 @@ pub(super) fn run() -> ExitCode {
     if let Err(error) = nice(NICENESS) {
         tracing::debug!(%error, "the niceness stays as it is");
     }
+    hold_memory_to(order.memory_bytes);
     use_threads(order.threads);
     let progress = Progress::new(teller(), Arc::default());
     match solved(&order, &progress) {
@@ -69,8 +70,9 @@ fn solved(order: &Order, progress: &Progress) -> Result<(), JobError> {
             ..JobError::default()
         })?,
     };
-    solve(&order.session, Some(&order.session_sha256), &order.options, &body, &order.out, progress).map_err(cause)?;
-    Ok(())
+    let (sha256, checkpoints) = (Some(order.session_sha256.as_str()), Some(order.checkpoints.as_path()));
+    let solved = solve(&order.session, sha256, &order.options, &body, checkpoints, &order.out, progress);
+    solved.map(drop).map_err(cause)
 }
 
 /// On Linux the kernel ends us with the service; elsewhere the end of stdin does.
@@ -78,6 +80,21 @@ fn die_with_parent() {
     #[cfg(target_os = "linux")]
     if let Err(error) = rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL)) {
         tracing::warn!(%error, "the kernel will not end this process with its service");
+    }
+}
+
+/// What needs more than its share of memory ends itself, not the service or its neighbours.
+fn hold_memory_to(bytes: Option<u64>) {
+    if let Some(bytes) = bytes {
+        let limit = Rlimit { current: Some(bytes), maximum: Some(bytes) };
+        if let Err(error) = setrlimit(Resource::As, limit) {
+            tracing::warn!(%error, "the process's memory stays unlimited");
+        }
+    }
+    // Where the whole machine runs out, Linux takes this process first.
+    #[cfg(target_os = "linux")]
+    if let Err(error) = std::fs::write("/proc/self/oom_score_adj", "1000") {
+        tracing::debug!(%error, "the kernel will not end this process first");
     }
 }
 

@@ -1,9 +1,8 @@
 //! `wandless serve`: the service until a signal.
 
 use super::BadInput;
-use crate::service::settings::{DEFAULT_DATA, DEFAULT_LISTEN};
+use crate::service::settings::layers::{Layers, SettingsError};
 use crate::service::{self, ServeError, Settings};
-use anyhow::Context;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -13,12 +12,33 @@ use tokio::signal::unix::{SignalKind, signal};
 /// Arguments of `serve`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Folder of the database, the uploads and the results
-    #[arg(long, default_value = DEFAULT_DATA)]
-    data: PathBuf,
-    /// Address to listen on; port 0 takes a free one
-    #[arg(long, default_value = DEFAULT_LISTEN)]
-    listen: SocketAddr,
+    /// Folder of the database, the uploads and the results [default: ./wandless-data]
+    #[arg(long)]
+    data: Option<PathBuf>,
+    /// Address to listen on; port 0 takes a free one [default: 127.0.0.1:8700]
+    #[arg(long)]
+    listen: Option<SocketAddr>,
+    /// TOML file with settings; the environment (WANDLESS_LIMITS__MAX_WAIT_S=…) and the flags go before it
+    #[arg(long)]
+    config: Option<PathBuf>,
+    /// One setting, as limits.max_wait_s=20; may be given often
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    set: Vec<String>,
+    /// Print the settings with all defaults as TOML, and end
+    #[arg(long)]
+    print_settings: bool,
+    /// How the log is written to stderr
+    #[arg(long, value_enum, default_value_t = LogFormat::Text)]
+    pub(super) log_format: LogFormat,
+}
+
+/// Form of the log.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub(super) enum LogFormat {
+    /// For people
+    Text,
+    /// One JSON object a line
+    Json,
 }
 
 /// A stop that takes longer than this is cut.
@@ -26,16 +46,40 @@ const HARD_STOP: Duration = Duration::from_secs(30);
 
 /// Runs the command.
 pub(super) fn run(args: Args) -> anyhow::Result<()> {
-    let settings = Settings::new(args.data, args.listen).context("the path of this program")?;
+    let print = args.print_settings;
+    let settings = settings(args).map_err(|error| BadInput(error.to_string()))?;
+    if print {
+        print!("{}", toml::to_string(&settings)?);
+        return Ok(());
+    }
     let runtime = Runtime::new()?;
     let done = runtime.block_on(serve(settings));
     runtime.shutdown_timeout(Duration::from_secs(1)); // a blocked file operation must not hold the end up
     done
 }
 
+/// Defaults, then the file, then the environment, then the flags.
+fn settings(args: Args) -> Result<Settings, SettingsError> {
+    let mut layers = Layers::default();
+    if let Some(file) = &args.config {
+        layers = layers.file(file)?;
+    }
+    let variables =
+        std::env::vars_os().filter_map(|(key, value)| Some((key.into_string().ok()?, value.into_string().ok()?)));
+    layers = layers.environment(variables)?;
+    for word in &args.set {
+        let (key, value) = word.split_once('=').ok_or_else(|| SettingsError::Word { word: word.clone() })?;
+        layers = layers.word(key.trim(), value.trim())?;
+    }
+    let mut settings = layers.settings()?;
+    settings.data = args.data.unwrap_or(settings.data);
+    settings.listen = args.listen.unwrap_or(settings.listen);
+    Ok(settings)
+}
+
 async fn serve(settings: Settings) -> anyhow::Result<()> {
     let running = service::start(settings).await.map_err(|error| match error {
-        ServeError::NotLoopback { .. } => BadInput(error.to_string()).into(),
+        ServeError::NotLoopback { .. } | ServeError::Network(_) => BadInput(error.to_string()).into(),
         other => anyhow::Error::from(other),
     })?;
     println!("wandless serves http://{}", running.address);

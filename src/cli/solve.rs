@@ -2,6 +2,7 @@
 
 use crate::body::BodyModel;
 use crate::export::{self, ResultContext};
+use crate::pipeline::checkpoints::Checkpoints;
 use crate::pipeline::{self, Options, PipelineError};
 use crate::progress::Progress;
 use crate::session::reconstruction::Quality;
@@ -29,12 +30,14 @@ pub(super) enum SolveError {
 
 /// Reads the session, solves it and writes the result into `out`.
 ///
-/// `sha256`: the digest that the session must have, where one is known.
+/// `sha256`: the digest that the session must have, where one is known. `checkpoints`: a folder for finished stages, where
+/// interrupted work is to be resumed.
 pub(super) fn solve(
     session: &Path,
     sha256: Option<&str>,
     options: &Options,
     body: &BodyModel,
+    checkpoints: Option<&Path>,
     out: &Path,
     progress: &Progress,
 ) -> Result<Quality, SolveError> {
@@ -45,7 +48,12 @@ pub(super) fn solve(
     if sha256.is_some_and(|sha256| sha256 != loaded.sha256) {
         return Err(SolveError::Changed);
     }
-    let reconstruction = pipeline::reconstruct_with_body(&loaded.session, options, body, progress)?;
+    let checkpoints = match checkpoints {
+        Some(folder) => Checkpoints::in_folder(folder, &loaded.sha256, options, body),
+        None => Checkpoints::none(),
+    };
+    let reconstruction =
+        pipeline::reconstruct_with_checkpoints(&loaded.session, options, body, &checkpoints, progress)?;
     let context = ResultContext {
         input_sha256: &loaded.sha256,
         options: serde_json::to_value(options).map_err(io::Error::from)?,

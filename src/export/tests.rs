@@ -84,6 +84,7 @@ fn reconstruction() -> Reconstruction {
         body_model: BodyModelId { name: "default".to_owned(), sha256: "00".repeat(32) },
         report: Report {
             detector: DetectorHabits::default(),
+            consistency: None,
             stages: vec![],
             cameras: vec![],
             people: vec![],

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector3};
 use std::ops::Mul;
 
 /// `x_target = rotation * x_source + translation`.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Rigid {
     /// Orthonormal, determinant +1.
     pub rotation: Matrix3<f64>,

@@ -8,6 +8,8 @@
 
 pub mod assignment;
 pub mod clusters;
+pub mod consistency;
+pub mod convex;
 pub mod pair_hypotheses;
 pub mod pair_score;
 pub mod sightings;

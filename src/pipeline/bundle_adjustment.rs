@@ -128,7 +128,7 @@ impl Default for AdjustmentConfig {
 }
 
 /// The result.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Adjusted {
     /// Per view.
     pub cameras: Vec<AdjustedCamera>,
@@ -139,7 +139,7 @@ pub struct Adjusted {
 }
 
 /// One camera of the result.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct AdjustedCamera {
     /// As given where the view is unplaced, held, or has too few observations to move.
     pub camera_from_world: Option<Rigid>,
@@ -152,7 +152,7 @@ pub struct AdjustedCamera {
 }
 
 /// Reprojection of one view.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, serde::Serialize, serde::Deserialize)]
 pub struct ViewFit {
     /// Observations that took part.
     pub n_observations: usize,
@@ -163,7 +163,7 @@ pub struct ViewFit {
 }
 
 /// Uncertainty of a camera after a similarity alignment of all cameras (free-network gauge), scale apart.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct CameraUncertainty {
     /// Of the left increment (rho, phi), camera frame: unit of the world, rad.
     pub covariance: Matrix6<f64>,

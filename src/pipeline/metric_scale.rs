@@ -9,17 +9,16 @@ use crate::session::reconstruction::ScaleReport;
 use crate::session::{JointTrajectory, PersonTrack};
 use nalgebra::Vector3;
 
-/// From the top keypoint of the face (eyes, ears: 0.93 of stature, Drillis and Contini 1966) and the ankles (0.04) to
-/// the whole stature.
-const EYE_TO_ANKLE_OF_STATURE: f64 = 0.89;
-
-/// Standard deviation of a height measured on keypoints against the true one: posture and shoes, log units.
-const HEIGHT_SIGMA: f64 = 0.02;
+/// Standard deviation of a fitted body's stature against the height a user states: shoes, posture, proportions that the
+/// shape directions miss; log units.
+const HEIGHT_SIGMA: f64 = 0.015;
 
 /// Standard deviation of a camera distance measured by hand, log units.
 const DISTANCE_SIGMA: f64 = 0.01;
 
 /// The scale with its interval.
+///
+/// `statures`: by track, in the cameras' own unit; needed where one person's height is given.
 ///
 /// # Errors
 /// [`PipelineError::Option`] where the chosen source is not in the capture.
@@ -28,6 +27,7 @@ pub fn metric_scale(
     cameras: &[Option<Rigid>],
     tracks: &[PersonTrack],
     paths: &[JointTrajectory],
+    statures: &[Option<f64>],
 ) -> Result<Option<ScaleReport>, PipelineError> {
     if capture.options.extrinsics != Extrinsics::Estimate {
         let evidence = "the given extrinsics".to_owned();
@@ -35,7 +35,7 @@ pub fn metric_scale(
     }
     match &capture.options.scale {
         ScaleSource::Body => Ok(from_bones(capture, paths)),
-        ScaleSource::Height { metres, who } => from_height(capture, tracks, paths, *metres, who).map(Some),
+        ScaleSource::Height { metres, who } => from_height(capture, tracks, statures, *metres, who).map(Some),
         ScaleSource::CameraDistance { cameras: ids, metres } => from_distance(capture, cameras, ids, *metres).map(Some),
     }
 }
@@ -67,54 +67,30 @@ fn from_distance(
     }
 }
 
-/// Standing height of each person: the upper tenth of the length from ankles to eyes or ears.
+/// From the statures of fitted bodies: no posture and no single keypoint decides.
 fn from_height(
     capture: &Capture,
     tracks: &[PersonTrack],
-    paths: &[JointTrajectory],
+    statures: &[Option<f64>],
     metres: f64,
     who: &str,
 ) -> Result<ScaleReport, PipelineError> {
-    let heights: Vec<Option<f64>> = paths.iter().map(|p| standing_height(capture, p)).collect();
     let chosen = match who.parse::<i64>() {
         Ok(id) => person_of_track(capture, tracks, id),
-        Err(_) => (0..heights.len())
-            .filter(|&i| heights[i].is_some())
-            .max_by(|&a, &b| heights[a].unwrap_or(0.0).total_cmp(&heights[b].unwrap_or(0.0))),
+        Err(_) => (0..statures.len())
+            .filter(|&i| statures[i].is_some())
+            .max_by(|&a, &b| statures[a].unwrap_or(0.0).total_cmp(&statures[b].unwrap_or(0.0))),
     };
-    match chosen.and_then(|i| heights[i]) {
+    match chosen.and_then(|i| statures.get(i).copied().flatten()) {
         Some(height) => {
             let evidence = format!("{metres} m as the height of {who}");
             Ok(report((metres / height).ln(), HEIGHT_SIGMA, evidence))
         }
         None => Err(PipelineError::Option {
             option: "/scale/who",
-            reason: format!(
-                "{who:?}: nobody of that name was seen standing from head to foot; choose another or \"tallest\""
-            ),
+            reason: format!("{who:?}: nobody of that name was seen by two cameras; choose another or \"tallest\""),
         }),
     }
-}
-
-fn standing_height(capture: &Capture, path: &JointTrajectory) -> Option<f64> {
-    let index = |name: &str| capture.session.convention.index_of(name);
-    let heads: Vec<usize> =
-        ["left_eye", "right_eye", "left_ear", "right_ear", "nose"].iter().filter_map(|n| index(n)).collect();
-    let ankles = [index("left_ankle")?, index("right_ankle")?];
-    let mean = |points: &[Option<Vector3<f64>>], of: &[usize]| {
-        let found: Vec<Vector3<f64>> = of.iter().filter_map(|&k| points[k]).collect();
-        (!found.is_empty()).then(|| found.iter().sum::<Vector3<f64>>() / found.len() as f64)
-    };
-    let mut heights: Vec<f64> = path
-        .points
-        .iter()
-        .filter_map(|p| Some((mean(p, &heads)? - mean(p, &ankles)?).norm() / EYE_TO_ANKLE_OF_STATURE))
-        .collect();
-    if heights.is_empty() {
-        return None;
-    }
-    let at = (heights.len() * 9 / 10).min(heights.len() - 1);
-    Some(*heights.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
 /// The person most of whose detections carry a track id.
@@ -134,7 +110,7 @@ fn person_of_track(capture: &Capture, tracks: &[PersonTrack], id: i64) -> Option
 }
 
 /// From limb bones, as far as two views saw both ends.
-fn from_bones(capture: &Capture, paths: &[JointTrajectory]) -> Option<ScaleReport> {
+pub fn from_bones(capture: &Capture, paths: &[JointTrajectory]) -> Option<ScaleReport> {
     let seen = |path: &JointTrajectory| {
         let row = |(points, n_views): (&Vec<Option<Vector3<f64>>>, &Vec<u8>)| {
             points.iter().zip(n_views).map(|(p, n)| p.filter(|_| *n >= 2)).collect::<Vec<_>>()

@@ -5,8 +5,11 @@ pub mod body_fit;
 pub mod bundle_adjustment;
 pub mod calibration;
 pub mod camera_init;
+pub mod checkpoints;
 pub mod config;
+pub mod denoising;
 pub mod fit_figures;
+pub mod inspection;
 pub mod joint_trajectories;
 pub mod metric_scale;
 pub mod result;
@@ -21,9 +24,10 @@ use crate::matching::tracker::Scene;
 use crate::progress::{Canceled, Progress};
 use crate::session::{Reconstruction, Session};
 use bundle_adjustment::CameraFreedom;
-use calibration::{Calibration, estimate_cameras, from_given_cameras, heldout_px};
-use config::Extrinsics;
+use calibration::{Calibration, estimate_cameras, from_given_cameras, heldout_px, made_consistent};
+use checkpoints::Checkpoints;
 pub use config::{CameraFacts, Options};
+use config::{Extrinsics, ScaleSource};
 use result::Findings;
 
 /// Why a capture cannot be solved at all.
@@ -70,6 +74,20 @@ pub fn reconstruct_with_body(
     body: &BodyModel,
     progress: &Progress,
 ) -> Result<Reconstruction, PipelineError> {
+    reconstruct_with_checkpoints(session, options, body, &Checkpoints::none(), progress)
+}
+
+/// [`reconstruct_with_body`] that goes on after the last stage that `checkpoints` keep; the same result to the last bit.
+///
+/// # Errors
+/// As there.
+pub fn reconstruct_with_checkpoints(
+    session: &Session,
+    options: &Options,
+    body: &BodyModel,
+    checkpoints: &Checkpoints,
+    progress: &Progress,
+) -> Result<Reconstruction, PipelineError> {
     // Whoever hands a body over has found it by its name.
     options.check(&CameraFacts::of(session), std::slice::from_ref(&options.body))?;
     if session.views.iter().all(|v| v.frames.iter().all(Vec::is_empty)) {
@@ -78,8 +96,8 @@ pub fn reconstruct_with_body(
     }
     let capture = Capture::new(session, options);
 
-    let stage = progress.stage("cameras", 0, N_STAGES, 0.0, 0.55);
-    let calibration = calibrated(&capture, &stage)?;
+    let stage = progress.stage("cameras", 0, N_STAGES, 0.0, 0.4);
+    let calibration = checkpoints.stage("cameras", || calibrated(&capture, &stage))?;
     let n_placed = calibration.cameras.iter().flatten().count();
     if n_placed < 2 && session.views.len() > 1 {
         let reason = "no two cameras see the same people move; check that the cameras overlap, that frames are \
@@ -88,22 +106,39 @@ pub fn reconstruct_with_body(
         return Err(PipelineError::Unsolvable { code: "cameras_unsolvable", reason });
     }
 
-    let stage = progress.stage("held_out_check", 1, N_STAGES, 0.55, 0.1);
-    let heldout_px = heldout_px(&capture, &calibration, freedom(options), &stage)?;
+    // Not kept: a cleaned session is as large as the upload, and cleaning costs little.
+    let stage = progress.stage("denoising", 1, N_STAGES, 0.4, 0.15);
+    let (calibration, denoised) = match options.denoise {
+        true => made_consistent(&capture, calibration, freedom(options), &stage).map(|(c, d)| (c, Some(d)))?,
+        false => (calibration, None),
+    };
+    let (clean, consistency) = denoised.map(|d| (d.session, d.told)).unzip();
+    let capture = clean.as_ref().map_or(capture, |session| Capture::new(session, options));
 
-    let stage = progress.stage("joint_trajectories", 2, N_STAGES, 0.65, 0.05);
-    let paths = result::paths(&capture, &calibration, &stage)?;
+    let stage = progress.stage("held_out_check", 2, N_STAGES, 0.55, 0.1);
+    let heldout_px =
+        checkpoints.stage("held_out_check", || heldout_px(&capture, &calibration, freedom(options), &stage))?;
 
-    let stage = progress.stage("metric_scale", 3, N_STAGES, 0.7, 0.02);
-    let scale = metric_scale::metric_scale(&capture, &calibration.cameras, &calibration.association.tracks, &paths)?;
+    let stage = progress.stage("joint_trajectories", 3, N_STAGES, 0.65, 0.05);
+    let paths = checkpoints.stage("joint_trajectories", || result::paths(&capture, &calibration, &stage))?;
+
+    let stage = progress.stage("metric_scale", 4, N_STAGES, 0.7, 0.02);
+    let tracks = &calibration.association.tracks;
+    let statures = match options.scale {
+        ScaleSource::Height { .. } => result::statures(&capture, &calibration, &paths, body, &stage)?,
+        _ => Vec::new(),
+    };
+    let scale = metric_scale::metric_scale(&capture, &calibration.cameras, tracks, &paths, &statures)?;
     let findings = Findings::in_world(&capture, calibration, paths, scale, heldout_px);
 
-    let stage_body = stage.stage("body_fit", 4, N_STAGES, 0.72, 0.25);
-    findings.with_bodies(&capture, body, &stage_body)
+    let stage_body = stage.stage("body_fit", 5, N_STAGES, 0.72, 0.25);
+    let mut reconstruction = findings.with_bodies(&capture, body, &stage_body)?;
+    reconstruction.report.consistency = consistency;
+    Ok(reconstruction)
 }
 
 /// Stages that a caller is told of.
-const N_STAGES: usize = 5;
+const N_STAGES: usize = 6;
 
 /// Cameras and who is who: from nothing, or from what the session gives.
 fn calibrated(capture: &Capture, progress: &Progress) -> Result<Calibration, PipelineError> {

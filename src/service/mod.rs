@@ -3,23 +3,35 @@
 //! Inside: `http` and `worker` stand on `queue`, that on `store`, that on `settings`; `http` and `worker` never meet.
 //!
 //! - [`settings`]: what an operator may set
+//! - [`failpoint`]: where the crash harness may end the process
 //! - [`store`]: the data folder: database, uploads, results
 //! - [`bodies`]: body models that jobs may ask for by name
 //! - [`queue`]: the `jobs` table: accept, claim, finish, cancel, recover
 //! - [`protocol`]: what the service and a job's child say to each other
+//! - [`metrics`]: what is counted for whoever watches
+//! - [`webhooks`]: the calls that tell of a job's end
+//! - [`safety`]: backup, restore, verify
+//! - `retention`: what is removed by itself
 //! - `worker`: one claimed job -> one child process -> one recorded end
-//! - `http`: every route
+//! - [`http`]: every route
 
 pub mod bodies;
-mod http;
+pub mod failpoint;
+pub mod http;
+mod memory;
+pub mod metrics;
 pub mod protocol;
 pub mod queue;
+mod retention;
+pub mod safety;
 pub mod settings;
 pub mod store;
+pub mod webhooks;
 mod worker;
 
 pub use settings::Settings;
 
+use metrics::Metrics;
 use queue::Queue;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -27,13 +39,14 @@ use store::{Store, StoreError};
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
+use webhooks::{NetworkError, Networks};
 
 /// Why the service does not start.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
     /// Nobody is asked for a key yet, so nobody from outside may come.
     #[error(
-        "{listen}: only a loopback address can be served as long as there are no API keys; listen on 127.0.0.1 and put a proxy that asks for a password before it"
+        "{listen}: only a loopback address can be served as long as there are no API keys; make one with `wandless key create`, or listen on 127.0.0.1"
     )]
     NotLoopback {
         /// The address asked for.
@@ -47,6 +60,9 @@ pub enum ServeError {
         /// What the system said.
         source: std::io::Error,
     },
+    /// A network in the settings is none.
+    #[error(transparent)]
+    Network(#[from] NetworkError),
     /// The data folder cannot be used.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -61,6 +77,16 @@ pub struct Running {
     tasks: Vec<JoinHandle<()>>,
 }
 
+/// What all parts of the service use.
+#[derive(Clone)]
+struct Shared {
+    store: Store,
+    queue: Queue,
+    settings: Arc<Settings>,
+    metrics: Arc<Metrics>,
+    draining: CancellationToken,
+}
+
 /// Opens and mends the data folder, then serves and works until [`Running::stop`].
 ///
 /// Must be called on a multi-threaded runtime that outlives the service.
@@ -69,10 +95,11 @@ pub struct Running {
 /// [`ServeError`].
 pub async fn start(settings: Settings) -> Result<Running, ServeError> {
     let listen = settings.listen;
-    if !listen.ip().is_loopback() {
+    let networks = Arc::new(Networks::parse(&settings.webhooks.allowed_networks)?);
+    let store = Store::open(&settings.data).await?;
+    if !listen.ip().is_loopback() && !store::keys::any(&store).await? {
         return Err(ServeError::NotLoopback { listen });
     }
-    let store = Store::open(&settings.data).await?;
     let queue = Queue::new(store.clone());
     let recovered = queue::recovery::recover(&queue).await?;
     tracing::info!(boot = store.boot, ?recovered, "data folder opened");
@@ -80,14 +107,18 @@ pub async fn start(settings: Settings) -> Result<Running, ServeError> {
     let listener = TcpListener::bind(listen).await.map_err(cannot_listen)?;
     let address = listener.local_addr().map_err(cannot_listen)?;
 
-    let settings = Arc::new(settings);
     let draining = CancellationToken::new();
-    let app = http::App::new(store.clone(), queue.clone(), settings.clone(), draining.clone());
-    let mut tasks = vec![tokio::spawn(http::serve(app, listener))];
-    for _ in 0..settings.jobs.concurrent {
-        tasks.push(tokio::spawn(worker::run(store.clone(), queue.clone(), settings.clone(), draining.clone())));
+    let shared =
+        Shared { store, queue, settings: Arc::new(settings), metrics: Arc::default(), draining: draining.clone() };
+    let mut tasks = vec![
+        tokio::spawn(http::serve(http::App::new(shared.clone(), networks.clone()), listener)),
+        tokio::spawn(webhooks::run(shared.clone(), networks)),
+        tokio::spawn(retention::run(shared.clone())),
+    ];
+    for _ in 0..shared.settings.jobs.concurrent {
+        tasks.push(tokio::spawn(worker::run(shared.clone())));
     }
-    Ok(Running { address, store, draining, tasks })
+    Ok(Running { address, store: shared.store, draining, tasks })
 }
 
 impl Running {
@@ -99,6 +130,6 @@ impl Running {
                 tracing::error!(%error, "a part of the service had ended before");
             }
         }
-        self.store.close().await;
+        self.store.close_for_good().await;
     }
 }

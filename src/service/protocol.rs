@@ -20,8 +20,12 @@ pub struct Order {
     pub bodies: PathBuf,
     /// An empty folder for the result.
     pub out: PathBuf,
+    /// A folder for finished stages, which outlives the process.
+    pub checkpoints: PathBuf,
     /// Solver threads.
     pub threads: usize,
+    /// Address space that the child may take, bytes.
+    pub memory_bytes: Option<u64>,
     /// Process id of the service; a child whose parent is another one was orphaned before it could say so.
     pub parent: i32,
 }

@@ -5,7 +5,7 @@ use crate::body::skeleton::N_JOINTS;
 use nalgebra::{Matrix3, Vector3};
 
 /// Which detection shows the person, per frame and view: `detection[frame - first][view]`.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PersonTrack {
     /// Who.
     pub person: PersonId,
@@ -16,7 +16,7 @@ pub struct PersonTrack {
 }
 
 /// Points of one person over time in the session's keypoint convention (named body keypoints only), world metres.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct JointTrajectory {
     /// Who.
     pub person: PersonId,

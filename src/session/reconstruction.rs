@@ -111,6 +111,33 @@ pub struct DetectorOffset {
     pub sigma_mm: [f64; 3],
 }
 
+/// What the consistency stage did.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct ConsistencyReport {
+    /// Frames that left a choice of who is who and were solved as a whole.
+    pub ambiguous_frames: usize,
+    /// By camera and person; pairs of whom nothing was seen are left out.
+    pub pairs: Vec<ConsistencyPair>,
+}
+
+/// What was done to one person's detections in one camera.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct ConsistencyPair {
+    /// The camera's name.
+    pub camera: String,
+    /// Who.
+    pub person: usize,
+    /// Detections taken from the person again, for another person or for nobody.
+    pub rejected_detections: usize,
+    /// Keypoints that contradicted all other views.
+    pub rejected_joints: usize,
+    /// Detections whose left and right were exchanged.
+    pub flips_undone: usize,
+    /// First and last frame (the session's numbers) of runs in which a track id of the camera that mostly names somebody
+    /// else named this person.
+    pub swaps_repaired: Vec<[i64; 2]>,
+}
+
 /// The verdict over a result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -182,6 +209,9 @@ pub struct Report {
     /// What the detector means by its keypoints, against the body.
     #[serde(default)]
     pub detector: DetectorHabits,
+    /// What the consistency stage did; `None` where it was switched off.
+    #[serde(default)]
+    pub consistency: Option<ConsistencyReport>,
     /// Share of detections given to nobody.
     pub rejected_detections: f64,
     /// What `keypoints3d.json` holds: adjusted points or body landmarks.

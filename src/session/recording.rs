@@ -9,11 +9,11 @@ use nalgebra::Vector2;
 pub struct ViewId(pub usize);
 
 /// Position of a frame on the session's dense time line, from 0; the session's own number is `first_frame + index`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
 pub struct FrameIndex(pub usize);
 
 /// A person of the result, numbered from 0 in order of support.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
 pub struct PersonId(pub usize);
 
 /// One detected point.

@@ -5,7 +5,7 @@
 //! - [`config`], [`presets`]: what is simulated: people, cameras, noise
 //! - [`skeleton`]: the simulated body, deliberately not the one that is fitted
 //! - [`choreography`], [`gait`]: people who walk, stop, turn, crouch, sit, reach and gesture
-//! - [`motion_file`], [`placement`]: people from motion capture (AMASS layout), put on the floor
+//! - [`placement`]: people from motion capture (AMASS layout), put on the floor
 //! - [`landmarks`]: the points a detector looks for, from a posed skeleton
 //! - [`rig`]: cameras around the scene
 //! - [`occlusion`], [`detector`]: what each camera's detector and tracker report
@@ -19,7 +19,6 @@ pub mod config;
 pub mod detector;
 pub mod gait;
 pub mod landmarks;
-pub mod motion_file;
 mod mover;
 mod observer;
 pub mod occlusion;
@@ -36,6 +35,7 @@ pub use presets::{Preset, random_rig_config};
 pub use truth::{Simulated, Statistics, Truth, write_truth};
 
 use crate::body::skeleton::KeypointConvention;
+use crate::motion_prior::motion_file::MotionProblem;
 use crate::session::{Session, View};
 use detector::{Scene, ViewRecording};
 use rig::RigCamera;
@@ -77,7 +77,7 @@ pub enum SimulationError {
         /// The file.
         path: PathBuf,
         /// What is wrong with it.
-        problem: motion_file::MotionProblem,
+        problem: MotionProblem,
     },
 }
 

@@ -2,10 +2,10 @@
 
 use super::SimulationError;
 use super::config::SimulationConfig;
-use super::motion_file::{Take, read_take};
 use super::random::{Purpose, stream};
-use super::skeleton::{Person, Pose, joint};
+use super::skeleton::{Person, Pose, Skeleton, joint};
 use crate::geometry::rotation;
+use crate::motion_prior::motion_file::{MotionTake, read_take};
 use nalgebra::{Matrix3, Vector3};
 use rand::RngExt;
 use std::path::{Path, PathBuf};
@@ -40,7 +40,7 @@ pub fn people_from_files(paths: &[PathBuf], config: &SimulationConfig) -> Result
 }
 
 /// The take at the session's rate: rotations along the geodesic, positions along the line.
-fn resampled(take: Take, path: &Path, fps: f64) -> Person {
+fn resampled(take: MotionTake, path: &Path, fps: f64) -> Person {
     let duration = (take.poses.len() - 1) as f64 / take.fps;
     let n_frames = (duration * fps + 1e-9).floor() as usize + 1;
     let pose = |frame: usize| {
@@ -54,7 +54,8 @@ fn resampled(take: Take, path: &Path, fps: f64) -> Person {
         Pose { rotations: std::array::from_fn(turn), pelvis: a.pelvis.lerp(&b.pelvis, share) }
     };
     let source = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-    Person { skeleton: take.skeleton, poses: (0..n_frames).map(pose).collect(), source }
+    let skeleton = take.rest_joints.as_ref().map_or_else(Skeleton::generic, Skeleton::from_rest_joints);
+    Person { skeleton, poses: (0..n_frames).map(pose).collect(), source }
 }
 
 /// A random window of at most the session's length.

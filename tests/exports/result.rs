@@ -275,6 +275,7 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
         body_model: BodyModelId { name: "default".to_owned(), sha256: "00".repeat(32) },
         report: Report {
             detector: Default::default(),
+            consistency: None,
             stages: Vec::new(),
             cameras: Vec::new(),
             people: Vec::new(),

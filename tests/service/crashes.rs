@@ -26,6 +26,33 @@ fn a_killed_service_takes_its_child_along_and_the_next_one_finishes_the_job() {
 }
 
 #[test]
+fn a_killed_job_goes_on_after_its_last_finished_stage_and_gives_the_same_bytes() {
+    let data = tempfile::tempdir().unwrap();
+    let start = || {
+        let mut serve = crate::server::command(data.path());
+        Server::from_command(serve.env("WANDLESS_LOG", "info").stderr(std::process::Stdio::piped()))
+    };
+    let server = start();
+    let id = server.submit(&server.upload(LONG, 1));
+    server.wait_until(&id, |job| job["progress"]["stage"] == "body_fit");
+    let kept = crate::server::files_below(&data.path().join("checkpoints"));
+    assert_eq!(kept.len(), 3, "{kept:?}");
+    drop(server); // killed
+    let mut server = start();
+    let log = server.stderr();
+    server.wait_for_state(&id, "succeeded");
+    assert_eq!(crate::server::files_below(&data.path().join("checkpoints")).len(), 0);
+    let session = server.job(&id)["session"].as_str().unwrap().to_owned();
+    let whole = server.submit(&session);
+    server.wait_for_state(&whole, "succeeded");
+    let result = |id: &str| server.get(&format!("/v1/jobs/{id}/result")).expect(200).body;
+    assert_eq!(result(&id), result(&whole));
+    drop(server);
+    let log = std::io::read_to_string(log).unwrap();
+    assert_eq!(log.matches("is not run again").count(), 3, "{log}");
+}
+
+#[test]
 fn a_stopped_service_puts_its_job_back_and_the_next_one_finishes_it() {
     let server = Server::start();
     let id = server.submit(&server.upload(LONG, 1));

@@ -70,7 +70,7 @@ fn jobs_that_cannot_be_are_refused_with_a_pointer() {
     ask(json!({ "session": session, "state": "succeeded" })).expect_problem(400, "malformed");
     ask(json!({ "session": "session_0" })).expect_problem(404, "session_not_found");
     let webhook = ask(json!({ "session": session, "webhook": { "url": "http://localhost" } }));
-    assert_eq!(webhook.expect_problem(422, "not_supported")["pointer"], "/webhook");
+    assert_eq!(webhook.expect_problem(422, "webhook_refused")["pointer"], "/webhook/url");
     ask(json!({ "session": session, "priority": 10_000_000 })).expect_problem(400, "malformed");
     ask(json!({ "session": session, "labels": { "": "x" } })).expect_problem(400, "malformed");
 

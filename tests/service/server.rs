@@ -13,7 +13,8 @@ use tempfile::TempDir;
 const PATIENCE: Duration = Duration::from_secs(120);
 
 pub struct Server {
-    process: Child,
+    /// None once it was waited for.
+    process: Option<Child>,
     address: String,
     data: TempDir,
 }
@@ -23,29 +24,64 @@ impl Server {
         Self::on(tempfile::tempdir().unwrap())
     }
 
+    /// With further arguments of `serve`.
+    pub fn with(words: &[&str]) -> Self {
+        let data = tempfile::tempdir().unwrap();
+        let (process, address) = spawned(command(data.path()).args(words));
+        Self { process: Some(process), address, data }
+    }
+
+    /// On whatever data folder the command names.
+    pub fn from_command(command: &mut Command) -> Self {
+        let (process, address) = spawned(command);
+        Self { process: Some(process), address, data: tempfile::tempdir().unwrap() }
+    }
+
     fn on(data: TempDir) -> Self {
-        let mut process = command(data.path()).stdout(Stdio::piped()).spawn().unwrap();
-        let mut line = String::new();
-        BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
-        let address = line.trim().rsplit("http://").next().unwrap().to_owned();
-        assert!(address.starts_with("127.0.0.1:"), "the service said: {line}");
-        Self { process, address, data }
+        let (process, address) = spawned(&mut command(data.path()));
+        Self { process: Some(process), address, data }
     }
 
     /// Kills the service as a power cut would, child processes not asked, and starts it again.
     pub fn killed_and_restarted(mut self) -> Self {
-        self.process.kill().unwrap();
-        self.process.wait().unwrap();
+        let mut process = self.process.take().unwrap();
+        process.kill().unwrap();
+        process.wait().unwrap();
         self.restarted()
     }
 
     /// Asks the service to stop and starts it again.
-    pub fn stopped_and_restarted(mut self) -> Self {
-        signal(self.process.id(), rustix::process::Signal::TERM);
-        let start = Instant::now();
-        assert!(self.process.wait().unwrap().success());
-        assert!(start.elapsed() < Duration::from_secs(10), "a stop took {:?}", start.elapsed());
+    pub fn stopped_and_restarted(self) -> Self {
+        signal(self.pid(), rustix::process::Signal::TERM);
+        self.ended_and_restarted()
+    }
+
+    /// Waits for the end of a service that was asked to stop, and starts it again.
+    pub fn ended_and_restarted(mut self) -> Self {
+        self.await_end();
         self.restarted()
+    }
+
+    /// Asks the service to stop and leaves its data folder.
+    pub fn stopped(mut self) -> TempDir {
+        signal(self.pid(), rustix::process::Signal::TERM);
+        self.await_end();
+        std::mem::replace(&mut self.data, tempfile::tempdir().unwrap())
+    }
+
+    fn await_end(&mut self) {
+        let start = Instant::now();
+        assert!(self.process.take().unwrap().wait().unwrap().success());
+        assert!(start.elapsed() < Duration::from_secs(10), "a stop took {:?}", start.elapsed());
+    }
+
+    pub fn pid(&self) -> u32 {
+        self.process.as_ref().unwrap().id()
+    }
+
+    /// What it writes to its log, where the command has piped it.
+    pub fn stderr(&mut self) -> std::process::ChildStderr {
+        self.process.as_mut().unwrap().stderr.take().unwrap()
     }
 
     fn restarted(mut self) -> Self {
@@ -131,7 +167,7 @@ impl Server {
     pub fn children(&self) -> Vec<u32> {
         let entries = std::fs::read_dir("/proc").unwrap().flatten();
         let pids = entries.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
-        pids.filter(|pid| parent(*pid) == Some(self.process.id())).collect()
+        pids.filter(|pid| parent(*pid) == Some(self.pid())).collect()
     }
 
     /// The child at work, once there is one.
@@ -148,22 +184,38 @@ impl Server {
 
     /// Every file below a folder of the data folder.
     pub fn files(&self, folder: &str) -> Vec<PathBuf> {
-        let mut files = Vec::new();
-        let mut folders = vec![self.data.path().join(folder)];
-        while let Some(folder) = folders.pop() {
-            for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
-                if entry.path().is_dir() { folders.push(entry.path()) } else { files.push(entry.path()) }
-            }
-        }
-        files
+        files_below(&self.data.path().join(folder))
     }
 }
 
 impl Drop for Server {
     fn drop(&mut self) {
-        let _ = self.process.kill();
-        let _ = self.process.wait();
+        if let Some(process) = &mut self.process {
+            let _ = process.kill();
+            let _ = process.wait();
+        }
     }
+}
+
+fn spawned(command: &mut Command) -> (Child, String) {
+    let mut process = command.stdout(Stdio::piped()).spawn().unwrap();
+    let mut line = String::new();
+    BufReader::new(process.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    let address = line.trim().rsplit("http://").next().unwrap().replace("0.0.0.0", "127.0.0.1");
+    assert!(address.starts_with("127.0.0.1:"), "the service said: {line}");
+    (process, address)
+}
+
+/// Every file below a folder.
+pub fn files_below(folder: &Path) -> Vec<PathBuf> {
+    let mut files = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).into_iter().flatten().flatten() {
+            if entry.path().is_dir() { folders.push(entry.path()) } else { files.push(entry.path()) }
+        }
+    }
+    files
 }
 
 /// `wandless serve` on a data folder and a free port.

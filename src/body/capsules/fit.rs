@@ -32,8 +32,8 @@ const DAMPING: f64 = 0.3;
 /// a T-pose only.
 const N_POSES: usize = 8;
 const POSE_SPREAD: f64 = 0.5;
-/// Weight of the rest pose against one of those.
-const REST_WEIGHT: f64 = 3.0;
+/// Weight of the rest pose against one of those: as much as all together.
+const REST_WEIGHT: f64 = 8.0;
 
 /// Both ends in the joint's frame, both radii.
 type Numbers = SVector<f64, 8>;

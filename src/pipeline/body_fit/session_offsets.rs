@@ -70,7 +70,7 @@ const CORRELATED_FRAMES: f64 = 5.0;
 
 /// Damped Gauss-Newton steps, and the gain in cost below which one is the last: two causes are compared by cost, and one
 /// unit of it is nothing.
-const MAX_ITERATIONS: usize = 10;
+const MAX_ITERATIONS: usize = 7;
 const MIN_GAIN: f64 = 1.0;
 
 /// The offsets under the cause that explains everything at the lower cost.

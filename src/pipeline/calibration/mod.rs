@@ -1,5 +1,6 @@
 //! The rounds of association, cameras and adjustment: from no start to cameras that everything seen agrees with.
 
+mod consistency;
 mod held_out;
 mod instants;
 mod registration;
@@ -15,12 +16,13 @@ use crate::matching::tracklets::{Tracklet, TrackletConfig, tracklets};
 use crate::matching::view_graph::Rig;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::StageReport;
+pub use consistency::made_consistent;
 pub use held_out::heldout_px;
 use instants::{FrameFilter, InstantBudget, instants, noise_factor};
 use rayon::prelude::*;
 
 /// Cameras and who is who under them.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
 pub struct Calibration {
     /// `camera_from_world` in units that are metres as far as bones tell.
     pub cameras: Vec<Option<Rigid>>,
@@ -84,7 +86,12 @@ pub fn estimate_cameras(capture: &Capture, progress: &Progress) -> Result<Calibr
         calibration = improved(capture, calibration, ROUND, progress)?;
         progress.report(0.65 + 0.1 * round as f64, "detections given out anew");
     }
-    improved(capture, calibration, FINAL, progress)
+    settled(capture, calibration, progress)
+}
+
+/// The last adjustment, unless [`made_consistent`] is still to come.
+fn settled(capture: &Capture, calibration: Calibration, progress: &Progress) -> Result<Calibration, PipelineError> {
+    if capture.options.denoise { Ok(calibration) } else { Ok(improved(capture, calibration, FINAL, progress)?) }
 }
 
 /// Cameras that the session gives: associated under them and, where asked, adjusted.
@@ -102,7 +109,7 @@ pub fn from_given_cameras(
         Calibration { cameras, association, adjusted: None, noise: 1.0, rival_explained: 0.0, stages: vec![report] };
     match freedom {
         CameraFreedom::Held => Ok(calibration),
-        CameraFreedom::Adjusted => improved(capture, calibration, FINAL, progress),
+        CameraFreedom::Adjusted => settled(capture, calibration, progress),
     }
 }
 
@@ -167,7 +174,7 @@ fn improved(
     before: Calibration,
     effort: Effort,
     progress: &Progress,
-) -> Result<Calibration, PipelineError> {
+) -> Result<Calibration, Canceled> {
     let mut after = adjusted(capture, &before, effort, &|_| true, progress)?;
     let (association, report) = associated(capture, &after.cameras, progress)?;
     // A wrong association after a right start is the real danger: a round that explains less is thrown away.

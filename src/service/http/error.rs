@@ -1,6 +1,7 @@
 //! Problem documents (RFC 9457): every error a client can meet.
 
 use crate::service::store::StoreError;
+use crate::service::store::sessions::AddError;
 use axum::body::Body;
 use axum::extract::Request;
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
@@ -75,6 +76,11 @@ impl Problem {
             remedy: remedy.into(),
         };
         Self { document: Box::new(document), headers: Vec::new() }
+    }
+
+    /// For machines.
+    pub(super) fn code(&self) -> &'static str {
+        self.document.code
     }
 
     /// The same, naming a place in the request's JSON.
@@ -175,10 +181,24 @@ impl From<StoreError> for Problem {
             StoreError::Database(sqlx::Error::PoolTimedOut) => Self::unavailable("busy", "the database is busy"),
             StoreError::Database(sqlx::Error::Database(cause)) => match cause.code().as_deref() {
                 Some("5" | "6" | "261" | "517") => Self::unavailable("busy", "the database is busy"), // BUSY, LOCKED
-                Some("13") => Self::disk_full(),                                                      // FULL
+                _ if error.is_disk_full() => Self::disk_full(),
                 _ => Self::internal(error),
             },
             _ => Self::internal(error),
+        }
+    }
+}
+
+impl From<AddError> for Problem {
+    fn from(error: AddError) -> Self {
+        match error {
+            AddError::QuotaExceeded { .. } => Self::new(
+                StatusCode::INSUFFICIENT_STORAGE,
+                "quota_exceeded",
+                error.to_string(),
+                "delete sessions and jobs that nobody needs, or ask the operator for more",
+            ),
+            AddError::Store(error) => error.into(),
         }
     }
 }
@@ -195,7 +215,7 @@ impl IntoResponse for Problem {
 pub(super) async fn write_problems(request: Request, next: Next) -> Response {
     let path = request.uri().path().to_owned();
     let mut response = next.run(request).await;
-    let Some(mut problem) = response.extensions_mut().remove::<Problem>() else { return response };
+    let Some(mut problem) = response.extensions_mut().get::<Problem>().cloned() else { return response };
     if problem.document.instance.is_empty() {
         problem.document.instance = path;
     }

@@ -5,8 +5,9 @@ use super::error::{Place, Problem};
 use super::multipart::Multipart;
 use super::upload::{GuardedBody, Refused, Spool, Spooled, refuse};
 use crate::pipeline::CameraFacts;
-use crate::service::store::new_id;
+use crate::service::failpoint::failpoint;
 use crate::service::store::sessions::{self, Added, SessionSummary};
+use crate::service::store::{Tenant, new_id, tenants};
 use crate::session::upload::{self, LoadedSession, UploadError, UploadErrorKind, UploadLimits};
 use axum::body::Body;
 use axum::http::{HeaderMap, StatusCode, header};
@@ -46,9 +47,16 @@ pub(super) struct Form {
     pub(super) options: Option<Vec<u8>>,
 }
 
-/// Streams a whole body to disk.
-pub(super) async fn receive(app: &App, headers: &HeaderMap, body: Body) -> Result<Spooled, Problem> {
+/// 507 where the disk or the tenant's quota is full before anything was sent.
+async fn require_space(app: &App, tenant: &Tenant) -> Result<(), Problem> {
     app.require_disk()?;
+    let (stored, max) = (tenants::stored_bytes(&app.store, tenant).await?, app.settings.tenants.max_bytes);
+    if stored >= max { Err(sessions::AddError::QuotaExceeded { stored, max }.into()) } else { Ok(()) }
+}
+
+/// Streams a whole body to disk.
+pub(super) async fn receive(app: &App, tenant: &Tenant, headers: &HeaderMap, body: Body) -> Result<Spooled, Problem> {
+    require_space(app, tenant).await?;
     let limits = &app.settings.limits;
     let body = GuardedBody::new(headers, body, limits, limits.max_upload_bytes);
     let mut body = unless_refused(body).await?;
@@ -69,11 +77,12 @@ async fn spool(app: &App, body: &mut GuardedBody<'_>) -> Result<Spooled, Problem
 /// Streams the part `session` of a form to disk and reads the part `options`, where it is `allowed`.
 pub(super) async fn receive_form(
     app: &App,
+    tenant: &Tenant,
     headers: &HeaderMap,
     body: Body,
     allowed: &[&str],
 ) -> Result<Form, Problem> {
-    app.require_disk()?;
+    require_space(app, tenant).await?;
     let limits = &app.settings.limits;
     let body = GuardedBody::new(headers, body, limits, limits.max_upload_bytes);
     let mut body = unless_refused(body).await?;
@@ -122,10 +131,11 @@ pub(super) async fn unless_refused<T>(body: Result<T, Refused<'_>>) -> Result<T,
 }
 
 /// Validates an upload and keeps it; the same bytes as before are the same session.
-pub(super) async fn keep(app: &App, spooled: Spooled) -> Result<Added, Problem> {
-    if let Some(session) = sessions::get_by_sha256(&app.store, &spooled.sha256).await? {
+pub(super) async fn keep(app: &App, tenant: &Tenant, spooled: Spooled) -> Result<Added, Problem> {
+    if let Some(session) = sessions::get_by_sha256(&app.store, tenant, &spooled.sha256).await? {
         return Ok(Added { session, is_new: false });
     }
+    failpoint("upload.spooled");
     let _turn = app.validations.acquire().await.map_err(Problem::internal)?; // each holds a session in memory
     let folders = app.store.folders.clone();
     let kept = tokio::task::spawn_blocking(move || -> Result<_, Problem> {
@@ -135,7 +145,8 @@ pub(super) async fn keep(app: &App, spooled: Spooled) -> Result<Added, Problem> 
         Ok((id, summary))
     });
     let (id, summary) = kept.await.map_err(Problem::internal)??;
-    let added = sessions::add(&app.store, &id, &summary).await;
+    let added = sessions::add(&app.store, tenant, &id, &summary, app.settings.tenants.max_bytes).await;
+    failpoint("upload.recorded");
     if !added.as_ref().is_ok_and(|added| added.is_new) {
         app.store.remove_files("sessions", &id).await; // the same bytes came twice at once, or the row was refused
     }
@@ -165,7 +176,7 @@ fn summarise(loaded: LoadedSession, spooled: &Spooled) -> SessionSummary {
     }
 }
 
-fn upload_problem(error: UploadError) -> Problem {
+pub(super) fn upload_problem(error: UploadError) -> Problem {
     let status = match error.kind {
         UploadErrorKind::Malformed => StatusCode::BAD_REQUEST,
         UploadErrorKind::TooLarge => StatusCode::PAYLOAD_TOO_LARGE,

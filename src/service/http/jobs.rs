@@ -1,10 +1,13 @@
 //! `/v1/jobs`: list, look, wait, cancel, delete; [`super::submission`] accepts them.
 
+use super::access::Caller;
 use super::error::Problem;
 use super::page::{Page, PageQuery};
 use super::{ApiPath, ApiQuery, App};
+use crate::service::metrics::Held;
 use crate::service::queue::job::{Job, Phase};
 use crate::service::queue::{Cancel, JobFilter, LabelFilter};
+use crate::service::store::Tenant;
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
@@ -25,7 +28,11 @@ pub(super) struct ListQuery {
 }
 
 /// `GET /v1/jobs`, newest first.
-pub(super) async fn list(State(app): State<App>, ApiQuery(query): ApiQuery<ListQuery>) -> Result<Response, Problem> {
+pub(super) async fn list(
+    State(app): State<App>,
+    Caller { tenant }: Caller,
+    ApiQuery(query): ApiQuery<ListQuery>,
+) -> Result<Response, Problem> {
     let state = query.state.filter(|state| !state.is_empty());
     let state = state.map(|state| Phase::parse(&state).ok_or(state)).transpose().map_err(|state| {
         let names = Phase::ALL.map(Phase::name).join(", ");
@@ -37,7 +44,7 @@ pub(super) async fn list(State(app): State<App>, ApiQuery(query): ApiQuery<ListQ
     });
     let page = PageQuery { page_size: query.page_size, page_token: query.page_token };
     let filter = JobFilter { state, label, before: page.before()? };
-    let rows = app.queue.list(&filter, page.fetch_size()?).await?;
+    let rows = app.queue.list(&tenant, &filter, page.fetch_size()?).await?;
     let page = Page::cut(rows, &page, |job: &Job| job.seq)?;
     let jobs: Vec<Value> = page.items.iter().map(document).collect();
     Ok(Json(json!({ "jobs": jobs, "next_page_token": page.next_page_token })).into_response())
@@ -53,6 +60,7 @@ pub(super) struct WaitQuery {
 /// `GET /v1/jobs/{id}`: at once, or with `?wait=` once it differs from `If-None-Match` (or from what it was when asked).
 pub(super) async fn get(
     State(app): State<App>,
+    Caller { tenant }: Caller,
     ApiPath(id): ApiPath<String>,
     ApiQuery(query): ApiQuery<WaitQuery>,
     headers: HeaderMap,
@@ -65,7 +73,7 @@ pub(super) async fn get(
         None => Duration::ZERO,
     };
     let known = headers.get(header::IF_NONE_MATCH).and_then(|value| value.to_str().ok()).map(str::to_owned);
-    let job = wait_for_change(&app, &id, known.as_deref(), wait).await?;
+    let job = wait_for_change(&app, &tenant, &id, known.as_deref(), wait).await?;
     let tag = etag(&job);
     if known.is_some_and(|known| known == tag) {
         return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, tag)]).into_response());
@@ -74,13 +82,20 @@ pub(super) async fn get(
 }
 
 /// The job once it is final, changed, or the time is over, or the service stops.
-async fn wait_for_change(app: &App, id: &str, known: Option<&str>, wait: Duration) -> Result<Job, Problem> {
+async fn wait_for_change(
+    app: &App,
+    tenant: &Tenant,
+    id: &str,
+    known: Option<&str>,
+    wait: Duration,
+) -> Result<Job, Problem> {
+    let _held = Held::new(&app.metrics);
     let deadline = Instant::now() + wait;
     let mut changes = app.queue.listen(); // before the first look: no change slips between
     let draining = &app.draining;
     let mut first_tag = None;
     loop {
-        let job = app.queue.get(id).await?.ok_or_else(|| Problem::not_found("job"))?;
+        let job = app.queue.get(tenant, id).await?.ok_or_else(|| Problem::not_found("job"))?;
         let tag = etag(&job);
         let before = known.unwrap_or_else(|| first_tag.get_or_insert_with(|| tag.clone()));
         if tag != before || job.state.phase().is_final() || Instant::now() >= deadline || draining.is_cancelled() {
@@ -100,8 +115,12 @@ async fn wait_for_change(app: &App, id: &str, known: Option<&str>, wait: Duratio
 }
 
 /// `POST /v1/jobs/{id}/cancel`: 202 and the job; 409 where it has ended otherwise.
-pub(super) async fn cancel(State(app): State<App>, ApiPath(id): ApiPath<String>) -> Result<Response, Problem> {
-    match app.queue.cancel(&id).await? {
+pub(super) async fn cancel(
+    State(app): State<App>,
+    Caller { tenant }: Caller,
+    ApiPath(id): ApiPath<String>,
+) -> Result<Response, Problem> {
+    match app.queue.cancel(&tenant, &id).await? {
         Cancel::Accepted(job) => Ok((StatusCode::ACCEPTED, answer(&job)).into_response()),
         Cancel::Missing => Err(Problem::not_found("job")),
         Cancel::AlreadyFinal(phase) => Err(Problem::new(
@@ -114,8 +133,12 @@ pub(super) async fn cancel(State(app): State<App>, ApiPath(id): ApiPath<String>)
 }
 
 /// `DELETE /v1/jobs/{id}`: 204; a running one is stopped.
-pub(super) async fn delete(State(app): State<App>, ApiPath(id): ApiPath<String>) -> Result<StatusCode, Problem> {
-    if app.queue.delete(&id).await? { Ok(StatusCode::NO_CONTENT) } else { Err(Problem::not_found("job")) }
+pub(super) async fn delete(
+    State(app): State<App>,
+    Caller { tenant }: Caller,
+    ApiPath(id): ApiPath<String>,
+) -> Result<StatusCode, Problem> {
+    if app.queue.delete(&tenant, &id).await? { Ok(StatusCode::NO_CONTENT) } else { Err(Problem::not_found("job")) }
 }
 
 fn etag(job: &Job) -> String {
@@ -128,7 +151,7 @@ pub(super) fn answer(job: &Job) -> impl IntoResponse {
 }
 
 /// The job as clients see it.
-fn document(job: &Job) -> Value {
+pub(super) fn document(job: &Job) -> Value {
     let own = format!("/v1/jobs/{}", job.id);
     json!({
         "id": job.id,
@@ -150,6 +173,7 @@ fn document(job: &Job) -> Value {
             "self": own,
             "session": format!("/v1/sessions/{}", job.session),
             "cancel": format!("{own}/cancel"),
+            "events": format!("{own}/events"),
             "result": format!("{own}/result"),
             "cameras": format!("{own}/cameras"),
             "people": format!("{own}/people"),

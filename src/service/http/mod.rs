@@ -1,30 +1,43 @@
 //! Every route on one page.
 
+mod access;
+mod cors;
+mod deliveries;
 mod error;
+mod events;
+mod inspection;
 mod intake;
 mod jobs;
 mod multipart;
+pub mod openapi;
 mod options;
+mod pace;
 mod page;
 mod range;
 mod results;
 mod server;
 mod sessions;
 mod submission;
+mod trace;
 mod upload;
 mod viewer;
 
+use super::Shared;
+use super::metrics::Metrics;
 use super::queue::Queue;
 use super::settings::Settings;
 use super::store::Store;
+use super::webhooks::Networks;
 use axum::extract::rejection::{PathRejection, QueryRejection};
 use axum::extract::{FromRequestParts, Path, Query, State};
-use axum::http::StatusCode;
 use axum::http::request::Parts;
+use axum::http::{StatusCode, header};
+use axum::middleware::{from_fn, from_fn_with_state};
 use axum::response::{IntoResponse, Response};
-use axum::routing::{get, post};
+use axum::routing::{MethodRouter, get, post};
 use axum::{Json, Router};
 use error::Problem;
+use pace::Pace;
 use serde::de::DeserializeOwned;
 use serde_json::json;
 use std::sync::Arc;
@@ -38,17 +51,28 @@ pub(super) struct App {
     pub(super) store: Store,
     pub(super) queue: Queue,
     pub(super) settings: Arc<Settings>,
+    pub(super) metrics: Arc<Metrics>,
     pub(super) draining: CancellationToken,
+    /// Private networks that webhooks may call.
+    pub(super) allowed_networks: Arc<Networks>,
     /// Uploads read into memory at the same time.
     pub(super) validations: Arc<Semaphore>,
+    /// Requests of each tenant.
+    tenant_pace: Arc<Pace>,
+    /// Requests of each address that came without a valid key.
+    bad_key_pace: Arc<Pace>,
 }
 
 /// Uploads validated at the same time: each may hold a session of some hundred megabytes.
 const VALIDATIONS: usize = 2;
 
 impl App {
-    pub(super) fn new(store: Store, queue: Queue, settings: Arc<Settings>, draining: CancellationToken) -> Self {
-        Self { store, queue, settings, draining, validations: Arc::new(Semaphore::new(VALIDATIONS)) }
+    pub(super) fn new(shared: Shared, allowed_networks: Arc<Networks>) -> Self {
+        let Shared { store, queue, settings, metrics, draining } = shared;
+        let tenant_pace = Arc::new(Pace::new(settings.tenants.requests_per_s));
+        let bad_key_pace = Arc::new(Pace::new(settings.limits.bad_keys_per_s));
+        let validations = Arc::new(Semaphore::new(VALIDATIONS));
+        Self { store, queue, settings, metrics, draining, allowed_networks, validations, tenant_pace, bad_key_pace }
     }
 
     /// 507 while the disk is nearly full.
@@ -63,30 +87,63 @@ impl App {
 
 /// Serves the API until `draining`.
 pub(super) async fn serve(app: App, listener: TcpListener) {
-    let settings = app.settings.clone();
-    let draining = app.draining.clone();
-    server::serve(listener, routes(app), &settings.limits, settings.drain_limit, draining).await;
+    let (settings, metrics, draining) = (app.settings.clone(), app.metrics.clone(), app.draining.clone());
+    server::serve(listener, routes(app), &settings.limits, settings.drain_limit, metrics, draining).await;
+}
+
+/// Routes that need a key wherever keys are asked for.
+fn api() -> Vec<(&'static str, MethodRouter<App>)> {
+    vec![
+        ("/v1/sessions", post(sessions::create).get(sessions::list)),
+        ("/v1/sessions/{id}", get(sessions::get).delete(sessions::delete)),
+        ("/v1/sessions/{id}/inspection", get(inspection::get)),
+        ("/v1/jobs", post(submission::create).get(jobs::list)),
+        ("/v1/jobs/{id}", get(jobs::get).delete(jobs::delete)),
+        ("/v1/jobs/{id}/events", get(events::stream)),
+        ("/v1/jobs/{id}/cancel", post(jobs::cancel)),
+        ("/v1/jobs/{id}/result", get(results::manifest)),
+        ("/v1/jobs/{id}/artifacts/{*name}", get(results::artifact)),
+        ("/v1/jobs/{id}/cameras", get(results::cameras)),
+        ("/v1/jobs/{id}/people", get(results::people)),
+        ("/v1/jobs/{id}/report", get(results::report)),
+        ("/v1/jobs/{id}/deliveries", get(deliveries::list)),
+        ("/v1/jobs/{id}/deliveries/{delivery}/redeliver", post(deliveries::redeliver)),
+        ("/v1/webhook-secret", get(deliveries::secret)),
+    ]
+}
+
+/// Routes that anybody may ask.
+fn open() -> Vec<(&'static str, MethodRouter<App>)> {
+    vec![
+        ("/healthz", get(alive)),
+        ("/readyz", get(ready)),
+        ("/openapi.json", get(openapi::document_route)),
+        ("/docs", get(openapi::page)),
+    ]
 }
 
 fn routes(app: App) -> Router {
-    Router::new()
-        .route("/v1/sessions", post(sessions::create).get(sessions::list))
-        .route("/v1/sessions/{id}", get(sessions::get).delete(sessions::delete))
-        .route("/v1/jobs", post(submission::create).get(jobs::list))
-        .route("/v1/jobs/{id}", get(jobs::get).delete(jobs::delete))
-        .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
-        .route("/v1/jobs/{id}/result", get(results::manifest))
-        .route("/v1/jobs/{id}/artifacts/{*name}", get(results::artifact))
-        .route("/v1/jobs/{id}/cameras", get(results::cameras))
-        .route("/v1/jobs/{id}/people", get(results::people))
-        .route("/v1/jobs/{id}/report", get(results::report))
-        .route("/healthz", get(alive))
-        .route("/readyz", get(ready))
+    let add = |router: Router<App>, (path, methods)| router.route(path, methods);
+    let api = api().into_iter().fold(Router::new(), add).layer(from_fn_with_state(app.clone(), access::to_the_api));
+    let metrics = Router::new().route("/metrics", get(metrics));
+    let metrics = metrics.layer(from_fn_with_state(app.clone(), access::to_the_metrics));
+    open()
+        .into_iter()
+        .fold(api.merge(metrics), add)
         .merge(viewer::routes())
         .fallback(no_such_route)
         .method_not_allowed_fallback(no_such_method)
-        .layer(axum::middleware::from_fn(error::write_problems))
+        .layer(from_fn(error::write_problems))
+        .layer(from_fn_with_state(app.clone(), cors::share))
+        .layer(from_fn_with_state(app.clone(), trace::follow))
         .with_state(app)
+}
+
+/// The service's figures for Prometheus.
+async fn metrics(State(app): State<App>) -> Result<Response, Problem> {
+    let queue = app.queue.figures().await?;
+    let page = app.metrics.page(&queue, &app.store.disk_figures());
+    Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], page).into_response())
 }
 
 /// The process answers.

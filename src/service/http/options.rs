@@ -48,8 +48,3 @@ pub(super) fn check(options: &Options, cameras: &[CameraFacts], bodies: &Path) -
         other => Problem::internal(other),
     })
 }
-
-/// 422 for what a later release will do.
-pub(super) fn not_supported(detail: &str) -> Problem {
-    Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "not_supported", detail, "leave it out")
-}

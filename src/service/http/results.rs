@@ -1,54 +1,79 @@
 //! `/v1/jobs/{id}/result`, `/artifacts/{name}`, `/cameras`, `/people`, `/report`: published files, by their digest.
 
+use super::access::Caller;
 use super::error::Problem;
 use super::range::{Part, requested_part};
 use super::{ApiPath, App};
+use crate::service::metrics::Held;
 use crate::service::queue::job::JobState;
 use crate::service::store::artifacts::{self, Artifact, digest_file};
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use futures_util::StreamExt;
 use std::path::PathBuf;
 use tokio::io::{AsyncReadExt, AsyncSeekExt};
 use tokio_util::io::ReaderStream;
 
 /// The manifest.
-pub(super) async fn manifest(app: State<App>, id: ApiPath<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    file(app, id, "manifest.json", headers).await
+pub(super) async fn manifest(
+    app: State<App>,
+    caller: Caller,
+    id: ApiPath<String>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    file(app, caller, id, "manifest.json", headers).await
 }
 
 /// `cameras.json`.
-pub(super) async fn cameras(app: State<App>, id: ApiPath<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    file(app, id, "cameras.json", headers).await
+pub(super) async fn cameras(
+    app: State<App>,
+    caller: Caller,
+    id: ApiPath<String>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    file(app, caller, id, "cameras.json", headers).await
 }
 
 /// `people.json`.
-pub(super) async fn people(app: State<App>, id: ApiPath<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    file(app, id, "people.json", headers).await
+pub(super) async fn people(
+    app: State<App>,
+    caller: Caller,
+    id: ApiPath<String>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    file(app, caller, id, "people.json", headers).await
 }
 
 /// `report.json`.
-pub(super) async fn report(app: State<App>, id: ApiPath<String>, headers: HeaderMap) -> Result<Response, Problem> {
-    file(app, id, "report.json", headers).await
+pub(super) async fn report(
+    app: State<App>,
+    caller: Caller,
+    id: ApiPath<String>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    file(app, caller, id, "report.json", headers).await
 }
 
 /// Any file by its name in the manifest.
 pub(super) async fn artifact(
     app: State<App>,
+    caller: Caller,
     ApiPath((id, name)): ApiPath<(String, String)>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    file(app, ApiPath(id), &name, headers).await
+    file(app, caller, ApiPath(id), &name, headers).await
 }
 
 async fn file(
     State(app): State<App>,
+    Caller { tenant }: Caller,
     ApiPath(id): ApiPath<String>,
     name: &str,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let job = app.queue.get(&id).await?.ok_or_else(|| Problem::not_found("job"))?;
+    let job = app.queue.get(&tenant, &id).await?.ok_or_else(|| Problem::not_found("job"))?;
     let JobState::Succeeded { result_fence, .. } = job.state else {
         return Err(not_ready(&id, job.state.phase().name()));
     };
@@ -60,7 +85,7 @@ async fn file(
     }
     require_undamaged(&artifact, path.clone()).await?;
     let part = requested_part(&headers, &tag, artifact.bytes)?;
-    send(&artifact, path, &tag, part).await
+    send(&artifact, path, &tag, part, Held::new(&app.metrics)).await
 }
 
 fn not_ready(id: &str, state: &str) -> Problem {
@@ -107,10 +132,11 @@ fn corrupt(artifact: &Artifact, reason: &str) -> Problem {
     )
 }
 
-async fn send(artifact: &Artifact, path: PathBuf, tag: &str, part: Part) -> Result<Response, Problem> {
+async fn send(artifact: &Artifact, path: PathBuf, tag: &str, part: Part, held: Held) -> Result<Response, Problem> {
     let mut file = tokio::fs::File::open(path).await.map_err(|error| corrupt(artifact, &error.to_string()))?;
     file.seek(std::io::SeekFrom::Start(part.start)).await.map_err(|error| Problem::from_io(&error))?;
-    let body = Body::from_stream(ReaderStream::with_capacity(file.take(part.length), 64 << 10));
+    let bytes = ReaderStream::with_capacity(file.take(part.length), 64 << 10);
+    let body = Body::from_stream(bytes.inspect(move |_| _ = &held)); // counted until the last byte, or the client, is gone
     let mut response = Response::new(body);
     let mut set = |name, value: &str| {
         if let Ok(value) = HeaderValue::from_str(value) {

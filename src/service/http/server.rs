@@ -4,6 +4,7 @@
 //! [`super::upload`], a client that takes nothing of its answer after `write_timeout`; no more than `max_connections` are
 //! open. HTTP/2 is not offered: it has no header timeout.
 
+use crate::service::metrics::Metrics;
 use crate::service::settings::RequestLimits;
 use axum::Router;
 use hyper::body::Incoming;
@@ -11,8 +12,10 @@ use hyper::server::conn::http1;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use std::io;
+use std::net::SocketAddr;
 use std::pin::Pin;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::task::{Context, Poll};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
@@ -23,6 +26,10 @@ use tokio::time::{Instant, Sleep};
 use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 
+/// Who is at the other end of the connection.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Peer(pub(super) SocketAddr);
+
 /// Between two tries to accept where the process has run out of file descriptors.
 const ACCEPT_RETRY: Duration = Duration::from_millis(100);
 
@@ -32,6 +39,7 @@ pub(super) async fn serve(
     router: Router,
     limits: &RequestLimits,
     drain_limit: Duration,
+    metrics: Arc<Metrics>,
     draining: CancellationToken,
 ) {
     let slots = Arc::new(Semaphore::new(limits.max_connections));
@@ -41,9 +49,9 @@ pub(super) async fn serve(
             slot = slots.clone().acquire_owned() => slot,
             () = draining.cancelled() => break,
         };
-        let stream = tokio::select! {
+        let (stream, peer) = tokio::select! {
             accepted = listener.accept() => match accepted {
-                Ok((stream, _)) => stream,
+                Ok(accepted) => accepted,
                 Err(error) => {
                     tracing::warn!(%error, "a connection could not be accepted");
                     tokio::time::sleep(ACCEPT_RETRY).await;
@@ -52,9 +60,12 @@ pub(super) async fn serve(
             },
             () = draining.cancelled() => break,
         };
-        let connection = serve_connection(stream, router.clone(), limits.clone(), draining.clone());
+        let connection = serve_connection(stream, Peer(peer), router.clone(), limits.clone(), draining.clone());
+        let metrics = metrics.clone();
         connections.spawn(async move {
+            metrics.connections.fetch_add(1, Ordering::Relaxed);
             connection.await;
+            metrics.connections.fetch_sub(1, Ordering::Relaxed);
             drop(slot);
         });
         while connections.try_join_next().is_some() {} // those that have ended
@@ -67,10 +78,19 @@ pub(super) async fn serve(
     connections.shutdown().await;
 }
 
-async fn serve_connection(stream: TcpStream, router: Router, limits: RequestLimits, draining: CancellationToken) {
+async fn serve_connection(
+    stream: TcpStream,
+    peer: Peer,
+    router: Router,
+    limits: RequestLimits,
+    draining: CancellationToken,
+) {
     let _ = stream.set_nodelay(true); // small answers must not wait; without it they only come later
     let io = TokioIo::new(PatientStream::new(stream, limits.write_timeout));
-    let service = TowerToHyperService::new(router.map_request(|request: hyper::Request<Incoming>| request));
+    let service = TowerToHyperService::new(router.map_request(move |mut request: hyper::Request<Incoming>| {
+        request.extensions_mut().insert(peer);
+        request
+    }));
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(limits.header_timeout)

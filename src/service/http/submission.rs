@@ -1,13 +1,16 @@
 //! `POST /v1/jobs`: a job on a stored session, or session and job in one form.
 
+use super::access::Caller;
 use super::error::Problem;
 use super::intake::{MediaType, keep, receive_form, unless_refused};
 use super::jobs::answer;
 use super::upload::GuardedBody;
 use super::{App, options};
-use crate::service::queue::{EnqueueError, IdempotencyKey, NewJob};
+use crate::service::queue::{EnqueueError, IdempotencyKey, NewJob, Room};
+use crate::service::store::Tenant;
 use crate::service::store::artifacts::hex;
 use crate::service::store::sessions::{self, StoredSession};
+use crate::service::webhooks;
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
@@ -34,28 +37,46 @@ struct NewJobBody {
     labels: BTreeMap<String, String>,
     #[serde(default)]
     priority: i64,
-    webhook: Option<Value>,
+    webhook: Option<Webhook>,
+}
+
+/// Who is to be told of the job's end.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Webhook {
+    url: String,
 }
 
 /// `POST /v1/jobs`: 202, `Location` and the job.
-pub(super) async fn create(State(app): State<App>, headers: HeaderMap, body: Body) -> Result<Response, Problem> {
+pub(super) async fn create(
+    State(app): State<App>,
+    Caller { tenant }: Caller,
+    headers: HeaderMap,
+    body: Body,
+) -> Result<Response, Problem> {
     let (asked, session) = match MediaType::of(&headers) {
-        Some(MediaType::Json) => of_stored_session(&app, &headers, body).await?,
-        Some(MediaType::Multipart) => of_uploaded_session(&app, &headers, body).await?,
+        Some(MediaType::Json) => of_stored_session(&app, &tenant, &headers, body).await?,
+        Some(MediaType::Multipart) => of_uploaded_session(&app, &tenant, &headers, body).await?,
         _ => return Err(Problem::unsupported_media_type("application/json or multipart/form-data")),
     };
     let parsed = options::parse(asked.options)?;
     options::check(&parsed, &session.summary.camera_facts, &app.store.folders.bodies())?;
     check_marks(&asked.labels, asked.priority)?;
+    let webhook = asked.webhook.map(|webhook| webhook_url(&app, webhook)).transpose()?;
     let options = serde_json::to_value(&parsed).map_err(Problem::internal)?;
-    let new = NewJob { session: session.id, options, labels: asked.labels, priority: asked.priority };
+    let new = NewJob { tenant, session: session.id, options, labels: asked.labels, priority: asked.priority, webhook };
     let key = idempotency_key(&headers, &new, &session.summary.sha256)?;
-    let job = app.queue.enqueue(&new, key.as_ref(), app.settings.limits.max_queued).await?;
+    let job = app.queue.enqueue(&new, key.as_ref(), Room::of(&app.settings.limits, &app.settings.tenants)).await?;
     let location = [(header::LOCATION, format!("/v1/jobs/{}", job.id))];
     Ok((StatusCode::ACCEPTED, location, answer(&job)).into_response())
 }
 
-async fn of_stored_session(app: &App, headers: &HeaderMap, body: Body) -> Result<(NewJobBody, StoredSession), Problem> {
+async fn of_stored_session(
+    app: &App,
+    tenant: &Tenant,
+    headers: &HeaderMap,
+    body: Body,
+) -> Result<(NewJobBody, StoredSession), Problem> {
     let limits = &app.settings.limits;
     let body = unless_refused(GuardedBody::new(headers, body, limits, limits.max_json_bytes)).await?;
     let text = unless_refused(body.read_all().await).await?;
@@ -65,20 +86,18 @@ async fn of_stored_session(app: &App, headers: &HeaderMap, body: Body) -> Result
             "send {\"session\": \"<id>\", \"options\"?: {…}, \"labels\"?: {…}, \"priority\"?: 0}",
         )
     })?;
-    if asked.webhook.is_some() {
-        return Err(options::not_supported("webhooks are not called yet").at("/webhook"));
-    }
-    let session = sessions::get(&app.store, &asked.session).await?;
+    let session = sessions::get(&app.store, tenant, &asked.session).await?;
     let session = session.ok_or_else(|| session_missing().at("/session"))?;
     Ok((asked, session))
 }
 
 async fn of_uploaded_session(
     app: &App,
+    tenant: &Tenant,
     headers: &HeaderMap,
     body: Body,
 ) -> Result<(NewJobBody, StoredSession), Problem> {
-    let form = receive_form(app, headers, body, &["session", "options"]).await?;
+    let form = receive_form(app, tenant, headers, body, &["session", "options"]).await?;
     let received = form.session.ok_or_else(|| {
         Problem::malformed("the form has no part `session`", "send the session as the part `session`")
     })?;
@@ -87,7 +106,7 @@ async fn of_uploaded_session(
         Problem::malformed(format!("the part `options`: {error}"), "send one JSON object").at("/options")
     })?;
     options::parse(options.clone())?; // before the upload is validated and kept
-    let session = keep(app, received).await?.session;
+    let session = keep(app, tenant, received).await?.session;
     let asked =
         NewJobBody { session: session.id.clone(), options, labels: BTreeMap::new(), priority: 0, webhook: None };
     Ok((asked, session))
@@ -100,6 +119,16 @@ fn session_missing() -> Problem {
         "there is no such session",
         "upload it with POST /v1/sessions",
     )
+}
+
+/// A URL that may be called; what it resolves to is checked again at each call.
+fn webhook_url(app: &App, webhook: Webhook) -> Result<String, Problem> {
+    let refused = |error: webhooks::TargetError| {
+        Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "webhook_refused", error.to_string(), error.remedy())
+            .at("/webhook/url")
+    };
+    webhooks::check_url(&webhook.url, &app.allowed_networks).map_err(refused)?;
+    Ok(webhook.url)
 }
 
 fn check_marks(labels: &BTreeMap<String, String>, priority: i64) -> Result<(), Problem> {
@@ -122,7 +151,7 @@ fn idempotency_key(headers: &HeaderMap, new: &NewJob, sha256: &str) -> Result<Op
         key.to_str().ok().filter(|key| (1..=MAX_LABEL_CHARS).contains(&key.len())).ok_or_else(|| {
             Problem::malformed("the Idempotency-Key is empty, too long or no ASCII", "send a fresh UUID")
         })?;
-    let request = json!([sha256, new.options, new.labels, new.priority]).to_string();
+    let request = json!([sha256, new.options, new.labels, new.priority, new.webhook]).to_string();
     let fingerprint = hex(&Sha256::digest(request.as_bytes()));
     Ok(Some(IdempotencyKey { key: key.to_owned(), fingerprint }))
 }
@@ -143,13 +172,10 @@ impl From<EnqueueError> for Problem {
                 "the job of this Idempotency-Key was deleted",
                 "take a fresh key to run it again",
             ),
-            EnqueueError::Full { waiting } => Self::new(
-                StatusCode::TOO_MANY_REQUESTS,
-                "queue_full",
-                format!("{waiting} jobs are waiting"),
-                "try again later",
-            )
-            .with_header(header::RETRY_AFTER, HeaderValue::from_static("60")),
+            EnqueueError::Full { .. } | EnqueueError::TenantFull { .. } => {
+                Self::new(StatusCode::TOO_MANY_REQUESTS, "queue_full", error.to_string(), "try again later")
+                    .with_header(header::RETRY_AFTER, HeaderValue::from_static("60"))
+            }
             EnqueueError::Store(error) => error.into(),
         }
     }

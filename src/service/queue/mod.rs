@@ -8,6 +8,7 @@
 //! not by a clock; all of it is a few statements on a table that the service needs anyway.
 
 mod acceptance;
+pub mod figures;
 pub mod job;
 mod phase;
 pub mod recovery;
@@ -17,10 +18,11 @@ mod work;
 #[cfg(test)]
 mod tests;
 
-pub use acceptance::{EnqueueError, IdempotencyKey, NewJob};
+pub use acceptance::{EnqueueError, IdempotencyKey, NewJob, Room};
 pub use work::{Claim, Finished, Published, Standing};
 
-use super::store::{Store, StoreError};
+use super::failpoint::failpoint;
+use super::store::{Store, StoreError, Tenant};
 use job::{Job, Phase};
 use rows::{job_from_row, phase_from_row};
 use std::sync::Arc;
@@ -34,6 +36,17 @@ pub struct Queue {
     work: Arc<Notify>,
     /// Says whose row has changed.
     changes: broadcast::Sender<Arc<str>>,
+    /// Passes on what a job's process has written to its log.
+    log: broadcast::Sender<LogLine>,
+}
+
+/// One line of a job's own process.
+#[derive(Debug, Clone)]
+pub struct LogLine {
+    /// The job.
+    pub job: Arc<str>,
+    /// What it wrote.
+    pub line: Arc<str>,
 }
 
 /// Which jobs to list.
@@ -70,7 +83,7 @@ pub enum Cancel {
 impl Queue {
     /// The queue over a store.
     pub fn new(store: Store) -> Self {
-        Self { store, work: Arc::default(), changes: broadcast::channel(1024).0 }
+        Self { store, work: Arc::default(), changes: broadcast::channel(1024).0, log: broadcast::channel(256).0 }
     }
 
     /// Hears of every change from now on.
@@ -78,32 +91,44 @@ impl Queue {
         self.changes.subscribe()
     }
 
+    /// Hears every line of every job's process from now on.
+    pub fn listen_to_logs(&self) -> broadcast::Receiver<LogLine> {
+        self.log.subscribe()
+    }
+
+    /// Passes a line on to whoever listens.
+    pub fn tell_line(&self, job: &str, line: &str) {
+        let _ = self.log.send(LogLine { job: job.into(), line: line.into() }); // nobody listening is fine
+    }
+
     fn announce(&self, job: &str) {
         let _ = self.changes.send(job.into()); // nobody listening is fine
     }
 
-    /// The job of an id.
+    /// A tenant's job of an id.
     ///
     /// # Errors
     /// When the store fails.
-    pub async fn get(&self, id: &str) -> Result<Option<Job>, StoreError> {
+    pub async fn get(&self, tenant: &Tenant, id: &str) -> Result<Option<Job>, StoreError> {
         let row = sqlx::query(
-            "SELECT jobs.*, verdict, reasons FROM jobs LEFT JOIN verdicts ON verdicts.job_id = jobs.id WHERE jobs.id = ?",
+            "SELECT jobs.*, verdict, reasons FROM jobs LEFT JOIN verdicts ON verdicts.job_id = jobs.id
+             WHERE jobs.id = ? AND tenant = ?",
         )
         .bind(id)
+        .bind(tenant.name())
         .fetch_optional(self.store.read())
         .await?;
         row.as_ref().map(job_from_row).transpose()
     }
 
-    /// Jobs newest first, at most `limit`.
+    /// A tenant's jobs newest first, at most `limit`.
     ///
     /// # Errors
     /// When the store fails.
-    pub async fn list(&self, filter: &JobFilter, limit: i64) -> Result<Vec<Job>, StoreError> {
+    pub async fn list(&self, tenant: &Tenant, filter: &JobFilter, limit: i64) -> Result<Vec<Job>, StoreError> {
         let rows = sqlx::query(
             "SELECT jobs.*, verdict, reasons FROM jobs LEFT JOIN verdicts ON verdicts.job_id = jobs.id
-             WHERE seq < ?1 AND (?2 IS NULL OR state = ?2)
+             WHERE tenant = ?6 AND seq < ?1 AND (?2 IS NULL OR state = ?2)
                AND (?3 IS NULL OR EXISTS (SELECT 1 FROM json_each(jobs.labels) AS label
                                           WHERE label.key = ?3 AND (?4 IS NULL OR label.value = ?4)))
              ORDER BY seq DESC LIMIT ?5",
@@ -113,6 +138,7 @@ impl Queue {
         .bind(filter.label.as_ref().map(|label| label.key.as_str()))
         .bind(filter.label.as_ref().and_then(|label| label.value.as_deref()))
         .bind(limit)
+        .bind(tenant.name())
         .fetch_all(self.store.read())
         .await?;
         rows.iter().map(job_from_row).collect()
@@ -122,23 +148,42 @@ impl Queue {
     ///
     /// # Errors
     /// When the store fails.
-    pub async fn cancel(&self, id: &str) -> Result<Cancel, StoreError> {
+    pub async fn cancel(&self, tenant: &Tenant, id: &str) -> Result<Cancel, StoreError> {
+        match self.try_to_cancel(tenant, id).await {
+            Err(error) if error.is_disk_full() => {
+                self.store.give_reserve_up().await;
+                self.try_to_cancel(tenant, id).await
+            }
+            done => done,
+        }
+    }
+
+    async fn try_to_cancel(&self, tenant: &Tenant, id: &str) -> Result<Cancel, StoreError> {
         let mut transaction = self.store.write().await?;
         sqlx::query(
             "UPDATE jobs SET state = 'canceled', version = version + 1, eta_s = NULL,
                              finished_at = strftime('%Y-%m-%dT%H:%M:%fZ', 'now')
-             WHERE id = ? AND state = 'queued'",
+             WHERE id = ? AND tenant = ? AND state = 'queued'",
         )
         .bind(id)
+        .bind(tenant.name())
         .execute(&mut *transaction)
         .await?;
-        sqlx::query("UPDATE jobs SET state = 'canceling', version = version + 1 WHERE id = ? AND state = 'running'")
-            .bind(id)
-            .execute(&mut *transaction)
-            .await?;
+        sqlx::query(
+            "UPDATE jobs SET state = 'canceling', version = version + 1
+             WHERE id = ? AND tenant = ? AND state = 'running'",
+        )
+        .bind(id)
+        .bind(tenant.name())
+        .execute(&mut *transaction)
+        .await?;
         transaction.commit().await?;
+        failpoint("cancel.committed");
         self.announce(id);
-        let Some(job) = self.get(id).await? else { return Ok(Cancel::Missing) };
+        let Some(job) = self.get(tenant, id).await? else { return Ok(Cancel::Missing) };
+        if job.state.phase() == Phase::Canceled {
+            self.store.remove_files("checkpoints", id).await; // of an attempt before a restart
+        }
         Ok(match job.state.phase() {
             Phase::Canceling | Phase::Canceled => Cancel::Accepted(Box::new(job)),
             phase => Cancel::AlreadyFinal(phase),
@@ -150,12 +195,29 @@ impl Queue {
     ///
     /// # Errors
     /// When the store fails.
-    pub async fn delete(&self, id: &str) -> Result<bool, StoreError> {
+    pub async fn delete(&self, tenant: &Tenant, id: &str) -> Result<bool, StoreError> {
+        match self.try_to_delete(tenant, id).await {
+            Err(error) if error.is_disk_full() => {
+                self.store.give_reserve_up().await;
+                self.try_to_delete(tenant, id).await
+            }
+            done => done,
+        }
+    }
+
+    async fn try_to_delete(&self, tenant: &Tenant, id: &str) -> Result<bool, StoreError> {
         let mut transaction = self.store.write().await?;
-        let deleted = sqlx::query("DELETE FROM jobs WHERE id = ?").bind(id).execute(&mut *transaction).await?;
+        let deleted = sqlx::query("DELETE FROM jobs WHERE id = ? AND tenant = ?").bind(id).bind(tenant.name());
+        let deleted = deleted.execute(&mut *transaction).await?;
         transaction.commit().await?;
+        if deleted.rows_affected() == 0 {
+            return Ok(false);
+        }
+        failpoint("delete.committed");
         self.announce(id);
         self.store.remove_files("results", id).await;
-        Ok(deleted.rows_affected() > 0)
+        self.store.remove_files("checkpoints", id).await;
+        self.store.take_reserve().await;
+        Ok(true)
     }
 }

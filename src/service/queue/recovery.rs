@@ -1,6 +1,7 @@
 //! What a start does before anything is served: orphans go back to the queue, files that no row names are removed.
 
 use super::Queue;
+use crate::service::failpoint::failpoint;
 use crate::service::store::{StoreError, sessions};
 use sqlx::Row;
 use std::collections::BTreeMap;
@@ -43,11 +44,13 @@ pub async fn recover(queue: &Queue) -> Result<Recovered, StoreError> {
     .await?
     .rows_affected();
     transaction.commit().await?;
+    failpoint("recover.committed");
     let removed = sweep(queue).await?;
+    failpoint("recover.swept");
     Ok(Recovered { requeued, canceled, removed })
 }
 
-/// Removes uploads on their way, uploads without a row, and results other than the published ones.
+/// Removes uploads on their way, uploads without a row, stages of ended jobs, and results other than the published ones.
 async fn sweep(queue: &Queue) -> Result<usize, StoreError> {
     let folders = &queue.store.folders;
     let mut removed = 0;
@@ -64,6 +67,12 @@ async fn sweep(queue: &Queue) -> Result<usize, StoreError> {
             remove("sessions", &name);
         }
     }
+    let unended = unended(queue).await?;
+    for job in folders.names("checkpoints")? {
+        if unended.binary_search(&job).is_err() {
+            remove("checkpoints", &job);
+        }
+    }
     let published = published_fences(queue).await?;
     for job in folders.names("results")? {
         match published.get(&job) {
@@ -78,6 +87,12 @@ async fn sweep(queue: &Queue) -> Result<usize, StoreError> {
         }
     }
     Ok(removed)
+}
+
+/// Jobs that may still be resumed, sorted.
+async fn unended(queue: &Queue) -> Result<Vec<String>, StoreError> {
+    let ids = sqlx::query_scalar("SELECT id FROM jobs WHERE state IN ('queued', 'running', 'canceling') ORDER BY id");
+    Ok(ids.fetch_all(queue.store.read()).await?)
 }
 
 async fn published_fences(queue: &Queue) -> Result<BTreeMap<String, i64>, StoreError> {

@@ -2,6 +2,7 @@
 
 use super::job::{Ending, JobError, JobProgress, Phase, next_phase};
 use super::{Queue, phase_from_row};
+use crate::service::failpoint::failpoint;
 use crate::service::store::StoreError;
 use crate::service::store::artifacts::{self, Artifact};
 use crate::service::store::summary::Summary;
@@ -63,22 +64,26 @@ impl Queue {
         self.work.notify_one();
     }
 
-    /// Takes the first waiting job, by priority, then age.
+    /// Takes the first waiting job of the tenant whose turn it is, by priority, then age. A tenant with `max_running` jobs
+    /// at work is passed over.
     ///
     /// # Errors
     /// When the store fails.
-    pub async fn claim(&self) -> Result<Option<Claim>, StoreError> {
+    pub async fn claim(&self, max_running: i64) -> Result<Option<Claim>, StoreError> {
         let mut transaction = self.store.write().await?;
+        let Some(tenant) = tenant_in_turn(&mut transaction, max_running).await? else { return Ok(None) };
         let row = sqlx::query(
             "UPDATE jobs SET state = 'running', version = version + 1, fence = fence + 1, attempt = deaths + 1, boot = ?1,
                              started_at = coalesce(started_at, strftime('%Y-%m-%dT%H:%M:%fZ', 'now')),
                              solver_version = ?2, stage_seconds = '{}'
-             WHERE seq = (SELECT seq FROM jobs WHERE state = 'queued' ORDER BY priority DESC, seq LIMIT 1)
+             WHERE seq = (SELECT seq FROM jobs WHERE state = 'queued' AND tenant = ?3
+                          ORDER BY priority DESC, seq LIMIT 1)
              RETURNING id, fence, session_id, options,
                        (SELECT sha256 FROM sessions WHERE sessions.id = jobs.session_id) AS sha256",
         )
         .bind(&self.store.boot)
         .bind(env!("CARGO_PKG_VERSION"))
+        .bind(&tenant)
         .fetch_optional(&mut *transaction)
         .await?;
         let Some(row) = row else { return Ok(None) };
@@ -89,7 +94,9 @@ impl Queue {
             session_sha256: row.try_get("sha256")?,
             options: serde_json::from_str(row.try_get("options")?)?,
         };
+        failpoint("claim.updated");
         transaction.commit().await?;
+        failpoint("claim.committed");
         self.announce(&claim.job);
         Ok(Some(claim))
     }
@@ -159,13 +166,19 @@ impl Queue {
         let Some(row) = row.fetch_optional(&mut *transaction).await? else { return Ok(Finished::Lost) };
         let next = next_phase(phase_from_row(&row)?, ending, row.try_get("deaths")?, max_deaths);
         write_ending(&mut transaction, claim, ending, next).await?;
+        failpoint("finish.written");
         if let (Phase::Succeeded, Ending::Succeeded(published)) = (next, ending) {
+            note_size(&mut transaction, claim, &published.artifacts).await?;
             artifacts::insert(&mut transaction, &claim.job, &published.artifacts).await?;
             published.summary.insert(&mut transaction, &claim.job).await?;
         }
         transaction.commit().await?;
+        failpoint("finish.committed");
         if next == Phase::Queued {
             self.work.notify_one();
+        }
+        if next.is_final() {
+            self.store.remove_files("checkpoints", &claim.job).await;
         }
         if next != Phase::Succeeded {
             self.store.remove_files("results", &claim.job).await; // no row will ever name them
@@ -173,6 +186,22 @@ impl Queue {
         self.announce(&claim.job);
         Ok(Finished::Recorded(next))
     }
+}
+
+/// The tenant that waits and was served the longest ago; it goes to the end of the line.
+async fn tenant_in_turn(
+    transaction: &mut Transaction<'static, Sqlite>,
+    max_running: i64,
+) -> Result<Option<String>, StoreError> {
+    let name = sqlx::query_scalar(
+        "UPDATE tenants SET turn = 1 + (SELECT max(turn) FROM tenants)
+         WHERE name = (SELECT name FROM tenants
+                       WHERE EXISTS (SELECT 1 FROM jobs WHERE state = 'queued' AND tenant = name)
+                         AND (SELECT count(*) FROM jobs WHERE state IN ('running', 'canceling') AND tenant = name) < ?
+                       ORDER BY turn, name LIMIT 1)
+         RETURNING name",
+    );
+    Ok(name.bind(max_running).fetch_optional(&mut **transaction).await?)
 }
 
 async fn write_ending(
@@ -201,6 +230,18 @@ async fn write_ending(
     .bind(claim.fence)
     .execute(&mut **transaction)
     .await?;
+    Ok(())
+}
+
+/// The tenant's quota counts it.
+async fn note_size(
+    transaction: &mut Transaction<'static, Sqlite>,
+    claim: &Claim,
+    artifacts: &[Artifact],
+) -> Result<(), StoreError> {
+    let bytes: u64 = artifacts.iter().map(|artifact| artifact.bytes).sum();
+    let noted = sqlx::query("UPDATE jobs SET result_bytes = ? WHERE id = ?").bind(bytes as i64).bind(&claim.job);
+    noted.execute(&mut **transaction).await?;
     Ok(())
 }
 

@@ -1,20 +1,35 @@
 //! Where the files of a data folder lie, and how one is made durable.
 //!
-//! `wandless.db`, `lock`, `tmp/` (uploads on their way), `sessions/<id>`, `results/<job>/<fence>/` (published) and
-//! `results/<job>/<fence>.tmp/` (being written by a child). File names are made here, never taken from a client.
+//! `wandless.db`, `lock`, `reserve`, `tmp/` (uploads on their way), `sessions/<id>`, `results/<job>/<fence>/` (published) and
+//! `results/<job>/<fence>.tmp/` (being written by a child), `checkpoints/<job>/` (finished stages of a job at work). File names are made here, never taken from a client.
 
 use super::StoreError;
+use crate::service::failpoint::failpoint;
 use rustix::fs::FlockOperation;
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Name of the database in a data folder and in a backup.
+pub const DATABASE: &str = "wandless.db";
+
+/// A file of nothing, given up so that a full disk can be cleared.
+const RESERVE: &str = "reserve";
+
+/// Enough for the log of some thousand deletes.
+const RESERVE_BYTES: usize = 2 << 20;
+
+/// Name of the database's digest: there while no service is at work and the last one stopped in order.
+pub const DATABASE_DIGEST: &str = "wandless.db.sha256";
 
 /// The folders of a data folder that this process owns: the lock is held as long as a clone lives.
 #[derive(Debug, Clone)]
 pub struct Folders {
     root: PathBuf,
-    _lock: Arc<File>,
+    /// None beside a service that holds the lock.
+    _lock: Option<Arc<File>>,
 }
 
 /// A file that is removed when dropped, unless it was kept.
@@ -31,7 +46,7 @@ impl Folders {
     /// # Errors
     /// [`StoreError::InUse`] when another process holds the lock, [`StoreError::Folder`] for the rest.
     pub fn open(root: &Path) -> Result<Self, StoreError> {
-        for folder in ["", "tmp", "sessions", "results"] {
+        for folder in ["", "tmp", "sessions", "results", "checkpoints"] {
             let path = root.join(folder);
             std::fs::create_dir_all(&path).map_err(|source| StoreError::Folder { path, source })?;
         }
@@ -39,16 +54,30 @@ impl Folders {
         let root = root.canonicalize().map_err(|source| fail(root, source))?; // a child must find it from anywhere
         let path = root.join("lock");
         let lock = File::options().create(true).append(true).open(&path).map_err(|source| fail(&path, source))?;
-        match rustix::fs::flock(&lock, FlockOperation::NonBlockingLockExclusive) {
-            Ok(()) => Ok(Self { root, _lock: Arc::new(lock) }),
+        match take_lock(&lock) {
+            Ok(()) => Ok(Self { root, _lock: Some(Arc::new(lock)) }),
             Err(rustix::io::Errno::WOULDBLOCK) => Err(StoreError::InUse { path }),
             Err(errno) => Err(StoreError::Folder { path, source: errno.into() }),
         }
     }
 
+    /// The folders of a service that is at work, for a command beside it.
+    ///
+    /// # Errors
+    /// When there is no such folder.
+    pub(super) fn beside(root: &Path) -> Result<Self, StoreError> {
+        let root = root.canonicalize().map_err(|source| StoreError::Folder { path: root.to_owned(), source })?;
+        Ok(Self { root, _lock: None })
+    }
+
+    /// Where the digest of the database lies while nobody writes to it.
+    pub fn database_digest(&self) -> PathBuf {
+        self.root.join(DATABASE_DIGEST)
+    }
+
     /// The database file.
     pub fn database(&self) -> PathBuf {
-        self.root.join("wandless.db")
+        self.root.join(DATABASE)
     }
 
     /// The registered body models.
@@ -64,6 +93,11 @@ impl Folders {
     /// All files of a job.
     pub fn job(&self, job: &str) -> PathBuf {
         self.root.join("results").join(job)
+    }
+
+    /// Finished stages of a job that has not ended.
+    pub fn checkpoints(&self, job: &str) -> PathBuf {
+        self.root.join("checkpoints").join(job)
     }
 
     /// The published result of one claim of a job.
@@ -86,7 +120,7 @@ impl Folders {
         Ok(!self.names("sessions")?.is_empty() || !self.names("results")?.is_empty())
     }
 
-    /// The names in `tmp`, `sessions` or `results`, sorted.
+    /// The names in `tmp`, `sessions`, `results` or `checkpoints`, sorted.
     ///
     /// # Errors
     /// When the folder cannot be read.
@@ -99,7 +133,7 @@ impl Folders {
         Ok(names)
     }
 
-    /// Removes one name of `tmp`, `sessions` or `results`, folder or file. What is gone already is no error.
+    /// Removes one name of `tmp`, `sessions`, `results` or `checkpoints`, folder or file. What is gone already is no error.
     pub fn remove(&self, folder: &str, name: &str) {
         let path = self.root.join(folder).join(name);
         let removed = if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
@@ -115,6 +149,23 @@ impl Folders {
         self.remove("results", &format!("{job}/{fence}.tmp"));
         self.remove("results", &format!("{job}/{fence}"));
         let _ = std::fs::remove_dir(self.job(job)); // refuses while another claim's files are there
+    }
+
+    /// Fills a file that nobody needs, so that there is something to give up when the disk is full.
+    pub(super) fn take_reserve(&self) {
+        let path = self.root.join(RESERVE);
+        if path.exists() {
+            return;
+        }
+        if let Err(error) = std::fs::write(&path, vec![0; RESERVE_BYTES]) {
+            tracing::warn!(%error, "no bytes could be kept back for a full disk");
+            self.give_reserve_up();
+        }
+    }
+
+    /// Removes that file.
+    pub(super) fn give_reserve_up(&self) {
+        let _ = std::fs::remove_file(self.root.join(RESERVE)); // given up already: then there is nothing to give
     }
 
     /// Bytes that the disk has left for us.
@@ -134,7 +185,9 @@ impl TemporaryFile {
     /// When it cannot be synced or renamed; it is removed then.
     pub fn keep_as(mut self, path: &Path) -> io::Result<()> {
         File::open(&self.path)?.sync_all()?;
+        failpoint("upload.synced");
         publish(&self.path, path)?;
+        failpoint("upload.published");
         self.kept = true;
         Ok(())
     }
@@ -144,6 +197,22 @@ impl Drop for TemporaryFile {
     fn drop(&mut self) {
         if !self.kept {
             let _ = std::fs::remove_file(&self.path); // nobody knows of it; the next start clears `tmp/`
+        }
+    }
+}
+
+/// How long a service is waited for that was killed while it started a child: until that child is another program, it
+/// holds the lock along with everything else of its parent.
+const LOCK_PATIENCE: Duration = Duration::from_millis(500);
+
+fn take_lock(lock: &File) -> rustix::io::Result<()> {
+    let deadline = Instant::now() + LOCK_PATIENCE;
+    loop {
+        match rustix::fs::flock(lock, FlockOperation::NonBlockingLockExclusive) {
+            Err(rustix::io::Errno::WOULDBLOCK) if Instant::now() < deadline => {
+                std::thread::sleep(Duration::from_millis(10));
+            }
+            taken => return taken,
         }
     }
 }

@@ -2,15 +2,18 @@
 
 pub mod artifacts;
 pub mod folders;
+pub mod keys;
 pub mod sessions;
 pub mod summary;
+pub mod tenants;
 
-pub use folders::Folders;
+pub use folders::{DATABASE, DATABASE_DIGEST, Folders};
+pub use tenants::Tenant;
 
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous};
-use sqlx::{Sqlite, Transaction};
-use std::path::PathBuf;
+use sqlx::{Connection, Sqlite, Transaction};
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 static MIGRATIONS: Migrator = sqlx::migrate!("./migrations");
@@ -30,6 +33,25 @@ pub struct Store {
     pub folders: Folders,
     /// Names this process: a running job of another boot is an orphan.
     pub boot: String,
+}
+
+impl StoreError {
+    /// Whether the disk is what stands in the way: SQLite's FULL, or a write, or its shared memory that found no room.
+    pub fn is_disk_full(&self) -> bool {
+        let Self::Database(sqlx::Error::Database(cause)) = self else { return false };
+        matches!(cause.code().as_deref(), Some("13" | "778" | "4874"))
+    }
+}
+
+/// The data folder in figures; what the system does not tell is 0.
+#[derive(Debug, Default)]
+pub struct DiskFigures {
+    /// Bytes that the disk has left for us.
+    pub free_bytes: u64,
+    /// Size of the database file.
+    pub database_bytes: u64,
+    /// Size of its write-ahead log.
+    pub wal_bytes: u64,
 }
 
 /// Why the data folder cannot be used, or a statement failed.
@@ -73,6 +95,9 @@ pub enum StoreError {
     /// A statement failed.
     #[error("database: {0}")]
     Database(#[from] sqlx::Error),
+    /// The system gives no random numbers.
+    #[error("the system gives no random numbers")]
+    NoRandomness,
     /// A stored JSON text is no longer readable.
     #[error("stored JSON: {0}")]
     Json(#[from] serde_json::Error),
@@ -83,12 +108,27 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError`], each naming what stands in the way.
-    pub async fn open(root: &std::path::Path) -> Result<Self, StoreError> {
-        let folders = Folders::open(root)?;
+    pub async fn open(root: &Path) -> Result<Self, StoreError> {
+        Self::open_in(Folders::open(root)?).await
+    }
+
+    /// The store of a service that is at work, for a command beside it; where none is at work, as [`Store::open`].
+    ///
+    /// # Errors
+    /// As there.
+    pub async fn open_beside(root: &Path) -> Result<Self, StoreError> {
+        match Folders::open(root) {
+            Err(StoreError::InUse { .. }) => Self::open_in(Folders::beside(root)?).await,
+            folders => Self::open_in(folders?).await,
+        }
+    }
+
+    async fn open_in(folders: Folders) -> Result<Self, StoreError> {
         let database = folders.database();
         if std::fs::metadata(&database).map_or(0, |m| m.len()) == 0 && folders.hold_files()? {
             return Err(StoreError::DatabaseLost { path: database });
         }
+        let _ = std::fs::remove_file(folders.database_digest()); // from now on it would be wrong
         let options = SqliteConnectOptions::new()
             .filename(&database)
             .create_if_missing(true)
@@ -98,6 +138,9 @@ impl Store {
             .pragma("secure_delete", "ON");
         let pool = |options: SqliteConnectOptions, n: u32| {
             let pool = SqlitePoolOptions::new().max_connections(n).idle_timeout(None).max_lifetime(None);
+            // SQLite ends a transaction by itself where the disk is full; the connection then believes for ever that it is
+            // still inside of one, and is replaced.
+            let pool = pool.before_acquire(|connection, _| Box::pin(async { Ok(!connection.is_in_transaction()) }));
             pool.acquire_timeout(Duration::from_secs(30)).connect_with(options)
         };
         let writer = pool(options.clone().synchronous(SqliteSynchronous::Full), 1).await?;
@@ -106,6 +149,7 @@ impl Store {
             MigrateError::VersionMissing(migration) => StoreError::Newer { migration },
             other => StoreError::Migration(other),
         })?;
+        folders.take_reserve();
         let notes = pool(options.clone().synchronous(SqliteSynchronous::Normal), 1).await?;
         let readers = pool(options.read_only(true), 4).await?;
         Ok(Self { writer, notes, readers, folders, boot: uuid::Uuid::new_v4().simple().to_string() })
@@ -132,6 +176,17 @@ impl Store {
         &self.readers
     }
 
+    /// How full the disk is and how large the database.
+    pub fn disk_figures(&self) -> DiskFigures {
+        let bytes = |path: PathBuf| std::fs::metadata(path).map_or(0, |file| file.len());
+        let database = self.folders.database();
+        DiskFigures {
+            free_bytes: self.folders.free_bytes().unwrap_or(0),
+            wal_bytes: bytes(database.with_extension("db-wal")),
+            database_bytes: bytes(database),
+        }
+    }
+
     /// Whether the database takes writes.
     ///
     /// # Errors
@@ -148,11 +203,39 @@ impl Store {
         let _ = tokio::task::spawn_blocking(move || folders.remove(folder, &name)).await;
     }
 
+    /// Gives the bytes up that were kept for this moment: what frees space must work on a full disk, too.
+    pub async fn give_reserve_up(&self) {
+        let folders = self.folders.clone();
+        let _ = tokio::task::spawn_blocking(move || folders.give_reserve_up()).await; // fails only where the process ends
+    }
+
+    /// Keeps bytes back again, where there is room.
+    pub async fn take_reserve(&self) {
+        let folders = self.folders.clone();
+        let _ = tokio::task::spawn_blocking(move || folders.take_reserve()).await; // fails only where the process ends
+    }
+
     /// Closes the connections after their last statement.
     pub async fn close(&self) {
         self.readers.close().await;
         self.notes.close().await;
         self.writer.close().await;
+    }
+
+    /// Closes the connections and keeps the database's digest, so that `verify` can tell whether a byte has changed since.
+    pub async fn close_for_good(&self) {
+        self.close().await;
+        let folders = self.folders.clone();
+        let kept = tokio::task::spawn_blocking(move || -> std::io::Result<()> {
+            if std::fs::metadata(folders.database().with_extension("db-wal")).is_ok_and(|wal| wal.len() > 0) {
+                return Ok(()); // somebody else has the database open: its bytes may still change
+            }
+            let digest = artifacts::digest_file(&folders.database())?;
+            std::fs::write(folders.database_digest(), digest.sha256)
+        });
+        if let Ok(Err(error)) = kept.await {
+            tracing::warn!(%error, "the database's digest could not be kept");
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Rows of uploaded sessions; the bytes lie in `sessions/`.
 
-use super::{Store, StoreError};
+use super::{Store, StoreError, Tenant, tenants};
 use crate::pipeline::CameraFacts;
 use serde::Serialize;
 use sqlx::Row;
@@ -55,6 +55,28 @@ pub struct Added {
     pub is_new: bool,
 }
 
+/// Why a session was not added.
+#[derive(Debug, thiserror::Error)]
+pub enum AddError {
+    /// The tenant holds too much already.
+    #[error("{stored} of {max} bytes are used")]
+    QuotaExceeded {
+        /// Bytes that the tenant holds.
+        stored: i64,
+        /// Bytes that it may hold.
+        max: i64,
+    },
+    /// The store failed.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+}
+
+impl From<sqlx::Error> for AddError {
+    fn from(error: sqlx::Error) -> Self {
+        Self::Store(error.into())
+    }
+}
+
 /// Why a session was not removed.
 #[derive(Debug, thiserror::Error)]
 pub enum RemoveError {
@@ -78,61 +100,76 @@ impl From<sqlx::Error> for RemoveError {
     }
 }
 
-/// Adds a session whose bytes already lie durably under its id.
+/// Adds a session whose bytes already lie durably under its id; `max_bytes` is what the tenant may hold in all.
 ///
 /// # Errors
-/// When the store fails.
-pub async fn add(store: &Store, id: &str, summary: &SessionSummary) -> Result<Added, StoreError> {
+/// [`AddError`].
+pub async fn add(
+    store: &Store,
+    tenant: &Tenant,
+    id: &str,
+    summary: &SessionSummary,
+    max_bytes: i64,
+) -> Result<Added, AddError> {
     let mut transaction = store.write().await?;
-    let inserted = sqlx::query(
-        "INSERT INTO sessions (id, sha256, bytes, name, cameras, n_frames, people_max, keypoint_convention, format,
-                               warnings, created_at)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
-         ON CONFLICT (sha256) DO NOTHING",
+    let stored = tenants::stored_bytes_in(&mut transaction, tenant).await?;
+    let known = sqlx::query("SELECT * FROM sessions WHERE tenant = ? AND sha256 = ?");
+    let known = known.bind(tenant.name()).bind(&summary.sha256).fetch_optional(&mut *transaction).await?;
+    if let Some(known) = known {
+        return Ok(Added { session: from_row(&known)?, is_new: false });
+    }
+    if stored.saturating_add_unsigned(summary.bytes) > max_bytes {
+        return Err(AddError::QuotaExceeded { stored, max: max_bytes });
+    }
+    let row = sqlx::query(
+        "INSERT INTO sessions (id, tenant, sha256, bytes, name, cameras, n_frames, people_max, keypoint_convention,
+                               format, warnings, created_at)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
+         RETURNING *",
     )
     .bind(id)
+    .bind(tenant.name())
     .bind(&summary.sha256)
     .bind(summary.bytes as i64)
     .bind(&summary.name)
-    .bind(serde_json::to_string(&summary.camera_facts)?)
+    .bind(serde_json::to_string(&summary.camera_facts).map_err(StoreError::from)?)
     .bind(summary.frames as i64)
     .bind(summary.people_max as i64)
     .bind(&summary.keypoint_convention)
     .bind(&summary.format)
-    .bind(serde_json::to_string(&summary.warnings)?)
-    .execute(&mut *transaction)
+    .bind(serde_json::to_string(&summary.warnings).map_err(StoreError::from)?)
+    .fetch_one(&mut *transaction)
     .await?;
-    let row = sqlx::query("SELECT * FROM sessions WHERE sha256 = ?").bind(&summary.sha256);
-    let session = from_row(&row.fetch_one(&mut *transaction).await?)?;
+    let session = from_row(&row)?;
     transaction.commit().await?;
-    Ok(Added { session, is_new: inserted.rows_affected() == 1 })
+    Ok(Added { session, is_new: true })
 }
 
-/// The session of an id.
+/// A tenant's session of an id.
 ///
 /// # Errors
 /// When the store fails.
-pub async fn get(store: &Store, id: &str) -> Result<Option<StoredSession>, StoreError> {
-    let row = sqlx::query("SELECT * FROM sessions WHERE id = ?").bind(id).fetch_optional(store.read()).await?;
-    row.as_ref().map(from_row).transpose()
+pub async fn get(store: &Store, tenant: &Tenant, id: &str) -> Result<Option<StoredSession>, StoreError> {
+    let row = sqlx::query("SELECT * FROM sessions WHERE id = ? AND tenant = ?").bind(id).bind(tenant.name());
+    row.fetch_optional(store.read()).await?.as_ref().map(from_row).transpose()
 }
 
-/// The session of the same bytes.
+/// A tenant's session of the same bytes.
 ///
 /// # Errors
 /// When the store fails.
-pub async fn get_by_sha256(store: &Store, sha256: &str) -> Result<Option<StoredSession>, StoreError> {
-    let row = sqlx::query("SELECT * FROM sessions WHERE sha256 = ?").bind(sha256).fetch_optional(store.read()).await?;
-    row.as_ref().map(from_row).transpose()
+pub async fn get_by_sha256(store: &Store, tenant: &Tenant, sha256: &str) -> Result<Option<StoredSession>, StoreError> {
+    let row = sqlx::query("SELECT * FROM sessions WHERE tenant = ? AND sha256 = ?").bind(tenant.name()).bind(sha256);
+    row.fetch_optional(store.read()).await?.as_ref().map(from_row).transpose()
 }
 
-/// Sessions older than `before` (a `seq`), newest first, at most `limit`.
+/// A tenant's sessions older than `before` (a `seq`), newest first, at most `limit`.
 ///
 /// # Errors
 /// When the store fails.
-pub async fn list(store: &Store, before: i64, limit: i64) -> Result<Vec<StoredSession>, StoreError> {
-    let rows = sqlx::query("SELECT * FROM sessions WHERE seq < ? ORDER BY seq DESC LIMIT ?");
-    rows.bind(before).bind(limit).fetch_all(store.read()).await?.iter().map(from_row).collect()
+pub async fn list(store: &Store, tenant: &Tenant, before: i64, limit: i64) -> Result<Vec<StoredSession>, StoreError> {
+    let rows = sqlx::query("SELECT * FROM sessions WHERE tenant = ? AND seq < ? ORDER BY seq DESC LIMIT ?");
+    rows.bind(tenant.name()).bind(before).bind(limit).fetch_all(store.read()).await?.iter().map(from_row).collect()
 }
 
 /// Every id, sorted.
@@ -143,27 +180,40 @@ pub async fn ids(store: &Store) -> Result<Vec<String>, StoreError> {
     Ok(sqlx::query_scalar("SELECT id FROM sessions ORDER BY id").fetch_all(store.read()).await?)
 }
 
-/// Removes a session and its bytes.
+/// Removes a tenant's session and its bytes.
 ///
 /// # Errors
 /// [`RemoveError::InUse`] while a job that has not ended needs it.
-pub async fn remove(store: &Store, id: &str) -> Result<(), RemoveError> {
+pub async fn remove(store: &Store, tenant: &Tenant, id: &str) -> Result<(), RemoveError> {
+    match try_to_remove(store, tenant, id).await {
+        Err(RemoveError::Store(error)) if error.is_disk_full() => {
+            store.give_reserve_up().await;
+            try_to_remove(store, tenant, id).await
+        }
+        done => done,
+    }
+}
+
+async fn try_to_remove(store: &Store, tenant: &Tenant, id: &str) -> Result<(), RemoveError> {
     let mut transaction = store.write().await?;
     let job: Option<String> = sqlx::query_scalar(
-        "SELECT id FROM jobs WHERE session_id = ? AND state IN ('queued', 'running', 'canceling') LIMIT 1",
+        "SELECT id FROM jobs WHERE session_id = ? AND tenant = ? AND state IN ('queued', 'running', 'canceling') LIMIT 1",
     )
     .bind(id)
+    .bind(tenant.name())
     .fetch_optional(&mut *transaction)
     .await?;
     if let Some(job) = job {
         return Err(RemoveError::InUse { job });
     }
-    let deleted = sqlx::query("DELETE FROM sessions WHERE id = ?").bind(id).execute(&mut *transaction).await?;
+    let deleted = sqlx::query("DELETE FROM sessions WHERE id = ? AND tenant = ?").bind(id).bind(tenant.name());
+    let deleted = deleted.execute(&mut *transaction).await?;
     if deleted.rows_affected() == 0 {
         return Err(RemoveError::Missing);
     }
     transaction.commit().await?;
     store.remove_files("sessions", id).await;
+    store.take_reserve().await;
     Ok(())
 }
 

@@ -1,12 +1,14 @@
 //! Watching one child: progress, cancel, silence, end.
 
 use super::child::Child;
+use crate::service::metrics::Metrics;
 use crate::service::protocol::Message;
 use crate::service::queue::job::{JobError, JobProgress};
 use crate::service::queue::{Claim, Queue, Standing};
 use crate::service::settings::JobSettings;
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use tokio::sync::broadcast;
 use tokio::sync::broadcast::error::RecvError;
@@ -36,6 +38,7 @@ pub(super) async fn supervise(
     child: &mut Child,
     queue: &Queue,
     settings: &JobSettings,
+    metrics: &Metrics,
     claim: &Claim,
     draining: CancellationToken,
 ) -> Outcome {
@@ -47,7 +50,10 @@ pub(super) async fn supervise(
     let outcome = loop {
         tokio::select! {
             message = child.message() => match message {
-                Some(Message::Alive) => account.heard = Instant::now(),
+                Some(Message::Alive) => {
+                    account.heard = Instant::now();
+                    metrics.note_pulse(&claim.job);
+                }
                 Some(progress @ Message::Progress { .. }) => account.note(progress),
                 Some(word) => last_word = Some(word),
                 None => break None,
@@ -69,12 +75,18 @@ pub(super) async fn supervise(
             }
         }
     };
-    if let Some(outcome) = outcome {
-        child.stop(settings.kill_grace).await;
-        return outcome;
+    let outcome = match outcome {
+        Some(outcome) => {
+            child.stop(settings.kill_grace).await;
+            outcome
+        }
+        None => end(child, settings, last_word).await,
+    };
+    if matches!(outcome, Outcome::Died(_)) {
+        metrics.child_deaths.fetch_add(1, Ordering::Relaxed);
     }
-    let outcome = end(child, settings, last_word).await;
     account.close_stage();
+    metrics.note_stages(&account.stage_seconds);
     account.write(queue, claim).await;
     outcome
 }

@@ -4,7 +4,7 @@
 //! `mocap_frame_rate`, optional `rest_joints` (24, 3). Of the wide layouts only the 22 body joints are read. Constant
 //! offsets of `trans` from the pelvis do not matter: every person is placed anew.
 
-use super::skeleton::{Pose, Skeleton};
+use super::chart::LocalRotations;
 use crate::body::skeleton::N_JOINTS;
 use crate::geometry::rotation;
 use nalgebra::{Matrix3, Vector3};
@@ -52,13 +52,23 @@ pub enum MotionProblem {
 const MAX_NUMBERS: u64 = 165 * 120 * 36_000;
 
 /// A file as it is, y up.
-pub(super) struct Take {
-    /// The file's own skeleton, else the generic one.
-    pub(super) skeleton: Skeleton,
+#[derive(Debug, Clone, PartialEq)]
+pub struct MotionTake {
+    /// Joints of the file's own skeleton in the zero pose, m, where it has one.
+    pub rest_joints: Option<[Vector3<f64>; N_JOINTS]>,
     /// At least one pose.
-    pub(super) poses: Vec<Pose>,
+    pub poses: Vec<MotionPose>,
     /// The file's own rate, Hz.
-    pub(super) fps: f64,
+    pub fps: f64,
+}
+
+/// One frame of a file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct MotionPose {
+    /// `parent_from_joint`; entry 0 is `world_from_pelvis`.
+    pub rotations: LocalRotations,
+    /// The pelvis joint in the world, m, up to a constant offset.
+    pub pelvis: Vector3<f64>,
 }
 
 struct Array {
@@ -67,7 +77,10 @@ struct Array {
 }
 
 /// Reads a file.
-pub(super) fn read_take(path: &Path) -> Result<Take, MotionProblem> {
+///
+/// # Errors
+/// [`MotionProblem`] names the array and what was expected of it.
+pub fn read_take(path: &Path) -> Result<MotionTake, MotionProblem> {
     let mut archive = ZipArchive::new(BufReader::new(File::open(path)?))
         .map_err(|source| MotionProblem::Archive { array: "poses", source })?;
     let poses = required(&mut archive, "poses")?;
@@ -90,11 +103,11 @@ pub(super) fn read_take(path: &Path) -> Result<Take, MotionProblem> {
         found => found,
     };
     let fps = rate.and_then(|a| a.values.first().copied()).filter(|f| *f > 0.0).ok_or(MotionProblem::FrameRate)?;
-    let skeleton = match array(&mut archive, "rest_joints")? {
-        None => Skeleton::generic(),
-        Some(rest) if rest.shape == [N_JOINTS as u64, 3] => Skeleton::from_rest_joints(&std::array::from_fn(|j| {
-            Vector3::from_column_slice(&rest.values[3 * j..3 * j + 3])
-        })),
+    let rest_joints = match array(&mut archive, "rest_joints")? {
+        None => None,
+        Some(rest) if rest.shape == [N_JOINTS as u64, 3] => {
+            Some(std::array::from_fn(|j| Vector3::from_column_slice(&rest.values[3 * j..3 * j + 3])))
+        }
         Some(rest) => {
             return Err(MotionProblem::Shape { array: "rest_joints", expected: "(24, 3)", found: rest.shape });
         }
@@ -104,14 +117,14 @@ pub(super) fn read_take(path: &Path) -> Result<Take, MotionProblem> {
     let pose = |frame: usize| {
         let row = &poses.values[frame * width..(frame + 1) * width];
         let turn = |j: usize| rotation::exp(&Vector3::from_column_slice(&row[3 * j..3 * j + 3]));
-        Pose {
+        MotionPose {
             rotations: std::array::from_fn(|j| if j < n_read { turn(j) } else { Matrix3::identity() }),
             pelvis: Vector3::from_column_slice(&trans.values[3 * frame..3 * frame + 3]),
         }
     };
-    let mut poses: Vec<Pose> = (0..n_frames).map(pose).collect();
+    let mut poses: Vec<MotionPose> = (0..n_frames).map(pose).collect();
     turn_y_up(&mut poses);
-    Ok(Take { skeleton, poses, fps })
+    Ok(MotionTake { rest_joints, poses, fps })
 }
 
 fn required(archive: &mut ZipArchive<BufReader<File>>, name: &'static str) -> Result<Array, MotionProblem> {
@@ -153,7 +166,7 @@ fn real_numbers<R: io::Read>(file: npyz::NpyFile<R>) -> Option<Vec<f64>> {
 }
 
 /// AMASS stands on z, others on y: whichever the pelvis' own up axis mostly points along is up.
-fn turn_y_up(poses: &mut [Pose]) {
+fn turn_y_up(poses: &mut [MotionPose]) {
     let up: Vector3<f64> = poses.iter().map(|pose| pose.rotations[0].column(1).into_owned()).sum();
     if up.z.abs() <= up.y.abs() {
         return;

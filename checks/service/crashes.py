@@ -1,0 +1,174 @@
+"""Catalogue A1, A2, A3: the service is killed at random moments, and at every named point; nothing promised is lost.
+
+    python3 checks/service/crashes.py --kills 200
+    cargo build --release --features failpoints --target-dir target/failpoints
+    python3 checks/service/crashes.py --kills 0 --points 1 --program target/failpoints/release/wandless
+
+Clients keep a ledger of every 2xx. After the last restart every job that was answered 202 must be there, be final within
+60 s, and have at most one result, whose files all have their digests; SQLite must find the database whole.
+"""
+
+import os
+import random
+import threading
+import time
+
+from harness import Faults, Service, arguments, sha256, take, wandless
+
+POINTS = ["upload.spooled", "upload.synced", "upload.published", "upload.recorded", "enqueue.inserted", "enqueue.committed",
+          "claim.updated", "claim.committed", "child.started", "child.ended", "result.hashed", "result.published",
+          "finish.written", "finish.committed", "cancel.committed", "delete.committed"]
+RECOVERY_POINTS = ["recover.committed", "recover.swept"]
+
+
+class Ledger:
+    """What the service has promised."""
+
+    def __init__(self):
+        self.lock = threading.Lock()
+        self.sessions, self.jobs, self.canceled, self.deleted = {}, {}, set(), set()
+
+
+def work(service, ledger, seed, over, n_frames):
+    """One client: uploads, submits, cancels and deletes until it is over; every refusal by death is taken in its stride."""
+    dice = random.Random(seed)
+    n = 0
+    while not over.is_set():
+        client = service.client(patience_s=0.0, timeout_s=10.0)
+        n += 1
+        key = f"{seed}-{n}"
+        try:
+            session = client.upload(take(n_frames, seed=1000 * seed + n))
+            with ledger.lock:
+                ledger.sessions[session["id"]] = session["sha256"]
+            job = client.submit(session["id"], options={"extrinsics": "fixed", "exports": []}, key=key)
+            again = client.submit(session["id"], options={"extrinsics": "fixed", "exports": []}, key=key)
+            with ledger.lock:
+                ledger.jobs[job["id"]] = session["id"]
+                if again["id"] != job["id"]:
+                    ledger.jobs["twice " + again["id"]] = job["id"]
+            if dice.random() < 0.15:
+                client.cancel(job["id"])
+                with ledger.lock:
+                    ledger.canceled.add(job["id"])
+            elif dice.random() < 0.1:
+                with ledger.lock:
+                    ledger.deleted.add(job["id"])  # asked for, whatever the answer
+                client.delete_job(job["id"])
+            time.sleep(dice.uniform(0.0, 0.3))
+        except (wandless.Problem, OSError, wandless.http.client.HTTPException, ValueError):
+            time.sleep(0.02)
+
+
+def judge(service, ledger, faults):
+    """After the last restart."""
+    client = service.client()
+    deadline = time.monotonic() + 60 + 2 * len(ledger.jobs) ** 0.5
+    finals = {}
+    for job in ledger.jobs:
+        faults.require(not job.startswith("twice"), f"one key, two jobs: {job}")
+        if job in ledger.deleted:
+            continue
+        while True:
+            try:
+                now = client.job(job)
+            except wandless.Problem as problem:
+                faults.require(False, f"{job} was accepted and is lost: {problem}")
+                break
+            if now["state"] in wandless.FINAL:
+                finals[job] = now
+                break
+            if time.monotonic() > deadline:
+                faults.require(False, f"{job} is still {now['state']}")
+                break
+            time.sleep(0.05)
+    for job, now in finals.items():
+        faults.require(now["state"] in ("succeeded", "canceled"), f"{job} is {now['state']}: {now['error']}")
+        faults.require(now["attempt"] <= 1, f"{job}: a death of the service was counted against it")
+        if job in ledger.canceled:
+            # A cancel that was answered 202 outweighs everything; one answered 409 came after the end and is not noted.
+            faults.require(now["state"] == "canceled", f"{job} was promised to be canceled and is {now['state']}")
+        if now["state"] == "succeeded":
+            for file in client.manifest(job)["files"]:
+                found = client.request("GET", f"/v1/jobs/{job}/artifacts/{file['name']}").body
+                faults.require(sha256(found) == file["sha256"], f"{job}/{file['name']}: wrong bytes")
+            results = os.listdir(os.path.join(service.data, "results", job))
+            faults.require(len(results) == 1, f"{job} has the results {results}")
+    states = [now["state"] for now in finals.values()]
+    print(f"{len(ledger.jobs)} jobs accepted, {states.count('succeeded')} succeeded, {states.count('canceled')} canceled, "
+          f"{len(ledger.deleted)} deleted", flush=True)
+    for session in ledger.sessions:
+        faults.require(client.request("GET", f"/v1/sessions/{session}").status == 200, f"{session} is lost")
+    faults.require(service.metrics()["wandless_jobs_running_without_live_worker"] == 0, "a job runs without a worker")
+    code, seconds = service.stop()
+    faults.require(code == 0 and seconds < 10, f"the last stop: code {code} after {seconds:.1f} s")
+    whole = service.integrity()
+    faults.require(whole == "ok", f"integrity check: {whole}")
+
+
+def run(service, faults, seed, n_clients, n_frames, deaths):
+    """Clients at work while `deaths(service)` does what it does; then everything is judged."""
+    ledger, over = Ledger(), threading.Event()
+    service.start()
+    clients = [threading.Thread(target=work, args=(service, ledger, 100 * seed + i, over, n_frames)) for i in range(n_clients)]
+    for client in clients:
+        client.start()
+    deaths()
+    over.set()
+    for client in clients:
+        client.join()
+    judge(service, ledger, faults)
+
+
+def main():
+    asked = arguments(__doc__, kills=200, points=0, clients=4, frames=10)
+    dice = random.Random(asked.seed)
+    faults = Faults()
+    service = Service(asked.program)
+    if asked.kills:
+        starts = []
+
+        def kill_at_random():
+            for _ in range(asked.kills):
+                time.sleep(dice.uniform(0.0, 0.6))
+                service.kill()
+                seconds = service.start()
+                faults.require(seconds is not None, "a start was refused")
+                starts.append(seconds or service.start())
+
+        run(service, faults, asked.seed, asked.clients, asked.frames, kill_at_random)
+        print(f"{asked.kills} kills; start to serving: median {sorted(starts)[len(starts) // 2] * 1000:.0f} ms, "
+              f"worst {max(starts) * 1000:.0f} ms", flush=True)
+    if asked.points:
+        for point in POINTS + RECOVERY_POINTS:
+            for hit in (1, 2):
+                kill_at_point(asked, faults, point, hit)
+    faults.end(service, asked.keep)
+
+
+def kill_at_point(asked, faults, point, hit):
+    """Catalogue A2 (and A3 for the points of the recovery): the service dies at the first and the second pass of one point."""
+    service = Service(asked.program)
+    reached = []
+
+    def die_at_point():
+        if point.startswith("recover"):
+            time.sleep(1.0)
+        service.kill()
+        service.start(WANDLESS_FAILPOINT=f"{point}:{hit if not point.startswith('recover') else 1}")
+        try:
+            service.process.wait(timeout=15)
+            reached.append(point)
+        except Exception:
+            service.kill()
+        service.start()
+
+    run(service, faults, asked.seed + hash(point) % 1000, 2, asked.frames, die_at_point)
+    faults.require(reached, f"{point}:{hit} was never reached")
+    print(f"{point}:{hit}", "reached" if reached else "NOT REACHED", flush=True)
+    if not faults.found:
+        service.remove()
+
+
+if __name__ == "__main__":
+    main()

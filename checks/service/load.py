@@ -1,0 +1,159 @@
+"""Catalogue B5, B6, row 12: ten thousand waiting jobs, a thousand clients while every core solves, and how long a start takes.
+
+    python3 checks/service/load.py --jobs 10000 --clients 1000 --seconds 60
+"""
+
+import http.client
+import json
+import random
+import shutil
+import sqlite3
+import threading
+import time
+
+from harness import Faults, Service, arguments, get, percentile, take
+
+
+def main():
+    asked = arguments(__doc__, jobs=10000, clients=1000, seconds=60, requests_per_s=20.0, solver_frames=8000)
+    faults = Faults()
+    empty = Service(asked.program)
+    seconds = empty.start()
+    ready(empty)
+    print(f"start of an empty service {seconds * 1000:.0f} ms")
+    faults.require(seconds <= 0.2, "an empty start takes more than 200 ms")
+    empty.stop()
+    empty.remove()
+
+    service = Service(asked.program)
+    service.start()
+    client = service.client()
+    long = client.upload(take(asked.solver_frames, 4, seed=1))["id"]
+    short = client.upload(take(10, 2, seed=2))["id"]
+    enqueue(service, short, asked.jobs, faults)
+    solving = client.submit(long, options={"extrinsics": "fixed"}, priority=10)["id"]
+    claims(service, faults)
+    lists(service, faults)
+    crowd(service, solving, asked, faults)
+    service.kill()
+    seconds = service.start()
+    seconds += ready(service)
+    print(f"start with {asked.jobs} jobs {seconds * 1000:.0f} ms")
+    faults.require(seconds <= 2.0, "a start with many jobs takes more than 2 s")
+    service.kill()
+    faults.end(service, asked.keep)
+
+
+def ready(service):
+    start = time.monotonic()
+    while get(service.port, "/readyz")[0] != 200:
+        time.sleep(0.01)
+    return time.monotonic() - start
+
+
+def enqueue(service, session, n_jobs, faults):
+    """Fifty clients hand in all jobs."""
+    body = json.dumps({"session": session, "options": {"extrinsics": "fixed", "exports": []}})
+    left = iter(range(n_jobs))
+    lock = threading.Lock()
+    refused = []
+
+    def submit():
+        connection = http.client.HTTPConnection("127.0.0.1", service.port, timeout=60)
+        while True:
+            with lock:
+                if next(left, None) is None:
+                    return
+            connection.request("POST", "/v1/jobs", body=body, headers={"Content-Type": "application/json"})
+            answer = connection.getresponse()
+            answer.read()
+            if answer.status != 202:
+                refused.append(answer.status)
+
+    start = time.monotonic()
+    threads = [threading.Thread(target=submit) for _ in range(50)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    seconds = time.monotonic() - start
+    print(f"{n_jobs} jobs accepted in {seconds:.1f} s")
+    faults.require(not refused, f"{len(refused)} jobs were refused: {refused[:3]}")
+    faults.require(seconds <= 60 * max(1, n_jobs / 10000), "accepting took too long")
+
+
+CLAIM = """SELECT seq FROM jobs WHERE state = 'queued' AND tenant = 'default' ORDER BY priority DESC, seq LIMIT 1"""
+TURN = """SELECT name FROM tenants WHERE EXISTS (SELECT 1 FROM jobs WHERE state = 'queued' AND tenant = name)
+          AND (SELECT count(*) FROM jobs WHERE state IN ('running', 'canceling') AND tenant = name) < 10 ORDER BY turn LIMIT 1"""
+
+
+def claims(service, faults):
+    """The two statements of the claim on a copy of the database, at full depth."""
+    copy = service.data + ".copy"
+    shutil.copytree(service.data, copy)
+    with sqlite3.connect(copy + "/wandless.db") as database:
+        times = []
+        for _ in range(500):
+            start = time.monotonic()
+            database.execute(TURN).fetchone()
+            database.execute(CLAIM).fetchone()
+            times.append(time.monotonic() - start)
+        plan = " ".join(str(row) for row in database.execute("EXPLAIN QUERY PLAN " + CLAIM))
+    shutil.rmtree(copy)
+    print(f"claim p99 {percentile(times, 0.99) * 1000:.2f} ms")
+    faults.require(percentile(times, 0.99) <= 0.005, "a claim takes more than 5 ms")
+    faults.require("jobs_by_state" in plan and "SCAN" not in plan, f"the claim's plan: {plan}")
+
+
+def lists(service, faults):
+    connection = http.client.HTTPConnection("127.0.0.1", service.port, timeout=60)
+    times = [get(service.port, "/v1/jobs?page_size=50", connection)[1] for _ in range(200)]
+    print(f"list p99 {percentile(times, 0.99) * 1000:.1f} ms")
+    faults.require(percentile(times, 0.99) <= 0.05, "a list takes more than 50 ms")
+
+
+def crowd(service, job, asked, faults):
+    """Many kept connections, a steady rate over all of them, while the cores solve."""
+    connections = [http.client.HTTPConnection("127.0.0.1", service.port, timeout=60) for _ in range(asked.clients)]
+    free = list(range(asked.clients))
+    lock = threading.Lock()
+    times, statuses, broken = [], [], []
+    paths = [f"/v1/jobs/{job}", "/v1/jobs?page_size=20", "/healthz"]
+    end = time.monotonic() + asked.seconds
+
+    def ask(seed):
+        dice = random.Random(seed)
+        while time.monotonic() < end:
+            with lock:
+                which = free.pop(dice.randrange(len(free)))
+            try:
+                status, seconds = get(service.port, dice.choice(paths), connections[which])
+                times.append(seconds)
+                statuses.append(status)
+            except (http.client.HTTPException, OSError):
+                connections[which].close()  # the service had closed it as idle; the next request opens it anew
+                broken.append(which)
+            with lock:
+                free.append(which)
+            time.sleep(dice.expovariate(asked.requests_per_s / 20))
+
+    for connection in connections:
+        connection.connect()
+    threads = [threading.Thread(target=ask, args=(asked.seed + i,)) for i in range(20)]
+    for thread in threads:
+        thread.start()
+    peak = 0.0
+    while any(thread.is_alive() for thread in threads):
+        peak = max(peak, service.rss_mib())
+        time.sleep(0.5)
+    state = service.client().job(job)["state"]
+    worst = percentile(times, 0.99) * 1000
+    print(f"{len(times)} requests of {asked.clients} clients, solver {state}: p50 {percentile(times, 0.5) * 1000:.1f} ms, "
+          f"p99 {worst:.1f} ms, worst {max(times) * 1000:.0f} ms, RSS {peak:.0f} MiB, {len(broken)} reopened")
+    faults.require(all(status < 500 for status in statuses), f"answers: {sorted(set(statuses))}")
+    faults.require(worst <= 250, "the status p99 is above 250 ms")
+    faults.require(peak <= 300, "the service takes more than 300 MiB")
+
+
+if __name__ == "__main__":
+    main()

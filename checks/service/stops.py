@@ -1,0 +1,255 @@
+"""Catalogue A9 to A12, B1, B2, B4, row 10: stops in order, poison, a paused worker, a second server, a full disk, a held
+database, a clock that jumps, and cancels at every moment.
+
+    python3 checks/service/stops.py --stops 50 --cancels 40
+
+A full disk needs the right to mount a tmpfs, a jumping clock `faketime`; what is not there is skipped and said.
+"""
+
+import os
+import random
+import shutil
+import signal
+import socket
+import sqlite3
+import subprocess
+import tempfile
+import threading
+import time
+
+from harness import Faults, Service, arguments, take, wandless
+
+LONG = 4000
+
+
+def children(service):
+    found = subprocess.run(["ps", "-o", "pid=", "--ppid", str(service.process.pid)], capture_output=True, text=True)
+    return [int(pid) for pid in found.stdout.split()]
+
+
+def until(truth, seconds):
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if truth():
+            return True
+        time.sleep(0.01)
+    return False
+
+
+def running_job(service, client, seed, frames=LONG):
+    job = client.submit(client.upload(take(frames, 4, seed=seed))["id"], options={"extrinsics": "fixed"})["id"]
+    until(lambda: client.job(job)["state"] == "running" and children(service), 30)
+    return job
+
+
+def stops(asked, faults):
+    """A10."""
+    dice = random.Random(asked.seed)
+    service = Service(asked.program)
+    service.start()
+    job = running_job(service, service.client(), 1, frames=30 * LONG)
+    times = []
+    for _ in range(asked.stops):
+        until(lambda: children(service), 10)
+        sockets = [socket.create_connection(("127.0.0.1", service.port)) for _ in range(50)]
+        for slow in sockets[:10]:
+            slow.sendall(b"POST /v1/sessions HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\nContent-Length: 99\r\n\r\nP")
+        time.sleep(dice.uniform(0.0, 0.2))
+        code, seconds = service.stop()
+        times.append(seconds)
+        faults.require(code == 0 and seconds <= 10, f"a stop ended with {code} after {seconds:.1f} s")
+        for connection in sockets:
+            connection.close()
+        service.start()
+    faults.require(service.client().job(job)["attempt"] == 1, "a stop was counted against the job")
+    print(f"A10: {asked.stops} stops, worst {max(times):.1f} s")
+    service.kill()
+    service.remove()
+
+
+def cancels(asked, faults):
+    """Row 10: at every moment of a job's life."""
+    dice = random.Random(asked.seed)
+    service = Service(asked.program)
+    service.start()
+    client = service.client()
+    session = client.upload(take(1500, 4, seed=3))["id"]
+    times, states, too_late = [], {}, 0
+    for _ in range(asked.cancels):
+        job = client.submit(session, options={"extrinsics": "fixed"})["id"]
+        time.sleep(dice.choice([0.0, 0.02, 0.3]) + dice.uniform(0.0, 3.0) * dice.random())
+        before = client.job(job)
+        stage = before["progress"]["stage"] or before["state"]
+        start = time.monotonic()
+        try:
+            client.cancel(job)
+        except wandless.Problem as problem:
+            too_late += problem.code == "already_final"
+            continue
+        done = until(lambda: client.job(job)["state"] == "canceled" and not children(service), 5)
+        seconds = time.monotonic() - start
+        times.append(seconds)
+        states[stage] = states.get(stage, 0) + 1
+        faults.require(done and seconds <= 2, f"a cancel in {stage} took {seconds:.1f} s")
+    print(f"cancel: {len(times)} cancels, {too_late} too late, worst {max(times):.2f} s, in {states}")
+    service.kill()
+    service.remove()
+
+
+def poison(asked, faults):
+    """A9: a job whose process dies, hangs or wants all memory; the others go on."""
+    service = Service(asked.program, words=["--set", "jobs.silence_limit_s=2"])
+    service.start()
+    client = service.client()
+    job = running_job(service, client, 4)
+    other = client.submit(client.upload(take(10, 2, seed=5))["id"], options={"extrinsics": "fixed"})["id"]
+    for how in (signal.SIGKILL, signal.SIGSTOP, signal.SIGABRT):
+        until(lambda: len(children(service)) == 1, 20)
+        child = children(service)[0]
+        os.kill(child, how)
+        until(lambda: child not in children(service), 10)
+    dead = until(lambda: client.job(job)["state"] == "dead", 20)
+    faults.require(dead, f"A9: the poison is {client.job(job)['state']}")
+    faults.require(client.wait(other)["state"] == "succeeded", "A9: the other job did not finish")
+    service.kill()
+    service.remove()
+    print("A9: dead after three deaths (killed, hung, aborted)")
+
+
+def paused(asked, faults):
+    """A11: a paused process is killed and its job runs again; nothing of the old attempt is published."""
+    service = Service(asked.program, words=["--set", "jobs.silence_limit_s=2"])
+    service.start()
+    client = service.client()
+    job = running_job(service, client, 6)
+    child = children(service)[0]
+    os.kill(child, signal.SIGSTOP)
+    gone = until(lambda: child not in children(service), 10)
+    done = client.wait(job)
+    results = os.listdir(os.path.join(service.data, "results", job))
+    faults.require(gone and done["attempt"] == 2 and len(results) == 1, f"A11: {gone} {done['attempt']} {results}")
+    print("A11: the paused process was killed, the second attempt succeeded, one result")
+    start = time.monotonic()
+    second = Service(asked.program, data=service.data)
+    refused = second.start() is None
+    seconds = time.monotonic() - start
+    faults.require(refused and seconds < 1 and "another wandless service" in "".join(second.stderr), "A12: not refused")
+    print(f"A12: the second service was refused after {seconds:.2f} s")
+    service.kill()
+    service.remove()
+
+
+def held(asked, faults):
+    """B2: another process holds the database."""
+    service = Service(asked.program)
+    service.start()
+    client = service.client(patience_s=0.0)
+    session = client.upload(take(10, 2, seed=7))["id"]
+    holder = sqlite3.connect(os.path.join(service.data, "wandless.db"), isolation_level=None, check_same_thread=False)
+    for seconds in (1, 30):
+        holder.execute("BEGIN IMMEDIATE")
+        threading.Timer(seconds, lambda: holder.execute("ROLLBACK")).start()
+        start = time.monotonic()
+        try:
+            client.submit(session, key=f"held-{seconds}")
+            refusal = None
+        except wandless.Problem as problem:
+            refusal = problem
+        waited = time.monotonic() - start
+        if seconds == 1:
+            faults.require(refusal is None, f"B2: one second of waiting was refused: {refusal}")
+        else:
+            faults.require(refusal is not None and refusal.status == 503, f"B2: {refusal} after {waited:.0f} s")
+            time.sleep(max(0.0, seconds + 1 - waited))
+    faults.require(service.client().submit(session, key="after"), "B2: nothing is accepted afterwards")
+    holder.close()
+    print("B2: 1 s unseen, 30 s answered 503, then all is well")
+    service.kill()
+    service.remove()
+
+
+def full_disk(asked, faults):
+    """B1: a disk of some size is full; what is there stays, cancel and delete work, space brings everything back."""
+    place = tempfile.mkdtemp(prefix="wandless-disk-")
+    mount = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64m", "tmpfs", place], capture_output=True)
+    if mount.returncode:
+        print("B1: SKIPPED, a tmpfs may not be mounted here")
+        return
+    dice = random.Random(asked.seed)
+    answers = {}
+    try:
+        for n in range(asked.disks):
+            data = os.path.join(place, f"data{n}")
+            service = Service(asked.program, data=data, words=["--set", "limits.min_free_bytes=0"])
+            service.start()
+            client = service.client(patience_s=0.0)
+            queued = client.submit(client.upload(take(10, 2, seed=n))["id"], options={"extrinsics": "fixed"})["id"]
+            done = client.wait(queued)
+            free = shutil.disk_usage(place).free
+            with open(os.path.join(place, "filler"), "wb") as filler:
+                filler.write(b"\0" * max(0, free - dice.choice([0, 4096, 20_000, 100_000, 400_000])))
+            for seed in range(3):
+                try:
+                    job = client.submit(client.upload(take(60, 4, seed=100 * n + seed))["id"], options={"extrinsics": "fixed"})
+                    code = "accepted"
+                    until(lambda: client.job(job["id"])["state"] in wandless.FINAL, 30)
+                except wandless.Problem as problem:
+                    code = f"{problem.status} {problem.code}"
+                    faults.require(problem.status in (503, 507), f"B1: {problem}")
+                except OSError as error:
+                    code = f"broken connection {error}"
+                    faults.require(False, f"B1: {code}")
+                answers[code] = answers.get(code, 0) + 1
+            faults.require(client.job(queued)["state"] == done["state"], "B1: a job was lost")
+            try:
+                client.delete_job(queued)
+            except wandless.Problem as problem:
+                faults.require(False, f"B1: delete on a full disk: {problem}")
+            os.remove(os.path.join(place, "filler"))
+            again = client.submit(client.upload(take(20, 2, seed=9999 + n))["id"], options={"extrinsics": "fixed"})["id"]
+            faults.require(client.wait(again)["state"] == "succeeded", "B1: no recovery once there is space")
+            service.kill()
+            whole = service.integrity()
+            faults.require(whole == "ok", f"B1: {whole}")
+            shutil.rmtree(data)
+    finally:
+        subprocess.run(["umount", "-l", place], check=False)
+        os.rmdir(place)
+    print(f"B1: {asked.disks} full disks: {answers}")
+
+
+def clocks(asked, faults):
+    """B4: the same data folder under a clock of another year."""
+    if not shutil.which("faketime"):
+        print("B4: SKIPPED, faketime is not there")
+        return
+    service = Service(asked.program, environment={"FAKETIME_DONT_FAKE_MONOTONIC": "1"})
+    service.start()
+    client = service.client()
+    jobs = [running_job(service, client, 8)]
+    for offset in ("+1h", "-1h", "+10y", "-5y"):
+        service.kill()
+        service.prefix = ["faketime", "-f", offset]
+        service.start()
+        client = service.client()
+        jobs.append(client.submit(client.upload(take(10, 2, seed=len(jobs)))["id"], options={"extrinsics": "fixed"})["id"])
+    for job in jobs:
+        done = client.wait(job)
+        faults.require(done["attempt"] == 1 and all(s >= 0 for s in done["stage_seconds"].values()), f"B4: {done}")
+    listed = [job["id"] for job in client.jobs()]
+    faults.require(listed == jobs[::-1], "B4: the order of the list follows the clock")
+    print("B4: five jobs over four clocks, each once, in order")
+    service.kill()
+    service.remove()
+
+
+def main():
+    asked = arguments(__doc__, stops=50, cancels=40, disks=30)
+    faults = Faults()
+    for check in (poison, paused, cancels, stops, held, full_disk, clocks):
+        check(asked, faults)
+    faults.end()
+
+
+if __name__ == "__main__":
+    main()

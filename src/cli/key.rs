@@ -1,0 +1,93 @@
+//! `wandless key create|list|revoke`: API keys. Works on a data folder whose service is at work, and on one without.
+
+use super::BadInput;
+use crate::service::settings::DEFAULT_DATA;
+use crate::service::store::keys::{self, Scope};
+use crate::service::store::{Store, Tenant};
+use anyhow::Context;
+use clap::Subcommand;
+use std::path::PathBuf;
+
+/// Arguments of `key`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    #[command(subcommand)]
+    action: Action,
+    /// The service's data folder
+    #[arg(long, default_value = DEFAULT_DATA, global = true)]
+    data: PathBuf,
+}
+
+#[derive(Debug, Subcommand)]
+enum Action {
+    /// Make a key and print it, this once
+    Create {
+        /// Whose sessions and jobs the key opens
+        #[arg(long, default_value = "default")]
+        tenant: String,
+        /// For you to tell keys apart
+        #[arg(long, default_value = "")]
+        name: String,
+        /// What the key allows: read, write, metrics
+        #[arg(long, value_delimiter = ',', default_value = "read,write")]
+        scopes: Vec<String>,
+    },
+    /// List all keys without their secrets
+    List,
+    /// Refuse a key from now on
+    Revoke {
+        /// The key's id, as `list` shows it
+        id: String,
+    },
+}
+
+/// Runs the command.
+pub(super) fn run(args: Args) -> anyhow::Result<()> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
+    runtime.block_on(act(args))
+}
+
+async fn act(args: Args) -> anyhow::Result<()> {
+    let store = Store::open_beside(&args.data).await?;
+    match args.action {
+        Action::Create { tenant, name, scopes } => create(&store, &tenant, &name, &scopes).await?,
+        Action::List => list(&store).await?,
+        Action::Revoke { id } => {
+            if !keys::revoke(&store, &id).await? {
+                return Err(BadInput(format!("{id}: there is no such key in use; see `wandless key list`")).into());
+            }
+        }
+    }
+    store.close().await;
+    Ok(())
+}
+
+async fn create(store: &Store, tenant: &str, name: &str, scopes: &[String]) -> anyhow::Result<()> {
+    let tenant = Tenant::parse(tenant)
+        .with_context(|| BadInput(format!("{tenant:?}: a tenant has 1 to 64 letters, digits, '-', '_' and '.'")))?;
+    let scope = |text: &String| {
+        Scope::parse(text).with_context(|| BadInput(format!("{text:?} is no scope; take read, write, metrics")))
+    };
+    let scopes: Vec<Scope> = scopes.iter().map(scope).collect::<anyhow::Result<_>>()?;
+    let key = keys::create(store, &tenant, name, &scopes).await?;
+    eprintln!("key {} of tenant {}; it is shown this once:", key.id, tenant.name());
+    println!("{}", key.token);
+    Ok(())
+}
+
+async fn list(store: &Store) -> anyhow::Result<()> {
+    for key in keys::list(store).await? {
+        let scopes: Vec<&str> = key.scopes.iter().map(|scope| scope.name()).collect();
+        let state = key.revoked_at.map_or("in use".to_owned(), |at| format!("revoked {at}"));
+        println!(
+            "{}  {}  {}  {}  {}  {}",
+            key.id,
+            key.tenant.name(),
+            scopes.join(","),
+            key.created_at,
+            state,
+            key.name
+        );
+    }
+    Ok(())
+}

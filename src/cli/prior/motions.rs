@@ -1,0 +1,111 @@
+//! `wandless prior sample | reconstruct | interpolate`: motions to look at, as files in AMASS's layout.
+
+use super::read_prior;
+use crate::cli::BadInput;
+use crate::motion_prior::MotionPrior;
+use crate::motion_prior::chart::N_FEATURES;
+use crate::motion_prior::dataset::GRID_FPS;
+use crate::motion_prior::evaluation::random_code;
+use crate::motion_prior::joints::frame;
+use crate::motion_prior::motion_file::{MotionPose, MotionTake, read_take};
+use crate::motion_prior::motion_writer::write_take;
+use anyhow::Context;
+use nalgebra::{Matrix3, Vector3};
+use std::path::{Path, PathBuf};
+
+/// Draws a code from N(0, I), smooths it in time and decodes it, standing in place.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct SampleArgs {
+    /// File to write
+    #[arg(long)]
+    out: PathBuf,
+    /// Seed of the code
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Length at 30 Hz
+    #[arg(long, default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..=20_000))]
+    frames: u32,
+    /// The prior; the embedded one without it
+    #[arg(long)]
+    prior: Option<PathBuf>,
+}
+
+/// Encodes and decodes a take; pelvis, collars and hands stay as they are.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct ReconstructArgs {
+    /// Motion file in AMASS's layout
+    input: PathBuf,
+    /// File to write
+    #[arg(long)]
+    out: PathBuf,
+    /// The prior; the embedded one without it
+    #[arg(long)]
+    prior: Option<PathBuf>,
+}
+
+/// Leads from the codes of one take to those of another, linearly over the length of the shorter one.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct InterpolateArgs {
+    /// Where it begins
+    from: PathBuf,
+    /// Where it ends
+    to: PathBuf,
+    /// File to write
+    #[arg(long)]
+    out: PathBuf,
+    /// The prior; the embedded one without it
+    #[arg(long)]
+    prior: Option<PathBuf>,
+}
+
+/// Height of the pelvis over the floor where a motion has none of its own, m.
+const STANDING: f64 = 0.94;
+
+pub(in crate::cli) fn sample(args: SampleArgs) -> anyhow::Result<()> {
+    let prior = read_prior(args.prior.as_deref())?;
+    write(&args.out, &in_place(&prior, &[random_code(args.frames as usize, args.seed)]))
+}
+
+pub(in crate::cli) fn reconstruct(args: ReconstructArgs) -> anyhow::Result<()> {
+    let prior = read_prior(args.prior.as_deref())?;
+    let mut take = read(&args.input)?;
+    let rotations: Vec<_> = take.poses.iter().map(|pose| pose.rotations).collect();
+    for (pose, rotations) in take.poses.iter_mut().zip(prior.reconstructed(&rotations, None, take.fps)) {
+        pose.rotations = rotations;
+    }
+    write(&args.out, &take)
+}
+
+pub(in crate::cli) fn interpolate(args: InterpolateArgs) -> anyhow::Result<()> {
+    let prior = read_prior(args.prior.as_deref())?;
+    let observed = |path: &Path| -> anyhow::Result<_> {
+        let take = read(path)?;
+        let rotations: Vec<_> = take.poses.iter().map(|pose| pose.rotations).collect();
+        Ok(prior.observed(&rotations, None, take.fps))
+    };
+    let codes = prior.encode(&[observed(&args.from)?, observed(&args.to)?]);
+    let n = codes[0].mean.len().min(codes[1].mean.len());
+    let pairs = codes[0].mean[..n].iter().zip(&codes[1].mean[..n]);
+    let blend = |(i, (a, b)): (usize, (&f32, &f32))| a + (b - a) * (i as f32 / n as f32);
+    write(&args.out, &in_place(&prior, &[pairs.enumerate().map(blend).collect()]))
+}
+
+fn read(path: &Path) -> anyhow::Result<MotionTake> {
+    Ok(read_take(path).map_err(|error| BadInput(format!("{}: {error}", path.display())))?)
+}
+
+fn write(path: &Path, take: &MotionTake) -> anyhow::Result<()> {
+    write_take(path, take).with_context(|| path.display().to_string())
+}
+
+/// The motion of a code with the pelvis at rest.
+fn in_place(prior: &MotionPrior, codes: &[Vec<f32>]) -> MotionTake {
+    let features = prior.decode(codes);
+    let pose = |row: &[f32]| {
+        let mut rotations = prior.chart().rotations(&frame(row));
+        rotations[0] = Matrix3::identity();
+        MotionPose { rotations, pelvis: Vector3::new(0.0, STANDING, 0.0) }
+    };
+    let poses = features.iter().flat_map(|f| f.chunks_exact(N_FEATURES)).map(pose).collect();
+    MotionTake { rest_joints: None, poses, fps: GRID_FPS }
+}

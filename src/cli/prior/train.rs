@@ -1,0 +1,78 @@
+//! `wandless prior train`.
+
+use crate::cli::BadInput;
+use crate::cli::meter::Meter;
+use crate::motion_prior::VaeShape;
+use crate::motion_prior::checkpoint::checkpoint_bytes;
+use crate::motion_prior::dataset::read_dataset;
+use crate::motion_prior::training::{TrainingConfig, TrainingState, state_bytes, state_from_bytes, train};
+use crate::progress::Progress;
+use anyhow::Context;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Trains on every `.npz` below a folder; subjects are its folders, every ninth is held out. The same data, seed and
+/// steps give the same bytes with any number of threads.
+#[derive(Debug, clap::Args)]
+pub(in crate::cli) struct Args {
+    /// Folder with motion files, a folder for each subject
+    data: PathBuf,
+    /// File to write
+    #[arg(long)]
+    out: PathBuf,
+    /// Seed of every random choice
+    #[arg(long, default_value_t = TrainingConfig::default().seed)]
+    seed: u64,
+    /// Steps of some 2,000 frames
+    #[arg(long, default_value_t = TrainingConfig::default().steps)]
+    steps: usize,
+    /// Width of the encoder's layers
+    #[arg(long, default_value_t = VaeShape::default().encoder_hidden)]
+    encoder_width: usize,
+    /// Width of the decoder's layers
+    #[arg(long, default_value_t = VaeShape::default().decoder_hidden)]
+    decoder_width: usize,
+    /// Weight of the local linear term
+    #[arg(long, default_value_t = TrainingConfig::default().local_linear)]
+    local_linear: f64,
+    /// Train the variant that knows no neighbouring frames
+    #[arg(long)]
+    per_frame: bool,
+    /// Go on from the state that an interrupted run left beside the file
+    #[arg(long)]
+    resume: bool,
+}
+
+pub(in crate::cli) fn run(args: Args) -> anyhow::Result<()> {
+    let data = read_dataset(&args.data).map_err(|error| BadInput(error.to_string()))?;
+    let shape =
+        VaeShape { encoder_hidden: args.encoder_width, decoder_hidden: args.decoder_width, recurrent: !args.per_frame };
+    let config = TrainingConfig { seed: args.seed, steps: args.steps, shape, local_linear: args.local_linear };
+    let state_path = args.out.with_extension("state");
+    let state = if args.resume { Some(read_state(&state_path)?) } else { None };
+    let last_line = Arc::new(Mutex::new(String::new()));
+    let meter = Meter::new();
+    let lines = last_line.clone();
+    let listener = move |event: &crate::progress::ProgressEvent| {
+        meter.show("training", event.fraction, &event.message);
+        *lines.lock().unwrap_or_else(PoisonError::into_inner) = event.message.clone();
+    };
+    let mut kept = Ok(());
+    let mut keep = |state: &TrainingState| {
+        let written = std::fs::write(&state_path, state_bytes(state));
+        kept = std::mem::replace(&mut kept, Ok(())).and(written);
+    };
+    let progress = Progress::new(listener, Arc::default());
+    let checkpoint = train(&data, &config, state, &progress, &mut keep).map_err(|e| BadInput(e.to_string()))?;
+    kept.with_context(|| state_path.display().to_string())?;
+    std::fs::write(&args.out, checkpoint_bytes(&checkpoint)).with_context(|| args.out.display().to_string())?;
+    // The state has served: the run is complete.
+    let _ = std::fs::remove_file(&state_path);
+    println!("{}", last_line.lock().unwrap_or_else(PoisonError::into_inner));
+    Ok(())
+}
+
+fn read_state(path: &Path) -> anyhow::Result<TrainingState> {
+    let bytes = std::fs::read(path).map_err(|error| BadInput(format!("{}: {error}", path.display())))?;
+    state_from_bytes(&bytes).map_err(|error| BadInput(format!("{}: {error}", path.display())).into())
+}

@@ -1,0 +1,165 @@
+//! Takes for training and evaluation: found, read, brought to 30 Hz, split by subject.
+
+use super::chart::LocalRotations;
+use super::interpolation::{resampled, resampled_len};
+use super::motion_file::{MotionProblem, read_take};
+use crate::body::skeleton::N_JOINTS;
+use nalgebra::Matrix3;
+use sha2::{Digest, Sha256};
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// The rate of the latent grid, Hz.
+pub const GRID_FPS: f64 = 30.0;
+
+/// One take at [`GRID_FPS`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Take {
+    /// Folder of the take: its subject.
+    pub subject: String,
+    /// File name.
+    pub name: String,
+    /// Local rotations of every frame.
+    pub rotations: Vec<LocalRotations>,
+}
+
+/// All takes below a folder, by path, and the digest of their files.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Dataset {
+    /// In the order of their paths.
+    pub takes: Vec<Take>,
+    /// SHA-256 over all files, lowercase hexadecimal digits.
+    pub sha256: String,
+}
+
+/// Why a data set cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum DatasetError {
+    /// A folder or file cannot be read.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// What was read.
+        path: PathBuf,
+        /// The system's words.
+        source: io::Error,
+    },
+    /// A file is no motion.
+    #[error("{}: {problem}", path.display())]
+    Motion {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        problem: MotionProblem,
+    },
+    /// There are no `.npz` files.
+    #[error("{}: no .npz files", path.display())]
+    Empty {
+        /// The folder.
+        path: PathBuf,
+    },
+}
+
+/// Reads every `.npz` below `folder` (or that one file).
+///
+/// # Errors
+/// [`DatasetError`] names the first file that is no motion.
+pub fn read_dataset(folder: &Path) -> Result<Dataset, DatasetError> {
+    let mut paths = Vec::new();
+    gather(folder, &mut paths)?;
+    paths.sort();
+    if paths.is_empty() {
+        return Err(DatasetError::Empty { path: folder.to_owned() });
+    }
+    let mut hash = Sha256::new();
+    let mut takes = Vec::with_capacity(paths.len());
+    for path in &paths {
+        hash.update(std::fs::read(path).map_err(|source| DatasetError::Io { path: path.clone(), source })?);
+        takes.push(read(path)?);
+    }
+    Ok(Dataset { takes, sha256: hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect() })
+}
+
+fn gather(path: &Path, found: &mut Vec<PathBuf>) -> Result<(), DatasetError> {
+    let io = |source| DatasetError::Io { path: path.to_owned(), source };
+    if !path.is_dir() {
+        found.push(path.to_owned());
+        return Ok(());
+    }
+    for entry in std::fs::read_dir(path).map_err(io)? {
+        let inner = entry.map_err(io)?.path();
+        if inner.is_dir() || inner.extension().is_some_and(|extension| extension == "npz") {
+            gather(&inner, found)?;
+        }
+    }
+    Ok(())
+}
+
+fn read(path: &Path) -> Result<Take, DatasetError> {
+    let take = read_take(path).map_err(|problem| DatasetError::Motion { path: path.to_owned(), problem })?;
+    let rotations: Vec<LocalRotations> = take.poses.iter().map(|pose| pose.rotations).collect();
+    let n_samples = resampled_len(rotations.len(), take.fps, GRID_FPS);
+    let name = |part: Option<&std::ffi::OsStr>| part.map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    Ok(Take {
+        subject: name(path.parent().and_then(Path::file_name)),
+        name: name(path.file_name()),
+        rotations: resampled(&rotations, take.fps, GRID_FPS, n_samples),
+    })
+}
+
+/// Left and right exchanged: joint by joint, each rotation reflected at the plane x = 0.
+pub fn mirrored(take: &[LocalRotations]) -> Vec<LocalRotations> {
+    const MIRROR: [usize; N_JOINTS] =
+        [0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20, 23, 22];
+    let flip = Matrix3::from_diagonal(&nalgebra::Vector3::new(-1.0, 1.0, 1.0));
+    take.iter().map(|frame| std::array::from_fn(|j| flip * frame[MIRROR[j]] * flip)).collect()
+}
+
+/// Every how many subjects one is held out of training.
+const HELD_OUT_EVERY: usize = 9;
+
+/// Splits by subject, so that nobody is on both sides: training first, then the held out subjects, every ninth from
+/// the fifth on. With fewer than five subjects every ninth take is held out, the first at least when there are two.
+pub fn split_by_subject(takes: &[Take]) -> [Vec<&Take>; 2] {
+    let mut subjects: Vec<&str> = takes.iter().map(|take| take.subject.as_str()).collect();
+    subjects.sort_unstable();
+    subjects.dedup();
+    let held_out = |index: usize, take: &Take| {
+        if subjects.len() < 5 {
+            return takes.len() > 1 && index.is_multiple_of(HELD_OUT_EVERY);
+        }
+        subjects.binary_search(&take.subject.as_str()).is_ok_and(|i| i % HELD_OUT_EVERY == 4)
+    };
+    let mut sides = [Vec::new(), Vec::new()];
+    for (index, take) in takes.iter().enumerate() {
+        sides[usize::from(held_out(index, take))].push(take);
+    }
+    sides
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::rotation;
+    use nalgebra::Vector3;
+
+    #[test]
+    fn mirroring_twice_changes_nothing_and_once_exchanges_the_sides() {
+        let frame: LocalRotations =
+            std::array::from_fn(|j| rotation::exp(&Vector3::new(0.1 * j as f64, 0.2, -0.05 * j as f64)));
+        let once = mirrored(&[frame]);
+        let left_elbow = rotation::log(&once[0][18]);
+        let right_elbow = rotation::log(&frame[19]);
+        assert!((left_elbow - Vector3::new(right_elbow.x, -right_elbow.y, -right_elbow.z)).norm() < 1e-12);
+        let twice = mirrored(&once);
+        assert!((0..N_JOINTS).all(|j| (twice[0][j] - frame[j]).norm() < 1e-12));
+    }
+
+    #[test]
+    fn no_subject_is_on_both_sides() {
+        let take = |i: usize| Take { subject: format!("s{:02}", i % 20), name: format!("{i}"), rotations: Vec::new() };
+        let takes: Vec<Take> = (0..60).map(take).collect();
+        let [training, held_out] = split_by_subject(&takes);
+        assert_eq!((training.len(), held_out.len()), (54, 6));
+        assert!(held_out.iter().all(|h| training.iter().all(|t| t.subject != h.subject)));
+    }
+}

@@ -1,0 +1,71 @@
+//! What the encoder is told of a take: candidate paths, what was seen, and how rough it looks.
+
+use super::basis::Basis;
+use super::chart::{LATENT_JOINTS, N_FEATURES};
+use super::paths::{CANDIDATES, Observed, smoothed};
+
+const N_JOINTS: usize = LATENT_JOINTS.len();
+
+/// Width of [`EncoderInput::values`].
+pub(crate) const N_ENCODER_INPUT: usize = CANDIDATES.len() * N_FEATURES + 2 * N_JOINTS;
+
+/// Frames on each side over which roughness is averaged: a quarter of a second.
+const ROUGHNESS_REACH: usize = 7;
+
+/// One take, T frames.
+#[derive(Debug, Clone)]
+pub(crate) struct EncoderInput {
+    /// `[T, 323]`, of the order of 1.
+    pub(crate) values: Vec<f32>,
+    /// The first candidate less the mean: what was seen, joined by cubics, `[T, 57]`.
+    pub(crate) path: Vec<f32>,
+    /// The last candidate less the mean: the same joined by straight lines, `[T, 57]`.
+    pub(crate) straight: Vec<f32>,
+    /// `[T, 19]`.
+    pub(crate) seen: Vec<bool>,
+}
+
+/// Prepares a take.
+pub(crate) fn encoder_input(basis: &Basis, observed: &Observed) -> EncoderInput {
+    let n_frames = observed.n_frames();
+    let paths = CANDIDATES.map(|smoothing| smoothed(observed, smoothing, &basis.mean));
+    let roughness = roughness(&paths[0], &paths[1], n_frames);
+    let mut values = Vec::with_capacity(n_frames * N_ENCODER_INPUT);
+    for t in 0..n_frames {
+        let row = t * N_FEATURES..(t + 1) * N_FEATURES;
+        let first = &paths[0][row.clone()];
+        let scaled = |i: usize, off: f32| off / basis.spread[i];
+        values.extend(first.iter().enumerate().map(|(i, x)| scaled(i, x - basis.mean[i])));
+        for path in &paths[1..] {
+            // Differences between the candidates are small beside the motion.
+            let differences = path[row.clone()].iter().zip(first);
+            values.extend(differences.enumerate().map(|(i, (x, first))| 3.0 * scaled(i, x - first)));
+        }
+        let joints = t * N_JOINTS..(t + 1) * N_JOINTS;
+        values.extend(observed.seen[joints.clone()].iter().map(|seen| if *seen { 1.0 } else { 0.0 }));
+        values.extend_from_slice(&roughness[joints]);
+    }
+    let off = |path: &[f32]| -> Vec<f32> {
+        path.chunks_exact(N_FEATURES).flat_map(|f| f.iter().zip(&basis.mean).map(|(f, m)| f - m)).collect()
+    };
+    EncoderInput { values, path: off(&paths[0]), straight: off(&paths[4]), seen: observed.seen.clone() }
+}
+
+/// Logarithm of the mean square between raw and smooth path about each frame, brought near 1: `[T, 19]`.
+fn roughness(raw: &[f32], smooth: &[f32], n_frames: usize) -> Vec<f32> {
+    let square = |t: usize, joint: usize| -> f32 {
+        let at = t * N_FEATURES + 3 * joint;
+        (at..at + 3).map(|i| (raw[i] - smooth[i]).powi(2)).sum()
+    };
+    let squares: Vec<f32> =
+        (0..n_frames).flat_map(|t| (0..N_JOINTS).map(move |joint| (t, joint))).map(|(t, j)| square(t, j)).collect();
+    let mut roughness = Vec::with_capacity(squares.len());
+    for t in 0..n_frames {
+        let near = t.saturating_sub(ROUGHNESS_REACH)..(t + ROUGHNESS_REACH + 1).min(n_frames);
+        for joint in 0..N_JOINTS {
+            let sum: f32 = near.clone().map(|s| squares[s * N_JOINTS + joint]).sum();
+            roughness.push(0.3 * (sum / near.len() as f32 + 1e-8).ln() + 3.0);
+        }
+    }
+    roughness
+}

@@ -1,0 +1,259 @@
+//! What can be expected of a session, before any compute is spent on it: who sees whom together, what is degenerate, how
+//! good and how long it will be.
+//!
+//! Known limit: without given poses the places of the cameras are unknown here, so small baselines and rows of cameras are
+//! told only where the session gives `R` and `t`.
+
+use crate::body::detector_noise::keypoint_sigmas;
+use crate::geometry::Rigid;
+use crate::session::{Detection, Session, View};
+use nalgebra::{Matrix3, Vector2, Vector3};
+use serde::Serialize;
+
+/// The inspection of one session.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Inspection {
+    /// Every camera, in the session's order.
+    pub cameras: Vec<InspectedCamera>,
+    /// Every pair of cameras: the co-visibility graph.
+    pub pairs: Vec<InspectedPair>,
+    /// Cameras that are connected by shared frames; one group is what a solution needs.
+    pub groups: Vec<Vec<String>>,
+    /// What will go wrong, or may.
+    pub findings: Vec<Finding>,
+    /// What the result should be like.
+    pub expected: Expectation,
+}
+
+/// What one camera saw.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct InspectedCamera {
+    /// The camera's name.
+    pub id: String,
+    /// Frames in which it saw anybody.
+    pub frames_with_people: usize,
+    /// People seen, all frames together.
+    pub detections: usize,
+    /// Median distance to the people, m, if they stand upright; null where nobody was seen whole.
+    pub distance_m: Option<f64>,
+}
+
+/// What two cameras saw together.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct InspectedPair {
+    /// The two.
+    pub cameras: [String; 2],
+    /// Frames in which both saw somebody.
+    pub frames_together: usize,
+    /// Distance of their centres, m, where the session gives both poses.
+    pub baseline_m: Option<f64>,
+}
+
+/// One reason to expect less.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Finding {
+    /// `split`, `few_frames`, `nobody`, `static`, `tiny_baseline` or `collinear`.
+    pub code: &'static str,
+    /// One sentence, with the remedy.
+    pub detail: String,
+    /// The cameras concerned; empty where all are.
+    pub cameras: Vec<String>,
+}
+
+/// What the result should be like.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Expectation {
+    /// RMS error of a joint in space, mm; null where fewer than two cameras see anybody together.
+    pub joint_error_mm: Option<f64>,
+    /// Wall seconds of the job once it runs.
+    pub solve_s: f64,
+    /// Cameras that see the average person.
+    pub cameras_per_person: f64,
+}
+
+/// Frames that two cameras must share to be connected: fewer constrain no relative pose in practice.
+const MIN_TOGETHER: usize = 10;
+
+/// Height of a person from the eyes to the ankles, m.
+const SEEN_HEIGHT_M: f64 = 1.5;
+
+/// A baseline below this share of the distance to the people leaves their depth open.
+const TINY_BASELINE: f64 = 0.05;
+
+/// Second over first principal spread of the camera centres below which they stand in a row.
+const COLLINEAR: f64 = 0.05;
+
+/// People who move less than this share of their own height in every camera do not move.
+const STATIC: f64 = 0.1;
+
+/// Detections that one core solves in a second, all stages together, measured on takes of 4 cameras.
+const DETECTIONS_PER_CORE_SECOND: f64 = 400.0;
+
+/// Wall seconds that even the shortest job takes.
+const LEAST_S: f64 = 0.5;
+
+/// Inspects a session that is to be solved on `n_threads` cores.
+pub fn inspect(session: &Session, n_threads: usize) -> Inspection {
+    let cameras: Vec<InspectedCamera> = session.views.iter().map(inspected).collect();
+    let pairs = pairs(session);
+    let groups = groups(session, &pairs);
+    let mut findings = Vec::new();
+    findings.extend(nobody(&cameras));
+    findings.extend(split(&groups, &cameras));
+    findings.extend(few_frames(session));
+    findings.extend(unmoved(session));
+    findings.extend(tiny_baselines(&pairs, &cameras));
+    findings.extend(in_a_row(session));
+    let expected = expectation(session, &cameras, n_threads);
+    Inspection { cameras, pairs, groups, findings, expected }
+}
+
+fn inspected(view: &View) -> InspectedCamera {
+    let heights: Vec<f64> = view.frames.iter().flatten().filter_map(height_px).collect();
+    let distance_m = median(heights).map(|height| view.intrinsics.fy * SEEN_HEIGHT_M / height);
+    InspectedCamera {
+        id: view.id.clone(),
+        frames_with_people: view.frames.iter().filter(|people| !people.is_empty()).count(),
+        detections: view.frames.iter().map(Vec::len).sum(),
+        distance_m,
+    }
+}
+
+/// Extent from the highest to the lowest keypoint, of people seen nearly whole.
+fn height_px(person: &Detection) -> Option<f64> {
+    let rows: Vec<f64> = person.keypoints.iter().filter(|k| k.is_present()).map(|k| k.pixel.y).collect();
+    let is_whole = 10 * rows.len() >= 8 * person.keypoints.len();
+    let low = rows.iter().copied().reduce(f64::max)?;
+    let high = rows.iter().copied().reduce(f64::min)?;
+    (is_whole && low - high > 1.0).then_some(low - high)
+}
+
+fn pairs(session: &Session) -> Vec<InspectedPair> {
+    let views = &session.views;
+    let mut pairs = Vec::new();
+    for (i, a) in views.iter().enumerate() {
+        for b in &views[i + 1..] {
+            let together = a.frames.iter().zip(&b.frames).filter(|(a, b)| !a.is_empty() && !b.is_empty()).count();
+            let center = |view: &View| view.camera_from_world.as_ref().map(Rigid::center);
+            pairs.push(InspectedPair {
+                cameras: [a.id.clone(), b.id.clone()],
+                frames_together: together,
+                baseline_m: center(a).zip(center(b)).map(|(a, b)| (a - b).norm()),
+            });
+        }
+    }
+    pairs
+}
+
+/// Connected parts of the co-visibility graph, in the order of their first cameras.
+fn groups(session: &Session, pairs: &[InspectedPair]) -> Vec<Vec<String>> {
+    let mut groups: Vec<Vec<String>> = session.views.iter().map(|view| vec![view.id.clone()]).collect();
+    let needed = MIN_TOGETHER.min(session.n_frames.max(1));
+    for pair in pairs.iter().filter(|pair| pair.frames_together >= needed) {
+        let place = |id: &String| groups.iter().position(|group| group.contains(id));
+        if let (Some(a), Some(b)) = (place(&pair.cameras[0]), place(&pair.cameras[1]))
+            && a != b
+        {
+            let moved = groups.remove(a.max(b));
+            groups[a.min(b)].extend(moved);
+        }
+    }
+    groups
+}
+
+fn nobody(cameras: &[InspectedCamera]) -> Option<Finding> {
+    let blind: Vec<String> = cameras.iter().filter(|c| c.detections == 0).map(|c| c.id.clone()).collect();
+    let detail = "these cameras saw nobody: they will stay unsolved; check their keypoint files".to_owned();
+    (!blind.is_empty()).then_some(Finding { code: "nobody", detail, cameras: blind })
+}
+
+fn split(groups: &[Vec<String>], cameras: &[InspectedCamera]) -> Option<Finding> {
+    let sees = |group: &&Vec<String>| cameras.iter().any(|c| c.detections > 0 && group.contains(&c.id));
+    let seeing: Vec<&Vec<String>> = groups.iter().filter(sees).collect();
+    let [_, others @ ..] = seeing.as_slice() else { return None };
+    let detail = format!(
+        "the cameras fall into {} groups that see nobody at the same time; let people walk through views of both",
+        seeing.len()
+    );
+    (!others.is_empty()).then(|| Finding {
+        code: "split",
+        detail,
+        cameras: others.iter().copied().flatten().cloned().collect(),
+    })
+}
+
+fn few_frames(session: &Session) -> Option<Finding> {
+    let seconds = session.n_frames as f64 / session.fps;
+    let detail = format!("the take lasts {seconds:.1} s; cameras need some seconds of walking people");
+    (seconds < 2.0).then_some(Finding { code: "few_frames", detail, cameras: Vec::new() })
+}
+
+/// Whether nobody moves in any camera: standing people leave the cameras' places open.
+fn unmoved(session: &Session) -> Option<Finding> {
+    let spreads: Vec<f64> = session.views.iter().filter_map(spread).collect();
+    let detail = "nobody moves: let people walk about, so that the cameras' places can be told".to_owned();
+    let is_static = !spreads.is_empty() && spreads.iter().all(|spread| *spread < STATIC);
+    is_static.then_some(Finding { code: "static", detail, cameras: Vec::new() })
+}
+
+/// How far the first person of each frame wanders through the image, in heights of that person.
+fn spread(view: &View) -> Option<f64> {
+    let middles: Vec<Vector2<f64>> = view.frames.iter().flatten().filter_map(middle).collect();
+    let height = median(view.frames.iter().flatten().filter_map(height_px).collect())?;
+    let mean = middles.iter().sum::<Vector2<f64>>() / middles.len() as f64;
+    let variance = middles.iter().map(|middle| (middle - mean).norm_squared()).sum::<f64>() / middles.len() as f64;
+    Some(variance.sqrt() / height)
+}
+
+fn middle(person: &Detection) -> Option<Vector2<f64>> {
+    let seen: Vec<Vector2<f64>> = person.keypoints.iter().filter(|k| k.is_present()).map(|k| k.pixel).collect();
+    (!seen.is_empty()).then(|| seen.iter().sum::<Vector2<f64>>() / seen.len() as f64)
+}
+
+fn tiny_baselines(pairs: &[InspectedPair], cameras: &[InspectedCamera]) -> Vec<Finding> {
+    let distance = |id: &String| cameras.iter().find(|c| c.id == *id).and_then(|c| c.distance_m);
+    let tiny = pairs.iter().filter_map(|pair| {
+        let far = pair.cameras.iter().filter_map(distance).reduce(f64::min)?;
+        let baseline = pair.baseline_m?;
+        let detail = format!("{baseline:.2} m apart, {far:.1} m from the people: the two hardly tell depth");
+        let cameras = pair.cameras.to_vec();
+        (baseline < TINY_BASELINE * far).then_some(Finding { code: "tiny_baseline", detail, cameras })
+    });
+    tiny.collect()
+}
+
+/// Whether three or more given cameras stand in one line.
+fn in_a_row(session: &Session) -> Option<Finding> {
+    let centers: Option<Vec<Vector3<f64>>> =
+        session.views.iter().map(|view| view.camera_from_world.as_ref().map(Rigid::center)).collect();
+    let centers = centers.filter(|centers| centers.len() > 2)?;
+    let mean = centers.iter().sum::<Vector3<f64>>() / centers.len() as f64;
+    let scatter: Matrix3<f64> = centers.iter().map(|c| (c - mean) * (c - mean).transpose()).sum();
+    let mut spreads: Vec<f64> = scatter.symmetric_eigenvalues().iter().map(|v| v.max(0.0).sqrt()).collect();
+    spreads.sort_by(|a, b| b.total_cmp(a));
+    let detail = "the cameras stand in one line: a person's depth is uncertain wherever all of them look from one side";
+    let finding = Finding { code: "collinear", detail: detail.to_owned(), cameras: Vec::new() };
+    (spreads[1] < COLLINEAR * spreads[0]).then_some(finding)
+}
+
+/// A joint seen by n cameras from all around: each ray fixes two of three directions, so the information of one direction
+/// is 2n / (3 sigma^2), and the RMS error in space sigma sqrt(9 / 2n).
+fn expectation(session: &Session, cameras: &[InspectedCamera], n_threads: usize) -> Expectation {
+    let sigmas = keypoint_sigmas(session.convention);
+    let sigma_m = sigmas.iter().sum::<f64>() / sigmas.len().max(1) as f64;
+    let detections: usize = cameras.iter().map(|camera| camera.detections).sum();
+    let most_at_once = |frame: usize| session.views.iter().map(|view| view.frames[frame].len()).max().unwrap_or(0);
+    let people: usize = (0..session.n_frames).map(most_at_once).sum();
+    let cameras_per_person = if people == 0 { 0.0 } else { detections as f64 / people as f64 };
+    let joint_error_mm = (cameras_per_person >= 1.5).then(|| 1000.0 * sigma_m * (4.5 / cameras_per_person).sqrt());
+    let solve_s = LEAST_S + detections as f64 / DETECTIONS_PER_CORE_SECOND / n_threads.max(1) as f64;
+    Expectation { joint_error_mm, solve_s, cameras_per_person }
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,82 @@
+use super::*;
+use crate::body::skeleton::KeypointConvention;
+use crate::geometry::{Distortion, Intrinsics};
+use crate::session::{FrameIndex, Keypoint};
+
+/// Cameras at `centers`, looking along +z at one person 5 m ahead who takes a step of `step` px a frame.
+fn session(centers: &[[f64; 3]], n_frames: usize, step: f64) -> Session {
+    let person = |frame: usize| {
+        let x = 500.0 + step * frame as f64;
+        let point = |i: usize| Vector2::new(x, 200.0 + 300.0 * i as f64 / 16.0);
+        let keypoints = (0..17).map(|i| Keypoint { pixel: point(i), confidence: 0.9 }).collect();
+        vec![Detection { track_id: None, keypoints }]
+    };
+    let view = |(i, center): (usize, &[f64; 3])| View {
+        id: format!("c{i}"),
+        intrinsics: Intrinsics {
+            width: 1280,
+            height: 720,
+            fx: 1000.0,
+            fy: 1000.0,
+            cx: 640.0,
+            cy: 360.0,
+            skew: 0.0,
+            dist: Distortion::from_opencv(&[0.0; 5]).unwrap(),
+        },
+        camera_from_world: Some(Rigid { rotation: Matrix3::identity(), translation: -Vector3::from(*center) }),
+        frames: (0..n_frames).map(person).collect(),
+        delivered: (0..n_frames).map(FrameIndex).collect(),
+    };
+    Session {
+        name: String::new(),
+        fps: 25.0,
+        first_frame: 0,
+        n_frames,
+        convention: KeypointConvention::Coco17,
+        up_axis: None,
+        views: centers.iter().enumerate().map(view).collect(),
+    }
+}
+
+fn codes(session: &Session) -> Vec<&'static str> {
+    inspect(session, 2).findings.iter().map(|finding| finding.code).collect()
+}
+
+#[test]
+fn a_good_rig_has_no_findings_and_a_distance() {
+    let good = session(&[[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 4.0]], 100, 5.0);
+    let inspection = inspect(&good, 2);
+    assert_eq!(inspection.findings, []);
+    assert_eq!(inspection.groups, [["c0", "c1", "c2"]]);
+    assert!((inspection.cameras[0].distance_m.unwrap() - 5.0).abs() < 1e-9); // 1000 px * 1.5 m / 300 px
+    assert_eq!(inspection.pairs.len(), 3);
+    assert_eq!(inspection.pairs[2].baseline_m, Some(5.0));
+    assert_eq!(inspection.expected.cameras_per_person, 3.0);
+}
+
+#[test]
+fn what_is_degenerate_is_told() {
+    let apart = [[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 4.0]];
+    assert_eq!(codes(&session(&apart, 100, 0.0)), ["static"]);
+    assert_eq!(codes(&session(&apart, 20, 20.0)), ["few_frames"]);
+    let row = session(&[[0.0; 3], [2.0, 0.0, 0.0], [4.0, 0.01, 0.0]], 100, 5.0);
+    assert_eq!(codes(&row), ["collinear"]);
+    let close = session(&[[0.0; 3], [0.1, 0.0, 0.0], [0.0, 0.0, 4.0], [3.0, 0.0, 2.0]], 100, 5.0);
+    assert_eq!(codes(&close), ["tiny_baseline"]);
+}
+
+#[test]
+fn cameras_that_share_no_frame_fall_apart() {
+    let mut parted = session(&[[0.0; 3], [3.0, 0.0, 0.0], [0.0, 0.0, 4.0]], 100, 5.0);
+    for frame in 0..50 {
+        parted.views[2].frames[frame].clear();
+    }
+    for view in &mut parted.views[..2] {
+        view.frames[50..].iter_mut().for_each(Vec::clear);
+    }
+    assert_eq!(codes(&parted), ["split"]);
+    parted.views[2].frames.iter_mut().for_each(Vec::clear);
+    let inspection = inspect(&parted, 2);
+    assert_eq!(inspection.findings.iter().map(|f| f.code).collect::<Vec<_>>(), ["nobody"]);
+    assert_eq!(inspection.groups, [vec!["c0", "c1"], vec!["c2"]]);
+}

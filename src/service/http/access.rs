@@ -1,0 +1,153 @@
+//! Who asks, and whether they may: API keys, scopes, and how often.
+//!
+//! A key comes as `Authorization: Bearer wl_…`, or as the password of `Authorization: Basic`, which a browser asks its user
+//! for. As long as no key was ever made and the service listens on the loopback, everybody is the tenant `default`. What
+//! belongs to another tenant is answered as what does not exist.
+
+use super::App;
+use super::error::Problem;
+use super::server::Peer;
+use crate::service::store::keys::{self, Scope};
+use crate::service::store::{StoreError, Tenant};
+use axum::extract::{FromRequestParts, Request, State};
+use axum::http::request::Parts;
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use std::time::Duration;
+
+/// Whose request it is; every handler below `/v1` takes one.
+#[derive(Debug, Clone)]
+pub(super) struct Caller {
+    /// The only tenant whose things the request may touch.
+    pub(super) tenant: Tenant,
+}
+
+impl<S: Sync + Send> FromRequestParts<S> for Caller {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Problem> {
+        parts.extensions.get::<Caller>().cloned().ok_or_else(|| Problem::internal("a route without an access check"))
+    }
+}
+
+/// Lets a request below `/v1` through with its [`Caller`]: looking needs `read`, everything else `write`.
+pub(super) async fn to_the_api(State(app): State<App>, request: Request, next: Next) -> Response {
+    let is_look = matches!(*request.method(), Method::GET | Method::HEAD);
+    admit(app, if is_look { Scope::Read } else { Scope::Write }, request, next).await
+}
+
+/// Lets a request for the service's figures through.
+pub(super) async fn to_the_metrics(State(app): State<App>, request: Request, next: Next) -> Response {
+    admit(app, Scope::Metrics, request, next).await
+}
+
+async fn admit(app: App, scope: Scope, request: Request, next: Next) -> Response {
+    let (mut head, body) = request.into_parts();
+    match caller(&app, scope, &head).await {
+        Ok(caller) => {
+            head.extensions.insert(caller);
+            next.run(Request::from_parts(head, body)).await
+        }
+        Err(problem) => problem.into_response(),
+    }
+}
+
+async fn caller(app: &App, scope: Scope, head: &Parts) -> Result<Caller, Problem> {
+    require_own_page(app, head)?;
+    if !asks_for_keys(app).await? {
+        return Ok(Caller { tenant: Tenant::default_tenant() });
+    }
+    let key = match token(&head.headers) {
+        Some(token) => keys::check(&app.store, &token).await?,
+        None => None,
+    };
+    let Some(key) = key else { return Err(refuse_key(app, head)) };
+    app.tenant_pace.take(key.tenant.name()).map_err(|wait| too_many("the tenant asks too often", wait))?;
+    if !key.scopes.contains(&scope) {
+        return Err(Problem::new(
+            StatusCode::FORBIDDEN,
+            "scope_missing",
+            format!("the key does not have the scope `{}`", scope.name()),
+            "ask the operator for a key with this scope",
+        ));
+    }
+    Ok(Caller { tenant: key.tenant })
+}
+
+async fn asks_for_keys(app: &App) -> Result<bool, StoreError> {
+    Ok(!app.settings.listen.ip().is_loopback() || keys::any(&app.store).await?)
+}
+
+/// A page of another site must not submit forms in the name of whoever is looking at it.
+fn require_own_page(app: &App, head: &Parts) -> Result<(), Problem> {
+    let text = |name: &str| head.headers.get(name).and_then(|value| value.to_str().ok());
+    let is_look = matches!(head.method, Method::GET | Method::HEAD);
+    let is_foreign = text("sec-fetch-site").is_some_and(|site| !matches!(site, "same-origin" | "none"));
+    let is_listed = text("origin").is_some_and(|origin| app.settings.cors_origins.iter().any(|o| o == origin));
+    if is_look || !is_foreign || is_listed {
+        return Ok(());
+    }
+    Err(Problem::new(
+        StatusCode::FORBIDDEN,
+        "foreign_page",
+        "a page of another site may not change anything here",
+        "ask the operator to list the site in cors_origins",
+    ))
+}
+
+fn token(headers: &HeaderMap) -> Option<String> {
+    let value = headers.get(header::AUTHORIZATION)?.to_str().ok()?;
+    let (scheme, rest) = value.split_once(' ')?;
+    match scheme.to_ascii_lowercase().as_str() {
+        "bearer" => Some(rest.trim().to_owned()),
+        "basic" => {
+            let pair = String::from_utf8(STANDARD.decode(rest.trim()).ok()?).ok()?;
+            Some(pair.split_once(':')?.1.to_owned())
+        }
+        _ => None,
+    }
+}
+
+/// 401, or 429 where the address has tried too many wrong keys.
+fn refuse_key(app: &App, head: &Parts) -> Problem {
+    let peer = head.extensions.get::<Peer>().map_or_else(String::new, |peer| peer.0.ip().to_string());
+    if let Err(wait) = app.bad_key_pace.take(&peer) {
+        return too_many("too many requests without a valid key", wait);
+    }
+    Problem::new(
+        StatusCode::UNAUTHORIZED,
+        "unauthorized",
+        "a valid API key is needed",
+        "send the header Authorization: Bearer <key>; the operator makes keys with `wandless key create`",
+    )
+    .with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static("Basic realm=\"wandless\", charset=\"UTF-8\""))
+}
+
+fn too_many(detail: &str, wait: Duration) -> Problem {
+    let seconds = HeaderValue::from(wait.as_secs().max(1));
+    Problem::new(StatusCode::TOO_MANY_REQUESTS, "too_many_requests", detail, "wait as long as Retry-After says")
+        .with_header(header::RETRY_AFTER, seconds)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_is_read_from_either_scheme() {
+        let read = |value: &str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::AUTHORIZATION, HeaderValue::from_str(value).unwrap());
+            token(&headers)
+        };
+        assert_eq!(read("Bearer wl_a_b").as_deref(), Some("wl_a_b"));
+        assert_eq!(read("bearer  wl_a_b").as_deref(), Some("wl_a_b"));
+        assert_eq!(read("Basic dXNlcjp3bF9hX2I=").as_deref(), Some("wl_a_b"));
+        for nothing in ["wl_a_b", "Basic !", "Digest x", "Basic d2w="] {
+            assert_eq!(read(nothing), None, "{nothing}");
+        }
+    }
+}

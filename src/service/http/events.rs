@@ -1,0 +1,133 @@
+//! `GET /v1/jobs/{id}/events`: the job's life as server-sent events.
+//!
+//! `state` carries the whole job and comes first, at every change of state, and last; `progress` how far it is; `log` a line
+//! of the job's own process. The id of an event is the job's version: a client that comes back with `Last-Event-ID` is told
+//! the state again only where it has changed.
+
+use super::access::Caller;
+use super::error::Problem;
+use super::jobs::document;
+use super::{ApiPath, App};
+use crate::service::metrics::Held;
+use crate::service::queue::LogLine;
+use crate::service::queue::job::{Job, JobProgress, Phase};
+use axum::extract::State;
+use axum::http::HeaderMap;
+use axum::response::sse::{Event, KeepAlive, Sse};
+use futures_util::Stream;
+use std::collections::VecDeque;
+use std::convert::Infallible;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::broadcast::Receiver;
+use tokio::sync::broadcast::error::RecvError;
+
+/// A comment is sent after so long without an event: proxies keep the stream open, and a client that is gone is noticed.
+const KEEP_ALIVE: Duration = Duration::from_secs(10);
+
+/// The stream; it ends after the final state.
+pub(super) async fn stream(
+    State(app): State<App>,
+    caller: Caller,
+    ApiPath(id): ApiPath<String>,
+    headers: HeaderMap,
+) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Problem> {
+    let (changes, log) = (app.queue.listen(), app.queue.listen_to_logs()); // before the first look
+    let job = app.queue.get(&caller.tenant, &id).await?.ok_or_else(|| Problem::not_found("job"))?;
+    let known = headers.get("last-event-id").and_then(|value| value.to_str().ok()?.parse::<i64>().ok());
+    let mut follower = Follower {
+        held: Held::new(&app.metrics),
+        app,
+        caller,
+        id,
+        changes,
+        log,
+        phase: None,
+        progress: JobProgress::default(),
+        waiting: VecDeque::new(),
+        is_at_end: false,
+    };
+    if known == Some(job.version) && !job.state.phase().is_final() {
+        (follower.phase, follower.progress) = (Some(job.state.phase()), job.progress);
+    } else {
+        follower.note(&job);
+    }
+    let events = futures_util::stream::unfold(follower, |mut follower| async move {
+        let event = follower.next().await?;
+        Some((Ok(event), follower))
+    });
+    Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)))
+}
+
+/// What one client has been told.
+struct Follower {
+    app: App,
+    caller: Caller,
+    id: String,
+    changes: Receiver<Arc<str>>,
+    log: Receiver<LogLine>,
+    phase: Option<Phase>,
+    progress: JobProgress,
+    waiting: VecDeque<Event>,
+    is_at_end: bool,
+    /// Counted as an open stream.
+    #[allow(dead_code)] // held for its end
+    held: Held,
+}
+
+impl Follower {
+    /// The next event; `None` after the final state, and when the job was deleted or the service stops.
+    async fn next(&mut self) -> Option<Event> {
+        loop {
+            if let Some(event) = self.waiting.pop_front() {
+                return Some(event);
+            }
+            if self.is_at_end {
+                return None;
+            }
+            let draining = self.app.draining.clone();
+            tokio::select! {
+                changed = self.changes.recv() => match changed {
+                    Ok(changed) if *changed != *self.id => {}
+                    Ok(_) | Err(RecvError::Lagged(_)) => self.look().await,
+                    Err(RecvError::Closed) => self.is_at_end = true,
+                },
+                line = self.log.recv() => {
+                    if let Ok(line) = line && *line.job == *self.id {
+                        self.waiting.extend(event("log", None, &serde_json::json!({ "line": &*line.line })));
+                    }
+                },
+                () = draining.cancelled() => self.is_at_end = true,
+            }
+        }
+    }
+
+    async fn look(&mut self) {
+        match self.app.queue.get(&self.caller.tenant, &self.id).await {
+            Ok(Some(job)) => self.note(&job),
+            Ok(None) => self.is_at_end = true,
+            Err(error) => tracing::warn!(job.id = self.id, %error, "the job could not be read for its followers"),
+        }
+    }
+
+    fn note(&mut self, job: &Job) {
+        let phase = job.state.phase();
+        if self.progress != job.progress {
+            self.progress = job.progress.clone();
+            self.waiting.extend(event("progress", Some(job.version), &job.progress));
+        }
+        if self.phase != Some(phase) {
+            self.phase = Some(phase);
+            self.waiting.extend(event("state", Some(job.version), &document(job)));
+        }
+        self.is_at_end = phase.is_final();
+    }
+}
+
+fn event(name: &str, version: Option<i64>, data: &impl serde::Serialize) -> Option<Event> {
+    let event = Event::default().event(name).json_data(data).ok()?;
+    Some(match version {
+        Some(version) => event.id(version.to_string()),
+        None => event,
+    })
+}

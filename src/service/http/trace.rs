@@ -1,0 +1,47 @@
+//! Every request gets an id, a line in the log and a place in the figures.
+
+use super::App;
+use super::error::Problem;
+use axum::extract::{MatchedPath, Request, State};
+use axum::http::{HeaderValue, Method};
+use axum::middleware::Next;
+use axum::response::Response;
+use std::time::Instant;
+use tracing::Instrument;
+
+const REQUEST_ID: &str = "x-request-id";
+/// Characters of the longest id that is taken over from a client or a proxy.
+const MAX_ID: usize = 64;
+
+/// Runs a request under its id: the client's where it sends one, a fresh one otherwise.
+pub(super) async fn follow(State(app): State<App>, request: Request, next: Next) -> Response {
+    let start = Instant::now();
+    let method = request.method().clone();
+    let route = request.extensions().get::<MatchedPath>().map_or("none".to_owned(), |path| path.as_str().to_owned());
+    let id = request_id(&request);
+    let span = tracing::info_span!("request", request.id = id.to_str().unwrap_or_default(), %method, route);
+    let mut response = next.run(request).instrument(span.clone()).await;
+    response.headers_mut().insert(REQUEST_ID, id);
+    let status = response.status();
+    let code = response.extensions().get::<Problem>().map_or("", Problem::code);
+    let seconds = start.elapsed().as_secs_f64();
+    app.metrics.note_request(&method, &route, status.as_u16(), code, seconds);
+    span.in_scope(|| {
+        let status = status.as_u16();
+        // What changes something, and what was refused, is worth a line; being looked at is not.
+        if !matches!(method, Method::GET | Method::HEAD) || status >= 400 {
+            tracing::info!(status, code, duration_s = seconds, "request");
+        } else {
+            tracing::debug!(status, duration_s = seconds, "request");
+        }
+    });
+    response
+}
+
+fn request_id(request: &Request) -> HeaderValue {
+    let is_plain = |byte: &u8| byte.is_ascii_alphanumeric() || b"-_.:".contains(byte);
+    let own = || HeaderValue::from_str(&uuid::Uuid::new_v4().to_string()).expect("a UUID is ASCII");
+    let given = request.headers().get(REQUEST_ID);
+    let given = given.filter(|id| (1..=MAX_ID).contains(&id.len()) && id.as_bytes().iter().all(is_plain));
+    given.cloned().unwrap_or_else(own)
+}

@@ -1,0 +1,41 @@
+//! The queue in figures, for whoever watches the service.
+
+use super::Queue;
+use crate::service::store::StoreError;
+use sqlx::Row;
+
+/// What the tables say now.
+#[derive(Debug, Default)]
+pub struct Figures {
+    /// Jobs by state; states without a job are left out.
+    pub by_state: Vec<(String, i64)>,
+    /// Age of the oldest waiting job, s; 0 where none waits or the clock was set back.
+    pub oldest_queued_s: f64,
+    /// Ids of the jobs at work.
+    pub running: Vec<String>,
+    /// Webhook deliveries not yet made.
+    pub webhooks_waiting: i64,
+}
+
+impl Queue {
+    /// Reads the figures.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub async fn figures(&self) -> Result<Figures, StoreError> {
+        let rows = sqlx::query("SELECT state, count(*) AS n FROM jobs GROUP BY state ORDER BY state");
+        let rows = rows.fetch_all(self.store.read()).await?;
+        let by_state = rows.iter().map(|row| Ok((row.try_get("state")?, row.try_get("n")?)));
+        let by_state = by_state.collect::<Result<_, sqlx::Error>>()?;
+        let oldest: Option<f64> = sqlx::query_scalar(
+            "SELECT (julianday('now') - julianday(min(created_at))) * 86400.0 FROM jobs WHERE state = 'queued'",
+        )
+        .fetch_one(self.store.read())
+        .await?;
+        let running = sqlx::query_scalar("SELECT id FROM jobs WHERE state IN ('running', 'canceling') ORDER BY id");
+        let running = running.fetch_all(self.store.read()).await?;
+        let waiting = sqlx::query_scalar("SELECT count(*) FROM webhook_deliveries WHERE state = 'waiting'");
+        let webhooks_waiting = waiting.fetch_one(self.store.read()).await?;
+        Ok(Figures { by_state, oldest_queued_s: oldest.unwrap_or(0.0).max(0.0), running, webhooks_waiting })
+    }
+}

@@ -1,0 +1,33 @@
+//! The files that a database names.
+
+use crate::service::store::StoreError;
+use serde::{Deserialize, Serialize};
+use sqlx::{Row, SqlitePool};
+
+/// One file below a data folder.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub(super) struct NamedFile {
+    /// Path below the folder, with `/`.
+    pub(super) name: String,
+    /// Digest when it was published, hex.
+    pub(super) sha256: String,
+    /// Whose file it is, `session_…` or `job_…`; empty for the database itself.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub(super) owner: String,
+}
+
+/// Every upload and every published file, sorted by name.
+pub(super) async fn named_files(database: &SqlitePool) -> Result<Vec<NamedFile>, StoreError> {
+    let rows = sqlx::query(
+        "SELECT id AS owner, 'sessions/' || id AS name, sha256 FROM sessions
+         UNION ALL
+         SELECT jobs.id, 'results/' || jobs.id || '/' || result_fence || '/' || name, sha256
+         FROM artifacts JOIN jobs ON jobs.id = artifacts.job_id
+         ORDER BY name",
+    );
+    let rows = rows.fetch_all(database).await?;
+    let file = |row: &sqlx::sqlite::SqliteRow| -> Result<NamedFile, sqlx::Error> {
+        Ok(NamedFile { name: row.try_get("name")?, sha256: row.try_get("sha256")?, owner: row.try_get("owner")? })
+    };
+    Ok(rows.iter().map(file).collect::<Result<_, _>>()?)
+}

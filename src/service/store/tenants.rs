@@ -1,0 +1,117 @@
+//! Tenants: who owns a session or a job, and how much of the disk they fill.
+
+use super::{Store, StoreError};
+use serde::Serialize;
+use sqlx::{Sqlite, Transaction};
+
+/// A tenant's name; 1 to 64 letters, digits, `-`, `_` and `.`.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(transparent)]
+pub struct Tenant(String);
+
+/// Characters of the longest name.
+const MAX_NAME: usize = 64;
+
+impl Tenant {
+    /// The one tenant of a service without keys.
+    pub fn default_tenant() -> Self {
+        Self("default".to_owned())
+    }
+
+    /// Reads a name; `None` where it is none.
+    pub fn parse(name: &str) -> Option<Self> {
+        let is_name_char = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+        let is_name = (1..=MAX_NAME).contains(&name.len()) && name.chars().all(is_name_char);
+        is_name.then(|| Self(name.to_owned()))
+    }
+
+    /// A name that the database holds.
+    pub(crate) fn stored(name: String) -> Self {
+        Self(name)
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.0
+    }
+}
+
+/// Bytes of a tenant's uploads and results.
+///
+/// # Errors
+/// When the store fails.
+pub async fn stored_bytes(store: &Store, tenant: &Tenant) -> Result<i64, StoreError> {
+    Ok(sqlx::query_scalar(STORED_BYTES).bind(tenant.name()).fetch_one(store.read()).await?)
+}
+
+/// The same inside of a transaction.
+///
+/// # Errors
+/// When the store fails.
+pub(crate) async fn stored_bytes_in(
+    transaction: &mut Transaction<'static, Sqlite>,
+    tenant: &Tenant,
+) -> Result<i64, StoreError> {
+    Ok(sqlx::query_scalar(STORED_BYTES).bind(tenant.name()).fetch_one(&mut **transaction).await?)
+}
+
+const STORED_BYTES: &str = "
+    SELECT (SELECT coalesce(sum(bytes), 0) FROM sessions WHERE tenant = ?1)
+         + (SELECT coalesce(sum(result_bytes), 0) FROM jobs WHERE tenant = ?1)";
+
+/// Makes a tenant known to the queue.
+pub(crate) async fn remember(
+    transaction: &mut Transaction<'static, Sqlite>,
+    tenant: &Tenant,
+) -> Result<(), StoreError> {
+    sqlx::query("INSERT INTO tenants (name) VALUES (?) ON CONFLICT (name) DO NOTHING")
+        .bind(tenant.name())
+        .execute(&mut **transaction)
+        .await?;
+    Ok(())
+}
+
+/// Where a webhook secret begins (Standard Webhooks).
+const SECRET_PREFIX: &str = "whsec_";
+
+/// The secret that signs a tenant's webhooks, `whsec_` and 256 random bits in base64; made when it is first asked for.
+///
+/// # Errors
+/// When the store or the system's source of randomness fails.
+pub async fn webhook_secret(store: &Store, tenant: &Tenant) -> Result<String, StoreError> {
+    let known: Option<Option<String>> = sqlx::query_scalar("SELECT webhook_secret FROM tenants WHERE name = ?")
+        .bind(tenant.name())
+        .fetch_optional(store.read())
+        .await?;
+    if let Some(Some(secret)) = known {
+        return Ok(secret);
+    }
+    use base64::Engine;
+    let secret = base64::engine::general_purpose::STANDARD.encode(super::keys::random_bytes()?);
+    let mut transaction = store.write().await?;
+    remember(&mut transaction, tenant).await?;
+    let secret: String = sqlx::query_scalar(
+        "UPDATE tenants SET webhook_secret = coalesce(webhook_secret, ?) WHERE name = ? RETURNING webhook_secret",
+    )
+    .bind(format!("{SECRET_PREFIX}{secret}"))
+    .bind(tenant.name())
+    .fetch_one(&mut *transaction)
+    .await?;
+    transaction.commit().await?;
+    Ok(secret)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_plain() {
+        for name in ["default", "Studio-7", "a.b_c"] {
+            assert_eq!(Tenant::parse(name).unwrap().name(), name);
+        }
+        for name in ["", "a b", "ä", "../x", &"x".repeat(65)] {
+            assert!(Tenant::parse(name).is_none(), "{name}");
+        }
+    }
+}

@@ -1,0 +1,250 @@
+//! Webhooks: the call that tells a client of its job's end (Standard Webhooks 1.0).
+//!
+//! Delivery is at least once: a receiver tells repetitions by `webhook-id`. A trigger writes the row in the transaction
+//! that ends the job; this task makes the calls, waits longer after each failure, and keeps what came of it.
+
+mod call;
+mod target;
+
+pub use call::signature;
+pub use target::{NetworkError, Networks, TargetError, check_url};
+
+use super::Shared;
+use super::queue::job::Job;
+use super::settings::WebhookSettings;
+use super::store::{StoreError, Tenant, tenants};
+use call::{Call, Outcome};
+use serde::Serialize;
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+use tokio::task::JoinSet;
+
+/// One event for one receiver.
+#[derive(Debug, Clone, Serialize)]
+pub struct Delivery {
+    /// What the receiver gets as `webhook-id`.
+    pub id: String,
+    /// `job.succeeded` and so on.
+    pub event: String,
+    /// Where it goes.
+    pub url: String,
+    /// `waiting`, `delivered` or `failed`.
+    pub state: String,
+    /// Calls made.
+    pub tries: i64,
+    /// HTTP status of the last call.
+    pub last_status: Option<i64>,
+    /// Why the last call failed.
+    pub last_error: Option<String>,
+    /// UTC, RFC 3339.
+    pub created_at: String,
+    /// UTC, RFC 3339.
+    pub updated_at: String,
+    #[serde(skip)]
+    job: String,
+    #[serde(skip)]
+    tenant: Tenant,
+}
+
+/// Between two looks at what is due.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// Calls at the same time: a receiver that hangs holds up one of them for the timeout.
+const MAX_CALLS: usize = 16;
+
+/// Makes the calls until the service stops.
+pub(super) async fn run(shared: Shared, networks: Arc<Networks>) {
+    let mut calls: JoinSet<String> = JoinSet::new();
+    let mut at_work = BTreeSet::new();
+    loop {
+        tokio::select! {
+            () = tokio::time::sleep(LOOK) => {}
+            () = shared.draining.cancelled() => return, // what is cut off is called again by the next start
+            Some(ended) = calls.join_next() => {
+                at_work.retain(|id| ended.as_ref().is_ok_and(|ended| ended != id));
+                continue;
+            }
+        }
+        match due(&shared).await {
+            Ok(due) => {
+                for delivery in due {
+                    if at_work.len() < MAX_CALLS && at_work.insert(delivery.id.clone()) {
+                        calls.spawn(deliver(shared.clone(), networks.clone(), delivery));
+                    }
+                }
+            }
+            Err(error) => tracing::error!(%error, "the webhooks could not be read"),
+        }
+    }
+}
+
+/// Deliveries that wait no longer, the oldest first.
+async fn due(shared: &Shared) -> Result<Vec<Delivery>, StoreError> {
+    let longest = 2 * wait_after(shared.settings.webhooks.max_tries, &shared.settings.webhooks).as_secs();
+    let rows = sqlx::query(
+        "SELECT * FROM webhook_deliveries
+         WHERE state = 'waiting' AND (next_try_at <= unixepoch() OR next_try_at > unixepoch() + ?)
+         ORDER BY seq LIMIT ?",
+    )
+    .bind(longest as i64)
+    .bind(2 * MAX_CALLS as i64)
+    .fetch_all(shared.store.read())
+    .await?;
+    rows.iter().map(from_row).collect()
+}
+
+/// One try; gives the id back.
+async fn deliver(shared: Shared, networks: Arc<Networks>, delivery: Delivery) -> String {
+    let outcome = match call_of(&shared, &delivery).await {
+        Ok(Some(call)) => {
+            let timeout = shared.settings.webhooks.timeout;
+            let called = tokio::task::spawn_blocking(move || call.make(&networks, timeout)).await;
+            called.unwrap_or_else(|error| Outcome::failed(None, error.to_string()))
+        }
+        Ok(None) => return delivery.id, // the job was deleted, and the delivery with it
+        Err(error) => Outcome::failed(None, error.to_string()),
+    };
+    let counter =
+        if outcome.is_delivered() { &shared.metrics.webhooks_delivered } else { &shared.metrics.webhooks_failed };
+    counter.fetch_add(1, Ordering::Relaxed);
+    tracing::info!(
+        job.id = delivery.job,
+        delivery.id = delivery.id,
+        status = outcome.status,
+        error = outcome.error,
+        "webhook called"
+    );
+    if let Err(error) = note(&shared, &delivery, &outcome).await {
+        tracing::error!(delivery.id = delivery.id, %error, "what came of a webhook could not be written; it is called again");
+    }
+    delivery.id
+}
+
+async fn call_of(shared: &Shared, delivery: &Delivery) -> Result<Option<Call>, StoreError> {
+    let tenant = &delivery.tenant;
+    let Some(job) = shared.queue.get(tenant, &delivery.job).await? else { return Ok(None) };
+    let secret = tenants::webhook_secret(&shared.store, tenant).await?;
+    let body = serde_json::to_vec(&payload(delivery, &job))?;
+    Ok(Some(Call { id: delivery.id.clone(), url: delivery.url.clone(), secret, body }))
+}
+
+/// A thin event: what has ended and how; the rest is asked for with a key.
+fn payload(delivery: &Delivery, job: &Job) -> serde_json::Value {
+    serde_json::json!({
+        "type": delivery.event,
+        "timestamp": delivery.created_at,
+        "data": {
+            "id": job.id,
+            "state": job.state.phase().name(),
+            "session": job.session,
+            "labels": job.labels,
+            "finished_at": job.state.finished_at(),
+            "quality": job.state.quality(),
+            "error": job.state.error(),
+            "links": { "self": format!("/v1/jobs/{}", job.id), "result": format!("/v1/jobs/{}/result", job.id) },
+        },
+    })
+}
+
+async fn note(shared: &Shared, delivery: &Delivery, outcome: &Outcome) -> Result<(), StoreError> {
+    let settings = &shared.settings.webhooks;
+    let tries = delivery.tries + 1;
+    let state = match outcome.is_delivered() {
+        true => "delivered",
+        false if tries >= settings.max_tries => "failed",
+        false => "waiting",
+    };
+    let mut transaction = shared.store.note().await?;
+    sqlx::query(
+        "UPDATE webhook_deliveries
+         SET state = ?, tries = ?, next_try_at = unixepoch() + ?, last_status = ?, last_error = ?,
+             updated_at = strftime('%Y-%m-%dT%H:%M:%fZ', 'now')
+         WHERE id = ?",
+    )
+    .bind(state)
+    .bind(tries)
+    .bind(wait_after(tries, settings).as_secs() as i64)
+    .bind(outcome.status.map(i64::from))
+    .bind(&outcome.error)
+    .bind(&delivery.id)
+    .execute(&mut *transaction)
+    .await?;
+    Ok(transaction.commit().await?)
+}
+
+/// The first wait and the fourth power of the tries made, s.
+fn wait_after(tries: i64, settings: &WebhookSettings) -> Duration {
+    let n = u64::try_from(tries - 1).unwrap_or(0).min(100);
+    settings.first_wait + Duration::from_secs(n.pow(4))
+}
+
+/// A job's deliveries, oldest first.
+///
+/// # Errors
+/// When the store fails.
+pub async fn deliveries_of(
+    store: &super::store::Store,
+    tenant: &Tenant,
+    job: &str,
+) -> Result<Vec<Delivery>, StoreError> {
+    let rows = sqlx::query("SELECT * FROM webhook_deliveries WHERE job_id = ? AND tenant = ? ORDER BY seq");
+    rows.bind(job).bind(tenant.name()).fetch_all(store.read()).await?.iter().map(from_row).collect()
+}
+
+/// Makes a delivery due again, whatever came of it; `None` where there is none.
+///
+/// # Errors
+/// When the store fails.
+pub async fn redeliver(
+    store: &super::store::Store,
+    tenant: &Tenant,
+    job: &str,
+    id: &str,
+) -> Result<Option<Delivery>, StoreError> {
+    let mut transaction = store.write().await?;
+    let row = sqlx::query(
+        "UPDATE webhook_deliveries
+         SET state = 'waiting', tries = 0, next_try_at = 0, updated_at = strftime('%Y-%m-%dT%H:%M:%fZ', 'now')
+         WHERE id = ? AND job_id = ? AND tenant = ? RETURNING *",
+    )
+    .bind(id)
+    .bind(job)
+    .bind(tenant.name())
+    .fetch_optional(&mut *transaction)
+    .await?;
+    transaction.commit().await?;
+    row.as_ref().map(from_row).transpose()
+}
+
+fn from_row(row: &SqliteRow) -> Result<Delivery, StoreError> {
+    Ok(Delivery {
+        id: row.try_get("id")?,
+        event: row.try_get("event")?,
+        url: row.try_get("url")?,
+        state: row.try_get("state")?,
+        tries: row.try_get("tries")?,
+        last_status: row.try_get("last_status")?,
+        last_error: row.try_get("last_error")?,
+        created_at: row.try_get("created_at")?,
+        updated_at: row.try_get("updated_at")?,
+        job: row.try_get("job_id")?,
+        tenant: Tenant::stored(row.try_get("tenant")?),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_waits_grow_and_all_tries_are_over_within_two_hours() {
+        let settings = WebhookSettings::default();
+        let waits: Vec<u64> = (1..settings.max_tries).map(|tries| wait_after(tries, &settings).as_secs()).collect();
+        assert_eq!(waits[..3], [15, 16, 31]);
+        assert!(waits.is_sorted() && waits.iter().sum::<u64>() < 7200, "{waits:?}");
+    }
+}

@@ -1,0 +1,297 @@
+//! The operator's side: settings, figures, logs, a stop in order, backup, restore, verify, memory, events, webhooks, client.
+
+use crate::http::{JSON, send};
+use crate::server::{Server, command, signal};
+use crate::take::{LONG, take};
+use rustix::process::Signal;
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpListener;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+fn wandless(words: &[&str], paths: &[&Path]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_wandless")).args(words).args(paths).output().unwrap()
+}
+
+#[test]
+fn the_figures_tell_of_jobs_requests_and_refusals() {
+    let server = Server::start();
+    let id = server.submit(&server.upload(10, 1));
+    server.wait_for_state(&id, "succeeded");
+    server.get("/v1/jobs/job_0").expect(404);
+    let page = server.get("/metrics").expect(200);
+    assert!(page.header("content-type").starts_with("text/plain"));
+    let page = String::from_utf8(page.body).unwrap();
+    for line in [
+        "wandless_jobs{state=\"succeeded\"} 1",
+        "wandless_jobs_running_without_live_worker 0",
+        "wandless_claims_ended_total{state=\"succeeded\"} 1",
+        "wandless_refused_total{code=\"not_found\"} 1",
+        "wandless_child_deaths_total 0",
+    ] {
+        assert!(page.lines().any(|l| l == line), "{line}\n{page}");
+    }
+    for name in
+        ["wandless_stage_seconds_sum{", "wandless_wal_bytes ", "wandless_disk_free_bytes ", "_bucket{method=\"POST\""]
+    {
+        assert!(page.contains(name), "{name}");
+    }
+}
+
+#[test]
+fn every_answer_has_an_id_that_stands_in_the_log_and_keys_never_do() {
+    let data = tempfile::tempdir().unwrap();
+    let mut serve = command(data.path());
+    serve.args(["--log-format", "json"]).env("WANDLESS_LOG", "info").stderr(Stdio::piped());
+    let mut server = Server::from_command(&mut serve);
+    let log = server.stderr();
+    let answer =
+        server.get_with("/v1/jobs/job_0", &[("x-request-id", "take-7"), ("authorization", "Bearer wl_a_secret")]);
+    assert_eq!(answer.header("x-request-id"), "take-7");
+    assert_eq!(server.get("/healthz").header("x-request-id").len(), 36);
+    let id = server.submit(&server.upload(10, 1));
+    server.wait_for_state(&id, "succeeded");
+    drop(server);
+    let mut text = String::new();
+    BufReader::new(log).read_to_string(&mut text).unwrap();
+    let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert!(lines.iter().any(|line| line["span"]["request.id"] == "take-7" && line["status"] == 404), "{text}");
+    assert!(lines.iter().any(|line| line["job.id"] == id.as_str()), "{text}");
+    assert!(!text.contains("wl_a_secret"));
+}
+
+#[test]
+fn a_job_that_wants_too_much_memory_fails_by_name_and_the_service_lives() {
+    let server = Server::with(&["--set", "jobs.memory_bytes=90000000"]);
+    let id = server.submit(&server.upload(LONG, 1));
+    let job = server.wait_until(&id, |job| matches!(job["state"].as_str(), Some("failed" | "dead" | "succeeded")));
+    assert_eq!((&job["state"], &job["error"]["code"]), (&json!("failed"), &json!("out_of_memory")), "{job}");
+    server.get("/readyz").expect(200);
+}
+
+#[test]
+fn events_follow_a_job_to_its_end() {
+    let server = Server::start();
+    let id = server.submit(&server.upload(60, 1));
+    let stream = server.get(&format!("/v1/jobs/{id}/events")).expect(200);
+    assert_eq!(stream.header("content-type"), "text/event-stream");
+    let text = String::from_utf8(stream.body).unwrap();
+    let states: Vec<Value> = text
+        .split("\n\n")
+        .filter(|event| event.contains("event: state"))
+        .map(|event| serde_json::from_str(event.lines().find_map(|line| line.strip_prefix("data: ")).unwrap()).unwrap())
+        .collect();
+    assert_eq!(states.last().unwrap()["state"], "succeeded");
+    assert!(text.contains("event: progress") && text.contains("id: "), "{text}");
+    server.get("/v1/jobs/job_0/events").expect_problem(404, "not_found");
+}
+
+#[test]
+fn an_inspection_tells_what_to_expect() {
+    let server = Server::start();
+    let id = server.upload(100, 1);
+    let inspection = server.get(&format!("/v1/sessions/{id}/inspection")).expect(200).json();
+    assert_eq!(inspection["groups"].as_array().unwrap().len(), 1);
+    assert_eq!(inspection["pairs"].as_array().unwrap().len(), 6);
+    assert!(inspection["expected"]["joint_error_mm"].as_f64().unwrap() > 0.0);
+    server.get("/v1/sessions/session_0/inspection").expect_problem(404, "not_found");
+}
+
+/// Answers each connection with the next status; gives what was received.
+fn receiver(statuses: &'static [u16]) -> (String, std::thread::JoinHandle<Vec<String>>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let url = format!("http://{}/hook", listener.local_addr().unwrap());
+    let received = std::thread::spawn(move || {
+        let serve = |status: &u16| {
+            let (mut stream, _) = listener.accept().unwrap();
+            let mut reader = BufReader::new(stream.try_clone().unwrap());
+            let (mut text, mut length) = (String::new(), 0);
+            loop {
+                let mut line = String::new();
+                reader.read_line(&mut line).unwrap();
+                let lower = line.to_ascii_lowercase();
+                length = lower.strip_prefix("content-length:").map_or(length, |n| n.trim().parse().unwrap());
+                text.push_str(&line);
+                if line == "\r\n" {
+                    break;
+                }
+            }
+            let mut body = vec![0; length];
+            reader.read_exact(&mut body).unwrap();
+            let head = format!(
+                "HTTP/1.1 {status} X\r\nLocation: http://127.0.0.1:1/\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+            );
+            stream.write_all(head.as_bytes()).unwrap();
+            text + &String::from_utf8(body).unwrap()
+        };
+        statuses.iter().map(serve).collect()
+    });
+    (url, received)
+}
+
+#[test]
+fn a_webhook_is_signed_repeated_and_never_led_astray() {
+    let server =
+        Server::with(&["--set", "webhooks.allowed_networks=[\"127.0.0.1\"]", "--set", "webhooks.first_wait_s=0"]);
+    let secret = server.get("/v1/webhook-secret").expect(200).json()["secret"].as_str().unwrap().to_owned();
+    let (url, received) = receiver(&[500, 302, 204, 204]);
+    let asked =
+        json!({ "session": server.upload(10, 1), "options": { "extrinsics": "fixed" }, "webhook": { "url": url } });
+    let id = server.post_json("/v1/jobs", &asked).expect(202).json()["id"].as_str().unwrap().to_owned();
+    server.wait_for_state(&id, "succeeded");
+    let path = format!("/v1/jobs/{id}/deliveries");
+    let deadline = Instant::now() + Duration::from_secs(60);
+    let delivered = loop {
+        let list = server.get(&path).expect(200).json()["deliveries"].as_array().unwrap().clone();
+        assert_eq!(list.len(), 1);
+        if list[0]["state"] == "delivered" {
+            break list[0].clone();
+        }
+        assert!(Instant::now() < deadline, "{list:?}");
+        std::thread::sleep(Duration::from_millis(100));
+    };
+    assert_eq!((&delivered["tries"], &delivered["last_status"]), (&json!(3), &json!(204)));
+    let again = format!("{path}/{}/redeliver", delivered["id"].as_str().unwrap());
+    server.post_json(&again, &Value::Null).expect(202);
+    for request in received.join().unwrap() {
+        let (head, body) = request.split_once("\r\n\r\n").unwrap();
+        let header = |name: &str| {
+            let mut lines = head.lines().filter_map(|line| line.split_once(": "));
+            lines.find(|(key, _)| key.eq_ignore_ascii_case(name)).unwrap().1.to_owned()
+        };
+        let (id_, time) = (header("webhook-id"), header("webhook-timestamp").parse().unwrap());
+        assert_eq!(id_, delivered["id"].as_str().unwrap());
+        let signed = wandless::service::webhooks::signature(&secret, &id_, time, body.as_bytes());
+        assert_eq!(Some(header("webhook-signature")), signed);
+        let event: Value = serde_json::from_str(body).unwrap();
+        assert_eq!((&event["type"], &event["data"]["id"]), (&json!("job.succeeded"), &json!(id)));
+    }
+}
+
+#[test]
+fn a_backup_under_work_is_whole_and_a_restored_service_goes_on() {
+    let server = Server::start();
+    let done = server.submit(&server.upload(10, 1));
+    server.wait_for_state(&done, "succeeded");
+    let running = server.submit(&server.upload(LONG, 2));
+    server.wait_for_state(&running, "running");
+    let place = tempfile::tempdir().unwrap();
+    let (backup, restored) = (place.path().join("backup"), place.path().join("restored"));
+    let data = server.data().to_owned();
+    let made = wandless(&["backup", "--data"], &[&data, &backup]);
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    assert!(wandless(&["verify"], &[&backup]).status.success());
+    assert_eq!(
+        wandless(&["backup", "--data"], &[&data, &backup]).status.code(),
+        Some(1),
+        "a backup is never overwritten"
+    );
+    assert!(wandless(&["restore", "--data"], &[&restored, &backup]).status.success());
+    drop(server);
+    let server = Server::from_command(&mut command(&restored));
+    server.get(&format!("/v1/jobs/{done}/cameras")).expect(200);
+    server.wait_for_state(&running, "succeeded");
+}
+
+#[test]
+fn verify_finds_every_flipped_byte_and_names_its_file() {
+    let server = Server::start();
+    let id = server.submit(&server.upload(10, 1));
+    server.wait_for_state(&id, "succeeded");
+    let data = server.stopped();
+    assert!(wandless(&["verify"], &[data.path()]).status.success());
+    let mut files: Vec<std::path::PathBuf> = vec![data.path().join("wandless.db")];
+    for folder in ["sessions", "results"] {
+        files.extend(crate::server::files_below(&data.path().join(folder)));
+    }
+    for (i, path) in files.iter().enumerate() {
+        let whole = std::fs::read(path).unwrap();
+        let mut bytes = whole.clone();
+        let at = (7919 * (i + 1)) % bytes.len();
+        bytes[at] ^= 1;
+        std::fs::write(path, bytes).unwrap();
+        let output = wandless(&["verify"], &[data.path()]);
+        let text = String::from_utf8(output.stdout).unwrap();
+        let name = path.strip_prefix(data.path()).unwrap().to_str().unwrap();
+        assert!(output.status.code() == Some(1) && text.contains(&format!("damaged: {name}")), "{name}: {text}");
+        std::fs::write(path, whole).unwrap();
+    }
+}
+
+#[test]
+fn a_stop_with_work_and_open_connections_is_quick_and_counts_nothing() {
+    let server = Server::start();
+    let id = server.submit(&server.upload(LONG, 1));
+    server.wait_for_state(&id, "running");
+    let idle: Vec<_> = (0..50).map(|_| std::net::TcpStream::connect(server.address()).unwrap()).collect();
+    let address = server.address().to_owned();
+    let waiting = std::thread::spawn({
+        let url = server.url(&format!("/v1/jobs/{id}?wait=60"));
+        let tag = server.get(&format!("/v1/jobs/{id}")).header("etag").to_owned();
+        move || send("GET", &url, &[("if-none-match", &tag)], None).status
+    });
+    std::thread::sleep(Duration::from_millis(200));
+    signal(server.pid(), Signal::TERM);
+    std::thread::sleep(Duration::from_millis(100));
+    assert!(std::net::TcpStream::connect(address).is_err(), "a stopping service accepts nobody");
+    let start = Instant::now();
+    let server = server.ended_and_restarted();
+    assert!(start.elapsed() < Duration::from_secs(10));
+    assert!(matches!(waiting.join().unwrap(), 200 | 304));
+    drop(idle);
+    assert_eq!(server.wait_for_state(&id, "succeeded")["attempt"], 1);
+}
+
+#[test]
+fn settings_are_told_with_their_defaults_and_mistakes_by_name() {
+    let printed = wandless(&["serve", "--print-settings", "--set", "limits.max_wait_s=7"], &[]);
+    let text = String::from_utf8(printed.stdout).unwrap();
+    assert!(text.contains("max_wait_s = 7.0") && text.contains("max_deaths = 3"), "{text}");
+    let refused = wandless(&["serve", "--set", "limits.max_wiat_s=7"], &[]);
+    assert_eq!(refused.status.code(), Some(2));
+    assert!(String::from_utf8(refused.stderr).unwrap().contains("max_wiat_s"));
+}
+
+#[test]
+fn a_database_held_by_another_is_no_loss_and_no_error_for_a_moment() {
+    let server = Server::start();
+    let session = server.upload(10, 1);
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(server.data().join("wandless.db"));
+    let holder = runtime.block_on(sqlx::SqlitePool::connect_with(options)).unwrap();
+    let held = runtime.block_on(holder.begin_with("BEGIN IMMEDIATE")).unwrap();
+    let id = std::thread::scope(|scope| {
+        let asked = scope.spawn(|| server.submit(&session));
+        std::thread::sleep(Duration::from_secs(1));
+        server.get("/v1/jobs").expect(200);
+        runtime.block_on(held.rollback()).unwrap();
+        asked.join().unwrap()
+    });
+    server.wait_for_state(&id, "succeeded");
+}
+
+#[test]
+fn the_python_client_does_the_whole_journey() {
+    let python = Command::new("python3").arg("--version").output();
+    if !python.is_ok_and(|output| output.status.success()) {
+        eprintln!("SKIPPED: python3 is not there");
+        return;
+    }
+    let server = Server::with(&["--set", "webhooks.allowed_networks=[\"127.0.0.0/8\"]"]);
+    let folder = tempfile::tempdir().unwrap();
+    let session = folder.path().join("take.json");
+    std::fs::write(&session, take(20, 1).to_string()).unwrap();
+    let output = Command::new("python3")
+        .args(["-B", concat!(env!("CARGO_MANIFEST_DIR"), "/tests/service/journey.py")])
+        .arg(server.url(""))
+        .arg(&session)
+        .arg(folder.path().join("result"))
+        .env("PYTHONPATH", concat!(env!("CARGO_MANIFEST_DIR"), "/clients/python"))
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let refused = server.post("/v1/sessions", &[JSON], b"{}");
+    assert!((400..500).contains(&refused.status));
+}

@@ -1,0 +1,170 @@
+//! Keys and tenants: nobody is let in without a key, and nobody sees what is another's.
+
+use crate::http::{Answer, JSON, send, send_raw};
+use crate::server::Server;
+use crate::take::take;
+use serde_json::{Value, json};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+fn key(server: &Server, words: &[&str]) -> String {
+    let output = Command::new(env!("CARGO_BIN_EXE_wandless"))
+        .args(["key", "create"])
+        .args(words)
+        .arg("--data")
+        .arg(server.data())
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap().trim().to_owned()
+}
+
+fn ask(server: &Server, method: &str, path: &str, key: &str, body: Option<&Value>) -> Answer {
+    let bearer = format!("Bearer {key}");
+    let mut headers = vec![("authorization", bearer.as_str())];
+    headers.extend(body.map(|_| JSON));
+    send(method, &server.url(path), &headers, body.map(|body| body.to_string()).as_deref().map(str::as_bytes))
+}
+
+#[test]
+fn every_route_of_another_tenant_is_a_route_to_nothing() {
+    let server = Server::with(&["--set", "limits.bad_keys_per_s=1000"]);
+    let [a, b, reader] = [
+        key(&server, &["--tenant", "a"]),
+        key(&server, &["--tenant", "b"]),
+        key(&server, &["--tenant", "a", "--scopes", "read"]),
+    ];
+    let session = ask(&server, "POST", "/v1/sessions", &a, Some(&take(10, 1))).expect(201).json();
+    let session = session["id"].as_str().unwrap();
+    let asked = json!({ "session": session, "options": { "extrinsics": "fixed" } });
+    let job = ask(&server, "POST", "/v1/jobs", &a, Some(&asked)).expect(202).json();
+    let job = job["id"].as_str().unwrap();
+
+    let description = server.get("/openapi.json").expect(200).json();
+    let unknown =
+        |path: &str| path.replace(session, &format!("session_{:032}", 0)).replace(job, &format!("job_{:032}", 0));
+    let mut n_routes = 0;
+    for (path, methods) in description["paths"].as_object().unwrap() {
+        if !path.contains("{id}") {
+            continue;
+        }
+        let id = if path.starts_with("/v1/sessions") { session } else { job };
+        let delivery = format!("delivery_{:032}", 0);
+        let path = path.replace("{id}", id).replace("{name}", "cameras.json").replace("{delivery}", &delivery);
+        for method in methods.as_object().unwrap().keys() {
+            n_routes += 1;
+            let method = method.to_uppercase();
+            let foreign = ask(&server, &method, &path, &b, None);
+            let none = ask(&server, &method, &unknown(&path), &b, None);
+            assert_eq!((foreign.status, none.status), (404, 404), "{method} {path}");
+            let body = |answer: &Answer, path: &str| {
+                let text = String::from_utf8(answer.body.clone()).unwrap();
+                text.replace(path, "").replace(job, "").replace(session, "").replace(&unknown(job), "")
+            };
+            assert_eq!(body(&foreign, &path), body(&none, &unknown(&path)), "{method} {path}");
+            for wrong in ["", "wl_0_0", &a[..a.len() - 1]] {
+                ask(&server, &method, &path, wrong, None).expect_problem(401, "unauthorized");
+            }
+            if method != "GET" {
+                ask(&server, &method, &path, &reader, None).expect_problem(403, "scope_missing");
+            }
+        }
+    }
+    assert!(n_routes >= 14, "{n_routes}");
+    assert_eq!(ask(&server, "GET", "/v1/jobs", &b, None).expect(200).json()["jobs"], json!([]));
+    assert_eq!(ask(&server, "GET", "/v1/sessions", &b, None).expect(200).json()["sessions"], json!([]));
+    ask(&server, "POST", "/v1/jobs", &b, Some(&asked)).expect_problem(404, "session_not_found");
+    ask(&server, "GET", &format!("/v1/jobs/{job}"), &reader, None).expect(200);
+    ask(&server, "GET", "/metrics", &a, None).expect_problem(403, "scope_missing");
+    let own = ask(&server, "POST", "/v1/sessions", &b, Some(&take(10, 1))).expect(201).json();
+    assert_ne!(own["id"], session, "the same bytes of two tenants are two sessions");
+}
+
+#[test]
+fn a_revoked_key_is_refused_at_once_and_its_job_goes_on() {
+    let server = Server::start();
+    let (old, new) = (key(&server, &["--tenant", "a"]), key(&server, &["--tenant", "a"]));
+    let session = ask(&server, "POST", "/v1/sessions", &old, Some(&take(60, 1))).expect(201).json();
+    let asked = json!({ "session": session["id"], "options": { "extrinsics": "fixed" } });
+    let job = ask(&server, "POST", "/v1/jobs", &old, Some(&asked)).expect(202).json();
+    let id = old.split('_').nth(1).unwrap();
+    let revoke = || {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_wandless"));
+        command.args(["key", "revoke", id, "--data"]).arg(server.data()).output().unwrap().status.code()
+    };
+    assert_eq!(revoke(), Some(0));
+    let path = format!("/v1/jobs/{}", job["id"].as_str().unwrap());
+    ask(&server, "GET", &path, &old, None).expect_problem(401, "unauthorized");
+    assert_eq!(revoke(), Some(2), "a second time there is nothing to revoke");
+    let deadline = Instant::now() + Duration::from_secs(120);
+    while ask(&server, "GET", &format!("{path}?wait=5"), &new, None).expect(200).json()["state"] != "succeeded" {
+        assert!(Instant::now() < deadline);
+    }
+}
+
+#[test]
+fn wrong_keys_are_slowed_down_and_right_ones_are_not() {
+    let server = Server::start();
+    let right = key(&server, &[]);
+    let refused: Vec<u16> =
+        (0..60).map(|i| ask(&server, "GET", "/v1/jobs", &format!("wl_{i}_0"), None).status).collect();
+    assert!(refused.contains(&429) && refused.iter().all(|status| matches!(status, 401 | 429)), "{refused:?}");
+    ask(&server, "GET", "/v1/jobs", &right, None).expect(200);
+}
+
+#[test]
+fn what_comes_from_another_sites_page_changes_nothing() {
+    let server = Server::start();
+    let foreign = [JSON, ("sec-fetch-site", "cross-site"), ("origin", "https://elsewhere.example")];
+    server.post("/v1/sessions", &foreign, b"{}").expect_problem(403, "foreign_page");
+    let own = [JSON, ("sec-fetch-site", "same-origin")];
+    assert_eq!(server.post("/v1/sessions", &own, b"{}").status, 400);
+    let answer = server.get_with("/v1/jobs", &[("origin", "https://elsewhere.example")]).expect(200);
+    assert_eq!(answer.header("access-control-allow-origin"), "");
+
+    let listed = Server::with(&["--set", "cors_origins=[\"https://studio.example\"]"]);
+    let preflight = [("origin", "https://studio.example"), ("access-control-request-method", "POST")];
+    let answer = send("OPTIONS", &listed.url("/v1/jobs"), &preflight, None).expect(204);
+    assert_eq!(answer.header("access-control-allow-origin"), "https://studio.example");
+    let answer = listed.get_with("/v1/jobs", &[("origin", "https://elsewhere.example")]).expect(200);
+    assert_eq!(answer.header("access-control-allow-origin"), "");
+}
+
+#[test]
+fn quotas_are_exact_and_released_on_delete() {
+    let text = take(10, 1).to_string();
+    let server = Server::with(&["--set", &format!("tenants.max_bytes={}", text.len())]);
+    let session = server.post("/v1/sessions", &[JSON], text.as_bytes()).expect(201).json();
+    server.post("/v1/sessions", &[JSON], take(11, 1).to_string().as_bytes()).expect_problem(507, "quota_exceeded");
+    server.delete(&format!("/v1/sessions/{}", session["id"].as_str().unwrap())).expect(204);
+    server.post("/v1/sessions", &[JSON], text.as_bytes()).expect(201);
+
+    let server = Server::with(&["--set", "tenants.max_queued=2"]);
+    let busy = server.submit(&server.upload(crate::take::LONG, 1));
+    server.wait_for_state(&busy, "running");
+    let session = server.upload(10, 2);
+    let jobs = [server.submit(&session), server.submit(&session)];
+    server.post_json("/v1/jobs", &json!({ "session": session })).expect_problem(429, "queue_full");
+    server.delete(&format!("/v1/jobs/{}", jobs[0])).expect(204);
+    server.submit(&session);
+}
+
+#[test]
+fn outsiders_are_served_only_where_a_key_was_made() {
+    let data = tempfile::tempdir().unwrap();
+    let run = |words: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_wandless"));
+        command.args(words).arg("--data").arg(data.path()).output().unwrap()
+    };
+    assert_eq!(run(&["serve", "--listen", "0.0.0.0:0"]).status.code(), Some(2));
+    let token = String::from_utf8(run(&["key", "create"]).stdout).unwrap();
+    let listed = String::from_utf8(run(&["key", "list"]).stdout).unwrap();
+    assert!(!listed.contains(token.trim().rsplit('_').next().unwrap()), "{listed}");
+    let mut serve = Command::new(env!("CARGO_BIN_EXE_wandless"));
+    serve.args(["serve", "--listen", "0.0.0.0:0", "--data"]).arg(data.path()).env("WANDLESS_LOG", "warn");
+    let server = Server::from_command(&mut serve);
+    let address = server.address().to_owned();
+    let answer = send_raw(&address, b"GET /v1/jobs HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n");
+    assert!(answer.starts_with("HTTP/1.1 401"), "{answer}");
+    ask(&server, "GET", "/v1/jobs", token.trim(), None).expect(200);
+}
