@@ -6,8 +6,11 @@
 //! rotation vector is not a clinical angle when several axes turn together. Rests are those of standing with the arms
 //! hanging. Accelerations are typical (median) magnitudes of everyday motion and dance, rad/s^2.
 
+use super::kinematics::Pose;
 use super::skeleton::{JOINT_NAMES, N_JOINTS};
+use crate::geometry::rotation::exp;
 use nalgebra::Vector3;
+use rand_distr::{Distribution, StandardNormal};
 
 /// What one joint does, radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -71,6 +74,21 @@ pub fn joint_ranges() -> [JointRange; N_JOINTS] {
         }
     })
 }
+
+/// Draws a pose: every joint is `spread` times its standard deviation about its rest, within its range; the pelvis and
+/// the hands as they are.
+pub fn natural_pose(rng: &mut impl rand::Rng, spread: f64) -> Pose {
+    let mut pose = Pose::rest();
+    for (turn, range) in pose.rotations.iter_mut().zip(joint_ranges()).take(FIRST_HAND).skip(1) {
+        let step =
+            range.spread.map(|sigma| -> f64 { sigma * spread * Distribution::<f64>::sample(&StandardNormal, rng) });
+        *turn = exp(&(range.rest + step).sup(&range.min).inf(&range.max));
+    }
+    pose
+}
+
+/// First of the two joints that have no range.
+const FIRST_HAND: usize = 22;
 
 #[cfg(test)]
 mod tests {

@@ -1,5 +1,7 @@
 //! `wandless bench`: how often cameras are found on random rigs, and how fast a capture is solved.
 
+mod kinematics;
+
 use super::BadInput;
 use super::solve::use_threads;
 use crate::evaluation::camera_error::{CameraPair, relative_camera_error};
@@ -8,6 +10,7 @@ use crate::progress::{Progress, ProgressEvent};
 use crate::session::reconstruction::Verdict;
 use crate::session::upload::{UploadLimits, read_path};
 use crate::simulation::{Simulated, random_rig_config, simulate};
+use kinematics::poses_a_second;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
 use std::time::Instant;
@@ -36,7 +39,7 @@ enum Bench {
         #[arg(long, default_value_t = 0)]
         threads: usize,
     },
-    /// Seconds per stage on one session, and frames x views x people a second and core
+    /// Seconds per stage on one session, frames x views x people a second and core, and the rates of fit and kinematics
     Speed {
         /// Session: a folder, a zip or a JSON document
         session: PathBuf,
@@ -169,9 +172,13 @@ fn speed(session: PathBuf) -> anyhow::Result<()> {
         Err(error) => return Err(error.into()),
     };
     let marks = marks.lock().map(|m| m.clone()).unwrap_or_default();
+    let mut fit_seconds = 0.0;
     for (i, (stage, from)) in marks.iter().enumerate() {
         let until = marks.get(i + 1).map_or(ended, |next| next.1);
         println!("{stage:<20} {:8.3} s", (until - *from).as_secs_f64());
+        if *stage == "body_fit" {
+            fit_seconds += (until - *from).as_secs_f64();
+        }
     }
     let seconds = (ended - begun).as_secs_f64();
     let cores = rayon::current_num_threads();
@@ -184,5 +191,8 @@ fn speed(session: PathBuf) -> anyhow::Result<()> {
         found.motions.len(),
         work as f64 / seconds / cores as f64
     );
+    let fitted: usize = found.motions.iter().map(|motion| motion.frames.len()).sum();
+    println!("body fit: {:.0} person-frames a second and core", fitted as f64 / fit_seconds / cores as f64);
+    println!("kinematics with 26 landmarks and derivatives: {:.0} poses a second and core", poses_a_second());
     Ok(())
 }

@@ -4,6 +4,8 @@ use super::BadInput;
 use crate::body::loader::{LandmarkTable, body_glb, body_npz, body_obj, load_body};
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention, PARENTS};
 use crate::body::{Betas, BodyModel, default_body};
+#[cfg(feature = "service")]
+use crate::service::{bodies, settings::DEFAULT_DATA};
 use anyhow::Context;
 use std::path::{Path, PathBuf};
 
@@ -24,6 +26,27 @@ enum Action {
         #[arg(long, requires = "file")]
         landmarks: Option<PathBuf>,
     },
+    /// Register a body under a name that jobs ask for with options.body
+    #[cfg(feature = "service")]
+    Add {
+        /// The name: a-z, 0-9, - and _
+        name: String,
+        /// A SMPL .npz or .pkl file
+        file: PathBuf,
+        /// JSON file that says where keypoints of face and feet lie on it
+        #[arg(long)]
+        landmarks: Option<PathBuf>,
+        /// Data folder of the service
+        #[arg(long, default_value = DEFAULT_DATA)]
+        data: PathBuf,
+    },
+    /// List the registered bodies
+    #[cfg(feature = "service")]
+    List {
+        /// Data folder of the service
+        #[arg(long, default_value = DEFAULT_DATA)]
+        data: PathBuf,
+    },
     /// Write a body at rest
     Export {
         /// File to write: .npz (SMPL's layout), .obj or .glb (the mesh)
@@ -42,6 +65,21 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
             print!("{}", description(&read_body(file.as_deref(), landmarks.as_deref())?));
             Ok(())
         }
+        #[cfg(feature = "service")]
+        Action::Add { name, file, landmarks, data } => {
+            let table = read_table(landmarks.as_deref())?;
+            let added = bodies::add(&bodies::folder(&data), &name, &file, &table);
+            let model = added.map_err(|error| BadInput(format!("{}: {error}", file.display())))?;
+            println!("{name}: sha256 {}", model.sha256());
+            Ok(())
+        }
+        #[cfg(feature = "service")]
+        Action::List { data } => {
+            for body in bodies::list(&bodies::folder(&data))? {
+                println!("{}: {}", body.name, body.file);
+            }
+            Ok(())
+        }
         Action::Export { out, body } => {
             let bytes = exported(&read_body(body.as_deref(), None)?, &out)?;
             std::fs::write(&out, bytes).with_context(|| out.display().to_string())
@@ -52,15 +90,16 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
 /// The body of a file with its landmark table, or the embedded one.
 pub(super) fn read_body(file: Option<&Path>, landmarks: Option<&Path>) -> anyhow::Result<BodyModel> {
     let Some(file) = file else { return Ok(default_body()) };
-    let bad = |path: &Path, reason: String| BadInput(format!("{}: {reason}", path.display()));
-    let table = match landmarks {
-        Some(path) => {
-            let json = std::fs::read(path).map_err(|error| bad(path, error.to_string()))?;
-            LandmarkTable::from_json(&json).map_err(|error| bad(path, error.to_string()))?
-        }
-        None => LandmarkTable::default(),
-    };
-    load_body(file, &table).map_err(|error| bad(file, error.to_string()).into())
+    let table = read_table(landmarks)?;
+    load_body(file, &table).map_err(|error| BadInput(format!("{}: {error}", file.display())).into())
+}
+
+/// The landmark table of a file; an empty one without it.
+fn read_table(landmarks: Option<&Path>) -> anyhow::Result<LandmarkTable> {
+    let Some(path) = landmarks else { return Ok(LandmarkTable::default()) };
+    let bad = |error: &dyn std::fmt::Display| BadInput(format!("{}: {error}", path.display()));
+    let json = std::fs::read(path).map_err(|error| bad(&error))?;
+    Ok(LandmarkTable::from_json(&json).map_err(|error| bad(&error))?)
 }
 
 fn exported(model: &BodyModel, out: &Path) -> anyhow::Result<Vec<u8>> {

@@ -4,6 +4,7 @@ use super::BadInput;
 use super::body::read_body;
 use super::meter::Meter;
 use super::solve::{SolveError, solve, use_threads};
+use crate::pipeline::config::DEFAULT_BODY;
 use crate::pipeline::{Options, PipelineError};
 use crate::progress::{Progress, ProgressEvent};
 use anyhow::Context;
@@ -35,6 +36,10 @@ pub(super) struct Args {
 /// Runs the command.
 pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let options = read_options(args.options.as_deref())?;
+    if args.body.is_none() && options.body != DEFAULT_BODY {
+        let reason = "names of bodies are the service's; give the file itself with --body";
+        return Err(BadInput(format!("/body: {reason}")).into());
+    }
     let body = read_body(args.body.as_deref(), args.landmarks.as_deref())?;
     require_free(&args.out)?;
     use_threads(args.threads);

@@ -6,7 +6,9 @@
 use super::solve::{SolveError, solve, use_threads};
 use crate::body::default_body;
 use crate::pipeline::PipelineError;
+use crate::pipeline::config::DEFAULT_BODY;
 use crate::progress::{Progress, ProgressEvent};
+use crate::service::bodies;
 use crate::service::protocol::{Message, Order};
 use crate::service::queue::job::JobError;
 use crate::session::upload::UploadError;
@@ -46,17 +48,31 @@ pub(super) fn run() -> ExitCode {
     hold_memory_to(order.memory_bytes);
     use_threads(order.threads);
     let progress = Progress::new(teller(), Arc::default());
-    let (sha256, checkpoints) = (Some(order.session_sha256.as_str()), Some(order.checkpoints.as_path()));
-    match solve(&order.session, sha256, &order.options, &default_body(), checkpoints, &order.out, &progress) {
-        Ok(_) => {
+    match solved(&order, &progress) {
+        Ok(()) => {
             say(&Message::Done);
             ExitCode::SUCCESS
         }
         Err(error) => {
-            say(&Message::Failed { error: cause(error) });
+            say(&Message::Failed { error });
             ExitCode::FAILURE
         }
     }
+}
+
+fn solved(order: &Order, progress: &Progress) -> Result<(), JobError> {
+    let body = match order.options.body.as_str() {
+        DEFAULT_BODY => default_body(),
+        name => bodies::load(&order.bodies, name).map_err(|error| JobError {
+            code: "body_unreadable".to_owned(),
+            detail: error.to_string(),
+            pointer: Some("/options/body".to_owned()),
+            ..JobError::default()
+        })?,
+    };
+    let (sha256, checkpoints) = (Some(order.session_sha256.as_str()), Some(order.checkpoints.as_path()));
+    let solved = solve(&order.session, sha256, &order.options, &body, checkpoints, &order.out, progress);
+    solved.map(drop).map_err(cause)
 }
 
 /// On Linux the kernel ends us with the service; elsewhere the end of stdin does.

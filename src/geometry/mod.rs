@@ -1,6 +1,7 @@
 //! Pure maths on points, rotations, cameras: nalgebra only, f64, metres, radians, pixels.
 
 pub mod camera;
+pub mod capsule;
 pub mod epipolar;
 pub mod five_point;
 pub mod p3p;

@@ -36,6 +36,9 @@ pub struct Options {
     pub exports: Vec<ExportFormat>,
 }
 
+/// `options.body` for the embedded body.
+pub const DEFAULT_BODY: &str = "default";
+
 impl Default for Options {
     fn default() -> Self {
         Self {
@@ -47,7 +50,7 @@ impl Default for Options {
             denoise: true,
             motion_prior: true,
             collision: true,
-            body: "default".to_owned(),
+            body: DEFAULT_BODY.to_owned(),
             sync: Sync::Given,
             seed: 0,
             exports: vec![ExportFormat::SmplNpz],
@@ -73,11 +76,12 @@ impl CameraFacts {
 }
 
 impl Options {
-    /// Checks what can be checked against the session before any work is spent.
+    /// Checks what can be checked against the session before any work is spent; `bodies`: the names of the registered
+    /// body models, beside that of the embedded one.
     ///
     /// # Errors
     /// [`PipelineError::Option`] naming the option and the remedy.
-    pub fn check(&self, cameras: &[CameraFacts]) -> Result<(), PipelineError> {
+    pub fn check(&self, cameras: &[CameraFacts], bodies: &[String]) -> Result<(), PipelineError> {
         let refuse = |option, reason: String| Err(PipelineError::Option { option, reason });
         let unposed = cameras.iter().find(|camera| !camera.has_extrinsics);
         if let Some(camera) = unposed.filter(|_| self.extrinsics != Extrinsics::Estimate) {
@@ -96,8 +100,9 @@ impl Options {
                 "estimate is not supported yet; synchronise the frames and use \"given\"".to_owned(),
             );
         }
-        if self.body != "default" {
-            return refuse("/body", format!("{:?} is not a registered body; use \"default\"", self.body));
+        if self.body != DEFAULT_BODY && !bodies.contains(&self.body) {
+            let known: String = bodies.iter().map(|name| format!(" or {name:?}")).collect();
+            return refuse("/body", format!("{:?} is not a registered body; use \"{DEFAULT_BODY}\"{known}", self.body));
         }
         if self.people == Some(0) {
             return refuse("/people", "0 people leave nothing to solve; give 1 or more, or null".to_owned());

@@ -88,7 +88,8 @@ pub fn reconstruct_with_checkpoints(
     checkpoints: &Checkpoints,
     progress: &Progress,
 ) -> Result<Reconstruction, PipelineError> {
-    options.check(&CameraFacts::of(session))?;
+    // Whoever hands a body over has found it by its name.
+    options.check(&CameraFacts::of(session), std::slice::from_ref(&options.body))?;
     if session.views.iter().all(|v| v.frames.iter().all(Vec::is_empty)) {
         let reason = "no camera detected anybody; check that the keypoint files are those of this take".to_owned();
         return Err(PipelineError::Unsolvable { code: "nobody_detected", reason });

@@ -5,6 +5,7 @@
 //! - [`settings`]: what an operator may set
 //! - [`failpoint`]: where the crash harness may end the process
 //! - [`store`]: the data folder: database, uploads, results
+//! - [`bodies`]: body models that jobs may ask for by name
 //! - [`queue`]: the `jobs` table: accept, claim, finish, cancel, recover
 //! - [`protocol`]: what the service and a job's child say to each other
 //! - [`metrics`]: what is counted for whoever watches
@@ -14,6 +15,7 @@
 //! - `worker`: one claimed job -> one child process -> one recorded end
 //! - [`http`]: every route
 
+pub mod bodies;
 pub mod failpoint;
 pub mod http;
 mod memory;

@@ -16,6 +16,8 @@ pub struct Order {
     pub session_sha256: String,
     /// What was asked for.
     pub options: Options,
+    /// Where the registered bodies lie.
+    pub bodies: PathBuf,
     /// An empty folder for the result.
     pub out: PathBuf,
     /// A folder for finished stages, which outlives the process.

@@ -2,9 +2,8 @@
 
 use crate::posing::standard_poses;
 use nalgebra::Vector3;
-use rand::SeedableRng;
-use rand_distr::{Distribution, StandardNormal};
-use std::collections::BTreeMap;
+use rand::{RngExt, SeedableRng};
+use std::collections::{BTreeMap, BTreeSet};
 use wandless::body::kinematics::Pose;
 use wandless::body::skinning::skinned;
 use wandless::body::{Betas, default_body};
@@ -27,7 +26,7 @@ fn n_intersections(vertices: &[Vector3<f64>], faces: &[[usize; 3]]) -> usize {
             }
         }
     }
-    let mut pairs = std::collections::BTreeSet::new();
+    let mut pairs = BTreeSet::new();
     for members in cells.values() {
         for (n, &f) in members.iter().enumerate() {
             for &g in &members[n + 1..] {
@@ -75,12 +74,26 @@ fn no_shape_cuts_itself_at_rest_nor_with_lowered_arms() {
     a_pose.rotations[17] = exp(&Vector3::new(0.0, 0.0, 45.0_f64.to_radians()));
     assert_eq!(n_intersections(&surface.vertices, &surface.faces), 0);
     assert_eq!(n_intersections(&skinned(&model, &Betas::zeros(), &a_pose), &surface.faces), 0);
+}
+
+/// How many of 200 drawn shapes cut themselves, and the most pairs of faces that one of them has.
+fn n_cutting(draw: &mut dyn FnMut() -> Betas) -> [usize; 2] {
+    let surface = &default_body().surface;
+    let pairs: Vec<usize> = (0..200).map(|_| n_intersections(&surface.shaped(&draw()), &surface.faces)).collect();
+    [pairs.iter().filter(|n| **n > 0).count(), pairs.iter().copied().max().unwrap_or(0)]
+}
+
+/// Every beta anywhere within two standard deviations, and as a known limit all of them at their ends at once (a shape
+/// that nobody has: 6.3 standard deviations): there the seams of arm and chest and of shoulder and neck fold.
+#[test]
+fn drawn_shapes_hardly_ever_cut_themselves() {
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
-    for k in 0..200 {
-        let direction = Betas::from_fn(|_, _| StandardNormal.sample(&mut rng));
-        let betas = direction * (2.0 * f64::from(k % 10 + 1) / 10.0 / direction.norm());
-        assert_eq!(n_intersections(&surface.shaped(&betas), &surface.faces), 0, "{betas:?}");
-    }
+    let [within, worst_within] = n_cutting(&mut || Betas::from_fn(|_, _| rng.random_range(-2.0..=2.0)));
+    let [at_ends, worst_at_ends] =
+        n_cutting(&mut || Betas::from_fn(|_, _| if rng.random_bool(0.5) { 2.0 } else { -2.0 }));
+    println!("within: {within} of 200, {worst_within} pairs at most; at the ends: {at_ends}, {worst_at_ends} pairs");
+    assert_eq!(within, 0);
+    assert!(at_ends <= 60 && worst_at_ends <= 100);
 }
 
 /// Creases cut themselves under linear blending; the counts are reported, not judged.

@@ -1,5 +1,6 @@
 //! M15 and the hostile files: every layout gives the body back, and no file does anything but be refused.
 
+use std::io::Write;
 use std::path::Path;
 use std::process::Command;
 use wandless::body::loader::{BodyFileError, LandmarkTable, body_from_bytes, body_npz, load_body};
@@ -152,19 +153,33 @@ fn a_call_is_refused_by_name_and_never_made() {
     assert!(!mark.exists());
 }
 
-#[test]
-fn hostile_fields_get_one_clear_error() {
+/// Files that mean harm: what, the bytes, a word of the refusal.
+fn hostile_files() -> Vec<(&'static str, Vec<u8>, &'static str)> {
     let own_x = |p: &mut Pickler| {
         // A Ch whose x is itself, through the memo.
         p.0.extend(b"cchumpy.ch\nCh\n)\x81q\x07}");
         p.text("x");
         p.0.extend(b"h\x07sb");
     };
+    // A sparse matrix of three numbers that claims as many as a field may have.
+    let wide_sparse = |p: &mut Pickler| {
+        p.0.extend(b"cscipy.sparse.csr\ncsr_matrix\n)\x81}(");
+        for (member, n) in [("data", 1), ("indices", 1), ("indptr", 2)] {
+            p.text(member);
+            p.floats(&[n], (0..n).map(|_| 0.0));
+        }
+        p.text("_shape");
+        p.0.extend(b"K\x01");
+        p.int(7_500_000);
+        p.0.extend(b"\x86ub");
+    };
     type Tell<'a> = &'a dyn Fn(&mut Pickler);
-    let cases: [(&str, &str, Tell, &str); 11] = [
+    let pickles: [(&str, &str, Tell, &str); 13] = [
+        ("a call", "f", &|p| p.0.extend(b"cos\nsystem\nX\x04\x00\x00\x00true\x85R"), "os.system"),
         ("recursive memo", "v_template", &own_x, "contain itself"),
         ("2 GB claimed", "v_template", &|p| p.array(&[90_000_000, 3], "f8", &[]), "larger"),
         ("overflowing claim", "v_template", &|p| p.array(&[i32::MAX, i32::MAX, i32::MAX], "f8", &[]), "larger"),
+        ("a wide sparse matrix", "J_regressor", &wide_sparse, "larger"),
         ("too few bytes", "v_template", &|p| p.array(&[8, 3], "f8", &[0; 8]), "as many bytes"),
         ("objects", "v_template", &|p| p.array(&[8, 3], "O", &[0; 24]), "numbers"),
         ("wrong shape", "v_template", &|p| p.floats(&[4, 6], (0..24).map(f64::from)), "shape (V, 3)"),
@@ -174,8 +189,37 @@ fn hostile_fields_get_one_clear_error() {
         ("SMPL-X", "weights", &|p| p.floats(&[8, 55], (0..440).map(|_| 0.0)), "SMPL-X"),
         ("far corner", "f", &|p| p.floats(&[1, 3], [0.0, 1.0, 8.0].into_iter()), "numbers of vertices"),
     ];
-    for (name, field, tell, expected) in cases {
-        let error = read(&small_pickle(field, tell)).unwrap_err().to_string();
+    let mut files: Vec<(&str, Vec<u8>, &str)> =
+        pickles.into_iter().map(|(name, field, tell, word)| (name, small_pickle(field, tell), word)).collect();
+    files.push(("a bomb", bomb(false, 1), "shape"));
+    files.push(("a bomb in Fortran order", bomb(true, 1), "shape"));
+    files.push(("a larger bomb", bomb(false, 40), "larger"));
+    files.push(("half a file", small_pickle("", &|_| ())[..900].to_vec(), "expected"));
+    files
+}
+
+/// Some kilobytes that unpack to arrays of zeros, as large as fields may be, or said to be `factor` times as large. The
+/// template is at fault, which shows when all arrays are in memory.
+fn bomb(is_fortran: bool, factor: usize) -> Vec<u8> {
+    let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    let sizes = [("weights", 1_500_000), ("shapedirs", 7_500_000), ("posedirs", 7_500_000), ("f", 1_500_000)];
+    for (field, n) in sizes.into_iter().chain([("v_template", 1)]) {
+        let order = if is_fortran { "True" } else { "False" };
+        let header = format!("{{'descr': '<f8', 'fortran_order': {order}, 'shape': ({}, 1), }}", n * factor);
+        let header = format!("{header:<117}\n");
+        zip.start_file(format!("{field}.npy"), zip::write::SimpleFileOptions::default()).unwrap();
+        zip.write_all(b"\x93NUMPY\x01\x00").unwrap();
+        zip.write_all(&(header.len() as u16).to_le_bytes()).unwrap();
+        zip.write_all(header.as_bytes()).unwrap();
+        zip.write_all(&vec![0; 8 * n]).unwrap();
+    }
+    zip.finish().unwrap().into_inner()
+}
+
+#[test]
+fn hostile_files_get_one_clear_error() {
+    for (name, bytes, expected) in hostile_files() {
+        let error = read(&bytes).unwrap_err().to_string();
         assert!(error.contains(expected) && !error.contains('\n'), "{name}: {error}");
     }
     let table = LandmarkTable::from_json(br#"{"nose": [{"vertex": 8, "weight": 1.0}]}"#).unwrap();
@@ -183,6 +227,28 @@ fn hostile_fields_get_one_clear_error() {
     assert!(body_from_bytes("small".to_owned(), &bytes, &table).unwrap_err().to_string().contains("vertex 8"));
     assert!(LandmarkTable::from_json(br#"{"tail": [{"vertex": 8, "weight": 1.0}]}"#).is_err());
     assert!(LandmarkTable::from_json(br#"{"nose": [{"vertex": 8, "weight": 0.5}]}"#).is_err());
+}
+
+/// Row 3: a child process whose whole address space is 256 MiB (more than it can ever hold in memory) refuses each file
+/// with one line and exit code 2, and reads a good one.
+#[cfg(target_os = "linux")]
+#[test]
+fn hostile_files_are_refused_within_256_mib() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("body");
+    let info = |bytes: &[u8]| {
+        std::fs::write(&path, bytes).unwrap();
+        let limited = "ulimit -v 262144; exec \"$0\" body info \"$1\"";
+        Command::new("sh").args(["-c", limited, env!("CARGO_BIN_EXE_wandless")]).arg(&path).output().unwrap()
+    };
+    let good = info(&body_npz(&default_body().surface, true).unwrap());
+    assert!(good.status.success(), "{}", String::from_utf8_lossy(&good.stderr));
+    for (name, bytes, expected) in hostile_files() {
+        let output = info(&bytes);
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{name}: {said}");
+        assert!(said.contains(expected) && said.trim_end().lines().count() == 1, "{name}: {said}");
+    }
 }
 
 #[test]

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)] // a test may
 
 mod anthropometry;
+mod capsules;
 mod intersections;
 mod loader;
 mod mesh;

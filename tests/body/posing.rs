@@ -3,7 +3,10 @@
 use nalgebra::{Matrix3, Matrix4, Vector3};
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
-use wandless::body::kinematics::{Pose, landmark_position, posed};
+use std::collections::BTreeSet;
+use wandless::body::kinematics::{
+    Pose, joints_by_betas, landmark_by_betas, landmark_by_rotation, landmark_position, posed,
+};
 use wandless::body::skeleton::{JOINT_NAMES, KeypointConvention, N_JOINTS, PARENTS};
 use wandless::body::skinning::skinned;
 use wandless::body::{Betas, BodyModel, default_body};
@@ -134,6 +137,64 @@ fn landmarks_are_exact_to_the_full_mesh() {
     }
     println!("landmarks off the mesh by {worst:.1e} m at most");
     assert!(worst <= 1e-9);
+}
+
+/// M10 and row 4: all derivatives of every keypoint of every convention, relative to the keypoint's largest, over 100
+/// random poses and shapes. Central differences with a step of 1e-5 are good to 1e-9.
+#[test]
+fn landmark_derivatives_are_exact() {
+    let model = default_body();
+    let named = KeypointConvention::ALL.into_iter().flat_map(|c| model.landmarks_of(c)).flatten();
+    let landmarks: BTreeSet<usize> = named.collect();
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(44);
+    let mut worst = 0.0_f64;
+    for _ in 0..100 {
+        let pose = random_pose(&mut rng, 0.6);
+        let betas = Betas::from_fn(|_, _| StandardNormal.sample(&mut rng));
+        let places = |pose: &Pose, betas: &Betas| -> Vec<Vector3<f64>> {
+            let body = model.shaped(betas);
+            let skeleton = posed(&body, pose);
+            landmarks.iter().map(|&l| landmark_position(&model, &body, &skeleton, l)).collect()
+        };
+        // [unknown][landmark]: 24 turns about three axes, 10 betas, 3 of the translation.
+        let difference = |at: &dyn Fn(f64) -> Vec<Vector3<f64>>| -> Vec<Vector3<f64>> {
+            at(1e-5).iter().zip(at(-1e-5)).map(|(a, b)| (a - b) / 2e-5).collect()
+        };
+        let mut measured = Vec::new();
+        for (joint, axis) in (0..N_JOINTS).flat_map(|joint| (0..3).map(move |axis| (joint, axis))) {
+            measured.push(difference(&|h| {
+                let mut turned = pose;
+                turned.rotations[joint] *= exp(&Vector3::ith(axis, h));
+                places(&turned, &betas)
+            }));
+        }
+        measured.extend((0..10).map(|k| difference(&|h| places(&pose, &(betas + Betas::ith(k, h))))));
+        measured.extend((0..3).map(|axis| {
+            difference(&|h| {
+                let mut moved = pose;
+                moved.translation[axis] += h;
+                places(&moved, &betas)
+            })
+        }));
+        let body = model.shaped(&betas);
+        let skeleton = posed(&body, &pose);
+        let by_betas = joints_by_betas(&model, &skeleton);
+        for (i, &landmark) in landmarks.iter().enumerate() {
+            let of_joint = |j: usize| landmark_by_rotation(&model, &body, &skeleton, landmark, j);
+            let mut exact: Vec<Vector3<f64>> = (0..N_JOINTS).flat_map(|j| columns(of_joint(j).as_slice())).collect();
+            exact.extend(columns(landmark_by_betas(&model.landmarks[landmark], &skeleton, &by_betas).as_slice()));
+            exact.extend(columns(Matrix3::identity().as_slice()));
+            let size = exact.iter().map(Vector3::norm).fold(0.0, f64::max);
+            let error = exact.iter().zip(&measured).map(|(e, m)| (e - m[i]).norm()).fold(0.0, f64::max);
+            worst = worst.max(error / size);
+        }
+    }
+    println!("derivatives of {} landmarks off by {worst:.1e} at most", landmarks.len());
+    assert!(worst <= 1e-6);
+}
+
+fn columns(values: &[f64]) -> Vec<Vector3<f64>> {
+    values.chunks_exact(3).map(Vector3::from_column_slice).collect()
 }
 
 #[test]

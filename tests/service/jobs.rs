@@ -4,6 +4,7 @@ use crate::http::{FORM, JSON, form};
 use crate::server::Server;
 use crate::take::{LONG, take, zipped};
 use serde_json::{Value, json};
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 #[test]
@@ -159,4 +160,31 @@ fn jobs_are_listed_newest_first_by_state_label_and_page() {
     assert_eq!(list("label=scene"), [&*jobs[2], &*jobs[1], &*jobs[0]]);
     assert_eq!(list("page_size=1"), [&*jobs[2]]);
     server.delete(&format!("/v1/jobs/{busy}")).expect(204);
+}
+
+#[test]
+fn a_job_is_fitted_with_the_body_it_names() {
+    let server = Server::start();
+    let file = server.data().join("own.npz");
+    let body = |words: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_wandless"));
+        let output = command.arg("body").args(words).output().unwrap();
+        assert!(output.status.success(), "{output:?}");
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let (file, data) = (file.to_str().unwrap(), server.data().to_str().unwrap());
+    body(&["export", "--out", file]);
+    body(&["add", "studio", file, "--data", data]);
+    assert!(body(&["list", "--data", data]).starts_with("studio: "));
+
+    let session = server.upload(20, 1);
+    let options = |name: &str| json!({ "session": session, "options": { "extrinsics": "fixed", "body": name } });
+    let problem = server.post_json("/v1/jobs", &options("other")).expect_problem(422, "option_impossible");
+    let detail = problem["detail"].as_str().unwrap();
+    assert!(detail.contains("use \"default\" or \"studio\""), "{detail}");
+    let job = server.post_json("/v1/jobs", &options("studio")).expect(202).json();
+    let id = job["id"].as_str().unwrap();
+    server.wait_for_state(id, "succeeded");
+    let people = server.get(&format!("/v1/jobs/{id}/people")).expect(200).json();
+    assert_eq!(people["body_model"]["name"], "studio");
 }

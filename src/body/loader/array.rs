@@ -3,8 +3,9 @@
 use super::error::BodyFileError;
 use std::collections::BTreeMap;
 
-/// More elements than any field has: 20,000 vertices with 400 components.
-pub(super) const MAX_ELEMENTS: usize = 24_000_000;
+/// More elements than any field has: 300 components of 8,300 vertices. A hostile file that is small itself costs at most
+/// 60 MB an array, of which three live at once.
+pub(super) const MAX_ELEMENTS: usize = 7_500_000;
 
 /// A dense array in C order.
 #[derive(Debug, Clone, PartialEq)]
@@ -18,12 +19,12 @@ pub(super) struct Array {
 /// Arrays by field name.
 pub(super) type Fields = BTreeMap<String, Array>;
 
-/// The fields that are read; all others are skipped unseen.
+/// The fields that are read; all others are skipped unseen. The weights come first: they tell the models apart.
 pub(super) const FIELDS: [&str; 10] = [
+    "weights",
     "v_template",
     "shapedirs",
     "posedirs",
-    "weights",
     "J_regressor",
     "kintree_table",
     "f",
@@ -31,6 +32,14 @@ pub(super) const FIELDS: [&str; 10] = [
     "landmark_vertices",
     "landmark_weights",
 ];
+
+/// More elements than a field of a body may have.
+pub(super) fn max_elements(field: &str) -> usize {
+    match field {
+        "shapedirs" | "posedirs" => MAX_ELEMENTS,
+        _ => MAX_ELEMENTS / 5, // 20,000 vertices by 55 joints
+    }
+}
 
 /// How numbers are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -92,26 +101,26 @@ impl Array {
                 expected: "as many bytes as the shape says",
             });
         }
-        let values: Vec<f64> = bytes.chunks_exact(number.size).map(|word| number.number(word)).collect();
-        let array = Self { shape, values };
-        Ok(if is_fortran { array.in_c_order() } else { array })
+        let words = bytes.chunks_exact(number.size).map(|word| number.number(word));
+        let values = if is_fortran { in_c_order(&shape, words) } else { words.collect() };
+        Ok(Self { shape, values })
     }
+}
 
-    /// The same array when `values` runs through the first axis fastest.
-    fn in_c_order(self) -> Self {
-        let mut values = vec![0.0; self.values.len()];
-        let mut index = vec![0; self.shape.len()];
-        for value in &self.values {
-            let place = index.iter().zip(&self.shape).fold(0, |place, (i, n)| place * n + i);
-            values[place] = *value;
-            for (i, n) in index.iter_mut().zip(&self.shape) {
-                *i += 1;
-                if *i < *n {
-                    break;
-                }
-                *i = 0;
+/// Elements that come with the first axis running fastest, in the order where the last one does.
+fn in_c_order(shape: &[usize], elements: impl ExactSizeIterator<Item = f64>) -> Vec<f64> {
+    let mut values = vec![0.0; elements.len()];
+    let mut index = vec![0; shape.len()];
+    for value in elements {
+        let place = index.iter().zip(shape).fold(0, |place, (i, n)| place * n + i);
+        values[place] = value;
+        for (i, n) in index.iter_mut().zip(shape) {
+            *i += 1;
+            if *i < *n {
+                break;
             }
+            *i = 0;
         }
-        Self { shape: self.shape, values }
     }
+    values
 }

@@ -99,13 +99,18 @@ fn shape_directions(array: &Array, n: usize) -> Result<Vec<ShapeDirections>, Bod
     Ok((0..n).map(|vertex| ShapeDirections::from_fn(|axis, k| entry(vertex, axis, k))).collect())
 }
 
+/// Other models of the family are known by their weights, before their larger arrays are read.
+pub(super) fn refuse_other_models(field: &str, array: &Array) -> Result<(), BodyFileError> {
+    match array.shape[..] {
+        [_, 52] if field == "weights" => Err(BodyFileError::OtherModel { model: "SMPL-H", joints: 52 }),
+        [_, 55] if field == "weights" => Err(BodyFileError::OtherModel { model: "SMPL-X", joints: 55 }),
+        _ => Ok(()),
+    }
+}
+
 fn skin(array: &Array, n: usize) -> Result<Vec<Vec<JointWeight>>, BodyFileError> {
     let field = "weights";
-    match array.shape[..] {
-        [v, 52] if v == n => return Err(BodyFileError::OtherModel { model: "SMPL-H", joints: 52 }),
-        [v, 55] if v == n => return Err(BodyFileError::OtherModel { model: "SMPL-X", joints: 55 }),
-        _ => shaped(field, array, "(V, 24)", array.shape == [n, N_JOINTS])?,
-    }
+    shaped(field, array, "(V, 24)", array.shape == [n, N_JOINTS])?;
     let row = |(row, weights): (usize, &[f64])| {
         let sum: f64 = weights.iter().sum();
         if !weights.iter().all(|w| *w >= -1e-6) || !is_one(sum) {

@@ -9,6 +9,7 @@
 
 mod array;
 mod assemble;
+mod cache;
 mod error;
 mod landmark_table;
 mod npz;
@@ -16,6 +17,7 @@ mod pickle;
 mod tree;
 mod write;
 
+pub use cache::{CachedBody, load_body_cached, write_private};
 pub use error::BodyFileError;
 pub use landmark_table::{LandmarkTable, LandmarkTableError};
 pub use write::{body_glb, body_npz, body_obj};
@@ -35,13 +37,20 @@ const MAX_FILE_BYTES: u64 = 600 << 20;
 /// # Errors
 /// [`BodyFileError`], naming the field and what was expected.
 pub fn load_body(path: &Path, landmarks: &LandmarkTable) -> Result<BodyModel, BodyFileError> {
+    body_from_bytes(stem(path), &file_bytes(path)?, landmarks)
+}
+
+fn file_bytes(path: &Path) -> Result<Vec<u8>, BodyFileError> {
     let mut bytes = Vec::new();
     std::fs::File::open(path)?.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > MAX_FILE_BYTES {
         return Err(BodyFileError::TooLarge { what: "the file", limit: MAX_FILE_BYTES });
     }
-    let name = path.file_stem().map_or_else(|| "body".to_owned(), |stem| stem.to_string_lossy().into_owned());
-    body_from_bytes(name, &bytes, landmarks)
+    Ok(bytes)
+}
+
+fn stem(path: &Path) -> String {
+    path.file_stem().map_or_else(|| "body".to_owned(), |stem| stem.to_string_lossy().into_owned())
 }
 
 /// Reads a body from the bytes of a file: a zip is an `.npz`, all else a pickle.

@@ -1,6 +1,7 @@
 //! The arrays of an `.npz`.
 
-use super::array::{Array, FIELDS, Fields, MAX_ELEMENTS, NumberType};
+use super::array::{Array, FIELDS, Fields, NumberType, max_elements, n_elements};
+use super::assemble::refuse_other_models;
 use super::error::BodyFileError;
 use npyz::{DType, NpyHeader, Order};
 use std::io::{Cursor, Read};
@@ -14,7 +15,9 @@ pub(super) fn read_fields(bytes: &[u8]) -> Result<Fields, BodyFileError> {
     for field in FIELDS {
         if archive.index_for_name(&format!("{field}.npy")).is_some() {
             let member = archive.by_name(&format!("{field}.npy")).map_err(not_a_zip)?;
-            fields.insert(field.to_owned(), read_array(field, member)?);
+            let array = read_array(field, member)?;
+            refuse_other_models(field, &array)?;
+            fields.insert(field.to_owned(), array);
         }
     }
     Ok(fields)
@@ -23,8 +26,8 @@ pub(super) fn read_fields(bytes: &[u8]) -> Result<Fields, BodyFileError> {
 fn read_array(field: &str, member: impl Read) -> Result<Array, BodyFileError> {
     let not_an_array = |expected| BodyFileError::NotAnArray { field: field.to_owned(), expected };
     // A header lives in the first kilobytes; the cap keeps a claimed length from being believed.
-    let limit = 8 * MAX_ELEMENTS as u64 + (1 << 16);
-    let mut member = member.take(limit);
+    let limit = max_elements(field);
+    let mut member = member.take(8 * limit as u64 + (1 << 16));
     let header = NpyHeader::from_reader(&mut member).map_err(|_| not_an_array("a numpy array"))?;
     let DType::Plain(number) = header.dtype() else { return Err(not_an_array("an array of numbers")) };
     let spelling = number.to_string();
@@ -32,10 +35,10 @@ fn read_array(field: &str, member: impl Read) -> Result<Array, BodyFileError> {
     let number = NumberType::parse(code, order == ">").ok_or_else(|| not_an_array("an array of numbers"))?;
     let shape: Option<Vec<usize>> = header.shape().iter().map(|n| usize::try_from(*n).ok()).collect();
     let shape = shape.ok_or_else(|| not_an_array("a shape of this machine"))?;
-    let too_large = BodyFileError::TooLarge { what: "an array", limit: MAX_ELEMENTS as u64 };
-    let count = super::array::n_elements(&shape).ok_or(too_large)?;
+    let too_large = BodyFileError::TooLarge { what: "an array", limit: limit as u64 };
+    let count = n_elements(&shape).filter(|count| *count <= limit).ok_or(too_large)?;
     let is_fortran = header.order() == Order::Fortran;
-    let mut bytes = Vec::new();
+    let mut bytes = Vec::with_capacity(count * number.size);
     member.take((count * number.size) as u64).read_to_end(&mut bytes)?;
     Array::decode(field, shape, number, is_fortran, &bytes)
 }

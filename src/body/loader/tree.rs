@@ -1,6 +1,7 @@
 //! Numeric arrays out of a pickle's tree: numpy arrays, scipy's sparse matrices, chumpy's `Ch` and `Select`.
 
-use super::array::{Array, FIELDS, Fields, MAX_ELEMENTS, NumberType, n_elements};
+use super::array::{Array, FIELDS, Fields, MAX_ELEMENTS, NumberType, max_elements, n_elements};
+use super::assemble::refuse_other_models;
 use super::error::BodyFileError;
 use super::pickle::{Global, Node, NodeId, Pickle, parse};
 use std::borrow::Cow;
@@ -17,7 +18,13 @@ pub(super) fn read_fields(bytes: &[u8]) -> Result<Fields, BodyFileError> {
     let mut fields = Fields::new();
     for field in FIELDS {
         if let Some(value) = lookup(&pickle, entries, field) {
-            fields.insert(field.to_owned(), Reader { pickle: &pickle, field }.array(value, 0)?);
+            let array = Reader { pickle: &pickle, field }.array(value, 0)?;
+            let limit = max_elements(field);
+            if array.values.len() > limit {
+                return Err(BodyFileError::TooLarge { what: "an array", limit: limit as u64 });
+            }
+            refuse_other_models(field, &array)?;
+            fields.insert(field.to_owned(), array);
         }
     }
     Ok(fields)

@@ -2,8 +2,10 @@
 
 use super::error::Problem;
 use crate::pipeline::{CameraFacts, Options, PipelineError};
+use crate::service::bodies;
 use axum::http::StatusCode;
 use serde_json::{Map, Value};
+use std::path::Path;
 
 /// Reads the options; unknown keys and wrong types are refused by name.
 pub(super) fn parse(options: Option<Value>) -> Result<Options, Problem> {
@@ -34,9 +36,11 @@ fn is_known(key: &str) -> bool {
     serde_json::to_value(Options::default()).is_ok_and(|all| all.get(key).is_some())
 }
 
-/// Whether this session can give what is asked for.
-pub(super) fn check(options: &Options, cameras: &[CameraFacts]) -> Result<(), Problem> {
-    options.check(cameras).map_err(|error| match error {
+/// Whether this session and the bodies registered here can give what is asked for.
+pub(super) fn check(options: &Options, cameras: &[CameraFacts], bodies: &Path) -> Result<(), Problem> {
+    let bodies = bodies::list(bodies).map_err(Problem::internal)?;
+    let names: Vec<String> = bodies.into_iter().map(|body| body.name).collect();
+    options.check(cameras, &names).map_err(|error| match error {
         PipelineError::Option { option, reason } => {
             Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "option_impossible", reason, "change the option")
                 .at(format!("/options{option}"))

@@ -60,7 +60,7 @@ pub(super) async fn create(
         _ => return Err(Problem::unsupported_media_type("application/json or multipart/form-data")),
     };
     let parsed = options::parse(asked.options)?;
-    options::check(&parsed, &session.summary.camera_facts)?;
+    options::check(&parsed, &session.summary.camera_facts, &app.store.folders.bodies())?;
     check_marks(&asked.labels, asked.priority)?;
     let webhook = asked.webhook.map(|webhook| webhook_url(&app, webhook)).transpose()?;
     let options = serde_json::to_value(&parsed).map_err(Problem::internal)?;

@@ -80,6 +80,11 @@ impl Folders {
         self.root.join(DATABASE)
     }
 
+    /// The registered body models.
+    pub fn bodies(&self) -> PathBuf {
+        crate::service::bodies::folder(&self.root)
+    }
+
     /// The bytes of a session.
     pub fn session(&self, id: &str) -> PathBuf {
         self.root.join("sessions").join(id)

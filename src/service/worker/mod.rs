@@ -91,6 +91,7 @@ fn order(store: &Store, settings: &Settings, claim: &Claim) -> Result<Order, Job
         session: store.folders.session(&claim.session),
         session_sha256: claim.session_sha256.clone(),
         options,
+        bodies: store.folders.bodies(),
         out: store.folders.staging(&claim.job, claim.fence),
         checkpoints: store.folders.checkpoints(&claim.job),
         threads: settings.jobs.threads,

@@ -1,0 +1,63 @@
+#!/usr/bin/env python3
+"""The SMPL files of a result against its `poses3d.json`, by numpy alone.
+
+    wandless body export --out BODY.npz [--body FILE]
+    python3 checks/body.py RESULT BODY.npz
+
+The forward pass is written from its definition (Loper et al. 2015, Eqs. 2 to 4): rest joints `J = R (T + S beta)`, then
+`p_j = p_parent + G_parent (J_j - J_parent)`, the root turning about its own rest place, and the translation on top. Prints
+one line per person; exit code 1 where a joint is farther off than 0.1 mm.
+"""
+import json
+import pathlib
+import sys
+
+import numpy as np
+
+BOUND_M = 1e-4
+
+
+def rotations(vectors):
+    """Rotation matrices of rotation vectors, by Rodrigues' formula: [..., 3] -> [..., 3, 3]."""
+    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
+    axis = vectors / np.maximum(angle[..., 0], 1e-300)
+    x, y, z = np.moveaxis(axis, -1, 0)
+    o = np.zeros_like(x)
+    k = np.stack([np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], -2)
+    return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
+
+
+def joints(body, betas, poses, trans):
+    """Joints of every frame: [frames, 24, 3]."""
+    shaped = body["v_template"].astype(float) + body["shapedirs"].astype(float)[..., : len(betas)] @ betas
+    rest = body["J_regressor"].astype(float) @ shaped
+    parents = body["kintree_table"][0]
+    local = rotations(poses.reshape(len(poses), 24, 3))
+    turn, place = [local[:, 0]], [np.broadcast_to(rest[0], (len(poses), 3))]
+    for j in range(1, 24):
+        p = int(parents[j])
+        place.append(place[p] + turn[p] @ (rest[j] - rest[p]))
+        turn.append(turn[p] @ local[:, j])
+    return np.stack(place, 1) + trans[:, None]
+
+
+def main():
+    result, body = pathlib.Path(sys.argv[1]), np.load(sys.argv[2], allow_pickle=False)
+    frames = json.loads((result / "poses3d.json").read_text())["frames"]
+    files = sorted((result / "smpl").glob("*.npz"), key=lambda path: int(path.stem))
+    if not files:
+        raise SystemExit("the result has no smpl/<person>.npz; ask for the export smpl_npz")
+    worst = 0.0
+    for path in files:
+        motion = np.load(path, allow_pickle=False)
+        found = joints(body, motion["betas"], motion["poses"], motion["trans"])
+        told = np.array([frames[str(frame)][path.stem] for frame in motion["frames"]])
+        off = np.linalg.norm(found - told, axis=-1).max()
+        worst = max(worst, off)
+        print(f"person {path.stem}: {len(told)} frames, joints off by {off:.1e} m at most")
+    print("ok" if worst <= BOUND_M else "FAIL", f"{worst:.1e} m, bound {BOUND_M:.0e}")
+    return worst > BOUND_M
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,196 @@
+//! The least-squares fit of the capsules to a body's skin at rest and in natural poses, and of how they change per beta.
+//!
+//! Every sampled vertex belongs to the capsule it is nearest to, seen from the capsule's joint; per capsule
+//! `min sum w d(v_i)^2` over two ends and two radii by damped Gauss-Newton, with new owners after each step. Then, owners
+//! held, the change per beta at rest is linear: `min sum (D_i x + n_i . S_i)^2`, where `D_i` are the derivatives of the
+//! distance to the eight numbers.
+//!
+//! A vertex may belong to a capsule only if its skin weights have a say in it: a hand that hangs at a hip is not taken
+//! for the hip.
+
+use super::start::{RoughCapsule, rough_capsules};
+use super::{BodyCapsule, BodyCapsules, CapsuleEnd, MIN_RADIUS, N_CAPSULES};
+use crate::body::anthropometry::N_BETAS;
+use crate::body::joint_ranges::natural_pose;
+use crate::body::kinematics::{Pose, PosedSkeleton, posed};
+use crate::body::model::{Betas, BodyModel};
+use crate::body::skeleton::PARENTS;
+use crate::body::skinning::skinned;
+use crate::body::surface::JointWeight;
+use crate::geometry::capsule::{PointDistance, TaperedCapsule};
+use nalgebra::{SMatrix, SVector, Vector3};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+
+/// Vertices that the fit looks at, about.
+const N_SAMPLES: usize = 2_500;
+/// Steps; the residual changes by less than 1 % after half of them.
+const N_STEPS: usize = 24;
+/// Damping against some hundred vertices a capsule: ends inside the body, which hardly any vertex sees, stay put.
+const DAMPING: f64 = 0.3;
+/// Natural poses beside the rest pose, drawn with this share of the joints' spreads: without them the arms' roots fit
+/// a T-pose only.
+const N_POSES: usize = 8;
+const POSE_SPREAD: f64 = 0.5;
+/// Weight of the rest pose against one of those: as much as all together.
+const REST_WEIGHT: f64 = 8.0;
+
+/// Both ends in the joint's frame, both radii.
+type Numbers = SVector<f64, 8>;
+type NumbersByBetas = SMatrix<f64, 8, N_BETAS>;
+type Normal = SMatrix<f64, 8, 8>;
+
+pub(super) fn fitted(model: &BodyModel) -> BodyCapsules {
+    let rough = rough_capsules(model);
+    let joints = rough.map(|r| r.joint);
+    let samples = samples(model, &joints);
+    let views = views(model, &samples);
+    let mut numbers = rough.map(|r| start_numbers(model, &r));
+    for _ in 0..N_STEPS {
+        let damping = DAMPING * views.iter().map(|view| view.weight).sum::<f64>();
+        let mut systems = [(Normal::identity() * damping, Numbers::zeros()); N_CAPSULES];
+        for view in &views {
+            for owned in view.owned(&samples, &joints, &numbers) {
+                let (normal, moment) = &mut systems[owned.capsule];
+                *normal += owned.by_numbers * owned.by_numbers.transpose() * view.weight;
+                *moment -= owned.by_numbers * (owned.distance * view.weight);
+            }
+        }
+        for (numbers, (normal, moment)) in numbers.iter_mut().zip(&systems) {
+            *numbers += solved(normal, moment);
+            numbers.fixed_rows_mut::<2>(6).apply(|radius| *radius = radius.max(MIN_RADIUS));
+        }
+    }
+    let rest = views[0].owned(&samples, &joints, &numbers);
+    let by_betas = numbers_by_betas(model, &rough, rest);
+    BodyCapsules { capsules: std::array::from_fn(|k| body_capsule(joints[k], &numbers[k], &by_betas[k])) }
+}
+
+/// A vertex that the fit looks at, and the capsules it may belong to.
+struct Sample {
+    vertex: usize,
+    candidates: Vec<usize>,
+}
+
+fn samples(model: &BodyModel, joints: &[usize; N_CAPSULES]) -> Vec<Sample> {
+    let skin = &model.surface.skin;
+    let step = (skin.len() / N_SAMPLES).max(1);
+    let candidates = |vertex: usize| (0..N_CAPSULES).filter(|&k| has_a_say(&skin[vertex], joints[k])).collect();
+    (0..skin.len()).step_by(step).map(|vertex| Sample { vertex, candidates: candidates(vertex) }).collect()
+}
+
+/// Whether a vertex hangs on the joint or on one at most two bones away.
+fn has_a_say(skin: &[JointWeight], joint: usize) -> bool {
+    let up = |joint: usize| [Some(joint), PARENTS[joint], PARENTS[joint].and_then(|parent| PARENTS[parent])];
+    let [own, parent, grandparent] = up(joint);
+    let is_near = |other: usize| {
+        let above = up(other);
+        above.contains(&own) || above[..2].contains(&parent) || Some(other) == grandparent
+    };
+    skin.iter().any(|share| is_near(share.joint))
+}
+
+/// The samples in one pose.
+struct View {
+    skeleton: PosedSkeleton,
+    /// Places of the samples.
+    places: Vec<Vector3<f64>>,
+    weight: f64,
+}
+
+/// The rest pose, then the natural ones.
+fn views(model: &BodyModel, samples: &[Sample]) -> Vec<View> {
+    let view = |pose: &Pose, weight: f64| {
+        let skin = skinned(model, &Betas::zeros(), pose);
+        let skeleton = posed(&model.shaped(&Betas::zeros()), pose);
+        View { skeleton, places: samples.iter().map(|sample| skin[sample.vertex]).collect(), weight }
+    };
+    let mut rng = ChaCha8Rng::seed_from_u64(0);
+    let poses = (0..N_POSES).map(|_| view(&natural_pose(&mut rng, POSE_SPREAD), 1.0));
+    std::iter::once(view(&Pose::rest(), REST_WEIGHT)).chain(poses).collect()
+}
+
+/// A vertex and its nearest capsule.
+struct Owned {
+    vertex: usize,
+    capsule: usize,
+    distance: f64,
+    /// Unit vector from the capsule to the vertex in the joint's frame.
+    normal: Vector3<f64>,
+    /// Derivative of the distance to the capsule's numbers.
+    by_numbers: Numbers,
+}
+
+impl View {
+    fn owned(&self, samples: &[Sample], joints: &[usize; N_CAPSULES], numbers: &[Numbers; N_CAPSULES]) -> Vec<Owned> {
+        let capsules = numbers.each_ref().map(tapered_capsule);
+        let distance = |k: usize, place: &Vector3<f64>| {
+            let in_joint = self.skeleton.rotations[joints[k]].tr_mul(&(place - self.skeleton.joints[joints[k]]));
+            (k, capsules[k].distance_to(&in_joint))
+        };
+        let owned = |(sample, place): (&Sample, &Vector3<f64>)| {
+            let distances = sample.candidates.iter().map(|&k| distance(k, place));
+            let nearest = distances.reduce(|a, b| if b.1.distance < a.1.distance { b } else { a })?;
+            let (capsule, PointDistance { distance, share, normal }) = nearest;
+            Some(Owned { vertex: sample.vertex, capsule, distance, normal, by_numbers: by_numbers(share, &normal) })
+        };
+        samples.iter().zip(&self.places).filter_map(owned).collect()
+    }
+}
+
+fn start_numbers(model: &BodyModel, rough: &RoughCapsule) -> Numbers {
+    let [first, second] = rough.ends.map(|end| end - model.rest_joints[rough.joint]);
+    Numbers::from_iterator(first.iter().chain(second.iter()).copied().chain([rough.radius; 2]))
+}
+
+fn tapered_capsule(numbers: &Numbers) -> TaperedCapsule {
+    let end = |start: usize| numbers.fixed_rows::<3>(start).into_owned();
+    TaperedCapsule { ends: [end(0), end(3)], radii: [numbers[6], numbers[7]] }
+}
+
+/// `-(1 - s) n`, `-s n`, `-(1 - s)`, `-s`.
+fn by_numbers(share: f64, normal: &Vector3<f64>) -> Numbers {
+    let (first, second) = (normal * (share - 1.0), normal * -share);
+    Numbers::from_iterator(first.iter().chain(second.iter()).copied().chain([share - 1.0, -share]))
+}
+
+/// How the numbers follow the skin at rest per beta: the start is that of the joints they were placed by, radii held.
+fn numbers_by_betas(
+    model: &BodyModel,
+    rough: &[RoughCapsule; N_CAPSULES],
+    owned: Vec<Owned>,
+) -> [NumbersByBetas; N_CAPSULES] {
+    let mut by_betas = rough.map(|r| {
+        let [first, second] = r.directions.map(|d| d - model.shape_directions[r.joint]);
+        let mut start = NumbersByBetas::zeros();
+        start.fixed_rows_mut::<3>(0).copy_from(&first);
+        start.fixed_rows_mut::<3>(3).copy_from(&second);
+        start
+    });
+    let mut systems = [(Normal::identity() * DAMPING, NumbersByBetas::zeros()); N_CAPSULES];
+    for Owned { vertex, capsule, normal, by_numbers, .. } in owned {
+        let (system, moment) = &mut systems[capsule];
+        let in_joint = model.surface.shape_directions[vertex] - model.shape_directions[rough[capsule].joint];
+        let missing = normal.transpose() * in_joint + by_numbers.transpose() * by_betas[capsule];
+        *system += by_numbers * by_numbers.transpose();
+        *moment -= by_numbers * missing;
+    }
+    for (by_betas, (normal, moment)) in by_betas.iter_mut().zip(&systems) {
+        *by_betas += solved(normal, moment);
+    }
+    by_betas
+}
+
+fn solved<const N: usize>(normal: &Normal, moment: &SMatrix<f64, 8, N>) -> SMatrix<f64, 8, N> {
+    normal.cholesky().expect("a sum of squares and a positive multiple of the identity").solve(moment)
+}
+
+fn body_capsule(joint: usize, numbers: &Numbers, by_betas: &NumbersByBetas) -> BodyCapsule {
+    let end = |k: usize| CapsuleEnd {
+        offset: numbers.fixed_rows::<3>(3 * k).into_owned(),
+        offset_directions: by_betas.fixed_rows::<3>(3 * k).into_owned(),
+        radius: numbers[6 + k],
+        radius_directions: by_betas.row(6 + k).transpose(),
+    };
+    BodyCapsule { joint, ends: [end(0), end(1)] }
+}
