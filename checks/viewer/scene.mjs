@@ -1,12 +1,29 @@
 // The scene of a job: what it costs to show it, and whether it shows what the result says.
 
+import { readFileSync, readdirSync } from 'node:fs'
 import { check } from './browser.mjs'
+import { projected } from './lenses.mjs'
 
-/** Waits until the scene can be asked. */
-export const sceneReady = (page) => page.waitForFunction(() => window.wandless, null, { timeout: 60_000 })
+/** Waits until the scene is there, bodies and all. */
+export const sceneReady = (page) => page.waitForFunction(() => window.wandless, null, { timeout: 120_000 })
 
-/** Time and bytes of the first view of a finished job. */
-export async function checkFirstView(page, base, job, what) {
+/** Waits for the next picture. */
+export const drawn = (page) => page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))))
+
+/** As often as this a first view is measured; the best one counts, since whatever else runs on the machine only adds to it. */
+const VIEWS = 3
+
+/** Time and bytes of the first view of a finished job, every time in a browser that knows nothing yet. */
+export async function checkFirstView(open, base, job, what) {
+  const seen = []
+  for (let i = 0; i < VIEWS; i++) seen.push(await firstView(await open(), base, job))
+  const times = seen.map(({ secs }) => secs.toFixed(2)).join(', ')
+  const [secs, bytes] = [Math.min(...seen.map(({ secs }) => secs)), Math.max(...seen.map(({ bytes }) => bytes))]
+  check(`${what}: first view within 2 s`, secs <= 2, `${times} s`)
+  check(`${what}: at most 15 MB`, bytes <= 15e6, `${(bytes / 1e6).toFixed(2)} MB`)
+}
+
+async function firstView(page, base, job) {
   let bytes = 0
   const session = await page.context().newCDPSession(page)
   await session.send('Network.enable')
@@ -14,15 +31,14 @@ export async function checkFirstView(page, base, job, what) {
   const start = Date.now()
   await page.goto(`${base}/#/jobs/${job.id}`)
   await sceneReady(page)
-  await page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))))
+  await drawn(page)
   const secs = (Date.now() - start) / 1000
-  check(`${what}: first view within 2 s`, secs <= 2, `${secs.toFixed(2)} s`)
-  check(`${what}: at most 15 MB`, bytes <= 15e6, `${(bytes / 1e6).toFixed(2)} MB`)
-  await session.detach()
+  await page.context().close()
+  return { secs, bytes }
 }
 
 /** The overlay's joints, and the picture's own camera, against an independent projection of the result's files. */
-export async function checkProjection(page, base, job) {
+export async function checkProjection(page, base, job, what) {
   const file = async (name) => (await fetch(`${base}/v1/jobs/${job.id}/artifacts/${name}`)).json()
   const [{ cameras }, { frames }] = await Promise.all([file('cameras.json'), file('poses3d.json')])
   const numbers = Object.keys(frames).map(Number)
@@ -37,49 +53,104 @@ export async function checkProjection(page, base, job) {
           n++
           worstOverlay = Math.max(worstOverlay, distance(expected.distorted, [drawn[2 * j], drawn[2 * j + 1]]))
         }
+        const expected = camera.R && projected(camera, joints[0])
+        if (!expected) continue
         const shown = await page.evaluate(([...key]) => window.wandless.pixelThrough(...key), [c, joints[0]])
-        const expected = projected(camera, joints[0])
-        if (expected) worstPicture = Math.max(worstPicture, distance(expected.pinhole, shown))
+        worstPicture = Math.max(worstPicture, distance(expected.pinhole, shown))
       }
     }
   }
-  check('overlay against cameras.json x poses3d.json within 0.5 px', n > 0 && worstOverlay <= 0.5, `${worstOverlay.toFixed(4)} px over ${n} joints`)
-  check('picture through the camera within 0.5 px', n > 0 && worstPicture <= 0.5, `${worstPicture.toFixed(4)} px`)
-}
-
-/** OpenCV's model, written out once more so that the viewer is not judged by itself. */
-function projected({ K, R, t, dist: [k1, k2, p1, p2, k3] }, point) {
-  const [x, y, z] = R.map((row, i) => row[0] * point[0] + row[1] * point[1] + row[2] * point[2] + t[i])
-  if (z < 1e-3) return null
-  const [a, b] = [x / z, y / z]
-  const s = a * a + b * b
-  const scale = 1 + k1 * s + k2 * s ** 2 + k3 * s ** 3
-  const bent = [a * scale + 2 * p1 * a * b + p2 * (s + 2 * a * a), b * scale + p1 * (s + 2 * b * b) + 2 * p2 * a * b]
-  const pixel = ([u, v]) => [K[0][0] * u + K[0][1] * v + K[0][2], K[1][1] * v + K[1][2]]
-  return { distorted: pixel(bent), pinhole: pixel([a, b]) }
+  check(`${what}: overlay against cameras.json x poses3d.json within 0.5 px`, n > 0 && worstOverlay <= 0.5, `${worstOverlay.toFixed(4)} px over ${n} joints`)
+  check(`${what}: picture through the camera, lens apart, within 0.5 px`, n > 0 && worstPicture <= 0.5, `${worstPicture.toFixed(4)} px`)
 }
 
 const distance = ([a, b], [c, d]) => Math.hypot(a - c, b - d)
 
-/** Plays for a while: the time between pictures, and whether memory grows. */
+/** Plays for a while: the time between pictures, and whether memory grows, the script's, the card's and the whole browser's. */
 export async function checkPlay(page, minutes, what) {
   const heap = async () => {
     const session = await page.context().newCDPSession(page)
     await session.send('HeapProfiler.collectGarbage')
-    const { usedSize } = await session.send('Runtime.getHeapUsage')
+    const { usedSize, backingStorageSize = 0 } = await session.send('Runtime.getHeapUsage')
     await session.detach()
-    return usedSize
+    return usedSize + backingStorageSize
   }
   await page.locator('.stage canvas').first().focus()
   await page.keyboard.press('Space')
   await page.waitForTimeout(3000)
-  const [before, held] = [await heap(), await page.evaluate(() => window.wandless.memory())]
+  const [before, held, resident] = [await heap(), await page.evaluate(() => window.wandless.memory()), residentOfBrowser()]
   await page.waitForTimeout(minutes * 60_000)
-  const [after, holds] = [await heap(), await page.evaluate(() => window.wandless.memory())]
+  const [after, holds, resides] = [await heap(), await page.evaluate(() => window.wandless.memory()), residentOfBrowser()]
   const times = (await page.evaluate(() => window.wandless.frameTimes())).sort((a, b) => a - b)
   await page.keyboard.press('Space')
   const at = (share) => times[Math.floor(share * (times.length - 1))]?.toFixed(1)
   check(`${what}: frame time stated`, times.length > 0, `median ${at(0.5)} ms, 95 % ${at(0.95)} ms`)
   const grown = `${(before / 1e6).toFixed(1)} to ${(after / 1e6).toFixed(1)} MB in ${minutes} min, geometries ${held.geometries} to ${holds.geometries}`
   check(`${what}: memory does not grow`, after < Math.max(1.1 * before, before + 8e6) && holds.geometries === held.geometries, grown)
+  check(`${what}: nor does the browser`, resides < 1.15 * resident + 40e6, `${(resident / 1e6).toFixed(0)} to ${(resides / 1e6).toFixed(0)} MB resident`)
+}
+
+/** Resident memory of all processes that this check has started, the service's apart. */
+function residentOfBrowser() {
+  const parents = new Map()
+  const sizes = new Map()
+  for (const id of readdirSync('/proc').filter((name) => /^\d+$/.test(name))) {
+    try {
+      const status = readFileSync(`/proc/${id}/status`, 'utf8')
+      parents.set(id, /^PPid:\s*(\d+)/m.exec(status)?.[1])
+      if (/^Name:\s*chrom/m.test(status)) sizes.set(id, 1024 * Number(/^VmRSS:\s*(\d+)/m.exec(status)?.[1] ?? 0))
+    } catch {
+      // It has ended meanwhile.
+    }
+  }
+  const isOurs = (id) => id === String(process.pid) || (parents.has(id) && isOurs(parents.get(id)))
+  return [...sizes].filter(([id]) => isOurs(id)).reduce((sum, [, size]) => sum + size, 0)
+}
+
+/** Joints that stand free of the others: wrists and ankles. */
+const ENDS = [20, 21, 7, 8]
+
+/** Whether the skeletons stand in the picture where the camera's lens puts them, and not where a pinhole would. */
+export async function checkLens(page, base, job, camera, what) {
+  const file = async (name) => (await fetch(`${base}/v1/jobs/${job.id}/artifacts/${name}`)).json()
+  const [{ cameras }, { frames }] = await Promise.all([file('cameras.json'), file('poses3d.json')])
+  const numbers = Object.keys(frames).map(Number)
+  const points = { distorted: [], pinhole: [] }
+  for (const number of numbers.filter((_, i) => i % 5 === 0)) {
+    const seen = Object.values(frames[number]).flatMap((joints) => ENDS.map((j) => projected(cameras[camera], joints[j])))
+    const isInside = ([x, y]) => x > 8 && y > 8 && x < cameras[camera].width - 8 && y < cameras[camera].height - 8
+    // Only where the lens moves a joint well off its own mark is there anything to tell apart.
+    const telling = seen.filter((one) => one && isInside(one.distorted) && isInside(one.pinhole) && distance(one.distorted, one.pinhole) > 16)
+    for (const kind of ['distorted', 'pinhole']) points[kind].push({ frame: number - numbers[0], pixels: telling.map((one) => one[kind]) })
+  }
+  const [bent, straight] = [await inked(page, camera, cameras[camera], points.distorted), await inked(page, camera, cameras[camera], points.pinhole)]
+  check(`${what}: the picture is bent as the lens bends`, bent.n > 10 && bent.share > 0.97 && straight.share < 0.8,
+    `${bent.n} joints, ${(100 * bent.share).toFixed(0)} % where the lens puts them, ${(100 * straight.share).toFixed(0)} % where a pinhole would`)
+}
+
+/** How many of the image's pixels something is drawn at. */
+async function inked(page, index, { width }, frames) {
+  const hits = []
+  for (const { frame, pixels } of frames.filter(({ pixels }) => pixels.length)) {
+    hits.push(...await page.evaluate(([index, width, frame, pixels]) => new Promise((resolve) => {
+      window.wandless.seek(frame)
+      requestAnimationFrame(() => {
+        const stage = document.querySelector('.stage canvas')
+        const copy = document.createElement('canvas')
+        Object.assign(copy, { width: stage.width, height: stage.height })
+        const context = copy.getContext('2d', { willReadFrequently: true })
+        context.drawImage(stage, 0, 0)
+        const part = window.wandless.pictureOf(index)
+        const zoom = (part.width / width) * (stage.width / stage.clientWidth)
+        const ratio = stage.width / stage.clientWidth
+        const color = (x, y) => context.getImageData(Math.round(x), Math.round(y), 1, 1).data.slice(0, 3)
+        const empty = color(4, 4)
+        resolve(pixels.map(([u, v]) => {
+          const found = color(part.left * ratio + (u + 0.5) * zoom, part.top * ratio + (v + 0.5) * zoom)
+          return found.some((c, i) => Math.abs(c - empty[i]) > 14)
+        }))
+      })
+    }), [index, width, frame, pixels]))
+  }
+  return { n: hits.length, share: hits.filter(Boolean).length / Math.max(hits.length, 1) }
 }

@@ -8,7 +8,7 @@ import { fileURLToPath } from 'node:url'
 import { promisify } from 'node:util'
 
 const ROOT = resolve(dirname(fileURLToPath(import.meta.url)), '../..')
-const PROGRAM = process.env.WANDLESS ?? join(ROOT, 'target/release/wandless')
+export const PROGRAM = process.env.WANDLESS ?? join(ROOT, 'target/release/wandless')
 
 /** A folder that is gone at the end. */
 export function temporaryFolder() {
@@ -18,8 +18,8 @@ export function temporaryFolder() {
 }
 
 /** Starts the service and waits for its address. */
-export function startService(folder) {
-  const child = spawn(PROGRAM, ['serve', '--data', join(folder, 'data'), '--listen', '127.0.0.1:0'])
+export function startService(data) {
+  const child = spawn(PROGRAM, ['serve', '--data', data, '--listen', '127.0.0.1:0'])
   process.on('exit', () => child.kill('SIGKILL'))
   return new Promise((resolve, reject) => {
     child.on('error', reject)
@@ -48,11 +48,21 @@ export function asDocument(folder) {
   return JSON.stringify({ ...session, poses: Object.fromEntries(poses) })
 }
 
-/** Uploads a document and solves it over HTTP; the finished job. */
-export async function solve(base, document) {
-  const post = (path, body) => fetch(base + path, { method: 'POST', headers: { 'Content-Type': 'application/json' }, body })
-  const session = await (await post('/v1/sessions', document)).json()
-  let job = await (await post('/v1/jobs', JSON.stringify({ session: session.id }))).json()
+const post = (base, path, body) => fetch(base + path, { method: 'POST', headers: { 'Content-Type': 'application/json' }, body })
+
+/** Uploads a document; the session. */
+export async function uploaded(base, document) {
+  const answer = await post(base, '/v1/sessions', document)
+  if (!answer.ok) throw new Error(`the session was refused: ${await answer.text()}`)
+  return answer.json()
+}
+
+/** Uploads a document and solves it over HTTP, with options and labels where there are any; the finished job. */
+export async function solve(base, document, more = {}) {
+  const session = await uploaded(base, document)
+  const answer = await post(base, '/v1/jobs', JSON.stringify({ session: session.id, ...more }))
+  if (!answer.ok) throw new Error(`the job was refused: ${await answer.text()}`)
+  let job = await answer.json()
   while (!['succeeded', 'failed', 'canceled', 'dead'].includes(job.state)) {
     job = await (await fetch(`${base}/v1/jobs/${job.id}?wait=20`)).json()
   }

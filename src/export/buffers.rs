@@ -7,8 +7,8 @@
 //! | 12..12 + L | the header, JSON in UTF-8, blanks at its end |
 //! | 12 + L.. | the payload: arrays one after another, each padded with zeros to a multiple of 4 bytes |
 //!
-//! An array is announced in the header as `{type: "f32" | "u8" | "i16" | "u32", offset, shape}`: little endian, row by
-//! row, `offset` in bytes from the start of the payload. Since every part is a multiple of 4 bytes long, a browser lays
+//! An array is announced in the header as `{type: "f32" | "u8" | "i16" | "u16" | "u32", offset, shape}`: little endian, row
+//! by row, `offset` in bytes from the start of the payload. Since every part is a multiple of 4 bytes long, a browser lays
 //! typed arrays over the file without a copy. A number that is not known is NaN in an `f32` array.
 
 use serde::Serialize;
@@ -44,6 +44,11 @@ impl Payload {
     /// Appends signed 16-bit integers.
     pub(super) fn i16(&mut self, shape: &[usize], values: impl IntoIterator<Item = i16>) -> Array {
         self.array("i16", shape, values.into_iter().map(i16::to_le_bytes))
+    }
+
+    /// Appends unsigned 16-bit integers.
+    pub(super) fn u16(&mut self, shape: &[usize], values: impl IntoIterator<Item = u16>) -> Array {
+        self.array("u16", shape, values.into_iter().map(u16::to_le_bytes))
     }
 
     /// Appends unsigned 32-bit integers.

@@ -8,9 +8,16 @@
 //! - `person` `[detections]`: whom each was given to, -1 for nobody
 //! - `pixels` `[detections, K, 2]`: px as detected (distorted), NaN where the detector gave no point
 //! - `confidence` `[detections, K]`: 0 to 255 for 0 to 1
+//!
+//! and, where there was a consistency stage, what it made of them:
+//!
+//! - `before` `[detections]`: whom each would show if nothing were repaired, -1 for nobody
+//! - `mended` `[M]`: detections whose keypoints it exchanged or rejected
+//! - `sources` `[M, K]`: for every keypoint of those the detected one that shows it, 255 where it was rejected
 
 use super::buffers::{Array, Payload};
-use crate::session::{Detection, Keypoint, Reconstruction, Session, View};
+use crate::session::reconstruction::{Cleaning, MendedDetection};
+use crate::session::{Detection, Keypoint, PersonId, Reconstruction, Session, View};
 use serde::Serialize;
 use std::io;
 
@@ -31,6 +38,15 @@ struct Camera<'a> {
     person: Array,
     pixels: Array,
     confidence: Array,
+    #[serde(flatten)]
+    cleaning: Option<Cleaned>,
+}
+
+#[derive(Serialize)]
+struct Cleaned {
+    before: Array,
+    mended: Array,
+    sources: Array,
 }
 
 /// The bytes of the file.
@@ -52,23 +68,17 @@ fn camera<'a>(
     reconstruction: &Reconstruction,
     payload: &mut Payload,
 ) -> Camera<'a> {
-    let given = |frame: usize, detection: usize| {
-        let person = (*reconstruction.identities.get(index)?.get(frame)?.get(detection)?)?;
-        i16::try_from(person.0).ok()
-    };
+    let given = given_to(view, reconstruction.identities.get(index));
     let detections = || view.frames.iter().flatten();
     let n_detections = detections().count();
     let ends = view.frames.iter().scan(0, |n, frame| {
         *n += frame.len() as u32;
         Some(*n)
     });
-    let people = view.frames.iter().enumerate().flat_map(|(frame, detections)| {
-        (0..detections.len()).map(move |detection| given(frame, detection).unwrap_or(-1))
-    });
     Camera {
         id: &view.id,
         starts: payload.u32(&[view.frames.len() + 1], std::iter::once(0).chain(ends)),
-        person: payload.i16(&[n_detections], people),
+        person: payload.i16(&[n_detections], given),
         pixels: payload.f32(
             &[n_detections, n_keypoints, 2],
             detections().flat_map(|d| keypoints(d, n_keypoints)).flat_map(|point| match point {
@@ -81,6 +91,45 @@ fn camera<'a>(
             detections()
                 .flat_map(|d| keypoints(d, n_keypoints))
                 .map(|point| point.map_or(0, |point| (255.0 * point.confidence.clamp(0.0, 1.0)).round() as u8)),
+        ),
+        cleaning: reconstruction.cleaning.as_ref().map(|c| cleaned(view, index, n_keypoints, c, payload)),
+    }
+}
+
+/// Whom every detection of a view was given to, frame by frame; -1 for nobody.
+fn given_to(view: &View, identities: Option<&Vec<Vec<Option<PersonId>>>>) -> Vec<i16> {
+    let given = |frame: usize, detection: usize| {
+        let person = (*identities?.get(frame)?.get(detection)?)?;
+        i16::try_from(person.0).ok()
+    };
+    let of_frame = |(frame, detections): (usize, &Vec<Detection>)| {
+        (0..detections.len()).map(|detection| given(frame, detection).unwrap_or(-1)).collect::<Vec<_>>()
+    };
+    view.frames.iter().enumerate().flat_map(of_frame).collect()
+}
+
+fn cleaned(view: &View, index: usize, n_keypoints: usize, cleaning: &Cleaning, payload: &mut Payload) -> Cleaned {
+    let starts: Vec<usize> = view
+        .frames
+        .iter()
+        .scan(0, |n, frame| {
+            let start = *n;
+            *n += frame.len();
+            Some(start)
+        })
+        .collect();
+    let mended: Vec<&MendedDetection> =
+        cleaning.mended.iter().filter(|one| one.view == index && one.frame.0 < starts.len()).collect();
+    let before = given_to(view, cleaning.identities_before.get(index));
+    let source = |one: &MendedDetection, k: usize| one.sources.get(k).copied().flatten();
+    Cleaned {
+        before: payload.i16(&[before.len()], before),
+        mended: payload.u32(&[mended.len()], mended.iter().map(|one| (starts[one.frame.0] + one.detection) as u32)),
+        sources: payload.u8(
+            &[mended.len(), n_keypoints],
+            mended.iter().flat_map(|one| {
+                (0..n_keypoints).map(move |k| source(one, k).and_then(|k| u8::try_from(k).ok()).unwrap_or(u8::MAX))
+            }),
         ),
     }
 }

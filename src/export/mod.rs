@@ -7,6 +7,7 @@
 //! can also be read back from the JSON files ([`read_take`]). What a format cannot hold of it, the manifest says.
 
 mod blender;
+mod body_mesh;
 mod buffers;
 mod bvh;
 mod c3d;
@@ -38,6 +39,7 @@ mod usd;
 #[cfg(test)]
 mod tests;
 
+pub use body_mesh::{BodyMesh, default_body_mesh};
 pub use formats::{Representation, RepresentationData};
 pub use read::{ReadError, read_take};
 pub use take::{Take, TakeCamera};

@@ -1,20 +1,28 @@
 //! `stages/motion.bin`: all that the viewer draws of the scene, in the layout of [`super::buffers`].
 //!
 //! Header: `format: "wandless.motion"`, `version: 1`, `name`, `fps`, `first_frame`, `n_frames`, `joint_names`,
-//! `joint_parents` (null for the root), `keypoint_names`, `world` (`cameras.json` as it is) and `people`, each with
+//! `joint_parents` (null for the root), `keypoint_names`, `world` (`cameras.json` as it is), `body_model` (of
+//! `people.json`) and `people`, each with
 //!
-//! - `id`; `first`: frame index (from 0, not the session's number) of the first row of all arrays
+//! - `id`; `betas`; `first`: frame index (from 0, not the session's number) of the first row of all arrays
 //! - `joints` `[frames, 24, 3]`: the body's joints, world metres
+//! - `turns` `[frames, 24, 4]`: `world_from_joint` as quaternions x y z w, 32767 for 1
 //! - `valid` `[frames]`: 0 where the pose is carried
 //! - `keypoints` `[frames, K, 3]`: the detector's points in the world, metres, NaN where nothing is known
 //! - `n_views` `[frames, K]`: cameras that saw each of them
-//! - `repairs`: `[frame index, camera index]` where the detector's own track of this person broke and ours went on
+//! - `repairs`: `[frame index, camera index]` where the detector's own track of this person broke and ours went on, or
+//!   where this person began to be given what would have been another's
 //!
-//! and `rejected` `[cameras, n_frames]`: detections given to nobody, at most 255.
+//! and `rejected` `[cameras, n_frames]`: detections given to nobody; `mended`, the same shape, where there was a
+//! consistency stage: detections whose keypoints it exchanged or rejected. Both at most 255.
 
 use super::buffers::{Array, Payload};
 use super::cameras::{Cameras, cameras};
+use super::files::micro;
+use super::rotation_forms::quaternion_xyzw;
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
+use crate::session::people::BodyPose;
+use crate::session::reconstruction::{BodyModelId, Cleaning};
 use crate::session::{BodyMotion, JointTrajectory, PersonId, Reconstruction, Session};
 use serde::Serialize;
 use std::io;
@@ -34,15 +42,20 @@ struct Header<'a> {
     joint_parents: [Option<usize>; N_JOINTS],
     keypoint_names: &'static [&'static str],
     world: Cameras<'a>,
+    body_model: &'a BodyModelId,
     people: Vec<Person>,
     rejected: Array,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    mended: Option<Array>,
 }
 
 #[derive(Serialize)]
 struct Person {
     id: usize,
+    betas: [f64; 10],
     first: usize,
     joints: Array,
+    turns: Array,
     valid: Array,
     keypoints: Array,
     n_views: Array,
@@ -74,8 +87,10 @@ pub(super) fn motion_bin(session: &Session, reconstruction: &Reconstruction) -> 
         joint_parents: PARENTS,
         keypoint_names: session.convention.names(),
         world: cameras(session, reconstruction),
+        body_model: &reconstruction.body_model,
         people,
         rejected: rejected(session, reconstruction, &mut payload),
+        mended: reconstruction.cleaning.as_ref().map(|cleaning| mended(session, cleaning, &mut payload)),
     };
     payload.file(&header)
 }
@@ -96,8 +111,10 @@ fn person(
     let joints = motion.frames.iter().flat_map(|pose| pose.joints.iter().flat_map(|joint| [joint.x, joint.y, joint.z]));
     Person {
         id: motion.person.0,
+        betas: motion.betas.map(micro),
         first: motion.first.0,
         joints: payload.f32(&[n_frames, N_JOINTS, 3], joints),
+        turns: payload.i16(&[n_frames, N_JOINTS, 4], motion.frames.iter().flat_map(turns)),
         valid: payload.u8(&[n_frames], motion.frames.iter().map(|pose| u8::from(pose.valid))),
         keypoints: payload.f32(
             &[n_frames, n_keypoints, 3],
@@ -108,22 +125,52 @@ fn person(
     }
 }
 
-/// Where, in a camera, the detection given to a person bears another track id than the one before it did.
+/// `world_from_joint` of all joints, four numbers each; the rest rotation where a pose is not finite.
+fn turns(pose: &BodyPose) -> Vec<i16> {
+    let mut world_from_joint = pose.rotations;
+    for (joint, parent) in PARENTS.iter().enumerate() {
+        if let Some(parent) = *parent {
+            world_from_joint[joint] = world_from_joint[parent] * pose.rotations[joint];
+        }
+    }
+    let quaternion = |turn| {
+        let q = quaternion_xyzw(turn);
+        if q.iter().all(|c| c.is_finite()) { q } else { [0.0, 0.0, 0.0, 1.0] }
+    };
+    world_from_joint.iter().flat_map(quaternion).map(|c| (c * f64::from(i16::MAX)).round() as i16).collect()
+}
+
+/// Where the detection given to a person bears another track id than the one of that camera before it, or would have been
+/// another person's while the one before it would not.
 fn repairs(session: &Session, reconstruction: &Reconstruction, person: PersonId) -> Vec<[usize; 2]> {
+    let before = reconstruction.cleaning.as_ref().map(|cleaning| &cleaning.identities_before);
     let mut found = Vec::new();
     for (view_index, (view, given)) in session.views.iter().zip(&reconstruction.identities).enumerate() {
-        let mut last = None;
+        let (mut last_id, mut was_anothers) = (None, false);
         for (frame, (detections, given)) in view.frames.iter().zip(given).enumerate() {
-            let own = detections.iter().zip(given).find(|(_, given)| **given == Some(person));
-            let Some(track_id) = own.and_then(|(detection, _)| detection.track_id) else { continue };
-            if last.is_some_and(|last| last != track_id) {
+            let Some(own) = given.iter().position(|given| *given == Some(person)) else { continue };
+            let track_id = detections.get(own).and_then(|detection| detection.track_id);
+            let is_new_id = last_id.is_some() && track_id.is_some() && track_id != last_id;
+            let given_before = before.and_then(|views| *views.get(view_index)?.get(frame)?.get(own)?);
+            let is_anothers = given_before.is_some_and(|one| one != person);
+            if is_new_id || (is_anothers && !was_anothers) {
                 found.push([frame, view_index]);
             }
-            last = Some(track_id);
+            (last_id, was_anothers) = (track_id.or(last_id), is_anothers);
         }
     }
     found.sort_unstable();
     found
+}
+
+fn mended(session: &Session, cleaning: &Cleaning, payload: &mut Payload) -> Array {
+    let mut counts = vec![0_u8; session.views.len() * session.n_frames];
+    for one in &cleaning.mended {
+        if let Some(count) = counts.get_mut(one.view * session.n_frames + one.frame.0) {
+            *count = count.saturating_add(1);
+        }
+    }
+    payload.u8(&[session.views.len(), session.n_frames], counts)
 }
 
 fn rejected(session: &Session, reconstruction: &Reconstruction, payload: &mut Payload) -> Array {

@@ -82,6 +82,18 @@ fn reconstruction() -> Reconstruction {
         ],
         up_axis: UpAxis::Y,
         body_model: BodyModelId { name: "default".to_owned(), sha256: "00".repeat(32) },
+        cleaning: Some(Cleaning {
+            identities_before: vec![
+                vec![vec![Some(PersonId(0))], vec![], vec![Some(PersonId(0)), Some(PersonId(1))]],
+                vec![vec![None], vec![], vec![None, None]],
+            ],
+            mended: vec![MendedDetection {
+                view: 0,
+                frame: FrameIndex(2),
+                detection: 1,
+                sources: (0..17).map(|k| (k > 0).then_some(if k == 5 { 6 } else { k })).collect(),
+            }],
+        }),
         report: Report {
             detector: DetectorHabits::default(),
             consistency: None,
@@ -324,6 +336,15 @@ fn the_viewers_motion_reads_back() {
     assert_eq!(person["repairs"], json!([[2, 0]]));
     let rejected = header["rejected"]["offset"].as_u64().unwrap() as usize;
     assert_eq!(payload[rejected..rejected + 6], [0, 0, 1, 1, 0, 2]);
+    let mended = header["mended"]["offset"].as_u64().unwrap() as usize;
+    assert_eq!(payload[mended..mended + 6], [0, 0, 1, 0, 0, 0]);
+    // Joint 4 hangs on joint 1, the only one that is turned.
+    let turns = person["turns"]["offset"].as_u64().unwrap() as usize + 2 * 4 * 4;
+    let turn = |i: usize| i16::from_le_bytes([payload[turns + 2 * i], payload[turns + 2 * i + 1]]);
+    let half = TURN.norm() / 2.0;
+    assert_eq!(turn(3), (half.cos() * f64::from(i16::MAX)).round() as i16);
+    let x = TURN.x / TURN.norm() * half.sin();
+    assert_eq!(turn(0), (x * f64::from(i16::MAX)).round() as i16);
 }
 
 #[test]
@@ -337,4 +358,8 @@ fn the_viewers_detections_read_back() {
     assert_eq!(payload[at("person")..at("person") + 6], [0, 0, 0xff, 0xff, 0, 0]);
     assert_eq!(f32_at(&payload, &camera["pixels"], 3), 2.0);
     assert_eq!(payload[at("confidence")], 255);
+    assert_eq!(payload[at("before")..at("before") + 6], [0, 0, 0, 0, 1, 0]);
+    assert_eq!((&camera["mended"]["shape"], payload[at("mended")]), (&json!([1]), 2));
+    assert_eq!(payload[at("sources")..at("sources") + 6], [255, 1, 2, 3, 4, 6]);
+    assert_eq!(header["cameras"][1]["mended"]["shape"], json!([0]));
 }

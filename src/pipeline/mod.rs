@@ -24,7 +24,7 @@ use crate::matching::tracker::Scene;
 use crate::progress::{Canceled, Progress};
 use crate::session::{Reconstruction, Session};
 use bundle_adjustment::CameraFreedom;
-use calibration::{Calibration, estimate_cameras, from_given_cameras, heldout_px, made_consistent};
+use calibration::{Calibration, Consistent, estimate_cameras, from_given_cameras, heldout_px, made_consistent};
 use checkpoints::Checkpoints;
 pub use config::{CameraFacts, Options};
 use config::{Extrinsics, ScaleSource};
@@ -109,10 +109,14 @@ pub fn reconstruct_with_checkpoints(
     // Not kept: a cleaned session is as large as the upload, and cleaning costs little.
     let stage = progress.stage("denoising", 1, N_STAGES, 0.4, 0.15);
     let (calibration, denoised) = match options.denoise {
-        true => made_consistent(&capture, calibration, freedom(options), &stage).map(|(c, d)| (c, Some(d)))?,
+        true => {
+            let Consistent { calibration, denoised, cleaning } =
+                made_consistent(&capture, calibration, freedom(options), &stage)?;
+            (calibration, Some((denoised.session, (denoised.told, cleaning))))
+        }
         false => (calibration, None),
     };
-    let (clean, consistency) = denoised.map(|d| (d.session, d.told)).unzip();
+    let (clean, consistency) = denoised.unzip();
     let capture = clean.as_ref().map_or(capture, |session| Capture::new(session, options));
 
     let stage = progress.stage("held_out_check", 2, N_STAGES, 0.55, 0.1);
@@ -133,7 +137,7 @@ pub fn reconstruct_with_checkpoints(
 
     let stage_body = stage.stage("body_fit", 5, N_STAGES, 0.72, 0.25);
     let mut reconstruction = findings.with_bodies(&capture, body, &stage_body)?;
-    reconstruction.report.consistency = consistency;
+    (reconstruction.report.consistency, reconstruction.cleaning) = consistency.unzip();
     Ok(reconstruction)
 }
 

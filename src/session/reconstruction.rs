@@ -1,7 +1,7 @@
 //! The result: posed cameras, people, motions, quality figures. Serialised by `export`.
 
 use super::people::{BodyMotion, JointTrajectory};
-use super::recording::{PersonId, UpAxis};
+use super::recording::{FrameIndex, PersonId, UpAxis};
 use crate::geometry::Rigid;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -45,8 +45,33 @@ pub struct Reconstruction {
     pub up_axis: UpAxis,
     /// Name and digest of the body model behind `motions`.
     pub body_model: BodyModelId,
+    /// What became of the detections; `None` where the consistency stage was switched off.
+    pub cleaning: Option<Cleaning>,
     /// Figures and verdict.
     pub report: Report,
+}
+
+/// What the consistency stage made of the detections, against what came in.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Cleaning {
+    /// `[view][frame][detection]`: whom it would show if nothing were repaired, by the detector's own track id, or without
+    /// one by association and tracking.
+    pub identities_before: Vec<Vec<Vec<Option<PersonId>>>>,
+    /// Detections whose keypoints were exchanged or rejected, in order of view, frame and detection.
+    pub mended: Vec<MendedDetection>,
+}
+
+/// A detection of which not every keypoint stands for itself any more.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct MendedDetection {
+    /// Index of its view.
+    pub view: usize,
+    /// Its frame.
+    pub frame: FrameIndex,
+    /// Its place among the frame's detections.
+    pub detection: usize,
+    /// For every named keypoint the one of the detection that shows it; `None`: rejected.
+    pub sources: Vec<Option<usize>>,
 }
 
 /// Which body model the shape and pose parameters belong to.

@@ -5,7 +5,7 @@ import { button, el, fill } from './dom'
 import { openHome } from './pages/home'
 import { type JobPage, type Tab, openJob } from './pages/job'
 import { askForKey } from './pages/key'
-import { problemCard } from './pages/notice'
+import { causeCard, problemCard } from './pages/notice'
 import { isDark, onThemeChange, startTheme, toggleTheme } from './theme'
 
 startTheme()
@@ -48,9 +48,11 @@ function route() {
 function told(problem: Problem | null) {
   if (problem?.status === 401 || problem?.status === 403) askForKey(restart)
   if (!problem) return fill(banner)
-  const title = problem.status === 0 ? 'No connection' : problem.status === 401 ? 'A key is needed' : 'The service could not answer'
-  const action = problem.status === 401 && button('Enter the key', () => askForKey(restart))
-  fill(banner, problemCard(title, problem), action)
+  if (problem.status === 401) {
+    const cause = { code: 'key_needed', detail: 'This service opens for those who have a key.', remedy: 'Enter it; the operator makes one with `wandless key create`.' }
+    return fill(banner, causeCard('A key is needed', cause), button('Enter the key', () => askForKey(restart)))
+  }
+  fill(banner, problemCard(problem.status === 0 ? 'No connection' : 'The service could not answer', problem))
 }
 
 function restart() {

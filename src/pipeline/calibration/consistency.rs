@@ -1,10 +1,25 @@
 //! Cameras and clean detections in turn: each makes the other better.
 
 use super::{Calibration, FINAL, associated, improved};
+use crate::pipeline::association::identities;
 use crate::pipeline::bundle_adjustment::CameraFreedom;
 use crate::pipeline::denoising::{Denoised, DenoisingInput, denoise};
 use crate::pipeline::{Capture, result};
 use crate::progress::{Canceled, Progress};
+use crate::session::reconstruction::{Cleaning, MendedDetection};
+use crate::session::{Detection, FrameIndex, PersonId, PersonTrack, Session};
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+
+/// What [`made_consistent`] leaves.
+pub struct Consistent {
+    /// The cameras, and who is who.
+    pub calibration: Calibration,
+    /// The detections, cleaned.
+    pub denoised: Denoised,
+    /// The last cleaning, detection by detection.
+    pub cleaning: Cleaning,
+}
 
 /// Cleans the detections under the cameras so far, adjusts the cameras to what is left, and cleans the detections as they
 /// came once more under these.
@@ -16,7 +31,7 @@ pub fn made_consistent(
     mut calibration: Calibration,
     freedom: CameraFreedom,
     progress: &Progress,
-) -> Result<(Calibration, Denoised), Canceled> {
+) -> Result<Consistent, Canceled> {
     let first = denoised(capture, &calibration, progress)?;
     let clean = Capture::new(&first.session, capture.options);
     calibration.association.tracks = first.tracks;
@@ -31,9 +46,59 @@ pub fn made_consistent(
     }
     progress.report(0.7, "cameras adjusted to consistent detections");
     let second = denoised(capture, &calibration, progress)?;
+    let cleaning = Cleaning {
+        identities_before: taken_for(capture.session, &calibration.association.tracks, &second.tracks),
+        mended: mended(capture.session, &second.session),
+    };
     calibration.association.tracks.clone_from(&second.tracks);
     calibration.stages.push(second.report.clone());
-    Ok((calibration, second))
+    Ok(Consistent { calibration, denoised: second, cleaning })
+}
+
+/// Whom every detection would show if nothing were repaired: whoever its track id mostly names by what was found in the
+/// end, and without a track id whom `before` gave it to.
+fn taken_for(session: &Session, before: &[PersonTrack], found: &[PersonTrack]) -> Vec<Vec<Vec<Option<PersonId>>>> {
+    let (mut taken, found) = (identities(session, before), identities(session, found));
+    for ((view, taken), found) in session.views.iter().zip(&mut taken).zip(&found) {
+        let mut named: BTreeMap<i64, BTreeMap<PersonId, usize>> = BTreeMap::new();
+        for (detection, person) in view.frames.iter().flatten().zip(found.iter().flatten()) {
+            if let (Some(id), Some(person)) = (detection.track_id, person) {
+                *named.entry(id).or_default().entry(*person).or_default() += 1;
+            }
+        }
+        for (detection, taken) in view.frames.iter().flatten().zip(taken.iter_mut().flatten()) {
+            let people = detection.track_id.and_then(|id| named.get(&id));
+            let usual = people.and_then(|people| people.iter().max_by_key(|(person, n)| (**n, Reverse(**person))));
+            *taken = usual.map_or(*taken, |(person, _)| Some(*person));
+        }
+    }
+    taken
+}
+
+/// The detections whose keypoints are not what came in.
+fn mended(raw: &Session, clean: &Session) -> Vec<MendedDetection> {
+    let n_keypoints = raw.convention.names().len();
+    let mut found = Vec::new();
+    for (view, (before, after)) in raw.views.iter().zip(&clean.views).enumerate() {
+        for (frame, (before, after)) in before.frames.iter().zip(&after.frames).enumerate() {
+            for (detection, (before, after)) in before.iter().zip(after).enumerate().filter(|(_, (b, a))| b != a) {
+                let sources = sources(before, after, n_keypoints);
+                found.push(MendedDetection { view, frame: FrameIndex(frame), detection, sources });
+            }
+        }
+    }
+    found
+}
+
+/// Where every keypoint of a cleaned detection comes from.
+fn sources(before: &Detection, after: &Detection, n_keypoints: usize) -> Vec<Option<usize>> {
+    let source = |k: usize| {
+        let is_source = |from: &usize| before.keypoints[*from].pixel == after.keypoints[k].pixel;
+        let from = Some(k).filter(is_source).or_else(|| (0..n_keypoints).find(is_source))?;
+        let is_rejected = before.keypoints[from].is_present() && !after.keypoints[k].is_present();
+        Some(from).filter(|_| !is_rejected)
+    };
+    (0..n_keypoints.min(before.keypoints.len()).min(after.keypoints.len())).map(source).collect()
 }
 
 fn denoised(capture: &Capture, calibration: &Calibration, progress: &Progress) -> Result<Denoised, Canceled> {

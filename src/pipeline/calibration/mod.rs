@@ -16,7 +16,7 @@ use crate::matching::view_graph::Rig;
 use crate::optim::robust::median;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::StageReport;
-pub use consistency::made_consistent;
+pub use consistency::{Consistent, made_consistent};
 pub use held_out::heldout_px;
 use instants::{FrameFilter, InstantBudget, instants, noise_factor};
 use rayon::prelude::*;

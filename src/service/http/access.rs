@@ -123,7 +123,13 @@ fn refuse_key(app: &App, head: &Parts) -> Problem {
         "a valid API key is needed",
         "send the header Authorization: Bearer <key>; the operator makes keys with `wandless key create`",
     )
-    .with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static("Basic realm=\"wandless\", charset=\"UTF-8\""))
+    .with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static(challenge(&head.headers)))
+}
+
+/// A browser asks its user where a page or a download is refused; the viewer's scripts ask on their own page instead.
+fn challenge(headers: &HeaderMap) -> &'static str {
+    let is_script = headers.get("sec-fetch-dest").is_some_and(|destination| destination == "empty");
+    if is_script { "Bearer realm=\"wandless\"" } else { "Basic realm=\"wandless\", charset=\"UTF-8\"" }
 }
 
 fn too_many(detail: &str, wait: Duration) -> Problem {
@@ -135,6 +141,17 @@ fn too_many(detail: &str, wait: Duration) -> Problem {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_browser_asks_its_user_for_pages_but_not_for_scripts() {
+        let of = |destination: &'static str| {
+            let mut headers = HeaderMap::new();
+            headers.insert("sec-fetch-dest", HeaderValue::from_static(destination));
+            challenge(&headers)
+        };
+        assert!(of("empty").starts_with("Bearer"));
+        assert!(of("document").starts_with("Basic") && challenge(&HeaderMap::new()).starts_with("Basic"));
+    }
 
     #[test]
     fn a_key_is_read_from_either_scheme() {

@@ -1,15 +1,17 @@
-//! `/` and `/assets/{name}`: the web viewer, embedded when the program was built.
+//! `/` and `/assets/{name}`: the web viewer, embedded when the program was built, and the default body that it draws.
 //!
 //! The page may load nothing from elsewhere and run nothing written into it: its `Content-Security-Policy` allows its own
 //! scripts, styles and requests only, nothing inline.
 
 use super::App;
 use super::error::Problem;
+use crate::export::{BodyMesh, default_body_mesh};
 use axum::Router;
 use axum::extract::Path;
-use axum::http::{StatusCode, header};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use tokio::sync::OnceCell;
 
 /// One file of the built page.
 struct Asset {
@@ -38,7 +40,30 @@ const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; st
 
 /// The viewer's routes.
 pub(super) fn routes() -> Router<App> {
-    Router::new().route("/", get(page)).route("/assets/{*name}", get(asset))
+    Router::new()
+        .route("/", get(page))
+        .route("/assets/default-body.bin", get(default_body))
+        .route("/assets/{*name}", get(asset))
+}
+
+/// The mesh of the default body, made at the first request. Its name has no digest, so browsers ask whether it is still
+/// the same; a body that an operator registered is never sent.
+async fn default_body(headers: HeaderMap) -> Result<Response, Problem> {
+    static MESH: OnceCell<BodyMesh> = OnceCell::const_new();
+    let make = || async {
+        tokio::task::spawn_blocking(default_body_mesh)
+            .await
+            .map_err(Problem::internal)?
+            .map_err(|error| Problem::from_io(&error))
+    };
+    let mesh = MESH.get_or_try_init(make).await?;
+    let tag = format!("\"{}\"", mesh.sha256);
+    if headers.get(header::IF_NONE_MATCH).is_some_and(|known| known.as_bytes() == tag.as_bytes()) {
+        return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, tag)]).into_response());
+    }
+    let mut response = answer(&Asset { name: "default-body.bin", bytes: &mesh.bytes }, "no-cache");
+    response.headers_mut().insert(header::ETAG, HeaderValue::from_str(&tag).map_err(Problem::internal)?);
+    Ok(response)
 }
 
 async fn page() -> Response {
@@ -96,6 +121,14 @@ mod tests {
     #[tokio::test]
     async fn a_file_that_is_not_there_is_a_problem() {
         assert!(asset(Path("../index.html".to_owned())).await.is_err());
+    }
+
+    #[tokio::test]
+    async fn a_browser_that_has_the_default_body_is_not_sent_it_again() {
+        let first = default_body(HeaderMap::new()).await.unwrap();
+        let tag = first.headers()[header::ETAG].clone();
+        let again = default_body(HeaderMap::from_iter([(header::IF_NONE_MATCH, tag)])).await.unwrap();
+        assert_eq!((first.status(), again.status()), (StatusCode::OK, StatusCode::NOT_MODIFIED));
     }
 
     #[test]

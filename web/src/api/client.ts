@@ -1,6 +1,6 @@
 // Requests to the service, their answers and every way they fail.
 
-import type { Cause, Job, Manifest, Report, Session } from './types'
+import type { Cause, Inspection, Job, Manifest, Report, Session } from './types'
 
 /** What went wrong, in the service's words where it gave any. */
 export class Problem extends Error {
@@ -93,7 +93,7 @@ export function startJob(session: string, options: Record<string, unknown>) {
 }
 
 /** The inspection's findings, or nothing where the service has no such route. */
-export async function inspect(session: string, signal?: AbortSignal): Promise<Record<string, unknown> | null> {
+export async function inspect(session: string, signal?: AbortSignal): Promise<Inspection | null> {
   try {
     return await json(`/v1/sessions/${session}/inspection`, { signal })
   } catch (error) {

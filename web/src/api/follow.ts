@@ -1,72 +1,61 @@
-// A job as it changes: server-sent events where the service has them, long polling where it does not.
+// A job as it changes, told by the service's events.
 
-import { Problem, request } from './client'
-import { type Job, isFinal } from './types'
-
-/** Longest hold of one question, s. */
-const WAIT_SECS = 25
+import { Problem, getJob, request } from './client'
+import { eventsOf } from './events'
+import { type Job, type Progress, isFinal } from './types'
 
 /** Between two tries of a service that does not answer, ms. */
 const RETRY_MS = 2000
 
-/** Between two questions while events come, ms: progress is told ten times a second, nobody reads so fast. */
-const CALM_MS = 200
+/** Who listens to a job. */
+export interface Follower {
+  onJob: (job: Job) => void
+  /** A line that the job's own process wrote. */
+  onLog?: (line: string) => void
+  /** Why nothing is heard; null as soon as the service answers again. */
+  onProblem: (problem: Problem | null) => void
+}
 
-/** Calls `onJob` at once and at every change until the job is final or `signal` aborts; `onProblem` where a question fails. */
-export async function follow(
-  id: string,
-  onJob: (job: Job) => void,
-  onProblem: (problem: Problem | null) => void,
-  signal: AbortSignal,
-) {
-  let tag: string | null = null
-  let events: Events | null = null
-  let hasEvents = true
-  try {
-    while (!signal.aborted) {
-      try {
-        const wait = hasEvents || !tag ? 0 : WAIT_SECS
-        const answer: Response = await request(`/v1/jobs/${id}?wait=${wait}`, {
-          headers: tag ? { 'If-None-Match': tag } : {},
-          cache: 'no-store',
-          signal,
-        })
-        onProblem(null)
-        if (answer.status !== 304) {
-          tag = answer.headers.get('ETag')
-          const job: Job = await answer.json()
-          onJob(job)
-          if (isFinal(job.state)) return
-        }
-        if (hasEvents && !events) hasEvents = (events = await openEvents(id, signal)) !== null
-        await pause(CALM_MS, signal)
-        if (events && (await events.read()).done) events = null
-      } catch (error) {
+/** Tells of a job at once and at every change until it is final, is gone, or `signal` aborts. */
+export async function follow(id: string, follower: Follower, signal: AbortSignal) {
+  let last: string | null = null
+  let job: Job | null = null
+  const tell = (now: Job) => {
+    job = now
+    follower.onJob(now)
+  }
+  while (!signal.aborted) {
+    try {
+      const headers: Record<string, string> = { Accept: 'text/event-stream', ...(last && { 'Last-Event-ID': last }) }
+      const answer = await request(`/v1/jobs/${id}/events`, { headers, cache: 'no-store', signal })
+      follower.onProblem(null)
+      for await (const { name, data, id: version } of eventsOf(answer)) {
         if (signal.aborted) return
-        if (!(error instanceof Problem)) throw error
-        onProblem(error)
-        if (error.status === 401 || error.status === 404) return
-        events = null
-        await pause(RETRY_MS, signal)
+        last = version ?? last
+        if (name === 'log') follower.onLog?.(String(JSON.parse(data).line))
+        else if (name === 'state') tell(JSON.parse(data))
+        // A stage's time is told by the job alone.
+        else if (name === 'progress' && job) tell(await withProgress(job, JSON.parse(data), signal))
+        if (job && isFinal((job as Job).state)) return
       }
+    } catch (error) {
+      if (signal.aborted) return
+      const problem = error instanceof Problem ? error : unreadable(error)
+      follower.onProblem(problem)
+      if (problem.status === 401 || problem.status === 404) return
     }
-  } finally {
-    events?.cancel().catch(() => {})
+    await pause(RETRY_MS, signal)
   }
 }
 
-type Events = ReadableStreamDefaultReader<Uint8Array>
+async function withProgress(job: Job, progress: Progress, signal: AbortSignal): Promise<Job> {
+  return job.progress?.stage === progress.stage ? { ...job, progress } : getJob(job.id, signal)
+}
 
-/** The stream of a job's events: whatever comes on it means that the job is worth another look. Null where there is none. */
-async function openEvents(id: string, signal: AbortSignal): Promise<Events | null> {
-  try {
-    const answer = await request(`/v1/jobs/${id}/events`, { headers: { Accept: 'text/event-stream' }, signal })
-    const isStream = answer.headers.get('Content-Type')?.startsWith('text/event-stream')
-    return isStream && answer.body ? answer.body.getReader() : null
-  } catch (error) {
-    if (error instanceof Problem && [404, 405, 406, 501].includes(error.status)) return null
-    throw error
-  }
+/** A stream that breaks in the middle fails in the browser's own words. */
+function unreadable(error: unknown) {
+  const detail = `The service's answer broke off (${error instanceof Error ? error.message : String(error)}).`
+  return new Problem(0, { code: 'broken_off', detail, remedy: 'This page tries again by itself.' })
 }
 
 export function pause(ms: number, signal: AbortSignal) {

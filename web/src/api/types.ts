@@ -18,6 +18,20 @@ export interface Session {
   created_at: string
 }
 
+/** What can be said of a session before it is solved. */
+export interface Inspection {
+  cameras: { id: string; frames_with_people: number; detections: number }[]
+  /** Cameras that see the same people. */
+  groups: string[][]
+  findings: Finding[]
+  expected: { joint_error_mm: number | null; solve_s: number | null; cameras_per_person: number | null }
+}
+
+export interface Finding {
+  code: string
+  detail: string
+}
+
 export interface Progress {
   stage: string
   stage_index: number
@@ -105,11 +119,22 @@ export interface Report {
     bone_length_spread: number | null
     jitter_m_per_s2: number | null
   }[]
+  consistency: { ambiguous_frames: number; pairs: ConsistencyPair[] } | null
   heldout_px: number | null
   scale: { value: number; interval95: [number, number]; evidence: string } | null
   rejected_detections: number
   keypoints_from: string
   quality: Quality
+}
+
+/** What the consistency stage did to one person's detections in one camera. */
+export interface ConsistencyPair {
+  camera: string
+  person: number
+  rejected_detections: number
+  rejected_joints: number
+  flips_undone: number
+  swaps_repaired: [number, number][]
 }
 
 const FINAL: State[] = ['succeeded', 'failed', 'canceled', 'dead']

@@ -2,12 +2,12 @@
 
 /** An array as the header announces it. */
 export interface ArrayRef {
-  type: 'f32' | 'u8' | 'i16' | 'u32'
+  type: 'f32' | 'u8' | 'i16' | 'u16' | 'u32'
   offset: number
   shape: number[]
 }
 
-const KINDS = { f32: Float32Array, u8: Uint8Array, i16: Int16Array, u32: Uint32Array }
+const KINDS = { f32: Float32Array, u8: Uint8Array, i16: Int16Array, u16: Uint16Array, u32: Uint32Array }
 
 /** Typed arrays over the file's own bytes. */
 export class Described<Header> {
@@ -35,6 +35,10 @@ export class Described<Header> {
 
   i16(ref: ArrayRef) {
     return this.array(ref) as Int16Array
+  }
+
+  u16(ref: ArrayRef) {
+    return this.array(ref) as Uint16Array
   }
 
   u32(ref: ArrayRef) {

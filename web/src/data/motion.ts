@@ -8,6 +8,8 @@ export interface Camera {
   height: number
   K: number[][]
   dist: number[]
+  /** How the lens bends rays, where `dist` alone does not say it. */
+  distortion_model?: 'rational' | 'fisheye'
   R: number[][] | null
   t: number[] | null
   position: number[] | null
@@ -22,8 +24,12 @@ export interface Person {
   /** Frame index of row 0. */
   first: number
   n_frames: number
+  /** Shape, population standard deviations; null in results of versions that did not tell. */
+  betas: number[] | null
   /** [frames, 24, 3], world metres. */
   joints: Float32Array
+  /** [frames, 24, 4]: `world_from_joint` as quaternions x y z w, `UNIT_TURN` for 1; null as above. */
+  turns: Int16Array | null
   /** [frames]: 0 where the pose is carried. */
   valid: Uint8Array
   /** [frames, K, 3], world metres, NaN where nothing is known. */
@@ -45,23 +51,31 @@ export interface Motion {
   keypoint_names: string[]
   cameras: Camera[]
   people: Person[]
+  /** What the people were fitted with; null in results of versions that did not tell. */
+  body_model: { name: string; sha256: string } | null
   /** [cameras, n_frames]: detections given to nobody. */
   rejected: Uint8Array
+  /** [cameras, n_frames]: detections whose keypoints were exchanged or rejected; null where nothing was cleaned. */
+  mended: Uint8Array | null
 }
 
 export const N_JOINTS = 24
+export const UNIT_TURN = 32767
 
-interface Header extends Omit<Motion, 'cameras' | 'people' | 'rejected' | 'up_axis'> {
+interface Header extends Omit<Motion, 'cameras' | 'people' | 'rejected' | 'mended' | 'up_axis'> {
   world: { up_axis: 'y' | 'z'; cameras: Camera[] }
-  people: (Pick<Person, 'id' | 'first' | 'repairs'> & Record<'joints' | 'valid' | 'keypoints' | 'n_views', ArrayRef>)[]
+  people: (Pick<Person, 'id' | 'first' | 'repairs'> &
+    Record<'joints' | 'valid' | 'keypoints' | 'n_views', ArrayRef> & { betas?: number[]; turns?: ArrayRef })[]
   rejected: ArrayRef
+  mended?: ArrayRef
 }
 
 export function readMotion(bytes: ArrayBuffer): Motion {
   const file = new Described<Header>(bytes, 'wandless.motion')
-  const { world, people, rejected, ...rest } = file.header
+  const { world, people, rejected, mended, ...rest } = file.header
   return {
     ...rest,
+    body_model: rest.body_model ?? null,
     up_axis: world.up_axis,
     cameras: world.cameras,
     people: people.map((person) => ({
@@ -69,12 +83,15 @@ export function readMotion(bytes: ArrayBuffer): Motion {
       first: person.first,
       repairs: person.repairs,
       n_frames: person.joints.shape[0],
+      betas: person.betas ?? null,
       joints: file.f32(person.joints),
+      turns: person.turns ? file.i16(person.turns) : null,
       valid: file.u8(person.valid),
       keypoints: file.f32(person.keypoints),
       n_views: file.u8(person.n_views),
     })),
     rejected: file.u8(rejected),
+    mended: mended ? file.u8(mended) : null,
   }
 }
 

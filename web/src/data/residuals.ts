@@ -1,6 +1,6 @@
 // How far what was seen lies from what was found, frame by frame.
 
-import type { CameraDetections } from './detections'
+import { type CameraDetections, sourceOf } from './detections'
 import { type Motion, rowAt } from './motion'
 import { project } from './projection'
 
@@ -35,8 +35,9 @@ function eachMatch(
     const row = person ? rowAt(person, frame) : -1
     if (!person || row < 0) continue
     for (let k = 0; k < n; k++) {
-      if (seen.confidence[d * n + k] < MIN_CONFIDENCE) continue
-      const [p, q] = [3 * (row * n + k), 2 * (d * n + k)]
+      const source = sourceOf(seen, d, k, n)
+      if (source < 0 || seen.confidence[d * n + source] < MIN_CONFIDENCE) continue
+      const [p, q] = [3 * (row * n + k), 2 * (d * n + source)]
       const x = person.keypoints[p]
       if (x === x) visit(x, person.keypoints[p + 1], person.keypoints[p + 2], seen.pixels[q], seen.pixels[q + 1])
     }

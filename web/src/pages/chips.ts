@@ -15,8 +15,8 @@ export function verdictChip(verdict: Verdict) {
 
 /** A bar with the stage in words; nothing once the job has ended. */
 export function progressBar(job: Job) {
-  const { progress } = job
-  if (!progress || !['queued', 'running', 'canceling'].includes(job.state)) return null
+  if (!['queued', 'running', 'canceling'].includes(job.state)) return null
+  const progress = job.progress ?? { stage: '', stage_index: 0, stage_count: 0, fraction: 0, message: '', eta_s: null }
   const stage = progress.stage ? words(progress.stage) : job.state
   const eta = progress.eta_s == null ? '' : ` · ${seconds(progress.eta_s)} left`
   const bar = el('progress', { max: 1, value: progress.fraction, 'aria-label': `Progress, ${stage}` })

@@ -1,7 +1,7 @@
 // The first page: drop a session, see every job.
 
 import { Problem, cancelJob, deleteJob, deleteSession, listJobs, listSessions } from '../api/client'
-import { pause } from '../api/follow'
+import { follow, pause } from '../api/follow'
 import { type Job, type Session, isFinal } from '../api/types'
 import { type Take, takeFromDrop, takeFromFiles, upload } from '../api/upload'
 import { button, el, fill } from '../dom'
@@ -11,8 +11,11 @@ import { confirmLoss } from './dialog'
 import { problemCard } from './notice'
 import { openStart } from './start'
 
-/** Between two looks at the lists, ms: while a job runs, and while none does. */
-const [BUSY_MS, IDLE_MS] = [700, 4000]
+/** Between two looks at the lists, ms; how far the running jobs are comes by itself. */
+const REST_MS = 3000
+
+/** Jobs followed at the same time: a browser opens six connections to a service at most. */
+const MOST_FOLLOWED = 3
 
 export interface Home {
   element: HTMLElement
@@ -23,18 +26,32 @@ export function openHome(signal: AbortSignal, onproblem: (problem: Problem | nul
   const jobs = el('div', { class: 'jobs' })
   const sessions = el('div', { class: 'sessions' })
   const trouble = el('div', { 'aria-live': 'polite' })
+  const followed = new Map<string, Job['state']>()
   let known = ''
 
   const refresh = async () => {
     const [listed, stored] = await Promise.all([listJobs(signal), listSessions(signal)])
     onproblem(null)
-    const now = JSON.stringify([listed, stored])
+    const now = JSON.stringify([listed.map((job) => ({ ...job, progress: null })), stored])
     if (now !== known) {
       known = now
       keepingFocus(jobs, () => fill(jobs, jobTable(listed, stored, act)))
       keepingFocus(sessions, () => fill(sessions, ...sessionCards(stored, act)))
     }
-    return listed.every((job) => isFinal(job.state)) ? IDLE_MS : BUSY_MS
+    listed.filter(({ state }) => !isFinal(state)).forEach(watchJob)
+  }
+  /** Draws a job's progress as it comes; any other change is worth a new list. */
+  const watchJob = (job: Job) => {
+    if (followed.has(job.id) || followed.size >= MOST_FOLLOWED) return
+    followed.set(job.id, job.state)
+    const onJob = (now: Job) => {
+      const place = jobs.querySelector(`[data-job="${job.id}"] .job-progress`)
+      if (place) fill(place, progressBar(now))
+      const isNew = followed.get(job.id) !== now.state
+      followed.set(job.id, now.state)
+      if (isNew) refresh().catch(() => {})
+    }
+    follow(job.id, { onJob, onProblem: () => {} }, signal).finally(() => followed.delete(job.id))
   }
   const act = async (title: string, action: () => Promise<unknown>) => {
     fill(trouble)
@@ -55,17 +72,16 @@ export function openHome(signal: AbortSignal, onproblem: (problem: Problem | nul
   return { element }
 }
 
-async function watch(refresh: () => Promise<number>, signal: AbortSignal, onproblem: (problem: Problem) => void) {
+async function watch(refresh: () => Promise<void>, signal: AbortSignal, onproblem: (problem: Problem) => void) {
   while (!signal.aborted) {
-    let rest = IDLE_MS
     try {
-      rest = await refresh()
+      await refresh()
     } catch (error) {
       if (signal.aborted) return
       if (!(error instanceof Problem)) throw error
       onproblem(error)
     }
-    await pause(rest, signal)
+    await pause(REST_MS, signal)
   }
 }
 
@@ -139,7 +155,7 @@ function jobRow(job: Job, session: Session | undefined, act: Act) {
           }, { class: 'quiet', 'aria-label': `Delete the job on ${name}` })
         : button('Cancel', () => act('The job was not canceled', () => cancelJob(job.id)), {
             class: 'quiet', disabled: job.state === 'canceling', 'aria-label': `Cancel the job on ${name}` })),
-    progressBar(job),
+    el('div', { class: 'job-progress' }, progressBar(job)),
     job.error ? el('p', { class: 'job-reason' }, job.error.detail) : null,
     job.quality && job.quality.reasons.length > 0 ? el('p', { class: 'job-reason' }, job.quality.reasons[0]) : null)
 }

@@ -15,6 +15,9 @@ import { causeCard, problemCard } from './notice'
 export type Tab = 'scene' | 'report' | 'files'
 const TABS: [Tab, string][] = [['scene', 'Scene'], ['report', 'Report'], ['files', 'Files']]
 
+/** Lines of the log that are kept. */
+const LOG_LINES = 200
+
 export interface JobPage {
   element: HTMLElement
   show: (tab: Tab) => void
@@ -39,7 +42,16 @@ export function openJob(id: string, tab: Tab, signal: AbortSignal, onproblem: (p
       fill(trouble, problemCard(title, error))
     }
   }
-  const drawHead = () => job && fill(head, ...headOf(job, name || job.session, act))
+  let headShown = ''
+  const time = el('span', { class: 'job-time' })
+  const drawHead = (now: Job) => {
+    time.textContent = `${moment(now.created_at)} · ${duration(now)}`
+    // Progress comes many times a second: a button that is made anew under the pointer takes no click.
+    const wanted = JSON.stringify([now.state, now.quality, name])
+    if (wanted !== headShown) fill(head, ...headOf(now, name || now.session, time, act))
+    headShown = wanted
+  }
+  const waiting = new Waiting()
   const show = async (wanted: Tab) => {
     tab = wanted
     for (const link of tabs.querySelectorAll('a')) {
@@ -59,18 +71,26 @@ export function openJob(id: string, tab: Tab, signal: AbortSignal, onproblem: (p
   const changed = (now: Job) => {
     job = now
     document.title = `${name || 'job'} · ${now.state} · wandless`
-    drawHead()
+    drawHead(now)
     tabs.hidden = now.state !== 'succeeded'
     if (now.state === 'succeeded') show(tab)
-    else fill(body, ...waitingPage(now))
+    else if (isFinal(now.state)) fill(body, ending(now))
+    else {
+      waiting.show(now)
+      if (!body.contains(waiting.element)) fill(body, waiting.element)
+    }
   }
   fill(tabs, ...TABS.map(([key, label]) => el('a', { href: `#/jobs/${id}/${key}`, 'data-tab': key }, label)))
-  follow(id, (now) => {
-    if (!job) getSession(now.session, signal).then((session) => ((name = session.name), changed(job ?? now)), () => {})
-    changed(now)
-  }, (problem) => {
-    if (problem?.status === 404) fill(body, problemCard('There is no such job', problem))
-    else onproblem(problem)
+  follow(id, {
+    onJob: (now) => {
+      if (!job) getSession(now.session, signal).then((session) => ((name = session.name), changed(job ?? now)), () => {})
+      changed(now)
+    },
+    onLog: (line) => waiting.log(line),
+    onProblem: (problem) => {
+      if (problem?.status === 404) fill(body, problemCard('There is no such job', problem))
+      else onproblem(problem)
+    },
   }, signal)
   return { element, show }
 }
@@ -95,7 +115,7 @@ async function contentOf(tab: Tab, job: Job, signal: AbortSignal): Promise<OpenS
   })
 }
 
-function headOf(job: Job, name: string, act: (title: string, action: () => Promise<unknown>) => void) {
+function headOf(job: Job, name: string, time: HTMLElement, act: (title: string, action: () => Promise<unknown>) => void) {
   const remove = async () => {
     if (!(await confirmLoss(`Delete the job on ${name} and its result?`, 'Delete'))) return
     act('The job was not deleted', async () => {
@@ -110,7 +130,7 @@ function headOf(job: Job, name: string, act: (title: string, action: () => Promi
     el('h1', {}, name),
     stateChip(job),
     job.quality && verdictChip(job.quality.verdict),
-    el('span', { class: 'job-time' }, `${moment(job.created_at)} · ${duration(job)}`),
+    time,
     isFinal(job.state)
       ? button('Solve again', again, { class: 'quiet' })
       : button('Cancel', () => act('The job was not canceled', () => cancelJob(job.id)), { disabled: job.state === 'canceling' }),
@@ -118,21 +138,36 @@ function headOf(job: Job, name: string, act: (title: string, action: () => Promi
   ]
 }
 
-/** What is shown until there is a result, or in place of one. */
-function waitingPage(job: Job) {
-  if (job.state === 'failed' || job.state === 'dead') {
-    const cause = job.error ?? { code: job.state, detail: 'The job ended without a result.' }
-    const remedy = cause.remedy || 'Mend the input, upload it and start a new job; this one keeps its end.'
-    return [causeCard(job.state === 'dead' ? 'The job died three times' : 'This capture could not be solved', { ...cause, remedy })]
-  }
+/** What is shown in place of a result. */
+function ending(job: Job) {
   if (job.state === 'canceled') {
-    return [el('section', { class: 'notice' }, el('h3', {}, 'Canceled'), el('p', {}, 'The work has stopped and nothing was kept.'),
-      el('p', { class: 'remedy' }, el('strong', {}, 'What to do: '), 'start it again with “Solve again”.'))]
+    return el('section', { class: 'notice' }, el('h2', {}, 'Canceled'), el('p', {}, 'The work has stopped and nothing was kept.'),
+      el('p', { class: 'remedy' }, el('strong', {}, 'What to do: '), 'start it again with “Solve again”.'))
   }
-  const done = Object.entries(job.stage_seconds)
-  return [
-    el('section', { class: 'waiting', 'aria-label': 'Progress' },
-      progressBar(job),
-      done.length > 0 && el('ol', { class: 'stages' }, ...done.map(([stage, time]) => el('li', {}, `${words(stage)}: ${seconds(time)}`)))),
-  ]
+  const cause = job.error ?? { code: job.state, detail: 'The job ended without a result.' }
+  const remedy = cause.remedy || 'Mend the input, upload it and start a new job; this one keeps its end.'
+  return causeCard(job.state === 'dead' ? 'The job died three times' : 'This capture could not be solved', { ...cause, remedy })
+}
+
+/** What is shown until there is a result. */
+class Waiting {
+  private readonly progress = el('div', { role: 'status' })
+  private readonly stages = el('ol', { class: 'stages' })
+  private readonly lines = el('pre', { class: 'log', tabindex: 0, 'aria-label': 'Lines of the log' })
+  private readonly logBox = el('details', { hidden: true }, el('summary', {}, 'Log'), this.lines)
+  readonly element = el('section', { class: 'waiting', 'aria-label': 'Progress' }, this.progress, this.stages, this.logBox)
+
+  show(job: Job) {
+    fill(this.progress, progressBar(job))
+    const done = Object.entries(job.stage_seconds)
+    if (done.length !== this.stages.childElementCount) {
+      fill(this.stages, ...done.map(([stage, time]) => el('li', {}, `${words(stage)}: ${seconds(time)}`)))
+    }
+  }
+
+  log(line: string) {
+    this.logBox.hidden = false
+    this.lines.append(`${line}\n`)
+    while (this.lines.childNodes.length > LOG_LINES) this.lines.firstChild?.remove()
+  }
 }

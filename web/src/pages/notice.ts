@@ -23,8 +23,14 @@ export function causeCard(title: string, cause: Cause) {
     'section',
     { class: 'notice bad', role: 'alert' },
     el('h3', {}, title),
-    el('p', {}, cause.detail),
+    el('p', {}, sentence(cause.detail)),
     rows.length > 0 && el('dl', {}, ...rows.flatMap(([name, value]) => [el('dt', {}, name), el('dd', {}, String(value))])),
-    cause.remedy ? el('p', { class: 'remedy' }, el('strong', {}, 'What to do: '), cause.remedy) : null,
+    cause.remedy ? el('p', { class: 'remedy' }, el('strong', {}, 'What to do: '), sentence(cause.remedy)) : null,
   )
+}
+
+/** The service speaks in clauses. */
+function sentence(text: string) {
+  const [first = '', ...rest] = text
+  return first.toUpperCase() + rest.join('') + (/[.!?:)\]}>]$/.test(text) ? '' : '.')
 }

@@ -1,8 +1,9 @@
 // The options of a new job, with the inspection's findings where the service has them.
 
 import { inspect, startJob } from '../api/client'
-import type { Job, Session } from '../api/types'
+import type { Inspection, Job, Session } from '../api/types'
 import { button, el, fill } from '../dom'
+import { millimetres, seconds } from '../format'
 import { openDialog } from './dialog'
 import { problemCard } from './notice'
 
@@ -62,16 +63,29 @@ export function openStart(session: Session, onstart: (job: Job) => void) {
 }
 
 async function showFindings(session: Session, place: HTMLElement) {
-  const inspection = await inspect(session.id).catch(() => null)
-  const found = inspection && Array.isArray(inspection.findings) ? inspection.findings.map(textOf) : []
-  const lines = [...found, ...session.warnings]
-  if (lines.length) fill(place, el('h3', {}, 'Inspection'), el('ul', {}, ...lines.map((line) => el('li', {}, line))))
+  fill(place, el('p', { class: 'hint', role: 'status' }, 'Looking at the session…'))
+  try {
+    const inspection = await inspect(session.id)
+    const lines = [...(inspection ? linesOf(inspection) : []), ...session.warnings]
+    fill(place, lines.length > 0 && el('h3', {}, 'Inspection'), lines.length > 0 && el('ul', {}, ...lines.map((line) => el('li', {}, line))))
+  } catch (error) {
+    fill(place, problemCard('The session could not be inspected', error))
+  }
 }
 
-function textOf(finding: unknown) {
-  if (typeof finding === 'string') return finding
-  const { detail, message } = (finding ?? {}) as Record<string, unknown>
-  return String(detail ?? message ?? JSON.stringify(finding))
+/** The findings, then what may be expected. */
+function linesOf({ findings, groups, cameras, expected }: Inspection) {
+  const together = groups.length === 1
+    ? `All ${cameras.length} cameras see the same people.`
+    : `The cameras fall into groups that share nobody: ${groups.map((group) => group.join(', ')).join(' | ')}.`
+  const { joint_error_mm, solve_s, cameras_per_person } = expected
+  return [
+    ...findings.map(({ detail }) => detail),
+    groups.length > 0 && together,
+    cameras_per_person != null && `Each person is seen by ${cameras_per_person.toFixed(1)} cameras on average.`,
+    joint_error_mm != null && `Joints are expected within about ${millimetres(joint_error_mm)}.`,
+    solve_s != null && `It will take about ${seconds(solve_s)}.`,
+  ].filter((line): line is string => Boolean(line))
 }
 
 function field(label: string, input: HTMLElement, hint?: string) {

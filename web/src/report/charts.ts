@@ -79,5 +79,5 @@ function niceAbove(value: number) {
 }
 
 function shortened(name: string) {
-  return name.length > 18 ? `${name.slice(0, 17)}…` : name
+  return name.length > 13 ? `${name.slice(0, 12)}…` : name
 }

@@ -1,7 +1,7 @@
 // The report of a job as pictures; prints on paper.
 
 import { getArtifact, getReport } from '../api/client'
-import type { Job, Quality, Report } from '../api/types'
+import type { ConsistencyPair, Job, Quality, Report } from '../api/types'
 import { readDetections } from '../data/detections'
 import { type Motion, readMotion } from '../data/motion'
 import { accelerationOverTime, residualsOverTime } from '../data/residuals'
@@ -31,17 +31,20 @@ export async function reportPage(job: Job, signal: AbortSignal): Promise<HTMLEle
         mark: camera.reprojection_px?.mean,
         note: camera.solved ? 'nothing matched' : 'not placed',
       }))),
+      motion && motion.cameras.some(({ sigma_position_mm }) => sigma_position_mm != null) && barChart('Uncertainty of camera positions, one standard deviation', 'mm',
+        motion.cameras.map((camera) => ({ name: camera.id, value: camera.sigma_position_mm ?? null, note: camera.R ? 'not known' : 'not placed' }))),
+      motion && residuals && lineChart('Reprojection over time, median per camera', 'px', motion.first_frame,
+        motion.cameras.map((camera, i) => ({ name: camera.id, color: CAMERA_COLORS[i % 8], values: residuals[i] }))),
+      motion && motion.people.length > 0 && lineChart('Joint acceleration over time, mean of the body', 'm/s²', motion.first_frame,
+        accelerationOverTime(motion).map((values, i) => ({ name: `Person ${motion.people[i].id}`, color: personColor(i), values }))),
       barChart('Reprojection by person: median (bar), mean (tick)', 'px', report.people.map((person) => ({
         name: `Person ${person.id}`,
         value: person.reprojection_px?.median ?? null,
         mark: person.reprojection_px?.mean,
-      }))),
-      motion && residuals && lineChart('Reprojection over time, median per camera', 'px', motion.first_frame,
-        motion.cameras.map((camera, i) => ({ name: camera.id, color: CAMERA_COLORS[i % 8], values: residuals[i] }))),
-      motion && motion.people.length > 0 && lineChart('Joint acceleration over time, mean of the body', 'm/s²', motion.first_frame,
-        accelerationOverTime(motion).map((values, i) => ({ name: `Person ${motion.people[i].id}`, color: personColor(i), values })))),
+      })))),
     cameraTable(report, motion),
     peopleTable(report),
+    consistencyTable(report),
     stageTable(report, job))
 }
 
@@ -67,11 +70,13 @@ function figures(report: Report, motion: Motion | null) {
     ['People', String(report.people.length), motion ? `${motion.n_frames} frames at ${motion.fps} a second` : ''],
     ['Held-out error', px(report.heldout_px, 2), 'cameras from every other block of frames, judged on the rest'],
     ['Scale', scale ? scale.value.toFixed(3) : NOTHING,
-      scale ? `${scale.interval95[0].toFixed(3)} to ${scale.interval95[1].toFixed(3)} with 95 %: ${scale.evidence}` : 'given by the session'],
+      scale ? `${scale.interval95[0].toFixed(3)} to ${scale.interval95[1].toFixed(3)} with 95 % certainty` : 'given by the session'],
     ['Detections rejected', percent(report.rejected_detections, 1), 'given to nobody'],
   ]
-  return el('dl', { class: 'figures-row' }, ...cells.map(([name, value, note]) =>
-    el('div', {}, el('dt', {}, name), el('dd', {}, el('strong', {}, value), el('span', { class: 'hint' }, note)))))
+  return el('div', {},
+    el('dl', { class: 'figures-row' }, ...cells.map(([name, value, note]) =>
+      el('div', {}, el('dt', {}, name), el('dd', {}, el('strong', {}, value), el('span', { class: 'hint' }, note))))),
+    scale && el('p', { class: 'hint scale' }, `Scale from ${scale.evidence}.`))
 }
 
 function cameraTable(report: Report, motion: Motion | null) {
@@ -92,6 +97,16 @@ function peopleTable(report: Report) {
     report.people.map((person) => [`Person ${person.id}`, `${person.first_frame} to ${person.last_frame}`,
       px(person.reprojection_px?.median, 2), px(person.reprojection_px?.mean, 2), percent(person.bone_length_spread, 1),
       acceleration(person.jitter_m_per_s2), person.n_detections]))
+}
+
+/** Camera by camera, all people together; the scene shows each of them where it happened. */
+function consistencyTable({ consistency, cameras }: Report) {
+  if (!consistency) return el('p', { class: 'hint' }, 'Detections were taken as they came: the consistency stage was switched off.')
+  const sumOf = (camera: string, count: (pair: ConsistencyPair) => number) =>
+    consistency.pairs.filter((pair) => pair.camera === camera).reduce((sum, pair) => sum + count(pair), 0)
+  return table('Repaired and rejected', ['Camera', 'Swaps of identity', 'Left and right exchanged', 'Joints rejected', 'Detections taken away'],
+    cameras.map(({ id }) => [id, sumOf(id, (pair) => pair.swaps_repaired.length), sumOf(id, (pair) => pair.flips_undone),
+      sumOf(id, (pair) => pair.rejected_joints), sumOf(id, (pair) => pair.rejected_detections)]))
 }
 
 function stageTable(report: Report, job: Job) {

@@ -1,6 +1,6 @@
 // The keyboard of the scene page.
 
-import { SPEEDS, SWITCHES } from './state'
+import { SPEEDS, SWITCHES, comparisonsOf } from './state'
 import type { SceneView } from './view'
 
 /** What each key does, as the help shows it. */
@@ -8,10 +8,12 @@ export const KEY_HELP: [string, string][] = [
   ['Space', 'play or pause'],
   ['← →', 'one frame back or on; with Shift ten'],
   ['Home End', 'first and last frame'],
+  [', .', 'to the mark before or after: a repair or a rejection'],
   ['[ ]', 'slower, faster'],
   ['1 – 9', 'look through a camera; the same key or Esc leaves it'],
   ['Tab', 'to the next control; Enter chooses'],
   ...SWITCHES.map(({ key, title }): [string, string] => [key.toUpperCase(), title.charAt(0).toLowerCase() + title.slice(1)]),
+  ['V', 'side by side: raw and denoised, points and body'],
   ['F', 'turn to what is selected, or show everything'],
   ['Alt ← → ↑ ↓', 'turn the view'],
   ['+ −', 'come closer, go back'],
@@ -41,6 +43,14 @@ export function press(view: SceneView, event: KeyboardEvent, help: () => void): 
     case 'End':
       view.set({ at: view.lastFrame, isPlaying: false })
       return true
+    case ',':
+    case '.':
+      view.toMark(event.key === '.' ? 1 : -1)
+      return true
+    case 'v':
+    case 'V':
+      view.set({ compared: otherComparison(view) })
+      return true
     case '[':
     case ']':
       view.set({ speed: otherSpeed(state.speed, event.key === ']' ? 1 : -1) })
@@ -63,6 +73,11 @@ export function press(view: SceneView, event: KeyboardEvent, help: () => void): 
       return true
   }
   return pressSwitch(view, event.key.toLowerCase()) || pressNumber(view, event.key)
+}
+
+function otherComparison({ motion, state }: SceneView) {
+  const names = comparisonsOf(motion, state.through !== null).map(({ name }) => name)
+  return names[(names.indexOf(state.compared) + 1) % names.length]
 }
 
 function pressSwitch(view: SceneView, key: string) {

@@ -1,6 +1,6 @@
 // Looking through a camera: its detections and the reprojected body over each other, with the distance between them.
 
-import type { CameraDetections } from '../data/detections'
+import { type CameraDetections, deedsOn, sourceOf } from '../data/detections'
 import { type Motion, N_JOINTS, keypointEdges, rowAt } from '../data/motion'
 import { project } from '../data/projection'
 import { errorColor, personColor } from './palette'
@@ -13,21 +13,30 @@ export interface OverlayLook {
   selected: number | null
 }
 
+/** Detections as they came, given as tracking had them, or as the consistency stage left them. */
+export type Side = 'raw' | 'denoised'
+
 /** What one picture of the overlay found, for the line beside it. */
 export interface OverlayFigures {
   n_detections: number
   n_rejected: number
+  n_mended: number
   distances: number[]
 }
 
 /** Points below this confidence (of 255) are not joined by lines. */
 const MIN_CONFIDENCE = 26
 
+const REJECTED = '#ff5d62'
+const WHITE = '#ffffff'
+
 export class Overlay {
   readonly canvas: HTMLCanvasElement = document.createElement('canvas')
   private readonly context = this.canvas.getContext('2d')!
   private readonly edges: [number, number][]
   private readonly pixel: [number, number] = [0, 0]
+  private readonly ratio = Math.min(devicePixelRatio, 2)
+  /** Pixels of the filmed image to one of the screen. */
   private scale = 1
 
   constructor(private readonly motion: Motion) {
@@ -40,30 +49,40 @@ export class Overlay {
     this.canvas.hidden = true
   }
 
-  /** Draws a frame of a camera into its part of the stage. */
-  show(part: Rectangle, view: number, frame: number, seen: CameraDetections | null, look: OverlayLook): OverlayFigures {
-    this.place(part, view)
-    const figures: OverlayFigures = { n_detections: 0, n_rejected: 0, distances: [] }
+  /** An empty overlay over a stage of this size, CSS pixels. */
+  begin(width: number, height: number) {
+    const size = { width: Math.round(width * this.ratio), height: Math.round(height * this.ratio) }
+    this.canvas.hidden = false
+    if (this.canvas.width !== size.width || this.canvas.height !== size.height) Object.assign(this.canvas, size)
+    this.context.setTransform(1, 0, 0, 1, 0, 0)
+    this.context.clearRect(0, 0, size.width, size.height)
+  }
+
+  /** Draws a frame of a camera into a part of the stage. */
+  show(part: Rectangle, side: Side, view: number, frame: number, seen: CameraDetections | null, look: OverlayLook): OverlayFigures {
+    const figures: OverlayFigures = { n_detections: 0, n_rejected: 0, n_mended: 0, distances: [] }
+    this.context.save()
+    this.enter(part, view)
     this.motion.people.forEach((_, index) => {
       if (look.body && isShown(look, index)) this.drawBody(index, view, frame)
     })
-    if (seen) this.drawDetections(seen, view, frame, look, figures)
+    if (seen) this.drawDetections(seen, side, view, frame, look, figures)
+    this.context.restore()
     return figures
   }
 
   /** From here on one unit is one pixel of the filmed image, (0, 0) the centre of the first. */
-  private place(part: Rectangle, view: number) {
-    const { style } = this.canvas
-    const ratio = Math.min(devicePixelRatio, 2)
-    this.canvas.hidden = false
-    Object.assign(style, { left: `${part.left}px`, top: `${part.top}px` })
-    Object.assign(style, { width: `${part.width}px`, height: `${part.height}px` })
-    const [width, height] = [Math.round(part.width * ratio), Math.round(part.height * ratio)]
-    if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height })
-    this.scale = this.motion.cameras[view].width / width
-    this.context.setTransform(1 / this.scale, 0, 0, 1 / this.scale, 0.5 / this.scale, 0.5 / this.scale)
-    this.context.clearRect(-1, -1, this.motion.cameras[view].width + 1, this.motion.cameras[view].height + 1)
-    this.context.lineCap = 'round'
+  private enter(part: Rectangle, view: number) {
+    const { context, ratio } = this
+    this.scale = this.motion.cameras[view].width / part.width
+    const zoom = ratio / this.scale
+    context.setTransform(zoom, 0, 0, zoom, part.left * ratio + zoom / 2, part.top * ratio + zoom / 2)
+    context.beginPath()
+    context.rect(-0.5, -0.5, this.motion.cameras[view].width, this.motion.cameras[view].height)
+    this.pen('#7d8b99', 1, 0.5)
+    context.stroke()
+    context.clip()
+    context.lineCap = 'round'
   }
 
   private drawBody(index: number, view: number, frame: number) {
@@ -86,52 +105,85 @@ export class Overlay {
     context.stroke()
   }
 
-  private drawDetections(
-    seen: CameraDetections,
-    view: number,
-    frame: number,
-    look: OverlayLook,
-    figures: OverlayFigures,
-  ) {
+  private drawDetections(seen: CameraDetections, side: Side, view: number, frame: number, look: OverlayLook, figures: OverlayFigures) {
+    const given = side === 'raw' ? (seen.cleaning?.before ?? seen.person) : seen.person
     for (let d = seen.starts[frame]; d < seen.starts[frame + 1]; d++) {
       figures.n_detections++
-      const index = this.motion.people.findIndex((person) => person.id === seen.person[d])
+      const index = this.motion.people.findIndex((person) => person.id === given[d])
       if (index < 0) figures.n_rejected++
+      if (seen.cleaning?.rows.has(d)) figures.n_mended++
       if (!isShown(look, index)) continue
-      if (look.detections) this.drawDetection(seen, d, index)
-      if (look.residuals && index >= 0) this.drawResiduals(seen, d, index, view, frame, figures)
+      if (look.detections) this.drawDetection(seen, side, d, index)
+      if (side === 'denoised' && look.residuals && index >= 0) this.drawResiduals(seen, d, index, view, frame, figures)
     }
   }
 
-  private drawDetection(seen: CameraDetections, d: number, index: number) {
+  /** Raw: in the colour of whom it was taken for. Denoised: white, what was rejected in red, what was done beside it. */
+  private drawDetection(seen: CameraDetections, side: Side, d: number, index: number) {
     const { context, motion } = this
     const n = motion.keypoint_names.length
-    const at = (k: number) => 2 * (d * n + k)
-    this.pen(index < 0 ? '#e5484d' : '#ffffff', 1.3, 0.9, index < 0 ? [5, 4] : [])
+    const source = (k: number) => (side === 'raw' ? k : sourceOf(seen, d, k, n))
+    this.pen(index < 0 ? REJECTED : side === 'raw' ? personColor(index) : WHITE, side === 'raw' ? 2 : 1.3, 0.9, index < 0 ? [5, 4] : [])
     context.beginPath()
-    for (const [a, b] of this.edges) {
-      if (Math.min(seen.confidence[d * n + a], seen.confidence[d * n + b]) < MIN_CONFIDENCE) continue
-      context.moveTo(seen.pixels[at(a)], seen.pixels[at(a) + 1])
-      context.lineTo(seen.pixels[at(b)], seen.pixels[at(b) + 1])
+    for (const [a, b] of this.edges.map(([a, b]) => [source(a), source(b)])) {
+      if (a < 0 || b < 0 || Math.min(seen.confidence[d * n + a], seen.confidence[d * n + b]) < MIN_CONFIDENCE) continue
+      context.moveTo(seen.pixels[2 * (d * n + a)], seen.pixels[2 * (d * n + a) + 1])
+      context.lineTo(seen.pixels[2 * (d * n + b)], seen.pixels[2 * (d * n + b) + 1])
+    }
+    context.stroke()
+    if (side === 'raw') return
+    this.crossOut(seen, d, (k) => source(k) < 0)
+    this.tell(seen, d, index < 0 ? 'rejected' : deedsOn(seen, d, n), index)
+  }
+
+  /** A cross on every detected point that was rejected. */
+  private crossOut(seen: CameraDetections, d: number, isRejected: (k: number) => boolean) {
+    const { context } = this
+    const n = this.motion.keypoint_names.length
+    const arm = 4.5 * this.scale
+    this.pen(REJECTED, 2, 1)
+    context.beginPath()
+    for (let k = 0; k < n; k++) {
+      const [x, y] = [seen.pixels[2 * (d * n + k)], seen.pixels[2 * (d * n + k) + 1]]
+      if (!isRejected(k) || x !== x) continue
+      context.moveTo(x - arm, y - arm)
+      context.lineTo(x + arm, y + arm)
+      context.moveTo(x - arm, y + arm)
+      context.lineTo(x + arm, y - arm)
     }
     context.stroke()
   }
 
-  private drawResiduals(
-    seen: CameraDetections,
-    d: number,
-    index: number,
-    view: number,
-    frame: number,
-    figures: OverlayFigures,
-  ) {
+  /** Words over the highest point of a detection. */
+  private tell(seen: CameraDetections, d: number, words: string, index: number) {
+    if (!words) return
+    const { context } = this
+    const n = this.motion.keypoint_names.length
+    let [x, y] = [0, Infinity]
+    for (let k = 0; k < n; k++) {
+      const i = 2 * (d * n + k)
+      if (seen.pixels[i + 1] < y) [x, y] = [seen.pixels[i], seen.pixels[i + 1]]
+    }
+    if (y === Infinity) return
+    context.font = `600 ${12 * this.scale}px system-ui, sans-serif`
+    context.textAlign = 'center'
+    this.pen('#0b0f14', 3, 0.85)
+    context.lineJoin = 'round'
+    context.strokeText(words, x, y - 8 * this.scale)
+    context.globalAlpha = 1
+    context.fillStyle = index < 0 ? REJECTED : personColor(index)
+    context.fillText(words, x, y - 8 * this.scale)
+  }
+
+  private drawResiduals(seen: CameraDetections, d: number, index: number, view: number, frame: number, figures: OverlayFigures) {
     const { context, motion, pixel } = this
     const person = motion.people[index]
     const row = rowAt(person, frame)
     const n = motion.keypoint_names.length
     for (let k = 0; row >= 0 && k < n; k++) {
-      if (seen.confidence[d * n + k] < MIN_CONFIDENCE) continue
-      const [u, v] = [seen.pixels[2 * (d * n + k)], seen.pixels[2 * (d * n + k) + 1]]
+      const source = sourceOf(seen, d, k, n)
+      if (source < 0 || seen.confidence[d * n + source] < MIN_CONFIDENCE) continue
+      const [u, v] = [seen.pixels[2 * (d * n + source)], seen.pixels[2 * (d * n + source) + 1]]
       const i = 3 * (row * n + k)
       const points = person.keypoints
       if (points[i] !== points[i]) continue
@@ -146,7 +198,7 @@ export class Overlay {
       context.stroke()
       context.fillStyle = color
       context.beginPath()
-      context.arc(u, v, 3 * this.scale, 0, 2 * Math.PI)
+      context.arc(u, v, 2.6 * this.scale, 0, 2 * Math.PI)
       context.fill()
     }
   }
@@ -155,7 +207,7 @@ export class Overlay {
   private pen(color: string, width: number, opacity: number, dash: number[] = []) {
     this.context.strokeStyle = color
     this.context.globalAlpha = opacity
-    this.context.lineWidth = width * this.scale * Math.min(devicePixelRatio, 2)
+    this.context.lineWidth = width * this.scale
     this.context.setLineDash(dash.map((length) => length * this.scale))
   }
 }

@@ -1,16 +1,18 @@
 // The scene page of a job: loads the result's buffers, puts the parts together, hears the keyboard.
 
-import { getArtifact, getReport } from '../api/client'
+import { getArtifact, getReport, request } from '../api/client'
 import type { Job } from '../api/types'
+import { type BodyMesh, readBodyMesh } from '../data/body_mesh'
 import { readDetections } from '../data/detections'
 import { readMotion } from '../data/motion'
-import { button, el, fill } from '../dom'
+import { el } from '../dom'
 import { showHelp } from '../pages/help'
 import { onThemeChange } from '../theme'
+import { Switches, Transport } from './controls'
 import { press } from './keys'
 import { projectedJoints } from './overlay'
 import { CameraLine, Panel } from './panel'
-import { SPEEDS, SWITCHES } from './state'
+import { closeSurface, openSurface } from './surface'
 import { Timeline } from './timeline'
 import { SceneView } from './view'
 
@@ -22,15 +24,16 @@ export interface OpenScene {
 
 /** Null where the result holds nothing to draw. */
 export async function openScene(job: Job, signal: AbortSignal): Promise<OpenScene | null> {
-  const [bytes, report] = await Promise.all([
-    getArtifact(job.id, 'stages/motion.bin', signal),
-    getReport(job.id, signal).catch(() => null),
-  ])
-  if (!bytes) return null
-  const motion = readMotion(bytes)
-  const view = new SceneView(motion, () => draw(), () => change())
+  const asked = getArtifact(job.id, 'stages/motion.bin', signal)
+  const mesh = getDefaultBody(signal).catch(() => null)
+  const report = getReport(job.id, signal).catch(() => null)
+  const surface = openSurface()
+  const motion = await asked.then((bytes) => bytes && readMotion(bytes)).catch((error) => (closeSurface(surface), Promise.reject(error)))
+  if (!motion) return closeSurface(surface), null
+  const body = await mesh
+  const view = new SceneView(motion, surface, () => draw(), () => change())
   const timeline = new Timeline(motion, (frame) => view.set({ at: frame, isPlaying: false }))
-  const panel = new Panel(view, report)
+  const panel = new Panel(view)
   const line = new CameraLine(view)
   const transport = new Transport(view)
   const switches = new Switches(view)
@@ -44,7 +47,7 @@ export async function openScene(job: Job, signal: AbortSignal): Promise<OpenScen
     panel.show()
     switches.show()
     transport.show()
-    if (view.state.through !== null && !isAsked) {
+    if (view.needsDetections && !isAsked) {
       isAsked = true
       loadDetections(job, view, signal)
     }
@@ -53,7 +56,7 @@ export async function openScene(job: Job, signal: AbortSignal): Promise<OpenScen
     'div',
     { class: 'scene' },
     el('div', { class: 'scene-main' },
-      el('div', { class: 'stage-frame' }, view.element, switches.element, line.element),
+      el('div', { class: 'stage-frame' }, view.element, el('div', { class: 'stage-bar' }, switches.element, line.element)),
       el('div', { class: 'bottom' }, transport.element, timeline.element)),
     panel.element,
   )
@@ -66,6 +69,8 @@ export async function openScene(job: Job, signal: AbortSignal): Promise<OpenScen
   observer.observe(timeline.element)
   const forgetTheme = onThemeChange(() => (view.repaint(), timeline.resize(), draw()))
   change()
+  report.then((found) => signal.aborted || panel.tell(found))
+  dress(view, panel, body)
   inspect(view)
   const close = () => {
     document.removeEventListener('keydown', onkey)
@@ -75,6 +80,19 @@ export async function openScene(job: Job, signal: AbortSignal): Promise<OpenScen
     inspect(null)
   }
   return { element, close }
+}
+
+function dress(view: SceneView, panel: Panel, mesh: BodyMesh | null) {
+  if (mesh) view.dress(mesh)
+  const { people, motion } = view
+  if (!people.bodies) panel.remark('People are drawn as skeletons: the mesh of the body, or their poses, could not be had.')
+  else if (people.bodies.isLikeness) {
+    panel.remark(`Fitted with the body “${motion.body_model?.name ?? 'unknown'}”, which never leaves the service. Drawn is the default body in the same pose and of the same size; the joints are those of the fit.`)
+  }
+}
+
+async function getDefaultBody(signal: AbortSignal) {
+  return readBodyMesh(await (await request('/assets/default-body.bin', { signal })).arrayBuffer())
 }
 
 async function loadDetections(job: Job, view: SceneView, signal: AbortSignal) {
@@ -96,75 +114,13 @@ function inspect(view: SceneView | null) {
     /** Where the three-dimensional picture through a camera shows a point of the world, px, lens distortion apart. */
     pixelThrough: (camera: number, point: [number, number, number]) =>
       view.stage.pixelThrough(view.motion.cameras[camera], point),
+    /** The part of the stage that a camera's image lies on, CSS pixels. */
+    pictureOf: (camera: number) => view.pictureOf(camera),
+    /** A vertex of a person's body as it is drawn, world metres; null where there is no body. */
+    bodyVertex: (person: number, vertex: number) => view.people.bodies?.vertex(person, vertex) ?? null,
+    hasDetections: () => view.detections !== null,
     frameTimes: () => [...view.frameTimes],
     memory: () => view.stage.memory,
   }
   Reflect.set(window, 'wandless', surface)
-}
-
-class Transport {
-  readonly element: HTMLElement
-  private readonly play: HTMLButtonElement
-  private readonly speed: HTMLSelectElement
-  private readonly clock = el('span', { class: 'clock' })
-
-  constructor(private readonly view: SceneView) {
-    const step = (by: number) => view.set({ at: view.frame + by, isPlaying: false })
-    this.play = button('Play', () => view.set({ isPlaying: !view.state.isPlaying }), { class: 'play' })
-    const options = SPEEDS.map((speed) => el('option', { value: String(speed) }, `${speed} ×`))
-    this.speed = el('select', { 'aria-label': 'Speed' }, ...options)
-    this.speed.addEventListener('change', () => view.set({ speed: Number(this.speed.value) }))
-    this.element = el(
-      'div',
-      { class: 'transport' },
-      button('One frame back', () => step(-1), { class: 'icon', 'aria-label': 'One frame back', title: '←' }, '‹'),
-      this.play,
-      button('One frame on', () => step(1), { class: 'icon', 'aria-label': 'One frame on', title: '→' }, '›'),
-      this.speed,
-      this.clock,
-      el('span', { class: 'legend marks' }, '◆ identity repaired', el('i', { class: 'rejected-mark' }), 'detection rejected'),
-      button('Keys', showHelp, { class: 'quiet', title: '?' }),
-    )
-  }
-
-  /** Writes the time down and returns it. */
-  show() {
-    const { view } = this
-    const { fps, first_frame, n_frames } = view.motion
-    this.play.textContent = view.state.isPlaying ? 'Pause' : 'Play'
-    this.speed.value = String(view.state.speed)
-    const seconds = (view.frame / fps).toFixed(2)
-    const text = `frame ${first_frame + view.frame} · ${seconds} s of ${((n_frames - 1) / fps).toFixed(2)} s`
-    if (this.clock.textContent !== text) this.clock.textContent = text
-    return text
-  }
-}
-
-class Switches {
-  readonly element = el('div', { class: 'switches', role: 'toolbar', 'aria-label': 'What is shown' })
-  private isThrough: boolean | null = null
-
-  constructor(private readonly view: SceneView) {}
-
-  show() {
-    const isThrough = this.view.state.through !== null
-    if (isThrough !== this.isThrough) this.build(isThrough)
-    this.isThrough = isThrough
-    for (const child of this.element.querySelectorAll('button')) {
-      const found = SWITCHES.find(({ name }) => name === child.dataset.switch)
-      if (found) child.setAttribute('aria-pressed', String(this.view.state[found.name]))
-    }
-  }
-
-  private build(isThrough: boolean) {
-    const shown = SWITCHES.filter(({ inCamera, name }) => inCamera === isThrough || (isThrough && name === 'body'))
-    const buttons = shown.map(({ name, label, key, title }) =>
-      button(label, () => this.view.set({ [name]: !this.view.state[name] }), {
-        'data-switch': name,
-        'aria-pressed': 'false',
-        title: `${title} (${key.toUpperCase()})`,
-      }),
-    )
-    fill(this.element, ...buttons)
-  }
 }

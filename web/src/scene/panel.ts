@@ -1,10 +1,11 @@
 // The column beside the scene: people and cameras with their figures, selected and looked through from here.
 
-import type { Report } from '../api/types'
-import type { Motion } from '../data/motion'
+import type { Quality, Report } from '../api/types'
+import type { Camera, Motion } from '../data/motion'
 import { median } from '../data/residuals'
 import { button, el, fill } from '../dom'
 import { acceleration, count, degrees, metres, millimetres, percent, px } from '../format'
+import { verdictChip } from '../pages/chips'
 import { WORST_PX, errorColor, personColor } from './palette'
 import { SIGMA_SCALE } from './rig'
 import type { SceneView } from './view'
@@ -14,17 +15,22 @@ export class Panel {
   private readonly people: HTMLButtonElement[]
   private readonly cameras: { select: HTMLButtonElement; look: HTMLButtonElement }[]
   private readonly details = el('div', { class: 'details', 'aria-live': 'polite' })
+  private readonly remarks = el('p', { class: 'hint remark', role: 'status' })
+  private readonly doubts = el('div', { class: 'doubts' })
+  private report: Report | null = null
   private shown = ''
 
-  constructor(private readonly view: SceneView, private readonly report: Report | null) {
+  constructor(private readonly view: SceneView) {
     const { motion } = view
     this.people = motion.people.map((_, index) => this.personRow(motion, index))
     this.cameras = motion.cameras.map((_, index) => this.cameraRow(motion, index))
     this.element = el(
       'aside',
       { class: 'panel', 'aria-label': 'People and cameras' },
+      this.doubts,
       el('h2', {}, 'People'),
       this.people.length ? el('ul', {}, ...this.people.map((row) => el('li', {}, row))) : noPeople(),
+      this.remarks,
       el('h2', {}, 'Cameras'),
       el('ul', {}, ...this.cameras.map(({ select, look }) => el('li', { class: 'camera-row' }, select, look))),
       this.details,
@@ -33,7 +39,6 @@ export class Panel {
 
   private personRow(motion: Motion, index: number) {
     const person = motion.people[index]
-    const figures = this.report?.people.find((one) => one.id === person.id)
     const swatch = el('span', { class: 'swatch', 'aria-hidden': 'true' })
     swatch.style.background = personColor(index)
     return button(
@@ -42,7 +47,7 @@ export class Panel {
       { class: 'row', 'aria-pressed': 'false' },
       swatch,
       el('span', { class: 'row-name' }, `Person ${person.id}`),
-      el('span', { class: 'row-figure' }, px(figures?.reprojection_px?.median)),
+      el('span', { class: 'row-figure', title: 'Median distance of what was seen to what was found' }),
     )
   }
 
@@ -62,6 +67,23 @@ export class Panel {
       { class: 'look', 'aria-pressed': 'false', 'aria-label': `Look through ${camera.id}`, disabled: !camera.R },
     )
     return { select, look }
+  }
+
+  /** Adds the report's figures as soon as they are there. */
+  tell(report: Report | null) {
+    this.report = report
+    fill(this.doubts, ...doubtsOf(report?.quality))
+    this.people.forEach((row, index) => {
+      const figures = report?.people.find(({ id }) => id === this.view.motion.people[index].id)
+      row.querySelector('.row-figure')!.textContent = px(figures?.reprojection_px?.median)
+    })
+    this.shown = ''
+    this.show()
+  }
+
+  /** Says something about everybody. */
+  remark(text: string) {
+    this.remarks.textContent = text
   }
 
   /** Marks what is selected and writes its figures down. */
@@ -113,11 +135,27 @@ export class Panel {
         ['Height', metres(camera.position?.[this.view.motion.up_axis === 'y' ? 1 : 2])],
         ['Position within', camera.sigma_position_mm == null ? '–' : `± ${millimetres(camera.sigma_position_mm)}`],
         ['Direction within', camera.sigma_angle_deg == null ? '–' : `± ${degrees(camera.sigma_angle_deg)}`],
+        ...lensRow(camera),
         ['Rejected', figures ? `${figures.n_rejected_detections} of ${figures.n_detections} detections` : '–'],
       ]),
       el('p', { class: 'hint' }, `The ball round it shows the uncertainty of its position, ${SIGMA_SCALE} times as large.`),
     ]
   }
+}
+
+/** Why somebody should not simply take the result; nothing where it passed. */
+function doubtsOf(quality?: Quality) {
+  if (!quality || quality.verdict === 'pass') return []
+  const [first, ...others] = quality.reasons
+  return [el('div', { class: `verdict verdict-box-${quality.verdict}` },
+    verdictChip(quality.verdict),
+    first ? el('p', {}, first) : null,
+    others.length > 0 && el('p', { class: 'hint' }, `${count(others.length, 'more reason')} in the report.`))]
+}
+
+function lensRow({ dist, distortion_model }: Camera): [string, string][] {
+  if (dist.every((k) => k === 0)) return []
+  return [['Lens', distortion_model ?? 'polynomial']]
 }
 
 function noPeople() {
@@ -141,7 +179,7 @@ export class CameraLine {
       context.fillStyle = errorColor((x / 63) * WORST_PX)
       context.fillRect(x, 0, 1, 8)
     }
-    const legend = el('span', { class: 'legend' }, '0', ramp, `${WORST_PX} px and more`)
+    const legend = el('span', { class: 'legend', title: 'Colours of distances' }, '0', ramp, `${WORST_PX} px`)
     const leave = button('Leave', () => view.set({ through: null }), { class: 'quiet', title: 'Esc' })
     this.element.append(this.name, this.figures, legend, leave)
   }
@@ -155,8 +193,9 @@ export class CameraLine {
     if (!this.view.detections) return void (this.figures.textContent = 'The result holds no detections to lay over it.')
     if (!figures) return
     const seen = count(figures.n_detections, 'detection')
+    const mended = figures.n_mended ? `, ${figures.n_mended} mended` : ''
     const rejected = figures.n_rejected ? `, ${figures.n_rejected} rejected` : ''
-    const middle = figures.distances.length ? ` · median distance ${px(median([...figures.distances]))}` : ''
-    this.figures.textContent = seen + rejected + middle
+    const middle = figures.distances.length ? ` · median ${px(median([...figures.distances]))}` : ''
+    this.figures.textContent = seen + mended + rejected + middle
   }
 }

@@ -14,6 +14,7 @@ import {
   Vector3,
 } from 'three'
 import type { Camera } from '../data/motion'
+import type { Lens } from './lens'
 import type { Ground } from './palette'
 
 /** Depth at which a frustum ends, m. */
@@ -30,7 +31,7 @@ const [NEAR, FAR] = [0.05, 200]
 export class Rig {
   private readonly items: { index: number; lines: LineSegments; ball: Mesh }[]
 
-  constructor(readonly cameras: Camera[], parent: Object3D) {
+  constructor(readonly cameras: Camera[], parent: Object3D, lens: Lens) {
     this.items = cameras.flatMap((camera, index) => {
       const pose = worldFromCamera(camera)
       if (!pose) return []
@@ -38,6 +39,7 @@ export class Rig {
       const radius = Math.max(LEAST_RADIUS, (SIGMA_SCALE * (camera.sigma_position_mm ?? 0)) / 1000)
       const ball = new Mesh(new SphereGeometry(radius, 20, 14), new MeshBasicMaterial({ transparent: true }))
       for (const object of [lines, ball]) {
+        lens.bend(object.material as LineBasicMaterial | MeshBasicMaterial)
         object.matrixAutoUpdate = false
         object.matrix.copy(pose)
         parent.add(object)

@@ -1,4 +1,4 @@
-// Many round cones (two spheres and their hull) in one draw call: what bodies, bones and points are made of.
+// Many round cones (two spheres and their hull) in one draw call: what bones and points are made of.
 
 import {
   CapsuleGeometry,
@@ -9,10 +9,9 @@ import {
   InstancedBufferGeometry,
   type Material,
   Mesh,
-  MeshDepthMaterial,
-  MeshStandardMaterial,
-  RGBADepthPacking,
+  MeshLambertMaterial,
 } from 'three'
+import type { Lens } from './lens'
 
 /** A unit capsule whose vertices know their end; the shader puts each end's half sphere where the instance says. */
 function capsule(segments: number) {
@@ -69,7 +68,7 @@ export class RoundCones {
   private readonly colors: InstancedBufferAttribute
   private n = 0
 
-  constructor(capacity: number, segments: number, castsShadow: boolean) {
+  constructor(capacity: number, segments: number, layer: number, lens: Lens) {
     const attribute = (width: number) => {
       const made = new InstancedBufferAttribute(new Float32Array(width * capacity), width)
       made.setUsage(DynamicDrawUsage)
@@ -81,10 +80,9 @@ export class RoundCones {
     this.geometry.setAttribute('color', (this.colors = attribute(3)))
     this.mesh = new Mesh(
       this.geometry,
-      placing(new MeshStandardMaterial({ vertexColors: true, roughness: 0.62, metalness: 0 })),
+      lens.bend(placing(new MeshLambertMaterial({ vertexColors: true }))),
     )
-    this.mesh.customDepthMaterial = placing(new MeshDepthMaterial({ depthPacking: RGBADepthPacking }))
-    this.mesh.castShadow = castsShadow
+    this.mesh.layers.set(layer)
     this.mesh.frustumCulled = false
   }
 
@@ -120,6 +118,5 @@ export class RoundCones {
   dispose() {
     this.geometry.dispose()
     ;(this.mesh.material as Material).dispose()
-    this.mesh.customDepthMaterial?.dispose()
   }
 }

@@ -15,13 +15,15 @@ import {
   Scene,
   ShadowMaterial,
   Vector3,
-  WebGLRenderer,
+  type WebGLRenderer,
 } from 'three'
 import { OrbitControls } from 'three/addons/controls/OrbitControls.js'
 import { type Camera, type Motion, N_JOINTS } from '../data/motion'
+import { isBent } from '../data/projection'
 import { type Ground, ground } from './palette'
-import { LAYERS } from './people'
+import { Lens } from './lens'
 import { lookThrough } from './rig'
+import { type Surface, closeSurface } from './surface'
 
 /** A rectangle of the canvas, CSS pixels from its upper left. */
 export interface Rectangle {
@@ -34,11 +36,15 @@ export interface Rectangle {
 /** Side of the floor grid, m. */
 const FLOOR = 40
 
+/** Width to height below which the free view steps back. */
+const NARROW = 1.05
+
 export class Stage {
   readonly canvas: HTMLCanvasElement
   /** Everything in the result's own world; turned where that has z up. */
   readonly world = new Group()
   readonly free: PerspectiveCamera
+  readonly lens = new Lens()
   ground: Ground = ground()
   private readonly through = new PerspectiveCamera()
   private readonly scene = new Scene()
@@ -46,15 +52,13 @@ export class Stage {
   private readonly controls: OrbitControls
   private readonly sun = new DirectionalLight('#ffffff', 2.1)
   private grids: GridHelper[] = []
+  private readonly floor = shadowCatcher()
   private readonly centre: Vector3
   private readonly reach: number
 
   /** `onchange`: the free view has moved, a new picture is due. */
-  constructor(motion: Motion, onchange: () => void) {
-    this.renderer = new WebGLRenderer({ antialias: true, powerPreference: 'high-performance' })
-    this.renderer.shadowMap.enabled = true
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2))
-    this.renderer.autoClear = false
+  constructor(motion: Motion, private readonly surface: Surface, onchange: () => void) {
+    this.renderer = surface.renderer
     this.canvas = this.renderer.domElement
     this.canvas.tabIndex = 0
     this.canvas.setAttribute('role', 'img')
@@ -68,13 +72,12 @@ export class Stage {
 
     this.free = new PerspectiveCamera(42, 1, 0.05, 200)
     this.free.layers.enableAll()
-    this.through.layers.enableAll()
     this.controls = new OrbitControls(this.free, this.canvas)
     this.controls.maxPolarAngle = 0.495 * Math.PI
     this.controls.maxDistance = 60
     this.controls.addEventListener('change', onchange)
     this.resetView()
-    this.scene.add(this.world, ...this.lights(), this.shadowCatcher())
+    this.scene.add(this.world, ...this.lights(), this.floor)
     this.repaint()
   }
 
@@ -89,14 +92,6 @@ export class Stage {
     this.sun.shadow.radius = 4
     this.sun.shadow.bias = -0.0008
     return [this.sun, this.sun.target, new HemisphereLight('#dfe9ff', '#5a5148', 1.3), new AmbientLight('#ffffff', 0.35)]
-  }
-
-  private shadowCatcher() {
-    const floor = new Mesh(new PlaneGeometry(FLOOR, FLOOR), new ShadowMaterial({ opacity: 0.32 }))
-    floor.rotation.x = -Math.PI / 2
-    floor.position.y = 0.001
-    floor.receiveShadow = true
-    return floor
   }
 
   /** Takes the colours of the theme in force. */
@@ -119,7 +114,7 @@ export class Stage {
   /** The free view as it is at first: everybody and every camera in the picture. */
   resetView() {
     this.controls.target.copy(this.centre)
-    const distance = 1.75 * this.reach
+    const distance = 1.6 * this.reach
     this.free.position.copy(this.centre).add(new Vector3(0.55, 0.5, 0.8).normalize().multiplyScalar(distance))
     this.controls.update()
   }
@@ -151,17 +146,20 @@ export class Stage {
   drawFree(part: Rectangle, layers: number[]) {
     this.controls.enabled = true
     this.free.aspect = part.width / part.height
+    // A narrow picture shows what a wide one would between its sides.
+    this.free.zoom = Math.min(1, this.free.aspect / NARROW)
     this.free.updateProjectionMatrix()
-    this.free.layers.disableAll()
-    for (const layer of layers) this.free.layers.enable(layer)
-    this.draw(part, this.free)
+    this.lens.set(null)
+    this.draw(part, this.free, layers, true)
   }
 
   /** What a camera filmed, on a part of the canvas of the image's own shape. */
-  drawThrough(part: Rectangle, camera: Camera) {
+  drawThrough(part: Rectangle, camera: Camera, layers: number[]) {
     this.controls.enabled = false
     lookThrough(this.through, camera, this.world.matrixWorld)
-    this.draw(part, this.through)
+    this.lens.set(camera)
+    // The long lines of the floor would stay straight where the lens bends them.
+    this.draw(part, this.through, layers, !isBent(camera))
   }
 
   /** Pixel of the filmed image (no distortion) at which the picture through the camera shows a point of the world. */
@@ -178,7 +176,11 @@ export class Stage {
     this.renderer.setScissorTest(true)
   }
 
-  private draw(part: Rectangle, camera: PerspectiveCamera) {
+  private draw(part: Rectangle, camera: PerspectiveCamera, layers: number[], hasFloor: boolean) {
+    for (const grid of this.grids) grid.visible = hasFloor
+    this.floor.visible = hasFloor && !this.surface.isSlow
+    camera.layers.disableAll()
+    for (const layer of layers) camera.layers.enable(layer)
     const bottom = this.canvas.clientHeight - part.top - part.height
     this.renderer.setViewport(part.left, bottom, part.width, part.height)
     this.renderer.setScissor(part.left, bottom, part.width, part.height)
@@ -193,12 +195,20 @@ export class Stage {
   dispose() {
     this.controls.dispose()
     for (const grid of this.grids) grid.dispose()
-    this.renderer.dispose()
-    this.renderer.forceContextLoss()
+    this.floor.geometry.dispose()
+    ;(this.floor.material as ShadowMaterial).dispose()
+    closeSurface(this.surface)
   }
 }
 
-export const ALL_LAYERS = Object.values(LAYERS)
+/** Darkens where the light does not come; invisible otherwise. */
+function shadowCatcher() {
+  const floor = new Mesh(new PlaneGeometry(FLOOR, FLOOR), new ShadowMaterial({ opacity: 0.32 }))
+  floor.rotation.x = -Math.PI / 2
+  floor.position.y = 0.001
+  floor.receiveShadow = true
+  return floor
+}
 
 function boundsOf(motion: Motion, world: Group) {
   const bounds = new Box3()

@@ -1,14 +1,15 @@
 // The time line: a bar of presence per person, marks where identities were repaired or detections rejected, the playhead.
 
 import { el } from '../dom'
-import { type Motion, type Person, rowAt } from '../data/motion'
+import { countAt } from '../data/marks'
+import type { Motion, Person } from '../data/motion'
 import { personColor } from './palette'
 
 const ROW = 15
 const BAR = 9
 const LABELS = 62
 const TOP = 4
-const MARKS = 13
+const MARKS = 12
 
 export class Timeline {
   readonly element: HTMLElement
@@ -20,7 +21,7 @@ export class Timeline {
 
   /** `onseek` hears the frame index asked for. */
   constructor(private readonly motion: Motion, onseek: (frame: number) => void) {
-    this.height = TOP + motion.people.length * ROW + MARKS + 6
+    this.height = TOP + motion.people.length * ROW + (motion.mended ? 2 : 1) * MARKS + 10
     const last = Math.max(motion.n_frames - 1, 0)
     this.slider = el('input', { type: 'range', min: 0, max: last, step: 1, value: '0', 'aria-label': 'Frame' })
     this.slider.addEventListener('input', () => onseek(Number(this.slider.value)))
@@ -80,24 +81,30 @@ export class Timeline {
       this.drawPresence(context, person, index, top)
       this.drawRepairs(context, person, top)
     })
-    this.drawRejected(context, TOP + this.motion.people.length * ROW + 2)
+    const below = TOP + this.motion.people.length * ROW + 3
+    if (this.motion.mended) this.drawCounts(context, 'Mended', this.motion.mended, '--fair', below)
+    this.drawCounts(context, 'Rejected', this.motion.rejected, '--bad', below + (this.motion.mended ? MARKS : 0))
   }
 
-  /** The more cameras see the person, the stronger; carried poses are hollow. */
+  /** The more cameras see the person, the stronger; carried poses are hollow. Drawn in runs of frames that look the same. */
   private drawPresence(context: CanvasRenderingContext2D, person: Person, index: number, top: number) {
     const n_keypoints = this.motion.keypoint_names.length
     const most = Math.max(this.motion.cameras.length, 2)
-    const step = Math.max(1, Math.floor(this.motion.n_frames / Math.max(this.width - LABELS, 1)))
-    context.fillStyle = personColor(index)
-    for (let frame = 0; frame < this.motion.n_frames; frame += step) {
-      const row = rowAt(person, frame)
-      if (row < 0) continue
+    const lookOf = (row: number) => {
+      if (person.valid[row] === 0) return -1
       let views = 0
       for (let k = 0; k < n_keypoints; k++) views = Math.max(views, person.n_views[row * n_keypoints + k])
-      const isCarried = person.valid[row] === 0
-      context.globalAlpha = isCarried ? 0.16 : 0.35 + (0.65 * Math.min(views, most)) / most
-      const width = this.x(frame + step) - this.x(frame) + 0.35
-      context.fillRect(this.x(frame), top + (isCarried ? BAR / 2 - 1 : 0), width, isCarried ? 2 : BAR)
+      return Math.min(views, most)
+    }
+    context.fillStyle = personColor(index)
+    let start = 0
+    for (let row = 1; row <= person.n_frames; row++) {
+      const look = lookOf(start)
+      if (row < person.n_frames && lookOf(row) === look) continue
+      context.globalAlpha = look < 0 ? 0.16 : 0.35 + (0.65 * look) / most
+      const [left, right] = [start, row].map((at) => Math.round(2 * this.x(person.first + at)) / 2)
+      context.fillRect(left, top + (look < 0 ? BAR / 2 - 1 : 0), Math.max(right - left, 0.5), look < 0 ? 2 : BAR)
+      start = row
     }
   }
 
@@ -112,15 +119,15 @@ export class Timeline {
     }
   }
 
-  private drawRejected(context: CanvasRenderingContext2D, top: number) {
+  /** A bar at every frame, the higher the more detections of all cameras. */
+  private drawCounts(context: CanvasRenderingContext2D, name: string, counts: Uint8Array, color: string, top: number) {
     context.globalAlpha = 1
     context.fillStyle = this.ink('--ink-soft')
-    context.fillText('Rejected', 2, top + 5)
-    context.fillStyle = this.ink('--bad')
+    context.fillText(name, 2, top + MARKS / 2 - 1)
+    context.fillStyle = this.ink(color)
     for (let frame = 0; frame < this.motion.n_frames; frame++) {
-      let n = 0
-      for (let c = 0; c < this.motion.cameras.length; c++) n += this.motion.rejected[c * this.motion.n_frames + frame]
-      if (n) context.fillRect(this.x(frame) - 0.75, top + 10 - Math.min(3 + 2 * n, 10), 1.5, Math.min(3 + 2 * n, 10))
+      const height = Math.min(3 + 2 * countAt(this.motion, counts, frame), MARKS - 2)
+      if (height > 3) context.fillRect(this.x(frame) - 0.75, top + MARKS - 2 - height, 1.5, height)
     }
   }
 }

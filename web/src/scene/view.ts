@@ -1,19 +1,21 @@
 // The scene of a job: stage, people, cameras, overlay and time line, drawn when something changed.
 
 import { Vector3 } from 'three'
+import type { BodyMesh } from '../data/body_mesh'
 import type { CameraDetections } from '../data/detections'
+import { nextMark } from '../data/marks'
 import { type Motion, N_JOINTS, rowAt } from '../data/motion'
+import { rawPoints } from '../data/raw_points'
 import { el } from '../dom'
 import { Labels } from './labels'
-import { Overlay, type OverlayFigures } from './overlay'
+import { Overlay, type OverlayFigures, type Side } from './overlay'
 import { LAYERS, People } from './people'
+import { pick } from './pick'
 import { Rig } from './rig'
-import { ALL_LAYERS, type Rectangle, Stage } from './stage'
-import { type SceneState, initialState } from './state'
+import { type Rectangle, Stage } from './stage'
+import { COMPARISONS, type SceneState, comparisonsOf, initialState } from './state'
+import type { Surface } from './surface'
 import { Trails } from './trails'
-
-/** A click nearer to a thing's middle than this chooses it, CSS pixels. */
-const REACH = 28
 
 /** Room for the switches over a camera's image, CSS pixels. */
 const BAR = 54
@@ -25,23 +27,24 @@ export class SceneView {
   readonly frameTimes: number[] = []
   figures: OverlayFigures | null = null
   detections: CameraDetections[] | null = null
-  private readonly people: People
+  readonly people: People
   private readonly rig: Rig
   private readonly trails: Trails
   private readonly overlay: Overlay
   private readonly labels: Labels
-  private readonly divider = el('div', { class: 'divider', hidden: true, 'aria-hidden': 'true' },
-    el('span', {}, 'Points, before the body'), el('span', {}, 'Body'))
+  private readonly halves = [el('span'), el('span')]
+  private readonly divider = el('div', { class: 'divider', hidden: true }, ...this.halves)
   private readonly observer: ResizeObserver
   private request = 0
   private last = 0
+  private isSized = false
   private isClosed = false
 
   /** `ondraw` is called after each picture, `onchange` after each change of the state. */
-  constructor(readonly motion: Motion, private readonly ondraw: () => void, private readonly onchange: () => void) {
-    this.stage = new Stage(motion, () => this.invalidate())
-    this.people = new People(motion, this.stage.world)
-    this.rig = new Rig(motion.cameras, this.stage.world)
+  constructor(readonly motion: Motion, surface: Surface, private readonly ondraw: () => void, private readonly onchange: () => void) {
+    this.stage = new Stage(motion, surface, () => this.invalidate())
+    this.people = new People(motion, this.stage.world, this.stage.lens)
+    this.rig = new Rig(motion.cameras, this.stage.world, this.stage.lens)
     this.trails = new Trails(motion, this.stage.world)
     this.overlay = new Overlay(motion)
     this.labels = new Labels(motion)
@@ -64,8 +67,15 @@ export class SceneView {
     Object.assign(this.state, change)
     this.state.at = Math.min(Math.max(this.state.at, 0), this.lastFrame)
     if (change.isPlaying && this.state.at >= this.lastFrame) this.state.at = 0
+    const isPossible = comparisonsOf(this.motion, this.state.through !== null).some(({ name }) => name === this.state.compared)
+    if (!isPossible) this.state.compared = 'none'
     this.onchange()
     this.invalidate()
+  }
+
+  /** To the mark before (-1) or after (1): of the camera that is looked through, or of any. */
+  toMark(by: number) {
+    this.set({ at: nextMark(this.motion, this.state.through, this.frame, by), isPlaying: false })
   }
 
   /** A new picture at the next chance. */
@@ -99,60 +109,104 @@ export class SceneView {
     if (this.frameTimes.length > 600) this.frameTimes.shift()
   }
 
+  /** Dresses everybody with the body's mesh. */
+  dress(mesh: BodyMesh) {
+    this.people.dress(mesh)
+    this.invalidate()
+  }
+
+  /** Whether what is shown asks for the detections. */
+  get needsDetections() {
+    return this.state.through !== null || this.state.compared === 'cleaning'
+  }
+
   private draw() {
     const { state, stage, frame } = this
-    const isThrough = state.through !== null
-    const isCompared = state.isCompared && !isThrough
-    const look = { ...state, body: state.body || isCompared, points: state.points || isCompared }
-    this.people.show(frame, { ...look, selected: state.person, isMuted: isThrough }, stage.ground)
-    this.trails.show(frame, state.trails && !isThrough)
-    this.rig.show(state.cameras, state.camera, state.through, stage.ground)
-    this.divider.hidden = !isCompared
-    stage.clear()
-    if (state.through !== null) {
-      this.drawThrough(state.through)
-    } else {
-      this.figures = null
-      this.overlay.clear()
-      this.drawFree(isCompared)
+    if (!this.isSized) return
+    const { through } = state
+    const isCompared = state.compared !== 'none'
+    const look = {
+      body: state.body || state.compared === 'body',
+      skeleton: state.skeleton,
+      points: state.points || (isCompared && through === null),
+      selected: state.person,
+      isMuted: through !== null,
     }
+    const raw = state.compared === 'cleaning' && through === null && this.detections
+    this.people.show(frame, look, raw ? rawPoints(this.motion, raw, frame) : null, stage.ground)
+    this.trails.show(frame, state.trails && through === null)
+    this.rig.show(state.cameras, state.camera, through, stage.ground)
+    this.showHalves(isCompared)
+    stage.clear()
+    if (through !== null) return this.drawThrough(through)
+    this.figures = null
+    this.overlay.clear()
+    this.drawFree(isCompared)
+  }
+
+  private showHalves(isCompared: boolean) {
+    this.divider.hidden = !isCompared
+    const { halves } = COMPARISONS.find(({ name }) => name === this.state.compared)!
+    this.halves.forEach((half, i) => half.textContent !== halves[i] && (half.textContent = halves[i]))
   }
 
   private drawFree(isCompared: boolean) {
     const { clientWidth: width, clientHeight: height } = this.element
     const whole: Rectangle = { left: 0, top: 0, width, height }
-    if (isCompared) {
-      const half = Math.floor(width / 2)
-      this.stage.drawFree({ ...whole, width: half }, [LAYERS.shared, LAYERS.points])
-      this.stage.drawFree({ ...whole, left: half, width: width - half }, [LAYERS.shared, LAYERS.body])
+    const [left, right] = halvesOf(whole)
+    const { shared, raw, points, body } = LAYERS
+    if (this.state.compared === 'cleaning') {
+      this.stage.drawFree(left, [shared, raw])
+      this.stage.drawFree(right, [shared, points])
+    } else if (this.state.compared === 'body') {
+      this.stage.drawFree(left, [shared, points])
+      this.stage.drawFree(right, [shared, body])
     } else {
-      this.stage.drawFree(whole, ALL_LAYERS)
+      this.stage.drawFree(whole, [shared, points, body])
     }
     this.labels.show(this.frame, this.stage.free, this.stage.world.matrixWorld, whole, this.state.names && !isCompared)
   }
 
-  private drawThrough(view: number) {
-    const { state, frame } = this
-    const camera = this.motion.cameras[view]
-    const part = this.imagePart(camera.width, camera.height)
-    this.stage.drawThrough(part, camera)
-    const look = { ...state, body: state.reprojection, selected: state.person }
-    this.figures = this.overlay.show(part, view, frame, this.detections?.[view] ?? null, look)
-    this.labels.show(frame, this.stage.free, this.stage.world.matrixWorld, part, false)
+  /** The part of the stage that a camera's image lies on. */
+  pictureOf(view: number): Rectangle {
+    return this.imagePart(this.underBar(), view)
   }
 
-  /** The largest rectangle of an image's shape in the middle of the stage. */
-  private imagePart(width: number, height: number): Rectangle {
-    const { clientWidth, clientHeight } = this.element
-    const room = clientHeight - BAR
-    const scale = Math.min(clientWidth / width, room / height)
+  private underBar(): Rectangle {
+    const { clientWidth: width, clientHeight: height } = this.element
+    return { left: 0, top: BAR, width, height: height - BAR }
+  }
+
+  private drawThrough(view: number) {
+    const { state, frame } = this
+    const { clientWidth: width, clientHeight: height } = this.element
+    const seen = this.detections?.[view] ?? null
+    const whole = this.underBar()
+    const pictures: [Rectangle, Side][] = state.compared === 'cleaning'
+      ? [[halvesOf(whole)[0], 'raw'], [halvesOf(whole)[1], 'denoised']]
+      : [[whole, 'denoised']]
+    this.overlay.begin(width, height)
+    for (const [place, side] of pictures) {
+      const part = this.imagePart(place, view)
+      const look = { ...state, body: state.reprojection && side === 'denoised', selected: state.person }
+      this.stage.drawThrough(part, this.motion.cameras[view], side === 'raw' ? [LAYERS.shared] : [LAYERS.shared, LAYERS.points, LAYERS.body])
+      this.figures = this.overlay.show(part, side, view, frame, seen, look)
+    }
+    this.labels.show(frame, this.stage.free, this.stage.world.matrixWorld, whole, false)
+  }
+
+  /** The largest rectangle of a camera's image in the middle of a place. */
+  private imagePart(place: Rectangle, view: number): Rectangle {
+    const { width, height } = this.motion.cameras[view]
+    const scale = Math.min(place.width / width, place.height / height)
     const [w, h] = [width * scale, height * scale]
-    return { left: (clientWidth - w) / 2, top: BAR + (room - h) / 2, width: w, height: h }
+    return { left: place.left + (place.width - w) / 2, top: place.top + (place.height - h) / 2, width: w, height: h }
   }
 
   private resize() {
     const { clientWidth, clientHeight } = this.element
     if (clientWidth === 0 || clientHeight === 0) return
+    this.isSized = true
     this.stage.resize(clientWidth, clientHeight)
     // The canvas is empty after a new size: draw at once, not at the next chance.
     this.draw()
@@ -164,38 +218,19 @@ export class SceneView {
     this.stage.canvas.addEventListener('pointerdown', ({ clientX, clientY }) => ([downX, downY] = [clientX, clientY]))
     this.stage.canvas.addEventListener('pointerup', ({ clientX, clientY }) => {
       const isClick = Math.hypot(clientX - downX, clientY - downY) < 4
-      if (isClick && this.state.through === null && !this.state.isCompared) this.choose(clientX, clientY)
+      if (isClick && this.state.through === null && this.state.compared === 'none') this.choose(clientX, clientY)
     })
   }
 
   /** Selects what lies under a point of the screen; nothing deselects. */
   private choose(clientX: number, clientY: number) {
     const box = this.element.getBoundingClientRect()
-    const point = new Vector3()
-    const distanceTo = () => {
+    const screenOf = (point: Vector3) => {
       point.applyMatrix4(this.stage.world.matrixWorld).project(this.stage.free)
-      if (Math.abs(point.z) > 1) return Infinity
-      const [x, y] = [((point.x + 1) / 2) * box.width, ((1 - point.y) / 2) * box.height]
-      return Math.hypot(x - (clientX - box.left), y - (clientY - box.top))
+      if (Math.abs(point.z) > 1) return null
+      return [((point.x + 1) / 2) * box.width, ((1 - point.y) / 2) * box.height] as [number, number]
     }
-    let [best, person, camera] = [REACH, null as number | null, null as number | null]
-    const offer = (chosenPerson: number | null, chosenCamera: number | null) => {
-      const distance = distanceTo()
-      if (distance < best) [best, person, camera] = [distance, chosenPerson, chosenCamera]
-    }
-    this.motion.people.forEach((one, index) => {
-      const row = rowAt(one, this.frame)
-      for (let joint = 0; row >= 0 && joint < N_JOINTS; joint++) {
-        point.fromArray(one.joints, 3 * (row * N_JOINTS + joint))
-        offer(index, null)
-      }
-    })
-    this.motion.cameras.forEach(({ position }, index) => {
-      if (!position || !this.state.cameras) return
-      point.fromArray(position)
-      offer(null, index)
-    })
-    this.set({ person, camera })
+    this.set(pick(this.motion, this.frame, this.state.cameras, screenOf, clientX - box.left, clientY - box.top))
   }
 
   /** Turns the free view to the selected person or camera. */
@@ -216,4 +251,9 @@ export class SceneView {
     this.observer.disconnect()
     for (const part of [this.people, this.rig, this.trails, this.stage]) part.dispose()
   }
+}
+
+function halvesOf({ left, top, width, height }: Rectangle): [Rectangle, Rectangle] {
+  const half = Math.floor(width / 2)
+  return [{ left, top, width: half - 1, height }, { left: left + half + 1, top, width: width - half - 1, height }]
 }

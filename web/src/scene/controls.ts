@@ -1,0 +1,85 @@
+// The buttons of the scene page: time below the picture, what is shown above it.
+
+import { button, el, fill } from '../dom'
+import { showHelp } from '../pages/help'
+import { type Comparison, SPEEDS, SWITCHES, comparisonsOf } from './state'
+import type { SceneView } from './view'
+
+/** Play, step, speed and the time. */
+export class Transport {
+  readonly element: HTMLElement
+  private readonly play: HTMLButtonElement
+  private readonly speed: HTMLSelectElement
+  private readonly clock = el('span', { class: 'clock' })
+
+  constructor(private readonly view: SceneView) {
+    const step = (by: number) => view.set({ at: view.frame + by, isPlaying: false })
+    this.play = button('Play', () => view.set({ isPlaying: !view.state.isPlaying }), { class: 'play' })
+    const options = SPEEDS.map((speed) => el('option', { value: String(speed) }, `${speed} ×`))
+    this.speed = el('select', { 'aria-label': 'Speed' }, ...options)
+    this.speed.addEventListener('change', () => view.set({ speed: Number(this.speed.value) }))
+    this.element = el(
+      'div',
+      { class: 'transport' },
+      button('One frame back', () => step(-1), { class: 'icon', 'aria-label': 'One frame back', title: '←' }, '‹'),
+      this.play,
+      button('One frame on', () => step(1), { class: 'icon', 'aria-label': 'One frame on', title: '→' }, '›'),
+      this.speed,
+      button('Previous mark', () => view.toMark(-1), { 'aria-label': 'Previous mark', title: 'To the repair or rejection before (,)' }, '◂ Mark'),
+      button('Next mark', () => view.toMark(1), { 'aria-label': 'Next mark', title: 'To the next repair or rejection (.)' }, 'Mark ▸'),
+      this.clock,
+      el('span', { class: 'legend marks' },
+        el('span', {}, '◆ identity repaired'),
+        el('span', {}, el('i', { class: 'mark mended' }), 'detection mended'),
+        el('span', {}, el('i', { class: 'mark rejected' }), 'detection rejected')),
+      button('Keys', showHelp, { class: 'quiet', title: '?' }),
+    )
+  }
+
+  /** Writes the time down and returns it. */
+  show() {
+    const { view } = this
+    const { fps, first_frame, n_frames } = view.motion
+    this.play.textContent = view.state.isPlaying ? 'Pause' : 'Play'
+    this.speed.value = String(view.state.speed)
+    const seconds = (view.frame / fps).toFixed(2)
+    const text = `frame ${first_frame + view.frame} · ${seconds} s of ${((n_frames - 1) / fps).toFixed(2)} s`
+    if (this.clock.textContent !== text) this.clock.textContent = text
+    return text
+  }
+}
+
+/** What is shown, and what stands beside it. */
+export class Switches {
+  readonly element = el('div', { class: 'switches', role: 'toolbar', 'aria-label': 'What is shown' })
+  private isThrough: boolean | null = null
+  private compared: HTMLSelectElement | null = null
+
+  constructor(private readonly view: SceneView) {}
+
+  show() {
+    const isThrough = this.view.state.through !== null
+    if (isThrough !== this.isThrough) this.build(isThrough)
+    this.isThrough = isThrough
+    if (this.compared) this.compared.value = this.view.state.compared
+    for (const child of this.element.querySelectorAll('button')) {
+      const found = SWITCHES.find(({ name }) => name === child.dataset.switch)
+      if (found) child.setAttribute('aria-pressed', String(this.view.state[found.name]))
+    }
+  }
+
+  private build(isThrough: boolean) {
+    const shown = SWITCHES.filter(({ inCamera, name }) => inCamera === isThrough || (isThrough && ['body', 'skeleton'].includes(name)))
+    const buttons = shown.map(({ name, label, key, title }) =>
+      button(label, () => this.view.set({ [name]: !this.view.state[name] }), {
+        'data-switch': name,
+        'aria-pressed': 'false',
+        title: `${title} (${key.toUpperCase()})`,
+      }),
+    )
+    const pairs = comparisonsOf(this.view.motion, isThrough).map(({ name, label }) => el('option', { value: name }, label))
+    this.compared = el('select', { 'aria-label': 'Side by side', title: 'Two pictures side by side (V)' }, ...pairs)
+    this.compared.addEventListener('change', () => this.view.set({ compared: this.compared!.value as Comparison }))
+    fill(this.element, ...buttons, pairs.length > 1 && this.compared)
+  }
+}

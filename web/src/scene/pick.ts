@@ -1,0 +1,38 @@
+// What a click in the scene means.
+
+import { Vector3 } from 'three'
+import { type Motion, N_JOINTS, rowAt } from '../data/motion'
+
+/** A click nearer to a thing's middle than this chooses it, CSS pixels. */
+const REACH = 28
+
+/** The person or camera nearest to a point of the screen; `screenOf` gives where a point of the world is seen. */
+export function pick(
+  motion: Motion,
+  frame: number,
+  hasCameras: boolean,
+  screenOf: (point: Vector3) => [number, number] | null,
+  x: number,
+  y: number,
+) {
+  const point = new Vector3()
+  let [nearest, person, camera] = [REACH, null as number | null, null as number | null]
+  const offer = (chosenPerson: number | null, chosenCamera: number | null) => {
+    const seen = screenOf(point)
+    const distance = seen ? Math.hypot(seen[0] - x, seen[1] - y) : Infinity
+    if (distance < nearest) [nearest, person, camera] = [distance, chosenPerson, chosenCamera]
+  }
+  motion.people.forEach((one, index) => {
+    const row = rowAt(one, frame)
+    for (let joint = 0; row >= 0 && joint < N_JOINTS; joint++) {
+      point.fromArray(one.joints, 3 * (row * N_JOINTS + joint))
+      offer(index, null)
+    }
+  })
+  motion.cameras.forEach(({ position }, index) => {
+    if (!position || !hasCameras) return
+    point.fromArray(position)
+    offer(null, index)
+  })
+  return { person, camera }
+}
