@@ -50,7 +50,7 @@ pub struct BodyMesh {
 /// The default body's mesh. It is ours to give away; a body that an operator registered is not.
 ///
 /// # Errors
-/// See [`Payload::file`].
+/// Where its header cannot be written as JSON.
 pub fn default_body_mesh() -> io::Result<BodyMesh> {
     let model = default_body();
     let sha256 = model.sha256();
