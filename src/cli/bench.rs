@@ -1,5 +1,6 @@
-//! `wandless bench`: how often cameras are found on random rigs, and how fast a capture is solved.
+//! `wandless bench`: how often cameras are found on random rigs, how fast a capture is solved, what damaged input does.
 
+mod fuzz;
 mod kinematics;
 
 use super::BadInput;
@@ -47,6 +48,8 @@ enum Bench {
         #[arg(long, default_value_t = 0)]
         threads: usize,
     },
+    /// Damaged input of one kind for some time: panics, hangs, memory, and what should not have been accepted
+    Fuzz(fuzz::Args),
 }
 
 /// Runs the command.
@@ -60,6 +63,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
             use_threads(threads);
             speed(session)
         }
+        Bench::Fuzz(args) => fuzz::run(&args),
     }
 }
 

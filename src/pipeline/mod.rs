@@ -106,13 +106,14 @@ pub fn reconstruct_with_checkpoints(
         return Err(PipelineError::Unsolvable { code: "cameras_unsolvable", reason });
     }
 
-    // Not kept: a cleaned session is as large as the upload, and cleaning costs little.
     let stage = progress.stage("denoising", 1, N_STAGES, 0.4, 0.15);
-    let (calibration, denoised) = match options.denoise {
-        true => made_consistent(&capture, calibration, freedom(options), &stage).map(|(c, d)| (c, Some(d)))?,
+    let (calibration, consistent) = match options.denoise {
+        true => checkpoints
+            .stage("denoising", || made_consistent(&capture, calibration, freedom(options), &stage))?
+            .over(session),
         false => (calibration, None),
     };
-    let (clean, consistency) = denoised.map(|d| (d.session, d.told)).unzip();
+    let (clean, consistency) = consistent.unzip();
     let capture = clean.as_ref().map_or(capture, |session| Capture::new(session, options));
 
     let stage = progress.stage("held_out_check", 2, N_STAGES, 0.55, 0.1);
@@ -124,11 +125,13 @@ pub fn reconstruct_with_checkpoints(
 
     let stage = progress.stage("metric_scale", 4, N_STAGES, 0.7, 0.02);
     let tracks = &calibration.association.tracks;
-    let statures = match options.scale {
-        ScaleSource::Height { .. } => result::statures(&capture, &calibration, &paths, body, &stage)?,
-        _ => Vec::new(),
-    };
-    let scale = metric_scale::metric_scale(&capture, &calibration.cameras, tracks, &paths, &statures)?;
+    let scale = checkpoints.stage("metric_scale", || {
+        let statures = match options.scale {
+            ScaleSource::Height { .. } => result::statures(&capture, &calibration, &paths, body, &stage)?,
+            _ => Vec::new(),
+        };
+        metric_scale::metric_scale(&capture, &calibration.cameras, tracks, &paths, &statures)
+    })?;
     let findings = Findings::in_world(&capture, calibration, paths, scale, heldout_px);
 
     let stage_body = stage.stage("body_fit", 5, N_STAGES, 0.72, 0.25);

@@ -83,6 +83,11 @@ impl Problem {
         self.document.code
     }
 
+    /// For people.
+    pub(super) fn detail(&self) -> &str {
+        &self.document.detail
+    }
+
     /// The same, naming a place in the request's JSON.
     pub(super) fn at(mut self, pointer: impl Into<String>) -> Self {
         self.document.place.pointer = Some(pointer.into());

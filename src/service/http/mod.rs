@@ -22,6 +22,8 @@ mod trace;
 mod upload;
 mod viewer;
 
+pub use multipart::read_form;
+
 use super::Shared;
 use super::metrics::Metrics;
 use super::queue::Queue;
