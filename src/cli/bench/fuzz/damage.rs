@@ -70,7 +70,8 @@ const MAX_DAMAGES: u32 = 6;
 
 /// The input, damaged once to a few times; `others` lend their parts.
 pub(super) fn damaged(mut input: Input, others: &[Input], max_bytes: usize, rng: &mut ChaCha8Rng) -> Input {
-    for _ in 0..rng.random_range(1..=MAX_DAMAGES) {
+    let n_damages = if rng.random() { 1 } else { rng.random_range(1..=MAX_DAMAGES) };
+    for _ in 0..n_damages {
         if input.members.len() > 1 && rng.random_range(0..12) == 0 {
             damage_files(&mut input, others, rng);
             continue;

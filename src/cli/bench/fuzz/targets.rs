@@ -121,7 +121,7 @@ fn body(case: &Input) -> Result<Outcome, String> {
 
 /// The variant and its field, without what was found.
 fn kind_of(error: &BodyFileError) -> String {
-    format!("{error:?}").chars().filter(|c| !c.is_ascii_digit()).take(48).collect()
+    format!("{error:?}").chars().filter(|c| !c.is_ascii_digit()).take(24).collect()
 }
 
 fn landmarks(case: &Input) -> Result<Outcome, String> {

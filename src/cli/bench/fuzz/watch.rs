@@ -53,6 +53,12 @@ impl Watch {
     }
 }
 
+/// What this thread has had of a processor; `None` where the system does not tell.
+pub(super) fn processor_time() -> Option<Duration> {
+    let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    Some(Duration::from_nanos(told.split_whitespace().next()?.parse().ok()?))
+}
+
 /// Forgets the peak of this process's memory and gives what it takes now, KiB; `None` where the system does not tell.
 pub(super) fn forget_peak() -> Option<u64> {
     std::fs::write("/proc/self/clear_refs", "5").ok()?;
