@@ -69,6 +69,17 @@ def stops(asked, faults):
     service.remove()
 
 
+MOMENTS = ["queued", "running", "cameras", "denoising", "held_out_check", "joint_trajectories", "metric_scale", "body_fit"]
+
+
+def is_at(job, moment):
+    """Whether a job is where it is to be canceled, or past it."""
+    if moment in ("queued", "running"):
+        return job["state"] != "queued" or moment == "queued"
+    stage = job["progress"]["stage"]
+    return job["state"] in wandless.FINAL or (stage in MOMENTS and MOMENTS.index(stage) >= MOMENTS.index(moment))
+
+
 def cancels(asked, faults):
     """Row 10: at every moment of a job's life."""
     dice = random.Random(asked.seed)
@@ -77,9 +88,16 @@ def cancels(asked, faults):
     client = service.client()
     session = client.upload(take(1500, 4, seed=3))["id"]
     times, states, too_late = [], {}, 0
-    for _ in range(asked.cancels):
-        job = client.submit(session, options={"extrinsics": "fixed"})["id"]
-        time.sleep(dice.choice([0.0, 0.02, 0.3]) + dice.uniform(0.0, 3.0) * dice.random())
+    for n in range(asked.cancels):
+        wanted = MOMENTS[n % len(MOMENTS)]
+        before_it = client.submit(session, options={"extrinsics": "refine"}, priority=5)["id"] if wanted == "queued" else None
+        job = client.submit(session, options={"extrinsics": "refine"})["id"]
+        begun = time.monotonic()
+        while not is_at(client.job(job), wanted) and time.monotonic() < begun + 60:
+            time.sleep(0.002)
+        time.sleep(dice.choice([0.0, 0.0, 0.05]))
+        if before_it:
+            faults.require(client.job(before_it)["state"] == "running", "nothing was at work before the waiting job")
         before = client.job(job)
         stage = before["progress"]["stage"] or before["state"]
         start = time.monotonic()
@@ -88,11 +106,24 @@ def cancels(asked, faults):
         except wandless.Problem as problem:
             too_late += problem.code == "already_final"
             continue
-        done = until(lambda: client.job(job)["state"] == "canceled" and not children(service), 5)
+        at_rest = children(service) if before_it else []
+        done = until(lambda: client.job(job)["state"] == "canceled" and children(service) in ([], at_rest), 5)
         seconds = time.monotonic() - start
         times.append(seconds)
         states[stage] = states.get(stage, 0) + 1
         faults.require(done and seconds <= 2, f"a cancel in {stage} took {seconds:.1f} s")
+        faults.require(client.cancel(job)["state"] == "canceled", "a second cancel is another answer")
+        if before_it:
+            client.cancel(before_it)
+            until(lambda: not children(service), 5)
+    last = client.submit(client.upload(take(10, 2, seed=4))["id"], options={"extrinsics": "fixed"})["id"]
+    client.wait(last)
+    try:
+        client.cancel(last)
+        faults.require(False, "a job that has succeeded was canceled")
+    except wandless.Problem as problem:
+        faults.require(problem.status == 409 and problem.code == "already_final", f"{problem}")
+    faults.require(len(states) >= 6, f"cancels met only {states}")
     print(f"cancel: {len(times)} cancels, {too_late} too late, worst {max(times):.2f} s, in {states}")
     service.kill()
     service.remove()

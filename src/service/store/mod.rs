@@ -49,6 +49,19 @@ impl StoreError {
         let Self::Database(sqlx::Error::Database(cause)) = self else { return false };
         matches!(cause.code().as_deref(), Some("13" | "778" | "4874"))
     }
+
+    /// The same error, naming the file where it is no whole database: SQLite's CORRUPT and NOTADB.
+    fn of_file(self, path: &Path) -> Self {
+        let cause = match &self {
+            Self::Database(cause) | Self::Migration(MigrateError::Execute(cause)) => cause,
+            _ => return self,
+        };
+        let said = cause.as_database_error().filter(|said| matches!(said.code().as_deref(), Some("11" | "26")));
+        match said {
+            Some(said) => Self::DatabaseDamaged { path: path.to_owned(), reason: said.message().to_owned() },
+            None => self,
+        }
+    }
 }
 
 /// The data folder in figures; what the system does not tell is 0.
@@ -85,6 +98,14 @@ pub enum StoreError {
         /// The database file.
         path: PathBuf,
     },
+    /// What lies there is no database, or no whole one.
+    #[error("{path}: {reason}; restore it from a backup (`wandless restore`), or see what `wandless verify` says", path = .path.display())]
+    DatabaseDamaged {
+        /// The database file.
+        path: PathBuf,
+        /// What SQLite said.
+        reason: String,
+    },
     /// The database was written by a newer release.
     #[error("the database holds migration {migration}, which this release does not know: a newer wandless wrote it")]
     Newer {
@@ -120,6 +141,11 @@ impl Store {
         Self::open_in(Folders::open(root)?).await
     }
 
+    async fn open_in(folders: Folders) -> Result<Self, StoreError> {
+        let path = folders.database();
+        Self::open_database(folders).await.map_err(|error| error.of_file(&path))
+    }
+
     /// The store of a service that is at work, for a command beside it; where none is at work, as [`Store::open`].
     ///
     /// # Errors
@@ -131,7 +157,7 @@ impl Store {
         }
     }
 
-    async fn open_in(folders: Folders) -> Result<Self, StoreError> {
+    async fn open_database(folders: Folders) -> Result<Self, StoreError> {
         failpoint("start.locked");
         let database = folders.database();
         let is_lost = std::fs::metadata(&database).map_or(0, |m| m.len()) == 0 && folders.hold_files()?;
