@@ -18,8 +18,8 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 
 # Fault, check, its words: as little of the check as should notice.
 FAULTS = {
-    "enqueue.early": ("crashes.py", "--kills", "12"),
-    "publish.late": ("crashes.py", "--kills", "12"),
+    "enqueue.early": ("crashes.py", "--kills", "20"),
+    "publish.late": ("crashes.py", "--kills", "0", "--only", "finish.committed"),
     "recovery.blames": ("crashes.py", "--kills", "12"),
     "recovery.forgets": ("crashes.py", "--kills", "12"),
     "checkpoint.ignored": ("safety.py", "--only", "resume", "--kills", "1"),

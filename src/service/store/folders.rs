@@ -59,6 +59,13 @@ impl Folders {
         }
     }
 
+    /// Whether a service is at work in a data folder.
+    pub(crate) fn are_in_use(root: &Path) -> bool {
+        let lock = File::options().append(true).open(root.join("lock"));
+        let taken = lock.map(|lock| rustix::fs::flock(&lock, FlockOperation::NonBlockingLockExclusive));
+        matches!(taken, Ok(Err(rustix::io::Errno::WOULDBLOCK))) // a lock that was taken goes with the file, here
+    }
+
     /// The folders of a service that is at work, for a command beside it.
     ///
     /// # Errors

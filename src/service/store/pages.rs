@@ -6,7 +6,7 @@
 //! leaves every page either in the log, which has checksums of its own, or with its digest.
 
 use super::log::Log;
-use super::{Store, StoreError};
+use super::{Folders, Store, StoreError};
 use sha2::{Digest, Sha256};
 use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
@@ -24,6 +24,9 @@ const LOOK: Duration = Duration::from_secs(2);
 
 /// Bytes of a page's digest: enough to notice, no signature.
 const DIGEST_BYTES: usize = 8;
+
+/// Further looks at a database that seems damaged while its service is at work.
+const TRIES: usize = 4;
 
 /// Every page in order.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -108,13 +111,14 @@ fn renew(database: &Path, path: &Path, log: &Log) -> io::Result<()> {
 /// # Errors
 /// When a file cannot be read.
 pub(crate) fn compare(database: &Path) -> io::Result<Compared> {
-    let mut found = Compared::Unknown;
-    for _ in 0..4 {
-        found = compare_once(database)?;
-        if !matches!(found, Compared::Damaged(_)) {
+    let is_at_work = database.parent().is_some_and(Folders::are_in_use);
+    let mut found = compare_once(database)?;
+    for _ in 0..TRIES {
+        if !is_at_work || !matches!(found, Compared::Damaged(_)) {
             break;
         }
-        std::thread::sleep(LOOK / 4); // a service at work may just have been at a checkpoint
+        std::thread::sleep(LOOK / 4); // the service may just have been at a checkpoint
+        found = compare_once(database)?;
     }
     Ok(found)
 }
