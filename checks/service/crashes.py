@@ -101,11 +101,12 @@ def work(service, ledger, seed, over, n_frames):
             with ledger.lock:
                 if again["id"] != job["id"]:
                     ledger.jobs["twice " + again["id"]] = job["id"]
-            if dice.random() < 0.15:
+            fate = dice.random()
+            if fate < 0.15:
                 client.cancel(job["id"])
                 with ledger.lock:
                     ledger.canceled.add(job["id"])
-            elif dice.random() < 0.1:
+            elif fate < 0.3:
                 with ledger.lock:
                     ledger.deleted.add(job["id"])  # asked for, whatever the answer
                 client.delete_job(job["id"])
@@ -238,7 +239,7 @@ def kill_at_point(asked, faults, point, hit):
             time.sleep(1.0)
             service.process.send_signal(signal.SIGTERM)
         try:
-            service.process.wait(timeout=20)
+            service.process.wait(timeout=60)
             reached.append(service.process.returncode == -signal.SIGKILL)
         except subprocess.TimeoutExpired:
             service.kill()

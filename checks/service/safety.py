@@ -35,7 +35,7 @@ def resume(asked, faults):
     service = Service(asked.program, environment={"WANDLESS_LOG": "info"})
     service.start()
     client = service.client()
-    session = client.upload(take(1200, 4, seed=2))["id"]
+    session = client.upload(take(300, 4, seed=2))["id"]
     options = {"extrinsics": "refine", "exports": []}
     golden = client.submit(session, options=options)["id"]
     client.wait(golden)

@@ -266,7 +266,7 @@ def clocks(asked, faults):
     service = Service(asked.program, environment=environment)
     service.start()
     client = service.client()
-    jobs, years = [running_job(service, client, 8)], set()
+    jobs, years = [running_job(service, client, 8, frames=400)], set()
     for restarts in (False, True):
         for offset in JUMPS:
             with open(file.name, "w") as clock:
