@@ -1,6 +1,6 @@
 //! Configurations by name, and random ones.
 
-use super::config::{MotionSource, NoiseConfig, RigConfig, SimulationConfig, Tracks};
+use super::config::{Bodies, MotionSource, NoiseConfig, RigConfig, SimulationConfig, Tracks};
 use super::random::{Purpose, stream};
 use crate::body::skeleton::KeypointConvention;
 use rand::RngExt;
@@ -34,6 +34,7 @@ impl SimulationConfig {
             rig: RigConfig { radius, height, ..RigConfig::default() },
             convention: KeypointConvention::Coco17,
             tracks: Tracks::Consistent,
+            bodies: Bodies::Own,
             motion: MotionSource::Procedural,
         }
     }
