@@ -150,6 +150,7 @@ def backups(asked, faults):
         made = run(service, "backup", f"{place}/{n}", "--data", service.data)
         at_backup.clear()
         faults.require(made.returncode == 0, f"F1: backup {n}: {made.stderr}")
+        faults.require(made.returncode or not unlisted(f"{place}/{n}"), f"F1: backup {n} leaves out {unlisted(f'{place}/{n}')[:3]}")
         time.sleep(0.3)
     over.set()
     for thread in threads:
@@ -188,6 +189,17 @@ def backups(asked, faults):
     service.kill()
     service.remove()
     shutil.rmtree(place)
+
+
+def unlisted(backup):
+    """Files that the backup's rows name and its list does not."""
+    with open(os.path.join(backup, "backup.json")) as file:
+        listed = {entry["name"] for entry in json.load(file)["files"]}
+    with sqlite3.connect(f"file:{backup}/wandless.db?mode=ro&immutable=1", uri=True) as database:
+        named = [f"sessions/{row[0]}" for row in database.execute("SELECT id FROM sessions")]
+        named += [f"results/{row[0]}/{row[1]}/{row[2]}" for row in
+                  database.execute("SELECT job_id, result_fence, name FROM artifacts JOIN jobs ON jobs.id = job_id")]
+    return [name for name in named if name not in listed]
 
 
 def live_bytes(log):

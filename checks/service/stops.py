@@ -49,7 +49,7 @@ def stops(asked, faults):
     dice = random.Random(asked.seed)
     service = Service(asked.program)
     service.start()
-    job = running_job(service, service.client(), 1, frames=30 * LONG)
+    job = running_job(service, service.client(), 1, frames=LONG * max(1, min(30, asked.stops // 2)))
     times = []
     for _ in range(asked.stops):
         until(lambda: children(service), 10)
