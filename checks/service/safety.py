@@ -224,7 +224,7 @@ def flips(asked, faults):
     while not finished(service, long):
         time.sleep(0.05)
     time.sleep(2.5)
-    client.submit(client.upload(take(10, 2, seed=90))["id"], options=OPTIONS, labels={"late": "y" * 300})
+    client.submit(client.upload(take(10, 2, seed=90))["id"], options=OPTIONS, labels={"late": "y" * 200})
     service.kill()
     whole = run(service, "verify", service.data)
     faults.require(whole.returncode == 0, f"F3: the killed folder is not whole: {whole.stdout}")
