@@ -44,7 +44,11 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let done = submit_and_evaluate(&server, &session, &result);
     if args.keep && done.is_ok() {
         println!("{server} goes on; stop it with Ctrl-C");
-        runtime.block_on(async { std::io::Result::Ok(StopSignals::listen()?.next().await) })?;
+        let hold = async {
+            StopSignals::listen()?.next().await;
+            std::io::Result::Ok(())
+        };
+        runtime.block_on(hold)?;
     }
     runtime.block_on(running.stop());
     done
