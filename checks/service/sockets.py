@@ -7,7 +7,7 @@ that are guessed.
 import http.client
 import json
 import random
-import select
+import resource
 import socket
 import subprocess
 import threading
@@ -28,7 +28,7 @@ def slow_clients(service, asked, faults):
              "reader": (f"GET /v1/jobs/{job}/artifacts/{large} HTTP/1.1\r\nHost: x\r\n\r\n" * 20).encode()}
     sockets = {}
     for kind, first in kinds.items():
-        for _ in range(asked.slow // 4):
+        for _ in range(asked.slow):
             connection = socket.socket()
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             connection.connect(("127.0.0.1", service.port))
@@ -43,7 +43,7 @@ def slow_clients(service, asked, faults):
             try:
                 if kind in ("head", "body"):
                     connection.send(b"x")
-                if kind != "reader" and connection in select.select([connection], [], [], 0)[0] and not connection.recv(65536):
+                if kind != "reader" and not received(connection):
                     raise ConnectionError
             except (ConnectionError, OSError):
                 closed[kind].append(time.monotonic() - start)
@@ -62,6 +62,14 @@ def slow_clients(service, asked, faults):
     worst = percentile(times, 0.99) * 1000
     faults.require(worst <= 500, f"C1: a normal client waits {worst:.0f} ms")
     print(f"C1: a normal client's p99 {worst:.0f} ms, {opened:.0f} connections are left")
+
+
+def received(connection):
+    """What has come on a socket that does not wait; empty at its end."""
+    try:
+        return connection.recv(65536)
+    except BlockingIOError:
+        return b"nothing yet"
 
 
 def one_key(service, asked, faults):
@@ -228,12 +236,15 @@ def guesses(service, asked, faults):
 
 
 def main():
-    asked = arguments(__doc__, slow=500, seconds=120)
+    asked = arguments(__doc__, slow=500, seconds=120, only="")
     faults = Faults()
-    service = Service(asked.program)
+    # Four kinds at once: the cap on connections is not what is tried here.
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(8192, resource.getrlimit(resource.RLIMIT_NOFILE)[1]),) * 2)
+    service = Service(asked.program, words=["--set", f"limits.max_connections={max(1024, 5 * asked.slow)}"])
     service.start()
     for check in (one_key, abuse, ranges, leavers, slow_clients, guesses):
-        check(service, asked, faults)
+        if asked.only in check.__name__:
+            check(service, asked, faults)
     service.kill()
     faults.end(service, asked.keep)
 

@@ -1,7 +1,7 @@
 //! `wandless demo`: simulate, serve, submit over HTTP, evaluate; every step is a command of its own.
 
 use super::client::Client;
-use super::serve::stop_signal;
+use super::serve::StopSignals;
 use super::submit::{download, submit};
 use super::{evaluate, simulate};
 use crate::pipeline::Options;
@@ -44,7 +44,11 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let done = submit_and_evaluate(&server, &session, &result);
     if args.keep && done.is_ok() {
         println!("{server} goes on; stop it with Ctrl-C");
-        runtime.block_on(stop_signal())?;
+        let hold = async {
+            StopSignals::listen()?.next().await;
+            std::io::Result::Ok(())
+        };
+        runtime.block_on(hold)?;
     }
     runtime.block_on(running.stop());
     done

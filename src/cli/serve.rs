@@ -7,7 +7,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 use tokio::runtime::Runtime;
-use tokio::signal::unix::{SignalKind, signal};
+use tokio::signal::unix::{Signal, SignalKind, signal};
 
 /// Arguments of `serve`.
 #[derive(Debug, clap::Args)]
@@ -78,28 +78,39 @@ fn settings(args: Args) -> Result<Settings, SettingsError> {
 }
 
 async fn serve(settings: Settings) -> anyhow::Result<()> {
+    let mut signals = StopSignals::listen()?; // before anybody can know that we serve, and ask us to stop
     let running = service::start(settings).await.map_err(|error| match error {
         ServeError::NotLoopback { .. } | ServeError::Network(_) => BadInput(error.to_string()).into(),
         other => anyhow::Error::from(other),
     })?;
     println!("wandless serves http://{}", running.address);
-    stop_signal().await?;
+    signals.next().await;
     tracing::info!("stopping; a second signal stops at once");
     tokio::select! {
         () = running.stop() => tracing::info!("stopped"),
-        signal = stop_signal() => signal?,
+        () = signals.next() => {}
         () = tokio::time::sleep(HARD_STOP) => tracing::warn!("stopped hard"),
     }
     Ok(())
 }
 
-/// Returns at the next SIGTERM or SIGINT.
-pub(super) async fn stop_signal() -> std::io::Result<()> {
-    let mut terminate = signal(SignalKind::terminate())?;
-    let mut interrupt = signal(SignalKind::interrupt())?;
-    tokio::select! {
-        _ = terminate.recv() => {}
-        _ = interrupt.recv() => {}
+/// Ears for SIGTERM and SIGINT.
+pub(super) struct StopSignals {
+    terminate: Signal,
+    interrupt: Signal,
+}
+
+impl StopSignals {
+    /// Hears from now on: either signal no longer ends the process by itself.
+    pub(super) fn listen() -> std::io::Result<Self> {
+        Ok(Self { terminate: signal(SignalKind::terminate())?, interrupt: signal(SignalKind::interrupt())? })
     }
-    Ok(())
+
+    /// Returns at the next of them.
+    pub(super) async fn next(&mut self) {
+        tokio::select! {
+            _ = self.terminate.recv() => {}
+            _ = self.interrupt.recv() => {}
+        }
+    }
 }

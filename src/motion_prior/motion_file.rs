@@ -5,6 +5,7 @@
 //! offsets of `trans` from the pelvis do not matter: every person is placed anew.
 
 use super::chart::LocalRotations;
+use crate::body::loader::npy_head::with_flat_head;
 use crate::body::skeleton::N_JOINTS;
 use crate::geometry::rotation;
 use nalgebra::{Matrix3, Vector3};
@@ -138,7 +139,7 @@ fn array(archive: &mut ZipArchive<BufReader<File>>, name: &'static str) -> Resul
         Err(zip::result::ZipError::FileNotFound) => return Ok(None),
         member => member.map_err(|source| MotionProblem::Archive { array: name, source })?,
     };
-    let file = npyz::NpyFile::new(member)?;
+    let file = npyz::NpyFile::new(with_flat_head(member)?)?;
     let shape = file.shape().to_vec();
     let size = shape.iter().try_fold(1_u64, |size, n| size.checked_mul(*n)).filter(|size| *size <= MAX_NUMBERS);
     if size.is_none() || file.order() != npyz::Order::C {

@@ -24,7 +24,7 @@ use crate::matching::tracker::Scene;
 use crate::progress::{Canceled, Progress};
 use crate::session::{Reconstruction, Session};
 use bundle_adjustment::CameraFreedom;
-use calibration::{Calibration, Consistent, estimate_cameras, from_given_cameras, heldout_px, made_consistent};
+use calibration::{Calibration, estimate_cameras, from_given_cameras, heldout_px, made_consistent};
 use checkpoints::Checkpoints;
 use config::Extrinsics;
 pub use config::{CameraFacts, Options};
@@ -106,17 +106,14 @@ pub fn reconstruct_with_checkpoints(
         return Err(PipelineError::Unsolvable { code: "cameras_unsolvable", reason });
     }
 
-    // Not kept: a cleaned session is as large as the upload, and cleaning costs little.
     let stage = progress.stage("denoising", 1, N_STAGES, 0.4, 0.15);
-    let (calibration, denoised) = match options.denoise {
-        true => {
-            let Consistent { calibration, denoised, cleaning } =
-                made_consistent(&capture, calibration, freedom(options), &stage)?;
-            (calibration, Some((denoised.session, (denoised.told, cleaning))))
-        }
+    let (calibration, consistent) = match options.denoise {
+        true => checkpoints
+            .stage("denoising", || made_consistent(&capture, calibration, freedom(options), &stage))?
+            .over(session),
         false => (calibration, None),
     };
-    let (clean, consistency) = denoised.unzip();
+    let (clean, consistency) = consistent.map(|c| (c.session, (c.told, c.cleaning))).unzip();
     let capture = clean.as_ref().map_or(capture, |session| Capture::new(session, options));
 
     let stage = progress.stage("held_out_check", 2, N_STAGES, 0.55, 0.1);
@@ -128,7 +125,8 @@ pub fn reconstruct_with_checkpoints(
 
     progress.stage("metric_scale", 4, N_STAGES, 0.7, 0.02);
     let tracks = &calibration.association.tracks;
-    let scale = metric_scale::metric_scale(&capture, &calibration.cameras, tracks, &paths)?;
+    let scale = checkpoints
+        .stage("metric_scale", || metric_scale::metric_scale(&capture, &calibration.cameras, tracks, &paths))?;
     let findings = Findings::in_world(&capture, calibration, paths, scale, heldout_px);
 
     let stage_body = stage.stage("body_fit", 5, N_STAGES, 0.72, 0.25);

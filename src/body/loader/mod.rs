@@ -12,6 +12,7 @@ mod assemble;
 mod cache;
 mod error;
 mod landmark_table;
+pub(crate) mod npy_head;
 mod npz;
 mod pickle;
 mod tree;

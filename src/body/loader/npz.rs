@@ -3,6 +3,7 @@
 use super::array::{Array, FIELDS, Fields, NumberType, max_elements, n_elements};
 use super::assemble::refuse_other_models;
 use super::error::BodyFileError;
+use super::npy_head::with_flat_head;
 use npyz::{DType, NpyHeader, Order};
 use std::io::{Cursor, Read};
 use zip::ZipArchive;
@@ -27,7 +28,8 @@ fn read_array(field: &str, member: impl Read) -> Result<Array, BodyFileError> {
     let not_an_array = |expected| BodyFileError::NotAnArray { field: field.to_owned(), expected };
     // A header lives in the first kilobytes; the cap keeps a claimed length from being believed.
     let limit = max_elements(field);
-    let mut member = member.take(8 * limit as u64 + (1 << 16));
+    let member = member.take(8 * limit as u64 + (1 << 16));
+    let mut member = with_flat_head(member).map_err(|_| not_an_array("a numpy array"))?;
     let header = NpyHeader::from_reader(&mut member).map_err(|_| not_an_array("a numpy array"))?;
     let DType::Plain(number) = header.dtype() else { return Err(not_an_array("an array of numbers")) };
     let spelling = number.to_string();

@@ -6,19 +6,75 @@ use crate::pipeline::bundle_adjustment::CameraFreedom;
 use crate::pipeline::denoising::{Denoised, DenoisingInput, denoise};
 use crate::pipeline::{Capture, result};
 use crate::progress::{Canceled, Progress};
-use crate::session::reconstruction::{Cleaning, MendedDetection};
-use crate::session::{Detection, FrameIndex, PersonId, PersonTrack, Session};
+use crate::session::reconstruction::{Cleaning, ConsistencyReport, MendedDetection};
+use crate::session::{Detection, FrameIndex, Keypoint, PersonId, PersonTrack, Session};
+use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
-/// What [`made_consistent`] leaves.
+/// Cameras and detections that agree. The cleaned session is kept as what differs from the session as it came: little, and
+/// a checkpoint holds it.
+#[derive(Debug, Serialize, Deserialize)]
 pub struct Consistent {
-    /// The cameras, and who is who.
-    pub calibration: Calibration,
-    /// The detections, cleaned.
-    pub denoised: Denoised,
+    calibration: Calibration,
+    told: ConsistencyReport,
+    identities_before: Vec<Vec<Vec<Option<PersonId>>>>,
+    changes: Vec<Change>,
+}
+
+/// The session with clean detections, and what was done to it.
+pub struct Cleaned {
+    /// The detections that agree.
+    pub session: Session,
+    /// For the report.
+    pub told: ConsistencyReport,
     /// The last cleaning, detection by detection.
     pub cleaning: Cleaning,
+}
+
+/// One detection whose keypoints were turned round or rejected.
+#[derive(Debug, Serialize, Deserialize)]
+struct Change {
+    view: usize,
+    frame: usize,
+    detection: usize,
+    /// x and y in pixels, confidence.
+    keypoints: Vec<[f64; 3]>,
+}
+
+impl Consistent {
+    fn of(original: &Session, calibration: Calibration, before: &[PersonTrack], denoised: Denoised) -> Self {
+        let identities_before = taken_for(original, before, &denoised.tracks);
+        let mut changes = Vec::new();
+        for (view, (before, after)) in original.views.iter().zip(&denoised.session.views).enumerate() {
+            for (frame, (before, after)) in before.frames.iter().zip(&after.frames).enumerate() {
+                let pairs = before.iter().zip(after).enumerate();
+                let changed = pairs.filter(|(_, (before, after))| before != after);
+                changes.extend(changed.map(|(detection, (_, after))| Change::of(view, frame, detection, after)));
+            }
+        }
+        Self { calibration, told: denoised.told, identities_before, changes }
+    }
+
+    /// The cameras and who is who; the session `original` with clean detections.
+    pub fn over(self, original: &Session) -> (Calibration, Option<Cleaned>) {
+        let mut session = original.clone();
+        for Change { view, frame, detection, keypoints } in self.changes {
+            let points =
+                keypoints.into_iter().map(|[x, y, confidence]| Keypoint { pixel: Vector2::new(x, y), confidence });
+            session.views[view].frames[frame][detection].keypoints = points.collect();
+        }
+        let cleaning = Cleaning { identities_before: self.identities_before, mended: mended(original, &session) };
+        (self.calibration, Some(Cleaned { session, told: self.told, cleaning }))
+    }
+}
+
+impl Change {
+    fn of(view: usize, frame: usize, detection: usize, after: &Detection) -> Self {
+        let keypoints = after.keypoints.iter().map(|point| [point.pixel.x, point.pixel.y, point.confidence]).collect();
+        Self { view, frame, detection, keypoints }
+    }
 }
 
 /// Cleans the detections under the cameras so far, adjusts the cameras to what is left, and cleans the detections as they
@@ -46,13 +102,9 @@ pub fn made_consistent(
     }
     progress.report(0.7, "cameras adjusted to consistent detections");
     let second = denoised(capture, &calibration, progress)?;
-    let cleaning = Cleaning {
-        identities_before: taken_for(capture.session, &calibration.association.tracks, &second.tracks),
-        mended: mended(capture.session, &second.session),
-    };
-    calibration.association.tracks.clone_from(&second.tracks);
+    let before = std::mem::replace(&mut calibration.association.tracks, second.tracks.clone());
     calibration.stages.push(second.report.clone());
-    Ok(Consistent { calibration, denoised: second, cleaning })
+    Ok(Consistent::of(capture.session, calibration, &before, second))
 }
 
 /// Whom every detection would show if nothing were repaired: whoever its track id mostly names by what was found in the

@@ -1,15 +1,20 @@
 //! The data folder: one SQLite database and the files its rows name. Nothing else knows which database or disk it is.
 
 pub mod artifacts;
+mod error;
 pub mod folders;
 pub mod keys;
+mod log;
+pub(crate) mod pages;
 pub mod sessions;
 pub mod summary;
 pub mod tenants;
 
-pub use folders::{DATABASE, DATABASE_DIGEST, Folders};
+pub use error::StoreError;
+pub use folders::{DATABASE, Folders};
 pub use tenants::Tenant;
 
+use crate::service::failpoint::{failpoint, fault};
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous};
 use sqlx::{Connection, Sqlite, Transaction};
@@ -17,6 +22,9 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 static MIGRATIONS: Migrator = sqlx::migrate!("./migrations");
+
+/// How long a database that another process holds is waited for.
+const BUSY_PATIENCE: Duration = Duration::from_secs(10);
 
 /// 3.7.0 to 3.51.2 can corrupt the file when two connections write and checkpoint at the same moment.
 const OLDEST_SOUND_SQLITE: [u32; 3] = [3, 51, 3];
@@ -29,18 +37,12 @@ pub struct Store {
     /// Progress is written here: `synchronous = NORMAL`, the last second may be lost, the file never.
     notes: SqlitePool,
     readers: SqlitePool,
+    /// Copies the log into the database; no other connection does, see [`pages`].
+    keeper: SqlitePool,
     /// Where the files lie.
     pub folders: Folders,
     /// Names this process: a running job of another boot is an orphan.
     pub boot: String,
-}
-
-impl StoreError {
-    /// Whether the disk is what stands in the way: SQLite's FULL, or a write, or its shared memory that found no room.
-    pub fn is_disk_full(&self) -> bool {
-        let Self::Database(sqlx::Error::Database(cause)) = self else { return false };
-        matches!(cause.code().as_deref(), Some("13" | "778" | "4874"))
-    }
 }
 
 /// The data folder in figures; what the system does not tell is 0.
@@ -54,55 +56,6 @@ pub struct DiskFigures {
     pub wal_bytes: u64,
 }
 
-/// Why the data folder cannot be used, or a statement failed.
-#[derive(Debug, thiserror::Error)]
-pub enum StoreError {
-    /// The folder could not be made, read or written.
-    #[error("{path}: {source}", path = .path.display())]
-    Folder {
-        /// Which file or folder.
-        path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
-    },
-    /// Another service owns the folder.
-    #[error("{path}: another wandless service is using this data folder", path = .path.display())]
-    InUse {
-        /// The lock file.
-        path: PathBuf,
-    },
-    /// Uploads or results are there, but the database is not.
-    #[error("{path}: the database is missing or empty although the folder holds uploads or results; restore it from a backup, or choose another --data folder", path = .path.display())]
-    DatabaseLost {
-        /// The database file.
-        path: PathBuf,
-    },
-    /// The database was written by a newer release.
-    #[error("the database holds migration {migration}, which this release does not know: a newer wandless wrote it")]
-    Newer {
-        /// The unknown migration.
-        migration: i64,
-    },
-    /// The library linked has a known corruption bug.
-    #[error("SQLite {found} can corrupt its file; 3.51.3 or newer is needed")]
-    UnsoundSqlite {
-        /// The linked version.
-        found: String,
-    },
-    /// A migration failed.
-    #[error("migration: {0}")]
-    Migration(#[source] MigrateError),
-    /// A statement failed.
-    #[error("database: {0}")]
-    Database(#[from] sqlx::Error),
-    /// The system gives no random numbers.
-    #[error("the system gives no random numbers")]
-    NoRandomness,
-    /// A stored JSON text is no longer readable.
-    #[error("stored JSON: {0}")]
-    Json(#[from] serde_json::Error),
-}
-
 impl Store {
     /// Takes the folder for this process, opens the database and brings it to this release's schema.
     ///
@@ -110,6 +63,11 @@ impl Store {
     /// [`StoreError`], each naming what stands in the way.
     pub async fn open(root: &Path) -> Result<Self, StoreError> {
         Self::open_in(Folders::open(root)?).await
+    }
+
+    async fn open_in(folders: Folders) -> Result<Self, StoreError> {
+        let path = folders.database();
+        Self::open_database(folders).await.map_err(|error| error.of_file(&path))
     }
 
     /// The store of a service that is at work, for a command beside it; where none is at work, as [`Store::open`].
@@ -123,18 +81,20 @@ impl Store {
         }
     }
 
-    async fn open_in(folders: Folders) -> Result<Self, StoreError> {
+    async fn open_database(folders: Folders) -> Result<Self, StoreError> {
+        failpoint("start.locked");
         let database = folders.database();
-        if std::fs::metadata(&database).map_or(0, |m| m.len()) == 0 && folders.hold_files()? {
+        let is_lost = std::fs::metadata(&database).map_or(0, |m| m.len()) == 0 && folders.hold_files()?;
+        if is_lost && !fault("damage.silent") {
             return Err(StoreError::DatabaseLost { path: database });
         }
-        let _ = std::fs::remove_file(folders.database_digest()); // from now on it would be wrong
         let options = SqliteConnectOptions::new()
             .filename(&database)
             .create_if_missing(true)
             .journal_mode(SqliteJournalMode::Wal)
             .foreign_keys(true)
-            .busy_timeout(Duration::from_secs(10))
+            .busy_timeout(if fault("busy.impatient") { Duration::ZERO } else { BUSY_PATIENCE })
+            .pragma("wal_autocheckpoint", "0")
             .pragma("secure_delete", "ON");
         let pool = |options: SqliteConnectOptions, n: u32| {
             let pool = SqlitePoolOptions::new().max_connections(n).idle_timeout(None).max_lifetime(None);
@@ -149,10 +109,15 @@ impl Store {
             MigrateError::VersionMissing(migration) => StoreError::Newer { migration },
             other => StoreError::Migration(other),
         })?;
+        failpoint("start.migrated");
+        if fault("claims.scanned") {
+            sqlx::query("DROP INDEX IF EXISTS jobs_by_state").execute(&writer).await?;
+        }
         folders.take_reserve();
         let notes = pool(options.clone().synchronous(SqliteSynchronous::Normal), 1).await?;
+        let keeper = pool(options.clone().synchronous(SqliteSynchronous::Full), 1).await?;
         let readers = pool(options.read_only(true), 4).await?;
-        Ok(Self { writer, notes, readers, folders, boot: uuid::Uuid::new_v4().simple().to_string() })
+        Ok(Self { writer, notes, readers, keeper, folders, boot: uuid::Uuid::new_v4().simple().to_string() })
     }
 
     /// A transaction that may change states; durable once committed.
@@ -215,27 +180,17 @@ impl Store {
         let _ = tokio::task::spawn_blocking(move || folders.take_reserve()).await; // fails only where the process ends
     }
 
-    /// Closes the connections after their last statement.
+    /// Closes the connections after their last statement; whoever owns the folder leaves no log behind.
     pub async fn close(&self) {
         self.readers.close().await;
+        if self.folders.are_owned()
+            && let Err(error) = self.checkpoint().await
+        {
+            tracing::warn!(%error, "the log stays beside the database");
+        }
+        self.keeper.close().await;
         self.notes.close().await;
         self.writer.close().await;
-    }
-
-    /// Closes the connections and keeps the database's digest, so that `verify` can tell whether a byte has changed since.
-    pub async fn close_for_good(&self) {
-        self.close().await;
-        let folders = self.folders.clone();
-        let kept = tokio::task::spawn_blocking(move || -> std::io::Result<()> {
-            if std::fs::metadata(folders.database().with_extension("db-wal")).is_ok_and(|wal| wal.len() > 0) {
-                return Ok(()); // somebody else has the database open: its bytes may still change
-            }
-            let digest = artifacts::digest_file(&folders.database())?;
-            std::fs::write(folders.database_digest(), digest.sha256)
-        });
-        if let Ok(Err(error)) = kept.await {
-            tracing::warn!(%error, "the database's digest could not be kept");
-        }
     }
 }
 

@@ -1,0 +1,72 @@
+//! One byte anywhere counts.
+
+use super::*;
+
+async fn written(folder: &Path) -> Store {
+    let store = Store::open(folder).await.unwrap();
+    for tenant in ["somebody", "somebody-else"] {
+        let mut transaction = store.write().await.unwrap();
+        let tenant = crate::service::store::Tenant::parse(tenant).unwrap();
+        crate::service::store::tenants::remember(&mut transaction, &tenant).await.unwrap();
+        transaction.commit().await.unwrap();
+    }
+    store
+}
+
+fn flipped(path: &Path, at: usize) -> Vec<u8> {
+    let whole = std::fs::read(path).unwrap();
+    let mut bytes = whole.clone();
+    bytes[at] ^= 1 << (at % 8);
+    std::fs::write(path, bytes).unwrap();
+    whole
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_byte_of_a_stopped_database_and_of_its_digests_counts() {
+    let folder = tempfile::tempdir().unwrap();
+    written(folder.path()).await.close().await;
+    let database = folder.path().join("wandless.db");
+    assert!(matches!(compare_once(&database).unwrap(), Compared::Whole(n) if n > 10));
+    for path in [&database, &folder.path().join(PAGES)] {
+        let length = std::fs::metadata(path).unwrap().len() as usize;
+        for at in (0..length).step_by(length / 97) {
+            let whole = flipped(path, at);
+            assert!(matches!(compare_once(&database), Ok(Compared::Damaged(_)) | Err(_)), "{}: {at}", path.display());
+            std::fs::write(path, whole).unwrap();
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_byte_of_the_log_of_a_killed_service_counts() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = written(folder.path()).await; // never closed: as if it had been killed
+    let killed = tempfile::tempdir().unwrap();
+    store.checkpoint().await.unwrap();
+    let mut transaction = store.write().await.unwrap();
+    let late = crate::service::store::Tenant::parse("late").unwrap();
+    crate::service::store::tenants::remember(&mut transaction, &late).await.unwrap();
+    transaction.commit().await.unwrap();
+    for name in ["wandless.db", "wandless.db-wal", PAGES] {
+        std::fs::copy(folder.path().join(name), killed.path().join(name)).unwrap();
+    }
+    let (database, log) = (killed.path().join("wandless.db"), killed.path().join("wandless.db-wal"));
+    assert!(matches!(compare_once(&database).unwrap(), Compared::Whole(_)));
+    let live = {
+        let n_pages = Log::read(&log).unwrap().pages.len();
+        assert!((1..10).contains(&n_pages), "the log has begun anew after the checkpoint: {n_pages}");
+        32 + (24 + 4096) * n_pages
+    };
+    for at in (0..live).step_by(13) {
+        let whole = flipped(&log, at);
+        assert!(matches!(compare_once(&database), Ok(Compared::Damaged(_)) | Err(_)), "log: {at}");
+        std::fs::write(&log, whole).unwrap();
+    }
+    let length = std::fs::metadata(&database).unwrap().len() as usize;
+    let in_log = Log::read(&log).unwrap().pages;
+    for at in (0..length).step_by(length / 97).filter(|at| !in_log.contains(&((at / 4096) as u32 + 1))) {
+        let whole = flipped(&database, at);
+        assert!(matches!(compare_once(&database), Ok(Compared::Damaged(_)) | Err(_)), "database: {at}");
+        std::fs::write(&database, whole).unwrap();
+    }
+}
