@@ -5,6 +5,7 @@ use crate::geometry::Rigid;
 use crate::pipeline::association::Association;
 use crate::pipeline::bundle_adjustment::{Instant, Observation};
 use crate::session::recording::Session;
+use nalgebra::Vector2;
 
 /// Points below this confidence do not enter the adjustment.
 const MIN_CONFIDENCE: f64 = 0.3;
@@ -85,12 +86,23 @@ fn instant(
     for (view, detection) in track.detections[t].iter().enumerate() {
         let (Some(detection), Some(camera)) = (detection, &cameras[view]) else { continue };
         let intrinsics = &session.views[view].intrinsics;
-        for (keypoint, k) in session.views[view].frames[frame][*detection].keypoints[..sigmas.len()].iter().enumerate()
-        {
+        let keypoints = |frame: usize, detection: usize| &session.views[view].frames[frame][detection].keypoints;
+        let neighbour = |step: Option<usize>, frame: Option<usize>| {
+            let detection = (*track.detections.get(step?)?.get(view)?)?;
+            Some(keypoints(frame?, detection))
+        };
+        let before = neighbour(t.checked_sub(1), frame.checked_sub(1));
+        let after = neighbour(t.checked_add(1), frame.checked_add(1));
+        for (keypoint, k) in keypoints(frame, *detection)[..sigmas.len()].iter().enumerate() {
             let Some(point) = guess[keypoint].filter(|_| k.confidence >= MIN_CONFIDENCE) else { continue };
             let depth = (camera.transform(&point).z * budget.metres_per_unit).max(0.3);
             let sigma_px = budget.noise * sigmas[keypoint] * intrinsics.focal() / depth / k.confidence.sqrt();
-            observations.push(Observation { keypoint, view, pixel: k.pixel, sigma_px });
+            // Half a step either way: the errors of the two ends are as much like that of the middle, so that the velocity
+            // is as often too large as too small.
+            let velocity = before.zip(after).map(|(a, b)| (&a[keypoint], &b[keypoint]));
+            let velocity = velocity.filter(|(a, b)| a.confidence.min(b.confidence) >= MIN_CONFIDENCE);
+            let velocity = velocity.map_or(Vector2::zeros(), |(a, b)| 0.5 * (b.pixel - a.pixel));
+            observations.push(Observation { keypoint, view, pixel: k.pixel, sigma_px, velocity });
         }
     }
     let mut seen = vec![0u8; sigmas.len()];

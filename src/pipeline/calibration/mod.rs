@@ -52,12 +52,19 @@ struct Effort {
     relative_decrease: f64,
     /// Seconds of one person that count as one independent block in the cameras' uncertainty; `None`: not computed.
     uncertainty_block_secs: Option<f64>,
+    /// Whether cameras may be late.
+    refine_delays: bool,
 }
 
-const TRIAL: Effort = Effort { max_instants: 120, relative_decrease: 1e-3, uncertainty_block_secs: None };
-const ROUND: Effort = Effort { max_instants: 250, relative_decrease: 1e-4, uncertainty_block_secs: None };
+const TRIAL: Effort =
+    Effort { max_instants: 120, relative_decrease: 1e-3, uncertainty_block_secs: None, refine_delays: false };
+const ROUND: Effort = Effort { max_instants: 250, relative_decrease: 1e-4, ..TRIAL };
 /// Detector errors are correlated over a third of a second (AR(0.9) at 30 Hz); a block must span several such times.
-const FINAL: Effort = Effort { max_instants: 500, relative_decrease: 1e-6, uncertainty_block_secs: Some(2.0) };
+const FINAL: Effort =
+    Effort { max_instants: 500, relative_decrease: 1e-6, uncertainty_block_secs: Some(2.0), ..TRIAL };
+/// A delay is told by moving points alone, of which there are fewer.
+const TIMED: Effort =
+    Effort { max_instants: 1500, relative_decrease: 1e-5, uncertainty_block_secs: Some(2.0), refine_delays: true };
 
 /// Settings of an adjustment whose uncertainty nobody asks for.
 fn quick() -> AdjustmentConfig {
@@ -168,6 +175,14 @@ fn trial(
     Ok(adjusted)
 }
 
+/// The cameras after an adjustment in which they may be late; how late is told by [`Calibration::adjusted`].
+///
+/// # Errors
+/// [`Canceled`].
+pub fn with_delays(capture: &Capture, before: &Calibration, progress: &Progress) -> Result<Calibration, Canceled> {
+    adjusted(capture, before, TIMED, &|_| true, progress)
+}
+
 /// One round: adjustment, then association under the new cameras; kept only if no less is explained.
 fn improved(
     capture: &Capture,
@@ -218,6 +233,7 @@ fn adjusted(
         bones: &capture.adjusted_bones,
         camera_freedom: CameraFreedom::Adjusted,
         refine_focal: false,
+        refine_delays: effort.refine_delays,
     };
     let uncertainty_block_frames = effort.uncertainty_block_secs.map(|s| ((s * session.fps).round() as usize).max(1));
     let relative_decrease = effort.relative_decrease;

@@ -127,6 +127,7 @@ impl Calibration {
         own.distortion_model = own.distortion_model.take().or(camera.distortion_model);
         own.rotation = own.rotation.take().or(camera.rotation);
         own.translation = own.translation.take().or(camera.translation);
+        own.time_offset = own.time_offset.or(camera.time_offset);
     }
 }
 

@@ -74,7 +74,7 @@ pub(crate) fn read_members<R: Read + Seek>(
     for stranger in &survey.strangers {
         reading.warnings.add(format!("file {} is neither poses nor a calibration: it is ignored", shown(stranger)));
     }
-    let fps = header.fps.or(found.fps).or(calibration.fps).unwrap_or_else(|| {
+    let fps = header.fps().or(found.fps).or(calibration.fps).unwrap_or_else(|| {
         let line =
             format!("no file tells the frame rate: {DEFAULT_FPS} per second are assumed; give `fps` in session.json");
         reading.warnings.add(line);
@@ -94,6 +94,7 @@ pub(crate) fn read_members<R: Read + Seek>(
         n_frames: header.n_frames.or(Some(n_found)),
         keypoint_convention: convention.name().to_owned(),
         up_axis: header.up_axis,
+        start_timecode: header.start_timecode,
         poses: cameras.iter().map(|camera| camera.id.clone()).zip(sources.into_iter().map(|s| s.poses)).collect(),
         cameras,
     };
@@ -209,6 +210,8 @@ fn sized(
         scale_matrix(&mut camera, scale);
     }
     [camera.width, camera.height] = size;
+    let timed = header_cameras.iter().find(|own| own.id == camera.id && own.time_offset.is_some());
+    camera.time_offset = timed.map_or(camera.time_offset, |own| own.time_offset);
     Ok(camera)
 }
 
