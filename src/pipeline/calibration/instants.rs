@@ -4,6 +4,7 @@ use crate::body::detector_noise::keypoint_sigmas;
 use crate::geometry::Rigid;
 use crate::pipeline::association::Association;
 use crate::pipeline::bundle_adjustment::{Instant, Observation};
+use crate::session::JointTrajectory;
 use crate::session::recording::Session;
 use nalgebra::Vector2;
 
@@ -86,23 +87,12 @@ fn instant(
     for (view, detection) in track.detections[t].iter().enumerate() {
         let (Some(detection), Some(camera)) = (detection, &cameras[view]) else { continue };
         let intrinsics = &session.views[view].intrinsics;
-        let keypoints = |frame: usize, detection: usize| &session.views[view].frames[frame][detection].keypoints;
-        let neighbour = |step: Option<usize>, frame: Option<usize>| {
-            let detection = (*track.detections.get(step?)?.get(view)?)?;
-            Some(keypoints(frame?, detection))
-        };
-        let before = neighbour(t.checked_sub(1), frame.checked_sub(1));
-        let after = neighbour(t.checked_add(1), frame.checked_add(1));
-        for (keypoint, k) in keypoints(frame, *detection)[..sigmas.len()].iter().enumerate() {
+        for (keypoint, k) in session.views[view].frames[frame][*detection].keypoints[..sigmas.len()].iter().enumerate()
+        {
             let Some(point) = guess[keypoint].filter(|_| k.confidence >= MIN_CONFIDENCE) else { continue };
             let depth = (camera.transform(&point).z * budget.metres_per_unit).max(0.3);
             let sigma_px = budget.noise * sigmas[keypoint] * intrinsics.focal() / depth / k.confidence.sqrt();
-            // Half a step either way: the errors of the two ends are as much like that of the middle, so that the velocity
-            // is as often too large as too small.
-            let velocity = before.zip(after).map(|(a, b)| (&a[keypoint], &b[keypoint]));
-            let velocity = velocity.filter(|(a, b)| a.confidence.min(b.confidence) >= MIN_CONFIDENCE);
-            let velocity = velocity.map_or(Vector2::zeros(), |(a, b)| 0.5 * (b.pixel - a.pixel));
-            observations.push(Observation { keypoint, view, pixel: k.pixel, sigma_px, velocity });
+            observations.push(Observation { keypoint, view, pixel: k.pixel, sigma_px, velocity: Vector2::zeros() });
         }
     }
     let mut seen = vec![0u8; sigmas.len()];
@@ -110,6 +100,35 @@ fn instant(
     observations.retain(|o| seen[o.keypoint] >= 2);
     let points = guess.iter().zip(&seen).map(|(p, n)| p.filter(|_| *n >= 2)).collect();
     Instant { person, frame, points, observations }
+}
+
+/// Gives every observation the velocity in the image of its point's smooth path; `paths`: per person.
+///
+/// Why not of the detections themselves: their noise is as large as a frame's motion, and a velocity that is mostly noise
+/// explains no delay.
+pub(super) fn set_in_motion(
+    instants: &mut [Instant],
+    session: &Session,
+    cameras: &[Option<Rigid>],
+    paths: &[JointTrajectory],
+) {
+    for instant in instants {
+        let path = &paths[instant.person];
+        let at = |frame: Option<usize>, keypoint: usize| {
+            let t = frame?.checked_sub(path.first.0)?;
+            path.points.get(t)?[keypoint]
+        };
+        for o in &mut instant.observations {
+            let Some(camera) = &cameras[o.view] else { continue };
+            let pixel = |frame: Option<usize>| {
+                let point = camera.transform(&at(frame, o.keypoint)?);
+                session.views[o.view].intrinsics.pixel_from_camera(&point)
+            };
+            // Half a step either way is without preference for the past or the future.
+            let ends = pixel(instant.frame.checked_sub(1)).zip(pixel(instant.frame.checked_add(1)));
+            o.velocity = ends.map_or(Vector2::zeros(), |(before, after)| 0.5 * (after - before));
+        }
+    }
 }
 
 /// By how much the residuals of an adjustment exceed the standard deviations it was given: median of the distance over

@@ -8,7 +8,7 @@ mod registration;
 use super::association::{Association, associate, from_clusters};
 use super::bundle_adjustment::{self as ba, Adjusted, AdjustmentConfig, AdjustmentInput, CameraFreedom};
 use super::camera_init::initial_rigs;
-use super::{Capture, PipelineError};
+use super::{Capture, PipelineError, result};
 use crate::geometry::{Intrinsics, Rigid, rotation};
 use crate::matching::clusters::clusters;
 use crate::matching::tracklets::{Tracklet, TrackletConfig, tracklets};
@@ -18,7 +18,7 @@ use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::StageReport;
 pub use consistency::made_consistent;
 pub use held_out::heldout_px;
-use instants::{FrameFilter, InstantBudget, instants, noise_factor};
+use instants::{FrameFilter, InstantBudget, instants, noise_factor, set_in_motion};
 use rayon::prelude::*;
 
 /// Cameras and who is who under them.
@@ -221,9 +221,13 @@ fn adjusted(
 ) -> Result<Calibration, Canceled> {
     let session = capture.session;
     let budget = InstantBudget { max_instants: effort.max_instants, noise: before.noise, metres_per_unit: 1.0 };
-    let chosen = instants(session, &before.cameras, &before.association, budget, allowed);
+    let mut chosen = instants(session, &before.cameras, &before.association, budget, allowed);
     if chosen.is_empty() {
         return Ok(before.clone());
+    }
+    if effort.refine_delays {
+        let paths = result::paths(capture, before, progress)?;
+        set_in_motion(&mut chosen, session, &before.cameras, &paths);
     }
     let intrinsics: Vec<Intrinsics> = session.views.iter().map(|v| v.intrinsics).collect();
     let input = AdjustmentInput {
