@@ -47,16 +47,27 @@ export async function checkProjection(page, base, job) {
   check('picture through the camera within 0.5 px', n > 0 && worstPicture <= 0.5, `${worstPicture.toFixed(4)} px`)
 }
 
-/** OpenCV's model, written out once more so that the viewer is not judged by itself. */
-function projected({ K, R, t, dist: [k1, k2, p1, p2, k3] }, point) {
+/** OpenCV's models, written out once more so that the viewer is not judged by itself. */
+function projected({ K, R, t, dist, distortion_model }, point) {
   const [x, y, z] = R.map((row, i) => row[0] * point[0] + row[1] * point[1] + row[2] * point[2] + t[i])
   if (z < 1e-3) return null
   const [a, b] = [x / z, y / z]
   const s = a * a + b * b
-  const scale = 1 + k1 * s + k2 * s ** 2 + k3 * s ** 3
-  const bent = [a * scale + 2 * p1 * a * b + p2 * (s + 2 * a * a), b * scale + p1 * (s + 2 * b * b) + 2 * p2 * a * b]
+  const bent = distortion_model === 'fisheye' ? fisheye(a, b, dist) : polynomial(a, b, s, dist)
   const pixel = ([u, v]) => [K[0][0] * u + K[0][1] * v + K[0][2], K[1][1] * v + K[1][2]]
   return { distorted: pixel(bent), pinhole: pixel([a, b]) }
+}
+
+function polynomial(a, b, s, [k1, k2, p1, p2, k3, k4 = 0, k5 = 0, k6 = 0]) {
+  const scale = (1 + k1 * s + k2 * s ** 2 + k3 * s ** 3) / (1 + k4 * s + k5 * s ** 2 + k6 * s ** 3)
+  return [a * scale + 2 * p1 * a * b + p2 * (s + 2 * a * a), b * scale + p1 * (s + 2 * b * b) + 2 * p2 * a * b]
+}
+
+function fisheye(a, b, k) {
+  const r = Math.hypot(a, b)
+  const angle = Math.atan(r)
+  const scale = r > 0 ? k.reduce((sum, k, i) => sum + k * angle ** (2 * i + 3), angle) / r : 1
+  return [a * scale, b * scale]
 }
 
 const distance = ([a, b], [c, d]) => Math.hypot(a - c, b - d)

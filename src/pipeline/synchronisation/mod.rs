@@ -83,6 +83,7 @@ fn estimated(
         let delays = delays(&after);
         sigmas = delays.iter().map(|d| d.and_then(|d| d.sigma)).collect();
         let steps = delays.iter().map(|d| d.map_or(0.0, |d| d.frames.clamp(-MAX_STEP, MAX_STEP)));
+        tracing::debug!(round = rounds, ?offsets, ?delays, "offsets and what is left of them");
         left = steps.clone().map(f64::abs).fold(0.0, f64::max);
         offsets.iter_mut().zip(steps).for_each(|(offset, step)| *offset += step);
         if let Some(report) = after.stages.last() {

@@ -8,6 +8,8 @@ export interface Camera {
   height: number
   K: number[][]
   dist: number[]
+  /** Absent: `k1 k2 p1 p2 k3`. */
+  distortion_model?: 'rational' | 'fisheye'
   R: number[][] | null
   t: number[] | null
   position: number[] | null

@@ -116,9 +116,8 @@ fn read_calibrations<R: Read + Seek>(
     let mut calibration = Calibration::default();
     for (name, format) in &survey.calibrations {
         let of_file = |e: UploadError| UploadError { file: Some(name.clone()), ..e };
-        let text = String::from_utf8(read_bytes(members, name, MAX_CALIBRATION_BYTES)?)
-            .map_err(|_| of_file(Fault::Encoding.with("the calibration is not UTF-8")))?;
-        calibration.add(*format, name, &text, reading.warnings).map_err(of_file)?;
+        let bytes = read_bytes(members, name, MAX_CALIBRATION_BYTES)?;
+        calibration.add(*format, name, &bytes, reading.warnings).map_err(of_file)?;
     }
     calibration.finish(reading.warnings)?;
     for camera in header_cameras.iter().filter(|camera| camera.matrix.is_some()) {

@@ -118,6 +118,12 @@ fn mark_shared_folders(groups: &mut [FrameGroup]) {
 fn finding<R: Read + Seek>(members: &mut Members<R>, name: &str) -> Option<Finding> {
     let mut head = Vec::new();
     members.open(name).ok()?.take(HEAD_BYTES).read_to_end(&mut head).ok()?;
+    if poses::is_array(&head) {
+        return Some(Finding::Poses(PoseDialect::MediaPipeArray));
+    }
+    if calibration::is_opencap(&head) {
+        return Some(Finding::Calibration(CalibrationFormat::OpenCap));
+    }
     if head.contains(&0) {
         return None;
     }
