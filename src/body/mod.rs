@@ -14,6 +14,7 @@ pub mod landmarks;
 pub mod loader;
 pub mod model;
 pub mod scale;
+pub mod segments;
 pub mod skeleton;
 pub mod skinning;
 pub mod surface;

@@ -1,5 +1,6 @@
 //! `wandless bench`: how often cameras are found on random rigs, and how fast a capture is solved.
 
+mod bodies;
 mod kinematics;
 
 use super::BadInput;
@@ -39,6 +40,8 @@ enum Bench {
         #[arg(long, default_value_t = 0)]
         threads: usize,
     },
+    /// Bodies, joint angles and metric scale on captures of people who are default bodies
+    Bodies(bodies::BodiesArgs),
     /// Seconds per stage on one session, frames x views x people a second and core, and the rates of fit and kinematics
     Speed {
         /// Session: a folder, a zip or a JSON document
@@ -55,6 +58,10 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
         Bench::Rigs { count, seed, limit_deg, threads } => {
             use_threads(threads);
             rigs(seed..seed + count, limit_deg)
+        }
+        Bench::Bodies(args) => {
+            use_threads(args.threads);
+            bodies::run(&args)
         }
         Bench::Speed { session, threads } => {
             use_threads(threads);

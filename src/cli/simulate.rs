@@ -2,7 +2,7 @@
 
 use crate::body::skeleton::KeypointConvention;
 use crate::session::formats::native;
-use crate::simulation::{Lens, MotionSource, Preset, SimulationConfig, Statistics, Tracks, random_rig_config};
+use crate::simulation::{Bodies, Lens, MotionSource, Preset, SimulationConfig, Statistics, Tracks, random_rig_config};
 use crate::simulation::{simulate, write_truth};
 use anyhow::Context;
 use clap::ValueEnum;
@@ -40,6 +40,9 @@ pub(super) struct Args {
     /// Whom track ids name
     #[arg(long, value_enum)]
     tracks: Option<TracksName>,
+    /// People are default bodies of random shapes instead of the simulator's own
+    #[arg(long)]
+    default_bodies: bool,
     /// Motion files in AMASS's layout, one a person, instead of procedural motion
     #[arg(long, num_args = 1..)]
     motion: Vec<PathBuf>,
@@ -117,6 +120,9 @@ fn config(args: &Args) -> SimulationConfig {
         PresetName::Random => random_rig_config(args.seed),
     };
     config.seed = args.seed;
+    if args.default_bodies {
+        config.bodies = Bodies::Default;
+    }
     if !args.motion.is_empty() {
         config.people = args.motion.len();
         config.motion = MotionSource::Files(args.motion.clone());

@@ -66,11 +66,14 @@ pub fn median_and_spread(values: &mut [f64]) -> (f64, f64) {
 
 /// The upper median; reorders `values`.
 pub fn median(values: &mut [f64]) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    let middle = values.len() / 2;
-    Some(*values.select_nth_unstable_by(middle, f64::total_cmp).1)
+    quantile(values, 0.5)
+}
+
+/// The value with `share` (0 to 1) of all below it; reorders `values`.
+pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
+    let last = values.len().checked_sub(1)?;
+    let place = (values.len() as f64 * share) as usize;
+    Some(*values.select_nth_unstable_by(place.min(last), f64::total_cmp).1)
 }
 
 #[cfg(test)]

@@ -140,7 +140,7 @@ pub fn fit_bodies(
 ) -> Result<FittedBodies, Canceled> {
     let frame_interval = input.session.frame_interval();
     let stages = Stages { model, config, frame_interval, progress };
-    let started = started_people(input, &stages, |_| true)?;
+    let started = started_people(input, &stages)?;
     progress.report(0.5, "bodies fitted one by one");
 
     let table = OffsetTable::new(model, input.session.convention);
@@ -177,42 +177,14 @@ pub fn fit_bodies(
 }
 
 /// Everybody's first fit, by track.
-fn started_people(
-    input: BodyFitInput,
-    stages: &Stages,
-    shown: impl Fn(usize) -> bool + Sync,
-) -> Result<Vec<Option<(Evidence, StartedMotion)>>, Canceled> {
+fn started_people(input: BodyFitInput, stages: &Stages) -> Result<Vec<Option<(Evidence, StartedMotion)>>, Canceled> {
     let start_person = |track: &PersonTrack| {
         stages.progress.check()?;
         let points = input.points.iter().find(|p| p.person == track.person);
-        let mut evidence = gather_evidence(input.session, input.cameras, track, points, stages.model);
-        evidence.retain(&shown);
+        let evidence = gather_evidence(input.session, input.cameras, track, points, stages.model);
         Ok(start_motion(stages, &evidence)?.map(|started| (evidence, started)))
     };
     input.tracks.par_iter().map(start_person).collect()
-}
-
-/// Statures of the fitted bodies at rest, m, by track; `None` for whom closed form finds no start.
-///
-/// Points of the head are left out: where detectors mean eyes and ears to be differs by 25 mm, 1.5 % of a stature; what the
-/// population's proportions say of a head above known bones is good to 10 mm.
-///
-/// # Errors
-/// [`Canceled`].
-pub fn fitted_statures(
-    input: BodyFitInput,
-    model: &BodyModel,
-    config: &BodyFitConfig,
-    progress: &Progress,
-) -> Result<Vec<Option<f64>>, Canceled> {
-    let stages = Stages { model, config, frame_interval: input.session.frame_interval(), progress };
-    let head = JOINT_NAMES.iter().position(|name| *name == "head");
-    let is_below_head = |landmark: usize| model.landmarks[landmark].terms.iter().all(|term| Some(term.joint) != head);
-    let people = started_people(input, &stages, is_below_head)?;
-    let stature = |person: &Option<(Evidence, StartedMotion)>| {
-        person.as_ref().map(|(_, started)| model.surface.stature(&started.fitted.state.betas))
-    };
-    Ok(people.iter().map(stature).collect())
 }
 
 /// What one person can tell of the detector: the run of frames with most pixels in the window that was fitted.

@@ -1,24 +1,21 @@
-//! Metres: from the people's bones, from one known height, from the distance of two cameras, or from given extrinsics.
+//! Metres: from the people's bodies, from one known height, from the distance of two cameras, or from given extrinsics.
 
 use super::config::{Extrinsics, ScaleSource};
 use super::{Capture, PipelineError};
 use crate::body::default_body;
-use crate::body::scale::{measured_limbs, scale_from_people};
+use crate::body::scale::{KnownStature, ScaleEstimate, scale_from_people, tallest};
+use crate::body::segments::{MeasuredSegment, measured_segments};
 use crate::geometry::Rigid;
 use crate::session::reconstruction::ScaleReport;
 use crate::session::{JointTrajectory, PersonTrack};
-use nalgebra::Vector3;
 
-/// Standard deviation of a fitted body's stature against the height a user states: shoes, posture, proportions that the
-/// shape directions miss; log units.
-const HEIGHT_SIGMA: f64 = 0.015;
+/// Standard deviation of a stated height against the stature without shoes, log units: 17 mm of shoes, posture and memory.
+const HEIGHT_SIGMA: f64 = 0.01;
 
 /// Standard deviation of a camera distance measured by hand, log units.
 const DISTANCE_SIGMA: f64 = 0.01;
 
-/// The scale with its interval.
-///
-/// `statures`: by track, in the cameras' own unit; needed where one person's height is given.
+/// The scale with its interval; `None` where nothing tells it.
 ///
 /// # Errors
 /// [`PipelineError::Option`] where the chosen source is not in the capture.
@@ -27,22 +24,29 @@ pub fn metric_scale(
     cameras: &[Option<Rigid>],
     tracks: &[PersonTrack],
     paths: &[JointTrajectory],
-    statures: &[Option<f64>],
 ) -> Result<Option<ScaleReport>, PipelineError> {
     if capture.options.extrinsics != Extrinsics::Estimate {
         let evidence = "the given extrinsics".to_owned();
         return Ok(Some(ScaleReport { value: 1.0, interval95: [1.0, 1.0], evidence }));
     }
     match &capture.options.scale {
-        ScaleSource::Body => Ok(from_bones(capture, paths)),
-        ScaleSource::Height { metres, who } => from_height(capture, tracks, statures, *metres, who).map(Some),
+        ScaleSource::Body => Ok(scale_from_people(&default_body(), &measured_people(capture, paths), None).map(told)),
+        ScaleSource::Height { metres, who } => from_height(capture, tracks, paths, *metres, who).map(Some),
         ScaleSource::CameraDistance { cameras: ids, metres } => from_distance(capture, cameras, ids, *metres).map(Some),
     }
 }
 
-fn report(log_scale: f64, sigma: f64, evidence: String) -> ScaleReport {
-    let at = |z: f64| (log_scale + z * sigma).exp();
-    ScaleReport { value: at(0.0), interval95: [at(-1.96), at(1.96)], evidence }
+fn told(estimate: ScaleEstimate) -> ScaleReport {
+    ScaleReport { value: estimate.scale, interval95: estimate.interval95, evidence: estimate.evidence }
+}
+
+/// Everybody's segments, as far as two views saw them, in the order of `paths`.
+fn measured_people(capture: &Capture, paths: &[JointTrajectory]) -> Vec<Vec<MeasuredSegment>> {
+    let seen = |path: &JointTrajectory| {
+        let rows = path.points.iter().zip(&path.n_views);
+        rows.map(|(points, n)| points.iter().zip(n).map(|(p, n)| p.filter(|_| *n >= 2)).collect()).collect::<Vec<_>>()
+    };
+    paths.iter().map(|path| measured_segments(&seen(path), capture.session.convention)).collect()
 }
 
 fn from_distance(
@@ -58,7 +62,9 @@ fn from_distance(
     match (center(&ids[0]), center(&ids[1])) {
         (Some(a), Some(b)) if (a - b).norm() > 1e-6 => {
             let evidence = format!("{metres} m between cameras {} and {}", ids[0], ids[1]);
-            Ok(report((metres / (a - b).norm()).ln(), DISTANCE_SIGMA, evidence))
+            let value = metres / (a - b).norm();
+            let interval95 = [-1.96, 1.96].map(|z: f64| value * (z * DISTANCE_SIGMA).exp());
+            Ok(ScaleReport { value, interval95, evidence })
         }
         _ => Err(PipelineError::Option {
             option: "/scale/cameras",
@@ -67,30 +73,27 @@ fn from_distance(
     }
 }
 
-/// From the statures of fitted bodies: no posture and no single keypoint decides.
+/// From the height of one of the people whom two cameras saw.
 fn from_height(
     capture: &Capture,
     tracks: &[PersonTrack],
-    statures: &[Option<f64>],
+    paths: &[JointTrajectory],
     metres: f64,
     who: &str,
 ) -> Result<ScaleReport, PipelineError> {
+    let (body, people) = (default_body(), measured_people(capture, paths));
     let chosen = match who.parse::<i64>() {
-        Ok(id) => person_of_track(capture, tracks, id),
-        Err(_) => (0..statures.len())
-            .filter(|&i| statures[i].is_some())
-            .max_by(|&a, &b| statures[a].unwrap_or(0.0).total_cmp(&statures[b].unwrap_or(0.0))),
+        Ok(id) => person_of_track(capture, tracks, id)
+            .and_then(|i| paths.iter().position(|path| path.person == tracks[i].person)),
+        Err(_) => tallest(&body, &people),
     };
-    match chosen.and_then(|i| statures.get(i).copied().flatten()) {
-        Some(height) => {
-            let evidence = format!("{metres} m as the height of {who}");
-            Ok(report((metres / height).ln(), HEIGHT_SIGMA, evidence))
-        }
-        None => Err(PipelineError::Option {
-            option: "/scale/who",
-            reason: format!("{who:?}: nobody of that name was seen by two cameras; choose another or \"tallest\""),
-        }),
-    }
+    let known = |person: usize| KnownStature { person, metres, sigma_log: HEIGHT_SIGMA };
+    let measured = chosen.filter(|&person| !people[person].is_empty());
+    let estimate = measured.and_then(|person| scale_from_people(&body, &people, Some(known(person))));
+    estimate.map(told).ok_or_else(|| PipelineError::Option {
+        option: "/scale/who",
+        reason: format!("{who:?}: nobody of that name was seen by two cameras; choose another or \"tallest\""),
+    })
 }
 
 /// The person most of whose detections carry a track id.
@@ -107,17 +110,4 @@ fn person_of_track(capture: &Capture, tracks: &[PersonTrack], id: i64) -> Option
     };
     let counts: Vec<usize> = tracks.iter().map(votes).collect();
     (0..counts.len()).filter(|&i| counts[i] > 0).max_by_key(|&i| counts[i])
-}
-
-/// From limb bones, as far as two views saw both ends.
-pub fn from_bones(capture: &Capture, paths: &[JointTrajectory]) -> Option<ScaleReport> {
-    let seen = |path: &JointTrajectory| {
-        let row = |(points, n_views): (&Vec<Option<Vector3<f64>>>, &Vec<u8>)| {
-            points.iter().zip(n_views).map(|(p, n)| p.filter(|_| *n >= 2)).collect::<Vec<_>>()
-        };
-        path.points.iter().zip(&path.n_views).map(row).collect::<Vec<_>>()
-    };
-    let people: Vec<_> = paths.iter().map(|p| measured_limbs(&seen(p), capture.session.convention)).collect();
-    let estimate = scale_from_people(&default_body(), &people)?;
-    Some(ScaleReport { value: estimate.scale, interval95: estimate.interval95, evidence: estimate.evidence })
 }

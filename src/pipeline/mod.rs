@@ -27,8 +27,8 @@ use crate::session::{Reconstruction, Session};
 use bundle_adjustment::CameraFreedom;
 use calibration::{Calibration, estimate_cameras, from_given_cameras, heldout_px, made_consistent};
 use checkpoints::Checkpoints;
+use config::Extrinsics;
 pub use config::{CameraFacts, Options};
-use config::{Extrinsics, ScaleSource};
 use result::Findings;
 
 /// Why a capture cannot be solved at all.
@@ -126,13 +126,9 @@ pub fn reconstruct_with_checkpoints(
     let stage = progress.stage("joint_trajectories", 3, 0.65, 0.05);
     let paths = checkpoints.stage("joint_trajectories", || result::paths(&capture, &calibration, &stage))?;
 
-    let stage = progress.stage("metric_scale", 4, 0.7, 0.02);
+    progress.stage("metric_scale", 4, 0.7, 0.02);
     let tracks = &calibration.association.tracks;
-    let statures = match options.scale {
-        ScaleSource::Height { .. } => result::statures(&capture, &calibration, &paths, body, &stage)?,
-        _ => Vec::new(),
-    };
-    let scale = metric_scale::metric_scale(&capture, &calibration.cameras, tracks, &paths, &statures)?;
+    let scale = metric_scale::metric_scale(&capture, &calibration.cameras, tracks, &paths)?;
     let findings = Findings::in_world(&capture, calibration, paths, scale, heldout_px);
 
     let stage_body = progress.stage("body_fit", 5, 0.72, 0.25);

@@ -1,12 +1,11 @@
 //! From findings to the result: everything moved into the world, bodies fitted, figures and verdict gathered.
 
 use super::association::identities;
-use super::body_fit::{BodyFitConfig, BodyFitInput, FittedBodies, fit_bodies, fitted_statures, landmark_trajectory};
+use super::body_fit::{BodyFitConfig, BodyFitInput, FittedBodies, fit_bodies, landmark_trajectory};
 use super::calibration::Calibration;
 use super::config::Extrinsics;
 use super::fit_figures::{Distances, camera_reports, distances, person_report, summary};
 use super::joint_trajectories::{TrajectoryConfig, TrajectoryInput, joint_trajectories};
-use super::metric_scale::from_bones;
 use super::verdict::{Evidence, quality};
 use super::world_frame::world_from_solution;
 use super::{Capture, PipelineError};
@@ -16,7 +15,6 @@ use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{BodyModelId, DetectorHabits, Report, ScaleReport, SolvedCamera};
 use crate::session::recording::UpAxis;
 use crate::session::{JointTrajectory, PersonTrack, Reconstruction};
-use nalgebra::{Matrix3, Vector3};
 
 /// Smooth paths of everybody's keypoints under the calibration's cameras.
 ///
@@ -35,28 +33,6 @@ pub fn paths(
         metres_per_unit: 1.0,
     };
     joint_trajectories(&input, &TrajectoryConfig::default(), progress)
-}
-
-/// Statures of everybody's bodies by track, in the calibration's own unit: bodies are fitted at the scale that their bones
-/// suggest.
-///
-/// # Errors
-/// [`Canceled`].
-pub fn statures(
-    capture: &Capture,
-    calibration: &Calibration,
-    paths: &[JointTrajectory],
-    model: &BodyModel,
-    progress: &Progress,
-) -> Result<Vec<Option<f64>>, Canceled> {
-    let scale = from_bones(capture, paths).map_or(1.0, |s| s.value);
-    let metric = Similarity { scale, rotation: Matrix3::identity(), translation: Vector3::zeros() };
-    let (mut cameras, mut points) = (calibration.cameras.clone(), paths.to_vec());
-    move_into(&metric, &mut cameras, &mut points);
-    let tracks = &calibration.association.tracks;
-    let input = BodyFitInput { session: capture.session, cameras: &cameras, tracks, points: &points };
-    let metres = fitted_statures(input, model, &BodyFitConfig::default(), progress)?;
-    Ok(metres.into_iter().map(|stature| stature.map(|m| m / scale)).collect())
 }
 
 /// What was found, in the result's world.

@@ -1,6 +1,7 @@
 //! The result's world: metres, the chosen axis up, origin on the floor under the people.
 
 use crate::geometry::{Rigid, Similarity};
+use crate::optim::robust::quantile;
 use crate::session::JointTrajectory;
 use crate::session::recording::{Session, UpAxis};
 use nalgebra::{Matrix3, Vector3};
@@ -158,14 +159,6 @@ fn middle(people: &[JointTrajectory]) -> Option<Vector3<f64>> {
         n += 1;
     }
     (n > 0).then(|| sum / n as f64)
-}
-
-fn quantile(values: &mut [f64], q: f64) -> Option<f64> {
-    if values.is_empty() {
-        return None;
-    }
-    let at = ((values.len() - 1) as f64 * q) as usize;
-    Some(*values.select_nth_unstable_by(at, f64::total_cmp).1)
 }
 
 #[cfg(test)]

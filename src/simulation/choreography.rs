@@ -2,11 +2,12 @@
 //!
 //! Time runs in fixed steps of its own, so that a motion does not depend on the frame rate.
 
-use super::config::SimulationConfig;
+use super::config::{Bodies, SimulationConfig};
 use super::gait;
 use super::mover::{Mover, STEP};
-use super::random::{Purpose, stream};
+use super::random::{Purpose, normal, stream};
 use super::skeleton::{Person, Skeleton};
+use crate::body::{Betas, default_body};
 use nalgebra::Vector2;
 
 /// People move this long before the first frame, s, so that nobody starts from rest in a T.
@@ -17,13 +18,17 @@ const PERSONAL_SPACE: f64 = 0.9;
 /// People of `config`, each with an own body and an own random choreography.
 pub fn procedural_people(config: &SimulationConfig) -> Vec<Person> {
     let mut movers: Vec<Mover> = (0..config.people).map(|person| Mover::new(person, config)).collect();
-    let mut people: Vec<Person> = (0..config.people)
-        .map(|person| Person {
-            skeleton: Skeleton::random(&mut stream(config.seed, Purpose::Body, 0, person)),
-            poses: Vec::with_capacity(config.frames),
-            source: "procedural".to_owned(),
-        })
-        .collect();
+    let body = default_body();
+    let person = |person: usize| {
+        let rng = &mut stream(config.seed, Purpose::Body, 0, person);
+        let betas = (config.bodies == Bodies::Default).then(|| Betas::from_fn(|_, _| normal(rng, 1.0)));
+        let skeleton = match &betas {
+            Some(betas) => Skeleton::from_rest_joints(&body.shaped(betas).rest_joints),
+            None => Skeleton::random(rng),
+        };
+        Person { skeleton, betas, poses: Vec::with_capacity(config.frames), source: "procedural".to_owned() }
+    };
+    let mut people: Vec<Person> = (0..config.people).map(person).collect();
     let mut step = 0_u64;
     for frame in 0..config.frames {
         let due = WARM_UP + frame as f64 / config.fps;

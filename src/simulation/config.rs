@@ -31,6 +31,8 @@ pub struct SimulationConfig {
     /// list: 0). Frames that show what lies before the first moment or after the last are empty.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub time_offsets: Vec<f64>,
+    /// Whose bodies move.
+    pub bodies: Bodies,
     /// Where the motion comes from.
     #[serde(skip)]
     pub motion: MotionSource,
@@ -144,6 +146,16 @@ pub enum Tracks {
     PerView,
     /// There are none.
     None,
+}
+
+/// Whose bodies move.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Bodies {
+    /// The simulator's own people, who share nothing with the body that is fitted ([`super::skeleton`]).
+    Own,
+    /// The default body at random shapes, betas from N(0, 1), its own landmarks as keypoints: what a fit can tell at best.
+    Default,
 }
 
 /// Where the motion comes from.

@@ -1,7 +1,8 @@
 //! What one camera's detector and tracker report of the scene, from the first frame to the last.
 
+use super::SimulationError;
 use super::config::SimulationConfig;
-use super::landmarks::Rule;
+use super::landmarks::Detectable;
 use super::observer::Observer;
 use super::rig::RigCamera;
 use super::skeleton::Person;
@@ -56,18 +57,20 @@ pub struct Tally {
 
 impl Scene {
     /// Poses everybody in every frame.
-    pub fn new(people: &[Person], rules: &[Rule], convention: KeypointConvention) -> Self {
+    ///
+    /// # Errors
+    /// [`SimulationError::UnknownKeypoint`] where a body has no point for a keypoint of the convention.
+    pub fn new(people: &[Person], convention: KeypointConvention) -> Result<Self, SimulationError> {
         let n_frames = people.iter().map(|p| p.poses.len()).min().unwrap_or(0);
+        let detected = people.iter().map(|p| Detectable::new(p, convention)).collect::<Result<Vec<_>, _>>()?;
         let exists = vec![true; n_frames];
         let mut scene = Self { joints: Vec::new(), keypoints: Vec::new(), convention, exists };
         for frame in 0..n_frames {
             let posed: Vec<_> = people.iter().map(|p| p.skeleton.pose(&p.poses[frame])).collect();
-            let points =
-                |(posed, person): (_, &Person)| rules.iter().map(|r| r.point(posed, person.skeleton.scale)).collect();
-            scene.keypoints.push(posed.iter().zip(people).map(points).collect());
+            scene.keypoints.push(posed.iter().zip(&detected).map(|(posed, body)| body.points(posed)).collect());
             scene.joints.push(posed.iter().map(|p| p.joints).collect());
         }
-        scene
+        Ok(scene)
     }
 
     /// The scene as a camera sees it whose frame `n` is taken at `n + offset`; between frames on a cubic through four

@@ -1,7 +1,10 @@
 //! The points a detector looks for, from a posed skeleton: one rule a keypoint, for every convention.
 
 use super::SimulationError;
-use super::skeleton::{PosedSkeleton, joint};
+use super::skeleton::{Person, PosedSkeleton, joint};
+use crate::body::default_body;
+use crate::body::kinematics;
+use crate::body::model::{BodyModel, ShapedBody};
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention};
 use nalgebra::Vector3;
 
@@ -62,6 +65,45 @@ impl Rule {
         match *self {
             Self::At { joint, offset } => posed.joints[joint] + posed.world_from_joint[joint] * offset * scale,
             Self::Between(a, b) => 0.5 * (posed.joints[a] + posed.joints[b]),
+        }
+    }
+}
+
+/// What a detector finds on one person.
+#[derive(Debug, Clone)]
+pub enum Detectable {
+    /// Points by rule, on a person of a size relative to the generic adult.
+    Rules(Vec<Rule>, f64),
+    /// Landmarks (by index) of the default body in a shape.
+    Body(Box<(BodyModel, ShapedBody)>, Vec<usize>),
+}
+
+impl Detectable {
+    /// The convention's named keypoints on a person.
+    ///
+    /// # Errors
+    /// [`SimulationError::UnknownKeypoint`] where the body has no such point.
+    pub fn new(person: &Person, convention: KeypointConvention) -> Result<Self, SimulationError> {
+        let Some(betas) = &person.betas else { return Ok(Self::Rules(rules(convention)?, person.skeleton.scale)) };
+        let body = default_body();
+        let landmarks = body.landmarks_of(convention).into_iter().zip(convention.names());
+        let known = |(landmark, keypoint): (Option<usize>, &&'static str)| {
+            landmark.ok_or(SimulationError::UnknownKeypoint { convention, keypoint })
+        };
+        let landmarks = landmarks.map(known).collect::<Result<_, _>>()?;
+        let shaped = body.shaped(betas);
+        Ok(Self::Body(Box::new((body, shaped)), landmarks))
+    }
+
+    /// The points in the world, m.
+    pub fn points(&self, posed: &PosedSkeleton) -> Vec<Vector3<f64>> {
+        match self {
+            Self::Rules(rules, scale) => rules.iter().map(|rule| rule.point(posed, *scale)).collect(),
+            Self::Body(body, landmarks) => {
+                let skeleton = kinematics::PosedSkeleton { rotations: posed.world_from_joint, joints: posed.joints };
+                let point = |landmark: &usize| kinematics::landmark_position(&body.0, &body.1, &skeleton, *landmark);
+                landmarks.iter().map(point).collect()
+            }
         }
     }
 }

@@ -30,7 +30,7 @@ pub mod skeleton;
 mod tracker;
 pub mod truth;
 
-pub use config::{Arrangement, Lens, MotionSource, NoiseConfig, RigConfig, SimulationConfig, Tracks};
+pub use config::{Arrangement, Bodies, Lens, MotionSource, NoiseConfig, RigConfig, SimulationConfig, Tracks};
 pub use presets::{Preset, random_rig_config};
 pub use truth::{Simulated, Statistics, Truth, write_truth};
 
@@ -87,9 +87,8 @@ pub enum SimulationError {
 /// [`SimulationError`] when the configuration is out of range or a motion file cannot be read.
 pub fn simulate(config: &SimulationConfig) -> Result<Simulated, SimulationError> {
     config.check()?;
-    let rules = landmarks::rules(config.convention)?;
     let people = people_in_motion(config)?;
-    let scene = Scene::new(&people, &rules, config.convention);
+    let scene = Scene::new(&people, config.convention)?;
     let cameras = rig::cameras(&config.rig, config.views, config.seed);
     let recordings: Vec<ViewRecording> =
         (0..cameras.len()).map(|view| detector::record(&scene, view, &cameras[view], config)).collect();

@@ -1,9 +1,10 @@
 //! People from motion files: resampled, cut to length, put on the floor and next to each other.
 
 use super::SimulationError;
-use super::config::SimulationConfig;
-use super::random::{Purpose, stream};
+use super::config::{Bodies, SimulationConfig};
+use super::random::{Purpose, normal, stream};
 use super::skeleton::{Person, Pose, Skeleton, joint};
+use crate::body::{Betas, default_body};
 use crate::geometry::rotation;
 use crate::motion_prior::motion_file::{MotionTake, read_take};
 use nalgebra::{Matrix3, Vector3};
@@ -21,11 +22,18 @@ pub fn people_from_files(paths: &[PathBuf], config: &SimulationConfig) -> Result
     if paths.len() < config.people {
         return Err(SimulationError::TooFewMotions { people: config.people, files: paths.len() });
     }
+    let body = default_body();
     let mut people: Vec<Person> = Vec::with_capacity(config.people);
     for (index, path) in paths[..config.people].iter().enumerate() {
         let motion = |problem| SimulationError::Motion { path: path.clone(), problem };
         let take = read_take(path).map_err(motion)?;
         let mut person = resampled(take, path, config.fps);
+        if config.bodies == Bodies::Default {
+            let mut rng = stream(config.seed, Purpose::Body, 0, index);
+            let betas = Betas::from_fn(|_, _| normal(&mut rng, 1.0));
+            person.skeleton = Skeleton::from_rest_joints(&body.shaped(&betas).rest_joints);
+            person.betas = Some(betas);
+        }
         cut(&mut person, config, index);
         put_on_floor(&mut person);
         people.push(person);
@@ -55,7 +63,7 @@ fn resampled(take: MotionTake, path: &Path, fps: f64) -> Person {
     };
     let source = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
     let skeleton = take.rest_joints.as_ref().map_or_else(Skeleton::generic, Skeleton::from_rest_joints);
-    Person { skeleton, poses: (0..n_frames).map(pose).collect(), source }
+    Person { skeleton, betas: None, poses: (0..n_frames).map(pose).collect(), source }
 }
 
 /// A random window of at most the session's length.

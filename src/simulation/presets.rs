@@ -1,6 +1,6 @@
 //! Configurations by name, and random ones.
 
-use super::config::{MotionSource, NoiseConfig, RigConfig, SimulationConfig, Tracks};
+use super::config::{Bodies, MotionSource, NoiseConfig, RigConfig, SimulationConfig, Tracks};
 use super::random::{Purpose, stream};
 use crate::body::skeleton::KeypointConvention;
 use rand::RngExt;
@@ -35,6 +35,7 @@ impl SimulationConfig {
             convention: KeypointConvention::Coco17,
             tracks: Tracks::Consistent,
             time_offsets: Vec::new(),
+            bodies: Bodies::Own,
             motion: MotionSource::Procedural,
         }
     }

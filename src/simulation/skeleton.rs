@@ -4,6 +4,7 @@
 //! assumptions. Proportions are rounded figures near de Leva's joint centres (J. Biomech. 29, 1996), stature 1.72 m.
 
 use super::random::normal;
+use crate::body::Betas;
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
 use nalgebra::{Matrix3, Vector3};
 use rand_chacha::ChaCha8Rng;
@@ -40,6 +41,8 @@ pub struct PosedSkeleton {
 pub struct Person {
     /// The body.
     pub skeleton: Skeleton,
+    /// Its shape, where it is the default body.
+    pub betas: Option<Betas>,
     /// One pose a frame.
     pub poses: Vec<Pose>,
     /// Name of the motion.

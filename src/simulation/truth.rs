@@ -4,6 +4,7 @@ use super::config::SimulationConfig;
 use super::detector::{Scene, ViewRecording};
 use super::skeleton::Person;
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
+use crate::body::{Betas, default_body};
 use crate::geometry::Rigid;
 use crate::session::Session;
 use nalgebra::Vector3;
@@ -115,8 +116,8 @@ pub(super) fn statistics(
     }
 }
 
-/// Writes `gt/cameras.json`, `gt/poses3d.json`, `gt/keypoints3d.json`, `gt/identities.json`, `gt/simulation.json` under
-/// `session_folder`, which is made where it does not exist. Points are rounded to a thousandth of a millimetre.
+/// Writes `gt/cameras.json`, `gt/poses3d.json`, `gt/keypoints3d.json`, `gt/identities.json`, `gt/simulation.json`, and
+/// `gt/bodies.json` where people are default bodies, under `session_folder`, which is made where it does not exist. Points are rounded to a thousandth of a millimetre.
 ///
 /// # Errors
 /// Whatever the file system says.
@@ -143,6 +144,11 @@ pub fn write_truth(simulated: &Simulated, session_folder: &Path) -> io::Result<(
     write("keypoints3d.json", &json!({"keypoint_names": names, "units": "m", "up": "y", "frames": points}))?;
     let identities: BTreeMap<&str, &Vec<Vec<usize>>> = ids().zip(&truth.identities).collect();
     write("identities.json", &json!(identities))?;
+    let (model, bodies) = (default_body(), truth.people.iter().map(|person| person.betas).collect::<Option<Vec<_>>>());
+    if let Some(bodies) = bodies {
+        let body = |betas: &Betas| json!({"betas": betas.as_slice(), "stature_m": model.surface.stature(betas)});
+        write("bodies.json", &bodies.iter().map(body).collect())?;
+    }
     write("simulation.json", &json!({"params": simulated.config, "stats": truth.statistics}))
 }
 

@@ -50,12 +50,6 @@ impl Evidence {
         !self.points[frame].is_empty() || !self.pixels[frame].is_empty()
     }
 
-    /// Keeps what speaks of some landmarks.
-    pub(super) fn retain(&mut self, shown: &impl Fn(usize) -> bool) {
-        self.points.iter_mut().for_each(|points| points.retain(|p| shown(p.landmark)));
-        self.pixels.iter_mut().for_each(|pixels| pixels.retain(|p| shown(p.landmark)));
-    }
-
     /// A run of frames.
     pub(super) fn slice(&self, frames: std::ops::Range<usize>) -> Self {
         Self {
