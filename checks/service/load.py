@@ -5,6 +5,7 @@
 
 import http.client
 import json
+import os
 import random
 import shutil
 import sqlite3
@@ -30,11 +31,13 @@ def main():
     client = service.client()
     long = client.upload(take(asked.solver_frames, 4, seed=1))["id"]
     short = client.upload(take(10, 2, seed=2))["id"]
+    done = client.submit(short, options={"extrinsics": "fixed"})["id"]
+    client.wait(done)
     enqueue(service, short, asked.jobs, faults)
-    solving = client.submit(long, options={"extrinsics": "fixed"}, priority=10)["id"]
+    solving = [client.submit(long, options={"extrinsics": "refine", "seed": n}, priority=10)["id"] for n in range(20)]
     claims(service, faults)
     lists(service, faults)
-    crowd(service, solving, asked, faults)
+    crowd(service, solving, done, asked, faults)
     service.kill()
     seconds = service.start()
     seconds += ready(service)
@@ -112,13 +115,19 @@ def lists(service, faults):
     faults.require(percentile(times, 0.99) <= 0.05, "a list takes more than 50 ms")
 
 
-def crowd(service, job, asked, faults):
+def busy_cores():
+    """Seconds that all processors together have worked since they started."""
+    with open("/proc/stat") as stat:
+        return sum(map(int, stat.readline().split()[1:4])) / os.sysconf("SC_CLK_TCK")
+
+
+def crowd(service, solving, done, asked, faults):
     """Many kept connections, a steady rate over all of them, while the cores solve."""
     connections = [http.client.HTTPConnection("127.0.0.1", service.port, timeout=60) for _ in range(asked.clients)]
     free = list(range(asked.clients))
     lock = threading.Lock()
     times, statuses, broken = [], [], []
-    paths = [f"/v1/jobs/{job}", "/v1/jobs?page_size=20", "/healthz"]
+    paths = [f"/v1/jobs/{solving[0]}", "/v1/jobs?page_size=20", f"/v1/jobs/{done}/people"]
     end = time.monotonic() + asked.seconds
 
     def ask(seed):
@@ -137,8 +146,12 @@ def crowd(service, job, asked, faults):
                 free.append(which)
             time.sleep(dice.expovariate(asked.requests_per_s / 20))
 
+    client = service.client()
+    while client.job(solving[0])["state"] != "running":
+        time.sleep(0.1)
     for connection in connections:
         connection.connect()
+    worked, begun = busy_cores(), time.monotonic()
     threads = [threading.Thread(target=ask, args=(asked.seed + i,)) for i in range(20)]
     for thread in threads:
         thread.start()
@@ -146,7 +159,10 @@ def crowd(service, job, asked, faults):
     while any(thread.is_alive() for thread in threads):
         peak = max(peak, service.rss_mib())
         time.sleep(0.5)
-    state = service.client().job(job)["state"]
+    share = (busy_cores() - worked) / (time.monotonic() - begun) / os.cpu_count()
+    states = [client.job(job)["state"] for job in solving]
+    state = f"{states.count('succeeded')} done, {states.count('running')} at work, cores {100 * share:.0f} % busy"
+    faults.require("running" in states and share >= 0.9, f"the cores were not busy to the end: {state}")
     worst = percentile(times, 0.99) * 1000
     print(f"{len(times)} requests of {asked.clients} clients, solver {state}: p50 {percentile(times, 0.5) * 1000:.1f} ms, "
           f"p99 {worst:.1f} ms, worst {max(times) * 1000:.0f} ms, RSS {peak:.0f} MiB, {len(broken)} reopened")

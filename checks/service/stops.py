@@ -3,9 +3,11 @@ database, a clock that jumps, and cancels at every moment.
 
     python3 checks/service/stops.py --stops 50 --cancels 40
 
-A full disk needs the right to mount a tmpfs, a jumping clock `faketime`; what is not there is skipped and said.
+A full disk needs the right to mount a tmpfs, a jumping clock `faketime`; what is not there is skipped and said. `--only NAME`
+runs one of them.
 """
 
+import glob
 import os
 import random
 import shutil
@@ -67,6 +69,17 @@ def stops(asked, faults):
     service.remove()
 
 
+MOMENTS = ["queued", "running", "cameras", "denoising", "held_out_check", "joint_trajectories", "metric_scale", "body_fit"]
+
+
+def is_at(job, moment):
+    """Whether a job is where it is to be canceled, or past it."""
+    if moment in ("queued", "running"):
+        return job["state"] != "queued" or moment == "queued"
+    stage = job["progress"]["stage"]
+    return job["state"] in wandless.FINAL or (stage in MOMENTS and MOMENTS.index(stage) >= MOMENTS.index(moment))
+
+
 def cancels(asked, faults):
     """Row 10: at every moment of a job's life."""
     dice = random.Random(asked.seed)
@@ -75,9 +88,16 @@ def cancels(asked, faults):
     client = service.client()
     session = client.upload(take(1500, 4, seed=3))["id"]
     times, states, too_late = [], {}, 0
-    for _ in range(asked.cancels):
-        job = client.submit(session, options={"extrinsics": "fixed"})["id"]
-        time.sleep(dice.choice([0.0, 0.02, 0.3]) + dice.uniform(0.0, 3.0) * dice.random())
+    for n in range(asked.cancels):
+        wanted = MOMENTS[n % len(MOMENTS)]
+        before_it = client.submit(session, options={"extrinsics": "refine"}, priority=5)["id"] if wanted == "queued" else None
+        job = client.submit(session, options={"extrinsics": "refine"})["id"]
+        begun = time.monotonic()
+        while not is_at(client.job(job), wanted) and time.monotonic() < begun + 60:
+            time.sleep(0.002)
+        time.sleep(dice.choice([0.0, 0.0, 0.05]))
+        if before_it:
+            faults.require(client.job(before_it)["state"] == "running", "nothing was at work before the waiting job")
         before = client.job(job)
         stage = before["progress"]["stage"] or before["state"]
         start = time.monotonic()
@@ -86,11 +106,24 @@ def cancels(asked, faults):
         except wandless.Problem as problem:
             too_late += problem.code == "already_final"
             continue
-        done = until(lambda: client.job(job)["state"] == "canceled" and not children(service), 5)
+        at_rest = children(service) if before_it else []
+        done = until(lambda: client.job(job)["state"] == "canceled" and children(service) in ([], at_rest), 5)
         seconds = time.monotonic() - start
         times.append(seconds)
         states[stage] = states.get(stage, 0) + 1
         faults.require(done and seconds <= 2, f"a cancel in {stage} took {seconds:.1f} s")
+        faults.require(client.cancel(job)["state"] == "canceled", "a second cancel is another answer")
+        if before_it:
+            client.cancel(before_it)
+            until(lambda: not children(service), 5)
+    last = client.submit(client.upload(take(10, 2, seed=4))["id"], options={"extrinsics": "fixed"})["id"]
+    client.wait(last)
+    try:
+        client.cancel(last)
+        faults.require(False, "a job that has succeeded was canceled")
+    except wandless.Problem as problem:
+        faults.require(problem.status == 409 and problem.code == "already_final", f"{problem}")
+    faults.require(len(states) >= 6, f"cancels met only {states}")
     print(f"cancel: {len(times)} cancels, {too_late} too late, worst {max(times):.2f} s, in {states}")
     service.kill()
     service.remove()
@@ -218,36 +251,59 @@ def full_disk(asked, faults):
     print(f"B1: {asked.disks} full disks: {answers}")
 
 
+JUMPS = ("+1h", "-1h", "+10y", "-5y", "+0")
+
+
 def clocks(asked, faults):
-    """B4: the same data folder under a clock of another year."""
-    if not shutil.which("faketime"):
+    """B4: the wall clock jumps while jobs wait and run, and between two starts."""
+    library = next(iter(glob.glob("/usr/lib/*/faketime/libfaketime.so.1")), None)
+    if not library:
         print("B4: SKIPPED, faketime is not there")
         return
-    service = Service(asked.program, environment={"FAKETIME_DONT_FAKE_MONOTONIC": "1"})
+    with tempfile.NamedTemporaryFile("w", delete=False) as file:
+        file.write("+0")
+    environment = {"LD_PRELOAD": library, "FAKETIME_TIMESTAMP_FILE": file.name, "FAKETIME_NO_CACHE": "1", "FAKETIME_DONT_FAKE_MONOTONIC": "1"}
+    service = Service(asked.program, environment=environment)
     service.start()
     client = service.client()
-    jobs = [running_job(service, client, 8)]
-    for offset in ("+1h", "-1h", "+10y", "-5y"):
-        service.kill()
-        service.prefix = ["faketime", "-f", offset]
-        service.start()
-        client = service.client()
-        jobs.append(client.submit(client.upload(take(10, 2, seed=len(jobs)))["id"], options={"extrinsics": "fixed"})["id"])
+    jobs, years = [running_job(service, client, 8)], set()
+    for restarts in (False, True):
+        for offset in JUMPS:
+            with open(file.name, "w") as clock:
+                clock.write(offset)
+            if restarts:
+                service.kill()
+                service.start()
+                client = service.client()
+            for n in range(2):
+                session = client.upload(take(10, 2, seed=10 * len(jobs) + n))["id"]
+                jobs.append(client.submit(session, options={"extrinsics": "fixed", "exports": []})["id"])
+            years.add(client.job(jobs[-1])["created_at"][:4])
+            until(lambda: client.job(jobs[-1])["state"] in wandless.FINAL, 0.5)
+    patience = time.monotonic() + 120
     for job in jobs:
-        done = client.wait(job)
-        faults.require(done["attempt"] == 1 and all(s >= 0 for s in done["stage_seconds"].values()), f"B4: {done}")
+        while (done := client.job(job))["state"] not in wandless.FINAL and time.monotonic() < patience:
+            time.sleep(0.05)
+        faults.require(done["state"] == "succeeded" and done["attempt"] == 1, f"B4: {job} is {done['state']}, attempt {done['attempt']}")
+        faults.require(all(s >= 0 for s in done["stage_seconds"].values()), f"B4: {done['stage_seconds']}")
+        faults.require(client.request("GET", f"/v1/jobs/{job}/people").status == 200, "B4: no result")
+    faults.require(len(years) >= 3, f"B4: the clock did not jump: {years}")
     listed = [job["id"] for job in client.jobs()]
-    faults.require(listed == jobs[::-1], "B4: the order of the list follows the clock")
-    print("B4: five jobs over four clocks, each once, in order")
+    faults.require(listed == jobs[::-1] and len(set(jobs)) == len(jobs), "B4: the order of the list follows the clock")
+    fences = sqlite3.connect(f"file:{service.data}/wandless.db?mode=ro", uri=True).execute("SELECT max(fence), sum(deaths) FROM jobs").fetchone()
+    faults.require(fences[0] <= 1 + len(JUMPS) and fences[1] == 0, f"B4: claims and deaths {fences}")
+    print(f"B4: {len(jobs)} jobs over {2 * len(JUMPS)} jumps through the years {sorted(years)}: each once, in order")
     service.kill()
     service.remove()
+    os.remove(file.name)
 
 
 def main():
-    asked = arguments(__doc__, stops=50, cancels=40, disks=30)
+    asked = arguments(__doc__, stops=50, cancels=40, disks=30, only="")
     faults = Faults()
     for check in (poison, paused, cancels, stops, held, full_disk, clocks):
-        check(asked, faults)
+        if asked.only in check.__name__:
+            check(asked, faults)
     faults.end()
 
 

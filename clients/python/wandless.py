@@ -227,9 +227,15 @@ class Client:
         if isinstance(body, (str, os.PathLike)):
             with open(body, "rb") as file:
                 headers = {**headers, "Content-Length": str(os.path.getsize(body))}
-                connection.request(method, path, body=file, headers=headers)
+                try:
+                    connection.request(method, path, body=file, headers=headers)
+                except BrokenPipeError:
+                    pass  # as below
                 return connection, connection.getresponse()
-        connection.request(method, path, body=body, headers=headers)
+        try:
+            connection.request(method, path, body=body, headers=headers)
+        except BrokenPipeError:
+            pass  # refused before all was sent: the answer says why
         return connection, connection.getresponse()
 
 

@@ -1,6 +1,7 @@
-//! `wandless bench`: how often cameras are found on random rigs, and how fast a capture is solved.
+//! `wandless bench`: how often cameras are found on random rigs, how fast a capture is solved, what damaged input does.
 
 mod bodies;
+mod fuzz;
 mod kinematics;
 
 use super::BadInput;
@@ -50,6 +51,8 @@ enum Bench {
         #[arg(long, default_value_t = 0)]
         threads: usize,
     },
+    /// Damaged input of one kind for some time: panics, hangs, memory, and what should not have been accepted
+    Fuzz(fuzz::Args),
 }
 
 /// Runs the command.
@@ -67,6 +70,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
             use_threads(threads);
             speed(session)
         }
+        Bench::Fuzz(args) => fuzz::run(&args),
     }
 }
 

@@ -9,6 +9,7 @@ use crate::pipeline::PipelineError;
 use crate::pipeline::config::DEFAULT_BODY;
 use crate::progress::{Progress, ProgressEvent};
 use crate::service::bodies;
+use crate::service::failpoint::fault;
 use crate::service::protocol::{Message, Order};
 use crate::service::queue::job::JobError;
 use crate::session::upload::UploadError;
@@ -70,8 +71,13 @@ fn solved(order: &Order, progress: &Progress) -> Result<(), JobError> {
             ..JobError::default()
         })?,
     };
-    let (sha256, checkpoints) = (Some(order.session_sha256.as_str()), Some(order.checkpoints.as_path()));
-    let solved = solve(&order.session, sha256, &order.options, &body, checkpoints, &order.out, progress);
+    let checkpoints = (!fault("checkpoint.ignored")).then_some(order.checkpoints.as_path());
+    let mut options = order.options.clone();
+    if fault("seed.random") {
+        options.seed = u64::from(std::process::id());
+    }
+    let sha256 = Some(order.session_sha256.as_str());
+    let solved = solve(&order.session, sha256, &options, &body, checkpoints, &order.out, progress);
     solved.map(drop).map_err(cause)
 }
 

@@ -1,6 +1,6 @@
 //! What finished stages found, kept on disk: work that was interrupted goes on after its last finished stage.
 //!
-//! A file is `wandless-checkpoint 1`, the key of the work, the SHA-256 of the rest, and the rest as JSON, in lines. Numbers
+//! A file is `wandless-checkpoint 2`, the key of the work, the SHA-256 of key and rest, and the rest as JSON, in lines. Numbers
 //! are written so that they are read as the same numbers: a resumed run gives the bytes of an uninterrupted one. Whatever is
 //! damaged, of another release, or of other work is not used; whatever cannot be written is done without.
 
@@ -26,7 +26,7 @@ struct Place {
 }
 
 /// First line of a file; grows with every change of what is stored.
-const MAGIC: &str = "wandless-checkpoint 1";
+const MAGIC: &str = "wandless-checkpoint 2";
 
 impl Checkpoints {
     /// Keeps nothing.
@@ -64,21 +64,33 @@ impl Checkpoints {
     }
 }
 
+/// Whether a file is a stage as it was kept, of whatever work.
+pub fn is_whole(path: &Path) -> bool {
+    std::fs::read_to_string(path).is_ok_and(|text| contents(&text).is_some())
+}
+
+/// Key and rest of a file that is whole.
+fn contents(text: &str) -> Option<(&str, &str)> {
+    let (key, digested) = text.strip_prefix(MAGIC)?.strip_prefix('\n')?.split_once('\n')?;
+    let (digest, rest) = digested.split_once('\n')?;
+    (digest_of(key, rest) == digest).then_some((key, rest))
+}
+
+fn digest_of(key: &str, rest: &str) -> String {
+    hex(&Sha256::new().chain_update(key).chain_update(rest).finalize())
+}
+
 impl Place {
     fn read<T: DeserializeOwned>(&self, path: &Path) -> Option<T> {
         let text = std::fs::read_to_string(path).ok()?;
-        let mut parts = text.splitn(4, '\n');
-        let is_ours = parts.next()? == MAGIC && parts.next()? == self.key;
-        let digest = parts.next()?;
-        let rest = parts.next()?;
-        let is_whole = is_ours && hex(&Sha256::digest(rest.as_bytes())) == digest;
-        if is_whole { serde_json::from_str(rest).ok() } else { None }
+        let (key, rest) = contents(&text)?;
+        if key == self.key { serde_json::from_str(rest).ok() } else { None }
     }
 
     /// Under another name first: a file is there whole or not at all.
     fn write<T: Serialize>(&self, path: &Path, found: &T) -> io::Result<()> {
         let rest = serde_json::to_string(found)?;
-        let digest = hex(&Sha256::digest(rest.as_bytes()));
+        let digest = digest_of(&self.key, &rest);
         let staging = path.with_extension("tmp");
         let mut file = File::create(&staging)?;
         write!(file, "{MAGIC}\n{}\n{digest}\n{rest}", self.key)?;

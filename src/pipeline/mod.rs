@@ -110,13 +110,14 @@ pub fn reconstruct_with_checkpoints(
         return Err(PipelineError::Unsolvable { code: "cameras_unsolvable", reason });
     }
 
-    // Not kept: a cleaned session is as large as the upload, and cleaning costs little.
     let stage = progress.stage("denoising", 1, 0.4, 0.15);
-    let (calibration, denoised) = match options.denoise {
-        true => made_consistent(&capture, calibration, freedom(options), &stage).map(|(c, d)| (c, Some(d)))?,
+    let (calibration, consistent) = match options.denoise {
+        true => checkpoints
+            .stage("denoising", || made_consistent(&capture, calibration, freedom(options), &stage))?
+            .over(&timed),
         false => (calibration, None),
     };
-    let (clean, consistency) = denoised.map(|d| (d.session, d.told)).unzip();
+    let (clean, consistency) = consistent.unzip();
     let capture = clean.as_ref().map_or(capture, |session| Capture::new(session, options));
 
     let stage = progress.stage("held_out_check", 2, 0.55, 0.1);
@@ -128,7 +129,9 @@ pub fn reconstruct_with_checkpoints(
 
     progress.stage("metric_scale", 4, 0.7, 0.02);
     let tracks = &calibration.association.tracks;
-    let scale = metric_scale::metric_scale(&capture, &calibration.cameras, tracks, &paths)?;
+    let scale = checkpoints.stage("metric_scale", || {
+        metric_scale::metric_scale(&capture, &calibration.cameras, tracks, &paths)
+    })?;
     let findings = Findings::in_world(&capture, calibration, paths, scale, heldout_px);
 
     let stage_body = progress.stage("body_fit", 5, 0.72, 0.25);

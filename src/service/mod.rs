@@ -3,7 +3,7 @@
 //! Inside: `http` and `worker` stand on `queue`, that on `store`, that on `settings`; `http` and `worker` never meet.
 //!
 //! - [`settings`]: what an operator may set
-//! - [`failpoint`]: where the crash harness may end the process
+//! - [`failpoint`]: where the checks may end the process or break a promise
 //! - [`store`]: the data folder: database, uploads, results
 //! - [`bodies`]: body models that jobs may ask for by name
 //! - [`queue`]: the `jobs` table: accept, claim, finish, cancel, recover
@@ -31,6 +31,7 @@ mod worker;
 
 pub use settings::Settings;
 
+use failpoint::{failpoint, fault};
 use metrics::Metrics;
 use queue::Queue;
 use std::net::SocketAddr;
@@ -95,6 +96,9 @@ struct Shared {
 /// [`ServeError`].
 pub async fn start(settings: Settings) -> Result<Running, ServeError> {
     let listen = settings.listen;
+    if fault("start.slow") {
+        tokio::time::sleep(std::time::Duration::from_secs(3)).await;
+    }
     let networks = Arc::new(Networks::parse(&settings.webhooks.allowed_networks)?);
     let store = Store::open(&settings.data).await?;
     if !listen.ip().is_loopback() && !store::keys::any(&store).await? {
@@ -114,6 +118,7 @@ pub async fn start(settings: Settings) -> Result<Running, ServeError> {
         tokio::spawn(http::serve(http::App::new(shared.clone(), networks.clone()), listener)),
         tokio::spawn(webhooks::run(shared.clone(), networks)),
         tokio::spawn(retention::run(shared.clone())),
+        tokio::spawn(store::pages::keep(shared.store.clone(), draining.clone())),
     ];
     for _ in 0..shared.settings.jobs.concurrent {
         tasks.push(tokio::spawn(worker::run(shared.clone())));
@@ -130,6 +135,8 @@ impl Running {
                 tracing::error!(%error, "a part of the service had ended before");
             }
         }
-        self.store.close_for_good().await;
+        failpoint("stop.drained");
+        self.store.close().await;
+        failpoint("stop.closed");
     }
 }

@@ -59,6 +59,9 @@ pub struct RequestLimits {
     /// An upload that sends nothing for so long is cut.
     #[serde(rename = "body_idle_timeout_s", with = "seconds")]
     pub body_idle_timeout: Duration,
+    /// A connection without a request at work is kept for the next one so long.
+    #[serde(rename = "keep_alive_s", with = "seconds")]
+    pub keep_alive: Duration,
     /// An upload must send at least this much in each `body_window`.
     pub body_min_bytes: u64,
     /// See `body_min_bytes`.
@@ -179,6 +182,7 @@ impl Default for RequestLimits {
             max_upload_bytes: 2 << 30, // an hour of 8 cameras and 4 people, deflated, is some 1.5 GB
             max_json_bytes: 1 << 20,
             header_timeout: Duration::from_secs(5),
+            keep_alive: Duration::from_secs(75), // longer than a long poll's 60 s, as proxies and clients expect
             body_idle_timeout: Duration::from_secs(30),
             body_min_bytes: 60 << 10, // 1 KiB/s over the window
             body_window: Duration::from_secs(60),

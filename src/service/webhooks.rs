@@ -10,6 +10,7 @@ pub use call::signature;
 pub use target::{NetworkError, Networks, TargetError, check_url};
 
 use super::Shared;
+use super::failpoint::failpoint;
 use super::queue::job::Job;
 use super::settings::WebhookSettings;
 use super::store::{StoreError, Tenant, tenants};
@@ -99,6 +100,7 @@ async fn due(shared: &Shared) -> Result<Vec<Delivery>, StoreError> {
 
 /// One try; gives the id back.
 async fn deliver(shared: Shared, networks: Arc<Networks>, delivery: Delivery) -> String {
+    failpoint("webhook.due");
     let outcome = match call_of(&shared, &delivery).await {
         Ok(Some(call)) => {
             let timeout = shared.settings.webhooks.timeout;
@@ -118,9 +120,11 @@ async fn deliver(shared: Shared, networks: Arc<Networks>, delivery: Delivery) ->
         error = outcome.error,
         "webhook called"
     );
+    failpoint("webhook.called");
     if let Err(error) = note(&shared, &delivery, &outcome).await {
         tracing::error!(delivery.id = delivery.id, %error, "what came of a webhook could not be written; it is called again");
     }
+    failpoint("webhook.noted");
     delivery.id
 }
 

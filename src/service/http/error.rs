@@ -1,5 +1,6 @@
 //! Problem documents (RFC 9457): every error a client can meet.
 
+use crate::service::failpoint::fault;
 use crate::service::store::StoreError;
 use crate::service::store::sessions::AddError;
 use axum::body::Body;
@@ -81,6 +82,11 @@ impl Problem {
     /// For machines.
     pub(super) fn code(&self) -> &'static str {
         self.document.code
+    }
+
+    /// For people.
+    pub(super) fn detail(&self) -> &str {
+        &self.document.detail
     }
 
     /// The same, naming a place in the request's JSON.
@@ -169,7 +175,9 @@ impl Problem {
     /// What a failed file operation means to the client.
     pub(super) fn from_io(error: &std::io::Error) -> Self {
         match error.kind() {
-            std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => Self::disk_full(),
+            std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded if !fault("disk.unnamed") => {
+                Self::disk_full()
+            }
             _ => Self::internal(error),
         }
     }

@@ -4,6 +4,7 @@ use super::access::Caller;
 use super::error::Problem;
 use super::page::{Page, PageQuery};
 use super::{ApiPath, ApiQuery, App};
+use crate::service::failpoint::fault;
 use crate::service::metrics::Held;
 use crate::service::queue::job::{Job, Phase};
 use crate::service::queue::{Cancel, JobFilter, LabelFilter};
@@ -65,6 +66,9 @@ pub(super) async fn get(
     ApiQuery(query): ApiQuery<WaitQuery>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
+    if fault("answers.slow") {
+        tokio::time::sleep(Duration::from_millis(300)).await;
+    }
     let wait = match query.wait {
         Some(seconds) if !(seconds.is_finite() && seconds >= 0.0) => {
             return Err(Problem::malformed(format!("wait is {seconds}"), "give seconds, 0 or more"));

@@ -22,6 +22,8 @@ mod trace;
 mod upload;
 mod viewer;
 
+pub use multipart::read_form;
+
 use super::Shared;
 use super::metrics::Metrics;
 use super::queue::Queue;
@@ -101,11 +103,11 @@ fn api() -> Vec<(&'static str, MethodRouter<App>)> {
         ("/v1/jobs/{id}", get(jobs::get).delete(jobs::delete)),
         ("/v1/jobs/{id}/events", get(events::stream)),
         ("/v1/jobs/{id}/cancel", post(jobs::cancel)),
-        ("/v1/jobs/{id}/result", get(results::manifest)),
+        ("/v1/jobs/{id}/result", results::named("manifest.json")),
         ("/v1/jobs/{id}/artifacts/{*name}", get(results::artifact)),
-        ("/v1/jobs/{id}/cameras", get(results::cameras)),
-        ("/v1/jobs/{id}/people", get(results::people)),
-        ("/v1/jobs/{id}/report", get(results::report)),
+        ("/v1/jobs/{id}/cameras", results::named("cameras.json")),
+        ("/v1/jobs/{id}/people", results::named("people.json")),
+        ("/v1/jobs/{id}/report", results::named("report.json")),
         ("/v1/jobs/{id}/deliveries", get(deliveries::list)),
         ("/v1/jobs/{id}/deliveries/{delivery}/redeliver", post(deliveries::redeliver)),
         ("/v1/webhook-secret", get(deliveries::secret)),

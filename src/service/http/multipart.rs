@@ -5,7 +5,9 @@
 
 use super::error::Problem;
 use super::upload::GuardedBody;
-use axum::http::{HeaderMap, header};
+use crate::service::settings::RequestLimits;
+use axum::body::Body;
+use axum::http::{HeaderMap, HeaderValue, header};
 
 /// A part's head: two short headers.
 const MAX_HEAD_BYTES: usize = 8 << 10;
@@ -134,6 +136,27 @@ impl<'a, 'b> Multipart<'a, 'b> {
     }
 }
 
+/// Reads a form that lies in memory, as if it came in pieces of that size: the names and sizes of its parts, or why it is
+/// none. What the fuzzer calls.
+pub fn read_form(content_type: &str, form: &[u8], piece: usize) -> Result<Vec<(String, usize)>, String> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().map_err(|e| e.to_string())?;
+    let value = HeaderValue::from_str(content_type).map_err(|e| e.to_string())?;
+    let headers = HeaderMap::from_iter([(header::CONTENT_TYPE, value)]);
+    let pieces: Vec<_> = form.chunks(piece).map(|piece| Ok::<_, std::io::Error>(piece.to_vec())).collect();
+    let limits = RequestLimits::default();
+    let read = async {
+        let body = Body::from_stream(futures_util::stream::iter(pieces));
+        let Ok(mut body) = GuardedBody::new(&headers, body, &limits, u64::MAX) else { return Ok(Vec::new()) };
+        let mut multipart = Multipart::new(&headers, &mut body)?;
+        let mut parts = Vec::new();
+        while let Some(part) = multipart.next_part().await? {
+            parts.push((part.name, multipart.text(usize::MAX).await?.len()));
+        }
+        Ok(parts)
+    };
+    runtime.block_on(read).map_err(|problem: Problem| problem.detail().to_owned())
+}
+
 fn malformed(detail: &str) -> Problem {
     Problem::malformed(detail, "send multipart/form-data as RFC 7578 says")
 }
@@ -171,9 +194,6 @@ fn find(haystack: &[u8], needle: &[u8]) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::service::settings::RequestLimits;
-    use axum::body::Body;
-    use axum::http::HeaderValue;
 
     const BODY: &str = "--AaB\r\nContent-Disposition: form-data; name=\"options\"\r\n\r\n{\"seed\":1}\r\n--AaB\r\n\
         content-disposition: form-data; name=\"session\"; filename=\"a;b.zip\"\r\nContent-Type: application/zip\r\n\r\n\

@@ -1,6 +1,7 @@
 //! `Range` (RFC 9110, section 14): one part of a file.
 
 use super::error::Problem;
+use crate::service::failpoint::fault;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 
 /// The bytes to send.
@@ -29,6 +30,7 @@ pub(super) fn requested_part(headers: &HeaderMap, tag: &str, bytes: u64) -> Resu
     if start >= end {
         return Err(unsatisfiable(bytes));
     }
+    let start = if fault("range.shifted") { (start + 1).min(end) } else { start };
     Ok(Part { start, length: end - start, is_partial: true })
 }
 

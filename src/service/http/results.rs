@@ -11,49 +11,17 @@ use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use axum::routing::{MethodRouter, get};
 use futures_util::StreamExt;
 use std::path::PathBuf;
 use tokio::io::{AsyncReadExt, AsyncSeekExt};
 use tokio_util::io::ReaderStream;
 
-/// The manifest.
-pub(super) async fn manifest(
-    app: State<App>,
-    caller: Caller,
-    id: ApiPath<String>,
-    headers: HeaderMap,
-) -> Result<Response, Problem> {
-    file(app, caller, id, "manifest.json", headers).await
-}
-
-/// `cameras.json`.
-pub(super) async fn cameras(
-    app: State<App>,
-    caller: Caller,
-    id: ApiPath<String>,
-    headers: HeaderMap,
-) -> Result<Response, Problem> {
-    file(app, caller, id, "cameras.json", headers).await
-}
-
-/// `people.json`.
-pub(super) async fn people(
-    app: State<App>,
-    caller: Caller,
-    id: ApiPath<String>,
-    headers: HeaderMap,
-) -> Result<Response, Problem> {
-    file(app, caller, id, "people.json", headers).await
-}
-
-/// `report.json`.
-pub(super) async fn report(
-    app: State<App>,
-    caller: Caller,
-    id: ApiPath<String>,
-    headers: HeaderMap,
-) -> Result<Response, Problem> {
-    file(app, caller, id, "report.json", headers).await
+/// A route to one file that every result has.
+pub(super) fn named(name: &'static str) -> MethodRouter<App> {
+    get(move |app: State<App>, caller: Caller, id: ApiPath<String>, headers: HeaderMap| {
+        file(app, caller, id, name, headers)
+    })
 }
 
 /// Any file by its name in the manifest.

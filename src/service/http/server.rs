@@ -1,9 +1,10 @@
 //! The accept loop: hyper's http1 with the timeouts that `axum::serve` lacks.
 //!
-//! A silent or half-said request head ends after `header_timeout` (so do idle connections), a stalled upload in
-//! [`super::upload`], a client that takes nothing of its answer after `write_timeout`; no more than `max_connections` are
-//! open. HTTP/2 is not offered: it has no header timeout.
+//! A connection whose first request head is silent or half said ends after `header_timeout`, one that was of use after
+//! `keep_alive` without a whole head, a stalled upload in [`super::upload`], a client that takes nothing of its answer after
+//! `write_timeout`; no more than `max_connections` are open. HTTP/2 is not offered: it has no header timeout.
 
+use crate::service::failpoint::fault;
 use crate::service::metrics::Metrics;
 use crate::service::settings::RequestLimits;
 use axum::Router;
@@ -20,7 +21,7 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
+use tokio::sync::{Notify, Semaphore};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, Sleep};
 use tokio_util::sync::CancellationToken;
@@ -71,6 +72,7 @@ pub(super) async fn serve(
         while connections.try_join_next().is_some() {} // those that have ended
     }
     drop(listener);
+    let drain_limit = if fault("stop.endless") { Duration::MAX } else { drain_limit };
     let ended = async { while connections.join_next().await.is_some() {} };
     if tokio::time::timeout(drain_limit, ended).await.is_err() {
         tracing::warn!("connections still open after the drain limit are cut");
@@ -87,16 +89,25 @@ async fn serve_connection(
 ) {
     let _ = stream.set_nodelay(true); // small answers must not wait; without it they only come later
     let io = TokioIo::new(PatientStream::new(stream, limits.write_timeout));
+    let was_of_use = Arc::new(Notify::new());
+    let is_of_use = was_of_use.clone();
     let service = TowerToHyperService::new(router.map_request(move |mut request: hyper::Request<Incoming>| {
+        is_of_use.notify_one();
         request.extensions_mut().insert(peer);
         request
     }));
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
-        .header_read_timeout(limits.header_timeout)
+        .header_read_timeout(limits.keep_alive.max(limits.header_timeout))
         .max_buf_size(64 << 10)
         .serve_connection(io, service);
     let mut connection = std::pin::pin!(connection);
+    let first_head = tokio::time::timeout(limits.header_timeout, was_of_use.notified());
+    tokio::select! {
+        _ = connection.as_mut() => return,
+        first_head = first_head => if first_head.is_err() { return },
+        () = draining.cancelled() => {}
+    }
     let result = tokio::select! {
         result = connection.as_mut() => result,
         () = draining.cancelled() => {

@@ -1,6 +1,7 @@
 //! Request bodies as they come: bounded in size and in patience, streamed to disk with their digest.
 
 use super::error::Problem;
+use crate::service::failpoint::fault;
 use crate::service::settings::RequestLimits;
 use crate::service::store::artifacts::hex;
 use crate::service::store::folders::TemporaryFile;
@@ -39,7 +40,7 @@ impl<'a> GuardedBody<'a> {
         let asks_first = headers.contains_key(header::EXPECT);
         let guarded = Self { body, limits, max_bytes, received: 0, window_end, window_bytes: 0, asks_first };
         let length = headers.get(header::CONTENT_LENGTH).and_then(|v| v.to_str().ok()?.parse::<u64>().ok());
-        if length.is_some_and(|length| length > max_bytes) {
+        if length.is_some_and(|length| length > max_bytes) && !fault("length.unread") {
             return Err(Refused { problem: Problem::too_large(max_bytes), body: guarded });
         }
         if headers.get(header::CONTENT_ENCODING).is_some_and(|encoding| encoding != "identity") {
@@ -57,7 +58,8 @@ impl<'a> GuardedBody<'a> {
     /// The next bytes; `None` at the end.
     pub(super) async fn chunk(&mut self) -> Result<Option<Bytes>, Problem> {
         loop {
-            let frame = timeout(self.limits.body_idle_timeout, self.body.frame()).await;
+            let patience = if fault("body.patient") { Duration::MAX } else { self.limits.body_idle_timeout };
+            let frame = timeout(patience, self.body.frame()).await;
             let frame = frame.map_err(|_| too_slow("nothing came for too long"))?;
             let Some(frame) = frame else { return Ok(None) };
             let frame = frame.map_err(|_| Problem::malformed("the body ended early", "send it again"))?;
@@ -77,7 +79,7 @@ impl<'a> GuardedBody<'a> {
         if now < self.window_end {
             return Ok(());
         }
-        if self.window_bytes < self.limits.body_min_bytes {
+        if self.window_bytes < self.limits.body_min_bytes && !fault("body.patient") {
             return Err(too_slow("the body came too slowly"));
         }
         (self.window_end, self.window_bytes) = (now + self.limits.body_window, 0);

@@ -3,7 +3,7 @@
 use super::job::Job;
 use super::rows::job_from_row;
 use super::{Queue, StoreError};
-use crate::service::failpoint::failpoint;
+use crate::service::failpoint::{failpoint, fault};
 use crate::service::settings::{RequestLimits, TenantLimits};
 use crate::service::store::{Tenant, new_id, tenants};
 use sqlx::{Row, Sqlite, Transaction};
@@ -98,6 +98,7 @@ impl Queue {
         room: Room,
     ) -> Result<Job, EnqueueError> {
         let mut transaction = self.store.write().await?;
+        let idempotency = idempotency.filter(|_| !fault("key.ignored"));
         if let Some(asked) = idempotency
             && let Some(known) = job_of_key(&mut transaction, &new.tenant, asked).await?
         {
@@ -112,6 +113,13 @@ impl Queue {
             remember_key(&mut transaction, &new.tenant, asked, &job.id).await?;
         }
         failpoint("enqueue.inserted");
+        if fault("enqueue.early") {
+            tokio::spawn(async move {
+                tokio::time::sleep(std::time::Duration::from_millis(300)).await;
+                transaction.commit().await
+            });
+            return Ok(job);
+        }
         transaction.commit().await?;
         failpoint("enqueue.committed");
         self.work.notify_one();

@@ -177,6 +177,7 @@ impl Queue {
         .bind(tenant.name())
         .execute(&mut *transaction)
         .await?;
+        failpoint("cancel.marked");
         transaction.commit().await?;
         failpoint("cancel.committed");
         self.announce(id);
@@ -209,6 +210,7 @@ impl Queue {
         let mut transaction = self.store.write().await?;
         let deleted = sqlx::query("DELETE FROM jobs WHERE id = ? AND tenant = ?").bind(id).bind(tenant.name());
         let deleted = deleted.execute(&mut *transaction).await?;
+        failpoint("delete.marked");
         transaction.commit().await?;
         if deleted.rows_affected() == 0 {
             return Ok(false);
@@ -217,6 +219,7 @@ impl Queue {
         self.announce(id);
         self.store.remove_files("results", id).await;
         self.store.remove_files("checkpoints", id).await;
+        failpoint("delete.removed");
         self.store.take_reserve().await;
         Ok(true)
     }

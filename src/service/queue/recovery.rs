@@ -1,7 +1,7 @@
 //! What a start does before anything is served: orphans go back to the queue, files that no row names are removed.
 
 use super::Queue;
-use crate::service::failpoint::failpoint;
+use crate::service::failpoint::{failpoint, fault};
 use crate::service::store::{StoreError, sessions};
 use sqlx::Row;
 use std::collections::BTreeMap;
@@ -25,7 +25,14 @@ pub struct Recovered {
 /// # Errors
 /// When the store fails.
 pub async fn recover(queue: &Queue) -> Result<Recovered, StoreError> {
+    if fault("recovery.forgets") {
+        return Ok(Recovered::default());
+    }
     let mut transaction = queue.store.write().await?;
+    if fault("recovery.blames") {
+        let blamed = sqlx::query("UPDATE jobs SET deaths = deaths + 1 WHERE state = 'running'");
+        blamed.execute(&mut *transaction).await?;
+    }
     let requeued = sqlx::query(
         "UPDATE jobs SET state = 'queued', version = version + 1, boot = NULL, eta_s = NULL
          WHERE state = 'running' AND boot <> ?",
@@ -43,6 +50,7 @@ pub async fn recover(queue: &Queue) -> Result<Recovered, StoreError> {
     .execute(&mut *transaction)
     .await?
     .rows_affected();
+    failpoint("recover.updated");
     transaction.commit().await?;
     failpoint("recover.committed");
     let removed = sweep(queue).await?;

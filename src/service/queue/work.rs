@@ -2,7 +2,7 @@
 
 use super::job::{Ending, JobError, JobProgress, Phase, next_phase};
 use super::{Queue, phase_from_row};
-use crate::service::failpoint::failpoint;
+use crate::service::failpoint::{failpoint, fault};
 use crate::service::store::StoreError;
 use crate::service::store::artifacts::{self, Artifact};
 use crate::service::store::summary::Summary;
@@ -70,6 +70,9 @@ impl Queue {
     /// # Errors
     /// When the store fails.
     pub async fn claim(&self, max_running: i64) -> Result<Option<Claim>, StoreError> {
+        if fault("claim.clocked") && self.holds_jobs_of_the_future().await? {
+            return Ok(None);
+        }
         let mut transaction = self.store.write().await?;
         let Some(tenant) = tenant_in_turn(&mut transaction, max_running).await? else { return Ok(None) };
         let row = sqlx::query(
@@ -99,6 +102,13 @@ impl Queue {
         failpoint("claim.committed");
         self.announce(&claim.job);
         Ok(Some(claim))
+    }
+
+    /// What no claim may ask; see the fault.
+    async fn holds_jobs_of_the_future(&self) -> Result<bool, StoreError> {
+        let future =
+            "SELECT count(*) FROM jobs WHERE state = 'queued' AND created_at > strftime('%Y-%m-%dT%H:%M:%fZ', 'now')";
+        Ok(sqlx::query_scalar::<_, i64>(future).fetch_one(self.store.read()).await? > 0)
     }
 
     /// Whether the claim's work is still wanted.
@@ -143,6 +153,7 @@ impl Queue {
         .execute(&mut *transaction)
         .await?;
         transaction.commit().await?;
+        failpoint("progress.noted");
         self.announce(&claim.job);
         Ok(())
     }
@@ -172,6 +183,7 @@ impl Queue {
             artifacts::insert(&mut transaction, &claim.job, &published.artifacts).await?;
             published.summary.insert(&mut transaction, &claim.job).await?;
         }
+        failpoint("finish.filled");
         transaction.commit().await?;
         failpoint("finish.committed");
         if next == Phase::Queued {
@@ -183,6 +195,7 @@ impl Queue {
         if next != Phase::Succeeded {
             self.store.remove_files("results", &claim.job).await; // no row will ever name them
         }
+        failpoint("finish.cleared");
         self.announce(&claim.job);
         Ok(Finished::Recorded(next))
     }
@@ -225,7 +238,7 @@ async fn write_ending(
     )
     .bind(next.name())
     .bind(error)
-    .bind(matches!(ending, Ending::ChildDied(_)))
+    .bind(matches!(ending, Ending::ChildDied(_)) && !fault("deaths.uncounted"))
     .bind(&claim.job)
     .bind(claim.fence)
     .execute(&mut **transaction)

@@ -2,6 +2,7 @@
 
 use super::MANIFEST;
 use super::inventory::{NamedFile, named_files};
+use crate::service::failpoint::fault;
 use crate::service::store::artifacts::digest_file;
 use crate::service::store::{DATABASE, StoreError};
 use serde::{Deserialize, Serialize};
@@ -94,6 +95,9 @@ pub async fn back_up(data: &Path, to: &Path) -> Result<usize, BackupError> {
     sqlx::query("PRAGMA journal_mode = DELETE").execute(&copied).await?;
     copied.close().await;
     let sha256 = digest_file(&copy).map_err(|source| BackupError::File { path: copy.clone(), source })?.sha256;
+    if fault("backup.short") {
+        files.pop();
+    }
     files.push(NamedFile { name: DATABASE.to_owned(), sha256, owner: String::new() });
     files.sort();
     write_manifest(&staging, &files)?;

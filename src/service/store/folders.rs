@@ -1,10 +1,10 @@
 //! Where the files of a data folder lie, and how one is made durable.
 //!
-//! `wandless.db`, `lock`, `reserve`, `tmp/` (uploads on their way), `sessions/<id>`, `results/<job>/<fence>/` (published) and
+//! `wandless.db` with its log and `wandless.db.pages`, `lock`, `reserve`, `tmp/` (uploads on their way), `sessions/<id>`, `results/<job>/<fence>/` (published) and
 //! `results/<job>/<fence>.tmp/` (being written by a child), `checkpoints/<job>/` (finished stages of a job at work). File names are made here, never taken from a client.
 
 use super::StoreError;
-use crate::service::failpoint::failpoint;
+use crate::service::failpoint::{failpoint, fault};
 use rustix::fs::FlockOperation;
 use std::fs::File;
 use std::io;
@@ -21,15 +21,12 @@ const RESERVE: &str = "reserve";
 /// Enough for the log of some thousand deletes.
 const RESERVE_BYTES: usize = 2 << 20;
 
-/// Name of the database's digest: there while no service is at work and the last one stopped in order.
-pub const DATABASE_DIGEST: &str = "wandless.db.sha256";
-
 /// The folders of a data folder that this process owns: the lock is held as long as a clone lives.
 #[derive(Debug, Clone)]
 pub struct Folders {
     root: PathBuf,
     /// None beside a service that holds the lock.
-    _lock: Option<Arc<File>>,
+    lock: Option<Arc<File>>,
 }
 
 /// A file that is removed when dropped, unless it was kept.
@@ -55,10 +52,18 @@ impl Folders {
         let path = root.join("lock");
         let lock = File::options().create(true).append(true).open(&path).map_err(|source| fail(&path, source))?;
         match take_lock(&lock) {
-            Ok(()) => Ok(Self { root, _lock: Some(Arc::new(lock)) }),
+            Err(_) if fault("lock.none") => Ok(Self { root, lock: Some(Arc::new(lock)) }),
+            Ok(()) => Ok(Self { root, lock: Some(Arc::new(lock)) }),
             Err(rustix::io::Errno::WOULDBLOCK) => Err(StoreError::InUse { path }),
             Err(errno) => Err(StoreError::Folder { path, source: errno.into() }),
         }
+    }
+
+    /// Whether a service is at work in a data folder.
+    pub(crate) fn are_in_use(root: &Path) -> bool {
+        let lock = File::options().append(true).open(root.join("lock"));
+        let taken = lock.map(|lock| rustix::fs::flock(&lock, FlockOperation::NonBlockingLockExclusive));
+        matches!(taken, Ok(Err(rustix::io::Errno::WOULDBLOCK))) // a lock that was taken goes with the file, here
     }
 
     /// The folders of a service that is at work, for a command beside it.
@@ -67,12 +72,22 @@ impl Folders {
     /// When there is no such folder.
     pub(super) fn beside(root: &Path) -> Result<Self, StoreError> {
         let root = root.canonicalize().map_err(|source| StoreError::Folder { path: root.to_owned(), source })?;
-        Ok(Self { root, _lock: None })
+        Ok(Self { root, lock: None })
     }
 
-    /// Where the digest of the database lies while nobody writes to it.
-    pub fn database_digest(&self) -> PathBuf {
-        self.root.join(DATABASE_DIGEST)
+    /// Whether this process owns the folder.
+    pub(super) fn are_owned(&self) -> bool {
+        self.lock.is_some()
+    }
+
+    /// Digests of the database's pages.
+    pub(super) fn pages(&self) -> PathBuf {
+        self.root.join(super::pages::PAGES)
+    }
+
+    /// The database's write-ahead log.
+    pub(super) fn log(&self) -> PathBuf {
+        self.root.join("wandless.db-wal")
     }
 
     /// The database file.
@@ -223,6 +238,7 @@ fn take_lock(lock: &File) -> rustix::io::Result<()> {
 /// When the system refuses either.
 pub fn publish(from: &Path, to: &Path) -> io::Result<()> {
     std::fs::rename(from, to)?;
+    failpoint("publish.renamed");
     match to.parent() {
         Some(parent) => File::open(parent)?.sync_all(),
         None => Ok(()),

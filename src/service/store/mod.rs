@@ -3,13 +3,16 @@
 pub mod artifacts;
 pub mod folders;
 pub mod keys;
+mod log;
+pub(crate) mod pages;
 pub mod sessions;
 pub mod summary;
 pub mod tenants;
 
-pub use folders::{DATABASE, DATABASE_DIGEST, Folders};
+pub use folders::{DATABASE, Folders};
 pub use tenants::Tenant;
 
+use crate::service::failpoint::{failpoint, fault};
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous};
 use sqlx::{Connection, Sqlite, Transaction};
@@ -17,6 +20,9 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 static MIGRATIONS: Migrator = sqlx::migrate!("./migrations");
+
+/// How long a database that another process holds is waited for.
+const BUSY_PATIENCE: Duration = Duration::from_secs(10);
 
 /// 3.7.0 to 3.51.2 can corrupt the file when two connections write and checkpoint at the same moment.
 const OLDEST_SOUND_SQLITE: [u32; 3] = [3, 51, 3];
@@ -29,6 +35,8 @@ pub struct Store {
     /// Progress is written here: `synchronous = NORMAL`, the last second may be lost, the file never.
     notes: SqlitePool,
     readers: SqlitePool,
+    /// Copies the log into the database; no other connection does, see [`pages`].
+    keeper: SqlitePool,
     /// Where the files lie.
     pub folders: Folders,
     /// Names this process: a running job of another boot is an orphan.
@@ -40,6 +48,19 @@ impl StoreError {
     pub fn is_disk_full(&self) -> bool {
         let Self::Database(sqlx::Error::Database(cause)) = self else { return false };
         matches!(cause.code().as_deref(), Some("13" | "778" | "4874"))
+    }
+
+    /// The same error, naming the file where it is no whole database: SQLite's CORRUPT and NOTADB.
+    fn of_file(self, path: &Path) -> Self {
+        let cause = match &self {
+            Self::Database(cause) | Self::Migration(MigrateError::Execute(cause)) => cause,
+            _ => return self,
+        };
+        let said = cause.as_database_error().filter(|said| matches!(said.code().as_deref(), Some("11" | "26")));
+        match said {
+            Some(said) => Self::DatabaseDamaged { path: path.to_owned(), reason: said.message().to_owned() },
+            None => self,
+        }
     }
 }
 
@@ -77,6 +98,14 @@ pub enum StoreError {
         /// The database file.
         path: PathBuf,
     },
+    /// What lies there is no database, or no whole one.
+    #[error("{path}: {reason}; restore it from a backup (`wandless restore`), or see what `wandless verify` says", path = .path.display())]
+    DatabaseDamaged {
+        /// The database file.
+        path: PathBuf,
+        /// What SQLite said.
+        reason: String,
+    },
     /// The database was written by a newer release.
     #[error("the database holds migration {migration}, which this release does not know: a newer wandless wrote it")]
     Newer {
@@ -112,6 +141,11 @@ impl Store {
         Self::open_in(Folders::open(root)?).await
     }
 
+    async fn open_in(folders: Folders) -> Result<Self, StoreError> {
+        let path = folders.database();
+        Self::open_database(folders).await.map_err(|error| error.of_file(&path))
+    }
+
     /// The store of a service that is at work, for a command beside it; where none is at work, as [`Store::open`].
     ///
     /// # Errors
@@ -123,18 +157,20 @@ impl Store {
         }
     }
 
-    async fn open_in(folders: Folders) -> Result<Self, StoreError> {
+    async fn open_database(folders: Folders) -> Result<Self, StoreError> {
+        failpoint("start.locked");
         let database = folders.database();
-        if std::fs::metadata(&database).map_or(0, |m| m.len()) == 0 && folders.hold_files()? {
+        let is_lost = std::fs::metadata(&database).map_or(0, |m| m.len()) == 0 && folders.hold_files()?;
+        if is_lost && !fault("damage.silent") {
             return Err(StoreError::DatabaseLost { path: database });
         }
-        let _ = std::fs::remove_file(folders.database_digest()); // from now on it would be wrong
         let options = SqliteConnectOptions::new()
             .filename(&database)
             .create_if_missing(true)
             .journal_mode(SqliteJournalMode::Wal)
             .foreign_keys(true)
-            .busy_timeout(Duration::from_secs(10))
+            .busy_timeout(if fault("busy.impatient") { Duration::ZERO } else { BUSY_PATIENCE })
+            .pragma("wal_autocheckpoint", "0")
             .pragma("secure_delete", "ON");
         let pool = |options: SqliteConnectOptions, n: u32| {
             let pool = SqlitePoolOptions::new().max_connections(n).idle_timeout(None).max_lifetime(None);
@@ -149,10 +185,15 @@ impl Store {
             MigrateError::VersionMissing(migration) => StoreError::Newer { migration },
             other => StoreError::Migration(other),
         })?;
+        failpoint("start.migrated");
+        if fault("claims.scanned") {
+            sqlx::query("DROP INDEX IF EXISTS jobs_by_state").execute(&writer).await?;
+        }
         folders.take_reserve();
         let notes = pool(options.clone().synchronous(SqliteSynchronous::Normal), 1).await?;
+        let keeper = pool(options.clone().synchronous(SqliteSynchronous::Full), 1).await?;
         let readers = pool(options.read_only(true), 4).await?;
-        Ok(Self { writer, notes, readers, folders, boot: uuid::Uuid::new_v4().simple().to_string() })
+        Ok(Self { writer, notes, readers, keeper, folders, boot: uuid::Uuid::new_v4().simple().to_string() })
     }
 
     /// A transaction that may change states; durable once committed.
@@ -215,27 +256,17 @@ impl Store {
         let _ = tokio::task::spawn_blocking(move || folders.take_reserve()).await; // fails only where the process ends
     }
 
-    /// Closes the connections after their last statement.
+    /// Closes the connections after their last statement; whoever owns the folder leaves no log behind.
     pub async fn close(&self) {
         self.readers.close().await;
+        if self.folders.are_owned()
+            && let Err(error) = self.checkpoint().await
+        {
+            tracing::warn!(%error, "the log stays beside the database");
+        }
+        self.keeper.close().await;
         self.notes.close().await;
         self.writer.close().await;
-    }
-
-    /// Closes the connections and keeps the database's digest, so that `verify` can tell whether a byte has changed since.
-    pub async fn close_for_good(&self) {
-        self.close().await;
-        let folders = self.folders.clone();
-        let kept = tokio::task::spawn_blocking(move || -> std::io::Result<()> {
-            if std::fs::metadata(folders.database().with_extension("db-wal")).is_ok_and(|wal| wal.len() > 0) {
-                return Ok(()); // somebody else has the database open: its bytes may still change
-            }
-            let digest = artifacts::digest_file(&folders.database())?;
-            std::fs::write(folders.database_digest(), digest.sha256)
-        });
-        if let Ok(Err(error)) = kept.await {
-            tracing::warn!(%error, "the database's digest could not be kept");
-        }
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::{Store, StoreError, Tenant, tenants};
 use crate::pipeline::CameraFacts;
+use crate::service::failpoint::{failpoint, fault};
 use serde::Serialize;
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
@@ -118,7 +119,7 @@ pub async fn add(
     if let Some(known) = known {
         return Ok(Added { session: from_row(&known)?, is_new: false });
     }
-    if stored.saturating_add_unsigned(summary.bytes) > max_bytes {
+    if stored.saturating_add_unsigned(summary.bytes) > max_bytes && !fault("quota.none") {
         return Err(AddError::QuotaExceeded { stored, max: max_bytes });
     }
     let row = sqlx::query(
@@ -211,8 +212,11 @@ async fn try_to_remove(store: &Store, tenant: &Tenant, id: &str) -> Result<(), R
     if deleted.rows_affected() == 0 {
         return Err(RemoveError::Missing);
     }
+    failpoint("session.marked");
     transaction.commit().await?;
+    failpoint("session.committed");
     store.remove_files("sessions", id).await;
+    failpoint("session.removed");
     store.take_reserve().await;
     Ok(())
 }

@@ -3,6 +3,7 @@
 //! A URL is judged twice: its text when a job is submitted, and the addresses its name stands for at each call, which then
 //! connects to exactly those addresses. A name that is resolved anew in between deceives nobody.
 
+use crate::service::failpoint::fault;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use ureq::http::Uri;
 
@@ -120,7 +121,7 @@ impl Networks {
     /// [`TargetError::Private`].
     pub fn check(&self, address: IpAddr) -> Result<(), TargetError> {
         let bits = bits(address);
-        let is_listed = self.0.iter().any(|network| network.holds(bits));
+        let is_listed = self.0.iter().any(|network| network.holds(bits)) || fault("webhooks.anywhere");
         if is_listed || is_public(address) { Ok(()) } else { Err(TargetError::Private { host: address.to_string() }) }
     }
 

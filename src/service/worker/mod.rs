@@ -4,7 +4,7 @@ mod child;
 mod supervision;
 
 use super::Shared;
-use super::failpoint::failpoint;
+use super::failpoint::{failpoint, fault};
 use super::memory::child_limit;
 use super::metrics::Metrics;
 use super::protocol::Order;
@@ -130,6 +130,13 @@ async fn publish_result(store: &Store, claim: &Claim) -> Ending<Published> {
         let artifacts = artifacts::scan(&staging)?;
         let summary = Summary::read(&staging)?;
         failpoint("result.hashed");
+        if fault("publish.late") {
+            std::thread::spawn(move || {
+                std::thread::sleep(Duration::from_millis(300));
+                publish(&staging, &result)
+            });
+            return Ok(Published { artifacts, summary });
+        }
         publish(&staging, &result)?;
         failpoint("result.published");
         Ok(Published { artifacts, summary })

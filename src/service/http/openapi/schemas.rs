@@ -88,7 +88,7 @@ fn session_document() -> Value {
         "type": "object", "description": "A session in one document; the README has the layout",
         "required": ["cameras", "poses", "fps", "keypoint_convention"],
         "properties": {
-            "name": {}, "fps": { "type": "number" }, "n_frames": count(), "keypoint_convention": text(),
+            "name": {}, "fps": { "type": "number" }, "n_frames": { "type": ["integer", "null"], "minimum": 0 }, "keypoint_convention": text(),
             "cameras": { "type": "array", "items": { "type": "object" } }, "poses": { "type": "object" },
         },
     })

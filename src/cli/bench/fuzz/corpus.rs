@@ -1,0 +1,110 @@
+//! Inputs: one file's bytes, or the files of an upload; and the seeds that are checked in.
+
+use crate::cli::BadInput;
+use crate::session::digest::sha256_of_reader;
+use std::io::{Cursor, Write};
+use std::path::{Path, PathBuf};
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, ZipWriter};
+
+/// What a reader is given.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub(super) struct Input {
+    /// Name and bytes; a single file has no name.
+    pub(super) members: Vec<(String, Vec<u8>)>,
+}
+
+/// Opens a member in a text seed.
+const MEMBER: &str = "=== ";
+
+impl Input {
+    /// One file.
+    pub(super) fn file(bytes: Vec<u8>) -> Self {
+        Self { members: vec![(String::new(), bytes)] }
+    }
+
+    /// A text seed: each member after a line `=== name`; without such a line one file.
+    pub(super) fn parse(bytes: Vec<u8>) -> Self {
+        let Some(text) = std::str::from_utf8(&bytes).ok().filter(|text| text.starts_with(MEMBER)) else {
+            return Self::file(bytes);
+        };
+        let next = format!("\n{MEMBER}");
+        let parts = text[MEMBER.len()..].split(&next);
+        let member = |part: &str| {
+            let (name, content) = part.split_once('\n').unwrap_or((part, ""));
+            (name.to_owned(), content.as_bytes().to_vec())
+        };
+        Self { members: parts.map(member).collect() }
+    }
+
+    /// The bytes of the first file.
+    pub(super) fn bytes(&self) -> &[u8] {
+        self.members.first().map_or(&[], |(_, bytes)| bytes)
+    }
+
+    /// All members as a zip; what no writer would put there (one name twice) is left out.
+    pub(super) fn zipped(&self) -> Vec<u8> {
+        let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
+        for (i, (name, content)) in self.members.iter().enumerate() {
+            let method = if i % 2 == 0 { CompressionMethod::Stored } else { CompressionMethod::Deflated };
+            let options = SimpleFileOptions::default().compression_method(method);
+            if zip.start_file(name, options).is_ok() {
+                let _ = zip.write_all(content); // memory takes it
+            }
+        }
+        zip.finish().map(Cursor::into_inner).unwrap_or_default()
+    }
+
+    /// Writes it below `folder` as a seed, named by its digest.
+    ///
+    /// # Errors
+    /// When it cannot be written.
+    pub(super) fn write(&self, folder: &Path) -> std::io::Result<PathBuf> {
+        let mut text = Vec::new();
+        for (name, bytes) in &self.members {
+            if !name.is_empty() {
+                text.extend_from_slice(format!("{MEMBER}{name}\n").as_bytes());
+            }
+            text.extend_from_slice(bytes);
+            if !name.is_empty() {
+                text.push(b'\n');
+            }
+        }
+        std::fs::create_dir_all(folder)?;
+        let path = folder.join(&sha256_of_reader(&mut text.as_slice())?[..16]);
+        std::fs::write(&path, text)?;
+        Ok(path)
+    }
+}
+
+/// Every seed of a folder, by name.
+///
+/// # Errors
+/// When there is none.
+pub(super) fn read_seeds(folder: &Path) -> anyhow::Result<Vec<Input>> {
+    let bad = |reason: String| BadInput(format!("{}: {reason}", folder.display()));
+    let entries = std::fs::read_dir(folder).map_err(|error| bad(error.to_string()))?;
+    let mut paths: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
+    paths.sort();
+    let seeds = paths.iter().map(|path| Ok(Input::parse(std::fs::read(path)?)));
+    let seeds = seeds.collect::<anyhow::Result<Vec<Input>>>()?;
+    if seeds.is_empty() { Err(bad("there is no seed".to_owned()).into()) } else { Ok(seeds) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_seed_of_many_files_is_read_as_it_is_written() {
+        let members = vec![("a.json".to_owned(), b"{}".to_vec()), ("b/c.txt".to_owned(), b"1\n2".to_vec())];
+        let folder = tempfile::tempdir().unwrap();
+        for input in [Input { members }, Input::file(b"\xff\x00=== x".to_vec())] {
+            let mut read = Input::parse(std::fs::read(input.write(folder.path()).unwrap()).unwrap());
+            if let Some((_, last)) = read.members.last_mut().filter(|(name, _)| !name.is_empty()) {
+                assert_eq!(last.pop(), Some(b'\n'));
+            }
+            assert_eq!(read, input);
+        }
+    }
+}
