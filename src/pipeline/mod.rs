@@ -129,9 +129,8 @@ pub fn reconstruct_with_checkpoints(
 
     progress.stage("metric_scale", 4, 0.7, 0.02);
     let tracks = &calibration.association.tracks;
-    let scale = checkpoints.stage("metric_scale", || {
-        metric_scale::metric_scale(&capture, &calibration.cameras, tracks, &paths)
-    })?;
+    let scale = checkpoints
+        .stage("metric_scale", || metric_scale::metric_scale(&capture, &calibration.cameras, tracks, &paths))?;
     let findings = Findings::in_world(&capture, calibration, paths, scale, heldout_px);
 
     let stage_body = progress.stage("body_fit", 5, 0.72, 0.25);

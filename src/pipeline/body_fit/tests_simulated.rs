@@ -72,7 +72,14 @@ fn load(folder: &Path) -> Capture {
             }
         }
         let delivered = (0..n_frames).map(FrameIndex).collect();
-        views.push(View { id: id.to_owned(), intrinsics, camera_from_world: None, time_offset: 0.0, frames, delivered });
+        views.push(View {
+            id: id.to_owned(),
+            intrinsics,
+            camera_from_world: None,
+            time_offset: 0.0,
+            frames,
+            delivered,
+        });
     }
     let placed = json(&folder.join("gt/cameras.json"));
     let camera = |c: &Value| {

@@ -126,7 +126,13 @@ fn observe(scene: &Scene, noise: Noise, point_sigma: f64, seed: u64) -> Vec<Inst
                 let pixel = scene.intrinsics[view].pixel_from_camera(&in_camera).unwrap();
                 let error = *drift * noise.sigma_px + if is_gross { gross } else { Vector2::zeros() };
                 if !is_missed {
-                    observations.push(Observation { keypoint, view, pixel: pixel + error, sigma_px: 3.0, velocity: Vector2::zeros() });
+                    observations.push(Observation {
+                        keypoint,
+                        view,
+                        pixel: pixel + error,
+                        sigma_px: 3.0,
+                        velocity: Vector2::zeros(),
+                    });
                 }
             }
         }
@@ -265,7 +271,13 @@ fn an_unplaced_camera_and_points_without_evidence_are_left_alone() {
     instants[0].points[4] = nowhere;
     instants[0].observations.retain(|o| o.keypoint != 4);
     instants[1].points[5] = None;
-    let broken = Observation { keypoint: 99, view: 77, pixel: Vector2::new(f64::NAN, 0.0), sigma_px: 0.0, velocity: Vector2::zeros() };
+    let broken = Observation {
+        keypoint: 99,
+        view: 77,
+        pixel: Vector2::new(f64::NAN, 0.0),
+        sigma_px: 0.0,
+        velocity: Vector2::zeros(),
+    };
     instants[2].observations.push(broken);
     let (adjusted, _) = solve(&input(&scene, start, instants));
     assert_eq!(adjusted.cameras[2].camera_from_world, None);

@@ -94,7 +94,8 @@ fn usable<'a>(instant: &'a Instant, placed: &'a [bool]) -> impl Iterator<Item = 
         let has_start =
             instant.points.get(o.keypoint).is_some_and(|p| p.is_some_and(|p| p.iter().all(|x| x.is_finite())));
         let is_seen = placed.get(o.view) == Some(&true);
-        let is_sound = o.pixel.iter().chain(&o.velocity).all(|x| x.is_finite()) && o.sigma_px > 0.0 && o.sigma_px.is_finite();
+        let is_sound =
+            o.pixel.iter().chain(&o.velocity).all(|x| x.is_finite()) && o.sigma_px > 0.0 && o.sigma_px.is_finite();
         has_start && is_seen && is_sound
     })
 }

@@ -60,8 +60,7 @@ const TRIAL: Effort =
     Effort { max_instants: 120, relative_decrease: 1e-3, uncertainty_block_secs: None, refine_delays: false };
 const ROUND: Effort = Effort { max_instants: 250, relative_decrease: 1e-4, ..TRIAL };
 /// Detector errors are correlated over a third of a second (AR(0.9) at 30 Hz); a block must span several such times.
-const FINAL: Effort =
-    Effort { max_instants: 500, relative_decrease: 1e-6, uncertainty_block_secs: Some(2.0), ..TRIAL };
+const FINAL: Effort = Effort { max_instants: 500, relative_decrease: 1e-6, uncertainty_block_secs: Some(2.0), ..TRIAL };
 /// A delay is told by moving points alone, of which there are fewer.
 const TIMED: Effort =
     Effort { max_instants: 1500, relative_decrease: 1e-5, uncertainty_block_secs: Some(2.0), refine_delays: true };

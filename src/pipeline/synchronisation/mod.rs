@@ -106,7 +106,8 @@ fn estimated(
         metrics,
     };
     let secs = |frames: f64| frames / session.fps;
-    let of_view = |(frames, sigma): (&f64, &Option<f64>)| TimeOffset { secs: secs(*frames), sigma_secs: sigma.map(secs) };
+    let of_view =
+        |(frames, sigma): (&f64, &Option<f64>)| TimeOffset { secs: secs(*frames), sigma_secs: sigma.map(secs) };
     Ok(Timing { offsets: offsets.iter().zip(&sigmas).map(of_view).collect(), report: Some(report) })
 }
 

@@ -25,7 +25,12 @@ pub(super) fn retimed(session: &Session, offsets: &[f64]) -> Session {
 }
 
 fn without_views(session: &Session) -> Session {
-    Session { name: session.name.clone(), start_timecode: session.start_timecode.clone(), views: Vec::new(), ..*session }
+    Session {
+        name: session.name.clone(),
+        start_timecode: session.start_timecode.clone(),
+        views: Vec::new(),
+        ..*session
+    }
 }
 
 fn retimed_view(view: &View, rays: &ViewSightings, fps: f64, offset: f64) -> View {

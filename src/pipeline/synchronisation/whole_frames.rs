@@ -97,11 +97,7 @@ pub(super) fn whole_offsets(capture: &Capture, progress: &Progress) -> Result<Wh
 }
 
 /// Scores of every offset in `-range..=range`: of a grid, of all places round the grid's best, and between them on lines.
-fn pair_scores(
-    range: i64,
-    step: i64,
-    score: impl Fn(i64) -> Result<f64, Canceled>,
-) -> Result<Vec<f64>, Canceled> {
+fn pair_scores(range: i64, step: i64, score: impl Fn(i64) -> Result<f64, Canceled>) -> Result<Vec<f64>, Canceled> {
     let place = |offset: i64| (offset + range) as usize;
     let mut known: Vec<Option<f64>> = vec![None; 2 * range as usize + 1];
     let grid: Vec<i64> = (0..=range / step).flat_map(|i| [i * step, -i * step]).chain([range, -range]).collect();

@@ -79,7 +79,10 @@ mod tests {
         assert_eq!(read("25").unwrap(), 25.0);
         assert_eq!(ratio(read("\"30000/1001\"").unwrap()), [30000, 1001]);
         assert_eq!(ratio(read("\"1000/33\"").unwrap()), [1000, 33]);
-        assert_eq!([ratio(25.0), ratio(29.97), ratio(23.976), ratio(12.5)], [[25, 1], [30000, 1001], [24000, 1001], [25, 2]]);
+        assert_eq!(
+            [ratio(25.0), ratio(29.97), ratio(23.976), ratio(12.5)],
+            [[25, 1], [30000, 1001], [24000, 1001], [25, 2]]
+        );
         for wrong in ["\"30\"", "\"1/0\"", "\"a/b\"", "[1]", "null"] {
             assert!(read(wrong).is_err(), "{wrong}");
         }

@@ -28,7 +28,8 @@ pub(crate) fn assemble(
     let fps = checked_fps(raw.fps).map_err(in_header)?;
     let convention = checked_convention(&raw.keypoint_convention).map_err(in_header)?;
     let up_axis = raw.up_axis.as_deref().map(checked_up_axis).transpose().map_err(in_header)?;
-    let start_timecode = raw.start_timecode.take().map(|code| checked_timecode(code, fps)).transpose().map_err(in_header)?;
+    let start_timecode =
+        raw.start_timecode.take().map(|code| checked_timecode(code, fps)).transpose().map_err(in_header)?;
     check_ids(&raw.cameras, limits).map_err(in_header)?;
     let n_frames = checked_n_frames(&raw, limits, warnings).map_err(in_header)?;
     let time_line = TimeLine { first_frame: raw.first_frame, n_frames };

@@ -52,7 +52,9 @@ mod tests {
             text(&mut bytes, name.as_bytes());
             bytes.extend(b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\nK\x00\x85U\x01btR(K\x01(");
             shape.iter().for_each(|n| bytes.extend([b'K', *n as u8]));
-            bytes.extend(b"tcnumpy\ndtype\n(U\x02f8K\x00K\x01tR(K\x03U\x01<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb\x89");
+            bytes.extend(
+                b"tcnumpy\ndtype\n(U\x02f8K\x00K\x01tR(K\x03U\x01<NNNJ\xff\xff\xff\xffJ\xff\xff\xff\xffK\x00tb\x89",
+            );
             bytes.push(b'T');
             bytes.extend((8 * values.len() as u32).to_le_bytes());
             values.iter().for_each(|v| bytes.extend(v.to_le_bytes()));

@@ -5,8 +5,8 @@ use crate::session::Detection;
 use crate::session::formats::joints::JointOrder;
 use crate::session::formats::native;
 use crate::session::formats::poses::{
-    FoundPoses, FrameContent, ImageTable, PoseDialect, read_array, read_caliscope, read_deeplabcut, read_frame, read_list,
-    read_mmpose, read_timestamps,
+    FoundPoses, FrameContent, ImageTable, PoseDialect, read_array, read_caliscope, read_deeplabcut, read_frame,
+    read_list, read_mmpose, read_timestamps,
 };
 use crate::session::upload::error::{Fault, UploadError};
 use crate::session::upload::json::Reading;
