@@ -340,6 +340,28 @@ fn a_wrong_focal_length_is_found() {
 }
 
 #[test]
+fn late_cameras_are_told_by_moving_points() {
+    let scene = scene(4, 2, 60);
+    let delays = [0.5, -0.4, 0.0, 0.8];
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let mut instants = observe(&scene, NOISE, 0.05, 8);
+    for o in instants.iter_mut().flat_map(|instant| &mut instant.observations) {
+        o.velocity = Vector2::new(gauss(&mut rng), gauss(&mut rng)) * 8.0;
+        o.pixel += o.velocity * delays[o.view];
+    }
+    let start = perturbed(&scene.cameras, 1.0, 0.05, 8);
+    let (adjusted, _) = solve(&AdjustmentInput { refine_delays: true, ..input(&scene, start, instants) });
+    for (v, camera) in adjusted.cameras.iter().enumerate() {
+        let found = camera.delay - adjusted.cameras[0].delay;
+        let sigma = camera.uncertainty.unwrap().sigma_delay.unwrap();
+        // 1200 points a camera of 3 px noise that move by 8 px a frame: 3 / (8 * sqrt(1200)) = 0.011, less what points
+        // and cameras take of it.
+        assert!((found - (delays[v] - delays[0])).abs() < 0.06, "view {v}: {found}");
+        assert!(v == 0 || (0.005..0.04).contains(&sigma), "view {v}: {sigma}");
+    }
+}
+
+#[test]
 fn nothing_to_adjust_and_a_canceled_job_end_quietly() {
     let scene = scene(3, 1, 5);
     let start: Vec<_> = scene.cameras.iter().copied().map(Some).collect();

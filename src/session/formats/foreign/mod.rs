@@ -71,6 +71,7 @@ pub(crate) fn read_members<R: Read + Seek>(
         .zip(&sources)
         .map(|(camera, source)| sized(camera, source, &header_cameras, reading))
         .collect::<Result<_, _>>()?;
+    survey.hints.iter().for_each(|hint| reading.warnings.add(hint.clone()));
     for stranger in &survey.strangers {
         reading.warnings.add(format!("file {} is neither poses nor a calibration: it is ignored", shown(stranger)));
     }
@@ -258,7 +259,7 @@ fn format_name(sources: &[Source], calibration: &Calibration, header_cameras: &[
 }
 
 fn files_of(survey: Survey) -> Vec<String> {
-    let Survey { header, calibrations, streams, groups, strangers: _ } = survey;
+    let Survey { header, calibrations, streams, groups, strangers: _, hints: _ } = survey;
     let named = calibrations.into_iter().map(|(name, _)| name).chain(streams.into_iter().map(|(name, _)| name));
     let frames = groups.into_iter().flat_map(|group| group.files).map(|(_, name)| name);
     header.into_iter().chain(named).chain(frames).collect()
