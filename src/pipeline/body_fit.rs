@@ -150,7 +150,7 @@ pub fn fit_bodies(
         let n_frames = (config.offset_frames[1] / n_people).min(config.offset_frames[0]);
         let ask = |(evidence, started): &(Evidence, StartedMotion)| witness(&stages, evidence, started, n_frames);
         let witnesses: Vec<OffsetWitness> = started.iter().flatten().map(ask).collect();
-        let found = detector_habits(&table, &witnesses, &stages)?;
+        let found = detector_habits(&table, witnesses, &stages)?;
         detector = reported(&table, &found);
         if detector.applied {
             detector_model = table.applied(model, &found.offsets);
@@ -210,6 +210,7 @@ fn reported(table: &OffsetTable, found: &SessionOffsets) -> DetectorHabits {
         sigma_mm: (sigma * 1e3).into(),
     };
     let (applied, reason) = match (found.cause, table.implausible(&found.offsets)) {
+        (Cause::Neither, _) => (false, "the body explains the session as it is".to_owned()),
         (Cause::Skeletons, _) => (false, "people's own proportions explain the session better".to_owned()),
         (Cause::Detector, Some(kind)) => (
             false,

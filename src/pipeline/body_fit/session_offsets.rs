@@ -13,7 +13,7 @@ use crate::body::bone_offsets::{BoneOffsets, with_bones};
 use crate::body::detector_offsets::{OffsetKind, OffsetTable};
 use crate::optim::block_banded::{BandedStep, Eliminated, damped};
 use crate::progress::Canceled;
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Vector3};
 use rayon::prelude::*;
 
 /// One person's part in the estimate.
@@ -27,10 +27,12 @@ pub(super) struct OffsetWitness {
     pub share: f64,
 }
 
-/// What systematic misses of the body come from. Offsets and bones can be told apart by the centres that limbs turn
+/// What the body's systematic misses come from. Offsets and bones can be told apart by the centres that limbs turn
 /// about, but weakly one by one; all together they tell which of the two explains the session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Cause {
+    /// Nothing: neither differs from the model by more than 1 mm.
+    Neither,
     /// The detector has habits; people's bones are as the betas say, to 5 mm.
     Detector,
     /// The detector means the body's joints, to a fifth of its prior; people's bones differ by 30 mm (joint centres of
@@ -41,13 +43,18 @@ pub(super) enum Cause {
 impl Cause {
     fn bone_sigma(self) -> f64 {
         match self {
+            Self::Neither => 0.001,
             Self::Detector => 0.005,
             Self::Skeletons => 0.030,
         }
     }
 
     fn offset_share(self, kind: &OffsetKind) -> f64 {
-        if self == Self::Skeletons && kind.is_joint { 0.2 } else { 1.0 }
+        match self {
+            Self::Neither if kind.is_joint => 0.02,
+            Self::Skeletons if kind.is_joint => 0.2,
+            _ => 1.0,
+        }
     }
 }
 
@@ -58,8 +65,9 @@ pub(super) struct SessionOffsets {
     pub offsets: Vec<Vector3<f64>>,
     /// Standard deviations, m; that of the prior where nothing was seen.
     pub sigmas: Vec<Vector3<f64>>,
-    /// Cost of everything: misses, smoothness, priors.
-    pub cost: f64,
+    /// `-log p(session | cause)` by Laplace's method, but for what all causes share: cost and log volume at the optimum. A
+    /// cause that could explain anything pays for what it leaves open (MacKay 1992, Neural Computation 4:415, Eq. 2.5).
+    pub surprise: f64,
     /// What was taken to be the cause.
     pub cause: Cause,
 }
@@ -68,48 +76,56 @@ pub(super) struct SessionOffsets {
 /// that many times as much against them.
 const CORRELATED_FRAMES: f64 = 5.0;
 
-/// Damped Gauss-Newton steps, and the gain in cost below which one is the last: two causes are compared by cost, and one
-/// unit of it is nothing.
+/// Damped Gauss-Newton steps, and the gain in cost below which one is the last: causes are compared by it, and one unit
+/// is nothing.
 const MAX_ITERATIONS: usize = 7;
 const MIN_GAIN: f64 = 1.0;
 
-/// The offsets under the cause that explains everything at the lower cost.
+/// The offsets under the most likely cause, all causes being as likely before the session was seen.
 ///
 /// # Errors
 /// [`Canceled`].
 pub(super) fn detector_habits(
     table: &OffsetTable,
-    witnesses: &[OffsetWitness],
+    mut witnesses: Vec<OffsetWitness>,
     stages: &Stages,
 ) -> Result<SessionOffsets, Canceled> {
-    let by_detector = session_offsets(table, Cause::Detector, witnesses.to_vec(), stages)?;
-    let by_skeletons = session_offsets(table, Cause::Skeletons, witnesses.to_vec(), stages)?;
-    Ok(if by_detector.cost < by_skeletons.cost { by_detector } else { by_skeletons })
+    // The others start from the motions that were found for the simplest.
+    let mut best = session_offsets(table, Cause::Neither, &mut witnesses, stages)?;
+    for cause in [Cause::Skeletons, Cause::Detector] {
+        let found = session_offsets(table, cause, &mut witnesses.clone(), stages)?;
+        if found.surprise < best.surprise {
+            best = found;
+        }
+    }
+    Ok(best)
 }
 
 fn session_offsets(
     table: &OffsetTable,
     cause: Cause,
-    mut witnesses: Vec<OffsetWitness>,
+    witnesses: &mut [OffsetWitness],
     stages: &Stages,
 ) -> Result<SessionOffsets, Canceled> {
     let solver = Solver { table, cause, stages };
     let mut offsets = vec![Vector3::zeros(); table.kinds.len()];
     let mut sigmas = solver.prior_sigmas();
-    let mut cost = solver.cost(&witnesses, &offsets);
+    let mut log_volume = 0.0;
+    let mut cost = solver.cost(witnesses, &offsets);
     let mut damping = 1e-4;
     for _ in 0..MAX_ITERATIONS {
         stages.progress.check()?;
-        let Some(reduced) = solver.reduced(&witnesses, &offsets, damping) else { break };
+        let Some(reduced) = solver.reduced(witnesses, &offsets, damping) else { break };
         if let Some(found) = reduced.sigmas() {
             sigmas = found;
         }
+        log_volume = reduced.log_volume;
         let Some(step) = reduced.solved(damping) else { break };
         let moved_offsets: Vec<Vector3<f64>> = offsets.iter().zip(&step.offsets).map(|(o, s)| o + s).collect();
-        let moved = solver.moved(&witnesses, &step);
+        let moved = solver.moved(witnesses, &step);
         let before: Vec<(MotionState, BoneOffsets)> =
             witnesses.iter_mut().zip(moved).map(|(w, moved)| w.replaced(moved)).collect();
-        let moved_cost = solver.cost(&witnesses, &moved_offsets);
+        let moved_cost = solver.cost(witnesses, &moved_offsets);
         if moved_cost < cost {
             let is_done = cost - moved_cost < MIN_GAIN;
             (cost, offsets, damping) = (moved_cost, moved_offsets, damping * 0.1);
@@ -121,7 +137,7 @@ fn session_offsets(
             damping = (damping * 20.0).max(1e-6);
         }
     }
-    Ok(SessionOffsets { offsets, sigmas, cost, cause })
+    Ok(SessionOffsets { offsets, sigmas, surprise: cost / CORRELATED_FRAMES + log_volume, cause })
 }
 
 impl OffsetWitness {
@@ -195,18 +211,22 @@ impl Solver<'_> {
                 right[3 * k + axis] = -weight * offset[axis];
             }
         }
+        let bone_weight = CORRELATED_FRAMES / self.cause.bone_sigma().powi(2);
+        let mut log_volume = -0.5 * hessian.diagonal().iter().map(|weight| weight.ln()).sum::<f64>();
         let mut own_parts = Vec::with_capacity(people.len());
         for person in &people {
             let n_own = person.corner.nrows() - n;
             let (own, across) =
                 (person.corner.view((0, 0), (n_own, n_own)), person.corner.view((0, n_own), (n_own, n)));
             let own = damped(&own.into_owned(), damping).cholesky()?;
+            log_volume += half_log_det(&own) - 0.5 * (n_own - N_BETAS) as f64 * bone_weight.ln();
             let (by_offsets, rest) = (own.solve(&across), own.solve(&person.right.rows(0, n_own)));
             hessian += person.corner.view((n_own, n_own), (n, n)) - across.tr_mul(&by_offsets);
             right += person.right.rows(n_own, n) - across.tr_mul(&rest);
             own_parts.push((by_offsets, rest));
         }
-        Some(Reduced { people, own_parts, hessian, right })
+        log_volume += half_log_det(&hessian.clone().cholesky()?);
+        Some(Reduced { people, own_parts, hessian, right, log_volume })
     }
 
     fn moved(&self, witnesses: &[OffsetWitness], step: &Step) -> Vec<(MotionState, BoneOffsets)> {
@@ -224,6 +244,14 @@ struct Reduced {
     own_parts: Vec<(DMatrix<f64>, DVector<f64>)>,
     hessian: DMatrix<f64>,
     right: DVector<f64>,
+    /// `log |H| / 2 - log |prior| / 2` over bones, betas and offsets: how much the session narrows down what the prior left
+    /// open. The motions' part is the same for all causes but for little.
+    log_volume: f64,
+}
+
+/// `log |A| / 2` of a matrix `A = L L^T`.
+fn half_log_det(cholesky: &Cholesky<f64, Dyn>) -> f64 {
+    cholesky.l_dirty().diagonal().iter().map(|d| d.ln()).sum()
 }
 
 impl Reduced {
