@@ -128,7 +128,7 @@ mod tests {
         let convention = KeypointConvention::Coco17;
         let row = |t: usize| {
             let mut row = vec![None; 17];
-            let height = if t % 5 == 0 { 0.5 } else { 0.4 };
+            let height = if t.is_multiple_of(5) { 0.5 } else { 0.4 };
             for (name, place) in [("hip", 0.0), ("shoulder", height)] {
                 for (side, x) in [("left", 0.15), ("right", -0.15)] {
                     row[convention.index_of(&format!("{side}_{name}")).unwrap()] = Some(Vector3::new(x, place, 0.0));
