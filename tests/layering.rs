@@ -102,7 +102,8 @@ fn nothing_looks_up() {
 }
 
 /// What of `pipeline` sees all stages: the options, the rounds of association and cameras, the gathering of the result.
-const CONDUCTORS: [&str; 4] = ["config", "calibration", "checkpoints", "result"];
+/// Offsets in time are found with cameras, for cameras: `synchronisation` runs the calibration on what it has moved in time.
+const CONDUCTORS: [&str; 5] = ["config", "calibration", "checkpoints", "result", "synchronisation"];
 
 #[test]
 fn no_stage_imports_another_stage() {

@@ -9,10 +9,19 @@ result, worst = Result(), Worst("opencv")
 points = result.all_joints()
 
 
-def compare(camera, matrix, dist, rotation, translation):
-    ours, before = project(camera, points, n_distortions=len(dist))
-    theirs, _ = cv2.projectPoints(points[before], np.array(rotation, float), np.array(translation, float), matrix, dist)
-    worst.pixels(ours, theirs[:, 0])
+def compare(camera, matrix, dist, rotation, translation, is_fisheye=False):
+    """What the file cannot hold (the manifest says so) must be no distortion at all, never another lens's numbers."""
+    model = camera.get("distortion_model")
+    is_held = is_fisheye if model == "fisheye" else model is None or len(dist) == 8
+    assert is_held or not np.any(dist), camera["id"]
+    ours, before = project(camera, points, n_distortions=len(dist) if is_held else 0)
+    rotation, translation = np.array(rotation, float).reshape(3, 1), np.array(translation, float).reshape(3, 1)
+    if is_fisheye:
+        columns = points[before].reshape(-1, 1, 3)
+        theirs, _ = cv2.fisheye.projectPoints(columns, rotation, translation, matrix, np.array(dist, float))
+    else:
+        theirs, _ = cv2.projectPoints(points[before], rotation, translation, matrix, dist)
+    worst.pixels(ours, theirs.reshape(-1, 2))
 
 
 for folder in ["", "easymocap/"]:
@@ -33,5 +42,6 @@ for file in ["Calib.toml", "calibration.toml"]:
     for camera, key in zip(result.cameras, tables if file == "Calib.toml" else sorted(tables)):
         table = tables[key]
         assert table["name"] == camera["id"] and table["size"] == [camera["width"], camera["height"]]
-        compare(camera, np.array(table["matrix"]), np.array(table["distortions"]), table["rotation"], table["translation"])
+        compare(camera, np.array(table["matrix"]), np.array(table["distortions"]), table["rotation"],
+                table["translation"], table["fisheye"])
 worst.end()

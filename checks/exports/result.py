@@ -36,17 +36,26 @@ class Result:
         return np.concatenate([person["joints"].reshape(-1, 3) for person in self.people])
 
 
-def project(camera, points, n_distortions=5, principal_point=True, square=False):
+def bent(camera, x, y, n_distortions):
+    """OpenCV's lenses by their published formulas, of a polynomial the first `n_distortions` coefficients."""
+    dist = list(camera["dist"])
+    if n_distortions and camera.get("distortion_model") == "fisheye":
+        r = np.hypot(x, y)
+        angle = np.arctan(r)
+        scale = sum(k * angle ** (2 * i + 1) for i, k in enumerate([1.0] + dist)) / np.where(r > 0, r, 1.0)
+        return x * scale, y * scale
+    k1, k2, p1, p2, k3, k4, k5, k6 = (dist[:n_distortions] + [0.0] * 8)[:8]
+    r2 = x * x + y * y
+    radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
+    return x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+
+
+def project(camera, points, n_distortions=8, principal_point=True, square=False):
     """OpenCV's model by its published formula; `None` rows behind the camera are left out: (pixels, is_before)."""
     p = points @ np.array(camera["R"]).T + np.array(camera["t"])
     before = p[:, 2] > 0.1
     x, y = (p[before, :2] / p[before, 2:]).T
-    k1, k2, p1, p2, k3 = (list(camera["dist"]) + [0.0] * 5)[:5] if n_distortions else [0.0] * 5
-    k3 = k3 if n_distortions == 5 else 0.0
-    r2 = x * x + y * y
-    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
-    xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-    yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    xd, yd = bent(camera, x, y, n_distortions)
     k = np.array(camera["K"])
     fx, fy, cx, cy = k[0, 0], k[1, 1], k[0, 2], k[1, 2]
     if not principal_point:

@@ -8,7 +8,7 @@ python=${PYTHON:-python3}
 formats=smpl_npz,easymocap,glb,bvh,usd,trc,c3d,opencv_yaml,calib_toml,anipose_toml,colmap,chan,blender
 
 mkdir "$work"
-"$wandless" simulate --out "$work/session" --seed 3 --people 2 --views 4 --frames 90
+"$wandless" simulate --out "$work/session" --seed 3 --people 2 --views 6 --frames 90
 failed=0
 for up in y z; do
     result=$work/result_$up

@@ -2,7 +2,7 @@
 
 use crate::body::skeleton::KeypointConvention;
 use crate::session::formats::native;
-use crate::simulation::{Bodies, MotionSource, Preset, SimulationConfig, Statistics, Tracks, random_rig_config};
+use crate::simulation::{Bodies, Lens, MotionSource, Preset, SimulationConfig, Statistics, Tracks, random_rig_config};
 use crate::simulation::{simulate, write_truth};
 use anyhow::Context;
 use clap::ValueEnum;
@@ -61,6 +61,21 @@ pub(super) struct Args {
     /// Identity swaps per view and minute
     #[arg(long)]
     swaps_per_minute: Option<f64>,
+    /// What the lenses do to straight rays
+    #[arg(long, value_enum)]
+    lens: Option<LensName>,
+    /// Frames by which each camera's clock is off, in the order of the cameras
+    #[arg(long, num_args = 1.., allow_hyphen_values = true, value_name = "FRAMES")]
+    offset: Vec<f64>,
+}
+
+/// Lenses by name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[allow(missing_docs)] // as below
+pub(super) enum LensName {
+    Pinhole,
+    WideAngle,
+    Fisheye,
 }
 
 /// Presets by name.
@@ -121,6 +136,15 @@ fn config(args: &Args) -> SimulationConfig {
     set(&mut config.rig.height, args.height);
     set(&mut config.rig.fov_deg, args.fov);
     set(&mut config.noise.swaps_per_minute, args.swaps_per_minute);
+    let lens = args.lens.map(|name| match name {
+        LensName::Pinhole => Lens::Pinhole,
+        LensName::WideAngle => Lens::WideAngle,
+        LensName::Fisheye => Lens::Fisheye,
+    });
+    set(&mut config.rig.lens, lens);
+    if !args.offset.is_empty() {
+        config.time_offsets.clone_from(&args.offset);
+    }
     if let Some([width, height]) = args.size.as_deref() {
         (config.rig.image_width, config.rig.image_height) = (*width, *height);
     }

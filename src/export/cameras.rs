@@ -36,6 +36,10 @@ struct Camera<'a> {
     sigma_position_mm: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     sigma_angle_deg: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    time_offset_s: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sigma_time_offset_s: Option<f64>,
     status: &'static str,
 }
 
@@ -66,6 +70,8 @@ fn camera<'a>(view: &'a View, solved: &SolvedCamera) -> Camera<'a> {
         n_observations: solved.n_observations,
         sigma_position_mm: solved.sigma_position_mm,
         sigma_angle_deg: solved.sigma_angle_deg,
+        time_offset_s: solved.time_offset.map(|offset| offset.secs),
+        sigma_time_offset_s: solved.time_offset.and_then(|offset| offset.sigma_secs),
         status: if camera_from_world.is_some() { "solved" } else { "unsolved" },
     }
 }

@@ -4,6 +4,7 @@ use super::ResultContext;
 use super::files::FileEntry;
 use super::formats::Representation;
 use super::take::Take;
+use crate::session::formats::time::ratio;
 use crate::session::reconstruction::BodyModelId;
 use crate::session::recording::UpAxis;
 use crate::session::{BodyMotion, Reconstruction, Session};
@@ -16,7 +17,7 @@ pub(super) struct Manifest<'a> {
     options: &'a serde_json::Value,
     solver_version: &'a str,
     models: Models<'a>,
-    publish: Publish,
+    publish: Publish<'a>,
     files: Vec<FileEntry>,
 }
 
@@ -33,12 +34,17 @@ struct Models<'a> {
 
 /// What a studio's asset system asks of a published take.
 #[derive(Serialize)]
-struct Publish {
+struct Publish<'a> {
     up_axis: UpAxis,
     handedness: &'static str,
     metres_per_unit: f64,
     frame_range: [i64; 2],
     fps: f64,
+    /// The same as numerator and denominator.
+    frame_rate: [u64; 2],
+    /// SMPTE time code of frame number 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    start_timecode: Option<&'a str>,
     people: Vec<Presence>,
     representations: Vec<Representation>,
 }
@@ -78,6 +84,8 @@ pub(super) fn manifest<'a>(
             metres_per_unit: 1.0,
             frame_range: take.frame_range(),
             fps: take.fps,
+            frame_rate: ratio(take.fps),
+            start_timecode: session.start_timecode.as_deref(),
             people: take.motions.iter().map(present).collect(),
             representations: written.representations,
         },

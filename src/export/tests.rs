@@ -30,6 +30,7 @@ fn session() -> Session {
             dist: Distortion::None,
         },
         camera_from_world: None,
+        time_offset: 0.0,
         frames: vec![vec![detection.clone()], Vec::new(), vec![detection.clone(), detection.clone()]],
         delivered: vec![FrameIndex(2), FrameIndex(0)],
     };
@@ -40,6 +41,7 @@ fn session() -> Session {
         n_frames: 3,
         convention: KeypointConvention::Coco17,
         up_axis: None,
+        start_timecode: None,
         views: vec![view("b"), view("a")],
     }
 }
@@ -52,6 +54,7 @@ fn reconstruction() -> Reconstruction {
         n_observations: 34,
         sigma_position_mm: camera_from_world.map(|_| 1.5),
         sigma_angle_deg: None,
+        time_offset: None,
     };
     let pose = |x: f64| BodyPose {
         rotations: std::array::from_fn(|j| if j == 1 { rotation::exp(&TURN) } else { Matrix3::identity() }),

@@ -96,8 +96,8 @@ fn confident_matches(
         .collect()
 }
 
-/// Median distance of the shared keypoints as a share of the apparent size.
-fn step_distance(a: &Sighting, b: &Sighting, min_shared: usize) -> Option<f64> {
+/// Median distance of the shared keypoints as a share of the apparent size; `None` for fewer than `min_shared`.
+pub fn step_distance(a: &Sighting, b: &Sighting, min_shared: usize) -> Option<f64> {
     let mut distances: Vec<f64> = (0..a.bearings.len())
         .filter(|&k| a.confidence[k] > 0.2 && b.confidence[k] > 0.2)
         .map(|k| (a.bearings[k] - b.bearings[k]).norm())

@@ -51,6 +51,15 @@ pub struct Observation {
     pub pixel: Vector2<f64>,
     /// Standard deviation per axis, from confidence, keypoint class and apparent size.
     pub sigma_px: f64,
+    /// How the keypoint moves in the image, px per frame; zero where that is unknown, or of no interest.
+    pub velocity: Vector2<f64>,
+}
+
+impl Observation {
+    /// Where the keypoint was when the frame's number says, if the view's frames are `delay` frames late.
+    pub(crate) fn pixel_without(&self, delay: f64) -> Vector2<f64> {
+        self.pixel - self.velocity * delay
+    }
 }
 
 /// Two keypoints whose distance hardly changes.
@@ -89,6 +98,8 @@ pub struct AdjustmentInput<'a> {
     pub camera_freedom: CameraFreedom,
     /// Whether each moving camera gets a factor on its focal lengths.
     pub refine_focal: bool,
+    /// Whether each moving camera gets a delay; only differences between cameras mean anything.
+    pub refine_delays: bool,
 }
 
 /// Settings of [`adjust`].
@@ -104,6 +115,8 @@ pub struct AdjustmentConfig {
     pub relative_decrease: f64,
     /// Standard deviation of the logarithm of a focal factor; where focal lengths are refined.
     pub focal_sigma: f64,
+    /// Standard deviation of a delay, frames; where delays are refined.
+    pub delay_sigma: f64,
     /// Length of a block of one person's frames, the unit whose errors count as independent in the cameras' uncertainty;
     /// `None`: no uncertainty is computed, which saves as much time as some ten iterations.
     pub uncertainty_block_frames: Option<usize>,
@@ -121,6 +134,8 @@ impl Default for AdjustmentConfig {
             relative_decrease: 1e-6,
             // Focal lengths from a lens's own data are seldom more than 5 % off.
             focal_sigma: 0.05,
+            // A keypoint's path is straight for some two frames.
+            delay_sigma: 2.0,
             // 2 s at 25 Hz: detector errors are correlated over some 10 frames (AR(0.9)); a block must span several.
             uncertainty_block_frames: Some(50),
         }
@@ -145,6 +160,8 @@ pub struct AdjustedCamera {
     pub camera_from_world: Option<Rigid>,
     /// Factor on both focal lengths; 1 unless refined.
     pub focal_factor: f64,
+    /// Frames by which its frames were taken later than their numbers say; 0 unless refined.
+    pub delay: f64,
     /// How well its observations are met.
     pub fit: ViewFit,
     /// How well the pose is known; `None` where it did not move or the data do not determine it.
@@ -171,6 +188,8 @@ pub struct CameraUncertainty {
     pub sigma_position: f64,
     /// Root mean square angle of the orientation from the truth, rad.
     pub sigma_angle: f64,
+    /// Standard deviation of the delay against that of the first moving camera, frames; where delays are refined.
+    pub sigma_delay: Option<f64>,
 }
 
 /// The first robust scale is at most this many median residuals: a good start is not shaken by outliers.
@@ -215,6 +234,7 @@ pub fn adjust(
         .map(|((given, solved), (fit, uncertainty))| AdjustedCamera {
             camera_from_world: solved.as_ref().map(|c| c.camera_from_world).or(*given),
             focal_factor: solved.as_ref().map_or(1.0, |c| c.log_focal.exp()),
+            delay: solved.as_ref().map_or(0.0, |c| c.delay),
             fit,
             uncertainty,
         })

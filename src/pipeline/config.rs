@@ -94,12 +94,6 @@ impl Options {
         if self.intrinsics == IntrinsicsMode::RefineFocal {
             return refuse("/intrinsics", "refine_focal is not supported yet; use \"fixed\"".to_owned());
         }
-        if self.sync == Sync::Estimate {
-            return refuse(
-                "/sync",
-                "estimate is not supported yet; synchronise the frames and use \"given\"".to_owned(),
-            );
-        }
         if self.body != DEFAULT_BODY && !bodies.contains(&self.body) {
             let known: String = bodies.iter().map(|name| format!(" or {name:?}")).collect();
             return refuse("/body", format!("{:?} is not a registered body; use \"{DEFAULT_BODY}\"{known}", self.body));
@@ -188,8 +182,8 @@ pub enum ScaleSource {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Sync {
-    /// Frames of equal number were taken at the same time.
+    /// Frames of equal number were taken at the same time, but for the offsets that the session gives.
     Given,
-    /// Offsets are estimated.
+    /// Offsets are estimated; those that the session gives are the start.
     Estimate,
 }

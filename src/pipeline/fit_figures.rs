@@ -86,6 +86,7 @@ pub fn camera_reports(
                 n_detections,
                 n_rejected_detections: n_detections - given(v),
                 reprojection_px: summary(&distances.by_view[v]),
+                time_offset: None,
             }
         })
         .collect()

@@ -13,6 +13,7 @@ pub mod inspection;
 pub mod joint_trajectories;
 pub mod metric_scale;
 pub mod result;
+pub mod synchronisation;
 pub mod verdict;
 pub mod world_frame;
 
@@ -94,9 +95,12 @@ pub fn reconstruct_with_checkpoints(
         let reason = "no camera detected anybody; check that the keypoint files are those of this take".to_owned();
         return Err(PipelineError::Unsolvable { code: "nobody_detected", reason });
     }
-    let capture = Capture::new(session, options);
+    let timing = checkpoints.stage("synchronisation", || synchronisation::timing(session, options, progress))?;
+    let timed = timing.applied_to(session);
+    let capture = Capture::new(&timed, options);
 
-    let stage = progress.stage("cameras", 0, N_STAGES, 0.0, 0.4);
+    let progress = &Shares { progress, before: timing.share_of_work() };
+    let stage = progress.stage("cameras", 0, 0.0, 0.4);
     let calibration = checkpoints.stage("cameras", || calibrated(&capture, &stage))?;
     let n_placed = calibration.cameras.iter().flatten().count();
     if n_placed < 2 && session.views.len() > 1 {
@@ -106,37 +110,51 @@ pub fn reconstruct_with_checkpoints(
         return Err(PipelineError::Unsolvable { code: "cameras_unsolvable", reason });
     }
 
-    let stage = progress.stage("denoising", 1, N_STAGES, 0.4, 0.15);
+    let stage = progress.stage("denoising", 1, 0.4, 0.15);
     let (calibration, consistent) = match options.denoise {
         true => checkpoints
             .stage("denoising", || made_consistent(&capture, calibration, freedom(options), &stage))?
-            .over(session),
+            .over(&timed),
         false => (calibration, None),
     };
     let (clean, consistency) = consistent.map(|c| (c.session, (c.told, c.cleaning))).unzip();
     let capture = clean.as_ref().map_or(capture, |session| Capture::new(session, options));
 
-    let stage = progress.stage("held_out_check", 2, N_STAGES, 0.55, 0.1);
+    let stage = progress.stage("held_out_check", 2, 0.55, 0.1);
     let heldout_px =
         checkpoints.stage("held_out_check", || heldout_px(&capture, &calibration, freedom(options), &stage))?;
 
-    let stage = progress.stage("joint_trajectories", 3, N_STAGES, 0.65, 0.05);
+    let stage = progress.stage("joint_trajectories", 3, 0.65, 0.05);
     let paths = checkpoints.stage("joint_trajectories", || result::paths(&capture, &calibration, &stage))?;
 
-    progress.stage("metric_scale", 4, N_STAGES, 0.7, 0.02);
+    progress.stage("metric_scale", 4, 0.7, 0.02);
     let tracks = &calibration.association.tracks;
     let scale = checkpoints
         .stage("metric_scale", || metric_scale::metric_scale(&capture, &calibration.cameras, tracks, &paths))?;
     let findings = Findings::in_world(&capture, calibration, paths, scale, heldout_px);
 
-    let stage_body = stage.stage("body_fit", 5, N_STAGES, 0.72, 0.25);
+    let stage_body = progress.stage("body_fit", 5, 0.72, 0.25);
     let mut reconstruction = findings.with_bodies(&capture, body, &stage_body)?;
     (reconstruction.report.consistency, reconstruction.cleaning) = consistency.unzip();
+    timing.tell(session, &mut reconstruction);
     Ok(reconstruction)
 }
 
 /// Stages that a caller is told of.
-const N_STAGES: usize = 6;
+const N_STAGES: usize = 7;
+
+/// The stages behind the synchronisation share what it leaves of the whole work.
+struct Shares<'a> {
+    progress: &'a Progress,
+    before: f64,
+}
+
+impl Shares<'_> {
+    fn stage(&self, name: &'static str, index: usize, start: f64, width: f64) -> Progress {
+        let rest = 1.0 - self.before;
+        self.progress.stage(name, index + 1, N_STAGES, self.before + rest * start, rest * width)
+    }
+}
 
 /// Cameras and who is who: from nothing, or from what the session gives.
 fn calibrated(capture: &Capture, progress: &Progress) -> Result<Calibration, PipelineError> {

@@ -120,6 +120,7 @@ impl Findings {
                 n_observations: distances.by_view[v].len(),
                 sigma_position_mm: uncertainty(v).map(|u| 1e3 * u.sigma_position * self.metres_per_unit),
                 sigma_angle_deg: uncertainty(v).map(|u| u.sigma_angle.to_degrees()),
+                time_offset: None,
             })
             .collect()
     }

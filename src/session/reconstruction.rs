@@ -19,6 +19,17 @@ pub struct SolvedCamera {
     pub sigma_position_mm: Option<f64>,
     /// Standard deviation of the orientation, degrees.
     pub sigma_angle_deg: Option<f64>,
+    /// When its frames were taken, where that is not simply what their numbers say.
+    pub time_offset: Option<TimeOffset>,
+}
+
+/// When a camera's frames were taken: frame number `n` at `n / fps + secs`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct TimeOffset {
+    /// s; that of the reference camera is as the session gives it, mostly 0.
+    pub secs: f64,
+    /// Its standard deviation against the reference camera, s; `None` where it was given or could not be found.
+    pub sigma_secs: Option<f64>,
 }
 
 /// Mean and median of a set of errors.
@@ -216,6 +227,9 @@ pub struct CameraReport {
     pub n_rejected_detections: usize,
     /// Reprojection error, px.
     pub reprojection_px: Option<ErrorSummary>,
+    /// When its frames were taken, where that is not simply what their numbers say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_offset: Option<TimeOffset>,
 }
 
 /// `report.json`. Holds no wall time: the same input gives the same bytes.

@@ -50,6 +50,8 @@ pub struct View {
     pub intrinsics: Intrinsics,
     /// `camera_from_world`, metres, where the session gives it.
     pub camera_from_world: Option<Rigid>,
+    /// When its frames were taken: frame number `n` at `n / fps + time_offset`, s.
+    pub time_offset: f64,
     /// Detections by [`FrameIndex`]; empty where the camera has no such frame. Length `n_frames`.
     pub frames: Vec<Vec<Detection>>,
     /// The frames the camera delivered, in the order of its file.
@@ -83,6 +85,8 @@ pub struct Session {
     pub convention: KeypointConvention,
     /// Up axis of the given world, where extrinsics are given.
     pub up_axis: Option<UpAxis>,
+    /// SMPTE time code of frame number 0, `HH:MM:SS:FF` (drop frame: `HH:MM:SS;FF`), where the session gives it.
+    pub start_timecode: Option<String>,
     /// The cameras, in the session's order.
     pub views: Vec<View>,
 }

@@ -159,7 +159,9 @@ fn read_members<R: Read + Seek>(
     let survey = foreign::survey(members);
     let is_foreign = match &header {
         None if !survey.has_poses() => {
-            return Err(Fault::FormatUnknown.with("there is no session.json, and no pose file of a known dialect"));
+            let nothing = "there is no session.json, and no pose file of a known dialect".to_owned();
+            let detail = std::iter::once(nothing).chain(survey.hints).collect::<Vec<_>>().join("; ");
+            return Err(Fault::FormatUnknown.with(detail));
         }
         None => true,
         Some(header) => survey.has_foreign_poses() || foreign::names_joints(members, header),

@@ -2,6 +2,7 @@
 
 use super::SimulationError;
 use crate::body::skeleton::KeypointConvention;
+use crate::geometry::Distortion;
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -26,6 +27,10 @@ pub struct SimulationConfig {
     pub convention: KeypointConvention,
     /// What the tracker reports.
     pub tracks: Tracks,
+    /// Frames by which each camera's clock is off: its frame `n` shows what happens at `n + time_offset` (views beyond the
+    /// list: 0). Frames that show what lies before the first moment or after the last are empty.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub time_offsets: Vec<f64>,
     /// Whose bodies move.
     pub bodies: Bodies,
     /// Where the motion comes from.
@@ -90,6 +95,32 @@ pub struct RigConfig {
     pub image_height: u32,
     /// How the cameras stand.
     pub arrangement: Arrangement,
+    /// What their lenses do to straight rays.
+    pub lens: Lens,
+}
+
+/// What a lens does to straight rays; the field of view is that of the bent image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Lens {
+    /// Nothing.
+    #[default]
+    Pinhole,
+    /// A barrel distortion of a quarter at 45 degrees, with a little of every other of OpenCV's five terms.
+    WideAngle,
+    /// OpenCV's fisheye: nearly equidistant.
+    Fisheye,
+}
+
+impl Lens {
+    /// The distortion; one to one over every field of view that a rig may have.
+    pub fn distortion(self) -> Distortion {
+        match self {
+            Self::Pinhole => Distortion::None,
+            Self::WideAngle => Distortion::OpenCv5([-0.25, 0.06, 5e-4, -3e-4, -0.002]),
+            Self::Fisheye => Distortion::Fisheye4([-0.02, 0.004, -0.001, 1e-4]),
+        }
+    }
 }
 
 /// How the cameras stand.
@@ -172,6 +203,10 @@ impl SimulationConfig {
                 return Err(SimulationError::Config { field, value, expected });
             }
         }
+        if let Some(&value) = self.time_offsets.iter().find(|offset| !(-1e6..=1e6).contains(*offset)) {
+            let expected = "-1000000 to 1000000 frames";
+            return Err(SimulationError::Config { field: "time_offsets", value, expected });
+        }
         if let Arrangement::Arc { span_deg } = r.arrangement
             && !(0.0..=360.0).contains(&span_deg)
         {
@@ -193,6 +228,7 @@ impl Default for RigConfig {
             image_width: 1280,
             image_height: 720,
             arrangement: Arrangement::Ring,
+            lens: Lens::Pinhole,
         }
     }
 }

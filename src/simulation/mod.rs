@@ -30,7 +30,7 @@ pub mod skeleton;
 mod tracker;
 pub mod truth;
 
-pub use config::{Arrangement, Bodies, MotionSource, NoiseConfig, RigConfig, SimulationConfig, Tracks};
+pub use config::{Arrangement, Bodies, Lens, MotionSource, NoiseConfig, RigConfig, SimulationConfig, Tracks};
 pub use presets::{Preset, random_rig_config};
 pub use truth::{Simulated, Statistics, Truth, write_truth};
 
@@ -122,6 +122,7 @@ fn session(
         id: camera.id,
         intrinsics: camera.intrinsics,
         camera_from_world: None,
+        time_offset: 0.0,
         delivered: (0..n_frames).map(crate::session::FrameIndex).collect(),
         frames: recording.frames,
     };
@@ -132,6 +133,7 @@ fn session(
         n_frames,
         convention: config.convention,
         up_axis: None,
+        start_timecode: None,
         views: cameras.into_iter().zip(recordings).map(view).collect(),
     }
 }

@@ -34,6 +34,7 @@ impl SimulationConfig {
             rig: RigConfig { radius, height, ..RigConfig::default() },
             convention: KeypointConvention::Coco17,
             tracks: Tracks::Consistent,
+            time_offsets: Vec::new(),
             bodies: Bodies::Own,
             motion: MotionSource::Procedural,
         }

@@ -2,15 +2,15 @@
 
 use super::config::{Arrangement, RigConfig};
 use super::random::{Purpose, normal, stream};
-use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
-use nalgebra::{Matrix3, Vector3};
+use crate::geometry::{Intrinsics, Rigid, rotation};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// One camera of the rig.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RigCamera {
     /// Its name.
     pub id: String,
-    /// Its exact intrinsics; no distortion.
+    /// Its exact intrinsics.
     pub intrinsics: Intrinsics,
     /// Its exact pose.
     pub camera_from_world: Rigid,
@@ -36,7 +36,9 @@ fn camera(config: &RigConfig, view: usize, views: usize, seed: u64) -> RigCamera
     let roll = normal(&mut rng, config.roll_jitter_deg).to_radians();
     let fov = (config.fov_deg * (1.0 + normal(&mut rng, 0.03))).clamp(1.0, 160.0).to_radians();
     let (width, height) = (f64::from(config.image_width), f64::from(config.image_height));
-    let focal = ten_thousandths(0.5 * width / (0.5 * fov).tan());
+    let dist = config.lens.distortion();
+    // The edge of the image shows what lies at half the field of view.
+    let focal = ten_thousandths(0.5 * width / dist.distorted(&Vector2::new((0.5 * fov).tan(), 0.0)).x);
     let intrinsics = Intrinsics {
         width: config.image_width,
         height: config.image_height,
@@ -45,7 +47,7 @@ fn camera(config: &RigConfig, view: usize, views: usize, seed: u64) -> RigCamera
         cx: ten_thousandths(0.5 * width + normal(&mut rng, 3.0)),
         cy: ten_thousandths(0.5 * height + normal(&mut rng, 3.0)),
         skew: 0.0,
-        dist: Distortion::None,
+        dist,
     };
     let rotation = rotation::exp(&Vector3::new(0.0, 0.0, roll)) * camera_rotation_towards(&(aim - center));
     RigCamera {

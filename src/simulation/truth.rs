@@ -127,11 +127,16 @@ pub fn write_truth(simulated: &Simulated, session_folder: &Path) -> io::Result<(
     fs::create_dir_all(&folder)?;
     let write = |name: &str, value: &serde_json::Value| fs::write(folder.join(name), format!("{value}\n"));
     let ids = || session.views.iter().map(|view| view.id.as_str());
-    let camera = |(id, camera): (&str, &Rigid)| {
+    let offsets = simulated.config.time_offsets.iter().copied().chain(std::iter::repeat(0.0));
+    let camera = |((id, camera), offset): ((&str, &Rigid), f64)| {
         let rows: Vec<Vec<f64>> = camera.rotation.row_iter().map(|row| row.iter().copied().collect()).collect();
-        json!({"id": id, "R": rows, "t": camera.translation.as_slice(), "units": "m"})
+        let mut camera = json!({"id": id, "R": rows, "t": camera.translation.as_slice(), "units": "m"});
+        if offset != 0.0 {
+            camera["time_offset_s"] = json!(offset / session.fps);
+        }
+        camera
     };
-    write("cameras.json", &ids().zip(&truth.cameras).map(camera).collect())?;
+    write("cameras.json", &ids().zip(&truth.cameras).zip(offsets).map(camera).collect())?;
     let joints = frames(truth.joints.iter().map(|people| people.iter().map(|j| j.as_slice())));
     write("poses3d.json", &json!({"joint_names": JOINT_NAMES, "units": "m", "up": "y", "frames": joints}))?;
     let points = frames(truth.keypoints.iter().map(|people| people.iter().map(Vec::as_slice)));

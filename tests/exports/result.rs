@@ -215,6 +215,7 @@ fn session() -> Session {
         id: id.to_owned(),
         intrinsics,
         camera_from_world: None,
+        time_offset: 0.0,
         frames: vec![Vec::new(); N_FRAMES],
         delivered: (0..N_FRAMES).map(FrameIndex).collect(),
     };
@@ -225,6 +226,7 @@ fn session() -> Session {
         n_frames: N_FRAMES,
         convention: KeypointConvention::Coco17,
         up_axis: None,
+        start_timecode: None,
         views: ["01", "left/front", "cam c", "kamera-4", "wide", "dome", "lost"]
             .into_iter()
             .zip(lenses)
@@ -240,6 +242,7 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
         n_observations: 0,
         sigma_position_mm: None,
         sigma_angle_deg: None,
+        time_offset: None,
     };
     // Cameras round the people, looking at a point at breast height.
     let up = if up_axis == UpAxis::Y { Vector3::y() } else { Vector3::z() };

@@ -422,3 +422,49 @@ fn more_frame_files_than_a_plain_zip_can_count_are_read() {
     assert!(files.len() > usize::from(u16::MAX));
     assert_eq!(read(&files).unwrap().session.n_frames, 22_000);
 }
+
+/// MediaPipe's array of all cameras, `[cameras, frames, points, x y]`, little-endian doubles in numpy's layout.
+#[test]
+fn an_array_of_all_cameras_is_read_as_points_of_blazepose() {
+    let (n_frames, n_points) = (3, 35);
+    let shape = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': (2, {n_frames}, {n_points}, 2), }}");
+    let header = format!("{shape:<117}\n");
+    let mut array = b"\x93NUMPY\x01\x00".to_vec();
+    array.extend((header.len() as u16).to_le_bytes());
+    array.extend(header.as_bytes());
+    for i in 0..2 * n_frames * n_points {
+        let (frame, point) = (i / n_points, i % n_points);
+        let seen = if frame == 1 || point == 4 { f64::NAN } else { 100.0 + i as f64 };
+        array.extend(seen.to_le_bytes());
+        array.extend((seen + 0.5).to_le_bytes());
+    }
+    let camera = |name: &str| {
+        format!(
+            "[{name}]\nname = \"{name}\"\nsize = [1280, 720]\nmatrix = [[800, 0, 640], [0, 800, 360], [0, 0, 1]]\n\
+             distortions = [0.0, 0.0, 0.0, 0.0]\nrotation = [0.0, 0.0, 0.0]\ntranslation = [0.0, 0.0, 4.0]\n\n"
+        )
+    };
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("Calib.toml"), camera("0") + &camera("1")).unwrap();
+    std::fs::write(folder.path().join("mediapipe2dData.npy"), &array).unwrap();
+    let loaded = wandless::session::upload::read_path(folder.path(), &Default::default()).unwrap();
+    let session = &loaded.session;
+    assert!(loaded.format.starts_with("mediapipe"), "{}", loaded.format);
+    assert_eq!((session.convention.name(), session.n_frames, session.views.len()), ("blazepose33", n_frames, 2));
+    assert!(session.views[0].frames[1].is_empty(), "nobody was seen");
+    let person = &session.views[1].frames[2][0];
+    let first = 100.0 + (5 * n_points) as f64;
+    assert_eq!((person.keypoints[0].pixel.x, person.keypoints[0].pixel.y), (first, first + 0.5));
+    assert!(!person.keypoints[4].is_present() && person.keypoints[5].is_present());
+    std::fs::write(folder.path().join("mediapipe2dData.npy"), &array[..array.len() - 8]).unwrap();
+    assert!(wandless::session::upload::read_path(folder.path(), &Default::default()).is_err(), "it ends early");
+}
+
+/// DeepLabCut's HDF5 is refused with the way out.
+#[test]
+fn hdf5_is_told_and_the_way_out_with_it() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("cam1DLC.h5"), b"\x89HDF\r\n\x1a\n\0\0\0\0").unwrap();
+    let error = wandless::session::upload::read_path(folder.path(), &Default::default()).unwrap_err();
+    assert!(error.to_string().contains("to_csv"), "{error}");
+}

@@ -3,6 +3,7 @@
 
 mod edge_cases;
 mod presets;
+mod synchronisation;
 
 use wandless::evaluation::camera_error::{CameraPair, relative_camera_error};
 use wandless::pipeline::{Options, reconstruct};

@@ -9,7 +9,7 @@ pub(super) const MAX_ELEMENTS: usize = 7_500_000;
 
 /// A dense array in C order.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Array {
+pub(crate) struct Array {
     /// Lengths of its axes.
     pub shape: Vec<usize>,
     /// All elements, the last axis running fastest.
@@ -17,7 +17,7 @@ pub(super) struct Array {
 }
 
 /// Arrays by field name.
-pub(super) type Fields = BTreeMap<String, Array>;
+pub(crate) type Fields = BTreeMap<String, Array>;
 
 /// The fields that are read; all others are skipped unseen. The weights come first: they tell the models apart.
 pub(super) const FIELDS: [&str; 10] = [

@@ -21,6 +21,7 @@ mod write;
 pub use cache::{CachedBody, load_body_cached, write_private};
 pub use error::BodyFileError;
 pub use landmark_table::{LandmarkTable, LandmarkTableError};
+pub(crate) use tree::arrays_of_pickle;
 pub use write::{body_glb, body_npz, body_obj};
 
 use super::model::BodyModel;

@@ -30,6 +30,31 @@ pub(super) fn read_fields(bytes: &[u8]) -> Result<Fields, BodyFileError> {
     Ok(fields)
 }
 
+/// Small numeric arrays of a pickled dictionary, by field; fields that it lacks are left out.
+///
+/// # Errors
+/// What is no such dictionary, and fields that are no arrays of at most a thousand numbers.
+pub(crate) fn arrays_of_pickle(bytes: &[u8], names: &[&str]) -> Result<Fields, BodyFileError> {
+    let pickle = parse(bytes)?;
+    let Node::Dict(entries) = &pickle.nodes[pickle.root] else {
+        return Err(BodyFileError::Malformed { offset: bytes.len(), expected: "a dictionary of fields" });
+    };
+    let mut fields = Fields::new();
+    for field in names {
+        if let Some(value) = lookup(&pickle, entries, field) {
+            let array = Reader { pickle: &pickle, field }.array(value, 0)?;
+            if array.values.len() > MAX_SMALL {
+                return Err(BodyFileError::TooLarge { what: "an array", limit: MAX_SMALL as u64 });
+            }
+            fields.insert((*field).to_owned(), array);
+        }
+    }
+    Ok(fields)
+}
+
+/// More numbers than a calibration's field has.
+const MAX_SMALL: usize = 1000;
+
 fn lookup(pickle: &Pickle, entries: &[(NodeId, NodeId)], key: &str) -> Option<NodeId> {
     let is_key = |id: NodeId| match &pickle.nodes[id] {
         Node::Text(text) => text == key,

@@ -128,6 +128,7 @@ fn scene_of(model: &BodyModel, truth: &Truth, convention: KeypointConvention, si
         id: format!("cam{i}"),
         intrinsics: ring()[i].0,
         camera_from_world: None,
+        time_offset: 0.0,
         frames,
         delivered: (0..n_frames).map(FrameIndex).collect(),
     };
@@ -138,6 +139,7 @@ fn scene_of(model: &BodyModel, truth: &Truth, convention: KeypointConvention, si
         n_frames,
         convention,
         up_axis: None,
+        start_timecode: None,
         views: frames.into_iter().enumerate().map(view).collect(),
     };
     let track = PersonTrack { person: PersonId(0), first: FrameIndex(0), detections: vec![vec![Some(0); 4]; n_frames] };

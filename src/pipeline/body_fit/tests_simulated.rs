@@ -72,7 +72,14 @@ fn load(folder: &Path) -> Capture {
             }
         }
         let delivered = (0..n_frames).map(FrameIndex).collect();
-        views.push(View { id: id.to_owned(), intrinsics, camera_from_world: None, frames, delivered });
+        views.push(View {
+            id: id.to_owned(),
+            intrinsics,
+            camera_from_world: None,
+            time_offset: 0.0,
+            frames,
+            delivered,
+        });
     }
     let placed = json(&folder.join("gt/cameras.json"));
     let camera = |c: &Value| {
@@ -86,6 +93,7 @@ fn load(folder: &Path) -> Capture {
         n_frames,
         convention: KeypointConvention::parse(header["keypoint_convention"].as_str().unwrap()).unwrap(),
         up_axis: None,
+        start_timecode: None,
         views,
     };
     Capture { session, cameras: placed.as_array().unwrap().iter().map(camera).collect(), tracks }

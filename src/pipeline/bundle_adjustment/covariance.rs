@@ -63,11 +63,18 @@ pub(super) fn camera_uncertainties(
         for (k, &(view, _, _)) in moving.iter().enumerate() {
             let covariance = free.fixed_view::<6, 6>(6 * k, 6 * k).into_owned();
             let sigma = |first: usize| covariance.fixed_view::<3, 3>(first, first).trace().max(0.0).sqrt();
-            uncertainties[view] =
-                Some(CameraUncertainty { covariance, sigma_position: sigma(0), sigma_angle: sigma(3) });
+            let sigma_delay = sigma_delay(&border, problem.layout.delay, moving[0].1, moving[k].1);
+            let (sigma_position, sigma_angle) = (sigma(0), sigma(3));
+            uncertainties[view] = Some(CameraUncertainty { covariance, sigma_position, sigma_angle, sigma_delay });
         }
     }
     uncertainties
+}
+
+/// Standard deviation of the difference of two cameras' delays; `reference`, `first`: where their unknowns begin.
+fn sigma_delay(border: &DMatrix<f64>, place: Option<usize>, reference: usize, first: usize) -> Option<f64> {
+    let (a, b) = (first + place?, reference + place?);
+    Some((border[(a, a)] + border[(b, b)] - 2.0 * border[(a, b)]).max(0.0).sqrt())
 }
 
 /// Covariance of the border in the solver's own gauge. [border, border]
@@ -85,7 +92,7 @@ fn border_covariance(problem: &Problem, state: &State, block_frames: usize) -> O
         let reduced = arrow::reduce(members.len(), problem.layout.n_border, 0.0, linearize);
         (basis.project(&reduced.hessian) * hessian_per_weight, basis.0.tr_mul(&reduced.gradient))
     };
-    let mut whole = basis.project(&problem.focal_prior());
+    let mut whole = basis.project(&problem.prior_information());
     for members in &blocks {
         whole += of_block(members).0;
     }

@@ -17,6 +17,8 @@ use rayon::prelude::*;
 pub(super) struct Camera {
     pub(super) intrinsics: Intrinsics,
     pub(super) log_focal: f64,
+    /// Frames.
+    pub(super) delay: f64,
     pub(super) camera_from_world: Rigid,
 }
 
@@ -43,6 +45,7 @@ pub(super) struct Problem<'a> {
     pub(super) robust_scale: f64,
     intrinsics: &'a [Intrinsics],
     focal_sigma: f64,
+    delay_sigma: f64,
     progress: &'a Progress,
 }
 
@@ -59,7 +62,7 @@ pub(super) fn formulate<'a>(
     let (layout, variables) = variables::choose(input, &mut placed);
     let camera = |(view, given): (usize, &Option<Rigid>)| {
         let camera_from_world = given.filter(|_| placed[view])?;
-        Some(Camera { intrinsics: input.intrinsics[view], log_focal: 0.0, camera_from_world })
+        Some(Camera { intrinsics: input.intrinsics[view], log_focal: 0.0, delay: 0.0, camera_from_world })
     };
     let cameras: Vec<_> = input.cameras.iter().enumerate().map(camera).collect();
     let start_of = |(instant, variables): (&Instant, &Variables)| {
@@ -75,6 +78,7 @@ pub(super) fn formulate<'a>(
         robust_scale: config.scale.end,
         intrinsics: input.intrinsics,
         focal_sigma: config.focal_sigma,
+        delay_sigma: config.delay_sigma,
         progress,
     };
     (problem, State { cameras, log_lengths, points })
@@ -100,21 +104,21 @@ impl LeastSquares for Problem<'_> {
     fn cost(&self, state: &State) -> f64 {
         let costs: Vec<f64> =
             (0..self.variables.len()).into_par_iter().map(|i| self.instant_cost(i, state, &state.points[i])).collect();
-        costs.iter().sum::<f64>() + self.focal_cost(state)
+        costs.iter().sum::<f64>() + self.prior_cost(state)
     }
 
     fn step(&self, state: &State, damping: f64) -> Option<Trial<State>> {
         let n_instants = self.variables.len();
         let linearize = |i: usize, block: &mut Block| self.linearize(i, state, block);
         let mut reduced = arrow::reduce(n_instants, self.layout.n_border, damping, linearize);
-        reduced.hessian += self.focal_prior();
-        reduced.gradient += self.focal_gradient(state);
+        reduced.hessian += self.prior_information();
+        reduced.gradient += self.prior_gradient(state);
         let border_step = self.gauge.basis(&self.layout, state).solve(&reduced.hessian, &reduced.gradient)?;
         let mut moved = self.move_border(state, &border_step);
         let instants = arrow::back_substitute(n_instants, damping, &border_step, linearize, |i, step| {
             self.move_points(i, state, &moved, step)
         });
-        let cost = instants.iter().map(|(_, cost)| cost).sum::<f64>() + self.focal_cost(&moved);
+        let cost = instants.iter().map(|(_, cost)| cost).sum::<f64>() + self.prior_cost(&moved);
         moved.points = instants.into_iter().map(|(points, _)| points).collect();
         Some(Trial { state: moved, cost })
     }
@@ -135,7 +139,7 @@ impl Problem<'_> {
                 &camera.intrinsics,
                 &camera.camera_from_world,
                 &points[slot],
-                &o.pixel,
+                &o.pixel_without(camera.delay),
                 o.sigma_px,
             );
             let Some(linear) = linear else {
@@ -149,12 +153,12 @@ impl Problem<'_> {
                 derivative: linear.by_point.column(k).into_owned().into(),
             });
             let first = sighting.column.unwrap_or(0);
-            let border: [Column<2>; 7] = std::array::from_fn(|k| Column {
+            let border: [Column<2>; 8] = std::array::from_fn(|k| Column {
                 index: first + k,
-                derivative: if k < 6 {
-                    linear.by_camera.column(k).into_owned().into()
-                } else {
-                    linear.by_log_focal.into()
+                derivative: match k {
+                    0..6 => linear.by_camera.column(k).into_owned().into(),
+                    _ if self.layout.focal == Some(k) => linear.by_log_focal.into(),
+                    _ => (o.velocity / o.sigma_px).into(),
                 },
             });
             let n_border = sighting.column.map_or(0, |_| self.layout.per_camera);
@@ -204,7 +208,8 @@ impl Problem<'_> {
             let o = &sighting.observation;
             let residual = state.cameras[o.view].and_then(|camera| {
                 let point = &points[sighting.slot];
-                reprojection::residual(&camera.intrinsics, &camera.camera_from_world, point, &o.pixel, o.sigma_px)
+                let pixel = o.pixel_without(camera.delay);
+                reprojection::residual(&camera.intrinsics, &camera.camera_from_world, point, &pixel, o.sigma_px)
             });
             charge(residual.map(|r| r.norm_squared()))
         });
@@ -216,28 +221,40 @@ impl Problem<'_> {
         sightings.sum::<f64>() + limbs.sum::<f64>()
     }
 
-    /// Focal factors stay near 1: `(log_focal / focal_sigma)^2 / 2` each.
-    fn focal_cost(&self, state: &State) -> f64 {
-        state.cameras.iter().flatten().map(|c| 0.5 * (c.log_focal / self.focal_sigma).powi(2)).sum()
+    /// What is expected of the cameras' further unknowns: each one's column, value and standard deviation about 0.
+    fn expectations<'s>(&'s self, state: &'s State) -> impl Iterator<Item = (usize, f64, f64)> + 's {
+        state.cameras.iter().zip(&self.layout.camera_columns).flat_map(|(camera, first)| {
+            let of = |place: Option<usize>, value: fn(&Camera) -> f64, sigma: f64| {
+                Some(((*first)? + place?, value(camera.as_ref()?), sigma))
+            };
+            let focal = of(self.layout.focal, |c| c.log_focal, self.focal_sigma);
+            let delay = of(self.layout.delay, |c| c.delay, self.delay_sigma);
+            focal.into_iter().chain(delay)
+        })
     }
 
-    /// Hessian of [`Self::focal_cost`]. [border, border]
-    pub(super) fn focal_prior(&self) -> DMatrix<f64> {
+    /// Focal factors stay near 1, delays near 0: `(value / sigma)^2 / 2` each.
+    fn prior_cost(&self, state: &State) -> f64 {
+        self.expectations(state).map(|(_, value, sigma)| 0.5 * (value / sigma).powi(2)).sum()
+    }
+
+    /// Hessian of [`Self::prior_cost`], the same at every state. [border, border]
+    pub(super) fn prior_information(&self) -> DMatrix<f64> {
         let mut information = DMatrix::zeros(self.layout.n_border, self.layout.n_border);
-        for first in self.layout.camera_columns.iter().flatten().filter(|_| self.layout.per_camera == 7) {
-            information[(first + 6, first + 6)] = self.focal_sigma.powi(-2);
+        for first in self.layout.camera_columns.iter().flatten() {
+            for (place, sigma) in [(self.layout.focal, self.focal_sigma), (self.layout.delay, self.delay_sigma)] {
+                if let Some(place) = place {
+                    information[(first + place, first + place)] = sigma.powi(-2);
+                }
+            }
         }
         information
     }
 
-    /// Where [`Self::focal_cost`] pulls: its Hessian is diagonal, its gradient that times the logarithms.
-    fn focal_gradient(&self, state: &State) -> DVector<f64> {
+    /// Where [`Self::prior_cost`] pulls: its Hessian is diagonal, its gradient that times the values.
+    fn prior_gradient(&self, state: &State) -> DVector<f64> {
         let mut gradient = DVector::zeros(self.layout.n_border);
-        for (camera, first) in state.cameras.iter().zip(&self.layout.camera_columns) {
-            if let (Some(camera), Some(first), 7) = (camera, first, self.layout.per_camera) {
-                gradient[first + 6] = camera.log_focal * self.focal_sigma.powi(-2);
-            }
-        }
+        self.expectations(state).for_each(|(column, value, sigma)| gradient[column] = value * sigma.powi(-2));
         gradient
     }
 
@@ -247,8 +264,10 @@ impl Problem<'_> {
             let (camera, Some(first)) = ((*camera)?, self.layout.camera_columns[view]) else { return *camera };
             let rho = Vector3::new(step[first], step[first + 1], step[first + 2]);
             let phi = Vector3::new(step[first + 3], step[first + 4], step[first + 5]);
-            let log_focal = camera.log_focal + if self.layout.per_camera == 7 { step[first + 6] } else { 0.0 };
+            let moved_by = |place: Option<usize>| place.map_or(0.0, |place| step[first + place]);
+            let log_focal = camera.log_focal + moved_by(self.layout.focal);
             Some(Camera {
+                delay: camera.delay + moved_by(self.layout.delay),
                 camera_from_world: camera.camera_from_world.perturbed_left(&rho, &phi),
                 log_focal,
                 intrinsics: with_focal_factor(&self.intrinsics[view], log_focal.exp()),

@@ -24,7 +24,7 @@ impl Problem<'_> {
                 let camera = state.cameras[o.view].as_ref()?;
                 let point = camera.camera_from_world.transform(&points[sighting.slot]);
                 let predicted = camera.intrinsics.pixel_from_camera(&point);
-                let distance_px = predicted.map_or(f64::INFINITY, |p| (p - o.pixel).norm());
+                let distance_px = predicted.map_or(f64::INFINITY, |p| (p - o.pixel_without(camera.delay)).norm());
                 Some(Misfit { view: o.view, distance_px, sigmas: distance_px / o.sigma_px })
             })
         })

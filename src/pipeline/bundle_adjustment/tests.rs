@@ -126,7 +126,13 @@ fn observe(scene: &Scene, noise: Noise, point_sigma: f64, seed: u64) -> Vec<Inst
                 let pixel = scene.intrinsics[view].pixel_from_camera(&in_camera).unwrap();
                 let error = *drift * noise.sigma_px + if is_gross { gross } else { Vector2::zeros() };
                 if !is_missed {
-                    observations.push(Observation { keypoint, view, pixel: pixel + error, sigma_px: 3.0 });
+                    observations.push(Observation {
+                        keypoint,
+                        view,
+                        pixel: pixel + error,
+                        sigma_px: 3.0,
+                        velocity: Vector2::zeros(),
+                    });
                 }
             }
         }
@@ -156,6 +162,7 @@ fn input(scene: &Scene, cameras: Vec<Option<Rigid>>, instants: Vec<Instant>) -> 
         bones: &scene.bones,
         camera_freedom: CameraFreedom::Adjusted,
         refine_focal: false,
+        refine_delays: false,
     }
 }
 
@@ -264,7 +271,13 @@ fn an_unplaced_camera_and_points_without_evidence_are_left_alone() {
     instants[0].points[4] = nowhere;
     instants[0].observations.retain(|o| o.keypoint != 4);
     instants[1].points[5] = None;
-    let broken = Observation { keypoint: 99, view: 77, pixel: Vector2::new(f64::NAN, 0.0), sigma_px: 0.0 };
+    let broken = Observation {
+        keypoint: 99,
+        view: 77,
+        pixel: Vector2::new(f64::NAN, 0.0),
+        sigma_px: 0.0,
+        velocity: Vector2::zeros(),
+    };
     instants[2].observations.push(broken);
     let (adjusted, _) = solve(&input(&scene, start, instants));
     assert_eq!(adjusted.cameras[2].camera_from_world, None);
@@ -324,6 +337,28 @@ fn a_wrong_focal_length_is_found() {
     let others = (factors.iter().sum::<f64>() - factors[1]) / 4.0;
     // Focal length trades against distance: 1300 points a camera leave some 0.7 %.
     assert!((factors[1] / others - 1.06).abs() < 0.02, "{factors:?}");
+}
+
+#[test]
+fn late_cameras_are_told_by_moving_points() {
+    let scene = scene(4, 2, 60);
+    let delays = [0.5, -0.4, 0.0, 0.8];
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let mut instants = observe(&scene, NOISE, 0.05, 8);
+    for o in instants.iter_mut().flat_map(|instant| &mut instant.observations) {
+        o.velocity = Vector2::new(gauss(&mut rng), gauss(&mut rng)) * 8.0;
+        o.pixel += o.velocity * delays[o.view];
+    }
+    let start = perturbed(&scene.cameras, 1.0, 0.05, 8);
+    let (adjusted, _) = solve(&AdjustmentInput { refine_delays: true, ..input(&scene, start, instants) });
+    for (v, camera) in adjusted.cameras.iter().enumerate() {
+        let found = camera.delay - adjusted.cameras[0].delay;
+        let sigma = camera.uncertainty.unwrap().sigma_delay.unwrap();
+        // 1200 points a camera of 3 px noise that move by 8 px a frame: 3 / (8 * sqrt(1200)) = 0.011, less what points
+        // and cameras take of it.
+        assert!((found - (delays[v] - delays[0])).abs() < 0.06, "view {v}: {found}");
+        assert!(v == 0 || (0.005..0.04).contains(&sigma), "view {v}: {sigma}");
+    }
 }
 
 #[test]

@@ -42,13 +42,17 @@ pub(super) struct Limb {
     pub(super) column: usize,
 }
 
-/// Where the border's unknowns stand: `[6 or 7 per moving camera | bone lengths by person]`.
+/// Where the border's unknowns stand: `[6 to 8 per moving camera | bone lengths by person]`.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Layout {
     /// First unknown of each moving camera.
     pub(super) camera_columns: Vec<Option<usize>>,
-    /// 6 for the pose, 1 more with focal refinement.
+    /// 6 for the pose, 1 more for each of the next two.
     pub(super) per_camera: usize,
+    /// Place of the focal factor's logarithm among a camera's unknowns, where it is one.
+    pub(super) focal: Option<usize>,
+    /// Place of the delay.
+    pub(super) delay: Option<usize>,
     /// First bone length.
     pub(super) first_length: usize,
     /// The persons, in the order of their lengths.
@@ -90,7 +94,8 @@ fn usable<'a>(instant: &'a Instant, placed: &'a [bool]) -> impl Iterator<Item = 
         let has_start =
             instant.points.get(o.keypoint).is_some_and(|p| p.is_some_and(|p| p.iter().all(|x| x.is_finite())));
         let is_seen = placed.get(o.view) == Some(&true);
-        let is_sound = o.pixel.iter().all(|x| x.is_finite()) && o.sigma_px > 0.0 && o.sigma_px.is_finite();
+        let is_sound =
+            o.pixel.iter().chain(&o.velocity).all(|x| x.is_finite()) && o.sigma_px > 0.0 && o.sigma_px.is_finite();
         has_start && is_seen && is_sound
     })
 }
@@ -133,7 +138,9 @@ fn drop_weak_views(input: &AdjustmentInput, supported: &[BTreeSet<usize>], place
 }
 
 fn layout(input: &AdjustmentInput, bones: &[Bone], placed: &[bool]) -> Layout {
-    let per_camera = 6 + usize::from(input.refine_focal);
+    let focal = input.refine_focal.then_some(6);
+    let delay = input.refine_delays.then_some(6 + usize::from(input.refine_focal));
+    let per_camera = 6 + usize::from(input.refine_focal) + usize::from(input.refine_delays);
     let mut first_length = 0;
     let mut column_of = |&is_placed: &bool| {
         (is_placed && input.camera_freedom == CameraFreedom::Adjusted).then(|| {
@@ -144,7 +151,7 @@ fn layout(input: &AdjustmentInput, bones: &[Bone], placed: &[bool]) -> Layout {
     let camera_columns = placed.iter().map(&mut column_of).collect();
     let persons: Vec<usize> = input.instants.iter().map(|i| i.person).collect::<BTreeSet<_>>().into_iter().collect();
     let n_border = first_length + persons.len() * bones.len();
-    Layout { camera_columns, per_camera, first_length, persons, n_bones: bones.len(), n_border }
+    Layout { camera_columns, per_camera, focal, delay, first_length, persons, n_bones: bones.len(), n_border }
 }
 
 fn variables(

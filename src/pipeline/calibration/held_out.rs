@@ -62,6 +62,7 @@ fn judged_px(
         bones: &[],
         camera_freedom: CameraFreedom::Held,
         refine_focal: false,
+        refine_delays: false,
     };
     let (judged, _) = ba::adjust(&input, &quick(), progress)?;
     let (mut sum, mut n) = (0.0, 0usize);

@@ -4,7 +4,9 @@ use crate::body::detector_noise::keypoint_sigmas;
 use crate::geometry::Rigid;
 use crate::pipeline::association::Association;
 use crate::pipeline::bundle_adjustment::{Instant, Observation};
+use crate::session::JointTrajectory;
 use crate::session::recording::Session;
+use nalgebra::Vector2;
 
 /// Points below this confidence do not enter the adjustment.
 const MIN_CONFIDENCE: f64 = 0.3;
@@ -90,7 +92,7 @@ fn instant(
             let Some(point) = guess[keypoint].filter(|_| k.confidence >= MIN_CONFIDENCE) else { continue };
             let depth = (camera.transform(&point).z * budget.metres_per_unit).max(0.3);
             let sigma_px = budget.noise * sigmas[keypoint] * intrinsics.focal() / depth / k.confidence.sqrt();
-            observations.push(Observation { keypoint, view, pixel: k.pixel, sigma_px });
+            observations.push(Observation { keypoint, view, pixel: k.pixel, sigma_px, velocity: Vector2::zeros() });
         }
     }
     let mut seen = vec![0u8; sigmas.len()];
@@ -98,6 +100,35 @@ fn instant(
     observations.retain(|o| seen[o.keypoint] >= 2);
     let points = guess.iter().zip(&seen).map(|(p, n)| p.filter(|_| *n >= 2)).collect();
     Instant { person, frame, points, observations }
+}
+
+/// Gives every observation the velocity in the image of its point's smooth path; `paths`: per person.
+///
+/// Why not of the detections themselves: their noise is as large as a frame's motion, and a velocity that is mostly noise
+/// explains no delay.
+pub(super) fn set_in_motion(
+    instants: &mut [Instant],
+    session: &Session,
+    cameras: &[Option<Rigid>],
+    paths: &[JointTrajectory],
+) {
+    for instant in instants {
+        let path = &paths[instant.person];
+        let at = |frame: Option<usize>, keypoint: usize| {
+            let t = frame?.checked_sub(path.first.0)?;
+            path.points.get(t)?[keypoint]
+        };
+        for o in &mut instant.observations {
+            let Some(camera) = &cameras[o.view] else { continue };
+            let pixel = |frame: Option<usize>| {
+                let point = camera.transform(&at(frame, o.keypoint)?);
+                session.views[o.view].intrinsics.pixel_from_camera(&point)
+            };
+            // Half a step either way is without preference for the past or the future.
+            let ends = pixel(instant.frame.checked_sub(1)).zip(pixel(instant.frame.checked_add(1)));
+            o.velocity = ends.map_or(Vector2::zeros(), |(before, after)| 0.5 * (after - before));
+        }
+    }
 }
 
 /// By how much the residuals of an adjustment exceed the standard deviations it was given: median of the distance over

@@ -8,7 +8,7 @@ mod registration;
 use super::association::{Association, associate, from_clusters};
 use super::bundle_adjustment::{self as ba, Adjusted, AdjustmentConfig, AdjustmentInput, CameraFreedom};
 use super::camera_init::initial_rigs;
-use super::{Capture, PipelineError};
+use super::{Capture, PipelineError, result};
 use crate::geometry::{Intrinsics, Rigid, rotation};
 use crate::matching::clusters::clusters;
 use crate::matching::tracklets::{Tracklet, TrackletConfig, tracklets};
@@ -18,7 +18,7 @@ use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::StageReport;
 pub use consistency::{Consistent, made_consistent};
 pub use held_out::heldout_px;
-use instants::{FrameFilter, InstantBudget, instants, noise_factor};
+use instants::{FrameFilter, InstantBudget, instants, noise_factor, set_in_motion};
 use rayon::prelude::*;
 
 /// Cameras and who is who under them.
@@ -52,12 +52,18 @@ struct Effort {
     relative_decrease: f64,
     /// Seconds of one person that count as one independent block in the cameras' uncertainty; `None`: not computed.
     uncertainty_block_secs: Option<f64>,
+    /// Whether cameras may be late.
+    refine_delays: bool,
 }
 
-const TRIAL: Effort = Effort { max_instants: 120, relative_decrease: 1e-3, uncertainty_block_secs: None };
-const ROUND: Effort = Effort { max_instants: 250, relative_decrease: 1e-4, uncertainty_block_secs: None };
+const TRIAL: Effort =
+    Effort { max_instants: 120, relative_decrease: 1e-3, uncertainty_block_secs: None, refine_delays: false };
+const ROUND: Effort = Effort { max_instants: 250, relative_decrease: 1e-4, ..TRIAL };
 /// Detector errors are correlated over a third of a second (AR(0.9) at 30 Hz); a block must span several such times.
-const FINAL: Effort = Effort { max_instants: 500, relative_decrease: 1e-6, uncertainty_block_secs: Some(2.0) };
+const FINAL: Effort = Effort { max_instants: 500, relative_decrease: 1e-6, uncertainty_block_secs: Some(2.0), ..TRIAL };
+/// A delay is told by moving points alone, of which there are fewer.
+const TIMED: Effort =
+    Effort { max_instants: 1500, relative_decrease: 1e-5, uncertainty_block_secs: Some(2.0), refine_delays: true };
 
 /// Settings of an adjustment whose uncertainty nobody asks for.
 fn quick() -> AdjustmentConfig {
@@ -168,6 +174,14 @@ fn trial(
     Ok(adjusted)
 }
 
+/// The cameras after an adjustment in which they may be late; how late is told by [`Calibration::adjusted`].
+///
+/// # Errors
+/// [`Canceled`].
+pub fn with_delays(capture: &Capture, before: &Calibration, progress: &Progress) -> Result<Calibration, Canceled> {
+    adjusted(capture, before, TIMED, &|_| true, progress)
+}
+
 /// One round: adjustment, then association under the new cameras; kept only if no less is explained.
 fn improved(
     capture: &Capture,
@@ -206,9 +220,13 @@ fn adjusted(
 ) -> Result<Calibration, Canceled> {
     let session = capture.session;
     let budget = InstantBudget { max_instants: effort.max_instants, noise: before.noise, metres_per_unit: 1.0 };
-    let chosen = instants(session, &before.cameras, &before.association, budget, allowed);
+    let mut chosen = instants(session, &before.cameras, &before.association, budget, allowed);
     if chosen.is_empty() {
         return Ok(before.clone());
+    }
+    if effort.refine_delays {
+        let paths = result::paths(capture, before, progress)?;
+        set_in_motion(&mut chosen, session, &before.cameras, &paths);
     }
     let intrinsics: Vec<Intrinsics> = session.views.iter().map(|v| v.intrinsics).collect();
     let input = AdjustmentInput {
@@ -218,6 +236,7 @@ fn adjusted(
         bones: &capture.adjusted_bones,
         camera_freedom: CameraFreedom::Adjusted,
         refine_focal: false,
+        refine_delays: effort.refine_delays,
     };
     let uncertainty_block_frames = effort.uncertainty_block_secs.map(|s| ((s * session.fps).round() as usize).max(1));
     let relative_decrease = effort.relative_decrease;

@@ -23,6 +23,7 @@ fn session(centers: &[[f64; 3]], n_frames: usize, step: f64) -> Session {
             skew: 0.0,
             dist: Distortion::from_opencv(&[0.0; 5]).unwrap(),
         },
+        time_offset: 0.0,
         camera_from_world: Some(Rigid { rotation: Matrix3::identity(), translation: -Vector3::from(*center) }),
         frames: (0..n_frames).map(person).collect(),
         delivered: (0..n_frames).map(FrameIndex).collect(),
@@ -34,6 +35,7 @@ fn session(centers: &[[f64; 3]], n_frames: usize, step: f64) -> Session {
         n_frames,
         convention: KeypointConvention::Coco17,
         up_axis: None,
+        start_timecode: None,
         views: centers.iter().enumerate().map(view).collect(),
     }
 }

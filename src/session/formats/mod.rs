@@ -5,6 +5,7 @@ pub(crate) mod foreign;
 pub(crate) mod joints;
 pub mod native;
 pub(crate) mod poses;
+pub(crate) mod time;
 
 use crate::geometry::Distortion;
 use nalgebra::{Matrix3, Vector3};

@@ -6,6 +6,7 @@ use super::limits::UploadLimits;
 use super::raw::{RawCamera, RawPoses, RawSession};
 use super::warnings::Warnings;
 use crate::body::skeleton::KeypointConvention;
+use crate::session::formats::time::is_timecode;
 use crate::session::recording::UpAxis;
 use crate::session::{Detection, FrameIndex, Session, View};
 
@@ -27,6 +28,8 @@ pub(crate) fn assemble(
     let fps = checked_fps(raw.fps).map_err(in_header)?;
     let convention = checked_convention(&raw.keypoint_convention).map_err(in_header)?;
     let up_axis = raw.up_axis.as_deref().map(checked_up_axis).transpose().map_err(in_header)?;
+    let start_timecode =
+        raw.start_timecode.take().map(|code| checked_timecode(code, fps)).transpose().map_err(in_header)?;
     check_ids(&raw.cameras, limits).map_err(in_header)?;
     let n_frames = checked_n_frames(&raw, limits, warnings).map_err(in_header)?;
     let time_line = TimeLine { first_frame: raw.first_frame, n_frames };
@@ -39,7 +42,8 @@ pub(crate) fn assemble(
         let poses = raw.poses.remove(&camera.id).ok_or_else(|| in_camera(Fault::PosesMissing.with("no poses")))?;
         check_poses(&poses, &camera.id, &time_line, convention)?;
         let (frames, delivered) = dense(poses, &time_line);
-        views.push(View { id: camera.id.clone(), intrinsics, camera_from_world, frames, delivered });
+        let time_offset = checked_time_offset(camera.time_offset.unwrap_or(0.0)).map_err(in_camera)?;
+        views.push(View { id: camera.id.clone(), intrinsics, camera_from_world, time_offset, frames, delivered });
     }
     if views.iter().all(|view| view.delivered.is_empty()) {
         return Err(in_header(Fault::NoFrames.with("no camera delivered a frame")));
@@ -50,7 +54,8 @@ pub(crate) fn assemble(
     for id in raw.poses.keys() {
         warnings.add(format!("poses of unknown camera {} are ignored", shown(id)));
     }
-    Ok(Session { name: raw.name, fps, first_frame: raw.first_frame, n_frames, convention, up_axis, views })
+    let (name, first_frame) = (raw.name, raw.first_frame);
+    Ok(Session { name, fps, first_frame, n_frames, convention, up_axis, start_timecode, views })
 }
 
 struct TimeLine {
@@ -74,6 +79,23 @@ fn checked_fps(fps: f64) -> Result<f64, UploadError> {
         return Ok(fps);
     }
     Err(Fault::FpsInvalid.with(format!("fps is {fps}")))
+}
+
+/// Cameras that are further apart in time than this (s) did not film the same moments.
+const MAX_TIME_OFFSET: f64 = 3600.0;
+
+fn checked_time_offset(seconds: f64) -> Result<f64, UploadError> {
+    if (-MAX_TIME_OFFSET..=MAX_TIME_OFFSET).contains(&seconds) {
+        return Ok(seconds);
+    }
+    Err(Fault::TimeInvalid.with(format!("time_offset_s is {seconds}, expected seconds between -3600 and 3600")))
+}
+
+fn checked_timecode(code: String, fps: f64) -> Result<String, UploadError> {
+    if is_timecode(&code, fps) {
+        return Ok(code);
+    }
+    Err(Fault::TimeInvalid.with(format!("start_timecode is {}, expected HH:MM:SS:FF at {fps} frames", shown(&code))))
 }
 
 fn checked_convention(name: &str) -> Result<KeypointConvention, UploadError> {

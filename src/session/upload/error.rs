@@ -108,6 +108,7 @@ pub enum Fault {
     NoCameras,
     NoFrames,
     FpsInvalid,
+    TimeInvalid,
     ConventionUnknown,
     CameraIdInvalid,
     CameraDuplicate,
@@ -130,7 +131,7 @@ use UploadErrorKind::{Impossible, Malformed, TooLarge, Unsupported};
 
 impl Fault {
     /// Every fault, for the service's description and for tests.
-    pub const ALL: [Self; 46] = [
+    pub const ALL: [Self; 47] = [
         F::FileUnreadable,
         F::FormatUnknown,
         F::Encoding,
@@ -162,6 +163,7 @@ impl Fault {
         F::NoCameras,
         F::NoFrames,
         F::FpsInvalid,
+        F::TimeInvalid,
         F::ConventionUnknown,
         F::CameraIdInvalid,
         F::CameraDuplicate,
@@ -241,6 +243,7 @@ impl Fault {
             F::NoCameras => ("no_cameras", Impossible, "list at least one camera"),
             F::NoFrames => ("no_frames", Impossible, "send at least one frame"),
             F::FpsInvalid => ("fps_invalid", Impossible, "give frames per second between 0.1 and 2000"),
+            F::TimeInvalid => ("time_invalid", Impossible, "correct it, or leave it out"),
             F::ConventionUnknown => ("convention_unknown", Impossible, "name one of the supported conventions"),
             F::CameraIdInvalid => ("camera_id_invalid", Impossible, "give every camera a short name"),
             F::CameraDuplicate => ("camera_duplicate", Impossible, "give every camera its own id"),

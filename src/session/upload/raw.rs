@@ -15,6 +15,7 @@ pub(crate) struct RawSession {
     pub n_frames: Option<u64>,
     pub keypoint_convention: String,
     pub up_axis: Option<String>,
+    pub start_timecode: Option<String>,
     pub cameras: Vec<RawCamera>,
     /// Poses by camera id.
     pub poses: BTreeMap<String, RawPoses>,
@@ -36,6 +37,8 @@ pub(crate) struct RawCamera {
     pub rotation: Option<Rows>,
     /// `camera_from_world`, metres.
     pub translation: Option<Numbers>,
+    /// By how much its frames are later than their numbers say, s.
+    pub time_offset: Option<f64>,
 }
 
 /// What one camera saw.

@@ -33,6 +33,7 @@ fn small_session() -> Session {
                 skew: 0.0,
                 dist: [-0.1, 0.02, 1e-4, -2e-4, 0.001].into(),
             },
+            time_offset: 0.02,
             camera_from_world: Some(Rigid {
                 rotation: rotation::exp(&Vector3::new(0.1, -2.0, 0.3)),
                 translation: Vector3::new(0.5, 1.25, 4.0),
@@ -48,6 +49,7 @@ fn small_session() -> Session {
         n_frames: 5,
         convention: KeypointConvention::Coco17,
         up_axis: Some(UpAxis::Z),
+        start_timecode: Some("10:00:00:12".to_owned()),
         views: vec![view("Ä cam", &[4, 0, 2]), view("a", &[1])],
     }
 }

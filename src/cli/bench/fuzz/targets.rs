@@ -54,6 +54,8 @@ pub(super) const TARGETS: &[Target] = &[
         read: upload_of_files,
     },
     Target { name: "poses", what: "other tools' pose files", seeds: "poses", prepare: same, read: upload_of_files },
+    Target { name: "opencap", what: "OpenCap's pickles", seeds: "opencap", prepare: of_opencap, read: upload_of_files },
+    Target { name: "array", what: "MediaPipe's arrays", seeds: "array", prepare: of_mediapipe, read: upload_of_files },
     Target { name: "npz", what: "body models as npz", seeds: "npz", prepare: same, read: body },
     Target { name: "pickle", what: "body models as pickle", seeds: "pickle", prepare: same, read: body },
     Target { name: "landmarks", what: "landmark tables", seeds: "landmarks", prepare: same, read: landmarks },
@@ -67,6 +69,36 @@ fn same(seed: Input) -> Input {
 
 fn packed(seed: Input) -> Input {
     Input::file(seed.zipped())
+}
+
+/// A frame of one person of 17 points, as OpenPose writes it.
+const FRAME: &str = r#"{"people": [{"pose_keypoints_2d": [1,9,1,2,8,1,3,7,1,4,6,1,5,5,1,6,4,1,7,3,1,8,2,1,9,1,1,1,9,1,2,8,1,3,7,1,4,6,1,5,5,1,6,4,1,7,3,1,8,2,1]}]}"#;
+
+/// One camera's pickle becomes an upload of one camera.
+fn of_opencap(seed: Input) -> Input {
+    let members = [
+        ("session.json", br#"{"fps": 60}"#.to_vec()),
+        ("Cam1/cameraIntrinsicsExtrinsics.pickle", seed.bytes().to_vec()),
+        ("Cam1/Cam1_000000000000_keypoints.json", FRAME.as_bytes().to_vec()),
+    ];
+    Input { members: members.map(|(name, bytes)| (name.to_owned(), bytes)).to_vec() }
+}
+
+/// An array of two cameras becomes an upload of two cameras.
+fn of_mediapipe(seed: Input) -> Input {
+    let camera = |name| {
+        format!(
+            "[{name}]\nname = \"{name}\"\nsize = [1280.0, 720.0]\nmatrix = [[800.0, 0.0, 640.0], [0.0, 800.0, 360.0], \
+             [0.0, 0.0, 1.0]]\ndistortions = [0.0, 0.0, 0.0, 0.0]\nrotation = [0.0, 0.{name}, 0.0]\n\
+             translation = [0.0, 0.0, 4.0]\nfisheye = false\n"
+        )
+    };
+    let members = [
+        ("session.json", br#"{"fps": 30}"#.to_vec()),
+        ("Calib.toml", (camera(0) + &camera(1)).into_bytes()),
+        ("mediapipe2dData.npy", seed.bytes().to_vec()),
+    ];
+    Input { members: members.map(|(name, bytes)| (name.to_owned(), bytes)).to_vec() }
 }
 
 fn upload(case: &Input) -> Result<Outcome, String> {

@@ -1,8 +1,10 @@
 //! Calibration files, told by their content: each reader gives cameras as written, merged by name.
 
 mod agisoft;
+mod assoc4d;
 mod colmap;
 mod dmmr;
+mod opencap;
 mod opencv_yaml;
 mod ros;
 mod toml_cameras;
@@ -23,6 +25,8 @@ pub(crate) enum CalibrationFormat {
     ColmapImages,
     Agisoft,
     Dmmr,
+    Assoc4d,
+    OpenCap,
 }
 
 impl CalibrationFormat {
@@ -35,6 +39,8 @@ impl CalibrationFormat {
             Self::ColmapCameras | Self::ColmapImages => "colmap",
             Self::Agisoft => "agisoft_xml",
             Self::Dmmr => "dmmr_camparams",
+            Self::Assoc4d => "4dassoc_json",
+            Self::OpenCap => "opencap_pickle",
         }
     }
 }
@@ -49,6 +55,8 @@ pub(crate) struct Calibration {
     pub(crate) fps: Option<f64>,
     colmap: colmap::Model,
 }
+
+pub(crate) use opencap::recognise as is_opencap;
 
 /// Tells a calibration file by its beginning; `None` for anything else.
 pub(crate) fn recognise(head: &str) -> Option<CalibrationFormat> {
@@ -65,7 +73,7 @@ pub(crate) fn recognise(head: &str) -> Option<CalibrationFormat> {
         return Some(F::RosCameraInfo);
     }
     if start.starts_with('{') {
-        return None;
+        return assoc4d::recognise(head).then_some(F::Assoc4d);
     }
     if has_line("[") && ["matrix", "frame_rate", "distortions"].iter().any(|key| has_line(key)) {
         return Some(F::Toml);
@@ -82,10 +90,14 @@ impl Calibration {
         &mut self,
         format: CalibrationFormat,
         file: &str,
-        text: &str,
+        bytes: &[u8],
         warnings: &mut Warnings,
     ) -> Result<(), UploadError> {
         use CalibrationFormat as F;
+        let text = match format {
+            F::OpenCap => "",
+            _ => std::str::from_utf8(bytes).map_err(|_| Fault::Encoding.with("the calibration is not UTF-8"))?,
+        };
         let cameras = match format {
             F::OpenCvYaml => opencv_yaml::read(text)?,
             F::RosCameraInfo => vec![ros::read(file, text)?],
@@ -94,6 +106,8 @@ impl Calibration {
             F::ColmapImages => self.colmap.add_images(text).map(|()| Vec::new())?,
             F::Agisoft => agisoft::read(text, warnings)?,
             F::Dmmr => dmmr::read(text)?,
+            F::Assoc4d => assoc4d::read(text)?,
+            F::OpenCap => vec![opencap::read(file, bytes)?],
         };
         if !self.formats.contains(&format.name()) {
             self.formats.push(format.name());
@@ -127,6 +141,7 @@ impl Calibration {
         own.distortion_model = own.distortion_model.take().or(camera.distortion_model);
         own.rotation = own.rotation.take().or(camera.rotation);
         own.translation = own.translation.take().or(camera.translation);
+        own.time_offset = own.time_offset.or(camera.time_offset);
     }
 }
 

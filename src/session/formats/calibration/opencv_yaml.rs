@@ -61,6 +61,7 @@ fn camera(yaml: &Yaml, id: String) -> Result<RawCamera, UploadError> {
         distortion_model: None,
         rotation,
         translation: matrix("T")?.map(ShortList),
+        time_offset: None,
         id,
     })
 }

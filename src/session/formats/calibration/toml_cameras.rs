@@ -66,6 +66,7 @@ fn camera(key: &str, table: &Table, warnings: &mut Warnings) -> Result<RawCamera
         distortion_model: is_fisheye.then(|| "fisheye".to_owned()),
         rotation: rotation.and_then(|r| rows_of_axis_angle(&r).or_else(|| rows_of(&r))),
         translation: translation.map(ShortList),
+        time_offset: None,
         id,
     })
 }

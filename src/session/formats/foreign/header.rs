@@ -1,5 +1,6 @@
 //! `session.json` beside other tools' files: whatever they cannot say, every field optional.
 
+use crate::session::formats::time::FrameRate;
 use crate::session::upload::error::UploadError;
 use crate::session::upload::json::{Numbers, Rows, document_from_bytes};
 use crate::session::upload::raw::RawCamera;
@@ -9,12 +10,13 @@ use serde::Deserialize;
 #[derive(Debug, Default, Deserialize)]
 pub(super) struct Header {
     pub(super) name: Option<String>,
-    pub(super) fps: Option<f64>,
+    fps: Option<FrameRate>,
     pub(super) first_frame: Option<i64>,
     pub(super) n_frames: Option<u64>,
     pub(super) keypoint_convention: Option<String>,
     pub(super) keypoint_names: Option<Vec<String>>,
     pub(super) up_axis: Option<String>,
+    pub(super) start_timecode: Option<String>,
     #[serde(default)]
     cameras: Vec<HeaderCamera>,
 }
@@ -36,6 +38,7 @@ struct HeaderCamera {
     rotation: Option<Rows>,
     #[serde(rename = "t")]
     translation: Option<Numbers>,
+    time_offset_s: Option<f64>,
 }
 
 impl Header {
@@ -45,6 +48,11 @@ impl Header {
     /// What is no such document.
     pub(super) fn read(bytes: &[u8]) -> Result<Self, UploadError> {
         document_from_bytes(bytes)
+    }
+
+    /// Frames per second.
+    pub(super) fn fps(&self) -> Option<f64> {
+        self.fps.as_ref().map(FrameRate::per_second)
     }
 
     /// Cameras as far as the header knows them.
@@ -58,6 +66,7 @@ impl Header {
             distortion_model: camera.distortion_model.or((camera.fisheye == Some(true)).then(|| "fisheye".to_owned())),
             rotation: camera.rotation,
             translation: camera.translation,
+            time_offset: camera.time_offset_s,
         };
         std::mem::take(&mut self.cameras).into_iter().map(camera).collect()
     }

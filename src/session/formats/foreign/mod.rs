@@ -71,10 +71,11 @@ pub(crate) fn read_members<R: Read + Seek>(
         .zip(&sources)
         .map(|(camera, source)| sized(camera, source, &header_cameras, reading))
         .collect::<Result<_, _>>()?;
+    survey.hints.iter().for_each(|hint| reading.warnings.add(hint.clone()));
     for stranger in &survey.strangers {
         reading.warnings.add(format!("file {} is neither poses nor a calibration: it is ignored", shown(stranger)));
     }
-    let fps = header.fps.or(found.fps).or(calibration.fps).unwrap_or_else(|| {
+    let fps = header.fps().or(found.fps).or(calibration.fps).unwrap_or_else(|| {
         let line =
             format!("no file tells the frame rate: {DEFAULT_FPS} per second are assumed; give `fps` in session.json");
         reading.warnings.add(line);
@@ -94,6 +95,7 @@ pub(crate) fn read_members<R: Read + Seek>(
         n_frames: header.n_frames.or(Some(n_found)),
         keypoint_convention: convention.name().to_owned(),
         up_axis: header.up_axis,
+        start_timecode: header.start_timecode,
         poses: cameras.iter().map(|camera| camera.id.clone()).zip(sources.into_iter().map(|s| s.poses)).collect(),
         cameras,
     };
@@ -115,9 +117,8 @@ fn read_calibrations<R: Read + Seek>(
     let mut calibration = Calibration::default();
     for (name, format) in &survey.calibrations {
         let of_file = |e: UploadError| UploadError { file: Some(name.clone()), ..e };
-        let text = String::from_utf8(read_bytes(members, name, MAX_CALIBRATION_BYTES)?)
-            .map_err(|_| of_file(Fault::Encoding.with("the calibration is not UTF-8")))?;
-        calibration.add(*format, name, &text, reading.warnings).map_err(of_file)?;
+        let bytes = read_bytes(members, name, MAX_CALIBRATION_BYTES)?;
+        calibration.add(*format, name, &bytes, reading.warnings).map_err(of_file)?;
     }
     calibration.finish(reading.warnings)?;
     for camera in header_cameras.iter().filter(|camera| camera.matrix.is_some()) {
@@ -209,6 +210,8 @@ fn sized(
         scale_matrix(&mut camera, scale);
     }
     [camera.width, camera.height] = size;
+    let timed = header_cameras.iter().find(|own| own.id == camera.id && own.time_offset.is_some());
+    camera.time_offset = timed.map_or(camera.time_offset, |own| own.time_offset);
     Ok(camera)
 }
 
@@ -256,7 +259,7 @@ fn format_name(sources: &[Source], calibration: &Calibration, header_cameras: &[
 }
 
 fn files_of(survey: Survey) -> Vec<String> {
-    let Survey { header, calibrations, streams, groups, strangers: _ } = survey;
+    let Survey { header, calibrations, streams, groups, strangers: _, hints: _ } = survey;
     let named = calibrations.into_iter().map(|(name, _)| name).chain(streams.into_iter().map(|(name, _)| name));
     let frames = groups.into_iter().flat_map(|group| group.files).map(|(_, name)| name);
     header.into_iter().chain(named).chain(frames).collect()

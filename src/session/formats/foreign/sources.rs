@@ -5,8 +5,8 @@ use crate::session::Detection;
 use crate::session::formats::joints::JointOrder;
 use crate::session::formats::native;
 use crate::session::formats::poses::{
-    FoundPoses, FrameContent, ImageTable, PoseDialect, read_caliscope, read_deeplabcut, read_frame, read_list,
-    read_mmpose, read_timestamps,
+    FoundPoses, FrameContent, ImageTable, PoseDialect, read_array, read_caliscope, read_deeplabcut, read_frame,
+    read_list, read_mmpose, read_timestamps,
 };
 use crate::session::upload::error::{Fault, UploadError};
 use crate::session::upload::json::Reading;
@@ -85,6 +85,9 @@ fn read_stream<R: Read + Seek>(
     if dialect == PoseDialect::Native {
         let poses = native::read_poses(members, name, reading)?;
         return Ok(FoundPoses { by_camera: [(None, poses)].into(), ..FoundPoses::default() });
+    }
+    if dialect == PoseDialect::MediaPipeArray {
+        return read_array(members.open(name)?, reading);
     }
     let is_document = is_document(members, name)?;
     let reader = members.open(name)?;

@@ -2,6 +2,7 @@
 
 use crate::session::formats::calibration::{self, CalibrationFormat};
 use crate::session::formats::poses::{self, PoseDialect, frame_name};
+use crate::session::upload::error::shown;
 use crate::session::upload::members::Members;
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
@@ -17,6 +18,8 @@ pub(crate) struct Survey {
     pub(crate) groups: Vec<FrameGroup>,
     /// What is nothing of ours.
     pub(crate) strangers: Vec<String>,
+    /// What would be ours in another form, and how it gets there: a sentence each.
+    pub(crate) hints: Vec<String>,
 }
 
 /// Files of one frame each that make one camera.
@@ -42,7 +45,11 @@ const MAX_NUMBERED: usize = 256;
 enum Finding {
     Calibration(CalibrationFormat),
     Poses(PoseDialect),
+    Hdf5,
 }
+
+/// HDF5's first bytes.
+const HDF5: &[u8] = b"\x89HDF\r\n\x1a\n";
 
 /// Looks at every file once, at frame files by example.
 pub(crate) fn survey<R: Read + Seek>(members: &mut Members<R>) -> Survey {
@@ -84,6 +91,10 @@ pub(crate) fn survey<R: Read + Seek>(members: &mut Members<R>) -> Survey {
             Some(Finding::Calibration(format)) => survey.calibrations.push((name, format)),
             Some(Finding::Poses(dialect)) if dialect.is_file_per_frame() => survey.strangers.push(name),
             Some(Finding::Poses(dialect)) => survey.streams.push((name, dialect)),
+            Some(Finding::Hdf5) => survey.hints.push(format!(
+                "file {} is HDF5, which is not read: DeepLabCut's tables go in as CSV (pandas.read_hdf(FILE).to_csv(OTHER))",
+                shown(&name)
+            )),
             None => survey.strangers.push(name),
         }
     }
@@ -118,6 +129,15 @@ fn mark_shared_folders(groups: &mut [FrameGroup]) {
 fn finding<R: Read + Seek>(members: &mut Members<R>, name: &str) -> Option<Finding> {
     let mut head = Vec::new();
     members.open(name).ok()?.take(HEAD_BYTES).read_to_end(&mut head).ok()?;
+    if head.starts_with(HDF5) {
+        return Some(Finding::Hdf5);
+    }
+    if poses::is_array(&head) {
+        return Some(Finding::Poses(PoseDialect::MediaPipeArray));
+    }
+    if calibration::is_opencap(&head) {
+        return Some(Finding::Calibration(CalibrationFormat::OpenCap));
+    }
     if head.contains(&0) {
         return None;
     }

@@ -1,6 +1,7 @@
 //! `session.json`: what was filmed, and by which cameras.
 
 use super::frames::PosesFields;
+use crate::session::formats::time::FrameRate;
 use crate::session::upload::error::{Fault, UploadError, shown};
 use crate::session::upload::json::{Fields, Items, List, Object, Reading};
 use crate::session::upload::raw::{RawCamera, RawPoses, RawSession};
@@ -16,6 +17,7 @@ pub(super) struct DocumentFields {
     first_frame: Option<i64>,
     keypoint_convention: Option<String>,
     up_axis: Option<String>,
+    start_timecode: Option<String>,
     cameras: Option<Vec<RawCamera>>,
     /// Poses by camera id, where they stand inline.
     pub(super) poses: Option<BTreeMap<String, RawPoses>>,
@@ -37,6 +39,7 @@ impl DocumentFields {
             n_frames: self.n_frames,
             keypoint_convention: self.keypoint_convention.ok_or_else(|| missing("keypoint_convention"))?,
             up_axis: self.up_axis,
+            start_timecode: self.start_timecode,
             cameras: self.cameras.ok_or_else(|| missing("cameras"))?,
             poses,
         })
@@ -54,7 +57,7 @@ impl Fields for DocumentFields {
     ) -> Result<bool, A::Error> {
         match key {
             "name" => self.name = map.next_value()?,
-            "fps" => self.fps = Some(map.next_value()?),
+            "fps" => self.fps = Some(map.next_value::<FrameRate>()?.per_second()),
             "n_frames" => self.n_frames = map.next_value()?,
             "first_frame" => {
                 self.first_frame = map.next_value()?;
@@ -64,6 +67,7 @@ impl Fields for DocumentFields {
             }
             "keypoint_convention" => self.keypoint_convention = Some(map.next_value()?),
             "up_axis" => self.up_axis = map.next_value()?,
+            "start_timecode" => self.start_timecode = map.next_value()?,
             "cameras" => map.next_value_seed(List(&mut Cameras(self.cameras.insert(Vec::new())), reading))?,
             "poses" => map.next_value_seed(Object(&mut PosesByCamera(self.poses.insert(BTreeMap::new())), reading))?,
             _ => return Ok(false),
@@ -143,6 +147,7 @@ impl Fields for CameraFields {
             }
             "R" => self.rest.rotation = map.next_value()?,
             "t" => self.rest.translation = map.next_value()?,
+            "time_offset_s" => self.rest.time_offset = map.next_value()?,
             _ => return Ok(false),
         }
         Ok(true)

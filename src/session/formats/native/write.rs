@@ -61,6 +61,8 @@ struct Document<'a> {
     keypoint_convention: &'static str,
     #[serde(skip_serializing_if = "Option::is_none")]
     up_axis: Option<crate::session::recording::UpAxis>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    start_timecode: Option<&'a str>,
     cameras: Vec<Camera<'a>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     poses: Option<BTreeMap<&'a str, Poses>>,
@@ -80,6 +82,8 @@ struct Camera<'a> {
     rotation: Option<[[f64; 3]; 3]>,
     #[serde(rename = "t", skip_serializing_if = "Option::is_none")]
     translation: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    time_offset_s: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -107,6 +111,7 @@ fn document_of<'a>(session: &'a Session, poses: Option<BTreeMap<&'a str, Poses>>
         first_frame: session.first_frame,
         keypoint_convention: session.convention.name(),
         up_axis: session.up_axis,
+        start_timecode: session.start_timecode.as_deref(),
         cameras: session.views.iter().map(camera_of).collect(),
         poses,
     }
@@ -122,6 +127,7 @@ fn camera_of(view: &View) -> Camera<'_> {
         distortion_model: distortion_model(&view.intrinsics.dist),
         rotation: view.camera_from_world.map(|pose| rows(&pose.rotation)),
         translation: view.camera_from_world.map(|pose| entries(&pose.translation)),
+        time_offset_s: Some(view.time_offset).filter(|offset| *offset != 0.0),
     }
 }
 

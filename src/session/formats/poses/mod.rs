@@ -1,11 +1,13 @@
 //! Dialects of 2D poses, told by their content. Some write one file a frame, some one file a camera or a take.
 
+mod arrays;
 mod frame_files;
 mod lists;
 mod points;
 mod sniff;
 mod tables;
 
+pub(crate) use arrays::{is_array, read_array};
 pub(crate) use frame_files::{FrameContent, read_frame};
 pub(crate) use lists::{ImageTable, read_list, read_mmpose};
 pub(crate) use sniff::{PoseDialect, recognise};

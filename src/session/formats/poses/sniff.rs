@@ -25,6 +25,8 @@ pub(crate) enum PoseDialect {
     CaliscopeTimestamps,
     /// `scorer`, `bodyparts`, `coords`.
     DeepLabCutCsv,
+    /// `[cameras, frames, points, x y]` of numpy's.
+    MediaPipeArray,
     /// `{"frames": [...]}`: a camera's poses in the native layout.
     Native,
 }
@@ -41,6 +43,7 @@ impl PoseDialect {
             Self::CocoResults | Self::CocoImages => "coco",
             Self::CaliscopeCsv | Self::CaliscopeTimestamps => "caliscope",
             Self::DeepLabCutCsv => "deeplabcut",
+            Self::MediaPipeArray => "mediapipe",
             Self::Native => "native",
         }
     }
