@@ -36,7 +36,7 @@ fn a_killed_job_goes_on_after_its_last_finished_stage_and_gives_the_same_bytes()
     let id = server.submit(&server.upload(LONG, 1));
     server.wait_until(&id, |job| job["progress"]["stage"] == "body_fit");
     let kept = crate::server::files_below(&data.path().join("checkpoints"));
-    assert_eq!(kept.len(), 5, "{kept:?}");
+    assert_eq!(kept.len(), 6, "{kept:?}");
     drop(server); // killed
     let mut server = start();
     let log = server.stderr();
@@ -49,7 +49,7 @@ fn a_killed_job_goes_on_after_its_last_finished_stage_and_gives_the_same_bytes()
     assert_eq!(result(&id), result(&whole));
     drop(server);
     let log = std::io::read_to_string(log).unwrap();
-    assert_eq!(log.matches("is not run again").count(), 5, "{log}");
+    assert_eq!(log.matches("is not run again").count(), 6, "{log}");
 }
 
 #[test]

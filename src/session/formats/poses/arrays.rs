@@ -2,6 +2,7 @@
 
 use super::FoundPoses;
 use super::points::{checked_point, missing};
+use crate::body::loader::npy_head::with_flat_head;
 use crate::session::Detection;
 use crate::session::upload::error::{Fault, UploadError};
 use crate::session::upload::json::{Reading, fault_of_io};
@@ -25,9 +26,10 @@ pub(crate) fn is_array(head: &[u8]) -> bool {
 ///
 /// # Errors
 /// Another shape or type, or an array that ends early.
-pub(crate) fn read_array(mut reader: impl Read, reading: &mut Reading<'_>) -> Result<FoundPoses, UploadError> {
+pub(crate) fn read_array(reader: impl Read, reading: &mut Reading<'_>) -> Result<FoundPoses, UploadError> {
     let invalid = |detail: String| Fault::TableInvalid.with(detail);
-    let header = NpyHeader::from_reader(&mut reader).map_err(|e| invalid(format!("no numpy array: {e}")))?;
+    let mut reader = with_flat_head(reader).map_err(|e| invalid(format!("no numpy array: {e}")))?;
+    let header = NpyHeader::from_reader(&mut reader).map_err(|_| invalid("its head is not numpy's".to_owned()))?;
     let &[n_cameras, n_frames, n_points, width] = header.shape() else {
         return Err(invalid(format!("shape {:?}, expected cameras, frames, points, x y", header.shape())));
     };
