@@ -86,7 +86,10 @@ fn step(scene: &Scene, config: &TrackerConfig, frame: usize, people: &mut Vec<Tr
         for (view, detection) in newborn.detections_at(frame) {
             free[view].retain(|d| *d != detection);
         }
-        people.push(newborn);
+        match link::returned(scene, config, &newborn, people) {
+            Some(lost) => people[lost].continue_as(newborn),
+            None => people.push(newborn),
+        }
     }
 }
 

@@ -67,6 +67,14 @@ impl TrackedPerson {
         claim.iter().enumerate().filter_map(|(v, d)| d.map(|d| (v, d))).collect()
     }
 
+    /// Goes on as a fragment that begins later.
+    pub(super) fn continue_as(&mut self, later: Self) {
+        self.claims.extend(later.claims);
+        self.skeletons.extend(later.skeletons);
+        self.velocity = later.velocity;
+        self.n_stereo += later.n_stereo;
+    }
+
     /// Where the skeleton should be at `frame`.
     pub(super) fn predict(&self, frame: usize, fps: f64) -> Skeleton {
         // Beyond the memory of the velocity a body is as likely to have stopped as to have gone on.
