@@ -2,11 +2,11 @@
 //!
 //! Frame `n` of a camera is taken at `n + offset` frames on the common time line. In order:
 //!
-//! - [`whole_frames`]: offsets to a frame, pair by pair: the one under which the two cameras' people agree on a relative
+//! - `whole_frames`: offsets to a frame, pair by pair: the one under which the two cameras' people agree on a relative
 //!   pose, reconciled over all pairs
 //! - [`calibration`](super::calibration) with delays: in rounds, cameras and points are adjusted together with what is
 //!   left of the offsets, and the recording is moved by it
-//! - [`retiming`]: the recording as synchronous cameras would have made it, which is all that later stages see
+//! - `retiming`: the recording as synchronous cameras would have made it, which is all that later stages see
 
 mod retiming;
 mod whole_frames;

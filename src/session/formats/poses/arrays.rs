@@ -16,9 +16,12 @@ const MAX_POINTS: u64 = 1000;
 /// x, y, and at most depth and visibility.
 const WIDTHS: std::ops::RangeInclusive<u64> = 2..=4;
 
-/// Whether a file's first bytes are numpy's.
+/// Whether a file begins as numpy's arrays of four dimensions do: other arrays beside a session are nobody's poses.
 pub(crate) fn is_array(head: &[u8]) -> bool {
-    head.starts_with(b"\x93NUMPY")
+    let text = String::from_utf8_lossy(head);
+    let shape = text.split_once("'shape': (").and_then(|(_, rest)| rest.split_once(')'));
+    let n_dimensions = shape.map_or(0, |(shape, _)| shape.split(',').filter(|n| !n.trim().is_empty()).count());
+    head.starts_with(b"\x93NUMPY") && n_dimensions == 4
 }
 
 /// Reads one person a camera; cameras are called by their place in the array. A point that is not a number is missing;
@@ -71,4 +74,19 @@ pub(crate) fn read_array(reader: impl Read, reading: &mut Reading<'_>) -> Result
         }
     }
     Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_array_of_another_shape_beside_a_session_is_nobodys_poses() {
+        let head =
+            |shape: &str| format!("NUMPY\x01\x00v\x00{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}");
+        let is_taken = |shape: &str| is_array(&[&[0x93], head(shape).as_bytes()].concat());
+        assert!(is_taken("(2, 3, 33, 2)"));
+        assert!(!is_taken("(4, 300)") && !is_taken("(7,)") && !is_taken("()"));
+        assert!(!is_array(head("(2, 3, 33, 2)").as_bytes()));
+    }
 }
