@@ -7,9 +7,8 @@
 //! 1 to 15 mm, of varying direction: Needham et al. 2021, Sci. Rep. 11:20673): no correction is made, the doubt is in
 //! the interval.
 
-use super::model::{Betas, BodyModel};
+use super::model::{Betas, BodyModel, LandmarkTerm};
 use super::segments::{MeasuredSegment, Segment};
-use super::skeleton::JOINT_NAMES;
 use nalgebra::{DMatrix, DVector};
 
 /// Part of the detector's bias that all segments share, as a log ratio.
@@ -74,7 +73,7 @@ pub fn scale_from_people(
         scale: mean.value.exp(),
         interval95: [(mean.value - half).exp(), (mean.value + half).exp()],
         evidence: format!(
-            "limbs and trunks of {who} ({n_samples} lengths){stature} against those of adults; between adults and by the \
+            "limbs, trunks and heads of {who} ({n_samples} lengths){stature} against those of adults; between adults and by the \
              detector's habits the scale is uncertain to {:.1} %",
             100.0 * half
         ),
@@ -118,8 +117,8 @@ struct Row {
 fn segment_rows(model: &BodyModel, people: &[Vec<MeasuredSegment>]) -> Vec<Row> {
     let references = Segment::ALL.map(|segment| reference_segment(model, segment));
     let row = |person: usize, measured: &MeasuredSegment| {
-        let reference = &references[measured.segment as usize];
-        Row {
+        let reference = references[measured.segment as usize].as_ref()?;
+        Some(Row {
             person,
             ratio: (reference.length / measured.length).ln(),
             is_scaled: true,
@@ -127,9 +126,9 @@ fn segment_rows(model: &BodyModel, people: &[Vec<MeasuredSegment>]) -> Vec<Row> 
             log_per_beta: reference.log_per_beta,
             // 0.2 % keeps the matrix regular also for exact lengths.
             sigma: measured.sigma_log.hypot(0.002),
-        }
+        })
     };
-    people.iter().enumerate().flat_map(|(p, segments)| segments.iter().map(move |s| row(p, s))).collect()
+    people.iter().enumerate().flat_map(|(p, segments)| segments.iter().filter_map(move |s| row(p, s))).collect()
 }
 
 fn stature_row(model: &BodyModel, known: KnownStature) -> Row {
@@ -162,14 +161,18 @@ struct ReferenceSegment {
     log_per_beta: Betas,
 }
 
-fn reference_segment(model: &BodyModel, segment: Segment) -> ReferenceSegment {
-    let joint = |name: &str| JOINT_NAMES.iter().position(|n| *n == name);
-    let rest = segment.along(|name| Some(model.rest_joints[joint(name)?]))[0];
+/// `None` where the body has no landmark at one of the ends.
+fn reference_segment(model: &BodyModel, segment: Segment) -> Option<ReferenceSegment> {
+    let terms = |name: &str| Some(model.landmarks[model.landmark_index(name)?].terms.iter());
+    let place = |name: &str| Some(terms(name)?.map(|t| model.rest_joints[t.joint] * t.weight + t.offset).sum());
+    let rest = *segment.along(place).first()?;
     let moved = |k: usize| {
-        let moved = segment.along(|name| Some(model.shape_directions[joint(name)?].column(k).into_owned()));
+        let by_beta =
+            |t: &LandmarkTerm| model.shape_directions[t.joint].column(k) * t.weight + t.offset_directions.column(k);
+        let moved = segment.along(|name| Some(terms(name)?.map(by_beta).sum()));
         moved[0].dot(&rest) / rest.norm_squared()
     };
-    ReferenceSegment { length: rest.norm(), log_per_beta: Betas::from_fn(|k, _| moved(k)) }
+    Some(ReferenceSegment { length: rest.norm(), log_per_beta: Betas::from_fn(|k, _| moved(k)) })
 }
 
 fn covariance(rows: &[&Row], looseness: &[f64]) -> DMatrix<f64> {
@@ -229,7 +232,7 @@ mod tests {
         let biases = Segment::ALL.map(|segment| common + segment.detector_bias() * normal());
         let betas: Vec<Betas> = (0..n_people).map(|_| Betas::from_fn(|_, _| normal())).collect();
         let measured = |betas: &Betas, segment: Segment| {
-            let reference = reference_segment(&model, segment);
+            let reference = reference_segment(&model, segment).unwrap();
             let log = reference.log_per_beta.dot(betas) + biases[segment as usize];
             MeasuredSegment { segment, length: reference.length * log.exp() / scale, sigma_log: 0.003, n_samples: 500 }
         };

@@ -17,13 +17,15 @@ pub enum Segment {
     Forearm,
     /// Middle of the hips to middle of the shoulders, back straight.
     Trunk,
+    /// Middle of the shoulders to middle of the ears, neck straight.
+    Head,
 }
 
 impl Segment {
-    /// All five.
-    pub const ALL: [Self; 5] = [Self::Thigh, Self::Shank, Self::UpperArm, Self::Forearm, Self::Trunk];
+    /// All six.
+    pub const ALL: [Self; 6] = [Self::Thigh, Self::Shank, Self::UpperArm, Self::Forearm, Self::Trunk, Self::Head];
 
-    /// Keypoints (and joints) at its ends, without the side.
+    /// Keypoints at its ends, without the side.
     pub fn ends(self) -> [&'static str; 2] {
         match self {
             Self::Thigh => ["hip", "knee"],
@@ -31,12 +33,14 @@ impl Segment {
             Self::UpperArm => ["shoulder", "elbow"],
             Self::Forearm => ["elbow", "wrist"],
             Self::Trunk => ["hip", "shoulder"],
+            Self::Head => ["shoulder", "ear"],
         }
     }
 
     /// Standard deviation of the log ratio between a detector's length and the anatomical one: 16 mm of thigh, 10 mm of
     /// shank and upper arm, 8 mm of forearm (displacements along the bone; those across it hardly change its length),
-    /// 28 mm of trunk (hips and shoulders, and a back that is never quite straight).
+    /// 28 mm of trunk (hips and shoulders, and a back that is never quite straight), 17 mm of neck and head (shoulders, and
+    /// what a detector takes for the ear).
     pub fn detector_bias(self) -> f64 {
         match self {
             Self::Thigh => 0.04,
@@ -44,6 +48,7 @@ impl Segment {
             Self::UpperArm => 0.04,
             Self::Forearm => 0.03,
             Self::Trunk => 0.06,
+            Self::Head => 0.08,
         }
     }
 
@@ -53,17 +58,21 @@ impl Segment {
             let [a, b] = self.ends().map(|end| point(&format!("{side}_{end}")));
             Some(b? - a?)
         };
-        match (self, side("left"), side("right")) {
-            (Self::Trunk, Some(left), Some(right)) => vec![(left + right) / 2.0],
-            (Self::Trunk, ..) => Vec::new(),
-            (_, left, right) => left.into_iter().chain(right).collect(),
+        match (self.bends(), side("left"), side("right")) {
+            (true, Some(left), Some(right)) => vec![(left + right) / 2.0],
+            (true, ..) => Vec::new(),
+            (false, left, right) => left.into_iter().chain(right).collect(),
         }
     }
 
-    /// Which of a segment's lengths over time is its own: limbs are rigid, a back bends and is as long as when it is
-    /// straight.
+    /// Whether it lies on the midline and bends; limbs are rigid.
+    fn bends(self) -> bool {
+        matches!(self, Self::Trunk | Self::Head)
+    }
+
+    /// Which of a segment's lengths over time is its own: what bends is as long as when it is straight.
     fn quantile(self) -> f64 {
-        if self == Self::Trunk { 0.9 } else { 0.5 }
+        if self.bends() { 0.9 } else { 0.5 }
     }
 }
 
@@ -72,7 +81,7 @@ impl Segment {
 pub struct MeasuredSegment {
     /// Which.
     pub segment: Segment,
-    /// Median over frames and both sides (trunk: the ninth decile), own unit.
+    /// Median over frames and both sides (of trunk and head the ninth decile), own unit.
     pub length: f64,
     /// Standard error of the length's logarithm.
     pub sigma_log: f64,
