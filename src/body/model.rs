@@ -124,7 +124,7 @@ impl BodyModel {
             }
         }
         self.surface.digest_into(&mut hash);
-        hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+        hex::encode(hash.finalize())
     }
 }
 

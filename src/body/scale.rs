@@ -7,7 +7,8 @@
 //! 1 to 15 mm, of varying direction: Needham et al. 2021, Sci. Rep. 11:20673): no correction is made, the doubt is in
 //! the interval.
 
-use super::model::{Betas, BodyModel, LandmarkTerm};
+use super::kinematics::{Pose, joints_by_betas, landmark_by_betas, landmark_position, posed};
+use super::model::{Betas, BodyModel};
 use super::segments::{MeasuredSegment, Segment};
 use nalgebra::{DMatrix, DVector};
 
@@ -163,13 +164,17 @@ struct ReferenceSegment {
 
 /// `None` where the body has no landmark at one of the ends.
 fn reference_segment(model: &BodyModel, segment: Segment) -> Option<ReferenceSegment> {
-    let terms = |name: &str| Some(model.landmarks[model.landmark_index(name)?].terms.iter());
-    let place = |name: &str| Some(terms(name)?.map(|t| model.rest_joints[t.joint] * t.weight + t.offset).sum());
+    let body = model.shaped(&Betas::zeros());
+    let skeleton = posed(&body, &Pose::rest());
+    let joints_by_betas = joints_by_betas(model, &skeleton);
+    let place = |name: &str| Some(landmark_position(model, &body, &skeleton, model.landmark_index(name)?));
+    let by_betas = |name: &str| {
+        let landmark = &model.landmarks[model.landmark_index(name)?];
+        Some(landmark_by_betas(landmark, &skeleton, &joints_by_betas))
+    };
     let rest = *segment.along(place).first()?;
     let moved = |k: usize| {
-        let by_beta =
-            |t: &LandmarkTerm| model.shape_directions[t.joint].column(k) * t.weight + t.offset_directions.column(k);
-        let moved = segment.along(|name| Some(terms(name)?.map(by_beta).sum()));
+        let moved = segment.along(|name| Some(by_betas(name)?.column(k).into_owned()));
         moved[0].dot(&rest) / rest.norm_squared()
     };
     Some(ReferenceSegment { length: rest.norm(), log_per_beta: Betas::from_fn(|k, _| moved(k)) })

@@ -76,7 +76,7 @@ pub fn read_dataset(folder: &Path) -> Result<Dataset, DatasetError> {
         hash.update(std::fs::read(path).map_err(|source| DatasetError::Io { path: path.clone(), source })?);
         takes.push(read(path)?);
     }
-    Ok(Dataset { takes, sha256: hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect() })
+    Ok(Dataset { takes, sha256: hex::encode(hash.finalize()) })
 }
 
 fn gather(path: &Path, found: &mut Vec<PathBuf>) -> Result<(), DatasetError> {

@@ -39,7 +39,7 @@ impl Checkpoints {
     pub fn in_folder(folder: &Path, session_sha256: &str, options: &Options, body: &BodyModel) -> Self {
         let options = serde_json::to_string(options).unwrap_or_default(); // always serialises; a key of less would be refused
         let work = [env!("CARGO_PKG_VERSION"), session_sha256, &options, &body.sha256()].join("\n");
-        Self { place: Some(Place { folder: folder.to_owned(), key: hex(&Sha256::digest(work.as_bytes())) }) }
+        Self { place: Some(Place { folder: folder.to_owned(), key: hex::encode(Sha256::digest(work.as_bytes())) }) }
     }
 
     /// What the stage found before, or what it finds now.
@@ -77,7 +77,7 @@ fn contents(text: &str) -> Option<(&str, &str)> {
 }
 
 fn digest_of(key: &str, rest: &str) -> String {
-    hex(&Sha256::new().chain_update(key).chain_update(rest).finalize())
+    hex::encode(Sha256::new().chain_update(key).chain_update(rest).finalize())
 }
 
 impl Place {
@@ -97,10 +97,6 @@ impl Place {
         file.sync_all()?;
         std::fs::rename(&staging, path)
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]

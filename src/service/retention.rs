@@ -55,39 +55,34 @@ async fn remove_old(shared: &Shared, retention: &Retention) -> Result<(), StoreE
 }
 
 async fn remove_jobs(shared: &Shared, days: f64) -> Result<usize, StoreError> {
-    let rows = sqlx::query(
-        "SELECT id, tenant FROM jobs WHERE finished_at < strftime('%Y-%m-%dT%H:%M:%fZ', 'now', ?) ORDER BY seq LIMIT ?",
-    )
-    .bind(format!("-{days} days"))
-    .bind(BATCH)
-    .fetch_all(shared.store.read())
-    .await?;
-    for row in &rows {
-        let (id, tenant): (String, Tenant) = (row.try_get("id")?, Tenant::stored(row.try_get("tenant")?));
-        shared.queue.delete(&tenant, &id).await?;
+    const OLD: &str =
+        "SELECT id, tenant FROM jobs WHERE finished_at < strftime('%Y-%m-%dT%H:%M:%fZ', 'now', ?) ORDER BY seq LIMIT ?";
+    let old = of_batch(shared, OLD, days).await?;
+    for (id, tenant) in &old {
+        shared.queue.delete(tenant, id).await?;
         tracing::info!(job.id = id, "the job was old and is removed");
     }
-    Ok(rows.len())
+    Ok(old.len())
 }
 
 async fn remove_sessions(shared: &Shared, days: f64) -> Result<usize, StoreError> {
-    let rows = sqlx::query(
-        "SELECT id, tenant FROM sessions
+    const OLD: &str = "SELECT id, tenant FROM sessions
          WHERE created_at < strftime('%Y-%m-%dT%H:%M:%fZ', 'now', ?)
            AND NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.session_id = sessions.id)
-         ORDER BY seq LIMIT ?",
-    )
-    .bind(format!("-{days} days"))
-    .bind(BATCH)
-    .fetch_all(shared.store.read())
-    .await?;
-    for row in &rows {
-        let (id, tenant): (String, Tenant) = (row.try_get("id")?, Tenant::stored(row.try_get("tenant")?));
-        match sessions::remove(&shared.store, &tenant, &id).await {
+         ORDER BY seq LIMIT ?";
+    let old = of_batch(shared, OLD, days).await?;
+    for (id, tenant) in &old {
+        match sessions::remove(&shared.store, tenant, id).await {
             Ok(()) => tracing::info!(session.id = id, "the session was old and is removed"),
             Err(sessions::RemoveError::Store(error)) => return Err(error),
             Err(_) => {} // somebody was quicker, or has just submitted a job on it
         }
     }
-    Ok(rows.len())
+    Ok(old.len())
+}
+
+/// Ids and owners of the first that `query` calls older than some days.
+async fn of_batch(shared: &Shared, query: &'static str, days: f64) -> Result<Vec<(String, Tenant)>, StoreError> {
+    let rows = sqlx::query(query).bind(format!("-{days} days")).bind(BATCH).fetch_all(shared.store.read()).await?;
+    rows.iter().map(|row| Ok((row.try_get("id")?, Tenant::stored(row.try_get("tenant")?)))).collect()
 }

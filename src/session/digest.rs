@@ -10,7 +10,7 @@ use std::io::{self, Read};
 pub fn sha256_of_reader(reader: &mut impl Read) -> io::Result<String> {
     let mut hasher = Sha256::new();
     absorb(&mut hasher, reader)?;
-    Ok(hex(&hasher.finalize()))
+    Ok(hex::encode(hasher.finalize()))
 }
 
 /// Digest of named byte streams: of each name, then its content's own digest, in the order given.
@@ -32,7 +32,7 @@ impl NamedDigest {
 
     /// The digest of all that was added.
     pub fn finish(self) -> String {
-        hex(&self.0.finalize())
+        hex::encode(self.0.finalize())
     }
 }
 
@@ -46,11 +46,6 @@ fn absorb(hasher: &mut Sha256, reader: &mut impl Read) -> io::Result<()> {
             Err(e) => return Err(e),
         }
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    const DIGITS: &[u8; 16] = b"0123456789abcdef";
-    bytes.iter().flat_map(|b| [DIGITS[usize::from(b >> 4)], DIGITS[usize::from(b & 15)]]).map(char::from).collect()
 }
 
 #[cfg(test)]

@@ -126,7 +126,7 @@ fn sniff<R: Read + Seek>(reader: &mut R) -> Result<Container, UploadError> {
         _ if head.trim_ascii_start().first() == Some(&b'{') => Ok(Container::Document),
         [] => Err(Fault::FormatUnknown.with("the file is empty")),
         _ => {
-            let start: String = head.iter().take(8).map(|b| format!("{b:02x}")).collect();
+            let start = hex::encode(&head[..head.len().min(8)]);
             Err(Fault::FormatUnknown.with(format!("the file starts with bytes {start}, neither a zip nor an object")))
         }
     }

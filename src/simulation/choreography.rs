@@ -5,9 +5,9 @@
 use super::config::{Bodies, SimulationConfig};
 use super::gait;
 use super::mover::{Mover, STEP};
-use super::random::{Purpose, normal, stream};
+use super::random::{Purpose, stream};
 use super::skeleton::{Person, Skeleton};
-use crate::body::{Betas, default_body};
+use crate::body::default_body;
 use nalgebra::Vector2;
 
 /// People move this long before the first frame, s, so that nobody starts from rest in a T.
@@ -21,10 +21,12 @@ pub fn procedural_people(config: &SimulationConfig) -> Vec<Person> {
     let body = default_body();
     let person = |person: usize| {
         let rng = &mut stream(config.seed, Purpose::Body, 0, person);
-        let betas = (config.bodies == Bodies::Default).then(|| Betas::from_fn(|_, _| normal(rng, 1.0)));
-        let skeleton = match &betas {
-            Some(betas) => Skeleton::from_rest_joints(&body.shaped(betas).rest_joints),
-            None => Skeleton::random(rng),
+        let (skeleton, betas) = match config.bodies {
+            Bodies::Own => (Skeleton::random(rng), None),
+            Bodies::Default => {
+                let (skeleton, betas) = Skeleton::of_default_body(&body, rng);
+                (skeleton, Some(betas))
+            }
         };
         Person { skeleton, betas, poses: Vec::with_capacity(config.frames), source: "procedural".to_owned() }
     };

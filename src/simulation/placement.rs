@@ -2,9 +2,9 @@
 
 use super::SimulationError;
 use super::config::{Bodies, SimulationConfig};
-use super::random::{Purpose, normal, stream};
+use super::random::{Purpose, stream};
 use super::skeleton::{Person, Pose, Skeleton, joint};
-use crate::body::{Betas, default_body};
+use crate::body::default_body;
 use crate::geometry::rotation;
 use crate::motion_prior::motion_file::{MotionTake, read_take};
 use nalgebra::{Matrix3, Vector3};
@@ -30,9 +30,8 @@ pub fn people_from_files(paths: &[PathBuf], config: &SimulationConfig) -> Result
         let mut person = resampled(take, path, config.fps);
         if config.bodies == Bodies::Default {
             let mut rng = stream(config.seed, Purpose::Body, 0, index);
-            let betas = Betas::from_fn(|_, _| normal(&mut rng, 1.0));
-            person.skeleton = Skeleton::from_rest_joints(&body.shaped(&betas).rest_joints);
-            person.betas = Some(betas);
+            let (skeleton, betas) = Skeleton::of_default_body(&body, &mut rng);
+            (person.skeleton, person.betas) = (skeleton, Some(betas));
         }
         cut(&mut person, config, index);
         put_on_floor(&mut person);

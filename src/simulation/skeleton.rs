@@ -4,8 +4,8 @@
 //! assumptions. Proportions are rounded figures near de Leva's joint centres (J. Biomech. 29, 1996), stature 1.72 m.
 
 use super::random::normal;
-use crate::body::Betas;
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
+use crate::body::{Betas, BodyModel};
 use nalgebra::{Matrix3, Vector3};
 use rand_chacha::ChaCha8Rng;
 
@@ -133,6 +133,12 @@ impl Skeleton {
             limb.iter().for_each(|name| skeleton.offsets[joint(name)] *= length);
         }
         skeleton
+    }
+
+    /// That of the default body at a random shape, betas from N(0, 1), and its betas.
+    pub(super) fn of_default_body(body: &BodyModel, rng: &mut ChaCha8Rng) -> (Self, Betas) {
+        let betas = Betas::from_fn(|_, _| normal(rng, 1.0));
+        (Self::from_rest_joints(&body.shaped(&betas).rest_joints), betas)
     }
 
     /// A skeleton from its joints in the zero pose, m.

@@ -73,7 +73,7 @@ fn key(bytes: &[u8], landmarks: &LandmarkTable) -> String {
             hash.update(share.weight.to_le_bytes());
         }
     }
-    hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect()
+    hex::encode(hash.finalize())
 }
 
 #[cfg(test)]

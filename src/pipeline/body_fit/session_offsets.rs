@@ -126,10 +126,7 @@ fn session_offsets(
     for _ in 0..MAX_ITERATIONS {
         stages.progress.check()?;
         let Some(reduced) = solver.reduced(witnesses, &offsets, damping) else { break };
-        if let Some(found) = reduced.sigmas() {
-            sigmas = found;
-        }
-        log_volume = reduced.log_volume;
+        (sigmas, log_volume) = (reduced.sigmas(), reduced.log_volume);
         let Some(step) = reduced.solved(damping) else { break };
         let moved_offsets: Vec<Vector3<f64>> = offsets.iter().zip(&step.offsets).map(|(o, s)| o + s).collect();
         let moved = solver.moved(witnesses, &step);
@@ -235,8 +232,9 @@ impl Solver<'_> {
             right += person.right.rows(n_own, n) - across.tr_mul(&rest);
             own_parts.push((by_offsets, rest));
         }
-        log_volume += half_log_det(&hessian.clone().cholesky()?);
-        Some(Reduced { people, own_parts, hessian, right, log_volume })
+        let factor = hessian.clone().cholesky()?;
+        log_volume += half_log_det(&factor);
+        Some(Reduced { people, own_parts, hessian, factor, right, log_volume })
     }
 
     fn moved(&self, witnesses: &[OffsetWitness], step: &Step) -> Vec<(MotionState, BoneOffsets)> {
@@ -253,6 +251,8 @@ struct Reduced {
     people: Vec<Eliminated>,
     own_parts: Vec<(DMatrix<f64>, DVector<f64>)>,
     hessian: DMatrix<f64>,
+    /// Of the Hessian as it is, without damping.
+    factor: Cholesky<f64, Dyn>,
     right: DVector<f64>,
     /// `log |H| / 2 - log |prior| / 2` over bones, betas and offsets: how much the session narrows down what the prior left
     /// open. The motions' part is the same for all causes but for little.
@@ -277,9 +277,9 @@ impl Reduced {
     }
 
     /// Standard deviations from the inverse of the reduced system, the data counted once in [`CORRELATED_FRAMES`].
-    fn sigmas(&self) -> Option<Vec<Vector3<f64>>> {
-        let inverse = self.hessian.clone().cholesky()?.inverse();
+    fn sigmas(&self) -> Vec<Vector3<f64>> {
+        let inverse = self.factor.inverse();
         let sigma = |i: usize| (CORRELATED_FRAMES * inverse[(i, i)]).max(0.0).sqrt();
-        Some((0..inverse.nrows() / 3).map(|k| Vector3::from_fn(|axis, _| sigma(3 * k + axis))).collect())
+        (0..inverse.nrows() / 3).map(|k| Vector3::from_fn(|axis, _| sigma(3 * k + axis))).collect()
     }
 }

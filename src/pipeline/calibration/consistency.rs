@@ -60,12 +60,17 @@ impl Consistent {
     /// The cameras and who is who; the session `original` with clean detections.
     pub fn over(self, original: &Session) -> (Calibration, Option<Cleaned>) {
         let mut session = original.clone();
+        let n_keypoints = original.convention.names().len();
+        let mut mended = Vec::with_capacity(self.changes.len());
         for Change { view, frame, detection, keypoints } in self.changes {
             let points =
                 keypoints.into_iter().map(|[x, y, confidence]| Keypoint { pixel: Vector2::new(x, y), confidence });
-            session.views[view].frames[frame][detection].keypoints = points.collect();
+            let clean = &mut session.views[view].frames[frame][detection];
+            clean.keypoints = points.collect();
+            let sources = sources(&original.views[view].frames[frame][detection], clean, n_keypoints);
+            mended.push(MendedDetection { view, frame: FrameIndex(frame), detection, sources });
         }
-        let cleaning = Cleaning { identities_before: self.identities_before, mended: mended(original, &session) };
+        let cleaning = Cleaning { identities_before: self.identities_before, mended };
         (self.calibration, Some(Cleaned { session, told: self.told, cleaning }))
     }
 }
@@ -125,21 +130,6 @@ fn taken_for(session: &Session, before: &[PersonTrack], found: &[PersonTrack]) -
         }
     }
     taken
-}
-
-/// The detections whose keypoints are not what came in.
-fn mended(raw: &Session, clean: &Session) -> Vec<MendedDetection> {
-    let n_keypoints = raw.convention.names().len();
-    let mut found = Vec::new();
-    for (view, (before, after)) in raw.views.iter().zip(&clean.views).enumerate() {
-        for (frame, (before, after)) in before.frames.iter().zip(&after.frames).enumerate() {
-            for (detection, (before, after)) in before.iter().zip(after).enumerate().filter(|(_, (b, a))| b != a) {
-                let sources = sources(before, after, n_keypoints);
-                found.push(MendedDetection { view, frame: FrameIndex(frame), detection, sources });
-            }
-        }
-    }
-    found
 }
 
 /// Where every keypoint of a cleaned detection comes from.

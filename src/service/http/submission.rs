@@ -8,7 +8,6 @@ use super::upload::GuardedBody;
 use super::{App, options};
 use crate::service::queue::{EnqueueError, IdempotencyKey, NewJob, Room};
 use crate::service::store::Tenant;
-use crate::service::store::artifacts::hex;
 use crate::service::store::sessions::{self, StoredSession};
 use crate::service::webhooks;
 use axum::body::Body;
@@ -152,7 +151,7 @@ fn idempotency_key(headers: &HeaderMap, new: &NewJob, sha256: &str) -> Result<Op
             Problem::malformed("the Idempotency-Key is empty, too long or no ASCII", "send a fresh UUID")
         })?;
     let request = json!([sha256, new.options, new.labels, new.priority, new.webhook]).to_string();
-    let fingerprint = hex(&Sha256::digest(request.as_bytes()));
+    let fingerprint = hex::encode(Sha256::digest(request.as_bytes()));
     Ok(Some(IdempotencyKey { key: key.to_owned(), fingerprint }))
 }
 

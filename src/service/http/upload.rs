@@ -3,7 +3,6 @@
 use super::error::Problem;
 use crate::service::failpoint::fault;
 use crate::service::settings::RequestLimits;
-use crate::service::store::artifacts::hex;
 use crate::service::store::folders::TemporaryFile;
 use axum::body::{Body, Bytes};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
@@ -170,7 +169,7 @@ impl Spool {
     /// Hands the whole over.
     pub(super) async fn finish(mut self) -> Result<Spooled, Problem> {
         self.writer.flush().await.map_err(|e| Problem::from_io(&e))?;
-        Ok(Spooled { file: self.file, sha256: hex(&self.hasher.finalize()), bytes: self.bytes })
+        Ok(Spooled { file: self.file, sha256: hex::encode(self.hasher.finalize()), bytes: self.bytes })
     }
 }
 

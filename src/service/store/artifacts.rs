@@ -74,18 +74,13 @@ pub fn digest_file(path: &Path) -> io::Result<FileDigest> {
     let mut bytes = 0;
     loop {
         match file.read(&mut buffer)? {
-            0 => return Ok(FileDigest { bytes, sha256: hex(&hasher.finalize()) }),
+            0 => return Ok(FileDigest { bytes, sha256: hex::encode(hasher.finalize()) }),
             n => {
                 hasher.update(&buffer[..n]);
                 bytes += n as u64;
             }
         }
     }
-}
-
-/// Lower-case hexadecimal.
-pub fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn media_type(name: &str) -> &'static str {

@@ -1,7 +1,6 @@
 //! API keys: `wl_<id>_<secret>`, the secret 256 random bits. Only its SHA-256 is stored: the secret has all its bits from
 //! the system, so a slow hash would protect nothing that a fast one does not.
 
-use super::artifacts::hex;
 use super::tenants::Tenant;
 use super::{Store, StoreError};
 use crate::service::failpoint::fault;
@@ -85,8 +84,8 @@ pub(crate) fn random_bytes() -> Result<[u8; SECRET_BYTES], StoreError> {
 /// # Errors
 /// When the store or the system's source of randomness fails.
 pub async fn create(store: &Store, tenant: &Tenant, name: &str, scopes: &[Scope]) -> Result<NewKey, StoreError> {
-    let id = hex(&random_bytes()?[..8]);
-    let secret = hex(&random_bytes()?);
+    let id = hex::encode(&random_bytes()?[..8]);
+    let secret = hex::encode(random_bytes()?);
     let mut transaction = store.write().await?;
     super::tenants::remember(&mut transaction, tenant).await?;
     sqlx::query(
@@ -154,7 +153,7 @@ pub async fn check(store: &Store, token: &str) -> Result<Option<ApiKey>, StoreEr
 }
 
 fn digest(secret: &str) -> String {
-    hex(&Sha256::digest(secret.as_bytes()))
+    hex::encode(Sha256::digest(secret.as_bytes()))
 }
 
 /// In constant time, so that nothing of a digest can be learned from how long a refusal takes.

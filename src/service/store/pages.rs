@@ -183,7 +183,7 @@ impl Pages {
         let (head, rest) = (std::str::from_utf8(&bytes[..split]).ok()?, &bytes[split + 1..]);
         let mut words = head.strip_prefix(MAGIC)?.split_whitespace();
         let page_bytes: usize = words.next()?.parse().ok()?;
-        let is_whole = words.next()? == super::artifacts::hex(&summed(page_bytes, rest));
+        let is_whole = words.next()? == hex::encode(summed(page_bytes, rest));
         let (digests, _) = rest.as_chunks();
         is_whole.then(|| Self { page_bytes, digests: digests.to_vec() })
     }
@@ -193,7 +193,7 @@ impl Pages {
         let rest = self.digests.as_flattened();
         let staging = path.with_extension("pages.tmp");
         let mut file = File::create(&staging)?;
-        let sum = super::artifacts::hex(&summed(self.page_bytes, rest));
+        let sum = hex::encode(summed(self.page_bytes, rest));
         file.write_all(format!("{MAGIC} {} {sum}\n", self.page_bytes).as_bytes())?;
         file.write_all(rest)?;
         file.sync_all()?;
