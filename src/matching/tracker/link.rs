@@ -1,67 +1,72 @@
 //! Fragments of one person, joined across the time in which nobody saw them.
 
+use super::Scene;
+use super::likeness::{Likeness, distance, place_evidence, room};
 use super::person::TrackedPerson;
-use super::{Scene, TrackerConfig};
-use crate::optim::robust::median;
+use crate::matching::assignment::assign;
+use std::collections::BTreeMap;
 
-/// Fragments further apart than this in time are left apart, s: nothing but place and size speaks for them.
-const MAX_GAP: f64 = 4.0;
-
-/// Someone out of sight is expected within this distance, m, growing with their walking speed.
-const REACH: f64 = 0.5;
-
-/// Walking speed, m/s.
-const WALK: f64 = 1.2;
-
-/// Joins fragments end to start, nearest first.
-pub(super) fn join_fragments(scene: &Scene, mut people: Vec<TrackedPerson>) -> Vec<TrackedPerson> {
-    loop {
-        let mut best: Option<(f64, usize, usize)> = None;
-        for (i, earlier) in people.iter().enumerate() {
-            for (j, later) in people.iter().enumerate() {
-                if i == j {
-                    continue;
-                }
-                let cost = gap_cost(scene, earlier, later);
-                if let Some(cost) = cost.filter(|c| best.is_none_or(|b| *c < b.0)) {
-                    best = Some((cost, i, j));
-                }
-            }
+/// Joins fragments end to start: of all ways to do so, the one with the most evidence.
+///
+/// A path cover of least cost (Zhang, Li and Nevatia 2008) without further terms is an assignment of ends to starts.
+/// Where nothing speaks for anything, a newcomer is as likely as a return.
+pub(super) fn join_fragments(scene: &Scene, followed: Vec<TrackedPerson>) -> Vec<TrackedPerson> {
+    let mut people: Vec<TrackedPerson> = followed.iter().flat_map(|p| split(scene, p)).collect();
+    people.sort_by_key(|p| (p.first(), p.last_seen()));
+    let costs = costs(scene, &people);
+    let next = assign(people.len(), people.len(), 0.0, |i, j| costs[i][j]);
+    let starts: Vec<usize> = (0..people.len()).filter(|j| !next.contains(&Some(*j))).collect();
+    let mut fragments: Vec<Option<TrackedPerson>> = people.into_iter().map(Some).collect();
+    let chain = |start: usize| {
+        let mut whole = fragments[start].take()?;
+        let mut end = start;
+        while let Some(later) = next[end] {
+            whole.continue_as(fragments[later].take()?);
+            end = later;
         }
-        let Some((_, i, j)) = best else { return people };
-        let later = people[j].clone();
-        people[i].continue_as(later);
-        people.remove(j);
-    }
+        Some(whole)
+    };
+    starts.into_iter().filter_map(chain).collect()
 }
 
-/// The person out of sight, if any, who comes back as `newborn`: somebody who moved faster than predicted is not two people.
-pub(super) fn returned(
-    scene: &Scene,
-    config: &TrackerConfig,
-    newborn: &TrackedPerson,
-    people: &[TrackedPerson],
-) -> Option<usize> {
-    let cost = |(i, person): (usize, &TrackedPerson)| Some((gap_cost(scene, person, newborn)?, i));
-    let lost = people.iter().enumerate().filter(|(_, person)| person.is_real(scene, config));
-    lost.filter_map(cost).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, i)| i)
+/// Out of sight for longer than this, s, nobody is followed: whoever turns up near by may be another.
+const MAX_HOLE: f64 = 0.2;
+
+/// The pieces of uninterrupted sight.
+fn split(scene: &Scene, followed: &TrackedPerson) -> Vec<TrackedPerson> {
+    let max_hole = (MAX_HOLE * scene.fps).max(1.0) as usize;
+    let frames: Vec<usize> = followed.claims.iter().map(|(frame, _)| *frame).collect();
+    let ends = (1..frames.len()).filter(|&k| frames[k] - frames[k - 1] > max_hole).chain([frames.len()]);
+    let mut start = 0;
+    ends.map(|end| followed.piece(std::mem::replace(&mut start, end)..end)).collect()
 }
 
-/// Distance from where `earlier` should be to where `later` starts, as a share of what is believable.
-fn gap_cost(scene: &Scene, earlier: &TrackedPerson, later: &TrackedPerson) -> Option<f64> {
+/// Evidence against each pair of end and start, nats; large where the order in time forbids it.
+fn costs(scene: &Scene, people: &[TrackedPerson]) -> Vec<Vec<f64>> {
+    let likeness: Vec<Likeness> = people.iter().map(|p| Likeness::of(scene, p)).collect();
+    let room = room(scene);
+    let of_end = |i: usize| {
+        let mut before = vec![BTreeMap::new(); scene.views.len()];
+        let known = people.iter().zip(&likeness).filter(|(p, _)| p.first() <= people[i].last_seen());
+        known.for_each(|(_, likeness)| likeness.count_numbers(&mut before));
+        let of_start = |j: usize| {
+            let Some(place) = place(scene, &people[i], &people[j], room) else { return f64::MAX };
+            let (one, other) = (&likeness[i], &likeness[j]);
+            -(place + one.build_evidence(other) + one.number_evidence(other, &before))
+        };
+        (0..people.len()).map(of_start).collect()
+    };
+    (0..people.len()).map(of_end).collect()
+}
+
+/// Evidence of where `earlier` should be for `later` being the same; `None` where they are seen at once.
+fn place(scene: &Scene, earlier: &TrackedPerson, later: &TrackedPerson, room: f64) -> Option<f64> {
     if later.first() <= earlier.last_seen() {
         return None;
     }
     let seconds = (later.first() - earlier.last_seen()) as f64 / scene.fps;
-    if seconds > MAX_GAP {
-        return None;
-    }
     let predicted = earlier.predict(later.first(), scene.fps);
-    let mut distances: Vec<f64> =
-        predicted.iter().zip(&later.skeletons[0]).filter_map(|(a, b)| Some(((*a)? - (*b)?).norm())).collect();
-    let distance = median(&mut distances)?;
-    let reach = REACH + WALK * seconds;
-    (distance < reach).then_some(distance / reach + seconds / MAX_GAP)
+    Some(distance(&predicted, &later.skeletons[0]).map_or(0.0, |d| place_evidence(d, seconds, room)))
 }
 
 #[cfg(test)]
@@ -75,17 +80,33 @@ mod tests {
         TrackedPerson::new(frame, Vec::new(), skeleton)
     }
 
+    const SCENE: Scene = Scene { views: &[], cameras: &[], bones: &[], fps: 30.0, n_frames: 3 };
+
     #[test]
     fn somebody_who_moved_faster_than_predicted_is_not_two_people() {
-        let scene = Scene { views: &[], cameras: &[], bones: &[], fps: 30.0, n_frames: 3 };
-        let config = TrackerConfig::default();
-        let people = [person(0, 5.0), person(7, 0.0), person(7, 0.3)];
-        let found = |frame: usize, x: f64| returned(&scene, &config, &person(frame, x), &people);
-        assert_eq!(found(10, -0.4), Some(1), "the nearer of two");
-        assert_eq!(found(10, 2.5), None, "too far for anybody");
-        assert_eq!(found(7, 0.05), None, "who is in sight does not come back");
-        let mut joined = people[1].clone();
-        joined.continue_as(person(10, -0.4));
-        assert_eq!((joined.first(), joined.last_seen(), joined.skeletons.len()), (7, 10, 2));
+        let joined = |later: TrackedPerson| join_fragments(&SCENE, vec![person(7, 0.0), later]).len();
+        assert_eq!(joined(person(10, -0.4)), 1, "near");
+        assert_eq!(joined(person(10, 2.5)), 2, "too far");
+        assert_eq!(joined(person(7, 0.05)), 2, "who is in sight does not come back");
+    }
+
+    #[test]
+    fn somebody_who_comes_where_another_went_is_judged_by_all_that_was_seen_of_both() {
+        let mut followed = person(0, 0.0);
+        followed.continue_as(person(3, 0.1));
+        followed.continue_as(person(18, 0.2));
+        let pieces: Vec<[usize; 2]> = split(&SCENE, &followed).iter().map(|p| [p.first(), p.last_seen()]).collect();
+        assert_eq!(pieces, [[0, 3], [18, 18]]);
+    }
+
+    #[test]
+    fn fragments_are_joined_by_the_most_evidence_of_all_and_not_by_the_best_pair_first() {
+        // Nearest first would take 0.0 -> -0.2 and leave -0.5 -> 0.3.
+        let fragments = vec![person(0, 0.0), person(0, -0.5), person(9, 0.3), person(9, -0.2)];
+        let joined = join_fragments(&SCENE, fragments);
+        let ends = |p: &TrackedPerson| [0, p.skeletons.len() - 1].map(|t| p.skeletons[t][0].map_or(f64::NAN, |x| x.x));
+        let mut ends: Vec<[f64; 2]> = joined.iter().map(ends).collect();
+        ends.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        assert_eq!(ends, [[-0.5, -0.2], [0.0, 0.3]]);
     }
 }

@@ -4,6 +4,7 @@
 //! left over starts new people where two views agree. Not physics yet: predictions move with the body's own velocity.
 
 mod birth;
+mod likeness;
 mod link;
 mod person;
 
@@ -71,6 +72,7 @@ pub fn track(scene: &Scene, config: &TrackerConfig, progress: &Progress) -> Resu
     }
     finished.extend(people.into_iter().filter(|p| p.is_real(scene, config)));
     let mut people = link::join_fragments(scene, finished);
+    people.retain(|p| p.is_real(scene, config));
     people.sort_by_key(|p| (std::cmp::Reverse(p.support()), p.first()));
     Ok(people)
 }
@@ -86,10 +88,7 @@ fn step(scene: &Scene, config: &TrackerConfig, frame: usize, people: &mut Vec<Tr
         for (view, detection) in newborn.detections_at(frame) {
             free[view].retain(|d| *d != detection);
         }
-        match link::returned(scene, config, &newborn, people) {
-            Some(lost) => people[lost].continue_as(newborn),
-            None => people.push(newborn),
-        }
+        people.push(newborn);
     }
 }
 
@@ -103,7 +102,8 @@ fn claims(scene: &Scene, config: &TrackerConfig, frame: usize, people: &[Tracked
         let cost = |p: usize, d: usize| {
             let gate = config.gate + config.gate_growth * (frame - people[p].last_seen() - 1) as f64 / scene.fps;
             let doubt = if people[p].is_real(scene, config) { 1.0 } else { 1.3 };
-            person::distance_m(&predictions[p], camera, &detections[d]).map_or(2.0, |m| m / gate * doubt)
+            let distance = person::distance_m(&predictions[p], camera, &detections[d]);
+            distance.map_or(2.0, |m| claim_cost(m * doubt, gate, config.gate))
         };
         let costs: Vec<Vec<f64>> =
             (0..people.len()).map(|p| (0..detections.len()).map(|d| cost(p, d)).collect()).collect();
@@ -112,6 +112,14 @@ fn claims(scene: &Scene, config: &TrackerConfig, frame: usize, people: &[Tracked
         }
     }
     claims
+}
+
+/// Cost of a detection `distance` m off a prediction that is good to `gate` m; 1 is nobody's.
+///
+/// With the gate at three standard deviations the negative log likelihood over the 4.5 nats of a gate just made: a lost
+/// person's wide gate takes in many detections, and each of them is the less likely theirs.
+fn claim_cost(distance: f64, gate: f64, fresh_gate: f64) -> f64 {
+    if distance < gate { (distance / gate).powi(2) + 2.0 / 4.5 * (gate / fresh_gate).ln() } else { 2.0 }
 }
 
 /// Detections of a frame that nobody claims, per view.

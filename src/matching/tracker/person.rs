@@ -75,6 +75,14 @@ impl TrackedPerson {
         self.n_stereo += later.n_stereo;
     }
 
+    /// Some of the sightings; the last velocity is known for the last piece alone.
+    pub(super) fn piece(&self, range: std::ops::Range<usize>) -> Self {
+        let (claims, skeletons) = (self.claims[range.clone()].to_vec(), self.skeletons[range.clone()].to_vec());
+        let velocity = if range.end == self.claims.len() { self.velocity } else { Vector3::zeros() };
+        let n_stereo = claims.iter().filter(|(_, claim)| claim.iter().flatten().count() >= 2).count();
+        Self { claims, skeletons, velocity, n_stereo }
+    }
+
     /// Where the skeleton should be at `frame`.
     pub(super) fn predict(&self, frame: usize, fps: f64) -> Skeleton {
         // Beyond the memory of the velocity a body is as likely to have stopped as to have gone on.

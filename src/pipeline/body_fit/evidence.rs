@@ -45,9 +45,9 @@ pub(super) struct Evidence {
 }
 
 impl Evidence {
-    /// Whether anything was seen at a frame.
+    /// Whether a view saw the person at a frame. Points alone are no witness: smooth paths go on through holes.
     pub(super) fn is_seen(&self, frame: usize) -> bool {
-        !self.points[frame].is_empty() || !self.pixels[frame].is_empty()
+        !self.pixels[frame].is_empty()
     }
 
     /// A run of frames.
