@@ -1,7 +1,8 @@
 //! Where the joints and the detectors' points lie, in terms of measured lengths.
 //!
-//! Joints are put at their anatomical places, but for the pelvis joint, which lies some 85 mm above the hip line as in
-//! SMPL's convention. Written for the left side and mirrored. Sources of the factors:
+//! Joints are put at their anatomical places, but for those of the trunk's ends, where files of SMPL's layout mean another
+//! place: the pelvis joint lies some 85 mm above the hip line, neck and head some 60 and 155 mm above the shoulder
+//! line (anatomy: the foot of the neck's spine at 100 mm, the condyles at 180 mm). Written for the left side and mirrored. Sources of the factors:
 //! - ANSUR II heights and lengths ([`crate::body::anthropometry`]);
 //! - de Leva 1996 (J. Biomech. 29:1223): the shoulder's centre lies 10.4 % of the upper arm below the acromion, the
 //!   elbow's 4.3 % above the radiale; his forearm (elbow to wrist centre) ends 9 mm short of the stylion;
@@ -67,6 +68,9 @@ pub(super) fn head(x: f64, below: &[(f64, Measure)], up: f64, z: f64) -> Place {
     [fixed(x), length(up, &y), fixed(z)]
 }
 
+/// The head joint lies so far below the ear canals, m; the condyles, about which a head nods, at 30 mm.
+const HEAD_BELOW_EAR: f64 = 0.055;
+
 /// Rest place of a midline joint or a left one, by SMPL's name without the side.
 pub(super) fn joint_place(name: &str) -> Place {
     match name {
@@ -74,9 +78,9 @@ pub(super) fn joint_place(name: &str) -> Place {
         "spine1" => spine(0.22, -0.015),
         "spine2" => spine(0.48, -0.015),
         "spine3" => spine(0.60, -0.020),
-        "neck" => spine(1.0, -0.020),
-        // The occipital condyles, about which the head nods, lie some 30 mm below the ear canal.
-        "head" => head(0.0, &[(-1.0, TragionToTop)], -0.030, 0.0),
+        // 60 mm above the shoulder line, a third of the way from the acromions up to the lowest cervical vertebra.
+        "neck" => [fixed(0.0), length(0.0, &[(0.64, AcromialHeight), (0.36, CervicaleHeight)]), fixed(-0.020)],
+        "head" => head(0.0, &[(-1.0, TragionToTop)], -HEAD_BELOW_EAR, 0.0),
         // Between the inner end of the clavicle (25 mm) and SMPL's collar joint (some 75 mm).
         "collar" => [length(0.0, &[(0.13, BiacromialBreadth)]), length(-0.004, &[(1.0, AcromialHeight)]), fixed(0.0)],
         "shoulder" => arm(0.0, 0.0, 0.0, 0.0),
