@@ -30,12 +30,12 @@ def native(session):
     return [("session.json", json.dumps(head))] + [(f"poses/{name}.json", json.dumps(poses)) for name, poses in session["poses"].items()]
 
 
-def zeros(gib):
-    """A deflated member of zeros, written without making them."""
+def filled(gib, byte):
+    """A deflated member of one byte again and again, written without making it whole."""
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
         with archive.open("session.json", "w", force_zip64=True) as member:
-            block = bytes(1 << 20)
+            block = byte * (1 << 20)
             for _ in range(gib << 10):
                 member.write(block)
     return out.getvalue()
@@ -63,7 +63,8 @@ def patched(data, signature, offset, value):
 def containers(good):
     """D1, D2 (a sample), D3."""
     whole = zip_of(good)
-    yield "5 GiB of zeros", zeros(5)
+    yield "5 GiB of zeros", filled(5, b"\0")
+    yield "2 GiB of spaces", filled(2, b" ")  # which JSON allows: only the limits end it
     yield "a million empty members", empty_entries(1_000_000)
     yield "nested zip", zip_of([("session.zip", whole)])
     for name, offset, value in (("directory size 0", 12, b"\0" * 4), ("directory size lies", 12, b"\xff" * 4), ("directory place lies", 16, b"\xff" * 4),

@@ -26,7 +26,7 @@ def main():
     empty.stop()
     empty.remove()
 
-    service = Service(asked.program)
+    service = Service(asked.program, words=["--set", f"jobs.concurrent={os.cpu_count()}"])
     service.start()
     client = service.client()
     long = client.upload(take(asked.solver_frames, 4, seed=1))["id"]

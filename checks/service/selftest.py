@@ -40,7 +40,7 @@ FAULTS = {
     "claims.scanned": ("plan", "load.py", "--jobs", "300", "--clients", "20", "--seconds", "2", "--solver-frames", "300"),
     "answers.slow": ("status p99", "load.py", "--jobs", "300", "--clients", "20", "--seconds", "4", "--solver-frames", "300"),
     "start.slow": ("start", "load.py", "--jobs", "100", "--clients", "20", "--seconds", "2", "--solver-frames", "300"),
-    "limits.none": ("zeros", "hostile.py", "--flips", "500"),
+    "limits.none": ("spaces", "hostile.py", "--flips", "500"),
     "tenants.one": ("E1", "tenants.py", "--calls", "40"),
     "keys.kept": ("revoked", "tenants.py", "--calls", "40"),
     "webhooks.anywhere": ("E7", "tenants.py", "--calls", "40"),

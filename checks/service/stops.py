@@ -158,6 +158,8 @@ def paused(asked, faults):
     child = children(service)[0]
     os.kill(child, signal.SIGSTOP)
     gone = until(lambda: child not in children(service), 10)
+    if not gone:
+        os.kill(child, signal.SIGCONT)
     done = client.wait(job)
     results = os.listdir(os.path.join(service.data, "results", job))
     faults.require(gone and done["attempt"] == 2 and len(results) == 1, f"A11: {gone} {done['attempt']} {results}")
