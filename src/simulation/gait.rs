@@ -184,10 +184,15 @@ fn bend_arm(rotations: &mut [Matrix3<f64>; N_JOINTS], side: Side, stance: &Stanc
     let raised = 0.2 * (flexion.max(0.0).hypot(abduction) - 0.5).max(0.0);
     rotations[side.joint(joint("left_collar"))] = side.rotation(about_z(raised));
     rotations[side.joint(joint("left_shoulder"))] =
-        side.rotation(about_x(-flexion) * about_z(abduction - raised - FRAC_PI_2));
-    rotations[side.joint(joint("left_elbow"))] = side.rotation(about_y(-elbow));
-    rotations[side.joint(joint("left_wrist"))] = side.rotation(about_z(-0.08) * about_y(-0.1));
+        side.rotation(about_x(-flexion) * about_z(abduction - raised - FRAC_PI_2) * about_x(ELBOW_TILT));
+    rotations[side.joint(joint("left_elbow"))] =
+        side.rotation(about_x(-ELBOW_TILT) * about_y(-elbow) * about_x(ELBOW_TILT));
+    rotations[side.joint(joint("left_wrist"))] = side.rotation(about_z(0.28));
 }
+
+/// Motion capture has the elbow's axis turned by this about the upper arm, rad, and the upper arm turned as much against it
+/// (the mean over CMU's takes: flexion about (0, -48, 23) degrees).
+const ELBOW_TILT: f64 = 0.45;
 
 /// Soles, in the frames of ankle and foot joints, m.
 const SOLE: [(usize, [f64; 3]); 6] = [

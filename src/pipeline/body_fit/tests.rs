@@ -28,7 +28,7 @@ fn smooth_motion(seed: u64, seconds: f64, fps: f64) -> Truth {
     let swings: Vec<[(Vector3<f64>, f64, f64); 2]> = (0..N_JOINTS)
         .map(|j| {
             [0.4, 0.9].map(|hertz| {
-                let spread = ranges[j].spread * 0.4;
+                let spread = ranges[j].spread * 0.6;
                 let size = Vector3::from_fn(|axis, _| uniform(-1.0, 1.0) * spread[axis].min(0.4));
                 (size, hertz * uniform(0.6, 1.1), uniform(0.0, TAU))
             })

@@ -73,6 +73,14 @@ pub(crate) fn shown(text: &str) -> String {
     }
 }
 
+/// What another library says of a file may quote it: control characters are escaped.
+fn one_line(text: String) -> String {
+    if !text.contains(char::is_control) {
+        return text;
+    }
+    text.chars().flat_map(|c| if c.is_control() { c.escape_debug().collect() } else { vec![c] }).collect()
+}
+
 /// Every reason for which an upload is refused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(missing_docs)] // the table in `row` says what each means
@@ -202,7 +210,7 @@ impl Fault {
             frame: None,
             person: None,
             pointer: None,
-            detail: detail.into(),
+            detail: one_line(detail.into()),
             remedy: remedy.to_owned(),
         }
     }
@@ -286,6 +294,12 @@ mod tests {
         codes.dedup();
         assert_eq!(codes.len(), Fault::ALL.len());
         assert!(Fault::ALL.iter().all(|fault| !fault.with("x").remedy.is_empty()));
+    }
+
+    #[test]
+    fn a_message_is_one_line_whatever_a_library_quotes() {
+        let error = Fault::CalibrationInvalid.with("expected '>' not '\n' at 2:769");
+        assert_eq!(error.detail, "expected '>' not '\\n' at 2:769");
     }
 
     #[test]
