@@ -25,7 +25,11 @@ pub enum BodyFileError {
         expected: &'static str,
     },
     /// The pickle asks for something that no body model needs.
-    #[error("the pickle asks for {module}.{name}, which no body model needs; convert the file to .npz")]
+    #[error(
+        "the pickle asks for {}.{}, which no body model needs; convert the file to .npz",
+        module.escape_debug(),
+        name.escape_debug()
+    )]
     ForbiddenGlobal {
         /// Python module.
         module: String,

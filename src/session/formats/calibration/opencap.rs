@@ -18,6 +18,9 @@ pub(crate) fn recognise(head: &[u8]) -> bool {
 /// The camera of the file, called as its folder, or as the file where it lies in none.
 pub(super) fn read(file: &str, bytes: &[u8]) -> Result<RawCamera, UploadError> {
     let arrays = arrays_of_pickle(bytes, &FIELDS).map_err(|e| invalid(e.to_string()))?;
+    if let Some((field, _)) = arrays.iter().find(|(_, array)| array.values.iter().any(|value| !value.is_finite())) {
+        return Err(invalid(format!("`{field}` holds a value that is no number")));
+    }
     let numbers = |field: &str| arrays.get(field).map(|array| array.values.as_slice());
     let matrix = numbers(FIELDS[0]).and_then(rows_of);
     let image: Vec<f64> = numbers("imageSize").unwrap_or_default().to_vec();
@@ -83,5 +86,8 @@ mod tests {
         assert_eq!(camera.rotation.unwrap().0[0].0, [0.0, -1.0, 0.0]);
         assert_eq!(camera.translation.unwrap().0, [0.1, -0.2, 3.0]);
         assert!(read("a.pickle", &bytes[..bytes.len() - 3]).is_err());
+        let holed = pickled(&[("intrinsicMat", &[3, 3], &k.map(|v| if v == 640.0 { f64::NAN } else { v }))]);
+        let refusal = read("a.pickle", &holed).unwrap_err().to_string();
+        assert!(refusal.contains("`intrinsicMat` holds a value that is no number"), "{refusal}");
     }
 }
