@@ -17,7 +17,7 @@ for up in y z; do
     "$wandless" reconstruct "$work/session" --out "$result" --options "$work/options_$up.json"
     "$python" "$here/crooked.py" "$result"
     "$wandless" export "$result" --to "$formats" --out "$exports" > /dev/null
-    for check in amass usd c3d colmap opencv; do
+    for check in amass usd points opensim colmap opencv; do
         "$python" "$here/$check.py" "$result" "$exports" || failed=1
     done
     NODE_MODULES=$(realpath "${NODE_MODULES:-node_modules}") node "$here/gltf.mjs" "$result" "$exports" || failed=1

@@ -1,4 +1,4 @@
-"""c3d.py RESULT EXPORTS: the C3D files by ezc3d."""
+"""points.py RESULT EXPORTS: the C3D files by ezc3d."""
 
 import ezc3d
 import numpy as np
