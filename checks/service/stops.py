@@ -86,7 +86,7 @@ def cancels(asked, faults):
     service = Service(asked.program)
     service.start()
     client = service.client()
-    session = client.upload(take(1500, 4, seed=3))["id"]
+    session = client.upload(take(6000, 4, seed=3))["id"]
     times, states, too_late = [], {}, 0
     for n in range(asked.cancels):
         wanted = MOMENTS[n % len(MOMENTS)]
