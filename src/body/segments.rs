@@ -1,7 +1,7 @@
 //! Segments of a body whose lengths tell how large it is, and their measurement on triangulated keypoints.
 
 use super::skeleton::KeypointConvention;
-use crate::optim::robust::{median, quantile};
+use crate::optim::robust::{NORMAL_SIGMA_OF_MAD, median, quantile};
 use nalgebra::Vector3;
 
 /// A part of the body between two joints, or pairs of joints.
@@ -106,7 +106,7 @@ pub fn measured_segments(points: &[Vec<Option<Vector3<f64>>>], convention: Keypo
         let length = quantile(&mut lengths, segment.quantile())?;
         let middle = median(&mut lengths)?;
         let mut deviations: Vec<f64> = lengths.iter().map(|l| (l / middle).ln().abs()).collect();
-        let spread = 1.4826 * median(&mut deviations)?;
+        let spread = NORMAL_SIGMA_OF_MAD * median(&mut deviations)?;
         let sigma_log = 1.2533 * spread / (n_samples as f64 / 10.0).max(1.0).sqrt();
         Some(MeasuredSegment { segment, length, sigma_log, n_samples })
     };

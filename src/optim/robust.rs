@@ -57,6 +57,9 @@ impl GraduatedScale {
     }
 }
 
+/// Standard deviation of a normal distribution over its median absolute deviation.
+pub const NORMAL_SIGMA_OF_MAD: f64 = 1.4826;
+
 /// Median and median absolute deviation; zeros for an empty set.
 pub fn median_and_spread(values: &mut [f64]) -> (f64, f64) {
     let Some(center) = median(values) else { return (0.0, 0.0) };

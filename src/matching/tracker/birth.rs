@@ -1,10 +1,10 @@
 //! New people: detections that nobody claims, where at least two views agree on a human skeleton.
 
-use super::person::{Skeleton, TrackedPerson, distance_m, sightings_of, triangulated};
+use super::person::{Skeleton, TrackedPerson, distance, distance_m, sightings_of, triangulated};
 use super::{Scene, TrackerConfig};
 use crate::geometry::epipolar::essential_from_pose;
 use crate::matching::pair_score::similarity;
-use crate::optim::robust::{median, median_and_spread};
+use crate::optim::robust::median_and_spread;
 
 /// Two detections are one person when this share of their points agrees.
 const MIN_SIMILARITY: f64 = 0.5;
@@ -97,9 +97,6 @@ fn is_human(scene: &Scene, skeleton: &Skeleton) -> bool {
 
 /// Whether somebody already stands there: detectors report some people twice.
 fn is_known(skeleton: &Skeleton, people: &[TrackedPerson], frame: usize) -> bool {
-    people.iter().filter(|p| p.last_seen() == frame).any(|p| {
-        let mut distances: Vec<f64> =
-            skeleton.iter().zip(p.last_skeleton()).filter_map(|(a, b)| Some(((*a)? - (*b)?).norm())).collect();
-        median(&mut distances).is_some_and(|d| d < SAME_PERSON_M)
-    })
+    let mut there = people.iter().filter(|p| p.last_seen() == frame);
+    there.any(|p| distance(skeleton, p.last_skeleton()).is_some_and(|d| d < SAME_PERSON_M))
 }

@@ -5,7 +5,7 @@
 
 use super::Scene;
 use super::person::{Skeleton, TrackedPerson};
-use crate::optim::robust::{median, median_and_spread};
+use crate::optim::robust::{NORMAL_SIGMA_OF_MAD, median_and_spread};
 use nalgebra::{DMatrix, DVector, Vector3};
 use std::collections::BTreeMap;
 
@@ -108,12 +108,6 @@ pub(super) fn place_evidence(distance: f64, seconds: f64, room: f64) -> f64 {
     (anywhere / near).ln() - 0.5 * distance * distance * (1.0 / near - 1.0 / anywhere)
 }
 
-/// Median distance of two skeletons' shared points.
-pub(super) fn distance(one: &Skeleton, other: &Skeleton) -> Option<f64> {
-    let mut distances: Vec<f64> = one.iter().zip(other).filter_map(|(a, b)| Some(((*a)? - (*b)?).norm())).collect();
-    median(&mut distances)
-}
-
 /// Left and right limbs are one kind: bones of equal reference length.
 fn limbs(scene: &Scene, skeletons: &[Skeleton]) -> Vec<Option<(f64, f64)>> {
     let mut kinds: Vec<f64> = scene.bones.iter().map(|b| b.length).collect();
@@ -125,14 +119,11 @@ fn limbs(scene: &Scene, skeletons: &[Skeleton]) -> Vec<Option<(f64, f64)>> {
             skeletons.iter().flat_map(|s| twins().filter_map(move |b| ratio(s, b.a, b.b))).collect();
         let n_independent = (ratios.len() as f64 / (NOISE_MEMORY * scene.fps)).max(1.0);
         let (center, spread) = (!ratios.is_empty()).then(|| median_and_spread(&mut ratios))?;
-        let sigma = (SIGMA_OF_MEDIAN * spread).max(if n_independent > 1.0 { 0.0 } else { GLIMPSE_SIGMA });
+        let sigma = (NORMAL_SIGMA_OF_MAD * spread).max(if n_independent > 1.0 { 0.0 } else { GLIMPSE_SIGMA });
         Some((center, POSE_SIGMA * POSE_SIGMA + sigma * sigma / n_independent))
     };
     kinds.iter().map(of_kind).collect()
 }
-
-/// Standard deviation over median absolute deviation of a normal distribution.
-const SIGMA_OF_MEDIAN: f64 = 1.4826;
 
 /// Spread of a limb's log length over single frames: 20 mm of noise at either end of 0.35 m. A glimpse cannot measure it.
 const GLIMPSE_SIGMA: f64 = 0.08;

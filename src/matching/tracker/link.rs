@@ -1,8 +1,8 @@
 //! Fragments of one person, joined across the time in which nobody saw them.
 
 use super::Scene;
-use super::likeness::{Likeness, distance, place_evidence, room};
-use super::person::TrackedPerson;
+use super::likeness::{Likeness, place_evidence, room};
+use super::person::{TrackedPerson, distance};
 use crate::matching::assignment::assign;
 use std::collections::BTreeMap;
 

@@ -141,6 +141,12 @@ pub(super) fn sightings_of<'a>(scene: &Scene<'a>, frame: usize, claim: &[Option<
     claim.iter().enumerate().filter_map(|(v, d)| d.map(|d| (v, &scene.views[v].frames[frame][d]))).collect()
 }
 
+/// Median distance of two skeletons' shared points.
+pub(super) fn distance(one: &Skeleton, other: &Skeleton) -> Option<f64> {
+    let mut distances: Vec<f64> = one.iter().zip(other).filter_map(|(a, b)| Some(((*a)? - (*b)?).norm())).collect();
+    median(&mut distances)
+}
+
 /// Median distance of a detection to a projected skeleton, in metres on the body; `None` with too few shared points.
 pub(super) fn distance_m(skeleton: &Skeleton, camera: &Rigid, sighting: &Sighting) -> Option<f64> {
     let mut distances: Vec<f64> = Vec::with_capacity(skeleton.len());

@@ -3,7 +3,7 @@
 //! Principal points are offsets from the image's middle, the centre of the first pixel is (0.5, 0.5), `p1` and `p2`
 //! stand in the opposite order, `fx = f + b1`, the skew is `b2` (Metashape's manual, appendix on camera models).
 
-use super::{invalid, pinhole};
+use super::{finite, invalid, pinhole};
 use crate::geometry::Rigid;
 use crate::session::formats::{entries, rows};
 use crate::session::upload::error::{Fault, UploadError, shown};
@@ -51,7 +51,7 @@ fn lens_of(sensor: Node<'_, '_>) -> Result<Option<RawCamera>, UploadError> {
     let number = |name: &str| match child(name) {
         None => Ok(0.0),
         Some(node) => {
-            let number = node.text().and_then(|text| text.trim().parse().ok()).filter(|n: &f64| n.is_finite());
+            let number = node.text().and_then(|text| finite(text.trim()));
             number.ok_or_else(|| invalid(format!("<{name}> is no number")))
         }
     };
@@ -96,7 +96,6 @@ fn posed(camera: Node<'_, '_>, label: &str, lens: &RawCamera) -> Result<RawCamer
     let Some(transform) = camera.children().find(|node| node.has_tag_name("transform")) else {
         return Ok(RawCamera { id, ..lens.clone() });
     };
-    let finite = |word: &str| word.parse().ok().filter(|number: &f64| number.is_finite());
     let numbers: Option<Vec<f64>> = transform.text().unwrap_or_default().split_whitespace().map(finite).collect();
     let m = numbers.filter(|m| m.len() == 16).ok_or_else(|| invalid("a transform has not 16 numbers"))?;
     let chunk_from_camera = Rigid {

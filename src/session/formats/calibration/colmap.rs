@@ -2,7 +2,7 @@
 //!
 //! COLMAP puts the centre of the first pixel at (0.5, 0.5), this house at (0, 0): principal points move by half a pixel.
 
-use super::{CalibrationFormat, camera_of_image, invalid, pinhole};
+use super::{CalibrationFormat, camera_of_image, finite, invalid, pinhole};
 use crate::session::formats::{entries, rows};
 use crate::session::upload::error::{Fault, UploadError, shown};
 use crate::session::upload::json::ShortList;
@@ -51,8 +51,7 @@ fn lines(text: &str) -> impl Iterator<Item = &str> {
 }
 
 fn numbers(words: &[&str]) -> Result<Vec<f64>, UploadError> {
-    let finite = |word: &&str| word.parse().ok().filter(|number: &f64| number.is_finite());
-    words.iter().map(finite).collect::<Option<_>>().ok_or_else(|| invalid("a number is expected"))
+    words.iter().copied().map(finite).collect::<Option<_>>().ok_or_else(|| invalid("a number is expected"))
 }
 
 impl Model {

@@ -2,7 +2,7 @@
 //!
 //! The file holds neither distortion nor an image size.
 
-use super::{invalid, rows_of};
+use super::{finite, invalid, rows_of};
 use crate::session::upload::error::UploadError;
 use crate::session::upload::json::ShortList;
 use crate::session::upload::raw::RawCamera;
@@ -32,8 +32,7 @@ pub(super) fn read(text: &str) -> Result<Vec<RawCamera>, UploadError> {
 }
 
 fn camera(block: &[&str]) -> Result<RawCamera, UploadError> {
-    let finite = |word: &&str| word.parse().ok().filter(|number: &f64| number.is_finite());
-    let numbers: Option<Vec<f64>> = block[1..].iter().map(finite).collect();
+    let numbers: Option<Vec<f64>> = block[1..].iter().copied().map(finite).collect();
     let numbers = numbers.ok_or_else(|| invalid(format!("camera {:?} holds what is no number", block[0])))?;
     let pose = &numbers[11..];
     let rotation: Vec<f64> = pose.chunks(4).flat_map(|row| row[..3].to_vec()).collect();

@@ -58,6 +58,11 @@ pub(crate) struct Calibration {
 
 pub(crate) use opencap::recognise as is_opencap;
 
+/// A number as text files write it; `None` also for infinities and NaN, which no camera has.
+fn finite(word: &str) -> Option<f64> {
+    word.parse().ok().filter(|number: &f64| number.is_finite())
+}
+
 /// Tells a calibration file by its beginning; `None` for anything else.
 pub(crate) fn recognise(head: &str) -> Option<CalibrationFormat> {
     use CalibrationFormat as F;

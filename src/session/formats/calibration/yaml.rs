@@ -3,6 +3,7 @@
 //! Why not a YAML library: OpenCV's files begin with `%YAML:1.0` and tag their matrices, which strict readers refuse;
 //! anchors and aliases, with which a small file can grow without bound, do not exist here.
 
+use super::finite;
 use crate::session::upload::error::{Fault, UploadError};
 
 /// A value.
@@ -30,7 +31,7 @@ impl Yaml {
     }
 
     pub(super) fn number(&self) -> Option<f64> {
-        self.text()?.parse().ok().filter(|number: &f64| number.is_finite())
+        finite(self.text()?)
     }
 
     /// A list of finite numbers.
