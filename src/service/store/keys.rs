@@ -201,4 +201,47 @@ mod tests {
         assert!(!stored.windows(secret.len()).any(|window| window == secret));
         assert!(any(&store).await.unwrap());
     }
+
+    /// Welch's t between the times of two kinds of digest, wrong in the first character and in the last, in random order;
+    /// the slowest tenth of all, in which the machine did something else, is left out.
+    fn t_of_times(is_same: fn(&str, &str) -> bool) -> f64 {
+        const SAMPLES: usize = 100_000;
+        const CALLS: usize = 50;
+        let stored = digest("a secret");
+        let wrong = [format!("x{}", &stored[1..]), format!("{}x", &stored[..63])];
+        let order: Vec<usize> = Sha256::digest(b"order")
+            .repeat(SAMPLES.div_ceil(256))
+            .iter()
+            .flat_map(|byte| (0..8).map(move |bit| usize::from(byte >> bit & 1)))
+            .take(SAMPLES)
+            .collect();
+        let timed = |kind: &usize| {
+            let start = std::time::Instant::now();
+            for _ in 0..CALLS {
+                std::hint::black_box(is_same(std::hint::black_box(&stored), std::hint::black_box(&wrong[*kind])));
+            }
+            (*kind, start.elapsed().as_nanos() as f64)
+        };
+        let mut samples: Vec<(usize, f64)> = order.iter().map(timed).collect();
+        samples.sort_by(|a, b| a.1.total_cmp(&b.1));
+        samples.truncate(SAMPLES * 9 / 10);
+        let [early, late] = [0, 1].map(|kind| {
+            let times: Vec<f64> = samples.iter().filter(|(k, _)| *k == kind).map(|(_, t)| *t).collect();
+            let n = times.len() as f64;
+            let mean = times.iter().sum::<f64>() / n;
+            (mean, times.iter().map(|t| (t - mean).powi(2)).sum::<f64>() / (n - 1.0) / n)
+        });
+        (late.0 - early.0) / (late.1 + early.1).sqrt()
+    }
+
+    /// Reparaz, Balasch and Verbauwhede 2017 ("Dude, is my code constant time?") call |t| above 5 a leak.
+    #[test]
+    #[ignore = "times a hundred thousand comparisons: cargo test --release times_of -- --ignored --nocapture"]
+    fn times_of_refusals_tell_nothing_of_a_digest() {
+        let ours = t_of_times(is_same_digest);
+        let naive = t_of_times(|stored, given| stored.bytes().zip(given.bytes()).all(|(a, b)| a == b));
+        println!("t = {ours:.2}; of a comparison that ends at the first difference {naive:.0}");
+        assert!(ours.abs() < 5.0);
+        assert!(naive.abs() > 50.0, "a leak would not be seen");
+    }
 }
