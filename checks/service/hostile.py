@@ -314,7 +314,7 @@ def main():
     stored = [name for name in tree(service.data)]
     faults.require(all(os.path.realpath(path).startswith(os.path.realpath(service.data)) for path in stored), "D3: a file lies outside")
     faults.require(outside is None or [p for p in tree(os.path.dirname(service.data)) if not p.startswith(service.data)] == outside, "D3: a file was made outside")
-    faults.require(not any(word in path for path in stored for word in ("passwd", "CON", "caf", "..")), "D3: a client's name is on the disk")
+    faults.require(not any(word in path for path in stored for word in ("passwd", "CON", "caf\u00e9", "cafe\u0301", "..")), "D3: a client's name is on the disk")
     faults.require(not os.listdir(os.path.join(service.data, "tmp")), "files are left in tmp")
     faults.require(service.client().request("GET", "/healthz").status == 200, "the service is gone")
     service.kill()

@@ -9,7 +9,7 @@ use crate::pipeline::PipelineError;
 use crate::pipeline::config::DEFAULT_BODY;
 use crate::progress::{Progress, ProgressEvent};
 use crate::service::bodies;
-use crate::service::failpoint::fault;
+use crate::service::failpoint::{fault, linger};
 use crate::service::protocol::{Message, Order};
 use crate::service::queue::job::JobError;
 use crate::session::upload::UploadError;
@@ -140,6 +140,7 @@ fn teller() -> impl Fn(&ProgressEvent) + Send + Sync {
         if last.is_some_and(|(stage, at)| stage == event.stage && at.elapsed() < PROGRESS_INTERVAL) {
             return;
         }
+        let is_new = last.is_none_or(|(stage, _)| stage != event.stage);
         *last = Some((event.stage, Instant::now()));
         say(&Message::Progress {
             stage: event.stage.to_owned(),
@@ -148,6 +149,9 @@ fn teller() -> impl Fn(&ProgressEvent) + Send + Sync {
             fraction: event.fraction,
             message: event.message.clone(),
         });
+        if is_new {
+            linger();
+        }
     }
 }
 

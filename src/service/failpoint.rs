@@ -2,7 +2,7 @@
 //!
 //! `WANDLESS_FAILPOINT=name` ends the process at the first pass of that point, `name:3` at the third, so that "between step
 //! i and i + 1" is no luck. `WANDLESS_FAULT=name` breaks one promise, so that a check which does not notice is known to be
-//! blind (`checks/service/selftest.py`). Without the feature `failpoints` both are nothing.
+//! blind (`checks/service/selftest.py`). `WANDLESS_LINGER_MS=150` makes every stage of the work begin with a pause. Without the feature `failpoints` all are nothing.
 
 /// Every point, in the order of a job's life.
 pub const FAILPOINTS: [&str; 36] = [
@@ -95,6 +95,14 @@ pub(crate) fn failpoint(name: &str) {
     if point == name && PASSES.fetch_add(1, Ordering::SeqCst) + 1 == pass.parse().unwrap_or(1) {
         eprintln!("failpoint {name}");
         let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::KILL);
+    }
+}
+
+/// Waits where a stage begins, as long as a check has asked for, so that a kill can meet it.
+pub(crate) fn linger() {
+    #[cfg(feature = "failpoints")]
+    if let Some(milliseconds) = std::env::var("WANDLESS_LINGER_MS").ok().and_then(|asked| asked.parse().ok()) {
+        std::thread::sleep(std::time::Duration::from_millis(milliseconds));
     }
 }
 

@@ -5,6 +5,8 @@ use super::recovery::{Recovered, recover};
 use super::*;
 use crate::service::store::Tenant;
 use crate::service::store::sessions::{self, SessionSummary};
+use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode};
+use sqlx::{ConnectOptions, Connection};
 use std::collections::BTreeMap;
 use tempfile::TempDir;
 
@@ -276,6 +278,12 @@ async fn two_services_never_share_a_folder_and_a_lost_database_is_no_empty_one()
     rig.queue.store.close().await;
     let Rig { folder, queue } = rig;
     drop(queue);
-    std::fs::remove_file(database).unwrap();
+    std::fs::remove_file(&database).unwrap();
+    assert!(matches!(Store::open(folder.path()).await, Err(StoreError::DatabaseLost { .. })));
+    assert!(!database.exists());
+    // What is left of one whose write-ahead log is gone: a page without a table.
+    let empty = SqliteConnectOptions::new().filename(&database).create_if_missing(true);
+    empty.journal_mode(SqliteJournalMode::Wal).connect().await.unwrap().close().await.unwrap();
+    assert!(std::fs::metadata(&database).unwrap().len() > 0);
     assert!(matches!(Store::open(folder.path()).await, Err(StoreError::DatabaseLost { .. })));
 }

@@ -84,8 +84,9 @@ impl Store {
     async fn open_database(folders: Folders) -> Result<Self, StoreError> {
         failpoint("start.locked");
         let database = folders.database();
-        let is_lost = std::fs::metadata(&database).map_or(0, |m| m.len()) == 0 && folders.hold_files()?;
-        if is_lost && !fault("damage.silent") {
+        let is_lost =
+            |has_nothing: bool| Ok::<_, StoreError>(has_nothing && folders.hold_files()? && !fault("damage.silent"));
+        if is_lost(std::fs::metadata(&database).map_or(0, |m| m.len()) == 0)? {
             return Err(StoreError::DatabaseLost { path: database });
         }
         let options = SqliteConnectOptions::new()
@@ -105,6 +106,11 @@ impl Store {
         };
         let writer = pool(options.clone().synchronous(SqliteSynchronous::Full), 1).await?;
         require_sound_sqlite(&writer).await?;
+        // A file without its write-ahead log can be a whole database without a table.
+        let n_tables: i64 = sqlx::query_scalar("SELECT count(*) FROM sqlite_master").fetch_one(&writer).await?;
+        if is_lost(n_tables == 0)? {
+            return Err(StoreError::DatabaseLost { path: database });
+        }
         MIGRATIONS.run(&writer).await.map_err(|error| match error {
             MigrateError::VersionMissing(migration) => StoreError::Newer { migration },
             other => StoreError::Migration(other),
