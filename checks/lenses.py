@@ -24,7 +24,7 @@ def run(*arguments):
 def errors(lens, seed):
     session = f"{args.work}/{lens}_{seed}"
     rig = ["--preset", "paper", "--fov", 100, "--radius", 3.2, "--lens", lens]
-    run("simulate", "--out", session, "--seed", seed, *rig)
+    run("simulate", "--procedural", "--out", session, "--seed", seed, *rig)
     run("reconstruct", session, "--out", f"{session}_result")
     evaluated = json.loads(run("evaluate", f"{session}_result", "--truth", f"{session}/gt", "--align", "sim3", "--json"))
     return [evaluated["cameras"]["sim3"][key] for key in ["position_mm", "angle_deg"]]

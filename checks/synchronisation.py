@@ -31,7 +31,7 @@ def solved(name, seed, offsets, options):
     """Errors of the cameras (mm, degrees), of the offsets (frames), and their standard deviations as told."""
     session, result = f"{args.work}/{name}_{seed}", f"{args.work}/{name}_{seed}_result"
     size = ["--preset", args.preset, "--views", args.views, "--frames", args.frames]
-    run("simulate", "--out", session, "--seed", seed, *size, *(["--offset", *offsets] if offsets else []))
+    run("simulate", "--procedural", "--out", session, "--seed", seed, *size, *(["--offset", *offsets] if offsets else []))
     with open(f"{session}_options.json", "w") as file:
         json.dump({**options, "exports": []}, file)
     run("reconstruct", session, "--out", result, "--options", f"{session}_options.json")

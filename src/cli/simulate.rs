@@ -43,7 +43,10 @@ pub(super) struct Args {
     /// People are default bodies of random shapes instead of the simulator's own
     #[arg(long)]
     default_bodies: bool,
-    /// Motion files in AMASS's layout, one a person, instead of procedural motion
+    /// People walk, turn, crouch, sit, reach and gesture by rule, instead of as the motion prior draws them
+    #[arg(long, conflicts_with = "motion")]
+    procedural: bool,
+    /// Motion files in AMASS's layout, one a person, instead of motion drawn from the prior
     #[arg(long, num_args = 1..)]
     motion: Vec<PathBuf>,
     /// Distance of the cameras from the centre, m
@@ -123,6 +126,7 @@ fn config(args: &Args) -> SimulationConfig {
     if args.default_bodies {
         config.bodies = Bodies::Default;
     }
+    config.motion = if args.procedural { MotionSource::Procedural } else { MotionSource::Prior };
     if !args.motion.is_empty() {
         config.people = args.motion.len();
         config.motion = MotionSource::Files(args.motion.clone());
@@ -192,7 +196,8 @@ mod tests {
             config(&args("--out x --preset hard --people 2 --size 640 480 --tracks per-view --convention halpe26"));
         assert_eq!((given.people, given.views, given.rig.image_height), (2, 5, 480));
         assert_eq!((given.tracks, given.convention), (Tracks::PerView, KeypointConvention::Halpe26));
-        assert_eq!(config(&args("--out x --preset random --seed 4")), random_rig_config(4));
+        assert_eq!(config(&args("--out x --preset random --seed 4 --procedural")), random_rig_config(4));
+        assert_eq!(config(&args("--out x")).motion, MotionSource::Prior);
         assert!(Cli::try_parse_from(["simulate", "--out", "x", "--convention", "tail"]).is_err());
     }
 

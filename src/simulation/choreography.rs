@@ -2,12 +2,10 @@
 //!
 //! Time runs in fixed steps of its own, so that a motion does not depend on the frame rate.
 
-use super::config::{Bodies, SimulationConfig};
+use super::config::SimulationConfig;
 use super::gait;
 use super::mover::{Mover, STEP};
-use super::random::{Purpose, stream};
-use super::skeleton::{Person, Skeleton};
-use crate::body::default_body;
+use super::skeleton::{Person, own_body};
 use nalgebra::Vector2;
 
 /// People move this long before the first frame, s, so that nobody starts from rest in a T.
@@ -18,16 +16,8 @@ const PERSONAL_SPACE: f64 = 0.9;
 /// People of `config`, each with an own body and an own random choreography.
 pub fn procedural_people(config: &SimulationConfig) -> Vec<Person> {
     let mut movers: Vec<Mover> = (0..config.people).map(|person| Mover::new(person, config)).collect();
-    let body = default_body();
     let person = |person: usize| {
-        let rng = &mut stream(config.seed, Purpose::Body, 0, person);
-        let (skeleton, betas) = match config.bodies {
-            Bodies::Own => (Skeleton::random(rng), None),
-            Bodies::Default => {
-                let (skeleton, betas) = Skeleton::of_default_body(&body, rng);
-                (skeleton, Some(betas))
-            }
-        };
+        let (skeleton, betas) = own_body(config, person);
         Person { skeleton, betas, poses: Vec::with_capacity(config.frames), source: "procedural".to_owned() }
     };
     let mut people: Vec<Person> = (0..config.people).map(person).collect();

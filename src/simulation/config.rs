@@ -164,6 +164,8 @@ pub enum MotionSource {
     /// Walking, stopping, turning, crouching, sitting, reaching, gesturing.
     #[default]
     Procedural,
+    /// Drawn from the embedded motion prior.
+    Prior,
     /// One AMASS-layout `.npz` a person, in this order.
     Files(Vec<PathBuf>),
 }

@@ -5,7 +5,7 @@
 //! - [`config`], [`presets`]: what is simulated: people, cameras, noise
 //! - [`skeleton`]: the simulated body, deliberately not the one that is fitted
 //! - [`choreography`], [`gait`]: people who walk, stop, turn, crouch, sit, reach and gesture
-//! - [`placement`]: people from motion capture (AMASS layout), put on the floor
+//! - [`placement`]: people from motion capture (AMASS layout) or drawn from the motion prior, put on the floor
 //! - [`landmarks`]: the points a detector looks for, from a posed skeleton
 //! - [`rig`]: cameras around the scene
 //! - [`occlusion`], [`detector`]: what each camera's detector and tracker report
@@ -17,6 +17,7 @@
 pub mod choreography;
 pub mod config;
 pub mod detector;
+mod drawn;
 pub mod gait;
 pub mod landmarks;
 mod mover;
@@ -108,6 +109,7 @@ pub fn simulate(config: &SimulationConfig) -> Result<Simulated, SimulationError>
 fn people_in_motion(config: &SimulationConfig) -> Result<Vec<Person>, SimulationError> {
     match &config.motion {
         MotionSource::Procedural => Ok(choreography::procedural_people(config)),
+        MotionSource::Prior => Ok(placement::people_from_prior(config)),
         MotionSource::Files(paths) => placement::people_from_files(paths, config),
     }
 }

@@ -1,20 +1,19 @@
-//! People from motion files: resampled, cut to length, put on the floor and next to each other.
+//! People from takes, of files or drawn from the prior: resampled, cut to length, put on the floor and next to each other.
 
 use super::SimulationError;
 use super::config::{Bodies, SimulationConfig};
+use super::drawn::{drawn_take, stand};
 use super::random::{Purpose, stream};
-use super::skeleton::{Person, Pose, Skeleton, joint};
-use crate::body::default_body;
+use super::skeleton::{Person, Pose, Skeleton, joint, own_body};
 use crate::geometry::rotation;
 use crate::motion_prior::motion_file::{MotionTake, read_take};
 use nalgebra::{Matrix3, Vector3};
 use rand::RngExt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// One person a file, in the given order; the session is as long as the shortest of them, at most `config.frames`.
 ///
-/// A longer take is read from a random start. Each person is shifted and turned on the floor so that people share the
-/// space, 0.45 m apart where a place is found within 200 tries, within 2.2 m of the centre.
+/// A longer take is read from a random start.
 ///
 /// # Errors
 /// [`SimulationError`] where there are too few files or one cannot be read.
@@ -22,32 +21,50 @@ pub fn people_from_files(paths: &[PathBuf], config: &SimulationConfig) -> Result
     if paths.len() < config.people {
         return Err(SimulationError::TooFewMotions { people: config.people, files: paths.len() });
     }
-    let body = default_body();
     let mut people: Vec<Person> = Vec::with_capacity(config.people);
     for (index, path) in paths[..config.people].iter().enumerate() {
         let motion = |problem| SimulationError::Motion { path: path.clone(), problem };
         let take = read_take(path).map_err(motion)?;
-        let mut person = resampled(take, path, config.fps);
+        let skeleton = take.rest_joints.as_ref().map_or_else(Skeleton::generic, Skeleton::from_rest_joints);
+        let source = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+        let mut person = resampled(take, skeleton, source, config.fps);
         if config.bodies == Bodies::Default {
-            let mut rng = stream(config.seed, Purpose::Body, 0, index);
-            let (skeleton, betas) = Skeleton::of_default_body(&body, &mut rng);
-            (person.skeleton, person.betas) = (skeleton, Some(betas));
+            (person.skeleton, person.betas) = own_body(config, index);
         }
         cut(&mut person, config, index);
         put_on_floor(&mut person);
         people.push(person);
     }
+    Ok(placed(people, config))
+}
+
+/// People whose motions are drawn from the prior, each with an own body.
+pub fn people_from_prior(config: &SimulationConfig) -> Vec<Person> {
+    let person = |index: usize| {
+        let (skeleton, betas) = own_body(config, index);
+        let mut person = resampled(drawn_take(config, index), skeleton, "prior".to_owned(), config.fps);
+        person.betas = betas;
+        person.poses.truncate(config.frames);
+        stand(&mut person, config.fps, FOOT_HEIGHT);
+        person
+    };
+    placed((0..config.people).map(person).collect(), config)
+}
+
+/// Each person is shifted and turned on the floor so that people share the space, 0.45 m apart where a place is found within
+/// 200 tries, within 2.2 m of the centre; all as long as the shortest.
+fn placed(mut people: Vec<Person>, config: &SimulationConfig) -> Vec<Person> {
     let n_frames = people.iter().map(|p| p.poses.len()).min().unwrap_or(0);
     people.iter_mut().for_each(|p| p.poses.truncate(n_frames));
     for index in 0..people.len() {
         let (placed, rest) = people.split_at_mut(index);
         place(&mut rest[0], placed, config, index);
     }
-    Ok(people)
+    people
 }
 
 /// The take at the session's rate: rotations along the geodesic, positions along the line.
-fn resampled(take: MotionTake, path: &Path, fps: f64) -> Person {
+fn resampled(take: MotionTake, skeleton: Skeleton, source: String, fps: f64) -> Person {
     let duration = (take.poses.len() - 1) as f64 / take.fps;
     let n_frames = (duration * fps + 1e-9).floor() as usize + 1;
     let pose = |frame: usize| {
@@ -60,8 +77,6 @@ fn resampled(take: MotionTake, path: &Path, fps: f64) -> Person {
         };
         Pose { rotations: std::array::from_fn(turn), pelvis: a.pelvis.lerp(&b.pelvis, share) }
     };
-    let source = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-    let skeleton = take.rest_joints.as_ref().map_or_else(Skeleton::generic, Skeleton::from_rest_joints);
     Person { skeleton, betas: None, poses: (0..n_frames).map(pose).collect(), source }
 }
 

@@ -3,9 +3,10 @@
 //! It is deliberately not the body model that is fitted to sessions: a simulation judges only what does not share its
 //! assumptions. Proportions are rounded figures near de Leva's joint centres (J. Biomech. 29, 1996), stature 1.72 m.
 
-use super::random::normal;
+use super::config::{Bodies, SimulationConfig};
+use super::random::{Purpose, normal, stream};
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
-use crate::body::{Betas, BodyModel};
+use crate::body::{Betas, default_body};
 use nalgebra::{Matrix3, Vector3};
 use rand_chacha::ChaCha8Rng;
 
@@ -106,6 +107,19 @@ const LIMB_SD: f64 = 0.04;
 /// Further out than this many standard deviations people are not drawn.
 const MAX_DEVIATIONS: f64 = 2.5;
 
+/// The body that a person of `config` has by the seed: an adult of the simulator's own, or the default body at betas from
+/// N(0, 1).
+pub(super) fn own_body(config: &SimulationConfig, person: usize) -> (Skeleton, Option<Betas>) {
+    let rng = &mut stream(config.seed, Purpose::Body, 0, person);
+    match config.bodies {
+        Bodies::Own => (Skeleton::random(rng), None),
+        Bodies::Default => {
+            let betas = Betas::from_fn(|_, _| normal(rng, 1.0));
+            (Skeleton::from_rest_joints(&default_body().shaped(&betas).rest_joints), Some(betas))
+        }
+    }
+}
+
 impl Skeleton {
     /// The generic adult.
     pub fn generic() -> Self {
@@ -133,12 +147,6 @@ impl Skeleton {
             limb.iter().for_each(|name| skeleton.offsets[joint(name)] *= length);
         }
         skeleton
-    }
-
-    /// That of the default body at a random shape, betas from N(0, 1), and its betas.
-    pub(super) fn of_default_body(body: &BodyModel, rng: &mut ChaCha8Rng) -> (Self, Betas) {
-        let betas = Betas::from_fn(|_, _| normal(rng, 1.0));
-        (Self::from_rest_joints(&body.shaped(&betas).rest_joints), betas)
     }
 
     /// A skeleton from its joints in the zero pose, m.
