@@ -61,10 +61,13 @@ pub struct BodyFitConfig {
     pub pixel_share: [f64; 2],
     /// Residuals of this many standard deviations count half as much as they would: the scale of Geman-McClure's cost.
     pub robust_scale: f64,
-    /// Typical acceleration of the pelvis, m/s^2.
+    /// Size of the pelvis's accelerations, m/s^2.
     pub translation_acceleration: f64,
-    /// Factor on the joints' typical angular accelerations.
+    /// Size of the joints' angular accelerations over those of the table of joint ranges.
     pub angular_acceleration_factor: f64,
+    /// Accelerations below this share of their size cost their square, those above it grow linearly: they are spread as
+    /// Laplace's law has it, mostly next to nothing and large at contacts.
+    pub acceleration_knee: f64,
     /// Weight of the pull towards the natural rest pose.
     pub rest_weight: f64,
     /// Width of the walls at the ends of the joints' ranges, degrees.
@@ -94,10 +97,12 @@ impl Default for BodyFitConfig {
             pixel_share: [0.004, 0.04],
             // On the simulated captures 4 beats 3 (17.1 -> 16.1 mm on `hard`) and 2.2 (20.5 mm).
             robust_scale: 4.0,
-            // Medians over everyday motion and dance are 1.5 m/s^2 and those of the table of joint ranges; half as much
-            // again was best for the joints (0.6: 20.3 mm, 1: 17.1, 1.6: 16.5, 2.5: 16.7 on `hard`).
-            translation_acceleration: 2.0,
-            angular_acceleration_factor: 1.5,
+            // Laplace's scale is then twice the median acceleration of everyday motion and dance (1.5 m/s^2, and the table of
+            // joint ranges). With the knee at twice these medians everything was worse: `hard` 17.1 against 16.5 mm, `paper`
+            // 10.3 against 10.0, two views 26.8 against 25.5; jitter 1.2, 1.4 and 1.05 of the truth against 0.96, 1.19, 0.95.
+            translation_acceleration: 1.2,
+            angular_acceleration_factor: 0.52,
+            acceleration_knee: 0.25,
             // One frame's pull is then a hundredth of one keypoint's at the end of its bone.
             rest_weight: 0.1,
             limit_width_deg: 5.0,

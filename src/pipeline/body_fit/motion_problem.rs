@@ -194,9 +194,17 @@ impl<'a> MotionProblem<'a> {
         (at(t - 1) - at(t) * 2.0 + at(t + 1)) / (self.frame_interval.powi(2) * self.config.translation_acceleration)
     }
 
-    /// Angular acceleration over its typical size, one unit per radian of turn change.
+    /// Angular acceleration over its size, one unit per radian of turn change.
     pub(super) fn angular_scale(&self, joint: usize) -> f64 {
         1.0 / (self.frame_interval.powi(2) * self.ranges[joint].acceleration * self.config.angular_acceleration_factor)
+    }
+
+    /// Charbonnier at the knee k over an acceleration's square e^2 in its own size: `rho = k^2 (r - 1)`, weight `1 / r`,
+    /// `r = sqrt(1 + e^2 / k^2)`.
+    pub(super) fn acceleration_cost(&self, squared: f64) -> (f64, f64) {
+        let knee_squared = self.config.acceleration_knee.powi(2);
+        let root = (1.0 + squared / knee_squared).sqrt();
+        (knee_squared * (root - 1.0), 1.0 / root)
     }
 
     fn smoothness_cost(&self, state: &MotionState, t: usize) -> f64 {
@@ -204,19 +212,12 @@ impl<'a> MotionProblem<'a> {
             let [a, b, c] = [t - 1, t, t + 1].map(|i| &state.poses[i].rotations[joint]);
             let before = rotation::log(&(a.transpose() * b));
             let change = rotation::log(&(b.transpose() * c)) - before;
-            charbonnier((change * self.angular_scale(joint)).norm_squared()).0
+            self.acceleration_cost((change * self.angular_scale(joint)).norm_squared()).0
         };
-        charbonnier(self.translation_acceleration(state, t).norm_squared()).0
+        self.acceleration_cost(self.translation_acceleration(state, t).norm_squared()).0
             + self.active.iter().map(joint_cost).sum::<f64>()
     }
 }
 
 /// First of the two hand joints, which have no keypoints of their own to turn by.
 const FIRST_HAND: usize = 22;
-
-/// Charbonnier at scale 1: `rho = sqrt(1 + e^2) - 1`, weight `1 / sqrt(1 + e^2)`. Real accelerations are small most of
-/// the time and large at contacts; a squared cost would round those off.
-pub(super) fn charbonnier(squared: f64) -> (f64, f64) {
-    let root = (1.0 + squared).sqrt();
-    (root - 1.0, 1.0 / root)
-}

@@ -1,6 +1,6 @@
 //! The Gauss-Newton system of a person's motion.
 
-use super::motion_problem::{MotionProblem, MotionState, TRANSLATION_GROUP, charbonnier};
+use super::motion_problem::{MotionProblem, MotionState, TRANSLATION_GROUP};
 use super::place_cost::PlaceCost;
 use crate::body::anthropometry::N_BETAS;
 use crate::body::bone_offsets::landmark_by_bones;
@@ -149,7 +149,7 @@ impl MotionProblem<'_> {
         jacobians: &[Matrix3<f64>; 3],
         system: &mut BlockBanded,
     ) -> f64 {
-        let (cost, robust) = charbonnier(residual.norm_squared());
+        let (cost, robust) = self.acceleration_cost(residual.norm_squared());
         let weight = robust * self.time_weight();
         for (i, jacobian) in jacobians.iter().enumerate() {
             let left = jacobian.transpose() * weight;
