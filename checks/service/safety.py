@@ -47,14 +47,12 @@ def resume(asked, faults):
         wanted = STAGES[n % len(STAGES)]
         client = service.client()
         job = client.submit(session, options=options)["id"]
-        begun = time.monotonic()
-        while (now := client.job(job))["progress"]["stage"] != wanted and now["state"] not in wandless.FINAL and time.monotonic() < begun + 120:
-            time.sleep(0.004)
+        begins(service, client, job, wanted)
         time.sleep(dice.uniform(0.0, 0.2))
-        stage = now["progress"]["stage"] if now["state"] == "running" else "too late"
-        met[stage] = met.get(stage, 0) + 1
         service.kill()
-        kept = finished(service, job) if now["state"] == "running" else []
+        kept = finished(service, job)
+        stage = next((name for name in STAGES if name not in kept), "none") if kept else "too late"
+        met[stage] = met.get(stage, 0) + 1
         if n % 4 == 3:
             damage(service, job, dice)
             kept = []
@@ -75,6 +73,16 @@ def resume(asked, faults):
     print(f"A7, A8: killed in {met}; {taken_up} finished stages taken up, all results the same bytes", flush=True)
     service.kill()
     service.remove()
+
+
+def begins(service, client, job, stage):
+    """Waits until the stage before is kept, or the job is over: what a job tells of its stage is up to a second old."""
+    before = (["synchronisation"] + STAGES)[STAGES.index(stage)]
+    begun = time.monotonic()
+    while before not in finished(service, job) and time.monotonic() < begun + 120:
+        time.sleep(0.002)
+        if not os.path.isdir(os.path.join(service.data, "checkpoints", job)) and client.job(job)["state"] in wandless.FINAL:
+            return
 
 
 def finished(service, job):
