@@ -45,12 +45,13 @@ def fixed(kind, routes, name):
 
 
 def followed(asked, service, name, config, words, faults):
-    with tempfile.NamedTemporaryFile("w", suffix=".toml") as file:
-        file.write(config)
-        file.flush()
-        words = ["--config-file", file.name, "run", f"http://127.0.0.1:{service.port}/openapi.json", "--checks", "all",
+    with tempfile.TemporaryDirectory() as folder:  # schemathesis leaves its cache where it runs
+        path = os.path.join(folder, "schemathesis.toml")
+        with open(path, "w") as file:
+            file.write(config)
+        words = ["--config-file", path, "run", f"http://127.0.0.1:{service.port}/openapi.json", "--checks", "all",
                  "--max-examples", str(asked.cases), "--seed", str(asked.seed), *words]
-        run = subprocess.run([asked.schemathesis, *words], capture_output=True, text=True)
+        run = subprocess.run([asked.schemathesis, *words], capture_output=True, text=True, cwd=folder)
     told = [line.strip() for line in run.stdout.splitlines() if line.startswith("  ") and ("generated," in line or "Tested:" in line)]
     print(f"D13 {name}: {'; '.join(told)}", flush=True)
     faults.require(run.returncode == 0, f"D13 {name}: {run.stdout[-3000:]}")
