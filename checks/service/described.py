@@ -7,6 +7,7 @@ behind the look-up of an id.
 """
 
 import os
+import shutil
 import subprocess
 import tempfile
 
@@ -45,13 +46,14 @@ def fixed(kind, routes, name):
 
 
 def followed(asked, service, name, config, words, faults):
+    program = os.path.abspath(shutil.which(asked.schemathesis) or asked.schemathesis)
     with tempfile.TemporaryDirectory() as folder:  # schemathesis leaves its cache where it runs
         path = os.path.join(folder, "schemathesis.toml")
         with open(path, "w") as file:
             file.write(config)
         words = ["--config-file", path, "run", f"http://127.0.0.1:{service.port}/openapi.json", "--checks", "all",
                  "--max-examples", str(asked.cases), "--seed", str(asked.seed), *words]
-        run = subprocess.run([asked.schemathesis, *words], capture_output=True, text=True, cwd=folder)
+        run = subprocess.run([program, *words], capture_output=True, text=True, cwd=folder)
     told = [line.strip() for line in run.stdout.splitlines() if line.startswith("  ") and ("generated," in line or "Tested:" in line)]
     print(f"D13 {name}: {'; '.join(told)}", flush=True)
     faults.require(run.returncode == 0, f"D13 {name}: {run.stdout[-3000:]}")
