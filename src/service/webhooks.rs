@@ -61,17 +61,21 @@ const MAX_CALLS: usize = 16;
 pub(super) async fn run(shared: Shared, networks: Arc<Networks>) {
     let mut calls: JoinSet<String> = JoinSet::new();
     let mut at_work = BTreeSet::new();
+    let mut is_behind = false;
     loop {
         tokio::select! {
             () = tokio::time::sleep(LOOK) => {}
             () = shared.draining.cancelled() => return, // what is cut off is called again by the next start
             Some(ended) = calls.join_next() => {
                 at_work.retain(|id| ended.as_ref().is_ok_and(|ended| ended != id));
-                continue;
+                if !is_behind {
+                    continue;
+                }
             }
         }
         match due(&shared).await {
             Ok(due) => {
+                is_behind = due.len() > MAX_CALLS;
                 for delivery in due {
                     if at_work.len() < MAX_CALLS && at_work.insert(delivery.id.clone()) {
                         calls.spawn(deliver(shared.clone(), networks.clone(), delivery));
