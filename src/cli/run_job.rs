@@ -137,10 +137,10 @@ fn teller() -> impl Fn(&ProgressEvent) + Send + Sync {
     let last = Mutex::new(None::<(&'static str, Instant)>);
     move |event| {
         let mut last = last.lock().unwrap_or_else(PoisonError::into_inner);
-        if last.is_some_and(|(stage, at)| stage == event.stage && at.elapsed() < PROGRESS_INTERVAL) {
+        let is_new = last.is_none_or(|(stage, _)| stage != event.stage);
+        if !is_new && last.is_some_and(|(_, at)| at.elapsed() < PROGRESS_INTERVAL) {
             return;
         }
-        let is_new = last.is_none_or(|(stage, _)| stage != event.stage);
         *last = Some((event.stage, Instant::now()));
         say(&Message::Progress {
             stage: event.stage.to_owned(),

@@ -5,7 +5,7 @@ use super::clips::smooth_code;
 use super::corruption::{Damage, HOLE_FRAMES, LIMBS, damaged};
 use super::dataset::{GRID_FPS, Take};
 use super::interpolation::{resampled, resampled_len};
-use super::joints::{Bones, JointPositions, frame, rows};
+use super::joints::{Bones, JointPositions, rows};
 use super::objective::{excess, joints_of};
 use super::paths::{CANDIDATES, Observed, Smoothing, autoregressed, smoothed};
 use super::prior::MotionPrior;
@@ -215,8 +215,7 @@ pub fn sample_statistics(prior: &MotionPrior, n: usize, seed: u64) -> SampleStat
     let codes: Vec<Vec<f32>> = (0..n).map(|_| smooth_code(60, &mut rng)).collect();
     let (bones, ranges) = (Bones::of_default_body(), joint_ranges());
     let (mut inside, mut nearly, mut penetrating, mut heights) = (0_usize, 0_usize, 0_usize, Vec::new());
-    for features in prior.decode(&codes).iter().flat_map(|f| f.chunks_exact(N_FEATURES)).map(frame) {
-        let local = prior.chart().rotations(&features);
+    for local in prior.decode(&codes).iter().flat_map(|f| prior.rotations(f)) {
         let past = |j: usize| excess(&rotation::log(&local[j]), &ranges[j]).amax();
         let worst = (1..N_JOINTS).map(past).fold(0.0, f64::max);
         inside += usize::from(worst == 0.0);

@@ -123,6 +123,11 @@ impl MotionPrior {
         d_codes
     }
 
+    /// Rotations of a take's features `[T, 57]`, on the prior's grid; joints outside the latent at rest.
+    pub fn rotations(&self, features: &[f32]) -> Vec<LocalRotations> {
+        features.chunks_exact(N_FEATURES).map(|row| self.chart().rotations(&frame(row))).collect()
+    }
+
     fn run(&self, codes: &[Vec<f32>], mut keep: impl FnMut(WindowBatch, Decoded)) -> Vec<Vec<f32>> {
         let views: Vec<&[f32]> = codes.iter().map(Vec::as_slice).collect();
         let lengths: Vec<usize> = codes.iter().map(|code| code.len() / LATENT_DIM).collect();
@@ -151,8 +156,7 @@ impl MotionPrior {
         let observed = self.observed(take, seen, fps);
         let codes: Vec<Vec<f32>> = self.encode(&[observed]).into_iter().map(|posterior| posterior.mean).collect();
         let features = &self.decode(&codes)[0];
-        let grid: Vec<LocalRotations> =
-            features.chunks_exact(N_FEATURES).map(|row| self.chart().rotations(&frame(row))).collect();
+        let grid: Vec<LocalRotations> = self.rotations(features);
         let at_frame = |(f, given): (usize, &LocalRotations)| {
             let place = grid_place(f as f64 * GRID_FPS / fps, grid.len());
             std::array::from_fn(|j| {

@@ -97,9 +97,10 @@ impl Default for BodyFitConfig {
             pixel_share: [0.004, 0.04],
             // On the simulated captures 4 beats 3 (17.1 -> 16.1 mm on `hard`) and 2.2 (20.5 mm).
             robust_scale: 4.0,
-            // Laplace's scale is then twice the median acceleration of everyday motion and dance (1.5 m/s^2, and the table of
-            // joint ranges). With the knee at twice these medians everything was worse: `hard` 17.1 against 16.5 mm, `paper`
-            // 10.3 against 10.0, two views 26.8 against 25.5; jitter 1.2, 1.4 and 1.05 of the truth against 0.96, 1.19, 0.95.
+            // Laplace's scale is then twice the typical accelerations of the table of joint ranges and three times the pelvis's
+            // median of 1.5 m/s^2; the knee lies at a seventh and a fifth of them. With the knee at one and a half times, all
+            // was worse: `hard` 17.1 against 16.5 mm, `paper` 10.3 against 10.0, two views 26.8 against 25.5; jitter 1.2, 1.4
+            // and 1.05 of the truth against 0.96, 1.19, 0.95.
             translation_acceleration: 1.2,
             angular_acceleration_factor: 0.52,
             acceleration_knee: 0.25,

@@ -75,7 +75,7 @@ pub(super) async fn run(shared: Shared, networks: Arc<Networks>) {
         }
         match due(&shared).await {
             Ok(due) => {
-                is_behind = due.len() > MAX_CALLS;
+                is_behind = due.len() > MAX_CALLS; // then the end of a call is a reason to look
                 for delivery in due {
                     if at_work.len() < MAX_CALLS && at_work.insert(delivery.id.clone()) {
                         calls.spawn(deliver(shared.clone(), networks.clone(), delivery));

@@ -3,14 +3,13 @@
 use super::read_prior;
 use crate::cli::BadInput;
 use crate::motion_prior::MotionPrior;
-use crate::motion_prior::chart::N_FEATURES;
+use crate::motion_prior::chart::LocalRotations;
 use crate::motion_prior::dataset::GRID_FPS;
 use crate::motion_prior::evaluation::random_code;
-use crate::motion_prior::joints::frame;
 use crate::motion_prior::motion_file::{MotionPose, MotionTake, read_take};
 use crate::motion_prior::motion_writer::write_take;
 use anyhow::Context;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
 
 /// Draws a code from N(0, I), smooths it in time and decodes it, standing in place.
@@ -101,11 +100,7 @@ fn write(path: &Path, take: &MotionTake) -> anyhow::Result<()> {
 /// The motion of a code with the pelvis at rest.
 fn in_place(prior: &MotionPrior, codes: &[Vec<f32>]) -> MotionTake {
     let features = prior.decode(codes);
-    let pose = |row: &[f32]| {
-        let mut rotations = prior.chart().rotations(&frame(row));
-        rotations[0] = Matrix3::identity();
-        MotionPose { rotations, pelvis: Vector3::new(0.0, STANDING, 0.0) }
-    };
-    let poses = features.iter().flat_map(|f| f.chunks_exact(N_FEATURES)).map(pose).collect();
+    let pose = |rotations: LocalRotations| MotionPose { rotations, pelvis: Vector3::new(0.0, STANDING, 0.0) };
+    let poses = features.iter().flat_map(|f| prior.rotations(f)).map(pose).collect();
     MotionTake { rest_joints: None, poses, fps: GRID_FPS }
 }
