@@ -1,4 +1,4 @@
-//! `cameras.json`: intrinsics as given, poses as found.
+//! `cameras.json`: intrinsics as given or refined, poses as found.
 
 use crate::session::formats::{distortion_model, entries, rows};
 use crate::session::reconstruction::{ErrorSummary, SolvedCamera};
@@ -37,6 +37,10 @@ struct Camera<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     sigma_angle_deg: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    focal_factor: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sigma_focal_factor: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     time_offset_s: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     sigma_time_offset_s: Option<f64>,
@@ -56,11 +60,12 @@ pub(super) fn cameras<'a>(session: &'a Session, reconstruction: &Reconstruction)
 
 fn camera<'a>(view: &'a View, solved: &SolvedCamera) -> Camera<'a> {
     let camera_from_world = solved.camera_from_world;
+    let lens = solved.lens(&view.intrinsics);
     Camera {
         id: &view.id,
-        width: view.intrinsics.width,
-        height: view.intrinsics.height,
-        matrix: rows(&view.intrinsics.matrix()),
+        width: lens.width,
+        height: lens.height,
+        matrix: rows(&lens.matrix()),
         dist: view.intrinsics.dist.coefficients(),
         distortion_model: distortion_model(&view.intrinsics.dist),
         rotation: camera_from_world.map(|pose| rows(&pose.rotation)),
@@ -70,6 +75,8 @@ fn camera<'a>(view: &'a View, solved: &SolvedCamera) -> Camera<'a> {
         n_observations: solved.n_observations,
         sigma_position_mm: solved.sigma_position_mm,
         sigma_angle_deg: solved.sigma_angle_deg,
+        focal_factor: solved.focal_factor.map(|factor| factor.value),
+        sigma_focal_factor: solved.focal_factor.map(|factor| factor.sigma),
         time_offset_s: solved.time_offset.map(|offset| offset.secs),
         sigma_time_offset_s: solved.time_offset.and_then(|offset| offset.sigma_secs),
         status: if camera_from_world.is_some() { "solved" } else { "unsolved" },

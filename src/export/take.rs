@@ -93,7 +93,11 @@ pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Tak
     for (view, solved) in session.views.iter().zip(&reconstruction.cameras) {
         match solved.camera_from_world {
             Some(camera_from_world) => {
-                take.cameras.push(TakeCamera { id: view.id.clone(), intrinsics: view.intrinsics, camera_from_world });
+                take.cameras.push(TakeCamera {
+                    id: view.id.clone(),
+                    intrinsics: solved.lens(&view.intrinsics),
+                    camera_from_world,
+                });
             }
             None => take.unplaced.push(view.id.clone()),
         }

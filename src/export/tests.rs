@@ -55,6 +55,7 @@ fn reconstruction() -> Reconstruction {
         sigma_position_mm: camera_from_world.map(|_| 1.5),
         sigma_angle_deg: None,
         time_offset: None,
+        focal_factor: None,
     };
     let pose = |x: f64| BodyPose {
         rotations: std::array::from_fn(|j| if j == 1 { rotation::exp(&TURN) } else { Matrix3::identity() }),
@@ -100,6 +101,7 @@ fn reconstruction() -> Reconstruction {
         report: Report {
             detector: DetectorHabits::default(),
             consistency: None,
+            penetration: PenetrationReport::default(),
             stages: vec![],
             cameras: vec![],
             people: vec![],

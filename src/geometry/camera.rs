@@ -37,6 +37,11 @@ impl Intrinsics {
         0.5 * (self.fx + self.fy)
     }
 
+    /// The same lens with `fx`, `fy` and the skew times `factor`.
+    pub fn with_focal_factor(&self, factor: f64) -> Self {
+        Self { fx: self.fx * factor, fy: self.fy * factor, skew: self.skew * factor, ..*self }
+    }
+
     /// The 3x3 matrix K.
     pub fn matrix(&self) -> Matrix3<f64> {
         Matrix3::new(self.fx, self.skew, self.cx, 0.0, self.fy, self.cy, 0.0, 0.0, 1.0)

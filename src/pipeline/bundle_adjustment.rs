@@ -190,6 +190,8 @@ pub struct CameraUncertainty {
     pub sigma_angle: f64,
     /// Standard deviation of the delay against that of the first moving camera, frames; where delays are refined.
     pub sigma_delay: Option<f64>,
+    /// Standard deviation of the focal factor's logarithm; where focal lengths are refined.
+    pub sigma_log_focal: Option<f64>,
 }
 
 /// The first robust scale is at most this many median residuals: a good start is not shaken by outliers.

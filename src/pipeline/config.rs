@@ -91,8 +91,12 @@ impl Options {
             );
             return refuse("/extrinsics", reason);
         }
-        if self.intrinsics == IntrinsicsMode::RefineFocal {
-            return refuse("/intrinsics", "refine_focal is not supported yet; use \"fixed\"".to_owned());
+        if self.intrinsics == IntrinsicsMode::RefineFocal && self.extrinsics == Extrinsics::Fixed {
+            let reason = "refine_focal moves cameras, too; use extrinsics \"refine\" or \"estimate\"".to_owned();
+            return refuse("/intrinsics", reason);
+        }
+        if self.intrinsics == IntrinsicsMode::RefineFocal && cameras.len() < 2 {
+            return refuse("/intrinsics", "one camera cannot tell its focal length; use \"fixed\"".to_owned());
         }
         if self.body != DEFAULT_BODY && !bodies.contains(&self.body) {
             let known: String = bodies.iter().map(|name| format!(" or {name:?}")).collect();

@@ -9,6 +9,7 @@ pub mod checkpoints;
 pub mod config;
 pub mod denoising;
 pub mod fit_figures;
+pub mod focal_lengths;
 pub mod inspection;
 pub mod joint_trajectories;
 pub mod metric_scale;
@@ -97,9 +98,12 @@ pub fn reconstruct_with_checkpoints(
     }
     let timing = checkpoints.stage("synchronisation", || synchronisation::timing(session, options, progress))?;
     let timed = timing.applied_to(session);
+    let progress = &Shares { progress, before: timing.share_of_work() };
+    let lenses = checkpoints.stage("focal_lengths", || focal_lengths::focal_lengths(&timed, options, progress))?;
+    let timed = lenses.applied_to(&timed);
     let capture = Capture::new(&timed, options);
 
-    let progress = &Shares { progress, before: timing.share_of_work() };
+    let progress = &progress.after(lenses.share_of_work());
     let stage = progress.stage("cameras", 0, 0.0, 0.4);
     let calibration = checkpoints.stage("cameras", || calibrated(&capture, &stage))?;
     let n_placed = calibration.cameras.iter().flatten().count();
@@ -136,6 +140,7 @@ pub fn reconstruct_with_checkpoints(
     let stage_body = progress.stage("body_fit", 5, 0.72, 0.25);
     let mut reconstruction = findings.with_bodies(&capture, body, &stage_body)?;
     (reconstruction.report.consistency, reconstruction.cleaning) = consistency.unzip();
+    lenses.tell(&mut reconstruction);
     timing.tell(session, &mut reconstruction);
     Ok(reconstruction)
 }
@@ -153,6 +158,11 @@ impl Shares<'_> {
     fn stage(&self, name: &'static str, index: usize, start: f64, width: f64) -> Progress {
         let rest = 1.0 - self.before;
         self.progress.stage(name, index + 1, N_STAGES, self.before + rest * start, rest * width)
+    }
+
+    /// What is left once `share` of the rest is done, too.
+    fn after(&self, share: f64) -> Self {
+        Shares { progress: self.progress, before: self.before + (1.0 - self.before) * share }
     }
 }
 

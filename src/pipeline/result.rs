@@ -12,7 +12,9 @@ use super::{Capture, PipelineError};
 use crate::body::BodyModel;
 use crate::geometry::{Rigid, Similarity};
 use crate::progress::{Canceled, Progress};
-use crate::session::reconstruction::{BodyModelId, DetectorHabits, Report, ScaleReport, SolvedCamera};
+use crate::session::reconstruction::{
+    BodyModelId, DetectorHabits, PenetrationReport, Report, ScaleReport, SolvedCamera,
+};
 use crate::session::recording::UpAxis;
 use crate::session::{JointTrajectory, PersonTrack, Reconstruction};
 
@@ -83,15 +85,16 @@ impl Findings {
             tracks: &tracks,
             points: &self.paths,
         };
-        let FittedBodies { motions, detector_model, detector, report } =
-            fit_bodies(input, model, &BodyFitConfig::default(), progress)?;
+        let config = BodyFitConfig { keep_apart: capture.options.collision, ..BodyFitConfig::default() };
+        let FittedBodies { motions, detector_model, detector, penetration, report } =
+            fit_bodies(input, model, &config, progress)?;
         self.calibration.stages.push(report);
         // A track whose trunk was never triangulated has no body; such a person is nobody in the result.
         let kept: Vec<PersonTrack> =
             tracks.into_iter().filter(|t| motions.iter().any(|m| m.person == t.person)).collect();
         self.paths.retain(|p| motions.iter().any(|m| m.person == p.person));
         let distances = distances(capture.session, &self.calibration.cameras, &kept, &self.paths);
-        let report = Report { detector, ..self.report(capture, &kept, &distances) };
+        let report = Report { detector, penetration, ..self.report(capture, &kept, &distances) };
         let mut keypoints = std::mem::take(&mut self.paths);
         for (path, motion) in keypoints.iter_mut().zip(&motions) {
             fill_from_body(path, &landmark_trajectory(&detector_model, motion, capture.session.convention));
@@ -121,6 +124,7 @@ impl Findings {
                 sigma_position_mm: uncertainty(v).map(|u| 1e3 * u.sigma_position * self.metres_per_unit),
                 sigma_angle_deg: uncertainty(v).map(|u| u.sigma_angle.to_degrees()),
                 time_offset: None,
+                focal_factor: None,
             })
             .collect()
     }
@@ -159,6 +163,7 @@ impl Findings {
             scale: self.scale.clone(),
             detector: DetectorHabits::default(),
             consistency: None,
+            penetration: PenetrationReport::default(),
             rejected_detections: n_rejected as f64 / n_detections.max(1) as f64,
             keypoints_from: "adjusted points; body landmarks where no view saw the point".to_owned(),
         }

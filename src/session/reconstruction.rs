@@ -2,7 +2,7 @@
 
 use super::people::{BodyMotion, JointTrajectory};
 use super::recording::{FrameIndex, PersonId, UpAxis};
-use crate::geometry::Rigid;
+use crate::geometry::{Intrinsics, Rigid};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -21,6 +21,24 @@ pub struct SolvedCamera {
     pub sigma_angle_deg: Option<f64>,
     /// When its frames were taken, where that is not simply what their numbers say.
     pub time_offset: Option<TimeOffset>,
+    /// What its focal lengths were multiplied by, where they were refined.
+    pub focal_factor: Option<FocalFactor>,
+}
+
+impl SolvedCamera {
+    /// The lens that the pose holds for, from the one that the session gives.
+    pub fn lens(&self, given: &Intrinsics) -> Intrinsics {
+        self.focal_factor.map_or(*given, |factor| given.with_focal_factor(factor.value))
+    }
+}
+
+/// A factor on both focal lengths of a camera.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct FocalFactor {
+    /// Refined over given.
+    pub value: f64,
+    /// Its standard deviation.
+    pub sigma: f64,
 }
 
 /// When a camera's frames were taken: frame number `n` at `n / fps + secs`.
@@ -251,12 +269,39 @@ pub struct Report {
     /// What the consistency stage did; `None` where it was switched off.
     #[serde(default)]
     pub consistency: Option<ConsistencyReport>,
+    /// How far people's bodies reach into each other.
+    #[serde(default)]
+    pub penetration: PenetrationReport,
     /// Share of detections given to nobody.
     pub rejected_detections: f64,
     /// What `keypoints3d.json` holds: adjusted points or body landmarks.
     pub keypoints_from: String,
     /// Verdict and reasons.
     pub quality: Quality,
+}
+
+/// How far people's bodies reach into each other, as 21 capsules a body tell.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct PenetrationReport {
+    /// The deepest overlap of the result; `None` where nobody touches anybody.
+    pub deepest: Option<Overlap>,
+    /// The same before people gave way; `None` where nothing was deeper than 10 mm, or `collision` was off.
+    pub deepest_before: Option<Overlap>,
+    /// Frames of a person with an overlap of more than 10 mm, summed over people.
+    pub person_frames: usize,
+}
+
+/// Two bodies at one time.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Overlap {
+    /// How far their capsules reach into each other, mm.
+    pub depth_mm: f64,
+    /// The session's frame number.
+    pub frame: i64,
+    /// Who.
+    pub people: [usize; 2],
+    /// The joints that carry the two capsules, SMPL's names.
+    pub joints: [String; 2],
 }
 
 /// A format that the result can be written in (`options.exports`).

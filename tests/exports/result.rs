@@ -243,6 +243,7 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
         sigma_position_mm: None,
         sigma_angle_deg: None,
         time_offset: None,
+        focal_factor: None,
     };
     // Cameras round the people, looking at a point at breast height.
     let up = if up_axis == UpAxis::Y { Vector3::y() } else { Vector3::z() };
@@ -268,6 +269,7 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
         report: Report {
             detector: Default::default(),
             consistency: None,
+            penetration: wandless::session::reconstruction::PenetrationReport::default(),
             stages: Vec::new(),
             cameras: Vec::new(),
             people: Vec::new(),

@@ -4,6 +4,7 @@
 //! has one optimum. A detector's error drifts over some frames, hence more frames a second are not more information.
 
 use super::BodyFitConfig;
+use super::contacts::Contacts;
 use super::evidence::{Evidence, PixelEvidence, PointEvidence};
 use super::place_cost::{PlaceCost, pixel_cost, point_cost, summed_by_landmark};
 use crate::body::anthropometry::N_BETAS;
@@ -53,6 +54,10 @@ pub(super) struct MotionProblem<'a> {
     /// Offsets of landmarks that stand in the border after the betas and the person's bones; their values, like those of
     /// the bones, are in `model`.
     pub free_offsets: Option<&'a OffsetTable>,
+    /// Other people's bodies in the way.
+    pub contacts: Option<Contacts<'a>>,
+    /// Frames that stay as they are.
+    pub held: &'a [usize],
     /// Weight of the betas' prior against one frame's evidence.
     pub shape_prior: f64,
     /// s.
@@ -90,9 +95,8 @@ impl<'a> MotionProblem<'a> {
             moving[landmark].iter().for_each(|&j| turns[j] = true);
         }
         let active: Vec<usize> = (0..FIRST_HAND).filter(|&j| turns[j]).collect();
-        let group_of = |joint: &usize| active.iter().position(|a| a == joint).map(|g| (g + 1, *joint));
-        let moved_by = moving.iter().map(|joints| joints.iter().filter_map(group_of).collect()).collect();
-        let (free_offsets, shape_prior, ranges) = (None, 1.0, joint_ranges());
+        let moved_by = moved_by(model, &active);
+        let (free_offsets, contacts, shape_prior, ranges) = (None, None, 1.0, joint_ranges());
         Self {
             model,
             evidence,
@@ -100,6 +104,8 @@ impl<'a> MotionProblem<'a> {
             data,
             shape,
             free_offsets,
+            contacts,
+            held: &[],
             shape_prior,
             frame_interval,
             active,
@@ -112,6 +118,19 @@ impl<'a> MotionProblem<'a> {
     /// shape, for what offsets and skeleton share is told apart by their priors alone.
     pub(super) fn with_free_offsets(self, table: &'a OffsetTable, shape_prior: f64) -> Self {
         Self { free_offsets: Some(table), shape_prior, ..self }
+    }
+
+    /// The same with other people's bodies in the way: whatever carries a capsule that touches turns, too, as the wrists
+    /// do, which no keypoint tells of.
+    pub(super) fn with_contacts(self, contacts: Contacts<'a>) -> Self {
+        let touching = contacts.joints();
+        let active: Vec<usize> = (0..FIRST_HAND).filter(|j| self.active.contains(j) || touching.contains(j)).collect();
+        Self { contacts: Some(contacts), moved_by: moved_by(self.model, &active), active, ..self }
+    }
+
+    /// The same with some frames held.
+    pub(super) fn holding(self, held: &'a [usize]) -> Self {
+        Self { held, ..self }
     }
 
     /// Unknowns of the border: the betas, the person's bones, the offsets.
@@ -156,7 +175,8 @@ impl<'a> MotionProblem<'a> {
         let frame_cost = |(t, pose): (usize, &Pose)| {
             let skeleton = posed(&body, pose);
             let data: f64 = self.place_costs(t, &body, &skeleton).iter().map(|p| p.cost).sum();
-            data + self.active[1..].iter().map(|&j| self.angle_cost(pose, j).cost).sum::<f64>()
+            let contacts = self.contacts.map_or(0.0, |contacts| contacts.cost(t, &state.betas, &skeleton));
+            data + contacts + self.active[1..].iter().map(|&j| self.angle_cost(pose, j).cost).sum::<f64>()
         };
         let frames: Vec<f64> = state.poses.par_iter().enumerate().map(frame_cost).collect();
         let smooth: f64 = (1..state.poses.len().saturating_sub(1)).map(|t| self.smoothness_cost(state, t)).sum();
@@ -217,6 +237,12 @@ impl<'a> MotionProblem<'a> {
         self.acceleration_cost(self.translation_acceleration(state, t).norm_squared()).0
             + self.active.iter().map(joint_cost).sum::<f64>()
     }
+}
+
+/// For every landmark the active joints that move it, with their groups.
+fn moved_by(model: &BodyModel, active: &[usize]) -> Vec<Vec<(usize, usize)>> {
+    let group_of = |joint: usize| active.iter().position(|a| *a == joint).map(|g| (g + 1, joint));
+    model.landmarks.iter().map(|landmark| moving_joints(landmark).into_iter().filter_map(group_of).collect()).collect()
 }
 
 /// First of the two hand joints, which have no keypoints of their own to turn by.

@@ -5,7 +5,7 @@ use super::place_cost::PlaceCost;
 use crate::body::anthropometry::N_BETAS;
 use crate::body::bone_offsets::landmark_by_bones;
 use crate::body::kinematics::{Pose, PosedSkeleton, joints_by_betas, landmark_by_betas, landmark_by_rotation, posed};
-use crate::body::model::{ShapeDirections, ShapedBody};
+use crate::body::model::{Betas, ShapeDirections, ShapedBody};
 use crate::body::skeleton::N_JOINTS;
 use crate::optim::block_banded::BlockBanded;
 use crate::residuals::joint_acceleration::turn_change;
@@ -29,8 +29,12 @@ impl MotionProblem<'_> {
         let mut system = BlockBanded::zeros(state.poses.len(), self.active.len() + 1, n_border);
         let body = self.model.shaped(&state.betas);
         let weight = self.time_weight();
-        let frames: Vec<FrameSystem> =
-            state.poses.par_iter().enumerate().map(|(t, pose)| self.frame_system(t, &body, pose)).collect();
+        let frames: Vec<FrameSystem> = state
+            .poses
+            .par_iter()
+            .enumerate()
+            .map(|(t, pose)| self.frame_system(t, &body, &state.betas, pose))
+            .collect();
         let mut cost = 0.5 * self.shape_prior * state.betas.norm_squared();
         for k in 0..self.n_betas() {
             system.corner[(k, k)] += self.shape_prior;
@@ -49,10 +53,13 @@ impl MotionProblem<'_> {
         for t in 1..state.poses.len().saturating_sub(1) {
             cost += weight * self.add_smoothness(state, t, &mut system);
         }
+        for &t in self.held {
+            (0..system.diagonal[t].nrows()).for_each(|i| system.diagonal[t][(i, i)] += HOLD);
+        }
         (cost, system)
     }
 
-    fn frame_system(&self, t: usize, body: &ShapedBody, pose: &Pose) -> FrameSystem {
+    fn frame_system(&self, t: usize, body: &ShapedBody, betas: &Betas, pose: &Pose) -> FrameSystem {
         let (n, n_border) = (3 * (self.active.len() + 1), self.n_border());
         let mut system = FrameSystem {
             cost: 0.0,
@@ -92,6 +99,10 @@ impl MotionProblem<'_> {
             gradient += angle.gradient;
             let mut block = system.diagonal.fixed_view_mut::<3, 3>(3 * (i + 1), 3 * (i + 1));
             block += angle.hessian;
+        }
+        if let Some(contacts) = self.contacts {
+            let FrameSystem { diagonal, gradient, .. } = &mut system;
+            system.cost += contacts.add_to(t, (betas, &skeleton), &self.active, diagonal, gradient);
         }
         // A frame that nobody saw and nothing holds must not make the system singular.
         for i in 0..n {
@@ -212,6 +223,9 @@ impl BorderJacobian {
     }
 }
 
+/// Added to the diagonal of a frame that is held: a step there is a millionth of what it would be.
+const HOLD: f64 = 1e15;
+
 /// Added to every frame's diagonal (squared residual per rad^2 or m^2): 1e6 times weaker than one keypoint.
 const FLOOR: f64 = 1e-4;
 
@@ -224,7 +238,7 @@ mod tests {
     use crate::body::bone_offsets::{BoneOffsets, with_bones};
     use crate::body::default_body;
     use crate::body::detector_offsets::OffsetTable;
-    use crate::body::model::{Betas, BodyModel};
+    use crate::body::model::BodyModel;
     use crate::body::skeleton::KeypointConvention;
     use crate::geometry::rotation;
     use crate::optim::block_banded::BandedStep;

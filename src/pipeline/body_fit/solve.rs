@@ -25,7 +25,7 @@ pub(super) struct FittedMotion {
 }
 
 impl FittedMotion {
-    fn unmoved(state: MotionState) -> Self {
+    pub(super) fn unmoved(state: MotionState) -> Self {
         let (cost_before, cost_after, iterations, converged, median_reprojection_px) = (0.0, 0.0, 0, true, None);
         Self { state, cost_before, cost_after, iterations, converged, median_reprojection_px }
     }
@@ -164,7 +164,7 @@ impl Stages<'_> {
         median(&mut shares).map_or(high, |m| (m / 1.177).clamp(low, high))
     }
 
-    fn minimised(
+    pub(super) fn minimised(
         &self,
         problem: &MotionProblem,
         start: MotionState,

@@ -153,7 +153,7 @@ fn simulated_captures_are_fitted_better_than_triangulated() {
         };
         let model = default_body();
         let clock = Instant::now();
-        let FittedBodies { motions, report, detector_model, detector } =
+        let FittedBodies { motions, report, detector_model, detector, .. } =
             fit_bodies(input, &model, &BodyFitConfig::default(), &Progress::silent()).unwrap();
         println!("{}", detector.reason);
         assert!(!detector.applied, "these skeletons are not ours, their detector has no habits");

@@ -64,8 +64,13 @@ pub(super) fn camera_uncertainties(
             let covariance = free.fixed_view::<6, 6>(6 * k, 6 * k).into_owned();
             let sigma = |first: usize| covariance.fixed_view::<3, 3>(first, first).trace().max(0.0).sqrt();
             let sigma_delay = sigma_delay(&border, problem.layout.delay, moving[0].1, moving[k].1);
+            let sigma_log_focal = problem.layout.focal.map(|place| {
+                let at = moving[k].1 + place;
+                border[(at, at)].max(0.0).sqrt()
+            });
             let (sigma_position, sigma_angle) = (sigma(0), sigma(3));
-            uncertainties[view] = Some(CameraUncertainty { covariance, sigma_position, sigma_angle, sigma_delay });
+            uncertainties[view] =
+                Some(CameraUncertainty { covariance, sigma_position, sigma_angle, sigma_delay, sigma_log_focal });
         }
     }
     uncertainties

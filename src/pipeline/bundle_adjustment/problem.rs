@@ -270,7 +270,7 @@ impl Problem<'_> {
                 delay: camera.delay + moved_by(self.layout.delay),
                 camera_from_world: camera.camera_from_world.perturbed_left(&rho, &phi),
                 log_focal,
-                intrinsics: with_focal_factor(&self.intrinsics[view], log_focal.exp()),
+                intrinsics: self.intrinsics[view].with_focal_factor(log_focal.exp()),
             })
         };
         let mut cameras: Vec<_> = state.cameras.iter().enumerate().map(move_camera).collect();
@@ -279,9 +279,4 @@ impl Problem<'_> {
         let log_lengths = state.log_lengths.iter().enumerate().map(|(k, l)| l + step[first + k]).collect();
         State { cameras, log_lengths, points: Vec::new() }
     }
-}
-
-/// The same lens with `fx`, `fy` and the skew times `factor`.
-fn with_focal_factor(intrinsics: &Intrinsics, factor: f64) -> Intrinsics {
-    Intrinsics { fx: intrinsics.fx * factor, fy: intrinsics.fy * factor, skew: intrinsics.skew * factor, ..*intrinsics }
 }

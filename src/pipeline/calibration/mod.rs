@@ -54,16 +54,24 @@ struct Effort {
     uncertainty_block_secs: Option<f64>,
     /// Whether cameras may be late.
     refine_delays: bool,
+    /// Whether focal lengths may be off.
+    refine_focal: bool,
 }
 
-const TRIAL: Effort =
-    Effort { max_instants: 120, relative_decrease: 1e-3, uncertainty_block_secs: None, refine_delays: false };
+const TRIAL: Effort = Effort {
+    max_instants: 120,
+    relative_decrease: 1e-3,
+    uncertainty_block_secs: None,
+    refine_delays: false,
+    refine_focal: false,
+};
 const ROUND: Effort = Effort { max_instants: 250, relative_decrease: 1e-4, ..TRIAL };
 /// Detector errors are correlated over a third of a second (AR(0.9) at 30 Hz); a block must span several such times.
 const FINAL: Effort = Effort { max_instants: 500, relative_decrease: 1e-6, uncertainty_block_secs: Some(2.0), ..TRIAL };
 /// A delay is told by moving points alone, of which there are fewer.
-const TIMED: Effort =
-    Effort { max_instants: 1500, relative_decrease: 1e-5, uncertainty_block_secs: Some(2.0), refine_delays: true };
+const TIMED: Effort = Effort { max_instants: 1500, relative_decrease: 1e-5, refine_delays: true, ..FINAL };
+/// A focal length trades against distance, slowly: convergence counts.
+const FOCAL: Effort = Effort { refine_focal: true, ..FINAL };
 
 /// Settings of an adjustment whose uncertainty nobody asks for.
 fn quick() -> AdjustmentConfig {
@@ -182,6 +190,19 @@ pub fn with_delays(capture: &Capture, before: &Calibration, progress: &Progress)
     adjusted(capture, before, TIMED, &|_| true, progress)
 }
 
+/// The cameras after an adjustment in which their focal lengths may be off; by how much is told by
+/// [`Calibration::adjusted`].
+///
+/// # Errors
+/// [`Canceled`].
+pub fn with_focal_factors(
+    capture: &Capture,
+    before: &Calibration,
+    progress: &Progress,
+) -> Result<Calibration, Canceled> {
+    adjusted(capture, before, FOCAL, &|_| true, progress)
+}
+
 /// One round: adjustment, then association under the new cameras; kept only if no less is explained.
 fn improved(
     capture: &Capture,
@@ -235,7 +256,7 @@ fn adjusted(
         instants: chosen,
         bones: &capture.adjusted_bones,
         camera_freedom: CameraFreedom::Adjusted,
-        refine_focal: false,
+        refine_focal: effort.refine_focal,
         refine_delays: effort.refine_delays,
     };
     let uncertainty_block_frames = effort.uncertainty_block_secs.map(|s| ((s * session.fps).round() as usize).max(1));
