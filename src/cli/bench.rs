@@ -1,17 +1,16 @@
 //! `wandless bench`: how often cameras are found on random rigs, how fast a capture is solved, what damaged input does.
 
+mod ablation;
 mod bodies;
 mod fuzz;
 mod kinematics;
+mod rigs;
 
 use super::BadInput;
 use super::solve::use_threads;
-use crate::evaluation::camera_error::{CameraPair, relative_camera_error};
 use crate::pipeline::{Options, PipelineError, reconstruct};
 use crate::progress::{Progress, ProgressEvent};
-use crate::session::reconstruction::Verdict;
 use crate::session::upload::{UploadLimits, read_path};
-use crate::simulation::{Simulated, random_rig_config, simulate};
 use kinematics::poses_a_second;
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex};
@@ -43,6 +42,8 @@ enum Bench {
     },
     /// Bodies, joint angles and metric scale on captures of people who are default bodies
     Bodies(bodies::BodiesArgs),
+    /// What each part of the method is worth on sessions with truth: a table as Markdown and as JSON
+    Ablation(ablation::AblationArgs),
     /// Seconds per stage on one session, frames x views x people a second and core, and the rates of fit and kinematics
     Speed {
         /// Session: a folder, a zip or a JSON document
@@ -60,106 +61,19 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     match args.bench {
         Bench::Rigs { count, seed, limit_deg, threads } => {
             use_threads(threads);
-            rigs(seed..seed + count, limit_deg)
+            rigs::run(seed..seed + count, limit_deg)
         }
         Bench::Bodies(args) => {
             use_threads(args.threads);
             bodies::run(&args)
         }
+        Bench::Ablation(args) => ablation::run(&args),
         Bench::Speed { session, threads } => {
             use_threads(threads);
             speed(session)
         }
         Bench::Fuzz(args) => fuzz::run(&args),
     }
-}
-
-/// One rig's outcome.
-struct RigOutcome {
-    /// Worst error over all pairs of cameras, degrees; infinite where a camera is missing.
-    worst_deg: f64,
-    /// The verdict; `None` for a capture that was refused as unsolvable.
-    verdict: Option<Verdict>,
-}
-
-/// Tallies of one class of rigs.
-#[derive(Default)]
-struct Tally {
-    n: usize,
-    failed: usize,
-    failed_unwarned: usize,
-    warned: usize,
-    worst: Vec<f64>,
-}
-
-fn rigs(seeds: std::ops::Range<u64>, limit_deg: f64) -> anyhow::Result<()> {
-    let (mut main, mut few) = (Tally::default(), Tally::default());
-    for seed in seeds {
-        let config = random_rig_config(seed);
-        let started = Instant::now();
-        let outcome = solve_rig(&simulate(&config)?, seed);
-        let failed = outcome.worst_deg > limit_deg;
-        println!(
-            "rig {seed:4}: {} views, {} people: worst pair {:8.3} deg, {}{}, {:.1} s",
-            config.views,
-            config.people,
-            outcome.worst_deg,
-            outcome.verdict.map_or("refused".to_owned(), |v| format!("{v:?}").to_lowercase()),
-            if failed { "  FAILED" } else { "" },
-            started.elapsed().as_secs_f64()
-        );
-        let tally = if config.views >= 3 && config.people >= 2 { &mut main } else { &mut few };
-        tally.add(&outcome, failed);
-    }
-    main.print("3 or more views, 2 or more people");
-    few.print("fewer");
-    Ok(())
-}
-
-impl Tally {
-    fn add(&mut self, outcome: &RigOutcome, failed: bool) {
-        let warned = outcome.verdict != Some(Verdict::Pass);
-        self.n += 1;
-        self.failed += usize::from(failed);
-        self.failed_unwarned += usize::from(failed && !warned);
-        self.warned += usize::from(warned && !failed);
-        self.worst.push(outcome.worst_deg);
-    }
-
-    fn print(mut self, name: &str) {
-        if self.n == 0 {
-            return;
-        }
-        self.worst.sort_by(f64::total_cmp);
-        println!(
-            "{name}: {} of {} within the limit ({:.1} %); median worst pair {:.3} deg; failures without a warning: {}; warnings on good \
-             rigs: {}",
-            self.n - self.failed,
-            self.n,
-            100.0 * (self.n - self.failed) as f64 / self.n as f64,
-            self.worst[self.n / 2],
-            self.failed_unwarned,
-            self.warned
-        );
-    }
-}
-
-fn solve_rig(simulated: &Simulated, seed: u64) -> RigOutcome {
-    let options = Options { seed, ..Options::default() };
-    let Ok(found) = reconstruct(&simulated.session, &options, &Progress::silent()) else {
-        return RigOutcome { worst_deg: f64::INFINITY, verdict: None };
-    };
-    let views = simulated.session.views.iter().zip(&simulated.truth.cameras).zip(&found.cameras);
-    let pairs: Vec<CameraPair> = views
-        .filter_map(|((view, truth), solved)| {
-            let (id, intrinsics) = (view.id.clone(), view.intrinsics);
-            Some(CameraPair { id, intrinsics, truth: *truth, solved: solved.camera_from_world? })
-        })
-        .collect();
-    let complete = pairs.len() == simulated.session.views.len();
-    let error = relative_camera_error(&pairs).filter(|_| complete);
-    let worst_deg = error.map_or(f64::INFINITY, |e| e.rotation_deg.max(e.direction_deg));
-    RigOutcome { worst_deg, verdict: Some(found.report.quality.verdict) }
 }
 
 fn speed(session: PathBuf) -> anyhow::Result<()> {

@@ -1,8 +1,8 @@
-//! How much a motion trembles: mean acceleration.
+//! How much a motion trembles: mean acceleration, and how far it is from the truth's.
 
 use super::camera_error::mean;
-use super::person_matching::Frames;
-use super::shelf14::Point;
+use super::person_matching::{Frames, Matching, People, matched};
+use super::shelf14::{Point, Shelf14};
 use serde::Serialize;
 
 /// Mean acceleration over people and joints.
@@ -33,6 +33,31 @@ pub fn jitter(frames: &Frames<Vec<Point>>, fps: f64) -> Jitter {
     Jitter { mm_per_frame2: metres.map(|m| 1e3 * m), m_per_s2: metres.map(|m| m * fps * fps), n: differences.len() }
 }
 
+/// Mean of `|a_solved - a_true|`, `a = x(t+1) - 2 x(t) + x(t-1)`, over the 14 joints of `actors`, mm per frame squared.
+///
+/// People are matched one to one in the middle frame; a person of the result whose name does not go on through all
+/// three frames says nothing.
+pub fn acceleration_error(truth: &Frames<Shelf14>, solved: &Frames<Shelf14>, actors: &[String]) -> Option<f64> {
+    let three = |frames: &'_ Frames<Shelf14>, frame: i64| -> Option<[People<Shelf14>; 3]> {
+        Some([frames.get(&(frame - 1))?.clone(), frames.get(&frame)?.clone(), frames.get(&(frame + 1))?.clone()])
+    };
+    let mut differences = Vec::new();
+    for frame in truth.keys() {
+        let (Some(true_people), Some(people)) = (three(truth, *frame), three(solved, *frame)) else { continue };
+        for (actor, name) in matched(&true_people[1], &people[1], Matching::One2one) {
+            let poses = |of: &[People<Shelf14>; 3], name: &str| -> Option<[Shelf14; 3]> {
+                Some([*of[0].get(name)?, *of[1].get(name)?, *of[2].get(name)?])
+            };
+            let (Some(t), Some(s)) = (poses(&true_people, actor), poses(&people, name)) else { continue };
+            if actors.iter().any(|a| a == actor) {
+                let bend = |p: &[Shelf14; 3], j: usize| Some(p[2][j]? - p[1][j]? * 2.0 + p[0][j]?);
+                differences.extend((0..t[0].len()).filter_map(|j| Some((bend(&s, j)? - bend(&t, j)?).norm())));
+            }
+        }
+    }
+    mean(differences.into_iter()).map(|m| 1e3 * m)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -50,5 +75,21 @@ mod tests {
         assert_eq!(found.n, 2);
         assert!((found.m_per_s2.unwrap() - 9.81).abs() < 1e-9);
         assert_eq!(jitter(&Frames::new(), 50.0).m_per_s2, None);
+    }
+    #[test]
+    fn the_acceleration_error_is_that_of_what_was_added_and_worlds_may_drift() {
+        let person = |frame: i64, extra: f64| -> Shelf14 {
+            std::array::from_fn(|j| Some(Vector3::new(0.02 * frame as f64 + extra, 0.1 * j as f64, 0.0)))
+        };
+        let take = |name: &str, extra: &dyn Fn(i64) -> f64| -> Frames<Shelf14> {
+            (0..20).map(|t| (t, BTreeMap::from([(name.to_owned(), person(t, extra(t)))]))).collect()
+        };
+        let (truth, actors) = (take("a", &|_| 0.0), ["a".to_owned()]);
+        let drifting = acceleration_error(&truth, &take("7", &|t| 0.01 * t as f64), &actors).unwrap();
+        assert!(drifting < 1e-9);
+        // 2 mm to and fro: every second difference is 8 mm.
+        let trembling = take("7", &|t| if t % 2 == 0 { 2e-3 } else { -2e-3 });
+        assert!((acceleration_error(&truth, &trembling, &actors).unwrap() - 8.0).abs() < 1e-9);
+        assert_eq!(acceleration_error(&truth, &trembling, &["b".to_owned()]), None);
     }
 }

@@ -44,7 +44,7 @@ pub(super) fn for_each_match<'a>(
 }
 
 /// Name in the result for each true person that has a match.
-fn matched<'a>(
+pub(super) fn matched<'a>(
     truth: &'a People<Shelf14>,
     solved: &'a People<Shelf14>,
     matching: Matching,

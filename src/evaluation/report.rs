@@ -5,7 +5,7 @@ use super::camera_error::{CameraErrors, CameraPair, RelativeCameraError, camera_
 use super::documents::{self, PosesDocument, SessionDocument};
 use super::error::EvaluationError;
 use super::identity_error::{IdentityError, IdentityRow, identity_error};
-use super::jitter::{Jitter, jitter};
+use super::jitter::{Jitter, acceleration_error, jitter};
 use super::joint_error::{Mpjpe, Pcp, mpjpe, pcp};
 use super::person_matching::{Frames, Matching};
 use super::shelf14::{Point, Shelf14, Skeleton, to_shelf14};
@@ -84,6 +84,8 @@ pub struct Jitters {
     pub pred: Jitter,
     /// The truth's.
     pub gt: Jitter,
+    /// Mean distance of the two accelerations, 14 joints, mm per frame squared.
+    pub error_mm_per_frame2: Option<f64>,
 }
 
 const POSES: &str = "poses3d.json";
@@ -215,7 +217,11 @@ impl<'a> PoseJudge<'a> {
         let shelf = shelf_frames(&frames, solved.skeleton, &self.up);
         PoseErrors {
             joints_from,
-            jitter: Jitters { pred: jitter(&frames, self.fps), gt: jitter(&self.truth.frames, self.fps) },
+            jitter: Jitters {
+                pred: jitter(&frames, self.fps),
+                gt: jitter(&self.truth.frames, self.fps),
+                error_mm_per_frame2: acceleration_error(&self.true_shelf, &shelf, &self.actors),
+            },
             pcp: pcp(&self.true_shelf, &shelf, &self.actors, Matching::Nearest),
             pcp_one2one: pcp(&self.true_shelf, &shelf, &self.actors, Matching::One2one),
             mpjpe: mpjpe(&self.true_shelf, &shelf, &self.actors),

@@ -56,7 +56,8 @@ fn write_poses(f: &mut fmt::Formatter<'_>, poses: &PoseErrors) -> fmt::Result {
         writeln!(f, "  {name:<20}{:>12}   {}", number(pcp.average, 2), actors.join("  "))?;
     }
     let (solved, truth) = (number(jitter.pred.m_per_s2, 2), number(jitter.gt.m_per_s2, 2));
-    writeln!(f, "  {:<20}{solved:>12}   truth: {truth}", "jitter m/s^2")
+    writeln!(f, "  {:<20}{solved:>12}   truth: {truth}", "jitter m/s^2")?;
+    writeln!(f, "  {:<20}{:>12}", "its error mm/frame^2", number(jitter.error_mm_per_frame2, 2))
 }
 
 fn number(value: Option<f64>, decimals: usize) -> String {

@@ -1,0 +1,135 @@
+//! `wandless bench rigs`: how often cameras are found on random rigs, and what their stated uncertainty is worth.
+
+use crate::evaluation::alignment::Alignment;
+use crate::evaluation::camera_error::{CameraPair, camera_errors, relative_camera_error};
+use crate::pipeline::{Options, reconstruct};
+use crate::progress::Progress;
+use crate::session::reconstruction::{SolvedCamera, Verdict};
+use crate::simulation::{Simulated, random_rig_config, simulate};
+use std::time::Instant;
+
+/// Solves one rig a seed and prints a line each, then the tallies.
+pub(super) fn run(seeds: std::ops::Range<u64>, limit_deg: f64) -> anyhow::Result<()> {
+    let (mut main, mut few) = (Tally::default(), Tally::default());
+    for seed in seeds {
+        let config = random_rig_config(seed);
+        let started = Instant::now();
+        let outcome = solve_rig(&simulate(&config)?, seed);
+        let failed = outcome.worst_deg > limit_deg;
+        println!(
+            "rig {seed:4}: {} views, {} people: worst pair {:8.3} deg, {}{}, {:.1} s",
+            config.views,
+            config.people,
+            outcome.worst_deg,
+            outcome.verdict.map_or("refused".to_owned(), |v| format!("{v:?}").to_lowercase()),
+            if failed { "  FAILED" } else { "" },
+            started.elapsed().as_secs_f64()
+        );
+        let tally = if config.views >= 3 && config.people >= 2 { &mut main } else { &mut few };
+        tally.add(&outcome, failed);
+    }
+    main.print("3 or more views, 2 or more people");
+    few.print("fewer");
+    Ok(())
+}
+
+/// One rig's outcome.
+struct RigOutcome {
+    /// Worst error over all pairs of cameras, degrees; infinite where a camera is missing.
+    worst_deg: f64,
+    /// The verdict; `None` for a capture that was refused as unsolvable.
+    verdict: Option<Verdict>,
+    coverage: Coverage,
+}
+
+/// How many of the stated 95 % intervals of positions and orientations hold the truth, after Sim(3).
+#[derive(Debug, Clone, Copy, Default)]
+struct Coverage {
+    stated: usize,
+    positions: usize,
+    orientations: usize,
+}
+
+/// Half the width of a 95 % interval in standard deviations.
+const INTERVAL_95: f64 = 1.96;
+
+/// Tallies of one class of rigs.
+#[derive(Default)]
+struct Tally {
+    n: usize,
+    failed: usize,
+    failed_unwarned: usize,
+    warned: usize,
+    worst: Vec<f64>,
+    coverage: Coverage,
+}
+
+impl Tally {
+    fn add(&mut self, outcome: &RigOutcome, failed: bool) {
+        let warned = outcome.verdict != Some(Verdict::Pass);
+        self.n += 1;
+        self.failed += usize::from(failed);
+        self.failed_unwarned += usize::from(failed && !warned);
+        self.warned += usize::from(warned && !failed);
+        self.worst.push(outcome.worst_deg);
+        self.coverage.stated += outcome.coverage.stated;
+        self.coverage.positions += outcome.coverage.positions;
+        self.coverage.orientations += outcome.coverage.orientations;
+    }
+
+    fn print(mut self, name: &str) {
+        if self.n == 0 {
+            return;
+        }
+        self.worst.sort_by(f64::total_cmp);
+        println!(
+            "{name}: {} of {} within the limit ({:.1} %); median worst pair {:.3} deg; failures without a warning: {}; warnings on good \
+             rigs: {}",
+            self.n - self.failed,
+            self.n,
+            100.0 * (self.n - self.failed) as f64 / self.n as f64,
+            self.worst[self.n / 2],
+            self.failed_unwarned,
+            self.warned
+        );
+        let Coverage { stated, positions, orientations } = self.coverage;
+        let percent = |held: usize| 100.0 * held as f64 / stated.max(1) as f64;
+        println!(
+            "  stated 95 % intervals of {stated} cameras hold {:.1} % of the positions and {:.1} % of the orientations",
+            percent(positions),
+            percent(orientations)
+        );
+    }
+}
+
+fn solve_rig(simulated: &Simulated, seed: u64) -> RigOutcome {
+    let options = Options { seed, ..Options::default() };
+    let Ok(found) = reconstruct(&simulated.session, &options, &Progress::silent()) else {
+        return RigOutcome { worst_deg: f64::INFINITY, verdict: None, coverage: Coverage::default() };
+    };
+    let views = simulated.session.views.iter().zip(&simulated.truth.cameras).zip(&found.cameras);
+    let pairs: Vec<CameraPair> = views
+        .filter_map(|((view, truth), solved)| {
+            let (id, intrinsics) = (view.id.clone(), view.intrinsics);
+            Some(CameraPair { id, intrinsics, truth: *truth, solved: solved.camera_from_world? })
+        })
+        .collect();
+    let complete = pairs.len() == simulated.session.views.len();
+    let error = relative_camera_error(&pairs).filter(|_| complete);
+    let worst_deg = error.map_or(f64::INFINITY, |e| e.rotation_deg.max(e.direction_deg));
+    let coverage = if complete { coverage(&pairs, &found.cameras) } else { Coverage::default() };
+    RigOutcome { worst_deg, verdict: Some(found.report.quality.verdict), coverage }
+}
+
+fn coverage(pairs: &[CameraPair], solved: &[SolvedCamera]) -> Coverage {
+    let errors = camera_errors(pairs, &[], Alignment::Sim3);
+    let mut coverage = Coverage::default();
+    for (pair, camera) in pairs.iter().zip(solved) {
+        let error = &errors.per_camera[&pair.id];
+        let (Some(position), Some(angle)) = (camera.sigma_position_mm, camera.sigma_angle_deg) else { continue };
+        coverage.stated += 1;
+        coverage.positions += usize::from(error.position_mm <= INTERVAL_95 * position);
+        coverage.orientations += usize::from(error.angle_deg <= INTERVAL_95 * angle);
+    }
+    coverage
+}
