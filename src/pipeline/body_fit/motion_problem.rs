@@ -92,7 +92,7 @@ impl<'a> MotionProblem<'a> {
         let active: Vec<usize> = (0..FIRST_HAND).filter(|&j| turns[j]).collect();
         let group_of = |joint: &usize| active.iter().position(|a| a == joint).map(|g| (g + 1, *joint));
         let moved_by = moving.iter().map(|joints| joints.iter().filter_map(group_of).collect()).collect();
-        let (free_offsets, shape_prior, ranges) = (None, 1.0, joint_ranges());
+        let (free_offsets, shape_prior, ranges) = (None, config.shape_prior, joint_ranges());
         Self {
             model,
             evidence,
