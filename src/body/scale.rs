@@ -81,6 +81,21 @@ pub fn scale_from_people(
     })
 }
 
+/// The scale where nobody can be measured and people are taken to be average adults, as in a single view: what is as
+/// tall as it looks may be small and near, or large and far. The interval is that of one adult's stature.
+pub fn scale_of_nobody(model: &BodyModel) -> ScaleEstimate {
+    let half = 1.96 * stature_per_beta(model).norm();
+    ScaleEstimate {
+        scale: 1.0,
+        interval95: [(-half).exp(), half.exp()],
+        evidence: format!(
+            "one view: people are taken to be as large as an average adult, hence each of them and their distance from the \
+             camera are uncertain to {:.0} %",
+            100.0 * half
+        ),
+    }
+}
+
 /// Re-weightings of people; Huber's weights settle in a few.
 const ROBUST_ROUNDS: usize = 5;
 
@@ -288,6 +303,15 @@ mod tests {
             (!is_clear).then_some(true).or(Some(tallest(&default_body(), &crowd.measured) == Some(truth)))
         };
         assert!((0..100).filter_map(found).all(|right| right));
+    }
+
+    /// 5 to 6 % is the coefficient of variation of adults' stature, sexes pooled (ANSUR II).
+    #[test]
+    fn the_scale_of_nobody_is_as_uncertain_as_an_adults_stature() {
+        let estimate = scale_of_nobody(&default_body());
+        let sigma = estimate.interval95[1].ln() / 1.96;
+        assert!(estimate.scale == 1.0 && (0.045..0.07).contains(&sigma), "{sigma}");
+        assert!((estimate.interval95[0] * estimate.interval95[1] - 1.0).abs() < 1e-12);
     }
 
     #[test]

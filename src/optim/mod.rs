@@ -5,9 +5,11 @@
 //! - [`banded`]: Cholesky factors of a band matrix
 //! - [`block_banded`]: one dense block per frame, coupled over two frames, with a border
 //! - [`arrow`]: many small local systems coupled only through a few shared unknowns
+//! - [`viterbi`]: the cheapest path through a few states per step
 
 pub mod arrow;
 pub mod banded;
 pub mod block_banded;
 pub mod levenberg_marquardt;
 pub mod robust;
+pub mod viterbi;

@@ -48,6 +48,28 @@ pub struct TrajectoryInput<'a> {
     pub start: &'a [JointTrajectory],
     /// Metres that one unit of the cameras' world stands for.
     pub metres_per_unit: f64,
+    /// How firmly each step holds a point where it is.
+    pub hold: Hold,
+}
+
+/// How firmly each step of the solver holds a point where it is, standard deviation in m.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Hold {
+    /// 10 m, a whisper, so that a frame that nothing reaches keeps its place.
+    Whisper,
+    /// 0.1 m: a single view leaves the depth open, which would run away along the rays; across them a detector's 0.02 m is
+    /// still reached within the steps.
+    OnRay,
+}
+
+impl Hold {
+    /// Weight per m^2.
+    fn weight(self) -> f64 {
+        match self {
+            Self::Whisper => 0.01,
+            Self::OnRay => 100.0,
+        }
+    }
 }
 
 /// Estimates all paths, in parallel over people and keypoints.
@@ -162,9 +184,8 @@ fn step(
         for ray in rays {
             add_ray(input, ray, t, &points[t], sigma_m, robust_scale, &mut matrix, &mut gradient);
         }
-        // A whisper of a hold, so that a frame that nothing reaches keeps its place: 10 m.
         for a in 0..3 {
-            matrix.add(3 * t + a, 3 * t + a, input.metres_per_unit * input.metres_per_unit * 0.01);
+            matrix.add(3 * t + a, 3 * t + a, input.metres_per_unit * input.metres_per_unit * input.hold.weight());
         }
     }
     for t in 1..n.saturating_sub(1) {

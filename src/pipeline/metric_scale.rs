@@ -3,7 +3,7 @@
 use super::config::{Extrinsics, ScaleSource};
 use super::{Capture, PipelineError};
 use crate::body::default_body;
-use crate::body::scale::{KnownStature, ScaleEstimate, scale_from_people, tallest};
+use crate::body::scale::{KnownStature, ScaleEstimate, scale_from_people, scale_of_nobody, tallest};
 use crate::body::segments::{MeasuredSegment, measured_segments};
 use crate::geometry::Rigid;
 use crate::session::reconstruction::ScaleReport;
@@ -26,6 +26,9 @@ pub fn metric_scale(
     paths: &[JointTrajectory],
 ) -> Result<Option<ScaleReport>, PipelineError> {
     if capture.options.extrinsics != Extrinsics::Estimate {
+        if capture.session.views.len() == 1 {
+            return Ok(Some(told(scale_of_nobody(&default_body()))));
+        }
         let evidence = "the given extrinsics".to_owned();
         return Ok(Some(ScaleReport { value: 1.0, interval95: [1.0, 1.0], evidence }));
     }

@@ -5,7 +5,7 @@ use super::body_fit::{BodyFitConfig, BodyFitInput, FittedBodies, fit_bodies, lan
 use super::calibration::Calibration;
 use super::config::Extrinsics;
 use super::fit_figures::{Distances, camera_reports, distances, person_report, summary};
-use super::joint_trajectories::{TrajectoryConfig, TrajectoryInput, joint_trajectories};
+use super::joint_trajectories::{Hold, TrajectoryConfig, TrajectoryInput, joint_trajectories};
 use super::verdict::{Evidence, quality};
 use super::world_frame::world_from_solution;
 use super::{Capture, PipelineError};
@@ -17,6 +17,7 @@ use crate::session::reconstruction::{
 };
 use crate::session::recording::UpAxis;
 use crate::session::{JointTrajectory, PersonTrack, Reconstruction};
+use nalgebra::Vector3;
 
 /// Smooth paths of everybody's keypoints under the calibration's cameras.
 ///
@@ -33,6 +34,7 @@ pub fn paths(
         tracks: &calibration.association.tracks,
         start: &calibration.association.points,
         metres_per_unit: 1.0,
+        hold: if capture.session.views.len() == 1 { Hold::OnRay } else { Hold::Whisper },
     };
     joint_trajectories(&input, &TrajectoryConfig::default(), progress)
 }
@@ -84,15 +86,27 @@ impl Findings {
             cameras: &self.calibration.cameras,
             tracks: &tracks,
             points: &self.paths,
+            up: self.upright(capture),
         };
-        let config = BodyFitConfig { keep_apart: capture.options.collision, ..BodyFitConfig::default() };
-        let FittedBodies { motions, detector_model, detector, penetration, report } =
+        let is_one_view = capture.session.views.len() == 1;
+        let config = if is_one_view { BodyFitConfig::one_view() } else { BodyFitConfig::default() };
+        let config = BodyFitConfig { keep_apart: capture.options.collision, ..config };
+        let FittedBodies { motions, detector_model, mut detector, penetration, report } =
             fit_bodies(input, model, &config, progress)?;
+        if is_one_view {
+            detector.reason = "one view does not tell a habit of the detector from how people stand".to_owned();
+        }
         self.calibration.stages.push(report);
         // A track whose trunk was never triangulated has no body; such a person is nobody in the result.
         let kept: Vec<PersonTrack> =
             tracks.into_iter().filter(|t| motions.iter().any(|m| m.person == t.person)).collect();
         self.paths.retain(|p| motions.iter().any(|m| m.person == p.person));
+        if is_one_view {
+            // A single ray tells no depth: the points are the bodies' own.
+            for (path, motion) in self.paths.iter_mut().zip(&motions) {
+                path.points = landmark_trajectory(&detector_model, motion, capture.session.convention).points;
+            }
+        }
         let distances = distances(capture.session, &self.calibration.cameras, &kept, &self.paths);
         let report = Report { detector, penetration, ..self.report(capture, &kept, &distances) };
         let mut keypoints = std::mem::take(&mut self.paths);
@@ -109,6 +123,19 @@ impl Findings {
             cleaning: None,
             report,
         })
+    }
+
+    /// The upright in the result's world: the up axis, unless nobody gave one with the given extrinsics and the camera
+    /// would lie on its side by it. Cameras stand upright more often than not.
+    fn upright(&self, capture: &Capture) -> Vector3<f64> {
+        let axis = match self.up_axis {
+            UpAxis::X => Vector3::x(),
+            UpAxis::Y => Vector3::y(),
+            UpAxis::Z => Vector3::z(),
+        };
+        let is_known = capture.session.up_axis.is_some() || capture.options.extrinsics == Extrinsics::Estimate;
+        let of_camera = self.calibration.cameras.iter().flatten().next().map(|c| -c.rotation.row(1).transpose());
+        of_camera.filter(|up| !is_known && up.angle(&axis) > MAX_CAMERA_TILT).unwrap_or(axis)
     }
 
     fn solved_cameras(&self, distances: &Distances) -> Vec<SolvedCamera> {
@@ -165,10 +192,17 @@ impl Findings {
             consistency: None,
             penetration: PenetrationReport::default(),
             rejected_detections: n_rejected as f64 / n_detections.max(1) as f64,
-            keypoints_from: "adjusted points; body landmarks where no view saw the point".to_owned(),
+            keypoints_from: match session.views.len() {
+                1 => "body landmarks",
+                _ => "adjusted points; body landmarks where no view saw the point",
+            }
+            .to_owned(),
         }
     }
 }
+
+/// A camera whose own upright is further than this from the up axis looks steeply down, or the axis is another's, rad.
+const MAX_CAMERA_TILT: f64 = 1.05; // 60 degrees
 
 fn move_into(world_from_solution: &Similarity, cameras: &mut [Option<Rigid>], paths: &mut [JointTrajectory]) {
     for camera in cameras.iter_mut().flatten() {

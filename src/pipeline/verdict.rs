@@ -43,20 +43,34 @@ pub fn quality(evidence: &Evidence) -> Quality {
     let mut reasons: Vec<(Verdict, String)> = Vec::new();
     let n_placed = evidence.placed.iter().filter(|p| **p).count();
     if evidence.session.views.len() == 1 {
-        reasons.push((
-            Verdict::Reject,
-            "monocular: one camera alone gives neither depth nor scale; add a second synchronised camera".to_owned(),
-        ));
+        reasons.push(one_view_reason(n_placed == 1));
     } else {
         camera_reasons(evidence, n_placed, &mut reasons);
     }
-    if evidence.track_secs.is_empty() && n_placed >= 2 {
-        let text =
-            "nobody was seen by two cameras at once for 0.3 s; check that the cameras overlap and are synchronised";
+    if evidence.track_secs.is_empty() && n_placed >= evidence.session.views.len().min(2) {
+        let text = match n_placed {
+            1 => "nobody was seen for 0.3 s; check that the keypoint file is that of this take",
+            _ => {
+                "nobody was seen by two cameras at once for 0.3 s; check that the cameras overlap and are synchronised"
+            }
+        };
         reasons.push((Verdict::Reject, text.to_owned()));
     }
     let verdict = reasons.iter().map(|(v, _)| *v).max().unwrap_or(Verdict::Pass);
     Quality { verdict, reasons: reasons.into_iter().map(|(_, text)| text).collect() }
+}
+
+/// What a single camera leaves open.
+fn one_view_reason(is_placed: bool) -> (Verdict, String) {
+    if is_placed {
+        let text = "one view: depth rests on body size, taken to be an average adult's, and which of two joints is nearer \
+                    on how people move; add a second synchronised camera";
+        (Verdict::Warn, text.to_owned())
+    } else {
+        let text = "monocular: one camera alone tells neither where it stands nor depth; add a second synchronised camera, or \
+                    give the camera's R and t and choose \"fixed\" extrinsics";
+        (Verdict::Reject, text.to_owned())
+    }
 }
 
 fn camera_reasons(evidence: &Evidence, n_placed: usize, reasons: &mut Vec<(Verdict, String)>) {

@@ -51,7 +51,9 @@ pub(super) struct Likeness {
 
 impl Likeness {
     pub(super) fn of(scene: &Scene, person: &TrackedPerson) -> Self {
-        Self { limbs: limbs(scene, &person.skeletons), numbers: numbers(scene, person) }
+        // A single view shows limbs foreshortened and tells no build.
+        let limbs = if scene.n_witnesses() < 2 { Vec::new() } else { limbs(scene, &person.skeletons) };
+        Self { limbs, numbers: numbers(scene, person) }
     }
 
     /// Evidence of the build.

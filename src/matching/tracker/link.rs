@@ -38,7 +38,7 @@ fn split(scene: &Scene, followed: &TrackedPerson) -> Vec<TrackedPerson> {
     let frames: Vec<usize> = followed.claims.iter().map(|(frame, _)| *frame).collect();
     let ends = (1..frames.len()).filter(|&k| frames[k] - frames[k - 1] > max_hole).chain([frames.len()]);
     let mut start = 0;
-    ends.map(|end| followed.piece(std::mem::replace(&mut start, end)..end)).collect()
+    ends.map(|end| followed.piece(scene, std::mem::replace(&mut start, end)..end)).collect()
 }
 
 /// Evidence against each pair of end and start, nats; large where the order in time forbids it.

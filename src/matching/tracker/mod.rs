@@ -1,11 +1,13 @@
 //! The 3D tracker: every detection given to a person, frame by frame, under known cameras.
 //!
 //! A person is a predicted skeleton; each view gives its detections to the predictions that they lie nearest to; what is
-//! left over starts new people where two views agree. Not physics yet: predictions move with the body's own velocity.
+//! left over starts new people where two views agree, or where the session has a single camera (`one_view`). Not physics
+//! yet: predictions move with the body's own velocity.
 
 mod birth;
 mod likeness;
 mod link;
+mod one_view;
 mod person;
 
 use super::assignment::assign;
@@ -27,7 +29,7 @@ pub struct TrackerConfig {
     pub max_residual: f64,
     /// Radius within which rays of two views agree on a new person, m.
     pub birth_radius: f64,
-    /// A person must be seen by two views for this long to exist, s.
+    /// A person must be seen by two views (by the only one of a single camera) for this long to exist, s.
     pub min_duration: f64,
     /// A person unseen for this long has left, s.
     pub max_gap: f64,
@@ -51,6 +53,13 @@ pub struct Scene<'a> {
     pub fps: f64,
     /// Number of frames.
     pub n_frames: usize,
+}
+
+impl Scene<'_> {
+    /// How many views must see a person at once to bear witness of them.
+    fn n_witnesses(&self) -> usize {
+        self.views.len().min(2)
+    }
 }
 
 /// Follows everybody through the session; people in order of support, best first.
@@ -84,11 +93,25 @@ fn step(scene: &Scene, config: &TrackerConfig, frame: usize, people: &mut Vec<Tr
         person.update(scene, config, frame, claim);
     }
     let mut free = unclaimed(scene, frame, &claims);
-    while let Some(newborn) = birth::strongest(scene, config, frame, &free, people) {
+    while let Some(newborn) = newborn(scene, config, frame, &free, people) {
         for (view, detection) in newborn.detections_at(frame) {
             free[view].retain(|d| *d != detection);
         }
         people.push(newborn);
+    }
+}
+
+/// The best supported new person among the free detections of a frame.
+fn newborn(
+    scene: &Scene,
+    config: &TrackerConfig,
+    frame: usize,
+    free: &[Vec<usize>],
+    people: &[TrackedPerson],
+) -> Option<TrackedPerson> {
+    match scene.views.len() {
+        1 => one_view::strongest(scene, frame, &free[0], people),
+        _ => birth::strongest(scene, config, frame, free, people),
     }
 }
 
@@ -134,7 +157,11 @@ fn unclaimed(scene: &Scene, frame: usize, claims: &[Vec<Option<usize>>]) -> Vec<
 /// The skeleton that the claimed detections of a frame (one per view at most) agree on; holes where fewer than two see.
 pub fn skeleton(scene: &Scene, frame: usize, claim: &[Option<usize>]) -> Skeleton {
     let seen = person::sightings_of(scene, frame, claim);
-    if seen.is_empty() { Vec::new() } else { person::triangulated(scene, &seen) }
+    match seen[..] {
+        [] => Vec::new(),
+        [(_, sighting)] if scene.n_witnesses() == 1 => one_view::figure(scene, sighting, None).unwrap_or_default(),
+        _ => person::triangulated(scene, &seen),
+    }
 }
 
 /// Metres that a normalised image distance is worth for a body at `depth`.

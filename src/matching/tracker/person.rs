@@ -1,6 +1,6 @@
 //! One tracked person: claimed detections, the last skeleton, its motion.
 
-use super::{Scene, TrackerConfig, metres, project};
+use super::{Scene, TrackerConfig, metres, one_view, project};
 use crate::geometry::Rigid;
 use crate::geometry::triangulation::{self, triangulate_linear};
 use crate::matching::sightings::Sighting;
@@ -19,8 +19,8 @@ pub struct TrackedPerson {
     pub skeletons: Vec<Skeleton>,
     /// Velocity of the body's middle, m/s.
     velocity: Vector3<f64>,
-    /// Frames seen by at least two views.
-    n_stereo: usize,
+    /// Frames seen by as many views as bear witness.
+    n_witnessed: usize,
 }
 
 /// The velocity estimate forgets the past with this time constant, s: the time of half a step.
@@ -31,7 +31,7 @@ const MIN_SHARED: usize = 4;
 
 impl TrackedPerson {
     pub(super) fn new(frame: usize, claim: Vec<Option<usize>>, skeleton: Skeleton) -> Self {
-        Self { claims: vec![(frame, claim)], skeletons: vec![skeleton], velocity: Vector3::zeros(), n_stereo: 1 }
+        Self { claims: vec![(frame, claim)], skeletons: vec![skeleton], velocity: Vector3::zeros(), n_witnessed: 1 }
     }
 
     /// First frame with a sighting.
@@ -53,10 +53,10 @@ impl TrackedPerson {
         &self.skeletons[self.skeletons.len() - 1]
     }
 
-    /// Seen by two views for long enough.
+    /// Seen by enough views for long enough.
     pub(super) fn is_real(&self, scene: &Scene, config: &TrackerConfig) -> bool {
         let wanted = (config.min_duration * scene.fps).ceil().max(2.0) as usize;
-        self.n_stereo >= wanted.min(scene.n_frames.div_ceil(3).max(1))
+        self.n_witnessed >= wanted.min(scene.n_frames.div_ceil(3).max(1))
     }
 
     pub(super) fn detections_at(&self, frame: usize) -> Vec<(usize, usize)> {
@@ -72,15 +72,16 @@ impl TrackedPerson {
         self.claims.extend(later.claims);
         self.skeletons.extend(later.skeletons);
         self.velocity = later.velocity;
-        self.n_stereo += later.n_stereo;
+        self.n_witnessed += later.n_witnessed;
     }
 
     /// Some of the sightings; the last velocity is known for the last piece alone.
-    pub(super) fn piece(&self, range: std::ops::Range<usize>) -> Self {
+    pub(super) fn piece(&self, scene: &Scene, range: std::ops::Range<usize>) -> Self {
         let (claims, skeletons) = (self.claims[range.clone()].to_vec(), self.skeletons[range.clone()].to_vec());
         let velocity = if range.end == self.claims.len() { self.velocity } else { Vector3::zeros() };
-        let n_stereo = claims.iter().filter(|(_, claim)| claim.iter().flatten().count() >= 2).count();
-        Self { claims, skeletons, velocity, n_stereo }
+        let is_witnessed = |claim: &[Option<usize>]| claim.iter().flatten().count() >= scene.n_witnesses();
+        let n_witnessed = claims.iter().filter(|(_, claim)| is_witnessed(claim)).count();
+        Self { claims, skeletons, velocity, n_witnessed }
     }
 
     /// Where the skeleton should be at `frame`.
@@ -99,6 +100,12 @@ impl TrackedPerson {
             if seen.is_empty() {
                 return;
             }
+            if let [(_, sighting)] = seen[..]
+                && scene.n_witnesses() == 1
+            {
+                let Some(figure) = one_view::figure(scene, sighting, Some(&predicted)) else { return };
+                break figure;
+            }
             let skeleton = triangulated(scene, &seen);
             match worst_view(scene, config, &seen, &skeleton, &predicted) {
                 Some(view) => claim[view] = None,
@@ -106,8 +113,8 @@ impl TrackedPerson {
             }
         };
         let n_views = claim.iter().flatten().count();
-        if n_views >= 2 {
-            self.n_stereo += 1;
+        if n_views >= scene.n_witnesses() {
+            self.n_witnessed += 1;
         }
         self.learn_velocity(&skeleton, frame, scene.fps);
         self.claims.push((frame, claim.to_vec()));

@@ -146,12 +146,12 @@ impl Default for PartialPose {
 }
 
 /// A limb of two bones: root, middle and end joint, and where the end goes when the middle joint bends.
-struct Limb {
-    joints: [&'static str; 3],
+pub(super) struct Limb {
+    pub joints: [&'static str; 3],
     bends_to: Vector3<f64>,
 }
 
-fn limb_list() -> [Limb; 4] {
+pub(super) fn limb_list() -> [Limb; 4] {
     let leg = |joints| Limb { joints, bends_to: -Vector3::z() };
     let arm = |joints| Limb { joints, bends_to: Vector3::z() };
     [
@@ -171,24 +171,39 @@ fn limbs(model: &BodyModel, body: &ShapedBody, places: &Places, world_from_trunk
     let pelvis = body.rest_joints[0];
     pose.rotations[0] = Some(world_from_trunk.rotation);
     pose.translation = Some(world_from_trunk.transform(&pelvis) - pelvis);
+    let trunk_from_world = world_from_trunk.rotation.transpose();
     for limb in limb_list() {
         let place = |name: &str| model.landmark_index(name).and_then(|l| places[l]);
-        let joint = limb.joints.map(joint_index);
-        let [root, middle, end] = joint.map(|j| body.rest_joints[j]);
-        let (upper_rest, lower_rest) = (middle - root, end - middle);
         let Some(middle_seen) = place(limb.joints[1]) else { continue };
+        let root = body.rest_joints[joint_index(limb.joints[0])];
         let root_seen = place(limb.joints[0]).unwrap_or_else(|| world_from_trunk.transform(&root));
-        let trunk_from_world = world_from_trunk.rotation.transpose();
-        let mut upper = rotation::rotation_between(&upper_rest, &(trunk_from_world * (middle_seen - root_seen)));
-        if let Some(end_seen) = place(limb.joints[2]) {
-            let lower_in_trunk = trunk_from_world * (end_seen - middle_seen);
-            upper *= turn_about_bone(&upper_rest, &limb.bends_to, &(upper.transpose() * lower_in_trunk));
-            pose.rotations[joint[1]] =
-                Some(rotation::rotation_between(&lower_rest, &(upper.transpose() * lower_in_trunk)));
+        let upper = trunk_from_world * (middle_seen - root_seen);
+        let lower = place(limb.joints[2]).map(|end_seen| trunk_from_world * (end_seen - middle_seen));
+        let (turns, joints) = limb_rotations(body, &limb, &upper, lower.as_ref());
+        for (joint, turn) in joints.into_iter().zip(turns) {
+            pose.rotations[joint] = turn;
         }
-        pose.rotations[joint[0]] = Some(upper);
     }
     pose
+}
+
+/// Rotations of a limb's first two joints that let its bones point along `upper` and `lower` (the trunk's frame, any
+/// length), with their indices; no rotation of the second where `lower` is not known.
+pub(super) fn limb_rotations(
+    body: &ShapedBody,
+    limb: &Limb,
+    upper: &Vector3<f64>,
+    lower: Option<&Vector3<f64>>,
+) -> ([Option<Matrix3<f64>>; 2], [usize; 2]) {
+    let joint = limb.joints.map(joint_index);
+    let [root, middle, end] = joint.map(|j| body.rest_joints[j]);
+    let (upper_rest, lower_rest) = (middle - root, end - middle);
+    let mut turn = rotation::rotation_between(&upper_rest, upper);
+    let lower_turn = lower.map(|lower| {
+        turn *= turn_about_bone(&upper_rest, &limb.bends_to, &(turn.transpose() * lower));
+        rotation::rotation_between(&lower_rest, &(turn.transpose() * lower))
+    });
+    ([Some(turn), lower_turn], [joint[0], joint[1]])
 }
 
 fn joint_index(name: &str) -> usize {

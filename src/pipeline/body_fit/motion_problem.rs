@@ -96,7 +96,7 @@ impl<'a> MotionProblem<'a> {
         }
         let active: Vec<usize> = (0..FIRST_HAND).filter(|&j| turns[j]).collect();
         let moved_by = moved_by(model, &active);
-        let (free_offsets, contacts, shape_prior, ranges) = (None, None, 1.0, joint_ranges());
+        let (free_offsets, contacts, shape_prior, ranges) = (None, None, config.shape_prior, joint_ranges());
         Self {
             model,
             evidence,

@@ -90,6 +90,13 @@ struct Scene {
     points: Vec<JointTrajectory>,
 }
 
+impl Scene {
+    fn input(&self) -> BodyFitInput<'_> {
+        let Self { session, cameras, tracks, points } = self;
+        BodyFitInput { session, cameras, tracks, points, up: Vector3::y() }
+    }
+}
+
 fn scene(truth: &Truth, convention: KeypointConvention, sight: &Sight, seed: u64) -> Scene {
     scene_of(&default_body(), truth, convention, sight, seed)
 }
@@ -164,8 +171,7 @@ fn exact_motion(truth: &Truth) -> BodyMotion {
 }
 
 fn fitted(scene: &Scene) -> BodyMotion {
-    let input =
-        BodyFitInput { session: &scene.session, cameras: &scene.cameras, tracks: &scene.tracks, points: &scene.points };
+    let input = scene.input();
     let config = BodyFitConfig::default();
     let FittedBodies { mut motions, report, .. } =
         fit_bodies(input, &default_body(), &config, &Progress::silent()).unwrap();
@@ -267,8 +273,7 @@ fn the_detectors_habits_are_told_from_the_body() {
     };
     let added: Vec<Vector3<f64>> = table.kinds.iter().map(|kind| truly(&kind.name)).collect();
     let scene = scene_of(&table.applied(&model, &added), &truth, convention, &NOISY, 12);
-    let input =
-        BodyFitInput { session: &scene.session, cameras: &scene.cameras, tracks: &scene.tracks, points: &scene.points };
+    let input = scene.input();
     let fit = |detector_offsets: bool| {
         let config = BodyFitConfig { detector_offsets, ..BodyFitConfig::default() };
         fit_bodies(input, &model, &config, &Progress::silent()).unwrap()
@@ -291,8 +296,7 @@ fn the_detectors_habits_are_told_from_the_body() {
 fn windows_join_without_a_seam() {
     let truth = smooth_motion(6, 6.0, 30.0);
     let scene = scene(&truth, KeypointConvention::Coco17, &NOISY, 2);
-    let input =
-        BodyFitInput { session: &scene.session, cameras: &scene.cameras, tracks: &scene.tracks, points: &scene.points };
+    let input = scene.input();
     let fit = |window_frames: usize| {
         let config = BodyFitConfig { window_frames, ..BodyFitConfig::default() };
         fit_bodies(input, &default_body(), &config, &Progress::silent()).unwrap().motions.remove(0)
@@ -330,8 +334,7 @@ fn long_gaps_are_carried_but_not_valid_and_unseen_people_are_left_out() {
         assert!(frame.joints.iter().all(|p| p.iter().all(|v| v.is_finite())));
     }
     scene.points[0].points.iter_mut().flatten().for_each(|p| *p = None);
-    let input =
-        BodyFitInput { session: &scene.session, cameras: &scene.cameras, tracks: &scene.tracks, points: &scene.points };
+    let input = scene.input();
     let FittedBodies { motions, report, .. } =
         fit_bodies(input, &default_body(), &BodyFitConfig::default(), &Progress::silent()).unwrap();
     assert!(motions.is_empty());
@@ -341,8 +344,7 @@ fn long_gaps_are_carried_but_not_valid_and_unseen_people_are_left_out() {
 #[test]
 fn a_canceled_fit_stops() {
     let scene = scene(&smooth_motion(8, 1.0, 30.0), KeypointConvention::Coco17, &NOISY, 2);
-    let input =
-        BodyFitInput { session: &scene.session, cameras: &scene.cameras, tracks: &scene.tracks, points: &scene.points };
+    let input = scene.input();
     let canceled = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(true));
     let progress = Progress::new(|_| {}, canceled);
     assert!(fit_bodies(input, &default_body(), &BodyFitConfig::default(), &progress).is_err());

@@ -150,6 +150,7 @@ fn simulated_captures_are_fitted_better_than_triangulated() {
             cameras: &capture.cameras,
             tracks: &capture.tracks,
             points: &points,
+            up: Vector3::y(),
         };
         let model = default_body();
         let clock = Instant::now();

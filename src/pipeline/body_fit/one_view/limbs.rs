@@ -1,0 +1,112 @@
+//! Which ways a limb can bend in one frame: its bones' lengths are known, their images are seen, so that each bone points
+//! towards the camera or away from it.
+
+use super::super::initial_motion::{Limb, limb_list, limb_rotations};
+use crate::body::joint_ranges::{JointRange, joint_ranges};
+use crate::body::kinematics::{Pose, landmark_position, posed};
+use crate::body::model::{BodyModel, ShapedBody};
+use crate::body::skeleton::N_JOINTS;
+use crate::residuals::joint_angles::{JointAngleWeights, joint_angle_cost};
+use nalgebra::{Matrix3, Vector2, Vector3};
+
+/// A limb of the body at rest.
+pub(super) struct BodyLimb {
+    limb: Limb,
+    /// Landmarks of root, middle and end.
+    pub landmarks: [usize; 3],
+    /// Lengths of upper and lower bone between the landmarks, m.
+    lengths: [f64; 2],
+}
+
+/// One way to bend.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Bend {
+    /// Middle and end, camera frame, m.
+    pub places: [Vector3<f64>; 2],
+    /// What the joints' angles cost, nats.
+    pub cost: f64,
+}
+
+/// The limbs whose landmarks the model has.
+pub(super) fn body_limbs(model: &BodyModel, body: &ShapedBody) -> Vec<BodyLimb> {
+    let rest = posed(body, &Pose::rest());
+    let of_limb = |limb: Limb| {
+        let [root, middle, end] = limb.joints.map(|name| model.landmark_index(name));
+        let landmarks = [root?, middle?, end?];
+        let [root, middle, end] = landmarks.map(|l| landmark_position(model, body, &rest, l));
+        Some(BodyLimb { limb, landmarks, lengths: [(middle - root).norm(), (end - middle).norm()] })
+    };
+    limb_list().into_iter().filter_map(of_limb).collect()
+}
+
+/// What is known of joints.
+pub(super) struct Joints {
+    ranges: [JointRange; N_JOINTS],
+    weights: JointAngleWeights,
+}
+
+impl Joints {
+    pub(super) fn new(limit_width: f64) -> Self {
+        Self { ranges: joint_ranges(), weights: JointAngleWeights { rest: 1.0, limit_width } }
+    }
+}
+
+impl BodyLimb {
+    /// The ways to bend with the root at `root` (camera frame, m), at most four; none where a joint was never seen.
+    pub(super) fn bends(
+        &self,
+        joints: &Joints,
+        body: &ShapedBody,
+        camera_from_trunk: &Matrix3<f64>,
+        root: &Vector3<f64>,
+        bearings: &[Option<Vector2<f64>>],
+    ) -> Vec<Bend> {
+        let [_, middle, end] = self.landmarks.map(|l| bearings[l]);
+        let (Some(middle), Some(end)) = (middle, end) else { return Vec::new() };
+        let mut bends = Vec::with_capacity(4);
+        for middle in on_ray(&middle, root, self.lengths[0]) {
+            for end in on_ray(&end, &middle, self.lengths[1]) {
+                let trunk_from_camera = camera_from_trunk.transpose();
+                let upper = trunk_from_camera * (middle - root);
+                let lower = trunk_from_camera * (end - middle);
+                let (turns, index) = limb_rotations(body, &self.limb, &upper, Some(&lower));
+                let cost_of = |i: usize| {
+                    turns[i].map_or(0.0, |turn| joint_angle_cost(&turn, &joints.ranges[index[i]], &joints.weights).cost)
+                };
+                bends.push(Bend { places: [middle, end], cost: cost_of(0) + cost_of(1) });
+            }
+        }
+        bends
+    }
+}
+
+/// The points on a ray at distance `length` from `center`, the nearer to the camera first; the nearest point of the ray
+/// where none is as near.
+fn on_ray(bearing: &Vector2<f64>, center: &Vector3<f64>, length: f64) -> Vec<Vector3<f64>> {
+    let ray = Vector3::new(bearing.x, bearing.y, 1.0);
+    let (square, middle) = (ray.norm_squared(), ray.dot(center));
+    let discriminant = middle * middle - square * (center.norm_squared() - length * length);
+    if discriminant <= 0.0 {
+        return vec![ray * (middle / square)];
+    }
+    let root = discriminant.sqrt();
+    [middle - root, middle + root].map(|m| ray * (m / square)).to_vec()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_points_of_a_ray_lie_at_the_bones_length() {
+        let center = Vector3::new(0.2, -0.1, 4.0);
+        let bearing = Vector2::new(0.09, 0.01);
+        let found = on_ray(&bearing, &center, 0.4);
+        assert_eq!(found.len(), 2);
+        for point in &found {
+            assert!(((point - center).norm() - 0.4).abs() < 1e-12 && (point.xy() / point.z - bearing).norm() < 1e-12);
+        }
+        assert!(found[0].z < center.z && center.z < found[1].z);
+        assert_eq!(on_ray(&bearing, &center, 0.05).len(), 1, "a bone that looks too long lies across the view");
+    }
+}

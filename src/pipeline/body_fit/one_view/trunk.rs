@@ -1,0 +1,263 @@
+//! Which ways the trunk can face in one frame: all that its points' image allows.
+//!
+//! The points of trunk and head of a body at rest are turned and moved until they cover what was seen, from starts all
+//! around. What is left are a few ways, mostly two: the shoulder line seen short is turned to the left or to the right.
+
+use crate::body::kinematics::{Pose, landmark_position, posed};
+use crate::body::model::{BodyModel, ShapedBody};
+use crate::geometry::{Rigid, rotation};
+use nalgebra::{Matrix2x3, Matrix3, Matrix6, Vector2, Vector3, Vector6};
+use std::f64::consts::TAU;
+
+/// How far landmarks of trunk and head stray from a stiff body's, m: the spine bends, and the neck turns the face.
+const TRUNK: [(&str, f64); 11] = [
+    ("left_hip", 0.03),
+    ("right_hip", 0.03),
+    ("mid_hip", 0.03),
+    ("left_shoulder", 0.03),
+    ("right_shoulder", 0.03),
+    ("neck", 0.03),
+    ("nose", 0.06),
+    ("left_eye", 0.06),
+    ("right_eye", 0.06),
+    ("left_ear", 0.05),
+    ("right_ear", 0.05),
+];
+
+/// How people lean, as the component of the upright in their own frame: to the side, backward, forward.
+const LEAN: [f64; 3] = [0.2, 0.15, 0.4];
+
+/// Directions that are started from, and leans forward, rad.
+const N_YAWS: usize = 12;
+const LEANS: [f64; 2] = [0.0, 0.7];
+
+const ITERATIONS: usize = 8;
+
+/// Geman-McClure's scale, in standard deviations.
+const ROBUST_SCALE: f64 = 3.0;
+
+/// Ways nearer than this to a better one are the same, rad; those dearer than the best by more are none.
+const SAME_WAY: f64 = 0.3;
+const MAX_EXCESS: f64 = 12.0;
+const MAX_WAYS: usize = 6;
+
+/// Points that must be seen: three leave the way open.
+const MIN_POINTS: usize = 4;
+
+/// One way to stand.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Way {
+    /// `camera_from_body`, the body's frame being that of its rest pose.
+    pub camera_from_body: Rigid,
+    /// Half the sum of squared residuals.
+    pub cost: f64,
+}
+
+/// The trunk at rest.
+pub(super) struct Trunk {
+    /// Landmark, place at rest, standard deviation, m.
+    points: Vec<(usize, Vector3<f64>, f64)>,
+    /// Between hips and shoulders: turns are about it.
+    middle: Vector3<f64>,
+}
+
+/// What a frame shows, and what is known besides.
+pub(super) struct Sight<'a> {
+    /// Normalised image points by landmark.
+    pub bearings: &'a [Option<Vector2<f64>>],
+    /// The upright in the camera's frame.
+    pub up: Vector3<f64>,
+    /// Depth of the trunk, m, and the standard deviation of its logarithm.
+    pub depth: f64,
+    pub depth_sigma: f64,
+}
+
+impl Trunk {
+    pub(super) fn new(model: &BodyModel, body: &ShapedBody) -> Self {
+        let rest = posed(body, &Pose::rest());
+        let point = |(name, sigma): &(&str, f64)| {
+            let landmark = model.landmark_index(name)?;
+            Some((landmark, landmark_position(model, body, &rest, landmark), *sigma))
+        };
+        let points = TRUNK.iter().filter_map(point).collect();
+        let middle = (rest.joints[0] + rest.joints[CHEST]) / 2.0;
+        Self { points, middle }
+    }
+
+    /// Where the way puts a landmark at rest, camera frame, m.
+    pub(super) fn place(&self, way: &Way, landmark: usize) -> Option<Vector3<f64>> {
+        let (_, at_rest, _) = self.points.iter().find(|(l, _, _)| *l == landmark)?;
+        Some(way.camera_from_body.transform(at_rest))
+    }
+
+    /// Depth of its middle, m.
+    pub(super) fn depth(&self, way: &Way) -> f64 {
+        way.camera_from_body.transform(&self.middle).z
+    }
+
+    /// The landmarks that it knows.
+    pub(super) fn landmarks(&self) -> impl Iterator<Item = usize> {
+        self.points.iter().map(|(landmark, _, _)| *landmark)
+    }
+
+    /// The ways to stand that explain a frame, best first; none where too little of the trunk is seen.
+    pub(super) fn ways(&self, sight: &Sight) -> Vec<Way> {
+        let seen: Vec<Vector2<f64>> = self.points.iter().filter_map(|(l, _, _)| sight.bearings[*l]).collect();
+        if seen.len() < MIN_POINTS {
+            return Vec::new();
+        }
+        let center = seen.iter().sum::<Vector2<f64>>() / seen.len() as f64;
+        let mut found: Vec<Way> = starts(sight.up).map(|turn| self.settled(sight, &center, turn)).collect();
+        found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+        let mut ways: Vec<Way> = Vec::new();
+        for way in found {
+            let angle =
+                |other: &Way| rotation::angle_between(&way.camera_from_body.rotation, &other.camera_from_body.rotation);
+            let is_new = ways.iter().all(|other| angle(other) > SAME_WAY);
+            let is_likely = ways.first().is_none_or(|best| way.cost < best.cost + MAX_EXCESS);
+            if is_new && is_likely && way.cost.is_finite() && ways.len() < MAX_WAYS {
+                ways.push(way);
+            }
+        }
+        ways
+    }
+
+    /// Gauss-Newton from a first turn.
+    fn settled(&self, sight: &Sight, center: &Vector2<f64>, turn: Matrix3<f64>) -> Way {
+        let mut turn = turn;
+        let mut place = Vector3::new(center.x, center.y, 1.0) * sight.depth;
+        let mut damping = 1e-3;
+        let (mut cost, mut system) = self.system(sight, &turn, &place);
+        for _ in 0..ITERATIONS {
+            let (mut hessian, gradient) = system;
+            for i in 0..6 {
+                hessian[(i, i)] *= 1.0 + damping;
+            }
+            let Some(factor) = hessian.cholesky() else { break };
+            let step: Vector6<f64> = -factor.solve(&gradient);
+            let moved_turn = turn * rotation::exp(&step.fixed_rows::<3>(0).into_owned());
+            let moved_place = place + step.fixed_rows::<3>(3);
+            let (moved_cost, moved_system) = self.system(sight, &moved_turn, &moved_place);
+            if moved_cost < cost {
+                (turn, place, cost, system, damping) =
+                    (moved_turn, moved_place, moved_cost, moved_system, damping * 0.1);
+            } else {
+                damping = damping * 30.0 + 1e-3;
+            }
+        }
+        let camera_from_body = Rigid { rotation: turn, translation: place - turn * self.middle };
+        Way { camera_from_body, cost }
+    }
+
+    /// Cost, Gauss-Newton matrix and gradient over turn (right increment) and place of the middle.
+    fn system(&self, sight: &Sight, turn: &Matrix3<f64>, place: &Vector3<f64>) -> (f64, (Matrix6<f64>, Vector6<f64>)) {
+        let (mut cost, mut hessian, mut gradient) = (0.0, Matrix6::zeros(), Vector6::zeros());
+        for (landmark, at_rest, sigma) in &self.points {
+            let Some(bearing) = sight.bearings[*landmark] else { continue };
+            let lever = at_rest - self.middle;
+            let x = turn * lever + place;
+            let z = x.z.max(0.1);
+            let scale = sight.depth / sigma;
+            let residual = (x.xy() / z - bearing) * scale;
+            let square = residual.norm_squared();
+            let soft = ROBUST_SCALE * ROBUST_SCALE;
+            cost += 0.5 * soft * square / (soft + square);
+            let weight = (soft / (soft + square)).powi(2);
+            let by_place = Matrix2x3::new(1.0, 0.0, -x.x / z, 0.0, 1.0, -x.y / z) * (scale / z);
+            let by_turn = by_place * (-turn * rotation::skew(&lever));
+            let mut jacobian = nalgebra::Matrix2x6::zeros();
+            jacobian.fixed_view_mut::<2, 3>(0, 0).copy_from(&by_turn);
+            jacobian.fixed_view_mut::<2, 3>(0, 3).copy_from(&by_place);
+            hessian += jacobian.tr_mul(&jacobian) * weight;
+            gradient += jacobian.tr_mul(&residual) * weight;
+        }
+        let depth = (place.z / sight.depth).max(1e-3).ln() / sight.depth_sigma;
+        let by_depth = 1.0 / (place.z.max(0.1) * sight.depth_sigma);
+        cost += 0.5 * depth * depth;
+        hessian[(5, 5)] += by_depth * by_depth;
+        gradient[5] += by_depth * depth;
+        // The upright in the body's frame: (0, 1, 0) for who stands straight.
+        let up = turn.transpose() * sight.up;
+        let by_turn = rotation::skew(&up);
+        let [side, back, front] = LEAN;
+        for (axis, sigma) in [(0, side), (2, if up.z > 0.0 { back } else { front })] {
+            let residual = up[axis] / sigma;
+            let row = by_turn.row(axis) / sigma;
+            cost += 0.5 * residual * residual;
+            let mut block = hessian.fixed_view_mut::<3, 3>(0, 0);
+            block += row.transpose() * row;
+            let mut part = gradient.fixed_rows_mut::<3>(0);
+            part += row.transpose() * residual;
+        }
+        if up.y < 0.0 {
+            cost += UPSIDE_DOWN;
+        }
+        (cost, (hessian, gradient))
+    }
+}
+
+/// The joint between the shoulder blades.
+const CHEST: usize = 9;
+
+/// Who stands on their head, nats.
+const UPSIDE_DOWN: f64 = 20.0;
+
+/// Turns about the upright, straight and leaning forward.
+fn starts(up: Vector3<f64>) -> impl Iterator<Item = Matrix3<f64>> {
+    let side = rotation::any_perpendicular(&up).normalize();
+    let other = up.cross(&side);
+    (0..N_YAWS).flat_map(move |i| {
+        let (sin, cos) = (TAU * i as f64 / N_YAWS as f64).sin_cos();
+        let front = side * cos + other * sin;
+        let upright = Matrix3::from_columns(&[up.cross(&front), up, front]);
+        LEANS.map(|lean| upright * rotation::exp(&(Vector3::x() * lean)))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::body::default_body;
+    use crate::body::model::Betas;
+
+    /// An upright body 4 m off that faces `yaw` rad from the camera.
+    fn seen(model: &BodyModel, trunk: &Trunk, yaw: f64) -> (Matrix3<f64>, Vec<Option<Vector2<f64>>>) {
+        let front = Vector3::new(yaw.sin(), 0.0, -yaw.cos());
+        let up = -Vector3::y();
+        let turn = Matrix3::from_columns(&[up.cross(&front), up, front]);
+        let mut bearings = vec![None; model.landmarks.len()];
+        for (landmark, at_rest, _) in &trunk.points {
+            let x = turn * (at_rest - trunk.middle) + Vector3::new(0.3, 0.1, 4.0);
+            bearings[*landmark] = Some(x.xy() / x.z);
+        }
+        (turn, bearings)
+    }
+
+    #[test]
+    fn the_true_way_is_the_best_all_around() {
+        let model = default_body();
+        let trunk = Trunk::new(&model, &model.shaped(&Betas::zeros()));
+        for i in 0..16 {
+            let (turn, bearings) = seen(&model, &trunk, TAU * f64::from(i) / 16.0);
+            let sight = Sight { bearings: &bearings, up: -Vector3::y(), depth: 4.1, depth_sigma: 0.1 };
+            let ways = trunk.ways(&sight);
+            let angle = rotation::angle_between(&ways[0].camera_from_body.rotation, &turn);
+            assert!(angle < 0.05, "{i}: {angle} rad off");
+        }
+    }
+
+    #[test]
+    fn without_a_face_two_ways_are_left_and_without_a_trunk_none() {
+        let model = default_body();
+        let trunk = Trunk::new(&model, &model.shaped(&Betas::zeros()));
+        let (turn, mut bearings) = seen(&model, &trunk, 1.0);
+        for name in ["nose", "left_eye", "right_eye", "left_ear", "right_ear"] {
+            bearings[model.landmark_index(name).unwrap()] = None;
+        }
+        let sight = |bearings| Sight { bearings, up: -Vector3::y(), depth: 4.0, depth_sigma: 0.1 };
+        let ways = trunk.ways(&sight(&bearings));
+        let off = |way: &Way| rotation::angle_between(&way.camera_from_body.rotation, &turn);
+        assert!(ways.len() >= 2 && ways.iter().any(|w| off(w) < 0.1) && ways.iter().any(|w| off(w) > 1.0));
+        assert!(trunk.ways(&sight(&vec![None; model.landmarks.len()])).is_empty());
+    }
+}
