@@ -6,7 +6,7 @@
 //! validation takes, those of `u` 3 mm (asset card).
 //!
 //! Along a take each joint keeps to the branch of the logarithm that it is on, so that what is smoothed has no seam; but
-//! the network and the linear code know every rotation on its shortest branch alone ([`on_shortest_branch`]): mocap winds
+//! the network and the linear code know every rotation on its shortest branch alone (`on_shortest_branch`): mocap winds
 //! wrists up to a full turn from their mean, where neither was ever trained.
 //!
 //! The training data hold collars and hands at identity, so that they stay outside the latent: [`JointGaussian`].
