@@ -8,6 +8,12 @@ pub fn skew(a: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::new(0.0, -a.z, a.y, a.z, 0.0, -a.x, -a.y, a.x, 0.0)
 }
 
+/// The vector a of a matrix's antisymmetric part times two, `A - A^T = [a]x`: an increment `A exp(e)` changes the trace
+/// by `-e . a`.
+pub fn axial(m: &Matrix3<f64>) -> Vector3<f64> {
+    Vector3::new(m.m32 - m.m23, m.m13 - m.m31, m.m21 - m.m12)
+}
+
 /// Below this angle (rad) the closed forms lose digits and their Taylor series is exact to rounding.
 const SMALL_ANGLE: f64 = 1e-4;
 
@@ -97,6 +103,20 @@ pub fn from_6d(columns: &[f64; 6]) -> Option<Matrix3<f64>> {
     // One more projection: what rounding left of b1 in a nearly parallel b was magnified by the normalisation.
     let b2 = (b2 - b1 * b1.dot(&b2)).normalize();
     Some(Matrix3::from_columns(&[b1, b2, b1.cross(&b2)]))
+}
+
+/// Gradient to two columns from that to the right increment e of [`from_6d`]'s rotation.
+///
+/// With the part p of b across `b1`, `e_3 = b2 . da / |a|`, `e_2 = -b3 . da / |a|`,
+/// `e_1 = b3 . (db - (b1 . b) da / |a|) / |p|`. Zero where the columns are zero or parallel.
+pub fn from_6d_backward(columns: &[f64; 6], d_increment: &Vector3<f64>) -> [f64; 6] {
+    let Some(r) = from_6d(columns) else { return [0.0; 6] };
+    let (a, b) = (Vector3::from_column_slice(&columns[..3]), Vector3::from_column_slice(&columns[3..]));
+    let (b1, b2, b3) = (r.column(0), r.column(1), r.column(2));
+    let across = b.dot(&b2);
+    let d_a = (b2 * d_increment.z - b3 * d_increment.y - b3 * (d_increment.x * b1.dot(&b) / across)) / a.norm();
+    let d_b = b3 * (d_increment.x / across);
+    [d_a.x, d_a.y, d_a.z, d_b.x, d_b.y, d_b.z]
 }
 
 /// The rotation with the least weighted sum of squared chordal distances: the nearest one to the weighted sum.

@@ -5,7 +5,7 @@
 
 use super::basis::{Basis, LATENT_DIM};
 use super::chart::{Chart, LATENT_JOINTS, N_FEATURES};
-use super::vae::VaeShape;
+use super::shape::VaeShape;
 use crate::body::skeleton::JOINT_NAMES;
 use crate::geometry::rotation::nearest_rotation;
 use nalgebra::Matrix3;
@@ -192,10 +192,11 @@ pub fn checkpoint_from_bytes(bytes: &[u8]) -> Result<Checkpoint, CheckpointError
 
 #[cfg(test)]
 mod tests {
+    use super::super::shape::VaeForm;
     use super::*;
 
     fn checkpoint() -> Checkpoint {
-        let shape = VaeShape { encoder_hidden: 4, decoder_hidden: 3, recurrent: true };
+        let shape = VaeShape { encoder_hidden: 4, decoder_hidden: 3, form: VaeForm::Recurrent };
         let numbers = |n: usize| (0..n).map(|i| (i as f32).sin()).collect::<Vec<f32>>();
         Checkpoint {
             shape,

@@ -1,13 +1,17 @@
 //! What the encoder is told of a take: candidate paths, what was seen, and how rough it looks.
 
 use super::basis::Basis;
-use super::chart::{LATENT_JOINTS, N_FEATURES};
+use super::chart::{LATENT_JOINTS, N_FEATURES, on_shortest_branch};
 use super::paths::{CANDIDATES, Observed, smoothed};
+use super::six_d::{N_COLUMNS, columns_of};
 
 const N_JOINTS: usize = LATENT_JOINTS.len();
 
 /// Width of [`EncoderInput::values`].
 pub(crate) const N_ENCODER_INPUT: usize = CANDIDATES.len() * N_FEATURES + 2 * N_JOINTS;
+
+/// The same for the paper's form.
+pub(crate) const N_PLAIN_INPUT: usize = N_COLUMNS + N_JOINTS;
 
 /// Frames on each side over which roughness is averaged: a quarter of a second.
 const ROUGHNESS_REACH: usize = 7;
@@ -15,7 +19,7 @@ const ROUGHNESS_REACH: usize = 7;
 /// One take, T frames.
 #[derive(Debug, Clone)]
 pub(crate) struct EncoderInput {
-    /// `[T, 323]`, of the order of 1.
+    /// `[T, 323]` (`[T, 133]` in the paper's form), of the order of 1.
     pub(crate) values: Vec<f32>,
     /// The first candidate less the mean: what was seen, joined by cubics, `[T, 57]`.
     pub(crate) path: Vec<f32>,
@@ -29,13 +33,14 @@ pub(crate) struct EncoderInput {
 pub(crate) fn encoder_input(basis: &Basis, observed: &Observed) -> EncoderInput {
     let n_frames = observed.n_frames();
     let paths = CANDIDATES.map(|smoothing| smoothed(observed, smoothing, &basis.mean));
+    let known = on_shortest_branch(paths[0].clone());
     let roughness = roughness(&paths[0], &paths[1], n_frames);
     let mut values = Vec::with_capacity(n_frames * N_ENCODER_INPUT);
     for t in 0..n_frames {
         let row = t * N_FEATURES..(t + 1) * N_FEATURES;
         let first = &paths[0][row.clone()];
         let scaled = |i: usize, off: f32| off / basis.spread[i];
-        values.extend(first.iter().enumerate().map(|(i, x)| scaled(i, x - basis.mean[i])));
+        values.extend(known[row.clone()].iter().enumerate().map(|(i, x)| scaled(i, x - basis.mean[i])));
         for path in &paths[1..] {
             // Differences between the candidates are small beside the motion.
             let differences = path[row.clone()].iter().zip(first);
@@ -49,6 +54,17 @@ pub(crate) fn encoder_input(basis: &Basis, observed: &Observed) -> EncoderInput 
         path.chunks_exact(N_FEATURES).flat_map(|f| f.iter().zip(&basis.mean).map(|(f, m)| f - m)).collect()
     };
     EncoderInput { values, path: off(&paths[0]), straight: off(&paths[4]), seen: observed.seen.clone() }
+}
+
+/// Prepares a take for the paper's form: the first candidate as columns, and what was seen.
+pub(crate) fn plain_input(basis: &Basis, observed: &Observed) -> EncoderInput {
+    let mut input = encoder_input(basis, observed);
+    let path = smoothed(observed, CANDIDATES[0], &basis.mean);
+    let columns = columns_of(&basis.chart, &path);
+    let rows = columns.chunks_exact(N_COLUMNS).zip(observed.seen.chunks_exact(N_JOINTS));
+    let flags = |seen: &[bool]| seen.iter().map(|seen| if *seen { 1.0 } else { 0.0 }).collect::<Vec<f32>>();
+    input.values = rows.flat_map(|(columns, seen)| [columns.to_vec(), flags(seen)].concat()).collect();
+    input
 }
 
 /// Logarithm of the mean square between raw and smooth path about each frame, brought near 1: `[T, 19]`.

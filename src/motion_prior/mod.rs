@@ -34,10 +34,13 @@ mod panels;
 pub mod paths;
 mod pentadiagonal;
 pub mod prior;
+mod self_contact;
+mod shape;
+mod six_d;
 pub mod training;
 mod trunk;
 mod vae;
 pub mod windows;
 
 pub use prior::MotionPrior;
-pub use vae::VaeShape;
+pub use shape::{VaeForm, VaeShape};

@@ -1,9 +1,10 @@
 //! What training minimises, with gradients to the features.
 //!
 //! All in millimetres on the default skeleton without the root; `rho(x, s) = sqrt(|x|^2 + s^2) - s` (Charbonnier): the
-//! error of the 23 joints, of their velocities and accelerations per frame.
+//! error of the 23 joints, of their velocities and accelerations per frame; and of 19 rotations, as the way of a point
+//! at a short lever: what turns about its own length, or carries nothing, moves no joint.
 
-use super::chart::{Chart, LATENT_JOINTS, N_FEATURES};
+use super::chart::{Chart, Features, LATENT_JOINTS, LocalRotations, N_FEATURES};
 use super::joints::{Bones, JointPositions, frame};
 use crate::body::joint_ranges::{JointRange, joint_ranges};
 use crate::body::skeleton::N_JOINTS;
@@ -17,6 +18,10 @@ const DIFFERENCE_SCALE: f64 = 0.002;
 /// Weights of velocity and acceleration against position, per frame and mm.
 const VELOCITY_WEIGHT: f64 = 2.0;
 const ACCELERATION_WEIGHT: f64 = 1.0;
+/// Length of the lever that a rotation error is measured at, m: half a head, a foot's toes.
+const LEVER: f64 = 0.05;
+/// Weight of that against position.
+const ROTATION_WEIGHT: f64 = 0.5;
 /// All of it against one nat of KL per dimension.
 const JOINT_WEIGHT: f64 = 0.1 * 1000.0;
 
@@ -26,23 +31,31 @@ pub(crate) struct Loss {
     pub(crate) d_features: Vec<f32>,
 }
 
+/// A true clip, ready to be compared with.
+pub(crate) struct Truth {
+    joints: Vec<JointPositions>,
+    rotations: Vec<LocalRotations>,
+}
+
+impl Truth {
+    pub(crate) fn of(chart: &Chart, bones: &Bones, features: &[f32]) -> Self {
+        let rotations: Vec<_> = features.chunks_exact(N_FEATURES).map(|row| chart.rotations(&frame(row))).collect();
+        Self { joints: rotations.iter().map(|local| bones.posed(local).joints).collect(), rotations }
+    }
+}
+
 /// Joints of every frame.
 pub(crate) fn joints_of(chart: &Chart, bones: &Bones, features: &[f32]) -> Vec<JointPositions> {
     features.chunks_exact(N_FEATURES).map(|row| bones.joints(chart, &frame(row))).collect()
 }
 
 /// The joint loss of a clip, times `weight` (1 over the number of clips).
-pub(crate) fn joint_loss(
-    chart: &Chart,
-    bones: &Bones,
-    features: &[f32],
-    truth: &[JointPositions],
-    weight: f64,
-) -> Loss {
-    let n_frames = truth.len();
+pub(crate) fn joint_loss(chart: &Chart, bones: &Bones, features: &[f32], truth: &Truth, weight: f64) -> Loss {
+    let n_frames = truth.joints.len();
     let frames: Vec<_> = features.chunks_exact(N_FEATURES).map(frame).collect();
-    let posed: Vec<_> = frames.iter().map(|f| bones.posed(&chart.rotations(f))).collect();
-    let error = |t: usize, j: usize| posed[t].joints[j] - truth[t][j];
+    let locals: Vec<_> = frames.iter().map(|f| chart.rotations(f)).collect();
+    let posed: Vec<_> = locals.iter().map(|local| bones.posed(local)).collect();
+    let error = |t: usize, j: usize| posed[t].joints[j] - truth.joints[t][j];
     let mut pulls = vec![[Vector3::zeros(); N_JOINTS]; n_frames];
     let mut value = 0.0;
     let stencils: [(&[f64], f64, f64); 3] = [
@@ -63,12 +76,37 @@ pub(crate) fn joint_loss(
         }
     }
     let mut d_features = Vec::with_capacity(features.len());
-    for ((posed, features), pull) in posed.iter().zip(&frames).zip(&pulls) {
+    for (t, ((posed, features), pull)) in posed.iter().zip(&frames).zip(&pulls).enumerate() {
         let mut d = [0.0; N_FEATURES];
         bones.pull_back(posed, features, pull, &mut d);
+        let unit = weight * JOINT_WEIGHT * ROTATION_WEIGHT / (n_frames * LATENT_JOINTS.len()) as f64;
+        value += unit * rotation_loss(&locals[t], &truth.rotations[t], features, unit, &mut d);
         d_features.extend(d.map(|v| v as f32));
     }
     Loss { value, d_features }
+}
+
+/// `sum rho(x, s)` over the joints of a frame with the chord `x^2 = l^2 |R - T|^2 / 2 = l^2 (3 - tr T^T R)`, which is
+/// `(l angle)^2` to first order; adds its gradient, times `unit`: `R exp(e)` changes `tr T^T R` by `-e . w`, w the axial
+/// vector `(A_32 - A_23, A_13 - A_31, A_21 - A_12)` of `A = T^T R`.
+fn rotation_loss(
+    found: &LocalRotations,
+    truth: &LocalRotations,
+    features: &Features,
+    unit: f64,
+    d_features: &mut Features,
+) -> f64 {
+    let mut value = 0.0;
+    for (i, joint) in LATENT_JOINTS.iter().enumerate() {
+        let between = truth[*joint].tr_mul(&found[*joint]);
+        let root = (LEVER * LEVER * (3.0 - between.trace()) + POSITION_SCALE * POSITION_SCALE).sqrt();
+        value += root - POSITION_SCALE;
+        let axial = rotation::axial(&between);
+        let u = Vector3::from_column_slice(&features[3 * i..3 * i + 3]);
+        let d = rotation::right_jacobian(&u).tr_mul(&axial) * (unit * 0.5 * LEVER * LEVER / root);
+        (0..3).for_each(|axis| d_features[3 * i + axis] += d[axis]);
+    }
+    value
 }
 
 /// How far past a joint's range counts by its square, rad: 3 degrees.
@@ -136,7 +174,7 @@ mod tests {
     fn the_gradients_agree_with_central_differences() {
         let (chart, bones, features) = setting();
         let other: Vec<f32> = features.iter().map(|f| f * 0.8).collect();
-        let truth = joints_of(&chart, &bones, &other);
+        let truth = Truth::of(&chart, &bones, &other);
         agree_with_differences(&features, |f| joint_loss(&chart, &bones, f, &truth, 1.0));
         agree_with_differences(&features, |f| limit_loss(&chart, f, 1.0));
     }
@@ -144,7 +182,7 @@ mod tests {
     #[test]
     fn the_truth_has_no_loss_and_the_mean_pose_exceeds_no_limit() {
         let (chart, bones, features) = setting();
-        let truth = joints_of(&chart, &bones, &features);
+        let truth = Truth::of(&chart, &bones, &features);
         assert!(joint_loss(&chart, &bones, &features, &truth, 1.0).value < 1e-9);
         let ranges = joint_ranges();
         let rest = Chart { means: LATENT_JOINTS.map(|j| rotation::exp(&ranges[j].rest)) };

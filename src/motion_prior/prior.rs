@@ -4,11 +4,13 @@ use super::basis::{Basis, LATENT_DIM};
 use super::chart::{Chart, LATENT_JOINTS, LocalRotations, N_FEATURES, OUTSIDE_JOINTS};
 use super::checkpoint::{Checkpoint, CheckpointError, Provenance, checkpoint_from_bytes};
 use super::dataset::GRID_FPS;
-use super::encoder_input::{EncoderInput, N_ENCODER_INPUT, encoder_input};
+use super::encoder_input::EncoderInput;
+use super::fusion::Reading;
 use super::interpolation::{grid_place, interpolate, resampled_len};
 use super::joints::{frame, rows};
 use super::paths::Observed;
-use super::vae::{Decoded, Vae, VaeShape};
+use super::shape::VaeShape;
+use super::vae::{Decoded, Vae};
 use super::windows::{WindowBatch, window_batches};
 use crate::body::skeleton::N_JOINTS;
 use std::sync::OnceLock;
@@ -84,13 +86,14 @@ impl MotionPrior {
 
     /// Encodes takes of any length: what was seen, completed and freed of noise as far as the network can.
     pub fn encode(&self, takes: &[Observed]) -> Vec<Posterior> {
-        let inputs: Vec<EncoderInput> = takes.iter().map(|take| encoder_input(&self.basis, take)).collect();
+        let inputs: Vec<EncoderInput> = takes.iter().map(|take| self.shape.input(&self.basis, take)).collect();
         let values: Vec<&[f32]> = inputs.iter().map(|input| input.values.as_slice()).collect();
         let lengths: Vec<usize> = takes.iter().map(Observed::n_frames).collect();
-        let mut heads: Vec<Vec<f32>> = lengths.iter().map(|n| vec![0.0; n * Vae::HEAD_WIDTH]).collect();
+        let (n_in, n_head) = (self.shape.encoder().n_in, self.shape.encoder().n_out);
+        let mut heads: Vec<Vec<f32>> = lengths.iter().map(|n| vec![0.0; n * n_head]).collect();
         for batch in window_batches(&lengths) {
-            let head = self.vae.head(&batch.cut(&values, N_ENCODER_INPUT), batch.len());
-            batch.blend(&head, Vae::HEAD_WIDTH, &mut heads);
+            let head = self.vae.head(&batch.cut(&values, n_in), batch.len());
+            batch.blend(&head, n_head, &mut heads);
         }
         let posterior = |(input, head): (&EncoderInput, &Vec<f32>)| {
             let [mean, log_variance] = self.vae.posterior(input, head);
@@ -133,7 +136,7 @@ impl MotionPrior {
         let lengths: Vec<usize> = codes.iter().map(|code| code.len() / LATENT_DIM).collect();
         let mut features: Vec<Vec<f32>> = lengths.iter().map(|n| vec![0.0; n * N_FEATURES]).collect();
         for batch in window_batches(&lengths) {
-            let decoded = self.vae.decode(batch.cut(&views, LATENT_DIM), batch.len());
+            let decoded = self.vae.decode(&batch.cut(&views, LATENT_DIM), batch.len(), Reading::SHIPPED);
             batch.blend(&decoded.features, N_FEATURES, &mut features);
             keep(batch, decoded);
         }

@@ -9,11 +9,13 @@ use super::checkpoint::{Checkpoint, Provenance};
 use super::clips::{Clip, draw_clip, smooth_code};
 use super::corruption::{Damage, LIMBS, damaged, random_damage};
 use super::dataset::{Dataset, mirrored, split_by_subject};
-use super::encoder_input::{EncoderInput, encoder_input};
+use super::encoder_input::EncoderInput;
+use super::fusion::Reading;
 use super::joints::{Bones, rows};
-use super::objective::{joint_loss, joints_of, limit_loss};
+use super::objective::{Truth, joint_loss, joints_of, limit_loss};
 use super::optimizer::{Adam, AdamState};
-use super::vae::{Vae, VaeShape, interleaved, separated};
+use super::shape::VaeShape;
+use super::vae::{Vae, interleaved, separated};
 use crate::progress::{Canceled, Progress};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -35,8 +37,8 @@ pub struct TrainingConfig {
 
 impl Default for TrainingConfig {
     fn default() -> Self {
-        // 4,000 steps take 11 minutes of one core; the held out error no longer falls in the last thousand.
-        Self { seed: 1, steps: 4000, shape: VaeShape::default(), local_linear: 0.01 }
+        // 3,000 steps take 12 minutes of one core.
+        Self { seed: 1, steps: 3000, shape: VaeShape::default(), local_linear: 0.01 }
     }
 }
 
@@ -65,22 +67,23 @@ pub struct TrainingState {
     pub parameters: Vec<f32>,
     /// Moments of the optimiser.
     pub optimizer: AdamState,
-    /// Best parameters so far and their error on the held out subjects, mm.
+    /// Best mean parameters so far and their error on the held out subjects, mm.
     pub best: (Vec<f32>, f64),
     /// Looks since then.
     pub stale_looks: usize,
 }
 
-const STATE_MAGIC: &[u8; 8] = b"WLSTATE1";
+const STATE_MAGIC: &[u8; 8] = b"WLSTATE2";
 
-/// The file of a state: `WLSTATE1`, three counts, the best error, four vectors of single precision numbers.
+/// The file of a state: `WLSTATE2`, three counts, the best error, five vectors of single precision numbers.
 pub fn state_bytes(state: &TrainingState) -> Vec<u8> {
     let mut bytes = STATE_MAGIC.to_vec();
     for count in [state.step, state.stale_looks, state.parameters.len()] {
         bytes.extend((count as u64).to_le_bytes());
     }
     bytes.extend(state.best.1.to_le_bytes());
-    for numbers in [&state.parameters, &state.optimizer.first, &state.optimizer.second, &state.best.0] {
+    let AdamState { first, second, average } = &state.optimizer;
+    for numbers in [&state.parameters, first, second, average, &state.best.0] {
         numbers.iter().for_each(|value| bytes.extend(value.to_le_bytes()));
     }
     bytes
@@ -95,7 +98,7 @@ pub fn state_from_bytes(bytes: &[u8]) -> Result<TrainingState, TrainingError> {
     let rest = bytes.strip_prefix(STATE_MAGIC).ok_or(unreadable)?;
     let (head, rest) = rest.split_first_chunk::<32>().ok_or(TrainingError::Unreadable)?;
     let word = |i: usize| u64::from_le_bytes(std::array::from_fn(|k| head[8 * i + k]));
-    let n = usize::try_from(word(2)).ok().filter(|n| n.checked_mul(16) == Some(rest.len()));
+    let n = usize::try_from(word(2)).ok().filter(|n| n.checked_mul(20) == Some(rest.len()));
     let n = n.ok_or(TrainingError::Unreadable)?;
     let numbers: Vec<f32> = rest.as_chunks::<4>().0.iter().map(|bytes| f32::from_le_bytes(*bytes)).collect();
     let part = |i: usize| numbers[i * n..(i + 1) * n].to_vec();
@@ -103,8 +106,8 @@ pub fn state_from_bytes(bytes: &[u8]) -> Result<TrainingState, TrainingError> {
         step: word(0) as usize,
         stale_looks: word(1) as usize,
         parameters: part(0),
-        optimizer: AdamState { first: part(1), second: part(2) },
-        best: (part(3), f64::from_bits(word(3))),
+        optimizer: AdamState { first: part(1), second: part(2), average: part(3) },
+        best: (part(4), f64::from_bits(word(3))),
     })
 }
 
@@ -154,8 +157,8 @@ pub fn train(
     let [training, held_out] = prepare(data)?;
     let basis = training.basis;
     let bones = Bones::of_default_body();
-    let looks = validation_clips(&basis, &held_out);
     let shape = config.shape;
+    let looks = validation_clips(shape, &basis, &held_out);
     let mut state = resume.unwrap_or_else(|| TrainingState {
         step: 0,
         parameters: shape.initial_parameters(config.seed),
@@ -177,11 +180,11 @@ pub fn train(
         adam.update(&mut state.parameters, &step.gradient, &mut state.optimizer, state.step);
         state.step += 1;
         if state.step.is_multiple_of(VALIDATION_EVERY) || state.step == config.steps {
-            let vae = Vae::new(shape, &basis, &state.parameters);
+            let vae = Vae::new(shape, &basis, &state.optimizer.average);
             let error_mm = validation_error_mm(&vae, &basis, &bones, &looks);
             state.stale_looks += 1;
             if error_mm < state.best.1 {
-                state.best = (state.parameters.clone(), error_mm);
+                state.best = (state.optimizer.average.clone(), error_mm);
                 state.stale_looks = 0;
             }
             keep(&state);
@@ -256,16 +259,16 @@ fn training_step(
     rng.set_stream(1 + step as u64);
     let clips = draw_clips(takes, &mut rng);
     let batch = clips.len();
-    let inputs: Vec<EncoderInput> = clips.par_iter().map(|clip| encoder_input(basis, &clip.observed)).collect();
+    let inputs: Vec<EncoderInput> = clips.par_iter().map(|clip| config.shape.input(basis, &clip.observed)).collect();
     let encoded = vae.encode(&inputs);
     let noise: Vec<f32> = (0..encoded.mean.len()).map(|_| rng.sample::<f32, _>(StandardNormal)).collect();
     let sds: Vec<f32> = encoded.log_variance.iter().map(|v| (0.5 * v).exp()).collect();
-    let code = encoded.mean.iter().zip(&sds).zip(&noise).map(|((m, sd), n)| m + sd * n).collect();
-    let decoded = vae.decode(code, batch);
+    let code: Vec<f32> = encoded.mean.iter().zip(&sds).zip(&noise).map(|((m, sd), n)| m + sd * n).collect();
+    let decoded = vae.decode(&code, batch, Reading::LITERAL);
 
     let mut gradient = vec![0.0; config.shape.n_parameters()];
     let joints = batch_loss(vae_clips(&decoded.features, batch), |b, features| {
-        let truth = joints_of(&basis.chart, bones, &clips[b].truth);
+        let truth = Truth::of(&basis.chart, bones, &clips[b].truth);
         joint_loss(&basis.chart, bones, features, &truth, 1.0 / batch as f64)
     });
     let d_code = vae.decode_backward(&decoded, &joints.d_features, batch, Some(&mut gradient));
@@ -279,7 +282,7 @@ fn training_step(
 
     let samples: Vec<Vec<f32>> = (0..PRIOR_CLIPS).map(|_| smooth_code(PRIOR_FRAMES, &mut rng)).collect();
     let samples: Vec<&[f32]> = samples.iter().map(Vec::as_slice).collect();
-    let sampled = vae.decode(interleaved(&samples, LATENT_DIM), PRIOR_CLIPS);
+    let sampled = vae.decode(&interleaved(&samples, LATENT_DIM), PRIOR_CLIPS, Reading::LITERAL);
     let limits = batch_loss(vae_clips(&sampled.features, PRIOR_CLIPS), |_, features| {
         limit_loss(&basis.chart, features, 1.0 / PRIOR_CLIPS as f64)
     });
@@ -357,7 +360,7 @@ const LOOK_FRAMES: usize = 96;
 const MAX_LOOKS: usize = 48;
 
 /// Held out clips, each under one of four damages in turn.
-fn validation_clips(basis: &Basis, held_out: &Prepared) -> Vec<(Clip, EncoderInput)> {
+fn validation_clips(shape: VaeShape, basis: &Basis, held_out: &Prepared) -> Vec<(Clip, EncoderInput)> {
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let all: Vec<&[f32]> = held_out.takes.iter().flat_map(|t| t.chunks_exact(LOOK_FRAMES * N_FEATURES)).collect();
     let stride = all.len().div_ceil(MAX_LOOKS).max(1);
@@ -369,7 +372,7 @@ fn validation_clips(basis: &Basis, held_out: &Prepared) -> Vec<(Clip, EncoderInp
             _ => Damage::Noise { sd: 10.0_f64.to_radians(), share: 0.5, steady: false },
         };
         let observed = damaged(truth, damage, &mut rng);
-        let input = encoder_input(basis, &observed);
+        let input = shape.input(basis, &observed);
         (Clip { truth: truth.to_vec(), observed }, input)
     };
     all.iter().step_by(stride).enumerate().map(look).collect()
@@ -381,7 +384,8 @@ fn validation_error_mm(vae: &Vae, basis: &Basis, bones: &Bones, looks: &[(Clip, 
         return 0.0;
     }
     let inputs: Vec<EncoderInput> = looks.iter().map(|(_, input)| input.clone()).collect();
-    let decoded = vae_clips(&vae.decode(vae.encode(&inputs).mean, looks.len()).features, looks.len());
+    let decoded = vae.decode(&vae.encode(&inputs).mean, looks.len(), Reading::LITERAL);
+    let decoded = vae_clips(&decoded.features, looks.len());
     let error = |(features, (clip, _)): (&Vec<f32>, &(Clip, EncoderInput))| -> f64 {
         let truth = joints_of(&basis.chart, bones, &clip.truth);
         let found = joints_of(&basis.chart, bones, features);

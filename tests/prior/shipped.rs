@@ -9,8 +9,8 @@ use wandless::motion_prior::basis::LATENT_DIM;
 use wandless::motion_prior::chart::{LATENT_JOINTS, LocalRotations, N_FEATURES};
 use wandless::motion_prior::dataset::read_dataset;
 use wandless::motion_prior::evaluation::{
-    clips_of, features_of, gap_task, latent_statistics, limb_task, noise_task, prolonged, reconstruction,
-    sample_statistics,
+    clips_of, features_of, gap_task, latent_statistics, limb_task, noise_task, prolonged, rate_difference_mm,
+    reconstruction, sample_statistics,
 };
 
 /// Mean angle between latent joints of two takes, degrees.
@@ -87,7 +87,8 @@ fn the_figures_of_the_card_hold_on_takes_never_trained_on() {
         return;
     };
     let prior = MotionPrior::embedded();
-    let takes = features_of(prior, &read_dataset(&Path::new(&data).join("motion/valid")).unwrap().takes);
+    let data = read_dataset(&Path::new(&data).join("motion/valid")).unwrap();
+    let takes = features_of(prior, &data.takes);
     let whole = reconstruction(prior, &takes);
     assert!(whole.mean_mm <= 17.0 && whole.p95_mm <= 60.0, "{whole:?}");
     assert!((0.72..1.25).contains(&whole.acceleration_ratio), "{whole:?}");
@@ -95,14 +96,24 @@ fn the_figures_of_the_card_hold_on_takes_never_trained_on() {
     let alone = reconstruction(prior, std::slice::from_ref(longest));
     let long = reconstruction(prior, &[prolonged(longest, 2000)]);
     assert!((long.mean_mm / alone.mean_mm - 1.0).abs() < 0.15, "{long:?} {alone:?}");
+    let short = reconstruction(prior, &clips_of(&takes, 8));
+    assert!((short.mean_mm / whole.mean_mm - 1.0).abs() < 0.15, "{short:?} {whole:?}");
     let clips = clips_of(&takes, 120);
     let (gap, limb) = (gap_task(prior, &clips), limb_task(prior, &clips));
     let ratio = |task: &wandless::motion_prior::evaluation::TaskErrors| {
         task.prior.mean_mm / task.best_smoothing_mm().min(task.autoregression_mm)
     };
     assert!(ratio(&gap) < 1.05 && ratio(&limb) < 1.05 && ratio(&gap).min(ratio(&limb)) < 1.0, "{gap:?} {limb:?}");
-    let noise = noise_task(prior, &clips, false);
-    assert!(noise.prior.mean_mm < noise.best_smoothing_mm(), "{noise:?}");
+    for steady in [false, true] {
+        let noise = noise_task(prior, &clips, steady);
+        // The first smoothing passes through what it is given: the error of the input.
+        let input_mm = noise.smoothings_mm[0].1;
+        assert!(noise.prior.mean_mm < noise.best_smoothing_mm().min(0.7 * input_mm), "{noise:?}");
+        assert!((0.7..1.3).contains(&noise.prior.acceleration_ratio), "{noise:?}");
+    }
+    for fps in [25.0, 60.0] {
+        assert!(rate_difference_mm(prior, &data.takes, fps)[0] < 2.0, "{fps}");
+    }
     assert!((0.4..4.0).contains(&latent_statistics(prior, &takes).mean_square));
     assert!(sample_statistics(prior, 200, 1).within_limits > 0.95);
 }

@@ -2,11 +2,11 @@
 
 use super::waving;
 use std::path::Path;
-use wandless::motion_prior::VaeShape;
 use wandless::motion_prior::checkpoint::{Checkpoint, checkpoint_bytes};
 use wandless::motion_prior::dataset::{Dataset, read_dataset};
 use wandless::motion_prior::motion_writer::write_take;
 use wandless::motion_prior::training::{TrainingConfig, TrainingError, state_bytes, state_from_bytes, train};
+use wandless::motion_prior::{VaeForm, VaeShape};
 use wandless::progress::Progress;
 
 fn data(folder: &Path) -> Dataset {
@@ -19,7 +19,7 @@ fn data(folder: &Path) -> Dataset {
 }
 
 fn config(steps: usize) -> TrainingConfig {
-    let shape = VaeShape { encoder_hidden: 8, decoder_hidden: 8, recurrent: true };
+    let shape = VaeShape { encoder_hidden: 8, decoder_hidden: 8, form: VaeForm::Recurrent };
     TrainingConfig { steps, shape, ..TrainingConfig::default() }
 }
 

@@ -7,8 +7,8 @@ use crate::motion_prior::basis::LATENT_DIM;
 use crate::motion_prior::chart::N_FEATURES;
 use crate::motion_prior::dataset::read_dataset;
 use crate::motion_prior::evaluation::{
-    JointErrors, TaskErrors, clips_of, features_of, gap_task, latent_statistics, limb_task, noise_task, prolonged,
-    rate_difference_mm, reconstruction, sample_statistics,
+    DEEP, JointErrors, TaskErrors, clips_of, features_of, gap_task, latent_statistics, limb_task, noise_task,
+    penetrating_share, prolonged, rate_difference_mm, reconstruction, sample_statistics,
 };
 use std::path::PathBuf;
 use std::time::Instant;
@@ -58,11 +58,13 @@ pub(in crate::cli) fn run(args: Args) -> anyhow::Result<()> {
     }
     let samples = sample_statistics(prior, 1000, 1);
     println!(
-        "1,000 samples: {:.1} % of frames within joint limits ({:.1} % with 10 deg to spare), {:.1} % penetrating, foot \
-         height spread {:.3} m",
+        "1,000 samples: {:.1} % of frames within joint limits ({:.1} % with 10 deg to spare), {:.1} % with capsules more than \
+         {:.0} cm inside each other (the takes: {:.1} %), foot height spread {:.3} m",
         100.0 * samples.within_limits,
         100.0 * samples.within_limits_and_10_deg,
         100.0 * samples.penetrating,
+        100.0 * DEEP,
+        100.0 * penetrating_share(&data.takes),
         samples.foot_height_spread
     );
     println!("gradient of {} people x {} frames on one thread: {:.3} s", TIMED.0, TIMED.1, gradient_secs(prior)?);

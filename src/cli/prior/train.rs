@@ -2,10 +2,10 @@
 
 use crate::cli::BadInput;
 use crate::cli::meter::Meter;
-use crate::motion_prior::VaeShape;
 use crate::motion_prior::checkpoint::checkpoint_bytes;
 use crate::motion_prior::dataset::read_dataset;
 use crate::motion_prior::training::{TrainingConfig, TrainingState, state_bytes, state_from_bytes, train};
+use crate::motion_prior::{VaeForm, VaeShape};
 use crate::progress::Progress;
 use anyhow::Context;
 use std::path::{Path, PathBuf};
@@ -38,6 +38,9 @@ pub(in crate::cli) struct Args {
     /// Train the variant that knows no neighbouring frames
     #[arg(long)]
     per_frame: bool,
+    /// Train the paper's form: rotations as two columns each, in and out, nothing frozen
+    #[arg(long, conflicts_with = "per_frame")]
+    plain: bool,
     /// Go on from the state that an interrupted run left beside the file
     #[arg(long)]
     resume: bool,
@@ -45,8 +48,12 @@ pub(in crate::cli) struct Args {
 
 pub(in crate::cli) fn run(args: Args) -> anyhow::Result<()> {
     let data = read_dataset(&args.data).map_err(|error| BadInput(error.to_string()))?;
-    let shape =
-        VaeShape { encoder_hidden: args.encoder_width, decoder_hidden: args.decoder_width, recurrent: !args.per_frame };
+    let form = match (args.plain, args.per_frame) {
+        (true, _) => VaeForm::Plain,
+        (false, true) => VaeForm::PerFrame,
+        (false, false) => VaeForm::Recurrent,
+    };
+    let shape = VaeShape { encoder_hidden: args.encoder_width, decoder_hidden: args.decoder_width, form };
     let config = TrainingConfig { seed: args.seed, steps: args.steps, shape, local_linear: args.local_linear };
     let state_path = args.out.with_extension("state");
     let state = if args.resume { Some(read_state(&state_path)?) } else { None };
