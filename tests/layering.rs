@@ -102,8 +102,9 @@ fn nothing_looks_up() {
 }
 
 /// What of `pipeline` sees all stages: the options, the rounds of association and cameras, the gathering of the result.
-/// Offsets in time are found with cameras, for cameras: `synchronisation` runs the calibration on what it has moved in time.
-const CONDUCTORS: [&str; 5] = ["config", "calibration", "checkpoints", "result", "synchronisation"];
+/// Offsets in time and focal lengths are found with cameras, for cameras: `synchronisation` and `focal_lengths` run the
+/// calibration on what they have moved in time, or seen through another lens.
+const CONDUCTORS: [&str; 6] = ["config", "calibration", "checkpoints", "result", "synchronisation", "focal_lengths"];
 
 #[test]
 fn no_stage_imports_another_stage() {

@@ -7,11 +7,10 @@
 //! Known limit: one factor on all cameras at once hardly differs from a larger or smaller distance; only the prior tells.
 
 use super::bundle_adjustment::{AdjustedCamera, AdjustmentConfig};
-use super::calibration::{Calibration, estimate_cameras, from_given_cameras, with_focal_factors};
-use super::config::{Extrinsics, IntrinsicsMode, Options};
-use super::{Capture, PipelineError, Shares, bundle_adjustment::CameraFreedom};
+use super::calibration::{Calibration, roughly_calibrated, with_focal_factors};
+use super::config::{IntrinsicsMode, Options};
+use super::{Capture, PipelineError, Shares};
 use crate::geometry::Rigid;
-use crate::progress::Progress;
 use crate::session::reconstruction::{FocalFactor, StageReport};
 use crate::session::{Reconstruction, Session};
 use serde::{Deserialize, Serialize};
@@ -56,7 +55,7 @@ pub(super) fn focal_lengths(
         let progress = &progress.stage("focal_lengths", 0, round as f64 * width, width);
         let refined = found.applied_to(session);
         let capture = Capture::new(&refined, options);
-        let before = calibrated(&capture, cameras, progress)?;
+        let before = roughly_calibrated(&capture, cameras, progress)?;
         let after = with_focal_factors(&capture, &before, progress)?;
         found.multiply(&after);
         last = after.stages.last().cloned();
@@ -69,18 +68,6 @@ pub(super) fn focal_lengths(
         ..adjustment
     });
     Ok(found)
-}
-
-fn calibrated(
-    capture: &Capture,
-    cameras: Option<Vec<Option<Rigid>>>,
-    progress: &Progress,
-) -> Result<Calibration, PipelineError> {
-    let given = || capture.session.views.iter().map(|v| v.camera_from_world).collect();
-    match cameras {
-        None if capture.options.extrinsics == Extrinsics::Estimate => estimate_cameras(capture, progress),
-        cameras => from_given_cameras(capture, cameras.unwrap_or_else(given), CameraFreedom::Held, progress),
-    }
 }
 
 impl FocalLengths {

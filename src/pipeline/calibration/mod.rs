@@ -8,6 +8,7 @@ mod registration;
 use super::association::{Association, associate, from_clusters};
 use super::bundle_adjustment::{self as ba, Adjusted, AdjustmentConfig, AdjustmentInput, CameraFreedom};
 use super::camera_init::initial_rigs;
+use super::config::Extrinsics;
 use super::{Capture, PipelineError, result};
 use crate::geometry::{Intrinsics, Rigid, rotation};
 use crate::matching::clusters::clusters;
@@ -124,6 +125,23 @@ pub fn from_given_cameras(
     match freedom {
         CameraFreedom::Held => Ok(calibration),
         CameraFreedom::Adjusted => settled(capture, calibration, progress),
+    }
+}
+
+/// Cameras and people of a recording whose times or lenses are only nearly known: under `cameras` where a round before has
+/// found them, else from nothing or as the session gives them.
+///
+/// # Errors
+/// [`PipelineError::Canceled`].
+pub fn roughly_calibrated(
+    capture: &Capture,
+    cameras: Option<Vec<Option<Rigid>>>,
+    progress: &Progress,
+) -> Result<Calibration, PipelineError> {
+    let given = || capture.session.views.iter().map(|v| v.camera_from_world).collect();
+    match cameras {
+        None if capture.options.extrinsics == Extrinsics::Estimate => estimate_cameras(capture, progress),
+        cameras => from_given_cameras(capture, cameras.unwrap_or_else(given), CameraFreedom::Held, progress),
     }
 }
 

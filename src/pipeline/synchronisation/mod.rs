@@ -11,9 +11,8 @@
 mod retiming;
 mod whole_frames;
 
-use super::bundle_adjustment::CameraFreedom;
-use super::calibration::{Calibration, estimate_cameras, from_given_cameras, with_delays};
-use super::config::{Extrinsics, Options, Sync};
+use super::calibration::{Calibration, roughly_calibrated, with_delays};
+use super::config::{Options, Sync};
 use super::{Capture, N_STAGES, PipelineError};
 use crate::geometry::Rigid;
 use crate::progress::Progress;
@@ -78,7 +77,7 @@ fn estimated(
         let stage = stage(0.4 + 0.6 * rounds as f64 / MAX_ROUNDS as f64, 0.6 / MAX_ROUNDS as f64);
         let moved = retiming::retimed(session, &offsets);
         let capture = Capture::new(&moved, options);
-        let before = calibrated(&capture, cameras, &stage)?;
+        let before = roughly_calibrated(&capture, cameras, &stage)?;
         let after = with_delays(&capture, &before, &stage)?;
         let delays = delays(&after);
         sigmas = delays.iter().map(|d| d.and_then(|d| d.sigma)).collect();
@@ -109,19 +108,6 @@ fn estimated(
     let of_view =
         |(frames, sigma): (&f64, &Option<f64>)| TimeOffset { secs: secs(*frames), sigma_secs: sigma.map(secs) };
     Ok(Timing { offsets: offsets.iter().zip(&sigmas).map(of_view).collect(), report: Some(report) })
-}
-
-/// Cameras and people of a recording that is synchronous to a frame or two.
-fn calibrated(
-    capture: &Capture,
-    cameras: Option<Vec<Option<Rigid>>>,
-    progress: &Progress,
-) -> Result<Calibration, PipelineError> {
-    let given = || capture.session.views.iter().map(|v| v.camera_from_world).collect();
-    match cameras {
-        None if capture.options.extrinsics == Extrinsics::Estimate => estimate_cameras(capture, progress),
-        cameras => from_given_cameras(capture, cameras.unwrap_or_else(given), CameraFreedom::Held, progress),
-    }
 }
 
 #[derive(Debug, Clone, Copy)]
