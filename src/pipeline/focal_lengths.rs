@@ -8,7 +8,7 @@
 
 use super::bundle_adjustment::{AdjustedCamera, AdjustmentConfig};
 use super::calibration::{Calibration, roughly_calibrated, with_focal_factors};
-use super::config::{IntrinsicsMode, Options};
+use super::config::Options;
 use super::{Capture, PipelineError, Shares};
 use crate::geometry::Rigid;
 use crate::session::reconstruction::{FocalFactor, StageReport};
@@ -35,19 +35,12 @@ const SHARE: f64 = 0.4;
 /// A factor is told by the recording where its standard deviation is below this share of the prior's.
 const TOLD: f64 = 0.5;
 
-/// Finds the factors, where the options ask for them.
+/// Finds the factors.
 ///
 /// # Errors
 /// [`PipelineError::Canceled`].
-pub(super) fn focal_lengths(
-    session: &Session,
-    options: &Options,
-    progress: &Shares,
-) -> Result<FocalLengths, PipelineError> {
-    let mut found = FocalLengths { factors: vec![None; session.views.len()], report: None };
-    if options.intrinsics == IntrinsicsMode::Fixed {
-        return Ok(found);
-    }
+pub(super) fn refined(session: &Session, options: &Options, progress: &Shares) -> Result<FocalLengths, PipelineError> {
+    let mut found = FocalLengths::given(session);
     let mut cameras: Option<Vec<Option<Rigid>>> = None;
     let mut last = None;
     for round in 0..ROUNDS {
@@ -71,6 +64,11 @@ pub(super) fn focal_lengths(
 }
 
 impl FocalLengths {
+    /// The lenses as they are.
+    pub fn given(session: &Session) -> Self {
+        Self { factors: vec![None; session.views.len()], report: None }
+    }
+
     /// Takes what one more round has found on top of what there was.
     fn multiply(&mut self, after: &Calibration) {
         let Some(adjusted) = &after.adjusted else { return };

@@ -28,8 +28,9 @@ use crate::session::{Reconstruction, Session};
 use bundle_adjustment::CameraFreedom;
 use calibration::{Calibration, estimate_cameras, from_given_cameras, heldout_px, made_consistent};
 use checkpoints::Checkpoints;
-use config::Extrinsics;
 pub use config::{CameraFacts, Options};
+use config::{Extrinsics, IntrinsicsMode};
+use focal_lengths::FocalLengths;
 use result::Findings;
 
 /// Why a capture cannot be solved at all.
@@ -99,7 +100,12 @@ pub fn reconstruct_with_checkpoints(
     let timing = checkpoints.stage("synchronisation", || synchronisation::timing(session, options, progress))?;
     let timed = timing.applied_to(session);
     let progress = &Shares { progress, before: timing.share_of_work() };
-    let lenses = checkpoints.stage("focal_lengths", || focal_lengths::focal_lengths(&timed, options, progress))?;
+    let lenses = match options.intrinsics {
+        IntrinsicsMode::Fixed => FocalLengths::given(&timed),
+        IntrinsicsMode::RefineFocal => {
+            checkpoints.stage("focal_lengths", || focal_lengths::refined(&timed, options, progress))?
+        }
+    };
     let timed = lenses.applied_to(&timed);
     let capture = Capture::new(&timed, options);
 

@@ -104,6 +104,11 @@ impl Contacts<'_> {
         Self { by_frame: &self.by_frame[frames], ..*self }
     }
 
+    /// Frames in which somebody is asked to give way.
+    pub(super) fn n_touching(&self) -> usize {
+        self.by_frame.iter().filter(|contacts| contacts.iter().any(|contact| contact.least < 0.0)).count()
+    }
+
     /// What frame `t` costs.
     pub(super) fn cost(&self, t: usize, betas: &Betas, skeleton: &PosedSkeleton) -> f64 {
         if self.by_frame[t].is_empty() {

@@ -22,10 +22,12 @@ impl Stages<'_> {
         runs(&asks.collect::<Vec<_>>(), approach.max(HELD + 1), self.config.window_frames)
     }
 
-    /// A motion with its runs fitted anew to pixels and with other people in the way, shape held, `steps` steps each.
+    /// A motion with its runs fitted anew to pixels and with other people in the way, shape held, `steps` steps each. Where
+    /// that strays too far from the motion `seen`, fitted to nothing but what was seen, a run stays.
     pub(super) fn refitted(
         &self,
         evidence: &Evidence,
+        seen: &MotionState,
         mut state: MotionState,
         runs: Vec<Range<usize>>,
         steps: usize,
@@ -40,10 +42,23 @@ impl Stages<'_> {
                 MotionProblem::new(self.model, &evidence, self.config, data, Shape::Held, self.frame_interval)
                     .with_contacts(contacts.slice(run.clone()))
                     .holding(&held);
+            let as_seen = MotionState { betas: seen.betas, poses: seen.poses[run.clone()].to_vec() };
+            let alone = problem.cost_alone(&as_seen);
             let moved = self.minimised(&problem, start, steps)?.state;
-            state.poses[run].copy_from_slice(&moved.poses);
+            if !self.is_refuted(problem.cost_alone(&moved) - alone, contacts.slice(run.clone()).n_touching()) {
+                state.poses[run].copy_from_slice(&moved.poses);
+            }
         }
         Ok(state)
+    }
+
+    /// Whether what was seen and how people move stand against giving way: by much in every frame of the contact, and in
+    /// sum by more than errors that are alike for some ten frames could.
+    fn is_refuted(&self, dearer: f64, n_touching: usize) -> bool {
+        let [of_frame, in_sum] = self.config.contact_refuted;
+        // The cost counts 30 frames a second, whatever the rate.
+        let touching = n_touching as f64 * self.frame_interval * 30.0;
+        dearer > in_sum && dearer > of_frame * touching
     }
 }
 

@@ -169,13 +169,22 @@ impl<'a> MotionProblem<'a> {
         moved
     }
 
+    /// The cost but for other people's bodies.
+    pub(super) fn cost_alone(&self, state: &MotionState) -> f64 {
+        self.cost_with(state, None)
+    }
+
     /// The whole cost.
     pub(super) fn cost(&self, state: &MotionState) -> f64 {
+        self.cost_with(state, self.contacts)
+    }
+
+    fn cost_with(&self, state: &MotionState, contacts: Option<Contacts>) -> f64 {
         let body = self.model.shaped(&state.betas);
         let frame_cost = |(t, pose): (usize, &Pose)| {
             let skeleton = posed(&body, pose);
             let data: f64 = self.place_costs(t, &body, &skeleton).iter().map(|p| p.cost).sum();
-            let contacts = self.contacts.map_or(0.0, |contacts| contacts.cost(t, &state.betas, &skeleton));
+            let contacts = contacts.map_or(0.0, |contacts| contacts.cost(t, &state.betas, &skeleton));
             data + contacts + self.active[1..].iter().map(|&j| self.angle_cost(pose, j).cost).sum::<f64>()
         };
         let frames: Vec<f64> = state.poses.par_iter().enumerate().map(frame_cost).collect();

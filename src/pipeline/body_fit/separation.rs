@@ -61,6 +61,7 @@ pub(super) fn separate(
     let capsules = BodyCapsules::fitted(stages.model);
     let mut found = meetings(stages.model, &capsules, people, first_frame);
     let before = found.deepest.clone();
+    let seen: Vec<MotionState> = people.iter().map(|person| person.fitted.state.clone()).collect();
     for _ in 0..if give_way { ROUNDS } else { 0 } {
         if found.deepest.as_ref().is_none_or(|overlap| 1e-3 * overlap.depth_mm <= TOLERATED) {
             break;
@@ -68,7 +69,7 @@ pub(super) fn separate(
         let part = |(k, person): (usize, &PlacedFit)| {
             let contacts =
                 Contacts { capsules: &capsules, by_frame: &found.contacts[k], sigma: stages.config.contact_sigma };
-            stages.parted(person, contacts, &found.depths[k])
+            stages.parted(person, &seen[k], contacts, &found.depths[k])
         };
         let states: Vec<MotionState> = people.par_iter().enumerate().map(part).collect::<Result<Vec<_>, Canceled>>()?;
         people.iter_mut().zip(states).for_each(|(person, state)| person.fitted.state = state);
@@ -147,10 +148,16 @@ impl Meetings {
 
 impl Stages<'_> {
     /// One person with all contacts given way to.
-    fn parted(&self, person: &PlacedFit, contacts: Contacts, depths: &[f64]) -> Result<MotionState, Canceled> {
+    fn parted(
+        &self,
+        person: &PlacedFit,
+        seen: &MotionState,
+        contacts: Contacts,
+        depths: &[f64],
+    ) -> Result<MotionState, Canceled> {
         let state = person.fitted.state.clone();
         let runs = self.runs(depths.iter().map(|depth| *depth > TOLERATED));
-        self.refitted(&person.evidence, state, runs, STEPS, contacts)
+        self.refitted(&person.evidence, seen, state, runs, STEPS, contacts)
     }
 }
 
@@ -190,6 +197,11 @@ mod tests {
         assert!(before.depth_mm > 30.0 && before.frame == 110 && before.people == [3, 5], "{before:?}");
         assert!(kept.deepest_before.is_none() && people[0].fitted == make()[0].fitted);
 
+        let refuted = BodyFitConfig { contact_refuted: [f64::NEG_INFINITY; 2], ..config.clone() };
+        let stayed = separate(&Stages { config: &refuted, ..stages }, &mut people, true, 100).unwrap();
+        assert!(stayed.deepest.as_ref() == Some(&before) && people[1].fitted == make()[1].fitted);
+
+        let stages = Stages { model: &model, config: &config, frame_interval: 1.0 / 30.0, progress: &progress };
         let parted = separate(&stages, &mut people, true, 100).unwrap();
         assert_eq!(parted.deepest_before.as_ref(), Some(&before));
         let after = parted.deepest.map_or(0.0, |overlap| overlap.depth_mm);
