@@ -38,17 +38,16 @@ pub fn jitter(frames: &Frames<Vec<Point>>, fps: f64) -> Jitter {
 /// People are matched one to one in the middle frame; a person of the result whose name does not go on through all
 /// three frames says nothing.
 pub fn acceleration_error(truth: &Frames<Shelf14>, solved: &Frames<Shelf14>, actors: &[String]) -> Option<f64> {
-    let three = |frames: &'_ Frames<Shelf14>, frame: i64| -> Option<[People<Shelf14>; 3]> {
-        Some([frames.get(&(frame - 1))?.clone(), frames.get(&frame)?.clone(), frames.get(&(frame + 1))?.clone()])
-    };
     let mut differences = Vec::new();
     for frame in truth.keys() {
-        let (Some(true_people), Some(people)) = (three(truth, *frame), three(solved, *frame)) else { continue };
-        for (actor, name) in matched(&true_people[1], &people[1], Matching::One2one) {
-            let poses = |of: &[People<Shelf14>; 3], name: &str| -> Option<[Shelf14; 3]> {
-                Some([*of[0].get(name)?, *of[1].get(name)?, *of[2].get(name)?])
+        let (Some(true_people), Some(people)) = (three_frames(truth, *frame), three_frames(solved, *frame)) else {
+            continue;
+        };
+        for (actor, name) in matched(true_people[1], people[1], Matching::One2one) {
+            let poses = |[before, now, after]: [&People<Shelf14>; 3], name: &str| {
+                Some([*before.get(name)?, *now.get(name)?, *after.get(name)?])
             };
-            let (Some(t), Some(s)) = (poses(&true_people, actor), poses(&people, name)) else { continue };
+            let (Some(t), Some(s)) = (poses(true_people, actor), poses(people, name)) else { continue };
             if actors.iter().any(|a| a == actor) {
                 let bend = |p: &[Shelf14; 3], j: usize| Some(p[2][j]? - p[1][j]? * 2.0 + p[0][j]?);
                 differences.extend((0..t[0].len()).filter_map(|j| Some((bend(&s, j)? - bend(&t, j)?).norm())));
@@ -56,6 +55,11 @@ pub fn acceleration_error(truth: &Frames<Shelf14>, solved: &Frames<Shelf14>, act
         }
     }
     mean(differences.into_iter()).map(|m| 1e3 * m)
+}
+
+/// A frame between its neighbours.
+fn three_frames(frames: &Frames<Shelf14>, frame: i64) -> Option<[&People<Shelf14>; 3]> {
+    Some([frames.get(&(frame - 1))?, frames.get(&frame)?, frames.get(&(frame + 1))?])
 }
 
 #[cfg(test)]
@@ -76,6 +80,7 @@ mod tests {
         assert!((found.m_per_s2.unwrap() - 9.81).abs() < 1e-9);
         assert_eq!(jitter(&Frames::new(), 50.0).m_per_s2, None);
     }
+
     #[test]
     fn the_acceleration_error_is_that_of_what_was_added_and_worlds_may_drift() {
         let person = |frame: i64, extra: f64| -> Shelf14 {

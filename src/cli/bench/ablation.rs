@@ -90,12 +90,12 @@ pub(super) fn run(args: &AblationArgs) -> anyhow::Result<()> {
                 let out = args.out.join(format!("{k}-{cameras}-{}", arm.name.replace(' ', "-")));
                 let options = Options { extrinsics, ..(arm.options)() };
                 let started = Instant::now();
-                let errors = solved(&session, &options, &loaded.sha256, &truth, &out)?;
+                let (errors, overlap_mm) = solved(&session, &options, &loaded.sha256, &truth, &out)?;
                 eprintln!("{} {cameras} {}: {:.1} s", path.display(), arm.name, started.elapsed().as_secs_f64());
                 if arm.name == WHOLE {
                     add(&mut rows, cameras, POINTS, figures(&errors, errors.other_poses.as_ref(), None));
                 }
-                add(&mut rows, cameras, arm.name, figures(&errors, errors.poses.as_ref(), deepest_overlap(&out)));
+                add(&mut rows, cameras, arm.name, figures(&errors, errors.poses.as_ref(), Some(overlap_mm)));
             }
         }
     }
@@ -117,13 +117,14 @@ fn both_ways(session: Session, truth: &Path) -> anyhow::Result<[(&'static str, S
     Ok([("free", session, Extrinsics::Estimate), ("fixed", given, Extrinsics::Fixed)])
 }
 
+/// Solves, writes the result and compares it with the truth; beside the errors the deepest overlap of two bodies, mm.
 fn solved(
     session: &Session,
     options: &Options,
     input_sha256: &str,
     truth: &Path,
     out: &Path,
-) -> anyhow::Result<Evaluation> {
+) -> anyhow::Result<(Evaluation, f64)> {
     let found = reconstruct(session, options, &Progress::silent())?;
     let context = ResultContext {
         input_sha256,
@@ -135,13 +136,8 @@ fn solved(
     write_result(out, session, &context, &found)?;
     let align = if options.extrinsics == Extrinsics::Fixed { Alignment::None } else { Alignment::Sim3 };
     let options = EvaluationOptions { align: Some(align), ..EvaluationOptions::default() };
-    evaluate(out, truth, &options).map_err(|e| BadInput(e.to_string()).into())
-}
-
-/// As the result's own report has it.
-fn deepest_overlap(result: &Path) -> Option<f64> {
-    let report: serde_json::Value = serde_json::from_slice(&std::fs::read(result.join("report.json")).ok()?).ok()?;
-    Some(report["penetration"]["deepest"]["depth_mm"].as_f64().unwrap_or(0.0))
+    let errors = evaluate(out, truth, &options).map_err(|e| BadInput(e.to_string()))?;
+    Ok((errors, found.report.penetration.deepest.map_or(0.0, |overlap| overlap.depth_mm)))
 }
 
 fn figures(errors: &Evaluation, poses: Option<&PoseErrors>, overlap_mm: Option<f64>) -> Figures {

@@ -96,7 +96,7 @@ fn is_human(scene: &Scene, skeleton: &Skeleton) -> bool {
 }
 
 /// Whether somebody already stands there: detectors report some people twice.
-fn is_known(skeleton: &Skeleton, people: &[TrackedPerson], frame: usize) -> bool {
+pub(super) fn is_known(skeleton: &Skeleton, people: &[TrackedPerson], frame: usize) -> bool {
     let mut there = people.iter().filter(|p| p.last_seen() == frame);
     there.any(|p| distance(skeleton, p.last_skeleton()).is_some_and(|d| d < SAME_PERSON_M))
 }

@@ -5,16 +5,14 @@
 //! found by the articulated fit, the tracker needs the metres that a move is worth.
 
 use super::Scene;
-use super::person::{Skeleton, TrackedPerson, distance};
+use super::birth::is_known;
+use super::person::{Skeleton, TrackedPerson};
 use crate::body::bones::Bone;
 use crate::matching::sightings::Sighting;
 use nalgebra::Vector3;
 
 /// Keypoints that a detection must have to start a person: a face alone (five) is none.
 const MIN_POINTS: usize = 6;
-
-/// Two figures whose median joint is nearer than this are one person reported twice, m.
-const SAME_PERSON_M: f64 = 0.15;
 
 /// What a figure's depth was counts this many times as much as what one more frame says.
 const DEPTH_MEMORY: f64 = 9.0;
@@ -34,10 +32,7 @@ pub(super) fn strongest(
     order.sort_by_key(|d| (std::cmp::Reverse(sighting(*d).n_points()), *d));
     order.into_iter().find_map(|d| {
         let skeleton = figure(scene, sighting(d), None)?;
-        let is_known = |p: &TrackedPerson| {
-            p.last_seen() == frame && distance(&skeleton, p.last_skeleton()).is_some_and(|m| m < SAME_PERSON_M)
-        };
-        let is_new = !people.iter().any(is_known);
+        let is_new = !is_known(&skeleton, people, frame);
         is_new.then(|| TrackedPerson::new(frame, vec![Some(d)], skeleton))
     })
 }

@@ -34,18 +34,19 @@ impl Stages<'_> {
         contacts: Contacts,
     ) -> Result<MotionState, Canceled> {
         for run in runs {
-            let evidence = evidence.slice(run.clone());
+            let (evidence, contacts) = (evidence.slice(run.clone()), contacts.slice(run.clone()));
             let start = MotionState { betas: state.betas, poses: state.poses[run.clone()].to_vec() };
             let data = DataTerm::Pixels { share: self.pixel_share(&evidence, &start) };
             let held = held_frames(&run, state.poses.len());
             let problem =
                 MotionProblem::new(self.model, &evidence, self.config, data, Shape::Held, self.frame_interval)
-                    .with_contacts(contacts.slice(run.clone()))
+                    .with_contacts(contacts)
                     .holding(&held);
             let as_seen = MotionState { betas: seen.betas, poses: seen.poses[run.clone()].to_vec() };
             let alone = problem.cost_alone(&as_seen);
             let moved = self.minimised(&problem, start, steps)?.state;
-            if !self.is_refuted(problem.cost_alone(&moved) - alone, contacts.slice(run.clone()).n_touching()) {
+            let touching = contacts.n_touching() as f64 * problem.time_weight();
+            if !self.is_refuted(problem.cost_alone(&moved) - alone, touching) {
                 state.poses[run].copy_from_slice(&moved.poses);
             }
         }
@@ -53,11 +54,10 @@ impl Stages<'_> {
     }
 
     /// Whether what was seen and how people move stand against giving way: by much in every frame of the contact, and in
-    /// sum by more than errors that are alike for some ten frames could.
-    fn is_refuted(&self, dearer: f64, n_touching: usize) -> bool {
+    /// sum by more than errors that are alike for some ten frames could; `touching`: frames of the contact as the cost
+    /// counts them.
+    fn is_refuted(&self, dearer: f64, touching: f64) -> bool {
         let [of_frame, in_sum] = self.config.contact_refuted;
-        // The cost counts 30 frames a second, whatever the rate.
-        let touching = n_touching as f64 * self.frame_interval * 30.0;
         dearer > in_sum && dearer > of_frame * touching
     }
 }

@@ -2,6 +2,7 @@
 //!
 //! In rounds: who touches whom is found for all frames, then everybody's frames near a contact are fitted anew with the
 //! others held ([`super::local_fit`]).
+
 use super::contacts::{CapsuleBody, Contact, Contacts, Touch};
 use super::evidence::Evidence;
 use super::motion_problem::MotionState;
