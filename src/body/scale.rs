@@ -10,6 +10,7 @@
 use super::kinematics::{Pose, joints_by_betas, landmark_by_betas, landmark_position, posed};
 use super::model::{Betas, BodyModel};
 use super::segments::{MeasuredSegment, Segment};
+use crate::optim::robust::INTERVAL_95;
 use nalgebra::{DMatrix, DVector};
 
 /// Part of the detector's bias that all segments share, as a log ratio.
@@ -65,7 +66,7 @@ pub fn scale_from_people(
         }
         mean = everybody(&looseness)?;
     }
-    let half = 1.96 * mean.variance.sqrt();
+    let half = INTERVAL_95 * mean.variance.sqrt();
     let n_seen = people.iter().filter(|segments| !segments.is_empty()).count();
     let n_samples: usize = people.iter().flatten().map(|segment| segment.n_samples).sum();
     let who = if n_seen == 1 { "1 person" } else { &format!("{n_seen} people") };
@@ -84,7 +85,7 @@ pub fn scale_from_people(
 /// The scale where nobody can be measured and people are taken to be average adults, as in a single view: what is as
 /// tall as it looks may be small and near, or large and far. The interval is that of one adult's stature.
 pub fn scale_of_nobody(model: &BodyModel) -> ScaleEstimate {
-    let half = 1.96 * stature_per_beta(model).norm();
+    let half = INTERVAL_95 * stature_per_beta(model).norm();
     ScaleEstimate {
         scale: 1.0,
         interval95: [(-half).exp(), half.exp()],
@@ -309,7 +310,7 @@ mod tests {
     #[test]
     fn the_scale_of_nobody_is_as_uncertain_as_an_adults_stature() {
         let estimate = scale_of_nobody(&default_body());
-        let sigma = estimate.interval95[1].ln() / 1.96;
+        let sigma = estimate.interval95[1].ln() / INTERVAL_95;
         assert!(estimate.scale == 1.0 && (0.045..0.07).contains(&sigma), "{sigma}");
         assert!((estimate.interval95[0] * estimate.interval95[1] - 1.0).abs() < 1e-12);
     }

@@ -2,6 +2,8 @@
 
 use super::alignment::{Alignment, truth_from_solved};
 use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
+use crate::session::reconstruction::SolvedCamera;
+use crate::session::{Session, View};
 use nalgebra::{Vector2, Vector3};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -17,6 +19,16 @@ pub struct CameraPair {
     pub truth: Rigid,
     /// Solved `camera_from_world`, in the solution's own world.
     pub solved: Rigid,
+}
+
+/// The placed cameras of a result beside the true ones (`camera_from_world`), in the session's order.
+pub fn camera_pairs(session: &Session, truth: &[Rigid], solved: &[SolvedCamera]) -> Vec<CameraPair> {
+    let views = session.views.iter().zip(truth).zip(solved);
+    let pair = |((view, truth), solved): ((&View, &Rigid), &SolvedCamera)| {
+        let (id, intrinsics) = (view.id.clone(), view.intrinsics);
+        Some(CameraPair { id, intrinsics, truth: *truth, solved: solved.camera_from_world? })
+    };
+    views.filter_map(pair).collect()
 }
 
 /// Errors of all cameras after one alignment; means over cameras.

@@ -60,6 +60,12 @@ impl GraduatedScale {
 /// Standard deviation of a normal distribution over its median absolute deviation.
 pub const NORMAL_SIGMA_OF_MAD: f64 = 1.4826;
 
+/// Half the width of a 95 % interval of a normal distribution, in standard deviations.
+pub const INTERVAL_95: f64 = 1.96;
+
+/// Median length of a normal error in two dimensions over its standard deviation per axis: `sqrt(2 ln 2)`.
+pub const MEDIAN_LENGTH_IN_PLANE: f64 = 1.177;
+
 /// Median and median absolute deviation; zeros for an empty set.
 pub fn median_and_spread(values: &mut [f64]) -> (f64, f64) {
     let Some(center) = median(values) else { return (0.0, 0.0) };

@@ -6,6 +6,7 @@ use crate::body::default_body;
 use crate::body::scale::{KnownStature, ScaleEstimate, scale_from_people, scale_of_nobody, tallest};
 use crate::body::segments::{MeasuredSegment, measured_segments};
 use crate::geometry::Rigid;
+use crate::optim::robust::INTERVAL_95;
 use crate::session::reconstruction::ScaleReport;
 use crate::session::{JointTrajectory, PersonTrack};
 
@@ -66,7 +67,7 @@ fn from_distance(
         (Some(a), Some(b)) if (a - b).norm() > 1e-6 => {
             let evidence = format!("{metres} m between cameras {} and {}", ids[0], ids[1]);
             let value = metres / (a - b).norm();
-            let interval95 = [-1.96, 1.96].map(|z: f64| value * (z * DISTANCE_SIGMA).exp());
+            let interval95 = [-INTERVAL_95, INTERVAL_95].map(|z: f64| value * (z * DISTANCE_SIGMA).exp());
             Ok(ScaleReport { value, interval95, evidence })
         }
         _ => Err(PipelineError::Option {

@@ -6,7 +6,7 @@ mod one_view;
 mod presets;
 mod synchronisation;
 
-use wandless::evaluation::camera_error::{CameraPair, relative_camera_error};
+use wandless::evaluation::camera_error::{camera_pairs, relative_camera_error};
 use wandless::pipeline::{Options, reconstruct};
 use wandless::progress::Progress;
 use wandless::session::Reconstruction;
@@ -21,13 +21,7 @@ fn solved(config: &SimulationConfig) -> (Simulated, Reconstruction) {
 
 /// Worst error between two placed cameras, degrees, over rotations and directions.
 fn worst_pair_deg(simulated: &Simulated, found: &Reconstruction) -> f64 {
-    let views = simulated.session.views.iter().zip(&simulated.truth.cameras).zip(&found.cameras);
-    let pairs: Vec<CameraPair> = views
-        .filter_map(|((view, truth), solved)| {
-            let (id, intrinsics) = (view.id.clone(), view.intrinsics);
-            Some(CameraPair { id, intrinsics, truth: *truth, solved: solved.camera_from_world? })
-        })
-        .collect();
+    let pairs = camera_pairs(&simulated.session, &simulated.truth.cameras, &found.cameras);
     let error = relative_camera_error(&pairs).unwrap();
     error.rotation_deg.max(error.direction_deg)
 }

@@ -1,7 +1,8 @@
 //! `wandless bench rigs`: how often cameras are found on random rigs, and what their stated uncertainty is worth.
 
 use crate::evaluation::alignment::Alignment;
-use crate::evaluation::camera_error::{CameraPair, camera_errors, relative_camera_error};
+use crate::evaluation::camera_error::{CameraPair, camera_errors, camera_pairs, relative_camera_error};
+use crate::optim::robust::INTERVAL_95;
 use crate::pipeline::{Options, reconstruct};
 use crate::progress::Progress;
 use crate::session::reconstruction::{SolvedCamera, Verdict};
@@ -49,9 +50,6 @@ struct Coverage {
     positions: usize,
     orientations: usize,
 }
-
-/// Half the width of a 95 % interval in standard deviations.
-const INTERVAL_95: f64 = 1.96;
 
 /// Tallies of one class of rigs.
 #[derive(Default)]
@@ -107,13 +105,7 @@ fn solve_rig(simulated: &Simulated, seed: u64) -> RigOutcome {
     let Ok(found) = reconstruct(&simulated.session, &options, &Progress::silent()) else {
         return RigOutcome { worst_deg: f64::INFINITY, verdict: None, coverage: Coverage::default() };
     };
-    let views = simulated.session.views.iter().zip(&simulated.truth.cameras).zip(&found.cameras);
-    let pairs: Vec<CameraPair> = views
-        .filter_map(|((view, truth), solved)| {
-            let (id, intrinsics) = (view.id.clone(), view.intrinsics);
-            Some(CameraPair { id, intrinsics, truth: *truth, solved: solved.camera_from_world? })
-        })
-        .collect();
+    let pairs = camera_pairs(&simulated.session, &simulated.truth.cameras, &found.cameras);
     let complete = pairs.len() == simulated.session.views.len();
     let error = relative_camera_error(&pairs).filter(|_| complete);
     let worst_deg = error.map_or(f64::INFINITY, |e| e.rotation_deg.max(e.direction_deg));

@@ -2,6 +2,7 @@
 
 use crate::body::detector_noise::keypoint_sigmas;
 use crate::geometry::Rigid;
+use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
 use crate::pipeline::association::Association;
 use crate::pipeline::bundle_adjustment::{Instant, Observation};
 use crate::session::JointTrajectory;
@@ -132,7 +133,7 @@ pub(super) fn set_in_motion(
 }
 
 /// By how much the residuals of an adjustment exceed the standard deviations it was given: median of the distance over
-/// sigma against that of a normal error in two dimensions, 1.177.
+/// sigma against that of a normal error in two dimensions.
 pub(super) fn noise_factor(session: &Session, cameras: &[Option<Rigid>], instants: &[Instant]) -> f64 {
     let mut ratios = Vec::new();
     for instant in instants {
@@ -143,5 +144,5 @@ pub(super) fn noise_factor(session: &Session, cameras: &[Option<Rigid>], instant
             }
         }
     }
-    crate::optim::robust::median(&mut ratios).map_or(1.0, |m| (m / 1.177).clamp(0.2, 5.0))
+    median(&mut ratios).map_or(1.0, |m| (m / MEDIAN_LENGTH_IN_PLANE).clamp(0.2, 5.0))
 }
