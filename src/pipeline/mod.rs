@@ -26,7 +26,7 @@ use crate::matching::tracker::Scene;
 use crate::progress::{Canceled, Progress};
 use crate::session::{Reconstruction, Session};
 use bundle_adjustment::CameraFreedom;
-use calibration::{Calibration, estimate_cameras, from_given_cameras, heldout_px, made_consistent};
+use calibration::{calibrated, heldout_px, made_consistent};
 use checkpoints::Checkpoints;
 pub use config::{CameraFacts, Options};
 use config::{Extrinsics, IntrinsicsMode};
@@ -111,7 +111,7 @@ pub fn reconstruct_with_checkpoints(
 
     let progress = &progress.after(lenses.share_of_work());
     let stage = progress.stage("cameras", 0, 0.0, 0.4);
-    let calibration = checkpoints.stage("cameras", || calibrated(&capture, &stage))?;
+    let calibration = checkpoints.stage("cameras", || calibrated(&capture, freedom(options), &stage))?;
     let n_placed = calibration.cameras.iter().flatten().count();
     if n_placed < 2 && session.views.len() > 1 {
         let reason = "no two cameras see the same people move; check that the cameras overlap, that frames are \
@@ -172,16 +172,7 @@ impl Shares<'_> {
     }
 }
 
-/// Cameras and who is who: from nothing, or from what the session gives.
-fn calibrated(capture: &Capture, progress: &Progress) -> Result<Calibration, PipelineError> {
-    let given = || capture.session.views.iter().map(|v| v.camera_from_world).collect();
-    match capture.options.extrinsics {
-        Extrinsics::Estimate => estimate_cameras(capture, progress),
-        Extrinsics::Fixed => from_given_cameras(capture, given(), CameraFreedom::Held, progress),
-        Extrinsics::Refine => from_given_cameras(capture, given(), CameraFreedom::Adjusted, progress),
-    }
-}
-
+/// What may happen to the cameras from the second round on; to given ones from the first.
 fn freedom(options: &Options) -> CameraFreedom {
     if options.extrinsics == Extrinsics::Fixed { CameraFreedom::Held } else { CameraFreedom::Adjusted }
 }

@@ -83,6 +83,18 @@ fn quick() -> AdjustmentConfig {
 /// third in none.
 const N_ROUNDS: usize = 2;
 
+/// Cameras and who is who: from nothing, or from what the session gives; `given`: what may happen to cameras that it gives.
+///
+/// # Errors
+/// [`PipelineError::Canceled`].
+pub fn calibrated(capture: &Capture, given: CameraFreedom, progress: &Progress) -> Result<Calibration, PipelineError> {
+    if capture.options.extrinsics == Extrinsics::Estimate {
+        return estimate_cameras(capture, progress);
+    }
+    let cameras = capture.session.views.iter().map(|v| v.camera_from_world).collect();
+    from_given_cameras(capture, cameras, given, progress)
+}
+
 /// Estimates the cameras from nothing.
 ///
 /// # Errors
@@ -138,10 +150,9 @@ pub fn roughly_calibrated(
     cameras: Option<Vec<Option<Rigid>>>,
     progress: &Progress,
 ) -> Result<Calibration, PipelineError> {
-    let given = || capture.session.views.iter().map(|v| v.camera_from_world).collect();
     match cameras {
-        None if capture.options.extrinsics == Extrinsics::Estimate => estimate_cameras(capture, progress),
-        cameras => from_given_cameras(capture, cameras.unwrap_or_else(given), CameraFreedom::Held, progress),
+        Some(cameras) => from_given_cameras(capture, cameras, CameraFreedom::Held, progress),
+        None => calibrated(capture, CameraFreedom::Held, progress),
     }
 }
 
