@@ -29,6 +29,9 @@ const BONES: [(&str, &str, f64); 8] = [
     ("right_knee", "right_ankle", 0.405),
 ];
 
+/// Relative spread of a limb's length over single frames as detectors see it: 20 mm of noise at either end of 0.35 m.
+pub const LENGTH_SIGMA: f64 = 0.08;
+
 /// The limb bones of a convention; empty for none.
 pub fn limb_bones(convention: KeypointConvention) -> Vec<Bone> {
     let bone = |&(a, b, length): &(&str, &str, f64)| {

@@ -18,7 +18,7 @@ pub mod synchronisation;
 pub mod verdict;
 pub mod world_frame;
 
-use crate::body::bones::{Bone, limb_bones};
+use crate::body::bones::{Bone, LENGTH_SIGMA, limb_bones};
 use crate::body::{BodyModel, default_body};
 use crate::geometry::Rigid;
 use crate::matching::sightings::{ViewSightings, sightings};
@@ -191,15 +191,12 @@ pub struct Capture<'a> {
     pub adjusted_bones: Vec<bundle_adjustment::Bone>,
 }
 
-/// Relative spread of a limb's length over time as detectors see it: 20 mm of noise at either end of 0.35 m.
-const BONE_SIGMA: f64 = 0.08;
-
 impl<'a> Capture<'a> {
     /// Prepares a session.
     pub fn new(session: &'a Session, options: &'a Options) -> Self {
         let bones = limb_bones(session.convention);
         let adjusted_bones =
-            bones.iter().map(|b| bundle_adjustment::Bone { a: b.a, b: b.b, sigma: BONE_SIGMA }).collect();
+            bones.iter().map(|b| bundle_adjustment::Bone { a: b.a, b: b.b, sigma: LENGTH_SIGMA }).collect();
         Self { session, options, views: sightings(session), bones, adjusted_bones }
     }
 

@@ -5,6 +5,7 @@
 
 use super::Scene;
 use super::person::{Skeleton, TrackedPerson};
+use crate::body::bones::LENGTH_SIGMA;
 use crate::optim::robust::{NORMAL_SIGMA_OF_MAD, median_and_spread};
 use nalgebra::{DMatrix, DVector, Vector3};
 use std::collections::BTreeMap;
@@ -121,14 +122,12 @@ fn limbs(scene: &Scene, skeletons: &[Skeleton]) -> Vec<Option<(f64, f64)>> {
             skeletons.iter().flat_map(|s| twins().filter_map(move |b| ratio(s, b.a, b.b))).collect();
         let n_independent = (ratios.len() as f64 / (NOISE_MEMORY * scene.fps)).max(1.0);
         let (center, spread) = (!ratios.is_empty()).then(|| median_and_spread(&mut ratios))?;
-        let sigma = (NORMAL_SIGMA_OF_MAD * spread).max(if n_independent > 1.0 { 0.0 } else { GLIMPSE_SIGMA });
+        // A glimpse cannot measure the spread of a length.
+        let sigma = (NORMAL_SIGMA_OF_MAD * spread).max(if n_independent > 1.0 { 0.0 } else { LENGTH_SIGMA });
         Some((center, POSE_SIGMA * POSE_SIGMA + sigma * sigma / n_independent))
     };
     kinds.iter().map(of_kind).collect()
 }
-
-/// Spread of a limb's log length over single frames: 20 mm of noise at either end of 0.35 m. A glimpse cannot measure it.
-const GLIMPSE_SIGMA: f64 = 0.08;
 
 fn numbers(scene: &Scene, person: &TrackedPerson) -> Vec<BTreeMap<i64, usize>> {
     let mut numbers = vec![BTreeMap::new(); scene.views.len()];
