@@ -6,6 +6,7 @@ use wandless::evaluation::{EvaluationOptions, evaluate};
 use wandless::export::{ResultContext, write_result};
 use wandless::pipeline::{Options, reconstruct};
 use wandless::progress::Progress;
+use wandless::session::reconstruction::{Quality, Verdict};
 use wandless::session::upload::{UploadLimits, read_path};
 
 /// Bounds on one capture after a similarity alignment: mm, degrees.
@@ -34,6 +35,8 @@ fn captures_are_solved_from_nothing() {
         session.views.iter_mut().flat_map(|v| v.frames.iter_mut().flatten()).for_each(|d| d.track_id = None);
         let options = Options::default();
         let found = reconstruct(&session, &options, &Progress::silent()).unwrap();
+        let Quality { verdict, reasons } = &found.report.quality;
+        assert_eq!(*verdict, Verdict::Pass, "{}: {reasons:?}", bounds.capture);
         let result = tempfile::tempdir().unwrap();
         let context = ResultContext {
             input_sha256: "",

@@ -137,21 +137,26 @@ fn whitened(point: &Vector3<f64>, observation: &RayObservation<'_>) -> Option<(V
 
 /// Inliers and covariance of a point; `None` with fewer than two inliers or where they leave the point open.
 fn judge(point: &Vector3<f64>, observations: &[RayObservation<'_>]) -> Option<TriangulatedPoint> {
-    let mut information = Matrix3::zeros();
-    let mut inliers = vec![false; observations.len()];
-    for (inlier, observation) in inliers.iter_mut().zip(observations).filter(|(_, o)| is_usable(o)) {
-        if let Some((residual, jacobian)) = whitened(point, observation) {
-            *inlier = residual.norm_squared() < SCALE2;
-            if *inlier {
-                information += jacobian.tr_mul(&jacobian);
-            }
-        }
-    }
-    if inliers.iter().filter(|&&inlier| inlier).count() < 2 {
-        return None;
-    }
-    let covariance = information.cholesky()?.inverse();
+    let inliers: Vec<bool> = observations.iter().map(|o| is_usable(o) && squared_error(point, o) < SCALE2).collect();
+    let agreeing = observations.iter().zip(&inliers).filter(|(_, inlier)| **inlier).map(|(o, _)| o);
+    let covariance = covariance(point, agreeing)?;
     Some(TriangulatedPoint { point: *point, inliers, cost: robust_cost(point, observations), covariance })
+}
+
+/// Covariance of a point (m^2) that two observations or more agree on: `(sum J^T J / sigma^2)^-1`.
+///
+/// Backward transport of covariance, Hartley and Zisserman 2003, section 5.2. `None` with fewer than two observations in
+/// front of their cameras, or where they leave the point open. Exact cameras and independent errors are assumed.
+pub fn covariance<'a>(
+    point: &Vector3<f64>,
+    observations: impl Iterator<Item = &'a RayObservation<'a>>,
+) -> Option<Matrix3<f64>> {
+    let (mut information, mut n) = (Matrix3::zeros(), 0);
+    for (_, jacobian) in observations.filter_map(|observation| whitened(point, observation)) {
+        information += jacobian.tr_mul(&jacobian);
+        n += 1;
+    }
+    if n < 2 { None } else { Some(information.cholesky()?.inverse()) }
 }
 
 #[cfg(test)]

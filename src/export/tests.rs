@@ -101,6 +101,7 @@ fn reconstruction() -> Reconstruction {
         report: Report {
             detector: DetectorHabits::default(),
             consistency: None,
+            geometry: GeometryReport::default(),
             penetration: PenetrationReport::default(),
             stages: vec![],
             cameras: vec![],

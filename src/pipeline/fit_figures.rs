@@ -1,116 +1,181 @@
-//! How well the result meets what was seen: reprojection per camera and person, bone spread, jitter.
+//! How well the result meets what was seen, and how well that tells it: per camera, person and kind of keypoint.
+//!
+//! A keypoint's standard deviation in space is the noise of one ray times the dilution of the views that saw it. The noise
+//! is measured: per kind of keypoint, over all people, from how far its sightings lie from the result, in metres on the
+//! body. Known limits: cameras are taken as exact (their own standard deviations stand beside), errors of different views
+//! as independent, and a bias that all views share is invisible.
+
+mod sightings;
 
 use crate::body::bones::Bone;
 use crate::geometry::Rigid;
-use crate::optim::robust::median;
-use crate::session::reconstruction::{CameraReport, ErrorSummary, PersonReport};
+use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median, quantile};
+use crate::session::reconstruction::{
+    CameraReport, ErrorSummary, GeometryReport, KeypointReport, PersonReport, SigmaSummary,
+};
 use crate::session::recording::Session;
-use crate::session::{JointTrajectory, PersonTrack};
+use crate::session::{FrameIndex, JointTrajectory, PersonTrack};
+use nalgebra::Vector3;
+use sightings::{KeypointFigures, Misfits, PersonFigures, people_figures};
 
-/// Keypoints below this confidence are not judged.
-const MIN_CONFIDENCE: f64 = 0.3;
-
-/// A keypoint further from its reprojection than this is a wrong detection, rad (24 px at a focal length of 1,060 px): it
-/// is counted as rejected, not averaged.
-const EXPLAINED_RADIUS: f64 = 0.0225;
-
-/// Distances of explained keypoints, px, by view and by person.
-#[derive(Debug, Clone, Default)]
-pub struct Distances {
+/// A result against what was seen.
+#[derive(Debug, Clone)]
+pub struct FitFigures {
+    /// In the order of the tracks.
+    people: Vec<PersonFigures>,
+    /// By kind of keypoint: standard deviation of a sure ray, m on the body; `None` where no two views saw one.
+    ray_sigmas: Vec<Option<f64>>,
     /// By view.
-    pub by_view: Vec<Vec<f64>>,
-    /// By person, in the order of the tracks.
-    pub by_person: Vec<Vec<f64>>,
-    /// Detections given to each person.
-    pub n_detections: Vec<usize>,
+    views: Vec<Misfits>,
 }
 
-/// Reprojects all paths into all views that saw them.
-pub fn distances(
-    session: &Session,
-    cameras: &[Option<Rigid>],
-    tracks: &[PersonTrack],
-    paths: &[JointTrajectory],
-) -> Distances {
-    let mut found = Distances {
-        by_view: vec![Vec::new(); session.views.len()],
-        by_person: vec![Vec::new(); tracks.len()],
-        n_detections: vec![0; tracks.len()],
-    };
-    for (person, (track, path)) in tracks.iter().zip(paths).enumerate() {
-        for (t, claim) in track.detections.iter().enumerate() {
-            for (view, detection) in claim.iter().enumerate() {
-                let (Some(d), Some(camera)) = (detection, &cameras[view]) else { continue };
-                found.n_detections[person] += 1;
-                let intrinsics = &session.views[view].intrinsics;
-                let keypoints = &session.views[view].frames[track.first.0 + t][*d].keypoints;
-                for (point, keypoint) in path.points[t].iter().zip(keypoints) {
-                    let Some(point) = point.filter(|_| keypoint.confidence >= MIN_CONFIDENCE) else { continue };
-                    let Some(pixel) = intrinsics.pixel_from_camera(&camera.transform(&point)) else { continue };
-                    let distance = (pixel - keypoint.pixel).norm();
-                    if distance < EXPLAINED_RADIUS * intrinsics.focal() {
-                        found.by_view[view].push(distance);
-                        found.by_person[person].push(distance);
-                    }
-                }
-            }
-        }
+impl FitFigures {
+    /// Compares all paths (world, m) with all views that saw them.
+    pub fn new(
+        session: &Session,
+        cameras: &[Option<Rigid>],
+        tracks: &[PersonTrack],
+        paths: &[JointTrajectory],
+    ) -> Self {
+        let people = people_figures(session, cameras, tracks, paths);
+        let n_keypoints = people.first().map_or(0, |p| p.keypoints.len());
+        let ray_sigmas = (0..n_keypoints).map(|k| ray_sigma(people.iter().map(|p| &p.keypoints[k]))).collect();
+        let of_view =
+            |v: usize| Misfits::together(people.iter().flat_map(|p| &p.keypoints).map(move |k| &k.by_view[v]));
+        let views = (0..session.views.len()).map(of_view).collect();
+        Self { people, ray_sigmas, views }
     }
-    found
-}
 
-/// Mean and median; `None` of nothing.
-pub fn summary(values: &[f64]) -> Option<ErrorSummary> {
-    let mut sorted = values.to_vec();
-    let median = median(&mut sorted)?;
-    Some(ErrorSummary { mean: values.iter().sum::<f64>() / values.len() as f64, median })
-}
+    /// Reprojection of one view, px, and how many keypoints it is of.
+    pub fn of_view(&self, view: usize) -> (Option<ErrorSummary>, usize) {
+        (summary(&self.views[view].px), self.views[view].px.len())
+    }
 
-/// One line per camera.
-pub fn camera_reports(
-    session: &Session,
-    cameras: &[Option<Rigid>],
-    tracks: &[PersonTrack],
-    distances: &Distances,
-) -> Vec<CameraReport> {
-    let given = |view: usize| tracks.iter().flat_map(|t| &t.detections).filter(|claim| claim[view].is_some()).count();
-    session
-        .views
-        .iter()
-        .enumerate()
-        .map(|(v, view)| {
+    /// One line per camera.
+    pub fn camera_reports(
+        &self,
+        session: &Session,
+        cameras: &[Option<Rigid>],
+        tracks: &[PersonTrack],
+    ) -> Vec<CameraReport> {
+        let given =
+            |view: usize| tracks.iter().flat_map(|t| &t.detections).filter(|claim| claim[view].is_some()).count();
+        let report = |(v, view): (usize, &crate::session::View)| {
             let n_detections = view.frames.iter().map(Vec::len).sum();
             CameraReport {
                 id: view.id.clone(),
                 solved: cameras[v].is_some(),
                 n_detections,
                 n_rejected_detections: n_detections - given(v),
-                reprojection_px: summary(&distances.by_view[v]),
+                reprojection_px: summary(&self.views[v].px),
+                reprojection_mm: summary(&self.views[v].mm),
+                rejected_keypoints: self.views[v].rejected(),
                 time_offset: None,
+            }
+        };
+        session.views.iter().enumerate().map(report).collect()
+    }
+
+    /// One line per person.
+    pub fn person_reports(
+        &self,
+        session: &Session,
+        bones: &[Bone],
+        tracks: &[PersonTrack],
+        paths: &[JointTrajectory],
+    ) -> Vec<PersonReport> {
+        let rows = tracks.iter().zip(paths).zip(&self.people);
+        rows.map(|((track, path), figures)| {
+            let last = FrameIndex(track.first.0 + track.detections.len() - 1);
+            let misfits = figures.misfits();
+            PersonReport {
+                id: track.person.0,
+                first_frame: session.frame_number(track.first),
+                last_frame: session.frame_number(last),
+                n_detections: figures.n_detections,
+                reprojection_px: summary(&misfits.px),
+                reprojection_mm: summary(&misfits.mm),
+                share_in_two_views: figures.share_in_two_views,
+                sigma_mm: sigmas_mm(figures.keypoints.iter().zip(&self.ray_sigmas)),
+                ray_angle_deg: median_ray_angle_deg(figures.keypoints.iter()),
+                dilution: median_dilution(figures.keypoints.iter()),
+                keypoints: self.keypoint_reports(session, figures),
+                bone_length_spread: bone_spread(bones, path),
+                jitter_m_per_s2: mean_acceleration(path, session.fps),
             }
         })
         .collect()
+    }
+
+    fn keypoint_reports(&self, session: &Session, person: &PersonFigures) -> Vec<KeypointReport> {
+        let rows = session.convention.names().iter().zip(&person.keypoints).zip(&self.ray_sigmas);
+        rows.map(|((name, figures), ray_sigma)| {
+            let misfits = Misfits::together(figures.by_view.iter());
+            KeypointReport {
+                keypoint: (*name).to_owned(),
+                n_observations: misfits.n_sightings(),
+                rejected: misfits.rejected(),
+                reprojection_px: summary(&misfits.px),
+                reprojection_mm: summary(&misfits.mm),
+                sigma_mm: sigmas_mm(std::iter::once((figures, ray_sigma))),
+            }
+        })
+        .collect()
+    }
+
+    /// How well the views cover the people.
+    pub fn geometry_report(&self, paths: &[JointTrajectory]) -> GeometryReport {
+        let keypoints = || self.people.iter().flat_map(|p| &p.keypoints);
+        GeometryReport {
+            people_spread_m: people_spread(paths),
+            ray_angle_deg: median_ray_angle_deg(keypoints()),
+            dilution: median_dilution(keypoints()),
+        }
+    }
 }
 
-/// One line per person; `joints` (posed 24 joints over time, m) tell the jitter.
-pub fn person_report(
-    session: &Session,
-    bones: &[Bone],
-    track: &PersonTrack,
-    path: &JointTrajectory,
-    distances: &Distances,
-    person: usize,
-) -> PersonReport {
-    let last = track.first.0 + track.detections.len() - 1;
-    PersonReport {
-        id: track.person.0,
-        first_frame: session.frame_number(track.first),
-        last_frame: session.frame_number(crate::session::FrameIndex(last)),
-        n_detections: distances.n_detections[person],
-        reprojection_px: summary(&distances.by_person[person]),
-        bone_length_spread: bone_spread(bones, path),
-        jitter_m_per_s2: mean_acceleration(path, session.fps),
-    }
+/// Standard deviation of a sure ray of one kind of keypoint, m on the body, from everybody's errors.
+fn ray_sigma<'a>(people: impl Iterator<Item = &'a KeypointFigures>) -> Option<f64> {
+    let mut errors: Vec<f64> = people.flat_map(|k| &k.ray_errors).copied().collect();
+    Some(median(&mut errors)? / MEDIAN_LENGTH_IN_PLANE)
+}
+
+/// Standard deviations of points in space, mm, from their dilutions and the noise of a ray (m).
+fn sigmas_mm<'a>(keypoints: impl Iterator<Item = (&'a KeypointFigures, &'a Option<f64>)>) -> Option<SigmaSummary> {
+    let mut sigmas: Vec<f64> = keypoints
+        .filter_map(|(figures, ray_sigma)| Some((figures, (*ray_sigma)?)))
+        .flat_map(|(figures, ray_sigma)| figures.dilutions.iter().map(move |dilution| 1e3 * ray_sigma * dilution))
+        .collect();
+    Some(SigmaSummary { median: median(&mut sigmas)?, p95: quantile(&mut sigmas, 0.95)? })
+}
+
+fn median_dilution<'a>(keypoints: impl Iterator<Item = &'a KeypointFigures>) -> Option<f64> {
+    median(&mut keypoints.flat_map(|k| &k.dilutions).copied().collect::<Vec<_>>())
+}
+
+fn median_ray_angle_deg<'a>(keypoints: impl Iterator<Item = &'a KeypointFigures>) -> Option<f64> {
+    median(&mut keypoints.flat_map(|k| &k.ray_angles).copied().collect::<Vec<_>>()).map(f64::to_degrees)
+}
+
+/// Mean and median; `None` of nothing.
+fn summary(values: &[f64]) -> Option<ErrorSummary> {
+    let mut sorted = values.to_vec();
+    let median = median(&mut sorted)?;
+    Some(ErrorSummary { mean: values.iter().sum::<f64>() / values.len() as f64, median })
+}
+
+/// Root mean square distance of people's places (the mean of their points, frame by frame) from the mean of all, m.
+fn people_spread(paths: &[JointTrajectory]) -> Option<f64> {
+    let place = |points: &Vec<Option<Vector3<f64>>>| {
+        let known = points.iter().flatten();
+        let n = known.clone().count();
+        (n > 0).then(|| known.sum::<Vector3<f64>>() / n as f64)
+    };
+    let places: Vec<Vector3<f64>> = paths.iter().flat_map(|path| &path.points).filter_map(place).collect();
+    let n = places.len() as f64;
+    let mean = places.iter().sum::<Vector3<f64>>() / n;
+    let squared = places.iter().map(|place| (place - mean).norm_squared()).sum::<f64>() / n;
+    (!places.is_empty()).then(|| squared.sqrt())
 }
 
 /// Relative standard deviation of bone lengths over frames in which two views saw both ends, mean over bones.

@@ -172,7 +172,7 @@ impl Shares<'_> {
     }
 }
 
-/// What may happen to the cameras from the second round on; to given ones from the first.
+/// What may happen to cameras that have a place, given or found.
 fn freedom(options: &Options) -> CameraFreedom {
     if options.extrinsics == Extrinsics::Fixed { CameraFreedom::Held } else { CameraFreedom::Adjusted }
 }

@@ -4,7 +4,7 @@ use super::association::identities;
 use super::body_fit::{BodyFitConfig, BodyFitInput, FittedBodies, fit_bodies, landmark_trajectory};
 use super::calibration::Calibration;
 use super::config::Extrinsics;
-use super::fit_figures::{Distances, camera_reports, distances, person_report, summary};
+use super::fit_figures::FitFigures;
 use super::joint_trajectories::{Hold, TrajectoryConfig, TrajectoryInput, joint_trajectories};
 use super::verdict::{Evidence, quality};
 use super::world_frame::world_from_solution;
@@ -107,14 +107,14 @@ impl Findings {
                 path.points = landmark_trajectory(&detector_model, motion, capture.session.convention).points;
             }
         }
-        let distances = distances(capture.session, &self.calibration.cameras, &kept, &self.paths);
-        let report = Report { detector, penetration, ..self.report(capture, &kept, &distances) };
+        let figures = FitFigures::new(capture.session, &self.calibration.cameras, &kept, &self.paths);
+        let report = Report { detector, ..self.report(capture, &kept, &figures, penetration) };
         let mut keypoints = std::mem::take(&mut self.paths);
         for (path, motion) in keypoints.iter_mut().zip(&motions) {
             fill_from_body(path, &landmark_trajectory(&detector_model, motion, capture.session.convention));
         }
         Ok(Reconstruction {
-            cameras: self.solved_cameras(&distances),
+            cameras: self.solved_cameras(&figures),
             keypoints,
             motions,
             identities: identities(capture.session, &kept),
@@ -138,47 +138,53 @@ impl Findings {
         of_camera.filter(|up| !is_known && up.angle(&axis) > MAX_CAMERA_TILT).unwrap_or(axis)
     }
 
-    fn solved_cameras(&self, distances: &Distances) -> Vec<SolvedCamera> {
+    fn solved_cameras(&self, figures: &FitFigures) -> Vec<SolvedCamera> {
         let uncertainty = |v: usize| self.calibration.adjusted.as_ref().and_then(|a| a.cameras[v].uncertainty);
         self.calibration
             .cameras
             .iter()
             .enumerate()
-            .map(|(v, camera)| SolvedCamera {
-                camera_from_world: *camera,
-                reprojection_px: summary(&distances.by_view[v]),
-                n_observations: distances.by_view[v].len(),
-                sigma_position_mm: uncertainty(v).map(|u| 1e3 * u.sigma_position * self.metres_per_unit),
-                sigma_angle_deg: uncertainty(v).map(|u| u.sigma_angle.to_degrees()),
-                time_offset: None,
-                focal_factor: None,
+            .map(|(v, camera)| {
+                let (reprojection_px, n_observations) = figures.of_view(v);
+                SolvedCamera {
+                    camera_from_world: *camera,
+                    reprojection_px,
+                    n_observations,
+                    sigma_position_mm: uncertainty(v).map(|u| 1e3 * u.sigma_position * self.metres_per_unit),
+                    sigma_angle_deg: uncertainty(v).map(|u| u.sigma_angle.to_degrees()),
+                    time_offset: None,
+                    focal_factor: None,
+                }
             })
             .collect()
     }
 
-    fn report(&self, capture: &Capture, tracks: &[PersonTrack], distances: &Distances) -> Report {
+    fn report(
+        &self,
+        capture: &Capture,
+        tracks: &[PersonTrack],
+        figures: &FitFigures,
+        penetration: PenetrationReport,
+    ) -> Report {
         let session = capture.session;
-        let cameras = camera_reports(session, &self.calibration.cameras, tracks, distances);
-        let people = tracks
-            .iter()
-            .zip(&self.paths)
-            .enumerate()
-            .map(|(i, (track, path))| person_report(session, &capture.bones, track, path, distances, i))
-            .collect();
+        let cameras = figures.camera_reports(session, &self.calibration.cameras, tracks);
+        let people = figures.person_reports(session, &capture.bones, tracks, &self.paths);
+        let geometry = figures.geometry_report(&self.paths);
         let n_detections: usize = cameras.iter().map(|c| c.n_detections).sum();
         let n_rejected: usize = cameras.iter().map(|c| c.n_rejected_detections).sum();
         let adjusted = self.calibration.adjusted.as_ref();
         let sigmas =
             adjusted.map(|a| a.cameras.iter().filter_map(|c| c.uncertainty).map(|u| u.sigma_angle.to_degrees()));
-        let placed: Vec<bool> = self.calibration.cameras.iter().map(Option::is_some).collect();
-        let track_secs: Vec<f64> = tracks.iter().map(|t| t.detections.len() as f64 / session.fps).collect();
         let evidence = Evidence {
-            session,
-            placed: &placed,
+            fps: session.fps,
+            cameras: &cameras,
+            people: &people,
+            geometry: &geometry,
+            penetration: &penetration,
+            gave_way: capture.options.collision,
             explained: self.calibration.association.explained,
             sigma_angle_deg: sigmas.and_then(|s| s.reduce(f64::max)),
             rival_explained: self.calibration.rival_explained,
-            track_secs: &track_secs,
             estimated: capture.options.extrinsics == Extrinsics::Estimate,
         };
         Report {
@@ -186,11 +192,12 @@ impl Findings {
             quality: quality(&evidence),
             cameras,
             people,
+            geometry,
             heldout_px: self.heldout_px,
             scale: self.scale.clone(),
             detector: DetectorHabits::default(),
             consistency: None,
-            penetration: PenetrationReport::default(),
+            penetration,
             rejected_detections: n_rejected as f64 / n_detections.max(1) as f64,
             keypoints_from: match session.views.len() {
                 1 => "body landmarks",

@@ -269,7 +269,8 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
         report: Report {
             detector: Default::default(),
             consistency: None,
-            penetration: wandless::session::reconstruction::PenetrationReport::default(),
+            geometry: Default::default(),
+            penetration: Default::default(),
             stages: Vec::new(),
             cameras: Vec::new(),
             people: Vec::new(),

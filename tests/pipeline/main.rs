@@ -5,6 +5,7 @@ mod edge_cases;
 mod one_view;
 mod presets;
 mod synchronisation;
+mod verdicts;
 
 use wandless::evaluation::camera_error::{camera_pairs, relative_camera_error};
 use wandless::pipeline::{Options, reconstruct};

@@ -94,6 +94,23 @@ export interface Summary {
   median: number
 }
 
+/** Standard deviations. */
+export interface SigmaSummary {
+  median: number
+  p95: number
+}
+
+/** Figures of one kind of keypoint of one person. */
+export interface KeypointFigures {
+  keypoint: string
+  n_observations: number
+  rejected: number
+  reprojection_px: Summary | null
+  reprojection_mm: Summary | null
+  sigma_mm: SigmaSummary | null
+}
+
+/** What is optional is not in the reports of earlier versions. */
 export interface Report {
   stages: {
     stage: string
@@ -109,6 +126,8 @@ export interface Report {
     n_detections: number
     n_rejected_detections: number
     reprojection_px: Summary | null
+    reprojection_mm?: Summary | null
+    rejected_keypoints?: number
   }[]
   people: {
     id: number
@@ -116,10 +135,17 @@ export interface Report {
     last_frame: number
     n_detections: number
     reprojection_px: Summary | null
+    reprojection_mm?: Summary | null
+    share_in_two_views?: number
+    sigma_mm?: SigmaSummary | null
+    ray_angle_deg?: number | null
+    dilution?: number | null
+    keypoints?: KeypointFigures[]
     bone_length_spread: number | null
     jitter_m_per_s2: number | null
   }[]
   consistency: { ambiguous_frames: number; pairs: ConsistencyPair[] } | null
+  geometry?: { people_spread_m: number | null; ray_angle_deg: number | null; dilution: number | null }
   heldout_px: number | null
   scale: { value: number; interval95: [number, number]; evidence: string } | null
   rejected_detections: number

@@ -44,6 +44,7 @@ export async function reportPage(job: Job, signal: AbortSignal): Promise<HTMLEle
       })))),
     cameraTable(report, motion),
     peopleTable(report),
+    keypointTable(report),
     consistencyTable(report),
     stageTable(report, job))
 }
@@ -80,11 +81,12 @@ function figures(report: Report, motion: Motion | null) {
 }
 
 function cameraTable(report: Report, motion: Motion | null) {
-  return table('Cameras', ['Camera', 'Position known to', 'Direction known to', 'Median', 'Mean', 'Detections', 'Rejected'],
+  return table('Cameras', ['Camera', 'Position known to', 'Direction known to', 'Median', 'Mean', 'Median on the body', 'Keypoints rejected', 'Detections', 'Rejected'],
     report.cameras.map((camera) => {
       const posed = motion?.cameras.find(({ id }) => id === camera.id)
       return [camera.id, known(millimetres(posed?.sigma_position_mm)), known(degrees(posed?.sigma_angle_deg)),
-        px(camera.reprojection_px?.median, 2), px(camera.reprojection_px?.mean, 2), camera.n_detections, camera.n_rejected_detections]
+        px(camera.reprojection_px?.median, 2), px(camera.reprojection_px?.mean, 2), millimetres(camera.reprojection_mm?.median), percent(camera.rejected_keypoints, 1),
+        camera.n_detections, camera.n_rejected_detections]
     }))
 }
 
@@ -93,10 +95,22 @@ function known(text: string) {
 }
 
 function peopleTable(report: Report) {
-  return table('People', ['Person', 'Frames', 'Median', 'Mean', 'Bone lengths vary by', 'Mean acceleration', 'Detections'],
+  return table('People', ['Person', 'Frames', 'In two cameras', 'Median', 'Mean', 'Keypoints known to', 'Bone lengths vary by', 'Mean acceleration', 'Detections'],
     report.people.map((person) => [`Person ${person.id}`, `${person.first_frame} to ${person.last_frame}`,
-      px(person.reprojection_px?.median, 2), px(person.reprojection_px?.mean, 2), percent(person.bone_length_spread, 1),
+      percent(person.share_in_two_views), px(person.reprojection_px?.median, 2), px(person.reprojection_px?.mean, 2),
+      known(millimetres(person.sigma_mm?.median)), percent(person.bone_length_spread, 1),
       acceleration(person.jitter_m_per_s2), person.n_detections]))
+}
+
+/** Keypoint by keypoint: distance from what was seen, on the body, and how well the place in space is known. */
+function keypointTable({ people }: Report) {
+  const names = people[0]?.keypoints?.map(({ keypoint }) => keypoint) ?? []
+  if (names.length === 0) return null
+  return table('Keypoints: median error on the body, known to', ['Keypoint', ...people.map(({ id }) => `Person ${id}`)],
+    names.map((name, i) => [words(name), ...people.map(({ keypoints }) => {
+      const figures = keypoints?.[i]
+      return `${millimetres(figures?.reprojection_mm?.median)}, ${known(millimetres(figures?.sigma_mm?.median))}`
+    })]))
 }
 
 /** Camera by camera, all people together; the scene shows each of them where it happened. */

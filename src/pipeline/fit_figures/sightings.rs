@@ -1,0 +1,326 @@
+//! What was seen of every keypoint, against where the result puts it, and how well those views place it.
+
+use crate::estimation::triangulation::{RayObservation, covariance};
+use crate::geometry::Rigid;
+use crate::session::recording::{Detection, Session, View};
+use crate::session::{JointTrajectory, PersonTrack};
+use nalgebra::Vector3;
+use rayon::prelude::*;
+
+/// Keypoints below this confidence are not judged.
+const MIN_CONFIDENCE: f64 = 0.3;
+
+/// A keypoint further from its reprojection than this is a wrong detection, rad (24 px at a focal length of 1,060 px): it
+/// is counted as rejected, not averaged.
+const EXPLAINED_RADIUS: f64 = 0.0225;
+
+/// Sightings against their reprojections.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Misfits {
+    /// Distances of explained sightings, px.
+    pub(super) px: Vec<f64>,
+    /// The same at the point's depth, mm: `px * depth / focal`.
+    pub(super) mm: Vec<f64>,
+    /// Sightings that are not explained.
+    pub(super) n_rejected: usize,
+}
+
+impl Misfits {
+    /// All of several.
+    pub(super) fn together<'a>(parts: impl Iterator<Item = &'a Self>) -> Self {
+        parts.fold(Self::default(), |mut sum, part| {
+            sum.px.extend_from_slice(&part.px);
+            sum.mm.extend_from_slice(&part.mm);
+            sum.n_rejected += part.n_rejected;
+            sum
+        })
+    }
+
+    /// Explained or not.
+    pub(super) fn n_sightings(&self) -> usize {
+        self.px.len() + self.n_rejected
+    }
+
+    /// Share of sightings that are not explained, 0 to 1.
+    pub(super) fn rejected(&self) -> f64 {
+        self.n_rejected as f64 / self.n_sightings().max(1) as f64
+    }
+}
+
+/// One kind of keypoint of one person.
+#[derive(Debug, Clone)]
+pub(super) struct KeypointFigures {
+    /// By view.
+    pub(super) by_view: Vec<Misfits>,
+    /// Per frame in which two views or more agree: standard deviation in space (root of the trace of the covariance) over
+    /// that of one sure ray. The position dilution of precision of satellite navigation.
+    pub(super) dilutions: Vec<f64>,
+    /// Per such frame: angle under which two rays cross, of the pair nearest to a right angle, 0 to pi/2.
+    pub(super) ray_angles: Vec<f64>,
+    /// Explained distances of such frames as errors of one ray before the point was fitted to it, m on the body; of a
+    /// sure sighting.
+    pub(super) ray_errors: Vec<f64>,
+}
+
+/// One person.
+#[derive(Debug, Clone)]
+pub(super) struct PersonFigures {
+    /// By keypoint.
+    pub(super) keypoints: Vec<KeypointFigures>,
+    /// Detections in placed views.
+    pub(super) n_detections: usize,
+    /// Share of the track's frames in which at least two placed views saw the person.
+    pub(super) share_in_two_views: f64,
+}
+
+impl PersonFigures {
+    /// Everything seen of the person.
+    pub(super) fn misfits(&self) -> Misfits {
+        Misfits::together(self.keypoints.iter().flat_map(|k| &k.by_view))
+    }
+}
+
+/// Compares all paths with all views that saw them; people in the order of the tracks.
+pub(super) fn people_figures(
+    session: &Session,
+    cameras: &[Option<Rigid>],
+    tracks: &[PersonTrack],
+    paths: &[JointTrajectory],
+) -> Vec<PersonFigures> {
+    let people = tracks.par_iter().zip(paths);
+    people.map(|(track, path)| person_figures(session, cameras, track, path)).collect()
+}
+
+fn person_figures(
+    session: &Session,
+    cameras: &[Option<Rigid>],
+    track: &PersonTrack,
+    path: &JointTrajectory,
+) -> PersonFigures {
+    let nothing = KeypointFigures {
+        by_view: vec![Misfits::default(); session.views.len()],
+        dilutions: Vec::new(),
+        ray_angles: Vec::new(),
+        ray_errors: Vec::new(),
+    };
+    let mut keypoints = vec![nothing; path.points.first().map_or(0, Vec::len)];
+    let (mut n_detections, mut n_in_two_views) = (0, 0);
+    for (t, (claim, points)) in track.detections.iter().zip(&path.points).enumerate() {
+        let sightings = placed_sightings(session, cameras, claim, track.first.0 + t);
+        n_detections += sightings.len();
+        n_in_two_views += usize::from(sightings.len() >= 2);
+        for (k, (point, figures)) in points.iter().zip(&mut keypoints).enumerate() {
+            if let Some(point) = point {
+                figures.add(point, sightings.iter().filter_map(|s| s.ray(k, point)).collect());
+            }
+        }
+    }
+    let share_in_two_views = n_in_two_views as f64 / track.detections.len().max(1) as f64;
+    PersonFigures { keypoints, n_detections, share_in_two_views }
+}
+
+/// A person's detection in a placed view.
+struct PlacedSighting<'a> {
+    index: usize,
+    view: &'a View,
+    camera: &'a Rigid,
+    detection: &'a Detection,
+}
+
+fn placed_sightings<'a>(
+    session: &'a Session,
+    cameras: &'a [Option<Rigid>],
+    claim: &[Option<usize>],
+    frame: usize,
+) -> Vec<PlacedSighting<'a>> {
+    let views = session.views.iter().zip(cameras).zip(claim).enumerate();
+    views
+        .filter_map(|(index, ((view, camera), detection))| {
+            let (camera, detection) = (camera.as_ref()?, &view.frames[frame][(*detection)?]);
+            Some(PlacedSighting { index, view, camera, detection })
+        })
+        .collect()
+}
+
+/// One confident sighting of a point.
+struct Ray<'a> {
+    view: usize,
+    /// Its standard deviation is that of an error of 1 m on the body, px: more where the detector is less sure.
+    observation: RayObservation<'a>,
+    distance_px: f64,
+    /// Metres at the point's depth per pixel.
+    metres_per_px: f64,
+}
+
+impl<'a> PlacedSighting<'a> {
+    fn ray(&self, keypoint: usize, point: &Vector3<f64>) -> Option<Ray<'a>> {
+        let seen = self.detection.keypoints.get(keypoint).filter(|k| k.confidence >= MIN_CONFIDENCE)?;
+        let intrinsics = &self.view.intrinsics;
+        let in_camera = self.camera.transform(point);
+        let distance_px = (intrinsics.pixel_from_camera(&in_camera)? - seen.pixel).norm();
+        let metres_per_px = in_camera.z / intrinsics.focal();
+        let sigma_px = 1.0 / (metres_per_px * seen.confidence.sqrt());
+        let observation = RayObservation { camera_from_world: self.camera, intrinsics, pixel: seen.pixel, sigma_px };
+        Some(Ray { view: self.index, observation, distance_px, metres_per_px })
+    }
+}
+
+impl Ray<'_> {
+    fn is_explained(&self) -> bool {
+        self.distance_px < EXPLAINED_RADIUS * self.observation.intrinsics.focal()
+    }
+
+    /// Unit vector from the camera to the point.
+    fn direction_to(&self, point: &Vector3<f64>) -> Vector3<f64> {
+        (point - self.observation.camera_from_world.center()).normalize()
+    }
+}
+
+impl KeypointFigures {
+    /// Takes in one frame's sightings of a point.
+    fn add(&mut self, point: &Vector3<f64>, mut rays: Vec<Ray>) {
+        for ray in &rays {
+            let misfits = &mut self.by_view[ray.view];
+            if ray.is_explained() {
+                misfits.px.push(ray.distance_px);
+                misfits.mm.push(1e3 * ray.distance_px * ray.metres_per_px);
+            } else {
+                misfits.n_rejected += 1;
+            }
+        }
+        rays.retain(Ray::is_explained);
+        let Some(of_unit_rays) = covariance(point, rays.iter().map(|ray| &ray.observation)) else { return };
+        self.dilutions.push(of_unit_rays.trace().sqrt());
+        self.ray_angles.push(widest_crossing(point, &rays));
+        let freed = before_the_fit(rays.len());
+        self.ray_errors.extend(rays.iter().map(|ray| freed * ray.distance_px / ray.observation.sigma_px));
+    }
+}
+
+/// What residuals of a point that `n` views placed are short of their errors: of `2 n` numbers the point takes up three,
+/// so `sqrt(1 - 3 / 2n)` of the error is left (Hartley and Zisserman 2003, result 5.1).
+fn before_the_fit(n: usize) -> f64 {
+    (1.0 - 1.5 / n as f64).sqrt().recip()
+}
+
+/// Angle under which two of the rays to a point cross, of the pair nearest to a right angle, 0 to pi/2.
+fn widest_crossing(point: &Vector3<f64>, rays: &[Ray]) -> f64 {
+    let directions: Vec<Vector3<f64>> = rays.iter().map(|ray| ray.direction_to(point)).collect();
+    let pairs = directions.iter().enumerate().flat_map(|(i, a)| directions[..i].iter().map(move |b| a.dot(b).abs()));
+    pairs.fold(1.0, f64::min).acos()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimation::triangulation::triangulate_robust;
+    use crate::geometry::{Distortion, Intrinsics, rotation};
+    use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
+    use nalgebra::Vector2;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, Normal};
+
+    const LENS: Intrinsics = Intrinsics {
+        width: 1280,
+        height: 720,
+        fx: 1000.0,
+        fy: 1000.0,
+        cx: 640.0,
+        cy: 360.0,
+        skew: 0.0,
+        dist: Distortion::None,
+    };
+
+    /// Cameras that look at the origin from 4 m, by their angles about the upright, degrees.
+    fn cameras(angles_deg: &[f64]) -> Vec<Rigid> {
+        let turn = |angle: &f64| rotation::exp(&(Vector3::y() * angle.to_radians()));
+        angles_deg.iter().map(|a| Rigid { rotation: turn(a), translation: Vector3::z() * 4.0 }).collect()
+    }
+
+    /// Sure sightings of `point` at these pixels.
+    fn rays<'a>(cameras: &'a [Rigid], pixels: &[Vector2<f64>], point: &Vector3<f64>) -> Vec<Ray<'a>> {
+        let ray = |(view, (camera, pixel)): (usize, (&'a Rigid, &Vector2<f64>))| {
+            let in_camera = camera.transform(point);
+            let metres_per_px = in_camera.z / LENS.focal();
+            let observation = RayObservation {
+                camera_from_world: camera,
+                intrinsics: &LENS,
+                pixel: *pixel,
+                sigma_px: metres_per_px.recip(),
+            };
+            let distance_px = (LENS.pixel_from_camera(&in_camera).unwrap() - pixel).norm();
+            Ray { view, observation, distance_px, metres_per_px }
+        };
+        cameras.iter().zip(pixels).enumerate().map(ray).collect()
+    }
+
+    fn figures(n_views: usize) -> KeypointFigures {
+        let by_view = vec![Misfits::default(); n_views];
+        KeypointFigures { by_view, dilutions: Vec::new(), ray_angles: Vec::new(), ray_errors: Vec::new() }
+    }
+
+    #[test]
+    fn two_rays_dilute_as_their_angle_says() {
+        for (angle_deg, folded_deg) in [(90.0, 90.0), (30.0, 30.0), (170.0, 10.0)] {
+            let cameras = cameras(&[0.0, angle_deg]);
+            let mut found = figures(2);
+            let middle = [Vector2::new(LENS.cx, LENS.cy); 2];
+            found.add(&Vector3::zeros(), rays(&cameras, &middle, &Vector3::zeros()));
+            // Information of two planes across the rays: 2, 1 + cos a, 1 - cos a.
+            let cosine = f64::to_radians(angle_deg).cos();
+            let expected = (0.5 + 1.0 / (1.0 + cosine) + 1.0 / (1.0 - cosine)).sqrt();
+            assert!((found.dilutions[0] / expected - 1.0).abs() < 1e-9, "{angle_deg}");
+            assert!((found.ray_angles[0].to_degrees() - folded_deg).abs() < 1e-6, "{angle_deg}");
+        }
+    }
+
+    #[test]
+    fn the_stated_sigma_is_the_scatter_of_the_points() {
+        const SIGMA_PX: f64 = 4.0;
+        let cameras = cameras(&[0.0, 60.0, 130.0, 200.0]);
+        let noise = Normal::new(0.0, SIGMA_PX).unwrap();
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let mut found = figures(cameras.len());
+        let (mut squared, n) = (0.0, 2000);
+        for _ in 0..n {
+            let pixels: Vec<Vector2<f64>> = cameras
+                .iter()
+                .map(|_| Vector2::new(LENS.cx + noise.sample(&mut rng), LENS.cy + noise.sample(&mut rng)))
+                .collect();
+            let observations: Vec<RayObservation> = rays(&cameras, &pixels, &Vector3::zeros())
+                .iter()
+                .map(|ray| RayObservation { sigma_px: 3.0 * SIGMA_PX, ..ray.observation })
+                .collect();
+            let point = triangulate_robust(&observations).unwrap().point;
+            squared += point.norm_squared();
+            found.add(&point, rays(&cameras, &pixels, &point));
+        }
+        let scatter = (squared / n as f64).sqrt();
+        let ray_sigma = median(&mut found.ray_errors).unwrap() / MEDIAN_LENGTH_IN_PLANE;
+        assert!((ray_sigma / (SIGMA_PX * 4.0 / 1000.0) - 1.0).abs() < 0.05, "{ray_sigma} m");
+        let stated = ray_sigma * median(&mut found.dilutions).unwrap();
+        assert!((stated / scatter - 1.0).abs() < 0.06, "{stated} m stated, {scatter} m found");
+        assert_eq!(found.by_view[0].n_rejected, 0);
+    }
+
+    #[test]
+    fn far_sightings_are_rejected_and_place_nothing() {
+        let cameras = cameras(&[0.0, 90.0]);
+        let mut found = figures(2);
+        let pixels = [Vector2::new(LENS.cx, LENS.cy), Vector2::new(LENS.cx + 30.0, LENS.cy)];
+        found.add(&Vector3::zeros(), rays(&cameras, &pixels, &Vector3::zeros()));
+        assert_eq!((found.by_view[0].px.len(), found.by_view[1].n_rejected), (1, 1));
+        assert!(found.dilutions.is_empty());
+        assert_eq!(Misfits::together(found.by_view.iter()).rejected(), 0.5);
+    }
+
+    #[test]
+    fn millimetres_are_those_at_the_depth_of_the_point() {
+        let cameras = cameras(&[0.0, 90.0]);
+        let mut found = figures(2);
+        let pixels = [Vector2::new(LENS.cx + 10.0, LENS.cy), Vector2::new(LENS.cx, LENS.cy)];
+        found.add(&Vector3::zeros(), rays(&cameras, &pixels, &Vector3::zeros()));
+        assert!((found.by_view[0].mm[0] - 40.0).abs() < 1e-9, "10 px at 4 m and 1000 px");
+    }
+}
