@@ -43,6 +43,13 @@ pub struct OffsetKind {
     pub prior_sigma: Vector3<f64>,
 }
 
+impl OffsetKind {
+    /// Whether it belongs to no side, so that its offset has none either.
+    pub fn is_in_the_middle(&self) -> bool {
+        self.prior_sigma.x <= MIDDLE_SIGMA_M
+    }
+}
+
 /// Which offset moves a landmark.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Carried {

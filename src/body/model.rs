@@ -90,6 +90,15 @@ impl BodyModel {
         }
     }
 
+    /// The same skin about other joints: every rest joint moved by its own of `shifts`, m.
+    ///
+    /// Landmarks on the skin stay where they are at rest, those that are joints move along.
+    pub fn with_joints_moved(&self, shifts: &[Vector3<f64>; N_JOINTS]) -> Self {
+        let rest_joints = std::array::from_fn(|j| self.rest_joints[j] + shifts[j]);
+        let landmarks = landmarks(&self.surface, &rest_joints, &self.shape_directions);
+        Self { rest_joints, landmarks, ..self.clone() }
+    }
+
     /// Index of a landmark by keypoint name.
     pub fn landmark_index(&self, name: &str) -> Option<usize> {
         self.landmarks.iter().position(|l| l.name == name)
@@ -136,6 +145,22 @@ pub fn chain_to_root(joint: usize) -> impl Iterator<Item = usize> {
 #[cfg(test)]
 mod tests {
     use super::super::default_body::default_body;
+    use super::super::kinematics::{Pose, landmark_position, posed};
+    use super::*;
+
+    #[test]
+    fn other_joints_leave_the_skin_at_rest_where_it_is() {
+        let model = default_body();
+        assert_eq!(model.with_joints_moved(&[Vector3::zeros(); N_JOINTS]), model);
+        let shift = Vector3::new(0.01, -0.02, 0.03);
+        let moved = model.with_joints_moved(&[shift; N_JOINTS]);
+        let place = |model: &BodyModel, name: &str| {
+            let body = model.shaped(&Betas::repeat(0.5));
+            landmark_position(model, &body, &posed(&body, &Pose::rest()), model.landmark_index(name).unwrap())
+        };
+        assert!((place(&moved, "left_heel") - place(&model, "left_heel")).norm() < 1e-12);
+        assert!((place(&moved, "left_knee") - place(&model, "left_knee") - shift).norm() < 1e-12);
+    }
 
     #[test]
     fn every_number_is_in_the_fingerprint() {

@@ -4,12 +4,16 @@ mod ablation;
 mod bodies;
 mod fuzz;
 mod kinematics;
+mod markers;
 mod rigs;
+mod table;
 
 use super::BadInput;
 use super::solve::use_threads;
+use crate::geometry::Rigid;
 use crate::pipeline::{Options, PipelineError, reconstruct};
 use crate::progress::{Progress, ProgressEvent};
+use crate::session::Reconstruction;
 use crate::session::upload::{UploadLimits, read_path};
 use kinematics::poses_a_second;
 use std::path::PathBuf;
@@ -44,6 +48,8 @@ enum Bench {
     Bodies(bodies::BodiesArgs),
     /// What each part of the method is worth on sessions with truth: a table as Markdown and as JSON
     Ablation(ablation::AblationArgs),
+    /// Markers on the true and the fitted skin of two people who dance, with 1 to 12 cameras: a table as Markdown and as JSON
+    Markers(markers::MarkersArgs),
     /// Seconds per stage on one session, frames x views x people a second and core, and the rates of fit and kinematics
     Speed {
         /// Session: a folder, a zip or a JSON document
@@ -68,6 +74,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
             bodies::run(&args)
         }
         Bench::Ablation(args) => ablation::run(&args),
+        Bench::Markers(args) => markers::run(&args),
         Bench::Speed { session, threads } => {
             use_threads(threads);
             speed(session)
@@ -120,4 +127,10 @@ fn speed(session: PathBuf) -> anyhow::Result<()> {
     println!("body fit: {:.0} person-frames a second and core", fitted as f64 / fit_seconds / cores as f64);
     println!("kinematics with 26 landmarks and derivatives: {:.0} poses a second and core", poses_a_second());
     Ok(())
+}
+
+/// The cameras that were found, and the true ones of the same views; `camera_from_world`.
+fn paired_cameras(found: &Reconstruction, truth: &[Rigid]) -> (Vec<Rigid>, Vec<Rigid>) {
+    let pairs = found.cameras.iter().zip(truth);
+    pairs.filter_map(|(solved, truth)| Some((solved.camera_from_world?, *truth))).unzip()
 }

@@ -43,9 +43,15 @@ pub(super) struct Args {
     /// People are default bodies of random shapes instead of the simulator's own
     #[arg(long)]
     default_bodies: bool,
+    /// The same, but for joints that lie elsewhere inside the skin and a detector with habits
+    #[arg(long, conflicts_with = "default_bodies")]
+    individual_bodies: bool,
     /// People walk, turn, crouch, sit, reach and gesture by rule, instead of as the motion prior draws them
     #[arg(long, conflicts_with = "motion")]
     procedural: bool,
+    /// Two people dance within arms' reach
+    #[arg(long, conflicts_with_all = ["motion", "procedural"])]
+    dance: bool,
     /// Motion files in AMASS's layout, one a person, instead of motion drawn from the prior
     #[arg(long, num_args = 1..)]
     motion: Vec<PathBuf>,
@@ -126,7 +132,14 @@ fn config(args: &Args) -> SimulationConfig {
     if args.default_bodies {
         config.bodies = Bodies::Default;
     }
-    config.motion = if args.procedural { MotionSource::Procedural } else { MotionSource::Prior };
+    if args.individual_bodies {
+        config.bodies = Bodies::Individual;
+    }
+    config.motion = match args {
+        Args { procedural: true, .. } => MotionSource::Procedural,
+        Args { dance: true, .. } => MotionSource::Dance,
+        _ => MotionSource::Prior,
+    };
     if !args.motion.is_empty() {
         config.people = args.motion.len();
         config.motion = MotionSource::Files(args.motion.clone());

@@ -14,6 +14,8 @@ pub enum Alignment {
     Sim3,
     /// Rotation to the orientations (chordal mean), then translation to the centres. Needs one camera.
     RigidPose,
+    /// Rotation to the orientations (chordal mean), then translation and scale to the centres. Needs two cameras.
+    Sim3Pose,
     /// Nothing: both worlds are one already.
     None,
 }
@@ -25,6 +27,7 @@ impl Alignment {
             Self::Rigid => "rigid",
             Self::Sim3 => "sim3",
             Self::RigidPose => "rigid_pose",
+            Self::Sim3Pose => "sim3_pose",
             Self::None => "none",
         }
     }
@@ -46,11 +49,8 @@ pub fn truth_from_solved(solved: &[Rigid], truth: &[Rigid], alignment: Alignment
     match alignment {
         Alignment::Rigid => align_points(&source, &target, Scale::One),
         Alignment::Sim3 => align_points(&source, &target, Scale::Free),
-        Alignment::RigidPose => {
-            let sum: Matrix3<f64> = solved.iter().zip(truth).map(|(s, t)| t.rotation.transpose() * s.rotation).sum();
-            let rotation = best_rotation(&sum).rotation;
-            Similarity { scale: 1.0, rotation, translation: mean(&target) - rotation * mean(&source) }
-        }
+        Alignment::RigidPose => align_turned(&mean_turn(solved, truth), &source, &target, Scale::One),
+        Alignment::Sim3Pose => align_turned(&mean_turn(solved, truth), &source, &target, Scale::Free),
         Alignment::None => align_points(&[], &[], Scale::One),
     }
 }
@@ -80,6 +80,22 @@ pub fn align_points(source: &[Vector3<f64>], target: &[Vector3<f64>], scale: Sca
     let fit = best_rotation(&covariance);
     let scale = if scale == Scale::Free && spread > 0.0 { fit.trace / spread } else { 1.0 };
     Similarity { scale, rotation: fit.rotation, translation: target_mean - fit.rotation * source_mean * scale }
+}
+
+/// The rotation `truth_from_solved` on which cameras agree by their orientations.
+fn mean_turn(solved: &[Rigid], truth: &[Rigid]) -> Matrix3<f64> {
+    let sum: Matrix3<f64> = solved.iter().zip(truth).map(|(s, t)| t.rotation.transpose() * s.rotation).sum();
+    best_rotation(&sum).rotation
+}
+
+/// [`align_points`] where the rotation is known: `s = sum y_i^T Q x_i / |X|^2` of the centred points.
+fn align_turned(rotation: &Matrix3<f64>, source: &[Vector3<f64>], target: &[Vector3<f64>], scale: Scale) -> Similarity {
+    let (source_mean, target_mean) = (mean(source), mean(target));
+    let pairs = || source.iter().zip(target).map(|(x, y)| (rotation * (x - source_mean), y - target_mean));
+    let spread: f64 = pairs().map(|(x, _)| x.norm_squared()).sum();
+    let fitted: f64 = pairs().map(|(x, y)| y.dot(&x)).sum();
+    let scale = if scale == Scale::Free && spread > 0.0 { fitted / spread } else { 1.0 };
+    Similarity { scale, rotation: *rotation, translation: target_mean - rotation * source_mean * scale }
 }
 
 fn mean(points: &[Vector3<f64>]) -> Vector3<f64> {
@@ -136,6 +152,18 @@ mod tests {
         let found = align_points(&points(), &target, Scale::Free);
         assert!((found.rotation.determinant() - 1.0).abs() < 1e-12);
         assert!(found.scale > 0.0 && found.scale < 1.0);
+    }
+
+    #[test]
+    fn two_cameras_are_enough_for_orientations_and_scale() {
+        let cameras = [Vector3::x(), Vector3::new(0.3, 2.0, -1.0)]
+            .map(|translation| Rigid { rotation: rotation::exp(&(translation * 0.7)), translation });
+        let rotation = rotation::exp(&Vector3::new(0.4, -0.2, 0.9));
+        let moved = Similarity { scale: 0.4, rotation, translation: Vector3::y() };
+        let solved = cameras.map(|camera| moved.move_camera(&camera));
+        let found = truth_from_solved(&solved, &cameras, Alignment::Sim3Pose);
+        let point = Vector3::new(1.0, -2.0, 0.5);
+        assert!((found.transform(&moved.transform(&point)) - point).norm() < 1e-12);
     }
 
     #[test]

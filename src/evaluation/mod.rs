@@ -4,6 +4,7 @@
 //! - [`camera_error`]: position, orientation and reprojection of cameras; relative errors, which need no alignment
 //! - [`shelf14`]: every skeleton as the 14 joints that pose errors are defined on
 //! - [`person_matching`], [`joint_error`]: PCP and MPJPE
+//! - [`markers`], [`marker_error`]: virtual markers on the true and the fitted skin
 //! - [`jitter`]: mean acceleration
 //! - [`identity_error`]: who was taken for whom
 //! - [`documents`]: the files that all of it is read from
@@ -16,6 +17,8 @@ pub mod error;
 pub mod identity_error;
 pub mod jitter;
 pub mod joint_error;
+pub mod marker_error;
+pub mod markers;
 pub mod person_matching;
 pub mod report;
 pub mod shelf14;

@@ -5,7 +5,7 @@
 use super::config::SimulationConfig;
 use super::gait;
 use super::mover::{Mover, STEP};
-use super::skeleton::{Person, own_body};
+use super::skeleton::Person;
 use nalgebra::Vector2;
 
 /// People move this long before the first frame, s, so that nobody starts from rest in a T.
@@ -16,11 +16,7 @@ const PERSONAL_SPACE: f64 = 0.9;
 /// People of `config`, each with an own body and an own random choreography.
 pub fn procedural_people(config: &SimulationConfig) -> Vec<Person> {
     let mut movers: Vec<Mover> = (0..config.people).map(|person| Mover::new(person, config)).collect();
-    let person = |person: usize| {
-        let (skeleton, betas) = own_body(config, person);
-        Person { skeleton, betas, poses: Vec::with_capacity(config.frames), source: "procedural".to_owned() }
-    };
-    let mut people: Vec<Person> = (0..config.people).map(person).collect();
+    let mut people: Vec<Person> = (0..config.people).map(|p| Person::still(config, p, "procedural")).collect();
     let mut step = 0_u64;
     for frame in 0..config.frames {
         let due = WARM_UP + frame as f64 / config.fps;

@@ -156,6 +156,9 @@ pub enum Bodies {
     Own,
     /// The default body at random shapes, betas from N(0, 1), its own landmarks as keypoints: what a fit can tell at best.
     Default,
+    /// The same as a fit meets them: rest joints elsewhere inside the same skin (10 mm per axis), and a detector that sees
+    /// hips 30 to 50 mm, other joints 10 to 20 mm, points of face and feet 5 to 10 mm from where they are.
+    Individual,
 }
 
 /// Where the motion comes from.
@@ -164,6 +167,8 @@ pub enum MotionSource {
     /// Walking, stopping, turning, crouching, sitting, reaching, gesturing.
     #[default]
     Procedural,
+    /// Two people who dance: face to face within arms' reach, turning about each other.
+    Dance,
     /// Drawn from the embedded motion prior.
     Prior,
     /// One AMASS-layout `.npz` a person, in this order.
@@ -204,6 +209,10 @@ impl SimulationConfig {
             if !(low..=high).contains(&value) {
                 return Err(SimulationError::Config { field, value, expected });
             }
+        }
+        if self.motion == MotionSource::Dance && self.people != 2 {
+            let value = self.people as f64;
+            return Err(SimulationError::Config { field: "people", value, expected: "2 for a dance" });
         }
         if let Some(&value) = self.time_offsets.iter().find(|offset| !(-1e6..=1e6).contains(*offset)) {
             let expected = "-1000000 to 1000000 frames";

@@ -17,7 +17,7 @@ use rand::seq::SliceRandom;
 pub struct Scene {
     /// `joints[frame][person][joint]`, world, m.
     pub joints: Vec<Vec<[Vector3<f64>; N_JOINTS]>>,
-    /// `keypoints[frame][person][keypoint]`: the convention's named points, world, m.
+    /// `keypoints[frame][person][keypoint]`: what the detector takes for the convention's named points, world, m.
     pub keypoints: Vec<Vec<Vec<Vector3<f64>>>>,
     /// What the points are.
     pub convention: KeypointConvention,
@@ -60,10 +60,10 @@ impl Scene {
     ///
     /// # Errors
     /// [`SimulationError::UnknownKeypoint`] where a body has no point for a keypoint of the convention.
-    pub fn new(people: &[Person], convention: KeypointConvention) -> Result<Self, SimulationError> {
+    pub fn new(people: &[Person], config: &SimulationConfig) -> Result<Self, SimulationError> {
         let n_frames = people.iter().map(|p| p.poses.len()).min().unwrap_or(0);
-        let detected = people.iter().map(|p| Detectable::new(p, convention)).collect::<Result<Vec<_>, _>>()?;
-        let exists = vec![true; n_frames];
+        let detected = people.iter().map(|p| Detectable::new(p, config)).collect::<Result<Vec<_>, _>>()?;
+        let (convention, exists) = (config.convention, vec![true; n_frames]);
         let mut scene = Self { joints: Vec::new(), keypoints: Vec::new(), convention, exists };
         for frame in 0..n_frames {
             let posed: Vec<_> = people.iter().map(|p| p.skeleton.pose(&p.poses[frame])).collect();

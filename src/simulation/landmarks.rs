@@ -1,8 +1,9 @@
 //! The points a detector looks for, from a posed skeleton: one rule a keypoint, for every convention.
 
 use super::SimulationError;
+use super::config::SimulationConfig;
+use super::individual::as_detected;
 use super::skeleton::{Person, PosedSkeleton, joint};
-use crate::body::default_body;
 use crate::body::kinematics;
 use crate::body::model::{BodyModel, ShapedBody};
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention};
@@ -79,19 +80,22 @@ pub enum Detectable {
 }
 
 impl Detectable {
-    /// The convention's named keypoints on a person.
+    /// What the session's detector takes for its named keypoints on a person.
     ///
     /// # Errors
     /// [`SimulationError::UnknownKeypoint`] where the body has no such point.
-    pub fn new(person: &Person, convention: KeypointConvention) -> Result<Self, SimulationError> {
-        let Some(betas) = &person.betas else { return Ok(Self::Rules(rules(convention)?, person.skeleton.scale)) };
-        let body = default_body();
+    pub fn new(person: &Person, config: &SimulationConfig) -> Result<Self, SimulationError> {
+        let convention = config.convention;
+        let Some((betas, body)) = person.betas.zip(person.model()) else {
+            return Ok(Self::Rules(rules(convention)?, person.skeleton.scale));
+        };
+        let body = as_detected(body, config);
         let landmarks = body.landmarks_of(convention).into_iter().zip(convention.names());
         let known = |(landmark, keypoint): (Option<usize>, &&'static str)| {
             landmark.ok_or(SimulationError::UnknownKeypoint { convention, keypoint })
         };
         let landmarks = landmarks.map(known).collect::<Result<_, _>>()?;
-        let shaped = body.shaped(betas);
+        let shaped = body.shaped(&betas);
         Ok(Self::Body(Box::new((body, shaped)), landmarks))
     }
 

@@ -4,7 +4,9 @@
 //!
 //! - [`config`], [`presets`]: what is simulated: people, cameras, noise
 //! - [`skeleton`]: the simulated body, deliberately not the one that is fitted
+//! - [`individual`]: default bodies with joints of their own, and a detector with habits
 //! - [`choreography`], [`gait`]: people who walk, stop, turn, crouch, sit, reach and gesture
+//! - [`dance`]: two people within arms' reach
 //! - [`placement`]: people from motion capture (AMASS layout) or drawn from the motion prior, put on the floor
 //! - [`landmarks`]: the points a detector looks for, from a posed skeleton
 //! - [`rig`]: cameras around the scene
@@ -16,9 +18,11 @@
 
 pub mod choreography;
 pub mod config;
+mod dance;
 pub mod detector;
 mod drawn;
 pub mod gait;
+mod individual;
 pub mod landmarks;
 mod mover;
 mod observer;
@@ -89,7 +93,7 @@ pub enum SimulationError {
 pub fn simulate(config: &SimulationConfig) -> Result<Simulated, SimulationError> {
     config.check()?;
     let people = people_in_motion(config)?;
-    let scene = Scene::new(&people, config.convention)?;
+    let scene = Scene::new(&people, config)?;
     let cameras = rig::cameras(&config.rig, config.views, config.seed);
     let recordings: Vec<ViewRecording> =
         (0..cameras.len()).map(|view| detector::record(&scene, view, &cameras[view], config)).collect();
@@ -109,6 +113,7 @@ pub fn simulate(config: &SimulationConfig) -> Result<Simulated, SimulationError>
 fn people_in_motion(config: &SimulationConfig) -> Result<Vec<Person>, SimulationError> {
     match &config.motion {
         MotionSource::Procedural => Ok(choreography::procedural_people(config)),
+        MotionSource::Dance => Ok(dance::dancing_people(config)),
         MotionSource::Prior => Ok(placement::people_from_prior(config)),
         MotionSource::Files(paths) => placement::people_from_files(paths, config),
     }

@@ -4,7 +4,7 @@ use super::SimulationError;
 use super::config::{Bodies, SimulationConfig};
 use super::drawn::{drawn_take, stand};
 use super::random::{Purpose, stream};
-use super::skeleton::{Person, Pose, Skeleton, joint, own_body};
+use super::skeleton::{Person, Pose, Skeleton, joint};
 use crate::geometry::rotation;
 use crate::motion_prior::motion_file::{MotionTake, read_take};
 use nalgebra::{Matrix3, Vector3};
@@ -27,10 +27,11 @@ pub fn people_from_files(paths: &[PathBuf], config: &SimulationConfig) -> Result
         let take = read_take(path).map_err(motion)?;
         let skeleton = take.rest_joints.as_ref().map_or_else(Skeleton::generic, Skeleton::from_rest_joints);
         let source = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
-        let mut person = resampled(take, skeleton, source, config.fps);
-        if config.bodies == Bodies::Default {
-            (person.skeleton, person.betas) = own_body(config, index);
-        }
+        let body = match config.bodies {
+            Bodies::Own => Person::of_skeleton(skeleton, source),
+            Bodies::Default | Bodies::Individual => Person::still(config, index, &source),
+        };
+        let mut person = resampled(take, body, config.fps);
         cut(&mut person, config, index);
         put_on_floor(&mut person);
         people.push(person);
@@ -41,9 +42,7 @@ pub fn people_from_files(paths: &[PathBuf], config: &SimulationConfig) -> Result
 /// People whose motions are drawn from the prior, each with an own body.
 pub fn people_from_prior(config: &SimulationConfig) -> Vec<Person> {
     let person = |index: usize| {
-        let (skeleton, betas) = own_body(config, index);
-        let mut person = resampled(drawn_take(config, index), skeleton, "prior".to_owned(), config.fps);
-        person.betas = betas;
+        let mut person = resampled(drawn_take(config, index), Person::still(config, index, "prior"), config.fps);
         person.poses.truncate(config.frames);
         stand(&mut person, config.fps, FOOT_HEIGHT);
         person
@@ -63,8 +62,8 @@ fn placed(mut people: Vec<Person>, config: &SimulationConfig) -> Vec<Person> {
     people
 }
 
-/// The take at the session's rate: rotations along the geodesic, positions along the line.
-fn resampled(take: MotionTake, skeleton: Skeleton, source: String, fps: f64) -> Person {
+/// Somebody in the motion of a take, at the session's rate: rotations along the geodesic, positions along the line.
+fn resampled(take: MotionTake, body: Person, fps: f64) -> Person {
     let duration = (take.poses.len() - 1) as f64 / take.fps;
     let n_frames = (duration * fps + 1e-9).floor() as usize + 1;
     let pose = |frame: usize| {
@@ -77,7 +76,7 @@ fn resampled(take: MotionTake, skeleton: Skeleton, source: String, fps: f64) -> 
         };
         Pose { rotations: std::array::from_fn(turn), pelvis: a.pelvis.lerp(&b.pelvis, share) }
     };
-    Person { skeleton, betas: None, poses: (0..n_frames).map(pose).collect(), source }
+    Person { poses: (0..n_frames).map(pose).collect(), ..body }
 }
 
 /// A random window of at most the session's length.

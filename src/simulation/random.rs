@@ -15,6 +15,8 @@ pub(super) enum Purpose {
     Detector,
     Tracker,
     TrackNames,
+    Joints,
+    Habits,
 }
 
 /// The stream of one purpose and one item; `view` or `person` is 0 where the item has none.

@@ -4,9 +4,10 @@
 //! assumptions. Proportions are rounded figures near de Leva's joint centres (J. Biomech. 29, 1996), stature 1.72 m.
 
 use super::config::{Bodies, SimulationConfig};
+use super::individual::joint_shifts;
 use super::random::{Purpose, normal, stream};
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
-use crate::body::{Betas, default_body};
+use crate::body::{Betas, BodyModel, default_body};
 use nalgebra::{Matrix3, Vector3};
 use rand_chacha::ChaCha8Rng;
 
@@ -44,6 +45,8 @@ pub struct Person {
     pub skeleton: Skeleton,
     /// Its shape, where it is the default body.
     pub betas: Option<Betas>,
+    /// By how much its rest joints lie off those of the default body in this shape, m.
+    pub joint_shifts: [Vector3<f64>; N_JOINTS],
     /// One pose a frame.
     pub poses: Vec<Pose>,
     /// Name of the motion.
@@ -107,16 +110,29 @@ const LIMB_SD: f64 = 0.04;
 /// Further out than this many standard deviations people are not drawn.
 const MAX_DEVIATIONS: f64 = 2.5;
 
-/// The body that a person of `config` has by the seed: an adult of the simulator's own, or the default body at betas from
-/// N(0, 1).
-pub(super) fn own_body(config: &SimulationConfig, person: usize) -> (Skeleton, Option<Betas>) {
-    let rng = &mut stream(config.seed, Purpose::Body, 0, person);
-    match config.bodies {
-        Bodies::Own => (Skeleton::random(rng), None),
-        Bodies::Default => {
-            let betas = Betas::from_fn(|_, _| normal(rng, 1.0));
-            (Skeleton::from_rest_joints(&default_body().shaped(&betas).rest_joints), Some(betas))
+impl Person {
+    /// The person of `config` by the seed, who does not move yet: an adult of the simulator's own, or the default body at
+    /// betas from N(0, 1).
+    pub(super) fn still(config: &SimulationConfig, person: usize, source: &str) -> Self {
+        let rng = &mut stream(config.seed, Purpose::Body, 0, person);
+        let still = Self::of_skeleton(Skeleton::generic(), source.to_owned());
+        if config.bodies == Bodies::Own {
+            return Self { skeleton: Skeleton::random(rng), ..still };
         }
+        let betas = Betas::from_fn(|_, _| normal(rng, 1.0));
+        let still = Self { betas: Some(betas), joint_shifts: joint_shifts(config, person), ..still };
+        let skeleton = still.model().map(|body| Skeleton::from_rest_joints(&body.shaped(&betas).rest_joints));
+        Self { skeleton: skeleton.unwrap_or(still.skeleton), ..still }
+    }
+
+    /// Somebody of whom only the bones are known, who does not move yet.
+    pub(super) fn of_skeleton(skeleton: Skeleton, source: String) -> Self {
+        Self { skeleton, betas: None, joint_shifts: [Vector3::zeros(); N_JOINTS], poses: Vec::new(), source }
+    }
+
+    /// The body model that the person is exactly, where it is the default body or one like it.
+    pub fn model(&self) -> Option<BodyModel> {
+        self.betas.map(|_| default_body().with_joints_moved(&self.joint_shifts))
     }
 }
 

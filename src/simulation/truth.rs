@@ -1,10 +1,10 @@
 //! What really was, and its files.
 
-use super::config::SimulationConfig;
+use super::config::{Bodies, SimulationConfig};
 use super::detector::{Scene, ViewRecording};
 use super::skeleton::Person;
+use crate::body::default_body;
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
-use crate::body::{Betas, default_body};
 use crate::geometry::Rigid;
 use crate::session::Session;
 use nalgebra::Vector3;
@@ -33,7 +33,7 @@ pub struct Truth {
     pub cameras: Vec<Rigid>,
     /// `joints[frame][person][joint]`, SMPL's order.
     pub joints: Vec<Vec<[Vector3<f64>; N_JOINTS]>>,
-    /// `keypoints[frame][person][keypoint]`, the convention's named points.
+    /// `keypoints[frame][person][keypoint]`, what the detector takes for the convention's named points.
     pub keypoints: Vec<Vec<Vec<Vector3<f64>>>>,
     /// `identities[view][frame][detection]`: the true person.
     pub identities: Vec<Vec<Vec<usize>>>,
@@ -144,10 +144,20 @@ pub fn write_truth(simulated: &Simulated, session_folder: &Path) -> io::Result<(
     write("keypoints3d.json", &json!({"keypoint_names": names, "units": "m", "up": "y", "frames": points}))?;
     let identities: BTreeMap<&str, &Vec<Vec<usize>>> = ids().zip(&truth.identities).collect();
     write("identities.json", &json!(identities))?;
-    let (model, bodies) = (default_body(), truth.people.iter().map(|person| person.betas).collect::<Option<Vec<_>>>());
-    if let Some(bodies) = bodies {
-        let body = |betas: &Betas| json!({"betas": betas.as_slice(), "stature_m": model.surface.stature(betas)});
-        write("bodies.json", &bodies.iter().map(body).collect())?;
+    let model = default_body();
+    let body = |person: &Person| {
+        let betas = person.betas?;
+        let shifts = person.joint_shifts.map(|shift| [shift.x, shift.y, shift.z]);
+        let stature_m = model.surface.stature(&betas);
+        Some(match simulated.config.bodies {
+            Bodies::Individual => {
+                json!({"betas": betas.as_slice(), "stature_m": stature_m, "joint_shifts_m": shifts})
+            }
+            _ => json!({"betas": betas.as_slice(), "stature_m": stature_m}),
+        })
+    };
+    if let Some(bodies) = truth.people.iter().map(body).collect() {
+        write("bodies.json", &serde_json::Value::Array(bodies))?;
     }
     write("simulation.json", &json!({"params": simulated.config, "stats": truth.statistics}))
 }

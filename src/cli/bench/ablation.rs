@@ -1,8 +1,10 @@
 //! `wandless bench ablation`: what each part of the method is worth, on sessions with truth.
 //!
 //! Every session is solved whole and with one part left out, cameras unknown and given. The points of bundle adjustment come
-//! from the whole solve: they are what its bodies are fitted to.
+//! from the whole solve: they are what its bodies are fitted to. Before them, where cameras are unknown, comes what the
+//! first arrangement of cameras is worth without any adjustment: the keypoints that a solve makes of it as if it were given.
 
+use super::table::{Column, Figures, Reference, Table, figures};
 use crate::cli::BadInput;
 use crate::cli::solve::use_threads;
 use crate::evaluation::alignment::Alignment;
@@ -10,14 +12,13 @@ use crate::evaluation::documents::read_cameras;
 use crate::evaluation::report::PoseErrors;
 use crate::evaluation::{Evaluation, EvaluationOptions, evaluate};
 use crate::export::{ResultContext, write_result};
+use crate::pipeline::calibration::initial_cameras;
 use crate::pipeline::config::Extrinsics;
-use crate::pipeline::{Options, reconstruct};
+use crate::pipeline::{Capture, Options, reconstruct};
 use crate::progress::Progress;
 use crate::session::Session;
 use crate::session::upload::{UploadLimits, read_path};
 use anyhow::Context;
-use serde::Serialize;
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -42,6 +43,8 @@ struct Arm {
 }
 
 const WHOLE: &str = "whole";
+/// The keypoints under the first arrangement of cameras.
+const INITIAL: &str = "initial";
 /// The keypoints of the whole solve.
 const POINTS: &str = "bundle adjustment only";
 
@@ -51,15 +54,14 @@ const ARMS: [Arm; 3] = [
     Arm { name: "without collision", options: || Options { collision: false, ..Options::default() } },
 ];
 
-/// Figures of one solve, in the order of the table's columns; `None` where the truth does not tell.
-type Figures = BTreeMap<&'static str, Option<f64>>;
+const CAMERA_ANGLE: &str = "camera deg";
+const ROOT12: &str = "root12 mm";
 
-/// Columns: name, decimals.
-const COLUMNS: [(&str, usize); 9] = [
+const COLUMNS: [Column; 9] = [
     ("camera mm", 2),
-    ("camera deg", 3),
+    (CAMERA_ANGLE, 3),
     ("PCP %", 2),
-    ("root12 mm", 2),
+    (ROOT12, 2),
     ("raw12 mm", 2),
     ("acceleration error mm/frame^2", 2),
     ("jitter of truth", 3),
@@ -67,12 +69,16 @@ const COLUMNS: [(&str, usize); 9] = [
     ("deepest overlap mm", 1),
 ];
 
-/// All sessions of one arm.
-#[derive(Debug, Serialize)]
-struct Row {
+/// What every row is compared with, session by session.
+const REFERENCE: Reference = Reference { arm: WHOLE, columns: &[ROOT12, CAMERA_ANGLE] };
+
+/// One session with its cameras unknown, or given.
+struct Case {
     cameras: &'static str,
-    arm: &'static str,
-    sessions: Vec<Figures>,
+    session: Session,
+    extrinsics: Extrinsics,
+    /// How results are laid over the truth.
+    align: Alignment,
 }
 
 pub(super) fn run(args: &AblationArgs) -> anyhow::Result<()> {
@@ -80,51 +86,67 @@ pub(super) fn run(args: &AblationArgs) -> anyhow::Result<()> {
     if args.out.exists() {
         return Err(BadInput(format!("{}: exists; name a folder that does not", args.out.display())).into());
     }
-    let mut rows: Vec<Row> = Vec::new();
+    let mut table = Table::new(&COLUMNS, Some(REFERENCE));
     for (k, path) in args.sessions.iter().enumerate() {
         let limits = UploadLimits::default();
         let loaded = read_path(path, &limits).map_err(|e| BadInput(format!("{}: {e}", path.display())))?;
         let truth = path.join("gt");
-        for (cameras, session, extrinsics) in both_ways(loaded.session, &truth)? {
+        for case in both_ways(loaded.session, &truth)? {
+            let out = |arm: &str| args.out.join(format!("{k}-{}-{}", case.cameras, arm.replace(' ', "-")));
+            if case.extrinsics == Extrinsics::Estimate {
+                table.add(case.cameras, INITIAL, initial_figures(&case, &loaded.sha256, &truth, &out(INITIAL))?);
+            }
             for arm in &ARMS {
-                let out = args.out.join(format!("{k}-{cameras}-{}", arm.name.replace(' ', "-")));
-                let options = Options { extrinsics, ..(arm.options)() };
+                let options = Options { extrinsics: case.extrinsics, ..(arm.options)() };
                 let started = Instant::now();
-                let (errors, overlap_mm) = solved(&session, &options, &loaded.sha256, &truth, &out)?;
-                eprintln!("{} {cameras} {}: {:.1} s", path.display(), arm.name, started.elapsed().as_secs_f64());
+                let (errors, overlap_mm) = solved(&case, &options, &loaded.sha256, &truth, &out(arm.name))?;
+                eprintln!("{} {} {}: {:.1} s", path.display(), case.cameras, arm.name, started.elapsed().as_secs_f64());
                 if arm.name == WHOLE {
-                    add(&mut rows, cameras, POINTS, figures(&errors, errors.other_poses.as_ref(), None));
+                    table.add(case.cameras, POINTS, of_errors(&errors, errors.other_poses.as_ref(), None));
                 }
-                add(&mut rows, cameras, arm.name, figures(&errors, errors.poses.as_ref(), Some(overlap_mm)));
+                table.add(case.cameras, arm.name, of_errors(&errors, errors.poses.as_ref(), Some(overlap_mm)));
             }
         }
     }
-    let table = markdown(&rows);
-    print!("{table}");
-    std::fs::write(args.out.join("ablation.md"), table)?;
-    std::fs::write(args.out.join("ablation.json"), serde_json::to_string_pretty(&rows)?)?;
-    Ok(())
+    table.publish(&args.out, "ablation")
 }
 
 /// The session without its cameras, and with the true ones.
-fn both_ways(session: Session, truth: &Path) -> anyhow::Result<[(&'static str, Session, Extrinsics); 2]> {
+fn both_ways(session: Session, truth: &Path) -> anyhow::Result<[Case; 2]> {
     let cameras = read_cameras(&truth.join("cameras.json")).map_err(|e| BadInput(e.to_string()))?;
     let mut given = session.clone();
     for view in &mut given.views {
         let missing = || BadInput(format!("{}: no camera {}", truth.join("cameras.json").display(), view.id));
         view.camera_from_world = Some(*cameras.get(&view.id).ok_or_else(missing)?);
     }
-    Ok([("free", session, Extrinsics::Estimate), ("fixed", given, Extrinsics::Fixed)])
+    let free = Case { cameras: "free", session, extrinsics: Extrinsics::Estimate, align: Alignment::Sim3 };
+    Ok([free, Case { cameras: "fixed", session: given, extrinsics: Extrinsics::Fixed, align: Alignment::None }])
+}
+
+/// Figures of the first arrangement of cameras, by a solve that takes it as given; none where it does not place all of
+/// them.
+fn initial_figures(case: &Case, input_sha256: &str, truth: &Path, out: &Path) -> anyhow::Result<Figures> {
+    let options = Options { denoise: false, collision: false, ..Options::default() };
+    let cameras = initial_cameras(&Capture::new(&case.session, &options), &Progress::silent())?;
+    if cameras.iter().any(Option::is_none) {
+        return Ok(figures(&COLUMNS, [None; COLUMNS.len()]));
+    }
+    let mut session = case.session.clone();
+    session.views.iter_mut().zip(cameras).for_each(|(view, camera)| view.camera_from_world = camera);
+    let options = Options { extrinsics: Extrinsics::Fixed, ..options };
+    let (errors, _) = solved(&Case { session, ..*case }, &options, input_sha256, truth, out)?;
+    Ok(of_errors(&errors, errors.other_poses.as_ref(), None))
 }
 
 /// Solves, writes the result and compares it with the truth; beside the errors the deepest overlap of two bodies, mm.
 fn solved(
-    session: &Session,
+    case: &Case,
     options: &Options,
     input_sha256: &str,
     truth: &Path,
     out: &Path,
 ) -> anyhow::Result<(Evaluation, f64)> {
+    let session = &case.session;
     let found = reconstruct(session, options, &Progress::silent())?;
     let context = ResultContext {
         input_sha256,
@@ -134,13 +156,12 @@ fn solved(
     };
     std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
     write_result(out, session, &context, &found)?;
-    let align = if options.extrinsics == Extrinsics::Fixed { Alignment::None } else { Alignment::Sim3 };
-    let options = EvaluationOptions { align: Some(align), ..EvaluationOptions::default() };
+    let options = EvaluationOptions { align: Some(case.align), ..EvaluationOptions::default() };
     let errors = evaluate(out, truth, &options).map_err(|e| BadInput(e.to_string()))?;
     Ok((errors, found.report.penetration.deepest.map_or(0.0, |overlap| overlap.depth_mm)))
 }
 
-fn figures(errors: &Evaluation, poses: Option<&PoseErrors>, overlap_mm: Option<f64>) -> Figures {
+fn of_errors(errors: &Evaluation, poses: Option<&PoseErrors>, overlap_mm: Option<f64>) -> Figures {
     let cameras = errors.cameras.as_ref().map(|cameras| &cameras.sim3);
     let ratio = |p: &PoseErrors| Some(p.jitter.pred.m_per_s2? / p.jitter.gt.m_per_s2?);
     let values = [
@@ -154,39 +175,7 @@ fn figures(errors: &Evaluation, poses: Option<&PoseErrors>, overlap_mm: Option<f
         errors.identity.as_ref().map(|i| i.accuracy),
         overlap_mm,
     ];
-    COLUMNS.iter().map(|(name, _)| *name).zip(values).collect()
-}
-
-fn add(rows: &mut Vec<Row>, cameras: &'static str, arm: &'static str, figures: Figures) {
-    match rows.iter_mut().find(|row| row.cameras == cameras && row.arm == arm) {
-        Some(row) => row.sessions.push(figures),
-        None => rows.push(Row { cameras, arm, sessions: vec![figures] }),
-    }
-}
-
-/// Means over sessions, with standard deviations where there are several.
-fn markdown(rows: &[Row]) -> String {
-    let names: Vec<&str> = COLUMNS.iter().map(|(name, _)| *name).collect();
-    let mut table = format!("| cameras | | {} |\n|---|---|{}\n", names.join(" | "), "---|".repeat(names.len()));
-    for row in rows {
-        let cells = COLUMNS.map(|(name, decimals)| {
-            let values: Vec<f64> = row.sessions.iter().filter_map(|figures| figures[name]).collect();
-            cell(&values, decimals)
-        });
-        table.push_str(&format!("| {} | {} | {} |\n", row.cameras, row.arm, cells.join(" | ")));
-    }
-    table
-}
-
-fn cell(values: &[f64], decimals: usize) -> String {
-    let n = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / n;
-    let variance = values.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / (n - 1.0);
-    match values.len() {
-        0 => "-".to_owned(),
-        1 => format!("{mean:.decimals$}"),
-        _ => format!("{mean:.decimals$} ± {:.decimals$}", variance.sqrt()),
-    }
+    figures(&COLUMNS, values)
 }
 
 #[cfg(test)]
@@ -207,16 +196,12 @@ mod tests {
         run(&AblationArgs { sessions: vec![session], out: out.clone(), threads: 0 }).unwrap();
         let rows: serde_json::Value =
             serde_json::from_slice(&std::fs::read(out.join("ablation.json")).unwrap()).unwrap();
-        assert_eq!(rows.as_array().unwrap().len(), 2 * (ARMS.len() + 1));
+        // All arms and the points for both; the first arrangement where cameras are unknown.
+        assert_eq!(rows.as_array().unwrap().len(), 2 * (ARMS.len() + 1) + 1);
         for row in rows.as_array().unwrap() {
             let root = row["sessions"][0]["root12 mm"].as_f64().unwrap();
             // Twice what `easy` is known to give, bodies that are not the default one included.
             assert!(root < 40.0, "{row}");
         }
-    }
-
-    #[test]
-    fn cells_tell_mean_and_spread() {
-        assert_eq!([cell(&[], 1), cell(&[2.0], 1), cell(&[1.0, 3.0], 1)], ["-", "2.0", "2.0 ± 1.4"]);
     }
 }

@@ -1,10 +1,11 @@
 //! `wandless bench bodies`: people who are default bodies, and what the fit and the metric scale make of them.
 
+use super::paired_cameras;
 use crate::body::model::Betas;
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention, N_JOINTS};
 use crate::body::{BodyModel, default_body};
 use crate::evaluation::alignment::{Alignment, truth_from_solved};
-use crate::geometry::{Rigid, rotation};
+use crate::geometry::rotation;
 use crate::optim::robust::median;
 use crate::pipeline::config::{Extrinsics, ScaleSource};
 use crate::pipeline::{Options, reconstruct};
@@ -180,9 +181,7 @@ fn scale_outcome(simulated: &Simulated, scale: ScaleSource, seed: u64) -> anyhow
 
 /// Factor from the result's metres to true ones.
 fn true_from_stated(found: &Reconstruction, simulated: &Simulated) -> f64 {
-    let pairs = found.cameras.iter().zip(&simulated.truth.cameras);
-    let (solved, truth): (Vec<Rigid>, Vec<Rigid>) =
-        pairs.filter_map(|(solved, truth)| Some((solved.camera_from_world?, *truth))).unzip();
+    let (solved, truth) = paired_cameras(found, &simulated.truth.cameras);
     truth_from_solved(&solved, &truth, Alignment::Sim3).scale
 }
 

@@ -100,9 +100,7 @@ pub fn calibrated(capture: &Capture, given: CameraFreedom, progress: &Progress) 
 /// # Errors
 /// [`PipelineError::Canceled`].
 pub fn estimate_cameras(capture: &Capture, progress: &Progress) -> Result<Calibration, PipelineError> {
-    let config = TrackletConfig::default();
-    let fps = capture.session.fps;
-    let tracklets: Vec<Vec<Tracklet>> = capture.views.par_iter().map(|v| tracklets(v, fps, &config)).collect();
+    let tracklets = followed(capture);
     progress.report(0.05, "people followed within each view");
     let (rigs, report) = initial_rigs(&capture.views, &tracklets, &capture.bones, capture.options.seed, progress)?;
     let mut calibration = best_trial(capture, &tracklets, &rigs, progress)?;
@@ -114,6 +112,21 @@ pub fn estimate_cameras(capture: &Capture, progress: &Progress) -> Result<Calibr
         progress.report(0.65 + 0.1 * round as f64, "detections given out anew");
     }
     settled(capture, calibration, progress)
+}
+
+/// The arrangement that looks best before any adjustment; `None` for a camera that it does not place.
+///
+/// # Errors
+/// [`PipelineError::Canceled`].
+pub fn initial_cameras(capture: &Capture, progress: &Progress) -> Result<Vec<Option<Rigid>>, PipelineError> {
+    let (rigs, _) = initial_rigs(&capture.views, &followed(capture), &capture.bones, capture.options.seed, progress)?;
+    Ok(rigs.into_iter().next().map_or_else(|| vec![None; capture.views.len()], |rig| rig.cameras))
+}
+
+/// People followed within each view.
+fn followed(capture: &Capture) -> Vec<Vec<Tracklet>> {
+    let (fps, config) = (capture.session.fps, TrackletConfig::default());
+    capture.views.par_iter().map(|view| tracklets(view, fps, &config)).collect()
 }
 
 /// The last adjustment, unless [`made_consistent`] is still to come.

@@ -1,0 +1,256 @@
+//! `wandless bench markers`: virtual markers on the true and on the fitted skin of two people who dance, by the number of
+//! cameras.
+//!
+//! Nobody of them is a body that the fit knows: shapes are random, joints lie elsewhere inside the skin, the detector has
+//! habits ([`Bodies::Individual`]). Twelve cameras stand in a ring; fewer are some of them.
+
+use super::paired_cameras;
+use super::table::{Column, Figures, Table, figures};
+use crate::body::kinematics::{Pose, posed};
+use crate::body::skeleton::KeypointConvention;
+use crate::body::skinning::skinned;
+use crate::body::{Betas, BodyModel, default_body};
+use crate::cli::BadInput;
+use crate::cli::solve::use_threads;
+use crate::evaluation::alignment::{Alignment, truth_from_solved};
+use crate::evaluation::marker_error::{MarkedPose, MarkerError, marker_error};
+use crate::evaluation::markers::{Marker, markers};
+use crate::evaluation::person_matching::Frames;
+use crate::geometry::Similarity;
+use crate::pipeline::config::Extrinsics;
+use crate::pipeline::{Options, PipelineError, reconstruct};
+use crate::progress::Progress;
+use crate::session::{Reconstruction, Session};
+use crate::simulation::skeleton::Person;
+use crate::simulation::{Bodies, MotionSource, Preset, Simulated, SimulationConfig, Tracks, simulate};
+use nalgebra::Vector3;
+use std::path::PathBuf;
+use std::time::Instant;
+
+/// What is simulated, and where the table goes.
+#[derive(Debug, clap::Args)]
+pub(super) struct MarkersArgs {
+    /// How many dances
+    #[arg(long, default_value_t = 3)]
+    seeds: u64,
+    /// Seed of the first dance; the others follow
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Length of each, frames of 1/30 s
+    #[arg(long, default_value_t = 150)]
+    frames: usize,
+    /// Folder for markers.md and markers.json; must not exist
+    #[arg(long)]
+    out: PathBuf,
+    /// Solver threads; 0 takes all cores
+    #[arg(long, default_value_t = 0)]
+    threads: usize,
+}
+
+/// Cameras of the ring.
+const N_VIEWS: usize = 12;
+
+/// Those that take part, each set within the next. Two stand a right angle apart: opposite ones tell no depth.
+const SUBSETS: [&[usize]; 5] =
+    [&[0], &[0, 3], &[0, 3, 6, 9], &[0, 1, 3, 4, 6, 7, 9, 10], &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]];
+
+const MEAN: &str = "mean mm";
+const SPREAD_OF_POSES: &str = "spread of poses mm";
+const RECALL: &str = "recall";
+const COLUMNS: [Column; 4] = [(MEAN, 1), ("spread mm", 1), (SPREAD_OF_POSES, 1), (RECALL, 3)];
+
+pub(super) fn run(args: &MarkersArgs) -> anyhow::Result<()> {
+    use_threads(args.threads);
+    if args.out.exists() {
+        return Err(BadInput(format!("{}: exists; name a folder that does not", args.out.display())).into());
+    }
+    let mut table = Table::new(&COLUMNS, None);
+    for seed in args.seed..args.seed + args.seeds {
+        let dance = Dance::new(seed, args.frames)?;
+        for (cameras, extrinsics) in [("given", Extrinsics::Fixed), ("free", Extrinsics::Estimate)] {
+            for views in SUBSETS {
+                let started = Instant::now();
+                let figures = dance.figures(views, extrinsics)?;
+                let (mean, took) = (figures[MEAN].unwrap_or(f64::NAN), started.elapsed().as_secs_f64());
+                eprintln!("dance {seed} {cameras} {} views: {mean:.1} mm, {took:.1} s", views.len());
+                table.add(cameras, &format!("{} views", views.len()), figures);
+            }
+        }
+    }
+    std::fs::create_dir_all(&args.out)?;
+    table.publish(&args.out, "markers")
+}
+
+/// A simulated dance and its true markers.
+struct Dance {
+    simulated: Simulated,
+    /// The body that the fit knows.
+    model: BodyModel,
+    markers: Vec<Marker>,
+    truth: Frames<MarkedPose>,
+}
+
+impl Dance {
+    fn new(seed: u64, frames: usize) -> anyhow::Result<Self> {
+        let simulated = simulate(&SimulationConfig {
+            seed,
+            frames,
+            views: N_VIEWS,
+            convention: KeypointConvention::Halpe26,
+            tracks: Tracks::PerView,
+            bodies: Bodies::Individual,
+            motion: MotionSource::Dance,
+            ..SimulationConfig::preset(Preset::Paper)
+        })?;
+        let model = default_body();
+        let markers = markers(&model);
+        let mut truth = Frames::new();
+        for (index, person) in simulated.truth.people.iter().enumerate() {
+            add_true_person(&mut truth, index, person, &markers);
+        }
+        Ok(Self { simulated, model, markers, truth })
+    }
+
+    /// Solves with some of the cameras. There are no figures where nothing can be solved: one camera does not find itself.
+    fn figures(&self, views: &[usize], extrinsics: Extrinsics) -> anyhow::Result<Figures> {
+        if views.len() < 2 && extrinsics == Extrinsics::Estimate {
+            return Ok(figures(&COLUMNS, [None; COLUMNS.len()]));
+        }
+        let options = Options { extrinsics, ..Options::default() };
+        let found = match reconstruct(&self.session(views, extrinsics), &options, &Progress::silent()) {
+            Ok(found) => found,
+            Err(PipelineError::Unsolvable { .. }) => return Ok(figures(&COLUMNS, [None, None, None, Some(0.0)])),
+            Err(error) => return Err(error.into()),
+        };
+        let truth_from_result = self.truth_from_result(&found, views, extrinsics);
+        let MarkerError { mean_mm, spread_mm, spread_of_poses_mm, recall } =
+            marker_error(&self.truth, &self.fitted(&found, &truth_from_result));
+        Ok(figures(&COLUMNS, [mean_mm, spread_mm, spread_of_poses_mm, Some(recall)]))
+    }
+
+    /// What some of the cameras saw; with their poses where they are given.
+    fn session(&self, views: &[usize], extrinsics: Extrinsics) -> Session {
+        let all = &self.simulated.session;
+        let mut session = Session { views: views.iter().map(|view| all.views[*view].clone()).collect(), ..all.clone() };
+        if extrinsics != Extrinsics::Estimate {
+            for (view, index) in session.views.iter_mut().zip(views) {
+                view.camera_from_world = Some(self.simulated.truth.cameras[*index]);
+            }
+        }
+        session
+    }
+
+    /// Cameras that were found are laid over the true ones by a similarity; of two, the orientations tell its rotation.
+    fn truth_from_result(&self, found: &Reconstruction, views: &[usize], extrinsics: Extrinsics) -> Similarity {
+        let truth: Vec<_> = views.iter().map(|view| self.simulated.truth.cameras[*view]).collect();
+        let (solved, truth) = paired_cameras(found, &truth);
+        let alignment = match (extrinsics, solved.len()) {
+            (Extrinsics::Fixed, _) => Alignment::None,
+            (_, 0..=2) => Alignment::Sim3Pose,
+            _ => Alignment::Sim3,
+        };
+        truth_from_solved(&solved, &truth, alignment)
+    }
+
+    /// The fitted people of all frames, in the truth's world.
+    fn fitted(&self, found: &Reconstruction, truth_from_result: &Similarity) -> Frames<MarkedPose> {
+        let mut frames = Frames::<MarkedPose>::new();
+        for motion in &found.motions {
+            let betas = Betas::from(motion.betas);
+            for (t, pose) in motion.frames.iter().enumerate() {
+                let pose = Pose { rotations: pose.rotations, translation: pose.translation };
+                let mut marked = marked(&self.model, &betas, &pose, &self.markers);
+                let points = marked.joints.iter_mut().chain(&mut marked.markers);
+                points.for_each(|point| *point = truth_from_result.transform(point));
+                let frame = (motion.first.0 + t) as i64;
+                frames.entry(frame).or_default().insert(motion.person.0.to_string(), marked);
+            }
+        }
+        frames
+    }
+}
+
+fn add_true_person(frames: &mut Frames<MarkedPose>, index: usize, person: &Person, markers: &[Marker]) {
+    let Some((model, betas)) = person.model().zip(person.betas) else { return };
+    let pelvis: Vector3<f64> = model.shaped(&betas).rest_joints[0];
+    for (frame, pose) in person.poses.iter().enumerate() {
+        let pose = Pose { rotations: pose.rotations, translation: pose.pelvis - pelvis };
+        frames.entry(frame as i64).or_default().insert(index.to_string(), marked(&model, &betas, &pose, markers));
+    }
+}
+
+/// Joints and markers of a body in a pose.
+fn marked(model: &BodyModel, betas: &Betas, pose: &Pose, markers: &[Marker]) -> MarkedPose {
+    let mesh = skinned(model, betas, pose);
+    MarkedPose {
+        joints: posed(&model.shaped(betas), pose).joints,
+        markers: markers.iter().map(|marker| mesh[marker.vertex]).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Figures of a table: by cameras, arm and column the mean over seeds.
+    fn table(seeds: u64, frames: usize) -> impl Fn(&str, &str, &str) -> Option<f64> {
+        let folder = tempfile::tempdir().unwrap();
+        let out = folder.path().join("out");
+        run(&MarkersArgs { seeds, seed: 0, frames, out: out.clone(), threads: 0 }).unwrap();
+        let rows: Vec<serde_json::Value> =
+            serde_json::from_slice(&std::fs::read(out.join("markers.json")).unwrap()).unwrap();
+        assert_eq!(rows.len(), 2 * SUBSETS.len());
+        move |cameras, arm, column| {
+            let row = rows.iter().find(|row| row["cameras"] == cameras && row["arm"] == arm).unwrap();
+            let sessions = row["sessions"].as_array().unwrap();
+            let sum: Option<f64> = sessions.iter().map(|figures| figures[column].as_f64()).sum();
+            sum.map(|sum| sum / sessions.len() as f64)
+        }
+    }
+
+    #[test]
+    fn a_short_dance_gives_every_row_and_many_cameras_are_no_worse_than_few() {
+        let table = table(1, 40);
+        assert_eq!(table("free", "1 views", MEAN), None);
+        for cameras in ["given", "free"] {
+            let [few, many] = ["2 views", "12 views"].map(|arm| table(cameras, arm, MEAN).unwrap());
+            // A bit more than a second of one dance: what bodies cannot show weighs as much with two cameras as with twelve.
+            assert!(many < few + 5.0 && many < 40.0, "{cameras}: {few} mm, {many} mm");
+        }
+        assert!(table("given", "1 views", MEAN) > table("given", "12 views", MEAN));
+    }
+
+    #[test]
+    #[ignore = "many minutes"]
+    fn the_marker_table_keeps_its_bounds() {
+        let table = table(3, 150);
+        for (cameras, limit_mm) in [("given", 30.0), ("free", 34.0)] {
+            let arms = SUBSETS.map(|views| format!("{} views", views.len()));
+            let means: Vec<f64> = arms.iter().filter_map(|arm| table(cameras, arm, MEAN)).collect();
+            assert!(means.is_sorted_by(|few, many| *many < few + 1.0), "{cameras}: {means:?}");
+            assert!(means.last().unwrap() <= &limit_mm, "{cameras}: {means:?}");
+            let spread = table(cameras, "12 views", SPREAD_OF_POSES).unwrap();
+            assert!(spread <= 10.0, "{cameras}: {spread} mm");
+            assert_eq!(table(cameras, "12 views", RECALL), Some(1.0));
+        }
+    }
+
+    #[test]
+    fn the_true_skin_has_no_error_against_itself() {
+        let dance = Dance::new(0, 2).unwrap();
+        let error = marker_error(&dance.truth, &dance.truth);
+        assert_eq!((error.mean_mm, error.recall), (Some(0.0), 1.0));
+        // Somebody's joints lie elsewhere than the default body's: their skin in a pose is not its skin in the same pose.
+        let person = &dance.simulated.truth.people[0];
+        let mut known = Frames::new();
+        add_true_person(
+            &mut known,
+            0,
+            &Person { joint_shifts: [Vector3::zeros(); 24], ..person.clone() },
+            &dance.markers,
+        );
+        let truth = Frames::from([(0, [("0".to_owned(), dance.truth[&0]["0"].clone())].into())]);
+        let off = marker_error(&truth, &known).mean_mm.unwrap();
+        assert!((5.0..60.0).contains(&off), "{off} mm");
+    }
+}
