@@ -1,8 +1,8 @@
 //! How far virtual markers on the fitted skin lie from the same markers on the true skin.
 //!
-//! A marker is paired once and for all, with the same vertex of the fitted mesh. With real markers the usual pairing is the
-//! vertex nearest in the first frame, since nobody knows the true one; here it is known, and the nearest one would hide
-//! both the error of that frame and a body that is turned inside its skin.
+//! A marker is paired once and for all. With real markers the usual pairing is the fitted vertex nearest in the first frame,
+//! since nobody knows the true one ([`first_meetings`]); where bodies share their vertices, it can be the same one: then the
+//! error holds that of the first frame and a body that is turned inside its skin, too.
 
 use super::camera_error::mean;
 use super::person_matching::{Frames, Matching, People, matched};
@@ -10,6 +10,7 @@ use super::shelf14::{Shelf14, Skeleton, to_shelf14};
 use crate::body::skeleton::{KeypointConvention, N_JOINTS};
 use nalgebra::Vector3;
 use serde::Serialize;
+use std::collections::BTreeMap;
 
 /// One person in one frame, world metres.
 #[derive(Debug, Clone, PartialEq)]
@@ -54,6 +55,27 @@ pub fn marker_error(truth: &Frames<MarkedPose>, solved: &Frames<MarkedPose>) -> 
         spread_of_poses_mm: spread(&of_poses),
         recall: of_poses.len() as f64 / n_true.max(1) as f64,
     }
+}
+
+/// For everybody in `solved` the first frame in which the matching gives them somebody of `truth`: frame, true name.
+pub fn first_meetings(truth: &Frames<MarkedPose>, solved: &Frames<MarkedPose>) -> BTreeMap<String, (i64, String)> {
+    let mut meetings = BTreeMap::new();
+    for (frame, true_people) in truth {
+        let Some(people) = solved.get(frame) else { continue };
+        for (actor, name) in matched(&skeletons(true_people), &skeletons(people), Matching::One2one) {
+            meetings.entry(name.to_owned()).or_insert((*frame, actor.to_owned()));
+        }
+    }
+    meetings
+}
+
+/// For each marker the vertex of a mesh nearest to it.
+pub fn nearest_vertices(markers: &[Vector3<f64>], mesh: &[Vector3<f64>]) -> Vec<usize> {
+    let square = |marker: &Vector3<f64>, vertex: usize| (mesh[vertex] - marker).norm_squared();
+    let nearest = |marker: &Vector3<f64>| {
+        (0..mesh.len()).min_by(|&a, &b| square(marker, a).total_cmp(&square(marker, b))).unwrap_or(0)
+    };
+    markers.iter().map(nearest).collect()
 }
 
 fn skeletons(people: &People<MarkedPose>) -> People<Shelf14> {

@@ -5,6 +5,7 @@
 //! - [`chart`]: rotations as 57 numbers a frame; joints outside the latent
 //! - [`joints`]: joint positions from them, and the way back
 //! - [`basis`]: the frozen linear code
+//! - [`pose_gaussian`]: which poses are likely
 //! - [`paths`]: what smoothing alone makes of a take
 //! - [`checkpoint`]: the file of a trained prior
 //! - [`interpolation`]: rotations between samples, with derivatives
@@ -33,6 +34,7 @@ pub mod optimizer;
 mod panels;
 pub mod paths;
 mod pentadiagonal;
+pub mod pose_gaussian;
 pub mod prior;
 mod self_contact;
 mod shape;

@@ -38,7 +38,7 @@ pub struct TrainingConfig {
 impl Default for TrainingConfig {
     fn default() -> Self {
         // 3,000 steps take 12 minutes of one core.
-        Self { seed: 1, steps: 3000, shape: VaeShape::default(), local_linear: 0.01 }
+        Self { seed: 1, steps: 3000, shape: VaeShape::default(), local_linear: 3.0 }
     }
 }
 

@@ -7,15 +7,15 @@ use nalgebra::{DMatrix, DVector, Matrix3};
 
 /// Half of a symmetric system `H x = -gradient` over frames of `3 * n_groups` unknowns and a border.
 ///
-/// Frames couple group by group only (a joint's acceleration involves that joint alone).
+/// Frames couple mostly group by group (a joint's acceleration involves that joint alone): [`Coupling`].
 #[derive(Debug, Clone)]
 pub struct BlockBanded {
     /// `H[t][t]`; only the lower triangle is read.
     pub diagonal: Vec<DMatrix<f64>>,
-    /// `H[t + 1][t]`, one 3 x 3 block a group.
-    pub next: Vec<Vec<Matrix3<f64>>>,
-    /// `H[t + 2][t]`, likewise.
-    pub after_next: Vec<Vec<Matrix3<f64>>>,
+    /// `H[t + 1][t]`.
+    pub next: Vec<Coupling>,
+    /// `H[t + 2][t]`.
+    pub after_next: Vec<Coupling>,
     /// `H[t][border]`.
     pub border: Vec<DMatrix<f64>>,
     /// `H[border][border]`, full.
@@ -24,6 +24,55 @@ pub struct BlockBanded {
     pub gradient: Vec<DVector<f64>>,
     /// Gradient of the border.
     pub border_gradient: DVector<f64>,
+}
+
+/// A block between two frames: 3 x 3 blocks, one for each group with itself and few between groups.
+#[derive(Debug, Clone, Default)]
+pub struct Coupling {
+    own: Vec<Matrix3<f64>>,
+    /// Row group, column group, block; what has the same groups adds up.
+    crossed: Vec<(usize, usize, Matrix3<f64>)>,
+}
+
+impl Coupling {
+    fn zeros(n_groups: usize) -> Self {
+        Self { own: vec![Matrix3::zeros(); n_groups], crossed: Vec::new() }
+    }
+
+    /// Adds a block at groups `row` of the later and `column` of the earlier frame.
+    pub fn add(&mut self, row: usize, column: usize, block: Matrix3<f64>) {
+        if row == column {
+            self.own[row] += block;
+        } else {
+            self.crossed.push((row, column, block));
+        }
+    }
+
+    fn blocks(&self) -> impl Iterator<Item = (usize, usize, &Matrix3<f64>)> {
+        let own = self.own.iter().enumerate().map(|(group, block)| (group, group, block));
+        own.chain(self.crossed.iter().map(|(row, column, block)| (*row, *column, block)))
+    }
+
+    fn dense(&self) -> DMatrix<f64> {
+        let n = 3 * self.own.len();
+        let mut dense = DMatrix::zeros(n, n);
+        for (row, column, block) in self.blocks() {
+            let mut place = dense.fixed_view_mut::<3, 3>(3 * row, 3 * column);
+            place += block;
+        }
+        dense
+    }
+
+    fn times(&self, right: &DMatrix<f64>) -> DMatrix<f64> {
+        let mut product = DMatrix::zeros(right.nrows(), right.ncols());
+        for c in 0..right.ncols() {
+            for (row, column, block) in self.blocks() {
+                let mut place = product.fixed_view_mut::<3, 1>(3 * row, c);
+                place += block * right.fixed_view::<3, 1>(3 * column, c);
+            }
+        }
+        product
+    }
 }
 
 /// A solution.
@@ -39,7 +88,7 @@ impl BlockBanded {
     /// The zero system.
     pub fn zeros(n_frames: usize, n_groups: usize, n_border: usize) -> Self {
         let n = 3 * n_groups;
-        let couplings = |distance: usize| vec![vec![Matrix3::zeros(); n_groups]; n_frames.saturating_sub(distance)];
+        let couplings = |distance: usize| vec![Coupling::zeros(n_groups); n_frames.saturating_sub(distance)];
         Self {
             diagonal: vec![DMatrix::zeros(n, n); n_frames],
             next: couplings(1),
@@ -81,7 +130,7 @@ impl BlockBanded {
             let mut block = damped(&self.diagonal[t], damping);
             let mut right = self.border[t].clone().insert_column(n_border, 0.0);
             right.column_mut(n_border).copy_from(&-&self.gradient[t]);
-            let mut to_next = self.next.get(t).map(|groups| block_diagonal(groups));
+            let mut to_next = self.next.get(t).map(Coupling::dense);
             if let Some(one) = t.checked_sub(1).map(|i| &factors[i]) {
                 subtract_product(&mut block, &one.to_next, &one.to_next);
                 right.gemm(-1.0, &one.to_next, &one.right, 1.0);
@@ -102,10 +151,7 @@ impl BlockBanded {
             corner_right -= fixed.tr_mul(&right.column(n_border));
             factors.push(FrameFactor {
                 to_next: to_next.map_or_else(empty, |c| c * &inverse_transposed),
-                to_after_next: self
-                    .after_next
-                    .get(t)
-                    .map_or_else(empty, |groups| block_diagonal_times(groups, &inverse_transposed)),
+                to_after_next: self.after_next.get(t).map_or_else(empty, |c| c.times(&inverse_transposed)),
                 inverse_transposed,
                 right,
             });
@@ -169,25 +215,6 @@ fn subtract_product(target: &mut DMatrix<f64>, a: &DMatrix<f64>, b: &DMatrix<f64
     if a.nrows() > 0 {
         target.gemm(-1.0, a, &b.transpose(), 1.0);
     }
-}
-
-fn block_diagonal(groups: &[Matrix3<f64>]) -> DMatrix<f64> {
-    let mut dense = DMatrix::zeros(3 * groups.len(), 3 * groups.len());
-    for (g, block) in groups.iter().enumerate() {
-        dense.fixed_view_mut::<3, 3>(3 * g, 3 * g).copy_from(block);
-    }
-    dense
-}
-
-fn block_diagonal_times(groups: &[Matrix3<f64>], right: &DMatrix<f64>) -> DMatrix<f64> {
-    let mut product = DMatrix::zeros(right.nrows(), right.ncols());
-    for column in 0..right.ncols() {
-        for (g, block) in groups.iter().enumerate() {
-            let part = block * right.fixed_view::<3, 1>(3 * g, column);
-            product.fixed_view_mut::<3, 1>(3 * g, column).copy_from(&part);
-        }
-    }
-    product
 }
 
 /// Blocks of this size are factored entry by entry, larger ones by halves and matrix products.
@@ -269,9 +296,24 @@ mod tests {
                     let mut view = system.diagonal[t + i].fixed_view_mut::<3, 3>(3 * g, 3 * g);
                     view += a.transpose() * a;
                 }
-                system.next[t][g] += j[1].transpose() * j[0];
-                system.next[t + 1][g] += j[2].transpose() * j[1];
-                system.after_next[t][g] += j[2].transpose() * j[0];
+                system.next[t].add(g, g, j[1].transpose() * j[0]);
+                system.next[t + 1].add(g, g, j[2].transpose() * j[1]);
+                system.after_next[t].add(g, g, j[2].transpose() * j[0]);
+            }
+            // A place that two groups move.
+            let (g, h) = (0, n_groups - 1);
+            let j: [Matrix3<f64>; 3] = std::array::from_fn(|_| Matrix3::from_fn(|_, _| uniform()));
+            for (row, a) in [(g, 1.0), (h, 0.5)] {
+                for (column, b) in [(g, 1.0), (h, 0.5)] {
+                    let block = |i: usize, k: usize| j[i].transpose() * j[k] * (a * b);
+                    for i in 0..3 {
+                        let mut view = system.diagonal[t + i].fixed_view_mut::<3, 3>(3 * row, 3 * column);
+                        view += block(i, i);
+                    }
+                    system.next[t].add(row, column, block(1, 0));
+                    system.next[t + 1].add(row, column, block(2, 1));
+                    system.after_next[t].add(row, column, block(2, 0));
+                }
             }
         }
         system.border_gradient = DVector::from_fn(n_border, |_, _| uniform());
@@ -288,8 +330,7 @@ mod tests {
             h.view_mut((n * t_count, n * t), (m, n)).copy_from(&system.border[t].transpose());
             g.rows_mut(n * t, n).copy_from(&system.gradient[t]);
             for (distance, couplings) in [(1, &system.next), (2, &system.after_next)] {
-                if let Some(groups) = couplings.get(t) {
-                    let block = block_diagonal(groups);
+                if let Some(block) = couplings.get(t).map(Coupling::dense) {
                     h.view_mut((n * (t + distance), n * t), (n, n)).copy_from(&block);
                     h.view_mut((n * t, n * (t + distance)), (n, n)).copy_from(&block.transpose());
                 }

@@ -22,7 +22,7 @@ pub struct Options {
     pub up_axis: UpAxis,
     /// Physics-geometry consistency stage.
     pub denoise: bool,
-    /// Latent motion prior.
+    /// What is known of human motion: poses that people take, feet that stand still.
     pub motion_prior: bool,
     /// Bodies do not pass through each other.
     pub collision: bool,

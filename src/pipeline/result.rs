@@ -90,7 +90,11 @@ impl Findings {
         };
         let is_one_view = capture.session.views.len() == 1;
         let config = if is_one_view { BodyFitConfig::one_view() } else { BodyFitConfig::default() };
-        let config = BodyFitConfig { keep_apart: capture.options.collision, ..config };
+        let config = BodyFitConfig {
+            keep_apart: capture.options.collision,
+            motion_prior: capture.options.motion_prior,
+            ..config
+        };
         let FittedBodies { motions, detector_model, mut detector, penetration, report } =
             fit_bodies(input, model, &config, progress)?;
         if is_one_view {

@@ -9,5 +9,6 @@ pub mod bone_length;
 pub(crate) mod derivative_check;
 pub mod joint_acceleration;
 pub mod joint_angles;
+pub mod pose_likelihood;
 pub mod reprojection;
 pub mod smoothness;

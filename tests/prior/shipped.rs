@@ -115,5 +115,5 @@ fn the_figures_of_the_card_hold_on_takes_never_trained_on() {
         assert!(rate_difference_mm(prior, &data.takes, fps)[0] < 2.0, "{fps}");
     }
     assert!((0.4..4.0).contains(&latent_statistics(prior, &takes).mean_square));
-    assert!(sample_statistics(prior, 200, 1).within_limits > 0.95);
+    assert!(sample_statistics(prior, 1000, 1).within_limits > 0.95);
 }

@@ -48,9 +48,10 @@ const INITIAL: &str = "initial";
 /// The keypoints of the whole solve.
 const POINTS: &str = "bundle adjustment only";
 
-const ARMS: [Arm; 3] = [
+const ARMS: [Arm; 4] = [
     Arm { name: WHOLE, options: Options::default },
     Arm { name: "without consistency", options: || Options { denoise: false, ..Options::default() } },
+    Arm { name: "without motion prior", options: || Options { motion_prior: false, ..Options::default() } },
     Arm { name: "without collision", options: || Options { collision: false, ..Options::default() } },
 ];
 

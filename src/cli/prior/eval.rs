@@ -44,7 +44,7 @@ pub(in crate::cli) fn run(args: Args) -> anyhow::Result<()> {
     print_errors("  8 frames each", &reconstruction(prior, &clips_of(&takes, 8)));
     let latent = latent_statistics(prior, &takes);
     println!(
-        "z: mean square {:.2} ({:.2} to {:.2}), KL {:.2} nats a frame and dimension, second difference {:.3}",
+        "z: mean square {:.2} ({:.2} to {:.2}), KL {:.2} nats a frame and dimension, second difference {:.4}",
         latent.mean_square, latent.min_square, latent.max_square, latent.kl, latent.acceleration
     );
     let clips = clips_of(&takes, CLIP_FRAMES);
@@ -73,7 +73,7 @@ pub(in crate::cli) fn run(args: Args) -> anyhow::Result<()> {
 
 fn print_errors(name: &str, errors: &JointErrors) {
     println!(
-        "{name}: mean {:.2} mm, p95 {:.1} mm, acceleration ratio {:.2}",
+        "{name}: mean {:.2} mm, p95 {:.1} mm, acceleration ratio {:.3}",
         errors.mean_mm, errors.p95_mm, errors.acceleration_ratio
     );
 }

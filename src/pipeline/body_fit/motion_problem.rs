@@ -7,6 +7,7 @@ use super::BodyFitConfig;
 use super::contacts::Contacts;
 use super::evidence::{Evidence, PixelEvidence, PointEvidence};
 use super::place_cost::{PlaceCost, pixel_cost, point_cost, summed_by_landmark};
+use super::steady_places::steady_landmarks;
 use crate::body::anthropometry::N_BETAS;
 use crate::body::bone_offsets::N_BONE_KINDS;
 use crate::body::detector_offsets::OffsetTable;
@@ -15,8 +16,11 @@ use crate::body::kinematics::{Pose, PosedSkeleton, landmark_position, moving_joi
 use crate::body::model::{Betas, BodyModel, ShapedBody};
 use crate::body::skeleton::N_JOINTS;
 use crate::geometry::rotation;
+use crate::motion_prior::MotionPrior;
+use crate::motion_prior::pose_gaussian::PoseGaussian;
 use crate::optim::block_banded::BandedStep;
-use crate::residuals::joint_angles::{JointAngleWeights, joint_angle_cost};
+use crate::residuals::joint_angles::{JointAngleCost, JointAngleWeights, joint_angle_cost};
+use crate::residuals::pose_likelihood::{PoseCost, pose_cost};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
@@ -67,6 +71,10 @@ pub(super) struct MotionProblem<'a> {
     /// `moved_by[landmark]`: `(group, joint)` of the active joints that move it.
     pub moved_by: Vec<Vec<(usize, usize)>>,
     pub ranges: [JointRange; N_JOINTS],
+    /// Landmarks whose places accelerate little.
+    pub steady: Vec<usize>,
+    /// What is known of the poses of those that turn.
+    pub likely: Option<PoseGaussian>,
 }
 
 /// Position of the translation's three unknowns in a frame; joint `active[i]` has group `i + 1`.
@@ -108,6 +116,8 @@ impl<'a> MotionProblem<'a> {
             held: &[],
             shape_prior,
             frame_interval,
+            steady: steady_landmarks(model, config),
+            likely: likely_poses(config, &active),
             active,
             moved_by,
             ranges,
@@ -125,7 +135,8 @@ impl<'a> MotionProblem<'a> {
     pub(super) fn with_contacts(self, contacts: Contacts<'a>) -> Self {
         let touching = contacts.joints();
         let active: Vec<usize> = (0..FIRST_HAND).filter(|j| self.active.contains(j) || touching.contains(j)).collect();
-        Self { contacts: Some(contacts), moved_by: moved_by(self.model, &active), active, ..self }
+        let likely = likely_poses(self.config, &active);
+        Self { contacts: Some(contacts), moved_by: moved_by(self.model, &active), active, likely, ..self }
     }
 
     /// The same with some frames held.
@@ -185,17 +196,29 @@ impl<'a> MotionProblem<'a> {
             let skeleton = posed(&body, pose);
             let data: f64 = self.place_costs(t, &body, &skeleton).iter().map(|p| p.cost).sum();
             let contacts = contacts.map_or(0.0, |contacts| contacts.cost(t, &state.betas, &skeleton));
-            data + contacts + self.active[1..].iter().map(|&j| self.angle_cost(pose, j).cost).sum::<f64>()
+            let angles: f64 = self.active[1..].iter().map(|&j| self.angle_cost(pose, j).cost).sum();
+            let likely = self.pose_cost(pose).map_or(0.0, |poses| poses.cost);
+            (data + contacts + angles + likely, self.steady_positions(&body, &skeleton))
         };
-        let frames: Vec<f64> = state.poses.par_iter().enumerate().map(frame_cost).collect();
+        let (frames, places): (Vec<f64>, Vec<Vec<Vector3<f64>>>) =
+            state.poses.par_iter().enumerate().map(frame_cost).unzip();
         let smooth: f64 = (1..state.poses.len().saturating_sub(1)).map(|t| self.smoothness_cost(state, t)).sum();
-        0.5 * self.shape_prior * state.betas.norm_squared() + self.time_weight() * (frames.iter().sum::<f64>() + smooth)
+        let steady: f64 = places.windows(3).map(|around| self.place_acceleration_cost(around)).sum();
+        0.5 * self.shape_prior * state.betas.norm_squared()
+            + self.time_weight() * (frames.iter().sum::<f64>() + smooth + steady)
     }
 
-    pub(super) fn angle_cost(&self, pose: &Pose, joint: usize) -> crate::residuals::joint_angles::JointAngleCost {
-        let weights =
-            JointAngleWeights { rest: self.config.rest_weight, limit_width: self.config.limit_width_deg.to_radians() };
+    /// Walls at the ends of a joint's range, and the pull to rest where the likely poses do not tell of it.
+    pub(super) fn angle_cost(&self, pose: &Pose, joint: usize) -> JointAngleCost {
+        let is_told = self.likely.as_ref().is_some_and(|likely| likely.joints.contains(&joint));
+        let rest = if is_told { 0.0 } else { self.config.rest_weight };
+        let weights = JointAngleWeights { rest, limit_width: self.config.limit_width_deg.to_radians() };
         joint_angle_cost(&pose.rotations[joint], &self.ranges[joint], &weights)
+    }
+
+    /// What the pose as a whole costs.
+    pub(super) fn pose_cost(&self, pose: &Pose) -> Option<PoseCost> {
+        self.likely.as_ref().map(|likely| pose_cost(&pose.rotations, likely, &self.config.pose_weights))
     }
 
     /// Cost over the position of every landmark with evidence at frame `t`, one entry a landmark.
@@ -246,6 +269,11 @@ impl<'a> MotionProblem<'a> {
         self.acceleration_cost(self.translation_acceleration(state, t).norm_squared()).0
             + self.active.iter().map(joint_cost).sum::<f64>()
     }
+}
+
+/// The motion prior's poses over the joints that turn.
+fn likely_poses(config: &BodyFitConfig, active: &[usize]) -> Option<PoseGaussian> {
+    config.motion_prior.then(|| PoseGaussian::over(MotionPrior::embedded().basis(), active))
 }
 
 /// For every landmark the active joints that move it, with their groups.

@@ -2,6 +2,7 @@
 
 use super::motion_problem::{MotionProblem, MotionState, TRANSLATION_GROUP};
 use super::place_cost::PlaceCost;
+use super::steady_places::SteadyPlace;
 use crate::body::anthropometry::N_BETAS;
 use crate::body::bone_offsets::landmark_by_bones;
 use crate::body::kinematics::{Pose, PosedSkeleton, joints_by_betas, landmark_by_betas, landmark_by_rotation, posed};
@@ -9,6 +10,7 @@ use crate::body::model::{Betas, ShapeDirections, ShapedBody};
 use crate::body::skeleton::N_JOINTS;
 use crate::optim::block_banded::BlockBanded;
 use crate::residuals::joint_acceleration::turn_change;
+use crate::residuals::pose_likelihood::PoseCost;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use rayon::prelude::*;
 
@@ -20,6 +22,21 @@ struct FrameSystem {
     gradient: DVector<f64>,
     corner: DMatrix<f64>,
     border_gradient: DVector<f64>,
+    steady: Vec<SteadyPlace>,
+}
+
+impl FrameSystem {
+    /// `rows[i]`: first row of the i-th joint of the cost.
+    fn add_poses(&mut self, poses: &PoseCost, rows: &[usize]) {
+        for (i, &row) in rows.iter().enumerate() {
+            let mut gradient = self.gradient.fixed_rows_mut::<3>(row);
+            gradient += poses.gradient.fixed_rows::<3>(3 * i);
+            for (k, &column) in rows.iter().enumerate().take(i + 1) {
+                let mut block = self.diagonal.fixed_view_mut::<3, 3>(row, column);
+                block += poses.hessian.fixed_view::<3, 3>(3 * i, 3 * k);
+            }
+        }
+    }
 }
 
 impl MotionProblem<'_> {
@@ -36,6 +53,7 @@ impl MotionProblem<'_> {
             .map(|(t, pose)| self.frame_system(t, &body, &state.betas, pose))
             .collect();
         let mut cost = 0.5 * self.shape_prior * state.betas.norm_squared();
+        let mut steady = Vec::with_capacity(frames.len());
         for k in 0..self.n_betas() {
             system.corner[(k, k)] += self.shape_prior;
             system.border_gradient[k] += self.shape_prior * state.betas[k];
@@ -44,6 +62,7 @@ impl MotionProblem<'_> {
             cost += weight * frame.cost;
             system.diagonal[t] = frame.diagonal * weight;
             system.gradient[t] = frame.gradient * weight;
+            steady.push(frame.steady);
             if n_border > 0 {
                 system.border[t] = frame.border * weight;
                 system.corner += frame.corner * weight;
@@ -52,6 +71,8 @@ impl MotionProblem<'_> {
         }
         for t in 1..state.poses.len().saturating_sub(1) {
             cost += weight * self.add_smoothness(state, t, &mut system);
+            let around = [&steady[t - 1], &steady[t], &steady[t + 1]].map(Vec::as_slice);
+            cost += weight * self.add_place_accelerations(t, around, &mut system);
         }
         for &t in self.held {
             (0..system.diagonal[t].nrows()).for_each(|i| system.diagonal[t][(i, i)] += HOLD);
@@ -68,6 +89,7 @@ impl MotionProblem<'_> {
             gradient: DVector::zeros(n),
             corner: DMatrix::zeros(n_border, n_border),
             border_gradient: DVector::zeros(n_border),
+            steady: Vec::new(),
         };
         let skeleton = posed(body, pose);
         let joint_directions = joints_by_betas(self.model, &skeleton);
@@ -92,6 +114,7 @@ impl MotionProblem<'_> {
                 }
             }
         }
+        system.steady = self.steady_places(body, &skeleton);
         for (i, &joint) in self.active.iter().enumerate().skip(1) {
             let angle = self.angle_cost(pose, joint);
             system.cost += angle.cost;
@@ -99,6 +122,10 @@ impl MotionProblem<'_> {
             gradient += angle.gradient;
             let mut block = system.diagonal.fixed_view_mut::<3, 3>(3 * (i + 1), 3 * (i + 1));
             block += angle.hessian;
+        }
+        if let (Some(likely), Some(poses)) = (&self.likely, self.pose_cost(pose)) {
+            system.cost += poses.cost;
+            system.add_poses(&poses, &self.rows_of(&likely.joints));
         }
         if let Some(contacts) = self.contacts {
             let FrameSystem { diagonal, gradient, .. } = &mut system;
@@ -111,7 +138,13 @@ impl MotionProblem<'_> {
         system
     }
 
-    fn by_border(
+    /// First row of each joint's unknowns in a frame.
+    fn rows_of(&self, joints: &[usize]) -> Vec<usize> {
+        let row = |joint: &usize| self.active.iter().position(|a| a == joint).map(|i| 3 * (i + 1));
+        joints.iter().filter_map(row).collect()
+    }
+
+    pub(super) fn by_border(
         &self,
         landmark: usize,
         skeleton: &PosedSkeleton,
@@ -170,21 +203,33 @@ impl MotionProblem<'_> {
             block += left * jacobian;
         }
         let [a, b, c] = jacobians;
-        system.next[t - 1][group] += b.transpose() * a * weight;
-        system.next[t][group] += c.transpose() * b * weight;
-        system.after_next[t - 1][group] += c.transpose() * a * weight;
+        system.next[t - 1].add(group, group, b.transpose() * a * weight);
+        system.next[t].add(group, group, c.transpose() * b * weight);
+        system.after_next[t - 1].add(group, group, c.transpose() * a * weight);
         cost
     }
 }
 
 /// Derivatives of a landmark to the unknowns of the border: the betas in the first columns; further blocks of three
 /// columns (the person's bones, the detector's offset) each from a column of its own on.
-struct BorderJacobian {
+pub(super) struct BorderJacobian {
     betas: Option<ShapeDirections>,
     blocks: Vec<(usize, Matrix3<f64>)>,
 }
 
 impl BorderJacobian {
+    /// The whole of it, `[3, n_border]`.
+    pub(super) fn dense(&self, n_border: usize) -> DMatrix<f64> {
+        let mut dense = DMatrix::zeros(3, n_border);
+        if let Some(betas) = &self.betas {
+            dense.fixed_view_mut::<3, N_BETAS>(0, 0).copy_from(betas);
+        }
+        for (column, block) in &self.blocks {
+            dense.fixed_view_mut::<3, 3>(0, *column).copy_from(block);
+        }
+        dense
+    }
+
     fn add_to_corner(&self, place: &PlaceCost, corner: &mut DMatrix<f64>, gradient: &mut DVector<f64>) {
         if let Some(betas) = &self.betas {
             let mut block = corner.fixed_view_mut::<N_BETAS, N_BETAS>(0, 0);

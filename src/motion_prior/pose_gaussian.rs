@@ -1,0 +1,73 @@
+//! What poses are likely: the latent code of single frames as a Gaussian over the joints' rotations.
+//!
+//! The linear code ([`super::basis`]) has `u - m = F^T z + e` with `z ~ N(0, I)` and `e`, what the code leaves of each
+//! feature, so that `u ~ N(m, F^T F + diag(spread^2 - diag(F^T F)))`: the latent prior `|z|^2` of the paper beside a
+//! residual for every joint, with z solved for in closed form.
+
+use super::basis::{Basis, LATENT_DIM};
+use super::chart::{LATENT_JOINTS, N_FEATURES};
+use nalgebra::{Cholesky, DMatrix, DVector, Matrix3};
+
+/// What is left of a joint where all others are known, at the least, rad (4 degrees): hinges that the captured skeletons
+/// do not have, people have a little.
+const FLOOR: f64 = 0.07;
+
+/// A Gaussian over the features `u_j = log(M_j^T R_j)` of some of [`LATENT_JOINTS`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoseGaussian {
+    /// The joints, in SMPL's order.
+    pub joints: Vec<usize>,
+    /// `M_j` of each.
+    pub rotations: Vec<Matrix3<f64>>,
+    /// Mean of the features, rad; three a joint.
+    pub mean: DVector<f64>,
+    /// Inverse of their covariance, rad^-2.
+    pub precision: DMatrix<f64>,
+}
+
+impl PoseGaussian {
+    /// The marginal over those of `joints` that the latent describes.
+    pub fn over(basis: &Basis, joints: &[usize]) -> Self {
+        let places: Vec<usize> = (0..LATENT_JOINTS.len()).filter(|&i| joints.contains(&LATENT_JOINTS[i])).collect();
+        let features: Vec<usize> = places.iter().flat_map(|i| 3 * i..3 * i + 3).collect();
+        let covariance = covariance(basis).select_rows(&features).select_columns(&features);
+        let factor = Cholesky::new(covariance).expect("a sum of squares and a positive diagonal");
+        Self {
+            joints: places.iter().map(|&i| LATENT_JOINTS[i]).collect(),
+            rotations: places.iter().map(|&i| basis.chart.means[i]).collect(),
+            mean: DVector::from_iterator(features.len(), features.iter().map(|&i| f64::from(basis.mean[i]))),
+            precision: factor.inverse(),
+        }
+    }
+}
+
+/// Covariance of all features, rad^2.
+fn covariance(basis: &Basis) -> DMatrix<f64> {
+    let code = DMatrix::from_fn(LATENT_DIM, N_FEATURES, |k, i| f64::from(basis.features_from_code[k * N_FEATURES + i]));
+    let mut covariance = code.tr_mul(&code);
+    for (i, spread) in basis.spread.iter().enumerate() {
+        let left = f64::from(*spread).powi(2) - covariance[(i, i)];
+        covariance[(i, i)] += left.max(0.0) + FLOOR * FLOOR;
+    }
+    covariance
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::MotionPrior;
+    use super::*;
+
+    #[test]
+    fn each_joint_spreads_as_it_was_measured_and_collars_are_not_in_it() {
+        let basis = MotionPrior::embedded().basis();
+        let gaussian = PoseGaussian::over(basis, &[1, 13, 4, 21]);
+        assert_eq!(gaussian.joints, [1, 4, 21]);
+        let covariance = gaussian.precision.clone().try_inverse().unwrap();
+        let measured = |row: usize| f64::from(basis.spread[if row < 3 { row } else { 3 * 3 + row - 3 }]);
+        for row in 0..6 {
+            let expected = measured(row).powi(2) + FLOOR * FLOOR;
+            assert!((covariance[(row, row)] / expected - 1.0).abs() < 0.02, "{row}");
+        }
+        assert!(covariance[(0, 3)].abs() > 0.01, "a lifted thigh and a bent knee go together");
+    }
+}
