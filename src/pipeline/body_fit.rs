@@ -131,9 +131,10 @@ impl Default for BodyFitConfig {
             angular_acceleration_factor: 0.52,
             acceleration_knee: 0.25,
             motion_prior: true,
-            // A new pose a second, at 30 frames a second. `hard` (5 seeds) 17.2 mm with it, 17.2 without, 17.4 with 0.1, 18.0 with
-            // 0.3; two views 17.87, 17.90, 17.77 and 18.2 mm.
-            pose_weights: PoseWeights { weight: 1.0 / 30.0, knee: 2.0 },
+            // Two new poses a second, at 30 frames a second. `hard` (10 seeds) 17.2 mm with it and with half of it, 17.5 without
+            // the prior; `paper` 9.3 and 9.6; two views (5 seeds) 17.9 with half, 17.8 with one and a half times, 18.2 with
+            // 4.5 times of it.
+            pose_weights: PoseWeights { weight: 1.0 / 15.0, knee: 2.0 },
             // As the pelvis, which moves no less than a foot between its steps. Jitter over the truth's on `hard` and `paper`: 1.13
             // and 1.35 without, 0.87 and 1.05 with this, 0.75 and 1.00 with 0.5.
             ankle_acceleration: 1.2,
