@@ -4,9 +4,9 @@
 //!
 //! - [`config`], [`presets`]: what is simulated: people, cameras, noise
 //! - [`skeleton`]: the simulated body, deliberately not the one that is fitted
-//! - [`individual`]: default bodies with joints of their own, and a detector with habits
+//! - `individual`: default bodies with joints of their own, and a detector with habits
 //! - [`choreography`], [`gait`]: people who walk, stop, turn, crouch, sit, reach and gesture
-//! - [`dance`]: two people within arms' reach
+//! - `dance`: two people within arms' reach
 //! - [`placement`]: people from motion capture (AMASS layout) or drawn from the motion prior, put on the floor
 //! - [`landmarks`]: the points a detector looks for, from a posed skeleton
 //! - [`rig`]: cameras around the scene
