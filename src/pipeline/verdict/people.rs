@@ -3,7 +3,7 @@
 
 use super::geometry::RAY_ANGLE_DEG;
 use super::{Bounds, Evidence, Reason};
-use crate::session::reconstruction::{KeypointReport, PersonReport};
+use crate::session::reconstruction::{KeypointReport, PersonReport, Verdict};
 
 /// Share of a person's frames in which two cameras see them: the rest hangs on one ray and on smoothness.
 const IN_TWO_VIEWS: Bounds = Bounds { warn: 0.6, reject: 0.2 };
@@ -30,7 +30,14 @@ const PENETRATION_WARN_MM: f64 = 60.0;
 pub(super) fn reasons(evidence: &Evidence) -> Vec<Reason> {
     let of_person =
         |person| [hardly_seen(person), uncertain(person), contradicted(person), stretching(person), shaking(person)];
-    evidence.people.iter().flat_map(of_person).flatten().chain(penetration(evidence)).collect()
+    let mut of_each: Vec<Vec<Reason>> =
+        evidence.people.iter().map(|person| of_person(person).into_iter().flatten().collect()).collect();
+    let is_rejected = |reasons: &Vec<Reason>| reasons.iter().any(|reason| reason.verdict == Verdict::Reject);
+    if !of_each.iter().all(is_rejected) {
+        // Somebody of no use, a passer-by before one camera, does not make the others so.
+        of_each.iter_mut().flatten().for_each(|reason| reason.verdict = Verdict::Warn);
+    }
+    of_each.into_iter().flatten().chain(penetration(evidence)).collect()
 }
 
 fn hardly_seen(person: &PersonReport) -> Option<Reason> {
