@@ -33,13 +33,6 @@ impl Alignment {
     }
 }
 
-/// A proper rotation and how well it fits.
-struct RotationFit {
-    rotation: Matrix3<f64>,
-    /// `tr(rotation^T covariance)`, the greatest that any rotation reaches.
-    trace: f64,
-}
-
 /// `truth_from_solved` for cameras that correspond by position; the identity where there are none.
 ///
 /// `solved`, `truth`: `camera_from_world`, equally many.
@@ -67,28 +60,25 @@ pub enum Scale {
 /// Least-squares alignment of corresponding points.
 ///
 /// min over s, Q, b of `sum |y_i - (s Q x_i + b)|^2` (Umeyama, PAMI 1991). The rotation is found as Horn's quaternion
-/// (J. Opt. Soc. Am. A 4, 1987), which never is a reflection, and `s = tr(Q^T Y X^T) / |X|^2` of the centred points.
+/// (J. Opt. Soc. Am. A 4, 1987), which never is a reflection.
 ///
 /// `source`, `target`: n points each. Returns `target_from_source`; the identity for no points.
 ///
 /// Known limit: the rotation about the line is arbitrary where the points lie on one.
 pub fn align_points(source: &[Vector3<f64>], target: &[Vector3<f64>], scale: Scale) -> Similarity {
     let (source_mean, target_mean) = (mean(source), mean(target));
-    let pairs = || source.iter().zip(target).map(|(x, y)| (x - source_mean, y - target_mean));
-    let covariance: Matrix3<f64> = pairs().map(|(x, y)| y * x.transpose()).sum();
-    let spread: f64 = pairs().map(|(x, _)| x.norm_squared()).sum();
-    let fit = best_rotation(&covariance);
-    let scale = if scale == Scale::Free && spread > 0.0 { fit.trace / spread } else { 1.0 };
-    Similarity { scale, rotation: fit.rotation, translation: target_mean - fit.rotation * source_mean * scale }
+    let pairs = source.iter().zip(target).map(|(x, y)| (x - source_mean, y - target_mean));
+    let covariance: Matrix3<f64> = pairs.map(|(x, y)| y * x.transpose()).sum();
+    align_turned(&best_rotation(&covariance), source, target, scale)
 }
 
 /// The rotation `truth_from_solved` on which cameras agree by their orientations.
 fn mean_turn(solved: &[Rigid], truth: &[Rigid]) -> Matrix3<f64> {
     let sum: Matrix3<f64> = solved.iter().zip(truth).map(|(s, t)| t.rotation.transpose() * s.rotation).sum();
-    best_rotation(&sum).rotation
+    best_rotation(&sum)
 }
 
-/// [`align_points`] where the rotation is known: `s = sum y_i^T Q x_i / |X|^2` of the centred points.
+/// [`align_points`] where the rotation Q is known: `s = sum y_i^T Q x_i / |X|^2` of the centred points.
 fn align_turned(rotation: &Matrix3<f64>, source: &[Vector3<f64>], target: &[Vector3<f64>], scale: Scale) -> Similarity {
     let (source_mean, target_mean) = (mean(source), mean(target));
     let pairs = || source.iter().zip(target).map(|(x, y)| (rotation * (x - source_mean), y - target_mean));
@@ -103,9 +93,9 @@ fn mean(points: &[Vector3<f64>]) -> Vector3<f64> {
 }
 
 /// The rotation Q that maximises `tr(Q^T covariance)`: the eigenvector of Horn's 4x4 matrix with the largest eigenvalue.
-fn best_rotation(covariance: &Matrix3<f64>) -> RotationFit {
+fn best_rotation(covariance: &Matrix3<f64>) -> Matrix3<f64> {
     if covariance.norm_squared() == 0.0 {
-        return RotationFit { rotation: Matrix3::identity(), trace: 0.0 };
+        return Matrix3::identity();
     }
     let s = covariance.transpose();
     let trace = s.trace();
@@ -116,10 +106,10 @@ fn best_rotation(covariance: &Matrix3<f64>) -> RotationFit {
     horn.fixed_view_mut::<1, 3>(0, 1).copy_from(&axial.transpose());
     horn.fixed_view_mut::<3, 3>(1, 1).copy_from(&(s + s.transpose() - Matrix3::identity() * trace));
     let eigen = SymmetricEigen::new(horn);
-    let (best, largest) = eigen.eigenvalues.argmax();
+    let best = eigen.eigenvalues.imax();
     let q = eigen.eigenvectors.column(best);
     let quaternion = UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(q[0], q[1], q[2], q[3]));
-    RotationFit { rotation: quaternion.to_rotation_matrix().into_inner(), trace: largest }
+    quaternion.to_rotation_matrix().into_inner()
 }
 
 #[cfg(test)]

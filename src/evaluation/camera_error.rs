@@ -152,16 +152,7 @@ mod tests {
     use crate::geometry::Similarity;
 
     fn ring(n: usize) -> Vec<CameraPair> {
-        let intrinsics = Intrinsics {
-            width: 1280,
-            height: 720,
-            fx: 1000.0,
-            fy: 1000.0,
-            cx: 640.0,
-            cy: 360.0,
-            skew: 0.0,
-            dist: Distortion::None,
-        };
+        let intrinsics = Intrinsics::PLAIN;
         (0..n)
             .map(|i| {
                 let turn = rotation::exp(&Vector3::new(0.1 * i as f64, 1.1 * i as f64, 0.0));

@@ -31,6 +31,21 @@ pub struct Intrinsics {
 /// A point nearer to the camera plane than this (m) does not project.
 pub const MIN_DEPTH: f64 = 1e-3;
 
+#[cfg(test)]
+impl Intrinsics {
+    /// 65 degrees wide, without distortion.
+    pub(crate) const PLAIN: Self = Self {
+        width: 1280,
+        height: 720,
+        fx: 1000.0,
+        fy: 1000.0,
+        cx: 640.0,
+        cy: 360.0,
+        skew: 0.0,
+        dist: Distortion::None,
+    };
+}
+
 impl Intrinsics {
     /// Mean focal length, px: turns an angle (rad) into pixels.
     pub fn focal(&self) -> f64 {

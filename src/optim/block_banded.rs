@@ -27,7 +27,7 @@ pub struct BlockBanded {
 }
 
 /// A block between two frames: 3 x 3 blocks, one for each group with itself and few between groups.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct Coupling {
     own: Vec<Matrix3<f64>>,
     /// Row group, column group, block; what has the same groups adds up.
@@ -40,7 +40,7 @@ impl Coupling {
     }
 
     /// Adds a block at groups `row` of the later and `column` of the earlier frame.
-    pub fn add(&mut self, row: usize, column: usize, block: Matrix3<f64>) {
+    fn add(&mut self, row: usize, column: usize, block: Matrix3<f64>) {
         if row == column {
             self.own[row] += block;
         } else {
@@ -97,6 +97,19 @@ impl BlockBanded {
             corner: DMatrix::zeros(n_border, n_border),
             gradient: vec![DVector::zeros(n); n_frames],
             border_gradient: DVector::zeros(n_border),
+        }
+    }
+
+    /// Adds a block at groups `row` of frame `later` and `column` of frame `earlier`, the same or at most two before it.
+    pub fn add_block(&mut self, [later, earlier]: [usize; 2], [row, column]: [usize; 2], block: Matrix3<f64>) {
+        match later - earlier {
+            0 => {
+                let mut place = self.diagonal[later].fixed_view_mut::<3, 3>(3 * row, 3 * column);
+                place += block;
+            }
+            1 => self.next[earlier].add(row, column, block),
+            2 => self.after_next[earlier].add(row, column, block),
+            distance => unreachable!("frames {distance} apart do not couple"),
         }
     }
 

@@ -147,14 +147,11 @@ pub fn write_truth(simulated: &Simulated, session_folder: &Path) -> io::Result<(
     let model = default_body();
     let body = |person: &Person| {
         let betas = person.betas?;
-        let shifts = person.joint_shifts.map(|shift| [shift.x, shift.y, shift.z]);
-        let stature_m = model.surface.stature(&betas);
-        Some(match simulated.config.bodies {
-            Bodies::Individual => {
-                json!({"betas": betas.as_slice(), "stature_m": stature_m, "joint_shifts_m": shifts})
-            }
-            _ => json!({"betas": betas.as_slice(), "stature_m": stature_m}),
-        })
+        let mut body = json!({"betas": betas.as_slice(), "stature_m": model.surface.stature(&betas)});
+        if simulated.config.bodies == Bodies::Individual {
+            body["joint_shifts_m"] = json!(person.joint_shifts.map(|shift| [shift.x, shift.y, shift.z]));
+        }
+        Some(body)
     };
     if let Some(bodies) = truth.people.iter().map(body).collect() {
         write("bodies.json", &serde_json::Value::Array(bodies))?;

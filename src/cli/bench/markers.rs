@@ -14,7 +14,7 @@ use crate::cli::BadInput;
 use crate::cli::solve::use_threads;
 use crate::evaluation::alignment::{Alignment, truth_from_solved};
 use crate::evaluation::marker_error::{MarkedPose, first_meetings, marker_error, nearest_vertices};
-use crate::evaluation::markers::{Marker, markers};
+use crate::evaluation::markers::markers;
 use crate::evaluation::person_matching::Frames;
 use crate::geometry::Similarity;
 use crate::pipeline::config::Extrinsics;
@@ -90,7 +90,8 @@ struct Dance {
     simulated: Simulated,
     /// The body that the fit knows.
     model: BodyModel,
-    markers: Vec<Marker>,
+    /// Those of the markers.
+    vertices: Vec<usize>,
     truth: Frames<MarkedPose>,
 }
 
@@ -107,12 +108,12 @@ impl Dance {
             ..SimulationConfig::preset(Preset::Paper)
         })?;
         let model = default_body();
-        let markers = markers(&model);
+        let vertices: Vec<usize> = markers(&model).iter().map(|marker| marker.vertex).collect();
         let mut truth = Frames::new();
         for (index, person) in simulated.truth.people.iter().enumerate() {
-            add_true_person(&mut truth, index, person, &markers);
+            add_true_person(&mut truth, index, person, &vertices);
         }
-        Ok(Self { simulated, model, markers, truth })
+        Ok(Self { simulated, model, vertices, truth })
     }
 
     /// Solves with some of the cameras. There are no figures where nothing can be solved: one camera does not find itself.
@@ -127,10 +128,9 @@ impl Dance {
             Err(error) => return Err(error.into()),
         };
         let truth_from_result = self.truth_from_result(&found, views, extrinsics);
-        let by_rule: Vec<usize> = self.markers.iter().map(|marker| marker.vertex).collect();
-        let same = self.fitted(&found, &truth_from_result, &|_| &by_rule);
+        let same = self.fitted(&found, &truth_from_result, &|_| &self.vertices);
         let nearest = self.nearest(&found, &truth_from_result, &same);
-        let paired = self.fitted(&found, &truth_from_result, &|person| nearest.get(person).unwrap_or(&by_rule));
+        let paired = self.fitted(&found, &truth_from_result, &|person| nearest.get(person).unwrap_or(&self.vertices));
         let (error, same) = (marker_error(&self.truth, &paired), marker_error(&self.truth, &same));
         let values = [error.mean_mm, error.spread_mm, error.spread_of_poses_mm, same.mean_mm, Some(error.recall)];
         Ok(figures(&COLUMNS, values))
@@ -202,13 +202,12 @@ impl Dance {
     }
 }
 
-fn add_true_person(frames: &mut Frames<MarkedPose>, index: usize, person: &Person, markers: &[Marker]) {
-    let vertices: Vec<usize> = markers.iter().map(|marker| marker.vertex).collect();
+fn add_true_person(frames: &mut Frames<MarkedPose>, index: usize, person: &Person, vertices: &[usize]) {
     let Some((model, betas)) = person.model().zip(person.betas) else { return };
     let pelvis: Vector3<f64> = model.shaped(&betas).rest_joints[0];
     for (frame, pose) in person.poses.iter().enumerate() {
         let pose = Pose { rotations: pose.rotations, translation: pose.pelvis - pelvis };
-        frames.entry(frame as i64).or_default().insert(index.to_string(), marked(&model, &betas, &pose, &vertices));
+        frames.entry(frame as i64).or_default().insert(index.to_string(), marked(&model, &betas, &pose, vertices));
     }
 }
 
@@ -280,7 +279,7 @@ mod tests {
             &mut known,
             0,
             &Person { joint_shifts: [Vector3::zeros(); 24], ..person.clone() },
-            &dance.markers,
+            &dance.vertices,
         );
         let truth = Frames::from([(0, [("0".to_owned(), dance.truth[&0]["0"].clone())].into())]);
         let off = marker_error(&truth, &known).mean_mm.unwrap();

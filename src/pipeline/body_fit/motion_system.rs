@@ -95,12 +95,7 @@ impl MotionProblem<'_> {
         let joint_directions = joints_by_betas(self.model, &skeleton);
         for place in self.place_costs(t, body, &skeleton) {
             system.cost += place.cost;
-            let by_rotation = |&(group, joint): &(usize, usize)| {
-                (group, landmark_by_rotation(self.model, body, &skeleton, place.landmark, joint))
-            };
-            let jacobians: Vec<(usize, Matrix3<f64>)> = std::iter::once((TRANSLATION_GROUP, Matrix3::identity()))
-                .chain(self.moved_by[place.landmark].iter().map(by_rotation))
-                .collect();
+            let jacobians = self.by_frame(place.landmark, body, &skeleton);
             let by_border = self.by_border(place.landmark, &skeleton, &joint_directions);
             by_border.add_to_corner(&place, &mut system.corner, &mut system.border_gradient);
             for (i, (row, a)) in jacobians.iter().enumerate() {
@@ -114,7 +109,7 @@ impl MotionProblem<'_> {
                 }
             }
         }
-        system.steady = self.steady_places(body, &skeleton);
+        system.steady = self.steady_places(body, &skeleton, &joint_directions);
         for (i, &joint) in self.active.iter().enumerate().skip(1) {
             let angle = self.angle_cost(pose, joint);
             system.cost += angle.cost;
@@ -142,6 +137,20 @@ impl MotionProblem<'_> {
     fn rows_of(&self, joints: &[usize]) -> Vec<usize> {
         let row = |joint: &usize| self.active.iter().position(|a| a == joint).map(|i| 3 * (i + 1));
         joints.iter().filter_map(row).collect()
+    }
+
+    /// Derivatives of a landmark's place to the groups of its frame that move it, ascending.
+    pub(super) fn by_frame(
+        &self,
+        landmark: usize,
+        body: &ShapedBody,
+        skeleton: &PosedSkeleton,
+    ) -> Vec<(usize, Matrix3<f64>)> {
+        let by_rotation = |&(group, joint): &(usize, usize)| {
+            (group, landmark_by_rotation(self.model, body, skeleton, landmark, joint))
+        };
+        let by_translation = std::iter::once((TRANSLATION_GROUP, Matrix3::identity()));
+        by_translation.chain(self.moved_by[landmark].iter().map(by_rotation)).collect()
     }
 
     pub(super) fn by_border(
@@ -172,43 +181,51 @@ impl MotionProblem<'_> {
     /// Adds the accelerations about frame `t`; returns their unweighted cost.
     fn add_smoothness(&self, state: &MotionState, t: usize, system: &mut BlockBanded) -> f64 {
         let scale = 1.0 / (self.frame_interval.powi(2) * self.config.translation_acceleration);
-        let jacobians = [1.0, -2.0, 1.0].map(|c| Matrix3::identity() * (c * scale));
-        let mut cost =
-            self.add_acceleration(t, TRANSLATION_GROUP, &self.translation_acceleration(state, t), &jacobians, system);
+        let factors = SECOND_DIFFERENCE.map(|c| c * scale);
+        let still: &[(usize, Matrix3<f64>)] = &[(TRANSLATION_GROUP, Matrix3::identity())];
+        let (mut cost, _) =
+            self.add_acceleration(t, &self.translation_acceleration(state, t), factors, [still; 3], system);
         for (i, &joint) in self.active.iter().enumerate() {
             let [a, b, c] = [t - 1, t, t + 1].map(|i| &state.poses[i].rotations[joint]);
             let change = turn_change(a, b, c);
             let scale = self.angular_scale(joint);
-            let jacobians = change.jacobians.map(|j| j * scale);
-            cost += self.add_acceleration(t, i + 1, &(change.value * scale), &jacobians, system);
+            let jacobians = change.jacobians.map(|jacobian| [(i + 1, jacobian)]);
+            let by_frame = jacobians.each_ref().map(<[_; 1]>::as_slice);
+            cost += self.add_acceleration(t, &(change.value * scale), [scale; 3], by_frame, system).0;
         }
         cost
     }
 
-    fn add_acceleration(
+    /// Adds an acceleration over its size, `residual`, about frame `t`. Its derivatives are `factors` times those of
+    /// `by_frame`, each by group. Returns its unweighted cost, and the weight that its square has in the system.
+    pub(super) fn add_acceleration(
         &self,
         t: usize,
-        group: usize,
         residual: &Vector3<f64>,
-        jacobians: &[Matrix3<f64>; 3],
+        factors: [f64; 3],
+        by_frame: [&[(usize, Matrix3<f64>)]; 3],
         system: &mut BlockBanded,
-    ) -> f64 {
+    ) -> (f64, f64) {
         let (cost, robust) = self.acceleration_cost(residual.norm_squared());
         let weight = robust * self.time_weight();
-        for (i, jacobian) in jacobians.iter().enumerate() {
-            let left = jacobian.transpose() * weight;
-            let mut gradient = system.gradient[t - 1 + i].fixed_rows_mut::<3>(3 * group);
-            gradient += left * residual;
-            let mut block = system.diagonal[t - 1 + i].fixed_view_mut::<3, 3>(3 * group, 3 * group);
-            block += left * jacobian;
+        for (i, (groups, factor)) in by_frame.iter().zip(factors).enumerate() {
+            for (row, jacobian) in *groups {
+                let left = jacobian.transpose() * (factor * weight);
+                let mut gradient = system.gradient[t - 1 + i].fixed_rows_mut::<3>(3 * row);
+                gradient += left * residual;
+                for (k, (earlier, factor)) in by_frame.iter().zip(factors).enumerate().take(i + 1) {
+                    for (column, other) in *earlier {
+                        system.add_block([t - 1 + i, t - 1 + k], [*row, *column], left * other * factor);
+                    }
+                }
+            }
         }
-        let [a, b, c] = jacobians;
-        system.next[t - 1].add(group, group, b.transpose() * a * weight);
-        system.next[t].add(group, group, c.transpose() * b * weight);
-        system.after_next[t - 1].add(group, group, c.transpose() * a * weight);
-        cost
+        (cost, weight)
     }
 }
+
+/// Of three successive places over the squared frame interval: the acceleration in the middle.
+pub(super) const SECOND_DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
 
 /// Derivatives of a landmark to the unknowns of the border: the betas in the first columns; further blocks of three
 /// columns (the person's bones, the detector's offset) each from a column of its own on.

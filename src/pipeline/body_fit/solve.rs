@@ -6,7 +6,7 @@ use super::initial_motion::initial_motion;
 use super::motion_problem::{DataTerm, MotionProblem, MotionState, Shape};
 use crate::body::BodyModel;
 use crate::body::kinematics::{landmark_position, posed};
-use crate::optim::robust::median;
+use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
 use crate::progress::{Canceled, Progress};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -157,11 +157,11 @@ impl Stages<'_> {
     }
 
     /// The detector's standard deviation per axis as a share of apparent size, from the median residual: that of a
-    /// 2D normal distribution is 1.177 sigma.
+    /// normal distribution in the plane has a known multiple of sigma.
     pub(super) fn pixel_share(&self, evidence: &Evidence, state: &MotionState) -> f64 {
         let mut shares: Vec<f64> = residuals(self.model, evidence, state).into_iter().map(|r| r.share).collect();
         let [low, high] = self.config.pixel_share;
-        median(&mut shares).map_or(high, |m| (m / 1.177).clamp(low, high))
+        median(&mut shares).map_or(high, |m| (m / MEDIAN_LENGTH_IN_PLANE).clamp(low, high))
     }
 
     pub(super) fn minimised(

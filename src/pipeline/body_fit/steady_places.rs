@@ -4,9 +4,11 @@
 //! accelerated two to three times as much as in truth, all other joints 0.8 to 1.3 times.
 
 use super::BodyFitConfig;
-use super::motion_problem::{MotionProblem, TRANSLATION_GROUP};
-use crate::body::kinematics::{PosedSkeleton, joints_by_betas, landmark_by_rotation, landmark_position};
-use crate::body::model::{BodyModel, ShapedBody};
+use super::motion_problem::MotionProblem;
+use super::motion_system::SECOND_DIFFERENCE;
+use crate::body::kinematics::{PosedSkeleton, landmark_position};
+use crate::body::model::{BodyModel, ShapeDirections, ShapedBody};
+use crate::body::skeleton::N_JOINTS;
 use crate::optim::block_banded::BlockBanded;
 use nalgebra::{DMatrix, Matrix3, Vector3};
 
@@ -26,8 +28,6 @@ pub(super) fn steady_landmarks(model: &BodyModel, config: &BodyFitConfig) -> Vec
     names.iter().filter_map(|name| model.landmark_index(name)).collect()
 }
 
-const SECOND_DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
-
 impl MotionProblem<'_> {
     /// Where the steady landmarks are, m.
     pub(super) fn steady_positions(&self, body: &ShapedBody, skeleton: &PosedSkeleton) -> Vec<Vector3<f64>> {
@@ -35,18 +35,16 @@ impl MotionProblem<'_> {
     }
 
     /// The same with derivatives.
-    pub(super) fn steady_places(&self, body: &ShapedBody, skeleton: &PosedSkeleton) -> Vec<SteadyPlace> {
-        let directions = joints_by_betas(self.model, skeleton);
-        let place = |&landmark: &usize| {
-            let by_rotation = |&(group, joint): &(usize, usize)| {
-                (group, landmark_by_rotation(self.model, body, skeleton, landmark, joint))
-            };
-            let by_translation = std::iter::once((TRANSLATION_GROUP, Matrix3::identity()));
-            SteadyPlace {
-                position: landmark_position(self.model, body, skeleton, landmark),
-                by_frame: by_translation.chain(self.moved_by[landmark].iter().map(by_rotation)).collect(),
-                by_border: self.by_border(landmark, skeleton, &directions).dense(self.n_border()),
-            }
+    pub(super) fn steady_places(
+        &self,
+        body: &ShapedBody,
+        skeleton: &PosedSkeleton,
+        joint_directions: &[ShapeDirections; N_JOINTS],
+    ) -> Vec<SteadyPlace> {
+        let place = |&landmark: &usize| SteadyPlace {
+            position: landmark_position(self.model, body, skeleton, landmark),
+            by_frame: self.by_frame(landmark, body, skeleton),
+            by_border: self.by_border(landmark, skeleton, joint_directions).dense(self.n_border()),
         };
         self.steady.iter().map(place).collect()
     }
@@ -72,22 +70,14 @@ impl MotionProblem<'_> {
 
     fn add_place_acceleration(&self, t: usize, around: [&SteadyPlace; 3], system: &mut BlockBanded) -> f64 {
         let residual = self.place_acceleration(around.map(|place| place.position));
-        let (cost, robust) = self.acceleration_cost(residual.norm_squared());
-        let weight = robust * self.time_weight();
         let factors = SECOND_DIFFERENCE.map(|c| c * self.place_scale());
+        let by_frame = around.map(|place| place.by_frame.as_slice());
+        let (cost, weight) = self.add_acceleration(t, &residual, factors, by_frame, system);
         let by_border: DMatrix<f64> = around.iter().zip(factors).map(|(place, factor)| &place.by_border * factor).sum();
-        for (i, (place, factor)) in around.iter().zip(factors).enumerate() {
-            for (group, jacobian) in &place.by_frame {
-                let left = jacobian.transpose() * (factor * weight);
-                let mut gradient = system.gradient[t - 1 + i].fixed_rows_mut::<3>(3 * group);
-                gradient += left * residual;
+        for (i, (groups, factor)) in by_frame.iter().zip(factors).enumerate() {
+            for (group, jacobian) in *groups {
                 let mut border = system.border[t - 1 + i].fixed_rows_mut::<3>(3 * group);
-                border += left * &by_border;
-                for (k, (earlier, factor)) in around.iter().zip(factors).enumerate().take(i + 1) {
-                    for (column, other) in &earlier.by_frame {
-                        add_block(system, [t - 1 + i, t - 1 + k], [*group, *column], left * other * factor);
-                    }
-                }
+                border += jacobian.transpose() * (factor * weight) * &by_border;
             }
         }
         system.corner += by_border.tr_mul(&by_border) * weight;
@@ -102,18 +92,5 @@ impl MotionProblem<'_> {
 
     fn place_scale(&self) -> f64 {
         1.0 / (self.frame_interval.powi(2) * self.config.ankle_acceleration)
-    }
-}
-
-/// Adds to the block of a frame with itself or with one that is earlier by one or two.
-fn add_block(system: &mut BlockBanded, frames: [usize; 2], [row, column]: [usize; 2], block: Matrix3<f64>) {
-    let [later, earlier] = frames;
-    match later - earlier {
-        0 => {
-            let mut place = system.diagonal[later].fixed_view_mut::<3, 3>(3 * row, 3 * column);
-            place += block;
-        }
-        1 => system.next[earlier].add(row, column, block),
-        _ => system.after_next[earlier].add(row, column, block),
     }
 }

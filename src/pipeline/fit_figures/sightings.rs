@@ -214,23 +214,14 @@ fn widest_crossing(point: &Vector3<f64>, rays: &[Ray]) -> f64 {
 mod tests {
     use super::*;
     use crate::estimation::triangulation::triangulate_robust;
-    use crate::geometry::{Distortion, Intrinsics, rotation};
+    use crate::geometry::{Intrinsics, rotation};
     use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
     use nalgebra::Vector2;
     use rand::SeedableRng;
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, Normal};
 
-    const LENS: Intrinsics = Intrinsics {
-        width: 1280,
-        height: 720,
-        fx: 1000.0,
-        fy: 1000.0,
-        cx: 640.0,
-        cy: 360.0,
-        skew: 0.0,
-        dist: Distortion::None,
-    };
+    const LENS: Intrinsics = Intrinsics::PLAIN;
 
     /// Cameras that look at the origin from 4 m, by their angles about the upright, degrees.
     fn cameras(angles_deg: &[f64]) -> Vec<Rigid> {

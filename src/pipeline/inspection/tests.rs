@@ -1,6 +1,6 @@
 use super::*;
 use crate::body::skeleton::KeypointConvention;
-use crate::geometry::{Distortion, Intrinsics};
+use crate::geometry::Intrinsics;
 use crate::session::{FrameIndex, Keypoint};
 
 /// Cameras at `centers`, looking along +z at one person 5 m ahead who takes a step of `step` px a frame.
@@ -13,16 +13,7 @@ fn session(centers: &[[f64; 3]], n_frames: usize, step: f64) -> Session {
     };
     let view = |(i, center): (usize, &[f64; 3])| View {
         id: format!("c{i}"),
-        intrinsics: Intrinsics {
-            width: 1280,
-            height: 720,
-            fx: 1000.0,
-            fy: 1000.0,
-            cx: 640.0,
-            cy: 360.0,
-            skew: 0.0,
-            dist: Distortion::from_opencv(&[0.0; 5]).unwrap(),
-        },
+        intrinsics: Intrinsics::PLAIN,
         time_offset: 0.0,
         camera_from_world: Some(Rigid { rotation: Matrix3::identity(), translation: -Vector3::from(*center) }),
         frames: (0..n_frames).map(person).collect(),

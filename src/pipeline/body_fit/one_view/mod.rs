@@ -218,16 +218,16 @@ mod tests {
     use crate::body::joint_ranges::natural_pose;
     use crate::body::kinematics::{landmark_position, posed};
     use crate::body::skeleton::KeypointConvention;
-    use crate::geometry::{Distortion, Intrinsics};
+    use crate::geometry::Intrinsics;
     use rand::SeedableRng;
 
     /// A camera at eye level whose image stands upright in a world with y up, looking along -z.
     fn camera() -> PlacedCamera {
-        let dist = Distortion::None;
-        let intrinsics =
-            Intrinsics { width: 1280, height: 720, fx: 1000.0, fy: 1000.0, cx: 640.0, cy: 360.0, skew: 0.0, dist };
         let rotation = rotation::exp(&(Vector3::x() * std::f64::consts::PI));
-        PlacedCamera { intrinsics, camera_from_world: Rigid { rotation, translation: Vector3::new(0.0, 1.4, 4.0) } }
+        PlacedCamera {
+            intrinsics: Intrinsics::PLAIN,
+            camera_from_world: Rigid { rotation, translation: Vector3::new(0.0, 1.4, 4.0) },
+        }
     }
 
     /// People who turn about by a quarter in a second, each in a natural pose; their points flat, a tenth too far off.
