@@ -1,6 +1,7 @@
 //! How far detectors' keypoints lie from where a body carries them, in metres on the body.
 
 use super::skeleton::KeypointConvention;
+use serde::{Deserialize, Serialize};
 
 /// White noise of a good detector, m: 1 % of a standing person's apparent size (OpenPose and COCO detectors reach 0.6 to
 /// 1.5 %).
@@ -23,6 +24,56 @@ const BIAS_M: [(&str, f64); 8] = [
 /// Everything else: eyes, nose, ears, toes, heels.
 const SURFACE_BIAS_M: f64 = 0.008;
 
+/// How far a session's detector errs, by keypoint and by its own confidence.
+///
+/// Standard deviation per axis on the body: $\sigma(k, c) = \sigma_k f(c)$.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DetectorNoise {
+    /// $\sigma_k$, m.
+    sigmas_m: Vec<f64>,
+    /// $f$ as confidence and $\ln f$, straight between knots and level beyond them; without knots $f = 1/c$.
+    knots: Vec<[f64; 2]>,
+}
+
+impl DetectorNoise {
+    /// As published, before anything is known of this detector.
+    pub fn published(convention: KeypointConvention) -> Self {
+        Self { sigmas_m: keypoint_sigmas(convention), knots: Vec::new() }
+    }
+
+    /// The same keypoints with a measured $f$; `knots`: confidences (rising) and $\ln f$.
+    pub fn with_knots(self, knots: Vec<[f64; 2]>) -> Self {
+        Self { knots, ..self }
+    }
+
+    /// The measured confidences, from low to high, and the standard deviation of the best seen keypoints at each, m.
+    pub fn levels(&self) -> impl Iterator<Item = (f64, f64)> {
+        let best = self.sigmas_m.iter().copied().fold(f64::INFINITY, f64::min);
+        self.knots.iter().map(move |[confidence, ln]| (*confidence, best * ln.exp()))
+    }
+
+    /// $\sigma_k$ by keypoint, m.
+    pub fn sigmas_m(&self) -> &[f64] {
+        &self.sigmas_m
+    }
+
+    /// Standard deviation per axis on the body, m.
+    pub fn sigma_m(&self, keypoint: usize, confidence: f64) -> f64 {
+        self.sigmas_m[keypoint] * self.factor(confidence)
+    }
+
+    /// $f(c)$.
+    pub fn factor(&self, confidence: f64) -> f64 {
+        let above = self.knots.partition_point(|[c, _]| *c < confidence);
+        match (above.checked_sub(1).map(|i| self.knots[i]), self.knots.get(above)) {
+            (None, None) => confidence.recip(),
+            (Some([_, ln]), None) => ln.exp(),
+            (None, Some([_, ln])) => ln.exp(),
+            (Some([from, low]), Some([to, high])) => (low + (high - low) * (confidence - from) / (to - from)).exp(),
+        }
+    }
+}
+
 /// Standard deviation of each named keypoint, m on the body.
 pub fn keypoint_sigmas(convention: KeypointConvention) -> Vec<f64> {
     let sigma = |name: &&str| {
@@ -35,6 +86,18 @@ pub fn keypoint_sigmas(convention: KeypointConvention) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn confidence_is_worth_what_was_measured_and_before_that_its_inverse() {
+        let published = DetectorNoise::published(KeypointConvention::Coco17);
+        assert_eq!(published.sigma_m(0, 0.5), 2.0 * published.sigmas_m()[0]);
+        assert_eq!(published.levels().count(), 0);
+        let measured = published.with_knots(vec![[0.4, 1.0], [0.8, -1.0]]);
+        for (confidence, ln) in [(0.1, 1.0), (0.4, 1.0), (0.5, 0.5), (0.8, -1.0), (1.0, -1.0)] {
+            assert!((measured.factor(confidence).ln() - ln).abs() < 1e-12, "{confidence}");
+        }
+        assert_eq!(measured.levels().next(), Some((0.4, measured.sigmas_m()[0] * 1f64.exp())));
+    }
 
     #[test]
     fn hips_count_least_and_the_face_most() {

@@ -25,6 +25,7 @@ mod tests_simulated;
 use crate::body::BodyModel;
 use crate::body::anthropometry::N_BETAS;
 use crate::body::bone_offsets::BoneOffsets;
+use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_offsets::{OffsetKind, OffsetTable};
 use crate::body::kinematics::{Pose, landmark_position, posed};
 use crate::body::model::Betas;
@@ -50,6 +51,8 @@ use std::collections::BTreeMap;
 pub struct BodyFitInput<'a> {
     /// The detections.
     pub session: &'a Session,
+    /// How far the detector errs.
+    pub noise: &'a DetectorNoise,
     /// `camera_from_world` by view, metres; `None` where a camera could not be placed.
     pub cameras: &'a [Option<Rigid>],
     /// Which detections show whom.
@@ -69,6 +72,8 @@ pub struct BodyFitConfig {
     /// Bounds of a detector's standard deviation per axis as a share of the person's apparent size; within them it is
     /// measured on the person's own residuals after the fit to points.
     pub pixel_share: [f64; 2],
+    /// Numbers that a frame's pixels settle: half of a pose's 69, the rest comes from the frames around it.
+    pub unknowns_per_frame: f64,
     /// Residuals of this many standard deviations count half as much as they would: the scale of Geman-McClure's cost.
     pub robust_scale: f64,
     /// Size of the pelvis's accelerations, m/s^2.
@@ -121,6 +126,7 @@ impl Default for BodyFitConfig {
             point_sigma: 0.03,
             // 0.4 % is better than any detector; above 4 % a keypoint is a guess.
             pixel_share: [0.004, 0.04],
+            unknowns_per_frame: 34.0,
             // On the simulated captures 4 beats 3 (17.1 -> 16.1 mm on `hard`) and 2.2 (20.5 mm).
             robust_scale: 4.0,
             // Laplace's scale is then twice the typical accelerations of the table of joint ranges and three times the pelvis's
@@ -175,6 +181,9 @@ impl BodyFitConfig {
             pose_weights: PoseWeights { weight: 0.3, ..Self::default().pose_weights },
             // The detector's habits cannot be told from poses.
             detector_offsets: false,
+            // Fewer equations than unknowns: what they leave tells nothing of their errors. On four captures 72.9 mm so, 77.9
+            // with the most that is allowed.
+            unknowns_per_frame: 0.0,
             ..Self::default()
         }
     }
@@ -253,7 +262,7 @@ fn started_people(input: BodyFitInput, stages: &Stages) -> Result<Vec<Option<(Ev
     let start_person = |track: &PersonTrack| {
         stages.progress.check()?;
         let points = input.points.iter().find(|p| p.person == track.person);
-        let mut evidence = gather_evidence(input.session, input.cameras, track, points, stages.model);
+        let mut evidence = gather_evidence(input, track, points, stages.model);
         if input.session.views.len() == 1 {
             evidence.points = one_view::lifted(stages.model, &evidence, &input.up, stages.frame_interval);
         }

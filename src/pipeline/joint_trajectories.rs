@@ -5,7 +5,7 @@
 //! triangulation, smoothing and the filling of gaps are one problem, so a joint that a single view sees is still held to
 //! that view's ray. `q` is the spectral density of white acceleration (m^2/s^3), hence independent of the frame rate.
 
-use crate::body::detector_noise::keypoint_sigmas;
+use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
 use crate::optim::banded::BandMatrix;
 use crate::optim::robust::geman_mcclure;
@@ -40,6 +40,8 @@ impl Default for TrajectoryConfig {
 pub struct TrajectoryInput<'a> {
     /// The recording.
     pub session: &'a Session,
+    /// How far the detector errs.
+    pub noise: &'a DetectorNoise,
     /// `camera_from_world`.
     pub cameras: &'a [Option<Rigid>],
     /// Who is where.
@@ -81,7 +83,6 @@ pub fn joint_trajectories(
     config: &TrajectoryConfig,
     progress: &Progress,
 ) -> Result<Vec<JointTrajectory>, Canceled> {
-    let sigmas = keypoint_sigmas(input.session.convention);
     let names = input.session.convention.names();
     let mut people = Vec::with_capacity(input.tracks.len());
     for (track, start) in input.tracks.iter().zip(input.start) {
@@ -93,7 +94,7 @@ pub fn joint_trajectories(
                     ["wrist", "elbow", "ankle", "knee", "toe", "heel", "hand", "foot", "index", "pinky", "thumb"];
                 let is_limb = limb.iter().any(|part| names[k].ends_with(part));
                 let density = if is_limb { config.limb_acceleration } else { config.trunk_acceleration };
-                path(input, track, start, k, sigmas[k], density, config)
+                path(input, track, start, k, density, config)
             })
             .collect();
         people.push(transposed(track, &paths));
@@ -111,7 +112,8 @@ struct Path {
 struct Ray {
     view: usize,
     pixel: Vector2<f64>,
-    confidence: f64,
+    /// Standard deviation per axis on the body, m.
+    sigma_m: f64,
 }
 
 fn path(
@@ -119,7 +121,6 @@ fn path(
     track: &PersonTrack,
     start: &JointTrajectory,
     keypoint: usize,
-    sigma_m: f64,
     density: f64,
     config: &TrajectoryConfig,
 ) -> Path {
@@ -133,7 +134,7 @@ fn path(
     for iteration in 0..config.iterations {
         let widening = (10.0f64).powf(1.0 - iteration as f64 / (config.iterations - 1).max(1) as f64);
         let scale = config.robust_scale * widening;
-        if !step(input, &rays, &mut points, sigma_m, smoothness, scale) {
+        if !step(input, &rays, &mut points, smoothness, scale) {
             break;
         }
     }
@@ -147,7 +148,7 @@ fn rays_at(input: &TrajectoryInput, track: &PersonTrack, t: usize, keypoint: usi
         let (Some(detection), Some(_)) = (detection, &input.cameras[view]) else { continue };
         let k = &input.session.views[view].frames[frame][*detection].keypoints[keypoint];
         if k.confidence > 0.1 {
-            rays.push(Ray { view, pixel: k.pixel, confidence: k.confidence });
+            rays.push(Ray { view, pixel: k.pixel, sigma_m: input.noise.sigma_m(keypoint, k.confidence) });
         }
     }
     rays
@@ -173,7 +174,6 @@ fn step(
     input: &TrajectoryInput,
     rays: &[Vec<Ray>],
     points: &mut [Vector3<f64>],
-    sigma_m: f64,
     smoothness: f64,
     robust_scale: f64,
 ) -> bool {
@@ -182,7 +182,7 @@ fn step(
     let mut gradient = vec![0.0; 3 * n];
     for (t, rays) in rays.iter().enumerate() {
         for ray in rays {
-            add_ray(input, ray, t, &points[t], sigma_m, robust_scale, &mut matrix, &mut gradient);
+            add_ray(input, ray, t, &points[t], robust_scale, &mut matrix, &mut gradient);
         }
         for a in 0..3 {
             matrix.add(3 * t + a, 3 * t + a, input.metres_per_unit * input.metres_per_unit * input.hold.weight());
@@ -213,7 +213,6 @@ fn add_ray(
     ray: &Ray,
     t: usize,
     point: &Vector3<f64>,
-    sigma_m: f64,
     robust_scale: f64,
     matrix: &mut BandMatrix,
     gradient: &mut [f64],
@@ -224,7 +223,7 @@ fn add_ray(
     if depth < 0.1 {
         return;
     }
-    let sigma_px = intrinsics.focal() * sigma_m / depth / ray.confidence.sqrt();
+    let sigma_px = intrinsics.focal() * ray.sigma_m / depth;
     let Some(r) = reprojection::linearize(intrinsics, camera, point, &ray.pixel, sigma_px) else { return };
     let weight = geman_mcclure(r.residual.norm_squared(), robust_scale).weight;
     let j = r.by_point;

@@ -30,6 +30,7 @@ pub fn paths(
 ) -> Result<Vec<JointTrajectory>, Canceled> {
     let input = TrajectoryInput {
         session: capture.session,
+        noise: &capture.noise,
         cameras: &calibration.cameras,
         tracks: &calibration.association.tracks,
         start: &calibration.association.points,
@@ -83,6 +84,7 @@ impl Findings {
         let tracks = self.calibration.association.tracks.clone();
         let input = BodyFitInput {
             session: capture.session,
+            noise: &capture.noise,
             cameras: &self.calibration.cameras,
             tracks: &tracks,
             points: &self.paths,

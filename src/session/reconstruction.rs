@@ -7,7 +7,7 @@ use super::recording::{FrameIndex, PersonId, UpAxis};
 use crate::geometry::{Intrinsics, Rigid};
 pub use report::{
     CameraReport, ConsistencyPair, ConsistencyReport, DetectorHabits, DetectorOffset, GeometryReport, KeypointReport,
-    Overlap, PenetrationReport, PersonReport, Quality, Report, ScaleReport, StageReport, Verdict,
+    NoiseAtConfidence, Overlap, PenetrationReport, PersonReport, Quality, Report, ScaleReport, StageReport, Verdict,
 };
 use serde::{Deserialize, Serialize};
 

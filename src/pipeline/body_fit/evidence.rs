@@ -1,6 +1,8 @@
 //! What speaks for one person's pose, frame by frame: triangulated points and detected pixels of the body's landmarks.
 
+use super::BodyFitInput;
 use crate::body::BodyModel;
+use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::{Intrinsics, Rigid};
 use crate::session::{Detection, JointTrajectory, PersonTrack, Session};
 use nalgebra::{Vector2, Vector3};
@@ -23,7 +25,8 @@ pub(super) struct PixelEvidence {
     pub camera: usize,
     /// As detected.
     pub pixel: Vector2<f64>,
-    /// Apparent size of the person over the detector's confidence, px: what the detector's error is proportional to.
+    /// Apparent size of the person times how much worse the detector is at this confidence, px: what its error is
+    /// proportional to.
     pub scale_px: f64,
 }
 
@@ -65,12 +68,12 @@ const MIN_CONFIDENCE: f64 = 0.2;
 
 /// Gathers what the views and the triangulation say about one person over the frames of their track.
 pub(super) fn gather_evidence(
-    session: &Session,
-    cameras: &[Option<Rigid>],
+    input: BodyFitInput,
     track: &PersonTrack,
     points: Option<&JointTrajectory>,
     model: &BodyModel,
 ) -> Evidence {
+    let BodyFitInput { session, noise, cameras, .. } = input;
     let landmarks = model.landmarks_of(session.convention);
     let camera_of_view: Vec<Option<usize>> = cameras
         .iter()
@@ -82,7 +85,7 @@ pub(super) fn gather_evidence(
     let placed = session.views.iter().zip(cameras).filter_map(|(view, camera)| {
         camera.map(|camera_from_world| PlacedCamera { intrinsics: view.intrinsics, camera_from_world })
     });
-    let at_frame = |offset: usize| FrameSource { session, track, points, frame: track.first.0 + offset };
+    let at_frame = |offset: usize| FrameSource { session, noise, track, points, frame: track.first.0 + offset };
     let n_frames = track.detections.len();
     Evidence {
         cameras: placed.collect(),
@@ -94,6 +97,7 @@ pub(super) fn gather_evidence(
 /// One frame of the inputs.
 struct FrameSource<'a> {
     session: &'a Session,
+    noise: &'a DetectorNoise,
     track: &'a PersonTrack,
     points: Option<&'a JointTrajectory>,
     /// On the session's time line.
@@ -119,7 +123,7 @@ impl FrameSource<'_> {
             let size_px = apparent_size_px(detection);
             for (keypoint, landmark) in detection.keypoints.iter().zip(landmarks) {
                 let Some(landmark) = landmark.filter(|_| keypoint.is_present()) else { continue };
-                let scale_px = size_px / keypoint.confidence.clamp(MIN_CONFIDENCE, 1.0);
+                let scale_px = size_px * self.noise.factor(keypoint.confidence.max(MIN_CONFIDENCE));
                 pixels.push(PixelEvidence { landmark, camera, pixel: keypoint.pixel, scale_px });
             }
         }

@@ -156,12 +156,15 @@ impl Stages<'_> {
         Ok(fitted)
     }
 
-    /// The detector's standard deviation per axis as a share of apparent size, from the median residual: that of a
-    /// normal distribution in the plane has a known multiple of sigma.
+    /// The detector's standard deviation per axis as a share of apparent size, from the median residual (that of a normal
+    /// distribution in the plane has a known multiple of sigma), enlarged by sqrt(n / (n - p)) since n equations that settle p
+    /// unknowns leave less than their errors.
     pub(super) fn pixel_share(&self, evidence: &Evidence, state: &MotionState) -> f64 {
         let mut shares: Vec<f64> = residuals(self.model, evidence, state).into_iter().map(|r| r.share).collect();
         let [low, high] = self.config.pixel_share;
-        median(&mut shares).map_or(high, |m| (m / MEDIAN_LENGTH_IN_PLANE).clamp(low, high))
+        let n = 2.0 * shares.len() as f64 / state.poses.len().max(1) as f64;
+        let freedom = (n / (n - self.config.unknowns_per_frame).max(MIN_FREEDOM * n)).sqrt();
+        median(&mut shares).map_or(high, |m| (freedom * m / MEDIAN_LENGTH_IN_PLANE).clamp(low, high))
     }
 
     pub(super) fn minimised(
@@ -196,6 +199,9 @@ impl Stages<'_> {
         Ok(FittedMotion { state, cost_before, cost_after, iterations, converged, median_reprojection_px })
     }
 }
+
+/// Share of the equations that is left to tell errors from, at least.
+const MIN_FREEDOM: f64 = 0.25;
 
 /// Dampings tried before a state counts as the best that can be had: 1e-4 to 1e3 and beyond.
 const MAX_TRIALS: usize = 6;

@@ -88,12 +88,13 @@ struct Scene {
     cameras: Vec<Option<Rigid>>,
     tracks: Vec<PersonTrack>,
     points: Vec<JointTrajectory>,
+    noise: DetectorNoise,
 }
 
 impl Scene {
     fn input(&self) -> BodyFitInput<'_> {
-        let Self { session, cameras, tracks, points } = self;
-        BodyFitInput { session, cameras, tracks, points, up: Vector3::y() }
+        let Self { session, cameras, tracks, points, noise } = self;
+        BodyFitInput { session, noise, cameras, tracks, points, up: Vector3::y() }
     }
 }
 
@@ -151,7 +152,8 @@ fn scene_of(model: &BodyModel, truth: &Truth, convention: KeypointConvention, si
     };
     let track = PersonTrack { person: PersonId(0), first: FrameIndex(0), detections: vec![vec![Some(0); 4]; n_frames] };
     let cameras = ring().into_iter().map(|(_, camera)| Some(camera)).collect();
-    Scene { session, cameras, tracks: vec![track], points: vec![points] }
+    let noise = DetectorNoise::published(convention);
+    Scene { session, cameras, tracks: vec![track], points: vec![points], noise }
 }
 
 fn exact_motion(truth: &Truth) -> BodyMotion {

@@ -147,6 +147,7 @@ fn simulated_captures_are_fitted_better_than_triangulated() {
         let points: Vec<JointTrajectory> = capture.tracks.iter().map(|t| triangulated(&capture, t)).collect();
         let input = BodyFitInput {
             session: &capture.session,
+            noise: &DetectorNoise::published(capture.session.convention),
             cameras: &capture.cameras,
             tracks: &capture.tracks,
             points: &points,

@@ -1,12 +1,13 @@
 //! Cameras and clean detections in turn: each makes the other better.
 
-use super::{Calibration, FINAL, associated, improved};
+use super::{Calibration, FINAL, associated, detector_noise, improved};
+use crate::body::detector_noise::DetectorNoise;
 use crate::pipeline::association::identities;
 use crate::pipeline::bundle_adjustment::CameraFreedom;
 use crate::pipeline::denoising::{Denoised, DenoisingInput, denoise};
 use crate::pipeline::{Capture, result};
 use crate::progress::{Canceled, Progress};
-use crate::session::reconstruction::{Cleaning, ConsistencyReport, MendedDetection};
+use crate::session::reconstruction::{Cleaning, ConsistencyReport, MendedDetection, NoiseAtConfidence};
 use crate::session::{Detection, FrameIndex, Keypoint, PersonId, PersonTrack, Session};
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
@@ -21,12 +22,16 @@ pub struct Consistent {
     told: ConsistencyReport,
     identities_before: Vec<Vec<Vec<Option<PersonId>>>>,
     changes: Vec<Change>,
+    /// How far the detector errs by its clean detections.
+    noise: DetectorNoise,
 }
 
 /// The session with clean detections, and what was done to it.
 pub struct Cleaned {
     /// The detections that agree.
     pub session: Session,
+    /// How far the detector errs.
+    pub noise: DetectorNoise,
     /// For the report.
     pub told: ConsistencyReport,
     /// The last cleaning, detection by detection.
@@ -44,7 +49,13 @@ struct Change {
 }
 
 impl Consistent {
-    fn of(original: &Session, calibration: Calibration, before: &[PersonTrack], denoised: Denoised) -> Self {
+    fn of(
+        original: &Session,
+        calibration: Calibration,
+        before: &[PersonTrack],
+        denoised: Denoised,
+        noise: DetectorNoise,
+    ) -> Self {
         let identities_before = taken_for(original, before, &denoised.tracks);
         let mut changes = Vec::new();
         for (view, (before, after)) in original.views.iter().zip(&denoised.session.views).enumerate() {
@@ -54,7 +65,9 @@ impl Consistent {
                 changes.extend(changed.map(|(detection, (_, after))| Change::of(view, frame, detection, after)));
             }
         }
-        Self { calibration, told: denoised.told, identities_before, changes }
+        let level = |(confidence, sigma_m)| NoiseAtConfidence { confidence, sigma_mm: 1e3 * sigma_m };
+        let told = ConsistencyReport { detector_noise: noise.levels().map(level).collect(), ..denoised.told };
+        Self { calibration, told, identities_before, changes, noise }
     }
 
     /// The cameras and who is who; the session `original` with clean detections.
@@ -71,7 +84,7 @@ impl Consistent {
             mended.push(MendedDetection { view, frame: FrameIndex(frame), detection, sources });
         }
         let cleaning = Cleaning { identities_before: self.identities_before, mended };
-        (self.calibration, Some(Cleaned { session, told: self.told, cleaning }))
+        (self.calibration, Some(Cleaned { session, noise: self.noise, told: self.told, cleaning }))
     }
 }
 
@@ -82,8 +95,8 @@ impl Change {
     }
 }
 
-/// Cleans the detections under the cameras so far, adjusts the cameras to what is left, and cleans the detections as they
-/// came once more under these.
+/// Cleans the detections under the cameras so far, measures how far the detector errs by what is left, adjusts the cameras
+/// to that, and cleans the detections as they came once more under these.
 ///
 /// # Errors
 /// [`Canceled`].
@@ -93,9 +106,13 @@ pub fn made_consistent(
     freedom: CameraFreedom,
     progress: &Progress,
 ) -> Result<Consistent, Canceled> {
-    let first = denoised(capture, &calibration, progress)?;
-    let clean = Capture::new(&first.session, capture.options);
+    let noise_factor = calibration.noise;
+    let first = denoised(capture, &calibration, noise_factor, progress)?;
     calibration.association.tracks = first.tracks;
+    let mut clean = Capture::new(&first.session, capture.options);
+    if let Some(noise) = detector_noise::measured(&clean, &calibration) {
+        (clean.noise, calibration.noise) = (noise, 1.0);
+    }
     progress.report(0.3, "detections made consistent");
     match freedom {
         CameraFreedom::Adjusted => calibration = improved(&clean, calibration, FINAL, progress)?,
@@ -106,10 +123,12 @@ pub fn made_consistent(
         }
     }
     progress.report(0.7, "cameras adjusted to consistent detections");
-    let second = denoised(capture, &calibration, progress)?;
+    let second = denoised(capture, &calibration, noise_factor, progress)?;
     let before = std::mem::replace(&mut calibration.association.tracks, second.tracks.clone());
     calibration.stages.push(second.report.clone());
-    Ok(Consistent::of(capture.session, calibration, &before, second))
+    let clean = Capture::new(&second.session, capture.options);
+    let noise = detector_noise::measured(&clean, &calibration).unwrap_or(clean.noise);
+    Ok(Consistent::of(capture.session, calibration, &before, second, noise))
 }
 
 /// Whom every detection would show if nothing were repaired: whoever its track id mostly names by what was found in the
@@ -143,7 +162,12 @@ fn sources(before: &Detection, after: &Detection, n_keypoints: usize) -> Vec<Opt
     (0..n_keypoints.min(before.keypoints.len()).min(after.keypoints.len())).map(source).collect()
 }
 
-fn denoised(capture: &Capture, calibration: &Calibration, progress: &Progress) -> Result<Denoised, Canceled> {
+fn denoised(
+    capture: &Capture,
+    calibration: &Calibration,
+    noise_factor: f64,
+    progress: &Progress,
+) -> Result<Denoised, Canceled> {
     let paths = result::paths(capture, calibration, progress)?;
     let input = DenoisingInput {
         session: capture.session,
@@ -151,7 +175,7 @@ fn denoised(capture: &Capture, calibration: &Calibration, progress: &Progress) -
         cameras: &calibration.cameras,
         tracks: &calibration.association.tracks,
         paths: &paths,
-        noise: calibration.noise,
+        noise: noise_factor,
     };
     denoise(input, progress)
 }

@@ -1,6 +1,6 @@
 //! A fixed budget of well-spread skeletons for the adjustment: cameras cost the same however long the take.
 
-use crate::body::detector_noise::keypoint_sigmas;
+use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
 use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
 use crate::pipeline::association::Association;
@@ -14,11 +14,13 @@ const MIN_CONFIDENCE: f64 = 0.3;
 
 /// How instants are chosen.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct InstantBudget {
+pub(super) struct InstantBudget<'a> {
     /// At most so many skeletons.
     pub(super) max_instants: usize,
-    /// Standard deviations of keypoints are multiplied by this (see [`noise_factor`]).
-    pub(super) noise: f64,
+    /// How far the detector errs.
+    pub(super) noise: &'a DetectorNoise,
+    /// Its standard deviations are multiplied by this (see [`noise_factor`]).
+    pub(super) noise_factor: f64,
     /// Metres that one unit of the cameras' world stands for.
     pub(super) metres_per_unit: f64,
 }
@@ -34,7 +36,6 @@ pub(super) fn instants(
     budget: InstantBudget,
     allowed: FrameFilter,
 ) -> Vec<Instant> {
-    let sigmas = keypoint_sigmas(session.convention);
     let candidates: Vec<Vec<(usize, usize)>> =
         (0..association.tracks.len()).map(|p| candidates(association, cameras, p, allowed)).collect();
     let total: usize = candidates.iter().map(Vec::len).sum();
@@ -44,7 +45,7 @@ pub(super) fn instants(
         for i in 0..share {
             let stretch = &frames[i * frames.len() / share..(i + 1) * frames.len() / share];
             let Some(best) = stretch.iter().max_by_key(|(_, n)| *n) else { continue };
-            chosen.push(instant(session, cameras, association, person, best.0, &sigmas, budget));
+            chosen.push(instant(session, cameras, association, person, best.0, budget));
         }
     }
     chosen.retain(|i: &Instant| i.observations.len() >= 8);
@@ -78,25 +79,25 @@ fn instant(
     association: &Association,
     person: usize,
     t: usize,
-    sigmas: &[f64],
     budget: InstantBudget,
 ) -> Instant {
     let track = &association.tracks[person];
     let frame = track.first.0 + t;
+    let n_keypoints = budget.noise.sigmas_m().len();
     let guess = &association.points[person].points[t];
     let mut observations = Vec::new();
     for (view, detection) in track.detections[t].iter().enumerate() {
         let (Some(detection), Some(camera)) = (detection, &cameras[view]) else { continue };
         let intrinsics = &session.views[view].intrinsics;
-        for (keypoint, k) in session.views[view].frames[frame][*detection].keypoints[..sigmas.len()].iter().enumerate()
-        {
+        for (keypoint, k) in session.views[view].frames[frame][*detection].keypoints[..n_keypoints].iter().enumerate() {
             let Some(point) = guess[keypoint].filter(|_| k.confidence >= MIN_CONFIDENCE) else { continue };
             let depth = (camera.transform(&point).z * budget.metres_per_unit).max(0.3);
-            let sigma_px = budget.noise * sigmas[keypoint] * intrinsics.focal() / depth / k.confidence.sqrt();
+            let sigma_m = budget.noise_factor * budget.noise.sigma_m(keypoint, k.confidence);
+            let sigma_px = sigma_m * intrinsics.focal() / depth;
             observations.push(Observation { keypoint, view, pixel: k.pixel, sigma_px, velocity: Vector2::zeros() });
         }
     }
-    let mut seen = vec![0u8; sigmas.len()];
+    let mut seen = vec![0u8; n_keypoints];
     observations.iter().for_each(|o| seen[o.keypoint] += 1);
     observations.retain(|o| seen[o.keypoint] >= 2);
     let points = guess.iter().zip(&seen).map(|(p, n)| p.filter(|_| *n >= 2)).collect();

@@ -1,6 +1,7 @@
 //! The rounds of association, cameras and adjustment: from no start to cameras that everything seen agrees with.
 
 mod consistency;
+mod detector_noise;
 mod held_out;
 mod instants;
 mod registration;
@@ -31,7 +32,7 @@ pub struct Calibration {
     pub association: Association,
     /// The last adjustment.
     pub adjusted: Option<Adjusted>,
-    /// Factor on the keypoints' standard deviations that the residuals ask for.
+    /// Factor on the detector's standard deviations that the residuals ask for.
     pub noise: f64,
     /// Share of keypoints that the best truly different arrangement explained; 0 without one.
     pub rival_explained: f64,
@@ -282,7 +283,12 @@ fn adjusted(
     progress: &Progress,
 ) -> Result<Calibration, Canceled> {
     let session = capture.session;
-    let budget = InstantBudget { max_instants: effort.max_instants, noise: before.noise, metres_per_unit: 1.0 };
+    let budget = InstantBudget {
+        max_instants: effort.max_instants,
+        noise: &capture.noise,
+        noise_factor: before.noise,
+        metres_per_unit: 1.0,
+    };
     let mut chosen = instants(session, &before.cameras, &before.association, budget, allowed);
     if chosen.is_empty() {
         return Ok(before.clone());

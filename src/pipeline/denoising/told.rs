@@ -46,7 +46,7 @@ pub(super) fn told(
         pair(view, person, &|p| p.swaps_repaired.push([number(first), number(last)]));
     }
     let ambiguous_frames = solved.iter().filter(|s| s.is_ambiguous).count();
-    ConsistencyReport { ambiguous_frames, pairs: pairs.into_values().collect() }
+    ConsistencyReport { ambiguous_frames, pairs: pairs.into_values().collect(), ..ConsistencyReport::default() }
 }
 
 /// Runs of frames in which a track id of a view named somebody else than it mostly does: who was really shown, and when.

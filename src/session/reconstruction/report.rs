@@ -64,6 +64,18 @@ pub struct ConsistencyReport {
     pub ambiguous_frames: usize,
     /// By camera and person; pairs of whom nothing was seen are left out.
     pub pairs: Vec<ConsistencyPair>,
+    /// How far the detector errs at its own confidences, from low to high; empty where too little was seen to tell.
+    #[serde(default)]
+    pub detector_noise: Vec<NoiseAtConfidence>,
+}
+
+/// A detector's error at one of its confidences.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct NoiseAtConfidence {
+    /// What the detector says, 0 to 1.
+    pub confidence: f64,
+    /// Standard deviation per axis of the points that are seen best (face and feet), mm on the body.
+    pub sigma_mm: f64,
 }
 
 /// What was done to one person's detections in one camera.

@@ -1,0 +1,254 @@
+//! How far this session's detector errs at each of its confidences: what one detector calls 0.9 another calls 0.6, and an
+//! error three times as large is worth a ninth.
+//!
+//! Two views of one keypoint, seen with confidences a and b, have rays that pass each other at a gap that is normal with
+//! variance $\sigma^2(a) + \sigma^2(b)$, whatever the point in space and whatever weights placed it. Keypoints are cut by
+//! confidence into equal groups, the pairs of rays into the cells of two groups; the median gap of each cell gives its
+//! variance, the sums give the groups' own. A surer detector is never a worse one: groups that say so are pooled (isotonic
+//! regression by pooling adjacent violators).
+
+use super::Calibration;
+use crate::body::detector_noise::DetectorNoise;
+use crate::geometry::Rigid;
+use crate::geometry::epipolar::{Ray, ray_ray_distance};
+use crate::matching::sightings::Sighting;
+use crate::optim::robust::{NORMAL_SIGMA_OF_MAD, median};
+use crate::pipeline::Capture;
+use rayon::prelude::*;
+
+/// Rays under a smaller angle than this (sine) meet nowhere in particular.
+const MIN_SINE: f64 = 0.2;
+
+/// Pairs of rays in one cell on average: the median of so many is known to 10 %, and every group has many cells.
+const PER_CELL: usize = 100;
+
+/// Most groups, and fewest that say anything.
+const MAX_GROUPS: usize = 12;
+const MIN_GROUPS: usize = 3;
+
+/// Frames that are looked at: more say nothing new.
+const MAX_FRAMES: usize = 2000;
+
+/// A factor below this is chance: a fifth of what is published are 4 mm on the body, and no detector places joints better.
+const MIN_FACTOR: f64 = 0.2;
+
+/// The detector as the clean detections of `capture` show it; `None` where too few do.
+pub(super) fn measured(capture: &Capture, calibration: &Calibration) -> Option<DetectorNoise> {
+    let knots = knots(gaps(capture, calibration))?;
+    Some(DetectorNoise::published(capture.session.convention).with_knots(knots))
+}
+
+/// Confidences (rising) and the logarithm of what to multiply published standard deviations by.
+fn knots(gaps: Vec<Gap>) -> Option<Vec<[f64; 2]>> {
+    let n_groups = ((2 * gaps.len() / PER_CELL) as f64).sqrt() as usize;
+    if n_groups < MIN_GROUPS {
+        return None;
+    }
+    let groups = Groups::cut(&gaps, n_groups.min(MAX_GROUPS));
+    let variances = variances(&groups, gaps);
+    let rows = groups.means.iter().zip(&groups.sizes).zip(variances);
+    let groups = rows.filter(|((_, n), _)| **n > 0).map(|((confidence, n), variance)| Group {
+        confidence: *confidence,
+        ln_factor: variance.sqrt().max(MIN_FACTOR).ln(),
+        n: *n as f64,
+    });
+    Some(pooled(groups).into_iter().map(|g| [g.confidence, g.ln_factor]).collect())
+}
+
+/// Two rays at one keypoint.
+#[derive(Debug, Clone, Copy)]
+struct Gap {
+    confidences: [f64; 2],
+    /// Over the keypoint's published standard deviation.
+    sigmas: f64,
+}
+
+fn gaps(capture: &Capture, calibration: &Calibration) -> Vec<Gap> {
+    let stride = capture.session.n_frames.div_ceil(MAX_FRAMES).max(1);
+    let of_frame = |frame: usize| {
+        let mut gaps = Vec::new();
+        for track in &calibration.association.tracks {
+            let claim = frame.checked_sub(track.first.0).and_then(|t| track.detections.get(t));
+            let claims = claim.into_iter().flatten().enumerate();
+            let seen: Vec<(&Rigid, &Sighting)> = claims
+                .filter_map(|(v, d)| Some((calibration.cameras[v].as_ref()?, &capture.views[v].frames[frame][(*d)?])))
+                .collect();
+            for (i, one) in seen.iter().enumerate() {
+                seen[..i].iter().for_each(|other| add_gaps(capture, *one, *other, &mut gaps));
+            }
+        }
+        gaps
+    };
+    let frames: Vec<usize> = (0..capture.session.n_frames).step_by(stride).collect();
+    frames.into_par_iter().flat_map_iter(of_frame).collect()
+}
+
+fn add_gaps(capture: &Capture, one: (&Rigid, &Sighting), other: (&Rigid, &Sighting), gaps: &mut Vec<Gap>) {
+    for (k, sigma_m) in capture.noise.sigmas_m().iter().enumerate() {
+        let confidences = [one.1.confidence[k], other.1.confidence[k]];
+        if confidences.contains(&0.0) {
+            continue;
+        }
+        let [first, second] = [one, other].map(|(camera, sighting)| Ray::through(camera, &sighting.bearings[k]));
+        if first.direction.cross(&second.direction).norm() > MIN_SINE {
+            gaps.push(Gap { confidences, sigmas: ray_ray_distance(&first, &second) / sigma_m });
+        }
+    }
+}
+
+/// Confidences cut into groups of equal size.
+struct Groups {
+    /// Above which the next group begins.
+    bounds: Vec<f64>,
+    means: Vec<f64>,
+    sizes: Vec<usize>,
+}
+
+impl Groups {
+    fn cut(gaps: &[Gap], n_groups: usize) -> Self {
+        let mut all: Vec<f64> = gaps.iter().flat_map(|gap| gap.confidences).collect();
+        all.sort_by(f64::total_cmp);
+        let mut bounds: Vec<f64> = (1..n_groups).map(|i| all[i * all.len() / n_groups]).collect();
+        bounds.dedup();
+        let mut groups = Self { means: vec![0.0; bounds.len() + 1], sizes: vec![0; bounds.len() + 1], bounds };
+        for confidence in all {
+            let group = groups.of(confidence);
+            groups.means[group] += confidence;
+            groups.sizes[group] += 1;
+        }
+        groups.means.iter_mut().zip(&groups.sizes).for_each(|(sum, n)| *sum /= (*n).max(1) as f64);
+        groups
+    }
+
+    fn of(&self, confidence: f64) -> usize {
+        self.bounds.partition_point(|bound| *bound < confidence)
+    }
+}
+
+/// Rounds of [`variances`]: digits no longer change.
+const N_ROUNDS: usize = 200;
+
+/// The variance of each group from the variances of the cells, which are sums of two: least squares of relative errors, by
+/// multiplicative steps that keep what is positive so.
+fn variances(groups: &Groups, gaps: Vec<Gap>) -> Vec<f64> {
+    let n = groups.means.len();
+    let mut cells = vec![Vec::new(); n * n];
+    for gap in gaps {
+        let [a, b] = gap.confidences.map(|c| groups.of(c));
+        cells[a.max(b) * n + a.min(b)].push(gap.sigmas);
+    }
+    let sums: Vec<(usize, usize, f64, f64)> = cells
+        .iter_mut()
+        .enumerate()
+        .filter_map(|(i, cell)| {
+            let sum = (median(cell)? * NORMAL_SIGMA_OF_MAD).powi(2).max(1e-6);
+            Some((i / n, i % n, sum, cell.len() as f64 / (sum * sum)))
+        })
+        .collect();
+    let mut variances = vec![0.5; n];
+    for _ in 0..N_ROUNDS {
+        let (mut wanted, mut found) = (vec![0.0; n], vec![1e-12; n]);
+        for &(a, b, sum, weight) in &sums {
+            for group in [a, b] {
+                wanted[group] += weight * sum;
+                found[group] += weight * (variances[a] + variances[b]);
+            }
+        }
+        for (variance, (wanted, found)) in variances.iter_mut().zip(wanted.iter().zip(&found)) {
+            *variance = (*variance * wanted / found).max(1e-4);
+        }
+    }
+    variances
+}
+
+/// Keypoints of like confidence.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Group {
+    /// Mean.
+    confidence: f64,
+    ln_factor: f64,
+    n: f64,
+}
+
+impl Group {
+    fn with(self, other: Self) -> Self {
+        let n = self.n + other.n;
+        let mean = |a: f64, b: f64| (a * self.n + b * other.n) / n;
+        let confidence = mean(self.confidence, other.confidence);
+        Self { confidence, ln_factor: mean(self.ln_factor, other.ln_factor), n }
+    }
+}
+
+/// Groups whose errors fall as confidence rises.
+fn pooled(groups: impl Iterator<Item = Group>) -> Vec<Group> {
+    let mut pooled: Vec<Group> = Vec::new();
+    for mut group in groups {
+        while let Some(before) = pooled.last().filter(|before| before.ln_factor <= group.ln_factor).copied() {
+            group = before.with(group);
+            pooled.pop();
+        }
+        pooled.push(group);
+    }
+    pooled
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::body::skeleton::KeypointConvention;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, Normal};
+
+    /// Gaps of keypoints whose errors, over the published, are `factor(confidence)`; one in twenty is wrong altogether.
+    fn simulated(n: usize, confidence: impl Fn(&mut ChaCha8Rng) -> f64, factor: impl Fn(f64) -> f64) -> Vec<Gap> {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        let normal = Normal::new(0.0, 1.0).unwrap();
+        let gap = |_| {
+            let confidences = [confidence(&mut rng), confidence(&mut rng)];
+            let wrong = if rng.random_bool(0.05) { 20.0 } else { 1.0 };
+            let error: f64 = confidences.map(|c| factor(c) * normal.sample(&mut rng)).iter().sum();
+            Gap { confidences, sigmas: (error * wrong).abs() }
+        };
+        (0..n).map(gap).collect()
+    }
+
+    /// Half of the wrong ones lie beyond the median and move it by 5 % at most; medians of 2,000 are known to 3 %.
+    #[test]
+    fn what_confidence_means_is_measured_from_pairs_of_views() {
+        let truth = |c: f64| 3.0 - 2.6 * c;
+        let gaps = simulated(150_000, |rng| rng.random_range(0.2..1.0), truth);
+        let noise = DetectorNoise::published(KeypointConvention::Coco17).with_knots(knots(gaps).unwrap());
+        for confidence in [0.3, 0.5, 0.7, 0.9] {
+            let (found, truth) = (noise.factor(confidence), truth(confidence));
+            assert!((found / truth - 1.0).abs() < 0.15, "{confidence}: {found} for {truth}");
+        }
+    }
+
+    #[test]
+    fn a_detector_that_says_no_confidence_has_one_error() {
+        let found = knots(simulated(20_000, |_| 1.0, |_| 0.7)).unwrap();
+        assert_eq!(found.len(), 1);
+        assert!((found[0][1].exp() / 0.7 - 1.0).abs() < 0.1, "{found:?}");
+    }
+
+    #[test]
+    fn few_pairs_say_nothing() {
+        assert_eq!(knots(simulated(300, |rng| rng.random_range(0.2..1.0), |_| 1.0)), None);
+    }
+
+    #[test]
+    fn surer_is_never_worse() {
+        let group = |confidence, ln_factor| Group { confidence, ln_factor, n: 1.0 };
+        let raw = [group(0.2, 1.0), group(0.4, 0.2), group(0.6, 0.6), group(0.8, -0.5)];
+        let found = pooled(raw.into_iter());
+        assert_eq!(found.len(), 3);
+        assert!((found[1].confidence - 0.5).abs() < 1e-12 && (found[1].ln_factor - 0.4).abs() < 1e-12);
+    }
+
+    #[test]
+    fn perfect_detections_are_not_trusted_without_end() {
+        let found = knots(simulated(20_000, |rng| rng.random_range(0.2..1.0), |_| 0.0)).unwrap();
+        assert!(found.iter().all(|[_, ln]| (ln.exp() - MIN_FACTOR).abs() < 1e-9), "{found:?}");
+    }
+}
