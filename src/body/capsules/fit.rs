@@ -21,6 +21,7 @@ use crate::geometry::capsule::{PointDistance, TaperedCapsule};
 use nalgebra::{SMatrix, SVector, Vector3};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
+use rayon::prelude::*;
 
 /// Vertices that the fit looks at, about.
 const N_SAMPLES: usize = 2_500;
@@ -49,8 +50,9 @@ pub(super) fn fitted(model: &BodyModel) -> BodyCapsules {
     for _ in 0..N_STEPS {
         let damping = DAMPING * views.iter().map(|view| view.weight).sum::<f64>();
         let mut systems = [(Normal::identity() * damping, Numbers::zeros()); N_CAPSULES];
-        for view in &views {
-            for owned in view.owned(&samples, &joints, &numbers) {
+        let owned: Vec<Vec<Owned>> = views.par_iter().map(|view| view.owned(&samples, &joints, &numbers)).collect();
+        for (view, owned) in views.iter().zip(owned) {
+            for owned in owned {
                 let (normal, moment) = &mut systems[owned.capsule];
                 *normal += owned.by_numbers * owned.by_numbers.transpose() * view.weight;
                 *moment -= owned.by_numbers * (owned.distance * view.weight);

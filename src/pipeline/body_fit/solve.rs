@@ -71,11 +71,11 @@ pub(super) fn finish_motion(
     let windows = windows(start.poses.len(), stages.config.window_frames.max(3));
     if windows.len() > 1 {
         let shaped = MotionState { betas: fitted.state.betas, ..start };
-        let parts: Vec<FittedMotion> = windows
-            .par_iter()
-            .map(|w| stages.fit_window(evidence, &shaped, w, Shape::Held, Start::Rough))
-            .collect::<Result<_, Canceled>>()?;
-        fitted = joined(parts);
+        let fit = |w: &Range<usize>| match *w == window {
+            true => Ok(fitted.clone()),
+            false => stages.fit_window(evidence, &shaped, w, Shape::Held, Start::Rough),
+        };
+        fitted = joined(windows.par_iter().map(fit).collect::<Result<_, Canceled>>()?);
     }
     fitted.iterations += first_iterations;
     let share_and_px = residuals(stages.model, evidence, &fitted.state);
