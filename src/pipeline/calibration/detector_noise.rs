@@ -26,8 +26,8 @@ const PER_CELL: usize = 100;
 const MAX_GROUPS: usize = 12;
 const MIN_GROUPS: usize = 3;
 
-/// Frames that are looked at: more say nothing new.
-const MAX_FRAMES: usize = 2000;
+/// Pairs of rays that are looked at, about: more say nothing new.
+const MAX_GAPS: usize = 1_000_000;
 
 /// A factor below this is chance: a fifth of what is published are 4 mm on the body, and no detector places joints better.
 const MIN_FACTOR: f64 = 0.2;
@@ -64,10 +64,12 @@ struct Gap {
 }
 
 fn gaps(capture: &Capture, calibration: &Calibration) -> Vec<Gap> {
-    let stride = capture.session.n_frames.div_ceil(MAX_FRAMES).max(1);
+    let (n_views, tracks) = (capture.views.len(), &calibration.association.tracks);
+    let n_at_once = tracks.len() * n_views * n_views.saturating_sub(1) / 2 * capture.noise.sigmas_m().len();
+    let stride = (capture.session.n_frames * n_at_once).div_ceil(MAX_GAPS).max(1);
     let of_frame = |frame: usize| {
         let mut gaps = Vec::new();
-        for track in &calibration.association.tracks {
+        for track in tracks {
             let claim = frame.checked_sub(track.first.0).and_then(|t| track.detections.get(t));
             let claims = claim.into_iter().flatten().enumerate();
             let seen: Vec<(&Rigid, &Sighting)> = claims
