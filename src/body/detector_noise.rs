@@ -26,7 +26,8 @@ const SURFACE_BIAS_M: f64 = 0.008;
 
 /// How far a session's detector errs, by keypoint and by its own confidence.
 ///
-/// Standard deviation per axis on the body: $\sigma(k, c) = \sigma_k f(c)$.
+/// Standard deviation per axis on the body: $\sigma(k, c) = \sigma_k f(c)$, and which confidence is worth which error is
+/// the detector's own ([`with_knots`](Self::with_knots)).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DetectorNoise {
     /// $\sigma_k$, m.
@@ -44,6 +45,12 @@ impl DetectorNoise {
     /// The same keypoints with a measured $f$; `knots`: confidences (rising) and $\ln f$.
     pub fn with_knots(self, knots: Vec<[f64; 2]>) -> Self {
         Self { knots, ..self }
+    }
+
+    /// Errors `factor` times as large at every confidence.
+    pub fn scaled(mut self, factor: f64) -> Self {
+        self.sigmas_m.iter_mut().for_each(|sigma| *sigma *= factor);
+        self
     }
 
     /// The measured confidences, from low to high, and the standard deviation of the best seen keypoints at each, m.
@@ -91,6 +98,7 @@ mod tests {
     fn confidence_is_worth_what_was_measured_and_before_that_its_inverse() {
         let published = DetectorNoise::published(KeypointConvention::Coco17);
         assert_eq!(published.sigma_m(0, 0.5), 2.0 * published.sigmas_m()[0]);
+        assert_eq!(published.clone().scaled(3.0).sigma_m(0, 0.5), 3.0 * published.sigma_m(0, 0.5));
         assert_eq!(published.levels().count(), 0);
         let measured = published.with_knots(vec![[0.4, 1.0], [0.8, -1.0]]);
         for (confidence, ln) in [(0.1, 1.0), (0.4, 1.0), (0.5, 0.5), (0.8, -1.0), (1.0, -1.0)] {

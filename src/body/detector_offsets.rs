@@ -26,8 +26,8 @@ const SURFACE_SIGMA_M: f64 = 0.008;
 /// Points of the middle stay in the middle.
 const MIDDLE_SIGMA_M: f64 = 1e-3;
 
-/// No detector's habit is larger than this many standard deviations: 50 mm at the hip, 20 mm at elbow, wrist and ankle, the
-/// largest that Needham et al. report. What asks for more is a body of other proportions.
+/// No detector's habit is further off than this many standard deviations of an axis: 50 mm at the hip, 20 mm at elbow, wrist
+/// and ankle, the largest distances that Needham et al. report. What asks for more is a body of other proportions.
 const MAX_SIGMAS: f64 = 2.0;
 
 /// The keypoints of one name, left and right taken together.
@@ -102,9 +102,9 @@ impl OffsetTable {
         self.carried.get(landmark)?.as_ref()
     }
 
-    /// The first kind whose offset is larger along some axis than a habit can be.
+    /// The first kind whose offset is larger than a habit can be.
     pub fn implausible(&self, offsets: &[Vector3<f64>]) -> Option<&OffsetKind> {
-        let is_large = |kind: &OffsetKind, o: &Vector3<f64>| o.component_div(&kind.prior_sigma).amax() > MAX_SIGMAS;
+        let is_large = |kind: &OffsetKind, o: &Vector3<f64>| o.component_div(&kind.prior_sigma).norm() > MAX_SIGMAS;
         self.kinds.iter().zip(offsets).find(|(kind, offset)| is_large(kind, offset)).map(|(kind, _)| kind)
     }
 

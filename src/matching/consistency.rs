@@ -5,6 +5,7 @@
 //! the detector's noise makes them, not by metres of one scene: `A = 1 - mean e^2 / (e^2 + s^2)`.
 
 use super::sightings::Sighting;
+use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
 use crate::geometry::epipolar::{Ray, ray_ray_distance};
 use nalgebra::Vector3;
@@ -37,11 +38,9 @@ pub struct Seen<'a> {
     pub sighting: &'a Sighting,
 }
 
-/// Distance of keypoint `from` to the projection of `point` in standard deviations; `None` where it is not seen, too
-/// doubtful, or the point lies behind the camera.
-///
-/// `sigma_m`: the detector's noise on the body, m per axis.
-pub fn misfit(seen: Seen, from: usize, point: &Vector3<f64>, sigma_m: f64) -> Option<f64> {
+/// Distance of keypoint `from` to the projection of `point`, where the body has `keypoint`, in standard deviations; `None`
+/// where it is not seen, too doubtful, or the point lies behind the camera.
+pub fn misfit(seen: Seen, from: usize, point: &Vector3<f64>, noise: &DetectorNoise, keypoint: usize) -> Option<f64> {
     let confidence = seen.sighting.confidence[from];
     if confidence < MIN_CONFIDENCE {
         return None;
@@ -49,24 +48,33 @@ pub fn misfit(seen: Seen, from: usize, point: &Vector3<f64>, sigma_m: f64) -> Op
     let x = seen.camera.transform(point);
     let depth = (x.z > 0.1).then_some(x.z)?;
     let offset = (x.xy() / depth - seen.sighting.bearings[from]).norm();
-    Some(offset * depth / sigma_m * confidence.sqrt())
+    Some(offset * depth / noise.sigma_m(keypoint, confidence))
 }
 
 /// Agreement of a detection with a person's expected points, 0 to 1; `None` where too little is shared.
-pub fn physics_affinity(seen: Seen, points: &[Option<Vector3<f64>>], sigmas_m: &[f64], order: &Order) -> Option<f64> {
-    let misfits = order.iter().zip(points).zip(sigmas_m);
-    affinity(misfits.filter_map(|((&from, point), sigma)| misfit(seen, from, point.as_ref()?, *sigma)))
+pub fn physics_affinity(
+    seen: Seen,
+    points: &[Option<Vector3<f64>>],
+    noise: &DetectorNoise,
+    order: &Order,
+) -> Option<f64> {
+    let misfits = order.iter().zip(points).enumerate();
+    affinity(misfits.filter_map(|(k, (&from, point))| misfit(seen, from, point.as_ref()?, noise, k)))
 }
 
 /// Agreement of two detections of different views: gaps between the rays of equal keypoints, 0 to 1.
-pub fn geometry_affinity(one: Seen, other: Seen, sigmas_m: &[f64]) -> Option<f64> {
-    let gap = |(k, sigma_m): (usize, &f64)| {
-        let confidence = one.sighting.confidence[k].min(other.sighting.confidence[k]);
+pub fn geometry_affinity(one: Seen, other: Seen, noise: &DetectorNoise) -> Option<f64> {
+    let gap = |k: usize| {
+        let confidences = [one, other].map(|s| s.sighting.confidence[k]);
+        if confidences.iter().any(|c| *c < MIN_CONFIDENCE) {
+            return None;
+        }
         let [a, b] = [one, other].map(|s| Ray::through(s.camera, &s.sighting.bearings[k]));
         // Both rays are uncertain, in the one direction across both of them.
-        (confidence >= MIN_CONFIDENCE).then(|| ray_ray_distance(&a, &b) / (sigma_m * 2f64.sqrt()) * confidence.sqrt())
+        let [sigma_a, sigma_b] = confidences.map(|c| noise.sigma_m(k, c));
+        Some(ray_ray_distance(&a, &b) / sigma_a.hypot(sigma_b))
     };
-    affinity(sigmas_m.iter().enumerate().filter_map(gap))
+    affinity((0..noise.sigmas_m().len()).filter_map(gap))
 }
 
 fn affinity(misfits: impl Iterator<Item = f64>) -> Option<f64> {
@@ -81,6 +89,7 @@ fn affinity(misfits: impl Iterator<Item = f64>) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::body::skeleton::KeypointConvention;
     use crate::geometry::rotation;
     use nalgebra::Vector2;
 
@@ -101,16 +110,16 @@ mod tests {
     #[test]
     fn the_same_person_agrees_and_a_neighbour_does_not() {
         let person: Vec<_> =
-            (0..12).map(|k| Vector3::new(0.1 * (k % 3) as f64, 0.15 * k as f64, 0.05 * k as f64)).collect();
+            (0..17).map(|k| Vector3::new(0.1 * (k % 3) as f64, 0.15 * k as f64, 0.05 * k as f64)).collect();
         let neighbour: Vec<_> = person.iter().map(|p| p + Vector3::new(0.6, 0.3, 0.2)).collect();
         let (first, second) = (camera(0.0), camera(1.2));
-        let sigmas = vec![0.02; 12];
+        let sigmas = DetectorNoise::published(KeypointConvention::Coco17);
         let [a, b, c] = [seen_by(&first, &person), seen_by(&second, &person), seen_by(&second, &neighbour)];
         let [a, b, c] =
             [(&first, &a), (&second, &b), (&second, &c)].map(|(camera, sighting)| Seen { camera, sighting });
         assert!(geometry_affinity(a, b, &sigmas).unwrap() > 0.99 && geometry_affinity(a, c, &sigmas).unwrap() < 0.3);
         let expected: Vec<_> = person.iter().copied().map(Some).collect();
-        let order: Vec<usize> = (0..12).collect();
+        let order: Vec<usize> = (0..17).collect();
         assert!(physics_affinity(b, &expected, &sigmas, &order).unwrap() > 0.99);
         assert!(physics_affinity(c, &expected, &sigmas, &order).unwrap() < 0.1);
         assert!((physics_affinity(b, &expected[..3], &sigmas, &order).unwrap() - 0.75).abs() < 0.01);

@@ -16,7 +16,7 @@ const EXPLAINED_RADIUS: f64 = 0.0225;
 const CONFIDENT: f64 = 0.4;
 
 /// Everybody found, as tracks, with a first guess of their points.
-#[derive(Debug, Clone, serde::Serialize, serde::Deserialize)]
+#[derive(Debug, Clone, Default, serde::Serialize, serde::Deserialize)]
 pub struct Association {
     /// Who is where; person `i` is entry `i`.
     pub tracks: Vec<PersonTrack>,

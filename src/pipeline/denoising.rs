@@ -10,7 +10,7 @@ mod identity;
 mod joints;
 mod told;
 
-use crate::body::detector_noise::keypoint_sigmas;
+use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
 use crate::matching::consistency::Seen;
 use crate::matching::sightings::ViewSightings;
@@ -35,8 +35,8 @@ pub struct DenoisingInput<'a> {
     pub tracks: &'a [PersonTrack],
     /// Everybody's smooth path, in the order of the tracks.
     pub paths: &'a [JointTrajectory],
-    /// Factor on the keypoints' standard deviations that the residuals ask for.
-    pub noise: f64,
+    /// How far the detector errs.
+    pub noise: &'a DetectorNoise,
 }
 
 /// What the stage leaves.
@@ -57,9 +57,7 @@ pub struct Denoised {
 /// # Errors
 /// [`Canceled`].
 pub fn denoise(input: DenoisingInput, progress: &Progress) -> Result<Denoised, Canceled> {
-    let sigmas_m: Vec<f64> =
-        keypoint_sigmas(input.session.convention).iter().map(|s| s * input.noise.max(1.0)).collect();
-    let ground = Ground { input, sigmas_m, flips: flips(input.session.convention) };
+    let ground = Ground { input, flips: flips(input.session.convention) };
     let frames = (0..input.session.n_frames).into_par_iter();
     let solved: Vec<identity::FrameIdentities> = frames
         .map(|frame| {
@@ -103,7 +101,6 @@ struct Place {
 /// What every step reads.
 struct Ground<'a> {
     input: DenoisingInput<'a>,
-    sigmas_m: Vec<f64>,
     /// The first leaves everything as it is.
     flips: Vec<Flip>,
 }

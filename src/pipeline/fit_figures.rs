@@ -8,6 +8,7 @@
 mod sightings;
 
 use crate::body::bones::Bone;
+use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
 use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median, quantile};
 use crate::session::reconstruction::{
@@ -23,7 +24,7 @@ use sightings::{KeypointFigures, Misfits, PersonFigures, people_figures};
 pub struct FitFigures {
     /// In the order of the tracks.
     people: Vec<PersonFigures>,
-    /// By kind of keypoint: standard deviation of a sure ray, m on the body; `None` where no two views saw one.
+    /// By kind of keypoint: standard deviation of a ray for which the detector's factor is 1, m on the body; `None` where no two views saw one.
     ray_sigmas: Vec<Option<f64>>,
     /// By view.
     views: Vec<Misfits>,
@@ -34,10 +35,11 @@ impl FitFigures {
     pub fn new(
         session: &Session,
         cameras: &[Option<Rigid>],
+        noise: &DetectorNoise,
         tracks: &[PersonTrack],
         paths: &[JointTrajectory],
     ) -> Self {
-        let people = people_figures(session, cameras, tracks, paths);
+        let people = people_figures(session, cameras, noise, tracks, paths);
         let n_keypoints = people.first().map_or(0, |p| p.keypoints.len());
         let ray_sigmas = (0..n_keypoints).map(|k| ray_sigma(people.iter().map(|p| &p.keypoints[k]))).collect();
         let of_view =

@@ -19,7 +19,6 @@ pub mod verdict;
 pub mod world_frame;
 
 use crate::body::bones::{Bone, LENGTH_SIGMA, limb_bones};
-use crate::body::detector_noise::DetectorNoise;
 use crate::body::{BodyModel, default_body};
 use crate::geometry::Rigid;
 use crate::matching::sightings::{ViewSightings, sightings};
@@ -128,11 +127,8 @@ pub fn reconstruct_with_checkpoints(
             .over(&timed),
         false => (calibration, None),
     };
-    let (clean, consistency) = consistent.map(|c| ((c.session, c.noise), (c.told, c.cleaning))).unzip();
-    let capture = match &clean {
-        Some((session, noise)) => Capture::cleaned(session, noise.clone(), options),
-        None => capture,
-    };
+    let (clean, consistency) = consistent.map(|c| (c.session, (c.told, c.cleaning))).unzip();
+    let capture = clean.as_ref().map_or(capture, |session| Capture::new(session, options));
 
     let stage = progress.stage("held_out_check", 2, 0.55, 0.1);
     let heldout_px =
@@ -187,8 +183,6 @@ pub struct Capture<'a> {
     pub session: &'a Session,
     /// What the user asked for.
     pub options: &'a Options,
-    /// How far the detector errs.
-    pub noise: DetectorNoise,
     /// Every detection as rays.
     pub views: Vec<ViewSightings>,
     /// Limb bones with reference lengths.
@@ -203,13 +197,7 @@ impl<'a> Capture<'a> {
         let bones = limb_bones(session.convention);
         let adjusted_bones =
             bones.iter().map(|b| bundle_adjustment::Bone { a: b.a, b: b.b, sigma: LENGTH_SIGMA }).collect();
-        let noise = DetectorNoise::published(session.convention);
-        Self { session, options, noise, views: sightings(session), bones, adjusted_bones }
-    }
-
-    /// The same with clean detections and a detector that is known.
-    pub fn cleaned(session: &'a Session, noise: DetectorNoise, options: &'a Options) -> Self {
-        Self { noise, ..Self::new(session, options) }
+        Self { session, options, views: sightings(session), bones, adjusted_bones }
     }
 
     /// The session under given cameras.

@@ -30,7 +30,7 @@ pub fn paths(
 ) -> Result<Vec<JointTrajectory>, Canceled> {
     let input = TrajectoryInput {
         session: capture.session,
-        noise: &capture.noise,
+        noise: &calibration.noise,
         cameras: &calibration.cameras,
         tracks: &calibration.association.tracks,
         start: &calibration.association.points,
@@ -84,7 +84,7 @@ impl Findings {
         let tracks = self.calibration.association.tracks.clone();
         let input = BodyFitInput {
             session: capture.session,
-            noise: &capture.noise,
+            noise: &self.calibration.noise,
             cameras: &self.calibration.cameras,
             tracks: &tracks,
             points: &self.paths,
@@ -113,7 +113,8 @@ impl Findings {
                 path.points = landmark_trajectory(&detector_model, motion, capture.session.convention).points;
             }
         }
-        let figures = FitFigures::new(capture.session, &self.calibration.cameras, &kept, &self.paths);
+        let figures =
+            FitFigures::new(capture.session, &self.calibration.cameras, &self.calibration.noise, &kept, &self.paths);
         let report = Report { detector, ..self.report(capture, &kept, &figures, penetration) };
         let mut keypoints = std::mem::take(&mut self.paths);
         for (path, motion) in keypoints.iter_mut().zip(&motions) {

@@ -16,7 +16,7 @@ const MAX_LOG_SIZE: f64 = 0.6;
 const MAX_BONE_SPREAD: f64 = 0.35;
 
 /// Two skeletons whose median joint is nearer than this are one person seen twice, m.
-const SAME_PERSON_M: f64 = 0.15;
+pub(super) const SAME_PERSON_M: f64 = 0.15;
 
 /// The best supported new person among the free detections of a frame.
 pub(super) fn strongest(

@@ -1,8 +1,8 @@
-//! Fragments of one person, joined across the time in which nobody saw them.
+//! Fragments of one person, joined: across the time in which nobody saw them, and where they are one person seen twice.
 
-use super::Scene;
 use super::likeness::{Likeness, place_evidence, room};
 use super::person::{TrackedPerson, distance};
+use super::{Scene, doubles};
 use crate::matching::assignment::assign;
 use std::collections::BTreeMap;
 
@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 /// A path cover of least cost (Zhang, Li and Nevatia 2008) without further terms is an assignment of ends to starts.
 /// Where nothing speaks for anything, a newcomer is as likely as a return.
 pub(super) fn join_fragments(scene: &Scene, followed: Vec<TrackedPerson>) -> Vec<TrackedPerson> {
-    let mut people: Vec<TrackedPerson> = followed.iter().flat_map(|p| split(scene, p)).collect();
+    let mut people = doubles::united(scene, followed.iter().flat_map(|p| split(scene, p)).collect());
     people.sort_by_key(|p| (p.first(), p.last_seen()));
     let costs = costs(scene, &people);
     let next = assign(people.len(), people.len(), 0.0, |i, j| costs[i][j]);
@@ -87,7 +87,7 @@ mod tests {
         let joined = |later: TrackedPerson| join_fragments(&SCENE, vec![person(7, 0.0), later]).len();
         assert_eq!(joined(person(10, -0.4)), 1, "near");
         assert_eq!(joined(person(10, 2.5)), 2, "too far");
-        assert_eq!(joined(person(7, 0.05)), 2, "who is in sight does not come back");
+        assert_eq!(joined(person(7, 0.3)), 2, "who is in sight does not come back");
     }
 
     #[test]

@@ -5,6 +5,7 @@
 //! yet: predictions move with the body's own velocity.
 
 mod birth;
+mod doubles;
 mod likeness;
 mod link;
 mod one_view;

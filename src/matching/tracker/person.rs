@@ -6,6 +6,8 @@ use crate::geometry::triangulation::{self, triangulate_linear};
 use crate::matching::sightings::Sighting;
 use crate::optim::robust::median;
 use nalgebra::Vector3;
+use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 
 /// A skeleton with holes, world frame.
 pub type Skeleton = Vec<Option<Vector3<f64>>>;
@@ -75,12 +77,37 @@ impl TrackedPerson {
         self.n_witnessed += later.n_witnessed;
     }
 
+    /// Takes in a fragment that shows the same person in other views.
+    pub(super) fn unite(&mut self, scene: &Scene, other: Self) {
+        if other.last_seen() > self.last_seen() {
+            self.velocity = other.velocity;
+        }
+        let mine = std::mem::take(&mut self.claims).into_iter().zip(std::mem::take(&mut self.skeletons));
+        let mut sightings: BTreeMap<usize, (Vec<Option<usize>>, Skeleton)> =
+            mine.map(|((frame, claim), skeleton)| (frame, (claim, skeleton))).collect();
+        for ((frame, claim), skeleton) in other.claims.into_iter().zip(other.skeletons) {
+            match sightings.entry(frame) {
+                Entry::Vacant(free) => _ = free.insert((claim, skeleton)),
+                Entry::Occupied(mut shared) => {
+                    let (mine, middle) = shared.get_mut();
+                    mine.iter_mut().zip(claim).for_each(|(mine, theirs)| *mine = mine.or(theirs));
+                    middle
+                        .iter_mut()
+                        .zip(skeleton)
+                        .for_each(|(a, b)| *a = a.zip(b).map(|(a, b)| (a + b) / 2.0).or(*a).or(b));
+                }
+            }
+        }
+        self.n_witnessed = sightings.values().filter(|(claim, _)| is_witnessed(scene, claim)).count();
+        (self.claims, self.skeletons) =
+            sightings.into_iter().map(|(frame, (claim, skeleton))| ((frame, claim), skeleton)).unzip();
+    }
+
     /// Some of the sightings; the last velocity is known for the last piece alone.
     pub(super) fn piece(&self, scene: &Scene, range: std::ops::Range<usize>) -> Self {
         let (claims, skeletons) = (self.claims[range.clone()].to_vec(), self.skeletons[range.clone()].to_vec());
         let velocity = if range.end == self.claims.len() { self.velocity } else { Vector3::zeros() };
-        let is_witnessed = |claim: &[Option<usize>]| claim.iter().flatten().count() >= scene.n_witnesses();
-        let n_witnessed = claims.iter().filter(|(_, claim)| is_witnessed(claim)).count();
+        let n_witnessed = claims.iter().filter(|(_, claim)| is_witnessed(scene, claim)).count();
         Self { claims, skeletons, velocity, n_witnessed }
     }
 
@@ -112,10 +139,7 @@ impl TrackedPerson {
                 None => break completed(scene, &seen, skeleton, &predicted),
             }
         };
-        let n_views = claim.iter().flatten().count();
-        if n_views >= scene.n_witnesses() {
-            self.n_witnessed += 1;
-        }
+        self.n_witnessed += usize::from(is_witnessed(scene, claim));
         self.learn_velocity(&skeleton, frame, scene.fps);
         self.claims.push((frame, claim.to_vec()));
         self.skeletons.push(skeleton);
@@ -139,6 +163,11 @@ impl TrackedPerson {
             self.velocity *= MAX_SPEED / speed;
         }
     }
+}
+
+/// Whether as many views see a person as bear witness.
+fn is_witnessed(scene: &Scene, claim: &[Option<usize>]) -> bool {
+    claim.iter().flatten().count() >= scene.n_witnesses()
 }
 
 /// Nobody's middle moves faster indoors, m/s.

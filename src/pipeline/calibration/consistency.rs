@@ -1,7 +1,6 @@
 //! Cameras and clean detections in turn: each makes the other better.
 
-use super::{Calibration, FINAL, associated, detector_noise, improved};
-use crate::body::detector_noise::DetectorNoise;
+use super::{Calibration, FINAL, associated, improved};
 use crate::pipeline::association::identities;
 use crate::pipeline::bundle_adjustment::CameraFreedom;
 use crate::pipeline::denoising::{Denoised, DenoisingInput, denoise};
@@ -22,16 +21,12 @@ pub struct Consistent {
     told: ConsistencyReport,
     identities_before: Vec<Vec<Vec<Option<PersonId>>>>,
     changes: Vec<Change>,
-    /// How far the detector errs by its clean detections.
-    noise: DetectorNoise,
 }
 
 /// The session with clean detections, and what was done to it.
 pub struct Cleaned {
     /// The detections that agree.
     pub session: Session,
-    /// How far the detector errs.
-    pub noise: DetectorNoise,
     /// For the report.
     pub told: ConsistencyReport,
     /// The last cleaning, detection by detection.
@@ -49,13 +44,7 @@ struct Change {
 }
 
 impl Consistent {
-    fn of(
-        original: &Session,
-        calibration: Calibration,
-        before: &[PersonTrack],
-        denoised: Denoised,
-        noise: DetectorNoise,
-    ) -> Self {
+    fn of(original: &Session, calibration: Calibration, before: &[PersonTrack], denoised: Denoised) -> Self {
         let identities_before = taken_for(original, before, &denoised.tracks);
         let mut changes = Vec::new();
         for (view, (before, after)) in original.views.iter().zip(&denoised.session.views).enumerate() {
@@ -66,8 +55,9 @@ impl Consistent {
             }
         }
         let level = |(confidence, sigma_m)| NoiseAtConfidence { confidence, sigma_mm: 1e3 * sigma_m };
-        let told = ConsistencyReport { detector_noise: noise.levels().map(level).collect(), ..denoised.told };
-        Self { calibration, told, identities_before, changes, noise }
+        let told =
+            ConsistencyReport { detector_noise: calibration.noise.levels().map(level).collect(), ..denoised.told };
+        Self { calibration, told, identities_before, changes }
     }
 
     /// The cameras and who is who; the session `original` with clean detections.
@@ -84,7 +74,7 @@ impl Consistent {
             mended.push(MendedDetection { view, frame: FrameIndex(frame), detection, sources });
         }
         let cleaning = Cleaning { identities_before: self.identities_before, mended };
-        (self.calibration, Some(Cleaned { session, noise: self.noise, told: self.told, cleaning }))
+        (self.calibration, Some(Cleaned { session, told: self.told, cleaning }))
     }
 }
 
@@ -106,13 +96,10 @@ pub fn made_consistent(
     freedom: CameraFreedom,
     progress: &Progress,
 ) -> Result<Consistent, Canceled> {
-    let noise_factor = calibration.noise;
-    let first = denoised(capture, &calibration, noise_factor, progress)?;
+    let first = denoised(capture, &calibration, progress)?;
     calibration.association.tracks = first.tracks;
-    let mut clean = Capture::new(&first.session, capture.options);
-    if let Some(noise) = detector_noise::measured(&clean, &calibration) {
-        (clean.noise, calibration.noise) = (noise, 1.0);
-    }
+    calibration.measure_noise(&first.session);
+    let clean = Capture::new(&first.session, capture.options);
     progress.report(0.3, "detections made consistent");
     match freedom {
         CameraFreedom::Adjusted => calibration = improved(&clean, calibration, FINAL, progress)?,
@@ -123,12 +110,11 @@ pub fn made_consistent(
         }
     }
     progress.report(0.7, "cameras adjusted to consistent detections");
-    let second = denoised(capture, &calibration, noise_factor, progress)?;
+    let second = denoised(capture, &calibration, progress)?;
     let before = std::mem::replace(&mut calibration.association.tracks, second.tracks.clone());
     calibration.stages.push(second.report.clone());
-    let clean = Capture::new(&second.session, capture.options);
-    let noise = detector_noise::measured(&clean, &calibration).unwrap_or(clean.noise);
-    Ok(Consistent::of(capture.session, calibration, &before, second, noise))
+    calibration.measure_noise(&second.session);
+    Ok(Consistent::of(capture.session, calibration, &before, second))
 }
 
 /// Whom every detection would show if nothing were repaired: whoever its track id mostly names by what was found in the
@@ -162,12 +148,7 @@ fn sources(before: &Detection, after: &Detection, n_keypoints: usize) -> Vec<Opt
     (0..n_keypoints.min(before.keypoints.len()).min(after.keypoints.len())).map(source).collect()
 }
 
-fn denoised(
-    capture: &Capture,
-    calibration: &Calibration,
-    noise_factor: f64,
-    progress: &Progress,
-) -> Result<Denoised, Canceled> {
+fn denoised(capture: &Capture, calibration: &Calibration, progress: &Progress) -> Result<Denoised, Canceled> {
     let paths = result::paths(capture, calibration, progress)?;
     let input = DenoisingInput {
         session: capture.session,
@@ -175,7 +156,7 @@ fn denoised(
         cameras: &calibration.cameras,
         tracks: &calibration.association.tracks,
         paths: &paths,
-        noise: noise_factor,
+        noise: &calibration.noise,
     };
     denoise(input, progress)
 }

@@ -7,13 +7,12 @@
 //! variance, the sums give the groups' own. A surer detector is never a worse one: groups that say so are pooled (isotonic
 //! regression by pooling adjacent violators).
 
-use super::Calibration;
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
 use crate::geometry::epipolar::{Ray, ray_ray_distance};
-use crate::matching::sightings::Sighting;
+use crate::matching::sightings::MIN_CONFIDENCE;
 use crate::optim::robust::{NORMAL_SIGMA_OF_MAD, median};
-use crate::pipeline::Capture;
+use crate::session::{Keypoint, PersonTrack, Session};
 use rayon::prelude::*;
 
 /// Rays under a smaller angle than this (sine) meet nowhere in particular.
@@ -32,10 +31,11 @@ const MAX_GAPS: usize = 1_000_000;
 /// A factor below this is chance: a fifth of what is published are 4 mm on the body, and no detector places joints better.
 const MIN_FACTOR: f64 = 0.2;
 
-/// The detector as the clean detections of `capture` show it; `None` where too few do.
-pub(super) fn measured(capture: &Capture, calibration: &Calibration) -> Option<DetectorNoise> {
-    let knots = knots(gaps(capture, calibration))?;
-    Some(DetectorNoise::published(capture.session.convention).with_knots(knots))
+/// The detector as the clean detections of `session` show it under these cameras; `None` where too few do.
+pub(super) fn measured(session: &Session, cameras: &[Option<Rigid>], tracks: &[PersonTrack]) -> Option<DetectorNoise> {
+    let published = DetectorNoise::published(session.convention);
+    let knots = knots(gaps(session, cameras, tracks, published.sigmas_m()))?;
+    Some(published.with_knots(knots))
 }
 
 /// Confidences (rising) and the logarithm of what to multiply published standard deviations by.
@@ -63,37 +63,56 @@ struct Gap {
     sigmas: f64,
 }
 
-fn gaps(capture: &Capture, calibration: &Calibration) -> Vec<Gap> {
-    let (n_views, tracks) = (capture.views.len(), &calibration.association.tracks);
-    let n_at_once = tracks.len() * n_views * n_views.saturating_sub(1) / 2 * capture.noise.sigmas_m().len();
-    let stride = (capture.session.n_frames * n_at_once).div_ceil(MAX_GAPS).max(1);
+fn gaps(session: &Session, cameras: &[Option<Rigid>], tracks: &[PersonTrack], sigmas_m: &[f64]) -> Vec<Gap> {
+    let n_pairs: usize = tracks.iter().flat_map(|track| &track.detections).map(|claim| n_pairs(claim)).sum();
+    let stride = (n_pairs * sigmas_m.len()).div_ceil(MAX_GAPS).max(1);
     let of_frame = |frame: usize| {
         let mut gaps = Vec::new();
         for track in tracks {
             let claim = frame.checked_sub(track.first.0).and_then(|t| track.detections.get(t));
-            let claims = claim.into_iter().flatten().enumerate();
-            let seen: Vec<(&Rigid, &Sighting)> = claims
-                .filter_map(|(v, d)| Some((calibration.cameras[v].as_ref()?, &capture.views[v].frames[frame][(*d)?])))
-                .collect();
+            let seen: Vec<Vec<SeenRay>> = rays(session, cameras, frame, claim.map_or(&[], Vec::as_slice)).collect();
             for (i, one) in seen.iter().enumerate() {
-                seen[..i].iter().for_each(|other| add_gaps(capture, *one, *other, &mut gaps));
+                seen[..i].iter().for_each(|other| add_gaps(sigmas_m, one, other, &mut gaps));
             }
         }
         gaps
     };
-    let frames: Vec<usize> = (0..capture.session.n_frames).step_by(stride).collect();
+    let frames: Vec<usize> = (0..session.n_frames).step_by(stride).collect();
     frames.into_par_iter().flat_map_iter(of_frame).collect()
 }
 
-fn add_gaps(capture: &Capture, one: (&Rigid, &Sighting), other: (&Rigid, &Sighting), gaps: &mut Vec<Gap>) {
-    for (k, sigma_m) in capture.noise.sigmas_m().iter().enumerate() {
-        let confidences = [one.1.confidence[k], other.1.confidence[k]];
-        if confidences.contains(&0.0) {
-            continue;
-        }
-        let [first, second] = [one, other].map(|(camera, sighting)| Ray::through(camera, &sighting.bearings[k]));
+/// Pairs of views that see a person at once.
+fn n_pairs(claim: &[Option<usize>]) -> usize {
+    let n = claim.iter().flatten().count();
+    n * n.saturating_sub(1) / 2
+}
+
+/// A keypoint's ray in the world and its confidence; `None` where it is not seen.
+type SeenRay = Option<(Ray, f64)>;
+
+/// The rays of every view's detection.
+fn rays<'a>(
+    session: &'a Session,
+    cameras: &'a [Option<Rigid>],
+    frame: usize,
+    claim: &'a [Option<usize>],
+) -> impl Iterator<Item = Vec<SeenRay>> + 'a {
+    let n_keypoints = session.convention.names().len();
+    claim.iter().enumerate().filter_map(move |(v, detection)| {
+        let (camera, view) = (cameras[v].as_ref()?, &session.views[v]);
+        let ray = |k: &Keypoint| {
+            let is_usable = k.confidence >= MIN_CONFIDENCE;
+            is_usable.then(|| (Ray::through(camera, &view.intrinsics.normalized_from_pixel(&k.pixel)), k.confidence))
+        };
+        Some(view.frames[frame][(*detection)?].keypoints[..n_keypoints].iter().map(ray).collect())
+    })
+}
+
+fn add_gaps(sigmas_m: &[f64], one: &[SeenRay], other: &[SeenRay], gaps: &mut Vec<Gap>) {
+    for ((one, other), sigma_m) in one.iter().zip(other).zip(sigmas_m) {
+        let (Some((first, a)), Some((second, b))) = (one, other) else { continue };
         if first.direction.cross(&second.direction).norm() > MIN_SINE {
-            gaps.push(Gap { confidences, sigmas: ray_ray_distance(&first, &second) / sigma_m });
+            gaps.push(Gap { confidences: [*a, *b], sigmas: ray_ray_distance(first, second) / sigma_m });
         }
     }
 }

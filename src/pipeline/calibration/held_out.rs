@@ -47,12 +47,7 @@ fn judged_px(
     progress: &Progress,
 ) -> Result<Option<f64>, Canceled> {
     let session = capture.session;
-    let budget = InstantBudget {
-        max_instants: FINAL.max_instants,
-        noise: &capture.noise,
-        noise_factor: calibration.noise,
-        metres_per_unit: 1.0,
-    };
+    let budget = InstantBudget { max_instants: FINAL.max_instants, noise: &calibration.noise, metres_per_unit: 1.0 };
     let mut chosen = instants(session, cameras, &calibration.association, budget, allowed);
     for instant in &mut chosen {
         let mut seen = vec![0u8; instant.points.len()];

@@ -19,8 +19,6 @@ pub(super) struct InstantBudget<'a> {
     pub(super) max_instants: usize,
     /// How far the detector errs.
     pub(super) noise: &'a DetectorNoise,
-    /// Its standard deviations are multiplied by this (see [`noise_factor`]).
-    pub(super) noise_factor: f64,
     /// Metres that one unit of the cameras' world stands for.
     pub(super) metres_per_unit: f64,
 }
@@ -92,7 +90,7 @@ fn instant(
         for (keypoint, k) in session.views[view].frames[frame][*detection].keypoints[..n_keypoints].iter().enumerate() {
             let Some(point) = guess[keypoint].filter(|_| k.confidence >= MIN_CONFIDENCE) else { continue };
             let depth = (camera.transform(&point).z * budget.metres_per_unit).max(0.3);
-            let sigma_m = budget.noise_factor * budget.noise.sigma_m(keypoint, k.confidence);
+            let sigma_m = budget.noise.sigma_m(keypoint, k.confidence);
             let sigma_px = sigma_m * intrinsics.focal() / depth;
             observations.push(Observation { keypoint, view, pixel: k.pixel, sigma_px, velocity: Vector2::zeros() });
         }

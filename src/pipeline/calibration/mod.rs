@@ -11,12 +11,14 @@ use super::bundle_adjustment::{self as ba, Adjusted, AdjustmentConfig, Adjustmen
 use super::camera_init::initial_rigs;
 use super::config::Extrinsics;
 use super::{Capture, PipelineError, result};
+use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::{Intrinsics, Rigid, rotation};
 use crate::matching::clusters::clusters;
 use crate::matching::tracklets::{Tracklet, TrackletConfig, tracklets};
 use crate::matching::view_graph::Rig;
 use crate::optim::robust::median;
 use crate::progress::{Canceled, Progress};
+use crate::session::Session;
 use crate::session::reconstruction::StageReport;
 pub use consistency::{Consistent, made_consistent};
 pub use held_out::heldout_px;
@@ -32,12 +34,33 @@ pub struct Calibration {
     pub association: Association,
     /// The last adjustment.
     pub adjusted: Option<Adjusted>,
-    /// Factor on the detector's standard deviations that the residuals ask for.
-    pub noise: f64,
+    /// How far the detector errs: as published, times what the residuals ask for; once measured, as measured.
+    pub noise: DetectorNoise,
     /// Share of keypoints that the best truly different arrangement explained; 0 without one.
     pub rival_explained: f64,
     /// What happened.
     pub stages: Vec<StageReport>,
+}
+
+impl Calibration {
+    /// Cameras about which nothing else is known.
+    fn unadjusted(capture: &Capture, cameras: Vec<Option<Rigid>>) -> Self {
+        Self {
+            cameras,
+            association: Association::default(),
+            adjusted: None,
+            noise: DetectorNoise::published(capture.session.convention),
+            rival_explained: 0.0,
+            stages: Vec::new(),
+        }
+    }
+
+    /// Learns from the clean detections of `session` how far the detector errs; where they are too few, what is known stands.
+    fn measure_noise(&mut self, session: &Session) {
+        if let Some(noise) = detector_noise::measured(session, &self.cameras, &self.association.tracks) {
+            self.noise = noise;
+        }
+    }
 }
 
 /// Arrangements that are tried out in full, and the share of the best one's quality that they must reach.
@@ -146,8 +169,7 @@ pub fn from_given_cameras(
     progress: &Progress,
 ) -> Result<Calibration, PipelineError> {
     let (association, report) = associated(capture, &cameras, progress)?;
-    let calibration =
-        Calibration { cameras, association, adjusted: None, noise: 1.0, rival_explained: 0.0, stages: vec![report] };
+    let calibration = Calibration { association, stages: vec![report], ..Calibration::unadjusted(capture, cameras) };
     match freedom {
         CameraFreedom::Held => Ok(calibration),
         CameraFreedom::Adjusted => settled(capture, calibration, progress),
@@ -210,14 +232,7 @@ fn trial(
 ) -> Result<Calibration, PipelineError> {
     let groups = clusters(&capture.views, tracklets, &rig.cameras);
     let rough = from_clusters(&capture.scene(&rig.cameras), tracklets, &groups);
-    let start = Calibration {
-        cameras: rig.cameras.clone(),
-        association: rough,
-        adjusted: None,
-        noise: 1.0,
-        rival_explained: 0.0,
-        stages: Vec::new(),
-    };
+    let start = Calibration { association: rough, ..Calibration::unadjusted(capture, rig.cameras.clone()) };
     let mut adjusted = adjusted(capture, &start, TRIAL, &|_| true, progress)?;
     let (association, report) = associated(capture, &adjusted.cameras, progress)?;
     adjusted.association = association;
@@ -283,12 +298,7 @@ fn adjusted(
     progress: &Progress,
 ) -> Result<Calibration, Canceled> {
     let session = capture.session;
-    let budget = InstantBudget {
-        max_instants: effort.max_instants,
-        noise: &capture.noise,
-        noise_factor: before.noise,
-        metres_per_unit: 1.0,
-    };
+    let budget = InstantBudget { max_instants: effort.max_instants, noise: &before.noise, metres_per_unit: 1.0 };
     let mut chosen = instants(session, &before.cameras, &before.association, budget, allowed);
     if chosen.is_empty() {
         return Ok(before.clone());
@@ -316,7 +326,7 @@ fn adjusted(
     for (instant, points) in instants.iter_mut().zip(&adjusted.points) {
         instant.points.clone_from(points);
     }
-    let noise = before.noise * noise_factor(session, &cameras, &instants);
+    let noise = before.noise.clone().scaled(noise_factor(session, &cameras, &instants));
     let scale = bone_scale(capture, &adjusted);
     let cameras = cameras.into_iter().map(|c| c.map(|c| Rigid { translation: c.translation * scale, ..c })).collect();
     let mut stages = before.stages.clone();

@@ -49,7 +49,7 @@ impl Flip {
 
 /// Index of the way round that agrees with the person's expected points; 0 where none is clearly better than as it is.
 pub(super) fn best(ground: &Ground, seen: Seen, points: &[Option<Vector3<f64>>]) -> usize {
-    let agreement = |flip: &Flip| physics_affinity(seen, points, &ground.sigmas_m, &flip.order).unwrap_or(0.0);
+    let agreement = |flip: &Flip| physics_affinity(seen, points, ground.input.noise, &flip.order).unwrap_or(0.0);
     let as_it_is = agreement(&ground.flips[0]);
     let others = ground.flips.iter().enumerate().skip(1).map(|(i, flip)| (agreement(flip), i));
     match others.max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1))) {

@@ -56,7 +56,7 @@ fn agreements(ground: &Ground, present: &[usize], view: usize, frame: usize) -> 
         let of_detection = |detection: usize| {
             let seen = ground.seen(Place { view, frame, detection })?;
             let points = ground.expected(person, frame)?;
-            let ways = ground.flips.iter().filter_map(|f| physics_affinity(seen, points, &ground.sigmas_m, &f.order));
+            let ways = ground.flips.iter().filter_map(|f| physics_affinity(seen, points, ground.input.noise, &f.order));
             let best = ways.reduce(f64::max)?;
             Some(best + if held == Some(detection) { HELD_BONUS } else { 0.0 })
         };
@@ -111,7 +111,7 @@ fn matched(
         }
         for (j, b) in places[..i].iter().enumerate().filter(|(_, b)| b.view != a.view) {
             let (Some(one), Some(other)) = (ground.seen(*a), ground.seen(*b)) else { continue };
-            let geometry = geometry_affinity(one, other, &ground.sigmas_m).unwrap_or(0.0);
+            let geometry = geometry_affinity(one, other, ground.input.noise).unwrap_or(0.0);
             let physics = (0..n_people).map(|p| shown(p, a).min(shown(p, b))).fold(0.0, f64::max).min(1.0);
             let value = GEOMETRY_WEIGHT * geometry + PHYSICS_WEIGHT * physics;
             affinity[(n_people + i, n_people + j)] = value;

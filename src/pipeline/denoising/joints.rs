@@ -21,7 +21,7 @@ pub(super) fn rejected(
 ) -> Vec<usize> {
     let order = &ground.flips[flip].order;
     let is_wrong = |k: &usize| {
-        let distance = points[*k].and_then(|point| misfit(seen, order[*k], &point, ground.sigmas_m[*k]));
+        let distance = points[*k].and_then(|point| misfit(seen, order[*k], &point, ground.input.noise, *k));
         n_views[*k] >= MIN_VIEWS && distance.is_some_and(|e| e > MAX_SIGMAS)
     };
     (0..points.len()).filter(is_wrong).collect()

@@ -1,5 +1,6 @@
 //! What was seen of every keypoint, against where the result puts it, and how well those views place it.
 
+use crate::body::detector_noise::DetectorNoise;
 use crate::estimation::triangulation::{RayObservation, covariance};
 use crate::geometry::Rigid;
 use crate::session::recording::{Detection, Session, View};
@@ -58,7 +59,7 @@ pub(super) struct KeypointFigures {
     /// Per such frame: angle under which two rays cross, of the pair nearest to a right angle, 0 to pi/2.
     pub(super) ray_angles: Vec<f64>,
     /// Explained distances of such frames as errors of one ray before the point was fitted to it, m on the body; of a
-    /// sure sighting.
+    /// sighting for which the detector's factor is 1.
     pub(super) ray_errors: Vec<f64>,
 }
 
@@ -84,16 +85,18 @@ impl PersonFigures {
 pub(super) fn people_figures(
     session: &Session,
     cameras: &[Option<Rigid>],
+    noise: &DetectorNoise,
     tracks: &[PersonTrack],
     paths: &[JointTrajectory],
 ) -> Vec<PersonFigures> {
     let people = tracks.par_iter().zip(paths);
-    people.map(|(track, path)| person_figures(session, cameras, track, path)).collect()
+    people.map(|(track, path)| person_figures(session, cameras, noise, track, path)).collect()
 }
 
 fn person_figures(
     session: &Session,
     cameras: &[Option<Rigid>],
+    noise: &DetectorNoise,
     track: &PersonTrack,
     path: &JointTrajectory,
 ) -> PersonFigures {
@@ -111,7 +114,7 @@ fn person_figures(
         n_in_two_views += usize::from(sightings.len() >= 2);
         for (k, (point, figures)) in points.iter().zip(&mut keypoints).enumerate() {
             if let Some(point) = point {
-                figures.add(point, sightings.iter().filter_map(|s| s.ray(k, point)).collect());
+                figures.add(point, sightings.iter().filter_map(|s| s.ray(noise, k, point)).collect());
             }
         }
     }
@@ -153,13 +156,13 @@ struct Ray<'a> {
 }
 
 impl<'a> PlacedSighting<'a> {
-    fn ray(&self, keypoint: usize, point: &Vector3<f64>) -> Option<Ray<'a>> {
+    fn ray(&self, noise: &DetectorNoise, keypoint: usize, point: &Vector3<f64>) -> Option<Ray<'a>> {
         let seen = self.detection.keypoints.get(keypoint).filter(|k| k.confidence >= MIN_CONFIDENCE)?;
         let intrinsics = &self.view.intrinsics;
         let in_camera = self.camera.transform(point);
         let distance_px = (intrinsics.pixel_from_camera(&in_camera)? - seen.pixel).norm();
         let metres_per_px = in_camera.z / intrinsics.focal();
-        let sigma_px = 1.0 / (metres_per_px * seen.confidence.sqrt());
+        let sigma_px = noise.factor(seen.confidence) / metres_per_px;
         let observation = RayObservation { camera_from_world: self.camera, intrinsics, pixel: seen.pixel, sigma_px };
         Some(Ray { view: self.index, observation, distance_px, metres_per_px })
     }
