@@ -7,6 +7,7 @@
 
 mod contacts;
 mod evidence;
+mod habits;
 mod initial_motion;
 mod local_fit;
 mod motion_problem;
@@ -24,25 +25,22 @@ mod tests_simulated;
 
 use crate::body::BodyModel;
 use crate::body::anthropometry::N_BETAS;
-use crate::body::bone_offsets::BoneOffsets;
 use crate::body::detector_noise::DetectorNoise;
-use crate::body::detector_offsets::{OffsetKind, OffsetTable};
 use crate::body::kinematics::{Pose, landmark_position, posed};
 use crate::body::model::Betas;
-use crate::body::skeleton::{JOINT_NAMES, KeypointConvention};
+use crate::body::skeleton::KeypointConvention;
 use crate::geometry::Rigid;
 use crate::progress::{Canceled, Progress};
 use crate::residuals::pose_likelihood::PoseWeights;
 use crate::session::people::BodyPose;
-use crate::session::reconstruction::{DetectorHabits, DetectorOffset, PenetrationReport, StageReport};
+use crate::session::reconstruction::{DetectorHabits, PenetrationReport, StageReport};
 use crate::session::{BodyMotion, FrameIndex, JointTrajectory, PersonTrack, Session};
 use evidence::{Evidence, gather_evidence};
-use motion_problem::MotionState;
+use habits::habits;
 use nalgebra::Vector3;
 use rayon::prelude::*;
 use separation::{PlacedFit, separate};
 use serde::{Deserialize, Serialize};
-use session_offsets::{Cause, OffsetWitness, SessionOffsets, detector_habits};
 use solve::{FittedMotion, Stages, StartedMotion, finish_motion, start_motion};
 use std::collections::BTreeMap;
 
@@ -220,27 +218,22 @@ pub fn fit_bodies(
     let started = started_people(input, &stages)?;
     progress.report(0.5, "bodies fitted one by one");
 
-    let table = OffsetTable::new(model, input.session.convention);
-    let (mut detector_model, mut detector) = (model.clone(), DetectorHabits::default());
-    if config.detector_offsets && !table.kinds.is_empty() {
-        let n_people = started.iter().flatten().count().max(1);
-        let n_frames = (config.offset_frames[1] / n_people).min(config.offset_frames[0]);
-        let ask = |(evidence, started): &(Evidence, StartedMotion)| witness(&stages, evidence, started, n_frames);
-        let witnesses: Vec<OffsetWitness> = started.iter().flatten().map(ask).collect();
-        let found = detector_habits(&table, witnesses, &stages)?;
-        detector = reported(&table, &found);
-        if detector.applied {
-            detector_model = table.applied(model, &found.offsets);
-        }
-        progress.report(0.75, "what the detector means by its keypoints");
-    }
+    let everybody: Vec<&(Evidence, StartedMotion)> = started.iter().flatten().collect();
+    let habits = match config.detector_offsets {
+        true => habits(&stages, input.session.convention, &everybody)?,
+        false => None,
+    };
+    progress.report(0.75, "what the detector means by its keypoints");
 
+    let has_habits = habits.is_some();
+    let (detector_model, detector) =
+        habits.map_or_else(|| (model.clone(), DetectorHabits::default()), |habits| (habits.model, habits.told));
     let stages = Stages { model: &detector_model, ..stages };
     let gap_limit = (config.gap_limit_secs / frame_interval).round() as usize;
     let finish_person = |(track, started): (&PersonTrack, Option<(Evidence, StartedMotion)>)| {
         progress.check()?;
         let Some((evidence, started)) = started else { return Ok(None) };
-        let fitted = finish_motion(&stages, &evidence, started, detector.applied)?;
+        let fitted = finish_motion(&stages, &evidence, started, has_habits)?;
         let valid = valid_frames(&evidence, gap_limit);
         Ok(Some(PlacedFit { person: track.person, first: track.first.0, evidence, fitted, valid }))
     };
@@ -269,42 +262,6 @@ fn started_people(input: BodyFitInput, stages: &Stages) -> Result<Vec<Option<(Ev
         Ok(start_motion(stages, &evidence)?.map(|started| (evidence, started)))
     };
     input.tracks.par_iter().map(start_person).collect()
-}
-
-/// What one person can tell of the detector: the run of frames with most pixels in the window that was fitted.
-fn witness(stages: &Stages, evidence: &Evidence, started: &StartedMotion, n_frames: usize) -> OffsetWitness {
-    let window = started.window.clone();
-    let length = window.len().min(n_frames.max(1));
-    let n_pixels: Vec<usize> = evidence.pixels[window.clone()].iter().map(Vec::len).collect();
-    let seen = |first: usize| n_pixels[first..first + length].iter().sum::<usize>();
-    let first = (0..=window.len() - length).max_by_key(|&first| (seen(first), std::cmp::Reverse(first))).unwrap_or(0);
-    let evidence = evidence.slice(window.start + first..window.start + first + length);
-    let fitted = &started.fitted.state;
-    let state = MotionState { betas: fitted.betas, poses: fitted.poses[first..first + length].to_vec() };
-    let share = stages.pixel_share(&evidence, &state);
-    OffsetWitness { evidence, state, bones: BoneOffsets::default(), share }
-}
-
-fn reported(table: &OffsetTable, found: &SessionOffsets) -> DetectorHabits {
-    let rows = table.kinds.iter().zip(&found.offsets).zip(&found.sigmas);
-    let offset = |((kind, offset), sigma): ((&OffsetKind, &Vector3<f64>), &Vector3<f64>)| DetectorOffset {
-        keypoint: kind.name.clone(),
-        bone: JOINT_NAMES[kind.joint].to_owned(),
-        offset_mm: (offset * 1e3).into(),
-        sigma_mm: (sigma * 1e3).into(),
-    };
-    let (applied, reason) = match (found.cause, table.implausible(&found.offsets)) {
-        (Cause::Neither, _) => (false, "the body explains the session as it is".to_owned()),
-        (Cause::Skeletons, _) => (false, "people's own proportions explain the session better".to_owned()),
-        (Cause::Detector, Some(kind)) => (
-            false,
-            format!("the offset of {} is larger than a detector's habit; the body does not fit there", kind.name),
-        ),
-        (Cause::Detector, None) => {
-            (true, "a habit of the detector explains the session better than unusual people".to_owned())
-        }
-    };
-    DetectorHabits { applied, reason, offsets: rows.map(offset).collect() }
 }
 
 fn body_motion(model: &BodyModel, person: &PlacedFit) -> BodyMotion {

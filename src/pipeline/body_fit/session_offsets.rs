@@ -76,7 +76,7 @@ pub(super) struct SessionOffsets {
 impl SessionOffsets {
     /// `-log p(session | cause)` by Laplace's method, but for what all causes share (MacKay 1992, Neural Computation 4:415,
     /// Eq. 2.5): cost and log volume at the optimum.
-    fn surprise(&self) -> f64 {
+    pub(super) fn surprise(&self) -> f64 {
         self.cost / CORRELATED_FRAMES + self.log_volume
     }
 }
@@ -90,28 +90,11 @@ const CORRELATED_FRAMES: f64 = 5.0;
 const MAX_ITERATIONS: usize = 7;
 const MIN_GAIN: f64 = 1.0;
 
-/// The offsets under the most likely cause.
-///
-/// Habits and skeletons leave about as much open, and how much exactly rests on how unusual people are taken to be: the
-/// lower cost decides between them. That there is anything to explain must show in the evidence, which charges for what a
-/// cause leaves open: among clean detections of ordinary bodies, 80 free numbers fit some of the noise.
+/// The offsets under one cause, together with everybody's motion.
 ///
 /// # Errors
 /// [`Canceled`].
-pub(super) fn detector_habits(
-    table: &OffsetTable,
-    mut witnesses: Vec<OffsetWitness>,
-    stages: &Stages,
-) -> Result<SessionOffsets, Canceled> {
-    // The others start from the motions that were found for the simplest.
-    let neither = session_offsets(table, Cause::Neither, &mut witnesses, stages)?;
-    let by_skeletons = session_offsets(table, Cause::Skeletons, &mut witnesses.clone(), stages)?;
-    let by_detector = session_offsets(table, Cause::Detector, &mut witnesses, stages)?;
-    let some = if by_detector.cost < by_skeletons.cost { by_detector } else { by_skeletons };
-    Ok(if some.surprise() < neither.surprise() { some } else { neither })
-}
-
-fn session_offsets(
+pub(super) fn session_offsets(
     table: &OffsetTable,
     cause: Cause,
     witnesses: &mut [OffsetWitness],

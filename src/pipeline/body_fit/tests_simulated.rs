@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::body::default_body;
+use crate::body::detector_offsets::OffsetTable;
 use crate::body::skeleton::N_JOINTS;
 use crate::estimation::triangulation::{RayObservation, triangulate_robust};
 use crate::geometry::{Distortion, Intrinsics};
@@ -159,6 +160,10 @@ fn simulated_captures_are_fitted_better_than_triangulated() {
             fit_bodies(input, &model, &BodyFitConfig::default(), &Progress::silent()).unwrap();
         println!("{}", detector.reason);
         assert!(!detector.applied, "these skeletons are not ours, their detector has no habits");
+        for kind in OffsetTable::new(&model, capture.session.convention).kinds {
+            let row = detector.offsets.iter().find(|row| row.keypoint == kind.name).unwrap();
+            assert_eq!(row.applied, !kind.is_joint, "points of the skin are the detector's own: {row:?}");
+        }
         let seconds = clock.elapsed().as_secs_f64();
         let (joints, keypoints) = (json(&folder.join("gt/poses3d.json")), json(&folder.join("gt/keypoints3d.json")));
         let (mut of_limbs, mut of_all, mut of_points, mut of_landmarks) = (vec![], vec![], vec![], vec![]);

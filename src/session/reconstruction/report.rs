@@ -35,8 +35,9 @@ pub struct ScaleReport {
 /// What the session's detector means by its keypoints, against the body.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct DetectorHabits {
-    /// Whether the bodies were fitted with these offsets. They are not where unusual skeletons explain the session
-    /// better, or where an offset is larger than any detector's habit: then it is the body that does not fit.
+    /// Whether the joints were fitted with these offsets. They are not where unusual skeletons explain the session
+    /// better, or where an offset is larger than any detector's habit: then it is the body that does not fit. Points of face
+    /// and feet always are.
     pub applied: bool,
     /// One sentence: why, or why not.
     pub reason: String,
@@ -55,6 +56,8 @@ pub struct DetectorOffset {
     pub offset_mm: [f64; 3],
     /// Standard deviations, mm; that of the prior where the motion tells nothing.
     pub sigma_mm: [f64; 3],
+    /// Whether the bodies were fitted with it.
+    pub applied: bool,
 }
 
 /// What the consistency stage did.
