@@ -1,6 +1,6 @@
 //! What finished stages found, kept on disk: work that was interrupted goes on after its last finished stage.
 //!
-//! A file is `wandless-checkpoint 2`, the key of the work, the SHA-256 of key and rest, and the rest as JSON, in lines. Numbers
+//! A file is `wandless-checkpoint 3`, the key of the work, the SHA-256 of key and rest, and the rest as JSON, in lines. Numbers
 //! are written so that they are read as the same numbers: a resumed run gives the bytes of an uninterrupted one. Whatever is
 //! damaged, of another release, or of other work is not used; whatever cannot be written is done without.
 
@@ -26,7 +26,7 @@ struct Place {
 }
 
 /// First line of a file; grows with every change of what is stored.
-const MAGIC: &str = "wandless-checkpoint 2";
+const MAGIC: &str = "wandless-checkpoint 3";
 
 impl Checkpoints {
     /// Keeps nothing.
