@@ -26,8 +26,7 @@ const SURFACE_BIAS_M: f64 = 0.008;
 
 /// How far a session's detector errs, by keypoint and by its own confidence.
 ///
-/// Standard deviation per axis on the body: $\sigma(k, c) = \sigma_k f(c)$, and which confidence is worth which error is
-/// the detector's own ([`with_knots`](Self::with_knots)).
+/// Standard deviation per axis on the body: $\sigma(k, c) = \sigma_k f(c)$.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DetectorNoise {
     /// $\sigma_k$, m.

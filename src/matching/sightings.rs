@@ -23,7 +23,8 @@ pub struct Sighting {
 }
 
 impl Sighting {
-    fn from_detection(view: &View, detection: &Detection, n_keypoints: usize) -> Self {
+    /// One detection by `view`; its first `n_keypoints` are the named ones.
+    pub fn from_detection(view: &View, detection: &Detection, n_keypoints: usize) -> Self {
         let mut bearings = Vec::with_capacity(n_keypoints);
         let mut confidence = Vec::with_capacity(n_keypoints);
         let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));

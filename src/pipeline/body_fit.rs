@@ -223,9 +223,10 @@ pub fn fit_bodies(
         true => habits(&stages, input.session.convention, &everybody)?,
         false => None,
     };
-    progress.report(0.75, "what the detector means by its keypoints");
-
     let has_habits = habits.is_some();
+    if has_habits {
+        progress.report(0.75, "what the detector means by its keypoints");
+    }
     let (detector_model, detector) =
         habits.map_or_else(|| (model.clone(), DetectorHabits::default()), |habits| (habits.model, habits.told));
     let stages = Stages { model: &detector_model, ..stages };

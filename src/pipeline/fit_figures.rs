@@ -24,7 +24,8 @@ use sightings::{KeypointFigures, Misfits, PersonFigures, people_figures};
 pub struct FitFigures {
     /// In the order of the tracks.
     people: Vec<PersonFigures>,
-    /// By kind of keypoint: standard deviation of a ray for which the detector's factor is 1, m on the body; `None` where no two views saw one.
+    /// By kind of keypoint: standard deviation of a ray for which the detector's factor is 1, m on the body; `None` where no
+    /// two views saw one.
     ray_sigmas: Vec<Option<f64>>,
     /// By view.
     views: Vec<Misfits>,

@@ -30,8 +30,13 @@ fn distance_of_double(one: &TrackedPerson, other: &TrackedPerson) -> Option<f64>
     let mut distances = Vec::new();
     for (t, (frame, claim)) in one.claims.iter().enumerate() {
         let Ok(u) = other.claims.binary_search_by_key(frame, |(frame, _)| *frame) else { continue };
-        if claim.iter().zip(&other.claims[u].1).any(|(a, b)| a.is_some() && b.is_some()) {
+        let theirs = &other.claims[u].1;
+        if claim.iter().zip(theirs).any(|(a, b)| a.is_some() && b.is_some()) {
             return None;
+        }
+        // Only who is seen can be seen to be the same.
+        if [claim, theirs].iter().any(|claim| claim.iter().flatten().next().is_none()) {
+            continue;
         }
         distances.extend(distance(&one.skeletons[t], &other.skeletons[u]));
     }

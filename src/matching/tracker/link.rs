@@ -87,7 +87,7 @@ mod tests {
         let joined = |later: TrackedPerson| join_fragments(&SCENE, vec![person(7, 0.0), later]).len();
         assert_eq!(joined(person(10, -0.4)), 1, "near");
         assert_eq!(joined(person(10, 2.5)), 2, "too far");
-        assert_eq!(joined(person(7, 0.3)), 2, "who is in sight does not come back");
+        assert_eq!(joined(person(7, 0.05)), 2, "who is in sight does not come back");
     }
 
     #[test]

@@ -10,9 +10,9 @@
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
 use crate::geometry::epipolar::{Ray, ray_ray_distance};
-use crate::matching::sightings::MIN_CONFIDENCE;
+use crate::matching::sightings::Sighting;
 use crate::optim::robust::{NORMAL_SIGMA_OF_MAD, median};
-use crate::session::{Keypoint, PersonTrack, Session};
+use crate::session::{PersonTrack, Session};
 use rayon::prelude::*;
 
 /// Rays under a smaller angle than this (sine) meet nowhere in particular.
@@ -100,11 +100,9 @@ fn rays<'a>(
     let n_keypoints = session.convention.names().len();
     claim.iter().enumerate().filter_map(move |(v, detection)| {
         let (camera, view) = (cameras[v].as_ref()?, &session.views[v]);
-        let ray = |k: &Keypoint| {
-            let is_usable = k.confidence >= MIN_CONFIDENCE;
-            is_usable.then(|| (Ray::through(camera, &view.intrinsics.normalized_from_pixel(&k.pixel)), k.confidence))
-        };
-        Some(view.frames[frame][(*detection)?].keypoints[..n_keypoints].iter().map(ray).collect())
+        let seen = Sighting::from_detection(view, &view.frames[frame][(*detection)?], n_keypoints);
+        let keypoints = seen.bearings.iter().zip(&seen.confidence);
+        Some(keypoints.map(|(bearing, c)| (*c > 0.0).then(|| (Ray::through(camera, bearing), *c))).collect())
     })
 }
 
