@@ -8,7 +8,7 @@ use super::sightings::Sighting;
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
 use crate::geometry::epipolar::{Ray, ray_ray_distance};
-use nalgebra::Vector3;
+use nalgebra::{Vector2, Vector3};
 
 /// Standard deviations beyond which a keypoint is more likely wrong than noisy.
 const SOFT_SIGMAS: f64 = 3.0;
@@ -30,60 +30,92 @@ pub const PHYSICS_WEIGHT: f64 = 0.3;
 pub type Order = [usize];
 
 /// A detection by a placed camera.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct Seen<'a> {
     /// `camera_from_world`, m.
     pub camera: &'a Rigid,
     /// What was seen.
     pub sighting: &'a Sighting,
+    /// How many times the noise of a best keypoint each keypoint has ($f(c)$); `None` where it is too doubtful to have a
+    /// say.
+    factors: Vec<Option<f64>>,
 }
 
-/// Distance of keypoint `from` to the projection of `point`, where the body has `keypoint`, in standard deviations; `None`
-/// where it is not seen, too doubtful, or the point lies behind the camera.
-pub fn misfit(seen: Seen, from: usize, point: &Vector3<f64>, noise: &DetectorNoise, keypoint: usize) -> Option<f64> {
-    let confidence = seen.sighting.confidence[from];
-    if confidence < MIN_CONFIDENCE {
-        return None;
+impl<'a> Seen<'a> {
+    /// `noise`: how far the detector errs.
+    pub fn new(camera: &'a Rigid, sighting: &'a Sighting, noise: &DetectorNoise) -> Self {
+        let factor = |c: &f64| (*c >= MIN_CONFIDENCE).then(|| noise.factor(*c));
+        Self { camera, sighting, factors: sighting.confidence.iter().map(factor).collect() }
     }
-    let x = seen.camera.transform(point);
-    let depth = (x.z > 0.1).then_some(x.z)?;
-    let offset = (x.xy() / depth - seen.sighting.bearings[from]).norm();
-    Some(offset * depth / noise.sigma_m(keypoint, confidence))
 }
 
-/// Agreement of a detection with a person's expected points, 0 to 1; `None` where too little is shared.
+/// A person's point as a camera should see it.
+#[derive(Debug, Clone, Copy)]
+pub struct Projection {
+    /// Ideal normalised image coordinates.
+    bearing: Vector2<f64>,
+    /// Along the optical axis, m.
+    depth: f64,
+}
+
+impl Projection {
+    /// `None` where the point lies behind the camera.
+    pub fn of(point: &Vector3<f64>, camera: &Rigid) -> Option<Self> {
+        let x = camera.transform(point);
+        (x.z > 0.1).then(|| Self { bearing: x.xy() / x.z, depth: x.z })
+    }
+}
+
+/// How well a detection agrees with something.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Agreement {
+    /// 0 to 1.
+    pub affinity: f64,
+    /// Keypoints that had a say.
+    pub n_shared: usize,
+}
+
+/// Squared distance of keypoint `from` to where the body's `keypoint` is expected, in variances; `None` where it is not
+/// seen or too doubtful.
+pub fn squared_misfit(
+    seen: &Seen,
+    from: usize,
+    expected: &Projection,
+    noise: &DetectorNoise,
+    keypoint: usize,
+) -> Option<f64> {
+    let sigma_m = noise.sigmas_m()[keypoint] * seen.factors[from]?;
+    let offset = (expected.bearing - seen.sighting.bearings[from]) * (expected.depth / sigma_m);
+    Some(offset.norm_squared())
+}
+
+/// Agreement of a detection with a person's expected points; `None` where too little is shared.
 pub fn physics_affinity(
-    seen: Seen,
-    points: &[Option<Vector3<f64>>],
+    seen: &Seen,
+    expected: &[Option<Projection>],
     noise: &DetectorNoise,
     order: &Order,
-) -> Option<f64> {
-    let misfits = order.iter().zip(points).enumerate();
-    affinity(misfits.filter_map(|(k, (&from, point))| misfit(seen, from, point.as_ref()?, noise, k)))
+) -> Option<Agreement> {
+    let misfits = order.iter().zip(expected).enumerate();
+    agreement(misfits.filter_map(|(k, (&from, point))| squared_misfit(seen, from, point.as_ref()?, noise, k)))
 }
 
 /// Agreement of two detections of different views: gaps between the rays of equal keypoints, 0 to 1.
-pub fn geometry_affinity(one: Seen, other: Seen, noise: &DetectorNoise) -> Option<f64> {
-    let gap = |k: usize| {
-        let confidences = [one, other].map(|s| s.sighting.confidence[k]);
-        if confidences.iter().any(|c| *c < MIN_CONFIDENCE) {
-            return None;
-        }
+pub fn geometry_affinity(one: &Seen, other: &Seen, noise: &DetectorNoise) -> Option<f64> {
+    let gap = |(k, sigma_m): (usize, &f64)| {
+        let [factor_a, factor_b] = [one.factors[k]?, other.factors[k]?];
         let [a, b] = [one, other].map(|s| Ray::through(s.camera, &s.sighting.bearings[k]));
         // Both rays are uncertain, in the one direction across both of them.
-        let [sigma_a, sigma_b] = confidences.map(|c| noise.sigma_m(k, c));
-        Some(ray_ray_distance(&a, &b) / sigma_a.hypot(sigma_b))
+        let gap = ray_ray_distance(&a, &b) / (sigma_m * factor_a.hypot(factor_b));
+        Some(gap * gap)
     };
-    affinity((0..noise.sigmas_m().len()).filter_map(gap))
+    agreement(noise.sigmas_m().iter().enumerate().filter_map(gap)).map(|agreement| agreement.affinity)
 }
 
-fn affinity(misfits: impl Iterator<Item = f64>) -> Option<f64> {
-    let (mut n, mut sum) = (0, 0.0);
-    for e in misfits {
-        n += 1;
-        sum += SOFT_SIGMAS * SOFT_SIGMAS / (e * e + SOFT_SIGMAS * SOFT_SIGMAS);
-    }
-    (n >= MIN_SHARED).then(|| sum / n.max(ENOUGH_SHARED) as f64)
+fn agreement(squared_misfits: impl Iterator<Item = f64>) -> Option<Agreement> {
+    const SOFT: f64 = SOFT_SIGMAS * SOFT_SIGMAS;
+    let (n_shared, sum) = squared_misfits.fold((0, 0.0), |(n, sum), e2| (n + 1, sum + SOFT / (e2 + SOFT)));
+    (n_shared >= MIN_SHARED).then(|| Agreement { affinity: sum / n_shared.max(ENOUGH_SHARED) as f64, n_shared })
 }
 
 #[cfg(test)]
@@ -91,7 +123,6 @@ mod tests {
     use super::*;
     use crate::body::skeleton::KeypointConvention;
     use crate::geometry::rotation;
-    use nalgebra::Vector2;
 
     fn camera(angle: f64) -> Rigid {
         let rotation = rotation::exp(&(Vector3::y() * angle));
@@ -113,16 +144,19 @@ mod tests {
             (0..17).map(|k| Vector3::new(0.1 * (k % 3) as f64, 0.15 * k as f64, 0.05 * k as f64)).collect();
         let neighbour: Vec<_> = person.iter().map(|p| p + Vector3::new(0.6, 0.3, 0.2)).collect();
         let (first, second) = (camera(0.0), camera(1.2));
-        let sigmas = DetectorNoise::published(KeypointConvention::Coco17);
+        let noise = DetectorNoise::published(KeypointConvention::Coco17);
         let [a, b, c] = [seen_by(&first, &person), seen_by(&second, &person), seen_by(&second, &neighbour)];
         let [a, b, c] =
-            [(&first, &a), (&second, &b), (&second, &c)].map(|(camera, sighting)| Seen { camera, sighting });
-        assert!(geometry_affinity(a, b, &sigmas).unwrap() > 0.99 && geometry_affinity(a, c, &sigmas).unwrap() < 0.3);
-        let expected: Vec<_> = person.iter().copied().map(Some).collect();
+            [(&first, &a), (&second, &b), (&second, &c)].map(|(camera, sighting)| Seen::new(camera, sighting, &noise));
+        let geometry = |one, other| geometry_affinity(one, other, &noise).unwrap();
+        assert!(geometry(&a, &b) > 0.99 && geometry(&a, &c) < 0.3);
+        let expected: Vec<_> = person.iter().map(|point| Projection::of(point, &second)).collect();
         let order: Vec<usize> = (0..17).collect();
-        assert!(physics_affinity(b, &expected, &sigmas, &order).unwrap() > 0.99);
-        assert!(physics_affinity(c, &expected, &sigmas, &order).unwrap() < 0.1);
-        assert!((physics_affinity(b, &expected[..3], &sigmas, &order).unwrap() - 0.75).abs() < 0.01);
-        assert!(physics_affinity(b, &expected[..1], &sigmas, &order).is_none());
+        let physics = |seen, n: usize| physics_affinity(seen, &expected[..n], &noise, &order);
+        let whole = physics(&b, 17).unwrap();
+        assert!(whole.affinity > 0.99 && whole.n_shared == 17);
+        assert!(physics(&c, 17).unwrap().affinity < 0.1);
+        assert!((physics(&b, 3).unwrap().affinity - 0.75).abs() < 0.01);
+        assert!(physics(&b, 1).is_none());
     }
 }

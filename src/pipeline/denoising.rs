@@ -8,18 +8,19 @@
 mod flips;
 mod identity;
 mod joints;
+mod scene;
 mod told;
 
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
-use crate::matching::consistency::Seen;
 use crate::matching::sightings::ViewSightings;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{ConsistencyReport, StageReport};
 use crate::session::{JointTrajectory, PersonTrack, Session};
 use flips::{Flip, flips};
-use nalgebra::Vector3;
+use identity::FrameIdentities;
 use rayon::prelude::*;
+use scene::Scene;
 use std::collections::BTreeMap;
 
 /// What the stage reads.
@@ -59,35 +60,50 @@ pub struct Denoised {
 pub fn denoise(input: DenoisingInput, progress: &Progress) -> Result<Denoised, Canceled> {
     let ground = Ground { input, flips: flips(input.session.convention) };
     let frames = (0..input.session.n_frames).into_par_iter();
-    let solved: Vec<identity::FrameIdentities> = frames
+    let solved: Vec<SolvedFrame> = frames
         .map(|frame| {
             if frame % 64 == 0 {
                 progress.check()?;
             }
-            Ok(identity::identities_at(&ground, frame))
+            Ok(ground.solved(&Scene::at(&input, frame)))
         })
         .collect::<Result<_, Canceled>>()?;
-    let tracks = identity::retraced(input.tracks, &solved);
     let mut session = input.session.clone();
-    let mut deeds = Vec::new();
-    for (track, path) in tracks.iter().zip(input.paths) {
-        for (t, claim) in track.detections.iter().enumerate() {
-            for (view, detection) in claim.iter().enumerate().filter_map(|(v, d)| d.map(|d| (v, d))) {
-                let at = Place { view, frame: track.first.0 + t, detection };
-                let Some(seen) = ground.seen(at) else { continue };
-                let points = &path.points[t];
-                let flip = flips::best(&ground, seen, points);
-                let rejected = joints::rejected(&ground, seen, points, &path.n_views[t], flip);
-                let keypoints = &mut session.views[view].frames[at.frame][detection].keypoints;
-                ground.flips[flip].apply(keypoints);
-                rejected.iter().for_each(|&k| keypoints[k].confidence = 0.0);
-                deeds.push(told::Deed { person: track.person, at, is_flipped: flip > 0, n_rejected: rejected.len() });
-            }
-        }
+    let mut tracks: Vec<PersonTrack> = input.tracks.iter().map(unclaimed).collect();
+    for deed in solved.iter().flat_map(|frame| &frame.deeds) {
+        let Place { view, frame, detection } = deed.at;
+        let track = &mut tracks[deed.track];
+        track.detections[frame - track.first.0][view] = Some(detection);
+        let keypoints = &mut session.views[view].frames[frame][detection].keypoints;
+        ground.flips[deed.flip].apply(keypoints);
+        deed.rejected.iter().for_each(|&k| keypoints[k].confidence = 0.0);
     }
-    let told = told::told(&input, &tracks, &deeds, &solved);
-    let report = stage_report(&told, &deeds, &solved);
+    let told = told::told(&input, &tracks, &solved);
+    let report = stage_report(&told, &solved);
     Ok(Denoised { session, tracks, told, report })
+}
+
+/// The same people at the same time, without what was given to them.
+fn unclaimed(track: &PersonTrack) -> PersonTrack {
+    let nothing = |of_frame: &Vec<_>| vec![None; of_frame.len()];
+    PersonTrack { detections: track.detections.iter().map(nothing).collect(), ..track.clone() }
+}
+
+/// One frame, solved.
+struct SolvedFrame {
+    deeds: Vec<Deed>,
+    is_ambiguous: bool,
+}
+
+/// A detection given to a person, and what was done to it.
+struct Deed {
+    /// Index of the track.
+    track: usize,
+    at: Place,
+    /// Index of the way round.
+    flip: usize,
+    /// Keypoints, after the flip.
+    rejected: Vec<usize>,
 }
 
 /// A detection's place in the session.
@@ -105,23 +121,30 @@ struct Ground<'a> {
     flips: Vec<Flip>,
 }
 
-impl<'a> Ground<'a> {
-    fn seen(&self, at: Place) -> Option<Seen<'a>> {
-        let camera = self.input.cameras[at.view].as_ref()?;
-        Some(Seen { camera, sighting: &self.input.views[at.view].frames[at.frame][at.detection] })
-    }
-
-    /// Where a person is expected at a frame.
-    fn expected(&self, person: usize, frame: usize) -> Option<&'a [Option<Vector3<f64>>]> {
-        let path = &self.input.paths[person];
-        path.points.get(frame.checked_sub(path.first.0)?).map(Vec::as_slice)
+impl Ground<'_> {
+    /// Gives a frame's detections to people and mends them.
+    fn solved(&self, scene: &Scene) -> SolvedFrame {
+        let FrameIdentities { claims, is_ambiguous } = identity::identities(self, scene);
+        let mut deeds = Vec::new();
+        for (person, claim) in claims.iter().enumerate() {
+            for (view, detection) in claim.iter().enumerate().filter_map(|(v, d)| d.map(|d| (v, d))) {
+                let at = Place { view, frame: scene.frame, detection };
+                let track = scene.present[person];
+                let (seen, expected) = (scene.seen(at), &scene.views[view].expected[person]);
+                let path = &self.input.paths[track];
+                let flip = flips::best(self, seen, expected);
+                let rejected = joints::rejected(self, seen, expected, &path.n_views[scene.frame - path.first.0], flip);
+                deeds.push(Deed { track, at, flip, rejected });
+            }
+        }
+        SolvedFrame { deeds, is_ambiguous }
     }
 }
 
-fn stage_report(told: &ConsistencyReport, deeds: &[told::Deed], solved: &[identity::FrameIdentities]) -> StageReport {
+fn stage_report(told: &ConsistencyReport, solved: &[SolvedFrame]) -> StageReport {
     let figures = [
         ("frames_ambiguous", solved.iter().filter(|s| s.is_ambiguous).count()),
-        ("detections_kept", deeds.len()),
+        ("detections_kept", solved.iter().map(|s| s.deeds.len()).sum()),
         ("detections_reassigned", told.pairs.iter().map(|p| p.rejected_detections).sum()),
         ("joints_rejected", told.pairs.iter().map(|p| p.rejected_joints).sum()),
         ("flips_undone", told.pairs.iter().map(|p| p.flips_undone).sum()),

@@ -7,13 +7,13 @@
 
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
-use crate::optim::banded::BandMatrix;
+use crate::optim::point_chain::PointChain;
 use crate::optim::robust::geman_mcclure;
 use crate::progress::{Canceled, Progress};
 use crate::residuals::reprojection;
 use crate::session::recording::{FrameIndex, Session};
 use crate::session::{JointTrajectory, PersonTrack};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 
 /// Weights of the paths.
@@ -87,6 +87,7 @@ pub fn joint_trajectories(
     let mut people = Vec::with_capacity(input.tracks.len());
     for (track, start) in input.tracks.iter().zip(input.start) {
         progress.check()?;
+        let rays = rays_by_keypoint(input, track);
         let paths: Vec<Path> = (0..names.len())
             .into_par_iter()
             .map(|k| {
@@ -94,68 +95,63 @@ pub fn joint_trajectories(
                     ["wrist", "elbow", "ankle", "knee", "toe", "heel", "hand", "foot", "index", "pinky", "thumb"];
                 let is_limb = limb.iter().any(|part| names[k].ends_with(part));
                 let density = if is_limb { config.limb_acceleration } else { config.trunk_acceleration };
-                path(input, track, start, k, density, config)
+                path(input, &rays[k], interpolated(start, k), density, config)
             })
             .collect();
-        people.push(transposed(track, &paths));
+        people.push(transposed(track, &rays, &paths));
     }
     Ok(people)
 }
 
-/// One keypoint over time: points (empty where the keypoint was never located) and views per frame.
-struct Path {
-    points: Vec<Vector3<f64>>,
-    n_views: Vec<u8>,
-}
+/// One keypoint over time; empty where it was never located.
+type Path = Vec<Vector3<f64>>;
 
-/// One ray of a frame.
+/// One sight of a keypoint.
 struct Ray {
+    /// Index of the path's point.
+    t: usize,
     view: usize,
     pixel: Vector2<f64>,
     /// Standard deviation per axis on the body, m.
     sigma_m: f64,
 }
 
-fn path(
-    input: &TrajectoryInput,
-    track: &PersonTrack,
-    start: &JointTrajectory,
-    keypoint: usize,
-    density: f64,
-    config: &TrajectoryConfig,
-) -> Path {
-    let rays: Vec<Vec<Ray>> = (0..track.detections.len()).map(|t| rays_at(input, track, t, keypoint)).collect();
-    let n_views = rays.iter().map(|r| r.len() as u8).collect();
-    let Some(mut points) = interpolated(&start.points, keypoint) else { return Path { points: Vec::new(), n_views } };
-    let unit = input.metres_per_unit;
-    let dt = input.session.frame_interval();
-    let smoothness = unit * unit / (density * dt.powi(3) * 2.0 / 3.0);
-    // From ten times the robust scale down: the guess may be a hand's length off.
-    for iteration in 0..config.iterations {
-        let widening = (10.0f64).powf(1.0 - iteration as f64 / (config.iterations - 1).max(1) as f64);
-        let scale = config.robust_scale * widening;
-        if !step(input, &rays, &mut points, smoothness, scale) {
-            break;
-        }
-    }
-    Path { points, n_views }
-}
-
-fn rays_at(input: &TrajectoryInput, track: &PersonTrack, t: usize, keypoint: usize) -> Vec<Ray> {
-    let frame = track.first.0 + t;
-    let mut rays = Vec::new();
-    for (view, detection) in track.detections[t].iter().enumerate() {
-        let (Some(detection), Some(_)) = (detection, &input.cameras[view]) else { continue };
-        let k = &input.session.views[view].frames[frame][*detection].keypoints[keypoint];
-        if k.confidence > 0.1 {
-            rays.push(Ray { view, pixel: k.pixel, sigma_m: input.noise.sigma_m(keypoint, k.confidence) });
+/// `[keypoint]`, by time.
+fn rays_by_keypoint(input: &TrajectoryInput, track: &PersonTrack) -> Vec<Vec<Ray>> {
+    let mut rays: Vec<Vec<Ray>> = input.noise.sigmas_m().iter().map(|_| Vec::new()).collect();
+    for (t, claims) in track.detections.iter().enumerate() {
+        for (view, detection) in claims.iter().enumerate() {
+            let (Some(detection), Some(_)) = (detection, &input.cameras[view]) else { continue };
+            let keypoints = &input.session.views[view].frames[track.first.0 + t][*detection].keypoints;
+            for (k, (seen, rays)) in
+                keypoints.iter().zip(&mut rays).enumerate().filter(|(_, (k, _))| k.confidence > 0.1)
+            {
+                rays.push(Ray { t, view, pixel: seen.pixel, sigma_m: input.noise.sigma_m(k, seen.confidence) });
+            }
         }
     }
     rays
 }
 
+fn path(input: &TrajectoryInput, rays: &[Ray], start: Option<Path>, density: f64, config: &TrajectoryConfig) -> Path {
+    let Some(mut points) = start else { return Path::new() };
+    let unit = input.metres_per_unit;
+    let dt = input.session.frame_interval();
+    let smoothness = PointChain::of_second_differences(points.len(), unit * unit / (density * dt.powi(3) * 2.0 / 3.0));
+    // From ten times the robust scale down: the guess may be a hand's length off.
+    for iteration in 0..config.iterations {
+        let widening = (10.0f64).powf(1.0 - iteration as f64 / (config.iterations - 1).max(1) as f64);
+        let scale = config.robust_scale * widening;
+        if !step(input, rays, &mut points, &smoothness, scale) {
+            break;
+        }
+    }
+    points
+}
+
 /// The guess without holes: straight lines between known points, constant at the ends; `None` with no point at all.
-fn interpolated(points: &[Vec<Option<Vector3<f64>>>], keypoint: usize) -> Option<Vec<Vector3<f64>>> {
+fn interpolated(start: &JointTrajectory, keypoint: usize) -> Option<Path> {
+    let points = &start.points;
     let known: Vec<(usize, Vector3<f64>)> =
         points.iter().enumerate().filter_map(|(t, p)| p[keypoint].map(|p| (t, p))).collect();
     let (first, last) = (known.first()?, known.last()?);
@@ -172,74 +168,51 @@ fn interpolated(points: &[Vec<Option<Vector3<f64>>>], keypoint: usize) -> Option
 /// One re-weighted Gauss-Newton step on a whole path; false where the system has no solution.
 fn step(
     input: &TrajectoryInput,
-    rays: &[Vec<Ray>],
+    rays: &[Ray],
     points: &mut [Vector3<f64>],
-    smoothness: f64,
+    smoothness: &PointChain,
     robust_scale: f64,
 ) -> bool {
-    let n = points.len();
-    let mut matrix = BandMatrix::zeros(3 * n, 8);
-    let mut gradient = vec![0.0; 3 * n];
-    for (t, rays) in rays.iter().enumerate() {
-        for ray in rays {
-            add_ray(input, ray, t, &points[t], robust_scale, &mut matrix, &mut gradient);
-        }
-        for a in 0..3 {
-            matrix.add(3 * t + a, 3 * t + a, input.metres_per_unit * input.metres_per_unit * input.hold.weight());
-        }
-    }
-    for t in 1..n.saturating_sub(1) {
-        let bend = points[t + 1] - points[t] * 2.0 + points[t - 1];
-        let weights = [(t - 1, 1.0), (t, -2.0), (t + 1, 1.0)];
-        for a in 0..3 {
-            for &(i, wi) in &weights {
-                gradient[3 * i + a] += smoothness * wi * bend[a];
-                for &(j, wj) in weights.iter().filter(|(j, _)| *j <= i) {
-                    matrix.add(3 * i + a, 3 * j + a, smoothness * wi * wj);
-                }
-            }
+    let mut gradient = smoothness.times(points);
+    let mut system = smoothness.clone();
+    let hold = Matrix3::from_diagonal_element(input.metres_per_unit * input.metres_per_unit * input.hold.weight());
+    system.diagonal.iter_mut().for_each(|block| *block += hold);
+    for ray in rays {
+        if let Some((by_point, hessian)) = pull(input, ray, &points[ray.t], robust_scale) {
+            gradient[ray.t] += by_point;
+            system.diagonal[ray.t] += hessian;
         }
     }
-    let Some(delta) = matrix.solve(gradient) else { return false };
-    for (t, point) in points.iter_mut().enumerate() {
-        *point -= Vector3::new(delta[3 * t], delta[3 * t + 1], delta[3 * t + 2]);
-    }
+    let Some(delta) = system.solve(gradient) else { return false };
+    points.iter_mut().zip(delta).for_each(|(point, delta)| *point -= delta);
     true
 }
 
-#[allow(clippy::too_many_arguments)] // one row of the normal equations and where it goes
-fn add_ray(
+/// Gradient and Gauss-Newton Hessian of one ray's cost by its point.
+fn pull(
     input: &TrajectoryInput,
     ray: &Ray,
-    t: usize,
     point: &Vector3<f64>,
     robust_scale: f64,
-    matrix: &mut BandMatrix,
-    gradient: &mut [f64],
-) {
-    let Some(camera) = &input.cameras[ray.view] else { return };
+) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+    let camera = input.cameras[ray.view].as_ref()?;
     let intrinsics = &input.session.views[ray.view].intrinsics;
     let depth = camera.transform(point).z * input.metres_per_unit;
     if depth < 0.1 {
-        return;
+        return None;
     }
     let sigma_px = intrinsics.focal() * ray.sigma_m / depth;
-    let Some(r) = reprojection::linearize(intrinsics, camera, point, &ray.pixel, sigma_px) else { return };
+    let r = reprojection::linearize(intrinsics, camera, point, &ray.pixel, sigma_px)?;
     let weight = geman_mcclure(r.residual.norm_squared(), robust_scale).weight;
-    let j = r.by_point;
-    let g = j.transpose() * r.residual * weight;
-    let h = j.transpose() * j * weight;
-    for a in 0..3 {
-        gradient[3 * t + a] += g[a];
-        for b in 0..=a {
-            matrix.add(3 * t + a, 3 * t + b, h[(a, b)]);
-        }
-    }
+    Some((r.by_point.tr_mul(&r.residual) * weight, r.by_point.tr_mul(&r.by_point) * weight))
 }
 
-fn transposed(track: &PersonTrack, paths: &[Path]) -> JointTrajectory {
+fn transposed(track: &PersonTrack, rays: &[Vec<Ray>], paths: &[Path]) -> JointTrajectory {
     let n = track.detections.len();
-    let points = (0..n).map(|t| paths.iter().map(|p| p.points.get(t).copied()).collect()).collect();
-    let n_views = (0..n).map(|t| paths.iter().map(|p| p.n_views[t]).collect()).collect();
+    let points = (0..n).map(|t| paths.iter().map(|path| path.get(t).copied()).collect()).collect();
+    let mut n_views = vec![vec![0; rays.len()]; n];
+    for (k, rays) in rays.iter().enumerate() {
+        rays.iter().for_each(|ray| n_views[ray.t][k] += 1);
+    }
     JointTrajectory { person: track.person, first: FrameIndex(track.first.0), points, n_views }
 }

@@ -2,9 +2,8 @@
 
 use super::Ground;
 use crate::body::skeleton::KeypointConvention;
-use crate::matching::consistency::{Seen, physics_affinity};
+use crate::matching::consistency::{Projection, Seen, physics_affinity};
 use crate::session::Keypoint;
-use nalgebra::Vector3;
 
 /// One way of reading a detection.
 pub(super) struct Flip {
@@ -48,8 +47,10 @@ impl Flip {
 }
 
 /// Index of the way round that agrees with the person's expected points; 0 where none is clearly better than as it is.
-pub(super) fn best(ground: &Ground, seen: Seen, points: &[Option<Vector3<f64>>]) -> usize {
-    let agreement = |flip: &Flip| physics_affinity(seen, points, ground.input.noise, &flip.order).unwrap_or(0.0);
+pub(super) fn best(ground: &Ground, seen: &Seen, expected: &[Option<Projection>]) -> usize {
+    let agreement = |flip: &Flip| {
+        physics_affinity(seen, expected, ground.input.noise, &flip.order).map_or(0.0, |agreement| agreement.affinity)
+    };
     let as_it_is = agreement(&ground.flips[0]);
     let others = ground.flips.iter().enumerate().skip(1).map(|(i, flip)| (agreement(flip), i));
     match others.max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1))) {

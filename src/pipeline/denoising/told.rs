@@ -1,37 +1,23 @@
 //! What was done, camera by camera and person by person.
 
-use super::identity::FrameIdentities;
-use super::{DenoisingInput, Place};
+use super::{DenoisingInput, SolvedFrame};
 use crate::session::PersonTrack;
 use crate::session::reconstruction::{ConsistencyPair, ConsistencyReport};
 use crate::session::recording::PersonId;
 use std::collections::BTreeMap;
 
-/// What was done to one detection that was kept.
-pub(super) struct Deed {
-    pub person: PersonId,
-    pub at: Place,
-    pub is_flipped: bool,
-    pub n_rejected: usize,
-}
-
 /// Sums it up.
-pub(super) fn told(
-    input: &DenoisingInput,
-    tracks: &[PersonTrack],
-    deeds: &[Deed],
-    solved: &[FrameIdentities],
-) -> ConsistencyReport {
+pub(super) fn told(input: &DenoisingInput, tracks: &[PersonTrack], solved: &[SolvedFrame]) -> ConsistencyReport {
     let mut pairs: BTreeMap<(usize, PersonId), ConsistencyPair> = BTreeMap::new();
     let mut pair = |view: usize, person: PersonId, tell: &dyn Fn(&mut ConsistencyPair)| {
         let camera = input.session.views[view].id.clone();
         let new = || ConsistencyPair { camera, person: person.0, ..ConsistencyPair::default() };
         tell(pairs.entry((view, person)).or_insert_with(new));
     };
-    for deed in deeds {
-        pair(deed.at.view, deed.person, &|p| {
-            p.flips_undone += usize::from(deed.is_flipped);
-            p.rejected_joints += deed.n_rejected;
+    for deed in solved.iter().flat_map(|frame| &frame.deeds) {
+        pair(deed.at.view, tracks[deed.track].person, &|p| {
+            p.flips_undone += usize::from(deed.flip > 0);
+            p.rejected_joints += deed.rejected.len();
         });
     }
     for (before, after) in input.tracks.iter().zip(tracks) {

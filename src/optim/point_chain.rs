@@ -1,0 +1,142 @@
+//! Points in a row, each held to its neighbours and the next but one: a system of 3x3 blocks, linear in its size.
+
+use nalgebra::{Matrix3, Vector3};
+
+/// A symmetric positive definite matrix over a row of points, of which block `(t, t)` is anything and blocks `(t, t - 1)`
+/// and `(t, t - 2)` are multiples of the identity.
+#[derive(Debug, Clone)]
+pub struct PointChain {
+    /// Blocks `(t, t)`.
+    pub diagonal: Vec<Matrix3<f64>>,
+    /// Factors of the blocks `(t, t - 1)` and `(t, t - 2)`; of those that would lie outside, 0.
+    pub couplings: Vec<[f64; 2]>,
+}
+
+impl PointChain {
+    /// The second differences of `n` points, squared and summed, times `weight`.
+    pub fn of_second_differences(n: usize, weight: f64) -> Self {
+        let mut chain = Self { diagonal: vec![Matrix3::zeros(); n], couplings: vec![[0.0; 2]; n] };
+        for last in 2..n {
+            for (t, w) in [(last - 2, 1.0), (last - 1, 4.0), (last, 1.0)] {
+                chain.diagonal[t] += Matrix3::from_diagonal_element(weight * w);
+            }
+            chain.couplings[last - 1][0] -= 2.0 * weight;
+            chain.couplings[last][0] -= 2.0 * weight;
+            chain.couplings[last][1] += weight;
+        }
+        chain
+    }
+
+    /// `A x`.
+    pub fn times(&self, x: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+        let mut product: Vec<Vector3<f64>> = self.diagonal.iter().zip(x).map(|(block, x)| block * x).collect();
+        for (t, couplings) in self.couplings.iter().enumerate() {
+            for (back, coupling) in (1..).zip(couplings).filter(|(back, _)| *back <= t) {
+                product[t] += x[t - back] * *coupling;
+                product[t - back] += x[t] * *coupling;
+            }
+        }
+        product
+    }
+
+    /// Solves `A x = b`; `None` where `A` is not positive definite.
+    ///
+    /// $A = L D L^T$ block by block: with couplings $a_t$ and $b_t$,
+    /// $L_{t,t-2} = b_t D_{t-2}^{-1}$, $L_{t,t-1} = (a_t I - b_t L_{t-1,t-2}^T) D_{t-1}^{-1}$.
+    pub fn solve(&self, mut b: Vec<Vector3<f64>>) -> Option<Vec<Vector3<f64>>> {
+        let n = self.diagonal.len();
+        let mut factors = vec![[Matrix3::zeros(); 2]; n];
+        let (mut inverse_before, mut inverse_two_before) = (Matrix3::zeros(), Matrix3::zeros());
+        let mut scaled = vec![Vector3::zeros(); n];
+        for t in 0..n {
+            let [one, two] = self.couplings[t];
+            let before = t.checked_sub(1).map_or_else(Matrix3::zeros, |s| factors[s][0]);
+            let reduced = Matrix3::from_diagonal_element(one) - before.transpose() * two;
+            let far = inverse_two_before * two;
+            let near = reduced * inverse_before;
+            let pivot = self.diagonal[t] - near * reduced.transpose() - far * two;
+            factors[t] = [near, far];
+            if t >= 1 {
+                b[t] = b[t] - near * b[t - 1];
+            }
+            if t >= 2 {
+                b[t] = b[t] - far * b[t - 2];
+            }
+            inverse_two_before = inverse_before;
+            inverse_before = pivot.cholesky()?.inverse();
+            scaled[t] = inverse_before * b[t];
+        }
+        for t in (0..n).rev() {
+            let [near, far] = factors[t];
+            let x = scaled[t];
+            if t >= 1 {
+                scaled[t - 1] -= near.tr_mul(&x);
+            }
+            if t >= 2 {
+                scaled[t - 2] -= far.tr_mul(&x);
+            }
+        }
+        Some(scaled)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{DMatrix, DVector};
+
+    fn dense(chain: &PointChain) -> DMatrix<f64> {
+        let n = chain.diagonal.len();
+        let mut dense = DMatrix::zeros(3 * n, 3 * n);
+        for t in 0..n {
+            dense.fixed_view_mut::<3, 3>(3 * t, 3 * t).copy_from(&chain.diagonal[t]);
+            for (back, coupling) in (1..).zip(chain.couplings[t]).filter(|(back, _)| *back <= t) {
+                for a in 0..3 {
+                    dense[(3 * t + a, 3 * (t - back) + a)] = coupling;
+                    dense[(3 * (t - back) + a, 3 * t + a)] = coupling;
+                }
+            }
+        }
+        dense
+    }
+
+    fn chain(n: usize) -> PointChain {
+        let mut chain = PointChain::of_second_differences(n, 0.7);
+        for (t, block) in chain.diagonal.iter_mut().enumerate() {
+            let direction = Vector3::new((t as f64).sin(), 0.5, (2.0 * t as f64).cos());
+            *block += direction * direction.transpose() + Matrix3::identity() * 0.01;
+        }
+        chain
+    }
+
+    #[test]
+    fn solves_what_a_dense_solver_solves() {
+        for n in [1, 2, 3, 40] {
+            let chain = chain(n);
+            let b: Vec<Vector3<f64>> = (0..n).map(|t| Vector3::new(t as f64, (t as f64).sin(), 1.0)).collect();
+            let flat = DVector::from_iterator(3 * n, b.iter().flat_map(|v| v.iter().copied()));
+            let expected = dense(&chain).cholesky().unwrap().solve(&flat);
+            let found = chain.solve(b.clone()).unwrap();
+            let difference = found.iter().flat_map(|v| v.iter()).zip(expected.iter()).map(|(a, b)| (a - b).abs());
+            assert!(difference.fold(0.0, f64::max) < 1e-10);
+            let back = chain.times(&found);
+            assert!(back.iter().zip(&b).all(|(a, b)| (a - b).norm() < 1e-10));
+        }
+    }
+
+    #[test]
+    fn second_differences_of_a_straight_line_cost_nothing_and_of_a_bend_their_square() {
+        let chain = PointChain::of_second_differences(6, 2.0);
+        let cost = |x: &[Vector3<f64>]| -> f64 { chain.times(x).iter().zip(x).map(|(a, b)| a.dot(b)).sum() };
+        let line: Vec<Vector3<f64>> = (0..6).map(|t| Vector3::new(1.0, 2.0, 3.0) * t as f64).collect();
+        assert!(cost(&line).abs() < 1e-10);
+        let bend: Vec<Vector3<f64>> = (0..6).map(|t| Vector3::x() * (t * t) as f64).collect();
+        assert!((cost(&bend) - 2.0 * 4.0 * 4.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn an_indefinite_matrix_is_refused() {
+        let chain = PointChain { diagonal: vec![Matrix3::identity(); 2], couplings: vec![[0.0; 2], [2.0, 0.0]] };
+        assert!(chain.solve(vec![Vector3::x(); 2]).is_none());
+    }
+}
