@@ -48,24 +48,33 @@ fn agreeing_pairs(
     let mut pairs = Vec::new();
     for w in 0..scene.views.len() {
         for v in 0..w {
-            let (Some(first), Some(second)) = (&scene.cameras[v], &scene.cameras[w]) else { continue };
-            let essential = essential_from_pose(&(*second * first.inverse()));
-            for &a in &free[v] {
-                for &b in &free[w] {
-                    let (s, t) = (&scene.views[v].frames[frame][a], &scene.views[w].frames[frame][b]);
-                    // The Sampson distance combines both views: the radius follows the larger (nearer) image.
-                    let radius = config.birth_radius * s.size.max(t.size) / crate::matching::sightings::BODY_SPAN_M;
-                    let agreement = similarity(&essential, s, t, radius);
-                    if agreement > MIN_SIMILARITY {
-                        let mut claim = vec![None; scene.views.len()];
-                        (claim[v], claim[w]) = (Some(a), Some(b));
-                        pairs.push((agreement * s.n_points().min(t.n_points()) as f64, claim));
-                    }
+            for (&a, &b) in free[v].iter().flat_map(|a| free[w].iter().map(move |b| (a, b))) {
+                if let Some(agreement) = agreement(scene, config, frame, (v, a), (w, b)) {
+                    let mut claim = vec![None; scene.views.len()];
+                    (claim[v], claim[w]) = (Some(a), Some(b));
+                    pairs.push((agreement, claim));
                 }
             }
         }
     }
     pairs
+}
+
+/// How many points of two detections (view, index) agree; `None` where they are of one view or hardly agree at all.
+pub(super) fn agreement(
+    scene: &Scene,
+    config: &TrackerConfig,
+    frame: usize,
+    (v, a): (usize, usize),
+    (w, b): (usize, usize),
+) -> Option<f64> {
+    let (first, second) = (scene.cameras[v].as_ref()?, scene.cameras[w].as_ref().filter(|_| v != w)?);
+    let essential = essential_from_pose(&(*second * first.inverse()));
+    let (s, t) = (&scene.views[v].frames[frame][a], &scene.views[w].frames[frame][b]);
+    // The Sampson distance combines both views: the radius follows the larger (nearer) image.
+    let radius = config.birth_radius * s.size.max(t.size) / crate::matching::sightings::BODY_SPAN_M;
+    let share = similarity(&essential, s, t, radius);
+    (share > MIN_SIMILARITY).then(|| share * s.n_points().min(t.n_points()) as f64)
 }
 
 /// Adds the free detection of every further view that fits the skeleton of the first two.
@@ -87,7 +96,7 @@ fn joined_by_others(
 }
 
 /// Whether bones have human lengths and proportions, as far as they can be measured.
-fn is_human(scene: &Scene, skeleton: &Skeleton) -> bool {
+pub(super) fn is_human(scene: &Scene, skeleton: &Skeleton) -> bool {
     let ratio = |b: &crate::body::bones::Bone| Some(((skeleton[b.a]? - skeleton[b.b]?).norm() / b.length).ln());
     let mut ratios: Vec<f64> = scene.bones.iter().filter_map(ratio).collect();
     let n = ratios.len();

@@ -10,6 +10,7 @@ mod likeness;
 mod link;
 mod one_view;
 mod person;
+mod rejoin;
 
 use super::assignment::assign;
 use super::sightings::ViewSightings;
@@ -90,6 +91,7 @@ pub fn track(scene: &Scene, config: &TrackerConfig, progress: &Progress) -> Resu
 /// One frame: claim, check, start, forget.
 fn step(scene: &Scene, config: &TrackerConfig, frame: usize, people: &mut Vec<TrackedPerson>) {
     let mut claims = claims(scene, config, frame, people);
+    rejoin::rejoin(scene, config, frame, &mut claims);
     for (person, claim) in people.iter_mut().zip(&mut claims) {
         person.update(scene, config, frame, claim);
     }

@@ -140,13 +140,20 @@ impl TrackedPerson {
             }
         };
         self.n_witnessed += usize::from(is_witnessed(scene, claim));
-        self.learn_velocity(&skeleton, frame, scene.fps);
+        self.learn_velocity(scene, &skeleton, frame, claim);
         self.claims.push((frame, claim.to_vec()));
         self.skeletons.push(skeleton);
     }
 
-    fn learn_velocity(&mut self, skeleton: &Skeleton, frame: usize, fps: f64) {
-        let seconds = (frame - self.last_seen()) as f64 / fps;
+    fn learn_velocity(&mut self, scene: &Scene, skeleton: &Skeleton, frame: usize, claim: &[Option<usize>]) {
+        // Whom one view alone held has moved in depth ever since others saw them, and shows it only now.
+        let since = match is_witnessed(scene, claim) {
+            true => {
+                self.claims.iter().rev().find(|(_, claim)| is_witnessed(scene, claim)).map_or(self.first(), |(f, _)| *f)
+            }
+            false => self.last_seen(),
+        };
+        let seconds = (frame - since) as f64 / scene.fps;
         let shift = |axis: usize| {
             let mut moves: Vec<f64> = skeleton
                 .iter()

@@ -191,7 +191,13 @@ mod tests {
         let at = |x: f64| Pose { rotations, translation: Vector3::x() * x };
         let make = || [placed(3, 10, vec![at(0.0); 30]), placed(5, 10, vec![at(0.45); 30])];
         let (config, progress) = (BodyFitConfig::default(), Progress::silent());
-        let stages = Stages { model: &model, config: &config, frame_interval: 1.0 / 30.0, progress: &progress };
+        let stages = Stages {
+            model: &model,
+            config: &config,
+            as_seen: &config,
+            frame_interval: 1.0 / 30.0,
+            progress: &progress,
+        };
         let mut people = make();
         let kept = separate(&stages, &mut people, false, 100).unwrap();
         let before = kept.deepest.clone().unwrap();
@@ -202,7 +208,13 @@ mod tests {
         let stayed = separate(&Stages { config: &refuted, ..stages }, &mut people, true, 100).unwrap();
         assert!(stayed.deepest.as_ref() == Some(&before) && people[1].fitted == make()[1].fitted);
 
-        let stages = Stages { model: &model, config: &config, frame_interval: 1.0 / 30.0, progress: &progress };
+        let stages = Stages {
+            model: &model,
+            config: &config,
+            as_seen: &config,
+            frame_interval: 1.0 / 30.0,
+            progress: &progress,
+        };
         let parted = separate(&stages, &mut people, true, 100).unwrap();
         assert_eq!(parted.deepest_before.as_ref(), Some(&before));
         let after = parted.deepest.map_or(0.0, |overlap| overlap.depth_mm);

@@ -33,7 +33,7 @@ impl FittedMotion {
 
 /// One person after the first fit of the window that tells most about the shape.
 pub(super) struct StartedMotion {
-    /// The closed-form start over the whole track.
+    /// The whole track: that window and its halo as fitted, closed form elsewhere.
     pub start: MotionState,
     /// The most telling window.
     pub window: Range<usize>,
@@ -43,37 +43,41 @@ pub(super) struct StartedMotion {
 
 /// Starts one person and fits the window with most evidence, shape free; `None` when closed form finds no start.
 pub(super) fn start_motion(stages: &Stages, evidence: &Evidence) -> Result<Option<StartedMotion>, Canceled> {
-    let Some(start) = initial_motion(stages.model, evidence) else { return Ok(None) };
+    let Some(mut start) = initial_motion(stages.model, evidence) else { return Ok(None) };
     let windows = windows(start.poses.len(), stages.config.window_frames.max(3));
-    let Some(best) = windows.into_iter().max_by_key(|w| (n_pixels(evidence, w), std::cmp::Reverse(w.start))) else {
+    let Some(window) = windows.into_iter().max_by_key(|w| (n_pixels(evidence, w), std::cmp::Reverse(w.start))) else {
         return Ok(None);
     };
-    let own = MotionState { betas: start.betas, poses: start.poses.clone() };
-    let fitted = stages.fit_window(evidence, &own, &best, Shape::Free, Start::Rough)?;
-    Ok(Some(StartedMotion { start, window: best, fitted }))
+    let fitted = stages.fit_window(evidence, &start, &window, Shape::Free, &[Pass::Points, Pass::Seen])?;
+    start.betas = fitted.whole.state.betas;
+    start.poses[fitted.seen.clone()].copy_from_slice(&fitted.whole.state.poses);
+    Ok(Some(StartedMotion { start, fitted: fitted.own(&window), window }))
 }
 
-/// Fits the whole track: the most telling window anew where the model has changed, from where it stands; then all others
-/// with its shape.
+/// Fits the whole track: the most telling window anew where the model has changed or the motion prior is yet to come, from
+/// where it stands; then all others with its shape.
 pub(super) fn finish_motion(
     stages: &Stages,
     evidence: &Evidence,
     started: StartedMotion,
     has_changed: bool,
 ) -> Result<FittedMotion, Canceled> {
-    let StartedMotion { mut start, window, mut fitted } = started;
-    let first_iterations = if has_changed { fitted.iterations } else { 0 };
-    if has_changed {
-        start.betas = fitted.state.betas;
-        start.poses[window.clone()].copy_from_slice(&fitted.state.poses);
-        fitted = stages.fit_window(evidence, &start, &window, Shape::Free, Start::Good)?;
+    let StartedMotion { start, window, mut fitted } = started;
+    let mut first_iterations = 0;
+    if has_changed || stages.has_prior_to_come() {
+        first_iterations = fitted.iterations;
+        fitted = stages.fit_window(evidence, &start, &window, Shape::Free, &[Pass::All])?.own(&window);
     }
     let windows = windows(start.poses.len(), stages.config.window_frames.max(3));
     if windows.len() > 1 {
         let shaped = MotionState { betas: fitted.state.betas, ..start };
+        let passes: &[Pass] = match stages.has_prior_to_come() {
+            true => &[Pass::Points, Pass::Seen, Pass::All],
+            false => &[Pass::Points, Pass::All],
+        };
         let fit = |w: &Range<usize>| match *w == window {
             true => Ok(fitted.clone()),
-            false => stages.fit_window(evidence, &shaped, w, Shape::Held, Start::Rough),
+            false => Ok(stages.fit_window(evidence, &shaped, w, Shape::Held, passes)?.own(w)),
         };
         fitted = joined(windows.par_iter().map(fit).collect::<Result<_, Canceled>>()?);
     }
@@ -83,13 +87,31 @@ pub(super) fn finish_motion(
     Ok(fitted)
 }
 
-/// How near the solution a fit starts.
+/// What a fit goes by, from a rough start to the end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Start {
-    /// Closed form: points first, since a fit straight to pixels gets stuck.
-    Rough,
-    /// A fit: pixels at once.
-    Good,
+enum Pass {
+    /// Triangulated points, since a fit from closed form straight to pixels gets stuck.
+    Points,
+    /// Pixels, and no more than the first fit is to know ([`Stages::as_seen`]).
+    Seen,
+    /// Pixels and all that is known.
+    All,
+}
+
+/// The fit of a window and its halo.
+struct FittedWindow {
+    whole: FittedMotion,
+    /// The frames fitted.
+    seen: Range<usize>,
+}
+
+impl FittedWindow {
+    /// The window without its halo.
+    fn own(mut self, window: &Range<usize>) -> FittedMotion {
+        let own = window.start - self.seen.start..window.end - self.seen.start;
+        self.whole.state.poses = self.whole.state.poses[own].to_vec();
+        self.whole
+    }
 }
 
 /// Runs of at most `length` frames, as equal as can be.
@@ -118,42 +140,46 @@ fn joined(parts: Vec<FittedMotion>) -> FittedMotion {
 pub(super) struct Stages<'a> {
     pub model: &'a BodyModel,
     pub config: &'a BodyFitConfig,
+    /// Of fits from a rough start.
+    pub as_seen: &'a BodyFitConfig,
     /// s.
     pub frame_interval: f64,
     pub progress: &'a Progress,
 }
 
 impl Stages<'_> {
-    /// Points, then pixels, over a window and its halo; returns the window's own frames.
+    fn has_prior_to_come(&self) -> bool {
+        self.config.motion_prior && !self.as_seen.motion_prior
+    }
+
+    /// Pass after pass over a window and its halo; points alone where there are no pixels.
     fn fit_window(
         &self,
         evidence: &Evidence,
         start: &MotionState,
         window: &Range<usize>,
         shape: Shape,
-        nearness: Start,
-    ) -> Result<FittedMotion, Canceled> {
+        passes: &[Pass],
+    ) -> Result<FittedWindow, Canceled> {
         let halo = self.config.halo_frames;
         let seen = window.start.saturating_sub(halo)..(window.end + halo).min(start.poses.len());
         let evidence = evidence.slice(seen.clone());
         let state = MotionState { betas: start.betas, poses: start.poses[seen.clone()].to_vec() };
-        let problem = |data| MotionProblem::new(self.model, &evidence, self.config, data, shape, self.frame_interval);
-        let [on_points, on_pixels] = self.config.max_iterations;
         let has_pixels = evidence.pixels.iter().any(|frame| !frame.is_empty());
-        let mut fitted = FittedMotion::unmoved(state);
-        if nearness == Start::Rough || !has_pixels {
-            let points = problem(DataTerm::Points { sigma: self.config.point_sigma });
-            fitted = self.minimised(&points, fitted.state, on_points)?;
+        let [on_points, on_pixels] = self.config.max_iterations;
+        let mut whole = FittedMotion::unmoved(state);
+        for pass in if has_pixels { passes } else { &[Pass::Points] } {
+            let (data, most) = match pass {
+                Pass::Points => (DataTerm::Points { sigma: self.config.point_sigma }, on_points),
+                _ => (DataTerm::Pixels { share: self.pixel_share(&evidence, &whole.state) }, on_pixels),
+            };
+            let config = if *pass == Pass::All { self.config } else { self.as_seen };
+            let problem = MotionProblem::new(self.model, &evidence, config, data, shape, self.frame_interval);
+            let iterations = whole.iterations;
+            whole = self.minimised(&problem, whole.state, most)?;
+            whole.iterations += iterations;
         }
-        if has_pixels {
-            let share = self.pixel_share(&evidence, &fitted.state);
-            let iterations = fitted.iterations;
-            fitted = self.minimised(&problem(DataTerm::Pixels { share }), fitted.state, on_pixels)?;
-            fitted.iterations += iterations;
-        }
-        let own = window.start - seen.start..window.end - seen.start;
-        fitted.state.poses = fitted.state.poses[own].to_vec();
-        Ok(fitted)
+        Ok(FittedWindow { whole, seen })
     }
 
     /// The detector's standard deviation per axis as a share of apparent size, from the median residual (that of a normal
