@@ -271,14 +271,15 @@ impl<'a> MotionProblem<'a> {
     }
 }
 
-/// The motion prior's poses over the limbs' joints that turn.
+/// The motion prior's poses over the joints that turn, without the trunk's where that is seen.
 ///
 /// How a bent back spreads over spine and neck is the captured skeletons' own: their means differ by 20 degrees from one
 /// subject to the next. On filmed people (Shelf) the trunk's part of it put heads wrong, on simulated ones, whose backs are
 /// the captured ones, it was worth half a percent.
 fn likely_poses(config: &BodyFitConfig, active: &[usize]) -> Option<PoseGaussian> {
-    let limbs: Vec<usize> = active.iter().copied().filter(|joint| !TRUNK.contains(joint)).collect();
-    config.motion_prior.then(|| PoseGaussian::over(MotionPrior::embedded().basis(), &limbs))
+    let is_told = |joint: &usize| config.prior_of_trunk || !TRUNK.contains(joint);
+    let joints: Vec<usize> = active.iter().copied().filter(is_told).collect();
+    config.motion_prior.then(|| PoseGaussian::over(MotionPrior::embedded().basis(), &joints))
 }
 
 /// Spine, neck and head.
