@@ -4,7 +4,9 @@ use super::person::{Skeleton, TrackedPerson, distance, distance_m, sightings_of,
 use super::{Scene, TrackerConfig};
 use crate::geometry::epipolar::essential_from_pose;
 use crate::matching::pair_score::similarity;
+use crate::matching::sightings::{BODY_SPAN_M, Sighting};
 use crate::optim::robust::median_and_spread;
+use nalgebra::Matrix3;
 
 /// Two detections are one person when this share of their points agrees.
 const MIN_SIMILARITY: f64 = 0.5;
@@ -48,8 +50,10 @@ fn agreeing_pairs(
     let mut pairs = Vec::new();
     for w in 0..scene.views.len() {
         for v in 0..w {
+            let Some(essential) = essential(scene, v, w) else { continue };
             for (&a, &b) in free[v].iter().flat_map(|a| free[w].iter().map(move |b| (a, b))) {
-                if let Some(agreement) = agreement(scene, config, frame, (v, a), (w, b)) {
+                let (s, t) = (&scene.views[v].frames[frame][a], &scene.views[w].frames[frame][b]);
+                if let Some(agreement) = agreement(config, &essential, s, t) {
                     let mut claim = vec![None; scene.views.len()];
                     (claim[v], claim[w]) = (Some(a), Some(b));
                     pairs.push((agreement, claim));
@@ -60,20 +64,17 @@ fn agreeing_pairs(
     pairs
 }
 
-/// How many points of two detections (view, index) agree; `None` where they are of one view or hardly agree at all.
-pub(super) fn agreement(
-    scene: &Scene,
-    config: &TrackerConfig,
-    frame: usize,
-    (v, a): (usize, usize),
-    (w, b): (usize, usize),
-) -> Option<f64> {
-    let (first, second) = (scene.cameras[v].as_ref()?, scene.cameras[w].as_ref().filter(|_| v != w)?);
-    let essential = essential_from_pose(&(*second * first.inverse()));
-    let (s, t) = (&scene.views[v].frames[frame][a], &scene.views[w].frames[frame][b]);
+/// The essential matrix of two views; `None` where a camera has no place.
+pub(super) fn essential(scene: &Scene, first: usize, second: usize) -> Option<Matrix3<f64>> {
+    let (first, second) = (scene.cameras[first].as_ref()?, scene.cameras[second].as_ref()?);
+    Some(essential_from_pose(&(*second * first.inverse())))
+}
+
+/// How many points of two views' detections agree; `None` where hardly any do.
+pub(super) fn agreement(config: &TrackerConfig, essential: &Matrix3<f64>, s: &Sighting, t: &Sighting) -> Option<f64> {
     // The Sampson distance combines both views: the radius follows the larger (nearer) image.
-    let radius = config.birth_radius * s.size.max(t.size) / crate::matching::sightings::BODY_SPAN_M;
-    let share = similarity(&essential, s, t, radius);
+    let radius = config.birth_radius * s.size.max(t.size) / BODY_SPAN_M;
+    let share = similarity(essential, s, t, radius);
     (share > MIN_SIMILARITY).then(|| share * s.n_points().min(t.n_points()) as f64)
 }
 

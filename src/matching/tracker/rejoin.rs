@@ -3,7 +3,7 @@
 //! One view keeps somebody in its image, but not in depth: after a second they may be a step away from where the others look
 //! for them. What two views' rays say now then counts more than where the person was.
 
-use super::birth::{agreement, is_human};
+use super::birth::{agreement, essential, is_human};
 use super::person::{sightings_of, triangulated};
 use super::{Scene, TrackerConfig, unclaimed};
 
@@ -24,13 +24,15 @@ pub(super) fn rejoin(scene: &Scene, config: &TrackerConfig, frame: usize, claims
     let free = unclaimed(scene, frame, claims);
     let mut offers = Vec::new();
     for (person, claim) in claims.iter().enumerate().filter(|(_, claim)| is_alone(claim)) {
-        let Some(held) = claim.iter().enumerate().find_map(|(v, d)| d.map(|d| (v, d))) else { continue };
-        for (view, detection) in free.iter().enumerate().flat_map(|(v, free)| free.iter().map(move |d| (v, *d))) {
-            let Some(agreement) = agreement(scene, config, frame, held, (view, detection)) else { continue };
-            let mut both = claim.clone();
-            both[view] = Some(detection);
-            if is_human(scene, &triangulated(scene, &sightings_of(scene, frame, &both))) {
-                offers.push(Offer { agreement, person, view, detection });
+        let [(holder, held)] = sightings_of(scene, frame, claim)[..] else { continue };
+        for view in (0..scene.views.len()).filter(|view| *view != holder) {
+            let Some(essential) = essential(scene, holder, view) else { continue };
+            for &detection in &free[view] {
+                let seen = &scene.views[view].frames[frame][detection];
+                let Some(agreement) = agreement(config, &essential, held, seen) else { continue };
+                if is_human(scene, &triangulated(scene, &[(holder, held), (view, seen)])) {
+                    offers.push(Offer { agreement, person, view, detection });
+                }
             }
         }
     }

@@ -208,13 +208,6 @@ mod tests {
         let stayed = separate(&Stages { config: &refuted, ..stages }, &mut people, true, 100).unwrap();
         assert!(stayed.deepest.as_ref() == Some(&before) && people[1].fitted == make()[1].fitted);
 
-        let stages = Stages {
-            model: &model,
-            config: &config,
-            as_seen: &config,
-            frame_interval: 1.0 / 30.0,
-            progress: &progress,
-        };
         let parted = separate(&stages, &mut people, true, 100).unwrap();
         assert_eq!(parted.deepest_before.as_ref(), Some(&before));
         let after = parted.deepest.map_or(0.0, |overlap| overlap.depth_mm);
