@@ -10,10 +10,11 @@ use crate::optim::robust::median;
 use crate::pipeline::config::{Extrinsics, ScaleSource};
 use crate::pipeline::{Options, reconstruct};
 use crate::progress::Progress;
+use crate::session::people::BodyPose;
 use crate::session::{BodyMotion, Reconstruction};
 use crate::simulation::skeleton::Person;
 use crate::simulation::{Bodies, MotionSource, Preset, Simulated, SimulationConfig, simulate};
-use nalgebra::Matrix3;
+use nalgebra::Vector3;
 use std::path::PathBuf;
 
 /// What is solved.
@@ -36,22 +37,26 @@ pub(super) struct BodiesArgs {
 pub(super) fn run(args: &BodiesArgs) -> anyhow::Result<()> {
     let model = default_body();
     println!("## Fit: `easy` noise, true cameras, 26 keypoints");
-    let (mut statures, mut places, mut angles) =
-        (Vec::new(), [const { Vec::new() }; N_JOINTS], [const { Vec::new() }; N_JOINTS]);
+    let (mut statures, mut places, [mut angles, mut steady]) =
+        (Vec::new(), [const { Vec::new() }; N_JOINTS], [const { [const { Vec::new() }; N_JOINTS] }; 2]);
     for seed in args.seed..args.seed + args.count {
         for fit in fitted_people(&simulate(&fit_config(args, seed))?, &model)? {
             println!("capture {seed:3}: {}", fit.line());
             places.iter_mut().zip(fit.joints_mm).for_each(|(all, own)| all.push(own));
             statures.push(fit.stature_mm.abs());
             angles.iter_mut().zip(fit.angles_deg).for_each(|(all, own)| all.push(own));
+            steady.iter_mut().zip(fit.steady_deg).for_each(|(all, own)| all.push(own));
         }
     }
-    let (places, angles) = (places.map(|of_joint| mean(&of_joint)), angles.map(|of_joint| mean(&of_joint)));
-    println!("stature {:.1} mm; joints in mm, their angles in degrees:", mean(&statures));
+    let [places, angles, steady] = [places, angles, steady].map(|all| all.map(|of_joint| mean(&of_joint)));
+    println!(
+        "stature {:.1} mm; joints in mm, their angles in degrees, and how much of those does not change:",
+        mean(&statures)
+    );
     for (joint, name) in JOINT_NAMES.iter().enumerate() {
-        println!("  {name:<16} {:5.2} {:5.2}", places[joint], angles[joint]);
+        println!("  {name:<16} {:5.2} {:5.2} {:5.2}", places[joint], angles[joint], steady[joint]);
     }
-    println!("  {:<16} {:5.2} {:5.2}", "mean", mean(&places), mean(&angles));
+    println!("  {:<16} {:5.2} {:5.2} {:5.2}", "mean", mean(&places), mean(&angles), mean(&steady));
 
     println!("## Metric scale: `paper` noise, cameras unknown, 2 to 4 people");
     for source in ["body", "height", "camera distance"] {
@@ -98,6 +103,8 @@ struct Fit {
     stature_mm: f64,
     /// Mean angle between the fitted and the true turn of every joint.
     angles_deg: [f64; N_JOINTS],
+    /// Length of the mean of their rotation vectors: what of them is the same in every frame.
+    steady_deg: [f64; N_JOINTS],
 }
 
 impl Fit {
@@ -119,10 +126,16 @@ fn fitted_people(simulated: &Simulated, model: &BodyModel) -> anyhow::Result<Vec
             distance(a).total_cmp(&distance(b))
         })?;
         let stature_mm = 1e3 * (model.surface.stature(&Betas::from(motion.betas)) - model.surface.stature(&betas));
+        let turns: [_; N_JOINTS] = std::array::from_fn(|joint| off_turns(motion, person, joint));
+        let angle = |turns: &Vec<Vector3<f64>>| mean(&turns.iter().map(Vector3::norm).collect::<Vec<_>>()).to_degrees();
+        let steady = |turns: &Vec<Vector3<f64>>| {
+            turns.iter().sum::<Vector3<f64>>().norm().to_degrees() / turns.len().max(1) as f64
+        };
         Some(Fit {
             joints_mm: std::array::from_fn(|joint| joint_distance_mm(motion, simulated, index, joint)),
             stature_mm,
-            angles_deg: std::array::from_fn(|joint| mean_angle_deg(motion, person, joint)),
+            angles_deg: turns.each_ref().map(angle),
+            steady_deg: turns.each_ref().map(steady),
         })
     };
     Ok(simulated.truth.people.iter().enumerate().filter_map(fit).collect())
@@ -130,18 +143,19 @@ fn fitted_people(simulated: &Simulated, model: &BodyModel) -> anyhow::Result<Vec
 
 fn joint_distance_mm(motion: &BodyMotion, simulated: &Simulated, person: usize, joint: usize) -> f64 {
     let truth = &simulated.truth.joints;
-    let of_frame = |(i, frame): (usize, &crate::session::people::BodyPose)| {
+    let of_frame = |(i, frame): (usize, &BodyPose)| {
         Some((truth.get(motion.first.0 + i)?[person][joint] - frame.joints[joint]).norm())
     };
     1e3 * mean(&motion.frames.iter().enumerate().filter_map(of_frame).collect::<Vec<_>>())
 }
 
-fn mean_angle_deg(motion: &BodyMotion, person: &Person, joint: usize) -> f64 {
-    let angle = |a: &Matrix3<f64>, b: &Matrix3<f64>| rotation::log(&(a.transpose() * b)).norm().to_degrees();
-    let of_frame = |(i, frame): (usize, &crate::session::people::BodyPose)| {
-        Some(angle(&frame.rotations[joint], &person.poses.get(motion.first.0 + i)?.rotations[joint]))
+/// From the true to the fitted turn of a joint, frame by frame, rad.
+fn off_turns(motion: &BodyMotion, person: &Person, joint: usize) -> Vec<Vector3<f64>> {
+    let turn = |(i, frame): (usize, &BodyPose)| {
+        let truth = person.poses.get(motion.first.0 + i)?.rotations[joint];
+        Some(rotation::log(&(truth.transpose() * frame.rotations[joint])))
     };
-    mean(&motion.frames.iter().enumerate().filter_map(of_frame).collect::<Vec<_>>())
+    motion.frames.iter().enumerate().filter_map(turn).collect()
 }
 
 /// What a user would measure.

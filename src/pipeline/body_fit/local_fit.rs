@@ -40,6 +40,7 @@ impl Stages<'_> {
             let held = held_frames(&run, state.poses.len());
             let problem =
                 MotionProblem::new(self.model, &evidence, self.config, data, Shape::Held, self.frame_interval)
+                    .paced_by(&start)
                     .with_contacts(contacts)
                     .holding(&held);
             let as_seen = MotionState { betas: seen.betas, poses: seen.poses[run.clone()].to_vec() };

@@ -6,6 +6,7 @@
 use super::BodyFitConfig;
 use super::contacts::Contacts;
 use super::evidence::{Evidence, PixelEvidence, PointEvidence};
+use super::paces::AccelerationSizes;
 use super::place_cost::{PlaceCost, pixel_cost, point_cost, summed_by_landmark};
 use super::steady_places::steady_landmarks;
 use crate::body::anthropometry::N_BETAS;
@@ -73,6 +74,8 @@ pub(super) struct MotionProblem<'a> {
     pub ranges: [JointRange; N_JOINTS],
     /// Landmarks whose places accelerate little.
     pub steady: Vec<usize>,
+    /// How large accelerations are, by frame.
+    pub sizes: Vec<AccelerationSizes>,
     /// What is known of the poses of those that turn.
     pub likely: Option<PoseGaussian>,
 }
@@ -105,6 +108,8 @@ impl<'a> MotionProblem<'a> {
         let active: Vec<usize> = (0..FIRST_HAND).filter(|&j| turns[j]).collect();
         let moved_by = moved_by(model, &active);
         let (free_offsets, contacts, shape_prior, ranges) = (None, None, config.shape_prior, joint_ranges());
+        let steady = steady_landmarks(model, config);
+        let sizes = vec![AccelerationSizes::typical(config, &ranges); evidence.points.len()];
         Self {
             model,
             evidence,
@@ -116,7 +121,8 @@ impl<'a> MotionProblem<'a> {
             held: &[],
             shape_prior,
             frame_interval,
-            steady: steady_landmarks(model, config),
+            steady,
+            sizes,
             likely: likely_poses(config, &active),
             active,
             moved_by,
@@ -203,7 +209,8 @@ impl<'a> MotionProblem<'a> {
         let (frames, places): (Vec<f64>, Vec<Vec<Vector3<f64>>>) =
             state.poses.par_iter().enumerate().map(frame_cost).unzip();
         let smooth: f64 = (1..state.poses.len().saturating_sub(1)).map(|t| self.smoothness_cost(state, t)).sum();
-        let steady: f64 = places.windows(3).map(|around| self.place_acceleration_cost(around)).sum();
+        let steady: f64 =
+            places.windows(3).enumerate().map(|(i, around)| self.place_acceleration_cost(i + 1, around)).sum();
         0.5 * self.shape_prior * state.betas.norm_squared()
             + self.time_weight() * (frames.iter().sum::<f64>() + smooth + steady)
     }
@@ -243,12 +250,12 @@ impl<'a> MotionProblem<'a> {
 
     pub(super) fn translation_acceleration(&self, state: &MotionState, t: usize) -> Vector3<f64> {
         let at = |i: usize| state.poses[i].translation;
-        (at(t - 1) - at(t) * 2.0 + at(t + 1)) / (self.frame_interval.powi(2) * self.config.translation_acceleration)
+        (at(t - 1) - at(t) * 2.0 + at(t + 1)) / (self.frame_interval.powi(2) * self.sizes[t].pelvis)
     }
 
     /// Angular acceleration over its size, one unit per radian of turn change.
-    pub(super) fn angular_scale(&self, joint: usize) -> f64 {
-        1.0 / (self.frame_interval.powi(2) * self.ranges[joint].acceleration * self.config.angular_acceleration_factor)
+    pub(super) fn angular_scale(&self, t: usize, joint: usize) -> f64 {
+        1.0 / (self.frame_interval.powi(2) * self.sizes[t].turns[joint])
     }
 
     /// Charbonnier at the knee k over an acceleration's square e^2 in its own size: `rho = k^2 (r - 1)`, weight `1 / r`,
@@ -264,7 +271,7 @@ impl<'a> MotionProblem<'a> {
             let [a, b, c] = [t - 1, t, t + 1].map(|i| &state.poses[i].rotations[joint]);
             let before = rotation::log(&(a.transpose() * b));
             let change = rotation::log(&(b.transpose() * c)) - before;
-            self.acceleration_cost((change * self.angular_scale(joint)).norm_squared()).0
+            self.acceleration_cost((change * self.angular_scale(t, joint)).norm_squared()).0
         };
         self.acceleration_cost(self.translation_acceleration(state, t).norm_squared()).0
             + self.active.iter().map(joint_cost).sum::<f64>()

@@ -180,7 +180,7 @@ impl MotionProblem<'_> {
 
     /// Adds the accelerations about frame `t`; returns their unweighted cost.
     fn add_smoothness(&self, state: &MotionState, t: usize, system: &mut BlockBanded) -> f64 {
-        let scale = 1.0 / (self.frame_interval.powi(2) * self.config.translation_acceleration);
+        let scale = 1.0 / (self.frame_interval.powi(2) * self.sizes[t].pelvis);
         let factors = SECOND_DIFFERENCE.map(|c| c * scale);
         let still: &[(usize, Matrix3<f64>)] = &[(TRANSLATION_GROUP, Matrix3::identity())];
         let (mut cost, _) =
@@ -188,7 +188,7 @@ impl MotionProblem<'_> {
         for (i, &joint) in self.active.iter().enumerate() {
             let [a, b, c] = [t - 1, t, t + 1].map(|i| &state.poses[i].rotations[joint]);
             let change = turn_change(a, b, c);
-            let scale = self.angular_scale(joint);
+            let scale = self.angular_scale(t, joint);
             let jacobians = change.jacobians.map(|jacobian| [(i + 1, jacobian)]);
             let by_frame = jacobians.each_ref().map(<[_; 1]>::as_slice);
             cost += self.add_acceleration(t, &(change.value * scale), [scale; 3], by_frame, system).0;

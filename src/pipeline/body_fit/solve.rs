@@ -175,6 +175,7 @@ impl Stages<'_> {
             };
             let config = if *pass == Pass::All { self.config } else { self.as_seen };
             let problem = MotionProblem::new(self.model, &evidence, config, data, shape, self.frame_interval);
+            let problem = if *pass == Pass::Points { problem } else { problem.paced_by(&whole.state) };
             let iterations = whole.iterations;
             whole = self.minimised(&problem, whole.state, most)?;
             whole.iterations += iterations;

@@ -50,9 +50,9 @@ impl MotionProblem<'_> {
     }
 
     /// Unweighted cost of the accelerations between three successive frames.
-    pub(super) fn place_acceleration_cost(&self, around: &[Vec<Vector3<f64>>]) -> f64 {
+    pub(super) fn place_acceleration_cost(&self, t: usize, around: &[Vec<Vector3<f64>>]) -> f64 {
         let cost = |k: usize| {
-            let acceleration = self.place_acceleration([0, 1, 2].map(|i| around[i][k]));
+            let acceleration = self.place_acceleration([0, 1, 2].map(|i| around[i][k]), self.place_scale(t, k));
             self.acceleration_cost(acceleration.norm_squared()).0
         };
         (0..self.steady.len()).map(cost).sum()
@@ -65,12 +65,14 @@ impl MotionProblem<'_> {
         around: [&[SteadyPlace]; 3],
         system: &mut BlockBanded,
     ) -> f64 {
-        (0..self.steady.len()).map(|k| self.add_place_acceleration(t, around.map(|frame| &frame[k]), system)).sum()
+        let add =
+            |k: usize| self.add_place_acceleration(t, self.place_scale(t, k), around.map(|frame| &frame[k]), system);
+        (0..self.steady.len()).map(add).sum()
     }
 
-    fn add_place_acceleration(&self, t: usize, around: [&SteadyPlace; 3], system: &mut BlockBanded) -> f64 {
-        let residual = self.place_acceleration(around.map(|place| place.position));
-        let factors = SECOND_DIFFERENCE.map(|c| c * self.place_scale());
+    fn add_place_acceleration(&self, t: usize, scale: f64, around: [&SteadyPlace; 3], system: &mut BlockBanded) -> f64 {
+        let residual = self.place_acceleration(around.map(|place| place.position), scale);
+        let factors = SECOND_DIFFERENCE.map(|c| c * scale);
         let by_frame = around.map(|place| place.by_frame.as_slice());
         let (cost, weight) = self.add_acceleration(t, &residual, factors, by_frame, system);
         let by_border: DMatrix<f64> = around.iter().zip(factors).map(|(place, factor)| &place.by_border * factor).sum();
@@ -86,11 +88,11 @@ impl MotionProblem<'_> {
     }
 
     /// An acceleration over its size.
-    fn place_acceleration(&self, [a, b, c]: [Vector3<f64>; 3]) -> Vector3<f64> {
-        (a - b * 2.0 + c) * self.place_scale()
+    fn place_acceleration(&self, [a, b, c]: [Vector3<f64>; 3], scale: f64) -> Vector3<f64> {
+        (a - b * 2.0 + c) * scale
     }
 
-    fn place_scale(&self) -> f64 {
-        1.0 / (self.frame_interval.powi(2) * self.config.ankle_acceleration)
+    fn place_scale(&self, t: usize, k: usize) -> f64 {
+        1.0 / (self.frame_interval.powi(2) * self.sizes[t].ankles[k])
     }
 }
