@@ -8,9 +8,11 @@
 //! collars, which those takes do not move, from the shoulder blade's share in raising an arm. Accelerations are typical
 //! (median) magnitudes of everyday motion and dance, rad/s^2.
 
+use super::captured_skeleton::carried;
 use super::kinematics::Pose;
+use super::model::BodyModel;
 use super::skeleton::{JOINT_NAMES, N_JOINTS};
-use crate::geometry::rotation::exp;
+use crate::geometry::rotation::{exp, log};
 use nalgebra::Vector3;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -75,6 +77,15 @@ pub fn joint_ranges() -> [JointRange; N_JOINTS] {
             acceleration,
         }
     })
+}
+
+/// The ranges of a body, which rests as the captured skeletons do, whatever its zero.
+pub fn joint_ranges_of(model: &BodyModel) -> [JointRange; N_JOINTS] {
+    let mut ranges = joint_ranges();
+    for (joint, range) in ranges.iter_mut().enumerate() {
+        range.rest = log(&carried(&exp(&range.rest), joint, &model.captured_from_body));
+    }
+    ranges
 }
 
 /// Draws a pose: every joint is `spread` times its standard deviation about its rest, within its range; the pelvis and

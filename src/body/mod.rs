@@ -4,6 +4,7 @@ pub mod anthropometry;
 pub mod bone_offsets;
 pub mod bones;
 pub mod capsules;
+pub mod captured_skeleton;
 pub mod default_body;
 pub mod detector_noise;
 pub mod detector_offsets;

@@ -2,10 +2,11 @@
 //! from.
 
 use super::anthropometry::N_BETAS;
+use super::captured_skeleton::captured_from_body;
 use super::landmarks::landmarks;
 use super::skeleton::{KeypointConvention, N_JOINTS, PARENTS};
 use super::surface::{Surface, VertexWeight};
-use nalgebra::{SMatrix, SVector, Vector3};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
 use sha2::{Digest, Sha256};
 use std::sync::Arc;
 
@@ -26,6 +27,9 @@ pub struct BodyModel {
     pub name: String,
     /// `J0`: rest joints of the mean shape.
     pub rest_joints: [Vector3<f64>; N_JOINTS],
+    /// Where the captured skeletons have their zero ([`captured_from_body`]); of the skin as it was loaded, however its joints
+    /// are moved.
+    pub captured_from_body: [Matrix3<f64>; N_JOINTS],
     /// `S`: rest joints of shape beta are `J(beta) = J0 + S beta`.
     pub shape_directions: [ShapeDirections; N_JOINTS],
     /// Named points on the body that detectors report.
@@ -78,7 +82,8 @@ impl BodyModel {
         let rest_joints = std::array::from_fn(|j| row(j).map(rest_joint).sum());
         let shape_directions = std::array::from_fn(|j| row(j).map(direction).sum());
         let landmarks = landmarks(&surface, &rest_joints, &shape_directions);
-        Self { name, rest_joints, shape_directions, landmarks, surface: Arc::new(surface) }
+        let captured_from_body = captured_from_body(&rest_joints);
+        Self { name, rest_joints, captured_from_body, shape_directions, landmarks, surface: Arc::new(surface) }
     }
 
     /// The model at shape `betas`.

@@ -6,6 +6,8 @@
 
 use super::basis::{Basis, LATENT_DIM};
 use super::chart::{LATENT_JOINTS, N_FEATURES};
+use crate::body::captured_skeleton::carried;
+use crate::body::skeleton::N_JOINTS;
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3};
 
 /// What is left of a joint where all others are known, at the least, rad (4 degrees): hinges that the captured skeletons
@@ -39,6 +41,20 @@ impl PoseGaussian {
             precision: factor.inverse(),
         }
     }
+
+    /// The same for a body with the zero `Q_j` ([`captured_from_body`]): `M_j <- Q_p^T M_j Q_j` and `u_j <- Q_j^T u_j`.
+    ///
+    /// [`captured_from_body`]: crate::body::captured_skeleton::captured_from_body
+    pub fn carried_to(mut self, captured_from_body: &[Matrix3<f64>; N_JOINTS]) -> Self {
+        let mut captured_from_own = DMatrix::zeros(self.mean.len(), self.mean.len());
+        for (i, (&joint, rotation)) in self.joints.iter().zip(&mut self.rotations).enumerate() {
+            *rotation = carried(rotation, joint, captured_from_body);
+            captured_from_own.fixed_view_mut::<3, 3>(3 * i, 3 * i).copy_from(&captured_from_body[joint]);
+        }
+        self.mean = captured_from_own.tr_mul(&self.mean);
+        self.precision = captured_from_own.tr_mul(&self.precision) * captured_from_own;
+        self
+    }
 }
 
 /// Covariance of all features, rad^2.
@@ -56,6 +72,9 @@ fn covariance(basis: &Basis) -> DMatrix<f64> {
 mod tests {
     use super::super::MotionPrior;
     use super::*;
+    use crate::body::default_body;
+    use crate::geometry::rotation::{exp, log};
+    use nalgebra::Vector3;
 
     #[test]
     fn each_joint_spreads_as_it_was_measured_and_collars_are_not_in_it() {
@@ -69,5 +88,24 @@ mod tests {
             assert!((covariance[(row, row)] / expected - 1.0).abs() < 0.02, "{row}");
         }
         assert!(covariance[(0, 3)].abs() > 0.01, "a lifted thigh and a bent knee go together");
+    }
+
+    /// What a captured pose costs, it costs as another body takes it: nothing but the zero has moved.
+    #[test]
+    fn a_pose_is_as_likely_in_another_skeleton() {
+        let captured = PoseGaussian::over(MotionPrior::embedded().basis(), &[1, 4, 7, 10, 16]);
+        let turns = default_body().captured_from_body;
+        let own = captured.clone().carried_to(&turns);
+        let turn = |i: usize| captured.rotations[i] * exp(&Vector3::new(0.3, -0.1 * i as f64, 0.2));
+        let distance = |gaussian: &PoseGaussian, turn: &dyn Fn(usize) -> Matrix3<f64>| {
+            let off = |i: usize| log(&(gaussian.rotations[i].transpose() * turn(i)));
+            let features: Vec<f64> = (0..5).flat_map(|i| off(i).data.0[0]).collect();
+            let off = DVector::from_vec(features) - &gaussian.mean;
+            off.dot(&(&gaussian.precision * &off))
+        };
+        let as_captured = distance(&captured, &turn);
+        let as_own = distance(&own, &|i| carried(&turn(i), captured.joints[i], &turns));
+        assert!((as_own / as_captured - 1.0).abs() < 1e-9, "{as_own} and {as_captured}");
+        assert!((distance(&own, &turn) / as_captured - 1.0).abs() > 0.05);
     }
 }

@@ -5,6 +5,8 @@ use super::config::{Bodies, SimulationConfig};
 use super::drawn::{drawn_take, stand};
 use super::random::{Purpose, stream};
 use super::skeleton::{Person, Pose, Skeleton, joint};
+use crate::body::captured_skeleton::carried;
+use crate::body::default_body;
 use crate::geometry::rotation;
 use crate::motion_prior::motion_file::{MotionTake, read_take};
 use nalgebra::{Matrix3, Vector3};
@@ -62,8 +64,10 @@ fn placed(mut people: Vec<Person>, config: &SimulationConfig) -> Vec<Person> {
     people
 }
 
-/// Somebody in the motion of a take, at the session's rate: rotations along the geodesic, positions along the line.
+/// Somebody in the motion of a take, at the session's rate: rotations along the geodesic, positions along the line; a default
+/// body with its bones where the captured ones were.
 fn resampled(take: MotionTake, body: Person, fps: f64) -> Person {
+    let zero = body.betas.map(|_| default_body().captured_from_body);
     let duration = (take.poses.len() - 1) as f64 / take.fps;
     let n_frames = (duration * fps + 1e-9).floor() as usize + 1;
     let pose = |frame: usize| {
@@ -72,7 +76,9 @@ fn resampled(take: MotionTake, body: Person, fps: f64) -> Person {
         let (a, b) = (&take.poses[first], &take.poses[(first + 1).min(take.poses.len() - 1)]);
         let share = (at - first as f64).clamp(0.0, 1.0);
         let turn = |j: usize| {
-            a.rotations[j] * rotation::exp(&(rotation::log(&(a.rotations[j].transpose() * b.rotations[j])) * share))
+            let captured = a.rotations[j]
+                * rotation::exp(&(rotation::log(&(a.rotations[j].transpose() * b.rotations[j])) * share));
+            zero.as_ref().map_or(captured, |zero| carried(&captured, j, zero))
         };
         Pose { rotations: std::array::from_fn(turn), pelvis: a.pelvis.lerp(&b.pelvis, share) }
     };

@@ -2,7 +2,7 @@
 
 use super::evidence::{Evidence, PointEvidence};
 use super::motion_problem::MotionState;
-use crate::body::joint_ranges::joint_ranges;
+use crate::body::joint_ranges::joint_ranges_of;
 use crate::body::kinematics::{Pose, landmark_position, posed};
 use crate::body::model::{Betas, BodyModel, ShapedBody};
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
@@ -26,7 +26,7 @@ pub(super) fn initial_motion(model: &BodyModel, evidence: &Evidence) -> Option<M
         .map(|(p, trunk)| trunk.map_or_else(PartialPose::default, |trunk| limbs(model, &body, p, &trunk)))
         .collect();
     let translations = filled_translations(&known.iter().map(|k| k.translation).collect::<Vec<_>>())?;
-    let rest = joint_ranges().map(|range| rotation::exp(&range.rest));
+    let rest = joint_ranges_of(model).map(|range| rotation::exp(&range.rest));
     let mut poses = vec![Pose::rest(); places.len()];
     for (pose, translation) in poses.iter_mut().zip(translations) {
         pose.translation = translation;

@@ -12,7 +12,7 @@ use super::steady_places::steady_landmarks;
 use crate::body::anthropometry::N_BETAS;
 use crate::body::bone_offsets::N_BONE_KINDS;
 use crate::body::detector_offsets::OffsetTable;
-use crate::body::joint_ranges::{JointRange, joint_ranges};
+use crate::body::joint_ranges::{JointRange, joint_ranges_of};
 use crate::body::kinematics::{Pose, PosedSkeleton, landmark_position, moving_joints, posed};
 use crate::body::model::{Betas, BodyModel, ShapedBody};
 use crate::body::skeleton::N_JOINTS;
@@ -107,7 +107,7 @@ impl<'a> MotionProblem<'a> {
         }
         let active: Vec<usize> = (0..FIRST_HAND).filter(|&j| turns[j]).collect();
         let moved_by = moved_by(model, &active);
-        let (free_offsets, contacts, shape_prior, ranges) = (None, None, config.shape_prior, joint_ranges());
+        let (free_offsets, contacts, shape_prior, ranges) = (None, None, config.shape_prior, joint_ranges_of(model));
         let steady = steady_landmarks(model, config);
         let sizes = vec![AccelerationSizes::typical(config, &ranges); evidence.points.len()];
         Self {
@@ -123,7 +123,7 @@ impl<'a> MotionProblem<'a> {
             frame_interval,
             steady,
             sizes,
-            likely: likely_poses(config, &active),
+            likely: likely_poses(model, config, &active),
             active,
             moved_by,
             ranges,
@@ -141,7 +141,7 @@ impl<'a> MotionProblem<'a> {
     pub(super) fn with_contacts(self, contacts: Contacts<'a>) -> Self {
         let touching = contacts.joints();
         let active: Vec<usize> = (0..FIRST_HAND).filter(|j| self.active.contains(j) || touching.contains(j)).collect();
-        let likely = likely_poses(self.config, &active);
+        let likely = likely_poses(self.model, self.config, &active);
         Self { contacts: Some(contacts), moved_by: moved_by(self.model, &active), active, likely, ..self }
     }
 
@@ -283,10 +283,12 @@ impl<'a> MotionProblem<'a> {
 /// How a bent back spreads over spine and neck is the captured skeletons' own: their means differ by 20 degrees from one
 /// subject to the next. On filmed people (Shelf) the trunk's part of it put heads wrong, on simulated ones, whose backs are
 /// the captured ones, it was worth half a percent.
-fn likely_poses(config: &BodyFitConfig, active: &[usize]) -> Option<PoseGaussian> {
+fn likely_poses(model: &BodyModel, config: &BodyFitConfig, active: &[usize]) -> Option<PoseGaussian> {
     let is_told = |joint: &usize| config.prior_of_trunk || !TRUNK.contains(joint);
     let joints: Vec<usize> = active.iter().copied().filter(is_told).collect();
-    config.motion_prior.then(|| PoseGaussian::over(MotionPrior::embedded().basis(), &joints))
+    config
+        .motion_prior
+        .then(|| PoseGaussian::over(MotionPrior::embedded().basis(), &joints).carried_to(&model.captured_from_body))
 }
 
 /// Spine, neck and head.

@@ -22,7 +22,7 @@ struct Truth {
 /// A smooth motion: every joint swings about its rest at up to 1 Hz, the body walks and turns.
 fn smooth_motion(seed: u64, seconds: f64, fps: f64) -> Truth {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let ranges = crate::body::joint_ranges::joint_ranges();
+    let ranges = crate::body::joint_ranges::joint_ranges_of(&default_body());
     let mut uniform = |low: f64, high: f64| rng.random_range(low..high);
     let betas = Betas::from_fn(|_, _| uniform(-1.5, 1.5));
     let swings: Vec<[(Vector3<f64>, f64, f64); 2]> = (0..N_JOINTS)

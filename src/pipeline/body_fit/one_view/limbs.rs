@@ -2,7 +2,7 @@
 //! towards the camera or away from it.
 
 use super::super::initial_motion::{Limb, limb_list, limb_rotations};
-use crate::body::joint_ranges::{JointRange, joint_ranges};
+use crate::body::joint_ranges::{JointRange, joint_ranges_of};
 use crate::body::kinematics::{Pose, landmark_position, posed};
 use crate::body::model::{BodyModel, ShapedBody};
 use crate::body::skeleton::N_JOINTS;
@@ -46,8 +46,8 @@ pub(super) struct Joints {
 }
 
 impl Joints {
-    pub(super) fn new(limit_width: f64) -> Self {
-        Self { ranges: joint_ranges(), weights: JointAngleWeights { rest: 1.0, limit_width } }
+    pub(super) fn new(model: &BodyModel, limit_width: f64) -> Self {
+        Self { ranges: joint_ranges_of(model), weights: JointAngleWeights { rest: 1.0, limit_width } }
     }
 }
 

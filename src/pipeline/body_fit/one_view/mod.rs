@@ -102,7 +102,7 @@ impl<'a> Lifting<'a> {
         Self {
             trunk: Trunk::new(model, &body),
             limbs: body_limbs(model, &body),
-            joints: Joints::new(LIMIT_WIDTH_DEG.to_radians()),
+            joints: Joints::new(model, LIMIT_WIDTH_DEG.to_radians()),
             bearings: evidence.points.iter().map(by_landmark).collect(),
             camera,
             up: camera.rotation * up,
