@@ -5,6 +5,7 @@
 //! triangulated points (of a single view: those that `one_view` gives a depth), then the detected pixels, then pixels
 //! with the detector's offsets released.
 
+mod accelerations;
 mod contacts;
 mod evidence;
 mod habits;
@@ -82,8 +83,6 @@ pub struct BodyFitConfig {
     /// Whether what is known of human motion is used: poses that people take instead of each joint's own rest, feet that stand
     /// still, and accelerations that grow with the pace.
     pub motion_prior: bool,
-    /// Whether it tells of spine, neck and head, too. Where several views show them, it is better silent.
-    pub prior_of_trunk: bool,
     /// Whether it only refines a motion that was fitted to what was seen alone. From a rough start it draws limbs that a single
     /// view sees to the wrong side of where they are in depth.
     pub prior_comes_last: bool,
@@ -141,7 +140,6 @@ impl Default for BodyFitConfig {
             angular_acceleration_factor: 0.52,
             acceleration_knee: 0.25,
             motion_prior: true,
-            prior_of_trunk: false,
             // `paper` cut to two views, mean of ten: 16.9 mm, 17.8 with the prior from the start, 17.2 without it.
             prior_comes_last: true,
             // Two new poses a second, at 30 frames a second. `hard` (10 seeds) 17.2 mm with it and with half of it, 17.5 without
@@ -191,8 +189,6 @@ impl BodyFitConfig {
             // What one ray leaves open, depth, stays open from frame to frame: on the same captures 72.3 mm with 0.1, 70.9 with
             // 0.3 (55.0 instead of 58.7 after Procrustes alignment), 71.7 with 1.
             pose_weights: PoseWeights { weight: 0.3, ..Self::default().pose_weights },
-            // Nothing else tells how a back leans in depth: 69.0 mm with it, 70.5 without.
-            prior_of_trunk: true,
             // What was seen is half of what is needed: 69.0 mm so, 70.7 the other way.
             prior_comes_last: false,
             // The detector's habits cannot be told from poses.

@@ -247,52 +247,13 @@ impl<'a> MotionProblem<'a> {
         };
         summed_by_landmark(costs)
     }
-
-    pub(super) fn translation_acceleration(&self, state: &MotionState, t: usize) -> Vector3<f64> {
-        let at = |i: usize| state.poses[i].translation;
-        (at(t - 1) - at(t) * 2.0 + at(t + 1)) / (self.frame_interval.powi(2) * self.sizes[t].pelvis)
-    }
-
-    /// Angular acceleration over its size, one unit per radian of turn change.
-    pub(super) fn angular_scale(&self, t: usize, joint: usize) -> f64 {
-        1.0 / (self.frame_interval.powi(2) * self.sizes[t].turns[joint])
-    }
-
-    /// Charbonnier at the knee k over an acceleration's square e^2 in its own size: `rho = k^2 (r - 1)`, weight `1 / r`,
-    /// `r = sqrt(1 + e^2 / k^2)`.
-    pub(super) fn acceleration_cost(&self, squared: f64) -> (f64, f64) {
-        let knee_squared = self.config.acceleration_knee.powi(2);
-        let root = (1.0 + squared / knee_squared).sqrt();
-        (knee_squared * (root - 1.0), 1.0 / root)
-    }
-
-    fn smoothness_cost(&self, state: &MotionState, t: usize) -> f64 {
-        let joint_cost = |&joint: &usize| {
-            let [a, b, c] = [t - 1, t, t + 1].map(|i| &state.poses[i].rotations[joint]);
-            let before = rotation::log(&(a.transpose() * b));
-            let change = rotation::log(&(b.transpose() * c)) - before;
-            self.acceleration_cost((change * self.angular_scale(t, joint)).norm_squared()).0
-        };
-        self.acceleration_cost(self.translation_acceleration(state, t).norm_squared()).0
-            + self.active.iter().map(joint_cost).sum::<f64>()
-    }
 }
 
-/// The motion prior's poses over the joints that turn, without the trunk's where that is seen.
-///
-/// How a bent back spreads over spine and neck is the captured skeletons' own: their means differ by 20 degrees from one
-/// subject to the next. On filmed people (Shelf) the trunk's part of it put heads wrong, on simulated ones, whose backs are
-/// the captured ones, it was worth half a percent.
+/// The motion prior's poses over the joints that turn, as the body takes them.
 fn likely_poses(model: &BodyModel, config: &BodyFitConfig, active: &[usize]) -> Option<PoseGaussian> {
-    let is_told = |joint: &usize| config.prior_of_trunk || !TRUNK.contains(joint);
-    let joints: Vec<usize> = active.iter().copied().filter(is_told).collect();
-    config
-        .motion_prior
-        .then(|| PoseGaussian::over(MotionPrior::embedded().basis(), &joints).carried_to(&model.captured_from_body))
+    let captured = || PoseGaussian::over(MotionPrior::embedded().basis(), active);
+    config.motion_prior.then(|| captured().carried_to(&model.captured_from_body))
 }
-
-/// Spine, neck and head.
-const TRUNK: [usize; 5] = [3, 6, 9, 12, 15];
 
 /// For every landmark the active joints that move it, with their groups.
 fn moved_by(model: &BodyModel, active: &[usize]) -> Vec<Vec<(usize, usize)>> {

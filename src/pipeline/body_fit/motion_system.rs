@@ -9,9 +9,8 @@ use crate::body::kinematics::{Pose, PosedSkeleton, joints_by_betas, landmark_by_
 use crate::body::model::{Betas, ShapeDirections, ShapedBody};
 use crate::body::skeleton::N_JOINTS;
 use crate::optim::block_banded::BlockBanded;
-use crate::residuals::joint_acceleration::turn_change;
 use crate::residuals::pose_likelihood::PoseCost;
-use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3};
 use rayon::prelude::*;
 
 /// The part of the system that one frame's evidence and joint angles give.
@@ -177,55 +176,7 @@ impl MotionProblem<'_> {
         }
         BorderJacobian { betas, blocks }
     }
-
-    /// Adds the accelerations about frame `t`; returns their unweighted cost.
-    fn add_smoothness(&self, state: &MotionState, t: usize, system: &mut BlockBanded) -> f64 {
-        let scale = 1.0 / (self.frame_interval.powi(2) * self.sizes[t].pelvis);
-        let factors = SECOND_DIFFERENCE.map(|c| c * scale);
-        let still: &[(usize, Matrix3<f64>)] = &[(TRANSLATION_GROUP, Matrix3::identity())];
-        let (mut cost, _) =
-            self.add_acceleration(t, &self.translation_acceleration(state, t), factors, [still; 3], system);
-        for (i, &joint) in self.active.iter().enumerate() {
-            let [a, b, c] = [t - 1, t, t + 1].map(|i| &state.poses[i].rotations[joint]);
-            let change = turn_change(a, b, c);
-            let scale = self.angular_scale(t, joint);
-            let jacobians = change.jacobians.map(|jacobian| [(i + 1, jacobian)]);
-            let by_frame = jacobians.each_ref().map(<[_; 1]>::as_slice);
-            cost += self.add_acceleration(t, &(change.value * scale), [scale; 3], by_frame, system).0;
-        }
-        cost
-    }
-
-    /// Adds an acceleration over its size, `residual`, about frame `t`. Its derivatives are `factors` times those of
-    /// `by_frame`, each by group. Returns its unweighted cost, and the weight that its square has in the system.
-    pub(super) fn add_acceleration(
-        &self,
-        t: usize,
-        residual: &Vector3<f64>,
-        factors: [f64; 3],
-        by_frame: [&[(usize, Matrix3<f64>)]; 3],
-        system: &mut BlockBanded,
-    ) -> (f64, f64) {
-        let (cost, robust) = self.acceleration_cost(residual.norm_squared());
-        let weight = robust * self.time_weight();
-        for (i, (groups, factor)) in by_frame.iter().zip(factors).enumerate() {
-            for (row, jacobian) in *groups {
-                let left = jacobian.transpose() * (factor * weight);
-                let mut gradient = system.gradient[t - 1 + i].fixed_rows_mut::<3>(3 * row);
-                gradient += left * residual;
-                for (k, (earlier, factor)) in by_frame.iter().zip(factors).enumerate().take(i + 1) {
-                    for (column, other) in *earlier {
-                        system.add_block([t - 1 + i, t - 1 + k], [*row, *column], left * other * factor);
-                    }
-                }
-            }
-        }
-        (cost, weight)
-    }
 }
-
-/// Of three successive places over the squared frame interval: the acceleration in the middle.
-pub(super) const SECOND_DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
 
 /// Derivatives of a landmark to the unknowns of the border: the betas in the first columns; further blocks of three
 /// columns (the person's bones, the detector's offset) each from a column of its own on.
@@ -304,6 +255,7 @@ mod tests {
     use crate::body::skeleton::KeypointConvention;
     use crate::geometry::rotation;
     use crate::optim::block_banded::BandedStep;
+    use nalgebra::Vector3;
 
     /// The gradient against central differences of the cost along some directions: data, angles, accelerations, betas, bones
     /// and the detector's offsets.

@@ -4,8 +4,8 @@
 //! accelerated two to three times as much as in truth, all other joints 0.8 to 1.3 times.
 
 use super::BodyFitConfig;
+use super::accelerations::SECOND_DIFFERENCE;
 use super::motion_problem::MotionProblem;
-use super::motion_system::SECOND_DIFFERENCE;
 use crate::body::kinematics::{PosedSkeleton, landmark_position};
 use crate::body::model::{BodyModel, ShapeDirections, ShapedBody};
 use crate::body::skeleton::N_JOINTS;
