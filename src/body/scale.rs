@@ -1,5 +1,4 @@
-//! Metric scale from people: what parts of their bodies measure against what adults' measure, and against one known
-//! stature.
+//! Metric scale from people: what parts of their bodies measure against what adults' measure.
 //!
 //! Shoulder and hip widths are left out: detectors place hips and shoulders by the skin.
 //! The reference lengths are the default body's at beta 0 (ANSUR II and de Leva, see [`mod@super::default_body`]), men and
@@ -27,33 +26,24 @@ pub struct ScaleEstimate {
     pub evidence: String,
 }
 
-/// What one person's tape measure said.
+/// How tall a person is as a body was fitted, and what it rests on.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct KnownStature {
-    /// Whose, as an index into the people.
-    pub person: usize,
-    /// Height, m.
+pub struct FittedStature {
+    /// The fitted body's stature, m.
     pub metres: f64,
-    /// Standard deviation of its logarithm.
-    pub sigma_log: f64,
+    /// Keypoints behind it.
+    pub n_keypoints: usize,
 }
 
 /// Estimates the metric scale from one or more people; `None` without any measured segment.
 ///
-/// Generalised least squares over the logarithms of all people's segments and of the stature that is known,
-/// `log(reference / measured) = s + e` and `log(reference / stature) = 0 + e`. The covariance of `e` has the differences
-/// between adults (from the model's betas, which are independent between people: stature and proportions), the
-/// detector's bias (the same for all people), and the measurement. So a person seen well counts more, several people
-/// narrow the interval down to the detector's bias and not below, and a known stature says how large a person's bones
-/// are to be expected, no more. People who fit the others badly (a child, a double) are loosened by Huber's weight at 2
-/// standard deviations.
-pub fn scale_from_people(
-    model: &BodyModel,
-    people: &[Vec<MeasuredSegment>],
-    known: Option<KnownStature>,
-) -> Option<ScaleEstimate> {
-    let mut rows = segment_rows(model, people);
-    rows.extend(known.map(|known| stature_row(model, known)));
+/// Generalised least squares over the logarithms of all people's segments, `log(reference / measured) = s + e`. The
+/// covariance of `e` has the differences between adults (from the model's betas, which are independent between people:
+/// stature and proportions), the detector's bias (the same for all people), and the measurement. So a person seen well
+/// counts more, and several people narrow the interval down to the detector's bias and not below. People who fit the others
+/// badly (a child, a double) are loosened by Huber's weight at 2 standard deviations.
+pub fn scale_from_people(model: &BodyModel, people: &[Vec<MeasuredSegment>]) -> Option<ScaleEstimate> {
+    let rows = segment_rows(model, people);
     let everybody = |looseness: &[f64]| solve_mean(&rows.iter().collect::<Vec<_>>(), looseness);
     let mut looseness = vec![1.0; people.len()];
     let mut mean = everybody(&looseness)?;
@@ -70,12 +60,11 @@ pub fn scale_from_people(
     let n_seen = people.iter().filter(|segments| !segments.is_empty()).count();
     let n_samples: usize = people.iter().flatten().map(|segment| segment.n_samples).sum();
     let who = if n_seen == 1 { "1 person" } else { &format!("{n_seen} people") };
-    let stature = known.map_or(String::new(), |known| format!(" and a height of {} m", known.metres));
     Some(ScaleEstimate {
         scale: mean.value.exp(),
         interval95: [(mean.value - half).exp(), (mean.value + half).exp()],
         evidence: format!(
-            "limbs, trunks and heads of {who} ({n_samples} lengths){stature} against those of adults; between adults and by the \
+            "limbs, trunks and heads of {who} ({n_samples} lengths) against those of adults; between adults and by the \
              detector's habits the scale is uncertain to {:.1} %",
             100.0 * half
         ),
@@ -100,31 +89,13 @@ pub fn scale_of_nobody(model: &BodyModel) -> ScaleEstimate {
 /// Re-weightings of people; Huber's weights settle in a few.
 const ROBUST_ROUNDS: usize = 5;
 
-/// Who stands highest by what was measured: the largest expected stature, `cov(h, y) C^-1 (y - s)` (best linear
-/// prediction); `None` where nobody was measured.
-pub fn tallest(model: &BodyModel, people: &[Vec<MeasuredSegment>]) -> Option<usize> {
-    let rows = segment_rows(model, people);
-    let scale = solve_mean(&rows.iter().collect::<Vec<_>>(), &vec![1.0; people.len()])?.value;
-    let per_beta = stature_per_beta(model);
-    let expected = |p: usize| {
-        let own: Vec<&Row> = rows.iter().filter(|row| row.person == p).collect();
-        let shorter = DVector::from_iterator(own.len(), own.iter().map(|row| row.ratio - scale));
-        let shared = DVector::from_iterator(own.len(), own.iter().map(|row| -row.log_per_beta.dot(&per_beta)));
-        let explained = covariance(&own, &vec![1.0; people.len()]).cholesky()?.solve(&shorter);
-        (!own.is_empty()).then(|| (p, shared.dot(&explained)))
-    };
-    (0..people.len()).filter_map(expected).max_by(|a, b| a.1.total_cmp(&b.1)).map(|(person, _)| person)
-}
-
 /// One observation, as a log ratio of what adults have on average to what this person has.
 struct Row {
     person: usize,
     /// `y`.
     ratio: f64,
-    /// Whether it was measured in the cameras' own unit: the coefficient of `s`.
-    is_scaled: bool,
     /// Which detector's bias it shares.
-    segment: Option<Segment>,
+    segment: Segment,
     /// Change of the person's own logarithm per beta.
     log_per_beta: Betas,
     /// Standard deviation of the measurement.
@@ -138,25 +109,13 @@ fn segment_rows(model: &BodyModel, people: &[Vec<MeasuredSegment>]) -> Vec<Row> 
         Some(Row {
             person,
             ratio: (reference.length / measured.length).ln(),
-            is_scaled: true,
-            segment: Some(measured.segment),
+            segment: measured.segment,
             log_per_beta: reference.log_per_beta,
             // 0.2 % keeps the matrix regular also for exact lengths.
             sigma: measured.sigma_log.hypot(0.002),
         })
     };
     people.iter().enumerate().flat_map(|(p, segments)| segments.iter().filter_map(move |s| row(p, s))).collect()
-}
-
-fn stature_row(model: &BodyModel, known: KnownStature) -> Row {
-    Row {
-        person: known.person,
-        ratio: (model.surface.stature(&Betas::zeros()) / known.metres).ln(),
-        is_scaled: false,
-        segment: None,
-        log_per_beta: stature_per_beta(model),
-        sigma: known.sigma_log,
-    }
 }
 
 /// Change of the stature's logarithm per beta: the difference between +1 and -1, for it is linear but for which vertex is
@@ -199,12 +158,9 @@ fn reference_segment(model: &BodyModel, segment: Segment) -> Option<ReferenceSeg
 fn covariance(rows: &[&Row], looseness: &[f64]) -> DMatrix<f64> {
     DMatrix::from_fn(rows.len(), rows.len(), |i, j| {
         let (a, b) = (rows[i], rows[j]);
-        let mut value = 0.0;
-        if let (Some(seen), Some(other)) = (a.segment, b.segment) {
-            value += COMMON_BIAS * COMMON_BIAS;
-            if seen == other {
-                value += seen.detector_bias().powi(2);
-            }
+        let mut value = COMMON_BIAS * COMMON_BIAS;
+        if a.segment == b.segment {
+            value += a.segment.detector_bias().powi(2);
         }
         if a.person == b.person {
             value += a.log_per_beta.dot(&b.log_per_beta) * looseness[a.person];
@@ -222,12 +178,12 @@ struct Mean {
     variance: f64,
 }
 
-/// `s = x^T C^-1 y / x^T C^-1 x`, variance `1 / x^T C^-1 x`, x being 1 where a row is scaled.
+/// `s = 1^T C^-1 y / 1^T C^-1 1`, variance `1 / 1^T C^-1 1`.
 fn solve_mean(rows: &[&Row], looseness: &[f64]) -> Option<Mean> {
-    let scaled = DVector::from_iterator(rows.len(), rows.iter().map(|row| f64::from(u8::from(row.is_scaled))));
+    let ones = DVector::repeat(rows.len(), 1.0);
     let ratios = DVector::from_iterator(rows.len(), rows.iter().map(|row| row.ratio));
-    let weights = covariance(rows, looseness).cholesky()?.solve(&scaled);
-    let total = weights.dot(&scaled);
+    let weights = covariance(rows, looseness).cholesky()?.solve(&ones);
+    let total = weights.sum();
     let value = weights.dot(&ratios) / total;
     (value.is_finite() && total > 0.0).then_some(Mean { value, variance: 1.0 / total })
 }
@@ -239,71 +195,51 @@ mod tests {
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
-    struct Crowd {
-        measured: Vec<Vec<MeasuredSegment>>,
-        statures: Vec<f64>,
-    }
-
     /// People drawn from the population, seen by a detector drawn from its biases, in units of 1 / `scale` m.
-    fn crowd(n_people: usize, scale: f64, seed: u64) -> Crowd {
+    fn crowd(n_people: usize, scale: f64, seed: u64) -> Vec<Vec<MeasuredSegment>> {
         let model = default_body();
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
         let common = COMMON_BIAS * normal();
         let biases = Segment::ALL.map(|segment| common + segment.detector_bias() * normal());
-        let betas: Vec<Betas> = (0..n_people).map(|_| Betas::from_fn(|_, _| normal())).collect();
-        let measured = |betas: &Betas, segment: Segment| {
-            let reference = reference_segment(&model, segment).unwrap();
-            let log = reference.log_per_beta.dot(betas) + biases[segment as usize];
-            MeasuredSegment { segment, length: reference.length * log.exp() / scale, sigma_log: 0.003, n_samples: 500 }
+        let mut person = |_| {
+            let betas = Betas::from_fn(|_, _| normal());
+            let measured = |segment: Segment| {
+                let reference = reference_segment(&model, segment).unwrap();
+                let log = reference.log_per_beta.dot(&betas) + biases[segment as usize];
+                let length = reference.length * log.exp() / scale;
+                MeasuredSegment { segment, length, sigma_log: 0.003, n_samples: 500 }
+            };
+            Segment::ALL.map(measured).to_vec()
         };
-        let of_person = |betas: &Betas| Segment::ALL.map(|segment| measured(betas, segment)).to_vec();
-        Crowd {
-            measured: betas.iter().map(of_person).collect(),
-            statures: betas.iter().map(|betas| model.surface.stature(betas)).collect(),
-        }
+        (0..n_people).map(&mut person).collect()
     }
 
     /// 95 % of 400 draws have a binomial standard deviation of 1.1 %.
     #[test]
     fn the_interval_covers_the_truth_as_often_as_it_says() {
-        for (n_people, is_known) in [(1, false), (2, false), (4, false), (1, true), (3, true)] {
+        for n_people in [1, 2, 4] {
             let (mut covered, mut squares) = (0, 0.0);
             for seed in 0..400 {
-                let crowd = crowd(n_people, 2.5, seed);
-                let known = KnownStature { person: 0, metres: crowd.statures[0], sigma_log: 0.01 };
-                let known = Some(known).filter(|_| is_known);
-                let estimate = scale_from_people(&default_body(), &crowd.measured, known).unwrap();
+                let estimate = scale_from_people(&default_body(), &crowd(n_people, 2.5, seed)).unwrap();
                 covered += usize::from(estimate.interval95[0] < 2.5 && 2.5 < estimate.interval95[1]);
                 squares += (estimate.scale / 2.5).ln().powi(2);
             }
             let sd = (squares / 400.0_f64).sqrt();
             println!("{n_people} people: sd {:.2} %, covered {:.3}", sd * 100.0, covered as f64 / 400.0);
             assert!((0.91..=0.98).contains(&(covered as f64 / 400.0)));
-            assert!(if is_known { 0.01..0.03 } else { 0.02..0.065 }.contains(&sd));
+            assert!((0.02..0.065).contains(&sd));
         }
     }
 
     #[test]
     fn a_child_among_adults_moves_the_scale_little() {
-        let adults = crowd(4, 1.0, 3).measured;
-        let alone = scale_from_people(&default_body(), &adults, None).unwrap();
+        let adults = crowd(4, 1.0, 3);
+        let alone = scale_from_people(&default_body(), &adults).unwrap();
         let mut with_child = adults.clone();
         with_child.push(adults[0].iter().map(|b| MeasuredSegment { length: 0.6 * b.length, ..*b }).collect());
-        let both = scale_from_people(&default_body(), &with_child, None).unwrap();
+        let both = scale_from_people(&default_body(), &with_child).unwrap();
         assert!((both.scale / alone.scale).ln().abs() < 0.05, "{} and {}", alone.scale, both.scale);
-    }
-
-    #[test]
-    fn the_tallest_of_unlike_people_is_found() {
-        let found = |seed: u64| {
-            let crowd = crowd(3, 0.7, seed);
-            let truth = (0..3).max_by(|&a, &b| crowd.statures[a].total_cmp(&crowd.statures[b])).unwrap();
-            let second = (0..3).filter(|&p| p != truth).map(|p| crowd.statures[p]).fold(0.0, f64::max);
-            let is_clear = crowd.statures[truth] > 1.05 * second;
-            (!is_clear).then_some(true).or(Some(tallest(&default_body(), &crowd.measured) == Some(truth)))
-        };
-        assert!((0..100).filter_map(found).all(|right| right));
     }
 
     /// 5 to 6 % is the coefficient of variation of adults' stature, sexes pooled (ANSUR II).
@@ -317,10 +253,6 @@ mod tests {
 
     #[test]
     fn nobody_measured_is_no_scale() {
-        let body = default_body();
-        assert!(scale_from_people(&body, &[Vec::new()], None).is_none());
-        let known = KnownStature { person: 0, metres: 1.8, sigma_log: 0.01 };
-        assert!(scale_from_people(&body, &[Vec::new()], Some(known)).is_none());
-        assert_eq!(tallest(&body, &[Vec::new(), Vec::new()]), None);
+        assert!(scale_from_people(&default_body(), &[Vec::new()]).is_none());
     }
 }

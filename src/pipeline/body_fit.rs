@@ -19,6 +19,7 @@ mod place_cost;
 mod separation;
 mod session_offsets;
 mod solve;
+mod statures;
 mod steady_places;
 #[cfg(test)]
 mod tests;
@@ -44,6 +45,7 @@ use rayon::prelude::*;
 use separation::{PlacedFit, separate};
 use serde::{Deserialize, Serialize};
 use solve::{FittedMotion, Stages, StartedMotion, finish_motion, start_motion};
+pub use statures::fitted_statures;
 use std::collections::BTreeMap;
 
 /// What the fit reads.

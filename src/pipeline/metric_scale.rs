@@ -3,28 +3,45 @@
 use super::config::{Extrinsics, ScaleSource};
 use super::{Capture, PipelineError};
 use crate::body::default_body;
-use crate::body::scale::{KnownStature, ScaleEstimate, scale_from_people, scale_of_nobody, tallest};
+use crate::body::scale::{FittedStature, ScaleEstimate, scale_from_people, scale_of_nobody};
 use crate::body::segments::{MeasuredSegment, measured_segments};
 use crate::geometry::Rigid;
 use crate::optim::robust::INTERVAL_95;
+use crate::progress::Canceled;
 use crate::session::reconstruction::ScaleReport;
 use crate::session::{JointTrajectory, PersonTrack};
 
 /// Standard deviation of a stated height against the stature without shoes, log units: 17 mm of shoes, posture and memory.
 const HEIGHT_SIGMA: f64 = 0.01;
 
+/// Standard deviation of a fitted stature's logarithm: 25 mm, since detectors place ankles up to 15 mm (Needham et al. 2021)
+/// and ears by some 17 mm beside where the body has them.
+const STATURE_BIAS: f64 = 0.015;
+
+/// Bodies are fitted at about the right size, for proportions go with it: again until it changes by less than this, log
+/// units, at most so many times.
+const SETTLED: f64 = 0.002;
+const MAX_HEIGHT_ROUNDS: usize = 4;
+
+/// Who was seen by less than this share of the keypoints that show whom one sees best is not taken for the tallest.
+const MIN_SHARE_SEEN: f64 = 0.25;
+
 /// Standard deviation of a camera distance measured by hand, log units.
 const DISTANCE_SIGMA: f64 = 0.01;
+
+/// How tall everybody is if a unit is so many metres, by track; `None` where a body could not be fitted.
+pub type StaturesAt<'a> = &'a dyn Fn(f64) -> Result<Vec<Option<FittedStature>>, Canceled>;
 
 /// The scale with its interval; `None` where nothing tells it.
 ///
 /// # Errors
-/// [`PipelineError::Option`] where the chosen source is not in the capture.
+/// [`PipelineError::Option`] where the chosen source is not in the capture; [`PipelineError::Canceled`].
 pub fn metric_scale(
     capture: &Capture,
     cameras: &[Option<Rigid>],
     tracks: &[PersonTrack],
     paths: &[JointTrajectory],
+    statures: StaturesAt,
 ) -> Result<Option<ScaleReport>, PipelineError> {
     if capture.options.extrinsics != Extrinsics::Estimate {
         if capture.session.views.len() == 1 {
@@ -34,8 +51,8 @@ pub fn metric_scale(
         return Ok(Some(ScaleReport { value: 1.0, interval95: [1.0, 1.0], evidence }));
     }
     match &capture.options.scale {
-        ScaleSource::Body => Ok(scale_from_people(&default_body(), &measured_people(capture, paths), None).map(told)),
-        ScaleSource::Height { metres, who } => from_height(capture, tracks, paths, *metres, who).map(Some),
+        ScaleSource::Body => Ok(scale_from_people(&default_body(), &measured_people(capture, paths)).map(told)),
+        ScaleSource::Height { metres, who } => from_height(capture, tracks, paths, (*metres, who), statures).map(Some),
         ScaleSource::CameraDistance { cameras: ids, metres } => from_distance(capture, cameras, ids, *metres).map(Some),
     }
 }
@@ -77,27 +94,51 @@ fn from_distance(
     }
 }
 
-/// From the height of one of the people whom two cameras saw.
+/// From the height of one of the people whom two cameras saw, by the stature of the body that fits this person: first at
+/// the size that bodies tell, then again where the height has changed it.
 fn from_height(
     capture: &Capture,
     tracks: &[PersonTrack],
     paths: &[JointTrajectory],
-    metres: f64,
-    who: &str,
+    (metres, who): (f64, &str),
+    statures: StaturesAt,
 ) -> Result<ScaleReport, PipelineError> {
-    let (body, people) = (default_body(), measured_people(capture, paths));
-    let chosen = match who.parse::<i64>() {
-        Ok(id) => person_of_track(capture, tracks, id)
-            .and_then(|i| paths.iter().position(|path| path.person == tracks[i].person)),
-        Err(_) => tallest(&body, &people),
+    let people = measured_people(capture, paths);
+    let known = |statures: Vec<Option<FittedStature>>| {
+        let of_seen = |(stature, segments): (_, &Vec<_>)| Option::filter(stature, |_| !segments.is_empty());
+        let statures: Vec<Option<FittedStature>> = statures.into_iter().zip(&people).map(of_seen).collect();
+        match who.parse::<i64>() {
+            Ok(id) => person_of_track(capture, tracks, id).and_then(|person| statures[person]),
+            Err(_) => tallest(&statures),
+        }
     };
-    let known = |person: usize| KnownStature { person, metres, sigma_log: HEIGHT_SIGMA };
-    let measured = chosen.filter(|&person| !people[person].is_empty());
-    let estimate = measured.and_then(|person| scale_from_people(&body, &people, Some(known(person))));
-    estimate.map(told).ok_or_else(|| PipelineError::Option {
+    let nobody = || PipelineError::Option {
         option: "/scale/who",
         reason: format!("{who:?}: nobody of that name was seen by two cameras; choose another or \"tallest\""),
-    })
+    };
+    let mut scale = scale_from_people(&default_body(), &people).ok_or_else(nobody)?.scale;
+    for _ in 0..MAX_HEIGHT_ROUNDS {
+        let factor = metres / known(statures(scale)?).ok_or_else(nobody)?.metres;
+        scale *= factor;
+        if factor.ln().abs() < SETTLED {
+            break;
+        }
+    }
+    let half = INTERVAL_95 * HEIGHT_SIGMA.hypot(STATURE_BIAS);
+    let evidence = format!(
+        "a height of {metres} m, and the body that fits this person; by shoes, posture and the detector's habits the scale \
+         is uncertain to {:.1} %",
+        100.0 * half
+    );
+    Ok(ScaleReport { value: scale, interval95: [-half, half].map(|edge| scale * edge.exp()), evidence })
+}
+
+/// Of those who were seen well enough to tell.
+fn tallest(statures: &[Option<FittedStature>]) -> Option<FittedStature> {
+    let people = || statures.iter().flatten();
+    let most = people().map(|stature| stature.n_keypoints).max()?;
+    let is_well_seen = |stature: &&FittedStature| stature.n_keypoints as f64 >= MIN_SHARE_SEEN * most as f64;
+    people().filter(is_well_seen).max_by(|a, b| a.metres.total_cmp(&b.metres)).copied()
 }
 
 /// The person most of whose detections carry a track id.

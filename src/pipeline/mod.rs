@@ -137,10 +137,12 @@ pub fn reconstruct_with_checkpoints(
     let stage = progress.stage("joint_trajectories", 3, 0.65, 0.05);
     let paths = checkpoints.stage("joint_trajectories", || result::paths(&capture, &calibration, &stage))?;
 
-    progress.stage("metric_scale", 4, 0.7, 0.02);
+    let stage = progress.stage("metric_scale", 4, 0.7, 0.02);
+    let statures = |scale: f64| result::statures(&capture, &calibration, &paths, scale, body, &stage);
     let tracks = &calibration.association.tracks;
-    let scale = checkpoints
-        .stage("metric_scale", || metric_scale::metric_scale(&capture, &calibration.cameras, tracks, &paths))?;
+    let scale = checkpoints.stage("metric_scale", || {
+        metric_scale::metric_scale(&capture, &calibration.cameras, tracks, &paths, &statures)
+    })?;
     let findings = Findings::in_world(&capture, calibration, paths, scale, heldout_px);
 
     let stage_body = progress.stage("body_fit", 5, 0.72, 0.25);

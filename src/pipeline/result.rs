@@ -1,7 +1,7 @@
 //! From findings to the result: everything moved into the world, bodies fitted, figures and verdict gathered.
 
 use super::association::identities;
-use super::body_fit::{BodyFitConfig, BodyFitInput, FittedBodies, fit_bodies, landmark_trajectory};
+use super::body_fit::{BodyFitConfig, BodyFitInput, FittedBodies, fit_bodies, fitted_statures, landmark_trajectory};
 use super::calibration::Calibration;
 use super::config::Extrinsics;
 use super::fit_figures::FitFigures;
@@ -10,6 +10,7 @@ use super::verdict::{Evidence, quality};
 use super::world_frame::world_from_solution;
 use super::{Capture, PipelineError};
 use crate::body::BodyModel;
+use crate::body::scale::FittedStature;
 use crate::geometry::{Rigid, Similarity};
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{
@@ -38,6 +39,32 @@ pub fn paths(
         hold: if capture.session.views.len() == 1 { Hold::OnRay } else { Hold::Whisper },
     };
     joint_trajectories(&input, &TrajectoryConfig::default(), progress)
+}
+
+/// How tall everybody is if a unit of the calibration is `scale` metres, by track.
+///
+/// # Errors
+/// [`Canceled`].
+pub fn statures(
+    capture: &Capture,
+    calibration: &Calibration,
+    paths: &[JointTrajectory],
+    scale: f64,
+    model: &BodyModel,
+    progress: &Progress,
+) -> Result<Vec<Option<FittedStature>>, Canceled> {
+    let metres_from_units = Similarity { scale, ..Similarity::identity() };
+    let (mut cameras, mut points) = (calibration.cameras.clone(), paths.to_vec());
+    move_into(&metres_from_units, &mut cameras, &mut points);
+    let input = BodyFitInput {
+        session: capture.session,
+        noise: &calibration.noise,
+        cameras: &cameras,
+        tracks: &calibration.association.tracks,
+        points: &points,
+        up: Vector3::y(), // asked for of a single view alone
+    };
+    fitted_statures(input, model, progress)
 }
 
 /// What was found, in the result's world.
@@ -218,7 +245,11 @@ impl Findings {
 /// A camera whose own upright is further than this from the up axis looks steeply down, or the axis is another's, rad.
 const MAX_CAMERA_TILT: f64 = 1.05; // 60 degrees
 
-fn move_into(world_from_solution: &Similarity, cameras: &mut [Option<Rigid>], paths: &mut [JointTrajectory]) {
+pub(super) fn move_into(
+    world_from_solution: &Similarity,
+    cameras: &mut [Option<Rigid>],
+    paths: &mut [JointTrajectory],
+) {
     for camera in cameras.iter_mut().flatten() {
         *camera = world_from_solution.move_camera(camera);
     }

@@ -4,6 +4,7 @@
 mod edge_cases;
 mod one_view;
 mod presets;
+mod scale;
 mod synchronisation;
 mod verdicts;
 

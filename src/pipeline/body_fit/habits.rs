@@ -16,6 +16,7 @@ use crate::body::skeleton::{JOINT_NAMES, KeypointConvention};
 use crate::progress::Canceled;
 use crate::session::reconstruction::{DetectorHabits, DetectorOffset};
 use nalgebra::Vector3;
+use std::ops::Range;
 
 /// The body with its landmarks where the session's detector has them, and what is told of that.
 pub(super) struct Habits {
@@ -59,16 +60,22 @@ pub(super) fn habits(
 
 /// What one person can tell of the detector: the run of frames with most pixels in the window that was fitted.
 fn witness(stages: &Stages, evidence: &Evidence, started: &StartedMotion, n_frames: usize) -> OffsetWitness {
-    let window = started.window.clone();
-    let length = window.len().min(n_frames.max(1));
-    let n_pixels: Vec<usize> = evidence.pixels[window.clone()].iter().map(Vec::len).collect();
-    let seen = |first: usize| n_pixels[first..first + length].iter().sum::<usize>();
-    let first = (0..=window.len() - length).max_by_key(|&first| (seen(first), std::cmp::Reverse(first))).unwrap_or(0);
-    let evidence = evidence.slice(window.start + first..window.start + first + length);
+    let run = most_seen(evidence, started.window.clone(), n_frames);
+    let own = run.start - started.window.start..run.end - started.window.start;
+    let evidence = evidence.slice(run);
     let fitted = &started.fitted.state;
-    let state = MotionState { betas: fitted.betas, poses: fitted.poses[first..first + length].to_vec() };
+    let state = MotionState { betas: fitted.betas, poses: fitted.poses[own].to_vec() };
     let share = stages.pixel_share(&evidence, &state);
     OffsetWitness { evidence, state, bones: BoneOffsets::default(), share }
+}
+
+/// The run of `n_frames` (or of the whole window) with most pixels in a window of frames.
+pub(super) fn most_seen(evidence: &Evidence, window: Range<usize>, n_frames: usize) -> Range<usize> {
+    let length = window.len().min(n_frames.max(1));
+    let seen = |first: usize| evidence.pixels[first..first + length].iter().map(Vec::len).sum::<usize>();
+    let runs = window.start..=window.end - length;
+    let first = runs.max_by_key(|&first| (seen(first), std::cmp::Reverse(first))).unwrap_or(window.start);
+    first..first + length
 }
 
 /// The session's offsets under the likeliest cause.
