@@ -3,7 +3,7 @@
 //! Exact and linear in the number of frames: a block Cholesky factor `H = L L^T` of bandwidth two blocks. Instead of a
 //! frame's factor its inverse is kept, so that all heavy work is matrix products.
 
-use nalgebra::{DMatrix, DVector, Matrix3};
+use nalgebra::{DMatrix, DMatrixView, DVector, Dyn, Matrix3, Vector3};
 
 /// Half of a symmetric system `H x = -gradient` over frames of `3 * n_groups` unknowns and a border.
 ///
@@ -18,12 +18,26 @@ pub struct BlockBanded {
     pub after_next: Vec<Coupling>,
     /// `H[t][border]`.
     pub border: Vec<DMatrix<f64>>,
-    /// `H[border][border]`, full.
-    pub corner: DMatrix<f64>,
+    /// What the border has of its own.
+    pub corner: Corner,
     /// Gradient by frame.
     pub gradient: Vec<DVector<f64>>,
+}
+
+/// The system of the border's unknowns among themselves.
+#[derive(Debug, Clone)]
+pub struct Corner {
+    /// `H[border][border]`, full.
+    pub hessian: DMatrix<f64>,
     /// Gradient of the border.
-    pub border_gradient: DVector<f64>,
+    pub gradient: DVector<f64>,
+}
+
+impl Corner {
+    /// The zero system.
+    pub fn zeros(n_border: usize) -> Self {
+        Self { hessian: DMatrix::zeros(n_border, n_border), gradient: DVector::zeros(n_border) }
+    }
 }
 
 /// A block between two frames: 3 x 3 blocks, one for each group with itself and few between groups.
@@ -63,12 +77,17 @@ impl Coupling {
         dense
     }
 
-    fn times(&self, right: &DMatrix<f64>) -> DMatrix<f64> {
-        let mut product = DMatrix::zeros(right.nrows(), right.ncols());
-        for c in 0..right.ncols() {
-            for (row, column, block) in self.blocks() {
+    /// `C L^T` of a lower triangular `L`.
+    fn times_transposed(&self, lower: &DMatrix<f64>) -> DMatrix<f64> {
+        let n = lower.nrows();
+        let mut product = DMatrix::zeros(n, n);
+        for (row, column, block) in self.blocks() {
+            // Column c of L^T is row c of L: zero right of its diagonal.
+            for c in 3 * column..n {
+                let right =
+                    Vector3::new(lower[(c, 3 * column)], lower[(c, 3 * column + 1)], lower[(c, 3 * column + 2)]);
                 let mut place = product.fixed_view_mut::<3, 1>(3 * row, c);
-                place += block * right.fixed_view::<3, 1>(3 * column, c);
+                place += block * right;
             }
         }
         product
@@ -94,9 +113,8 @@ impl BlockBanded {
             next: couplings(1),
             after_next: couplings(2),
             border: vec![DMatrix::zeros(n, n_border); n_frames],
-            corner: DMatrix::zeros(n_border, n_border),
+            corner: Corner::zeros(n_border),
             gradient: vec![DVector::zeros(n); n_frames],
-            border_gradient: DVector::zeros(n_border),
         }
     }
 
@@ -120,7 +138,7 @@ impl BlockBanded {
         let eliminated = self.eliminated(damping)?;
         let mut corner = eliminated.corner.clone();
         for k in 0..corner.nrows() {
-            corner[(k, k)] += damping * self.corner[(k, k)];
+            corner[(k, k)] += damping * self.corner.hessian[(k, k)];
         }
         let border = match corner.nrows() {
             0 => DVector::zeros(0),
@@ -134,42 +152,47 @@ impl BlockBanded {
     /// Systems that share unknowns of their borders are solved together by adding up what is left of each.
     pub fn eliminated(&self, damping: f64) -> Option<Eliminated> {
         let n_frames = self.diagonal.len();
-        let n_border = self.border_gradient.len();
-        // Rolling: what earlier frames leave in blocks (t, t), (t + 1, t + 1) and (t + 1, t).
+        let n_border = self.corner.gradient.len();
         let mut factors: Vec<FrameFactor> = Vec::with_capacity(n_frames);
-        let mut corner = self.corner.clone();
-        let mut corner_right = -&self.border_gradient;
+        let mut corner = self.corner.hessian.clone();
+        let mut corner_right = -&self.corner.gradient;
         for t in 0..n_frames {
             let mut block = damped(&self.diagonal[t], damping);
-            let mut right = self.border[t].clone().insert_column(n_border, 0.0);
-            right.column_mut(n_border).copy_from(&-&self.gradient[t]);
+            let mut right = self.right_hand_side(t);
             let mut to_next = self.next.get(t).map(Coupling::dense);
             if let Some(one) = t.checked_sub(1).map(|i| &factors[i]) {
-                subtract_product(&mut block, &one.to_next, &one.to_next);
+                subtract_square(&mut block, &one.to_next);
                 right.gemm(-1.0, &one.to_next, &one.right, 1.0);
                 if let Some(to_next) = &mut to_next {
-                    subtract_product(to_next, &one.to_after_next, &one.to_next);
+                    to_next.gemm(-1.0, &one.to_after_next, &transposed(&one.to_next), 1.0);
                 }
             }
             if let Some(two) = t.checked_sub(2).map(|i| &factors[i]) {
-                subtract_product(&mut block, &two.to_after_next, &two.to_after_next);
+                subtract_square(&mut block, &two.to_after_next);
                 right.gemm(-1.0, &two.to_after_next, &two.right, 1.0);
             }
             let inverse = inverse_of_cholesky_factor(&block)?;
-            let inverse_transposed = inverse.transpose();
-            let empty = || DMatrix::zeros(0, block.nrows());
             let right = &inverse * right;
             let fixed = right.columns(0, n_border);
-            corner -= fixed.tr_mul(&fixed);
-            corner_right -= fixed.tr_mul(&right.column(n_border));
+            corner.gemm(-1.0, &transposed(&right).rows(0, n_border), &fixed, 1.0);
+            corner_right.gemv_tr(-1.0, &fixed, &right.column(n_border), 1.0);
+            let empty = || DMatrix::zeros(0, block.nrows());
             factors.push(FrameFactor {
-                to_next: to_next.map_or_else(empty, |c| c * &inverse_transposed),
-                to_after_next: self.after_next.get(t).map_or_else(empty, |c| c.times(&inverse_transposed)),
-                inverse_transposed,
+                to_next: to_next.map_or_else(empty, |c| times_transposed(&c, &inverse)),
+                to_after_next: self.after_next.get(t).map_or_else(empty, |c| c.times_transposed(&inverse)),
+                inverse,
                 right,
             });
         }
         Some(Eliminated { factors, corner, right: corner_right })
+    }
+
+    /// `[H[t][border], -gradient]`.
+    fn right_hand_side(&self, t: usize) -> DMatrix<f64> {
+        let border = &self.border[t];
+        let (n, n_border) = border.shape();
+        let entries = border.iter().copied().chain(self.gradient[t].iter().map(|g| -g));
+        DMatrix::from_iterator(n, n_border + 1, entries)
     }
 }
 
@@ -191,12 +214,12 @@ impl Eliminated {
             let factor = &self.factors[t];
             let mut y = factor.right.column(n_border) - factor.right.columns(0, n_border) * &border;
             if t + 1 < n_frames {
-                y -= factor.to_next.tr_mul(&frames[t + 1]);
+                y.gemv_tr(-1.0, &factor.to_next, &frames[t + 1], 1.0);
             }
             if t + 2 < n_frames {
-                y -= factor.to_after_next.tr_mul(&frames[t + 2]);
+                y.gemv_tr(-1.0, &factor.to_after_next, &frames[t + 2], 1.0);
             }
-            frames[t] = &factor.inverse_transposed * y;
+            frames[t] = factor.inverse.tr_mul(&y);
         }
         let is_finite = border.iter().chain(frames.iter().flat_map(|f| f.iter())).all(|v| v.is_finite());
         is_finite.then_some(BandedStep { frames, border })
@@ -205,8 +228,8 @@ impl Eliminated {
 
 /// What the elimination of a frame leaves for the way back.
 struct FrameFactor {
-    /// `L[t][t]^-T`.
-    inverse_transposed: DMatrix<f64>,
+    /// `L[t][t]^-1`.
+    inverse: DMatrix<f64>,
     /// `L[t + 1][t]`.
     to_next: DMatrix<f64>,
     /// `L[t + 2][t]`.
@@ -224,10 +247,30 @@ pub fn damped(block: &DMatrix<f64>, damping: f64) -> DMatrix<f64> {
     block
 }
 
-fn subtract_product(target: &mut DMatrix<f64>, a: &DMatrix<f64>, b: &DMatrix<f64>) {
-    if a.nrows() > 0 {
-        target.gemm(-1.0, a, &b.transpose(), 1.0);
-    }
+/// A matrix read as its transpose.
+type Transposed<'a> = DMatrixView<'a, f64, Dyn, Dyn>;
+
+fn transposed(matrix: &DMatrix<f64>) -> Transposed<'_> {
+    let (n_rows, n_columns) = matrix.shape();
+    Transposed::from_slice_with_strides(matrix.as_slice(), n_columns, n_rows, n_rows, 1)
+}
+
+/// `A - B B^T`, of which the lower triangle counts: the upper right quarter is left out.
+fn subtract_square(target: &mut DMatrix<f64>, b: &DMatrix<f64>) {
+    let (n, h) = (target.nrows(), target.nrows() / 2);
+    let across = transposed(b);
+    target.view_mut((0, 0), (h, h)).gemm(-1.0, &b.rows(0, h), &across.columns(0, h), 1.0);
+    target.view_mut((h, 0), (n - h, n)).gemm(-1.0, &b.rows(h, n - h), &across, 1.0);
+}
+
+/// `A L^T` of a lower triangular `L`, whose upper right quarter is left out.
+fn times_transposed(a: &DMatrix<f64>, lower: &DMatrix<f64>) -> DMatrix<f64> {
+    let (m, n, h) = (a.nrows(), a.ncols(), a.ncols() / 2);
+    let upper = transposed(lower);
+    let mut product = DMatrix::zeros(m, n);
+    product.columns_mut(0, h).gemm(1.0, &a.columns(0, h), &upper.view((0, 0), (h, h)), 0.0);
+    product.columns_mut(h, n - h).gemm(1.0, a, &upper.columns(h, n - h), 0.0);
+    product
 }
 
 /// Blocks of this size are factored entry by entry, larger ones by halves and matrix products.
@@ -244,12 +287,12 @@ fn inverse_of_cholesky_factor(a: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     }
     let (h, rest) = (n / 2, n - n / 2);
     let first = inverse_of_cholesky_factor(&a.view((0, 0), (h, h)).into_owned())?;
-    let below = a.view((h, 0), (rest, h)) * first.transpose();
+    let below = times_transposed(&a.view((h, 0), (rest, h)).into_owned(), &first);
     let mut last = a.view((h, h), (rest, rest)).into_owned();
-    subtract_product(&mut last, &below, &below);
+    subtract_square(&mut last, &below);
     let last = inverse_of_cholesky_factor(&last)?;
     let mut inverse = DMatrix::zeros(n, n);
-    inverse.view_mut((h, 0), (rest, h)).copy_from(&-(&last * (below * &first)));
+    inverse.view_mut((h, 0), (rest, h)).gemm(-1.0, &last, &(below * &first), 0.0);
     inverse.view_mut((0, 0), (h, h)).copy_from(&first);
     inverse.view_mut((h, h), (rest, rest)).copy_from(&last);
     Some(inverse)
@@ -299,7 +342,7 @@ mod tests {
             let square = rows.tr_mul(&rows);
             system.diagonal[t] += square.view((0, 0), (n, n));
             system.border[t] += square.view((0, n), (n, n_border));
-            system.corner += square.view((n, n), (n_border, n_border));
+            system.corner.hessian += square.view((n, n), (n_border, n_border));
             system.gradient[t] = DVector::from_fn(n, |_, _| uniform());
         }
         for t in 0..n_frames.saturating_sub(2) {
@@ -329,12 +372,12 @@ mod tests {
                 }
             }
         }
-        system.border_gradient = DVector::from_fn(n_border, |_, _| uniform());
+        system.corner.gradient = DVector::from_fn(n_border, |_, _| uniform());
         system
     }
 
     fn dense(system: &BlockBanded) -> (DMatrix<f64>, DVector<f64>) {
-        let (n, t_count, m) = (system.diagonal[0].nrows(), system.diagonal.len(), system.corner.nrows());
+        let (n, t_count, m) = (system.diagonal[0].nrows(), system.diagonal.len(), system.corner.gradient.len());
         let mut h = DMatrix::zeros(n * t_count + m, n * t_count + m);
         let mut g = DVector::zeros(n * t_count + m);
         for t in 0..t_count {
@@ -349,8 +392,8 @@ mod tests {
                 }
             }
         }
-        h.view_mut((n * t_count, n * t_count), (m, m)).copy_from(&system.corner);
-        g.rows_mut(n * t_count, m).copy_from(&system.border_gradient);
+        h.view_mut((n * t_count, n * t_count), (m, m)).copy_from(&system.corner.hessian);
+        g.rows_mut(n * t_count, m).copy_from(&system.corner.gradient);
         (h, g)
     }
 

@@ -6,6 +6,7 @@
 //! with the detector's offsets released.
 
 mod accelerations;
+mod border_jacobian;
 mod contacts;
 mod evidence;
 mod habits;

@@ -9,11 +9,14 @@ use nalgebra::{Matrix3, Vector3};
 /// Of three successive places over the squared frame interval: the acceleration in the middle.
 pub(super) const SECOND_DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
 
+pub(super) fn second_difference([a, b, c]: [Vector3<f64>; 3]) -> Vector3<f64> {
+    a - b * 2.0 + c
+}
+
 impl MotionProblem<'_> {
     /// The pelvis's acceleration about frame `t` over its size.
     fn pelvis_acceleration(&self, state: &MotionState, t: usize) -> Vector3<f64> {
-        let at = |i: usize| state.poses[i].translation;
-        (at(t - 1) - at(t) * 2.0 + at(t + 1)) * self.pelvis_scale(t)
+        second_difference([t - 1, t, t + 1].map(|i| state.poses[i].translation)) * self.pelvis_scale(t)
     }
 
     fn pelvis_scale(&self, t: usize) -> f64 {

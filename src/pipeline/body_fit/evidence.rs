@@ -43,7 +43,7 @@ pub(super) struct Evidence {
     pub cameras: Vec<PlacedCamera>,
     /// `points[frame]`.
     pub points: Vec<Vec<PointEvidence>>,
-    /// `pixels[frame]`.
+    /// `pixels[frame]`, landmark by landmark.
     pub pixels: Vec<Vec<PixelEvidence>>,
 }
 
@@ -115,7 +115,7 @@ impl FrameSource<'_> {
     }
 
     fn pixels(&self, landmarks: &[Option<usize>], camera_of_view: &[Option<usize>]) -> Vec<PixelEvidence> {
-        let mut pixels = Vec::new();
+        let mut pixels: Vec<PixelEvidence> = Vec::new();
         let chosen = &self.track.detections[self.frame - self.track.first.0];
         for ((view, chosen), camera) in self.session.views.iter().zip(chosen).zip(camera_of_view) {
             let detection = view.frames.get(self.frame).zip(*chosen).and_then(|(people, index)| people.get(index));
@@ -127,6 +127,7 @@ impl FrameSource<'_> {
                 pixels.push(PixelEvidence { landmark, camera, pixel: keypoint.pixel, scale_px });
             }
         }
+        pixels.sort_by_key(|pixel| pixel.landmark);
         pixels
     }
 }

@@ -88,10 +88,11 @@ fn likeliest(
     mut witnesses: Vec<OffsetWitness>,
     stages: &Stages,
 ) -> Result<SessionOffsets, Canceled> {
-    // The others start from the motions that were found for the simplest.
-    let neither = session_offsets(table, Cause::Neither, &mut witnesses, stages)?;
-    let by_skeletons = session_offsets(table, Cause::Skeletons, &mut witnesses.clone(), stages)?;
-    let by_detector = session_offsets(table, Cause::Detector, &mut witnesses, stages)?;
+    let none = vec![Vector3::zeros(); table.kinds.len()];
+    let neither = session_offsets(table, Cause::Neither, none, &mut witnesses, stages)?;
+    // The others start from what was found for the simplest.
+    let by = |cause| session_offsets(table, cause, neither.offsets.clone(), &mut witnesses.clone(), stages);
+    let (by_skeletons, by_detector) = (by(Cause::Skeletons)?, by(Cause::Detector)?);
     let some = if by_detector.cost < by_skeletons.cost { by_detector } else { by_skeletons };
     Ok(if some.surprise() < neither.surprise() { some } else { neither })
 }

@@ -7,7 +7,7 @@ use super::BodyFitConfig;
 use super::contacts::Contacts;
 use super::evidence::{Evidence, PixelEvidence, PointEvidence};
 use super::paces::AccelerationSizes;
-use super::place_cost::{PlaceCost, pixel_cost, point_cost, summed_by_landmark};
+use super::place_cost::{PlaceCost, pixel_cost, point_cost, sum};
 use super::steady_places::steady_landmarks;
 use crate::body::anthropometry::N_BETAS;
 use crate::body::bone_offsets::N_BONE_KINDS;
@@ -228,24 +228,26 @@ impl<'a> MotionProblem<'a> {
         self.likely.as_ref().map(|likely| pose_cost(&pose.rotations, likely, &self.config.pose_weights))
     }
 
-    /// Cost over the position of every landmark with evidence at frame `t`, one entry a landmark.
+    /// Cost over the position of every landmark with evidence at frame `t`.
     pub(super) fn place_costs(&self, t: usize, body: &ShapedBody, skeleton: &PosedSkeleton) -> Vec<PlaceCost> {
         let position_of = |landmark: usize| landmark_position(self.model, body, skeleton, landmark);
         let robust_scale = self.config.robust_scale;
-        let costs: Vec<PlaceCost> = match self.data {
+        match self.data {
             DataTerm::Points { sigma } => {
                 let of_point = |p: &PointEvidence| point_cost(p, &position_of(p.landmark), sigma, robust_scale);
                 self.evidence.points[t].iter().map(of_point).collect()
             }
             DataTerm::Pixels { share } => {
-                let of_pixel = |p: &PixelEvidence| {
-                    let camera = &self.evidence.cameras[p.camera];
-                    pixel_cost(p, camera, &position_of(p.landmark), share * p.scale_px, robust_scale)
+                let of_landmark = |seen: &[PixelEvidence]| {
+                    let position = position_of(seen[0].landmark);
+                    sum(seen.iter().map(|pixel| {
+                        let camera = &self.evidence.cameras[pixel.camera];
+                        pixel_cost(pixel, camera, &position, share * pixel.scale_px, robust_scale)
+                    }))
                 };
-                self.evidence.pixels[t].iter().map(of_pixel).collect()
+                self.evidence.pixels[t].chunk_by(|a, b| a.landmark == b.landmark).filter_map(of_landmark).collect()
             }
-        };
-        summed_by_landmark(costs)
+        }
     }
 }
 

@@ -1,14 +1,10 @@
 //! The Gauss-Newton system of a person's motion.
 
 use super::motion_problem::{MotionProblem, MotionState, TRANSLATION_GROUP};
-use super::place_cost::PlaceCost;
 use super::steady_places::SteadyPlace;
-use crate::body::anthropometry::N_BETAS;
-use crate::body::bone_offsets::landmark_by_bones;
-use crate::body::kinematics::{Pose, PosedSkeleton, joints_by_betas, landmark_by_betas, landmark_by_rotation, posed};
-use crate::body::model::{Betas, ShapeDirections, ShapedBody};
-use crate::body::skeleton::N_JOINTS;
-use crate::optim::block_banded::BlockBanded;
+use crate::body::kinematics::{Pose, PosedSkeleton, joints_by_betas, landmark_by_rotation, posed};
+use crate::body::model::{Betas, ShapedBody};
+use crate::optim::block_banded::{BlockBanded, Corner};
 use crate::residuals::pose_likelihood::PoseCost;
 use nalgebra::{DMatrix, DVector, Matrix3};
 use rayon::prelude::*;
@@ -19,8 +15,6 @@ struct FrameSystem {
     diagonal: DMatrix<f64>,
     border: DMatrix<f64>,
     gradient: DVector<f64>,
-    corner: DMatrix<f64>,
-    border_gradient: DVector<f64>,
     steady: Vec<SteadyPlace>,
 }
 
@@ -44,29 +38,32 @@ impl MotionProblem<'_> {
         let n_border = self.n_border();
         let mut system = BlockBanded::zeros(state.poses.len(), self.active.len() + 1, n_border);
         let body = self.model.shaped(&state.betas);
+        let run_system = |(run, poses): (usize, &[Pose])| {
+            let mut corner = Corner::zeros(n_border);
+            let frame = |(i, pose)| self.frame_system(RUN * run + i, (&body, &state.betas, pose), &mut corner);
+            let frames: Vec<FrameSystem> = poses.iter().enumerate().map(frame).collect();
+            (frames, corner)
+        };
+        let runs: Vec<(Vec<FrameSystem>, Corner)> = state.poses.par_chunks(RUN).enumerate().map(run_system).collect();
+
         let weight = self.time_weight();
-        let frames: Vec<FrameSystem> = state
-            .poses
-            .par_iter()
-            .enumerate()
-            .map(|(t, pose)| self.frame_system(t, &body, &state.betas, pose))
-            .collect();
         let mut cost = 0.5 * self.shape_prior * state.betas.norm_squared();
-        let mut steady = Vec::with_capacity(frames.len());
-        for k in 0..self.n_betas() {
-            system.corner[(k, k)] += self.shape_prior;
-            system.border_gradient[k] += self.shape_prior * state.betas[k];
-        }
-        for (t, frame) in frames.into_iter().enumerate() {
-            cost += weight * frame.cost;
-            system.diagonal[t] = frame.diagonal * weight;
-            system.gradient[t] = frame.gradient * weight;
-            steady.push(frame.steady);
-            if n_border > 0 {
+        let mut steady = Vec::with_capacity(state.poses.len());
+        for (frames, of_run) in runs {
+            system.corner.hessian += of_run.hessian * weight;
+            system.corner.gradient += of_run.gradient * weight;
+            for frame in frames {
+                let t = steady.len();
+                cost += weight * frame.cost;
+                system.diagonal[t] = frame.diagonal * weight;
                 system.border[t] = frame.border * weight;
-                system.corner += frame.corner * weight;
-                system.border_gradient += frame.border_gradient * weight;
+                system.gradient[t] = frame.gradient * weight;
+                steady.push(frame.steady);
             }
+        }
+        for k in 0..self.n_betas() {
+            system.corner.hessian[(k, k)] += self.shape_prior;
+            system.corner.gradient[k] += self.shape_prior * state.betas[k];
         }
         for t in 1..state.poses.len().saturating_sub(1) {
             cost += weight * self.add_smoothness(state, t, &mut system);
@@ -79,15 +76,18 @@ impl MotionProblem<'_> {
         (cost, system)
     }
 
-    fn frame_system(&self, t: usize, body: &ShapedBody, betas: &Betas, pose: &Pose) -> FrameSystem {
+    fn frame_system(
+        &self,
+        t: usize,
+        (body, betas, pose): (&ShapedBody, &Betas, &Pose),
+        corner: &mut Corner,
+    ) -> FrameSystem {
         let (n, n_border) = (3 * (self.active.len() + 1), self.n_border());
         let mut system = FrameSystem {
             cost: 0.0,
             diagonal: DMatrix::zeros(n, n),
             border: DMatrix::zeros(n, n_border),
             gradient: DVector::zeros(n),
-            corner: DMatrix::zeros(n_border, n_border),
-            border_gradient: DVector::zeros(n_border),
             steady: Vec::new(),
         };
         let skeleton = posed(body, pose);
@@ -96,7 +96,7 @@ impl MotionProblem<'_> {
             system.cost += place.cost;
             let jacobians = self.by_frame(place.landmark, body, &skeleton);
             let by_border = self.by_border(place.landmark, &skeleton, &joint_directions);
-            by_border.add_to_corner(&place, &mut system.corner, &mut system.border_gradient);
+            by_border.add_to_corner(&place.gradient, &place.hessian, corner);
             for (i, (row, a)) in jacobians.iter().enumerate() {
                 let mut gradient = system.gradient.fixed_rows_mut::<3>(3 * row);
                 gradient += a.tr_mul(&place.gradient);
@@ -151,90 +151,10 @@ impl MotionProblem<'_> {
         let by_translation = std::iter::once((TRANSLATION_GROUP, Matrix3::identity()));
         by_translation.chain(self.moved_by[landmark].iter().map(by_rotation)).collect()
     }
-
-    pub(super) fn by_border(
-        &self,
-        landmark: usize,
-        skeleton: &PosedSkeleton,
-        joint_directions: &[ShapeDirections; N_JOINTS],
-    ) -> BorderJacobian {
-        let betas = (self.n_betas() > 0)
-            .then(|| landmark_by_betas(&self.model.landmarks[landmark], skeleton, joint_directions));
-        let mut blocks = Vec::new();
-        if let Some(table) = self.free_offsets {
-            let mut add = |column: usize, block: Matrix3<f64>| match blocks.iter_mut().find(|(c, _)| *c == column) {
-                Some((_, sum)) => *sum += block,
-                None => blocks.push((column, block)),
-            };
-            for (kind, block) in landmark_by_bones(&self.model.landmarks[landmark], &skeleton.rotations) {
-                add(self.n_betas() + 3 * kind, block);
-            }
-            if let Some(carried) = table.carried(landmark) {
-                let block = skeleton.rotations[carried.joint] * carried.mirror;
-                add(self.first_offset() + 3 * carried.kind, block);
-            }
-        }
-        BorderJacobian { betas, blocks }
-    }
 }
 
-/// Derivatives of a landmark to the unknowns of the border: the betas in the first columns; further blocks of three
-/// columns (the person's bones, the detector's offset) each from a column of its own on.
-pub(super) struct BorderJacobian {
-    betas: Option<ShapeDirections>,
-    blocks: Vec<(usize, Matrix3<f64>)>,
-}
-
-impl BorderJacobian {
-    /// The whole of it, `[3, n_border]`.
-    pub(super) fn dense(&self, n_border: usize) -> DMatrix<f64> {
-        let mut dense = DMatrix::zeros(3, n_border);
-        if let Some(betas) = &self.betas {
-            dense.fixed_view_mut::<3, N_BETAS>(0, 0).copy_from(betas);
-        }
-        for (column, block) in &self.blocks {
-            dense.fixed_view_mut::<3, 3>(0, *column).copy_from(block);
-        }
-        dense
-    }
-
-    fn add_to_corner(&self, place: &PlaceCost, corner: &mut DMatrix<f64>, gradient: &mut DVector<f64>) {
-        if let Some(betas) = &self.betas {
-            let mut block = corner.fixed_view_mut::<N_BETAS, N_BETAS>(0, 0);
-            block += betas.tr_mul(&(place.hessian * betas));
-            let mut gradient = gradient.fixed_rows_mut::<N_BETAS>(0);
-            gradient += betas.tr_mul(&place.gradient);
-        }
-        for (row, a) in &self.blocks {
-            let pulled = a.tr_mul(&place.hessian);
-            let mut gradient = gradient.fixed_rows_mut::<3>(*row);
-            gradient += a.tr_mul(&place.gradient);
-            for (column, b) in &self.blocks {
-                let mut block = corner.fixed_view_mut::<3, 3>(*row, *column);
-                block += pulled * b;
-            }
-            if let Some(betas) = &self.betas {
-                let crossed = pulled * betas;
-                let mut block = corner.fixed_view_mut::<3, N_BETAS>(*row, 0);
-                block += crossed;
-                let mut block = corner.fixed_view_mut::<N_BETAS, 3>(0, *row);
-                block += crossed.transpose();
-            }
-        }
-    }
-
-    /// `left`: derivative to three unknowns of the frame from row `row` on, times the Hessian of the place.
-    fn add_to_border(&self, row: usize, left: &Matrix3<f64>, border: &mut DMatrix<f64>) {
-        if let Some(betas) = &self.betas {
-            let mut block = border.fixed_view_mut::<3, N_BETAS>(row, 0);
-            block += left * betas;
-        }
-        for (column, b) in &self.blocks {
-            let mut block = border.fixed_view_mut::<3, 3>(row, *column);
-            block += left * b;
-        }
-    }
-}
+/// Frames that are made one after another: as many share one corner.
+const RUN: usize = 16;
 
 /// Added to the diagonal of a frame that is held: a step there is a millionth of what it would be.
 const HOLD: f64 = 1e15;
@@ -248,6 +168,7 @@ mod tests {
     use super::super::evidence::{Evidence, PointEvidence};
     use super::super::motion_problem::{DataTerm, Shape};
     use super::*;
+    use crate::body::anthropometry::N_BETAS;
     use crate::body::bone_offsets::{BoneOffsets, with_bones};
     use crate::body::default_body;
     use crate::body::detector_offsets::OffsetTable;
@@ -302,7 +223,7 @@ mod tests {
                 border: DVector::from_fn(problem.n_border(), |i, _| h * wave(17 * i + direction)),
             };
             let unit = step(1.0);
-            let slope = system.border_gradient.dot(&unit.border)
+            let slope = system.corner.gradient.dot(&unit.border)
                 + system.gradient.iter().zip(&unit.frames).map(|(g, s)| g.dot(s)).sum::<f64>();
             let at = |h: f64| {
                 let step = step(h);

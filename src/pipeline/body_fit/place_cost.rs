@@ -53,21 +53,14 @@ pub(super) fn pixel_cost(
     }
 }
 
-/// One entry per landmark, in ascending order: views are added up before the (longer) chain of joints is walked.
-pub(super) fn summed_by_landmark(mut costs: Vec<PlaceCost>) -> Vec<PlaceCost> {
-    costs.sort_by_key(|c| c.landmark);
-    let mut sums: Vec<PlaceCost> = Vec::with_capacity(costs.len());
-    for cost in costs {
-        match sums.last_mut() {
-            Some(sum) if sum.landmark == cost.landmark => {
-                sum.cost += cost.cost;
-                sum.gradient += cost.gradient;
-                sum.hessian += cost.hessian;
-            }
-            _ => sums.push(cost),
-        }
-    }
-    sums
+/// Everything that was seen of one landmark: added up before the (longer) chain of joints is walked.
+pub(super) fn sum(costs: impl Iterator<Item = PlaceCost>) -> Option<PlaceCost> {
+    costs.reduce(|sum, cost| PlaceCost {
+        landmark: sum.landmark,
+        cost: sum.cost + cost.cost,
+        gradient: sum.gradient + cost.gradient,
+        hessian: sum.hessian + cost.hessian,
+    })
 }
 
 #[cfg(test)]

@@ -90,18 +90,19 @@ const CORRELATED_FRAMES: f64 = 5.0;
 const MAX_ITERATIONS: usize = 7;
 const MIN_GAIN: f64 = 1.0;
 
-/// The offsets under one cause, together with everybody's motion.
+/// The offsets under one cause, together with everybody's motion, sought from `start` on.
 ///
 /// # Errors
 /// [`Canceled`].
 pub(super) fn session_offsets(
     table: &OffsetTable,
     cause: Cause,
+    start: Vec<Vector3<f64>>,
     witnesses: &mut [OffsetWitness],
     stages: &Stages,
 ) -> Result<SessionOffsets, Canceled> {
     let solver = Solver { table, cause, stages };
-    let mut offsets = vec![Vector3::zeros(); table.kinds.len()];
+    let mut offsets = start;
     let mut sigmas = solver.prior_sigmas();
     let mut log_volume = 0.0;
     let mut cost = solver.cost(witnesses, &offsets);
@@ -186,8 +187,8 @@ impl Solver<'_> {
             let mut system = self.problem(&own, w).linearised(&w.state).1;
             let weight = CORRELATED_FRAMES / self.cause.bone_sigma().powi(2);
             for (k, value) in w.bones.iter().flat_map(|d| d.iter()).enumerate() {
-                system.corner[(N_BETAS + k, N_BETAS + k)] += weight;
-                system.border_gradient[N_BETAS + k] += weight * value;
+                system.corner.hessian[(N_BETAS + k, N_BETAS + k)] += weight;
+                system.corner.gradient[N_BETAS + k] += weight * value;
             }
             system.eliminated(damping)
         };

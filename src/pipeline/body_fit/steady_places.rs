@@ -4,13 +4,14 @@
 //! accelerated two to three times as much as in truth, all other joints 0.8 to 1.3 times.
 
 use super::BodyFitConfig;
-use super::accelerations::SECOND_DIFFERENCE;
+use super::accelerations::{SECOND_DIFFERENCE, second_difference};
+use super::border_jacobian::BorderJacobian;
 use super::motion_problem::MotionProblem;
 use crate::body::kinematics::{PosedSkeleton, landmark_position};
 use crate::body::model::{BodyModel, ShapeDirections, ShapedBody};
 use crate::body::skeleton::N_JOINTS;
 use crate::optim::block_banded::BlockBanded;
-use nalgebra::{DMatrix, Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
 /// One place in one frame.
 pub(super) struct SteadyPlace {
@@ -19,7 +20,7 @@ pub(super) struct SteadyPlace {
     /// Groups that move it, ascending, and its derivatives to them.
     by_frame: Vec<(usize, Matrix3<f64>)>,
     /// Its derivative to the border's unknowns.
-    by_border: DMatrix<f64>,
+    by_border: BorderJacobian,
 }
 
 /// The landmarks that are steady.
@@ -44,7 +45,7 @@ impl MotionProblem<'_> {
         let place = |&landmark: &usize| SteadyPlace {
             position: landmark_position(self.model, body, skeleton, landmark),
             by_frame: self.by_frame(landmark, body, skeleton),
-            by_border: self.by_border(landmark, skeleton, joint_directions).dense(self.n_border()),
+            by_border: self.by_border(landmark, skeleton, joint_directions),
         };
         self.steady.iter().map(place).collect()
     }
@@ -52,7 +53,7 @@ impl MotionProblem<'_> {
     /// Unweighted cost of the accelerations between three successive frames.
     pub(super) fn place_acceleration_cost(&self, t: usize, around: &[Vec<Vector3<f64>>]) -> f64 {
         let cost = |k: usize| {
-            let acceleration = self.place_acceleration([0, 1, 2].map(|i| around[i][k]), self.place_scale(t, k));
+            let acceleration = second_difference([0, 1, 2].map(|i| around[i][k])) * self.place_scale(t, k);
             self.acceleration_cost(acceleration.norm_squared()).0
         };
         (0..self.steady.len()).map(cost).sum()
@@ -71,25 +72,21 @@ impl MotionProblem<'_> {
     }
 
     fn add_place_acceleration(&self, t: usize, scale: f64, around: [&SteadyPlace; 3], system: &mut BlockBanded) -> f64 {
-        let residual = self.place_acceleration(around.map(|place| place.position), scale);
+        let residual = second_difference(around.map(|place| place.position)) * scale;
         let factors = SECOND_DIFFERENCE.map(|c| c * scale);
         let by_frame = around.map(|place| place.by_frame.as_slice());
         let (cost, weight) = self.add_acceleration(t, &residual, factors, by_frame, system);
-        let by_border: DMatrix<f64> = around.iter().zip(factors).map(|(place, factor)| &place.by_border * factor).sum();
+        let parts = [0, 1, 2].map(|i| (&around[i].by_border, factors[i]));
+        let by_border = BorderJacobian::sum(parts);
         for (i, (groups, factor)) in by_frame.iter().zip(factors).enumerate() {
             for (group, jacobian) in *groups {
-                let mut border = system.border[t - 1 + i].fixed_rows_mut::<3>(3 * group);
-                border += jacobian.transpose() * (factor * weight) * &by_border;
+                let left = jacobian.transpose() * (factor * weight);
+                by_border.add_to_border(3 * group, &left, &mut system.border[t - 1 + i]);
             }
         }
-        system.corner += by_border.tr_mul(&by_border) * weight;
-        system.border_gradient += by_border.tr_mul(&residual) * weight;
+        let (gradient, hessian) = (residual * weight, Matrix3::identity() * weight);
+        by_border.add_to_corner(&gradient, &hessian, &mut system.corner);
         cost
-    }
-
-    /// An acceleration over its size.
-    fn place_acceleration(&self, [a, b, c]: [Vector3<f64>; 3], scale: f64) -> Vector3<f64> {
-        (a - b * 2.0 + c) * scale
     }
 
     fn place_scale(&self, t: usize, k: usize) -> f64 {
