@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, Vector3};
 /// How far a detector's idea of a point may lie from the body's, m per axis (standard deviation).
 const SIGMAS_M: [(&str, f64); 7] = [
     ("hip", 0.025),
-    ("shoulder", 0.020),
+    ("shoulder", 0.025),
     ("neck", 0.020),
     ("knee", 0.015),
     ("elbow", 0.010),
@@ -22,6 +22,10 @@ const SIGMAS_M: [(&str, f64); 7] = [
 
 /// Points of the face and the feet, which are seen directly.
 const SURFACE_SIGMA_M: f64 = 0.008;
+
+/// Of joints upwards and forwards: a pose makes up for it, legs a little longer and knees a little more bent, and what makes
+/// motion smoother wins. Detections without any habit had hips 22 mm (standard deviation 7 mm) down the thigh.
+const UPRIGHT_SIGMA_M: f64 = 3e-3;
 
 /// Points of the middle stay in the middle.
 const MIDDLE_SIGMA_M: f64 = 1e-3;
@@ -129,9 +133,10 @@ enum Side {
 }
 
 fn prior_sigma(name: &str, side: Side) -> Vector3<f64> {
-    let sigma = SIGMAS_M.iter().find(|(part, _)| name.ends_with(part)).map_or(SURFACE_SIGMA_M, |(_, sigma)| *sigma);
+    let of_joint = SIGMAS_M.iter().find(|(part, _)| name.ends_with(part)).map(|(_, sigma)| *sigma);
+    let (sigma, upright) = of_joint.map_or((SURFACE_SIGMA_M, SURFACE_SIGMA_M), |sigma| (sigma, UPRIGHT_SIGMA_M));
     let lateral = if side == Side::Middle { MIDDLE_SIGMA_M } else { sigma };
-    Vector3::new(lateral, sigma, sigma)
+    Vector3::new(lateral, upright, upright)
 }
 
 fn is_joint(landmark: &Landmark) -> bool {

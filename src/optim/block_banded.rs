@@ -3,7 +3,7 @@
 //! Exact and linear in the number of frames: a block Cholesky factor `H = L L^T` of bandwidth two blocks. Instead of a
 //! frame's factor its inverse is kept, so that all heavy work is matrix products.
 
-use nalgebra::{DMatrix, DMatrixView, DVector, Dyn, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 /// Half of a symmetric system `H x = -gradient` over frames of `3 * n_groups` unknowns and a border.
 ///
@@ -164,7 +164,7 @@ impl BlockBanded {
                 subtract_square(&mut block, &one.to_next);
                 right.gemm(-1.0, &one.to_next, &one.right, 1.0);
                 if let Some(to_next) = &mut to_next {
-                    to_next.gemm(-1.0, &one.to_after_next, &transposed(&one.to_next), 1.0);
+                    to_next.gemm(-1.0, &one.to_after_next, &one.to_next.transpose(), 1.0);
                 }
             }
             if let Some(two) = t.checked_sub(2).map(|i| &factors[i]) {
@@ -174,7 +174,7 @@ impl BlockBanded {
             let inverse = inverse_of_cholesky_factor(&block)?;
             let right = &inverse * right;
             let fixed = right.columns(0, n_border);
-            corner.gemm(-1.0, &transposed(&right).rows(0, n_border), &fixed, 1.0);
+            corner.gemm(-1.0, &fixed.transpose(), &fixed, 1.0);
             corner_right.gemv_tr(-1.0, &fixed, &right.column(n_border), 1.0);
             let empty = || DMatrix::zeros(0, block.nrows());
             factors.push(FrameFactor {
@@ -247,18 +247,12 @@ pub fn damped(block: &DMatrix<f64>, damping: f64) -> DMatrix<f64> {
     block
 }
 
-/// A matrix read as its transpose.
-type Transposed<'a> = DMatrixView<'a, f64, Dyn, Dyn>;
-
-fn transposed(matrix: &DMatrix<f64>) -> Transposed<'_> {
-    let (n_rows, n_columns) = matrix.shape();
-    Transposed::from_slice_with_strides(matrix.as_slice(), n_columns, n_rows, n_rows, 1)
-}
-
 /// `A - B B^T`, of which the lower triangle counts: the upper right quarter is left out.
+///
+/// The transpose is a copy: a view with strides would do, but nalgebra 0.35 runs past the end of one in small products.
 fn subtract_square(target: &mut DMatrix<f64>, b: &DMatrix<f64>) {
     let (n, h) = (target.nrows(), target.nrows() / 2);
-    let across = transposed(b);
+    let across = b.transpose();
     target.view_mut((0, 0), (h, h)).gemm(-1.0, &b.rows(0, h), &across.columns(0, h), 1.0);
     target.view_mut((h, 0), (n - h, n)).gemm(-1.0, &b.rows(h, n - h), &across, 1.0);
 }
@@ -266,7 +260,7 @@ fn subtract_square(target: &mut DMatrix<f64>, b: &DMatrix<f64>) {
 /// `A L^T` of a lower triangular `L`, whose upper right quarter is left out.
 fn times_transposed(a: &DMatrix<f64>, lower: &DMatrix<f64>) -> DMatrix<f64> {
     let (m, n, h) = (a.nrows(), a.ncols(), a.ncols() / 2);
-    let upper = transposed(lower);
+    let upper = lower.transpose();
     let mut product = DMatrix::zeros(m, n);
     product.columns_mut(0, h).gemm(1.0, &a.columns(0, h), &upper.view((0, 0), (h, h)), 0.0);
     product.columns_mut(h, n - h).gemm(1.0, a, &upper.columns(h, n - h), 0.0);
