@@ -5,7 +5,6 @@
 //! detector that places them elsewhere, so that they move only where that is the likelier cause, and none by more than
 //! detectors are known to.
 
-use super::BodyFitConfig;
 use super::evidence::Evidence;
 use super::motion_problem::MotionState;
 use super::session_offsets::{Cause, OffsetWitness, SessionOffsets, session_offsets};
@@ -41,8 +40,7 @@ pub(super) fn habits(
     let [most, in_all] = stages.config.offset_frames;
     let n_frames = (in_all / started.len()).min(most);
     let witnesses = started.iter().map(|(evidence, started)| witness(stages, evidence, started, n_frames)).collect();
-    let config = of_poses_alone(stages.config);
-    let found = likeliest(&table, witnesses, &Stages { config: &config, ..*stages })?;
+    let found = likeliest(&table, witnesses, stages)?;
     let (moves_joints, reason) = verdict(&table, &found);
     let is_applied = |kind: &OffsetKind| moves_joints || !kind.is_joint;
     let rows = || table.kinds.iter().zip(&found.offsets);
@@ -58,12 +56,6 @@ pub(super) fn habits(
     let offsets = rows().zip(&found.sigmas).map(told).collect();
     let told = DetectorHabits { applied: moves_joints, reason, offsets };
     Ok(Some(Habits { model: table.applied(stages.model, &applied), told }))
-}
-
-/// Of a fit in which no pose is likelier than another. A mean that is a few degrees off is off in every frame: what an
-/// offset gains by giving way to it grows with the frames, and detections without any habit had elbows 20 mm across the arm.
-fn of_poses_alone(config: &BodyFitConfig) -> BodyFitConfig {
-    BodyFitConfig { motion_prior: false, rest_weight: 0.01 * config.rest_weight, ..config.clone() }
 }
 
 /// What one person can tell of the detector: the run of frames with most pixels in the window that was fitted.
