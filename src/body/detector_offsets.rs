@@ -9,7 +9,7 @@ use super::model::{BodyModel, Landmark, LandmarkTerm, ShapeDirections, chain_to_
 use super::skeleton::{JOINT_NAMES, KeypointConvention, PARENTS};
 use nalgebra::{Matrix3, Vector3};
 
-/// How far a detector's idea of a point may lie from the body's, m per axis (standard deviation).
+/// How far a detector's idea of a joint may lie from the body's, m, sideways in the body at rest (standard deviation).
 const SIGMAS_M: [(&str, f64); 7] = [
     ("hip", 0.025),
     ("shoulder", 0.025),
