@@ -2,8 +2,8 @@
 //! from.
 
 use super::anthropometry::N_BETAS;
-use super::captured_skeleton::captured_from_body;
 use super::landmarks::landmarks;
+use super::mocap_skeleton::mocap_from_body;
 use super::skeleton::{KeypointConvention, N_JOINTS, PARENTS};
 use super::surface::{Surface, VertexWeight};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
@@ -27,9 +27,9 @@ pub struct BodyModel {
     pub name: String,
     /// `J0`: rest joints of the mean shape.
     pub rest_joints: [Vector3<f64>; N_JOINTS],
-    /// Where the captured skeletons have their zero ([`captured_from_body`]); of the skin as it was loaded, however its joints
+    /// Where the captured skeletons have their zero ([`mocap_from_body`]); of the skin as it was loaded, however its joints
     /// are moved.
-    pub captured_from_body: [Matrix3<f64>; N_JOINTS],
+    pub mocap_from_body: [Matrix3<f64>; N_JOINTS],
     /// `S`: rest joints of shape beta are `J(beta) = J0 + S beta`.
     pub shape_directions: [ShapeDirections; N_JOINTS],
     /// Named points on the body that detectors report.
@@ -82,8 +82,8 @@ impl BodyModel {
         let rest_joints = std::array::from_fn(|j| row(j).map(rest_joint).sum());
         let shape_directions = std::array::from_fn(|j| row(j).map(direction).sum());
         let landmarks = landmarks(&surface, &rest_joints, &shape_directions);
-        let captured_from_body = captured_from_body(&rest_joints);
-        Self { name, rest_joints, captured_from_body, shape_directions, landmarks, surface: Arc::new(surface) }
+        let mocap_from_body = mocap_from_body(&rest_joints);
+        Self { name, rest_joints, mocap_from_body, shape_directions, landmarks, surface: Arc::new(surface) }
     }
 
     /// The model at shape `betas`.

@@ -2,7 +2,7 @@
 
 use super::descent::{QuadraticModel, descend};
 use super::{geman_mcclure, geman_mcclure_weight};
-use crate::geometry::triangulation::{Sighting, triangulate_linear};
+use crate::geometry::triangulation::{PointObservation, triangulate_linear};
 use crate::geometry::{Intrinsics, Rigid};
 use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
 
@@ -51,27 +51,27 @@ const MAX_PAIRS: usize = 66;
 ///
 /// Known limit: two views agree about any two rays that meet; with two views alone an outlier shows only by its cost.
 pub fn triangulate_robust(observations: &[RayObservation<'_>]) -> Option<TriangulatedPoint> {
-    let sightings: Vec<Sighting<'_>> = observations.iter().map(sighting).collect();
-    let together = triangulate_linear(&sightings).map(|start| refine(start, observations));
+    let point_observations: Vec<PointObservation<'_>> = observations.iter().map(point_observation).collect();
+    let together = triangulate_linear(&point_observations).map(|start| refine(start, observations));
     if let Some(point) = together {
         let judged = judge(&point, observations);
-        if judged.as_ref().is_some_and(|j| agrees_with_all(j, &sightings)) {
+        if judged.as_ref().is_some_and(|j| agrees_with_all(j, &point_observations)) {
             return judged;
         }
     }
-    let best = best_pair_point(&sightings, observations).map(|start| refine(start, observations));
+    let best = best_pair_point(&point_observations, observations).map(|start| refine(start, observations));
     let cost = |point: &Vector3<f64>| robust_cost(point, observations);
     let point = [together, best].into_iter().flatten().min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
     judge(&point, observations)
 }
 
 /// Weighted by the inverse of the angular variance.
-fn sighting<'a>(observation: &RayObservation<'a>) -> Sighting<'a> {
+fn point_observation<'a>(observation: &RayObservation<'a>) -> PointObservation<'a> {
     let RayObservation { camera_from_world, intrinsics, pixel, sigma_px } = *observation;
     let angular_sigma = sigma_px / intrinsics.focal();
     let usable = is_usable(observation) && angular_sigma.is_finite() && angular_sigma > 0.0;
     let weight = if usable { 1.0 / (angular_sigma * angular_sigma) } else { 0.0 };
-    Sighting { camera_from_world, normalized: intrinsics.normalized_from_pixel(&pixel), weight }
+    PointObservation { camera_from_world, normalized: intrinsics.normalized_from_pixel(&pixel), weight }
 }
 
 fn is_usable(observation: &RayObservation<'_>) -> bool {
@@ -79,16 +79,23 @@ fn is_usable(observation: &RayObservation<'_>) -> bool {
     *sigma_px > 0.0 && sigma_px.is_finite() && pixel.x.is_finite() && pixel.y.is_finite()
 }
 
-fn agrees_with_all(judged: &TriangulatedPoint, sightings: &[Sighting<'_>]) -> bool {
-    judged.inliers.iter().zip(sightings).all(|(&inlier, sighting)| inlier || sighting.weight == 0.0)
+fn agrees_with_all(judged: &TriangulatedPoint, point_observations: &[PointObservation<'_>]) -> bool {
+    judged
+        .inliers
+        .iter()
+        .zip(point_observations)
+        .all(|(&inlier, point_observation)| inlier || point_observation.weight == 0.0)
 }
 
 /// The cheapest of the points of all pairs of views.
-fn best_pair_point(sightings: &[Sighting<'_>], observations: &[RayObservation<'_>]) -> Option<Vector3<f64>> {
-    let n = sightings.len();
+fn best_pair_point(
+    point_observations: &[PointObservation<'_>],
+    observations: &[RayObservation<'_>],
+) -> Option<Vector3<f64>> {
+    let n = point_observations.len();
     let stride = (n * n.saturating_sub(1) / 2).div_ceil(MAX_PAIRS).max(1);
     let pairs = (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j))).step_by(stride);
-    let points = pairs.filter_map(|(i, j)| triangulate_linear(&[sightings[i], sightings[j]]));
+    let points = pairs.filter_map(|(i, j)| triangulate_linear(&[point_observations[i], point_observations[j]]));
     let priced = points.map(|point| (robust_cost(&point, observations), point));
     priced.min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, point)| point)
 }

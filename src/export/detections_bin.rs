@@ -16,7 +16,7 @@
 //! - `sources` `[M, K]`: for every keypoint of those the detected one that shows it, 255 where it was rejected
 
 use super::buffers::{Array, Payload};
-use crate::session::reconstruction::{Cleaning, MendedDetection};
+use crate::session::reconstruction::{Cleaning, RepairedDetection};
 use crate::session::{Detection, Keypoint, PersonId, Reconstruction, Session, View};
 use serde::Serialize;
 use std::io;
@@ -118,10 +118,10 @@ fn cleaned(view: &View, index: usize, n_keypoints: usize, cleaning: &Cleaning, p
             Some(start)
         })
         .collect();
-    let mended: Vec<&MendedDetection> =
+    let mended: Vec<&RepairedDetection> =
         cleaning.mended.iter().filter(|one| one.view == index && one.frame.0 < starts.len()).collect();
     let before = given_to(view, cleaning.identities_before.get(index));
-    let source = |one: &MendedDetection, k: usize| one.sources.get(k).copied().flatten();
+    let source = |one: &RepairedDetection, k: usize| one.sources.get(k).copied().flatten();
     Cleaned {
         before: payload.i16(&[before.len()], before),
         mended: payload.u32(&[mended.len()], mended.iter().map(|one| (starts[one.frame.0] + one.detection) as u32)),

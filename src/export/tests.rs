@@ -91,7 +91,7 @@ fn reconstruction() -> Reconstruction {
                 vec![vec![Some(PersonId(0))], vec![], vec![Some(PersonId(0)), Some(PersonId(1))]],
                 vec![vec![None], vec![], vec![None, None]],
             ],
-            mended: vec![MendedDetection {
+            mended: vec![RepairedDetection {
                 view: 0,
                 frame: FrameIndex(2),
                 detection: 1,
@@ -99,7 +99,7 @@ fn reconstruction() -> Reconstruction {
             }],
         }),
         report: Report {
-            detector: DetectorHabits::default(),
+            detector: KeypointBias::default(),
             consistency: None,
             geometry: GeometryReport::default(),
             penetration: PenetrationReport::default(),

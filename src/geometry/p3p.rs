@@ -22,7 +22,7 @@ pub fn p3p(points: &[PointSight; 3]) -> Vec<Rigid> {
         let Some(depths) = triangles.polish(depths) else {
             continue;
         };
-        if let Some(pose) = pose_from_depths(points, &triangles.bearings, &depths) {
+        if let Some(pose) = pose_from_depths(points, &triangles.normalized, &depths) {
             poses.push(pose);
         }
     }
@@ -32,7 +32,7 @@ pub fn p3p(points: &[PointSight; 3]) -> Vec<Rigid> {
 /// The three triangles at the camera's centre; entry k belongs to the side opposite of point k.
 struct Triangles {
     /// Unit vectors towards the points.
-    bearings: [Vector3<f64>; 3],
+    normalized: [Vector3<f64>; 3],
     /// Cosines of the angles at the centre: of points (1, 2), (2, 0), (0, 1).
     cosines: Vector3<f64>,
     /// Squared lengths of the same sides.
@@ -44,11 +44,11 @@ const SMALL_DIVISOR: f64 = 1e-4;
 
 impl Triangles {
     fn new(points: &[PointSight; 3]) -> Option<Self> {
-        let bearings = points.map(|(_, n)| n.push(1.0).normalize());
+        let normalized = points.map(|(_, n)| n.push(1.0).normalize());
         let side = |k: usize| ((k + 1) % 3, (k + 2) % 3);
-        let cosines = Vector3::from_fn(|k, _| bearings[side(k).0].dot(&bearings[side(k).1]));
+        let cosines = Vector3::from_fn(|k, _| normalized[side(k).0].dot(&normalized[side(k).1]));
         let sides2 = Vector3::from_fn(|k, _| (points[side(k).0].0 - points[side(k).1].0).norm_squared());
-        (sides2.min() > 0.0).then_some(Self { bearings, cosines, sides2 })
+        (sides2.min() > 0.0).then_some(Self { normalized, cosines, sides2 })
     }
 
     /// Depths from the quartic in `v = d_2 / d_0`, with `u = d_1 / d_0`.
@@ -121,8 +121,8 @@ impl Triangles {
 }
 
 /// The motion that takes the world's triangle to the camera's, by the frames spanned by both.
-fn pose_from_depths(points: &[PointSight; 3], bearings: &[Vector3<f64>; 3], depths: &Vector3<f64>) -> Option<Rigid> {
-    let seen = [bearings[0] * depths[0], bearings[1] * depths[1], bearings[2] * depths[2]];
+fn pose_from_depths(points: &[PointSight; 3], normalized: &[Vector3<f64>; 3], depths: &Vector3<f64>) -> Option<Rigid> {
+    let seen = [normalized[0] * depths[0], normalized[1] * depths[1], normalized[2] * depths[2]];
     let known = [points[0].0, points[1].0, points[2].0];
     let rotation = triangle_frame(&seen)? * triangle_frame(&known)?.transpose();
     Some(Rigid { rotation, translation: seen[0] - rotation * known[0] })

@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// One view's sight of a point.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Sighting<'a> {
+pub struct PointObservation<'a> {
     /// The view's pose.
     pub camera_from_world: &'a Rigid,
     /// Ideal normalised coordinates.
@@ -22,18 +22,18 @@ const MIN_DETERMINANT: f64 = 1e-6;
 ///
 /// `None` with fewer than two rays, with rays too parallel, or when the point is behind one of the cameras. Errors are
 /// metric, not angular: a far camera pulls as hard as a near one.
-pub fn triangulate_linear(sightings: &[Sighting<'_>]) -> Option<Vector3<f64>> {
+pub fn triangulate_linear(observations: &[PointObservation<'_>]) -> Option<Vector3<f64>> {
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
-    for sighting in sightings.iter().filter(|s| s.weight > 0.0) {
-        let camera = sighting.camera_from_world;
-        let direction = (camera.rotation.transpose() * sighting.normalized.push(1.0)).normalize();
-        let across = (Matrix3::identity() - direction * direction.transpose()) * sighting.weight;
+    for observation in observations.iter().filter(|s| s.weight > 0.0) {
+        let camera = observation.camera_from_world;
+        let direction = (camera.rotation.transpose() * observation.normalized.push(1.0)).normalize();
+        let across = (Matrix3::identity() - direction * direction.transpose()) * observation.weight;
         normal += across;
         right += across * camera.center();
     }
     let point = solve_rays(&normal, &right)?;
-    let in_front = |s: &Sighting<'_>| s.weight <= 0.0 || s.camera_from_world.transform(&point).z > 0.0;
-    sightings.iter().all(in_front).then_some(point)
+    let in_front = |s: &PointObservation<'_>| s.weight <= 0.0 || s.camera_from_world.transform(&point).z > 0.0;
+    observations.iter().all(in_front).then_some(point)
 }
 
 /// Solves the normal equations of rays; `None` where the rays leave the point open.
@@ -62,10 +62,10 @@ mod tests {
         (0..n).map(|i| Rigid { rotation: turn(i), translation: Vector3::z() * 5.0 }).collect()
     }
 
-    fn sightings<'a>(cameras: &'a [Rigid], point: &Vector3<f64>) -> Vec<Sighting<'a>> {
+    fn observations<'a>(cameras: &'a [Rigid], point: &Vector3<f64>) -> Vec<PointObservation<'a>> {
         let see = |camera: &'a Rigid| {
             let p = camera.transform(point);
-            Sighting { camera_from_world: camera, normalized: p.xy() / p.z, weight: 1.0 }
+            PointObservation { camera_from_world: camera, normalized: p.xy() / p.z, weight: 1.0 }
         };
         cameras.iter().map(see).collect()
     }
@@ -76,7 +76,7 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         for _ in 0..100 {
             let point = Vector3::from_fn(|_, _| rng.random_range(-1.0..1.0));
-            let mut seen = sightings(&cameras, &point);
+            let mut seen = observations(&cameras, &point);
             assert!((triangulate_linear(&seen).unwrap() - point).norm() < 1e-13);
             assert!((triangulate_linear(&seen[1..3]).unwrap() - point).norm() < 1e-13);
             seen[0].normalized.x += 1.0;
@@ -88,13 +88,14 @@ mod tests {
     #[test]
     fn open_or_impossible_points_are_none() {
         let cameras = ring(3);
-        let seen = sightings(&cameras, &Vector3::zeros());
+        let seen = observations(&cameras, &Vector3::zeros());
         assert_eq!(triangulate_linear(&[]), None);
         assert_eq!(triangulate_linear(&seen[..1]), None);
         assert_eq!(triangulate_linear(&[seen[0], seen[0]]), None, "parallel");
         // Two cameras side by side whose rays part in front of them meet behind.
         let side = Rigid { translation: Vector3::x() * -1.0, ..Rigid::identity() };
-        let apart = |camera, x| Sighting { camera_from_world: camera, normalized: Vector2::new(x, 0.0), weight: 1.0 };
+        let apart =
+            |camera, x| PointObservation { camera_from_world: camera, normalized: Vector2::new(x, 0.0), weight: 1.0 };
         let origin = Rigid::identity();
         assert_eq!(triangulate_linear(&[apart(&origin, -0.2), apart(&side, 0.2)]), None);
         assert!(triangulate_linear(&[apart(&origin, 0.2), apart(&side, -0.2)]).is_some());

@@ -1,7 +1,7 @@
 //! Tracklets of one person, across views: agglomeration under known (rough) cameras.
 
+use super::normalized::NormalizedView;
 use super::pair_score::{VOTE_RADIUS, similarity};
-use super::sightings::ViewSightings;
 use super::tracklets::Tracklet;
 use crate::geometry::Rigid;
 use crate::geometry::epipolar::essential_from_pose;
@@ -20,12 +20,12 @@ const MAX_TRACKLETS: usize = 60;
 pub type Cluster = Vec<(usize, usize)>;
 
 /// Groups tracklets into people; never two of one view at one time. Clusters of at least two views, largest first.
-pub fn clusters(views: &[ViewSightings], tracklets: &[Vec<Tracklet>], cameras: &[Option<Rigid>]) -> Vec<Cluster> {
+pub fn clusters(views: &[NormalizedView], tracklets: &[Vec<Tracklet>], cameras: &[Option<Rigid>]) -> Vec<Cluster> {
     let nodes = nodes(tracklets, cameras);
     let affinity = affinities(views, tracklets, cameras, &nodes);
     let mut groups = agglomerate(&nodes, tracklets, affinity);
     groups.retain(|g| g.iter().any(|&(v, _)| v != g[0].0));
-    let support = |g: &Cluster| g.iter().map(|&(v, t)| tracklets[v][t].sightings.len()).sum::<usize>();
+    let support = |g: &Cluster| g.iter().map(|&(v, t)| tracklets[v][t].detections.len()).sum::<usize>();
     groups.sort_by_key(|g| (std::cmp::Reverse(support(g)), g[0]));
     groups
 }
@@ -34,7 +34,7 @@ fn nodes(tracklets: &[Vec<Tracklet>], cameras: &[Option<Rigid>]) -> Vec<(usize, 
     let mut nodes = Vec::new();
     for (view, list) in tracklets.iter().enumerate().filter(|(v, _)| cameras[*v].is_some()) {
         let mut order: Vec<usize> = (0..list.len()).collect();
-        order.sort_by_key(|&t| (std::cmp::Reverse(list[t].sightings.len()), t));
+        order.sort_by_key(|&t| (std::cmp::Reverse(list[t].detections.len()), t));
         order.truncate(MAX_TRACKLETS);
         order.sort_unstable();
         nodes.extend(order.into_iter().map(|t| (view, t)));
@@ -44,7 +44,7 @@ fn nodes(tracklets: &[Vec<Tracklet>], cameras: &[Option<Rigid>]) -> Vec<(usize, 
 
 /// Summed (similarity - neutral) over the overlap of every two tracklets of different views.
 fn affinities(
-    views: &[ViewSightings],
+    views: &[NormalizedView],
     tracklets: &[Vec<Tracklet>],
     cameras: &[Option<Rigid>],
     nodes: &[(usize, usize)],
@@ -61,7 +61,7 @@ fn affinities(
                 let essential = essential_from_pose(&(second * first.inverse()));
                 let (s, t) = (&tracklets[v][a], &tracklets[w][b]);
                 let shared: Vec<(usize, usize, usize)> =
-                    s.sightings.iter().filter_map(|&(f, p)| t.at(f).map(|q| (f, p, q))).collect();
+                    s.detections.iter().filter_map(|&(f, p)| t.at(f).map(|q| (f, p, q))).collect();
                 let n = shared.len().min(MAX_FRAMES);
                 let sum: f64 = (0..n)
                     .map(|k| {
@@ -124,5 +124,5 @@ fn agglomerate(nodes: &[(usize, usize)], tracklets: &[Vec<Tracklet>], affinity: 
 
 fn share_a_frame(a: (usize, usize), b: (usize, usize), tracklets: &[Vec<Tracklet>]) -> bool {
     let (s, t) = (&tracklets[a.0][a.1], &tracklets[b.0][b.1]);
-    s.first() <= t.last() && t.first() <= s.last() && s.sightings.iter().any(|&(f, _)| t.at(f).is_some())
+    s.first() <= t.last() && t.first() <= s.last() && s.detections.iter().any(|&(f, _)| t.at(f).is_some())
 }

@@ -4,7 +4,7 @@
 //! affinities. Printed, the first is blind for nearly parallel rays: here it is the true gap. Both are divided by what
 //! the detector's noise makes them, not by metres of one scene: `A = 1 - mean e^2 / (e^2 + s^2)`.
 
-use super::sightings::Sighting;
+use super::normalized::NormalizedDetection;
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
 use crate::geometry::epipolar::{Ray, ray_ray_distance};
@@ -35,7 +35,7 @@ pub struct Seen<'a> {
     /// `camera_from_world`, m.
     pub camera: &'a Rigid,
     /// What was seen.
-    pub sighting: &'a Sighting,
+    pub detection: &'a NormalizedDetection,
     /// How many times the noise of a best keypoint each keypoint has ($f(c)$); `None` where it is too doubtful to have a
     /// say.
     factors: Vec<Option<f64>>,
@@ -43,9 +43,9 @@ pub struct Seen<'a> {
 
 impl<'a> Seen<'a> {
     /// `noise`: how far the detector errs.
-    pub fn new(camera: &'a Rigid, sighting: &'a Sighting, noise: &DetectorNoise) -> Self {
+    pub fn new(camera: &'a Rigid, detection: &'a NormalizedDetection, noise: &DetectorNoise) -> Self {
         let factor = |c: &f64| (*c >= MIN_CONFIDENCE).then(|| noise.factor(*c));
-        Self { camera, sighting, factors: sighting.confidence.iter().map(factor).collect() }
+        Self { camera, detection, factors: detection.confidence.iter().map(factor).collect() }
     }
 }
 
@@ -53,7 +53,7 @@ impl<'a> Seen<'a> {
 #[derive(Debug, Clone, Copy)]
 pub struct Projection {
     /// Ideal normalised image coordinates.
-    bearing: Vector2<f64>,
+    normalized: Vector2<f64>,
     /// Along the optical axis, m.
     depth: f64,
 }
@@ -62,7 +62,7 @@ impl Projection {
     /// `None` where the point lies behind the camera.
     pub fn of(point: &Vector3<f64>, camera: &Rigid) -> Option<Self> {
         let x = camera.transform(point);
-        (x.z > 0.1).then(|| Self { bearing: x.xy() / x.z, depth: x.z })
+        (x.z > 0.1).then(|| Self { normalized: x.xy() / x.z, depth: x.z })
     }
 }
 
@@ -85,7 +85,7 @@ pub fn squared_misfit(
     keypoint: usize,
 ) -> Option<f64> {
     let sigma_m = noise.sigmas_m()[keypoint] * seen.factors[from]?;
-    let offset = (expected.bearing - seen.sighting.bearings[from]) * (expected.depth / sigma_m);
+    let offset = (expected.normalized - seen.detection.normalized[from]) * (expected.depth / sigma_m);
     Some(offset.norm_squared())
 }
 
@@ -104,7 +104,7 @@ pub fn physics_affinity(
 pub fn geometry_affinity(one: &Seen, other: &Seen, noise: &DetectorNoise) -> Option<f64> {
     let gap = |(k, sigma_m): (usize, &f64)| {
         let [factor_a, factor_b] = [one.factors[k]?, other.factors[k]?];
-        let [a, b] = [one, other].map(|s| Ray::through(s.camera, &s.sighting.bearings[k]));
+        let [a, b] = [one, other].map(|s| Ray::through(s.camera, &s.detection.normalized[k]));
         // Both rays are uncertain, in the one direction across both of them.
         let gap = ray_ray_distance(&a, &b) / (sigma_m * factor_a.hypot(factor_b));
         Some(gap * gap)
@@ -129,13 +129,13 @@ mod tests {
         Rigid { rotation, translation: Vector3::new(0.0, 0.0, 4.0) }
     }
 
-    fn seen_by(camera: &Rigid, points: &[Vector3<f64>]) -> Sighting {
-        let bearing = |p: &Vector3<f64>| {
+    fn seen_by(camera: &Rigid, points: &[Vector3<f64>]) -> NormalizedDetection {
+        let normalized = |p: &Vector3<f64>| {
             let x = camera.transform(p);
             Vector2::new(x.x / x.z, x.y / x.z)
         };
-        let bearings = points.iter().map(bearing).collect();
-        Sighting { bearings, confidence: vec![1.0; points.len()], size: 0.4, track_id: None }
+        let normalized = points.iter().map(normalized).collect();
+        NormalizedDetection { normalized, confidence: vec![1.0; points.len()], size: 0.4, track_id: None }
     }
 
     #[test]
@@ -146,8 +146,8 @@ mod tests {
         let (first, second) = (camera(0.0), camera(1.2));
         let noise = DetectorNoise::published(KeypointConvention::Coco17);
         let [a, b, c] = [seen_by(&first, &person), seen_by(&second, &person), seen_by(&second, &neighbour)];
-        let [a, b, c] =
-            [(&first, &a), (&second, &b), (&second, &c)].map(|(camera, sighting)| Seen::new(camera, sighting, &noise));
+        let [a, b, c] = [(&first, &a), (&second, &b), (&second, &c)]
+            .map(|(camera, detection)| Seen::new(camera, detection, &noise));
         let geometry = |one, other| geometry_affinity(one, other, &noise).unwrap();
         assert!(geometry(&a, &b) > 0.99 && geometry(&a, &c) < 0.3);
         let expected: Vec<_> = person.iter().map(|point| Projection::of(point, &second)).collect();

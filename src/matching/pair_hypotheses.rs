@@ -1,7 +1,7 @@
 //! Hypotheses of the relative pose of two cameras, each fitted to whole tracklets and judged by everything both saw.
 
+use super::normalized::NormalizedView;
 use super::pair_score::{Match, PairEvidence, PairScore, VOTE_RADIUS, score_pair, vote};
-use super::sightings::ViewSightings;
 use super::tracklets::Tracklet;
 use crate::estimation::essential::{EssentialEstimate, estimate_essential, refine_essential};
 use crate::geometry::epipolar::essential_from_pose;
@@ -61,7 +61,7 @@ pub struct PairHypothesis {
 /// A camera pair with its tracklets.
 pub struct CameraPair<'a> {
     /// Sightings of the first and the second camera.
-    pub views: [&'a ViewSightings; 2],
+    pub views: [&'a NormalizedView; 2],
     /// Their tracklets.
     pub tracklets: [&'a [Tracklet]; 2],
     /// What every hypothesis is judged on.
@@ -134,7 +134,7 @@ fn union_fits(singles: &[SingleFit], seed: u64, config: &HypothesisConfig) -> Ve
 
 fn longest_tracklets(tracklets: &[Tracklet], n: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..tracklets.len()).collect();
-    order.sort_by_key(|&t| (std::cmp::Reverse(tracklets[t].sightings.len()), t));
+    order.sort_by_key(|&t| (std::cmp::Reverse(tracklets[t].detections.len()), t));
     order.truncate(n);
     order
 }
@@ -143,7 +143,7 @@ fn longest_tracklets(tracklets: &[Tracklet], n: usize) -> Vec<usize> {
 fn point_pairs(pair: &CameraPair, a: usize, b: usize, seed: u64, config: &HypothesisConfig) -> PointPairs {
     let (first, second) = (&pair.tracklets[0][a], &pair.tracklets[1][b]);
     let shared: Vec<(usize, usize, usize)> =
-        first.sightings.iter().filter_map(|&(f, p)| second.at(f).map(|q| (f, p, q))).collect();
+        first.detections.iter().filter_map(|&(f, p)| second.at(f).map(|q| (f, p, q))).collect();
     if shared.len() < config.min_overlap {
         return Vec::new();
     }
@@ -152,8 +152,8 @@ fn point_pairs(pair: &CameraPair, a: usize, b: usize, seed: u64, config: &Hypoth
     for i in 0..n_frames {
         let (frame, p, q) = shared[i * shared.len() / n_frames];
         let (s, t) = (&pair.views[0].frames[frame][p], &pair.views[1].frames[frame][q]);
-        let confident = (0..s.bearings.len()).filter(|&k| s.confidence[k] > 0.4 && t.confidence[k] > 0.4);
-        points.extend(confident.map(|k| (s.bearings[k], t.bearings[k])));
+        let confident = (0..s.normalized.len()).filter(|&k| s.confidence[k] > 0.4 && t.confidence[k] > 0.4);
+        points.extend(confident.map(|k| (s.normalized[k], t.normalized[k])));
     }
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     for i in 0..points.len().min(config.max_points) {
@@ -190,8 +190,9 @@ fn refit(pair: &CameraPair, hypothesis: &PairHypothesis, config: &HypothesisConf
 fn matched_points(matches: &[Match]) -> PointPairs {
     let mut points = Vec::new();
     for m in matches {
-        let seen = (0..m.first.bearings.len()).filter(|&k| m.first.confidence[k] > 0.3 && m.second.confidence[k] > 0.3);
-        points.extend(seen.map(|k| (m.first.bearings[k], m.second.bearings[k])));
+        let seen =
+            (0..m.first.normalized.len()).filter(|&k| m.first.confidence[k] > 0.3 && m.second.confidence[k] > 0.3);
+        points.extend(seen.map(|k| (m.first.normalized[k], m.second.normalized[k])));
     }
     points
 }

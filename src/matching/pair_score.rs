@@ -1,7 +1,7 @@
 //! How well a relative pose of two cameras explains what both saw: epipolar votes, cheirality, human proportions.
 
 use super::assignment::assign;
-use super::sightings::{Sighting, ViewSightings};
+use super::normalized::{NormalizedDetection, NormalizedView};
 use crate::body::bones::Bone;
 use crate::geometry::Rigid;
 use crate::geometry::epipolar::{essential_from_pose, sampson_squared};
@@ -12,26 +12,26 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 /// times the detectors' own noise on people 4 m away.
 pub const VOTE_RADIUS: f64 = 0.015;
 
-/// A pair of sightings below this similarity is no match: chance agreement of two standing people reaches 0.4.
+/// A pair of detections below this similarity is no match: chance agreement of two standing people reaches 0.4.
 const MIN_SIMILARITY: f64 = 0.4;
 
 /// Spread (MAD) of log bone ratios at which belief falls to 1/e: true pairs have 0.05 to 0.07, wrong ones 0.1 to 1.
 const BONE_SPREAD: f64 = 0.25;
 
-/// Two sightings must share this many points to vote.
+/// Two detections must share this many points to vote.
 const MIN_SHARED: usize = 6;
 
 /// What two cameras saw at a fixed set of frames.
 pub struct PairEvidence<'a> {
     /// Sightings of the first and the second camera, frame by frame.
-    pub frames: Vec<(&'a [Sighting], &'a [Sighting])>,
+    pub frames: Vec<(&'a [NormalizedDetection], &'a [NormalizedDetection])>,
     /// Bones with reference lengths.
     pub bones: &'a [Bone],
 }
 
 impl<'a> PairEvidence<'a> {
     /// The evidence of `frames`.
-    pub fn new(first: &'a ViewSightings, second: &'a ViewSightings, frames: &[usize], bones: &'a [Bone]) -> Self {
+    pub fn new(first: &'a NormalizedView, second: &'a NormalizedView, frames: &[usize], bones: &'a [Bone]) -> Self {
         let at = |&f: &usize| (first.frames[f].as_slice(), second.frames[f].as_slice());
         Self { frames: frames.iter().map(at).filter(|(a, b)| !a.is_empty() && !b.is_empty()).collect(), bones }
     }
@@ -54,24 +54,24 @@ pub struct PairScore {
     pub quality: f64,
 }
 
-/// Two sightings of one person in one frame.
+/// Two detections of one person in one frame.
 #[derive(Debug, Clone, Copy)]
 pub struct Match<'a> {
     /// In the first camera.
-    pub first: &'a Sighting,
+    pub first: &'a NormalizedDetection,
     /// In the second camera.
-    pub second: &'a Sighting,
+    pub second: &'a NormalizedDetection,
     /// 0 to 1.
     pub similarity: f64,
 }
 
-/// Share of agreement of two sightings with an essential matrix: mean of `max(0, 1 - (d / r)^2)` over shared points.
-pub fn similarity(essential: &Matrix3<f64>, a: &Sighting, b: &Sighting, radius: f64) -> f64 {
+/// Share of agreement of two detections with an essential matrix: mean of `max(0, 1 - (d / r)^2)` over shared points.
+pub fn similarity(essential: &Matrix3<f64>, a: &NormalizedDetection, b: &NormalizedDetection, radius: f64) -> f64 {
     let (mut sum, mut n) = (0.0, 0usize);
     let inverse = 1.0 / (radius * radius);
-    for k in 0..a.bearings.len() {
+    for k in 0..a.normalized.len() {
         if a.confidence[k] > 0.2 && b.confidence[k] > 0.2 {
-            sum += (1.0 - sampson_squared(essential, &a.bearings[k], &b.bearings[k]) * inverse).max(0.0);
+            sum += (1.0 - sampson_squared(essential, &a.normalized[k], &b.normalized[k]) * inverse).max(0.0);
             n += 1;
         }
     }
@@ -125,11 +125,11 @@ const MIN_BONES: usize = 8;
 
 /// Points of a match in the first camera's frame and whether they lie in front of both cameras.
 fn triangulate_match(m: &Match, second_from_first: &Rigid) -> Vec<Option<(Vector3<f64>, bool)>> {
-    let n = m.first.bearings.len();
+    let n = m.first.normalized.len();
     (0..n)
         .map(|k| {
             let seen = m.first.confidence[k] > 0.2 && m.second.confidence[k] > 0.2;
-            if seen { midpoint(second_from_first, &m.first.bearings[k], &m.second.bearings[k]) } else { None }
+            if seen { midpoint(second_from_first, &m.first.normalized[k], &m.second.normalized[k]) } else { None }
         })
         .collect()
 }

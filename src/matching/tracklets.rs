@@ -1,44 +1,44 @@
 //! Tracklets: who is who within one view, for as long as there is no doubt. Split rather than swapped.
 
 use super::assignment::assign;
-use super::sightings::{BODY_SPAN_M, Sighting, ViewSightings};
+use super::normalized::{BODY_SPAN_M, NormalizedDetection, NormalizedView};
 
 /// One person in one view over a run of frames.
 #[derive(Debug, Clone)]
 pub struct Tracklet {
     /// Frame and index of the detection in that frame, in rising order of frames.
-    pub sightings: Vec<(usize, usize)>,
+    pub detections: Vec<(usize, usize)>,
 }
 
 impl Tracklet {
     /// First frame.
     pub fn first(&self) -> usize {
-        self.sightings[0].0
+        self.detections[0].0
     }
 
     /// Last frame.
     pub fn last(&self) -> usize {
-        self.sightings[self.sightings.len() - 1].0
+        self.detections[self.detections.len() - 1].0
     }
 
     /// The detection of a frame.
     pub fn at(&self, frame: usize) -> Option<usize> {
-        self.sightings.binary_search_by_key(&frame, |s| s.0).ok().map(|i| self.sightings[i].1)
+        self.detections.binary_search_by_key(&frame, |s| s.0).ok().map(|i| self.detections[i].1)
     }
 }
 
-/// When two sightings may be the same person.
+/// When two detections may be the same person.
 #[derive(Debug, Clone)]
 pub struct TrackletConfig {
     /// A body's median joint moves at most this fast, m/s: a sprint start; above it we would rather split.
     pub max_speed: f64,
     /// Detector noise, as a share of the apparent size: three times the 1 to 2 % seen on OpenPose and COCO detectors.
     pub noise: f64,
-    /// A tracklet survives this long without a sighting, s.
+    /// A tracklet survives this long without a detection, s.
     pub max_gap: f64,
     /// The best match must cost less than this share of the second best; otherwise both ends stay open.
     pub uniqueness: f64,
-    /// Keypoints that two sightings must share.
+    /// Keypoints that two detections must share.
     pub min_shared: usize,
 }
 
@@ -49,7 +49,7 @@ impl Default for TrackletConfig {
 }
 
 /// Follows people through one view.
-pub fn tracklets(view: &ViewSightings, fps: f64, config: &TrackletConfig) -> Vec<Tracklet> {
+pub fn tracklets(view: &NormalizedView, fps: f64, config: &TrackletConfig) -> Vec<Tracklet> {
     let max_gap = ((config.max_gap * fps).round() as usize).max(1);
     let mut open: Vec<Tracklet> = Vec::new();
     let mut closed: Vec<Tracklet> = Vec::new();
@@ -58,27 +58,29 @@ pub fn tracklets(view: &ViewSightings, fps: f64, config: &TrackletConfig) -> Vec
         closed.extend(expired);
         open = alive;
         for (tracklet, person) in confident_matches(view, &open, frame, people, fps, config) {
-            open[tracklet].sightings.push((frame, person));
+            open[tracklet].detections.push((frame, person));
         }
         let taken: Vec<usize> = open.iter().filter_map(|t| t.at(frame)).collect();
-        open.extend((0..people.len()).filter(|p| !taken.contains(p)).map(|p| Tracklet { sightings: vec![(frame, p)] }));
+        open.extend(
+            (0..people.len()).filter(|p| !taken.contains(p)).map(|p| Tracklet { detections: vec![(frame, p)] }),
+        );
     }
     closed.extend(open);
-    closed.sort_by_key(|t| (t.first(), t.sightings[0].1));
+    closed.sort_by_key(|t| (t.first(), t.detections[0].1));
     closed
 }
 
-/// Pairs of open tracklet and sighting that have no rival.
+/// Pairs of open tracklet and detection that have no rival.
 fn confident_matches(
-    view: &ViewSightings,
+    view: &NormalizedView,
     open: &[Tracklet],
     frame: usize,
-    people: &[Sighting],
+    people: &[NormalizedDetection],
     fps: f64,
     config: &TrackletConfig,
 ) -> Vec<(usize, usize)> {
     let cost = |t: usize, p: usize| {
-        let (last_frame, last_person) = open[t].sightings[open[t].sightings.len() - 1];
+        let (last_frame, last_person) = open[t].detections[open[t].detections.len() - 1];
         let seconds = (frame - last_frame) as f64 / fps;
         let gate = config.noise + config.max_speed / BODY_SPAN_M * seconds;
         step_distance(&view.frames[last_frame][last_person], &people[p], config.min_shared).map_or(2.0, |d| d / gate)
@@ -97,10 +99,10 @@ fn confident_matches(
 }
 
 /// Median distance of the shared keypoints as a share of the apparent size; `None` for fewer than `min_shared`.
-pub fn step_distance(a: &Sighting, b: &Sighting, min_shared: usize) -> Option<f64> {
-    let mut distances: Vec<f64> = (0..a.bearings.len())
+pub fn step_distance(a: &NormalizedDetection, b: &NormalizedDetection, min_shared: usize) -> Option<f64> {
+    let mut distances: Vec<f64> = (0..a.normalized.len())
         .filter(|&k| a.confidence[k] > 0.2 && b.confidence[k] > 0.2)
-        .map(|k| (a.bearings[k] - b.bearings[k]).norm())
+        .map(|k| (a.normalized[k] - b.normalized[k]).norm())
         .collect();
     if distances.len() < min_shared {
         return None;

@@ -6,7 +6,7 @@
 
 use super::basis::{Basis, LATENT_DIM};
 use super::chart::{LATENT_JOINTS, N_FEATURES};
-use crate::body::captured_skeleton::carried;
+use crate::body::mocap_skeleton::carried;
 use crate::body::skeleton::N_JOINTS;
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3};
 
@@ -42,14 +42,14 @@ impl PoseGaussian {
         }
     }
 
-    /// The same for a body with the zero `Q_j` ([`captured_from_body`]): `M_j <- Q_p^T M_j Q_j` and `u_j <- Q_j^T u_j`.
+    /// The same for a body with the zero `Q_j` ([`mocap_from_body`]): `M_j <- Q_p^T M_j Q_j` and `u_j <- Q_j^T u_j`.
     ///
-    /// [`captured_from_body`]: crate::body::captured_skeleton::captured_from_body
-    pub fn carried_to(mut self, captured_from_body: &[Matrix3<f64>; N_JOINTS]) -> Self {
+    /// [`mocap_from_body`]: crate::body::mocap_skeleton::mocap_from_body
+    pub fn carried_to(mut self, mocap_from_body: &[Matrix3<f64>; N_JOINTS]) -> Self {
         let mut captured_from_own = DMatrix::zeros(self.mean.len(), self.mean.len());
         for (i, (&joint, rotation)) in self.joints.iter().zip(&mut self.rotations).enumerate() {
-            *rotation = carried(rotation, joint, captured_from_body);
-            captured_from_own.fixed_view_mut::<3, 3>(3 * i, 3 * i).copy_from(&captured_from_body[joint]);
+            *rotation = carried(rotation, joint, mocap_from_body);
+            captured_from_own.fixed_view_mut::<3, 3>(3 * i, 3 * i).copy_from(&mocap_from_body[joint]);
         }
         self.mean = captured_from_own.tr_mul(&self.mean);
         self.precision = captured_from_own.tr_mul(&self.precision) * captured_from_own;
@@ -94,7 +94,7 @@ mod tests {
     #[test]
     fn a_pose_is_as_likely_in_another_skeleton() {
         let captured = PoseGaussian::over(MotionPrior::embedded().basis(), &[1, 4, 7, 10, 16]);
-        let turns = default_body().captured_from_body;
+        let turns = default_body().mocap_from_body;
         let own = captured.clone().carried_to(&turns);
         let turn = |i: usize| captured.rotations[i] * exp(&Vector3::new(0.3, -0.1 * i as f64, 0.2));
         let distance = |gaussian: &PoseGaussian, turn: &dyn Fn(usize) -> Matrix3<f64>| {

@@ -6,9 +6,9 @@
 //!
 //! Known limit: one factor on all cameras at once hardly differs from a larger or smaller distance; only the prior tells.
 
-use super::bundle_adjustment::{AdjustedCamera, AdjustmentConfig};
 use super::calibration::{Calibration, roughly_calibrated, with_focal_factors};
 use super::config::Options;
+use super::stages::bundle_adjustment::{AdjustedCamera, AdjustmentConfig};
 use super::{Capture, PipelineError, Shares};
 use crate::geometry::Rigid;
 use crate::session::reconstruction::{FocalFactor, StageReport};

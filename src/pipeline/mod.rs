@@ -1,37 +1,29 @@
 //! The stages, in order; whoever reads this page knows what the program does.
 
-pub mod association;
-pub mod body_fit;
-pub mod bundle_adjustment;
 pub mod calibration;
-pub mod camera_init;
 pub mod checkpoints;
 pub mod config;
-pub mod denoising;
-pub mod fit_figures;
 pub mod focal_lengths;
 pub mod inspection;
-pub mod joint_trajectories;
-pub mod metric_scale;
 pub mod result;
+pub mod stages;
 pub mod synchronisation;
-pub mod verdict;
-pub mod world_frame;
 
 use crate::body::bones::{Bone, LENGTH_SIGMA, limb_bones};
 use crate::body::{BodyModel, default_body};
 use crate::geometry::Rigid;
-use crate::matching::sightings::{ViewSightings, sightings};
+use crate::matching::normalized::{NormalizedView, normalized_views};
 use crate::matching::tracker::Scene;
 use crate::progress::{Canceled, Progress};
 use crate::session::{Reconstruction, Session};
-use bundle_adjustment::CameraFreedom;
 use calibration::{calibrated, heldout_px, made_consistent};
 use checkpoints::Checkpoints;
 pub use config::{CameraFacts, Options};
 use config::{Extrinsics, IntrinsicsMode};
 use focal_lengths::FocalLengths;
 use result::Findings;
+use stages::bundle_adjustment::CameraFreedom;
+use stages::{bundle_adjustment, metric_scale};
 
 /// Why a capture cannot be solved at all.
 #[derive(Debug, thiserror::Error)]
@@ -186,7 +178,7 @@ pub struct Capture<'a> {
     /// What the user asked for.
     pub options: &'a Options,
     /// Every detection as rays.
-    pub views: Vec<ViewSightings>,
+    pub views: Vec<NormalizedView>,
     /// Limb bones with reference lengths.
     pub bones: Vec<Bone>,
     /// The same bones as the adjustment knows them.
@@ -199,7 +191,7 @@ impl<'a> Capture<'a> {
         let bones = limb_bones(session.convention);
         let adjusted_bones =
             bones.iter().map(|b| bundle_adjustment::Bone { a: b.a, b: b.b, sigma: LENGTH_SIGMA }).collect();
-        Self { session, options, views: sightings(session), bones, adjusted_bones }
+        Self { session, options, views: normalized_views(session), bones, adjusted_bones }
     }
 
     /// The session under given cameras.

@@ -1,21 +1,21 @@
 //! From findings to the result: everything moved into the world, bodies fitted, figures and verdict gathered.
 
-use super::association::identities;
-use super::body_fit::{BodyFitConfig, BodyFitInput, FittedBodies, fit_bodies, fitted_statures, landmark_trajectory};
 use super::calibration::Calibration;
 use super::config::Extrinsics;
-use super::fit_figures::FitFigures;
-use super::joint_trajectories::{Hold, TrajectoryConfig, TrajectoryInput, joint_trajectories};
-use super::verdict::{Evidence, quality};
-use super::world_frame::world_from_solution;
+use super::stages::association::identities;
+use super::stages::body_fit::{
+    BodyFitConfig, BodyFitInput, FittedBodies, fit_bodies, fitted_statures, landmark_trajectory,
+};
+use super::stages::fit_figures::FitFigures;
+use super::stages::joint_trajectories::{Hold, TrajectoryConfig, TrajectoryInput, joint_trajectories};
+use super::stages::verdict::{Evidence, quality};
+use super::stages::world_frame::world_from_solution;
 use super::{Capture, PipelineError};
 use crate::body::BodyModel;
 use crate::body::scale::FittedStature;
 use crate::geometry::{Rigid, Similarity};
 use crate::progress::{Canceled, Progress};
-use crate::session::reconstruction::{
-    BodyModelId, DetectorHabits, PenetrationReport, Report, ScaleReport, SolvedCamera,
-};
+use crate::session::reconstruction::{BodyModelId, KeypointBias, PenetrationReport, Report, ScaleReport, SolvedCamera};
 use crate::session::recording::UpAxis;
 use crate::session::{JointTrajectory, PersonTrack, Reconstruction};
 use nalgebra::Vector3;
@@ -229,7 +229,7 @@ impl Findings {
             geometry,
             heldout_px: self.heldout_px,
             scale: self.scale.clone(),
-            detector: DetectorHabits::default(),
+            detector: KeypointBias::default(),
             consistency: None,
             penetration,
             rejected_detections: n_rejected as f64 / n_detections.max(1) as f64,

@@ -6,7 +6,7 @@ use super::people::{BodyMotion, JointTrajectory};
 use super::recording::{FrameIndex, PersonId, UpAxis};
 use crate::geometry::{Intrinsics, Rigid};
 pub use report::{
-    CameraReport, ConsistencyPair, ConsistencyReport, DetectorHabits, DetectorOffset, GeometryReport, KeypointReport,
+    CameraReport, ConsistencyPair, ConsistencyReport, DetectorOffset, GeometryReport, KeypointBias, KeypointReport,
     NoiseAtConfidence, Overlap, PenetrationReport, PersonReport, Quality, Report, ScaleReport, StageReport, Verdict,
 };
 use serde::{Deserialize, Serialize};
@@ -101,12 +101,12 @@ pub struct Cleaning {
     /// one by association and tracking.
     pub identities_before: Vec<Vec<Vec<Option<PersonId>>>>,
     /// Detections whose keypoints were exchanged or rejected, in order of view, frame and detection.
-    pub mended: Vec<MendedDetection>,
+    pub mended: Vec<RepairedDetection>,
 }
 
 /// A detection of which not every keypoint stands for itself any more.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct MendedDetection {
+pub struct RepairedDetection {
     /// Index of its view.
     pub view: usize,
     /// Its frame.

@@ -5,8 +5,8 @@ use super::config::{Bodies, SimulationConfig};
 use super::drawn::{drawn_take, stand};
 use super::random::{Purpose, stream};
 use super::skeleton::{Person, Pose, Skeleton, joint};
-use crate::body::captured_skeleton::carried;
 use crate::body::default_body;
+use crate::body::mocap_skeleton::carried;
 use crate::geometry::rotation;
 use crate::motion_prior::motion_file::{MotionTake, read_take};
 use nalgebra::{Matrix3, Vector3};
@@ -67,7 +67,7 @@ fn placed(mut people: Vec<Person>, config: &SimulationConfig) -> Vec<Person> {
 /// Somebody in the motion of a take, at the session's rate: rotations along the geodesic, positions along the line; a default
 /// body with its bones where the captured ones were.
 fn resampled(take: MotionTake, body: Person, fps: f64) -> Person {
-    let zero = body.betas.map(|_| default_body().captured_from_body);
+    let zero = body.betas.map(|_| default_body().mocap_from_body);
     let duration = (take.poses.len() - 1) as f64 / take.fps;
     let n_frames = (duration * fps + 1e-9).floor() as usize + 1;
     let pose = |frame: usize| {

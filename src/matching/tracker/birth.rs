@@ -1,10 +1,10 @@
 //! New people: detections that nobody claims, where at least two views agree on a human skeleton.
 
-use super::person::{Skeleton, TrackedPerson, distance, distance_m, sightings_of, triangulated};
+use super::person::{Skeleton, TrackedPerson, detections_of, distance, distance_m, triangulated};
 use super::{Scene, TrackerConfig};
 use crate::geometry::epipolar::essential_from_pose;
+use crate::matching::normalized::{BODY_SPAN_M, NormalizedDetection};
 use crate::matching::pair_score::similarity;
-use crate::matching::sightings::{BODY_SPAN_M, Sighting};
 use crate::optim::robust::median_and_spread;
 use nalgebra::Matrix3;
 
@@ -32,7 +32,7 @@ pub(super) fn strongest(
     pairs.sort_by(|a, b| b.0.total_cmp(&a.0));
     for (_, claim) in pairs {
         let claim = joined_by_others(scene, config, frame, free, claim);
-        let skeleton = triangulated(scene, &sightings_of(scene, frame, &claim));
+        let skeleton = triangulated(scene, &detections_of(scene, frame, &claim));
         if is_human(scene, &skeleton) && !is_known(&skeleton, people, frame) {
             return Some(TrackedPerson::new(frame, claim, skeleton));
         }
@@ -71,7 +71,12 @@ pub(super) fn essential(scene: &Scene, first: usize, second: usize) -> Option<Ma
 }
 
 /// How many points of two views' detections agree; `None` where hardly any do.
-pub(super) fn agreement(config: &TrackerConfig, essential: &Matrix3<f64>, s: &Sighting, t: &Sighting) -> Option<f64> {
+pub(super) fn agreement(
+    config: &TrackerConfig,
+    essential: &Matrix3<f64>,
+    s: &NormalizedDetection,
+    t: &NormalizedDetection,
+) -> Option<f64> {
     // The Sampson distance combines both views: the radius follows the larger (nearer) image.
     let radius = config.birth_radius * s.size.max(t.size) / BODY_SPAN_M;
     let share = similarity(essential, s, t, radius);
@@ -86,7 +91,7 @@ fn joined_by_others(
     free: &[Vec<usize>],
     mut claim: Vec<Option<usize>>,
 ) -> Vec<Option<usize>> {
-    let skeleton = triangulated(scene, &sightings_of(scene, frame, &claim));
+    let skeleton = triangulated(scene, &detections_of(scene, frame, &claim));
     for view in 0..scene.views.len() {
         let Some(camera) = scene.cameras[view].as_ref().filter(|_| claim[view].is_none()) else { continue };
         let distance = |d: &usize| distance_m(&skeleton, camera, &scene.views[view].frames[frame][*d]);

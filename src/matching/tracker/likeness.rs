@@ -72,7 +72,7 @@ impl Likeness {
         log_density(&difference, noise) - log_density(&difference, strangers)
     }
 
-    /// Evidence of the detectors' numbers: how often they are the same, against how often two sightings share one.
+    /// Evidence of the detectors' numbers: how often they are the same, against how often two detections share one.
     ///
     /// A number that `before` (all that was seen when `self` ended) does not know is a tracker's new start: no evidence.
     pub(super) fn number_evidence(&self, later: &Self, before: &[BTreeMap<i64, usize>]) -> f64 {

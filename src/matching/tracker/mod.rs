@@ -13,7 +13,7 @@ mod person;
 mod rejoin;
 
 use super::assignment::assign;
-use super::sightings::ViewSightings;
+use super::normalized::NormalizedView;
 use crate::body::bones::Bone;
 use crate::geometry::Rigid;
 use crate::progress::{Canceled, Progress};
@@ -25,7 +25,7 @@ pub use person::{Skeleton, TrackedPerson};
 pub struct TrackerConfig {
     /// A detection belongs to a prediction when their median joint distance is below this, m.
     pub gate: f64,
-    /// The gate widens by this for every second without a sighting, m/s: people turn and stop.
+    /// The gate widens by this for every second without a detection, m/s: people turn and stop.
     pub gate_growth: f64,
     /// A view whose median residual to the triangulated skeleton exceeds this is given back, m.
     pub max_residual: f64,
@@ -46,7 +46,7 @@ impl Default for TrackerConfig {
 /// What the tracker works on.
 pub struct Scene<'a> {
     /// Sightings of every view.
-    pub views: &'a [ViewSightings],
+    pub views: &'a [NormalizedView],
     /// Placed cameras.
     pub cameras: &'a [Option<Rigid>],
     /// Bones with reference lengths.
@@ -159,10 +159,10 @@ fn unclaimed(scene: &Scene, frame: usize, claims: &[Vec<Option<usize>>]) -> Vec<
 
 /// The skeleton that the claimed detections of a frame (one per view at most) agree on; holes where fewer than two see.
 pub fn skeleton(scene: &Scene, frame: usize, claim: &[Option<usize>]) -> Skeleton {
-    let seen = person::sightings_of(scene, frame, claim);
+    let seen = person::detections_of(scene, frame, claim);
     match seen[..] {
         [] => Vec::new(),
-        [(_, sighting)] if scene.n_witnesses() == 1 => one_view::figure(scene, sighting, None).unwrap_or_default(),
+        [(_, detection)] if scene.n_witnesses() == 1 => one_view::figure(scene, detection, None).unwrap_or_default(),
         _ => person::triangulated(scene, &seen),
     }
 }

@@ -8,7 +8,7 @@ use super::Scene;
 use super::birth::is_known;
 use super::person::{Skeleton, TrackedPerson};
 use crate::body::bones::Bone;
-use crate::matching::sightings::Sighting;
+use crate::matching::normalized::NormalizedDetection;
 use nalgebra::Vector3;
 
 /// Keypoints that a detection must have to start a person: a face alone (five) is none.
@@ -27,11 +27,11 @@ pub(super) fn strongest(
     free: &[usize],
     people: &[TrackedPerson],
 ) -> Option<TrackedPerson> {
-    let sighting = |d: usize| &scene.views[0].frames[frame][d];
-    let mut order: Vec<usize> = free.iter().copied().filter(|d| sighting(*d).n_points() >= MIN_POINTS).collect();
-    order.sort_by_key(|d| (std::cmp::Reverse(sighting(*d).n_points()), *d));
+    let detection = |d: usize| &scene.views[0].frames[frame][d];
+    let mut order: Vec<usize> = free.iter().copied().filter(|d| detection(*d).n_points() >= MIN_POINTS).collect();
+    order.sort_by_key(|d| (std::cmp::Reverse(detection(*d).n_points()), *d));
     order.into_iter().find_map(|d| {
-        let skeleton = figure(scene, sighting(d), None)?;
+        let skeleton = figure(scene, detection(d), None)?;
         let is_new = !is_known(&skeleton, people, frame);
         is_new.then(|| TrackedPerson::new(frame, vec![Some(d)], skeleton))
     })
@@ -39,37 +39,37 @@ pub(super) fn strongest(
 
 /// The flat figure of a detection; unseen joints where they are expected, `None` where neither limbs nor an expectation
 /// tell a depth.
-pub(super) fn figure(scene: &Scene, sighting: &Sighting, predicted: Option<&Skeleton>) -> Option<Skeleton> {
+pub(super) fn figure(scene: &Scene, detection: &NormalizedDetection, predicted: Option<&Skeleton>) -> Option<Skeleton> {
     let camera = scene.cameras[0].as_ref()?;
     let before = predicted.and_then(|p| {
         let depths: Vec<f64> = p.iter().flatten().map(|x| camera.transform(x).z).collect();
         (!depths.is_empty()).then(|| depths.iter().sum::<f64>() / depths.len() as f64)
     });
-    let now = depth_of_limbs(scene.bones, sighting);
+    let now = depth_of_limbs(scene.bones, detection);
     let depth = match (before, now) {
         (Some(before), Some(now)) => ((before.ln() * DEPTH_MEMORY + now.ln()) / (DEPTH_MEMORY + 1.0)).exp(),
         (before, now) => before.or(now)?,
     };
     let world_from_camera = camera.inverse();
     let point = |k: usize| {
-        if sighting.confidence[k] > 0.0 {
-            let bearing = sighting.bearings[k];
-            Some(world_from_camera.transform(&Vector3::new(bearing.x * depth, bearing.y * depth, depth)))
+        if detection.confidence[k] > 0.0 {
+            let normalized = detection.normalized[k];
+            Some(world_from_camera.transform(&Vector3::new(normalized.x * depth, normalized.y * depth, depth)))
         } else {
             predicted.and_then(|p| p[k])
         }
     };
-    Some((0..sighting.bearings.len()).map(point).collect())
+    Some((0..detection.normalized.len()).map(point).collect())
 }
 
 /// Depth at which an adult's limbs look as long as these: foreshortening makes limbs look shorter, never longer, so that
 /// the longest tell; the very longest may be the detector's error.
-fn depth_of_limbs(bones: &[Bone], sighting: &Sighting) -> Option<f64> {
-    let is_seen = |k: usize| sighting.confidence[k] > 0.0;
+fn depth_of_limbs(bones: &[Bone], detection: &NormalizedDetection) -> Option<f64> {
+    let is_seen = |k: usize| detection.confidence[k] > 0.0;
     let mut sizes: Vec<f64> = bones
         .iter()
         .filter(|b| is_seen(b.a) && is_seen(b.b))
-        .map(|b| (sighting.bearings[b.a] - sighting.bearings[b.b]).norm() / b.length)
+        .map(|b| (detection.normalized[b.a] - detection.normalized[b.b]).norm() / b.length)
         .collect();
     sizes.sort_by(|a, b| b.total_cmp(a));
     let size = sizes.get(1).or(sizes.first())?;
@@ -82,18 +82,18 @@ mod tests {
     use crate::body::bones::limb_bones;
     use crate::body::skeleton::KeypointConvention;
     use crate::geometry::Rigid;
-    use crate::matching::sightings::ViewSightings;
+    use crate::matching::normalized::NormalizedView;
     use crate::matching::tracker::{TrackerConfig, track};
     use crate::progress::Progress;
     use nalgebra::Vector2;
 
     /// Somebody whose bones all hang straight down, `depth` m off and `x` m to the side.
-    fn hanging(x: f64, depth: f64) -> Sighting {
+    fn hanging(x: f64, depth: f64) -> NormalizedDetection {
         let bones = limb_bones(KeypointConvention::Coco17);
         let mut heights = [0.0; 17];
         bones.iter().for_each(|b| heights[b.b] = heights[b.a] + b.length);
-        let bearings: Vec<_> = heights.iter().map(|y| Vector2::new(x, *y) / depth).collect();
-        Sighting { bearings, confidence: vec![0.9; 17], size: 0.8 / depth, track_id: None }
+        let normalized: Vec<_> = heights.iter().map(|y| Vector2::new(x, *y) / depth).collect();
+        NormalizedDetection { normalized, confidence: vec![0.9; 17], size: 0.8 / depth, track_id: None }
     }
 
     #[test]
@@ -101,7 +101,7 @@ mod tests {
         let bones = limb_bones(KeypointConvention::Coco17);
         let depth = depth_of_limbs(&bones, &hanging(0.5, 3.0)).unwrap();
         assert!((depth - 3.0).abs() < 1e-9);
-        let blind = Sighting { confidence: vec![0.0; 17], ..hanging(0.5, 3.0) };
+        let blind = NormalizedDetection { confidence: vec![0.0; 17], ..hanging(0.5, 3.0) };
         assert!(depth_of_limbs(&bones, &blind).is_none());
     }
 
@@ -112,7 +112,7 @@ mod tests {
             let s = frame as f64 / 30.0;
             vec![hanging(s - 1.0, 3.0), hanging(1.0 - s, 5.0)]
         };
-        let views = [ViewSightings { focal: 1000.0, frames: (0..60).map(at).collect() }];
+        let views = [NormalizedView { focal: 1000.0, frames: (0..60).map(at).collect() }];
         let cameras = [Some(Rigid::identity())];
         let scene = Scene { views: &views, cameras: &cameras, bones: &bones, fps: 30.0, n_frames: 60 };
         let people = track(&scene, &TrackerConfig::default(), &Progress::silent()).unwrap();

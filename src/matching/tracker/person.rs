@@ -3,7 +3,7 @@
 use super::{Scene, TrackerConfig, metres, one_view, project};
 use crate::geometry::Rigid;
 use crate::geometry::triangulation::{self, triangulate_linear};
-use crate::matching::sightings::Sighting;
+use crate::matching::normalized::NormalizedDetection;
 use crate::optim::robust::median;
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
@@ -15,7 +15,7 @@ pub type Skeleton = Vec<Option<Vector3<f64>>>;
 /// A person followed through the session.
 #[derive(Debug, Clone)]
 pub struct TrackedPerson {
-    /// `(frame, detection of every view)` in rising order of frames; only frames with at least one sighting.
+    /// `(frame, detection of every view)` in rising order of frames; only frames with at least one detection.
     pub claims: Vec<(usize, Vec<Option<usize>>)>,
     /// Skeletons of the same frames.
     pub skeletons: Vec<Skeleton>,
@@ -36,12 +36,12 @@ impl TrackedPerson {
         Self { claims: vec![(frame, claim)], skeletons: vec![skeleton], velocity: Vector3::zeros(), n_witnessed: 1 }
     }
 
-    /// First frame with a sighting.
+    /// First frame with a detection.
     pub fn first(&self) -> usize {
         self.claims[0].0
     }
 
-    /// Last frame with a sighting.
+    /// Last frame with a detection.
     pub fn last_seen(&self) -> usize {
         self.claims[self.claims.len() - 1].0
     }
@@ -83,10 +83,10 @@ impl TrackedPerson {
             self.velocity = other.velocity;
         }
         let mine = std::mem::take(&mut self.claims).into_iter().zip(std::mem::take(&mut self.skeletons));
-        let mut sightings: BTreeMap<usize, (Vec<Option<usize>>, Skeleton)> =
+        let mut detections: BTreeMap<usize, (Vec<Option<usize>>, Skeleton)> =
             mine.map(|((frame, claim), skeleton)| (frame, (claim, skeleton))).collect();
         for ((frame, claim), skeleton) in other.claims.into_iter().zip(other.skeletons) {
-            match sightings.entry(frame) {
+            match detections.entry(frame) {
                 Entry::Vacant(free) => _ = free.insert((claim, skeleton)),
                 Entry::Occupied(mut shared) => {
                     let (mine, middle) = shared.get_mut();
@@ -98,12 +98,12 @@ impl TrackedPerson {
                 }
             }
         }
-        self.n_witnessed = sightings.values().filter(|(claim, _)| is_witnessed(scene, claim)).count();
+        self.n_witnessed = detections.values().filter(|(claim, _)| is_witnessed(scene, claim)).count();
         (self.claims, self.skeletons) =
-            sightings.into_iter().map(|(frame, (claim, skeleton))| ((frame, claim), skeleton)).unzip();
+            detections.into_iter().map(|(frame, (claim, skeleton))| ((frame, claim), skeleton)).unzip();
     }
 
-    /// Some of the sightings; the last velocity is known for the last piece alone.
+    /// Some of the detections; the last velocity is known for the last piece alone.
     pub(super) fn piece(&self, scene: &Scene, range: std::ops::Range<usize>) -> Self {
         let (claims, skeletons) = (self.claims[range.clone()].to_vec(), self.skeletons[range.clone()].to_vec());
         let velocity = if range.end == self.claims.len() { self.velocity } else { Vector3::zeros() };
@@ -123,14 +123,14 @@ impl TrackedPerson {
     pub(super) fn update(&mut self, scene: &Scene, config: &TrackerConfig, frame: usize, claim: &mut [Option<usize>]) {
         let predicted = self.predict(frame, scene.fps);
         let skeleton = loop {
-            let seen: Vec<(usize, &Sighting)> = sightings_of(scene, frame, claim);
+            let seen: Vec<(usize, &NormalizedDetection)> = detections_of(scene, frame, claim);
             if seen.is_empty() {
                 return;
             }
-            if let [(_, sighting)] = seen[..]
+            if let [(_, detection)] = seen[..]
                 && scene.n_witnesses() == 1
             {
-                let Some(figure) = one_view::figure(scene, sighting, Some(&predicted)) else { return };
+                let Some(figure) = one_view::figure(scene, detection, Some(&predicted)) else { return };
                 break figure;
             }
             let skeleton = triangulated(scene, &seen);
@@ -180,7 +180,11 @@ fn is_witnessed(scene: &Scene, claim: &[Option<usize>]) -> bool {
 /// Nobody's middle moves faster indoors, m/s.
 const MAX_SPEED: f64 = 6.0;
 
-pub(super) fn sightings_of<'a>(scene: &Scene<'a>, frame: usize, claim: &[Option<usize>]) -> Vec<(usize, &'a Sighting)> {
+pub(super) fn detections_of<'a>(
+    scene: &Scene<'a>,
+    frame: usize,
+    claim: &[Option<usize>],
+) -> Vec<(usize, &'a NormalizedDetection)> {
     claim.iter().enumerate().filter_map(|(v, d)| d.map(|d| (v, &scene.views[v].frames[frame][d]))).collect()
 }
 
@@ -191,32 +195,32 @@ pub(super) fn distance(one: &Skeleton, other: &Skeleton) -> Option<f64> {
 }
 
 /// Median distance of a detection to a projected skeleton, in metres on the body; `None` with too few shared points.
-pub(super) fn distance_m(skeleton: &Skeleton, camera: &Rigid, sighting: &Sighting) -> Option<f64> {
+pub(super) fn distance_m(skeleton: &Skeleton, camera: &Rigid, detection: &NormalizedDetection) -> Option<f64> {
     let mut distances: Vec<f64> = Vec::with_capacity(skeleton.len());
     for (k, point) in skeleton.iter().enumerate() {
-        if sighting.confidence[k] < 0.2 {
+        if detection.confidence[k] < 0.2 {
             continue;
         }
-        if let Some((bearing, depth)) = point.and_then(|p| project(camera, &p)) {
-            distances.push(metres((bearing - sighting.bearings[k]).norm(), depth));
+        if let Some((normalized, depth)) = point.and_then(|p| project(camera, &p)) {
+            distances.push(metres((normalized - detection.normalized[k]).norm(), depth));
         }
     }
     if distances.len() < MIN_SHARED { None } else { median(&mut distances) }
 }
 
 /// Points seen by at least two views, re-weighted so that one bad view does not drag them.
-pub(super) fn triangulated(scene: &Scene, seen: &[(usize, &Sighting)]) -> Skeleton {
-    let n = seen[0].1.bearings.len();
+pub(super) fn triangulated(scene: &Scene, seen: &[(usize, &NormalizedDetection)]) -> Skeleton {
+    let n = seen[0].1.normalized.len();
     (0..n).map(|k| triangulated_point(scene, seen, k)).collect()
 }
 
-fn triangulated_point(scene: &Scene, seen: &[(usize, &Sighting)], k: usize) -> Option<Vector3<f64>> {
+fn triangulated_point(scene: &Scene, seen: &[(usize, &NormalizedDetection)], k: usize) -> Option<Vector3<f64>> {
     let mut rays = Vec::with_capacity(seen.len());
-    for (view, sighting) in seen {
-        if sighting.confidence[k] > 0.0 {
+    for (view, detection) in seen {
+        if detection.confidence[k] > 0.0 {
             let camera = scene.cameras[*view].as_ref()?;
-            let (normalized, weight) = (sighting.bearings[k], sighting.confidence[k]);
-            rays.push(triangulation::Sighting { camera_from_world: camera, normalized, weight });
+            let (normalized, weight) = (detection.normalized[k], detection.confidence[k]);
+            rays.push(triangulation::PointObservation { camera_from_world: camera, normalized, weight });
         }
     }
     if rays.len() < 2 {
@@ -246,15 +250,15 @@ const ROBUST_SCALE_M: f64 = 0.06;
 fn worst_view(
     scene: &Scene,
     config: &TrackerConfig,
-    seen: &[(usize, &Sighting)],
+    seen: &[(usize, &NormalizedDetection)],
     skeleton: &Skeleton,
     predicted: &Skeleton,
 ) -> Option<usize> {
     if seen.len() < 2 {
         return None;
     }
-    let residual = |skeleton: &Skeleton, view: usize, sighting: &Sighting| {
-        scene.cameras[view].as_ref().and_then(|c| distance_m(skeleton, c, sighting)).unwrap_or(0.0)
+    let residual = |skeleton: &Skeleton, view: usize, detection: &NormalizedDetection| {
+        scene.cameras[view].as_ref().and_then(|c| distance_m(skeleton, c, detection)).unwrap_or(0.0)
     };
     let worst = seen.iter().map(|(v, s)| residual(skeleton, *v, s)).fold(0.0, f64::max);
     if worst <= config.max_residual {
@@ -265,7 +269,7 @@ fn worst_view(
         if seen.len() == 2 {
             return -residual(predicted, seen[out].0, seen[out].1);
         }
-        let rest: Vec<(usize, &Sighting)> =
+        let rest: Vec<(usize, &NormalizedDetection)> =
             seen.iter().enumerate().filter(|(i, _)| *i != out).map(|(_, s)| *s).collect();
         let without = triangulated(scene, &rest);
         rest.iter().map(|(v, s)| residual(&without, *v, s)).fold(0.0, f64::max)
@@ -275,7 +279,12 @@ fn worst_view(
 }
 
 /// Fills points that two views did not see: one ray moves the prediction sideways, none carries it along.
-fn completed(scene: &Scene, seen: &[(usize, &Sighting)], mut skeleton: Skeleton, predicted: &Skeleton) -> Skeleton {
+fn completed(
+    scene: &Scene,
+    seen: &[(usize, &NormalizedDetection)],
+    mut skeleton: Skeleton,
+    predicted: &Skeleton,
+) -> Skeleton {
     let mut moves: Vec<Vector3<f64>> =
         skeleton.iter().zip(predicted).filter_map(|(a, b)| Some((*a)? - (*b)?)).collect();
     let drift = componentwise_median(&mut moves);
@@ -285,10 +294,10 @@ fn completed(scene: &Scene, seen: &[(usize, &Sighting)], mut skeleton: Skeleton,
         }
         let Some(start) = predicted[k].map(|p| p + drift) else { continue };
         let ray = seen.iter().find(|(_, s)| s.confidence[k] > 0.2);
-        *point = Some(match ray.and_then(|(v, s)| Some((scene.cameras[*v].as_ref()?, s.bearings[k]))) {
-            Some((camera, bearing)) => {
+        *point = Some(match ray.and_then(|(v, s)| Some((scene.cameras[*v].as_ref()?, s.normalized[k]))) {
+            Some((camera, normalized)) => {
                 let in_camera = camera.transform(&start);
-                let on_ray = Vector3::new(bearing.x * in_camera.z, bearing.y * in_camera.z, in_camera.z);
+                let on_ray = Vector3::new(normalized.x * in_camera.z, normalized.y * in_camera.z, in_camera.z);
                 camera.inverse().transform(&on_ray)
             }
             None => start,

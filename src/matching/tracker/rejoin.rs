@@ -4,7 +4,7 @@
 //! for them. What two views' rays say now then counts more than where the person was.
 
 use super::birth::{agreement, essential, is_human};
-use super::person::{sightings_of, triangulated};
+use super::person::{detections_of, triangulated};
 use super::{Scene, TrackerConfig, unclaimed};
 
 /// A free detection that fits a person.
@@ -24,7 +24,7 @@ pub(super) fn rejoin(scene: &Scene, config: &TrackerConfig, frame: usize, claims
     let free = unclaimed(scene, frame, claims);
     let mut offers = Vec::new();
     for (person, claim) in claims.iter().enumerate().filter(|(_, claim)| is_alone(claim)) {
-        let [(holder, held)] = sightings_of(scene, frame, claim)[..] else { continue };
+        let [(holder, held)] = detections_of(scene, frame, claim)[..] else { continue };
         for view in (0..scene.views.len()).filter(|view| *view != holder) {
             let Some(essential) = essential(scene, holder, view) else { continue };
             for &detection in &free[view] {
@@ -51,17 +51,17 @@ mod tests {
     use crate::body::bones::limb_bones;
     use crate::body::skeleton::KeypointConvention;
     use crate::geometry::Rigid;
-    use crate::matching::sightings::{Sighting, ViewSightings};
+    use crate::matching::normalized::{NormalizedDetection, NormalizedView};
     use crate::matching::tracker::{project, track};
     use crate::progress::Progress;
     use nalgebra::{Matrix3, Vector3};
 
     /// Somebody who hangs straight down from `(x, 0, 5)`.
-    fn seen(camera: &Rigid, x: f64) -> Sighting {
+    fn seen(camera: &Rigid, x: f64) -> NormalizedDetection {
         let mut heights = [0.0; 17];
         limb_bones(KeypointConvention::Coco17).iter().for_each(|b| heights[b.b] = heights[b.a] + b.length);
-        let bearings = heights.iter().map(|y| project(camera, &Vector3::new(x, *y, 5.0)).unwrap().0).collect();
-        Sighting { bearings, confidence: vec![0.9; 17], size: 0.2, track_id: None }
+        let normalized = heights.iter().map(|y| project(camera, &Vector3::new(x, *y, 5.0)).unwrap().0).collect();
+        NormalizedDetection { normalized, confidence: vec![0.9; 17], size: 0.2, track_id: None }
     }
 
     /// One view loses somebody for half a second in which they run towards the other, whose rays do not tell.
@@ -72,14 +72,14 @@ mod tests {
         let cameras =
             [Some(Rigid::identity()), Some(Rigid { rotation: aside, translation: Vector3::new(-5.0, 0.0, 5.0) })];
         let x = |frame: usize| -1.0 + 3.0 / 30.0 * (frame as f64 - 15.0).clamp(0.0, 15.0);
-        let frames = |view: usize, is_blind: bool| -> Vec<Vec<Sighting>> {
+        let frames = |view: usize, is_blind: bool| -> Vec<Vec<NormalizedDetection>> {
             let at = |frame| match is_blind && (15..30).contains(&frame) {
                 true => Vec::new(),
                 false => vec![seen(cameras[view].as_ref().unwrap(), x(frame))],
             };
             (0..60).map(at).collect()
         };
-        let views = [(0, true), (1, false)].map(|(v, b)| ViewSightings { focal: 1000.0, frames: frames(v, b) });
+        let views = [(0, true), (1, false)].map(|(v, b)| NormalizedView { focal: 1000.0, frames: frames(v, b) });
         let scene = Scene { views: &views, cameras: &cameras, bones: &bones, fps: 30.0, n_frames: 60 };
         let people = track(&scene, &TrackerConfig::default(), &Progress::silent()).unwrap();
         assert_eq!(people.len(), 1);

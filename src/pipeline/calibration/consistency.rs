@@ -1,12 +1,12 @@
 //! Cameras and clean detections in turn: each makes the other better.
 
 use super::{Calibration, FINAL, associated, improved};
-use crate::pipeline::association::identities;
-use crate::pipeline::bundle_adjustment::CameraFreedom;
-use crate::pipeline::denoising::{Denoised, DenoisingInput, denoise};
+use crate::pipeline::stages::association::identities;
+use crate::pipeline::stages::bundle_adjustment::CameraFreedom;
+use crate::pipeline::stages::denoising::{Denoised, DenoisingInput, denoise};
 use crate::pipeline::{Capture, result};
 use crate::progress::{Canceled, Progress};
-use crate::session::reconstruction::{Cleaning, ConsistencyReport, MendedDetection, NoiseAtConfidence};
+use crate::session::reconstruction::{Cleaning, ConsistencyReport, NoiseAtConfidence, RepairedDetection};
 use crate::session::{Detection, FrameIndex, Keypoint, PersonId, PersonTrack, Session};
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
@@ -71,7 +71,7 @@ impl Consistent {
             let clean = &mut session.views[view].frames[frame][detection];
             clean.keypoints = points.collect();
             let sources = sources(&original.views[view].frames[frame][detection], clean, n_keypoints);
-            mended.push(MendedDetection { view, frame: FrameIndex(frame), detection, sources });
+            mended.push(RepairedDetection { view, frame: FrameIndex(frame), detection, sources });
         }
         let cleaning = Cleaning { identities_before: self.identities_before, mended };
         (self.calibration, Some(Cleaned { session, told: self.told, cleaning }))

@@ -10,7 +10,7 @@
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
 use crate::geometry::epipolar::{Ray, ray_ray_distance};
-use crate::matching::sightings::Sighting;
+use crate::matching::normalized::NormalizedDetection;
 use crate::optim::robust::{NORMAL_SIGMA_OF_MAD, median};
 use crate::session::{PersonTrack, Session};
 use rayon::prelude::*;
@@ -100,9 +100,9 @@ fn rays<'a>(
     let n_keypoints = session.convention.names().len();
     claim.iter().enumerate().filter_map(move |(v, detection)| {
         let (camera, view) = (cameras[v].as_ref()?, &session.views[v]);
-        let seen = Sighting::from_detection(view, &view.frames[frame][(*detection)?], n_keypoints);
-        let keypoints = seen.bearings.iter().zip(&seen.confidence);
-        Some(keypoints.map(|(bearing, c)| (*c > 0.0).then(|| (Ray::through(camera, bearing), *c))).collect())
+        let seen = NormalizedDetection::from_detection(view, &view.frames[frame][(*detection)?], n_keypoints);
+        let keypoints = seen.normalized.iter().zip(&seen.confidence);
+        Some(keypoints.map(|(normalized, c)| (*c > 0.0).then(|| (Ray::through(camera, normalized), *c))).collect())
     })
 }
 

@@ -4,7 +4,7 @@ use super::instants::{FrameFilter, InstantBudget, instants};
 use super::{Calibration, FINAL, ROUND, adjusted, quick};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::pipeline::Capture;
-use crate::pipeline::bundle_adjustment::{self as ba, AdjustmentInput, CameraFreedom};
+use crate::pipeline::stages::bundle_adjustment::{self as ba, AdjustmentInput, CameraFreedom};
 use crate::progress::{Canceled, Progress};
 
 /// Mean reprojection distance (px) of cameras from every other block of frames, judged on the rest.

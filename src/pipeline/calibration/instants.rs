@@ -3,8 +3,8 @@
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
 use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
-use crate::pipeline::association::Association;
-use crate::pipeline::bundle_adjustment::{Instant, Observation};
+use crate::pipeline::stages::association::Association;
+use crate::pipeline::stages::bundle_adjustment::{Instant, Observation};
 use crate::session::JointTrajectory;
 use crate::session::recording::Session;
 use nalgebra::Vector2;

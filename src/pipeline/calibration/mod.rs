@@ -6,10 +6,10 @@ mod held_out;
 mod instants;
 mod registration;
 
-use super::association::{Association, associate, from_clusters};
-use super::bundle_adjustment::{self as ba, Adjusted, AdjustmentConfig, AdjustmentInput, CameraFreedom};
-use super::camera_init::initial_rigs;
 use super::config::Extrinsics;
+use super::stages::association::{Association, associate, from_clusters};
+use super::stages::bundle_adjustment::{self as ba, Adjusted, AdjustmentConfig, AdjustmentInput, CameraFreedom};
+use super::stages::camera_init::initial_rigs;
 use super::{Capture, PipelineError, result};
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::{Intrinsics, Rigid, rotation};

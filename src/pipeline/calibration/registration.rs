@@ -38,7 +38,7 @@ pub(super) fn place_remaining(capture: &Capture, tracklets: &[Vec<Tracklet>], ca
 /// The best supported pose of a camera over its tracklets and all people.
 fn pose_of(capture: &Capture, tracklets: &[Tracklet], calibration: &Calibration, view: usize) -> Option<Rigid> {
     let mut order: Vec<usize> = (0..tracklets.len()).collect();
-    order.sort_by_key(|&t| (std::cmp::Reverse(tracklets[t].sightings.len()), t));
+    order.sort_by_key(|&t| (std::cmp::Reverse(tracklets[t].detections.len()), t));
     order.truncate(N_TRACKLETS);
     let people = calibration.association.points.len();
     let pairs: Vec<(usize, usize)> = order.iter().flat_map(|&t| (0..people).map(move |p| (t, p))).collect();
@@ -64,12 +64,12 @@ fn correspondences(
 ) -> Vec<(Vector3<f64>, Vector2<f64>)> {
     let path = &calibration.association.points[person];
     let mut points = Vec::new();
-    for &(frame, detection) in &tracklet.sightings {
+    for &(frame, detection) in &tracklet.detections {
         let Some(skeleton) = frame.checked_sub(path.first.0).and_then(|t| path.points.get(t)) else { continue };
-        let sighting = &capture.views[view].frames[frame][detection];
+        let detection = &capture.views[view].frames[frame][detection];
         for (k, point) in skeleton.iter().enumerate() {
-            if let Some(point) = point.filter(|_| sighting.confidence[k] > 0.3) {
-                points.push((point, sighting.bearings[k]));
+            if let Some(point) = point.filter(|_| detection.confidence[k] > 0.3) {
+                points.push((point, detection.normalized[k]));
             }
         }
     }

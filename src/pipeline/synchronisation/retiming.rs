@@ -1,7 +1,7 @@
 //! A recording moved in time: what synchronous cameras would have seen.
 
 use crate::matching::assignment::assign;
-use crate::matching::sightings::{BODY_SPAN_M, Sighting, ViewSightings, sightings};
+use crate::matching::normalized::{BODY_SPAN_M, NormalizedDetection, NormalizedView, normalized_views};
 use crate::matching::tracklets::step_distance;
 use crate::session::{Detection, FrameIndex, Keypoint, PersonId, Session, View};
 use nalgebra::Vector2;
@@ -18,7 +18,7 @@ const NOISE: f64 = 0.05;
 /// points go along a straight line to where they are in the neighbouring frame; where the person is not seen there, along
 /// the line to the neighbour on the other side; where there is none, they stay. Frames that fall off the time line are lost.
 pub(super) fn retimed(session: &Session, offsets: &[f64]) -> Session {
-    let rays = sightings(session);
+    let rays = normalized_views(session);
     let views = session.views.iter().zip(&rays).zip(offsets);
     let views = views.map(|((view, rays), &offset)| retimed_view(view, rays, session.fps, offset)).collect();
     Session { views, ..without_views(session) }
@@ -33,7 +33,7 @@ fn without_views(session: &Session) -> Session {
     }
 }
 
-fn retimed_view(view: &View, rays: &ViewSightings, fps: f64, offset: f64) -> View {
+fn retimed_view(view: &View, rays: &NormalizedView, fps: f64, offset: f64) -> View {
     let whole = offset.round();
     let moved = moved_by(view, rays, fps, offset - whole);
     let n_frames = view.frames.len();
@@ -55,7 +55,7 @@ fn shifted(frame: usize, whole: f64, n_frames: usize) -> Option<usize> {
 }
 
 /// Detections of a camera whose frames are `rest` frames late (at most half of one), as they were in time.
-fn moved_by(view: &View, rays: &ViewSightings, fps: f64, rest: f64) -> Vec<Vec<Detection>> {
+fn moved_by(view: &View, rays: &NormalizedView, fps: f64, rest: f64) -> Vec<Vec<Detection>> {
     let mut frames = view.frames.clone();
     if rest == 0.0 {
         return frames;
@@ -85,14 +85,14 @@ fn moved_by(view: &View, rays: &ViewSightings, fps: f64, rest: f64) -> Vec<Vec<D
 /// A running person's middle, m/s.
 const MAX_BODY_SPEED: f64 = 5.0;
 
-/// Keypoints that two sightings must share.
+/// Keypoints that two detections must share.
 const MIN_SHARED: usize = 4;
 
 /// Who of one frame is who in a neighbouring one.
 ///
 /// Why not tracklets: they end wherever there is doubt about whole paths, and a person who is not followed is not moved, which
 /// would bias the offset towards where it stands.
-fn same_people(now: &[Sighting], then: &[Sighting], fps: f64) -> Vec<Option<usize>> {
+fn same_people(now: &[NormalizedDetection], then: &[NormalizedDetection], fps: f64) -> Vec<Option<usize>> {
     let gate = NOISE + MAX_BODY_SPEED / BODY_SPAN_M / fps;
     assign(now.len(), then.len(), 1.0, |i, j| {
         step_distance(&now[i], &then[j], MIN_SHARED).map_or(2.0, |distance| distance / gate)

@@ -5,9 +5,9 @@
 //! places after it. Pairs may be wrong; what counts is the sum over all pairs.
 
 use crate::geometry::Rigid;
+use crate::matching::normalized::NormalizedView;
 use crate::matching::pair_hypotheses::{CameraPair, HypothesisConfig, mix, pair_hypotheses};
 use crate::matching::pair_score::{PairEvidence, score_pair};
-use crate::matching::sightings::ViewSightings;
 use crate::matching::tracklets::{Tracklet, TrackletConfig, tracklets};
 use crate::pipeline::Capture;
 use crate::pipeline::config::Extrinsics;
@@ -155,17 +155,17 @@ fn known_pose(capture: &Capture, [a, b]: [usize; 2]) -> Option<Rigid> {
     if is_given { Some(pose(b)? * pose(a)?.inverse()) } else { None }
 }
 
-fn shifted_view(view: &ViewSightings, offset: i64) -> ViewSightings {
+fn shifted_view(view: &NormalizedView, offset: i64) -> NormalizedView {
     let source = |f: usize| usize::try_from(f as i64 - offset).ok().and_then(|f| view.frames.get(f));
     let frames = (0..view.frames.len()).map(|f| source(f).cloned().unwrap_or_default()).collect();
-    ViewSightings { focal: view.focal, frames }
+    NormalizedView { focal: view.focal, frames }
 }
 
 /// `None` where nothing of it is left on the time line.
 fn shifted_tracklet(tracklet: &Tracklet, offset: i64, n_frames: usize) -> Option<Tracklet> {
     let target = |frame: usize| usize::try_from(frame as i64 + offset).ok().filter(|f| *f < n_frames);
-    let sightings: Vec<_> = tracklet.sightings.iter().filter_map(|&(f, d)| Some((target(f)?, d))).collect();
-    (!sightings.is_empty()).then_some(Tracklet { sightings })
+    let detections: Vec<_> = tracklet.detections.iter().filter_map(|&(f, d)| Some((target(f)?, d))).collect();
+    (!detections.is_empty()).then_some(Tracklet { detections })
 }
 
 fn relative(pair: &PairScores, offsets: &[i64]) -> i64 {

@@ -34,7 +34,7 @@ pub struct ScaleReport {
 
 /// What the session's detector means by its keypoints, against the body.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct DetectorHabits {
+pub struct KeypointBias {
     /// Whether the joints were fitted with these offsets. They are not where unusual skeletons explain the session
     /// better, or where an offset is larger than any detector's habit: then it is the body that does not fit. Points of face
     /// and feet always are.
@@ -229,7 +229,7 @@ pub struct Report {
     pub scale: Option<ScaleReport>,
     /// What the detector means by its keypoints, against the body.
     #[serde(default)]
-    pub detector: DetectorHabits,
+    pub detector: KeypointBias,
     /// What the consistency stage did; `None` where it was switched off.
     #[serde(default)]
     pub consistency: Option<ConsistencyReport>,

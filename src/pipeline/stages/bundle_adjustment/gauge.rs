@@ -131,7 +131,7 @@ fn shared_points(variables: &[Variables], n_views: usize) -> DMatrix<f64> {
     let mut shared = DMatrix::zeros(n_views, n_views);
     for variables in variables {
         let mut views = vec![Vec::new(); variables.keypoints.len()];
-        variables.sightings.iter().for_each(|s| views[s.slot].push(s.observation.view));
+        variables.detections.iter().for_each(|s| views[s.slot].push(s.observation.view));
         for views in views {
             for &a in &views {
                 views.iter().filter(|&&b| a != b).for_each(|&b| shared[(a, b)] += 1.0);

@@ -59,9 +59,9 @@ impl BodyLimb {
         body: &ShapedBody,
         camera_from_trunk: &Matrix3<f64>,
         root: &Vector3<f64>,
-        bearings: &[Option<Vector2<f64>>],
+        normalized: &[Option<Vector2<f64>>],
     ) -> Vec<Bend> {
-        let [_, middle, end] = self.landmarks.map(|l| bearings[l]);
+        let [_, middle, end] = self.landmarks.map(|l| normalized[l]);
         let (Some(middle), Some(end)) = (middle, end) else { return Vec::new() };
         let mut bends = Vec::with_capacity(4);
         for middle in on_ray(&middle, root, self.lengths[0]) {
@@ -82,8 +82,8 @@ impl BodyLimb {
 
 /// The points on a ray at distance `length` from `center`, the nearer to the camera first; the nearest point of the ray
 /// where none is as near.
-fn on_ray(bearing: &Vector2<f64>, center: &Vector3<f64>, length: f64) -> Vec<Vector3<f64>> {
-    let ray = Vector3::new(bearing.x, bearing.y, 1.0);
+fn on_ray(normalized: &Vector2<f64>, center: &Vector3<f64>, length: f64) -> Vec<Vector3<f64>> {
+    let ray = Vector3::new(normalized.x, normalized.y, 1.0);
     let (square, middle) = (ray.norm_squared(), ray.dot(center));
     let discriminant = middle * middle - square * (center.norm_squared() - length * length);
     if discriminant <= 0.0 {
@@ -100,13 +100,15 @@ mod tests {
     #[test]
     fn both_points_of_a_ray_lie_at_the_bones_length() {
         let center = Vector3::new(0.2, -0.1, 4.0);
-        let bearing = Vector2::new(0.09, 0.01);
-        let found = on_ray(&bearing, &center, 0.4);
+        let normalized = Vector2::new(0.09, 0.01);
+        let found = on_ray(&normalized, &center, 0.4);
         assert_eq!(found.len(), 2);
         for point in &found {
-            assert!(((point - center).norm() - 0.4).abs() < 1e-12 && (point.xy() / point.z - bearing).norm() < 1e-12);
+            assert!(
+                ((point - center).norm() - 0.4).abs() < 1e-12 && (point.xy() / point.z - normalized).norm() < 1e-12
+            );
         }
         assert!(found[0].z < center.z && center.z < found[1].z);
-        assert_eq!(on_ray(&bearing, &center, 0.05).len(), 1, "a bone that looks too long lies across the view");
+        assert_eq!(on_ray(&normalized, &center, 0.05).len(), 1, "a bone that looks too long lies across the view");
     }
 }

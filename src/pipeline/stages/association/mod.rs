@@ -70,7 +70,7 @@ pub fn from_clusters(scene: &Scene, tracklets: &[Vec<Tracklet>], groups: &[Clust
         let last = members().map(|(_, t)| t.last()).max().unwrap_or(0);
         let mut detections = vec![vec![None; scene.views.len()]; last - first + 1];
         for (view, tracklet) in members() {
-            tracklet.sightings.iter().for_each(|&(frame, d)| detections[frame - first][view] = Some(d));
+            tracklet.detections.iter().for_each(|&(frame, d)| detections[frame - first][view] = Some(d));
         }
         let skeletons: Vec<_> =
             detections.iter().enumerate().map(|(t, claim)| skeleton(scene, first + t, claim)).collect();
@@ -106,7 +106,8 @@ fn as_points(person: usize, tracked: &TrackedPerson) -> JointTrajectory {
 
 /// Share of confident keypoints of all placed views that lie where a person was found to be.
 fn explained(scene: &Scene, people: &[TrackedPerson]) -> f64 {
-    let confident = |s: &crate::matching::sightings::Sighting| s.confidence.iter().filter(|c| **c > CONFIDENT).count();
+    let confident =
+        |s: &crate::matching::normalized::NormalizedDetection| s.confidence.iter().filter(|c| **c > CONFIDENT).count();
     let all: usize = scene
         .views
         .iter()
@@ -123,11 +124,11 @@ fn explained(scene: &Scene, people: &[TrackedPerson]) -> f64 {
             }
             for (view, detection) in claim.iter().enumerate() {
                 let (Some(d), Some(camera)) = (detection, &scene.cameras[view]) else { continue };
-                let sighting = &scene.views[view].frames[*frame][*d];
+                let detection = &scene.views[view].frames[*frame][*d];
                 for (k, point) in skeleton.iter().enumerate() {
                     let Some(x) = point.map(|p| camera.transform(&p)).filter(|x| x.z > 0.1) else { continue };
-                    let offset = (x.xy() / x.z - sighting.bearings[k]).norm();
-                    near += usize::from(sighting.confidence[k] > CONFIDENT && offset < EXPLAINED_RADIUS);
+                    let offset = (x.xy() / x.z - detection.normalized[k]).norm();
+                    near += usize::from(detection.confidence[k] > CONFIDENT && offset < EXPLAINED_RADIUS);
                 }
             }
         }

@@ -132,8 +132,8 @@ impl Problem<'_> {
         if self.progress.check().is_err() {
             return; // The solver looks at the flag before it looks at the step.
         }
-        for sighting in &variables.sightings {
-            let (o, slot) = (&sighting.observation, sighting.slot);
+        for detection in &variables.detections {
+            let (o, slot) = (&detection.observation, detection.slot);
             let Some(camera) = &state.cameras[o.view] else { continue };
             let linear = reprojection::linearize(
                 &camera.intrinsics,
@@ -152,7 +152,7 @@ impl Problem<'_> {
                 index: 3 * slot + k,
                 derivative: linear.by_point.column(k).into_owned().into(),
             });
-            let first = sighting.column.unwrap_or(0);
+            let first = detection.column.unwrap_or(0);
             let border: [Column<2>; 8] = std::array::from_fn(|k| Column {
                 index: first + k,
                 derivative: match k {
@@ -161,7 +161,7 @@ impl Problem<'_> {
                     _ => (o.velocity / o.sigma_px).into(),
                 },
             });
-            let n_border = sighting.column.map_or(0, |_| self.layout.per_camera);
+            let n_border = detection.column.map_or(0, |_| self.layout.per_camera);
             block.add_residual(robust.weight, &linear.residual.into(), &local, &border[..n_border]);
         }
         for limb in &variables.limbs {
@@ -204,10 +204,10 @@ impl Problem<'_> {
             squared.map_or(geman_mcclure_ceiling(self.robust_scale), |e2| geman_mcclure(e2, self.robust_scale).cost)
         };
         let variables = &self.variables[i];
-        let sightings = variables.sightings.iter().map(|sighting| {
-            let o = &sighting.observation;
+        let detections = variables.detections.iter().map(|detection| {
+            let o = &detection.observation;
             let residual = state.cameras[o.view].and_then(|camera| {
-                let point = &points[sighting.slot];
+                let point = &points[detection.slot];
                 let pixel = o.pixel_without(camera.delay);
                 reprojection::residual(&camera.intrinsics, &camera.camera_from_world, point, &pixel, o.sigma_px)
             });
@@ -218,7 +218,7 @@ impl Problem<'_> {
             let linear = bone_length::linearize(a, b, state.log_lengths[limb.length], limb.sigma);
             charge(linear.map(|l| l.residual * l.residual))
         });
-        sightings.sum::<f64>() + limbs.sum::<f64>()
+        detections.sum::<f64>() + limbs.sum::<f64>()
     }
 
     /// What is expected of the cameras' further unknowns: each one's column, value and standard deviation about 0.

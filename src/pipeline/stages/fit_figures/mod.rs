@@ -1,11 +1,11 @@
 //! How well the result meets what was seen, and how well that tells it: per camera, person and kind of keypoint.
 //!
 //! A keypoint's standard deviation in space is the noise of one ray times the dilution of the views that saw it. The noise
-//! is measured: per kind of keypoint, over all people, from how far its sightings lie from the result, in metres on the
+//! is measured: per kind of keypoint, over all people, from how far its detections lie from the result, in metres on the
 //! body. Known limits: cameras are taken as exact (their own standard deviations stand beside), errors of different views
 //! as independent, and a bias that all views share is invisible.
 
-mod sightings;
+mod reprojections;
 
 use crate::body::bones::Bone;
 use crate::body::detector_noise::DetectorNoise;
@@ -17,7 +17,7 @@ use crate::session::reconstruction::{
 use crate::session::recording::Session;
 use crate::session::{FrameIndex, JointTrajectory, PersonTrack};
 use nalgebra::Vector3;
-use sightings::{KeypointFigures, Misfits, PersonFigures, people_figures};
+use reprojections::{KeypointFigures, Misfits, PersonFigures, people_figures};
 
 /// A result against what was seen.
 #[derive(Debug, Clone)]
@@ -116,7 +116,7 @@ impl FitFigures {
             let misfits = Misfits::together(figures.by_view.iter());
             KeypointReport {
                 keypoint: (*name).to_owned(),
-                n_observations: misfits.n_sightings(),
+                n_observations: misfits.n_detections(),
                 rejected: misfits.rejected(),
                 reprojection_px: summary(&misfits.px),
                 reprojection_mm: summary(&misfits.mm),

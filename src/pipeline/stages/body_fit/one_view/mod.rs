@@ -73,7 +73,7 @@ struct Lifting<'a> {
     limbs: Vec<BodyLimb>,
     joints: Joints,
     /// By frame and landmark.
-    bearings: Vec<Vec<Option<Vector2<f64>>>>,
+    normalized: Vec<Vec<Option<Vector2<f64>>>>,
     camera: &'a Rigid,
     /// In the camera's frame.
     up: Vector3<f64>,
@@ -92,18 +92,18 @@ impl<'a> Lifting<'a> {
     ) -> Self {
         let body = model.shaped(&Betas::zeros());
         let by_landmark = |points: &Vec<PointEvidence>| {
-            let mut bearings = vec![None; model.landmarks.len()];
+            let mut normalized = vec![None; model.landmarks.len()];
             for point in points {
                 let x = camera.transform(&point.position);
-                bearings[point.landmark] = (x.z > 0.1).then(|| x.xy() / x.z);
+                normalized[point.landmark] = (x.z > 0.1).then(|| x.xy() / x.z);
             }
-            bearings
+            normalized
         };
         Self {
             trunk: Trunk::new(model, &body),
             limbs: body_limbs(model, &body),
             joints: Joints::new(model, LIMIT_WIDTH_DEG.to_radians()),
-            bearings: evidence.points.iter().map(by_landmark).collect(),
+            normalized: evidence.points.iter().map(by_landmark).collect(),
             camera,
             up: camera.rotation * up,
             evidence,
@@ -132,7 +132,7 @@ impl<'a> Lifting<'a> {
     /// cost, which is their own, what the limbs must do on them, and turning.
     fn stances(&self, depths: &[f64], depth_sigma: f64) -> Vec<Option<Way>> {
         let of_frame = |(t, depth): (usize, &f64)| {
-            let sight = Sight { bearings: &self.bearings[t], up: self.up, depth: *depth, depth_sigma };
+            let sight = Sight { normalized: &self.normalized[t], up: self.up, depth: *depth, depth_sigma };
             let ways = self.trunk.ways(&sight);
             let own = |way: &Way| self.frame_weight * (way.cost + self.limb_cost(t, way));
             let costs = ways.iter().map(own).collect();
@@ -154,20 +154,20 @@ impl<'a> Lifting<'a> {
 
     fn root(&self, t: usize, limb: &BodyLimb, way: &Way) -> Option<Vector3<f64>> {
         let place = self.trunk.place(way, limb.landmarks[0])?;
-        Some(self.bearings[t][limb.landmarks[0]].map_or(place, |b| Vector3::new(b.x, b.y, 1.0) * place.z))
+        Some(self.normalized[t][limb.landmarks[0]].map_or(place, |b| Vector3::new(b.x, b.y, 1.0) * place.z))
     }
 
     fn bends(&self, t: usize, limb: &BodyLimb, way: &Way) -> Vec<Bend> {
         let Some(root) = self.root(t, limb, way) else { return Vec::new() };
-        limb.bends(&self.joints, &self.body, &way.camera_from_body.rotation, &root, &self.bearings[t])
+        limb.bends(&self.joints, &self.body, &way.camera_from_body.rotation, &root, &self.normalized[t])
     }
 
     /// The points of trunk and head on their rays, as deep as the trunk has them.
     fn trunk_points(&self, stances: &[Option<Way>]) -> Vec<Vec<PointEvidence>> {
         let world_from_camera = self.camera.inverse();
         let point = |t: usize, way: &Way, landmark: usize| {
-            let (bearing, place) = (self.bearings[t][landmark]?, self.trunk.place(way, landmark)?);
-            let position = world_from_camera.transform(&(Vector3::new(bearing.x, bearing.y, 1.0) * place.z));
+            let (normalized, place) = (self.normalized[t][landmark]?, self.trunk.place(way, landmark)?);
+            let position = world_from_camera.transform(&(Vector3::new(normalized.x, normalized.y, 1.0) * place.z));
             Some(PointEvidence { landmark, position })
         };
         let of_frame = |(t, way): (usize, &Option<Way>)| {

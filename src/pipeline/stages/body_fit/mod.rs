@@ -37,7 +37,7 @@ use crate::geometry::Rigid;
 use crate::progress::{Canceled, Progress};
 use crate::residuals::pose_likelihood::PoseWeights;
 use crate::session::people::BodyPose;
-use crate::session::reconstruction::{DetectorHabits, PenetrationReport, StageReport};
+use crate::session::reconstruction::{KeypointBias, PenetrationReport, StageReport};
 use crate::session::{BodyMotion, FrameIndex, JointTrajectory, PersonTrack, Session};
 use evidence::{Evidence, gather_evidence};
 use habits::habits;
@@ -213,7 +213,7 @@ pub struct FittedBodies {
     /// The model that was fitted: its landmarks lie where the session's detector has them, if that was applied.
     pub detector_model: BodyModel,
     /// What the detector means by its keypoints; empty where it was not asked for.
-    pub detector: DetectorHabits,
+    pub detector: KeypointBias,
     /// How far bodies reach into each other.
     pub penetration: PenetrationReport,
     /// Figures.
@@ -246,7 +246,7 @@ pub fn fit_bodies(
         progress.report(0.75, "what the detector means by its keypoints");
     }
     let (detector_model, detector) =
-        habits.map_or_else(|| (model.clone(), DetectorHabits::default()), |habits| (habits.model, habits.told));
+        habits.map_or_else(|| (model.clone(), KeypointBias::default()), |habits| (habits.model, habits.told));
     let stages = Stages { model: &detector_model, ..stages };
     let gap_limit = (config.gap_limit_secs / frame_interval).round() as usize;
     let finish_person = |(track, started): (&PersonTrack, Option<(Evidence, StartedMotion)>)| {

@@ -19,10 +19,10 @@ impl Problem<'_> {
     /// Every observation against its reprojection.
     pub(super) fn misfits<'s>(&'s self, state: &'s State) -> impl Iterator<Item = Misfit> + 's {
         self.variables.iter().zip(&state.points).flat_map(move |(variables, points)| {
-            variables.sightings.iter().filter_map(move |sighting| {
-                let o = &sighting.observation;
+            variables.detections.iter().filter_map(move |detection| {
+                let o = &detection.observation;
                 let camera = state.cameras[o.view].as_ref()?;
-                let point = camera.camera_from_world.transform(&points[sighting.slot]);
+                let point = camera.camera_from_world.transform(&points[detection.slot]);
                 let predicted = camera.intrinsics.pixel_from_camera(&point);
                 let distance_px = predicted.map_or(f64::INFINITY, |p| (p - o.pixel_without(camera.delay)).norm());
                 Some(Misfit { view: o.view, distance_px, sigmas: distance_px / o.sigma_px })

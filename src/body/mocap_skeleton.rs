@@ -24,9 +24,9 @@ const BONES: [(usize, usize, [f64; 3]); 5] = [
 /// within 10 of the vertical; 2,300 frames), degrees.
 const UPRIGHT_DEG: [(usize, f64); 5] = [(3, 3.4), (6, -0.8), (9, -2.7), (12, 0.4), (15, -1.8)];
 
-/// `Q_j`, `captured_from_body`, of every joint of a body with these joints at rest. A joint without a bone of its own
+/// `Q_j`, `mocap_from_body`, of every joint of a body with these joints at rest. A joint without a bone of its own
 /// (toes, hands, collars) follows the one before it.
-pub fn captured_from_body(rest_joints: &[Vector3<f64>; N_JOINTS]) -> [Matrix3<f64>; N_JOINTS] {
+pub fn mocap_from_body(rest_joints: &[Vector3<f64>; N_JOINTS]) -> [Matrix3<f64>; N_JOINTS] {
     let mut turns = [Matrix3::identity(); N_JOINTS];
     for joint in 1..N_JOINTS {
         let before = turns[PARENTS[joint].unwrap_or(0)];
@@ -42,9 +42,9 @@ pub fn captured_from_body(rest_joints: &[Vector3<f64>; N_JOINTS]) -> [Matrix3<f6
 }
 
 /// A captured turn of `joint` as the body has it.
-pub fn carried(turn: &Matrix3<f64>, joint: usize, captured_from_body: &[Matrix3<f64>; N_JOINTS]) -> Matrix3<f64> {
-    let before = PARENTS[joint].map_or_else(Matrix3::identity, |parent| captured_from_body[parent]);
-    before.transpose() * turn * captured_from_body[joint]
+pub fn carried(turn: &Matrix3<f64>, joint: usize, mocap_from_body: &[Matrix3<f64>; N_JOINTS]) -> Matrix3<f64> {
+    let before = PARENTS[joint].map_or_else(Matrix3::identity, |parent| mocap_from_body[parent]);
+    before.transpose() * turn * mocap_from_body[joint]
 }
 
 /// The end and direction of the bone that a joint carries, if it is one of [`BONES`] or its mirror image: in SMPL's order the
@@ -66,7 +66,7 @@ mod tests {
     #[test]
     fn straight_legs_are_straight_in_every_skeleton() {
         let body = default_body();
-        let turns = captured_from_body(&body.rest_joints);
+        let turns = mocap_from_body(&body.rest_joints);
         for [hip, knee, ankle] in [[1, 4, 7], [2, 5, 8]] {
             let [(_, thigh), (_, shank)] = [hip, knee].map(|joint| captured_bone(joint).unwrap());
             let straight = carried(&rotation_between(&shank, &thigh), knee, &turns);
@@ -78,7 +78,7 @@ mod tests {
     /// Who stands upright there does so here without bending any joint of the trunk, and both sides are alike.
     #[test]
     fn the_captured_upright_is_the_zero_of_the_trunk() {
-        let turns = captured_from_body(&default_body().rest_joints);
+        let turns = mocap_from_body(&default_body().rest_joints);
         for (joint, bend) in UPRIGHT_DEG {
             let upright = exp(&Vector3::new(bend.to_radians(), 0.0, 0.0));
             assert!((carried(&upright, joint, &turns) - Matrix3::identity()).norm() < 1e-12, "{joint}");

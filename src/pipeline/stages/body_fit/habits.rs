@@ -14,14 +14,14 @@ use crate::body::bone_offsets::BoneOffsets;
 use crate::body::detector_offsets::{OffsetKind, OffsetTable};
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention};
 use crate::progress::Canceled;
-use crate::session::reconstruction::{DetectorHabits, DetectorOffset};
+use crate::session::reconstruction::{DetectorOffset, KeypointBias};
 use nalgebra::Vector3;
 use std::ops::Range;
 
 /// The body with its landmarks where the session's detector has them, and what is told of that.
 pub(super) struct Habits {
     pub model: BodyModel,
-    pub told: DetectorHabits,
+    pub told: KeypointBias,
 }
 
 /// What everybody's first fits tell together; `None` for a convention whose points are no detector's.
@@ -54,7 +54,7 @@ pub(super) fn habits(
         applied: is_applied(kind),
     };
     let offsets = rows().zip(&found.sigmas).map(told).collect();
-    let told = DetectorHabits { applied: moves_joints, reason, offsets };
+    let told = KeypointBias { applied: moves_joints, reason, offsets };
     Ok(Some(Habits { model: table.applied(stages.model, &applied), told }))
 }
 

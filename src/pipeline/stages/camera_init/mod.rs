@@ -1,9 +1,9 @@
 //! First extrinsics from people seen in common: nothing is known but the intrinsics.
 
 use crate::body::bones::Bone;
+use crate::matching::normalized::NormalizedView;
 use crate::matching::pair_hypotheses::{CameraPair, HypothesisConfig, mix, pair_hypotheses};
 use crate::matching::pair_score::PairEvidence;
-use crate::matching::sightings::ViewSightings;
 use crate::matching::tracklets::Tracklet;
 use crate::matching::view_graph::{Rig, ViewGraph, assemble};
 use crate::progress::{Canceled, Progress};
@@ -22,7 +22,7 @@ const N_JUDGED_FRAMES: usize = 60;
 /// # Errors
 /// [`Canceled`].
 pub fn initial_rigs(
-    views: &[ViewSightings],
+    views: &[NormalizedView],
     tracklets: &[Vec<Tracklet>],
     bones: &[Bone],
     seed: u64,
@@ -55,7 +55,7 @@ pub fn initial_rigs(
 }
 
 /// Well-spread frames in which at least two cameras see somebody, one drawn from each equal stretch of time.
-fn judged_frames(views: &[ViewSightings], seed: u64) -> Vec<usize> {
+fn judged_frames(views: &[NormalizedView], seed: u64) -> Vec<usize> {
     let n_frames = views.first().map_or(0, |v| v.frames.len());
     let useful: Vec<usize> =
         (0..n_frames).filter(|&f| views.iter().filter(|v| !v.frames[f].is_empty()).count() >= 2).collect();

@@ -3,7 +3,7 @@
 use super::{DenoisingInput, Place};
 use crate::geometry::Rigid;
 use crate::matching::consistency::{Projection, Seen};
-use crate::matching::sightings::ViewSightings;
+use crate::matching::normalized::NormalizedView;
 
 /// One frame of the take.
 pub(super) struct Scene<'a> {
@@ -29,7 +29,7 @@ impl<'a> Scene<'a> {
             path.points.get(frame.checked_sub(path.first.0)?)
         };
         let present: Vec<usize> = (0..input.tracks.len()).filter(|p| points(p).is_some()).collect();
-        let of_view = |(camera, view): (&'a Option<Rigid>, &'a ViewSightings)| {
+        let of_view = |(camera, view): (&'a Option<Rigid>, &'a NormalizedView)| {
             let Some(camera) = camera else {
                 return SceneView { seen: Vec::new(), expected: vec![Vec::new(); present.len()] };
             };

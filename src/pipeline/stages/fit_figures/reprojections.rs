@@ -18,7 +18,7 @@ const EXPLAINED_RADIUS: f64 = 0.0225;
 /// Sightings against their reprojections.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Misfits {
-    /// Distances of explained sightings, px.
+    /// Distances of explained detections, px.
     pub(super) px: Vec<f64>,
     /// The same at the point's depth, mm: `px * depth / focal`.
     pub(super) mm: Vec<f64>,
@@ -38,13 +38,13 @@ impl Misfits {
     }
 
     /// Explained or not.
-    pub(super) fn n_sightings(&self) -> usize {
+    pub(super) fn n_detections(&self) -> usize {
         self.px.len() + self.n_rejected
     }
 
-    /// Share of sightings that are not explained, 0 to 1.
+    /// Share of detections that are not explained, 0 to 1.
     pub(super) fn rejected(&self) -> f64 {
-        self.n_rejected as f64 / self.n_sightings().max(1) as f64
+        self.n_rejected as f64 / self.n_detections().max(1) as f64
     }
 }
 
@@ -59,7 +59,7 @@ pub(super) struct KeypointFigures {
     /// Per such frame: angle under which two rays cross, of the pair nearest to a right angle, 0 to pi/2.
     pub(super) ray_angles: Vec<f64>,
     /// Explained distances of such frames as errors of one ray before the point was fitted to it, m on the body; of a
-    /// sighting for which the detector's factor is 1.
+    /// detection for which the detector's factor is 1.
     pub(super) ray_errors: Vec<f64>,
 }
 
@@ -109,12 +109,12 @@ fn person_figures(
     let mut keypoints = vec![nothing; path.points.first().map_or(0, Vec::len)];
     let (mut n_detections, mut n_in_two_views) = (0, 0);
     for (t, (claim, points)) in track.detections.iter().zip(&path.points).enumerate() {
-        let sightings = placed_sightings(session, cameras, claim, track.first.0 + t);
-        n_detections += sightings.len();
-        n_in_two_views += usize::from(sightings.len() >= 2);
+        let detections = placed_sightings(session, cameras, claim, track.first.0 + t);
+        n_detections += detections.len();
+        n_in_two_views += usize::from(detections.len() >= 2);
         for (k, (point, figures)) in points.iter().zip(&mut keypoints).enumerate() {
             if let Some(point) = point {
-                figures.add(point, sightings.iter().filter_map(|s| s.ray(noise, k, point)).collect());
+                figures.add(point, detections.iter().filter_map(|s| s.ray(noise, k, point)).collect());
             }
         }
     }
@@ -145,7 +145,7 @@ fn placed_sightings<'a>(
         .collect()
 }
 
-/// One confident sighting of a point.
+/// One confident detection of a point.
 struct Ray<'a> {
     view: usize,
     /// Its standard deviation is that of an error of 1 m on the body, px: more where the detector is less sure.
@@ -180,7 +180,7 @@ impl Ray<'_> {
 }
 
 impl KeypointFigures {
-    /// Takes in one frame's sightings of a point.
+    /// Takes in one frame's detections of a point.
     fn add(&mut self, point: &Vector3<f64>, mut rays: Vec<Ray>) {
         for ray in &rays {
             let misfits = &mut self.by_view[ray.view];
@@ -232,7 +232,7 @@ mod tests {
         angles_deg.iter().map(|a| Rigid { rotation: turn(a), translation: Vector3::z() * 4.0 }).collect()
     }
 
-    /// Sure sightings of `point` at these pixels.
+    /// Sure detections of `point` at these pixels.
     fn rays<'a>(cameras: &'a [Rigid], pixels: &[Vector2<f64>], point: &Vector3<f64>) -> Vec<Ray<'a>> {
         let ray = |(view, (camera, pixel)): (usize, (&'a Rigid, &Vector2<f64>))| {
             let in_camera = camera.transform(point);

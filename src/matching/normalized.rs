@@ -11,9 +11,9 @@ pub const BODY_SPAN_M: f64 = 1.6;
 
 /// One detection as rays.
 #[derive(Debug, Clone)]
-pub struct Sighting {
+pub struct NormalizedDetection {
     /// Ideal normalised image coordinates per named keypoint; meaningless where `confidence` is 0.
-    pub bearings: Vec<Vector2<f64>>,
+    pub normalized: Vec<Vector2<f64>>,
     /// Confidence per named keypoint, 0 where missing.
     pub confidence: Vec<f64>,
     /// Larger side of the box of all points, normalised units.
@@ -22,25 +22,24 @@ pub struct Sighting {
     pub track_id: Option<i64>,
 }
 
-impl Sighting {
+impl NormalizedDetection {
     /// One detection by `view`; its first `n_keypoints` are the named ones.
     pub fn from_detection(view: &View, detection: &Detection, n_keypoints: usize) -> Self {
-        let mut bearings = Vec::with_capacity(n_keypoints);
+        let mut normalized = Vec::with_capacity(n_keypoints);
         let mut confidence = Vec::with_capacity(n_keypoints);
         let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
         for keypoint in &detection.keypoints[..n_keypoints] {
             let usable = keypoint.confidence >= MIN_CONFIDENCE;
-            let bearing =
-                if usable { view.intrinsics.normalized_from_pixel(&keypoint.pixel) } else { Vector2::zeros() };
+            let point = if usable { view.intrinsics.normalized_from_pixel(&keypoint.pixel) } else { Vector2::zeros() };
             if usable {
-                low = low.inf(&bearing);
-                high = high.sup(&bearing);
+                low = low.inf(&point);
+                high = high.sup(&point);
             }
-            bearings.push(bearing);
+            normalized.push(point);
             confidence.push(if usable { keypoint.confidence } else { 0.0 });
         }
         let size = if low.x.is_finite() { (high - low).max().max(MIN_SIZE) } else { MIN_SIZE };
-        Self { bearings, confidence, size, track_id: detection.track_id }
+        Self { normalized, confidence, size, track_id: detection.track_id }
     }
 
     /// How many keypoints are usable.
@@ -54,22 +53,22 @@ const MIN_SIZE: f64 = 0.01;
 
 /// Everything that one camera saw.
 #[derive(Debug, Clone)]
-pub struct ViewSightings {
+pub struct NormalizedView {
     /// Mean focal length, px.
     pub focal: f64,
     /// Sightings by frame, in the order of the session's detections.
-    pub frames: Vec<Vec<Sighting>>,
+    pub frames: Vec<Vec<NormalizedDetection>>,
 }
 
 /// All views of a session as rays.
-pub fn sightings(session: &Session) -> Vec<ViewSightings> {
+pub fn normalized_views(session: &Session) -> Vec<NormalizedView> {
     let n_keypoints = session.convention.names().len();
-    let of_view = |view: &View| ViewSightings {
+    let of_view = |view: &View| NormalizedView {
         focal: view.intrinsics.focal(),
         frames: view
             .frames
             .iter()
-            .map(|people| people.iter().map(|d| Sighting::from_detection(view, d, n_keypoints)).collect())
+            .map(|people| people.iter().map(|d| NormalizedDetection::from_detection(view, d, n_keypoints)).collect())
             .collect(),
     };
     session.views.iter().map(of_view).collect()

@@ -64,7 +64,7 @@ pub(super) struct Trunk {
 /// What a frame shows, and what is known besides.
 pub(super) struct Sight<'a> {
     /// Normalised image points by landmark.
-    pub bearings: &'a [Option<Vector2<f64>>],
+    pub normalized: &'a [Option<Vector2<f64>>],
     /// The upright in the camera's frame.
     pub up: Vector3<f64>,
     /// Depth of the trunk, m, and the standard deviation of its logarithm.
@@ -102,7 +102,7 @@ impl Trunk {
 
     /// The ways to stand that explain a frame, best first; none where too little of the trunk is seen.
     pub(super) fn ways(&self, sight: &Sight) -> Vec<Way> {
-        let seen: Vec<Vector2<f64>> = self.points.iter().filter_map(|(l, _, _)| sight.bearings[*l]).collect();
+        let seen: Vec<Vector2<f64>> = self.points.iter().filter_map(|(l, _, _)| sight.normalized[*l]).collect();
         if seen.len() < MIN_POINTS {
             return Vec::new();
         }
@@ -153,12 +153,12 @@ impl Trunk {
     fn system(&self, sight: &Sight, turn: &Matrix3<f64>, place: &Vector3<f64>) -> (f64, (Matrix6<f64>, Vector6<f64>)) {
         let (mut cost, mut hessian, mut gradient) = (0.0, Matrix6::zeros(), Vector6::zeros());
         for (landmark, at_rest, sigma) in &self.points {
-            let Some(bearing) = sight.bearings[*landmark] else { continue };
+            let Some(normalized) = sight.normalized[*landmark] else { continue };
             let lever = at_rest - self.middle;
             let x = turn * lever + place;
             let z = x.z.max(0.1);
             let scale = sight.depth / sigma;
-            let residual = (x.xy() / z - bearing) * scale;
+            let residual = (x.xy() / z - normalized) * scale;
             let square = residual.norm_squared();
             let soft = ROBUST_SCALE * ROBUST_SCALE;
             cost += 0.5 * soft * square / (soft + square);
@@ -225,12 +225,12 @@ mod tests {
         let front = Vector3::new(yaw.sin(), 0.0, -yaw.cos());
         let up = -Vector3::y();
         let turn = Matrix3::from_columns(&[up.cross(&front), up, front]);
-        let mut bearings = vec![None; model.landmarks.len()];
+        let mut normalized = vec![None; model.landmarks.len()];
         for (landmark, at_rest, _) in &trunk.points {
             let x = turn * (at_rest - trunk.middle) + Vector3::new(0.3, 0.1, 4.0);
-            bearings[*landmark] = Some(x.xy() / x.z);
+            normalized[*landmark] = Some(x.xy() / x.z);
         }
-        (turn, bearings)
+        (turn, normalized)
     }
 
     #[test]
@@ -238,8 +238,8 @@ mod tests {
         let model = default_body();
         let trunk = Trunk::new(&model, &model.shaped(&Betas::zeros()));
         for i in 0..16 {
-            let (turn, bearings) = seen(&model, &trunk, TAU * f64::from(i) / 16.0);
-            let sight = Sight { bearings: &bearings, up: -Vector3::y(), depth: 4.1, depth_sigma: 0.1 };
+            let (turn, normalized) = seen(&model, &trunk, TAU * f64::from(i) / 16.0);
+            let sight = Sight { normalized: &normalized, up: -Vector3::y(), depth: 4.1, depth_sigma: 0.1 };
             let ways = trunk.ways(&sight);
             let angle = rotation::angle_between(&ways[0].camera_from_body.rotation, &turn);
             assert!(angle < 0.05, "{i}: {angle} rad off");
@@ -250,12 +250,12 @@ mod tests {
     fn without_a_face_two_ways_are_left_and_without_a_trunk_none() {
         let model = default_body();
         let trunk = Trunk::new(&model, &model.shaped(&Betas::zeros()));
-        let (turn, mut bearings) = seen(&model, &trunk, 1.0);
+        let (turn, mut normalized) = seen(&model, &trunk, 1.0);
         for name in ["nose", "left_eye", "right_eye", "left_ear", "right_ear"] {
-            bearings[model.landmark_index(name).unwrap()] = None;
+            normalized[model.landmark_index(name).unwrap()] = None;
         }
-        let sight = |bearings| Sight { bearings, up: -Vector3::y(), depth: 4.0, depth_sigma: 0.1 };
-        let ways = trunk.ways(&sight(&bearings));
+        let sight = |normalized| Sight { normalized, up: -Vector3::y(), depth: 4.0, depth_sigma: 0.1 };
+        let ways = trunk.ways(&sight(&normalized));
         let off = |way: &Way| rotation::angle_between(&way.camera_from_body.rotation, &turn);
         assert!(ways.len() >= 2 && ways.iter().any(|w| off(w) < 0.1) && ways.iter().any(|w| off(w) > 1.0));
         assert!(trunk.ways(&sight(&vec![None; model.landmarks.len()])).is_empty());

@@ -15,7 +15,7 @@ pub(super) struct Variables {
     pub(super) frame: usize,
     /// Keypoints that are unknown, in order of elimination; a slot is a position in this list.
     pub(super) keypoints: Vec<usize>,
-    pub(super) sightings: Vec<Sighting>,
+    pub(super) detections: Vec<NormalizedDetection>,
     pub(super) limbs: Vec<Limb>,
     /// Border unknowns that the instant touches.
     pub(super) columns: Vec<usize>,
@@ -23,7 +23,7 @@ pub(super) struct Variables {
 
 /// An observation of an unknown point.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Sighting {
+pub(super) struct NormalizedDetection {
     pub(super) slot: usize,
     pub(super) observation: Observation,
     /// Where the camera's unknowns begin in [`Variables::columns`]; `None` for a held camera.
@@ -165,7 +165,7 @@ fn variables(
     let slot_of = |keypoint: usize| keypoints.iter().position(|&k| k == keypoint);
     let mut columns = Vec::new();
     let mut place_of_view = vec![None; layout.camera_columns.len()];
-    let mut sightings = Vec::new();
+    let mut detections = Vec::new();
     for &observation in usable(instant, placed) {
         let Some(slot) = slot_of(observation.keypoint) else { continue };
         let column = layout.camera_columns[observation.view].map(|first| {
@@ -174,7 +174,7 @@ fn variables(
                 columns.len() - layout.per_camera
             })
         });
-        sightings.push(Sighting { slot, observation, column });
+        detections.push(NormalizedDetection { slot, observation, column });
     }
     let mut limbs = Vec::new();
     for (index, bone) in bones.iter().enumerate() {
@@ -183,5 +183,5 @@ fn variables(
         limbs.push(Limb { slot_a, slot_b, sigma: bone.sigma, length, column: columns.len() });
         columns.push(layout.first_length + length);
     }
-    Variables { person, frame: instant.frame, keypoints, sightings, limbs, columns }
+    Variables { person, frame: instant.frame, keypoints, detections, limbs, columns }
 }

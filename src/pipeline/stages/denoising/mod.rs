@@ -13,7 +13,7 @@ mod told;
 
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
-use crate::matching::sightings::ViewSightings;
+use crate::matching::normalized::NormalizedView;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{ConsistencyReport, StageReport};
 use crate::session::{JointTrajectory, PersonTrack, Session};
@@ -29,7 +29,7 @@ pub struct DenoisingInput<'a> {
     /// The detections as they came.
     pub session: &'a Session,
     /// The same as rays.
-    pub views: &'a [ViewSightings],
+    pub views: &'a [NormalizedView],
     /// `camera_from_world`, metres as far as bones tell.
     pub cameras: &'a [Option<Rigid>],
     /// Who is who so far.

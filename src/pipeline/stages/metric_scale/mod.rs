@@ -1,12 +1,12 @@
 //! Metres: from the people's bodies, from one known height, from the distance of two cameras, or from given extrinsics.
 
-use super::config::{Extrinsics, ScaleSource};
-use super::{Capture, PipelineError};
 use crate::body::default_body;
 use crate::body::scale::{FittedStature, ScaleEstimate, scale_from_people, scale_of_nobody};
 use crate::body::segments::{MeasuredSegment, measured_segments};
 use crate::geometry::Rigid;
 use crate::optim::robust::INTERVAL_95;
+use crate::pipeline::config::{Extrinsics, ScaleSource};
+use crate::pipeline::{Capture, PipelineError};
 use crate::progress::Canceled;
 use crate::session::reconstruction::ScaleReport;
 use crate::session::{JointTrajectory, PersonTrack};
@@ -147,8 +147,8 @@ fn person_of_track(capture: &Capture, tracks: &[PersonTrack], id: i64) -> Option
         let mut n = 0usize;
         for (t, claim) in track.detections.iter().enumerate() {
             for (view, detection) in claim.iter().enumerate() {
-                let sighting = detection.map(|d| &capture.views[view].frames[track.first.0 + t][d]);
-                n += usize::from(sighting.is_some_and(|s| s.track_id == Some(id)));
+                let detection = detection.map(|d| &capture.views[view].frames[track.first.0 + t][d]);
+                n += usize::from(detection.is_some_and(|s| s.track_id == Some(id)));
             }
         }
         n

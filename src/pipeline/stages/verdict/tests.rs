@@ -203,7 +203,7 @@ fn contradicted_keypoints_are_named() {
     });
     let mut rare = Made::good();
     rare.people[0].keypoints[1] = KeypointReport { rejected: 0.9, n_observations: 20, ..keypoint("left_wrist") };
-    assert_eq!(rare.judged().verdict, Verdict::Pass, "twenty sightings are no judgement");
+    assert_eq!(rare.judged().verdict, Verdict::Pass, "twenty detections are no judgement");
 }
 
 #[test]

@@ -15,7 +15,7 @@ const SIGMA_MM: Bounds = Bounds { warn: 80.0, reject: 250.0 };
 /// Share of a kind of keypoint that contradicts the result: detectors' outliers are 0.05, hidden ones 0.3.
 const REJECTED_WARN: f64 = 0.4;
 
-/// Fewer sightings than this are no judgement on a kind of keypoint.
+/// Fewer detections than this are no judgement on a kind of keypoint.
 const MIN_SIGHTINGS: usize = 100;
 
 /// Mean relative standard deviation of a person's bone lengths: detectors make 0.01 to 0.08, other people's limbs more.
@@ -82,7 +82,7 @@ fn contradicted(person: &PersonReport) -> Option<Reason> {
     let worst = bad.iter().map(|k| k.rejected).reduce(f64::max)?;
     let names: Vec<&str> = bad.iter().map(|k| k.keypoint.as_str()).collect();
     Some(Reason::warn(format!(
-        "{} of person {} contradict the other cameras in up to {:.0} % of their sightings (expected below {:.0} %); check \
+        "{} of person {} contradict the other cameras in up to {:.0} % of their detections (expected below {:.0} %); check \
          keypoint_convention, or that no camera takes another person or a mirror image for this one",
         names.join(", "),
         person.id,
