@@ -1,19 +1,19 @@
-//! Bones between detector keypoints: which are rigid, how long they are in adults, how far they vary.
+//! Limb bones between detector keypoints: their ends, their length in adults and its spread.
 
 use super::skeleton::KeypointConvention;
 
-/// A segment between two keypoints whose length a person keeps.
+/// A limb segment between two keypoints whose length is constant for one person.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Bone {
-    /// Keypoint at one end.
+pub struct LimbBone {
+    /// Index of the keypoint at one end.
     pub a: usize,
-    /// Keypoint at the other end.
+    /// Index of the keypoint at the other end.
     pub b: usize,
-    /// Length in an average adult as detectors place the ends, m.
+    /// Distance between the two keypoints as detectors place them, in an average adult, m.
     pub length: f64,
 }
 
-/// Names of the ends and length in an adult of 1.69 m (ANSUR II, sexes pooled), m.
+/// Names of both ends and the length in an adult of 1.69 m (ANSUR II, sexes pooled), m.
 ///
 /// Upper arm: acromion-radiale 323 mm less the 45 mm by which the joint centre lies below the acromion; forearm:
 /// radiale-stylion 255 mm; thigh: trochanterion less lateral femoral epicondyle height 394 mm; shank: lateral femoral
@@ -29,13 +29,14 @@ const BONES: [(&str, &str, f64); 8] = [
     ("right_knee", "right_ankle", 0.405),
 ];
 
-/// Relative spread of a limb's length over single frames as detectors see it: 20 mm of noise at either end of 0.35 m.
+/// Relative standard deviation of a limb's length over single frames as detectors see it: 20 mm of noise at each end
+/// of a bone of 0.35 m.
 pub const LENGTH_SIGMA: f64 = 0.08;
 
-/// The limb bones of a convention; empty for none.
-pub fn limb_bones(convention: KeypointConvention) -> Vec<Bone> {
+/// The limb bones whose ends the convention has.
+pub fn limb_bones(convention: KeypointConvention) -> Vec<LimbBone> {
     let bone = |&(a, b, length): &(&str, &str, f64)| {
-        Some(Bone { a: convention.index_of(a)?, b: convention.index_of(b)?, length })
+        Some(LimbBone { a: convention.index_of(a)?, b: convention.index_of(b)?, length })
     };
     BONES.iter().filter_map(bone).collect()
 }

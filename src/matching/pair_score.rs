@@ -2,7 +2,7 @@
 
 use super::assignment::assign;
 use super::normalized::{NormalizedDetection, NormalizedView};
-use crate::body::bones::Bone;
+use crate::body::bones::LimbBone;
 use crate::geometry::Rigid;
 use crate::geometry::epipolar::{essential_from_pose, sampson_squared};
 use crate::optim::robust::median_and_spread;
@@ -26,12 +26,12 @@ pub struct PairEvidence<'a> {
     /// Sightings of the first and the second camera, frame by frame.
     pub frames: Vec<(&'a [NormalizedDetection], &'a [NormalizedDetection])>,
     /// Bones with reference lengths.
-    pub bones: &'a [Bone],
+    pub bones: &'a [LimbBone],
 }
 
 impl<'a> PairEvidence<'a> {
     /// The evidence of `frames`.
-    pub fn new(first: &'a NormalizedView, second: &'a NormalizedView, frames: &[usize], bones: &'a [Bone]) -> Self {
+    pub fn new(first: &'a NormalizedView, second: &'a NormalizedView, frames: &[usize], bones: &'a [LimbBone]) -> Self {
         let at = |&f: &usize| (first.frames[f].as_slice(), second.frames[f].as_slice());
         Self { frames: frames.iter().map(at).filter(|(a, b)| !a.is_empty() && !b.is_empty()).collect(), bones }
     }

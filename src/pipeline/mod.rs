@@ -9,7 +9,7 @@ pub mod result;
 pub mod stages;
 pub mod synchronisation;
 
-use crate::body::bones::{Bone, LENGTH_SIGMA, limb_bones};
+use crate::body::bones::{LENGTH_SIGMA, LimbBone, limb_bones};
 use crate::body::{BodyModel, default_body};
 use crate::geometry::Rigid;
 use crate::matching::normalized::{NormalizedView, normalized_views};
@@ -180,7 +180,7 @@ pub struct Capture<'a> {
     /// Every detection as rays.
     pub views: Vec<NormalizedView>,
     /// Limb bones with reference lengths.
-    pub bones: Vec<Bone>,
+    pub bones: Vec<LimbBone>,
     /// The same bones as the adjustment knows them.
     pub adjusted_bones: Vec<bundle_adjustment::Bone>,
 }

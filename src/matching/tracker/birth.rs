@@ -103,7 +103,7 @@ fn joined_by_others(
 
 /// Whether bones have human lengths and proportions, as far as they can be measured.
 pub(super) fn is_human(scene: &Scene, skeleton: &Skeleton) -> bool {
-    let ratio = |b: &crate::body::bones::Bone| Some(((skeleton[b.a]? - skeleton[b.b]?).norm() / b.length).ln());
+    let ratio = |b: &crate::body::bones::LimbBone| Some(((skeleton[b.a]? - skeleton[b.b]?).norm() / b.length).ln());
     let mut ratios: Vec<f64> = scene.bones.iter().filter_map(ratio).collect();
     let n = ratios.len();
     let (size, spread) = median_and_spread(&mut ratios);

@@ -14,7 +14,7 @@ mod rejoin;
 
 use super::assignment::assign;
 use super::normalized::NormalizedView;
-use crate::body::bones::Bone;
+use crate::body::bones::LimbBone;
 use crate::geometry::Rigid;
 use crate::progress::{Canceled, Progress};
 use nalgebra::Vector2;
@@ -50,7 +50,7 @@ pub struct Scene<'a> {
     /// Placed cameras.
     pub cameras: &'a [Option<Rigid>],
     /// Bones with reference lengths.
-    pub bones: &'a [Bone],
+    pub bones: &'a [LimbBone],
     /// Frames per second.
     pub fps: f64,
     /// Number of frames.

@@ -7,7 +7,7 @@
 use super::Scene;
 use super::birth::is_known;
 use super::person::{Skeleton, TrackedPerson};
-use crate::body::bones::Bone;
+use crate::body::bones::LimbBone;
 use crate::matching::normalized::NormalizedDetection;
 use nalgebra::Vector3;
 
@@ -64,7 +64,7 @@ pub(super) fn figure(scene: &Scene, detection: &NormalizedDetection, predicted: 
 
 /// Depth at which an adult's limbs look as long as these: foreshortening makes limbs look shorter, never longer, so that
 /// the longest tell; the very longest may be the detector's error.
-fn depth_of_limbs(bones: &[Bone], detection: &NormalizedDetection) -> Option<f64> {
+fn depth_of_limbs(bones: &[LimbBone], detection: &NormalizedDetection) -> Option<f64> {
     let is_seen = |k: usize| detection.confidence[k] > 0.0;
     let mut sizes: Vec<f64> = bones
         .iter()

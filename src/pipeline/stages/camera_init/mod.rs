@@ -1,6 +1,6 @@
 //! First extrinsics from people seen in common: nothing is known but the intrinsics.
 
-use crate::body::bones::Bone;
+use crate::body::bones::LimbBone;
 use crate::matching::normalized::NormalizedView;
 use crate::matching::pair_hypotheses::{CameraPair, HypothesisConfig, mix, pair_hypotheses};
 use crate::matching::pair_score::PairEvidence;
@@ -24,7 +24,7 @@ const N_JUDGED_FRAMES: usize = 60;
 pub fn initial_rigs(
     views: &[NormalizedView],
     tracklets: &[Vec<Tracklet>],
-    bones: &[Bone],
+    bones: &[LimbBone],
     seed: u64,
     progress: &Progress,
 ) -> Result<(Vec<Rig>, StageReport), Canceled> {

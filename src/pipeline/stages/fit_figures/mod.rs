@@ -7,7 +7,7 @@
 
 mod reprojections;
 
-use crate::body::bones::Bone;
+use crate::body::bones::LimbBone;
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
 use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median, quantile};
@@ -83,7 +83,7 @@ impl FitFigures {
     pub fn person_reports(
         &self,
         session: &Session,
-        bones: &[Bone],
+        bones: &[LimbBone],
         tracks: &[PersonTrack],
         paths: &[JointTrajectory],
     ) -> Vec<PersonReport> {
@@ -182,7 +182,7 @@ fn people_spread(paths: &[JointTrajectory]) -> Option<f64> {
 }
 
 /// Relative standard deviation of bone lengths over frames in which two views saw both ends, mean over bones.
-fn bone_spread(bones: &[Bone], path: &JointTrajectory) -> Option<f64> {
+fn bone_spread(bones: &[LimbBone], path: &JointTrajectory) -> Option<f64> {
     let spreads: Vec<f64> = bones
         .iter()
         .filter_map(|bone| {
