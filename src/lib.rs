@@ -19,7 +19,7 @@
 //! - [`export`]: the result folder, one file a format
 //! - [`pipeline`]: the stages, in order
 //! - `service` (feature `service`): sessions and jobs over HTTP, each job in a supervised child process
-//! - [`cli`]: the commands
+//! - `cli` (feature `cli`): the commands
 //!
 //! # Conventions
 //!
@@ -27,6 +27,7 @@
 //! look along +z, x right, y down; pixel (0, 0) is the centre of the first pixel.
 
 pub mod body;
+#[cfg(feature = "cli")]
 pub mod cli;
 pub mod estimation;
 pub mod evaluation;

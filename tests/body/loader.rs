@@ -231,7 +231,7 @@ fn hostile_files_get_one_clear_error() {
 
 /// Row 3: a child process whose whole address space is 256 MiB (more than it can ever hold in memory) refuses each file
 /// with one line and exit code 2, and reads a good one.
-#[cfg(target_os = "linux")]
+#[cfg(all(target_os = "linux", feature = "cli"))]
 #[test]
 fn hostile_files_are_refused_within_256_mib() {
     let folder = tempfile::tempdir().unwrap();
