@@ -6,6 +6,7 @@
 //! may import whom.
 //!
 //! - [`geometry`]: pure maths on rotations, rigid motions, cameras and rays
+//! - [`formats`]: NumPy's `.npy` and `.npz` files
 //! - [`progress`]: progress and cancellation, all that the core knows of its caller
 //! - [`optim`]: least squares that knows no cameras and no bodies
 //! - [`body`]: what a body is: skeleton, keypoint conventions, kinematics
@@ -32,6 +33,7 @@ pub mod cli;
 pub mod estimation;
 pub mod evaluation;
 pub mod export;
+pub mod formats;
 pub mod geometry;
 pub mod matching;
 pub mod motion_prior;

@@ -12,15 +12,16 @@ use std::path::{Path, PathBuf};
 /// Folder (or file) of `src/` and what it may import besides itself.
 const TABLE: &[(&str, &[&str])] = &[
     ("geometry", &[]),
+    ("formats", &[]),
     ("progress", &[]),
     ("optim", &["progress"]),
-    ("body", &["geometry", "optim"]),
-    ("motion_prior", &["geometry", "body", "progress"]),
-    ("session", &["geometry", "body"]),
+    ("body", &["formats", "geometry", "optim"]),
+    ("motion_prior", &["formats", "geometry", "body", "progress"]),
+    ("session", &["formats", "geometry", "body"]),
     ("residuals", &["geometry", "body", "optim", "motion_prior"]),
     ("estimation", &["geometry", "optim"]),
     ("evaluation", &["session", "body", "geometry"]),
-    ("export", &["session", "body", "geometry"]),
+    ("export", &["session", "body", "formats", "geometry"]),
     ("simulation", &["session", "motion_prior", "body", "geometry"]),
     ("matching", &["estimation", "residuals", "session", "geometry", "optim", "body", "progress"]),
     (

@@ -1,31 +1,31 @@
-//! Motion capture in the AMASS layout: what a file holds, turned upright.
+//! Reading motion capture in the AMASS layout, turned to y up.
 //!
 //! `poses` (frames, 72 | 156 | 165) axis-angle in SMPL's order, `trans` (frames, 3) m, `mocap_framerate` or
-//! `mocap_frame_rate`, optional `rest_joints` (24, 3). Of the wide layouts only the 22 body joints are read. Constant
-//! offsets of `trans` from the pelvis do not matter: every person is placed anew.
+//! `mocap_frame_rate`, optional `rest_joints` (24, 3). Of the wide layouts only the 22 body joints are read. A
+//! constant offset of `trans` from the pelvis has no effect: every person is placed anew.
 
 use super::chart::LocalRotations;
-use crate::body::loader::npy_head::with_flat_head;
 use crate::body::skeleton::N_JOINTS;
+use crate::formats::npy::{Array, NpyError};
+use crate::formats::npz::NpzReader;
 use crate::geometry::rotation;
 use nalgebra::{Matrix3, Vector3};
 use std::fs::File;
 use std::io::{self, BufReader};
 use std::path::Path;
-use zip::ZipArchive;
 
-/// What is wrong with a motion file.
+/// Why a motion file cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum MotionProblem {
-    /// It cannot be opened or read.
+    /// The file cannot be opened or read.
     #[error(transparent)]
     Io(#[from] io::Error),
-    /// It is no zip archive, or holds no such array.
+    /// The file is not a zip archive, or the array is missing.
     #[error("array {array}: {source}")]
     Archive {
         /// Name of the array.
         array: &'static str,
-        /// The archive's own words.
+        /// Error of the zip reader.
         source: zip::result::ZipError,
     },
     /// An array has the wrong shape.
@@ -33,61 +33,55 @@ pub enum MotionProblem {
     Shape {
         /// Name of the array.
         array: &'static str,
-        /// What fits.
+        /// Expected shape.
         expected: &'static str,
-        /// What is there.
-        found: Vec<u64>,
+        /// Shape in the file.
+        found: Vec<usize>,
     },
-    /// An array holds something else than real numbers.
+    /// An array contains values that are not finite numbers.
     #[error("array {array}: finite numbers expected")]
     Values {
         /// Name of the array.
         array: &'static str,
     },
-    /// There is no frame rate.
+    /// The frame rate is missing or not positive.
     #[error("mocap_framerate: a positive number expected")]
     FrameRate,
 }
 
-/// Arrays larger than this are refused before they are read: 10 hours at 120 Hz.
-const MAX_NUMBERS: u64 = 165 * 120 * 36_000;
+/// Most numbers of an array, checked before it is read: 10 hours at 120 Hz.
+const MAX_NUMBERS: usize = 165 * 120 * 36_000;
 
-/// A file as it is, y up.
+/// The motion of one file, y up.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MotionTake {
-    /// Joints of the file's own skeleton in the zero pose, m, where it has one.
+    /// Joints of the file's own skeleton in the zero pose, m, if the file has them.
     pub rest_joints: Option<[Vector3<f64>; N_JOINTS]>,
-    /// At least one pose.
+    /// Poses by frame, at least one.
     pub poses: Vec<MotionPose>,
-    /// The file's own rate, Hz.
+    /// Frame rate of the file, Hz.
     pub fps: f64,
 }
 
-/// One frame of a file.
+/// The pose of one frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MotionPose {
     /// `parent_from_joint`; entry 0 is `world_from_pelvis`.
     pub rotations: LocalRotations,
-    /// The pelvis joint in the world, m, up to a constant offset.
+    /// Position of the pelvis joint in the world, m, up to a constant offset.
     pub pelvis: Vector3<f64>,
 }
 
-struct Array {
-    shape: Vec<u64>,
-    values: Vec<f64>,
-}
-
-/// Reads a file.
+/// Reads a motion file.
 ///
 /// # Errors
-/// [`MotionProblem`] names the array and what was expected of it.
+/// [`MotionProblem`] names the array and what was expected.
 pub fn read_take(path: &Path) -> Result<MotionTake, MotionProblem> {
-    let mut archive = ZipArchive::new(BufReader::new(File::open(path)?))
-        .map_err(|source| MotionProblem::Archive { array: "poses", source })?;
+    let mut archive = NpzReader::new(BufReader::new(File::open(path)?)).map_err(|error| problem("poses", error))?;
     let poses = required(&mut archive, "poses")?;
     let trans = required(&mut archive, "trans")?;
     let (n_frames, width) = match poses.shape[..] {
-        [n, width @ (72 | 156 | 165)] if n > 0 => (n as usize, width as usize),
+        [n, width @ (72 | 156 | 165)] if n > 0 => (n, width),
         _ => {
             return Err(MotionProblem::Shape {
                 array: "poses",
@@ -96,7 +90,7 @@ pub fn read_take(path: &Path) -> Result<MotionTake, MotionProblem> {
             });
         }
     };
-    if trans.shape != [n_frames as u64, 3] {
+    if trans.shape != [n_frames, 3] {
         return Err(MotionProblem::Shape { array: "trans", expected: "(frames of poses, 3)", found: trans.shape });
     }
     let rate = match array(&mut archive, "mocap_framerate")? {
@@ -106,14 +100,14 @@ pub fn read_take(path: &Path) -> Result<MotionTake, MotionProblem> {
     let fps = rate.and_then(|a| a.values.first().copied()).filter(|f| *f > 0.0).ok_or(MotionProblem::FrameRate)?;
     let rest_joints = match array(&mut archive, "rest_joints")? {
         None => None,
-        Some(rest) if rest.shape == [N_JOINTS as u64, 3] => {
+        Some(rest) if rest.shape == [N_JOINTS, 3] => {
             Some(std::array::from_fn(|j| Vector3::from_column_slice(&rest.values[3 * j..3 * j + 3])))
         }
         Some(rest) => {
             return Err(MotionProblem::Shape { array: "rest_joints", expected: "(24, 3)", found: rest.shape });
         }
     };
-    // In the wide layouts fingers or jaw and eyes follow the 22 body joints.
+    // In the wide layouts fingers, or jaw and eyes, follow the 22 body joints.
     let n_read = if width == 72 { N_JOINTS } else { 22 };
     let pose = |frame: usize| {
         let row = &poses.values[frame * width..(frame + 1) * width];
@@ -128,45 +122,32 @@ pub fn read_take(path: &Path) -> Result<MotionTake, MotionProblem> {
     Ok(MotionTake { rest_joints, poses, fps })
 }
 
-fn required(archive: &mut ZipArchive<BufReader<File>>, name: &'static str) -> Result<Array, MotionProblem> {
+fn required(archive: &mut NpzReader<BufReader<File>>, name: &'static str) -> Result<Array, MotionProblem> {
     let missing = MotionProblem::Archive { array: name, source: zip::result::ZipError::FileNotFound };
     array(archive, name)?.ok_or(missing)
 }
 
-/// An array of real numbers in C order; `None` where the archive has none of the name.
-fn array(archive: &mut ZipArchive<BufReader<File>>, name: &'static str) -> Result<Option<Array>, MotionProblem> {
-    let member = match archive.by_name(&npyz::npz::file_name_from_array_name(name)) {
-        Err(zip::result::ZipError::FileNotFound) => return Ok(None),
-        member => member.map_err(|source| MotionProblem::Archive { array: name, source })?,
-    };
-    let file = npyz::NpyFile::new(with_flat_head(member)?)?;
-    let shape = file.shape().to_vec();
-    let size = shape.iter().try_fold(1_u64, |size, n| size.checked_mul(*n)).filter(|size| *size <= MAX_NUMBERS);
-    if size.is_none() || file.order() != npyz::Order::C {
-        return Err(MotionProblem::Shape { array: name, expected: "at most 10 hours in C order", found: shape });
-    }
-    let values = real_numbers(file).ok_or(MotionProblem::Values { array: name })?;
-    if !values.iter().all(|value| value.is_finite()) {
+/// An array of finite numbers; `None` if the archive does not contain the name.
+fn array(archive: &mut NpzReader<BufReader<File>>, name: &'static str) -> Result<Option<Array>, MotionProblem> {
+    let array = archive.array(name, MAX_NUMBERS).map_err(|error| problem(name, error))?;
+    if array.as_ref().is_some_and(|array| !array.values.iter().all(|value| value.is_finite())) {
         return Err(MotionProblem::Values { array: name });
     }
-    Ok(Some(Array { shape, values }))
+    Ok(array)
 }
 
-/// Doubles, floats or integers as doubles; `None` for anything else or a file that ends early.
-fn real_numbers<R: io::Read>(file: npyz::NpyFile<R>) -> Option<Vec<f64>> {
-    let file = match file.try_data::<f64>() {
-        Ok(data) => return data.collect::<io::Result<Vec<f64>>>().ok(),
-        Err(file) => file,
-    };
-    let file = match file.try_data::<f32>() {
-        Ok(data) => return data.map(|value| value.map(f64::from)).collect::<io::Result<Vec<f64>>>().ok(),
-        Err(file) => file,
-    };
-    let data = file.try_data::<i64>().ok()?;
-    data.map(|value| value.map(|v| v as f64)).collect::<io::Result<Vec<f64>>>().ok()
+fn problem(array: &'static str, error: NpyError) -> MotionProblem {
+    match error {
+        NpyError::Io(error) | NpyError::Header(error) => MotionProblem::Io(error),
+        NpyError::Archive(source) => MotionProblem::Archive { array, source },
+        NpyError::NotNumbers { .. } | NpyError::Length { .. } => MotionProblem::Values { array },
+        NpyError::TooLarge { shape, .. } => {
+            MotionProblem::Shape { array, expected: "at most 10 hours at 120 Hz", found: shape }
+        }
+    }
 }
 
-/// AMASS stands on z, others on y: whichever the pelvis' own up axis mostly points along is up.
+/// Turns a motion to y up. AMASS has z up, others y: the axis that the pelvis's own up axis is closest to on average.
 fn turn_y_up(poses: &mut [MotionPose]) {
     let up: Vector3<f64> = poses.iter().map(|pose| pose.rotations[0].column(1).into_owned()).sum();
     if up.z.abs() <= up.y.abs() {

@@ -1,21 +1,22 @@
-//! From arrays to a body: every shape, range and sum is checked once, here.
+//! Builds a body from arrays: every shape, range and sum is checked once, here.
 
-use super::array::{Array, Fields};
 use super::error::BodyFileError;
+use super::fields::Fields;
 use super::landmark_table::LandmarkTable;
 use crate::body::model::{BodyModel, ShapeDirections};
 use crate::body::skeleton::{N_JOINTS, PARENTS};
 use crate::body::surface::{JointWeight, N_POSE_FEATURES, Surface, SurfacePoint, VertexWeight};
+use crate::formats::npy::Array;
 use nalgebra::Vector3;
 
-/// A generic body in SMPL's layout may have this many vertices.
+/// Most vertices of a body in SMPL's layout.
 const MAX_VERTICES: usize = 20_000;
-/// An adult or adolescent at beta 0, m.
+/// Smallest and largest height of an adult or adolescent at beta 0, m.
 const HEIGHTS: [f64; 2] = [1.2, 2.3];
-/// How far sums of weights may be from 1, and weights below 0.
+/// Largest difference between a sum of weights and 1.
 const SUM_TOLERANCE: f64 = 1e-3;
 
-/// Checks the fields and makes the body.
+/// Checks the fields and builds the body; the points of `table` replace those of the file.
 pub(super) fn body(name: String, mut fields: Fields, table: &LandmarkTable) -> Result<BodyModel, BodyFileError> {
     let vertices = vertices(&take(&mut fields, "v_template")?)?;
     let n = vertices.len();
@@ -45,7 +46,7 @@ pub(super) fn body(name: String, mut fields: Fields, table: &LandmarkTable) -> R
     Ok(BodyModel::new(name, surface))
 }
 
-/// Whether a sum of shares is 1 as nearly as files have it; not for one that is no number.
+/// Whether a sum of weights is 1 within the precision of files; false for NaN.
 fn is_one(sum: f64) -> bool {
     (sum - 1.0).abs() <= SUM_TOLERANCE
 }
@@ -86,7 +87,7 @@ fn vertices(array: &Array) -> Result<Vec<Vector3<f64>>, BodyFileError> {
     Ok(vertices)
 }
 
-/// The first ten components; where the file has fewer, the rest do nothing.
+/// The first ten components; where the file has fewer, the others are zero.
 fn shape_directions(array: &Array, n: usize) -> Result<Vec<ShapeDirections>, BodyFileError> {
     let field = "shapedirs";
     shaped(field, array, "(V, 3, n)", matches!(array.shape[..], [v, 3, k] if v == n && k > 0))?;
@@ -99,7 +100,7 @@ fn shape_directions(array: &Array, n: usize) -> Result<Vec<ShapeDirections>, Bod
     Ok((0..n).map(|vertex| ShapeDirections::from_fn(|axis, k| entry(vertex, axis, k))).collect())
 }
 
-/// Other models of the family are known by their weights, before their larger arrays are read.
+/// Rejects other models of the family by the shape of their weights, before their larger arrays are read.
 pub(super) fn refuse_other_models(field: &str, array: &Array) -> Result<(), BodyFileError> {
     match array.shape[..] {
         [_, 52] if field == "weights" => Err(BodyFileError::OtherModel { model: "SMPL-H", joints: 52 }),
@@ -139,7 +140,7 @@ fn regressor(array: &Array, n: usize) -> Result<[Vec<VertexWeight>; N_JOINTS], B
     Ok(rows)
 }
 
-/// The joint tree must be SMPL's: parents in the first row, the root's being -1 in some width of integer.
+/// Checks that the joint tree is SMPL's: parents in the first row, the root's parent being -1 in some integer width.
 fn check_tree(array: &Array) -> Result<(), BodyFileError> {
     let field = "kintree_table";
     shaped(field, array, "(2, 24)", array.shape == [2, N_JOINTS])?;
@@ -173,7 +174,7 @@ fn pose_directions(array: &Array, n: usize) -> Result<Vec<f32>, BodyFileError> {
     Ok(if is_still { Vec::new() } else { array.values.iter().map(|v| *v as f32).collect() })
 }
 
-/// Our own files carry their landmarks: rows (landmark, vertex) with weights, and the names as lines of text.
+/// The landmarks of our own layout: rows (landmark, vertex) with weights, and the names as lines of text.
 fn own_points(fields: &Fields) -> Result<Vec<SurfacePoint>, BodyFileError> {
     let (Some(names), Some(rows), Some(weights)) =
         (fields.get("landmark_names"), fields.get("landmark_vertices"), fields.get("landmark_weights"))

@@ -1,31 +1,34 @@
-//! Bodies read before: a user's file is converted once, to our own format, under the digest of what it was made from.
+//! Cache of converted bodies: a user's file is converted once to our own layout, named by the digest of its source.
 //!
-//! What is kept is the user's licensed model: the folder is the operator's, files have mode 0600. Single precision
-//! (0.1 micrometres); a first reading gives what later ones give.
+//! The cached files contain the user's licensed model: they have mode 0600, in a folder of the operator's. Single
+//! precision (0.1 micrometres); the first reading returns the same body as all later ones.
 
-use super::{BodyFileError, LandmarkTable, body_from_bytes, body_npz, file_bytes};
+use super::error::BodyFileError;
+use super::landmark_table::LandmarkTable;
+use super::read::{body_from_bytes, file_bytes, stem};
+use super::write::body_npz;
 use crate::body::model::BodyModel;
 use sha2::{Digest, Sha256};
 use std::fs::{File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// A body of a cache.
+/// A body and its file in the cache.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CachedBody {
-    /// The model as it was kept.
+    /// The model as read from the cache.
     pub model: BodyModel,
-    /// Where it lies.
+    /// Path of its file.
     pub file: PathBuf,
 }
 
-/// [`super::load_body`] through a cache in `folder`, which is made where it is missing.
+/// [`super::load_body`] through a cache in `folder`, which is created if it does not exist.
 ///
 /// # Errors
-/// As [`super::load_body`], and when the folder takes no files.
+/// As [`super::load_body`], and when the folder cannot be written.
 pub fn load_body_cached(path: &Path, landmarks: &LandmarkTable, folder: &Path) -> Result<CachedBody, BodyFileError> {
     let bytes = file_bytes(path)?;
-    let name = super::stem(path);
+    let name = stem(path);
     let file = folder.join(format!("{}.npz", key(&bytes, landmarks)));
     if !file.exists() {
         let surface = &body_from_bytes(name.clone(), &bytes, landmarks)?.surface;
@@ -37,10 +40,10 @@ pub fn load_body_cached(path: &Path, landmarks: &LandmarkTable, folder: &Path) -
     Ok(CachedBody { model, file })
 }
 
-/// Writes a file that only its owner reads, whole or not at all.
+/// Writes a file that only its owner can read (mode 0600), completely or not at all.
 ///
 /// # Errors
-/// When the system refuses.
+/// When the file system fails.
 pub fn write_private(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let partial = path.with_extension(format!("{}.part", std::process::id()));
     let written = private_file(&partial).and_then(|mut file| {
@@ -49,7 +52,7 @@ pub fn write_private(path: &Path, bytes: &[u8]) -> io::Result<()> {
         std::fs::rename(&partial, path)
     });
     if written.is_err() {
-        let _ = std::fs::remove_file(&partial); // half a file helps nobody
+        let _ = std::fs::remove_file(&partial); // do not leave an incomplete file
     }
     written
 }
@@ -62,7 +65,7 @@ fn private_file(path: &Path) -> io::Result<File> {
     options.open(path)
 }
 
-/// SHA-256 over the file and the landmarks laid on it.
+/// SHA-256 over the file and the landmarks added to it.
 fn key(bytes: &[u8], landmarks: &LandmarkTable) -> String {
     let mut hash = Sha256::new();
     hash.update(bytes);
@@ -82,12 +85,12 @@ mod tests {
     use crate::body::default_body;
 
     #[test]
-    fn the_second_reading_is_the_first_and_private() {
+    fn cached_body_is_unchanged_and_private() {
         let folder = tempfile::tempdir().unwrap();
         let (source, cache) = (folder.path().join("own.npz"), folder.path().join("cache"));
         std::fs::write(&source, body_npz(&default_body().surface, true).unwrap()).unwrap();
         let first = load_body_cached(&source, &LandmarkTable::default(), &cache).unwrap();
-        // Skin weights are normalised again when read, which may move their last bit.
+        // Skin weights are normalised again when read, which may change their last bit.
         let joints = first.model.rest_joints.iter().zip(default_body().rest_joints);
         assert!(joints.map(|(a, b)| (a - b).norm()).fold(0.0, f64::max) < 1e-6);
         assert!(first.model.surface.vertices == default_body().surface.vertices);

@@ -1,5 +1,6 @@
-//! Why a body file is refused.
+//! Why a body file is rejected.
 
+use crate::formats::npy::NpyError;
 use std::io;
 
 /// The first fault found in a body file.
@@ -11,22 +12,22 @@ pub enum BodyFileError {
     /// Something is larger than any body model.
     #[error("{what} is larger than the {limit} that a body model may have")]
     TooLarge {
-        /// What.
+        /// What is too large.
         what: &'static str,
-        /// Bytes, elements or steps.
+        /// Largest allowed size, bytes, elements or steps.
         limit: u64,
     },
-    /// The pickle ends early or is no pickle.
+    /// The pickle ends early or is damaged.
     #[error("byte {offset}: {expected} expected; is this an .npz or .pkl body file?")]
     Malformed {
-        /// Where reading stopped.
+        /// Byte at which reading stopped.
         offset: usize,
         /// What was expected there.
         expected: &'static str,
     },
-    /// The pickle asks for something that no body model needs.
+    /// The pickle refers to a Python object that no body model needs.
     #[error(
-        "the pickle asks for {}.{}, which no body model needs; convert the file to .npz",
+        "the pickle refers to {}.{}, which no body model needs; convert the file to .npz",
         module.escape_debug(),
         name.escape_debug()
     )]
@@ -37,55 +38,70 @@ pub enum BodyFileError {
         name: String,
     },
     /// A field is missing.
-    #[error("the field {field} is missing; a SMPL model file has it")]
+    #[error("the field {field} is missing; every SMPL model file has it")]
     Missing {
-        /// Which.
+        /// Name of the field.
         field: &'static str,
     },
     /// A field is not an array of numbers in a known form.
     #[error("{field}: {expected} expected; convert the file to .npz with plain arrays")]
     NotAnArray {
-        /// Which.
+        /// Name of the field.
         field: String,
         /// What was expected.
         expected: &'static str,
     },
-    /// A field has another shape.
+    /// A field does not have the expected shape.
     #[error("{field}: shape {expected} expected, found {found:?}")]
     Shape {
-        /// Which.
+        /// Name of the field.
         field: &'static str,
-        /// In letters: V vertices, F faces.
+        /// Expected shape in letters: V vertices, F faces.
         expected: &'static str,
-        /// What the file has.
+        /// Shape in the file.
         found: Vec<usize>,
     },
-    /// Another model of the family.
+    /// The file holds another model of the SMPL family.
     #[error("this is {model} ({joints} joints), which is not supported; use the SMPL file of 24 joints")]
     OtherModel {
-        /// Its name.
+        /// Name of the model.
         model: &'static str,
-        /// Its joints.
+        /// Number of its joints.
         joints: usize,
     },
-    /// A number breaks a rule.
+    /// A number violates a rule.
     #[error("{field}, row {row}: {rule}")]
     Value {
-        /// Which field.
+        /// Name of the field.
         field: &'static str,
-        /// Which row.
+        /// Row of the array.
         row: usize,
-        /// What must hold.
+        /// The rule.
         rule: &'static str,
     },
     /// The landmark table does not fit the mesh.
     #[error("landmark {name}: vertex {vertex} is not one of the {n_vertices} of this body")]
     LandmarkVertex {
-        /// Which landmark.
+        /// Name of the landmark.
         name: String,
-        /// Its vertex.
+        /// Vertex in the table.
         vertex: usize,
-        /// Vertices of the mesh.
+        /// Number of vertices of the mesh.
         n_vertices: usize,
     },
+}
+
+impl BodyFileError {
+    /// The error of an array in a body file.
+    pub(super) fn of_array(field: &str, error: NpyError) -> Self {
+        let not_an_array = |expected| Self::NotAnArray { field: field.to_owned(), expected };
+        match error {
+            NpyError::Io(error) => Self::Io(error),
+            NpyError::Archive(_) => Self::Malformed { offset: 0, expected: "a readable zip archive" },
+            NpyError::Header(_) => not_an_array("a numpy array"),
+            NpyError::NotNumbers { .. } => not_an_array("an array of numbers"),
+            NpyError::TooLarge { limit, .. } => Self::TooLarge { what: "an array", limit: limit as u64 },
+            NpyError::Length { .. } => not_an_array("as many bytes as the shape says"),
+        }
+    }
 }

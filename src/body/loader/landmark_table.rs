@@ -1,40 +1,40 @@
-//! The operator's table of landmarks: where the detectors' surface points lie on a user's mesh.
+//! The operator's table of landmarks: the detectors' surface points on a user's mesh.
 //!
 //! ```json
 //! {"nose": [{"vertex": 12, "weight": 1.0}], "left_heel": [{"vertex": 7, "weight": 0.5}, {"vertex": 9, "weight": 0.5}]}
 //! ```
-//! Names are those of the keypoint conventions; the weights of a point sum to 1. Vertex numbers belong to the user's
+//! Names are those of the keypoint conventions; the weights of a point sum to 1. Vertex numbers refer to the user's
 //! file and come from its licensor.
 
 use crate::body::skeleton::KeypointConvention;
 use crate::body::surface::{SurfacePoint, VertexWeight};
 use std::collections::BTreeMap;
 
-/// Points of the skin by name.
+/// Named points of the skin.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct LandmarkTable {
     /// In alphabetical order of their names.
     pub points: Vec<SurfacePoint>,
 }
 
-/// Why a landmark table is refused.
+/// Why a landmark table is rejected.
 #[derive(Debug, thiserror::Error)]
 pub enum LandmarkTableError {
-    /// Not the documented JSON.
-    #[error("the landmark table is not readable: {0}")]
+    /// The text is not the documented JSON.
+    #[error("the landmark table cannot be read: {0}")]
     Json(#[from] serde_json::Error),
     /// No convention has a keypoint of this name.
-    #[error("no keypoint is called {name}; names are those of the keypoint conventions, as left_heel")]
+    #[error("no keypoint is called {name}; use a name of a keypoint convention, such as left_heel")]
     UnknownName {
-        /// The name.
+        /// The unknown name.
         name: String,
     },
-    /// Weights that do not sum to 1.
+    /// The weights of a landmark do not sum to 1.
     #[error("landmark {name}: the weights sum to {sum}, 1 expected")]
     Weights {
-        /// The landmark.
+        /// Name of the landmark.
         name: String,
-        /// What they sum to.
+        /// Sum of its weights.
         sum: f64,
     },
 }
@@ -50,7 +50,7 @@ impl LandmarkTable {
     /// Reads the documented JSON.
     ///
     /// # Errors
-    /// [`LandmarkTableError`]; vertex numbers are checked when the table meets a mesh.
+    /// [`LandmarkTableError`]; vertex numbers are checked when the table is applied to a mesh.
     pub fn from_json(json: &[u8]) -> Result<Self, LandmarkTableError> {
         let entries: BTreeMap<String, Vec<Entry>> = serde_json::from_slice(json)?;
         let mut points = Vec::new();

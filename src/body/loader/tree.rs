@@ -1,40 +1,36 @@
-//! Numeric arrays out of a pickle's tree: numpy arrays, scipy's sparse matrices, chumpy's `Ch` and `Select`.
+//! Numeric arrays from a pickle's tree: numpy arrays, scipy's sparse matrices, chumpy's `Ch` and `Select`.
 
-use super::array::{Array, FIELDS, Fields, MAX_ELEMENTS, NumberType, max_elements, n_elements};
 use super::assemble::refuse_other_models;
 use super::error::BodyFileError;
+use super::fields::{FIELDS, Fields, MAX_ELEMENTS, max_elements};
 use super::pickle::{Global, Node, NodeId, Pickle, parse};
+use crate::formats::npy::{Array, Header, NumberType, n_elements};
 use std::borrow::Cow;
 
-/// Nesting of a released model's deepest field is 6; a pickle that holds itself is deeper than any bound.
+/// Deepest nesting that is read: 6 in released models, unbounded in a pickle that contains itself.
 const MAX_DEPTH: usize = 64;
 
 /// Reads the fields of a body model from a pickle.
 pub(super) fn read_fields(bytes: &[u8]) -> Result<Fields, BodyFileError> {
-    let pickle = parse(bytes)?;
-    let Node::Dict(entries) = &pickle.nodes[pickle.root] else {
-        return Err(BodyFileError::Malformed { offset: bytes.len(), expected: "a dictionary of fields" });
-    };
-    let mut fields = Fields::new();
-    for field in FIELDS {
-        if let Some(value) = lookup(&pickle, entries, field) {
-            let array = Reader { pickle: &pickle, field }.array(value, 0)?;
-            let limit = max_elements(field);
-            if array.values.len() > limit {
-                return Err(BodyFileError::TooLarge { what: "an array", limit: limit as u64 });
-            }
-            refuse_other_models(field, &array)?;
-            fields.insert(field.to_owned(), array);
-        }
-    }
-    Ok(fields)
+    dictionary_arrays(bytes, &FIELDS, max_elements, refuse_other_models)
 }
 
-/// Small numeric arrays of a pickled dictionary, by field; fields that it lacks are left out.
+/// Small numeric arrays of a pickled dictionary, by field; missing fields are left out.
 ///
 /// # Errors
-/// What is no such dictionary, and fields that are no arrays of at most a thousand numbers.
+/// [`BodyFileError`] where the bytes are not such a dictionary or a field is not an array of at most a thousand numbers.
 pub(crate) fn arrays_of_pickle(bytes: &[u8], names: &[&str]) -> Result<Fields, BodyFileError> {
+    const MAX_SMALL: usize = 1000; // more than a camera calibration's field has
+    dictionary_arrays(bytes, names, |_| MAX_SMALL, |_, _| Ok(()))
+}
+
+/// The arrays of `names` in a pickled dictionary, each of at most `limit` elements and checked before the next is read.
+fn dictionary_arrays(
+    bytes: &[u8],
+    names: &[&str],
+    limit: impl Fn(&str) -> usize,
+    check: impl Fn(&str, &Array) -> Result<(), BodyFileError>,
+) -> Result<Fields, BodyFileError> {
     let pickle = parse(bytes)?;
     let Node::Dict(entries) = &pickle.nodes[pickle.root] else {
         return Err(BodyFileError::Malformed { offset: bytes.len(), expected: "a dictionary of fields" });
@@ -42,18 +38,16 @@ pub(crate) fn arrays_of_pickle(bytes: &[u8], names: &[&str]) -> Result<Fields, B
     let mut fields = Fields::new();
     for field in names {
         if let Some(value) = lookup(&pickle, entries, field) {
-            let array = Reader { pickle: &pickle, field }.array(value, 0)?;
-            if array.values.len() > MAX_SMALL {
-                return Err(BodyFileError::TooLarge { what: "an array", limit: MAX_SMALL as u64 });
+            let (array, limit) = (Reader { pickle: &pickle, field }.array(value, 0)?, limit(field));
+            if array.values.len() > limit {
+                return Err(BodyFileError::TooLarge { what: "an array", limit: limit as u64 });
             }
+            check(field, &array)?;
             fields.insert((*field).to_owned(), array);
         }
     }
     Ok(fields)
 }
-
-/// More numbers than a calibration's field has.
-const MAX_SMALL: usize = 1000;
 
 fn lookup(pickle: &Pickle, entries: &[(NodeId, NodeId)], key: &str) -> Option<NodeId> {
     let is_key = |id: NodeId| match &pickle.nodes[id] {
@@ -64,14 +58,14 @@ fn lookup(pickle: &Pickle, entries: &[(NodeId, NodeId)], key: &str) -> Option<No
     entries.iter().rev().find(|(id, _)| is_key(*id)).map(|(_, value)| *value)
 }
 
-/// One field being read.
+/// Reads the value of one field.
 #[derive(Clone, Copy)]
 struct Reader<'p, 'b> {
     pickle: &'p Pickle<'b>,
     field: &'p str,
 }
 
-/// An object's parts.
+/// A Python object: its class, arguments and state.
 struct Object {
     class: Global,
     arguments: NodeId,
@@ -98,7 +92,7 @@ impl<'p> Reader<'p, '_> {
         }
     }
 
-    /// The class, whether called, made anew or reconstructed, and what it was made of.
+    /// An object's class and arguments, whether it was called, newly created or reconstructed.
     fn object(&self, id: NodeId) -> Result<Object, BodyFileError> {
         let Node::Object { callable, arguments, state } = &self.pickle.nodes[id] else {
             return Err(self.fault("an array"));
@@ -130,9 +124,8 @@ impl<'p> Reader<'p, '_> {
                 let (Global::Scalar, [dtype, bytes]) = (object.class, self.sequence(object.arguments)?) else {
                     return Err(self.fault("an integer"));
                 };
-                let array =
-                    Array::decode(self.field, Vec::new(), self.number_type(*dtype)?, false, &self.bytes(*bytes)?)?;
-                Ok(array.values[0] as i64)
+                let header = Header { shape: Vec::new(), number: self.number_type(*dtype)?, is_fortran: false };
+                Ok(self.decoded(header, &self.bytes(*bytes)?)?.values[0] as i64)
             }
             _ => Err(self.fault("an integer")),
         }
@@ -143,7 +136,7 @@ impl<'p> Reader<'p, '_> {
             |id: &NodeId| usize::try_from(self.integer(*id)?).map_err(|_| self.fault("lengths of at least zero"));
         match &self.pickle.nodes[id] {
             Node::Sequence(items) => items.iter().map(length).collect(),
-            // A preferred shape may be an array itself.
+            // chumpy's preferred shape may be an array.
             Node::Object { .. } => {
                 Ok(self.numpy_array(&self.object(id)?)?.values.iter().map(|v| *v as usize).collect())
             }
@@ -151,7 +144,7 @@ impl<'p> Reader<'p, '_> {
         }
     }
 
-    /// Raw bytes, or the text that Python 3 spells them as (`_codecs.encode(text, 'latin1')`, or Latin-1 text itself).
+    /// Raw bytes, or the text by which Python 3 writes them (`_codecs.encode(text, 'latin1')`, or Latin-1 text itself).
     fn bytes(&self, id: NodeId) -> Result<Cow<'p, [u8]>, BodyFileError> {
         let latin1 = |text: &str| -> Result<Vec<u8>, BodyFileError> {
             text.chars().map(|c| u8::try_from(u32::from(c)).map_err(|_| self.fault("Latin-1 text"))).collect()
@@ -178,7 +171,11 @@ impl<'p> Reader<'p, '_> {
             return Err(self.fault("numpy's state of an array"));
         };
         let (number, is_fortran) = (self.number_type(*dtype)?, self.integer(*is_fortran)? != 0);
-        Array::decode(self.field, self.shape(*shape)?, number, is_fortran, &self.bytes(*bytes)?)
+        self.decoded(Header { shape: self.shape(*shape)?, number, is_fortran }, &self.bytes(*bytes)?)
+    }
+
+    fn decoded(&self, header: Header, bytes: &[u8]) -> Result<Array, BodyFileError> {
+        Array::decode(header, bytes, MAX_ELEMENTS).map_err(|error| BodyFileError::of_array(self.field, error))
     }
 
     /// Arguments: (code, ...), state: (version, byte order, ...).
@@ -211,7 +208,9 @@ impl<'p> Reader<'p, '_> {
         let shape = self.member(object, "_shape").or_else(|_| self.member(object, "shape"))?;
         let shape = self.shape(shape)?;
         let faulty = || self.fault("a consistent sparse matrix");
-        let (&[rows, columns], Some(count)) = (shape.as_slice(), n_elements(&shape)) else { return Err(faulty()) };
+        let (&[rows, columns], Some(count)) = (shape.as_slice(), n_elements(&shape, MAX_ELEMENTS)) else {
+            return Err(faulty());
+        };
         let n_lines = if compressed == Compressed::Columns { columns } else { rows };
         if starts.values.len() != n_lines + 1 {
             return Err(faulty());
@@ -245,14 +244,14 @@ impl<'p> Reader<'p, '_> {
         let element = |index: &f64| source.values.get(*index as usize).copied();
         let values: Option<Vec<f64>> = chosen.values.iter().map(element).collect();
         let values = values.ok_or_else(|| self.fault("choices within the array"))?;
-        if n_elements(&shape) != Some(values.len()) || values.len() > MAX_ELEMENTS {
+        if n_elements(&shape, MAX_ELEMENTS) != Some(values.len()) {
             return Err(self.fault("as many choices as the shape says"));
         }
         Ok(Array { shape, values })
     }
 }
 
-/// Which lines of a sparse matrix lie together.
+/// Whether a sparse matrix is stored by columns or by rows.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Compressed {
     Columns,

@@ -1,25 +1,23 @@
-//! Writing a body: SMPL's `.npz` layout with our landmarks, and Wavefront OBJ, binary glTF.
+//! Writing a body: SMPL's `.npz` layout with our landmarks, Wavefront OBJ and binary glTF.
 
 use crate::body::anthropometry::N_BETAS;
 use crate::body::skeleton::{N_JOINTS, PARENTS};
 use crate::body::surface::{N_POSE_FEATURES, Surface};
+use crate::formats::npz::{CompressionMethod, NpzWriter};
 use nalgebra::Vector3;
-use npyz::{AutoSerialize, WriterBuilder};
 use std::fmt::Write as _;
-use std::io::{self, Cursor, Write as _};
-use zip::write::SimpleFileOptions;
-use zip::{CompressionMethod, DateTime, System, ZipWriter};
+use std::io::{self, Cursor};
 
-/// The body as an `.npz` that [`super::load_body`] and smplx-compatible tools read: single precision, deflated, without
-/// a clock, so that the same body gives the same bytes.
+/// The body as an `.npz` that [`super::load_body`] and smplx-compatible tools read: single precision, deflated. The
+/// same body gives the same bytes.
 ///
-/// `posedirs` is written where the body has pose directions, or as zeros where `with_posedirs` asks for the full layout.
+/// `posedirs` is written if the body has pose directions, or as zeros if `with_posedirs` requests the full layout.
 ///
 /// # Errors
-/// None that memory does not cause; kept for the writer's sake.
+/// What the writer reports; writing to memory does not fail.
 pub fn body_npz(surface: &Surface, with_posedirs: bool) -> io::Result<Vec<u8>> {
     let n = surface.vertices.len();
-    let mut file = Npz(ZipWriter::new(Cursor::new(Vec::new())));
+    let mut file = NpzWriter::new(Cursor::new(Vec::new()), CompressionMethod::Deflated);
     file.array("v_template", &[n, 3], surface.vertices.iter().flat_map(|v| [v.x as f32, v.y as f32, v.z as f32]))?;
     let row_major = |k: usize| (k / N_BETAS, k % N_BETAS);
     let shapes = surface.shape_directions.iter().flat_map(|s| (0..3 * N_BETAS).map(move |k| s[row_major(k)] as f32));
@@ -49,7 +47,7 @@ pub fn body_npz(surface: &Surface, with_posedirs: bool) -> io::Result<Vec<u8>> {
     let shares = || points.iter().enumerate().flat_map(|(i, point)| point.vertices.iter().map(move |share| (i, share)));
     file.array("landmark_vertices", &[shares().count(), 2], shares().flat_map(|(i, s)| [i as u32, s.vertex as u32]))?;
     file.array("landmark_weights", &[shares().count()], shares().map(|(_, share)| share.weight as f32))?;
-    Ok(file.0.finish()?.into_inner())
+    Ok(file.finish()?.into_inner())
 }
 
 /// A mesh as Wavefront OBJ: metres, y up, faces from 1.
@@ -104,28 +102,4 @@ pub fn body_glb(vertices: &[Vector3<f64>], faces: &[[usize; 3]]) -> Vec<u8> {
     }
     glb.extend(binary);
     glb
-}
-
-struct Npz(ZipWriter<Cursor<Vec<u8>>>);
-
-impl Npz {
-    fn array<T: AutoSerialize>(
-        &mut self,
-        name: &str,
-        shape: &[usize],
-        values: impl IntoIterator<Item = T>,
-    ) -> io::Result<()> {
-        let options = SimpleFileOptions::default()
-            .compression_method(CompressionMethod::Deflated)
-            .last_modified_time(DateTime::default())
-            .system(System::Unix)
-            .unix_permissions(0o644);
-        let shape: Vec<u64> = shape.iter().map(|n| *n as u64).collect();
-        self.0.start_file(npyz::npz::file_name_from_array_name(name), options)?;
-        let mut bytes = Vec::new();
-        let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(&mut bytes).begin_nd()?;
-        writer.extend(values)?;
-        writer.finish()?;
-        self.0.write_all(&bytes)
-    }
 }

@@ -1,6 +1,6 @@
-//! The two ways in which protocol 0 spells strings within a line.
+//! The two escapes by which protocol 0 writes strings within a line.
 
-/// Undoes Python 2's `repr` of a string; `None` for an escape that it never writes.
+/// Decodes Python 2's `repr` of a string; `None` for an escape that it never writes.
 pub(super) fn repr_unescaped(text: &[u8]) -> Option<Vec<u8>> {
     let mut bytes = Vec::with_capacity(text.len());
     let mut rest = text.iter();
@@ -54,7 +54,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn escapes_are_undone_and_strange_ones_refused() {
+    fn decodes_escapes_and_rejects_unknown_ones() {
         assert_eq!(repr_unescaped(br"a\x00\n\'\\").as_deref(), Some(b"a\0\n'\\".as_slice()));
         assert_eq!(repr_unescaped(br"\q"), None);
         assert_eq!(repr_unescaped(br"\x0"), None);

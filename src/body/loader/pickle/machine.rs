@@ -1,20 +1,20 @@
 //! The opcodes of pickle protocols 0 to 4.
 
 use super::escapes::{raw_unicode_unescaped, repr_unescaped};
-use super::{Global, Node, NodeId};
+use super::node::{Global, Node, NodeId};
 use crate::body::loader::error::BodyFileError;
 use std::borrow::Cow;
 
-/// Whether the pickle goes on.
+/// Whether opcodes follow.
 #[derive(PartialEq, Eq)]
 pub(super) enum Step {
-    /// It does.
+    /// Opcodes follow.
     More,
-    /// It ended with STOP.
+    /// The pickle ended with STOP.
     Done,
 }
 
-/// The stack machine that a pickle is written for, making nodes only.
+/// The stack machine that executes a pickle's opcodes; it creates nodes only.
 pub(super) struct Machine<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -29,7 +29,7 @@ pub(super) struct Machine<'a> {
 type Outcome<T> = Result<T, BodyFileError>;
 
 impl<'a> Machine<'a> {
-    /// Before the first opcode.
+    /// A machine before the first opcode.
     pub(super) fn new(bytes: &'a [u8]) -> Self {
         Self { bytes, at: 0, nodes: Vec::new(), stack: Vec::new(), marks: Vec::new(), memo: Vec::new() }
     }
@@ -40,7 +40,7 @@ impl<'a> Machine<'a> {
         match opcode {
             b'.' => return Ok(Step::Done),
             0x80 => self.protocol()?,
-            0x95 => drop(self.take(8)?), // FRAME: a hint for readers of streams
+            0x95 => drop(self.take(8)?), // FRAME: a hint for stream readers
             b'(' => self.marks.push(self.stack.len()),
             b'0' => drop(self.pop()?),
             b'1' => drop(self.pop_mark()?),
@@ -166,7 +166,7 @@ impl<'a> Machine<'a> {
         self.stack.last().copied().ok_or_else(|| self.expected("a value on the stack"))
     }
 
-    /// Takes the value on top of the stack, down to the last mark.
+    /// Takes the value on top of the stack, not below the last mark.
     pub(super) fn pop(&mut self) -> Outcome<NodeId> {
         let floor = self.marks.last().copied().unwrap_or(0);
         let top = if self.stack.len() > floor { self.stack.pop() } else { None };
@@ -198,7 +198,7 @@ impl<'a> Machine<'a> {
         Ok(())
     }
 
-    /// A little-endian two's complement integer; one beyond 64 bits becomes none, for no field holds it.
+    /// A little-endian two's complement integer; one of more than 64 bits becomes `None`, since no field contains it.
     fn long(&mut self, length_size: usize) -> Outcome<()> {
         let length = self.little(length_size)?;
         let word = self.take(length)?;
@@ -287,7 +287,7 @@ impl<'a> Machine<'a> {
         let top = self.top()?;
         match &mut self.nodes[top] {
             Node::Dict(dict) => dict.extend(items.chunks_exact(2).map(|pair| (pair[0], pair[1]))),
-            // A subclass of dict is filled the same way; no field is one.
+            // A subclass of dict is filled the same way; fields do not use one.
             Node::Object { .. } => {}
             _ => return Err(self.expected("a dictionary to fill")),
         }

@@ -2,19 +2,18 @@
 
 use super::FoundPoses;
 use super::points::{checked_point, missing};
-use crate::body::loader::npy_head::with_flat_head;
+use crate::formats::npy::Header;
 use crate::session::Detection;
 use crate::session::upload::error::{Fault, UploadError};
 use crate::session::upload::json::{Reading, fault_of_io};
-use npyz::NpyHeader;
 use std::io::Read;
 
 /// BlazePose's body; what follows are hands and face.
 const N_BODY: usize = 33;
 /// More than the points of body, hands and face with irises.
-const MAX_POINTS: u64 = 1000;
+const MAX_POINTS: usize = 1000;
 /// x, y, and at most depth and visibility.
-const WIDTHS: std::ops::RangeInclusive<u64> = 2..=4;
+const WIDTHS: std::ops::RangeInclusive<usize> = 2..=4;
 
 /// Whether a file begins as numpy's arrays of four dimensions do: other arrays beside a session are nobody's poses.
 pub(crate) fn is_array(head: &[u8]) -> bool {
@@ -24,42 +23,37 @@ pub(crate) fn is_array(head: &[u8]) -> bool {
     head.starts_with(b"\x93NUMPY") && n_dimensions == 4
 }
 
-/// Reads one person a camera; cameras are called by their place in the array. A point that is not a number is missing;
-/// none has a confidence.
+/// Reads one person a camera; cameras are named by their index in the array. A point that is NaN is missing; points
+/// have no confidence.
 ///
 /// # Errors
 /// Another shape or type, or an array that ends early.
-pub(crate) fn read_array(reader: impl Read, reading: &mut Reading<'_>) -> Result<FoundPoses, UploadError> {
+pub(crate) fn read_array(mut reader: impl Read, reading: &mut Reading<'_>) -> Result<FoundPoses, UploadError> {
     let invalid = |detail: String| Fault::TableInvalid.with(detail);
-    let mut reader = with_flat_head(reader).map_err(|e| invalid(format!("no numpy array: {e}")))?;
-    let header = NpyHeader::from_reader(&mut reader).map_err(|_| invalid("its head is not numpy's".to_owned()))?;
-    let &[n_cameras, n_frames, n_points, width] = header.shape() else {
-        return Err(invalid(format!("shape {:?}, expected cameras, frames, points, x y", header.shape())));
+    let header = Header::read(&mut reader).map_err(|error| invalid(error.to_string()))?;
+    let [n_cameras, n_frames, n_points, width] = header.shape[..] else {
+        return Err(invalid(format!("shape {:?}, expected cameras, frames, points, x y", header.shape)));
     };
-    let is_known = (N_BODY as u64..=MAX_POINTS).contains(&n_points) && WIDTHS.contains(&width);
-    if !is_known || header.order() != npyz::Order::C {
+    let is_known = (N_BODY..=MAX_POINTS).contains(&n_points) && WIDTHS.contains(&width);
+    if !is_known || header.is_fortran {
         return Err(invalid(format!("{n_points} points of {width} numbers, expected 33 or more of 2 to 4 in C order")));
     }
-    if n_cameras > reading.limits.max_cameras as u64 || n_frames > reading.limits.max_frames as u64 {
+    if n_cameras > reading.limits.max_cameras || n_frames > reading.limits.max_frames {
         return Err(Fault::TooManyFrames.with(format!("{n_cameras} cameras of {n_frames} frames")));
     }
-    let is_single = match header.dtype().descr().trim_matches(['\'', '"']) {
-        "<f8" => false,
-        "<f4" => true,
-        other => return Err(invalid(format!("numbers of type {other}, expected <f8 or <f4"))),
-    };
+    if header.number.kind != b'f' {
+        return Err(invalid("integers, expected floating point numbers".to_owned()));
+    }
+    let size = header.number.size;
     let mut found = FoundPoses::default();
-    let mut row = vec![0; (n_points * width) as usize * if is_single { 4 } else { 8 }];
+    let mut row = vec![0; n_points * width * size];
     for camera in 0..n_cameras {
         let name = camera.to_string();
         for frame in 0..n_frames as i64 {
             reader.read_exact(&mut row).map_err(fault_of_io)?;
-            let number = |i: usize| match is_single {
-                true => f64::from(f32::from_le_bytes(std::array::from_fn(|b| row[4 * i + b]))),
-                false => f64::from_le_bytes(std::array::from_fn(|b| row[8 * i + b])),
-            };
+            let number = |i: usize| header.number.number(&row[size * i..size * (i + 1)]);
             let point = |k: usize| {
-                let [x, y] = [0, 1].map(|c| number(k * width as usize + c));
+                let [x, y] = [0, 1].map(|c| number(k * width + c));
                 if x.is_nan() || y.is_nan() { Ok(missing()) } else { checked_point(x, y, 1.0) }
             };
             let keypoints: Vec<_> = (0..N_BODY)

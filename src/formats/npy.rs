@@ -1,0 +1,280 @@
+//! Arrays of numbers in NumPy's `.npy` format. Every claimed size is checked before memory is reserved for it.
+//!
+//! A header's nesting and length are checked before it is parsed: the parser of `npyz` tries every bracket in two ways,
+//! so that its work doubles with every level, and a kilobyte of brackets could occupy it for ever.
+
+use npyz::{DType, NpyHeader, Order};
+use std::io::{self, Cursor, Read};
+
+/// Brackets within brackets: the dictionary, a list of fields, a field, its shape.
+const MAX_HEADER_DEPTH: usize = 4;
+/// Longest header, bytes: numpy itself refuses to evaluate more than 10,000 characters.
+const MAX_HEADER_BYTES: usize = 10_000;
+/// Numbers reserved at once, whatever the header claims; longer arrays grow as they are read.
+const MAX_RESERVED: usize = 1 << 20;
+/// Bytes decoded at a time; a multiple of every number's size.
+const CHUNK_BYTES: usize = 1 << 16;
+
+/// Why an array cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum NpyError {
+    /// The file cannot be read.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+    /// The archive cannot be read.
+    #[error(transparent)]
+    Archive(#[from] zip::result::ZipError),
+    /// The header is missing or damaged, or too large to be parsed.
+    #[error("not a numpy array: {0}")]
+    Header(io::Error),
+    /// The elements are not numbers of a known type.
+    #[error("numbers expected, found type {found}")]
+    NotNumbers {
+        /// Type as numpy spells it.
+        found: String,
+    },
+    /// The array is larger than its reader allows.
+    #[error("shape {shape:?}: at most {limit} numbers expected")]
+    TooLarge {
+        /// The array's shape.
+        shape: Vec<usize>,
+        /// Most numbers that the reader allows.
+        limit: usize,
+    },
+    /// The contents do not have as many bytes as the shape requires.
+    #[error("shape {shape:?}: the contents have another length")]
+    Length {
+        /// The array's shape.
+        shape: Vec<usize>,
+    },
+}
+
+/// A dense array in C order.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Array {
+    /// Lengths of its axes.
+    pub shape: Vec<usize>,
+    /// All elements, the last axis running fastest.
+    pub values: Vec<f64>,
+}
+
+/// How numbers are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct NumberType {
+    /// `f`, `i`, `u` or `b`.
+    pub kind: u8,
+    /// Bytes of one number.
+    pub size: usize,
+    /// Most significant byte first.
+    pub is_big_endian: bool,
+}
+
+/// What the header of a `.npy` file says.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Header {
+    /// Lengths of the axes.
+    pub shape: Vec<usize>,
+    /// Type of the elements.
+    pub number: NumberType,
+    /// Whether the first axis runs fastest.
+    pub is_fortran: bool,
+}
+
+impl NumberType {
+    /// Reads numpy's name of a type without its byte order: `f8`, `i4`, `u4`, `b1`.
+    pub fn parse(code: &str, is_big_endian: bool) -> Option<Self> {
+        let (kind, size) = (*code.as_bytes().first()?, code.get(1..)?.parse().ok()?);
+        let is_known = matches!((kind, size), (b'f', 4 | 8) | (b'i' | b'u', 1 | 2 | 4 | 8) | (b'b', 1));
+        is_known.then_some(Self { kind, size, is_big_endian })
+    }
+
+    /// The number that `bytes` store; there must be as many as the type has.
+    pub fn number(self, bytes: &[u8]) -> f64 {
+        let mut buffer = [0; 8];
+        let word = &mut buffer[8 - self.size..];
+        word.copy_from_slice(bytes);
+        if !self.is_big_endian {
+            word.reverse();
+        }
+        let bits = u64::from_be_bytes(buffer);
+        let unused = 64 - 8 * self.size as u32;
+        match (self.kind, self.size) {
+            (b'f', 4) => f64::from(f32::from_bits(bits as u32)),
+            (b'f', _) => f64::from_bits(bits),
+            (b'i', _) => (((bits << unused) as i64) >> unused) as f64,
+            _ => bits as f64,
+        }
+    }
+}
+
+impl Header {
+    /// Reads the header; `reader` then stands at the first element.
+    ///
+    /// # Errors
+    /// [`NpyError::Header`], and [`NpyError::NotNumbers`] for elements of another type.
+    pub fn read(reader: &mut impl Read) -> Result<Self, NpyError> {
+        let bytes = checked_header(reader).map_err(NpyError::Header)?;
+        let header = NpyHeader::from_reader(Cursor::new(bytes)).map_err(NpyError::Header)?;
+        let shape: Option<Vec<usize>> = header.shape().iter().map(|n| usize::try_from(*n).ok()).collect();
+        let shape = shape.ok_or_else(|| NpyError::Header(invalid("its shape is too large for this machine")))?;
+        let number = match header.dtype() {
+            DType::Plain(name) => {
+                let name = name.to_string();
+                name.split_at_checked(1).and_then(|(order, code)| NumberType::parse(code, order == ">"))
+            }
+            _ => None,
+        };
+        let number = number.ok_or_else(|| NpyError::NotNumbers { found: header.dtype().descr() })?;
+        Ok(Self { shape, number, is_fortran: header.order() == Order::Fortran })
+    }
+}
+
+impl Array {
+    /// Reads a `.npy` file of at most `limit` numbers.
+    ///
+    /// # Errors
+    /// [`NpyError`].
+    pub fn read(reader: &mut impl Read, limit: usize) -> Result<Self, NpyError> {
+        Self::read_contents(Header::read(reader)?, reader, limit)
+    }
+
+    /// Decodes the elements that follow a header.
+    ///
+    /// # Errors
+    /// [`NpyError::TooLarge`] before anything is read, [`NpyError::Length`] where the reader ends early.
+    pub fn read_contents(header: Header, reader: &mut impl Read, limit: usize) -> Result<Self, NpyError> {
+        let Header { shape, number, is_fortran } = header;
+        let Some(count) = n_elements(&shape, limit) else { return Err(NpyError::TooLarge { shape, limit }) };
+        let mut values = Vec::with_capacity(count.min(MAX_RESERVED));
+        let mut chunk = vec![0; CHUNK_BYTES];
+        while values.len() < count {
+            let chunk = &mut chunk[..CHUNK_BYTES.min((count - values.len()) * number.size)];
+            match reader.read_exact(chunk) {
+                Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Err(NpyError::Length { shape }),
+                read => read?,
+            }
+            values.extend(chunk.chunks_exact(number.size).map(|word| number.number(word)));
+        }
+        let values = if is_fortran { in_c_order(&shape, &values) } else { values };
+        Ok(Self { shape, values })
+    }
+
+    /// Decodes the raw elements of an array, all of `bytes`.
+    ///
+    /// # Errors
+    /// [`NpyError::TooLarge`], [`NpyError::Length`].
+    pub fn decode(header: Header, mut bytes: &[u8], limit: usize) -> Result<Self, NpyError> {
+        let n_bytes = n_elements(&header.shape, limit).map(|count| count * header.number.size);
+        if n_bytes.is_some_and(|n| n != bytes.len()) {
+            return Err(NpyError::Length { shape: header.shape });
+        }
+        Self::read_contents(header, &mut bytes, limit)
+    }
+}
+
+/// Product of the axes' lengths, `None` above `limit`.
+pub fn n_elements(shape: &[usize], limit: usize) -> Option<usize> {
+    let product = shape.iter().try_fold(1_usize, |product, n| product.checked_mul(*n))?;
+    (product <= limit).then_some(product)
+}
+
+/// Elements given with the first axis running fastest, in the order where the last one does.
+fn in_c_order(shape: &[usize], elements: &[f64]) -> Vec<f64> {
+    let mut values = vec![0.0; elements.len()];
+    let mut index = vec![0; shape.len()];
+    for value in elements {
+        let place = index.iter().zip(shape).fold(0, |place, (i, n)| place * n + i);
+        values[place] = *value;
+        for (i, n) in index.iter_mut().zip(shape) {
+            *i += 1;
+            if *i < *n {
+                break;
+            }
+            *i = 0;
+        }
+    }
+    values
+}
+
+/// The bytes of a header that is short and flat enough to be parsed.
+fn checked_header(reader: &mut impl Read) -> io::Result<Vec<u8>> {
+    let mut header = vec![0; 10];
+    reader.read_exact(&mut header)?;
+    let is_long = header[6] > 1; // from version 2 on its length takes four bytes
+    if is_long {
+        header.resize(12, 0);
+        reader.read_exact(&mut header[10..])?;
+    }
+    let length = match is_long {
+        true => u32::from_le_bytes([header[8], header[9], header[10], header[11]]) as usize,
+        false => usize::from(u16::from_le_bytes([header[8], header[9]])),
+    };
+    if length > MAX_HEADER_BYTES {
+        return Err(invalid("its header is too long"));
+    }
+    let start = header.len();
+    header.resize(start + length, 0);
+    reader.read_exact(&mut header[start..])?;
+    if depth(&header[start..]) > MAX_HEADER_DEPTH {
+        return Err(invalid("its header nests too deeply"));
+    }
+    Ok(header)
+}
+
+fn invalid(what: &str) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, what)
+}
+
+/// Most brackets that are open at the same time; those in texts count, too.
+fn depth(header: &[u8]) -> usize {
+    let (mut open, mut most) = (0_usize, 0);
+    for byte in header {
+        match byte {
+            b'(' | b'[' | b'{' => open += 1,
+            b')' | b']' | b'}' => open = open.saturating_sub(1),
+            _ => {}
+        }
+        most = most.max(open);
+    }
+    most
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(shape: &str, order: &str) -> Vec<u8> {
+        let header = format!("{{'descr': '<f4', 'fortran_order': {order}, 'shape': {shape}, }}\n");
+        let mut file = b"\x93NUMPY\x01\x00".to_vec();
+        file.extend_from_slice(&(header.len() as u16).to_le_bytes());
+        file.extend_from_slice(header.as_bytes());
+        file
+    }
+
+    #[test]
+    fn rejects_nested_and_long_headers() {
+        let header = |bytes: &[u8]| Header::read(&mut &*bytes);
+        let fine = file("(2, 3)", "False");
+        assert_eq!(header(&fine).unwrap().shape, [2, 3]);
+        assert!(header(&file(&"(".repeat(2000), "False")).is_err());
+        assert!(header(&fine[..20]).is_err());
+        let mut long = fine.clone();
+        long[6] = 2; // the length is then read from the text that follows: far too long
+        assert!(header(&long).is_err());
+    }
+
+    #[test]
+    fn reads_both_orders_and_rejects_wrong_sizes() {
+        let bytes = |order: &str| {
+            let values = (0..6).flat_map(|v| (v as f32).to_le_bytes());
+            file("(2, 3)", order).into_iter().chain(values).collect::<Vec<u8>>()
+        };
+        let read = |bytes: &[u8], limit: usize| Array::read(&mut &*bytes, limit);
+        assert_eq!(read(&bytes("False"), 6).unwrap().values, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]);
+        assert_eq!(read(&bytes("True"), 6).unwrap().values, [0.0, 2.0, 4.0, 1.0, 3.0, 5.0]);
+        assert!(matches!(read(&bytes("False"), 5), Err(NpyError::TooLarge { limit: 5, .. })));
+        assert!(matches!(read(&bytes("False")[..70], 6), Err(NpyError::Length { .. })));
+        let claimed = file("(4000000000, 4000000000, 4000000000)", "False");
+        assert!(matches!(read(&claimed, usize::MAX), Err(NpyError::TooLarge { .. })));
+    }
+}
