@@ -1,5 +1,6 @@
 //! Every noun that travels, how a session is read and written; no algorithm.
 
+mod builder;
 pub mod digest;
 pub mod formats;
 pub mod people;
@@ -7,6 +8,7 @@ pub mod reconstruction;
 pub mod recording;
 pub mod upload;
 
+pub use builder::SessionBuilder;
 pub use people::{BodyMotion, JointTrajectory, PersonTrack};
 pub use reconstruction::Reconstruction;
-pub use recording::{Detection, FrameIndex, Keypoint, PersonId, Session, View, ViewId};
+pub use recording::{Detection, FrameIndex, Keypoint, PersonId, Session, View};

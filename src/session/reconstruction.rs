@@ -1,10 +1,12 @@
 //! The result: posed cameras, people, motions, quality figures. Serialised by `export`.
 
+mod estimates;
 mod report;
 
 use super::people::{BodyMotion, JointTrajectory};
 use super::recording::{FrameIndex, PersonId, UpAxis};
 use crate::geometry::{Intrinsics, Rigid};
+pub use estimates::{ErrorSummary, FocalFactor, SigmaSummary, TimeOffset};
 pub use report::{
     CameraReport, ConsistencyPair, ConsistencyReport, DetectorOffset, GeometryReport, KeypointBias, KeypointReport,
     NoiseAtConfidence, Overlap, PenetrationReport, PersonReport, Quality, Report, ScaleReport, StageReport, Verdict,
@@ -35,42 +37,6 @@ impl SolvedCamera {
     pub fn lens(&self, given: &Intrinsics) -> Intrinsics {
         self.focal_factor.map_or(*given, |factor| given.with_focal_factor(factor.value))
     }
-}
-
-/// A factor on both focal lengths of a camera.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct FocalFactor {
-    /// Refined over given.
-    pub value: f64,
-    /// Its standard deviation.
-    pub sigma: f64,
-}
-
-/// When a camera's frames were taken: frame number `n` at `n / fps + secs`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct TimeOffset {
-    /// s; that of the reference camera is as the session gives it, mostly 0.
-    pub secs: f64,
-    /// Its standard deviation against the reference camera, s; `None` where it was given or could not be found.
-    pub sigma_secs: Option<f64>,
-}
-
-/// Mean and median of a set of errors.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct ErrorSummary {
-    /// Arithmetic mean.
-    pub mean: f64,
-    /// Median.
-    pub median: f64,
-}
-
-/// Median and 95th percentile of a set of standard deviations.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct SigmaSummary {
-    /// Median.
-    pub median: f64,
-    /// The value that 95 % lie below.
-    pub p95: f64,
 }
 
 /// Everything a run found out.

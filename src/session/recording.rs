@@ -4,10 +4,6 @@ use crate::body::skeleton::KeypointConvention;
 use crate::geometry::{Intrinsics, Rigid};
 use nalgebra::Vector2;
 
-/// Position of a camera in [`Session::views`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct ViewId(pub usize);
-
 /// Position of a frame on the session's dense time line, from 0; the session's own number is `first_frame + index`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
 pub struct FrameIndex(pub usize);

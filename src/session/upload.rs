@@ -2,15 +2,16 @@
 //!
 //! What it is is told by content, never by a name's ending: a zip by its first bytes, a document by its first brace.
 
-mod assemble;
+pub(crate) mod assemble;
 mod camera;
+pub(crate) mod detections;
 pub mod error;
 mod guard;
 pub(crate) mod json;
-mod limits;
+pub(crate) mod limits;
 pub(crate) mod members;
 pub(crate) mod raw;
-mod suspicions;
+pub(crate) mod suspicions;
 pub(crate) mod warnings;
 mod zip_index;
 
@@ -20,9 +21,9 @@ mod tests;
 pub use error::{Fault, UploadError, UploadErrorKind};
 pub use limits::UploadLimits;
 
-use super::Session;
 use super::digest::{NamedDigest, sha256_of_reader};
 use super::formats::{foreign, native};
+use super::recording::Session;
 use json::Reading;
 use members::Members;
 use raw::RawSession;
@@ -90,7 +91,7 @@ pub fn read_upload<R: Read + Seek>(
         }
     };
     let session = assemble::assemble(raw, limits, &mut warnings)?;
-    suspicions::tell(&session, &mut warnings);
+    suspicions::report(&session, &mut warnings);
     reader.rewind().map_err(unreadable)?;
     let sha256 = sha256_of_reader(&mut reader).map_err(unreadable)?;
     Ok(LoadedSession { session, format, warnings: warnings.into_lines(), sha256 })
@@ -102,7 +103,7 @@ fn read_folder(dir: &Path, limits: &UploadLimits) -> Result<LoadedSession, Uploa
     let mut members = Members::of_folder(dir, limits).map_err(of_folder)?;
     let read = read_members(&mut members, &mut Reading::new(limits, &mut warnings)).map_err(of_folder)?;
     let session = assemble::assemble(read.raw, limits, &mut warnings)?;
-    suspicions::tell(&session, &mut warnings);
+    suspicions::report(&session, &mut warnings);
     let sha256 = digest_of_members(&mut members, read.files)?;
     Ok(LoadedSession { session, format: read.format, warnings: warnings.into_lines(), sha256 })
 }

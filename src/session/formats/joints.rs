@@ -1,7 +1,7 @@
 //! Joints by name: what detectors call them, in which order they write them, and how one order is mapped to another.
 
 use crate::body::skeleton::KeypointConvention;
-use crate::session::Keypoint;
+use crate::session::recording::Keypoint;
 use nalgebra::Vector2;
 
 /// The order in which a source writes a person's points: one canonical name each, `None` where we have no use for it.

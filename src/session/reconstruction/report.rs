@@ -1,6 +1,6 @@
 //! `report.json`: what happened, how good the result is, and what a user must know before trusting it.
 
-use super::{ErrorSummary, SigmaSummary, TimeOffset};
+use super::estimates::{ErrorSummary, SigmaSummary, TimeOffset};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -7,8 +7,7 @@ use super::raw::{RawCamera, RawPoses, RawSession};
 use super::warnings::Warnings;
 use crate::body::skeleton::KeypointConvention;
 use crate::session::formats::time::is_timecode;
-use crate::session::recording::UpAxis;
-use crate::session::{Detection, FrameIndex, Session, View};
+use crate::session::recording::{Detection, FrameIndex, Session, UpAxis, View};
 
 /// Frames per second that a camera can have: time lapse to high speed.
 const FPS_RANGE: [f64; 2] = [0.1, 2000.0];

@@ -59,8 +59,11 @@ pub(super) fn checked_extrinsics(raw: &RawCamera, warnings: &mut Warnings) -> Re
     let matrix = matrix3(rows).ok_or_else(|| invalid(format!("R is {}, expected 3x3", shape(rows))))?;
     let rotation = checked_rotation(&matrix)?;
     let translation = vector3(t).ok_or_else(|| invalid(format!("t has {} entries, expected 3", t.0.len())))?;
-    if translation.norm() > FAR {
-        let norm = translation.norm();
+    let norm = translation.norm();
+    if !norm.is_finite() {
+        return Err(Fault::NumberNotFinite.with(format!("t is {:?}", t.0)));
+    }
+    if norm > FAR {
         warnings.add(format!("camera {} has t of length {norm:.0} m: is it in millimetres?", shown(&raw.id)));
     }
     Ok(Some(Rigid { rotation, translation }))
@@ -79,7 +82,7 @@ fn check_matrix(k: &Matrix3<f64>) -> Result<(), UploadError> {
     if k[(1, 0)] != 0.0 {
         return Err(invalid(format!("K[1][0] is {}, expected 0", k[(1, 0)])));
     }
-    if k[(0, 1)].abs() > 0.5 * k[(0, 0)].abs() {
+    if !k[(0, 1)].is_finite() || k[(0, 1)].abs() > 0.5 * k[(0, 0)].abs() {
         return Err(invalid(format!("skew K[0][1] is {} px, expected about 0", k[(0, 1)])));
     }
     Ok(())

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// What a refusal means to the sender; [`UploadErrorKind::http_status`] is its number.
+/// The class of a refusal; the service answers each with an HTTP status of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum UploadErrorKind {
     /// The bytes are not what they claim to be.
@@ -13,18 +13,6 @@ pub enum UploadErrorKind {
     Unsupported,
     /// Well written, but no such capture can exist or be solved.
     Impossible,
-}
-
-impl UploadErrorKind {
-    /// The HTTP status of the refusal: 400, 413, 415 or 422.
-    pub fn http_status(self) -> u16 {
-        match self {
-            Self::Malformed => 400,
-            Self::TooLarge => 413,
-            Self::Unsupported => 415,
-            Self::Impossible => 422,
-        }
-    }
 }
 
 /// A refused upload: what was found, where, and what to do.

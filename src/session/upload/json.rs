@@ -60,23 +60,18 @@ pub(crate) trait Fields {
     const WHAT: &'static str;
 
     /// Takes the value of `key`; false, and the value left alone, where the key means nothing.
-    fn field<'de, A: MapAccess<'de>>(
-        &mut self,
-        key: &str,
-        map: &mut A,
-        reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error>;
+    fn field<'d, M: MapAccess<'d>>(&mut self, key: &str, map: &mut M, reading: &mut Reading) -> Result<bool, M::Error>;
 }
 
 /// Reads the items of a list, one by one.
 pub(crate) trait Items {
     /// Takes item `index`; false at the end of the list.
-    fn item<'de, A: SeqAccess<'de>>(
+    fn item<'d, S: SeqAccess<'d>>(
         &mut self,
         index: usize,
-        seq: &mut A,
-        reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error>;
+        seq: &mut S,
+        reading: &mut Reading,
+    ) -> Result<bool, S::Error>;
 }
 
 /// A JSON object to be read into `F`.

@@ -1,11 +1,13 @@
 //! What a dialect hands over: typed, bounded, but not yet checked against itself.
 
-use super::json::{Numbers, Rows};
-use crate::session::Detection;
+use super::json::{Numbers, Rows, ShortList};
+use crate::session::formats::rows;
+use crate::session::recording::Detection;
+use nalgebra::Matrix3;
 use std::collections::BTreeMap;
 
 /// A session as written. Checked by [`assemble`](super::assemble).
-#[derive(Debug)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct RawSession {
     /// The file that says all this, for messages.
     pub file: String,
@@ -42,7 +44,7 @@ pub(crate) struct RawCamera {
 }
 
 /// What one camera saw.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct RawPoses {
     /// The file that holds it, for messages.
     pub file: String,
@@ -50,4 +52,9 @@ pub(crate) struct RawPoses {
     pub order: Vec<i64>,
     /// People by frame number.
     pub detections: BTreeMap<i64, Vec<Detection>>,
+}
+
+/// A matrix as a file would hold it.
+pub(crate) fn rows_of_matrix(matrix: &Matrix3<f64>) -> Rows {
+    ShortList(rows(matrix).iter().map(|row| ShortList(row.to_vec())).collect())
 }

@@ -9,7 +9,7 @@
 use super::error::shown;
 use super::warnings::Warnings;
 use crate::geometry::{Distortion, Intrinsics, Rigid, epipolar};
-use crate::session::{Detection, Keypoint, Session, View};
+use crate::session::recording::{Detection, Keypoint, Session, View};
 use nalgebra::{Matrix3, Vector2};
 
 /// Points less certain than this are no evidence.
@@ -33,7 +33,7 @@ const GOOD_PX: f64 = 0.5;
 const BETTER: f64 = 0.6;
 
 /// Tells what looks wrong with the session's cameras.
-pub(super) fn tell(session: &Session, warnings: &mut Warnings) {
+pub(crate) fn report(session: &Session, warnings: &mut Warnings) {
     for view in &session.views {
         if let Some(suspicion) = suspicion_of_image(view) {
             warnings.add(format!(

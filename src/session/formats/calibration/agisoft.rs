@@ -3,12 +3,12 @@
 //! Principal points are offsets from the image's middle, the centre of the first pixel is (0.5, 0.5), `p1` and `p2`
 //! stand in the opposite order, `fx = f + b1`, the skew is `b2` (Metashape's manual, appendix on camera models).
 
-use super::{finite, invalid, pinhole};
+use super::values::{finite, invalid, pinhole};
 use crate::geometry::Rigid;
-use crate::session::formats::{entries, rows};
+use crate::session::formats::entries;
 use crate::session::upload::error::{Fault, UploadError, shown};
 use crate::session::upload::json::ShortList;
-use crate::session::upload::raw::RawCamera;
+use crate::session::upload::raw::{RawCamera, rows_of_matrix};
 use crate::session::upload::warnings::Warnings;
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::{Document, Node};
@@ -103,10 +103,9 @@ fn posed(camera: Node<'_, '_>, label: &str, lens: &RawCamera) -> Result<RawCamer
         translation: Vector3::new(m[3], m[7], m[11]),
     };
     let camera_from_chunk = chunk_from_camera.inverse();
-    let rotation = rows(&camera_from_chunk.rotation).iter().map(|row| ShortList(row.to_vec())).collect();
     Ok(RawCamera {
         id,
-        rotation: Some(ShortList(rotation)),
+        rotation: Some(rows_of_matrix(&camera_from_chunk.rotation)),
         translation: Some(ShortList(entries(&camera_from_chunk.translation).to_vec())),
         ..lens.clone()
     })

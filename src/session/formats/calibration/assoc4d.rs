@@ -2,9 +2,8 @@
 //!
 //! Its detection files hold joints before they are joined to people, and are not read.
 
-use super::{invalid, rows_of, size};
+use super::values::{invalid, rows_of, size, split_pose};
 use crate::session::upload::error::UploadError;
-use crate::session::upload::json::ShortList;
 use crate::session::upload::raw::RawCamera;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -39,14 +38,14 @@ fn camera_of(id: String, camera: &Camera) -> Result<RawCamera, UploadError> {
     if camera.pose.len() != 12 {
         return Err(wrong("RT", 12));
     }
-    let rotation: Vec<f64> = camera.pose.chunks(4).flat_map(|row| row[..3].to_vec()).collect();
+    let (rotation, translation) = split_pose(&camera.pose);
     let whole = |i: usize| camera.image_size.as_ref().and_then(|s| s.get(i).copied()).and_then(size).unwrap_or(0);
     Ok(RawCamera {
         width: whole(0),
         height: whole(1),
         matrix: Some(matrix),
-        rotation: rows_of(&rotation),
-        translation: Some(ShortList(camera.pose.chunks(4).map(|row| row[3]).collect())),
+        rotation,
+        translation: Some(translation),
         id,
         ..RawCamera::default()
     })

@@ -2,13 +2,13 @@
 //!
 //! COLMAP puts the centre of the first pixel at (0.5, 0.5), this house at (0, 0): principal points move by half a pixel.
 
-use super::{CalibrationFormat, camera_of_image, finite, invalid, pinhole};
-use crate::session::formats::{entries, rows};
+use super::format::CalibrationFormat;
+use super::values::{camera_of_image, finite, invalid, pinhole};
 use crate::session::upload::error::{Fault, UploadError, shown};
-use crate::session::upload::json::ShortList;
-use crate::session::upload::raw::RawCamera;
+use crate::session::upload::json::{Numbers, Rows, ShortList};
+use crate::session::upload::raw::{RawCamera, rows_of_matrix};
 use crate::session::upload::warnings::Warnings;
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Quaternion, UnitQuaternion};
 use std::collections::BTreeMap;
 
 /// What the two files said so far.
@@ -23,8 +23,8 @@ struct Image {
     camera: u64,
     /// The camera's name after the image's.
     id: String,
-    rotation: ShortList<ShortList<f64>>,
-    translation: ShortList<f64>,
+    rotation: Rows,
+    translation: Numbers,
 }
 
 const HALF_PIXEL: f64 = 0.5;
@@ -86,12 +86,11 @@ impl Model {
             };
             let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6)
                 .ok_or_else(|| invalid("an image's quaternion is zero"))?;
-            let rotation = rows(turn.to_rotation_matrix().matrix());
             self.images.push(Image {
                 camera: camera.parse().map_err(|_| invalid("a CAMERA_ID is no whole number"))?,
                 id: camera_of_image(name).to_owned(),
-                rotation: ShortList(rotation.iter().map(|row| ShortList(row.to_vec())).collect()),
-                translation: ShortList(entries(&Vector3::new(tx, ty, tz)).to_vec()),
+                rotation: rows_of_matrix(turn.to_rotation_matrix().matrix()),
+                translation: ShortList(vec![tx, ty, tz]),
             });
             lines.next();
         }

@@ -2,9 +2,8 @@
 //!
 //! The file holds neither distortion nor an image size.
 
-use super::{finite, invalid, rows_of};
+use super::values::{finite, invalid, rows_of, split_pose};
 use crate::session::upload::error::UploadError;
-use crate::session::upload::json::ShortList;
 use crate::session::upload::raw::RawCamera;
 
 /// Numbers of a block without its heading: K, the two zeros, `[R t]`.
@@ -34,13 +33,12 @@ pub(super) fn read(text: &str) -> Result<Vec<RawCamera>, UploadError> {
 fn camera(block: &[&str]) -> Result<RawCamera, UploadError> {
     let numbers: Option<Vec<f64>> = block[1..].iter().copied().map(finite).collect();
     let numbers = numbers.ok_or_else(|| invalid(format!("camera {:?} holds what is no number", block[0])))?;
-    let pose = &numbers[11..];
-    let rotation: Vec<f64> = pose.chunks(4).flat_map(|row| row[..3].to_vec()).collect();
+    let (rotation, translation) = split_pose(&numbers[11..]);
     Ok(RawCamera {
         id: block[0].to_owned(),
         matrix: rows_of(&numbers[..9]),
-        rotation: rows_of(&rotation),
-        translation: Some(ShortList(pose.chunks(4).map(|row| row[3]).collect())),
+        rotation,
+        translation: Some(translation),
         ..RawCamera::default()
     })
 }

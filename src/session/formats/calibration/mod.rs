@@ -4,46 +4,20 @@ mod agisoft;
 mod assoc4d;
 mod colmap;
 mod dmmr;
+mod format;
 mod opencap;
 mod opencv_yaml;
 mod ros;
 mod toml_cameras;
+mod values;
 mod yaml;
 
+pub(crate) use format::CalibrationFormat;
+pub(crate) use opencap::recognise as is_opencap;
+
 use crate::session::upload::error::{Fault, UploadError};
-use crate::session::upload::json::ShortList;
 use crate::session::upload::raw::RawCamera;
 use crate::session::upload::warnings::Warnings;
-
-/// A kind of calibration file.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) enum CalibrationFormat {
-    OpenCvYaml,
-    RosCameraInfo,
-    Toml,
-    ColmapCameras,
-    ColmapImages,
-    Agisoft,
-    Dmmr,
-    Assoc4d,
-    OpenCap,
-}
-
-impl CalibrationFormat {
-    /// The name in the answer to an upload.
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::OpenCvYaml => "opencv_yaml",
-            Self::RosCameraInfo => "ros_camera_info",
-            Self::Toml => "toml",
-            Self::ColmapCameras | Self::ColmapImages => "colmap",
-            Self::Agisoft => "agisoft_xml",
-            Self::Dmmr => "dmmr_camparams",
-            Self::Assoc4d => "4dassoc_json",
-            Self::OpenCap => "opencap_pickle",
-        }
-    }
-}
 
 /// What the calibration files of an upload say together.
 #[derive(Debug, Default)]
@@ -54,13 +28,6 @@ pub(crate) struct Calibration {
     /// Frames per second, where a file tells.
     pub(crate) fps: Option<f64>,
     colmap: colmap::Model,
-}
-
-pub(crate) use opencap::recognise as is_opencap;
-
-/// A number as text files write it; `None` also for infinities and NaN, which no camera has.
-fn finite(word: &str) -> Option<f64> {
-    word.parse().ok().filter(|number: &f64| number.is_finite())
 }
 
 /// Tells a calibration file by its beginning; `None` for anything else.
@@ -147,40 +114,5 @@ impl Calibration {
         own.rotation = own.rotation.take().or(camera.rotation);
         own.translation = own.translation.take().or(camera.translation);
         own.time_offset = own.time_offset.or(camera.time_offset);
-    }
-}
-
-/// The refusal of a file that looks like a calibration but cannot be read.
-fn invalid(detail: impl Into<String>) -> UploadError {
-    Fault::CalibrationInvalid.with(detail)
-}
-
-/// A 3x3 matrix from nine numbers, row by row.
-fn rows_of(numbers: &[f64]) -> Option<ShortList<ShortList<f64>>> {
-    (numbers.len() == 9).then(|| ShortList(numbers.chunks(3).map(|row| ShortList(row.to_vec())).collect()))
-}
-
-/// K of focal lengths and a principal point, px.
-fn pinhole(fx: f64, fy: f64, cx: f64, cy: f64, skew: f64) -> Option<ShortList<ShortList<f64>>> {
-    rows_of(&[fx, skew, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
-}
-
-/// A rotation matrix from an axis-angle vector, rad.
-fn rows_of_axis_angle(axis_angle: &[f64]) -> Option<ShortList<ShortList<f64>>> {
-    let [x, y, z] = *axis_angle else { return None };
-    let rotation = crate::geometry::rotation::exp(&nalgebra::Vector3::new(x, y, z));
-    Some(ShortList(crate::session::formats::rows(&rotation).iter().map(|row| ShortList(row.to_vec())).collect()))
-}
-
-/// An image size that is a whole number of pixels.
-fn size(value: f64) -> Option<u32> {
-    (value.fract() == 0.0 && (0.0..=1e6).contains(&value)).then_some(value as u32)
-}
-
-/// The name of a camera after an image or a file: its folder, or itself without the ending.
-fn camera_of_image(name: &str) -> &str {
-    match name.rsplit_once('/') {
-        Some((folder, _)) => folder.rsplit('/').next().unwrap_or(folder),
-        None => name.rsplit_once('.').map_or(name, |(stem, _)| stem),
     }
 }

@@ -1,7 +1,7 @@
 //! OpenCap's camera pickle: `intrinsicMat`, `distortion`, `imageSize` (height first), and with extrinsics `rotation` and
 //! `translation` in millimetres. Nothing in it is executed (see the reader of body files).
 
-use super::{camera_of_image, invalid, rows_of, size};
+use super::values::{camera_of_image, invalid, rows_of, size};
 use crate::body::loader::arrays_of_pickle;
 use crate::session::upload::error::UploadError;
 use crate::session::upload::json::ShortList;

@@ -1,7 +1,7 @@
 //! OpenCV's file storage as EasyMocap writes it: `K_<c>`, `dist_<c>`, `R_<c>` or `Rot_<c>`, `T_<c>`, `H_<c>`, `W_<c>`.
 
+use super::values::{invalid, rows_of, rows_of_axis_angle, size};
 use super::yaml::{Yaml, parse};
-use super::{invalid, rows_of, rows_of_axis_angle, size};
 use crate::session::upload::error::UploadError;
 use crate::session::upload::json::ShortList;
 use crate::session::upload::raw::RawCamera;

@@ -1,7 +1,7 @@
 //! ROS `camera_info`: one camera's intrinsics. K is read, not P: keypoints lie in the raw image.
 
+use super::values::{camera_of_image, invalid, rows_of, size};
 use super::yaml::{Yaml, parse};
-use super::{camera_of_image, invalid, rows_of, size};
 use crate::session::upload::error::UploadError;
 use crate::session::upload::json::ShortList;
 use crate::session::upload::raw::RawCamera;

@@ -1,6 +1,6 @@
 //! One TOML table a camera: Pose2Sim's `Calib.toml`, anipose's and FreeMoCap's calibration, Caliscope's camera array.
 
-use super::{invalid, rows_of, rows_of_axis_angle, size};
+use super::values::{invalid, rows_of, rows_of_axis_angle, size};
 use crate::session::upload::error::{UploadError, shown};
 use crate::session::upload::json::ShortList;
 use crate::session::upload::raw::RawCamera;

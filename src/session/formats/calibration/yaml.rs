@@ -3,7 +3,7 @@
 //! Why not a YAML library: OpenCV's files begin with `%YAML:1.0` and tag their matrices, which strict readers refuse;
 //! anchors and aliases, with which a small file can grow without bound, do not exist here.
 
-use super::finite;
+use super::values::finite;
 use crate::session::upload::error::{Fault, UploadError};
 
 /// A value.

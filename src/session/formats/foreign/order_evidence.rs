@@ -1,7 +1,7 @@
 //! Which joint order a source writes, where the number of points leaves several: the one with the shortest bones.
 
 use crate::session::formats::joints::JointOrder;
-use crate::session::{Detection, Keypoint};
+use crate::session::recording::{Detection, Keypoint};
 
 /// Pairs that are near each other in every body; a wrong order puts some of them at its two ends.
 const NEAR: [(&str, &str); 18] = [

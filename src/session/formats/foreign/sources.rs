@@ -1,15 +1,17 @@
 //! Reading the pose files of a survey: each camera's people in the order of points of its file.
 
 use super::survey::{FrameGroup, Survey};
-use crate::session::Detection;
 use crate::session::formats::joints::JointOrder;
 use crate::session::formats::native;
 use crate::session::formats::poses::{
     FoundPoses, FrameContent, ImageTable, PoseDialect, read_array, read_caliscope, read_deeplabcut, read_frame,
     read_list, read_mmpose, read_timestamps,
 };
+use crate::session::recording::Detection;
+use crate::session::upload::detections::add_frame;
 use crate::session::upload::error::{Fault, UploadError};
 use crate::session::upload::json::Reading;
+use crate::session::upload::limits::PERSON_AS_KEYPOINTS;
 use crate::session::upload::members::Members;
 use crate::session::upload::raw::RawPoses;
 use rayon::prelude::*;
@@ -43,10 +45,6 @@ const MAX_FRAME_FILE_BYTES: u64 = 16 << 20;
 /// Bytes and files that are held at a time while they are parsed.
 const BATCH_BYTES: usize = 16 << 20;
 const BATCH_FILES: usize = 512;
-/// A frame's and a person's memory besides the keypoints, in keypoints (see the native reader).
-const FRAME_AS_KEYPOINTS: usize = 3;
-const PERSON_AS_KEYPOINTS: usize = 4;
-
 /// Reads every pose file of the survey.
 ///
 /// # Errors
@@ -175,36 +173,27 @@ fn read_group<R: Read + Seek>(
         let parsed: Vec<Result<FrameContent, UploadError>> =
             batch.par_iter().map(|(_, _, bytes)| read_frame(group.dialect, bytes)).collect();
         for ((frame, name, _), content) in batch.iter().zip(parsed) {
-            let added = content.and_then(|content| add_frame(&mut source, *frame, content, reading));
+            let added = content.and_then(|content| add_content(&mut source, *frame, content, reading));
             added.map_err(|e| UploadError { file: Some((*name).to_owned()), frame: Some(*frame), ..e })?;
         }
     }
     Ok(source)
 }
 
-fn add_frame(
+fn add_content(
     source: &mut Source,
     frame: i64,
     content: FrameContent,
-    reading: &mut Reading<'_>,
+    reading: &mut Reading,
 ) -> Result<(), UploadError> {
-    if content.people.len() > reading.limits.max_people_per_frame {
-        return Err(Fault::TooManyPeople.with(format!("{} people in a frame", content.people.len())));
-    }
-    let n_points: usize =
-        content.people.iter().flatten().map(|person| person.keypoints.len() + PERSON_AS_KEYPOINTS).sum();
-    reading.spend(FRAME_AS_KEYPOINTS + n_points)?;
+    reading.spend(content.people.iter().flatten().map(|person| person.keypoints.len() + PERSON_AS_KEYPOINTS).sum())?;
     source.has_placeholders |= content.people.iter().any(Option::is_none);
     source.is_alphapose |= content.is_alphapose;
     source.image_size = source.image_size.or(content.image_size);
-    // A placeholder stays as a person without points until all files have been seen.
+    // A placeholder is kept as a person without points until all files have been read.
     let absent = Detection { track_id: None, keypoints: Vec::new() };
     let people = content.people.into_iter().map(|person| person.unwrap_or_else(|| absent.clone())).collect();
-    if source.poses.detections.insert(frame, people).is_some() {
-        return Err(Fault::FrameDuplicate.with(format!("frame {frame} has two files")));
-    }
-    source.poses.order.push(frame);
-    Ok(())
+    add_frame(&mut source.poses, frame, people, reading)
 }
 
 /// A whole small file.

@@ -1,31 +1,15 @@
 //! Frames of people: `{"frames": [{"frame", "people": [{"track_id", "keypoints": [[x, y, confidence]]}]}]}`.
 
+use crate::session::recording::{Detection, Keypoint};
+use crate::session::upload::detections::{add_frame, check_frame_number, checked_keypoint};
 use crate::session::upload::error::{Fault, UploadError, shown};
 use crate::session::upload::json::{Fields, Items, List, Numbers, Object, Reading};
+use crate::session::upload::limits::PERSON_AS_KEYPOINTS;
 use crate::session::upload::raw::{RawPoses, RawSession};
-use crate::session::{Detection, Keypoint};
-use nalgebra::Vector2;
 use serde::de::{MapAccess, SeqAccess};
 
-/// Pixels: no sensor is a thousandth as large, and squares of it stay far from overflow.
-const MAX_COORDINATE: f64 = 1e6;
 /// No convention has as many points; longer lists are refused before they are held.
 const MAX_KEYPOINTS_PER_PERSON: usize = 1000;
-/// Memory of a person and of a frame besides their keypoints, in keypoints of 24 bytes: 40 bytes and an allocation, 32
-/// bytes and a node's share of the map. Without it millions of empty people would cost nothing.
-const PERSON_AS_KEYPOINTS: usize = 4;
-const FRAME_AS_KEYPOINTS: usize = 3;
-/// Whole numbers up to here survive a JSON writer that knows doubles only.
-const MAX_FRAME_NUMBER: i64 = 1 << 53;
-
-/// Whether a frame number can be trusted to be what was meant.
-pub(super) fn check_number(frame: i64) -> Result<(), UploadError> {
-    if (-MAX_FRAME_NUMBER..=MAX_FRAME_NUMBER).contains(&frame) {
-        return Ok(());
-    }
-    Err(Fault::FrameInvalid.with(format!("frame number {frame}")))
-}
-
 /// One camera's poses as far as they have been read.
 pub(super) struct PosesFields {
     poses: RawPoses,
@@ -48,12 +32,7 @@ impl PosesFields {
 impl Fields for PosesFields {
     const WHAT: &'static str = "a camera's poses";
 
-    fn field<'de, A: MapAccess<'de>>(
-        &mut self,
-        key: &str,
-        map: &mut A,
-        reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error> {
+    fn field<'d, M: MapAccess<'d>>(&mut self, key: &str, map: &mut M, reading: &mut Reading) -> Result<bool, M::Error> {
         if key != "frames" {
             return Ok(false);
         }
@@ -66,12 +45,12 @@ impl Fields for PosesFields {
 struct Frames<'p>(&'p mut RawPoses);
 
 impl Items for Frames<'_> {
-    fn item<'de, A: SeqAccess<'de>>(
+    fn item<'d, S: SeqAccess<'d>>(
         &mut self,
         _index: usize,
-        seq: &mut A,
-        reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error> {
+        seq: &mut S,
+        reading: &mut Reading,
+    ) -> Result<bool, S::Error> {
         let mut fields = FrameFields::default();
         if seq.next_element_seed(Object(&mut fields, reading))?.is_none() {
             return Ok(false);
@@ -90,33 +69,20 @@ struct FrameFields {
 
 impl FrameFields {
     fn finish(self, poses: &mut RawPoses, reading: &mut Reading<'_>) -> Result<(), UploadError> {
-        reading.spend(FRAME_AS_KEYPOINTS)?;
         let frame = self.frame.ok_or_else(|| Fault::MissingField.with("a frame has no `frame` number"))?;
         let people = self.people.ok_or_else(|| Fault::MissingField.with("the frame has no `people`"))?;
-        if poses.order.len() == reading.limits.max_frames {
-            return Err(Fault::TooManyFrames.with(format!("more than {} frames of a camera", poses.order.len())));
-        }
-        if poses.detections.insert(frame, people).is_some() {
-            return Err(Fault::FrameDuplicate.with(format!("frame {frame} stands twice")));
-        }
-        poses.order.push(frame);
-        Ok(())
+        add_frame(poses, frame, people, reading)
     }
 }
 
 impl Fields for FrameFields {
     const WHAT: &'static str = "a frame";
 
-    fn field<'de, A: MapAccess<'de>>(
-        &mut self,
-        key: &str,
-        map: &mut A,
-        reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error> {
+    fn field<'d, M: MapAccess<'d>>(&mut self, key: &str, map: &mut M, reading: &mut Reading) -> Result<bool, M::Error> {
         match key {
             "frame" => {
                 let frame = map.next_value()?;
-                check_number(frame).map_err(|e| reading.refuse(e))?;
+                check_frame_number(frame).map_err(|e| reading.refuse(e))?;
                 self.frame = Some(frame);
                 reading.place.frame = self.frame;
             }
@@ -152,12 +118,7 @@ impl LineFields {
 impl Fields for LineFields {
     const WHAT: &'static str = "a line";
 
-    fn field<'de, A: MapAccess<'de>>(
-        &mut self,
-        key: &str,
-        map: &mut A,
-        reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error> {
+    fn field<'d, M: MapAccess<'d>>(&mut self, key: &str, map: &mut M, reading: &mut Reading) -> Result<bool, M::Error> {
         if key == "camera" {
             self.camera = Some(map.next_value()?);
             reading.place.camera = self.camera.clone();
@@ -170,12 +131,12 @@ impl Fields for LineFields {
 struct People<'p>(&'p mut Vec<Detection>);
 
 impl Items for People<'_> {
-    fn item<'de, A: SeqAccess<'de>>(
+    fn item<'d, S: SeqAccess<'d>>(
         &mut self,
         index: usize,
-        seq: &mut A,
-        reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error> {
+        seq: &mut S,
+        reading: &mut Reading,
+    ) -> Result<bool, S::Error> {
         reading.place.person = Some(index);
         let mut fields = PersonFields::default();
         if seq.next_element_seed(Object(&mut fields, reading))?.is_none() {
@@ -203,12 +164,7 @@ struct PersonFields {
 impl Fields for PersonFields {
     const WHAT: &'static str = "a person";
 
-    fn field<'de, A: MapAccess<'de>>(
-        &mut self,
-        key: &str,
-        map: &mut A,
-        reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error> {
+    fn field<'d, M: MapAccess<'d>>(&mut self, key: &str, map: &mut M, reading: &mut Reading) -> Result<bool, M::Error> {
         match key {
             "track_id" => self.track_id = map.next_value()?,
             "keypoints" => {
@@ -225,38 +181,22 @@ impl Fields for PersonFields {
 struct Keypoints<'k>(&'k mut Vec<Keypoint>);
 
 impl Items for Keypoints<'_> {
-    fn item<'de, A: SeqAccess<'de>>(
+    fn item<'d, S: SeqAccess<'d>>(
         &mut self,
         index: usize,
-        seq: &mut A,
-        reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error> {
+        seq: &mut S,
+        reading: &mut Reading,
+    ) -> Result<bool, S::Error> {
         let Some(numbers) = seq.next_element::<Numbers>()? else { return Ok(false) };
         reading.spend(1).map_err(|e| reading.refuse(e))?;
         if index == MAX_KEYPOINTS_PER_PERSON {
             return Err(reading.refuse(Fault::KeypointCount.with(format!("more than {index} keypoints of a person"))));
         }
-        match checked_keypoint(&numbers.0, reading) {
-            Ok(keypoint) => self.0.push(keypoint),
-            Err(error) => return Err(reading.refuse(error)),
-        }
+        let keypoint = match numbers.0[..] {
+            [x, y, confidence] => checked_keypoint(x, y, confidence, reading.warnings),
+            _ => Err(Fault::KeypointInvalid.with(format!("a keypoint has {} numbers, expected 3", numbers.0.len()))),
+        };
+        self.0.push(keypoint.map_err(|e| reading.refuse(e))?);
         Ok(true)
     }
-}
-
-/// A keypoint of finite pixels near the image and a confidence from 0 (missing) to 1.
-fn checked_keypoint(numbers: &[f64], reading: &mut Reading<'_>) -> Result<Keypoint, UploadError> {
-    let &[x, y, confidence] = numbers else {
-        return Err(Fault::KeypointInvalid.with(format!("a keypoint of {} numbers", numbers.len())));
-    };
-    if x.abs() > MAX_COORDINATE || y.abs() > MAX_COORDINATE {
-        return Err(Fault::KeypointInvalid.with(format!("a keypoint at ({x:e}, {y:e}) px")));
-    }
-    if confidence < 0.0 {
-        return Err(Fault::KeypointInvalid.with(format!("a confidence of {confidence}")));
-    }
-    if confidence > 1.0 {
-        reading.warnings.clamped_confidence(confidence);
-    }
-    Ok(Keypoint { pixel: Vector2::new(x, y), confidence: confidence.min(1.0) })
 }

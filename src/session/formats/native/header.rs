@@ -2,6 +2,7 @@
 
 use super::frames::PosesFields;
 use crate::session::formats::time::FrameRate;
+use crate::session::upload::detections::check_frame_number;
 use crate::session::upload::error::{Fault, UploadError, shown};
 use crate::session::upload::json::{Fields, Items, List, Object, Reading};
 use crate::session::upload::raw::{RawCamera, RawPoses, RawSession};
@@ -49,12 +50,7 @@ impl DocumentFields {
 impl Fields for DocumentFields {
     const WHAT: &'static str = "the session";
 
-    fn field<'de, A: MapAccess<'de>>(
-        &mut self,
-        key: &str,
-        map: &mut A,
-        reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error> {
+    fn field<'d, M: MapAccess<'d>>(&mut self, key: &str, map: &mut M, reading: &mut Reading) -> Result<bool, M::Error> {
         match key {
             "name" => self.name = map.next_value()?,
             "fps" => self.fps = Some(map.next_value::<FrameRate>()?.per_second()),
@@ -62,7 +58,7 @@ impl Fields for DocumentFields {
             "first_frame" => {
                 self.first_frame = map.next_value()?;
                 if let Some(frame) = self.first_frame {
-                    super::frames::check_number(frame).map_err(|e| reading.refuse(e))?;
+                    check_frame_number(frame).map_err(|e| reading.refuse(e))?;
                 }
             }
             "keypoint_convention" => self.keypoint_convention = Some(map.next_value()?),
@@ -79,12 +75,12 @@ impl Fields for DocumentFields {
 struct Cameras<'c>(&'c mut Vec<RawCamera>);
 
 impl Items for Cameras<'_> {
-    fn item<'de, A: SeqAccess<'de>>(
+    fn item<'d, S: SeqAccess<'d>>(
         &mut self,
         index: usize,
-        seq: &mut A,
-        reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error> {
+        seq: &mut S,
+        reading: &mut Reading,
+    ) -> Result<bool, S::Error> {
         let mut fields = CameraFields::default();
         if seq.next_element_seed(Object(&mut fields, reading))?.is_none() {
             return Ok(false);
@@ -126,12 +122,12 @@ impl CameraFields {
 impl Fields for CameraFields {
     const WHAT: &'static str = "a camera";
 
-    fn field<'de, A: MapAccess<'de>>(
+    fn field<'d, M: MapAccess<'d>>(
         &mut self,
         key: &str,
-        map: &mut A,
-        _reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error> {
+        map: &mut M,
+        _reading: &mut Reading,
+    ) -> Result<bool, M::Error> {
         match key {
             "id" => self.id = Some(map.next_value()?),
             "width" => self.width = Some(map.next_value()?),
@@ -159,12 +155,7 @@ struct PosesByCamera<'p>(&'p mut BTreeMap<String, RawPoses>);
 impl Fields for PosesByCamera<'_> {
     const WHAT: &'static str = "`poses`";
 
-    fn field<'de, A: MapAccess<'de>>(
-        &mut self,
-        key: &str,
-        map: &mut A,
-        reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error> {
+    fn field<'d, M: MapAccess<'d>>(&mut self, key: &str, map: &mut M, reading: &mut Reading) -> Result<bool, M::Error> {
         if self.0.len() == reading.limits.max_cameras {
             let detail = format!("poses of more than {} cameras, {} among them", self.0.len(), shown(key));
             return Err(reading.refuse(Fault::TooManyCameras.with(detail)));

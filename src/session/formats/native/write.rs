@@ -1,7 +1,7 @@
 //! Writing the native layout: the inverse of reading, to the precision of a detector.
 
 use crate::session::formats::{distortion_model, entries, rounded, rows};
-use crate::session::{Detection, FrameIndex, Keypoint, Session, View};
+use crate::session::recording::{Detection, FrameIndex, Keypoint, Session, View};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fs;

@@ -1,9 +1,9 @@
 //! Poses as one array: what MediaPipe's wrappers save of all cameras, `[cameras, frames, points, x y (…)]`, px.
 
-use super::FoundPoses;
+use super::found::FoundPoses;
 use super::points::{checked_point, missing};
 use crate::formats::npy::Header;
-use crate::session::Detection;
+use crate::session::recording::Detection;
 use crate::session::upload::error::{Fault, UploadError};
 use crate::session::upload::json::{Reading, fault_of_io};
 use std::io::Read;

@@ -1,10 +1,10 @@
 //! One file a frame: OpenPose and what looks like it, EasyMocap's annotations, MMPose's images.
 
-use super::PoseDialect;
 use super::points::Points;
+use super::sniff::PoseDialect;
+use crate::session::recording::{Detection, Keypoint};
 use crate::session::upload::error::{Fault, UploadError};
 use crate::session::upload::json::document_from_bytes;
-use crate::session::{Detection, Keypoint};
 use serde::Deserialize;
 
 /// The people of one frame.

@@ -1,10 +1,11 @@
 //! One file a camera or a take: AlphaPose's and COCO's lists of people, MMPose's list of frames. Read item by item.
 
+use super::found::FoundPoses;
 use super::frame_files::{Instance, Track};
+use super::frame_name::frame_name;
 use super::points::Points;
-use super::{FoundPoses, frame_name};
-use crate::session::Detection;
 use crate::session::formats::joints::JointOrder;
+use crate::session::recording::Detection;
 use crate::session::upload::error::{Fault, UploadError, shown};
 use crate::session::upload::json::{Fields, Items, JsonStream, List, Reading};
 use serde::Deserialize;
@@ -101,12 +102,12 @@ impl People<'_> {
 }
 
 impl Items for People<'_> {
-    fn item<'de, A: SeqAccess<'de>>(
+    fn item<'d, S: SeqAccess<'d>>(
         &mut self,
         _index: usize,
-        seq: &mut A,
-        reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error> {
+        seq: &mut S,
+        reading: &mut Reading,
+    ) -> Result<bool, S::Error> {
         let Some(person) = seq.next_element::<Person>()? else { return Ok(false) };
         self.add(person, reading).map_err(|e| reading.refuse(e))?;
         Ok(true)
@@ -116,12 +117,7 @@ impl Items for People<'_> {
 impl Fields for People<'_> {
     const WHAT: &'static str = "a COCO data set";
 
-    fn field<'de, A: MapAccess<'de>>(
-        &mut self,
-        key: &str,
-        map: &mut A,
-        reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error> {
+    fn field<'d, M: MapAccess<'d>>(&mut self, key: &str, map: &mut M, reading: &mut Reading) -> Result<bool, M::Error> {
         match key {
             "images" => map.next_value_seed(List(&mut Images(self.images), reading))?,
             "annotations" => map.next_value_seed(List(self, reading))?,
@@ -148,12 +144,12 @@ struct Category {
 struct Images<'i>(&'i mut ImageTable);
 
 impl Items for Images<'_> {
-    fn item<'de, A: SeqAccess<'de>>(
+    fn item<'d, S: SeqAccess<'d>>(
         &mut self,
         _index: usize,
-        seq: &mut A,
-        reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error> {
+        seq: &mut S,
+        reading: &mut Reading,
+    ) -> Result<bool, S::Error> {
         let Some(image) = seq.next_element::<CocoImage>()? else { return Ok(false) };
         if self.0.len() == reading.limits.max_view_frames {
             return Err(reading.refuse(Fault::TooManyFrames.with(format!("more than {} images", self.0.len()))));
@@ -202,12 +198,7 @@ struct MetaInfo {
 impl Fields for MmposeFrames {
     const WHAT: &'static str = "MMPose's document";
 
-    fn field<'de, A: MapAccess<'de>>(
-        &mut self,
-        key: &str,
-        map: &mut A,
-        reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error> {
+    fn field<'d, M: MapAccess<'d>>(&mut self, key: &str, map: &mut M, reading: &mut Reading) -> Result<bool, M::Error> {
         match key {
             "meta_info" => {
                 let meta: MetaInfo = map.next_value()?;
@@ -230,12 +221,12 @@ fn order_of(meta: &MetaInfo) -> Option<JointOrder> {
 }
 
 impl Items for MmposeFrames {
-    fn item<'de, A: SeqAccess<'de>>(
+    fn item<'d, S: SeqAccess<'d>>(
         &mut self,
         _index: usize,
-        seq: &mut A,
-        reading: &mut Reading<'_>,
-    ) -> Result<bool, A::Error> {
+        seq: &mut S,
+        reading: &mut Reading,
+    ) -> Result<bool, S::Error> {
         let Some(frame) = seq.next_element::<MmposeFrame>()? else { return Ok(false) };
         reading.place.frame = Some(frame.frame_id);
         self.0.frame(None, frame.frame_id, reading).map(|_| ()).map_err(|e| reading.refuse(e))?;

@@ -1,6 +1,7 @@
 //! A person's points as detectors write them: one flat list of triples, a list of triples, or a list of pairs.
 
-use crate::session::Keypoint;
+use crate::session::recording::Keypoint;
+use crate::session::upload::detections::MAX_COORDINATE_PX;
 use nalgebra::Vector2;
 use serde::de::{Deserialize, Deserializer, Error, SeqAccess, Visitor};
 use std::fmt;
@@ -13,15 +14,13 @@ pub(super) struct Points(pub(super) Vec<Keypoint>);
 
 /// No detector writes as many numbers of a person.
 const MAX_ENTRIES: usize = 3000;
-/// Pixels: no sensor is a thousandth as large.
-const MAX_COORDINATE: f64 = 1e6;
 
 /// A keypoint, or why it cannot be one.
 pub(super) fn checked_point(x: f64, y: f64, confidence: f64) -> Result<Keypoint, String> {
     if confidence.is_nan() || x.is_nan() || y.is_nan() || confidence <= 0.0 {
         return Ok(missing());
     }
-    if x.abs() > MAX_COORDINATE || y.abs() > MAX_COORDINATE || !confidence.is_finite() {
+    if x.abs() > MAX_COORDINATE_PX || y.abs() > MAX_COORDINATE_PX || !confidence.is_finite() {
         return Err(format!("a keypoint at ({x:e}, {y:e}) px with confidence {confidence}"));
     }
     Ok(Keypoint { pixel: Vector2::new(x, y), confidence })

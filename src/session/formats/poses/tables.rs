@@ -1,12 +1,12 @@
 //! Tables of comma-separated values: Caliscope's points and time stamps, DeepLabCut's tracks. Read line by line.
 
-use super::FoundPoses;
-use super::frame_name;
+use super::found::FoundPoses;
+use super::frame_name::frame_name;
 use super::points::{checked_point, missing};
 use crate::session::formats::joints::JointOrder;
+use crate::session::recording::{Detection, Keypoint};
 use crate::session::upload::error::{Fault, UploadError};
 use crate::session::upload::json::Reading;
-use crate::session::{Detection, Keypoint};
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read};
 

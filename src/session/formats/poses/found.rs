@@ -1,0 +1,65 @@
+//! The people that a pose file holds, by camera and frame.
+
+use crate::session::formats::joints::JointOrder;
+use crate::session::recording::Detection;
+use crate::session::upload::error::{Fault, UploadError};
+use crate::session::upload::json::Reading;
+use crate::session::upload::limits::{FRAME_AS_KEYPOINTS, PERSON_AS_KEYPOINTS};
+use crate::session::upload::raw::RawPoses;
+use std::collections::BTreeMap;
+
+/// What a file holds, by the camera's name where the file tells it (`None`: the file's only camera).
+#[derive(Debug, Default)]
+pub(crate) struct FoundPoses {
+    pub(crate) by_camera: BTreeMap<Option<String>, RawPoses>,
+    /// The order of the points, where the file names them.
+    pub(crate) order: Option<JointOrder>,
+    /// Width and height of the images that the points were found in, by camera, where the file tells them.
+    pub(crate) image_size: BTreeMap<Option<String>, [u32; 2]>,
+}
+
+impl FoundPoses {
+    /// Adds a person to a frame.
+    ///
+    /// # Errors
+    /// A limit that is exceeded.
+    pub(super) fn add(
+        &mut self,
+        camera: Option<&str>,
+        frame: i64,
+        person: Detection,
+        reading: &mut Reading<'_>,
+    ) -> Result<(), UploadError> {
+        reading.spend(PERSON_AS_KEYPOINTS + person.keypoints.len())?;
+        let people = self.frame(camera, frame, reading)?;
+        if people.len() == reading.limits.max_people_per_frame {
+            let detail = format!("more than {} people in a frame", people.len());
+            return Err(UploadError { frame: Some(frame), ..Fault::TooManyPeople.with(detail) });
+        }
+        people.push(person);
+        Ok(())
+    }
+
+    /// The people of a frame, which is delivered by being asked for.
+    pub(super) fn frame(
+        &mut self,
+        camera: Option<&str>,
+        frame: i64,
+        reading: &mut Reading<'_>,
+    ) -> Result<&mut Vec<Detection>, UploadError> {
+        let key = camera.map(str::to_owned);
+        if self.by_camera.len() > reading.limits.max_cameras {
+            return Err(Fault::TooManyCameras.with(format!("poses of more than {} cameras", self.by_camera.len() - 1)));
+        }
+        let file = reading.place.file.clone().unwrap_or_default();
+        let poses = self.by_camera.entry(key).or_insert_with(|| RawPoses { file, ..RawPoses::default() });
+        if !poses.detections.contains_key(&frame) {
+            if poses.order.len() == reading.limits.max_frames {
+                return Err(Fault::TooManyFrames.with(format!("more than {} frames of a camera", poses.order.len())));
+            }
+            reading.spend(FRAME_AS_KEYPOINTS)?;
+            poses.order.push(frame);
+        }
+        Ok(poses.detections.entry(frame).or_default())
+    }
+}
