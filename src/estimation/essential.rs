@@ -1,11 +1,11 @@
 //! The relative pose of two views from point pairs, many of them wrong.
 
 use super::consensus::{ConsensusProblem, find_consensus};
-use super::descent::{QuadraticModel, descend};
-use super::{geman_mcclure, geman_mcclure_weight};
 use crate::geometry::epipolar::{self, PointPair};
 use crate::geometry::five_point::five_point;
 use crate::geometry::{Rigid, rotation};
+use crate::optim::dense_levenberg_marquardt::{QuadraticModel, descend};
+use crate::optim::robust::{geman_mcclure_rho, geman_mcclure_weight};
 use nalgebra::{Matrix3, Matrix3x2, SVector};
 
 /// What the pairs say about the two views.
@@ -139,7 +139,7 @@ fn linearize(pose: &Rigid, pairs: &[PointPair], weights: Option<&[f64]>, thresho
             let jacobian = SVector::from([turn.x, turn.y, turn.z, slide.x, slide.y]);
             let squared = sampson.distance * sampson.distance;
             let robust_weight = weight * geman_mcclure_weight(squared, scale2);
-            model.add(sampson.distance, &jacobian, robust_weight, weight * geman_mcclure(squared, scale2));
+            model.add(sampson.distance, &jacobian, robust_weight, weight * geman_mcclure_rho(squared, scale2));
         }
     }
     model

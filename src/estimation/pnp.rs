@@ -1,10 +1,10 @@
 //! A camera's pose from known points, many of them wrongly matched.
 
 use super::consensus::{ConsensusProblem, find_consensus};
-use super::descent::{QuadraticModel, descend};
-use super::{geman_mcclure, geman_mcclure_weight};
 use crate::geometry::p3p::{PointSight, p3p};
 use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
+use crate::optim::dense_levenberg_marquardt::{QuadraticModel, descend};
+use crate::optim::robust::{geman_mcclure_rho, geman_mcclure_weight};
 use nalgebra::{SVector, Vector2};
 
 /// A pose that points agree on.
@@ -96,7 +96,7 @@ fn linearize(camera_from_world: &Rigid, points: &[PointSight], scale2: f64) -> Q
         // d point = rho + phi x point.
         let by_turn = -by_point * rotation::skew(&in_camera);
         let weight = geman_mcclure_weight(squared, scale2);
-        model.cost += geman_mcclure(squared, scale2);
+        model.cost += geman_mcclure_rho(squared, scale2);
         for axis in 0..2 {
             let mut row = SVector::<f64, 6>::zeros();
             row.fixed_rows_mut::<3>(0).copy_from(&by_point.row(axis).transpose());

@@ -3,7 +3,8 @@
 //! Points are ideal normalised coordinates, `a` in the first view, `b` in the second; `E = [t]x R` of
 //! `second_from_first`, so that `(b, 1)^T E (a, 1) = 0`.
 
-use super::{Rigid, rotation, svd};
+use super::rigid::Rigid;
+use super::{rotation, svd};
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// A pair of corresponding points: ideal normalised coordinates in the first and in the second view.

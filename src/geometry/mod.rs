@@ -6,6 +6,7 @@ pub mod epipolar;
 pub mod five_point;
 pub mod p3p;
 pub mod polynomial;
+pub mod projection;
 pub mod rigid;
 pub mod rotation;
 pub mod similarity;

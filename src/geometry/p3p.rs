@@ -3,7 +3,8 @@
 //! Depths first, pose after: the law of cosines in the three triangles (centre, point i, point j) is solved for the
 //! depths' ratios (Grunert's system; Haralick et al., IJCV 13(3), 1994, Eqs. (1) to (3)), eliminated here to one quartic.
 
-use super::{Rigid, polynomial};
+use super::polynomial;
+use super::rigid::Rigid;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// A point in the world and its ideal normalised coordinates in the image.

@@ -1,6 +1,5 @@
-//! SO(3): exponential, logarithm, their Jacobians, the 6D form, nearest and mean rotations.
+//! SO(3): exponential, logarithm, their Jacobians, the 6D form, rotations between directions.
 
-use super::svd;
 use nalgebra::{Matrix3, Vector3};
 
 /// `[a]x`, so that `[a]x b = a x b`.
@@ -75,18 +74,6 @@ pub fn angle_between(a: &Matrix3<f64>, b: &Matrix3<f64>) -> f64 {
     log(&(a.transpose() * b)).norm()
 }
 
-/// The rotation nearest to a matrix in Frobenius norm: `U diag(1, 1, det U V^T) V^T` (Umeyama 1991, Lemma).
-///
-/// Where it is not unique (rank below 2, or a reflection with two equal smallest singular values) one of the nearest.
-/// Non-finite input gives non-finite output.
-pub fn nearest_rotation(m: &Matrix3<f64>) -> Matrix3<f64> {
-    let svd::Svd { mut u, v, .. } = svd::decompose(m);
-    if u.determinant() * v.determinant() < 0.0 {
-        u.column_mut(2).neg_mut();
-    }
-    u * v.transpose()
-}
-
 /// The first two columns of a rotation, one after the other: the continuous form that networks speak.
 pub fn to_6d(r: &Matrix3<f64>) -> [f64; 6] {
     [r.m11, r.m21, r.m31, r.m12, r.m22, r.m32]
@@ -117,19 +104,6 @@ pub fn from_6d_backward(columns: &[f64; 6], d_increment: &Vector3<f64>) -> [f64;
     let d_a = (b2 * d_increment.z - b3 * d_increment.y - b3 * (d_increment.x * b1.dot(&b) / across)) / a.norm();
     let d_b = b3 * (d_increment.x / across);
     [d_a.x, d_a.y, d_a.z, d_b.x, d_b.y, d_b.z]
-}
-
-/// The rotation with the least weighted sum of squared chordal distances: the nearest one to the weighted sum.
-///
-/// `None` without rotations of positive weight (missing weights are zero) or where opposite ones leave it open.
-pub fn chordal_mean(rotations: &[Matrix3<f64>], weights: &[f64]) -> Option<Matrix3<f64>> {
-    let sum = rotations.iter().zip(weights).fold(Matrix3::zeros(), |sum, (r, w)| sum + r * *w);
-    let total: f64 = rotations.iter().zip(weights).map(|(_, w)| w).sum();
-    let svd = svd::decompose(&sum);
-    let sign = svd.u.determinant() * svd.v.determinant();
-    // The minimiser is unique where the two smaller singular values, the last one signed, do not cancel.
-    let unique = svd.singular[1] + sign.signum() * svd.singular[2] > 1e-9 * total;
-    (total > 0.0 && unique).then(|| nearest_rotation(&sum))
 }
 
 /// The least rotation that takes the direction of `a` to that of `b`; about some axis across `a` where they are

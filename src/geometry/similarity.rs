@@ -1,6 +1,7 @@
 //! Sim(3): similarity transforms and their least-squares estimate from points.
 
-use super::{Rigid, svd};
+use super::rigid::Rigid;
+use super::svd;
 use nalgebra::{Matrix3, Vector3};
 use std::ops::Mul;
 

@@ -1,4 +1,4 @@
-//! Singular value decomposition of 3x3 matrices by one-sided Jacobi rotations.
+//! Singular value decomposition of 3x3 matrices by one-sided Jacobi rotations, and the nearest rotation.
 //!
 //! Why not nalgebra's: its 3x3 case goes through the eigenvectors of `m^T m` and loses half the digits where singular
 //! values are far apart, just where rotations near pi and collinear points are decided.
@@ -81,6 +81,18 @@ fn left_vectors(b: &Matrix3<f64>, singular: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_columns(&[first, second, third])
 }
 
+/// The rotation nearest to a matrix in Frobenius norm: `U diag(1, 1, det U V^T) V^T` (Umeyama 1991, Lemma).
+///
+/// Where it is not unique (rank below 2, or a reflection with two equal smallest singular values) one of the nearest.
+/// Non-finite input gives non-finite output.
+pub fn nearest_rotation(m: &Matrix3<f64>) -> Matrix3<f64> {
+    let Svd { mut u, v, .. } = decompose(m);
+    if u.determinant() * v.determinant() < 0.0 {
+        u.column_mut(2).neg_mut();
+    }
+    u * v.transpose()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -109,6 +121,23 @@ mod tests {
                 );
             }
         }
+    }
+
+    #[test]
+    fn no_rotation_is_nearer_than_the_nearest_rotation() {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(2);
+        for _ in 0..100 {
+            let m = Matrix3::from_fn(|_, _| rng.random_range(-1.0..1.0));
+            let nearest = nearest_rotation(&m);
+            assert!((nearest.transpose() * nearest - Matrix3::identity()).norm() < 1e-14);
+            assert!((nearest.determinant() - 1.0).abs() < 1e-14);
+            for _ in 0..20 {
+                let turn = Vector3::from_fn(|_, _| rng.random_range(-0.05..0.05));
+                assert!((rotation::exp(&turn) * nearest - m).norm() >= (nearest - m).norm() - 1e-14);
+            }
+        }
+        let r = rotation::exp(&Vector3::new(1.0, 2.0, -0.5));
+        assert!((nearest_rotation(&(r * 3.0)) - r).norm() < 1e-14);
     }
 
     #[test]

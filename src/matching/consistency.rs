@@ -6,20 +6,16 @@
 
 use super::normalized::NormalizedDetection;
 use crate::body::detector_noise::DetectorNoise;
+use crate::body::detector_profile::DETECTOR;
 use crate::geometry::Rigid;
 use crate::geometry::epipolar::{Ray, ray_ray_distance};
-use nalgebra::{Vector2, Vector3};
-
-/// Standard deviations beyond which a keypoint is more likely wrong than noisy.
-const SOFT_SIGMAS: f64 = 3.0;
+use crate::geometry::projection::NormalizedProjection;
+use crate::optim::robust::OUTLIER_SIGMAS;
 
 /// Keypoints that must be shared before an affinity says anything, and the number below which what is missing counts as
 /// disagreement: two joints that fit are some evidence, four are enough.
 const MIN_SHARED: usize = 2;
 const ENOUGH_SHARED: usize = 4;
-
-/// Keypoints below this confidence have no say.
-const MIN_CONFIDENCE: f64 = 0.2;
 
 /// Weights of geometry and physics in the affinity of two detections (Huang et al. 2021).
 pub const GEOMETRY_WEIGHT: f64 = 0.7;
@@ -44,25 +40,8 @@ pub struct Seen<'a> {
 impl<'a> Seen<'a> {
     /// `noise`: how far the detector errs.
     pub fn new(camera: &'a Rigid, detection: &'a NormalizedDetection, noise: &DetectorNoise) -> Self {
-        let factor = |c: &f64| (*c >= MIN_CONFIDENCE).then(|| noise.factor(*c));
+        let factor = |c: &f64| (*c >= DETECTOR.comparable).then(|| noise.factor(*c));
         Self { camera, detection, factors: detection.confidence.iter().map(factor).collect() }
-    }
-}
-
-/// A person's point as a camera should see it.
-#[derive(Debug, Clone, Copy)]
-pub struct Projection {
-    /// Ideal normalised image coordinates.
-    normalized: Vector2<f64>,
-    /// Along the optical axis, m.
-    depth: f64,
-}
-
-impl Projection {
-    /// `None` where the point lies behind the camera.
-    pub fn of(point: &Vector3<f64>, camera: &Rigid) -> Option<Self> {
-        let x = camera.transform(point);
-        (x.z > 0.1).then(|| Self { normalized: x.xy() / x.z, depth: x.z })
     }
 }
 
@@ -80,7 +59,7 @@ pub struct Agreement {
 pub fn squared_misfit(
     seen: &Seen,
     from: usize,
-    expected: &Projection,
+    expected: &NormalizedProjection,
     noise: &DetectorNoise,
     keypoint: usize,
 ) -> Option<f64> {
@@ -92,7 +71,7 @@ pub fn squared_misfit(
 /// Agreement of a detection with a person's expected points; `None` where too little is shared.
 pub fn physics_affinity(
     seen: &Seen,
-    expected: &[Option<Projection>],
+    expected: &[Option<NormalizedProjection>],
     noise: &DetectorNoise,
     order: &Order,
 ) -> Option<Agreement> {
@@ -113,7 +92,7 @@ pub fn geometry_affinity(one: &Seen, other: &Seen, noise: &DetectorNoise) -> Opt
 }
 
 fn agreement(squared_misfits: impl Iterator<Item = f64>) -> Option<Agreement> {
-    const SOFT: f64 = SOFT_SIGMAS * SOFT_SIGMAS;
+    const SOFT: f64 = OUTLIER_SIGMAS * OUTLIER_SIGMAS;
     let (n_shared, sum) = squared_misfits.fold((0, 0.0), |(n, sum), e2| (n + 1, sum + SOFT / (e2 + SOFT)));
     (n_shared >= MIN_SHARED).then(|| Agreement { affinity: sum / n_shared.max(ENOUGH_SHARED) as f64, n_shared })
 }
@@ -122,7 +101,9 @@ fn agreement(squared_misfits: impl Iterator<Item = f64>) -> Option<Agreement> {
 mod tests {
     use super::*;
     use crate::body::skeleton::KeypointConvention;
+    use crate::geometry::projection::project_normalized;
     use crate::geometry::rotation;
+    use nalgebra::{Vector2, Vector3};
 
     fn camera(angle: f64) -> Rigid {
         let rotation = rotation::exp(&(Vector3::y() * angle));
@@ -150,7 +131,7 @@ mod tests {
             .map(|(camera, detection)| Seen::new(camera, detection, &noise));
         let geometry = |one, other| geometry_affinity(one, other, &noise).unwrap();
         assert!(geometry(&a, &b) > 0.99 && geometry(&a, &c) < 0.3);
-        let expected: Vec<_> = person.iter().map(|point| Projection::of(point, &second)).collect();
+        let expected: Vec<_> = person.iter().map(|point| project_normalized(&second, point)).collect();
         let order: Vec<usize> = (0..17).collect();
         let physics = |seen, n: usize| physics_affinity(seen, &expected[..n], &noise, &order);
         let whole = physics(&b, 17).unwrap();

@@ -1,10 +1,8 @@
 //! What every view saw, as rays: undistorted, normalised, with an apparent size.
 
+use crate::body::detector_profile::DETECTOR;
 use crate::session::{Detection, Session, View};
 use nalgebra::Vector2;
-
-/// Points below this detector confidence are treated as missing: under it OpenPose and COCO detectors guess.
-pub const MIN_CONFIDENCE: f64 = 0.1;
 
 /// A person of ordinary build standing upright spans this much from eyes to ankles, m: turns an apparent size into a depth.
 pub const BODY_SPAN_M: f64 = 1.6;
@@ -29,7 +27,7 @@ impl NormalizedDetection {
         let mut confidence = Vec::with_capacity(n_keypoints);
         let (mut low, mut high) = (Vector2::repeat(f64::INFINITY), Vector2::repeat(f64::NEG_INFINITY));
         for keypoint in &detection.keypoints[..n_keypoints] {
-            let usable = keypoint.confidence >= MIN_CONFIDENCE;
+            let usable = keypoint.confidence >= DETECTOR.min_confidence;
             let point = if usable { view.intrinsics.normalized_from_pixel(&keypoint.pixel) } else { Vector2::zeros() };
             if usable {
                 low = low.inf(&point);

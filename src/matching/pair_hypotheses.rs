@@ -3,6 +3,7 @@
 use super::normalized::NormalizedView;
 use super::pair_score::{Match, PairEvidence, PairScore, VOTE_RADIUS, score_pair, vote};
 use super::tracklets::Tracklet;
+use crate::body::detector_profile::DETECTOR;
 use crate::estimation::essential::{EssentialEstimate, estimate_essential, refine_essential};
 use crate::geometry::epipolar::essential_from_pose;
 use crate::geometry::{Rigid, rotation};
@@ -152,7 +153,8 @@ fn point_pairs(pair: &CameraPair, a: usize, b: usize, seed: u64, config: &Hypoth
     for i in 0..n_frames {
         let (frame, p, q) = shared[i * shared.len() / n_frames];
         let (s, t) = (&pair.views[0].frames[frame][p], &pair.views[1].frames[frame][q]);
-        let confident = (0..s.normalized.len()).filter(|&k| s.confidence[k] > 0.4 && t.confidence[k] > 0.4);
+        let confident = (0..s.normalized.len())
+            .filter(|&k| s.confidence[k] > DETECTOR.confident && t.confidence[k] > DETECTOR.confident);
         points.extend(confident.map(|k| (s.normalized[k], t.normalized[k])));
     }
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -190,8 +192,8 @@ fn refit(pair: &CameraPair, hypothesis: &PairHypothesis, config: &HypothesisConf
 fn matched_points(matches: &[Match]) -> PointPairs {
     let mut points = Vec::new();
     for m in matches {
-        let seen =
-            (0..m.first.normalized.len()).filter(|&k| m.first.confidence[k] > 0.3 && m.second.confidence[k] > 0.3);
+        let seen = (0..m.first.normalized.len())
+            .filter(|&k| m.first.confidence[k] > DETECTOR.judged && m.second.confidence[k] > DETECTOR.judged);
         points.extend(seen.map(|k| (m.first.normalized[k], m.second.normalized[k])));
     }
     points

@@ -3,10 +3,12 @@
 use super::assignment::assign;
 use super::normalized::{NormalizedDetection, NormalizedView};
 use crate::body::bones::LimbBone;
+use crate::body::detector_profile::DETECTOR;
 use crate::geometry::Rigid;
 use crate::geometry::epipolar::{essential_from_pose, sampson_squared};
+use crate::geometry::triangulation::midpoint;
 use crate::optim::robust::median_and_spread;
-use nalgebra::{Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix3, Vector3};
 
 /// Distance from the epipolar line beyond which a point does not vote, rad: 16 px at a focal length of 1,060 px, four
 /// times the detectors' own noise on people 4 m away.
@@ -70,7 +72,7 @@ pub fn similarity(essential: &Matrix3<f64>, a: &NormalizedDetection, b: &Normali
     let (mut sum, mut n) = (0.0, 0usize);
     let inverse = 1.0 / (radius * radius);
     for k in 0..a.normalized.len() {
-        if a.confidence[k] > 0.2 && b.confidence[k] > 0.2 {
+        if a.confidence[k] > DETECTOR.comparable && b.confidence[k] > DETECTOR.comparable {
             sum += (1.0 - sampson_squared(essential, &a.normalized[k], &b.normalized[k]) * inverse).max(0.0);
             n += 1;
         }
@@ -128,25 +130,8 @@ fn triangulate_match(m: &Match, second_from_first: &Rigid) -> Vec<Option<(Vector
     let n = m.first.normalized.len();
     (0..n)
         .map(|k| {
-            let seen = m.first.confidence[k] > 0.2 && m.second.confidence[k] > 0.2;
+            let seen = m.first.confidence[k] > DETECTOR.comparable && m.second.confidence[k] > DETECTOR.comparable;
             if seen { midpoint(second_from_first, &m.first.normalized[k], &m.second.normalized[k]) } else { None }
         })
         .collect()
-}
-
-/// The point nearest to both rays (first camera's frame) and whether it is in front of both; `None` for parallel rays.
-pub fn midpoint(second_from_first: &Rigid, a: &Vector2<f64>, b: &Vector2<f64>) -> Option<(Vector3<f64>, bool)> {
-    let center = second_from_first.center();
-    let u = Vector3::new(a.x, a.y, 1.0);
-    let v = second_from_first.rotation.transpose() * Vector3::new(b.x, b.y, 1.0);
-    // Minimise |s u - (center + t v)|^2: a 2x2 system.
-    let (uu, vv, uv) = (u.dot(&u), v.dot(&v), u.dot(&v));
-    let det = uu * vv - uv * uv;
-    if det < 1e-6 * uu * vv {
-        return None; // less than 0.06 degrees between the rays
-    }
-    let (uc, vc) = (u.dot(&center), v.dot(&center));
-    let s = (uc * vv - vc * uv) / det;
-    let t = (uc * uv - vc * uu) / det;
-    Some(((u * s + center + v * t) * 0.5, s > 0.0 && t > 0.0))
 }

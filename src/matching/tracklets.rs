@@ -2,6 +2,8 @@
 
 use super::assignment::assign;
 use super::normalized::{BODY_SPAN_M, NormalizedDetection, NormalizedView};
+use crate::body::detector_profile::DETECTOR;
+use crate::body::human_speeds::WALK_M_S;
 
 /// One person in one view over a run of frames.
 #[derive(Debug, Clone)]
@@ -30,7 +32,7 @@ impl Tracklet {
 /// When two detections may be the same person.
 #[derive(Debug, Clone)]
 pub struct TrackletConfig {
-    /// A body's median joint moves at most this fast, m/s: a sprint start; above it we would rather split.
+    /// A body's median joint moves at most this fast, m/s: the tracklet of a faster person is split.
     pub max_speed: f64,
     /// Detector noise, as a share of the apparent size: three times the 1 to 2 % seen on OpenPose and COCO detectors.
     pub noise: f64,
@@ -44,7 +46,7 @@ pub struct TrackletConfig {
 
 impl Default for TrackletConfig {
     fn default() -> Self {
-        Self { max_speed: 1.2, noise: 0.03, max_gap: 0.25, uniqueness: 0.6, min_shared: 4 }
+        Self { max_speed: WALK_M_S, noise: 0.03, max_gap: 0.25, uniqueness: 0.6, min_shared: 4 }
     }
 }
 
@@ -101,7 +103,7 @@ fn confident_matches(
 /// Median distance of the shared keypoints as a share of the apparent size; `None` for fewer than `min_shared`.
 pub fn step_distance(a: &NormalizedDetection, b: &NormalizedDetection, min_shared: usize) -> Option<f64> {
     let mut distances: Vec<f64> = (0..a.normalized.len())
-        .filter(|&k| a.confidence[k] > 0.2 && b.confidence[k] > 0.2)
+        .filter(|&k| a.confidence[k] > DETECTOR.comparable && b.confidence[k] > DETECTOR.comparable)
         .map(|k| (a.normalized[k] - b.normalized[k]).norm())
         .collect();
     if distances.len() < min_shared {

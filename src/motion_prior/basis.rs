@@ -11,6 +11,7 @@ use super::joints::{Bones, frame, rows};
 use super::panels::{Panels, add_product};
 use crate::body::skeleton::{N_JOINTS, PARENTS};
 use crate::geometry::rotation;
+use crate::geometry::svd::nearest_rotation;
 use nalgebra::{Cholesky, DMatrix, Matrix3, SymmetricEigen};
 
 /// Numbers of the latent code a frame.
@@ -49,7 +50,7 @@ pub fn mean_rotations(takes: &[Vec<LocalRotations>]) -> Chart {
             *sum += rotations[joint];
         }
     }
-    Chart { means: sums.map(|sum| rotation::nearest_rotation(&sum)) }
+    Chart { means: sums.map(|sum| nearest_rotation(&sum)) }
 }
 
 /// Measures the basis on the features of a training set. `None` where there are fewer frames than features.

@@ -7,7 +7,7 @@ use super::basis::{Basis, LATENT_DIM};
 use super::chart::{Chart, LATENT_JOINTS, N_FEATURES};
 use super::shape::VaeShape;
 use crate::body::skeleton::JOINT_NAMES;
-use crate::geometry::rotation::nearest_rotation;
+use crate::geometry::svd::nearest_rotation;
 use nalgebra::Matrix3;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};

@@ -9,6 +9,7 @@
 
 pub mod arrow;
 pub mod block_banded;
+pub mod dense_levenberg_marquardt;
 pub mod levenberg_marquardt;
 pub mod point_chain;
 pub mod robust;

@@ -33,6 +33,22 @@ pub fn geman_mcclure_ceiling(scale: f64) -> f64 {
     0.5 * scale * scale
 }
 
+/// The Geman-McClure loss `rho(e) = s^2 e^2 / (e^2 + s^2)` itself, from squares: twice the cost of [`geman_mcclure`], rounded
+/// differently. For the small solvers, whose scale is fixed.
+pub fn geman_mcclure_rho(squared: f64, squared_scale: f64) -> f64 {
+    squared_scale * squared / (squared + squared_scale)
+}
+
+/// The weight `(s^2 / (s^2 + e^2))^2` of a residual under [`geman_mcclure_rho`]; equal to that of [`geman_mcclure`].
+pub fn geman_mcclure_weight(squared: f64, squared_scale: f64) -> f64 {
+    let ratio = squared_scale / (squared_scale + squared);
+    ratio * ratio
+}
+
+/// Scale of a robust cost, in standard deviations: a datum further off is more likely wrong than noisy. A normal error of
+/// two dimensions stays within it with 98.9 %. Adjustments that were tuned on simulated captures name their own (4).
+pub const OUTLIER_SIGMAS: f64 = 3.0;
+
 /// Graduated non-convexity: the scale falls geometrically, so that a rough start is not taken for a set of outliers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GraduatedScale {

@@ -6,6 +6,7 @@
 use super::config::SimulationConfig;
 use super::random::{Purpose, stream};
 use super::skeleton::{Person, Pose, Skeleton, joint};
+use crate::body::human_speeds::JOG_M_S;
 use crate::geometry::rotation;
 use crate::motion_prior::MotionPrior;
 use crate::motion_prior::chart::LocalRotations;
@@ -45,8 +46,6 @@ fn random_heading(rng: &mut rand_chacha::ChaCha8Rng) -> impl Fn(f64) -> f64 + us
 const SHARED_WEIGHT: f64 = 0.03;
 /// Who drifts away comes back within this time, s.
 const RETURN_TIME: f64 = 4.0;
-/// Nobody slides faster than a run, m/s.
-const MAX_SPEED: f64 = 2.5;
 /// The body follows its feet with this inertia, s (standard deviation of the kernel).
 const INERTIA: f64 = 0.1;
 
@@ -61,7 +60,7 @@ pub(super) fn stand(person: &mut Person, fps: f64, foot_height: f64) {
         let slide = (now[0] - before[0]) * weights[0] + (now[1] - before[1]) * weights[1];
         let velocity = -slide * fps - place / RETURN_TIME;
         let horizontal = Vector3::new(velocity.x, 0.0, velocity.z);
-        place += horizontal * ((MAX_SPEED / horizontal.norm().max(MAX_SPEED)) / fps);
+        place += horizontal * ((JOG_M_S / horizontal.norm().max(JOG_M_S)) / fps);
         let lowest = now[0].y * weights[0] + now[1].y * weights[1];
         path.push(Vector3::new(place.x, foot_height - lowest, place.z));
     }

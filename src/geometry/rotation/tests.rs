@@ -65,23 +65,6 @@ fn angles_between_rotations_are_exact_to_the_ends() {
 }
 
 #[test]
-fn the_nearest_rotation_is_one_and_nobody_is_nearer() {
-    let mut rng = ChaCha8Rng::seed_from_u64(2);
-    for _ in 0..100 {
-        let m = Matrix3::from_fn(|_, _| rng.random_range(-1.0..1.0));
-        let nearest = nearest_rotation(&m);
-        assert!((nearest.transpose() * nearest - Matrix3::identity()).norm() < 1e-14);
-        assert!((nearest.determinant() - 1.0).abs() < 1e-14);
-        for _ in 0..20 {
-            let other = exp(&(random_direction(&mut rng) * 0.05)) * nearest;
-            assert!((other - m).norm() >= (nearest - m).norm() - 1e-14);
-        }
-    }
-    let r = exp(&Vector3::new(1.0, 2.0, -0.5));
-    assert!((nearest_rotation(&(r * 3.0)) - r).norm() < 1e-14);
-}
-
-#[test]
 fn the_6d_form_round_trips_and_rejects_parallel_columns() {
     for w in turns() {
         let r = exp(&w);
@@ -115,16 +98,6 @@ fn an_increment_changes_the_trace_by_the_axial_vector() {
     let (m, e) = (exp(&Vector3::new(0.4, -0.9, 0.2)), Vector3::new(0.5, 0.1, -0.7));
     let slope = ((m * exp(&(e * 1e-6))).trace() - (m * exp(&(e * -1e-6))).trace()) / 2e-6;
     assert!((slope + e.dot(&axial(&m))).abs() < 1e-9);
-}
-
-#[test]
-fn the_mean_lies_in_the_middle_and_opposite_rotations_have_none() {
-    let base = exp(&Vector3::new(0.3, -0.2, 0.9));
-    let (ahead, behind) = (exp(&(Vector3::x() * 0.4)) * base, exp(&(Vector3::x() * -0.4)) * base);
-    assert!((chordal_mean(&[ahead, behind], &[1.0, 1.0]).unwrap() - base).norm() < 1e-14);
-    assert!((chordal_mean(&[ahead, behind], &[1.0, 0.0]).unwrap() - ahead).norm() < 1e-14);
-    assert_eq!(chordal_mean(&[], &[]), None);
-    assert_eq!(chordal_mean(&[base, exp(&(Vector3::x() * PI)) * base], &[1.0, 1.0]), None);
 }
 
 #[test]

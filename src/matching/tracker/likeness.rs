@@ -6,15 +6,13 @@
 use super::Scene;
 use super::person::{Skeleton, TrackedPerson};
 use crate::body::bones::LENGTH_SIGMA;
+use crate::body::human_speeds::WALK_M_S;
 use crate::optim::robust::{NORMAL_SIGMA_OF_MAD, median_and_spread};
 use nalgebra::{DMatrix, DVector, Vector3};
 use std::collections::BTreeMap;
 
 /// Standard deviation per axis of a prediction that is just made, m: a turn of the body.
 const PLACE_SIGMA: f64 = 0.25;
-
-/// Out of sight people wander this fast, m/s: a walk.
-const WALK: f64 = 1.2;
 
 /// People spread at least this far about a scene's middle, m per axis: a room of 4 m.
 const MIN_ROOM: f64 = 1.0;
@@ -107,7 +105,7 @@ impl Likeness {
 /// Somebody else is anywhere: a difference of standard deviation `sqrt(2) room` per axis of the floor.
 pub(super) fn place_evidence(distance: f64, seconds: f64, room: f64) -> f64 {
     let anywhere = 2.0 * room * room;
-    let near = (PLACE_SIGMA * PLACE_SIGMA + (WALK * seconds).powi(2)).min(anywhere);
+    let near = (PLACE_SIGMA * PLACE_SIGMA + (WALK_M_S * seconds).powi(2)).min(anywhere);
     (anywhere / near).ln() - 0.5 * distance * distance * (1.0 / near - 1.0 / anywhere)
 }
 

@@ -17,7 +17,6 @@ use super::normalized::NormalizedView;
 use crate::body::bones::LimbBone;
 use crate::geometry::Rigid;
 use crate::progress::{Canceled, Progress};
-use nalgebra::Vector2;
 pub use person::{Skeleton, TrackedPerson};
 
 /// Gates of the tracker. Lengths are metres on a body: what a pixel is worth follows from the depth.
@@ -165,15 +164,4 @@ pub fn skeleton(scene: &Scene, frame: usize, claim: &[Option<usize>]) -> Skeleto
         [(_, detection)] if scene.n_witnesses() == 1 => one_view::figure(scene, detection, None).unwrap_or_default(),
         _ => person::triangulated(scene, &seen),
     }
-}
-
-/// Metres that a normalised image distance is worth for a body at `depth`.
-fn metres(normalized: f64, depth: f64) -> f64 {
-    normalized * depth
-}
-
-/// Normalised projection, `None` behind the camera.
-fn project(camera: &Rigid, point: &nalgebra::Vector3<f64>) -> Option<(Vector2<f64>, f64)> {
-    let x = camera.transform(point);
-    (x.z > 0.1).then(|| (Vector2::new(x.x / x.z, x.y / x.z), x.z))
 }

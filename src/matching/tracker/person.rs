@@ -1,8 +1,12 @@
 //! One tracked person: claimed detections, the last skeleton, its motion.
 
-use super::{Scene, TrackerConfig, metres, one_view, project};
+use super::{Scene, TrackerConfig, one_view};
+use crate::body::detector_profile::DETECTOR;
+use crate::body::human_speeds::MAX_BODY_M_S;
+use crate::estimation::triangulation::triangulate_reweighted;
 use crate::geometry::Rigid;
-use crate::geometry::triangulation::{self, triangulate_linear};
+use crate::geometry::projection::project_normalized;
+use crate::geometry::triangulation::PointObservation;
 use crate::matching::normalized::NormalizedDetection;
 use crate::optim::robust::median;
 use nalgebra::Vector3;
@@ -166,8 +170,8 @@ impl TrackedPerson {
         let keep = (-seconds / VELOCITY_MEMORY).exp();
         self.velocity = self.velocity * keep + measured * (1.0 - keep);
         let speed = self.velocity.norm();
-        if speed > MAX_SPEED {
-            self.velocity *= MAX_SPEED / speed;
+        if speed > MAX_BODY_M_S {
+            self.velocity *= MAX_BODY_M_S / speed;
         }
     }
 }
@@ -176,9 +180,6 @@ impl TrackedPerson {
 fn is_witnessed(scene: &Scene, claim: &[Option<usize>]) -> bool {
     claim.iter().flatten().count() >= scene.n_witnesses()
 }
-
-/// Nobody's middle moves faster indoors, m/s.
-const MAX_SPEED: f64 = 6.0;
 
 pub(super) fn detections_of<'a>(
     scene: &Scene<'a>,
@@ -198,11 +199,11 @@ pub(super) fn distance(one: &Skeleton, other: &Skeleton) -> Option<f64> {
 pub(super) fn distance_m(skeleton: &Skeleton, camera: &Rigid, detection: &NormalizedDetection) -> Option<f64> {
     let mut distances: Vec<f64> = Vec::with_capacity(skeleton.len());
     for (k, point) in skeleton.iter().enumerate() {
-        if detection.confidence[k] < 0.2 {
+        if detection.confidence[k] < DETECTOR.comparable {
             continue;
         }
-        if let Some((normalized, depth)) = point.and_then(|p| project(camera, &p)) {
-            distances.push(metres((normalized - detection.normalized[k]).norm(), depth));
+        if let Some(expected) = point.and_then(|p| project_normalized(camera, &p)) {
+            distances.push((expected.normalized - detection.normalized[k]).norm() * expected.depth);
         }
     }
     if distances.len() < MIN_SHARED { None } else { median(&mut distances) }
@@ -220,27 +221,10 @@ fn triangulated_point(scene: &Scene, seen: &[(usize, &NormalizedDetection)], k: 
         if detection.confidence[k] > 0.0 {
             let camera = scene.cameras[*view].as_ref()?;
             let (normalized, weight) = (detection.normalized[k], detection.confidence[k]);
-            rays.push(triangulation::PointObservation { camera_from_world: camera, normalized, weight });
+            rays.push(PointObservation { camera_from_world: camera, normalized, weight });
         }
     }
-    if rays.len() < 2 {
-        return None;
-    }
-    let mut point = triangulate_linear(&rays)?;
-    if rays.len() == 2 {
-        return Some(point);
-    }
-    let base: Vec<f64> = rays.iter().map(|r| r.weight).collect();
-    for _ in 0..3 {
-        for (ray, confidence) in rays.iter_mut().zip(&base) {
-            let seen = project(ray.camera_from_world, &point);
-            let residual = seen.map_or(1.0, |(b, depth)| metres((b - ray.normalized).norm(), depth));
-            let soft = ROBUST_SCALE_M * ROBUST_SCALE_M;
-            ray.weight = confidence * (soft / (soft + residual * residual)).powi(2);
-        }
-        point = triangulate_linear(&rays)?;
-    }
-    Some(point)
+    triangulate_reweighted(rays, ROBUST_SCALE_M)
 }
 
 /// Residual at which a ray loses three quarters of its weight, m on the body: three times a good detector's noise.
@@ -293,7 +277,7 @@ fn completed(
             continue;
         }
         let Some(start) = predicted[k].map(|p| p + drift) else { continue };
-        let ray = seen.iter().find(|(_, s)| s.confidence[k] > 0.2);
+        let ray = seen.iter().find(|(_, s)| s.confidence[k] > DETECTOR.comparable);
         *point = Some(match ray.and_then(|(v, s)| Some((scene.cameras[*v].as_ref()?, s.normalized[k]))) {
             Some((camera, normalized)) => {
                 let in_camera = camera.transform(&start);

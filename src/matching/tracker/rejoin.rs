@@ -51,8 +51,9 @@ mod tests {
     use crate::body::bones::limb_bones;
     use crate::body::skeleton::KeypointConvention;
     use crate::geometry::Rigid;
+    use crate::geometry::projection::project_normalized;
     use crate::matching::normalized::{NormalizedDetection, NormalizedView};
-    use crate::matching::tracker::{project, track};
+    use crate::matching::tracker::track;
     use crate::progress::Progress;
     use nalgebra::{Matrix3, Vector3};
 
@@ -60,7 +61,8 @@ mod tests {
     fn seen(camera: &Rigid, x: f64) -> NormalizedDetection {
         let mut heights = [0.0; 17];
         limb_bones(KeypointConvention::Coco17).iter().for_each(|b| heights[b.b] = heights[b.a] + b.length);
-        let normalized = heights.iter().map(|y| project(camera, &Vector3::new(x, *y, 5.0)).unwrap().0).collect();
+        let normalized =
+            heights.iter().map(|y| project_normalized(camera, &Vector3::new(x, *y, 5.0)).unwrap().normalized).collect();
         NormalizedDetection { normalized, confidence: vec![0.9; 17], size: 0.2, track_id: None }
     }
 

@@ -1,6 +1,7 @@
 //! A fixed budget of well-spread skeletons for the adjustment: cameras cost the same however long the take.
 
 use crate::body::detector_noise::DetectorNoise;
+use crate::body::detector_profile::DETECTOR;
 use crate::geometry::Rigid;
 use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
 use crate::pipeline::stages::association::Association;
@@ -8,9 +9,6 @@ use crate::pipeline::stages::bundle_adjustment::{Instant, Observation};
 use crate::session::JointTrajectory;
 use crate::session::recording::Session;
 use nalgebra::Vector2;
-
-/// Points below this confidence do not enter the adjustment.
-const MIN_CONFIDENCE: f64 = 0.3;
 
 /// How instants are chosen.
 #[derive(Debug, Clone, Copy)]
@@ -88,7 +86,7 @@ fn instant(
         let (Some(detection), Some(camera)) = (detection, &cameras[view]) else { continue };
         let intrinsics = &session.views[view].intrinsics;
         for (keypoint, k) in session.views[view].frames[frame][*detection].keypoints[..n_keypoints].iter().enumerate() {
-            let Some(point) = guess[keypoint].filter(|_| k.confidence >= MIN_CONFIDENCE) else { continue };
+            let Some(point) = guess[keypoint].filter(|_| k.confidence >= DETECTOR.judged) else { continue };
             let depth = (camera.transform(&point).z * budget.metres_per_unit).max(0.3);
             let sigma_m = budget.noise.sigma_m(keypoint, k.confidence);
             let sigma_px = sigma_m * intrinsics.focal() / depth;

@@ -1,6 +1,7 @@
 //! Cameras that no pair could place: registered on the people whom the others have found.
 
 use super::Calibration;
+use crate::body::detector_profile::DETECTOR;
 use crate::estimation::pnp::{PoseEstimate, estimate_pose};
 use crate::geometry::Rigid;
 use crate::matching::pair_hypotheses::mix;
@@ -68,7 +69,7 @@ fn correspondences(
         let Some(skeleton) = frame.checked_sub(path.first.0).and_then(|t| path.points.get(t)) else { continue };
         let detection = &capture.views[view].frames[frame][detection];
         for (k, point) in skeleton.iter().enumerate() {
-            if let Some(point) = point.filter(|_| detection.confidence[k] > 0.3) {
+            if let Some(point) = point.filter(|_| detection.confidence[k] > DETECTOR.judged) {
                 points.push((point, detection.normalized[k]));
             }
         }

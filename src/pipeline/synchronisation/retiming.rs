@@ -1,13 +1,11 @@
 //! A recording moved in time: what synchronous cameras would have seen.
 
+use crate::body::human_speeds::{RUN_M_S, THROWN_HAND_M_S};
 use crate::matching::assignment::assign;
 use crate::matching::normalized::{BODY_SPAN_M, NormalizedDetection, NormalizedView, normalized_views};
 use crate::matching::tracklets::step_distance;
 use crate::session::{Detection, FrameIndex, Keypoint, PersonId, Session, View};
 use nalgebra::Vector2;
-
-/// A hand in a throw, m/s: a point that seems faster is another point, and not followed.
-const MAX_SPEED: f64 = 10.0;
 
 /// Detector noise, as a share of the apparent size: three times the 1 to 2 % seen on OpenPose and COCO detectors.
 const NOISE: f64 = 0.05;
@@ -71,7 +69,7 @@ fn moved_by(view: &View, rays: &NormalizedView, fps: f64, rest: f64) -> Vec<Vec<
         };
         let (near, far) = (neighbours(near), neighbours(far));
         for (d, person) in people.iter_mut().enumerate() {
-            let reach = now[d].size * rays.focal * (NOISE + MAX_SPEED / BODY_SPAN_M / fps);
+            let reach = now[d].size * rays.focal * (NOISE + THROWN_HAND_M_S / BODY_SPAN_M / fps);
             for (k, point) in person.keypoints.iter_mut().enumerate() {
                 let step = |other: Option<&Detection>| step_to(point, &other?.keypoints[k], reach);
                 let towards = step(near[d]).or_else(|| step(far[d]).map(|back| -back));
@@ -82,9 +80,6 @@ fn moved_by(view: &View, rays: &NormalizedView, fps: f64, rest: f64) -> Vec<Vec<
     frames
 }
 
-/// A running person's middle, m/s.
-const MAX_BODY_SPEED: f64 = 5.0;
-
 /// Keypoints that two detections must share.
 const MIN_SHARED: usize = 4;
 
@@ -93,7 +88,7 @@ const MIN_SHARED: usize = 4;
 /// Why not tracklets: they end wherever there is doubt about whole paths, and a person who is not followed is not moved, which
 /// would bias the offset towards where it stands.
 fn same_people(now: &[NormalizedDetection], then: &[NormalizedDetection], fps: f64) -> Vec<Option<usize>> {
-    let gate = NOISE + MAX_BODY_SPEED / BODY_SPAN_M / fps;
+    let gate = NOISE + RUN_M_S / BODY_SPAN_M / fps;
     assign(now.len(), then.len(), 1.0, |i, j| {
         step_distance(&now[i], &then[j], MIN_SHARED).map_or(2.0, |distance| distance / gate)
     })

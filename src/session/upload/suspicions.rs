@@ -8,12 +8,11 @@
 
 use super::error::shown;
 use super::warnings::Warnings;
+use crate::body::detector_profile::DETECTOR;
 use crate::geometry::{Distortion, Intrinsics, Rigid, epipolar};
 use crate::session::recording::{Detection, Keypoint, Session, View};
 use nalgebra::{Matrix3, Vector2};
 
-/// Points less certain than this are no evidence.
-const MIN_CONFIDENCE: f64 = 0.3;
 /// With fewer points nothing is suspected.
 const MIN_POINTS: usize = 200;
 /// Share of points that a detector may set outside its image.
@@ -50,7 +49,7 @@ pub(crate) fn report(session: &Session, warnings: &mut Warnings) {
 }
 
 fn certain(detection: &Detection) -> impl Iterator<Item = &Keypoint> {
-    detection.keypoints.iter().filter(|keypoint| keypoint.confidence >= MIN_CONFIDENCE)
+    detection.keypoints.iter().filter(|keypoint| keypoint.confidence >= DETECTOR.judged)
 }
 
 /// Whether the points lie in an image of the camera's size.
@@ -176,7 +175,7 @@ fn epipolar_error_px(session: &Session, hypothesis: Hypothesis) -> Option<f64> {
         for frame in (0..session.n_frames).step_by(step) {
             let rays = |view: &View| -> Vec<Vec<Option<Vector2<f64>>>> {
                 let ray = |keypoint: &Keypoint| {
-                    let is_certain = keypoint.confidence >= MIN_CONFIDENCE;
+                    let is_certain = keypoint.confidence >= DETECTOR.judged;
                     is_certain.then(|| hypothesis.normalized(view, &keypoint.pixel))
                 };
                 view.frames[frame].iter().map(|person| person.keypoints.iter().map(ray).collect()).collect()

@@ -1,5 +1,7 @@
 //! Who is who, across views and time, under given cameras.
 
+use crate::body::detector_profile::DETECTOR;
+use crate::geometry::projection::project_normalized;
 use crate::matching::clusters::Cluster;
 use crate::matching::tracker::{Scene, TrackedPerson, TrackerConfig, skeleton, track};
 use crate::matching::tracklets::Tracklet;
@@ -8,12 +10,6 @@ use crate::session::reconstruction::StageReport;
 use crate::session::recording::{FrameIndex, PersonId, Session};
 use crate::session::{JointTrajectory, PersonTrack};
 use std::collections::BTreeMap;
-
-/// A keypoint counts as explained within this angle of its reprojection, rad: 24 px at a focal length of 1,060 px.
-const EXPLAINED_RADIUS: f64 = 0.0225;
-
-/// Keypoints below this confidence are not asked for an explanation.
-const CONFIDENT: f64 = 0.4;
 
 /// Everybody found, as tracks, with a first guess of their points.
 #[derive(Debug, Clone, Default, serde::Serialize, serde::Deserialize)]
@@ -106,8 +102,9 @@ fn as_points(person: usize, tracked: &TrackedPerson) -> JointTrajectory {
 
 /// Share of confident keypoints of all placed views that lie where a person was found to be.
 fn explained(scene: &Scene, people: &[TrackedPerson]) -> f64 {
-    let confident =
-        |s: &crate::matching::normalized::NormalizedDetection| s.confidence.iter().filter(|c| **c > CONFIDENT).count();
+    let confident = |s: &crate::matching::normalized::NormalizedDetection| {
+        s.confidence.iter().filter(|c| **c > DETECTOR.confident).count()
+    };
     let all: usize = scene
         .views
         .iter()
@@ -126,9 +123,10 @@ fn explained(scene: &Scene, people: &[TrackedPerson]) -> f64 {
                 let (Some(d), Some(camera)) = (detection, &scene.cameras[view]) else { continue };
                 let detection = &scene.views[view].frames[*frame][*d];
                 for (k, point) in skeleton.iter().enumerate() {
-                    let Some(x) = point.map(|p| camera.transform(&p)).filter(|x| x.z > 0.1) else { continue };
-                    let offset = (x.xy() / x.z - detection.normalized[k]).norm();
-                    near += usize::from(detection.confidence[k] > CONFIDENT && offset < EXPLAINED_RADIUS);
+                    let Some(expected) = point.and_then(|p| project_normalized(camera, &p)) else { continue };
+                    let offset = (expected.normalized - detection.normalized[k]).norm();
+                    near +=
+                        usize::from(detection.confidence[k] > DETECTOR.confident && offset < DETECTOR.explained_radius);
                 }
             }
         }

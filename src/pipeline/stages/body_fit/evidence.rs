@@ -3,6 +3,7 @@
 use super::BodyFitInput;
 use crate::body::BodyModel;
 use crate::body::detector_noise::DetectorNoise;
+use crate::body::detector_profile::DETECTOR;
 use crate::geometry::{Intrinsics, Rigid};
 use crate::session::{Detection, JointTrajectory, PersonTrack, Session};
 use nalgebra::{Vector2, Vector3};
@@ -63,9 +64,6 @@ impl Evidence {
     }
 }
 
-/// Detectors' confidences below this say no more than "somewhere here".
-const MIN_CONFIDENCE: f64 = 0.2;
-
 /// Gathers what the views and the triangulation say about one person over the frames of their track.
 pub(super) fn gather_evidence(
     input: BodyFitInput,
@@ -123,7 +121,7 @@ impl FrameSource<'_> {
             let size_px = apparent_size_px(detection);
             for (keypoint, landmark) in detection.keypoints.iter().zip(landmarks) {
                 let Some(landmark) = landmark.filter(|_| keypoint.is_present()) else { continue };
-                let scale_px = size_px * self.noise.factor(keypoint.confidence.max(MIN_CONFIDENCE));
+                let scale_px = size_px * self.noise.factor(keypoint.confidence.max(DETECTOR.comparable));
                 pixels.push(PixelEvidence { landmark, camera, pixel: keypoint.pixel, scale_px });
             }
         }

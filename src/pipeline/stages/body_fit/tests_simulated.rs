@@ -4,7 +4,8 @@ use super::*;
 use crate::body::default_body;
 use crate::body::detector_offsets::OffsetTable;
 use crate::body::skeleton::N_JOINTS;
-use crate::estimation::triangulation::{RayObservation, triangulate_robust};
+use crate::estimation::triangulation::triangulate_reweighted;
+use crate::geometry::triangulation::PointObservation;
 use crate::geometry::{Distortion, Intrinsics};
 use crate::session::{Detection, FrameIndex, Keypoint, PersonId, View};
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -104,16 +105,16 @@ fn load(folder: &Path) -> Capture {
 fn triangulated(capture: &Capture, track: &PersonTrack) -> JointTrajectory {
     let n_keypoints = capture.session.convention.names().len();
     let point = |t: usize, k: usize| {
-        let seen: Vec<RayObservation> = (capture.session.views.iter().zip(&capture.cameras).enumerate())
+        let seen: Vec<PointObservation> = (capture.session.views.iter().zip(&capture.cameras).enumerate())
             .filter_map(|(v, (view, camera))| {
                 let keypoint = view.frames[t][track.detections[t][v]?].keypoints[k];
                 let camera_from_world = camera.as_ref()?;
-                let sigma_px = 6.0 / keypoint.confidence.max(0.2);
-                let (intrinsics, pixel) = (&view.intrinsics, keypoint.pixel);
-                keypoint.is_present().then_some(RayObservation { camera_from_world, intrinsics, pixel, sigma_px })
+                let (normalized, weight) =
+                    (view.intrinsics.normalized_from_pixel(&keypoint.pixel), keypoint.confidence);
+                keypoint.is_present().then_some(PointObservation { camera_from_world, normalized, weight })
             })
             .collect();
-        if seen.len() < 2 { None } else { triangulate_robust(&seen).map(|p| p.point) }
+        triangulate_reweighted(seen, 0.06)
     };
     let n_frames = capture.session.n_frames;
     JointTrajectory {

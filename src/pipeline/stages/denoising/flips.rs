@@ -2,7 +2,8 @@
 
 use super::Ground;
 use crate::body::skeleton::KeypointConvention;
-use crate::matching::consistency::{Projection, Seen, physics_affinity};
+use crate::geometry::projection::NormalizedProjection;
+use crate::matching::consistency::{Seen, physics_affinity};
 use crate::session::Keypoint;
 
 /// One way of reading a detection.
@@ -47,7 +48,7 @@ impl Flip {
 }
 
 /// Index of the way round that agrees with the person's expected points; 0 where none is clearly better than as it is.
-pub(super) fn best(ground: &Ground, seen: &Seen, expected: &[Option<Projection>]) -> usize {
+pub(super) fn best(ground: &Ground, seen: &Seen, expected: &[Option<NormalizedProjection>]) -> usize {
     let agreement = |flip: &Flip| {
         physics_affinity(seen, expected, ground.input.noise, &flip.order).map_or(0.0, |agreement| agreement.affinity)
     };

@@ -1,7 +1,8 @@
 //! Single bad joints: one wrong wrist does not cost a detection, and does not stay.
 
 use super::Ground;
-use crate::matching::consistency::{Projection, Seen, squared_misfit};
+use crate::geometry::projection::NormalizedProjection;
+use crate::matching::consistency::{Seen, squared_misfit};
 
 /// A keypoint further from the person's path than this is wrong: under Rayleigh's distribution one in 270,000 lies beyond
 /// five standard deviations.
@@ -14,7 +15,7 @@ const MIN_VIEWS: u8 = 3;
 pub(super) fn rejected(
     ground: &Ground,
     seen: &Seen,
-    expected: &[Option<Projection>],
+    expected: &[Option<NormalizedProjection>],
     n_views: &[u8],
     flip: usize,
 ) -> Vec<usize> {

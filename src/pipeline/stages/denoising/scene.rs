@@ -2,7 +2,8 @@
 
 use super::{DenoisingInput, Place};
 use crate::geometry::Rigid;
-use crate::matching::consistency::{Projection, Seen};
+use crate::geometry::projection::{NormalizedProjection, project_normalized};
+use crate::matching::consistency::Seen;
 use crate::matching::normalized::NormalizedView;
 
 /// One frame of the take.
@@ -19,7 +20,7 @@ pub(super) struct SceneView<'a> {
     /// By detection.
     pub seen: Vec<Seen<'a>>,
     /// By person present: their points as the camera should see them.
-    pub expected: Vec<Vec<Option<Projection>>>,
+    pub expected: Vec<Vec<Option<NormalizedProjection>>>,
 }
 
 impl<'a> Scene<'a> {
@@ -34,7 +35,7 @@ impl<'a> Scene<'a> {
                 return SceneView { seen: Vec::new(), expected: vec![Vec::new(); present.len()] };
             };
             let projected =
-                |points: &Vec<Option<_>>| points.iter().map(|p| Projection::of(p.as_ref()?, camera)).collect();
+                |points: &Vec<Option<_>>| points.iter().map(|p| project_normalized(camera, p.as_ref()?)).collect();
             SceneView {
                 seen: view.frames[frame].iter().map(|s| Seen::new(camera, s, input.noise)).collect(),
                 expected: present.iter().filter_map(points).map(projected).collect(),

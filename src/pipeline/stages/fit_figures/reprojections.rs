@@ -1,19 +1,13 @@
 //! What was seen of every keypoint, against where the result puts it, and how well those views place it.
 
 use crate::body::detector_noise::DetectorNoise;
+use crate::body::detector_profile::DETECTOR;
 use crate::estimation::triangulation::{RayObservation, covariance};
 use crate::geometry::Rigid;
 use crate::session::recording::{Detection, Session, View};
 use crate::session::{JointTrajectory, PersonTrack};
 use nalgebra::Vector3;
 use rayon::prelude::*;
-
-/// Keypoints below this confidence are not judged.
-const MIN_CONFIDENCE: f64 = 0.3;
-
-/// A keypoint further from its reprojection than this is a wrong detection, rad (24 px at a focal length of 1,060 px): it
-/// is counted as rejected, not averaged.
-const EXPLAINED_RADIUS: f64 = 0.0225;
 
 /// Sightings against their reprojections.
 #[derive(Debug, Clone, Default)]
@@ -157,7 +151,7 @@ struct Ray<'a> {
 
 impl<'a> PlacedSighting<'a> {
     fn ray(&self, noise: &DetectorNoise, keypoint: usize, point: &Vector3<f64>) -> Option<Ray<'a>> {
-        let seen = self.detection.keypoints.get(keypoint).filter(|k| k.confidence >= MIN_CONFIDENCE)?;
+        let seen = self.detection.keypoints.get(keypoint).filter(|k| k.confidence >= DETECTOR.judged)?;
         let intrinsics = &self.view.intrinsics;
         let in_camera = self.camera.transform(point);
         let distance_px = (intrinsics.pixel_from_camera(&in_camera)? - seen.pixel).norm();
@@ -170,7 +164,7 @@ impl<'a> PlacedSighting<'a> {
 
 impl Ray<'_> {
     fn is_explained(&self) -> bool {
-        self.distance_px < EXPLAINED_RADIUS * self.observation.intrinsics.focal()
+        self.distance_px < DETECTOR.explained_radius * self.observation.intrinsics.focal()
     }
 
     /// Unit vector from the camera to the point.
@@ -216,7 +210,7 @@ fn widest_crossing(point: &Vector3<f64>, rays: &[Ray]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::estimation::triangulation::triangulate_robust;
+    use crate::geometry::triangulation::{PointObservation, triangulate_linear};
     use crate::geometry::{Intrinsics, rotation};
     use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
     use nalgebra::Vector2;
@@ -282,11 +276,12 @@ mod tests {
                 .iter()
                 .map(|_| Vector2::new(LENS.cx + noise.sample(&mut rng), LENS.cy + noise.sample(&mut rng)))
                 .collect();
-            let observations: Vec<RayObservation> = rays(&cameras, &pixels, &Vector3::zeros())
-                .iter()
-                .map(|ray| RayObservation { sigma_px: 3.0 * SIGMA_PX, ..ray.observation })
-                .collect();
-            let point = triangulate_robust(&observations).unwrap().point;
+            let observation = |(camera_from_world, pixel)| {
+                let normalized = LENS.normalized_from_pixel(pixel);
+                PointObservation { camera_from_world, normalized, weight: 1.0 }
+            };
+            let observations: Vec<PointObservation> = cameras.iter().zip(&pixels).map(observation).collect();
+            let point = triangulate_linear(&observations).unwrap();
             squared += point.norm_squared();
             found.add(&point, rays(&cameras, &pixels, &point));
         }

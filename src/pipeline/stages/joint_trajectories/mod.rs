@@ -6,9 +6,11 @@
 //! that view's ray. `q` is the spectral density of white acceleration (m^2/s^3), hence independent of the frame rate.
 
 use crate::body::detector_noise::DetectorNoise;
+use crate::body::detector_profile::DETECTOR;
 use crate::geometry::Rigid;
+use crate::geometry::projection::NEAR_PLANE;
 use crate::optim::point_chain::PointChain;
-use crate::optim::robust::geman_mcclure;
+use crate::optim::robust::{OUTLIER_SIGMAS, geman_mcclure};
 use crate::progress::{Canceled, Progress};
 use crate::residuals::reprojection;
 use crate::session::recording::{FrameIndex, Session};
@@ -24,7 +26,7 @@ pub struct TrajectoryConfig {
     pub limb_acceleration: f64,
     /// The same of head and trunk: 5 m/s^2.
     pub trunk_acceleration: f64,
-    /// Geman-McClure scale in standard deviations: beyond three a point is more likely wrong than noisy.
+    /// Geman-McClure scale, standard deviations.
     pub robust_scale: f64,
     /// Re-weighted Gauss-Newton steps.
     pub iterations: usize,
@@ -32,7 +34,7 @@ pub struct TrajectoryConfig {
 
 impl Default for TrajectoryConfig {
     fn default() -> Self {
-        Self { limb_acceleration: 5.0, trunk_acceleration: 0.8, robust_scale: 3.0, iterations: 8 }
+        Self { limb_acceleration: 5.0, trunk_acceleration: 0.8, robust_scale: OUTLIER_SIGMAS, iterations: 8 }
     }
 }
 
@@ -124,7 +126,7 @@ fn rays_by_keypoint(input: &TrajectoryInput, track: &PersonTrack) -> Vec<Vec<Ray
             let (Some(detection), Some(_)) = (detection, &input.cameras[view]) else { continue };
             let keypoints = &input.session.views[view].frames[track.first.0 + t][*detection].keypoints;
             for (k, (seen, rays)) in
-                keypoints.iter().zip(&mut rays).enumerate().filter(|(_, (k, _))| k.confidence > 0.1)
+                keypoints.iter().zip(&mut rays).enumerate().filter(|(_, (k, _))| k.confidence > DETECTOR.min_confidence)
             {
                 rays.push(Ray { t, view, pixel: seen.pixel, sigma_m: input.noise.sigma_m(k, seen.confidence) });
             }
@@ -198,7 +200,7 @@ fn pull(
     let camera = input.cameras[ray.view].as_ref()?;
     let intrinsics = &input.session.views[ray.view].intrinsics;
     let depth = camera.transform(point).z * input.metres_per_unit;
-    if depth < 0.1 {
+    if depth < NEAR_PLANE {
         return None;
     }
     let sigma_px = intrinsics.focal() * ray.sigma_m / depth;

@@ -1,13 +1,11 @@
 //! The result's world: metres, the chosen axis up, origin on the floor under the people.
 
+use crate::body::human_speeds::STANDING_FOOT_M_S;
 use crate::geometry::{Rigid, Similarity};
 use crate::optim::robust::quantile;
 use crate::session::JointTrajectory;
 use crate::session::recording::{Session, UpAxis};
 use nalgebra::{Matrix3, Vector3};
-
-/// Feet below this speed stand, m/s: a tenth of a walking leg's swing.
-const STANDING_SPEED: f64 = 0.15;
 
 /// The floor found from feet may tilt this far against the bodies' own axis; beyond it feet are on steps or wrong.
 const MAX_TILT: f64 = 0.26; // 15 degrees
@@ -100,7 +98,7 @@ fn standing_feet(session: &Session, people: &[JointTrajectory], metres_per_unit:
         .enumerate()
         .filter_map(|(k, n)| SOLE.iter().find(|(part, _)| n.ends_with(part)).map(|(_, h)| (k, *h)))
         .collect();
-    let limit = STANDING_SPEED / session.fps / metres_per_unit;
+    let limit = STANDING_FOOT_M_S / session.fps / metres_per_unit;
     let span = ((session.fps * 0.1).round() as usize).max(1); // a tenth of a second averages detector noise
     let mut feet = Vec::new();
     for person in people {

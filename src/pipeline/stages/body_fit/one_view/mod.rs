@@ -15,6 +15,7 @@ mod trunk;
 use super::evidence::{Evidence, PointEvidence};
 use crate::body::BodyModel;
 use crate::body::model::{Betas, ShapedBody};
+use crate::geometry::projection::project_normalized;
 use crate::geometry::{Rigid, rotation};
 use crate::optim::robust::median;
 use crate::optim::viterbi::cheapest_path;
@@ -94,8 +95,7 @@ impl<'a> Lifting<'a> {
         let by_landmark = |points: &Vec<PointEvidence>| {
             let mut normalized = vec![None; model.landmarks.len()];
             for point in points {
-                let x = camera.transform(&point.position);
-                normalized[point.landmark] = (x.z > 0.1).then(|| x.xy() / x.z);
+                normalized[point.landmark] = project_normalized(camera, &point.position).map(|p| p.normalized);
             }
             normalized
         };

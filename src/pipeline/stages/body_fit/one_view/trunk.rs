@@ -5,7 +5,9 @@
 
 use crate::body::kinematics::{Pose, landmark_position, posed};
 use crate::body::model::{BodyModel, ShapedBody};
+use crate::geometry::projection::NEAR_PLANE;
 use crate::geometry::{Rigid, rotation};
+use crate::optim::robust::{OUTLIER_SIGMAS, geman_mcclure_rho, geman_mcclure_weight};
 use nalgebra::{Matrix2x3, Matrix3, Matrix6, Vector2, Vector3, Vector6};
 use std::f64::consts::TAU;
 
@@ -32,9 +34,6 @@ const N_YAWS: usize = 12;
 const LEANS: [f64; 2] = [0.0, 0.7];
 
 const ITERATIONS: usize = 8;
-
-/// Geman-McClure's scale, in standard deviations.
-const ROBUST_SCALE: f64 = 3.0;
 
 /// Ways nearer than this to a better one are the same, rad; those dearer than the best by more are none.
 const SAME_WAY: f64 = 0.3;
@@ -156,13 +155,13 @@ impl Trunk {
             let Some(normalized) = sight.normalized[*landmark] else { continue };
             let lever = at_rest - self.middle;
             let x = turn * lever + place;
-            let z = x.z.max(0.1);
+            let z = x.z.max(NEAR_PLANE);
             let scale = sight.depth / sigma;
             let residual = (x.xy() / z - normalized) * scale;
             let square = residual.norm_squared();
-            let soft = ROBUST_SCALE * ROBUST_SCALE;
-            cost += 0.5 * soft * square / (soft + square);
-            let weight = (soft / (soft + square)).powi(2);
+            let soft = OUTLIER_SIGMAS * OUTLIER_SIGMAS;
+            cost += 0.5 * geman_mcclure_rho(square, soft);
+            let weight = geman_mcclure_weight(square, soft);
             let by_place = Matrix2x3::new(1.0, 0.0, -x.x / z, 0.0, 1.0, -x.y / z) * (scale / z);
             let by_turn = by_place * (-turn * rotation::skew(&lever));
             let mut jacobian = nalgebra::Matrix2x6::zeros();
@@ -172,7 +171,7 @@ impl Trunk {
             gradient += jacobian.tr_mul(&residual) * weight;
         }
         let depth = (place.z / sight.depth).max(1e-3).ln() / sight.depth_sigma;
-        let by_depth = 1.0 / (place.z.max(0.1) * sight.depth_sigma);
+        let by_depth = 1.0 / (place.z.max(NEAR_PLANE) * sight.depth_sigma);
         cost += 0.5 * depth * depth;
         hessian[(5, 5)] += by_depth * by_depth;
         gradient[5] += by_depth * depth;

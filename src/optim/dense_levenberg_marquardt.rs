@@ -1,4 +1,4 @@
-//! Levenberg-Marquardt for a handful of unknowns, all on the stack.
+//! Levenberg-Marquardt for a handful of unknowns, all on the stack: the damping loop of the robust estimators.
 
 use nalgebra::{SMatrix, SVector};
 
