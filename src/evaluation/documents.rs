@@ -4,12 +4,11 @@ use super::error::EvaluationError;
 use super::person_matching::Frames;
 use super::shelf14::{Point, Skeleton};
 use crate::geometry::{Distortion, Intrinsics, Rigid};
+use crate::session::json_file::read_json_file;
 use crate::session::recording::UpAxis;
 use nalgebra::{Matrix3, Vector3};
-use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
-use std::fs;
 use std::path::Path;
 
 /// What an evaluation needs of `session.json`.
@@ -123,7 +122,7 @@ impl Unit {
 /// # Errors
 /// [`EvaluationError`] where the file cannot be read.
 pub fn read_cameras(path: &Path) -> Result<BTreeMap<String, Rigid>, EvaluationError> {
-    let (CamerasFile::List(cameras) | CamerasFile::Wrapped { cameras }) = read_json(path)?;
+    let (CamerasFile::List(cameras) | CamerasFile::Wrapped { cameras }) = read_json_file(path)?;
     let posed = |camera: PosedCamera| {
         let translation = Vector3::from(camera.translation?) * camera.units.metres();
         Some((camera.id, Rigid { rotation: matrix(&camera.rotation?), translation }))
@@ -136,7 +135,7 @@ pub fn read_cameras(path: &Path) -> Result<BTreeMap<String, Rigid>, EvaluationEr
 /// # Errors
 /// [`EvaluationError`] where the file cannot be read, its joints are unknown, or a person has too few of them.
 pub fn read_poses(path: &Path) -> Result<PosesDocument, EvaluationError> {
-    let file: PosesFile = read_json(path)?;
+    let file: PosesFile = read_json_file(path)?;
     let skeleton = Skeleton::from_names(&file.joint_names)
         .ok_or_else(|| EvaluationError::UnknownJoints { path: path.to_owned(), names: file.joint_names.clone() })?;
     let metres = file.units.metres();
@@ -160,7 +159,7 @@ pub fn read_poses(path: &Path) -> Result<PosesDocument, EvaluationError> {
 /// # Errors
 /// [`EvaluationError`] where the file cannot be read.
 pub fn read_identities(path: &Path) -> Result<Identities, EvaluationError> {
-    let named: BTreeMap<String, Vec<Vec<Option<Name>>>> = read_json(path)?;
+    let named: BTreeMap<String, Vec<Vec<Option<Name>>>> = read_json_file(path)?;
     let names = |detections: Vec<Option<Name>>| detections.into_iter().map(|name| name.map(|n| n.0)).collect();
     Ok(named.into_iter().map(|(camera, frames)| (camera, frames.into_iter().map(names).collect())).collect())
 }
@@ -182,17 +181,8 @@ pub fn read_track_ids(path: &Path) -> Result<Vec<Vec<Option<i64>>>, EvaluationEr
     struct Person {
         track_id: Option<i64>,
     }
-    let file: File = read_json(path)?;
+    let file: File = read_json_file(path)?;
     Ok(file.frames.into_iter().map(|frame| frame.people.into_iter().map(|person| person.track_id).collect()).collect())
-}
-
-/// Any JSON file.
-///
-/// # Errors
-/// [`EvaluationError::Read`] and [`EvaluationError::Json`] name the file.
-pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, EvaluationError> {
-    let bytes = fs::read(path).map_err(|source| EvaluationError::Read { path: path.to_owned(), source })?;
-    serde_json::from_slice(&bytes).map_err(|source| EvaluationError::Json { path: path.to_owned(), source })
 }
 
 fn matrix(rows: &[[f64; 3]; 3]) -> Matrix3<f64> {

@@ -1,27 +1,14 @@
 //! Why a result cannot be evaluated.
 
-use std::io;
+use crate::session::json_file::JsonFileError;
 use std::path::PathBuf;
 
 /// Why a result cannot be evaluated.
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluationError {
-    /// A file cannot be read.
-    #[error("{}: {source}", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The system's words.
-        source: io::Error,
-    },
-    /// A file is not the JSON that it should be.
-    #[error("{}: {source}", path.display())]
-    Json {
-        /// The file.
-        path: PathBuf,
-        /// What was found where.
-        source: serde_json::Error,
-    },
+    /// A file cannot be read, or is not the expected JSON.
+    #[error(transparent)]
+    File(#[from] JsonFileError),
     /// The joints of a file are none of ours.
     #[error("{}: unknown joint names, beginning {:?}", path.display(), names.first())]
     UnknownJoints {

@@ -8,9 +8,6 @@ use crate::body::skeleton::JOINT_NAMES;
 use crate::body::{Betas, BodyModel};
 use nalgebra::Vector3;
 
-/// How many markers.
-pub const N_MARKERS: usize = 38;
-
 /// Where a marker sits: the place at which a ray leaves the skin.
 struct Rule {
     name: &'static str,
@@ -99,8 +96,8 @@ mod tests {
     fn markers_are_spots_of_their_own_on_the_skin_near_their_joints_and_mirrored() {
         let model = default_body();
         let markers = markers(&model);
-        assert_eq!(markers.len(), N_MARKERS);
-        assert_eq!(markers.iter().map(|m| m.vertex).collect::<BTreeSet<_>>().len(), N_MARKERS);
+        assert_eq!(markers.len(), 38);
+        assert_eq!(markers.iter().map(|m| m.vertex).collect::<BTreeSet<_>>().len(), 38);
         let place = |marker: &Marker| model.surface.vertices[marker.vertex];
         for pair in markers[MIDDLE.len()..].chunks(2) {
             let (left, right) = (place(&pair[0]), place(&pair[1]));

@@ -11,6 +11,7 @@ use super::person_matching::{Frames, Matching};
 use super::shelf14::{Point, Shelf14, Skeleton, to_shelf14};
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::{Rigid, Similarity};
+use crate::session::json_file::{JsonFileError, read_json_file};
 use crate::session::recording::UpAxis;
 use nalgebra::Vector3;
 use serde::Serialize;
@@ -102,8 +103,8 @@ const SHELF_ACTORS: [&str; 3] = ["0", "1", "2"];
 /// [`EvaluationError`] where a file cannot be read or contradicts the session.
 pub fn evaluate(result: &Path, truth: &Path, options: &EvaluationOptions) -> Result<Evaluation, EvaluationError> {
     let data = truth.join("..");
-    let data = data.canonicalize().map_err(|source| EvaluationError::Read { path: data.clone(), source })?;
-    let session: SessionDocument = documents::read_json(&data.join("session.json"))?;
+    let data = data.canonicalize().map_err(|source| JsonFileError::Read { path: data.clone(), source })?;
+    let session: SessionDocument = read_json_file(&data.join("session.json"))?;
     let true_poses = documents::read_poses(&truth.join(POSES))?;
     let pairs = match existing(result, "cameras.json") {
         Some(path) => camera_pairs(&session, &path, &truth.join("cameras.json"))?,
@@ -243,7 +244,7 @@ fn identity_rows(
     truth: &Path,
 ) -> Result<Vec<IdentityRow>, EvaluationError> {
     let given = documents::read_identities(given)?;
-    let truth: BTreeMap<String, Vec<Vec<Option<i64>>>> = documents::read_json(truth)?;
+    let truth: BTreeMap<String, Vec<Vec<Option<i64>>>> = read_json_file(truth)?;
     let (no_given, no_truth) = (Vec::new(), Vec::new());
     let mut rows = Vec::new();
     for camera in session.cameras.iter().map(|camera| &camera.id) {

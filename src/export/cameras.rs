@@ -1,6 +1,6 @@
 //! `cameras.json`: intrinsics as given or refined, poses as found.
 
-use crate::session::formats::{distortion_model, entries, rows};
+use crate::session::formats::{LensFields, entries, rows};
 use crate::session::reconstruction::{ErrorSummary, SolvedCamera};
 use crate::session::recording::UpAxis;
 use crate::session::{Reconstruction, Session, View};
@@ -18,13 +18,8 @@ pub(super) struct Cameras<'a> {
 #[derive(Serialize)]
 struct Camera<'a> {
     id: &'a str,
-    width: u32,
-    height: u32,
-    #[serde(rename = "K")]
-    matrix: [[f64; 3]; 3],
-    dist: &'a [f64],
-    #[serde(skip_serializing_if = "Option::is_none")]
-    distortion_model: Option<&'static str>,
+    #[serde(flatten)]
+    lens: LensFields,
     #[serde(rename = "R")]
     rotation: Option<[[f64; 3]; 3]>,
     #[serde(rename = "t")]
@@ -60,14 +55,9 @@ pub(super) fn cameras<'a>(session: &'a Session, reconstruction: &Reconstruction)
 
 fn camera<'a>(view: &'a View, solved: &SolvedCamera) -> Camera<'a> {
     let camera_from_world = solved.camera_from_world;
-    let lens = solved.lens(&view.intrinsics);
     Camera {
         id: &view.id,
-        width: lens.width,
-        height: lens.height,
-        matrix: rows(&lens.matrix()),
-        dist: view.intrinsics.dist.coefficients(),
-        distortion_model: distortion_model(&view.intrinsics.dist),
+        lens: LensFields::of(&solved.lens(&view.intrinsics)),
         rotation: camera_from_world.map(|pose| rows(&pose.rotation)),
         translation: camera_from_world.map(|pose| entries(&pose.translation)),
         position: camera_from_world.map(|pose| entries(&pose.center())),

@@ -12,11 +12,11 @@
 //! and, where there was a consistency stage, what it made of them:
 //!
 //! - `before` `[detections]`: whom each would show if nothing were repaired, -1 for nobody
-//! - `mended` `[M]`: detections whose keypoints it exchanged or rejected
+//! - `repaired` `[M]`: detections whose keypoints it exchanged or rejected
 //! - `sources` `[M, K]`: for every keypoint of those the detected one that shows it, 255 where it was rejected
 
 use super::buffers::{Array, Payload};
-use crate::session::reconstruction::{Cleaning, RepairedDetection};
+use crate::session::reconstruction::{DetectionRepairs, RepairedDetection};
 use crate::session::{Detection, Keypoint, PersonId, Reconstruction, Session, View};
 use serde::Serialize;
 use std::io;
@@ -39,13 +39,13 @@ struct Camera<'a> {
     pixels: Array,
     confidence: Array,
     #[serde(flatten)]
-    cleaning: Option<Cleaned>,
+    repairs: Option<RepairArrays>,
 }
 
 #[derive(Serialize)]
-struct Cleaned {
+struct RepairArrays {
     before: Array,
-    mended: Array,
+    repaired: Array,
     sources: Array,
 }
 
@@ -92,7 +92,7 @@ fn camera<'a>(
                 .flat_map(|d| keypoints(d, n_keypoints))
                 .map(|point| point.map_or(0, |point| (255.0 * point.confidence.clamp(0.0, 1.0)).round() as u8)),
         ),
-        cleaning: reconstruction.cleaning.as_ref().map(|c| cleaned(view, index, n_keypoints, c, payload)),
+        repairs: reconstruction.repairs.as_ref().map(|c| repair_arrays(view, index, n_keypoints, c, payload)),
     }
 }
 
@@ -108,7 +108,13 @@ fn given_to(view: &View, identities: Option<&Vec<Vec<Option<PersonId>>>>) -> Vec
     view.frames.iter().enumerate().flat_map(of_frame).collect()
 }
 
-fn cleaned(view: &View, index: usize, n_keypoints: usize, cleaning: &Cleaning, payload: &mut Payload) -> Cleaned {
+fn repair_arrays(
+    view: &View,
+    index: usize,
+    n_keypoints: usize,
+    repairs: &DetectionRepairs,
+    payload: &mut Payload,
+) -> RepairArrays {
     let starts: Vec<usize> = view
         .frames
         .iter()
@@ -118,16 +124,17 @@ fn cleaned(view: &View, index: usize, n_keypoints: usize, cleaning: &Cleaning, p
             Some(start)
         })
         .collect();
-    let mended: Vec<&RepairedDetection> =
-        cleaning.mended.iter().filter(|one| one.view == index && one.frame.0 < starts.len()).collect();
-    let before = given_to(view, cleaning.identities_before.get(index));
+    let repaired: Vec<&RepairedDetection> =
+        repairs.repaired.iter().filter(|one| one.view == index && one.frame.0 < starts.len()).collect();
+    let before = given_to(view, repairs.identities_before.get(index));
     let source = |one: &RepairedDetection, k: usize| one.sources.get(k).copied().flatten();
-    Cleaned {
+    RepairArrays {
         before: payload.i16(&[before.len()], before),
-        mended: payload.u32(&[mended.len()], mended.iter().map(|one| (starts[one.frame.0] + one.detection) as u32)),
+        repaired: payload
+            .u32(&[repaired.len()], repaired.iter().map(|one| (starts[one.frame.0] + one.detection) as u32)),
         sources: payload.u8(
-            &[mended.len(), n_keypoints],
-            mended.iter().flat_map(|one| {
+            &[repaired.len(), n_keypoints],
+            repaired.iter().flat_map(|one| {
                 (0..n_keypoints).map(move |k| source(one, k).and_then(|k| u8::try_from(k).ok()).unwrap_or(u8::MAX))
             }),
         ),

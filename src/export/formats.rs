@@ -47,6 +47,14 @@ pub struct RepresentationData {
     pub lost: Vec<String>,
 }
 
+/// The format's name in options and messages.
+pub fn name(format: F) -> String {
+    match serde_json::to_value(format) {
+        Ok(serde_json::Value::String(name)) => name,
+        _ => format!("{format:?}"),
+    }
+}
+
 /// Writes the files of a format and describes them.
 pub(super) fn write(format: F, files: &mut ResultFiles, take: &Take) -> io::Result<Representation> {
     let n_before = files.written().len();
@@ -67,7 +75,7 @@ pub(super) fn write(format: F, files: &mut ResultFiles, take: &Take) -> io::Resu
     }?;
     let [frame_start, frame_end] = take.frame_range();
     Ok(Representation {
-        name: super::name(format),
+        name: name(format),
         ext: extension(format),
         files: files.names_from(n_before),
         frame_start,

@@ -1,6 +1,6 @@
 //! `manifest.json`: what lies in the result, and what it was made from.
 
-use super::ResultContext;
+use super::context::ResultContext;
 use super::files::FileEntry;
 use super::formats::Representation;
 use super::take::Take;

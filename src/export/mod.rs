@@ -15,6 +15,7 @@ mod calibration_toml;
 mod cameras;
 mod chan;
 mod colmap;
+mod context;
 mod detections_bin;
 mod easymocap;
 mod files;
@@ -40,7 +41,8 @@ mod usd;
 mod tests;
 
 pub use body_mesh::{BodyMesh, default_body_mesh};
-pub use formats::{Representation, RepresentationData};
+pub use context::ResultContext;
+pub use formats::{Representation, RepresentationData, name};
 pub use read::{ReadError, read_take};
 pub use take::{Take, TakeCamera};
 
@@ -50,27 +52,6 @@ use files::ResultFiles;
 use manifest::Written;
 use std::io;
 use std::path::Path;
-
-/// What a result says of its own making.
-#[derive(Debug, Clone, PartialEq)]
-pub struct ResultContext<'a> {
-    /// Digest of the input (`LoadedSession::sha256`).
-    pub input_sha256: &'a str,
-    /// The options as they were in force.
-    pub options: serde_json::Value,
-    /// Version of the program.
-    pub solver_version: &'a str,
-    /// Formats to write beside the JSON files.
-    pub exports: &'a [ExportFormat],
-}
-
-/// The format's name in options and messages.
-pub fn name(format: ExportFormat) -> String {
-    match serde_json::to_value(format) {
-        Ok(serde_json::Value::String(name)) => name,
-        _ => format!("{format:?}"),
-    }
-}
 
 /// Media type of files that only the viewer reads.
 const OCTETS: &str = "application/octet-stream";

@@ -13,7 +13,7 @@
 //! - `repairs`: `[frame index, camera index]` where the detector's own track of this person broke and ours went on, or
 //!   where this person began to be given what would have been another's
 //!
-//! and `rejected` `[cameras, n_frames]`: detections given to nobody; `mended`, the same shape, where there was a
+//! and `rejected` `[cameras, n_frames]`: detections given to nobody; `repaired`, the same shape, where there was a
 //! consistency stage: detections whose keypoints it exchanged or rejected. Both at most 255.
 
 use super::buffers::{Array, Payload};
@@ -22,7 +22,7 @@ use super::files::micro;
 use super::rotation_forms::quaternion_xyzw;
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
 use crate::session::people::BodyPose;
-use crate::session::reconstruction::{BodyModelId, Cleaning};
+use crate::session::reconstruction::{BodyModelId, DetectionRepairs};
 use crate::session::{BodyMotion, JointTrajectory, PersonId, Reconstruction, Session};
 use serde::Serialize;
 use std::io;
@@ -46,7 +46,7 @@ struct Header<'a> {
     people: Vec<Person>,
     rejected: Array,
     #[serde(skip_serializing_if = "Option::is_none")]
-    mended: Option<Array>,
+    repaired: Option<Array>,
 }
 
 #[derive(Serialize)]
@@ -90,7 +90,7 @@ pub(super) fn motion_bin(session: &Session, reconstruction: &Reconstruction) -> 
         body_model: &reconstruction.body_model,
         people,
         rejected: rejected(session, reconstruction, &mut payload),
-        mended: reconstruction.cleaning.as_ref().map(|cleaning| mended(session, cleaning, &mut payload)),
+        repaired: reconstruction.repairs.as_ref().map(|repairs| repaired(session, repairs, &mut payload)),
     };
     payload.file(&header)
 }
@@ -143,7 +143,7 @@ fn turns(pose: &BodyPose) -> Vec<i16> {
 /// Where the detection given to a person bears another track id than the one of that camera before it, or would have been
 /// another person's while the one before it would not.
 fn repairs(session: &Session, reconstruction: &Reconstruction, person: PersonId) -> Vec<[usize; 2]> {
-    let before = reconstruction.cleaning.as_ref().map(|cleaning| &cleaning.identities_before);
+    let before = reconstruction.repairs.as_ref().map(|repairs| &repairs.identities_before);
     let mut found = Vec::new();
     for (view_index, (view, given)) in session.views.iter().zip(&reconstruction.identities).enumerate() {
         let (mut last_id, mut was_anothers) = (None, false);
@@ -163,9 +163,9 @@ fn repairs(session: &Session, reconstruction: &Reconstruction, person: PersonId)
     found
 }
 
-fn mended(session: &Session, cleaning: &Cleaning, payload: &mut Payload) -> Array {
+fn repaired(session: &Session, repairs: &DetectionRepairs, payload: &mut Payload) -> Array {
     let mut counts = vec![0_u8; session.views.len() * session.n_frames];
-    for one in &cleaning.mended {
+    for one in &repairs.repaired {
         if let Some(count) = counts.get_mut(one.view * session.n_frames + one.frame.0) {
             *count = count.saturating_add(1);
         }

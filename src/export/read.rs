@@ -3,35 +3,21 @@
 use super::take::{Take, TakeCamera, carried_where_not_finite};
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
 use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
+use crate::session::json_file::{JsonFileError, read_json_file};
 use crate::session::people::BodyPose;
 use crate::session::recording::UpAxis;
 use crate::session::{BodyMotion, FrameIndex, PersonId};
 use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
-use serde::de::DeserializeOwned;
 use std::collections::{BTreeMap, BTreeSet};
-use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Why a folder is no finished result.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
-    /// A file cannot be read.
-    #[error("{}: {source}", path.display())]
-    File {
-        /// The file.
-        path: PathBuf,
-        /// What the file system says.
-        source: io::Error,
-    },
-    /// A file is not the JSON document that a result has.
-    #[error("{}: {source}", path.display())]
-    Json {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong with it.
-        source: serde_json::Error,
-    },
+    /// A file cannot be read, or is not the expected JSON.
+    #[error(transparent)]
+    File(#[from] JsonFileError),
     /// The files contradict each other or themselves.
     #[error("{file}: {what}: {expected} expected, found {found}")]
     Contradiction {
@@ -118,10 +104,10 @@ const MAX_FRAMES: i64 = 1_000_000;
 /// # Errors
 /// [`ReadError`]: the folder is no result, or one that was changed by hand into something else.
 pub fn read_take(dir: &Path) -> Result<Take, ReadError> {
-    let manifest: ManifestFile = json(dir, "manifest.json")?;
-    let cameras: CamerasFile = json(dir, "cameras.json")?;
-    let people: PeopleFile = json(dir, "people.json")?;
-    let poses: PosesFile = json(dir, "poses3d.json")?;
+    let manifest: ManifestFile = read_json_file(&dir.join("manifest.json"))?;
+    let cameras: CamerasFile = read_json_file(&dir.join("cameras.json"))?;
+    let people: PeopleFile = read_json_file(&dir.join("people.json"))?;
+    let poses: PosesFile = read_json_file(&dir.join("poses3d.json"))?;
     let Publish { up_axis, frame_range: [first, last], fps } = manifest.publish;
     let length = last.checked_sub(first).filter(|length| (0..MAX_FRAMES).contains(length));
     let Some(length) = length else {
@@ -250,14 +236,6 @@ fn motion(take: &Take, person: &Person, poses: &PosesFile) -> Result<BodyMotion,
 /// JSON's null is a number that was not finite.
 fn number(value: Option<f64>) -> f64 {
     value.unwrap_or(f64::NAN)
-}
-
-fn json<T: DeserializeOwned>(dir: &Path, name: &str) -> Result<T, ReadError> {
-    let path = dir.join(name);
-    match std::fs::read(&path) {
-        Ok(bytes) => serde_json::from_slice(&bytes).map_err(|source| ReadError::Json { path, source }),
-        Err(source) => Err(ReadError::File { path, source }),
-    }
 }
 
 fn contradiction(file: &'static str, what: &str, expected: &str, found: String) -> ReadError {

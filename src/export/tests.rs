@@ -86,12 +86,12 @@ fn reconstruction() -> Reconstruction {
         ],
         up_axis: UpAxis::Y,
         body_model: BodyModelId { name: "default".to_owned(), sha256: "00".repeat(32) },
-        cleaning: Some(Cleaning {
+        repairs: Some(DetectionRepairs {
             identities_before: vec![
                 vec![vec![Some(PersonId(0))], vec![], vec![Some(PersonId(0)), Some(PersonId(1))]],
                 vec![vec![None], vec![], vec![None, None]],
             ],
-            mended: vec![RepairedDetection {
+            repaired: vec![RepairedDetection {
                 view: 0,
                 frame: FrameIndex(2),
                 detection: 1,
@@ -342,8 +342,8 @@ fn the_viewers_motion_reads_back() {
     assert_eq!(person["repairs"], json!([[2, 0]]));
     let rejected = header["rejected"]["offset"].as_u64().unwrap() as usize;
     assert_eq!(payload[rejected..rejected + 6], [0, 0, 1, 1, 0, 2]);
-    let mended = header["mended"]["offset"].as_u64().unwrap() as usize;
-    assert_eq!(payload[mended..mended + 6], [0, 0, 1, 0, 0, 0]);
+    let repaired = header["repaired"]["offset"].as_u64().unwrap() as usize;
+    assert_eq!(payload[repaired..repaired + 6], [0, 0, 1, 0, 0, 0]);
     // Joint 4 hangs on joint 1, the only one that is turned.
     let turns = person["turns"]["offset"].as_u64().unwrap() as usize + 2 * 4 * 4;
     let turn = |i: usize| i16::from_le_bytes([payload[turns + 2 * i], payload[turns + 2 * i + 1]]);
@@ -365,7 +365,7 @@ fn the_viewers_detections_read_back() {
     assert_eq!(f32_at(&payload, &camera["pixels"], 3), 2.0);
     assert_eq!(payload[at("confidence")], 255);
     assert_eq!(payload[at("before")..at("before") + 6], [0, 0, 0, 0, 1, 0]);
-    assert_eq!((&camera["mended"]["shape"], payload[at("mended")]), (&json!([1]), 2));
+    assert_eq!((&camera["repaired"]["shape"], payload[at("repaired")]), (&json!([1]), 2));
     assert_eq!(payload[at("sources")..at("sources") + 6], [255, 1, 2, 3, 4, 6]);
-    assert_eq!(header["cameras"][1]["mended"]["shape"], json!([0]));
+    assert_eq!(header["cameras"][1]["repaired"]["shape"], json!([0]));
 }

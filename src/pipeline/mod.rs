@@ -139,7 +139,7 @@ pub fn reconstruct_with_checkpoints(
 
     let stage_body = progress.stage("body_fit", 5, 0.72, 0.25);
     let mut reconstruction = findings.with_bodies(&capture, body, &stage_body)?;
-    (reconstruction.report.consistency, reconstruction.cleaning) = consistency.unzip();
+    (reconstruction.report.consistency, reconstruction.repairs) = consistency.unzip();
     lenses.tell(&mut reconstruction);
     timing.tell(session, &mut reconstruction);
     Ok(reconstruction)

@@ -154,7 +154,7 @@ impl Findings {
             identities: identities(capture.session, &kept),
             up_axis: self.up_axis,
             body_model: BodyModelId { name: model.name.clone(), sha256: model.sha256() },
-            cleaning: None,
+            repairs: None,
             report,
         })
     }

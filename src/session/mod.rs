@@ -3,6 +3,7 @@
 mod builder;
 pub mod digest;
 pub mod formats;
+pub mod json_file;
 pub mod people;
 pub mod reconstruction;
 pub mod recording;

@@ -55,19 +55,19 @@ pub struct Reconstruction {
     /// Name and digest of the body model behind `motions`.
     pub body_model: BodyModelId,
     /// What became of the detections; `None` where the consistency stage was switched off.
-    pub cleaning: Option<Cleaning>,
+    pub repairs: Option<DetectionRepairs>,
     /// Figures and verdict.
     pub report: Report,
 }
 
 /// What the consistency stage made of the detections, against what came in.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Cleaning {
+pub struct DetectionRepairs {
     /// `[view][frame][detection]`: whom it would show if nothing were repaired, by the detector's own track id, or without
     /// one by association and tracking.
     pub identities_before: Vec<Vec<Vec<Option<PersonId>>>>,
     /// Detections whose keypoints were exchanged or rejected, in order of view, frame and detection.
-    pub mended: Vec<RepairedDetection>,
+    pub repaired: Vec<RepairedDetection>,
 }
 
 /// A detection of which not every keypoint stands for itself any more.

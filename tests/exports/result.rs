@@ -265,7 +265,7 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
         identities: Vec::new(),
         up_axis,
         body_model: BodyModelId { name: "default".to_owned(), sha256: "00".repeat(32) },
-        cleaning: None,
+        repairs: None,
         report: Report {
             detector: Default::default(),
             consistency: None,

@@ -6,7 +6,7 @@ use crate::pipeline::stages::bundle_adjustment::CameraFreedom;
 use crate::pipeline::stages::denoising::{Denoised, DenoisingInput, denoise};
 use crate::pipeline::{Capture, result};
 use crate::progress::{Canceled, Progress};
-use crate::session::reconstruction::{Cleaning, ConsistencyReport, NoiseAtConfidence, RepairedDetection};
+use crate::session::reconstruction::{ConsistencyReport, DetectionRepairs, NoiseAtConfidence, RepairedDetection};
 use crate::session::{Detection, FrameIndex, Keypoint, PersonId, PersonTrack, Session};
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
@@ -30,7 +30,7 @@ pub struct Cleaned {
     /// For the report.
     pub told: ConsistencyReport,
     /// The last cleaning, detection by detection.
-    pub cleaning: Cleaning,
+    pub cleaning: DetectionRepairs,
 }
 
 /// One detection whose keypoints were turned round or rejected.
@@ -73,7 +73,7 @@ impl Consistent {
             let sources = sources(&original.views[view].frames[frame][detection], clean, n_keypoints);
             mended.push(RepairedDetection { view, frame: FrameIndex(frame), detection, sources });
         }
-        let cleaning = Cleaning { identities_before: self.identities_before, mended };
+        let cleaning = DetectionRepairs { identities_before: self.identities_before, repaired: mended };
         (self.calibration, Some(Cleaned { session, told: self.told, cleaning }))
     }
 }

@@ -147,16 +147,16 @@ impl Timing {
         for (v, (view, offset)) in session.views.iter().zip(&offsets).enumerate() {
             let synchronous = std::mem::take(&mut reconstruction.identities[v]);
             reconstruction.identities[v] = retiming::as_recorded(view, synchronous, *offset);
-            if let Some(cleaning) = &mut reconstruction.cleaning {
+            if let Some(cleaning) = &mut reconstruction.repairs {
                 let before = std::mem::take(&mut cleaning.identities_before[v]);
                 cleaning.identities_before[v] = retiming::as_recorded(view, before, *offset);
             }
         }
-        if let Some(cleaning) = &mut reconstruction.cleaning {
+        if let Some(cleaning) = &mut reconstruction.repairs {
             let n_frames = session.n_frames;
-            cleaning.mended.iter_mut().for_each(|mended| {
-                let recorded = retiming::recorded_frame(mended.frame.0, offsets[mended.view], n_frames);
-                mended.frame = FrameIndex(recorded.unwrap_or(mended.frame.0));
+            cleaning.repaired.iter_mut().for_each(|repaired| {
+                let recorded = retiming::recorded_frame(repaired.frame.0, offsets[repaired.view], n_frames);
+                repaired.frame = FrameIndex(recorded.unwrap_or(repaired.frame.0));
             });
         }
         let is_told = self.report.is_some() || offsets.iter().any(|offset| *offset != 0.0);

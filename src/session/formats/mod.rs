@@ -7,8 +7,9 @@ pub mod native;
 pub(crate) mod poses;
 pub(crate) mod time;
 
-use crate::geometry::Distortion;
+use crate::geometry::{Distortion, Intrinsics};
 use nalgebra::{Matrix3, Vector3};
+use serde::Serialize;
 
 /// `value` to that many decimal places, as it is written in a file; never a negative zero.
 ///
@@ -28,6 +29,31 @@ pub(crate) fn distortion_model(dist: &Distortion) -> Option<&'static str> {
     match dist {
         Distortion::None | Distortion::OpenCv5(_) => None,
         Distortion::Rational8(_) | Distortion::Fisheye4(_) => Some(dist.name()),
+    }
+}
+
+/// Image size, K and distortion of a camera, as `session.json` and `cameras.json` hold them.
+#[derive(Serialize)]
+pub(crate) struct LensFields {
+    width: u32,
+    height: u32,
+    #[serde(rename = "K")]
+    matrix: [[f64; 3]; 3],
+    dist: Vec<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    distortion_model: Option<&'static str>,
+}
+
+impl LensFields {
+    /// The fields of a lens.
+    pub(crate) fn of(lens: &Intrinsics) -> Self {
+        Self {
+            width: lens.width,
+            height: lens.height,
+            matrix: rows(&lens.matrix()),
+            dist: lens.dist.coefficients().to_vec(),
+            distortion_model: distortion_model(&lens.dist),
+        }
     }
 }
 

@@ -28,21 +28,21 @@ export interface Cleaning {
 const REJECTED = 255
 
 type Names = 'starts' | 'person' | 'pixels' | 'confidence'
-type CleaningNames = 'before' | 'mended' | 'sources'
+type CleaningNames = 'before' | 'repaired' | 'sources'
 type Header = { cameras: (Record<Names, ArrayRef> & Partial<Record<CleaningNames, ArrayRef>>)[] }
 
 /** By camera, in the session's order. */
 export function readDetections(bytes: ArrayBuffer): CameraDetections[] {
   const file = new Described<Header>(bytes, 'wandless.detections')
-  return file.header.cameras.map(({ before, mended, sources, ...camera }) => ({
+  return file.header.cameras.map(({ before, repaired, sources, ...camera }) => ({
     starts: file.u32(camera.starts),
     person: file.i16(camera.person),
     pixels: file.f32(camera.pixels),
     confidence: file.u8(camera.confidence),
-    cleaning: before && mended && sources
+    cleaning: before && repaired && sources
       ? {
           before: file.i16(before),
-          rows: new Map(Array.from(file.u32(mended), (detection, row) => [detection, row])),
+          rows: new Map(Array.from(file.u32(repaired), (detection, row) => [detection, row])),
           sources: file.u8(sources),
         }
       : null,

@@ -67,12 +67,12 @@ interface Header extends Omit<Motion, 'cameras' | 'people' | 'rejected' | 'mende
   people: (Pick<Person, 'id' | 'first' | 'repairs'> &
     Record<'joints' | 'valid' | 'keypoints' | 'n_views', ArrayRef> & { betas?: number[]; turns?: ArrayRef })[]
   rejected: ArrayRef
-  mended?: ArrayRef
+  repaired?: ArrayRef
 }
 
 export function readMotion(bytes: ArrayBuffer): Motion {
   const file = new Described<Header>(bytes, 'wandless.motion')
-  const { world, people, rejected, mended, ...rest } = file.header
+  const { world, people, rejected, repaired, ...rest } = file.header
   return {
     ...rest,
     body_model: rest.body_model ?? null,
@@ -91,7 +91,7 @@ export function readMotion(bytes: ArrayBuffer): Motion {
       n_views: file.u8(person.n_views),
     })),
     rejected: file.u8(rejected),
-    mended: mended ? file.u8(mended) : null,
+    mended: repaired ? file.u8(repaired) : null,
   }
 }
 

@@ -1,6 +1,6 @@
 //! Writing the native layout: the inverse of reading, to the precision of a detector.
 
-use crate::session::formats::{distortion_model, entries, rounded, rows};
+use crate::session::formats::{LensFields, entries, rounded, rows};
 use crate::session::recording::{Detection, FrameIndex, Keypoint, Session, View};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -71,13 +71,8 @@ struct Document<'a> {
 #[derive(Serialize)]
 struct Camera<'a> {
     id: &'a str,
-    width: u32,
-    height: u32,
-    #[serde(rename = "K")]
-    matrix: [[f64; 3]; 3],
-    dist: &'a [f64],
-    #[serde(skip_serializing_if = "Option::is_none")]
-    distortion_model: Option<&'static str>,
+    #[serde(flatten)]
+    lens: LensFields,
     #[serde(rename = "R", skip_serializing_if = "Option::is_none")]
     rotation: Option<[[f64; 3]; 3]>,
     #[serde(rename = "t", skip_serializing_if = "Option::is_none")]
@@ -120,11 +115,7 @@ fn document_of<'a>(session: &'a Session, poses: Option<BTreeMap<&'a str, Poses>>
 fn camera_of(view: &View) -> Camera<'_> {
     Camera {
         id: &view.id,
-        width: view.intrinsics.width,
-        height: view.intrinsics.height,
-        matrix: rows(&view.intrinsics.matrix()),
-        dist: view.intrinsics.dist.coefficients(),
-        distortion_model: distortion_model(&view.intrinsics.dist),
+        lens: LensFields::of(&view.intrinsics),
         rotation: view.camera_from_world.map(|pose| rows(&pose.rotation)),
         translation: view.camera_from_world.map(|pose| entries(&pose.translation)),
         time_offset_s: Some(view.time_offset).filter(|offset| *offset != 0.0),
