@@ -1,4 +1,4 @@
-"""Makes the seeds of body files: a body of a dozen vertices in the layouts that readers meet. Argument: the corpus."""
+"""Writes the fuzz seeds of body files: a body of 12 vertices in every supported layout. Argument: the corpus folder."""
 
 import pickle
 import sys
@@ -7,16 +7,16 @@ import types
 import numpy as np
 
 corpus = sys.argv[1]
-dice = np.random.default_rng(0)
+rng = np.random.default_rng(0)
 V = 12
 parents = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21]
 body = {
-    "v_template": np.stack([dice.uniform(-0.3, 0.3, V), np.linspace(-0.9, 0.8, V), dice.uniform(-0.2, 0.2, V)], axis=1),
-    "shapedirs": dice.normal(0, 0.01, (V, 3, 2)),
-    "weights": np.eye(24)[dice.integers(0, 24, V)],
+    "v_template": np.stack([rng.uniform(-0.3, 0.3, V), np.linspace(-0.9, 0.8, V), rng.uniform(-0.2, 0.2, V)], axis=1),
+    "shapedirs": rng.normal(0, 0.01, (V, 3, 2)),
+    "weights": np.eye(24)[rng.integers(0, 24, V)],
     "J_regressor": np.eye(V)[np.arange(24) % V],
     "kintree_table": np.array([parents, range(24)], dtype=np.int64),
-    "f": dice.integers(0, V, (8, 3)).astype(np.uint32),
+    "f": rng.integers(0, V, (8, 3)).astype(np.uint32),
 }
 
 

@@ -1,6 +1,6 @@
-//! `wandless body`: what a body model is, and the model in other formats.
+//! `wandless body`: inspects, registers and exports body models.
 
-use super::BadInput;
+use super::bad_input::BadInput;
 use crate::body::loader::{LandmarkTable, body_glb, body_npz, body_obj, load_body};
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention, PARENTS};
 use crate::body::{Betas, BodyModel, default_body};
@@ -18,22 +18,22 @@ pub(super) struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Action {
-    /// Check a body file and say what it is
+    /// Validate a body file and print its properties
     Info {
-        /// A SMPL .npz or .pkl file; the embedded body without it
+        /// SMPL .npz or .pkl file [default: the embedded body]
         file: Option<PathBuf>,
-        /// JSON file that says where keypoints of face and feet lie on it
+        /// JSON file that maps face and foot keypoints to vertices of the body
         #[arg(long, requires = "file")]
         landmarks: Option<PathBuf>,
     },
-    /// Register a body under a name that jobs ask for with options.body
+    /// Register a body under a name for use in options.body
     #[cfg(feature = "service")]
     Add {
-        /// The name: a-z, 0-9, - and _
+        /// Name of the body: a-z, 0-9, - and _
         name: String,
-        /// A SMPL .npz or .pkl file
+        /// SMPL .npz or .pkl file
         file: PathBuf,
-        /// JSON file that says where keypoints of face and feet lie on it
+        /// JSON file that maps face and foot keypoints to vertices of the body
         #[arg(long)]
         landmarks: Option<PathBuf>,
         /// Data folder of the service
@@ -47,12 +47,12 @@ enum Action {
         #[arg(long, default_value = DEFAULT_DATA)]
         data: PathBuf,
     },
-    /// Write a body at rest
+    /// Export a body in its rest pose
     Export {
-        /// File to write: .npz (SMPL's layout), .obj or .glb (the mesh)
+        /// Output file: .npz (SMPL layout), .obj or .glb (mesh)
         #[arg(long)]
         out: PathBuf,
-        /// A SMPL .npz or .pkl file; the embedded body without it
+        /// SMPL .npz or .pkl file [default: the embedded body]
         #[arg(long)]
         body: Option<PathBuf>,
     },
@@ -87,14 +87,14 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     }
 }
 
-/// The body of a file with its landmark table, or the embedded one.
+/// Reads a body file with its landmark table; without a file the embedded body.
 pub(super) fn read_body(file: Option<&Path>, landmarks: Option<&Path>) -> anyhow::Result<BodyModel> {
     let Some(file) = file else { return Ok(default_body()) };
     let table = read_table(landmarks)?;
     load_body(file, &table).map_err(|error| BadInput(format!("{}: {error}", file.display())).into())
 }
 
-/// The landmark table of a file; an empty one without it.
+/// Reads a landmark table; without a file an empty table.
 fn read_table(landmarks: Option<&Path>) -> anyhow::Result<LandmarkTable> {
     let Some(path) = landmarks else { return Ok(LandmarkTable::default()) };
     let bad = |error: &dyn std::fmt::Display| BadInput(format!("{}: {error}", path.display()));
@@ -108,7 +108,7 @@ fn exported(model: &BodyModel, out: &Path) -> anyhow::Result<Vec<u8>> {
         Some("npz") => Ok(body_npz(surface, true)?),
         Some("obj") => Ok(body_obj(&surface.vertices, &surface.faces).into_bytes()),
         Some("glb") => Ok(body_glb(&surface.vertices, &surface.faces)),
-        _ => Err(BadInput(format!("{}: the name must end with .npz, .obj or .glb", out.display())).into()),
+        _ => Err(BadInput(format!("{}: the file name must end with .npz, .obj or .glb", out.display())).into()),
     }
 }
 
@@ -127,24 +127,25 @@ fn description(model: &BodyModel) -> String {
         heights_per_beta(model, height),
     );
     for convention in KeypointConvention::ALL {
-        let found = model.landmarks_of(convention);
-        let n_found = found.iter().flatten().count();
-        text += &format!("{}: {n_found} of {} keypoints\n", convention.name(), found.len());
+        let landmarks = model.landmarks_of(convention);
+        let n_known = landmarks.iter().flatten().count();
+        text += &format!("{}: {n_known} of {} keypoints\n", convention.name(), landmarks.len());
     }
-    text += "bones against the embedded body (m, degrees):\n";
+    text += "bone lengths of this and of the embedded body (m), angle between the bones (degrees):\n";
     let embedded = default_body();
     for (j, parent) in PARENTS.iter().enumerate() {
         if let Some(p) = *parent {
             let bone = model.rest_joints[j] - model.rest_joints[p];
             let reference = embedded.rest_joints[j] - embedded.rest_joints[p];
             let angle_deg = bone.angle(&reference).to_degrees();
-            let (own, other) = (bone.norm(), reference.norm());
-            text += &format!("  {:15} {own:.3} {other:.3} {angle_deg:5.1}\n", JOINT_NAMES[j]);
+            let (length, reference_length) = (bone.norm(), reference.norm());
+            text += &format!("  {:15} {length:.3} {reference_length:.3} {angle_deg:5.1}\n", JOINT_NAMES[j]);
         }
     }
     text
 }
 
+/// Change of the height for +1 of each shape coefficient, m.
 fn heights_per_beta(model: &BodyModel, mean: f64) -> Vec<f64> {
     let height = |k: usize| {
         let vertices = model.surface.shaped(&Betas::ith(k, 1.0));

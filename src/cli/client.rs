@@ -1,6 +1,6 @@
-//! The HTTP client of `submit` and `demo`: blocking, small.
+//! Blocking HTTP client of `submit` and `demo`.
 
-use super::BadInput;
+use super::bad_input::BadInput;
 use crate::service::store::artifacts::{FileDigest, digest_file};
 use anyhow::{Context, bail};
 use serde::Deserialize;
@@ -11,19 +11,19 @@ use std::time::{Duration, Instant};
 use ureq::http::{Response, StatusCode, header};
 use ureq::{Agent, Body};
 
-/// Seconds that one question about a job may be held.
+/// Seconds for which the service may hold one request for the state of a job (long polling).
 const WAIT: u32 = 30;
 
-/// A service that does not answer for so long is given up.
-const PATIENCE: Duration = Duration::from_secs(60);
+/// Time for which a service that does not answer is asked again.
+const RETRY_TIME: Duration = Duration::from_secs(60);
 
-/// A service's address and the connections to it.
+/// Address of a service and the connections to it.
 pub(super) struct Client {
     agent: Agent,
     server: String,
 }
 
-/// A session, as far as it matters here.
+/// The fields of a session that the client needs.
 #[derive(Debug, Deserialize)]
 pub(super) struct SessionAnswer {
     pub(super) id: String,
@@ -31,7 +31,7 @@ pub(super) struct SessionAnswer {
     pub(super) warnings: Vec<String>,
 }
 
-/// A job, as far as it matters here.
+/// The fields of a job that the client needs.
 #[derive(Debug, Deserialize)]
 pub(super) struct JobAnswer {
     pub(super) id: String,
@@ -42,7 +42,7 @@ pub(super) struct JobAnswer {
 }
 
 impl JobAnswer {
-    /// Whether it has ended.
+    /// Whether the job has ended.
     pub(super) fn is_final(&self) -> bool {
         matches!(self.state.as_str(), "succeeded" | "failed" | "canceled" | "dead")
     }
@@ -55,7 +55,7 @@ pub(super) struct ProgressAnswer {
     pub(super) message: String,
 }
 
-/// What a problem document or a failed job says.
+/// A problem document, or the error of a failed job.
 #[derive(Debug, Deserialize)]
 pub(super) struct ProblemAnswer {
     code: String,
@@ -79,7 +79,7 @@ impl std::fmt::Display for ProblemAnswer {
     }
 }
 
-/// The result's list of files.
+/// List of the files of a result.
 #[derive(Debug, Deserialize)]
 pub(super) struct Manifest {
     pub(super) files: Vec<ManifestFile>,
@@ -92,12 +92,12 @@ pub(super) struct ManifestFile {
 }
 
 impl Client {
-    /// A client of `server` (`http://host:port`).
+    /// Client of the service at `server` (`http://host:port`).
     pub(super) fn new(server: &str) -> Self {
         let config = Agent::config_builder()
-            .http_status_as_error(false) // problem documents are read
+            .http_status_as_error(false) // the client reads problem documents
             .timeout_connect(Some(Duration::from_secs(10)))
-            .timeout_recv_response(Some(Duration::from_secs(u64::from(WAIT) + 300))) // a large upload is validated first
+            .timeout_recv_response(Some(Duration::from_secs(u64::from(WAIT) + 300))) // the service validates a large upload before it answers
             .build();
         Self { agent: Agent::new_with_config(config), server: server.trim_end_matches('/').to_owned() }
     }
@@ -110,26 +110,26 @@ impl Client {
         self.document(request.send(session).with_context(|| self.server.clone())?)
     }
 
-    /// Submits a job; said twice it is still one job.
+    /// Creates a job. The idempotency key makes repeated requests create one job only.
     pub(super) fn create_job(&self, session: &str, options: &serde_json::Value) -> anyhow::Result<JobAnswer> {
         let key = uuid::Uuid::new_v4().to_string();
-        self.patiently(|| {
+        self.with_retries(|| {
             let request = self.agent.post(format!("{}/v1/jobs", self.server)).header("idempotency-key", &key);
             request.send_json(serde_json::json!({ "session": session, "options": options }))
         })
     }
 
-    /// The job, once it has changed or half a minute is over.
+    /// Waits until the job has changed or [`WAIT`] seconds have passed, and returns it.
     pub(super) fn wait_for_job(&self, id: &str) -> anyhow::Result<JobAnswer> {
-        self.patiently(|| self.agent.get(format!("{}/v1/jobs/{id}?wait={WAIT}", self.server)).call())
+        self.with_retries(|| self.agent.get(format!("{}/v1/jobs/{id}?wait={WAIT}", self.server)).call())
     }
 
-    /// The result's list of files.
+    /// List of the files of a result.
     pub(super) fn manifest(&self, job: &str) -> anyhow::Result<Manifest> {
-        self.patiently(|| self.agent.get(format!("{}/v1/jobs/{job}/result", self.server)).call())
+        self.with_retries(|| self.agent.get(format!("{}/v1/jobs/{job}/result", self.server)).call())
     }
 
-    /// Downloads one file of a result and checks it.
+    /// Downloads one file of a result and checks its digest.
     pub(super) fn download(&self, job: &str, name: &str, sha256: Option<&str>, to: &Path) -> anyhow::Result<()> {
         let url = format!("{}/v1/jobs/{job}/artifacts/{}", self.server, percent_encoded(name));
         let response = self.agent.get(url).call().with_context(|| self.server.clone())?;
@@ -140,23 +140,23 @@ impl Client {
         let FileDigest { sha256: found, .. } = digest_file(to)?;
         let tag = etag.as_deref().map(|tag| tag.trim_matches('"'));
         if sha256.or(tag).is_some_and(|sha256| sha256 != found) {
-            bail!("{name}: the bytes received are not the ones published; download again");
+            bail!("{name}: the downloaded file does not match its digest; download it again");
         }
         Ok(())
     }
 
-    /// Asks again while the service restarts.
-    fn patiently<T: DeserializeOwned>(
+    /// Repeats a request for up to [`RETRY_TIME`] while the service is unavailable.
+    fn with_retries<T: DeserializeOwned>(
         &self,
         ask: impl Fn() -> Result<Response<Body>, ureq::Error>,
     ) -> anyhow::Result<T> {
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + RETRY_TIME;
         loop {
             match ask() {
                 Ok(response) if response.status() == StatusCode::SERVICE_UNAVAILABLE && Instant::now() < deadline => {}
                 Ok(response) => return self.document(response),
                 Err(error) if Instant::now() >= deadline => return Err(error).with_context(|| self.server.clone()),
-                Err(error) => tracing::warn!(%error, "the service does not answer; asking again"),
+                Err(error) => tracing::warn!(%error, "the service does not answer; trying again"),
             }
             std::thread::sleep(Duration::from_secs(1));
         }
@@ -173,7 +173,7 @@ impl Client {
             return Ok(response);
         }
         let problem = response.body_mut().read_json::<ProblemAnswer>();
-        let text = problem.map_or_else(|_| format!("{} answers {status}", self.server), |problem| problem.to_string());
+        let text = problem.map_or_else(|_| format!("{} answered {status}", self.server), |problem| problem.to_string());
         match status {
             StatusCode::BAD_REQUEST
             | StatusCode::PAYLOAD_TOO_LARGE
@@ -184,7 +184,7 @@ impl Client {
     }
 }
 
-/// A name with its slashes, the rest as RFC 3986 wants it.
+/// Percent-encodes a file name by RFC 3986; slashes are kept.
 fn percent_encoded(name: &str) -> String {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"/-._~".contains(&byte);
     name.bytes().map(|b| if plain(b) { char::from(b).to_string() } else { format!("%{b:02X}") }).collect()

@@ -1,4 +1,4 @@
-//! `wandless demo`: simulate, serve, submit over HTTP, evaluate; every step is a command of its own.
+//! `wandless demo`: runs the commands `simulate`, `serve`, `submit` and `evaluate` in order.
 
 use super::client::Client;
 use super::serve::StopSignals;
@@ -14,13 +14,13 @@ use tokio::runtime::Runtime;
 /// Arguments of `demo`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Folder for everything that is made; a temporary one is left where it is named
+    /// Folder for all files [default: a new temporary folder, which is kept]
     #[arg(long)]
     dir: Option<PathBuf>,
-    /// Seed of the simulated capture
+    /// Seed of the simulation
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Go on serving until Ctrl-C
+    /// Keep the service running until Ctrl-C
     #[arg(long)]
     keep: bool,
 }
@@ -33,7 +33,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     };
     let session = dir.join("session");
     let result = dir.join("result");
-    println!("simulating 3 people before 5 cameras: {}", session.display());
+    println!("simulating 3 people and 5 cameras: {}", session.display());
     simulate_session(&session, args.seed)?;
 
     let runtime = Runtime::new()?;
@@ -43,7 +43,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     println!("serving {server}");
     let done = submit_and_evaluate(&server, &session, &result);
     if args.keep && done.is_ok() {
-        println!("{server} goes on; stop it with Ctrl-C");
+        println!("{server} keeps running; stop it with Ctrl-C");
         let hold = async {
             StopSignals::listen()?.next().await;
             std::io::Result::Ok(())
@@ -63,7 +63,7 @@ fn submit_and_evaluate(server: &str, session: &Path, result: &Path) -> anyhow::R
     evaluate_result(result, &session.join("gt"))
 }
 
-/// `Parser` for the arguments of a command without its name.
+/// Parser of the arguments of one command.
 #[derive(Parser)]
 struct Arguments<T: clap::Args> {
     #[command(flatten)]

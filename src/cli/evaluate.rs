@@ -1,4 +1,4 @@
-//! `wandless evaluate`: a result against the truth.
+//! `wandless evaluate`: compares a result with the ground truth.
 
 use crate::evaluation::alignment::Alignment;
 use crate::evaluation::{EvaluationOptions, evaluate};
@@ -7,34 +7,34 @@ use anyhow::Context;
 use clap::ValueEnum;
 use std::path::PathBuf;
 
-/// Errors of cameras, poses and identities against truth, as a table and as JSON.
+/// Compares a result with the ground truth: errors of cameras, poses and identities, as a table and as JSON.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Result folder: cameras.json, keypoints3d.json, poses3d.json, identities.json, as far as they are there
+    /// Result folder with any of cameras.json, keypoints3d.json, poses3d.json and identities.json
     result: PathBuf,
-    /// Truth folder, beside which the session lies (SESSION/gt)
+    /// Ground truth folder inside the session folder (SESSION/gt)
     #[arg(long)]
     truth: PathBuf,
-    /// How worlds are laid over each other before poses are compared [default: rigid; rigid-pose below three cameras]
+    /// Alignment of the two worlds before poses are compared [default: rigid; rigid-pose with fewer than three cameras]
     #[arg(long, value_enum)]
     align: Option<AlignName>,
-    /// Up axis of the truth's world [default: as its files say, else z]
+    /// Up axis of the ground truth [default: read from its files, otherwise z]
     #[arg(long, value_enum)]
     up: Option<UpName>,
-    /// Whom averages are over, separated by commas [default: everybody; on Shelf 0,1,2]
+    /// People to average over, separated by commas [default: all; on Shelf 0,1,2]
     #[arg(long, value_delimiter = ',')]
     actors: Option<Vec<String>>,
-    /// Print JSON; the table goes to standard error
+    /// Print JSON to standard output and the table to standard error
     #[arg(long)]
     json: bool,
-    /// Write the JSON to this file too
+    /// Also write the JSON to this file
     #[arg(long)]
     out: Option<PathBuf>,
 }
 
-/// Alignments by name.
+/// Values of `--align`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-#[allow(missing_docs)] // clap would print them; the library says what they mean
+#[allow(missing_docs)] // clap would print them; `Alignment` documents them
 pub(super) enum AlignName {
     Rigid,
     Sim3,
@@ -43,7 +43,7 @@ pub(super) enum AlignName {
     None,
 }
 
-/// Axes by name.
+/// Values of `--up`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 #[allow(missing_docs)] // as above
 pub(super) enum UpName {
@@ -55,7 +55,7 @@ pub(super) enum UpName {
 /// Evaluates and prints.
 ///
 /// # Errors
-/// Files that are missing or contradict each other.
+/// Missing or contradictory files.
 pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let options = EvaluationOptions {
         align: args.align.map(|name| match name {
@@ -74,7 +74,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let evaluation = evaluate(&args.result, &args.truth, &options)?;
     let json = serde_json::to_string_pretty(&evaluation)?;
     if let Some(path) = &args.out {
-        std::fs::write(path, format!("{json}\n")).with_context(|| format!("{}: cannot be written", path.display()))?;
+        std::fs::write(path, format!("{json}\n")).with_context(|| format!("cannot write {}", path.display()))?;
     }
     if args.json {
         eprint!("{evaluation}");
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn a_simulated_truth_is_its_own_perfect_result() {
+    fn truth_compared_with_itself_has_no_error() {
         use crate::session::formats::native::write_folder;
         use crate::simulation::{Preset, SimulationConfig, simulate, write_truth};
         let folder = tempfile::tempdir().unwrap();
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn a_missing_truth_is_named() {
+    fn names_missing_truth_folder() {
         let line = ["evaluate", "no/result", "--truth", "no/truth"];
         let error = run(Cli::try_parse_from(line).unwrap().args).unwrap_err();
         assert!(error.to_string().contains("no/truth"), "{error}");

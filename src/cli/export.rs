@@ -1,40 +1,36 @@
-//! `wandless export`: one more format from a finished result.
+//! `wandless export`: exports a finished result to further formats.
 
-use super::BadInput;
-use super::reconstruct::{require_free, staging_folder};
+use super::bad_input::BadInput;
+use super::output_folder::{publish, require_free, staging_folder};
 use crate::export::{self, ReadError};
 use crate::session::reconstruction::ExportFormat;
 use anyhow::Context;
 use std::path::PathBuf;
 
-/// Writes the cameras and people of a finished result in further formats.
+/// Exports the cameras and people of a finished result to further formats.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Result folder, as `reconstruct` and a job leave it
+    /// Result folder of `reconstruct` or of a job
     result: PathBuf,
-    /// Format; several are separated by commas
+    /// Formats, separated by commas
     #[arg(long, value_delimiter = ',', required = true, value_parser = format_named)]
     to: Vec<ExportFormat>,
-    /// Folder for the files; must not exist, or be empty
+    /// Output folder; must be empty or not exist
     #[arg(long)]
     out: PathBuf,
 }
 
-/// Runs the command. What a format cannot hold goes to standard error, the files' names to standard output.
+/// Runs the command. Prints file names to standard output and what a format cannot represent to standard error.
 ///
 /// # Errors
-/// [`BadInput`] where the folder is no result; whatever writing fails with.
+/// [`BadInput`] if the folder does not hold a result; otherwise the error of writing.
 pub(super) fn run(args: Args) -> anyhow::Result<()> {
     require_free(&args.out)?;
-    let take = export::read_take(&args.result).map_err(explain)?;
+    let not_a_result = |error: ReadError| BadInput(format!("{error}; pass the folder of a finished result"));
+    let take = export::read_take(&args.result).map_err(not_a_result)?;
     let staging = staging_folder(&args.out)?;
-    let written = export::write_formats(&staging, &take, &args.to);
-    if written.is_err() {
-        let _ = std::fs::remove_dir_all(&staging); // half an export helps nobody
-    }
-    let written = written.with_context(|| args.out.display().to_string())?;
-    std::fs::rename(&staging, &args.out).with_context(|| args.out.display().to_string())?;
-    for representation in written {
+    let written = export::write_formats(&staging, &take, &args.to).with_context(|| args.out.display().to_string());
+    for representation in publish(&staging, &args.out, written)? {
         for lost in representation.data.lost {
             eprintln!("{}: {lost}", representation.name);
         }
@@ -45,13 +41,9 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A format by its name in `options.exports`; the message names them all.
+/// Parses a format name of `options.exports`; the error message lists all names.
 fn format_named(name: &str) -> Result<ExportFormat, serde_json::Error> {
     serde_json::from_value(name.into())
-}
-
-fn explain(error: ReadError) -> anyhow::Error {
-    BadInput(format!("{error}; name the folder of a finished result")).into()
 }
 
 #[cfg(test)]
@@ -66,7 +58,7 @@ mod tests {
     }
 
     #[test]
-    fn formats_have_the_names_of_the_options() {
+    fn format_names_match_the_export_option() {
         let line = Line::try_parse_from(["export", "result", "--to", "glb,opencv_yaml", "--out", "out"]).unwrap();
         assert_eq!(line.args.to, [ExportFormat::Glb, ExportFormat::OpencvYaml]);
         let error = Line::try_parse_from(["export", "result", "--to", "fbx", "--out", "out"]).err().unwrap();
@@ -74,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_that_is_no_result_is_named() {
+    fn rejects_folder_without_result() {
         let out = tempfile::tempdir().unwrap();
         let args = Args { result: "no/result".into(), to: vec![ExportFormat::Glb], out: out.path().join("out") };
         let error = run(args).unwrap_err();

@@ -1,6 +1,6 @@
-//! `wandless key create|list|revoke`: API keys. Works on a data folder whose service is at work, and on one without.
+//! `wandless key create|list|revoke`: API keys. Works on a data folder whether or not its service is running.
 
-use super::BadInput;
+use super::bad_input::BadInput;
 use crate::service::settings::DEFAULT_DATA;
 use crate::service::store::keys::{self, Scope};
 use crate::service::store::{Store, Tenant};
@@ -13,30 +13,30 @@ use std::path::PathBuf;
 pub(super) struct Args {
     #[command(subcommand)]
     action: Action,
-    /// The service's data folder
+    /// Data folder of the service
     #[arg(long, default_value = DEFAULT_DATA, global = true)]
     data: PathBuf,
 }
 
 #[derive(Debug, Subcommand)]
 enum Action {
-    /// Make a key and print it, this once
+    /// Create a key and print it; it cannot be shown again
     Create {
-        /// Whose sessions and jobs the key opens
+        /// Tenant whose sessions and jobs the key gives access to
         #[arg(long, default_value = "default")]
         tenant: String,
-        /// For you to tell keys apart
+        /// Label of the key in lists
         #[arg(long, default_value = "")]
         name: String,
-        /// What the key allows: read, write, metrics
+        /// Permissions: read, write, metrics
         #[arg(long, value_delimiter = ',', default_value = "read,write")]
         scopes: Vec<String>,
     },
-    /// List all keys without their secrets
+    /// List all keys, without their secrets
     List,
-    /// Refuse a key from now on
+    /// Revoke a key; requests with it are rejected from now on
     Revoke {
-        /// The key's id, as `list` shows it
+        /// Id of the key, as shown by `list`
         id: String,
     },
 }
@@ -54,7 +54,7 @@ async fn act(args: Args) -> anyhow::Result<()> {
         Action::List => list(&store).await?,
         Action::Revoke { id } => {
             if !keys::revoke(&store, &id).await? {
-                return Err(BadInput(format!("{id}: there is no such key in use; see `wandless key list`")).into());
+                return Err(BadInput(format!("{id}: no active key has this id; see `wandless key list`")).into());
             }
         }
     }
@@ -63,14 +63,15 @@ async fn act(args: Args) -> anyhow::Result<()> {
 }
 
 async fn create(store: &Store, tenant: &str, name: &str, scopes: &[String]) -> anyhow::Result<()> {
-    let tenant = Tenant::parse(tenant)
-        .with_context(|| BadInput(format!("{tenant:?}: a tenant has 1 to 64 letters, digits, '-', '_' and '.'")))?;
+    let tenant = Tenant::parse(tenant).with_context(|| {
+        BadInput(format!("{tenant:?}: a tenant name has 1 to 64 characters: letters, digits, '-', '_', '.'"))
+    })?;
     let scope = |text: &String| {
-        Scope::parse(text).with_context(|| BadInput(format!("{text:?} is no scope; take read, write, metrics")))
+        Scope::parse(text).with_context(|| BadInput(format!("{text:?} is not a scope; use read, write or metrics")))
     };
     let scopes: Vec<Scope> = scopes.iter().map(scope).collect::<anyhow::Result<_>>()?;
     let key = keys::create(store, &tenant, name, &scopes).await?;
-    eprintln!("key {} of tenant {}; it is shown this once:", key.id, tenant.name());
+    eprintln!("key {} of tenant {}; store it now, it is not shown again:", key.id, tenant.name());
     println!("{}", key.token);
     Ok(())
 }
@@ -78,7 +79,7 @@ async fn create(store: &Store, tenant: &str, name: &str, scopes: &[String]) -> a
 async fn list(store: &Store) -> anyhow::Result<()> {
     for key in keys::list(store).await? {
         let scopes: Vec<&str> = key.scopes.iter().map(|scope| scope.name()).collect();
-        let state = key.revoked_at.map_or("in use".to_owned(), |at| format!("revoked {at}"));
+        let state = key.revoked_at.map_or("active".to_owned(), |at| format!("revoked {at}"));
         println!(
             "{}  {}  {}  {}  {}  {}",
             key.id,

@@ -1,13 +1,15 @@
-//! The commands; one file each.
+//! The command line: one file per command.
 
-pub mod bench;
+mod bad_input;
+mod bench;
 mod body;
 mod evaluate;
 mod export;
-mod meter;
+mod output_folder;
 mod prior;
+mod progress_display;
 mod reconstruct;
-pub mod simulate;
+mod simulate;
 mod solve;
 
 #[cfg(feature = "service")]
@@ -25,11 +27,12 @@ mod serve;
 #[cfg(feature = "service")]
 mod submit;
 
+use bad_input::BadInput;
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 use tracing_subscriber::EnvFilter;
 
-/// Recovers moving people and the cameras that filmed them, without a calibration wand.
+/// Reconstructs moving people and the cameras that filmed them from 2D poses, without a calibration wand.
 #[derive(Debug, Parser)]
 #[command(name = "wandless", version)]
 struct Cli {
@@ -39,61 +42,56 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Solve a session without a server
+    /// Reconstruct a session locally, without a server
     Reconstruct(reconstruct::Args),
-    /// Compare a result with the truth
+    /// Compare a result with the ground truth
     Evaluate(evaluate::Args),
-    /// Write a finished result in further formats
+    /// Export a finished result to further formats
     Export(export::Args),
-    /// Make a session with exact truth
+    /// Simulate a session with exact ground truth
     Simulate(simulate::Args),
-    /// Measure success and speed
+    /// Measure accuracy, robustness and speed
     Bench(bench::Args),
-    /// Look at a body model, or write it in other formats
+    /// Inspect, register and export body models
     Body(body::Args),
-    /// Train, measure and look at the motion prior
+    /// Train, evaluate and sample the motion prior
     Prior(prior::Args),
-    /// Serve sessions and jobs over HTTP
+    /// Run the HTTP service
     #[cfg(feature = "service")]
     Serve(serve::Args),
-    /// Upload a session, follow its job, download the result
+    /// Upload a session to a service, follow its job and download the result
     #[cfg(feature = "service")]
     Submit(submit::Args),
-    /// Simulate, serve, submit and evaluate in one go
+    /// Simulate a session, solve it through a local service and evaluate the result
     #[cfg(feature = "service")]
     Demo(demo::Args),
-    /// Make, list and revoke API keys
+    /// Create, list and revoke API keys
     #[cfg(feature = "service")]
     Key(key::Args),
-    /// Copy a data folder, its service may be at work
+    /// Back up a data folder; the service may keep running
     #[cfg(feature = "service")]
     Backup(operator::BackupArgs),
-    /// Make a data folder out of a backup
+    /// Restore a data folder from a backup
     #[cfg(feature = "service")]
     Restore(operator::RestoreArgs),
-    /// Check every byte of a data folder or a backup
+    /// Verify every file of a data folder or a backup
     #[cfg(feature = "service")]
     Verify(operator::VerifyArgs),
-    /// Ask a service whether it is ready; for health checks
+    /// Check whether a service is ready (for container health checks)
     #[cfg(feature = "service")]
     Health(operator::HealthArgs),
-    /// Print the description of the HTTP API
+    /// Print the OpenAPI description of the HTTP API
     #[cfg(feature = "service")]
     Openapi,
-    /// One job in a child process of the service
+    /// Solve one job (child process of the service)
     #[cfg(feature = "service")]
     #[command(hide = true)]
     RunJob,
 }
 
-/// The input cannot be used: exit code 2 and one line that names what, where and the remedy.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub struct BadInput(pub String);
-
-/// Runs the command line; the exit code is 0 for done, 1 for failed, 2 for wrong usage or bad input.
+/// Runs the command line; exit code 0: done, 1: failed, 2: wrong usage or unusable input.
 pub fn main() -> ExitCode {
-    let cli = Cli::parse(); // ends with 2 for wrong usage
+    let cli = Cli::parse(); // exits with 2 on wrong usage
     let filter = EnvFilter::try_from_env("WANDLESS_LOG").unwrap_or_else(|_| EnvFilter::new(default_level(&cli)));
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
     match wants_json_log(&cli) {
@@ -135,24 +133,24 @@ pub fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("wandless: {}", told(&error));
+            eprintln!("wandless: {}", one_line(&error));
             ExitCode::from(if error.is::<BadInput>() { 2 } else { 1 })
         }
     }
 }
 
-/// The error and its causes in one line; what an error has said of its cause is not said again.
-fn told(error: &anyhow::Error) -> String {
-    let mut told = String::new();
+/// The error and its causes on one line. A cause that an outer message already contains is not repeated.
+fn one_line(error: &anyhow::Error) -> String {
+    let mut line = String::new();
     for cause in error.chain().map(ToString::to_string) {
-        if !told.contains(&cause) {
-            told = if told.is_empty() { cause } else { format!("{told}: {cause}") };
+        if !line.contains(&cause) {
+            line = if line.is_empty() { cause } else { format!("{line}: {cause}") };
         }
     }
-    told
+    line
 }
 
-/// Log collectors read JSON; people do not.
+/// Whether the log is written as JSON lines (an option of `serve`).
 fn wants_json_log(cli: &Cli) -> bool {
     match &cli.command {
         #[cfg(feature = "service")]
@@ -161,7 +159,7 @@ fn wants_json_log(cli: &Cli) -> bool {
     }
 }
 
-/// A service tells its operator what it does; a command speaks for itself.
+/// Default log level: `info` for the service, `warn` for other commands, which print their results themselves.
 fn default_level(cli: &Cli) -> &'static str {
     match cli.command {
         #[cfg(feature = "service")]
@@ -176,7 +174,7 @@ mod tests {
     use clap::CommandFactory;
 
     #[test]
-    fn the_command_line_is_consistent() {
+    fn command_line_is_consistent() {
         Cli::command().debug_assert();
     }
 }

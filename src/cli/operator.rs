@@ -1,6 +1,6 @@
-//! `wandless backup`, `restore`, `verify`, `health`: the operator's.
+//! `wandless backup`, `restore`, `verify` and `health`: commands for operators.
 
-use super::BadInput;
+use super::bad_input::BadInput;
 use crate::service::safety;
 use crate::service::settings::DEFAULT_DATA;
 use anyhow::{Context, bail};
@@ -10,9 +10,9 @@ use std::time::Duration;
 /// Arguments of `backup`.
 #[derive(Debug, clap::Args)]
 pub(super) struct BackupArgs {
-    /// Folder for the backup; must not exist, or be empty
+    /// Backup folder; must be empty or not exist
     to: PathBuf,
-    /// The service's data folder
+    /// Data folder of the service
     #[arg(long, default_value = DEFAULT_DATA)]
     data: PathBuf,
 }
@@ -20,9 +20,9 @@ pub(super) struct BackupArgs {
 /// Arguments of `restore`.
 #[derive(Debug, clap::Args)]
 pub(super) struct RestoreArgs {
-    /// A backup
+    /// Backup folder
     from: PathBuf,
-    /// Folder for the data; must not exist, or be empty
+    /// New data folder; must be empty or not exist
     #[arg(long, default_value = DEFAULT_DATA)]
     data: PathBuf,
 }
@@ -30,7 +30,7 @@ pub(super) struct RestoreArgs {
 /// Arguments of `verify`.
 #[derive(Debug, clap::Args)]
 pub(super) struct VerifyArgs {
-    /// A data folder or a backup
+    /// Data folder or backup folder
     #[arg(default_value = DEFAULT_DATA)]
     folder: PathBuf,
 }
@@ -38,7 +38,7 @@ pub(super) struct VerifyArgs {
 /// Arguments of `health`.
 #[derive(Debug, clap::Args)]
 pub(super) struct HealthArgs {
-    /// The service
+    /// URL of the service
     #[arg(long, default_value = "http://127.0.0.1:8700")]
     server: String,
 }
@@ -46,7 +46,7 @@ pub(super) struct HealthArgs {
 /// Runs `backup`.
 pub(super) fn back_up(args: BackupArgs) -> anyhow::Result<()> {
     if !args.data.is_dir() {
-        return Err(BadInput(format!("{}: there is no such data folder", args.data.display())).into());
+        return Err(BadInput(format!("{}: the data folder does not exist", args.data.display())).into());
     }
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let files = runtime.block_on(safety::back_up(&args.data, &args.to))?;
@@ -61,7 +61,7 @@ pub(super) fn restore(args: RestoreArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Runs `verify`; damage ends with 1.
+/// Runs `verify`; exit code 1 if a file is damaged.
 pub(super) fn verify(args: VerifyArgs) -> anyhow::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let report = runtime.block_on(safety::verify(&args.folder))?;
@@ -75,7 +75,7 @@ pub(super) fn verify(args: VerifyArgs) -> anyhow::Result<()> {
     if report.damages.is_empty() { Ok(()) } else { bail!("{} is damaged", args.folder.display()) }
 }
 
-/// Runs `health`; what is not ready ends with 1.
+/// Runs `health`; exit code 1 if the service is not ready.
 pub(super) fn health(args: HealthArgs) -> anyhow::Result<()> {
     let config = ureq::Agent::config_builder().timeout_global(Some(Duration::from_secs(5))).build();
     let url = format!("{}/readyz", args.server.trim_end_matches('/'));

@@ -1,7 +1,7 @@
-//! `wandless run-job`: one job, in a child process of the service.
+//! `wandless run-job`: solves one job in a child process of the service.
 //!
-//! The order comes as the first line of stdin, events go out as JSON lines on stdout. A SIGTERM ends the process at once,
-//! which is how a job is canceled: nothing of it was published, and the service clears its folder.
+//! The order is the first line of stdin; events are JSON lines on stdout. SIGTERM cancels the job by ending the process
+//! immediately: the service publishes results only after success and deletes the folder of a canceled job.
 
 use super::solve::{SolveError, solve, use_threads};
 use crate::body::default_body;
@@ -19,13 +19,13 @@ use std::process::ExitCode;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Exit code of an orphan; nobody is left to read it.
+/// Exit code of a child whose service has ended.
 const ORPHANED: i32 = 3;
 
-/// Yields to the threads that answer clients, so that they stay prompt while every core solves.
+/// Lower priority than the threads that answer clients, which stay responsive while every core solves.
 const NICENESS: i32 = 5;
 
-/// Progress is told at most this often.
+/// Shortest time between two progress messages of one stage.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Runs the child.
@@ -34,34 +34,34 @@ pub(super) fn run() -> ExitCode {
     let order = match read_order() {
         Ok(order) => order,
         Err(error) => {
-            eprintln!("wandless run-job: {error:#}: this command is the service's own");
+            eprintln!("wandless run-job: {error:#}: only the service runs this command");
             return ExitCode::from(2);
         }
     };
     if getppid().map_or(0, |pid| pid.as_raw_nonzero().get()) != order.parent {
-        std::process::exit(ORPHANED); // the service died before we had asked to die with it
+        std::process::exit(ORPHANED); // the service ended before `die_with_parent` took effect
     }
     std::thread::spawn(end_with_stdin);
-    std::thread::spawn(say_alive);
+    std::thread::spawn(send_heartbeats);
     if let Err(error) = nice(NICENESS) {
-        tracing::debug!(%error, "the niceness stays as it is");
+        tracing::debug!(%error, "the priority of this process was not lowered");
     }
-    hold_memory_to(order.memory_bytes);
+    limit_memory(order.memory_bytes);
     use_threads(order.threads);
-    let progress = Progress::new(teller(), Arc::default());
-    match solved(&order, &progress) {
+    let progress = Progress::new(progress_sender(), Arc::default());
+    match run_order(&order, &progress) {
         Ok(()) => {
-            say(&Message::Done);
+            send(&Message::Done);
             ExitCode::SUCCESS
         }
         Err(error) => {
-            say(&Message::Failed { error });
+            send(&Message::Failed { error });
             ExitCode::FAILURE
         }
     }
 }
 
-fn solved(order: &Order, progress: &Progress) -> Result<(), JobError> {
+fn run_order(order: &Order, progress: &Progress) -> Result<(), JobError> {
     let body = match order.options.body.as_str() {
         DEFAULT_BODY => default_body(),
         name => bodies::load(&order.bodies, name).map_err(|error| JobError {
@@ -78,35 +78,35 @@ fn solved(order: &Order, progress: &Progress) -> Result<(), JobError> {
     }
     let sha256 = Some(order.session_sha256.as_str());
     let solved = solve(&order.session, sha256, &options, &body, checkpoints, &order.out, progress);
-    solved.map(drop).map_err(cause)
+    solved.map(drop).map_err(job_error)
 }
 
-/// On Linux the kernel ends us with the service; elsewhere the end of stdin does.
+/// Ends this process together with the service: on Linux by the kernel, elsewhere at the end of stdin.
 fn die_with_parent() {
     #[cfg(target_os = "linux")]
     if let Err(error) = rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL)) {
-        tracing::warn!(%error, "the kernel will not end this process with its service");
+        tracing::warn!(%error, "the kernel will not end this process together with the service");
     }
 }
 
-/// What needs more than its share of memory ends itself, not the service or its neighbours.
-fn hold_memory_to(bytes: Option<u64>) {
+/// Limits the address space, so that a job that needs too much memory ends itself, not the service or other jobs.
+fn limit_memory(bytes: Option<u64>) {
     if let Some(bytes) = bytes {
         let limit = Rlimit { current: Some(bytes), maximum: Some(bytes) };
         if let Err(error) = setrlimit(Resource::As, limit) {
-            tracing::warn!(%error, "the process's memory stays unlimited");
+            tracing::warn!(%error, "the memory of this process is not limited");
         }
     }
-    // Where the whole machine runs out, Linux takes this process first.
+    // When the machine runs out of memory, Linux ends this process first.
     #[cfg(target_os = "linux")]
     if let Err(error) = std::fs::write("/proc/self/oom_score_adj", "1000") {
-        tracing::debug!(%error, "the kernel will not end this process first");
+        tracing::debug!(%error, "the out-of-memory priority was not changed");
     }
 }
 
 fn read_order() -> anyhow::Result<Order> {
     let mut line = Vec::new();
-    std::io::stdin().lock().read_until(b'\n', &mut line)?; // what follows stays for `end_with_stdin`
+    std::io::stdin().lock().read_until(b'\n', &mut line)?; // the rest of stdin is read by `end_with_stdin`
     Ok(serde_json::from_slice(&line)?)
 }
 
@@ -116,14 +116,14 @@ fn end_with_stdin() {
     std::process::exit(ORPHANED);
 }
 
-fn say_alive() {
+fn send_heartbeats() {
     loop {
-        say(&Message::Alive);
+        send(&Message::Alive);
         std::thread::sleep(Duration::from_secs(1));
     }
 }
 
-fn say(message: &Message) {
+fn send(message: &Message) {
     let mut line = serde_json::to_vec(message).expect("a message is strings and numbers, which always serialise");
     line.push(b'\n');
     let mut stdout = std::io::stdout().lock();
@@ -132,8 +132,8 @@ fn say(message: &Message) {
     }
 }
 
-/// Tells progress, but no faster than anybody reads; every first word of a stage is told.
-fn teller() -> impl Fn(&ProgressEvent) + Send + Sync {
+/// Sends progress at most every [`PROGRESS_INTERVAL`], and always at the start of a stage.
+fn progress_sender() -> impl Fn(&ProgressEvent) + Send + Sync {
     let last = Mutex::new(None::<(&'static str, Instant)>);
     move |event| {
         let mut last = last.lock().unwrap_or_else(PoisonError::into_inner);
@@ -142,7 +142,7 @@ fn teller() -> impl Fn(&ProgressEvent) + Send + Sync {
             return;
         }
         *last = Some((event.stage, Instant::now()));
-        say(&Message::Progress {
+        send(&Message::Progress {
             stage: event.stage.to_owned(),
             stage_index: event.stage_index,
             stage_count: event.stage_count,
@@ -155,7 +155,8 @@ fn teller() -> impl Fn(&ProgressEvent) + Send + Sync {
     }
 }
 
-fn cause(error: SolveError) -> JobError {
+/// Maps an error to its code in the HTTP API.
+fn job_error(error: SolveError) -> JobError {
     let detail = error.to_string();
     let coded = |code: &str, remedy: &str| JobError {
         code: code.to_owned(),
@@ -181,6 +182,6 @@ fn cause(error: SolveError) -> JobError {
         SolveError::Write(error) if error.kind() == std::io::ErrorKind::StorageFull => {
             coded("disk_full", "free disk space, then submit the job again")
         }
-        SolveError::Write(_) => coded("result_unwritten", "look into the service's log, then submit the job again"),
+        SolveError::Write(_) => coded("result_unwritten", "check the log of the service, then submit the job again"),
     }
 }

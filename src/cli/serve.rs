@@ -1,6 +1,6 @@
-//! `wandless serve`: the service until a signal.
+//! `wandless serve`: runs the service until a stop signal.
 
-use super::BadInput;
+use super::bad_input::BadInput;
 use crate::service::settings::layers::{Layers, SettingsError};
 use crate::service::{self, ServeError, Settings};
 use std::net::SocketAddr;
@@ -12,36 +12,36 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 /// Arguments of `serve`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Folder of the database, the uploads and the results [default: ./wandless-data]
+    /// Data folder with the database, uploads and results [default: ./wandless-data]
     #[arg(long)]
     data: Option<PathBuf>,
-    /// Address to listen on; port 0 takes a free one [default: 127.0.0.1:8700]
+    /// Address to listen on; port 0 picks a free port [default: 127.0.0.1:8700]
     #[arg(long)]
     listen: Option<SocketAddr>,
-    /// TOML file with settings; the environment (WANDLESS_LIMITS__MAX_WAIT_S=…) and the flags go before it
+    /// TOML file with settings; environment variables (WANDLESS_LIMITS__MAX_WAIT_S=…) and flags override it
     #[arg(long)]
     config: Option<PathBuf>,
-    /// One setting, as limits.max_wait_s=20; may be given often
+    /// One setting, for example limits.max_wait_s=20; can be repeated
     #[arg(long = "set", value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Print the settings with all defaults as TOML, and end
+    /// Print the settings with all defaults as TOML and exit
     #[arg(long)]
     print_settings: bool,
-    /// How the log is written to stderr
+    /// Format of the log on stderr
     #[arg(long, value_enum, default_value_t = LogFormat::Text)]
     pub(super) log_format: LogFormat,
 }
 
-/// Form of the log.
+/// Format of the log.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub(super) enum LogFormat {
-    /// For people
+    /// Human-readable lines
     Text,
-    /// One JSON object a line
+    /// One JSON object per line
     Json,
 }
 
-/// A stop that takes longer than this is cut.
+/// A graceful stop that takes longer than this is aborted.
 const HARD_STOP: Duration = Duration::from_secs(30);
 
 /// Runs the command.
@@ -54,11 +54,11 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     }
     let runtime = Runtime::new()?;
     let done = runtime.block_on(serve(settings));
-    runtime.shutdown_timeout(Duration::from_secs(1)); // a blocked file operation must not hold the end up
+    runtime.shutdown_timeout(Duration::from_secs(1)); // a blocked file operation must not delay the exit
     done
 }
 
-/// Defaults, then the file, then the environment, then the flags.
+/// Merges the settings; later sources override earlier ones: defaults, file, environment, flags.
 fn settings(args: Args) -> Result<Settings, SettingsError> {
     let mut layers = Layers::default();
     if let Some(file) = &args.config {
@@ -78,35 +78,35 @@ fn settings(args: Args) -> Result<Settings, SettingsError> {
 }
 
 async fn serve(settings: Settings) -> anyhow::Result<()> {
-    let mut signals = StopSignals::listen()?; // before anybody can know that we serve, and ask us to stop
+    let mut signals = StopSignals::listen()?; // before the address is printed, so that no signal is missed
     let running = service::start(settings).await.map_err(|error| match error {
         ServeError::NotLoopback { .. } | ServeError::Network(_) => BadInput(error.to_string()).into(),
         other => anyhow::Error::from(other),
     })?;
     println!("wandless serves http://{}", running.address);
     signals.next().await;
-    tracing::info!("stopping; a second signal stops at once");
+    tracing::info!("stopping; a second signal stops immediately");
     tokio::select! {
         () = running.stop() => tracing::info!("stopped"),
         () = signals.next() => {}
-        () = tokio::time::sleep(HARD_STOP) => tracing::warn!("stopped hard"),
+        () = tokio::time::sleep(HARD_STOP) => tracing::warn!("stopped: the graceful stop took too long"),
     }
     Ok(())
 }
 
-/// Ears for SIGTERM and SIGINT.
+/// Listener for SIGTERM and SIGINT.
 pub(super) struct StopSignals {
     terminate: Signal,
     interrupt: Signal,
 }
 
 impl StopSignals {
-    /// Hears from now on: either signal no longer ends the process by itself.
+    /// Starts listening. From now on neither signal ends the process by itself.
     pub(super) fn listen() -> std::io::Result<Self> {
         Ok(Self { terminate: signal(SignalKind::terminate())?, interrupt: signal(SignalKind::interrupt())? })
     }
 
-    /// Returns at the next of them.
+    /// Returns at the next signal.
     pub(super) async fn next(&mut self) {
         tokio::select! {
             _ = self.terminate.recv() => {}

@@ -1,4 +1,4 @@
-//! `wandless simulate`: a session with exact truth.
+//! `wandless simulate`: simulates a session with exact ground truth.
 
 use crate::body::skeleton::KeypointConvention;
 use crate::session::formats::native;
@@ -8,24 +8,24 @@ use anyhow::Context;
 use clap::ValueEnum;
 use std::path::PathBuf;
 
-/// Simulates people, cameras and detectors; writes a session and beside it, in `gt/`, what really was.
+/// Simulates people, cameras and detectors; writes a session with its ground truth in `gt/`.
 ///
-/// What is not given is as the preset says; the same arguments give the same bytes.
+/// Options that are not given take the value of the preset. The same arguments give the same bytes.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Folder to write
+    /// Output folder
     #[arg(long)]
     out: PathBuf,
-    /// How hard; `random` draws cameras and people from the seed
+    /// Difficulty; `random` draws cameras and people from the seed
     #[arg(long, value_enum, default_value_t = PresetName::Paper)]
     preset: PresetName,
-    /// Seed of every random choice
+    /// Seed of all random numbers
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// How many people
+    /// Number of people
     #[arg(long)]
     people: Option<usize>,
-    /// How many cameras
+    /// Number of cameras
     #[arg(long)]
     views: Option<usize>,
     /// Length in frames
@@ -37,22 +37,22 @@ pub(super) struct Args {
     /// Keypoint convention
     #[arg(long, value_parser = parse_convention)]
     convention: Option<KeypointConvention>,
-    /// Whom track ids name
+    /// Scope of track ids: the same person in all views, per view, or none
     #[arg(long, value_enum)]
     tracks: Option<TracksName>,
-    /// People are default bodies of random shapes instead of the simulator's own
+    /// Use default bodies of random shapes instead of the stick figures of the simulator
     #[arg(long)]
     default_bodies: bool,
-    /// The same, but for joints that lie elsewhere inside the skin and a detector with habits
+    /// Like --default-bodies, with individual joint positions inside the body and a biased keypoint detector
     #[arg(long, conflicts_with = "default_bodies")]
     individual_bodies: bool,
-    /// People walk, turn, crouch, sit, reach and gesture by rule, instead of as the motion prior draws them
+    /// Procedural motion (walk, turn, crouch, sit, reach, gesture) instead of samples of the motion prior
     #[arg(long, conflicts_with = "motion")]
     procedural: bool,
-    /// Two people dance within arms' reach
+    /// Two people dance within arm's reach of each other
     #[arg(long, conflicts_with_all = ["motion", "procedural"])]
     dance: bool,
-    /// Motion files in AMASS's layout, one a person, instead of motion drawn from the prior
+    /// Motion files in the AMASS layout, one per person, instead of samples of the motion prior
     #[arg(long, num_args = 1..)]
     motion: Vec<PathBuf>,
     /// Distance of the cameras from the centre, m
@@ -67,29 +67,29 @@ pub(super) struct Args {
     /// Image width and height, px
     #[arg(long, num_args = 2, value_names = ["WIDTH", "HEIGHT"])]
     size: Option<Vec<u32>>,
-    /// Identity swaps per view and minute
+    /// Identity swaps per view per minute
     #[arg(long)]
     swaps_per_minute: Option<f64>,
-    /// What the lenses do to straight rays
+    /// Lens distortion
     #[arg(long, value_enum)]
     lens: Option<LensName>,
-    /// Frames by which each camera's clock is off, in the order of the cameras
+    /// Time offset of each camera in frames, in the order of the cameras
     #[arg(long, num_args = 1.., allow_hyphen_values = true, value_name = "FRAMES")]
     offset: Vec<f64>,
 }
 
-/// Lenses by name.
+/// Values of `--lens`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-#[allow(missing_docs)] // as below
+#[allow(missing_docs)] // clap would print them; `Lens` documents them
 pub(super) enum LensName {
     Pinhole,
     WideAngle,
     Fisheye,
 }
 
-/// Presets by name.
+/// Values of `--preset`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-#[allow(missing_docs)] // clap would print them; the library says what they hold
+#[allow(missing_docs)] // clap would print them; `Preset` documents them
 pub(super) enum PresetName {
     Easy,
     Paper,
@@ -97,25 +97,25 @@ pub(super) enum PresetName {
     Random,
 }
 
-/// Track ids by name.
+/// Values of `--tracks`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-#[allow(missing_docs)] // as above
+#[allow(missing_docs)] // clap would print them; `Tracks` documents them
 pub(super) enum TracksName {
     Consistent,
     PerView,
     None,
 }
 
-/// Simulates, writes, prints how hard the session turned out (JSON).
+/// Simulates and writes the session; prints statistics of its difficulty (JSON).
 ///
 /// # Errors
-/// Numbers out of range, unreadable motion files, whatever the file system says.
+/// Numbers out of range, unreadable motion files, errors of the file system.
 pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let config = config(&args);
     let simulated = simulate(&config)?;
     let write =
         || native::write_folder(&simulated.session, &args.out).and_then(|()| write_truth(&simulated, &args.out));
-    write().with_context(|| format!("{}: cannot be written", args.out.display()))?;
+    write().with_context(|| format!("cannot write {}", args.out.display()))?;
     let statistics: &Statistics = &simulated.truth.statistics;
     println!("{}", serde_json::to_string_pretty(statistics)?);
     Ok(())
@@ -174,6 +174,7 @@ fn config(args: &Args) -> SimulationConfig {
     config
 }
 
+/// Overwrites `field` if a value is given.
 fn set<T>(field: &mut T, given: Option<T>) {
     if let Some(value) = given {
         *field = value;
@@ -204,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_given_replaces_the_preset() {
+    fn arguments_override_the_preset() {
         let given =
             config(&args("--out x --preset hard --people 2 --size 640 480 --tracks per-view --convention halpe26"));
         assert_eq!((given.people, given.views, given.rig.image_height), (2, 5, 480));
@@ -215,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn the_written_session_is_read_back_as_it_was_simulated() {
+    fn written_session_reads_back_unchanged() {
         let folder = tempfile::tempdir().unwrap();
         let mut args = args("--out x --preset hard --frames 40");
         args.out = folder.path().to_owned();
@@ -223,7 +224,7 @@ mod tests {
         run(args).unwrap();
         let read = read_path(folder.path(), &UploadLimits::default()).unwrap();
         assert_eq!(read.session, simulated.session);
-        // The only remark is that `gt/` is no part of an upload.
+        // The only warning says that `gt/` is not part of an upload.
         assert!(read.warnings.iter().all(|warning| warning.contains("gt/")), "{:?}", read.warnings);
     }
 }

@@ -1,4 +1,4 @@
-//! From a session on disk to a result folder: what `reconstruct` and a job's child have in common.
+//! From a session on disk to a result folder: the work shared by `reconstruct` and `run-job`.
 
 use crate::body::BodyModel;
 use crate::export::{self, ResultContext};
@@ -10,28 +10,27 @@ use crate::session::upload::{self, UploadError, UploadLimits};
 use std::io;
 use std::path::Path;
 
-/// Why there is no result.
+/// Reasons why no result was written.
 #[derive(Debug, thiserror::Error)]
 pub(super) enum SolveError {
     /// The session cannot be read.
     #[error(transparent)]
     Upload(#[from] UploadError),
-    /// The bytes are not the ones that were accepted.
+    /// The session file differs from the one that the service accepted.
     #[cfg_attr(not(feature = "service"), allow(dead_code))] // only a stored session has an accepted digest
-    #[error("the session's bytes have changed since they were accepted; upload them again")]
+    #[error("the session file has changed since it was accepted; upload it again")]
     Changed,
-    /// The pipeline gave up.
+    /// The pipeline failed.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
     /// The result cannot be written.
-    #[error("the result cannot be written: {0}")]
+    #[error("cannot write the result: {0}")]
     Write(#[from] io::Error),
 }
 
 /// Reads the session, solves it and writes the result into `out`.
 ///
-/// `sha256`: the digest that the session must have, where one is known. `checkpoints`: a folder for finished stages, where
-/// interrupted work is to be resumed.
+/// `sha256`: expected digest of the session. `checkpoints`: folder of finished stages, from which interrupted work resumes.
 pub(super) fn solve(
     session: &Path,
     sha256: Option<&str>,
@@ -64,10 +63,10 @@ pub(super) fn solve(
     Ok(reconstruction.report.quality)
 }
 
-/// Sets the number of solver threads of this process; 0 takes all cores.
+/// Sets the number of solver threads of this process; 0 uses all cores.
 pub(super) fn use_threads(threads: usize) {
-    // Fails only where a pool was made before, which no command does.
+    // Fails only if a pool exists already, which does not happen in any command.
     if let Err(error) = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global() {
-        tracing::warn!(%error, "the number of threads stays as it is");
+        tracing::warn!(%error, "the number of threads was not changed");
     }
 }

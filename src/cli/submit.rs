@@ -1,9 +1,10 @@
-//! `wandless submit`: upload, follow, download.
+//! `wandless submit`: uploads a session, follows its job and downloads the result.
 
-use super::BadInput;
+use super::bad_input::BadInput;
 use super::client::{Client, JobAnswer};
-use super::meter::Meter;
-use super::reconstruct::{read_options, require_free, staging_folder};
+use super::output_folder::{publish, require_free, staging_folder};
+use super::progress_display::ProgressDisplay;
+use super::reconstruct::read_options;
 use anyhow::{Context, bail};
 use std::fs::File;
 use std::io::{Read, Seek};
@@ -14,15 +15,15 @@ use zip::write::SimpleFileOptions;
 /// Arguments of `submit`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Session: a folder, a zip or a JSON document
+    /// Session: a folder, a zip file or a JSON document
     session: PathBuf,
-    /// The service
+    /// URL of the service
     #[arg(long, default_value = "http://127.0.0.1:8700")]
     server: String,
-    /// JSON file with options
+    /// JSON file with job options
     #[arg(long)]
     options: Option<PathBuf>,
-    /// Folder for the result; must not exist, or be empty. Without it nothing is downloaded
+    /// Result folder; must be empty or not exist. Without it the result is not downloaded
     #[arg(long)]
     out: Option<PathBuf>,
 }
@@ -42,7 +43,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Uploads a session and follows its job to its success.
+/// Uploads a session, creates its job and waits until the job has succeeded.
 pub(super) fn submit(client: &Client, session: &Path, options: &serde_json::Value) -> anyhow::Result<JobAnswer> {
     let unreadable = |error: anyhow::Error| BadInput(format!("{}: {error:#}", session.display()));
     let upload = open(session).map_err(unreadable)?;
@@ -53,18 +54,18 @@ pub(super) fn submit(client: &Client, session: &Path, options: &serde_json::Valu
     follow(client, client.create_job(&stored.id, options)?)
 }
 
-/// Shows the job's progress until it ends.
+/// Shows the progress of the job until it ends.
 fn follow(client: &Client, mut job: JobAnswer) -> anyhow::Result<JobAnswer> {
-    let meter = Meter::new();
+    let display = ProgressDisplay::new();
     while !job.is_final() {
         let stage = match job.progress.stage.as_str() {
-            "" => &job.state, // no word of its child yet
+            "" => &job.state, // the job has not reported a stage yet
             stage => stage,
         };
-        meter.show(stage, job.progress.fraction, &job.progress.message);
+        display.show(stage, job.progress.fraction, &job.progress.message);
         job = client.wait_for_job(&job.id)?;
     }
-    meter.finish();
+    display.finish();
     match (job.state.as_str(), &job.error) {
         ("succeeded", _) => Ok(job),
         (state, Some(error)) => bail!("job {} {state}: {error}", job.id),
@@ -72,12 +73,12 @@ fn follow(client: &Client, mut job: JobAnswer) -> anyhow::Result<JobAnswer> {
     }
 }
 
-/// Downloads every file of a result, each checked against its digest; `out` appears whole or not at all.
+/// Downloads every file of a result and checks its digest. `out` is created only when it is complete.
 pub(super) fn download(client: &Client, job: &str, out: &Path) -> anyhow::Result<()> {
     let staging = staging_folder(out)?;
     let fetch = |name: &str, sha256: Option<&str>| -> anyhow::Result<()> {
         if !Path::new(name).components().all(|part| matches!(part, Component::Normal(_))) {
-            bail!("{name:?}: the service names a file outside of its result");
+            bail!("{name:?}: the service names a file outside the result folder");
         }
         let path = staging.join(name);
         if let Some(folder) = path.parent() {
@@ -85,14 +86,16 @@ pub(super) fn download(client: &Client, job: &str, out: &Path) -> anyhow::Result
         }
         client.download(job, name, sha256, &path)
     };
-    for file in client.manifest(job)?.files {
-        fetch(&file.name, Some(&file.sha256))?;
-    }
-    fetch("manifest.json", None)?;
-    std::fs::rename(&staging, out).with_context(|| out.display().to_string())
+    let fetch_all = || {
+        for file in client.manifest(job)?.files {
+            fetch(&file.name, Some(&file.sha256))?;
+        }
+        fetch("manifest.json", None)
+    };
+    publish(&staging, out, fetch_all())
 }
 
-/// A session as it goes over the wire.
+/// A session in the form in which it is uploaded.
 struct Upload {
     file: File,
     media_type: &'static str,
@@ -110,12 +113,12 @@ fn open(session: &Path) -> anyhow::Result<Upload> {
     Ok(Upload { file, media_type })
 }
 
-/// A zip of `session.json` and `poses/` in a nameless temporary file; `gt/` is truth and never sent. Members have a fixed
-/// order and time, so that the same folder is the same session.
+/// Packs a session folder into a zip in an unnamed temporary file. Ground truth (`gt/`) is not included. Members have a
+/// fixed order and time, so that the same folder always gives the same bytes.
 fn zipped(folder: &Path) -> anyhow::Result<File> {
     let name = std::env::temp_dir().join(format!("wandless-{}.zip", uuid::Uuid::new_v4()));
     let file = File::options().read(true).write(true).create_new(true).open(&name)?;
-    std::fs::remove_file(&name)?; // the file lives as long as its handle
+    std::fs::remove_file(&name)?; // the file exists until its handle is closed
     let mut members = Vec::new();
     collect(folder, "", &mut members)?;
     members.sort();
@@ -130,11 +133,12 @@ fn zipped(folder: &Path) -> anyhow::Result<File> {
     Ok(file)
 }
 
+/// Lists the files of `folder` below `prefix`, without hidden files and ground truth.
 fn collect(folder: &Path, prefix: &str, members: &mut Vec<String>) -> anyhow::Result<()> {
     for entry in std::fs::read_dir(folder.join(prefix))? {
         let entry = entry?;
         let file_name = entry.file_name();
-        let name = file_name.to_str().with_context(|| format!("{}: the name is no UTF-8", entry.path().display()))?;
+        let name = file_name.to_str().with_context(|| format!("{}: the name is not UTF-8", entry.path().display()))?;
         let is_truth = prefix.is_empty() && name == "gt";
         if is_truth || name.starts_with('.') {
             continue;

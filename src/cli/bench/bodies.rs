@@ -1,9 +1,10 @@
-//! `wandless bench bodies`: people who are default bodies, and what the fit and the metric scale make of them.
+//! `wandless bench bodies`: errors of the body fit and of the metric scale on simulated people with default bodies.
 
-use super::paired_cameras;
+use super::solved_cameras::solved_and_true;
 use crate::body::model::Betas;
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention, N_JOINTS};
 use crate::body::{BodyModel, default_body};
+use crate::cli::solve::use_threads;
 use crate::evaluation::alignment::{Alignment, truth_from_solved};
 use crate::geometry::rotation;
 use crate::optim::robust::median;
@@ -17,46 +18,47 @@ use crate::simulation::{Bodies, MotionSource, Preset, Simulated, SimulationConfi
 use nalgebra::Vector3;
 use std::path::PathBuf;
 
-/// What is solved.
+/// Arguments of `bench bodies`.
 #[derive(Debug, clap::Args)]
 pub(super) struct BodiesArgs {
-    /// How many captures
+    /// Number of sessions
     #[arg(long, default_value_t = 20)]
     count: u64,
-    /// Seed of the first capture; the others follow
+    /// Seed of the first session; the others follow
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Motion files in AMASS's layout to draw from, instead of procedural motion
+    /// Motion files in the AMASS layout to choose from, instead of procedural motion
     #[arg(long, num_args = 1..)]
     motion: Vec<PathBuf>,
-    /// Solver threads; 0 takes all cores
+    /// Number of solver threads; 0 uses all cores
     #[arg(long, default_value_t = 0)]
-    pub threads: usize,
+    threads: usize,
 }
 
 pub(super) fn run(args: &BodiesArgs) -> anyhow::Result<()> {
+    use_threads(args.threads);
     let model = default_body();
-    println!("## Fit: `easy` noise, true cameras, 26 keypoints");
-    let (mut statures, mut places, [mut angles, mut steady]) =
+    println!("## Body fit: `easy` noise, true cameras, 26 keypoints");
+    let (mut statures, mut distances, [mut angles, mut biases]) =
         (Vec::new(), [const { Vec::new() }; N_JOINTS], [const { [const { Vec::new() }; N_JOINTS] }; 2]);
     for seed in args.seed..args.seed + args.count {
         for fit in fitted_people(&simulate(&fit_config(args, seed))?, &model)? {
-            println!("capture {seed:3}: {}", fit.line());
-            places.iter_mut().zip(fit.joints_mm).for_each(|(all, own)| all.push(own));
+            println!("session {seed:3}: {}", fit.line());
+            distances.iter_mut().zip(fit.joints_mm).for_each(|(all, one)| all.push(one));
             statures.push(fit.stature_mm.abs());
-            angles.iter_mut().zip(fit.angles_deg).for_each(|(all, own)| all.push(own));
-            steady.iter_mut().zip(fit.steady_deg).for_each(|(all, own)| all.push(own));
+            angles.iter_mut().zip(fit.angles_deg).for_each(|(all, one)| all.push(one));
+            biases.iter_mut().zip(fit.biases_deg).for_each(|(all, one)| all.push(one));
         }
     }
-    let [places, angles, steady] = [places, angles, steady].map(|all| all.map(|of_joint| mean(&of_joint)));
+    let [distances, angles, biases] = [distances, angles, biases].map(|all| all.map(|of_joint| mean(&of_joint)));
     println!(
-        "stature {:.1} mm; joints in mm, their angles in degrees, and how much of those does not change:",
+        "mean errors: stature {:.1} mm; per joint position mm, angle deg, and the constant part of the angle error deg:",
         mean(&statures)
     );
     for (joint, name) in JOINT_NAMES.iter().enumerate() {
-        println!("  {name:<16} {:5.2} {:5.2} {:5.2}", places[joint], angles[joint], steady[joint]);
+        println!("  {name:<16} {:5.2} {:5.2} {:5.2}", distances[joint], angles[joint], biases[joint]);
     }
-    println!("  {:<16} {:5.2} {:5.2} {:5.2}", "mean", mean(&places), mean(&angles), mean(&steady));
+    println!("  {:<16} {:5.2} {:5.2} {:5.2}", "mean", mean(&distances), mean(&angles), mean(&biases));
 
     println!("## Metric scale: `paper` noise, cameras unknown, 2 to 4 people");
     for source in ["body", "height", "camera distance"] {
@@ -64,29 +66,29 @@ pub(super) fn run(args: &BodiesArgs) -> anyhow::Result<()> {
         for seed in args.seed..args.seed + args.count {
             let simulated = simulate(&scale_config(args, seed))?;
             let outcome = scale_outcome(&simulated, given_scale(source, &simulated, &model), seed)?;
-            println!("capture {seed:3}: {source} {:+.2} %, interval {}", outcome.percent, outcome.holds);
+            println!("session {seed:3}: {source} {:+.2} %, truth in interval: {}", outcome.percent, outcome.is_covered);
             errors.push(outcome.percent.abs());
-            n_covered += usize::from(outcome.holds);
+            n_covered += usize::from(outcome.is_covered);
         }
         let middle = median(&mut errors).unwrap_or(f64::NAN);
-        println!("{source}: median {middle:.2} %, interval holds in {n_covered} of {}", errors.len());
+        println!("{source}: median {middle:.2} %, truth in the 95 % interval in {n_covered} of {}", errors.len());
     }
     Ok(())
 }
 
 fn fit_config(args: &BodiesArgs, seed: u64) -> SimulationConfig {
     let preset = SimulationConfig::preset(Preset::Easy);
-    SimulationConfig { convention: KeypointConvention::Halpe26, ..drawn(args, seed, preset) }
+    SimulationConfig { convention: KeypointConvention::Halpe26, ..with_bodies_and_motions(args, seed, preset) }
 }
 
 fn scale_config(args: &BodiesArgs, seed: u64) -> SimulationConfig {
     let preset = SimulationConfig::preset(Preset::Paper);
     let people = 2 + (seed % 3) as usize;
-    drawn(args, seed, SimulationConfig { people, views: 5, frames: 250, ..preset })
+    with_bodies_and_motions(args, seed, SimulationConfig { people, views: 5, frames: 250, ..preset })
 }
 
-/// The configuration with default bodies, and motions from the files where there are some.
-fn drawn(args: &BodiesArgs, seed: u64, config: SimulationConfig) -> SimulationConfig {
+/// The configuration with default bodies, and motions from files if any are given.
+fn with_bodies_and_motions(args: &BodiesArgs, seed: u64, config: SimulationConfig) -> SimulationConfig {
     let n_files = args.motion.len();
     let file = |person: usize| args.motion[(seed as usize * 31 + person * 7) % n_files].clone();
     let motion = match n_files {
@@ -96,15 +98,16 @@ fn drawn(args: &BodiesArgs, seed: u64, config: SimulationConfig) -> SimulationCo
     SimulationConfig { seed, motion, bodies: Bodies::Default, ..config }
 }
 
-/// One person's fit against the truth.
+/// Errors of the fit of one person.
 struct Fit {
-    /// Mean distance of every joint.
+    /// Mean distance of every joint, mm.
     joints_mm: [f64; N_JOINTS],
+    /// Fitted minus true stature, mm.
     stature_mm: f64,
-    /// Mean angle between the fitted and the true turn of every joint.
+    /// Mean angle between the fitted and the true rotation of every joint.
     angles_deg: [f64; N_JOINTS],
-    /// Length of the mean of their rotation vectors: what of them is the same in every frame.
-    steady_deg: [f64; N_JOINTS],
+    /// Length of the mean rotation vector of these differences: the part of the error that is constant over time.
+    biases_deg: [f64; N_JOINTS],
 }
 
 impl Fit {
@@ -118,29 +121,31 @@ fn fitted_people(simulated: &Simulated, model: &BodyModel) -> anyhow::Result<Vec
     let mut session = simulated.session.clone();
     session.views.iter_mut().zip(&simulated.truth.cameras).for_each(|(v, c)| v.camera_from_world = Some(*c));
     let options = Options { extrinsics: Extrinsics::Fixed, ..Options::default() };
-    let found = reconstruct(&session, &options, &Progress::silent())?;
+    let result = reconstruct(&session, &options, &Progress::silent())?;
     let fit = |(index, person): (usize, &Person)| {
         let betas = person.betas?;
-        let motion = found.motions.iter().min_by(|a, b| {
+        let motion = result.motions.iter().min_by(|a, b| {
             let distance = |m: &BodyMotion| joint_distance_mm(m, simulated, index, 0);
             distance(a).total_cmp(&distance(b))
         })?;
         let stature_mm = 1e3 * (model.surface.stature(&Betas::from(motion.betas)) - model.surface.stature(&betas));
-        let turns: [_; N_JOINTS] = std::array::from_fn(|joint| off_turns(motion, person, joint));
-        let angle = |turns: &Vec<Vector3<f64>>| mean(&turns.iter().map(Vector3::norm).collect::<Vec<_>>()).to_degrees();
-        let steady = |turns: &Vec<Vector3<f64>>| {
-            turns.iter().sum::<Vector3<f64>>().norm().to_degrees() / turns.len().max(1) as f64
+        let rotations: [_; N_JOINTS] = std::array::from_fn(|joint| rotation_errors(motion, person, joint));
+        let angle =
+            |errors: &Vec<Vector3<f64>>| mean(&errors.iter().map(Vector3::norm).collect::<Vec<_>>()).to_degrees();
+        let bias = |errors: &Vec<Vector3<f64>>| {
+            errors.iter().sum::<Vector3<f64>>().norm().to_degrees() / errors.len().max(1) as f64
         };
         Some(Fit {
             joints_mm: std::array::from_fn(|joint| joint_distance_mm(motion, simulated, index, joint)),
             stature_mm,
-            angles_deg: turns.each_ref().map(angle),
-            steady_deg: turns.each_ref().map(steady),
+            angles_deg: rotations.each_ref().map(angle),
+            biases_deg: rotations.each_ref().map(bias),
         })
     };
     Ok(simulated.truth.people.iter().enumerate().filter_map(fit).collect())
 }
 
+/// Mean distance of a joint of the fitted motion to the joint of a true person, mm.
 fn joint_distance_mm(motion: &BodyMotion, simulated: &Simulated, person: usize, joint: usize) -> f64 {
     let truth = &simulated.truth.joints;
     let of_frame = |(i, frame): (usize, &BodyPose)| {
@@ -149,16 +154,16 @@ fn joint_distance_mm(motion: &BodyMotion, simulated: &Simulated, person: usize, 
     1e3 * mean(&motion.frames.iter().enumerate().filter_map(of_frame).collect::<Vec<_>>())
 }
 
-/// From the true to the fitted turn of a joint, frame by frame, rad.
-fn off_turns(motion: &BodyMotion, person: &Person, joint: usize) -> Vec<Vector3<f64>> {
-    let turn = |(i, frame): (usize, &BodyPose)| {
+/// Rotation vector from the true to the fitted rotation of a joint, per frame, rad.
+fn rotation_errors(motion: &BodyMotion, person: &Person, joint: usize) -> Vec<Vector3<f64>> {
+    let error = |(i, frame): (usize, &BodyPose)| {
         let truth = person.poses.get(motion.first.0 + i)?.rotations[joint];
         Some(rotation::log(&(truth.transpose() * frame.rotations[joint])))
     };
-    motion.frames.iter().enumerate().filter_map(turn).collect()
+    motion.frames.iter().enumerate().filter_map(error).collect()
 }
 
-/// What a user would measure.
+/// The scale option as a user would measure it.
 fn given_scale(source: &str, simulated: &Simulated, model: &BodyModel) -> ScaleSource {
     match source {
         "height" => {
@@ -176,26 +181,26 @@ fn given_scale(source: &str, simulated: &Simulated, model: &BodyModel) -> ScaleS
 }
 
 struct ScaleOutcome {
-    /// Of the result's size against the true one.
+    /// Error of the size of the result, percent.
     percent: f64,
-    /// Whether the stated interval holds the truth.
-    holds: bool,
+    /// Whether the 95 % interval contains the truth.
+    is_covered: bool,
 }
 
 fn scale_outcome(simulated: &Simulated, scale: ScaleSource, seed: u64) -> anyhow::Result<ScaleOutcome> {
     let options = Options { scale, seed, ..Options::default() };
-    let found = reconstruct(&simulated.session, &options, &Progress::silent())?;
-    let true_size = true_from_stated(&found, simulated);
-    let holds = found.report.scale.as_ref().is_some_and(|told| {
-        let [low, high] = told.interval95.map(|edge| edge / told.value);
+    let result = reconstruct(&simulated.session, &options, &Progress::silent())?;
+    let true_size = true_from_estimated_scale(&result, simulated);
+    let is_covered = result.report.scale.as_ref().is_some_and(|scale| {
+        let [low, high] = scale.interval95.map(|edge| edge / scale.value);
         (low..=high).contains(&true_size)
     });
-    Ok(ScaleOutcome { percent: 100.0 * (1.0 / true_size - 1.0), holds })
+    Ok(ScaleOutcome { percent: 100.0 * (1.0 / true_size - 1.0), is_covered })
 }
 
-/// Factor from the result's metres to true ones.
-fn true_from_stated(found: &Reconstruction, simulated: &Simulated) -> f64 {
-    let (solved, truth) = paired_cameras(found, &simulated.truth.cameras);
+/// Scale from the metres of the result to true metres.
+fn true_from_estimated_scale(result: &Reconstruction, simulated: &Simulated) -> f64 {
+    let (solved, truth) = solved_and_true(result, &simulated.truth.cameras);
     truth_from_solved(&solved, &truth, Alignment::Sim3).scale
 }
 

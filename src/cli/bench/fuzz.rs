@@ -1,18 +1,18 @@
-//! `wandless bench fuzz`: a reader under inputs that nobody would send, made out of valid ones by seeded damage.
+//! `wandless bench fuzz`: runs a file reader on inputs that are made from valid ones by seeded random damage.
 //!
-//! A case that leads to an outcome not met before becomes a seed itself, so that damage is heaped upon what got far. The
-//! same seed, corpus and number of cases make the same cases. A panic, a wrong value let through, a slow case or one that
-//! takes much memory is written down, told, and makes the command fail.
+//! A case with a new outcome becomes a seed itself, so that damage accumulates on inputs that get far. The same seed, corpus
+//! and number of cases give the same cases. A panic, an accepted invalid value, a slow case or excessive memory is a
+//! failure: the case is saved and reported, and the command fails.
 //!
-//! Why not cargo-fuzz: it wants another compiler; readers of text dialects are reached by damage to their words and
-//! numbers, and what instrumentation would add is mostly told by the code of the refusal.
+//! Why not cargo-fuzz: it needs a nightly compiler, and damage to words and numbers reaches the readers of text formats. The
+//! error codes of rejected inputs replace most of the feedback that instrumentation would give.
 
 mod corpus;
 mod damage;
 mod targets;
 mod watch;
 
-use crate::cli::BadInput;
+use crate::cli::bad_input::BadInput;
 use corpus::{Input, read_seeds};
 use damage::damaged;
 use rand::seq::IndexedRandom;
@@ -27,47 +27,48 @@ use watch::Watch;
 /// Arguments of `bench fuzz`.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// What is fuzzed; `list` names all
+    /// Reader to fuzz; `list` prints all readers
     #[arg(long)]
     target: String,
-    /// How long
+    /// Duration, seconds
     #[arg(long, default_value_t = 60)]
     seconds: u64,
-    /// Ends after so many cases; 0 is without end
+    /// Maximum number of cases; 0 means unlimited
     #[arg(long, default_value_t = 0)]
     cases: u64,
+    /// Seed of the damage
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Folder of seeds, one folder below it for each kind
+    /// Folder with one subfolder of seed inputs per kind of input
     #[arg(long, default_value = "checks/fuzz")]
     corpus: PathBuf,
-    /// Where cases that found something are written
-    #[arg(long, default_value = "fuzz-found")]
-    found: PathBuf,
+    /// Folder for the inputs of failed cases
+    #[arg(long, default_value = "fuzz-failures")]
+    failures: PathBuf,
 }
 
-/// A case may take no longer; one that does is run again by the processor's clock, for a busy machine is nobody's fault.
+/// Time limit of a case. A case that exceeds it is repeated and timed in processor time, because the machine may be busy.
 const MAX_CASE: Duration = Duration::from_secs(1);
 
-/// Nor more memory than this beyond its input.
+/// Memory limit of a case beyond its input, KiB.
 const MAX_GROWTH_KIB: u64 = 64 << 10;
 
-/// Cases between two looks at the memory.
+/// Number of cases between two measurements of memory.
 const BATCH: usize = 256;
 
-/// Seeds beyond this are not kept.
+/// Maximum number of seeds.
 const MAX_SEEDS: usize = 4000;
 
-/// Longest input: what is larger is more of the same.
+/// Maximum size of an input, bytes.
 const MAX_BYTES: usize = 256 << 10;
 
-/// What has happened so far.
+/// Totals of a run.
 #[derive(Default)]
-struct Tally {
+struct Totals {
     n_cases: u64,
     n_accepted: u64,
     outcomes: BTreeSet<String>,
-    n_found: u64,
+    n_failed: u64,
     longest: Duration,
     largest_kib: u64,
 }
@@ -75,97 +76,102 @@ struct Tally {
 /// Runs the command.
 pub(super) fn run(args: &Args) -> anyhow::Result<()> {
     if args.target == "list" {
-        TARGETS.iter().for_each(|target| println!("{:<16} {}", target.name, target.what));
+        TARGETS.iter().for_each(|target| println!("{:<16} {}", target.name, target.description));
         return Ok(());
     }
     let target = TARGETS.iter().find(|target| target.name == args.target);
-    let target = target.ok_or_else(|| BadInput(format!("--target {}: `list` names all", args.target)))?;
+    let target = target.ok_or_else(|| {
+        BadInput(format!("--target {}: no such reader; `--target list` prints all readers", args.target))
+    })?;
     let mut seeds: Vec<Input> = read_seeds(&args.corpus.join(target.seeds))?.into_iter().map(target.prepare).collect();
     println!("target {}, {} seeds, seed {}", target.name, seeds.len(), args.seed);
-    let tally = fuzz(target, &mut seeds, args);
+    let totals = fuzz(target, &mut seeds, args);
     println!(
-        "{} cases, {} accepted, {} kinds of outcome, {} found, longest {:.0} ms, memory +{} MiB",
-        tally.n_cases,
-        tally.n_accepted,
-        tally.outcomes.len(),
-        tally.n_found,
-        tally.longest.as_secs_f64() * 1e3,
-        tally.largest_kib >> 10,
+        "{} cases, {} accepted, {} kinds of outcome, {} failed, longest case {:.0} ms, memory +{} MiB",
+        totals.n_cases,
+        totals.n_accepted,
+        totals.outcomes.len(),
+        totals.n_failed,
+        totals.longest.as_secs_f64() * 1e3,
+        totals.largest_kib >> 10,
     );
-    anyhow::ensure!(tally.n_found == 0, "{} cases are kept in {}", tally.n_found, args.found.display());
+    anyhow::ensure!(totals.n_failed == 0, "{} failed cases were saved in {}", totals.n_failed, args.failures.display());
     Ok(())
 }
 
-fn fuzz(target: &Target, seeds: &mut Vec<Input>, args: &Args) -> Tally {
+fn fuzz(target: &Target, seeds: &mut Vec<Input>, args: &Args) -> Totals {
     let mut rng = ChaCha8Rng::seed_from_u64(args.seed);
-    let mut tally = Tally::default();
-    let watch = Watch::start(&args.found);
+    let mut totals = Totals::default();
+    let watch = Watch::start(&args.failures);
     let n_valid = seeds.len();
     for seed in seeds.clone() {
-        try_case(target, seed, seeds, &watch, &mut tally, &args.found);
+        try_case(target, seed, seeds, &watch, &mut totals, &args.failures);
     }
     let end = Instant::now() + Duration::from_secs(args.seconds);
-    while Instant::now() < end && (args.cases == 0 || tally.n_cases < args.cases) {
-        let memory = watch::forget_peak();
+    while Instant::now() < end && (args.cases == 0 || totals.n_cases < args.cases) {
+        let memory = watch::reset_peak();
         let mut batch = Vec::with_capacity(BATCH);
         for _ in 0..BATCH {
-            // Half of the cases begin with a valid input: what was damaged over and over seldom gets far.
+            // Half of the cases start from a valid input, because inputs that were damaged repeatedly seldom get far.
             let pool = if rng.random() { &seeds[..n_valid] } else { &seeds[..] };
-            let seed = pool.choose(&mut rng).expect("a folder without seeds is refused").clone();
+            let seed = pool.choose(&mut rng).expect("a folder without seeds is rejected").clone();
             let case = damaged(seed, seeds, MAX_BYTES, &mut rng);
             batch.push(case.clone());
-            try_case(target, case, seeds, &watch, &mut tally, &args.found);
+            try_case(target, case, seeds, &watch, &mut totals, &args.failures);
         }
-        let grown = watch::growth_kib(memory);
-        tally.largest_kib = tally.largest_kib.max(grown);
-        if grown > MAX_GROWTH_KIB {
-            blame(target, batch, &mut tally, &args.found);
+        let growth = watch::growth_kib(memory);
+        totals.largest_kib = totals.largest_kib.max(growth);
+        if growth > MAX_GROWTH_KIB {
+            find_memory_failure(target, batch, &mut totals, &args.failures);
         }
     }
-    tally
+    totals
 }
 
-/// Runs one case and keeps it as a seed where its outcome is new.
-fn try_case(target: &Target, case: Input, seeds: &mut Vec<Input>, watch: &Watch, tally: &mut Tally, found: &Path) {
-    let begun = Instant::now();
+/// Runs one case and adds it to the seeds if its outcome is new.
+fn try_case(target: &Target, case: Input, seeds: &mut Vec<Input>, watch: &Watch, totals: &mut Totals, failures: &Path) {
+    let started = Instant::now();
     let outcome = watch.run(&case, || (target.read)(&case));
-    let mut took = begun.elapsed();
-    if took > MAX_CASE {
-        let begun = (Instant::now(), watch::processor_time());
-        let _ = watch.run(&case, || (target.read)(&case)); // the first run's outcome counts
-        let worked = begun.1.zip(watch::processor_time()).map(|(before, after)| after.saturating_sub(before));
-        took = worked.unwrap_or(begun.0.elapsed());
+    let mut duration = started.elapsed();
+    if duration > MAX_CASE {
+        let (started, before) = (Instant::now(), watch::processor_time());
+        let _ = watch.run(&case, || (target.read)(&case)); // the outcome of the first run counts
+        let processor_time = before.zip(watch::processor_time()).map(|(before, after)| after.saturating_sub(before));
+        duration = processor_time.unwrap_or(started.elapsed());
     }
-    tally.n_cases += 1;
-    tally.longest = tally.longest.max(took);
+    totals.n_cases += 1;
+    totals.longest = totals.longest.max(duration);
     let outcome = match outcome {
-        Ok(outcome) if took <= MAX_CASE => outcome,
-        Ok(_) => return keep(&case, &format!("it took {:.1} s", took.as_secs_f64()), tally, found),
-        Err(fault) => return keep(&case, &fault, tally, found),
+        Ok(outcome) if duration <= MAX_CASE => outcome,
+        Ok(_) => {
+            return save_failure(&case, &format!("the case took {:.1} s", duration.as_secs_f64()), totals, failures);
+        }
+        Err(fault) => return save_failure(&case, &fault, totals, failures),
     };
-    tally.n_accepted += u64::from(outcome.is_accepted);
-    if tally.outcomes.insert(outcome.label) && seeds.len() < MAX_SEEDS {
+    totals.n_accepted += u64::from(outcome.is_accepted);
+    if totals.outcomes.insert(outcome.label) && seeds.len() < MAX_SEEDS {
         seeds.push(case);
     }
 }
 
-/// Finds the case of a batch that took the memory.
-fn blame(target: &Target, batch: Vec<Input>, tally: &mut Tally, found: &Path) {
+/// Finds the case of a batch that exceeds the memory limit.
+fn find_memory_failure(target: &Target, batch: Vec<Input>, totals: &mut Totals, failures: &Path) {
     for case in batch {
-        let memory = watch::forget_peak();
-        let _ = (target.read)(&case); // its outcome is known
-        let grown = watch::growth_kib(memory);
-        if grown > MAX_GROWTH_KIB {
-            return keep(&case, &format!("it took {} MiB", grown >> 10), tally, found);
+        let memory = watch::reset_peak();
+        let _ = (target.read)(&case); // its outcome has been recorded
+        let growth = watch::growth_kib(memory);
+        if growth > MAX_GROWTH_KIB {
+            return save_failure(&case, &format!("the case took {} MiB", growth >> 10), totals, failures);
         }
     }
 }
 
-fn keep(case: &Input, fault: &str, tally: &mut Tally, found: &Path) {
-    tally.n_found += 1;
-    match case.write(found) {
-        Ok(path) => println!("FOUND {fault}: {}", path.display()),
-        Err(error) => println!("FOUND {fault}; it could not be kept: {error}"),
+/// Saves the input of a failed case and reports it.
+fn save_failure(case: &Input, fault: &str, totals: &mut Totals, failures: &Path) {
+    totals.n_failed += 1;
+    match case.write(failures) {
+        Ok(path) => println!("FAILED {fault}: {}", path.display()),
+        Err(error) => println!("FAILED {fault}; the input could not be saved: {error}"),
     }
 }
 
@@ -173,32 +179,32 @@ fn keep(case: &Input, fault: &str, tally: &mut Tally, found: &Path) {
 mod tests {
     use super::*;
 
-    /// Every seed of the corpus that is checked in, and some damage to each: nothing is found.
+    /// Every seed of the corpus in the repository, and 300 damaged cases per reader.
     #[test]
-    fn the_corpus_finds_nothing() {
+    fn corpus_has_no_failures() {
         for target in TARGETS {
             let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("checks/fuzz");
-            let found = tempfile::tempdir().unwrap();
+            let failures = tempfile::tempdir().unwrap();
             let args = Args {
                 target: target.name.to_owned(),
                 seconds: 600,
                 cases: 300,
                 seed: 1,
                 corpus,
-                found: found.path().to_owned(),
+                failures: failures.path().to_owned(),
             };
             run(&args).unwrap();
         }
     }
 
     #[test]
-    fn what_panics_is_found() {
-        let found = tempfile::tempdir().unwrap();
-        let target = Target { read: |_| panic!("as planted"), ..TARGETS[0] };
-        let mut tally = Tally::default();
-        let watch = Watch::start(found.path());
-        try_case(&target, Input::file(b"x".to_vec()), &mut Vec::new(), &watch, &mut tally, found.path());
-        assert_eq!((tally.n_found, tally.n_cases), (1, 1));
-        assert_eq!(std::fs::read_dir(found.path()).unwrap().count(), 1);
+    fn reports_panics() {
+        let failures = tempfile::tempdir().unwrap();
+        let target = Target { read: |_| panic!("deliberate"), ..TARGETS[0] };
+        let mut totals = Totals::default();
+        let watch = Watch::start(failures.path());
+        try_case(&target, Input::file(b"x".to_vec()), &mut Vec::new(), &watch, &mut totals, failures.path());
+        assert_eq!((totals.n_failed, totals.n_cases), (1, 1));
+        assert_eq!(std::fs::read_dir(failures.path()).unwrap().count(), 1);
     }
 }

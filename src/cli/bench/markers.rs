@@ -1,16 +1,16 @@
-//! `wandless bench markers`: virtual markers on the true and on the fitted skin of two people who dance, by the number of
-//! cameras.
+//! `wandless bench markers`: distances between virtual markers on the true and on the fitted skin of two dancing people, by
+//! the number of cameras.
 //!
-//! Nobody of them is a body that the fit knows: shapes are random, joints lie elsewhere inside the skin, the detector has
-//! habits ([`Bodies::Individual`]). Twelve cameras stand in a ring; fewer are some of them.
+//! The true bodies differ from the fitted body model: random shapes, individual joint positions inside the skin, a biased
+//! keypoint detector ([`Bodies::Individual`]). Twelve cameras stand in a ring; smaller rigs are subsets of them.
 
-use super::paired_cameras;
-use super::table::{Column, Figures, Table, figures};
+use super::solved_cameras::solved_and_true;
+use super::table::{Column, Statistics, Table, statistics};
 use crate::body::kinematics::{Pose, posed};
 use crate::body::skeleton::KeypointConvention;
 use crate::body::skinning::skinned;
 use crate::body::{Betas, BodyModel, default_body};
-use crate::cli::BadInput;
+use crate::cli::bad_input::BadInput;
 use crate::cli::solve::use_threads;
 use crate::evaluation::alignment::{Alignment, truth_from_solved};
 use crate::evaluation::marker_error::{MarkedPose, first_meetings, marker_error, nearest_vertices};
@@ -28,30 +28,30 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Instant;
 
-/// What is simulated, and where the table goes.
+/// Arguments of `bench markers`.
 #[derive(Debug, clap::Args)]
 pub(super) struct MarkersArgs {
-    /// How many dances
+    /// Number of simulated dances
     #[arg(long, default_value_t = 3)]
     seeds: u64,
     /// Seed of the first dance; the others follow
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Length of each, frames of 1/30 s
+    /// Length of each dance in frames, at 30 frames per second
     #[arg(long, default_value_t = 150)]
     frames: usize,
-    /// Folder for markers.md and markers.json; must not exist
+    /// Output folder for markers.md and markers.json; must not exist
     #[arg(long)]
     out: PathBuf,
-    /// Solver threads; 0 takes all cores
+    /// Number of solver threads; 0 uses all cores
     #[arg(long, default_value_t = 0)]
     threads: usize,
 }
 
-/// Cameras of the ring.
+/// Number of cameras in the ring.
 const N_VIEWS: usize = 12;
 
-/// Those that take part, each set within the next. Two stand a right angle apart: opposite ones tell no depth.
+/// Camera subsets, each contained in the next. The pair is 90 degrees apart because opposite cameras do not measure depth.
 const SUBSETS: [&[usize]; 5] =
     [&[0], &[0, 3], &[0, 3, 6, 9], &[0, 1, 3, 4, 6, 7, 9, 10], &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]];
 
@@ -59,14 +59,14 @@ const MEAN: &str = "mean mm";
 const SPREAD: &str = "spread mm";
 const SPREAD_OF_POSES: &str = "spread of poses mm";
 const RECALL: &str = "recall";
-/// Of the same vertex instead of the one that is nearest in the first frame.
+/// Mean error when a marker is paired with the same vertex instead of the nearest vertex of the first frame.
 const SAME_VERTEX: &str = "same vertex mean mm";
 const COLUMNS: [Column; 5] = [(MEAN, 1), (SPREAD, 1), (SPREAD_OF_POSES, 1), (SAME_VERTEX, 1), (RECALL, 3)];
 
 pub(super) fn run(args: &MarkersArgs) -> anyhow::Result<()> {
     use_threads(args.threads);
     if args.out.exists() {
-        return Err(BadInput(format!("{}: exists; name a folder that does not", args.out.display())).into());
+        return Err(BadInput(format!("{}: the folder exists; choose a new one", args.out.display())).into());
     }
     let mut table = Table::new(&COLUMNS, None);
     for seed in args.seed..args.seed + args.seeds {
@@ -74,10 +74,10 @@ pub(super) fn run(args: &MarkersArgs) -> anyhow::Result<()> {
         for (cameras, extrinsics) in [("given", Extrinsics::Fixed), ("free", Extrinsics::Estimate)] {
             for views in SUBSETS {
                 let started = Instant::now();
-                let figures = dance.figures(views, extrinsics)?;
-                let (mean, took) = (figures[MEAN].unwrap_or(f64::NAN), started.elapsed().as_secs_f64());
+                let statistics = dance.evaluate(views, extrinsics)?;
+                let (mean, took) = (statistics[MEAN].unwrap_or(f64::NAN), started.elapsed().as_secs_f64());
                 eprintln!("dance {seed} {cameras} {} views: {mean:.1} mm, {took:.1} s", views.len());
-                table.add(cameras, &format!("{} views", views.len()), figures);
+                table.add(cameras, &format!("{} views", views.len()), statistics);
             }
         }
     }
@@ -85,12 +85,12 @@ pub(super) fn run(args: &MarkersArgs) -> anyhow::Result<()> {
     table.publish(&args.out, "markers")
 }
 
-/// A simulated dance and its true markers.
+/// A simulated dance with its true markers.
 struct Dance {
     simulated: Simulated,
-    /// The body that the fit knows.
+    /// Body model of the fit.
     model: BodyModel,
-    /// Those of the markers.
+    /// Vertex of each marker.
     vertices: Vec<usize>,
     truth: Frames<MarkedPose>,
 }
@@ -116,46 +116,49 @@ impl Dance {
         Ok(Self { simulated, model, vertices, truth })
     }
 
-    /// Solves with some of the cameras. There are no figures where nothing can be solved: one camera does not find itself.
-    fn figures(&self, views: &[usize], extrinsics: Extrinsics) -> anyhow::Result<Figures> {
+    /// Solves with a subset of the cameras. Statistics are empty for one camera with unknown pose, which cannot be solved.
+    fn evaluate(&self, views: &[usize], extrinsics: Extrinsics) -> anyhow::Result<Statistics> {
         if views.len() < 2 && extrinsics == Extrinsics::Estimate {
-            return Ok(figures(&COLUMNS, [None; COLUMNS.len()]));
+            return Ok(statistics(&COLUMNS, [None; COLUMNS.len()]));
         }
         let options = Options { extrinsics, ..Options::default() };
-        let found = match reconstruct(&self.session(views, extrinsics), &options, &Progress::silent()) {
-            Ok(found) => found,
-            Err(PipelineError::Unsolvable { .. }) => return Ok(figures(&COLUMNS, [None, None, None, None, Some(0.0)])),
+        let result = match reconstruct(&self.session(views, extrinsics), &options, &Progress::silent()) {
+            Ok(result) => result,
+            Err(PipelineError::Unsolvable { .. }) => {
+                return Ok(statistics(&COLUMNS, [None, None, None, None, Some(0.0)]));
+            }
             Err(error) => return Err(error.into()),
         };
-        let truth_from_result = self.truth_from_result(&found, views, extrinsics);
-        let same = self.fitted(&found, &truth_from_result, &|_| &self.vertices);
-        let nearest = self.nearest(&found, &truth_from_result, &same);
-        let paired = self.fitted(&found, &truth_from_result, &|person| nearest.get(person).unwrap_or(&self.vertices));
-        let (error, same) = (marker_error(&self.truth, &paired), marker_error(&self.truth, &same));
-        let values = [error.mean_mm, error.spread_mm, error.spread_of_poses_mm, same.mean_mm, Some(error.recall)];
-        Ok(figures(&COLUMNS, values))
+        let truth_from_result = self.truth_from_result(&result, views, extrinsics);
+        let same_vertex = self.fitted(&result, &truth_from_result, &|_| &self.vertices);
+        let nearest = self.nearest(&result, &truth_from_result, &same_vertex);
+        let paired = self.fitted(&result, &truth_from_result, &|person| nearest.get(person).unwrap_or(&self.vertices));
+        let (error, same_vertex) = (marker_error(&self.truth, &paired), marker_error(&self.truth, &same_vertex));
+        let values =
+            [error.mean_mm, error.spread_mm, error.spread_of_poses_mm, same_vertex.mean_mm, Some(error.recall)];
+        Ok(statistics(&COLUMNS, values))
     }
 
-    /// For each fitted person the vertices that are nearest to the true markers in the first frame.
+    /// For each fitted person the vertices nearest to the true markers in the first frame in which both exist.
     fn nearest(
         &self,
-        found: &Reconstruction,
+        result: &Reconstruction,
         truth_from_result: &Similarity,
         fitted: &Frames<MarkedPose>,
     ) -> BTreeMap<usize, Vec<usize>> {
-        let meetings = first_meetings(&self.truth, fitted);
+        let first_frames = first_meetings(&self.truth, fitted);
         let paired = |motion: &BodyMotion| {
-            let (frame, actor) = meetings.get(&motion.person.0.to_string())?;
+            let (frame, actor) = first_frames.get(&motion.person.0.to_string())?;
             let pose = &motion.frames[*frame as usize - motion.first.0];
             let pose = Pose { rotations: pose.rotations, translation: pose.translation };
             let mesh = skinned(&self.model, &Betas::from(motion.betas), &pose);
             let mesh: Vec<_> = mesh.iter().map(|vertex| truth_from_result.transform(vertex)).collect();
             Some((motion.person.0, nearest_vertices(&self.truth[frame][actor].markers, &mesh)))
         };
-        found.motions.iter().filter_map(paired).collect()
+        result.motions.iter().filter_map(paired).collect()
     }
 
-    /// What some of the cameras saw; with their poses where they are given.
+    /// The session of a subset of the cameras, with their true poses unless these are to be estimated.
     fn session(&self, views: &[usize], extrinsics: Extrinsics) -> Session {
         let all = &self.simulated.session;
         let mut session = Session { views: views.iter().map(|view| all.views[*view].clone()).collect(), ..all.clone() };
@@ -167,10 +170,10 @@ impl Dance {
         session
     }
 
-    /// Cameras that were found are laid over the true ones by a similarity; of two, the orientations tell its rotation.
-    fn truth_from_result(&self, found: &Reconstruction, views: &[usize], extrinsics: Extrinsics) -> Similarity {
+    /// Similarity that aligns estimated cameras with the true ones; with two cameras the orientations determine its rotation.
+    fn truth_from_result(&self, result: &Reconstruction, views: &[usize], extrinsics: Extrinsics) -> Similarity {
         let truth: Vec<_> = views.iter().map(|view| self.simulated.truth.cameras[*view]).collect();
-        let (solved, truth) = paired_cameras(found, &truth);
+        let (solved, truth) = solved_and_true(result, &truth);
         let alignment = match (extrinsics, solved.len()) {
             (Extrinsics::Fixed, _) => Alignment::None,
             (_, 0..=2) => Alignment::Sim3Pose,
@@ -179,15 +182,15 @@ impl Dance {
         truth_from_solved(&solved, &truth, alignment)
     }
 
-    /// The fitted people of all frames, in the truth's world; their markers at `vertices` of each person.
+    /// Fitted people of all frames in the true world, with markers at the given vertices of each person.
     fn fitted<'a>(
         &self,
-        found: &Reconstruction,
+        result: &Reconstruction,
         truth_from_result: &Similarity,
         vertices: &dyn Fn(&usize) -> &'a Vec<usize>,
     ) -> Frames<MarkedPose> {
         let mut frames = Frames::<MarkedPose>::new();
-        for motion in &found.motions {
+        for motion in &result.motions {
             let betas = Betas::from(motion.betas);
             for (t, pose) in motion.frames.iter().enumerate() {
                 let pose = Pose { rotations: pose.rotations, translation: pose.translation };
@@ -202,6 +205,7 @@ impl Dance {
     }
 }
 
+/// Adds the joints and markers of a simulated person in all frames.
 fn add_true_person(frames: &mut Frames<MarkedPose>, index: usize, person: &Person, vertices: &[usize]) {
     let Some((model, betas)) = person.model().zip(person.betas) else { return };
     let pelvis: Vector3<f64> = model.shaped(&betas).rest_joints[0];
@@ -211,7 +215,7 @@ fn add_true_person(frames: &mut Frames<MarkedPose>, index: usize, person: &Perso
     }
 }
 
-/// Joints and markers of a body in a pose.
+/// Joints and markers of a posed body.
 fn marked(model: &BodyModel, betas: &Betas, pose: &Pose, vertices: &[usize]) -> MarkedPose {
     let mesh = skinned(model, betas, pose);
     MarkedPose {
@@ -224,7 +228,7 @@ fn marked(model: &BodyModel, betas: &Betas, pose: &Pose, vertices: &[usize]) -> 
 mod tests {
     use super::*;
 
-    /// Figures of a table: by cameras, arm and column the mean over seeds.
+    /// Runs the benchmark; the returned function gives the mean over seeds by cameras, row and column.
     fn table(seeds: u64, frames: usize) -> impl Fn(&str, &str, &str) -> Option<f64> {
         let folder = tempfile::tempdir().unwrap();
         let out = folder.path().join("out");
@@ -235,18 +239,18 @@ mod tests {
         move |cameras, arm, column| {
             let row = rows.iter().find(|row| row["cameras"] == cameras && row["arm"] == arm).unwrap();
             let sessions = row["sessions"].as_array().unwrap();
-            let sum: Option<f64> = sessions.iter().map(|figures| figures[column].as_f64()).sum();
+            let sum: Option<f64> = sessions.iter().map(|statistics| statistics[column].as_f64()).sum();
             sum.map(|sum| sum / sessions.len() as f64)
         }
     }
 
     #[test]
-    fn a_short_dance_gives_every_row_and_many_cameras_are_no_worse_than_few() {
+    fn short_dance_fills_rows_and_more_cameras_help() {
         let table = table(1, 40);
         assert_eq!(table("free", "1 views", MEAN), None);
         for cameras in ["given", "free"] {
             let [few, many] = ["2 views", "12 views"].map(|arm| table(cameras, arm, MEAN).unwrap());
-            // A bit more than a second of one dance: what bodies cannot show weighs as much with two cameras as with twelve.
+            // One dance of 1.3 s: errors that do not depend on the number of cameras dominate.
             assert!(many < few + 5.0 && many < 40.0, "{cameras}: {few} mm, {many} mm");
         }
         assert!(table("given", "1 views", MEAN) > table("given", "12 views", MEAN));
@@ -254,7 +258,7 @@ mod tests {
 
     #[test]
     #[ignore = "many minutes"]
-    fn the_marker_table_keeps_its_bounds() {
+    fn marker_errors_stay_within_bounds() {
         let table = table(3, 150);
         for (cameras, limit_mm) in [("given", 30.0), ("free", 34.0)] {
             let arms = SUBSETS.map(|views| format!("{} views", views.len()));
@@ -268,11 +272,11 @@ mod tests {
     }
 
     #[test]
-    fn the_true_skin_has_no_error_against_itself() {
+    fn true_skin_has_no_error_against_itself() {
         let dance = Dance::new(0, 2).unwrap();
         let error = marker_error(&dance.truth, &dance.truth);
         assert_eq!((error.mean_mm, error.recall), (Some(0.0), 1.0));
-        // Somebody's joints lie elsewhere than the default body's: their skin in a pose is not its skin in the same pose.
+        // Without the shifts of the individual joints the same pose gives another skin.
         let person = &dance.simulated.truth.people[0];
         let mut known = Frames::new();
         add_true_person(

@@ -1,12 +1,9 @@
-//! `wandless prior`: train the motion prior, measure it, look at what it does.
+//! `wandless prior`: trains, evaluates and samples the motion prior.
 
 mod eval;
 mod motions;
+mod prior_file;
 mod train;
-
-use super::BadInput;
-use crate::motion_prior::MotionPrior;
-use std::path::Path;
 
 /// Arguments of `prior`.
 #[derive(Debug, clap::Args)]
@@ -17,15 +14,15 @@ pub(super) struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Action {
-    /// Train a prior on motion files in AMASS's layout
+    /// Train a prior on motion files in the AMASS layout
     Train(train::Args),
-    /// Measure a prior on motion files that it was not trained on
+    /// Evaluate a prior on held-out motion files
     Eval(eval::Args),
-    /// Draw a motion from the prior
+    /// Sample a motion from the prior
     Sample(motions::SampleArgs),
-    /// Pass a motion file through encoder and decoder
+    /// Encode and decode a motion file
     Reconstruct(motions::ReconstructArgs),
-    /// Lead one motion over into another in the latent space
+    /// Interpolate between two motions in the latent space
     Interpolate(motions::InterpolateArgs),
 }
 
@@ -38,12 +35,4 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
         Action::Reconstruct(args) => motions::reconstruct(args),
         Action::Interpolate(args) => motions::interpolate(args),
     }
-}
-
-/// The prior of a file, or the embedded one.
-fn read_prior(file: Option<&Path>) -> anyhow::Result<MotionPrior> {
-    let Some(file) = file else { return Ok(MotionPrior::embedded().clone()) };
-    let bad = |reason: String| BadInput(format!("{}: {reason}", file.display()));
-    let bytes = std::fs::read(file).map_err(|error| bad(error.to_string()))?;
-    Ok(MotionPrior::from_bytes(&bytes).map_err(|error| bad(error.to_string()))?)
 }

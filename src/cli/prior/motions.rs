@@ -1,7 +1,7 @@
-//! `wandless prior sample | reconstruct | interpolate`: motions to look at, as files in AMASS's layout.
+//! `wandless prior sample | reconstruct | interpolate`: write motions of the prior as files in the AMASS layout.
 
-use super::read_prior;
-use crate::cli::BadInput;
+use super::prior_file::read_prior;
+use crate::cli::bad_input::BadInput;
 use crate::motion_prior::MotionPrior;
 use crate::motion_prior::chart::LocalRotations;
 use crate::motion_prior::dataset::GRID_FPS;
@@ -12,53 +12,53 @@ use anyhow::Context;
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
 
-/// Draws a code from N(0, I), smooths it in time and decodes it, standing in place.
+/// Samples a latent code from N(0, I), smooths it in time and decodes it; the pelvis position is fixed.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct SampleArgs {
-    /// File to write
+    /// Output file
     #[arg(long)]
     out: PathBuf,
-    /// Seed of the code
+    /// Seed of the latent code
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Length at 30 Hz
+    /// Length in frames at 30 Hz
     #[arg(long, default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..=20_000))]
     frames: u32,
-    /// The prior; the embedded one without it
+    /// Prior file [default: the embedded prior]
     #[arg(long)]
     prior: Option<PathBuf>,
 }
 
-/// Encodes and decodes a take; pelvis, collars and hands stay as they are.
+/// Encodes and decodes a motion; rotations of pelvis, collars and hands are copied from the input.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct ReconstructArgs {
-    /// Motion file in AMASS's layout
+    /// Motion file in the AMASS layout
     input: PathBuf,
-    /// File to write
+    /// Output file
     #[arg(long)]
     out: PathBuf,
-    /// The prior; the embedded one without it
+    /// Prior file [default: the embedded prior]
     #[arg(long)]
     prior: Option<PathBuf>,
 }
 
-/// Leads from the codes of one take to those of another, linearly over the length of the shorter one.
+/// Interpolates linearly from the latent codes of one motion to those of another over the length of the shorter one.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct InterpolateArgs {
-    /// Where it begins
+    /// Motion file of the start
     from: PathBuf,
-    /// Where it ends
+    /// Motion file of the end
     to: PathBuf,
-    /// File to write
+    /// Output file
     #[arg(long)]
     out: PathBuf,
-    /// The prior; the embedded one without it
+    /// Prior file [default: the embedded prior]
     #[arg(long)]
     prior: Option<PathBuf>,
 }
 
-/// Height of the pelvis over the floor where a motion has none of its own, m.
-const STANDING: f64 = 0.94;
+/// Height of the pelvis above the floor in generated motions, m.
+const PELVIS_HEIGHT: f64 = 0.94;
 
 pub(in crate::cli) fn sample(args: SampleArgs) -> anyhow::Result<()> {
     let prior = read_prior(args.prior.as_deref())?;
@@ -97,10 +97,10 @@ fn write(path: &Path, take: &MotionTake) -> anyhow::Result<()> {
     write_take(path, take).with_context(|| path.display().to_string())
 }
 
-/// The motion of a code with the pelvis at rest.
+/// Decodes latent codes to a motion with a fixed pelvis position.
 fn in_place(prior: &MotionPrior, codes: &[Vec<f32>]) -> MotionTake {
     let features = prior.decode(codes);
-    let pose = |rotations: LocalRotations| MotionPose { rotations, pelvis: Vector3::new(0.0, STANDING, 0.0) };
+    let pose = |rotations: LocalRotations| MotionPose { rotations, pelvis: Vector3::new(0.0, PELVIS_HEIGHT, 0.0) };
     let poses = features.iter().flat_map(|f| prior.rotations(f)).map(pose).collect();
     MotionTake { rest_joints: None, poses, fps: GRID_FPS }
 }

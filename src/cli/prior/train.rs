@@ -1,7 +1,7 @@
-//! `wandless prior train`.
+//! `wandless prior train`: trains a motion prior.
 
-use crate::cli::BadInput;
-use crate::cli::meter::Meter;
+use crate::cli::bad_input::BadInput;
+use crate::cli::progress_display::ProgressDisplay;
 use crate::motion_prior::checkpoint::checkpoint_bytes;
 use crate::motion_prior::dataset::read_dataset;
 use crate::motion_prior::training::{TrainingConfig, TrainingState, state_bytes, state_from_bytes, train};
@@ -11,37 +11,37 @@ use anyhow::Context;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Trains on every `.npz` below a folder; subjects are its folders, every ninth is held out. The same data, seed and
-/// steps give the same bytes with any number of threads.
+/// Trains a prior on every `.npz` file below a folder. Each subfolder is a subject; every ninth subject is held out. The
+/// same data, seed and steps give the same bytes with any number of threads.
 #[derive(Debug, clap::Args)]
 pub(in crate::cli) struct Args {
-    /// Folder with motion files, a folder for each subject
+    /// Folder with one subfolder of motion files per subject
     data: PathBuf,
-    /// File to write
+    /// Output file
     #[arg(long)]
     out: PathBuf,
-    /// Seed of every random choice
+    /// Seed of all random numbers
     #[arg(long, default_value_t = TrainingConfig::default().seed)]
     seed: u64,
-    /// Steps of some 2,000 frames
+    /// Number of training steps, each on about 2,000 frames
     #[arg(long, default_value_t = TrainingConfig::default().steps)]
     steps: usize,
-    /// Width of the encoder's layers
+    /// Width of the encoder layers
     #[arg(long, default_value_t = VaeShape::default().encoder_hidden)]
     encoder_width: usize,
-    /// Width of the decoder's layers
+    /// Width of the decoder layers
     #[arg(long, default_value_t = VaeShape::default().decoder_hidden)]
     decoder_width: usize,
-    /// Weight of the local linear term
+    /// Weight of the local linearity loss
     #[arg(long, default_value_t = TrainingConfig::default().local_linear)]
     local_linear: f64,
-    /// Train the variant that knows no neighbouring frames
+    /// Train the variant without temporal context
     #[arg(long)]
     per_frame: bool,
-    /// Train the paper's form: rotations as two columns each, in and out, nothing frozen
+    /// Train the form of the paper: 6D rotations as input and output, no frozen layers
     #[arg(long, conflicts_with = "per_frame")]
     plain: bool,
-    /// Go on from the state that an interrupted run left beside the file
+    /// Resume from the state that an interrupted run saved beside the output file
     #[arg(long)]
     resume: bool,
 }
@@ -58,23 +58,22 @@ pub(in crate::cli) fn run(args: Args) -> anyhow::Result<()> {
     let state_path = args.out.with_extension("state");
     let state = if args.resume { Some(read_state(&state_path)?) } else { None };
     let last_line = Arc::new(Mutex::new(String::new()));
-    let meter = Meter::new();
+    let display = ProgressDisplay::new();
     let lines = last_line.clone();
     let listener = move |event: &crate::progress::ProgressEvent| {
-        meter.show("training", event.fraction, &event.message);
+        display.show("training", event.fraction, &event.message);
         *lines.lock().unwrap_or_else(PoisonError::into_inner) = event.message.clone();
     };
-    let mut kept = Ok(());
-    let mut keep = |state: &TrainingState| {
+    let mut saved = Ok(());
+    let mut save = |state: &TrainingState| {
         let written = std::fs::write(&state_path, state_bytes(state));
-        kept = std::mem::replace(&mut kept, Ok(())).and(written);
+        saved = std::mem::replace(&mut saved, Ok(())).and(written);
     };
     let progress = Progress::new(listener, Arc::default());
-    let checkpoint = train(&data, &config, state, &progress, &mut keep).map_err(|e| BadInput(e.to_string()))?;
-    kept.with_context(|| state_path.display().to_string())?;
+    let checkpoint = train(&data, &config, state, &progress, &mut save).map_err(|e| BadInput(e.to_string()))?;
+    saved.with_context(|| state_path.display().to_string())?;
     std::fs::write(&args.out, checkpoint_bytes(&checkpoint)).with_context(|| args.out.display().to_string())?;
-    // The state has served: the run is complete.
-    let _ = std::fs::remove_file(&state_path);
+    let _ = std::fs::remove_file(&state_path); // only an interrupted run needs it
     println!("{}", last_line.lock().unwrap_or_else(PoisonError::into_inner));
     Ok(())
 }

@@ -1,29 +1,29 @@
-//! Inputs: one file's bytes, or the files of an upload; and the seeds that are checked in.
+//! Fuzz inputs: the bytes of one file or the files of an upload, and the seed inputs in the repository.
 
-use crate::cli::BadInput;
+use crate::cli::bad_input::BadInput;
 use crate::session::digest::sha256_of_reader;
 use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-/// What a reader is given.
+/// Input of a reader.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(super) struct Input {
-    /// Name and bytes; a single file has no name.
+    /// Name and bytes of each file; the name of a single file is empty.
     pub(super) members: Vec<(String, Vec<u8>)>,
 }
 
-/// Opens a member in a text seed.
+/// Start of the line that introduces a member in a text seed.
 const MEMBER: &str = "=== ";
 
 impl Input {
-    /// One file.
+    /// Input of one file.
     pub(super) fn file(bytes: Vec<u8>) -> Self {
         Self { members: vec![(String::new(), bytes)] }
     }
 
-    /// A text seed: each member after a line `=== name`; without such a line one file.
+    /// Parses a seed: a text whose members follow lines `=== name`, or otherwise one file.
     pub(super) fn parse(bytes: Vec<u8>) -> Self {
         let Some(text) = std::str::from_utf8(&bytes).ok().filter(|text| text.starts_with(MEMBER)) else {
             return Self::file(bytes);
@@ -37,28 +37,28 @@ impl Input {
         Self { members: parts.map(member).collect() }
     }
 
-    /// The bytes of the first file.
+    /// Bytes of the first file.
     pub(super) fn bytes(&self) -> &[u8] {
         self.members.first().map_or(&[], |(_, bytes)| bytes)
     }
 
-    /// All members as a zip; what no writer would put there (one name twice) is left out.
+    /// All members as a zip. Members that a writer rejects (repeated names) are left out.
     pub(super) fn zipped(&self) -> Vec<u8> {
         let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
         for (i, (name, content)) in self.members.iter().enumerate() {
             let method = if i % 2 == 0 { CompressionMethod::Stored } else { CompressionMethod::Deflated };
             let options = SimpleFileOptions::default().compression_method(method);
             if zip.start_file(name, options).is_ok() {
-                let _ = zip.write_all(content); // memory takes it
+                let _ = zip.write_all(content); // writing to memory does not fail
             }
         }
         zip.finish().map(Cursor::into_inner).unwrap_or_default()
     }
 
-    /// Writes it below `folder` as a seed, named by its digest.
+    /// Writes the input into `folder` as a seed named by its digest.
     ///
     /// # Errors
-    /// When it cannot be written.
+    /// Errors of the file system.
     pub(super) fn write(&self, folder: &Path) -> std::io::Result<PathBuf> {
         let mut text = Vec::new();
         for (name, bytes) in &self.members {
@@ -77,10 +77,10 @@ impl Input {
     }
 }
 
-/// Every seed of a folder, by name.
+/// Reads all seeds of a folder in the order of their names.
 ///
 /// # Errors
-/// When there is none.
+/// [`BadInput`] if the folder cannot be read or holds no seeds.
 pub(super) fn read_seeds(folder: &Path) -> anyhow::Result<Vec<Input>> {
     let bad = |reason: String| BadInput(format!("{}: {reason}", folder.display()));
     let entries = std::fs::read_dir(folder).map_err(|error| bad(error.to_string()))?;
@@ -88,7 +88,7 @@ pub(super) fn read_seeds(folder: &Path) -> anyhow::Result<Vec<Input>> {
     paths.sort();
     let seeds = paths.iter().map(|path| Ok(Input::parse(std::fs::read(path)?)));
     let seeds = seeds.collect::<anyhow::Result<Vec<Input>>>()?;
-    if seeds.is_empty() { Err(bad("there is no seed".to_owned()).into()) } else { Ok(seeds) }
+    if seeds.is_empty() { Err(bad("the folder contains no seeds".to_owned()).into()) } else { Ok(seeds) }
 }
 
 #[cfg(test)]
@@ -96,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_seed_of_many_files_is_read_as_it_is_written() {
+    fn seeds_round_trip() {
         let members = vec![("a.json".to_owned(), b"{}".to_vec()), ("b/c.txt".to_owned(), b"1\n2".to_vec())];
         let folder = tempfile::tempdir().unwrap();
         for input in [Input { members }, Input::file(b"\xff\x00=== x".to_vec())] {

@@ -1,4 +1,4 @@
-//! Damage to an input: bytes, words, numbers, parts, and whole files.
+//! Random damage to an input: to bytes, words, numbers, ranges and whole files.
 
 use super::corpus::Input;
 use rand::RngExt;
@@ -6,7 +6,7 @@ use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;
 use std::ops::Range;
 
-/// What readers of text and of binary files stumble over.
+/// Words that are likely to break readers of text or binary files.
 const WORDS: [&[u8]; 34] = [
     b"NaN",
     b"Infinity",
@@ -44,7 +44,7 @@ const WORDS: [&[u8]; 34] = [
     b"\x80\x02}q\x00",
 ];
 
-/// Numbers that are put in a number's place.
+/// Numbers that replace other numbers.
 const NUMBERS: [&str; 14] = [
     "0",
     "-1",
@@ -62,13 +62,13 @@ const NUMBERS: [&str; 14] = [
     "0.5",
 ];
 
-/// Little-endian integers that headers lie with.
+/// Little-endian integers for headers.
 const HEADER_WORDS: [u32; 8] = [0, 1, 0x7f, 0xff, 0xffff, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff];
 
-/// Most kinds of damage at once.
+/// Maximum number of kinds of damage to one input.
 const MAX_DAMAGES: u32 = 6;
 
-/// The input, damaged once to a few times; `others` lend their parts.
+/// Damages the input one to [`MAX_DAMAGES`] times. Parts may come from `others`.
 pub(super) fn damaged(mut input: Input, others: &[Input], max_bytes: usize, rng: &mut ChaCha8Rng) -> Input {
     let n_damages = if rng.random() { 1 } else { rng.random_range(1..=MAX_DAMAGES) };
     for _ in 0..n_damages {
@@ -87,7 +87,7 @@ pub(super) fn damaged(mut input: Input, others: &[Input], max_bytes: usize, rng:
     input
 }
 
-/// Files are lost, doubled, renamed, or exchanged with another input's.
+/// Removes, duplicates or renames a file, or replaces its content with that of another input.
 fn damage_files(input: &mut Input, others: &[Input], rng: &mut ChaCha8Rng) {
     let which = rng.random_range(0..input.members.len());
     match rng.random_range(0..4) {
@@ -111,9 +111,10 @@ fn damage_files(input: &mut Input, others: &[Input], rng: &mut ChaCha8Rng) {
     }
 }
 
+/// Changes, removes, duplicates or inserts bytes once.
 fn damage_bytes(bytes: &mut Vec<u8>, others: &[Input], rng: &mut ChaCha8Rng) {
     if bytes.is_empty() {
-        bytes.extend_from_slice(WORDS.choose(rng).expect("there are words"));
+        bytes.extend_from_slice(WORDS.choose(rng).expect("the table is not empty"));
         return;
     }
     let at = rng.random_range(0..bytes.len());
@@ -125,20 +126,20 @@ fn damage_bytes(bytes: &mut Vec<u8>, others: &[Input], rng: &mut ChaCha8Rng) {
             let copy = bytes[part(bytes.len(), rng)].to_vec();
             splice(bytes, at..at, &copy);
         }
-        4 => splice(bytes, at..at, WORDS.choose(rng).expect("there are words")),
+        4 => splice(bytes, at..at, WORDS.choose(rng).expect("the table is not empty")),
         5 => {
-            let word = WORDS.choose(rng).expect("there are words");
+            let word = WORDS.choose(rng).expect("the table is not empty");
             let end = bytes.len().min(at + word.len());
             splice(bytes, at..end, word);
         }
         6 => {
             if let Some(number) = number_near(bytes, at) {
-                splice(bytes, number, NUMBERS.choose(rng).expect("there are numbers").as_bytes());
+                splice(bytes, number, NUMBERS.choose(rng).expect("the table is not empty").as_bytes());
             }
         }
         7 => {
-            let value = HEADER_WORDS.choose(rng).expect("there are words").to_le_bytes();
-            let n = (bytes.len() - at).min(*[1, 2, 4].choose(rng).expect("there are widths"));
+            let value = HEADER_WORDS.choose(rng).expect("the table is not empty").to_le_bytes();
+            let n = (bytes.len() - at).min(*[1, 2, 4].choose(rng).expect("the table is not empty"));
             bytes[at..at + n].copy_from_slice(&value[..n]);
         }
         8 => bytes.truncate(at),
@@ -153,14 +154,14 @@ fn damage_bytes(bytes: &mut Vec<u8>, others: &[Input], rng: &mut ChaCha8Rng) {
     }
 }
 
-/// A part, short ones more often than long ones.
+/// A random range; short ranges are more likely than long ones.
 fn part(length: usize, rng: &mut ChaCha8Rng) -> Range<usize> {
     let start = rng.random_range(0..length);
     let most = (length - start).min(1 << rng.random_range(0..16));
     start..start + rng.random_range(1..=most)
 }
 
-/// The first number in digits at `at` or behind it.
+/// Range of the first decimal number at or after `at`.
 fn number_near(bytes: &[u8], at: usize) -> Option<Range<usize>> {
     let is_digit = |byte: &u8| byte.is_ascii_digit() || matches!(byte, b'.' | b'-' | b'+' | b'e');
     let start = at + bytes[at..].iter().position(u8::is_ascii_digit)?;
@@ -168,8 +169,8 @@ fn number_near(bytes: &[u8], at: usize) -> Option<Range<usize>> {
     Some(start..start + bytes[start..].iter().take_while(|byte| is_digit(byte)).count())
 }
 
-fn splice(bytes: &mut Vec<u8>, place: Range<usize>, with: &[u8]) {
-    bytes.splice(place, with.iter().copied());
+fn splice(bytes: &mut Vec<u8>, range: Range<usize>, replacement: &[u8]) {
+    bytes.splice(range, replacement.iter().copied());
 }
 
 #[cfg(test)]
@@ -178,7 +179,7 @@ mod tests {
     use rand::SeedableRng;
 
     #[test]
-    fn the_same_seed_does_the_same_damage_and_never_more_than_is_allowed() {
+    fn damage_is_reproducible_and_bounded() {
         let input =
             Input { members: vec![("a".to_owned(), b"{\"x\": -1.5e3}".to_vec()), ("b".to_owned(), vec![7; 50])] };
         let run = || {
@@ -191,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_found_whole() {
+    fn finds_whole_numbers() {
         assert_eq!(number_near(b"{\"x\": -1.5e3}", 8), Some(6..12));
         assert_eq!(number_near(b"{\"x\": -1.5e3}", 0), Some(6..12));
         assert_eq!(number_near(b"none", 0), None);

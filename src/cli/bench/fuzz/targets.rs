@@ -1,4 +1,4 @@
-//! What can be fuzzed. A new reader is one more line of [`TARGETS`] and one more folder of seeds.
+//! The readers that can be fuzzed. A new reader needs a line in [`TARGETS`] and a folder of seeds.
 
 use super::corpus::Input;
 use crate::body::loader::{BodyFileError, LandmarkTable, body_from_bytes};
@@ -9,73 +9,103 @@ use std::io::Cursor;
 /// One reader.
 #[derive(Clone, Copy)]
 pub(super) struct Target {
-    /// What it is called.
+    /// Name on the command line.
     pub(super) name: &'static str,
-    /// For people to read.
-    pub(super) what: &'static str,
+    /// Description in the list of targets.
+    pub(super) description: &'static str,
     /// Folder of its seeds in the corpus.
     pub(super) seeds: &'static str,
-    /// Makes of a seed what is damaged.
+    /// Converts a seed to the input that is damaged.
     pub(super) prepare: fn(Input) -> Input,
-    /// Reads a case; an error is a defect, a refusal is none.
+    /// Reads a case. An error is a defect; a rejected input is not.
     pub(super) read: fn(&Input) -> Result<Outcome, String>,
 }
 
-/// What came of one case.
+/// Outcome of one case.
 #[derive(Debug)]
 pub(super) struct Outcome {
     pub(super) is_accepted: bool,
-    /// Tells outcomes apart: the code of the refusal and its place, or the format that was read.
+    /// Distinguishes outcomes: error code and location of a rejected input, or the format of an accepted one.
     pub(super) label: String,
 }
 
-/// Every reader of foreign bytes.
+/// All readers of untrusted input.
 pub(super) const TARGETS: &[Target] = &[
-    Target { name: "zip", what: "a zip, byte by byte", seeds: "poses", prepare: packed, read: upload },
+    Target { name: "zip", description: "zip files, damaged bytewise", seeds: "poses", prepare: zipped, read: upload },
     Target {
         name: "session_zip",
-        what: "the files of a native zip",
+        description: "files of a zip in the native format",
         seeds: "session",
-        prepare: same,
+        prepare: unchanged,
         read: upload_of_files,
     },
     Target {
         name: "session_json",
-        what: "a session as JSON or NDJSON",
+        description: "a session as JSON or NDJSON",
         seeds: "document",
-        prepare: same,
+        prepare: unchanged,
         read: upload,
     },
     Target {
         name: "calibration",
-        what: "calibration files",
+        description: "calibration files",
         seeds: "calibration",
-        prepare: same,
+        prepare: unchanged,
         read: upload_of_files,
     },
-    Target { name: "poses", what: "other tools' pose files", seeds: "poses", prepare: same, read: upload_of_files },
-    Target { name: "opencap", what: "OpenCap's pickles", seeds: "opencap", prepare: of_opencap, read: upload_of_files },
-    Target { name: "array", what: "MediaPipe's arrays", seeds: "array", prepare: of_mediapipe, read: upload_of_files },
-    Target { name: "npz", what: "body models as npz", seeds: "npz", prepare: same, read: body },
-    Target { name: "pickle", what: "body models as pickle", seeds: "pickle", prepare: same, read: body },
-    Target { name: "landmarks", what: "landmark tables", seeds: "landmarks", prepare: same, read: landmarks },
+    Target {
+        name: "poses",
+        description: "pose files of other tools",
+        seeds: "poses",
+        prepare: unchanged,
+        read: upload_of_files,
+    },
+    Target {
+        name: "opencap",
+        description: "camera pickles of OpenCap",
+        seeds: "opencap",
+        prepare: opencap_upload,
+        read: upload_of_files,
+    },
+    Target {
+        name: "array",
+        description: "pose arrays of MediaPipe",
+        seeds: "array",
+        prepare: mediapipe_upload,
+        read: upload_of_files,
+    },
+    Target { name: "npz", description: "body models as npz", seeds: "npz", prepare: unchanged, read: body },
+    Target { name: "pickle", description: "body models as pickle", seeds: "pickle", prepare: unchanged, read: body },
+    Target {
+        name: "landmarks",
+        description: "landmark tables",
+        seeds: "landmarks",
+        prepare: unchanged,
+        read: landmarks,
+    },
     #[cfg(feature = "service")]
-    Target { name: "multipart", what: "forms of HTTP", seeds: "multipart", prepare: same, read: multipart },
+    Target {
+        name: "multipart",
+        description: "multipart/form-data bodies",
+        seeds: "multipart",
+        prepare: unchanged,
+        read: multipart,
+    },
 ];
 
-fn same(seed: Input) -> Input {
+fn unchanged(seed: Input) -> Input {
     seed
 }
 
-fn packed(seed: Input) -> Input {
+fn zipped(seed: Input) -> Input {
     Input::file(seed.zipped())
 }
 
-/// A frame of one person of 17 points, as OpenPose writes it.
+/// An OpenPose frame with one person of 17 keypoints.
 const FRAME: &str = r#"{"people": [{"pose_keypoints_2d": [1,9,1,2,8,1,3,7,1,4,6,1,5,5,1,6,4,1,7,3,1,8,2,1,9,1,1,1,9,1,2,8,1,3,7,1,4,6,1,5,5,1,6,4,1,7,3,1,8,2,1]}]}"#;
 
-/// One camera's pickle becomes an upload of one camera.
-fn of_opencap(seed: Input) -> Input {
+/// Turns a camera pickle into an upload of one camera.
+fn opencap_upload(seed: Input) -> Input {
     let members = [
         ("session.json", br#"{"fps": 60}"#.to_vec()),
         ("Cam1/cameraIntrinsicsExtrinsics.pickle", seed.bytes().to_vec()),
@@ -84,8 +114,8 @@ fn of_opencap(seed: Input) -> Input {
     Input { members: members.map(|(name, bytes)| (name.to_owned(), bytes)).to_vec() }
 }
 
-/// An array of two cameras becomes an upload of two cameras.
-fn of_mediapipe(seed: Input) -> Input {
+/// Turns an array of two cameras into an upload of two cameras.
+fn mediapipe_upload(seed: Input) -> Input {
     let camera = |name| {
         format!(
             "[{name}]\nname = \"{name}\"\nsize = [1280.0, 720.0]\nmatrix = [[800.0, 0.0, 640.0], [0.0, 800.0, 360.0], \
@@ -116,9 +146,9 @@ fn outcome_of(read: Result<LoadedSession, UploadError>) -> Result<Outcome, Strin
             Ok(Outcome { is_accepted: true, label: loaded.format })
         }
         Err(error) => {
-            let told = error.to_string();
-            if error.remedy.is_empty() || told.contains('\n') {
-                return Err(format!("a refusal that is not one line with a remedy: {told:?}"));
+            let message = error.to_string();
+            if error.remedy.is_empty() || message.contains('\n') {
+                return Err(format!("the error message is not one line with a remedy: {message:?}"));
             }
             let place = error.pointer.unwrap_or_default().replace(|c: char| c.is_ascii_digit(), "");
             Ok(Outcome { is_accepted: false, label: format!("{} {}", error.code, place.get(..40).unwrap_or(&place)) })
@@ -126,22 +156,22 @@ fn outcome_of(read: Result<LoadedSession, UploadError>) -> Result<Outcome, Strin
     }
 }
 
-/// A number that is none must not come any further.
+/// Checks that every number of an accepted session is finite.
 fn require_finite(session: &Session) -> Result<(), String> {
     for view in &session.views {
         let k = &view.intrinsics;
         let camera = [k.fx, k.fy, k.cx, k.cy, k.skew];
-        let placed = view.camera_from_world.iter().flat_map(|pose| pose.rotation.iter().chain(pose.translation.iter()));
+        let pose = view.camera_from_world.iter().flat_map(|pose| pose.rotation.iter().chain(pose.translation.iter()));
         let people = view.frames.iter().flatten().flat_map(|person| &person.keypoints);
         let points = people
             .filter(|point| point.is_present())
             .flat_map(|point| [point.pixel.x, point.pixel.y, point.confidence]);
         let coefficients = k.dist.coefficients().iter().copied();
-        if !camera.into_iter().chain(placed.copied()).chain(coefficients).chain(points).all(f64::is_finite) {
-            return Err(format!("camera {:?} was accepted with a number that is none", view.id));
+        if !camera.into_iter().chain(pose.copied()).chain(coefficients).chain(points).all(f64::is_finite) {
+            return Err(format!("camera {:?} was accepted with a number that is not finite", view.id));
         }
     }
-    if session.fps.is_finite() { Ok(()) } else { Err("a rate that is no number was accepted".to_owned()) }
+    if session.fps.is_finite() { Ok(()) } else { Err("a frame rate that is not finite was accepted".to_owned()) }
 }
 
 fn body(case: &Input) -> Result<Outcome, String> {
@@ -151,7 +181,7 @@ fn body(case: &Input) -> Result<Outcome, String> {
     }
 }
 
-/// The variant and its field, without what was found.
+/// Variant and field of an error, without its values.
 fn kind_of(error: &BodyFileError) -> String {
     format!("{error:?}").chars().filter(|c| !c.is_ascii_digit()).take(24).collect()
 }
@@ -168,7 +198,7 @@ fn multipart(case: &Input) -> Result<Outcome, String> {
     let read = |piece| crate::service::http::read_form("multipart/form-data; boundary=AaB", case.bytes(), piece);
     let (whole, pieces) = (read(usize::MAX), read(7));
     if whole != pieces {
-        return Err(format!("cut into pieces it is another form: {whole:?}, {pieces:?}"));
+        return Err(format!("the form depends on how its bytes arrive: {whole:?}, {pieces:?}"));
     }
     Ok(Outcome {
         is_accepted: whole.is_ok(),

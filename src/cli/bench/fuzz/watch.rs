@@ -1,4 +1,4 @@
-//! Watching a case: panics are caught, hangs are told, memory is measured.
+//! Supervision of cases: catches panics, detects hangs and measures memory.
 
 use super::corpus::Input;
 use super::targets::Outcome;
@@ -7,65 +7,65 @@ use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// A case that has not ended by then never will.
+/// A case that runs longer than this hangs.
 const HANG: Duration = Duration::from_secs(30);
 
-/// Looks on from another thread.
+/// Watches the current case from another thread.
 pub(super) struct Watch {
-    at_work: Arc<Mutex<Option<(Instant, Input)>>>,
+    current: Arc<Mutex<Option<(Instant, Input)>>>,
 }
 
 impl Watch {
-    /// Starts looking; a case that hangs is written below `found` and ends the process.
-    pub(super) fn start(found: &Path) -> Self {
-        let at_work: Arc<Mutex<Option<(Instant, Input)>>> = Arc::default();
-        let (seen, found) = (at_work.clone(), found.to_owned());
+    /// Starts the watching thread. A case that hangs is saved in `failures` and ends the process.
+    pub(super) fn start(failures: &Path) -> Self {
+        let current: Arc<Mutex<Option<(Instant, Input)>>> = Arc::default();
+        let (watched, failures) = (current.clone(), failures.to_owned());
         std::thread::spawn(move || {
             loop {
                 std::thread::sleep(Duration::from_secs(1));
-                if Arc::strong_count(&seen) == 1 {
-                    return; // nobody runs cases any more
+                if Arc::strong_count(&watched) == 1 {
+                    return; // the run has ended
                 }
-                let seen = seen.lock().unwrap_or_else(PoisonError::into_inner);
-                if let Some((begun, case)) = seen.as_ref().filter(|(begun, _)| begun.elapsed() > HANG) {
-                    println!("FOUND a hang of {:.0} s: {:?}", begun.elapsed().as_secs_f64(), case.write(&found));
+                let watched = watched.lock().unwrap_or_else(PoisonError::into_inner);
+                if let Some((started, case)) = watched.as_ref().filter(|(started, _)| started.elapsed() > HANG) {
+                    println!("FAILED a hang of {:.0} s: {:?}", started.elapsed().as_secs_f64(), case.write(&failures));
                     std::process::exit(1);
                 }
             }
         });
-        Self { at_work }
+        Self { current }
     }
 
-    /// What came of the case; what was wrong with it where something was.
+    /// Runs a case and returns its outcome, or a description of the defect.
     pub(super) fn run(&self, case: &Input, read: impl FnOnce() -> Result<Outcome, String>) -> Result<Outcome, String> {
         self.set(Some((Instant::now(), case.clone())));
         let outcome = catch_unwind(AssertUnwindSafe(read));
         self.set(None);
         outcome.unwrap_or_else(|panic| {
-            let said = panic.downcast_ref::<String>().cloned();
-            let said = said.or_else(|| panic.downcast_ref::<&str>().map(|words| (*words).to_owned()));
-            Err(format!("a panic: {}", said.unwrap_or_default()))
+            let text = panic.downcast_ref::<String>().cloned();
+            let text = text.or_else(|| panic.downcast_ref::<&str>().map(|text| (*text).to_owned()));
+            Err(format!("a panic: {}", text.unwrap_or_default()))
         })
     }
 
     fn set(&self, case: Option<(Instant, Input)>) {
-        *self.at_work.lock().unwrap_or_else(PoisonError::into_inner) = case;
+        *self.current.lock().unwrap_or_else(PoisonError::into_inner) = case;
     }
 }
 
-/// What this thread has had of a processor; `None` where the system does not tell.
+/// Processor time of this thread; `None` if the system does not report it.
 pub(super) fn processor_time() -> Option<Duration> {
-    let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
-    Some(Duration::from_nanos(told.split_whitespace().next()?.parse().ok()?))
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    Some(Duration::from_nanos(text.split_whitespace().next()?.parse().ok()?))
 }
 
-/// Forgets the peak of this process's memory and gives what it takes now, KiB; `None` where the system does not tell.
-pub(super) fn forget_peak() -> Option<u64> {
+/// Resets the peak memory of this process and returns its current memory, KiB; `None` if the system does not report it.
+pub(super) fn reset_peak() -> Option<u64> {
     std::fs::write("/proc/self/clear_refs", "5").ok()?;
     status_kib("VmRSS:")
 }
 
-/// How far the peak has risen above `before`, KiB.
+/// Growth of the peak memory above `before`, KiB.
 pub(super) fn growth_kib(before: Option<u64>) -> u64 {
     before.zip(status_kib("VmHWM:")).map_or(0, |(before, peak)| peak.saturating_sub(before))
 }

@@ -4,23 +4,24 @@ use indicatif::{ProgressBar, ProgressStyle};
 use std::io::IsTerminal;
 use std::sync::{Mutex, PoisonError};
 
-/// Shows how far a job is; may be told from any thread.
-pub(super) enum Meter {
-    /// One bar.
+/// Shows the progress of a job; usable from any thread.
+pub(super) enum ProgressDisplay {
+    /// A progress bar.
     Bar(ProgressBar),
-    /// A line for each stage and each tenth of the whole.
-    Lines(Mutex<Line>),
+    /// One line per stage and per tenth of the whole work.
+    Lines(Mutex<LastLine>),
 }
 
-/// What the last plain line said.
+/// Content of the last plain line.
 #[derive(Default)]
-pub(super) struct Line {
+pub(super) struct LastLine {
     stage: String,
+    /// Tenths of the whole work that were done.
     tenth: u32,
 }
 
-impl Meter {
-    /// On a terminal a bar, else lines.
+impl ProgressDisplay {
+    /// A bar when stderr is a terminal, otherwise lines.
     pub(super) fn new() -> Self {
         if !std::io::stderr().is_terminal() {
             return Self::Lines(Mutex::default());
@@ -31,7 +32,7 @@ impl Meter {
         Self::Bar(bar)
     }
 
-    /// Shows a stage and the share of the whole that is done.
+    /// Shows the current stage, the finished share of the whole work (0 to 1) and a message, which may be empty.
     pub(super) fn show(&self, stage: &str, fraction: f64, message: &str) {
         let text = if message.is_empty() { stage.to_owned() } else { format!("{stage}: {message}") };
         match self {
@@ -43,14 +44,14 @@ impl Meter {
                 let mut line = line.lock().unwrap_or_else(PoisonError::into_inner);
                 let tenth = (fraction * 10.0) as u32;
                 if line.stage != stage || line.tenth < tenth {
-                    *line = Line { stage: stage.to_owned(), tenth };
+                    *line = LastLine { stage: stage.to_owned(), tenth };
                     eprintln!("{:3.0} %  {text}", 100.0 * fraction);
                 }
             }
         }
     }
 
-    /// Takes the bar away.
+    /// Removes the bar.
     pub(super) fn finish(&self) {
         if let Self::Bar(bar) = self {
             bar.finish_and_clear();
