@@ -23,7 +23,7 @@ FAULTS = {
     "recovery.blames": ("counted against", "crashes.py", "--kills", "12"),
     "recovery.forgets": ("still running", "crashes.py", "--kills", "12"),
     "checkpoint.ignored": ("A7", "safety.py", "--only", "resume", "--kills", "1"),
-    "deaths.uncounted": ("A9", "stops.py", "--only", "poison"),
+    "crashes.uncounted": ("A9", "stops.py", "--only", "poison"),
     "silence.tolerated": ("A11", "stops.py", "--only", "paused"),
     "cancel.deaf": ("a cancel", "stops.py", "--only", "cancels", "--cancels", "4"),
     "stop.endless": ("a stop", "stops.py", "--only", "stops", "--stops", "1"),

@@ -292,7 +292,7 @@ def clocks(asked, faults):
     faults.require(len(years) >= 3, f"B4: the clock did not jump: {years}")
     listed = [job["id"] for job in client.jobs()]
     faults.require(listed == jobs[::-1] and len(set(jobs)) == len(jobs), "B4: the order of the list follows the clock")
-    fences = sqlite3.connect(f"file:{service.data}/wandless.db?mode=ro", uri=True).execute("SELECT max(fence), sum(deaths) FROM jobs").fetchone()
+    fences = sqlite3.connect(f"file:{service.data}/wandless.db?mode=ro", uri=True).execute("SELECT max(fence), sum(crashes) FROM jobs").fetchone()
     faults.require(fences[0] <= 1 + len(JUMPS) and fences[1] == 0, f"B4: claims and deaths {fences}")
     print(f"B4: {len(jobs)} jobs over {2 * len(JUMPS)} jumps through the years {sorted(years)}: each once, in order")
     service.kill()

@@ -1,6 +1,6 @@
-//! Bodies that the operator has registered: `<data>/bodies/<name>.json` says which converted body a name stands for.
+//! Body models registered by the operator: `<data>/bodies/<name>.json` maps a name to a converted body file.
 //!
-//! The bodies are licensed to the operator: files have mode 0600, are in no result, and leave the machine with nobody.
+//! The bodies are licensed to the operator only: files have mode 0600, and no result or response contains them.
 
 use crate::body::BodyModel;
 use crate::body::loader::{BodyFileError, LandmarkTable, body_from_bytes, load_body_cached, write_private};
@@ -9,14 +9,14 @@ use serde::{Deserialize, Serialize};
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Characters of a name.
+/// Maximal length of a name, characters.
 const MAX_NAME: usize = 64;
 
-/// What a name stands for.
+/// A registered body.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RegisteredBody {
-    /// The name jobs ask for.
+    /// Name that jobs use.
     pub name: String,
     /// File name of the converted body in the same folder.
     pub file: String,
@@ -25,40 +25,42 @@ pub struct RegisteredBody {
 /// Why a body cannot be registered or found.
 #[derive(Debug, thiserror::Error)]
 pub enum BodyRegistryError {
-    /// Not a name.
-    #[error("{name:?} is no name for a body; take 1 to {MAX_NAME} of a-z, 0-9, - and _, but not \"{DEFAULT_BODY}\"")]
+    /// The name is invalid.
+    #[error(
+        "{name:?} is not a valid body name; use 1 to {MAX_NAME} of the characters a-z, 0-9, - and _, but not \"{DEFAULT_BODY}\""
+    )]
     Name {
-        /// What was given.
+        /// The given name.
         name: String,
     },
-    /// Nobody registered it, or it was removed.
+    /// No body is registered under this name.
     #[error("no body is registered as {name:?}; register it with `wandless body add`")]
     Unknown {
         /// The name.
         name: String,
     },
-    /// The file is refused.
+    /// The body file is invalid.
     #[error(transparent)]
     File(#[from] BodyFileError),
     /// The registry cannot be read or written.
     #[error("{path}: {source}", path = .path.display())]
     Registry {
-        /// Which file or folder.
+        /// Path of the file or folder.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the operating system.
         source: io::Error,
     },
 }
 
-/// The folder of bodies in a data folder.
+/// Returns the folder of bodies in a data folder.
 pub fn folder(data: &Path) -> PathBuf {
     data.join("bodies")
 }
 
-/// Converts a body file and registers it; a name that is taken stands for the new body from then on.
+/// Converts a body file and registers it; an existing name then refers to the new body.
 ///
 /// # Errors
-/// [`BodyRegistryError`]: the name, the file or the folder.
+/// [`BodyRegistryError`] for an invalid name, file or folder.
 pub fn add(
     folder: &Path,
     name: &str,
@@ -75,7 +77,7 @@ pub fn add(
     Ok(BodyModel { name: name.to_owned(), ..cached.model })
 }
 
-/// The registered bodies by name; none where the folder is missing.
+/// Lists the registered bodies by name; none if the folder is missing.
 ///
 /// # Errors
 /// [`BodyRegistryError::Registry`] when the folder cannot be read.
@@ -92,7 +94,7 @@ pub fn list(folder: &Path) -> Result<Vec<RegisteredBody>, BodyRegistryError> {
     names.iter().map(|name| find(folder, name)).collect()
 }
 
-/// The model behind a name.
+/// Loads the body model of a name.
 ///
 /// # Errors
 /// [`BodyRegistryError::Unknown`], or why its file cannot be read.
@@ -117,7 +119,7 @@ fn entry(folder: &Path, name: &str) -> PathBuf {
     folder.join(format!("{name}.json"))
 }
 
-/// A name becomes a file's name, so only what can do no harm there is one.
+/// Checks a name; only characters that are safe in file names are allowed.
 fn check_name(name: &str) -> Result<(), BodyRegistryError> {
     let is_plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-' || c == '_';
     let fits = (1..=MAX_NAME).contains(&name.len()) && name.chars().all(is_plain) && name != DEFAULT_BODY;
@@ -131,7 +133,7 @@ mod tests {
     use crate::body::loader::body_npz;
 
     #[test]
-    fn what_is_registered_is_found_by_name() {
+    fn finds_registered_bodies_by_name() {
         let data = tempfile::tempdir().unwrap();
         let bodies = folder(data.path());
         assert_eq!(list(&bodies).unwrap(), []);
@@ -150,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn names_reach_nothing_else() {
+    fn rejects_names_that_leave_the_folder() {
         let data = tempfile::tempdir().unwrap();
         std::fs::write(data.path().join("outside.json"), r#"{"name": "outside", "file": "x"}"#).unwrap();
         for name in ["", "default", "../outside", "Studio", "a/b", "a.b", &"x".repeat(65)] {

@@ -1,68 +1,121 @@
-//! What the service counts while it runs, and how Prometheus reads it.
+//! Metrics of one service process, as OpenMetrics text for Prometheus.
 
 use super::failpoint::fault;
-use super::queue::figures::Figures;
-use super::store::DiskFigures;
+use super::queue::statistics::QueueStatistics;
+use super::store::DiskUsage;
 use axum::http::Method;
+use prometheus_client::encoding::text::encode;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::Histogram;
+use prometheus_client::registry::{Metric, Registry};
 use std::collections::BTreeMap;
-use std::fmt::Write;
-use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::AtomicU64;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
-/// Counters of one service process.
-#[derive(Debug, Default)]
-pub struct Metrics {
-    requests: Mutex<BTreeMap<RequestKind, Requests>>,
-    /// Refusals by the code of their problem document.
-    refused: Mutex<BTreeMap<&'static str, u64>>,
-    /// Jobs at work and when their child last said that it lives.
-    pulses: Mutex<BTreeMap<String, Instant>>,
-    /// Wall seconds of every stage, all jobs together.
-    stages: Mutex<BTreeMap<String, StageTime>>,
-    ended: Mutex<BTreeMap<&'static str, u64>>,
-    /// Open connections.
-    pub connections: AtomicI64,
-    /// Held answers: long polls, event streams, downloads.
-    pub held: AtomicI64,
-    /// Children that died or had to be killed.
-    pub child_deaths: AtomicU64,
-    /// Webhook calls that were answered 2xx.
-    pub webhooks_delivered: AtomicU64,
-    /// Webhook calls that failed.
-    pub webhooks_failed: AtomicU64,
-}
+/// Media type of the metrics page.
+pub(super) const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
-struct RequestKind {
-    method: String,
-    route: String,
-    status: u16,
-}
-
-#[derive(Debug, Default)]
-struct Requests {
-    count: u64,
-    seconds: f64,
-    /// Requests within each of [`BUCKETS_S`].
-    within: [u64; BUCKETS_S.len()],
-}
-
-#[derive(Debug, Default)]
-struct StageTime {
-    count: u64,
-    seconds: f64,
-}
-
-/// Upper ends of the histogram of answer times, s.
+/// Upper bounds of the histogram of response times, s.
 const BUCKETS_S: [f64; 7] = [0.005, 0.025, 0.1, 0.25, 1.0, 5.0, 30.0];
 
-/// Counts something as held as long as it lives.
-pub(super) struct Held(std::sync::Arc<Metrics>);
+/// `N` labels, each a name and a value.
+type Labels<const N: usize> = [(&'static str, String); N];
+/// Histograms by `N` labels.
+type Histograms<const N: usize> = Family<Labels<N>, Histogram, fn() -> Histogram>;
+type Seconds = Gauge<f64, AtomicU64>;
+
+/// Metrics of one service process. Gauges of the queue and of the disk are set when the page is written.
+#[derive(Debug)]
+pub struct Metrics {
+    registry: Registry,
+    /// Jobs with a running child process, and when the process last sent a message.
+    heartbeats: Mutex<BTreeMap<String, Instant>>,
+    jobs: Family<Labels<1>, Gauge>,
+    queue_age_s: Seconds,
+    silence_s: Seconds,
+    unattended_jobs: Gauge,
+    webhooks_waiting: Gauge,
+    disk_free_bytes: Gauge,
+    database_bytes: Gauge,
+    wal_bytes: Gauge,
+    /// Open connections.
+    pub connections: Gauge,
+    /// Open long polls, event streams and downloads.
+    pub held: Gauge,
+    /// Child processes that crashed or were killed.
+    pub child_crashes: Counter,
+    /// Webhook calls that were answered 2xx.
+    pub webhooks_delivered: Counter,
+    /// Webhook calls that failed.
+    pub webhooks_failed: Counter,
+    ended: Family<Labels<1>, Counter>,
+    refused: Family<Labels<1>, Counter>,
+    stages: Histograms<1>,
+    requests: Histograms<3>,
+}
+
+impl Default for Metrics {
+    fn default() -> Self {
+        let mut registry = Registry::with_prefix("wandless");
+        let r = &mut registry;
+        let waiting = "Webhook deliveries not yet made";
+        Self {
+            heartbeats: Mutex::default(),
+            jobs: add(r, "jobs", "Jobs in the database, by state", Family::default()),
+            queue_age_s: add(r, "queue_age_seconds", "Age of the oldest waiting job", Gauge::default()),
+            silence_s: add(r, "lease_age_seconds", "Longest silence of a job's process", Gauge::default()),
+            unattended_jobs: add(
+                r,
+                "jobs_running_without_live_worker",
+                "Running jobs without a worker in this process; must be 0",
+                Gauge::default(),
+            ),
+            webhooks_waiting: add(r, "webhooks_waiting", waiting, Gauge::default()),
+            disk_free_bytes: add(r, "disk_free_bytes", "Free bytes of the data folder's disk", Gauge::default()),
+            database_bytes: add(r, "database_bytes", "Size of the database file", Gauge::default()),
+            wal_bytes: add(r, "wal_bytes", "Size of the write-ahead log", Gauge::default()),
+            connections: add(r, "connections", "Open connections", Gauge::default()),
+            held: add(r, "held_answers", "Open long polls, streams and downloads", Gauge::default()),
+            child_crashes: add(r, "child_deaths", "Job processes that crashed or were killed", Counter::default()),
+            webhooks_delivered: add(r, "webhooks_delivered", "Webhooks answered 2xx", Counter::default()),
+            webhooks_failed: add(r, "webhooks_failed", "Webhook calls that failed", Counter::default()),
+            ended: add(r, "claims_ended", "Ended claims, by the resulting job state", Family::default()),
+            refused: add(r, "refused", "Problem documents, by code", Family::default()),
+            stages: add(r, "stage_seconds", "Wall seconds by stage", Family::new_with_constructor(without_buckets)),
+            requests: add(
+                r,
+                "request_seconds",
+                "Time to the head of the answer",
+                Family::new_with_constructor(with_buckets),
+            ),
+            registry,
+        }
+    }
+}
+
+/// Registers a metric and returns it.
+fn add<M: Metric + Clone>(registry: &mut Registry, name: &str, help: &str, metric: M) -> M {
+    registry.register(name, help, metric.clone());
+    metric
+}
+
+fn with_buckets() -> Histogram {
+    Histogram::new(BUCKETS_S)
+}
+
+fn without_buckets() -> Histogram {
+    Histogram::new([])
+}
+
+/// Counts one held answer as long as it exists.
+pub(super) struct Held(Arc<Metrics>);
 
 impl Held {
-    pub(super) fn new(metrics: &std::sync::Arc<Metrics>) -> Self {
-        metrics.held.fetch_add(1, Ordering::Relaxed);
+    pub(super) fn new(metrics: &Arc<Metrics>) -> Self {
+        metrics.held.inc();
         Self(metrics.clone())
     }
 }
@@ -70,159 +123,64 @@ impl Held {
 impl Drop for Held {
     fn drop(&mut self) {
         if !fault("leavers.kept") {
-            self.0.held.fetch_sub(1, Ordering::Relaxed);
+            self.0.held.dec();
         }
     }
-}
-
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 impl Metrics {
-    /// Counts an answer; `code` is empty unless it is a problem document.
+    /// Counts a response; `code` is the code of its problem document, empty for other responses.
     pub(super) fn note_request(&self, method: &Method, route: &str, status: u16, code: &'static str, seconds: f64) {
-        // A method that somebody has invented is no label of ours.
+        // Invented methods share one label, so that clients cannot create any number of time series.
         let known = matches!(method.as_str(), "GET" | "HEAD" | "POST" | "DELETE" | "PUT" | "PATCH" | "OPTIONS");
         let method = if known { method.as_str() } else { "other" };
-        let kind = RequestKind { method: method.to_owned(), route: route.to_owned(), status };
-        let mut requests = locked(&self.requests);
-        let requests = requests.entry(kind).or_default();
-        requests.count += 1;
-        requests.seconds += seconds;
-        for (within, end) in requests.within.iter_mut().zip(BUCKETS_S) {
-            *within += u64::from(seconds <= end);
-        }
+        let labels = [("method", method.to_owned()), ("route", route.to_owned()), ("status", status.to_string())];
+        self.requests.get_or_create(&labels).observe(seconds);
         if !code.is_empty() {
-            *locked(&self.refused).entry(code).or_default() += 1;
+            self.refused.get_or_create(&[("code", code.to_owned())]).inc();
         }
     }
 
-    /// A job's child lives.
-    pub(super) fn note_pulse(&self, job: &str) {
-        locked(&self.pulses).insert(job.to_owned(), Instant::now());
+    /// Notes that a job's child process is alive.
+    pub(super) fn note_heartbeat(&self, job: &str) {
+        self.heartbeats().insert(job.to_owned(), Instant::now());
     }
 
-    /// A job's claim has ended in `state`.
+    /// Counts a claim that ended in `state`.
     pub(super) fn note_end(&self, job: &str, state: &'static str) {
-        locked(&self.pulses).remove(job);
-        *locked(&self.ended).entry(state).or_default() += 1;
+        self.heartbeats().remove(job);
+        self.ended.get_or_create(&[("state", state.to_owned())]).inc();
     }
 
-    /// Wall seconds by stage of one attempt.
+    /// Adds the wall seconds by stage of one attempt.
     pub(super) fn note_stages(&self, seconds: &BTreeMap<String, f64>) {
-        let mut stages = locked(&self.stages);
         for (stage, seconds) in seconds {
-            let time = stages.entry(stage.clone()).or_default();
-            time.count += 1;
-            time.seconds += seconds;
+            self.stages.get_or_create(&[("stage", stage.clone())]).observe(*seconds);
         }
     }
 
-    /// Everything in Prometheus's text format (0.0.4).
-    pub(super) fn page(&self, queue: &Figures, disk: &DiskFigures) -> String {
-        let mut page = Page::default();
-        page.head("wandless_jobs", "gauge", "Jobs in the database, by state.");
+    /// Writes all metrics as OpenMetrics text.
+    pub(super) fn page(&self, queue: &QueueStatistics, disk: &DiskUsage) -> String {
+        self.jobs.clear();
         for (state, count) in &queue.by_state {
-            page.line("wandless_jobs", &[("state", state)], *count as f64);
+            self.jobs.get_or_create(&[("state", state.clone())]).set(*count);
         }
-        let one = [
-            ("wandless_queue_age_seconds", "Age of the oldest waiting job.", queue.oldest_queued_s),
-            ("wandless_lease_age_seconds", "Longest silence of a job's process.", self.longest_silence_s()),
-            (
-                "wandless_jobs_running_without_live_worker",
-                "Running jobs that no worker of this process knows; must be 0.",
-                self.unattended(&queue.running) as f64,
-            ),
-            ("wandless_webhooks_waiting", "Webhook deliveries not yet made.", queue.webhooks_waiting as f64),
-            ("wandless_disk_free_bytes", "Free bytes of the data folder's disk.", disk.free_bytes as f64),
-            ("wandless_database_bytes", "Size of the database file.", disk.database_bytes as f64),
-            ("wandless_wal_bytes", "Size of the write-ahead log.", disk.wal_bytes as f64),
-            ("wandless_connections", "Open connections.", self.connections.load(Ordering::Relaxed) as f64),
-            (
-                "wandless_held_answers",
-                "Open long polls, streams and downloads.",
-                self.held.load(Ordering::Relaxed) as f64,
-            ),
-        ];
-        for (name, help, value) in one {
-            page.head(name, "gauge", help);
-            page.line::<&str>(name, &[], value);
-        }
-        let counters = [
-            ("wandless_child_deaths_total", "Job processes that died or were killed.", &self.child_deaths),
-            ("wandless_webhooks_delivered_total", "Webhooks answered 2xx.", &self.webhooks_delivered),
-            ("wandless_webhooks_failed_total", "Webhook calls that failed.", &self.webhooks_failed),
-        ];
-        for (name, help, value) in counters {
-            page.head(name, "counter", help);
-            page.line::<&str>(name, &[], value.load(Ordering::Relaxed) as f64);
-        }
-        page.head("wandless_claims_ended_total", "counter", "Ends of claims, by the state they led to.");
-        for (state, count) in &*locked(&self.ended) {
-            page.line("wandless_claims_ended_total", &[("state", state)], *count as f64);
-        }
-        page.head("wandless_stage_seconds", "summary", "Wall seconds by stage.");
-        for (stage, time) in &*locked(&self.stages) {
-            page.line("wandless_stage_seconds_sum", &[("stage", stage)], time.seconds);
-            page.line("wandless_stage_seconds_count", &[("stage", stage)], time.count as f64);
-        }
-        page.head("wandless_refused_total", "counter", "Problem documents, by code.");
-        for (code, count) in &*locked(&self.refused) {
-            page.line("wandless_refused_total", &[("code", code)], *count as f64);
-        }
-        self.add_requests(&mut page);
-        page.text
+        let heartbeats = self.heartbeats().clone();
+        let silence_s = heartbeats.values().map(|heard| heard.elapsed().as_secs_f64()).fold(0.0, f64::max);
+        self.silence_s.set(silence_s);
+        self.unattended_jobs.set(queue.running.iter().filter(|job| !heartbeats.contains_key(*job)).count() as i64);
+        self.queue_age_s.set(queue.oldest_queued_s);
+        self.webhooks_waiting.set(queue.webhooks_waiting);
+        self.disk_free_bytes.set(disk.free_bytes as i64);
+        self.database_bytes.set(disk.database_bytes as i64);
+        self.wal_bytes.set(disk.wal_bytes as i64);
+        let mut page = String::new();
+        let _ = encode(&mut page, &self.registry); // writing to a string cannot fail
+        page
     }
 
-    fn add_requests(&self, page: &mut Page) {
-        page.head("wandless_request_seconds", "histogram", "Time to the head of the answer.");
-        for (kind, requests) in &*locked(&self.requests) {
-            let status = kind.status.to_string();
-            let labels = |le: &'static str| -> Vec<(&'static str, String)> {
-                let mut labels =
-                    vec![("method", kind.method.clone()), ("route", kind.route.clone()), ("status", status.clone())];
-                labels.extend((!le.is_empty()).then(|| ("le", le.to_owned())));
-                labels
-            };
-            for (end, within) in BUCKETS_S.iter().zip(requests.within) {
-                let mut labels = labels("");
-                labels.push(("le", end.to_string()));
-                page.line("wandless_request_seconds_bucket", &labels, within as f64);
-            }
-            page.line("wandless_request_seconds_bucket", &labels("+Inf"), requests.count as f64);
-            page.line("wandless_request_seconds_sum", &labels(""), requests.seconds);
-            page.line("wandless_request_seconds_count", &labels(""), requests.count as f64);
-        }
-    }
-
-    fn longest_silence_s(&self) -> f64 {
-        let pulses = locked(&self.pulses);
-        pulses.values().map(|heard| heard.elapsed().as_secs_f64()).fold(0.0, f64::max)
-    }
-
-    fn unattended(&self, running: &[String]) -> usize {
-        let pulses = locked(&self.pulses);
-        running.iter().filter(|job| !pulses.contains_key(*job)).count()
-    }
-}
-
-#[derive(Default)]
-struct Page {
-    text: String,
-}
-
-impl Page {
-    fn head(&mut self, name: &str, kind: &str, help: &str) {
-        self.text.push_str(&format!("# HELP {name} {help}\n# TYPE {name} {kind}\n"));
-    }
-
-    fn line<V: AsRef<str>>(&mut self, name: &str, labels: &[(&str, V)], value: f64) {
-        let escaped = |value: &str| value.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n");
-        let labels: Vec<String> =
-            labels.iter().map(|(key, value)| format!("{key}=\"{}\"", escaped(value.as_ref()))).collect();
-        let labels = if labels.is_empty() { String::new() } else { format!("{{{}}}", labels.join(",")) };
-        let _ = writeln!(self.text, "{name}{labels} {value}"); // a string takes whatever it is given
+    fn heartbeats(&self) -> MutexGuard<'_, BTreeMap<String, Instant>> {
+        self.heartbeats.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -231,21 +189,26 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_page_holds_what_was_counted() {
+    fn page_contains_all_counts() {
         let metrics = Metrics::default();
         metrics.note_request(&Method::GET, "/v1/jobs/{id}", 404, "not_found", 0.02);
-        metrics.note_pulse("job_1");
+        metrics.note_heartbeat("job_1");
         metrics.note_end("job_2", "succeeded");
         metrics.note_stages(&BTreeMap::from([("cameras".to_owned(), 2.5)]));
-        let queue = Figures { running: vec!["job_1".to_owned(), "job_3".to_owned()], ..Figures::default() };
-        let page = metrics.page(&queue, &DiskFigures::default());
+        let by_state = vec![("running".to_owned(), 2)];
+        let running = vec!["job_1".to_owned(), "job_3".to_owned()];
+        let queue = QueueStatistics { by_state, running, ..QueueStatistics::default() };
+        let page = metrics.page(&queue, &DiskUsage::default());
         for line in [
+            "# HELP wandless_jobs Jobs in the database, by state.",
+            "wandless_jobs{state=\"running\"} 2",
             "wandless_jobs_running_without_live_worker 1",
+            "wandless_child_deaths_total 0",
             "wandless_refused_total{code=\"not_found\"} 1",
             "wandless_stage_seconds_sum{stage=\"cameras\"} 2.5",
             "wandless_claims_ended_total{state=\"succeeded\"} 1",
-            "wandless_request_seconds_bucket{method=\"GET\",route=\"/v1/jobs/{id}\",status=\"404\",le=\"0.025\"} 1",
-            "wandless_request_seconds_bucket{method=\"GET\",route=\"/v1/jobs/{id}\",status=\"404\",le=\"0.005\"} 0",
+            "wandless_request_seconds_bucket{le=\"0.025\",method=\"GET\",route=\"/v1/jobs/{id}\",status=\"404\"} 1",
+            "wandless_request_seconds_bucket{le=\"0.005\",method=\"GET\",route=\"/v1/jobs/{id}\",status=\"404\"} 0",
         ] {
             assert!(page.lines().any(|l| l == line), "{line}\n{page}");
         }

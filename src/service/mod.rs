@@ -118,7 +118,7 @@ pub async fn start(settings: Settings) -> Result<Running, ServeError> {
         tokio::spawn(http::serve(http::App::new(shared.clone(), networks.clone()), listener)),
         tokio::spawn(webhooks::run(shared.clone(), networks)),
         tokio::spawn(retention::run(shared.clone())),
-        tokio::spawn(store::pages::keep(shared.store.clone(), draining.clone())),
+        tokio::spawn(store::pages::run_checkpointer(shared.store.clone(), draining.clone())),
     ];
     for _ in 0..shared.settings.jobs.concurrent {
         tasks.push(tokio::spawn(worker::run(shared.clone())));

@@ -1,8 +1,8 @@
-//! Copies of a data folder, and whether every byte of one is still what was written.
+//! Backup, restore and verification of a data folder.
 //!
-//! A backup is a folder: `wandless.db` (one consistent copy, taken by SQLite), `sessions/`, `results/` and `backup.json`
-//! with the digest of every file. Files are written once and never changed, so that they can be copied while the service
-//! works; what was deleted in between is taken out of the copied database, too.
+//! A backup is a folder: `wandless.db` (one consistent copy, made by SQLite), `sessions/`, `results/` and `backup.json`
+//! with the digest of every file. Files are written once and never changed, so they can be copied while the service
+//! runs; rows whose files were deleted during the copy are removed from the copied database.
 
 mod backup;
 mod inventory;
@@ -10,6 +10,3 @@ mod verify;
 
 pub use backup::{BackupError, back_up, restore};
 pub use verify::{Report, verify};
-
-/// Name of a backup's list of files.
-pub const MANIFEST: &str = "backup.json";

@@ -1,7 +1,7 @@
-//! Webhooks: the call that tells a client of its job's end (Standard Webhooks 1.0).
+//! Webhooks: calls that notify a client that its job has ended (Standard Webhooks 1.0).
 //!
-//! Delivery is at least once: a receiver tells repetitions by `webhook-id`. A trigger writes the row in the transaction
-//! that ends the job; this task makes the calls, waits longer after each failure, and keeps what came of it.
+//! Delivery is at least once: receivers recognise repetitions by `webhook-id`. A database trigger inserts the delivery in
+//! the transaction that ends the job; this task makes the calls, waits longer after each failure, and stores the outcome.
 
 mod call;
 mod target;
@@ -13,37 +13,36 @@ use super::Shared;
 use super::failpoint::failpoint;
 use super::queue::job::Job;
 use super::settings::WebhookSettings;
-use super::store::{StoreError, Tenant, tenants};
-use call::{Call, Outcome};
+use super::store::{Store, StoreError, Tenant, tenants};
+use call::{Call, CallOutcome};
 use serde::Serialize;
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 use std::collections::BTreeSet;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::Duration;
 use tokio::task::JoinSet;
 
-/// One event for one receiver.
+/// Delivery of one event to one receiver.
 #[derive(Debug, Clone, Serialize)]
 pub struct Delivery {
-    /// What the receiver gets as `webhook-id`.
+    /// Value of the header `webhook-id`.
     pub id: String,
-    /// `job.succeeded` and so on.
+    /// Event type: `job.succeeded`, `job.failed`, `job.canceled` or `job.dead`.
     pub event: String,
-    /// Where it goes.
+    /// URL of the receiver.
     pub url: String,
     /// `waiting`, `delivered` or `failed`.
     pub state: String,
-    /// Calls made.
+    /// Number of calls made.
     pub tries: i64,
     /// HTTP status of the last call.
     pub last_status: Option<i64>,
     /// Why the last call failed.
     pub last_error: Option<String>,
-    /// UTC, RFC 3339.
+    /// Time of creation; UTC, RFC 3339.
     pub created_at: String,
-    /// UTC, RFC 3339.
+    /// Time of the last change; UTC, RFC 3339.
     pub updated_at: String,
     #[serde(skip)]
     job: String,
@@ -51,43 +50,43 @@ pub struct Delivery {
     tenant: Tenant,
 }
 
-/// Between two looks at what is due.
-const LOOK: Duration = Duration::from_secs(1);
+/// Interval between two checks for due deliveries.
+const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Calls at the same time: a receiver that hangs holds up one of them for the timeout.
+/// Maximal number of concurrent calls; an unresponsive receiver occupies one of them for the timeout.
 const MAX_CALLS: usize = 16;
 
 /// Makes the calls until the service stops.
 pub(super) async fn run(shared: Shared, networks: Arc<Networks>) {
     let mut calls: JoinSet<String> = JoinSet::new();
-    let mut at_work = BTreeSet::new();
-    let mut is_behind = false;
+    let mut in_flight = BTreeSet::new();
+    let mut has_backlog = false;
     loop {
         tokio::select! {
-            () = tokio::time::sleep(LOOK) => {}
-            () = shared.draining.cancelled() => return, // what is cut off is called again by the next start
+            () = tokio::time::sleep(CHECK_INTERVAL) => {}
+            () = shared.draining.cancelled() => return, // the next start repeats interrupted calls
             Some(ended) = calls.join_next() => {
-                at_work.retain(|id| ended.as_ref().is_ok_and(|ended| ended != id));
-                if !is_behind {
+                in_flight.retain(|id| ended.as_ref().is_ok_and(|ended| ended != id));
+                if !has_backlog {
                     continue;
                 }
             }
         }
         match due(&shared).await {
             Ok(due) => {
-                is_behind = due.len() > MAX_CALLS; // then the end of a call is a reason to look
+                has_backlog = due.len() > MAX_CALLS; // then check again as soon as a call ends
                 for delivery in due {
-                    if at_work.len() < MAX_CALLS && at_work.insert(delivery.id.clone()) {
+                    if in_flight.len() < MAX_CALLS && in_flight.insert(delivery.id.clone()) {
                         calls.spawn(deliver(shared.clone(), networks.clone(), delivery));
                     }
                 }
             }
-            Err(error) => tracing::error!(%error, "the webhooks could not be read"),
+            Err(error) => tracing::error!(%error, "cannot read the due webhooks; trying again"),
         }
     }
 }
 
-/// Deliveries that wait no longer, the oldest first.
+/// Returns the due deliveries, oldest first.
 async fn due(shared: &Shared) -> Result<Vec<Delivery>, StoreError> {
     let longest = 2 * wait_after(shared.settings.webhooks.max_tries, &shared.settings.webhooks).as_secs();
     let rows = sqlx::query(
@@ -102,21 +101,21 @@ async fn due(shared: &Shared) -> Result<Vec<Delivery>, StoreError> {
     rows.iter().map(from_row).collect()
 }
 
-/// One try; gives the id back.
+/// Makes one try; returns the id of the delivery.
 async fn deliver(shared: Shared, networks: Arc<Networks>, delivery: Delivery) -> String {
     failpoint("webhook.due");
-    let outcome = match call_of(&shared, &delivery).await {
+    let outcome = match prepare_call(&shared, &delivery).await {
         Ok(Some(call)) => {
             let timeout = shared.settings.webhooks.timeout;
             let called = tokio::task::spawn_blocking(move || call.make(&networks, timeout)).await;
-            called.unwrap_or_else(|error| Outcome::failed(None, error.to_string()))
+            called.unwrap_or_else(|error| CallOutcome::failed(None, error.to_string()))
         }
         Ok(None) => return delivery.id, // the job was deleted, and the delivery with it
-        Err(error) => Outcome::failed(None, error.to_string()),
+        Err(error) => CallOutcome::failed(None, error.to_string()),
     };
     let counter =
         if outcome.is_delivered() { &shared.metrics.webhooks_delivered } else { &shared.metrics.webhooks_failed };
-    counter.fetch_add(1, Ordering::Relaxed);
+    counter.inc();
     tracing::info!(
         job.id = delivery.job,
         delivery.id = delivery.id,
@@ -125,14 +124,14 @@ async fn deliver(shared: Shared, networks: Arc<Networks>, delivery: Delivery) ->
         "webhook called"
     );
     failpoint("webhook.called");
-    if let Err(error) = note(&shared, &delivery, &outcome).await {
-        tracing::error!(delivery.id = delivery.id, %error, "what came of a webhook could not be written; it is called again");
+    if let Err(error) = record(&shared, &delivery, &outcome).await {
+        tracing::error!(delivery.id = delivery.id, %error, "cannot store the outcome of a webhook call; the call will be repeated");
     }
     failpoint("webhook.noted");
     delivery.id
 }
 
-async fn call_of(shared: &Shared, delivery: &Delivery) -> Result<Option<Call>, StoreError> {
+async fn prepare_call(shared: &Shared, delivery: &Delivery) -> Result<Option<Call>, StoreError> {
     let tenant = &delivery.tenant;
     let Some(job) = shared.queue.get(tenant, &delivery.job).await? else { return Ok(None) };
     let secret = tenants::webhook_secret(&shared.store, tenant).await?;
@@ -140,7 +139,7 @@ async fn call_of(shared: &Shared, delivery: &Delivery) -> Result<Option<Call>, S
     Ok(Some(Call { id: delivery.id.clone(), url: delivery.url.clone(), secret, body }))
 }
 
-/// A thin event: what has ended and how; the rest is asked for with a key.
+/// Body of the event: the job and its outcome, without results; receivers fetch those with their API key.
 fn payload(delivery: &Delivery, job: &Job) -> serde_json::Value {
     serde_json::json!({
         "type": delivery.event,
@@ -158,7 +157,7 @@ fn payload(delivery: &Delivery, job: &Job) -> serde_json::Value {
     })
 }
 
-async fn note(shared: &Shared, delivery: &Delivery, outcome: &Outcome) -> Result<(), StoreError> {
+async fn record(shared: &Shared, delivery: &Delivery, outcome: &CallOutcome) -> Result<(), StoreError> {
     let settings = &shared.settings.webhooks;
     let tries = delivery.tries + 1;
     let state = match outcome.is_delivered() {
@@ -166,7 +165,7 @@ async fn note(shared: &Shared, delivery: &Delivery, outcome: &Outcome) -> Result
         false if tries >= settings.max_tries => "failed",
         false => "waiting",
     };
-    let mut transaction = shared.store.note().await?;
+    let mut transaction = shared.store.write_relaxed().await?;
     sqlx::query(
         "UPDATE webhook_deliveries
          SET state = ?, tries = ?, next_try_at = unixepoch() + ?, last_status = ?, last_error = ?,
@@ -184,35 +183,26 @@ async fn note(shared: &Shared, delivery: &Delivery, outcome: &Outcome) -> Result
     Ok(transaction.commit().await?)
 }
 
-/// The first wait and the fourth power of the tries made, s.
+/// Wait after `tries` calls: the first wait plus (tries - 1)^4 seconds.
 fn wait_after(tries: i64, settings: &WebhookSettings) -> Duration {
     let n = u64::try_from(tries - 1).unwrap_or(0).min(100);
     settings.first_wait + Duration::from_secs(n.pow(4))
 }
 
-/// A job's deliveries, oldest first.
+/// Lists a job's deliveries, oldest first.
 ///
 /// # Errors
 /// When the store fails.
-pub async fn deliveries_of(
-    store: &super::store::Store,
-    tenant: &Tenant,
-    job: &str,
-) -> Result<Vec<Delivery>, StoreError> {
+pub async fn deliveries_of(store: &Store, tenant: &Tenant, job: &str) -> Result<Vec<Delivery>, StoreError> {
     let rows = sqlx::query("SELECT * FROM webhook_deliveries WHERE job_id = ? AND tenant = ? ORDER BY seq");
     rows.bind(job).bind(tenant.name()).fetch_all(store.read()).await?.iter().map(from_row).collect()
 }
 
-/// Makes a delivery due again, whatever came of it; `None` where there is none.
+/// Makes a delivery due again, whatever its state; `None` if it does not exist.
 ///
 /// # Errors
 /// When the store fails.
-pub async fn redeliver(
-    store: &super::store::Store,
-    tenant: &Tenant,
-    job: &str,
-    id: &str,
-) -> Result<Option<Delivery>, StoreError> {
+pub async fn redeliver(store: &Store, tenant: &Tenant, job: &str, id: &str) -> Result<Option<Delivery>, StoreError> {
     let mut transaction = store.write().await?;
     let row = sqlx::query(
         "UPDATE webhook_deliveries
@@ -249,7 +239,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_waits_grow_and_all_tries_are_over_within_two_hours() {
+    fn waits_grow_and_end_within_two_hours() {
         let settings = WebhookSettings::default();
         let waits: Vec<u64> = (1..settings.max_tries).map(|tries| wait_after(tries, &settings).as_secs()).collect();
         assert_eq!(waits[..3], [15, 16, 31]);

@@ -22,7 +22,7 @@ fn the_figures_tell_of_jobs_requests_and_refusals() {
     server.wait_for_state(&id, "succeeded");
     server.get("/v1/jobs/job_0").expect(404);
     let page = server.get("/metrics").expect(200);
-    assert!(page.header("content-type").starts_with("text/plain"));
+    assert!(page.header("content-type").starts_with("application/openmetrics-text"));
     let page = String::from_utf8(page.body).unwrap();
     for line in [
         "wandless_jobs{state=\"succeeded\"} 1",
@@ -33,9 +33,12 @@ fn the_figures_tell_of_jobs_requests_and_refusals() {
     ] {
         assert!(page.lines().any(|l| l == line), "{line}\n{page}");
     }
-    for name in
-        ["wandless_stage_seconds_sum{", "wandless_wal_bytes ", "wandless_disk_free_bytes ", "_bucket{method=\"POST\""]
-    {
+    for name in [
+        "wandless_stage_seconds_sum{",
+        "wandless_wal_bytes ",
+        "wandless_disk_free_bytes ",
+        "_bucket{le=\"0.005\",method=\"POST\"",
+    ] {
         assert!(page.contains(name), "{name}");
     }
 }
@@ -248,7 +251,7 @@ fn a_stop_with_work_and_open_connections_is_quick_and_counts_nothing() {
 fn settings_are_told_with_their_defaults_and_mistakes_by_name() {
     let printed = wandless(&["serve", "--print-settings", "--set", "limits.max_wait_s=7"], &[]);
     let text = String::from_utf8(printed.stdout).unwrap();
-    assert!(text.contains("max_wait_s = 7.0") && text.contains("max_deaths = 3"), "{text}");
+    assert!(text.contains("max_wait_s = 7.0") && text.contains("max_crashes = 3"), "{text}");
     let refused = wandless(&["serve", "--set", "limits.max_wiat_s=7"], &[]);
     assert_eq!(refused.status.code(), Some(2));
     assert!(String::from_utf8(refused.stderr).unwrap().contains("max_wiat_s"));

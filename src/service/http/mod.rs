@@ -25,7 +25,7 @@ mod viewer;
 pub use multipart::read_form;
 
 use super::Shared;
-use super::metrics::Metrics;
+use super::metrics::{self, Metrics};
 use super::queue::Queue;
 use super::settings::Settings;
 use super::store::Store;
@@ -143,9 +143,9 @@ fn routes(app: App) -> Router {
 
 /// The service's figures for Prometheus.
 async fn metrics(State(app): State<App>) -> Result<Response, Problem> {
-    let queue = app.queue.figures().await?;
-    let page = app.metrics.page(&queue, &app.store.disk_figures());
-    Ok(([(header::CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")], page).into_response())
+    let queue = app.queue.statistics().await?;
+    let page = app.metrics.page(&queue, &app.store.disk_usage());
+    Ok(([(header::CONTENT_TYPE, metrics::MEDIA_TYPE)], page).into_response())
 }
 
 /// The process answers.

@@ -16,7 +16,6 @@ use std::io;
 use std::net::SocketAddr;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::task::{Context, Poll};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
@@ -64,9 +63,9 @@ pub(super) async fn serve(
         let connection = serve_connection(stream, Peer(peer), router.clone(), limits.clone(), draining.clone());
         let metrics = metrics.clone();
         connections.spawn(async move {
-            metrics.connections.fetch_add(1, Ordering::Relaxed);
+            metrics.connections.inc();
             connection.await;
-            metrics.connections.fetch_sub(1, Ordering::Relaxed);
+            metrics.connections.dec();
             drop(slot);
         });
         while connections.try_join_next().is_some() {} // those that have ended

@@ -6,7 +6,7 @@ use super::intake::{MediaType, keep, receive_form, unless_refused};
 use super::jobs::answer;
 use super::upload::GuardedBody;
 use super::{App, options};
-use crate::service::queue::{EnqueueError, IdempotencyKey, NewJob, Room};
+use crate::service::queue::{EnqueueError, IdempotencyKey, NewJob, QueueLimits};
 use crate::service::store::Tenant;
 use crate::service::store::sessions::{self, StoredSession};
 use crate::service::webhooks;
@@ -65,7 +65,8 @@ pub(super) async fn create(
     let options = serde_json::to_value(&parsed).map_err(Problem::internal)?;
     let new = NewJob { tenant, session: session.id, options, labels: asked.labels, priority: asked.priority, webhook };
     let key = idempotency_key(&headers, &new, &session.summary.sha256)?;
-    let job = app.queue.enqueue(&new, key.as_ref(), Room::of(&app.settings.limits, &app.settings.tenants)).await?;
+    let job =
+        app.queue.enqueue(&new, key.as_ref(), QueueLimits::of(&app.settings.limits, &app.settings.tenants)).await?;
     let location = [(header::LOCATION, format!("/v1/jobs/{}", job.id))];
     Ok((StatusCode::ACCEPTED, location, answer(&job)).into_response())
 }

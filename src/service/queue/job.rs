@@ -1,59 +1,57 @@
 //! A job and its states; no SQL.
 
-pub use super::phase::{Ending, Phase, next_phase};
-
-use Phase as P;
+use super::phase::Phase as P;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// A state with what belongs to it, so that an illegal mix cannot be written down.
+/// State of a job with the data of that state, so that an inconsistent combination cannot be constructed.
 #[derive(Debug, Clone, PartialEq)]
 pub enum JobState {
-    /// Waits for a worker.
+    /// The job waits for a worker.
     Queued,
-    /// A child works on it.
+    /// A child process works on the job.
     Running {
-        /// Which claim.
+        /// Number of the current claim.
         fence: i64,
     },
-    /// Asked to stop; the child has not ended yet.
+    /// A cancel was requested; the child process has not ended yet.
     Canceling {
-        /// Which claim.
+        /// Number of the current claim.
         fence: i64,
     },
     /// The result is published.
     Succeeded {
-        /// UTC, RFC 3339.
+        /// Time of the final state; UTC, RFC 3339.
         finished_at: String,
-        /// Claim whose result it is.
+        /// Number of the claim that published the result.
         result_fence: i64,
-        /// Verdict over the result.
+        /// Verdict on the result.
         quality: JobQuality,
     },
-    /// It cannot be solved, and this is why.
+    /// The job cannot be solved.
     Failed {
-        /// UTC, RFC 3339.
+        /// Time of the final state; UTC, RFC 3339.
         finished_at: String,
-        /// The typed cause.
+        /// Why it failed.
         error: JobError,
     },
-    /// Stopped on request.
+    /// The job was canceled on request.
     Canceled {
-        /// UTC, RFC 3339.
+        /// Time of the final state; UTC, RFC 3339.
         finished_at: String,
     },
-    /// Its child died too often.
+    /// The child process crashed too often.
     Dead {
-        /// UTC, RFC 3339.
+        /// Time of the final state; UTC, RFC 3339.
         finished_at: String,
-        /// How it died the last time.
+        /// How it crashed the last time.
         error: JobError,
     },
 }
 
 impl JobState {
-    /// The state's name.
-    pub fn phase(&self) -> Phase {
+    /// Name of the state.
+    pub fn phase(&self) -> P {
         match self {
             Self::Queued => P::Queued,
             Self::Running { .. } => P::Running,
@@ -65,7 +63,7 @@ impl JobState {
         }
     }
 
-    /// When it ended.
+    /// Time of the final state, if it was reached; UTC, RFC 3339.
     pub fn finished_at(&self) -> Option<&str> {
         match self {
             Self::Queued | Self::Running { .. } | Self::Canceling { .. } => None,
@@ -76,7 +74,7 @@ impl JobState {
         }
     }
 
-    /// Why there is no result.
+    /// Why there is no result, for failed and dead jobs.
     pub fn error(&self) -> Option<&JobError> {
         match self {
             Self::Failed { error, .. } | Self::Dead { error, .. } => Some(error),
@@ -84,7 +82,7 @@ impl JobState {
         }
     }
 
-    /// What the result is worth.
+    /// Verdict on the result, for succeeded jobs.
     pub fn quality(&self) -> Option<&JobQuality> {
         match self {
             Self::Succeeded { quality, .. } => Some(quality),
@@ -93,32 +91,32 @@ impl JobState {
     }
 }
 
-/// The verdict over a result.
+/// Verdict on a result.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct JobQuality {
     /// `pass`, `warn` or `reject`.
     pub verdict: String,
-    /// One sentence each.
+    /// Reasons of the verdict, one sentence each.
     pub reasons: Vec<String>,
 }
 
-/// Why a job has no result: what, where, and what to do.
+/// Why a job has no result: what is wrong, where, and what to do.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JobError {
-    /// For machines.
+    /// Machine-readable code.
     pub code: String,
-    /// For people.
+    /// Human-readable description.
     pub detail: String,
     /// Camera id.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub camera: Option<String>,
-    /// Frame, in the session's numbers.
+    /// Frame number of the session.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub frame: Option<i64>,
-    /// Position of the person in the frame.
+    /// Index of the person within the frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub person: Option<usize>,
-    /// JSON pointer.
+    /// JSON pointer to the offending value.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub pointer: Option<String>,
     /// What to do.
@@ -126,52 +124,52 @@ pub struct JobError {
     pub remedy: String,
 }
 
-/// How far a job is.
+/// Progress of a job.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct JobProgress {
     /// Name of the stage.
     pub stage: String,
-    /// Its position.
+    /// Index of the stage.
     pub stage_index: i64,
-    /// How many there are.
+    /// Number of stages.
     pub stage_count: i64,
-    /// Share of the whole work; never falls.
+    /// Completed share of the whole job, 0 to 1; never decreases.
     pub fraction: f64,
-    /// One sentence.
+    /// Description of the current step, one sentence.
     pub message: String,
-    /// Seconds to go, where it can be guessed.
+    /// Estimated seconds to the end; `None` while there is too little progress for an estimate.
     pub eta_s: Option<f64>,
 }
 
-/// A job as the database knows it.
+/// A job as stored in the database.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Job {
-    /// `job_` and random bits.
+    /// Job id: `job_` and random bits.
     pub id: String,
     /// Position in the list of all jobs.
     pub seq: i64,
-    /// Grows with every change.
+    /// Incremented with every change.
     pub version: i64,
-    /// What it works on.
+    /// Id of the session to solve.
     pub session: String,
-    /// Every option with its value.
+    /// All options with their values, defaults included.
     pub options: serde_json::Value,
-    /// The client's own marks.
+    /// Labels set by the client.
     pub labels: BTreeMap<String, String>,
-    /// Higher runs first.
+    /// Jobs of higher priority run first.
     pub priority: i64,
-    /// Where it stands.
+    /// Current state.
     pub state: JobState,
-    /// 0 before the first claim; grows with each death of its own child.
+    /// Number of the attempt: 0 before the first claim, then 1 plus the crash count.
     pub attempt: i64,
-    /// How far it is.
+    /// Progress of the current or last attempt.
     pub progress: JobProgress,
-    /// Wall seconds by stage.
+    /// Wall time of each stage, s.
     pub stage_seconds: BTreeMap<String, f64>,
-    /// Release that ran it.
+    /// Version of the program that ran the job.
     pub solver_version: Option<String>,
-    /// UTC, RFC 3339.
+    /// Time of acceptance; UTC, RFC 3339.
     pub created_at: String,
-    /// UTC, RFC 3339: the first claim.
+    /// Time of the first claim; UTC, RFC 3339.
     pub started_at: Option<String>,
 }

@@ -1,26 +1,27 @@
-//! What a start does before anything is served: orphans go back to the queue, files that no row names are removed.
+//! Recovery at start, before serving: orphaned jobs return to the queue, files without a row are removed.
 
-use super::Queue;
+use super::handle::Queue;
 use crate::service::failpoint::{failpoint, fault};
-use crate::service::store::{StoreError, sessions};
+use crate::service::store::error::StoreError;
+use crate::service::store::sessions;
 use sqlx::Row;
 use std::collections::BTreeMap;
 
-/// What was found.
+/// Counts of what recovery changed.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Recovered {
-    /// Jobs that ran when the last service died: they wait again, and no death is counted against them.
+    /// Jobs that were running when the previous service process ended; they are queued again without counting a crash.
     pub requeued: u64,
-    /// Jobs that were being canceled: they are canceled.
+    /// Jobs that were being canceled; they are now canceled.
     pub canceled: u64,
     /// Files and folders removed.
     pub removed: usize,
 }
 
-/// Mends what the death of the last service left. Safe to die in and to repeat.
+/// Cleans up after the previous service process. May be interrupted at any point and repeated.
 ///
-/// The boot id alone says who is an orphan, at once and without a clock: one process owns the data folder, so nobody of
-/// another boot can still be at work.
+/// The boot id alone identifies orphans, immediately and without a clock: one process owns the data folder, so no worker
+/// of another boot can still be running.
 ///
 /// # Errors
 /// When the store fails.
@@ -30,7 +31,7 @@ pub async fn recover(queue: &Queue) -> Result<Recovered, StoreError> {
     }
     let mut transaction = queue.store.write().await?;
     if fault("recovery.blames") {
-        let blamed = sqlx::query("UPDATE jobs SET deaths = deaths + 1 WHERE state = 'running'");
+        let blamed = sqlx::query("UPDATE jobs SET crashes = crashes + 1 WHERE state = 'running'");
         blamed.execute(&mut *transaction).await?;
     }
     let requeued = sqlx::query(
@@ -58,7 +59,7 @@ pub async fn recover(queue: &Queue) -> Result<Recovered, StoreError> {
     Ok(Recovered { requeued, canceled, removed })
 }
 
-/// Removes uploads on their way, uploads without a row, stages of ended jobs, and results other than the published ones.
+/// Removes unfinished uploads, uploads without a row, checkpoints of ended jobs, and all results but the published ones.
 async fn sweep(queue: &Queue) -> Result<usize, StoreError> {
     let folders = &queue.store.folders;
     let mut removed = 0;
@@ -75,9 +76,9 @@ async fn sweep(queue: &Queue) -> Result<usize, StoreError> {
             remove("sessions", &name);
         }
     }
-    let unended = unended(queue).await?;
+    let open_jobs = open_jobs(queue).await?;
     for job in folders.names("checkpoints")? {
-        if unended.binary_search(&job).is_err() {
+        if open_jobs.binary_search(&job).is_err() {
             remove("checkpoints", &job);
         }
     }
@@ -97,8 +98,8 @@ async fn sweep(queue: &Queue) -> Result<usize, StoreError> {
     Ok(removed)
 }
 
-/// Jobs that may still be resumed, sorted.
-async fn unended(queue: &Queue) -> Result<Vec<String>, StoreError> {
+/// Ids of the jobs without a final state, sorted.
+async fn open_jobs(queue: &Queue) -> Result<Vec<String>, StoreError> {
     let ids = sqlx::query_scalar("SELECT id FROM jobs WHERE state IN ('queued', 'running', 'canceling') ORDER BY id");
     Ok(ids.fetch_all(queue.store.read()).await?)
 }

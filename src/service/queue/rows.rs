@@ -1,11 +1,12 @@
-//! Rows of `jobs` as [`Job`]s.
+//! Conversion of `jobs` rows to [`Job`]s.
 
-use super::job::{Job, JobProgress, JobQuality, JobState, Phase};
-use crate::service::store::StoreError;
+use super::job::{Job, JobProgress, JobQuality, JobState};
+use super::phase::Phase;
+use crate::service::store::error::StoreError;
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
-/// Reads a row of `jobs` joined with its row of `verdicts`.
+/// Converts a row of `jobs` joined with its row of `verdicts`.
 pub(super) fn job_from_row(row: &SqliteRow) -> Result<Job, StoreError> {
     Ok(Job {
         id: row.try_get("id")?,
@@ -32,10 +33,10 @@ pub(super) fn job_from_row(row: &SqliteRow) -> Result<Job, StoreError> {
     })
 }
 
-/// The state's name in a row.
+/// Reads the state's name from a row.
 pub(super) fn phase_from_row(row: &SqliteRow) -> Result<Phase, StoreError> {
     let name: &str = row.try_get("state")?;
-    // The schema admits no other name; a database edited by hand is told so.
+    // The schema admits no other names; only a database edited by hand can fail here.
     Phase::parse(name).ok_or_else(|| sqlx::Error::Decode(format!("unknown job state `{name}`").into()).into())
 }
 

@@ -1,6 +1,5 @@
-//! `backup` and `restore`.
+//! Creating and restoring a backup.
 
-use super::MANIFEST;
 use super::inventory::{NamedFile, named_files};
 use crate::service::failpoint::fault;
 use crate::service::store::artifacts::digest_file;
@@ -13,47 +12,50 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// What a backup holds.
+/// Name of a backup's list of files.
+pub(super) const MANIFEST: &str = "backup.json";
+
+/// List of the files of a backup.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Manifest {
-    /// Release that wrote it.
+    /// Version of the program that made the backup.
     pub(super) wandless: String,
-    /// Every file but this one.
+    /// All files except this list.
     pub(super) files: Vec<NamedFile>,
 }
 
-/// Why there is no backup, or no data folder out of it.
+/// Why a backup or a restore failed.
 #[derive(Debug, thiserror::Error)]
 pub enum BackupError {
     /// A file could not be read or written.
     #[error("{}: {source}", path.display())]
     File {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// The target holds something already.
-    #[error("{}: the folder is not empty; choose another", path.display())]
+    /// The target folder is not empty.
+    #[error("{}: the folder is not empty; choose another one", path.display())]
     Occupied {
-        /// The target.
+        /// Path of the target folder.
         path: PathBuf,
     },
-    /// A file is not what was written.
-    #[error("{name}: the file is damaged (of {owner}); nothing was published")]
+    /// A file differs from its digest.
+    #[error("{name}: the file of {owner} is missing or damaged; the target folder was not created")]
     Damaged {
-        /// Below the folder.
+        /// Path below the folder.
         name: String,
-        /// Session or job.
+        /// Id of the session or job.
         owner: String,
     },
     /// The list of files cannot be read.
     #[error("{}: {source}", path.display())]
     Manifest {
-        /// The list.
+        /// Path of the list.
         path: PathBuf,
-        /// What is wrong.
+        /// Parse error.
         source: serde_json::Error,
     },
     /// The database failed.
@@ -67,10 +69,10 @@ impl From<sqlx::Error> for BackupError {
     }
 }
 
-/// Copies the data folder `data` to the new folder `to`; its service may be at work. Gives the number of files.
+/// Copies the data folder `data` to the new folder `to`, also while its service runs. Returns the number of files.
 ///
 /// # Errors
-/// [`BackupError`]; what was copied until then stays in `<to>.tmp`.
+/// [`BackupError`]; the files copied until then stay in `<to>.tmp`.
 pub async fn back_up(data: &Path, to: &Path) -> Result<usize, BackupError> {
     require_empty(to)?;
     let staging = to.with_extension("tmp");
@@ -85,11 +87,11 @@ pub async fn back_up(data: &Path, to: &Path) -> Result<usize, BackupError> {
     let mut files = Vec::new();
     for file in named_files(&copied).await? {
         match copy_file(data, &staging, &file)? {
-            Copied::Whole => files.push(file),
-            Copied::Gone => forget(&copied, &file).await?,
+            Copied::Complete => files.push(file),
+            Copied::Missing => delete_owner(&copied, &file).await?,
         }
     }
-    // A job that lost one file was deleted while we copied: its other files are nobody's.
+    // A job with a missing file was deleted during the copy; its other files are dropped from the list.
     let known = named_files(&copied).await?;
     files.retain(|file| known.contains(file));
     sqlx::query("PRAGMA journal_mode = DELETE").execute(&copied).await?;
@@ -105,10 +107,10 @@ pub async fn back_up(data: &Path, to: &Path) -> Result<usize, BackupError> {
     Ok(files.len())
 }
 
-/// Makes the data folder `data` out of the backup `from`, every file checked. Gives the number of files.
+/// Creates the data folder `data` from the backup `from` and verifies every file. Returns the number of files.
 ///
 /// # Errors
-/// [`BackupError`]; `data` then does not appear.
+/// [`BackupError`]; `data` is then not created.
 pub fn restore(from: &Path, data: &Path) -> Result<usize, BackupError> {
     require_empty(data)?;
     let manifest = read_manifest(from)?;
@@ -116,7 +118,7 @@ pub fn restore(from: &Path, data: &Path) -> Result<usize, BackupError> {
     make_folder(&staging)?;
     require_empty(&staging)?;
     for file in &manifest.files {
-        if !is_inside(&file.name) || matches!(copy_file(from, &staging, file)?, Copied::Gone) {
+        if !is_inside(&file.name) || matches!(copy_file(from, &staging, file)?, Copied::Missing) {
             return Err(BackupError::Damaged { name: file.name.clone(), owner: file.owner.clone() });
         }
     }
@@ -130,7 +132,7 @@ pub(super) fn read_manifest(backup: &Path) -> Result<Manifest, BackupError> {
     serde_json::from_slice(&text).map_err(|source| BackupError::Manifest { path, source })
 }
 
-/// One connection to a database file, without the lock of a service.
+/// Opens a database file with one connection, without taking the lock of the data folder.
 pub(super) async fn open(path: &Path, may_write: bool) -> Result<SqlitePool, StoreError> {
     let options = SqliteConnectOptions::new().filename(path).busy_timeout(Duration::from_secs(30));
     let options = options.read_only(!may_write).foreign_keys(true);
@@ -138,12 +140,12 @@ pub(super) async fn open(path: &Path, may_write: bool) -> Result<SqlitePool, Sto
 }
 
 enum Copied {
-    Whole,
-    /// Deleted since the database was copied.
-    Gone,
+    Complete,
+    /// The file was deleted after the database was copied.
+    Missing,
 }
 
-/// Copies and checks one file; its digest is that of what now lies in the copy.
+/// Copies one file and verifies the digest of the copy.
 fn copy_file(from: &Path, to: &Path, file: &NamedFile) -> Result<Copied, BackupError> {
     let (source, target) = (from.join(&file.name), to.join(&file.name));
     let failed = |source| BackupError::File { path: target.clone(), source };
@@ -152,18 +154,18 @@ fn copy_file(from: &Path, to: &Path, file: &NamedFile) -> Result<Copied, BackupE
     }
     match std::fs::copy(&source, &target) {
         Ok(_) => {}
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Copied::Gone),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Copied::Missing),
         Err(error) => return Err(BackupError::File { path: source, source: error }),
     }
     File::open(&target).and_then(|copy| copy.sync_all()).map_err(failed)?;
     if digest_file(&target).map_err(failed)?.sha256 != file.sha256 {
         return Err(BackupError::Damaged { name: file.name.clone(), owner: file.owner.clone() });
     }
-    Ok(Copied::Whole)
+    Ok(Copied::Complete)
 }
 
-/// Takes a session or a job whose file is gone out of the copied database.
-async fn forget(database: &SqlitePool, file: &NamedFile) -> Result<(), BackupError> {
+/// Deletes a session or job with a missing file from the copied database.
+async fn delete_owner(database: &SqlitePool, file: &NamedFile) -> Result<(), BackupError> {
     sqlx::query("DELETE FROM jobs WHERE id = ?1 OR (session_id = ?1 AND state IN ('queued', 'running', 'canceling'))")
         .bind(&file.owner)
         .execute(database)
@@ -198,7 +200,7 @@ fn write_manifest(folder: &Path, files: &[NamedFile]) -> Result<(), BackupError>
     written.map_err(|source| BackupError::File { path, source })
 }
 
-/// The folder appears whole or not at all.
+/// Renames the complete folder to its final name.
 fn publish(staging: &Path, target: &Path) -> Result<(), BackupError> {
     if target.exists() {
         std::fs::remove_dir(target).map_err(|source| BackupError::File { path: target.to_owned(), source })?;

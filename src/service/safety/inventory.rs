@@ -1,4 +1,4 @@
-//! The files that a database names.
+//! The files that a database refers to.
 
 use crate::service::store::StoreError;
 use serde::{Deserialize, Serialize};
@@ -7,16 +7,16 @@ use sqlx::{Row, SqlitePool};
 /// One file below a data folder.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub(super) struct NamedFile {
-    /// Path below the folder, with `/`.
+    /// Path below the data folder, with `/`.
     pub(super) name: String,
-    /// Digest when it was published, hex.
+    /// SHA-256 of the published file, hex.
     pub(super) sha256: String,
-    /// Whose file it is, `session_…` or `job_…`; empty for the database itself.
+    /// Id of the owner, `session_…` or `job_…`; empty for the database itself.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub(super) owner: String,
 }
 
-/// Every upload and every published file, sorted by name.
+/// Lists all uploads and published files, sorted by name.
 pub(super) async fn named_files(database: &SqlitePool) -> Result<Vec<NamedFile>, StoreError> {
     let rows = sqlx::query(
         "SELECT id AS owner, 'sessions/' || id AS name, sha256 FROM sessions

@@ -1,12 +1,11 @@
-//! `verify`: every byte of a data folder or a backup against what was written.
+//! `verify`: checks every byte of a data folder or a backup.
 //!
-//! Uploads, results and finished stages are compared with their digests. The database is walked by SQLite's own integrity
-//! check, and compared byte by byte: in a backup with its digest, in a data folder with the digests of its pages and the
-//! checksums of its log, whether its service is at work, was killed, or has stopped. Known limit: a folder that no service
-//! of this release has served yet has no digests.
+//! Uploads, results and checkpoints are compared with their digests. The database passes SQLite's integrity check and a
+//! comparison of all bytes: in a backup with its digest, in a data folder with the digests of its pages and the checksums
+//! of its write-ahead log, whether the service is running, was killed or has stopped. Known limit: a folder that was never
+//! served by a release with page digests has none.
 
-use super::MANIFEST;
-use super::backup::{BackupError, open, read_manifest};
+use super::backup::{BackupError, MANIFEST, open, read_manifest};
 use super::inventory::named_files;
 use crate::pipeline::checkpoints::is_whole;
 use crate::service::failpoint::fault;
@@ -16,21 +15,21 @@ use crate::service::store::pages::{self, Compared};
 use std::collections::BTreeSet;
 use std::path::Path;
 
-/// What was found.
+/// Result of a verification.
 #[derive(Debug, Default)]
 pub struct Report {
-    /// Files compared with their digests.
+    /// Number of files compared with their digests.
     pub checked: usize,
-    /// One line for each damage, naming file and owner.
+    /// One line per damage, with file and owner.
     pub damages: Vec<String>,
-    /// Files that nothing names; the next start removes them.
+    /// Files without a row; the next start removes them.
     pub strays: Vec<String>,
 }
 
-/// Checks a data folder or a backup.
+/// Verifies a data folder or a backup.
 ///
 /// # Errors
-/// When the folder holds no database, or cannot be read at all; damage is no error but is reported.
+/// When the folder has no database or cannot be read; damage is not an error but part of the report.
 pub async fn verify(folder: &Path) -> Result<Report, BackupError> {
     let mut report = Report::default();
     let path = folder.join(DATABASE);
@@ -39,14 +38,13 @@ pub async fn verify(folder: &Path) -> Result<Report, BackupError> {
     }
     check_database_bytes(folder, &mut report)?;
     check_checkpoints(folder, &mut report);
-    match check_rows(folder, &mut report).await {
-        Ok(()) => {}
-        Err(error) => report.damages.push(format!("{DATABASE}: {error}")),
+    if let Err(error) = check_rows(folder, &mut report).await {
+        report.damages.push(format!("{DATABASE}: {error}"));
     }
     Ok(report)
 }
 
-/// The database's own bytes: against the list of a backup, or page by page.
+/// Checks the bytes of the database: against the list of a backup, or page by page.
 fn check_database_bytes(folder: &Path, report: &mut Report) -> Result<(), BackupError> {
     let path = folder.join(DATABASE);
     let failed = |source| BackupError::File { path: path.clone(), source };
@@ -60,10 +58,10 @@ fn check_database_bytes(folder: &Path, report: &mut Report) -> Result<(), Backup
     };
     let damage = match listed {
         Some(listed) if digest_file(&path).map_err(failed)?.sha256 == listed.sha256 => None,
-        Some(_) => Some("its bytes are not those that were written".to_owned()),
+        Some(_) => Some("the bytes have changed since the backup".to_owned()),
         None => match pages::compare(&path).map_err(failed)? {
             Compared::Damaged(damage) => Some(damage),
-            Compared::Unknown | Compared::Whole(_) => None,
+            Compared::Unknown | Compared::Intact(_) => None,
         },
     };
     report.checked += 1;
@@ -71,7 +69,7 @@ fn check_database_bytes(folder: &Path, report: &mut Report) -> Result<(), Backup
     Ok(())
 }
 
-/// Finished stages of jobs that have not ended: a damaged one is not used, and told.
+/// Checks the checkpoints of open jobs; a damaged one is not used, but reported.
 fn check_checkpoints(folder: &Path, report: &mut Report) {
     for job in std::fs::read_dir(folder.join("checkpoints")).into_iter().flatten().flatten() {
         for file in std::fs::read_dir(job.path()).into_iter().flatten().flatten() {
@@ -80,7 +78,7 @@ fn check_checkpoints(folder: &Path, report: &mut Report) {
                 report.checked += 1;
                 if !is_whole(&path) {
                     let name = path.strip_prefix(folder).unwrap_or(&path).display();
-                    report.damages.push(format!("{name}: the stage is not whole; it is run again"));
+                    report.damages.push(format!("{name}: the checkpoint is damaged; its stage will be run again"));
                 }
             }
         }
@@ -96,23 +94,23 @@ async fn check_rows(folder: &Path, report: &mut Report) -> Result<(), BackupErro
         report.checked += 1;
         match digest_file(&folder.join(&file.name)) {
             Ok(digest) if digest.sha256 == file.sha256 || fault("verify.blind") => {}
-            Ok(_) => report.damages.push(format!("{}: the bytes of {} have changed", file.name, file.owner)),
+            Ok(_) => report.damages.push(format!("{}: the file of {} has changed", file.name, file.owner)),
             Err(error) => report.damages.push(format!("{}: {error} ({})", file.name, file.owner)),
         }
     }
     database.close().await;
     let known: BTreeSet<&str> = files.iter().map(|file| file.name.as_str()).collect();
     for top in ["sessions", "results"] {
-        gather_strays(folder, top, &known, &mut report.strays);
+        collect_strays(folder, top, &known, &mut report.strays);
     }
     Ok(())
 }
 
-fn gather_strays(root: &Path, name: &str, known: &BTreeSet<&str>, strays: &mut Vec<String>) {
+fn collect_strays(root: &Path, name: &str, known: &BTreeSet<&str>, strays: &mut Vec<String>) {
     for entry in std::fs::read_dir(root.join(name)).into_iter().flatten().flatten() {
         let name = format!("{name}/{}", entry.file_name().to_string_lossy());
         if entry.path().is_dir() {
-            gather_strays(root, &name, known, strays);
+            collect_strays(root, &name, known, strays);
         } else if !known.contains(name.as_str()) {
             strays.push(name);
         }

@@ -1,4 +1,4 @@
-//! A duration as a number of seconds.
+//! Serialises a duration as a number of seconds.
 
 use serde::{Deserialize, Deserializer, Serializer, de::Error};
 use std::time::Duration;
@@ -9,5 +9,6 @@ pub(super) fn serialize<S: Serializer>(duration: &Duration, serializer: S) -> Re
 
 pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Duration, D::Error> {
     let seconds = f64::deserialize(deserializer)?;
-    Duration::try_from_secs_f64(seconds).map_err(|_| D::Error::custom(format!("{seconds} is no number of seconds")))
+    Duration::try_from_secs_f64(seconds)
+        .map_err(|_| D::Error::custom(format!("{seconds} is not a duration in seconds")))
 }

@@ -1,6 +1,7 @@
-//! Published files of a job: found, hashed and synced once, then served by their digest.
+//! Published files of a job: listed, hashed and synced once, then served by their digest.
 
-use super::{Store, StoreError};
+use super::database::Store;
+use super::error::StoreError;
 use sha2::{Digest, Sha256};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, Sqlite, Transaction};
@@ -13,18 +14,18 @@ use std::path::Path;
 pub struct Artifact {
     /// Path below the result folder, with `/`.
     pub name: String,
-    /// What it is.
+    /// Media type.
     pub media_type: String,
-    /// Its size.
+    /// Size, bytes.
     pub bytes: u64,
-    /// Its digest, hex.
+    /// SHA-256, hex.
     pub sha256: String,
 }
 
-/// Walks a result folder, hashes every file and syncs files and folders; sorted by name.
+/// Lists a result folder: hashes every file, syncs files and folders, and sorts by name.
 ///
 /// # Errors
-/// When a file cannot be read or synced, or is neither file nor folder, or its name is no UTF-8.
+/// When an entry cannot be read or synced, is neither file nor folder, or has a name that is not UTF-8.
 pub fn scan(root: &Path) -> io::Result<Vec<Artifact>> {
     let mut artifacts = Vec::new();
     scan_folder(root, "", &mut artifacts)?;
@@ -36,8 +37,8 @@ fn scan_folder(folder: &Path, prefix: &str, artifacts: &mut Vec<Artifact>) -> io
     for entry in std::fs::read_dir(folder)? {
         let entry = entry?;
         let file_name = entry.file_name();
-        let odd = |what: &str| io::Error::other(format!("{}: {what}", entry.path().display()));
-        let name = file_name.to_str().ok_or_else(|| odd("the name is no UTF-8"))?;
+        let invalid = |what: &str| io::Error::other(format!("{}: {what}", entry.path().display()));
+        let name = file_name.to_str().ok_or_else(|| invalid("the name is not UTF-8"))?;
         let name = format!("{prefix}{name}");
         let kind = entry.file_type()?; // does not follow links
         if kind.is_dir() {
@@ -48,7 +49,7 @@ fn scan_folder(folder: &Path, prefix: &str, artifacts: &mut Vec<Artifact>) -> io
             let media_type = media_type(&name).to_owned();
             artifacts.push(Artifact { name, media_type, bytes: digest.bytes, sha256: digest.sha256 });
         } else {
-            return Err(odd("neither file nor folder"));
+            return Err(invalid("neither file nor folder"));
         }
     }
     File::open(folder)?.sync_all()
@@ -57,16 +58,16 @@ fn scan_folder(folder: &Path, prefix: &str, artifacts: &mut Vec<Artifact>) -> io
 /// Size and digest of a file.
 #[derive(Debug, PartialEq, Eq)]
 pub struct FileDigest {
-    /// Its size.
+    /// Size, bytes.
     pub bytes: u64,
     /// SHA-256, hex.
     pub sha256: String,
 }
 
-/// Reads a file once.
+/// Computes the size and the SHA-256 of a file, reading it once.
 ///
 /// # Errors
-/// When it cannot be read.
+/// When the file cannot be read.
 pub fn digest_file(path: &Path) -> io::Result<FileDigest> {
     let mut file = File::open(path)?;
     let mut hasher = Sha256::new();
@@ -96,10 +97,10 @@ fn media_type(name: &str) -> &'static str {
     }
 }
 
-/// Writes the rows of a job that is about to succeed.
+/// Inserts the rows of a job that is about to succeed.
 ///
 /// # Errors
-/// When the database refuses.
+/// When the database fails.
 pub async fn insert(
     transaction: &mut Transaction<'static, Sqlite>,
     job: &str,
@@ -118,7 +119,7 @@ pub async fn insert(
     Ok(())
 }
 
-/// One file of a job by its name.
+/// Returns one file of a job by name.
 ///
 /// # Errors
 /// When the store fails.
@@ -141,7 +142,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_scan_names_every_file_with_its_digest_in_order() {
+    fn scan_lists_files_with_digests_in_order() {
         let folder = tempfile::tempdir().unwrap();
         std::fs::create_dir(folder.path().join("smpl")).unwrap();
         std::fs::write(folder.path().join("smpl/0.npz"), b"abc").unwrap();
@@ -154,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_link_in_a_result_is_refused() {
+    fn rejects_links_in_a_result() {
         let folder = tempfile::tempdir().unwrap();
         std::os::unix::fs::symlink("/etc/hostname", folder.path().join("cameras.json")).unwrap();
         assert!(scan(folder.path()).is_err());

@@ -1,4 +1,4 @@
-//! Why the store cannot do what it is asked for.
+//! Errors of the store.
 
 use sqlx::migrate::MigrateError;
 use std::path::{Path, PathBuf};
@@ -6,44 +6,46 @@ use std::path::{Path, PathBuf};
 /// Why the data folder cannot be used, or a statement failed.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
-    /// The folder could not be made, read or written.
+    /// A file or folder could not be created, read or written.
     #[error("{path}: {source}", path = .path.display())]
     Folder {
-        /// Which file or folder.
+        /// Path of the file or folder.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// Another service owns the folder.
-    #[error("{path}: another wandless service is using this data folder", path = .path.display())]
+    /// Another service process owns the folder.
+    #[error("{path}: another wandless service is using this data folder; stop it, or choose another --data folder", path = .path.display())]
     InUse {
         /// The lock file.
         path: PathBuf,
     },
-    /// Uploads or results are there, but the database is not.
-    #[error("{path}: the database is missing or empty although the folder holds uploads or results; restore it from a backup, or choose another --data folder", path = .path.display())]
+    /// Uploads or results exist, but the database is missing or empty.
+    #[error("{path}: the database is missing or empty but the folder contains uploads or results; restore it from a backup, or choose another --data folder", path = .path.display())]
     DatabaseLost {
         /// The database file.
         path: PathBuf,
     },
-    /// What lies there is no database, or no whole one.
-    #[error("{path}: {reason}; restore it from a backup (`wandless restore`), or see what `wandless verify` says", path = .path.display())]
+    /// The file is not a database, or is damaged.
+    #[error("{path}: the database is damaged: {reason}; restore it from a backup (`wandless restore`), or run `wandless verify` for details", path = .path.display())]
     DatabaseDamaged {
         /// The database file.
         path: PathBuf,
-        /// What SQLite said.
+        /// Error message of SQLite.
         reason: String,
     },
     /// The database was written by a newer release.
-    #[error("the database holds migration {migration}, which this release does not know: a newer wandless wrote it")]
+    #[error(
+        "the database contains migration {migration}, which this release does not know; use the newer wandless that wrote it"
+    )]
     Newer {
-        /// The unknown migration.
+        /// Number of the unknown migration.
         migration: i64,
     },
-    /// The library linked has a known corruption bug.
-    #[error("SQLite {found} can corrupt its file; 3.51.3 or newer is needed")]
+    /// The linked SQLite library has a known corruption bug.
+    #[error("SQLite {found} can corrupt the database file; version 3.51.3 or newer is required")]
     UnsoundSqlite {
-        /// The linked version.
+        /// Version of the linked library.
         found: String,
     },
     /// A migration failed.
@@ -52,30 +54,30 @@ pub enum StoreError {
     /// A statement failed.
     #[error("database: {0}")]
     Database(#[from] sqlx::Error),
-    /// The system gives no random numbers.
-    #[error("the system gives no random numbers")]
+    /// The operating system provides no random numbers.
+    #[error("the operating system provides no random numbers")]
     NoRandomness,
-    /// A stored JSON text is no longer readable.
+    /// A stored JSON text cannot be parsed.
     #[error("stored JSON: {0}")]
     Json(#[from] serde_json::Error),
 }
 
 impl StoreError {
-    /// Whether the disk is what stands in the way: SQLite's FULL, or a write, or its shared memory that found no room.
+    /// Whether the disk is full: SQLite's FULL, or a failed write or shared memory allocation.
     pub fn is_disk_full(&self) -> bool {
         let Self::Database(sqlx::Error::Database(cause)) = self else { return false };
         matches!(cause.code().as_deref(), Some("13" | "778" | "4874"))
     }
 
-    /// The same error, naming the file where it is no whole database: SQLite's CORRUPT and NOTADB.
+    /// Converts SQLite's CORRUPT and NOTADB to [`StoreError::DatabaseDamaged`] with the path of the file.
     pub(super) fn of_file(self, path: &Path) -> Self {
         let cause = match &self {
             Self::Database(cause) | Self::Migration(MigrateError::Execute(cause)) => cause,
             _ => return self,
         };
-        let said = cause.as_database_error().filter(|said| matches!(said.code().as_deref(), Some("11" | "26")));
-        match said {
-            Some(said) => Self::DatabaseDamaged { path: path.to_owned(), reason: said.message().to_owned() },
+        let error = cause.as_database_error().filter(|error| matches!(error.code().as_deref(), Some("11" | "26")));
+        match error {
+            Some(error) => Self::DatabaseDamaged { path: path.to_owned(), reason: error.message().to_owned() },
             None => self,
         }
     }

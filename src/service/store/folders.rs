@@ -1,9 +1,11 @@
-//! Where the files of a data folder lie, and how one is made durable.
+//! File layout of a data folder, and how a file is made durable.
 //!
-//! `wandless.db` with its log and `wandless.db.pages`, `lock`, `reserve`, `tmp/` (uploads on their way), `sessions/<id>`, `results/<job>/<fence>/` (published) and
-//! `results/<job>/<fence>.tmp/` (being written by a child), `checkpoints/<job>/` (finished stages of a job at work). File names are made here, never taken from a client.
+//! `wandless.db` with its write-ahead log and `wandless.db.pages`, `lock`, `reserve`, `tmp/` (unfinished uploads), `sessions/<id>`,
+//! `results/<job>/<fence>/` (published), `results/<job>/<fence>.tmp/` (being written by a child process), `checkpoints/<job>/`
+//! (finished stages of an open job). File names are generated here, never taken from a client.
 
-use super::StoreError;
+use super::error::StoreError;
+use super::random::new_id;
 use crate::service::failpoint::{failpoint, fault};
 use rustix::fs::FlockOperation;
 use std::fs::File;
@@ -15,61 +17,64 @@ use std::time::{Duration, Instant};
 /// Name of the database in a data folder and in a backup.
 pub const DATABASE: &str = "wandless.db";
 
-/// A file of nothing, given up so that a full disk can be cleared.
+/// Name of the page digests in a data folder.
+pub(super) const PAGES: &str = "wandless.db.pages";
+
+/// A file of zeros that is removed when the disk is full, so that deletes still work.
 const RESERVE: &str = "reserve";
 
-/// Enough for the log of some thousand deletes.
+/// Size of the reserve: enough for the write-ahead log of some thousand deletes.
 const RESERVE_BYTES: usize = 2 << 20;
 
-/// The folders of a data folder that this process owns: the lock is held as long as a clone lives.
+/// Paths of a data folder; a process that owns the folder holds its lock as long as a clone exists.
 #[derive(Debug, Clone)]
 pub struct Folders {
     root: PathBuf,
-    /// None beside a service that holds the lock.
+    /// `None` in a command beside a service that holds the lock.
     lock: Option<Arc<File>>,
 }
 
-/// A file that is removed when dropped, unless it was kept.
+/// A file that is removed on drop unless it was kept.
 #[derive(Debug)]
 pub struct TemporaryFile {
-    /// Where it lies.
+    /// Path of the file.
     pub path: PathBuf,
     kept: bool,
 }
 
 impl Folders {
-    /// Makes the folders and takes the lock.
+    /// Creates the folders and takes the lock.
     ///
     /// # Errors
-    /// [`StoreError::InUse`] when another process holds the lock, [`StoreError::Folder`] for the rest.
+    /// [`StoreError::InUse`] when another process holds the lock, [`StoreError::Folder`] for other failures.
     pub fn open(root: &Path) -> Result<Self, StoreError> {
         for folder in ["", "tmp", "sessions", "results", "checkpoints"] {
             let path = root.join(folder);
             std::fs::create_dir_all(&path).map_err(|source| StoreError::Folder { path, source })?;
         }
         let fail = |path: &Path, source| StoreError::Folder { path: path.to_owned(), source };
-        let root = root.canonicalize().map_err(|source| fail(root, source))?; // a child must find it from anywhere
+        let root = root.canonicalize().map_err(|source| fail(root, source))?; // child processes may have another working folder
         let path = root.join("lock");
         let lock = File::options().create(true).append(true).open(&path).map_err(|source| fail(&path, source))?;
         match take_lock(&lock) {
-            Err(_) if fault("lock.none") => Ok(Self { root, lock: Some(Arc::new(lock)) }),
             Ok(()) => Ok(Self { root, lock: Some(Arc::new(lock)) }),
+            Err(_) if fault("lock.none") => Ok(Self { root, lock: Some(Arc::new(lock)) }),
             Err(rustix::io::Errno::WOULDBLOCK) => Err(StoreError::InUse { path }),
             Err(errno) => Err(StoreError::Folder { path, source: errno.into() }),
         }
     }
 
-    /// Whether a service is at work in a data folder.
+    /// Whether a running service owns a data folder.
     pub(crate) fn are_in_use(root: &Path) -> bool {
         let lock = File::options().append(true).open(root.join("lock"));
         let taken = lock.map(|lock| rustix::fs::flock(&lock, FlockOperation::NonBlockingLockExclusive));
-        matches!(taken, Ok(Err(rustix::io::Errno::WOULDBLOCK))) // a lock that was taken goes with the file, here
+        matches!(taken, Ok(Err(rustix::io::Errno::WOULDBLOCK))) // a lock taken here is released with the file
     }
 
-    /// The folders of a service that is at work, for a command beside it.
+    /// Returns the folders of a running service, for a command beside it.
     ///
     /// # Errors
-    /// When there is no such folder.
+    /// When the folder does not exist.
     pub(super) fn beside(root: &Path) -> Result<Self, StoreError> {
         let root = root.canonicalize().map_err(|source| StoreError::Folder { path: root.to_owned(), source })?;
         Ok(Self { root, lock: None })
@@ -80,62 +85,62 @@ impl Folders {
         self.lock.is_some()
     }
 
-    /// Digests of the database's pages.
+    /// Path of the page digests.
     pub(super) fn pages(&self) -> PathBuf {
-        self.root.join(super::pages::PAGES)
+        self.root.join(PAGES)
     }
 
-    /// The database's write-ahead log.
+    /// Path of the database's write-ahead log.
     pub(super) fn log(&self) -> PathBuf {
         self.root.join("wandless.db-wal")
     }
 
-    /// The database file.
+    /// Path of the database file.
     pub fn database(&self) -> PathBuf {
         self.root.join(DATABASE)
     }
 
-    /// The registered body models.
+    /// Folder of the registered body models.
     pub fn bodies(&self) -> PathBuf {
         crate::service::bodies::folder(&self.root)
     }
 
-    /// The bytes of a session.
+    /// Path of the uploaded bytes of a session.
     pub fn session(&self, id: &str) -> PathBuf {
         self.root.join("sessions").join(id)
     }
 
-    /// All files of a job.
+    /// Folder of all results of a job.
     pub fn job(&self, job: &str) -> PathBuf {
         self.root.join("results").join(job)
     }
 
-    /// Finished stages of a job that has not ended.
+    /// Folder of the checkpoints of an open job.
     pub fn checkpoints(&self, job: &str) -> PathBuf {
         self.root.join("checkpoints").join(job)
     }
 
-    /// The published result of one claim of a job.
+    /// Folder of the published result of one claim.
     pub fn result(&self, job: &str, fence: i64) -> PathBuf {
         self.job(job).join(fence.to_string())
     }
 
-    /// Where a child writes the result of one claim.
+    /// Folder in which a child process writes the result of one claim.
     pub fn staging(&self, job: &str, fence: i64) -> PathBuf {
         self.job(job).join(format!("{fence}.tmp"))
     }
 
-    /// A new name in `tmp/`.
+    /// Returns a new path in `tmp/`.
     pub fn temporary(&self) -> TemporaryFile {
-        TemporaryFile { path: self.root.join("tmp").join(super::new_id("upload")), kept: false }
+        TemporaryFile { path: self.root.join("tmp").join(new_id("upload")), kept: false }
     }
 
-    /// Whether any upload or result is there.
+    /// Whether the folder contains any upload or result.
     pub(super) fn hold_files(&self) -> Result<bool, StoreError> {
         Ok(!self.names("sessions")?.is_empty() || !self.names("results")?.is_empty())
     }
 
-    /// The names in `tmp`, `sessions`, `results` or `checkpoints`, sorted.
+    /// Lists the names in `tmp`, `sessions`, `results` or `checkpoints`, sorted.
     ///
     /// # Errors
     /// When the folder cannot be read.
@@ -148,14 +153,14 @@ impl Folders {
         Ok(names)
     }
 
-    /// Removes one name of `tmp`, `sessions`, `results` or `checkpoints`, folder or file. What is gone already is no error.
+    /// Removes one entry of `tmp`, `sessions`, `results` or `checkpoints`, folder or file. A missing entry is not an error.
     pub fn remove(&self, folder: &str, name: &str) {
         let path = self.root.join(folder).join(name);
         let removed = if path.is_dir() { std::fs::remove_dir_all(&path) } else { std::fs::remove_file(&path) };
         if let Err(error) = removed
             && error.kind() != io::ErrorKind::NotFound
         {
-            tracing::warn!(path = %path.display(), %error, "could not be removed; the next start tries again");
+            tracing::warn!(path = %path.display(), %error, "cannot be removed; the next start tries again");
         }
     }
 
@@ -163,30 +168,30 @@ impl Folders {
     pub fn remove_claim(&self, job: &str, fence: i64) {
         self.remove("results", &format!("{job}/{fence}.tmp"));
         self.remove("results", &format!("{job}/{fence}"));
-        let _ = std::fs::remove_dir(self.job(job)); // refuses while another claim's files are there
+        let _ = std::fs::remove_dir(self.job(job)); // fails while files of another claim exist
     }
 
-    /// Fills a file that nobody needs, so that there is something to give up when the disk is full.
-    pub(super) fn take_reserve(&self) {
+    /// Creates the reserve file, which is removed when the disk is full.
+    pub(super) fn create_reserve(&self) {
         let path = self.root.join(RESERVE);
         if path.exists() {
             return;
         }
         if let Err(error) = std::fs::write(&path, vec![0; RESERVE_BYTES]) {
-            tracing::warn!(%error, "no bytes could be kept back for a full disk");
-            self.give_reserve_up();
+            tracing::warn!(%error, "cannot create the reserve file for a full disk");
+            self.release_reserve();
         }
     }
 
-    /// Removes that file.
-    pub(super) fn give_reserve_up(&self) {
-        let _ = std::fs::remove_file(self.root.join(RESERVE)); // given up already: then there is nothing to give
+    /// Removes the reserve file.
+    pub(super) fn release_reserve(&self) {
+        let _ = std::fs::remove_file(self.root.join(RESERVE)); // a missing file was released before
     }
 
-    /// Bytes that the disk has left for us.
+    /// Returns the free bytes of the disk that this process may use.
     ///
     /// # Errors
-    /// When the system does not tell.
+    /// When the system does not report them.
     pub fn free_bytes(&self) -> io::Result<u64> {
         let disk = rustix::fs::statvfs(&self.root)?;
         Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
@@ -197,7 +202,7 @@ impl TemporaryFile {
     /// Makes the file durable under its final name.
     ///
     /// # Errors
-    /// When it cannot be synced or renamed; it is removed then.
+    /// When the file cannot be synced or renamed; it is then removed.
     pub fn keep_as(mut self, path: &Path) -> io::Result<()> {
         File::open(&self.path)?.sync_all()?;
         failpoint("upload.synced");
@@ -211,17 +216,17 @@ impl TemporaryFile {
 impl Drop for TemporaryFile {
     fn drop(&mut self) {
         if !self.kept {
-            let _ = std::fs::remove_file(&self.path); // nobody knows of it; the next start clears `tmp/`
+            let _ = std::fs::remove_file(&self.path); // on failure the next start clears `tmp/`
         }
     }
 }
 
-/// How long a service is waited for that was killed while it started a child: until that child is another program, it
-/// holds the lock along with everything else of its parent.
-const LOCK_PATIENCE: Duration = Duration::from_millis(500);
+/// How long to wait for the lock: if a service is killed while it starts a child process, the child holds the inherited
+/// lock until it has replaced itself with the other program.
+const LOCK_TIMEOUT: Duration = Duration::from_millis(500);
 
 fn take_lock(lock: &File) -> rustix::io::Result<()> {
-    let deadline = Instant::now() + LOCK_PATIENCE;
+    let deadline = Instant::now() + LOCK_TIMEOUT;
     loop {
         match rustix::fs::flock(lock, FlockOperation::NonBlockingLockExclusive) {
             Err(rustix::io::Errno::WOULDBLOCK) if Instant::now() < deadline => {
@@ -232,10 +237,10 @@ fn take_lock(lock: &File) -> rustix::io::Result<()> {
     }
 }
 
-/// Renames what is already synced and makes the new name durable.
+/// Renames a synced file or folder and makes the new name durable.
 ///
 /// # Errors
-/// When the system refuses either.
+/// When renaming or syncing fails.
 pub fn publish(from: &Path, to: &Path) -> io::Result<()> {
     std::fs::rename(from, to)?;
     failpoint("publish.renamed");

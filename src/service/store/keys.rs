@@ -1,8 +1,10 @@
-//! API keys: `wl_<id>_<secret>`, the secret 256 random bits. Only its SHA-256 is stored: the secret has all its bits from
-//! the system, so a slow hash would protect nothing that a fast one does not.
+//! API keys: `wl_<id>_<secret>`, the secret 256 random bits. Only its SHA-256 is stored: all bits of the secret are random,
+//! so a slow hash would not protect it better than a fast one.
 
-use super::tenants::Tenant;
-use super::{Store, StoreError};
+use super::database::Store;
+use super::error::StoreError;
+use super::random::random_bytes;
+use super::tenants::{self, Tenant};
 use crate::service::failpoint::fault;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -10,15 +12,15 @@ use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 use subtle::ConstantTimeEq;
 
-/// What a key allows.
+/// Permission of a key.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Scope {
-    /// To look at the tenant's sessions, jobs and results.
+    /// Read the tenant's sessions, jobs and results.
     Read,
-    /// To upload, submit, cancel and delete.
+    /// Upload, submit, cancel and delete.
     Write,
-    /// To read the service's figures.
+    /// Read the metrics of the service.
     Metrics,
 }
 
@@ -26,7 +28,7 @@ impl Scope {
     /// Every scope.
     pub const ALL: [Scope; 3] = [Scope::Read, Scope::Write, Scope::Metrics];
 
-    /// Its spelling.
+    /// Spelling in the API and in the database.
     pub fn name(self) -> &'static str {
         match self {
             Self::Read => "read",
@@ -35,51 +37,41 @@ impl Scope {
         }
     }
 
-    /// Reads its spelling.
+    /// Parses the spelling.
     pub fn parse(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|scope| scope.name() == name)
     }
 }
 
-/// A key as the operator sees it.
+/// A key as listed for the operator.
 #[derive(Debug, Clone)]
 pub struct ApiKey {
-    /// The public half.
+    /// Public part of the key.
     pub id: String,
-    /// Whose.
+    /// Tenant that the key belongs to.
     pub tenant: Tenant,
-    /// For the operator to read.
+    /// Operator's description of the key.
     pub name: String,
-    /// What it allows.
+    /// Permissions.
     pub scopes: Vec<Scope>,
-    /// UTC, RFC 3339.
+    /// Time of creation; UTC, RFC 3339.
     pub created_at: String,
-    /// UTC, RFC 3339; refused since then.
+    /// Time of revocation; UTC, RFC 3339. The key is rejected from then on.
     pub revoked_at: Option<String>,
 }
 
-/// A key that was just made; the secret is told this once.
+/// A newly created key; the only time that the secret is shown.
 #[derive(Debug)]
 pub struct NewKey {
-    /// The row.
+    /// Public part of the key.
     pub id: String,
-    /// What the client sends.
+    /// The complete key that a client sends.
     pub token: String,
 }
 
 const PREFIX: &str = "wl_";
 
-/// Bytes of a secret.
-pub(crate) const SECRET_BYTES: usize = 32;
-
-/// Fresh bytes from the system.
-pub(crate) fn random_bytes() -> Result<[u8; SECRET_BYTES], StoreError> {
-    let mut bytes = [0; SECRET_BYTES];
-    getrandom::fill(&mut bytes).map_err(|_| StoreError::NoRandomness)?;
-    Ok(bytes)
-}
-
-/// Makes a key.
+/// Creates a key.
 ///
 /// # Errors
 /// When the store or the system's source of randomness fails.
@@ -87,7 +79,7 @@ pub async fn create(store: &Store, tenant: &Tenant, name: &str, scopes: &[Scope]
     let id = hex::encode(&random_bytes()?[..8]);
     let secret = hex::encode(random_bytes()?);
     let mut transaction = store.write().await?;
-    super::tenants::remember(&mut transaction, tenant).await?;
+    tenants::insert_if_missing(&mut transaction, tenant).await?;
     sqlx::query(
         "INSERT INTO api_keys (id, tenant, name, scopes, digest, created_at)
          VALUES (?, ?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))",
@@ -104,7 +96,7 @@ pub async fn create(store: &Store, tenant: &Tenant, name: &str, scopes: &[Scope]
     Ok(NewKey { id, token })
 }
 
-/// Every key, oldest first.
+/// Lists all keys, oldest first.
 ///
 /// # Errors
 /// When the store fails.
@@ -113,7 +105,7 @@ pub async fn list(store: &Store) -> Result<Vec<ApiKey>, StoreError> {
     rows.iter().map(from_row).collect()
 }
 
-/// Refuses a key from now on; false where there is no such key, or it was refused before.
+/// Revokes a key; false if the key does not exist or was revoked before.
 ///
 /// # Errors
 /// When the store fails.
@@ -132,7 +124,7 @@ pub async fn revoke(store: &Store, id: &str) -> Result<bool, StoreError> {
     Ok(revoked.rows_affected() == 1)
 }
 
-/// Whether a key was ever made: from then on one is asked for, even when all are revoked.
+/// Whether a key was ever created: from then on requests need a key, even if all keys are revoked.
 ///
 /// # Errors
 /// When the store fails.
@@ -140,7 +132,7 @@ pub async fn any(store: &Store) -> Result<bool, StoreError> {
     Ok(sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM api_keys)").fetch_one(store.read()).await?)
 }
 
-/// The key that a client's token stands for; `None` where it is none of ours, or revoked.
+/// Returns the key of a client's token; `None` if it is unknown or revoked.
 ///
 /// # Errors
 /// When the store fails.
@@ -156,7 +148,7 @@ fn digest(secret: &str) -> String {
     hex::encode(Sha256::digest(secret.as_bytes()))
 }
 
-/// In constant time, so that nothing of a digest can be learned from how long a refusal takes.
+/// Compares in constant time, so that the duration of a rejection reveals nothing about a digest.
 fn is_same_digest(stored: &str, given: &str) -> bool {
     stored.as_bytes().ct_eq(given.as_bytes()).into()
 }
@@ -179,7 +171,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
 
     #[tokio::test]
-    async fn a_key_opens_its_tenant_until_it_is_revoked() {
+    async fn a_key_gives_access_until_it_is_revoked() {
         let folder = tempfile::tempdir().unwrap();
         let store = Store::open(folder.path()).await.unwrap();
         assert!(!any(&store).await.unwrap());
@@ -204,8 +196,8 @@ mod tests {
         assert!(any(&store).await.unwrap());
     }
 
-    /// Welch's t between the times of two kinds of digest, wrong in the first character and in the last, in random order;
-    /// the slowest tenth of all, in which the machine did something else, is left out.
+    /// Welch's t between the times of comparing two wrong digests, one different in the first character and one in the
+    /// last, in random order; the slowest tenth of all samples (interrupted by other work) is left out.
     fn t_of_times(is_same: fn(&str, &str) -> bool) -> f64 {
         const SAMPLES: usize = 100_000;
         const CALLS: usize = 50;
@@ -232,14 +224,14 @@ mod tests {
         (late.0 - early.0) / (late.1 + early.1).sqrt()
     }
 
-    /// Reparaz, Balasch and Verbauwhede 2017 ("Dude, is my code constant time?") call |t| above 5 a leak.
+    /// Limit of |t|: Reparaz, Balasch and Verbauwhede 2017 ("Dude, is my code constant time?") call |t| above 5 a leak.
     #[test]
-    #[ignore = "times a hundred thousand comparisons: cargo test --release times_of -- --ignored --nocapture"]
-    fn times_of_refusals_tell_nothing_of_a_digest() {
-        let ours = t_of_times(is_same_digest);
+    #[ignore = "times a hundred thousand comparisons: cargo test --release digest_comparison -- --ignored --nocapture"]
+    fn digest_comparison_takes_constant_time() {
+        let constant = t_of_times(is_same_digest);
         let naive = t_of_times(|stored, given| stored.bytes().zip(given.bytes()).all(|(a, b)| a == b));
-        println!("t = {ours:.2}; of a comparison that ends at the first difference {naive:.0}");
-        assert!(ours.abs() < 5.0);
-        assert!(naive.abs() > 50.0, "a leak would not be seen");
+        println!("t = {constant:.2}; of a comparison that stops at the first difference {naive:.0}");
+        assert!(constant.abs() < 5.0);
+        assert!(naive.abs() > 50.0, "the test would not detect a leak");
     }
 }

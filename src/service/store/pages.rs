@@ -1,57 +1,59 @@
-//! Digests of the database's pages, so that a changed byte is noticed even where SQLite cannot know it (inside of a text),
-//! whether the service is at work, was killed, or has stopped.
+//! Digests of the database pages, which detect any changed byte, whether the service is running, was killed or has stopped.
 //!
-//! The database file changes at checkpoints alone, and those are made here: while nobody else may write, the log's pages are
-//! copied and their digests kept. Until the log begins anew it still holds those pages, so that death at any moment
-//! leaves every page either in the log, which has checksums of its own, or with its digest.
+//! The database file changes only at checkpoints, which are made here: while other writers are locked out, the pages of the
+//! write-ahead log are copied and their digests stored. Until the log restarts it still holds those pages, so after a crash
+//! at any point each page is either in the log, which has checksums, or has a digest.
+//!
+//! Why not SQLite's own means: `integrity_check` and `quick_check` verify the structure, not the bytes of a text or number;
+//! the checksum VFS is C code that sqlx's bundled SQLite does not contain and that safe Rust cannot register; digests in
+//! backups do not cover a data folder in use. So this module and [`super::log`] stay.
 
+use super::database::Store;
+use super::error::StoreError;
+use super::folders::{Folders, PAGES, publish};
 use super::log::Log;
-use super::{Folders, Store, StoreError};
 use sha2::{Digest, Sha256};
 use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
 use std::time::{Duration, SystemTime};
 
-/// Name of the digests in a data folder.
-pub(super) const PAGES: &str = "wandless.db.pages";
-
-/// First words of the file; grows with every change of its form.
+/// First words of the file; the number increases with every change of the format.
 const MAGIC: &str = "wandless-pages 1";
 
-/// Between two looks whether the log has grown.
-const LOOK: Duration = Duration::from_secs(2);
+/// Interval between two checks whether the log has grown.
+const CHECK_INTERVAL: Duration = Duration::from_secs(2);
 
-/// Bytes of a page's digest: enough to notice, no signature.
+/// Bytes of a page digest: enough to detect damage, not tampering.
 const DIGEST_BYTES: usize = 8;
 
-/// Further looks at a database that seems damaged while its service is at work.
+/// Repetitions of a comparison that finds damage while the service is running.
 const TRIES: usize = 4;
 
-/// Every page in order.
+/// Digests of all pages, in order.
 #[derive(Debug, Clone, PartialEq, Eq)]
-struct Pages {
+struct PageDigests {
     page_bytes: usize,
     digests: Vec<[u8; DIGEST_BYTES]>,
 }
 
-/// What comparing the database with its digests has shown.
+/// Result of comparing a database with its digests.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Compared {
-    /// There are no digests.
+    /// There are no digests to compare with.
     Unknown,
-    /// So many pages are as they were written.
-    Whole(usize),
-    /// What is not.
+    /// All pages are unchanged; their number.
+    Intact(usize),
+    /// Description of the damage.
     Damaged(String),
 }
 
-/// Makes the checkpoints until the service stops.
-pub(crate) async fn keep(store: Store, draining: tokio_util::sync::CancellationToken) {
+/// Makes checkpoints until the service stops.
+pub(crate) async fn run_checkpointer(store: Store, draining: tokio_util::sync::CancellationToken) {
     let mut seen = None;
     loop {
         tokio::select! {
-            () = tokio::time::sleep(LOOK) => {}
+            () = tokio::time::sleep(CHECK_INTERVAL) => {}
             () = draining.cancelled() => return,
         }
         let written = written_at(&store.folders.log());
@@ -60,7 +62,7 @@ pub(crate) async fn keep(store: Store, draining: tokio_util::sync::CancellationT
         }
         match store.checkpoint().await {
             Ok(()) => seen = written,
-            Err(error) => tracing::warn!(%error, "the log could not be copied into the database; trying again"),
+            Err(error) => tracing::warn!(%error, "the checkpoint of the database failed; trying again"),
         }
     }
 }
@@ -70,54 +72,54 @@ fn written_at(log: &Path) -> Option<SystemTime> {
 }
 
 impl Store {
-    /// Copies the log into the database and keeps the digests of what has changed.
+    /// Copies the write-ahead log into the database and stores the digests of the changed pages.
     ///
     /// # Errors
-    /// When the database does not answer; a digest that cannot be kept is none.
+    /// When the database fails; a failure to store the digests removes them and is only logged.
     pub(crate) async fn checkpoint(&self) -> Result<(), StoreError> {
-        let hold = self.note().await?; // from here on nobody writes, and the log does not begin anew
+        let lock = self.write_relaxed().await?; // from here on there are no other writers, and the log does not restart
         let log = self.folders.log();
-        let waiting = tokio::task::spawn_blocking(move || Log::read(&log));
-        let waiting = waiting.await.map_err(io::Error::other).and_then(|log| log);
-        sqlx::query("PRAGMA wal_checkpoint(PASSIVE)").execute(&self.keeper).await?;
+        let log = tokio::task::spawn_blocking(move || Log::read(&log));
+        let log = log.await.map_err(io::Error::other).and_then(|log| log);
+        sqlx::query("PRAGMA wal_checkpoint(PASSIVE)").execute(&self.checkpointer).await?;
         let (database, pages) = (self.folders.database(), self.folders.pages());
-        let kept = tokio::task::spawn_blocking(move || {
-            let kept = waiting.and_then(|log| renew(&database, &pages, &log));
-            if kept.is_err() {
-                let _ = std::fs::remove_file(&pages); // none at all is better than a wrong one
+        let updated = tokio::task::spawn_blocking(move || {
+            let updated = log.and_then(|log| update_digests(&database, &pages, &log));
+            if updated.is_err() {
+                let _ = std::fs::remove_file(&pages); // no digests are better than wrong ones
             }
-            kept
+            updated
         });
-        let kept = kept.await.map_err(io::Error::other).and_then(|kept| kept);
-        hold.rollback().await?;
-        if let Err(error) = kept {
-            tracing::warn!(%error, "the digests of the database's pages could not be kept");
+        let updated = updated.await.map_err(io::Error::other).and_then(|updated| updated);
+        lock.rollback().await?;
+        if let Err(error) = updated {
+            tracing::warn!(%error, "the digests of the database pages cannot be stored");
         }
         Ok(())
     }
 }
 
-/// Brings the digests of the log's pages up to date, or makes all of them.
-fn renew(database: &Path, path: &Path, log: &Log) -> io::Result<()> {
-    let mut now = Pages::of(database, Pages::read(path).as_ref().map(|known| (known, log)))?;
+/// Updates the digests of the pages in the log, or computes all digests if there are none.
+fn update_digests(database: &Path, path: &Path, log: &Log) -> io::Result<()> {
+    let mut now = PageDigests::of(database, PageDigests::read(path).as_ref().map(|known| (known, log)))?;
     if log.damage.is_some() {
-        now.digests.clear(); // whatever was read is no truth to compare with
+        now.digests.clear(); // a damaged log leaves no reference to compare with
     }
     now.write(path)
 }
 
-/// Compares a database with the digests beside it.
+/// Compares a database with its digests.
 ///
 /// # Errors
 /// When a file cannot be read.
 pub(crate) fn compare(database: &Path) -> io::Result<Compared> {
-    let is_at_work = database.parent().is_some_and(Folders::are_in_use);
+    let is_running = database.parent().is_some_and(Folders::are_in_use);
     let mut found = compare_once(database)?;
     for _ in 0..TRIES {
-        if !is_at_work || !matches!(found, Compared::Damaged(_)) {
+        if !is_running || !matches!(found, Compared::Damaged(_)) {
             break;
         }
-        std::thread::sleep(LOOK / 4); // the service may just have been at a checkpoint
+        std::thread::sleep(CHECK_INTERVAL / 4); // the service may have been in the middle of a checkpoint
         found = compare_once(database)?;
     }
     Ok(found)
@@ -125,29 +127,29 @@ pub(crate) fn compare(database: &Path) -> io::Result<Compared> {
 
 fn compare_once(database: &Path) -> io::Result<Compared> {
     let (log, pages) = (database.with_extension("db-wal"), database.with_file_name(PAGES));
-    let kept = Pages::read(&pages);
+    let stored = PageDigests::read(&pages);
     let log = Log::read(&log)?;
     if let Some(damage) = log.damage {
-        return Ok(Compared::Damaged(format!("its log: {damage}")));
+        return Ok(Compared::Damaged(format!("write-ahead log: {damage}")));
     }
-    let Some(kept) = kept.filter(|kept| !kept.digests.is_empty()) else {
-        let is_there = pages.exists() && log.pages.is_empty();
-        let damaged = || Compared::Damaged("the digests of its pages are not whole".to_owned());
-        return Ok(if is_there { damaged() } else { Compared::Unknown });
+    let Some(stored) = stored.filter(|stored| !stored.digests.is_empty()) else {
+        let has_file = pages.exists() && log.pages.is_empty();
+        let damaged = || Compared::Damaged("the file of the page digests is damaged".to_owned());
+        return Ok(if has_file { damaged() } else { Compared::Unknown });
     };
-    let now = Pages::of(database, None)?;
-    let length = now.digests.len().max(kept.digests.len());
-    let is_same = |i: &usize| now.digests.get(*i) == kept.digests.get(*i) || log.pages.contains(&(*i as u32 + 1));
+    let now = PageDigests::of(database, None)?;
+    let length = now.digests.len().max(stored.digests.len());
+    let is_same = |i: &usize| now.digests.get(*i) == stored.digests.get(*i) || log.pages.contains(&(*i as u32 + 1));
     let changed: Vec<String> = (0..length).filter(|i| !is_same(i)).map(|i| (i + 1).to_string()).collect();
-    Ok(match changed.is_empty() && now.page_bytes == kept.page_bytes {
-        true => Compared::Whole(length),
-        false => Compared::Damaged(format!("page {} has changed since it was written", changed.join(", "))),
+    Ok(match changed.is_empty() && now.page_bytes == stored.page_bytes {
+        true => Compared::Intact(length),
+        false => Compared::Damaged(format!("changed since written: page {}", changed.join(", "))),
     })
 }
 
-impl Pages {
-    /// The digests of a database file; where some are known, only those of the log's pages and of new ones are made.
-    fn of(database: &Path, known: Option<(&Pages, &Log)>) -> io::Result<Self> {
+impl PageDigests {
+    /// Computes the digests of a database file; `known` digests are reused for pages that are not in the log.
+    fn of(database: &Path, known: Option<(&PageDigests, &Log)>) -> io::Result<Self> {
         let file = File::open(database)?;
         let mut reader = BufReader::with_capacity(1 << 20, file);
         let mut header = [0; 100];
@@ -176,39 +178,39 @@ impl Pages {
         }
     }
 
-    /// `None` where there is no such file or it is not whole.
+    /// Reads stored digests; `None` if the file is missing or damaged.
     fn read(path: &Path) -> Option<Self> {
         let bytes = std::fs::read(path).ok()?;
         let split = bytes.iter().position(|byte| *byte == b'\n')?;
         let (head, rest) = (std::str::from_utf8(&bytes[..split]).ok()?, &bytes[split + 1..]);
         let mut words = head.strip_prefix(MAGIC)?.split_whitespace();
         let page_bytes: usize = words.next()?.parse().ok()?;
-        let is_whole = words.next()? == hex::encode(summed(page_bytes, rest));
+        let is_intact = words.next()? == hex::encode(checksum(page_bytes, rest));
         let (digests, _) = rest.as_chunks();
-        is_whole.then(|| Self { page_bytes, digests: digests.to_vec() })
+        is_intact.then(|| Self { page_bytes, digests: digests.to_vec() })
     }
 
-    /// Under another name first, and durable before the log may begin anew.
+    /// Writes the digests under a temporary name and renames it; durable before the log can restart.
     fn write(&self, path: &Path) -> io::Result<()> {
         let rest = self.digests.as_flattened();
         let staging = path.with_extension("pages.tmp");
         let mut file = File::create(&staging)?;
-        let sum = hex::encode(summed(self.page_bytes, rest));
+        let sum = hex::encode(checksum(self.page_bytes, rest));
         file.write_all(format!("{MAGIC} {} {sum}\n", self.page_bytes).as_bytes())?;
         file.write_all(rest)?;
         file.sync_all()?;
-        super::folders::publish(&staging, path)
+        publish(&staging, path)
     }
 }
 
 fn digest(page: &[u8]) -> [u8; DIGEST_BYTES] {
     std::array::from_fn({
-        let whole = Sha256::digest(page);
-        move |i| whole[i]
+        let sha256 = Sha256::digest(page);
+        move |i| sha256[i]
     })
 }
 
-fn summed(page_bytes: usize, rest: &[u8]) -> Vec<u8> {
+fn checksum(page_bytes: usize, rest: &[u8]) -> Vec<u8> {
     Sha256::new().chain_update(page_bytes.to_string()).chain_update(rest).finalize().to_vec()
 }
 

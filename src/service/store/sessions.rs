@@ -1,70 +1,72 @@
-//! Rows of uploaded sessions; the bytes lie in `sessions/`.
+//! Rows of uploaded sessions; the uploaded bytes are stored in the folder `sessions/`.
 
-use super::{Store, StoreError, Tenant, tenants};
+use super::database::Store;
+use super::error::StoreError;
+use super::tenants::{self, Tenant};
 use crate::pipeline::CameraFacts;
 use crate::service::failpoint::{failpoint, fault};
 use serde::Serialize;
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
-/// What a valid upload holds, as far as a client is told of it.
+/// Summary of a valid upload, as reported to clients.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SessionSummary {
-    /// For people to read.
+    /// Name of the session.
     pub name: String,
-    /// SHA-256 of the bytes as sent, hex.
+    /// SHA-256 of the uploaded bytes, hex.
     pub sha256: String,
-    /// How many cameras.
+    /// Number of cameras.
     pub cameras: usize,
-    /// Length of the time line.
+    /// Number of frames on the common time line.
     pub frames: usize,
-    /// Most detections in one image.
+    /// Largest number of detections in one frame of one view.
     pub people_max: usize,
-    /// Canonical spelling.
+    /// Keypoint convention, in its canonical spelling.
     pub keypoint_convention: String,
-    /// The dialect that was read.
+    /// Input format of the upload.
     pub format: String,
-    /// What was odd but harmless.
+    /// Harmless irregularities, one sentence each.
     pub warnings: Vec<String>,
-    /// Size of the upload.
+    /// Size of the upload, bytes.
     pub bytes: u64,
-    /// What the options are judged by, in the session's order.
+    /// Facts about the cameras for validating options, in the session's order.
     pub camera_facts: Vec<CameraFacts>,
 }
 
 /// A stored session.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct StoredSession {
-    /// `session_` and random bits.
+    /// Session id: `session_` and random bits.
     pub id: String,
-    /// What it holds.
+    /// Summary of the upload.
     #[serde(flatten)]
     pub summary: SessionSummary,
-    /// UTC, RFC 3339.
+    /// Time of the upload; UTC, RFC 3339.
     pub created_at: String,
     /// Position in the list of all sessions.
     #[serde(skip)]
     pub seq: i64,
 }
 
-/// A session that was added, or the one of the same bytes that was there before.
+/// Result of [`add`]: the new session, or the existing session with the same bytes.
 #[derive(Debug)]
 pub struct Added {
-    /// The row.
+    /// The stored session.
     pub session: StoredSession,
-    /// False where the same bytes were known.
+    /// False if a session with the same bytes existed.
     pub is_new: bool,
 }
 
 /// Why a session was not added.
 #[derive(Debug, thiserror::Error)]
 pub enum AddError {
-    /// The tenant holds too much already.
-    #[error("{stored} of {max} bytes are used")]
+    /// The upload would exceed the tenant's quota.
+    #[error("the upload exceeds the quota: {stored} of {max} bytes are used")]
     QuotaExceeded {
-        /// Bytes that the tenant holds.
+        /// Bytes that the tenant uses.
         stored: i64,
-        /// Bytes that it may hold.
+        /// Quota of the tenant, bytes.
         max: i64,
     },
     /// The store failed.
@@ -81,13 +83,13 @@ impl From<sqlx::Error> for AddError {
 /// Why a session was not removed.
 #[derive(Debug, thiserror::Error)]
 pub enum RemoveError {
-    /// No such session.
+    /// The session does not exist.
     #[error("no such session")]
     Missing,
-    /// A job that has not ended needs it.
+    /// A job without a final state uses the session.
     #[error("job {job} uses the session")]
     InUse {
-        /// One of the jobs.
+        /// Id of one such job.
         job: String,
     },
     /// The store failed.
@@ -101,7 +103,7 @@ impl From<sqlx::Error> for RemoveError {
     }
 }
 
-/// Adds a session whose bytes already lie durably under its id; `max_bytes` is what the tenant may hold in all.
+/// Adds a session whose bytes are already durable under its id; `max_bytes` is the tenant's quota.
 ///
 /// # Errors
 /// [`AddError`].
@@ -146,7 +148,7 @@ pub async fn add(
     Ok(Added { session, is_new: true })
 }
 
-/// A tenant's session of an id.
+/// Returns a tenant's session by id.
 ///
 /// # Errors
 /// When the store fails.
@@ -155,7 +157,7 @@ pub async fn get(store: &Store, tenant: &Tenant, id: &str) -> Result<Option<Stor
     row.fetch_optional(store.read()).await?.as_ref().map(from_row).transpose()
 }
 
-/// A tenant's session of the same bytes.
+/// Returns a tenant's session by the digest of its bytes.
 ///
 /// # Errors
 /// When the store fails.
@@ -164,7 +166,7 @@ pub async fn get_by_sha256(store: &Store, tenant: &Tenant, sha256: &str) -> Resu
     row.fetch_optional(store.read()).await?.as_ref().map(from_row).transpose()
 }
 
-/// A tenant's sessions older than `before` (a `seq`), newest first, at most `limit`.
+/// Lists a tenant's sessions older than `before` (a `seq`), newest first, at most `limit`.
 ///
 /// # Errors
 /// When the store fails.
@@ -173,7 +175,7 @@ pub async fn list(store: &Store, tenant: &Tenant, before: i64, limit: i64) -> Re
     rows.bind(tenant.name()).bind(before).bind(limit).fetch_all(store.read()).await?.iter().map(from_row).collect()
 }
 
-/// Every id, sorted.
+/// Returns all session ids, sorted.
 ///
 /// # Errors
 /// When the store fails.
@@ -184,11 +186,11 @@ pub async fn ids(store: &Store) -> Result<Vec<String>, StoreError> {
 /// Removes a tenant's session and its bytes.
 ///
 /// # Errors
-/// [`RemoveError::InUse`] while a job that has not ended needs it.
+/// [`RemoveError::InUse`] while a job without a final state uses it.
 pub async fn remove(store: &Store, tenant: &Tenant, id: &str) -> Result<(), RemoveError> {
     match try_to_remove(store, tenant, id).await {
         Err(RemoveError::Store(error)) if error.is_disk_full() => {
-            store.give_reserve_up().await;
+            store.release_reserve().await;
             try_to_remove(store, tenant, id).await
         }
         done => done,
@@ -217,7 +219,7 @@ async fn try_to_remove(store: &Store, tenant: &Tenant, id: &str) -> Result<(), R
     failpoint("session.committed");
     store.remove_files("sessions", id).await;
     failpoint("session.removed");
-    store.take_reserve().await;
+    store.create_reserve().await;
     Ok(())
 }
 

@@ -1,6 +1,6 @@
-//! Summary rows of a result, read from the published files, so that SQL says what the files say.
+//! Summary rows of a result, read from the published files, so that database and files agree.
 
-use super::StoreError;
+use super::error::StoreError;
 use crate::session::reconstruction::{CameraReport, ErrorSummary, PersonReport, Quality, ScaleReport};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -8,7 +8,7 @@ use sqlx::{Sqlite, Transaction};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// The figures of one result.
+/// Summary of one result.
 #[derive(Debug)]
 pub struct Summary {
     report: ReportFile,
@@ -16,13 +16,13 @@ pub struct Summary {
     people: Vec<PersonFile>,
 }
 
-/// A published file does not say what it must.
+/// A published file is missing or has unexpected content.
 #[derive(Debug, thiserror::Error)]
 #[error("{file}: {reason}", file = .file.display())]
 pub struct SummaryError {
-    /// Which file.
+    /// Path of the file.
     pub file: PathBuf,
-    /// What is wrong with it.
+    /// Description of the problem.
     pub reason: String,
 }
 
@@ -44,7 +44,7 @@ struct StageFile {
     cost_before: Option<f64>,
     cost_after: Option<f64>,
     termination: String,
-    metrics: BTreeMap<String, Option<f64>>, // a figure that was not finite is null in the file
+    metrics: BTreeMap<String, Option<f64>>, // values that are not finite are null in the file
 }
 
 #[derive(Debug, Deserialize)]
@@ -79,7 +79,7 @@ impl Summary {
     /// Reads `report.json`, `cameras.json` and `people.json` of a result folder.
     ///
     /// # Errors
-    /// [`SummaryError`] naming the file that is missing or says something else.
+    /// [`SummaryError`] with the file that is missing or has unexpected content.
     pub fn read(folder: &Path) -> Result<Self, SummaryError> {
         Ok(Self {
             report: read_json(folder.join("report.json"))?,
@@ -88,10 +88,10 @@ impl Summary {
         })
     }
 
-    /// Writes the rows of a job that is about to succeed.
+    /// Inserts the rows of a job that is about to succeed.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When the database fails.
     pub async fn insert(&self, transaction: &mut Transaction<'static, Sqlite>, job: &str) -> Result<(), StoreError> {
         insert_verdict(transaction, job, &self.report).await?;
         for (index, stage) in self.report.stages.iter().enumerate() {

@@ -1,42 +1,45 @@
-//! Tenants: who owns a session or a job, and how much of the disk they fill.
+//! Tenants: the owners of sessions and jobs, their disk usage and their webhook secrets.
 
-use super::{Store, StoreError};
+use super::database::Store;
+use super::error::StoreError;
+use super::random::random_bytes;
+use base64::Engine;
 use serde::Serialize;
 use sqlx::{Sqlite, Transaction};
 
-/// A tenant's name; 1 to 64 letters, digits, `-`, `_` and `.`.
+/// Name of a tenant: 1 to 64 letters, digits, `-`, `_` and `.`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(transparent)]
 pub struct Tenant(String);
 
-/// Characters of the longest name.
+/// Maximal length of a name, characters.
 const MAX_NAME: usize = 64;
 
 impl Tenant {
-    /// The one tenant of a service without keys.
+    /// The only tenant of a service without API keys.
     pub fn default_tenant() -> Self {
         Self("default".to_owned())
     }
 
-    /// Reads a name; `None` where it is none.
+    /// Parses a name; `None` if it is invalid.
     pub fn parse(name: &str) -> Option<Self> {
         let is_name_char = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
         let is_name = (1..=MAX_NAME).contains(&name.len()) && name.chars().all(is_name_char);
         is_name.then(|| Self(name.to_owned()))
     }
 
-    /// A name that the database holds.
+    /// Wraps a name read from the database, without validation.
     pub(crate) fn stored(name: String) -> Self {
         Self(name)
     }
 
-    /// Its name.
+    /// The name as text.
     pub fn name(&self) -> &str {
         &self.0
     }
 }
 
-/// Bytes of a tenant's uploads and results.
+/// Returns the bytes of a tenant's uploads and results.
 ///
 /// # Errors
 /// When the store fails.
@@ -44,7 +47,7 @@ pub async fn stored_bytes(store: &Store, tenant: &Tenant) -> Result<i64, StoreEr
     Ok(sqlx::query_scalar(STORED_BYTES).bind(tenant.name()).fetch_one(store.read()).await?)
 }
 
-/// The same inside of a transaction.
+/// Same as [`stored_bytes`], inside a transaction.
 ///
 /// # Errors
 /// When the store fails.
@@ -59,8 +62,8 @@ const STORED_BYTES: &str = "
     SELECT (SELECT coalesce(sum(bytes), 0) FROM sessions WHERE tenant = ?1)
          + (SELECT coalesce(sum(result_bytes), 0) FROM jobs WHERE tenant = ?1)";
 
-/// Makes a tenant known to the queue.
-pub(crate) async fn remember(
+/// Inserts the row of a tenant unless it exists.
+pub(crate) async fn insert_if_missing(
     transaction: &mut Transaction<'static, Sqlite>,
     tenant: &Tenant,
 ) -> Result<(), StoreError> {
@@ -71,10 +74,10 @@ pub(crate) async fn remember(
     Ok(())
 }
 
-/// Where a webhook secret begins (Standard Webhooks).
+/// Prefix of a webhook secret (Standard Webhooks).
 const SECRET_PREFIX: &str = "whsec_";
 
-/// The secret that signs a tenant's webhooks, `whsec_` and 256 random bits in base64; made when it is first asked for.
+/// Returns the secret that signs a tenant's webhooks, `whsec_` and 256 random bits in base64; created on first use.
 ///
 /// # Errors
 /// When the store or the system's source of randomness fails.
@@ -86,10 +89,9 @@ pub async fn webhook_secret(store: &Store, tenant: &Tenant) -> Result<String, St
     if let Some(Some(secret)) = known {
         return Ok(secret);
     }
-    use base64::Engine;
-    let secret = base64::engine::general_purpose::STANDARD.encode(super::keys::random_bytes()?);
+    let secret = base64::engine::general_purpose::STANDARD.encode(random_bytes()?);
     let mut transaction = store.write().await?;
-    remember(&mut transaction, tenant).await?;
+    insert_if_missing(&mut transaction, tenant).await?;
     let secret: String = sqlx::query_scalar(
         "UPDATE tenants SET webhook_secret = coalesce(webhook_secret, ?) WHERE name = ? RETURNING webhook_secret",
     )
@@ -106,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_are_plain() {
+    fn rejects_names_with_other_characters() {
         for name in ["default", "Studio-7", "a.b_c"] {
             assert_eq!(Tenant::parse(name).unwrap().name(), name);
         }

@@ -1,4 +1,4 @@
-//! One call: signed, to checked addresses only, without redirects, bounded in time and in what is read.
+//! One webhook call: signed, only to checked addresses, without redirects, limited in time and response size.
 
 use super::target::{Networks, check_url};
 use base64::Engine;
@@ -14,13 +14,13 @@ use ureq::http::Uri;
 use ureq::unversioned::resolver::{ResolvedSocketAddrs, Resolver};
 use ureq::unversioned::transport::{DefaultConnector, NextTimeout};
 
-/// Bytes of an answer that are read at all.
+/// Maximal number of response bytes that are read.
 const MAX_ANSWER: u64 = 64 << 10;
 
-/// Addresses of one name that are looked at.
+/// Maximal number of addresses of a host name that are used.
 const MAX_ADDRESSES: usize = 16;
 
-/// What is to be said to whom.
+/// A prepared call.
 #[derive(Debug)]
 pub(super) struct Call {
     pub(super) id: String,
@@ -29,14 +29,14 @@ pub(super) struct Call {
     pub(super) body: Vec<u8>,
 }
 
-/// What came of it.
+/// CallOutcome of a call.
 #[derive(Debug)]
-pub(super) struct Outcome {
+pub(super) struct CallOutcome {
     pub(super) status: Option<u16>,
     pub(super) error: Option<String>,
 }
 
-impl Outcome {
+impl CallOutcome {
     pub(super) fn failed(status: Option<u16>, error: impl Into<String>) -> Self {
         Self { status, error: Some(error.into()) }
     }
@@ -47,12 +47,12 @@ impl Outcome {
 }
 
 impl Call {
-    /// Makes the call; blocks for `timeout` at most.
-    pub(super) fn make(&self, networks: &Networks, timeout: Duration) -> Outcome {
+    /// Makes the call; blocks for at most `timeout`.
+    pub(super) fn make(&self, networks: &Networks, timeout: Duration) -> CallOutcome {
         match self.answer_status(networks, timeout) {
-            Ok(status) if (200..300).contains(&status) => Outcome { status: Some(status), error: None },
-            Ok(status) => Outcome::failed(Some(status), format!("the receiver answered {status}")),
-            Err(error) => Outcome::failed(None, error),
+            Ok(status) if (200..300).contains(&status) => CallOutcome { status: Some(status), error: None },
+            Ok(status) => CallOutcome::failed(Some(status), format!("the receiver answered with status {status}")),
+            Err(error) => CallOutcome::failed(None, error),
         }
     }
 
@@ -61,7 +61,7 @@ impl Call {
         let addresses = self.addresses()?;
         networks.check_all(&addresses).map_err(|error| error.to_string())?;
         let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
-        let signature = signature(&self.secret, &self.id, now, &self.body).ok_or("the secret is no base64")?;
+        let signature = signature(&self.secret, &self.id, now, &self.body).ok_or("the secret is not valid base64")?;
         let config = Agent::config_builder()
             .http_status_as_error(false)
             .max_redirects(0)
@@ -84,9 +84,9 @@ impl Call {
         Ok(answer.status().as_u16())
     }
 
-    /// What the host's name stands for now.
+    /// Resolves the host name.
     fn addresses(&self) -> Result<Vec<SocketAddr>, String> {
-        let uri: Uri = self.url.parse().map_err(|_| "the URL cannot be read")?;
+        let uri: Uri = self.url.parse().map_err(|_| "the URL cannot be parsed")?;
         let host = uri.host().ok_or("the URL has no host")?.trim_start_matches('[').trim_end_matches(']');
         let port = uri.port_u16().unwrap_or(if uri.scheme_str() == Some("https") { 443 } else { 80 });
         let addresses = (host, port).to_socket_addrs().map_err(|error| format!("{host}: {error}"))?;
@@ -94,7 +94,7 @@ impl Call {
     }
 }
 
-/// `v1,` and the HMAC-SHA256 of `<id>.<timestamp>.<body>` in base64 (Standard Webhooks 1.0); `None` where the secret is no
+/// `v1,` and the HMAC-SHA256 of `<id>.<timestamp>.<body>` in base64 (Standard Webhooks 1.0); `None` if the secret is not
 /// `whsec_<base64>`.
 pub fn signature(secret: &str, id: &str, timestamp_s: u64, body: &[u8]) -> Option<String> {
     let key = STANDARD.decode(secret.strip_prefix("whsec_")?).ok()?;
@@ -104,7 +104,7 @@ pub fn signature(secret: &str, id: &str, timestamp_s: u64, body: &[u8]) -> Optio
     Some(format!("v1,{}", STANDARD.encode(mac.finalize().into_bytes())))
 }
 
-/// Resolves every name to the addresses that were checked.
+/// Resolver that returns the checked addresses for every name.
 #[derive(Debug)]
 struct Pinned(Vec<SocketAddr>);
 
@@ -122,9 +122,9 @@ impl Resolver for Pinned {
 mod tests {
     use super::*;
 
-    /// The example of the reference libraries of Standard Webhooks.
+    /// Example of the reference libraries of Standard Webhooks.
     #[test]
-    fn the_signature_is_the_standards() {
+    fn signature_matches_the_standard() {
         let signed = signature(
             "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw",
             "msg_p5jXN8AQM9LWM0D4loKWxJek",

@@ -1,68 +1,71 @@
-//! Whom a webhook may call: nobody inside of the operator's network, unless the operator has listed it.
+//! Which addresses a webhook may call: public ones, and private networks that the operator has listed.
 //!
-//! A URL is judged twice: its text when a job is submitted, and the addresses its name stands for at each call, which then
-//! connects to exactly those addresses. A name that is resolved anew in between deceives nobody.
+//! A URL is checked twice: its text when a job is submitted, and the resolved addresses at each call, which then connects
+//! to exactly those addresses. A name that resolves differently later (DNS rebinding) therefore has no effect.
 
 use crate::service::failpoint::fault;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use ureq::http::Uri;
 
-/// Networks, each by its first address and the number of bits that are fixed.
+/// List of networks.
 #[derive(Debug, Default)]
 pub struct Networks(Vec<Network>);
 
+/// A network: its base address and the number of fixed leading bits.
 #[derive(Debug)]
 struct Network {
     base: u128,
     prefix: u32,
 }
 
-/// A network that is none.
+/// A text that is not a network.
 #[derive(Debug, thiserror::Error)]
-#[error("webhooks.allowed_networks: {text:?} is neither an address nor a network as 10.1.0.0/16")]
+#[error("webhooks.allowed_networks: {text:?} is neither an address nor a network such as 10.1.0.0/16")]
 pub struct NetworkError {
-    /// What was given.
+    /// The given text.
     pub text: String,
 }
 
-/// Why a URL is not called.
+/// Why a URL is not allowed.
 #[derive(Debug, thiserror::Error)]
 pub enum TargetError {
-    /// It cannot be read.
-    #[error("the URL is none that can be called: {reason}")]
+    /// The URL is malformed.
+    #[error("the URL is not allowed: {reason}")]
     Malformed {
         /// What is wrong.
         reason: &'static str,
     },
-    /// It lies inside.
+    /// The address is private.
     #[error("{host} is a private address")]
     Private {
-        /// Host or address.
+        /// Host name or address.
         host: String,
     },
-    /// Other services listen there.
-    #[error("port {port} is not for webhooks")]
+    /// The port is reserved for other services.
+    #[error("port {port} is not allowed for webhooks")]
     Port {
-        /// The port.
+        /// Port of the URL.
         port: u16,
     },
 }
 
 impl TargetError {
-    /// What to do.
+    /// How to fix the problem.
     pub fn remedy(&self) -> &'static str {
         match self {
-            Self::Malformed { .. } => "give an http or https URL with a host, and without user or password",
-            Self::Private { .. } => "take a public address, or ask the operator to list the network",
-            Self::Port { .. } => "listen on 80, 443, or 1024 and above",
+            Self::Malformed { .. } => "use an http or https URL with a host and without user or password",
+            Self::Private { .. } => {
+                "use a public address, or ask the operator to list the network in webhooks.allowed_networks"
+            }
+            Self::Port { .. } => "use port 80, 443, or 1024 and above",
         }
     }
 }
 
-/// Characters of the longest URL.
+/// Maximal length of a URL, characters.
 const MAX_URL: usize = 2000;
 
-/// Judges the text of a URL.
+/// Checks the text of a URL.
 ///
 /// # Errors
 /// [`TargetError`].
@@ -71,7 +74,7 @@ pub fn check_url(url: &str, allowed: &Networks) -> Result<(), TargetError> {
     if url.len() > MAX_URL {
         return Err(malformed("it is too long"));
     }
-    let uri: Uri = url.parse().map_err(|_| malformed("it cannot be read"))?;
+    let uri: Uri = url.parse().map_err(|_| malformed("it cannot be parsed"))?;
     let default_port = match uri.scheme_str() {
         Some("http") => 80,
         Some("https") => 443,
@@ -79,7 +82,7 @@ pub fn check_url(url: &str, allowed: &Networks) -> Result<(), TargetError> {
     };
     let authority = uri.authority().ok_or_else(|| malformed("it has no host"))?;
     if authority.as_str().contains('@') {
-        return Err(malformed("it holds a user or a password"));
+        return Err(malformed("it contains a user or a password"));
     }
     let port = authority.port_u16().unwrap_or(default_port);
     if !(port == 80 || port == 443 || port >= 1024) {
@@ -88,7 +91,7 @@ pub fn check_url(url: &str, allowed: &Networks) -> Result<(), TargetError> {
     check_host(authority.host(), allowed)
 }
 
-/// A host is an address, or a name that can only be judged once it is resolved.
+/// Checks a host; a name is checked again after it is resolved.
 fn check_host(host: &str, allowed: &Networks) -> Result<(), TargetError> {
     let bare = host.trim_start_matches('[').trim_end_matches(']');
     if let Ok(address) = bare.parse::<IpAddr>() {
@@ -98,7 +101,7 @@ fn check_host(host: &str, allowed: &Networks) -> Result<(), TargetError> {
     if name == "localhost" || name.ends_with(".localhost") {
         return allowed.check(IpAddr::V4(Ipv4Addr::LOCALHOST));
     }
-    // `2130706433`, `0x7f.1` and `0177.0.0.1` are addresses to some resolvers and names to nobody.
+    // Some resolvers treat `2130706433`, `0x7f.1` and `0177.0.0.1` as addresses; none is a valid name.
     let last = name.rsplit('.').next().unwrap_or_default();
     if last.is_empty() || last.starts_with("0x") || last.chars().all(|c| c.is_ascii_digit()) {
         return Err(TargetError::Malformed { reason: "its host is neither a name nor a plain address" });
@@ -107,25 +110,25 @@ fn check_host(host: &str, allowed: &Networks) -> Result<(), TargetError> {
 }
 
 impl Networks {
-    /// Reads the operator's list.
+    /// Parses the operator's list.
     ///
     /// # Errors
-    /// [`NetworkError`] naming the first that is none.
+    /// [`NetworkError`] for the first invalid entry.
     pub fn parse(texts: &[String]) -> Result<Self, NetworkError> {
         texts.iter().map(|text| Network::parse(text).ok_or_else(|| NetworkError { text: text.clone() })).collect()
     }
 
-    /// Whether an address may be called.
+    /// Checks whether an address may be called.
     ///
     /// # Errors
     /// [`TargetError::Private`].
     pub fn check(&self, address: IpAddr) -> Result<(), TargetError> {
         let bits = bits(address);
-        let is_listed = self.0.iter().any(|network| network.holds(bits)) || fault("webhooks.anywhere");
+        let is_listed = self.0.iter().any(|network| network.contains(bits)) || fault("webhooks.anywhere");
         if is_listed || is_public(address) { Ok(()) } else { Err(TargetError::Private { host: address.to_string() }) }
     }
 
-    /// The addresses of a name, all of which may be called: a name that also stands for an inner address is refused.
+    /// Checks all addresses of a name; one private address rejects the name.
     pub(super) fn check_all(&self, addresses: &[SocketAddr]) -> Result<(), TargetError> {
         addresses.iter().try_for_each(|address| self.check(address.ip()))
     }
@@ -149,12 +152,12 @@ impl Network {
         (prefix <= width).then(|| Self { base: bits(address), prefix: prefix + 128 - width })
     }
 
-    fn holds(&self, address: u128) -> bool {
+    fn contains(&self, address: u128) -> bool {
         self.prefix == 0 || (self.base ^ address) >> (128 - self.prefix) == 0
     }
 }
 
-/// Every address as one of IPv6; those of IPv4 as `::ffff:a.b.c.d`.
+/// Bits of an address as IPv6; IPv4 addresses as `::ffff:a.b.c.d`.
 fn bits(address: IpAddr) -> u128 {
     match address {
         IpAddr::V4(v4) => v4.to_ipv6_mapped().to_bits(),
@@ -162,13 +165,13 @@ fn bits(address: IpAddr) -> u128 {
     }
 }
 
-/// Addresses that are neither inside nor special (IANA's special-purpose registries).
+/// Whether an address is neither private nor special (IANA's special-purpose registries).
 fn is_public(address: IpAddr) -> bool {
     match address {
         IpAddr::V4(v4) => is_public_v4(v4),
         IpAddr::V6(v6) => match embedded_v4(v6) {
             Some(v4) => is_public_v4(v4),
-            // Global unicast is 2000::/3; of it Teredo, benchmarking, ORCHID and documentation are taken out.
+            // Global unicast is 2000::/3; without Teredo, benchmarking, ORCHID and documentation.
             None => {
                 let [a, b, ..] = v6.segments();
                 let is_special = (a == 0x2001 && (b < 0x200 || b == 0xdb8)) || a == 0x3fff;
@@ -178,7 +181,7 @@ fn is_public(address: IpAddr) -> bool {
     }
 }
 
-/// The address of IPv4 inside of a mapped, translated (64:ff9b::/96) or 6to4 one.
+/// Returns the IPv4 address inside a mapped, translated (64:ff9b::/96) or 6to4 address.
 fn embedded_v4(v6: Ipv6Addr) -> Option<Ipv4Addr> {
     let last = || Ipv4Addr::from_bits(v6.to_bits() as u32);
     match v6.segments() {
@@ -197,7 +200,7 @@ fn is_public_v4(v4: Ipv4Addr) -> bool {
         || v4.is_documentation()
         || a == 0
         || a >= 240
-        || (a == 100 && (64..128).contains(&b)) // shared by carriers
+        || (a == 100 && (64..128).contains(&b)) // carrier-grade NAT
         || (a == 192 && b == 0 && c == 0)
         || (a == 192 && b == 88 && c == 99)
         || (a == 198 && (b == 18 || b == 19));
@@ -214,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_inside_is_called() {
+    fn rejects_private_and_malformed_targets() {
         for url in [
             "http://127.0.0.1/",
             "http://[::1]:8080/",
@@ -257,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_operator_lists_is_called() {
+    fn accepts_networks_listed_by_the_operator() {
         let listed = ["127.0.0.0/8", "10.1.2.3", "fd00::/8"];
         for url in ["http://127.0.0.1:9000/", "http://localhost:9000/", "http://10.1.2.3/", "http://[fd00::7]/"] {
             assert!(check(url, &listed).is_ok(), "{url}");
@@ -271,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_also_stands_for_an_inner_address_is_refused() {
+    fn rejects_names_with_any_private_address() {
         let addresses = ["93.184.216.34:80", "127.0.0.1:80"].map(|text| text.parse().unwrap());
         assert!(Networks::default().check_all(&addresses).is_err());
         assert!(Networks::default().check_all(&addresses[..1]).is_ok());

@@ -16,25 +16,25 @@ use tokio::task::JoinHandle;
 pub(super) struct Child {
     process: tokio::process::Child,
     lines: Lines<BufReader<ChildStdout>>,
-    /// Never written to again; its end tells the child that we are gone.
+    /// Kept open without writing; when it closes, the child notices that the service is gone.
     _stdin: ChildStdin,
-    /// Set once the child has said so.
+    /// Set when stderr reports a failed allocation.
     ran_out_of_memory: Arc<AtomicBool>,
-    /// Reads the child's stderr to its end.
+    /// Task that reads the child's stderr to its end.
     listener: JoinHandle<()>,
 }
 
-/// Last words for want of memory: the standard library's where an allocation fails, and an error's where one was refused.
+/// Messages of a failed allocation: of the standard library on abort, and of an error value.
 const OUT_OF_MEMORY: [&str; 2] = ["memory allocation of ", "OutOfMemory"];
 
-/// Characters of a line of the child's log that are kept.
+/// Maximal length of a log line, characters; the rest is cut.
 const MAX_LINE: usize = 2000;
 
 impl Child {
-    /// Starts the child and gives it its order; `log` is told every line of its stderr.
+    /// Starts the child process and sends its order; `log` receives every line of its stderr.
     ///
-    /// Must be called on a thread that lives as long as the service: the child asks the kernel to die with the *thread*
-    /// that made it.
+    /// Must be called on a thread that lives as long as the service: the kernel kills the child with the *thread* that
+    /// started it.
     pub(super) async fn start(
         program: &Path,
         order: &Order,
@@ -45,7 +45,7 @@ impl Child {
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
-            .process_group(0) // a Ctrl-C at the terminal is the service's to handle
+            .process_group(0) // Ctrl-C at the terminal must reach the service only
             .kill_on_drop(true)
             .spawn()
             .with_context(|| format!("{}", program.display()))?;
@@ -56,47 +56,47 @@ impl Child {
         let listener = tokio::spawn(listen(stderr, ran_out_of_memory.clone(), log));
         let mut line = serde_json::to_vec(order)?;
         line.push(b'\n');
-        // A child that died before it read its order is seen by `wait`, with its exit status.
+        // `wait` reports a child that crashed before reading its order, with its exit status.
         if let Err(error) = stdin.write_all(&line).await {
-            tracing::warn!(%error, "the job's process did not take its order");
+            tracing::warn!(%error, "cannot send the order to the job's process");
         }
         Ok(Self { process, lines: BufReader::new(stdout).lines(), _stdin: stdin, ran_out_of_memory, listener })
     }
 
-    /// Whether it ended for want of memory.
+    /// Whether a memory allocation failed.
     pub(super) fn ran_out_of_memory(&self) -> bool {
         self.ran_out_of_memory.load(Ordering::Relaxed)
     }
 
-    /// Its process id, while it lives.
+    /// Process id while the process is running.
     pub(super) fn pid(&self) -> Option<u32> {
         self.process.id()
     }
 
-    /// The next message; `None` once the child has closed its stdout. What is no message is passed over.
+    /// Waits for the next message; `None` once the child has closed its stdout. Other lines are skipped.
     pub(super) async fn message(&mut self) -> Option<Message> {
         loop {
             match self.lines.next_line().await {
                 Ok(Some(line)) => match serde_json::from_str(&line) {
                     Ok(message) => return Some(message),
-                    Err(error) => tracing::warn!(%error, "the job's process said something else"),
+                    Err(error) => tracing::warn!(%error, "the job's process wrote a line that is not a message"),
                 },
                 Ok(None) | Err(_) => return None,
             }
         }
     }
 
-    /// Waits for its end, and for its last words.
+    /// Waits until the process has ended and its stderr is read.
     pub(super) async fn wait(&mut self) -> std::io::Result<ExitStatus> {
         let status = self.process.wait().await?;
         if !self.listener.is_finished() {
-            // A process that it has started may hold the pipe open; nobody waits for that one.
+            // A process started by the child may keep the pipe open, so the wait is limited.
             let _ = tokio::time::timeout(Duration::from_secs(1), &mut self.listener).await;
         }
         Ok(status)
     }
 
-    /// Ends it: a request first, force after `grace`. Returns when it is gone.
+    /// Ends the process: SIGTERM first, SIGKILL after `grace`. Returns when the process has ended.
     pub(super) async fn stop(&mut self, grace: Duration) {
         let pid = self.process.id().and_then(|id| Pid::from_raw(i32::try_from(id).ok()?));
         if let Some(pid) = pid
@@ -106,7 +106,7 @@ impl Child {
             return;
         }
         if let Err(error) = self.process.kill().await {
-            tracing::error!(%error, "the job's process could not be killed");
+            tracing::error!(%error, "cannot kill the job's process");
         }
     }
 }
@@ -114,7 +114,7 @@ impl Child {
 async fn listen(stderr: ChildStderr, ran_out_of_memory: Arc<AtomicBool>, log: impl Fn(&str)) {
     let mut lines = BufReader::new(stderr).lines();
     while let Ok(Some(line)) = lines.next_line().await {
-        if OUT_OF_MEMORY.iter().any(|words| line.contains(words)) {
+        if OUT_OF_MEMORY.iter().any(|message| line.contains(message)) {
             ran_out_of_memory.store(true, Ordering::Relaxed);
         }
         log(line.char_indices().nth(MAX_LINE).map_or(&line, |(end, _)| &line[..end]));

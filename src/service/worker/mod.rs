@@ -1,4 +1,4 @@
-//! One claimed job -> one child process of this binary, supervised -> one recorded end.
+//! Workers: each claims a job, runs it in a supervised child process of this program, and records the outcome.
 
 mod child;
 mod supervision;
@@ -8,7 +8,8 @@ use super::failpoint::{failpoint, fault};
 use super::memory::child_limit;
 use super::metrics::Metrics;
 use super::protocol::Order;
-use super::queue::job::{Ending, JobError};
+use super::queue::job::JobError;
+use super::queue::outcome::ClaimOutcome;
 use super::queue::{Claim, Finished, Published, Queue};
 use super::settings::Settings;
 use super::store::folders::publish;
@@ -18,20 +19,24 @@ use crate::pipeline::Options;
 use anyhow::Context;
 use child::Child;
 use std::time::Duration;
+use supervision::{ChildExit, supervise};
 use tokio_util::sync::CancellationToken;
 
-/// Between two tries where the system or the disk refuses.
-const RETRY: Duration = Duration::from_secs(2);
+/// Wait before another try after a failure of the system or the disk.
+const RETRY_INTERVAL: Duration = Duration::from_secs(2);
 
-/// Claims and runs jobs one after the other until `draining` says stop; the job at work then goes back to the queue.
+/// Most tries to record an outcome.
+const MAX_TRIES: usize = 30;
+
+/// Claims and runs jobs one after the other until `draining` is canceled; the running job then returns to the queue.
 pub(super) async fn run(shared: Shared) {
     let Shared { store, queue, settings, metrics, draining } = shared;
     while !draining.is_cancelled() {
         match queue.claim(settings.tenants.max_running).await {
             Ok(Some(claim)) => {
-                metrics.note_pulse(&claim.job);
-                let ending = work_on(&store, &queue, &settings, &metrics, &claim, draining.clone()).await;
-                let state = record(&store, &queue, &settings, &claim, ending).await;
+                metrics.note_heartbeat(&claim.job);
+                let outcome = run_claim(&store, &queue, &settings, &metrics, &claim, draining.clone()).await;
+                let state = record(&store, &queue, &settings, &claim, outcome).await;
                 metrics.note_end(&claim.job, state);
             }
             Ok(None) => tokio::select! {
@@ -39,51 +44,52 @@ pub(super) async fn run(shared: Shared) {
                 () = draining.cancelled() => {}
             },
             Err(error) => {
-                tracing::error!(%error, "no job could be claimed");
-                tokio::time::sleep(RETRY).await;
+                tracing::error!(%error, "cannot claim a job; trying again");
+                tokio::time::sleep(RETRY_INTERVAL).await;
             }
         }
     }
-    queue.wake_next(); // the wake-up this worker may have swallowed
+    queue.wake_next(); // this worker may have consumed a wake-up
 }
 
-async fn work_on(
+/// Runs the child process of a claim and publishes its result.
+async fn run_claim(
     store: &Store,
     queue: &Queue,
     settings: &Settings,
     metrics: &Metrics,
     claim: &Claim,
     draining: CancellationToken,
-) -> Ending<Published> {
+) -> ClaimOutcome<Published> {
     let order = match order(store, settings, claim) {
         Ok(order) => order,
-        Err(error) => return Ending::Failed(error),
+        Err(error) => return ClaimOutcome::Failed(error),
     };
     let mut child = match start(settings, queue, claim, &order).await {
         Ok(child) => child,
         Err(error) => {
-            tracing::error!(job.id = %claim.job, error = format!("{error:#}"), "the job's process could not be started");
-            tokio::time::sleep(RETRY).await;
-            return Ending::Released;
+            tracing::error!(job.id = %claim.job, error = format!("{error:#}"), "cannot start the job's process; trying again");
+            tokio::time::sleep(RETRY_INTERVAL).await;
+            return ClaimOutcome::Released;
         }
     };
     tracing::info!(job.id = %claim.job, fence = claim.fence, pid = child.pid(), "job started");
     failpoint("child.started");
-    let outcome = supervision::supervise(&mut child, queue, &settings.jobs, metrics, claim, draining).await;
+    let exit = supervise(&mut child, queue, &settings.jobs, metrics, claim, draining).await;
     failpoint("child.ended");
-    match outcome {
-        supervision::Outcome::Died(_) if child.ran_out_of_memory() => Ending::Failed(out_of_memory(&order)),
-        supervision::Outcome::Done => publish_result(store, claim).await,
-        supervision::Outcome::Failed(error) => Ending::Failed(error),
-        supervision::Outcome::Died(how) => Ending::ChildDied(how),
-        supervision::Outcome::Stopped => Ending::Released,
+    match exit {
+        ChildExit::Crashed(_) if child.ran_out_of_memory() => ClaimOutcome::Failed(out_of_memory(&order)),
+        ChildExit::Done => publish_result(store, claim).await,
+        ChildExit::Failed(error) => ClaimOutcome::Failed(error),
+        ChildExit::Crashed(how) => ClaimOutcome::Crashed(how),
+        ChildExit::Stopped => ClaimOutcome::Released,
     }
 }
 
 fn order(store: &Store, settings: &Settings, claim: &Claim) -> Result<Order, JobError> {
     let options: Options = serde_json::from_value(claim.options.clone()).map_err(|error| JobError {
         code: "option_unknown".to_owned(),
-        detail: format!("this release does not know the job's options: {error}"),
+        detail: format!("this release cannot read the job's options: {error}"),
         remedy: "submit the job again".to_owned(),
         ..JobError::default()
     })?;
@@ -112,18 +118,18 @@ fn out_of_memory(order: &Order) -> JobError {
 
 async fn start(settings: &Settings, queue: &Queue, claim: &Claim, order: &Order) -> anyhow::Result<Child> {
     let (out, checkpoints) = (order.out.clone(), order.checkpoints.clone());
-    let made = move || std::fs::create_dir_all(out).and_then(|()| std::fs::create_dir_all(checkpoints));
-    tokio::task::spawn_blocking(made).await?.context("result folder")?;
+    let create = move || std::fs::create_dir_all(out).and_then(|()| std::fs::create_dir_all(checkpoints));
+    tokio::task::spawn_blocking(create).await?.context("result folder")?;
     let (queue, job) = (queue.clone(), claim.job.clone());
     Child::start(&settings.program, order, move |line| {
         tracing::warn!(job.id = job, "{line}");
-        queue.tell_line(&job, line);
+        queue.send_line(&job, line);
     })
     .await
 }
 
-/// Hash and sync every file, rename the folder, sync its parent; the rows follow in `Queue::finish`.
-async fn publish_result(store: &Store, claim: &Claim) -> Ending<Published> {
+/// Hashes and syncs all files, renames the folder and syncs its parent; `Queue::finish` then writes the rows.
+async fn publish_result(store: &Store, claim: &Claim) -> ClaimOutcome<Published> {
     let staging = store.folders.staging(&claim.job, claim.fence);
     let result = store.folders.result(&claim.job, claim.fence);
     let published = tokio::task::spawn_blocking(move || -> anyhow::Result<Published> {
@@ -143,8 +149,8 @@ async fn publish_result(store: &Store, claim: &Claim) -> Ending<Published> {
     })
     .await;
     match published.map_err(anyhow::Error::from).and_then(std::convert::identity) {
-        Ok(published) => Ending::Succeeded(published),
-        Err(error) => Ending::Failed(JobError {
+        Ok(published) => ClaimOutcome::Succeeded(published),
+        Err(error) => ClaimOutcome::Failed(JobError {
             code: "result_unpublished".to_owned(),
             detail: format!("the result could not be published: {error:#}"),
             remedy: "free disk space if the disk is full, then submit the job again".to_owned(),
@@ -153,37 +159,37 @@ async fn publish_result(store: &Store, claim: &Claim) -> Ending<Published> {
     }
 }
 
-/// Writes the end down and gives the name of the state it led to, however often the disk refuses: an end not recorded would run the job again.
+/// Records the outcome and returns the name of the new state. Retries on errors, because an unrecorded job would run again.
 async fn record(
     store: &Store,
     queue: &Queue,
     settings: &Settings,
     claim: &Claim,
-    ending: Ending<Published>,
+    outcome: ClaimOutcome<Published>,
 ) -> &'static str {
     let mut tries = 0;
     loop {
-        match queue.finish(claim, &ending, settings.jobs.max_deaths).await {
+        match queue.finish(claim, &outcome, settings.jobs.max_crashes).await {
             Ok(Finished::Recorded(phase)) => {
                 tracing::info!(job.id = %claim.job, fence = claim.fence, state = phase.name(), "job ended");
                 return phase.name();
             }
             Ok(Finished::Lost) => {
-                tracing::info!(job.id = %claim.job, fence = claim.fence, "the claim was lost; its work is thrown away");
+                tracing::info!(job.id = %claim.job, fence = claim.fence, "the claim is no longer valid; its result is discarded");
                 store.folders.remove_claim(&claim.job, claim.fence);
                 return "lost";
             }
-            Err(error) if tries < 30 => {
+            Err(error) if tries < MAX_TRIES => {
                 if error.is_disk_full() {
-                    store.give_reserve_up().await; // an end that was reached must be told
+                    store.release_reserve().await; // the outcome must be recorded even on a full disk
                 }
-                tracing::error!(job.id = %claim.job, %error, "the job's end could not be recorded; trying again");
+                tracing::error!(job.id = %claim.job, %error, "cannot record the job's outcome; trying again");
                 tries += 1;
-                tokio::time::sleep(RETRY).await;
+                tokio::time::sleep(RETRY_INTERVAL).await;
             }
             Err(error) => {
-                // The row stays `running` under this boot; the next start puts the job back.
-                tracing::error!(job.id = %claim.job, %error, "the job's end could not be recorded; given up");
+                // The row stays `running` with this boot id; the next start requeues the job.
+                tracing::error!(job.id = %claim.job, %error, "cannot record the job's outcome; the next start runs the job again");
                 return "unrecorded";
             }
         }

@@ -1,40 +1,39 @@
-//! Watching one child: progress, cancel, silence, end.
+//! Supervision of one child process: progress, cancellation, silence, exit.
 
 use super::child::Child;
 use crate::service::failpoint::fault;
 use crate::service::metrics::Metrics;
 use crate::service::protocol::Message;
 use crate::service::queue::job::{JobError, JobProgress};
-use crate::service::queue::{Claim, Queue, Standing};
+use crate::service::queue::{Claim, ClaimStatus, Queue};
 use crate::service::settings::JobSettings;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 use tokio::sync::broadcast;
 use tokio::sync::broadcast::error::RecvError;
 use tokio_util::sync::CancellationToken;
 
-/// How the child's life ended.
+/// How a child process ended.
 #[derive(Debug)]
-pub(super) enum Outcome {
+pub(super) enum ChildExit {
     /// It wrote a result.
     Done,
-    /// It gave a typed cause.
+    /// It reported a typed error.
     Failed(JobError),
-    /// It died, or was killed because it hung.
-    Died(String),
-    /// We stopped it: canceled, deleted, or the service ends.
+    /// It crashed, or was killed because it hung; the text says how.
+    Crashed(String),
+    /// The service stopped it: the job was canceled or deleted, or the service ends.
     Stopped,
 }
 
-/// Progress is written at most this often.
+/// Minimal interval between two writes of progress.
 const WRITE_INTERVAL: Duration = Duration::from_secs(1);
 
-/// A share too small to guess the rest from.
+/// Smallest completed share from which the remaining time is estimated.
 const MIN_FRACTION_FOR_ETA: f64 = 0.02;
 
-/// Follows the child to its end; on return it is gone.
+/// Supervises the child process until it has ended.
 pub(super) async fn supervise(
     child: &mut Child,
     queue: &Queue,
@@ -42,72 +41,72 @@ pub(super) async fn supervise(
     metrics: &Metrics,
     claim: &Claim,
     draining: CancellationToken,
-) -> Outcome {
+) -> ChildExit {
     let mut changes = queue.listen();
-    let mut account = Account::new();
+    let mut tracker = ProgressTracker::new();
     let mut tick = tokio::time::interval(WRITE_INTERVAL);
     tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
-    let mut last_word = None;
-    let outcome = loop {
+    let mut last_message = None;
+    let exit = loop {
         tokio::select! {
             message = child.message() => match message {
                 Some(Message::Alive) => {
-                    account.heard = Instant::now();
-                    metrics.note_pulse(&claim.job);
+                    tracker.last_message_at = Instant::now();
+                    metrics.note_heartbeat(&claim.job);
                 }
-                Some(progress @ Message::Progress { .. }) => account.note(progress),
-                Some(word) => last_word = Some(word),
+                Some(progress @ Message::Progress { .. }) => tracker.note(progress),
+                Some(message) => last_message = Some(message),
                 None => break None,
             },
             () = own_change(&mut changes, &claim.job) => {
-                if !is_wanted(queue, claim).await {
-                    break Some(Outcome::Stopped);
+                if !is_active(queue, claim).await {
+                    break Some(ChildExit::Stopped);
                 }
             }
-            () = draining.cancelled() => break Some(Outcome::Stopped),
+            () = draining.cancelled() => break Some(ChildExit::Stopped),
             _ = tick.tick() => {
-                account.write(queue, claim).await;
-                if !is_wanted(queue, claim).await {
-                    break Some(Outcome::Stopped);
+                tracker.write(queue, claim).await;
+                if !is_active(queue, claim).await {
+                    break Some(ChildExit::Stopped);
                 }
-                if let Some(how) = account.hangs(settings) {
-                    break Some(Outcome::Died(how));
+                if let Some(how) = tracker.hang(settings) {
+                    break Some(ChildExit::Crashed(how));
                 }
             }
         }
     };
-    let outcome = match outcome {
-        Some(outcome) => {
+    let exit = match exit {
+        Some(exit) => {
             child.stop(settings.kill_grace).await;
-            outcome
+            exit
         }
-        None => end(child, settings, last_word).await,
+        None => wait_for_exit(child, settings, last_message).await,
     };
-    if matches!(outcome, Outcome::Died(_)) {
-        metrics.child_deaths.fetch_add(1, Ordering::Relaxed);
+    if matches!(exit, ChildExit::Crashed(_)) {
+        metrics.child_crashes.inc();
     }
-    account.close_stage();
-    metrics.note_stages(&account.stage_seconds);
-    account.write(queue, claim).await;
-    outcome
+    tracker.close_stage();
+    metrics.note_stages(&tracker.stage_seconds);
+    tracker.write(queue, claim).await;
+    exit
 }
 
-/// The end of a child that has closed its stdout: its exit status, and its last word where the two agree.
-async fn end(child: &mut Child, settings: &JobSettings, last_word: Option<Message>) -> Outcome {
+/// Waits for a child that has closed its stdout; its last message counts only if the exit status agrees with it.
+async fn wait_for_exit(child: &mut Child, settings: &JobSettings, last_message: Option<Message>) -> ChildExit {
     let status = tokio::time::timeout(settings.silence_limit, child.wait()).await;
-    match (status, last_word) {
-        (Ok(Ok(status)), Some(Message::Done)) if status.success() => Outcome::Done,
-        (Ok(Ok(status)), Some(Message::Failed { error })) if status.code().is_some() => Outcome::Failed(error),
-        (Ok(Ok(status)), _) => Outcome::Died(status.to_string()),
-        (Ok(Err(error)), _) => Outcome::Died(error.to_string()),
+    match (status, last_message) {
+        (Ok(Ok(status)), Some(Message::Done)) if status.success() => ChildExit::Done,
+        (Ok(Ok(status)), Some(Message::Failed { error })) if status.code().is_some() => ChildExit::Failed(error),
+        (Ok(Ok(status)), _) => ChildExit::Crashed(status.to_string()),
+        (Ok(Err(error)), _) => ChildExit::Crashed(error.to_string()),
         (Err(_), _) => {
             child.stop(settings.kill_grace).await;
-            Outcome::Died("it closed its output and did not end".to_owned())
+            ChildExit::Crashed("it closed its output but did not exit".to_owned())
         }
     }
 }
 
-/// Returns when the job's row may have changed.
+/// Waits until the job's row may have changed.
 async fn own_change(changes: &mut broadcast::Receiver<Arc<str>>, job: &str) {
     loop {
         match changes.recv().await {
@@ -118,35 +117,35 @@ async fn own_change(changes: &mut broadcast::Receiver<Arc<str>>, job: &str) {
     }
 }
 
-/// A database that does not answer stops no work: the end of the job will find out.
-async fn is_wanted(queue: &Queue, claim: &Claim) -> bool {
-    match queue.standing(claim).await {
-        Ok(standing) => standing == Standing::Wanted || fault("cancel.deaf"),
+/// Whether the claim is still valid. If the database fails, the work continues; recording the outcome checks again.
+async fn is_active(queue: &Queue, claim: &Claim) -> bool {
+    match queue.claim_status(claim).await {
+        Ok(status) => status == ClaimStatus::Active || fault("cancel.deaf"),
         Err(error) => {
-            tracing::warn!(job.id = %claim.job, %error, "the job's standing could not be read");
+            tracing::warn!(job.id = %claim.job, %error, "cannot read the status of the claim");
             true
         }
     }
 }
 
-/// What is known of the child's progress and not yet written.
-struct Account {
+/// Progress of the child process and when it last reported.
+struct ProgressTracker {
     started: Instant,
-    heard: Instant,
-    advanced: Instant,
+    last_message_at: Instant,
+    last_progress_at: Instant,
     progress: JobProgress,
     stage_started: Instant,
     stage_seconds: BTreeMap<String, f64>,
     is_dirty: bool,
 }
 
-impl Account {
+impl ProgressTracker {
     fn new() -> Self {
         let now = Instant::now();
         Self {
             started: now,
-            heard: now,
-            advanced: now,
+            last_message_at: now,
+            last_progress_at: now,
             progress: JobProgress::default(),
             stage_started: now,
             stage_seconds: BTreeMap::new(),
@@ -157,7 +156,7 @@ impl Account {
     fn note(&mut self, message: Message) {
         let Message::Progress { stage, stage_index, stage_count, fraction, message } = message else { return };
         let now = Instant::now();
-        (self.heard, self.advanced, self.is_dirty) = (now, now, true);
+        (self.last_message_at, self.last_progress_at, self.is_dirty) = (now, now, true);
         if stage != self.progress.stage {
             self.close_stage();
         }
@@ -174,7 +173,7 @@ impl Account {
         };
     }
 
-    /// Adds the time since its start to the stage at work; a stage may come again in a later round.
+    /// Adds the elapsed time to the current stage; a stage can run again in a later round.
     fn close_stage(&mut self) {
         let now = Instant::now();
         if !self.progress.stage.is_empty() {
@@ -190,18 +189,19 @@ impl Account {
             return;
         }
         if let Err(error) = queue.heartbeat(claim, &self.progress, &self.stage_seconds).await {
-            tracing::warn!(job.id = %claim.job, %error, "progress could not be written");
+            tracing::warn!(job.id = %claim.job, %error, "cannot write progress");
         }
     }
 
-    fn hangs(&self, settings: &JobSettings) -> Option<String> {
+    /// Returns a description if the child process is silent or stalled.
+    fn hang(&self, settings: &JobSettings) -> Option<String> {
         if fault("silence.tolerated") {
             return None;
         }
-        if self.heard.elapsed() > settings.silence_limit {
-            return Some(format!("it was silent for {} s and was killed", settings.silence_limit.as_secs()));
+        if self.last_message_at.elapsed() > settings.silence_limit {
+            return Some(format!("it sent no message for {} s and was killed", settings.silence_limit.as_secs()));
         }
-        let stalled = self.advanced.elapsed() > settings.stall_limit;
+        let stalled = self.last_progress_at.elapsed() > settings.stall_limit;
         stalled.then(|| format!("it made no progress for {} s and was killed", settings.stall_limit.as_secs()))
     }
 }

@@ -225,7 +225,10 @@ fn service() -> Vec<Operation> {
         open("/readyz", "isReady", "Work can be accepted", "application/json", &[503]),
         open("/openapi.json", "getDescription", "This description", "application/json", &[]),
         open("/docs", "getDocs", "The description for people", "text/html", &[]),
-        Operation { needs_key: true, ..open("/metrics", "getMetrics", "Figures for Prometheus", "text/plain", &[]) },
+        Operation {
+            needs_key: true,
+            ..open("/metrics", "getMetrics", "Metrics for Prometheus", "application/openmetrics-text", &[])
+        },
     ]
 }
 

@@ -1,13 +1,14 @@
-//! One byte anywhere counts.
+//! Every changed byte is detected.
 
 use super::*;
+use crate::service::store::tenants::{self, Tenant};
 
 async fn written(folder: &Path) -> Store {
     let store = Store::open(folder).await.unwrap();
-    for tenant in ["somebody", "somebody-else"] {
+    for tenant in ["first", "second"] {
         let mut transaction = store.write().await.unwrap();
-        let tenant = crate::service::store::Tenant::parse(tenant).unwrap();
-        crate::service::store::tenants::remember(&mut transaction, &tenant).await.unwrap();
+        let tenant = Tenant::parse(tenant).unwrap();
+        tenants::insert_if_missing(&mut transaction, &tenant).await.unwrap();
         transaction.commit().await.unwrap();
     }
     store
@@ -22,11 +23,11 @@ fn flipped(path: &Path, at: usize) -> Vec<u8> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn every_byte_of_a_stopped_database_and_of_its_digests_counts() {
+async fn detects_any_changed_byte_of_a_stopped_database() {
     let folder = tempfile::tempdir().unwrap();
     written(folder.path()).await.close().await;
     let database = folder.path().join("wandless.db");
-    assert!(matches!(compare_once(&database).unwrap(), Compared::Whole(n) if n > 10));
+    assert!(matches!(compare_once(&database).unwrap(), Compared::Intact(n) if n > 10));
     for path in [&database, &folder.path().join(PAGES)] {
         let length = std::fs::metadata(path).unwrap().len() as usize;
         for at in (0..length).step_by(length / 97) {
@@ -38,23 +39,23 @@ async fn every_byte_of_a_stopped_database_and_of_its_digests_counts() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn every_byte_of_the_log_of_a_killed_service_counts() {
+async fn detects_any_changed_byte_of_a_killed_services_log() {
     let folder = tempfile::tempdir().unwrap();
-    let store = written(folder.path()).await; // never closed: as if it had been killed
+    let store = written(folder.path()).await; // never closed, as after a kill
     let killed = tempfile::tempdir().unwrap();
     store.checkpoint().await.unwrap();
     let mut transaction = store.write().await.unwrap();
-    let late = crate::service::store::Tenant::parse("late").unwrap();
-    crate::service::store::tenants::remember(&mut transaction, &late).await.unwrap();
+    let late = Tenant::parse("late").unwrap();
+    tenants::insert_if_missing(&mut transaction, &late).await.unwrap();
     transaction.commit().await.unwrap();
     for name in ["wandless.db", "wandless.db-wal", PAGES] {
         std::fs::copy(folder.path().join(name), killed.path().join(name)).unwrap();
     }
     let (database, log) = (killed.path().join("wandless.db"), killed.path().join("wandless.db-wal"));
-    assert!(matches!(compare_once(&database).unwrap(), Compared::Whole(_)));
+    assert!(matches!(compare_once(&database).unwrap(), Compared::Intact(_)));
     let live = {
         let n_pages = Log::read(&log).unwrap().pages.len();
-        assert!((1..10).contains(&n_pages), "the log has begun anew after the checkpoint: {n_pages}");
+        assert!((1..10).contains(&n_pages), "the log restarts after the checkpoint: {n_pages}");
         32 + (24 + 4096) * n_pages
     };
     for at in (0..live).step_by(13) {

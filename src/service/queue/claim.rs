@@ -1,82 +1,85 @@
-//! The worker's side of the queue: claim, heartbeat, finish; each write fenced.
+//! Worker operations on the queue: claim, heartbeat, finish. Each write checks the claim's fence.
 
-use super::job::{Ending, JobError, JobProgress, Phase, next_phase};
-use super::{Queue, phase_from_row};
+use super::handle::Queue;
+use super::job::{JobError, JobProgress};
+use super::outcome::{ClaimOutcome, next_phase};
+use super::phase::Phase;
+use super::rows::phase_from_row;
 use crate::service::failpoint::{failpoint, fault};
-use crate::service::store::StoreError;
 use crate::service::store::artifacts::{self, Artifact};
+use crate::service::store::error::StoreError;
 use crate::service::store::summary::Summary;
 use sqlx::{Row, Sqlite, Transaction};
 use std::collections::BTreeMap;
 
-/// One job taken by one worker.
+/// One job claimed by one worker.
 #[derive(Debug, Clone)]
 pub struct Claim {
-    /// The job.
+    /// Job id.
     pub job: String,
-    /// Which claim of it.
+    /// Number of the claim; each claim of a job increments it.
     pub fence: i64,
-    /// The session.
+    /// Session id.
     pub session: String,
-    /// Digest of the upload.
+    /// SHA-256 of the upload, hex.
     pub session_sha256: String,
-    /// Every option with its value.
+    /// All options with their values, defaults included.
     pub options: serde_json::Value,
 }
 
-/// Whether the work of a claim is still wanted.
+/// Whether a claim is still valid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Standing {
-    /// Go on.
-    Wanted,
-    /// Somebody asked to stop.
+pub enum ClaimStatus {
+    /// The worker should continue.
+    Active,
+    /// A cancel was requested.
     Canceling,
-    /// Deleted, or claimed by another worker: whatever this one does, nobody will see it.
+    /// The job was deleted or claimed by another worker; writes of this claim have no effect.
     Lost,
 }
 
-/// A result that lies in its final folder and awaits its rows.
+/// A result in its final folder whose rows are not yet written.
 #[derive(Debug)]
 pub struct Published {
-    /// Its files.
+    /// Files of the result.
     pub artifacts: Vec<Artifact>,
-    /// Its figures.
+    /// Summary rows of the result.
     pub summary: Summary,
 }
 
-/// What became of the job.
+/// Result of [`Queue::finish`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Finished {
-    /// The job is in this state now.
+    /// The job is now in this state.
     Recorded(Phase),
     /// The claim was no longer valid; nothing was written.
     Lost,
 }
 
 impl Queue {
-    /// Returns when something may have become claimable.
+    /// Waits until a job may be claimable.
     pub async fn work(&self) {
         self.work.notified().await;
     }
 
-    /// Wakes one more worker: for a worker that leaves with a wake-up it did not use.
+    /// Wakes one more worker; called by a worker that stops and may have consumed a wake-up.
     pub fn wake_next(&self) {
         self.work.notify_one();
     }
 
-    /// Takes the first waiting job of the tenant whose turn it is, by priority, then age. A tenant with `max_running` jobs
-    /// at work is passed over.
+    /// Claims the first queued job of the tenant whose turn it is, by priority, then age. Tenants with `max_running`
+    /// running jobs are skipped.
     ///
     /// # Errors
     /// When the store fails.
     pub async fn claim(&self, max_running: i64) -> Result<Option<Claim>, StoreError> {
-        if fault("claim.clocked") && self.holds_jobs_of_the_future().await? {
+        if fault("claim.clocked") && self.has_jobs_dated_in_the_future().await? {
             return Ok(None);
         }
         let mut transaction = self.store.write().await?;
-        let Some(tenant) = tenant_in_turn(&mut transaction, max_running).await? else { return Ok(None) };
+        let Some(tenant) = next_tenant(&mut transaction, max_running).await? else { return Ok(None) };
         let row = sqlx::query(
-            "UPDATE jobs SET state = 'running', version = version + 1, fence = fence + 1, attempt = deaths + 1, boot = ?1,
+            "UPDATE jobs SET state = 'running', version = version + 1, fence = fence + 1, attempt = crashes + 1, boot = ?1,
                              started_at = coalesce(started_at, strftime('%Y-%m-%dT%H:%M:%fZ', 'now')),
                              solver_version = ?2, stage_seconds = '{}'
              WHERE seq = (SELECT seq FROM jobs WHERE state = 'queued' AND tenant = ?3
@@ -104,28 +107,28 @@ impl Queue {
         Ok(Some(claim))
     }
 
-    /// What no claim may ask; see the fault.
-    async fn holds_jobs_of_the_future(&self) -> Result<bool, StoreError> {
+    /// Compares times with the clock, which no claim may do; used by the fault `claim.clocked` only.
+    async fn has_jobs_dated_in_the_future(&self) -> Result<bool, StoreError> {
         let future =
             "SELECT count(*) FROM jobs WHERE state = 'queued' AND created_at > strftime('%Y-%m-%dT%H:%M:%fZ', 'now')";
         Ok(sqlx::query_scalar::<_, i64>(future).fetch_one(self.store.read()).await? > 0)
     }
 
-    /// Whether the claim's work is still wanted.
+    /// Reads whether the claim is still valid.
     ///
     /// # Errors
     /// When the store fails.
-    pub async fn standing(&self, claim: &Claim) -> Result<Standing, StoreError> {
+    pub async fn claim_status(&self, claim: &Claim) -> Result<ClaimStatus, StoreError> {
         let row = sqlx::query("SELECT state FROM jobs WHERE id = ? AND fence = ?").bind(&claim.job).bind(claim.fence);
         let row = row.fetch_optional(self.store.read()).await?;
         Ok(match row.as_ref().map(phase_from_row).transpose()? {
-            Some(Phase::Running) => Standing::Wanted,
-            Some(Phase::Canceling) => Standing::Canceling,
-            _ => Standing::Lost,
+            Some(Phase::Running) => ClaimStatus::Active,
+            Some(Phase::Canceling) => ClaimStatus::Canceling,
+            _ => ClaimStatus::Lost,
         })
     }
 
-    /// Writes how far the job is; the shown fraction never falls, whatever a second attempt reports.
+    /// Writes the progress of the job; the stored fraction never decreases, even in a second attempt.
     ///
     /// # Errors
     /// When the store fails.
@@ -135,7 +138,7 @@ impl Queue {
         progress: &JobProgress,
         stage_seconds: &BTreeMap<String, f64>,
     ) -> Result<(), StoreError> {
-        let mut transaction = self.store.note().await?;
+        let mut transaction = self.store.write_relaxed().await?;
         sqlx::query(
             "UPDATE jobs SET version = version + 1, stage = ?, stage_index = ?, stage_count = ?,
                              fraction = max(fraction, ?), message = ?, eta_s = ?, stage_seconds = ?
@@ -158,28 +161,28 @@ impl Queue {
         Ok(())
     }
 
-    /// Records how a claim ended, all rows in one transaction.
+    /// Records the outcome of a claim, all rows in one transaction.
     ///
     /// # Errors
-    /// When the store fails; nothing is recorded then, and the call may be repeated.
+    /// When the store fails; nothing is recorded then, and the call can be repeated.
     pub async fn finish(
         &self,
         claim: &Claim,
-        ending: &Ending<Published>,
-        max_deaths: u32,
+        outcome: &ClaimOutcome<Published>,
+        max_crashes: u32,
     ) -> Result<Finished, StoreError> {
         let mut transaction = self.store.write().await?;
         let row = sqlx::query(
-            "SELECT state, deaths FROM jobs WHERE id = ? AND fence = ? AND state IN ('running', 'canceling')",
+            "SELECT state, crashes FROM jobs WHERE id = ? AND fence = ? AND state IN ('running', 'canceling')",
         )
         .bind(&claim.job)
         .bind(claim.fence);
         let Some(row) = row.fetch_optional(&mut *transaction).await? else { return Ok(Finished::Lost) };
-        let next = next_phase(phase_from_row(&row)?, ending, row.try_get("deaths")?, max_deaths);
-        write_ending(&mut transaction, claim, ending, next).await?;
+        let next = next_phase(phase_from_row(&row)?, outcome, row.try_get("crashes")?, max_crashes);
+        write_outcome(&mut transaction, claim, outcome, next).await?;
         failpoint("finish.written");
-        if let (Phase::Succeeded, Ending::Succeeded(published)) = (next, ending) {
-            note_size(&mut transaction, claim, &published.artifacts).await?;
+        if let (Phase::Succeeded, ClaimOutcome::Succeeded(published)) = (next, outcome) {
+            write_result_size(&mut transaction, claim, &published.artifacts).await?;
             artifacts::insert(&mut transaction, &claim.job, &published.artifacts).await?;
             published.summary.insert(&mut transaction, &claim.job).await?;
         }
@@ -193,7 +196,7 @@ impl Queue {
             self.store.remove_files("checkpoints", &claim.job).await;
         }
         if next != Phase::Succeeded {
-            self.store.remove_files("results", &claim.job).await; // no row will ever name them
+            self.store.remove_files("results", &claim.job).await; // no row will ever refer to them
         }
         failpoint("finish.cleared");
         self.announce(&claim.job);
@@ -201,8 +204,8 @@ impl Queue {
     }
 }
 
-/// The tenant that waits and was served the longest ago; it goes to the end of the line.
-async fn tenant_in_turn(
+/// Returns the tenant with queued jobs that was served the longest ago, and moves it to the end of the order.
+async fn next_tenant(
     transaction: &mut Transaction<'static, Sqlite>,
     max_running: i64,
 ) -> Result<Option<String>, StoreError> {
@@ -217,20 +220,20 @@ async fn tenant_in_turn(
     Ok(name.bind(max_running).fetch_optional(&mut **transaction).await?)
 }
 
-async fn write_ending(
+async fn write_outcome(
     transaction: &mut Transaction<'static, Sqlite>,
     claim: &Claim,
-    ending: &Ending<Published>,
+    outcome: &ClaimOutcome<Published>,
     next: Phase,
 ) -> Result<(), StoreError> {
-    let error = match (next, ending) {
-        (Phase::Failed, Ending::Failed(error)) => Some(serde_json::to_string(error)?),
-        (Phase::Dead, Ending::ChildDied(how)) => Some(serde_json::to_string(&dead(how))?),
+    let error = match (next, outcome) {
+        (Phase::Failed, ClaimOutcome::Failed(error)) => Some(serde_json::to_string(error)?),
+        (Phase::Dead, ClaimOutcome::Crashed(how)) => Some(serde_json::to_string(&crashed_too_often(how))?),
         _ => None,
     };
     sqlx::query(
         "UPDATE jobs SET state = ?1, version = version + 1, boot = NULL, eta_s = NULL, error = ?2,
-                         deaths = deaths + ?3,
+                         crashes = crashes + ?3,
                          fraction = CASE ?1 WHEN 'succeeded' THEN 1.0 ELSE fraction END,
                          result_fence = CASE ?1 WHEN 'succeeded' THEN fence END,
                          finished_at = CASE ?1 WHEN 'queued' THEN NULL ELSE strftime('%Y-%m-%dT%H:%M:%fZ', 'now') END
@@ -238,7 +241,7 @@ async fn write_ending(
     )
     .bind(next.name())
     .bind(error)
-    .bind(matches!(ending, Ending::ChildDied(_)) && !fault("deaths.uncounted"))
+    .bind(matches!(outcome, ClaimOutcome::Crashed(_)) && !fault("crashes.uncounted"))
     .bind(&claim.job)
     .bind(claim.fence)
     .execute(&mut **transaction)
@@ -246,23 +249,23 @@ async fn write_ending(
     Ok(())
 }
 
-/// The tenant's quota counts it.
-async fn note_size(
+/// Writes the size of the result, which counts towards the tenant's quota.
+async fn write_result_size(
     transaction: &mut Transaction<'static, Sqlite>,
     claim: &Claim,
     artifacts: &[Artifact],
 ) -> Result<(), StoreError> {
     let bytes: u64 = artifacts.iter().map(|artifact| artifact.bytes).sum();
-    let noted = sqlx::query("UPDATE jobs SET result_bytes = ? WHERE id = ?").bind(bytes as i64).bind(&claim.job);
-    noted.execute(&mut **transaction).await?;
+    let update = sqlx::query("UPDATE jobs SET result_bytes = ? WHERE id = ?").bind(bytes as i64).bind(&claim.job);
+    update.execute(&mut **transaction).await?;
     Ok(())
 }
 
-fn dead(how: &str) -> JobError {
+fn crashed_too_often(how: &str) -> JobError {
     JobError {
         code: "child_died".to_owned(),
-        detail: format!("the job's own process died too often; the last time: {how}"),
-        remedy: "look into the service's log; a smaller session or more memory may help".to_owned(),
+        detail: format!("the job's process crashed too often; last crash: {how}"),
+        remedy: "read the service log; try a smaller session or more memory".to_owned(),
         ..JobError::default()
     }
 }

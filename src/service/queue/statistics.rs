@@ -1,28 +1,28 @@
-//! The queue in figures, for whoever watches the service.
+//! Queue statistics for the metrics page.
 
-use super::Queue;
-use crate::service::store::StoreError;
+use super::handle::Queue;
+use crate::service::store::error::StoreError;
 use sqlx::Row;
 
-/// What the tables say now.
+/// Current counts of the queue.
 #[derive(Debug, Default)]
-pub struct Figures {
-    /// Jobs by state; states without a job are left out.
+pub struct QueueStatistics {
+    /// Number of jobs by state; states without jobs are omitted.
     pub by_state: Vec<(String, i64)>,
-    /// Age of the oldest waiting job, s; 0 where none waits or the clock was set back.
+    /// Age of the oldest queued job, s; 0 if the queue is empty or the clock was set back.
     pub oldest_queued_s: f64,
-    /// Ids of the jobs at work.
+    /// Ids of the running jobs.
     pub running: Vec<String>,
-    /// Webhook deliveries not yet made.
+    /// Pending webhook deliveries.
     pub webhooks_waiting: i64,
 }
 
 impl Queue {
-    /// Reads the figures.
+    /// Reads the statistics.
     ///
     /// # Errors
     /// When the store fails.
-    pub async fn figures(&self) -> Result<Figures, StoreError> {
+    pub async fn statistics(&self) -> Result<QueueStatistics, StoreError> {
         let rows = sqlx::query("SELECT state, count(*) AS n FROM jobs GROUP BY state ORDER BY state");
         let rows = rows.fetch_all(self.store.read()).await?;
         let by_state = rows.iter().map(|row| Ok((row.try_get("state")?, row.try_get("n")?)));
@@ -36,6 +36,6 @@ impl Queue {
         let running = running.fetch_all(self.store.read()).await?;
         let waiting = sqlx::query_scalar("SELECT count(*) FROM webhook_deliveries WHERE state = 'waiting'");
         let webhooks_waiting = waiting.fetch_one(self.store.read()).await?;
-        Ok(Figures { by_state, oldest_queued_s: oldest.unwrap_or(0.0).max(0.0), running, webhooks_waiting })
+        Ok(QueueStatistics { by_state, oldest_queued_s: oldest.unwrap_or(0.0).max(0.0), running, webhooks_waiting })
     }
 }

@@ -1,78 +1,80 @@
-//! The client's side of the queue: accepting a job, once per Idempotency-Key.
+//! Accepting a job from a client, once per Idempotency-Key.
 
+use super::handle::Queue;
 use super::job::Job;
 use super::rows::job_from_row;
-use super::{Queue, StoreError};
 use crate::service::failpoint::{failpoint, fault};
 use crate::service::settings::{RequestLimits, TenantLimits};
-use crate::service::store::{Tenant, new_id, tenants};
+use crate::service::store::error::StoreError;
+use crate::service::store::random::new_id;
+use crate::service::store::tenants::{self, Tenant};
 use sqlx::{Row, Sqlite, Transaction};
 use std::collections::BTreeMap;
 
-/// What a client asks for, already checked.
+/// A validated request for a job.
 #[derive(Debug, Clone)]
 pub struct NewJob {
-    /// Whose.
+    /// Owner of the job.
     pub tenant: Tenant,
-    /// Session id.
+    /// Id of the session to solve.
     pub session: String,
-    /// Every option with its value.
+    /// All options with their values, defaults included.
     pub options: serde_json::Value,
-    /// The client's own marks.
+    /// Labels set by the client.
     pub labels: BTreeMap<String, String>,
-    /// Higher runs first, among the tenant's own jobs.
+    /// Jobs of higher priority run first, among the jobs of one tenant.
     pub priority: i64,
-    /// URL to be called at the end.
+    /// URL to call when the job ends.
     pub webhook: Option<String>,
 }
 
-/// `Idempotency-Key` and what was asked under it.
+/// An `Idempotency-Key` and the request that used it.
 #[derive(Debug, Clone)]
 pub struct IdempotencyKey {
-    /// The header's value.
+    /// Value of the header.
     pub key: String,
-    /// SHA-256 of the canonical request.
+    /// SHA-256 of the canonical form of the request.
     pub fingerprint: String,
 }
 
-/// How many jobs may wait.
+/// Upper bounds on the number of queued jobs.
 #[derive(Debug, Clone, Copy)]
-pub struct Room {
-    /// Of everybody.
-    pub everybody: i64,
-    /// Of the tenant.
+pub struct QueueLimits {
+    /// Jobs of all tenants together.
+    pub total: i64,
+    /// Jobs of one tenant.
     pub tenant: i64,
 }
 
-impl Room {
-    /// What the settings say.
+impl QueueLimits {
+    /// Takes the limits from the settings.
     pub fn of(limits: &RequestLimits, tenants: &TenantLimits) -> Self {
-        Self { everybody: limits.max_queued, tenant: tenants.max_queued }
+        Self { total: limits.max_queued, tenant: tenants.max_queued }
     }
 }
 
 /// Why a job was not accepted.
 #[derive(Debug, thiserror::Error)]
 pub enum EnqueueError {
-    /// No such session.
+    /// The session does not exist.
     #[error("no such session")]
     SessionMissing,
-    /// The key was used for another request.
+    /// The key was used for another request before.
     #[error("the Idempotency-Key was used for another request")]
     KeyReused,
-    /// The key's job was deleted.
+    /// The job of this key was deleted.
     #[error("the job of this Idempotency-Key was deleted")]
     JobDeleted,
-    /// Too many jobs wait.
-    #[error("{waiting} jobs are waiting")]
+    /// Too many jobs are queued.
+    #[error("{waiting} jobs are already queued")]
     Full {
-        /// How many.
+        /// Number of queued jobs.
         waiting: i64,
     },
-    /// Too many jobs of this tenant wait.
-    #[error("{waiting} jobs of the tenant are waiting")]
+    /// Too many jobs of this tenant are queued.
+    #[error("{waiting} jobs of the tenant are already queued")]
     TenantFull {
-        /// How many.
+        /// Number of queued jobs.
         waiting: i64,
     },
     /// The store failed.
@@ -87,7 +89,7 @@ impl From<sqlx::Error> for EnqueueError {
 }
 
 impl Queue {
-    /// Accepts a job; once this has returned it will reach a final state.
+    /// Accepts a job; after this returns, the job is durable and will reach a final state.
     ///
     /// # Errors
     /// [`EnqueueError`].
@@ -95,22 +97,22 @@ impl Queue {
         &self,
         new: &NewJob,
         idempotency: Option<&IdempotencyKey>,
-        room: Room,
+        limits: QueueLimits,
     ) -> Result<Job, EnqueueError> {
         let mut transaction = self.store.write().await?;
         let idempotency = idempotency.filter(|_| !fault("key.ignored"));
-        if let Some(asked) = idempotency
-            && let Some(known) = job_of_key(&mut transaction, &new.tenant, asked).await?
+        if let Some(key) = idempotency
+            && let Some(known) = job_of_key(&mut transaction, &new.tenant, key).await?
         {
             transaction.rollback().await?;
             return self.get(&new.tenant, &known).await?.ok_or(EnqueueError::JobDeleted);
         }
         require_session(&mut transaction, new).await?;
-        require_room(&mut transaction, &new.tenant, room).await?;
-        tenants::remember(&mut transaction, &new.tenant).await?;
+        require_capacity(&mut transaction, &new.tenant, limits).await?;
+        tenants::insert_if_missing(&mut transaction, &new.tenant).await?;
         let job = insert(&mut transaction, new).await?;
-        if let Some(asked) = idempotency {
-            remember_key(&mut transaction, &new.tenant, asked, &job.id).await?;
+        if let Some(key) = idempotency {
+            insert_key(&mut transaction, &new.tenant, key, &job.id).await?;
         }
         failpoint("enqueue.inserted");
         if fault("enqueue.early") {
@@ -130,17 +132,17 @@ impl Queue {
 
 type Writing = Transaction<'static, Sqlite>;
 
-/// The job that a key stands for; refused where it stood for another request.
+/// Returns the job id stored with a key; an error if the key was used for another request.
 async fn job_of_key(
     transaction: &mut Writing,
     tenant: &Tenant,
-    asked: &IdempotencyKey,
+    key: &IdempotencyKey,
 ) -> Result<Option<String>, EnqueueError> {
     let row = sqlx::query("SELECT fingerprint, job_id FROM idempotency WHERE tenant = ? AND key = ?");
-    let Some(row) = row.bind(tenant.name()).bind(&asked.key).fetch_optional(&mut **transaction).await? else {
+    let Some(row) = row.bind(tenant.name()).bind(&key.key).fetch_optional(&mut **transaction).await? else {
         return Ok(None);
     };
-    if row.try_get::<&str, _>("fingerprint")? != asked.fingerprint {
+    if row.try_get::<&str, _>("fingerprint")? != key.fingerprint {
         return Err(EnqueueError::KeyReused);
     }
     Ok(Some(row.try_get("job_id")?))
@@ -152,15 +154,15 @@ async fn require_session(transaction: &mut Writing, new: &NewJob) -> Result<(), 
     session.fetch_optional(&mut **transaction).await?.map(|_| ()).ok_or(EnqueueError::SessionMissing)
 }
 
-async fn require_room(transaction: &mut Writing, tenant: &Tenant, room: Room) -> Result<(), EnqueueError> {
+async fn require_capacity(transaction: &mut Writing, tenant: &Tenant, limits: QueueLimits) -> Result<(), EnqueueError> {
     let waiting = sqlx::query_scalar("SELECT count(*) FROM jobs WHERE state = 'queued'");
     let waiting: i64 = waiting.fetch_one(&mut **transaction).await?;
-    if waiting >= room.everybody {
+    if waiting >= limits.total {
         return Err(EnqueueError::Full { waiting });
     }
     let own = sqlx::query_scalar("SELECT count(*) FROM jobs WHERE state = 'queued' AND tenant = ?").bind(tenant.name());
     let waiting: i64 = own.fetch_one(&mut **transaction).await?;
-    if waiting < room.tenant { Ok(()) } else { Err(EnqueueError::TenantFull { waiting }) }
+    if waiting < limits.tenant { Ok(()) } else { Err(EnqueueError::TenantFull { waiting }) }
 }
 
 async fn insert(transaction: &mut Writing, new: &NewJob) -> Result<Job, EnqueueError> {
@@ -181,10 +183,10 @@ async fn insert(transaction: &mut Writing, new: &NewJob) -> Result<Job, EnqueueE
     Ok(job_from_row(&row)?)
 }
 
-async fn remember_key(
+async fn insert_key(
     transaction: &mut Writing,
     tenant: &Tenant,
-    asked: &IdempotencyKey,
+    key: &IdempotencyKey,
     job: &str,
 ) -> Result<(), EnqueueError> {
     sqlx::query(
@@ -192,8 +194,8 @@ async fn remember_key(
          VALUES (?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))",
     )
     .bind(tenant.name())
-    .bind(&asked.key)
-    .bind(&asked.fingerprint)
+    .bind(&key.key)
+    .bind(&key.fingerprint)
     .bind(job)
     .execute(&mut **transaction)
     .await?;

@@ -1,0 +1,209 @@
+//! The queue handle: reads, cancels and deletes jobs, and announces changes.
+
+use super::job::Job;
+use super::phase::Phase;
+use super::rows::job_from_row;
+use crate::service::failpoint::failpoint;
+use crate::service::store::database::Store;
+use crate::service::store::error::StoreError;
+use crate::service::store::tenants::Tenant;
+use std::sync::Arc;
+use tokio::sync::{Notify, broadcast};
+
+/// The queue of one service process. Cloning shares it.
+#[derive(Debug, Clone)]
+pub struct Queue {
+    pub(super) store: Store,
+    /// Wakes a worker when a job may be claimable.
+    pub(super) work: Arc<Notify>,
+    /// Sends the id of each job whose row has changed.
+    changes: broadcast::Sender<Arc<str>>,
+    /// Sends the log lines of the jobs' child processes.
+    log: broadcast::Sender<LogLine>,
+}
+
+/// One log line of a job's child process.
+#[derive(Debug, Clone)]
+pub struct LogLine {
+    /// Job id.
+    pub job: Arc<str>,
+    /// Text of the line.
+    pub line: Arc<str>,
+}
+
+/// Filter of a job list.
+#[derive(Debug, Clone, Default)]
+pub struct JobFilter {
+    /// Only jobs in this state.
+    pub state: Option<Phase>,
+    /// Only jobs with this label.
+    pub label: Option<LabelFilter>,
+    /// Only jobs older than this `seq`.
+    pub before: Option<i64>,
+}
+
+/// Label filter: `key` or `key=value`.
+#[derive(Debug, Clone)]
+pub struct LabelFilter {
+    /// Name of the label.
+    pub key: String,
+    /// Required value; `None` accepts any value.
+    pub value: Option<String>,
+}
+
+/// Result of a cancel request.
+#[derive(Debug)]
+pub enum Cancel {
+    /// The job is being canceled, or was canceled before.
+    Accepted(Box<Job>),
+    /// The job had already reached another final state.
+    AlreadyFinal(Phase),
+    /// The job does not exist.
+    Missing,
+}
+
+impl Queue {
+    /// Creates the queue of a store.
+    pub fn new(store: Store) -> Self {
+        Self { store, work: Arc::default(), changes: broadcast::channel(1024).0, log: broadcast::channel(256).0 }
+    }
+
+    /// Subscribes to the ids of jobs whose rows change.
+    pub fn listen(&self) -> broadcast::Receiver<Arc<str>> {
+        self.changes.subscribe()
+    }
+
+    /// Subscribes to the log lines of all jobs' child processes.
+    pub fn listen_to_logs(&self) -> broadcast::Receiver<LogLine> {
+        self.log.subscribe()
+    }
+
+    /// Sends a log line to all subscribers.
+    pub fn send_line(&self, job: &str, line: &str) {
+        let _ = self.log.send(LogLine { job: job.into(), line: line.into() }); // an error only means that there are no subscribers
+    }
+
+    /// Sends the id of a changed job to all subscribers.
+    pub(super) fn announce(&self, job: &str) {
+        let _ = self.changes.send(job.into()); // an error only means that there are no subscribers
+    }
+
+    /// Returns a tenant's job by id.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub async fn get(&self, tenant: &Tenant, id: &str) -> Result<Option<Job>, StoreError> {
+        let row = sqlx::query(
+            "SELECT jobs.*, verdict, reasons FROM jobs LEFT JOIN verdicts ON verdicts.job_id = jobs.id
+             WHERE jobs.id = ? AND tenant = ?",
+        )
+        .bind(id)
+        .bind(tenant.name())
+        .fetch_optional(self.store.read())
+        .await?;
+        row.as_ref().map(job_from_row).transpose()
+    }
+
+    /// Lists a tenant's jobs, newest first, at most `limit`.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub async fn list(&self, tenant: &Tenant, filter: &JobFilter, limit: i64) -> Result<Vec<Job>, StoreError> {
+        let rows = sqlx::query(
+            "SELECT jobs.*, verdict, reasons FROM jobs LEFT JOIN verdicts ON verdicts.job_id = jobs.id
+             WHERE tenant = ?6 AND seq < ?1 AND (?2 IS NULL OR state = ?2)
+               AND (?3 IS NULL OR EXISTS (SELECT 1 FROM json_each(jobs.labels) AS label
+                                          WHERE label.key = ?3 AND (?4 IS NULL OR label.value = ?4)))
+             ORDER BY seq DESC LIMIT ?5",
+        )
+        .bind(filter.before.unwrap_or(i64::MAX))
+        .bind(filter.state.map(Phase::name))
+        .bind(filter.label.as_ref().map(|label| label.key.as_str()))
+        .bind(filter.label.as_ref().and_then(|label| label.value.as_deref()))
+        .bind(limit)
+        .bind(tenant.name())
+        .fetch_all(self.store.read())
+        .await?;
+        rows.iter().map(job_from_row).collect()
+    }
+
+    /// Cancels a job: a queued job immediately, a running job through its worker.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub async fn cancel(&self, tenant: &Tenant, id: &str) -> Result<Cancel, StoreError> {
+        match self.try_to_cancel(tenant, id).await {
+            Err(error) if error.is_disk_full() => {
+                self.store.release_reserve().await;
+                self.try_to_cancel(tenant, id).await
+            }
+            done => done,
+        }
+    }
+
+    async fn try_to_cancel(&self, tenant: &Tenant, id: &str) -> Result<Cancel, StoreError> {
+        let mut transaction = self.store.write().await?;
+        sqlx::query(
+            "UPDATE jobs SET state = 'canceled', version = version + 1, eta_s = NULL,
+                             finished_at = strftime('%Y-%m-%dT%H:%M:%fZ', 'now')
+             WHERE id = ? AND tenant = ? AND state = 'queued'",
+        )
+        .bind(id)
+        .bind(tenant.name())
+        .execute(&mut *transaction)
+        .await?;
+        sqlx::query(
+            "UPDATE jobs SET state = 'canceling', version = version + 1
+             WHERE id = ? AND tenant = ? AND state = 'running'",
+        )
+        .bind(id)
+        .bind(tenant.name())
+        .execute(&mut *transaction)
+        .await?;
+        failpoint("cancel.marked");
+        transaction.commit().await?;
+        failpoint("cancel.committed");
+        self.announce(id);
+        let Some(job) = self.get(tenant, id).await? else { return Ok(Cancel::Missing) };
+        if job.state.phase() == Phase::Canceled {
+            self.store.remove_files("checkpoints", id).await; // left by an attempt before a restart
+        }
+        Ok(match job.state.phase() {
+            Phase::Canceling | Phase::Canceled => Cancel::Accepted(Box::new(job)),
+            phase => Cancel::AlreadyFinal(phase),
+        })
+    }
+
+    /// Deletes a job in any state and its files; the worker of a running job notices that the row is gone and kills the
+    /// child process. Returns false if the job did not exist.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub async fn delete(&self, tenant: &Tenant, id: &str) -> Result<bool, StoreError> {
+        match self.try_to_delete(tenant, id).await {
+            Err(error) if error.is_disk_full() => {
+                self.store.release_reserve().await;
+                self.try_to_delete(tenant, id).await
+            }
+            done => done,
+        }
+    }
+
+    async fn try_to_delete(&self, tenant: &Tenant, id: &str) -> Result<bool, StoreError> {
+        let mut transaction = self.store.write().await?;
+        let deleted = sqlx::query("DELETE FROM jobs WHERE id = ? AND tenant = ?").bind(id).bind(tenant.name());
+        let deleted = deleted.execute(&mut *transaction).await?;
+        failpoint("delete.marked");
+        transaction.commit().await?;
+        if deleted.rows_affected() == 0 {
+            return Ok(false);
+        }
+        failpoint("delete.committed");
+        self.announce(id);
+        self.store.remove_files("results", id).await;
+        self.store.remove_files("checkpoints", id).await;
+        failpoint("delete.removed");
+        self.store.create_reserve().await;
+        Ok(true)
+    }
+}

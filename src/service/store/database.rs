@@ -1,0 +1,205 @@
+//! The database connections of a data folder.
+
+use super::error::StoreError;
+use super::folders::Folders;
+use crate::service::failpoint::{failpoint, fault};
+use sqlx::migrate::{MigrateError, Migrator};
+use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous};
+use sqlx::{Connection, Sqlite, Transaction};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+pub(super) static MIGRATIONS: Migrator = sqlx::migrate!("./migrations");
+
+/// How long to wait for a database that another process has locked.
+const BUSY_PATIENCE: Duration = Duration::from_secs(10);
+
+/// SQLite 3.7.0 to 3.51.2 can corrupt the file if two connections write and checkpoint at the same time.
+const OLDEST_SOUND_SQLITE: [u32; 3] = [3, 51, 3];
+
+/// The database and the folders of one service process.
+#[derive(Debug, Clone)]
+pub struct Store {
+    /// The only connection that changes job states: `synchronous = FULL`, so acknowledged changes survive a power cut.
+    writer: SqlitePool,
+    /// Connection for progress: `synchronous = NORMAL`; a power cut can lose the last second, but not damage the file.
+    progress_writer: SqlitePool,
+    readers: SqlitePool,
+    /// Copies the write-ahead log into the database; the only connection that does, see [`super::pages`].
+    pub(super) checkpointer: SqlitePool,
+    /// Folders of the files.
+    pub folders: Folders,
+    /// Id of this process: a running job of another boot is an orphan.
+    pub boot: String,
+}
+
+/// Disk usage of a data folder; values that the system does not report are 0.
+#[derive(Debug, Default)]
+pub struct DiskUsage {
+    /// Free bytes of the disk that this process may use.
+    pub free_bytes: u64,
+    /// Size of the database file, bytes.
+    pub database_bytes: u64,
+    /// Size of the write-ahead log, bytes.
+    pub wal_bytes: u64,
+}
+
+impl Store {
+    /// Locks the folder for this process, opens the database and migrates it to this release's schema.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn open(root: &Path) -> Result<Self, StoreError> {
+        Self::open_in(Folders::open(root)?).await
+    }
+
+    async fn open_in(folders: Folders) -> Result<Self, StoreError> {
+        let path = folders.database();
+        Self::open_database(folders).await.map_err(|error| error.of_file(&path))
+    }
+
+    /// Opens the store beside a running service, for a command; if no service is running, same as [`Store::open`].
+    ///
+    /// # Errors
+    /// Same as [`Store::open`].
+    pub async fn open_beside(root: &Path) -> Result<Self, StoreError> {
+        match Folders::open(root) {
+            Err(StoreError::InUse { .. }) => Self::open_in(Folders::beside(root)?).await,
+            folders => Self::open_in(folders?).await,
+        }
+    }
+
+    async fn open_database(folders: Folders) -> Result<Self, StoreError> {
+        failpoint("start.locked");
+        let database = folders.database();
+        let is_lost =
+            |is_empty: bool| Ok::<_, StoreError>(is_empty && folders.hold_files()? && !fault("damage.silent"));
+        if is_lost(std::fs::metadata(&database).map_or(0, |m| m.len()) == 0)? {
+            return Err(StoreError::DatabaseLost { path: database });
+        }
+        let options = SqliteConnectOptions::new()
+            .filename(&database)
+            .create_if_missing(true)
+            .journal_mode(SqliteJournalMode::Wal)
+            .foreign_keys(true)
+            .busy_timeout(if fault("busy.impatient") { Duration::ZERO } else { BUSY_PATIENCE })
+            .pragma("wal_autocheckpoint", "0")
+            .pragma("secure_delete", "ON");
+        let pool = |options: SqliteConnectOptions, n: u32| {
+            let pool = SqlitePoolOptions::new().max_connections(n).idle_timeout(None).max_lifetime(None);
+            // SQLite ends a transaction by itself when the disk is full; sqlx's connection would then assume forever that
+            // it is still inside a transaction, so it is replaced.
+            let pool = pool.before_acquire(|connection, _| Box::pin(async { Ok(!connection.is_in_transaction()) }));
+            pool.acquire_timeout(Duration::from_secs(30)).connect_with(options)
+        };
+        let writer = pool(options.clone().synchronous(SqliteSynchronous::Full), 1).await?;
+        require_sound_sqlite(&writer).await?;
+        // A file without its write-ahead log can be a valid database without tables.
+        let n_tables: i64 = sqlx::query_scalar("SELECT count(*) FROM sqlite_master").fetch_one(&writer).await?;
+        if is_lost(n_tables == 0)? {
+            return Err(StoreError::DatabaseLost { path: database });
+        }
+        MIGRATIONS.run(&writer).await.map_err(|error| match error {
+            MigrateError::VersionMissing(migration) => StoreError::Newer { migration },
+            other => StoreError::Migration(other),
+        })?;
+        failpoint("start.migrated");
+        if fault("claims.scanned") {
+            sqlx::query("DROP INDEX IF EXISTS jobs_by_state").execute(&writer).await?;
+        }
+        folders.create_reserve();
+        let progress_writer = pool(options.clone().synchronous(SqliteSynchronous::Normal), 1).await?;
+        let checkpointer = pool(options.clone().synchronous(SqliteSynchronous::Full), 1).await?;
+        let readers = pool(options.read_only(true), 4).await?;
+        Ok(Self {
+            writer,
+            progress_writer,
+            readers,
+            checkpointer,
+            folders,
+            boot: uuid::Uuid::new_v4().simple().to_string(),
+        })
+    }
+
+    /// Starts a transaction that may change job states; durable once committed.
+    ///
+    /// # Errors
+    /// When the database is locked or fails.
+    pub(crate) async fn write(&self) -> Result<Transaction<'static, Sqlite>, sqlx::Error> {
+        self.writer.begin_with("BEGIN IMMEDIATE").await
+    }
+
+    /// Starts a transaction for progress and similar data, which a power cut may lose.
+    ///
+    /// # Errors
+    /// When the database is locked or fails.
+    pub(crate) async fn write_relaxed(&self) -> Result<Transaction<'static, Sqlite>, sqlx::Error> {
+        self.progress_writer.begin_with("BEGIN IMMEDIATE").await
+    }
+
+    /// Read-only connections.
+    pub(crate) fn read(&self) -> &SqlitePool {
+        &self.readers
+    }
+
+    /// Reads the free disk space and the size of the database.
+    pub fn disk_usage(&self) -> DiskUsage {
+        let bytes = |path: PathBuf| std::fs::metadata(path).map_or(0, |file| file.len());
+        let database = self.folders.database();
+        DiskUsage {
+            free_bytes: self.folders.free_bytes().unwrap_or(0),
+            wal_bytes: bytes(database.with_extension("db-wal")),
+            database_bytes: bytes(database),
+        }
+    }
+
+    /// Checks that the database accepts writes.
+    ///
+    /// # Errors
+    /// When it does not.
+    pub async fn check_writable(&self) -> Result<(), StoreError> {
+        let transaction = self.progress_writer.begin_with("BEGIN IMMEDIATE").await?;
+        Ok(transaction.rollback().await?)
+    }
+
+    /// Removes one entry of `sessions`, `results` or `checkpoints` without blocking the threads that answer clients.
+    pub async fn remove_files(&self, folder: &'static str, name: &str) {
+        let (folders, name) = (self.folders.clone(), name.to_owned());
+        // Fails only when the process ends; the next start removes files without a row.
+        let _ = tokio::task::spawn_blocking(move || folders.remove(folder, &name)).await;
+    }
+
+    /// Removes the reserve file, so that operations that free space also work on a full disk.
+    pub async fn release_reserve(&self) {
+        let folders = self.folders.clone();
+        let _ = tokio::task::spawn_blocking(move || folders.release_reserve()).await; // fails only when the process ends
+    }
+
+    /// Creates the reserve file again if there is space.
+    pub async fn create_reserve(&self) {
+        let folders = self.folders.clone();
+        let _ = tokio::task::spawn_blocking(move || folders.create_reserve()).await; // fails only when the process ends
+    }
+
+    /// Closes the connections after their last statement; the owner of the folder empties the write-ahead log first.
+    pub async fn close(&self) {
+        self.readers.close().await;
+        if self.folders.are_owned()
+            && let Err(error) = self.checkpoint().await
+        {
+            tracing::warn!(%error, "the last checkpoint failed; the write-ahead log stays beside the database");
+        }
+        self.checkpointer.close().await;
+        self.progress_writer.close().await;
+        self.writer.close().await;
+    }
+}
+
+async fn require_sound_sqlite(pool: &SqlitePool) -> Result<(), StoreError> {
+    let found: String = sqlx::query_scalar("SELECT sqlite_version()").fetch_one(pool).await?;
+    let parts: Vec<u32> = found.split('.').filter_map(|part| part.parse().ok()).collect();
+    if parts.as_slice() < OLDEST_SOUND_SQLITE.as_slice() {
+        return Err(StoreError::UnsoundSqlite { found });
+    }
+    Ok(())
+}
