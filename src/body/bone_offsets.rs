@@ -3,8 +3,8 @@
 //! $J_j - J_{par(j)} = S\text{-bone}(\beta) + M d$, mirrored between left and right; everything below the bone moves along. A
 //! nuisance: it keeps a person's proportions from being taken for a habit of the detector. No result is expressed in it.
 
-use super::model::{BodyModel, Landmark, chain_to_root};
-use super::skeleton::{N_JOINTS, PARENTS};
+use super::model::{BodyModel, Landmark};
+use super::skeleton::{N_JOINTS, PARENTS, chain_to_root};
 use nalgebra::{Matrix3, Vector3};
 
 /// Corrected bones by the joints at their lower ends, left and right.

@@ -1,15 +1,15 @@
-//! What a detector means by a keypoint, against where the body has it: one offset a kind of keypoint, for a whole session.
+//! Keypoint bias: the offset between a detector's keypoint and the body's landmark, one a kind of keypoint and session.
 //!
 //! Detectors are trained on points that annotators clicked: hips come out too high and too wide, shoulders on the skin
 //! (30 to 50 mm at hip and knee: Needham et al., Scientific Reports 11, 2021). The offset is fixed in the frame of the
-//! bone that carries the keypoint, the same for all people and frames, and mirrored between left and right:
+//! bone that the keypoint belongs to, the same for all people and frames, and mirrored between left and right:
 //! $l = \sum_i [w_i p_i + G_i a_i] + G_b M o$ with $M = \mathrm{diag}(-1, 1, 1)$ for a right keypoint.
 
-use super::model::{BodyModel, Landmark, LandmarkTerm, ShapeDirections, chain_to_root};
-use super::skeleton::{JOINT_NAMES, KeypointConvention, PARENTS};
+use super::model::{BodyModel, Landmark, LandmarkTerm, ShapeDirections};
+use super::skeleton::{JOINT_NAMES, KeypointConvention, PARENTS, chain_to_root};
 use nalgebra::{Matrix3, Vector3};
 
-/// How far a detector's idea of a joint may lie from the body's, m, sideways in the body at rest (standard deviation).
+/// Standard deviation of a joint keypoint's offset, sideways in the body at rest, m.
 const SIGMAS_M: [(&str, f64); 7] = [
     ("hip", 0.025),
     ("shoulder", 0.025),
@@ -20,63 +20,65 @@ const SIGMAS_M: [(&str, f64); 7] = [
     ("ankle", 0.010),
 ];
 
-/// Points of the face and the feet, which are seen directly.
+/// Standard deviation of the offset of points of face and feet, which are seen directly, m.
 const SURFACE_SIGMA_M: f64 = 0.008;
 
-/// Of joints upwards and forwards: a pose makes up for it, legs a little longer and knees a little more bent, and what makes
-/// motion smoother wins. Detections without any habit had hips 22 mm (standard deviation 7 mm) down the thigh.
+/// Standard deviation of a joint keypoint's offset upwards and forwards, m. The pose compensates for such an offset (longer
+/// legs, more bent knees), so that smoothness alone decides it: with a wide prior, detections without any bias gave hips
+/// 22 mm (standard deviation 7 mm) down the thigh.
 const UPRIGHT_SIGMA_M: f64 = 3e-3;
 
-/// Points of the middle stay in the middle.
+/// Standard deviation of the sideways offset of points on the midline, m.
 const MIDDLE_SIGMA_M: f64 = 1e-3;
 
-/// No detector's habit is further off than this many standard deviations of an axis: 50 mm at the hip, 20 mm at elbow, wrist
-/// and ankle, the largest distances that Needham et al. report. What asks for more is a body of other proportions.
+/// Largest plausible bias in standard deviations of an axis: 50 mm at the hip, 20 mm at elbow, wrist and ankle, the largest
+/// distances that Needham et al. report. A larger offset indicates a body of other proportions.
 const MAX_SIGMAS: f64 = 2.0;
 
-/// The keypoints of one name, left and right taken together.
+/// A kind of keypoint: left and right keypoints of one name share one offset.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OffsetKind {
     /// Name without its side.
     pub name: String,
-    /// The bone that carries it (of a pair: the left one), by the joint at its start.
+    /// The bone that it belongs to (of a pair: the left one), by the joint at its start.
     pub joint: usize,
-    /// Whether it stands for joints rather than for a point of the skin.
+    /// Whether it is a joint rather than a point of the skin.
     pub is_joint: bool,
     /// Standard deviation of the offset's prior per axis, m.
     pub prior_sigma: Vector3<f64>,
 }
 
 impl OffsetKind {
-    /// Whether it belongs to no side, so that its offset has none either.
-    pub fn is_in_the_middle(&self) -> bool {
+    /// Whether it lies on the midline, so that its offset is not sideways.
+    pub fn is_on_midline(&self) -> bool {
         self.prior_sigma.x <= MIDDLE_SIGMA_M
     }
 }
 
-/// Which offset moves a landmark.
+/// The offset of one landmark.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Carried {
+pub struct LandmarkOffset {
     /// Index in [`OffsetTable::kinds`].
     pub kind: usize,
-    /// The joint whose frame carries the offset.
+    /// The joint in whose frame the offset is fixed.
     pub joint: usize,
-    /// `bone_from_offset`: the identity, or the mirror image for a right keypoint.
+    /// `bone_from_offset`: the identity, or the reflection for a right keypoint.
     pub mirror: Matrix3<f64>,
 }
 
-/// The offsets that one convention has on one body.
+/// The offsets of one convention's keypoints on one body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OffsetTable {
     /// Every kind of keypoint.
     pub kinds: Vec<OffsetKind>,
-    carried: Vec<Option<Carried>>,
+    /// By landmark of the model.
+    of_landmarks: Vec<Option<LandmarkOffset>>,
 }
 
 impl OffsetTable {
-    /// The offsets of a convention's landmarks; none for SMPL's own joints, which are no detector's.
+    /// The offsets of a convention's landmarks; none for SMPL's own joints, which do not come from a detector.
     pub fn new(model: &BodyModel, convention: KeypointConvention) -> Self {
-        let mut table = Self { kinds: Vec::new(), carried: vec![None; model.landmarks.len()] };
+        let mut table = Self { kinds: Vec::new(), of_landmarks: vec![None; model.landmarks.len()] };
         if convention == KeypointConvention::Smpl24 {
             return table;
         }
@@ -87,7 +89,7 @@ impl OffsetTable {
                 (_, Some(name)) => (name, Side::Right),
                 _ => (shown.name.as_str(), Side::Middle),
             };
-            let joint = carrying_joint(shown);
+            let joint = bone_of(shown);
             let known = table.kinds.iter().position(|kind| kind.name == name);
             let kind = known.unwrap_or_else(|| {
                 let joint = if side == Side::Right { mirrored(joint) } else { joint };
@@ -96,27 +98,27 @@ impl OffsetTable {
                 table.kinds.len() - 1
             });
             let mirror = Matrix3::from_diagonal(&Vector3::new(if side == Side::Right { -1.0 } else { 1.0 }, 1.0, 1.0));
-            table.carried[landmark] = Some(Carried { kind, joint, mirror });
+            table.of_landmarks[landmark] = Some(LandmarkOffset { kind, joint, mirror });
         }
         table
     }
 
-    /// The offset that moves a landmark, by index in the model.
-    pub fn carried(&self, landmark: usize) -> Option<&Carried> {
-        self.carried.get(landmark)?.as_ref()
+    /// The offset of a landmark, by index in the model.
+    pub fn of_landmark(&self, landmark: usize) -> Option<&LandmarkOffset> {
+        self.of_landmarks.get(landmark)?.as_ref()
     }
 
-    /// The first kind whose offset is larger than a habit can be.
+    /// The first kind whose offset is implausibly large for a detector's bias.
     pub fn implausible(&self, offsets: &[Vector3<f64>]) -> Option<&OffsetKind> {
         let is_large = |kind: &OffsetKind, o: &Vector3<f64>| o.component_div(&kind.prior_sigma).norm() > MAX_SIGMAS;
         self.kinds.iter().zip(offsets).find(|(kind, offset)| is_large(kind, offset)).map(|(kind, _)| kind)
     }
 
-    /// The model with its landmarks where the detector has them; `offsets` by kind, m.
+    /// The model with its landmarks moved to the detector's keypoints; `offsets` by kind, m.
     pub fn applied(&self, model: &BodyModel, offsets: &[Vector3<f64>]) -> BodyModel {
         let mut moved = model.clone();
-        for (landmark, carried) in moved.landmarks.iter_mut().zip(&self.carried) {
-            if let Some(Carried { kind, joint, mirror }) = *carried {
+        for (landmark, own) in moved.landmarks.iter_mut().zip(&self.of_landmarks) {
+            if let Some(LandmarkOffset { kind, joint, mirror }) = *own {
                 let (offset, offset_directions) = (mirror * offsets[kind], ShapeDirections::zeros());
                 landmark.terms.push(LandmarkTerm { joint, weight: 0.0, offset, offset_directions });
             }
@@ -143,9 +145,9 @@ fn is_joint(landmark: &Landmark) -> bool {
     landmark.terms.iter().all(|term| term.offset == Vector3::zeros())
 }
 
-/// A joint hangs on the bone above it, a midpoint on what both joints hang on, a point of the skin on the nearest of the
-/// joints that move it.
-fn carrying_joint(landmark: &Landmark) -> usize {
+/// The joint at the start of the bone that a landmark belongs to: of a joint the parent, of a midpoint the common ancestor
+/// of both parents, of a point of the skin the joint with the largest weight.
+fn bone_of(landmark: &Landmark) -> usize {
     if is_joint(landmark) {
         let parents = landmark.terms.iter().map(|term| PARENTS[term.joint].unwrap_or(term.joint));
         return parents.reduce(common_ancestor).unwrap_or(0);
@@ -176,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn an_offset_moves_both_sides_outward_in_the_bones_frame() {
+    fn an_offset_moves_both_sides_outward() {
         let model = default_body();
         let table = OffsetTable::new(&model, KeypointConvention::Body25);
         let mut offsets = vec![Vector3::zeros(); table.kinds.len()];
@@ -191,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn keypoints_hang_on_the_bone_above_them() {
+    fn keypoints_belong_to_the_bone_above_them() {
         let model = default_body();
         let table = OffsetTable::new(&model, KeypointConvention::Body25);
         let bone = |name: &str| JOINT_NAMES[table.kinds.iter().find(|kind| kind.name == name).unwrap().joint];

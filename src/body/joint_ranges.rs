@@ -9,7 +9,7 @@
 //! (median) magnitudes of everyday motion and dance, rad/s^2.
 
 use super::kinematics::Pose;
-use super::mocap_skeleton::carried;
+use super::mocap_skeleton::retargeted;
 use super::model::BodyModel;
 use super::skeleton::{JOINT_NAMES, N_JOINTS};
 use crate::geometry::rotation::{exp, log};
@@ -83,7 +83,7 @@ pub fn joint_ranges() -> [JointRange; N_JOINTS] {
 pub fn joint_ranges_of(model: &BodyModel) -> [JointRange; N_JOINTS] {
     let mut ranges = joint_ranges();
     for (joint, range) in ranges.iter_mut().enumerate() {
-        range.rest = log(&carried(&exp(&range.rest), joint, &model.mocap_from_body));
+        range.rest = log(&retargeted(&exp(&range.rest), joint, &model.mocap_from_body));
     }
     ranges
 }

@@ -3,8 +3,8 @@
 //! SMPL's convention (method.md 9.2): the root turns about the rest pelvis `J_0(beta)`, then `translation` is added:
 //! `p_0 = J_0 + T`, `p_j = p_par + G_par (J_j - J_par)`, `G_0 = R_0`, `G_j = G_par R_j`.
 
-use super::model::{BodyModel, Landmark, ShapeDirections, ShapedBody, chain_to_root};
-use super::skeleton::{N_JOINTS, PARENTS};
+use super::model::{BodyModel, Landmark, ShapeDirections, ShapedBody};
+use super::skeleton::{N_JOINTS, PARENTS, chain_to_root};
 use crate::geometry::rotation::skew;
 use nalgebra::{Matrix3, Vector3};
 

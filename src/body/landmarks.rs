@@ -7,11 +7,40 @@
 //! Known limit: a user's pose blend shapes are left out here (they enter in skinning); they move surface points by
 //! some millimetres, joints not at all.
 
-use super::model::{Landmark, LandmarkTerm, NECK_JOINT, ShapeDirections};
+use super::shape::ShapeDirections;
 use super::skeleton::{JOINT_NAMES, KeypointConvention, N_JOINTS};
 use super::surface::{JointWeight, Surface, VertexWeight};
 use nalgebra::Vector3;
 use std::collections::BTreeSet;
+
+/// Name of the landmark at SMPL's neck joint, since `neck` is taken by the detectors' point between the shoulders.
+pub const NECK_JOINT: &str = "neck_joint";
+
+/// A named point: a sum over bones that moves with them, `sum_i [ w_i p_i + G_i (a_i + A_i beta) ]`.
+///
+/// `p_i`, `G_i`: posed joint and `world_from_joint` rotation. The weights sum to 1. It is the exact form of a point
+/// under linear blend skinning (method: landmarks without vertices), and of a joint, a midpoint or a point fixed to
+/// one bone.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Landmark {
+    /// Keypoint name as in the conventions.
+    pub name: String,
+    /// The bones that carry it.
+    pub terms: Vec<LandmarkTerm>,
+}
+
+/// One bone's part of a [`Landmark`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct LandmarkTerm {
+    /// The joint whose frame carries this part.
+    pub joint: usize,
+    /// Share of the joint's own position.
+    pub weight: f64,
+    /// Rest offset in the joint's frame at beta 0, already weighted, m.
+    pub offset: Vector3<f64>,
+    /// Change of the offset per beta, already weighted, m.
+    pub offset_directions: ShapeDirections,
+}
 
 /// Every landmark that some convention names and this body has: joints, midpoints, and the named points of the skin.
 ///

@@ -42,7 +42,7 @@ pub fn mocap_from_body(rest_joints: &[Vector3<f64>; N_JOINTS]) -> [Matrix3<f64>;
 }
 
 /// A captured turn of `joint` as the body has it.
-pub fn carried(turn: &Matrix3<f64>, joint: usize, mocap_from_body: &[Matrix3<f64>; N_JOINTS]) -> Matrix3<f64> {
+pub fn retargeted(turn: &Matrix3<f64>, joint: usize, mocap_from_body: &[Matrix3<f64>; N_JOINTS]) -> Matrix3<f64> {
     let before = PARENTS[joint].map_or_else(Matrix3::identity, |parent| mocap_from_body[parent]);
     before.transpose() * turn * mocap_from_body[joint]
 }
@@ -69,7 +69,7 @@ mod tests {
         let turns = mocap_from_body(&body.rest_joints);
         for [hip, knee, ankle] in [[1, 4, 7], [2, 5, 8]] {
             let [(_, thigh), (_, shank)] = [hip, knee].map(|joint| captured_bone(joint).unwrap());
-            let straight = carried(&rotation_between(&shank, &thigh), knee, &turns);
+            let straight = retargeted(&rotation_between(&shank, &thigh), knee, &turns);
             let bone = |end: usize, joint: usize| (body.rest_joints[end] - body.rest_joints[joint]).normalize();
             assert!((straight * bone(ankle, knee) - bone(knee, hip)).norm() < 0.01);
         }
@@ -81,7 +81,7 @@ mod tests {
         let turns = mocap_from_body(&default_body().rest_joints);
         for (joint, bend) in UPRIGHT_DEG {
             let upright = exp(&Vector3::new(bend.to_radians(), 0.0, 0.0));
-            assert!((carried(&upright, joint, &turns) - Matrix3::identity()).norm() < 1e-12, "{joint}");
+            assert!((retargeted(&upright, joint, &turns) - Matrix3::identity()).norm() < 1e-12, "{joint}");
         }
         let mirror = Matrix3::from_diagonal(&Vector3::new(-1.0, 1.0, 1.0));
         for left in [1, 4, 7, 10, 13, 16, 18, 20] {

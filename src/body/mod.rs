@@ -18,6 +18,7 @@ pub mod mocap_skeleton;
 pub mod model;
 pub mod scale;
 pub mod segments;
+pub mod shape;
 pub mod skeleton;
 pub mod skinning;
 pub mod surface;

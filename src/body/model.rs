@@ -1,23 +1,16 @@
 //! One body model for the fit and for the mesh: joints and landmarks that need no vertices, and the surface they follow
 //! from.
 
-use super::anthropometry::N_BETAS;
 use super::landmarks::landmarks;
 use super::mocap_skeleton::mocap_from_body;
-use super::skeleton::{KeypointConvention, N_JOINTS, PARENTS};
+use super::skeleton::{KeypointConvention, N_JOINTS};
 use super::surface::{Surface, VertexWeight};
-use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{Matrix3, Vector3};
 use sha2::{Digest, Sha256};
 use std::sync::Arc;
 
-/// Name of the landmark at SMPL's neck joint, since `neck` is taken by the detectors' point between the shoulders.
-pub const NECK_JOINT: &str = "neck_joint";
-
-/// What each unit of the betas adds to a point: 3 x 10, m.
-pub type ShapeDirections = SMatrix<f64, 3, N_BETAS>;
-
-/// Shape coefficients in population standard deviations.
-pub type Betas = SVector<f64, N_BETAS>;
+pub use super::landmarks::{Landmark, LandmarkTerm, NECK_JOINT};
+pub use super::shape::{Betas, ShapeDirections};
 
 /// A body model in SMPL's conventions: y up, facing +z, left is +x, metres; the rest pose is a T-pose with all joint
 /// frames parallel to the world; joint tree and order of [`super::skeleton`].
@@ -36,32 +29,6 @@ pub struct BodyModel {
     pub landmarks: Vec<Landmark>,
     /// The mesh that the joints and landmarks were taken from.
     pub surface: Arc<Surface>,
-}
-
-/// A named point: a sum over bones that moves with them, `sum_i [ w_i p_i + G_i (a_i + A_i beta) ]`.
-///
-/// `p_i`, `G_i`: posed joint and `world_from_joint` rotation. The weights sum to 1. It is the exact form of a point
-/// under linear blend skinning (method: landmarks without vertices), and of a joint, a midpoint or a point fixed to
-/// one bone.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Landmark {
-    /// Keypoint name as in the conventions.
-    pub name: String,
-    /// The bones that carry it.
-    pub terms: Vec<LandmarkTerm>,
-}
-
-/// One bone's part of a [`Landmark`].
-#[derive(Debug, Clone, PartialEq)]
-pub struct LandmarkTerm {
-    /// The joint whose frame carries this part.
-    pub joint: usize,
-    /// Share of the joint's own position.
-    pub weight: f64,
-    /// Rest offset in the joint's frame at beta 0, already weighted, m.
-    pub offset: Vector3<f64>,
-    /// Change of the offset per beta, already weighted, m.
-    pub offset_directions: ShapeDirections,
 }
 
 /// A body model at one shape.
@@ -140,11 +107,6 @@ impl BodyModel {
         self.surface.digest_into(&mut hash);
         hex::encode(hash.finalize())
     }
-}
-
-/// Joint `joint` and all its ancestors up to the root, nearest first.
-pub fn chain_to_root(joint: usize) -> impl Iterator<Item = usize> {
-    std::iter::successors(Some(joint), |&j| PARENTS[j])
 }
 
 #[cfg(test)]

@@ -73,7 +73,7 @@ pub fn scale_from_people(model: &BodyModel, people: &[Vec<MeasuredSegment>]) -> 
 
 /// The scale where nobody can be measured and people are taken to be average adults, as in a single view: what is as
 /// tall as it looks may be small and near, or large and far. The interval is that of one adult's stature.
-pub fn scale_of_nobody(model: &BodyModel) -> ScaleEstimate {
+pub fn scale_of_average_adults(model: &BodyModel) -> ScaleEstimate {
     let half = INTERVAL_95 * stature_per_beta(model).norm();
     ScaleEstimate {
         scale: 1.0,
@@ -245,7 +245,7 @@ mod tests {
     /// 5 to 6 % is the coefficient of variation of adults' stature, sexes pooled (ANSUR II).
     #[test]
     fn the_scale_of_nobody_is_as_uncertain_as_an_adults_stature() {
-        let estimate = scale_of_nobody(&default_body());
+        let estimate = scale_of_average_adults(&default_body());
         let sigma = estimate.interval95[1].ln() / INTERVAL_95;
         assert!(estimate.scale == 1.0 && (0.045..0.07).contains(&sigma), "{sigma}");
         assert!((estimate.interval95[0] * estimate.interval95[1] - 1.0).abs() < 1e-12);

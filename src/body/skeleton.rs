@@ -61,6 +61,11 @@ pub const PARENTS: [Option<usize>; N_JOINTS] = [
     Some(21),
 ];
 
+/// Joint `joint` and all its ancestors up to the root, nearest first.
+pub fn chain_to_root(joint: usize) -> impl Iterator<Item = usize> {
+    std::iter::successors(Some(joint), |&j| PARENTS[j])
+}
+
 /// The order and meaning of a detector's keypoints.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]

@@ -1,6 +1,6 @@
 //! The body's skin: a triangle mesh with shape directions, skin weights and the joints' regressor.
 
-use super::model::{Betas, ShapeDirections};
+use super::shape::{Betas, ShapeDirections};
 use super::skeleton::N_JOINTS;
 use nalgebra::Vector3;
 use sha2::{Digest, Sha256};

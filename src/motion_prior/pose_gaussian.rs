@@ -6,7 +6,7 @@
 
 use super::basis::{Basis, LATENT_DIM};
 use super::chart::{LATENT_JOINTS, N_FEATURES};
-use crate::body::mocap_skeleton::carried;
+use crate::body::mocap_skeleton::retargeted;
 use crate::body::skeleton::N_JOINTS;
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3};
 
@@ -45,10 +45,10 @@ impl PoseGaussian {
     /// The same for a body with the zero `Q_j` ([`mocap_from_body`]): `M_j <- Q_p^T M_j Q_j` and `u_j <- Q_j^T u_j`.
     ///
     /// [`mocap_from_body`]: crate::body::mocap_skeleton::mocap_from_body
-    pub fn carried_to(mut self, mocap_from_body: &[Matrix3<f64>; N_JOINTS]) -> Self {
+    pub fn retargeted_to(mut self, mocap_from_body: &[Matrix3<f64>; N_JOINTS]) -> Self {
         let mut captured_from_own = DMatrix::zeros(self.mean.len(), self.mean.len());
         for (i, (&joint, rotation)) in self.joints.iter().zip(&mut self.rotations).enumerate() {
-            *rotation = carried(rotation, joint, mocap_from_body);
+            *rotation = retargeted(rotation, joint, mocap_from_body);
             captured_from_own.fixed_view_mut::<3, 3>(3 * i, 3 * i).copy_from(&mocap_from_body[joint]);
         }
         self.mean = captured_from_own.tr_mul(&self.mean);
@@ -95,7 +95,7 @@ mod tests {
     fn a_pose_is_as_likely_in_another_skeleton() {
         let captured = PoseGaussian::over(MotionPrior::embedded().basis(), &[1, 4, 7, 10, 16]);
         let turns = default_body().mocap_from_body;
-        let own = captured.clone().carried_to(&turns);
+        let own = captured.clone().retargeted_to(&turns);
         let turn = |i: usize| captured.rotations[i] * exp(&Vector3::new(0.3, -0.1 * i as f64, 0.2));
         let distance = |gaussian: &PoseGaussian, turn: &dyn Fn(usize) -> Matrix3<f64>| {
             let off = |i: usize| log(&(gaussian.rotations[i].transpose() * turn(i)));
@@ -104,7 +104,7 @@ mod tests {
             off.dot(&(&gaussian.precision * &off))
         };
         let as_captured = distance(&captured, &turn);
-        let as_own = distance(&own, &|i| carried(&turn(i), captured.joints[i], &turns));
+        let as_own = distance(&own, &|i| retargeted(&turn(i), captured.joints[i], &turns));
         assert!((as_own / as_captured - 1.0).abs() < 1e-9, "{as_own} and {as_captured}");
         assert!((distance(&own, &turn) / as_captured - 1.0).abs() > 0.05);
     }

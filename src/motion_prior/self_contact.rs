@@ -3,7 +3,8 @@
 use super::chart::LocalRotations;
 use crate::body::capsules::{BodyCapsules, N_CAPSULES};
 use crate::body::kinematics::{Pose, posed};
-use crate::body::model::{BodyModel, ShapedBody, chain_to_root};
+use crate::body::model::{BodyModel, ShapedBody};
+use crate::body::skeleton::chain_to_root;
 use crate::body::{Betas, default_body};
 use crate::geometry::capsule::TaperedCapsule;
 use nalgebra::{Matrix3, Vector3};

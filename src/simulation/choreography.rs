@@ -2,10 +2,10 @@
 //!
 //! Time runs in fixed steps of its own, so that a motion does not depend on the frame rate.
 
+use super::action_generator::{ActionGenerator, STEP};
 use super::config::SimulationConfig;
 use super::gait;
-use super::mover::{Mover, STEP};
-use super::skeleton::Person;
+use super::skeleton::SimulatedPerson;
 use nalgebra::Vector2;
 
 /// People move this long before the first frame, s, so that nobody starts from rest in a T.
@@ -14,30 +14,36 @@ const WARM_UP: f64 = 2.0;
 const PERSONAL_SPACE: f64 = 0.9;
 
 /// People of `config`, each with an own body and an own random choreography.
-pub fn procedural_people(config: &SimulationConfig) -> Vec<Person> {
-    let mut movers: Vec<Mover> = (0..config.people).map(|person| Mover::new(person, config)).collect();
-    let mut people: Vec<Person> = (0..config.people).map(|p| Person::still(config, p, "procedural")).collect();
+pub fn procedural_people(config: &SimulationConfig) -> Vec<SimulatedPerson> {
+    let mut generators: Vec<ActionGenerator> =
+        (0..config.people).map(|person| ActionGenerator::new(person, config)).collect();
+    let mut people: Vec<SimulatedPerson> =
+        (0..config.people).map(|p| SimulatedPerson::still(config, p, "procedural")).collect();
     let mut step = 0_u64;
     for frame in 0..config.frames {
         let due = WARM_UP + frame as f64 / config.fps;
         // Up to the last step before the frame; the rest is a straight line.
         while (step + 1) as f64 * STEP <= due {
-            advance_all(&mut movers, step as f64 * STEP);
+            advance_all(&mut generators, step as f64 * STEP);
             step += 1;
         }
         let rest = due - step as f64 * STEP;
-        for (person, mover) in people.iter_mut().zip(&movers) {
-            person.poses.push(gait::pose(&person.skeleton, &mover.stance_after(rest), &mover.posture_after(rest)));
+        for (person, generator) in people.iter_mut().zip(&generators) {
+            person.poses.push(gait::pose(
+                &person.skeleton,
+                &generator.stance_after(rest),
+                &generator.posture_after(rest),
+            ));
         }
     }
     people
 }
 
-fn advance_all(movers: &mut [Mover], time: f64) {
-    let positions: Vec<Vector2<f64>> = movers.iter().map(|mover| mover.position()).collect();
-    for (person, mover) in movers.iter_mut().enumerate() {
+fn advance_all(generators: &mut [ActionGenerator], time: f64) {
+    let positions: Vec<Vector2<f64>> = generators.iter().map(|generator| generator.position()).collect();
+    for (person, generator) in generators.iter_mut().enumerate() {
         let push = push_from_others(person, &positions);
-        mover.advance(time, &push);
+        generator.advance(time, &push);
     }
 }
 

@@ -1,6 +1,6 @@
 //! What is simulated: people, cameras, noise; every number with its unit.
 
-use super::SimulationError;
+use super::error::SimulationError;
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::Distortion;
 use serde::Serialize;

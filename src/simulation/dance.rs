@@ -4,11 +4,11 @@
 //! Everything but the stride is a sum of slow waves of time, smooth by itself; the stride's phase follows the ground that
 //! is covered.
 
+use super::action_generator::STEP;
 use super::config::SimulationConfig;
 use super::gait::{self, Arm, Posture, Stance};
-use super::mover::STEP;
 use super::random::{Purpose, stream};
-use super::skeleton::Person;
+use super::skeleton::SimulatedPerson;
 use nalgebra::Vector2;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -141,11 +141,11 @@ impl Dancer {
 }
 
 /// The two people of `config`, each with an own body.
-pub(super) fn dancing_people(config: &SimulationConfig) -> Vec<Person> {
+pub(super) fn dancing_people(config: &SimulationConfig) -> Vec<SimulatedPerson> {
     let couple = Couple::random(&mut stream(config.seed, Purpose::Placement, 0, 0));
     let person = |index: usize| {
         let dancer = Dancer::random(&mut stream(config.seed, Purpose::Motion, 0, index));
-        let mut person = Person::still(config, index, "dance");
+        let mut person = SimulatedPerson::still(config, index, "dance");
         let arms = if index == 0 { &LOW } else { &HIGH };
         let stances = stances(&couple, &dancer, index, config);
         let poses = stances.iter().enumerate().map(|(frame, stance)| {

@@ -5,7 +5,7 @@
 
 use super::config::SimulationConfig;
 use super::random::{Purpose, stream};
-use super::skeleton::{Person, Pose, Skeleton, joint};
+use super::skeleton::{SimulatedPerson, SimulatedSkeleton, joint};
 use crate::body::human_speeds::JOG_M_S;
 use crate::geometry::rotation;
 use crate::motion_prior::MotionPrior;
@@ -50,7 +50,7 @@ const RETURN_TIME: f64 = 4.0;
 const INERTIA: f64 = 0.1;
 
 /// Gives a person a path: the lower foot on the floor and standing still, `foot_height` m above it.
-pub(super) fn stand(person: &mut Person, fps: f64, foot_height: f64) {
+pub(super) fn stand(person: &mut SimulatedPerson, fps: f64, foot_height: f64) {
     let feet: Vec<[Vector3<f64>; 2]> = person.poses.iter().map(|pose| feet(&person.skeleton, pose)).collect();
     let mut path = Vec::with_capacity(feet.len());
     let mut place = Vector3::zeros();
@@ -70,8 +70,8 @@ pub(super) fn stand(person: &mut Person, fps: f64, foot_height: f64) {
 }
 
 /// Foot joints relative to the pelvis.
-fn feet(skeleton: &Skeleton, pose: &Pose) -> [Vector3<f64>; 2] {
-    let joints = skeleton.pose(&Pose { pelvis: Vector3::zeros(), ..*pose }).joints;
+fn feet(skeleton: &SimulatedSkeleton, pose: &MotionPose) -> [Vector3<f64>; 2] {
+    let joints = skeleton.pose(&MotionPose { pelvis: Vector3::zeros(), ..*pose }).joints;
     ["left_foot", "right_foot"].map(|name| joints[joint(name)])
 }
 

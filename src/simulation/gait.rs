@@ -1,9 +1,10 @@
 //! From where a person is and what they do to a pose: legs that step, arms that swing, feet on the floor.
 
 use super::landmarks::Rule;
-use super::skeleton::{Pose, Skeleton, joint};
+use super::skeleton::{SimulatedSkeleton, joint};
 use crate::body::skeleton::N_JOINTS;
 use crate::geometry::rotation;
+use crate::motion_prior::motion_file::MotionPose;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use std::f64::consts::{FRAC_PI_2, PI};
 
@@ -84,7 +85,7 @@ pub fn step_length(speed: f64) -> f64 {
 }
 
 /// The pose of a skeleton in a stance and a posture, its lowest sole on the floor y = 0.
-pub fn pose(skeleton: &Skeleton, stance: &Stance, posture: &Posture) -> Pose {
+pub fn pose(skeleton: &SimulatedSkeleton, stance: &Stance, posture: &Posture) -> MotionPose {
     let mut rotations = [Matrix3::identity(); N_JOINTS];
     let pelvis_lean = 0.5 * posture.crouch;
     turn_trunk(&mut rotations, stance, posture, pelvis_lean);
@@ -208,8 +209,8 @@ const SOLE: [(usize, [f64; 3]); 6] = [
 const SOLE_SOFTNESS: f64 = 0.006;
 
 /// Puts the middle of the ankles over `position` and the soles on the floor (at most 11 mm above it, never below).
-fn stand(skeleton: &Skeleton, rotations: [Matrix3<f64>; N_JOINTS], position: &Vector2<f64>) -> Pose {
-    let mut pose = Pose { rotations, pelvis: Vector3::zeros() };
+fn stand(skeleton: &SimulatedSkeleton, rotations: [Matrix3<f64>; N_JOINTS], position: &Vector2<f64>) -> MotionPose {
+    let mut pose = MotionPose { rotations, pelvis: Vector3::zeros() };
     let posed = skeleton.pose(&pose);
     let ankles = 0.5 * (posed.joints[joint("left_ankle")] + posed.joints[joint("right_ankle")]);
     let soles = SOLE

@@ -37,7 +37,7 @@ pub(super) fn as_detected(body: BodyModel, config: &SimulationConfig) -> BodyMod
     if config.bodies != Bodies::Individual {
         return body;
     }
-    let rng = &mut stream(config.seed, Purpose::Habits, 0, 0);
+    let rng = &mut stream(config.seed, Purpose::KeypointBias, 0, 0);
     let table = OffsetTable::new(&body, config.convention);
     let offsets: Vec<Vector3<f64>> = table.kinds.iter().map(|kind| offset(kind, rng)).collect();
     table.applied(&body, &offsets)
@@ -55,7 +55,7 @@ fn offset(kind: &OffsetKind, rng: &mut ChaCha8Rng) -> Vector3<f64> {
     if is_hip {
         way = Vector3::new(way.x.abs(), way.y.abs(), way.z);
     }
-    if kind.is_in_the_middle() {
+    if kind.is_on_midline() {
         way.x = 0.0;
     }
     way.normalize() * size

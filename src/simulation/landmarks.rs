@@ -1,10 +1,10 @@
 //! The points a detector looks for, from a posed skeleton: one rule a keypoint, for every convention.
 
-use super::SimulationError;
 use super::config::SimulationConfig;
+use super::error::SimulationError;
 use super::individual::as_detected;
-use super::skeleton::{Person, PosedSkeleton, joint};
-use crate::body::kinematics;
+use super::skeleton::{SimulatedPerson, joint};
+use crate::body::kinematics::{PosedSkeleton, landmark_position};
 use crate::body::model::{BodyModel, ShapedBody};
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention};
 use nalgebra::Vector3;
@@ -64,7 +64,7 @@ impl Rule {
     /// The point in the world, m; `scale` is the person's size relative to the generic adult.
     pub fn point(&self, posed: &PosedSkeleton, scale: f64) -> Vector3<f64> {
         match *self {
-            Self::At { joint, offset } => posed.joints[joint] + posed.world_from_joint[joint] * offset * scale,
+            Self::At { joint, offset } => posed.joints[joint] + posed.rotations[joint] * offset * scale,
             Self::Between(a, b) => 0.5 * (posed.joints[a] + posed.joints[b]),
         }
     }
@@ -84,7 +84,7 @@ impl Detectable {
     ///
     /// # Errors
     /// [`SimulationError::UnknownKeypoint`] where the body has no such point.
-    pub fn new(person: &Person, config: &SimulationConfig) -> Result<Self, SimulationError> {
+    pub fn new(person: &SimulatedPerson, config: &SimulationConfig) -> Result<Self, SimulationError> {
         let convention = config.convention;
         let Some((betas, body)) = person.betas.zip(person.model()) else {
             return Ok(Self::Rules(rules(convention)?, person.skeleton.scale));
@@ -104,9 +104,7 @@ impl Detectable {
         match self {
             Self::Rules(rules, scale) => rules.iter().map(|rule| rule.point(posed, *scale)).collect(),
             Self::Body(body, landmarks) => {
-                let skeleton = kinematics::PosedSkeleton { rotations: posed.world_from_joint, joints: posed.joints };
-                let point = |landmark: &usize| kinematics::landmark_position(&body.0, &body.1, &skeleton, *landmark);
-                landmarks.iter().map(point).collect()
+                landmarks.iter().map(|landmark| landmark_position(&body.0, &body.1, posed, *landmark)).collect()
             }
         }
     }

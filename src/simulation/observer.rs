@@ -4,10 +4,10 @@
 //! joints are worse and mostly missing; detections vanish for runs of frames; left and right get exchanged.
 
 use super::config::{NoiseConfig, SimulationConfig};
-use super::detector::{Scene, Tally};
 use super::occlusion::is_hidden;
 use super::random::{Purpose, normal, stream};
 use super::rig::RigCamera;
+use super::scene::{SimulatedScene, Tally};
 use crate::body::skeleton::{KeypointConvention, N_JOINTS};
 use crate::session::Keypoint;
 use nalgebra::{Vector2, Vector3};
@@ -54,7 +54,7 @@ struct Projected {
 }
 
 impl Observer {
-    pub(super) fn new(scene: &Scene, view: usize, person: usize, config: &SimulationConfig) -> Self {
+    pub(super) fn new(scene: &SimulatedScene, view: usize, person: usize, config: &SimulationConfig) -> Self {
         let mut rng = stream(config.seed, Purpose::Detector, view, person);
         let mirror = scene.convention.mirror();
         Self {
@@ -71,7 +71,7 @@ impl Observer {
     /// The detection of this frame, if there is one.
     pub(super) fn observe(
         &mut self,
-        scene: &Scene,
+        scene: &SimulatedScene,
         frame: usize,
         camera: &RigCamera,
         tally: &mut Tally,
@@ -201,7 +201,7 @@ fn white(rng: &mut ChaCha8Rng) -> Vector2<f64> {
     Vector2::new(normal(rng, 1.0), normal(rng, 1.0))
 }
 
-fn project(scene: &Scene, frame: usize, person: usize, camera: &RigCamera) -> Vec<Projected> {
+fn project(scene: &SimulatedScene, frame: usize, person: usize, camera: &RigCamera) -> Vec<Projected> {
     let center = camera.camera_from_world.center();
     let people: Vec<&[Vector3<f64>; N_JOINTS]> = scene.joints[frame].iter().collect();
     let (width, height) = (f64::from(camera.intrinsics.width), f64::from(camera.intrinsics.height));

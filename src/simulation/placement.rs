@@ -1,14 +1,14 @@
 //! People from takes, of files or drawn from the prior: resampled, cut to length, put on the floor and next to each other.
 
-use super::SimulationError;
 use super::config::{Bodies, SimulationConfig};
 use super::drawn::{drawn_take, stand};
+use super::error::SimulationError;
 use super::random::{Purpose, stream};
-use super::skeleton::{Person, Pose, Skeleton, joint};
+use super::skeleton::{SimulatedPerson, SimulatedSkeleton, joint};
 use crate::body::default_body;
-use crate::body::mocap_skeleton::carried;
+use crate::body::mocap_skeleton::retargeted;
 use crate::geometry::rotation;
-use crate::motion_prior::motion_file::{MotionTake, read_take};
+use crate::motion_prior::motion_file::{MotionPose, MotionTake, read_take};
 use nalgebra::{Matrix3, Vector3};
 use rand::RngExt;
 use std::path::PathBuf;
@@ -19,19 +19,23 @@ use std::path::PathBuf;
 ///
 /// # Errors
 /// [`SimulationError`] where there are too few files or one cannot be read.
-pub fn people_from_files(paths: &[PathBuf], config: &SimulationConfig) -> Result<Vec<Person>, SimulationError> {
+pub fn people_from_files(
+    paths: &[PathBuf],
+    config: &SimulationConfig,
+) -> Result<Vec<SimulatedPerson>, SimulationError> {
     if paths.len() < config.people {
         return Err(SimulationError::TooFewMotions { people: config.people, files: paths.len() });
     }
-    let mut people: Vec<Person> = Vec::with_capacity(config.people);
+    let mut people: Vec<SimulatedPerson> = Vec::with_capacity(config.people);
     for (index, path) in paths[..config.people].iter().enumerate() {
         let motion = |problem| SimulationError::Motion { path: path.clone(), problem };
         let take = read_take(path).map_err(motion)?;
-        let skeleton = take.rest_joints.as_ref().map_or_else(Skeleton::generic, Skeleton::from_rest_joints);
+        let skeleton =
+            take.rest_joints.as_ref().map_or_else(SimulatedSkeleton::generic, SimulatedSkeleton::from_rest_joints);
         let source = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
         let body = match config.bodies {
-            Bodies::Own => Person::of_skeleton(skeleton, source),
-            Bodies::Default | Bodies::Individual => Person::still(config, index, &source),
+            Bodies::Own => SimulatedPerson::of_skeleton(skeleton, source),
+            Bodies::Default | Bodies::Individual => SimulatedPerson::still(config, index, &source),
         };
         let mut person = resampled(take, body, config.fps);
         cut(&mut person, config, index);
@@ -42,9 +46,10 @@ pub fn people_from_files(paths: &[PathBuf], config: &SimulationConfig) -> Result
 }
 
 /// People whose motions are drawn from the prior, each with an own body.
-pub fn people_from_prior(config: &SimulationConfig) -> Vec<Person> {
+pub fn people_from_prior(config: &SimulationConfig) -> Vec<SimulatedPerson> {
     let person = |index: usize| {
-        let mut person = resampled(drawn_take(config, index), Person::still(config, index, "prior"), config.fps);
+        let mut person =
+            resampled(drawn_take(config, index), SimulatedPerson::still(config, index, "prior"), config.fps);
         person.poses.truncate(config.frames);
         stand(&mut person, config.fps, FOOT_HEIGHT);
         person
@@ -54,7 +59,7 @@ pub fn people_from_prior(config: &SimulationConfig) -> Vec<Person> {
 
 /// Each person is shifted and turned on the floor so that people share the space, 0.45 m apart where a place is found within
 /// 200 tries, within 2.2 m of the centre; all as long as the shortest.
-fn placed(mut people: Vec<Person>, config: &SimulationConfig) -> Vec<Person> {
+fn placed(mut people: Vec<SimulatedPerson>, config: &SimulationConfig) -> Vec<SimulatedPerson> {
     let n_frames = people.iter().map(|p| p.poses.len()).min().unwrap_or(0);
     people.iter_mut().for_each(|p| p.poses.truncate(n_frames));
     for index in 0..people.len() {
@@ -66,7 +71,7 @@ fn placed(mut people: Vec<Person>, config: &SimulationConfig) -> Vec<Person> {
 
 /// Somebody in the motion of a take, at the session's rate: rotations along the geodesic, positions along the line; a default
 /// body with its bones where the captured ones were.
-fn resampled(take: MotionTake, body: Person, fps: f64) -> Person {
+fn resampled(take: MotionTake, body: SimulatedPerson, fps: f64) -> SimulatedPerson {
     let zero = body.betas.map(|_| default_body().mocap_from_body);
     let duration = (take.poses.len() - 1) as f64 / take.fps;
     let n_frames = (duration * fps + 1e-9).floor() as usize + 1;
@@ -78,15 +83,15 @@ fn resampled(take: MotionTake, body: Person, fps: f64) -> Person {
         let turn = |j: usize| {
             let captured = a.rotations[j]
                 * rotation::exp(&(rotation::log(&(a.rotations[j].transpose() * b.rotations[j])) * share));
-            zero.as_ref().map_or(captured, |zero| carried(&captured, j, zero))
+            zero.as_ref().map_or(captured, |zero| retargeted(&captured, j, zero))
         };
-        Pose { rotations: std::array::from_fn(turn), pelvis: a.pelvis.lerp(&b.pelvis, share) }
+        MotionPose { rotations: std::array::from_fn(turn), pelvis: a.pelvis.lerp(&b.pelvis, share) }
     };
-    Person { poses: (0..n_frames).map(pose).collect(), ..body }
+    SimulatedPerson { poses: (0..n_frames).map(pose).collect(), ..body }
 }
 
 /// A random window of at most the session's length.
-fn cut(person: &mut Person, config: &SimulationConfig, index: usize) {
+fn cut(person: &mut SimulatedPerson, config: &SimulationConfig, index: usize) {
     let spare = person.poses.len().saturating_sub(config.frames);
     let start = stream(config.seed, Purpose::Motion, 0, index).random_range(0..=spare);
     person.poses.drain(..start);
@@ -100,8 +105,8 @@ fn cut(person: &mut Person, config: &SimulationConfig, index: usize) {
 const FOOT_HEIGHT: f64 = 0.03;
 
 /// Shifts the take in height: its lowest foot is on the floor in 95 % of all frames or higher.
-fn put_on_floor(person: &mut Person) {
-    let lowest_foot = |pose: &Pose| {
+fn put_on_floor(person: &mut SimulatedPerson) {
+    let lowest_foot = |pose: &MotionPose| {
         let joints = person.skeleton.pose(pose).joints;
         joints[joint("left_foot")].y.min(joints[joint("right_foot")].y)
     };
@@ -112,7 +117,7 @@ fn put_on_floor(person: &mut Person) {
 }
 
 /// Turns and shifts a person on the floor, away from those already placed.
-fn place(person: &mut Person, placed: &[Person], config: &SimulationConfig, index: usize) {
+fn place(person: &mut SimulatedPerson, placed: &[SimulatedPerson], config: &SimulationConfig, index: usize) {
     const NEAR: f64 = 0.45;
     const FAR: f64 = 2.2;
     let mut rng = stream(config.seed, Purpose::Placement, 0, index);

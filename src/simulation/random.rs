@@ -16,7 +16,7 @@ pub(super) enum Purpose {
     Tracker,
     TrackNames,
     Joints,
-    Habits,
+    KeypointBias,
 }
 
 /// The stream of one purpose and one item; `view` or `person` is 0 where the item has none.

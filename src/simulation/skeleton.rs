@@ -6,49 +6,33 @@
 use super::config::{Bodies, SimulationConfig};
 use super::individual::joint_shifts;
 use super::random::{Purpose, normal, stream};
+use crate::body::kinematics::PosedSkeleton;
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
 use crate::body::{Betas, BodyModel, default_body};
-use nalgebra::{Matrix3, Vector3};
+use crate::motion_prior::motion_file::MotionPose;
+use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 
 /// Joint offsets of one person.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Skeleton {
+pub struct SimulatedSkeleton {
     /// From the parent to the joint in the zero pose (a T facing +z, left = +x, y up), m; entry 0 is zero.
     pub offsets: [Vector3<f64>; N_JOINTS],
     /// Size relative to the generic adult; scales head, hands and feet, which have no joints of their own.
     pub scale: f64,
 }
 
-/// One frame of one person.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Pose {
-    /// `parent_from_joint`; entry 0 is `world_from_pelvis`.
-    pub rotations: [Matrix3<f64>; N_JOINTS],
-    /// The pelvis joint in the world, m.
-    pub pelvis: Vector3<f64>,
-}
-
-/// A skeleton in a pose.
-#[derive(Debug, Clone, PartialEq)]
-pub struct PosedSkeleton {
-    /// Joints in the world, m.
-    pub joints: [Vector3<f64>; N_JOINTS],
-    /// `world_from_joint` rotations.
-    pub world_from_joint: [Matrix3<f64>; N_JOINTS],
-}
-
 /// One person in motion.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Person {
+pub struct SimulatedPerson {
     /// The body.
-    pub skeleton: Skeleton,
+    pub skeleton: SimulatedSkeleton,
     /// Its shape, where it is the default body.
     pub betas: Option<Betas>,
     /// By how much its rest joints lie off those of the default body in this shape, m.
     pub joint_shifts: [Vector3<f64>; N_JOINTS],
     /// One pose a frame.
-    pub poses: Vec<Pose>,
+    pub poses: Vec<MotionPose>,
     /// Name of the motion.
     pub source: String,
 }
@@ -110,23 +94,23 @@ const LIMB_SD: f64 = 0.04;
 /// Further out than this many standard deviations people are not drawn.
 const MAX_DEVIATIONS: f64 = 2.5;
 
-impl Person {
+impl SimulatedPerson {
     /// The person of `config` by the seed, who does not move yet: an adult of the simulator's own, or the default body at
     /// betas from N(0, 1).
     pub(super) fn still(config: &SimulationConfig, person: usize, source: &str) -> Self {
         let rng = &mut stream(config.seed, Purpose::Body, 0, person);
-        let still = Self::of_skeleton(Skeleton::generic(), source.to_owned());
+        let still = Self::of_skeleton(SimulatedSkeleton::generic(), source.to_owned());
         if config.bodies == Bodies::Own {
-            return Self { skeleton: Skeleton::random(rng), ..still };
+            return Self { skeleton: SimulatedSkeleton::random(rng), ..still };
         }
         let betas = Betas::from_fn(|_, _| normal(rng, 1.0));
         let still = Self { betas: Some(betas), joint_shifts: joint_shifts(config, person), ..still };
-        let skeleton = still.model().map(|body| Skeleton::from_rest_joints(&body.shaped(&betas).rest_joints));
+        let skeleton = still.model().map(|body| SimulatedSkeleton::from_rest_joints(&body.shaped(&betas).rest_joints));
         Self { skeleton: skeleton.unwrap_or(still.skeleton), ..still }
     }
 
     /// Somebody of whom only the bones are known, who does not move yet.
-    pub(super) fn of_skeleton(skeleton: Skeleton, source: String) -> Self {
+    pub(super) fn of_skeleton(skeleton: SimulatedSkeleton, source: String) -> Self {
         Self { skeleton, betas: None, joint_shifts: [Vector3::zeros(); N_JOINTS], poses: Vec::new(), source }
     }
 
@@ -136,7 +120,7 @@ impl Person {
     }
 }
 
-impl Skeleton {
+impl SimulatedSkeleton {
     /// The generic adult.
     pub fn generic() -> Self {
         let mut offsets = [Vector3::zeros(); N_JOINTS];
@@ -173,13 +157,12 @@ impl Skeleton {
     }
 
     /// Forward kinematics: `g_j = g_parent R_j`, `x_j = x_parent + g_parent o_j`.
-    pub fn pose(&self, pose: &Pose) -> PosedSkeleton {
-        let mut posed =
-            PosedSkeleton { joints: [pose.pelvis; N_JOINTS], world_from_joint: [pose.rotations[0]; N_JOINTS] };
+    pub fn pose(&self, pose: &MotionPose) -> PosedSkeleton {
+        let mut posed = PosedSkeleton { rotations: [pose.rotations[0]; N_JOINTS], joints: [pose.pelvis; N_JOINTS] };
         for j in 1..N_JOINTS {
             let parent = PARENTS[j].unwrap_or(0);
-            posed.joints[j] = posed.joints[parent] + posed.world_from_joint[parent] * self.offsets[j];
-            posed.world_from_joint[j] = posed.world_from_joint[parent] * pose.rotations[j];
+            posed.joints[j] = posed.joints[parent] + posed.rotations[parent] * self.offsets[j];
+            posed.rotations[j] = posed.rotations[parent] * pose.rotations[j];
         }
         posed
     }

@@ -1,6 +1,7 @@
 use super::*;
-use crate::body::skeleton::{N_JOINTS, PARENTS};
+use crate::body::skeleton::{KeypointConvention, N_JOINTS, PARENTS};
 use crate::geometry::rotation;
+use crate::session::Session;
 use nalgebra::Vector3;
 use skeleton::joint;
 
@@ -149,8 +150,11 @@ fn a_motion_does_not_depend_on_the_frame_rate() {
 
 #[test]
 fn every_convention_can_be_simulated_and_keeps_left_and_right_apart() {
-    let person = skeleton::Skeleton::generic();
-    let rest = skeleton::Pose { rotations: [nalgebra::Matrix3::identity(); N_JOINTS], pelvis: Vector3::zeros() };
+    let person = skeleton::SimulatedSkeleton::generic();
+    let rest = crate::motion_prior::motion_file::MotionPose {
+        rotations: [nalgebra::Matrix3::identity(); N_JOINTS],
+        pelvis: Vector3::zeros(),
+    };
     let posed = person.pose(&rest);
     for convention in KeypointConvention::ALL {
         let rules = landmarks::rules(convention).unwrap();
@@ -306,10 +310,12 @@ fn real_motion_capture_can_be_simulated() {
 
 #[test]
 fn a_body_between_camera_and_point_hides_it() {
-    let generic = skeleton::Skeleton::generic();
+    let generic = skeleton::SimulatedSkeleton::generic();
     let at = |x: f64, z: f64| {
         let rotations = [nalgebra::Matrix3::identity(); N_JOINTS];
-        generic.pose(&skeleton::Pose { rotations, pelvis: Vector3::new(x, 0.97, z) }).joints
+        generic
+            .pose(&crate::motion_prior::motion_file::MotionPose { rotations, pelvis: Vector3::new(x, 0.97, z) })
+            .joints
     };
     let (front, back, aside) = (at(0.0, 1.0), at(0.0, 0.0), at(1.5, 0.0));
     let camera = Vector3::new(0.0, 1.2, 4.0);

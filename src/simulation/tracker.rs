@@ -7,7 +7,7 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
 /// Names people, and sometimes exchanges two of them.
-pub(super) struct Tracker {
+pub(super) struct SimulatedTracker {
     rng: ChaCha8Rng,
     people: usize,
     swap_rate: f64,
@@ -16,7 +16,7 @@ pub(super) struct Tracker {
     names: Vec<Option<i64>>,
 }
 
-impl Tracker {
+impl SimulatedTracker {
     pub(super) fn new(view: usize, config: &SimulationConfig) -> Self {
         let mut pool: Vec<i64> = (0..config.people.max(100) as i64).collect();
         let names = match config.tracks {

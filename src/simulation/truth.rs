@@ -1,8 +1,8 @@
 //! What really was, and its files.
 
 use super::config::{Bodies, SimulationConfig};
-use super::detector::{Scene, ViewRecording};
-use super::skeleton::Person;
+use super::scene::{SimulatedScene, ViewRecording};
+use super::skeleton::SimulatedPerson;
 use crate::body::default_body;
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
 use crate::geometry::Rigid;
@@ -38,7 +38,7 @@ pub struct Truth {
     /// `identities[view][frame][detection]`: the true person.
     pub identities: Vec<Vec<Vec<usize>>>,
     /// Bodies and their motion.
-    pub people: Vec<Person>,
+    pub people: Vec<SimulatedPerson>,
     /// How hard the session turned out.
     pub statistics: Statistics,
 }
@@ -84,9 +84,9 @@ pub struct Statistics {
 
 pub(super) fn statistics(
     config: &SimulationConfig,
-    scene: &Scene,
+    scene: &SimulatedScene,
     recordings: &[ViewRecording],
-    people: &[Person],
+    people: &[SimulatedPerson],
 ) -> Statistics {
     let sum = |count: fn(&ViewRecording) -> usize| recordings.iter().map(count).sum::<usize>();
     let mut errors: Vec<f64> = recordings.iter().flat_map(|r| r.tally.errors_px.iter().copied()).collect();
@@ -145,7 +145,7 @@ pub fn write_truth(simulated: &Simulated, session_folder: &Path) -> io::Result<(
     let identities: BTreeMap<&str, &Vec<Vec<usize>>> = ids().zip(&truth.identities).collect();
     write("identities.json", &json!(identities))?;
     let model = default_body();
-    let body = |person: &Person| {
+    let body = |person: &SimulatedPerson| {
         let betas = person.betas?;
         let mut body = json!({"betas": betas.as_slice(), "stature_m": model.surface.stature(&betas)});
         if simulated.config.bodies == Bodies::Individual {

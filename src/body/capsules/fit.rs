@@ -8,8 +8,8 @@
 //! A vertex may belong to a capsule only if its skin weights have a say in it: a hand that hangs at a hip is not taken
 //! for the hip.
 
+use super::body_capsules::{BodyCapsule, BodyCapsules, CapsuleEnd, MIN_RADIUS, N_CAPSULES};
 use super::start::{RoughCapsule, rough_capsules};
-use super::{BodyCapsule, BodyCapsules, CapsuleEnd, MIN_RADIUS, N_CAPSULES};
 use crate::body::anthropometry::N_BETAS;
 use crate::body::joint_ranges::natural_pose;
 use crate::body::kinematics::{Pose, PosedSkeleton, posed};
@@ -41,7 +41,14 @@ type Numbers = SVector<f64, 8>;
 type NumbersByBetas = SMatrix<f64, 8, N_BETAS>;
 type Normal = SMatrix<f64, 8, 8>;
 
-pub(super) fn fitted(model: &BodyModel) -> BodyCapsules {
+impl BodyCapsules {
+    /// Fits the capsules to a model's surface at rest and in some natural poses; takes half a second.
+    pub fn fitted(model: &BodyModel) -> Self {
+        fitted(model)
+    }
+}
+
+fn fitted(model: &BodyModel) -> BodyCapsules {
     let rough = rough_capsules(model);
     let joints = rough.map(|r| r.joint);
     let samples = samples(model, &joints);

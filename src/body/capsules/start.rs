@@ -1,6 +1,6 @@
 //! Where the capsules start from, in terms of joints: the fit finds the rest.
 
-use super::N_CAPSULES;
+use super::body_capsules::N_CAPSULES;
 use crate::body::model::{BodyModel, ShapeDirections};
 use crate::body::skeleton::JOINT_NAMES;
 use nalgebra::Vector3;

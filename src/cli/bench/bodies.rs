@@ -13,7 +13,7 @@ use crate::pipeline::{Options, reconstruct};
 use crate::progress::Progress;
 use crate::session::people::BodyPose;
 use crate::session::{BodyMotion, Reconstruction};
-use crate::simulation::skeleton::Person;
+use crate::simulation::skeleton::SimulatedPerson;
 use crate::simulation::{Bodies, MotionSource, Preset, Simulated, SimulationConfig, simulate};
 use nalgebra::Vector3;
 use std::path::PathBuf;
@@ -122,7 +122,7 @@ fn fitted_people(simulated: &Simulated, model: &BodyModel) -> anyhow::Result<Vec
     session.views.iter_mut().zip(&simulated.truth.cameras).for_each(|(v, c)| v.camera_from_world = Some(*c));
     let options = Options { extrinsics: Extrinsics::Fixed, ..Options::default() };
     let result = reconstruct(&session, &options, &Progress::silent())?;
-    let fit = |(index, person): (usize, &Person)| {
+    let fit = |(index, person): (usize, &SimulatedPerson)| {
         let betas = person.betas?;
         let motion = result.motions.iter().min_by(|a, b| {
             let distance = |m: &BodyMotion| joint_distance_mm(m, simulated, index, 0);
@@ -155,7 +155,7 @@ fn joint_distance_mm(motion: &BodyMotion, simulated: &Simulated, person: usize, 
 }
 
 /// Rotation vector from the true to the fitted rotation of a joint, per frame, rad.
-fn rotation_errors(motion: &BodyMotion, person: &Person, joint: usize) -> Vec<Vector3<f64>> {
+fn rotation_errors(motion: &BodyMotion, person: &SimulatedPerson, joint: usize) -> Vec<Vector3<f64>> {
     let error = |(i, frame): (usize, &BodyPose)| {
         let truth = person.poses.get(motion.first.0 + i)?.rotations[joint];
         Some(rotation::log(&(truth.transpose() * frame.rotations[joint])))
@@ -167,7 +167,7 @@ fn rotation_errors(motion: &BodyMotion, person: &Person, joint: usize) -> Vec<Ve
 fn given_scale(source: &str, simulated: &Simulated, model: &BodyModel) -> ScaleSource {
     match source {
         "height" => {
-            let stature = |person: &Person| person.betas.map(|betas| model.surface.stature(&betas));
+            let stature = |person: &SimulatedPerson| person.betas.map(|betas| model.surface.stature(&betas));
             let metres = simulated.truth.people.iter().filter_map(stature).fold(0.0, f64::max);
             ScaleSource::Height { metres, who: "tallest".to_owned() }
         }

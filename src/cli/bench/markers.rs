@@ -21,7 +21,7 @@ use crate::pipeline::config::Extrinsics;
 use crate::pipeline::{Options, PipelineError, reconstruct};
 use crate::progress::Progress;
 use crate::session::{BodyMotion, Reconstruction, Session};
-use crate::simulation::skeleton::Person;
+use crate::simulation::skeleton::SimulatedPerson;
 use crate::simulation::{Bodies, MotionSource, Preset, Simulated, SimulationConfig, Tracks, simulate};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
@@ -206,7 +206,7 @@ impl Dance {
 }
 
 /// Adds the joints and markers of a simulated person in all frames.
-fn add_true_person(frames: &mut Frames<MarkedPose>, index: usize, person: &Person, vertices: &[usize]) {
+fn add_true_person(frames: &mut Frames<MarkedPose>, index: usize, person: &SimulatedPerson, vertices: &[usize]) {
     let Some((model, betas)) = person.model().zip(person.betas) else { return };
     let pelvis: Vector3<f64> = model.shaped(&betas).rest_joints[0];
     for (frame, pose) in person.poses.iter().enumerate() {
@@ -282,7 +282,7 @@ mod tests {
         add_true_person(
             &mut known,
             0,
-            &Person { joint_shifts: [Vector3::zeros(); 24], ..person.clone() },
+            &SimulatedPerson { joint_shifts: [Vector3::zeros(); 24], ..person.clone() },
             &dance.vertices,
         );
         let truth = Frames::from([(0, [("0".to_owned(), dance.truth[&0]["0"].clone())].into())]);

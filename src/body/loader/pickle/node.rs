@@ -3,11 +3,11 @@
 use std::borrow::Cow;
 
 /// Index of a node in the vector of all nodes.
-pub(in crate::body::loader) type NodeId = usize;
+pub(crate) type NodeId = usize;
 
 /// A value of the pickle.
 #[derive(Debug, Clone, PartialEq)]
-pub(in crate::body::loader) enum Node<'a> {
+pub(crate) enum Node<'a> {
     /// `None`, and sets, which no field uses.
     None,
     /// A truth value or an integer; larger ones than 64 bits become `None`.
@@ -37,7 +37,7 @@ pub(in crate::body::loader) enum Node<'a> {
 
 /// The Python objects that a body model's pickle may refer to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(in crate::body::loader) enum Global {
+pub(crate) enum Global {
     /// Creates an empty array, filled by its state.
     ArrayReconstruct,
     /// A numpy scalar.

@@ -89,7 +89,7 @@ impl MotionProblem<'_> {
             for (kind, block) in landmark_by_bones(&self.model.landmarks[landmark], &skeleton.rotations) {
                 add(self.n_betas() + 3 * kind, block);
             }
-            if let Some(carried) = table.carried(landmark) {
+            if let Some(carried) = table.of_landmark(landmark) {
                 let block = skeleton.rotations[carried.joint] * carried.mirror;
                 add(self.first_offset() + 3 * carried.kind, block);
             }

@@ -7,7 +7,8 @@
 use super::motion_problem::TRANSLATION_GROUP;
 use crate::body::capsules::{BodyCapsules, N_CAPSULES, NearestBall};
 use crate::body::kinematics::{Pose, PosedSkeleton, posed};
-use crate::body::model::{Betas, BodyModel, chain_to_root};
+use crate::body::model::{Betas, BodyModel};
+use crate::body::skeleton::chain_to_root;
 use crate::geometry::capsule::TaperedCapsule;
 use nalgebra::{DMatrix, DVector, Vector3};
 use std::collections::BTreeSet;

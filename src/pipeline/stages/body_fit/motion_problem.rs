@@ -254,7 +254,7 @@ impl<'a> MotionProblem<'a> {
 /// The motion prior's poses over the joints that turn, as the body takes them.
 fn likely_poses(model: &BodyModel, config: &BodyFitConfig, active: &[usize]) -> Option<PoseGaussian> {
     let captured = || PoseGaussian::over(MotionPrior::embedded().basis(), active);
-    config.motion_prior.then(|| captured().carried_to(&model.mocap_from_body))
+    config.motion_prior.then(|| captured().retargeted_to(&model.mocap_from_body))
 }
 
 /// For every landmark the active joints that move it, with their groups.

@@ -1,7 +1,7 @@
 //! Metres: from the people's bodies, from one known height, from the distance of two cameras, or from given extrinsics.
 
 use crate::body::default_body;
-use crate::body::scale::{FittedStature, ScaleEstimate, scale_from_people, scale_of_nobody};
+use crate::body::scale::{FittedStature, ScaleEstimate, scale_from_people, scale_of_average_adults};
 use crate::body::segments::{MeasuredSegment, measured_segments};
 use crate::geometry::Rigid;
 use crate::optim::robust::INTERVAL_95;
@@ -45,7 +45,7 @@ pub fn metric_scale(
 ) -> Result<Option<ScaleReport>, PipelineError> {
     if capture.options.extrinsics != Extrinsics::Estimate {
         if capture.session.views.len() == 1 {
-            return Ok(Some(told(scale_of_nobody(&default_body()))));
+            return Ok(Some(told(scale_of_average_adults(&default_body()))));
         }
         let evidence = "the given extrinsics".to_owned();
         return Ok(Some(ScaleReport { value: 1.0, interval95: [1.0, 1.0], evidence }));

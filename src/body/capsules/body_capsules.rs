@@ -1,20 +1,9 @@
-//! The body as 21 tapered capsules, for collisions: cheap distances with exact derivatives.
-//!
-//! Two side by side for the pelvis and for the chest, one across the waist, one each for neck and head; on either side
-//! collar, upper arm, forearm, hand, thigh, shank, foot. Every end is fixed in a joint's frame and linear in the betas, as
-//! a landmark is: `c = p_j + G_j (a + A beta)`, `r = r_0 + r_beta beta`.
-//!
-//! Known limits: fitted to the skin to some 6 mm (root mean square) at rest, 7 mm in poses near standing; where joints bend
-//! far, some 9 to 17 mm (creases more), since a capsule follows one bone where the skin blends two. Thumbs and nose stick
-//! out.
+//! The capsules of a body model: posed, and the derivatives of distances from them.
 
-mod fit;
-mod start;
-
-use super::anthropometry::BetaRow;
-use super::kinematics::PosedSkeleton;
-use super::model::{Betas, BodyModel, ShapeDirections, chain_to_root};
-use super::skeleton::N_JOINTS;
+use crate::body::anthropometry::BetaRow;
+use crate::body::kinematics::PosedSkeleton;
+use crate::body::shape::{Betas, ShapeDirections};
+use crate::body::skeleton::{N_JOINTS, chain_to_root};
 use crate::geometry::capsule::TaperedCapsule;
 use crate::geometry::rotation::skew;
 use nalgebra::{Matrix3, Vector3};
@@ -63,11 +52,6 @@ pub struct NearestBall {
 }
 
 impl BodyCapsules {
-    /// Fits the capsules to a model's surface at rest and in some natural poses; half a second.
-    pub fn fitted(model: &BodyModel) -> Self {
-        fit::fitted(model)
-    }
-
     /// The capsules of a shape in a pose, in the world.
     pub fn posed(&self, betas: &Betas, skeleton: &PosedSkeleton) -> [TaperedCapsule; N_CAPSULES] {
         let posed = |capsule: &BodyCapsule| {
@@ -114,4 +98,4 @@ impl BodyCapsules {
 }
 
 /// No shape makes a capsule thinner than this, m.
-const MIN_RADIUS: f64 = 5e-3;
+pub(super) const MIN_RADIUS: f64 = 5e-3;

@@ -29,7 +29,7 @@ enum Action {
 
 /// One person's state of motion.
 #[derive(Debug, Clone)]
-pub(super) struct Mover {
+pub(super) struct ActionGenerator {
     rng: ChaCha8Rng,
     action: Action,
     until: f64,
@@ -49,7 +49,7 @@ pub(super) struct Mover {
     posture_rate: Posture,
 }
 
-impl Mover {
+impl ActionGenerator {
     /// A person somewhere near the centre.
     pub(super) fn new(person: usize, config: &SimulationConfig) -> Self {
         let mut rng = stream(config.seed, Purpose::Motion, 0, person);
