@@ -13,7 +13,7 @@ use crate::body::bones::{LENGTH_SIGMA, LimbBone, limb_bones};
 use crate::body::{BodyModel, default_body};
 use crate::geometry::Rigid;
 use crate::matching::normalized::{NormalizedView, normalized_views};
-use crate::matching::tracker::Scene;
+use crate::matching::tracker::TrackerScene;
 use crate::progress::{Canceled, Progress};
 use crate::session::{Reconstruction, Session};
 use calibration::{calibrated, heldout_px, made_consistent};
@@ -195,8 +195,8 @@ impl<'a> Capture<'a> {
     }
 
     /// The session under given cameras.
-    pub fn scene<'b>(&'b self, cameras: &'b [Option<Rigid>]) -> Scene<'b> {
+    pub fn scene<'b>(&'b self, cameras: &'b [Option<Rigid>]) -> TrackerScene<'b> {
         let (fps, n_frames) = (self.session.fps, self.session.n_frames);
-        Scene { views: &self.views, cameras, bones: &self.bones, fps, n_frames }
+        TrackerScene { views: &self.views, cameras, bones: &self.bones, fps, n_frames }
     }
 }

@@ -1,73 +1,44 @@
-//! The 3D tracker: every detection given to a person, frame by frame, under known cameras.
+//! The 3D tracker: assigns every detection to a person, frame by frame, under known cameras.
 //!
-//! A person is a predicted skeleton; each view gives its detections to the predictions that they lie nearest to; what is
-//! left over starts new people where two views agree, or where the session has a single camera (`one_view`). Not physics
-//! yet: predictions move with the body's own velocity.
+//! A person is a predicted skeleton ([`person`]). In each frame every view assigns its detections to the nearest predictions;
+//! persons held by one view alone are re-acquired by the others ([`reacquisition`]); unassigned detections start new
+//! persons ([`initialisation`]). At the end fragments of one person are joined ([`stitching`]), by position, build and the detectors'
+//! track numbers ([`reidentification`]), after duplicates are merged ([`duplicate_merging`]).
 
-mod birth;
-mod doubles;
-mod likeness;
-mod link;
-mod one_view;
+mod duplicate_merging;
+mod initialisation;
+mod monocular;
 mod person;
-mod rejoin;
+mod reacquisition;
+mod reidentification;
+mod scene;
+mod skeleton;
+mod stitching;
 
 use super::assignment::assign;
-use super::normalized::NormalizedView;
-use crate::body::bones::LimbBone;
-use crate::geometry::Rigid;
 use crate::progress::{Canceled, Progress};
-pub use person::{Skeleton, TrackedPerson};
+pub use person::TrackedPerson;
+pub use scene::{Assignment, TrackerConfig, TrackerScene};
+pub use skeleton::Skeleton;
 
-/// Gates of the tracker. Lengths are metres on a body: what a pixel is worth follows from the depth.
-#[derive(Debug, Clone)]
-pub struct TrackerConfig {
-    /// A detection belongs to a prediction when their median joint distance is below this, m.
-    pub gate: f64,
-    /// The gate widens by this for every second without a detection, m/s: people turn and stop.
-    pub gate_growth: f64,
-    /// A view whose median residual to the triangulated skeleton exceeds this is given back, m.
-    pub max_residual: f64,
-    /// Radius within which rays of two views agree on a new person, m.
-    pub birth_radius: f64,
-    /// A person must be seen by two views (by the only one of a single camera) for this long to exist, s.
-    pub min_duration: f64,
-    /// A person unseen for this long has left, s.
-    pub max_gap: f64,
-}
+/// A person that is not confirmed yet must be this many times as near.
+const UNCONFIRMED_FACTOR: f64 = 1.3;
 
-impl Default for TrackerConfig {
-    fn default() -> Self {
-        Self { gate: 0.18, gate_growth: 0.4, max_residual: 0.13, birth_radius: 0.08, min_duration: 0.3, max_gap: 1.0 }
-    }
-}
+/// Negative log likelihood, nats, of a detection at the edge of a new gate, which lies at three standard deviations.
+const NATS_AT_GATE: f64 = 4.5;
 
-/// What the tracker works on.
-pub struct Scene<'a> {
-    /// Sightings of every view.
-    pub views: &'a [NormalizedView],
-    /// Placed cameras.
-    pub cameras: &'a [Option<Rigid>],
-    /// Bones with reference lengths.
-    pub bones: &'a [LimbBone],
-    /// Frames per second.
-    pub fps: f64,
-    /// Number of frames.
-    pub n_frames: usize,
-}
+/// Cost of an impossible assignment; the limit is 1.
+const IMPOSSIBLE: f64 = 2.0;
 
-impl Scene<'_> {
-    /// How many views must see a person at once to bear witness of them.
-    fn n_witnesses(&self) -> usize {
-        self.views.len().min(2)
-    }
-}
-
-/// Follows everybody through the session; people in order of support, best first.
+/// Follows all persons through the session; the result is in order of support, best first.
 ///
 /// # Errors
 /// [`Canceled`].
-pub fn track(scene: &Scene, config: &TrackerConfig, progress: &Progress) -> Result<Vec<TrackedPerson>, Canceled> {
+pub fn track(
+    scene: &TrackerScene,
+    config: &TrackerConfig,
+    progress: &Progress,
+) -> Result<Vec<TrackedPerson>, Canceled> {
     let mut people: Vec<TrackedPerson> = Vec::new();
     let mut finished: Vec<TrackedPerson> = Vec::new();
     for frame in 0..scene.n_frames {
@@ -75,93 +46,80 @@ pub fn track(scene: &Scene, config: &TrackerConfig, progress: &Progress) -> Resu
             progress.check()?;
         }
         let max_gap = (config.max_gap * scene.fps) as usize;
-        let (alive, gone): (Vec<_>, Vec<_>) = people.into_iter().partition(|p| frame - p.last_seen() <= max_gap);
+        let (present, gone): (Vec<_>, Vec<_>) = people.into_iter().partition(|p| frame - p.last_seen() <= max_gap);
         finished.extend(gone.into_iter().filter(|p| p.is_real(scene, config)));
-        people = alive;
+        people = present;
         step(scene, config, frame, &mut people);
     }
     finished.extend(people.into_iter().filter(|p| p.is_real(scene, config)));
-    let mut people = link::join_fragments(scene, finished);
+    let mut people = stitching::stitch(scene, finished);
     people.retain(|p| p.is_real(scene, config));
     people.sort_by_key(|p| (std::cmp::Reverse(p.support()), p.first()));
     Ok(people)
 }
 
-/// One frame: claim, check, start, forget.
-fn step(scene: &Scene, config: &TrackerConfig, frame: usize, people: &mut Vec<TrackedPerson>) {
-    let mut claims = claims(scene, config, frame, people);
-    rejoin::rejoin(scene, config, frame, &mut claims);
-    for (person, claim) in people.iter_mut().zip(&mut claims) {
-        person.update(scene, config, frame, claim);
+/// One frame: assigns its detections, updates the persons, starts new ones.
+fn step(scene: &TrackerScene, config: &TrackerConfig, frame: usize, people: &mut Vec<TrackedPerson>) {
+    let mut assignments = nearest_detections(scene, config, frame, people);
+    reacquisition::reacquire(scene, config, frame, &mut assignments);
+    for (person, assignment) in people.iter_mut().zip(&mut assignments) {
+        person.update(scene, config, frame, assignment);
     }
-    let mut free = unclaimed(scene, frame, &claims);
-    while let Some(newborn) = newborn(scene, config, frame, &free, people) {
-        for (view, detection) in newborn.detections_at(frame) {
+    let mut free = scene.unassigned(frame, &assignments);
+    while let Some(new) = initialisation::new_person(scene, config, frame, &free, people) {
+        for (view, detection) in new.detections_at(frame) {
             free[view].retain(|d| *d != detection);
         }
-        people.push(newborn);
-    }
-}
-
-/// The best supported new person among the free detections of a frame.
-fn newborn(
-    scene: &Scene,
-    config: &TrackerConfig,
-    frame: usize,
-    free: &[Vec<usize>],
-    people: &[TrackedPerson],
-) -> Option<TrackedPerson> {
-    match scene.views.len() {
-        1 => one_view::strongest(scene, frame, &free[0], people),
-        _ => birth::strongest(scene, config, frame, free, people),
+        people.push(new);
     }
 }
 
 /// For each person the detection of every view that lies nearest to the prediction, one detection to one person.
-fn claims(scene: &Scene, config: &TrackerConfig, frame: usize, people: &[TrackedPerson]) -> Vec<Vec<Option<usize>>> {
-    let mut claims = vec![vec![None; scene.views.len()]; people.len()];
+fn nearest_detections(
+    scene: &TrackerScene,
+    config: &TrackerConfig,
+    frame: usize,
+    people: &[TrackedPerson],
+) -> Vec<Assignment> {
+    let mut assignments = vec![vec![None; scene.views.len()]; people.len()];
     let predictions: Vec<_> = people.iter().map(|p| p.predict(frame, scene.fps)).collect();
     for (view, camera) in scene.cameras.iter().enumerate() {
         let Some(camera) = camera else { continue };
         let detections = &scene.views[view].frames[frame];
         let cost = |p: usize, d: usize| {
             let gate = config.gate + config.gate_growth * (frame - people[p].last_seen() - 1) as f64 / scene.fps;
-            let doubt = if people[p].is_real(scene, config) { 1.0 } else { 1.3 };
-            let distance = person::distance_m(&predictions[p], camera, &detections[d]);
-            distance.map_or(2.0, |m| claim_cost(m * doubt, gate, config.gate))
+            let factor = if people[p].is_real(scene, config) { 1.0 } else { UNCONFIRMED_FACTOR };
+            let distance = skeleton::distance_to_detection(&predictions[p], camera, &detections[d]);
+            distance.map_or(IMPOSSIBLE, |m| assignment_cost(m * factor, gate, config.gate))
         };
         let costs: Vec<Vec<f64>> =
             (0..people.len()).map(|p| (0..detections.len()).map(|d| cost(p, d)).collect()).collect();
         for (p, d) in assign(people.len(), detections.len(), 1.0, |p, d| costs[p][d]).into_iter().enumerate() {
-            claims[p][view] = d;
+            assignments[p][view] = d;
         }
     }
-    claims
+    assignments
 }
 
-/// Cost of a detection `distance` m off a prediction that is good to `gate` m; 1 is nobody's.
+/// Cost of a detection `distance` m from a prediction with a gate of `gate` m; 1 is the cost of no assignment.
 ///
-/// With the gate at three standard deviations the negative log likelihood over the 4.5 nats of a gate just made: a lost
-/// person's wide gate takes in many detections, and each of them is the less likely theirs.
-fn claim_cost(distance: f64, gate: f64, fresh_gate: f64) -> f64 {
-    if distance < gate { (distance / gate).powi(2) + 2.0 / 4.5 * (gate / fresh_gate).ln() } else { 2.0 }
+/// The negative log likelihood over [`NATS_AT_GATE`]: a lost person's wide gate contains many detections, each of which is
+/// the less likely this person's.
+fn assignment_cost(distance: f64, gate: f64, new_gate: f64) -> f64 {
+    if distance < gate { (distance / gate).powi(2) + 2.0 / NATS_AT_GATE * (gate / new_gate).ln() } else { IMPOSSIBLE }
 }
 
-/// Detections of a frame that nobody claims, per view.
-fn unclaimed(scene: &Scene, frame: usize, claims: &[Vec<Option<usize>>]) -> Vec<Vec<usize>> {
-    let of_view = |view: usize| {
-        let n = if scene.cameras[view].is_some() { scene.views[view].frames[frame].len() } else { 0 };
-        (0..n).filter(|d| !claims.iter().any(|c| c[view] == Some(*d))).collect()
-    };
-    (0..scene.views.len()).map(of_view).collect()
-}
-
-/// The skeleton that the claimed detections of a frame (one per view at most) agree on; holes where fewer than two see.
-pub fn skeleton(scene: &Scene, frame: usize, claim: &[Option<usize>]) -> Skeleton {
-    let seen = person::detections_of(scene, frame, claim);
+/// The skeleton that the assigned detections of a frame agree on; `None` for keypoints that fewer than two views see.
+pub fn skeleton(scene: &TrackerScene, frame: usize, assignment: &[Option<usize>]) -> Skeleton {
+    let seen = scene.detections_of(frame, assignment);
     match seen[..] {
         [] => Vec::new(),
-        [(_, detection)] if scene.n_witnesses() == 1 => one_view::figure(scene, detection, None).unwrap_or_default(),
-        _ => person::triangulated(scene, &seen),
+        [(_, detection)] if scene.n_confirming_views() == 1 => {
+            monocular::flat_figure(scene, detection, None).unwrap_or_default()
+        }
+        _ => skeleton::triangulated(scene, &seen),
     }
 }
+
+#[cfg(test)]
+mod tests;

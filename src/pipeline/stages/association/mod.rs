@@ -3,7 +3,7 @@
 use crate::body::detector_profile::DETECTOR;
 use crate::geometry::projection::project_normalized;
 use crate::matching::clusters::Cluster;
-use crate::matching::tracker::{Scene, TrackedPerson, TrackerConfig, skeleton, track};
+use crate::matching::tracker::{TrackedPerson, TrackerConfig, TrackerScene, skeleton, track};
 use crate::matching::tracklets::Tracklet;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::StageReport;
@@ -31,7 +31,7 @@ pub struct Association {
 /// # Errors
 /// [`Canceled`].
 pub fn associate(
-    scene: &Scene,
+    scene: &TrackerScene,
     n_people: Option<usize>,
     progress: &Progress,
 ) -> Result<(Association, StageReport), Canceled> {
@@ -58,7 +58,7 @@ pub fn associate(
 }
 
 /// The association that groups of tracklets stand for: the start, before anybody was followed in 3D.
-pub fn from_clusters(scene: &Scene, tracklets: &[Vec<Tracklet>], groups: &[Cluster]) -> Association {
+pub fn from_clusters(scene: &TrackerScene, tracklets: &[Vec<Tracklet>], groups: &[Cluster]) -> Association {
     let (mut tracks, mut points) = (Vec::new(), Vec::new());
     for (person, group) in groups.iter().enumerate() {
         let members = || group.iter().map(|&(view, t)| (view, &tracklets[view][t]));
@@ -69,7 +69,7 @@ pub fn from_clusters(scene: &Scene, tracklets: &[Vec<Tracklet>], groups: &[Clust
             tracklet.detections.iter().for_each(|&(frame, d)| detections[frame - first][view] = Some(d));
         }
         let skeletons: Vec<_> =
-            detections.iter().enumerate().map(|(t, claim)| skeleton(scene, first + t, claim)).collect();
+            detections.iter().enumerate().map(|(t, assignment)| skeleton(scene, first + t, assignment)).collect();
         let n_keypoints = skeletons.iter().map(Vec::len).max().unwrap_or(0);
         let whole = |s: Vec<_>| if s.is_empty() { vec![None; n_keypoints] } else { s };
         let n_views = vec![vec![0; n_keypoints]; skeletons.len()];
@@ -83,8 +83,8 @@ pub fn from_clusters(scene: &Scene, tracklets: &[Vec<Tracklet>], groups: &[Clust
 fn as_track(person: usize, tracked: &TrackedPerson, n_views: usize) -> PersonTrack {
     let first = tracked.first();
     let mut detections = vec![vec![None; n_views]; tracked.last_seen() - first + 1];
-    for (frame, claim) in &tracked.claims {
-        detections[frame - first].clone_from(claim);
+    for (frame, assignment) in &tracked.assignments {
+        detections[frame - first].clone_from(assignment);
     }
     PersonTrack { person: PersonId(person), first: FrameIndex(first), detections }
 }
@@ -93,7 +93,7 @@ fn as_points(person: usize, tracked: &TrackedPerson) -> JointTrajectory {
     let first = tracked.first();
     let n_keypoints = tracked.skeletons[0].len();
     let mut points = vec![vec![None; n_keypoints]; tracked.last_seen() - first + 1];
-    for ((frame, _), skeleton) in tracked.claims.iter().zip(&tracked.skeletons) {
+    for ((frame, _), skeleton) in tracked.assignments.iter().zip(&tracked.skeletons) {
         points[frame - first].clone_from(skeleton);
     }
     let n_views = vec![vec![0; n_keypoints]; points.len()];
@@ -101,7 +101,7 @@ fn as_points(person: usize, tracked: &TrackedPerson) -> JointTrajectory {
 }
 
 /// Share of confident keypoints of all placed views that lie where a person was found to be.
-fn explained(scene: &Scene, people: &[TrackedPerson]) -> f64 {
+fn explained(scene: &TrackerScene, people: &[TrackedPerson]) -> f64 {
     let confident = |s: &crate::matching::normalized::NormalizedDetection| {
         s.confidence.iter().filter(|c| **c > DETECTOR.confident).count()
     };
@@ -115,11 +115,11 @@ fn explained(scene: &Scene, people: &[TrackedPerson]) -> f64 {
         .sum();
     let mut near = 0usize;
     for person in people {
-        for ((frame, claim), skeleton) in person.claims.iter().zip(&person.skeletons) {
-            if claim.iter().flatten().count() < 2 {
+        for ((frame, assignment), skeleton) in person.assignments.iter().zip(&person.skeletons) {
+            if assignment.iter().flatten().count() < 2 {
                 continue; // a single view agrees with itself
             }
-            for (view, detection) in claim.iter().enumerate() {
+            for (view, detection) in assignment.iter().enumerate() {
                 let (Some(d), Some(camera)) = (detection, &scene.cameras[view]) else { continue };
                 let detection = &scene.views[view].frames[*frame][*d];
                 for (k, point) in skeleton.iter().enumerate() {
@@ -139,8 +139,8 @@ pub fn identities(session: &Session, tracks: &[PersonTrack]) -> Vec<Vec<Vec<Opti
     let mut table: Vec<Vec<Vec<Option<PersonId>>>> =
         session.views.iter().map(|v| v.frames.iter().map(|f| vec![None; f.len()]).collect()).collect();
     for track in tracks {
-        for (t, claim) in track.detections.iter().enumerate() {
-            for (view, detection) in claim.iter().enumerate() {
+        for (t, assignment) in track.detections.iter().enumerate() {
+            for (view, detection) in assignment.iter().enumerate() {
                 if let Some(d) = detection {
                     table[view][track.first.0 + t][*d] = Some(track.person);
                 }

@@ -1,0 +1,91 @@
+//! The tracker's input: detections of all views, posed cameras, and the gates within which detections belong to persons.
+
+use crate::body::bones::LimbBone;
+use crate::geometry::Rigid;
+use crate::geometry::epipolar::essential_from_pose;
+use crate::matching::normalized::{NormalizedDetection, NormalizedView};
+use nalgebra::Matrix3;
+
+/// Gates of the tracker. Lengths are metres on a body: the depth says what a pixel is worth.
+#[derive(Debug, Clone)]
+pub struct TrackerConfig {
+    /// A detection belongs to a prediction when their median joint distance is below this, m: six times the 0.03 m that
+    /// detectors and predictions err.
+    pub gate: f64,
+    /// The gate widens by this for every second without a detection, m/s: people turn and stop.
+    pub gate_growth: f64,
+    /// A view whose median residual to the triangulated skeleton exceeds this loses its detection, m.
+    pub max_residual: f64,
+    /// Radius within which rays of two views agree on a new person, m.
+    pub agreement_radius: f64,
+    /// A person must be seen by two views (by the only one of a single camera) for this long to exist, s.
+    pub min_duration: f64,
+    /// A person unseen for this long has left, s.
+    pub max_gap: f64,
+}
+
+impl Default for TrackerConfig {
+    fn default() -> Self {
+        let (gate, gate_growth, max_residual, agreement_radius) = (0.18, 0.4, 0.13, 0.08);
+        Self { gate, gate_growth, max_residual, agreement_radius, min_duration: 0.3, max_gap: 1.0 }
+    }
+}
+
+/// The detection of every view that shows one person in one frame, by its index in that view's list.
+pub type Assignment = Vec<Option<usize>>;
+
+/// What the tracker works on.
+pub struct TrackerScene<'a> {
+    /// Detections of every view.
+    pub views: &'a [NormalizedView],
+    /// `camera_from_world` of every view, m; `None` where the pose is not known yet.
+    pub cameras: &'a [Option<Rigid>],
+    /// Bones with reference lengths.
+    pub bones: &'a [LimbBone],
+    /// Frames per second.
+    pub fps: f64,
+    /// Number of frames.
+    pub n_frames: usize,
+}
+
+impl<'a> TrackerScene<'a> {
+    /// How many views must see a person at once to confirm it: two, or the only one.
+    pub(super) fn n_confirming_views(&self) -> usize {
+        self.views.len().min(2)
+    }
+
+    /// Whether enough views see a person to confirm it.
+    pub(super) fn is_confirmed(&self, assignment: &[Option<usize>]) -> bool {
+        assignment.iter().flatten().count() >= self.n_confirming_views()
+    }
+
+    /// The assigned detections of a frame, with their views.
+    pub(super) fn detections_of(
+        &self,
+        frame: usize,
+        assignment: &[Option<usize>],
+    ) -> Vec<(usize, &'a NormalizedDetection)> {
+        let detection = |(v, d): (usize, &Option<usize>)| d.map(|d| (v, &self.views[v].frames[frame][d]));
+        assignment.iter().enumerate().filter_map(detection).collect()
+    }
+
+    /// The detections of a frame that are assigned to no person, per view; none of views without a camera pose.
+    pub(super) fn unassigned(&self, frame: usize, assignments: &[Assignment]) -> Vec<Vec<usize>> {
+        let of_view = |view: usize| {
+            let n = if self.cameras[view].is_some() { self.views[view].frames[frame].len() } else { 0 };
+            (0..n).filter(|d| !assignments.iter().any(|a| a[view] == Some(*d))).collect()
+        };
+        (0..self.views.len()).map(of_view).collect()
+    }
+
+    /// The essential matrix of two views; `None` where a camera pose is not known.
+    pub(super) fn essential(&self, first: usize, second: usize) -> Option<Matrix3<f64>> {
+        let (first, second) = (self.cameras[first].as_ref()?, self.cameras[second].as_ref()?);
+        Some(essential_from_pose(&(*second * first.inverse())))
+    }
+}
+
+/// A scene without cameras, for tests of tracked persons alone.
+#[cfg(test)]
+pub(super) const EMPTY_SCENE: TrackerScene =
+    TrackerScene { views: &[], cameras: &[], bones: &[], fps: 30.0, n_frames: 9 };

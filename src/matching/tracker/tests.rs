@@ -1,0 +1,64 @@
+use super::*;
+use crate::body::bones::limb_bones;
+use crate::body::skeleton::KeypointConvention;
+use crate::geometry::Rigid;
+use crate::geometry::projection::project_normalized;
+use crate::matching::normalized::{NormalizedDetection, NormalizedView};
+use nalgebra::{Matrix3, Vector3};
+
+/// A person whose bones all hang straight down from `top`.
+fn hanging(camera: &Rigid, top: Vector3<f64>, size: f64) -> NormalizedDetection {
+    let mut heights = [0.0; 17];
+    limb_bones(KeypointConvention::Coco17).iter().for_each(|b| heights[b.b] = heights[b.a] + b.length);
+    let point = |y: &f64| project_normalized(camera, &(top + Vector3::y() * *y)).unwrap().normalized;
+    NormalizedDetection {
+        normalized: heights.iter().map(point).collect(),
+        confidence: vec![0.9; 17],
+        size,
+        track_id: None,
+    }
+}
+
+fn tracked(views: &[NormalizedView], cameras: &[Option<Rigid>]) -> Vec<TrackedPerson> {
+    let bones = limb_bones(KeypointConvention::Coco17);
+    let scene = TrackerScene { views, cameras, bones: &bones, fps: 30.0, n_frames: 60 };
+    track(&scene, &TrackerConfig::default(), &Progress::silent()).unwrap()
+}
+
+#[test]
+fn two_people_passing_one_camera_keep_their_identities() {
+    let camera = Rigid::identity();
+    let at = |frame: usize| {
+        let s = frame as f64 / 30.0;
+        [(s - 1.0, 3.0), (1.0 - s, 5.0)].map(|(x, z)| hanging(&camera, Vector3::new(x, 0.0, z), 0.8 / z)).to_vec()
+    };
+    let views = [NormalizedView { focal: 1000.0, frames: (0..60).map(at).collect() }];
+    let people = tracked(&views, &[Some(camera)]);
+    assert_eq!(people.len(), 2);
+    for person in &people {
+        let shown = person.assignments[0].1[0];
+        assert!(person.assignments.len() == 60 && person.assignments.iter().all(|(_, a)| a[0] == shown));
+    }
+}
+
+/// One view loses a person for half a second in which they run towards the other camera, along its rays.
+#[test]
+fn a_person_moving_along_the_rays_of_one_view_is_reacquired() {
+    let aside = Matrix3::new(0.0, 0.0, 1.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0);
+    let cameras = [Some(Rigid::identity()), Some(Rigid { rotation: aside, translation: Vector3::new(-5.0, 0.0, 5.0) })];
+    let x = |frame: usize| -1.0 + 3.0 / 30.0 * (frame as f64 - 15.0).clamp(0.0, 15.0);
+    let frames = |view: usize, is_blind: bool| -> Vec<Vec<NormalizedDetection>> {
+        let at = |frame| match is_blind && (15..30).contains(&frame) {
+            true => Vec::new(),
+            false => vec![hanging(cameras[view].as_ref().unwrap(), Vector3::new(x(frame), 0.0, 5.0), 0.2)],
+        };
+        (0..60).map(at).collect()
+    };
+    let views = [(0, true), (1, false)].map(|(v, b)| NormalizedView { focal: 1000.0, frames: frames(v, b) });
+    let people = tracked(&views, &cameras);
+    assert_eq!(people.len(), 1);
+    let assignments = &people[0].assignments;
+    assert!(assignments.len() == 60 && assignments[30..].iter().all(|(_, a)| *a == [Some(0), Some(0)]));
+    let end = people[0].skeletons[59][0].unwrap();
+    assert!((end.x - 0.5).abs() < 0.01, "{end}");
+}
