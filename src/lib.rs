@@ -1,31 +1,51 @@
-//! **wandless** recovers moving people and the cameras that filmed them, together, without a calibration wand.
+//! **wandless** reconstructs moving people and the cameras that filmed them from 2D poses, without a calibration wand.
 //!
-//! # The map, in reading order
+//! ```no_run
+//! use wandless::prelude::*;
 //!
-//! Nouns lie at the bottom, verbs above, callers on top; nothing looks up. `tests/layering.rs` holds the table of who
-//! may import whom.
+//! fn main() -> Result<(), Box<dyn std::error::Error>> {
+//!     let loaded = read_path("session".as_ref(), &UploadLimits::default())?;
+//!     let result = reconstruct(&loaded.session, &Options::default(), &Progress::silent())?;
+//!     for (view, camera) in loaded.session.views.iter().zip(&result.cameras) {
+//!         if let Some(camera_from_world) = camera.camera_from_world {
+//!             println!("camera {} at {} m", view.id, camera_from_world.center());
+//!         }
+//!     }
+//!     for motion in &result.motions {
+//!         println!("person {}: {} frames, shape {:?}", motion.person.0, motion.frames.len(), motion.betas);
+//!     }
+//!     Ok(())
+//! }
+//! ```
 //!
-//! - [`geometry`]: pure maths on rotations, rigid motions, cameras and rays
+//! `examples/` holds complete programs: from a folder, from data in memory, and from detector output to glTF.
+//!
+//! # Modules, in reading order
+//!
+//! Imports point downwards only: data types at the bottom, algorithms above them, callers on top.
+//!
+//! - [`prelude`]: the names that most programs need
+//! - [`geometry`]: rotations, rigid transforms, cameras, rays
 //! - [`formats`]: NumPy's `.npy` and `.npz` files
-//! - [`progress`]: progress and cancellation, all that the core knows of its caller
-//! - [`optim`]: least squares that knows no cameras and no bodies
-//! - [`body`]: what a body is: skeleton, keypoint conventions, kinematics
-//! - [`motion_prior`]: what is known of human motion: a network over whole takes, trained here, shipped inside
-//! - [`session`]: every noun that travels, from the recording to the reconstruction
-//! - [`residuals`]: each formula and its derivative, once
-//! - [`estimation`]: how one geometric thing is found robustly
-//! - [`matching`]: who is who, across views and time
-//! - [`simulation`]: seeded scenes with exact truth and named noise
-//! - [`evaluation`]: errors of cameras, poses and identities against truth
-//! - [`export`]: the result folder, one file a format
-//! - [`pipeline`]: the stages, in order
-//! - `service` (feature `service`): sessions and jobs over HTTP, each job in a supervised child process
-//! - `cli` (feature `cli`): the commands
+//! - [`progress`]: progress reports and cancellation
+//! - [`optim`]: least-squares solvers and robust kernels
+//! - [`body`]: the body model: skeleton, keypoint conventions, shape, kinematics, skinning
+//! - [`motion_prior`]: the variational autoencoder of human motion, its training and its embedded weights
+//! - [`session`]: sessions, views, detections and reconstructions; readers of all input formats
+//! - [`residuals`]: residuals of the objective with their derivatives
+//! - [`estimation`]: robust estimators: essential matrix, camera pose, triangulation
+//! - [`matching`]: association of detections to people, across views and time
+//! - [`simulation`]: simulated sessions with exact ground truth
+//! - [`evaluation`]: errors of cameras, poses and identities against ground truth
+//! - [`export`]: the result folder and its file formats
+//! - [`pipeline`]: the stages of a reconstruction, in order
+//! - `service` (feature `service`): sessions and jobs over HTTP; each job runs in a supervised child process
+//! - `cli` (feature `cli`): the commands of the `wandless` binary
 //!
 //! # Conventions
 //!
-//! Transforms are named `target_from_source`, points `x_in_frame`. Metres, radians, seconds, pixels, `f64`. Cameras
-//! look along +z, x right, y down; pixel (0, 0) is the centre of the first pixel.
+//! Transforms are named `target_from_source`, points `x_in_frame`. Units are metres, radians, seconds and pixels, `f64`.
+//! Cameras look along +z with x right and y down; pixel (0, 0) is the centre of the first pixel.
 
 pub mod body;
 #[cfg(feature = "cli")]
@@ -39,6 +59,7 @@ pub mod matching;
 pub mod motion_prior;
 pub mod optim;
 pub mod pipeline;
+pub mod prelude;
 pub mod progress;
 pub mod residuals;
 #[cfg(feature = "service")]
