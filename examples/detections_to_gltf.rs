@@ -1,8 +1,8 @@
 //! Converts the output of a 2D pose detector to an animated glTF file (`.glb`) with cameras and people.
 //!
 //! `cargo run --release --example detections_to_gltf -- DETECTIONS OUT`. DETECTIONS is a folder with the frame rate, a
-//! calibration file and one folder of detections per camera, here in the OpenPose format (`docs` of the README list the
-//! other formats). Without arguments the example writes simulated OpenPose output first.
+//! calibration file and one folder of detections per camera, in the OpenPose format or any other that the README lists.
+//! Without arguments the example writes simulated OpenPose output first.
 
 use serde_json::json;
 use std::error::Error;

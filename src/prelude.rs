@@ -8,4 +8,6 @@ pub use crate::progress::{Canceled, Progress, ProgressEvent};
 pub use crate::session::people::BodyPose;
 pub use crate::session::reconstruction::{ExportFormat, SolvedCamera, Verdict};
 pub use crate::session::upload::{LoadedSession, UploadError, UploadLimits, read_path};
-pub use crate::session::{BodyMotion, Detection, JointTrajectory, Keypoint, Reconstruction, Session, View};
+pub use crate::session::{
+    BodyMotion, Detection, JointTrajectory, Keypoint, Reconstruction, Session, SessionBuilder, View,
+};

@@ -49,6 +49,7 @@ const TABLE: &[(&str, &[&str])] = &[
         ],
     ),
     ("main", &["cli"]),
+    ("prelude", &["pipeline", "export", "session", "body", "geometry", "progress"]),
     // The map declares every folder and imports none.
     ("lib", &[]),
 ];

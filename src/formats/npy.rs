@@ -1,13 +1,7 @@
 //! Arrays of numbers in NumPy's `.npy` format. Every claimed size is checked before memory is reserved for it.
-//!
-//! A header's nesting and length are checked before it is parsed: the parser of `npyz` tries every bracket in two ways,
-//! so that its work doubles with every level, and a kilobyte of brackets could occupy it for ever.
 
-use npyz::{DType, NpyHeader, Order};
-use std::io::{self, Cursor, Read};
+use std::io::{self, Read};
 
-/// Brackets within brackets: the dictionary, a list of fields, a field, its shape.
-const MAX_HEADER_DEPTH: usize = 4;
 /// Longest header, bytes: numpy itself refuses to evaluate more than 10,000 characters.
 const MAX_HEADER_BYTES: usize = 10_000;
 /// Numbers reserved at once, whatever the header claims; longer arrays grow as they are read.
@@ -113,19 +107,23 @@ impl Header {
     /// # Errors
     /// [`NpyError::Header`], and [`NpyError::NotNumbers`] for elements of another type.
     pub fn read(reader: &mut impl Read) -> Result<Self, NpyError> {
-        let bytes = checked_header(reader).map_err(NpyError::Header)?;
-        let header = NpyHeader::from_reader(Cursor::new(bytes)).map_err(NpyError::Header)?;
-        let shape: Option<Vec<usize>> = header.shape().iter().map(|n| usize::try_from(*n).ok()).collect();
-        let shape = shape.ok_or_else(|| NpyError::Header(invalid("its shape is too large for this machine")))?;
-        let number = match header.dtype() {
-            DType::Plain(name) => {
-                let name = name.to_string();
-                name.split_at_checked(1).and_then(|(order, code)| NumberType::parse(code, order == ">"))
-            }
+        let text = header_text(reader).map_err(NpyError::Header)?;
+        let descr = value_of(&text, "descr").ok_or_else(|| NpyError::Header(invalid("its type is missing")))?;
+        let name = descr.strip_prefix('\'').and_then(|rest| rest.split_once('\'')).map(|(name, _)| name);
+        let number = name.and_then(|name| match name.split_at_checked(1)? {
+            (order @ ("<" | ">" | "|" | "="), code) => NumberType::parse(code, order == ">"),
             _ => None,
+        });
+        let found = || name.map_or_else(|| descr.chars().take(40).collect(), |name| format!("'{name}'"));
+        let number = number.ok_or_else(|| NpyError::NotNumbers { found: found() })?;
+        let shape = value_of(&text, "shape").and_then(shape_of);
+        let shape = shape.ok_or_else(|| NpyError::Header(invalid("its shape is missing or too large")))?;
+        let is_fortran = match value_of(&text, "fortran_order") {
+            Some(value) if value.starts_with("False") => false,
+            Some(value) if value.starts_with("True") => true,
+            _ => return Err(NpyError::Header(invalid("its order is missing"))),
         };
-        let number = number.ok_or_else(|| NpyError::NotNumbers { found: header.dtype().descr() })?;
-        Ok(Self { shape, number, is_fortran: header.order() == Order::Fortran })
+        Ok(Self { shape, number, is_fortran })
     }
 }
 
@@ -196,47 +194,40 @@ fn in_c_order(shape: &[usize], elements: &[f64]) -> Vec<f64> {
     values
 }
 
-/// The bytes of a header that is short and flat enough to be parsed.
-fn checked_header(reader: &mut impl Read) -> io::Result<Vec<u8>> {
-    let mut header = vec![0; 10];
-    reader.read_exact(&mut header)?;
-    let is_long = header[6] > 1; // from version 2 on its length takes four bytes
-    if is_long {
-        header.resize(12, 0);
-        reader.read_exact(&mut header[10..])?;
+/// The header's dictionary as text, with single quotes.
+fn header_text(reader: &mut impl Read) -> io::Result<String> {
+    let mut start = [0; 8];
+    reader.read_exact(&mut start)?;
+    let mut length = [0; 4];
+    match start {
+        [0x93, b'N', b'U', b'M', b'P', b'Y', 1, _] => reader.read_exact(&mut length[..2])?,
+        [0x93, b'N', b'U', b'M', b'P', b'Y', 2 | 3, _] => reader.read_exact(&mut length)?,
+        _ => return Err(invalid("it does not start with a known version of the format")),
     }
-    let length = match is_long {
-        true => u32::from_le_bytes([header[8], header[9], header[10], header[11]]) as usize,
-        false => usize::from(u16::from_le_bytes([header[8], header[9]])),
-    };
+    let length = u32::from_le_bytes(length) as usize;
     if length > MAX_HEADER_BYTES {
         return Err(invalid("its header is too long"));
     }
-    let start = header.len();
-    header.resize(start + length, 0);
-    reader.read_exact(&mut header[start..])?;
-    if depth(&header[start..]) > MAX_HEADER_DEPTH {
-        return Err(invalid("its header nests too deeply"));
-    }
-    Ok(header)
+    let mut text = vec![0; length];
+    reader.read_exact(&mut text)?;
+    Ok(String::from_utf8_lossy(&text).replace('"', "'"))
+}
+
+/// The text after `'key':` in a dictionary.
+fn value_of<'a>(text: &'a str, key: &str) -> Option<&'a str> {
+    let (_, rest) = text.split_once(&format!("'{key}'"))?;
+    Some(rest.trim_start().strip_prefix(':')?.trim_start())
+}
+
+/// Lengths in a tuple such as `(2, 3)`, `(7,)` or `()`. Python 2 wrote `(7L,)`.
+fn shape_of(tuple: &str) -> Option<Vec<usize>> {
+    let (lengths, _) = tuple.strip_prefix('(')?.split_once(')')?;
+    let lengths = lengths.split(',').map(|length| length.trim().trim_end_matches('L'));
+    lengths.filter(|length| !length.is_empty()).map(|length| length.parse().ok()).collect()
 }
 
 fn invalid(what: &str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidData, what)
-}
-
-/// Most brackets that are open at the same time; those in texts count, too.
-fn depth(header: &[u8]) -> usize {
-    let (mut open, mut most) = (0_usize, 0);
-    for byte in header {
-        match byte {
-            b'(' | b'[' | b'{' => open += 1,
-            b')' | b']' | b'}' => open = open.saturating_sub(1),
-            _ => {}
-        }
-        most = most.max(open);
-    }
-    most
 }
 
 #[cfg(test)]
@@ -258,6 +249,8 @@ mod tests {
         assert_eq!(header(&fine).unwrap().shape, [2, 3]);
         assert!(header(&file(&"(".repeat(2000), "False")).is_err());
         assert!(header(&fine[..20]).is_err());
+        assert_eq!(header(&file("(7L,)", "True")).unwrap().shape, [7]);
+        assert_eq!(header(&file("()", "False")).unwrap().shape, [0; 0]);
         let mut long = fine.clone();
         long[6] = 2; // the length is then read from the text that follows: far too long
         assert!(header(&long).is_err());
