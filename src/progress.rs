@@ -1,69 +1,174 @@
-//! Progress and cancellation: all that the core knows of its caller.
+//! Progress and cancellation: the only link from the core to its caller.
+//!
+//! The work is a tree of steps: stages with weights ([`Progress::stages`]), each divided into smaller steps
+//! ([`Progress::steps`]). A handle covers a slice of the whole, and the reported share of the whole never falls.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 
-/// The work was asked to stop; nothing of it may be published.
+/// The caller asked the work to stop; no partial result may be published.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("canceled")]
 pub struct Canceled;
 
-/// What a caller is told while the pipeline runs.
+/// One progress report to the caller.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ProgressEvent {
-    /// Name of the stage that runs now.
+    /// Name of the running stage.
     pub stage: &'static str,
-    /// Zero-based position of the stage.
+    /// Zero-based position of the stage among those that this run has.
     pub stage_index: usize,
-    /// How many stages there are.
+    /// Number of stages of this run.
     pub stage_count: usize,
-    /// Share of the whole work that is done, 0 to 1; never falls.
+    /// Finished share of the whole work, 0 to 1; never falls.
     pub fraction: f64,
-    /// One short sentence for a person.
+    /// The running step in a few words ("comparing pairs of cameras"); may be empty.
     pub message: String,
 }
 
 type Listener = dyn Fn(&ProgressEvent) + Send + Sync;
 
-/// A cancel flag and a listener, handed down through the stages. Cloning shares both.
+/// What all handles of one piece of work share.
+struct Work {
+    canceled: Arc<AtomicBool>,
+    listener: Box<Listener>,
+    /// Largest fraction reported so far. Held while the listener runs, so that events arrive in order.
+    furthest: Mutex<f64>,
+}
+
+/// A stage's name and position.
+#[derive(Clone, Copy)]
+struct Stage {
+    name: &'static str,
+    index: usize,
+    count: usize,
+}
+
+/// Handle of one step: reports its progress and reads the cancel flag. Clones report the same step.
 #[derive(Clone)]
 pub struct Progress {
-    canceled: Arc<AtomicBool>,
-    listener: Arc<Listener>,
-    /// The stage being run and its slice of the whole: name, index, count, start and width as fractions.
-    stage: (&'static str, usize, usize, f64, f64),
+    work: Arc<Work>,
+    stage: Stage,
+    /// The step's slice of the whole work, as fractions.
+    start: f64,
+    width: f64,
 }
 
 impl Progress {
     /// Reports to `listener`; `canceled` may be set from any thread.
     pub fn new(listener: impl Fn(&ProgressEvent) + Send + Sync + 'static, canceled: Arc<AtomicBool>) -> Self {
-        Self { canceled, listener: Arc::new(listener), stage: ("", 0, 1, 0.0, 1.0) }
+        let work = Work { canceled, listener: Box::new(listener), furthest: Mutex::new(0.0) };
+        Self { work: Arc::new(work), stage: Stage { name: "", index: 0, count: 1 }, start: 0.0, width: 1.0 }
     }
 
-    /// Tells nobody and is never canceled.
+    /// Reports nothing and is never canceled.
     pub fn silent() -> Self {
         Self::new(|_| {}, Arc::default())
     }
 
-    /// The same handle for stage `index` of `count`, which covers `start..start + width` of the whole work.
-    pub fn stage(&self, name: &'static str, index: usize, count: usize, start: f64, width: f64) -> Self {
-        let stage = Self { stage: (name, index, count, start, width), ..self.clone() };
-        stage.report(0.0, "");
-        stage
+    /// Divides this step into named stages, given with their weights in the order in which they run.
+    pub fn stages(&self, stages: Vec<(&'static str, f64)>) -> Stages {
+        let steps = self.steps(stages.iter().map(|(_, weight)| *weight));
+        Stages { names: stages.into_iter().map(|(name, _)| name).collect(), steps }
     }
 
-    /// Says that `fraction` (0 to 1) of the current stage is done.
+    /// Divides this step into smaller ones with these weights.
+    pub fn steps(&self, weights: impl IntoIterator<Item = f64>) -> Steps {
+        let weights: Vec<f64> = weights.into_iter().collect();
+        Steps { whole: self.clone(), weights, next: 0 }
+    }
+
+    /// Reports that `fraction` (0 to 1) of this step is done.
     pub fn report(&self, fraction: f64, message: impl Into<String>) {
-        let (stage, stage_index, stage_count, start, width) = self.stage;
-        let fraction = start + width * fraction.clamp(0.0, 1.0);
-        (self.listener)(&ProgressEvent { stage, stage_index, stage_count, fraction, message: message.into() });
+        let Stage { name: stage, index: stage_index, count: stage_count } = self.stage;
+        let fraction = (self.start + self.width * fraction.clamp(0.0, 1.0)).min(1.0);
+        let mut furthest = self.work.furthest.lock().unwrap_or_else(PoisonError::into_inner);
+        *furthest = furthest.max(fraction);
+        let message = message.into();
+        (self.work.listener)(&ProgressEvent { stage, stage_index, stage_count, fraction: *furthest, message });
     }
 
-    /// To be called between units of work of at most some 100 ms.
+    /// Call between units of work of at most some 100 ms.
     ///
     /// # Errors
     /// [`Canceled`] once the caller has asked the work to stop.
     pub fn check(&self) -> Result<(), Canceled> {
-        if self.canceled.load(Ordering::Relaxed) { Err(Canceled) } else { Ok(()) }
+        if self.work.canceled.load(Ordering::Relaxed) { Err(Canceled) } else { Ok(()) }
+    }
+}
+
+/// The stages of a piece of work, in order.
+pub struct Stages {
+    names: Vec<&'static str>,
+    steps: Steps,
+}
+
+impl Stages {
+    /// Starts the stage of this name and reports its start. A name that is not planned reports as the whole work.
+    pub fn begin(&mut self, name: &'static str) -> Progress {
+        let Some(index) = self.names.iter().position(|planned| *planned == name) else {
+            return self.steps.whole.clone();
+        };
+        let slice = self.steps.slice(index);
+        let stage = Progress { stage: Stage { name, index, count: self.names.len() }, ..slice };
+        stage.report(0.0, "");
+        stage
+    }
+}
+
+/// Consecutive steps of one step.
+pub struct Steps {
+    whole: Progress,
+    weights: Vec<f64>,
+    next: usize,
+}
+
+impl Steps {
+    /// Starts the next step and reports `message`. Steps beyond the planned ones have no width.
+    pub fn begin(&mut self, message: impl Into<String>) -> Progress {
+        let step = self.slice(self.next);
+        self.next += 1;
+        step.report(0.0, message);
+        step
+    }
+
+    fn slice(&self, index: usize) -> Progress {
+        let total: f64 = self.weights.iter().sum();
+        let share = |steps: &[f64]| if total > 0.0 { steps.iter().sum::<f64>() / total } else { 0.0 };
+        let (before, own) = self.weights.split_at(index.min(self.weights.len()));
+        let start = self.whole.start + self.whole.width * share(before);
+        Progress { start, width: self.whole.width * share(&own[..own.len().min(1)]), ..self.whole.clone() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_divide_their_stage_and_never_fall() {
+        let events = Arc::new(Mutex::new(Vec::new()));
+        let heard = events.clone();
+        let progress = Progress::new(move |event| heard.lock().unwrap().push(event.clone()), Arc::default());
+        let mut stages = progress.stages(vec![("cameras", 3.0), ("body_fit", 1.0)]);
+        let cameras = stages.begin("cameras");
+        let mut steps = cameras.steps([1.0, 2.0]);
+        let first = steps.begin("a");
+        steps.begin("b").report(0.5, "c");
+        first.report(1.0, "late");
+        stages.begin("body_fit").report(1.0, "d");
+        let events = events.lock().unwrap();
+        let row = |e: &ProgressEvent| (e.stage_index, e.fraction, e.message.clone());
+        let expected = [
+            (0, 0.0, ""),
+            (0, 0.0, "a"),
+            (0, 0.25, "b"),
+            (0, 0.5, "c"),
+            (0, 0.5, "late"),
+            (1, 0.75, ""),
+            (1, 1.0, "d"),
+        ];
+        assert_eq!(events.iter().map(row).collect::<Vec<_>>(), expected.map(|(i, f, m)| (i, f, m.to_owned())));
+        assert!(events.iter().all(|event| event.stage_count == 2));
     }
 }

@@ -5,7 +5,7 @@
 //! damaged, of another release, or of other work is not used; whatever cannot be written is done without.
 
 use crate::body::BodyModel;
-use crate::pipeline::Options;
+use crate::pipeline::config::Options;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};

@@ -1,6 +1,6 @@
 //! What a user may ask for. Stored with the job, so that a run can be repeated.
 
-use super::PipelineError;
+use super::error::PipelineError;
 use crate::session::reconstruction::ExportFormat;
 use crate::session::recording::UpAxis;
 use crate::session::{Session, View};

@@ -1,53 +1,57 @@
-//! The stages, in order; whoever reads this page knows what the program does.
+//! The pipeline: every pass over a session, in order.
+//!
+//! | # | pass | stages, in order | runs |
+//! |---|---|---|---|
+//! | 1 | [`synchronisation`](passes::synchronisation) | time offsets in whole frames | `sync: estimate`; once |
+//! | | | pass 3, keyframe selection, bundle adjustment with delays | 1 to 6 rounds |
+//! | 2 | [`focal_lengths`](passes::focal_lengths) | pass 3, bundle adjustment with focal lengths | `refine_focal`; 2 rounds |
+//! | 3 | [`cameras`](passes::cameras) | camera initialisation | `extrinsics: estimate`; once |
+//! | | | keyframe selection, bundle adjustment, association | up to 3 arrangements |
+//! | | | camera registration, keyframes, bundle adjustment, association | 2 rounds |
+//! | | | association under the given cameras | `extrinsics: fixed` or `refine`; once |
+//! | | | final bundle adjustment, association | `denoise: false`, not `fixed`; once |
+//! | 4 | [`denoising`](passes::denoising) | trajectories, repair of detections, detector noise | `denoise: true`; twice |
+//! | | | in between: final bundle adjustment (not `fixed`), association | once |
+//! | 5 | [`held_out_check`](passes::held_out_check) | bundle adjustment on a half of the frames, error on the rest | 2 halves |
+//! | 6 | [`trajectories`](passes::trajectories) | smooth trajectories of the keypoints | once |
+//! | 7 | [`metric_scale`] | scale; for `scale: height` statures by body fit | once; up to 4 fits |
+//! | 8 | [`result`] | world frame, body fit, fit statistics, verdict | once |
+//!
+//! In passes 1 and 2 the rounds after the first keep the cameras of the round before and only associate. The final bundle
+//! adjustment of estimated or refined cameras runs exactly once per calibration: in pass 4 on repaired detections, or
+//! without that pass at the end of pass 3.
+//!
+//! Nouns (`calibration`, `capture`, `config`, `error`, `keyframe`) import no stage; stages import nouns and no other stage;
+//! passes import stages; this file imports passes.
 
 pub mod calibration;
+pub mod capture;
 pub mod checkpoints;
 pub mod config;
-pub mod focal_lengths;
+pub mod error;
 pub mod inspection;
+pub mod keyframe;
+pub mod passes;
 pub mod result;
 pub mod stages;
-pub mod synchronisation;
 
-use crate::body::bones::{LENGTH_SIGMA, LimbBone, limb_bones};
 use crate::body::{BodyModel, default_body};
-use crate::geometry::Rigid;
-use crate::matching::normalized::{NormalizedView, normalized_views};
-use crate::matching::tracker::TrackerScene;
-use crate::progress::{Canceled, Progress};
+use crate::progress::Progress;
 use crate::session::{Reconstruction, Session};
-use calibration::{calibrated, heldout_px, made_consistent};
+use calibration::CameraFreedom;
+use capture::Capture;
 use checkpoints::Checkpoints;
 pub use config::{CameraFacts, Options};
-use config::{Extrinsics, IntrinsicsMode};
-use focal_lengths::FocalLengths;
-use result::Findings;
-use stages::bundle_adjustment::CameraFreedom;
-use stages::{bundle_adjustment, metric_scale};
-
-/// Why a capture cannot be solved at all.
-#[derive(Debug, thiserror::Error)]
-pub enum PipelineError {
-    /// The caller asked to stop.
-    #[error(transparent)]
-    Canceled(#[from] Canceled),
-    /// An option asks for what the session does not hold.
-    #[error("{option}: {reason}")]
-    Option {
-        /// JSON pointer into the options.
-        option: &'static str,
-        /// What is missing and the remedy.
-        reason: String,
-    },
-    /// Nothing to solve.
-    #[error("{reason}")]
-    Unsolvable {
-        /// Machine-readable code.
-        code: &'static str,
-        /// What is missing and the remedy.
-        reason: String,
-    },
-}
+use config::{Extrinsics, IntrinsicsMode, Sync};
+pub use error::PipelineError;
+use passes::cameras::{FinalAdjustment, calibrated};
+use passes::denoising::denoised_capture;
+use passes::focal_lengths::{FocalLengths, refined_focal_lengths};
+use passes::held_out_check::heldout_px;
+use passes::synchronisation::{Timing, estimated_timing};
+use passes::trajectories::trajectories;
+use result::{Solution, statures};
+use stages::metric_scale;
 
 /// [`reconstruct_with_body`] with the embedded body.
 ///
@@ -57,12 +61,13 @@ pub fn reconstruct(session: &Session, options: &Options, progress: &Progress) ->
     reconstruct_with_body(session, options, &default_body(), progress)
 }
 
-/// Recovers cameras and people from a session: the stages, top to bottom.
+/// Recovers cameras and people from a session.
 ///
-/// `body`: the model that every person is fitted with. The same session, options, body and instruction set give the same result, whatever the number of threads.
+/// `body`: the model that is fitted to every person. The same session, options, body and instruction set give the same
+/// result, whatever the number of threads.
 ///
 /// # Errors
-/// [`PipelineError`] when the work was canceled, an option asks for what the session lacks, or nothing can be solved.
+/// [`PipelineError`] when the work was canceled, an option does not fit the session, or nothing can be solved.
 pub fn reconstruct_with_body(
     session: &Session,
     options: &Options,
@@ -72,7 +77,7 @@ pub fn reconstruct_with_body(
     reconstruct_with_checkpoints(session, options, body, &Checkpoints::none(), progress)
 }
 
-/// [`reconstruct_with_body`] that goes on after the last stage that `checkpoints` keep; the same result to the last bit.
+/// [`reconstruct_with_body`] that resumes after the last pass stored in `checkpoints`; the result is the same to the bit.
 ///
 /// # Errors
 /// As there.
@@ -83,120 +88,115 @@ pub fn reconstruct_with_checkpoints(
     checkpoints: &Checkpoints,
     progress: &Progress,
 ) -> Result<Reconstruction, PipelineError> {
-    // Whoever hands a body over has found it by its name.
+    // The caller has already looked up `options.body`.
     options.check(&CameraFacts::of(session), std::slice::from_ref(&options.body))?;
-    if session.views.iter().all(|v| v.frames.iter().all(Vec::is_empty)) {
-        let reason = "no camera detected anybody; check that the keypoint files are those of this take".to_owned();
-        return Err(PipelineError::Unsolvable { code: "nobody_detected", reason });
-    }
-    let timing = checkpoints.stage("synchronisation", || synchronisation::timing(session, options, progress))?;
-    let timed = timing.applied_to(session);
-    let progress = &Shares { progress, before: timing.share_of_work() };
-    let lenses = match options.intrinsics {
-        IntrinsicsMode::Fixed => FocalLengths::given(&timed),
-        IntrinsicsMode::RefineFocal => {
-            checkpoints.stage("focal_lengths", || focal_lengths::refined(&timed, options, progress))?
+    require_detections(session)?;
+    let mut stages = progress.stages(stage_weights(options));
+    let freedom = match options.extrinsics {
+        Extrinsics::Fixed => CameraFreedom::Held,
+        Extrinsics::Estimate | Extrinsics::Refine => CameraFreedom::Adjusted,
+    };
+    let last = if options.denoise { FinalAdjustment::Elsewhere } else { FinalAdjustment::Here };
+
+    // 1. The recording as synchronous cameras would have made it.
+    let timing = match options.sync {
+        Sync::Given => Timing::given(session),
+        Sync::Estimate => {
+            let step = stages.begin("synchronisation");
+            checkpoints.stage("synchronisation", || estimated_timing(session, options, last, &step))?
         }
     };
-    let timed = lenses.applied_to(&timed);
-    let capture = Capture::new(&timed, options);
+    let timed = timing.applied_to(session);
 
-    let progress = &progress.after(lenses.share_of_work());
-    let stage = progress.stage("cameras", 0, 0.0, 0.4);
-    let calibration = checkpoints.stage("cameras", || calibrated(&capture, freedom(options), &stage))?;
-    let n_placed = calibration.cameras.iter().flatten().count();
-    if n_placed < 2 && session.views.len() > 1 {
-        let reason = "no two cameras see the same people move; check that the cameras overlap, that frames are \
-                      synchronised and that the intrinsics belong to these images"
-            .to_owned();
-        return Err(PipelineError::Unsolvable { code: "cameras_unsolvable", reason });
+    // 2. Focal lengths.
+    let focal_lengths = match options.intrinsics {
+        IntrinsicsMode::Fixed => FocalLengths::given(&timed),
+        IntrinsicsMode::RefineFocal => {
+            let step = stages.begin("focal_lengths");
+            checkpoints.stage("focal_lengths", || refined_focal_lengths(&timed, options, last, &step))?
+        }
+    };
+    let refined = focal_lengths.applied_to(&timed);
+    let capture = Capture::new(&refined, options);
+
+    // 3. Cameras and persons.
+    let step = stages.begin("cameras");
+    let last = if freedom == CameraFreedom::Held { FinalAdjustment::Elsewhere } else { last };
+    let calibration = checkpoints.stage("cameras", || calibrated(&capture, last, &step))?;
+    if calibration.n_placed() < 2 && session.views.len() > 1 {
+        return Err(PipelineError::Unsolvable {
+            code: "cameras_unsolvable",
+            reason: "no two cameras see the same people move; check that the cameras overlap, that frames are \
+                     synchronised and that the intrinsics belong to these images"
+                .to_owned(),
+        });
     }
 
-    let stage = progress.stage("denoising", 1, 0.4, 0.15);
-    let (calibration, consistent) = match options.denoise {
-        true => checkpoints
-            .stage("denoising", || made_consistent(&capture, calibration, freedom(options), &stage))?
-            .over(&timed),
-        false => (calibration, None),
+    // 4. Repaired detections, and the cameras adjusted to them.
+    let (calibration, repaired) = if options.denoise {
+        let step = stages.begin("denoising");
+        let denoised = checkpoints.stage("denoising", || denoised_capture(&capture, calibration, freedom, &step))?;
+        let (calibration, repaired) = denoised.applied_to(&refined);
+        (calibration, Some(repaired))
+    } else {
+        (calibration, None)
     };
-    let (clean, consistency) = consistent.map(|c| (c.session, (c.told, c.cleaning))).unzip();
-    let capture = clean.as_ref().map_or(capture, |session| Capture::new(session, options));
+    let capture = repaired.as_ref().map_or(capture, |repaired| Capture::new(&repaired.session, options));
 
-    let stage = progress.stage("held_out_check", 2, 0.55, 0.1);
-    let heldout_px =
-        checkpoints.stage("held_out_check", || heldout_px(&capture, &calibration, freedom(options), &stage))?;
+    // 5. Cross-validation of the cameras.
+    let step = stages.begin("held_out_check");
+    let heldout_px = checkpoints.stage("held_out_check", || heldout_px(&capture, &calibration, freedom, &step))?;
 
-    let stage = progress.stage("joint_trajectories", 3, 0.65, 0.05);
-    let paths = checkpoints.stage("joint_trajectories", || result::paths(&capture, &calibration, &stage))?;
+    // 6. Smooth trajectories of all keypoints.
+    let step = stages.begin("joint_trajectories");
+    let paths = checkpoints.stage("joint_trajectories", || trajectories(&capture, &calibration, &step))?;
 
-    let stage = progress.stage("metric_scale", 4, 0.7, 0.02);
-    let statures = |scale: f64| result::statures(&capture, &calibration, &paths, scale, body, &stage);
+    // 7. Metres per unit.
+    let step = stages.begin("metric_scale");
+    let statures_at = |scale: f64| statures(&capture, &calibration, &paths, scale, body, &step);
     let tracks = &calibration.association.tracks;
     let scale = checkpoints.stage("metric_scale", || {
-        metric_scale::metric_scale(&capture, &calibration.cameras, tracks, &paths, &statures)
+        metric_scale::metric_scale(&capture, &calibration.cameras, tracks, &paths, &statures_at)
     })?;
-    let findings = Findings::in_world(&capture, calibration, paths, scale, heldout_px);
 
-    let stage_body = progress.stage("body_fit", 5, 0.72, 0.25);
-    let mut reconstruction = findings.with_bodies(&capture, body, &stage_body)?;
-    (reconstruction.report.consistency, reconstruction.repairs) = consistency.unzip();
-    lenses.tell(&mut reconstruction);
-    timing.tell(session, &mut reconstruction);
+    // 8. World frame, bodies, statistics and verdict.
+    let step = stages.begin("body_fit");
+    let solution = Solution::in_world(&capture, calibration, paths, scale, heldout_px);
+    let mut reconstruction = solution.with_bodies(&capture, body, &step)?;
+    if let Some(repaired) = repaired {
+        reconstruction.report.consistency = Some(repaired.report);
+        reconstruction.repairs = Some(repaired.repairs);
+    }
+    focal_lengths.add_to(&mut reconstruction);
+    timing.add_to(session, &mut reconstruction);
+    step.report(1.0, "");
     Ok(reconstruction)
 }
 
-/// Stages that a caller is told of.
-const N_STAGES: usize = 7;
-
-/// The stages behind the synchronisation share what it leaves of the whole work.
-struct Shares<'a> {
-    progress: &'a Progress,
-    before: f64,
+/// The stages that a job reports, with their shares of the time.
+fn stage_weights(options: &Options) -> Vec<(&'static str, f64)> {
+    let stages = [
+        ("synchronisation", 1.5, options.sync == Sync::Estimate),
+        ("focal_lengths", 0.7, options.intrinsics == IntrinsicsMode::RefineFocal),
+        ("cameras", 0.4, true),
+        ("denoising", 0.15, options.denoise),
+        ("held_out_check", 0.1, true),
+        ("joint_trajectories", 0.05, true),
+        ("metric_scale", 0.02, true),
+        ("body_fit", 0.28, true),
+    ];
+    stages.into_iter().filter(|(_, _, runs)| *runs).map(|(name, weight, _)| (name, weight)).collect()
 }
 
-impl Shares<'_> {
-    fn stage(&self, name: &'static str, index: usize, start: f64, width: f64) -> Progress {
-        let rest = 1.0 - self.before;
-        self.progress.stage(name, index + 1, N_STAGES, self.before + rest * start, rest * width)
+fn require_detections(session: &Session) -> Result<(), PipelineError> {
+    if session.views.iter().any(|v| v.frames.iter().any(|people| !people.is_empty())) {
+        return Ok(());
     }
-
-    /// What is left once `share` of the rest is done, too.
-    fn after(&self, share: f64) -> Self {
-        Shares { progress: self.progress, before: self.before + (1.0 - self.before) * share }
-    }
-}
-
-/// What may happen to cameras that have a place, given or found.
-fn freedom(options: &Options) -> CameraFreedom {
-    if options.extrinsics == Extrinsics::Fixed { CameraFreedom::Held } else { CameraFreedom::Adjusted }
-}
-
-/// What every stage reads: the recording as rays, and what the options ask for.
-pub struct Capture<'a> {
-    /// The recording.
-    pub session: &'a Session,
-    /// What the user asked for.
-    pub options: &'a Options,
-    /// Every detection as rays.
-    pub views: Vec<NormalizedView>,
-    /// Limb bones with reference lengths.
-    pub bones: Vec<LimbBone>,
-    /// The same bones as the adjustment knows them.
-    pub adjusted_bones: Vec<bundle_adjustment::Bone>,
-}
-
-impl<'a> Capture<'a> {
-    /// Prepares a session.
-    pub fn new(session: &'a Session, options: &'a Options) -> Self {
-        let bones = limb_bones(session.convention);
-        let adjusted_bones =
-            bones.iter().map(|b| bundle_adjustment::Bone { a: b.a, b: b.b, sigma: LENGTH_SIGMA }).collect();
-        Self { session, options, views: normalized_views(session), bones, adjusted_bones }
-    }
-
-    /// The session under given cameras.
-    pub fn scene<'b>(&'b self, cameras: &'b [Option<Rigid>]) -> TrackerScene<'b> {
-        let (fps, n_frames) = (self.session.fps, self.session.n_frames);
-        TrackerScene { views: &self.views, cameras, bones: &self.bones, fps, n_frames }
-    }
+    Err(PipelineError::Unsolvable {
+        code: "no_person_detected",
+        reason:
+            "the session holds no detection of a person in any camera; check that the keypoint files belong to this \
+                 recording"
+                .to_owned(),
+    })
 }

@@ -1,16 +1,16 @@
-//! From findings to the result: everything moved into the world, bodies fitted, figures and verdict gathered.
+//! Assembly of the result: cameras and trajectories in the world frame, bodies, fit statistics and verdict.
 
 use super::calibration::Calibration;
-use super::config::Extrinsics;
+use super::capture::Capture;
+use super::error::PipelineError;
 use super::stages::association::identities;
 use super::stages::body_fit::{
     BodyFitConfig, BodyFitInput, FittedBodies, fit_bodies, fitted_statures, landmark_trajectory,
 };
-use super::stages::fit_figures::FitFigures;
-use super::stages::joint_trajectories::{Hold, TrajectoryConfig, TrajectoryInput, joint_trajectories};
-use super::stages::verdict::{Evidence, quality};
+use super::stages::fit_statistics::FitStatistics;
+use super::stages::verdict::input::VerdictInput;
+use super::stages::verdict::quality;
 use super::stages::world_frame::world_from_solution;
-use super::{Capture, PipelineError};
 use crate::body::BodyModel;
 use crate::body::scale::FittedStature;
 use crate::geometry::{Rigid, Similarity};
@@ -20,41 +20,20 @@ use crate::session::recording::UpAxis;
 use crate::session::{JointTrajectory, PersonTrack, Reconstruction};
 use nalgebra::Vector3;
 
-/// Smooth paths of everybody's keypoints under the calibration's cameras.
-///
-/// # Errors
-/// [`Canceled`].
-pub fn paths(
-    capture: &Capture,
-    calibration: &Calibration,
-    progress: &Progress,
-) -> Result<Vec<JointTrajectory>, Canceled> {
-    let input = TrajectoryInput {
-        session: capture.session,
-        noise: &calibration.noise,
-        cameras: &calibration.cameras,
-        tracks: &calibration.association.tracks,
-        start: &calibration.association.points,
-        metres_per_unit: 1.0,
-        hold: if capture.session.views.len() == 1 { Hold::OnRay } else { Hold::Whisper },
-    };
-    joint_trajectories(&input, &TrajectoryConfig::default(), progress)
-}
-
-/// How tall everybody is if a unit of the calibration is `scale` metres, by track.
+/// Fitted stature of every person if a unit of the calibration is `scale` metres, by track.
 ///
 /// # Errors
 /// [`Canceled`].
 pub fn statures(
     capture: &Capture,
     calibration: &Calibration,
-    paths: &[JointTrajectory],
+    trajectories: &[JointTrajectory],
     scale: f64,
     model: &BodyModel,
     progress: &Progress,
 ) -> Result<Vec<Option<FittedStature>>, Canceled> {
     let metres_from_units = Similarity { scale, ..Similarity::identity() };
-    let (mut cameras, mut points) = (calibration.cameras.clone(), paths.to_vec());
+    let (mut cameras, mut points) = (calibration.cameras.clone(), trajectories.to_vec());
     move_into(&metres_from_units, &mut cameras, &mut points);
     let input = BodyFitInput {
         session: capture.session,
@@ -62,43 +41,43 @@ pub fn statures(
         cameras: &cameras,
         tracks: &calibration.association.tracks,
         points: &points,
-        up: Vector3::y(), // asked for of a single view alone
+        up: Vector3::y(), // used with a single view only
     };
     fitted_statures(input, model, progress)
 }
 
-/// What was found, in the result's world.
-pub struct Findings {
+/// Cameras and trajectories in the result's world.
+pub struct Solution {
     calibration: Calibration,
-    paths: Vec<JointTrajectory>,
+    trajectories: Vec<JointTrajectory>,
     metres_per_unit: f64,
     scale: Option<ScaleReport>,
     heldout_px: Option<f64>,
     up_axis: UpAxis,
 }
 
-impl Findings {
-    /// Moves cameras and paths into the world that the options ask for; given extrinsics keep theirs.
+impl Solution {
+    /// Moves cameras and trajectories into the world that the options choose; given extrinsics keep their world.
     pub fn in_world(
         capture: &Capture,
         mut calibration: Calibration,
-        mut paths: Vec<JointTrajectory>,
+        mut trajectories: Vec<JointTrajectory>,
         scale: Option<ScaleReport>,
         heldout_px: Option<f64>,
     ) -> Self {
         let options = capture.options;
         let metres_per_unit = scale.as_ref().map_or(1.0, |s| s.value);
-        let given = options.extrinsics != Extrinsics::Estimate;
+        let given = !capture.estimates_extrinsics();
         let up_axis = if given { capture.session.up_axis.unwrap_or(options.up_axis) } else { options.up_axis };
         if !given {
             let world_from_solution =
-                world_from_solution(capture.session, &calibration.cameras, &paths, metres_per_unit, up_axis);
-            move_into(&world_from_solution, &mut calibration.cameras, &mut paths);
+                world_from_solution(capture.session, &calibration.cameras, &trajectories, metres_per_unit, up_axis);
+            move_into(&world_from_solution, &mut calibration.cameras, &mut trajectories);
         }
-        Self { calibration, paths, metres_per_unit, scale, heldout_px, up_axis }
+        Self { calibration, trajectories, metres_per_unit, scale, heldout_px, up_axis }
     }
 
-    /// Fits bodies and gathers the result.
+    /// Fits the bodies and assembles the result.
     ///
     /// # Errors
     /// [`PipelineError::Canceled`].
@@ -114,11 +93,11 @@ impl Findings {
             noise: &self.calibration.noise,
             cameras: &self.calibration.cameras,
             tracks: &tracks,
-            points: &self.paths,
+            points: &self.trajectories,
             up: self.upright(capture),
         };
-        let is_one_view = capture.session.views.len() == 1;
-        let config = if is_one_view { BodyFitConfig::one_view() } else { BodyFitConfig::default() };
+        let is_monocular = capture.session.views.len() == 1;
+        let config = if is_monocular { BodyFitConfig::one_view() } else { BodyFitConfig::default() };
         let config = BodyFitConfig {
             keep_apart: capture.options.collision,
             motion_prior: capture.options.motion_prior,
@@ -126,29 +105,35 @@ impl Findings {
         };
         let FittedBodies { motions, detector_model, mut detector, penetration, report } =
             fit_bodies(input, model, &config, progress)?;
-        if is_one_view {
-            detector.reason = "one view does not tell a habit of the detector from how people stand".to_owned();
+        if is_monocular {
+            detector.reason =
+                "a single view cannot separate keypoint bias of the detector from the poses of people".to_owned();
         }
         self.calibration.stages.push(report);
-        // A track whose trunk was never triangulated has no body; such a person is nobody in the result.
+        // A track whose trunk was never triangulated has no body and is left out of the result.
         let kept: Vec<PersonTrack> =
             tracks.into_iter().filter(|t| motions.iter().any(|m| m.person == t.person)).collect();
-        self.paths.retain(|p| motions.iter().any(|m| m.person == p.person));
-        if is_one_view {
-            // A single ray tells no depth: the points are the bodies' own.
-            for (path, motion) in self.paths.iter_mut().zip(&motions) {
-                path.points = landmark_trajectory(&detector_model, motion, capture.session.convention).points;
+        self.trajectories.retain(|p| motions.iter().any(|m| m.person == p.person));
+        if is_monocular {
+            // A single ray has no depth: the points are the body's landmarks.
+            for (trajectory, motion) in self.trajectories.iter_mut().zip(&motions) {
+                trajectory.points = landmark_trajectory(&detector_model, motion, capture.session.convention).points;
             }
         }
-        let figures =
-            FitFigures::new(capture.session, &self.calibration.cameras, &self.calibration.noise, &kept, &self.paths);
-        let report = Report { detector, ..self.report(capture, &kept, &figures, penetration) };
-        let mut keypoints = std::mem::take(&mut self.paths);
-        for (path, motion) in keypoints.iter_mut().zip(&motions) {
-            fill_from_body(path, &landmark_trajectory(&detector_model, motion, capture.session.convention));
+        let statistics = FitStatistics::new(
+            capture.session,
+            &self.calibration.cameras,
+            &self.calibration.noise,
+            &kept,
+            &self.trajectories,
+        );
+        let report = Report { detector, ..self.report(capture, &kept, &statistics, penetration) };
+        let mut keypoints = std::mem::take(&mut self.trajectories);
+        for (trajectory, motion) in keypoints.iter_mut().zip(&motions) {
+            fill_from_body(trajectory, &landmark_trajectory(&detector_model, motion, capture.session.convention));
         }
         Ok(Reconstruction {
-            cameras: self.solved_cameras(&figures),
+            cameras: self.solved_cameras(&statistics),
             keypoints,
             motions,
             identities: identities(capture.session, &kept),
@@ -159,27 +144,27 @@ impl Findings {
         })
     }
 
-    /// The upright in the result's world: the up axis, unless nobody gave one with the given extrinsics and the camera
-    /// would lie on its side by it. Cameras stand upright more often than not.
+    /// The upright in the result's world: the up axis. Where extrinsics are given without an up axis and the camera would
+    /// lie on its side by it, the camera's own upright: most cameras stand upright.
     fn upright(&self, capture: &Capture) -> Vector3<f64> {
         let axis = match self.up_axis {
             UpAxis::X => Vector3::x(),
             UpAxis::Y => Vector3::y(),
             UpAxis::Z => Vector3::z(),
         };
-        let is_known = capture.session.up_axis.is_some() || capture.options.extrinsics == Extrinsics::Estimate;
+        let is_known = capture.session.up_axis.is_some() || capture.estimates_extrinsics();
         let of_camera = self.calibration.cameras.iter().flatten().next().map(|c| -c.rotation.row(1).transpose());
         of_camera.filter(|up| !is_known && up.angle(&axis) > MAX_CAMERA_TILT).unwrap_or(axis)
     }
 
-    fn solved_cameras(&self, figures: &FitFigures) -> Vec<SolvedCamera> {
+    fn solved_cameras(&self, statistics: &FitStatistics) -> Vec<SolvedCamera> {
         let uncertainty = |v: usize| self.calibration.adjusted.as_ref().and_then(|a| a.cameras[v].uncertainty);
         self.calibration
             .cameras
             .iter()
             .enumerate()
             .map(|(v, camera)| {
-                let (reprojection_px, n_observations) = figures.of_view(v);
+                let (reprojection_px, n_observations) = statistics.of_view(v);
                 SolvedCamera {
                     camera_from_world: *camera,
                     reprojection_px,
@@ -197,33 +182,33 @@ impl Findings {
         &self,
         capture: &Capture,
         tracks: &[PersonTrack],
-        figures: &FitFigures,
+        statistics: &FitStatistics,
         penetration: PenetrationReport,
     ) -> Report {
         let session = capture.session;
-        let cameras = figures.camera_reports(session, &self.calibration.cameras, tracks);
-        let people = figures.person_reports(session, &capture.bones, tracks, &self.paths);
-        let geometry = figures.geometry_report(&self.paths);
+        let cameras = statistics.camera_reports(session, &self.calibration.cameras, tracks);
+        let people = statistics.person_reports(session, &capture.bones, tracks, &self.trajectories);
+        let geometry = statistics.geometry_report(&self.trajectories);
         let n_detections: usize = cameras.iter().map(|c| c.n_detections).sum();
         let n_rejected: usize = cameras.iter().map(|c| c.n_rejected_detections).sum();
         let adjusted = self.calibration.adjusted.as_ref();
         let sigmas =
             adjusted.map(|a| a.cameras.iter().filter_map(|c| c.uncertainty).map(|u| u.sigma_angle.to_degrees()));
-        let evidence = Evidence {
+        let input = VerdictInput {
             fps: session.fps,
             cameras: &cameras,
             people: &people,
             geometry: &geometry,
             penetration: &penetration,
-            gave_way: capture.options.collision,
+            resolves_collisions: capture.options.collision,
             explained: self.calibration.association.explained,
             sigma_angle_deg: sigmas.and_then(|s| s.reduce(f64::max)),
             rival_explained: self.calibration.rival_explained,
-            estimated: capture.options.extrinsics == Extrinsics::Estimate,
+            estimated: capture.estimates_extrinsics(),
         };
         Report {
             stages: self.calibration.stages.clone(),
-            quality: quality(&evidence),
+            quality: quality(&input),
             cameras,
             people,
             geometry,
@@ -242,28 +227,25 @@ impl Findings {
     }
 }
 
-/// A camera whose own upright is further than this from the up axis looks steeply down, or the axis is another's, rad.
+/// A camera whose own upright is further than this from the up axis looks steeply down, or the axis is wrong, rad.
 const MAX_CAMERA_TILT: f64 = 1.05; // 60 degrees
 
-pub(super) fn move_into(
-    world_from_solution: &Similarity,
-    cameras: &mut [Option<Rigid>],
-    paths: &mut [JointTrajectory],
-) {
+/// Moves cameras and points by a similarity.
+fn move_into(world_from_solution: &Similarity, cameras: &mut [Option<Rigid>], trajectories: &mut [JointTrajectory]) {
     for camera in cameras.iter_mut().flatten() {
         *camera = world_from_solution.move_camera(camera);
     }
-    for point in paths.iter_mut().flat_map(|p| p.points.iter_mut().flatten()).flatten() {
+    for point in trajectories.iter_mut().flat_map(|p| p.points.iter_mut().flatten()).flatten() {
         *point = world_from_solution.transform(point);
     }
 }
 
-/// Where no view saw a point, the body knows better than a path through air.
-fn fill_from_body(path: &mut JointTrajectory, body: &JointTrajectory) {
-    for k in 0..path.points.first().map_or(0, Vec::len) {
-        for t in 0..path.points.len() {
-            if path.points[t][k].is_none() || path.n_views[t][k] == 0 {
-                path.points[t][k] = body.points.get(t).and_then(|p| p[k]).or(path.points[t][k]);
+/// Replaces points that no view saw by the body's landmarks, which are more accurate than an interpolated trajectory.
+fn fill_from_body(trajectory: &mut JointTrajectory, body: &JointTrajectory) {
+    for k in 0..trajectory.points.first().map_or(0, Vec::len) {
+        for t in 0..trajectory.points.len() {
+            if trajectory.points[t][k].is_none() || trajectory.n_views[t][k] == 0 {
+                trajectory.points[t][k] = body.points.get(t).and_then(|p| p[k]).or(trajectory.points[t][k]);
             }
         }
     }

@@ -1,32 +1,21 @@
-//! Who is who, across views and time, under given cameras.
+//! Association: assigns detections to persons across views and time, under known cameras.
 
 use crate::body::detector_profile::DETECTOR;
 use crate::geometry::projection::project_normalized;
 use crate::matching::clusters::Cluster;
+use crate::matching::normalized::NormalizedDetection;
 use crate::matching::tracker::{TrackedPerson, TrackerConfig, TrackerScene, skeleton, track};
 use crate::matching::tracklets::Tracklet;
+use crate::pipeline::calibration::Association;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::StageReport;
 use crate::session::recording::{FrameIndex, PersonId, Session};
 use crate::session::{JointTrajectory, PersonTrack};
 use std::collections::BTreeMap;
 
-/// Everybody found, as tracks, with a first guess of their points.
-#[derive(Debug, Clone, Default, serde::Serialize, serde::Deserialize)]
-pub struct Association {
-    /// Who is where; person `i` is entry `i`.
-    pub tracks: Vec<PersonTrack>,
-    /// First guess of each person's points, same frames.
-    pub points: Vec<JointTrajectory>,
-    /// Share of confident keypoints of placed views that lie where a person was found to be.
-    pub explained: f64,
-    /// How many views were placed then.
-    pub n_views_placed: usize,
-}
-
-/// Gives every detection to a person or to nobody.
+/// Assigns each detection to one person or rejects it.
 ///
-/// `n_people`: keep the best supported so many, where the number is known.
+/// `n_people`: the number of persons where it is known; the best supported ones are kept.
 ///
 /// # Errors
 /// [`Canceled`].
@@ -57,7 +46,7 @@ pub fn associate(
     Ok((Association { tracks, points, explained, n_views_placed }, report))
 }
 
-/// The association that groups of tracklets stand for: the start, before anybody was followed in 3D.
+/// The association of groups of tracklets: the start, before persons are tracked in 3D.
 pub fn from_clusters(scene: &TrackerScene, tracklets: &[Vec<Tracklet>], groups: &[Cluster]) -> Association {
     let (mut tracks, mut points) = (Vec::new(), Vec::new());
     for (person, group) in groups.iter().enumerate() {
@@ -100,11 +89,9 @@ fn as_points(person: usize, tracked: &TrackedPerson) -> JointTrajectory {
     JointTrajectory { person: PersonId(person), first: FrameIndex(first), points, n_views }
 }
 
-/// Share of confident keypoints of all placed views that lie where a person was found to be.
+/// Share of confident keypoints of all placed views that lie near a person's reprojection, 0 to 1.
 fn explained(scene: &TrackerScene, people: &[TrackedPerson]) -> f64 {
-    let confident = |s: &crate::matching::normalized::NormalizedDetection| {
-        s.confidence.iter().filter(|c| **c > DETECTOR.confident).count()
-    };
+    let confident = |d: &NormalizedDetection| d.confidence.iter().filter(|c| **c > DETECTOR.confident).count();
     let all: usize = scene
         .views
         .iter()
@@ -117,7 +104,7 @@ fn explained(scene: &TrackerScene, people: &[TrackedPerson]) -> f64 {
     for person in people {
         for ((frame, assignment), skeleton) in person.assignments.iter().zip(&person.skeletons) {
             if assignment.iter().flatten().count() < 2 {
-                continue; // a single view agrees with itself
+                continue; // a single view always agrees with itself
             }
             for (view, detection) in assignment.iter().enumerate() {
                 let (Some(d), Some(camera)) = (detection, &scene.cameras[view]) else { continue };
@@ -134,7 +121,7 @@ fn explained(scene: &TrackerScene, people: &[TrackedPerson]) -> f64 {
     near as f64 / all.max(1) as f64
 }
 
-/// `identities[view][frame][detection]`.
+/// The person of every detection: `identities[view][frame][detection]`.
 pub fn identities(session: &Session, tracks: &[PersonTrack]) -> Vec<Vec<Vec<Option<PersonId>>>> {
     let mut table: Vec<Vec<Vec<Option<PersonId>>>> =
         session.views.iter().map(|v| v.frames.iter().map(|f| vec![None; f.len()]).collect()).collect();

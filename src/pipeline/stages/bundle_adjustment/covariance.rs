@@ -1,50 +1,51 @@
-//! How well the cameras are known.
+//! Uncertainty of the adjusted cameras.
 //!
-//! Detector errors are correlated in time, so the inverse Hessian promises far too much (an eighth of the variance at
-//! AR(0.9)). What holds is the delete-one-block jackknife over blocks of one person's consecutive frames:
+//! Detector errors are correlated in time, so the inverse Hessian is far too small (an eighth of the variance at AR(0.9)).
+//! Valid is the delete-one-block jackknife over blocks of one person's consecutive frames:
 //!
 //! `(B - 1) / B sum_b d_b d_b^T`, `d_b = (A - A_b)^-1 g_b`
 //!
-//! with `A` the border's reduced Hessian, `A_b`, `g_b` the block's share of it and of the gradient: `d_b` is how far
-//! the border moves, in one Newton step, when the block is left out. To first order it is the sandwich
+//! with `A` the border's reduced Hessian, `A_b`, `g_b` the block's share of it and of the gradient: `d_b` is the
+//! movement of the border, in one Newton step, when the block is left out. To first order it is the sandwich
 //! `A^-1 (sum_b g_b g_b^T) A^-1` (Huber 1967; Liang and Zeger 1986), which runs low where blocks are few (MacKinnon and
-//! White 1985). The solver's Hessian takes a residual's weight for its curvature; `A` is that Hessian times the mean
-//! ratio of the two (Huber 1981, section 7.6). The result is moved into the free-network gauge, in which cameras are
-//! compared after a similarity.
+//! White 1985). The solver's Hessian uses a residual's weight in place of its curvature; `A` is that Hessian times the mean
+//! ratio of the two (Huber 1981, section 7.6). The result is transformed to the free-network gauge, in which cameras
+//! are compared after a similarity.
 //!
-//! Few blocks make a poor matrix, so it is shrunk towards the inverse Hessian, inflated to the same size in the mean
+//! With few blocks the estimate is noisy, so it is shrunk towards the inverse Hessian, inflated to the same size in the mean
 //! over all `n` unknowns of the border, with `n / (n + B)` of the weight.
 //!
-//! Known limits: errors that never change (a biased detector, wrong intrinsics) are invisible here. At AR(0.9) a block
+//! Known limits: constant errors (a biased detector, wrong intrinsics) do not show. At AR(0.9) a block
 //! of 50 frames sees 80 % of the long-run variance.
 
-use super::CameraUncertainty;
 use super::gauge::hold_idle;
-use super::problem::{Problem, State};
+use super::problem::Problem;
+use super::state::State;
 use crate::geometry::Rigid;
 use crate::geometry::rotation::skew;
 use crate::optim::arrow::{self, Block};
 use crate::optim::robust::geman_mcclure;
+use crate::pipeline::calibration::CameraUncertainty;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use std::collections::BTreeMap;
 
-/// Orientations count this little in the alignment, in units of the rig's radius: centres decide, as in evaluation,
-/// and only a rig whose centres lie on a line is turned by its orientations.
+/// Weight of orientations in the alignment, in units of the rig's radius: small, so that centres decide as in evaluation,
+/// and orientations matter only for a rig whose centres lie on a line.
 const ORIENTATION_WEIGHT: f64 = 1e-2;
 
-/// Floor of the curvature a weight, met where half of the residuals are as large as the robust scale.
+/// Smallest ratio of curvature to weight, reached where half of the residuals are as large as the robust scale.
 const MIN_CURVATURE: f64 = 0.1;
 
-/// Fewer blocks than this say nothing about their own spread.
+/// Smallest number of blocks: fewer do not show their own spread.
 const MIN_BLOCKS: usize = 8;
 
-/// An unknown keeps its value when a block is left out that holds all but this share of what is known of it.
+/// An unknown keeps its value when the block left out holds all but this share of its information.
 const MIN_REST: f64 = 0.05;
 
-/// Relative to the diagonal: far above rounding, far below what any block knows.
+/// Ridge relative to the diagonal: far above rounding, far below the information of any block.
 const RIDGE: f64 = 1e-9;
 
-/// Uncertainty per view; `None` for views that did not move, and for all where the data leave one undetermined.
+/// Uncertainty per view; `None` for views that did not move, and for all views where one of them is undetermined.
 pub(super) fn camera_uncertainties(
     problem: &Problem,
     state: &State,
@@ -76,7 +77,7 @@ pub(super) fn camera_uncertainties(
     uncertainties
 }
 
-/// Standard deviation of the difference of two cameras' delays; `reference`, `first`: where their unknowns begin.
+/// Standard deviation of the difference of two cameras' delays; `reference`, `first`: columns of their first unknowns.
 fn sigma_delay(border: &DMatrix<f64>, place: Option<usize>, reference: usize, first: usize) -> Option<f64> {
     let (a, b) = (first + place?, reference + place?);
     Some((border[(a, a)] + border[(b, b)] - 2.0 * border[(a, b)]).max(0.0).sqrt())
@@ -84,7 +85,7 @@ fn sigma_delay(border: &DMatrix<f64>, place: Option<usize>, reference: usize, fi
 
 /// Covariance of the border in the solver's own gauge. [border, border]
 ///
-/// `None` where the border is not determined, or not without one of the blocks.
+/// `None` where the border is undetermined, with all blocks or without one of them.
 fn border_covariance(problem: &Problem, state: &State, block_frames: usize) -> Option<DMatrix<f64>> {
     let basis = problem.gauge.basis(&problem.layout, state);
     let blocks = person_time_blocks(problem, block_frames);
@@ -112,15 +113,15 @@ fn border_covariance(problem: &Problem, state: &State, block_frames: usize) -> O
     let (n_blocks, n_unknowns) = (blocks.len() as f64, whole.nrows() as f64);
     jackknife *= (n_blocks - 1.0) / n_blocks;
     let inflation = whole.component_mul(&jackknife).sum() / n_unknowns;
-    let trust = n_blocks / (n_blocks + n_unknowns);
-    let covariance = jackknife * trust + inverse * (inflation * (1.0 - trust));
+    let jackknife_weight = n_blocks / (n_blocks + n_unknowns);
+    let covariance = jackknife * jackknife_weight + inverse * (inflation * (1.0 - jackknife_weight));
     Some(&basis.0 * covariance * basis.0.transpose())
 }
 
-/// How far the border moves when a block is left out, in one Newton step; `None` where the rest leaves it open.
+/// Movement of the border when a block is left out, in one Newton step; `None` where the rest does not determine it.
 ///
-/// Unknowns that hardly anything but the block informs (the bones of a person seen in no other) stay: without the block
-/// they may be anywhere, and nothing else depends on them.
+/// Unknowns that depend almost only on the block (the bones of a person seen in no other) do not move: without the block
+/// they are undetermined, and nothing else depends on them.
 fn shift_without(whole: &DMatrix<f64>, block: DMatrix<f64>, mut gradient: DVector<f64>) -> Option<DVector<f64>> {
     let mut rest = whole - block;
     for k in 0..rest.nrows() {
@@ -135,7 +136,7 @@ fn shift_without(whole: &DMatrix<f64>, block: DMatrix<f64>, mut gradient: DVecto
     Some(rest.cholesky()?.solve(&gradient))
 }
 
-/// Instants by person and block of consecutive frames; shorter blocks where there would be too few.
+/// Keyframes by person and block of consecutive frames; shorter blocks where there would be too few.
 fn person_time_blocks(problem: &Problem, block_frames: usize) -> Vec<Vec<usize>> {
     let frames = block_frames.min(problem.variables.len() / MIN_BLOCKS).max(1);
     let mut blocks: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
@@ -153,11 +154,11 @@ fn curvature_per_weight(problem: &Problem, state: &State) -> f64 {
         curvature += 0.5 * (robust.curvature + robust.weight);
         weight += robust.weight;
     }
-    // At the minimum the mean is positive; the floor keeps a hopeless fit from claiming certainty.
+    // At the minimum the mean is positive; the floor bounds the certainty of a bad fit.
     if weight > 0.0 { (curvature / weight).max(MIN_CURVATURE) } else { 1.0 }
 }
 
-/// Takes the best similarity off a joint increment of all cameras: `I - N (N^T D N)^-1 N^T D`. [6 cameras, 6 cameras]
+/// Projection that removes the best similarity from a joint increment of all cameras: `I - N (N^T D N)^-1 N^T D`. [6 cameras, 6 cameras]
 ///
 /// `N`: the seven directions of a similarity, `D`: the weights of centres (1) and orientations in the alignment.
 /// `None` for fewer than two cameras or coinciding centres.

@@ -1,23 +1,23 @@
-//! The seven freedoms that no image can tell, held exactly.
+//! The gauge: seven degrees of freedom that no observation fixes, held exactly.
 //!
 //! Columns are dropped instead of constraints added: the anchor camera loses all six, its partner the one along the
-//! baseline. The reduced system stays positive definite and needs no prior, and the full one remains at hand for the
-//! covariance. A step of the partner's centre leaves its sphere about the anchor by second order only; it is put back.
+//! baseline. The reduced system stays positive definite and needs no prior, and the full one remains available for the
+//! covariance. A step moves the partner's centre off its sphere about the anchor by second order only; it is moved back.
 
-use super::problem::{Camera, State};
+use super::state::{CameraState, State};
 use super::variables::{Layout, Variables};
 use crate::geometry::Rigid;
 use nalgebra::{DMatrix, DVector, Vector3};
 
-/// Who holds the gauge. Both are `None` where cameras are held, the partner where the anchor has no company.
+/// The cameras that fix the gauge. Both are `None` where cameras are held, the partner where there is one camera only.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Gauge {
-    /// Keeps its pose.
+    /// The view that keeps its pose.
     anchor: Option<usize>,
     partner: Option<Partner>,
 }
 
-/// Its centre keeps its distance from the anchor's.
+/// The view whose centre keeps its distance from that of the anchor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Partner {
     view: usize,
@@ -44,7 +44,7 @@ impl Basis {
     }
 }
 
-/// Unknowns that nothing depends on (a bone never seen whole) get a one on the diagonal and stay at rest.
+/// Unknowns that nothing depends on (a bone never seen whole) get a one on the diagonal and do not move.
 pub(super) fn hold_idle(hessian: &mut DMatrix<f64>) {
     for k in 0..hessian.nrows() {
         if hessian[(k, k)] == 0.0 {
@@ -54,9 +54,9 @@ pub(super) fn hold_idle(hessian: &mut DMatrix<f64>) {
 }
 
 impl Gauge {
-    /// The anchor shares most points with others; the partner most with the anchor, weighted by their distance, so
-    /// that it cannot stand in the same place.
-    pub(super) fn choose(layout: &Layout, variables: &[Variables], cameras: &[Option<Camera>]) -> Self {
+    /// The anchor is the view that shares most points with others; the partner the one that shares most with the anchor,
+    /// weighted by their distance, so that their centres do not coincide.
+    pub(super) fn choose(layout: &Layout, variables: &[Variables], cameras: &[Option<CameraState>]) -> Self {
         let shared = shared_points(variables, cameras.len());
         let moves = |&view: &usize| layout.camera_columns[view].is_some();
         // `max_by` keeps the last of equals; reversed, that is the first view.
@@ -109,8 +109,8 @@ impl Gauge {
         [first, first.cross(&baseline).normalize()]
     }
 
-    /// Puts the partner back at its distance.
-    pub(super) fn restore(&self, cameras: &mut [Option<Camera>]) {
+    /// Moves the partner back to its distance.
+    pub(super) fn restore(&self, cameras: &mut [Option<CameraState>]) {
         let (Some((anchor, pose)), Some(partner)) = (self.ends(cameras), self.partner) else { return };
         let direction = (pose.center() - anchor.center()).normalize();
         let center = anchor.center() + direction * partner.distance;
@@ -120,18 +120,18 @@ impl Gauge {
     }
 
     /// Poses of the anchor and its partner.
-    fn ends(&self, cameras: &[Option<Camera>]) -> Option<(Rigid, Rigid)> {
+    fn ends(&self, cameras: &[Option<CameraState>]) -> Option<(Rigid, Rigid)> {
         let pose = |view: usize| cameras[view].as_ref().map(|c| c.camera_from_world);
         Some((pose(self.anchor?)?, pose(self.partner?.view)?))
     }
 }
 
-/// How many points each pair of views sees in common; the diagonal is zero. [view, view]
+/// Number of points that each pair of views has in common; the diagonal is zero. [view, view]
 fn shared_points(variables: &[Variables], n_views: usize) -> DMatrix<f64> {
     let mut shared = DMatrix::zeros(n_views, n_views);
     for variables in variables {
         let mut views = vec![Vec::new(); variables.keypoints.len()];
-        variables.detections.iter().for_each(|s| views[s.slot].push(s.observation.view));
+        variables.observations.iter().for_each(|s| views[s.slot].push(s.observation.view));
         for views in views {
             for &a in &views {
                 views.iter().filter(|&&b| a != b).for_each(|&b| shared[(a, b)] += 1.0);

@@ -1,39 +1,20 @@
-//! The least-squares problem: linearisation of one instant and one damped step.
+//! The least-squares problem: linearisation of one keyframe and one damped step.
 
 use super::gauge::Gauge;
+use super::input::{AdjustmentConfig, AdjustmentInput};
+use super::state::{CameraState, State};
 use super::variables::{self, Layout, Variables};
-use super::{AdjustmentConfig, AdjustmentInput, Instant};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::optim::arrow::{self, Block, Column};
 use crate::optim::levenberg_marquardt::{LeastSquares, Trial};
 use crate::optim::robust::{geman_mcclure, geman_mcclure_ceiling, median};
+use crate::pipeline::keyframe::Keyframe;
 use crate::progress::Progress;
 use crate::residuals::{bone_length, reprojection};
 use nalgebra::{DMatrix, DVector, Vector3};
 use rayon::prelude::*;
 
-/// A camera as far as it is unknown.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Camera {
-    pub(super) intrinsics: Intrinsics,
-    pub(super) log_focal: f64,
-    /// Frames.
-    pub(super) delay: f64,
-    pub(super) camera_from_world: Rigid,
-}
-
-/// All unknowns.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct State {
-    /// `None` for views that take no part.
-    pub(super) cameras: Vec<Option<Camera>>,
-    /// [person, bone], flat.
-    pub(super) log_lengths: Vec<f64>,
-    /// [instant][slot]
-    pub(super) points: Vec<Vec<Vector3<f64>>>,
-}
-
-/// Shares of a local step that are tried when the whole one does harm.
+/// Shares of a local step that are tried where the whole step raises the cost.
 const SHORTENED: [f64; 3] = [0.5, 0.1, 0.0];
 
 /// The problem at one robust scale.
@@ -41,7 +22,7 @@ pub(super) struct Problem<'a> {
     pub(super) variables: Vec<Variables>,
     pub(super) layout: Layout,
     pub(super) gauge: Gauge,
-    /// In standard deviations; the only thing that changes between runs of the solver.
+    /// In standard deviations; the only value that changes between runs of the solver.
     pub(super) robust_scale: f64,
     intrinsics: &'a [Intrinsics],
     focal_sigma: f64,
@@ -49,7 +30,7 @@ pub(super) struct Problem<'a> {
     progress: &'a Progress,
 }
 
-/// Turns the input into a problem and its start.
+/// Builds the problem and its start from the input.
 pub(super) fn formulate<'a>(
     input: &AdjustmentInput<'a>,
     config: &AdjustmentConfig,
@@ -62,13 +43,13 @@ pub(super) fn formulate<'a>(
     let (layout, variables) = variables::choose(input, &mut placed);
     let camera = |(view, given): (usize, &Option<Rigid>)| {
         let camera_from_world = given.filter(|_| placed[view])?;
-        Some(Camera { intrinsics: input.intrinsics[view], log_focal: 0.0, delay: 0.0, camera_from_world })
+        Some(CameraState { intrinsics: input.intrinsics[view], log_focal: 0.0, delay: 0.0, camera_from_world })
     };
     let cameras: Vec<_> = input.cameras.iter().enumerate().map(camera).collect();
-    let start_of = |(instant, variables): (&Instant, &Variables)| {
-        variables.keypoints.iter().filter_map(|&k| instant.points[k]).collect::<Vec<_>>()
+    let start_of = |(keyframe, variables): (&Keyframe, &Variables)| {
+        variables.keypoints.iter().filter_map(|&k| keyframe.points[k]).collect::<Vec<_>>()
     };
-    let points: Vec<_> = input.instants.iter().zip(&variables).map(start_of).collect();
+    let points: Vec<_> = input.keyframes.iter().zip(&variables).map(start_of).collect();
     let log_lengths = median_log_lengths(&layout, &variables, &points);
     let gauge = Gauge::choose(&layout, &variables, &cameras);
     let problem = Problem {
@@ -84,7 +65,7 @@ pub(super) fn formulate<'a>(
     (problem, State { cameras, log_lengths, points })
 }
 
-/// Each bone's median length over its person's instants.
+/// Logarithm of each bone's median length over its person's keyframes.
 fn median_log_lengths(layout: &Layout, variables: &[Variables], points: &[Vec<Vector3<f64>>]) -> Vec<f64> {
     let mut samples = vec![Vec::new(); layout.n_border - layout.first_length];
     for (variables, points) in variables.iter().zip(points) {
@@ -103,37 +84,37 @@ impl LeastSquares for Problem<'_> {
 
     fn cost(&self, state: &State) -> f64 {
         let costs: Vec<f64> =
-            (0..self.variables.len()).into_par_iter().map(|i| self.instant_cost(i, state, &state.points[i])).collect();
+            (0..self.variables.len()).into_par_iter().map(|i| self.keyframe_cost(i, state, &state.points[i])).collect();
         costs.iter().sum::<f64>() + self.prior_cost(state)
     }
 
     fn step(&self, state: &State, damping: f64) -> Option<Trial<State>> {
-        let n_instants = self.variables.len();
+        let n_keyframes = self.variables.len();
         let linearize = |i: usize, block: &mut Block| self.linearize(i, state, block);
-        let mut reduced = arrow::reduce(n_instants, self.layout.n_border, damping, linearize);
+        let mut reduced = arrow::reduce(n_keyframes, self.layout.n_border, damping, linearize);
         reduced.hessian += self.prior_information();
         reduced.gradient += self.prior_gradient(state);
         let border_step = self.gauge.basis(&self.layout, state).solve(&reduced.hessian, &reduced.gradient)?;
         let mut moved = self.move_border(state, &border_step);
-        let instants = arrow::back_substitute(n_instants, damping, &border_step, linearize, |i, step| {
+        let keyframes = arrow::back_substitute(n_keyframes, damping, &border_step, linearize, |i, step| {
             self.move_points(i, state, &moved, step)
         });
-        let cost = instants.iter().map(|(_, cost)| cost).sum::<f64>() + self.prior_cost(&moved);
-        moved.points = instants.into_iter().map(|(points, _)| points).collect();
+        let cost = keyframes.iter().map(|(_, cost)| cost).sum::<f64>() + self.prior_cost(&moved);
+        moved.points = keyframes.into_iter().map(|(points, _)| points).collect();
         Some(Trial { state: moved, cost })
     }
 }
 
 impl Problem<'_> {
-    /// Normal equations of one instant at `state`.
+    /// Normal equations of one keyframe at `state`.
     pub(super) fn linearize(&self, i: usize, state: &State, block: &mut Block) {
         let (variables, points) = (&self.variables[i], &state.points[i]);
         block.reset(3 * variables.keypoints.len(), &variables.columns);
         if self.progress.check().is_err() {
-            return; // The solver looks at the flag before it looks at the step.
+            return; // The solver checks the flag before it uses the step.
         }
-        for detection in &variables.detections {
-            let (o, slot) = (&detection.observation, detection.slot);
+        for observed in &variables.observations {
+            let (o, slot) = (&observed.observation, observed.slot);
             let Some(camera) = &state.cameras[o.view] else { continue };
             let linear = reprojection::linearize(
                 &camera.intrinsics,
@@ -152,7 +133,7 @@ impl Problem<'_> {
                 index: 3 * slot + k,
                 derivative: linear.by_point.column(k).into_owned().into(),
             });
-            let first = detection.column.unwrap_or(0);
+            let first = observed.column.unwrap_or(0);
             let border: [Column<2>; 8] = std::array::from_fn(|k| Column {
                 index: first + k,
                 derivative: match k {
@@ -161,7 +142,7 @@ impl Problem<'_> {
                     _ => (o.velocity / o.sigma_px).into(),
                 },
             });
-            let n_border = detection.column.map_or(0, |_| self.layout.per_camera);
+            let n_border = observed.column.map_or(0, |_| self.layout.per_camera);
             block.add_residual(robust.weight, &linear.residual.into(), &local, &border[..n_border]);
         }
         for limb in &variables.limbs {
@@ -181,33 +162,32 @@ impl Problem<'_> {
         }
     }
 
-    /// The points of one instant after a step, with their cost: shortened where the whole step makes the instant worse.
-    ///
-    /// A few badly seen points would otherwise have the step of everything else rejected.
+    /// The points of one keyframe after a step, with their cost. The step is shortened where the whole one raises the
+    /// cost of the keyframe; otherwise a few badly observed points would cause the whole step to be rejected.
     fn move_points(&self, i: usize, before: &State, border: &State, step: &[f64]) -> (Vec<Vector3<f64>>, f64) {
         let by = |share: f64| {
             let moved = |(x, d): (&Vector3<f64>, &[f64])| x + Vector3::new(d[0], d[1], d[2]) * share;
             let points: Vec<_> = before.points[i].iter().zip(step.chunks_exact(3)).map(moved).collect();
-            let cost = self.instant_cost(i, border, &points);
+            let cost = self.keyframe_cost(i, border, &points);
             (points, cost)
         };
         let whole = by(1.0);
-        if whole.1 <= self.instant_cost(i, before, &before.points[i]) {
+        if whole.1 <= self.keyframe_cost(i, before, &before.points[i]) {
             return whole;
         }
         SHORTENED.iter().map(|&share| by(share)).fold(whole, |best, next| if best.1 <= next.1 { best } else { next })
     }
 
-    /// Cost of one instant with the border of `state` and these points.
-    fn instant_cost(&self, i: usize, state: &State, points: &[Vector3<f64>]) -> f64 {
+    /// Cost of one keyframe with the border of `state` and these points.
+    fn keyframe_cost(&self, i: usize, state: &State, points: &[Vector3<f64>]) -> f64 {
         let charge = |squared: Option<f64>| {
             squared.map_or(geman_mcclure_ceiling(self.robust_scale), |e2| geman_mcclure(e2, self.robust_scale).cost)
         };
         let variables = &self.variables[i];
-        let detections = variables.detections.iter().map(|detection| {
-            let o = &detection.observation;
+        let observations = variables.observations.iter().map(|observed| {
+            let o = &observed.observation;
             let residual = state.cameras[o.view].and_then(|camera| {
-                let point = &points[detection.slot];
+                let point = &points[observed.slot];
                 let pixel = o.pixel_without(camera.delay);
                 reprojection::residual(&camera.intrinsics, &camera.camera_from_world, point, &pixel, o.sigma_px)
             });
@@ -218,13 +198,13 @@ impl Problem<'_> {
             let linear = bone_length::linearize(a, b, state.log_lengths[limb.length], limb.sigma);
             charge(linear.map(|l| l.residual * l.residual))
         });
-        detections.sum::<f64>() + limbs.sum::<f64>()
+        observations.sum::<f64>() + limbs.sum::<f64>()
     }
 
-    /// What is expected of the cameras' further unknowns: each one's column, value and standard deviation about 0.
-    fn expectations<'s>(&'s self, state: &'s State) -> impl Iterator<Item = (usize, f64, f64)> + 's {
+    /// Priors of the cameras' further unknowns: column, value and standard deviation about 0.
+    fn priors<'s>(&'s self, state: &'s State) -> impl Iterator<Item = (usize, f64, f64)> + 's {
         state.cameras.iter().zip(&self.layout.camera_columns).flat_map(|(camera, first)| {
-            let of = |place: Option<usize>, value: fn(&Camera) -> f64, sigma: f64| {
+            let of = |place: Option<usize>, value: fn(&CameraState) -> f64, sigma: f64| {
                 Some(((*first)? + place?, value(camera.as_ref()?), sigma))
             };
             let focal = of(self.layout.focal, |c| c.log_focal, self.focal_sigma);
@@ -233,9 +213,9 @@ impl Problem<'_> {
         })
     }
 
-    /// Focal factors stay near 1, delays near 0: `(value / sigma)^2 / 2` each.
+    /// Cost of the priors, focal factors near 1 and delays near 0: `(value / sigma)^2 / 2` each.
     fn prior_cost(&self, state: &State) -> f64 {
-        self.expectations(state).map(|(_, value, sigma)| 0.5 * (value / sigma).powi(2)).sum()
+        self.priors(state).map(|(_, value, sigma)| 0.5 * (value / sigma).powi(2)).sum()
     }
 
     /// Hessian of [`Self::prior_cost`], the same at every state. [border, border]
@@ -251,22 +231,22 @@ impl Problem<'_> {
         information
     }
 
-    /// Where [`Self::prior_cost`] pulls: its Hessian is diagonal, its gradient that times the values.
+    /// Gradient of [`Self::prior_cost`]: its diagonal Hessian times the values.
     fn prior_gradient(&self, state: &State) -> DVector<f64> {
         let mut gradient = DVector::zeros(self.layout.n_border);
-        self.expectations(state).for_each(|(column, value, sigma)| gradient[column] = value * sigma.powi(-2));
+        self.priors(state).for_each(|(column, value, sigma)| gradient[column] = value * sigma.powi(-2));
         gradient
     }
 
-    /// Cameras and bone lengths after a step; the gauge is kept exactly. Points stay.
+    /// Cameras and bone lengths after a step, with the gauge restored exactly; without points.
     fn move_border(&self, state: &State, step: &DVector<f64>) -> State {
-        let move_camera = |(view, camera): (usize, &Option<Camera>)| {
+        let move_camera = |(view, camera): (usize, &Option<CameraState>)| {
             let (camera, Some(first)) = ((*camera)?, self.layout.camera_columns[view]) else { return *camera };
             let rho = Vector3::new(step[first], step[first + 1], step[first + 2]);
             let phi = Vector3::new(step[first + 3], step[first + 4], step[first + 5]);
             let moved_by = |place: Option<usize>| place.map_or(0.0, |place| step[first + place]);
             let log_focal = camera.log_focal + moved_by(self.layout.focal);
-            Some(Camera {
+            Some(CameraState {
                 delay: camera.delay + moved_by(self.layout.delay),
                 camera_from_world: camera.camera_from_world.perturbed_left(&rho, &phi),
                 log_focal,

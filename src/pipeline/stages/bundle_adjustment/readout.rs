@@ -1,13 +1,15 @@
-//! What is read off a state: misfits, fits per view, points and bone lengths.
+//! Results read from a state: misfits, fits per view, points and bone lengths.
 
-use super::problem::{Problem, State};
-use super::{Instant, ViewFit};
+use super::problem::Problem;
+use super::state::State;
 use crate::optim::robust::median;
+use crate::pipeline::calibration::ViewFit;
+use crate::pipeline::keyframe::Keyframe;
 use crate::session::reconstruction::ErrorSummary;
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 
-/// How far an observation lies from its reprojection; infinite where the point is behind the camera.
+/// Distance of an observation from its reprojection; infinite where the point is behind the camera.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Misfit {
     pub(super) view: usize,
@@ -16,13 +18,13 @@ pub(super) struct Misfit {
 }
 
 impl Problem<'_> {
-    /// Every observation against its reprojection.
+    /// Misfit of every observation.
     pub(super) fn misfits<'s>(&'s self, state: &'s State) -> impl Iterator<Item = Misfit> + 's {
         self.variables.iter().zip(&state.points).flat_map(move |(variables, points)| {
-            variables.detections.iter().filter_map(move |detection| {
-                let o = &detection.observation;
+            variables.observations.iter().filter_map(move |observed| {
+                let o = &observed.observation;
                 let camera = state.cameras[o.view].as_ref()?;
-                let point = camera.camera_from_world.transform(&points[detection.slot]);
+                let point = camera.camera_from_world.transform(&points[observed.slot]);
                 let predicted = camera.intrinsics.pixel_from_camera(&point);
                 let distance_px = predicted.map_or(f64::INFINITY, |p| (p - o.pixel_without(camera.delay)).norm());
                 Some(Misfit { view: o.view, distance_px, sigmas: distance_px / o.sigma_px })
@@ -30,7 +32,7 @@ impl Problem<'_> {
         })
     }
 
-    /// Reprojection per view.
+    /// Reprojection errors per view.
     pub(super) fn view_fits(&self, state: &State) -> Vec<ViewFit> {
         let mut fits = vec![ViewFit::default(); state.cameras.len()];
         let mut explained = vec![Vec::new(); state.cameras.len()];
@@ -48,9 +50,9 @@ impl Problem<'_> {
         fits
     }
 
-    /// Points in the input's shape; those that were not adjusted as given.
-    pub(super) fn points_by_keypoint(&self, instants: &[Instant], state: &State) -> Vec<Vec<Option<Vector3<f64>>>> {
-        let mut points: Vec<_> = instants.iter().map(|i| i.points.clone()).collect();
+    /// Points in the input's shape; points that were not adjusted keep their start.
+    pub(super) fn points_by_keypoint(&self, keyframes: &[Keyframe], state: &State) -> Vec<Vec<Option<Vector3<f64>>>> {
+        let mut points: Vec<_> = keyframes.iter().map(|k| k.points.clone()).collect();
         for ((points, variables), adjusted) in points.iter_mut().zip(&self.variables).zip(&state.points) {
             for (&keypoint, point) in variables.keypoints.iter().zip(adjusted) {
                 points[keypoint] = Some(*point);
@@ -59,7 +61,7 @@ impl Problem<'_> {
         points
     }
 
-    /// Lengths per person and bone.
+    /// Bone lengths per person and bone.
     pub(super) fn bone_lengths(&self, state: &State) -> BTreeMap<usize, Vec<Option<f64>>> {
         let n_bones = self.layout.n_bones;
         let mut lengths: BTreeMap<_, _> = self.layout.persons.iter().map(|&p| (p, vec![None; n_bones])).collect();

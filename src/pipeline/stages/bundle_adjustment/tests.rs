@@ -1,9 +1,11 @@
 //! Seeded synthetic truth: walking stick people in a ring of cameras.
 
+use super::input::Bone;
 use super::*;
-use crate::geometry::{Similarity, rotation};
-use crate::optim::robust::median;
-use nalgebra::Matrix3;
+use crate::geometry::{Intrinsics, Rigid, Similarity, rotation};
+use crate::pipeline::calibration::CameraFreedom;
+use crate::pipeline::keyframe::{Keyframe, Observation};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -26,10 +28,10 @@ const STICKS: [(usize, f64); 14] = [
     (13, 0.42),
 ];
 
-struct Scene {
+struct StickScene {
     intrinsics: Vec<Intrinsics>,
     cameras: Vec<Rigid>,
-    /// [instant][keypoint]
+    /// [keyframe][keypoint]
     points: Vec<Vec<Vector3<f64>>>,
     people_and_frames: Vec<(usize, usize)>,
     bones: Vec<Bone>,
@@ -81,7 +83,7 @@ fn stick_person(person: usize, frame: usize) -> Vec<Vector3<f64>> {
     points
 }
 
-fn scene(n_cameras: usize, n_people: usize, n_frames: usize) -> Scene {
+fn scene(n_cameras: usize, n_people: usize, n_frames: usize) -> StickScene {
     let lens = Intrinsics {
         width: 1920,
         height: 1080,
@@ -97,7 +99,7 @@ fn scene(n_cameras: usize, n_people: usize, n_frames: usize) -> Scene {
         look_at(Vector3::new(4.5 * angle.cos(), 1.8 + 0.3 * (v % 3) as f64, 4.5 * angle.sin()), Vector3::y())
     };
     let people_and_frames: Vec<_> = (0..n_people).flat_map(|p| (0..n_frames).map(move |f| (p, f))).collect();
-    Scene {
+    StickScene {
         intrinsics: vec![lens; n_cameras],
         cameras: (0..n_cameras).map(camera).collect(),
         points: people_and_frames.iter().map(|&(p, f)| stick_person(p, f)).collect(),
@@ -107,12 +109,12 @@ fn scene(n_cameras: usize, n_people: usize, n_frames: usize) -> Scene {
 }
 
 /// Noisy observations of the whole scene and points perturbed by `point_sigma` (m).
-fn observe(scene: &Scene, noise: Noise, point_sigma: f64, seed: u64) -> Vec<Instant> {
+fn observe(scene: &StickScene, noise: Noise, point_sigma: f64, seed: u64) -> Vec<Keyframe> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let n_views = scene.cameras.len();
     let mut drift = vec![Vector2::zeros(); n_views * (STICKS.len() + 1)];
     let innovation = (1.0 - noise.persistence * noise.persistence).sqrt();
-    let mut instants = Vec::new();
+    let mut keyframes = Vec::new();
     for (&(person, frame), truth) in scene.people_and_frames.iter().zip(&scene.points) {
         let mut observations = Vec::new();
         for view in 0..n_views {
@@ -137,9 +139,9 @@ fn observe(scene: &Scene, noise: Noise, point_sigma: f64, seed: u64) -> Vec<Inst
             }
         }
         let points = truth.iter().map(|x| Some(x + gauss3(&mut rng) * point_sigma)).collect();
-        instants.push(Instant { person, frame, points, observations });
+        keyframes.push(Keyframe { person, frame, points, observations });
     }
-    instants
+    keyframes
 }
 
 /// Cameras `angle_deg` and `position_m` off, in random directions.
@@ -154,11 +156,11 @@ fn perturbed(cameras: &[Rigid], angle_deg: f64, position_m: f64, seed: u64) -> V
     cameras.iter().map(&mut off).collect()
 }
 
-fn input(scene: &Scene, cameras: Vec<Option<Rigid>>, instants: Vec<Instant>) -> AdjustmentInput<'_> {
+fn input(scene: &StickScene, cameras: Vec<Option<Rigid>>, keyframes: Vec<Keyframe>) -> AdjustmentInput<'_> {
     AdjustmentInput {
         intrinsics: &scene.intrinsics,
         cameras,
-        instants,
+        keyframes,
         bones: &scene.bones,
         camera_freedom: CameraFreedom::Adjusted,
         refine_focal: false,
@@ -208,7 +210,7 @@ fn worst(errors: &[(f64, f64)]) -> (f64, f64) {
 }
 
 /// Median error of the points after the similarity that aligns the cameras' centres.
-fn point_error(adjusted: &Adjusted, scene: &Scene) -> f64 {
+fn point_error(adjusted: &Adjusted, scene: &StickScene) -> f64 {
     let source: Vec<_> = adjusted.cameras.iter().map(|c| c.camera_from_world.unwrap().center()).collect();
     let target: Vec<_> = scene.cameras.iter().map(Rigid::center).collect();
     let truth_from_found = similarity(&source, &target);
@@ -218,7 +220,7 @@ fn point_error(adjusted: &Adjusted, scene: &Scene) -> f64 {
 }
 
 #[test]
-fn recovers_the_cameras_from_a_rough_start_with_outliers_and_bones_sharpen_the_points() {
+fn recovers_cameras_from_a_rough_start_and_bones_help() {
     let scene = scene(5, 2, 60);
     let mut point_errors = Vec::new();
     for bones in [&[][..], &scene.bones] {
@@ -236,7 +238,7 @@ fn recovers_the_cameras_from_a_rough_start_with_outliers_and_bones_sharpen_the_p
 }
 
 #[test]
-fn the_cameras_uncertainty_covers_their_error_under_drifting_noise() {
+fn uncertainty_covers_the_error_under_correlated_noise() {
     let scene = scene(4, 2, 300);
     let noise = Noise { persistence: 0.9, ..NOISE };
     let (mut squared_error, mut variance, mut n_within, mut n) = ([0.0; 2], [0.0; 2], 0, 0);
@@ -256,21 +258,21 @@ fn the_cameras_uncertainty_covers_their_error_under_drifting_noise() {
     }
     // 16 runs of some six independent freedoms fix the ratio to about 20 %; blocks of one frame give 8.
     for (e, v) in squared_error.iter().zip(variance) {
-        assert!((0.6..1.6).contains(&(e / v)), "squared errors are {} of what was promised", e / v);
+        assert!((0.6..1.6).contains(&(e / v)), "squared errors are {} of the stated variance", e / v);
     }
     assert!(n_within as f64 >= 0.88 * n as f64, "{n_within} of {n} within two sigma");
 }
 
 #[test]
-fn an_unplaced_camera_and_points_without_evidence_are_left_alone() {
+fn unplaced_cameras_and_unobserved_points_do_not_change() {
     let scene = scene(5, 1, 30);
     let mut start = perturbed(&scene.cameras, 1.0, 0.05, 3);
     start[2] = None;
-    let mut instants = observe(&scene, NOISE, 0.05, 3);
+    let mut keyframes = observe(&scene, NOISE, 0.05, 3);
     let nowhere = Some(Vector3::new(7.0, 7.0, 7.0));
-    instants[0].points[4] = nowhere;
-    instants[0].observations.retain(|o| o.keypoint != 4);
-    instants[1].points[5] = None;
+    keyframes[0].points[4] = nowhere;
+    keyframes[0].observations.retain(|o| o.keypoint != 4);
+    keyframes[1].points[5] = None;
     let broken = Observation {
         keypoint: 99,
         view: 77,
@@ -278,8 +280,8 @@ fn an_unplaced_camera_and_points_without_evidence_are_left_alone() {
         sigma_px: 0.0,
         velocity: Vector2::zeros(),
     };
-    instants[2].observations.push(broken);
-    let (adjusted, _) = solve(&input(&scene, start, instants));
+    keyframes[2].observations.push(broken);
+    let (adjusted, _) = solve(&input(&scene, start, keyframes));
     assert_eq!(adjusted.cameras[2].camera_from_world, None);
     assert_eq!((adjusted.points[0][4], adjusted.points[1][5]), (nowhere, None));
     let truth: Vec<Rigid> = (0..5).filter(|&v| v != 2).map(|v| scene.cameras[v]).collect();
@@ -300,7 +302,7 @@ fn one_and_two_threads_give_the_same_bits() {
 }
 
 #[test]
-fn the_gauge_is_kept_one_pose_and_one_distance() {
+fn gauge_keeps_one_pose_and_one_distance() {
     let scene = scene(4, 1, 40);
     let start = perturbed(&scene.cameras, 3.0, 0.2, 5);
     let (adjusted, _) = solve(&input(&scene, start.clone(), observe(&scene, NOISE, 0.1, 5)));
@@ -314,11 +316,11 @@ fn the_gauge_is_kept_one_pose_and_one_distance() {
 }
 
 #[test]
-fn held_cameras_stay_and_their_points_settle() {
+fn held_cameras_stay_and_points_converge() {
     let scene = scene(4, 1, 30);
     let truth: Vec<_> = scene.cameras.iter().copied().map(Some).collect();
-    let instants = observe(&scene, NOISE, 0.3, 9);
-    let held = AdjustmentInput { camera_freedom: CameraFreedom::Held, ..input(&scene, truth.clone(), instants) };
+    let keyframes = observe(&scene, NOISE, 0.3, 9);
+    let held = AdjustmentInput { camera_freedom: CameraFreedom::Held, ..input(&scene, truth.clone(), keyframes) };
     let (adjusted, _) = solve(&held);
     assert_eq!(poses(&adjusted), truth);
     assert!(adjusted.cameras.iter().all(|c| c.uncertainty.is_none()));
@@ -326,13 +328,13 @@ fn held_cameras_stay_and_their_points_settle() {
 }
 
 #[test]
-fn a_wrong_focal_length_is_found() {
+fn finds_a_wrong_focal_length() {
     let mut scene = scene(5, 2, 60);
-    let instants = observe(&scene, NOISE, 0.05, 4);
+    let keyframes = observe(&scene, NOISE, 0.05, 4);
     scene.intrinsics[1].fx /= 1.06;
     scene.intrinsics[1].fy /= 1.06;
     let start = perturbed(&scene.cameras, 0.5, 0.03, 4);
-    let (adjusted, _) = solve(&AdjustmentInput { refine_focal: true, ..input(&scene, start, instants) });
+    let (adjusted, _) = solve(&AdjustmentInput { refine_focal: true, ..input(&scene, start, keyframes) });
     let factors: Vec<f64> = adjusted.cameras.iter().map(|c| c.focal_factor).collect();
     let others = (factors.iter().sum::<f64>() - factors[1]) / 4.0;
     // Focal length trades against distance: 1300 points a camera leave some 0.7 %.
@@ -340,17 +342,17 @@ fn a_wrong_focal_length_is_found() {
 }
 
 #[test]
-fn late_cameras_are_told_by_moving_points() {
+fn finds_delays_from_moving_points() {
     let scene = scene(4, 2, 60);
     let delays = [0.5, -0.4, 0.0, 0.8];
     let mut rng = ChaCha8Rng::seed_from_u64(8);
-    let mut instants = observe(&scene, NOISE, 0.05, 8);
-    for o in instants.iter_mut().flat_map(|instant| &mut instant.observations) {
+    let mut keyframes = observe(&scene, NOISE, 0.05, 8);
+    for o in keyframes.iter_mut().flat_map(|keyframe| &mut keyframe.observations) {
         o.velocity = Vector2::new(gauss(&mut rng), gauss(&mut rng)) * 8.0;
         o.pixel += o.velocity * delays[o.view];
     }
     let start = perturbed(&scene.cameras, 1.0, 0.05, 8);
-    let (adjusted, _) = solve(&AdjustmentInput { refine_delays: true, ..input(&scene, start, instants) });
+    let (adjusted, _) = solve(&AdjustmentInput { refine_delays: true, ..input(&scene, start, keyframes) });
     for (v, camera) in adjusted.cameras.iter().enumerate() {
         let found = camera.delay - adjusted.cameras[0].delay;
         let sigma = camera.uncertainty.unwrap().sigma_delay.unwrap();
@@ -362,7 +364,7 @@ fn late_cameras_are_told_by_moving_points() {
 }
 
 #[test]
-fn nothing_to_adjust_and_a_canceled_job_end_quietly() {
+fn empty_input_and_cancellation_end_cleanly() {
     let scene = scene(3, 1, 5);
     let start: Vec<_> = scene.cameras.iter().copied().map(Some).collect();
     let (adjusted, _) = solve(&input(&scene, start.clone(), Vec::new()));

@@ -1,29 +1,31 @@
-//! What is unknown: which points of each instant have enough evidence, and where everything stands in the system.
+//! The unknowns: which points of each keyframe have enough observations, and the columns of all unknowns in the system.
 
-use super::{AdjustmentInput, Bone, CameraFreedom, Instant, Observation};
+use super::input::{AdjustmentInput, Bone};
 use crate::optim::arrow::elimination_order;
+use crate::pipeline::calibration::CameraFreedom;
+use crate::pipeline::keyframe::{Keyframe, Observation};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// A camera seen by fewer points than this cannot move by its own evidence: six unknowns, and some to spare.
-const MIN_SIGHTINGS: usize = 8;
+/// Smallest number of observations of a camera that is adjusted: six unknowns, and some to spare.
+const MIN_OBSERVATIONS: usize = 8;
 
-/// One instant, ready for the solver.
+/// One keyframe, ready for the solver.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Variables {
-    /// Index into the input's instants' persons, dense.
+    /// Dense index of the person.
     pub(super) person: usize,
     pub(super) frame: usize,
     /// Keypoints that are unknown, in order of elimination; a slot is a position in this list.
     pub(super) keypoints: Vec<usize>,
-    pub(super) detections: Vec<NormalizedDetection>,
+    pub(super) observations: Vec<SlotObservation>,
     pub(super) limbs: Vec<Limb>,
-    /// Border unknowns that the instant touches.
+    /// Border unknowns that the keyframe depends on.
     pub(super) columns: Vec<usize>,
 }
 
 /// An observation of an unknown point.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct NormalizedDetection {
+pub(super) struct SlotObservation {
     pub(super) slot: usize,
     pub(super) observation: Observation,
     /// Where the camera's unknowns begin in [`Variables::columns`]; `None` for a held camera.
@@ -42,34 +44,34 @@ pub(super) struct Limb {
     pub(super) column: usize,
 }
 
-/// Where the border's unknowns stand: `[6 to 8 per moving camera | bone lengths by person]`.
+/// Columns of the border's unknowns: `[6 to 8 per moving camera | bone lengths by person]`.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Layout {
     /// First unknown of each moving camera.
     pub(super) camera_columns: Vec<Option<usize>>,
-    /// 6 for the pose, 1 more for each of the next two.
+    /// 6 for the pose, and 1 for each of the next two that is present.
     pub(super) per_camera: usize,
-    /// Place of the focal factor's logarithm among a camera's unknowns, where it is one.
+    /// Index of the focal factor's logarithm among a camera's unknowns; `None` where it is fixed.
     pub(super) focal: Option<usize>,
-    /// Place of the delay.
+    /// Index of the delay.
     pub(super) delay: Option<usize>,
-    /// First bone length.
+    /// Column of the first bone length.
     pub(super) first_length: usize,
-    /// The persons, in the order of their lengths.
+    /// The persons in the order of their bone lengths.
     pub(super) persons: Vec<usize>,
     pub(super) n_bones: usize,
     pub(super) n_border: usize,
 }
 
-/// Sorts out what can be adjusted. Views that cannot be used are cleared from `placed`.
+/// Chooses the unknowns that can be adjusted. Clears views that cannot be used from `placed`.
 pub(super) fn choose(input: &AdjustmentInput, placed: &mut [bool]) -> (Layout, Vec<Variables>) {
     let bones: Vec<Bone> =
         input.bones.iter().copied().filter(|b| b.a != b.b && b.sigma > 0.0 && b.sigma.is_finite()).collect();
-    let n_keypoints = input.instants.iter().map(|i| i.points.len()).max().unwrap_or(0);
+    let n_keypoints = input.keyframes.iter().map(|i| i.points.len()).max().unwrap_or(0);
     let order = elimination_order(n_keypoints, bones.iter().map(|b| (b.a, b.b)));
     let mut supported = supported_keypoints(input, &bones, placed);
     if input.camera_freedom == CameraFreedom::Adjusted {
-        // Without a camera some points lose their support, and without these perhaps another camera.
+        // Without a camera some points lose their support, and without these another camera may.
         while drop_weak_views(input, &supported, placed) {
             supported = supported_keypoints(input, &bones, placed);
         }
@@ -77,22 +79,22 @@ pub(super) fn choose(input: &AdjustmentInput, placed: &mut [bool]) -> (Layout, V
     let layout = layout(input, &bones, placed);
     let dense: BTreeMap<usize, usize> = layout.persons.iter().enumerate().map(|(i, &p)| (p, i)).collect();
     let variables = input
-        .instants
+        .keyframes
         .iter()
         .zip(&supported)
-        .map(|(instant, supported)| {
+        .map(|(keyframe, supported)| {
             let keypoints = order.iter().copied().filter(|k| supported.contains(k)).collect();
-            variables(instant, dense[&instant.person], keypoints, &bones, placed, &layout)
+            variables(keyframe, dense[&keyframe.person], keypoints, &bones, placed, &layout)
         })
         .collect();
     (layout, variables)
 }
 
-/// The observations of an instant that say something: of a placed view, of a point with a start, finite.
-fn usable<'a>(instant: &'a Instant, placed: &'a [bool]) -> impl Iterator<Item = &'a Observation> {
-    instant.observations.iter().filter(|o| {
+/// The valid observations of a keyframe: of a placed view, of a point with a start, finite.
+fn usable<'a>(keyframe: &'a Keyframe, placed: &'a [bool]) -> impl Iterator<Item = &'a Observation> {
+    keyframe.observations.iter().filter(|o| {
         let has_start =
-            instant.points.get(o.keypoint).is_some_and(|p| p.is_some_and(|p| p.iter().all(|x| x.is_finite())));
+            keyframe.points.get(o.keypoint).is_some_and(|p| p.is_some_and(|p| p.iter().all(|x| x.is_finite())));
         let is_seen = placed.get(o.view) == Some(&true);
         let is_sound =
             o.pixel.iter().chain(&o.velocity).all(|x| x.is_finite()) && o.sigma_px > 0.0 && o.sigma_px.is_finite();
@@ -100,13 +102,13 @@ fn usable<'a>(instant: &'a Instant, placed: &'a [bool]) -> impl Iterator<Item = 
     })
 }
 
-/// Per instant: the points seen by two views, and those seen by one and held by a bone to a supported one.
+/// Per keyframe: the points seen by two views, and those seen by one and held by a bone to a supported one.
 ///
 /// Anything less would leave a direction free, and the point anywhere along it.
 fn supported_keypoints(input: &AdjustmentInput, bones: &[Bone], placed: &[bool]) -> Vec<BTreeSet<usize>> {
-    let of_instant = |instant: &Instant| {
+    let of_keyframe = |keyframe: &Keyframe| {
         let mut views: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
-        usable(instant, placed).for_each(|o| {
+        usable(keyframe, placed).for_each(|o| {
             views.entry(o.keypoint).or_default().insert(o.view);
         });
         let mut supported: BTreeSet<usize> = views.iter().filter(|(_, v)| v.len() >= 2).map(|(&k, _)| k).collect();
@@ -123,16 +125,16 @@ fn supported_keypoints(input: &AdjustmentInput, bones: &[Bone], placed: &[bool])
             };
         }
     };
-    input.instants.iter().map(of_instant).collect()
+    input.keyframes.iter().map(of_keyframe).collect()
 }
 
-/// Clears the views that see too few supported points; whether there were any.
+/// Clears the views with too few observations of supported points; returns whether there were any.
 fn drop_weak_views(input: &AdjustmentInput, supported: &[BTreeSet<usize>], placed: &mut [bool]) -> bool {
     let mut counts = vec![0; placed.len()];
-    for (instant, supported) in input.instants.iter().zip(supported) {
-        usable(instant, placed).filter(|o| supported.contains(&o.keypoint)).for_each(|o| counts[o.view] += 1);
+    for (keyframe, supported) in input.keyframes.iter().zip(supported) {
+        usable(keyframe, placed).filter(|o| supported.contains(&o.keypoint)).for_each(|o| counts[o.view] += 1);
     }
-    let weak: Vec<usize> = (0..placed.len()).filter(|&v| placed[v] && counts[v] < MIN_SIGHTINGS).collect();
+    let weak: Vec<usize> = (0..placed.len()).filter(|&v| placed[v] && counts[v] < MIN_OBSERVATIONS).collect();
     weak.iter().for_each(|&v| placed[v] = false);
     !weak.is_empty()
 }
@@ -149,13 +151,13 @@ fn layout(input: &AdjustmentInput, bones: &[Bone], placed: &[bool]) -> Layout {
         })
     };
     let camera_columns = placed.iter().map(&mut column_of).collect();
-    let persons: Vec<usize> = input.instants.iter().map(|i| i.person).collect::<BTreeSet<_>>().into_iter().collect();
+    let persons: Vec<usize> = input.keyframes.iter().map(|i| i.person).collect::<BTreeSet<_>>().into_iter().collect();
     let n_border = first_length + persons.len() * bones.len();
     Layout { camera_columns, per_camera, focal, delay, first_length, persons, n_bones: bones.len(), n_border }
 }
 
 fn variables(
-    instant: &Instant,
+    keyframe: &Keyframe,
     person: usize,
     keypoints: Vec<usize>,
     bones: &[Bone],
@@ -164,17 +166,17 @@ fn variables(
 ) -> Variables {
     let slot_of = |keypoint: usize| keypoints.iter().position(|&k| k == keypoint);
     let mut columns = Vec::new();
-    let mut place_of_view = vec![None; layout.camera_columns.len()];
-    let mut detections = Vec::new();
-    for &observation in usable(instant, placed) {
+    let mut column_of_view = vec![None; layout.camera_columns.len()];
+    let mut observations = Vec::new();
+    for &observation in usable(keyframe, placed) {
         let Some(slot) = slot_of(observation.keypoint) else { continue };
         let column = layout.camera_columns[observation.view].map(|first| {
-            *place_of_view[observation.view].get_or_insert_with(|| {
+            *column_of_view[observation.view].get_or_insert_with(|| {
                 columns.extend(first..first + layout.per_camera);
                 columns.len() - layout.per_camera
             })
         });
-        detections.push(NormalizedDetection { slot, observation, column });
+        observations.push(SlotObservation { slot, observation, column });
     }
     let mut limbs = Vec::new();
     for (index, bone) in bones.iter().enumerate() {
@@ -183,5 +185,5 @@ fn variables(
         limbs.push(Limb { slot_a, slot_b, sigma: bone.sigma, length, column: columns.len() });
         columns.push(layout.first_length + length);
     }
-    Variables { person, frame: instant.frame, keypoints, detections, limbs, columns }
+    Variables { person, frame: keyframe.frame, keypoints, observations, limbs, columns }
 }

@@ -1,4 +1,4 @@
-//! First extrinsics from people seen in common: nothing is known but the intrinsics.
+//! Camera initialisation: first extrinsics from people seen in common; only the intrinsics are known.
 
 use crate::body::bones::LimbBone;
 use crate::matching::normalized::NormalizedView;
@@ -13,11 +13,11 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// Frames that every hypothesis is judged on: people's places and poses differ over two seconds, so 60 frames of a longer
-/// take are nearly independent evidence; more cost time and change no ranking.
+/// Number of frames on which every hypothesis is scored: places and poses of people change within two seconds, so 60 frames
+/// of a longer recording are nearly independent; more cost time and do not change the ranking.
 const N_JUDGED_FRAMES: usize = 60;
 
-/// Proposes camera arrangements, best first; each places at least two cameras.
+/// Proposes arrangements of the cameras, best first; each places at least two cameras.
 ///
 /// # Errors
 /// [`Canceled`].
@@ -48,13 +48,13 @@ pub fn initial_rigs(
         graph.hypotheses.insert(pair, hypotheses);
         graph.evidence.insert(pair, evidence);
     }
-    progress.report(0.7, "pairs of cameras compared");
+    progress.report(0.9, "assembling arrangements of the cameras");
     let rigs = assemble(&graph);
     let report = report(&graph, &rigs);
     Ok((rigs, report))
 }
 
-/// Well-spread frames in which at least two cameras see somebody, one drawn from each equal stretch of time.
+/// Frames in which at least two cameras have detections, one drawn from each equal stretch of time.
 fn judged_frames(views: &[NormalizedView], seed: u64) -> Vec<usize> {
     let n_frames = views.first().map_or(0, |v| v.frames.len());
     let useful: Vec<usize> =

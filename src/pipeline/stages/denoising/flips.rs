@@ -1,14 +1,14 @@
-//! Left and right exchanged: the whole body, the legs or the arms of one detection.
+//! Flips: left and right exchanged in the whole body, the legs or the arms of one detection.
 
-use super::Ground;
+use crate::body::detector_noise::DetectorNoise;
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::projection::NormalizedProjection;
 use crate::matching::consistency::{Seen, physics_affinity};
 use crate::session::Keypoint;
 
-/// One way of reading a detection.
+/// A permutation of keypoints.
 pub(super) struct Flip {
-    /// For every keypoint of the body the detection's keypoint that shows it.
+    /// For every keypoint of the body the index of the detection's keypoint that shows it.
     pub order: Vec<usize>,
 }
 
@@ -16,11 +16,11 @@ pub(super) struct Flip {
 const LEGS: [&str; 6] = ["hip", "knee", "ankle", "toe", "heel", "foot_index"];
 const ARMS: [&str; 7] = ["shoulder", "elbow", "wrist", "thumb", "pinky", "index", "hand"];
 
-/// A flip must raise the agreement by this much: a third of what a clean detection has over a stranger. Someone seen from
-/// the side fits nearly as well both ways round, and is better left alone.
+/// Smallest rise of the agreement for a flip: a third of the difference between the right person and another one. A person
+/// seen from the side fits both ways almost equally well and is not flipped.
 const MIN_RISE: f64 = 0.12;
 
-/// As it is, all flipped, legs flipped, arms flipped.
+/// All candidates: unchanged, whole body, legs, arms.
 pub(super) fn flips(convention: KeypointConvention) -> Vec<Flip> {
     let names = convention.names();
     let twin = |k: usize| {
@@ -38,7 +38,7 @@ pub(super) fn flips(convention: KeypointConvention) -> Vec<Flip> {
 }
 
 impl Flip {
-    /// Puts a detection's keypoints where they belong.
+    /// Permutes the keypoints of a detection.
     pub(super) fn apply(&self, keypoints: &mut [Keypoint]) {
         let before = keypoints.to_vec();
         for (k, &from) in self.order.iter().enumerate() {
@@ -47,15 +47,19 @@ impl Flip {
     }
 }
 
-/// Index of the way round that agrees with the person's expected points; 0 where none is clearly better than as it is.
-pub(super) fn best(ground: &Ground, seen: &Seen, expected: &[Option<NormalizedProjection>]) -> usize {
-    let agreement = |flip: &Flip| {
-        physics_affinity(seen, expected, ground.input.noise, &flip.order).map_or(0.0, |agreement| agreement.affinity)
-    };
-    let as_it_is = agreement(&ground.flips[0]);
-    let others = ground.flips.iter().enumerate().skip(1).map(|(i, flip)| (agreement(flip), i));
+/// Index of the flip that agrees best with the person's expected points; 0 where none is clearly better than no flip.
+pub(super) fn best(
+    flips: &[Flip],
+    noise: &DetectorNoise,
+    seen: &Seen,
+    expected: &[Option<NormalizedProjection>],
+) -> usize {
+    let agreement =
+        |flip: &Flip| physics_affinity(seen, expected, noise, &flip.order).map_or(0.0, |agreement| agreement.affinity);
+    let unchanged = agreement(&flips[0]);
+    let others = flips.iter().enumerate().skip(1).map(|(i, flip)| (agreement(flip), i));
     match others.max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1))) {
-        Some((flipped, i)) if flipped > as_it_is + MIN_RISE => i,
+        Some((flipped, i)) if flipped > unchanged + MIN_RISE => i,
         _ => 0,
     }
 }
@@ -66,7 +70,7 @@ mod tests {
     use nalgebra::Vector2;
 
     #[test]
-    fn a_flip_undoes_itself_and_moves_its_part_alone() {
+    fn a_flip_is_its_own_inverse_and_moves_only_its_part() {
         let convention = KeypointConvention::Body25;
         let names = convention.names();
         let keypoint = |k: usize| Keypoint { pixel: Vector2::new(k as f64, 0.0), confidence: 1.0 };

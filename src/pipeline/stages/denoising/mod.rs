@@ -1,161 +1,90 @@
-//! Stage 3: physics-geometry consistency. Detections that contradict everything else seen are given to somebody else,
-//! turned the right way round, or lose the joints that are wrong.
+//! Repair of detections by physics-geometry consistency: detections that contradict all others are assigned to another
+//! person, flipped left to right, or lose the keypoints that are wrong.
 //!
-//! A person's expected place is their smooth path over the whole take (from all views, past and future), so that an
-//! identity is judged by all time at once and not by the frame before. Frames in which that leaves a choice are solved
-//! as one cycle-consistent matching of all detections and all people ([`crate::matching::convex`]).
+//! The expected pose of a person is the smooth trajectory over the whole recording (all views, past and future), so that an
+//! identity is judged on all frames at once and not by the previous frame. Ambiguous frames are solved as one
+//! cycle-consistent matching of all detections and all persons ([`crate::matching::convex`]).
 
+pub mod context;
 mod flips;
+mod frame_view;
 mod identity;
 mod joints;
-mod scene;
-mod told;
+mod report;
 
-use crate::body::detector_noise::DetectorNoise;
-use crate::geometry::Rigid;
-use crate::matching::normalized::NormalizedView;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{ConsistencyReport, StageReport};
-use crate::session::{JointTrajectory, PersonTrack, Session};
-use flips::{Flip, flips};
+use crate::session::{PersonTrack, Session};
+use context::{Context, DenoisingInput, DetectionIndex, FrameRepairs, Repair};
+use frame_view::FrameView;
 use identity::FrameIdentities;
 use rayon::prelude::*;
-use scene::Scene;
-use std::collections::BTreeMap;
 
-/// What the stage reads.
-#[derive(Clone, Copy)]
-pub struct DenoisingInput<'a> {
-    /// The detections as they came.
-    pub session: &'a Session,
-    /// The same as rays.
-    pub views: &'a [NormalizedView],
-    /// `camera_from_world`, metres as far as bones tell.
-    pub cameras: &'a [Option<Rigid>],
-    /// Who is who so far.
-    pub tracks: &'a [PersonTrack],
-    /// Everybody's smooth path, in the order of the tracks.
-    pub paths: &'a [JointTrajectory],
-    /// How far the detector errs.
-    pub noise: &'a DetectorNoise,
-}
-
-/// What the stage leaves.
+/// Result of the stage.
 pub struct Denoised {
-    /// The detections, cleaned: same frames, same order, nothing moved but keypoints of flipped parts, nothing lost but
-    /// the confidence of rejected joints.
+    /// The repaired detections: same frames and order. Only keypoints of flipped parts move, and only rejected keypoints
+    /// lose their confidence.
     pub session: Session,
-    /// Who is who.
+    /// The association after the repair.
     pub tracks: Vec<PersonTrack>,
-    /// What was done.
-    pub told: ConsistencyReport,
-    /// Figures.
-    pub report: StageReport,
+    /// Repairs per camera and person.
+    pub report: ConsistencyReport,
+    /// Statistics of the stage.
+    pub stage_report: StageReport,
 }
 
-/// Cleans the detections and repairs who is who. The same input gives the same bytes whatever the thread count.
+/// Repairs the detections and the association. The same input gives the same bytes whatever the number of threads.
 ///
 /// # Errors
 /// [`Canceled`].
 pub fn denoise(input: DenoisingInput, progress: &Progress) -> Result<Denoised, Canceled> {
-    let ground = Ground { input, flips: flips(input.session.convention) };
+    let context = Context::new(input);
     let frames = (0..input.session.n_frames).into_par_iter();
-    let solved: Vec<SolvedFrame> = frames
+    let solved: Vec<FrameRepairs> = frames
         .map(|frame| {
             if frame % 64 == 0 {
                 progress.check()?;
             }
-            Ok(ground.solved(&Scene::at(&input, frame)))
+            Ok(repaired_frame(&context, &FrameView::new(&input, frame)))
         })
         .collect::<Result<_, Canceled>>()?;
     let mut session = input.session.clone();
-    let mut tracks: Vec<PersonTrack> = input.tracks.iter().map(unclaimed).collect();
-    for deed in solved.iter().flat_map(|frame| &frame.deeds) {
-        let Place { view, frame, detection } = deed.at;
-        let track = &mut tracks[deed.track];
+    let mut tracks: Vec<PersonTrack> = input.tracks.iter().map(without_detections).collect();
+    for repair in solved.iter().flat_map(|frame| &frame.repairs) {
+        let DetectionIndex { view, frame, detection } = repair.at;
+        let track = &mut tracks[repair.track];
         track.detections[frame - track.first.0][view] = Some(detection);
         let keypoints = &mut session.views[view].frames[frame][detection].keypoints;
-        ground.flips[deed.flip].apply(keypoints);
-        deed.rejected.iter().for_each(|&k| keypoints[k].confidence = 0.0);
+        context.flips[repair.flip].apply(keypoints);
+        repair.rejected.iter().for_each(|&k| keypoints[k].confidence = 0.0);
     }
-    let told = told::told(&input, &tracks, &solved);
-    let report = stage_report(&told, &solved);
-    Ok(Denoised { session, tracks, told, report })
+    let report = report::consistency_report(&input, &tracks, &solved);
+    let stage_report = report::stage_report(&report, &solved);
+    Ok(Denoised { session, tracks, report, stage_report })
 }
 
-/// The same people at the same time, without what was given to them.
-fn unclaimed(track: &PersonTrack) -> PersonTrack {
+/// The same person and frames without detections.
+fn without_detections(track: &PersonTrack) -> PersonTrack {
     let nothing = |of_frame: &Vec<_>| vec![None; of_frame.len()];
     PersonTrack { detections: track.detections.iter().map(nothing).collect(), ..track.clone() }
 }
 
-/// One frame, solved.
-struct SolvedFrame {
-    deeds: Vec<Deed>,
-    is_ambiguous: bool,
-}
-
-/// A detection given to a person, and what was done to it.
-struct Deed {
-    /// Index of the track.
-    track: usize,
-    at: Place,
-    /// Index of the way round.
-    flip: usize,
-    /// Keypoints, after the flip.
-    rejected: Vec<usize>,
-}
-
-/// A detection's place in the session.
-#[derive(Debug, Clone, Copy)]
-struct Place {
-    view: usize,
-    frame: usize,
-    detection: usize,
-}
-
-/// What every step reads.
-struct Ground<'a> {
-    input: DenoisingInput<'a>,
-    /// The first leaves everything as it is.
-    flips: Vec<Flip>,
-}
-
-impl Ground<'_> {
-    /// Gives a frame's detections to people and mends them.
-    fn solved(&self, scene: &Scene) -> SolvedFrame {
-        let FrameIdentities { claims, is_ambiguous } = identity::identities(self, scene);
-        let mut deeds = Vec::new();
-        for (person, claim) in claims.iter().enumerate() {
-            for (view, detection) in claim.iter().enumerate().filter_map(|(v, d)| d.map(|d| (v, d))) {
-                let at = Place { view, frame: scene.frame, detection };
-                let track = scene.present[person];
-                let (seen, expected) = (scene.seen(at), &scene.views[view].expected[person]);
-                let path = &self.input.paths[track];
-                let flip = flips::best(self, seen, expected);
-                let rejected = joints::rejected(self, seen, expected, &path.n_views[scene.frame - path.first.0], flip);
-                deeds.push(Deed { track, at, flip, rejected });
-            }
+/// Assigns a frame's detections to persons and repairs them.
+fn repaired_frame(context: &Context, frame: &FrameView) -> FrameRepairs {
+    let FrameIdentities { claims, is_ambiguous } = identity::identities(context, frame);
+    let mut repairs = Vec::new();
+    for (person, claim) in claims.iter().enumerate() {
+        for (view, detection) in claim.iter().enumerate().filter_map(|(v, d)| d.map(|d| (v, d))) {
+            let at = DetectionIndex { view, frame: frame.frame, detection };
+            let track = frame.present[person];
+            let (seen, expected) = (frame.seen(at), &frame.views[view].expected[person]);
+            let trajectory = &context.input.trajectories[track];
+            let n_views = &trajectory.n_views[frame.frame - trajectory.first.0];
+            let flip = flips::best(&context.flips, context.input.noise, seen, expected);
+            let order = &context.flips[flip].order;
+            let rejected = joints::rejected(context.input.noise, seen, expected, n_views, order);
+            repairs.push(Repair { track, at, flip, rejected });
         }
-        SolvedFrame { deeds, is_ambiguous }
     }
-}
-
-fn stage_report(told: &ConsistencyReport, solved: &[SolvedFrame]) -> StageReport {
-    let figures = [
-        ("frames_ambiguous", solved.iter().filter(|s| s.is_ambiguous).count()),
-        ("detections_kept", solved.iter().map(|s| s.deeds.len()).sum()),
-        ("detections_reassigned", told.pairs.iter().map(|p| p.rejected_detections).sum()),
-        ("joints_rejected", told.pairs.iter().map(|p| p.rejected_joints).sum()),
-        ("flips_undone", told.pairs.iter().map(|p| p.flips_undone).sum()),
-        ("swaps_repaired", told.pairs.iter().map(|p| p.swaps_repaired.len()).sum()),
-    ];
-    StageReport {
-        stage: "denoising".to_owned(),
-        iterations: solved.len(),
-        cost_before: None,
-        cost_after: None,
-        termination: "all_frames".to_owned(),
-        metrics: figures.into_iter().map(|(name, n)| (name.to_owned(), n as f64)).collect::<BTreeMap<_, _>>(),
-    }
+    FrameRepairs { repairs, is_ambiguous }
 }

@@ -1,9 +1,9 @@
-//! Every keypoint of every person as one smooth path through all rays that saw it, under fixed cameras.
+//! Smooth trajectories of all keypoints through their detections in all views, under fixed cameras.
 //!
-//! For a keypoint the path x_0 … x_T minimises
+//! For a keypoint the trajectory x_0 … x_T minimises
 //! $\sum_{t,v} \rho(\lVert \pi_v(x_t) - u_{tv} \rVert / \sigma) + \sum_t \lVert x_{t+1} - 2 x_t + x_{t-1} \rVert^2 / (\tfrac23 q\,dt^3)$:
-//! triangulation, smoothing and the filling of gaps are one problem, so a joint that a single view sees is still held to
-//! that view's ray. `q` is the spectral density of white acceleration (m^2/s^3), hence independent of the frame rate.
+//! triangulation, smoothing and gap filling are one problem, so a joint that a single view sees stays near that view's
+//! ray. `q` is the spectral density of white acceleration (m^2/s^3), hence independent of the frame rate.
 
 use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_profile::DETECTOR;
@@ -18,7 +18,7 @@ use crate::session::{JointTrajectory, PersonTrack};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 
-/// Weights of the paths.
+/// Settings of the trajectories.
 #[derive(Debug, Clone)]
 pub struct TrajectoryConfig {
     /// Spectral density of acceleration of hands and feet, m^2/s^3: 12 m/s^2 (a brisk gesture) held for a thirtieth of a
@@ -26,9 +26,9 @@ pub struct TrajectoryConfig {
     pub limb_acceleration: f64,
     /// The same of head and trunk: 5 m/s^2.
     pub trunk_acceleration: f64,
-    /// Geman-McClure scale, standard deviations.
+    /// Geman-McClure scale in standard deviations: beyond three a detection is more likely wrong than noisy.
     pub robust_scale: f64,
-    /// Re-weighted Gauss-Newton steps.
+    /// Number of re-weighted Gauss-Newton steps.
     pub iterations: usize,
 }
 
@@ -38,45 +38,45 @@ impl Default for TrajectoryConfig {
     }
 }
 
-/// What the paths are made of.
+/// Input of the stage.
 pub struct TrajectoryInput<'a> {
-    /// The recording.
+    /// The detections.
     pub session: &'a Session,
-    /// How far the detector errs.
+    /// Detector noise.
     pub noise: &'a DetectorNoise,
-    /// `camera_from_world`.
+    /// `camera_from_world` per view.
     pub cameras: &'a [Option<Rigid>],
-    /// Who is where.
+    /// Detections per person.
     pub tracks: &'a [PersonTrack],
-    /// First guess of each person's points, same frames as the track; holes allowed.
+    /// Start of each person's points, same frames as the track; may have gaps.
     pub start: &'a [JointTrajectory],
-    /// Metres that one unit of the cameras' world stands for.
+    /// Metres per unit of the cameras' world.
     pub metres_per_unit: f64,
-    /// How firmly each step holds a point where it is.
-    pub hold: Hold,
+    /// Damping of each step.
+    pub damping: Damping,
 }
 
-/// How firmly each step of the solver holds a point where it is, standard deviation in m.
+/// Damping of a solver step: standard deviation of a point about its current position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Hold {
-    /// 10 m, a whisper, so that a frame that nothing reaches keeps its place.
-    Whisper,
-    /// 0.1 m: a single view leaves the depth open, which would run away along the rays; across them a detector's 0.02 m is
-    /// still reached within the steps.
-    OnRay,
+pub enum Damping {
+    /// 10 m, so that a frame without any constraint keeps its position.
+    Weak,
+    /// 0.1 m: a single view does not constrain depth, which would diverge along the rays; across them the detector's 0.02 m
+    /// is still reached within the steps.
+    Strong,
 }
 
-impl Hold {
+impl Damping {
     /// Weight per m^2.
     fn weight(self) -> f64 {
         match self {
-            Self::Whisper => 0.01,
-            Self::OnRay => 100.0,
+            Self::Weak => 0.01,
+            Self::Strong => 100.0,
         }
     }
 }
 
-/// Estimates all paths, in parallel over people and keypoints.
+/// Estimates all trajectories, in parallel over keypoints.
 ///
 /// # Errors
 /// [`Canceled`].
@@ -105,12 +105,12 @@ pub fn joint_trajectories(
     Ok(people)
 }
 
-/// One keypoint over time; empty where it was never located.
+/// Positions of one keypoint over time; empty where it has no start.
 type Path = Vec<Vector3<f64>>;
 
-/// One sight of a keypoint.
-struct Ray {
-    /// Index of the path's point.
+/// One detected keypoint.
+struct KeypointRay {
+    /// Index of the point on the path.
     t: usize,
     view: usize,
     pixel: Vector2<f64>,
@@ -118,9 +118,9 @@ struct Ray {
     sigma_m: f64,
 }
 
-/// `[keypoint]`, by time.
-fn rays_by_keypoint(input: &TrajectoryInput, track: &PersonTrack) -> Vec<Vec<Ray>> {
-    let mut rays: Vec<Vec<Ray>> = input.noise.sigmas_m().iter().map(|_| Vec::new()).collect();
+/// All detections of a person: `[keypoint]`, ordered by time.
+fn rays_by_keypoint(input: &TrajectoryInput, track: &PersonTrack) -> Vec<Vec<KeypointRay>> {
+    let mut rays: Vec<Vec<KeypointRay>> = input.noise.sigmas_m().iter().map(|_| Vec::new()).collect();
     for (t, claims) in track.detections.iter().enumerate() {
         for (view, detection) in claims.iter().enumerate() {
             let (Some(detection), Some(_)) = (detection, &input.cameras[view]) else { continue };
@@ -128,19 +128,25 @@ fn rays_by_keypoint(input: &TrajectoryInput, track: &PersonTrack) -> Vec<Vec<Ray
             for (k, (seen, rays)) in
                 keypoints.iter().zip(&mut rays).enumerate().filter(|(_, (k, _))| k.confidence > DETECTOR.min_confidence)
             {
-                rays.push(Ray { t, view, pixel: seen.pixel, sigma_m: input.noise.sigma_m(k, seen.confidence) });
+                rays.push(KeypointRay { t, view, pixel: seen.pixel, sigma_m: input.noise.sigma_m(k, seen.confidence) });
             }
         }
     }
     rays
 }
 
-fn path(input: &TrajectoryInput, rays: &[Ray], start: Option<Path>, density: f64, config: &TrajectoryConfig) -> Path {
+fn path(
+    input: &TrajectoryInput,
+    rays: &[KeypointRay],
+    start: Option<Path>,
+    density: f64,
+    config: &TrajectoryConfig,
+) -> Path {
     let Some(mut points) = start else { return Path::new() };
     let unit = input.metres_per_unit;
     let dt = input.session.frame_interval();
     let smoothness = PointChain::of_second_differences(points.len(), unit * unit / (density * dt.powi(3) * 2.0 / 3.0));
-    // From ten times the robust scale down: the guess may be a hand's length off.
+    // From ten times the robust scale down: the start may be 0.2 m off.
     for iteration in 0..config.iterations {
         let widening = (10.0f64).powf(1.0 - iteration as f64 / (config.iterations - 1).max(1) as f64);
         let scale = config.robust_scale * widening;
@@ -151,7 +157,7 @@ fn path(input: &TrajectoryInput, rays: &[Ray], start: Option<Path>, density: f64
     points
 }
 
-/// The guess without holes: straight lines between known points, constant at the ends; `None` with no point at all.
+/// The start without gaps: linear between known points, constant at the ends; `None` without any point.
 fn interpolated(start: &JointTrajectory, keypoint: usize) -> Option<Path> {
     let points = &start.points;
     let known: Vec<(usize, Vector3<f64>)> =
@@ -167,20 +173,21 @@ fn interpolated(start: &JointTrajectory, keypoint: usize) -> Option<Path> {
     Some(filled)
 }
 
-/// One re-weighted Gauss-Newton step on a whole path; false where the system has no solution.
+/// One re-weighted Gauss-Newton step on a whole path; false where the system cannot be solved.
 fn step(
     input: &TrajectoryInput,
-    rays: &[Ray],
+    rays: &[KeypointRay],
     points: &mut [Vector3<f64>],
     smoothness: &PointChain,
     robust_scale: f64,
 ) -> bool {
     let mut gradient = smoothness.times(points);
     let mut system = smoothness.clone();
-    let hold = Matrix3::from_diagonal_element(input.metres_per_unit * input.metres_per_unit * input.hold.weight());
-    system.diagonal.iter_mut().for_each(|block| *block += hold);
+    let damping =
+        Matrix3::from_diagonal_element(input.metres_per_unit * input.metres_per_unit * input.damping.weight());
+    system.diagonal.iter_mut().for_each(|block| *block += damping);
     for ray in rays {
-        if let Some((by_point, hessian)) = pull(input, ray, &points[ray.t], robust_scale) {
+        if let Some((by_point, hessian)) = linearize(input, ray, &points[ray.t], robust_scale) {
             gradient[ray.t] += by_point;
             system.diagonal[ray.t] += hessian;
         }
@@ -190,10 +197,10 @@ fn step(
     true
 }
 
-/// Gradient and Gauss-Newton Hessian of one ray's cost by its point.
-fn pull(
+/// Gradient and Gauss-Newton Hessian of one detection's cost by its point.
+fn linearize(
     input: &TrajectoryInput,
-    ray: &Ray,
+    ray: &KeypointRay,
     point: &Vector3<f64>,
     robust_scale: f64,
 ) -> Option<(Vector3<f64>, Matrix3<f64>)> {
@@ -209,7 +216,7 @@ fn pull(
     Some((r.by_point.tr_mul(&r.residual) * weight, r.by_point.tr_mul(&r.by_point) * weight))
 }
 
-fn transposed(track: &PersonTrack, rays: &[Vec<Ray>], paths: &[Path]) -> JointTrajectory {
+fn transposed(track: &PersonTrack, rays: &[Vec<KeypointRay>], paths: &[Path]) -> JointTrajectory {
     let n = track.detections.len();
     let points = (0..n).map(|t| paths.iter().map(|path| path.get(t).copied()).collect()).collect();
     let mut n_views = vec![vec![0; rays.len()]; n];

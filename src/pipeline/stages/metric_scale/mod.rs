@@ -1,12 +1,13 @@
-//! Metres: from the people's bodies, from one known height, from the distance of two cameras, or from given extrinsics.
+//! Metric scale: from the people's bodies, one known height, the distance of two cameras, or given extrinsics.
 
 use crate::body::default_body;
 use crate::body::scale::{FittedStature, ScaleEstimate, scale_from_people, scale_of_average_adults};
 use crate::body::segments::{MeasuredSegment, measured_segments};
 use crate::geometry::Rigid;
 use crate::optim::robust::INTERVAL_95;
-use crate::pipeline::config::{Extrinsics, ScaleSource};
-use crate::pipeline::{Capture, PipelineError};
+use crate::pipeline::capture::Capture;
+use crate::pipeline::config::ScaleSource;
+use crate::pipeline::error::PipelineError;
 use crate::progress::Canceled;
 use crate::session::reconstruction::ScaleReport;
 use crate::session::{JointTrajectory, PersonTrack};
@@ -15,24 +16,24 @@ use crate::session::{JointTrajectory, PersonTrack};
 const HEIGHT_SIGMA: f64 = 0.01;
 
 /// Standard deviation of a fitted stature's logarithm: 25 mm, since detectors place ankles up to 15 mm (Needham et al. 2021)
-/// and ears by some 17 mm beside where the body has them.
+/// and ears some 17 mm beside those of the body.
 const STATURE_BIAS: f64 = 0.015;
 
-/// Bodies are fitted at about the right size, for proportions go with it: again until it changes by less than this, log
-/// units, at most so many times.
-const SETTLED: f64 = 0.002;
+/// Bodies are fitted again at the new scale, since proportions depend on size, until it changes by less than this, log
+/// units, and at most so many times.
+const CONVERGED: f64 = 0.002;
 const MAX_HEIGHT_ROUNDS: usize = 4;
 
-/// Who was seen by less than this share of the keypoints that show whom one sees best is not taken for the tallest.
+/// Smallest number of keypoints of the tallest person, as a share of those of the person seen best.
 const MIN_SHARE_SEEN: f64 = 0.25;
 
 /// Standard deviation of a camera distance measured by hand, log units.
 const DISTANCE_SIGMA: f64 = 0.01;
 
-/// How tall everybody is if a unit is so many metres, by track; `None` where a body could not be fitted.
+/// Statures of all persons at a scale in metres per unit, by track; `None` where a body could not be fitted.
 pub type StaturesAt<'a> = &'a dyn Fn(f64) -> Result<Vec<Option<FittedStature>>, Canceled>;
 
-/// The scale with its interval; `None` where nothing tells it.
+/// The scale with its interval; `None` where nothing determines it.
 ///
 /// # Errors
 /// [`PipelineError::Option`] where the chosen source is not in the capture; [`PipelineError::Canceled`].
@@ -43,25 +44,25 @@ pub fn metric_scale(
     paths: &[JointTrajectory],
     statures: StaturesAt,
 ) -> Result<Option<ScaleReport>, PipelineError> {
-    if capture.options.extrinsics != Extrinsics::Estimate {
+    if !capture.estimates_extrinsics() {
         if capture.session.views.len() == 1 {
-            return Ok(Some(told(scale_of_average_adults(&default_body()))));
+            return Ok(Some(report(scale_of_average_adults(&default_body()))));
         }
         let evidence = "the given extrinsics".to_owned();
         return Ok(Some(ScaleReport { value: 1.0, interval95: [1.0, 1.0], evidence }));
     }
     match &capture.options.scale {
-        ScaleSource::Body => Ok(scale_from_people(&default_body(), &measured_people(capture, paths)).map(told)),
+        ScaleSource::Body => Ok(scale_from_people(&default_body(), &measured_people(capture, paths)).map(report)),
         ScaleSource::Height { metres, who } => from_height(capture, tracks, paths, (*metres, who), statures).map(Some),
         ScaleSource::CameraDistance { cameras: ids, metres } => from_distance(capture, cameras, ids, *metres).map(Some),
     }
 }
 
-fn told(estimate: ScaleEstimate) -> ScaleReport {
+fn report(estimate: ScaleEstimate) -> ScaleReport {
     ScaleReport { value: estimate.scale, interval95: estimate.interval95, evidence: estimate.evidence }
 }
 
-/// Everybody's segments, as far as two views saw them, in the order of `paths`.
+/// All persons' segments, measured on points that two views see, in the order of `paths`.
 fn measured_people(capture: &Capture, paths: &[JointTrajectory]) -> Vec<Vec<MeasuredSegment>> {
     let seen = |path: &JointTrajectory| {
         let rows = path.points.iter().zip(&path.n_views);
@@ -89,13 +90,13 @@ fn from_distance(
         }
         _ => Err(PipelineError::Option {
             option: "/scale/cameras",
-            reason: format!("cameras {} and {} could not both be placed; name two others", ids[0], ids[1]),
+            reason: format!("cameras {} and {} could not both be placed; choose two other cameras", ids[0], ids[1]),
         }),
     }
 }
 
-/// From the height of one of the people whom two cameras saw, by the stature of the body that fits this person: first at
-/// the size that bodies tell, then again where the height has changed it.
+/// From the height of one person that two cameras see and the stature of the body fitted to this person: first at the
+/// scale from all bodies, then again at the scale that the height gives.
 fn from_height(
     capture: &Capture,
     tracks: &[PersonTrack],
@@ -112,28 +113,28 @@ fn from_height(
             Err(_) => tallest(&statures),
         }
     };
-    let nobody = || PipelineError::Option {
+    let no_such_person = || PipelineError::Option {
         option: "/scale/who",
-        reason: format!("{who:?}: nobody of that name was seen by two cameras; choose another or \"tallest\""),
+        reason: format!("person {who:?} was not seen by two cameras; choose another track id or \"tallest\""),
     };
-    let mut scale = scale_from_people(&default_body(), &people).ok_or_else(nobody)?.scale;
+    let mut scale = scale_from_people(&default_body(), &people).ok_or_else(no_such_person)?.scale;
     for _ in 0..MAX_HEIGHT_ROUNDS {
-        let factor = metres / known(statures(scale)?).ok_or_else(nobody)?.metres;
+        let factor = metres / known(statures(scale)?).ok_or_else(no_such_person)?.metres;
         scale *= factor;
-        if factor.ln().abs() < SETTLED {
+        if factor.ln().abs() < CONVERGED {
             break;
         }
     }
     let half = INTERVAL_95 * HEIGHT_SIGMA.hypot(STATURE_BIAS);
     let evidence = format!(
-        "a height of {metres} m, and the body that fits this person; by shoes, posture and the detector's habits the scale \
-         is uncertain to {:.1} %",
+        "a height of {metres} m, and the body that fits this person; shoes, posture and keypoint bias of the detector leave \
+         the scale uncertain by {:.1} %",
         100.0 * half
     );
     Ok(ScaleReport { value: scale, interval95: [-half, half].map(|edge| scale * edge.exp()), evidence })
 }
 
-/// Of those who were seen well enough to tell.
+/// The tallest of the persons with enough keypoints.
 fn tallest(statures: &[Option<FittedStature>]) -> Option<FittedStature> {
     let people = || statures.iter().flatten();
     let most = people().map(|stature| stature.n_keypoints).max()?;
@@ -141,9 +142,9 @@ fn tallest(statures: &[Option<FittedStature>]) -> Option<FittedStature> {
     people().filter(is_well_seen).max_by(|a, b| a.metres.total_cmp(&b.metres)).copied()
 }
 
-/// The person most of whose detections carry a track id.
+/// The person with the most detections of a track id.
 fn person_of_track(capture: &Capture, tracks: &[PersonTrack], id: i64) -> Option<usize> {
-    let votes = |track: &PersonTrack| {
+    let count = |track: &PersonTrack| {
         let mut n = 0usize;
         for (t, claim) in track.detections.iter().enumerate() {
             for (view, detection) in claim.iter().enumerate() {
@@ -153,6 +154,6 @@ fn person_of_track(capture: &Capture, tracks: &[PersonTrack], id: i64) -> Option
         }
         n
     };
-    let counts: Vec<usize> = tracks.iter().map(votes).collect();
+    let counts: Vec<usize> = tracks.iter().map(count).collect();
     (0..counts.len()).filter(|&i| counts[i] > 0).max_by_key(|&i| counts[i])
 }

@@ -1,50 +1,50 @@
-//! What speaks against single people: who was hardly seen, whose joints are uncertain or contradicted, who moves as no
-//! body does.
+//! Problems of single persons: too few views, uncertain or contradicted joints, implausible bones and motion.
 
 use super::geometry::RAY_ANGLE_DEG;
-use super::{Bounds, Evidence, Reason};
+use super::input::VerdictInput;
+use super::reason::{Bounds, Reason};
 use crate::session::reconstruction::{KeypointReport, PersonReport, Verdict};
 
-/// Share of a person's frames in which two cameras see them: the rest hangs on one ray and on smoothness.
+/// Share of a person's frames in which two cameras see them; the rest depends on one ray and on smoothness.
 const IN_TWO_VIEWS: Bounds = Bounds { warn: 0.6, reject: 0.2 };
 
-/// Median standard deviation of a person's keypoints in space, mm. Four cameras all around and a detector of 20 mm make 22;
-/// at 80 an arm is as likely bent as straight.
+/// Median standard deviation of a person's keypoints in space, mm. Four cameras all around and a detector of 20 mm give 22;
+/// at 80 a bent arm looks like a straight one.
 const SIGMA_MM: Bounds = Bounds { warn: 80.0, reject: 250.0 };
 
-/// Share of a kind of keypoint that contradicts the result: detectors' outliers are 0.05, hidden ones 0.3.
+/// Share of a keypoint's detections that contradict the result: outliers of detectors are 0.05, hidden keypoints 0.3.
 const REJECTED_WARN: f64 = 0.4;
 
-/// Fewer detections than this are no judgement on a kind of keypoint.
-const MIN_SIGHTINGS: usize = 100;
+/// Smallest number of detections for a judgement on a keypoint.
+const MIN_OBSERVATIONS: usize = 100;
 
-/// Mean relative standard deviation of a person's bone lengths: detectors make 0.01 to 0.08, other people's limbs more.
+/// Mean relative standard deviation of a person's bone lengths: detectors give 0.01 to 0.08, exchanged limbs of two people more.
 const BONE_SPREAD_WARN: f64 = 0.15;
 
-/// Mean acceleration of a person's keypoints, m/s^2: walking and gesturing make 2 to 7, sport 15.
+/// Mean acceleration of a person's keypoints, m/s^2: walking and gesturing give 2 to 7, sport 15.
 const JITTER_WARN: f64 = 25.0;
 
-/// How far bodies reach into each other, mm: clothes and flesh give way by some 20, the capsules miss the skin by 10.
+/// Overlap of two bodies, mm: clothes and flesh yield by some 20, and the capsules deviate from the skin by 10.
 const PENETRATION_WARN_MM: f64 = 60.0;
 
-pub(super) fn reasons(evidence: &Evidence) -> Vec<Reason> {
+pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
     let of_person =
         |person| [hardly_seen(person), uncertain(person), contradicted(person), stretching(person), shaking(person)];
     let mut of_each: Vec<Vec<Reason>> =
-        evidence.people.iter().map(|person| of_person(person).into_iter().flatten().collect()).collect();
+        input.people.iter().map(|person| of_person(person).into_iter().flatten().collect()).collect();
     let is_rejected = |reasons: &Vec<Reason>| reasons.iter().any(|reason| reason.verdict == Verdict::Reject);
     if !of_each.iter().all(is_rejected) {
-        // Somebody of no use, a passer-by before one camera, does not make the others so.
+        // An unusable person, such as a passer-by in front of one camera, does not affect the others.
         of_each.iter_mut().flatten().for_each(|reason| reason.verdict = Verdict::Warn);
     }
-    of_each.into_iter().flatten().chain(penetration(evidence)).collect()
+    of_each.into_iter().flatten().chain(penetration(input)).collect()
 }
 
 fn hardly_seen(person: &PersonReport) -> Option<Reason> {
     let verdict = IN_TWO_VIEWS.on_low(person.share_in_two_views)?;
     let text = format!(
-        "person {} was seen by two cameras in {:.0} % of frames {} to {} only (expected above {:.0} %); aim another camera at \
-         where the person is",
+        "person {} was seen by two cameras in only {:.0} % of frames {} to {} (expected above {:.0} %); aim another camera \
+         at this person",
         person.id,
         100.0 * person.share_in_two_views,
         person.first_frame,
@@ -54,13 +54,13 @@ fn hardly_seen(person: &PersonReport) -> Option<Reason> {
     Some(Reason { verdict, text })
 }
 
-/// Joints that are known too coarsely; a capture whose rays hardly cross at all is told so as a whole.
+/// Uncertain joints; nearly parallel rays of all cameras are a problem of the whole recording.
 fn uncertain(person: &PersonReport) -> Option<Reason> {
     let sigma = person.sigma_mm?.median;
     let verdict = SIGMA_MM.on_high(sigma)?;
     let known = person.keypoints.iter().filter_map(|k| Some((k.sigma_mm?.median, k.keypoint.as_str())));
     let worst =
-        known.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(sigma, name)| format!(", worst {name} to {sigma:.0} mm"));
+        known.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(sigma, name)| format!(", worst {name} by {sigma:.0} mm"));
     let is_narrow = person.ray_angle_deg.is_some_and(|angle| RAY_ANGLE_DEG.on_low(angle).is_some());
     let remedy = if is_narrow {
         "add a camera that sees the person from the side"
@@ -68,7 +68,7 @@ fn uncertain(person: &PersonReport) -> Option<Reason> {
         "bring the cameras nearer, add one, or use a better detector"
     };
     let text = format!(
-        "the keypoints of person {} are known to {sigma:.0} mm only{} (expected below {} mm); {remedy}",
+        "the keypoints of person {} are uncertain by {sigma:.0} mm{} (expected below {} mm); {remedy}",
         person.id,
         worst.unwrap_or_default(),
         SIGMA_MM.warn
@@ -77,13 +77,13 @@ fn uncertain(person: &PersonReport) -> Option<Reason> {
 }
 
 fn contradicted(person: &PersonReport) -> Option<Reason> {
-    let is_bad = |k: &&KeypointReport| k.n_observations >= MIN_SIGHTINGS && k.rejected > REJECTED_WARN;
+    let is_bad = |k: &&KeypointReport| k.n_observations >= MIN_OBSERVATIONS && k.rejected > REJECTED_WARN;
     let bad: Vec<&KeypointReport> = person.keypoints.iter().filter(is_bad).collect();
     let worst = bad.iter().map(|k| k.rejected).reduce(f64::max)?;
     let names: Vec<&str> = bad.iter().map(|k| k.keypoint.as_str()).collect();
     Some(Reason::warn(format!(
         "{} of person {} contradict the other cameras in up to {:.0} % of their detections (expected below {:.0} %); check \
-         keypoint_convention, or that no camera takes another person or a mirror image for this one",
+         keypoint_convention, and that no camera confuses this person with another one or with a mirror image",
         names.join(", "),
         person.id,
         100.0 * worst,
@@ -94,8 +94,8 @@ fn contradicted(person: &PersonReport) -> Option<Reason> {
 fn stretching(person: &PersonReport) -> Option<Reason> {
     let spread = person.bone_length_spread.filter(|spread| *spread > BONE_SPREAD_WARN)?;
     Some(Reason::warn(format!(
-        "the bones of person {} change their lengths by {:.0} % (expected below {:.0} %), as where people are mistaken for \
-         each other or cameras are not synchronised; look at who is who in the viewer, and check synchronisation",
+        "the bones of person {} change their lengths by {:.0} % (expected below {:.0} %), as with exchanged persons or \
+         cameras that are not synchronised; check the identities in the viewer, and the synchronisation",
         person.id,
         100.0 * spread,
         100.0 * BONE_SPREAD_WARN
@@ -105,23 +105,23 @@ fn stretching(person: &PersonReport) -> Option<Reason> {
 fn shaking(person: &PersonReport) -> Option<Reason> {
     let jitter = person.jitter_m_per_s2.filter(|jitter| *jitter > JITTER_WARN)?;
     Some(Reason::warn(format!(
-        "person {} accelerates by {jitter:.0} m/s^2 in the mean (expected below {JITTER_WARN}), more than bodies do; check \
+        "person {} accelerates by {jitter:.0} m/s^2 on average (expected below {JITTER_WARN}), more than is plausible; check \
          fps and scale, or the detector's noise",
         person.id
     )))
 }
 
-fn penetration(evidence: &Evidence) -> Option<Reason> {
-    let overlap = evidence.penetration.deepest.as_ref().filter(|o| o.depth_mm > PENETRATION_WARN_MM)?;
+fn penetration(input: &VerdictInput) -> Option<Reason> {
+    let overlap = input.penetration.deepest.as_ref().filter(|o| o.depth_mm > PENETRATION_WARN_MM)?;
     let [a, b] = overlap.people;
     let [joint_a, joint_b] = &overlap.joints;
-    let remedy = if evidence.gave_way {
-        "look at that frame, and whether two cameras see both of them there"
+    let remedy = if input.resolves_collisions {
+        "check that frame, and whether two cameras see both persons there"
     } else {
         "choose collision: true"
     };
     Some(Reason::warn(format!(
-        "person {a} ({joint_a}) reaches {:.0} mm into person {b} ({joint_b}) at frame {} (expected below \
+        "person {a} ({joint_a}) overlaps by {:.0} mm with person {b} ({joint_b}) at frame {} (expected below \
          {PENETRATION_WARN_MM} mm); {remedy}",
         overlap.depth_mm, overlap.frame
     )))

@@ -1,4 +1,4 @@
-//! The result's world: metres, the chosen axis up, origin on the floor under the people.
+//! World frame of the result: metres, the chosen axis up, origin on the floor under the people.
 
 use crate::body::human_speeds::STANDING_FOOT_M_S;
 use crate::geometry::{Rigid, Similarity};
@@ -7,10 +7,10 @@ use crate::session::JointTrajectory;
 use crate::session::recording::{Session, UpAxis};
 use nalgebra::{Matrix3, Vector3};
 
-/// The floor found from feet may tilt this far against the bodies' own axis; beyond it feet are on steps or wrong.
+/// Largest tilt of the floor under feet against the axis of bodies, rad; beyond it feet are on steps or wrong.
 const MAX_TILT: f64 = 0.26; // 15 degrees
 
-/// Standing feet must spread this far in both directions to define a plane, m.
+/// Smallest spread of standing feet in both directions that defines a plane, m.
 const MIN_SPREAD: f64 = 0.25;
 
 /// Heights of keypoints above the sole of a standing foot, m (lateral malleolus 68 mm, ANSUR II; toe and heel points on
@@ -18,7 +18,7 @@ const MIN_SPREAD: f64 = 0.25;
 const SOLE: [(&str, f64); 4] = [("ankle", 0.075), ("heel", 0.025), ("big_toe", 0.02), ("small_toe", 0.02)];
 
 /// `world_from_solution`: scaled by `metres_per_unit`, `up_axis` up, floor at height zero, origin under the people's
-/// middle, first placed camera's right axis along +x as far as the floor allows.
+/// centre, first placed camera's right axis along +x as far as the floor allows.
 pub fn world_from_solution(
     session: &Session,
     cameras: &[Option<Rigid>],
@@ -47,7 +47,7 @@ fn axis_index(up_axis: UpAxis) -> usize {
     }
 }
 
-/// Rotation that takes `up` to the up axis and the first camera's right axis as near to +x (or +y for x up) as it can.
+/// Rotation that takes `up` to the up axis and the first camera's right axis as near to +x (or +y for x up) as possible.
 fn level_rotation(up: &Vector3<f64>, cameras: &[Option<Rigid>], up_axis: UpAxis) -> Matrix3<f64> {
     let right = cameras.iter().flatten().next().map_or_else(Vector3::x, |c| c.rotation.row(0).transpose());
     let mut side = right - up * right.dot(up);
@@ -85,7 +85,7 @@ fn body_axis(session: &Session, people: &[JointTrajectory]) -> Option<Vector3<f6
     sum.try_normalize(1e-6)
 }
 
-/// Cameras stand upright more often than not: the mean of their own up directions.
+/// Mean up direction of the cameras, most of which stand upright.
 fn camera_axis(cameras: &[Option<Rigid>]) -> Option<Vector3<f64>> {
     cameras.iter().flatten().map(|c| -c.rotation.row(1).transpose()).sum::<Vector3<f64>>().try_normalize(1e-6)
 }
@@ -118,7 +118,7 @@ fn standing_feet(session: &Session, people: &[JointTrajectory], metres_per_unit:
     feet
 }
 
-/// The normal of the plane through standing feet, re-weighted; `None` where they do not define one.
+/// Normal of the plane through standing feet, by re-weighted least squares; `None` where they do not define one.
 fn floor_normal(feet: &[(Vector3<f64>, f64)], up: &Vector3<f64>, metres_per_unit: f64) -> Option<Vector3<f64>> {
     if feet.len() < 30 {
         return None;
@@ -165,7 +165,7 @@ mod tests {
     use crate::geometry::rotation;
 
     #[test]
-    fn the_level_rotation_is_proper_and_lifts_up() {
+    fn level_rotation_is_proper_and_maps_up() {
         let up = Vector3::new(0.1, -0.9, 0.3).normalize();
         for (axis, unit) in [(UpAxis::X, Vector3::x()), (UpAxis::Y, Vector3::y()), (UpAxis::Z, Vector3::z())] {
             let r = level_rotation(&up, &[Some(Rigid::identity())], axis);
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tilted_floor_with_outliers_is_found() {
+    fn finds_a_tilted_floor_with_outliers() {
         let tilt = rotation::exp(&Vector3::new(0.1, 0.0, -0.05));
         let normal = tilt * Vector3::y();
         let feet: Vec<(Vector3<f64>, f64)> = (0..400)

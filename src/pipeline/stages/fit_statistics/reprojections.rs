@@ -1,4 +1,4 @@
-//! What was seen of every keypoint, against where the result puts it, and how well those views place it.
+//! Detections of every keypoint against its reprojection, and the accuracy of its triangulation.
 
 use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_profile::DETECTOR;
@@ -9,19 +9,19 @@ use crate::session::{JointTrajectory, PersonTrack};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-/// Sightings against their reprojections.
+/// Distances of detections from their reprojections.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Misfits {
     /// Distances of explained detections, px.
     pub(super) px: Vec<f64>,
     /// The same at the point's depth, mm: `px * depth / focal`.
     pub(super) mm: Vec<f64>,
-    /// Sightings that are not explained.
+    /// Number of detections that are not explained.
     pub(super) n_rejected: usize,
 }
 
 impl Misfits {
-    /// All of several.
+    /// The union of several.
     pub(super) fn together<'a>(parts: impl Iterator<Item = &'a Self>) -> Self {
         parts.fold(Self::default(), |mut sum, part| {
             sum.px.extend_from_slice(&part.px);
@@ -31,7 +31,7 @@ impl Misfits {
         })
     }
 
-    /// Explained or not.
+    /// Number of detections, explained or not.
     pub(super) fn n_detections(&self) -> usize {
         self.px.len() + self.n_rejected
     }
@@ -42,59 +42,59 @@ impl Misfits {
     }
 }
 
-/// One kind of keypoint of one person.
+/// One keypoint of one person.
 #[derive(Debug, Clone)]
-pub(super) struct KeypointFigures {
-    /// By view.
+pub(super) struct KeypointStatistics {
+    /// Per view.
     pub(super) by_view: Vec<Misfits>,
     /// Per frame in which two views or more agree: standard deviation in space (root of the trace of the covariance) over
-    /// that of one sure ray. The position dilution of precision of satellite navigation.
+    /// that of one ray of full confidence. The position dilution of precision of satellite navigation.
     pub(super) dilutions: Vec<f64>,
-    /// Per such frame: angle under which two rays cross, of the pair nearest to a right angle, 0 to pi/2.
+    /// Per such frame: angle between two rays, of the pair nearest to a right angle, 0 to pi/2.
     pub(super) ray_angles: Vec<f64>,
-    /// Explained distances of such frames as errors of one ray before the point was fitted to it, m on the body; of a
-    /// detection for which the detector's factor is 1.
+    /// Explained distances of such frames as errors of one ray before the fit of the point, m on the body, scaled to a
+    /// detector's factor of 1.
     pub(super) ray_errors: Vec<f64>,
 }
 
 /// One person.
 #[derive(Debug, Clone)]
-pub(super) struct PersonFigures {
-    /// By keypoint.
-    pub(super) keypoints: Vec<KeypointFigures>,
-    /// Detections in placed views.
+pub(super) struct PersonStatistics {
+    /// Per keypoint.
+    pub(super) keypoints: Vec<KeypointStatistics>,
+    /// Number of detections in placed views.
     pub(super) n_detections: usize,
-    /// Share of the track's frames in which at least two placed views saw the person.
+    /// Share of the track's frames in which at least two placed views see the person.
     pub(super) share_in_two_views: f64,
 }
 
-impl PersonFigures {
-    /// Everything seen of the person.
+impl PersonStatistics {
+    /// Misfits of all keypoints.
     pub(super) fn misfits(&self) -> Misfits {
         Misfits::together(self.keypoints.iter().flat_map(|k| &k.by_view))
     }
 }
 
-/// Compares all paths with all views that saw them; people in the order of the tracks.
-pub(super) fn people_figures(
+/// Compares all trajectories with all detections; persons in the order of the tracks.
+pub(super) fn people_statistics(
     session: &Session,
     cameras: &[Option<Rigid>],
     noise: &DetectorNoise,
     tracks: &[PersonTrack],
     paths: &[JointTrajectory],
-) -> Vec<PersonFigures> {
+) -> Vec<PersonStatistics> {
     let people = tracks.par_iter().zip(paths);
-    people.map(|(track, path)| person_figures(session, cameras, noise, track, path)).collect()
+    people.map(|(track, path)| person_statistics(session, cameras, noise, track, path)).collect()
 }
 
-fn person_figures(
+fn person_statistics(
     session: &Session,
     cameras: &[Option<Rigid>],
     noise: &DetectorNoise,
     track: &PersonTrack,
     path: &JointTrajectory,
-) -> PersonFigures {
-    let nothing = KeypointFigures {
+) -> PersonStatistics {
+    let nothing = KeypointStatistics {
         by_view: vec![Misfits::default(); session.views.len()],
         dilutions: Vec::new(),
         ray_angles: Vec::new(),
@@ -103,54 +103,54 @@ fn person_figures(
     let mut keypoints = vec![nothing; path.points.first().map_or(0, Vec::len)];
     let (mut n_detections, mut n_in_two_views) = (0, 0);
     for (t, (claim, points)) in track.detections.iter().zip(&path.points).enumerate() {
-        let detections = placed_sightings(session, cameras, claim, track.first.0 + t);
+        let detections = placed_detections(session, cameras, claim, track.first.0 + t);
         n_detections += detections.len();
         n_in_two_views += usize::from(detections.len() >= 2);
-        for (k, (point, figures)) in points.iter().zip(&mut keypoints).enumerate() {
+        for (k, (point, statistics)) in points.iter().zip(&mut keypoints).enumerate() {
             if let Some(point) = point {
-                figures.add(point, detections.iter().filter_map(|s| s.ray(noise, k, point)).collect());
+                statistics.add(point, detections.iter().filter_map(|s| s.ray(noise, k, point)).collect());
             }
         }
     }
     let share_in_two_views = n_in_two_views as f64 / track.detections.len().max(1) as f64;
-    PersonFigures { keypoints, n_detections, share_in_two_views }
+    PersonStatistics { keypoints, n_detections, share_in_two_views }
 }
 
 /// A person's detection in a placed view.
-struct PlacedSighting<'a> {
+struct PlacedDetection<'a> {
     index: usize,
     view: &'a View,
     camera: &'a Rigid,
     detection: &'a Detection,
 }
 
-fn placed_sightings<'a>(
+fn placed_detections<'a>(
     session: &'a Session,
     cameras: &'a [Option<Rigid>],
     claim: &[Option<usize>],
     frame: usize,
-) -> Vec<PlacedSighting<'a>> {
+) -> Vec<PlacedDetection<'a>> {
     let views = session.views.iter().zip(cameras).zip(claim).enumerate();
     views
         .filter_map(|(index, ((view, camera), detection))| {
             let (camera, detection) = (camera.as_ref()?, &view.frames[frame][(*detection)?]);
-            Some(PlacedSighting { index, view, camera, detection })
+            Some(PlacedDetection { index, view, camera, detection })
         })
         .collect()
 }
 
 /// One confident detection of a point.
-struct Ray<'a> {
+struct PointRay<'a> {
     view: usize,
-    /// Its standard deviation is that of an error of 1 m on the body, px: more where the detector is less sure.
+    /// Its standard deviation is an error of 1 m on the body, px, times the detector's factor.
     observation: RayObservation<'a>,
     distance_px: f64,
     /// Metres at the point's depth per pixel.
     metres_per_px: f64,
 }
 
-impl<'a> PlacedSighting<'a> {
-    fn ray(&self, noise: &DetectorNoise, keypoint: usize, point: &Vector3<f64>) -> Option<Ray<'a>> {
+impl<'a> PlacedDetection<'a> {
+    fn ray(&self, noise: &DetectorNoise, keypoint: usize, point: &Vector3<f64>) -> Option<PointRay<'a>> {
         let seen = self.detection.keypoints.get(keypoint).filter(|k| k.confidence >= DETECTOR.judged)?;
         let intrinsics = &self.view.intrinsics;
         let in_camera = self.camera.transform(point);
@@ -158,11 +158,11 @@ impl<'a> PlacedSighting<'a> {
         let metres_per_px = in_camera.z / intrinsics.focal();
         let sigma_px = noise.factor(seen.confidence) / metres_per_px;
         let observation = RayObservation { camera_from_world: self.camera, intrinsics, pixel: seen.pixel, sigma_px };
-        Some(Ray { view: self.index, observation, distance_px, metres_per_px })
+        Some(PointRay { view: self.index, observation, distance_px, metres_per_px })
     }
 }
 
-impl Ray<'_> {
+impl PointRay<'_> {
     fn is_explained(&self) -> bool {
         self.distance_px < DETECTOR.explained_radius * self.observation.intrinsics.focal()
     }
@@ -173,9 +173,9 @@ impl Ray<'_> {
     }
 }
 
-impl KeypointFigures {
-    /// Takes in one frame's detections of a point.
-    fn add(&mut self, point: &Vector3<f64>, mut rays: Vec<Ray>) {
+impl KeypointStatistics {
+    /// Adds one frame's detections of a point.
+    fn add(&mut self, point: &Vector3<f64>, mut rays: Vec<PointRay>) {
         for ray in &rays {
             let misfits = &mut self.by_view[ray.view];
             if ray.is_explained() {
@@ -185,23 +185,23 @@ impl KeypointFigures {
                 misfits.n_rejected += 1;
             }
         }
-        rays.retain(Ray::is_explained);
+        rays.retain(PointRay::is_explained);
         let Some(of_unit_rays) = covariance(point, rays.iter().map(|ray| &ray.observation)) else { return };
         self.dilutions.push(of_unit_rays.trace().sqrt());
         self.ray_angles.push(widest_crossing(point, &rays));
-        let freed = before_the_fit(rays.len());
-        self.ray_errors.extend(rays.iter().map(|ray| freed * ray.distance_px / ray.observation.sigma_px));
+        let factor = error_per_residual(rays.len());
+        self.ray_errors.extend(rays.iter().map(|ray| factor * ray.distance_px / ray.observation.sigma_px));
     }
 }
 
-/// What residuals of a point that `n` views placed are short of their errors: of `2 n` numbers the point takes up three,
-/// so `sqrt(1 - 3 / 2n)` of the error is left (Hartley and Zisserman 2003, result 5.1).
-fn before_the_fit(n: usize) -> f64 {
+/// Ratio of error to residual of a point triangulated from `n` views: the point absorbs three of `2 n` degrees of freedom,
+/// so the residual is `sqrt(1 - 3 / 2n)` of the error (Hartley and Zisserman 2003, result 5.1).
+fn error_per_residual(n: usize) -> f64 {
     (1.0 - 1.5 / n as f64).sqrt().recip()
 }
 
-/// Angle under which two of the rays to a point cross, of the pair nearest to a right angle, 0 to pi/2.
-fn widest_crossing(point: &Vector3<f64>, rays: &[Ray]) -> f64 {
+/// Angle between two of the rays to a point, of the pair nearest to a right angle, 0 to pi/2.
+fn widest_crossing(point: &Vector3<f64>, rays: &[PointRay]) -> f64 {
     let directions: Vec<Vector3<f64>> = rays.iter().map(|ray| ray.direction_to(point)).collect();
     let pairs = directions.iter().enumerate().flat_map(|(i, a)| directions[..i].iter().map(move |b| a.dot(b).abs()));
     pairs.fold(1.0, f64::min).acos()
@@ -220,14 +220,14 @@ mod tests {
 
     const LENS: Intrinsics = Intrinsics::PLAIN;
 
-    /// Cameras that look at the origin from 4 m, by their angles about the upright, degrees.
+    /// Cameras that look at the origin from 4 m, given by their angles about the vertical, degrees.
     fn cameras(angles_deg: &[f64]) -> Vec<Rigid> {
         let turn = |angle: &f64| rotation::exp(&(Vector3::y() * angle.to_radians()));
         angles_deg.iter().map(|a| Rigid { rotation: turn(a), translation: Vector3::z() * 4.0 }).collect()
     }
 
-    /// Sure detections of `point` at these pixels.
-    fn rays<'a>(cameras: &'a [Rigid], pixels: &[Vector2<f64>], point: &Vector3<f64>) -> Vec<Ray<'a>> {
+    /// Detections of `point` at these pixels with full confidence.
+    fn rays<'a>(cameras: &'a [Rigid], pixels: &[Vector2<f64>], point: &Vector3<f64>) -> Vec<PointRay<'a>> {
         let ray = |(view, (camera, pixel)): (usize, (&'a Rigid, &Vector2<f64>))| {
             let in_camera = camera.transform(point);
             let metres_per_px = in_camera.z / LENS.focal();
@@ -238,21 +238,21 @@ mod tests {
                 sigma_px: metres_per_px.recip(),
             };
             let distance_px = (LENS.pixel_from_camera(&in_camera).unwrap() - pixel).norm();
-            Ray { view, observation, distance_px, metres_per_px }
+            PointRay { view, observation, distance_px, metres_per_px }
         };
         cameras.iter().zip(pixels).enumerate().map(ray).collect()
     }
 
-    fn figures(n_views: usize) -> KeypointFigures {
+    fn statistics(n_views: usize) -> KeypointStatistics {
         let by_view = vec![Misfits::default(); n_views];
-        KeypointFigures { by_view, dilutions: Vec::new(), ray_angles: Vec::new(), ray_errors: Vec::new() }
+        KeypointStatistics { by_view, dilutions: Vec::new(), ray_angles: Vec::new(), ray_errors: Vec::new() }
     }
 
     #[test]
-    fn two_rays_dilute_as_their_angle_says() {
+    fn dilution_of_two_rays_follows_their_angle() {
         for (angle_deg, folded_deg) in [(90.0, 90.0), (30.0, 30.0), (170.0, 10.0)] {
             let cameras = cameras(&[0.0, angle_deg]);
-            let mut found = figures(2);
+            let mut found = statistics(2);
             let middle = [Vector2::new(LENS.cx, LENS.cy); 2];
             found.add(&Vector3::zeros(), rays(&cameras, &middle, &Vector3::zeros()));
             // Information of two planes across the rays: 2, 1 + cos a, 1 - cos a.
@@ -264,12 +264,12 @@ mod tests {
     }
 
     #[test]
-    fn the_stated_sigma_is_the_scatter_of_the_points() {
+    fn stated_sigma_matches_the_scatter_of_points() {
         const SIGMA_PX: f64 = 4.0;
         let cameras = cameras(&[0.0, 60.0, 130.0, 200.0]);
         let noise = Normal::new(0.0, SIGMA_PX).unwrap();
         let mut rng = ChaCha8Rng::seed_from_u64(3);
-        let mut found = figures(cameras.len());
+        let mut found = statistics(cameras.len());
         let (mut squared, n) = (0.0, 2000);
         for _ in 0..n {
             let pixels: Vec<Vector2<f64>> = cameras
@@ -294,9 +294,9 @@ mod tests {
     }
 
     #[test]
-    fn far_sightings_are_rejected_and_place_nothing() {
+    fn far_detections_are_rejected_and_not_triangulated() {
         let cameras = cameras(&[0.0, 90.0]);
-        let mut found = figures(2);
+        let mut found = statistics(2);
         let pixels = [Vector2::new(LENS.cx, LENS.cy), Vector2::new(LENS.cx + 30.0, LENS.cy)];
         found.add(&Vector3::zeros(), rays(&cameras, &pixels, &Vector3::zeros()));
         assert_eq!((found.by_view[0].px.len(), found.by_view[1].n_rejected), (1, 1));
@@ -305,9 +305,9 @@ mod tests {
     }
 
     #[test]
-    fn millimetres_are_those_at_the_depth_of_the_point() {
+    fn millimetres_are_measured_at_the_depth_of_the_point() {
         let cameras = cameras(&[0.0, 90.0]);
-        let mut found = figures(2);
+        let mut found = statistics(2);
         let pixels = [Vector2::new(LENS.cx + 10.0, LENS.cy), Vector2::new(LENS.cx, LENS.cy)];
         found.add(&Vector3::zeros(), rays(&cameras, &pixels, &Vector3::zeros()));
         assert!((found.by_view[0].mm[0] - 40.0).abs() < 1e-9, "10 px at 4 m and 1000 px");

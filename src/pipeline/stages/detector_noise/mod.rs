@@ -1,11 +1,11 @@
-//! How far this session's detector errs at each of its confidences: what one detector calls 0.9 another calls 0.6, and an
-//! error three times as large is worth a ninth.
+//! Measurement of the detector noise as a function of confidence, on this session: what one detector calls 0.9 another
+//! calls 0.6, and an error three times as large has a ninth of the weight.
 //!
-//! Two views of one keypoint, seen with confidences a and b, have rays that pass each other at a gap that is normal with
-//! variance $\sigma^2(a) + \sigma^2(b)$, whatever the point in space and whatever weights placed it. Keypoints are cut by
-//! confidence into equal groups, the pairs of rays into the cells of two groups; the median gap of each cell gives its
-//! variance, the sums give the groups' own. A surer detector is never a worse one: groups that say so are pooled (isotonic
-//! regression by pooling adjacent violators).
+//! The rays of one keypoint in two views, detected with confidences a and b, pass each other at a gap that is normal with
+//! variance $\sigma^2(a) + \sigma^2(b)$, independent of the triangulated point and its weights. Keypoints are divided by
+//! confidence into equal groups, pairs of rays into the cells of two groups. The median gap of each cell gives its
+//! variance, and these sums give the variance of each group. The error must not rise with confidence: groups that violate
+//! this are pooled (isotonic regression by pooling adjacent violators).
 
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
@@ -15,30 +15,30 @@ use crate::optim::robust::{NORMAL_SIGMA_OF_MAD, median};
 use crate::session::{PersonTrack, Session};
 use rayon::prelude::*;
 
-/// Rays under a smaller angle than this (sine) meet nowhere in particular.
+/// Sine of the angle between two rays below which their gap is not used.
 const MIN_SINE: f64 = 0.2;
 
-/// Pairs of rays in one cell on average: the median of so many is known to 10 %, and every group has many cells.
+/// Average number of pairs of rays in a cell: their median is known to 10 %, and every group has many cells.
 const PER_CELL: usize = 100;
 
-/// Most groups, and fewest that say anything.
+/// Largest and smallest number of groups.
 const MAX_GROUPS: usize = 12;
 const MIN_GROUPS: usize = 3;
 
-/// Pairs of rays that are looked at, about: more say nothing new.
+/// Approximate largest number of pairs of rays; more add no information.
 const MAX_GAPS: usize = 1_000_000;
 
-/// A factor below this is chance: a fifth of what is published are 4 mm on the body, and no detector places joints better.
+/// Smallest factor: a fifth of the published noise is 4 mm on the body, which no detector reaches.
 const MIN_FACTOR: f64 = 0.2;
 
-/// The detector as the clean detections of `session` show it under these cameras; `None` where too few do.
-pub(super) fn measured(session: &Session, cameras: &[Option<Rigid>], tracks: &[PersonTrack]) -> Option<DetectorNoise> {
+/// Detector noise measured on the repaired detections of `session` under these cameras; `None` with too few of them.
+pub fn measured_noise(session: &Session, cameras: &[Option<Rigid>], tracks: &[PersonTrack]) -> Option<DetectorNoise> {
     let published = DetectorNoise::published(session.convention);
     let knots = knots(gaps(session, cameras, tracks, published.sigmas_m()))?;
     Some(published.with_knots(knots))
 }
 
-/// Confidences (rising) and the logarithm of what to multiply published standard deviations by.
+/// Knots of confidence (rising) and the logarithm of the factor on the published standard deviations.
 fn knots(gaps: Vec<Gap>) -> Option<Vec<[f64; 2]>> {
     let n_groups = ((2 * gaps.len() / PER_CELL) as f64).sqrt() as usize;
     if n_groups < MIN_GROUPS {
@@ -55,11 +55,11 @@ fn knots(gaps: Vec<Gap>) -> Option<Vec<[f64; 2]>> {
     Some(pooled(groups).into_iter().map(|g| [g.confidence, g.ln_factor]).collect())
 }
 
-/// Two rays at one keypoint.
+/// Gap between two rays of one keypoint.
 #[derive(Debug, Clone, Copy)]
 struct Gap {
     confidences: [f64; 2],
-    /// Over the keypoint's published standard deviation.
+    /// Distance of the rays in units of the keypoint's published standard deviation.
     sigmas: f64,
 }
 
@@ -70,7 +70,7 @@ fn gaps(session: &Session, cameras: &[Option<Rigid>], tracks: &[PersonTrack], si
         let mut gaps = Vec::new();
         for track in tracks {
             let claim = frame.checked_sub(track.first.0).and_then(|t| track.detections.get(t));
-            let seen: Vec<Vec<SeenRay>> = rays(session, cameras, frame, claim.map_or(&[], Vec::as_slice)).collect();
+            let seen: Vec<Vec<KeypointRay>> = rays(session, cameras, frame, claim.map_or(&[], Vec::as_slice)).collect();
             for (i, one) in seen.iter().enumerate() {
                 seen[..i].iter().for_each(|other| add_gaps(sigmas_m, one, other, &mut gaps));
             }
@@ -81,22 +81,22 @@ fn gaps(session: &Session, cameras: &[Option<Rigid>], tracks: &[PersonTrack], si
     frames.into_par_iter().flat_map_iter(of_frame).collect()
 }
 
-/// Pairs of views that see a person at once.
+/// Number of pairs of views that see a person in one frame.
 fn n_pairs(claim: &[Option<usize>]) -> usize {
     let n = claim.iter().flatten().count();
     n * n.saturating_sub(1) / 2
 }
 
-/// A keypoint's ray in the world and its confidence; `None` where it is not seen.
-type SeenRay = Option<(Ray, f64)>;
+/// A keypoint's ray in the world and its confidence; `None` where it is not detected.
+type KeypointRay = Option<(Ray, f64)>;
 
-/// The rays of every view's detection.
+/// The rays of each view's detection.
 fn rays<'a>(
     session: &'a Session,
     cameras: &'a [Option<Rigid>],
     frame: usize,
     claim: &'a [Option<usize>],
-) -> impl Iterator<Item = Vec<SeenRay>> + 'a {
+) -> impl Iterator<Item = Vec<KeypointRay>> + 'a {
     let n_keypoints = session.convention.names().len();
     claim.iter().enumerate().filter_map(move |(v, detection)| {
         let (camera, view) = (cameras[v].as_ref()?, &session.views[v]);
@@ -106,7 +106,7 @@ fn rays<'a>(
     })
 }
 
-fn add_gaps(sigmas_m: &[f64], one: &[SeenRay], other: &[SeenRay], gaps: &mut Vec<Gap>) {
+fn add_gaps(sigmas_m: &[f64], one: &[KeypointRay], other: &[KeypointRay], gaps: &mut Vec<Gap>) {
     for ((one, other), sigma_m) in one.iter().zip(other).zip(sigmas_m) {
         let (Some((first, a)), Some((second, b))) = (one, other) else { continue };
         if first.direction.cross(&second.direction).norm() > MIN_SINE {
@@ -115,9 +115,9 @@ fn add_gaps(sigmas_m: &[f64], one: &[SeenRay], other: &[SeenRay], gaps: &mut Vec
     }
 }
 
-/// Confidences cut into groups of equal size.
+/// Confidences divided into groups of equal size.
 struct Groups {
-    /// Above which the next group begins.
+    /// Upper bounds of all groups but the last.
     bounds: Vec<f64>,
     means: Vec<f64>,
     sizes: Vec<usize>,
@@ -144,11 +144,11 @@ impl Groups {
     }
 }
 
-/// Rounds of [`variances`]: digits no longer change.
+/// Iterations of [`variances`]; further ones do not change the digits.
 const N_ROUNDS: usize = 200;
 
-/// The variance of each group from the variances of the cells, which are sums of two: least squares of relative errors, by
-/// multiplicative steps that keep what is positive so.
+/// The variance of each group from the variances of the cells, which are sums of two groups: least squares of relative
+/// errors by multiplicative steps, which keep variances positive.
 fn variances(groups: &Groups, gaps: Vec<Gap>) -> Vec<f64> {
     let n = groups.means.len();
     let mut cells = vec![Vec::new(); n * n];
@@ -166,24 +166,24 @@ fn variances(groups: &Groups, gaps: Vec<Gap>) -> Vec<f64> {
         .collect();
     let mut variances = vec![0.5; n];
     for _ in 0..N_ROUNDS {
-        let (mut wanted, mut found) = (vec![0.0; n], vec![1e-12; n]);
+        let (mut target, mut model) = (vec![0.0; n], vec![1e-12; n]);
         for &(a, b, sum, weight) in &sums {
             for group in [a, b] {
-                wanted[group] += weight * sum;
-                found[group] += weight * (variances[a] + variances[b]);
+                target[group] += weight * sum;
+                model[group] += weight * (variances[a] + variances[b]);
             }
         }
-        for (variance, (wanted, found)) in variances.iter_mut().zip(wanted.iter().zip(&found)) {
-            *variance = (*variance * wanted / found).max(1e-4);
+        for (variance, (target, model)) in variances.iter_mut().zip(target.iter().zip(&model)) {
+            *variance = (*variance * target / model).max(1e-4);
         }
     }
     variances
 }
 
-/// Keypoints of like confidence.
+/// Keypoints of similar confidence.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Group {
-    /// Mean.
+    /// Mean confidence.
     confidence: f64,
     ln_factor: f64,
     n: f64,
@@ -198,7 +198,7 @@ impl Group {
     }
 }
 
-/// Groups whose errors fall as confidence rises.
+/// Pools adjacent groups until the error falls as confidence rises.
 fn pooled(groups: impl Iterator<Item = Group>) -> Vec<Group> {
     let mut pooled: Vec<Group> = Vec::new();
     for mut group in groups {
@@ -219,7 +219,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, Normal};
 
-    /// Gaps of keypoints whose errors, over the published, are `factor(confidence)`; one in twenty is wrong altogether.
+    /// Gaps of keypoints whose errors are `factor(confidence)` times the published ones; one in twenty is an outlier.
     fn simulated(n: usize, confidence: impl Fn(&mut ChaCha8Rng) -> f64, factor: impl Fn(f64) -> f64) -> Vec<Gap> {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let normal = Normal::new(0.0, 1.0).unwrap();
@@ -232,9 +232,9 @@ mod tests {
         (0..n).map(gap).collect()
     }
 
-    /// Half of the wrong ones lie beyond the median and move it by 5 % at most; medians of 2,000 are known to 3 %.
+    /// Half of the outliers lie beyond the median and move it by 5 % at most; medians of 2,000 are known to 3 %.
     #[test]
-    fn what_confidence_means_is_measured_from_pairs_of_views() {
+    fn noise_per_confidence_is_measured_from_pairs_of_views() {
         let truth = |c: f64| 3.0 - 2.6 * c;
         let gaps = simulated(150_000, |rng| rng.random_range(0.2..1.0), truth);
         let noise = DetectorNoise::published(KeypointConvention::Coco17).with_knots(knots(gaps).unwrap());
@@ -245,19 +245,19 @@ mod tests {
     }
 
     #[test]
-    fn a_detector_that_says_no_confidence_has_one_error() {
+    fn constant_confidence_gives_one_knot() {
         let found = knots(simulated(20_000, |_| 1.0, |_| 0.7)).unwrap();
         assert_eq!(found.len(), 1);
         assert!((found[0][1].exp() / 0.7 - 1.0).abs() < 0.1, "{found:?}");
     }
 
     #[test]
-    fn few_pairs_say_nothing() {
+    fn too_few_pairs_give_no_measurement() {
         assert_eq!(knots(simulated(300, |rng| rng.random_range(0.2..1.0), |_| 1.0)), None);
     }
 
     #[test]
-    fn surer_is_never_worse() {
+    fn noise_never_rises_with_confidence() {
         let group = |confidence, ln_factor| Group { confidence, ln_factor, n: 1.0 };
         let raw = [group(0.2, 1.0), group(0.4, 0.2), group(0.6, 0.6), group(0.8, -0.5)];
         let found = pooled(raw.into_iter());
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn perfect_detections_are_not_trusted_without_end() {
+    fn factor_of_perfect_detections_is_bounded() {
         let found = knots(simulated(20_000, |rng| rng.random_range(0.2..1.0), |_| 0.0)).unwrap();
         assert!(found.iter().all(|[_, ln]| (ln.exp() - MIN_FACTOR).abs() < 1e-9), "{found:?}");
     }

@@ -1,32 +1,32 @@
-//! Cameras that no pair could place: registered on the people whom the others have found.
+//! Registration of cameras that camera initialisation left out, by perspective-n-point on persons already triangulated.
 
-use super::Calibration;
 use crate::body::detector_profile::DETECTOR;
 use crate::estimation::pnp::{PoseEstimate, estimate_pose};
 use crate::geometry::Rigid;
 use crate::matching::pair_hypotheses::mix;
 use crate::matching::tracklets::Tracklet;
-use crate::pipeline::Capture;
+use crate::pipeline::calibration::Calibration;
+use crate::pipeline::capture::Capture;
 use nalgebra::{Vector2, Vector3};
 use rayon::prelude::*;
 
-/// Longest tracklets of the camera that are tried on every person.
+/// Number of the longest tracklets of the camera that are tried on every person.
 const N_TRACKLETS: usize = 6;
 
-/// Correspondences given to one robust pose.
+/// Largest number of correspondences of one robust pose.
 const MAX_POINTS: usize = 300;
 
-/// Fewer correspondences than this are no evidence for an identity.
+/// Fewer correspondences than this do not identify a person.
 const MIN_POINTS: usize = 40;
 
-/// Reprojection error at which a point counts for nothing, rad: 10 px at a focal length of 1,060 px.
+/// Reprojection error from which a point has no weight, rad: 10 px at a focal length of 1,060 px.
 const TOLERANCE: f64 = 0.01;
 
-/// A tracklet is the person when this share of points agrees: chance poses of another person reach a third.
+/// A tracklet shows the person when this share of points agrees; chance poses of another person reach a third.
 const MIN_INLIERS: f64 = 0.5;
 
-/// Places every remaining camera on which one tracklet agrees with one person in space.
-pub(super) fn place_remaining(capture: &Capture, tracklets: &[Vec<Tracklet>], calibration: &mut Calibration) {
+/// Places every remaining camera of which one tracklet agrees with one triangulated person.
+pub fn register_remaining(capture: &Capture, tracklets: &[Vec<Tracklet>], calibration: &mut Calibration) {
     let found: Vec<(usize, Option<Rigid>)> = (0..calibration.cameras.len())
         .filter(|&v| calibration.cameras[v].is_none())
         .map(|view| (view, pose_of(capture, &tracklets[view], calibration, view)))
@@ -36,7 +36,7 @@ pub(super) fn place_remaining(capture: &Capture, tracklets: &[Vec<Tracklet>], ca
     }
 }
 
-/// The best supported pose of a camera over its tracklets and all people.
+/// The best supported pose of a camera over its tracklets and all persons.
 fn pose_of(capture: &Capture, tracklets: &[Tracklet], calibration: &Calibration, view: usize) -> Option<Rigid> {
     let mut order: Vec<usize> = (0..tracklets.len()).collect();
     order.sort_by_key(|&t| (std::cmp::Reverse(tracklets[t].detections.len()), t));
@@ -55,7 +55,7 @@ fn pose_of(capture: &Capture, tracklets: &[Tracklet], calibration: &Calibration,
     good.max_by(|a, b| a.support.total_cmp(&b.support)).map(|p| p.camera_from_world)
 }
 
-/// Points of a person in space and where a tracklet shows them, from well-spread frames.
+/// Points of a person in space and their normalised detections in a tracklet, from evenly spread frames.
 fn correspondences(
     capture: &Capture,
     tracklet: &Tracklet,
@@ -63,10 +63,12 @@ fn correspondences(
     view: usize,
     person: usize,
 ) -> Vec<(Vector3<f64>, Vector2<f64>)> {
-    let path = &calibration.association.points[person];
+    let trajectory = &calibration.association.points[person];
     let mut points = Vec::new();
     for &(frame, detection) in &tracklet.detections {
-        let Some(skeleton) = frame.checked_sub(path.first.0).and_then(|t| path.points.get(t)) else { continue };
+        let Some(skeleton) = frame.checked_sub(trajectory.first.0).and_then(|t| trajectory.points.get(t)) else {
+            continue;
+        };
         let detection = &capture.views[view].frames[frame][detection];
         for (k, point) in skeleton.iter().enumerate() {
             if let Some(point) = point.filter(|_| detection.confidence[k] > DETECTOR.judged) {

@@ -1,4 +1,4 @@
-//! A recording moved in time: what synchronous cameras would have seen.
+//! Retiming: shifts a recording by time offsets to what synchronous cameras would have seen.
 
 use crate::body::human_speeds::{RUN_M_S, THROWN_HAND_M_S};
 use crate::matching::assignment::assign;
@@ -7,15 +7,15 @@ use crate::matching::tracklets::step_distance;
 use crate::session::{Detection, FrameIndex, Keypoint, PersonId, Session, View};
 use nalgebra::Vector2;
 
-/// Detector noise, as a share of the apparent size: three times the 1 to 2 % seen on OpenPose and COCO detectors.
+/// Detector noise as a share of the apparent size: three times the 1 to 2 % of OpenPose and COCO detectors.
 const NOISE: f64 = 0.05;
 
-/// The recording as cameras without offsets would have made it; `offsets`: frames per view.
+/// Shifts every view by its offset, in frames.
 ///
-/// Every detection stays in its place in the list of its frame. By whole frames it goes to another frame, by the rest its
-/// points go along a straight line to where they are in the neighbouring frame; where the person is not seen there, along
-/// the line to the neighbour on the other side; where there is none, they stay. Frames that fall off the time line are lost.
-pub(super) fn retimed(session: &Session, offsets: &[f64]) -> Session {
+/// The whole part moves detections to another frame; their index in the frame is kept. The fractional part moves keypoints
+/// along a straight line towards the same person in the neighbouring frame, or if the person is not detected there away
+/// from the neighbour on the other side; without both they stay. Frames beyond the ends of the time line are dropped.
+pub fn retimed(session: &Session, offsets: &[f64]) -> Session {
     let rays = normalized_views(session);
     let views = session.views.iter().zip(&rays).zip(offsets);
     let views = views.map(|((view, rays), &offset)| retimed_view(view, rays, session.fps, offset)).collect();
@@ -46,13 +46,13 @@ fn retimed_view(view: &View, rays: &NormalizedView, fps: f64, offset: f64) -> Vi
     View { id: view.id.clone(), time_offset: 0.0, frames, delivered, ..*view }
 }
 
-/// Where a camera's frame lies on the common time line, to the nearest frame.
+/// Index on the common time line of a camera's frame, to the nearest frame; `None` beyond its ends.
 fn shifted(frame: usize, whole: f64, n_frames: usize) -> Option<usize> {
     let target = frame as f64 + whole;
     (0.0..n_frames as f64).contains(&target).then_some(target as usize)
 }
 
-/// Detections of a camera whose frames are `rest` frames late (at most half of one), as they were in time.
+/// Detections of a camera whose frames are `rest` frames late (at most half a frame), moved to their frame numbers.
 fn moved_by(view: &View, rays: &NormalizedView, fps: f64, rest: f64) -> Vec<Vec<Detection>> {
     let mut frames = view.frames.clone();
     if rest == 0.0 {
@@ -80,13 +80,13 @@ fn moved_by(view: &View, rays: &NormalizedView, fps: f64, rest: f64) -> Vec<Vec<
     frames
 }
 
-/// Keypoints that two detections must share.
+/// Smallest number of keypoints that two detections share.
 const MIN_SHARED: usize = 4;
 
-/// Who of one frame is who in a neighbouring one.
+/// Matches the detections of one frame with those of a neighbouring frame.
 ///
-/// Why not tracklets: they end wherever there is doubt about whole paths, and a person who is not followed is not moved, which
-/// would bias the offset towards where it stands.
+/// Why not tracklets: they end where a whole path is ambiguous, and a person that is not followed is not moved, which biases
+/// the offset towards its current value.
 fn same_people(now: &[NormalizedDetection], then: &[NormalizedDetection], fps: f64) -> Vec<Option<usize>> {
     let gate = NOISE + RUN_M_S / BODY_SPAN_M / fps;
     assign(now.len(), then.len(), 1.0, |i, j| {
@@ -99,20 +99,16 @@ fn step_to(point: &Keypoint, other: &Keypoint, reach: f64) -> Option<Vector2<f64
     (point.is_present() && other.is_present() && step.norm() <= reach).then_some(step)
 }
 
-/// The frame, as the camera numbers them, that lies at `frame` of the common time line.
-pub(super) fn recorded_frame(frame: usize, offset: f64, n_frames: usize) -> Option<usize> {
+/// The frame number of the camera at `frame` of the common time line.
+pub fn recorded_frame(frame: usize, offset: f64, n_frames: usize) -> Option<usize> {
     shifted(frame, -offset.round(), n_frames)
 }
 
-/// What is known of a synchronous recording's detections (`[frame][detection]`), in the frames as the camera numbers them.
-pub(super) fn as_recorded(
-    view: &View,
-    synchronous: Vec<Vec<Option<PersonId>>>,
-    offset: f64,
-) -> Vec<Vec<Option<PersonId>>> {
+/// Moves the persons of a synchronous recording's detections (`[frame][detection]`) to the camera's frame numbers.
+pub fn as_recorded(view: &View, synchronous: Vec<Vec<Option<PersonId>>>, offset: f64) -> Vec<Vec<Option<PersonId>>> {
     let of_frame = |(frame, people): (usize, &Vec<Detection>)| {
         let found = shifted(frame, offset.round(), synchronous.len()).map(|target| synchronous[target].clone());
-        // What fell off the time line is nobody's.
+        // Detections beyond the time line have no person.
         found.filter(|found| found.len() == people.len()).unwrap_or_else(|| vec![None; people.len()])
     };
     view.frames.iter().enumerate().map(of_frame).collect()
@@ -123,7 +119,7 @@ mod tests {
     use super::*;
     use crate::simulation::{NoiseConfig, Preset, SimulationConfig, simulate};
 
-    /// The same scene with and without offsets; detections without noise, so that places are told to 0.01 px.
+    /// A scene recorded with these offsets and without noise, so that positions are exact to 0.01 px.
     fn recorded(offsets: &[f64]) -> Session {
         let config = SimulationConfig {
             noise: NoiseConfig::NONE,
@@ -136,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn a_moved_recording_is_that_of_synchronous_cameras() {
+    fn retimed_recording_matches_synchronous_cameras() {
         let (synchronous, offsets) = (recorded(&[]), [3.0, -2.6]);
         let moved = retimed(&recorded(&offsets), &offsets);
         let (mut n, mut worst, mut worst_unmoved) = (0, 0.0_f64, 0.0_f64);
@@ -157,12 +153,12 @@ mod tests {
                 }
             }
         }
-        // A foot that lands turns within a frame: its straight line is off by an eighth of its step.
+        // A landing foot turns within a frame: the straight line is off by an eighth of its step.
         assert!(n > 2000 && worst < 4.0 && worst_unmoved > 2.0 * worst, "{n} points, {worst} px, {worst_unmoved} px");
     }
 
     #[test]
-    fn identities_go_back_to_the_frames_as_recorded() {
+    fn identities_return_to_the_recorded_frames() {
         let session = recorded(&[4.0]);
         let moved = retimed(&session, &[4.0, 0.0]);
         let numbered = |people: &Vec<Detection>| (0..people.len()).map(|i| Some(PersonId(i))).collect::<Vec<_>>();

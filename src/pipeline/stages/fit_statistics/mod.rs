@@ -1,9 +1,9 @@
-//! How well the result meets what was seen, and how well that tells it: per camera, person and kind of keypoint.
+//! Fit statistics: reprojection errors and uncertainty of the result, per camera, person and keypoint.
 //!
-//! A keypoint's standard deviation in space is the noise of one ray times the dilution of the views that saw it. The noise
-//! is measured: per kind of keypoint, over all people, from how far its detections lie from the result, in metres on the
-//! body. Known limits: cameras are taken as exact (their own standard deviations stand beside), errors of different views
-//! as independent, and a bias that all views share is invisible.
+//! A keypoint's standard deviation in space is the noise of one ray times the dilution of the views that see it. The noise
+//! is measured per keypoint, over all persons, from the distances of its detections from the result, in metres on the body.
+//! Known limits: cameras are taken as exact (their standard deviations are reported separately), errors of different views
+//! as independent, and a bias that all views share does not show.
 
 mod reprojections;
 
@@ -17,22 +17,22 @@ use crate::session::reconstruction::{
 use crate::session::recording::Session;
 use crate::session::{FrameIndex, JointTrajectory, PersonTrack};
 use nalgebra::Vector3;
-use reprojections::{KeypointFigures, Misfits, PersonFigures, people_figures};
+use reprojections::{KeypointStatistics, Misfits, PersonStatistics, people_statistics};
 
-/// A result against what was seen.
+/// Errors of a result against the detections.
 #[derive(Debug, Clone)]
-pub struct FitFigures {
+pub struct FitStatistics {
     /// In the order of the tracks.
-    people: Vec<PersonFigures>,
-    /// By kind of keypoint: standard deviation of a ray for which the detector's factor is 1, m on the body; `None` where no
-    /// two views saw one.
+    people: Vec<PersonStatistics>,
+    /// Per keypoint: standard deviation of a ray for which the detector's factor is 1, m on the body; `None` where no two
+    /// views see it.
     ray_sigmas: Vec<Option<f64>>,
-    /// By view.
+    /// Per view.
     views: Vec<Misfits>,
 }
 
-impl FitFigures {
-    /// Compares all paths (world, m) with all views that saw them.
+impl FitStatistics {
+    /// Compares all trajectories (world, m) with all detections.
     pub fn new(
         session: &Session,
         cameras: &[Option<Rigid>],
@@ -40,7 +40,7 @@ impl FitFigures {
         tracks: &[PersonTrack],
         paths: &[JointTrajectory],
     ) -> Self {
-        let people = people_figures(session, cameras, noise, tracks, paths);
+        let people = people_statistics(session, cameras, noise, tracks, paths);
         let n_keypoints = people.first().map_or(0, |p| p.keypoints.len());
         let ray_sigmas = (0..n_keypoints).map(|k| ray_sigma(people.iter().map(|p| &p.keypoints[k]))).collect();
         let of_view =
@@ -49,12 +49,12 @@ impl FitFigures {
         Self { people, ray_sigmas, views }
     }
 
-    /// Reprojection of one view, px, and how many keypoints it is of.
+    /// Reprojection error of one view, px, and its number of keypoints.
     pub fn of_view(&self, view: usize) -> (Option<ErrorSummary>, usize) {
         (summary(&self.views[view].px), self.views[view].px.len())
     }
 
-    /// One line per camera.
+    /// One report per camera.
     pub fn camera_reports(
         &self,
         session: &Session,
@@ -79,7 +79,7 @@ impl FitFigures {
         session.views.iter().enumerate().map(report).collect()
     }
 
-    /// One line per person.
+    /// One report per person.
     pub fn person_reports(
         &self,
         session: &Session,
@@ -88,21 +88,21 @@ impl FitFigures {
         paths: &[JointTrajectory],
     ) -> Vec<PersonReport> {
         let rows = tracks.iter().zip(paths).zip(&self.people);
-        rows.map(|((track, path), figures)| {
+        rows.map(|((track, path), statistics)| {
             let last = FrameIndex(track.first.0 + track.detections.len() - 1);
-            let misfits = figures.misfits();
+            let misfits = statistics.misfits();
             PersonReport {
                 id: track.person.0,
                 first_frame: session.frame_number(track.first),
                 last_frame: session.frame_number(last),
-                n_detections: figures.n_detections,
+                n_detections: statistics.n_detections,
                 reprojection_px: summary(&misfits.px),
                 reprojection_mm: summary(&misfits.mm),
-                share_in_two_views: figures.share_in_two_views,
-                sigma_mm: sigmas_mm(figures.keypoints.iter().zip(&self.ray_sigmas)),
-                ray_angle_deg: median_ray_angle_deg(figures.keypoints.iter()),
-                dilution: median_dilution(figures.keypoints.iter()),
-                keypoints: self.keypoint_reports(session, figures),
+                share_in_two_views: statistics.share_in_two_views,
+                sigma_mm: sigmas_mm(statistics.keypoints.iter().zip(&self.ray_sigmas)),
+                ray_angle_deg: median_ray_angle_deg(statistics.keypoints.iter()),
+                dilution: median_dilution(statistics.keypoints.iter()),
+                keypoints: self.keypoint_reports(session, statistics),
                 bone_length_spread: bone_spread(bones, path),
                 jitter_m_per_s2: mean_acceleration(path, session.fps),
             }
@@ -110,23 +110,23 @@ impl FitFigures {
         .collect()
     }
 
-    fn keypoint_reports(&self, session: &Session, person: &PersonFigures) -> Vec<KeypointReport> {
+    fn keypoint_reports(&self, session: &Session, person: &PersonStatistics) -> Vec<KeypointReport> {
         let rows = session.convention.names().iter().zip(&person.keypoints).zip(&self.ray_sigmas);
-        rows.map(|((name, figures), ray_sigma)| {
-            let misfits = Misfits::together(figures.by_view.iter());
+        rows.map(|((name, statistics), ray_sigma)| {
+            let misfits = Misfits::together(statistics.by_view.iter());
             KeypointReport {
                 keypoint: (*name).to_owned(),
                 n_observations: misfits.n_detections(),
                 rejected: misfits.rejected(),
                 reprojection_px: summary(&misfits.px),
                 reprojection_mm: summary(&misfits.mm),
-                sigma_mm: sigmas_mm(std::iter::once((figures, ray_sigma))),
+                sigma_mm: sigmas_mm(std::iter::once((statistics, ray_sigma))),
             }
         })
         .collect()
     }
 
-    /// How well the views cover the people.
+    /// Coverage of the persons by the views.
     pub fn geometry_report(&self, paths: &[JointTrajectory]) -> GeometryReport {
         let keypoints = || self.people.iter().flat_map(|p| &p.keypoints);
         GeometryReport {
@@ -137,51 +137,51 @@ impl FitFigures {
     }
 }
 
-/// Standard deviation of a sure ray of one kind of keypoint, m on the body, from everybody's errors.
-fn ray_sigma<'a>(people: impl Iterator<Item = &'a KeypointFigures>) -> Option<f64> {
+/// Standard deviation of a ray of full confidence of one keypoint, m on the body, from the errors of all persons.
+fn ray_sigma<'a>(people: impl Iterator<Item = &'a KeypointStatistics>) -> Option<f64> {
     let mut errors: Vec<f64> = people.flat_map(|k| &k.ray_errors).copied().collect();
     Some(median(&mut errors)? / MEDIAN_LENGTH_IN_PLANE)
 }
 
 /// Standard deviations of points in space, mm, from their dilutions and the noise of a ray (m).
-fn sigmas_mm<'a>(keypoints: impl Iterator<Item = (&'a KeypointFigures, &'a Option<f64>)>) -> Option<SigmaSummary> {
+fn sigmas_mm<'a>(keypoints: impl Iterator<Item = (&'a KeypointStatistics, &'a Option<f64>)>) -> Option<SigmaSummary> {
     let mut sigmas: Vec<f64> = keypoints
-        .filter_map(|(figures, ray_sigma)| Some((figures, (*ray_sigma)?)))
-        .flat_map(|(figures, ray_sigma)| figures.dilutions.iter().map(move |dilution| 1e3 * ray_sigma * dilution))
+        .filter_map(|(statistics, ray_sigma)| Some((statistics, (*ray_sigma)?)))
+        .flat_map(|(statistics, ray_sigma)| statistics.dilutions.iter().map(move |dilution| 1e3 * ray_sigma * dilution))
         .collect();
     Some(SigmaSummary { median: median(&mut sigmas)?, p95: quantile(&mut sigmas, 0.95)? })
 }
 
-fn median_dilution<'a>(keypoints: impl Iterator<Item = &'a KeypointFigures>) -> Option<f64> {
+fn median_dilution<'a>(keypoints: impl Iterator<Item = &'a KeypointStatistics>) -> Option<f64> {
     median(&mut keypoints.flat_map(|k| &k.dilutions).copied().collect::<Vec<_>>())
 }
 
-fn median_ray_angle_deg<'a>(keypoints: impl Iterator<Item = &'a KeypointFigures>) -> Option<f64> {
+fn median_ray_angle_deg<'a>(keypoints: impl Iterator<Item = &'a KeypointStatistics>) -> Option<f64> {
     median(&mut keypoints.flat_map(|k| &k.ray_angles).copied().collect::<Vec<_>>()).map(f64::to_degrees)
 }
 
-/// Mean and median; `None` of nothing.
+/// Mean and median; `None` without values.
 fn summary(values: &[f64]) -> Option<ErrorSummary> {
     let mut sorted = values.to_vec();
     let median = median(&mut sorted)?;
     Some(ErrorSummary { mean: values.iter().sum::<f64>() / values.len() as f64, median })
 }
 
-/// Root mean square distance of people's places (the mean of their points, frame by frame) from the mean of all, m.
+/// Root mean square distance of people's positions (the mean of their points, frame by frame) from the mean of all, m.
 fn people_spread(paths: &[JointTrajectory]) -> Option<f64> {
-    let place = |points: &Vec<Option<Vector3<f64>>>| {
+    let position = |points: &Vec<Option<Vector3<f64>>>| {
         let known = points.iter().flatten();
         let n = known.clone().count();
         (n > 0).then(|| known.sum::<Vector3<f64>>() / n as f64)
     };
-    let places: Vec<Vector3<f64>> = paths.iter().flat_map(|path| &path.points).filter_map(place).collect();
-    let n = places.len() as f64;
-    let mean = places.iter().sum::<Vector3<f64>>() / n;
-    let squared = places.iter().map(|place| (place - mean).norm_squared()).sum::<f64>() / n;
-    (!places.is_empty()).then(|| squared.sqrt())
+    let positions: Vec<Vector3<f64>> = paths.iter().flat_map(|path| &path.points).filter_map(position).collect();
+    let n = positions.len() as f64;
+    let mean = positions.iter().sum::<Vector3<f64>>() / n;
+    let squared = positions.iter().map(|position| (position - mean).norm_squared()).sum::<f64>() / n;
+    (!positions.is_empty()).then(|| squared.sqrt())
 }
 
-/// Relative standard deviation of bone lengths over frames in which two views saw both ends, mean over bones.
+/// Relative standard deviation of bone lengths over frames in which two views see both ends, mean over bones.
 fn bone_spread(bones: &[LimbBone], path: &JointTrajectory) -> Option<f64> {
     let spreads: Vec<f64> = bones
         .iter()
@@ -205,6 +205,7 @@ fn bone_spread(bones: &[LimbBone], path: &JointTrajectory) -> Option<f64> {
     (!spreads.is_empty()).then(|| spreads.iter().sum::<f64>() / spreads.len() as f64)
 }
 
+/// Mean acceleration of all keypoints, m/s^2.
 fn mean_acceleration(path: &JointTrajectory, fps: f64) -> Option<f64> {
     let (mut sum, mut n) = (0.0, 0usize);
     for window in path.points.windows(3) {

@@ -1,55 +1,57 @@
-//! A fixed budget of well-spread skeletons for the adjustment: cameras cost the same however long the take.
+//! Selection of keyframes for bundle adjustment: a fixed number, spread over persons and time, so that the cost of the
+//! cameras does not grow with the length of the recording.
 
 use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_profile::DETECTOR;
 use crate::geometry::Rigid;
 use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
-use crate::pipeline::stages::association::Association;
-use crate::pipeline::stages::bundle_adjustment::{Instant, Observation};
+use crate::pipeline::calibration::Association;
+use crate::pipeline::keyframe::{Keyframe, Observation};
 use crate::session::JointTrajectory;
 use crate::session::recording::Session;
 use nalgebra::Vector2;
 
-/// How instants are chosen.
+/// Settings of the selection.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct InstantBudget<'a> {
-    /// At most so many skeletons.
-    pub(super) max_instants: usize,
-    /// How far the detector errs.
-    pub(super) noise: &'a DetectorNoise,
-    /// Metres that one unit of the cameras' world stands for.
-    pub(super) metres_per_unit: f64,
+pub struct KeyframeBudget<'a> {
+    /// Largest number of keyframes.
+    pub max_keyframes: usize,
+    /// Detector noise.
+    pub noise: &'a DetectorNoise,
+    /// Metres per unit of the cameras' world.
+    pub metres_per_unit: f64,
 }
 
-/// Which frames may be used.
-pub(super) type FrameFilter<'a> = &'a (dyn Fn(usize) -> bool + Sync);
+/// Whether a frame may be used.
+pub type FrameFilter<'a> = &'a (dyn Fn(usize) -> bool + Sync);
 
-/// Chooses skeletons seen by at least two cameras, evenly over people and time; in each stretch the best seen one.
-pub(super) fn instants(
+/// Selects skeletons seen by at least two cameras, evenly over persons and time: in each stretch of time the one that
+/// most cameras see.
+pub fn select_keyframes(
     session: &Session,
     cameras: &[Option<Rigid>],
     association: &Association,
-    budget: InstantBudget,
+    budget: KeyframeBudget,
     allowed: FrameFilter,
-) -> Vec<Instant> {
+) -> Vec<Keyframe> {
     let candidates: Vec<Vec<(usize, usize)>> =
         (0..association.tracks.len()).map(|p| candidates(association, cameras, p, allowed)).collect();
     let total: usize = candidates.iter().map(Vec::len).sum();
-    let mut chosen = Vec::new();
+    let mut selected = Vec::new();
     for (person, frames) in candidates.iter().enumerate() {
-        let share = (frames.len() * budget.max_instants).div_ceil(total.max(1)).min(frames.len());
+        let share = (frames.len() * budget.max_keyframes).div_ceil(total.max(1)).min(frames.len());
         for i in 0..share {
             let stretch = &frames[i * frames.len() / share..(i + 1) * frames.len() / share];
             let Some(best) = stretch.iter().max_by_key(|(_, n)| *n) else { continue };
-            chosen.push(instant(session, cameras, association, person, best.0, budget));
+            selected.push(keyframe(session, cameras, association, person, best.0, budget));
         }
     }
-    chosen.retain(|i: &Instant| i.observations.len() >= 8);
-    chosen.sort_by_key(|i| (i.frame, i.person));
-    chosen
+    selected.retain(|k: &Keyframe| k.observations.len() >= 8);
+    selected.sort_by_key(|k| (k.frame, k.person));
+    selected
 }
 
-/// Frames of a person seen by two placed cameras, as offset in the track and number of views.
+/// Frames of a person seen by at least two placed cameras: index in the track and number of views.
 fn candidates(
     association: &Association,
     cameras: &[Option<Rigid>],
@@ -69,73 +71,73 @@ fn candidates(
         .collect()
 }
 
-fn instant(
+fn keyframe(
     session: &Session,
     cameras: &[Option<Rigid>],
     association: &Association,
     person: usize,
     t: usize,
-    budget: InstantBudget,
-) -> Instant {
+    budget: KeyframeBudget,
+) -> Keyframe {
     let track = &association.tracks[person];
     let frame = track.first.0 + t;
     let n_keypoints = budget.noise.sigmas_m().len();
-    let guess = &association.points[person].points[t];
+    let start = &association.points[person].points[t];
     let mut observations = Vec::new();
     for (view, detection) in track.detections[t].iter().enumerate() {
         let (Some(detection), Some(camera)) = (detection, &cameras[view]) else { continue };
         let intrinsics = &session.views[view].intrinsics;
         for (keypoint, k) in session.views[view].frames[frame][*detection].keypoints[..n_keypoints].iter().enumerate() {
-            let Some(point) = guess[keypoint].filter(|_| k.confidence >= DETECTOR.judged) else { continue };
+            let Some(point) = start[keypoint].filter(|_| k.confidence >= DETECTOR.judged) else { continue };
             let depth = (camera.transform(&point).z * budget.metres_per_unit).max(0.3);
             let sigma_m = budget.noise.sigma_m(keypoint, k.confidence);
             let sigma_px = sigma_m * intrinsics.focal() / depth;
             observations.push(Observation { keypoint, view, pixel: k.pixel, sigma_px, velocity: Vector2::zeros() });
         }
     }
-    let mut seen = vec![0u8; n_keypoints];
-    observations.iter().for_each(|o| seen[o.keypoint] += 1);
-    observations.retain(|o| seen[o.keypoint] >= 2);
-    let points = guess.iter().zip(&seen).map(|(p, n)| p.filter(|_| *n >= 2)).collect();
-    Instant { person, frame, points, observations }
+    let mut n_views = vec![0u8; n_keypoints];
+    observations.iter().for_each(|o| n_views[o.keypoint] += 1);
+    observations.retain(|o| n_views[o.keypoint] >= 2);
+    let points = start.iter().zip(&n_views).map(|(p, n)| p.filter(|_| *n >= 2)).collect();
+    Keyframe { person, frame, points, observations }
 }
 
-/// Gives every observation the velocity in the image of its point's smooth path; `paths`: per person.
+/// Sets every observation's image velocity from its point's smooth trajectory; `trajectories`: per person.
 ///
-/// Why not of the detections themselves: their noise is as large as a frame's motion, and a velocity that is mostly noise
-/// explains no delay.
-pub(super) fn set_in_motion(
-    instants: &mut [Instant],
+/// Why not from the detections themselves: their noise is as large as the motion of a frame, and a velocity that is mostly
+/// noise does not explain a delay.
+pub fn set_image_velocities(
+    keyframes: &mut [Keyframe],
     session: &Session,
     cameras: &[Option<Rigid>],
-    paths: &[JointTrajectory],
+    trajectories: &[JointTrajectory],
 ) {
-    for instant in instants {
-        let path = &paths[instant.person];
+    for keyframe in keyframes {
+        let trajectory = &trajectories[keyframe.person];
         let at = |frame: Option<usize>, keypoint: usize| {
-            let t = frame?.checked_sub(path.first.0)?;
-            path.points.get(t)?[keypoint]
+            let t = frame?.checked_sub(trajectory.first.0)?;
+            trajectory.points.get(t)?[keypoint]
         };
-        for o in &mut instant.observations {
+        for o in &mut keyframe.observations {
             let Some(camera) = &cameras[o.view] else { continue };
             let pixel = |frame: Option<usize>| {
                 let point = camera.transform(&at(frame, o.keypoint)?);
                 session.views[o.view].intrinsics.pixel_from_camera(&point)
             };
-            // Half a step either way is without preference for the past or the future.
-            let ends = pixel(instant.frame.checked_sub(1)).zip(pixel(instant.frame.checked_add(1)));
+            // Central difference.
+            let ends = pixel(keyframe.frame.checked_sub(1)).zip(pixel(keyframe.frame.checked_add(1)));
             o.velocity = ends.map_or(Vector2::zeros(), |(before, after)| 0.5 * (after - before));
         }
     }
 }
 
-/// By how much the residuals of an adjustment exceed the standard deviations it was given: median of the distance over
-/// sigma against that of a normal error in two dimensions.
-pub(super) fn noise_factor(session: &Session, cameras: &[Option<Rigid>], instants: &[Instant]) -> f64 {
+/// Factor by which the residuals of an adjustment exceed the assumed standard deviations: the median of distance over
+/// sigma, divided by the median of a normal error in two dimensions.
+pub fn noise_factor(session: &Session, cameras: &[Option<Rigid>], keyframes: &[Keyframe]) -> f64 {
     let mut ratios = Vec::new();
-    for instant in instants {
-        for o in &instant.observations {
-            let (Some(point), Some(camera)) = (instant.points[o.keypoint], &cameras[o.view]) else { continue };
+    for keyframe in keyframes {
+        for o in &keyframe.observations {
+            let (Some(point), Some(camera)) = (keyframe.points[o.keypoint], &cameras[o.view]) else { continue };
             if let Some(pixel) = session.views[o.view].intrinsics.pixel_from_camera(&camera.transform(&point)) {
                 ratios.push((pixel - o.pixel).norm() / o.sigma_px);
             }

@@ -1,23 +1,27 @@
-//! What was done, camera by camera and person by person.
+//! Reports of the repairs.
 
-use super::{DenoisingInput, SolvedFrame};
+use super::context::{DenoisingInput, FrameRepairs};
 use crate::session::PersonTrack;
-use crate::session::reconstruction::{ConsistencyPair, ConsistencyReport};
+use crate::session::reconstruction::{ConsistencyPair, ConsistencyReport, StageReport};
 use crate::session::recording::PersonId;
 use std::collections::BTreeMap;
 
-/// Sums it up.
-pub(super) fn told(input: &DenoisingInput, tracks: &[PersonTrack], solved: &[SolvedFrame]) -> ConsistencyReport {
+/// Number of repairs per camera and person.
+pub(super) fn consistency_report(
+    input: &DenoisingInput,
+    tracks: &[PersonTrack],
+    solved: &[FrameRepairs],
+) -> ConsistencyReport {
     let mut pairs: BTreeMap<(usize, PersonId), ConsistencyPair> = BTreeMap::new();
-    let mut pair = |view: usize, person: PersonId, tell: &dyn Fn(&mut ConsistencyPair)| {
+    let mut pair = |view: usize, person: PersonId, add: &dyn Fn(&mut ConsistencyPair)| {
         let camera = input.session.views[view].id.clone();
         let new = || ConsistencyPair { camera, person: person.0, ..ConsistencyPair::default() };
-        tell(pairs.entry((view, person)).or_insert_with(new));
+        add(pairs.entry((view, person)).or_insert_with(new));
     };
-    for deed in solved.iter().flat_map(|frame| &frame.deeds) {
-        pair(deed.at.view, tracks[deed.track].person, &|p| {
-            p.flips_undone += usize::from(deed.flip > 0);
-            p.rejected_joints += deed.rejected.len();
+    for repair in solved.iter().flat_map(|frame| &frame.repairs) {
+        pair(repair.at.view, tracks[repair.track].person, &|p| {
+            p.flips_undone += usize::from(repair.flip > 0);
+            p.rejected_joints += repair.rejected.len();
         });
     }
     for (before, after) in input.tracks.iter().zip(tracks) {
@@ -35,7 +39,8 @@ pub(super) fn told(input: &DenoisingInput, tracks: &[PersonTrack], solved: &[Sol
     ConsistencyReport { ambiguous_frames, pairs: pairs.into_values().collect(), ..ConsistencyReport::default() }
 }
 
-/// Runs of frames in which a track id of a view named somebody else than it mostly does: who was really shown, and when.
+/// Runs of frames in which a track id of a view shows another person than it mostly does: view, person shown, and first and
+/// last frame.
 fn swaps(input: &DenoisingInput, tracks: &[PersonTrack]) -> Vec<(usize, PersonId, [usize; 2])> {
     let mut shown: BTreeMap<(usize, i64), Vec<(usize, PersonId)>> = BTreeMap::new();
     for track in tracks {
@@ -60,11 +65,30 @@ fn swaps(input: &DenoisingInput, tracks: &[PersonTrack]) -> Vec<(usize, PersonId
         for (frame, person) in frames.into_iter().filter(|(_, person)| *person != usual) {
             match &mut run {
                 // A frame without the detection does not end a swap.
-                Some((who, range)) if *who == person && frame - range[1] <= 3 => range[1] = frame,
-                _ => swaps.extend(run.replace((person, [frame, frame])).map(|(who, range)| (view, who, range))),
+                Some((current, range)) if *current == person && frame - range[1] <= 3 => range[1] = frame,
+                _ => swaps.extend(run.replace((person, [frame, frame])).map(|(person, range)| (view, person, range))),
             }
         }
-        swaps.extend(run.map(|(who, range)| (view, who, range)));
+        swaps.extend(run.map(|(person, range)| (view, person, range)));
     }
     swaps
+}
+
+pub(super) fn stage_report(report: &ConsistencyReport, solved: &[FrameRepairs]) -> StageReport {
+    let metrics = [
+        ("frames_ambiguous", solved.iter().filter(|s| s.is_ambiguous).count()),
+        ("detections_kept", solved.iter().map(|s| s.repairs.len()).sum()),
+        ("detections_reassigned", report.pairs.iter().map(|p| p.rejected_detections).sum()),
+        ("joints_rejected", report.pairs.iter().map(|p| p.rejected_joints).sum()),
+        ("flips_undone", report.pairs.iter().map(|p| p.flips_undone).sum()),
+        ("swaps_repaired", report.pairs.iter().map(|p| p.swaps_repaired.len()).sum()),
+    ];
+    StageReport {
+        stage: "denoising".to_owned(),
+        iterations: solved.len(),
+        cost_before: None,
+        cost_after: None,
+        termination: "all_frames".to_owned(),
+        metrics: metrics.into_iter().map(|(name, n)| (name.to_owned(), n as f64)).collect::<BTreeMap<_, _>>(),
+    }
 }

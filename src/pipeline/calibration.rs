@@ -1,0 +1,121 @@
+//! Cameras and persons under them: the state that the passes hand on.
+
+use super::capture::Capture;
+use crate::body::detector_noise::DetectorNoise;
+use crate::geometry::Rigid;
+use crate::session::reconstruction::{ErrorSummary, StageReport};
+use crate::session::{JointTrajectory, PersonTrack};
+use nalgebra::{Matrix6, Vector3};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Cameras and the association of detections under them.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Calibration {
+    /// `camera_from_world` per view; the unit is a metre as far as bone lengths show.
+    pub cameras: Vec<Option<Rigid>>,
+    /// Detections assigned to persons under these cameras.
+    pub association: Association,
+    /// The last bundle adjustment.
+    pub adjusted: Option<Adjusted>,
+    /// Detector noise: the published one scaled by the residuals, or the one measured on this session.
+    pub noise: DetectorNoise,
+    /// Share of keypoints that the best clearly different arrangement of the cameras explained; 0 without one.
+    pub rival_explained: f64,
+    /// Reports of all stages so far.
+    pub stages: Vec<StageReport>,
+}
+
+impl Calibration {
+    /// Cameras without association and adjustment.
+    pub fn unadjusted(capture: &Capture, cameras: Vec<Option<Rigid>>) -> Self {
+        Self {
+            cameras,
+            association: Association::default(),
+            adjusted: None,
+            noise: DetectorNoise::published(capture.session.convention),
+            rival_explained: 0.0,
+            stages: Vec::new(),
+        }
+    }
+
+    /// Number of placed cameras.
+    pub fn n_placed(&self) -> usize {
+        self.cameras.iter().flatten().count()
+    }
+}
+
+/// All persons found, as tracks, with a first estimate of their points.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+pub struct Association {
+    /// Detections per person; person `i` is entry `i`.
+    pub tracks: Vec<PersonTrack>,
+    /// First estimate of each person's points, same frames.
+    pub points: Vec<JointTrajectory>,
+    /// Share of confident keypoints of placed views that lie near a person's reprojection, 0 to 1.
+    pub explained: f64,
+    /// Number of views that were placed at the time of the association.
+    pub n_views_placed: usize,
+}
+
+/// What bundle adjustment may change about the cameras.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CameraFreedom {
+    /// Nothing: only points and bone lengths are adjusted.
+    Held,
+    /// All poses, except for the gauge: the best connected camera keeps its pose, and its best partner's centre keeps
+    /// its distance.
+    Adjusted,
+}
+
+/// Result of bundle adjustment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Adjusted {
+    /// Per view.
+    pub cameras: Vec<AdjustedCamera>,
+    /// Per keyframe and keypoint; a point without enough observations keeps its start.
+    pub points: Vec<Vec<Option<Vector3<f64>>>>,
+    /// Per person and bone, in the unit of the world; `None` where no keyframe has both ends.
+    pub bone_lengths: BTreeMap<usize, Vec<Option<f64>>>,
+}
+
+/// One adjusted camera.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct AdjustedCamera {
+    /// The given pose where the view is unplaced, held, or has too few observations to move.
+    pub camera_from_world: Option<Rigid>,
+    /// Factor on both focal lengths; 1 unless refined.
+    pub focal_factor: f64,
+    /// Delay of its frames against their numbers, frames; 0 unless refined.
+    pub delay: f64,
+    /// Reprojection errors.
+    pub fit: ViewFit,
+    /// Uncertainty of the pose; `None` where it did not move or the data do not determine it.
+    pub uncertainty: Option<CameraUncertainty>,
+}
+
+/// Reprojection errors of one view.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct ViewFit {
+    /// Number of observations used.
+    pub n_observations: usize,
+    /// Number of those nearer to their reprojection than the last robust scale.
+    pub n_explained: usize,
+    /// Reprojection error of the explained ones, px.
+    pub reprojection_px: Option<ErrorSummary>,
+}
+
+/// Uncertainty of a camera after a similarity alignment of all cameras (free-network gauge), without the scale.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct CameraUncertainty {
+    /// Covariance of the left increment (rho, phi), camera frame: unit of the world, rad.
+    pub covariance: Matrix6<f64>,
+    /// Root mean square error of the centre, three axes together, unit of the world.
+    pub sigma_position: f64,
+    /// Root mean square angular error of the orientation, rad.
+    pub sigma_angle: f64,
+    /// Standard deviation of the delay against the first moving camera's, frames; where delays are refined.
+    pub sigma_delay: Option<f64>,
+    /// Standard deviation of the focal factor's logarithm; where focal lengths are refined.
+    pub sigma_log_focal: Option<f64>,
+}

@@ -1,0 +1,43 @@
+//! The prepared session that all stages read.
+
+use super::config::{Extrinsics, Options};
+use crate::body::bones::{LimbBone, limb_bones};
+use crate::geometry::{Intrinsics, Rigid};
+use crate::matching::normalized::{NormalizedView, normalized_views};
+use crate::matching::tracker::TrackerScene;
+use crate::session::Session;
+
+/// A session with its options and what stages derive from it once.
+pub struct Capture<'a> {
+    /// The session.
+    pub session: &'a Session,
+    /// The user's options.
+    pub options: &'a Options,
+    /// Every view's detections in normalised coordinates.
+    pub views: Vec<NormalizedView>,
+    /// Limb bones with reference lengths.
+    pub bones: Vec<LimbBone>,
+}
+
+impl<'a> Capture<'a> {
+    /// Prepares a session.
+    pub fn new(session: &'a Session, options: &'a Options) -> Self {
+        Self { session, options, views: normalized_views(session), bones: limb_bones(session.convention) }
+    }
+
+    /// The tracker's input under these cameras (`camera_from_world` per view).
+    pub fn scene<'b>(&'b self, cameras: &'b [Option<Rigid>]) -> TrackerScene<'b> {
+        let (fps, n_frames) = (self.session.fps, self.session.n_frames);
+        TrackerScene { views: &self.views, cameras, bones: &self.bones, fps, n_frames }
+    }
+
+    /// Intrinsics per view.
+    pub fn intrinsics(&self) -> Vec<Intrinsics> {
+        self.session.views.iter().map(|view| view.intrinsics).collect()
+    }
+
+    /// Whether the cameras' poses are estimated without a start.
+    pub fn estimates_extrinsics(&self) -> bool {
+        self.options.extrinsics == Extrinsics::Estimate
+    }
+}

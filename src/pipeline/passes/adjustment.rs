@@ -1,0 +1,151 @@
+//! Bundle adjustment on selected keyframes, and the association under the adjusted cameras.
+
+use crate::body::bones::LENGTH_SIGMA;
+use crate::geometry::Rigid;
+use crate::optim::robust::median;
+use crate::pipeline::calibration::{Adjusted, Association, Calibration, CameraFreedom};
+use crate::pipeline::capture::Capture;
+use crate::pipeline::passes::trajectories::trajectories;
+use crate::pipeline::stages::association::associate;
+use crate::pipeline::stages::bundle_adjustment::adjust;
+use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput, Bone};
+use crate::pipeline::stages::keyframe_selection::{
+    FrameFilter, KeyframeBudget, noise_factor, select_keyframes, set_image_velocities,
+};
+use crate::progress::{Canceled, Progress};
+use crate::session::reconstruction::StageReport;
+
+/// Effort of one bundle adjustment.
+#[derive(Debug, Clone, Copy)]
+pub struct Effort {
+    /// Largest number of keyframes. Errors of one person's detections are correlated over half a second, so more cost
+    /// time and add hardly any information.
+    pub max_keyframes: usize,
+    /// Relative decrease of the cost below which the solver stops: the next association changes more than the last
+    /// digits would.
+    relative_decrease: f64,
+    /// Seconds of one person that count as one independent block in the cameras' uncertainty; `None`: not computed.
+    uncertainty_block_secs: Option<f64>,
+    /// Whether delays of the cameras are estimated.
+    refine_delays: bool,
+    /// Whether focal lengths are estimated.
+    refine_focal: bool,
+}
+
+impl Effort {
+    /// For a candidate arrangement of the cameras.
+    pub const TRIAL: Self = Self {
+        max_keyframes: 120,
+        relative_decrease: 1e-3,
+        uncertainty_block_secs: None,
+        refine_delays: false,
+        refine_focal: false,
+    };
+    /// For a round that an association and another adjustment follow.
+    pub const ROUND: Self = Self { max_keyframes: 250, relative_decrease: 1e-4, ..Self::TRIAL };
+    /// For the cameras of the result. Detector errors are correlated over a third of a second (AR(0.9) at 30 Hz); a
+    /// block must span several such times.
+    pub const FINAL: Self =
+        Self { max_keyframes: 500, relative_decrease: 1e-6, uncertainty_block_secs: Some(2.0), ..Self::TRIAL };
+    /// With delays: only moving points show them, and there are fewer of those.
+    pub const DELAYS: Self = Self { max_keyframes: 1500, relative_decrease: 1e-5, refine_delays: true, ..Self::FINAL };
+    /// With focal lengths: a focal length trades against distance, so convergence is slow and matters.
+    pub const FOCAL_LENGTHS: Self = Self { refine_focal: true, ..Self::FINAL };
+}
+
+/// All frames may be used.
+pub const ALL_FRAMES: FrameFilter = &|_| true;
+
+/// Assigns the detections under `cameras`.
+///
+/// # Errors
+/// [`Canceled`].
+pub fn associated(
+    capture: &Capture,
+    cameras: &[Option<Rigid>],
+    progress: &Progress,
+) -> Result<(Association, StageReport), Canceled> {
+    associate(&capture.scene(cameras), capture.options.people, progress)
+}
+
+/// One round: bundle adjustment, then association under the new cameras. Returns `before` if less is explained then.
+///
+/// # Errors
+/// [`Canceled`].
+pub fn adjusted_and_associated(
+    capture: &Capture,
+    before: Calibration,
+    effort: Effort,
+    progress: &Progress,
+) -> Result<Calibration, Canceled> {
+    let mut steps = progress.steps([3.0, 1.0]);
+    let mut after = adjusted(capture, &before, effort, ALL_FRAMES, &steps.begin("adjusting cameras and points"))?;
+    let (association, report) = associated(capture, &after.cameras, &steps.begin("re-associating detections"))?;
+    // A wrong association after a right start is the real danger: a round that explains less is discarded.
+    let is_comparable = before.n_placed() == before.association.n_views_placed;
+    if is_comparable && association.explained < before.association.explained - 0.01 {
+        return Ok(before);
+    }
+    after.association = association;
+    after.stages.push(report);
+    Ok(after)
+}
+
+/// The cameras after bundle adjustment on selected keyframes, rescaled so that bones keep adult lengths.
+///
+/// # Errors
+/// [`Canceled`].
+pub fn adjusted(
+    capture: &Capture,
+    before: &Calibration,
+    effort: Effort,
+    allowed: FrameFilter,
+    progress: &Progress,
+) -> Result<Calibration, Canceled> {
+    let session = capture.session;
+    let budget = KeyframeBudget { max_keyframes: effort.max_keyframes, noise: &before.noise, metres_per_unit: 1.0 };
+    let mut keyframes = select_keyframes(session, &before.cameras, &before.association, budget, allowed);
+    if keyframes.is_empty() {
+        return Ok(before.clone());
+    }
+    if effort.refine_delays {
+        let trajectories = trajectories(capture, before, progress)?;
+        set_image_velocities(&mut keyframes, session, &before.cameras, &trajectories);
+    }
+    let bones: Vec<Bone> = capture.bones.iter().map(|b| Bone { a: b.a, b: b.b, sigma: LENGTH_SIGMA }).collect();
+    let input = AdjustmentInput {
+        intrinsics: &capture.intrinsics(),
+        cameras: before.cameras.clone(),
+        keyframes,
+        bones: &bones,
+        camera_freedom: CameraFreedom::Adjusted,
+        refine_focal: effort.refine_focal,
+        refine_delays: effort.refine_delays,
+    };
+    let uncertainty_block_frames = effort.uncertainty_block_secs.map(|s| ((s * session.fps).round() as usize).max(1));
+    let relative_decrease = effort.relative_decrease;
+    let config = AdjustmentConfig { relative_decrease, uncertainty_block_frames, ..AdjustmentConfig::default() };
+    let (adjusted, report) = adjust(&input, &config, progress)?;
+    let cameras: Vec<Option<Rigid>> = adjusted.cameras.iter().map(|c| c.camera_from_world).collect();
+    let mut keyframes = input.keyframes;
+    for (keyframe, points) in keyframes.iter_mut().zip(&adjusted.points) {
+        keyframe.points.clone_from(points);
+    }
+    let noise = before.noise.clone().scaled(noise_factor(session, &cameras, &keyframes));
+    let scale = bone_scale(capture, &adjusted);
+    let cameras = cameras.into_iter().map(|c| c.map(|c| Rigid { translation: c.translation * scale, ..c })).collect();
+    let mut stages = before.stages.clone();
+    stages.push(report);
+    Ok(Calibration { cameras, adjusted: Some(adjusted), noise, stages, ..before.clone() })
+}
+
+/// Metres per unit of the adjusted world, from the median bone; keeps the tracker's gates in metres.
+fn bone_scale(capture: &Capture, adjusted: &Adjusted) -> f64 {
+    let mut logs = Vec::new();
+    for lengths in adjusted.bone_lengths.values() {
+        for (length, bone) in lengths.iter().zip(&capture.bones) {
+            logs.extend(length.map(|l| (bone.length / l).ln()));
+        }
+    }
+    median(&mut logs).map_or(1.0, f64::exp)
+}

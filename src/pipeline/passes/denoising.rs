@@ -1,0 +1,179 @@
+//! Repair of detections and adjustment of the cameras to the repaired detections, in alternation.
+
+use crate::pipeline::calibration::{Calibration, CameraFreedom};
+use crate::pipeline::capture::Capture;
+use crate::pipeline::passes::adjustment::{Effort, adjusted_and_associated, associated};
+use crate::pipeline::passes::trajectories::trajectories;
+use crate::pipeline::stages::association::identities;
+use crate::pipeline::stages::denoising::context::DenoisingInput;
+use crate::pipeline::stages::denoising::{Denoised, denoise};
+use crate::pipeline::stages::detector_noise::measured_noise;
+use crate::progress::{Canceled, Progress};
+use crate::session::reconstruction::{ConsistencyReport, DetectionRepairs, NoiseAtConfidence, RepairedDetection};
+use crate::session::{Detection, FrameIndex, Keypoint, PersonId, PersonTrack, Session};
+use nalgebra::Vector2;
+use serde::{Deserialize, Serialize};
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+
+/// Outcome of the pass. The repaired session is stored as its differences from the original one, so that checkpoints
+/// stay small.
+#[derive(Debug, Serialize, Deserialize)]
+pub struct DenoisedCapture {
+    calibration: Calibration,
+    report: ConsistencyReport,
+    identities_before: Vec<Vec<Vec<Option<PersonId>>>>,
+    changes: Vec<Change>,
+}
+
+/// The session with repaired detections, and the record of the repairs.
+pub struct RepairedSession {
+    /// The repaired session.
+    pub session: Session,
+    /// For the report.
+    pub report: ConsistencyReport,
+    /// The last repair, detection by detection.
+    pub repairs: DetectionRepairs,
+}
+
+/// One detection with exchanged or rejected keypoints.
+#[derive(Debug, Serialize, Deserialize)]
+struct Change {
+    view: usize,
+    frame: usize,
+    detection: usize,
+    /// x and y in pixels, confidence.
+    keypoints: Vec<[f64; 3]>,
+}
+
+/// Repairs the detections under the cameras so far, measures the detector noise on the residuals, adjusts the cameras
+/// (unless they are held) and re-associates the detections, then repairs the original detections once more.
+///
+/// # Errors
+/// [`Canceled`].
+pub fn denoised_capture(
+    capture: &Capture,
+    mut calibration: Calibration,
+    freedom: CameraFreedom,
+    progress: &Progress,
+) -> Result<DenoisedCapture, Canceled> {
+    let mut steps = progress.steps([0.3, 0.4, 0.3]);
+    let first = repaired(capture, &calibration, &steps.begin("repairing detections"))?;
+    calibration.association.tracks = first.tracks;
+    measure_noise(&mut calibration, &first.session);
+    let repaired_capture = Capture::new(&first.session, capture.options);
+    match freedom {
+        CameraFreedom::Adjusted => {
+            let step = steps.begin("adjusting cameras to the repaired detections");
+            calibration = adjusted_and_associated(&repaired_capture, calibration, Effort::FINAL, &step)?;
+        }
+        CameraFreedom::Held => {
+            let step = steps.begin("re-associating detections");
+            let (association, report) = associated(&repaired_capture, &calibration.cameras, &step)?;
+            calibration.association = association;
+            calibration.stages.push(report);
+        }
+    }
+    let second = repaired(capture, &calibration, &steps.begin("repairing detections under the new cameras"))?;
+    let before = std::mem::replace(&mut calibration.association.tracks, second.tracks.clone());
+    calibration.stages.push(second.stage_report.clone());
+    measure_noise(&mut calibration, &second.session);
+    Ok(DenoisedCapture::new(capture.session, calibration, &before, second))
+}
+
+fn repaired(capture: &Capture, calibration: &Calibration, progress: &Progress) -> Result<Denoised, Canceled> {
+    let trajectories = trajectories(capture, calibration, progress)?;
+    let input = DenoisingInput {
+        session: capture.session,
+        views: &capture.views,
+        cameras: &calibration.cameras,
+        tracks: &calibration.association.tracks,
+        trajectories: &trajectories,
+        noise: &calibration.noise,
+    };
+    denoise(input, progress)
+}
+
+/// Replaces the detector noise by the one measured on `session`; with too few detections the known one stays.
+fn measure_noise(calibration: &mut Calibration, session: &Session) {
+    if let Some(noise) = measured_noise(session, &calibration.cameras, &calibration.association.tracks) {
+        calibration.noise = noise;
+    }
+}
+
+impl DenoisedCapture {
+    fn new(original: &Session, calibration: Calibration, before: &[PersonTrack], denoised: Denoised) -> Self {
+        let identities_before = identities_without_repair(original, before, &denoised.tracks);
+        let mut changes = Vec::new();
+        for (view, (before, after)) in original.views.iter().zip(&denoised.session.views).enumerate() {
+            for (frame, (before, after)) in before.frames.iter().zip(&after.frames).enumerate() {
+                let pairs = before.iter().zip(after).enumerate();
+                let changed = pairs.filter(|(_, (before, after))| before != after);
+                changes.extend(changed.map(|(detection, (_, after))| Change::new(view, frame, detection, after)));
+            }
+        }
+        let level = |(confidence, sigma_m)| NoiseAtConfidence { confidence, sigma_mm: 1e3 * sigma_m };
+        let detector_noise = calibration.noise.levels().map(level).collect();
+        let report = ConsistencyReport { detector_noise, ..denoised.report };
+        Self { calibration, report, identities_before, changes }
+    }
+
+    /// The calibration, and the session `original` with repaired detections.
+    pub fn applied_to(self, original: &Session) -> (Calibration, RepairedSession) {
+        let mut session = original.clone();
+        let n_keypoints = original.convention.names().len();
+        let mut repaired_detections = Vec::with_capacity(self.changes.len());
+        for Change { view, frame, detection, keypoints } in self.changes {
+            let points =
+                keypoints.into_iter().map(|[x, y, confidence]| Keypoint { pixel: Vector2::new(x, y), confidence });
+            let repaired = &mut session.views[view].frames[frame][detection];
+            repaired.keypoints = points.collect();
+            let sources = sources(&original.views[view].frames[frame][detection], repaired, n_keypoints);
+            repaired_detections.push(RepairedDetection { view, frame: FrameIndex(frame), detection, sources });
+        }
+        let repairs = DetectionRepairs { identities_before: self.identities_before, repaired: repaired_detections };
+        (self.calibration, RepairedSession { session, report: self.report, repairs })
+    }
+}
+
+impl Change {
+    fn new(view: usize, frame: usize, detection: usize, after: &Detection) -> Self {
+        let keypoints = after.keypoints.iter().map(|point| [point.pixel.x, point.pixel.y, point.confidence]).collect();
+        Self { view, frame, detection, keypoints }
+    }
+}
+
+/// The person of every detection if nothing were repaired: the person that most detections of its track id show after
+/// the repair (`repaired`); without a track id the person of `before`.
+fn identities_without_repair(
+    session: &Session,
+    before: &[PersonTrack],
+    repaired: &[PersonTrack],
+) -> Vec<Vec<Vec<Option<PersonId>>>> {
+    let (mut table, repaired) = (identities(session, before), identities(session, repaired));
+    for ((view, table), repaired) in session.views.iter().zip(&mut table).zip(&repaired) {
+        let mut counts: BTreeMap<i64, BTreeMap<PersonId, usize>> = BTreeMap::new();
+        for (detection, person) in view.frames.iter().flatten().zip(repaired.iter().flatten()) {
+            if let (Some(id), Some(person)) = (detection.track_id, person) {
+                *counts.entry(id).or_default().entry(*person).or_default() += 1;
+            }
+        }
+        for (detection, identity) in view.frames.iter().flatten().zip(table.iter_mut().flatten()) {
+            let people = detection.track_id.and_then(|id| counts.get(&id));
+            let usual = people.and_then(|people| people.iter().max_by_key(|(person, n)| (**n, Reverse(**person))));
+            *identity = usual.map_or(*identity, |(person, _)| Some(*person));
+        }
+    }
+    table
+}
+
+/// For every keypoint of a repaired detection the original keypoint it was taken from; `None` where it was rejected.
+fn sources(before: &Detection, after: &Detection, n_keypoints: usize) -> Vec<Option<usize>> {
+    let source = |k: usize| {
+        let is_source = |from: &usize| before.keypoints[*from].pixel == after.keypoints[k].pixel;
+        let from = Some(k).filter(is_source).or_else(|| (0..n_keypoints).find(is_source))?;
+        let is_rejected = before.keypoints[from].is_present() && !after.keypoints[k].is_present();
+        Some(from).filter(|_| !is_rejected)
+    };
+    (0..n_keypoints.min(before.keypoints.len()).min(after.keypoints.len())).map(source).collect()
+}

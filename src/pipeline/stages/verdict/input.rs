@@ -1,0 +1,34 @@
+//! Input of the verdict.
+
+use crate::session::reconstruction::{CameraReport, GeometryReport, PenetrationReport, PersonReport};
+
+/// Everything that the verdict depends on.
+#[derive(Debug, Clone, Copy)]
+pub struct VerdictInput<'a> {
+    /// Frames per second.
+    pub fps: f64,
+    /// In the session's order.
+    pub cameras: &'a [CameraReport],
+    /// All persons of the result.
+    pub people: &'a [PersonReport],
+    /// Coverage of the persons by the views.
+    pub geometry: &'a GeometryReport,
+    /// Overlaps between bodies.
+    pub penetration: &'a PenetrationReport,
+    /// Whether collisions were resolved (`options.collision`).
+    pub resolves_collisions: bool,
+    /// Share of confident keypoints explained.
+    pub explained: f64,
+    /// Largest standard deviation of a camera's orientation, degrees, where it is known.
+    pub sigma_angle_deg: Option<f64>,
+    /// Share of keypoints that the best clearly different arrangement of the cameras explained; 0 without one.
+    pub rival_explained: f64,
+    /// Whether the cameras were estimated without a start.
+    pub estimated: bool,
+}
+
+impl VerdictInput<'_> {
+    pub(super) fn n_placed(&self) -> usize {
+        self.cameras.iter().filter(|camera| camera.solved).count()
+    }
+}
