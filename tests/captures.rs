@@ -1,5 +1,5 @@
-//! Captures of the folder that `WANDLESS_TEST_DATA` names; loudly skipped where it is unset.
-#![allow(clippy::unwrap_used)] // a test that meets what it did not expect has failed
+//! Solves the captures in the folder that `WANDLESS_TEST_DATA` names; skipped with a message where it is unset.
+#![allow(clippy::unwrap_used)] // a test may
 
 use std::path::PathBuf;
 use wandless::evaluation::{EvaluationOptions, evaluate};
@@ -9,7 +9,7 @@ use wandless::progress::Progress;
 use wandless::session::reconstruction::{Quality, Verdict};
 use wandless::session::upload::{UploadLimits, read_path};
 
-/// Bounds on one capture after a similarity alignment: mm, degrees.
+/// Error bounds of one capture after a similarity alignment: mm, degrees.
 struct Bounds {
     capture: &'static str,
     position_mm: f64,
@@ -24,9 +24,9 @@ const BOUNDS: [Bounds; 4] = [
 ];
 
 #[test]
-fn captures_are_solved_from_nothing() {
+fn solves_captures_without_track_numbers() {
     let Some(data) = std::env::var_os("WANDLESS_TEST_DATA").map(PathBuf::from) else {
-        eprintln!("SKIPPED captures_are_solved_from_nothing: WANDLESS_TEST_DATA names no folder of captures");
+        eprintln!("SKIPPED solves_captures_without_track_numbers: WANDLESS_TEST_DATA is not set");
         return;
     };
     for bounds in &BOUNDS {

@@ -1,4 +1,4 @@
-//! Damaged and hostile sessions: each is refused with its code, its kind and the place named, within two seconds.
+//! Damaged and hostile sessions: each is refused with its code, its kind and the location of the problem, within two seconds.
 
 #![allow(clippy::unwrap_used)] // a test may
 
@@ -12,17 +12,17 @@ use wandless::session::upload::{LoadedSession, UploadError, UploadLimits, read_p
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
-/// A refusal costs no more than this.
+/// Largest time for a refusal.
 const MAX_TIME: Duration = Duration::from_secs(2);
-/// Nor more memory than this, whatever the upload unpacks to.
+/// Largest growth of memory for a refusal, KiB, independent of the decompressed size.
 const MAX_GROWTH_KIB: u64 = 64 * 1024;
 
-/// One upload and what must be said of it.
+/// One upload and the expected error.
 struct Case {
     upload: Vec<u8>,
     code: &'static str,
     kind: UploadErrorKind,
-    /// Parts of the message: the place and the value that was found.
+    /// Parts of the expected message: the location and the value found.
     says: &'static [&'static str],
 }
 
@@ -90,7 +90,7 @@ fn valid_zip() -> Vec<u8> {
     zip_with(&members(), |_| {})
 }
 
-/// A valid zip with a further member of that name, which no writer would put there.
+/// A valid zip with an additional member whose name no archiver would write.
 fn zip_with_name(name: &str) -> Vec<u8> {
     let placeholder = "#".repeat(name.len());
     let zip = zip_with(&members(), |zip| zip.start_file(&placeholder, SimpleFileOptions::default()).unwrap());
@@ -107,7 +107,7 @@ fn substituted(mut bytes: Vec<u8>, from: &[u8], to: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// The valid zip with bytes of the first member's two headers changed (offsets in the local and the central one).
+/// The valid zip with bytes changed in the two headers of the first member (offsets in the local and the central one).
 fn zip_with_header(local: usize, central: usize, value: [u8; 2]) -> Vec<u8> {
     let mut zip = valid_zip();
     let directory = zip.windows(4).position(|w| w == b"PK\x01\x02").unwrap();
@@ -116,7 +116,7 @@ fn zip_with_header(local: usize, central: usize, value: [u8; 2]) -> Vec<u8> {
     zip
 }
 
-/// A zip of one member that unpacks to five gibibytes of zeros, some five megabytes large.
+/// A zip of about five megabytes with one member that decompresses to five gibibytes of zeros.
 fn zip_of_zeros() -> Vec<u8> {
     zip_with(&[], |zip| {
         let options = SimpleFileOptions::default().large_file(true);
@@ -267,10 +267,10 @@ fn cameras() -> Vec<Case> {
         case(k(1, 1, -500.0), "camera_invalid", Impossible, &["\"right\"", "fy is -500"]),
         case(k(0, 0, 1.2), "camera_invalid", Impossible, &["\"right\"", "fx is 1.2"]),
         case(k(2, 0, 1.0), "camera_invalid", Impossible, &["\"right\"", "bottom row of K is [1, 0, 1]"]),
-        case(k(0, 2, 5000.0), "camera_invalid", Impossible, &["\"right\"", "principal point (5000, 240)"]),
+        case(k(0, 2, 5000.0), "camera_invalid", Impossible, &["\"right\"", "principal point is (5000, 240)"]),
         case(with("/cameras/1/K", transposed), "camera_invalid", Impossible, &["\"right\"", "transposed"]),
         case(with("/cameras/1/K", wide), "camera_invalid", Impossible, &["\"right\"", "K is 3x4"]),
-        case(with("/cameras/1/width", json!(0)), "camera_invalid", Impossible, &["\"right\"", "image size 0x480"]),
+        case(with("/cameras/1/width", json!(0)), "camera_invalid", Impossible, &["\"right\"", "image size is 0x480"]),
         case(without("/cameras/1", "height"), "missing_field", Malformed, &["\"right\"", "`height`"]),
         case(without("/cameras/1", "K"), "missing_field", Malformed, &["\"right\"", "`K`"]),
         case(
@@ -303,20 +303,20 @@ fn read(upload: &[u8]) -> Result<LoadedSession, UploadError> {
     read_upload(Cursor::new(upload), "upload", &UploadLimits::default())
 }
 
-/// Peak memory of this process, KiB; `None` where the system does not tell.
+/// Peak memory of this process, KiB; `None` where the system does not report it.
 fn peak_kib() -> Option<u64> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
     status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?.trim().strip_suffix(" kB")?.parse().ok()
 }
 
 #[test]
-fn each_is_refused_with_its_code_and_place_in_little_time_and_memory() {
+fn rejects_with_code_and_location_in_bounded_time_and_memory() {
     assert_eq!(read(&valid_zip()).unwrap().session.views.len(), 2, "the untouched session is accepted");
     assert_eq!(read(session().to_string().as_bytes()).unwrap().session.n_frames, 2);
     let cases: Vec<Case> = [containers(), documents(), cameras()].into_iter().flatten().collect();
     let long_list = format!("{{\"lens\":[{}1],{}", "1,".repeat(20_000_000), &session().to_string()[1..]);
     let before = peak_kib();
-    assert!(read(long_list.as_bytes()).is_ok(), "a key without meaning is passed over");
+    assert!(read(long_list.as_bytes()).is_ok(), "an unknown key is ignored");
     for (i, Case { upload, code, kind, says }) in cases.iter().enumerate() {
         let start = Instant::now();
         let error = read(upload).expect_err(code);
@@ -324,7 +324,7 @@ fn each_is_refused_with_its_code_and_place_in_little_time_and_memory() {
         let message = error.to_string();
         assert_eq!((error.code, error.kind), (*code, *kind), "case {i}: {message}");
         for part in *says {
-            assert!(message.contains(part), "case {i}: {message:?} does not say {part:?}");
+            assert!(message.contains(part), "case {i}: {message:?} does not contain {part:?}");
         }
         assert!(message.contains(&error.remedy) && !message.contains('\n'), "{message:?}");
     }
@@ -334,17 +334,17 @@ fn each_is_refused_with_its_code_and_place_in_little_time_and_memory() {
 }
 
 #[test]
-fn what_is_odd_but_possible_is_accepted_and_told() {
+fn accepts_unusual_sessions_with_warnings() {
     let warnings = |upload: Vec<u8>| read(&upload).unwrap().warnings.join("; ");
     assert!(warnings(with("/cameras/1/K/0/2", json!(700.0))).contains("\"right\""));
     assert!(warnings(with("/cameras/1/t", json!([0.0, 0.0, 3000.0]))).contains("millimetres"));
-    assert!(warnings(with("/poses/right/frames", json!([]))).contains("\"right\" delivered no frame"));
+    assert!(warnings(with("/poses/right/frames", json!([]))).contains("\"right\" has no frames"));
     assert!(warnings(without("", "n_frames")).contains("2 frames were found"));
 }
 
 #[test]
-fn names_of_cameras_are_kept_byte_for_byte() {
-    // Composed and decomposed, two cases, a way out of the folder, a device, a long one: all different, none a path.
+fn preserves_camera_names_byte_for_byte() {
+    // Composed and decomposed, two cases, a parent folder, a device, a long one: all are different names and not paths.
     for (a, b) in
         [("caf\u{e9}", "cafe\u{301}"), ("A", "a"), ("..", "con"), ("\u{202e}x", "🎥"), (&"x".repeat(1000), "/etc")]
     {
@@ -359,7 +359,7 @@ fn names_of_cameras_are_kept_byte_for_byte() {
 }
 
 #[test]
-fn one_camera_alone_and_frames_from_elsewhere_are_accepted() {
+fn accepts_one_camera_and_negative_frame_numbers() {
     let mut session = session();
     session["cameras"].as_array_mut().unwrap().pop();
     session["first_frame"] = json!(-1);
@@ -371,7 +371,7 @@ fn one_camera_alone_and_frames_from_elsewhere_are_accepted() {
 }
 
 #[test]
-fn a_folder_without_a_session_and_a_path_to_nowhere_are_refused() {
+fn rejects_folders_without_session_and_missing_paths() {
     let dir = tempfile::tempdir().unwrap();
     let error = |path: &Path| read_path(path, &UploadLimits::default()).unwrap_err();
     assert_eq!(error(dir.path()).code, "format_unknown");
@@ -385,7 +385,7 @@ fn a_folder_without_a_session_and_a_path_to_nowhere_are_refused() {
 }
 
 #[test]
-fn a_line_names_its_number() {
+fn reports_the_line_number_of_ndjson() {
     let mut header = session();
     header.as_object_mut().unwrap().remove("poses");
     let line = |camera: &str, frame: i64| json!({"camera": camera, "frame": frame, "people": []});

@@ -3,25 +3,25 @@
 use sha2::{Digest, Sha256};
 use std::io::{self, Read};
 
-/// Digest of all that `reader` still holds.
+/// Digest of the remaining bytes of `reader`.
 ///
 /// # Errors
-/// Whatever reading fails with.
+/// The error of the reader.
 pub fn sha256_of_reader(reader: &mut impl Read) -> io::Result<String> {
     let mut hasher = Sha256::new();
     absorb(&mut hasher, reader)?;
     Ok(hex::encode(hasher.finalize()))
 }
 
-/// Digest of named byte streams: of each name, then its content's own digest, in the order given.
+/// Digest of named byte streams: of the digest of each name and the digest of its content, in the order of the calls.
 #[derive(Default)]
 pub struct NamedDigest(Sha256);
 
 impl NamedDigest {
-    /// Adds one stream. Both parts are of fixed length, so that no two lists of streams write the same bytes.
+    /// Adds one stream. Both parts have a fixed length, so that different lists of streams cannot produce the same bytes.
     ///
     /// # Errors
-    /// Whatever reading fails with.
+    /// The error of the reader.
     pub fn add(&mut self, name: &str, reader: &mut impl Read) -> io::Result<()> {
         let mut content = Sha256::new();
         absorb(&mut content, reader)?;
@@ -30,7 +30,7 @@ impl NamedDigest {
         Ok(())
     }
 
-    /// The digest of all that was added.
+    /// The digest of all streams added.
     pub fn finish(self) -> String {
         hex::encode(self.0.finalize())
     }
@@ -53,13 +53,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_digest_of_abc_is_that_of_fips_180() {
+    fn matches_the_fips_180_example() {
         let digest = sha256_of_reader(&mut &b"abc"[..]).unwrap();
         assert_eq!(digest, "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
     }
 
     #[test]
-    fn names_and_contents_do_not_run_into_each_other() {
+    fn separates_names_from_contents() {
         let digest = |parts: &[(&str, &str)]| {
             let mut d = NamedDigest::default();
             for (name, content) in parts {

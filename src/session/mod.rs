@@ -1,4 +1,5 @@
-//! Every noun that travels, how a session is read and written; no algorithm.
+//! The data of a session and its result: recording, tracks, motions, reconstruction; how sessions are read, built and
+//! written.
 
 mod builder;
 pub mod digest;

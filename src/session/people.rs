@@ -1,41 +1,42 @@
-//! People in motion: what the stages hand each other.
+//! Tracks, trajectories and body motions of people: the data that the pipeline's stages exchange.
 
 use super::recording::{FrameIndex, PersonId};
 use crate::body::skeleton::N_JOINTS;
 use nalgebra::{Matrix3, Vector3};
 
-/// Which detection shows the person, per frame and view: `detection[frame - first][view]`.
+/// Detections of one person in all views: `detections[frame - first][view]`.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct PersonTrack {
-    /// Who.
+    /// The person.
     pub person: PersonId,
     /// First frame of the track.
     pub first: FrameIndex,
-    /// For every frame from `first` on and every view: index into `View::frames[frame]`, if given to this person.
+    /// For every frame from `first` on and every view: index into `View::frames[frame]`, `None` without a detection of this
+    /// person.
     pub detections: Vec<Vec<Option<usize>>>,
 }
 
-/// Points of one person over time in the session's keypoint convention (named body keypoints only), world metres.
+/// 3D points of one person over time, one per named keypoint of the session's convention, world metres.
 #[derive(Debug, Clone, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct JointTrajectory {
-    /// Who.
+    /// The person.
     pub person: PersonId,
     /// First frame.
     pub first: FrameIndex,
-    /// `points[frame - first][keypoint]`; `None` where nothing is known.
+    /// `points[frame - first][keypoint]`; `None` where the point is unknown.
     pub points: Vec<Vec<Option<Vector3<f64>>>>,
-    /// How many views each point was seen in, same shape.
+    /// Number of views that observe each point, same shape as `points`.
     pub n_views: Vec<Vec<u8>>,
 }
 
-/// SMPL-convention motion of one person: shape once, pose per frame without holes.
+/// Motion of one person in SMPL's convention: one shape, and a pose for every frame without gaps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BodyMotion {
-    /// Who.
+    /// The person.
     pub person: PersonId,
     /// First frame.
     pub first: FrameIndex,
-    /// Shape coefficients, population standard deviations.
+    /// Shape coefficients (SMPL's betas), in standard deviations of the population.
     pub betas: [f64; 10],
     /// One entry per frame from `first` on.
     pub frames: Vec<BodyPose>,
@@ -44,12 +45,12 @@ pub struct BodyMotion {
 /// One frame of a [`BodyMotion`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct BodyPose {
-    /// Local rotations of the 24 joints (`parent_from_joint`); entry 0 is the root's, `world_from_pelvis`.
+    /// Local rotations of the 24 joints, `parent_from_joint`; entry 0 is `world_from_pelvis`.
     pub rotations: [Matrix3<f64>; N_JOINTS],
-    /// SMPL's `transl`: added after the rotation about the rest pelvis, metres.
+    /// SMPL's `transl`, metres: added after the rotation about the rest pelvis.
     pub translation: Vector3<f64>,
-    /// Posed joints in the world, metres.
+    /// Positions of the joints in the world, metres.
     pub joints: [Vector3<f64>; N_JOINTS],
-    /// False where nobody saw the person for longer than the gap limit.
+    /// False where no camera detected the person for longer than the gap limit; the pose is then carried over.
     pub valid: bool,
 }

@@ -1,4 +1,4 @@
-//! The result: posed cameras, people, motions, quality figures. Serialised by `export`.
+//! The result of a solve: camera poses, people, motions and quality figures. `export` serialises it.
 
 mod estimates;
 mod report;
@@ -16,83 +16,83 @@ use serde::{Deserialize, Serialize};
 /// One camera of the result.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SolvedCamera {
-    /// `None`: the camera could not be placed (`unsolved`).
+    /// Camera pose, metres; `None` where the camera could not be solved (`unsolved`).
     pub camera_from_world: Option<Rigid>,
-    /// Mean and median distance of explained keypoints to their reprojection, px.
+    /// Mean and median reprojection error of the inlier keypoints, px.
     pub reprojection_px: Option<ErrorSummary>,
-    /// Keypoints used.
+    /// Number of keypoints used.
     pub n_observations: usize,
-    /// Standard deviation of the centre, mm, after a similarity alignment, scale apart.
+    /// Standard deviation of the camera centre, mm, after a similarity alignment; excludes the uncertainty of the scale.
     pub sigma_position_mm: Option<f64>,
     /// Standard deviation of the orientation, degrees.
     pub sigma_angle_deg: Option<f64>,
-    /// When its frames were taken, where that is not simply what their numbers say.
+    /// Time offset, where it differs from 0 or was estimated.
     pub time_offset: Option<TimeOffset>,
-    /// What its focal lengths were multiplied by, where they were refined.
+    /// Factor on the focal lengths, where they were refined.
     pub focal_factor: Option<FocalFactor>,
 }
 
 impl SolvedCamera {
-    /// The lens that the pose holds for, from the one that the session gives.
+    /// The intrinsics that the pose refers to: those of the session, with refined focal lengths.
     pub fn lens(&self, given: &Intrinsics) -> Intrinsics {
         self.focal_factor.map_or(*given, |factor| given.with_focal_factor(factor.value))
     }
 }
 
-/// Everything a run found out.
+/// The complete result of a solve.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reconstruction {
-    /// In the order of the session's views.
+    /// Cameras, in the order of the session's views.
     pub cameras: Vec<SolvedCamera>,
-    /// Best estimate of the detector's points, per person.
+    /// Best estimate of the detected keypoints in space, per person.
     pub keypoints: Vec<JointTrajectory>,
-    /// SMPL-convention motion, per person, same order.
+    /// Body motions, in the same order.
     pub motions: Vec<BodyMotion>,
-    /// `identities[view][frame][detection]`: whom each detection was given to.
+    /// `identities[view][frame][detection]`: the person that each detection is assigned to; `None` where it is rejected.
     pub identities: Vec<Vec<Vec<Option<PersonId>>>>,
     /// Up axis of the result's world.
     pub up_axis: UpAxis,
-    /// Name and digest of the body model behind `motions`.
+    /// The body model that `motions` refer to.
     pub body_model: BodyModelId,
-    /// What became of the detections; `None` where the consistency stage was switched off.
+    /// Repairs of the detections; `None` where the consistency stage is switched off.
     pub repairs: Option<DetectionRepairs>,
-    /// Figures and verdict.
+    /// Statistics and verdict.
     pub report: Report,
 }
 
-/// What the consistency stage made of the detections, against what came in.
+/// Changes that the consistency stage made to the detections.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DetectionRepairs {
-    /// `[view][frame][detection]`: whom it would show if nothing were repaired, by the detector's own track id, or without
-    /// one by association and tracking.
+    /// Identities without any repair, `[view][frame][detection]`: from the detector's track numbers, or without them from
+    /// association and tracking.
     pub identities_before: Vec<Vec<Vec<Option<PersonId>>>>,
-    /// Detections whose keypoints were exchanged or rejected, in order of view, frame and detection.
+    /// Detections with exchanged or rejected keypoints, in order of view, frame and detection.
     pub repaired: Vec<RepairedDetection>,
 }
 
-/// A detection of which not every keypoint stands for itself any more.
+/// A detection with exchanged or rejected keypoints.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct RepairedDetection {
     /// Index of its view.
     pub view: usize,
     /// Its frame.
     pub frame: FrameIndex,
-    /// Its place among the frame's detections.
+    /// Its index among the frame's detections.
     pub detection: usize,
-    /// For every named keypoint the one of the detection that shows it; `None`: rejected.
+    /// For every named keypoint the index of the detected keypoint that shows it; `None` where it is rejected.
     pub sources: Vec<Option<usize>>,
 }
 
-/// Which body model the shape and pose parameters belong to.
+/// Identification of the body model that shape and pose parameters refer to.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BodyModelId {
     /// Its name.
     pub name: String,
-    /// Digest of its numbers.
+    /// SHA-256 digest of its numbers.
     pub sha256: String,
 }
 
-/// A format that the result can be written in (`options.exports`).
+/// An export format of a result (`options.exports`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[allow(missing_docs)] // the names say it

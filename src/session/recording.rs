@@ -1,56 +1,56 @@
-//! What was filmed: a session of views, each with its camera's intrinsics and the people detected frame by frame.
+//! The recording: a session of views, each with its camera's intrinsics and the people detected in every frame.
 
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::{Intrinsics, Rigid};
 use nalgebra::Vector2;
 
-/// Position of a frame on the session's dense time line, from 0; the session's own number is `first_frame + index`.
+/// Index of a frame on the session's dense time line, from 0; the session's own frame number is `first_frame + index`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
 pub struct FrameIndex(pub usize);
 
-/// A person of the result, numbered from 0 in order of support.
+/// Number of a person of the result, from 0, in descending order of the number of detections.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
 pub struct PersonId(pub usize);
 
-/// One detected point.
+/// One detected 2D point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Keypoint {
-    /// Pixels, as detected (distorted); meaningless where `confidence` is 0.
+    /// Position, px, as detected (distorted); meaningless where `confidence` is 0.
     pub pixel: Vector2<f64>,
-    /// 0 (missing) to 1.
+    /// Confidence of the detector, 0 (missing) to 1.
     pub confidence: f64,
 }
 
 impl Keypoint {
-    /// Whether the detector reported the point at all.
+    /// Whether the detector reported the point.
     pub fn is_present(&self) -> bool {
         self.confidence > 0.0
     }
 }
 
-/// One person as one detector saw them in one image.
+/// One person in a view and frame, as detected.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Detection {
-    /// The detector's own identity, if it gave one: evidence, never truth.
+    /// Track number that the detector assigned, if any. Used as an observation, since detectors swap numbers.
     pub track_id: Option<i64>,
     /// One entry per keypoint of the session's convention.
     pub keypoints: Vec<Keypoint>,
 }
 
-/// One camera and what it saw.
+/// One camera and its detections.
 #[derive(Debug, Clone, PartialEq)]
 pub struct View {
-    /// The camera's name; unique in the session, kept byte for byte.
+    /// The camera's name; unique in the session, preserved byte for byte.
     pub id: String,
-    /// Known intrinsics.
+    /// Intrinsics as given by the session.
     pub intrinsics: Intrinsics,
-    /// `camera_from_world`, metres, where the session gives it.
+    /// Camera pose `camera_from_world`, metres, where the session gives it.
     pub camera_from_world: Option<Rigid>,
-    /// When its frames were taken: frame number `n` at `n / fps + time_offset`, s.
+    /// Time offset of the camera, s: frame number `n` was taken at `n / fps + time_offset`.
     pub time_offset: f64,
-    /// Detections by [`FrameIndex`]; empty where the camera has no such frame. Length `n_frames`.
+    /// Detections by [`FrameIndex`], length `n_frames`; empty where the camera has no such frame.
     pub frames: Vec<Vec<Detection>>,
-    /// The frames the camera delivered, in the order of its file.
+    /// The frames that the camera delivered, in the order of its file.
     pub delivered: Vec<FrameIndex>,
 }
 
@@ -69,26 +69,26 @@ pub enum UpAxis {
 /// A validated capture session.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Session {
-    /// For people to read.
+    /// Name of the session, for display.
     pub name: String,
     /// Frames per second.
     pub fps: f64,
-    /// The session's own number of frame index 0.
+    /// Frame number of frame index 0.
     pub first_frame: i64,
-    /// Length of the time line.
+    /// Number of frames of the time line.
     pub n_frames: usize,
-    /// What the keypoints are.
+    /// Keypoint convention of all detections.
     pub convention: KeypointConvention,
     /// Up axis of the given world, where extrinsics are given.
     pub up_axis: Option<UpAxis>,
-    /// SMPTE time code of frame number 0, `HH:MM:SS:FF` (drop frame: `HH:MM:SS;FF`), where the session gives it.
+    /// SMPTE time code of frame number 0, `HH:MM:SS:FF` (drop frame: `HH:MM:SS;FF`), where given.
     pub start_timecode: Option<String>,
     /// The cameras, in the session's order.
     pub views: Vec<View>,
 }
 
 impl Session {
-    /// The session's own number of a frame.
+    /// Frame number of a frame index.
     pub fn frame_number(&self, frame: FrameIndex) -> i64 {
         self.first_frame + frame.0 as i64
     }

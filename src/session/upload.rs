@@ -1,6 +1,7 @@
-//! From the bytes of an upload to a [`Session`], once; a refusal names file, camera, frame, value and remedy.
+//! Reads an upload into a [`Session`]; an error names file, camera, frame, value and remedy.
 //!
-//! What it is is told by content, never by a name's ending: a zip by its first bytes, a document by its first brace.
+//! The format is recognised by content and never by a file name's ending: a zip by its first bytes, a document by its first
+//! brace.
 
 pub(crate) mod assemble;
 mod camera;
@@ -35,22 +36,22 @@ use warnings::Warnings;
 /// An accepted upload.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoadedSession {
-    /// What was filmed.
+    /// The session.
     pub session: Session,
-    /// The dialect: `native` (folder or zip), `native_json` or `native_ndjson`; of other tools' files the dialects of
-    /// the poses and the formats of the calibration, `openpose+easymocap with opencv_yaml`.
+    /// The dialect: `native` (folder or zip), `native_json` or `native_ndjson`; for other tools' files the dialects of the
+    /// poses and the formats of the calibration, `openpose+easymocap with opencv_yaml`.
     pub format: String,
-    /// What is worth telling although the upload was accepted, one sentence each.
+    /// Warnings about the accepted upload, one sentence each.
     pub warnings: Vec<String>,
-    /// Digest of the uploaded bytes; for a folder of the names and contents of the files that were read, in order of
-    /// their names. The same session as folder, zip and document has three digests.
+    /// SHA-256 digest of the uploaded bytes; for a folder of the names and contents of the files that were read, in order of
+    /// their names. The same session as folder, zip and document has three different digests.
     pub sha256: String,
 }
 
 /// Reads a session from a folder or a file on this machine.
 ///
 /// # Errors
-/// [`UploadError`], with the place where it was found.
+/// [`UploadError`], with the location of the problem.
 pub fn read_path(path: &Path, limits: &UploadLimits) -> Result<LoadedSession, UploadError> {
     if path.is_dir() { read_folder(path, limits) } else { read_file(path, limits) }
 }
@@ -58,7 +59,7 @@ pub fn read_path(path: &Path, limits: &UploadLimits) -> Result<LoadedSession, Up
 /// Reads an uploaded file: a zip, a JSON document or NDJSON.
 ///
 /// # Errors
-/// [`UploadError`], with the place where it was found.
+/// [`UploadError`], with the location of the problem.
 pub fn read_file(path: &Path, limits: &UploadLimits) -> Result<LoadedSession, UploadError> {
     let name = path.file_name().unwrap_or(path.as_os_str()).to_string_lossy();
     let file = File::open(path)
@@ -66,24 +67,24 @@ pub fn read_file(path: &Path, limits: &UploadLimits) -> Result<LoadedSession, Up
     read_upload(file, &name, limits)
 }
 
-/// Reads an upload from any seekable bytes; `name` is what messages call it.
+/// Reads an upload from any seekable bytes; `name` is the file name for messages.
 ///
 /// # Errors
-/// [`UploadError`], with the place where it was found.
+/// [`UploadError`], with the location of the problem.
 pub fn read_upload<R: Read + Seek>(
     mut reader: R,
     name: &str,
     limits: &UploadLimits,
 ) -> Result<LoadedSession, UploadError> {
-    let of_upload = |error: UploadError| UploadError { file: error.file.or_else(|| Some(name.to_owned())), ..error };
-    let unreadable = |e: std::io::Error| of_upload(Fault::FileUnreadable.with(e.to_string()));
+    let in_upload = |error: UploadError| UploadError { file: error.file.or_else(|| Some(name.to_owned())), ..error };
+    let unreadable = |e: std::io::Error| in_upload(Fault::FileUnreadable.with(e.to_string()));
     let mut warnings = Warnings::default();
-    let container = sniff(&mut reader).map_err(of_upload)?;
+    let container = sniff(&mut reader).map_err(in_upload)?;
     let mut reading = Reading::new(limits, &mut warnings);
     let MembersRead { raw, format, .. } = match container {
         Container::Zip => {
-            let mut members = Members::of_zip(&mut reader, limits).map_err(of_upload)?;
-            read_members(&mut members, &mut reading).map_err(of_upload)?
+            let mut members = Members::of_zip(&mut reader, limits).map_err(in_upload)?;
+            read_members(&mut members, &mut reading).map_err(in_upload)?
         }
         Container::Document => {
             let (raw, shape) = native::read_document(&mut reader, name, &mut reading)?;
@@ -98,10 +99,10 @@ pub fn read_upload<R: Read + Seek>(
 }
 
 fn read_folder(dir: &Path, limits: &UploadLimits) -> Result<LoadedSession, UploadError> {
-    let of_folder = |e: UploadError| UploadError { file: e.file.or_else(|| Some(dir.display().to_string())), ..e };
+    let in_folder = |e: UploadError| UploadError { file: e.file.or_else(|| Some(dir.display().to_string())), ..e };
     let mut warnings = Warnings::default();
-    let mut members = Members::of_folder(dir, limits).map_err(of_folder)?;
-    let read = read_members(&mut members, &mut Reading::new(limits, &mut warnings)).map_err(of_folder)?;
+    let mut members = Members::of_folder(dir, limits).map_err(in_folder)?;
+    let read = read_members(&mut members, &mut Reading::new(limits, &mut warnings)).map_err(in_folder)?;
     let session = assemble::assemble(read.raw, limits, &mut warnings)?;
     suspicions::report(&session, &mut warnings);
     let sha256 = digest_of_members(&mut members, read.files)?;
@@ -113,7 +114,7 @@ enum Container {
     Document,
 }
 
-/// Tells the container by its first bytes and goes back to the start.
+/// Recognises the container by its first bytes and rewinds.
 fn sniff<R: Read + Seek>(reader: &mut R) -> Result<Container, UploadError> {
     let mut head = Vec::new();
     let read = reader.by_ref().take(64).read_to_end(&mut head).and_then(|_| reader.seek(SeekFrom::Start(0)));
@@ -128,20 +129,21 @@ fn sniff<R: Read + Seek>(reader: &mut R) -> Result<Container, UploadError> {
         [] => Err(Fault::FormatUnknown.with("the file is empty")),
         _ => {
             let start = hex::encode(&head[..head.len().min(8)]);
-            Err(Fault::FormatUnknown.with(format!("the file starts with bytes {start}, neither a zip nor an object")))
+            Err(Fault::FormatUnknown
+                .with(format!("the file starts with bytes {start}, expected a zip or a JSON object")))
         }
     }
 }
 
-/// What the files of a folder or an archive hold.
+/// Content of the files of a folder or an archive.
 struct MembersRead {
     raw: RawSession,
     format: String,
-    /// The files that were read.
+    /// Names of the files that were read.
     files: Vec<String>,
 }
 
-/// Finds out whether the files are a native session or other tools', and reads them.
+/// Recognises whether the files are a native session or other tools' files, and reads them.
 fn read_members<R: Read + Seek>(
     members: &mut Members<R>,
     reading: &mut Reading<'_>,
@@ -154,14 +156,16 @@ fn read_members<R: Read + Seek>(
         [header] => Some(header.clone()),
         [..] if members.contains("session.json") => Some("session.json".to_owned()),
         [first, second, ..] => {
-            return Err(Fault::SessionAmbiguous.with(format!("there are two sessions, {first:?} and {second:?}")));
+            return Err(
+                Fault::SessionAmbiguous.with(format!("the upload contains two sessions, {first:?} and {second:?}"))
+            );
         }
     };
     let survey = foreign::survey(members);
     let is_foreign = match &header {
         None if !survey.has_poses() => {
-            let nothing = "there is no session.json, and no pose file of a known dialect".to_owned();
-            let detail = std::iter::once(nothing).chain(survey.hints).collect::<Vec<_>>().join("; ");
+            let missing = "the upload contains no session.json and no pose file of a known dialect".to_owned();
+            let detail = std::iter::once(missing).chain(survey.hints).collect::<Vec<_>>().join("; ");
             return Err(Fault::FormatUnknown.with(detail));
         }
         None => true,
@@ -178,7 +182,7 @@ fn read_members<R: Read + Seek>(
     Ok(MembersRead { raw, format: native::Shape::Folder.name().to_owned(), files })
 }
 
-/// One folder round the whole session; the shadow copies of one system's packer are none.
+/// Whether the folder encloses the whole session. `__MACOSX/` does not: it holds copies that macOS adds to archives.
 fn is_enclosing_folder(folder: &str) -> bool {
     folder.matches('/').count() == 1 && folder.ends_with('/') && folder != "__MACOSX/"
 }

@@ -1,4 +1,4 @@
-//! Every calibration file projects as the camera it was written from; what it cannot hold is said.
+//! Every calibration file projects like the camera it was written from; values that a format lacks cause warnings.
 
 use crate::dialects::openpose;
 use crate::take::{CAMERAS, COCO17, Camera, Files, HEIGHT, WIDTH, camera, read};
@@ -209,7 +209,7 @@ fn largest_difference_px(loaded: &LoadedSession, dist: Distortion, has_poses: bo
 }
 
 #[test]
-fn every_calibration_projects_as_it_was_written() {
+fn every_calibration_projects_like_its_source() {
     let none = Distortion::None;
     let cases: Vec<(&str, Files, Distortion, bool)> = vec![
         ("opencv_yaml", opencv_yaml(OPENCV5, false), OPENCV5, true),
@@ -250,15 +250,18 @@ fn cameras_without_an_image_size_need_one_from_elsewhere() {
 }
 
 #[test]
-fn what_a_format_cannot_hold_is_said() {
-    let says = |files: Files, part: &str| {
+fn warns_about_values_that_a_format_lacks() {
+    let assert_warns = |files: Files, part: &str| {
         let warnings = read(&with_poses(files)).unwrap().warnings;
         assert!(warnings.iter().any(|line| line.contains(part)), "{part}: {warnings:?}");
     };
-    says(toml(OPENCV4, 4, "cam_#", 1.0, ""), "k3, if there was one, is lost");
-    says(toml(OPENCV5, 5, "cam_#", 1000.0, "world_position = [0.0, 0.0, 0.0]"), "FreeMoCap's, in millimetres");
-    says(toml(OPENCV5, 5, "cam_#", 1.0, "rotation_count = 1"), "rotation_count 1");
-    says(colmap(Distortion::None), "no unit of its own");
+    assert_warns(toml(OPENCV4, 4, "cam_#", 1.0, ""), "a k3 of the lens, if any, is missing");
+    assert_warns(
+        toml(OPENCV5, 5, "cam_#", 1000.0, "world_position = [0.0, 0.0, 0.0]"),
+        "FreeMoCap's: its translations are read as millimetres",
+    );
+    assert_warns(toml(OPENCV5, 5, "cam_#", 1.0, "rotation_count = 1"), "rotation_count 1");
+    assert_warns(colmap(Distortion::None), "COLMAP's poses have no unit");
     let refused = |files: Files| read(&with_poses(files)).map_err(|e| e.code).unwrap_err();
     let fov = b"1 FOV 1280 720 800 800 640 360 0.9\n".to_vec();
     assert_eq!(refused(vec![("cameras.txt".to_owned(), fov)]), "distortion_unsupported");
@@ -268,7 +271,7 @@ fn what_a_format_cannot_hold_is_said() {
 }
 
 #[test]
-fn keypoints_of_a_proved_size_scale_the_calibration() {
+fn scales_the_calibration_to_the_keypoints_image_size() {
     let mut files = crate::dialects::easymocap(false);
     files[1].1 = String::from_utf8(files[1].1.clone()).unwrap().replace("1280.0, 720.0", "2560.0, 1440.0").into_bytes();
     let loaded = read(&files).unwrap();
@@ -278,10 +281,10 @@ fn keypoints_of_a_proved_size_scale_the_calibration() {
     files[1].1 = String::from_utf8(files[1].1.clone()).unwrap().replace("2560.0, 1440.0", "720.0, 1280.0").into_bytes();
     let error = read(&files).unwrap_err();
     assert_eq!(error.code, "camera_invalid");
-    assert!(error.detail.contains("turned"), "{}", error.detail);
+    assert!(error.detail.contains("rotated"), "{}", error.detail);
 }
 
-/// One set of files a calibration format, for damage.
+/// One set of files per calibration format, for damage.
 pub(crate) fn damaged_sets() -> Vec<Files> {
     let calibrations = [
         opencv_yaml(OPENCV5, false),

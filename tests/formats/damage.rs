@@ -1,4 +1,4 @@
-//! Damaged files of every format are read or refused, never a panic.
+//! Damaged files of every format are read or refused without a panic.
 
 use crate::calibrations::damaged_sets;
 use crate::dialects;
@@ -6,7 +6,7 @@ use crate::take::{COCO17, Files, read};
 use proptest::prelude::*;
 use std::sync::OnceLock;
 
-/// Few files of every format: what is not listed is more of the same.
+/// Example files of every format; formats that are not listed share their readers.
 fn sets() -> &'static [Files] {
     static SETS: OnceLock<Vec<Files>> = OnceLock::new();
     SETS.get_or_init(|| {
@@ -20,7 +20,7 @@ fn sets() -> &'static [Files] {
             dialects::deeplabcut(),
         ];
         sets.extend(damaged_sets());
-        // Two frames a camera are enough; one file a camera stays.
+        // Two frames per camera are sufficient; files per camera are kept whole.
         sets.iter_mut().for_each(|files| files.retain(|(name, _)| !is_late_frame(name)));
         sets
     })
@@ -31,14 +31,14 @@ fn is_late_frame(name: &str) -> bool {
     digits.trim_end_matches(".json").parse::<i64>().is_ok_and(|frame| frame > 1)
 }
 
-/// Longer files are cut, so that damage hits what is structure.
+/// Longer files are truncated, so that damage hits their structure.
 const MAX_BYTES: usize = 6000;
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]
 
     #[test]
-    fn a_damaged_file_is_read_or_refused(
+    fn reads_or_rejects_damaged_files(
         set in any::<prop::sample::Index>(),
         file in any::<prop::sample::Index>(),
         flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..5),

@@ -1,4 +1,4 @@
-//! The same take in every pose dialect is the same session.
+//! The same recording in every pose dialect gives the same session.
 
 use crate::take::{CAMERAS, COCO17, Files, HEIGHT, N_FRAMES, Point, WIDTH, calib_toml, header, people, read};
 use serde_json::{Value, json};
@@ -30,7 +30,7 @@ fn flat(points: &[Point]) -> Vec<f64> {
     points.iter().flatten().copied().collect()
 }
 
-/// One file a camera and frame.
+/// One file per camera and frame.
 pub(crate) fn per_frame(
     name: impl Fn(&str, i64) -> String,
     joints: &[&str],
@@ -45,7 +45,7 @@ pub(crate) fn per_frame(
     files
 }
 
-/// One file a camera of items, one a person.
+/// One file per camera, with one item per person.
 fn per_camera(name: impl Fn(&str) -> String, item: impl Fn(&str, i64, usize, &[Point]) -> Value) -> Files {
     let mut files = vec![header(), calib_toml()];
     for (i, camera) in CAMERAS.iter().enumerate() {
@@ -94,7 +94,7 @@ fn dmmr() -> Files {
             json!({"version": 1.1, "people": people.iter().map(person).collect::<Vec<_>>()})
         },
     );
-    // A third person, known and not seen, makes positions identities.
+    // A placeholder for a third person makes indices identities.
     let first = &mut files.iter_mut().find(|(name, _)| name.starts_with("keypoints/")).unwrap().1;
     let mut document: Value = serde_json::from_slice(first).unwrap();
     document["people"].as_array_mut().unwrap().push(Value::Null);
@@ -243,7 +243,7 @@ fn native_poses() -> Files {
     files
 }
 
-/// Checks a session against the take, as far as `joints` go; `None` where a dialect holds no identities.
+/// Compares a session with the recording over `joints`; `tracks` is `None` where a dialect has no identities.
 fn check(loaded: &LoadedSession, what: &str, joints: &[&str], tracks: Option<[i64; 2]>) {
     let session = &loaded.session;
     assert_eq!((session.fps, session.first_frame, session.n_frames), (50.0, 0, N_FRAMES as usize), "{what}");
@@ -259,7 +259,7 @@ fn check(loaded: &LoadedSession, what: &str, joints: &[&str], tracks: Option<[i6
                 for (name, [x, y, confidence]) in joints.iter().zip(expected) {
                     let Some(index) = session.convention.index_of(name) else { panic!("{what}: no {name}") };
                     let own = &found[person].keypoints[index];
-                    // Six times a confidence, divided by six, is off by one rounding.
+                    // Six times a confidence, divided by six, has a rounding error.
                     assert!((own.confidence - confidence).abs() < 1e-12, "{what}: {name} {own:?} {confidence}");
                     assert_eq!((own.pixel.x, own.pixel.y), (*x, *y), "{what}: {name} in frame {frame}");
                 }
@@ -269,7 +269,7 @@ fn check(loaded: &LoadedSession, what: &str, joints: &[&str], tracks: Option<[i6
 }
 
 #[test]
-fn the_take_is_the_same_in_every_dialect() {
+fn reads_every_dialect_alike() {
     let by_place = Some([0, 1]);
     let cases: Vec<(&str, Files, Option<[i64; 2]>)> = vec![
         ("openpose", openpose(&COCO17), None),
@@ -297,7 +297,7 @@ fn the_take_is_the_same_in_every_dialect() {
 }
 
 #[test]
-fn eighteen_points_keep_their_neck() {
+fn keeps_the_neck_of_eighteen_points() {
     for (name, files) in [("alphapose_cmu", alphapose_cmu()), ("alphapose_open", alphapose_open())] {
         let loaded = read(&files).unwrap_or_else(|e| panic!("{name}: {e}"));
         assert_eq!(
@@ -309,7 +309,7 @@ fn eighteen_points_keep_their_neck() {
 }
 
 #[test]
-fn twenty_five_points_are_told_apart_by_the_body_they_draw() {
+fn distinguishes_orders_of_twenty_five_points() {
     let vitpose: Vec<&str> = ["nose", "left_eye", "right_eye", "left_ear", "right_ear", "neck"]
         .into_iter()
         .chain(["left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist"])
@@ -330,7 +330,7 @@ fn twenty_five_points_are_told_apart_by_the_body_they_draw() {
 }
 
 #[test]
-fn cameras_of_mixed_skeletons_share_the_one_that_keeps_most() {
+fn merges_mixed_skeletons_into_the_widest_convention() {
     let halpe = KeypointConvention::Halpe26.names();
     let mut files = openpose(&COCO17);
     files.retain(|(name, _)| !name.contains("cam2_"));
@@ -344,7 +344,7 @@ fn cameras_of_mixed_skeletons_share_the_one_that_keeps_most() {
 }
 
 #[test]
-fn a_custom_skeleton_is_read_by_its_names() {
+fn reads_a_custom_skeleton_by_names() {
     let joints = ["right_knee", "right_hip", "nose", "left_hip", "neck", "left_knee", "left_ankle"];
     let mut files = openpose(&joints);
     assert_eq!(read(&files).unwrap_err().code, "skeleton_unknown");
@@ -359,7 +359,7 @@ fn a_custom_skeleton_is_read_by_its_names() {
 }
 
 #[test]
-fn caliscopes_points_come_with_their_time_stamps() {
+fn reads_caliscope_points_with_time_stamps() {
     let mut text =
         "sync_index,cam_id,frame_index,frame_time,point_id,img_loc_x,img_loc_y,obj_loc_x,obj_loc_y\n".to_owned();
     let mut stamps = "cam_id,frame_time\n".to_owned();
@@ -384,7 +384,7 @@ fn caliscopes_points_come_with_their_time_stamps() {
 }
 
 #[test]
-fn what_cannot_be_meant_is_refused_with_its_place() {
+fn rejects_implausible_poses_with_location() {
     let code = |files: &Files| read(files).map_err(|e| (e.code, e.file)).unwrap_err();
     let mut normalised = openpose(&COCO17);
     for (name, content) in &mut normalised {
@@ -414,7 +414,7 @@ fn what_cannot_be_meant_is_refused_with_its_place() {
 }
 
 #[test]
-fn more_frame_files_than_a_plain_zip_can_count_are_read() {
+fn reads_a_64_bit_zip_of_frame_files() {
     let mut files = vec![header(), calib_toml()];
     for camera in CAMERAS {
         files.extend((0..22_000).map(|i| (format!("{camera}/{i:06}.json"), br#"{"people":[]}"#.to_vec())));
@@ -425,7 +425,7 @@ fn more_frame_files_than_a_plain_zip_can_count_are_read() {
 
 /// MediaPipe's array of all cameras, `[cameras, frames, points, x y]`, little-endian doubles in numpy's layout.
 #[test]
-fn an_array_of_all_cameras_is_read_as_points_of_blazepose() {
+fn reads_an_array_of_all_cameras_as_blazepose() {
     let (n_frames, n_points) = (3, 35);
     let shape = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': (2, {n_frames}, {n_points}, 2), }}");
     let header = format!("{shape:<117}\n");
@@ -451,18 +451,18 @@ fn an_array_of_all_cameras_is_read_as_points_of_blazepose() {
     let session = &loaded.session;
     assert!(loaded.format.starts_with("mediapipe"), "{}", loaded.format);
     assert_eq!((session.convention.name(), session.n_frames, session.views.len()), ("blazepose33", n_frames, 2));
-    assert!(session.views[0].frames[1].is_empty(), "nobody was seen");
+    assert!(session.views[0].frames[1].is_empty(), "no person was detected");
     let person = &session.views[1].frames[2][0];
     let first = 100.0 + (5 * n_points) as f64;
     assert_eq!((person.keypoints[0].pixel.x, person.keypoints[0].pixel.y), (first, first + 0.5));
     assert!(!person.keypoints[4].is_present() && person.keypoints[5].is_present());
     std::fs::write(folder.path().join("mediapipe2dData.npy"), &array[..array.len() - 8]).unwrap();
-    assert!(wandless::session::upload::read_path(folder.path(), &Default::default()).is_err(), "it ends early");
+    assert!(wandless::session::upload::read_path(folder.path(), &Default::default()).is_err(), "it is truncated");
 }
 
-/// DeepLabCut's HDF5 is refused with the way out.
+/// DeepLabCut's HDF5 is refused with instructions for a conversion.
 #[test]
-fn hdf5_is_told_and_the_way_out_with_it() {
+fn rejects_hdf5_with_conversion_hint() {
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("cam1DLC.h5"), b"\x89HDF\r\n\x1a\n\0\0\0\0").unwrap();
     let error = wandless::session::upload::read_path(folder.path(), &Default::default()).unwrap_err();

@@ -1,4 +1,4 @@
-//! Other tools' files go in as they are: every pose dialect, every calibration file, and what is said of wrong ones.
+//! Reading of other tools' files: every pose dialect, every calibration format, and the errors and warnings for wrong ones.
 
 #![allow(clippy::unwrap_used)] // a test may
 

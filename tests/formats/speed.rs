@@ -1,10 +1,10 @@
-//! A gigabyte of frame files is read as fast as it arrives, in little memory.
+//! Speed and memory of reading a gigabyte of frame files.
 
 use std::io::{BufWriter, Write};
 use std::time::Instant;
 use wandless::session::upload::{UploadLimits, read_path};
 
-/// Frame files of five people with faces and hands, as OpenPose writes them: 60 000 files of some 17 kB.
+/// Frame files of five people with faces and hands, as OpenPose writes them: 60 000 files of about 17 kB.
 const N_CAMERAS: usize = 3;
 const N_FRAMES: usize = 20_000;
 
@@ -33,7 +33,7 @@ fn peak_mib() -> u64 {
 
 #[test]
 #[ignore = "writes and reads a gigabyte: half a minute"]
-fn a_gigabyte_of_frame_files_is_read_at_sixty_megabytes_a_second() {
+fn reads_frame_files_at_sixty_megabytes_per_second() {
     let file = tempfile::NamedTempFile::new().unwrap();
     let mut zip = zip::ZipWriter::new(BufWriter::new(file.reopen().unwrap()));
     let options = zip::write::SimpleFileOptions::default().compression_level(Some(1));

@@ -1,4 +1,4 @@
-//! One take of two people and three cameras, and the files of other tools it is written into.
+//! One recording of two people and three cameras, and functions that write it as other tools' files.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use std::io::{Cursor, Write};
@@ -10,7 +10,7 @@ pub(crate) const CAMERAS: [&str; 3] = ["cam1", "cam2", "cam3"];
 pub(crate) const WIDTH: u32 = 1280;
 pub(crate) const HEIGHT: u32 = 720;
 
-/// A file by its name.
+/// Files with their names.
 pub(crate) type Files = Vec<(String, Vec<u8>)>;
 
 /// Joints of a standing body, metres: right is -x, up is +y.
@@ -66,7 +66,7 @@ pub(crate) const COCO17: [&str; 17] = [
 /// A detected point: x and y in pixels, confidence.
 pub(crate) type Point = [f64; 3];
 
-/// A camera of the rig on a circle of 4 m, looking at its middle.
+/// A camera of the rig, on a circle of 4 m and looking at its centre.
 pub(crate) struct Camera {
     pub(crate) intrinsics: Intrinsics,
     pub(crate) pose: Rigid,
@@ -74,8 +74,7 @@ pub(crate) struct Camera {
 
 pub(crate) fn camera(index: usize, dist: Distortion) -> Camera {
     let turn = Rotation3::from_axis_angle(&Vector3::y_axis(), 0.4 + 1.7 * index as f64).into_inner();
-    // World is y up, the camera's y is down; a level camera's rotation would be symmetric, so that nobody could tell it
-    // from its transpose.
+    // World is y up, the camera's y is down; a level camera's rotation would be symmetric and equal to its transpose.
     let tilt = Rotation3::from_euler_angles(0.08 + 0.02 * index as f64, 0.0, 0.1 - 0.07 * index as f64).into_inner();
     let rotation = tilt * Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0)) * turn;
     let center = turn.transpose() * Vector3::new(0.0, 0.0, 4.0) + Vector3::new(0.0, 1.1 + 0.3 * index as f64, 0.0);
@@ -94,7 +93,7 @@ pub(crate) fn camera(index: usize, dist: Distortion) -> Camera {
     }
 }
 
-/// Where a person's joint lies at a frame, world metres.
+/// Position of a person's joint at a frame, world metres.
 fn joint(person: usize, frame: i64, name: &str) -> Option<Vector3<f64>> {
     let (_, position) = BODY.iter().find(|(own, _)| *own == name)?;
     let turn = Rotation3::from_axis_angle(&Vector3::y_axis(), 0.9 * person as f64 + 0.05 * frame as f64);
@@ -102,7 +101,7 @@ fn joint(person: usize, frame: i64, name: &str) -> Option<Vector3<f64>> {
     Some(turn * Vector3::from(*position) + at)
 }
 
-/// What a camera's detector writes of a person: points to 0.01 px, confidences of three digits; unknown joints missing.
+/// Detected points of a person: pixels to 0.01 px, confidences of three digits; unknown joints missing.
 pub(crate) fn points(camera: &Camera, person: usize, frame: i64, joints: &[&str]) -> Vec<Point> {
     let point = |(i, name): (usize, &&str)| {
         let pixel =
@@ -117,7 +116,7 @@ fn round(value: f64, per_unit: f64) -> f64 {
     (value * per_unit).round() / per_unit
 }
 
-/// The two people of a frame as the rig's camera `index` sees them.
+/// The two people of a frame as camera `index` of the rig detects them.
 pub(crate) fn people(index: usize, frame: i64, joints: &[&str]) -> Vec<Vec<Point>> {
     (0..2).map(|person| points(&camera(index, Distortion::None), person, frame, joints)).collect()
 }

@@ -1,18 +1,18 @@
-//! Joints by name: what detectors call them, in which order they write them, and how one order is mapped to another.
+//! Joint names and keypoint orders of detectors, and the mapping from one order to another.
 
 use crate::body::skeleton::KeypointConvention;
 use crate::session::recording::Keypoint;
 use nalgebra::Vector2;
 
-/// The order in which a source writes a person's points: one canonical name each, `None` where we have no use for it.
+/// Order in which a source writes a person's points: one canonical joint name each, `None` for unused points.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct JointOrder {
-    /// What messages call it.
+    /// Name for messages.
     pub(crate) name: String,
     pub(crate) joints: Vec<Option<String>>,
 }
 
-/// Orders without a [`KeypointConvention`] of their own.
+/// The order of the CMU Panoptic data set, which is not a [`KeypointConvention`].
 const PANOPTIC19: [&str; 19] = [
     "neck",
     "nose",
@@ -34,7 +34,7 @@ const PANOPTIC19: [&str; 19] = [
     "right_eye",
     "right_ear",
 ];
-/// The 25 points of rtmlib's ViTPose: as many as BODY_25, in another order.
+/// The 25 points of rtmlib's ViTPose: the number of BODY_25, in another order.
 const VITPOSE25: [&str; 25] = [
     "nose",
     "left_eye",
@@ -64,12 +64,12 @@ const VITPOSE25: [&str; 25] = [
 ];
 
 impl JointOrder {
-    /// The order of one of our conventions.
+    /// The order of a keypoint convention.
     pub(crate) fn of_convention(convention: KeypointConvention) -> Self {
         Self::padded(convention.name(), convention.names(), convention.n_keypoints())
     }
 
-    /// An order by foreign joint names; unknown names are carried as unused.
+    /// An order given by a detector's joint names; unknown names become unused points.
     pub(crate) fn of_names<'n>(name: &str, names: impl IntoIterator<Item = &'n str>) -> Self {
         Self { name: name.to_owned(), joints: names.into_iter().map(canonical).collect() }
     }
@@ -79,7 +79,7 @@ impl JointOrder {
         Self { name: name.to_owned(), joints: named.chain(std::iter::repeat(None)).take(n_points).collect() }
     }
 
-    /// Every order in which a detector may write so many points, the most common first.
+    /// All orders in which detectors write this number of points, the most common first.
     pub(crate) fn candidates(n_points: usize) -> Vec<Self> {
         use KeypointConvention as C;
         let of = |conventions: &[C]| conventions.iter().map(|c| Self::of_convention(*c)).collect();
@@ -97,13 +97,13 @@ impl JointOrder {
             26 => of(&[C::Halpe26]),
             33 => of(&[C::Blazepose33]),
             133 => of(&[C::CocoWholebody133]),
-            // Halpe's face and hands follow its body; none of them is used.
+            // Halpe's face and hands follow its body and are not used.
             68 | 136 => vec![Self::padded(&format!("halpe{n_points}"), C::Halpe26.names(), n_points)],
             _ => Vec::new(),
         }
     }
 
-    /// Where each point of a convention stands in this order.
+    /// Index in this order of each point of a convention.
     pub(crate) fn map_to(&self, convention: KeypointConvention) -> Vec<Option<usize>> {
         if *self == Self::of_convention(convention) {
             return (0..convention.n_keypoints()).map(Some).collect();
@@ -115,13 +115,13 @@ impl JointOrder {
     }
 }
 
-/// A person's points in a convention's order; what the source does not have is missing.
+/// A person's points in a convention's order; points that the source does not have are missing.
 pub(crate) fn mapped(points: &[Keypoint], map: &[Option<usize>]) -> Vec<Keypoint> {
     let missing = Keypoint { pixel: Vector2::zeros(), confidence: 0.0 };
     map.iter().map(|place| place.and_then(|i| points.get(i)).copied().unwrap_or(missing)).collect()
 }
 
-/// Our name of a joint that a detector calls otherwise: `LShoulder`, `l_shoulder`, `Left Shoulder`, `shoulder_left`.
+/// The canonical name of a joint from a detector's name: `LShoulder`, `l_shoulder`, `Left Shoulder`, `shoulder_left`.
 pub(crate) fn canonical(name: &str) -> Option<String> {
     let words = words_of(name);
     let is_left = |word: &String| ["l", "left"].contains(&word.as_str());
@@ -154,7 +154,7 @@ pub(crate) fn canonical(name: &str) -> Option<String> {
     (is_paired != side.is_empty()).then(|| format!("{side}{joint}"))
 }
 
-/// Lower-case words of a name in snake, camel or spaced writing; a leading `R` or `L` before a capital is a word.
+/// Lower-case words of a name in snake case, camel case or with spaces; a leading `R` or `L` before a capital is a word.
 fn words_of(name: &str) -> Vec<String> {
     let mut words: Vec<String> = Vec::new();
     let mut previous = ' ';
@@ -177,7 +177,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn joints_are_known_by_many_names() {
+    fn recognises_joints_by_many_names() {
         for name in ["LShoulder", "left_shoulder", "l_shoulder", "shoulder_left", "Left Shoulder", "leftShoulder"] {
             assert_eq!(canonical(name).as_deref(), Some("left_shoulder"), "{name}");
         }
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn every_order_keeps_the_limbs_of_every_convention() {
+    fn maps_limbs_from_every_order_to_every_convention() {
         for n in [17, 18, 19, 25, 26, 33, 133, 136] {
             for order in JointOrder::candidates(n) {
                 assert_eq!(order.joints.len(), n);
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn a_convention_is_mapped_to_itself_with_its_unnamed_points() {
+    fn maps_a_convention_to_itself_with_unnamed_points() {
         let convention = KeypointConvention::CocoWholebody133;
         let map = JointOrder::of_convention(convention).map_to(convention);
         assert!(map.iter().enumerate().all(|(i, place)| *place == Some(i)));

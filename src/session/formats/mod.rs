@@ -1,4 +1,4 @@
-//! The dialects that sessions are written in, one file each.
+//! Readers and writers of the dialects in which sessions are given.
 
 pub(crate) mod calibration;
 pub(crate) mod foreign;
@@ -11,20 +11,20 @@ use crate::geometry::{Distortion, Intrinsics};
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;
 
-/// `value` to that many decimal places, as it is written in a file; never a negative zero.
+/// `value` rounded to `decimals` decimal places for a file; never a negative zero.
 ///
-/// Values beyond 2^53 units of the last place come back unchanged to within rounding.
+/// Values beyond 2^53 units of the last place are returned unchanged up to rounding errors.
 pub(crate) fn rounded(value: f64, decimals: i32) -> f64 {
     let unit = 10f64.powi(decimals);
     (value * unit).round() / unit + 0.0
 }
 
-/// A matrix row by row, as every JSON file of ours writes it.
+/// A matrix row by row, as the JSON files of sessions and results hold it.
 pub(crate) fn rows(matrix: &Matrix3<f64>) -> [[f64; 3]; 3] {
     std::array::from_fn(|r| std::array::from_fn(|c| matrix[(r, c)]))
 }
 
-/// How our JSON files name a camera's distortion, where its coefficients alone do not say it.
+/// The distortion model's name in JSON files, where the coefficients alone do not determine it.
 pub(crate) fn distortion_model(dist: &Distortion) -> Option<&'static str> {
     match dist {
         Distortion::None | Distortion::OpenCv5(_) => None,

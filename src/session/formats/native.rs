@@ -1,4 +1,5 @@
-//! The native layout: `session.json` with `poses/<camera id>.json` beside it, the same inline, or line by line.
+//! The native layout: `session.json` with `poses/<camera id>.json` beside it, as one document with inline poses, or as
+//! NDJSON.
 
 mod frames;
 mod header;
@@ -15,7 +16,7 @@ use header::DocumentFields;
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
 
-/// How the layout came; the names stand in the answer to an upload.
+/// Variants of the layout; their names are part of the response to an upload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Shape {
     Folder,
@@ -33,7 +34,7 @@ impl Shape {
     }
 }
 
-/// Reads one document with its poses inline, or a header followed by one line a camera and frame.
+/// Reads one document with inline poses, or a header followed by one line per camera and frame.
 pub(crate) fn read_document(
     reader: impl Read,
     file: &str,
@@ -48,9 +49,7 @@ pub(crate) fn read_document(
         return Ok((document.finish(reading, poses)?, Shape::Json));
     }
     if stream.at_end(reading)? {
-        return Err(reading
-            .place
-            .of(Fault::PosesMissing.with("the document holds no `poses` and no frames follow it")));
+        return Err(reading.place.of(Fault::PosesMissing.with("the document has no `poses` and no frames follow it")));
     }
     let mut raw = document.finish(reading, BTreeMap::new())?;
     read_lines(&mut stream, &mut raw, reading)?;
@@ -74,7 +73,7 @@ pub(crate) fn read_members<R: Read + Seek>(
     for camera in raw.cameras.iter().take(reading.limits.max_cameras) {
         let name = format!("{root}poses/{}.json", camera.id);
         if !members.contains(&name) {
-            let error = Fault::PosesMissing.with(format!("there is no file {}", shown(&name)));
+            let error = Fault::PosesMissing.with(format!("file {} does not exist", shown(&name)));
             return Err(UploadError { file: Some(file), camera: Some(camera.id.clone()), ..error });
         }
         reading.place.file = Some(name.clone());
@@ -82,11 +81,11 @@ pub(crate) fn read_members<R: Read + Seek>(
         let poses = read_poses(members, &name, reading)?;
         raw.poses.insert(camera.id.clone(), poses);
     }
-    warn_of_strangers(members, root, &raw, reading);
+    warn_of_unused_files(members, root, &raw, reading);
     Ok(raw)
 }
 
-/// Reads one camera's poses where they stand in a file of their own.
+/// Reads one camera's poses from its own file.
 pub(crate) fn read_poses<R: Read + Seek>(
     members: &mut Members<R>,
     name: &str,
@@ -133,7 +132,7 @@ fn read_lines<R: Read>(
     Ok(())
 }
 
-fn warn_of_strangers<R: Read + Seek>(members: &Members<R>, root: &str, raw: &RawSession, reading: &mut Reading<'_>) {
+fn warn_of_unused_files<R: Read + Seek>(members: &Members<R>, root: &str, raw: &RawSession, reading: &mut Reading<'_>) {
     for name in members.names() {
         let Some(name) = name.strip_prefix(root) else { continue };
         if let Some(id) = name.strip_prefix("poses/").and_then(|rest| rest.strip_suffix(".json")) {
@@ -141,7 +140,7 @@ fn warn_of_strangers<R: Read + Seek>(members: &Members<R>, root: &str, raw: &Raw
                 reading.warnings.add(format!("poses of unknown camera {} are ignored", shown(id)));
             }
         } else if name.starts_with("gt/") {
-            reading.warnings.add("gt/ is truth and no part of an upload: it is ignored".to_owned());
+            reading.warnings.add("gt/ contains ground truth, which is not part of an upload: it is ignored".to_owned());
         }
     }
 }

@@ -1,8 +1,8 @@
-//! Time as files write it: frame rates as numbers or ratios, SMPTE time codes.
+//! Time in files: frame rates as numbers or ratios, SMPTE time codes.
 
 use serde::{Deserialize, Deserializer, de};
 
-/// Frames per second as written: a number, or a ratio as in `"30000/1001"`.
+/// A frame rate as written: a number, or a ratio such as `"30000/1001"`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct FrameRate(f64);
 
@@ -21,7 +21,7 @@ impl<'de> Deserialize<'de> for FrameRate {
             Number(f64),
             Ratio(String),
         }
-        let unknown = || de::Error::custom("a frame rate is a number or a ratio as in \"30000/1001\"");
+        let unknown = || de::Error::custom("a frame rate must be a number or a ratio such as \"30000/1001\"");
         match Written::deserialize(deserializer).map_err(|_| unknown())? {
             Written::Number(number) => Ok(Self(number)),
             Written::Ratio(text) => {
@@ -33,10 +33,10 @@ impl<'de> Deserialize<'de> for FrameRate {
     }
 }
 
-/// A frame rate as numerator and denominator: of 29.97 that of television, 30000/1001.
+/// A frame rate as numerator and denominator, frames per second: 29.97 becomes 30000/1001.
 ///
-/// Television's rates are recognised to a thousandth, as they are commonly written; any other is expanded into a
-/// continued fraction, which gives back every ratio that was written with a denominator of up to 10,000.
+/// Rates of television are recognised within 0.002, as they are commonly rounded; any other rate is expanded into a continued
+/// fraction, which recovers every ratio with a denominator of up to 10,000.
 pub(crate) fn ratio(fps: f64) -> [u64; 2] {
     for nominal in [24.0, 30.0, 48.0, 60.0, 120.0, 240.0] {
         if (fps - nominal * 1000.0 / 1001.0).abs() < 2e-3 {
@@ -74,7 +74,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rates_come_back_as_they_were_written() {
+    fn recovers_written_frame_rates() {
         let read = |text: &str| serde_json::from_str::<FrameRate>(text).map(|rate| rate.per_second());
         assert_eq!(read("25").unwrap(), 25.0);
         assert_eq!(ratio(read("\"30000/1001\"").unwrap()), [30000, 1001]);
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn timecodes_are_told_from_other_texts() {
+    fn recognises_timecodes() {
         assert!(is_timecode("01:02:03:24", 25.0) && is_timecode("23:59:59;29", 29.97));
         for wrong in ["", "01:02:03", "01:02:03:25", "24:00:00:00", "1:2:3:4", "01:02:03:0a", "01:02:03:04:05"] {
             assert!(!is_timecode(wrong, 25.0), "{wrong}");

@@ -5,18 +5,18 @@ use serde::{Deserialize, Serialize};
 /// A factor on both focal lengths of a camera.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct FocalFactor {
-    /// Refined over given.
+    /// Refined focal length divided by the given one.
     pub value: f64,
     /// Its standard deviation.
     pub sigma: f64,
 }
 
-/// When a camera's frames were taken: frame number `n` at `n / fps + secs`.
+/// Time offset of a camera: frame number `n` was taken at `n / fps + secs`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TimeOffset {
-    /// s; that of the reference camera is as the session gives it, mostly 0.
+    /// Offset, s; the reference camera keeps its given offset, usually 0.
     pub secs: f64,
-    /// Its standard deviation against the reference camera, s; `None` where it was given or could not be found.
+    /// Standard deviation relative to the reference camera, s; `None` where the offset was given or could not be estimated.
     pub sigma_secs: Option<f64>,
 }
 
@@ -34,6 +34,6 @@ pub struct ErrorSummary {
 pub struct SigmaSummary {
     /// Median.
     pub median: f64,
-    /// The value that 95 % lie below.
+    /// 95th percentile.
     pub p95: f64,
 }

@@ -1,156 +1,157 @@
-//! `report.json`: what happened, how good the result is, and what a user must know before trusting it.
+//! `report.json`: what each stage did, how accurate the result is, and what a user must know before using it.
 
 use super::estimates::{ErrorSummary, SigmaSummary, TimeOffset};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// What happened in one stage.
+/// Report of one stage.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct StageReport {
     /// The stage's name.
     pub stage: String,
     /// Iterations of its solver, where it has one.
     pub iterations: usize,
-    /// Cost before.
+    /// Cost of the objective before the stage, where it has one.
     pub cost_before: Option<f64>,
-    /// Cost after.
+    /// Cost of the objective after the stage.
     pub cost_after: Option<f64>,
-    /// Why it stopped.
+    /// Why the solver stopped.
     pub termination: String,
-    /// Further figures by name; the unit is in the name.
+    /// Further statistics by name; the name contains the unit.
     pub metrics: BTreeMap<String, f64>,
 }
 
-/// The metric scale and what it rests on.
+/// The metric scale and the measurements behind it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ScaleReport {
-    /// Factor applied to the cameras' own unit.
+    /// Factor applied to the solver's length unit, metres per unit.
     pub value: f64,
-    /// Where the true factor lies with 95 % certainty.
+    /// 95 % interval of the true factor relative to `value`.
     pub interval95: [f64; 2],
     /// One sentence.
     pub evidence: String,
 }
 
-/// What the session's detector means by its keypoints, against the body.
+/// Keypoint bias of the session's detector: constant offsets between its keypoints and the body's landmarks.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct KeypointBias {
-    /// Whether the joints were fitted with these offsets. They are not where unusual skeletons explain the session
-    /// better, or where an offset is larger than any detector's habit: then it is the body that does not fit. Points of face
-    /// and feet always are.
+    /// Whether the body fit applied these offsets to the limb and trunk joints. It does not where unusual body proportions
+    /// explain the session better, or where an offset exceeds every known detector's bias: the body model does not fit then.
+    /// Offsets of face and feet always apply.
     pub applied: bool,
-    /// One sentence: why, or why not.
+    /// Why the offsets were applied or not, one sentence.
     pub reason: String,
     /// By kind of keypoint.
     pub offsets: Vec<DetectorOffset>,
 }
 
-/// How far the session's detector places one kind of keypoint from the body's own point.
+/// Offset of one kind of keypoint from the body's landmark.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DetectorOffset {
     /// The keypoint's name without its side.
     pub keypoint: String,
-    /// The joint whose frame carries the offset; of a pair the left one.
+    /// The joint whose frame the offset is given in; of a pair the left one.
     pub bone: String,
-    /// In that frame at rest (x: to the body's left, y: up, z: forward), mm; mirrored for the right side.
+    /// Offset in that frame in the rest pose (x: to the body's left, y: up, z: forward), mm; mirrored for the right side.
     pub offset_mm: [f64; 3],
-    /// Standard deviations, mm; that of the prior where the motion tells nothing.
+    /// Standard deviations, mm; those of the prior where the motion does not determine the offset.
     pub sigma_mm: [f64; 3],
-    /// Whether the bodies were fitted with it.
+    /// Whether the body fit applied it.
     pub applied: bool,
 }
 
-/// What the consistency stage did.
+/// Report of the consistency stage.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct ConsistencyReport {
-    /// Frames that left a choice of who is who and were solved as a whole.
+    /// Frames with ambiguous identities, which were solved jointly over all views.
     pub ambiguous_frames: usize,
-    /// By camera and person; pairs of whom nothing was seen are left out.
+    /// Statistics by camera and person; pairs without detections are left out.
     pub pairs: Vec<ConsistencyPair>,
-    /// How far the detector errs at its own confidences, from low to high; empty where too little was seen to tell.
+    /// Standard deviation of the detector's error at each of its confidences, in ascending order of confidence; empty where
+    /// there are too few detections.
     #[serde(default)]
     pub detector_noise: Vec<NoiseAtConfidence>,
 }
 
-/// A detector's error at one of its confidences.
+/// Error of a detector at one of its confidences.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct NoiseAtConfidence {
-    /// What the detector says, 0 to 1.
+    /// Confidence of the detector, 0 to 1.
     pub confidence: f64,
-    /// Standard deviation per axis of the points that are seen best (face and feet), mm on the body.
+    /// Standard deviation per axis of the best visible points (face and feet), mm on the body.
     pub sigma_mm: f64,
 }
 
-/// What was done to one person's detections in one camera.
+/// Repairs of one person's detections in one camera.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct ConsistencyPair {
     /// The camera's name.
     pub camera: String,
-    /// Who.
+    /// The person.
     pub person: usize,
-    /// Detections taken from the person again, for another person or for nobody.
+    /// Detections that were first assigned to the person, and then to another person or to none.
     pub rejected_detections: usize,
-    /// Keypoints that contradicted all other views.
+    /// Keypoints rejected because they contradict all other views.
     pub rejected_joints: usize,
-    /// Detections whose left and right were exchanged.
+    /// Detections with left and right exchanged.
     pub flips_undone: usize,
-    /// First and last frame (the session's numbers) of runs in which a track id of the camera that mostly names somebody
-    /// else named this person.
+    /// First and last frame number of runs in which a track number that mostly belongs to another person was assigned to this
+    /// person.
     pub swaps_repaired: Vec<[i64; 2]>,
 }
 
-/// The verdict over a result.
+/// Verdict on a result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Verdict {
-    /// Trust it.
+    /// No problem was found.
     Pass,
-    /// Look before use.
+    /// Inspect the result before using it.
     Warn,
-    /// Do not use.
+    /// The result should not be used.
     Reject,
 }
 
-/// Verdict with reasons that a user can act on.
+/// Verdict with reasons for the user.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Quality {
-    /// The worst of all reasons.
+    /// The most severe verdict of all reasons.
     pub verdict: Verdict,
-    /// One sentence each: what, how much, what to do.
+    /// One sentence each: what is wrong, by how much, what to do.
     pub reasons: Vec<String>,
 }
 
-/// Figures of one person.
+/// Statistics of one person.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct PersonReport {
-    /// Who.
+    /// The person.
     pub id: usize,
-    /// First frame, in the session's numbers.
+    /// First frame number.
     pub first_frame: i64,
-    /// Last frame, in the session's numbers.
+    /// Last frame number.
     pub last_frame: i64,
-    /// Detections given to the person.
+    /// Number of detections assigned to the person.
     pub n_detections: usize,
     /// Reprojection error of the keypoints, px.
     pub reprojection_px: Option<ErrorSummary>,
     /// The same at the keypoints' depths, mm: `px * depth / focal`.
     #[serde(default)]
     pub reprojection_mm: Option<ErrorSummary>,
-    /// Share of the track's frames in which at least two placed cameras saw the person.
+    /// Share of the track's frames with detections in at least two solved cameras, 0 to 1.
     #[serde(default)]
     pub share_in_two_views: f64,
-    /// Standard deviation of the keypoints in space, mm: what the views of one frame tell, under exact cameras; smoothness
-    /// over time makes it less. `None` where no two views saw the person.
+    /// Standard deviation of the 3D keypoints, mm, from the views of a single frame with exact cameras (smoothness over time
+    /// lowers it). `None` without two views of the person.
     #[serde(default)]
     pub sigma_mm: Option<SigmaSummary>,
-    /// Median angle under which the rays to a keypoint cross, of the pair nearest to a right angle, 0 to 90 degrees.
+    /// Median angle between the rays to a keypoint, of the pair nearest to a right angle, 0 to 90 degrees.
     #[serde(default)]
     pub ray_angle_deg: Option<f64>,
-    /// Median conditioning: standard deviation of a keypoint in space over that of one ray; `sqrt(4.5 / n)` for `n` cameras
-    /// all around, far more where all rays run nearly along one line.
+    /// Median dilution of precision: standard deviation of a 3D keypoint divided by that of one ray; `sqrt(4.5 / n)` for `n`
+    /// cameras all around, much larger where all rays are nearly parallel.
     #[serde(default)]
     pub dilution: Option<f64>,
-    /// By kind of keypoint, in the session's convention.
+    /// Statistics by kind of keypoint, in the order of the session's convention.
     #[serde(default)]
     pub keypoints: Vec<KeypointReport>,
     /// Relative standard deviation of bone lengths over time, mean over bones.
@@ -159,27 +160,27 @@ pub struct PersonReport {
     pub jitter_m_per_s2: Option<f64>,
 }
 
-/// Figures of one kind of keypoint of one person.
+/// Statistics of one kind of keypoint of one person.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct KeypointReport {
     /// The keypoint's name.
     pub keypoint: String,
-    /// Sightings in all views and frames, of at least 0.3 confidence.
+    /// Number of detected keypoints of at least 0.3 confidence in all views and frames.
     pub n_observations: usize,
-    /// Share of them that lie too far from the reprojection to be of this point, 0 to 1.
+    /// Share of them rejected as outliers of the reprojection, 0 to 1.
     pub rejected: f64,
     /// Reprojection error of the others, px.
     pub reprojection_px: Option<ErrorSummary>,
     /// The same at the keypoint's depth, mm: `px * depth / focal`.
     pub reprojection_mm: Option<ErrorSummary>,
-    /// Standard deviation in space, mm, as that of the person; `None` where no two views saw the keypoint.
+    /// Standard deviation of the 3D point, mm, as of a person; `None` without two views of the keypoint.
     pub sigma_mm: Option<SigmaSummary>,
 }
 
 /// How well the views cover the people.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct GeometryReport {
-    /// How far people go: root mean square distance of their places from the mean of all, m.
+    /// Root mean square distance of the people's positions from their mean, m.
     pub people_spread_m: Option<f64>,
     /// Median over all keypoints, as of a person.
     pub ray_angle_deg: Option<f64>,
@@ -187,34 +188,34 @@ pub struct GeometryReport {
     pub dilution: Option<f64>,
 }
 
-/// Figures of one camera.
+/// Statistics of one camera.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CameraReport {
     /// The camera's name.
     pub id: String,
-    /// Whether it was placed.
+    /// Whether its pose was solved.
     pub solved: bool,
-    /// Detections in its frames.
+    /// Number of detections in its frames.
     pub n_detections: usize,
-    /// Detections given to nobody.
+    /// Number of detections assigned to no person.
     pub n_rejected_detections: usize,
     /// Reprojection error, px.
     pub reprojection_px: Option<ErrorSummary>,
     /// The same at the keypoints' depths, mm: `px * depth / focal`.
     #[serde(default)]
     pub reprojection_mm: Option<ErrorSummary>,
-    /// Share of the keypoints of its given detections that lie too far from the reprojection, 0 to 1.
+    /// Share of the keypoints of its assigned detections rejected as outliers of the reprojection, 0 to 1.
     #[serde(default)]
     pub rejected_keypoints: f64,
-    /// When its frames were taken, where that is not simply what their numbers say.
+    /// Time offset, where it differs from 0 or was estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_offset: Option<TimeOffset>,
 }
 
-/// `report.json`. Holds no wall time: the same input gives the same bytes.
+/// Content of `report.json`. Contains no wall-clock times: the same input gives the same bytes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Report {
-    /// In order of running.
+    /// Stages, in order of execution.
     pub stages: Vec<StageReport>,
     /// Per camera, in the session's order.
     pub cameras: Vec<CameraReport>,
@@ -223,47 +224,47 @@ pub struct Report {
     /// How well the views cover the people.
     #[serde(default)]
     pub geometry: GeometryReport,
-    /// Error of cameras from every other block of frames, judged on the rest, px.
+    /// Reprojection error of cameras solved from every other block of frames, evaluated on the remaining frames, px.
     pub heldout_px: Option<f64>,
     /// Metric scale.
     pub scale: Option<ScaleReport>,
-    /// What the detector means by its keypoints, against the body.
+    /// Keypoint bias of the detector.
     #[serde(default)]
     pub detector: KeypointBias,
-    /// What the consistency stage did; `None` where it was switched off.
+    /// Report of the consistency stage; `None` where it is switched off.
     #[serde(default)]
     pub consistency: Option<ConsistencyReport>,
     /// How far people's bodies reach into each other.
     #[serde(default)]
     pub penetration: PenetrationReport,
-    /// Share of detections given to nobody.
+    /// Share of detections assigned to no person, 0 to 1.
     pub rejected_detections: f64,
-    /// What `keypoints3d.json` holds: adjusted points or body landmarks.
+    /// Source of `keypoints3d.json`: adjusted points or body landmarks.
     pub keypoints_from: String,
     /// Verdict and reasons.
     pub quality: Quality,
 }
 
-/// How far people's bodies reach into each other, as 21 capsules a body tell.
+/// Overlaps between people's bodies, measured with 21 capsules per body.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct PenetrationReport {
-    /// The deepest overlap of the result; `None` where nobody touches anybody.
+    /// The deepest overlap of the result; `None` where no bodies touch.
     pub deepest: Option<Overlap>,
-    /// The same before people gave way; `None` where nothing was deeper than 10 mm, or `collision` was off.
+    /// The deepest overlap before collision resolution; `None` where none was deeper than 10 mm, or `collision` is off.
     pub deepest_before: Option<Overlap>,
-    /// Frames of a person with an overlap of more than 10 mm, summed over people.
+    /// Number of person-frames with an overlap of more than 10 mm.
     pub person_frames: usize,
 }
 
-/// Two bodies at one time.
+/// An overlap of two bodies in one frame.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Overlap {
-    /// How far their capsules reach into each other, mm.
+    /// Depth of the overlap of their capsules, mm.
     pub depth_mm: f64,
-    /// The session's frame number.
+    /// Frame number.
     pub frame: i64,
-    /// Who.
+    /// The two people.
     pub people: [usize; 2],
-    /// The joints that carry the two capsules, SMPL's names.
+    /// SMPL names of the joints that the two capsules belong to.
     pub joints: [String; 2],
 }

@@ -1,4 +1,4 @@
-//! From what a dialect handed over to a [`Session`]: every check that needs two things at once.
+//! Checks a session as a reader produced it and builds a [`Session`]: all checks that involve more than one value.
 
 use super::camera::{checked_extrinsics, checked_intrinsics};
 use super::error::{Fault, UploadError, shown};
@@ -9,15 +9,15 @@ use crate::body::skeleton::KeypointConvention;
 use crate::session::formats::time::is_timecode;
 use crate::session::recording::{Detection, FrameIndex, Session, UpAxis, View};
 
-/// Frames per second that a camera can have: time lapse to high speed.
+/// Range of frame rates, frames per second: from time lapse to high speed.
 const FPS_RANGE: [f64; 2] = [0.1, 2000.0];
-/// Bytes of a camera's name.
+/// Largest length of a camera's id, bytes.
 const MAX_ID_BYTES: usize = 4096;
 
 /// Checks a session and builds it.
 ///
 /// # Errors
-/// The first thing that cannot be, with its place.
+/// The first inconsistency, with its location.
 pub(crate) fn assemble(
     mut raw: RawSession,
     limits: &UploadLimits,
@@ -35,7 +35,7 @@ pub(crate) fn assemble(
 
     let mut views = Vec::with_capacity(raw.cameras.len());
     for camera in &raw.cameras {
-        let in_camera = |error| of_camera(&raw.file, &camera.id, error);
+        let in_camera = |error| in_camera_of(&raw.file, &camera.id, error);
         let intrinsics = checked_intrinsics(camera, warnings).map_err(in_camera)?;
         let camera_from_world = checked_extrinsics(camera, warnings).map_err(in_camera)?;
         let poses = raw.poses.remove(&camera.id).ok_or_else(|| in_camera(Fault::PosesMissing.with("no poses")))?;
@@ -45,10 +45,10 @@ pub(crate) fn assemble(
         views.push(View { id: camera.id.clone(), intrinsics, camera_from_world, time_offset, frames, delivered });
     }
     if views.iter().all(|view| view.delivered.is_empty()) {
-        return Err(in_header(Fault::NoFrames.with("no camera delivered a frame")));
+        return Err(in_header(Fault::NoFrames.with("no camera has a frame")));
     }
     for view in views.iter().filter(|view| view.delivered.is_empty()) {
-        warnings.add(format!("camera {} delivered no frame", shown(&view.id)));
+        warnings.add(format!("camera {} has no frames", shown(&view.id)));
     }
     for id in raw.poses.keys() {
         warnings.add(format!("poses of unknown camera {} are ignored", shown(id)));
@@ -69,7 +69,7 @@ impl TimeLine {
     }
 }
 
-fn of_camera(file: &str, camera: &str, error: UploadError) -> UploadError {
+fn in_camera_of(file: &str, camera: &str, error: UploadError) -> UploadError {
     UploadError { file: Some(file.to_owned()), camera: Some(camera.to_owned()), ..error }
 }
 
@@ -77,30 +77,31 @@ fn checked_fps(fps: f64) -> Result<f64, UploadError> {
     if (FPS_RANGE[0]..=FPS_RANGE[1]).contains(&fps) {
         return Ok(fps);
     }
-    Err(Fault::FpsInvalid.with(format!("fps is {fps}")))
+    Err(Fault::FpsInvalid.with(format!("fps is {fps}, expected {} to {}", FPS_RANGE[0], FPS_RANGE[1])))
 }
 
-/// Cameras that are further apart in time than this (s) did not film the same moments.
+/// Largest time offset of a camera, s; cameras further apart in time did not film the same scene.
 const MAX_TIME_OFFSET: f64 = 3600.0;
 
 fn checked_time_offset(seconds: f64) -> Result<f64, UploadError> {
     if (-MAX_TIME_OFFSET..=MAX_TIME_OFFSET).contains(&seconds) {
         return Ok(seconds);
     }
-    Err(Fault::TimeInvalid.with(format!("time_offset_s is {seconds}, expected seconds between -3600 and 3600")))
+    Err(Fault::TimeInvalid.with(format!("time_offset_s is {seconds}, expected -3600 to 3600 seconds")))
 }
 
 fn checked_timecode(code: String, fps: f64) -> Result<String, UploadError> {
     if is_timecode(&code, fps) {
         return Ok(code);
     }
-    Err(Fault::TimeInvalid.with(format!("start_timecode is {}, expected HH:MM:SS:FF at {fps} frames", shown(&code))))
+    Err(Fault::TimeInvalid
+        .with(format!("start_timecode is {}, expected HH:MM:SS:FF at {fps} frames per second", shown(&code))))
 }
 
 fn checked_convention(name: &str) -> Result<KeypointConvention, UploadError> {
     KeypointConvention::parse(name).ok_or_else(|| {
         let known = KeypointConvention::ALL.map(KeypointConvention::name).join(", ");
-        Fault::ConventionUnknown.with(format!("keypoint_convention is {}, known are {known}", shown(name)))
+        Fault::ConventionUnknown.with(format!("keypoint_convention is {}, expected one of {known}", shown(name)))
     })
 }
 
@@ -113,13 +114,17 @@ fn checked_up_axis(name: &str) -> Result<UpAxis, UploadError> {
     }
 }
 
-/// Names that differ in one byte are different: neither case nor Unicode normal form is folded.
+/// Ids are compared byte by byte; neither case nor Unicode normal form is folded.
 fn check_ids(cameras: &[RawCamera], limits: &UploadLimits) -> Result<(), UploadError> {
     if cameras.is_empty() {
         return Err(Fault::NoCameras.with("`cameras` is empty"));
     }
     if cameras.len() > limits.max_cameras {
-        return Err(Fault::TooManyCameras.with(format!("more than {} cameras", limits.max_cameras)));
+        return Err(Fault::TooManyCameras.with(format!(
+            "the session has {} cameras, at most {} are read",
+            cameras.len(),
+            limits.max_cameras
+        )));
     }
     for (i, camera) in cameras.iter().enumerate() {
         let at = |error| UploadError { pointer: Some(format!("/cameras/{i}/id")), ..error };
@@ -127,17 +132,18 @@ fn check_ids(cameras: &[RawCamera], limits: &UploadLimits) -> Result<(), UploadE
             return Err(at(Fault::CameraIdInvalid.with("the camera's id is empty")));
         }
         if camera.id.len() > MAX_ID_BYTES {
-            return Err(at(Fault::CameraIdInvalid.with(format!("the camera's id has {} bytes", camera.id.len()))));
+            return Err(at(Fault::CameraIdInvalid
+                .with(format!("the camera's id has {} bytes, at most {MAX_ID_BYTES} are read", camera.id.len()))));
         }
         if cameras[..i].iter().any(|other| other.id == camera.id) {
-            let error = Fault::CameraDuplicate.with("the camera's id stands twice");
+            let error = Fault::CameraDuplicate.with("the camera's id occurs twice");
             return Err(at(UploadError { camera: Some(camera.id.clone()), ..error }));
         }
     }
     Ok(())
 }
 
-/// Length of the time line: as given, or up to the last frame that any camera delivered.
+/// Number of frames of the time line: as given, or up to the last frame of any camera.
 fn checked_n_frames(raw: &RawSession, limits: &UploadLimits, warnings: &mut Warnings) -> Result<usize, UploadError> {
     let n_frames = raw.n_frames.unwrap_or_else(|| {
         let last = raw.poses.values().filter_map(|poses| poses.detections.keys().next_back()).max();
@@ -146,12 +152,12 @@ fn checked_n_frames(raw: &RawSession, limits: &UploadLimits, warnings: &mut Warn
         n.unsigned_abs()
     });
     if n_frames == 0 {
-        return Err(Fault::NoFrames.with("n_frames is 0"));
+        return Err(Fault::NoFrames.with("n_frames is 0, expected at least 1"));
     }
     let n = usize::try_from(n_frames).unwrap_or(usize::MAX);
     if n > limits.max_frames || n.saturating_mul(raw.cameras.len()) > limits.max_view_frames {
         let detail = format!(
-            "{n} frames of {} cameras, at most {} and {} in all are read",
+            "{n} frames of {} cameras; at most {} frames, and {} over all cameras, are read",
             raw.cameras.len(),
             limits.max_frames,
             limits.max_view_frames
@@ -168,11 +174,12 @@ fn check_poses(
     convention: KeypointConvention,
 ) -> Result<(), UploadError> {
     for (&frame, people) in &poses.detections {
-        let at_frame = |error| UploadError { frame: Some(frame), ..of_camera(&poses.file, camera, error) };
+        let at_frame = |error| UploadError { frame: Some(frame), ..in_camera_of(&poses.file, camera, error) };
         if time_line.index_of(frame).is_none() {
             let TimeLine { first_frame, n_frames } = time_line;
             let last = first_frame.saturating_add(*n_frames as i64 - 1);
-            let detail = format!("frame {frame} lies outside {first_frame} to {last} (n_frames {n_frames})");
+            let detail =
+                format!("frame {frame} lies outside the time line {first_frame} to {last} (n_frames {n_frames})");
             return Err(at_frame(Fault::FrameOutOfRange.with(detail)));
         }
         for (person, detection) in people.iter().enumerate() {
@@ -186,7 +193,7 @@ fn check_poses(
     Ok(())
 }
 
-/// Spreads the frames over the time line. Every frame lies on it: [`check_poses`] has passed.
+/// Places the frames on the dense time line. All of them lie on it: [`check_poses`] has passed.
 fn dense(poses: RawPoses, time_line: &TimeLine) -> (Vec<Vec<Detection>>, Vec<FrameIndex>) {
     let mut frames = vec![Vec::new(); time_line.n_frames];
     for (frame, people) in poses.detections {

@@ -1,26 +1,26 @@
-//! Why an upload was refused: the whole list on one page.
+//! All reasons for which an upload is refused, with their codes and remedies.
 
 use std::fmt;
 
 /// The class of a refusal; the service answers each with an HTTP status of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum UploadErrorKind {
-    /// The bytes are not what they claim to be.
+    /// The bytes do not follow the declared format.
     Malformed,
-    /// More than the limits allow.
+    /// The upload exceeds a limit.
     TooLarge,
-    /// A container, an encoding or a dialect that is not read.
+    /// A container, an encoding or a dialect that is not supported.
     Unsupported,
-    /// Well written, but no such capture can exist or be solved.
+    /// Well-formed, but no such capture can exist or be solved.
     Impossible,
 }
 
-/// A refused upload: what was found, where, and what to do.
+/// A refused upload: what is wrong, where, and what to do.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub struct UploadError {
-    /// What it means to the sender.
+    /// Class of the error.
     pub kind: UploadErrorKind,
-    /// Machine-readable reason; one of [`Fault::ALL`]'s codes.
+    /// Machine-readable code; one of [`Fault::ALL`]'s codes.
     pub code: &'static str,
     /// File or archive member.
     pub file: Option<String>,
@@ -28,18 +28,18 @@ pub struct UploadError {
     pub camera: Option<String>,
     /// The session's own frame number.
     pub frame: Option<i64>,
-    /// Position of the person in the frame.
+    /// Index of the person in the frame.
     pub person: Option<usize>,
-    /// JSON pointer (RFC 6901) into the file; in a stream of lines its first part is the line's number from 0.
+    /// JSON pointer (RFC 6901) into the file; in NDJSON its first part is the line's number from 0.
     pub pointer: Option<String>,
-    /// What was found, with its value.
+    /// What is wrong, with the value found and the value expected.
     pub detail: String,
     /// What the sender can do about it.
     pub remedy: String,
 }
 
 impl fmt::Display for UploadError {
-    /// One line: place, what was found, remedy. Names are quoted and escaped, so that no name breaks the line.
+    /// One line: location, detail, remedy. Names are quoted and escaped, so that the message has no line breaks.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut place = Vec::new();
         place.extend(self.file.as_ref().map(|file| format!("file {}", shown(file))));
@@ -52,7 +52,7 @@ impl fmt::Display for UploadError {
     }
 }
 
-/// A foreign string as it may stand in a message: quoted, escaped, at most some 80 characters long.
+/// A user's string for a message: quoted, escaped, at most some 80 characters long.
 pub(crate) fn shown(text: &str) -> String {
     const MAX_CHARS: usize = 80;
     match text.char_indices().nth(MAX_CHARS) {
@@ -61,7 +61,7 @@ pub(crate) fn shown(text: &str) -> String {
     }
 }
 
-/// What another library says of a file may quote it: control characters are escaped.
+/// Escapes control characters: messages of other libraries may quote the file.
 fn one_line(text: String) -> String {
     if !text.contains(char::is_control) {
         return text;
@@ -69,9 +69,9 @@ fn one_line(text: String) -> String {
     text.chars().flat_map(|c| if c.is_control() { c.escape_debug().collect() } else { vec![c] }).collect()
 }
 
-/// Every reason for which an upload is refused.
+/// Every reason for which an upload is refused; `row` holds the meaning of each.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[allow(missing_docs)] // the table in `row` says what each means
+#[allow(missing_docs)] // documented by the table in `row`
 pub enum Fault {
     FileUnreadable,
     FormatUnknown,
@@ -182,12 +182,12 @@ impl Fault {
         self.row().0
     }
 
-    /// What the fault means to the sender.
+    /// Class of the error.
     pub fn kind(self) -> UploadErrorKind {
         self.row().1
     }
 
-    /// The error with what was found; its place is filled in by whoever knows it.
+    /// The error with its detail; callers that know the location fill it in.
     pub(crate) fn with(self, detail: impl Into<String>) -> UploadError {
         let (code, kind, remedy) = self.row();
         UploadError {
@@ -208,57 +208,67 @@ impl Fault {
         match self {
             F::FileUnreadable => ("file_unreadable", Malformed, "check the path and its permissions"),
             F::FormatUnknown => {
-                ("format_unknown", Unsupported, "send a session folder, a zip of it, or one JSON or NDJSON document")
+                ("format_unknown", Unsupported, "send a session folder, a zip of it, or a JSON or NDJSON document")
             }
             F::Encoding => ("encoding", Malformed, "save the file as UTF-8 without a byte order mark"),
-            F::ZipInvalid => ("zip_invalid", Malformed, "the archive is cut off or damaged: pack and send it again"),
-            F::ZipNameUnsafe => ("zip_name_unsafe", Malformed, "pack the session folder with plain relative names"),
-            F::ZipSymlink => ("zip_symlink", Malformed, "pack files, not links to them"),
-            F::ZipDuplicateMember => ("zip_duplicate_member", Malformed, "pack every file once"),
-            F::ZipOverlap => ("zip_overlap", Malformed, "members may not share bytes: pack the folder again"),
-            F::ZipCorrupt => ("zip_corrupt", Malformed, "the member does not unpack to what was packed: send it again"),
-            F::ZipEncrypted => ("zip_encrypted", Unsupported, "pack without a password"),
-            F::ZipMethod => ("zip_method", Unsupported, "pack with deflate or without compression"),
-            F::ZipRatio => ("zip_ratio", TooLarge, "no pose file shrinks that well: pack the real session"),
-            F::TooLarge => ("too_large", TooLarge, "send fewer frames or cameras at a time"),
-            F::TooManyMembers => ("too_many_members", TooLarge, "pack only poses and calibration, without images"),
-            F::TooManyCameras => ("too_many_cameras", TooLarge, "leave cameras out"),
-            F::TooManyFrames => ("too_many_frames", TooLarge, "cut the take into shorter ones"),
+            F::ZipInvalid => {
+                ("zip_invalid", Malformed, "the archive is truncated or damaged: create it again and resend it")
+            }
+            F::ZipNameUnsafe => ("zip_name_unsafe", Malformed, "archive the session folder with plain relative names"),
+            F::ZipSymlink => ("zip_symlink", Malformed, "archive the files themselves instead of links"),
+            F::ZipDuplicateMember => ("zip_duplicate_member", Malformed, "archive every file only once"),
+            F::ZipOverlap => ("zip_overlap", Malformed, "create the archive again; its members must not share bytes"),
+            F::ZipCorrupt => {
+                ("zip_corrupt", Malformed, "the member does not decompress to its stated content: resend the archive")
+            }
+            F::ZipEncrypted => ("zip_encrypted", Unsupported, "create the archive without a password"),
+            F::ZipMethod => ("zip_method", Unsupported, "compress with deflate, or store without compression"),
+            F::ZipRatio => ("zip_ratio", TooLarge, "pose files do not compress that well: archive the actual session"),
+            F::TooLarge => ("too_large", TooLarge, "send fewer frames or fewer cameras"),
+            F::TooManyMembers => ("too_many_members", TooLarge, "archive only poses and calibration, without images"),
+            F::TooManyCameras => ("too_many_cameras", TooLarge, "remove some of the cameras"),
+            F::TooManyFrames => ("too_many_frames", TooLarge, "split the recording into shorter sessions"),
             F::TooManyPeople => ("too_many_people", TooLarge, "keep only the most confident people of the frame"),
-            F::TooManyKeypoints => ("too_many_keypoints", TooLarge, "cut the take into shorter ones"),
-            F::TokenTooLong => ("token_too_long", TooLarge, "leave out what is no pose"),
-            F::JsonTooDeep => ("json_too_deep", Malformed, "follow the session layout, which nests 8 levels"),
+            F::TooManyKeypoints => ("too_many_keypoints", TooLarge, "split the recording into shorter sessions"),
+            F::TokenTooLong => ("token_too_long", TooLarge, "remove content other than poses"),
+            F::JsonTooDeep => ("json_too_deep", Malformed, "follow the session layout, which has 8 levels of nesting"),
             F::JsonInvalid => ("json_invalid", Malformed, "write the file with a JSON library"),
             F::JsonType => ("json_type", Malformed, "follow the session layout"),
-            F::TrailingData => ("trailing_data", Malformed, "end the file after the document"),
-            F::DuplicateKey => ("duplicate_key", Malformed, "write every key once"),
-            F::MissingField => ("missing_field", Malformed, "add the field"),
+            F::TrailingData => ("trailing_data", Malformed, "remove everything after the document"),
+            F::DuplicateKey => ("duplicate_key", Malformed, "write every key only once"),
+            F::MissingField => ("missing_field", Malformed, "add the missing field"),
             F::NumberNotFinite => ("number_not_finite", Malformed, "write a missing keypoint as [0, 0, 0]"),
-            F::SessionAmbiguous => ("session_ambiguous", Malformed, "send one session at a time"),
+            F::SessionAmbiguous => {
+                ("session_ambiguous", Malformed, "send one session per upload, with one file of poses per camera")
+            }
             F::PosesMissing => ("poses_missing", Malformed, "add poses/<camera id>.json, or `poses` inline"),
             F::NoCameras => ("no_cameras", Impossible, "list at least one camera"),
-            F::NoFrames => ("no_frames", Impossible, "send at least one frame"),
+            F::NoFrames => ("no_frames", Impossible, "send at least one frame with a frame number"),
             F::FpsInvalid => ("fps_invalid", Impossible, "give frames per second between 0.1 and 2000"),
-            F::TimeInvalid => ("time_invalid", Impossible, "correct it, or leave it out"),
-            F::ConventionUnknown => ("convention_unknown", Impossible, "name one of the supported conventions"),
-            F::CameraIdInvalid => ("camera_id_invalid", Impossible, "give every camera a short name"),
-            F::CameraDuplicate => ("camera_duplicate", Impossible, "give every camera its own id"),
-            F::CameraUnknown => ("camera_unknown", Impossible, "list the camera in the session's `cameras`"),
+            F::TimeInvalid => ("time_invalid", Impossible, "correct the value or remove it"),
+            F::ConventionUnknown => ("convention_unknown", Impossible, "use one of the supported conventions"),
+            F::CameraIdInvalid => ("camera_id_invalid", Impossible, "give every camera a short, non-empty id"),
+            F::CameraDuplicate => ("camera_duplicate", Impossible, "give every camera a unique id"),
+            F::CameraUnknown => ("camera_unknown", Impossible, "list the camera in `cameras` of the session"),
             F::CameraInvalid => ("camera_invalid", Impossible, "correct the camera's calibration"),
             F::DistortionUnsupported => (
                 "distortion_unsupported",
                 Impossible,
                 "undistort the keypoints, or calibrate with OpenCV's 5, rational 8 or fisheye 4 coefficients",
             ),
-            F::FrameInvalid => ("frame_invalid", Impossible, "number frames with whole numbers below 2^53"),
+            F::FrameInvalid => ("frame_invalid", Impossible, "number frames with integers below 2^53"),
             F::FrameOutOfRange => ("frame_out_of_range", Impossible, "correct `first_frame` or `n_frames`"),
-            F::FrameDuplicate => ("frame_duplicate", Impossible, "write every frame of a camera once"),
+            F::FrameDuplicate => ("frame_duplicate", Impossible, "write every frame of a camera only once"),
             F::KeypointCount => {
                 ("keypoint_count", Impossible, "correct `keypoint_convention` or the detector's output")
             }
-            F::KeypointInvalid => ("keypoint_invalid", Impossible, "write [x px, y px, confidence 0 to 1]"),
-            F::CalibrationInvalid => ("calibration_invalid", Malformed, "write the file again with its own tool"),
-            F::TableInvalid => ("table_invalid", Malformed, "write the table again with its own tool"),
+            F::KeypointInvalid => {
+                ("keypoint_invalid", Impossible, "write keypoints as [x px, y px, confidence 0 to 1]")
+            }
+            F::CalibrationInvalid => {
+                ("calibration_invalid", Malformed, "export the file again with the tool that wrote it")
+            }
+            F::TableInvalid => ("table_invalid", Malformed, "export the table again with the tool that wrote it"),
             F::SkeletonUnknown => (
                 "skeleton_unknown",
                 Impossible,
@@ -276,7 +286,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn codes_are_unique_and_remedies_are_given() {
+    fn codes_are_unique_and_have_remedies() {
         let mut codes: Vec<_> = Fault::ALL.iter().map(|fault| fault.code()).collect();
         codes.sort_unstable();
         codes.dedup();
@@ -285,13 +295,13 @@ mod tests {
     }
 
     #[test]
-    fn a_message_is_one_line_whatever_a_library_quotes() {
+    fn escapes_line_breaks_that_a_library_quotes() {
         let error = Fault::CalibrationInvalid.with("expected '>' not '\n' at 2:769");
         assert_eq!(error.detail, "expected '>' not '\\n' at 2:769");
     }
 
     #[test]
-    fn a_message_is_one_line_whatever_the_names() {
+    fn escapes_names_in_messages() {
         let error = UploadError {
             camera: Some("a\nb\u{202e}c".to_owned()),
             frame: Some(-3),

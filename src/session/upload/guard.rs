@@ -1,16 +1,16 @@
-//! Bounds on the bytes of a JSON document, before any parser allocates for them.
+//! Limits on the bytes of a JSON document, applied before the parser allocates memory for them.
 
 use super::error::{Fault, UploadError};
 use super::limits::UploadLimits;
 use std::io::{self, Read};
 
-/// The longest number that any writer of doubles produces has some 25 characters.
+/// Largest length of a number; writers of doubles produce at most about 25 characters.
 const MAX_NUMBER_BYTES: u64 = 400;
 
-/// Hands bytes on and stops at the first that breaks a limit.
+/// A reader that passes bytes on and stops at the first one that breaks a limit.
 ///
-/// All bytes before the offending one are delivered first, so that the parser behind stands at the right place when
-/// the error reaches it. The error is an [`io::Error`] around an [`UploadError`].
+/// All bytes before the offending one are delivered first, so that the parser is at the right place when the error reaches
+/// it. The error is an [`io::Error`] around an [`UploadError`].
 pub(super) struct JsonGuard<'a, R> {
     inner: R,
     limits: &'a UploadLimits,
@@ -18,7 +18,7 @@ pub(super) struct JsonGuard<'a, R> {
     stopped: Option<UploadError>,
 }
 
-/// Where in the document the next byte stands.
+/// State of the lexer at the next byte of the document.
 #[derive(Default)]
 struct Lexer {
     offset: u64,
@@ -54,7 +54,7 @@ impl Lexer {
     fn step(&mut self, byte: u8, limits: &UploadLimits) -> Result<(), UploadError> {
         self.offset += 1;
         if self.offset > limits.max_unpacked_bytes {
-            return Err(Fault::TooLarge.with(format!("more than {} bytes unpacked", limits.max_unpacked_bytes)));
+            return Err(Fault::TooLarge.with(format!("the document has more than {} bytes", limits.max_unpacked_bytes)));
         }
         if self.in_string { self.step_in_string(byte, limits) } else { self.step_outside(byte, limits) }
     }
@@ -68,7 +68,7 @@ impl Lexer {
             _ => {}
         }
         if self.token_bytes > limits.max_string_bytes {
-            return Err(Fault::TokenTooLong.with(format!("a string of more than {} bytes", limits.max_string_bytes)));
+            return Err(Fault::TokenTooLong.with(format!("a string has more than {} bytes", limits.max_string_bytes)));
         }
         Ok(())
     }
@@ -80,16 +80,22 @@ impl Lexer {
             b'"' => self.in_string = true,
             b'{' | b'[' => self.depth += 1,
             b'}' | b']' => self.depth = self.depth.saturating_sub(1),
-            // JSON has no such literal: `NaN` and `Infinity` are what careless writers leave.
-            b'N' | b'I' => return Err(Fault::NumberNotFinite.with(format!("NaN or Infinity at byte {}", self.offset))),
-            0 | 0x80.. => return Err(Fault::Encoding.with(format!("byte {byte:#04x} at byte {}", self.offset))),
+            // JSON has no literals `NaN` and `Infinity`, but many writers produce them.
+            b'N' | b'I' => {
+                return Err(Fault::NumberNotFinite
+                    .with(format!("NaN or Infinity at byte {}, expected a finite number", self.offset)));
+            }
+            0 | 0x80.. => {
+                return Err(Fault::Encoding.with(format!("invalid byte {byte:#04x} at offset {}", self.offset)));
+            }
             _ => {}
         }
         if self.depth > limits.max_json_depth {
-            return Err(Fault::JsonTooDeep.with(format!("more than {} levels of nesting", limits.max_json_depth)));
+            return Err(Fault::JsonTooDeep
+                .with(format!("the document has more than {} levels of nesting", limits.max_json_depth)));
         }
         if self.token_bytes > MAX_NUMBER_BYTES {
-            return Err(Fault::TokenTooLong.with(format!("a number of more than {MAX_NUMBER_BYTES} digits")));
+            return Err(Fault::TokenTooLong.with(format!("a number has more than {MAX_NUMBER_BYTES} digits")));
         }
         Ok(())
     }
@@ -99,7 +105,7 @@ impl Lexer {
 mod tests {
     use super::*;
 
-    fn verdict(text: &[u8]) -> Result<usize, &'static str> {
+    fn code_of(text: &[u8]) -> Result<usize, &'static str> {
         let limits = UploadLimits { max_json_depth: 3, max_string_bytes: 10, ..UploadLimits::default() };
         let mut out = Vec::new();
         match JsonGuard::new(text, &limits).read_to_end(&mut out) {
@@ -109,19 +115,19 @@ mod tests {
     }
 
     #[test]
-    fn limits_hold_outside_strings_only() {
-        assert_eq!(verdict(br#"{"a":["NaN\"[[ [[ [[",1]}"#), Err("token_too_long"));
-        assert_eq!(verdict(br#"{"a":["NaN\"[[",-1.5e5]}"#), Ok(24));
-        assert_eq!(verdict(b"[[[[1]]]]"), Err("json_too_deep"));
-        assert_eq!(verdict(b"[1, NaN]"), Err("number_not_finite"));
-        assert_eq!(verdict(b"[-Infinity]"), Err("number_not_finite"));
-        assert_eq!(verdict(b"\xef\xbb\xbf{}"), Err("encoding"));
-        assert_eq!(verdict(b"\xff\xfe{\0"), Err("encoding"));
-        assert_eq!(verdict(&[b'1'; 500]), Err("token_too_long"));
+    fn applies_limits_outside_strings_only() {
+        assert_eq!(code_of(br#"{"a":["NaN\"[[ [[ [[",1]}"#), Err("token_too_long"));
+        assert_eq!(code_of(br#"{"a":["NaN\"[[",-1.5e5]}"#), Ok(24));
+        assert_eq!(code_of(b"[[[[1]]]]"), Err("json_too_deep"));
+        assert_eq!(code_of(b"[1, NaN]"), Err("number_not_finite"));
+        assert_eq!(code_of(b"[-Infinity]"), Err("number_not_finite"));
+        assert_eq!(code_of(b"\xef\xbb\xbf{}"), Err("encoding"));
+        assert_eq!(code_of(b"\xff\xfe{\0"), Err("encoding"));
+        assert_eq!(code_of(&[b'1'; 500]), Err("token_too_long"));
     }
 
     #[test]
-    fn what_precedes_the_fault_is_delivered() {
+    fn delivers_bytes_before_the_fault() {
         let limits = UploadLimits::default();
         let mut guard = JsonGuard::new(&b"[1, NaN]"[..], &limits);
         let mut buf = [0; 64];

@@ -1,7 +1,7 @@
-//! Streaming JSON: objects and lists are handed over piece by piece, and every refusal knows its place.
+//! Streaming JSON: objects and lists are read piece by piece, and every error has its location.
 //!
-//! Why not derived structs: a derived reader holds a whole list before it is asked whether the list is too long, and
-//! its errors carry text only. Here a reader of [`Fields`] or [`Items`] sees one value at a time and refuses with a
+//! Why not derived structs: a derived reader holds a whole list in memory before its length can be checked, and its errors
+//! contain only text. Here an implementation of [`Fields`] or [`Items`] receives one value at a time and refuses it with a
 //! typed [`UploadError`].
 
 use super::error::{Fault, UploadError, shown};
@@ -17,22 +17,22 @@ use std::fmt;
 use std::io::{self, BufReader, Read};
 use std::marker::PhantomData;
 
-/// The state of one reading: limits, warnings, and where we are.
+/// State of reading one upload: limits, warnings and the current location.
 pub(crate) struct Reading<'a> {
-    /// What the upload may cost.
+    /// Limits on the upload.
     pub limits: &'a UploadLimits,
-    /// What is worth telling although the upload is accepted.
+    /// Warnings about the upload.
     pub warnings: &'a mut Warnings,
-    /// Where we are.
+    /// Current location.
     pub place: Place,
-    /// What has been spent of `max_keypoints`.
+    /// Number of keypoints counted against `max_keypoints`.
     n_keypoints: usize,
     failure: Option<UploadError>,
-    /// Parts of the JSON pointer, innermost first: gathered while an error travels outwards.
+    /// Parts of the JSON pointer, innermost first, collected while an error propagates outwards.
     pointer: Vec<String>,
 }
 
-/// Where in an upload something stands.
+/// A location in an upload.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Place {
     pub file: Option<String>,
@@ -42,7 +42,7 @@ pub(crate) struct Place {
 }
 
 impl Place {
-    /// The error with its place, where it has none of its own.
+    /// The error with this location where it has none.
     pub(crate) fn of(&self, error: UploadError) -> UploadError {
         UploadError {
             file: error.file.or_else(|| self.file.clone()),
@@ -56,16 +56,16 @@ impl Place {
 
 /// Reads the values of an object, key by key.
 pub(crate) trait Fields {
-    /// What the object is, for messages: `a camera`.
+    /// Name of the object, for messages: `a camera`.
     const WHAT: &'static str;
 
-    /// Takes the value of `key`; false, and the value left alone, where the key means nothing.
+    /// Reads the value of `key`; false, with the value left unread, where the key is unknown.
     fn field<'d, M: MapAccess<'d>>(&mut self, key: &str, map: &mut M, reading: &mut Reading) -> Result<bool, M::Error>;
 }
 
 /// Reads the items of a list, one by one.
 pub(crate) trait Items {
-    /// Takes item `index`; false at the end of the list.
+    /// Reads item `index`; false at the end of the list.
     fn item<'d, S: SeqAccess<'d>>(
         &mut self,
         index: usize,
@@ -85,19 +85,19 @@ impl<'a> Reading<'a> {
         Self { limits, warnings, place: Place::default(), n_keypoints: 0, failure: None, pointer: Vec::new() }
     }
 
-    /// Refuses from inside a reader: keeps the typed error and gives the parser one of its own to carry outwards.
+    /// Refuses a value inside a reader: stores the typed error and returns a parser error to propagate.
     pub(crate) fn refuse<E: serde::de::Error>(&mut self, error: UploadError) -> E {
         self.failure = Some(self.place.of(error));
         E::custom("refused")
     }
 
-    /// Counts something that is held in memory as so many keypoints.
+    /// Counts memory, measured in keypoints, against the limit.
     pub(crate) fn spend(&mut self, n_keypoints: usize) -> Result<(), UploadError> {
         self.n_keypoints += n_keypoints;
         if self.n_keypoints <= self.limits.max_keypoints {
             return Ok(());
         }
-        Err(Fault::TooManyKeypoints.with(format!("more than {} keypoints in all", self.limits.max_keypoints)))
+        Err(Fault::TooManyKeypoints.with(format!("the session has more than {} keypoints", self.limits.max_keypoints)))
     }
 
     /// The typed error behind a parser's error.
@@ -113,7 +113,7 @@ impl<'a> Reading<'a> {
 
 fn fault_of_parser(error: serde_json::Error) -> UploadError {
     let text = error.to_string();
-    // The parser quotes what it found; a value of any length may stand in it.
+    // The parser quotes the value, which may have any length.
     let detail = if text.chars().count() > 200 { shown(&text) } else { text };
     match error.classify() {
         Category::Io => fault_of_io(io::Error::from(error)),
@@ -124,7 +124,7 @@ fn fault_of_parser(error: serde_json::Error) -> UploadError {
     }
 }
 
-/// What a failed read means: a limit broken on the way, a bad disk, or a member that does not unpack.
+/// Interprets a failed read: a broken limit, a disk error, or a member that does not decompress.
 pub(crate) fn fault_of_io(error: io::Error) -> UploadError {
     match error.downcast::<UploadError>() {
         Ok(error) => error,
@@ -136,10 +136,10 @@ pub(crate) fn fault_of_io(error: io::Error) -> UploadError {
 /// Reads a small document as a whole.
 ///
 /// # Errors
-/// The refusal, without a place.
+/// [`UploadError`] without a location.
 pub(crate) fn document_from_bytes<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, UploadError> {
     serde_json::from_slice(bytes).map_err(|error| {
-        // The parser stumbles over `NaN` as over any typing error; the guard knows it by name.
+        // The parser reports `NaN` as a syntax error; the guard identifies it.
         let limits = UploadLimits::default();
         let guarded = io::copy(&mut JsonGuard::new(bytes, &limits), &mut io::sink());
         guarded.map_or_else(fault_of_io, |_| fault_of_parser(error))
@@ -160,7 +160,7 @@ impl<'a, R: Read> JsonStream<'a, R> {
     /// Reads the next document, an object.
     ///
     /// # Errors
-    /// The refusal, with its place.
+    /// [`UploadError`] with its location.
     pub(crate) fn next<F: Fields>(&mut self, fields: &mut F, reading: &mut Reading<'_>) -> Result<(), UploadError> {
         Object(fields, reading).deserialize(&mut self.parser).map_err(|e| reading.explain(e))
     }
@@ -168,15 +168,15 @@ impl<'a, R: Read> JsonStream<'a, R> {
     /// Reads the next document, a list.
     ///
     /// # Errors
-    /// The refusal, with its place.
+    /// [`UploadError`] with its location.
     pub(crate) fn next_list<I: Items>(&mut self, items: &mut I, reading: &mut Reading<'_>) -> Result<(), UploadError> {
         List(items, reading).deserialize(&mut self.parser).map_err(|e| reading.explain(e))
     }
 
-    /// Whether nothing but white space is left.
+    /// Whether only white space is left.
     ///
     /// # Errors
-    /// When the rest cannot be read.
+    /// A failed read.
     pub(crate) fn at_end(&mut self, reading: &mut Reading<'_>) -> Result<bool, UploadError> {
         match self.parser.end() {
             Ok(()) => Ok(true),
@@ -185,7 +185,7 @@ impl<'a, R: Read> JsonStream<'a, R> {
         }
     }
 
-    /// Refuses whatever follows the last document.
+    /// Refuses content after the last document.
     ///
     /// # Errors
     /// [`Fault::TrailingData`].
@@ -193,7 +193,7 @@ impl<'a, R: Read> JsonStream<'a, R> {
         if self.at_end(reading)? {
             return Ok(());
         }
-        Err(reading.place.of(Fault::TrailingData.with("something follows the JSON document")))
+        Err(reading.place.of(Fault::TrailingData.with("there is content after the JSON document")))
     }
 }
 
@@ -213,11 +213,11 @@ impl<'de, F: Fields> Visitor<'de> for Object<'_, '_, '_, F> {
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<(), A::Error> {
         let Self(fields, reading) = self;
-        // Only keys with a meaning are kept, and the readers bound their number.
+        // Only known keys are stored, and their number is bounded.
         let mut seen: Vec<String> = Vec::new();
         while let Some(key) = map.next_key::<String>()? {
             if seen.contains(&key) {
-                let error = Fault::DuplicateKey.with(format!("key {} stands twice in {}", shown(&key), F::WHAT));
+                let error = Fault::DuplicateKey.with(format!("key {} occurs twice in {}", shown(&key), F::WHAT));
                 return Err(reading.refuse(error));
             }
             match fields.field(&key, &mut map, reading) {
@@ -273,11 +273,11 @@ pub(crate) type Numbers = ShortList<f64>;
 /// A small matrix, row by row.
 pub(crate) type Rows = ShortList<Numbers>;
 
-/// A list that is refused once it is longer than any vector of a session.
+/// A list that is refused where it is longer than any vector of a session.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct ShortList<T>(pub Vec<T>);
 
-/// Distortion models have up to 14 coefficients; nothing else in a session is as long.
+/// Largest length: distortion models have up to 14 coefficients; all other vectors are shorter.
 const MAX_SHORT: usize = 32;
 
 impl<'de, T: Deserialize<'de>> Deserialize<'de> for ShortList<T> {

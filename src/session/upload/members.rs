@@ -1,6 +1,6 @@
-//! The files of an upload by name: a folder's, or a zip's.
+//! The files of an upload by name: those of a folder or of a zip.
 //!
-//! Names of members are looked up in a list that was read beforehand; nothing of an upload is ever joined to a path.
+//! Names of members are looked up in a list that was read beforehand; a member's name is never joined to a path.
 
 use super::error::{Fault, UploadError, shown};
 use super::limits::UploadLimits;
@@ -20,8 +20,8 @@ pub(crate) enum Members<R> {
 }
 
 impl Members<File> {
-    /// Every file below the folder, but for hidden ones; a link counts as what it points to, for the folder is the
-    /// user's own. Of `gt/` the name alone: truth is never read.
+    /// Every file below the folder except hidden ones; links are followed, for the folder belongs to the user. Of `gt/`
+    /// (ground truth) only the name is listed: its content is never read.
     pub(super) fn of_folder(dir: &Path, limits: &UploadLimits) -> Result<Self, UploadError> {
         let mut files = BTreeMap::new();
         add_files(&mut files, dir, "", limits, 0)?;
@@ -29,7 +29,7 @@ impl Members<File> {
     }
 }
 
-/// Tools nest take, camera and kind of file; a link to a folder above ends here as well.
+/// Largest depth: tools nest take, camera and kind of file. It also ends cycles of links.
 const MAX_FOLDER_DEPTH: usize = 6;
 
 fn add_files(
@@ -45,7 +45,7 @@ fn add_files(
     };
     for entry in fs::read_dir(dir).map_err(unreadable)? {
         let entry = entry.map_err(unreadable)?;
-        // A name that is not Unicode can be no camera's.
+        // Camera names are Unicode; a file with another name is ignored.
         let Ok(name) = entry.file_name().into_string() else { continue };
         if name.starts_with('.') && depth == 0 {
             continue;
@@ -59,20 +59,20 @@ fn add_files(
             files.insert(name, path);
         }
         if files.len() > limits.max_members {
-            return Err(Fault::TooManyMembers.with(format!("more than {} files", limits.max_members)));
+            return Err(Fault::TooManyMembers.with(format!("the folder has more than {} files", limits.max_members)));
         }
     }
     Ok(())
 }
 
 impl<R: Read + Seek> Members<R> {
-    /// The members of a zip, once its directory has passed every check.
+    /// The members of a zip whose directory has passed every check.
     pub(super) fn of_zip(reader: R, limits: &UploadLimits) -> Result<Self, UploadError> {
         let index = index_zip(BufReader::new(reader), limits)?;
         Ok(Self::Zip(Box::new(index.archive), index.positions))
     }
 
-    /// Every name, sorted.
+    /// All names, sorted.
     pub(crate) fn names(&self) -> Box<dyn Iterator<Item = &str> + '_> {
         match self {
             Self::Folder(files) => Box::new(files.keys().map(String::as_str)),
@@ -80,7 +80,7 @@ impl<R: Read + Seek> Members<R> {
         }
     }
 
-    /// Whether there is such a file.
+    /// Whether a file of this name exists.
     pub(crate) fn contains(&self, name: &str) -> bool {
         match self {
             Self::Folder(files) => files.contains_key(name),
@@ -90,7 +90,7 @@ impl<R: Read + Seek> Members<R> {
 
     /// Opens a file for reading.
     pub(crate) fn open(&mut self, name: &str) -> Result<Box<dyn Read + '_>, UploadError> {
-        let missing = || Fault::FileUnreadable.with(format!("there is no file {}", shown(name)));
+        let missing = || Fault::FileUnreadable.with(format!("file {} does not exist", shown(name)));
         let failed = |detail: String| UploadError { file: Some(name.to_owned()), ..Fault::ZipCorrupt.with(detail) };
         match self {
             Self::Folder(files) => {

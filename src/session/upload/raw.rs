@@ -1,4 +1,4 @@
-//! What a dialect hands over: typed, bounded, but not yet checked against itself.
+//! A session as a reader produces it: typed and within limits, but not yet checked for consistency.
 
 use super::json::{Numbers, Rows, ShortList};
 use crate::session::formats::rows;
@@ -6,10 +6,10 @@ use crate::session::recording::Detection;
 use nalgebra::Matrix3;
 use std::collections::BTreeMap;
 
-/// A session as written. Checked by [`assemble`](super::assemble).
+/// A session as written, to be checked by [`assemble`](super::assemble).
 #[derive(Debug, Clone, Default)]
 pub(crate) struct RawSession {
-    /// The file that says all this, for messages.
+    /// The file with these values, for messages.
     pub file: String,
     pub name: String,
     pub fps: f64,
@@ -33,20 +33,20 @@ pub(crate) struct RawCamera {
     pub matrix: Option<Rows>,
     /// Distortion coefficients in OpenCV's order.
     pub distortion: Option<Numbers>,
-    /// What the coefficients mean, where it is said.
+    /// Name of the distortion model, where given.
     pub distortion_model: Option<String>,
     /// `camera_from_world`, row by row.
     pub rotation: Option<Rows>,
     /// `camera_from_world`, metres.
     pub translation: Option<Numbers>,
-    /// By how much its frames are later than their numbers say, s.
+    /// Time offset of its frames, s.
     pub time_offset: Option<f64>,
 }
 
-/// What one camera saw.
+/// Detections of one camera.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct RawPoses {
-    /// The file that holds it, for messages.
+    /// The file that contains them, for messages.
     pub file: String,
     /// The session's own frame numbers, in the order of the file.
     pub order: Vec<i64>,

@@ -1,10 +1,10 @@
-//! What a calibration probably is instead: told before any compute is spent on it.
+//! Plausibility of a calibration, checked before it costs any compute.
 //!
-//! Each camera's points must lie in its image; and where poses are given, people seen by two cameras must lie on each
-//! other's epipolar lines. Another reading of the calibration that explains the people far better is named.
+//! Each camera's points must lie in its image; and where poses are given, people seen by two cameras must lie on each other's
+//! epipolar lines. Where another interpretation of the calibration explains the people much better, a warning names it.
 //!
-//! Known limits: points that are already undistorted are only noticed where poses are given, and no mistake is noticed
-//! that costs less than the detector's own noise; such a one spoils no body either.
+//! Known limits: already undistorted points are only noticed where poses are given, and errors below the detector's noise are
+//! not noticed; they do not affect the result either.
 
 use super::error::shown;
 use super::warnings::Warnings;
@@ -13,30 +13,30 @@ use crate::geometry::{Distortion, Intrinsics, Rigid, epipolar};
 use crate::session::recording::{Detection, Keypoint, Session, View};
 use nalgebra::{Matrix3, Vector2};
 
-/// With fewer points nothing is suspected.
+/// Minimum number of points for a warning.
 const MIN_POINTS: usize = 200;
-/// Share of points that a detector may set outside its image.
+/// Share of points that a detector may place outside its image.
 const OUTSIDE: f64 = 0.05;
-/// People who never leave this part of the image's width and height suggest an image of half the size.
+/// If all people stay within this share of the image's width and height, the image probably has half the size.
 const NEAR_ORIGIN: f64 = 0.55;
-/// Frames and pairs of cameras looked at.
+/// Number of frames and of pairs of cameras that are examined.
 const MAX_FRAMES: usize = 30;
 const MAX_PAIRS: usize = 60;
-/// People seen by both cameras of a pair below which nothing is suspected.
+/// Minimum number of people seen by both cameras of a pair for a warning.
 const MIN_PEOPLE: usize = 20;
-/// Points that two detections must share to be compared.
+/// Minimum number of common points for comparing two detections.
 const MIN_SHARED: usize = 5;
-/// A calibration as good as this (px) is not suspected; every detector's own noise is larger.
+/// Error below which a calibration is accepted, px; every detector's noise is larger.
 const GOOD_PX: f64 = 0.5;
-/// Another reading must explain the people better by this factor.
+/// Another interpretation must lower the error to this share.
 const BETTER: f64 = 0.6;
 
-/// Tells what looks wrong with the session's cameras.
+/// Adds a warning for everything that looks wrong with the session's cameras.
 pub(crate) fn report(session: &Session, warnings: &mut Warnings) {
     for view in &session.views {
         if let Some(suspicion) = suspicion_of_image(view) {
             warnings.add(format!(
-                "camera {} of {}x{}: {suspicion}",
+                "camera {} with images of {}x{}: {suspicion}",
                 shown(&view.id),
                 view.intrinsics.width,
                 view.intrinsics.height
@@ -52,7 +52,7 @@ fn certain(detection: &Detection) -> impl Iterator<Item = &Keypoint> {
     detection.keypoints.iter().filter(|keypoint| keypoint.confidence >= DETECTOR.judged)
 }
 
-/// Whether the points lie in an image of the camera's size.
+/// Checks whether the points lie in an image of the camera's size.
 fn suspicion_of_image(view: &View) -> Option<&'static str> {
     let points = || view.frames.iter().flatten().flat_map(certain).map(|keypoint| keypoint.pixel);
     let (width, height) = (f64::from(view.intrinsics.width), f64::from(view.intrinsics.height));
@@ -67,16 +67,17 @@ fn suspicion_of_image(view: &View) -> Option<&'static str> {
     if share_outside(width, height) > OUTSIDE {
         let is_turned = width != height && share_outside(height, width) < 0.2 * OUTSIDE;
         return Some(if is_turned {
-            "its points lie in an image of height times width; was the video turned by 90 degrees?"
+            "its keypoints fit an image with width and height exchanged; was the video rotated by 90 degrees?"
         } else {
-            "its points lie outside the image; is the calibration of another resolution?"
+            "its keypoints lie outside the image; does the calibration belong to another resolution?"
         });
     }
-    (share_outside(NEAR_ORIGIN * width, NEAR_ORIGIN * height) < 0.2 * OUTSIDE)
-        .then_some("all its points lie in the first quarter; were they found at half the calibration's resolution?")
+    (share_outside(NEAR_ORIGIN * width, NEAR_ORIGIN * height) < 0.2 * OUTSIDE).then_some(
+        "all its keypoints lie in the upper left quarter; were they detected at half the calibration's resolution?",
+    )
 }
 
-/// Another way to read all cameras.
+/// An interpretation of all cameras.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Hypothesis {
     AsGiven,
@@ -107,16 +108,16 @@ impl Hypothesis {
         match self {
             H::AsGiven => String::new(),
             H::AlreadyUndistorted => {
-                "the keypoints are already undistorted; give the cameras without distortion".to_owned()
+                "the keypoints are already undistorted (then remove the distortion from the cameras)".to_owned()
             }
             H::OtherResolution(factor) => {
-                format!("the keypoints lie in images {factor} times as large as those that were calibrated")
+                format!("the keypoints were detected in images {factor} times as large as the calibrated ones")
             }
-            H::QuarterTurn => "the videos were turned by 90 degrees clockwise".to_owned(),
-            H::ThreeQuarterTurn => "the videos were turned by 90 degrees counter-clockwise".to_owned(),
-            H::HalfTurn => "the videos were turned by 180 degrees".to_owned(),
-            H::WorldFromCamera => "R and t are world from camera; give camera from world".to_owned(),
-            H::TransposedRotation => "R is transposed".to_owned(),
+            H::QuarterTurn => "the videos were rotated by 90 degrees clockwise".to_owned(),
+            H::ThreeQuarterTurn => "the videos were rotated by 90 degrees counter-clockwise".to_owned(),
+            H::HalfTurn => "the videos were rotated by 180 degrees".to_owned(),
+            H::WorldFromCamera => "R and t map camera to world (they must map world to camera)".to_owned(),
+            H::TransposedRotation => "R is transposed (it must map world to camera)".to_owned(),
         }
     }
 
@@ -127,7 +128,7 @@ impl Hypothesis {
         match self {
             H::AlreadyUndistorted => Intrinsics { dist: Distortion::None, ..*camera }.normalized_from_pixel(pixel),
             H::OtherResolution(factor) => camera.normalized_from_pixel(&pixel.map(|c| (c + 0.5) / factor - 0.5)),
-            // The pixel that was at (x, y) before the turn.
+            // Undoes the rotation of the image: the position of the pixel in the calibrated image.
             H::QuarterTurn => camera.normalized_from_pixel(&Vector2::new(pixel.y, last_y - pixel.x)),
             H::ThreeQuarterTurn => camera.normalized_from_pixel(&Vector2::new(last_x - pixel.y, pixel.x)),
             H::HalfTurn => camera.normalized_from_pixel(&Vector2::new(last_x - pixel.x, last_y - pixel.y)),
@@ -154,10 +155,12 @@ fn suspicion_of_poses(session: &Session) -> Option<String> {
         return None;
     }
     let sentence = best.sentence();
-    Some(format!("people lie {given:.1} px off the given cameras' epipolar lines, and {error:.1} px if {sentence}"))
+    Some(format!(
+        "people lie {given:.1} px off the epipolar lines of the given cameras, but only {error:.1} px if {sentence}"
+    ))
 }
 
-/// Median distance (px) of people to the epipolar lines of whom they fit best in another camera.
+/// Median distance of people to the epipolar lines of the best matching person in another camera, px.
 fn epipolar_error_px(session: &Session, hypothesis: Hypothesis) -> Option<f64> {
     let posed: Vec<(&View, Rigid)> =
         session.views.iter().filter_map(|v| Some((v, hypothesis.pose(&v.camera_from_world?)))).collect();

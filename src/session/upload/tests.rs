@@ -1,4 +1,4 @@
-//! Round trips, and damage at random.
+//! Round trips and random damage.
 
 use super::*;
 use crate::body::skeleton::KeypointConvention;
@@ -9,7 +9,7 @@ use nalgebra::{Vector2, Vector3};
 use proptest::prelude::*;
 use std::io::{Cursor, Write};
 
-/// Two cameras, one with extrinsics-free names that need escaping, frames out of order and with gaps.
+/// Two cameras with names that need escaping, frames out of order and with gaps.
 fn small_session() -> Session {
     let view = |id: &str, delivered: &[usize]| {
         let mut frames = vec![Vec::new(); 5];
@@ -82,7 +82,7 @@ fn small_zip() -> Vec<u8> {
 }
 
 #[test]
-fn a_session_survives_as_folder_zip_and_document() {
+fn round_trips_as_folder_zip_and_document() {
     let session = small_session();
     let dir = tempfile::tempdir().unwrap();
     write_folder(&session, dir.path()).unwrap();
@@ -100,7 +100,7 @@ fn a_session_survives_as_folder_zip_and_document() {
 }
 
 #[test]
-fn a_session_survives_as_lines() {
+fn round_trips_as_ndjson() {
     let session = small_session();
     let mut document: serde_json::Value = serde_json::from_str(&to_json(&session).unwrap()).unwrap();
     let poses = document.as_object_mut().unwrap().remove("poses").unwrap();
@@ -117,7 +117,7 @@ fn a_session_survives_as_lines() {
 }
 
 #[test]
-fn keypoints_are_rounded_like_a_detectors_and_never_lost() {
+fn rounds_keypoints_and_keeps_weak_ones() {
     let mut session = small_session();
     session.views[1].frames[1][0].keypoints[0] = Keypoint { pixel: Vector2::new(1.006, -0.001), confidence: 1e-5 };
     let read = read_bytes(to_json(&session).unwrap().as_bytes()).unwrap().session;
@@ -126,7 +126,7 @@ fn keypoints_are_rounded_like_a_detectors_and_never_lost() {
 }
 
 #[test]
-fn poses_may_come_before_the_header_and_unknown_things_are_told_once() {
+fn accepts_poses_first_and_warns_once_per_unknown_key() {
     let document: serde_json::Value = serde_json::from_str(&to_json(&small_session()).unwrap()).unwrap();
     let poses = document["poses"].to_string().replace("\"track_id\"", "\"box\":[1,[2]],\"track_id\"");
     let mut rest = document.clone();
@@ -145,7 +145,7 @@ fn poses_may_come_before_the_header_and_unknown_things_are_told_once() {
 }
 
 #[test]
-fn a_rotation_rounded_to_four_digits_is_made_orthonormal() {
+fn orthonormalises_a_rounded_rotation() {
     let session = small_session();
     let mut document: serde_json::Value = serde_json::from_str(&to_json(&session).unwrap()).unwrap();
     for value in document["cameras"][0]["R"].as_array_mut().unwrap().iter_mut().flat_map(|r| r.as_array_mut().unwrap())
@@ -154,13 +154,13 @@ fn a_rotation_rounded_to_four_digits_is_made_orthonormal() {
     }
     let read = read_bytes(document.to_string().as_bytes()).unwrap().session;
     let (found, given) = (read.views[0].camera_from_world.unwrap(), session.views[0].camera_from_world.unwrap());
-    // Nine entries, each off by at most half of the last digit.
+    // Nine entries with an error of at most half of the last digit each.
     assert!((found.rotation - given.rotation).norm() < 3.0 * 0.5e-4);
     assert!((found.rotation.transpose() * found.rotation - nalgebra::Matrix3::identity()).norm() < 1e-12);
 }
 
 #[test]
-fn people_and_frames_without_points_are_not_free() {
+fn counts_people_and_frames_without_points() {
     let text = to_json(&small_session()).unwrap();
     // 4 frames of 3, 4 people of 4 and 17 points each.
     let n_spent = 4 * 3 + 4 * (4 + 17);
@@ -172,7 +172,7 @@ fn people_and_frames_without_points_are_not_free() {
 }
 
 #[test]
-fn every_truncation_of_a_zip_is_refused() {
+fn rejects_every_truncated_zip() {
     let zip = small_zip();
     for length in 0..zip.len() {
         assert!(read_bytes(&zip[..length]).is_err(), "{length} of {} bytes", zip.len());
@@ -180,7 +180,7 @@ fn every_truncation_of_a_zip_is_refused() {
 }
 
 #[test]
-fn every_flipped_byte_of_a_zip_is_refused_or_harmless() {
+fn rejects_or_ignores_every_flipped_byte_of_a_zip() {
     let zip = small_zip();
     let session = read_bytes(&zip).unwrap().session;
     for at in 0..zip.len() {
@@ -196,7 +196,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(300))]
 
     #[test]
-    fn a_damaged_document_is_read_or_refused(
+    fn reads_or_rejects_a_damaged_document(
         flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
         cut in prop::option::of(any::<prop::sample::Index>()),
     ) {
@@ -214,7 +214,7 @@ proptest! {
     }
 
     #[test]
-    fn a_damaged_zip_is_read_or_refused(
+    fn reads_or_rejects_a_damaged_zip(
         flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..6),
     ) {
         let mut bytes = small_zip();

@@ -1,8 +1,8 @@
-//! The directory of a zip, checked before anything is unpacked.
+//! The central directory of a zip, checked before anything is decompressed.
 //!
-//! Only what a session needs is read: one archive from the first byte to the last, plain relative names, stored or
-//! deflated members. The reader behind holds every member to the size that the directory states, so sizes checked here
-//! bound what is unpacked.
+//! Only plain archives are read: one archive from the first byte to the last, relative names, stored or deflated members. The
+//! zip reader limits every member to the size that the directory states, so the sizes checked here bound the decompressed
+//! data.
 
 use super::error::{Fault, UploadError, shown};
 use super::limits::UploadLimits;
@@ -11,7 +11,7 @@ use std::io::{Read, Seek, SeekFrom};
 use zip::read::{ArchiveOffset, Config, ZipFileEntry};
 use zip::{CompressionMethod, ZipArchive};
 
-/// An opened archive and where each file stands in it.
+/// An opened archive and the position of each file in it.
 pub(super) struct ZipIndex<R> {
     pub(super) archive: ZipArchive<R>,
     pub(super) positions: BTreeMap<String, usize>,
@@ -19,7 +19,7 @@ pub(super) struct ZipIndex<R> {
 
 /// Size of the end record without its comment (APPNOTE 4.3.16).
 const END_BYTES: usize = 22;
-/// Bytes of the longest member name that is looked at.
+/// Largest length of a member's name, bytes.
 const MAX_NAME_BYTES: usize = 4200;
 
 /// Opens a zip and checks its directory.
@@ -31,7 +31,7 @@ pub(super) fn index_zip<R: Read + Seek>(mut reader: R, limits: &UploadLimits) ->
     let config = Config { archive_offset: ArchiveOffset::Known(0) };
     let mut archive = ZipArchive::with_config(config, reader).map_err(|e| Fault::ZipInvalid.with(e.to_string()))?;
     if archive.has_duplicate_names() {
-        return Err(Fault::ZipDuplicateMember.with("the archive holds one name twice"));
+        return Err(Fault::ZipDuplicateMember.with("the archive contains one name twice"));
     }
     let positions = checked_positions(&archive, limits)?;
     match archive.has_overlapping_entries() {
@@ -41,7 +41,8 @@ pub(super) fn index_zip<R: Read + Seek>(mut reader: R, limits: &UploadLimits) ->
     }
 }
 
-/// Reads the end record ourselves: the reader behind allocates for as many members as it announces.
+/// Checks the end record before the zip reader does, because that reader allocates memory for as many members as the record
+/// announces.
 fn check_end_record<R: Read + Seek>(reader: &mut R, limits: &UploadLimits) -> Result<(), UploadError> {
     let invalid = |detail: &str| Fault::ZipInvalid.with(detail);
     let unreadable = |e: std::io::Error| Fault::FileUnreadable.with(e.to_string());
@@ -53,11 +54,11 @@ fn check_end_record<R: Read + Seek>(reader: &mut R, limits: &UploadLimits) -> Re
 
     let at =
         tail.windows(4).rposition(|w| w == b"PK\x05\x06").ok_or_else(|| invalid("the archive has no end record"))?;
-    let end = tail.get(at..at + END_BYTES).ok_or_else(|| invalid("the end record is cut off"))?;
+    let end = tail.get(at..at + END_BYTES).ok_or_else(|| invalid("the end record is truncated"))?;
     let u16_at = |i: usize| u16::from_le_bytes([end[i], end[i + 1]]);
     let u32_at = |i: usize| u32::from_le_bytes([end[i], end[i + 1], end[i + 2], end[i + 3]]);
     if at + END_BYTES + usize::from(u16_at(20)) != tail.len() {
-        return Err(invalid("something follows the end of the archive, or its comment is cut off"));
+        return Err(invalid("there is content after the end of the archive, or its comment is truncated"));
     }
     let short = Directory {
         n_members: u64::from(u16_at(10)),
@@ -71,18 +72,21 @@ fn check_end_record<R: Read + Seek>(reader: &mut R, limits: &UploadLimits) -> Re
         short
     };
     if directory.n_members > limits.max_members as u64 {
-        return Err(Fault::TooManyMembers.with(format!("more than {} members", limits.max_members)));
+        return Err(Fault::TooManyMembers.with(format!("the archive has more than {} members", limits.max_members)));
     }
     if directory.bytes > limits.max_directory_bytes {
-        return Err(Fault::TooManyMembers.with(format!("a directory of {} bytes", directory.bytes)));
+        return Err(Fault::TooManyMembers.with(format!(
+            "the directory has {} bytes, at most {} are read",
+            directory.bytes, limits.max_directory_bytes
+        )));
     }
     if directory.start.checked_add(directory.bytes) != Some(directory.end) {
-        return Err(invalid("the directory does not lie where the end record says"));
+        return Err(invalid("the directory is not at the position that the end record states"));
     }
     Ok(())
 }
 
-/// What an end record says of the directory, and where the directory must end.
+/// Size and position of the directory as an end record states them, and where the directory must end.
 struct Directory {
     n_members: u64,
     bytes: u64,
@@ -94,7 +98,7 @@ struct Directory {
 const LONG_END_BYTES: usize = 56;
 const LOCATOR_BYTES: usize = 20;
 
-/// The 64-bit end record before the plain one: more than 65535 members, one a camera and frame, need it.
+/// Reads the 64-bit end record before the plain one, which archives of more than 65535 members need.
 fn long_directory(before_end: &[u8], tail_start: u64) -> Option<Directory> {
     let at = before_end.len().checked_sub(LOCATOR_BYTES + LONG_END_BYTES)?;
     let (record, locator) = before_end[at..].split_at(LONG_END_BYTES);
@@ -123,7 +127,7 @@ fn checked_positions<R: Read + Seek>(
         check_member(&entry, limits).map_err(in_member)?;
         unpacked = unpacked.saturating_add(entry.size());
         if unpacked > limits.max_unpacked_bytes {
-            let detail = format!("the archive unpacks to more than {} bytes", limits.max_unpacked_bytes);
+            let detail = format!("the archive decompresses to more than {} bytes", limits.max_unpacked_bytes);
             return Err(in_member(Fault::TooLarge.with(detail)));
         }
         if !entry.is_dir() {
@@ -133,7 +137,7 @@ fn checked_positions<R: Read + Seek>(
     Ok(positions)
 }
 
-/// A relative path of plain parts: nothing that any system could read as a way out of a folder.
+/// Checks that the name is a relative path of plain parts, which no operating system resolves to a place outside a folder.
 fn checked_name(raw: &[u8]) -> Result<&str, UploadError> {
     let refuse = |name: &str, why: &str| UploadError {
         file: Some(name.to_owned()),
@@ -145,13 +149,13 @@ fn checked_name(raw: &[u8]) -> Result<&str, UploadError> {
         return Err(refuse(&shown(name), "is too long"));
     }
     if name.contains(['\0', '\\']) {
-        return Err(refuse(name, "holds a NUL or a backslash"));
+        return Err(refuse(name, "contains a NUL or a backslash"));
     }
     if name.starts_with('/') || has_drive {
         return Err(refuse(name, "is absolute"));
     }
     if name.strip_suffix('/').unwrap_or(name).split('/').any(|part| matches!(part, "" | "." | "..")) {
-        return Err(refuse(name, "has an empty part, . or .."));
+        return Err(refuse(name, "contains an empty part, . or .."));
     }
     Ok(name)
 }
@@ -164,11 +168,13 @@ fn check_member(entry: &ZipFileEntry<'_>, limits: &UploadLimits) -> Result<(), U
         return Err(Fault::ZipEncrypted.with("the member is encrypted"));
     }
     if !matches!(entry.compression(), CompressionMethod::Stored | CompressionMethod::Deflated) {
-        return Err(Fault::ZipMethod.with(format!("the member is packed by method {}", entry.compression())));
+        return Err(Fault::ZipMethod
+            .with(format!("the member is compressed with method {}, expected deflate or none", entry.compression())));
     }
     let (packed, unpacked) = (entry.compressed_size(), entry.size());
     if unpacked > limits.ratio_free_bytes && unpacked > packed.saturating_mul(limits.max_ratio) {
-        let detail = format!("{packed} bytes unpack to {unpacked}, at most {} to 1 is read", limits.max_ratio);
+        let detail =
+            format!("{packed} bytes decompress to {unpacked}, expected a ratio of at most {} to 1", limits.max_ratio);
         return Err(Fault::ZipRatio.with(detail));
     }
     Ok(())

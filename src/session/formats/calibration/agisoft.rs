@@ -1,7 +1,7 @@
 //! Agisoft Metashape's camera XML: sensors with their calibration, cameras with their transform into the chunk.
 //!
-//! Principal points are offsets from the image's middle, the centre of the first pixel is (0.5, 0.5), `p1` and `p2`
-//! stand in the opposite order, `fx = f + b1`, the skew is `b2` (Metashape's manual, appendix on camera models).
+//! Principal points are offsets from the image's centre, the centre of the first pixel is (0.5, 0.5), `p1` and `p2` are in
+//! the opposite order, `fx = f + b1`, the skew is `b2` (Metashape's manual, appendix on camera models).
 
 use super::values::{finite, invalid, pinhole};
 use crate::geometry::Rigid;
@@ -13,7 +13,7 @@ use crate::session::upload::warnings::Warnings;
 use nalgebra::{Matrix3, Vector3};
 use roxmltree::{Document, Node};
 
-/// Every camera with a calibrated sensor, or every sensor where there are no cameras.
+/// All cameras with a calibrated sensor, or all sensors where there are no cameras.
 pub(super) fn read(text: &str, warnings: &mut Warnings) -> Result<Vec<RawCamera>, UploadError> {
     let document = Document::parse(text).map_err(|e| invalid(e.to_string()))?;
     let named = |name: &'static str| document.descendants().filter(move |node| node.has_tag_name(name));
@@ -34,10 +34,10 @@ pub(super) fn read(text: &str, warnings: &mut Warnings) -> Result<Vec<RawCamera>
         cameras = sensors.into_iter().map(|(_, label, lens)| RawCamera { id: label.to_owned(), ..lens }).collect();
     }
     if cameras.is_empty() {
-        return Err(invalid("no sensor has a calibration"));
+        return Err(invalid("the file has no sensor with a calibration"));
     }
     if cameras.iter().any(|camera| camera.rotation.is_some()) {
-        warnings.add("poses of an Agisoft file are those of its chunk: they are read as metres".to_owned());
+        warnings.add("the poses of an Agisoft file are in the unit of its chunk: they are read as metres".to_owned());
     }
     Ok(cameras)
 }
@@ -52,7 +52,7 @@ fn lens_of(sensor: Node<'_, '_>) -> Result<Option<RawCamera>, UploadError> {
         None => Ok(0.0),
         Some(node) => {
             let number = node.text().and_then(|text| finite(text.trim()));
-            number.ok_or_else(|| invalid(format!("<{name}> is no number")))
+            number.ok_or_else(|| invalid(format!("<{name}> is not a number")))
         }
     };
     let resolution = child("resolution").or_else(|| sensor.children().find(|node| node.has_tag_name("resolution")));
@@ -62,15 +62,19 @@ fn lens_of(sensor: Node<'_, '_>) -> Result<Option<RawCamera>, UploadError> {
     };
     let kind = calibration.attribute("type").or(sensor.attribute("type")).unwrap_or("frame");
     if !["frame", "fisheye", "equidistant_fisheye"].contains(&kind) {
-        return Err(Fault::DistortionUnsupported.with(format!("Agisoft's sensor type {}", shown(kind))));
+        return Err(Fault::DistortionUnsupported.with(format!(
+            "the sensor type of Agisoft is {}, expected frame, fisheye or equidistant_fisheye",
+            shown(kind)
+        )));
     }
     let (is_fisheye, f) = (kind != "frame", number("f")?);
     let [k1, k2, k3, k4] = [number("k1")?, number("k2")?, number("k3")?, number("k4")?];
     let (own_p1, own_p2) = (number("p1")?, number("p2")?);
-    let holds = if is_fisheye { own_p1 == 0.0 && own_p2 == 0.0 } else { k4 == 0.0 };
-    if !holds {
+    let is_supported = if is_fisheye { own_p1 == 0.0 && own_p2 == 0.0 } else { k4 == 0.0 };
+    if !is_supported {
         let terms = if is_fisheye { "p1 and p2 of a fisheye" } else { "k4 of a frame camera" };
-        return Err(Fault::DistortionUnsupported.with(format!("Agisoft's {terms}")));
+        return Err(Fault::DistortionUnsupported
+            .with(format!("the calibration of Agisoft uses {terms}, which are not supported")));
     }
     let distortion = if is_fisheye { vec![k1, k2, k3, k4] } else { vec![k1, k2, own_p2, own_p1, k3] };
     let centre = |size: u32, offset: f64| 0.5 * f64::from(size) + offset - 0.5;
@@ -90,14 +94,14 @@ fn lens_of(sensor: Node<'_, '_>) -> Result<Option<RawCamera>, UploadError> {
     }))
 }
 
-/// A camera with its pose, where the file has one: `transform` is chunk from camera, 4x4 row by row.
+/// A camera with its pose, where the file has one: `transform` is `chunk_from_camera`, 4x4 row by row.
 fn posed(camera: Node<'_, '_>, label: &str, lens: &RawCamera) -> Result<RawCamera, UploadError> {
     let id = label.rsplit_once('.').map_or(label, |(stem, _)| stem).to_owned();
     let Some(transform) = camera.children().find(|node| node.has_tag_name("transform")) else {
         return Ok(RawCamera { id, ..lens.clone() });
     };
     let numbers: Option<Vec<f64>> = transform.text().unwrap_or_default().split_whitespace().map(finite).collect();
-    let m = numbers.filter(|m| m.len() == 16).ok_or_else(|| invalid("a transform has not 16 numbers"))?;
+    let m = numbers.filter(|m| m.len() == 16).ok_or_else(|| invalid("a transform does not have 16 numbers"))?;
     let chunk_from_camera = Rigid {
         rotation: Matrix3::new(m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]),
         translation: Vector3::new(m[3], m[7], m[11]),

@@ -1,6 +1,6 @@
 //! 4DAssoc's `calibration.json`: per camera `K` (9 numbers), `RT` (12 numbers, `[R t]`), `imgSize` (width, height).
 //!
-//! Its detection files hold joints before they are joined to people, and are not read.
+//! Its detection files contain joints that are not yet assigned to people, and are not read.
 
 use super::values::{invalid, rows_of, size, split_pose};
 use crate::session::upload::error::UploadError;
@@ -23,7 +23,7 @@ pub(super) fn recognise(head: &str) -> bool {
     head.trim_start().starts_with('{') && head.contains("\"K\"") && head.contains("\"RT\"")
 }
 
-/// Every camera, in the order of names.
+/// All cameras, in the order of names.
 pub(super) fn read(text: &str) -> Result<Vec<RawCamera>, UploadError> {
     let cameras: BTreeMap<String, Camera> = serde_json::from_str(text).map_err(|e| invalid(e.to_string()))?;
     cameras.into_iter().map(|(id, camera)| camera_of(id, &camera)).collect()
@@ -32,7 +32,7 @@ pub(super) fn read(text: &str) -> Result<Vec<RawCamera>, UploadError> {
 fn camera_of(id: String, camera: &Camera) -> Result<RawCamera, UploadError> {
     let wrong = |field: &str, n: usize| UploadError {
         camera: Some(id.clone()),
-        ..invalid(format!("`{field}` has not {n} entries"))
+        ..invalid(format!("`{field}` does not have {n} entries"))
     };
     let matrix = rows_of(&camera.matrix).ok_or_else(|| wrong("K", 9))?;
     if camera.pose.len() != 12 {
@@ -56,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_camera_is_read_row_by_row() {
+    fn reads_matrices_row_by_row() {
         let text = r#"{"0": {"K": [1000, 0, 512, 0, 1001, 384, 0, 0, 1], "imgSize": [1024, 768],
                        "RT": [0, -1, 0, 0.5, 1, 0, 0, 0.25, 0, 0, 1, 3]}}"#;
         assert!(recognise(text) && !recognise(r#"{"people": []}"#));

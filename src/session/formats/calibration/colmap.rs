@@ -1,6 +1,6 @@
 //! COLMAP's text model: `cameras.txt` and, where there are poses, `images.txt`.
 //!
-//! COLMAP puts the centre of the first pixel at (0.5, 0.5), this house at (0, 0): principal points move by half a pixel.
+//! COLMAP's first pixel has its centre at (0.5, 0.5), here at (0, 0): principal points are shifted by half a pixel.
 
 use super::format::CalibrationFormat;
 use super::values::{camera_of_image, finite, invalid, pinhole};
@@ -11,7 +11,7 @@ use crate::session::upload::warnings::Warnings;
 use nalgebra::{Quaternion, UnitQuaternion};
 use std::collections::BTreeMap;
 
-/// What the two files said so far.
+/// Content of the two files read so far.
 #[derive(Debug, Default)]
 pub(super) struct Model {
     cameras: BTreeMap<u64, RawCamera>,
@@ -21,7 +21,7 @@ pub(super) struct Model {
 #[derive(Debug)]
 struct Image {
     camera: u64,
-    /// The camera's name after the image's.
+    /// The camera's name, from the image's name.
     id: String,
     rotation: Rows,
     translation: Numbers,
@@ -29,7 +29,7 @@ struct Image {
 
 const HALF_PIXEL: f64 = 0.5;
 
-/// Tells the two files by their first line of data.
+/// Recognises the two files by their first line of data.
 pub(super) fn recognise(head: &str) -> Option<CalibrationFormat> {
     let line = head.lines().find(|line| !line.trim().is_empty() && !line.starts_with('#'))?;
     let words: Vec<&str> = line.split_whitespace().collect();
@@ -51,7 +51,7 @@ fn lines(text: &str) -> impl Iterator<Item = &str> {
 }
 
 fn numbers(words: &[&str]) -> Result<Vec<f64>, UploadError> {
-    words.iter().copied().map(finite).collect::<Option<_>>().ok_or_else(|| invalid("a number is expected"))
+    words.iter().copied().map(finite).collect::<Option<_>>().ok_or_else(|| invalid("a value is not a number"))
 }
 
 impl Model {
@@ -61,8 +61,8 @@ impl Model {
             let [id, model, width, height, parameters @ ..] = words.as_slice() else {
                 return Err(invalid("a line of `cameras.txt` is too short"));
             };
-            let whole = |word: &str| word.parse::<u32>().map_err(|_| invalid("an image size is no whole number"));
-            let number = id.parse().map_err(|_| invalid("a CAMERA_ID is no whole number"))?;
+            let whole = |word: &str| word.parse::<u32>().map_err(|_| invalid("an image size is not an integer"));
+            let number = id.parse().map_err(|_| invalid("a CAMERA_ID is not an integer"))?;
             let lens = lens(model, &numbers(parameters)?)?;
             let camera = RawCamera { id: (*id).to_owned(), width: whole(width)?, height: whole(height)?, ..lens };
             self.cameras.insert(number, camera);
@@ -70,7 +70,7 @@ impl Model {
         Ok(())
     }
 
-    /// Every image takes two lines; the second, its points, may be empty.
+    /// Every image has two lines; the second, its points, may be empty.
     pub(super) fn add_images(&mut self, text: &str) -> Result<(), UploadError> {
         let mut lines = lines(text).skip_while(|line| line.trim().is_empty());
         while let Some(line) = lines.next() {
@@ -87,7 +87,7 @@ impl Model {
             let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-6)
                 .ok_or_else(|| invalid("an image's quaternion is zero"))?;
             self.images.push(Image {
-                camera: camera.parse().map_err(|_| invalid("a CAMERA_ID is no whole number"))?,
+                camera: camera.parse().map_err(|_| invalid("a CAMERA_ID is not an integer"))?,
                 id: camera_of_image(name).to_owned(),
                 rotation: rows_of_matrix(turn.to_rotation_matrix().matrix()),
                 translation: ShortList(vec![tx, ty, tz]),
@@ -97,17 +97,17 @@ impl Model {
         Ok(())
     }
 
-    /// A camera an image name; without images one a CAMERA_ID, without pose.
+    /// The cameras, one per image name; without images one per CAMERA_ID, without pose.
     pub(super) fn into_cameras(self, warnings: &mut Warnings) -> Result<Vec<RawCamera>, UploadError> {
         if self.images.is_empty() {
             return Ok(self.cameras.into_values().collect());
         }
-        warnings.add("COLMAP's world has no unit of its own: its poses are read as metres".to_owned());
+        warnings.add("COLMAP's poses have no unit: they are read as metres".to_owned());
         let mut posed: Vec<RawCamera> = Vec::new();
         for image in self.images {
             let camera = self.cameras.get(&image.camera);
             let camera = camera.ok_or_else(|| {
-                let detail = format!("image {} is of CAMERA_ID {}, which is unknown", shown(&image.id), image.camera);
+                let detail = format!("image {} has the unknown CAMERA_ID {}", shown(&image.id), image.camera);
                 Fault::CameraUnknown.with(detail)
             })?;
             match posed.iter().find(|own| own.id == image.id) {
@@ -118,7 +118,7 @@ impl Model {
                     ..camera.clone()
                 }),
                 Some(own) if own.translation.as_ref() != Some(&image.translation) => {
-                    warnings.add(format!("camera {} has several poses: the first is read", shown(&image.id)));
+                    warnings.add(format!("camera {} has several poses: the first one is used", shown(&image.id)));
                 }
                 Some(_) => {}
             }
@@ -146,7 +146,11 @@ fn lens(model: &str, parameters: &[f64]) -> Result<RawCamera, UploadError> {
         ("SIMPLE_RADIAL_FISHEYE", &[f, cx, cy, k]) => lens([f, f, cx, cy], &[k, 0.0, 0.0, 0.0], true),
         ("RADIAL_FISHEYE", &[f, cx, cy, k1, k2]) => lens([f, f, cx, cy], &[k1, k2, 0.0, 0.0], true),
         _ => {
-            let detail = format!("COLMAP's model {} with {} parameters", shown(model), parameters.len());
+            let detail = format!(
+                "the camera model {} of COLMAP with {} parameters is not supported",
+                shown(model),
+                parameters.len()
+            );
             return Err(Fault::DistortionUnsupported.with(detail));
         }
     })

@@ -15,7 +15,7 @@ pub(crate) enum CalibrationFormat {
 }
 
 impl CalibrationFormat {
-    /// The name in the answer to an upload.
+    /// The name in the response to an upload.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::OpenCvYaml => "opencv_yaml",

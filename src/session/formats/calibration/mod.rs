@@ -1,4 +1,4 @@
-//! Calibration files, told by their content: each reader gives cameras as written, merged by name.
+//! Readers of calibration files, recognised by content: each returns the cameras of its file, which are merged by name.
 
 mod agisoft;
 mod assoc4d;
@@ -19,18 +19,18 @@ use crate::session::upload::error::{Fault, UploadError};
 use crate::session::upload::raw::RawCamera;
 use crate::session::upload::warnings::Warnings;
 
-/// What the calibration files of an upload say together.
+/// Content of all calibration files of an upload.
 #[derive(Debug, Default)]
 pub(crate) struct Calibration {
     /// Names of the formats, in order of reading, each once.
     pub(crate) formats: Vec<&'static str>,
     pub(crate) cameras: Vec<RawCamera>,
-    /// Frames per second, where a file tells.
+    /// Frames per second, where a file contains it.
     pub(crate) fps: Option<f64>,
     colmap: colmap::Model,
 }
 
-/// Tells a calibration file by its beginning; `None` for anything else.
+/// Recognises a calibration file by its beginning; `None` for anything else.
 pub(crate) fn recognise(head: &str) -> Option<CalibrationFormat> {
     use CalibrationFormat as F;
     let start = head.trim_start();
@@ -57,7 +57,7 @@ impl Calibration {
     /// Reads one more file.
     ///
     /// # Errors
-    /// What cannot be read, or holds a lens that is not ours.
+    /// Invalid content, or an unsupported lens model.
     pub(crate) fn add(
         &mut self,
         format: CalibrationFormat,
@@ -68,7 +68,7 @@ impl Calibration {
         use CalibrationFormat as F;
         let text = match format {
             F::OpenCap => "",
-            _ => std::str::from_utf8(bytes).map_err(|_| Fault::Encoding.with("the calibration is not UTF-8"))?,
+            _ => std::str::from_utf8(bytes).map_err(|_| Fault::Encoding.with("the calibration file is not UTF-8"))?,
         };
         let cameras = match format {
             F::OpenCvYaml => opencv_yaml::read(text)?,
@@ -88,7 +88,7 @@ impl Calibration {
         Ok(())
     }
 
-    /// Joins what several files say together, once all are read.
+    /// Merges values that are spread over several files, after all have been read.
     ///
     /// # Errors
     /// An image of an unknown camera.
@@ -99,7 +99,7 @@ impl Calibration {
         Ok(())
     }
 
-    /// Adds a camera, or what a second file knows of it.
+    /// Adds a camera, or completes it with the values of a second file.
     pub(crate) fn merge(&mut self, camera: RawCamera) {
         let Some(own) = self.cameras.iter_mut().find(|own| own.id == camera.id) else {
             self.cameras.push(camera);

@@ -1,5 +1,5 @@
 //! OpenCap's camera pickle: `intrinsicMat`, `distortion`, `imageSize` (height first), and with extrinsics `rotation` and
-//! `translation` in millimetres. Nothing in it is executed (see the reader of body files).
+//! `translation` in millimetres. No code of the pickle is executed (see the reader of body files).
 
 use super::values::{camera_of_image, invalid, rows_of, size};
 use crate::body::loader::arrays_of_pickle;
@@ -9,17 +9,17 @@ use crate::session::upload::raw::RawCamera;
 
 const FIELDS: [&str; 5] = ["intrinsicMat", "distortion", "imageSize", "rotation", "translation"];
 
-/// Whether a file's first bytes are a binary pickle that names intrinsics.
+/// Whether a file's first bytes are a binary pickle with the name of the intrinsics.
 pub(crate) fn recognise(head: &[u8]) -> bool {
     let names_intrinsics = head.windows(FIELDS[0].len()).any(|window| window == FIELDS[0].as_bytes());
     matches!(head, [0x80, 2..=5, ..]) && names_intrinsics
 }
 
-/// The camera of the file, called as its folder, or as the file where it lies in none.
+/// The camera of the file, named after its folder, or after the file where it is in none.
 pub(super) fn read(file: &str, bytes: &[u8]) -> Result<RawCamera, UploadError> {
     let arrays = arrays_of_pickle(bytes, &FIELDS).map_err(|e| invalid(e.to_string()))?;
     if let Some((field, _)) = arrays.iter().find(|(_, array)| array.values.iter().any(|value| !value.is_finite())) {
-        return Err(invalid(format!("`{field}` holds a value that is no number")));
+        return Err(invalid(format!("`{field}` contains a value that is not finite")));
     }
     let numbers = |field: &str| arrays.get(field).map(|array| array.values.as_slice());
     let matrix = numbers(FIELDS[0]).and_then(rows_of);
@@ -30,7 +30,7 @@ pub(super) fn read(file: &str, bytes: &[u8]) -> Result<RawCamera, UploadError> {
         id: name.to_owned(),
         width: whole(1),
         height: whole(0),
-        matrix: Some(matrix.ok_or_else(|| invalid("`intrinsicMat` has not 9 entries"))?),
+        matrix: Some(matrix.ok_or_else(|| invalid("`intrinsicMat` does not have 9 entries"))?),
         distortion: numbers("distortion").map(|dist| ShortList(dist.to_vec())),
         rotation: numbers("rotation").and_then(rows_of),
         translation: numbers("translation").map(|t| ShortList(t.iter().map(|mm| 1e-3 * mm).collect())),
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn millimetres_and_the_height_before_the_width() {
+    fn reads_millimetres_and_height_before_width() {
         let k = [1000.0, 0.0, 360.0, 0.0, 1001.0, 640.0, 0.0, 0.0, 1.0];
         let r = [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
         let bytes = pickled(&[
@@ -88,6 +88,6 @@ mod tests {
         assert!(read("a.pickle", &bytes[..bytes.len() - 3]).is_err());
         let holed = pickled(&[("intrinsicMat", &[3, 3], &k.map(|v| if v == 640.0 { f64::NAN } else { v }))]);
         let refusal = read("a.pickle", &holed).unwrap_err().to_string();
-        assert!(refusal.contains("`intrinsicMat` holds a value that is no number"), "{refusal}");
+        assert!(refusal.contains("`intrinsicMat` contains a value that is not finite"), "{refusal}");
     }
 }

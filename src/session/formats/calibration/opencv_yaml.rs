@@ -6,12 +6,12 @@ use crate::session::upload::error::UploadError;
 use crate::session::upload::json::ShortList;
 use crate::session::upload::raw::RawCamera;
 
-/// Cameras of an `intri.yml` or `extri.yml`; what stands in the other file is left open.
+/// Cameras of an `intri.yml` or `extri.yml`; values of the other file stay empty.
 pub(super) fn read(text: &str) -> Result<Vec<RawCamera>, UploadError> {
     let yaml = parse(text)?;
     let names = names(&yaml);
     if names.is_empty() {
-        return Err(invalid("there is no camera: neither `names` nor `K_<name>` nor `T_<name>`"));
+        return Err(invalid("the file has no camera: expected `names`, `K_<name>` or `T_<name>`"));
     }
     names.into_iter().map(|name| camera(&yaml, name)).collect()
 }
@@ -35,7 +35,7 @@ fn camera(yaml: &Yaml, id: String) -> Result<RawCamera, UploadError> {
     let matrix = |prefix: &str| -> Result<Option<Vec<f64>>, UploadError> {
         let Some(value) = yaml.get(&format!("{prefix}_{id}")) else { return Ok(None) };
         let data = value.get("data").and_then(Yaml::numbers);
-        data.map(Some).ok_or_else(|| invalid(format!("{prefix}_{id} is no matrix of numbers")))
+        data.map(Some).ok_or_else(|| invalid(format!("{prefix}_{id} is not a matrix of numbers")))
     };
     let whole = |prefix: &str| yaml.get(&format!("{prefix}_{id}")).and_then(Yaml::number).and_then(size).unwrap_or(0);
     let nine = |name: &str, numbers: Option<Vec<f64>>| match numbers {

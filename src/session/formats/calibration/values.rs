@@ -1,4 +1,4 @@
-//! Values that calibration files share: numbers, matrices, image sizes, names of cameras.
+//! Parsing of values that calibration files have in common: numbers, matrices, image sizes, names of cameras.
 
 use crate::geometry::rotation;
 use crate::session::upload::error::{Fault, UploadError};
@@ -6,7 +6,7 @@ use crate::session::upload::json::{Numbers, Rows, ShortList};
 use crate::session::upload::raw::rows_of_matrix;
 use nalgebra::Vector3;
 
-/// The refusal of a file that looks like a calibration but cannot be read.
+/// The error for a file that was recognised as a calibration but cannot be read.
 pub(super) fn invalid(detail: impl Into<String>) -> UploadError {
     Fault::CalibrationInvalid.with(detail)
 }
@@ -16,7 +16,7 @@ pub(super) fn rows_of(numbers: &[f64]) -> Option<Rows> {
     (numbers.len() == 9).then(|| ShortList(numbers.chunks(3).map(|row| ShortList(row.to_vec())).collect()))
 }
 
-/// K of focal lengths and a principal point, px.
+/// The matrix K from focal lengths, principal point and skew, px.
 pub(super) fn pinhole(fx: f64, fy: f64, cx: f64, cy: f64, skew: f64) -> Option<Rows> {
     rows_of(&[fx, skew, cx, 0.0, fy, cy, 0.0, 0.0, 1.0])
 }
@@ -32,7 +32,7 @@ pub(super) fn size(value: f64) -> Option<u32> {
     (value.fract() == 0.0 && (0.0..=1e6).contains(&value)).then_some(value as u32)
 }
 
-/// The name of a camera after an image or a file: its folder, or itself without the ending.
+/// The name of a camera from the path of an image or a file: its folder, or its own name without the ending.
 pub(super) fn camera_of_image(name: &str) -> &str {
     match name.rsplit_once('/') {
         Some((folder, _)) => folder.rsplit('/').next().unwrap_or(folder),
@@ -40,7 +40,7 @@ pub(super) fn camera_of_image(name: &str) -> &str {
     }
 }
 
-/// A number as text files write it; `None` also for infinities and NaN, which no camera has.
+/// Parses a number; `None` also for infinity and NaN, which are invalid in a calibration.
 pub(super) fn finite(word: &str) -> Option<f64> {
     word.parse().ok().filter(|number: &f64| number.is_finite())
 }

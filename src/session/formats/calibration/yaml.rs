@@ -1,12 +1,12 @@
-//! The YAML that calibration tools write: nested mappings, lists in brackets or dashes, plain or quoted scalars.
+//! A reader for the YAML that calibration tools write: nested mappings, lists in brackets or dashes, plain or quoted scalars.
 //!
-//! Why not a YAML library: OpenCV's files begin with `%YAML:1.0` and tag their matrices, which strict readers refuse;
-//! anchors and aliases, with which a small file can grow without bound, do not exist here.
+//! Why not a YAML library: OpenCV's files begin with `%YAML:1.0` and tag their matrices, which strict readers refuse; and
+//! anchors and aliases, with which a small file can expand without bound, are not supported here.
 
 use super::values::finite;
 use crate::session::upload::error::{Fault, UploadError};
 
-/// A value.
+/// A YAML value.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Yaml {
     Scalar(String),
@@ -15,7 +15,7 @@ pub(super) enum Yaml {
 }
 
 impl Yaml {
-    /// The value of a key, where this is a mapping that has it.
+    /// The value of a key of a mapping; `None` where it is missing.
     pub(super) fn get(&self, key: &str) -> Option<&Yaml> {
         match self {
             Self::Map(entries) => entries.iter().find(|(own, _)| own == key).map(|(_, value)| value),
@@ -43,7 +43,7 @@ impl Yaml {
     }
 }
 
-/// Calibration files nest three levels.
+/// Largest number of levels of nesting; calibration files have three.
 const MAX_DEPTH: usize = 12;
 
 struct Line<'t> {
@@ -70,7 +70,7 @@ fn invalid(text: &str) -> UploadError {
     Fault::CalibrationInvalid.with(format!("cannot read the line {start:?}"))
 }
 
-/// Lines with content, lists in brackets joined to one line.
+/// Lines with content; a list in brackets is joined to one line.
 fn logical_lines(text: &str) -> Result<Vec<Line<'_>>, UploadError> {
     let mut lines: Vec<Line<'_>> = Vec::new();
     let mut open = 0usize;
@@ -106,7 +106,7 @@ fn without_comment(line: &str) -> &str {
 
 fn block(rest: &mut &[Line<'_>], indent: usize, depth: usize) -> Result<Yaml, UploadError> {
     if depth > MAX_DEPTH {
-        return Err(Fault::CalibrationInvalid.with("the document nests too deep"));
+        return Err(Fault::CalibrationInvalid.with("the document has too many levels of nesting"));
     }
     let Some(first) = rest.first() else { return Ok(Yaml::Scalar(String::new())) };
     if first.text.starts_with("- ") || first.text == "-" {
@@ -139,7 +139,7 @@ fn dashes(rest: &mut &[Line<'_>], indent: usize, depth: usize) -> Result<Yaml, U
         *rest = &rest[1..];
         let deeper = rest.first().is_some_and(|next| next.indent > indent);
         items.push(if value.is_empty() && deeper { block(rest, 0, depth + 1)? } else { inline(&value) });
-        // A mapping that begins beside its dash is no matrix of ours; its further keys are passed over.
+        // A mapping that begins beside its dash does not occur in a matrix; its further keys are skipped.
         while rest.first().is_some_and(|next| next.indent > indent) {
             *rest = &rest[1..];
         }
@@ -175,7 +175,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_calibration_tools_write_is_read() {
+    fn reads_what_calibration_tools_write() {
         let text = "%YAML:1.0\r\n---\r\nnames:\r\n   - \"01\"\r\n   - '02'\r\nK_01: !!opencv-matrix\r\n   rows: 1\r\n   cols: 2\r\n   \
                     dt: d\r\n   data: [ 1., -2.5e3,\r\n       0. ]\r\nH_01: 720 # pixels\r\nempty:\r\nlist:\r\n- 1\r\n- 2\r\n";
         let yaml = parse(text).unwrap();
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn an_open_list_and_a_line_without_a_key_are_refused() {
+    fn rejects_open_lists_and_lines_without_a_key() {
         assert!(parse("K: [1, 2").is_err() && parse("a: 1]").is_err() && parse("a\nb").is_err());
         assert!(parse(&"a:\n ".repeat(3)).is_ok());
     }

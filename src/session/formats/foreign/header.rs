@@ -1,4 +1,4 @@
-//! `session.json` beside other tools' files: whatever they cannot say, every field optional.
+//! `session.json` beside other tools' files: values that those files do not contain; every field is optional.
 
 use crate::session::formats::time::FrameRate;
 use crate::session::upload::error::UploadError;
@@ -6,7 +6,7 @@ use crate::session::upload::json::{Numbers, Rows, document_from_bytes};
 use crate::session::upload::raw::RawCamera;
 use serde::Deserialize;
 
-/// The native header's fields, and `keypoint_names`: the joints of a custom skeleton in the detector's order.
+/// The fields of the native header, and `keypoint_names`: the joints of a custom skeleton in the detector's order.
 #[derive(Debug, Default, Deserialize)]
 pub(super) struct Header {
     pub(super) name: Option<String>,
@@ -45,7 +45,7 @@ impl Header {
     /// Reads the file's bytes.
     ///
     /// # Errors
-    /// What is no such document.
+    /// An invalid document.
     pub(super) fn read(bytes: &[u8]) -> Result<Self, UploadError> {
         document_from_bytes(bytes)
     }
@@ -55,7 +55,7 @@ impl Header {
         self.fps.as_ref().map(FrameRate::per_second)
     }
 
-    /// Cameras as far as the header knows them.
+    /// Cameras with the fields that the header gives.
     pub(super) fn take_cameras(&mut self) -> Vec<RawCamera> {
         let camera = |camera: HeaderCamera| RawCamera {
             id: camera.id,

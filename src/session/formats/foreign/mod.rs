@@ -1,7 +1,8 @@
-//! A session of other tools' files: calibration files and pose files in any dialect, mixed as they come.
+//! Sessions from other tools' files: calibration files and pose files in any mixture of dialects.
 //!
-//! `session.json` may stand beside them and say what they cannot: `fps`, `keypoint_convention` or `keypoint_names`,
-//! image sizes, the up axis. What was found is told: dialects in the format's name, the joint map in the warnings.
+//! An optional `session.json` beside them adds what they do not contain: `fps`, `keypoint_convention` or `keypoint_names`,
+//! image sizes, the up axis. The response to the upload reports the dialects in the format's name and the joint mapping in
+//! the warnings.
 
 mod header;
 mod names;
@@ -23,23 +24,23 @@ use sources::{Source, read_bytes, read_sources};
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
 
-/// What was read.
+/// A session read from other tools' files.
 #[derive(Debug)]
 pub(crate) struct ForeignSession {
     pub(crate) raw: RawSession,
     /// Dialects of the poses and formats of the calibration: `openpose with opencv_yaml`.
     pub(crate) format: String,
-    /// Every file that was read.
+    /// Names of all files that were read.
     pub(crate) files: Vec<String>,
 }
 
-/// A header is a page; a calibration of a thousand images some megabytes.
+/// Largest header and calibration file, bytes; a calibration of a thousand images has some megabytes.
 const MAX_HEADER_BYTES: u64 = 4 << 20;
 const MAX_CALIBRATION_BYTES: u64 = 32 << 20;
-/// Frames per second where nothing tells: what most cameras deliver.
+/// Frame rate where no file contains one, frames per second: the rate of most cameras.
 const DEFAULT_FPS: f64 = 30.0;
 
-/// Whether the header asks for what only this reader does: joints of a custom skeleton.
+/// Whether the header names the joints of a custom skeleton, which only this reader supports.
 pub(crate) fn names_joints<R: Read + Seek>(members: &mut Members<R>, header: &str) -> bool {
     let header = read_bytes(members, header, MAX_HEADER_BYTES).and_then(|bytes| Header::read(&bytes));
     header.is_ok_and(|header| header.keypoint_names.is_some())
@@ -48,7 +49,7 @@ pub(crate) fn names_joints<R: Read + Seek>(members: &mut Members<R>, header: &st
 /// Reads the files of a survey.
 ///
 /// # Errors
-/// The first thing that cannot be, with its place.
+/// The first problem, with its location.
 pub(crate) fn read_members<R: Read + Seek>(
     survey: Survey,
     members: &mut Members<R>,
@@ -61,7 +62,7 @@ pub(crate) fn read_members<R: Read + Seek>(
     let mut sources = found.sources;
     sources.retain(|source| !source.poses.order.is_empty());
     if sources.is_empty() {
-        return Err(Fault::NoFrames.with("the pose files hold no frame"));
+        return Err(Fault::NoFrames.with("the pose files contain no frame"));
     }
     let cameras = std::mem::take(&mut calibration.cameras);
     let (cameras, mut sources) = paired(cameras, sources, reading)?;
@@ -72,12 +73,12 @@ pub(crate) fn read_members<R: Read + Seek>(
         .map(|(camera, source)| sized(camera, source, &header_cameras, reading))
         .collect::<Result<_, _>>()?;
     survey.hints.iter().for_each(|hint| reading.warnings.add(hint.clone()));
-    for stranger in &survey.strangers {
-        reading.warnings.add(format!("file {} is neither poses nor a calibration: it is ignored", shown(stranger)));
+    for name in &survey.unrecognised {
+        reading.warnings.add(format!("file {} is neither poses nor a calibration: it is ignored", shown(name)));
     }
     let fps = header.fps().or(found.fps).or(calibration.fps).unwrap_or_else(|| {
         let line =
-            format!("no file tells the frame rate: {DEFAULT_FPS} per second are assumed; give `fps` in session.json");
+            format!("no file contains the frame rate: {DEFAULT_FPS} per second are assumed; add `fps` to session.json");
         reading.warnings.add(line);
         DEFAULT_FPS
     });
@@ -116,9 +117,9 @@ fn read_calibrations<R: Read + Seek>(
 ) -> Result<Calibration, UploadError> {
     let mut calibration = Calibration::default();
     for (name, format) in &survey.calibrations {
-        let of_file = |e: UploadError| UploadError { file: Some(name.clone()), ..e };
+        let in_file = |e: UploadError| UploadError { file: Some(name.clone()), ..e };
         let bytes = read_bytes(members, name, MAX_CALIBRATION_BYTES)?;
-        calibration.add(*format, name, &bytes, reading.warnings).map_err(of_file)?;
+        calibration.add(*format, name, &bytes, reading.warnings).map_err(in_file)?;
     }
     calibration.finish(reading.warnings)?;
     for camera in header_cameras.iter().filter(|camera| camera.matrix.is_some()) {
@@ -127,20 +128,25 @@ fn read_calibrations<R: Read + Seek>(
     calibration.cameras.retain(|camera| {
         let is_whole = camera.matrix.is_some();
         if !is_whole {
-            reading.warnings.add(format!("camera {} has a pose and no intrinsics: it is ignored", shown(&camera.id)));
+            reading.warnings.add(format!("camera {} has a pose but no intrinsics: it is ignored", shown(&camera.id)));
         }
         is_whole
     });
     if calibration.cameras.is_empty() {
-        return Err(Fault::NoCameras.with("there is no calibration file"));
+        return Err(Fault::NoCameras
+            .with("the upload contains no camera intrinsics: add a calibration file, or `cameras` to session.json"));
     }
     if calibration.cameras.len() > 4 * reading.limits.max_cameras {
-        return Err(Fault::TooManyCameras.with(format!("a calibration of {} cameras", calibration.cameras.len())));
+        return Err(Fault::TooManyCameras.with(format!(
+            "the calibration has {} cameras, at most {} are read",
+            calibration.cameras.len(),
+            4 * reading.limits.max_cameras
+        )));
     }
     Ok(calibration)
 }
 
-/// Cameras with their poses, in the calibration's order; what has no partner is told and left out.
+/// Pairs cameras with their poses, in the calibration's order; those without a partner are left out with a warning.
 fn paired(
     cameras: Vec<RawCamera>,
     sources: Vec<Source>,
@@ -162,7 +168,7 @@ fn paired(
         }
     }
     if by_camera.is_empty() {
-        let detail = format!("no poses belong to a camera of the calibration ({})", ids.join(", "));
+        let detail = format!("no pose file matches a camera of the calibration ({})", ids.join(", "));
         return Err(Fault::CameraUnknown.with(shown(&detail)));
     }
     let (mut kept, mut poses) = (Vec::new(), Vec::new());
@@ -174,37 +180,37 @@ fn paired(
             }
             None => {
                 let id = shown(&camera.id);
-                reading.warnings.add(format!("camera {id} of the calibration has no poses: it is left out"));
+                reading.warnings.add(format!("camera {id} of the calibration has no poses: it is ignored"));
             }
         }
     }
     Ok((kept, poses))
 }
 
-/// The camera for images of the keypoints' size: as the pose file or the header proves it, else as calibrated.
+/// Scales a camera to the image size of its keypoints: as the pose file or the header states it, else as calibrated.
 fn sized(
     mut camera: RawCamera,
     source: &Source,
     header_cameras: &[RawCamera],
     reading: &mut Reading<'_>,
 ) -> Result<RawCamera, UploadError> {
-    let of_camera = |e: UploadError| UploadError { camera: Some(camera.id.clone()), ..e };
+    let in_camera = |e: UploadError| UploadError { camera: Some(camera.id.clone()), ..e };
     let given = header_cameras.iter().find(|own| own.id == camera.id && own.width > 0 && own.height > 0);
-    let proved = source.image_size.or(given.map(|own| [own.width, own.height]));
+    let stated = source.image_size.or(given.map(|own| [own.width, own.height]));
     let calibrated = [camera.width, camera.height];
-    let size = match proved {
+    let size = match stated {
         Some(size) => size,
         None if calibrated.contains(&0) => {
-            let detail = "neither the calibration nor the poses tell the image size";
-            return Err(of_camera(Fault::ImageSizeUnknown.with(detail)));
+            let detail = "neither the calibration nor the poses contain the image size";
+            return Err(in_camera(Fault::ImageSizeUnknown.with(detail)));
         }
         None => calibrated,
     };
     if !calibrated.contains(&0) && size != calibrated {
-        let scale = scale_between(calibrated, size).map_err(of_camera)?;
+        let scale = scale_between(calibrated, size).map_err(in_camera)?;
         let [[w0, h0], [w, h]] = [calibrated, size];
         reading.warnings.add(format!(
-            "camera {} was calibrated at {w0}x{h0} and its keypoints lie in images of {w}x{h}: K is scaled by {scale}",
+            "camera {} was calibrated at {w0}x{h0}, but its keypoints belong to images of {w}x{h}: K is scaled by {scale}",
             shown(&camera.id)
         ));
         scale_matrix(&mut camera, scale);
@@ -217,17 +223,20 @@ fn sized(
 
 fn scale_between(calibrated: [u32; 2], size: [u32; 2]) -> Result<f64, UploadError> {
     let ratio = |i: usize| f64::from(size[i]) / f64::from(calibrated[i]);
-    let found = format!("calibrated at {}x{}, keypoints in {}x{}", calibrated[0], calibrated[1], size[0], size[1]);
+    let found = format!(
+        "the camera was calibrated at {}x{}, but its keypoints belong to images of {}x{}",
+        calibrated[0], calibrated[1], size[0], size[1]
+    );
     if (ratio(0) / ratio(1) - 1.0).abs() < 0.01 {
         return Ok(ratio(0));
     }
     let is_turned =
         (f64::from(size[0]) / f64::from(calibrated[1]) - f64::from(size[1]) / f64::from(calibrated[0])).abs() < 0.01;
-    let why = if is_turned { "the video was turned" } else { "the image was cropped or squeezed" };
+    let why = if is_turned { "the video was rotated" } else { "the image was cropped or stretched" };
     Err(Fault::CameraInvalid.with(format!("{found}: {why}")))
 }
 
-/// K of an image of another size; the centre of the first pixel stays (0, 0).
+/// Scales K to another image size; the centre of the first pixel stays (0, 0).
 fn scale_matrix(camera: &mut RawCamera, scale: f64) {
     let Some(ShortList(rows)) = &mut camera.matrix else { return };
     for row in rows.iter_mut().take(2) {
@@ -259,7 +268,7 @@ fn format_name(sources: &[Source], calibration: &Calibration, header_cameras: &[
 }
 
 fn files_of(survey: Survey) -> Vec<String> {
-    let Survey { header, calibrations, streams, groups, strangers: _, hints: _ } = survey;
+    let Survey { header, calibrations, streams, groups, unrecognised: _, hints: _ } = survey;
     let named = calibrations.into_iter().map(|(name, _)| name).chain(streams.into_iter().map(|(name, _)| name));
     let frames = groups.into_iter().flat_map(|group| group.files).map(|(_, name)| name);
     header.into_iter().chain(named).chain(frames).collect()

@@ -1,16 +1,16 @@
-//! Which poses belong to which camera: by name, by number, at last by order.
+//! Matching of pose files to cameras: by name, by number, or else by order.
 
 use crate::session::upload::error::{Fault, UploadError, shown};
 use crate::session::upload::warnings::Warnings;
 
-/// For every source the position of its camera; `None` where it has none.
+/// For every source the index of its camera; `None` without a match.
 ///
-/// `sources`: names that each source may mean, the likeliest first. Names are compared as they are, then without case
-/// and without what tools append, then by the number in them. Where nothing fits by name and there are as many sources
-/// as cameras, both are taken in their order, and that is told.
+/// `sources`: possible camera names of each source, the most likely first. Names are compared exactly, then without case and
+/// without tools' suffixes, then by the number in them. Where no name matches and there are as many sources as cameras, they
+/// are matched in order, with a warning.
 ///
 /// # Errors
-/// [`Fault::SessionAmbiguous`] where two sources name one camera.
+/// [`Fault::SessionAmbiguous`] where two sources match one camera.
 pub(super) fn match_cameras(
     sources: &[Vec<String>],
     cameras: &[&str],
@@ -40,7 +40,7 @@ pub(super) fn match_cameras(
             .zip(cameras)
             .map(|(names, camera)| format!("{} to {}", shown(names.first().map_or("", String::as_str)), shown(camera)));
         let pairs: Vec<String> = pairs.collect();
-        warnings.add(format!("no name of the poses is a camera's: they are given in order, {}", pairs.join(", ")));
+        warnings.add(format!("no pose file has the name of a camera: they are matched in order, {}", pairs.join(", ")));
         return Ok((0..sources.len()).map(Some).collect());
     }
     Ok(matched)
@@ -51,7 +51,7 @@ fn check_unique(matched: &[Option<usize>], sources: &[Vec<String>], cameras: &[&
         let twin = (0..source).find(|other| camera.is_some() && matched[*other] == *camera);
         if let (Some(camera), Some(twin)) = (camera, twin) {
             let name = |source: usize| shown(sources[source].first().map_or("", String::as_str));
-            let detail = format!("poses {} and {} are both of this camera", name(twin), name(source));
+            let detail = format!("poses {} and {} both match this camera", name(twin), name(source));
             let error = Fault::SessionAmbiguous.with(detail);
             return Err(UploadError { camera: Some(cameras[*camera].to_owned()), ..error });
         }
@@ -59,7 +59,7 @@ fn check_unique(matched: &[Option<usize>], sources: &[Vec<String>], cameras: &[&
     Ok(())
 }
 
-/// A name without case, ending, and what tools put around it.
+/// A name without case, file ending and tools' suffixes.
 fn plain(name: &str) -> Option<String> {
     let lower = name.to_ascii_lowercase();
     let stem = lower.rsplit_once('.').map_or(lower.as_str(), |(stem, _)| stem);
@@ -68,7 +68,7 @@ fn plain(name: &str) -> Option<String> {
     (!plain.is_empty()).then_some(plain)
 }
 
-/// What pose tools add to a camera's name.
+/// Words that pose tools add to a camera's name.
 const TOOLS: [&str; 14] = [
     "json",
     "keypoints",
@@ -105,13 +105,13 @@ mod tests {
     }
 
     #[test]
-    fn cameras_are_found_by_name_by_number_and_by_order() {
+    fn matches_cameras_by_name_number_and_order() {
         assert_eq!(matched(&[&["b"], &["a"]], &["a", "b"]), Ok(vec![Some(1), Some(0)]));
         assert_eq!(matched(&[&["Cam01_json"], &["cam02.mp4"]], &["cam01", "cam02"]), Ok(vec![Some(0), Some(1)]));
         assert_eq!(matched(&[&["keypoints", "camera_3"], &["cam2"]], &["02", "03"]), Ok(vec![Some(1), Some(0)]));
         assert_eq!(matched(&[&["left"], &["right"]], &["a", "b"]), Ok(vec![Some(0), Some(1)]));
         assert_eq!(matched(&[&["left"], &["a"]], &["a", "b"]), Ok(vec![None, Some(0)]));
         assert_eq!(matched(&[&["a"], &["a_json"]], &["a", "b"]), Err("session_ambiguous"));
-        assert_eq!(matched(&[&["1"]], &["a1", "b1"]), Ok(vec![None]), "one number of two cameras tells nothing");
+        assert_eq!(matched(&[&["1"]], &["a1", "b1"]), Ok(vec![None]), "the number of two cameras is ambiguous");
     }
 }

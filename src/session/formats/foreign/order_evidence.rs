@@ -1,9 +1,9 @@
-//! Which joint order a source writes, where the number of points leaves several: the one with the shortest bones.
+//! Selection of a source's joint order among those with its number of points: the one with the shortest bones.
 
 use crate::session::formats::joints::JointOrder;
 use crate::session::recording::{Detection, Keypoint};
 
-/// Pairs that are near each other in every body; a wrong order puts some of them at its two ends.
+/// Neighbouring joints of every body; in a wrong order some of them are far apart.
 const NEAR: [(&str, &str); 18] = [
     ("left_hip", "left_knee"),
     ("right_hip", "right_knee"),
@@ -24,18 +24,18 @@ const NEAR: [(&str, &str); 18] = [
     ("left_ankle", "left_heel"),
     ("right_ankle", "right_heel"),
 ];
-/// People looked at.
+/// Number of people examined.
 const MAX_PEOPLE: usize = 300;
-/// The best order must have bones shorter by this factor than the second best to count as proved.
+/// Largest ratio of bone lengths of the best order to the second best for an unambiguous selection.
 const MARGIN: f64 = 0.85;
 
-/// An order and whether the points themselves prove it.
+/// A selected order.
 pub(super) struct Evidence {
     pub(super) order: JointOrder,
-    pub(super) is_proved: bool,
+    pub(super) is_unambiguous: bool,
 }
 
-/// The candidate with the shortest bones; `None` without candidates. Without people the first.
+/// Selects the candidate with the shortest bones; `None` without candidates, the first one without people.
 pub(super) fn best_order<'d>(
     candidates: Vec<JointOrder>,
     people: impl Iterator<Item = &'d Detection>,
@@ -43,17 +43,17 @@ pub(super) fn best_order<'d>(
     let people: Vec<&Detection> = people.take(MAX_PEOPLE).collect();
     let mut scored: Vec<(f64, JointOrder)> =
         candidates.into_iter().map(|order| (score(&order, &people), order)).collect();
-    // A stable sort: of equals the more common order comes first.
+    // A stable sort: of equal candidates the more common order comes first.
     scored.sort_by(|(a, _), (b, _)| a.total_cmp(b));
-    let is_proved = match scored.as_slice() {
+    let is_unambiguous = match scored.as_slice() {
         [(best, _), (second, _), ..] => *best < MARGIN * second,
         _ => true,
     };
     let (_, order) = scored.into_iter().next()?;
-    Some(Evidence { order, is_proved })
+    Some(Evidence { order, is_unambiguous })
 }
 
-/// Mean length of the bones that are seen, in sizes of their person.
+/// Mean length of the detected bones, relative to the size of their person.
 fn score(order: &JointOrder, people: &[&Detection]) -> f64 {
     let place = |joint: &str| order.joints.iter().position(|own| own.as_deref() == Some(joint));
     let bones: Vec<(usize, usize)> = NEAR.iter().filter_map(|(a, b)| Some((place(a)?, place(b)?))).collect();
@@ -71,7 +71,7 @@ fn score(order: &JointOrder, people: &[&Detection]) -> f64 {
     if n == 0 { 0.0 } else { sum / n as f64 }
 }
 
-/// Diagonal of the box around the points that are seen, px.
+/// Diagonal of the bounding box of the detected points, px.
 fn extent(keypoints: &[Keypoint]) -> f64 {
     let seen = || keypoints.iter().filter(|keypoint| keypoint.is_present()).map(|keypoint| keypoint.pixel);
     let Some(first) = seen().next() else { return 0.0 };

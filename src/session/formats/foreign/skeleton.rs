@@ -1,4 +1,4 @@
-//! From each source's own order of points to the session's one convention, by joint names.
+//! Conversion of each source's order of points to one convention for the session, by joint names.
 
 use super::header::Header;
 use super::order_evidence::{Evidence, best_order};
@@ -10,36 +10,38 @@ use crate::session::upload::error::{Fault, UploadError, shown};
 use crate::session::upload::warnings::Warnings;
 use std::collections::BTreeMap;
 
-/// AlphaPose's largest confidence of a COCO model.
+/// Largest confidence of AlphaPose's COCO models.
 const ALPHAPOSE_SCALE: f64 = 6.0;
-/// Confidences a little above 1 are rounding, not another scale.
+/// Confidences up to this value are rounding errors of 1 and not another scale.
 const ROUNDING: f64 = 1.05;
-/// Points within so many pixels of the origin, all of them, are no pixels.
+/// If all points lie within this distance of the origin, px, they are normalised coordinates.
 const NORMALISED: f64 = 2.0;
 
-/// Brings every source to one convention and tells what was found.
+/// Converts all sources to one convention and reports the mapping.
 ///
 /// # Errors
-/// Points whose meaning nothing tells, or that are no pixels.
+/// Points of an unknown skeleton, or normalised coordinates.
 pub(super) fn unify(
     sources: &mut [Source],
     header: &Header,
     warnings: &mut Warnings,
 ) -> Result<KeypointConvention, UploadError> {
-    settle_identities(sources);
-    settle_confidences(sources, warnings);
+    assign_identities(sources);
+    normalise_confidences(sources, warnings);
     let mut orders = Vec::with_capacity(sources.len());
     for source in sources.iter() {
-        let of_source = |e| UploadError { file: Some(source.poses.file.clone()), ..e };
-        check_pixels(source).map_err(of_source)?;
-        orders.push(order_of(source, header, warnings).map_err(of_source)?);
+        let in_source = |e| UploadError { file: Some(source.poses.file.clone()), ..e };
+        check_pixels(source).map_err(in_source)?;
+        orders.push(order_of(source, header, warnings).map_err(in_source)?);
     }
     let convention = match &header.keypoint_convention {
-        Some(name) => KeypointConvention::parse(name)
-            .ok_or_else(|| Fault::ConventionUnknown.with(format!("keypoint_convention is {}", shown(name))))?,
+        Some(name) => KeypointConvention::parse(name).ok_or_else(|| {
+            Fault::ConventionUnknown
+                .with(format!("keypoint_convention is {}, which is not a known convention", shown(name)))
+        })?,
         None => widest_convention(&orders),
     };
-    tell(sources, &orders, convention, warnings);
+    report(sources, &orders, convention, warnings);
     for (source, order) in sources.iter_mut().zip(&orders) {
         let map = order.map_to(convention);
         let is_identity = map.len() == order.joints.len() && map.iter().enumerate().all(|(i, m)| *m == Some(i));
@@ -51,8 +53,8 @@ pub(super) fn unify(
     Ok(convention)
 }
 
-/// Where one file has placeholders, positions are identities in all; then people without points are dropped.
-fn settle_identities(sources: &mut [Source]) {
+/// Where any file has placeholders, indices are identities in all files; then people without points are removed.
+fn assign_identities(sources: &mut [Source]) {
     let is_by_position = sources.iter().any(|source| source.has_placeholders);
     for source in sources {
         for people in source.poses.detections.values_mut() {
@@ -64,8 +66,8 @@ fn settle_identities(sources: &mut [Source]) {
     }
 }
 
-/// Confidences from 0 to 1: AlphaPose's divided where they reach 6, all others cut off.
-fn settle_confidences(sources: &mut [Source], warnings: &mut Warnings) {
+/// Scales confidences to 0 to 1: AlphaPose's are divided where they exceed 1, all others are clipped.
+fn normalise_confidences(sources: &mut [Source], warnings: &mut Warnings) {
     let largest = |source: &Source| {
         let people = source.poses.detections.values().flatten();
         people.flat_map(|person| &person.keypoints).map(|keypoint| keypoint.confidence).fold(0.0, f64::max)
@@ -73,8 +75,7 @@ fn settle_confidences(sources: &mut [Source], warnings: &mut Warnings) {
     let of_alphapose = sources.iter().filter(|source| source.is_alphapose).map(largest).fold(0.0, f64::max);
     let is_scaled = of_alphapose > ROUNDING;
     if is_scaled {
-        warnings
-            .add(format!("confidences of AlphaPose reach {of_alphapose:.2}: they are divided by {ALPHAPOSE_SCALE}"));
+        warnings.add(format!("AlphaPose's confidences reach {of_alphapose:.2}: they are divided by {ALPHAPOSE_SCALE}"));
     }
     for source in sources {
         let scale = if is_scaled && source.is_alphapose { 1.0 / ALPHAPOSE_SCALE } else { 1.0 };
@@ -94,14 +95,13 @@ fn check_pixels(source: &Source) -> Result<(), UploadError> {
     let seen = || people().flat_map(|person| &person.keypoints).filter(|keypoint| keypoint.is_present());
     let n_seen = seen().take(50).count();
     if n_seen == 50 && seen().all(|keypoint| keypoint.pixel.amax() <= NORMALISED) {
-        return Err(
-            Fault::KeypointInvalid.with("all points lie within 2 px of the origin: they are normalised, not pixels")
-        );
+        return Err(Fault::KeypointInvalid
+            .with("all keypoints lie within 2 px of the origin: they are normalised coordinates, expected pixels"));
     }
     Ok(())
 }
 
-/// The order of a source's points: as declared, as the file names them, or as the points themselves prove.
+/// The order of a source's points: as declared, as the file names them, or as selected by bone lengths.
 fn order_of(source: &Source, header: &Header, warnings: &mut Warnings) -> Result<JointOrder, UploadError> {
     let people = || source.poses.detections.values().flatten();
     let Some(n_points) = people().map(|person| person.keypoints.len()).max() else {
@@ -110,7 +110,8 @@ fn order_of(source: &Source, header: &Header, warnings: &mut Warnings) -> Result
     for (frame, people) in &source.poses.detections {
         if let Some(person) = people.iter().position(|person| person.keypoints.len() != n_points) {
             let found = people[person].keypoints.len();
-            let error = Fault::KeypointCount.with(format!("{found} keypoints, {n_points} in other frames"));
+            let error =
+                Fault::KeypointCount.with(format!("the person has {found} keypoints, but {n_points} in other frames"));
             return Err(UploadError { frame: Some(*frame), person: Some(person), ..error });
         }
     }
@@ -121,25 +122,25 @@ fn order_of(source: &Source, header: &Header, warnings: &mut Warnings) -> Result
     let own = declared.into_iter().chain(source.order.clone()).find(|order| order.joints.len() == n_points);
     if let Some(order) = own {
         if order.joints.iter().flatten().count() < 4 {
-            return Err(Fault::SkeletonUnknown.with("fewer than 4 of the named joints are known"));
+            return Err(Fault::SkeletonUnknown.with("fewer than 4 of the joint names are known"));
         }
         return Ok(order);
     }
     match best_order(JointOrder::candidates(n_points), people()) {
         None => Err(Fault::SkeletonUnknown.with(format!("no known skeleton has {n_points} points"))),
-        Some(Evidence { order, is_proved }) => {
-            if !is_proved {
+        Some(Evidence { order, is_unambiguous }) => {
+            if !is_unambiguous {
                 let camera = shown(source.names.first().map_or("", String::as_str));
-                warnings.add(format!("{n_points} points of {camera} are taken as {}; name the joints", order.name));
+                warnings.add(format!("the {n_points} points of {camera} are assumed to be {}; name the joints in session.json if that is wrong", order.name));
             }
             Ok(order)
         }
     }
 }
 
-/// The convention that keeps most joints of all sources; of equals the sources' own, then the one with least to spare.
+/// The convention that keeps most joints of all sources; among equals that of the sources, then the smallest one.
 fn widest_convention(orders: &[JointOrder]) -> KeypointConvention {
-    let worth = |convention: &KeypointConvention| {
+    let score = |convention: &KeypointConvention| {
         let own = JointOrder::of_convention(*convention);
         let kept: usize = orders
             .iter()
@@ -153,15 +154,15 @@ fn widest_convention(orders: &[JointOrder]) -> KeypointConvention {
     };
     let mut best = KeypointConvention::Coco17;
     for convention in KeypointConvention::ALL {
-        if worth(&convention) > worth(&best) {
+        if score(&convention) > score(&best) {
             best = convention;
         }
     }
     best
 }
 
-/// One line a dialect and order: which cameras, how many points, how many of them are kept.
-fn tell(sources: &[Source], orders: &[JointOrder], convention: KeypointConvention, warnings: &mut Warnings) {
+/// Reports dialect, order, cameras and number of kept joints, one line per dialect and order.
+fn report(sources: &[Source], orders: &[JointOrder], convention: KeypointConvention, warnings: &mut Warnings) {
     let mut lines: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for (source, order) in sources.iter().zip(orders) {
         let kept = order.map_to(convention).iter().take(convention.names().len()).flatten().count();

@@ -1,4 +1,4 @@
-//! Reading the pose files of a survey: each camera's people in the order of points of its file.
+//! Reader of the pose files of a survey: each camera's people, with points in the order of the file.
 
 use super::survey::{FrameGroup, Survey};
 use crate::session::formats::joints::JointOrder;
@@ -17,32 +17,32 @@ use crate::session::upload::raw::RawPoses;
 use rayon::prelude::*;
 use std::io::{Read, Seek};
 
-/// One camera's poses as a file or a group of files holds them.
+/// One camera's poses from a file or a group of files.
 #[derive(Debug)]
 pub(super) struct Source {
     pub(super) dialect: PoseDialect,
-    /// What the camera may be called, the likeliest first.
+    /// Possible names of the camera, the most likely first.
     pub(super) names: Vec<String>,
     pub(super) poses: RawPoses,
-    /// Placeholders of absent people were found: a position in the list is an identity.
+    /// Whether the files contain placeholders of absent people: indices in the list are then identities.
     pub(super) has_placeholders: bool,
-    /// Whether AlphaPose wrote it, whose confidences may reach 6.
+    /// Whether AlphaPose wrote it; its confidences may reach 6.
     pub(super) is_alphapose: bool,
     pub(super) order: Option<JointOrder>,
     pub(super) image_size: Option<[u32; 2]>,
 }
 
-/// Everything that the pose files say.
+/// Content of all pose files.
 #[derive(Debug, Default)]
 pub(super) struct Sources {
     pub(super) sources: Vec<Source>,
-    /// Frames per second, where time stamps tell.
+    /// Frames per second, where a file contains time stamps.
     pub(super) fps: Option<f64>,
 }
 
-/// The largest file of one frame: a thousand people of 133 points.
+/// Largest file of one frame, bytes: a thousand people of 133 points.
 const MAX_FRAME_FILE_BYTES: u64 = 16 << 20;
-/// Bytes and files that are held at a time while they are parsed.
+/// Number of bytes and files that are in memory at a time while they are parsed.
 const BATCH_BYTES: usize = 16 << 20;
 const BATCH_FILES: usize = 512;
 /// Reads every pose file of the survey.
@@ -56,7 +56,7 @@ pub(super) fn read_sources<R: Read + Seek>(
 ) -> Result<Sources, UploadError> {
     let mut all = Sources::default();
     let mut images = ImageTable::new();
-    // The tables that number images come before the lists that use the numbers.
+    // Tables of image numbers come before the lists that use the numbers.
     let tables = survey.streams.iter().filter(|(_, dialect)| *dialect == PoseDialect::CocoImages);
     let others = survey.streams.iter().filter(|(_, dialect)| *dialect != PoseDialect::CocoImages);
     for (name, dialect) in tables.chain(others) {
@@ -101,7 +101,7 @@ fn read_stream<R: Read + Seek>(
     }
 }
 
-/// Whether the outermost value is an object.
+/// Whether the document is a JSON object (and not a list).
 fn is_document<R: Read + Seek>(members: &mut Members<R>, name: &str) -> Result<bool, UploadError> {
     let mut head = Vec::new();
     let read = members.open(name)?.take(4096).read_to_end(&mut head);
@@ -109,14 +109,14 @@ fn is_document<R: Read + Seek>(members: &mut Members<R>, name: &str) -> Result<b
     Ok(head.trim_ascii_start().first() == Some(&b'{'))
 }
 
-/// A source a camera of a file; a camera is called as the file says, or as the file.
+/// One source per camera of a file, named as in the file, or after the file.
 fn split_by_camera(name: &str, dialect: PoseDialect, found: FoundPoses) -> Vec<Source> {
     let FoundPoses { by_camera, order, image_size } = found;
     let n_cameras = by_camera.len();
     let source = |(camera, poses): (Option<String>, RawPoses)| Source {
         dialect,
         image_size: image_size.get(&camera).copied(),
-        // Images that carry no camera's name, or a video's, leave the file's own.
+        // Images without a camera's name are named after the file.
         names: camera.clone().into_iter().chain(if n_cameras > 1 { Vec::new() } else { path_names(name) }).collect(),
         poses,
         has_placeholders: false,
@@ -126,7 +126,7 @@ fn split_by_camera(name: &str, dialect: PoseDialect, found: FoundPoses) -> Vec<S
     by_camera.into_iter().map(source).collect()
 }
 
-/// A file's name without its ending, then its folders, innermost first.
+/// A file's name without its ending, then its folders from the innermost.
 fn path_names(path: &str) -> Vec<String> {
     let mut parts: Vec<String> = path.split('/').rev().map(str::to_owned).collect();
     if let Some(file_name) = parts.first_mut() {
@@ -135,7 +135,7 @@ fn path_names(path: &str) -> Vec<String> {
     parts
 }
 
-/// Reads a group of frame files: bytes one after the other, parsing on all cores, batch by batch.
+/// Reads a group of frame files in batches: bytes sequentially, parsing in parallel.
 fn read_group<R: Read + Seek>(
     group: &FrameGroup,
     members: &mut Members<R>,
@@ -158,7 +158,11 @@ fn read_group<R: Read + Seek>(
         image_size: None,
     };
     if group.files.len() > reading.limits.max_frames {
-        return Err(Fault::TooManyFrames.with(format!("{} frames of a camera", group.files.len())));
+        return Err(Fault::TooManyFrames.with(format!(
+            "the camera has {} frames, at most {} are read",
+            group.files.len(),
+            reading.limits.max_frames
+        )));
     }
     let mut rest = group.files.as_slice();
     while !rest.is_empty() {
@@ -196,10 +200,10 @@ fn add_content(
     add_frame(&mut source.poses, frame, people, reading)
 }
 
-/// A whole small file.
+/// Reads a small file as a whole.
 ///
 /// # Errors
-/// [`Fault::TooLarge`], or what reading fails with.
+/// [`Fault::TooLarge`], or the error of reading.
 pub(super) fn read_bytes<R: Read + Seek>(
     members: &mut Members<R>,
     name: &str,
@@ -210,7 +214,7 @@ pub(super) fn read_bytes<R: Read + Seek>(
     let read = members.open(name)?.take(max_bytes + 1).read_to_end(&mut bytes);
     read.map_err(|e| of_file(crate::session::upload::json::fault_of_io(e)))?;
     if bytes.len() as u64 > max_bytes {
-        return Err(of_file(Fault::TooLarge.with(format!("more than {max_bytes} bytes"))));
+        return Err(of_file(Fault::TooLarge.with(format!("the file has more than {max_bytes} bytes"))));
     }
     Ok(bytes)
 }

@@ -1,4 +1,4 @@
-//! What lies in an upload of other tools' files: each told by its first bytes, frames gathered to groups.
+//! Survey of other tools' files: each file recognised by its first bytes, frame files collected into groups.
 
 use crate::session::formats::calibration::{self, CalibrationFormat};
 use crate::session::formats::poses::{self, PoseDialect, frame_name};
@@ -7,42 +7,42 @@ use crate::session::upload::members::Members;
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
 
-/// The files by their meaning, each list in the order of names.
+/// The files by kind, each list in the order of names.
 #[derive(Debug, Default)]
 pub(crate) struct Survey {
     /// `session.json`, at the top or below one folder.
     pub(crate) header: Option<String>,
     pub(crate) calibrations: Vec<(String, CalibrationFormat)>,
-    /// Files of a camera or a take.
+    /// Pose files of a whole camera or recording.
     pub(crate) streams: Vec<(String, PoseDialect)>,
     pub(crate) groups: Vec<FrameGroup>,
-    /// What is nothing of ours.
-    pub(crate) strangers: Vec<String>,
-    /// What would be ours in another form, and how it gets there: a sentence each.
+    /// Unrecognised files.
+    pub(crate) unrecognised: Vec<String>,
+    /// Files that could be read after a conversion, with instructions, one sentence each.
     pub(crate) hints: Vec<String>,
 }
 
-/// Files of one frame each that make one camera.
+/// The pose files of one camera with one file per frame.
 #[derive(Debug)]
 pub(crate) struct FrameGroup {
     pub(crate) dialect: PoseDialect,
     pub(crate) folder: String,
-    /// What stands before the frame number in every name.
+    /// The part before the frame number in every name.
     pub(crate) stem: String,
-    /// Whether files of other stems lie in the same folder.
+    /// Whether the folder also contains files of other stems.
     pub(crate) shares_folder: bool,
     /// Frame number and name.
     pub(crate) files: Vec<(i64, String)>,
 }
 
-/// Bytes of a file that are looked at: the header of a COCO data set before its first list.
+/// Number of bytes of a file that are examined: up to the first list of a COCO data set.
 const HEAD_BYTES: u64 = 1 << 16;
-/// Files of a group that are opened before it counts as a stranger: cameras begin with empty frames.
+/// Number of files of a group that are examined: cameras may begin with empty frames.
 const MAX_TRIES: usize = 8;
-/// More numbered files than this are frames of something, not calibrations of as many cameras.
+/// Larger groups of numbered files are frames and not calibrations of as many cameras.
 const MAX_NUMBERED: usize = 256;
 
-enum Finding {
+enum FileKind {
     Calibration(CalibrationFormat),
     Poses(PoseDialect),
     Hdf5,
@@ -51,7 +51,7 @@ enum Finding {
 /// HDF5's first bytes.
 const HDF5: &[u8] = b"\x89HDF\r\n\x1a\n";
 
-/// Looks at every file once, at frame files by example.
+/// Examines every single file, and examples of the frame files.
 pub(crate) fn survey<R: Read + Seek>(members: &mut Members<R>) -> Survey {
     let mut survey = Survey::default();
     let mut groups: BTreeMap<(String, String, String), Vec<(i64, String)>> = BTreeMap::new();
@@ -76,26 +76,26 @@ pub(crate) fn survey<R: Read + Seek>(members: &mut Members<R>) -> Survey {
         }
     }
     for ((folder, stem, _), files) in groups {
-        let finding = files.iter().take(MAX_TRIES).find_map(|(_, name)| finding(members, name));
-        match finding {
-            Some(Finding::Poses(dialect)) if dialect.is_file_per_frame() => {
+        let kind_of = files.iter().take(MAX_TRIES).find_map(|(_, name)| kind_of(members, name));
+        match kind_of {
+            Some(FileKind::Poses(dialect)) if dialect.is_file_per_frame() => {
                 survey.groups.push(FrameGroup { dialect, folder, stem, shares_folder: false, files });
             }
             Some(_) if files.len() <= MAX_NUMBERED => singles.extend(files.into_iter().map(|(_, name)| name)),
-            _ => survey.strangers.push(format!("{}… ({} files)", files[0].1, files.len())),
+            _ => survey.unrecognised.push(format!("{}… ({} files)", files[0].1, files.len())),
         }
     }
     singles.sort_unstable();
     for name in singles {
-        match finding(members, &name) {
-            Some(Finding::Calibration(format)) => survey.calibrations.push((name, format)),
-            Some(Finding::Poses(dialect)) if dialect.is_file_per_frame() => survey.strangers.push(name),
-            Some(Finding::Poses(dialect)) => survey.streams.push((name, dialect)),
-            Some(Finding::Hdf5) => survey.hints.push(format!(
-                "file {} is HDF5, which is not read: DeepLabCut's tables go in as CSV (pandas.read_hdf(FILE).to_csv(OTHER))",
+        match kind_of(members, &name) {
+            Some(FileKind::Calibration(format)) => survey.calibrations.push((name, format)),
+            Some(FileKind::Poses(dialect)) if dialect.is_file_per_frame() => survey.unrecognised.push(name),
+            Some(FileKind::Poses(dialect)) => survey.streams.push((name, dialect)),
+            Some(FileKind::Hdf5) => survey.hints.push(format!(
+                "file {} is HDF5, which is not supported: convert DeepLabCut's table to CSV (pandas.read_hdf(FILE).to_csv(OTHER))",
                 shown(&name)
             )),
-            None => survey.strangers.push(name),
+            None => survey.unrecognised.push(name),
         }
     }
     mark_shared_folders(&mut survey.groups);
@@ -125,23 +125,23 @@ fn mark_shared_folders(groups: &mut [FrameGroup]) {
     }
 }
 
-/// What a file is; a file that cannot be read is nothing, for whoever needs it will say so.
-fn finding<R: Read + Seek>(members: &mut Members<R>, name: &str) -> Option<Finding> {
+/// Recognises a file; `None` for one that cannot be read: the reader that needs it reports the error.
+fn kind_of<R: Read + Seek>(members: &mut Members<R>, name: &str) -> Option<FileKind> {
     let mut head = Vec::new();
     members.open(name).ok()?.take(HEAD_BYTES).read_to_end(&mut head).ok()?;
     if head.starts_with(HDF5) {
-        return Some(Finding::Hdf5);
+        return Some(FileKind::Hdf5);
     }
     if poses::is_array(&head) {
-        return Some(Finding::Poses(PoseDialect::MediaPipeArray));
+        return Some(FileKind::Poses(PoseDialect::MediaPipeArray));
     }
     if calibration::is_opencap(&head) {
-        return Some(Finding::Calibration(CalibrationFormat::OpenCap));
+        return Some(FileKind::Calibration(CalibrationFormat::OpenCap));
     }
     if head.contains(&0) {
         return None;
     }
     let head = String::from_utf8_lossy(&head);
-    let poses = poses::recognise(&head).map(Finding::Poses);
-    poses.or_else(|| calibration::recognise(&head).map(Finding::Calibration))
+    let poses = poses::recognise(&head).map(FileKind::Poses);
+    poses.or_else(|| calibration::recognise(&head).map(FileKind::Calibration))
 }

@@ -1,4 +1,4 @@
-//! Frames of people: `{"frames": [{"frame", "people": [{"track_id", "keypoints": [[x, y, confidence]]}]}]}`.
+//! Reader of frames: `{"frames": [{"frame", "people": [{"track_id", "keypoints": [[x, y, confidence]]}]}]}`.
 
 use crate::session::recording::{Detection, Keypoint};
 use crate::session::upload::detections::{add_frame, check_frame_number, checked_keypoint};
@@ -8,9 +8,9 @@ use crate::session::upload::limits::PERSON_AS_KEYPOINTS;
 use crate::session::upload::raw::{RawPoses, RawSession};
 use serde::de::{MapAccess, SeqAccess};
 
-/// No convention has as many points; longer lists are refused before they are held.
+/// Largest number of keypoints of a person, beyond every convention; longer lists are refused while they are read.
 const MAX_KEYPOINTS_PER_PERSON: usize = 1000;
-/// One camera's poses as far as they have been read.
+/// The part of one camera's poses that has been read.
 pub(super) struct PosesFields {
     poses: RawPoses,
     has_frames: bool,
@@ -69,7 +69,7 @@ struct FrameFields {
 
 impl FrameFields {
     fn finish(self, poses: &mut RawPoses, reading: &mut Reading<'_>) -> Result<(), UploadError> {
-        let frame = self.frame.ok_or_else(|| Fault::MissingField.with("a frame has no `frame` number"))?;
+        let frame = self.frame.ok_or_else(|| Fault::MissingField.with("the frame has no `frame` number"))?;
         let people = self.people.ok_or_else(|| Fault::MissingField.with("the frame has no `people`"))?;
         add_frame(poses, frame, people, reading)
     }
@@ -93,7 +93,7 @@ impl Fields for FrameFields {
     }
 }
 
-/// One line of a stream: a camera's frame.
+/// One line of NDJSON: a frame of a camera.
 #[derive(Default)]
 pub(super) struct LineFields {
     camera: Option<String>,
@@ -104,7 +104,7 @@ impl LineFields {
     /// Adds the line to its camera.
     pub(super) fn finish(self, raw: &mut RawSession, reading: &mut Reading<'_>) -> Result<(), UploadError> {
         let Some(camera) = self.camera else {
-            return Err(reading.place.of(Fault::MissingField.with("a line has no `camera`")));
+            return Err(reading.place.of(Fault::MissingField.with("the line has no `camera`")));
         };
         match raw.poses.get_mut(&camera) {
             Some(poses) => self.frame.finish(poses, reading).map_err(|e| reading.place.of(e))?,
@@ -144,7 +144,7 @@ impl Items for People<'_> {
             return Ok(false);
         }
         if index == reading.limits.max_people_per_frame {
-            return Err(reading.refuse(Fault::TooManyPeople.with(format!("more than {index} people in a frame"))));
+            return Err(reading.refuse(Fault::TooManyPeople.with(format!("the frame has more than {index} people"))));
         }
         reading.spend(PERSON_AS_KEYPOINTS).map_err(|e| reading.refuse(e))?;
         let Some(keypoints) = fields.keypoints else {
@@ -190,7 +190,7 @@ impl Items for Keypoints<'_> {
         let Some(numbers) = seq.next_element::<Numbers>()? else { return Ok(false) };
         reading.spend(1).map_err(|e| reading.refuse(e))?;
         if index == MAX_KEYPOINTS_PER_PERSON {
-            return Err(reading.refuse(Fault::KeypointCount.with(format!("more than {index} keypoints of a person"))));
+            return Err(reading.refuse(Fault::KeypointCount.with(format!("a person has more than {index} keypoints"))));
         }
         let keypoint = match numbers.0[..] {
             [x, y, confidence] => checked_keypoint(x, y, confidence, reading.warnings),

@@ -1,4 +1,4 @@
-//! `session.json`: what was filmed, and by which cameras.
+//! Reader of `session.json`: the session's properties and its cameras.
 
 use super::frames::PosesFields;
 use crate::session::formats::time::FrameRate;
@@ -9,7 +9,7 @@ use crate::session::upload::raw::{RawCamera, RawPoses, RawSession};
 use serde::de::{MapAccess, SeqAccess};
 use std::collections::BTreeMap;
 
-/// The document as far as it has been read.
+/// The part of the document that has been read.
 #[derive(Default)]
 pub(super) struct DocumentFields {
     name: Option<String>,
@@ -20,12 +20,12 @@ pub(super) struct DocumentFields {
     up_axis: Option<String>,
     start_timecode: Option<String>,
     cameras: Option<Vec<RawCamera>>,
-    /// Poses by camera id, where they stand inline.
+    /// Poses by camera id, where they are inline.
     pub(super) poses: Option<BTreeMap<String, RawPoses>>,
 }
 
 impl DocumentFields {
-    /// The session, once the document has been read.
+    /// The session, after the document has been read.
     pub(super) fn finish(
         self,
         reading: &Reading<'_>,
@@ -86,9 +86,9 @@ impl Items for Cameras<'_> {
             return Ok(false);
         }
         if index == reading.limits.max_cameras {
-            return Err(
-                reading.refuse(Fault::TooManyCameras.with(format!("more than {} cameras", reading.limits.max_cameras)))
-            );
+            return Err(reading.refuse(
+                Fault::TooManyCameras.with(format!("the session has more than {} cameras", reading.limits.max_cameras)),
+            ));
         }
         match fields.finish() {
             Ok(camera) => self.0.push(camera),
@@ -108,7 +108,7 @@ struct CameraFields {
 
 impl CameraFields {
     fn finish(self) -> Result<RawCamera, UploadError> {
-        let id = self.id.ok_or_else(|| Fault::MissingField.with("a camera has no `id`"))?;
+        let id = self.id.ok_or_else(|| Fault::MissingField.with("the camera has no `id`"))?;
         let missing = |key: &str| {
             let error = Fault::MissingField.with(format!("the camera has no `{key}`"));
             UploadError { camera: Some(id.clone()), ..error }
@@ -135,7 +135,7 @@ impl Fields for CameraFields {
             "K" => self.rest.matrix = Some(map.next_value()?),
             "dist" => self.rest.distortion = map.next_value()?,
             "distortion_model" | "dist_model" => self.rest.distortion_model = map.next_value()?,
-            // Passing over this key would read a fisheye lens as a plain one.
+            // Without this key a fisheye lens would be read as a polynomial one.
             "fisheye" => {
                 if map.next_value::<Option<bool>>()? == Some(true) {
                     self.rest.distortion_model = Some("fisheye".to_owned());
@@ -157,7 +157,7 @@ impl Fields for PosesByCamera<'_> {
 
     fn field<'d, M: MapAccess<'d>>(&mut self, key: &str, map: &mut M, reading: &mut Reading) -> Result<bool, M::Error> {
         if self.0.len() == reading.limits.max_cameras {
-            let detail = format!("poses of more than {} cameras, {} among them", self.0.len(), shown(key));
+            let detail = format!("`poses` has more than {} cameras, including {}", self.0.len(), shown(key));
             return Err(reading.refuse(Fault::TooManyCameras.with(detail)));
         }
         reading.place.camera = Some(key.to_owned());

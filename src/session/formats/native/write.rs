@@ -1,4 +1,4 @@
-//! Writing the native layout: the inverse of reading, to the precision of a detector.
+//! Writer of the native layout: the inverse of reading, rounded to a detector's precision.
 
 use crate::session::formats::{LensFields, entries, rounded, rows};
 use crate::session::recording::{Detection, FrameIndex, Keypoint, Session, View};
@@ -12,13 +12,13 @@ use std::path::Path;
 const PIXEL_DECIMALS: i32 = 2;
 const CONFIDENCE_DECIMALS: i32 = 3;
 
-/// Writes `session.json` and `poses/<camera id>.json` into `dir`, which is made where it is missing.
+/// Writes `session.json` and `poses/<camera id>.json` into `dir`, which is created where it is missing.
 ///
 /// Keypoints are rounded to 0.01 px and confidences to 0.001 (never to 0 where a point is present); a missing keypoint
 /// is `[0, 0, 0]`.
 ///
 /// # Errors
-/// Whatever writing fails with; `InvalidInput` where a camera's id cannot be a file name.
+/// The error of the file system; `InvalidInput` where a camera's id is not a valid file name.
 pub fn write_folder(session: &Session, dir: &Path) -> io::Result<()> {
     let poses_dir = dir.join("poses");
     fs::create_dir_all(&poses_dir)?;
@@ -29,10 +29,10 @@ pub fn write_folder(session: &Session, dir: &Path) -> io::Result<()> {
     fs::write(dir.join("session.json"), to_text(&document_of(session, None))?)
 }
 
-/// The session as one JSON document with its poses inline, rounded as by [`write_folder`].
+/// The session as one JSON document with inline poses, rounded as by [`write_folder`].
 ///
 /// # Errors
-/// None that a valid session can cause; writing JSON is fallible in general.
+/// None for a valid session; writing JSON is fallible in general.
 pub fn to_json(session: &Session) -> io::Result<String> {
     let poses = session.views.iter().map(|view| (view.id.as_str(), poses_of(session, view))).collect();
     to_text(&document_of(session, Some(poses)))
@@ -42,14 +42,14 @@ fn to_text(value: &impl Serialize) -> io::Result<String> {
     Ok(serde_json::to_string(value)?)
 }
 
-/// A camera's id is the sender's: it becomes a file name only where it is a plain one.
+/// The file name of a camera's poses; ids come from the user and may not be valid file names.
 fn file_name(id: &str) -> io::Result<String> {
     let name = format!("{id}.json");
     let is_plain = !id.is_empty() && !id.starts_with('.') && !id.contains(['/', '\\', '\0', ':']) && name.len() <= 255;
     if is_plain {
         return Ok(name);
     }
-    Err(io::Error::new(io::ErrorKind::InvalidInput, format!("camera id {id:?} cannot be a file name")))
+    Err(io::Error::new(io::ErrorKind::InvalidInput, format!("camera id {id:?} is not a valid file name")))
 }
 
 #[derive(Serialize)]

@@ -1,4 +1,4 @@
-//! Poses as one array: what MediaPipe's wrappers save of all cameras, `[cameras, frames, points, x y (…)]`, px.
+//! Poses as one array, as tools based on MediaPipe save them: `[cameras, frames, points, x y (…)]`, px.
 
 use super::found::FoundPoses;
 use super::points::{checked_point, missing};
@@ -8,14 +8,14 @@ use crate::session::upload::error::{Fault, UploadError};
 use crate::session::upload::json::{Reading, fault_of_io};
 use std::io::Read;
 
-/// BlazePose's body; what follows are hands and face.
+/// Points of BlazePose's body; hands and face follow.
 const N_BODY: usize = 33;
-/// More than the points of body, hands and face with irises.
+/// Largest number of points: body, hands and face with irises have fewer.
 const MAX_POINTS: usize = 1000;
-/// x, y, and at most depth and visibility.
+/// Numbers per point: x, y, and optionally depth and visibility.
 const WIDTHS: std::ops::RangeInclusive<usize> = 2..=4;
 
-/// Whether a file begins as numpy's arrays of four dimensions do: other arrays beside a session are nobody's poses.
+/// Whether a file begins like a numpy array of four dimensions; other arrays beside a session do not contain poses.
 pub(crate) fn is_array(head: &[u8]) -> bool {
     let text = String::from_utf8_lossy(head);
     let shape = text.split_once("'shape': (").and_then(|(_, rest)| rest.split_once(')'));
@@ -23,11 +23,11 @@ pub(crate) fn is_array(head: &[u8]) -> bool {
     head.starts_with(b"\x93NUMPY") && n_dimensions == 4
 }
 
-/// Reads one person a camera; cameras are named by their index in the array. A point that is NaN is missing; points
-/// have no confidence.
+/// Reads one person per camera; a camera's name is its index in the array. NaN is a missing point; all others have confidence
+/// 1.
 ///
 /// # Errors
-/// Another shape or type, or an array that ends early.
+/// Another shape or type, or a truncated array.
 pub(crate) fn read_array(mut reader: impl Read, reading: &mut Reading<'_>) -> Result<FoundPoses, UploadError> {
     let invalid = |detail: String| Fault::TableInvalid.with(detail);
     let header = Header::read(&mut reader).map_err(|error| invalid(error.to_string()))?;
@@ -75,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_array_of_another_shape_beside_a_session_is_nobodys_poses() {
+    fn recognises_arrays_of_poses_by_shape() {
         let head =
             |shape: &str| format!("NUMPY\x01\x00v\x00{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}");
         let is_taken = |shape: &str| is_array(&[&[0x93], head(shape).as_bytes()].concat());

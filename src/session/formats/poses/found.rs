@@ -8,13 +8,13 @@ use crate::session::upload::limits::{FRAME_AS_KEYPOINTS, PERSON_AS_KEYPOINTS};
 use crate::session::upload::raw::RawPoses;
 use std::collections::BTreeMap;
 
-/// What a file holds, by the camera's name where the file tells it (`None`: the file's only camera).
+/// Content of a pose file, by camera name where the file contains it (`None`: the file's only camera).
 #[derive(Debug, Default)]
 pub(crate) struct FoundPoses {
     pub(crate) by_camera: BTreeMap<Option<String>, RawPoses>,
-    /// The order of the points, where the file names them.
+    /// Order of the points, where the file names them.
     pub(crate) order: Option<JointOrder>,
-    /// Width and height of the images that the points were found in, by camera, where the file tells them.
+    /// Width and height of the images of the keypoints, px, by camera, where the file contains them.
     pub(crate) image_size: BTreeMap<Option<String>, [u32; 2]>,
 }
 
@@ -22,7 +22,7 @@ impl FoundPoses {
     /// Adds a person to a frame.
     ///
     /// # Errors
-    /// A limit that is exceeded.
+    /// An exceeded limit.
     pub(super) fn add(
         &mut self,
         camera: Option<&str>,
@@ -33,14 +33,14 @@ impl FoundPoses {
         reading.spend(PERSON_AS_KEYPOINTS + person.keypoints.len())?;
         let people = self.frame(camera, frame, reading)?;
         if people.len() == reading.limits.max_people_per_frame {
-            let detail = format!("more than {} people in a frame", people.len());
+            let detail = format!("the frame has more than {} people", people.len());
             return Err(UploadError { frame: Some(frame), ..Fault::TooManyPeople.with(detail) });
         }
         people.push(person);
         Ok(())
     }
 
-    /// The people of a frame, which is delivered by being asked for.
+    /// The people of a frame, which is thereby marked as delivered.
     pub(super) fn frame(
         &mut self,
         camera: Option<&str>,
@@ -49,13 +49,14 @@ impl FoundPoses {
     ) -> Result<&mut Vec<Detection>, UploadError> {
         let key = camera.map(str::to_owned);
         if self.by_camera.len() > reading.limits.max_cameras {
-            return Err(Fault::TooManyCameras.with(format!("poses of more than {} cameras", self.by_camera.len() - 1)));
+            return Err(Fault::TooManyCameras
+                .with(format!("the file has poses of more than {} cameras", self.by_camera.len() - 1)));
         }
         let file = reading.place.file.clone().unwrap_or_default();
         let poses = self.by_camera.entry(key).or_insert_with(|| RawPoses { file, ..RawPoses::default() });
         if !poses.detections.contains_key(&frame) {
             if poses.order.len() == reading.limits.max_frames {
-                return Err(Fault::TooManyFrames.with(format!("more than {} frames of a camera", poses.order.len())));
+                return Err(Fault::TooManyFrames.with(format!("a camera has more than {} frames", poses.order.len())));
             }
             reading.spend(FRAME_AS_KEYPOINTS)?;
             poses.order.push(frame);

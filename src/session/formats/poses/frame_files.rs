@@ -1,4 +1,4 @@
-//! One file a frame: OpenPose and what looks like it, EasyMocap's annotations, MMPose's images.
+//! One file per frame: OpenPose and similar layouts, EasyMocap's annotations, MMPose's images.
 
 use super::points::Points;
 use super::sniff::PoseDialect;
@@ -10,9 +10,9 @@ use serde::Deserialize;
 /// The people of one frame.
 #[derive(Debug, Default)]
 pub(crate) struct FrameContent {
-    /// `None`: a placeholder of somebody who is not seen; the position in the list is then the person's identity.
+    /// People; `None` is a placeholder of an absent person, and the index in the list is then the person's identity.
     pub(crate) people: Vec<Option<Detection>>,
-    /// Width and height of the image, where the file tells them.
+    /// Width and height of the image, px, where the file contains them.
     pub(crate) image_size: Option<[u32; 2]>,
     /// Whether AlphaPose wrote the file in another tool's layout.
     pub(crate) is_alphapose: bool,
@@ -21,7 +21,7 @@ pub(crate) struct FrameContent {
 /// Reads the file of one frame.
 ///
 /// # Errors
-/// What cannot be read, with its pointer.
+/// Invalid content, with its pointer.
 pub(crate) fn read_frame(dialect: PoseDialect, bytes: &[u8]) -> Result<FrameContent, UploadError> {
     match dialect {
         PoseDialect::AlphaPoseCmu => document_from_bytes(bytes).map(cmu),
@@ -37,7 +37,7 @@ struct OpenPose {
     people: Vec<Option<OpenPosePerson>>,
 }
 
-/// OpenPose's is a number, AlphaPose's a text that names it.
+/// OpenPose writes a number, AlphaPose a text with its name.
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum Version {
@@ -56,7 +56,7 @@ struct OpenPosePerson {
     pose_keypoints: Option<Points>,
 }
 
-/// An identity: a number, or a list that holds it (`[-1]`, AlphaPose's list of one).
+/// A track number: a number, or a list that contains it (`[-1]`, AlphaPose's list of one).
 #[derive(Deserialize)]
 #[serde(untagged)]
 pub(super) enum Track {
@@ -65,7 +65,7 @@ pub(super) enum Track {
 }
 
 impl Track {
-    /// The identity, where there is one.
+    /// The track number, where there is one.
     pub(super) fn id(&self) -> Option<i64> {
         let number = match self {
             Self::One(number) => *number,
@@ -129,7 +129,7 @@ fn easymocap(file: EasyMocap) -> FrameContent {
     FrameContent { people: annots.into_iter().map(person).collect(), image_size, is_alphapose: false }
 }
 
-/// One person of MMPose: points and their scores apart.
+/// One person of MMPose, with points and scores in separate lists.
 #[derive(Deserialize)]
 pub(super) struct Instance {
     keypoints: Points,
@@ -144,7 +144,7 @@ impl Instance {
     pub(super) fn into_detection(self) -> Result<Detection, UploadError> {
         let (n_points, n_scores) = (self.keypoints.0.len(), self.keypoint_scores.len());
         if n_scores != 0 && n_scores != n_points {
-            return Err(Fault::KeypointCount.with(format!("{n_points} keypoints with {n_scores} scores")));
+            return Err(Fault::KeypointCount.with(format!("the person has {n_points} keypoints but {n_scores} scores")));
         }
         let mut keypoints = self.keypoints.0;
         for (keypoint, score) in keypoints.iter_mut().zip(&self.keypoint_scores) {

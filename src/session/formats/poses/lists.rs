@@ -1,4 +1,4 @@
-//! One file a camera or a take: AlphaPose's and COCO's lists of people, MMPose's list of frames. Read item by item.
+//! One file per camera or recording: AlphaPose's and COCO's lists of people, MMPose's list of frames. Read item by item.
 
 use super::found::FoundPoses;
 use super::frame_files::{Instance, Track};
@@ -44,10 +44,10 @@ enum ImageId {
 
 /// Reads AlphaPose's list, COCO's list of results, or a COCO data set with `annotations`.
 ///
-/// `images` numbers COCO's images; rows of a data set are added to it. Without a row, an image's number is its frame's.
+/// `images`: COCO's images by number; rows of a data set are added to it. An image without a row has the number of its frame.
 ///
 /// # Errors
-/// What cannot be read.
+/// Invalid content, with its pointer.
 pub(crate) fn read_list(
     reader: impl Read,
     is_document: bool,
@@ -88,9 +88,10 @@ impl People<'_> {
         let place = name.map(|name| name.rsplit_once('/').unwrap_or(("", name)));
         let numbered = place.and_then(|(_, file_name)| frame_name(file_name));
         let frame = number.or(numbered.as_ref().map(|name| name.frame)).ok_or_else(|| {
-            Fault::FrameInvalid.with(format!("image {} has no frame number", shown(name.unwrap_or_default())))
+            Fault::FrameInvalid
+                .with(format!("the name of image {} does not end in a frame number", shown(name.unwrap_or_default())))
         })?;
-        // A camera's images lie in its folder; images of one folder may carry its name before the number.
+        // The camera's name is the images' folder, or in a common folder the part before the frame number.
         let folder = place.map(|(folder, _)| folder.rsplit('/').next().unwrap_or(folder)).filter(|f| !f.is_empty());
         let stem = numbered.map(|name| name.stem).filter(|stem| !stem.is_empty());
         let camera = folder.map(str::to_owned).or(stem);
@@ -152,9 +153,10 @@ impl Items for Images<'_> {
     ) -> Result<bool, S::Error> {
         let Some(image) = seq.next_element::<CocoImage>()? else { return Ok(false) };
         if self.0.len() == reading.limits.max_view_frames {
-            return Err(reading.refuse(Fault::TooManyFrames.with(format!("more than {} images", self.0.len()))));
+            return Err(reading
+                .refuse(Fault::TooManyFrames.with(format!("the data set has more than {} images", self.0.len()))));
         }
-        // A row takes the memory of some ten keypoints.
+        // A row takes the memory of about ten keypoints.
         reading.spend(10).map_err(|e| reading.refuse(e))?;
         self.0.insert(image.id, image);
         Ok(true)
@@ -164,7 +166,7 @@ impl Items for Images<'_> {
 /// Reads MMPose's document of `meta_info` and `instance_info`, or its list of frames alone.
 ///
 /// # Errors
-/// What cannot be read.
+/// Invalid content, with its pointer.
 pub(crate) fn read_mmpose(
     reader: impl Read,
     is_document: bool,
@@ -211,7 +213,7 @@ impl Fields for MmposeFrames {
     }
 }
 
-/// The order that `keypoint_id2name` spells out.
+/// The order of joints given by `keypoint_id2name`.
 fn order_of(meta: &MetaInfo) -> Option<JointOrder> {
     let named = meta.keypoint_id2name.as_ref()?.iter().map(|(id, name)| Some((id.parse::<usize>().ok()?, name)));
     let by_id: BTreeMap<usize, &String> = named.collect::<Option<_>>()?;

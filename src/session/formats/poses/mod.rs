@@ -1,4 +1,5 @@
-//! Dialects of 2D poses, told by their content. Some write one file a frame, some one file a camera or a take.
+//! Readers of 2D poses by dialect, recognised by content. Some dialects have one file per frame, others one per camera or
+//! recording.
 
 mod arrays;
 mod found;

@@ -1,4 +1,4 @@
-//! A person's points as detectors write them: one flat list of triples, a list of triples, or a list of pairs.
+//! A person's points in a detector's file: one flat list of triples, a list of triples, or a list of pairs.
 
 use crate::session::recording::Keypoint;
 use crate::session::upload::detections::MAX_COORDINATE_PX;
@@ -8,25 +8,27 @@ use std::fmt;
 
 /// Points in the source's order; a null or `[null, ...]` is a missing point, a pair has confidence 1.
 ///
-/// Confidences are as written, but never below 0; a point without confidence lies at (0, 0).
+/// Confidences are as written, but never below 0; a missing point lies at (0, 0).
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Points(pub(super) Vec<Keypoint>);
 
-/// No detector writes as many numbers of a person.
+/// Largest number of entries of a person.
 const MAX_ENTRIES: usize = 3000;
 
-/// A keypoint, or why it cannot be one.
+/// A keypoint, missing where a value is NaN or the confidence is not positive, or the reason why it is invalid.
 pub(super) fn checked_point(x: f64, y: f64, confidence: f64) -> Result<Keypoint, String> {
     if confidence.is_nan() || x.is_nan() || y.is_nan() || confidence <= 0.0 {
         return Ok(missing());
     }
     if x.abs() > MAX_COORDINATE_PX || y.abs() > MAX_COORDINATE_PX || !confidence.is_finite() {
-        return Err(format!("a keypoint at ({x:e}, {y:e}) px with confidence {confidence}"));
+        return Err(format!(
+            "a keypoint lies at ({x:e}, {y:e}) px with confidence {confidence}, expected at most {MAX_COORDINATE_PX:e} px and a finite confidence"
+        ));
     }
     Ok(Keypoint { pixel: Vector2::new(x, y), confidence })
 }
 
-/// A point that the detector did not see.
+/// A point that was not detected.
 pub(super) fn missing() -> Keypoint {
     Keypoint { pixel: Vector2::zeros(), confidence: 0.0 }
 }
@@ -52,14 +54,14 @@ impl<'de> Visitor<'de> for PointsVisitor {
         for n_entries in 0.. {
             let Some(entry) = seq.next_element::<Entry>()? else { break };
             if n_entries == MAX_ENTRIES {
-                return Err(A::Error::custom(format!("more than {MAX_ENTRIES} numbers of a person")));
+                return Err(A::Error::custom(format!("a person has more than {MAX_ENTRIES} numbers")));
             }
             match entry {
                 Entry::Number(number) => {
                     open[n_open] = number;
                     n_open += 1;
                 }
-                Entry::Point(_) if n_open > 0 => return Err(A::Error::custom("points and numbers in one list")),
+                Entry::Point(_) if n_open > 0 => return Err(A::Error::custom("a list mixes points and numbers")),
                 Entry::Point(triple) => points.push(triple),
             }
             if n_open == 3 {
@@ -68,7 +70,7 @@ impl<'de> Visitor<'de> for PointsVisitor {
             }
         }
         if n_open > 0 {
-            return Err(A::Error::custom("the numbers of a person are no triples of x, y, confidence"));
+            return Err(A::Error::custom("the numbers of a person are not triples of x, y, confidence"));
         }
         let checked = points.into_iter().map(|[x, y, confidence]| checked_point(x, y, confidence));
         checked.collect::<Result<_, _>>().map(Points).map_err(A::Error::custom)
@@ -116,7 +118,7 @@ impl<'de> Visitor<'de> for EntryVisitor {
         let mut n = 0;
         while let Some(number) = seq.next_element::<Option<f64>>()? {
             if n == 3 {
-                return Err(A::Error::custom("a point of more than 3 numbers"));
+                return Err(A::Error::custom("a point has more than 3 numbers"));
             }
             triple[n] = number.unwrap_or(f64::NAN);
             n += 1;
@@ -130,7 +132,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn three_ways_of_writing_are_one() {
+    fn reads_three_layouts_alike() {
         let read = |text: &str| serde_json::from_str::<Points>(text).map(|points| points.0).map_err(|e| e.to_string());
         let expected = vec![Keypoint { pixel: Vector2::new(1.0, 2.5), confidence: 0.5 }, missing()];
         assert_eq!(read("[1, 2.5, 0.5, 7, 7, 0]"), Ok(expected.clone()));

@@ -1,19 +1,19 @@
-//! Telling a dialect by the beginning of a file: the keys of its outermost object, or of its first item.
+//! Recognition of a dialect by the beginning of a file: the keys of its outermost object, or of its first item.
 
 /// A dialect of 2D poses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum PoseDialect {
-    /// `{"people": [...]}`, one file a frame; AlphaPose's `open` and DMMR's layout as well.
+    /// `{"people": [...]}`, one file per frame; also AlphaPose's `open` and DMMR's layout.
     OpenPose,
-    /// `{"bodies": [{"joints": [...]}]}`, one file a frame.
+    /// `{"bodies": [{"joints": [...]}]}`, one file per frame.
     AlphaPoseCmu,
-    /// `{"annots": [...]}` or its list alone, one file a frame.
+    /// `{"annots": [...]}` or its list alone, one file per frame.
     EasyMocap,
-    /// A list of instances, one file a frame.
+    /// A list of instances, one file per frame.
     MmposeFrame,
-    /// A list of people with `image_id` of text.
+    /// A list of people whose `image_id` is a text.
     AlphaPose,
-    /// A list of people with `image_id` of numbers.
+    /// A list of people whose `image_id` is a number.
     CocoResults,
     /// `{"images": [...], "annotations": [...]}`: the table that numbers images, with or without people.
     CocoImages,
@@ -25,14 +25,14 @@ pub(crate) enum PoseDialect {
     CaliscopeTimestamps,
     /// `scorer`, `bodyparts`, `coords`.
     DeepLabCutCsv,
-    /// `[cameras, frames, points, x y]` of numpy's.
+    /// A numpy array `[cameras, frames, points, x y]`.
     MediaPipeArray,
     /// `{"frames": [...]}`: a camera's poses in the native layout.
     Native,
 }
 
 impl PoseDialect {
-    /// The name in the answer to an upload.
+    /// The name in the response to an upload.
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::OpenPose => "openpose",
@@ -48,13 +48,13 @@ impl PoseDialect {
         }
     }
 
-    /// Whether every frame has a file of its own.
+    /// Whether the dialect has one file per frame.
     pub(crate) fn is_file_per_frame(self) -> bool {
         matches!(self, Self::OpenPose | Self::AlphaPoseCmu | Self::EasyMocap | Self::MmposeFrame)
     }
 }
 
-/// Tells a dialect by a file's first bytes; `None` for anything else, an empty list among it.
+/// Recognises a dialect by a file's first bytes; `None` for anything else, such as an empty list.
 pub(crate) fn recognise(head: &str) -> Option<PoseDialect> {
     use PoseDialect as P;
     let start = head.trim_start();
@@ -96,7 +96,7 @@ pub(crate) fn recognise(head: &str) -> Option<PoseDialect> {
     }
 }
 
-/// Keys of the objects at one level of nesting, up to that object's end, each with its value's first byte.
+/// Keys of the first object at a level of nesting, each with the first byte of its value.
 fn keys_at(text: &str, level: usize) -> Vec<(&str, u8)> {
     let bytes = text.as_bytes();
     let (mut keys, mut depth, mut at) = (Vec::new(), 0usize, 0);
@@ -137,7 +137,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn dialects_are_told_by_content() {
+    fn recognises_dialects_by_content() {
         let cases = [
             (r#"{"version": 1.3, "people": []}"#, Some(PoseDialect::OpenPose)),
             (r#"{"version":0.1,"bodies":[{"joints":[1,2"#, Some(PoseDialect::AlphaPoseCmu)),

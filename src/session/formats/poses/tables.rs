@@ -1,4 +1,4 @@
-//! Tables of comma-separated values: Caliscope's points and time stamps, DeepLabCut's tracks. Read line by line.
+//! Reader of comma-separated tables: Caliscope's points and time stamps, DeepLabCut's tracks. Read line by line.
 
 use super::found::FoundPoses;
 use super::frame_name::frame_name;
@@ -10,12 +10,12 @@ use crate::session::upload::json::Reading;
 use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read};
 
-/// The longest line: a thousand columns of numbers.
+/// Longest line, bytes: a thousand columns of numbers.
 const MAX_LINE_BYTES: u64 = 1 << 20;
-/// No tracker has as many points.
+/// Largest number of points.
 const MAX_POINTS: usize = 1000;
 
-/// Lines of a bounded length, without their ends.
+/// Lines of a limited length, without line ends.
 struct Lines<R> {
     reader: BufReader<R>,
     n_lines: usize,
@@ -59,7 +59,7 @@ fn invalid(n_lines: usize, why: &str) -> UploadError {
     Fault::TableInvalid.with(format!("line {n_lines} {why}"))
 }
 
-/// A cell's number: NaN where it is empty.
+/// The number in a cell; NaN where it is empty.
 fn number(cell: &str) -> Option<f64> {
     if cell.is_empty() { Some(f64::NAN) } else { cell.parse().ok() }
 }
@@ -69,15 +69,15 @@ fn columns<const N: usize>(header: &[&str], names: [&str; N]) -> Result<[usize; 
     let mut places = [0; N];
     for (place, name) in places.iter_mut().zip(names) {
         let found = header.iter().position(|column| *column == name || (name == "cam_id" && *column == "port"));
-        *place = found.ok_or_else(|| Fault::TableInvalid.with(format!("there is no column {name:?}")))?;
+        *place = found.ok_or_else(|| Fault::TableInvalid.with(format!("the table has no column {name:?}")))?;
     }
     Ok(places)
 }
 
-/// Reads Caliscope's points: one person a camera, confidence 1, frames by `sync_index`.
+/// Reads Caliscope's points: one person per camera, confidence 1, frames by `sync_index`.
 ///
 /// # Errors
-/// A missing column or a cell that is no number.
+/// A missing column or an invalid number.
 pub(crate) fn read_caliscope(reader: impl Read, reading: &mut Reading<'_>) -> Result<FoundPoses, UploadError> {
     let mut lines = Lines::new(reader);
     let header = lines.next()?.ok_or_else(|| invalid(1, "is missing"))?;
@@ -109,7 +109,7 @@ pub(crate) fn read_caliscope(reader: impl Read, reading: &mut Reading<'_>) -> Re
     Ok(found)
 }
 
-/// Frames per second from Caliscope's `timestamps.csv`: of the camera with the most frames.
+/// Frame rate from Caliscope's `timestamps.csv`, frames per second: that of the camera with the most frames.
 ///
 /// # Errors
 /// A missing column.
@@ -138,7 +138,7 @@ pub(crate) fn read_timestamps(reader: impl Read) -> Result<Option<f64>, UploadEr
 /// Reads DeepLabCut's table of three header lines, or four with individuals.
 ///
 /// # Errors
-/// Header lines that do not fit, or a cell that is no number.
+/// Inconsistent header lines or an invalid number.
 pub(crate) fn read_deeplabcut(reader: impl Read, reading: &mut Reading<'_>) -> Result<FoundPoses, UploadError> {
     let mut lines = Lines::new(reader);
     let mut header: BTreeMap<String, Vec<String>> = BTreeMap::new();
@@ -146,7 +146,7 @@ pub(crate) fn read_deeplabcut(reader: impl Read, reading: &mut Reading<'_>) -> R
         let n_lines = lines.n_lines + 1;
         let Some(cells) = lines.next()? else { break };
         if header.len() == 4 {
-            return Err(invalid(n_lines, "comes without a line `coords` before it"));
+            return Err(invalid(n_lines, "is preceded by no line `coords`"));
         }
         let key = cells.first().copied().unwrap_or_default().to_owned();
         header.insert(key, cells[1..].iter().map(|cell| (*cell).to_owned()).collect());
@@ -159,10 +159,10 @@ pub(crate) fn read_deeplabcut(reader: impl Read, reading: &mut Reading<'_>) -> R
         let Some(cells) = lines.next()? else { break };
         let name = cells.first().copied().unwrap_or_default();
         let frame = frame_name(name.rsplit('/').next().unwrap_or(name));
-        let frame = frame.ok_or_else(|| invalid(n_lines, "begins with no frame number"))?.frame;
+        let frame = frame.ok_or_else(|| invalid(n_lines, "does not begin with a frame number"))?.frame;
         let mut numbers = Vec::with_capacity(cells.len());
         for cell in &cells[1..] {
-            numbers.push(number(cell).ok_or_else(|| invalid(n_lines, "holds what is no number"))?);
+            numbers.push(number(cell).ok_or_else(|| invalid(n_lines, "contains an invalid number"))?);
         }
         found.frame(None, frame, reading)?;
         for person in layout.people(&numbers).map_err(|why| Fault::KeypointInvalid.with(why))? {
@@ -172,7 +172,7 @@ pub(crate) fn read_deeplabcut(reader: impl Read, reading: &mut Reading<'_>) -> R
     Ok(found)
 }
 
-/// Where each person's each joint stands in a line.
+/// Columns of every person and joint.
 struct Layout {
     individuals: Vec<String>,
     joints: Vec<String>,
@@ -182,26 +182,27 @@ struct Layout {
 
 impl Layout {
     fn of_header(header: &BTreeMap<String, Vec<String>>) -> Result<Self, UploadError> {
-        let row = |key: &str| header.get(key).ok_or_else(|| invalid(1, &format!("and the next hold no `{key}`")));
+        let row =
+            |key: &str| header.get(key).ok_or_else(|| invalid(1, &format!("and the following have no row `{key}`")));
         let (parts, coords) = (row("bodyparts")?, row("coords")?);
         let one = vec![String::new(); parts.len()];
         let owners = header.get("individuals").unwrap_or(&one);
         if parts.len() != coords.len() || parts.len() != owners.len() {
-            return Err(invalid(1, "and the next have different numbers of columns"));
+            return Err(invalid(1, "and the following have different numbers of columns"));
         }
         let (mut individuals, mut joints, mut columns) = (Vec::new(), Vec::new(), Vec::new());
         for ((owner, part), coord) in owners.iter().zip(parts).zip(coords) {
             let axis = ["x", "y", "likelihood"].iter().position(|name| name == coord);
-            let axis = axis.ok_or_else(|| invalid(3, "holds a coordinate that is not x, y or likelihood"))?;
+            let axis = axis.ok_or_else(|| invalid(3, "contains a coordinate that is not x, y or likelihood"))?;
             columns.push([place_of(&mut individuals, owner), place_of(&mut joints, part), axis]);
         }
         if individuals.len().saturating_mul(joints.len()) > MAX_LINE_BYTES as usize / 8 {
-            return Err(invalid(1, "and the next name too many joints"));
+            return Err(invalid(1, "and the following name too many joints"));
         }
         Ok(Self { individuals, joints, columns })
     }
 
-    /// Everybody of whom a joint is there; an individual's place is its identity where there are several.
+    /// The people with at least one joint; the index of an individual is its identity where there are several.
     fn people(&self, numbers: &[f64]) -> Result<Vec<Detection>, String> {
         let mut triples = vec![[f64::NAN, f64::NAN, 1.0]; self.individuals.len() * self.joints.len()];
         for ([individual, joint, axis], number) in self.columns.iter().zip(numbers) {
@@ -213,7 +214,7 @@ impl Layout {
                 .iter()
                 .map(|[x, y, confidence]| checked_point(*x, *y, *confidence))
                 .collect::<Result<_, _>>()?;
-            // "single" holds points that belong to nobody.
+            // "single" contains points that are not assigned to an individual.
             if keypoints.iter().any(Keypoint::is_present) && self.individuals[i] != "single" {
                 let track_id = (self.individuals.len() > 1).then_some(i as i64);
                 people.push(Detection { track_id, keypoints });
