@@ -201,10 +201,10 @@ impl<'a> MotionProblem<'a> {
         let frame_cost = |(t, pose): (usize, &Pose)| {
             let skeleton = posed(&body, pose);
             let data: f64 = self.place_costs(t, &body, &skeleton).iter().map(|p| p.cost).sum();
-            let contacts = contacts.map_or(0.0, |contacts| contacts.cost(t, &state.betas, &skeleton));
             let angles: f64 = self.active[1..].iter().map(|&j| self.angle_cost(pose, j).cost).sum();
             let likely = self.pose_cost(pose).map_or(0.0, |poses| poses.cost);
-            (data + contacts + angles + likely, self.steady_positions(&body, &skeleton))
+            let contacts = contacts.map_or(0.0, |contacts| contacts.cost(t, &state.betas, &skeleton));
+            (data + angles + likely + contacts, self.steady_positions(&body, &skeleton))
         };
         let (frames, places): (Vec<f64>, Vec<Vec<Vector3<f64>>>) =
             state.poses.par_iter().enumerate().map(frame_cost).unzip();
