@@ -49,6 +49,16 @@ pub fn geman_mcclure_weight(squared: f64, squared_scale: f64) -> f64 {
 /// two dimensions stays within it with 98.9 %. Adjustments that were tuned on simulated captures name their own (4).
 pub const OUTLIER_SIGMAS: f64 = 3.0;
 
+/// The Charbonnier cost of a residual of squared norm `squared`: quadratic near zero, linear far beyond the knee k.
+///
+/// `rho / 2 = factor k^2 (r - 1)` with `r = sqrt(1 + e^2 / k^2)`; weight `factor / r`, curvature `factor / r^3`: Charbonnier et al.
+/// 1994. `knee_squared`: k^2, positive, in the squared unit of the residual.
+pub fn charbonnier(factor: f64, squared: f64, knee_squared: f64) -> Robust {
+    let root = (1.0 + squared / knee_squared).sqrt();
+    let weight = factor / root;
+    Robust { cost: factor * knee_squared * (root - 1.0), weight, curvature: weight / (root * root) }
+}
+
 /// Graduated non-convexity: the scale falls geometrically, so that a rough start is not taken for a set of outliers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GraduatedScale {

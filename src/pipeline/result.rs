@@ -97,9 +97,9 @@ impl Solution {
             up: self.upright(capture),
         };
         let is_monocular = capture.session.views.len() == 1;
-        let config = if is_monocular { BodyFitConfig::one_view() } else { BodyFitConfig::default() };
+        let config = if is_monocular { BodyFitConfig::monocular() } else { BodyFitConfig::default() };
         let config = BodyFitConfig {
-            keep_apart: capture.options.collision,
+            resolve_collisions: capture.options.collision,
             motion_prior: capture.options.motion_prior,
             ..config
         };

@@ -1,4 +1,4 @@
-//! A bone keeps its length.
+//! The deviation of a bone from its length.
 
 use nalgebra::{RowVector3, Vector3};
 
@@ -13,7 +13,7 @@ pub struct BoneLength {
     pub by_log_length: f64,
 }
 
-/// Ends nearer than this (m) have no direction, and the logarithm no bottom: such a bone says nothing.
+/// Ends nearer than this (m) define no direction, and the logarithm diverges: such a bone has no residual.
 const MIN_LENGTH: f64 = 1e-6;
 
 /// The residual `ln(|a - b| / length) / sigma`; `None` where the ends coincide.
@@ -41,7 +41,7 @@ mod tests {
     use nalgebra::DMatrix;
 
     #[test]
-    fn the_derivatives_match_central_differences() {
+    fn derivatives_match_central_differences() {
         let (a, b, log_length, sigma) = (Vector3::new(0.3, 1.0, -0.2), Vector3::new(0.1, 0.6, -0.1), -0.9, 0.05);
         let found = linearize(&a, &b, log_length, sigma).unwrap();
         let mut jacobian = DMatrix::zeros(1, 7);
@@ -55,7 +55,7 @@ mod tests {
     }
 
     #[test]
-    fn five_percent_too_long_is_one_sigma_of_five_percent() {
+    fn five_percent_too_long_is_one_sigma() {
         let b = Vector3::new(1.0, 2.0, 3.0);
         let found = linearize(&(b + Vector3::new(0.0, 0.42, 0.0)), &b, 0.4_f64.ln(), 0.05).unwrap();
         assert!((found.residual - 1.0).abs() < 0.03); // ln 1.05 = 0.0488

@@ -1,4 +1,4 @@
-//! The one check that every residual's derivative passes.
+//! The shared check of derivatives against central differences.
 
 use nalgebra::DMatrix;
 
@@ -26,4 +26,9 @@ pub(crate) fn assert_derivative(jacobian: &DMatrix<f64>, residual: impl Fn(&[f64
             );
         }
     }
+}
+
+/// [`assert_derivative`] for the gradient of a scalar `cost`.
+pub(crate) fn assert_gradient(gradient: &[f64], cost: impl Fn(&[f64]) -> f64) {
+    assert_derivative(&DMatrix::from_row_slice(1, gradient.len(), gradient), |d| vec![cost(d)]);
 }

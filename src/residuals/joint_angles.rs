@@ -1,4 +1,4 @@
-//! What the rotation vector of one joint costs: a pull towards rest, and walls at the ends of its range.
+//! Cost of one joint's rotation vector: a pull towards rest, and walls at the ends of its range.
 
 use crate::body::joint_ranges::JointRange;
 use crate::geometry::rotation;
@@ -9,13 +9,13 @@ use nalgebra::{Matrix3, Vector3};
 pub struct JointAngleCost {
     /// Half the sum of squared residuals.
     pub cost: f64,
-    /// Its derivative.
+    /// Derivative of the cost, per rad.
     pub gradient: Vector3<f64>,
-    /// Gauss-Newton's positive semi-definite second derivative.
+    /// Gauss-Newton approximation of the second derivative, per rad^2; positive semi-definite.
     pub hessian: Matrix3<f64>,
 }
 
-/// How firmly joint angles are held.
+/// Weights of the cost of joint angles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointAngleWeights {
     /// Factor on the squared distance from rest in standard deviations.
@@ -24,10 +24,12 @@ pub struct JointAngleWeights {
     pub limit_width: f64,
 }
 
+/// Cost of one joint's `rotation` with its derivatives.
+///
 /// With `v = log(R)`, per component: `(v - rest) / spread` weighted by `weights.rest`, and the hinge
 /// `max(0, v - max, min - v) / limit_width`. Derivative of both: `d v / d d = J_r^-1(v)` (method.md 9.2).
 ///
-/// Known limit: near a turn of pi `v` jumps to the other side; no joint but the pelvis, which is not held, gets there.
+/// Known limit: near a rotation of pi `v` jumps to the other side. Only the pelvis, which has no such cost, gets there.
 pub fn joint_angle_cost(rotation: &Matrix3<f64>, range: &JointRange, weights: &JointAngleWeights) -> JointAngleCost {
     let v = rotation::log(rotation);
     let (mut cost, mut slope, mut curvature) = (0.0, Vector3::zeros(), Vector3::zeros());
@@ -49,25 +51,24 @@ pub fn joint_angle_cost(rotation: &Matrix3<f64>, range: &JointRange, weights: &J
 mod tests {
     use super::*;
     use crate::body::joint_ranges::joint_ranges;
+    use crate::residuals::derivative_check::assert_gradient;
 
     #[test]
-    fn gradient_agrees_with_central_differences_inside_and_outside_the_range() {
+    fn gradient_matches_differences_in_and_out_of_range() {
         let weights = JointAngleWeights { rest: 0.3, limit_width: 0.1 };
         for range in &joint_ranges()[1..22] {
             for v in [Vector3::new(0.1, 0.05, -0.1), Vector3::new(1.4, -0.9, 0.8)] {
-                let at = |d: &Vector3<f64>| joint_angle_cost(&(rotation::exp(&v) * rotation::exp(d)), range, &weights);
-                let gradient = at(&Vector3::zeros()).gradient;
-                for axis in 0..3 {
-                    let step = Vector3::ith(axis, 1e-6);
-                    let difference = (at(&step).cost - at(&-step).cost) / 2e-6;
-                    assert!((difference - gradient[axis]).abs() < 1e-6 * (1.0 + gradient.norm()));
-                }
+                let at = |d: &[f64]| {
+                    let increment = rotation::exp(&Vector3::from_column_slice(d));
+                    joint_angle_cost(&(rotation::exp(&v) * increment), range, &weights)
+                };
+                assert_gradient(at(&[0.0; 3]).gradient.as_slice(), |d| at(d).cost);
             }
         }
     }
 
     #[test]
-    fn rest_costs_nothing_and_a_wall_costs_half_at_its_width() {
+    fn rest_costs_zero_and_a_wall_half_at_its_width() {
         let range = joint_ranges()[4];
         let weights = JointAngleWeights { rest: 0.0, limit_width: 0.1 };
         assert_eq!(joint_angle_cost(&rotation::exp(&range.rest), &range, &weights).cost, 0.0);

@@ -1,48 +1,51 @@
-//! What a pose costs under what is known of people's poses.
+//! Cost of a pose under a Gaussian over poses.
 
 use crate::body::skeleton::N_JOINTS;
 use crate::geometry::rotation;
 use crate::motion_prior::pose_gaussian::PoseGaussian;
-use nalgebra::{DMatrix, DVector, Matrix3};
-use serde::{Deserialize, Serialize};
+use crate::optim::robust::{Robust, charbonnier};
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
-/// How firmly a pose is held to what is likely.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+/// Weight and robust knee of the pose cost.
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PoseWeights {
     /// Factor on the squared distance in standard deviations.
     pub weight: f64,
-    /// Root mean square over the features, in standard deviations, from where on the cost grows linearly: poses that are
-    /// nowhere near what was captured are not bent towards it.
+    /// Root mean square over the features, in standard deviations, above which the cost grows linearly, so that poses far
+    /// from all recorded ones are not bent towards them.
     pub knee: f64,
 }
 
-/// A cost over the right increments `R_j <- R_j exp(d_j)` of the Gaussian's joints, to second order.
+/// Derivatives of a pose cost by the right increments `R_j <- R_j exp(d_j)` of the Gaussian's joints.
 #[derive(Debug, Clone, PartialEq)]
-pub struct PoseCost {
-    /// `weight n k^2 (r - 1)`.
-    pub cost: f64,
-    /// Its derivative; three numbers a joint.
+pub struct PoseDerivatives {
+    /// Gradient of the cost; three numbers a joint, per rad.
     pub gradient: DVector<f64>,
-    /// Gauss-Newton's positive semi-definite second derivative.
+    /// Gauss-Newton approximation of the second derivative, per rad^2; positive semi-definite.
     pub hessian: DMatrix<f64>,
 }
 
+/// Cost of a pose.
+///
 /// With `e = u - m`, n numbers, precision P: `rho = w n k^2 (r - 1)`, `r = sqrt(1 + e^T P e / (n k^2))`; near the mean
-/// `w e^T P e / 2`. Derivative of the features: `d u / d d = J_r^-1(u)` (method.md 9.2).
-pub fn pose_cost(rotations: &[Matrix3<f64>; N_JOINTS], poses: &PoseGaussian, weights: &PoseWeights) -> PoseCost {
+/// `w e^T P e / 2`.
+pub fn pose_cost(rotations: &[Matrix3<f64>; N_JOINTS], poses: &PoseGaussian, weights: &PoseWeights) -> f64 {
+    let off = deviation(&features(rotations, poses), poses);
+    robust(off.dot(&(&poses.precision * &off)), off.len(), weights).cost
+}
+
+/// Derivatives of [`pose_cost`]; those of the features are `d u / d d = J_r^-1(u)` (method.md 9.2).
+pub fn pose_derivatives(
+    rotations: &[Matrix3<f64>; N_JOINTS],
+    poses: &PoseGaussian,
+    weights: &PoseWeights,
+) -> PoseDerivatives {
     let n = poses.mean.len();
-    let mut off = -poses.mean.clone();
-    let mut jacobians = Vec::with_capacity(poses.joints.len());
-    for (i, (joint, mean)) in poses.joints.iter().zip(&poses.rotations).enumerate() {
-        let u = rotation::log(&(mean.transpose() * rotations[*joint]));
-        let mut rows = off.fixed_rows_mut::<3>(3 * i);
-        rows += u;
-        jacobians.push(rotation::right_jacobian_inverse(&u));
-    }
+    let features = features(rotations, poses);
+    let off = deviation(&features, poses);
+    let jacobians: Vec<Matrix3<f64>> = features.iter().map(rotation::right_jacobian_inverse).collect();
     let pulled = &poses.precision * &off;
-    let knee_squared = n as f64 * weights.knee.powi(2);
-    let root = (1.0 + off.dot(&pulled) / knee_squared).sqrt();
-    let weight = weights.weight / root;
+    let weight = robust(off.dot(&pulled), n, weights).weight;
     let (mut gradient, mut hessian) = (DVector::zeros(n), DMatrix::zeros(n, n));
     for (i, a) in jacobians.iter().enumerate() {
         let left = a.transpose() * weight;
@@ -52,37 +55,52 @@ pub fn pose_cost(rotations: &[Matrix3<f64>; N_JOINTS], poses: &PoseGaussian, wei
             hessian.fixed_view_mut::<3, 3>(3 * i, 3 * k).copy_from(&block);
         }
     }
-    PoseCost { cost: weights.weight * knee_squared * (root - 1.0), gradient, hessian }
+    PoseDerivatives { gradient, hessian }
+}
+
+/// `u_j = log(M_j^T R_j)`, rad.
+fn features(rotations: &[Matrix3<f64>; N_JOINTS], poses: &PoseGaussian) -> Vec<Vector3<f64>> {
+    let feature = |(joint, mean): (&usize, &Matrix3<f64>)| rotation::log(&(mean.transpose() * rotations[*joint]));
+    poses.joints.iter().zip(&poses.rotations).map(feature).collect()
+}
+
+/// `e = u - m`.
+fn deviation(features: &[Vector3<f64>], poses: &PoseGaussian) -> DVector<f64> {
+    let mut off = -poses.mean.clone();
+    for (i, u) in features.iter().enumerate() {
+        let mut rows = off.fixed_rows_mut::<3>(3 * i);
+        rows += u;
+    }
+    off
+}
+
+fn robust(squared: f64, n: usize, weights: &PoseWeights) -> Robust {
+    charbonnier(weights.weight, squared, n as f64 * weights.knee.powi(2))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::motion_prior::MotionPrior;
-    use nalgebra::Vector3;
+    use crate::residuals::derivative_check::assert_gradient;
 
     fn poses() -> PoseGaussian {
         PoseGaussian::over(MotionPrior::embedded().basis(), &[1, 4, 12, 16, 18, 20])
     }
 
     #[test]
-    fn the_gradient_agrees_with_central_differences_near_and_far() {
+    fn gradient_matches_differences_near_and_far() {
         let (poses, weights) = (poses(), PoseWeights { weight: 0.3, knee: 1.5 });
         for size in [0.2, 1.2] {
             let turn = |j: usize| rotation::exp(&(Vector3::new((j as f64).sin(), (j as f64).cos(), 0.3) * size));
             let rotations: [Matrix3<f64>; N_JOINTS] = std::array::from_fn(turn);
-            let found = pose_cost(&rotations, &poses, &weights);
-            for (i, &joint) in poses.joints.iter().enumerate() {
-                for axis in 0..3 {
-                    let at = |h: f64| {
-                        let mut moved = rotations;
-                        moved[joint] *= rotation::exp(&Vector3::ith(axis, h));
-                        pose_cost(&moved, &poses, &weights).cost
-                    };
-                    let difference = (at(1e-6) - at(-1e-6)) / 2e-6;
-                    assert!((difference - found.gradient[3 * i + axis]).abs() < 1e-6 * (1.0 + found.gradient.norm()));
+            assert_gradient(pose_derivatives(&rotations, &poses, &weights).gradient.as_slice(), |d| {
+                let mut moved = rotations;
+                for (joint, d) in poses.joints.iter().zip(d.chunks_exact(3)) {
+                    moved[*joint] *= rotation::exp(&Vector3::from_column_slice(d));
                 }
-            }
+                pose_cost(&moved, &poses, &weights)
+            });
         }
     }
 
@@ -93,7 +111,8 @@ mod tests {
         for (i, (joint, mean)) in poses.joints.iter().zip(&poses.rotations).enumerate() {
             rotations[*joint] = mean * rotation::exp(&poses.mean.fixed_rows::<3>(3 * i).into_owned());
         }
-        let found = pose_cost(&rotations, &poses, &PoseWeights { weight: 1.0, knee: 2.0 });
-        assert!(found.cost < 1e-12 && found.gradient.norm() < 1e-9);
+        let weights = PoseWeights { weight: 1.0, knee: 2.0 };
+        assert!(pose_cost(&rotations, &poses, &weights) < 1e-12);
+        assert!(pose_derivatives(&rotations, &poses, &weights).gradient.norm() < 1e-9);
     }
 }

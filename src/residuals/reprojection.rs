@@ -1,7 +1,9 @@
-//! Where a point should appear against where it was seen.
+//! The image of a point against its detection.
 
+use super::position_cost::PositionCost;
 use crate::geometry::{Intrinsics, Rigid};
-use nalgebra::{Matrix2x3, Matrix2x6, Vector2, Vector3};
+use crate::optim::robust::{Robust, geman_mcclure, geman_mcclure_ceiling};
+use nalgebra::{Matrix2x3, Matrix2x6, Matrix3, Vector2, Vector3};
 
 /// A reprojection residual and its derivatives.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,8 +40,7 @@ pub fn linearize(
     pixel: &Vector2<f64>,
     sigma_px: f64,
 ) -> Option<Reprojection> {
-    let p = camera_from_world.transform(point_in_world);
-    let (predicted, by_p) = intrinsics.project_with_jacobian(&p)?;
+    let (p, predicted, by_p) = projection(intrinsics, camera_from_world, point_in_world)?;
     let per_sigma = sigma_px.recip();
     let by_p = by_p * per_sigma;
     let (u, v) = (by_p.row(0), by_p.row(1));
@@ -56,11 +57,43 @@ pub fn linearize(
     })
 }
 
+/// Geman-McClure cost of the residual as a function of the point alone.
+///
+/// A point behind the camera costs as much as an outlier can, with zero derivatives. `robust_scale`: in standard deviations.
+pub fn pixel_cost(
+    intrinsics: &Intrinsics,
+    camera_from_world: &Rigid,
+    point_in_world: &Vector3<f64>,
+    pixel: &Vector2<f64>,
+    sigma_px: f64,
+    robust_scale: f64,
+) -> PositionCost {
+    let Some((_, predicted, by_p)) = projection(intrinsics, camera_from_world, point_in_world) else {
+        let cost = geman_mcclure_ceiling(robust_scale);
+        return PositionCost { cost, gradient: Vector3::zeros(), hessian: Matrix3::zeros() };
+    };
+    let residual = (predicted - pixel) / sigma_px;
+    let by_point = by_p * camera_from_world.rotation / sigma_px;
+    let Robust { cost, weight, .. } = geman_mcclure(residual.norm_squared(), robust_scale);
+    PositionCost { cost, gradient: by_point.tr_mul(&residual) * weight, hessian: by_point.tr_mul(&by_point) * weight }
+}
+
+/// The point in the camera's frame, its pixel, and the derivative of the pixel by the point in the camera's frame.
+fn projection(
+    intrinsics: &Intrinsics,
+    camera_from_world: &Rigid,
+    point_in_world: &Vector3<f64>,
+) -> Option<(Vector3<f64>, Vector2<f64>, Matrix2x3<f64>)> {
+    let point_in_camera = camera_from_world.transform(point_in_world);
+    let (pixel, by_point) = intrinsics.project_with_jacobian(&point_in_camera)?;
+    Some((point_in_camera, pixel, by_point))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::geometry::{Distortion, rotation};
-    use crate::residuals::derivative_check::assert_derivative;
+    use crate::residuals::derivative_check::{assert_derivative, assert_gradient};
     use nalgebra::DMatrix;
 
     const INTRINSICS: Intrinsics = Intrinsics {
@@ -75,7 +108,7 @@ mod tests {
     };
 
     #[test]
-    fn the_derivatives_match_central_differences() {
+    fn derivatives_match_central_differences() {
         let camera =
             Rigid { rotation: rotation::exp(&Vector3::new(0.3, -0.8, 0.2)), translation: Vector3::new(0.2, -0.4, 4.0) };
         let (point, pixel) = (Vector3::new(0.5, -0.3, 0.6), Vector2::new(500.0, 300.0));
@@ -99,10 +132,32 @@ mod tests {
     }
 
     #[test]
-    fn a_point_on_the_axis_appears_at_the_principal_point() {
+    fn a_point_on_the_axis_projects_to_the_centre() {
         let camera = Rigid { rotation: nalgebra::Matrix3::identity(), translation: Vector3::new(0.0, 0.0, 2.0) };
         let found = residual(&INTRINSICS, &camera, &Vector3::zeros(), &Vector2::new(638.0, 353.0), 2.0).unwrap();
         assert_eq!(found, Vector2::new(1.0, -1.5));
         assert_eq!(residual(&INTRINSICS, &camera, &Vector3::new(0.0, 0.0, -3.0), &Vector2::zeros(), 1.0), None);
+    }
+
+    #[test]
+    fn cost_gradient_matches_for_inlier_and_outlier() {
+        let camera =
+            Rigid { rotation: rotation::exp(&Vector3::new(0.1, -0.4, 0.05)), translation: Vector3::new(0.1, 0.2, 4.0) };
+        let point = Vector3::new(0.3, -0.2, 0.4);
+        let exact = INTRINSICS.pixel_from_camera(&camera.transform(&point)).unwrap();
+        for off in [3.0, 60.0] {
+            let pixel = exact + Vector2::new(off, -off);
+            let cost = |d: &[f64]| {
+                pixel_cost(&INTRINSICS, &camera, &(point + Vector3::from_column_slice(d)), &pixel, 5.0, 4.0)
+            };
+            assert_gradient(cost(&[0.0; 3]).gradient.as_slice(), |d| cost(d).cost);
+        }
+    }
+
+    #[test]
+    fn a_point_behind_the_camera_costs_as_an_outlier() {
+        let behind = Vector3::new(0.0, 0.0, -2.0);
+        let cost = pixel_cost(&INTRINSICS, &Rigid::identity(), &behind, &Vector2::zeros(), 5.0, 4.0);
+        assert_eq!((cost.cost, cost.gradient), (8.0, Vector3::zeros()));
     }
 }

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used)] // a test that meets what it did not expect has failed
 
 mod edge_cases;
-mod one_view;
+mod monocular;
 mod presets;
 mod scale;
 mod synchronisation;

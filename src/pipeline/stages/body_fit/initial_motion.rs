@@ -1,7 +1,7 @@
 //! A first motion in closed form: shape from bone lengths, the trunk by rigid alignment, limbs by their directions.
 
-use super::evidence::{Evidence, PointEvidence};
-use super::motion_problem::MotionState;
+use super::observations::{Observations, PointObservation};
+use super::terms::unknowns::MotionState;
 use crate::body::joint_ranges::joint_ranges_of;
 use crate::body::kinematics::{Pose, landmark_position, posed};
 use crate::body::model::{Betas, BodyModel, ShapedBody};
@@ -11,23 +11,23 @@ use crate::geometry::{Rigid, rotation};
 use crate::optim::robust::median;
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
-/// Points of one frame by landmark.
-type Places = Vec<Option<Vector3<f64>>>;
+/// Points of one frame by landmark, world, m.
+type LandmarkPoints = Vec<Option<Vector3<f64>>>;
 
-/// The first motion of one person; `None` when the trunk is never seen well enough to tell where they face.
-pub(super) fn initial_motion(model: &BodyModel, evidence: &Evidence) -> Option<MotionState> {
-    let places: Vec<Places> = evidence.points.iter().map(|points| by_landmark(model, points)).collect();
-    let betas = betas_from_bone_lengths(model, &places);
+/// The first motion of one person; `None` when no frame shows the trunk well enough to determine its rotation.
+pub(super) fn initial_motion(model: &BodyModel, observations: &Observations) -> Option<MotionState> {
+    let points: Vec<LandmarkPoints> = observations.points.iter().map(|points| by_landmark(model, points)).collect();
+    let betas = betas_from_bone_lengths(model, &points);
     let body = model.shaped(&betas);
-    let trunk: Vec<Option<Rigid>> = places.iter().map(|p| trunk_placement(model, &body, p)).collect();
-    let known: Vec<PartialPose> = places
+    let trunk: Vec<Option<Rigid>> = points.iter().map(|p| trunk_placement(model, &body, p)).collect();
+    let known: Vec<PartialPose> = points
         .iter()
         .zip(&trunk)
         .map(|(p, trunk)| trunk.map_or_else(PartialPose::default, |trunk| limbs(model, &body, p, &trunk)))
         .collect();
     let translations = filled_translations(&known.iter().map(|k| k.translation).collect::<Vec<_>>())?;
     let rest = joint_ranges_of(model).map(|range| rotation::exp(&range.rest));
-    let mut poses = vec![Pose::rest(); places.len()];
+    let mut poses = vec![Pose::rest(); points.len()];
     for (pose, translation) in poses.iter_mut().zip(translations) {
         pose.translation = translation;
     }
@@ -40,16 +40,16 @@ pub(super) fn initial_motion(model: &BodyModel, evidence: &Evidence) -> Option<M
     Some(MotionState { betas, poses })
 }
 
-fn by_landmark(model: &BodyModel, points: &[PointEvidence]) -> Places {
-    let mut places = vec![None; model.landmarks.len()];
+fn by_landmark(model: &BodyModel, points: &[PointObservation]) -> LandmarkPoints {
+    let mut by_landmark = vec![None; model.landmarks.len()];
     for point in points {
-        places[point.landmark] = Some(point.position);
+        by_landmark[point.landmark] = Some(point.position);
     }
-    places
+    by_landmark
 }
 
-/// Pairs of landmarks whose distance tells the shape, with the standard deviation (m) of a median length about it: the
-/// trunk bends, and detectors disagree most about hips and shoulders.
+/// Pairs of landmarks whose distance determines the shape, with the standard deviation (m) of a median length: the trunk
+/// bends, and detectors disagree most about hips and shoulders.
 const SHAPE_BONES: [(&str, &str, f64); 12] = [
     ("left_hip", "left_knee", 0.02),
     ("right_hip", "right_knee", 0.02),
@@ -66,12 +66,12 @@ const SHAPE_BONES: [(&str, &str, f64); 12] = [
 ];
 
 /// Betas that minimise `sum ((median length - length(beta)) / sigma)^2 + |beta|^2`: three Gauss-Newton steps, since rest
-/// lengths are all but linear in the betas.
-fn betas_from_bone_lengths(model: &BodyModel, places: &[Places]) -> Betas {
+/// lengths are nearly linear in the betas.
+fn betas_from_bone_lengths(model: &BodyModel, points: &[LandmarkPoints]) -> Betas {
     let mut measured: Vec<(usize, usize, f64, f64)> = Vec::new();
     for (a, b, sigma) in SHAPE_BONES {
         let (Some(a), Some(b)) = (model.landmark_index(a), model.landmark_index(b)) else { continue };
-        let mut lengths: Vec<f64> = places.iter().filter_map(|p| Some((p[a]? - p[b]?).norm())).collect();
+        let mut lengths: Vec<f64> = points.iter().filter_map(|p| Some((p[a]? - p[b]?).norm())).collect();
         if let Some(length) = median(&mut lengths) {
             measured.push((a, b, length, sigma));
         }
@@ -105,13 +105,13 @@ const TRUNK: [&str; 9] =
     ["left_hip", "right_hip", "mid_hip", "left_shoulder", "right_shoulder", "neck", "pelvis", "spine2", "spine3"];
 
 /// `world_from_rest` of the trunk by least squares; `None` with fewer than three points well off one line.
-fn trunk_placement(model: &BodyModel, body: &ShapedBody, places: &Places) -> Option<Rigid> {
+fn trunk_placement(model: &BodyModel, body: &ShapedBody, points: &LandmarkPoints) -> Option<Rigid> {
     let rest = posed(body, &Pose::rest());
-    let seen = TRUNK.iter().filter_map(|name| model.landmark_index(name)).filter_map(|l| {
-        let place = places[l]?;
-        Some((landmark_position(model, body, &rest, l), place))
+    let pairs = TRUNK.iter().filter_map(|name| model.landmark_index(name)).filter_map(|l| {
+        let point = points[l]?;
+        Some((landmark_position(model, body, &rest, l), point))
     });
-    let (in_rest, in_world): (Vec<_>, Vec<_>) = seen.unzip();
+    let (in_rest, in_world): (Vec<_>, Vec<_>) = pairs.unzip();
     if width_across(&in_rest) < MIN_TRUNK_WIDTH {
         return None;
     }
@@ -119,7 +119,7 @@ fn trunk_placement(model: &BodyModel, body: &ShapedBody, places: &Places) -> Opt
     Some(Rigid { rotation: world_from_rest.rotation, translation: world_from_rest.translation })
 }
 
-/// A narrower spread (m, root mean square) leaves the turn about the long direction to the noise.
+/// Least spread (m, root mean square); with less, noise determines the rotation about the long direction.
 const MIN_TRUNK_WIDTH: f64 = 0.05;
 
 /// Root mean square distance of points from their centre along their second longest direction, m.
@@ -132,7 +132,7 @@ fn width_across(points: &[Vector3<f64>]) -> f64 {
     variances[1].max(0.0).sqrt()
 }
 
-/// What closed form tells about one frame.
+/// The closed-form part of one frame's pose.
 #[derive(Clone)]
 struct PartialPose {
     translation: Option<Vector3<f64>>,
@@ -145,7 +145,7 @@ impl Default for PartialPose {
     }
 }
 
-/// A limb of two bones: root, middle and end joint, and where the end goes when the middle joint bends.
+/// A limb of two bones: root, middle and end joint, and the direction of the end when the middle joint bends.
 pub(super) struct Limb {
     pub joints: [&'static str; 3],
     bends_to: Vector3<f64>,
@@ -162,23 +162,23 @@ pub(super) fn limb_list() -> [Limb; 4] {
     ]
 }
 
-/// Sine of the bend above which a limb's two bones tell the turn of the upper one about itself.
+/// Sine of the bend above which a limb's two bones determine the rotation of the upper one about itself.
 const MIN_BEND: f64 = 0.35;
 
 /// Root and limb rotations of one frame, spine and collars taken straight.
-fn limbs(model: &BodyModel, body: &ShapedBody, places: &Places, world_from_trunk: &Rigid) -> PartialPose {
+fn limbs(model: &BodyModel, body: &ShapedBody, points: &LandmarkPoints, world_from_trunk: &Rigid) -> PartialPose {
     let mut pose = PartialPose::default();
     let pelvis = body.rest_joints[0];
     pose.rotations[0] = Some(world_from_trunk.rotation);
     pose.translation = Some(world_from_trunk.transform(&pelvis) - pelvis);
     let trunk_from_world = world_from_trunk.rotation.transpose();
     for limb in limb_list() {
-        let place = |name: &str| model.landmark_index(name).and_then(|l| places[l]);
-        let Some(middle_seen) = place(limb.joints[1]) else { continue };
+        let point = |name: &str| model.landmark_index(name).and_then(|l| points[l]);
+        let Some(middle_point) = point(limb.joints[1]) else { continue };
         let root = body.rest_joints[joint_index(limb.joints[0])];
-        let root_seen = place(limb.joints[0]).unwrap_or_else(|| world_from_trunk.transform(&root));
-        let upper = trunk_from_world * (middle_seen - root_seen);
-        let lower = place(limb.joints[2]).map(|end_seen| trunk_from_world * (end_seen - middle_seen));
+        let root_point = point(limb.joints[0]).unwrap_or_else(|| world_from_trunk.transform(&root));
+        let upper = trunk_from_world * (middle_point - root_point);
+        let lower = point(limb.joints[2]).map(|end_point| trunk_from_world * (end_point - middle_point));
         let (turns, joints) = limb_rotations(body, &limb, &upper, lower.as_ref());
         for (joint, turn) in joints.into_iter().zip(turns) {
             pose.rotations[joint] = turn;
@@ -187,8 +187,8 @@ fn limbs(model: &BodyModel, body: &ShapedBody, places: &Places, world_from_trunk
     pose
 }
 
-/// Rotations of a limb's first two joints that let its bones point along `upper` and `lower` (the trunk's frame, any
-/// length), with their indices; no rotation of the second where `lower` is not known.
+/// Rotations of a limb's first two joints that point its bones along `upper` and `lower` (the trunk's frame, any
+/// length), with their indices; no rotation of the second where `lower` is missing.
 pub(super) fn limb_rotations(
     body: &ShapedBody,
     limb: &Limb,
@@ -210,21 +210,22 @@ fn joint_index(name: &str) -> usize {
     JOINT_NAMES.iter().position(|n| *n == name).expect("limbs are listed by names of joints")
 }
 
-/// Turn about the upper bone after which the lower one leaves it towards `bends_to`; the identity where a straight limb
-/// leaves it open.
+/// Rotation about the upper bone that turns the bend of the lower one towards `bends_to`; the identity where a straight limb
+/// leaves it undetermined.
 fn turn_about_bone(upper: &Vector3<f64>, bends_to: &Vector3<f64>, lower: &Vector3<f64>) -> Matrix3<f64> {
     let (Some(axis), Some(lower)) = (upper.try_normalize(1e-9), lower.try_normalize(1e-9)) else {
         return Matrix3::identity();
     };
     let across = |v: &Vector3<f64>| v - axis * axis.dot(v);
-    let (wanted, found) = (across(bends_to), across(&lower));
-    if found.norm() < MIN_BEND {
+    let (target, current) = (across(bends_to), across(&lower));
+    if current.norm() < MIN_BEND {
         return Matrix3::identity();
     }
-    rotation::exp(&(axis * axis.dot(&wanted.cross(&found)).atan2(wanted.dot(&found))))
+    rotation::exp(&(axis * axis.dot(&target.cross(&current)).atan2(target.dot(&current))))
 }
 
-/// The known frames on either side of `t` and how far `t` lies between them; one known side counts twice.
+/// The known frames on either side of `t`, and the share of the way from the first to the second at `t`; where only one side
+/// is known it counts as both.
 fn neighbours(known: &[usize], t: usize) -> Option<(usize, usize, f64)> {
     let after = known.partition_point(|&k| k < t);
     let next = known.get(after).or(known.last())?;

@@ -1,74 +1,78 @@
-//! Fitting runs of frames anew where something has to change, and nothing else.
+//! Fitting runs of frames of a motion again, where other persons' bodies overlap.
 //!
-//! The two frames at either end of a run stay as they are (an acceleration spans three), so that the motion goes on without
-//! a seam.
+//! The two frames at either end of a run are held (an acceleration spans three), so that the motion continues without a
+//! seam.
 
-use super::contacts::Contacts;
-use super::evidence::Evidence;
-use super::motion_problem::{DataTerm, MotionProblem, MotionState, Shape};
-use super::solve::Stages;
+use super::context::FitContext;
+use super::minimisation::minimised;
+use super::objective::Objective;
+use super::observations::Observations;
+use super::pixel_residuals::pixel_share;
+use super::terms::collision::Collisions;
+use super::terms::data::DataSource;
+use super::terms::unknowns::{MotionState, Shape};
 use crate::progress::Canceled;
 use std::ops::Range;
 
-/// Time on either side in which the motion may prepare for a change, s.
+/// Time on either side of a change over which the motion may adapt, s.
 const APPROACH_SECS: f64 = 0.5;
-/// Frames at either end of a run that stay.
+/// Frames held at either end of a run.
 const HELD: usize = 2;
 
-impl Stages<'_> {
-    /// The runs about the frames that ask for a change.
-    pub(super) fn runs(&self, asks: impl Iterator<Item = bool>) -> Vec<Range<usize>> {
-        let approach = (APPROACH_SECS / self.frame_interval).round() as usize;
-        runs(&asks.collect::<Vec<_>>(), approach.max(HELD + 1), self.config.window_frames)
-    }
-
-    /// A motion with its runs fitted anew to pixels and with other people in the way, shape held, `steps` steps each. Where
-    /// that strays too far from the motion `seen`, fitted to nothing but what was seen, a run stays.
-    pub(super) fn refitted(
-        &self,
-        evidence: &Evidence,
-        seen: &MotionState,
-        mut state: MotionState,
-        runs: Vec<Range<usize>>,
-        steps: usize,
-        contacts: Contacts,
-    ) -> Result<MotionState, Canceled> {
-        for run in runs {
-            let (evidence, contacts) = (evidence.slice(run.clone()), contacts.slice(run.clone()));
-            let start = MotionState { betas: state.betas, poses: state.poses[run.clone()].to_vec() };
-            let data = DataTerm::Pixels { share: self.pixel_share(&evidence, &start) };
-            let held = held_frames(&run, state.poses.len());
-            let problem =
-                MotionProblem::new(self.model, &evidence, self.config, data, Shape::Held, self.frame_interval)
-                    .paced_by(&start)
-                    .with_contacts(contacts)
-                    .holding(&held);
-            let as_seen = MotionState { betas: seen.betas, poses: seen.poses[run.clone()].to_vec() };
-            let alone = problem.cost_alone(&as_seen);
-            let moved = self.minimised(&problem, start, steps)?.state;
-            let touching = contacts.n_touching() as f64 * problem.time_weight();
-            if !self.is_refuted(problem.cost_alone(&moved) - alone, touching) {
-                state.poses[run].copy_from_slice(&moved.poses);
-            }
-        }
-        Ok(state)
-    }
-
-    /// Whether what was seen and how people move stand against giving way: by much in every frame of the contact, and in
-    /// sum by more than errors that are alike for some ten frames could; `touching`: frames of the contact as the cost
-    /// counts them.
-    fn is_refuted(&self, dearer: f64, touching: f64) -> bool {
-        let [of_frame, in_sum] = self.config.contact_refuted;
-        dearer > in_sum && dearer > of_frame * touching
-    }
+/// The runs around the frames that need a change.
+pub(super) fn runs_around(context: &FitContext, needs_change: impl Iterator<Item = bool>) -> Vec<Range<usize>> {
+    let approach = (APPROACH_SECS / context.frame_interval).round() as usize;
+    runs(&needs_change.collect::<Vec<_>>(), approach.max(HELD + 1), context.config.window_frames)
 }
 
-/// Runs about the frames that ask, `approach` frames longer at either end, none longer than `longest`: one that is cut
-/// overlaps the next by `approach`.
-fn runs(asks: &[bool], approach: usize, longest: usize) -> Vec<Range<usize>> {
+/// A motion with its runs fitted again to pixels and against collisions, shape held, `steps` steps each. A run is rejected
+/// where this raises the other terms too much over those of `before`, the motion fitted without collisions.
+pub(super) fn refitted(
+    context: &FitContext,
+    observations: &Observations,
+    before: &MotionState,
+    mut state: MotionState,
+    runs: Vec<Range<usize>>,
+    steps: usize,
+    collisions: Collisions,
+) -> Result<MotionState, Canceled> {
+    for run in runs {
+        let (observations, collisions) = (observations.slice(run.clone()), collisions.slice(run.clone()));
+        let start = MotionState { betas: state.betas, poses: state.poses[run.clone()].to_vec() };
+        let data = DataSource::Pixels { share: pixel_share(context, &observations, &start) };
+        let extra_joints: Vec<usize> = collisions.joints().into_iter().collect();
+        let alone = Objective {
+            speeds: Some(&start),
+            extra_joints: &extra_joints,
+            held: &held_frames(&run, state.poses.len()),
+            ..Objective::new(context, context.config, &observations, data, Shape::Held)
+        };
+        let problem = Objective { collisions: Some(collisions), ..alone }.problem();
+        let moved = minimised(context, &problem, start.clone(), steps)?.state;
+        let before = MotionState { betas: before.betas, poses: before.poses[run.clone()].to_vec() };
+        let others = alone.problem();
+        let increase = others.cost(&moved) - others.cost(&before);
+        if !is_rejected(context, increase, collisions.n_frames_with_overlap() as f64 * alone.time_weight()) {
+            state.poses[run].copy_from_slice(&moved.poses);
+        }
+    }
+    Ok(state)
+}
+
+/// Whether the other terms rule out a resolution that raises their cost by `increase`: by much in every frame of the
+/// collision, and in sum by more than errors that are alike for some ten frames could. `n_frames`: frames of the collision as
+/// the cost counts them.
+fn is_rejected(context: &FitContext, increase: f64, n_frames: f64) -> bool {
+    let [per_frame, in_sum] = context.config.max_resolution_cost;
+    increase > in_sum && increase > per_frame * n_frames
+}
+
+/// Runs around the frames that need a change, `approach` frames longer at either end, none longer than `longest`: one that is
+/// cut overlaps the next by `approach`.
+fn runs(needs_change: &[bool], approach: usize, longest: usize) -> Vec<Range<usize>> {
     let mut whole: Vec<Range<usize>> = Vec::new();
-    for t in (0..asks.len()).filter(|&t| asks[t]) {
-        let (start, end) = (t.saturating_sub(approach), (t + approach + 1).min(asks.len()));
+    for t in (0..needs_change.len()).filter(|&t| needs_change[t]) {
+        let (start, end) = (t.saturating_sub(approach), (t + approach + 1).min(needs_change.len()));
         match whole.last_mut() {
             Some(last) if start <= last.end => last.end = end,
             _ => whole.push(start..end),
@@ -83,7 +87,7 @@ fn runs(asks: &[bool], approach: usize, longest: usize) -> Vec<Range<usize>> {
     whole.into_iter().flat_map(cut).collect()
 }
 
-/// The ends of a run, counted from its beginning, where the motion goes on beyond them.
+/// The ends of a run, counted from its beginning, where the motion continues beyond them.
 fn held_frames(run: &Range<usize>, n_frames: usize) -> Vec<usize> {
     let before = if run.start == 0 { 0 } else { HELD };
     let after = if run.end == n_frames { run.len() } else { run.len().saturating_sub(HELD) };
@@ -95,11 +99,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn runs_cover_every_frame_that_asks_and_long_ones_overlap() {
-        let mut asks = vec![false; 1000];
-        asks[10] = true;
-        asks[300..900].fill(true);
-        let found = runs(&asks, 15, 100);
+    fn runs_cover_all_changes_and_long_ones_overlap() {
+        let mut needs_change = vec![false; 1000];
+        needs_change[10] = true;
+        needs_change[300..900].fill(true);
+        let found = runs(&needs_change, 15, 100);
         assert_eq!(found[0], 0..26);
         assert_eq!((found[1].clone(), found.last().unwrap().end), (285..385, 915));
         assert!(found[1..].windows(2).all(|w| w[1].start + 15 == w[0].end), "{found:?}");

@@ -1,267 +1,134 @@
-//! The least-squares problem of one person's motion: its unknowns and its cost.
-//!
-//! The cost is an integral over time: every frame counts `dt * 30 Hz`, so that one motion filmed at 25, 30 or 60 Hz
-//! has one optimum. A detector's error drifts over some frames, hence more frames a second are not more information.
+//! The least-squares problem of one person's motion: the cost of its terms and their Gauss-Newton system.
 
-use super::BodyFitConfig;
-use super::contacts::Contacts;
-use super::evidence::{Evidence, PixelEvidence, PointEvidence};
-use super::paces::AccelerationSizes;
-use super::place_cost::{PlaceCost, pixel_cost, point_cost, sum};
-use super::steady_places::steady_landmarks;
-use crate::body::anthropometry::N_BETAS;
-use crate::body::bone_offsets::N_BONE_KINDS;
-use crate::body::detector_offsets::OffsetTable;
-use crate::body::joint_ranges::{JointRange, joint_ranges_of};
-use crate::body::kinematics::{Pose, PosedSkeleton, landmark_position, moving_joints, posed};
-use crate::body::model::{Betas, BodyModel, ShapedBody};
-use crate::body::skeleton::N_JOINTS;
-use crate::geometry::rotation;
-use crate::motion_prior::MotionPrior;
-use crate::motion_prior::pose_gaussian::PoseGaussian;
-use crate::optim::block_banded::BandedStep;
-use crate::residuals::joint_angles::{JointAngleCost, JointAngleWeights, joint_angle_cost};
-use crate::residuals::pose_likelihood::{PoseCost, pose_cost};
-use nalgebra::Vector3;
+use super::terms::frame::{Landmarks, PosedFrame};
+use super::terms::frame_system::FrameSystem;
+use super::terms::shape::ShapePrior;
+use super::terms::term::{BorderTerm, FrameTerm, WindowTerm};
+use super::terms::unknowns::{MotionState, Unknowns};
+use super::terms::window::{TrackedLandmark, Window};
+use crate::body::BodyModel;
+use crate::body::kinematics::Pose;
+use crate::body::model::{Betas, ShapedBody};
+use crate::optim::block_banded::{BandedStep, BlockBanded, Corner};
+use nalgebra::{DMatrix, DVector, Vector3};
 use rayon::prelude::*;
+use std::ops::Range;
 
-/// The unknowns.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct MotionState {
-    pub betas: Betas,
-    /// One per frame.
-    pub poses: Vec<Pose>,
-}
-
-/// Which evidence is fitted, and how precise it is taken to be.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum DataTerm {
-    /// Triangulated points, standard deviation in m per axis.
-    Points { sigma: f64 },
-    /// Pixels, standard deviation per axis as a share of [`super::evidence::PixelEvidence::scale_px`].
-    Pixels { share: f64 },
-}
-
-/// Whether the shape moves with the pose.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Shape {
-    Free,
-    Held,
-}
-
-/// One person's motion over a run of frames.
+/// A sum of terms over a motion's unknowns; [`super::objective::Objective::problem`] lists them.
 pub(super) struct MotionProblem<'a> {
     pub model: &'a BodyModel,
-    pub evidence: &'a Evidence,
-    pub config: &'a BodyFitConfig,
-    pub data: DataTerm,
-    pub shape: Shape,
-    /// Offsets of landmarks that stand in the border after the betas and the person's bones; their values, like those of
-    /// the bones, are in `model`.
-    pub free_offsets: Option<&'a OffsetTable>,
-    /// Other people's bodies in the way.
-    pub contacts: Option<Contacts<'a>>,
+    pub landmarks: Landmarks<'a>,
+    pub unknowns: Unknowns<'a>,
+    pub frame_terms: Vec<Box<dyn FrameTerm + 'a>>,
+    pub window_terms: Vec<Box<dyn WindowTerm + 'a>>,
+    pub shape_prior: ShapePrior,
+    /// Landmarks whose paths the window terms look at.
+    pub tracked: Vec<usize>,
     /// Frames that stay as they are.
     pub held: &'a [usize],
-    /// Weight of the betas' prior against one frame's evidence.
-    pub shape_prior: f64,
-    /// s.
-    pub frame_interval: f64,
-    /// The joints that turn, ascending; the root is the first.
-    pub active: Vec<usize>,
-    /// `moved_by[landmark]`: `(group, joint)` of the active joints that move it.
-    pub moved_by: Vec<Vec<(usize, usize)>>,
-    pub ranges: [JointRange; N_JOINTS],
-    /// Landmarks whose places accelerate little.
-    pub steady: Vec<usize>,
-    /// How large accelerations are, by frame.
-    pub sizes: Vec<AccelerationSizes>,
-    /// What is known of the poses of those that turn.
-    pub likely: Option<PoseGaussian>,
+    /// Factor of the cost of a frame or a window.
+    pub time_weight: f64,
 }
 
-/// Position of the translation's three unknowns in a frame; joint `active[i]` has group `i + 1`.
-pub(super) const TRANSLATION_GROUP: usize = 0;
+/// Frames linearised one after another; they share one corner.
+const RUN: usize = 16;
 
-/// Rate at which a frame counts once.
-const REFERENCE_RATE_HZ: f64 = 30.0;
+/// Added to the diagonal of a held frame, which makes its step a millionth of a free one.
+const HOLD: f64 = 1e15;
 
-impl<'a> MotionProblem<'a> {
-    /// The problem over all frames of `evidence`.
-    ///
-    /// Only joints that move a landmark with evidence turn; the others (the hands always) stay where they started.
-    pub(super) fn new(
-        model: &'a BodyModel,
-        evidence: &'a Evidence,
-        config: &'a BodyFitConfig,
-        data: DataTerm,
-        shape: Shape,
-        frame_interval: f64,
-    ) -> Self {
-        let moving: Vec<Vec<usize>> = model.landmarks.iter().map(moving_joints).collect();
-        let mut turns = [false; N_JOINTS];
-        turns[0] = true;
-        let of_points = evidence.points.iter().flatten().map(|p| p.landmark);
-        for landmark in of_points.chain(evidence.pixels.iter().flatten().map(|p| p.landmark)) {
-            moving[landmark].iter().for_each(|&j| turns[j] = true);
-        }
-        let active: Vec<usize> = (0..FIRST_HAND).filter(|&j| turns[j]).collect();
-        let moved_by = moved_by(model, &active);
-        let (free_offsets, contacts, shape_prior, ranges) = (None, None, config.shape_prior, joint_ranges_of(model));
-        let steady = steady_landmarks(model, config);
-        let sizes = vec![AccelerationSizes::typical(config, &ranges); evidence.points.len()];
-        Self {
-            model,
-            evidence,
-            config,
-            data,
-            shape,
-            free_offsets,
-            contacts,
-            held: &[],
-            shape_prior,
-            frame_interval,
-            steady,
-            sizes,
-            likely: likely_poses(model, config, &active),
-            active,
-            moved_by,
-            ranges,
-        }
-    }
+/// One frame's part of the system.
+struct FrameBlocks {
+    diagonal: DMatrix<f64>,
+    border: DMatrix<f64>,
+    gradient: DVector<f64>,
+    tracked: Vec<TrackedLandmark>,
+}
 
-    /// The same with the person's bones and the offsets of landmarks as further unknowns and a stronger prior of the
-    /// shape, for what offsets and skeleton share is told apart by their priors alone.
-    pub(super) fn with_free_offsets(self, table: &'a OffsetTable, shape_prior: f64) -> Self {
-        Self { free_offsets: Some(table), shape_prior, ..self }
-    }
-
-    /// The same with other people's bodies in the way: whatever carries a capsule that touches turns, too, as the wrists
-    /// do, which no keypoint tells of.
-    pub(super) fn with_contacts(self, contacts: Contacts<'a>) -> Self {
-        let touching = contacts.joints();
-        let active: Vec<usize> = (0..FIRST_HAND).filter(|j| self.active.contains(j) || touching.contains(j)).collect();
-        let likely = likely_poses(self.model, self.config, &active);
-        Self { contacts: Some(contacts), moved_by: moved_by(self.model, &active), active, likely, ..self }
-    }
-
-    /// The same with some frames held.
-    pub(super) fn holding(self, held: &'a [usize]) -> Self {
-        Self { held, ..self }
-    }
-
-    /// Unknowns of the border: the betas, the person's bones, the offsets.
-    pub(super) fn n_border(&self) -> usize {
-        self.first_offset() + self.free_offsets.map_or(0, |table| 3 * table.kinds.len())
-    }
-
-    /// Column of the border where the offsets begin.
-    pub(super) fn first_offset(&self) -> usize {
-        self.n_betas() + if self.free_offsets.is_some() { 3 * N_BONE_KINDS } else { 0 }
-    }
-
-    /// Betas among the unknowns.
-    pub(super) fn n_betas(&self) -> usize {
-        if self.shape == Shape::Free { N_BETAS } else { 0 }
-    }
-
-    pub(super) fn time_weight(&self) -> f64 {
-        self.frame_interval * REFERENCE_RATE_HZ
-    }
-
-    /// The state after a step of the solver: betas added, right increments of the rotations. Bones and offsets
-    /// are no part of it.
+impl MotionProblem<'_> {
+    /// The state after a step of the solver.
     pub(super) fn moved(&self, state: &MotionState, step: &BandedStep) -> MotionState {
-        let mut moved = state.clone();
-        if self.shape == Shape::Free {
-            moved.betas += step.border.fixed_rows::<N_BETAS>(0);
-        }
-        for (pose, step) in moved.poses.iter_mut().zip(&step.frames) {
-            let group = |g: usize| step.fixed_rows::<3>(3 * g).into_owned();
-            pose.translation += group(TRANSLATION_GROUP);
-            for (i, &joint) in self.active.iter().enumerate() {
-                pose.rotations[joint] *= rotation::exp(&group(i + 1));
-            }
-        }
-        moved
+        self.unknowns.moved(state, step)
     }
 
-    /// The cost but for other people's bodies.
-    pub(super) fn cost_alone(&self, state: &MotionState) -> f64 {
-        self.cost_with(state, None)
-    }
-
-    /// The whole cost.
+    /// The sum of all terms: half of squared standardised residuals, robust.
     pub(super) fn cost(&self, state: &MotionState) -> f64 {
-        self.cost_with(state, self.contacts)
-    }
-
-    fn cost_with(&self, state: &MotionState, contacts: Option<Contacts>) -> f64 {
         let body = self.model.shaped(&state.betas);
-        let frame_cost = |(t, pose): (usize, &Pose)| {
-            let skeleton = posed(&body, pose);
-            let data: f64 = self.place_costs(t, &body, &skeleton).iter().map(|p| p.cost).sum();
-            let angles: f64 = self.active[1..].iter().map(|&j| self.angle_cost(pose, j).cost).sum();
-            let likely = self.pose_cost(pose).map_or(0.0, |poses| poses.cost);
-            let contacts = contacts.map_or(0.0, |contacts| contacts.cost(t, &state.betas, &skeleton));
-            (data + angles + likely + contacts, self.steady_positions(&body, &skeleton))
+        let frame_cost = |(index, pose): (usize, &Pose)| {
+            let frame = PosedFrame::new(&self.landmarks, (&body, &state.betas), index, pose);
+            let positions = self.tracked.iter().map(|&landmark| frame.position(landmark)).collect();
+            (self.frame_terms.iter().map(|term| term.cost(&frame)).sum::<f64>(), positions)
         };
-        let (frames, places): (Vec<f64>, Vec<Vec<Vector3<f64>>>) =
+        let (frames, tracked): (Vec<f64>, Vec<Vec<Vector3<f64>>>) =
             state.poses.par_iter().enumerate().map(frame_cost).unzip();
-        let smooth: f64 = (1..state.poses.len().saturating_sub(1)).map(|t| self.smoothness_cost(state, t)).sum();
-        let steady: f64 =
-            places.windows(3).enumerate().map(|(i, around)| self.place_acceleration_cost(i + 1, around)).sum();
-        0.5 * self.shape_prior * state.betas.norm_squared()
-            + self.time_weight() * (frames.iter().sum::<f64>() + smooth + steady)
+        let over_windows = |term: &dyn WindowTerm| -> f64 {
+            middles(state).map(|middle| term.cost(&Window::new(middle, &state.poses, &tracked))).sum()
+        };
+        let windows = self.window_terms.iter().map(|term| over_windows(term.as_ref()));
+        self.shape_prior.cost(state.betas.as_slice())
+            + self.time_weight * windows.fold(frames.iter().sum::<f64>(), |sum, cost| sum + cost)
     }
 
-    /// Walls at the ends of a joint's range, and the pull to rest where the likely poses do not tell of it.
-    pub(super) fn angle_cost(&self, pose: &Pose, joint: usize) -> JointAngleCost {
-        let is_told = self.likely.as_ref().is_some_and(|likely| likely.joints.contains(&joint));
-        let rest = if is_told { 0.0 } else { self.config.rest_weight };
-        let weights = JointAngleWeights { rest, limit_width: self.config.limit_width_deg.to_radians() };
-        joint_angle_cost(&pose.rotations[joint], &self.ranges[joint], &weights)
-    }
+    /// The Gauss-Newton system at `state`.
+    pub(super) fn linearised(&self, state: &MotionState) -> BlockBanded {
+        let n_border = self.unknowns.border.len();
+        let mut system = BlockBanded::zeros(state.poses.len(), self.unknowns.n_groups(), n_border);
+        let body = self.model.shaped(&state.betas);
+        let run_blocks = |(run, poses): (usize, &[Pose])| {
+            let mut corner = Corner::zeros(n_border);
+            let frame = |(i, pose)| self.frame_blocks(RUN * run + i, (&body, &state.betas), pose, &mut corner);
+            let frames: Vec<FrameBlocks> = poses.iter().enumerate().map(frame).collect();
+            (frames, corner)
+        };
+        let runs: Vec<(Vec<FrameBlocks>, Corner)> = state.poses.par_chunks(RUN).enumerate().map(run_blocks).collect();
 
-    /// What the pose as a whole costs.
-    pub(super) fn pose_cost(&self, pose: &Pose) -> Option<PoseCost> {
-        self.likely.as_ref().map(|likely| pose_cost(&pose.rotations, likely, &self.config.pose_weights))
-    }
-
-    /// Cost over the position of every landmark with evidence at frame `t`.
-    pub(super) fn place_costs(&self, t: usize, body: &ShapedBody, skeleton: &PosedSkeleton) -> Vec<PlaceCost> {
-        let position_of = |landmark: usize| landmark_position(self.model, body, skeleton, landmark);
-        let robust_scale = self.config.robust_scale;
-        match self.data {
-            DataTerm::Points { sigma } => {
-                let of_point = |p: &PointEvidence| point_cost(p, &position_of(p.landmark), sigma, robust_scale);
-                self.evidence.points[t].iter().map(of_point).collect()
-            }
-            DataTerm::Pixels { share } => {
-                let of_landmark = |seen: &[PixelEvidence]| {
-                    let position = position_of(seen[0].landmark);
-                    sum(seen.iter().map(|pixel| {
-                        let camera = &self.evidence.cameras[pixel.camera];
-                        pixel_cost(pixel, camera, &position, share * pixel.scale_px, robust_scale)
-                    }))
-                };
-                self.evidence.pixels[t].chunk_by(|a, b| a.landmark == b.landmark).filter_map(of_landmark).collect()
+        let weight = self.time_weight;
+        let mut tracked = Vec::with_capacity(state.poses.len());
+        for (frames, corner) in runs {
+            system.corner.hessian += corner.hessian * weight;
+            system.corner.gradient += corner.gradient * weight;
+            for frame in frames {
+                let t = tracked.len();
+                system.diagonal[t] = frame.diagonal * weight;
+                system.border[t] = frame.border * weight;
+                system.gradient[t] = frame.gradient * weight;
+                tracked.push(frame.tracked);
             }
         }
+        let betas = self.unknowns.border.betas();
+        if !betas.is_empty() {
+            self.shape_prior.add_to(state.betas.as_slice(), betas.start, &mut system.corner);
+        }
+        for middle in middles(state) {
+            let window = Window::new(middle, &state.poses, &tracked);
+            self.window_terms.iter().for_each(|term| term.add_to(&window, &mut system));
+        }
+        for &t in self.held {
+            (0..system.diagonal[t].nrows()).for_each(|i| system.diagonal[t][(i, i)] += HOLD);
+        }
+        system
+    }
+
+    fn frame_blocks(
+        &self,
+        index: usize,
+        shape: (&ShapedBody, &Betas),
+        pose: &Pose,
+        corner: &mut Corner,
+    ) -> FrameBlocks {
+        let frame = PosedFrame::new(&self.landmarks, shape, index, pose).linearised();
+        let mut system = FrameSystem::zeros(&self.unknowns, corner);
+        self.frame_terms.iter().for_each(|term| term.add_to(&frame, &mut system));
+        system.add_floor();
+        let tracked = |&landmark: &usize| TrackedLandmark {
+            position: frame.posed.position(landmark),
+            jacobian: frame.jacobian(landmark),
+        };
+        let FrameSystem { diagonal, border, gradient, .. } = system;
+        FrameBlocks { diagonal, border, gradient, tracked: self.tracked.iter().map(tracked).collect() }
     }
 }
 
-/// The motion prior's poses over the joints that turn, as the body takes them.
-fn likely_poses(model: &BodyModel, config: &BodyFitConfig, active: &[usize]) -> Option<PoseGaussian> {
-    let captured = || PoseGaussian::over(MotionPrior::embedded().basis(), active);
-    config.motion_prior.then(|| captured().retargeted_to(&model.mocap_from_body))
+/// The frames that have a frame on either side.
+fn middles(state: &MotionState) -> Range<usize> {
+    1..state.poses.len().saturating_sub(1)
 }
-
-/// For every landmark the active joints that move it, with their groups.
-fn moved_by(model: &BodyModel, active: &[usize]) -> Vec<Vec<(usize, usize)>> {
-    let group_of = |joint: usize| active.iter().position(|a| *a == joint).map(|g| (g + 1, joint));
-    model.landmarks.iter().map(|landmark| moving_joints(landmark).into_iter().filter_map(group_of).collect()).collect()
-}
-
-/// First of the two hand joints, which have no keypoints of their own to turn by.
-const FIRST_HAND: usize = 22;

@@ -1,21 +1,22 @@
-//! How tall people are, from a short run of frames: asked for before their motions are fitted.
+//! Body heights from a short run of frames, before the motions are fitted.
 
-use super::evidence::gather_evidence;
-use super::habits::most_seen;
-use super::solve::{Stages, StartedMotion, start_motion};
-use super::{BodyFitConfig, BodyFitInput};
+use super::config::BodyFitConfig;
+use super::context::FitContext;
+use super::input::BodyFitInput;
+use super::observations::gather_observations;
+use super::person_fit::{StartedMotion, start_motion};
 use crate::body::BodyModel;
 use crate::body::scale::FittedStature;
 use crate::progress::{Canceled, Progress};
 use crate::session::PersonTrack;
 use rayon::prelude::*;
 
-/// Fits everybody's body to the frames that tell most of them, each person alone and by what was seen alone.
+/// Fits each person's body alone, to the run of frames with most pixels and without the motion prior.
 ///
-/// In the order of the tracks; `None` where closed form finds no start.
+/// In the order of the tracks; `None` where the closed form finds no start.
 ///
 /// # Errors
-/// [`Canceled`] once the caller has asked the work to stop.
+/// [`Canceled`] once the caller has canceled the work.
 pub fn fitted_statures(
     input: BodyFitInput,
     model: &BodyModel,
@@ -23,14 +24,14 @@ pub fn fitted_statures(
 ) -> Result<Vec<Option<FittedStature>>, Canceled> {
     let config = BodyFitConfig { motion_prior: false, ..BodyFitConfig::default() };
     let frame_interval = input.session.frame_interval();
-    let stages = Stages { model, config: &config, as_seen: &config, frame_interval, progress };
+    let context = FitContext { model, config: &config, first_config: &config, frame_interval, progress };
     let fit = |track: &PersonTrack| {
         progress.check()?;
         let points = input.points.iter().find(|p| p.person == track.person);
-        let evidence = gather_evidence(input, track, points, model);
-        let evidence = evidence.slice(most_seen(&evidence, 0..track.detections.len(), config.offset_frames[0]));
-        let n_keypoints = evidence.pixels.iter().map(Vec::len).sum();
-        let started = start_motion(&stages, &evidence)?;
+        let observations = gather_observations(input, track, points, model);
+        let observations = observations.slice(observations.most_seen(0..track.detections.len(), config.bias_frames[0]));
+        let n_keypoints = observations.pixels.iter().map(Vec::len).sum();
+        let started = start_motion(&context, &observations)?;
         let metres = |started: StartedMotion| model.surface.stature(&started.fitted.state.betas);
         Ok(started.map(|started| FittedStature { metres: metres(started), n_keypoints }))
     };

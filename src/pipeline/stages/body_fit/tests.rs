@@ -1,18 +1,26 @@
-//! The fit against motions of known truth.
+//! The fit against synthetic motions with exact truth.
 
-use super::*;
+use super::{BodyFitConfig, BodyFitInput, FittedBodies, fit_bodies, landmark_trajectory};
+use crate::body::BodyModel;
 use crate::body::default_body;
+use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_offsets::OffsetTable;
-use crate::body::skeleton::N_JOINTS;
-use crate::geometry::{Intrinsics, rotation};
-use crate::session::{Detection, FrameIndex, Keypoint, PersonId, View};
+use crate::body::kinematics::{Pose, posed};
+use crate::body::model::Betas;
+use crate::body::skeleton::{KeypointConvention, N_JOINTS};
+use crate::geometry::{Intrinsics, Rigid, rotation};
+use crate::progress::Progress;
+use crate::session::people::BodyPose;
+use crate::session::{
+    BodyMotion, Detection, FrameIndex, JointTrajectory, Keypoint, PersonId, PersonTrack, Session, View,
+};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 use std::f64::consts::TAU;
 
-/// A scene of one body with exact truth.
+/// The exact motion of one body.
 struct Truth {
     betas: Betas,
     poses: Vec<Pose>,
@@ -72,13 +80,13 @@ fn ring() -> Vec<(Intrinsics, Rigid)> {
     (0..4).map(camera).collect()
 }
 
-/// What is taken from the fit's sight.
+/// Noise and gaps of the observations.
 #[derive(Clone, Copy)]
-struct Sight {
+struct Quality {
     point_noise: f64,
     pixel_noise_px: f64,
     missing: f64,
-    /// Keypoint and frames that nobody sees.
+    /// Keypoints, and first and last frame, that no view sees.
     hidden: Option<(&'static [&'static str], usize, usize)>,
 }
 
@@ -98,23 +106,23 @@ impl Scene {
     }
 }
 
-fn scene(truth: &Truth, convention: KeypointConvention, sight: &Sight, seed: u64) -> Scene {
-    scene_of(&default_body(), truth, convention, sight, seed)
+fn scene(truth: &Truth, convention: KeypointConvention, quality: &Quality, seed: u64) -> Scene {
+    scene_of(&default_body(), truth, convention, quality, seed)
 }
 
-/// `model`: landmarks as the detector has them.
-fn scene_of(model: &BodyModel, truth: &Truth, convention: KeypointConvention, sight: &Sight, seed: u64) -> Scene {
+/// `model`: with the landmarks of the detector.
+fn scene_of(model: &BodyModel, truth: &Truth, convention: KeypointConvention, quality: &Quality, seed: u64) -> Scene {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let (metres, pixels) =
-        (Normal::new(0.0, sight.point_noise).unwrap(), Normal::new(0.0, sight.pixel_noise_px).unwrap());
+        (Normal::new(0.0, quality.point_noise).unwrap(), Normal::new(0.0, quality.pixel_noise_px).unwrap());
     let exact = landmark_trajectory(model, &exact_motion(truth), convention);
     let names = convention.names();
     let mut points = exact.clone();
     let mut frames = vec![Vec::new(); 4];
     for (t, row) in points.points.iter_mut().enumerate() {
         for (k, point) in row.iter_mut().enumerate() {
-            let is_hidden = sight.hidden.is_some_and(|(list, a, b)| list.contains(&names[k]) && (a..b).contains(&t));
-            if is_hidden || rng.random_range(0.0..1.0) < sight.missing {
+            let is_hidden = quality.hidden.is_some_and(|(list, a, b)| list.contains(&names[k]) && (a..b).contains(&t));
+            if is_hidden || rng.random_range(0.0..1.0) < quality.missing {
                 *point = None;
             }
         }
@@ -190,11 +198,11 @@ fn joint_error(a: &BodyMotion, b: &BodyMotion, joints: &[usize], frames: std::op
 
 const LIMBS: [usize; 12] = [1, 2, 4, 5, 7, 8, 16, 17, 18, 19, 20, 21];
 
-const NOISY: Sight = Sight { point_noise: 0.020, pixel_noise_px: 5.0, missing: 0.2, hidden: None };
+const NOISY: Quality = Quality { point_noise: 0.020, pixel_noise_px: 5.0, missing: 0.2, hidden: None };
 
 /// Points with 20 mm noise per axis lie 32 mm off on average; 5 px at 4 m are 20 mm, from four views 12 mm a point.
 #[test]
-fn noisy_keypoints_with_holes_give_joints_well_below_the_noise() {
+fn joint_errors_are_well_below_the_keypoint_noise() {
     let truth = smooth_motion(1, 4.0, 30.0);
     for convention in [KeypointConvention::Coco17, KeypointConvention::Body25] {
         let scene = scene(&truth, convention, &NOISY, 7);
@@ -202,20 +210,20 @@ fn noisy_keypoints_with_holes_give_joints_well_below_the_noise() {
         let error = joint_error(&motion, &exact_motion(&truth), &LIMBS, 0..120);
         println!("{}: {:.1} mm", convention.name(), error * 1e3);
         assert!(error < 0.012, "{} m", error);
-        let mut blind = scene;
-        blind.cameras = vec![None; 4];
-        let error = joint_error(&fitted(&blind), &exact_motion(&truth), &LIMBS, 0..120);
+        let mut without_pixels = scene;
+        without_pixels.cameras = vec![None; 4];
+        let error = joint_error(&fitted(&without_pixels), &exact_motion(&truth), &LIMBS, 0..120);
         println!("{} from points alone: {:.1} mm", convention.name(), error * 1e3);
         assert!(error < 0.018, "from points alone {} m", error);
     }
 }
 
-/// An arm out of everybody's sight for half a second is carried by smoothness: up to a hand's breadth at the wrist, the
-/// rest of the body unharmed.
+/// Smoothness interpolates an arm that no view sees for half a second: errors up to a hand's breadth at the wrist, none on
+/// the rest of the body.
 #[test]
-fn a_hidden_arm_is_carried() {
+fn interpolates_a_hidden_arm() {
     let truth = smooth_motion(2, 4.0, 30.0);
-    let hidden = Sight { hidden: Some((&["left_elbow", "left_wrist"], 50, 65)), ..NOISY };
+    let hidden = Quality { hidden: Some((&["left_elbow", "left_wrist"], 50, 65)), ..NOISY };
     let motion = fitted(&scene(&truth, KeypointConvention::Body25, &hidden, 3));
     let exact = exact_motion(&truth);
     let error = |joint: usize| joint_error(&motion, &exact, &[joint], 50..65);
@@ -224,9 +232,9 @@ fn a_hidden_arm_is_carried() {
     assert!(joint_error(&motion, &exact, &[1, 2, 4, 5, 7, 8, 16, 17, 19, 21], 50..65) < 0.015);
 }
 
-/// The betas as such are seen only through bones (weight hardly at all): what counts is the rest skeleton they give.
+/// Keypoints show the betas only through the bones (body mass hardly at all), so that the rest skeleton is compared.
 #[test]
-fn the_shape_is_recovered_in_its_bones() {
+fn recovers_the_bone_lengths_of_the_shape() {
     for seed in 0..4 {
         let truth = smooth_motion(20 + seed, 3.0, 30.0);
         let motion = fitted(&scene(&truth, KeypointConvention::Body25, &NOISY, seed));
@@ -240,11 +248,11 @@ fn the_shape_is_recovered_in_its_bones() {
     }
 }
 
-/// One motion at 25, 30 and 60 Hz, noise-free with the default weights: the same pose at the common instants (every
-/// 0.2 s). The bound is the difference that sampling itself makes to the second differences.
+/// One motion at 25, 30 and 60 Hz, noise-free with the default weights: the same pose at the common times (every 0.2 s).
+/// The bound is the change of the second differences by the sampling alone.
 #[test]
-fn the_frame_rate_does_not_matter() {
-    let clean = Sight { point_noise: 1e-6, pixel_noise_px: 1e-3, missing: 0.0, hidden: None };
+fn the_pose_does_not_depend_on_the_frame_rate() {
+    let clean = Quality { point_noise: 1e-6, pixel_noise_px: 1e-3, missing: 0.0, hidden: None };
     let at_rate = |fps: f64| {
         let truth = smooth_motion(5, 3.0, fps);
         let motion = fitted(&scene(&truth, KeypointConvention::Body25, &clean, 1));
@@ -255,16 +263,16 @@ fn the_frame_rate_does_not_matter() {
     for other in [slow, fast] {
         for (t, (a, b)) in middle.iter().zip(&other).enumerate() {
             for j in LIMBS {
-                assert!((a[j] - b[j]).norm() < 0.004, "instant {t}, joint {j}: {} m", (a[j] - b[j]).norm());
+                assert!((a[j] - b[j]).norm() < 0.004, "time {t}, joint {j}: {} m", (a[j] - b[j]).norm());
             }
         }
     }
 }
 
-/// Hips 40 mm too wide and shoulders 20 mm too high and wide, as detectors have them: found again within 8 mm, and the
-/// joints are better for it.
+/// Hips 40 mm too wide and shoulders 20 mm too wide, as detectors have them: recovered within 8 mm, which improves the
+/// joints.
 #[test]
-fn the_detectors_habits_are_told_from_the_body() {
+fn separates_keypoint_bias_from_the_body() {
     let (model, truth) = (default_body(), smooth_motion(11, 6.0, 30.0));
     let convention = KeypointConvention::Body25;
     let table = OffsetTable::new(&model, convention);
@@ -276,8 +284,8 @@ fn the_detectors_habits_are_told_from_the_body() {
     let added: Vec<Vector3<f64>> = table.kinds.iter().map(|kind| truly(&kind.name)).collect();
     let scene = scene_of(&table.applied(&model, &added), &truth, convention, &NOISY, 12);
     let input = scene.input();
-    let fit = |detector_offsets: bool| {
-        let config = BodyFitConfig { detector_offsets, ..BodyFitConfig::default() };
+    let fit = |estimate_keypoint_bias: bool| {
+        let config = BodyFitConfig { estimate_keypoint_bias, ..BodyFitConfig::default() };
         fit_bodies(input, &model, &config, &Progress::silent()).unwrap()
     };
     let (with, without) = (fit(true), fit(false));
@@ -315,7 +323,7 @@ fn windows_join_without_a_seam() {
 }
 
 #[test]
-fn the_number_of_threads_does_not_change_a_bit() {
+fn the_number_of_threads_does_not_change_the_result() {
     let scene = scene(&smooth_motion(8, 1.0, 30.0), KeypointConvention::Coco17, &NOISY, 2);
     let run = |n_threads: usize| {
         rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap().install(|| fitted(&scene))
@@ -324,10 +332,10 @@ fn the_number_of_threads_does_not_change_a_bit() {
 }
 
 #[test]
-fn long_gaps_are_carried_but_not_valid_and_unseen_people_are_left_out() {
+fn long_gaps_are_invalid_and_unseen_people_left_out() {
     let everything = KeypointConvention::Coco17.names();
     let truth = smooth_motion(9, 3.0, 30.0);
-    let hidden = Sight { hidden: Some((everything, 30, 60)), ..NOISY };
+    let hidden = Quality { hidden: Some((everything, 30, 60)), ..NOISY };
     let mut scene = scene(&truth, KeypointConvention::Coco17, &hidden, 4);
     let motion = fitted(&scene);
     assert_eq!(motion.frames.len(), 90);

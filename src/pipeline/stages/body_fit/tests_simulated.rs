@@ -1,13 +1,16 @@
-//! The fit on the simulated captures: true cameras and identities, noisy detections, a skeleton that is not ours.
+//! The fit on the simulated captures: true cameras and identities, noisy detections, mocap skeletons in position of the body
+//! model's.
 
-use super::*;
+use super::{BodyFitConfig, BodyFitInput, FittedBodies, fit_bodies, landmark_trajectory};
 use crate::body::default_body;
+use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_offsets::OffsetTable;
-use crate::body::skeleton::N_JOINTS;
+use crate::body::skeleton::{KeypointConvention, N_JOINTS};
 use crate::estimation::triangulation::triangulate_reweighted;
 use crate::geometry::triangulation::PointObservation;
-use crate::geometry::{Distortion, Intrinsics};
-use crate::session::{Detection, FrameIndex, Keypoint, PersonId, View};
+use crate::geometry::{Distortion, Intrinsics, Rigid};
+use crate::progress::Progress;
+use crate::session::{Detection, FrameIndex, JointTrajectory, Keypoint, PersonId, PersonTrack, Session, View};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use serde_json::Value;
 use std::path::Path;
@@ -83,7 +86,7 @@ fn load(folder: &Path) -> Capture {
             delivered,
         });
     }
-    let placed = json(&folder.join("gt/cameras.json"));
+    let cameras = json(&folder.join("gt/cameras.json"));
     let camera = |c: &Value| {
         let rotation = Matrix3::from_row_slice(&numbers(&c["R"]));
         Some(Rigid { rotation, translation: Vector3::from_row_slice(&numbers(&c["t"])) })
@@ -98,7 +101,7 @@ fn load(folder: &Path) -> Capture {
         start_timecode: None,
         views,
     };
-    Capture { session, cameras: placed.as_array().unwrap().iter().map(camera).collect(), tracks }
+    Capture { session, cameras: cameras.as_array().unwrap().iter().map(camera).collect(), tracks }
 }
 
 /// Robust triangulation of every keypoint seen by two views.
@@ -125,7 +128,7 @@ fn triangulated(capture: &Capture, track: &PersonTrack) -> JointTrajectory {
     }
 }
 
-fn places(value: &Value) -> Vec<Vector3<f64>> {
+fn positions(value: &Value) -> Vec<Vector3<f64>> {
     value.as_array().unwrap().iter().map(|p| Vector3::from_row_slice(&numbers(p))).collect()
 }
 
@@ -135,10 +138,10 @@ fn mean(values: &[f64]) -> f64 {
 
 const LIMBS: [usize; 12] = [1, 2, 4, 5, 7, 8, 16, 17, 18, 19, 20, 21];
 
-/// The bounds are some 15 % above what the default settings reach; the truth's skeletons (motion capture) have shoulders
-/// and hips that no adult of the survey has, so what remains is mostly a misfit of shape.
+/// The bounds are some 15 % above the errors of the default settings; the true skeletons (motion capture) have shoulders and
+/// hips outside the survey of adults, so that the remaining error is mostly a misfit of shape.
 #[test]
-fn simulated_captures_are_fitted_better_than_triangulated() {
+fn fits_simulated_captures_better_than_triangulation() {
     let Ok(data) = std::env::var("WANDLESS_TEST_DATA") else {
         eprintln!("SKIPPED: WANDLESS_TEST_DATA does not name the folder with the simulated captures");
         return;
@@ -160,7 +163,7 @@ fn simulated_captures_are_fitted_better_than_triangulated() {
         let FittedBodies { motions, report, detector_model, detector, .. } =
             fit_bodies(input, &model, &BodyFitConfig::default(), &Progress::silent()).unwrap();
         println!("{}", detector.reason);
-        assert!(!detector.applied, "these skeletons are not ours, their detector has no habits");
+        assert!(!detector.applied, "mocap skeletons differ from the body model, their detector has no bias");
         for kind in OffsetTable::new(&model, capture.session.convention).kinds {
             let row = detector.offsets.iter().find(|row| row.keypoint == kind.name).unwrap();
             assert_eq!(row.applied, !kind.is_joint, "points of the skin are the detector's own: {row:?}");
@@ -173,15 +176,15 @@ fn simulated_captures_are_fitted_better_than_triangulated() {
             let shown = landmark_trajectory(&detector_model, motion, capture.session.convention);
             for t in 0..capture.session.n_frames {
                 let key = (t.to_string(), motion.person.0.to_string());
-                let truth = places(&joints["frames"][&key.0][&key.1]);
-                for (j, place) in truth.iter().enumerate().take(22) {
-                    of_joint[j].push((motion.frames[t].joints[j] - place).norm() * 1e3);
-                    of_all.push((motion.frames[t].joints[j] - place).norm() * 1e3);
+                let truth = positions(&joints["frames"][&key.0][&key.1]);
+                for (j, position) in truth.iter().enumerate().take(22) {
+                    of_joint[j].push((motion.frames[t].joints[j] - position).norm() * 1e3);
+                    of_all.push((motion.frames[t].joints[j] - position).norm() * 1e3);
                 }
                 of_limbs.extend(LIMBS.map(|j| (motion.frames[t].joints[j] - truth[j]).norm() * 1e3));
-                for (k, place) in places(&keypoints["frames"][&key.0][&key.1]).iter().enumerate() {
-                    of_landmarks.extend(shown.points[t][k].map(|p| (p - place).norm() * 1e3));
-                    of_points.extend(points.points[t][k].map(|p| (p - place).norm() * 1e3));
+                for (k, position) in positions(&keypoints["frames"][&key.0][&key.1]).iter().enumerate() {
+                    of_landmarks.extend(shown.points[t][k].map(|p| (p - position).norm() * 1e3));
+                    of_points.extend(points.points[t][k].map(|p| (p - position).norm() * 1e3));
                 }
             }
             println!("betas {:.1?}", motion.betas);

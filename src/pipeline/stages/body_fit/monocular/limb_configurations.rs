@@ -1,5 +1,5 @@
-//! Which ways a limb can bend in one frame: its bones' lengths are known, their images are seen, so that each bone points
-//! towards the camera or away from it.
+//! The configurations of a limb that one frame allows: with known lengths and images of its bones, each bone points towards the
+//! camera or away from it.
 
 use super::super::initial_motion::{Limb, limb_list, limb_rotations};
 use crate::body::joint_ranges::{JointRange, joint_ranges_of};
@@ -18,12 +18,12 @@ pub(super) struct BodyLimb {
     lengths: [f64; 2],
 }
 
-/// One way to bend.
+/// One configuration of a limb.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Bend {
-    /// Middle and end, camera frame, m.
-    pub places: [Vector3<f64>; 2],
-    /// What the joints' angles cost, nats.
+pub(super) struct LimbConfiguration {
+    /// Positions of middle and end, camera frame, m.
+    pub positions: [Vector3<f64>; 2],
+    /// Cost of the joint angles, nats.
     pub cost: f64,
 }
 
@@ -39,31 +39,31 @@ pub(super) fn body_limbs(model: &BodyModel, body: &ShapedBody) -> Vec<BodyLimb> 
     limb_list().into_iter().filter_map(of_limb).collect()
 }
 
-/// What is known of joints.
-pub(super) struct Joints {
+/// Ranges and weights of the joint angles.
+pub(super) struct JointCosts {
     ranges: [JointRange; N_JOINTS],
     weights: JointAngleWeights,
 }
 
-impl Joints {
+impl JointCosts {
     pub(super) fn new(model: &BodyModel, limit_width: f64) -> Self {
         Self { ranges: joint_ranges_of(model), weights: JointAngleWeights { rest: 1.0, limit_width } }
     }
 }
 
 impl BodyLimb {
-    /// The ways to bend with the root at `root` (camera frame, m), at most four; none where a joint was never seen.
-    pub(super) fn bends(
+    /// At most four configurations with the root at `root` (camera frame, m); none where middle or end has no point.
+    pub(super) fn configurations(
         &self,
-        joints: &Joints,
+        joints: &JointCosts,
         body: &ShapedBody,
         camera_from_trunk: &Matrix3<f64>,
         root: &Vector3<f64>,
         normalized: &[Option<Vector2<f64>>],
-    ) -> Vec<Bend> {
+    ) -> Vec<LimbConfiguration> {
         let [_, middle, end] = self.landmarks.map(|l| normalized[l]);
         let (Some(middle), Some(end)) = (middle, end) else { return Vec::new() };
-        let mut bends = Vec::with_capacity(4);
+        let mut found = Vec::with_capacity(4);
         for middle in on_ray(&middle, root, self.lengths[0]) {
             for end in on_ray(&end, &middle, self.lengths[1]) {
                 let trunk_from_camera = camera_from_trunk.transpose();
@@ -73,15 +73,15 @@ impl BodyLimb {
                 let cost_of = |i: usize| {
                     turns[i].map_or(0.0, |turn| joint_angle_cost(&turn, &joints.ranges[index[i]], &joints.weights).cost)
                 };
-                bends.push(Bend { places: [middle, end], cost: cost_of(0) + cost_of(1) });
+                found.push(LimbConfiguration { positions: [middle, end], cost: cost_of(0) + cost_of(1) });
             }
         }
-        bends
+        found
     }
 }
 
 /// The points on a ray at distance `length` from `center`, the nearer to the camera first; the nearest point of the ray
-/// where none is as near.
+/// where the whole ray is further away.
 fn on_ray(normalized: &Vector2<f64>, center: &Vector3<f64>, length: f64) -> Vec<Vector3<f64>> {
     let ray = Vector3::new(normalized.x, normalized.y, 1.0);
     let (square, middle) = (ray.norm_squared(), ray.dot(center));
@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn both_points_of_a_ray_lie_at_the_bones_length() {
+    fn points_on_a_ray_lie_at_the_bone_length() {
         let center = Vector3::new(0.2, -0.1, 4.0);
         let normalized = Vector2::new(0.09, 0.01);
         let found = on_ray(&normalized, &center, 0.4);

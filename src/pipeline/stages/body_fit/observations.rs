@@ -1,61 +1,71 @@
-//! What speaks for one person's pose, frame by frame: triangulated points and detected pixels of the body's landmarks.
+//! One person's observations by frame: triangulated points and detected pixels of the body's landmarks.
 
-use super::BodyFitInput;
+use super::input::BodyFitInput;
 use crate::body::BodyModel;
 use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_profile::DETECTOR;
 use crate::geometry::{Intrinsics, Rigid};
 use crate::session::{Detection, JointTrajectory, PersonTrack, Session};
 use nalgebra::{Vector2, Vector3};
+use std::ops::Range;
 
 /// A triangulated point.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct PointEvidence {
+pub(super) struct PointObservation {
     /// Landmark of the body model.
     pub landmark: usize,
-    /// Where it was found, world, m.
+    /// World, m.
     pub position: Vector3<f64>,
 }
 
 /// A detected pixel.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct PixelEvidence {
+pub(super) struct PixelObservation {
     /// Landmark of the body model.
     pub landmark: usize,
-    /// Index of the camera in [`Evidence::cameras`].
+    /// Index of the camera in [`Observations::cameras`].
     pub camera: usize,
-    /// As detected.
+    /// As detected, px.
     pub pixel: Vector2<f64>,
-    /// Apparent size of the person times how much worse the detector is at this confidence, px: what its error is
-    /// proportional to.
+    /// Apparent size of the person times the detector's noise factor at this confidence, px; the detector's error is
+    /// proportional to it.
     pub scale_px: f64,
 }
 
-/// A placed camera.
+/// A camera with a pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct PlacedCamera {
+pub(super) struct PosedCamera {
     pub intrinsics: Intrinsics,
     pub camera_from_world: Rigid,
 }
 
-/// All that is known of one person.
+/// All observations of one person.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Evidence {
-    pub cameras: Vec<PlacedCamera>,
+pub(super) struct Observations {
+    pub cameras: Vec<PosedCamera>,
     /// `points[frame]`.
-    pub points: Vec<Vec<PointEvidence>>,
+    pub points: Vec<Vec<PointObservation>>,
     /// `pixels[frame]`, landmark by landmark.
-    pub pixels: Vec<Vec<PixelEvidence>>,
+    pub pixels: Vec<Vec<PixelObservation>>,
 }
 
-impl Evidence {
-    /// Whether a view saw the person at a frame. Points alone are no witness: smooth paths go on through holes.
+impl Observations {
+    /// Whether a view saw the person at a frame. Points alone do not show it, since smooth paths continue through gaps.
     pub(super) fn is_seen(&self, frame: usize) -> bool {
         !self.pixels[frame].is_empty()
     }
 
-    /// A run of frames.
-    pub(super) fn slice(&self, frames: std::ops::Range<usize>) -> Self {
+    /// The run of `n_frames` (or of the whole window) with most pixels in a window of frames.
+    pub(super) fn most_seen(&self, window: Range<usize>, n_frames: usize) -> Range<usize> {
+        let length = window.len().min(n_frames.max(1));
+        let seen = |first: usize| self.pixels[first..first + length].iter().map(Vec::len).sum::<usize>();
+        let runs = window.start..=window.end - length;
+        let first = runs.max_by_key(|&first| (seen(first), std::cmp::Reverse(first))).unwrap_or(window.start);
+        first..first + length
+    }
+
+    /// The observations of a run of frames.
+    pub(super) fn slice(&self, frames: Range<usize>) -> Self {
         Self {
             cameras: self.cameras.clone(),
             points: self.points[frames.clone()].to_vec(),
@@ -64,29 +74,29 @@ impl Evidence {
     }
 }
 
-/// Gathers what the views and the triangulation say about one person over the frames of their track.
-pub(super) fn gather_evidence(
+/// Gathers the triangulated points and detected pixels of one person over the frames of the person's track.
+pub(super) fn gather_observations(
     input: BodyFitInput,
     track: &PersonTrack,
     points: Option<&JointTrajectory>,
     model: &BodyModel,
-) -> Evidence {
+) -> Observations {
     let BodyFitInput { session, noise, cameras, .. } = input;
     let landmarks = model.landmarks_of(session.convention);
     let camera_of_view: Vec<Option<usize>> = cameras
         .iter()
-        .scan(0, |placed, camera| {
-            *placed += usize::from(camera.is_some());
-            Some(camera.map(|_| *placed - 1))
+        .scan(0, |n_posed, camera| {
+            *n_posed += usize::from(camera.is_some());
+            Some(camera.map(|_| *n_posed - 1))
         })
         .collect();
-    let placed = session.views.iter().zip(cameras).filter_map(|(view, camera)| {
-        camera.map(|camera_from_world| PlacedCamera { intrinsics: view.intrinsics, camera_from_world })
+    let posed = session.views.iter().zip(cameras).filter_map(|(view, camera)| {
+        camera.map(|camera_from_world| PosedCamera { intrinsics: view.intrinsics, camera_from_world })
     });
     let at_frame = |offset: usize| FrameSource { session, noise, track, points, frame: track.first.0 + offset };
     let n_frames = track.detections.len();
-    Evidence {
-        cameras: placed.collect(),
+    Observations {
+        cameras: posed.collect(),
         points: (0..n_frames).map(|t| at_frame(t).points(&landmarks)).collect(),
         pixels: (0..n_frames).map(|t| at_frame(t).pixels(&landmarks, &camera_of_view)).collect(),
     }
@@ -98,31 +108,33 @@ struct FrameSource<'a> {
     noise: &'a DetectorNoise,
     track: &'a PersonTrack,
     points: Option<&'a JointTrajectory>,
-    /// On the session's time line.
+    /// Frame index in the session.
     frame: usize,
 }
 
 impl FrameSource<'_> {
-    fn points(&self, landmarks: &[Option<usize>]) -> Vec<PointEvidence> {
+    fn points(&self, landmarks: &[Option<usize>]) -> Vec<PointObservation> {
         let row = self.points.and_then(|p| p.points.get(self.frame.checked_sub(p.first.0)?));
         let named = row.into_iter().flatten().zip(landmarks);
         named
-            .filter_map(|(position, landmark)| Some(PointEvidence { landmark: (*landmark)?, position: (*position)? }))
+            .filter_map(|(position, landmark)| {
+                Some(PointObservation { landmark: (*landmark)?, position: (*position)? })
+            })
             .filter(|p| p.position.iter().all(|v| v.is_finite()))
             .collect()
     }
 
-    fn pixels(&self, landmarks: &[Option<usize>], camera_of_view: &[Option<usize>]) -> Vec<PixelEvidence> {
-        let mut pixels: Vec<PixelEvidence> = Vec::new();
-        let chosen = &self.track.detections[self.frame - self.track.first.0];
-        for ((view, chosen), camera) in self.session.views.iter().zip(chosen).zip(camera_of_view) {
-            let detection = view.frames.get(self.frame).zip(*chosen).and_then(|(people, index)| people.get(index));
+    fn pixels(&self, landmarks: &[Option<usize>], camera_of_view: &[Option<usize>]) -> Vec<PixelObservation> {
+        let mut pixels: Vec<PixelObservation> = Vec::new();
+        let of_views = &self.track.detections[self.frame - self.track.first.0];
+        for ((view, index), camera) in self.session.views.iter().zip(of_views).zip(camera_of_view) {
+            let detection = view.frames.get(self.frame).zip(*index).and_then(|(people, index)| people.get(index));
             let (Some(detection), Some(camera)) = (detection, *camera) else { continue };
             let size_px = apparent_size_px(detection);
             for (keypoint, landmark) in detection.keypoints.iter().zip(landmarks) {
                 let Some(landmark) = landmark.filter(|_| keypoint.is_present()) else { continue };
                 let scale_px = size_px * self.noise.factor(keypoint.confidence.max(DETECTOR.comparable));
-                pixels.push(PixelEvidence { landmark, camera, pixel: keypoint.pixel, scale_px });
+                pixels.push(PixelObservation { landmark, camera, pixel: keypoint.pixel, scale_px });
             }
         }
         pixels.sort_by_key(|pixel| pixel.landmark);
@@ -130,11 +142,11 @@ impl FrameSource<'_> {
     }
 }
 
-/// A detection never counts as smaller than this, so that two close points of a distant person are not trusted to
-/// fractions of a pixel.
+/// Least apparent size, so that two close points of a distant person do not get a standard deviation of fractions of a
+/// pixel, px.
 const MIN_SIZE_PX: f64 = 60.0;
 
-/// Longer side of the box about the present keypoints, px.
+/// Longer side of the bounding box of the present keypoints, px.
 fn apparent_size_px(detection: &Detection) -> f64 {
     let present = || detection.keypoints.iter().filter(|k| k.is_present()).map(|k| k.pixel);
     let Some(first) = present().next() else { return MIN_SIZE_PX };

@@ -1,7 +1,7 @@
-//! Which ways the trunk can face in one frame: all that its points' image allows.
+//! The poses of the trunk that one frame allows.
 //!
-//! The points of trunk and head of a body at rest are turned and moved until they cover what was seen, from starts all
-//! around. What is left are a few ways, mostly two: the shoulder line seen short is turned to the left or to the right.
+//! The points of trunk and head of a body at rest are rotated and moved until they project onto the detected points, from starts
+//! all around. A few poses remain, mostly two: a foreshortened shoulder line is turned to the left or to the right.
 
 use crate::body::kinematics::{Pose, landmark_position, posed};
 use crate::body::model::{BodyModel, ShapedBody};
@@ -11,7 +11,7 @@ use crate::optim::robust::{OUTLIER_SIGMAS, geman_mcclure_rho, geman_mcclure_weig
 use nalgebra::{Matrix2x3, Matrix3, Matrix6, Vector2, Vector3, Vector6};
 use std::f64::consts::TAU;
 
-/// How far landmarks of trunk and head stray from a stiff body's, m: the spine bends, and the neck turns the face.
+/// Standard deviation of landmarks of trunk and head about those of a rigid body, m: the spine bends, the neck turns the face.
 const TRUNK: [(&str, f64); 11] = [
     ("left_hip", 0.03),
     ("right_hip", 0.03),
@@ -26,45 +26,46 @@ const TRUNK: [(&str, f64); 11] = [
     ("right_ear", 0.05),
 ];
 
-/// How people lean, as the component of the upright in their own frame: to the side, backward, forward.
+/// Standard deviations of the lean, as components of the upward direction in the body's frame: to the side, backward, forward.
 const LEAN: [f64; 3] = [0.2, 0.15, 0.4];
 
-/// Directions that are started from, and leans forward, rad.
+/// Number of starting directions about the upward axis, and starting leans forward, rad.
 const N_YAWS: usize = 12;
 const LEANS: [f64; 2] = [0.0, 0.7];
 
 const ITERATIONS: usize = 8;
 
-/// Ways nearer than this to a better one are the same, rad; those dearer than the best by more are none.
-const SAME_WAY: f64 = 0.3;
+/// Poses nearer than this to a better one count as the same, rad; those that cost more than the best by the excess (nats)
+/// are dropped.
+const SAME_POSE: f64 = 0.3;
 const MAX_EXCESS: f64 = 12.0;
-const MAX_WAYS: usize = 6;
+const MAX_POSES: usize = 6;
 
-/// Points that must be seen: three leave the way open.
+/// Least number of points: three leave the pose undetermined.
 const MIN_POINTS: usize = 4;
 
-/// One way to stand.
+/// One pose of the trunk.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Way {
-    /// `camera_from_body`, the body's frame being that of its rest pose.
+pub(super) struct TrunkPose {
+    /// The body's frame is that of its rest pose.
     pub camera_from_body: Rigid,
     /// Half the sum of squared residuals.
     pub cost: f64,
 }
 
-/// The trunk at rest.
+/// The trunk of a body at rest.
 pub(super) struct Trunk {
-    /// Landmark, place at rest, standard deviation, m.
+    /// Landmark, position at rest and its standard deviation, m.
     points: Vec<(usize, Vector3<f64>, f64)>,
-    /// Between hips and shoulders: turns are about it.
+    /// Middle between hips and shoulders, about which the trunk is rotated, m.
     middle: Vector3<f64>,
 }
 
-/// What a frame shows, and what is known besides.
-pub(super) struct Sight<'a> {
+/// The image of the trunk in one frame, and priors of its pose.
+pub(super) struct TrunkImage<'a> {
     /// Normalised image points by landmark.
     pub normalized: &'a [Option<Vector2<f64>>],
-    /// The upright in the camera's frame.
+    /// Upward direction in the camera's frame.
     pub up: Vector3<f64>,
     /// Depth of the trunk, m, and the standard deviation of its logarithm.
     pub depth: f64,
@@ -83,50 +84,51 @@ impl Trunk {
         Self { points, middle }
     }
 
-    /// Where the way puts a landmark at rest, camera frame, m.
-    pub(super) fn place(&self, way: &Way, landmark: usize) -> Option<Vector3<f64>> {
+    /// Position of a landmark on a posed trunk, camera frame, m.
+    pub(super) fn position(&self, pose: &TrunkPose, landmark: usize) -> Option<Vector3<f64>> {
         let (_, at_rest, _) = self.points.iter().find(|(l, _, _)| *l == landmark)?;
-        Some(way.camera_from_body.transform(at_rest))
+        Some(pose.camera_from_body.transform(at_rest))
     }
 
-    /// Depth of its middle, m.
-    pub(super) fn depth(&self, way: &Way) -> f64 {
-        way.camera_from_body.transform(&self.middle).z
+    /// Depth of the middle of a posed trunk, m.
+    pub(super) fn depth(&self, pose: &TrunkPose) -> f64 {
+        pose.camera_from_body.transform(&self.middle).z
     }
 
-    /// The landmarks that it knows.
+    /// Landmarks of trunk and head.
     pub(super) fn landmarks(&self) -> impl Iterator<Item = usize> {
         self.points.iter().map(|(landmark, _, _)| *landmark)
     }
 
-    /// The ways to stand that explain a frame, best first; none where too little of the trunk is seen.
-    pub(super) fn ways(&self, sight: &Sight) -> Vec<Way> {
-        let seen: Vec<Vector2<f64>> = self.points.iter().filter_map(|(l, _, _)| sight.normalized[*l]).collect();
+    /// The poses that explain a frame, best first; none where too little of the trunk is detected.
+    pub(super) fn poses(&self, image: &TrunkImage) -> Vec<TrunkPose> {
+        let seen: Vec<Vector2<f64>> = self.points.iter().filter_map(|(l, _, _)| image.normalized[*l]).collect();
         if seen.len() < MIN_POINTS {
             return Vec::new();
         }
         let center = seen.iter().sum::<Vector2<f64>>() / seen.len() as f64;
-        let mut found: Vec<Way> = starts(sight.up).map(|turn| self.settled(sight, &center, turn)).collect();
+        let mut found: Vec<TrunkPose> = starts(image.up).map(|turn| self.refined(image, &center, turn)).collect();
         found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
-        let mut ways: Vec<Way> = Vec::new();
-        for way in found {
-            let angle =
-                |other: &Way| rotation::angle_between(&way.camera_from_body.rotation, &other.camera_from_body.rotation);
-            let is_new = ways.iter().all(|other| angle(other) > SAME_WAY);
-            let is_likely = ways.first().is_none_or(|best| way.cost < best.cost + MAX_EXCESS);
-            if is_new && is_likely && way.cost.is_finite() && ways.len() < MAX_WAYS {
-                ways.push(way);
+        let mut poses: Vec<TrunkPose> = Vec::new();
+        for pose in found {
+            let angle = |other: &TrunkPose| {
+                rotation::angle_between(&pose.camera_from_body.rotation, &other.camera_from_body.rotation)
+            };
+            let is_new = poses.iter().all(|other| angle(other) > SAME_POSE);
+            let is_likely = poses.first().is_none_or(|best| pose.cost < best.cost + MAX_EXCESS);
+            if is_new && is_likely && pose.cost.is_finite() && poses.len() < MAX_POSES {
+                poses.push(pose);
             }
         }
-        ways
+        poses
     }
 
-    /// Gauss-Newton from a first turn.
-    fn settled(&self, sight: &Sight, center: &Vector2<f64>, turn: Matrix3<f64>) -> Way {
+    /// Damped Gauss-Newton from a first rotation.
+    fn refined(&self, image: &TrunkImage, center: &Vector2<f64>, turn: Matrix3<f64>) -> TrunkPose {
         let mut turn = turn;
-        let mut place = Vector3::new(center.x, center.y, 1.0) * sight.depth;
+        let mut place = Vector3::new(center.x, center.y, 1.0) * image.depth;
         let mut damping = 1e-3;
-        let (mut cost, mut system) = self.system(sight, &turn, &place);
+        let (mut cost, mut system) = self.system(image, &turn, &place);
         for _ in 0..ITERATIONS {
             let (mut hessian, gradient) = system;
             for i in 0..6 {
@@ -136,7 +138,7 @@ impl Trunk {
             let step: Vector6<f64> = -factor.solve(&gradient);
             let moved_turn = turn * rotation::exp(&step.fixed_rows::<3>(0).into_owned());
             let moved_place = place + step.fixed_rows::<3>(3);
-            let (moved_cost, moved_system) = self.system(sight, &moved_turn, &moved_place);
+            let (moved_cost, moved_system) = self.system(image, &moved_turn, &moved_place);
             if moved_cost < cost {
                 (turn, place, cost, system, damping) =
                     (moved_turn, moved_place, moved_cost, moved_system, damping * 0.1);
@@ -145,18 +147,23 @@ impl Trunk {
             }
         }
         let camera_from_body = Rigid { rotation: turn, translation: place - turn * self.middle };
-        Way { camera_from_body, cost }
+        TrunkPose { camera_from_body, cost }
     }
 
-    /// Cost, Gauss-Newton matrix and gradient over turn (right increment) and place of the middle.
-    fn system(&self, sight: &Sight, turn: &Matrix3<f64>, place: &Vector3<f64>) -> (f64, (Matrix6<f64>, Vector6<f64>)) {
+    /// Cost, Gauss-Newton matrix and gradient by the rotation (right increment) and the position of the middle.
+    fn system(
+        &self,
+        image: &TrunkImage,
+        turn: &Matrix3<f64>,
+        place: &Vector3<f64>,
+    ) -> (f64, (Matrix6<f64>, Vector6<f64>)) {
         let (mut cost, mut hessian, mut gradient) = (0.0, Matrix6::zeros(), Vector6::zeros());
         for (landmark, at_rest, sigma) in &self.points {
-            let Some(normalized) = sight.normalized[*landmark] else { continue };
+            let Some(normalized) = image.normalized[*landmark] else { continue };
             let lever = at_rest - self.middle;
             let x = turn * lever + place;
             let z = x.z.max(NEAR_PLANE);
-            let scale = sight.depth / sigma;
+            let scale = image.depth / sigma;
             let residual = (x.xy() / z - normalized) * scale;
             let square = residual.norm_squared();
             let soft = OUTLIER_SIGMAS * OUTLIER_SIGMAS;
@@ -170,13 +177,13 @@ impl Trunk {
             hessian += jacobian.tr_mul(&jacobian) * weight;
             gradient += jacobian.tr_mul(&residual) * weight;
         }
-        let depth = (place.z / sight.depth).max(1e-3).ln() / sight.depth_sigma;
-        let by_depth = 1.0 / (place.z.max(NEAR_PLANE) * sight.depth_sigma);
+        let depth = (place.z / image.depth).max(1e-3).ln() / image.depth_sigma;
+        let by_depth = 1.0 / (place.z.max(NEAR_PLANE) * image.depth_sigma);
         cost += 0.5 * depth * depth;
         hessian[(5, 5)] += by_depth * by_depth;
         gradient[5] += by_depth * depth;
-        // The upright in the body's frame: (0, 1, 0) for who stands straight.
-        let up = turn.transpose() * sight.up;
+        // Upward in the body's frame: (0, 1, 0) for a person who stands straight.
+        let up = turn.transpose() * image.up;
         let by_turn = rotation::skew(&up);
         let [side, back, front] = LEAN;
         for (axis, sigma) in [(0, side), (2, if up.z > 0.0 { back } else { front })] {
@@ -195,13 +202,13 @@ impl Trunk {
     }
 }
 
-/// The joint between the shoulder blades.
+/// Joint between the shoulder blades.
 const CHEST: usize = 9;
 
-/// Who stands on their head, nats.
+/// Cost of an upside-down trunk, nats.
 const UPSIDE_DOWN: f64 = 20.0;
 
-/// Turns about the upright, straight and leaning forward.
+/// Starting rotations about the upward axis, straight and leaning forward.
 fn starts(up: Vector3<f64>) -> impl Iterator<Item = Matrix3<f64>> {
     let side = rotation::any_perpendicular(&up).normalize();
     let other = up.cross(&side);
@@ -219,8 +226,8 @@ mod tests {
     use crate::body::default_body;
     use crate::body::model::Betas;
 
-    /// An upright body 4 m off that faces `yaw` rad from the camera.
-    fn seen(model: &BodyModel, trunk: &Trunk, yaw: f64) -> (Matrix3<f64>, Vec<Option<Vector2<f64>>>) {
+    /// Rotation and image of an upright body at 4 m that faces `yaw` rad from the camera.
+    fn image_of(model: &BodyModel, trunk: &Trunk, yaw: f64) -> (Matrix3<f64>, Vec<Option<Vector2<f64>>>) {
         let front = Vector3::new(yaw.sin(), 0.0, -yaw.cos());
         let up = -Vector3::y();
         let turn = Matrix3::from_columns(&[up.cross(&front), up, front]);
@@ -233,30 +240,30 @@ mod tests {
     }
 
     #[test]
-    fn the_true_way_is_the_best_all_around() {
+    fn the_true_pose_is_the_best_for_all_directions() {
         let model = default_body();
         let trunk = Trunk::new(&model, &model.shaped(&Betas::zeros()));
         for i in 0..16 {
-            let (turn, normalized) = seen(&model, &trunk, TAU * f64::from(i) / 16.0);
-            let sight = Sight { normalized: &normalized, up: -Vector3::y(), depth: 4.1, depth_sigma: 0.1 };
-            let ways = trunk.ways(&sight);
-            let angle = rotation::angle_between(&ways[0].camera_from_body.rotation, &turn);
+            let (turn, normalized) = image_of(&model, &trunk, TAU * f64::from(i) / 16.0);
+            let image = TrunkImage { normalized: &normalized, up: -Vector3::y(), depth: 4.1, depth_sigma: 0.1 };
+            let poses = trunk.poses(&image);
+            let angle = rotation::angle_between(&poses[0].camera_from_body.rotation, &turn);
             assert!(angle < 0.05, "{i}: {angle} rad off");
         }
     }
 
     #[test]
-    fn without_a_face_two_ways_are_left_and_without_a_trunk_none() {
+    fn poses_without_a_face_are_two_and_without_a_trunk_none() {
         let model = default_body();
         let trunk = Trunk::new(&model, &model.shaped(&Betas::zeros()));
-        let (turn, mut normalized) = seen(&model, &trunk, 1.0);
+        let (turn, mut normalized) = image_of(&model, &trunk, 1.0);
         for name in ["nose", "left_eye", "right_eye", "left_ear", "right_ear"] {
             normalized[model.landmark_index(name).unwrap()] = None;
         }
-        let sight = |normalized| Sight { normalized, up: -Vector3::y(), depth: 4.0, depth_sigma: 0.1 };
-        let ways = trunk.ways(&sight(&normalized));
-        let off = |way: &Way| rotation::angle_between(&way.camera_from_body.rotation, &turn);
-        assert!(ways.len() >= 2 && ways.iter().any(|w| off(w) < 0.1) && ways.iter().any(|w| off(w) > 1.0));
-        assert!(trunk.ways(&sight(&vec![None; model.landmarks.len()])).is_empty());
+        let image = |normalized| TrunkImage { normalized, up: -Vector3::y(), depth: 4.0, depth_sigma: 0.1 };
+        let poses = trunk.poses(&image(&normalized));
+        let off = |pose: &TrunkPose| rotation::angle_between(&pose.camera_from_body.rotation, &turn);
+        assert!(poses.len() >= 2 && poses.iter().any(|p| off(p) < 0.1) && poses.iter().any(|p| off(p) > 1.0));
+        assert!(trunk.poses(&image(&vec![None; model.landmarks.len()])).is_empty());
     }
 }

@@ -1,0 +1,199 @@
+//! Collision resolution: persons whose bodies overlap are moved apart, each by half, as far as the observations allow.
+//!
+//! In rounds: all overlaps are found, then the frames of each person near an overlap are fitted again with the others held
+//! ([`super::local_fit`]).
+
+use super::capsule_overlaps::{BodyOverlap, CapsuleBody, CapsuleOverlap, REACH};
+use super::context::FitContext;
+use super::local_fit::{refitted, runs_around};
+use super::person_motion::PersonFit;
+use super::terms::collision::Collisions;
+use super::terms::unknowns::MotionState;
+use crate::body::BodyModel;
+use crate::body::capsules::BodyCapsules;
+use crate::body::skeleton::JOINT_NAMES;
+use crate::progress::Canceled;
+use crate::session::reconstruction::{Overlap, PenetrationReport};
+use rayon::prelude::*;
+
+/// Each round halves the overlaps that the observations do not hold in place; more rounds change less than a millimetre.
+const ROUNDS: usize = 6;
+/// Steps of each round, few since the start is near.
+const STEPS: usize = 3;
+/// Overlaps up to this depth are errors of the capsules against the skin, m.
+const TOLERATED: f64 = 0.01;
+
+/// Moves overlapping persons apart if `resolve`, and reports the depth of overlaps before and after. `first_frame`: number of
+/// the session's first frame.
+///
+/// # Errors
+/// [`Canceled`].
+pub(super) fn resolve_collisions(
+    context: &FitContext,
+    people: &mut [PersonFit],
+    resolve: bool,
+    first_frame: i64,
+) -> Result<PenetrationReport, Canceled> {
+    if !is_any_pair_near(people) {
+        return Ok(PenetrationReport::default());
+    }
+    let capsules = BodyCapsules::fitted(context.model);
+    let mut found = overlaps(context.model, &capsules, people, first_frame);
+    let deepest_before = found.deepest.clone();
+    let before: Vec<MotionState> = people.iter().map(|person| person.fitted.state.clone()).collect();
+    for _ in 0..if resolve { ROUNDS } else { 0 } {
+        if found.deepest.as_ref().is_none_or(|overlap| 1e-3 * overlap.depth_mm <= TOLERATED) {
+            break;
+        }
+        let resolved = |(k, person): (usize, &PersonFit)| {
+            let collisions =
+                Collisions { capsules: &capsules, by_frame: &found.by_frame[k], sigma: context.config.overlap_sigma };
+            let runs = runs_around(context, found.depths[k].iter().map(|depth| *depth > TOLERATED));
+            let state = person.fitted.state.clone();
+            refitted(context, &person.observations, &before[k], state, runs, STEPS, collisions)
+        };
+        let states: Vec<MotionState> =
+            people.par_iter().enumerate().map(resolved).collect::<Result<Vec<_>, Canceled>>()?;
+        people.iter_mut().zip(states).for_each(|(person, state)| person.fitted.state = state);
+        found = overlaps(context.model, &capsules, people, first_frame);
+    }
+    let n_frames = |depths: &Vec<f64>| depths.iter().filter(|depth| **depth > TOLERATED).count();
+    Ok(PenetrationReport {
+        deepest: found.deepest,
+        deepest_before: deepest_before.filter(|_| resolve),
+        person_frames: found.depths.iter().map(n_frames).sum(),
+    })
+}
+
+/// Whether any two persons come within reach of each other; if not, the capsules need not be prepared.
+fn is_any_pair_near(people: &[PersonFit]) -> bool {
+    pairs(people).any(|(one, other)| {
+        shared_frames(one, other).any(|t| {
+            let pelvis = |p: &PersonFit| p.fitted.state.poses[t - p.first].translation;
+            (pelvis(one) - pelvis(other)).norm() < REACH
+        })
+    })
+}
+
+fn pairs(people: &[PersonFit]) -> impl Iterator<Item = (&PersonFit, &PersonFit)> {
+    people.iter().enumerate().flat_map(|(i, one)| people[i + 1..].iter().map(move |other| (one, other)))
+}
+
+/// Frames of the session in which both persons have a valid pose.
+fn shared_frames<'a>(one: &'a PersonFit, other: &'a PersonFit) -> impl Iterator<Item = usize> + 'a {
+    let both = one.first.max(other.first)..one.frames().end.min(other.frames().end);
+    both.filter(|t| one.valid[t - one.first] && other.valid[t - other.first])
+}
+
+/// The overlaps of all pairs in all frames.
+struct SessionOverlaps {
+    /// By person and frame of the person's motion.
+    by_frame: Vec<Vec<Vec<CapsuleOverlap>>>,
+    /// Deepest overlap, by person and frame, m.
+    depths: Vec<Vec<f64>>,
+    deepest: Option<Overlap>,
+    /// Number of the session's first frame.
+    first_frame: i64,
+}
+
+fn overlaps(model: &BodyModel, capsules: &BodyCapsules, people: &[PersonFit], first_frame: i64) -> SessionOverlaps {
+    let bodies_of = |p: &PersonFit| -> Vec<CapsuleBody> {
+        let state = &p.fitted.state;
+        state.poses.iter().map(|pose| CapsuleBody::new(model, capsules, &state.betas, pose)).collect()
+    };
+    let bodies: Vec<Vec<CapsuleBody>> = people.par_iter().map(bodies_of).collect();
+    let mut found = SessionOverlaps {
+        by_frame: bodies.iter().map(|b| vec![Vec::new(); b.len()]).collect(),
+        depths: bodies.iter().map(|b| vec![0.0; b.len()]).collect(),
+        deepest: None,
+        first_frame,
+    };
+    let indices = (0..people.len()).flat_map(|a| (a + 1..people.len()).map(move |b| [a, b]));
+    for pair in indices {
+        let [one, other] = pair.map(|k| &people[k]);
+        let frames: Vec<usize> = shared_frames(one, other).collect();
+        let overlap = |&t: &usize| bodies[pair[0]][t - one.first].overlap(&bodies[pair[1]][t - other.first], capsules);
+        let overlaps: Vec<BodyOverlap> = frames.par_iter().map(overlap).collect();
+        for (t, overlap) in frames.into_iter().zip(overlaps) {
+            found.add(people, pair, t, overlap);
+        }
+    }
+    found
+}
+
+impl SessionOverlaps {
+    fn add(&mut self, people: &[PersonFit], pair: [usize; 2], frame: usize, found: BodyOverlap) {
+        for (k, capsules) in pair.into_iter().zip(found.capsules) {
+            let own = frame - people[k].first;
+            self.by_frame[k][own].extend(capsules);
+            self.depths[k][own] = self.depths[k][own].max(found.depth);
+        }
+        let depth_mm = 1e3 * found.depth;
+        if self.deepest.as_ref().is_none_or(|overlap| depth_mm > overlap.depth_mm) && depth_mm > 0.0 {
+            let frame = self.first_frame + frame as i64;
+            let people = pair.map(|k| people[k].person.0);
+            self.deepest =
+                Some(Overlap { depth_mm, frame, people, joints: found.joints.map(|j| JOINT_NAMES[j].to_owned()) });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::config::BodyFitConfig;
+    use super::super::minimisation::FittedMotion;
+    use super::super::observations::Observations;
+    use super::*;
+    use crate::body::default_body;
+    use crate::body::joint_ranges::natural_pose;
+    use crate::body::kinematics::Pose;
+    use crate::body::model::Betas;
+    use crate::progress::Progress;
+    use crate::session::PersonId;
+    use nalgebra::Vector3;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+
+    fn person_fit(person: usize, first: usize, poses: Vec<Pose>) -> PersonFit {
+        let n = poses.len();
+        let state = MotionState { betas: Betas::zeros(), poses };
+        let observations =
+            Observations { cameras: Vec::new(), points: vec![Vec::new(); n], pixels: vec![Vec::new(); n] };
+        let fitted = FittedMotion::initial(state);
+        PersonFit { person: PersonId(person), first, observations, fitted, valid: vec![true; n] }
+    }
+
+    /// Both stand too near to each other; without observations nothing holds either in place.
+    #[test]
+    fn overlapping_persons_both_move_apart() {
+        let model = default_body();
+        let rotations = natural_pose(&mut ChaCha8Rng::seed_from_u64(0), 0.0).rotations;
+        let at = |x: f64| Pose { rotations, translation: Vector3::x() * x };
+        let make = || [person_fit(3, 10, vec![at(0.0); 30]), person_fit(5, 10, vec![at(0.45); 30])];
+        let (config, progress) = (BodyFitConfig::default(), Progress::silent());
+        let context = FitContext {
+            model: &model,
+            config: &config,
+            first_config: &config,
+            frame_interval: 1.0 / 30.0,
+            progress: &progress,
+        };
+        let mut people = make();
+        let kept = resolve_collisions(&context, &mut people, false, 100).unwrap();
+        let before = kept.deepest.clone().unwrap();
+        assert!(before.depth_mm > 30.0 && before.frame == 110 && before.people == [3, 5], "{before:?}");
+        assert!(kept.deepest_before.is_none() && people[0].fitted == make()[0].fitted);
+
+        let rejecting = BodyFitConfig { max_resolution_cost: [f64::NEG_INFINITY; 2], ..config.clone() };
+        let rejected =
+            resolve_collisions(&FitContext { config: &rejecting, ..context }, &mut people, true, 100).unwrap();
+        assert!(rejected.deepest.as_ref() == Some(&before) && people[1].fitted == make()[1].fitted);
+
+        let resolved = resolve_collisions(&context, &mut people, true, 100).unwrap();
+        assert_eq!(resolved.deepest_before.as_ref(), Some(&before));
+        let after = resolved.deepest.map_or(0.0, |overlap| overlap.depth_mm);
+        assert!(after < 10.0, "{after}");
+        let has_moved = |k: usize| people[k].fitted.state.poses[15] != make()[k].fitted.state.poses[15];
+        assert!(has_moved(0) && has_moved(1));
+    }
+}

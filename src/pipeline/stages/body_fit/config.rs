@@ -1,0 +1,139 @@
+//! Settings of the fit.
+
+use crate::residuals::pose_likelihood::PoseWeights;
+
+/// Every number of the fit.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BodyFitConfig {
+    /// Standard deviation of a triangulated keypoint about the body's landmark, m per axis.
+    pub point_sigma: f64,
+    /// Bounds of a detector's standard deviation per axis as a share of the person's apparent size; within them it is
+    /// measured on the person's own residuals after the fit to points.
+    pub pixel_share_bounds: [f64; 2],
+    /// Unknowns that a frame's pixels determine: half of a pose's 69, the rest comes from the frames around it.
+    pub unknowns_per_frame: f64,
+    /// Scale of Geman-McClure's cost: residuals of this many standard deviations cost half of their squared value.
+    pub robust_scale: f64,
+    /// Standard deviation of the pelvis's accelerations at its typical speed, m/s^2.
+    pub pelvis_acceleration_sigma: f64,
+    /// Standard deviation of the joints' angular accelerations at their typical speeds over the table of joint ranges.
+    pub angular_acceleration_factor: f64,
+    /// Whether the fit uses knowledge of human motion: the pose prior in place of each joint's own rest, foot contact, and
+    /// speed-scaled smoothness.
+    pub motion_prior: bool,
+    /// Whether the motion prior only refines a motion that was first fitted without it. From a rough start the prior draws
+    /// limbs that a single view sees to the wrong side in depth.
+    pub motion_prior_refines: bool,
+    /// Weight and knee of the pose prior.
+    pub pose_weights: PoseWeights,
+    /// Standard deviation of the ankles' accelerations in the world at their typical speed, m/s^2.
+    pub ankle_acceleration_sigma: f64,
+    /// Accelerations below this share of their sigma cost their square, those above it grow linearly: their distribution is
+    /// Laplace's, mostly near zero and large at contacts.
+    pub acceleration_knee: f64,
+    /// Weight of the pull towards the natural rest pose.
+    pub rest_weight: f64,
+    /// Weight of the prior of the betas against the data of one frame.
+    pub shape_prior: f64,
+    /// Width of the walls at the ends of the joints' ranges, degrees.
+    pub limit_width_deg: f64,
+    /// Whether overlaps between bodies are resolved.
+    pub resolve_collisions: bool,
+    /// Standard deviation of the distance between two bodies' capsules at a collision, m.
+    pub overlap_sigma: f64,
+    /// Resolving a collision is rejected where it raises the cost of the other terms by more than the first of these per
+    /// frame of the collision and by more than the second in sum (halves of squared standard deviations).
+    pub max_resolution_cost: [f64; 2],
+    /// Frames in a gap without detections longer than this are interpolated, but not valid, s.
+    pub gap_limit_secs: f64,
+    /// Frames solved at once; longer takes are cut into such windows, their shape taken from the best of them.
+    pub window_frames: usize,
+    /// Frames beyond its own that a window includes on each side.
+    pub halo_frames: usize,
+    /// Whether the keypoint bias of the detector is estimated.
+    pub estimate_keypoint_bias: bool,
+    /// Most frames of one person, and of all together, that the estimate of the keypoint bias uses.
+    pub bias_frames: [usize; 2],
+    /// Most iterations on points, and on pixels.
+    pub max_iterations: [usize; 2],
+    /// A step that lowers the cost by less than this share is the last.
+    pub min_decrease: f64,
+}
+
+impl Default for BodyFitConfig {
+    fn default() -> Self {
+        Self {
+            // Detector noise of 5 px at 4 m, seen from a few sides, and the body's own misfit.
+            point_sigma: 0.03,
+            // 0.4 % is better than any detector; above 4 % a keypoint is a guess.
+            pixel_share_bounds: [0.004, 0.04],
+            unknowns_per_frame: 34.0,
+            // On the simulated captures 4 beats 3 (17.1 -> 16.1 mm on `hard`) and 2.2 (20.5 mm).
+            robust_scale: 4.0,
+            // Laplace's scale is then twice the typical accelerations of the table of joint ranges and three times the pelvis's
+            // median of 1.5 m/s^2; the knee lies at a seventh and a fifth of them. With the knee at one and a half times, all
+            // was worse: `hard` 17.1 against 16.5 mm, `paper` 10.3 against 10.0, two views 26.8 against 25.5; jitter 1.2, 1.4
+            // and 1.05 of the truth against 0.96, 1.19, 0.95.
+            pelvis_acceleration_sigma: 1.2,
+            angular_acceleration_factor: 0.52,
+            acceleration_knee: 0.25,
+            motion_prior: true,
+            // `paper` cut to two views, mean of ten: 16.9 mm, 17.8 with the prior from the start, 17.2 without it.
+            motion_prior_refines: true,
+            // Two new poses a second, at 30 frames a second. `hard` (10 seeds) 17.2 mm with it and with half of it, 17.5 without
+            // the prior; `paper` 9.3 and 9.6; two views (5 seeds) 17.9 with half, 17.8 with one and a half times, 18.2 with
+            // 4.5 times of it.
+            pose_weights: PoseWeights { weight: 1.0 / 15.0, knee: 2.0 },
+            // Half of the pelvis's: jitter over the truth's on `hard` and `paper` is 0.93 and 1.01 with it (1.13 and 1.35 without
+            // the term), 0.96 and 1.04 with the pelvis's, with which joints come 0.4 % worse.
+            ankle_acceleration_sigma: 0.6,
+            // One frame's pull is then a hundredth of one keypoint's at the end of its bone.
+            rest_weight: 0.1,
+            shape_prior: 1.0,
+            limit_width_deg: 5.0,
+            resolve_collisions: true,
+            // The accuracy of the capsules against the skin at rest. With 10 mm dancers remain 72 mm deep in each other (94 mm
+            // before), with 5 mm 20 to 30 mm; with 2.5 mm 13 mm, but joints come 3 % off instead of 1 %.
+            overlap_sigma: 0.005,
+            // Touching dancers are separated at 0 to 2 a frame, and at 60 at most in sum; people simulated walking through each
+            // other at 2 to 9 a frame, 500 to 1,000 in sum. Errors are alike over some ten frames: 200 are 20 independent ones.
+            max_resolution_cost: [1.0, 200.0],
+            gap_limit_secs: 0.5,
+            // Some 70 MB a window; the factor of a frame is 0.12 MB.
+            window_frames: 480,
+            halo_frames: 30,
+            estimate_keypoint_bias: true,
+            // Six seconds of walking or talking turn every limb; offsets are shared, so that more people need less of each.
+            bias_frames: [180, 360],
+            max_iterations: [6, 8],
+            min_decrease: 2e-3,
+        }
+    }
+}
+
+impl BodyFitConfig {
+    /// The settings of the first fit: without the motion prior if that only refines.
+    pub(super) fn without_refinement(&self) -> Self {
+        Self { motion_prior: self.motion_prior && !self.motion_prior_refines, ..self.clone() }
+    }
+
+    /// The settings for a session of a single camera.
+    pub fn monocular() -> Self {
+        Self {
+            // A limb that points at the camera looks as short as a short limb does: under the usual prior people shrink, one of
+            // twenty by a third. On ten simulated captures 113 mm with 1, 84 with 10, 79 with 30, 83 with 300, 85 with 3000.
+            shape_prior: 30.0,
+            // A single ray leaves depth open in every frame: on the same captures 72.3 mm with 0.1, 70.9 with 0.3 (55.0
+            // instead of 58.7 after Procrustes alignment), 71.7 with 1.
+            pose_weights: PoseWeights { weight: 0.3, ..Self::default().pose_weights },
+            // Observations determine only half of the unknowns: 69.0 mm with the prior from the start, 70.7 with it as refinement.
+            motion_prior_refines: false,
+            // One view cannot separate the keypoint bias from the poses.
+            estimate_keypoint_bias: false,
+            // With fewer equations than unknowns the residuals do not show the errors. On four captures 72.9 mm with 0, 77.9
+            // with the largest possible value.
+            unknowns_per_frame: 0.0,
+            ..Self::default()
+        }
+    }
+}

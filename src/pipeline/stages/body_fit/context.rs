@@ -1,0 +1,24 @@
+//! What all fits of a session share.
+
+use super::config::BodyFitConfig;
+use crate::body::BodyModel;
+use crate::progress::Progress;
+
+/// Model, settings and progress of the fits of a session.
+#[derive(Clone, Copy)]
+pub(super) struct FitContext<'a> {
+    pub model: &'a BodyModel,
+    pub config: &'a BodyFitConfig,
+    /// Settings of fits from a rough start, see [`BodyFitConfig::without_refinement`].
+    pub first_config: &'a BodyFitConfig,
+    /// s.
+    pub frame_interval: f64,
+    pub progress: &'a Progress,
+}
+
+impl FitContext<'_> {
+    /// Whether the motion prior refines a first fit.
+    pub(super) fn has_refinement(&self) -> bool {
+        self.config.motion_prior && !self.first_config.motion_prior
+    }
+}

@@ -1,0 +1,98 @@
+//! The fit of all persons of a session, step by step.
+
+use super::collision_resolution::resolve_collisions;
+use super::config::BodyFitConfig;
+use super::context::FitContext;
+use super::input::BodyFitInput;
+use super::keypoint_bias::estimated_bias;
+use super::monocular::lifting::lifted;
+use super::observations::{Observations, gather_observations};
+use super::person_fit::{StartedMotion, finish_motion, start_motion};
+use super::person_motion::{PersonFit, body_motion, stage_report, valid_frames};
+use crate::body::BodyModel;
+use crate::progress::{Canceled, Progress};
+use crate::session::reconstruction::{KeypointBias, PenetrationReport, StageReport};
+use crate::session::{BodyMotion, PersonTrack};
+use rayon::prelude::*;
+
+/// All persons' bodies, with statistics of the fit.
+#[derive(Debug, Clone)]
+pub struct FittedBodies {
+    /// One motion per track whose trunk was triangulated at least once, in the order of the tracks; a motion covers its
+    /// track's frames without gaps.
+    pub motions: Vec<BodyMotion>,
+    /// The fitted model: its landmarks lie where the session's detector has them, if that bias was applied.
+    pub detector_model: BodyModel,
+    /// The keypoint bias of the detector; empty where it was not estimated.
+    pub detector: KeypointBias,
+    /// Overlaps between bodies.
+    pub penetration: PenetrationReport,
+    /// Iterations, costs and residuals.
+    pub report: StageReport,
+}
+
+/// Fits the bodies of all persons. The same input gives the same bytes whatever the number of threads.
+///
+/// # Errors
+/// [`Canceled`] once the caller has canceled the work.
+pub fn fit_bodies(
+    input: BodyFitInput,
+    model: &BodyModel,
+    config: &BodyFitConfig,
+    progress: &Progress,
+) -> Result<FittedBodies, Canceled> {
+    let frame_interval = input.session.frame_interval();
+    let first_config = config.without_refinement();
+    let context = FitContext { model, config, first_config: &first_config, frame_interval, progress };
+    let started = started_people(input, &context)?;
+    progress.report(0.5, "fitted bodies person by person");
+
+    let people: Vec<&(Observations, StartedMotion)> = started.iter().flatten().collect();
+    let bias = match config.estimate_keypoint_bias {
+        true => estimated_bias(&context, input.session.convention, &people)?,
+        false => None,
+    };
+    let has_bias = bias.is_some();
+    if has_bias {
+        progress.report(0.75, "estimated the keypoint bias of the detector");
+    }
+    let (detector_model, detector) =
+        bias.map_or_else(|| (model.clone(), KeypointBias::default()), |bias| (bias.model, bias.report));
+    let context = FitContext { model: &detector_model, ..context };
+    let gap_limit = (config.gap_limit_secs / frame_interval).round() as usize;
+    let finish_person = |(track, started): (&PersonTrack, Option<(Observations, StartedMotion)>)| {
+        progress.check()?;
+        let Some((observations, started)) = started else { return Ok(None) };
+        let fitted = finish_motion(&context, &observations, started, has_bias)?;
+        let valid = valid_frames(&observations, gap_limit);
+        Ok(Some(PersonFit { person: track.person, first: track.first.0, observations, fitted, valid }))
+    };
+    let people: Vec<_> = input.tracks.par_iter().zip(started).map(finish_person).collect::<Result<_, Canceled>>()?;
+    let mut people: Vec<PersonFit> = people.into_iter().flatten().collect();
+    progress.report(0.9, "fitted bodies to all observations");
+    let penetration = resolve_collisions(&context, &mut people, config.resolve_collisions, input.session.first_frame)?;
+    Ok(FittedBodies {
+        report: stage_report(&people, input.tracks.len()),
+        motions: people.iter().map(|person| body_motion(model, person)).collect(),
+        detector,
+        detector_model,
+        penetration,
+    })
+}
+
+/// Observations and first fit of each person, by track.
+fn started_people(
+    input: BodyFitInput,
+    context: &FitContext,
+) -> Result<Vec<Option<(Observations, StartedMotion)>>, Canceled> {
+    let start_person = |track: &PersonTrack| {
+        context.progress.check()?;
+        let points = input.points.iter().find(|p| p.person == track.person);
+        let mut observations = gather_observations(input, track, points, context.model);
+        if input.session.views.len() == 1 {
+            observations.points = lifted(context.model, &observations, &input.up, context.frame_interval);
+        }
+        Ok(start_motion(context, &observations)?.map(|started| (observations, started)))
+    };
+    input.tracks.par_iter().map(start_person).collect()
+}

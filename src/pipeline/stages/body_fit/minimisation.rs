@@ -1,0 +1,66 @@
+//! Damped Gauss-Newton over one person's motion.
+
+use super::context::FitContext;
+use super::motion_problem::MotionProblem;
+use super::terms::unknowns::MotionState;
+use crate::progress::Canceled;
+
+/// A person's motion after a minimisation, with statistics.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct FittedMotion {
+    pub state: MotionState,
+    /// Before and after the last pass, summed over windows.
+    pub cost_before: f64,
+    pub cost_after: f64,
+    /// Largest number of iterations of a window.
+    pub iterations: usize,
+    pub converged: bool,
+    pub median_reprojection_px: Option<f64>,
+}
+
+impl FittedMotion {
+    /// A state before any minimisation.
+    pub(super) fn initial(state: MotionState) -> Self {
+        let (cost_before, cost_after, iterations, converged, median_reprojection_px) = (0.0, 0.0, 0, true, None);
+        Self { state, cost_before, cost_after, iterations, converged, median_reprojection_px }
+    }
+}
+
+/// Dampings tried before a state counts as the minimum: 1e-4 to 1e3 and beyond.
+const MAX_TRIALS: usize = 6;
+
+/// Lowers the cost of `problem` from `start` in at most `max_iterations` accepted steps.
+///
+/// # Errors
+/// [`Canceled`].
+pub(super) fn minimised(
+    context: &FitContext,
+    problem: &MotionProblem,
+    start: MotionState,
+    max_iterations: usize,
+) -> Result<FittedMotion, Canceled> {
+    let mut state = start;
+    let cost_before = problem.cost(&state);
+    let (mut cost, mut damping, mut iterations, mut converged) = (cost_before, 1e-4, 0, false);
+    while iterations < max_iterations && !converged {
+        context.progress.check()?;
+        iterations += 1;
+        let system = problem.linearised(&state);
+        let mut is_better = false;
+        for _ in 0..MAX_TRIALS {
+            if let Some(step) = system.solve(damping) {
+                let moved = problem.moved(&state, &step);
+                let moved_cost = problem.cost(&moved);
+                if moved_cost < cost {
+                    converged = cost - moved_cost < context.config.min_decrease * cost;
+                    (state, cost, damping, is_better) = (moved, moved_cost, damping * 0.1, true);
+                    break;
+                }
+            }
+            damping = (damping * 20.0).max(1e-6);
+        }
+        converged |= !is_better;
+    }
+    let (cost_after, median_reprojection_px) = (cost, None);
+    Ok(FittedMotion { state, cost_before, cost_after, iterations, converged, median_reprojection_px })
+}

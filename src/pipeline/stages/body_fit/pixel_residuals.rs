@@ -1,0 +1,55 @@
+//! Distances of detected pixels from the projected landmarks of a motion.
+
+use super::context::FitContext;
+use super::observations::Observations;
+use super::terms::unknowns::MotionState;
+use crate::body::BodyModel;
+use crate::body::kinematics::{landmark_position, posed};
+use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
+
+/// Least share of the equations that counts as left over to show the errors.
+const MIN_FREEDOM: f64 = 0.25;
+
+/// The detector's standard deviation per axis as a share of apparent size, from the median residual.
+///
+/// The median length of a normal error in the plane is a known multiple of sigma. The estimate is enlarged by
+/// sqrt(n / (n - p)), since n equations that determine p unknowns leave residuals smaller than their errors.
+pub(super) fn pixel_share(context: &FitContext, observations: &Observations, state: &MotionState) -> f64 {
+    let mut shares: Vec<f64> =
+        residuals(context.model, observations, state).into_iter().map(|residual| residual.share).collect();
+    let [low, high] = context.config.pixel_share_bounds;
+    let n = 2.0 * shares.len() as f64 / state.poses.len().max(1) as f64;
+    let freedom = (n / (n - context.config.unknowns_per_frame).max(MIN_FREEDOM * n)).sqrt();
+    median(&mut shares).map_or(high, |m| (freedom * m / MEDIAN_LENGTH_IN_PLANE).clamp(low, high))
+}
+
+/// Median distance of the detected pixels from the projected landmarks, px.
+pub(super) fn median_distance_px(model: &BodyModel, observations: &Observations, state: &MotionState) -> Option<f64> {
+    let residuals = residuals(model, observations, state).into_iter();
+    median(&mut residuals.map(|residual| residual.distance_px).collect::<Vec<_>>())
+}
+
+/// Distance of one detected pixel from its landmark's projection.
+struct PixelResidual {
+    distance_px: f64,
+    /// In units of [`super::observations::PixelObservation::scale_px`].
+    share: f64,
+}
+
+fn residuals(model: &BodyModel, observations: &Observations, state: &MotionState) -> Vec<PixelResidual> {
+    let body = model.shaped(&state.betas);
+    let mut residuals = Vec::new();
+    for (pixels, pose) in observations.pixels.iter().zip(&state.poses) {
+        let skeleton = posed(&body, pose);
+        for pixel in pixels {
+            let camera = &observations.cameras[pixel.camera];
+            let position = landmark_position(model, &body, &skeleton, pixel.landmark);
+            let in_camera = camera.camera_from_world.transform(&position);
+            if let Some(projected) = camera.intrinsics.pixel_from_camera(&in_camera) {
+                let distance_px = (projected - pixel.pixel).norm();
+                residuals.push(PixelResidual { distance_px, share: distance_px / pixel.scale_px });
+            }
+        }
+    }
+    residuals
+}

@@ -1,0 +1,67 @@
+//! The data term: landmarks against triangulated points or detected pixels.
+
+use super::super::observations::{Observations, PixelObservation, PointObservation};
+use super::frame::{LinearisedFrame, PosedFrame};
+use super::frame_system::FrameSystem;
+use super::term::FrameTerm;
+use crate::residuals::position_cost::{PositionCost, point_cost};
+use crate::residuals::reprojection::pixel_cost;
+use std::ops::Add;
+
+/// Which observations are fitted, and how precise they are taken to be.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum DataSource {
+    /// Triangulated points; standard deviation per axis, m.
+    Points { sigma: f64 },
+    /// Pixels; standard deviation per axis as a share of [`PixelObservation::scale_px`].
+    Pixels { share: f64 },
+}
+
+/// Robust distances between landmarks and their observations.
+pub(crate) struct DataTerm<'a> {
+    pub observations: &'a Observations,
+    pub source: DataSource,
+    /// Scale of Geman-McClure's cost, in standard deviations.
+    pub robust_scale: f64,
+}
+
+impl DataTerm<'_> {
+    /// Calls `visit` with every observed landmark and the cost of all its observations over its position: the sum comes
+    /// first, since the derivatives of the position are the larger part of the work.
+    fn for_each_landmark(&self, frame: &PosedFrame, mut visit: impl FnMut(usize, PositionCost)) {
+        match self.source {
+            DataSource::Points { sigma } => {
+                for PointObservation { landmark, position } in &self.observations.points[frame.index] {
+                    visit(*landmark, point_cost(&frame.position(*landmark), position, sigma, self.robust_scale));
+                }
+            }
+            DataSource::Pixels { share } => {
+                for pixels in self.observations.pixels[frame.index].chunk_by(|a, b| a.landmark == b.landmark) {
+                    let landmark = pixels[0].landmark;
+                    let position = frame.position(landmark);
+                    let cost = |pixel: &PixelObservation| {
+                        let camera = &self.observations.cameras[pixel.camera];
+                        let (sigma_px, scale) = (share * pixel.scale_px, self.robust_scale);
+                        let camera_from_world = &camera.camera_from_world;
+                        pixel_cost(&camera.intrinsics, camera_from_world, &position, &pixel.pixel, sigma_px, scale)
+                    };
+                    if let Some(cost) = pixels.iter().map(cost).reduce(Add::add) {
+                        visit(landmark, cost);
+                    }
+                }
+            }
+        }
+    }
+}
+
+impl FrameTerm for DataTerm<'_> {
+    fn cost(&self, frame: &PosedFrame) -> f64 {
+        let mut sum = 0.0;
+        self.for_each_landmark(frame, |_, at| sum += at.cost);
+        sum
+    }
+
+    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem) {
+        self.for_each_landmark(&frame.posed, |landmark, at| frame.jacobian(landmark).add_cost(&at, system));
+    }
+}

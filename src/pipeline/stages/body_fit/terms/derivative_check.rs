@@ -1,0 +1,212 @@
+//! The shared check of the terms: gradient against central differences of the cost, each term alone and all together.
+
+use super::super::capsule_overlaps::CapsuleBody;
+use super::super::config::BodyFitConfig;
+use super::super::context::FitContext;
+use super::super::motion_problem::MotionProblem;
+use super::super::objective::Objective;
+use super::super::observations::{Observations, PixelObservation, PointObservation, PosedCamera};
+use super::bone_lengths::BoneLengthPrior;
+use super::collision::Collisions;
+use super::data::DataSource;
+use super::keypoint_bias::KeypointBiasPrior;
+use super::shape::ShapePrior;
+use super::term::BorderTerm;
+use super::unknowns::{MotionState, Shape};
+use crate::body::bone_offsets::{BoneOffsets, with_bones};
+use crate::body::capsules::BodyCapsules;
+use crate::body::default_body;
+use crate::body::detector_offsets::OffsetTable;
+use crate::body::kinematics::Pose;
+use crate::body::model::{Betas, BodyModel};
+use crate::body::skeleton::KeypointConvention;
+use crate::geometry::{Intrinsics, Rigid, rotation};
+use crate::optim::block_banded::{BandedStep, Corner};
+use crate::progress::Progress;
+use crate::residuals::derivative_check::assert_gradient;
+use nalgebra::{DVector, Vector2, Vector3};
+
+const N_FRAMES: usize = 5;
+const N_DIRECTIONS: usize = 20;
+
+/// Numbers between -0.5 and 0.5 without a pattern.
+fn wave(i: usize) -> f64 {
+    ((i * 37 % 101) as f64 / 50.0 - 1.0) * 0.5
+}
+
+fn offsets(n: usize, seed: usize) -> Vec<Vector3<f64>> {
+    (0..n).map(|k| Vector3::from_fn(|axis, _| 0.1 * wave(seed * k + axis))).collect()
+}
+
+/// Five frames of one person with points and pixels of all landmarks.
+struct Fixture {
+    model: BodyModel,
+    table: OffsetTable,
+    observations: Observations,
+    state: MotionState,
+    config: BodyFitConfig,
+}
+
+impl Fixture {
+    fn new() -> Self {
+        let model = default_body();
+        let pose = |t: usize| Pose {
+            rotations: std::array::from_fn(|j| rotation::exp(&Vector3::from_fn(|a, _| wave(7 * t + 3 * j + a)))),
+            translation: Vector3::new(wave(t), wave(t + 5), wave(t + 9)),
+        };
+        let point = |t: usize, landmark: usize| PointObservation {
+            landmark,
+            position: Vector3::new(wave(t + landmark), 1.0 + wave(landmark + 3), wave(t + 2 * landmark)),
+        };
+        let pixel = |t: usize, landmark: usize| PixelObservation {
+            landmark,
+            camera: 0,
+            pixel: Vector2::new(960.0 + 300.0 * wave(t + landmark), 540.0 + 300.0 * wave(landmark + 3)),
+            scale_px: 400.0,
+        };
+        let camera = PosedCamera {
+            intrinsics: Intrinsics::PLAIN,
+            camera_from_world: Rigid { translation: Vector3::z() * 4.0, ..Rigid::identity() },
+        };
+        let landmarks = 0..model.landmarks.len();
+        let observations = Observations {
+            cameras: vec![camera],
+            points: (0..N_FRAMES).map(|t| landmarks.clone().map(|l| point(t, l)).collect()).collect(),
+            pixels: (0..N_FRAMES).map(|t| landmarks.clone().map(|l| pixel(t, l)).collect()).collect(),
+        };
+        let state = MotionState { betas: Betas::from_fn(|k, _| wave(k)), poses: (0..N_FRAMES).map(pose).collect() };
+        let table = OffsetTable::new(&model, KeypointConvention::Body25);
+        Self { model, table, observations, state, config: BodyFitConfig::default() }
+    }
+
+    /// The model with some bone and keypoint offsets, and increments of them from `border` on.
+    fn model_at(&self, problem: &MotionProblem, border: &DVector<f64>) -> BodyModel {
+        let columns = problem.unknowns.border;
+        let increment = |first: usize, k: usize| border.fixed_rows::<3>(first + 3 * k).into_owned();
+        let moved = |first: usize, offsets: Vec<Vector3<f64>>| -> Vec<Vector3<f64>> {
+            offsets.iter().enumerate().map(|(k, offset)| offset + increment(first, k)).collect()
+        };
+        let bias = moved(columns.keypoint_bias().start, offsets(self.table.kinds.len(), 5));
+        let bones = moved(columns.bones().start, offsets(columns.bones().len() / 3, 9));
+        let bones: BoneOffsets = std::array::from_fn(|k| bones[k]);
+        with_bones(&self.table.applied(&self.model, &bias), &bones)
+    }
+
+    /// Calls `problem_of` with the objective on `model`.
+    fn objective<T>(
+        &self,
+        model: &BodyModel,
+        data: DataSource,
+        shape: Shape,
+        problem_of: impl FnOnce(Objective) -> T,
+    ) -> T {
+        let progress = Progress::silent();
+        let (config, frame_interval) = (&self.config, 1.0 / 25.0);
+        let context = FitContext { model, config, first_config: config, frame_interval, progress: &progress };
+        problem_of(Objective::new(&context, config, &self.observations, data, shape))
+    }
+}
+
+/// Checks the gradient of `problem` along directions of all unknowns; `cost_at`: the cost after a step.
+fn assert_gradient_of(problem: &MotionProblem, state: &MotionState, cost_at: impl Fn(&BandedStep) -> f64) {
+    let system = problem.linearised(state);
+    let (n, n_border) = (system.gradient[0].len(), problem.unknowns.border.len());
+    let direction = |d: usize| BandedStep {
+        frames: (0..N_FRAMES).map(|t| DVector::from_fn(n, |i, _| wave(11 * t + 13 * i + d))).collect(),
+        border: DVector::from_fn(n_border, |i, _| wave(17 * i + d)),
+    };
+    let directions: Vec<BandedStep> = (0..N_DIRECTIONS).map(direction).collect();
+    let slope = |unit: &BandedStep| {
+        let by_frame = system.gradient.iter().zip(&unit.frames).map(|(g, s)| g.dot(s)).sum::<f64>();
+        system.corner.gradient.dot(&unit.border) + by_frame
+    };
+    let slopes: Vec<f64> = directions.iter().map(slope).collect();
+    assert!(slopes.iter().any(|slope| *slope != 0.0), "the cost has no slope");
+    assert_gradient(&slopes, |amounts| {
+        let mut step = BandedStep { frames: vec![DVector::zeros(n); N_FRAMES], border: DVector::zeros(n_border) };
+        for (amount, direction) in amounts.iter().zip(&directions) {
+            step.frames.iter_mut().zip(&direction.frames).for_each(|(sum, part)| sum.axpy(*amount, part, 1.0));
+            step.border.axpy(*amount, &direction.border, 1.0);
+        }
+        cost_at(&step)
+    });
+}
+
+/// Leaves one term of the problem, or all for `None`: frame terms come first, then window terms, then the shape prior.
+fn keep(problem: &mut MotionProblem, only: Option<usize>) {
+    let Some(only) = only else { return };
+    let (n_frame, n_window) = (problem.frame_terms.len(), problem.window_terms.len());
+    let mut index = 0..;
+    problem.frame_terms.retain(|_| index.next() == Some(only));
+    problem.window_terms.retain(|_| index.next() == Some(only));
+    if only != n_frame + n_window {
+        problem.shape_prior.weight = 0.0;
+    }
+}
+
+/// Data, joint limits, pose prior, smoothness, foot contact and shape, over poses, betas, bone and keypoint offsets.
+#[test]
+fn gradients_of_motion_terms_match_differences() {
+    let fixture = Fixture::new();
+    for data in [DataSource::Points { sigma: 0.5 }, DataSource::Pixels { share: 0.2 }] {
+        for only in (0..6).map(Some).chain([None]) {
+            let with = |model: &BodyModel, problem_of: &dyn Fn(&MotionProblem) -> f64| {
+                fixture.objective(model, data, Shape::Free, |objective| {
+                    let speeds = Some(&fixture.state);
+                    let bias = Some(&fixture.table);
+                    let mut problem = Objective { bias, speeds, shape_prior: 3.0, ..objective }.problem();
+                    keep(&mut problem, only);
+                    problem_of(&problem)
+                })
+            };
+            with(&fixture.model, &|layout| {
+                let start = fixture.model_at(layout, &DVector::zeros(layout.unknowns.border.len()));
+                with(&start, &|problem| {
+                    assert_gradient_of(problem, &fixture.state, |step| {
+                        let moved = problem.moved(&fixture.state, step);
+                        with(&fixture.model_at(problem, &step.border), &|problem| problem.cost(&moved))
+                    });
+                    0.0
+                })
+            });
+        }
+    }
+}
+
+#[test]
+fn gradient_of_the_collision_term_matches_differences() {
+    let fixture = Fixture::new();
+    let (model, capsules) = (&fixture.model, BodyCapsules::fitted(&fixture.model));
+    let overlaps = |pose: &Pose| {
+        let beside = Pose { translation: pose.translation + Vector3::new(0.25, 0.0, 0.1), ..Pose::rest() };
+        let other = CapsuleBody::new(model, &capsules, &Betas::zeros(), &beside);
+        let found = CapsuleBody::new(model, &capsules, &fixture.state.betas, pose).overlap(&other, &capsules);
+        assert!(found.depth > 0.02 && found.capsules[0].len() > 5, "{}", found.depth);
+        found.capsules[0].clone()
+    };
+    let by_frame: Vec<_> = fixture.state.poses.iter().map(overlaps).collect();
+    let collisions = Some(Collisions { capsules: &capsules, by_frame: &by_frame, sigma: 0.01 });
+    fixture.objective(model, DataSource::Points { sigma: 0.5 }, Shape::Held, |objective| {
+        let mut problem = Objective { collisions, ..objective }.problem();
+        let last = problem.frame_terms.len() - 1;
+        keep(&mut problem, Some(last));
+        assert_gradient_of(&problem, &fixture.state, |step| problem.cost(&problem.moved(&fixture.state, step)));
+    });
+}
+
+#[test]
+fn gradients_of_border_terms_match_differences() {
+    let values: Vec<f64> = (0..12).map(wave).collect();
+    let sigmas = vec![Vector3::new(0.02, 0.03, 0.04); 4];
+    let shape = ShapePrior { weight: 3.0 };
+    let bones = BoneLengthPrior { sigma: 0.2, correlated_frames: 5.0 };
+    let bias = KeypointBiasPrior { sigmas, correlated_frames: 5.0 };
+    for (term, n) in [(&shape as &dyn BorderTerm, 10), (&bones, 12), (&bias, 12)] {
+        let values = &values[..n];
+        let mut corner = Corner::zeros(n + 2);
+        term.add_to(values, 2, &mut corner);
+        assert_gradient(&corner.gradient.as_slice()[2..], |d| {
+            term.cost(&values.iter().zip(d).map(|(value, d)| value + d).collect::<Vec<_>>())
+        });
+    }
+}

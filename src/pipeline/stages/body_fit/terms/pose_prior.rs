@@ -1,0 +1,51 @@
+//! The pose prior: how likely a pose is among recorded ones.
+
+use super::super::config::BodyFitConfig;
+use super::frame::{LinearisedFrame, PosedFrame};
+use super::frame_system::FrameSystem;
+use super::term::FrameTerm;
+use super::unknowns::Unknowns;
+use crate::body::model::BodyModel;
+use crate::motion_prior::MotionPrior;
+use crate::motion_prior::pose_gaussian::PoseGaussian;
+use crate::residuals::pose_likelihood::{PoseWeights, pose_cost, pose_derivatives};
+
+/// The motion prior's Gaussian over the rotations of the free joints, in the body's own skeleton.
+pub(crate) struct PosePrior {
+    poses: PoseGaussian,
+    /// Group of each of the Gaussian's joints.
+    groups: Vec<usize>,
+    weights: PoseWeights,
+}
+
+impl PosePrior {
+    pub(crate) fn new(model: &BodyModel, config: &BodyFitConfig, unknowns: &Unknowns) -> Self {
+        let mocap = PoseGaussian::over(MotionPrior::embedded().basis(), &unknowns.joints);
+        let poses = mocap.retargeted_to(&model.mocap_from_body);
+        let groups = poses.joints.iter().filter_map(|&joint| unknowns.group(joint)).collect();
+        Self { poses, groups, weights: config.pose_weights }
+    }
+
+    /// The joints that it describes.
+    pub(crate) fn joints(&self) -> &[usize] {
+        &self.poses.joints
+    }
+}
+
+impl FrameTerm for PosePrior {
+    fn cost(&self, frame: &PosedFrame) -> f64 {
+        pose_cost(&frame.pose.rotations, &self.poses, &self.weights)
+    }
+
+    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem) {
+        let found = pose_derivatives(&frame.posed.pose.rotations, &self.poses, &self.weights);
+        for (i, &row) in self.groups.iter().enumerate() {
+            let mut gradient = system.gradient.fixed_rows_mut::<3>(3 * row);
+            gradient += found.gradient.fixed_rows::<3>(3 * i);
+            for (k, &column) in self.groups.iter().enumerate().take(i + 1) {
+                let mut block = system.diagonal.fixed_view_mut::<3, 3>(3 * row, 3 * column);
+                block += found.hessian.fixed_view::<3, 3>(3 * i, 3 * k);
+            }
+        }
+    }
+}

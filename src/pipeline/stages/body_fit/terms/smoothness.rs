@@ -1,0 +1,117 @@
+//! Smoothness: accelerations of the pelvis and of the joint rotations.
+
+use super::super::config::BodyFitConfig;
+use super::acceleration_blocks::RobustAcceleration;
+use super::speed_scaling::{rotation_speeds, sigma_growth, speeds};
+use super::term::WindowTerm;
+use super::unknowns::{MotionState, TRANSLATION_GROUP, Unknowns};
+use super::window::{TrackedLandmark, Window};
+use crate::body::joint_ranges::JointRange;
+use crate::body::skeleton::N_JOINTS;
+use crate::optim::block_banded::BlockBanded;
+use crate::residuals::acceleration::{
+    SECOND_DIFFERENCE, linearized_rotation_change, rotation_change, second_difference,
+};
+use nalgebra::{Matrix3, Vector3};
+
+/// Standard deviations of one frame's accelerations.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct AccelerationSigmas {
+    /// Of the pelvis, m/s^2.
+    pub pelvis: f64,
+    /// Of the joint rotations, rad/s^2.
+    pub rotations: [f64; N_JOINTS],
+}
+
+/// Robust accelerations of the pelvis and of every free joint.
+pub(crate) struct Smoothness {
+    /// By frame.
+    sigmas: Vec<AccelerationSigmas>,
+    /// Group and joint of the free rotations.
+    rotations: Vec<(usize, usize)>,
+    robust: RobustAcceleration,
+    /// s.
+    frame_interval: f64,
+}
+
+/// Median speed of the pelvis over CMU's takes, m/s.
+const PELVIS_SPEED: f64 = 0.27;
+
+/// Median angular speed of a joint over its typical acceleration, s: of spine, neck, hip, shoulder, elbow and ankle the same
+/// within a third.
+const ROTATION_SECS: f64 = 0.08;
+
+impl Smoothness {
+    /// Sigmas at typical speeds, in all of `n_frames` frames.
+    pub(crate) fn new(
+        config: &BodyFitConfig,
+        ranges: &[JointRange; N_JOINTS],
+        unknowns: &Unknowns,
+        robust: RobustAcceleration,
+        n_frames: usize,
+        frame_interval: f64,
+    ) -> Self {
+        let typical = AccelerationSigmas {
+            pelvis: config.pelvis_acceleration_sigma,
+            rotations: ranges.each_ref().map(|range| range.acceleration * config.angular_acceleration_factor),
+        };
+        let rotations = unknowns.rotations().collect();
+        Self { sigmas: vec![typical; n_frames], rotations, robust, frame_interval }
+    }
+
+    /// The same with sigmas scaled by the speeds of `state`, of `joints` alone: the others keep the typical ones.
+    pub(crate) fn speed_scaled(
+        mut self,
+        state: &MotionState,
+        joints: &[usize],
+        ranges: &[JointRange; N_JOINTS],
+    ) -> Self {
+        let (poses, dt) = (&state.poses, self.frame_interval);
+        let moved = |a: usize, b: usize| poses[b].translation - poses[a].translation;
+        for (sigmas, speed) in self.sigmas.iter_mut().zip(speeds(poses.len(), dt, moved)) {
+            sigmas.pelvis *= sigma_growth(speed / PELVIS_SPEED);
+        }
+        for &joint in joints {
+            let typical = ROTATION_SECS * ranges[joint].acceleration;
+            for (sigmas, speed) in self.sigmas.iter_mut().zip(rotation_speeds(poses, joint, dt)) {
+                sigmas.rotations[joint] *= sigma_growth(speed / typical);
+            }
+        }
+        self
+    }
+
+    /// Standardised acceleration of the pelvis, and one over its sigma and the squared frame interval.
+    fn pelvis<L>(&self, window: &Window<L>) -> (Vector3<f64>, f64) {
+        let scale = 1.0 / (self.frame_interval.powi(2) * self.sigmas[window.middle].pelvis);
+        (second_difference(window.poses.map(|pose| pose.translation)) * scale, scale)
+    }
+
+    /// One over the sigma of a joint and the squared frame interval.
+    fn rotation_scale(&self, middle: usize, joint: usize) -> f64 {
+        1.0 / (self.frame_interval.powi(2) * self.sigmas[middle].rotations[joint])
+    }
+}
+
+impl WindowTerm for Smoothness {
+    fn cost(&self, window: &Window<Vector3<f64>>) -> f64 {
+        let joint_cost = |&(_, joint): &(usize, usize)| {
+            let [a, b, c] = window.poses.map(|pose| &pose.rotations[joint]);
+            self.robust.cost(&(rotation_change(a, b, c) * self.rotation_scale(window.middle, joint)))
+        };
+        self.robust.cost(&self.pelvis(window).0) + self.rotations.iter().map(joint_cost).sum::<f64>()
+    }
+
+    fn add_to(&self, window: &Window<TrackedLandmark>, system: &mut BlockBanded) {
+        let (residual, scale) = self.pelvis(window);
+        let itself: &[(usize, Matrix3<f64>)] = &[(TRANSLATION_GROUP, Matrix3::identity())];
+        self.robust.add_to(window.middle, &residual, SECOND_DIFFERENCE.map(|c| c * scale), [itself; 3], system);
+        for &(group, joint) in &self.rotations {
+            let [a, b, c] = window.poses.map(|pose| &pose.rotations[joint]);
+            let change = linearized_rotation_change(a, b, c);
+            let scale = self.rotation_scale(window.middle, joint);
+            let jacobians = change.jacobians.map(|jacobian| [(group, jacobian)]);
+            let by_frame = jacobians.each_ref().map(<[_; 1]>::as_slice);
+            self.robust.add_to(window.middle, &(change.value * scale), [scale; 3], by_frame, system);
+        }
+    }
+}

@@ -1,0 +1,37 @@
+//! The interface of a term: its cost, and its gradient and Gauss-Newton blocks.
+//!
+//! Three traits of the same form differ in what a term depends on besides the border: one frame, three successive frames, or
+//! nothing.
+
+use super::frame::{LinearisedFrame, PosedFrame};
+use super::frame_system::FrameSystem;
+use super::window::{TrackedLandmark, Window};
+use crate::optim::block_banded::{BlockBanded, Corner};
+use nalgebra::Vector3;
+
+/// A term of single frames; its cost is per unit of time weight.
+pub(crate) trait FrameTerm: Sync {
+    /// Cost of one frame.
+    fn cost(&self, frame: &PosedFrame) -> f64;
+
+    /// Adds gradient and Gauss-Newton blocks of one frame.
+    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem);
+}
+
+/// A term of three successive frames; its cost is per unit of time weight.
+pub(crate) trait WindowTerm: Sync {
+    /// Cost of one window.
+    fn cost(&self, window: &Window<Vector3<f64>>) -> f64;
+
+    /// Adds gradient and Gauss-Newton blocks of one window, times the time weight.
+    fn add_to(&self, window: &Window<TrackedLandmark>, system: &mut BlockBanded);
+}
+
+/// A term of the border alone: of unknowns of the person, or of the whole session.
+pub(crate) trait BorderTerm: Sync {
+    /// Cost of `values`, the unknowns that the term is about.
+    fn cost(&self, values: &[f64]) -> f64;
+
+    /// Adds gradient and Gauss-Newton blocks at `values`, the first of which has column `first` of `corner`.
+    fn add_to(&self, values: &[f64], first: usize, corner: &mut Corner);
+}

@@ -1,0 +1,134 @@
+//! The unknowns of a motion and their places in the Gauss-Newton system.
+
+use crate::body::anthropometry::N_BETAS;
+use crate::body::bone_offsets::N_BONE_KINDS;
+use crate::body::detector_offsets::OffsetTable;
+use crate::body::kinematics::{Pose, moving_joints};
+use crate::body::model::{Betas, BodyModel};
+use crate::body::skeleton::N_JOINTS;
+use crate::geometry::rotation;
+use crate::optim::block_banded::BandedStep;
+use std::ops::Range;
+
+/// Values of the unknowns of one person's motion.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct MotionState {
+    pub betas: Betas,
+    /// One per frame.
+    pub poses: Vec<Pose>,
+}
+
+/// Whether the betas are unknowns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Shape {
+    Free,
+    Held,
+}
+
+/// Columns of the unknowns that all frames share.
+///
+/// First those of the person (betas, bone offsets), then those of the whole session (keypoint offsets), so that a session
+/// can eliminate each person's own and add up what remains.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Border<'a> {
+    pub shape: Shape,
+    /// The keypoint offsets, where they are unknowns; the person's bone offsets then are, too. Values of both are in the
+    /// body model.
+    pub bias: Option<&'a OffsetTable>,
+}
+
+impl Border<'_> {
+    /// Columns of the betas.
+    pub(crate) fn betas(&self) -> Range<usize> {
+        0..if self.shape == Shape::Free { N_BETAS } else { 0 }
+    }
+
+    /// Columns of the bone offsets, three per kind of bone.
+    pub(crate) fn bones(&self) -> Range<usize> {
+        let first = self.betas().end;
+        first..first + if self.bias.is_some() { 3 * N_BONE_KINDS } else { 0 }
+    }
+
+    /// Columns of the keypoint offsets, three per kind of keypoint.
+    pub(crate) fn keypoint_bias(&self) -> Range<usize> {
+        let first = self.bones().end;
+        first..first + self.bias.map_or(0, |table| 3 * table.kinds.len())
+    }
+
+    /// Columns of the person's own unknowns.
+    pub(crate) fn person(&self) -> Range<usize> {
+        0..self.bones().end
+    }
+
+    /// Columns of the unknowns that all persons of the session share.
+    pub(crate) fn session(&self) -> Range<usize> {
+        self.person().end..self.len()
+    }
+
+    /// Number of columns.
+    pub(crate) fn len(&self) -> usize {
+        self.keypoint_bias().end
+    }
+}
+
+/// Group of a frame's translation; a group has three unknowns. The joint `joints[i]` has group `i + 1`.
+pub(crate) const TRANSLATION_GROUP: usize = 0;
+
+/// First of the two hand joints; no keypoint shows their rotation, so that they are never unknowns.
+const FIRST_HAND: usize = 22;
+
+/// Which unknowns are free.
+#[derive(Debug, Clone)]
+pub(crate) struct Unknowns<'a> {
+    /// Joints that rotate, ascending; the root is the first. The others keep the rotation they started with.
+    pub joints: Vec<usize>,
+    pub border: Border<'a>,
+}
+
+impl<'a> Unknowns<'a> {
+    /// The root and all `joints` but the hands.
+    pub(crate) fn new(joints: impl Iterator<Item = usize>, border: Border<'a>) -> Self {
+        let mut is_free = [false; N_JOINTS];
+        is_free[0] = true;
+        joints.for_each(|joint| is_free[joint] = true);
+        Self { joints: (0..FIRST_HAND).filter(|&joint| is_free[joint]).collect(), border }
+    }
+
+    /// Groups of a frame.
+    pub(crate) fn n_groups(&self) -> usize {
+        self.joints.len() + 1
+    }
+
+    /// Group of a joint's rotation; `None` where it is held.
+    pub(crate) fn group(&self, joint: usize) -> Option<usize> {
+        self.joints.iter().position(|free| *free == joint).map(|i| i + 1)
+    }
+
+    /// Groups and joints of the rotations, in ascending order.
+    pub(crate) fn rotations(&self) -> impl Iterator<Item = (usize, usize)> {
+        self.joints.iter().enumerate().map(|(i, &joint)| (i + 1, joint))
+    }
+
+    /// By landmark the groups and joints of the rotations that move it.
+    pub(crate) fn moving(&self, model: &BodyModel) -> Vec<Vec<(usize, usize)>> {
+        let group = |joint: usize| self.group(joint).map(|group| (group, joint));
+        model.landmarks.iter().map(|landmark| moving_joints(landmark).into_iter().filter_map(group).collect()).collect()
+    }
+
+    /// The state after a step of the solver: betas added, right increments of the rotations. Bone and keypoint offsets
+    /// are not part of the state.
+    pub(crate) fn moved(&self, state: &MotionState, step: &BandedStep) -> MotionState {
+        let mut moved = state.clone();
+        if self.border.shape == Shape::Free {
+            moved.betas += step.border.fixed_rows::<N_BETAS>(0);
+        }
+        for (pose, step) in moved.poses.iter_mut().zip(&step.frames) {
+            let increment = |group: usize| step.fixed_rows::<3>(3 * group).into_owned();
+            pose.translation += increment(TRANSLATION_GROUP);
+            for (group, joint) in self.rotations() {
+                pose.rotations[joint] *= rotation::exp(&increment(group));
+            }
+        }
+        moved
+    }
+}

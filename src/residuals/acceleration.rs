@@ -1,0 +1,95 @@
+//! Accelerations from three successive frames: of positions and of joint rotations.
+
+use crate::geometry::rotation;
+use crate::optim::robust::{Robust, charbonnier};
+use nalgebra::{Matrix3, Vector3};
+
+/// Coefficients of three successive positions in their second difference.
+pub const SECOND_DIFFERENCE: [f64; 3] = [1.0, -2.0, 1.0];
+
+/// Second difference of three successive positions; over the squared frame interval it is the acceleration in the middle.
+pub fn second_difference([a, b, c]: [Vector3<f64>; 3]) -> Vector3<f64> {
+    a - b * 2.0 + c
+}
+
+/// Cost and weight of an acceleration over its standard deviation, `squared` being its squared length.
+///
+/// [`charbonnier`] at `knee` standard deviations: `knee^2 (r - 1)` and `1 / r`, `r = sqrt(1 + squared / knee^2)`.
+pub fn acceleration_cost(squared: f64, knee: f64) -> Robust {
+    charbonnier(1.0, squared, knee.powi(2))
+}
+
+/// Change between two successive rotation steps, and its derivatives by the right increments of the three rotations.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RotationChange {
+    /// rad per squared frame interval, in the joint's frame.
+    pub value: Vector3<f64>,
+    /// By the increment of the earlier, middle and later rotation.
+    pub jacobians: [Matrix3<f64>; 3],
+}
+
+/// `log(R_a^T R_b)` and `log(R_b^T R_c)`: the steps between three successive rotations, rad.
+fn steps(earlier: &Matrix3<f64>, middle: &Matrix3<f64>, later: &Matrix3<f64>) -> [Vector3<f64>; 2] {
+    [rotation::log(&(earlier.transpose() * middle)), rotation::log(&(middle.transpose() * later))]
+}
+
+/// `log(R_b^T R_c) - log(R_a^T R_b)`: zero for a constant rotation rate; over `dt^2` an angular acceleration.
+///
+/// Known limit: steps of more than half a circle within one frame are taken the short way round.
+pub fn rotation_change(earlier: &Matrix3<f64>, middle: &Matrix3<f64>, later: &Matrix3<f64>) -> Vector3<f64> {
+    let [before, after] = steps(earlier, middle, later);
+    after - before
+}
+
+/// [`rotation_change`] with its derivatives.
+///
+/// Derivatives of `e = log(R_1^T R_2)` (method.md 9.2): `J_r^-1(e)` by the second increment, `-J_r^-1(-e)` by the first.
+pub fn linearized_rotation_change(
+    earlier: &Matrix3<f64>,
+    middle: &Matrix3<f64>,
+    later: &Matrix3<f64>,
+) -> RotationChange {
+    let [before, after] = steps(earlier, middle, later);
+    RotationChange {
+        value: after - before,
+        jacobians: [
+            rotation::right_jacobian_inverse(&-before),
+            -rotation::right_jacobian_inverse(&-after) - rotation::right_jacobian_inverse(&before),
+            rotation::right_jacobian_inverse(&after),
+        ],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::residuals::derivative_check::assert_derivative;
+    use nalgebra::DMatrix;
+
+    #[test]
+    fn constant_rotation_rate_has_no_change() {
+        let (start, step) = (rotation::exp(&Vector3::new(0.3, 1.0, -0.2)), rotation::exp(&Vector3::new(0.1, 0.0, 0.3)));
+        assert!(rotation_change(&start, &(start * step), &(start * step * step)).norm() < 1e-12);
+    }
+
+    #[test]
+    fn free_fall_accelerates_with_gravity() {
+        let at = |t: f64| Vector3::new(2.0 * t, 1.0 - 0.5 * 9.81 * t * t, 0.0);
+        let found = second_difference([at(0.0), at(0.04), at(0.08)]) / (0.04 * 0.04);
+        assert!((found - Vector3::new(0.0, -9.81, 0.0)).norm() < 1e-9);
+    }
+
+    #[test]
+    fn rotation_derivatives_match_central_differences() {
+        let turns = [Vector3::new(0.3, 1.0, -0.2), Vector3::new(0.5, 0.7, 0.1), Vector3::new(-0.1, 0.9, 0.4)];
+        let rotations = turns.map(|w| rotation::exp(&w));
+        let jacobians = linearized_rotation_change(&rotations[0], &rotations[1], &rotations[2]).jacobians;
+        let jacobian = DMatrix::from_fn(3, 9, |row, column| jacobians[column / 3][(row, column % 3)]);
+        assert_derivative(&jacobian, |d| {
+            let moved: [Matrix3<f64>; 3] = std::array::from_fn(|k| {
+                rotations[k] * rotation::exp(&Vector3::from_column_slice(&d[3 * k..3 * k + 3]))
+            });
+            rotation_change(&moved[0], &moved[1], &moved[2]).as_slice().to_vec()
+        });
+    }
+}
