@@ -56,21 +56,21 @@ pub fn find_consensus<Model: Copy, const SIZE: usize>(
     refit: impl Fn(&Model) -> Model,
 ) -> Option<Consensus<Model>> {
     let mut rng = ChaCha8Rng::seed_from_u64(problem.seed);
-    let ballot = Ballot::shuffled(problem, &mut rng)?;
-    if ballot.order.len() < SIZE {
+    let data = SampleOrder::shuffled(problem, &mut rng)?;
+    if data.order.len() < SIZE {
         return None;
     }
     let mut best: Option<Consensus<Model>> = None;
     let mut drawn = 0;
-    while drawn < enough_samples(problem.iterations, SIZE, best.as_ref().map_or(0.0, |b| b.score) / ballot.total) {
+    while drawn < enough_samples(problem.iterations, SIZE, best.as_ref().map_or(0.0, |b| b.score) / data.total) {
         drawn += 1;
-        for model in solve(&ballot.draw(&mut rng)) {
-            let bar = best.as_ref().map_or(0.0, |b| b.score);
-            let Some(score) = ballot.score_above(bar, |datum| squared_distance(&model, datum)) else {
+        for model in solve(&data.draw(&mut rng)) {
+            let minimum_score = best.as_ref().map_or(0.0, |b| b.score);
+            let Some(score) = data.score_above(minimum_score, |datum| squared_distance(&model, datum)) else {
                 continue;
             };
             let refitted = refit(&model);
-            let improved = ballot.score_above(score, |datum| squared_distance(&refitted, datum));
+            let improved = data.score_above(score, |datum| squared_distance(&refitted, datum));
             best = Some(match improved {
                 Some(score) => Consensus { model: refitted, score },
                 None => Consensus { model, score },
@@ -89,7 +89,7 @@ fn enough_samples(limit: usize, size: usize, share: f64) -> usize {
 }
 
 /// The data of positive weight in random order, so that every prefix is a fair poll of the whole.
-struct Ballot {
+struct SampleOrder {
     order: Vec<usize>,
     gain_limit: Vec<f64>,
     /// Sum of the weights of each whole number of blocks.
@@ -100,7 +100,7 @@ struct Ballot {
     inverse_threshold2: f64,
 }
 
-impl Ballot {
+impl SampleOrder {
     fn shuffled(problem: &ConsensusProblem<'_>, rng: &mut ChaCha8Rng) -> Option<Self> {
         let weight = |datum: usize| problem.weights.map_or(1.0, |w| w.get(datum).copied().unwrap_or(0.0));
         let mut order: Vec<usize> = (0..problem.n_data).filter(|&datum| weight(datum) > 0.0).collect();
@@ -134,20 +134,20 @@ impl Ballot {
         sample.map(|place| self.order[place])
     }
 
-    /// The whole score if it is above `bar`; gives up as soon as it cannot, or by Hoeffding's bound will hardly, be.
-    fn score_above(&self, bar: f64, squared_distance: impl Fn(usize) -> f64) -> Option<f64> {
-        let share = bar / self.total;
+    /// The whole score if it is above `minimum_score`; gives up as soon as it cannot, or by Hoeffding's bound will hardly, be.
+    fn score_above(&self, minimum_score: f64, squared_distance: impl Fn(usize) -> f64) -> Option<f64> {
+        let share = minimum_score / self.total;
         let mut score = 0.0;
         for (block, data) in self.order.chunks(BLOCK).enumerate() {
             let (weight, spread) = (self.weight_before[block], self.spread_before[block]);
-            if score + (self.total - weight) <= bar || score < share * weight - HOEFFDING * spread {
+            if score + (self.total - weight) <= minimum_score || score < share * weight - HOEFFDING * spread {
                 return None;
             }
             for (&datum, limit) in data.iter().zip(&self.gain_limit[block * BLOCK..]) {
                 score += limit * (1.0 - squared_distance(datum) * self.inverse_threshold2).max(0.0);
             }
         }
-        (score > bar).then_some(score)
+        (score > minimum_score).then_some(score)
     }
 }
 
@@ -179,10 +179,10 @@ mod tests {
     fn a_sample_never_holds_a_datum_twice() {
         let problem = ConsensusProblem { n_data: 6, weights: None, threshold: 1.0, iterations: 1, seed: 0 };
         let mut rng = ChaCha8Rng::seed_from_u64(2);
-        let ballot = Ballot::shuffled(&problem, &mut rng).unwrap();
+        let data = SampleOrder::shuffled(&problem, &mut rng).unwrap();
         let mut seen = [0; 6];
         for _ in 0..600 {
-            let mut sample: [usize; 5] = ballot.draw(&mut rng);
+            let mut sample: [usize; 5] = data.draw(&mut rng);
             sample.sort();
             assert!(sample.windows(2).all(|w| w[0] < w[1]));
             sample.iter().for_each(|&i| seen[i] += 1);

@@ -56,13 +56,13 @@ pub fn estimate_essential(
     let [pose, ..] = epipolar::poses_from_essential(&found.model);
     let refined = epipolar::essential_from_pose(&refit(&pose, FINAL_ITERATIONS));
     // The descent minimises a smooth robust cost, not the score; of two nearly equal models the score decides.
-    let before = judge_essential(&found.model, pairs, weights, threshold);
-    let after = judge_essential(&refined, pairs, weights, threshold);
+    let before = score_essential(&found.model, pairs, weights, threshold);
+    let after = score_essential(&refined, pairs, weights, threshold);
     Some(if after.support >= before.support { after } else { before })
 }
 
 /// Scores an essential matrix on pairs and chooses its pose by cheirality.
-pub fn judge_essential(
+pub fn score_essential(
     essential: &Matrix3<f64>,
     pairs: &[PointPair],
     weights: Option<&[f64]>,

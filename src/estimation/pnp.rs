@@ -1,7 +1,7 @@
 //! A camera's pose from known points, many of them wrongly matched.
 
 use super::consensus::{ConsensusProblem, find_consensus};
-use crate::geometry::p3p::{PointSight, p3p};
+use crate::geometry::p3p::{PointCorrespondence, p3p};
 use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
 use crate::optim::dense_levenberg_marquardt::{QuadraticModel, descend};
 use crate::optim::robust::{geman_mcclure_rho, geman_mcclure_weight};
@@ -35,7 +35,12 @@ const NORMALIZED_CAMERA: Intrinsics =
 ///
 /// `None` with fewer than four points (three leave up to four poses) or when fewer than four agree. Known limit: points
 /// in one plane far away leave two nearly equal poses.
-pub fn estimate_pose(points: &[PointSight], threshold: f64, iterations: usize, seed: u64) -> Option<PoseEstimate> {
+pub fn estimate_pose(
+    points: &[PointCorrespondence],
+    threshold: f64,
+    iterations: usize,
+    seed: u64,
+) -> Option<PoseEstimate> {
     let problem = ConsensusProblem { n_data: points.len(), weights: None, threshold, iterations, seed };
     let found = find_consensus(
         &problem,
@@ -45,14 +50,15 @@ pub fn estimate_pose(points: &[PointSight], threshold: f64, iterations: usize, s
     )?;
     let refined = refine_pose(&found.model, points, threshold, FINAL_ITERATIONS);
     // The descent minimises a smooth robust cost, not the score; of two nearly equal poses the score decides.
-    let (before, after) = (judge_pose(&found.model, points, threshold), judge_pose(&refined, points, threshold));
+    let (before, after) = (score_pose(&found.model, points, threshold), score_pose(&refined, points, threshold));
     let best = if after.support >= before.support { after } else { before };
     (best.inliers.iter().filter(|&&inlier| inlier).count() >= 4).then_some(best)
 }
 
 /// Scores a pose on points.
-pub fn judge_pose(camera_from_world: &Rigid, points: &[PointSight], threshold: f64) -> PoseEstimate {
-    let gain = |point: &PointSight| 1.0 - squared_reprojection(camera_from_world, point) / (threshold * threshold);
+pub fn score_pose(camera_from_world: &Rigid, points: &[PointCorrespondence], threshold: f64) -> PoseEstimate {
+    let gain =
+        |point: &PointCorrespondence| 1.0 - squared_reprojection(camera_from_world, point) / (threshold * threshold);
     let gains: Vec<f64> = points.iter().map(gain).collect();
     let inliers: Vec<bool> = gains.iter().map(|g| *g > 0.0).collect();
     let n_inliers = inliers.iter().filter(|&&inlier| inlier).count();
@@ -68,19 +74,19 @@ pub fn judge_pose(camera_from_world: &Rigid, points: &[PointSight], threshold: f
 ///
 /// Points behind the camera cost what a gross error costs and pull nowhere. The cost never rises; the start comes back
 /// where nothing improves it.
-pub fn refine_pose(start: &Rigid, points: &[PointSight], threshold: f64, iterations: usize) -> Rigid {
+pub fn refine_pose(start: &Rigid, points: &[PointCorrespondence], threshold: f64, iterations: usize) -> Rigid {
     let retract = |pose: &Rigid, step: &SVector<f64, 6>| {
         pose.perturbed_left(&step.fixed_rows::<3>(0).into_owned(), &step.fixed_rows::<3>(3).into_owned())
     };
     descend(*start, iterations, |pose| Some(linearize(pose, points, threshold * threshold)), retract)
 }
 
-fn squared_reprojection(camera_from_world: &Rigid, (point, seen): &PointSight) -> f64 {
+fn squared_reprojection(camera_from_world: &Rigid, (point, seen): &PointCorrespondence) -> f64 {
     let projected = NORMALIZED_CAMERA.pixel_from_camera(&camera_from_world.transform(point));
     projected.map_or(f64::INFINITY, |p: Vector2<f64>| (p - seen).norm_squared())
 }
 
-fn linearize(camera_from_world: &Rigid, points: &[PointSight], scale2: f64) -> QuadraticModel<6> {
+fn linearize(camera_from_world: &Rigid, points: &[PointCorrespondence], scale2: f64) -> QuadraticModel<6> {
     let mut model = QuadraticModel::zeros();
     for (point, seen) in points {
         let in_camera = camera_from_world.transform(point);
@@ -115,7 +121,7 @@ mod tests {
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, Normal};
 
-    fn scene(seed: u64, n: usize, noise: f64, outliers: f64) -> (Rigid, Vec<PointSight>) {
+    fn scene(seed: u64, n: usize, noise: f64, outliers: f64) -> (Rigid, Vec<PointCorrespondence>) {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let normal = Normal::new(0.0, noise).unwrap();
         let mut random = || Vector3::from_fn(|_, _| rng.random_range(-1.0..1.0));

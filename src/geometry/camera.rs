@@ -4,7 +4,7 @@ mod distortion;
 
 pub use distortion::Distortion;
 
-use distortion::Bent;
+use distortion::Distorted;
 use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
 
 /// Image size, focal lengths, principal point (px) and the lens.
@@ -77,7 +77,7 @@ impl Intrinsics {
 
     /// The pixel of ideal (undistorted) normalised coordinates.
     pub fn pixel_from_normalized(&self, n: &Vector2<f64>) -> Vector2<f64> {
-        let d = self.dist.bend(n).point;
+        let d = self.dist.distort_with_jacobian(n).point;
         Vector2::new(self.fx * d.x + self.skew * d.y + self.cx, self.fy * d.y + self.cy)
     }
 
@@ -88,7 +88,7 @@ impl Intrinsics {
         }
         let iz = 1.0 / point.z;
         let n = Vector2::new(point.x * iz, point.y * iz);
-        let Bent { point: d, jacobian: [a, b, c, e] } = self.dist.bend(&n);
+        let Distorted { point: d, jacobian: [a, b, c, e] } = self.dist.distort_with_jacobian(&n);
         // d pixel / d n = K2 * D; d n / d point = [1/z, 0, -x/z; 0, 1/z, -y/z].
         let (m00, m01) = (self.fx * a + self.skew * c, self.fx * b + self.skew * e);
         let (m10, m11) = (self.fy * c, self.fy * e);
@@ -109,7 +109,7 @@ impl Intrinsics {
     /// method is returned, and a fisheye's ray is kept below 89 degrees from the axis.
     pub fn normalized_from_pixel(&self, pixel: &Vector2<f64>) -> Vector2<f64> {
         let y = (pixel.y - self.cy) / self.fy;
-        self.dist.straighten(&Vector2::new((pixel.x - self.cx - self.skew * y) / self.fx, y))
+        self.dist.undistort(&Vector2::new((pixel.x - self.cx - self.skew * y) / self.fx, y))
     }
 }
 

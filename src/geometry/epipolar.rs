@@ -117,7 +117,7 @@ pub fn cheirality_count(second_from_first: &Rigid, pairs: &[PointPair]) -> usize
 
 /// A line of sight in the world in Plücker coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Ray {
+pub struct PluckerRay {
     /// Unit direction, away from the camera.
     pub direction: Vector3<f64>,
     /// `point x direction` of any point on the line, m.
@@ -127,7 +127,7 @@ pub struct Ray {
 /// Below this sine two rays count as parallel: the gap's numerator would be all rounding.
 const PARALLEL_SINE: f64 = 1e-9;
 
-impl Ray {
+impl PluckerRay {
     /// The ray through ideal normalised coordinates of a camera.
     pub fn through(camera_from_world: &Rigid, normalized: &Vector2<f64>) -> Self {
         let direction = camera_from_world.rotation.tr_mul(&normalized.push(1.0)).normalize();
@@ -141,7 +141,7 @@ impl Ray {
 }
 
 /// Distance of a point to a ray's line, m: `|x x n - l|`.
-pub fn ray_point_distance(ray: &Ray, point: &Vector3<f64>) -> f64 {
+pub fn ray_point_distance(ray: &PluckerRay, point: &Vector3<f64>) -> f64 {
     (point.cross(&ray.direction) - ray.moment).norm()
 }
 
@@ -149,7 +149,7 @@ pub fn ray_point_distance(ray: &Ray, point: &Vector3<f64>) -> f64 {
 ///
 /// The numerator alone is the gap times the sine of the angle and under-reports for nearly parallel rays. The lines
 /// may be nearest behind the cameras; depth is not looked at.
-pub fn ray_ray_distance(one: &Ray, other: &Ray) -> f64 {
+pub fn ray_ray_distance(one: &PluckerRay, other: &PluckerRay) -> f64 {
     let sine = one.direction.cross(&other.direction).norm();
     if sine < PARALLEL_SINE {
         return ray_point_distance(one, &other.foot());

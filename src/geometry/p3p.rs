@@ -8,13 +8,13 @@ use super::rigid::Rigid;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// A point in the world and its ideal normalised coordinates in the image.
-pub type PointSight = (Vector3<f64>, Vector2<f64>);
+pub type PointCorrespondence = (Vector3<f64>, Vector2<f64>);
 
 /// The poses (`camera_from_world`) that see three points where they are seen: at most four, all depths positive.
 ///
 /// Empty where the points lie on a line, or two of them on one ray. On the danger cylinder through the points (its
 /// axis across their plane) solutions coincide and may be lost to rounding.
-pub fn p3p(points: &[PointSight; 3]) -> Vec<Rigid> {
+pub fn p3p(points: &[PointCorrespondence; 3]) -> Vec<Rigid> {
     let Some(triangles) = Triangles::new(points) else {
         return Vec::new();
     };
@@ -44,7 +44,7 @@ struct Triangles {
 const SMALL_DIVISOR: f64 = 1e-4;
 
 impl Triangles {
-    fn new(points: &[PointSight; 3]) -> Option<Self> {
+    fn new(points: &[PointCorrespondence; 3]) -> Option<Self> {
         let normalized = points.map(|(_, n)| n.push(1.0).normalize());
         let side = |k: usize| ((k + 1) % 3, (k + 2) % 3);
         let cosines = Vector3::from_fn(|k, _| normalized[side(k).0].dot(&normalized[side(k).1]));
@@ -122,7 +122,11 @@ impl Triangles {
 }
 
 /// The motion that takes the world's triangle to the camera's, by the frames spanned by both.
-fn pose_from_depths(points: &[PointSight; 3], normalized: &[Vector3<f64>; 3], depths: &Vector3<f64>) -> Option<Rigid> {
+fn pose_from_depths(
+    points: &[PointCorrespondence; 3],
+    normalized: &[Vector3<f64>; 3],
+    depths: &Vector3<f64>,
+) -> Option<Rigid> {
     let seen = [normalized[0] * depths[0], normalized[1] * depths[1], normalized[2] * depths[2]];
     let known = [points[0].0, points[1].0, points[2].0];
     let rotation = triangle_frame(&seen)? * triangle_frame(&known)?.transpose();
@@ -144,7 +148,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    fn sight(pose: &Rigid, point: Vector3<f64>) -> PointSight {
+    fn sight(pose: &Rigid, point: Vector3<f64>) -> PointCorrespondence {
         let seen = pose.transform(&point);
         (point, seen.xy() / seen.z)
     }

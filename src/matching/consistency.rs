@@ -8,7 +8,7 @@ use super::normalized::NormalizedDetection;
 use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_profile::DETECTOR;
 use crate::geometry::Rigid;
-use crate::geometry::epipolar::{Ray, ray_ray_distance};
+use crate::geometry::epipolar::{PluckerRay, ray_ray_distance};
 use crate::geometry::projection::NormalizedProjection;
 use crate::optim::robust::OUTLIER_SIGMAS;
 
@@ -27,7 +27,7 @@ pub type Order = [usize];
 
 /// A detection by a placed camera.
 #[derive(Debug, Clone)]
-pub struct Seen<'a> {
+pub struct PosedDetection<'a> {
     /// `camera_from_world`, m.
     pub camera: &'a Rigid,
     /// What was seen.
@@ -37,7 +37,7 @@ pub struct Seen<'a> {
     factors: Vec<Option<f64>>,
 }
 
-impl<'a> Seen<'a> {
+impl<'a> PosedDetection<'a> {
     /// `noise`: how far the detector errs.
     pub fn new(camera: &'a Rigid, detection: &'a NormalizedDetection, noise: &DetectorNoise) -> Self {
         let factor = |c: &f64| (*c >= DETECTOR.comparable).then(|| noise.factor(*c));
@@ -57,7 +57,7 @@ pub struct Agreement {
 /// Squared distance of keypoint `from` to where the body's `keypoint` is expected, in variances; `None` where it is not
 /// seen or too doubtful.
 pub fn squared_misfit(
-    seen: &Seen,
+    seen: &PosedDetection,
     from: usize,
     expected: &NormalizedProjection,
     noise: &DetectorNoise,
@@ -70,7 +70,7 @@ pub fn squared_misfit(
 
 /// Agreement of a detection with a person's expected points; `None` where too little is shared.
 pub fn physics_affinity(
-    seen: &Seen,
+    seen: &PosedDetection,
     expected: &[Option<NormalizedProjection>],
     noise: &DetectorNoise,
     order: &Order,
@@ -80,10 +80,10 @@ pub fn physics_affinity(
 }
 
 /// Agreement of two detections of different views: gaps between the rays of equal keypoints, 0 to 1.
-pub fn geometry_affinity(one: &Seen, other: &Seen, noise: &DetectorNoise) -> Option<f64> {
+pub fn geometry_affinity(one: &PosedDetection, other: &PosedDetection, noise: &DetectorNoise) -> Option<f64> {
     let gap = |(k, sigma_m): (usize, &f64)| {
         let [factor_a, factor_b] = [one.factors[k]?, other.factors[k]?];
-        let [a, b] = [one, other].map(|s| Ray::through(s.camera, &s.detection.normalized[k]));
+        let [a, b] = [one, other].map(|s| PluckerRay::through(s.camera, &s.detection.normalized[k]));
         // Both rays are uncertain, in the one direction across both of them.
         let gap = ray_ray_distance(&a, &b) / (sigma_m * factor_a.hypot(factor_b));
         Some(gap * gap)
@@ -128,7 +128,7 @@ mod tests {
         let noise = DetectorNoise::published(KeypointConvention::Coco17);
         let [a, b, c] = [seen_by(&first, &person), seen_by(&second, &person), seen_by(&second, &neighbour)];
         let [a, b, c] = [(&first, &a), (&second, &b), (&second, &c)]
-            .map(|(camera, detection)| Seen::new(camera, detection, &noise));
+            .map(|(camera, detection)| PosedDetection::new(camera, detection, &noise));
         let geometry = |one, other| geometry_affinity(one, other, &noise).unwrap();
         assert!(geometry(&a, &b) > 0.99 && geometry(&a, &c) < 0.3);
         let expected: Vec<_> = person.iter().map(|point| project_normalized(&second, point)).collect();

@@ -1,7 +1,7 @@
 //! Hypotheses of the relative pose of two cameras, each fitted to whole tracklets and judged by everything both saw.
 
 use super::normalized::NormalizedView;
-use super::pair_score::{Match, PairEvidence, PairScore, VOTE_RADIUS, score_pair, vote};
+use super::pair_score::{Match, PairObservations, PairScore, VOTE_RADIUS, score_pair, vote};
 use super::tracklets::Tracklet;
 use crate::body::detector_profile::DETECTOR;
 use crate::estimation::essential::{EssentialEstimate, estimate_essential, refine_essential};
@@ -66,7 +66,7 @@ pub struct CameraPair<'a> {
     /// Their tracklets.
     pub tracklets: [&'a [Tracklet]; 2],
     /// What every hypothesis is judged on.
-    pub evidence: PairEvidence<'a>,
+    pub observations: PairObservations<'a>,
 }
 
 type PointPairs = Vec<(Vector2<f64>, Vector2<f64>)>;
@@ -168,7 +168,7 @@ fn point_pairs(pair: &CameraPair, a: usize, b: usize, seed: u64, config: &Hypoth
 
 /// Scores a pose and gives its translation the metric length that the people's bones ask for.
 fn judged(pair: &CameraPair, second_from_first: Rigid) -> PairHypothesis {
-    let score = score_pair(&pair.evidence, &second_from_first);
+    let score = score_pair(&pair.observations, &second_from_first);
     let metres = score.log_metres.exp();
     let metric = Rigid { translation: second_from_first.translation * metres, ..second_from_first };
     PairHypothesis { second_from_first: metric, score: PairScore { log_metres: 0.0, ..score } }
@@ -178,7 +178,7 @@ fn judged(pair: &CameraPair, second_from_first: Rigid) -> PairHypothesis {
 fn refit(pair: &CameraPair, hypothesis: &PairHypothesis, config: &HypothesisConfig) -> PairHypothesis {
     let mut pose = hypothesis.second_from_first;
     for radius in [VOTE_RADIUS, config.tolerance] {
-        let (matches, _) = vote(&pair.evidence, &essential_from_pose(&pose));
+        let (matches, _) = vote(&pair.observations, &essential_from_pose(&pose));
         let points = matched_points(&matches);
         if points.len() < 20 {
             break;

@@ -24,15 +24,15 @@ const BONE_SPREAD: f64 = 0.25;
 const MIN_SHARED: usize = 6;
 
 /// What two cameras saw at a fixed set of frames.
-pub struct PairEvidence<'a> {
+pub struct PairObservations<'a> {
     /// Sightings of the first and the second camera, frame by frame.
     pub frames: Vec<(&'a [NormalizedDetection], &'a [NormalizedDetection])>,
     /// Bones with reference lengths.
     pub bones: &'a [LimbBone],
 }
 
-impl<'a> PairEvidence<'a> {
-    /// The evidence of `frames`.
+impl<'a> PairObservations<'a> {
+    /// The observations of `frames`.
     pub fn new(first: &'a NormalizedView, second: &'a NormalizedView, frames: &[usize], bones: &'a [LimbBone]) -> Self {
         let at = |&f: &usize| (first.frames[f].as_slice(), second.frames[f].as_slice());
         Self { frames: frames.iter().map(at).filter(|(a, b)| !a.is_empty() && !b.is_empty()).collect(), bones }
@@ -81,10 +81,10 @@ pub fn similarity(essential: &Matrix3<f64>, a: &NormalizedDetection, b: &Normali
 }
 
 /// The best one-to-one matches of every frame under an essential matrix, and the vote they add up to.
-pub fn vote<'a>(evidence: &PairEvidence<'a>, essential: &Matrix3<f64>) -> (Vec<Match<'a>>, f64) {
+pub fn vote<'a>(observations: &PairObservations<'a>, essential: &Matrix3<f64>) -> (Vec<Match<'a>>, f64) {
     let mut matches = Vec::new();
     let (mut sum, mut possible) = (0.0, 0.0);
-    for (first, second) in &evidence.frames {
+    for (first, second) in &observations.frames {
         let table: Vec<Vec<f64>> =
             first.iter().map(|a| second.iter().map(|b| similarity(essential, a, b, VOTE_RADIUS)).collect()).collect();
         let columns = assign(first.len(), second.len(), 1.0 - MIN_SIMILARITY, |i, j| 1.0 - table[i][j]);
@@ -98,9 +98,9 @@ pub fn vote<'a>(evidence: &PairEvidence<'a>, essential: &Matrix3<f64>) -> (Vec<M
     (matches, if possible > 0.0 { sum / possible } else { 0.0 })
 }
 
-/// Scores `second_from_first` (any unit of length) on the evidence.
-pub fn score_pair(evidence: &PairEvidence, second_from_first: &Rigid) -> PairScore {
-    let (matches, vote) = vote(evidence, &essential_from_pose(second_from_first));
+/// Scores `second_from_first` (any unit of length) on the observations.
+pub fn score_pair(observations: &PairObservations, second_from_first: &Rigid) -> PairScore {
+    let (matches, vote) = vote(observations, &essential_from_pose(second_from_first));
     let mut log_ratios = Vec::new();
     let (mut in_front, mut behind) = (0usize, 0usize);
     for m in &matches {
@@ -108,7 +108,7 @@ pub fn score_pair(evidence: &PairEvidence, second_from_first: &Rigid) -> PairSco
         for p in points.iter().flatten() {
             if p.1 { in_front += 1 } else { behind += 1 }
         }
-        for bone in evidence.bones {
+        for bone in observations.bones {
             if let (Some((a, true)), Some((b, true))) = (points[bone.a], points[bone.b]) {
                 log_ratios.push((bone.length / (a - b).norm().max(1e-9)).ln());
             }

@@ -2,7 +2,7 @@
 //! cameras placed so far agree with best.
 
 use super::pair_hypotheses::PairHypothesis;
-use super::pair_score::{PairEvidence, score_pair};
+use super::pair_score::{PairObservations, score_pair};
 use crate::geometry::{Rigid, rotation};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -16,14 +16,14 @@ pub struct Rig {
     pub quality: f64,
 }
 
-/// Hypotheses and evidence of every pair `(first, second)` with `first < second`.
+/// Hypotheses and observations of every pair `(first, second)` with `first < second`.
 pub struct ViewGraph<'a> {
     /// Number of cameras.
     pub n_views: usize,
     /// Hypotheses by pair, best first.
     pub hypotheses: BTreeMap<(usize, usize), Vec<PairHypothesis>>,
     /// What both cameras of a pair saw.
-    pub evidence: BTreeMap<(usize, usize), PairEvidence<'a>>,
+    pub observations: BTreeMap<(usize, usize), PairObservations<'a>>,
 }
 
 /// Spread of log scale between chained pairs at which belief falls to 1/e: bones give each baseline to some 10 %, and a
@@ -147,10 +147,10 @@ fn agreement(graph: &ViewGraph, cameras: &[Option<Rigid>], other: usize, candida
         (candidate.camera_from_world, other_from_world)
     };
     let second_from_first = second * first.inverse();
-    let Some(evidence) = graph.evidence.get(&pair) else { return 0.0 };
+    let Some(observations) = graph.observations.get(&pair) else { return 0.0 };
     if second_from_first.translation.norm() < 1e-3 {
         return 0.0; // two cameras in one place explain nothing about each other
     }
-    let score = score_pair(evidence, &second_from_first);
+    let score = score_pair(observations, &second_from_first);
     score.quality * (-(score.log_metres / SCALE_SPREAD).powi(2)).exp()
 }

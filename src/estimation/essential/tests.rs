@@ -50,7 +50,7 @@ fn half_wrong_pairs_leave_the_pose_within_its_noise() {
         let found = estimate_essential(&scene.pairs, None, 6e-3, 300, seed).unwrap();
         // The best that these pairs can say: the descent from the truth, which knows no sampling.
         let from_truth = refine_essential(&scene.pose, &scene.pairs, None, 6e-3, 20);
-        let best = judge_essential(&epipolar::essential_from_pose(&from_truth), &scene.pairs, None, 6e-3);
+        let best = score_essential(&epipolar::essential_from_pose(&from_truth), &scene.pairs, None, 6e-3);
         assert!(found.support > 0.99 * best.support, "{seed}: {} {}", found.support, best.support);
         // 75 pairs at 2 px on a stage of 3 m: a median of 0.5 degrees, so 2.5 is out of the noise's reach.
         let pose = &found.second_from_first;

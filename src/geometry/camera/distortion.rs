@@ -26,7 +26,7 @@ impl From<[f64; 5]> for Distortion {
 
 /// Distorted coordinates and their derivative to the ideal ones.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Bent {
+pub(super) struct Distorted {
     pub(super) point: Vector2<f64>,
     /// 2x2, row by row.
     pub(super) jacobian: [f64; 4],
@@ -84,18 +84,18 @@ impl Distortion {
 
     /// Distorted normalised coordinates of ideal ones.
     pub fn distorted(&self, n: &Vector2<f64>) -> Vector2<f64> {
-        self.bend(n).point
+        self.distort_with_jacobian(n).point
     }
 
     /// Distorted coordinates with their derivative.
-    pub(super) fn bend(&self, n: &Vector2<f64>) -> Bent {
+    pub(super) fn distort_with_jacobian(&self, n: &Vector2<f64>) -> Distorted {
         match *self {
-            Self::None => Bent { point: *n, jacobian: [1.0, 0.0, 0.0, 1.0] },
+            Self::None => Distorted { point: *n, jacobian: [1.0, 0.0, 0.0, 1.0] },
             Self::OpenCv5([k1, k2, p1, p2, k3]) => {
                 let r2 = n.norm_squared();
                 let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
                 let slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3);
-                bend_brown(n, radial, slope, [p1, p2])
+                distort_brown(n, radial, slope, [p1, p2])
             }
             Self::Rational8([k1, k2, p1, p2, k3, k4, k5, k6]) => {
                 let r2 = n.norm_squared();
@@ -104,27 +104,27 @@ impl Distortion {
                 let above_slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3);
                 let below_slope = k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6);
                 let radial = above / below;
-                bend_brown(n, radial, (above_slope - radial * below_slope) / below, [p1, p2])
+                distort_brown(n, radial, (above_slope - radial * below_slope) / below, [p1, p2])
             }
-            Self::Fisheye4(k) => bend_fisheye(n, &k),
+            Self::Fisheye4(k) => distort_fisheye(n, &k),
         }
     }
 
     /// Ideal normalised coordinates of distorted ones.
     ///
     /// Known limit: beyond the radius where the polynomial folds over there is no inverse; the last iterate is returned.
-    pub(super) fn straighten(&self, bent: &Vector2<f64>) -> Vector2<f64> {
+    pub(super) fn undistort(&self, distorted: &Vector2<f64>) -> Vector2<f64> {
         match self {
-            Self::None => *bent,
-            Self::Fisheye4(k) => straighten_fisheye(bent, k),
-            Self::OpenCv5(_) | Self::Rational8(_) => self.straighten_by_newton(bent),
+            Self::None => *distorted,
+            Self::Fisheye4(k) => undistort_fisheye(distorted, k),
+            Self::OpenCv5(_) | Self::Rational8(_) => self.undistort_by_newton(distorted),
         }
     }
 
-    fn straighten_by_newton(&self, target: &Vector2<f64>) -> Vector2<f64> {
+    fn undistort_by_newton(&self, target: &Vector2<f64>) -> Vector2<f64> {
         let mut n = *target;
         for _ in 0..20 {
-            let Bent { point, jacobian: [a, b, c, e] } = self.bend(&n);
+            let Distorted { point, jacobian: [a, b, c, e] } = self.distort_with_jacobian(&n);
             let r = target - point;
             let det = a * e - b * c;
             if det.abs() < 1e-9 {
@@ -142,7 +142,7 @@ impl Distortion {
 
 /// Brown's model: `n radial + (2 p1 x y + p2 (r^2 + 2 x^2), p1 (r^2 + 2 y^2) + 2 p2 x y)`, with the radial factor and
 /// its derivative to `r^2` given.
-fn bend_brown(n: &Vector2<f64>, radial: f64, radial_slope: f64, [p1, p2]: [f64; 2]) -> Bent {
+fn distort_brown(n: &Vector2<f64>, radial: f64, radial_slope: f64, [p1, p2]: [f64; 2]) -> Distorted {
     let (x, y) = (n.x, n.y);
     let r2 = x * x + y * y;
     let slope = 2.0 * radial_slope;
@@ -157,7 +157,7 @@ fn bend_brown(n: &Vector2<f64>, radial: f64, radial_slope: f64, [p1, p2]: [f64; 
         cross,
         radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x,
     ];
-    Bent { point, jacobian }
+    Distorted { point, jacobian }
 }
 
 /// `theta_d(theta) / theta` and the derivative of `theta_d` to theta.
@@ -168,7 +168,7 @@ fn fisheye_polynomial(theta2: f64, [k1, k2, k3, k4]: &[f64; 4]) -> [f64; 2] {
 }
 
 /// `n s(r)` with `s = theta_d / r`, `theta = atan r`; its derivative is `s I + (s' / r) n n^T`.
-fn bend_fisheye(n: &Vector2<f64>, k: &[f64; 4]) -> Bent {
+fn distort_fisheye(n: &Vector2<f64>, k: &[f64; 4]) -> Distorted {
     let r2 = n.norm_squared();
     let (scale, growth) = if r2 < SMALL_SQUARED_RADIUS {
         // theta_d / r = 1 + (k1 - 1/3) r^2 + O(r^4).
@@ -181,14 +181,14 @@ fn bend_fisheye(n: &Vector2<f64>, k: &[f64; 4]) -> Bent {
         (scale, (slope / (1.0 + r2) - scale) / r2)
     };
     let cross = growth * n.x * n.y;
-    Bent { point: n * scale, jacobian: [scale + growth * n.x * n.x, cross, cross, scale + growth * n.y * n.y] }
+    Distorted { point: n * scale, jacobian: [scale + growth * n.x * n.x, cross, cross, scale + growth * n.y * n.y] }
 }
 
 /// Newton's method on the angle alone: in normalised coordinates the tangent makes it overshoot.
-fn straighten_fisheye(bent: &Vector2<f64>, k: &[f64; 4]) -> Vector2<f64> {
-    let distorted_angle = bent.norm();
+fn undistort_fisheye(distorted: &Vector2<f64>, k: &[f64; 4]) -> Vector2<f64> {
+    let distorted_angle = distorted.norm();
     if distorted_angle == 0.0 {
-        return *bent;
+        return *distorted;
     }
     let mut theta = distorted_angle.min(MAX_FISHEYE_ANGLE);
     for _ in 0..30 {
@@ -202,5 +202,5 @@ fn straighten_fisheye(bent: &Vector2<f64>, k: &[f64; 4]) -> Vector2<f64> {
             break;
         }
     }
-    bent * (theta.tan() / distorted_angle)
+    distorted * (theta.tan() / distorted_angle)
 }

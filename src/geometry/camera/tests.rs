@@ -50,10 +50,10 @@ fn an_ideal_fisheye_measures_the_angle() {
     assert!((pixel.x - (950.0 + 1100.0 * std::f64::consts::FRAC_PI_3)).abs() < 1e-10);
     // With coefficients at theta = pi / 4, by the formula of the model.
     let (theta, k) = (std::f64::consts::FRAC_PI_4, [-0.03, 0.012, -0.006, 0.001]);
-    let bent =
+    let distorted =
         theta * (1.0 + k[0] * theta.powi(2) + k[1] * theta.powi(4) + k[2] * theta.powi(6) + k[3] * theta.powi(8));
     let pixel = camera(Distortion::Fisheye4(k)).pixel_from_normalized(&Vector2::new(0.0, 1.0));
-    assert!((pixel.y - (545.0 + 1090.0 * bent)).abs() < 1e-10);
+    assert!((pixel.y - (545.0 + 1090.0 * distorted)).abs() < 1e-10);
 }
 
 #[test]
@@ -105,10 +105,10 @@ fn undistortion_comes_back_to_every_pixel_of_the_image() {
                 let again = camera.pixel_from_normalized(&camera.normalized_from_pixel(&pixel));
                 assert!((again - pixel).norm() < 1e-9, "{dist:?} {pixel}: {again}");
                 // Not on another branch of the polynomial: no lens here bends a ray by half of its slope. The fisheyes
-                // bend most, at their corners 57 degrees from the axis: (tan 1 - 1) / tan 1 is 0.36.
-                let (straight, bent) =
+                // distort_with_jacobian most, at their corners 57 degrees from the axis: (tan 1 - 1) / tan 1 is 0.36.
+                let (straight, distorted) =
                     (without_lens(&camera).normalized_from_pixel(&pixel), camera.normalized_from_pixel(&pixel));
-                assert!((straight - bent).norm() < 0.5 * bent.norm(), "{dist:?} {pixel}");
+                assert!((straight - distorted).norm() < 0.5 * distorted.norm(), "{dist:?} {pixel}");
             }
         }
     }

@@ -121,11 +121,11 @@ fn depths_of_an_exact_pair_are_its_z() {
 #[test]
 fn rays_know_their_distance_to_points_and_to_each_other() {
     let at = |x: f64, y: f64| Rigid { rotation: Matrix3::identity(), translation: -Vector3::new(x, y, 0.0) };
-    let forward = Ray::through(&at(1.0, 2.0), &Vector2::zeros());
+    let forward = PluckerRay::through(&at(1.0, 2.0), &Vector2::zeros());
     assert!((ray_point_distance(&forward, &Vector3::new(1.0, 5.0, 9.0)) - 3.0).abs() < 1e-14);
     // One looks along z at height 2, one slanted in the plane of height 0.5.
-    let slanted = Ray::through(&at(-4.0, 0.5), &Vector2::new(0.01, 0.0));
+    let slanted = PluckerRay::through(&at(-4.0, 0.5), &Vector2::new(0.01, 0.0));
     assert!((ray_ray_distance(&forward, &slanted) - 1.5).abs() < 1e-12, "the true gap, whatever the angle");
-    let parallel = Ray::through(&at(4.0, 6.0), &Vector2::zeros());
+    let parallel = PluckerRay::through(&at(4.0, 6.0), &Vector2::zeros());
     assert!((ray_ray_distance(&forward, &parallel) - 5.0).abs() < 1e-14);
 }

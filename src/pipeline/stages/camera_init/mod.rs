@@ -3,7 +3,7 @@
 use crate::body::bones::LimbBone;
 use crate::matching::normalized::NormalizedView;
 use crate::matching::pair_hypotheses::{CameraPair, HypothesisConfig, mix, pair_hypotheses};
-use crate::matching::pair_score::PairEvidence;
+use crate::matching::pair_score::PairObservations;
 use crate::matching::tracklets::Tracklet;
 use crate::matching::view_graph::{Rig, ViewGraph, assemble};
 use crate::progress::{Canceled, Progress};
@@ -35,18 +35,18 @@ pub fn initial_rigs(
         .par_iter()
         .map(|&(a, b)| {
             progress.check()?;
-            let evidence = PairEvidence::new(&views[a], &views[b], &frames, bones);
+            let observations = PairObservations::new(&views[a], &views[b], &frames, bones);
             let pair =
-                CameraPair { views: [&views[a], &views[b]], tracklets: [&tracklets[a], &tracklets[b]], evidence };
+                CameraPair { views: [&views[a], &views[b]], tracklets: [&tracklets[a], &tracklets[b]], observations };
             let hypotheses = pair_hypotheses(&pair, mix(seed, (a * views.len() + b) as u64), &config);
-            Ok(((a, b), hypotheses, pair.evidence))
+            Ok(((a, b), hypotheses, pair.observations))
         })
         .collect();
-    let mut graph = ViewGraph { n_views: views.len(), hypotheses: BTreeMap::new(), evidence: BTreeMap::new() };
+    let mut graph = ViewGraph { n_views: views.len(), hypotheses: BTreeMap::new(), observations: BTreeMap::new() };
     for item in found {
-        let (pair, hypotheses, evidence) = item?;
+        let (pair, hypotheses, observations) = item?;
         graph.hypotheses.insert(pair, hypotheses);
-        graph.evidence.insert(pair, evidence);
+        graph.observations.insert(pair, observations);
     }
     progress.report(0.9, "assembling arrangements of the cameras");
     let rigs = assemble(&graph);

@@ -3,7 +3,7 @@
 use crate::body::detector_noise::DetectorNoise;
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::projection::NormalizedProjection;
-use crate::matching::consistency::{Seen, physics_affinity};
+use crate::matching::consistency::{PosedDetection, physics_affinity};
 use crate::session::Keypoint;
 
 /// A permutation of keypoints.
@@ -51,7 +51,7 @@ impl Flip {
 pub(super) fn best(
     flips: &[Flip],
     noise: &DetectorNoise,
-    seen: &Seen,
+    seen: &PosedDetection,
     expected: &[Option<NormalizedProjection>],
 ) -> usize {
     let agreement =

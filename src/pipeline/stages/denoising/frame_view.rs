@@ -3,7 +3,7 @@
 use super::context::{DenoisingInput, DetectionIndex};
 use crate::geometry::Rigid;
 use crate::geometry::projection::{NormalizedProjection, project_normalized};
-use crate::matching::consistency::Seen;
+use crate::matching::consistency::PosedDetection;
 use crate::matching::normalized::NormalizedView;
 
 /// One frame of the recording.
@@ -18,7 +18,7 @@ pub(super) struct FrameView<'a> {
 /// One frame in one view; empty where the camera is not placed.
 pub(super) struct ViewOfFrame<'a> {
     /// Per detection.
-    pub seen: Vec<Seen<'a>>,
+    pub seen: Vec<PosedDetection<'a>>,
     /// Per expected person: the projected points.
     pub expected: Vec<Vec<Option<NormalizedProjection>>>,
 }
@@ -37,7 +37,7 @@ impl<'a> FrameView<'a> {
             let projected =
                 |points: &Vec<Option<_>>| points.iter().map(|p| project_normalized(camera, p.as_ref()?)).collect();
             ViewOfFrame {
-                seen: view.frames[frame].iter().map(|s| Seen::new(camera, s, input.noise)).collect(),
+                seen: view.frames[frame].iter().map(|s| PosedDetection::new(camera, s, input.noise)).collect(),
                 expected: present.iter().filter_map(points).map(projected).collect(),
             }
         };
@@ -45,7 +45,7 @@ impl<'a> FrameView<'a> {
         Self { frame, present, views }
     }
 
-    pub(super) fn seen(&self, at: DetectionIndex) -> &Seen<'a> {
+    pub(super) fn seen(&self, at: DetectionIndex) -> &PosedDetection<'a> {
         &self.views[at.view].seen[at.detection]
     }
 }

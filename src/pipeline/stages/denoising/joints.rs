@@ -2,7 +2,7 @@
 
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::projection::NormalizedProjection;
-use crate::matching::consistency::{Seen, squared_misfit};
+use crate::matching::consistency::{PosedDetection, squared_misfit};
 
 /// Distance from the person's trajectory beyond which a keypoint is wrong, standard deviations: under Rayleigh's
 /// distribution one in 270,000 lies beyond five.
@@ -14,7 +14,7 @@ const MIN_VIEWS: u8 = 3;
 /// Keypoints that contradict all other views; `order`: the permutation of the flip.
 pub(super) fn rejected(
     noise: &DetectorNoise,
-    seen: &Seen,
+    seen: &PosedDetection,
     expected: &[Option<NormalizedProjection>],
     n_views: &[u8],
     order: &[usize],

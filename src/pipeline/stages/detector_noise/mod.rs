@@ -9,7 +9,7 @@
 
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
-use crate::geometry::epipolar::{Ray, ray_ray_distance};
+use crate::geometry::epipolar::{PluckerRay, ray_ray_distance};
 use crate::matching::normalized::NormalizedDetection;
 use crate::optim::robust::{NORMAL_SIGMA_OF_MAD, median};
 use crate::session::{PersonTrack, Session};
@@ -88,7 +88,7 @@ fn n_pairs(claim: &[Option<usize>]) -> usize {
 }
 
 /// A keypoint's ray in the world and its confidence; `None` where it is not detected.
-type KeypointRay = Option<(Ray, f64)>;
+type KeypointRay = Option<(PluckerRay, f64)>;
 
 /// The rays of each view's detection.
 fn rays<'a>(
@@ -102,7 +102,11 @@ fn rays<'a>(
         let (camera, view) = (cameras[v].as_ref()?, &session.views[v]);
         let seen = NormalizedDetection::from_detection(view, &view.frames[frame][(*detection)?], n_keypoints);
         let keypoints = seen.normalized.iter().zip(&seen.confidence);
-        Some(keypoints.map(|(normalized, c)| (*c > 0.0).then(|| (Ray::through(camera, normalized), *c))).collect())
+        Some(
+            keypoints
+                .map(|(normalized, c)| (*c > 0.0).then(|| (PluckerRay::through(camera, normalized), *c)))
+                .collect(),
+        )
     })
 }
 

@@ -7,7 +7,7 @@
 use crate::geometry::Rigid;
 use crate::matching::normalized::NormalizedView;
 use crate::matching::pair_hypotheses::{CameraPair, HypothesisConfig, mix, pair_hypotheses};
-use crate::matching::pair_score::{PairEvidence, score_pair};
+use crate::matching::pair_score::{PairObservations, score_pair};
 use crate::matching::tracklets::{Tracklet, TrackletConfig, tracklets};
 use crate::pipeline::capture::Capture;
 use crate::progress::{Canceled, Progress};
@@ -135,13 +135,13 @@ fn quality(capture: &Capture, followed: &[Vec<Tracklet>], [a, b]: [usize; 2], of
         (0..first.frames.len()).filter(|&f| !first.frames[f].is_empty() && !second.frames[f].is_empty()).collect();
     let n = useful.len().min(N_JUDGED);
     let frames: Vec<usize> = (0..n).map(|i| useful[i * useful.len() / n]).collect();
-    let evidence = PairEvidence::new(first, &second, &frames, &capture.bones);
+    let observations = PairObservations::new(first, &second, &frames, &capture.bones);
     if let Some(second_from_first) = known_pose(capture, [a, b]) {
-        return score_pair(&evidence, &second_from_first).quality;
+        return score_pair(&observations, &second_from_first).quality;
     }
     let n_frames = first.frames.len();
     let tracklets: Vec<Tracklet> = followed[b].iter().filter_map(|t| shifted_tracklet(t, offset, n_frames)).collect();
-    let pair = CameraPair { views: [first, &second], tracklets: [&followed[a], &tracklets], evidence };
+    let pair = CameraPair { views: [first, &second], tracklets: [&followed[a], &tracklets], observations };
     let item = ((a * capture.views.len() + b) as u64) << 32 | offset.unsigned_abs() << 1 | u64::from(offset < 0);
     let hypotheses = pair_hypotheses(&pair, mix(capture.options.seed, item), &hypotheses_of_one_offset());
     hypotheses.first().map_or(0.0, |hypothesis| hypothesis.score.quality)
