@@ -94,7 +94,7 @@ pub struct AdjustedCamera {
     pub uncertainty: Option<CameraUncertainty>,
 }
 
-/// Reprojection errors of one view.
+/// Reprojection errors of a single view.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct ViewFit {
     /// Number of observations used.

@@ -1,8 +1,8 @@
-//! What finished stages found, kept on disk: work that was interrupted goes on after its last finished stage.
+//! Checkpoints: results of finished stages on disk, so that an interrupted run resumes after its last finished stage.
 //!
-//! A file is `wandless-checkpoint 3`, the key of the work, the SHA-256 of key and rest, and the rest as JSON, in lines. Numbers
-//! are written so that they are read as the same numbers: a resumed run gives the bytes of an uninterrupted one. Whatever is
-//! damaged, of another release, or of other work is not used; whatever cannot be written is done without.
+//! A file has four lines: `wandless-checkpoint 4`, the key of the run, the SHA-256 of key and result, and the result as JSON.
+//! Numbers are read back exactly, so a resumed run gives the bytes of an uninterrupted one. A file that is damaged, of another
+//! release or of another run is ignored; a checkpoint that cannot be written is skipped with a warning.
 
 use crate::body::BodyModel;
 use crate::pipeline::config::Options;
@@ -13,36 +13,37 @@ use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// Where finished stages are kept, if at all.
+/// Storage of finished stages.
 #[derive(Debug, Clone, Default)]
 pub struct Checkpoints {
-    place: Option<Place>,
+    folder: Option<RunFolder>,
 }
 
+/// Folder of one run and the key of that run.
 #[derive(Debug, Clone)]
-struct Place {
-    folder: PathBuf,
+struct RunFolder {
+    path: PathBuf,
     key: String,
 }
 
-/// First line of a file; grows with every change of what is stored.
-const MAGIC: &str = "wandless-checkpoint 3";
+/// First line of a file; the number grows with every change of the stored types.
+const MAGIC: &str = "wandless-checkpoint 4";
 
 impl Checkpoints {
-    /// Keeps nothing.
+    /// Stores nothing.
     pub fn none() -> Self {
         Self::default()
     }
 
-    /// Keeps stages in `folder`, which must exist, for one piece of work: this session, these options, this body, this
-    /// release.
+    /// Stores stages in `folder`, which must exist, for one run: this session, these options, this body, this release.
     pub fn in_folder(folder: &Path, session_sha256: &str, options: &Options, body: &BodyModel) -> Self {
-        let options = serde_json::to_string(options).unwrap_or_default(); // always serialises; a key of less would be refused
-        let work = [env!("CARGO_PKG_VERSION"), session_sha256, &options, &body.sha256()].join("\n");
-        Self { place: Some(Place { folder: folder.to_owned(), key: hex::encode(Sha256::digest(work.as_bytes())) }) }
+        let options = serde_json::to_string(options).unwrap_or_default(); // always serialises
+        let run = [env!("CARGO_PKG_VERSION"), session_sha256, &options, &body.sha256()].join("\n");
+        let key = hex::encode(Sha256::digest(run.as_bytes()));
+        Self { folder: Some(RunFolder { path: folder.to_owned(), key }) }
     }
 
-    /// What the stage found before, or what it finds now.
+    /// The stored result of a stage, or the result of running it.
     ///
     /// # Errors
     /// Those of the stage.
@@ -50,26 +51,26 @@ impl Checkpoints {
     where
         T: Serialize + DeserializeOwned,
     {
-        let Some(place) = &self.place else { return run() };
-        let path = place.folder.join(format!("{name}.ckpt"));
-        if let Some(found) = place.read(&path) {
-            tracing::info!(stage = name, "the stage was finished before and is not run again");
-            return Ok(found);
+        let Some(folder) = &self.folder else { return run() };
+        let path = folder.path.join(format!("{name}.ckpt"));
+        if let Some(result) = folder.read(&path) {
+            tracing::info!(stage = name, "stage resumed from its checkpoint");
+            return Ok(result);
         }
-        let found = run()?;
-        if let Err(error) = place.write(&path, &found) {
-            tracing::warn!(stage = name, %error, "the stage's end could not be kept; an interrupted job runs it again");
+        let result = run()?;
+        if let Err(error) = folder.write(&path, &result) {
+            tracing::warn!(stage = name, %error, "checkpoint not written; an interrupted job runs this stage again");
         }
-        Ok(found)
+        Ok(result)
     }
 }
 
-/// Whether a file is a stage as it was kept, of whatever work.
+/// Whether a file is an undamaged checkpoint, of any run.
 pub fn is_whole(path: &Path) -> bool {
     std::fs::read_to_string(path).is_ok_and(|text| contents(&text).is_some())
 }
 
-/// Key and rest of a file that is whole.
+/// Key and result of an undamaged file.
 fn contents(text: &str) -> Option<(&str, &str)> {
     let (key, digested) = text.strip_prefix(MAGIC)?.strip_prefix('\n')?.split_once('\n')?;
     let (digest, rest) = digested.split_once('\n')?;
@@ -80,16 +81,16 @@ fn digest_of(key: &str, rest: &str) -> String {
     hex::encode(Sha256::new().chain_update(key).chain_update(rest).finalize())
 }
 
-impl Place {
+impl RunFolder {
     fn read<T: DeserializeOwned>(&self, path: &Path) -> Option<T> {
         let text = std::fs::read_to_string(path).ok()?;
         let (key, rest) = contents(&text)?;
         if key == self.key { serde_json::from_str(rest).ok() } else { None }
     }
 
-    /// Under another name first: a file is there whole or not at all.
-    fn write<T: Serialize>(&self, path: &Path, found: &T) -> io::Result<()> {
-        let rest = serde_json::to_string(found)?;
+    /// Writes to a temporary name and renames, so that a file is complete or absent.
+    fn write<T: Serialize>(&self, path: &Path, result: &T) -> io::Result<()> {
+        let rest = serde_json::to_string(result)?;
         let digest = digest_of(&self.key, &rest);
         let staging = path.with_extension("tmp");
         let mut file = File::create(&staging)?;
@@ -114,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn a_finished_stage_is_not_run_again_and_finds_the_same_bits() {
+    fn a_finished_stage_is_not_run_again() {
         let folder = tempfile::tempdir().unwrap();
         let body = default_body();
         let runs = Cell::new(0);
@@ -124,11 +125,11 @@ mod tests {
         assert_eq!(runs.get(), 1);
         assert!(first.iter().zip(&again).all(|(a, b)| a.to_bits() == b.to_bits()));
         resumed(&of(1), &runs);
-        assert_eq!(runs.get(), 2, "other options are other work");
+        assert_eq!(runs.get(), 2, "other options are another run");
     }
 
     #[test]
-    fn a_damaged_checkpoint_is_not_used() {
+    fn ignores_a_damaged_checkpoint() {
         let folder = tempfile::tempdir().unwrap();
         let checkpoints = Checkpoints::in_folder(folder.path(), "00", &Options::default(), &default_body());
         let runs = Cell::new(0);

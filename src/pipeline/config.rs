@@ -1,4 +1,4 @@
-//! What a user may ask for. Stored with the job, so that a run can be repeated.
+//! Options of a job. They are stored with the job, so that a run can be repeated.
 
 use super::error::PipelineError;
 use crate::session::reconstruction::ExportFormat;
@@ -6,25 +6,25 @@ use crate::session::recording::UpAxis;
 use crate::session::{Session, View};
 use serde::{Deserialize, Serialize};
 
-/// Options of one job; names and defaults are the HTTP contract's.
+/// Options of one job; names and defaults are those of the HTTP API.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// How many people there are, where it is known.
+    /// Number of people, where it is known.
     pub people: Option<usize>,
-    /// What to do with the cameras' poses.
+    /// Treatment of the cameras' poses.
     pub extrinsics: Extrinsics,
-    /// What to do with the cameras' intrinsics.
+    /// Treatment of the cameras' intrinsics.
     pub intrinsics: IntrinsicsMode,
-    /// Where the metric scale comes from.
+    /// Source of the metric scale.
     pub scale: ScaleSource,
     /// Up axis of the result's world.
     pub up_axis: UpAxis,
-    /// Physics-geometry consistency stage.
+    /// Whether detections are repaired by physics-geometry consistency.
     pub denoise: bool,
-    /// What is known of human motion: poses that people take, feet that stand still.
+    /// Whether the motion prior is used: likely poses, standing feet.
     pub motion_prior: bool,
-    /// Bodies do not pass through each other.
+    /// Whether collisions between bodies are resolved.
     pub collision: bool,
     /// Name of a registered body model.
     pub body: String,
@@ -32,7 +32,7 @@ pub struct Options {
     pub sync: Sync,
     /// Seed of every random choice.
     pub seed: u64,
-    /// Formats to write beside the JSON files.
+    /// Formats written in addition to the JSON files.
     pub exports: Vec<ExportFormat>,
 }
 
@@ -58,7 +58,7 @@ impl Default for Options {
     }
 }
 
-/// What must be known of a camera to judge the options; a service keeps it beside a session that it does not hold.
+/// Facts of a camera that the check of options needs, so that the session itself need not be loaded.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CameraFacts {
     /// The camera's name.
@@ -68,7 +68,7 @@ pub struct CameraFacts {
 }
 
 impl CameraFacts {
-    /// Of every camera, in the session's order.
+    /// Facts of every camera, in the session's order.
     pub fn of(session: &Session) -> Vec<Self> {
         let facts = |view: &View| Self { id: view.id.clone(), has_extrinsics: view.camera_from_world.is_some() };
         session.views.iter().map(facts).collect()
@@ -76,8 +76,8 @@ impl CameraFacts {
 }
 
 impl Options {
-    /// Checks what can be checked against the session before any work is spent; `bodies`: the names of the registered
-    /// body models, beside that of the embedded one.
+    /// Checks the options against the session's cameras; `bodies`: names of the registered body models, without the
+    /// embedded one.
     ///
     /// # Errors
     /// [`PipelineError::Option`] naming the option and the remedy.
@@ -86,27 +86,30 @@ impl Options {
         let unposed = cameras.iter().find(|camera| !camera.has_extrinsics);
         if let Some(camera) = unposed.filter(|_| self.extrinsics != Extrinsics::Estimate) {
             let reason = format!(
-                "camera {}: fixed and refined extrinsics need R and t of every camera; give them, or use \"estimate\"",
+                "camera {} has no R and t, which fixed and refined extrinsics need of every camera; give them, or use \"estimate\"",
                 camera.id
             );
             return refuse("/extrinsics", reason);
         }
         if self.intrinsics == IntrinsicsMode::RefineFocal && self.extrinsics == Extrinsics::Fixed {
-            let reason = "refine_focal moves cameras, too; use extrinsics \"refine\" or \"estimate\"".to_owned();
+            let reason = "refine_focal also changes camera poses; use extrinsics \"refine\" or \"estimate\"".to_owned();
             return refuse("/intrinsics", reason);
         }
         if self.intrinsics == IntrinsicsMode::RefineFocal && cameras.len() < 2 {
-            return refuse("/intrinsics", "one camera cannot tell its focal length; use \"fixed\"".to_owned());
+            return refuse(
+                "/intrinsics",
+                "a single camera does not determine its focal length; use \"fixed\"".to_owned(),
+            );
         }
         if self.body != DEFAULT_BODY && !bodies.contains(&self.body) {
             let known: String = bodies.iter().map(|name| format!(" or {name:?}")).collect();
             return refuse("/body", format!("{:?} is not a registered body; use \"{DEFAULT_BODY}\"{known}", self.body));
         }
         if self.people == Some(0) {
-            return refuse("/people", "0 people leave nothing to solve; give 1 or more, or null".to_owned());
+            return refuse("/people", "0 people cannot be solved; give 1 or more, or null".to_owned());
         }
         if self.up_axis == UpAxis::X {
-            return refuse("/up_axis", "the result's world has y or z up; use \"y\" or \"z\"".to_owned());
+            return refuse("/up_axis", "up axis x is not supported; use \"y\" or \"z\"".to_owned());
         }
         self.check_scale(cameras)
     }
@@ -116,7 +119,7 @@ impl Options {
         match &self.scale {
             ScaleSource::Body => Ok(()),
             ScaleSource::Height { metres, .. } if !(0.5..=2.6).contains(metres) => {
-                refuse("/scale/metres", format!("{metres} is not a person's height; give metres between 0.5 and 2.6"))
+                refuse("/scale/metres", format!("{metres} m is not a plausible height of a person; give 0.5 to 2.6 m"))
             }
             ScaleSource::Height { who, .. } if who != "tallest" && who.parse::<i64>().is_err() => {
                 refuse("/scale/who", format!("{who:?} is neither \"tallest\" nor a track id"))
@@ -124,13 +127,21 @@ impl Options {
             ScaleSource::Height { .. } => Ok(()),
             ScaleSource::CameraDistance { cameras, metres } => {
                 if !(metres.is_finite() && *metres > 0.0) {
-                    return refuse("/scale/metres", format!("{metres} is no distance; give metres above 0"));
+                    return refuse(
+                        "/scale/metres",
+                        format!("{metres} m is not a distance between cameras; give metres above 0"),
+                    );
                 }
                 if cameras[0] == cameras[1] {
-                    return refuse("/scale/cameras", "two different cameras are needed".to_owned());
+                    return refuse(
+                        "/scale/cameras",
+                        "both cameras are the same; name two different cameras".to_owned(),
+                    );
                 }
                 match cameras.iter().find(|id| known.iter().all(|camera| camera.id != **id)) {
-                    Some(id) => refuse("/scale/cameras", format!("there is no camera {id:?} in the session")),
+                    Some(id) => {
+                        refuse("/scale/cameras", format!("the session has no camera {id:?}; name two of its cameras"))
+                    }
                     None => Ok(()),
                 }
             }
@@ -142,11 +153,11 @@ impl Options {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Extrinsics {
-    /// From nothing.
+    /// Estimated without a start.
     Estimate,
-    /// Those of the session, untouched.
+    /// Those of the session, unchanged.
     Fixed,
-    /// Those of the session as a start.
+    /// Refined, starting from those of the session.
     Refine,
 }
 
@@ -164,7 +175,7 @@ pub enum IntrinsicsMode {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "from", rename_all = "snake_case", deny_unknown_fields)]
 pub enum ScaleSource {
-    /// From the people's bones.
+    /// From the people's bone lengths.
     Body,
     /// One person's standing height is known.
     Height {
@@ -186,8 +197,8 @@ pub enum ScaleSource {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Sync {
-    /// Frames of equal number were taken at the same time, but for the offsets that the session gives.
+    /// Those of the session; 0 where it gives none.
     Given,
-    /// Offsets are estimated; those that the session gives are the start.
+    /// Estimated, starting from those of the session.
     Estimate,
 }

@@ -1,8 +1,6 @@
-//! What can be expected of a session, before any compute is spent on it: who sees whom together, what is degenerate, how
-//! good and how long it will be.
+//! Inspection of a session before it is solved: co-visibility of the cameras, degeneracies, expected accuracy and time.
 //!
-//! Known limit: without given poses the places of the cameras are unknown here, so small baselines and rows of cameras are
-//! told only where the session gives `R` and `t`.
+//! Known limit: small baselines and cameras in a row are found only where the session gives `R` and `t`.
 
 use crate::body::detector_noise::keypoint_sigmas;
 use crate::geometry::Rigid;
@@ -18,42 +16,42 @@ pub struct Inspection {
     pub cameras: Vec<InspectedCamera>,
     /// Every pair of cameras: the co-visibility graph.
     pub pairs: Vec<InspectedPair>,
-    /// Cameras that are connected by shared frames; one group is what a solution needs.
+    /// Groups of cameras connected by shared frames; a solution needs a single group.
     pub groups: Vec<Vec<String>>,
-    /// What will go wrong, or may.
+    /// Expected problems.
     pub findings: Vec<Finding>,
-    /// What the result should be like.
+    /// Expected result.
     pub expected: Expectation,
 }
 
-/// What one camera saw.
+/// Detections of one camera.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct InspectedCamera {
     /// The camera's name.
     pub id: String,
-    /// Frames in which it saw anybody.
+    /// Number of frames with detections.
     pub frames_with_people: usize,
-    /// People seen, all frames together.
+    /// Number of detections in all frames.
     pub detections: usize,
-    /// Median distance to the people, m, if they stand upright; null where nobody was seen whole.
+    /// Median distance to the people, m, assuming that they stand upright; null without a complete detection.
     pub distance_m: Option<f64>,
 }
 
-/// What two cameras saw together.
+/// Co-visibility of two cameras.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct InspectedPair {
-    /// The two.
+    /// Names of the two cameras.
     pub cameras: [String; 2],
-    /// Frames in which both saw somebody.
+    /// Number of frames in which both have detections.
     pub frames_together: usize,
-    /// Distance of their centres, m, where the session gives both poses.
+    /// Distance between their centres, m, where the session gives both poses.
     pub baseline_m: Option<f64>,
 }
 
-/// One reason to expect less.
+/// One expected problem.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Finding {
-    /// `split`, `few_frames`, `nobody`, `static`, `tiny_baseline` or `collinear`.
+    /// `split`, `few_frames`, `no_person`, `static`, `tiny_baseline` or `collinear`.
     pub code: &'static str,
     /// One sentence, with the remedy.
     pub detail: String,
@@ -61,49 +59,48 @@ pub struct Finding {
     pub cameras: Vec<String>,
 }
 
-/// What the result should be like.
+/// Expected result.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Expectation {
-    /// RMS error of a joint in space, mm; null where fewer than two cameras see anybody together.
+    /// RMS error of a joint in space, mm; null where fewer than two cameras see people together.
     pub joint_error_mm: Option<f64>,
     /// Wall seconds of the job once it runs.
     pub solve_s: f64,
-    /// Cameras that see the average person.
+    /// Average number of cameras that see a person.
     pub cameras_per_person: f64,
 }
 
-/// Frames that two cameras must share to be connected: fewer constrain no relative pose in practice.
+/// Number of shared frames that connects two cameras: fewer do not constrain a relative pose in practice.
 const MIN_TOGETHER: usize = 10;
 
 /// Height of a person from the eyes to the ankles, m.
 const SEEN_HEIGHT_M: f64 = 1.5;
 
-/// A baseline below this share of the distance to the people leaves their depth open.
+/// Smallest baseline that determines depth, as a share of the distance to the people.
 const TINY_BASELINE: f64 = 0.05;
 
-/// Second over first principal spread of the camera centres below which they stand in a row.
+/// Ratio of second to first principal spread of the camera centres below which they are collinear.
 const COLLINEAR: f64 = 0.05;
 
-/// People who move less than this share of their own height in every camera do not move.
+/// Movement in every camera, as a share of the own height, below which people count as static.
 const STATIC: f64 = 0.1;
 
-/// Detections that one core is taken to solve in a second, all stages together: an estimate for the cost that is told before
-/// a solve, not a measurement.
+/// Detections that one core solves per second, all stages together: an assumption for the expected cost, not a measurement.
 const DETECTIONS_PER_CORE_SECOND: f64 = 400.0;
 
-/// Wall seconds that even the shortest job takes.
+/// Wall time of the shortest job, s.
 const LEAST_S: f64 = 0.5;
 
-/// Inspects a session that is to be solved on `n_threads` cores.
+/// Inspects a session; `n_threads`: number of cores for the expected time.
 pub fn inspect(session: &Session, n_threads: usize) -> Inspection {
     let cameras: Vec<InspectedCamera> = session.views.iter().map(inspected).collect();
     let pairs = pairs(session);
     let groups = groups(session, &pairs);
     let mut findings = Vec::new();
-    findings.extend(nobody(&cameras));
+    findings.extend(blind_cameras(&cameras));
     findings.extend(split(&groups, &cameras));
     findings.extend(few_frames(session));
-    findings.extend(unmoved(session));
+    findings.extend(static_people(session));
     findings.extend(tiny_baselines(&pairs, &cameras));
     findings.extend(in_a_row(session));
     let expected = expectation(session, &cameras, n_threads);
@@ -121,7 +118,7 @@ fn inspected(view: &View) -> InspectedCamera {
     }
 }
 
-/// Extent from the highest to the lowest keypoint, of people seen nearly whole.
+/// Extent from the highest to the lowest keypoint, px, of nearly complete detections.
 fn height_px(person: &Detection) -> Option<f64> {
     let rows: Vec<f64> = person.keypoints.iter().filter(|k| k.is_present()).map(|k| k.pixel.y).collect();
     let is_whole = 10 * rows.len() >= 8 * person.keypoints.len();
@@ -147,13 +144,13 @@ fn pairs(session: &Session) -> Vec<InspectedPair> {
     pairs
 }
 
-/// Connected parts of the co-visibility graph, in the order of their first cameras.
+/// Connected components of the co-visibility graph, in the order of their first cameras.
 fn groups(session: &Session, pairs: &[InspectedPair]) -> Vec<Vec<String>> {
     let mut groups: Vec<Vec<String>> = session.views.iter().map(|view| vec![view.id.clone()]).collect();
     let needed = MIN_TOGETHER.min(session.n_frames.max(1));
     for pair in pairs.iter().filter(|pair| pair.frames_together >= needed) {
-        let place = |id: &String| groups.iter().position(|group| group.contains(id));
-        if let (Some(a), Some(b)) = (place(&pair.cameras[0]), place(&pair.cameras[1]))
+        let group_of = |id: &String| groups.iter().position(|group| group.contains(id));
+        if let (Some(a), Some(b)) = (group_of(&pair.cameras[0]), group_of(&pair.cameras[1]))
             && a != b
         {
             let moved = groups.remove(a.max(b));
@@ -163,10 +160,10 @@ fn groups(session: &Session, pairs: &[InspectedPair]) -> Vec<Vec<String>> {
     groups
 }
 
-fn nobody(cameras: &[InspectedCamera]) -> Option<Finding> {
+fn blind_cameras(cameras: &[InspectedCamera]) -> Option<Finding> {
     let blind: Vec<String> = cameras.iter().filter(|c| c.detections == 0).map(|c| c.id.clone()).collect();
-    let detail = "these cameras saw nobody: they will stay unsolved; check their keypoint files".to_owned();
-    (!blind.is_empty()).then_some(Finding { code: "nobody", detail, cameras: blind })
+    let detail = "these cameras have no detections and cannot be solved; check their keypoint files".to_owned();
+    (!blind.is_empty()).then_some(Finding { code: "no_person", detail, cameras: blind })
 }
 
 fn split(groups: &[Vec<String>], cameras: &[InspectedCamera]) -> Option<Finding> {
@@ -174,7 +171,7 @@ fn split(groups: &[Vec<String>], cameras: &[InspectedCamera]) -> Option<Finding>
     let seeing: Vec<&Vec<String>> = groups.iter().filter(sees).collect();
     let [_, others @ ..] = seeing.as_slice() else { return None };
     let detail = format!(
-        "the cameras fall into {} groups that see nobody at the same time; let people walk through views of both",
+        "the cameras form {} groups that never see people at the same time; have people walk through views of all groups",
         seeing.len()
     );
     (!others.is_empty()).then(|| Finding {
@@ -186,19 +183,19 @@ fn split(groups: &[Vec<String>], cameras: &[InspectedCamera]) -> Option<Finding>
 
 fn few_frames(session: &Session) -> Option<Finding> {
     let seconds = session.n_frames as f64 / session.fps;
-    let detail = format!("the take lasts {seconds:.1} s; cameras need some seconds of walking people");
+    let detail = format!("the recording lasts {seconds:.1} s; cameras need some seconds of walking people");
     (seconds < 2.0).then_some(Finding { code: "few_frames", detail, cameras: Vec::new() })
 }
 
-/// Whether nobody moves in any camera: standing people leave the cameras' places open.
-fn unmoved(session: &Session) -> Option<Finding> {
+/// Whether people are static in all cameras, which leaves the cameras undetermined.
+fn static_people(session: &Session) -> Option<Finding> {
     let spreads: Vec<f64> = session.views.iter().filter_map(spread).collect();
-    let detail = "nobody moves: let people walk about, so that the cameras' places can be told".to_owned();
+    let detail = "people do not move, which leaves the cameras undetermined; have them walk about".to_owned();
     let is_static = !spreads.is_empty() && spreads.iter().all(|spread| *spread < STATIC);
     is_static.then_some(Finding { code: "static", detail, cameras: Vec::new() })
 }
 
-/// How far the first person of each frame wanders through the image, in heights of that person.
+/// Standard deviation of the positions of all people in the image, as a share of their median height.
 fn spread(view: &View) -> Option<f64> {
     let middles: Vec<Vector2<f64>> = view.frames.iter().flatten().filter_map(middle).collect();
     let height = median(&mut view.frames.iter().flatten().filter_map(height_px).collect::<Vec<_>>())?;
@@ -217,14 +214,15 @@ fn tiny_baselines(pairs: &[InspectedPair], cameras: &[InspectedCamera]) -> Vec<F
     let tiny = pairs.iter().filter_map(|pair| {
         let far = pair.cameras.iter().filter_map(distance).reduce(f64::min)?;
         let baseline = pair.baseline_m?;
-        let detail = format!("{baseline:.2} m apart, {far:.1} m from the people: the two hardly tell depth");
+        let detail = format!("the cameras are {baseline:.2} m apart and {far:.1} m from the people, which hardly determines depth; move one of \
+             them");
         let cameras = pair.cameras.to_vec();
         (baseline < TINY_BASELINE * far).then_some(Finding { code: "tiny_baseline", detail, cameras })
     });
     tiny.collect()
 }
 
-/// Whether three or more given cameras stand in one line.
+/// Whether three or more given cameras are collinear.
 fn in_a_row(session: &Session) -> Option<Finding> {
     let centers: Option<Vec<Vector3<f64>>> =
         session.views.iter().map(|view| view.camera_from_world.as_ref().map(Rigid::center)).collect();
@@ -233,12 +231,13 @@ fn in_a_row(session: &Session) -> Option<Finding> {
     let scatter: Matrix3<f64> = centers.iter().map(|c| (c - mean) * (c - mean).transpose()).sum();
     let mut spreads: Vec<f64> = scatter.symmetric_eigenvalues().iter().map(|v| v.max(0.0).sqrt()).collect();
     spreads.sort_by(|a, b| b.total_cmp(a));
-    let detail = "the cameras stand in one line: a person's depth is uncertain wherever all of them look from one side";
+    let detail =
+        "the cameras stand in one line, which leaves depth uncertain where all look from one side; move one of them";
     let finding = Finding { code: "collinear", detail: detail.to_owned(), cameras: Vec::new() };
     (spreads[1] < COLLINEAR * spreads[0]).then_some(finding)
 }
 
-/// A joint seen by n cameras from all around: each ray fixes two of three directions, so the information of one direction
+/// Expected accuracy and time. A joint is seen by n cameras from all around: each ray fixes two of three directions, so the information of one direction
 /// is 2n / (3 sigma^2), and the RMS error in space sigma sqrt(9 / 2n).
 fn expectation(session: &Session, cameras: &[InspectedCamera], n_threads: usize) -> Expectation {
     let sigmas = keypoint_sigmas(session.convention);

@@ -15,7 +15,7 @@ pub struct Keyframe {
     pub observations: Vec<Observation>,
 }
 
-/// One keypoint detected in one view.
+/// One keypoint detected in a single view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
     /// Index into [`Keyframe::points`].

@@ -1,4 +1,4 @@
-//! Captures at the edge: two cameras, one person, a blind camera, one camera, nobody.
+//! Edge cases: two cameras, one person, a camera without detections, one camera, no person.
 
 use super::{solved, worst_pair_deg};
 use wandless::pipeline::config::Extrinsics;
@@ -12,7 +12,7 @@ fn paper(people: usize, views: usize, frames: usize) -> SimulationConfig {
 }
 
 #[test]
-fn two_cameras_a_quarter_turn_apart_and_two_people() {
+fn solves_two_cameras_and_two_people() {
     let mut config = paper(2, 2, 200);
     config.rig.arrangement = Arrangement::Arc { span_deg: 90.0 };
     let (simulated, found) = solved(&config);
@@ -21,14 +21,14 @@ fn two_cameras_a_quarter_turn_apart_and_two_people() {
 }
 
 #[test]
-fn one_person_before_four_cameras() {
+fn solves_one_person_in_four_cameras() {
     let (simulated, found) = solved(&paper(1, 4, 200));
     assert!(worst_pair_deg(&simulated, &found) < 2.0);
     assert_eq!(found.motions.len(), 1);
 }
 
 #[test]
-fn a_camera_that_sees_nobody_is_unsolved_and_the_rest_solved() {
+fn a_camera_without_detections_stays_unsolved() {
     let mut simulated = simulate(&paper(2, 5, 150)).unwrap();
     simulated.session.views[2].frames.iter_mut().for_each(Vec::clear);
     let found = reconstruct(&simulated.session, &Options::default(), &Progress::silent()).unwrap();
@@ -41,7 +41,7 @@ fn a_camera_that_sees_nobody_is_unsolved_and_the_rest_solved() {
 }
 
 #[test]
-fn one_camera_alone_is_told_to_be_monocular() {
+fn a_single_camera_is_rejected_as_monocular() {
     let (_, found) = solved(&paper(2, 1, 60));
     assert_eq!(found.report.quality.verdict, Verdict::Reject);
     assert!(found.report.quality.reasons[0].contains("monocular"));
@@ -49,15 +49,15 @@ fn one_camera_alone_is_told_to_be_monocular() {
 }
 
 #[test]
-fn a_capture_without_anybody_is_refused_by_name() {
+fn refuses_a_session_without_detections() {
     let mut simulated = simulate(&paper(1, 3, 30)).unwrap();
     simulated.session.views.iter_mut().flat_map(|v| &mut v.frames).for_each(Vec::clear);
     let error = reconstruct(&simulated.session, &Options::default(), &Progress::silent()).unwrap_err();
-    assert!(matches!(error, PipelineError::Unsolvable { code: "nobody_detected", .. }));
+    assert!(matches!(error, PipelineError::Unsolvable { code: "no_person_detected", .. }));
 }
 
 #[test]
-fn given_cameras_are_kept_to_the_last_digit() {
+fn given_cameras_are_kept_exactly() {
     let mut simulated = simulate(&paper(2, 4, 80)).unwrap();
     for (view, truth) in simulated.session.views.iter_mut().zip(&simulated.truth.cameras) {
         view.camera_from_world = Some(*truth);
@@ -70,7 +70,7 @@ fn given_cameras_are_kept_to_the_last_digit() {
 }
 
 #[test]
-fn ten_frames_and_every_thirtieth_frame_end_in_an_answer() {
+fn very_short_and_very_sparse_sessions_end_cleanly() {
     for (frames, stride) in [(10, 1), (300, 30)] {
         let mut simulated = simulate(&paper(2, 4, frames)).unwrap();
         for view in &mut simulated.session.views {
@@ -82,7 +82,10 @@ fn ten_frames_and_every_thirtieth_frame_end_in_an_answer() {
         match reconstruct(&simulated.session, &Options::default(), &Progress::silent()) {
             Ok(found) => {
                 let good = worst_pair_deg(&simulated, &found) < 5.0;
-                assert!(good || found.report.quality.verdict != Verdict::Pass, "{frames} frames: wrong without a word");
+                assert!(
+                    good || found.report.quality.verdict != Verdict::Pass,
+                    "{frames} frames: wrong without a warning"
+                );
             }
             Err(error) => assert!(matches!(error, PipelineError::Unsolvable { .. })),
         }

@@ -1,9 +1,10 @@
-//! Seeded synthetic captures: noise in, known truth out.
-#![allow(clippy::unwrap_used)] // a test that meets what it did not expect has failed
+//! End-to-end tests on seeded synthetic sessions with known truth.
+#![allow(clippy::unwrap_used)] // an unexpected value fails the test
 
 mod edge_cases;
 mod monocular;
 mod presets;
+mod progress;
 mod scale;
 mod synchronisation;
 mod verdicts;
@@ -28,20 +29,20 @@ fn worst_pair_deg(simulated: &Simulated, found: &Reconstruction) -> f64 {
     error.rotation_deg.max(error.direction_deg)
 }
 
-/// Shares of detections given to the right person, and to anybody.
+/// Shares of detections assigned to the right person, and to any person.
 fn identity_shares(simulated: &Simulated, found: &Reconstruction) -> (f64, f64) {
     let n_people = simulated.truth.joints[0].len();
-    let mut votes = vec![vec![0usize; n_people]; found.motions.len()];
+    let mut counts = vec![vec![0usize; n_people]; found.motions.len()];
     let (mut n_given, mut n_all) = (0usize, 0usize);
     for (truth, given) in simulated.truth.identities.iter().zip(&found.identities) {
         for (truth, given) in truth.iter().flatten().zip(given.iter().flatten()) {
             n_all += 1;
             if let Some(person) = given {
                 n_given += 1;
-                votes[person.0][*truth] += 1;
+                counts[person.0][*truth] += 1;
             }
         }
     }
-    let right: usize = votes.iter().map(|v| v.iter().max().copied().unwrap_or(0)).sum();
+    let right: usize = counts.iter().map(|v| v.iter().max().copied().unwrap_or(0)).sum();
     (right as f64 / n_given.max(1) as f64, n_given as f64 / n_all.max(1) as f64)
 }

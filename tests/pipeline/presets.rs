@@ -1,4 +1,4 @@
-//! The presets with nothing given but intrinsics.
+//! The presets with only the intrinsics given.
 
 use super::{identity_shares, solved, worst_pair_deg};
 use wandless::pipeline::{Options, reconstruct};
@@ -11,7 +11,7 @@ fn preset(preset: Preset, frames: usize) -> SimulationConfig {
 }
 
 #[test]
-fn paper_noise_is_solved_from_nothing() {
+fn solves_paper_noise() {
     let (simulated, found) = solved(&preset(Preset::Paper, 150));
     // 5 px of noise at 1,000 px focal length is 0.3 degrees a point; thousands of points leave a tenth of it.
     assert!(worst_pair_deg(&simulated, &found) < 0.5);
@@ -22,7 +22,7 @@ fn paper_noise_is_solved_from_nothing() {
 }
 
 #[test]
-fn hard_noise_is_solved_from_nothing() {
+fn solves_hard_noise() {
     let (simulated, found) = solved(&preset(Preset::Hard, 150));
     assert!(worst_pair_deg(&simulated, &found) < 1.0);
     let (right, given) = identity_shares(&simulated, &found);
@@ -30,7 +30,7 @@ fn hard_noise_is_solved_from_nothing() {
 }
 
 #[test]
-fn the_result_does_not_depend_on_the_number_of_threads() {
+fn result_does_not_depend_on_the_number_of_threads() {
     let simulated = simulate(&preset(Preset::Paper, 60)).unwrap();
     let on = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -40,7 +40,7 @@ fn the_result_does_not_depend_on_the_number_of_threads() {
 }
 
 #[test]
-fn the_world_stands_on_its_floor() {
+fn the_floor_is_at_height_zero() {
     let (_, found) = solved(&preset(Preset::Easy, 120));
     let mut feet: Vec<f64> =
         found.motions.iter().flat_map(|m| &m.frames).map(|f| f.joints[10].y.min(f.joints[11].y)).collect();

@@ -1,13 +1,13 @@
-//! Offsets in time between cameras, found from the motion.
+//! Time offsets between cameras, estimated from the motion.
 
 use wandless::pipeline::config::Sync;
 use wandless::pipeline::{Options, reconstruct};
 use wandless::progress::Progress;
 use wandless::simulation::{Preset, SimulationConfig, simulate};
 
-/// Whole frames and a part of one. What all cameras share means nothing.
+/// Offsets of whole and fractional frames. The mean over all cameras is arbitrary.
 #[test]
-fn offsets_are_found_to_a_twentieth_of_a_frame() {
+fn offsets_are_accurate_to_a_twentieth_of_a_frame() {
     let offsets = [0.0, 11.0, -14.0, 6.3];
     let config = SimulationConfig {
         views: 4,
@@ -19,14 +19,15 @@ fn offsets_are_found_to_a_twentieth_of_a_frame() {
     let simulated = simulate(&config).unwrap();
     let options = Options { sync: Sync::Estimate, ..Options::default() };
     let found = reconstruct(&simulated.session, &options, &Progress::silent()).unwrap();
-    let told: Vec<_> = found.cameras.iter().map(|camera| camera.time_offset.unwrap()).collect();
-    let errors: Vec<f64> = told.iter().zip(offsets).map(|(told, offset)| told.secs * config.fps - offset).collect();
+    let estimates: Vec<_> = found.cameras.iter().map(|camera| camera.time_offset.unwrap()).collect();
+    let errors: Vec<f64> =
+        estimates.iter().zip(offsets).map(|(estimate, offset)| estimate.secs * config.fps - offset).collect();
     let shared = errors.iter().sum::<f64>() / errors.len() as f64;
-    for (error, told) in errors.iter().zip(&told) {
+    for (error, estimate) in errors.iter().zip(&estimates) {
         assert!((error - shared).abs() < 0.05, "{errors:?}");
-        assert!(told.sigma_secs.unwrap() * config.fps < 0.1, "{told:?}");
+        assert!(estimate.sigma_secs.unwrap() * config.fps < 0.1, "{estimate:?}");
     }
-    // Identities stand in the frames as they were recorded.
+    // Identities refer to the recorded frames.
     let (mut right, mut n) = (0, 0);
     for (found, true_ones) in found.identities.iter().zip(&simulated.truth.identities) {
         for (found, true_ones) in found.iter().zip(true_ones) {

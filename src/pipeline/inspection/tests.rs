@@ -3,7 +3,7 @@ use crate::body::skeleton::KeypointConvention;
 use crate::geometry::Intrinsics;
 use crate::session::{FrameIndex, Keypoint};
 
-/// Cameras at `centers`, looking along +z at one person 5 m ahead who takes a step of `step` px a frame.
+/// Cameras at `centers` that look along +z at one person 5 m ahead, moving by `step` px per frame.
 fn session(centers: &[[f64; 3]], n_frames: usize, step: f64) -> Session {
     let person = |frame: usize| {
         let x = 500.0 + step * frame as f64;
@@ -36,7 +36,7 @@ fn codes(session: &Session) -> Vec<&'static str> {
 }
 
 #[test]
-fn a_good_rig_has_no_findings_and_a_distance() {
+fn a_good_rig_has_a_distance_and_no_findings() {
     let good = session(&[[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 4.0]], 100, 5.0);
     let inspection = inspect(&good, 2);
     assert_eq!(inspection.findings, []);
@@ -48,7 +48,7 @@ fn a_good_rig_has_no_findings_and_a_distance() {
 }
 
 #[test]
-fn what_is_degenerate_is_told() {
+fn reports_degenerate_sessions() {
     let apart = [[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [0.0, 0.0, 4.0]];
     assert_eq!(codes(&session(&apart, 100, 0.0)), ["static"]);
     assert_eq!(codes(&session(&apart, 20, 20.0)), ["few_frames"]);
@@ -59,17 +59,17 @@ fn what_is_degenerate_is_told() {
 }
 
 #[test]
-fn cameras_that_share_no_frame_fall_apart() {
-    let mut parted = session(&[[0.0; 3], [3.0, 0.0, 0.0], [0.0, 0.0, 4.0]], 100, 5.0);
+fn reports_groups_without_shared_frames() {
+    let mut split = session(&[[0.0; 3], [3.0, 0.0, 0.0], [0.0, 0.0, 4.0]], 100, 5.0);
     for frame in 0..50 {
-        parted.views[2].frames[frame].clear();
+        split.views[2].frames[frame].clear();
     }
-    for view in &mut parted.views[..2] {
+    for view in &mut split.views[..2] {
         view.frames[50..].iter_mut().for_each(Vec::clear);
     }
-    assert_eq!(codes(&parted), ["split"]);
-    parted.views[2].frames.iter_mut().for_each(Vec::clear);
-    let inspection = inspect(&parted, 2);
-    assert_eq!(inspection.findings.iter().map(|f| f.code).collect::<Vec<_>>(), ["nobody"]);
+    assert_eq!(codes(&split), ["split"]);
+    split.views[2].frames.iter_mut().for_each(Vec::clear);
+    let inspection = inspect(&split, 2);
+    assert_eq!(inspection.findings.iter().map(|f| f.code).collect::<Vec<_>>(), ["no_person"]);
     assert_eq!(inspection.groups, [vec!["c0", "c1"], vec!["c2"]]);
 }

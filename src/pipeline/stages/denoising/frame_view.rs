@@ -15,7 +15,7 @@ pub(super) struct FrameView<'a> {
     pub views: Vec<ViewOfFrame<'a>>,
 }
 
-/// One frame in one view; empty where the camera is not placed.
+/// One frame of a single view; empty where the camera is not placed.
 pub(super) struct ViewOfFrame<'a> {
     /// Per detection.
     pub seen: Vec<PosedDetection<'a>>,

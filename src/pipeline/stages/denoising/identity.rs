@@ -18,8 +18,8 @@ const HELD_BONUS: f64 = 0.03;
 
 /// Assignment of one frame.
 pub(super) struct FrameIdentities {
-    /// `claims[person][view]`: index of the detection, by person present.
-    pub claims: Vec<Vec<Option<usize>>>,
+    /// `assignments[person][view]`: index of the detection, by person present.
+    pub assignments: Vec<Vec<Option<usize>>>,
     /// Whether the frame was ambiguous and solved as one matching.
     pub is_ambiguous: bool,
 }
@@ -28,27 +28,27 @@ pub(super) struct FrameIdentities {
 pub(super) fn identities(context: &Context, frame: &FrameView) -> FrameIdentities {
     let agreement: Vec<Vec<Vec<Agreement>>> = (0..frame.views.len()).map(|v| agreements(context, frame, v)).collect();
     let is_ambiguous = agreement.iter().any(|of_view| is_ambiguous_view(of_view));
-    let mut claims = vec![vec![None; frame.views.len()]; frame.present.len()];
+    let mut assignments = vec![vec![None; frame.views.len()]; frame.present.len()];
     if is_ambiguous {
         for (person, view, detection) in matched(context, frame, &agreement) {
-            claims[person][view] = Some(detection);
+            assignments[person][view] = Some(detection);
         }
     } else {
         for (view, of_view) in agreement.iter().enumerate() {
             let cost = |p: usize, d: usize| 1.0 - of_view[p][d].affinity;
             let n_detections = frame.views[view].seen.len();
             for (p, d) in assign(of_view.len(), n_detections, 1.0 - MIN_AFFINITY, cost).into_iter().enumerate() {
-                claims[p][view] = d;
+                assignments[p][view] = d;
             }
         }
     }
     for (view, of_view) in agreement.iter().enumerate() {
-        prefer_whole_detections(of_view, view, &mut claims);
+        prefer_whole_detections(of_view, view, &mut assignments);
     }
-    FrameIdentities { claims, is_ambiguous }
+    FrameIdentities { assignments, is_ambiguous }
 }
 
-/// Agreement `[person][detection]` in one view, under the best flip.
+/// Agreement `[person][detection]` in a single view, under the best flip.
 fn agreements(context: &Context, frame: &FrameView, view: usize) -> Vec<Vec<Agreement>> {
     let of_view = &frame.views[view];
     let of_person = |(&person, expected): (&usize, &Vec<_>)| {
@@ -68,14 +68,14 @@ fn agreements(context: &Context, frame: &FrameView, view: usize) -> Vec<Vec<Agre
 
 /// A person detected twice, as a part and as the rest: a small part agrees better because it has fewer keypoints. Replaces
 /// the part by the detection with more support, the number of keypoints times their agreement above that of others.
-fn prefer_whole_detections(of_view: &[Vec<Agreement>], view: usize, claims: &mut [Vec<Option<usize>>]) {
+fn prefer_whole_detections(of_view: &[Vec<Agreement>], view: usize, assignments: &mut [Vec<Option<usize>>]) {
     for (person, of_person) in of_view.iter().enumerate() {
-        let Some(held) = claims[person][view] else { continue };
+        let Some(held) = assignments[person][view] else { continue };
         let support = |d: usize| (of_person[d].affinity - MIN_AFFINITY) * of_person[d].n_shared as f64;
-        let is_free = |d: &usize| claims.iter().all(|of_person| of_person[view] != Some(*d));
+        let is_free = |d: &usize| assignments.iter().all(|of_person| of_person[view] != Some(*d));
         let better = (0..of_person.len()).filter(is_free).filter(|d| support(*d) > support(held));
         if let Some(whole) = better.max_by(|a, b| support(*a).total_cmp(&support(*b))) {
-            claims[person][view] = Some(whole);
+            assignments[person][view] = Some(whole);
         }
     }
 }
@@ -146,19 +146,19 @@ mod tests {
         let body = Agreement { affinity: 0.55, n_shared: 19 };
         let leg = Agreement { affinity: 0.9, n_shared: 5 };
         let stranger = Agreement { affinity: 0.31, n_shared: 25 };
-        let claimed = |of_view: &[Vec<Agreement>], mut claims: Vec<Vec<Option<usize>>>| {
-            prefer_whole_detections(of_view, 0, &mut claims);
-            claims.into_iter().map(|of_person| of_person[0]).collect::<Vec<_>>()
+        let assigned = |of_view: &[Vec<Agreement>], mut assignments: Vec<Vec<Option<usize>>>| {
+            prefer_whole_detections(of_view, 0, &mut assignments);
+            assignments.into_iter().map(|of_person| of_person[0]).collect::<Vec<_>>()
         };
-        assert_eq!(claimed(&[vec![body, leg, stranger]], vec![vec![Some(1)]]), [Some(0)]);
-        assert_eq!(claimed(&[vec![stranger, leg]], vec![vec![Some(1)]]), [Some(1)]);
+        assert_eq!(assigned(&[vec![body, leg, stranger]], vec![vec![Some(1)]]), [Some(0)]);
+        assert_eq!(assigned(&[vec![stranger, leg]], vec![vec![Some(1)]]), [Some(1)]);
         let none = Agreement::default();
         let both = [vec![body, leg], vec![body, none]];
         assert_eq!(
-            claimed(&both, vec![vec![Some(1)], vec![Some(0)]]),
+            assigned(&both, vec![vec![Some(1)], vec![Some(0)]]),
             [Some(1), Some(0)],
             "it belongs to another person"
         );
-        assert_eq!(claimed(&[vec![body, leg]], vec![vec![None]]), [None]);
+        assert_eq!(assigned(&[vec![body, leg]], vec![vec![None]]), [None]);
     }
 }

@@ -71,10 +71,10 @@ fn without_detections(track: &PersonTrack) -> PersonTrack {
 
 /// Assigns a frame's detections to persons and repairs them.
 fn repaired_frame(context: &Context, frame: &FrameView) -> FrameRepairs {
-    let FrameIdentities { claims, is_ambiguous } = identity::identities(context, frame);
+    let FrameIdentities { assignments, is_ambiguous } = identity::identities(context, frame);
     let mut repairs = Vec::new();
-    for (person, claim) in claims.iter().enumerate() {
-        for (view, detection) in claim.iter().enumerate().filter_map(|(v, d)| d.map(|d| (v, d))) {
+    for (person, assignment) in assignments.iter().enumerate() {
+        for (view, detection) in assignment.iter().enumerate().filter_map(|(v, d)| d.map(|d| (v, d))) {
             let at = DetectionIndex { view, frame: frame.frame, detection };
             let track = frame.present[person];
             let (seen, expected) = (frame.seen(at), &frame.views[view].expected[person]);

@@ -44,8 +44,8 @@ pub(super) fn consistency_report(
 fn swaps(input: &DenoisingInput, tracks: &[PersonTrack]) -> Vec<(usize, PersonId, [usize; 2])> {
     let mut shown: BTreeMap<(usize, i64), Vec<(usize, PersonId)>> = BTreeMap::new();
     for track in tracks {
-        for (t, claim) in track.detections.iter().enumerate() {
-            for (view, detection) in claim.iter().enumerate().filter_map(|(v, d)| d.map(|d| (v, d))) {
+        for (t, assignment) in track.detections.iter().enumerate() {
+            for (view, detection) in assignment.iter().enumerate().filter_map(|(v, d)| d.map(|d| (v, d))) {
                 let frame = track.first.0 + t;
                 if let Some(id) = input.session.views[view].frames[frame][detection].track_id {
                     shown.entry((view, id)).or_default().push((frame, track.person));

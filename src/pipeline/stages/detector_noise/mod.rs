@@ -64,13 +64,14 @@ struct Gap {
 }
 
 fn gaps(session: &Session, cameras: &[Option<Rigid>], tracks: &[PersonTrack], sigmas_m: &[f64]) -> Vec<Gap> {
-    let n_pairs: usize = tracks.iter().flat_map(|track| &track.detections).map(|claim| n_pairs(claim)).sum();
+    let n_pairs: usize = tracks.iter().flat_map(|track| &track.detections).map(|assignment| n_pairs(assignment)).sum();
     let stride = (n_pairs * sigmas_m.len()).div_ceil(MAX_GAPS).max(1);
     let of_frame = |frame: usize| {
         let mut gaps = Vec::new();
         for track in tracks {
-            let claim = frame.checked_sub(track.first.0).and_then(|t| track.detections.get(t));
-            let seen: Vec<Vec<KeypointRay>> = rays(session, cameras, frame, claim.map_or(&[], Vec::as_slice)).collect();
+            let assignment = frame.checked_sub(track.first.0).and_then(|t| track.detections.get(t));
+            let seen: Vec<Vec<KeypointRay>> =
+                rays(session, cameras, frame, assignment.map_or(&[], Vec::as_slice)).collect();
             for (i, one) in seen.iter().enumerate() {
                 seen[..i].iter().for_each(|other| add_gaps(sigmas_m, one, other, &mut gaps));
             }
@@ -82,8 +83,8 @@ fn gaps(session: &Session, cameras: &[Option<Rigid>], tracks: &[PersonTrack], si
 }
 
 /// Number of pairs of views that see a person in one frame.
-fn n_pairs(claim: &[Option<usize>]) -> usize {
-    let n = claim.iter().flatten().count();
+fn n_pairs(assignment: &[Option<usize>]) -> usize {
+    let n = assignment.iter().flatten().count();
     n * n.saturating_sub(1) / 2
 }
 
@@ -95,10 +96,10 @@ fn rays<'a>(
     session: &'a Session,
     cameras: &'a [Option<Rigid>],
     frame: usize,
-    claim: &'a [Option<usize>],
+    assignment: &'a [Option<usize>],
 ) -> impl Iterator<Item = Vec<KeypointRay>> + 'a {
     let n_keypoints = session.convention.names().len();
-    claim.iter().enumerate().filter_map(move |(v, detection)| {
+    assignment.iter().enumerate().filter_map(move |(v, detection)| {
         let (camera, view) = (cameras[v].as_ref()?, &session.views[v]);
         let seen = NormalizedDetection::from_detection(view, &view.frames[frame][(*detection)?], n_keypoints);
         let keypoints = seen.normalized.iter().zip(&seen.confidence);

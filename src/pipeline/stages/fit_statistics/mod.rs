@@ -49,7 +49,7 @@ impl FitStatistics {
         Self { people, ray_sigmas, views }
     }
 
-    /// Reprojection error of one view, px, and its number of keypoints.
+    /// Reprojection error of a single view, px, and its number of keypoints.
     pub fn of_view(&self, view: usize) -> (Option<ErrorSummary>, usize) {
         (summary(&self.views[view].px), self.views[view].px.len())
     }
@@ -61,8 +61,9 @@ impl FitStatistics {
         cameras: &[Option<Rigid>],
         tracks: &[PersonTrack],
     ) -> Vec<CameraReport> {
-        let given =
-            |view: usize| tracks.iter().flat_map(|t| &t.detections).filter(|claim| claim[view].is_some()).count();
+        let given = |view: usize| {
+            tracks.iter().flat_map(|t| &t.detections).filter(|assignment| assignment[view].is_some()).count()
+        };
         let report = |(v, view): (usize, &crate::session::View)| {
             let n_detections = view.frames.iter().map(Vec::len).sum();
             CameraReport {

@@ -102,8 +102,8 @@ fn person_statistics(
     };
     let mut keypoints = vec![nothing; path.points.first().map_or(0, Vec::len)];
     let (mut n_detections, mut n_in_two_views) = (0, 0);
-    for (t, (claim, points)) in track.detections.iter().zip(&path.points).enumerate() {
-        let detections = placed_detections(session, cameras, claim, track.first.0 + t);
+    for (t, (assignment, points)) in track.detections.iter().zip(&path.points).enumerate() {
+        let detections = placed_detections(session, cameras, assignment, track.first.0 + t);
         n_detections += detections.len();
         n_in_two_views += usize::from(detections.len() >= 2);
         for (k, (point, statistics)) in points.iter().zip(&mut keypoints).enumerate() {
@@ -127,10 +127,10 @@ struct PlacedDetection<'a> {
 fn placed_detections<'a>(
     session: &'a Session,
     cameras: &'a [Option<Rigid>],
-    claim: &[Option<usize>],
+    assignment: &[Option<usize>],
     frame: usize,
 ) -> Vec<PlacedDetection<'a>> {
-    let views = session.views.iter().zip(cameras).zip(claim).enumerate();
+    let views = session.views.iter().zip(cameras).zip(assignment).enumerate();
     views
         .filter_map(|(index, ((view, camera), detection))| {
             let (camera, detection) = (camera.as_ref()?, &view.frames[frame][(*detection)?]);

@@ -121,8 +121,8 @@ struct KeypointRay {
 /// All detections of a person: `[keypoint]`, ordered by time.
 fn rays_by_keypoint(input: &TrajectoryInput, track: &PersonTrack) -> Vec<Vec<KeypointRay>> {
     let mut rays: Vec<Vec<KeypointRay>> = input.noise.sigmas_m().iter().map(|_| Vec::new()).collect();
-    for (t, claims) in track.detections.iter().enumerate() {
-        for (view, detection) in claims.iter().enumerate() {
+    for (t, assignments) in track.detections.iter().enumerate() {
+        for (view, detection) in assignments.iter().enumerate() {
             let (Some(detection), Some(_)) = (detection, &input.cameras[view]) else { continue };
             let keypoints = &input.session.views[view].frames[track.first.0 + t][*detection].keypoints;
             for (k, (seen, rays)) in

@@ -59,14 +59,15 @@ fn candidates(
     allowed: FrameFilter,
 ) -> Vec<(usize, usize)> {
     let track = &association.tracks[person];
-    let n_views =
-        |claim: &[Option<usize>]| claim.iter().zip(cameras).filter(|(d, c)| d.is_some() && c.is_some()).count();
+    let n_views = |assignment: &[Option<usize>]| {
+        assignment.iter().zip(cameras).filter(|(d, c)| d.is_some() && c.is_some()).count()
+    };
     track
         .detections
         .iter()
         .enumerate()
         .filter(|(t, _)| allowed(track.first.0 + t))
-        .map(|(t, claim)| (t, n_views(claim)))
+        .map(|(t, assignment)| (t, n_views(assignment)))
         .filter(|(_, n)| *n >= 2)
         .collect()
 }

@@ -146,8 +146,8 @@ fn tallest(statures: &[Option<FittedStature>]) -> Option<FittedStature> {
 fn person_of_track(capture: &Capture, tracks: &[PersonTrack], id: i64) -> Option<usize> {
     let count = |track: &PersonTrack| {
         let mut n = 0usize;
-        for (t, claim) in track.detections.iter().enumerate() {
-            for (view, detection) in claim.iter().enumerate() {
+        for (t, assignment) in track.detections.iter().enumerate() {
+            for (view, detection) in assignment.iter().enumerate() {
                 let detection = detection.map(|d| &capture.views[view].frames[track.first.0 + t][d]);
                 n += usize::from(detection.is_some_and(|s| s.track_id == Some(id)));
             }

@@ -24,7 +24,7 @@ fn short_recording(input: &VerdictInput) -> Option<Reason> {
     let frames: i64 = input.people.iter().map(|person| person.last_frame - person.first_frame + 1).sum();
     let seconds = frames as f64 / input.fps;
     let text =
-        format!("little evidence: {seconds:.1} s of people in all (expected above {SHORT_SECS} s); record longer");
+        format!("short recording: {seconds:.1} s of people in total (expected above {SHORT_SECS} s); record longer");
     (seconds < SHORT_SECS && frames > 0).then(|| Reason::warn(text))
 }
 

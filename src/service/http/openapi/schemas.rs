@@ -127,7 +127,7 @@ fn inspection() -> Value {
             "findings": { "type": "array", "items": { "type": "object", "additionalProperties": false,
                 "required": ["code", "detail", "cameras"],
                 "properties": {
-                    "code": { "enum": ["split", "few_frames", "nobody", "static", "tiny_baseline", "collinear"] },
+                    "code": { "enum": ["split", "few_frames", "no_person", "static", "tiny_baseline", "collinear"] },
                     "detail": text(), "cameras": texts() } } },
             "expected": { "type": "object", "additionalProperties": false,
                 "required": ["joint_error_mm", "solve_s", "cameras_per_person"],
