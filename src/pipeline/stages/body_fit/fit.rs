@@ -45,7 +45,7 @@ pub fn fit_bodies(
     let first_config = config.without_refinement();
     let context = FitContext { model, config, first_config: &first_config, frame_interval, progress };
     let started = started_people(input, &context)?;
-    progress.report(0.5, "fitted bodies person by person");
+    progress.report(0.5, "estimating the keypoint bias of the detector");
 
     let people: Vec<&(Observations, StartedMotion)> = started.iter().flatten().collect();
     let bias = match config.estimate_keypoint_bias {
@@ -54,7 +54,7 @@ pub fn fit_bodies(
     };
     let has_bias = bias.is_some();
     if has_bias {
-        progress.report(0.75, "estimated the keypoint bias of the detector");
+        progress.report(0.75, "fitting bodies to all observations");
     }
     let (detector_model, detector) =
         bias.map_or_else(|| (model.clone(), KeypointBias::default()), |bias| (bias.model, bias.report));
@@ -69,7 +69,7 @@ pub fn fit_bodies(
     };
     let people: Vec<_> = input.tracks.par_iter().zip(started).map(finish_person).collect::<Result<_, Canceled>>()?;
     let mut people: Vec<PersonFit> = people.into_iter().flatten().collect();
-    progress.report(0.9, "fitted bodies to all observations");
+    progress.report(0.9, "resolving collisions between bodies");
     let penetration = resolve_collisions(&context, &mut people, config.resolve_collisions, input.session.first_frame)?;
     Ok(FittedBodies {
         report: stage_report(&people, input.tracks.len()),
