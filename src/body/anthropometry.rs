@@ -1,21 +1,21 @@
-//! How adults differ: 35 measures of the ANSUR II survey, and ten independent ways to vary them.
+//! Body measures of adults: 35 measures of the ANSUR II survey, and ten independent directions of variation.
 //!
 //! Source: Gordon et al., 2012 Anthropometric Survey of U.S. Army Personnel, NATICK/TR-15/007 (public release,
-//! distribution unlimited): 4,082 men and 1,986 women, here pooled half and half. Soldiers are heavier-muscled than
-//! civilians; children are outside.
+//! distribution unlimited): 4,082 men and 1,986 women, here pooled half and half. Soldiers have more muscle than
+//! civilians; children are not covered.
 
 use nalgebra::SVector;
 
 /// Number of shape coefficients (betas).
 pub const N_BETAS: usize = 10;
 
-/// A change of something per standard deviation of each beta.
+/// Change of a quantity per unit of each beta.
 pub type BetaRow = SVector<f64, N_BETAS>;
 
 /// Number of measures in the table.
 pub const N_MEASURES: usize = 35;
 
-/// A body measure, in the table's order. The first ten drive one beta each.
+/// A body measure, in the table's order. Each of the first ten defines one beta.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Measure {
     /// Standing height.
@@ -56,27 +56,27 @@ pub enum Measure {
     CrotchHeight,
     /// Across the knuckles.
     HandBreadth,
-    /// Round the chest at its height.
+    /// Circumference of the chest at its height.
     ChestGirth,
-    /// Round the waist at the navel.
+    /// Circumference of the waist at the navel.
     WaistGirth,
-    /// Round the buttocks at their height.
+    /// Circumference of the buttocks at their height.
     ButtockGirth,
-    /// Round the thigh just below the gluteal furrow.
+    /// Circumference of the thigh just below the gluteal furrow.
     ThighGirth,
-    /// Round the thigh just above the knee.
+    /// Circumference of the thigh just above the knee.
     LowerThighGirth,
-    /// Round the calf at its fullest.
+    /// Circumference of the calf at its fullest.
     CalfGirth,
-    /// Round the ankle at its slimmest.
+    /// Circumference of the ankle at its slimmest.
     AnkleGirth,
-    /// Round the flexed upper arm.
+    /// Circumference of the flexed upper arm.
     BicepsGirth,
-    /// Round the flexed forearm.
+    /// Circumference of the flexed forearm.
     ForearmGirth,
-    /// Round the wrist.
+    /// Circumference of the wrist.
     WristGirth,
-    /// Round the neck at the larynx.
+    /// Circumference of the neck at the larynx.
     NeckGirth,
     /// Across the head above the ears.
     HeadBreadth,
@@ -129,9 +129,9 @@ const MOMENTS: [(f64, f64); N_MEASURES] = [
     (480.375, 42.928),
 ];
 
-/// Pooled correlations with the first ten measures, row by row; below the diagonal.
+/// Pooled correlations with the first ten measures, row by row, below the diagonal.
 #[rustfmt::skip]
-#[allow(clippy::approx_constant)] // one of them happens to look like pi / 6
+#[allow(clippy::approx_constant)] // one of them equals pi / 6 in its digits
 const CORRELATIONS: [&[f64]; N_MEASURES] = [
     &[],
     &[0.6889],
@@ -175,9 +175,9 @@ const CORRELATIONS: [&[f64]; N_MEASURES] = [
 pub struct Population {
     /// Mean of each measure, m (kg for the weight).
     pub means: [f64; N_MEASURES],
-    /// What one unit of each beta adds, m (kg for the weight).
+    /// Change of each measure per unit of each beta, m (kg for the weight).
     pub loadings: [BetaRow; N_MEASURES],
-    /// Standard deviation that the ten betas leave unexplained, m (kg).
+    /// Standard deviation of each measure that the ten betas do not explain, m (kg for the weight).
     pub unexplained: [f64; N_MEASURES],
 }
 
@@ -185,11 +185,11 @@ impl Population {
     /// The ANSUR II adults, men and women half and half.
     ///
     /// The loadings are the first ten columns of the Cholesky factor L of the covariance, `C = L L^T`, the measures
-    /// taken in the order of [`Measure`]: beta 0 is stature with all that goes with it on average (the regressions on
-    /// stature), beta 1 is weight at a given stature, beta 2 leg length given both, then arm, shoulders, pelvis,
-    /// forearm, knee height, shoulder height, foot: each is what the earlier ones leave open. So no beta but the
-    /// first changes the stature, and the ten are independent with variance one by construction. Known limit: the
-    /// later measures keep an unexplained rest (5 to 9 mm for lengths, up to 45 mm for girths).
+    /// taken in the order of [`Measure`]: beta 0 is stature with the regressions of all measures on it, beta 1 is
+    /// weight at a given stature, beta 2 leg length given both, then arm, shoulders, pelvis, forearm, knee height,
+    /// shoulder height, foot: each is the part that the earlier ones do not explain. Only the first beta therefore
+    /// changes the stature, and the ten are independent with variance one by construction. Known limit: the later
+    /// measures keep an unexplained standard deviation (5 to 9 mm for lengths, up to 45 mm for girths).
     pub fn ansur2() -> Self {
         let mut factor = [BetaRow::zeros(); N_MEASURES];
         let mut unexplained = [0.0; N_MEASURES];
@@ -211,7 +211,7 @@ impl Population {
     }
 }
 
-/// `constant + sum of factor * measure`, m: how a place on the body follows from the measures.
+/// `constant + sum of factor * measure`, m: a coordinate on the body as a function of the measures.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Length {
     /// Part that does not vary, m.
@@ -223,9 +223,9 @@ pub struct Length {
 /// Mean of a length over the population and its change per beta, m.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VariedLength {
-    /// At beta 0.
+    /// Value at beta 0, m.
     pub mean: f64,
-    /// Per unit of each beta.
+    /// Change per unit of each beta, m.
     pub per_beta: BetaRow,
 }
 
@@ -246,7 +246,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_loadings_give_back_the_surveys_covariance() {
+    fn the_loadings_reproduce_the_surveys_covariance() {
         let p = Population::ansur2();
         for i in 0..N_MEASURES {
             let unit = if i == 1 { 1.0 } else { 1e-3 };

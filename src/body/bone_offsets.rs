@@ -1,7 +1,8 @@
-//! How one person's skeleton differs from the body model's beyond what its shape directions reach: one correction a bone.
+//! Corrections of one person's bones beyond what the body model's shape directions can express: one a kind of bone.
 //!
-//! $J_j - J_{par(j)} = S\text{-bone}(\beta) + M d$, mirrored between left and right; everything below the bone moves along. A
-//! nuisance: it keeps a person's proportions from being taken for a habit of the detector. No result is expressed in it.
+//! $J_j - J_{par(j)} = S\text{-bone}(\beta) + M d$, mirrored between left and right; all joints below the bone move
+//! with it. A nuisance parameter: it keeps a person's proportions from being mistaken for the detector's keypoint bias, and
+//! does not enter any result.
 
 use super::model::{BodyModel, Landmark};
 use super::skeleton::{N_JOINTS, PARENTS, chain_to_root};
@@ -28,7 +29,7 @@ fn kind_of(joint: usize) -> Option<(usize, Matrix3<f64>)> {
     Some((kind, Matrix3::from_diagonal(&Vector3::new(lateral, 1.0, 1.0))))
 }
 
-/// The model with one person's bones.
+/// The model with one person's bone corrections.
 pub fn with_bones(model: &BodyModel, offsets: &BoneOffsets) -> BodyModel {
     let mut own = model.clone();
     let mut shift = [Vector3::zeros(); N_JOINTS];
@@ -40,7 +41,7 @@ pub fn with_bones(model: &BodyModel, offsets: &BoneOffsets) -> BodyModel {
     own
 }
 
-/// Derivatives of a landmark to the corrections that move it: kind and 3 x 3 block; a kind may come up more than once.
+/// Derivatives of a landmark to the corrections that move it: kind and 3 x 3 block; a kind may occur more than once.
 ///
 /// `rotations`: `world_from_joint` of the posed skeleton.
 pub fn landmark_by_bones<'a>(

@@ -1,4 +1,4 @@
-//! How far detectors' keypoints lie from where a body carries them, in metres on the body.
+//! Noise of detectors' keypoints: distances from the body's landmarks, in metres on the body.
 
 use super::skeleton::KeypointConvention;
 use serde::{Deserialize, Serialize};
@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 /// 1.5 %).
 const JITTER_M: f64 = 0.015;
 
-/// Systematic disagreement between views by body part, m. Markerless joint centres lie 30 to 50 mm off at hips and knees
-/// and up to 15 mm at ankles (Needham et al., Scientific Reports 11, 2021); shoulders are labelled on the surface; points of face
-/// and feet are seen directly.
+/// Systematic differences between views by body part, m. Markerless joint centres lie 30 to 50 mm off at hips and knees
+/// and up to 15 mm at ankles (Needham et al., Scientific Reports 11, 2021); shoulders are labelled on the skin; points of face and
+/// feet are seen directly.
 const BIAS_M: [(&str, f64); 8] = [
     ("mid_hip", 0.040),
     ("hip", 0.040),
@@ -21,22 +21,22 @@ const BIAS_M: [(&str, f64); 8] = [
     ("ankle", 0.010),
 ];
 
-/// Everything else: eyes, nose, ears, toes, heels.
+/// The same for all other points: eyes, nose, ears, toes, heels.
 const SURFACE_BIAS_M: f64 = 0.008;
 
-/// How far a session's detector errs, by keypoint and by its own confidence.
+/// Noise of a session's detector by keypoint and confidence.
 ///
 /// Standard deviation per axis on the body: $\sigma(k, c) = \sigma_k f(c)$.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DetectorNoise {
     /// $\sigma_k$, m.
     sigmas_m: Vec<f64>,
-    /// $f$ as confidence and $\ln f$, straight between knots and level beyond them; without knots $f = 1/c$.
+    /// Knots of $f$: confidence and $\ln f$, linear between knots and constant beyond them; without knots $f = 1/c$.
     knots: Vec<[f64; 2]>,
 }
 
 impl DetectorNoise {
-    /// As published, before anything is known of this detector.
+    /// Published noise, before this detector's noise is measured.
     pub fn published(convention: KeypointConvention) -> Self {
         Self { sigmas_m: keypoint_sigmas(convention), knots: Vec::new() }
     }
@@ -46,13 +46,13 @@ impl DetectorNoise {
         Self { knots, ..self }
     }
 
-    /// Errors `factor` times as large at every confidence.
+    /// The noise with standard deviations `factor` times as large.
     pub fn scaled(mut self, factor: f64) -> Self {
         self.sigmas_m.iter_mut().for_each(|sigma| *sigma *= factor);
         self
     }
 
-    /// The measured confidences, from low to high, and the standard deviation of the best seen keypoints at each, m.
+    /// The measured confidences, ascending, and the standard deviation of the most precise keypoints at each, m.
     pub fn levels(&self) -> impl Iterator<Item = (f64, f64)> {
         let best = self.sigmas_m.iter().copied().fold(f64::INFINITY, f64::min);
         self.knots.iter().map(move |[confidence, ln]| (*confidence, best * ln.exp()))
@@ -94,7 +94,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn confidence_is_worth_what_was_measured_and_before_that_its_inverse() {
+    fn noise_follows_knots_or_the_inverse_of_confidence() {
         let published = DetectorNoise::published(KeypointConvention::Coco17);
         assert_eq!(published.sigma_m(0, 0.5), 2.0 * published.sigmas_m()[0]);
         assert_eq!(published.clone().scaled(3.0).sigma_m(0, 0.5), 3.0 * published.sigma_m(0, 0.5));
@@ -107,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn hips_count_least_and_the_face_most() {
+    fn hips_are_noisiest_and_the_face_least() {
         let sigmas = keypoint_sigmas(KeypointConvention::Body25);
         let of = |name| sigmas[KeypointConvention::Body25.index_of(name).unwrap()];
         assert!(of("left_hip") > of("left_shoulder") && of("left_shoulder") > of("nose"));

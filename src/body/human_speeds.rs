@@ -10,7 +10,7 @@ pub const WALK_M_S: f64 = 1.2;
 /// A slow run: a simulated person's feet do not slide faster over the floor.
 pub const JOG_M_S: f64 = 2.5;
 
-/// A running person's middle, between two frames of one view.
+/// A running person's middle, between two frames of a view.
 pub const RUN_M_S: f64 = 5.0;
 
 /// The middle of a body does not move faster indoors: limits the tracker's velocities.

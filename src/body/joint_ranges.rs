@@ -1,6 +1,6 @@
-//! How far each joint turns, where it rests, and how fast it changes: the weak knowledge that fills what no view sees.
+//! Joint limits, natural rest rotations and typical accelerations: a weak prior for joints that no view sees.
 //!
-//! All in components of the rotation vector `log(parent_from_joint)`, T-pose frames (x left, y up, z front), written for
+//! All values are components of the rotation vector `log(parent_from_joint)`, T-pose frames (x left, y up, z front), given for
 //! the midline and the left side; the right side mirrors y and z. Ranges are the clinical ranges of motion of the
 //! American Academy of Orthopaedic Surgeons (Joint Motion, 1965), widened by 10 to 20 degrees, since a component of a
 //! rotation vector is not a clinical angle when several axes turn together. Rests and spreads are mean and standard
@@ -16,22 +16,22 @@ use crate::geometry::rotation::{exp, log};
 use nalgebra::Vector3;
 use rand_distr::{Distribution, StandardNormal};
 
-/// What one joint does, radians.
+/// Range, rest and typical acceleration of one joint, radians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointRange {
     /// Rotation vector of the natural rest pose.
     pub rest: Vector3<f64>,
     /// Standard deviation about the rest, per component.
     pub spread: Vector3<f64>,
-    /// Smallest component that a joint allows.
+    /// Smallest component that the joint allows.
     pub min: Vector3<f64>,
-    /// Largest.
+    /// Largest component that the joint allows.
     pub max: Vector3<f64>,
     /// Typical angular acceleration, rad/s^2.
     pub acceleration: f64,
 }
 
-/// One line of the table: rest, spread, min, max per axis in degrees; acceleration in rad/s^2.
+/// One row of the table: rest, spread, min, max per axis in degrees; acceleration in rad/s^2.
 type Line = ([f64; 3], [f64; 3], [f64; 3], [f64; 3], f64);
 
 #[rustfmt::skip]
@@ -55,7 +55,7 @@ fn line_deg(part: &str) -> Line {
     }
 }
 
-/// The ranges of all joints in SMPL's order. The pelvis has none that binds.
+/// The ranges of all joints in SMPL's order. The pelvis is unlimited.
 pub fn joint_ranges() -> [JointRange; N_JOINTS] {
     std::array::from_fn(|j| {
         let name = JOINT_NAMES[j];
@@ -79,7 +79,7 @@ pub fn joint_ranges() -> [JointRange; N_JOINTS] {
     })
 }
 
-/// The ranges of a body, which rests as the captured skeletons do, whatever its zero.
+/// The ranges of a body: as [`joint_ranges`], its rests retargeted from the mocap skeleton.
 pub fn joint_ranges_of(model: &BodyModel) -> [JointRange; N_JOINTS] {
     let mut ranges = joint_ranges();
     for (joint, range) in ranges.iter_mut().enumerate() {
@@ -88,8 +88,8 @@ pub fn joint_ranges_of(model: &BodyModel) -> [JointRange; N_JOINTS] {
     ranges
 }
 
-/// Draws a pose: every joint is `spread` times its standard deviation about its rest, within its range; the pelvis and
-/// the hands as they are.
+/// Draws a pose: joints are normally distributed about their rests, with `spread` times their standard deviations, within
+/// their ranges; pelvis and hands are at identity.
 pub fn natural_pose(rng: &mut impl rand::Rng, spread: f64) -> Pose {
     let mut pose = Pose::rest();
     for (turn, range) in pose.rotations.iter_mut().zip(joint_ranges()).take(FIRST_HAND).skip(1) {
@@ -108,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_joint_rests_inside_its_range_and_sides_mirror() {
+    fn joints_rest_inside_their_ranges_and_sides_mirror() {
         let ranges = joint_ranges();
         for r in &ranges {
             for axis in 0..3 {

@@ -1,6 +1,6 @@
 //! Forward kinematics and its derivatives.
 //!
-//! SMPL's convention (method.md 9.2): the root turns about the rest pelvis `J_0(beta)`, then `translation` is added:
+//! SMPL's convention (docs/method.md): the root turns about the rest pelvis `J_0(beta)`, then `translation` is added:
 //! `p_0 = J_0 + T`, `p_j = p_par + G_par (J_j - J_par)`, `G_0 = R_0`, `G_j = G_par R_j`.
 
 use super::model::{BodyModel, Landmark, ShapeDirections, ShapedBody};
@@ -11,9 +11,9 @@ use nalgebra::{Matrix3, Vector3};
 /// One pose: local rotations `parent_from_joint` (entry 0: `world_from_pelvis`) and SMPL's translation, m.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pose {
-    /// In SMPL's joint order.
+    /// Local rotations in SMPL's joint order.
     pub rotations: [Matrix3<f64>; N_JOINTS],
-    /// Added after the turn about the rest pelvis.
+    /// Added after the rotation about the rest pelvis, m.
     pub translation: Vector3<f64>,
 }
 
@@ -33,7 +33,7 @@ pub struct PosedSkeleton {
     pub joints: [Vector3<f64>; N_JOINTS],
 }
 
-/// Poses a body of given shape.
+/// Poses a body of a given shape.
 pub fn posed(body: &ShapedBody, pose: &Pose) -> PosedSkeleton {
     let mut rotations = pose.rotations;
     let mut joints = [body.rest_joints[0] + pose.translation; N_JOINTS];
@@ -46,7 +46,7 @@ pub fn posed(body: &ShapedBody, pose: &Pose) -> PosedSkeleton {
     PosedSkeleton { rotations, joints }
 }
 
-/// Where a landmark (by index in the model) lies in the world, m.
+/// Position of a landmark (by index in the model) in the world, m.
 pub fn landmark_position(
     model: &BodyModel,
     body: &ShapedBody,
@@ -57,8 +57,7 @@ pub fn landmark_position(
     terms.map(|(t, offset)| skeleton.joints[t.joint] * t.weight + skeleton.rotations[t.joint] * offset).sum()
 }
 
-/// The joints whose rotation moves a landmark, in ascending order: a joint that only lends its own position is not
-/// among them, its ancestors are.
+/// The joints whose rotation moves a landmark, in ascending order: of a term without offset only the joint's ancestors.
 pub fn moving_joints(landmark: &Landmark) -> Vec<usize> {
     let mut moves = [false; N_JOINTS];
     for term in &landmark.terms {

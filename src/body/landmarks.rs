@@ -1,11 +1,11 @@
 //! Named points on the body, as per-bone constants.
 //!
-//! A point of the skin is a sum over few bones, exact to the full mesh under linear blend skinning (method.md 9.3): with
-//! shares `r_i` of vertices and skin weights `w_ib`, bone b carries `a_b = sum_i r_i w_ib` of its own position and the
+//! A point of the skin is a sum over few bones, equal to the full mesh under linear blend skinning (docs/method.md): with
+//! shares `r_i` of vertices and skin weights `w_ib`, bone b contributes its position times `a_b = sum_i r_i w_ib` and the
 //! offset `sum_i r_i w_ib (T_i - J_b) + sum_i r_i w_ib (S_i - S_b) beta`.
 //!
-//! Known limit: a user's pose blend shapes are left out here (they enter in skinning); they move surface points by
-//! some millimetres, joints not at all.
+//! Known limit: a user's pose blend shapes are ignored here (skinning applies them); they move surface points by some
+//! millimetres, joints not at all.
 
 use super::shape::ShapeDirections;
 use super::skeleton::{JOINT_NAMES, KeypointConvention, N_JOINTS};
@@ -13,26 +13,25 @@ use super::surface::{JointWeight, Surface, VertexWeight};
 use nalgebra::Vector3;
 use std::collections::BTreeSet;
 
-/// Name of the landmark at SMPL's neck joint, since `neck` is taken by the detectors' point between the shoulders.
+/// Name of the landmark at SMPL's neck joint; `neck` is the detectors' point between the shoulders.
 pub const NECK_JOINT: &str = "neck_joint";
 
 /// A named point: a sum over bones that moves with them, `sum_i [ w_i p_i + G_i (a_i + A_i beta) ]`.
 ///
-/// `p_i`, `G_i`: posed joint and `world_from_joint` rotation. The weights sum to 1. It is the exact form of a point
-/// under linear blend skinning (method: landmarks without vertices), and of a joint, a midpoint or a point fixed to
-/// one bone.
+/// `p_i`, `G_i`: posed joint and `world_from_joint` rotation. The weights sum to 1. This form is exact for a point under
+/// linear blend skinning, a joint, a midpoint and a point fixed to one bone.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Landmark {
     /// Keypoint name as in the conventions.
     pub name: String,
-    /// The bones that carry it.
+    /// Its terms, one a bone.
     pub terms: Vec<LandmarkTerm>,
 }
 
 /// One bone's part of a [`Landmark`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct LandmarkTerm {
-    /// The joint whose frame carries this part.
+    /// The joint in whose frame this part is fixed.
     pub joint: usize,
     /// Share of the joint's own position.
     pub weight: f64,
@@ -42,10 +41,10 @@ pub struct LandmarkTerm {
     pub offset_directions: ShapeDirections,
 }
 
-/// Every landmark that some convention names and this body has: joints, midpoints, and the named points of the skin.
+/// All landmarks of a body that any convention names: joints, midpoints, and named points of the skin.
 ///
-/// The detectors' `neck` is the middle of the shoulders, their `mid_hip` that of the hips (formats differ from SMPL's
-/// joints here, also where the words agree).
+/// The detectors' `neck` is the midpoint of the shoulders and their `mid_hip` that of the hips, unlike SMPL's joints of
+/// similar names.
 pub(super) fn landmarks(
     surface: &Surface,
     rest_joints: &[Vector3<f64>; N_JOINTS],

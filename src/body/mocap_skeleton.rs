@@ -1,17 +1,17 @@
-//! Where the captured skeletons have their zero, and what that means for another body's turns.
+//! The zero pose of the mocap skeleton, and rotations retargeted from it to another body.
 //!
-//! All skeletons share axes and the T-pose, but not where in it a bone points: the thighs of the captured ones lean out by 6
-//! degrees and their shanks in by 2, so that a straight leg has a knee turned by 8. With `Q_j` the least rotation from a
-//! body's bone to the captured one, bones point alike under
-//! `R_j^{body} = Q_{p(j)}^T R_j^{captured} Q_j`.
-//! In the trunk, where joints lie is the skeleton's own: there `Q_j` is such that the captured upright is the body's zero.
+//! All skeletons share the axes and the T-pose, but not the bones' directions in it: the thighs of the mocap skeleton lean
+//! out by 6 degrees and its shanks in by 2, so that a straight leg has a knee rotation of 8. With `Q_j` the smallest
+//! rotation from a body's bone to the mocap skeleton's, bones have the same direction under
+//! `R_j^{body} = Q_{p(j)}^T R_j^{mocap} Q_j`.
+//! In the trunk, joint positions differ between skeletons: there `Q_j` maps upright mocap poses to the body's zero pose.
 
 use super::skeleton::{N_JOINTS, PARENTS};
 use crate::geometry::rotation::{exp, rotation_between};
 use nalgebra::{Matrix3, Vector3};
 
-/// Left joints, the ends of the bones that they carry, and the bones' directions at rest (x left, y up, z front): means over
-/// CMU's takes, whose subjects differ by 0.02.
+/// Left joints, the end joints of their bones, and the bones' directions at rest (x left, y up, z front): means over CMU's
+/// takes, whose subjects differ by 0.02.
 const BONES: [(usize, usize, [f64; 3]); 5] = [
     (1, 4, [0.103, -0.995, 0.013]),
     (4, 7, [-0.037, -0.996, -0.086]),
@@ -20,36 +20,36 @@ const BONES: [(usize, usize, [f64; 3]); 5] = [
     (18, 20, [0.999, 0.032, -0.012]),
 ];
 
-/// How far spine, neck and head are bent forward where people stand upright (knees within 25 degrees of straight, chest
-/// within 10 of the vertical; 2,300 frames), degrees.
+/// Forward bend of spine, neck and head of people who stand upright (knees within 25 degrees of straight, chest within 10
+/// of the vertical; 2,300 frames), degrees.
 const UPRIGHT_DEG: [(usize, f64); 5] = [(3, 3.4), (6, -0.8), (9, -2.7), (12, 0.4), (15, -1.8)];
 
-/// `Q_j`, `mocap_from_body`, of every joint of a body with these joints at rest. A joint without a bone of its own
-/// (toes, hands, collars) follows the one before it.
+/// `Q_j`, `mocap_from_body`, of every joint of a body with these joints at rest. A joint that is not in the table (toes,
+/// hands, collars) has the rotation of its parent.
 pub fn mocap_from_body(rest_joints: &[Vector3<f64>; N_JOINTS]) -> [Matrix3<f64>; N_JOINTS] {
     let mut turns = [Matrix3::identity(); N_JOINTS];
     for joint in 1..N_JOINTS {
-        let before = turns[PARENTS[joint].unwrap_or(0)];
-        turns[joint] = if let Some((end, captured)) = captured_bone(joint) {
-            rotation_between(&(rest_joints[end] - rest_joints[joint]), &captured)
+        let parent = turns[PARENTS[joint].unwrap_or(0)];
+        turns[joint] = if let Some((end, mocap)) = mocap_bone(joint) {
+            rotation_between(&(rest_joints[end] - rest_joints[joint]), &mocap)
         } else if let Some((_, bend)) = UPRIGHT_DEG.iter().find(|(j, _)| *j == joint) {
-            exp(&Vector3::new(-bend.to_radians(), 0.0, 0.0)) * before
+            exp(&Vector3::new(-bend.to_radians(), 0.0, 0.0)) * parent
         } else {
-            before
+            parent
         };
     }
     turns
 }
 
-/// A captured turn of `joint` as the body has it.
+/// The local rotation of `joint` on the body, given that on the mocap skeleton.
 pub fn retargeted(turn: &Matrix3<f64>, joint: usize, mocap_from_body: &[Matrix3<f64>; N_JOINTS]) -> Matrix3<f64> {
-    let before = PARENTS[joint].map_or_else(Matrix3::identity, |parent| mocap_from_body[parent]);
-    before.transpose() * turn * mocap_from_body[joint]
+    let parent = PARENTS[joint].map_or_else(Matrix3::identity, |parent| mocap_from_body[parent]);
+    parent.transpose() * turn * mocap_from_body[joint]
 }
 
-/// The end and direction of the bone that a joint carries, if it is one of [`BONES`] or its mirror image: in SMPL's order the
-/// right joint stands next to the left one.
-fn captured_bone(joint: usize) -> Option<(usize, Vector3<f64>)> {
+/// The end joint and direction of a joint's bone, if it is one of [`BONES`] or its mirror image: in SMPL's order the right
+/// joint follows the left one.
+fn mocap_bone(joint: usize) -> Option<(usize, Vector3<f64>)> {
     let of_side = |right: usize| {
         let bone = BONES.iter().find(|(left, ..)| left + right == joint);
         bone.map(|&(_, end, [x, y, z])| (end + right, Vector3::new(if right == 1 { -x } else { x }, y, z)))
@@ -62,22 +62,22 @@ mod tests {
     use super::super::default_body;
     use super::*;
 
-    /// A straight leg of the captured skeletons, whose knee is turned by 8 degrees, is a straight leg of the default body.
+    /// A straight leg of the mocap skeleton, whose knee is turned by 8 degrees, is a straight leg of the default body.
     #[test]
     fn straight_legs_are_straight_in_every_skeleton() {
         let body = default_body();
         let turns = mocap_from_body(&body.rest_joints);
         for [hip, knee, ankle] in [[1, 4, 7], [2, 5, 8]] {
-            let [(_, thigh), (_, shank)] = [hip, knee].map(|joint| captured_bone(joint).unwrap());
+            let [(_, thigh), (_, shank)] = [hip, knee].map(|joint| mocap_bone(joint).unwrap());
             let straight = retargeted(&rotation_between(&shank, &thigh), knee, &turns);
             let bone = |end: usize, joint: usize| (body.rest_joints[end] - body.rest_joints[joint]).normalize();
             assert!((straight * bone(ankle, knee) - bone(knee, hip)).norm() < 0.01);
         }
     }
 
-    /// Who stands upright there does so here without bending any joint of the trunk, and both sides are alike.
+    /// Upright mocap poses become the zero pose of the body's trunk, and both sides are symmetric.
     #[test]
-    fn the_captured_upright_is_the_zero_of_the_trunk() {
+    fn upright_mocap_poses_are_the_zero_of_the_trunk() {
         let turns = mocap_from_body(&default_body().rest_joints);
         for (joint, bend) in UPRIGHT_DEG {
             let upright = exp(&Vector3::new(bend.to_radians(), 0.0, 0.0));

@@ -1,5 +1,5 @@
-//! One body model for the fit and for the mesh: joints and landmarks that need no vertices, and the surface they follow
-//! from.
+//! The body model of the fit and of the mesh: joints and landmarks, which need no vertices, and the surface that defines
+//! them.
 
 use super::landmarks::landmarks;
 use super::mocap_skeleton::mocap_from_body;
@@ -16,18 +16,18 @@ pub use super::shape::{Betas, ShapeDirections};
 /// frames parallel to the world; joint tree and order of [`super::skeleton`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct BodyModel {
-    /// Its name.
+    /// Name of the model.
     pub name: String,
-    /// `J0`: rest joints of the mean shape.
+    /// `J0`: rest joints of the mean shape, m.
     pub rest_joints: [Vector3<f64>; N_JOINTS],
-    /// Where the captured skeletons have their zero ([`mocap_from_body`]); of the skin as it was loaded, however its joints
-    /// are moved.
+    /// Zero pose of the mocap skeleton ([`mocap_from_body`]), computed from the joints of the loaded skin; moving joints
+    /// does not change it.
     pub mocap_from_body: [Matrix3<f64>; N_JOINTS],
     /// `S`: rest joints of shape beta are `J(beta) = J0 + S beta`.
     pub shape_directions: [ShapeDirections; N_JOINTS],
     /// Named points on the body that detectors report.
     pub landmarks: Vec<Landmark>,
-    /// The mesh that the joints and landmarks were taken from.
+    /// The mesh that defines joints and landmarks.
     pub surface: Arc<Surface>,
 }
 
@@ -41,7 +41,7 @@ pub struct ShapedBody {
 }
 
 impl BodyModel {
-    /// The body of a surface: joints are what the regressor makes of the mesh, by definition.
+    /// The body of a surface; its joints are the regressor applied to the mesh.
     pub fn new(name: String, surface: Surface) -> Self {
         let row = |j: usize| surface.regressor[j].iter();
         let rest_joint = |v: &VertexWeight| surface.vertices[v.vertex] * v.weight;
@@ -62,9 +62,9 @@ impl BodyModel {
         }
     }
 
-    /// The same skin about other joints: every rest joint moved by its own of `shifts`, m.
+    /// The same skin with moved rest joints: joint j moves by `shifts[j]`, m.
     ///
-    /// Landmarks on the skin stay where they are at rest, those that are joints move along.
+    /// Landmarks on the skin keep their rest positions, landmarks at joints move with them.
     pub fn with_joints_moved(&self, shifts: &[Vector3<f64>; N_JOINTS]) -> Self {
         let rest_joints = std::array::from_fn(|j| self.rest_joints[j] + shifts[j]);
         let landmarks = landmarks(&self.surface, &rest_joints, &self.shape_directions);
@@ -76,9 +76,9 @@ impl BodyModel {
         self.landmarks.iter().position(|l| l.name == name)
     }
 
-    /// For every named keypoint of a convention the landmark that it shows, where the body has one.
+    /// For every named keypoint of a convention the index of its landmark, if the body has one.
     ///
-    /// A detector's `neck` is the middle of the shoulders; that of the SMPL joints is the landmark [`NECK_JOINT`].
+    /// A detector's `neck` is the midpoint of the shoulders; `neck` of the SMPL joints is the landmark [`NECK_JOINT`].
     pub fn landmarks_of(&self, convention: KeypointConvention) -> Vec<Option<usize>> {
         let shown = |name: &&'static str| match (convention, *name) {
             (KeypointConvention::Smpl24, "neck") => NECK_JOINT,
@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn other_joints_leave_the_skin_at_rest_where_it_is() {
+    fn moving_joints_keeps_the_skin_at_rest() {
         let model = default_body();
         assert_eq!(model.with_joints_moved(&[Vector3::zeros(); N_JOINTS]), model);
         let shift = Vector3::new(0.01, -0.02, 0.03);
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn every_number_is_in_the_fingerprint() {
+    fn the_digest_covers_every_number() {
         let model = default_body();
         let digest = model.sha256();
         assert_eq!(digest.len(), 64);

@@ -1,10 +1,10 @@
-//! Metric scale from people: what parts of their bodies measure against what adults' measure.
+//! Metric scale from people: lengths of their body parts compared with those of adults.
 //!
 //! Shoulder and hip widths are left out: detectors place hips and shoulders by the skin.
 //! The reference lengths are the default body's at beta 0 (ANSUR II and de Leva, see [`mod@super::default_body`]), men and
-//! women half and half. How a detector's joints lie against these is known badly (knee and hip 30 to 50 mm off, ankle
-//! 1 to 15 mm, of varying direction: Needham et al. 2021, Sci. Rep. 11:20673): no correction is made, the doubt is in
-//! the interval.
+//! women half and half. The offset of a detector's joints from these is poorly known (knee and hip 30 to 50 mm,
+//! ankle 1 to 15 mm, of varying direction: Needham et al. 2021, Sci. Rep. 11:20673): it is not corrected, the interval
+//! includes it.
 
 use super::kinematics::{Pose, joints_by_betas, landmark_by_betas, landmark_position, posed};
 use super::model::{Betas, BodyModel};
@@ -12,41 +12,41 @@ use super::segments::{MeasuredSegment, Segment};
 use crate::optim::robust::INTERVAL_95;
 use nalgebra::{DMatrix, DVector};
 
-/// Part of the detector's bias that all segments share, as a log ratio.
+/// Standard deviation of the detector's bias that all segments share, as a log ratio.
 const COMMON_BIAS: f64 = 0.01;
 
-/// The factor from the cameras' own unit to metres.
+/// The factor from the cameras' unit to metres.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScaleEstimate {
     /// Metres per unit.
     pub scale: f64,
-    /// Where the true factor lies with 95 % certainty, for adults.
+    /// 95 % confidence interval of the factor, for adults.
     pub interval95: [f64; 2],
-    /// What it rests on, one sentence.
+    /// Measurements or assumptions that it is based on, one sentence.
     pub evidence: String,
 }
 
-/// How tall a person is as a body was fitted, and what it rests on.
+/// Stature of a person's fitted body and the amount of data behind it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FittedStature {
-    /// The fitted body's stature, m.
+    /// Stature of the fitted body, m.
     pub metres: f64,
-    /// Keypoints behind it.
+    /// Number of keypoints used.
     pub n_keypoints: usize,
 }
 
 /// Estimates the metric scale from one or more people; `None` without any measured segment.
 ///
 /// Generalised least squares over the logarithms of all people's segments, `log(reference / measured) = s + e`. The
-/// covariance of `e` has the differences between adults (from the model's betas, which are independent between people:
-/// stature and proportions), the detector's bias (the same for all people), and the measurement. So a person seen well
-/// counts more, and several people narrow the interval down to the detector's bias and not below. People who fit the others
-/// badly (a child, a double) are loosened by Huber's weight at 2 standard deviations.
+/// covariance of `e` contains the differences between adults (from the model's betas, independent between people: stature
+/// and proportions), the detector's bias (the same for all people), and the measurement noise. A person with accurate
+/// measurements therefore counts more, and several people narrow the interval down to the detector's bias, not below it.
+/// People who differ from the others (a child, a duplicate) get Huber's weight at 2 standard deviations.
 pub fn scale_from_people(model: &BodyModel, people: &[Vec<MeasuredSegment>]) -> Option<ScaleEstimate> {
     let rows = segment_rows(model, people);
-    let everybody = |looseness: &[f64]| solve_mean(&rows.iter().collect::<Vec<_>>(), looseness);
+    let of_all = |looseness: &[f64]| solve_mean(&rows.iter().collect::<Vec<_>>(), looseness);
     let mut looseness = vec![1.0; people.len()];
-    let mut mean = everybody(&looseness)?;
+    let mut mean = of_all(&looseness)?;
     for _ in 0..ROBUST_ROUNDS {
         for (p, looseness) in looseness.iter_mut().enumerate() {
             let own: Vec<&Row> = rows.iter().filter(|row| row.person == p).collect();
@@ -54,49 +54,49 @@ pub fn scale_from_people(model: &BodyModel, people: &[Vec<MeasuredSegment>]) -> 
             let distance = (person.value - mean.value).abs() / person.variance.sqrt();
             *looseness = (distance / 2.0).max(1.0);
         }
-        mean = everybody(&looseness)?;
+        mean = of_all(&looseness)?;
     }
     let half = INTERVAL_95 * mean.variance.sqrt();
     let n_seen = people.iter().filter(|segments| !segments.is_empty()).count();
     let n_samples: usize = people.iter().flatten().map(|segment| segment.n_samples).sum();
-    let who = if n_seen == 1 { "1 person" } else { &format!("{n_seen} people") };
+    let people_text = if n_seen == 1 { "1 person" } else { &format!("{n_seen} people") };
     Some(ScaleEstimate {
         scale: mean.value.exp(),
         interval95: [(mean.value - half).exp(), (mean.value + half).exp()],
         evidence: format!(
-            "limbs, trunks and heads of {who} ({n_samples} lengths) against those of adults; between adults and by the \
-             detector's habits the scale is uncertain to {:.1} %",
+            "limbs, trunks and heads of {people_text} ({n_samples} lengths) against those of adults; differences between adults and \
+             the detector's keypoint bias leave the scale uncertain to {:.1} %",
             100.0 * half
         ),
     })
 }
 
-/// The scale where nobody can be measured and people are taken to be average adults, as in a single view: what is as
-/// tall as it looks may be small and near, or large and far. The interval is that of one adult's stature.
+/// The scale under the assumption that people are average adults, for a single view, in which a small near person looks
+/// like a large far one. The interval is that of one adult's stature.
 pub fn scale_of_average_adults(model: &BodyModel) -> ScaleEstimate {
     let half = INTERVAL_95 * stature_per_beta(model).norm();
     ScaleEstimate {
         scale: 1.0,
         interval95: [(-half).exp(), half.exp()],
         evidence: format!(
-            "one view: people are taken to be as large as an average adult, hence each of them and their distance from the \
-             camera are uncertain to {:.0} %",
+            "single view: people are assumed to be as large as an average adult, hence the size of each and the distance \
+             from the camera are uncertain to {:.0} %",
             100.0 * half
         ),
     }
 }
 
-/// Re-weightings of people; Huber's weights settle in a few.
+/// Re-weightings of people; Huber's weights converge within a few.
 const ROBUST_ROUNDS: usize = 5;
 
-/// One observation, as a log ratio of what adults have on average to what this person has.
+/// One measured segment as the log ratio of the average adult's length to this person's.
 struct Row {
     person: usize,
     /// `y`.
     ratio: f64,
-    /// Which detector's bias it shares.
+    /// The body part, which determines the detector's bias.
     segment: Segment,
-    /// Change of the person's own logarithm per beta.
+    /// Change of the length's logarithm per beta.
     log_per_beta: Betas,
     /// Standard deviation of the measurement.
     sigma: f64,
@@ -118,8 +118,8 @@ fn segment_rows(model: &BodyModel, people: &[Vec<MeasuredSegment>]) -> Vec<Row> 
     people.iter().enumerate().flat_map(|(p, segments)| segments.iter().filter_map(move |s| row(p, s))).collect()
 }
 
-/// Change of the stature's logarithm per beta: the difference between +1 and -1, for it is linear but for which vertex is
-/// highest.
+/// Change of the stature's logarithm per beta, from the difference between +1 and -1: the stature is linear except where
+/// the highest vertex changes.
 fn stature_per_beta(model: &BodyModel) -> Betas {
     let stature = |k: usize, beta: f64| {
         let mut betas = Betas::zeros();
@@ -131,7 +131,7 @@ fn stature_per_beta(model: &BodyModel) -> Betas {
 
 /// A segment of the mean body.
 struct ReferenceSegment {
-    /// m.
+    /// Length, m.
     length: f64,
     /// Change of the length's logarithm per beta.
     log_per_beta: Betas,
@@ -195,7 +195,7 @@ mod tests {
     use rand::SeedableRng;
     use rand_distr::{Distribution, StandardNormal};
 
-    /// People drawn from the population, seen by a detector drawn from its biases, in units of 1 / `scale` m.
+    /// People drawn from the population, seen by a detector of random biases, in units of 1 / `scale` m.
     fn crowd(n_people: usize, scale: f64, seed: u64) -> Vec<Vec<MeasuredSegment>> {
         let model = default_body();
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
@@ -217,7 +217,7 @@ mod tests {
 
     /// 95 % of 400 draws have a binomial standard deviation of 1.1 %.
     #[test]
-    fn the_interval_covers_the_truth_as_often_as_it_says() {
+    fn the_interval_covers_the_truth_in_95_percent() {
         for n_people in [1, 2, 4] {
             let (mut covered, mut squares) = (0, 0.0);
             for seed in 0..400 {
@@ -244,7 +244,7 @@ mod tests {
 
     /// 5 to 6 % is the coefficient of variation of adults' stature, sexes pooled (ANSUR II).
     #[test]
-    fn the_scale_of_nobody_is_as_uncertain_as_an_adults_stature() {
+    fn the_assumed_scale_is_as_uncertain_as_stature() {
         let estimate = scale_of_average_adults(&default_body());
         let sigma = estimate.interval95[1].ln() / INTERVAL_95;
         assert!(estimate.scale == 1.0 && (0.045..0.07).contains(&sigma), "{sigma}");
@@ -252,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn nobody_measured_is_no_scale() {
+    fn no_measurements_give_no_scale() {
         assert!(scale_from_people(&default_body(), &[Vec::new()]).is_none());
     }
 }

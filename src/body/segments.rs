@@ -1,4 +1,4 @@
-//! Segments of a body whose lengths tell how large it is, and their measurement on triangulated keypoints.
+//! Body segments that indicate a person's size, and their measurement on triangulated keypoints.
 
 use super::skeleton::KeypointConvention;
 use crate::optim::robust::{NORMAL_SIGMA_OF_MAD, median, quantile};
@@ -22,7 +22,7 @@ pub enum Segment {
 }
 
 impl Segment {
-    /// All six.
+    /// All segments.
     pub const ALL: [Self; 6] = [Self::Thigh, Self::Shank, Self::UpperArm, Self::Forearm, Self::Trunk, Self::Head];
 
     /// Keypoints at its ends, without the side.
@@ -52,7 +52,7 @@ impl Segment {
         }
     }
 
-    /// The vectors along this segment: of both sides, or of the middle, as far as `point` knows the ends by their names.
+    /// The vectors along this segment, of both sides or of the midline; `point` returns the ends by name.
     pub fn along(self, point: impl Fn(&str) -> Option<Vector3<f64>>) -> Vec<Vector3<f64>> {
         let side = |side: &str| {
             let [a, b] = self.ends().map(|end| point(&format!("{side}_{end}")));
@@ -65,39 +65,39 @@ impl Segment {
         }
     }
 
-    /// Whether it lies on the midline and bends; limbs are rigid.
+    /// Whether it lies on the midline and bends; limb segments are rigid.
     fn bends(self) -> bool {
         matches!(self, Self::Trunk | Self::Head)
     }
 
-    /// Which of a segment's lengths over time is its own: what bends is as long as when it is straight.
+    /// The quantile of the lengths over time that is its true length: segments that bend are longest when straight.
     fn quantile(self) -> f64 {
         if self.bends() { 0.9 } else { 0.5 }
     }
 }
 
-/// A segment's length in the cameras' own unit.
+/// A segment's measured length in the cameras' unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasuredSegment {
-    /// Which.
+    /// The segment.
     pub segment: Segment,
-    /// Median over frames and both sides (of trunk and head the ninth decile), own unit.
+    /// Median over frames and both sides (of trunk and head the ninth decile), the cameras' unit.
     pub length: f64,
     /// Standard error of the length's logarithm.
     pub sigma_log: f64,
-    /// Lengths behind it.
+    /// Number of lengths behind it.
     pub n_samples: usize,
 }
 
-/// Of a normal distribution, in standard deviations.
+/// Ninth decile of the normal distribution, standard deviations.
 const NINTH_DECILE: f64 = 1.2816;
 
 /// Robust lengths of a person's segments from triangulated keypoints (`points[frame][keypoint]`, any unit).
 ///
 /// The standard error is that of the median under noise of the observed median absolute deviation, with one independent
-/// sample in ten (a detector's error drifts). The ninth decile of what bends is as long as it was found if lengths differ by
-/// bending alone, and 1.28 deviations too long if by noise alone: half of that is taken off, and stands in the doubt.
-/// Segments seen fewer than five times are left out.
+/// sample in ten (a detector's error drifts). For segments that bend, the ninth decile is exact if lengths differ by bending
+/// alone, and 1.28 deviations too long if they differ by noise alone: half of that is subtracted and added to the error.
+/// Segments with fewer than five lengths are left out.
 pub fn measured_segments(points: &[Vec<Option<Vector3<f64>>>], convention: KeypointConvention) -> Vec<MeasuredSegment> {
     let measured = |segment: Segment| {
         let length_in = |row: &Vec<Option<Vector3<f64>>>| {
@@ -126,7 +126,7 @@ mod tests {
     use rand_distr::{Distribution, StandardNormal};
 
     #[test]
-    fn bones_are_measured_in_the_middle_of_noise_and_holes() {
+    fn measures_bones_despite_outliers_and_gaps() {
         let convention = KeypointConvention::Coco17;
         let at = |name: &str| convention.index_of(name).unwrap();
         let mut points = vec![vec![None; 17]; 40];
@@ -142,7 +142,7 @@ mod tests {
 
     /// 5 % of noise on a straight back: the ninth decile alone is 6.6 % too long.
     #[test]
-    fn noise_does_not_make_a_straight_back_longer_than_half_of_its_decile() {
+    fn noise_lengthens_a_straight_back_by_half_its_decile() {
         let convention = KeypointConvention::Coco17;
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
         let mut row = |_| {
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn a_back_that_mostly_bends_is_as_long_as_when_it_is_straight() {
+    fn a_bending_back_has_its_straight_length() {
         let convention = KeypointConvention::Coco17;
         let row = |t: usize| {
             let mut row = vec![None; 17];

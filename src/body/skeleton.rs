@@ -33,7 +33,7 @@ pub const JOINT_NAMES: [&str; N_JOINTS] = [
     "right_hand",
 ];
 
-/// Parent of every joint; the pelvis is its own root.
+/// Parent of every joint; the pelvis is the root.
 pub const PARENTS: [Option<usize>; N_JOINTS] = [
     None,
     Some(0),
@@ -80,12 +80,12 @@ pub enum KeypointConvention {
     Body25b,
     /// Halpe, 26 body points.
     Halpe26,
-    /// COCO-WholeBody, 133 points; the first 23 (body and feet) are used, face and hands are carried unread.
+    /// COCO-WholeBody, 133 points; the first 23 (body and feet) are used, face and hands are stored but ignored.
     #[serde(rename = "coco_wholebody133")]
     CocoWholebody133,
     /// MediaPipe BlazePose, 33 points.
     Blazepose33,
-    /// The 24 SMPL joints themselves.
+    /// The 24 SMPL joints.
     Smpl24,
 }
 
@@ -96,7 +96,7 @@ impl KeypointConvention {
     pub const ALL: [Self; 8] =
         [C::Coco17, C::Coco18, C::Body25, C::Body25b, C::Halpe26, C::CocoWholebody133, C::Blazepose33, C::Smpl24];
 
-    /// The canonical spelling.
+    /// The canonical name.
     pub fn name(self) -> &'static str {
         match self {
             C::Coco17 => "coco17",
@@ -110,7 +110,7 @@ impl KeypointConvention {
         }
     }
 
-    /// Reads the canonical spelling or one of the detectors' own.
+    /// The convention of a canonical name or a detector's own name for it.
     pub fn parse(name: &str) -> Option<Self> {
         let plain: String = name.chars().filter(char::is_ascii_alphanumeric).collect::<String>().to_ascii_lowercase();
         Some(match plain.as_str() {
@@ -126,7 +126,7 @@ impl KeypointConvention {
         })
     }
 
-    /// How many keypoints a person has.
+    /// Number of keypoints of a person.
     pub fn n_keypoints(self) -> usize {
         match self {
             C::CocoWholebody133 => 133,
@@ -134,7 +134,7 @@ impl KeypointConvention {
         }
     }
 
-    /// Names of the leading body keypoints, in order; points behind them (face, hands) have none and are not used.
+    /// Names of the leading body keypoints, in order; the points after them (face, hands) have no names and are not used.
     pub fn names(self) -> &'static [&'static str] {
         match self {
             C::Coco17 => &HALPE26_NAMES[..17],
@@ -153,7 +153,7 @@ impl KeypointConvention {
         self.names().iter().position(|n| *n == name)
     }
 
-    /// Pairs of keypoints whose distance a person keeps: limbs and, where the convention has them, feet and face.
+    /// Pairs of keypoints whose distance is constant for one person: limbs and, if the convention has them, feet and face.
     pub fn bones(self) -> Vec<(usize, usize)> {
         let index = |side: &str, name: &str| self.index_of(&format!("{side}_{name}"));
         let pair = |side: &str, (a, b): (&str, &str)| Some((index(side, a)?, index(side, b)?));
@@ -359,7 +359,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_convention_reads_its_own_name_and_mirrors_back() {
+    fn conventions_parse_their_names_and_mirror_back() {
         for c in KeypointConvention::ALL {
             assert_eq!(KeypointConvention::parse(c.name()), Some(c));
             let m = c.mirror();
@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn every_convention_has_the_limbs_and_bones_mirror() {
+    fn conventions_have_limbs_and_mirrored_bones() {
         for c in KeypointConvention::ALL {
             let (bones, mirror) = (c.bones(), c.mirror());
             assert!(bones.len() >= 9, "{}", c.name());

@@ -7,7 +7,7 @@ use super::surface::{JointWeight, N_POSE_FEATURES};
 use nalgebra::{Matrix3, Vector3};
 use rayon::prelude::*;
 
-/// Vertices of a body in a pose, m, in the world.
+/// Vertices of a body in a pose, world, m.
 ///
 /// `v_i = sum_j w_ij (G_j (x_i - J_j) + p_j)`, `x = T + S beta + P phi`, with joints posed as in [`super::kinematics`] and
 /// `phi` the entries of `R_1 .. R_23 - I`, row by row (Loper et al. 2015, Eqs. 2 to 9). P is zero in the default body.
@@ -19,13 +19,13 @@ pub fn skinned(model: &BodyModel, betas: &Betas, pose: &Pose) -> Vec<Vector3<f64
     let feature = pose_feature(pose);
     let vertex = |i: usize| {
         let rest = surface.vertices[i] + surface.shape_directions[i] * betas + pose_offset(model, &feature, i);
-        let carried = |s: &JointWeight| (skeleton.rotations[s.joint] * rest + offsets[s.joint]) * s.weight;
-        surface.skin[i].iter().map(carried).sum()
+        let moved = |s: &JointWeight| (skeleton.rotations[s.joint] * rest + offsets[s.joint]) * s.weight;
+        surface.skin[i].iter().map(moved).sum()
     };
     (0..surface.vertices.len()).into_par_iter().map(vertex).collect()
 }
 
-/// `phi`, root left out.
+/// `phi`, without the root.
 fn pose_feature(pose: &Pose) -> [f64; N_POSE_FEATURES] {
     std::array::from_fn(|k| {
         let turn = pose.rotations[1 + k / 9] - Matrix3::identity();

@@ -1,34 +1,34 @@
-//! The body's skin: a triangle mesh with shape directions, skin weights and the joints' regressor.
+//! The body's skin: a triangle mesh with shape directions, skin weights and the joint regressor.
 
 use super::shape::{Betas, ShapeDirections};
 use super::skeleton::N_JOINTS;
 use nalgebra::Vector3;
 use sha2::{Digest, Sha256};
 
-/// A share of one vertex.
+/// The weight of one vertex in a sum.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct VertexWeight {
-    /// Which vertex.
+    /// Index of the vertex.
     pub vertex: usize,
-    /// Its share.
+    /// Its weight.
     pub weight: f64,
 }
 
-/// A share of one joint.
+/// The weight of one joint in a sum.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointWeight {
-    /// Which joint.
+    /// Index of the joint.
     pub joint: usize,
-    /// Its share.
+    /// Its weight.
     pub weight: f64,
 }
 
-/// A named point of the skin: shares of vertices that sum to 1.
+/// A named point of the skin: a sum of vertices whose weights sum to 1.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SurfacePoint {
     /// Keypoint name as in the conventions.
     pub name: String,
-    /// Shares of vertices.
+    /// Weights of vertices.
     pub vertices: Vec<VertexWeight>,
 }
 
@@ -44,14 +44,14 @@ pub struct Surface {
     pub shape_directions: Vec<ShapeDirections>,
     /// Triangles, anticlockwise from outside. `[F]`
     pub faces: Vec<[usize; 3]>,
-    /// Skin weights, each row of positive shares that sum to 1. `[V]`
+    /// Skin weights, each row positive and summing to 1. `[V]`
     pub skin: Vec<Vec<JointWeight>>,
-    /// Joints as shares of vertices, each row summing to 1; entries may be negative in a user's file.
+    /// Joints as sums of vertices, each row summing to 1; entries may be negative in a user's file.
     pub regressor: [Vec<VertexWeight>; N_JOINTS],
-    /// `P`: change per entry of the pose feature, m; empty where the model has none. `[V * 3 * 207]`, vertex by vertex,
+    /// `P`: change per entry of the pose feature, m; empty if the model has none. `[V * 3 * 207]`, vertex by vertex,
     /// coordinate by coordinate.
     pub pose_directions: Vec<f32>,
-    /// Where the detectors' surface points lie.
+    /// The detectors' surface points.
     pub points: Vec<SurfacePoint>,
 }
 
@@ -61,7 +61,7 @@ impl Surface {
         self.vertices.iter().zip(&self.shape_directions).map(|(vertex, s)| vertex + s * betas).collect()
     }
 
-    /// Height of the rest pose from soles to crown, m.
+    /// Height of the rest pose at a shape, from soles to crown, m.
     pub fn stature(&self, betas: &Betas) -> f64 {
         let heights = self.vertices.iter().zip(&self.shape_directions).map(|(v, s)| v.y + s.row(1).tr_dot(betas));
         let (low, high) = heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), y| (l.min(y), h.max(y)));
@@ -83,7 +83,7 @@ impl Surface {
         edges.windows(2).all(|pair| pair[0] != pair[1]) && edges.iter().all(twin)
     }
 
-    /// Feeds every number into a digest.
+    /// Adds every number to a digest.
     pub(super) fn digest_into(&self, hash: &mut Sha256) {
         let mut number = |value: f64| hash.update(value.to_le_bytes());
         self.vertices.iter().flat_map(|v| v.iter()).for_each(|v| number(*v));

@@ -1,4 +1,4 @@
-//! `.npz` archives: named NumPy arrays in a zip. The same arrays give the same bytes: members carry no clock.
+//! `.npz` archives: named NumPy arrays in a zip. The same arrays give the same bytes: members have no timestamps.
 
 use super::npy::{Array, NpyError};
 use std::io::{self, Read, Seek, Write};

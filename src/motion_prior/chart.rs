@@ -1,15 +1,15 @@
-//! From rotations to the 57 numbers a frame that the network sees, and back.
+//! Rotations as the 57 features a frame that the network processes, and back.
 //!
-//! Joint j turns by `R_j = M_j exp(u_j)` with its mean rotation `M_j` over the training set: three numbers a joint, no
-//! seam within half a turn of the mean, and a decoder that cannot leave SO(3). The 6D form (first two columns) bends
-//! where these are straight: at 32 numbers a frame its principal components leave 23 mm of joint error on the
-//! validation takes, those of `u` 3 mm (asset card).
+//! Joint j turns by `R_j = M_j exp(u_j)` with its mean rotation `M_j` over the training set: three numbers a joint,
+//! continuous within half a turn of the mean, and a decoder that cannot leave SO(3). The 6D form (first two columns) is
+//! curved where these are straight: at 32 numbers a frame its principal components have a joint error of 23 mm on the
+//! validation takes, those of `u` 3 mm (model card).
 //!
-//! Along a take each joint keeps to the branch of the logarithm that it is on, so that what is smoothed has no seam; but
-//! the network and the linear code know every rotation on its shortest branch alone (`on_shortest_branch`): mocap winds
-//! wrists up to a full turn from their mean, where neither was ever trained.
+//! Along a take the branch of each joint's logarithm is continuous, so that smoothing crosses no seam. The network and the
+//! linear code get every rotation on its shortest branch (`on_shortest_branch`): mocap wrists turn up to a full turn from
+//! their mean, where neither has training data.
 //!
-//! The training data hold collars and hands at identity, so that they stay outside the latent: [`JointGaussian`].
+//! The training data have collars and hands at identity; these joints are not part of the latent: [`JointGaussian`].
 
 use crate::body::joint_ranges::joint_ranges;
 use crate::body::skeleton::N_JOINTS;
@@ -17,44 +17,45 @@ use crate::geometry::rotation;
 use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::{PI, TAU};
 
-/// Local rotations `parent_from_joint` of one frame in SMPL's order; entry 0, the pelvis in the world, is not read.
+/// Local rotations `parent_from_joint` of one frame in SMPL's order; entry 0, the pelvis in the world, is ignored.
 pub type LocalRotations = [Matrix3<f64>; N_JOINTS];
 
-/// Joints that the latent describes: all but the pelvis, the collars and the hands.
+/// Joints that the latent describes: all except pelvis, collars and hands.
 pub const LATENT_JOINTS: [usize; 19] = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 15, 16, 17, 18, 19, 20, 21];
 
-/// Joints outside the latent: collars and hands.
+/// Joints that the latent does not describe: collars and hands.
 pub const OUTSIDE_JOINTS: [usize; 4] = [13, 14, 22, 23];
 
 /// Numbers of one frame: a rotation vector for each of [`LATENT_JOINTS`].
 pub const N_FEATURES: usize = 3 * LATENT_JOINTS.len();
 
-/// One frame as the network sees it.
+/// The features of one frame, rad.
 pub type Features = [f64; N_FEATURES];
 
 /// Mean rotations `M_j` of [`LATENT_JOINTS`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Chart {
-    /// In the order of [`LATENT_JOINTS`].
+    /// `M_j` in the order of [`LATENT_JOINTS`].
     pub means: [Matrix3<f64>; LATENT_JOINTS.len()],
 }
 
-/// What is known of a joint outside the latent: a Gaussian about its rest and limits, per rotation vector component.
+/// Prior of a joint outside the latent: a Gaussian about its rest, and limits, per rotation vector component.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointGaussian {
-    /// Which joint, in SMPL's order.
+    /// The joint, in SMPL's order.
     pub joint: usize,
     /// Mean, rad.
     pub mean: Vector3<f64>,
     /// Standard deviation, rad.
     pub spread: Vector3<f64>,
-    /// Smallest component that is allowed, rad.
+    /// Smallest allowed component, rad.
     pub min: Vector3<f64>,
-    /// Largest, rad.
+    /// Largest allowed component, rad.
     pub max: Vector3<f64>,
 }
 
-/// Hands move 8 cm of the body; detectors seldom see how: a spread of 15 degrees, limits of 60.
+/// Standard deviation and limit of hand rotations, degrees: hands move 8 cm of the body, and detectors rarely see their
+/// rotation.
 const HAND_SPREAD_DEG: f64 = 15.0;
 const HAND_LIMIT_DEG: f64 = 60.0;
 
@@ -95,7 +96,7 @@ impl Chart {
         features
     }
 
-    /// Rotations of one frame; the identity for joints outside the latent and for the pelvis.
+    /// Rotations of one frame; identity for joints outside the latent and for the pelvis.
     pub fn rotations(&self, features: &Features) -> LocalRotations {
         let mut rotations = [Matrix3::identity(); N_JOINTS];
         for (i, (joint, mean)) in LATENT_JOINTS.iter().zip(&self.means).enumerate() {
@@ -105,7 +106,8 @@ impl Chart {
     }
 }
 
-/// Longer rotation vectors lie nearer to a whole turn, where every direction means the same, than to half of one.
+/// Longest rotation vector of a feature: beyond it a whole turn is nearer than half a turn, and there the direction is
+/// undefined.
 const LONGEST: f64 = 1.5 * PI;
 
 /// The rotation vector of the same rotation, a full turn shorter or longer, that lies nearest to `before`.
@@ -114,7 +116,7 @@ fn nearest_branch(u: Vector3<f64>, before: &Vector3<f64>) -> Vector3<f64> {
     if (other - before).norm() < (u - before).norm() && other.norm() < LONGEST { other } else { u }
 }
 
-/// `(1 - 2 pi k / |u|) u`, k turns back; where there is no turn there is no other branch.
+/// `(1 - 2 pi k / |u|) u`: k turns shorter; a zero rotation has one branch only.
 fn unwound(u: &Vector3<f64>, turns: f64) -> Vector3<f64> {
     let angle = u.norm();
     if angle < 1e-6 { *u } else { u * (1.0 - turns * TAU / angle) }
@@ -125,7 +127,7 @@ fn whole_turns(u: &Vector3<f64>) -> f64 {
     (u.norm() / TAU).round()
 }
 
-/// Puts every joint of rows of features on its shortest branch.
+/// Rows of features with every joint on its shortest branch.
 pub(crate) fn on_shortest_branch(mut features: Vec<f32>) -> Vec<f32> {
     for values in features.chunks_exact_mut(3) {
         let u = joint(values);
@@ -136,7 +138,7 @@ pub(crate) fn on_shortest_branch(mut features: Vec<f32>) -> Vec<f32> {
     features
 }
 
-/// Gradient to the features from that to their shortest branches: with `a = |u|` the branch turns by
+/// Gradient to the features from that to their shortest branches: with `a = |u|` the derivative of the branch is
 /// `(1 - 2 pi k / a) I + 2 pi k u u^T / a^3`.
 pub(crate) fn on_shortest_branch_backward(features: &[f32], d_features: &mut [f32]) {
     for (values, d_values) in features.chunks_exact(3).zip(d_features.chunks_exact_mut(3)) {
@@ -166,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn features_and_rotations_are_inverse_even_beyond_half_a_turn() {
+    fn features_and_rotations_are_inverse_beyond_half_a_turn() {
         let chart = chart();
         let features: Vec<Features> = (0..60).map(|t| [0.045 * t as f64; N_FEATURES]).collect();
         assert!((PI..LONGEST).contains(&(features[59][0] * 3.0_f64.sqrt())));
@@ -177,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn a_joint_that_winds_on_comes_back_by_a_whole_turn() {
+    fn features_change_branch_after_a_long_turn() {
         let chart = chart();
         let take: Vec<LocalRotations> = (0..100).map(|t| chart.rotations(&[0.05 * t as f64; N_FEATURES])).collect();
         for (features, rotations) in chart.features_of_take(&take).iter().zip(&take) {
@@ -189,7 +191,7 @@ mod tests {
 
     /// Three joints: one inside, one past half a turn, one at rest. Steps of 1e-2 in single precision: good to 1e-3.
     #[test]
-    fn the_shortest_branch_is_the_same_rotation_and_its_gradient_agrees_with_differences() {
+    fn the_shortest_branch_and_its_gradient_are_exact() {
         let features = vec![0.4, -0.3, 1.0, 2.0, -2.5, 1.5, 0.0, 0.0, 0.0];
         let shortest = on_shortest_branch(features.clone());
         assert_eq!((&shortest[..3], &shortest[6..]), (&features[..3], &features[6..]));
@@ -207,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn the_joints_are_those_that_move_and_those_outside() {
+    fn latent_and_outside_joints_cover_the_body() {
         let mut all: Vec<usize> = LATENT_JOINTS.iter().chain(&OUTSIDE_JOINTS).copied().collect();
         all.sort_unstable();
         assert_eq!(all, (1..N_JOINTS).collect::<Vec<_>>());

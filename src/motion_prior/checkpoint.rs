@@ -1,7 +1,7 @@
 //! The file of a trained prior.
 //!
 //! `WLPRIOR1`, the length of the header (u32, little endian), the header (JSON), single precision numbers (little
-//! endian), and the SHA-256 of all that. The header holds what a person asks first and what a loader checks first.
+//! endian), and the SHA-256 of all preceding bytes. The header has the provenance, for people, and the shape, which the loader checks.
 
 use super::basis::{Basis, LATENT_DIM};
 use super::chart::{Chart, LATENT_JOINTS, N_FEATURES};
@@ -14,10 +14,10 @@ use sha2::{Digest, Sha256};
 
 const MAGIC: &[u8; 8] = b"WLPRIOR1";
 const DIGEST_LEN: usize = 32;
-/// Wider networks than this are no checkpoints of ours.
+/// Largest width of a layer that is accepted.
 const MAX_HIDDEN: usize = 4096;
 
-/// Where the weights come from.
+/// Origin of the weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Provenance {
@@ -25,68 +25,68 @@ pub struct Provenance {
     pub data_sha256: String,
     /// Seed of every random choice.
     pub seed: u64,
-    /// Steps that were taken.
+    /// Training steps.
     pub steps: usize,
     /// Weight of the local linear term.
     pub local_linear: f64,
-    /// Mean joint error over the held out subjects and all damages, mm.
+    /// Mean joint error over the held out subjects and all corruptions, mm.
     pub held_out_error_mm: f64,
 }
 
 /// A trained prior as it is stored.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Checkpoint {
-    /// Widths.
+    /// Widths and form of the network.
     pub shape: VaeShape,
-    /// Where it comes from.
+    /// Origin of the weights.
     pub provenance: Provenance,
-    /// What was frozen.
+    /// Frozen basis.
     pub basis: Basis,
-    /// What was trained.
+    /// Trained parameters.
     pub parameters: Vec<f32>,
 }
 
-/// Why a file is no prior.
+/// Why a file cannot be read as a prior.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CheckpointError {
-    /// It does not begin like one.
+    /// The file does not begin with the magic bytes.
     #[error("not a motion prior: the file must begin with WLPRIOR1")]
     Foreign,
-    /// It ends too early or too late.
+    /// The file has the wrong length.
     #[error("a motion prior of {expected} bytes expected, found {found}")]
     Length {
-        /// What the header asks for.
+        /// Length according to the header, bytes.
         expected: usize,
-        /// What is there.
+        /// Length of the file, bytes.
         found: usize,
     },
-    /// The digest at its end does not agree.
-    #[error("the digest does not agree with the contents: the file is damaged")]
+    /// The digest does not match the contents.
+    #[error("the digest does not match the contents: the file is damaged")]
     Digest,
     /// The header cannot be read.
     #[error("header: {reason}")]
     Header {
-        /// The parser's words.
+        /// Error of the JSON parser.
         reason: String,
     },
-    /// It describes other joints.
-    #[error("a prior for {expected} joints in the order of SMPL expected, found other ones")]
+    /// The prior describes other joints.
+    #[error("a prior for {expected} joints in SMPL's order expected, found other joints")]
     Skeleton {
-        /// How many we have.
+        /// Number of joints expected.
         expected: usize,
     },
     /// A width is out of range.
     #[error("widths of 1 to 4096 expected, found {encoder_hidden} and {decoder_hidden}")]
     Shape {
-        /// Of the encoder.
+        /// Width of the encoder.
         encoder_hidden: usize,
-        /// Of the decoder.
+        /// Width of the decoder.
         decoder_hidden: usize,
     },
     /// A number is not finite.
     #[error("number {index} is not finite")]
     Values {
-        /// Its place.
+        /// Index of the number.
         index: usize,
     },
 }
@@ -220,13 +220,13 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read() {
+    fn reads_what_it_writes() {
         let checkpoint = checkpoint();
         assert_eq!(checkpoint_from_bytes(&checkpoint_bytes(&checkpoint)), Ok(checkpoint));
     }
 
     #[test]
-    fn foreign_short_and_damaged_files_are_refused_by_name() {
+    fn rejects_foreign_short_and_damaged_files() {
         let bytes = checkpoint_bytes(&checkpoint());
         assert_eq!(checkpoint_from_bytes(b"PK\x03\x04"), Err(CheckpointError::Foreign));
         assert_eq!(checkpoint_from_bytes(&[]), Err(CheckpointError::Foreign));
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_none_are_refused() {
+    fn rejects_nan() {
         let mut checkpoint = checkpoint();
         checkpoint.parameters[5] = f32::NAN;
         let index = N_BASIS + 5;

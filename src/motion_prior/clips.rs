@@ -1,4 +1,4 @@
-//! What one training step is made of: stretches of takes at changed tempo, and smooth random codes.
+//! Data of a training step: clips of takes at a random tempo, and smooth random codes.
 
 use super::basis::LATENT_DIM;
 use super::chart::N_FEATURES;
@@ -7,37 +7,37 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-/// A stretch of a take and what training left of it.
+/// A clip of a take and its corrupted version.
 pub(crate) struct Clip {
-    /// `[T, 57]`.
+    /// True features, `[T, 57]`.
     pub(crate) truth: Vec<f32>,
-    /// The same, damaged.
+    /// The same, corrupted.
     pub(crate) observed: Observed,
 }
 
 /// Tempo relative to the take.
 const TEMPO: std::ops::Range<f64> = 0.7..1.4;
 
-/// A stretch of `length` frames from a random place: every frame of every take is equally likely to start one. Its
-/// tempo is changed where the take is long enough. Some take must have `length` frames.
+/// A clip of `length` frames from a random start: every frame of every take is an equally likely start. The tempo is
+/// random where the take is long enough. At least one take must have `length` frames.
 pub(crate) fn draw_clip(takes: &[Vec<f32>], length: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
     let starts = |take: &Vec<f32>| (take.len() / N_FEATURES + 1).saturating_sub(length);
-    let mut place = rng.random_range(0..takes.iter().map(starts).sum::<usize>().max(1));
+    let mut start = rng.random_range(0..takes.iter().map(starts).sum::<usize>().max(1));
     let Some(take) = takes.iter().find(|take| {
-        let here = place < starts(take);
-        place -= if here { 0 } else { starts(take) };
+        let here = start < starts(take);
+        start -= if here { 0 } else { starts(take) };
         here
     }) else {
         return vec![0.0; length * N_FEATURES];
     };
-    let n_after = take.len() / N_FEATURES - 1 - place;
+    let n_after = take.len() / N_FEATURES - 1 - start;
     let tempo = rng.random_range(TEMPO).min(n_after as f64 / (length - 1).max(1) as f64);
     let mut clip = Vec::with_capacity(length * N_FEATURES);
     for t in 0..length {
         let at = (t as f64 * tempo).min(n_after as f64);
         let first = (at as usize).min(n_after.saturating_sub(1));
         let share = (at - first as f64) as f32;
-        let row = |frame: usize| &take[(place + frame.min(n_after)) * N_FEATURES..][..N_FEATURES];
+        let row = |frame: usize| &take[(start + frame.min(n_after)) * N_FEATURES..][..N_FEATURES];
         clip.extend(row(first).iter().zip(row(first + 1)).map(|(a, b)| a + share * (b - a)));
     }
     clip
@@ -46,7 +46,7 @@ pub(crate) fn draw_clip(takes: &[Vec<f32>], length: usize, rng: &mut ChaCha8Rng)
 /// Standard deviation of the kernel that smooths a random code, frames: 0.17 s.
 const SMOOTH_FRAMES: f64 = 5.0;
 
-/// A code from N(0, I) smoothed in time by a Gaussian kernel and brought back to variance 1, `[T, 32]`.
+/// A code from N(0, I), smoothed in time by a Gaussian kernel and scaled back to variance 1, `[T, 32]`.
 pub(crate) fn smooth_code(n_frames: usize, rng: &mut ChaCha8Rng) -> Vec<f32> {
     let reach = (3.0 * SMOOTH_FRAMES) as usize;
     let kernel: Vec<f64> =

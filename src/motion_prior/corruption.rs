@@ -1,4 +1,4 @@
-//! What training takes away from a clip: joints that nobody saw, and noise.
+//! Corruption of training clips: unseen joints and noise.
 
 use super::chart::{LATENT_JOINTS, N_FEATURES};
 use super::paths::Observed;
@@ -11,16 +11,16 @@ const N_JOINTS: usize = LATENT_JOINTS.len();
 /// The latent joints of each limb: legs, then arms, left before right.
 pub const LIMBS: [&[usize]; 4] = [&[1, 4, 7, 10], &[2, 5, 8, 11], &[16, 18, 20], &[17, 19, 21]];
 
-/// How a clip was damaged.
+/// Corruption of a clip.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Damage {
-    /// Not at all.
+pub enum Corruption {
+    /// No corruption.
     None,
     /// All joints unseen for a while.
     Gap {
         /// First frame.
         start: usize,
-        /// How many.
+        /// Number of frames.
         n_frames: usize,
     },
     /// One limb unseen for a while.
@@ -29,67 +29,67 @@ pub enum Damage {
         limb: usize,
         /// First frame.
         start: usize,
-        /// How many.
+        /// Number of frames.
         n_frames: usize,
     },
-    /// Rotations shaken: each joint and frame (or each joint throughout) with a chance; a fifth of the joints unseen
-    /// for ten frames.
+    /// Noisy rotations of random joints and frames (or of random joints in all frames); a fifth of the joints unseen for
+    /// ten frames.
     Noise {
         /// Standard deviation per axis, rad.
         sd: f64,
-        /// Chance of a joint and frame.
+        /// Probability of noise for a joint and frame.
         share: f64,
-        /// Whether a shaken joint is shaken in every frame.
+        /// Whether a noisy joint is noisy in every frame.
         steady: bool,
     },
 }
 
-/// Length of the holes that come with noise, frames, and the share of joints that have one.
+/// Length of the gaps that come with noise, frames.
 pub const HOLE_FRAMES: usize = 10;
-/// See [`HOLE_FRAMES`].
+/// Share of joints that have such a gap.
 pub const HOLE_SHARE: f64 = 0.2;
 
-/// Draws what training does to a clip of `n_frames`: half of it completion, a third denoising, the rest left clean.
-pub(crate) fn random_damage(n_frames: usize, rng: &mut ChaCha8Rng) -> Damage {
+/// A random corruption of a clip of `n_frames`: half of the clips train completion, a third denoising, the rest are clean.
+pub(crate) fn random_corruption(n_frames: usize, rng: &mut ChaCha8Rng) -> Corruption {
     let kind: f64 = rng.random();
     let mut span = |low: usize, high: usize| {
         let n = rng.random_range(low..=high).min(n_frames / 2);
         (rng.random_range(0..=n_frames - n), n)
     };
     if kind < 0.15 {
-        Damage::None
+        Corruption::None
     } else if kind < 0.35 {
         let (start, n_frames) = span(4, 30);
-        Damage::Gap { start, n_frames }
+        Corruption::Gap { start, n_frames }
     } else if kind < 0.65 {
         let (start, n_frames) = span(20, 80);
-        Damage::Limb { limb: rng.random_range(0..LIMBS.len()), start, n_frames }
+        Corruption::Limb { limb: rng.random_range(0..LIMBS.len()), start, n_frames }
     } else {
         let sd = rng.random_range(2.0_f64..15.0).to_radians();
-        Damage::Noise { sd, share: rng.random_range(0.2..1.0), steady: rng.random_bool(0.5) }
+        Corruption::Noise { sd, share: rng.random_range(0.2..1.0), steady: rng.random_bool(0.5) }
     }
 }
 
-/// Does it to a clip `[T, 57]`. Noise is added to the features, whose small changes are right increments but for a
-/// factor near 1.
-pub(crate) fn damaged(clip: &[f32], damage: Damage, rng: &mut ChaCha8Rng) -> Observed {
+/// Applies a corruption to a clip `[T, 57]`. Noise is added to the features, whose small changes are right increments up to
+/// a factor near 1.
+pub(crate) fn corrupted(clip: &[f32], corruption: Corruption, rng: &mut ChaCha8Rng) -> Observed {
     let mut observed = Observed::complete(clip.to_vec());
     let n_total = observed.n_frames();
-    match damage {
-        Damage::None => {}
-        Damage::Gap { start, n_frames } => {
+    match corruption {
+        Corruption::None => {}
+        Corruption::Gap { start, n_frames } => {
             observed.seen[start * N_JOINTS..(start + n_frames) * N_JOINTS].fill(false);
         }
-        Damage::Limb { limb, start, n_frames } => {
+        Corruption::Limb { limb, start, n_frames } => {
             for joint in LIMBS[limb] {
                 hide(&mut observed, *joint, start, n_frames);
             }
         }
-        Damage::Noise { sd, share, steady } => {
-            let shaken: [bool; N_JOINTS] = std::array::from_fn(|_| rng.random_bool(share));
+        Corruption::Noise { sd, share, steady } => {
+            let noisy: [bool; N_JOINTS] = std::array::from_fn(|_| rng.random_bool(share));
             for row in observed.features.chunks_exact_mut(N_FEATURES) {
                 for (joint, values) in row.chunks_exact_mut(3).enumerate() {
-                    let hit = if steady { shaken[joint] } else { rng.random_bool(share) };
+                    let hit = if steady { noisy[joint] } else { rng.random_bool(share) };
                     if hit {
                         values.iter_mut().for_each(|v| *v += (sd * rng.sample::<f64, _>(StandardNormal)) as f32);
                     }
@@ -118,28 +118,28 @@ mod tests {
     use rand::SeedableRng;
 
     #[test]
-    fn damage_hides_what_it_says_and_leaves_the_rest() {
+    fn corruption_changes_only_its_part() {
         let clip = vec![0.25; 50 * N_FEATURES];
         let mut rng = ChaCha8Rng::seed_from_u64(1);
-        let gap = damaged(&clip, Damage::Gap { start: 10, n_frames: 15 }, &mut rng);
+        let gap = corrupted(&clip, Corruption::Gap { start: 10, n_frames: 15 }, &mut rng);
         assert_eq!(gap.seen.iter().filter(|seen| !**seen).count(), 15 * N_JOINTS);
-        let limb = damaged(&clip, Damage::Limb { limb: 2, start: 0, n_frames: 50 }, &mut rng);
+        let limb = corrupted(&clip, Corruption::Limb { limb: 2, start: 0, n_frames: 50 }, &mut rng);
         assert_eq!(limb.seen.iter().filter(|seen| !**seen).count(), 50 * 3);
         assert_eq!(limb.features, clip);
-        let noise = damaged(&clip, Damage::Noise { sd: 0.1, share: 1.0, steady: false }, &mut rng);
+        let noise = corrupted(&clip, Corruption::Noise { sd: 0.1, share: 1.0, steady: false }, &mut rng);
         let square: f32 = noise.features.iter().map(|v| (v - 0.25).powi(2)).sum::<f32>() / clip.len() as f32;
         // 2850 draws: the standard deviation is known to 1.4 %.
         assert!((square.sqrt() - 0.1).abs() < 0.006);
     }
 
     #[test]
-    fn clips_of_any_length_can_be_damaged() {
+    fn clips_of_any_length_can_be_corrupted() {
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         for n in [1, 2, 9, 40] {
             let clip = vec![0.0; n * N_FEATURES];
             for _ in 0..50 {
-                let damage = random_damage(n, &mut rng);
-                assert_eq!(damaged(&clip, damage, &mut rng).n_frames(), n);
+                let corruption = random_corruption(n, &mut rng);
+                assert_eq!(corrupted(&clip, corruption, &mut rng).n_frames(), n);
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Takes for training and evaluation: found, read, brought to 30 Hz, split by subject.
+//! Takes for training and evaluation: reading, resampling to 30 Hz, splitting by subject.
 
 use super::chart::LocalRotations;
 use super::interpolation::{resampled, resampled_len};
@@ -15,7 +15,7 @@ pub const GRID_FPS: f64 = 30.0;
 /// One take at [`GRID_FPS`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Take {
-    /// Folder of the take: its subject.
+    /// Subject: name of the take's folder.
     pub subject: String,
     /// File name.
     pub name: String,
@@ -26,29 +26,29 @@ pub struct Take {
 /// All takes below a folder, by path, and the digest of their files.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Dataset {
-    /// In the order of their paths.
+    /// Takes in the order of their paths.
     pub takes: Vec<Take>,
     /// SHA-256 over all files, lowercase hexadecimal digits.
     pub sha256: String,
 }
 
-/// Why a data set cannot be read.
+/// Why a dataset cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum DatasetError {
     /// A folder or file cannot be read.
     #[error("{}: {source}", path.display())]
     Io {
-        /// What was read.
+        /// Path of the folder or file.
         path: PathBuf,
-        /// The system's words.
+        /// Error of the file system.
         source: io::Error,
     },
-    /// A file is no motion.
+    /// A file is not a motion file.
     #[error("{}: {problem}", path.display())]
     Motion {
         /// The file.
         path: PathBuf,
-        /// What is wrong.
+        /// Why it cannot be read.
         problem: MotionProblem,
     },
     /// There are no `.npz` files.
@@ -62,7 +62,7 @@ pub enum DatasetError {
 /// Reads every `.npz` below `folder` (or that one file).
 ///
 /// # Errors
-/// [`DatasetError`] names the first file that is no motion.
+/// [`DatasetError`] names the first file that cannot be read.
 pub fn read_dataset(folder: &Path) -> Result<Dataset, DatasetError> {
     let mut paths = Vec::new();
     gather(folder, &mut paths)?;
@@ -106,7 +106,7 @@ fn read(path: &Path) -> Result<Take, DatasetError> {
     })
 }
 
-/// Left and right exchanged: joint by joint, each rotation reflected at the plane x = 0.
+/// A take with left and right exchanged: every rotation is reflected at the plane x = 0.
 pub fn mirrored(take: &[LocalRotations]) -> Vec<LocalRotations> {
     const MIRROR: [usize; N_JOINTS] =
         [0, 2, 1, 3, 5, 4, 6, 8, 7, 9, 11, 10, 12, 14, 13, 15, 17, 16, 19, 18, 21, 20, 23, 22];
@@ -114,11 +114,11 @@ pub fn mirrored(take: &[LocalRotations]) -> Vec<LocalRotations> {
     take.iter().map(|frame| std::array::from_fn(|j| flip * frame[MIRROR[j]] * flip)).collect()
 }
 
-/// Every how many subjects one is held out of training.
+/// One of this number of subjects is held out of training.
 const HELD_OUT_EVERY: usize = 9;
 
-/// Splits by subject, so that nobody is on both sides: training first, then the held out subjects, every ninth from
-/// the fifth on. With fewer than five subjects every ninth take is held out, the first at least when there are two.
+/// Splits takes by subject: training first, then the held out subjects, every ninth from the fifth on. With fewer than five
+/// subjects every ninth take is held out, starting with the first, if there are at least two takes.
 pub fn split_by_subject(takes: &[Take]) -> [Vec<&Take>; 2] {
     let mut subjects: Vec<&str> = takes.iter().map(|take| take.subject.as_str()).collect();
     subjects.sort_unstable();
@@ -143,7 +143,7 @@ mod tests {
     use nalgebra::Vector3;
 
     #[test]
-    fn mirroring_twice_changes_nothing_and_once_exchanges_the_sides() {
+    fn mirroring_exchanges_the_sides_and_is_an_involution() {
         let frame: LocalRotations =
             std::array::from_fn(|j| rotation::exp(&Vector3::new(0.1 * j as f64, 0.2, -0.05 * j as f64)));
         let once = mirrored(&[frame]);

@@ -1,4 +1,4 @@
-//! What the encoder is told of a take: candidate paths, what was seen, and how rough it looks.
+//! Input of the encoder: candidate paths, visibility and roughness of a take.
 
 use super::basis::Basis;
 use super::chart::{LATENT_JOINTS, N_FEATURES, on_shortest_branch};
@@ -10,22 +10,22 @@ const N_JOINTS: usize = LATENT_JOINTS.len();
 /// Width of [`EncoderInput::values`].
 pub(crate) const N_ENCODER_INPUT: usize = CANDIDATES.len() * N_FEATURES + 2 * N_JOINTS;
 
-/// The same for the paper's form.
+/// Width of the input of the paper's form.
 pub(crate) const N_PLAIN_INPUT: usize = N_COLUMNS + N_JOINTS;
 
 /// Frames on each side over which roughness is averaged: a quarter of a second.
 const ROUGHNESS_REACH: usize = 7;
 
-/// One take, T frames.
+/// Encoder input of one take, T frames.
 #[derive(Debug, Clone)]
 pub(crate) struct EncoderInput {
-    /// `[T, 323]` (`[T, 133]` in the paper's form), of the order of 1.
+    /// Input of the network, `[T, 323]` (`[T, 133]` in the paper's form), of the order of 1.
     pub(crate) values: Vec<f32>,
-    /// The first candidate less the mean: what was seen, joined by cubics, `[T, 57]`.
+    /// First candidate less the mean: seen frames interpolated by cubics, `[T, 57]`.
     pub(crate) path: Vec<f32>,
-    /// The last candidate less the mean: the same joined by straight lines, `[T, 57]`.
+    /// Last candidate less the mean: seen frames interpolated linearly, `[T, 57]`.
     pub(crate) straight: Vec<f32>,
-    /// `[T, 19]`.
+    /// Whether each joint is seen, `[T, 19]`.
     pub(crate) seen: Vec<bool>,
 }
 
@@ -42,7 +42,7 @@ pub(crate) fn encoder_input(basis: &Basis, observed: &Observed) -> EncoderInput 
         let scaled = |i: usize, off: f32| off / basis.spread[i];
         values.extend(known[row.clone()].iter().enumerate().map(|(i, x)| scaled(i, x - basis.mean[i])));
         for path in &paths[1..] {
-            // Differences between the candidates are small beside the motion.
+            // Differences between the candidates are small relative to the motion.
             let differences = path[row.clone()].iter().zip(first);
             values.extend(differences.enumerate().map(|(i, (x, first))| 3.0 * scaled(i, x - first)));
         }
@@ -56,7 +56,7 @@ pub(crate) fn encoder_input(basis: &Basis, observed: &Observed) -> EncoderInput 
     EncoderInput { values, path: off(&paths[0]), straight: off(&paths[4]), seen: observed.seen.clone() }
 }
 
-/// Prepares a take for the paper's form: the first candidate as columns, and what was seen.
+/// Prepares a take for the paper's form: the first candidate as columns, and visibility.
 pub(crate) fn plain_input(basis: &Basis, observed: &Observed) -> EncoderInput {
     let mut input = encoder_input(basis, observed);
     let path = smoothed(observed, CANDIDATES[0], &basis.mean);
@@ -67,7 +67,7 @@ pub(crate) fn plain_input(basis: &Basis, observed: &Observed) -> EncoderInput {
     input
 }
 
-/// Logarithm of the mean square between raw and smooth path about each frame, brought near 1: `[T, 19]`.
+/// Logarithm of the mean squared difference between raw and smooth path around each frame, scaled to the order of 1: `[T, 19]`.
 fn roughness(raw: &[f32], smooth: &[f32], n_frames: usize) -> Vec<f32> {
     let square = |t: usize, joint: usize| -> f32 {
         let at = t * N_FEATURES + 3 * joint;

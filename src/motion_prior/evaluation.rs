@@ -1,8 +1,8 @@
-//! How good a prior is, measured on takes that it never saw. Joints of the default skeleton without the root, mm.
+//! Evaluation of a prior on takes outside its training set. Joints of the default skeleton without the root, mm.
 
 use super::chart::{LocalRotations, N_FEATURES};
 use super::clips::smooth_code;
-use super::corruption::{Damage, HOLE_FRAMES, LIMBS, damaged};
+use super::corruption::{Corruption, HOLE_FRAMES, LIMBS, corrupted};
 use super::dataset::{GRID_FPS, Take};
 use super::interpolation::{resampled, resampled_len};
 use super::joints::{Bones, JointPositions, rows};
@@ -16,43 +16,43 @@ use crate::geometry::rotation;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 
-/// Errors of takes against their truth.
+/// Joint errors of takes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct JointErrors {
     /// Mean over frames and 23 joints, mm.
     pub mean_mm: f64,
-    /// Of all joint errors 95 % are smaller, mm.
+    /// 95th percentile of all joint errors, mm.
     pub p95_mm: f64,
-    /// Mean acceleration of the joints over that of the truth.
+    /// Mean acceleration of the joints divided by that of the truth.
     pub acceleration_ratio: f64,
 }
 
-/// One task: the prior against baselines that see the same.
+/// Errors in one task: the prior and baselines with the same input.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TaskErrors {
-    /// Through the posterior's mean.
+    /// Errors of the posterior's mean.
     pub prior: JointErrors,
-    /// Each smoothing with unseen joints bridged, mean error, mm.
+    /// Mean error of each smoothing, which also interpolates unseen joints, mm.
     pub smoothings_mm: Vec<(Smoothing, f64)>,
-    /// Second order autoregression, mean error, mm.
+    /// Mean error of a second-order autoregression, mm.
     pub autoregression_mm: f64,
 }
 
 impl TaskErrors {
-    /// The best smoothing, chosen with the truth in hand: harder to beat than any that a user could choose.
+    /// Error of the best smoothing, chosen by the true error, mm: a stricter baseline than any choice without it.
     pub fn best_smoothing_mm(&self) -> f64 {
         self.smoothings_mm.iter().map(|(_, error)| *error).fold(f64::INFINITY, f64::min)
     }
 }
 
-/// How the codes are distributed.
+/// Distribution of the codes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LatentStatistics {
     /// Mean over dimensions of the mean square of a sampled z.
     pub mean_square: f64,
-    /// Smallest over dimensions.
+    /// Smallest mean square over dimensions.
     pub min_square: f64,
-    /// Largest.
+    /// Largest mean square over dimensions.
     pub max_square: f64,
     /// KL from N(0, I) per frame and dimension, nats.
     pub kl: f64,
@@ -60,31 +60,31 @@ pub struct LatentStatistics {
     pub acceleration: f64,
 }
 
-/// What motions drawn from N(0, I), smoothed in time, look like.
+/// Statistics of motions decoded from N(0, I), smoothed in time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SampleStatistics {
-    /// Share of frames with every joint inside its range of [`joint_ranges`].
+    /// Share of frames with all joints within their ranges ([`joint_ranges`]).
     pub within_limits: f64,
-    /// The same with 10 degrees to spare.
+    /// The same with ranges widened by 10 degrees.
     pub within_limits_and_10_deg: f64,
-    /// Share of frames in which the body reaches into itself by more than [`DEEP`].
+    /// Share of frames in which the body penetrates itself by more than [`DEEP`].
     pub penetrating: f64,
-    /// Standard deviation of the lower foot's height under the pelvis, m.
+    /// Standard deviation of the lower foot's height relative to the pelvis, m.
     pub foot_height_spread: f64,
 }
 
-/// An overlap of capsules that counts, m. Arms that hang reach 2 to 5 cm into the waist in a third of captured frames: the
-/// default body is not the captured one.
+/// Smallest capsule overlap that counts as penetration, m. Hanging arms overlap the waist by 2 to 5 cm in a third of the mocap
+/// frames, since the default body is not that of the recorded subjects.
 pub const DEEP: f64 = 0.05;
 
-/// Share of the frames of takes in which the body reaches into itself by more than [`DEEP`].
+/// Share of the takes' frames in which the body penetrates itself by more than [`DEEP`].
 pub fn penetrating_share(takes: &[Take]) -> f64 {
     let contact = SelfContact::of_default_body();
     let frames: Vec<&LocalRotations> = takes.iter().flat_map(|take| &take.rotations).collect();
     frames.iter().filter(|frame| contact.depth(frame) > DEEP).count() as f64 / frames.len().max(1) as f64
 }
 
-/// The smoothers a prior is compared with: those that the encoder is given, and a stiffer one.
+/// The smoothers a prior is compared with: the encoder's candidates and two stiffer ones.
 fn baselines() -> Vec<Smoothing> {
     let stiffer = [Smoothing { order: 2, stiffness: 1000.0 }, Smoothing { order: 1, stiffness: 3.0 }];
     CANDIDATES.into_iter().chain(stiffer).collect()
@@ -100,7 +100,7 @@ pub fn clips_of(takes: &[Vec<f32>], length: usize) -> Vec<Vec<f32>> {
     takes.iter().flat_map(|take| take.chunks_exact(length * N_FEATURES)).map(<[f32]>::to_vec).collect()
 }
 
-/// A take of `length` frames: the given one forth and back again.
+/// A take of `length` frames: the given one forwards and backwards repeatedly.
 pub fn prolonged(take: &[f32], length: usize) -> Vec<f32> {
     let n = take.len() / N_FEATURES;
     let period = (2 * n).saturating_sub(2).max(1);
@@ -108,7 +108,7 @@ pub fn prolonged(take: &[f32], length: usize) -> Vec<f32> {
     (0..length).flat_map(|t| take[row(t) * N_FEATURES..][..N_FEATURES].iter().copied()).collect()
 }
 
-/// Row 1: reconstruction through the mean.
+/// Reconstruction by the posterior's mean.
 pub fn reconstruction(prior: &MotionPrior, takes: &[Vec<f32>]) -> JointErrors {
     let observed: Vec<Observed> = takes.iter().map(|take| Observed::complete(take.clone())).collect();
     let all = |_: usize, _: usize, _: usize| true;
@@ -119,15 +119,16 @@ fn through(prior: &MotionPrior, observed: &[Observed]) -> Vec<Vec<f32>> {
     prior.decode(&prior.encode(observed).into_iter().map(|posterior| posterior.mean).collect::<Vec<_>>())
 }
 
-/// Rows 1b and 3: `damage` is applied to every clip; `counts(clip, frame, joint)` chooses what is measured.
+/// Rows 1b and 3: `corruption` is applied to every clip; `counts(clip, frame, joint)` chooses what is measured.
 pub fn task(
     prior: &MotionPrior,
     clips: &[Vec<f32>],
-    damage: &dyn Fn(usize) -> Damage,
+    corruption: &dyn Fn(usize) -> Corruption,
     counts: &dyn Fn(usize, usize, usize) -> bool,
 ) -> TaskErrors {
     let mut rng = ChaCha8Rng::seed_from_u64(7);
-    let observed: Vec<Observed> = clips.iter().enumerate().map(|(i, c)| damaged(c, damage(i), &mut rng)).collect();
+    let observed: Vec<Observed> =
+        clips.iter().enumerate().map(|(i, c)| corrupted(c, corruption(i), &mut rng)).collect();
     let basis = prior.basis();
     let error = |paths: &[Vec<f32>]| joint_errors(prior, paths, clips, counts);
     let each = |path: &dyn Fn(&Observed) -> Vec<f32>| error(&observed.iter().map(path).collect::<Vec<_>>()).mean_mm;
@@ -142,10 +143,10 @@ pub fn task(
 pub fn gap_task(prior: &MotionPrior, clips: &[Vec<f32>]) -> TaskErrors {
     let start = |clip: usize| (clips[clip].len() / N_FEATURES - 15) / 2;
     let counts = |clip: usize, t: usize, _: usize| (start(clip)..start(clip) + 15).contains(&t);
-    task(prior, clips, &|clip| Damage::Gap { start: start(clip), n_frames: 15 }, &counts)
+    task(prior, clips, &|clip| Corruption::Gap { start: start(clip), n_frames: 15 }, &counts)
 }
 
-/// Completion of one limb, unseen for 60 frames; measured on the joints that it moves.
+/// Completion of one limb, unseen for 60 frames; measured on the joints that the limb moves.
 pub fn limb_task(prior: &MotionPrior, clips: &[Vec<f32>]) -> TaskErrors {
     let start = |clip: usize| (clips[clip].len() / N_FEATURES - 60) / 2;
     let limb = |clip: usize| clip % LIMBS.len();
@@ -153,18 +154,18 @@ pub fn limb_task(prior: &MotionPrior, clips: &[Vec<f32>]) -> TaskErrors {
         let moved = std::iter::successors(PARENTS[joint], |&j| PARENTS[j]).any(|j| LIMBS[limb(clip)].contains(&j));
         moved && (start(clip)..start(clip) + 60).contains(&t)
     };
-    task(prior, clips, &|clip| Damage::Limb { limb: limb(clip), start: start(clip), n_frames: 60 }, &counts)
+    task(prior, clips, &|clip| Corruption::Limb { limb: limb(clip), start: start(clip), n_frames: 60 }, &counts)
 }
 
-/// Denoising: 10 degrees on half of the joints, in every frame (`steady`) or by chance in each; a fifth of the joints
+/// Denoising: 10 degrees on half of the joints, the same in every frame (`steady`) or drawn in each; a fifth of the joints
 /// unseen for ten frames.
 pub fn noise_task(prior: &MotionPrior, clips: &[Vec<f32>], steady: bool) -> TaskErrors {
     debug_assert_eq!(HOLE_FRAMES, 10);
-    let damage = Damage::Noise { sd: 10.0_f64.to_radians(), share: 0.5, steady };
-    task(prior, clips, &|_| damage, &|_, _, _| true)
+    let corruption = Corruption::Noise { sd: 10.0_f64.to_radians(), share: 0.5, steady };
+    task(prior, clips, &|_| corruption, &|_, _, _| true)
 }
 
-/// Row 1b: how far the codes of takes are from N(0, I).
+/// Statistics of the codes of takes against N(0, I).
 pub fn latent_statistics(prior: &MotionPrior, takes: &[Vec<f32>]) -> LatentStatistics {
     const D: usize = super::basis::LATENT_DIM;
     let observed: Vec<Observed> = takes.iter().map(|take| Observed::complete(take.clone())).collect();
@@ -192,8 +193,8 @@ pub fn latent_statistics(prior: &MotionPrior, takes: &[Vec<f32>]) -> LatentStati
     }
 }
 
-/// Row 7b: largest and mean distance between joints at common times of takes given at 30 Hz and at `fps`, mm. The take
-/// at `fps` is the same motion, sampled by the cubic of [`super::interpolation`].
+/// Largest and mean distance between joints at common times of takes reconstructed at 30 Hz and at `fps`, mm. The take at
+/// `fps` is the same motion, resampled by the cubic of [`super::interpolation`].
 pub fn rate_difference_mm(prior: &MotionPrior, takes: &[Take], fps: f64) -> [f64; 2] {
     let bones = Bones::of_default_body();
     // Every 0.2 s: common to 25, 30 and 60 Hz.
@@ -221,7 +222,7 @@ pub fn random_code(n_frames: usize, seed: u64) -> Vec<f32> {
     smooth_code(n_frames, &mut ChaCha8Rng::seed_from_u64(seed))
 }
 
-/// Row 5: `n` motions of 60 frames from the prior itself.
+/// Statistics of `n` motions of 60 frames drawn from the prior.
 pub fn sample_statistics(prior: &MotionPrior, n: usize, seed: u64) -> SampleStatistics {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let codes: Vec<Vec<f32>> = (0..n).map(|_| smooth_code(60, &mut rng)).collect();

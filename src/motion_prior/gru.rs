@@ -1,30 +1,30 @@
 //! The bidirectional gated recurrent unit, forward and backward through time.
 //!
 //! One direction, with the sigmoid s and the state h, zero at the start (Cho et al., EMNLP 2014, Eqs. (5)-(8), with the
-//! reset gate behind the product as Chung et al. 2014 and the common libraries have it):
+//! reset gate after the product as in Chung et al. 2014 and common libraries):
 //! `r = s(x W_xr + b_xr + h W_hr + b_hr)`, `u` likewise, `n = tanh(x W_xn + b_xn + r (h W_hn + b_hn))`,
-//! `h' = (1 - u) n + u h`. The gates lie in the order r, u, n.
+//! `h' = (1 - u) n + u h`. The gates are stored in the order r, u, n.
 //!
-//! Sequences are `[T, B, width]`: all people and windows of one time step lie together and share one product.
+//! Sequences are `[T, B, width]`: all people and windows of one time step are contiguous and share one matrix product.
 
 use super::layers::{Affine, Reader, affine_len, apart, beside};
 use super::panels::{sigmoid, tanh};
 
-/// One direction.
+/// The parameters of one direction.
 #[derive(Debug, Clone, PartialEq)]
 struct Direction {
     from_input: Affine,
     from_state: Affine,
 }
 
-/// Both directions; the output is their states side by side, `[N, 2 H]`.
+/// The unit of both directions; the output is their states side by side, `[N, 2 H]`.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct BiGru {
     hidden: usize,
     directions: [Direction; 2],
 }
 
-/// What the backward pass of one direction needs, `[N, H]` each.
+/// Values that the backward pass of one direction needs, `[N, H]` each.
 struct DirectionTape {
     reset: Vec<f32>,
     update: Vec<f32>,
@@ -37,11 +37,11 @@ struct DirectionTape {
     before: Vec<f32>,
 }
 
-/// What the backward pass needs.
+/// Values that the backward pass needs.
 pub(crate) struct BiGruTape([DirectionTape; 2]);
 
 impl BiGru {
-    /// How many numbers it has.
+    /// Number of parameters.
     pub(crate) fn len(n_in: usize, hidden: usize) -> usize {
         2 * (affine_len(n_in, 3 * hidden) + affine_len(hidden, 3 * hidden))
     }
@@ -62,7 +62,7 @@ impl BiGru {
         (states, BiGruTape([ahead, back]))
     }
 
-    /// Gradient to the input from that to the output `[N, 2 H]`; adds that to the parameters where a vector is given.
+    /// Gradient to the input from that to the output `[N, 2 H]`; adds the gradient to the parameters to `gradient`, if given.
     pub(crate) fn backward(
         &self,
         tape: &BiGruTape,
@@ -92,7 +92,7 @@ struct GateGradients {
     d_recurrent: Vec<f32>,
 }
 
-/// Positions of the time steps in the order in which a direction meets them.
+/// Time steps in the order of a direction.
 fn steps(n_steps: usize, reversed: bool) -> impl Iterator<Item = usize> {
     (0..n_steps).map(move |step| if reversed { n_steps - 1 - step } else { step })
 }
@@ -145,7 +145,7 @@ impl Direction {
         let mut d_state = vec![0.0; block];
         for t in steps(n / block.max(1), !reversed) {
             let here = t * block..(t + 1) * block;
-            d_state.iter_mut().zip(&d_states[here.clone()]).for_each(|(carried, own)| *carried += own);
+            d_state.iter_mut().zip(&d_states[here.clone()]).for_each(|(sum, own)| *sum += own);
             let step = BackwardStep {
                 hidden,
                 reset: &tape.reset[here.clone()],
@@ -164,7 +164,7 @@ impl Direction {
     }
 }
 
-/// One time step; `[B, 3 H]` and `[B, H]`.
+/// One time step of the forward pass; `[B, 3 H]` and `[B, H]`.
 struct Step<'a> {
     hidden: usize,
     input: &'a [f32],
@@ -181,12 +181,12 @@ impl pulp::NullaryFnOnce for Step<'_> {
 
     #[inline(always)]
     fn call(self) {
-        advance(self);
+        step_forward(self);
     }
 }
 
 #[inline(always)]
-fn advance(step: Step) {
+fn step_forward(step: Step) {
     let hidden = step.hidden;
     for (row, state) in step.state.chunks_exact_mut(hidden).enumerate() {
         let (x, h) = (&step.input[3 * row * hidden..][..3 * hidden], &step.sums[3 * row * hidden..][..3 * hidden]);
@@ -205,7 +205,7 @@ fn advance(step: Step) {
     }
 }
 
-/// One time step of the way back.
+/// One time step of the backward pass.
 struct BackwardStep<'a> {
     hidden: usize,
     reset: &'a [f32],
@@ -223,12 +223,12 @@ impl pulp::NullaryFnOnce for BackwardStep<'_> {
 
     #[inline(always)]
     fn call(self) {
-        retreat(self);
+        step_backward(self);
     }
 }
 
 #[inline(always)]
-fn retreat(step: BackwardStep) {
+fn step_backward(step: BackwardStep) {
     let hidden = step.hidden;
     for (row, d_state) in step.d_state.chunks_exact_mut(hidden).enumerate() {
         let own = row * hidden..(row + 1) * hidden;

@@ -1,23 +1,23 @@
 //! Rotations between samples: a cubic on SO(3) through four neighbours, with its derivatives.
 //!
-//! The prior lives on a 30 Hz grid, sessions on their own. Between samples 1 and 2 of four the rotation is
+//! The prior uses a 30 Hz grid, sessions have their own frame rates. Between samples 1 and 2 of four the rotation is
 //! `R_1 exp(c_0 l_0 + c_2 l_2 + c_3 l_3)`, `l_k = log(R_1^T R_k)`, with Catmull and Rom's weights c of the place s
-//! (Computer Aided Geometric Design, 1974): it passes through the samples, turns steadily through them, and errs by
-//! the fourth derivative of the motion, where a geodesic errs by the second.
+//! (Computer Aided Geometric Design, 1974): it passes through the samples, has a continuous angular velocity,
+//! and errs by the fourth derivative of the motion, where a geodesic errs by the second.
 
 use crate::geometry::rotation;
 use nalgebra::{Matrix3, Vector3};
 
-/// Where an instant lies on a grid: four samples around it and the place between the middle ones.
+/// A time on a grid: the four samples around it and the position between the middle ones.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GridPlace {
     /// Samples 0 to 3; at the ends of the grid the last one is repeated.
     pub samples: [usize; 4],
-    /// From sample 1 (0) to sample 2 (1).
+    /// Position between sample 1 (0) and sample 2 (1).
     pub share: f64,
 }
 
-/// The grid's neighbours of sample position `at` (0 to `n_samples` - 1, held inside). `n_samples` is at least 1.
+/// The samples around position `at` (clamped to 0 to `n_samples` - 1). `n_samples` is at least 1.
 pub fn grid_place(at: f64, n_samples: usize) -> GridPlace {
     let last = n_samples.saturating_sub(1);
     let at = at.clamp(0.0, last as f64);
@@ -26,13 +26,13 @@ pub fn grid_place(at: f64, n_samples: usize) -> GridPlace {
     GridPlace { samples, share: at - first as f64 }
 }
 
-/// How many samples a grid of `to_fps` has over a take of `n_frames` at `from_fps`: up to its last frame.
+/// Number of samples of a grid of `to_fps` over a take of `n_frames` at `from_fps`, up to its last frame.
 pub fn resampled_len(n_frames: usize, from_fps: f64, to_fps: f64) -> usize {
     let duration = n_frames.saturating_sub(1) as f64 / from_fps;
     (duration * to_fps + 1e-6).floor() as usize + usize::from(n_frames > 0)
 }
 
-/// A rotation between samples and what each sample contributes.
+/// A rotation between samples and its derivatives.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Interpolated {
     /// The rotation.
@@ -58,8 +58,8 @@ fn increment(samples: &[Matrix3<f64>; 4], share: f64) -> Vector3<f64> {
     from_first(0) * c0 + from_first(2) * c2 + from_first(3) * c3
 }
 
-/// The same with derivatives. With `w = sum c_k l_k`: sample k moves w by `c_k J_r^-1(l_k)`, sample 1 by
-/// `-sum c_k J_l^-1(l_k)`, and `exp(w)` turns by `J_r(w) dw`; sample 1 also carries the whole.
+/// [`interpolate`] with derivatives. With `w = sum c_k l_k`: sample k moves w by `c_k J_r^-1(l_k)`, sample 1 by
+/// `-sum c_k J_l^-1(l_k)`, and `exp(w)` changes by the right increment `J_r(w) dw`; sample 1 is also a factor of the result.
 pub fn interpolate_with_derivatives(samples: &[Matrix3<f64>; 4], share: f64) -> Interpolated {
     let w = increment(samples, share);
     let turn = rotation::exp(&w);
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn it_passes_through_the_samples_and_follows_a_steady_turn() {
+    fn passes_through_samples_and_follows_a_steady_turn() {
         let s = samples();
         assert!((interpolate(&s, 0.0) - s[1]).norm() < 1e-12 && (interpolate(&s, 1.0) - s[2]).norm() < 1e-12);
         let steady = [0.0, 0.2, 0.4, 0.6].map(|a| rotation::exp(&Vector3::new(0.0, a, 0.0)));

@@ -1,6 +1,6 @@
-//! Joints of the default skeleton from features, with the way back: what training minimises and evaluation measures.
+//! Joints of the default skeleton from features, with the backward pass, for the training loss and the evaluation.
 //!
-//! The root is left out: the pelvis lies at the origin, unturned. Collars and hands are at identity.
+//! The root is ignored: the pelvis is at the origin with rotation identity. Collars and hands are at identity.
 
 use super::chart::{Chart, Features, LATENT_JOINTS, N_FEATURES};
 use crate::body::skeleton::{N_JOINTS, PARENTS};
@@ -8,10 +8,10 @@ use crate::body::{Betas, default_body};
 use crate::geometry::rotation;
 use nalgebra::{Matrix3, Vector3};
 
-/// Positions of one frame, m, pelvis at the origin.
+/// Joint positions of one frame, m, pelvis at the origin.
 pub type JointPositions = [Vector3<f64>; N_JOINTS];
 
-/// Bones of the default body at its mean shape, from the parent, m.
+/// Offsets from the parent joints of the default body at its mean shape, m.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bones([Vector3<f64>; N_JOINTS]);
 
@@ -24,13 +24,13 @@ pub struct Posed {
 }
 
 impl Bones {
-    /// Those of the default body.
+    /// The bones of the default body.
     pub fn of_default_body() -> Self {
         let rest = default_body().shaped(&Betas::zeros()).rest_joints;
         Self(std::array::from_fn(|j| PARENTS[j].map_or_else(Vector3::zeros, |p| rest[j] - rest[p])))
     }
 
-    /// Forward kinematics (method.md 9.2) from local rotations without the root.
+    /// Forward kinematics (docs/method.md) from local rotations without the root.
     pub fn posed(&self, local: &[Matrix3<f64>; N_JOINTS]) -> Posed {
         let mut posed = Posed { joints: [Vector3::zeros(); N_JOINTS], rotations: [Matrix3::identity(); N_JOINTS] };
         for (j, parent) in PARENTS.iter().enumerate() {
@@ -94,7 +94,7 @@ mod tests {
 
     /// Central differences with a step of 1e-6 are good to 1e-8.
     #[test]
-    fn the_way_back_agrees_with_central_differences() {
+    fn the_backward_pass_agrees_with_differences() {
         let bones = Bones::of_default_body();
         let chart = Chart { means: [rotation::exp(&Vector3::new(0.2, -0.4, 0.1)); LATENT_JOINTS.len()] };
         let features: Features = std::array::from_fn(|i| (1.7 * i as f64).sin() * 0.8);

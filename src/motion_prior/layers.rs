@@ -1,7 +1,7 @@
 //! Layers with their backward passes. Letters: N rows (frames x batch), H hidden width.
 //!
-//! A layer reads its numbers from a flat vector of parameters and adds its gradient at the same place of a flat vector
-//! of gradients; training, storing and comparing a network then need no names.
+//! A layer reads its parameters from a flat vector and adds its gradient to the same range of a flat gradient vector, so that
+//! training, storing and comparing a network need no names.
 
 use super::panels::{Panels, add_product, transposed};
 
@@ -17,7 +17,7 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// How many numbers an affine layer has.
+/// Number of parameters of an affine layer.
 pub(crate) fn affine_len(n_in: usize, n_out: usize) -> usize {
     (n_in + 1) * n_out
 }
@@ -55,7 +55,7 @@ impl Affine {
         y
     }
 
-    /// The same into a vector that is used again.
+    /// The same into a reused vector.
     pub(crate) fn forward_into(&self, x: &[f32], y: &mut Vec<f32>) {
         y.clear();
         (0..x.len() / self.n_in).for_each(|_| y.extend_from_slice(&self.bias));
@@ -94,7 +94,7 @@ pub(crate) fn rectify(x: &mut [f32]) {
     x.iter_mut().for_each(|x| *x = if *x > 0.0 { *x } else { LEAK * *x });
 }
 
-/// Its backward pass from the rectified values, in place.
+/// Backward pass of [`rectify`], from the rectified values, in place.
 pub(crate) fn rectify_backward(rectified: &[f32], dx: &mut [f32]) {
     dx.iter_mut().zip(rectified).for_each(|(d, y)| *d *= if *y > 0.0 { 1.0 } else { LEAK });
 }

@@ -1,18 +1,18 @@
-//! What is known of human motion: a variational autoencoder over whole takes, trained here and shipped inside.
+//! The motion prior: a variational autoencoder over whole takes, its training, and the embedded weights.
 //!
 //! In reading order:
 //!
 //! - [`chart`]: rotations as 57 numbers a frame; joints outside the latent
-//! - [`joints`]: joint positions from them, and the way back
+//! - [`joints`]: joint positions from features, with the backward pass
 //! - [`basis`]: the frozen linear code
-//! - [`pose_gaussian`]: which poses are likely
-//! - [`paths`]: what smoothing alone makes of a take
+//! - [`pose_gaussian`]: a Gaussian over poses
+//! - [`paths`]: candidate paths by smoothing
 //! - [`checkpoint`]: the file of a trained prior
 //! - [`interpolation`]: rotations between samples, with derivatives
 //! - [`motion_file`], [`motion_writer`], [`dataset`]: motion capture in the AMASS layout
-//! - [`windows`], [`prior`]: long takes, and all that can be asked of a trained prior
-//! - [`corruption`], [`training`]: how the network learns
-//! - [`evaluation`]: how good it is
+//! - [`windows`], [`prior`]: long takes; the operations of a trained prior
+//! - [`corruption`], [`training`]: training of the network
+//! - [`evaluation`]: errors of a prior on test takes
 
 pub mod basis;
 pub mod chart;

@@ -1,8 +1,8 @@
-//! What training minimises, with gradients to the features.
+//! The training loss, with gradients to the features.
 //!
 //! All in millimetres on the default skeleton without the root; `rho(x, s) = sqrt(|x|^2 + s^2) - s` (Charbonnier): the
-//! error of the 23 joints, of their velocities and accelerations per frame; and of 19 rotations, as the way of a point
-//! at a short lever: what turns about its own length, or carries nothing, moves no joint.
+//! error of the 23 joints, of their velocities and accelerations per frame; and of 19 rotations, as the displacement of a
+//! point on a short lever, since a rotation about a bone's own axis, or of a last bone, moves no joint.
 
 use super::chart::{Chart, Features, LATENT_JOINTS, LocalRotations, N_FEATURES};
 use super::joints::{Bones, JointPositions, frame};
@@ -11,18 +11,19 @@ use crate::body::skeleton::N_JOINTS;
 use crate::geometry::rotation;
 use nalgebra::Vector3;
 
-/// Below 5 mm an error counts by its square: that is what the frozen code leaves.
+/// Scale of position errors, m: smaller ones count quadratically; 5 mm is the error of the frozen code.
 const POSITION_SCALE: f64 = 0.005;
-/// Of differences between frames 2 mm.
+/// Scale of errors of differences between frames, m.
 const DIFFERENCE_SCALE: f64 = 0.002;
-/// Weights of velocity and acceleration against position, per frame and mm.
+/// Weight of velocity relative to position, per frame and mm.
 const VELOCITY_WEIGHT: f64 = 2.0;
+/// Weight of acceleration relative to position, per frame and mm.
 const ACCELERATION_WEIGHT: f64 = 1.0;
-/// Length of the lever that a rotation error is measured at, m: half a head, a foot's toes.
+/// Length of the lever of rotation errors, m: half a head, a foot's toes.
 const LEVER: f64 = 0.05;
-/// Weight of that against position.
+/// Weight of rotation relative to position.
 const ROTATION_WEIGHT: f64 = 0.5;
-/// All of it against one nat of KL per dimension.
+/// Weight of the joint loss relative to one nat of KL per dimension.
 const JOINT_WEIGHT: f64 = 0.1 * 1000.0;
 
 /// Value of a loss over a clip and its gradient to the features `[T, 57]`.
@@ -31,7 +32,7 @@ pub(crate) struct Loss {
     pub(crate) d_features: Vec<f32>,
 }
 
-/// A true clip, ready to be compared with.
+/// Joints and rotations of a true clip.
 pub(crate) struct Truth {
     joints: Vec<JointPositions>,
     rotations: Vec<LocalRotations>,
@@ -109,9 +110,9 @@ fn rotation_loss(
     value
 }
 
-/// How far past a joint's range counts by its square, rad: 3 degrees.
+/// Scale of the excess over a joint's range, rad (3 degrees): a smaller excess counts quadratically.
 const LIMIT_SCALE: f64 = 0.05;
-/// One radian past one range in every frame against one nat of KL.
+/// Weight of one radian beyond one range in every frame relative to one nat of KL.
 const LIMIT_WEIGHT: f64 = 10.0;
 
 /// The excess of rotation vectors over their joints' ranges, `sum rho(excess)`, times `weight`.
@@ -140,7 +141,7 @@ pub(crate) fn limit_loss(chart: &Chart, features: &[f32], weight: f64) -> Loss {
     loss
 }
 
-/// What a rotation vector has beyond the range, per component; zero inside.
+/// Excess of a rotation vector over the range, per component; zero inside.
 pub(crate) fn excess(turn: &Vector3<f64>, range: &JointRange) -> Vector3<f64> {
     Vector3::from_fn(|axis, _| (turn[axis] - range.max[axis]).max(0.0) + (turn[axis] - range.min[axis]).min(0.0))
 }
@@ -180,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn the_truth_has_no_loss_and_the_mean_pose_exceeds_no_limit() {
+    fn the_truth_and_the_rest_pose_have_no_loss() {
         let (chart, bones, features) = setting();
         let truth = Truth::of(&chart, &bones, &features);
         assert!(joint_loss(&chart, &bones, &features, &truth, 1.0).value < 1e-9);

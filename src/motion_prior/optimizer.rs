@@ -1,18 +1,18 @@
-//! Adam with decoupled weight decay, a cosine schedule and clipped gradients; the mean of its latest steps.
+//! Adam with decoupled weight decay, a cosine schedule, clipped gradients, and a running mean of the parameters.
 
-/// Moments and mean of every parameter.
+/// Moments and running mean of every parameter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AdamState {
     /// Mean gradient.
     pub first: Vec<f32>,
     /// Mean squared gradient.
     pub second: Vec<f32>,
-    /// Mean over the latest steps, which shakes less than any of them (Polyak and Juditsky 1992).
+    /// Mean of the parameters over the latest steps, which has less noise than each step (Polyak and Juditsky 1992).
     pub average: Vec<f32>,
 }
 
 impl AdamState {
-    /// That of an untouched network.
+    /// The state before the first step; `n` parameters.
     pub fn new(n: usize) -> Self {
         Self { first: vec![0.0; n], second: vec![0.0; n], average: vec![0.0; n] }
     }
@@ -23,20 +23,20 @@ pub(crate) struct Adam {
     steps: usize,
 }
 
-/// Highest step size; GRUs of this width diverge from four times as much.
+/// Highest step size; GRUs of this width diverge at four times it.
 const RATE: f64 = 1.5e-3;
-/// Share of it that is left at the end.
+/// Step size at the end, as a share of the highest.
 const LAST_RATE: f64 = 0.01;
-/// Steps over which it grows.
+/// Steps over which the step size grows to the highest.
 const WARM_UP: f64 = 50.0;
 const MOMENTUM: f64 = 0.9;
-/// A memory of a hundred steps. With one of a thousand, a gradient that is zero for long and then is not (the joints'
-/// limits) makes several steps of three times the rate: two runs of five diverged.
+/// A memory of a hundred steps. With a thousand, a gradient that is zero for long and then is not (the joint limits) makes
+/// several steps of three times the rate: two of five runs diverged.
 const SECOND_MOMENTUM: f64 = 0.99;
 const WEIGHT_DECAY: f64 = 1e-4;
-/// The mean forgets steps with this factor; at the beginning, where steps are long, faster.
+/// Decay factor of the running mean; smaller at the beginning, where steps are long.
 const AVERAGE_MEMORY: f64 = 0.998;
-/// Longest gradient that is taken as it is.
+/// Norm above which the gradient is clipped.
 const MAX_NORM: f64 = 1.0;
 
 impl Adam {

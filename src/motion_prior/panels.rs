@@ -1,19 +1,19 @@
-//! Products of small dense matrices in single precision: all the arithmetic that the network spends its time on.
+//! Products of small dense matrices in single precision, which take most of the network's time.
 //!
 //! Sums run over the inner index in ascending order with separate multiplications and additions, one accumulator an
-//! entry: the same numbers on every instruction set and with any number of threads. `pulp` chooses the widest vectors
-//! that the processor has; without it the build's baseline (SSE2) takes three times as long.
+//! entry: results are the same on every instruction set and with any number of threads. `pulp` chooses the widest vectors
+//! of the processor; the build's baseline (SSE2) takes three times as long.
 
 use rayon::prelude::*;
 
-/// Columns of a panel: one AVX-512 register, two of AVX2.
+/// Columns of a panel: one AVX-512 register, or two AVX2 registers.
 const LANES: usize = 16;
-/// Rows that share one pass over a panel: their sums fill the registers of AVX2.
+/// Rows processed in one pass over a panel: their sums fill the AVX2 registers.
 const ROWS: usize = 6;
-/// Fewer multiplications than this are not worth another thread.
+/// Smallest number of multiplications that is split among threads.
 const PARALLEL_WORK: usize = 1 << 22;
 
-/// A right factor `[n_in, n_out]`, its columns in panels of 16 so that one panel is read front to back.
+/// A right factor `[n_in, n_out]`, its columns stored in panels of 16 so that one panel is read sequentially.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Panels {
     n_in: usize,
@@ -22,7 +22,7 @@ pub(crate) struct Panels {
 }
 
 impl Panels {
-    /// From rows: `matrix` is `[n_in, n_out]`.
+    /// Panels of a matrix `[n_in, n_out]`, given by rows.
     pub(crate) fn from_rows(matrix: &[f32], n_in: usize, n_out: usize) -> Self {
         let mut panels = Self::zeros(n_in, n_out);
         for (panel, block) in panels.values.chunks_exact_mut(n_in.max(1) * LANES).enumerate() {
@@ -34,7 +34,7 @@ impl Panels {
         panels
     }
 
-    /// The transpose of rows: `matrix` is `[n_out, n_in]`.
+    /// Panels of the transpose of a matrix `[n_out, n_in]`, given by rows.
     pub(crate) fn from_columns(matrix: &[f32], n_in: usize, n_out: usize) -> Self {
         let mut panels = Self::zeros(n_in, n_out);
         for (panel, block) in panels.values.chunks_exact_mut(n_in.max(1) * LANES).enumerate() {
@@ -79,7 +79,7 @@ fn add_rows(x: &[f32], w: &Panels, y: &mut [f32]) {
     pulp::Arch::new().dispatch(AddRows { x, w, y });
 }
 
-/// [`add_rows`] as a task that is compiled once for each instruction set.
+/// [`add_rows`] as a task that is compiled for each instruction set.
 struct AddRows<'a> {
     x: &'a [f32],
     w: &'a Panels,
@@ -108,7 +108,7 @@ impl pulp::NullaryFnOnce for AddRows<'_> {
 
 #[inline(always)]
 fn add_block<const R: usize>(x: &[f32], w: &Panels, y: &mut [f32], packed: &mut Vec<f32>) {
-    // R rows interleaved, so that one entry of each lies together.
+    // R rows interleaved, so that corresponding entries are contiguous.
     packed.resize(w.n_in * R, 0.0);
     for (r, row) in x.chunks_exact(w.n_in).enumerate() {
         packed.chunks_exact_mut(R).zip(row).for_each(|(slot, value)| slot[r] = *value);
@@ -131,11 +131,11 @@ fn add_block<const R: usize>(x: &[f32], w: &Panels, y: &mut [f32], packed: &mut 
     }
 }
 
-/// `exp(x)` to 3e-7 relative for |x| < 80, in operations that vectorise and round alike everywhere: `2^k` from the
+/// `exp(x)` to 3e-7 relative for |x| < 80, in operations that vectorise and round the same on all machines: `2^k` from the
 /// exponent's bits times the Taylor series of the rest, |g| <= ln 2 / 2.
 #[inline(always)]
 fn exp(x: f32) -> f32 {
-    const ROUND: f32 = 12_582_912.0; // 1.5 * 2^23: adding it leaves a float without fraction
+    const ROUND: f32 = 12_582_912.0; // 1.5 * 2^23: adding it removes the fraction
     let shifted = x * std::f32::consts::LOG2_E + ROUND;
     let whole = shifted - ROUND;
     // ln 2 in two parts: the first has few bits, so that its product is exact.

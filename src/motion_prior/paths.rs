@@ -1,25 +1,25 @@
-//! Candidate paths: what smoothing alone makes of a take. The encoder chooses among them.
+//! Candidate paths of a take by smoothing; input of the encoder.
 //!
 //! Each minimises `sum w_t (x_t - y_t)^2 + lambda sum (D^k x)_t^2` for each joint (Whittaker, Proc. Edinburgh Math. Soc.
-//! 41, 1923), with weight 1 where a joint is seen and 0 where it is not: with little stiffness the given frames joined
-//! by cubics or straight lines, with more of it a smooth path through noise. Zero phase, in linear time.
+//! 41, 1923), with weight 1 where a joint is seen and 0 where it is not: with little stiffness, interpolation of the given
+//! frames by cubics or straight lines, with more, a smooth path through noise. Zero phase, in linear time.
 
 use super::chart::{LATENT_JOINTS, N_FEATURES};
 use super::pentadiagonal::Pentadiagonal;
 
-/// Order k of the difference and stiffness lambda at 30 Hz.
+/// A smoother: order k of the difference and stiffness lambda at 30 Hz.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Smoothing {
     /// 1: constant position, 2: constant velocity.
     pub order: usize,
-    /// Weight of the differences against one seen frame.
+    /// Weight of the differences relative to one seen frame.
     pub stiffness: f64,
 }
 
-/// Next to nothing beside the data, so that seen frames stay as they are.
+/// Stiffness of interpolation: so small that seen frames do not change.
 const INTERPOLATION: f64 = 1e-3;
 
-/// The encoder's candidates: cubics through what is seen, three smoothers of growing stiffness, straight lines.
+/// The encoder's candidates: cubics through the seen frames, three smoothers of increasing stiffness, straight lines.
 pub const CANDIDATES: [Smoothing; 5] = [
     Smoothing { order: 2, stiffness: INTERPOLATION },
     Smoothing { order: 2, stiffness: 1.0 },
@@ -28,12 +28,12 @@ pub const CANDIDATES: [Smoothing; 5] = [
     Smoothing { order: 1, stiffness: INTERPOLATION },
 ];
 
-/// A take as it was observed: `[T, 57]` features and, for every frame and latent joint, whether it was seen.
+/// An observed take: features `[T, 57]` and, for every frame and latent joint, whether it is seen.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Observed {
-    /// Features; those of unseen joints are not read.
+    /// Features, `[T, 57]`; those of unseen joints are ignored.
     pub features: Vec<f32>,
-    /// `[T, 19]`.
+    /// Whether each joint is seen, `[T, 19]`.
     pub seen: Vec<bool>,
 }
 
@@ -44,13 +44,13 @@ impl Observed {
         Self { features, seen: vec![true; n_frames * LATENT_JOINTS.len()] }
     }
 
-    /// T.
+    /// Number of frames, T.
     pub fn n_frames(&self) -> usize {
         self.seen.len() / LATENT_JOINTS.len()
     }
 }
 
-/// The path of one smoothing, `[T, 57]`. A joint that is never seen stays at `rest`.
+/// The path of one smoothing, `[T, 57]`. A joint that is never seen is at `rest`.
 pub fn smoothed(observed: &Observed, smoothing: Smoothing, rest: &[f32; N_FEATURES]) -> Vec<f32> {
     let differences = match smoothing.order {
         1 => [1.0, -1.0, 0.0],
@@ -60,7 +60,7 @@ pub fn smoothed(observed: &Observed, smoothing: Smoothing, rest: &[f32; N_FEATUR
     penalised(observed, &models, smoothing, rest)
 }
 
-/// The path of an autoregression of second order: unseen frames follow it with the least squared innovations.
+/// The path of a second-order autoregression, `[T, 57]`: unseen frames minimise the squared innovations.
 pub fn autoregressed(observed: &Observed, coefficients: &[[f32; 2]; N_FEATURES], mean: &[f32; N_FEATURES]) -> Vec<f32> {
     let model = |i: usize| [1.0, -f64::from(coefficients[i][0]), -f64::from(coefficients[i][1])];
     let models = std::array::from_fn(|joint| std::array::from_fn(|axis| model(3 * joint + axis)));
@@ -80,7 +80,7 @@ fn penalised(observed: &Observed, models: &Models, smoothing: Smoothing, rest: &
         for (axis, model) in models.iter().enumerate() {
             let column = 3 * joint + axis;
             let off = f64::from(rest[column]);
-            // A trace of weight keeps joints that are never seen at rest.
+            // A tiny weight keeps joints that are never seen at rest.
             let mut system = Pentadiagonal::diagonal((0..n_frames).map(|t| if seen(t) { 1.0 } else { 1e-9 }));
             for t in smoothing.order..n_frames {
                 system.add_innovation(t, &model[..=smoothing.order], smoothing.stiffness);
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn straight_lines_pass_every_second_order_smoothing_unchanged_and_gaps_are_bridged() {
+    fn smoothing_preserves_lines_and_bridges_gaps() {
         let mut observed = ramp(40);
         for t in 10..25 {
             observed.seen[t * LATENT_JOINTS.len() + 3] = false;
@@ -114,15 +114,15 @@ mod tests {
         }
         for smoothing in CANDIDATES {
             let path = smoothed(&observed, smoothing, &REST);
-            // The stiffest difference of first order pulls the ends of a line by its stiffness, 1e-3
-            // of a step; single precision and the trace of weight on unseen frames add as much.
+            // The stiffest first-order difference moves the ends of a line by 1e-3 of a step; single precision and the tiny
+            // weight of unseen frames add as much.
             let worst = (0..40).map(|t| (path[t * N_FEATURES + 9] - 0.1 * t as f32).abs()).fold(0.0, f32::max);
             assert!(worst < 1e-3, "{smoothing:?}: {worst}");
         }
     }
 
     #[test]
-    fn a_joint_that_is_never_seen_stays_at_rest_and_short_takes_are_paths_too() {
+    fn unseen_joints_rest_and_short_takes_have_paths() {
         for n in [1, 2, 3] {
             let mut observed = ramp(n);
             observed.seen.iter_mut().step_by(LATENT_JOINTS.len()).for_each(|seen| *seen = false);

@@ -1,4 +1,4 @@
-//! Symmetric positive definite systems of half bandwidth 2: every smoother of second order is one.
+//! Symmetric positive definite systems of half bandwidth 2, as in second-order smoothers.
 
 /// The matrix: entry t holds `A_tt, A_t(t-1), A_t(t-2)`.
 pub(crate) struct Pentadiagonal {

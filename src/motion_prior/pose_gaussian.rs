@@ -1,8 +1,8 @@
-//! What poses are likely: the latent code of single frames as a Gaussian over the joints' rotations.
+//! A Gaussian over the joints' rotations of single frames, from the linear code.
 //!
-//! The linear code ([`super::basis`]) has `u - m = F^T z + e` with `z ~ N(0, I)` and `e`, what the code leaves of each
-//! feature, so that `u ~ N(m, F^T F + diag(spread^2 - diag(F^T F)))`: the latent prior `|z|^2` of the paper beside a
-//! residual for every joint, with z solved for in closed form.
+//! The linear code ([`super::basis`]) has `u - m = F^T z + e` with `z ~ N(0, I)` and the residual `e` of each feature, so
+//! that `u ~ N(m, F^T F + diag(spread^2 - diag(F^T F)))`: the latent prior `|z|^2` of the paper and a
+//! residual for every joint, with z eliminated in closed form.
 
 use super::basis::{Basis, LATENT_DIM};
 use super::chart::{LATENT_JOINTS, N_FEATURES};
@@ -10,8 +10,8 @@ use crate::body::mocap_skeleton::retargeted;
 use crate::body::skeleton::N_JOINTS;
 use nalgebra::{Cholesky, DMatrix, DVector, Matrix3};
 
-/// What is left of a joint where all others are known, at the least, rad (4 degrees): hinges that the captured skeletons
-/// do not have, people have a little.
+/// Smallest standard deviation of a joint given all others, rad (4 degrees): rotations about axes that the mocap skeleton
+/// fixes occur in people.
 const FLOOR: f64 = 0.07;
 
 /// A Gaussian over the features `u_j = log(M_j^T R_j)` of some of [`LATENT_JOINTS`].
@@ -42,17 +42,17 @@ impl PoseGaussian {
         }
     }
 
-    /// The same for a body with the zero `Q_j` ([`mocap_from_body`]): `M_j <- Q_p^T M_j Q_j` and `u_j <- Q_j^T u_j`.
+    /// The Gaussian retargeted to a body with the zero pose `Q_j` ([`mocap_from_body`]): `M_j <- Q_p^T M_j Q_j` and `u_j <- Q_j^T u_j`.
     ///
     /// [`mocap_from_body`]: crate::body::mocap_skeleton::mocap_from_body
     pub fn retargeted_to(mut self, mocap_from_body: &[Matrix3<f64>; N_JOINTS]) -> Self {
-        let mut captured_from_own = DMatrix::zeros(self.mean.len(), self.mean.len());
+        let mut mocap_from_own = DMatrix::zeros(self.mean.len(), self.mean.len());
         for (i, (&joint, rotation)) in self.joints.iter().zip(&mut self.rotations).enumerate() {
             *rotation = retargeted(rotation, joint, mocap_from_body);
-            captured_from_own.fixed_view_mut::<3, 3>(3 * i, 3 * i).copy_from(&mocap_from_body[joint]);
+            mocap_from_own.fixed_view_mut::<3, 3>(3 * i, 3 * i).copy_from(&mocap_from_body[joint]);
         }
-        self.mean = captured_from_own.tr_mul(&self.mean);
-        self.precision = captured_from_own.tr_mul(&self.precision) * captured_from_own;
+        self.mean = mocap_from_own.tr_mul(&self.mean);
+        self.precision = mocap_from_own.tr_mul(&self.precision) * mocap_from_own;
         self
     }
 }
@@ -77,7 +77,7 @@ mod tests {
     use nalgebra::Vector3;
 
     #[test]
-    fn each_joint_spreads_as_it_was_measured_and_collars_are_not_in_it() {
+    fn joints_have_their_measured_spread_without_collars() {
         let basis = MotionPrior::embedded().basis();
         let gaussian = PoseGaussian::over(basis, &[1, 13, 4, 21]);
         assert_eq!(gaussian.joints, [1, 4, 21]);
@@ -90,22 +90,22 @@ mod tests {
         assert!(covariance[(0, 3)].abs() > 0.01, "a lifted thigh and a bent knee go together");
     }
 
-    /// What a captured pose costs, it costs as another body takes it: nothing but the zero has moved.
+    /// A retargeted pose has the same likelihood: only the zero pose differs.
     #[test]
     fn a_pose_is_as_likely_in_another_skeleton() {
-        let captured = PoseGaussian::over(MotionPrior::embedded().basis(), &[1, 4, 7, 10, 16]);
+        let mocap = PoseGaussian::over(MotionPrior::embedded().basis(), &[1, 4, 7, 10, 16]);
         let turns = default_body().mocap_from_body;
-        let own = captured.clone().retargeted_to(&turns);
-        let turn = |i: usize| captured.rotations[i] * exp(&Vector3::new(0.3, -0.1 * i as f64, 0.2));
+        let own = mocap.clone().retargeted_to(&turns);
+        let turn = |i: usize| mocap.rotations[i] * exp(&Vector3::new(0.3, -0.1 * i as f64, 0.2));
         let distance = |gaussian: &PoseGaussian, turn: &dyn Fn(usize) -> Matrix3<f64>| {
             let off = |i: usize| log(&(gaussian.rotations[i].transpose() * turn(i)));
             let features: Vec<f64> = (0..5).flat_map(|i| off(i).data.0[0]).collect();
             let off = DVector::from_vec(features) - &gaussian.mean;
             off.dot(&(&gaussian.precision * &off))
         };
-        let as_captured = distance(&captured, &turn);
-        let as_own = distance(&own, &|i| retargeted(&turn(i), captured.joints[i], &turns));
-        assert!((as_own / as_captured - 1.0).abs() < 1e-9, "{as_own} and {as_captured}");
-        assert!((distance(&own, &turn) / as_captured - 1.0).abs() > 0.05);
+        let on_mocap = distance(&mocap, &turn);
+        let as_own = distance(&own, &|i| retargeted(&turn(i), mocap.joints[i], &turns));
+        assert!((as_own / on_mocap - 1.0).abs() < 1e-9, "{as_own} and {on_mocap}");
+        assert!((distance(&own, &turn) / on_mocap - 1.0).abs() > 0.05);
     }
 }

@@ -1,11 +1,11 @@
-//! The trained prior and what can be asked of it, for takes of any length.
+//! The trained prior and its operations, for takes of any length.
 
 use super::basis::{Basis, LATENT_DIM};
 use super::chart::{Chart, LATENT_JOINTS, LocalRotations, N_FEATURES, OUTSIDE_JOINTS};
 use super::checkpoint::{Checkpoint, CheckpointError, Provenance, checkpoint_from_bytes};
 use super::dataset::GRID_FPS;
 use super::encoder_input::EncoderInput;
-use super::fusion::Reading;
+use super::fusion::BlendingFactors;
 use super::interpolation::{grid_place, interpolate, resampled_len};
 use super::joints::{frame, rows};
 use super::paths::Observed;
@@ -15,7 +15,7 @@ use super::windows::{WindowBatch, window_batches};
 use crate::body::skeleton::N_JOINTS;
 use std::sync::OnceLock;
 
-/// The embedded weights; `assets/motion-prior-v1.md` says what they are and how they were made.
+/// The embedded weights; their model card is `assets/motion-prior-v1.md`.
 const WEIGHTS: &[u8] = include_bytes!("../../assets/motion-prior-v1.bin");
 
 /// A trained prior over motions on the 30 Hz grid.
@@ -27,7 +27,7 @@ pub struct MotionPrior {
     vae: Vae,
 }
 
-/// The encoder's answer to one take.
+/// The encoder's posterior of one take.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Posterior {
     /// Mean of z, `[T, 32]`.
@@ -36,7 +36,7 @@ pub struct Posterior {
     pub log_variance: Vec<f32>,
 }
 
-/// Motions from codes, kept for the way back.
+/// Decoded motions, with the values that the backward pass needs.
 pub struct Motions {
     /// Features of each take, `[T, 57]`.
     pub features: Vec<Vec<f32>>,
@@ -44,7 +44,7 @@ pub struct Motions {
 }
 
 impl MotionPrior {
-    /// The prior that the binary carries.
+    /// The prior embedded in the binary.
     pub fn embedded() -> &'static Self {
         static PRIOR: OnceLock<MotionPrior> = OnceLock::new();
         PRIOR.get_or_init(|| Self::from_bytes(WEIGHTS).expect("the embedded file is a prior; a test loads it"))
@@ -53,7 +53,7 @@ impl MotionPrior {
     /// A prior from the bytes of its file.
     ///
     /// # Errors
-    /// [`CheckpointError`] says what is wrong with the file.
+    /// [`CheckpointError`].
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
         Ok(Self::new(checkpoint_from_bytes(bytes)?))
     }
@@ -64,17 +64,17 @@ impl MotionPrior {
         Self { shape, provenance, vae: Vae::new(shape, &basis, &parameters), basis }
     }
 
-    /// Widths.
+    /// Widths and form of the network.
     pub fn shape(&self) -> VaeShape {
         self.shape
     }
 
-    /// Where the weights come from.
+    /// Origin of the weights.
     pub fn provenance(&self) -> &Provenance {
         &self.provenance
     }
 
-    /// What was frozen.
+    /// The frozen basis.
     pub fn basis(&self) -> &Basis {
         &self.basis
     }
@@ -84,7 +84,7 @@ impl MotionPrior {
         &self.basis.chart
     }
 
-    /// Encodes takes of any length: what was seen, completed and freed of noise as far as the network can.
+    /// Encodes takes of any length; completes unseen joints and removes noise.
     pub fn encode(&self, takes: &[Observed]) -> Vec<Posterior> {
         let inputs: Vec<EncoderInput> = takes.iter().map(|take| self.shape.input(&self.basis, take)).collect();
         let values: Vec<&[f32]> = inputs.iter().map(|input| input.values.as_slice()).collect();
@@ -107,14 +107,14 @@ impl MotionPrior {
         self.run(codes, |_, _| {})
     }
 
-    /// The same, kept for [`MotionPrior::pull_back`].
+    /// The same, with the values that [`MotionPrior::pull_back`] needs.
     pub fn decode_for_gradient(&self, codes: &[Vec<f32>]) -> Motions {
         let mut runs = Vec::new();
         let features = self.run(codes, |batch, decoded| runs.push((batch, decoded)));
         Motions { features, runs }
     }
 
-    /// Gradient to the codes from that to the features, `[T, 57]` a take: one reverse sweep over frozen weights.
+    /// Gradient to the codes from that to the features, `[T, 57]` a take, at fixed weights.
     pub fn pull_back(&self, motions: &Motions, d_features: &[Vec<f32>]) -> Vec<Vec<f32>> {
         let views: Vec<&[f32]> = d_features.iter().map(Vec::as_slice).collect();
         let mut d_codes: Vec<Vec<f32>> =
@@ -136,17 +136,17 @@ impl MotionPrior {
         let lengths: Vec<usize> = codes.iter().map(|code| code.len() / LATENT_DIM).collect();
         let mut features: Vec<Vec<f32>> = lengths.iter().map(|n| vec![0.0; n * N_FEATURES]).collect();
         for batch in window_batches(&lengths) {
-            let decoded = self.vae.decode(&batch.cut(&views, LATENT_DIM), batch.len(), Reading::SHIPPED);
+            let decoded = self.vae.decode(&batch.cut(&views, LATENT_DIM), batch.len(), BlendingFactors::SHIPPED);
             batch.blend(&decoded.features, N_FEATURES, &mut features);
             keep(batch, decoded);
         }
         features
     }
 
-    /// Rotations of a take at `fps` through encoder and decoder: completed where joints are unseen, freed of noise.
+    /// Rotations of a take at `fps` after encoder and decoder: unseen joints completed, noise removed.
     ///
     /// `seen`: for every frame and joint in SMPL's order whether its rotation is known; `None`: all are. Pelvis, collars
-    /// and hands come back as they were given.
+    /// and hands are returned unchanged.
     pub fn reconstructed(
         &self,
         take: &[LocalRotations],
@@ -172,9 +172,9 @@ impl MotionPrior {
         take.iter().enumerate().map(at_frame).collect()
     }
 
-    /// A take at `fps` on the 30 Hz grid. A joint counts as seen where both neighbouring frames are; the outer two of
-    /// the four that a cubic needs are replaced by their neighbours where they are not. A grid sample that lies past the
-    /// take's end by less than one frame repeats the last.
+    /// A take at `fps` on the 30 Hz grid. A joint is seen where it is seen in both neighbouring frames; if it is unseen in
+    /// one of the outer two frames of the cubic, that frame is replaced by its neighbour. A grid sample less than one frame
+    /// after the take's end repeats the last frame.
     pub fn observed(&self, take: &[LocalRotations], seen: Option<&[[bool; N_JOINTS]]>, fps: f64) -> Observed {
         let is_seen = |frame: usize, joint: usize| seen.is_none_or(|seen| seen[frame][joint]);
         let n_samples = resampled_len(take.len(), fps, GRID_FPS);

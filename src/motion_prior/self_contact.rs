@@ -1,4 +1,4 @@
-//! How deep a pose pushes the body into itself: the default body's 21 capsules against each other.
+//! Self-penetration of a pose: overlaps of the default body's 21 capsules.
 
 use super::chart::LocalRotations;
 use crate::body::capsules::{BodyCapsules, N_CAPSULES};
@@ -9,10 +9,10 @@ use crate::body::{Betas, default_body};
 use crate::geometry::capsule::TaperedCapsule;
 use nalgebra::{Matrix3, Vector3};
 
-/// Capsules of joints so few bones apart share their skin: they overlap wherever the joints between them bend.
+/// Capsules of joints at most this many bones apart share skin and overlap when the joints between them bend.
 const NEIGHBOUR_BONES: usize = 2;
 
-/// The default body and the pairs of its capsules that no pose has to overlap.
+/// The default body and the pairs of its capsules that count as penetration when they overlap.
 pub(crate) struct SelfContact {
     body: ShapedBody,
     capsules: BodyCapsules,
@@ -20,7 +20,8 @@ pub(crate) struct SelfContact {
 }
 
 impl SelfContact {
-    /// Pairs that are no neighbours and lie apart at rest; fits the capsules, half a second.
+    /// The default body with the pairs that are not neighbours and do not overlap at rest. Fitting the capsules takes half a
+    /// second.
     pub(crate) fn of_default_body() -> Self {
         let model: BodyModel = default_body();
         let capsules = BodyCapsules::fitted(&model);
@@ -36,7 +37,7 @@ impl SelfContact {
         contact
     }
 
-    /// Depth of the deepest overlap, m; 0 where nothing overlaps. The pelvis's own turn changes nothing.
+    /// Depth of the deepest overlap, m; 0 without overlap. The pelvis's rotation has no effect.
     pub(crate) fn depth(&self, local: &LocalRotations) -> f64 {
         let posed = self.posed(local);
         let depths = self.pairs.iter().map(|[a, b]| -posed[*a].distance_to_capsule(&posed[*b]).distance);
@@ -51,12 +52,12 @@ impl SelfContact {
     }
 }
 
-/// Length of the way from joint to joint, bones.
+/// Number of bones between two joints along the skeleton.
 fn bones_between(a: usize, b: usize) -> usize {
     let above: Vec<usize> = chain_to_root(a).collect();
     let meets = |joint: usize| above.iter().position(|other| *other == joint);
-    let ways = chain_to_root(b).enumerate().filter_map(|(up, joint)| meets(joint).map(|down| up + down));
-    ways.min().unwrap_or(0)
+    let lengths = chain_to_root(b).enumerate().filter_map(|(up, joint)| meets(joint).map(|down| up + down));
+    lengths.min().unwrap_or(0)
 }
 
 #[cfg(test)]
@@ -71,7 +72,7 @@ mod tests {
 
     /// A forearm folded across the chest so far that the hand lies inside it, against a T-pose and hanging arms.
     #[test]
-    fn an_arm_inside_the_chest_is_deep_and_a_standing_person_is_not() {
+    fn an_arm_inside_the_chest_penetrates_hanging_arms_do_not() {
         let contact = SelfContact::of_default_body();
         let mut pose = Pose::rest().rotations;
         assert_eq!(contact.depth(&pose), 0.0);

@@ -1,4 +1,4 @@
-//! Widths and form of the network, and where its training starts.
+//! Widths and form of the network, and its initial parameters.
 
 use super::basis::{Basis, LATENT_DIM};
 use super::chart::N_FEATURES;
@@ -18,22 +18,22 @@ use serde::{Deserialize, Serialize};
 pub struct VaeShape {
     /// Width of the encoder's layers.
     pub encoder_hidden: usize,
-    /// Width of the decoder's layers: the decoder is what a fit evaluates, so it is the smaller one.
+    /// Width of the decoder's layers; smaller, since a fit evaluates the decoder.
     pub decoder_hidden: usize,
-    /// What it is made of.
+    /// Form of the network.
     pub form: VaeForm,
 }
 
-/// What the network is made of.
+/// Form of the network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum VaeForm {
-    /// Recurrent trunks around a frozen linear code: what is shipped.
+    /// Recurrent trunks around a frozen linear code: the shipped form.
     Recurrent,
-    /// The same without neighbours (the role of VPoser in the paper's ablation).
+    /// The same without recurrence (the role of VPoser in the paper's ablation).
     PerFrame,
-    /// The paper's: rotations as two columns each, in and out, recurrent trunks, nothing frozen, nothing joined by
-    /// arithmetic. For comparison.
+    /// The paper's form, for comparison: input and output are two columns of each rotation; recurrent trunks, no frozen code,
+    /// no fusion.
     Plain,
 }
 
@@ -60,7 +60,7 @@ impl VaeShape {
         TrunkShape { n_in: LATENT_DIM, hidden, n_out, recurrent: self.form != VaeForm::PerFrame }
     }
 
-    /// What the encoder is told of a take.
+    /// The encoder's input of a take.
     pub(crate) fn input(&self, basis: &Basis, observed: &Observed) -> EncoderInput {
         if self.form == VaeForm::Plain { plain_input(basis, observed) } else { encoder_input(basis, observed) }
     }
@@ -70,7 +70,7 @@ impl VaeShape {
         self.encoder().len() + self.decoder().len()
     }
 
-    /// Random parameters: normal with variance 1 / (2 H) but for the two heads, which start at zero.
+    /// Random initial parameters: normal with variance 1 / (2 H), except the two heads, which are zero.
     pub fn initial_parameters(&self, seed: u64) -> Vec<f32> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let mut parameters = vec![0.0; self.n_parameters()];

@@ -1,14 +1,14 @@
 //! The plain form of the paper's network, for comparison: the first two columns of every rotation, in and out.
 //!
-//! Columns are taken less those of the mean pose, so that a network that says nothing stands in it. What comes out is
-//! made a rotation by Gram and Schmidt ([`rotation::from_6d`]).
+//! Columns are relative to those of the mean pose, so that a zero output is the mean pose. Outputs are converted to rotations
+//! by Gram-Schmidt orthogonalisation ([`rotation::from_6d`]).
 
 use super::chart::{Chart, LATENT_JOINTS, N_FEATURES};
 use super::joints::frame;
 use crate::geometry::rotation;
 use nalgebra::{Matrix3, Vector3};
 
-/// Numbers of one frame.
+/// Numbers of one frame in this form.
 pub(crate) const N_COLUMNS: usize = 6 * LATENT_JOINTS.len();
 
 /// Rows of features `[N, 57]` as columns `[N, 114]`.
@@ -24,7 +24,7 @@ pub(crate) fn columns_of(chart: &Chart, features: &[f32]) -> Vec<f32> {
     columns
 }
 
-/// The way back. Columns that span no plane stand for the mean.
+/// Columns `[N, 114]` as features `[N, 57]`. Columns that do not span a plane give the mean.
 pub(crate) fn features_of(chart: &Chart, columns: &[f32]) -> Vec<f32> {
     let mut features = Vec::with_capacity(columns.len() / 2);
     for row in columns.chunks_exact(N_COLUMNS) {
@@ -59,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn columns_are_the_same_rotations_and_the_gradient_agrees_with_differences() {
+    fn columns_are_inverse_and_their_gradient_is_exact() {
         let chart = Chart { means: [rotation::exp(&Vector3::new(0.3, 0.2, -0.2)); LATENT_JOINTS.len()] };
         let features: Vec<f32> = (0..2 * N_FEATURES).map(|i| (i as f32 * 0.37).sin() * 0.9).collect();
         let columns = columns_of(&chart, &features);

@@ -1,16 +1,16 @@
-//! Training: clips of the takes, damaged, through the network and back.
+//! Training of the network on corrupted clips of takes.
 //!
-//! Every step draws its clips, damages and noise from a stream of its own, keyed by seed and step, and no sum depends
-//! on the number of threads: the same data, seed and steps give the same bytes, whether or not the run was interrupted.
+//! Every step draws its clips, corruptions and noise from a random stream keyed by seed and step, and sums do not depend on
+//! the number of threads: the same data, seed and steps give the same bytes, also after an interruption.
 
 use super::basis::{Basis, LATENT_DIM, fit_basis, mean_rotations};
 use super::chart::{Features, N_FEATURES};
 use super::checkpoint::{Checkpoint, Provenance};
 use super::clips::{Clip, draw_clip, smooth_code};
-use super::corruption::{Damage, LIMBS, damaged, random_damage};
+use super::corruption::{Corruption, LIMBS, corrupted, random_corruption};
 use super::dataset::{Dataset, mirrored, split_by_subject};
 use super::encoder_input::EncoderInput;
-use super::fusion::Reading;
+use super::fusion::BlendingFactors;
 use super::joints::{Bones, rows};
 use super::objective::{Truth, joint_loss, joints_of, limit_loss};
 use super::optimizer::{Adam, AdamState};
@@ -22,14 +22,14 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use rayon::prelude::*;
 
-/// What a training run is asked for.
+/// Configuration of a training run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TrainingConfig {
     /// Seed of every random choice.
     pub seed: u64,
-    /// Steps of some 2,000 frames.
+    /// Number of steps, of some 2,000 frames each.
     pub steps: usize,
-    /// Widths and form.
+    /// Widths and form of the network.
     pub shape: VaeShape,
     /// Weight of the paper's local linear term, the mean square of `z_(t+1) - 2 z_t + z_(t-1)`, per dimension.
     pub local_linear: f64,
@@ -37,40 +37,40 @@ pub struct TrainingConfig {
 
 impl Default for TrainingConfig {
     fn default() -> Self {
-        // 3,000 steps take 12 minutes of one core.
+        // 3,000 steps take 12 minutes on one core.
         Self { seed: 1, steps: 3000, shape: VaeShape::default(), local_linear: 3.0 }
     }
 }
 
-/// Frames of one step, shared among clips of one length.
+/// Frames of one step, in clips of equal length.
 const FRAMES_PER_STEP: usize = 2048;
 /// Lengths of clips, frames at 30 Hz: one to four seconds.
 const CLIP_LENGTHS: [usize; 4] = [32, 64, 96, 128];
 /// Weight of one nat of KL per dimension and frame.
 const KL_WEIGHT: f64 = 0.02;
-/// Share of the run over which the KL term grows to its weight.
+/// Share of the run over which the KL weight grows to its final value.
 const KL_WARM_UP: f64 = 0.3;
-/// Clips drawn from the prior itself in every step, to teach the decoder the joints' limits.
+/// Number and length (frames) of clips drawn from the prior in every step, which train the decoder on the joint limits.
 const PRIOR_CLIPS: usize = 4;
 const PRIOR_FRAMES: usize = 64;
-/// Steps between two looks at the held out subjects.
+/// Steps between validations on the held out subjects.
 const VALIDATION_EVERY: usize = 250;
-/// Looks without an improvement after which training ends.
+/// Validations without an improvement after which training ends.
 const PATIENCE: usize = 12;
 
-/// What interrupts a run and what goes on: everything that changes from step to step.
+/// State of a training run, from which it can be resumed.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrainingState {
     /// Steps done.
     pub step: usize,
-    /// Present parameters.
+    /// Current parameters.
     pub parameters: Vec<f32>,
-    /// Moments of the optimiser.
+    /// State of the optimiser.
     pub optimizer: AdamState,
     /// Best mean parameters so far and their error on the held out subjects, mm.
     pub best: (Vec<f32>, f64),
-    /// Looks since then.
-    pub stale_looks: usize,
+    /// Validations since the best one.
+    pub stale_validations: usize,
 }
 
 const STATE_MAGIC: &[u8; 8] = b"WLSTATE2";
@@ -78,7 +78,7 @@ const STATE_MAGIC: &[u8; 8] = b"WLSTATE2";
 /// The file of a state: `WLSTATE2`, three counts, the best error, five vectors of single precision numbers.
 pub fn state_bytes(state: &TrainingState) -> Vec<u8> {
     let mut bytes = STATE_MAGIC.to_vec();
-    for count in [state.step, state.stale_looks, state.parameters.len()] {
+    for count in [state.step, state.stale_validations, state.parameters.len()] {
         bytes.extend((count as u64).to_le_bytes());
     }
     bytes.extend(state.best.1.to_le_bytes());
@@ -89,10 +89,10 @@ pub fn state_bytes(state: &TrainingState) -> Vec<u8> {
     bytes
 }
 
-/// Reads it.
+/// Reads the file of a state.
 ///
 /// # Errors
-/// [`TrainingError::Unreadable`] for anything that [`state_bytes`] did not write in full.
+/// [`TrainingError::Unreadable`] if the bytes are not a complete file of [`state_bytes`].
 pub fn state_from_bytes(bytes: &[u8]) -> Result<TrainingState, TrainingError> {
     let unreadable = TrainingError::Unreadable;
     let rest = bytes.strip_prefix(STATE_MAGIC).ok_or(unreadable)?;
@@ -104,46 +104,46 @@ pub fn state_from_bytes(bytes: &[u8]) -> Result<TrainingState, TrainingError> {
     let part = |i: usize| numbers[i * n..(i + 1) * n].to_vec();
     Ok(TrainingState {
         step: word(0) as usize,
-        stale_looks: word(1) as usize,
+        stale_validations: word(1) as usize,
         parameters: part(0),
         optimizer: AdamState { first: part(1), second: part(2), average: part(3) },
         best: (part(4), f64::from_bits(word(3))),
     })
 }
 
-/// Why there is no prior.
+/// Why training failed.
 #[derive(Debug, thiserror::Error)]
 pub enum TrainingError {
-    /// The takes hold too little.
+    /// The takes have too few frames.
     #[error("more than {N_FEATURES} frames and one take of {} frames expected, found {frames} frames", CLIP_LENGTHS[0])]
     TooFewFrames {
-        /// Frames there are.
+        /// Number of frames.
         frames: usize,
     },
-    /// The state of another run.
-    #[error("the state to go on from belongs to a network of {found} numbers, expected {expected}")]
+    /// The state belongs to a network of another shape.
+    #[error("the state to resume from belongs to a network of {found} parameters, expected {expected}")]
     State {
-        /// Of this shape.
+        /// Parameters of this network.
         expected: usize,
-        /// Of the state.
+        /// Parameters in the state.
         found: usize,
     },
-    /// A file that holds no state.
-    #[error("no state of a training run, or not all of it")]
+    /// The file is not a complete training state.
+    #[error("not a complete state of a training run")]
     Unreadable,
-    /// The loss is not finite any more.
+    /// The loss is not finite.
     #[error("step {step}: the loss is not finite")]
     Diverged {
-        /// Where.
+        /// The step.
         step: usize,
     },
-    /// The caller asked to stop.
+    /// The caller canceled the run.
     #[error(transparent)]
     Canceled(#[from] Canceled),
 }
 
-/// Trains a prior. `resume` goes on with a run of the same data, seed and steps; `keep` is given the state at every look
-/// at the held out subjects.
+/// Trains a prior. `resume` continues a run of the same data, seed and steps; `keep` receives the state after every
+/// validation on the held out subjects.
 ///
 /// # Errors
 /// [`TrainingError`]: too few frames, a state of another shape, divergence, cancellation.
@@ -158,19 +158,19 @@ pub fn train(
     let basis = training.basis;
     let bones = Bones::of_default_body();
     let shape = config.shape;
-    let looks = validation_clips(shape, &basis, &held_out);
+    let validation = validation_clips(shape, &basis, &held_out);
     let mut state = resume.unwrap_or_else(|| TrainingState {
         step: 0,
         parameters: shape.initial_parameters(config.seed),
         optimizer: AdamState::new(shape.n_parameters()),
         best: (shape.initial_parameters(config.seed), f64::INFINITY),
-        stale_looks: 0,
+        stale_validations: 0,
     });
     if state.parameters.len() != shape.n_parameters() {
         return Err(TrainingError::State { expected: shape.n_parameters(), found: state.parameters.len() });
     }
     let adam = Adam::new(config.steps);
-    while state.step < config.steps && state.stale_looks < PATIENCE {
+    while state.step < config.steps && state.stale_validations < PATIENCE {
         progress.check()?;
         let vae = Vae::new(shape, &basis, &state.parameters);
         let step = training_step(&vae, &basis, &bones, &training.takes, config, state.step);
@@ -181,11 +181,11 @@ pub fn train(
         state.step += 1;
         if state.step.is_multiple_of(VALIDATION_EVERY) || state.step == config.steps {
             let vae = Vae::new(shape, &basis, &state.optimizer.average);
-            let error_mm = validation_error_mm(&vae, &basis, &bones, &looks);
-            state.stale_looks += 1;
+            let error_mm = validation_error_mm(&vae, &basis, &bones, &validation);
+            state.stale_validations += 1;
             if error_mm < state.best.1 {
                 state.best = (state.optimizer.average.clone(), error_mm);
-                state.stale_looks = 0;
+                state.stale_validations = 0;
             }
             keep(&state);
             let message = format!("step {}: {}, held out {error_mm:.2} mm", state.step, step.losses);
@@ -221,7 +221,7 @@ fn prepare(data: &Dataset) -> Result<[Prepared; 2], TrainingError> {
     Ok([training, Prepared { basis, takes: held_out }])
 }
 
-/// Parts of the objective, and their gradient to the parameters.
+/// Losses of a step, and their gradient to the parameters.
 struct TrainingStep {
     losses: Losses,
     gradient: Vec<f32>,
@@ -264,7 +264,7 @@ fn training_step(
     let noise: Vec<f32> = (0..encoded.mean.len()).map(|_| rng.sample::<f32, _>(StandardNormal)).collect();
     let sds: Vec<f32> = encoded.log_variance.iter().map(|v| (0.5 * v).exp()).collect();
     let code: Vec<f32> = encoded.mean.iter().zip(&sds).zip(&noise).map(|((m, sd), n)| m + sd * n).collect();
-    let decoded = vae.decode(&code, batch, Reading::LITERAL);
+    let decoded = vae.decode(&code, batch, BlendingFactors::UNCHANGED);
 
     let mut gradient = vec![0.0; config.shape.n_parameters()];
     let joints = batch_loss(vae_clips(&decoded.features, batch), |b, features| {
@@ -282,7 +282,7 @@ fn training_step(
 
     let samples: Vec<Vec<f32>> = (0..PRIOR_CLIPS).map(|_| smooth_code(PRIOR_FRAMES, &mut rng)).collect();
     let samples: Vec<&[f32]> = samples.iter().map(Vec::as_slice).collect();
-    let sampled = vae.decode(&interleaved(&samples, LATENT_DIM), PRIOR_CLIPS, Reading::LITERAL);
+    let sampled = vae.decode(&interleaved(&samples, LATENT_DIM), PRIOR_CLIPS, BlendingFactors::UNCHANGED);
     let limits = batch_loss(vae_clips(&sampled.features, PRIOR_CLIPS), |_, features| {
         limit_loss(&basis.chart, features, 1.0 / PRIOR_CLIPS as f64)
     });
@@ -291,15 +291,15 @@ fn training_step(
     TrainingStep { losses, gradient }
 }
 
-/// Clips of one length from random takes, damaged.
+/// Clips of one random length from random takes, corrupted.
 fn draw_clips(takes: &[Vec<f32>], rng: &mut ChaCha8Rng) -> Vec<Clip> {
     let longest = takes.iter().map(|take| take.len() / N_FEATURES).max().unwrap_or(0);
     let lengths: Vec<usize> = CLIP_LENGTHS.into_iter().filter(|length| *length <= longest).collect();
     let length = lengths[rng.random_range(0..lengths.len())];
     let clip = |_| {
         let truth = draw_clip(takes, length, rng);
-        let damage = random_damage(length, rng);
-        Clip { observed: damaged(&truth, damage, rng), truth }
+        let corruption = random_corruption(length, rng);
+        Clip { observed: corrupted(&truth, corruption, rng), truth }
     };
     (0..FRAMES_PER_STEP / length).map(clip).collect()
 }
@@ -355,42 +355,43 @@ fn latent_loss(posterior: &Posterior, batch: usize, kl_weight: f64, linear_weigh
     LatentLoss { kl, linear, d_mean, d_log_variance }
 }
 
-/// Length of the held out clips, frames, and at most how many of each damage.
-const LOOK_FRAMES: usize = 96;
-const MAX_LOOKS: usize = 48;
+/// Length of the validation clips, frames.
+const VALIDATION_FRAMES: usize = 96;
+/// Most validation clips.
+const MAX_VALIDATION_CLIPS: usize = 48;
 
-/// Held out clips, each under one of four damages in turn.
+/// Held out clips, each with one of four corruptions in turn.
 fn validation_clips(shape: VaeShape, basis: &Basis, held_out: &Prepared) -> Vec<(Clip, EncoderInput)> {
     let mut rng = ChaCha8Rng::seed_from_u64(0);
-    let all: Vec<&[f32]> = held_out.takes.iter().flat_map(|t| t.chunks_exact(LOOK_FRAMES * N_FEATURES)).collect();
-    let stride = all.len().div_ceil(MAX_LOOKS).max(1);
-    let look = |(i, truth): (usize, &&[f32])| {
-        let damage = match i % 4 {
-            0 => Damage::None,
-            1 => Damage::Gap { start: 40, n_frames: 15 },
-            2 => Damage::Limb { limb: (i / 4) % LIMBS.len(), start: 18, n_frames: 60 },
-            _ => Damage::Noise { sd: 10.0_f64.to_radians(), share: 0.5, steady: false },
+    let all: Vec<&[f32]> = held_out.takes.iter().flat_map(|t| t.chunks_exact(VALIDATION_FRAMES * N_FEATURES)).collect();
+    let stride = all.len().div_ceil(MAX_VALIDATION_CLIPS).max(1);
+    let clip = |(i, truth): (usize, &&[f32])| {
+        let corruption = match i % 4 {
+            0 => Corruption::None,
+            1 => Corruption::Gap { start: 40, n_frames: 15 },
+            2 => Corruption::Limb { limb: (i / 4) % LIMBS.len(), start: 18, n_frames: 60 },
+            _ => Corruption::Noise { sd: 10.0_f64.to_radians(), share: 0.5, steady: false },
         };
-        let observed = damaged(truth, damage, &mut rng);
+        let observed = corrupted(truth, corruption, &mut rng);
         let input = shape.input(basis, &observed);
         (Clip { truth: truth.to_vec(), observed }, input)
     };
-    all.iter().step_by(stride).enumerate().map(look).collect()
+    all.iter().step_by(stride).enumerate().map(clip).collect()
 }
 
-/// Mean joint error through the posterior's mean over all looks, mm; 0 without any.
-fn validation_error_mm(vae: &Vae, basis: &Basis, bones: &Bones, looks: &[(Clip, EncoderInput)]) -> f64 {
-    if looks.is_empty() {
+/// Mean joint error of the posterior's mean over all validation clips, mm; 0 without any.
+fn validation_error_mm(vae: &Vae, basis: &Basis, bones: &Bones, clips: &[(Clip, EncoderInput)]) -> f64 {
+    if clips.is_empty() {
         return 0.0;
     }
-    let inputs: Vec<EncoderInput> = looks.iter().map(|(_, input)| input.clone()).collect();
-    let decoded = vae.decode(&vae.encode(&inputs).mean, looks.len(), Reading::LITERAL);
-    let decoded = vae_clips(&decoded.features, looks.len());
+    let inputs: Vec<EncoderInput> = clips.iter().map(|(_, input)| input.clone()).collect();
+    let decoded = vae.decode(&vae.encode(&inputs).mean, clips.len(), BlendingFactors::UNCHANGED);
+    let decoded = vae_clips(&decoded.features, clips.len());
     let error = |(features, (clip, _)): (&Vec<f32>, &(Clip, EncoderInput))| -> f64 {
         let truth = joints_of(&basis.chart, bones, &clip.truth);
         let found = joints_of(&basis.chart, bones, features);
         let errors = found.iter().zip(&truth).flat_map(|(a, b)| (1..a.len()).map(move |j| (a[j] - b[j]).norm()));
         errors.sum::<f64>() / (truth.len() * (truth[0].len() - 1)) as f64
     };
-    1e3 * decoded.iter().zip(looks).map(error).sum::<f64>() / looks.len() as f64
+    1e3 * decoded.iter().zip(clips).map(error).sum::<f64>() / clips.len() as f64
 }

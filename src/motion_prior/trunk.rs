@@ -1,7 +1,7 @@
-//! The network of which encoder and decoder are made: a recurrent path and, around it, a skip connection.
+//! The network of encoder and decoder: a recurrent path with a skip connection.
 //!
 //! `a = rect(x W_1)`, `g = rect(gru(a) W_2)`, `y = [g, a] W_3`, each product with its bias. Without recurrence (the
-//! per-frame variant) an affine layer of the same width takes the recurrent unit's place.
+//! per-frame form) an affine layer of the same width replaces the recurrent unit.
 
 use super::gru::{BiGru, BiGruTape};
 use super::layers::{Affine, Reader, affine_len, apart, beside, rectify, rectify_backward};
@@ -11,11 +11,11 @@ use super::layers::{Affine, Reader, affine_len, apart, beside, rectify, rectify_
 pub(crate) struct TrunkShape {
     /// Width of the input.
     pub(crate) n_in: usize,
-    /// Width H of every layer between.
+    /// Width H of the hidden layers.
     pub(crate) hidden: usize,
     /// Width of the output.
     pub(crate) n_out: usize,
-    /// Whether frames know of each other.
+    /// Whether frames depend on each other.
     pub(crate) recurrent: bool,
 }
 
@@ -25,12 +25,12 @@ impl TrunkShape {
         if self.recurrent { BiGru::len(width, width) } else { affine_len(width, 2 * width) }
     }
 
-    /// How many numbers a trunk has.
+    /// Number of parameters of a trunk.
     pub(crate) fn len(&self) -> usize {
         self.len_before_head() + affine_len(2 * self.hidden, self.n_out)
     }
 
-    /// How many of them come before the last layer.
+    /// Number of parameters before the last layer.
     pub(crate) fn len_before_head(&self) -> usize {
         affine_len(self.n_in, self.hidden) + self.memory_len() + affine_len(2 * self.hidden, self.hidden)
     }
@@ -42,7 +42,7 @@ enum Memory {
     PerFrame(Affine),
 }
 
-/// One half of the network.
+/// The encoder's or decoder's network.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Trunk {
     hidden: usize,
@@ -52,7 +52,7 @@ pub(crate) struct Trunk {
     head: Affine,
 }
 
-/// What the backward pass needs.
+/// Values that the backward pass needs.
 pub(crate) struct TrunkTape {
     entered: Vec<f32>,
     memory: Option<BiGruTape>,
@@ -94,7 +94,7 @@ impl Trunk {
         (self.head.forward(&joined), TrunkTape { entered, memory, remembered, joined })
     }
 
-    /// Gradient to the input from that to the output; adds that to the parameters where a vector is given.
+    /// Gradient to the input from that to the output; adds the gradient to the parameters to `gradient`, if given.
     pub(crate) fn backward(
         &self,
         tape: &TrunkTape,
@@ -124,7 +124,7 @@ impl Trunk {
             }
             (Memory::Recurrent(_), None) => unreachable!("a recurrent trunk's forward pass leaves a tape"),
         };
-        // The skip's part was rectified with the joined columns; the memory's part is still to be.
+        // The skip connection's part was rectified with the joined columns; the memory's part is rectified here.
         rectify_backward(&tape.entered, &mut through_memory);
         d_entered.iter_mut().zip(&through_memory).for_each(|(skip, memory)| *skip += memory);
         if let Some(gradient) = gradient {

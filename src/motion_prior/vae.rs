@@ -2,23 +2,23 @@
 //!
 //! | line | shape |
 //! |---|---|
-//! | observed features and what was seen | `[T, 57]`, `[T, 19]` |
+//! | observed features, visibility | `[T, 57]`, `[T, 19]` |
 //! | candidates on their shortest branch, seen, roughness ([`super::encoder_input`]) | `[T, B, 323]` |
 //! | encoder trunk: entry, bidirectional GRU, skip, head | `[T, B, 127]` |
-//! | trusts and guess joined with what was seen ([`super::fusion`]) | `[T, 57]` |
+//! | fusion of observed features and guess ([`super::fusion`]) | `[T, 57]` |
 //! | mean of z: the frozen linear code of that on its shortest branch ([`super::basis`]); log variance from the head | `[T, B, 32]` |
 //! | decoder trunk: entry, bidirectional GRU, skip, head | `[T, B, 57]` |
 //! | features: the frozen linear decoder of z plus the trunk's residual | `[T, B, 57]` |
 //! | rotations: `M_j exp(u_j)` ([`super::chart`]) | `[T, 19]` |
 //!
-//! Why not the paper's plain form (two columns a rotation, in and out, nothing frozen: [`VaeForm::Plain`]): trained alike it
-//! reconstructs to 38 mm where the frozen code alone leaves 3, and completes and denoises worse than smoothing (asset card).
-//! Here the recurrent parts learn only what smoothing cannot know.
+//! Why not the paper's plain form (two columns a rotation as input and output, no frozen code: [`VaeForm::Plain`]): with the
+//! same training its reconstruction error is 38 mm, that of the frozen code alone 3 mm, and it completes and denoises worse
+//! than smoothing (model card). Here the recurrent parts learn only what smoothing cannot do.
 
 use super::basis::{Basis, LATENT_DIM, LinearCode};
 use super::chart::{Chart, N_FEATURES, on_shortest_branch, on_shortest_branch_backward};
 use super::encoder_input::EncoderInput;
-use super::fusion::{Fusion, FusionInput, Reading, fuse, fuse_backward};
+use super::fusion::{BlendingFactors, Fusion, FusionInput, fuse, fuse_backward};
 use super::layers::Reader;
 use super::panels::tanh;
 use super::shape::{VaeForm, VaeShape};
@@ -26,15 +26,15 @@ use super::six_d::{features_of, features_of_backward};
 use super::trunk::{Trunk, TrunkTape};
 use rayon::prelude::*;
 
-/// The untrained log variance of z: a standard deviation of 0.22.
+/// Log variance of z before training: a standard deviation of 0.22.
 const LOG_VARIANCE_START: f32 = -3.0;
-/// Log variances are held between these.
+/// Range to which log variances are clamped.
 const LOG_VARIANCE_RANGE: [f32; 2] = [-10.0, 2.0];
 /// Unit of the decoder's residual, in spreads of a feature: small, so that training starts at the frozen code.
 const RESIDUAL_UNIT: f32 = 0.1;
-/// The decoder's trunk is told `c tanh(z / c)`: poses far from all that it was trained on must not lead it far from the
-/// linear code. On the held out subjects the residual did more harm than good in clips of 8 frames (2.9 against 2.2 mm
-/// without it), less so with z told in this way (2.6 mm).
+/// The decoder's trunk gets `c tanh(z / c)`, so that poses far from the training data do not move it far from the linear
+/// code. On the held out subjects the residual increased the error of clips of 8 frames (2.9 mm, 2.2 mm without it), with
+/// this bound less (2.6 mm).
 const CODE_RANGE: f32 = 2.0;
 
 /// The network at given parameters.
@@ -48,7 +48,7 @@ pub(crate) struct Vae {
     decoder: Trunk,
 }
 
-/// The encoder's answer for B clips of T frames, `[T, B, 32]`, and what its backward pass needs.
+/// The encoder's output for B clips of T frames, `[T, B, 32]`, with the values that its backward pass needs.
 pub(crate) struct Encoded {
     /// Mean of z.
     pub(crate) mean: Vec<f32>,
@@ -60,21 +60,21 @@ pub(crate) struct Encoded {
     tape: TrunkTape,
 }
 
-/// One clip's mean of z, `[T, 32]`, and what it was coded from; the paper's form has no such thing.
+/// One clip's mean of z, `[T, 32]`, and the fusion it was coded from (none in the paper's form).
 struct Mean {
     code: Vec<f32>,
     fusion: Option<Fusion>,
 }
 
-/// The decoder's answer and what its backward pass needs.
+/// The decoder's output with the values that its backward pass needs.
 pub(crate) struct Decoded {
-    /// `[T, B, 57]`.
+    /// Features, `[T, B, 57]`.
     pub(crate) features: Vec<f32>,
-    /// What the trunk was told of the code, and what it said.
-    told: Vec<f32>,
-    said: Vec<f32>,
+    /// Input and output of the trunk.
+    input: Vec<f32>,
+    output: Vec<f32>,
     tape: TrunkTape,
-    reading: Reading,
+    blending: BlendingFactors,
 }
 
 impl Vae {
@@ -105,16 +105,16 @@ impl Vae {
 
     /// Mean of z `[T, 32]` and its log variance from one take's head.
     pub(crate) fn posterior(&self, input: &EncoderInput, head: &[f32]) -> [Vec<f32>; 2] {
-        [self.mean(input, head, Reading::SHIPPED).code, self.log_variance(head)]
+        [self.mean(input, head, BlendingFactors::SHIPPED).code, self.log_variance(head)]
     }
 
-    fn mean(&self, input: &EncoderInput, head: &[f32], reading: Reading) -> Mean {
+    fn mean(&self, input: &EncoderInput, head: &[f32], blending: BlendingFactors) -> Mean {
         let width = self.head_width();
         if self.is_plain() {
             let code = head.chunks_exact(width).flat_map(|row| row[..LATENT_DIM].to_vec()).collect();
             return Mean { code, fusion: None };
         }
-        let fusion = fuse(&self.fusion_input(input, reading), head, width);
+        let fusion = fuse(&self.fusion_input(input, blending), head, width);
         Mean { code: self.linear.code(&on_shortest_branch(self.with_mean(&fusion.features))), fusion: Some(fusion) }
     }
 
@@ -126,13 +126,13 @@ impl Vae {
         outputs.map(|output| (output + LOG_VARIANCE_START).clamp(low, high)).collect()
     }
 
-    fn fusion_input<'a>(&'a self, input: &'a EncoderInput, reading: Reading) -> FusionInput<'a> {
+    fn fusion_input<'a>(&'a self, input: &'a EncoderInput, blending: BlendingFactors) -> FusionInput<'a> {
         FusionInput {
             observed: &input.path,
             straight: &input.straight,
             seen: &input.seen,
             spread: &self.spread,
-            reading,
+            blending,
         }
     }
 
@@ -148,14 +148,14 @@ impl Vae {
         let inputs = interleaved(&values, self.shape.encoder().n_in);
         let (head, tape) = self.encoder.forward(&inputs, batch);
         let heads = separated(&head, self.head_width(), batch);
-        let mean = |(clip, head): (&EncoderInput, &Vec<f32>)| self.mean(clip, head, Reading::LITERAL);
+        let mean = |(clip, head): (&EncoderInput, &Vec<f32>)| self.mean(clip, head, BlendingFactors::UNCHANGED);
         let means: Vec<Mean> = clips.par_iter().zip(&heads).map(mean).collect();
         let codes: Vec<&[f32]> = means.iter().map(|mean| mean.code.as_slice()).collect();
         let mean = interleaved(&codes, LATENT_DIM);
         Encoded { mean, log_variance: self.log_variance(&head), inputs, heads, means, tape }
     }
 
-    /// Adds the gradient to the parameters from those to mean and log variance.
+    /// Adds the gradient to the parameters, given those to mean and log variance.
     pub(crate) fn encode_backward(
         &self,
         encoded: &Encoded,
@@ -184,7 +184,7 @@ impl Vae {
         if let Some(fusion) = &mean.fusion {
             let mut d_fused = self.linear.code_backward(d_mean);
             on_shortest_branch_backward(&self.with_mean(&fusion.features), &mut d_fused);
-            fuse_backward(&self.fusion_input(input, Reading::LITERAL), fusion, head, width, &d_fused, d_head);
+            fuse_backward(&self.fusion_input(input, BlendingFactors::UNCHANGED), fusion, head, width, &d_fused, d_head);
         } else {
             let rows = d_head.chunks_exact_mut(width).zip(d_mean.chunks_exact(LATENT_DIM));
             rows.for_each(|(row, d)| row[..LATENT_DIM].copy_from_slice(d));
@@ -204,25 +204,25 @@ impl Vae {
     }
 
     /// Decodes `[T, B, 32]`.
-    pub(crate) fn decode(&self, code: &[f32], batch: usize, reading: Reading) -> Decoded {
-        let tell = |z: &f32| if self.is_plain() { *z } else { CODE_RANGE * tanh(z / CODE_RANGE) };
-        let told: Vec<f32> = code.iter().map(tell).collect();
-        let (said, tape) = self.decoder.forward(&told, batch);
+    pub(crate) fn decode(&self, code: &[f32], batch: usize, blending: BlendingFactors) -> Decoded {
+        let bounded = |z: &f32| if self.is_plain() { *z } else { CODE_RANGE * tanh(z / CODE_RANGE) };
+        let input: Vec<f32> = code.iter().map(bounded).collect();
+        let (output, tape) = self.decoder.forward(&input, batch);
         let features = if self.is_plain() {
-            features_of(&self.chart, &said)
+            features_of(&self.chart, &output)
         } else {
             let mut features = self.linear.features(code);
-            for (row, residual) in features.chunks_exact_mut(N_FEATURES).zip(said.chunks_exact(N_FEATURES)) {
+            for (row, residual) in features.chunks_exact_mut(N_FEATURES).zip(output.chunks_exact(N_FEATURES)) {
                 for ((x, r), spread) in row.iter_mut().zip(residual).zip(&self.spread) {
-                    *x += reading.residual_share * RESIDUAL_UNIT * spread * r;
+                    *x += blending.residual_share * RESIDUAL_UNIT * spread * r;
                 }
             }
             features
         };
-        Decoded { features, told, said, tape, reading }
+        Decoded { features, input, output, tape, blending }
     }
 
-    /// Gradient to the code from that to the features; adds that to the parameters where a vector is given.
+    /// Gradient to the code from that to the features; adds the gradient to the parameters to `gradient`, if given.
     pub(crate) fn decode_backward(
         &self,
         decoded: &Decoded,
@@ -231,16 +231,16 @@ impl Vae {
         gradient: Option<&mut [f32]>,
     ) -> Vec<f32> {
         if self.is_plain() {
-            let d_said = features_of_backward(&self.chart, &decoded.said, &decoded.features, d_features);
-            return self.decoder.backward(&decoded.tape, &decoded.told, &d_said, batch, gradient);
+            let d_output = features_of_backward(&self.chart, &decoded.output, &decoded.features, d_features);
+            return self.decoder.backward(&decoded.tape, &decoded.input, &d_output, batch, gradient);
         }
-        let mut d_said = d_features.to_vec();
-        let unit = decoded.reading.residual_share * RESIDUAL_UNIT;
-        for row in d_said.chunks_exact_mut(N_FEATURES) {
+        let mut d_output = d_features.to_vec();
+        let unit = decoded.blending.residual_share * RESIDUAL_UNIT;
+        for row in d_output.chunks_exact_mut(N_FEATURES) {
             row.iter_mut().zip(&self.spread).for_each(|(d, spread)| *d *= unit * spread);
         }
-        let mut d_code = self.decoder.backward(&decoded.tape, &decoded.told, &d_said, batch, gradient);
-        d_code.iter_mut().zip(&decoded.told).for_each(|(d, told)| *d *= 1.0 - (told / CODE_RANGE).powi(2));
+        let mut d_code = self.decoder.backward(&decoded.tape, &decoded.input, &d_output, batch, gradient);
+        d_code.iter_mut().zip(&decoded.input).for_each(|(d, input)| *d *= 1.0 - (input / CODE_RANGE).powi(2));
         let direct = self.linear.features_backward(d_features);
         d_code.iter_mut().zip(&direct).for_each(|(d, direct)| *d += direct);
         d_code
@@ -288,9 +288,9 @@ mod tests {
         }
     }
 
-    /// The sum of all outputs times a wave, along a direction of parameters or codes. Differences in single precision are
-    /// good to some 1e-5 of the product of the lengths of gradient and step, of which a slope is a hundredth (shorter
-    /// steps round, longer ones bend and fold: every parameter moves at once).
+    /// Derivative of the sum of all outputs times a wave along a direction of parameters or codes. Differences in single
+    /// precision are accurate to some 1e-5 of the product of the lengths of gradient and step, of which a slope is a hundredth
+    /// (shorter steps suffer from rounding, longer ones from curvature).
     #[test]
     fn both_backward_passes_agree_with_differences() {
         for form in [VaeForm::Recurrent, VaeForm::PerFrame, VaeForm::Plain] {
@@ -308,7 +308,7 @@ mod tests {
                 let vae = Vae::new(shape, &basis, parameters);
                 let encoded = vae.encode(&inputs);
                 let code: Vec<f32> = wave(18 * LATENT_DIM, 0.3, 1.0).iter().map(|z| z + code_step).collect();
-                let decoded = vae.decode(&code, 2, Reading::LITERAL);
+                let decoded = vae.decode(&code, 2, BlendingFactors::UNCHANGED);
                 dot(&encoded.mean, &pulls[0])
                     + dot(&encoded.log_variance, &pulls[1])
                     + dot(&decoded.features, &pull_features)
@@ -317,7 +317,7 @@ mod tests {
             let mut gradient = vec![0.0; parameters.len()];
             let encoded = vae.encode(&inputs);
             vae.encode_backward(&encoded, &inputs, &pulls[0], &pulls[1], &mut gradient);
-            let decoded = vae.decode(&wave(18 * LATENT_DIM, 0.3, 1.0), 2, Reading::LITERAL);
+            let decoded = vae.decode(&wave(18 * LATENT_DIM, 0.3, 1.0), 2, BlendingFactors::UNCHANGED);
             let d_code = vae.decode_backward(&decoded, &pull_features, 2, Some(&mut gradient));
             for direction in [wave(parameters.len(), 2.3, 1.0), wave(parameters.len(), 0.019, 1.0)] {
                 let stepped = |h: f32| {
@@ -341,10 +341,9 @@ mod tests {
         d_code: Vec<f64>,
     }
 
-    /// What automatic differentiation says in double precision (`reference/decoder_gradient.py`), to 1e-5 of the largest
-    /// entry.
+    /// Against automatic differentiation in double precision (`reference/decoder_gradient.py`), to 1e-5 of the largest entry.
     #[test]
-    fn the_decoder_and_its_gradient_agree_with_automatic_differentiation() {
+    fn the_decoder_agrees_with_automatic_differentiation() {
         let reference: Reference = serde_json::from_str(include_str!("reference/decoder_gradient.json")).unwrap();
         let numbers = |n: usize, salt: usize| -> Vec<f32> {
             (0..n).map(|i| ((i * 7919 + salt * 104_729) % 1000) as f32 / 1000.0 - 0.5).collect()
@@ -354,7 +353,7 @@ mod tests {
         let mut parameters = vec![0.0; shape.encoder().len()];
         parameters.extend(numbers(shape.decoder().len(), 1));
         let vae = Vae::new(shape, &basis, &parameters);
-        let decoded = vae.decode(&numbers(6 * 2 * LATENT_DIM, 3), 2, Reading::LITERAL);
+        let decoded = vae.decode(&numbers(6 * 2 * LATENT_DIM, 3), 2, BlendingFactors::UNCHANGED);
         let d_code = vae.decode_backward(&decoded, &numbers(6 * 2 * N_FEATURES, 4), 2, None);
         for (found, expected) in [(&decoded.features, &reference.features), (&d_code, &reference.d_code)] {
             assert_eq!(found.len(), expected.len());

@@ -1,36 +1,35 @@
-//! Long takes: a fixed grid of windows, so that time and memory are linear in length and the same frame gives the same
-//! answer in a take of four seconds and of ten minutes.
+//! Windows of long takes on a fixed grid: time and memory are linear in length, and a frame's result does not depend on the
+//! length of the take.
 //!
-//! Windows of 128 frames begin every 96; neighbours share 32 frames and are blended over the middle 16 of them, so that
-//! every answer has at least 8 frames of context that does not count. Windows of equal length, of whatever take, run as
-//! one batch.
+//! Windows of 128 frames start every 96; neighbours share 32 frames and are blended over the middle 16 of them, so that
+//! every result has at least 8 frames of context on each side. Windows of equal length, of any takes, run as one batch.
 
 use super::vae::{interleaved, separated};
 
 /// Length of a window, frames: the longest clip of the training.
 pub const WINDOW_FRAMES: usize = 128;
-/// From one window to the next.
+/// Frames from the start of one window to that of the next.
 pub const WINDOW_STRIDE: usize = 96;
-/// Frames at each end of the overlap that only one window answers for.
+/// Frames at each end of the overlap where only one window has weight.
 const HALO: usize = 8;
 const OVERLAP: usize = WINDOW_FRAMES - WINDOW_STRIDE;
 
-/// Windows that run together: more do not fit the caches, and memory stays bounded.
+/// Most windows in a batch: more do not fit the caches; bounds the memory.
 const BATCH: usize = 16;
 
-/// A stretch of one take.
+/// A window of one take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Window {
     /// Index of the take.
     take: usize,
     start: usize,
     len: usize,
-    /// Whether another window follows.
+    /// Whether it is the take's last window.
     is_last: bool,
 }
 
 impl Window {
-    /// Weight of the window's answer at its frame `i`; weights of all windows of a frame sum to 1.
+    /// Weight of the window's result at its frame `i`; the weights of all windows of a frame sum to 1.
     fn weight(&self, i: usize) -> f32 {
         let rise = |i: usize| ((i as f32 - HALO as f32 + 0.5) / (OVERLAP - 2 * HALO) as f32).clamp(0.0, 1.0);
         let from = if self.start == 0 { 1.0 } else { rise(i) };
@@ -59,7 +58,7 @@ pub(crate) fn window_batches(lengths: &[usize]) -> Vec<WindowBatch> {
 }
 
 impl WindowBatch {
-    /// B.
+    /// Number of windows, B.
     pub(crate) fn len(&self) -> usize {
         self.0.len()
     }
@@ -70,18 +69,18 @@ impl WindowBatch {
         interleaved(&self.0.iter().map(part).collect::<Vec<_>>(), width)
     }
 
-    /// Adds answers `[T, B, width]`, weighted, to takes `[T, width]`.
-    pub(crate) fn blend(&self, answers: &[f32], width: usize, takes: &mut [Vec<f32>]) {
-        for (window, answer) in self.0.iter().zip(separated(answers, width, self.len())) {
+    /// Adds results `[T, B, width]`, weighted, to takes `[T, width]`.
+    pub(crate) fn blend(&self, results: &[f32], width: usize, takes: &mut [Vec<f32>]) {
+        for (window, result) in self.0.iter().zip(separated(results, width, self.len())) {
             let rows = takes[window.take][window.start * width..].chunks_exact_mut(width);
-            for (i, (row, answer)) in rows.zip(answer.chunks_exact(width)).enumerate() {
+            for (i, (row, result)) in rows.zip(result.chunks_exact(width)).enumerate() {
                 let weight = window.weight(i);
-                row.iter_mut().zip(answer).for_each(|(sum, x)| *sum += weight * x);
+                row.iter_mut().zip(result).for_each(|(sum, x)| *sum += weight * x);
             }
         }
     }
 
-    /// Gradient to the answers from that to the blended takes.
+    /// Gradient to the results from that to the blended takes.
     pub(crate) fn blend_backward(&self, d_takes: &[&[f32]], width: usize) -> Vec<f32> {
         let part = |w: &Window| -> Vec<f32> {
             let rows = d_takes[w.take][w.start * width..(w.start + w.len) * width].chunks_exact(width);
@@ -91,7 +90,7 @@ impl WindowBatch {
         interleaved(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>(), width)
     }
 
-    /// Adds `[T, B, width]` as it is: the way back of [`WindowBatch::cut`].
+    /// Adds `[T, B, width]` without weights: the backward pass of [`WindowBatch::cut`].
     pub(crate) fn add(&self, parts: &[f32], width: usize, takes: &mut [Vec<f32>]) {
         for (window, part) in self.0.iter().zip(separated(parts, width, self.len())) {
             let rows = &mut takes[window.take][window.start * width..];
@@ -105,7 +104,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_weights_of_every_frame_sum_to_one_and_blending_what_was_cut_changes_nothing() {
+    fn blending_inverts_cutting() {
         let lengths = [1, 8, 128, 129, 161, 300, 2000];
         let takes: Vec<Vec<f32>> = lengths.iter().map(|n| (0..n * 2).map(|i| (i as f32).sin()).collect()).collect();
         let views: Vec<&[f32]> = takes.iter().map(Vec::as_slice).collect();

@@ -1,5 +1,5 @@
-//! One person's will: an endless random sequence of actions sets the goals of a handful of damped springs, which make
-//! every change smooth.
+//! Generator of one person's actions: a random sequence of actions sets the goals of damped springs, which make every
+//! change smooth.
 
 use super::config::SimulationConfig;
 use super::gait::{self, Arm, Posture, Stance};
@@ -9,14 +9,14 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::{PI, TAU};
 
-/// Step of the simulation, s: below 1/200 s straight lines between steps err by less than 0.1 mm.
+/// Step of the simulation, s: below 1/200 s linear interpolation between steps errs by less than 0.1 mm.
 pub(super) const STEP: f64 = 1.0 / 240.0;
-/// Places to walk to lie within this distance of the centre, m.
+/// Largest distance of walking targets from the centre, m.
 const AREA: f64 = 1.9;
-/// How fast the springs of posture answer, 1/s: a gesture takes some 0.6 s.
+/// Rate of the posture's springs, 1/s: a gesture takes some 0.6 s.
 const POSTURE_RATE: f64 = 7.0;
 
-/// What a person is at.
+/// The current action of a person.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Action {
     Walk { target: Vector2<f64>, speed: f64 },
@@ -27,7 +27,7 @@ enum Action {
     Reach { arm: usize, goal: Arm, lean: f64 },
 }
 
-/// One person's state of motion.
+/// The state of one person's motion, advanced in fixed steps.
 #[derive(Debug, Clone)]
 pub(super) struct ActionGenerator {
     rng: ChaCha8Rng,
@@ -50,7 +50,7 @@ pub(super) struct ActionGenerator {
 }
 
 impl ActionGenerator {
-    /// A person somewhere near the centre.
+    /// A standing person at a random position near the centre.
     pub(super) fn new(person: usize, config: &SimulationConfig) -> Self {
         let mut rng = stream(config.seed, Purpose::Motion, 0, person);
         let angle = TAU * person as f64 / config.people as f64 + rng.random_range(0.0..0.8);
@@ -97,12 +97,12 @@ impl ActionGenerator {
         self.posture.zip(&self.posture_rate, |value, rate| value + rate * rest)
     }
 
-    /// Speed that the feet must make, m/s: turning needs steps too.
+    /// Speed of the feet, m/s; turning on the spot needs steps, too.
     fn ground_speed(&self) -> f64 {
         self.velocity.norm().max(0.3 * self.turn_rate.abs())
     }
 
-    /// One step on, while others push.
+    /// Advances by one step; `push` is the velocity away from other people, m/s.
     pub(super) fn advance(&mut self, time: f64, push: &Vector2<f64>) {
         if time >= self.until || self.has_arrived() {
             self.choose_action(time);
@@ -146,7 +146,7 @@ impl ActionGenerator {
         };
         self.action = action;
         self.until = time + seconds;
-        // A new action brings a new posture at once.
+        // A new action starts with a new posture.
         self.next_gesture = time;
     }
 
@@ -183,20 +183,20 @@ impl ActionGenerator {
         self.next_gesture = time + rng.random_range(0.6..1.6);
     }
 
-    /// Heading and speed follow the action; the stride follows them.
+    /// Moves heading and speed towards the action's goal, and the stride with them.
     fn steer(&mut self, push: &Vector2<f64>) {
-        let (wanted_heading, wanted_speed) = match self.action {
+        let (target_heading, target_speed) = match self.action {
             Action::Walk { target, speed } => {
-                let way = target - self.position;
-                (way.x.atan2(way.y), speed * (way.norm() / 0.5).min(1.0))
+                let offset = target - self.position;
+                (offset.x.atan2(offset.y), speed * (offset.norm() / 0.5).min(1.0))
             }
             Action::Turn { heading } => (heading, 0.0),
             _ => (self.heading, 0.0),
         };
-        let off = (wanted_heading - self.heading + PI).rem_euclid(TAU) - PI;
+        let off = (target_heading - self.heading + PI).rem_euclid(TAU) - PI;
         self.turn_rate += STEP * (16.0 * off.clamp(-0.9, 0.9) - 8.0 * self.turn_rate);
         self.heading += STEP * self.turn_rate;
-        self.speed += STEP * 3.5 * (wanted_speed * off.cos().max(0.0) - self.speed);
+        self.speed += STEP * 3.5 * (target_speed * off.cos().max(0.0) - self.speed);
         self.push += (push - self.push) * (STEP * 8.0);
         self.velocity = Vector2::new(self.heading.sin(), self.heading.cos()) * self.speed + self.push;
         self.position += self.velocity * STEP;
@@ -206,7 +206,8 @@ impl ActionGenerator {
         self.phase += STEP * self.phase_rate;
     }
 
-    /// Posture follows its goal through a first-order lag and a critically damped spring: no jump even of acceleration.
+    /// Moves the posture to its goal through a first-order lag and a critically damped spring, so that even the acceleration
+    /// is continuous.
     fn pose(&mut self) {
         self.followed = self.followed.zip(&self.goal, |value, goal| value + STEP * POSTURE_RATE * (goal - value));
         let pull = self.followed.zip(&self.posture, |goal, value| POSTURE_RATE * POSTURE_RATE * (goal - value));

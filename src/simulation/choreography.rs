@@ -1,6 +1,6 @@
-//! What people do: they walk to places, stop, turn, crouch, sit, reach and gesture, and keep out of each other's way.
+//! Random motions of several people, who walk, stop, turn, crouch, sit, reach and gesture, and avoid each other.
 //!
-//! Time runs in fixed steps of its own, so that a motion does not depend on the frame rate.
+//! Time advances in fixed steps, so that a motion does not depend on the frame rate.
 
 use super::action_generator::{ActionGenerator, STEP};
 use super::config::SimulationConfig;
@@ -8,12 +8,12 @@ use super::gait;
 use super::skeleton::SimulatedPerson;
 use nalgebra::Vector2;
 
-/// People move this long before the first frame, s, so that nobody starts from rest in a T.
+/// Time that is simulated before the first frame, s, so that people do not start at rest in a T-pose.
 const WARM_UP: f64 = 2.0;
-/// Nearer than this (m, between the middles of their feet) people step aside.
+/// People nearer to each other than this step aside, m between the midpoints of their feet.
 const PERSONAL_SPACE: f64 = 0.9;
 
-/// People of `config`, each with an own body and an own random choreography.
+/// The people of a configuration, each with a random body and a random sequence of actions.
 pub fn procedural_people(config: &SimulationConfig) -> Vec<SimulatedPerson> {
     let mut generators: Vec<ActionGenerator> =
         (0..config.people).map(|person| ActionGenerator::new(person, config)).collect();
@@ -22,7 +22,7 @@ pub fn procedural_people(config: &SimulationConfig) -> Vec<SimulatedPerson> {
     let mut step = 0_u64;
     for frame in 0..config.frames {
         let due = WARM_UP + frame as f64 / config.fps;
-        // Up to the last step before the frame; the rest is a straight line.
+        // Up to the last step before the frame; the rest is extrapolated linearly.
         while (step + 1) as f64 * STEP <= due {
             advance_all(&mut generators, step as f64 * STEP);
             step += 1;
@@ -47,7 +47,7 @@ fn advance_all(generators: &mut [ActionGenerator], time: f64) {
     }
 }
 
-/// Velocity that takes a person out of the others' space, m/s.
+/// Velocity that moves a person away from the others, m/s.
 fn push_from_others(person: usize, positions: &[Vector2<f64>]) -> Vector2<f64> {
     let others = positions.iter().enumerate().filter(|(other, _)| *other != person);
     others.fold(Vector2::zeros(), |push, (_, other)| {

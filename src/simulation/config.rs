@@ -1,4 +1,4 @@
-//! What is simulated: people, cameras, noise; every number with its unit.
+//! Configuration of a simulated session: people, cameras, noise; every number with its unit.
 
 use super::error::SimulationError;
 use crate::body::skeleton::KeypointConvention;
@@ -6,39 +6,39 @@ use crate::geometry::Distortion;
 use serde::Serialize;
 use std::path::PathBuf;
 
-/// One simulated session; the same configuration gives the same session, byte for byte.
+/// Configuration of one simulated session. The same configuration gives the same session, byte for byte.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SimulationConfig {
-    /// How many people.
+    /// Number of people.
     pub people: usize,
-    /// How many cameras.
+    /// Number of cameras.
     pub views: usize,
-    /// Length, frames; a motion file that ends earlier ends the session.
+    /// Length, frames; shorter motion files shorten the session.
     pub frames: usize,
-    /// Frames per second.
+    /// Frame rate, Hz.
     pub fps: f64,
     /// Seed of every random choice.
     pub seed: u64,
-    /// The detector's and tracker's faults.
+    /// Noise of detector and tracker.
     pub noise: NoiseConfig,
     /// The cameras.
     pub rig: RigConfig,
-    /// What the detector reports.
+    /// Keypoint convention of the detector.
     pub convention: KeypointConvention,
-    /// What the tracker reports.
+    /// Track numbers of the tracker.
     pub tracks: Tracks,
-    /// Frames by which each camera's clock is off: its frame `n` shows what happens at `n + time_offset` (views beyond the
-    /// list: 0). Frames that show what lies before the first moment or after the last are empty.
+    /// Time offset of each camera, frames: its frame `n` shows the scene at `n + time_offset` (views beyond the list: 0).
+    /// Frames before the first or after the last simulated time are empty.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub time_offsets: Vec<f64>,
-    /// Whose bodies move.
+    /// The people's bodies.
     pub bodies: Bodies,
-    /// Where the motion comes from.
+    /// Source of the motion.
     #[serde(skip)]
     pub motion: MotionSource,
 }
 
-/// The faults of a detector and a tracker. A share "of size" is relative to the longer side of the person's box, px.
+/// Noise of a detector and a tracker. A share "of size" is relative to the longer side of the person's box, px.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct NoiseConfig {
     /// Standard deviation of a joint's error, of size: 0.6 of it drifts slowly, 0.8 of it is white; x 2.5 where hidden.
@@ -49,7 +49,7 @@ pub struct NoiseConfig {
     pub outlier_of_size: f64,
     /// Share of joints missing at random.
     pub missed_joint_rate: f64,
-    /// Share of detections missing at random, in runs of 1 to 7 frames (a run starts with a quarter of it).
+    /// Share of detections missing at random, in runs of 1 to 7 frames (a run starts with a quarter of this probability).
     pub missed_detection_rate: f64,
     /// Share of hidden joints that are not reported.
     pub occluded_joint_missing_rate: f64,
@@ -62,7 +62,7 @@ pub struct NoiseConfig {
 }
 
 impl NoiseConfig {
-    /// A perfect detector and tracker: hidden joints are seen too.
+    /// No noise: a perfect detector and tracker that also see hidden joints.
     pub const NONE: Self = Self {
         jitter_of_size: 0.0,
         outlier_rate: 0.0,
@@ -76,7 +76,7 @@ impl NoiseConfig {
     };
 }
 
-/// Cameras around the scene, all aimed near its centre.
+/// Configuration of the cameras around the scene, all aimed near its centre.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct RigConfig {
     /// Distance from the centre, m (sd 5 %).
@@ -93,27 +93,27 @@ pub struct RigConfig {
     pub image_width: u32,
     /// Image height, px.
     pub image_height: u32,
-    /// How the cameras stand.
+    /// Arrangement of the cameras.
     pub arrangement: Arrangement,
-    /// What their lenses do to straight rays.
+    /// Lens distortion.
     pub lens: Lens,
 }
 
-/// What a lens does to straight rays; the field of view is that of the bent image.
+/// Lens of a camera; the field of view is that of the distorted image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Lens {
-    /// Nothing.
+    /// No distortion.
     #[default]
     Pinhole,
-    /// A barrel distortion of a quarter at 45 degrees, with a little of every other of OpenCV's five terms.
+    /// A barrel distortion of a quarter at 45 degrees, with small values of OpenCV's other four terms.
     WideAngle,
     /// OpenCV's fisheye: nearly equidistant.
     Fisheye,
 }
 
 impl Lens {
-    /// The distortion; one to one over every field of view that a rig may have.
+    /// The distortion; invertible over every field of view that a rig may have.
     pub fn distortion(self) -> Distortion {
         match self {
             Self::Pinhole => Distortion::None,
@@ -123,60 +123,60 @@ impl Lens {
     }
 }
 
-/// How the cameras stand.
+/// Arrangement of the cameras.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Arrangement {
-    /// Evenly on a full circle.
+    /// Evenly spaced on a full circle.
     Ring,
-    /// Evenly on a part of it.
+    /// Evenly spaced on an arc of the circle.
     Arc {
         /// Angle between the first and the last camera, degrees.
         span_deg: f64,
     },
 }
 
-/// Whom a track id names.
+/// Meaning of the track numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Tracks {
-    /// The same person in every view, but for the swaps.
+    /// A number is the same person in every view, except for swaps.
     Consistent,
-    /// Each view numbers its people in its own way: what a tracker really gives.
+    /// Every view has its own numbers, as with a real tracker.
     PerView,
-    /// There are none.
+    /// No track numbers.
     None,
 }
 
-/// Whose bodies move.
+/// The people's bodies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Bodies {
-    /// The simulator's own people, who share nothing with the body that is fitted ([`super::skeleton`]).
+    /// The simulator's own bodies, independent of the body model of the fit ([`super::skeleton`]).
     Own,
-    /// The default body at random shapes, betas from N(0, 1), its own landmarks as keypoints: what a fit can tell at best.
+    /// The default body at random shapes, betas from N(0, 1), with its landmarks as keypoints: the best case for a fit.
     Default,
-    /// The same as a fit meets them: rest joints elsewhere inside the same skin (10 mm per axis), and a detector that sees
-    /// hips 30 to 50 mm, other joints 10 to 20 mm, points of face and feet 5 to 10 mm from where they are.
+    /// The same with realistic deviations: rest joints moved inside the same skin (10 mm per axis), and a keypoint bias of 30
+    /// to 50 mm at the hips, 10 to 20 mm at other joints, 5 to 10 mm at points of face and feet.
     Individual,
 }
 
-/// Where the motion comes from.
+/// Source of the motion.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum MotionSource {
     /// Walking, stopping, turning, crouching, sitting, reaching, gesturing.
     #[default]
     Procedural,
-    /// Two people who dance: face to face within arms' reach, turning about each other.
+    /// Two people dancing: face to face within arms' reach, turning about each other.
     Dance,
     /// Drawn from the embedded motion prior.
     Prior,
-    /// One AMASS-layout `.npz` a person, in this order.
+    /// One `.npz` in the AMASS layout a person, in this order.
     Files(Vec<PathBuf>),
 }
 
 impl SimulationConfig {
-    /// Refuses numbers that no session can have.
+    /// Rejects values out of range.
     ///
     /// # Errors
     /// [`SimulationError::Config`] names the first field that is out of its range.
@@ -205,7 +205,7 @@ impl SimulationConfig {
             ("image_height", r.image_height as f64, 16.0, 65536.0, "16 to 65536 px"),
         ];
         for (field, value, low, high, expected) in ranges {
-            // A NaN lies in no range.
+            // NaN is outside every range.
             if !(low..=high).contains(&value) {
                 return Err(SimulationError::Config { field, value, expected });
             }
@@ -228,7 +228,7 @@ impl SimulationConfig {
 }
 
 impl Default for RigConfig {
-    /// A 4 m ring of 1280 x 720 cameras of 65 degrees, held by hand: 0.15 m and 1 degree off their aim.
+    /// A 4 m ring of 1280 x 720 cameras of 65 degrees, held by hand: 0.15 m and 1 degree from their aim.
     fn default() -> Self {
         Self {
             radius: 4.0,

@@ -1,8 +1,6 @@
-//! Two people who dance: face to face within arms' reach, turning about each other, arms now at the partner's sides, now
-//! spread.
+//! Two people dancing: face to face within arms' reach, turning about each other, arms at the partner's sides or spread.
 //!
-//! Everything but the stride is a sum of slow waves of time, smooth by itself; the stride's phase follows the ground that
-//! is covered.
+//! All coordinates except the stride are sums of slow sine waves of time; the stride's phase follows the distance covered.
 
 use super::action_generator::STEP;
 use super::config::SimulationConfig;
@@ -14,17 +12,18 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use std::f64::consts::{PI, TAU};
 
-/// How far the dancers' feet stand apart, m. Whoever steps leans over them: the hips come up to 0.3 m nearer, 0.3 to 0.7 m.
+/// Smallest and largest distance between the dancers' feet, m. A stepping dancer leans over them: the hips come up to 0.3 m
+/// nearer, 0.3 to 0.7 m.
 const NEAR: f64 = 0.62;
 const FAR: f64 = 0.80;
-/// How fast the couple turns, rad/s: once around in some ten seconds.
+/// Turning rate of the couple, rad/s: one turn in some ten seconds.
 const TURN_RATE: f64 = 0.6;
-/// Dancers step shorter than walkers of their speed: share of the step.
+/// Step length of dancers relative to walkers of the same speed.
 const STEP_SHARE: f64 = 0.6;
 /// Ground speed at which a dancer steps half as high as a walker, m/s.
 const SHUFFLE: f64 = 0.15;
 
-/// A slow wave in time: `size * sin(2 pi hertz t + phase)`.
+/// A slow sine wave in time: `size * sin(2 pi hertz t + phase)`.
 #[derive(Debug, Clone, Copy)]
 struct Wave {
     size: f64,
@@ -44,7 +43,7 @@ impl Wave {
     }
 }
 
-/// Where the couple is and how it turns.
+/// Position and rotation of the couple over time.
 struct Couple {
     middle: [Wave; 2],
     distance: Wave,
@@ -54,11 +53,11 @@ struct Couple {
 
 impl Couple {
     fn random(rng: &mut ChaCha8Rng) -> Self {
-        let way = if rng.random_bool(0.5) { 1.0 } else { -1.0 };
+        let sign = if rng.random_bool(0.5) { 1.0 } else { -1.0 };
         Self {
             middle: std::array::from_fn(|_| Wave::random(0.4, 0.08, rng)),
             distance: Wave { size: 0.5 * (FAR - NEAR), ..Wave::random(1.0, 0.2, rng) },
-            turn_rate: way * TURN_RATE * rng.random_range(0.7..1.3),
+            turn_rate: sign * TURN_RATE * rng.random_range(0.7..1.3),
             turn: Wave::random(0.6, 0.12, rng),
         }
     }
@@ -68,7 +67,7 @@ impl Couple {
         self.turn.phase + self.turn_rate * time + self.turn.at(time)
     }
 
-    /// The middle between a dancer's ankles, world (x, z), m.
+    /// Midpoint between a dancer's ankles, world (x, z), m.
     fn position(&self, dancer: usize, time: f64) -> Vector2<f64> {
         let (sin, cos) = self.direction(time).sin_cos();
         let half = 0.5 * (0.5 * (NEAR + FAR) + self.distance.at(time));
@@ -77,24 +76,24 @@ impl Couple {
     }
 }
 
-/// How one dancer moves on the spot.
+/// Motion of one dancer relative to the couple.
 struct Dancer {
     heading: Wave,
     crouch: Wave,
     lean: Wave,
     trunk: [Wave; 2],
     head: [Wave; 2],
-    /// Per arm: between hold and spread, and flexion, abduction and elbow beside that.
+    /// Per arm: waves of the share between hold and spread, and of flexion, abduction and elbow added to it.
     arms: [[Wave; 4]; 2],
     phase: f64,
 }
 
-/// The first dancer's arms, below the second's, which would be in their way: at the partner's sides, and spread.
+/// The first dancer's arms at the partner's sides and spread; below the second's, so that they do not collide.
 const LOW: [Arm; 2] = [
     Arm { flexion: 0.35, abduction: 0.50, elbow: 0.50, swing: 0.0 },
     Arm { flexion: 0.20, abduction: 0.80, elbow: 0.15, swing: 0.0 },
 ];
-/// The second's.
+/// The second dancer's arms.
 const HIGH: [Arm; 2] = [
     Arm { flexion: 0.35, abduction: 1.15, elbow: 0.35, swing: 0.0 },
     Arm { flexion: 0.15, abduction: 1.45, elbow: 0.10, swing: 0.0 },
@@ -114,7 +113,7 @@ impl Dancer {
         }
     }
 
-    /// `[hold, spread]`: what the arms go between.
+    /// The posture at a time; `[hold, spread]` are the arms' extreme positions.
     fn posture(&self, [hold, spread_out]: &[Arm; 2], time: f64) -> Posture {
         let arm = |[spread, flexion, abduction, elbow]: &[Wave; 4]| {
             let share = 0.5 + spread.at(time);
@@ -127,7 +126,7 @@ impl Dancer {
             }
         };
         Posture {
-            // Never stretched: a wave about its own size.
+            // A wave about its own amplitude: the knees are never stretched.
             crouch: self.crouch.size + self.crouch.at(time),
             sit: 0.0,
             lean: self.lean.at(time),
@@ -140,7 +139,7 @@ impl Dancer {
     }
 }
 
-/// The two people of `config`, each with an own body.
+/// The two people of a configuration, each with a random body.
 pub(super) fn dancing_people(config: &SimulationConfig) -> Vec<SimulatedPerson> {
     let couple = Couple::random(&mut stream(config.seed, Purpose::Placement, 0, 0));
     let person = |index: usize| {
@@ -157,7 +156,7 @@ pub(super) fn dancing_people(config: &SimulationConfig) -> Vec<SimulatedPerson> 
     (0..2).map(person).collect()
 }
 
-/// One dancer's stances, frame by frame.
+/// One dancer's stances by frame.
 fn stances(couple: &Couple, dancer: &Dancer, index: usize, config: &SimulationConfig) -> Vec<Stance> {
     let speed = |time: f64| {
         (couple.position(index, time + 0.5 * STEP) - couple.position(index, time - 0.5 * STEP)).norm() / STEP
@@ -214,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn dancers_are_within_arms_reach_and_do_not_pass_through_each_other() {
+    fn dancers_stay_in_reach_without_collision() {
         let capsules = BodyCapsules::fitted(&default_body());
         for seed in 0..6 {
             let truth = truth(seed, 300, 30.0);
@@ -225,7 +224,7 @@ mod tests {
                 let apart = (a - b).norm();
                 assert!((0.3..0.8).contains(&apart), "seed {seed}: {apart} m");
             }
-            // Hands brush; nobody stands inside somebody.
+            // Hands may touch; bodies do not overlap.
             assert!(deepest[45] < 0.03 && deepest[59] < 0.10, "seed {seed}: {deepest:?}");
             let heading = |f: usize| truth.people[0].poses[f].rotations[0].column(2).xz();
             assert!(heading(0).angle(&heading(150)) > 0.5 || heading(0).angle(&heading(250)) > 0.5, "they turn");
@@ -240,10 +239,10 @@ mod tests {
     }
 
     #[test]
-    fn a_dance_takes_two() {
+    fn a_dance_needs_two_people() {
         let preset = SimulationConfig::preset(Preset::Easy);
         let config = SimulationConfig { people: 3, motion: MotionSource::Dance, ..preset };
-        let told = simulate(&config).unwrap_err();
-        assert!(matches!(told, SimulationError::Config { field: "people", .. }), "{told}");
+        let error = simulate(&config).unwrap_err();
+        assert!(matches!(error, SimulationError::Config { field: "people", .. }), "{error}");
     }
 }

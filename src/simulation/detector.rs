@@ -1,4 +1,4 @@
-//! What one camera's detector and tracker report of the scene, from the first frame to the last.
+//! Detections and track numbers of one camera over the whole session.
 
 use super::config::SimulationConfig;
 use super::observer::Observer;
@@ -8,7 +8,7 @@ use super::tracker::SimulatedTracker;
 use crate::session::Detection;
 use rand::seq::SliceRandom;
 
-/// A camera's whole recording. Every person has an own random stream in every view.
+/// A camera's recording. Every person has a separate random stream in every view.
 pub fn record(scene: &SimulatedScene, view: usize, camera: &RigCamera, config: &SimulationConfig) -> ViewRecording {
     let offset = config.time_offsets.get(view).copied().unwrap_or(0.0);
     let shifted = (offset != 0.0).then(|| scene.at_offset(offset));

@@ -1,7 +1,7 @@
-//! People whose motions are drawn from the motion prior.
+//! Motions drawn from the motion prior.
 //!
-//! The prior knows how joints turn, not where a body stands. A drawn body turns about the vertical at random and stands on
-//! its lower foot: the path of the pelvis is the one under which that foot stays where it is.
+//! The prior describes joint rotations, not the position of the body. A drawn body turns randomly about the vertical and
+//! stands on its lower foot: the path of the pelvis is the one that keeps this foot at rest.
 
 use super::config::SimulationConfig;
 use super::random::{Purpose, stream};
@@ -17,7 +17,7 @@ use nalgebra::Vector3;
 use rand::RngExt;
 use std::f64::consts::{PI, TAU};
 
-/// A take drawn for one person, as long as the session; its pelvis stays at the origin.
+/// A random take for one person, as long as the session; its pelvis is at the origin.
 pub(super) fn drawn_take(config: &SimulationConfig, person: usize) -> MotionTake {
     let rng = &mut stream(config.seed, Purpose::Motion, 0, person);
     let prior = MotionPrior::embedded();
@@ -42,14 +42,14 @@ fn random_heading(rng: &mut rand_chacha::ChaCha8Rng) -> impl Fn(f64) -> f64 + us
     }
 }
 
-/// Feet whose heights differ by less than this share the weight, m.
+/// Feet whose heights differ by less than this both bear weight, m.
 const SHARED_WEIGHT: f64 = 0.03;
-/// Who drifts away comes back within this time, s.
+/// Time within which a person who drifts away returns to the centre, s.
 const RETURN_TIME: f64 = 4.0;
-/// The body follows its feet with this inertia, s (standard deviation of the kernel).
+/// Standard deviation of the kernel that smooths the body's path, s.
 const INERTIA: f64 = 0.1;
 
-/// Gives a person a path: the lower foot on the floor and standing still, `foot_height` m above it.
+/// Sets a person's path: the lower foot's joint is at rest, `foot_height` m above the floor.
 pub(super) fn stand(person: &mut SimulatedPerson, fps: f64, foot_height: f64) {
     let feet: Vec<[Vector3<f64>; 2]> = person.poses.iter().map(|pose| feet(&person.skeleton, pose)).collect();
     let mut path = Vec::with_capacity(feet.len());
@@ -64,25 +64,25 @@ pub(super) fn stand(person: &mut SimulatedPerson, fps: f64, foot_height: f64) {
         let lowest = now[0].y * weights[0] + now[1].y * weights[1];
         path.push(Vector3::new(place.x, foot_height - lowest, place.z));
     }
-    for (pose, place) in person.poses.iter_mut().zip(followed(&path, INERTIA * fps)) {
+    for (pose, place) in person.poses.iter_mut().zip(smoothed(&path, INERTIA * fps)) {
         pose.pelvis = place;
     }
 }
 
-/// Foot joints relative to the pelvis.
+/// Foot joints relative to the pelvis, m.
 fn feet(skeleton: &SimulatedSkeleton, pose: &MotionPose) -> [Vector3<f64>; 2] {
     let joints = skeleton.pose(&MotionPose { pelvis: Vector3::zeros(), ..*pose }).joints;
     ["left_foot", "right_foot"].map(|name| joints[joint(name)])
 }
 
-/// How much of the weight each foot bears.
+/// Share of the weight that each foot bears.
 fn weights(feet: &[Vector3<f64>; 2]) -> [f64; 2] {
     let left = 1.0 / (1.0 + ((feet[0].y - feet[1].y) / SHARED_WEIGHT).exp());
     [left, 1.0 - left]
 }
 
-/// The path under a Gaussian kernel of `sigma` frames, cut off at three of them and at the ends.
-fn followed(path: &[Vector3<f64>], sigma: f64) -> Vec<Vector3<f64>> {
+/// The path smoothed by a Gaussian kernel of `sigma` frames, truncated at three sigma and at the ends.
+fn smoothed(path: &[Vector3<f64>], sigma: f64) -> Vec<Vector3<f64>> {
     let reach = (3.0 * sigma).ceil() as usize;
     let at = |t: usize| {
         let near = t.saturating_sub(reach)..(t + reach + 1).min(path.len());
@@ -100,7 +100,7 @@ mod tests {
     use crate::simulation::{MotionSource, Preset};
 
     #[test]
-    fn drawn_people_stand_on_the_floor_near_the_middle_and_differ() {
+    fn drawn_people_stand_near_the_middle_and_differ() {
         let preset = SimulationConfig::preset(Preset::Easy);
         let config = SimulationConfig { people: 3, frames: 300, motion: MotionSource::Prior, ..preset };
         let truth = simulate(&config).unwrap().truth;
@@ -112,7 +112,7 @@ mod tests {
             let far = truth.joints.iter().map(|frame| frame[person][0].xz().norm()).fold(0.0, f64::max);
             assert!(far < 3.5, "{far}");
             let turn = |t: usize| truth.people[person].poses[t].rotations[16];
-            assert!(rotation::log(&(turn(10).transpose() * turn(200))).norm() > 0.05, "nobody stands like a statue");
+            assert!(rotation::log(&(turn(10).transpose() * turn(200))).norm() > 0.05, "joints move");
         }
         assert_ne!(truth.people[0].poses[5].rotations[4], truth.people[1].poses[5].rotations[4]);
         assert_eq!(truth.joints.len(), 300);

@@ -1,20 +1,20 @@
-//! Why a session cannot be simulated.
+//! Errors of the simulation.
 
 use crate::body::skeleton::KeypointConvention;
 use crate::motion_prior::motion_file::MotionProblem;
 use std::path::PathBuf;
 
-/// Why a scene cannot be simulated.
+/// Why a session cannot be simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum SimulationError {
-    /// A number of the configuration is out of its range.
+    /// A value of the configuration is out of range.
     #[error("{field}: {expected} expected, found {value}")]
     Config {
         /// Name of the field.
         field: &'static str,
-        /// What it held.
+        /// Its value.
         value: f64,
-        /// Its range.
+        /// Its range, with unit.
         expected: &'static str,
     },
     /// The skeleton has no rule for a keypoint of the convention.
@@ -38,7 +38,7 @@ pub enum SimulationError {
     Motion {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Why it cannot be read.
         problem: MotionProblem,
     },
 }

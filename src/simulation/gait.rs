@@ -1,4 +1,4 @@
-//! From where a person is and what they do to a pose: legs that step, arms that swing, feet on the floor.
+//! Poses from stance and posture: stepping legs, swinging arms, feet on the floor.
 
 use super::landmarks::Rule;
 use super::skeleton::{SimulatedSkeleton, joint};
@@ -8,42 +8,42 @@ use crate::motion_prior::motion_file::MotionPose;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use std::f64::consts::{FRAC_PI_2, PI};
 
-/// What the body does apart from stepping; angles in rad, depths 0 to 1. Also used for its own rates of change.
+/// Posture of the body apart from stepping; angles in rad, depths 0 to 1. Also used for rates of change.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Posture {
     /// Depth of a squat on both feet.
     pub crouch: f64,
-    /// Depth of sitting down, thighs level at 1.
+    /// Depth of sitting down; thighs are level at 1.
     pub sit: f64,
-    /// Trunk forward.
+    /// Forward lean of the trunk.
     pub lean: f64,
-    /// Trunk turned to the left.
+    /// Rotation of the trunk to the left.
     pub trunk_yaw: f64,
-    /// Trunk bent to the right.
+    /// Bend of the trunk to the right.
     pub trunk_roll: f64,
-    /// Head turned to the left.
+    /// Rotation of the head to the left.
     pub head_yaw: f64,
-    /// Head down.
+    /// Pitch of the head, down positive.
     pub head_pitch: f64,
     /// Left arm, right arm.
     pub arms: [Arm; 2],
 }
 
-/// An arm; all angles are 0 when it hangs straight down.
+/// Posture of an arm; all angles are 0 when it hangs straight down.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Arm {
-    /// Upper arm forward and up, rad.
+    /// Forward elevation of the upper arm, rad.
     pub flexion: f64,
-    /// Upper arm sideways, rad.
+    /// Sideways elevation of the upper arm, rad.
     pub abduction: f64,
-    /// Elbow, rad.
+    /// Bend of the elbow, rad.
     pub elbow: f64,
-    /// How much it swings with the steps, 0 to 1.
+    /// Amount of swinging with the steps, 0 to 1.
     pub swing: f64,
 }
 
 impl Posture {
-    /// Combines two postures number by number.
+    /// Combines two postures component by component.
     pub(super) fn zip(&self, other: &Self, f: impl Fn(f64, f64) -> f64) -> Self {
         let arm = |a: &Arm, b: &Arm| Arm {
             flexion: f(a.flexion, b.flexion),
@@ -64,22 +64,22 @@ impl Posture {
     }
 }
 
-/// Where a person is on the floor and in their stride.
+/// A person's position on the floor and phase of the stride.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stance {
-    /// Middle between the ankles, world (x, z), m.
+    /// Midpoint between the ankles, world (x, z), m.
     pub position: Vector2<f64>,
-    /// Facing, rad from +z towards +x.
+    /// Heading, rad from +z towards +x.
     pub heading: f64,
     /// Phase of the stride, rad; at 0 the left heel strikes, at pi the right one.
     pub phase: f64,
     /// Length of a step, m.
     pub step: f64,
-    /// How much the person is stepping at all, 0 to 1.
+    /// Amount of stepping, 0 to 1.
     pub activity: f64,
 }
 
-/// Ground speed (m/s) to length of a step (m); with it the cadence grows as the square root of speed, as it does in people.
+/// Length of a step (m) at a ground speed (m/s); the cadence then grows with the square root of speed, as in real gait.
 pub fn step_length(speed: f64) -> f64 {
     0.62 * speed.max(0.1).sqrt()
 }
@@ -103,18 +103,18 @@ enum Side {
 }
 
 impl Side {
-    /// The joint of this side, given that of the left: SMPL's order puts the right one next to it.
+    /// The joint of this side, given the left one, which the right one follows in SMPL's order.
     fn joint(self, left: usize) -> usize {
         left + usize::from(self == Self::Right)
     }
 
-    /// A rotation meant for the left side: reflected in the plane x = 0 on the right.
+    /// A rotation given for the left side, reflected in the plane x = 0 for the right.
     fn rotation(self, left: Matrix3<f64>) -> Matrix3<f64> {
         let mirror = Matrix3::from_diagonal(&Vector3::new(-1.0, 1.0, 1.0));
         if self == Self::Left { left } else { mirror * left * mirror }
     }
 
-    /// The stride's phase seen from this leg.
+    /// The stride's phase of this leg.
     fn phase(self, stance: &Stance) -> f64 {
         stance.phase + if self == Self::Left { 0.0 } else { PI }
     }
@@ -147,7 +147,7 @@ fn turn_trunk(rotations: &mut [Matrix3<f64>; N_JOINTS], stance: &Stance, posture
     for name in ["spine1", "spine2", "spine3"] {
         rotations[joint(name)] = vertebra;
     }
-    // The head looks ahead, not where a bent trunk points it.
+    // The head looks ahead when the trunk bends.
     let nod = 0.5 * (posture.head_pitch - 0.6 * (lean + pelvis_lean));
     for name in ["neck", "head"] {
         rotations[joint(name)] = about_y(0.5 * posture.head_yaw - 0.04 * sway) * about_x(nod);
@@ -191,11 +191,11 @@ fn bend_arm(rotations: &mut [Matrix3<f64>; N_JOINTS], side: Side, stance: &Stanc
     rotations[side.joint(joint("left_wrist"))] = side.rotation(about_z(0.28));
 }
 
-/// Motion capture has the elbow's axis turned by this about the upper arm, rad, and the upper arm turned as much against it
-/// (the mean over CMU's takes: flexion about (0, -48, 23) degrees).
+/// Rotation of the elbow's axis about the upper arm in motion capture, rad; the upper arm is rotated back by the same angle
+/// (mean over CMU's takes: flexion about (0, -48, 23) degrees).
 const ELBOW_TILT: f64 = 0.45;
 
-/// Soles, in the frames of ankle and foot joints, m.
+/// Points of the soles in the frames of ankle and foot joints, m.
 const SOLE: [(usize, [f64; 3]); 6] = [
     (joint("left_ankle"), [0.0, -0.075, -0.050]),
     (joint("right_ankle"), [0.0, -0.075, -0.050]),
@@ -205,10 +205,10 @@ const SOLE: [(usize, [f64; 3]); 6] = [
     (joint("right_foot"), [0.0, -0.025, 0.070]),
 ];
 
-/// The lowest sole is found softly over this height, m: a hard minimum would jerk the whole body at every step.
+/// Softness of the minimum over the soles' heights, m: a hard minimum would jerk the whole body at every step.
 const SOLE_SOFTNESS: f64 = 0.006;
 
-/// Puts the middle of the ankles over `position` and the soles on the floor (at most 11 mm above it, never below).
+/// Moves the midpoint of the ankles over `position` and the soles onto the floor (at most 11 mm above it, never below).
 fn stand(skeleton: &SimulatedSkeleton, rotations: [Matrix3<f64>; N_JOINTS], position: &Vector2<f64>) -> MotionPose {
     let mut pose = MotionPose { rotations, pelvis: Vector3::zeros() };
     let posed = skeleton.pose(&pose);

@@ -1,5 +1,4 @@
-//! People as a fit meets them: default bodies whose joints lie elsewhere inside the same skin, before a detector that has
-//! habits of its own.
+//! Individual bodies: default bodies with moved joints inside the same skin, and a detector with a keypoint bias.
 
 use super::config::{Bodies, SimulationConfig};
 use super::random::{Purpose, normal, stream};
@@ -14,14 +13,14 @@ use std::ops::RangeInclusive;
 /// Standard deviation per axis of a rest joint's distance from the default body's, m.
 const JOINT_SD: f64 = 0.010;
 
-/// How far a detector's hips lie from the joints, m (Needham et al., Scientific Reports 11, 2021).
+/// Distance of a detector's hips from the joints, m (Needham et al., Scientific Reports 11, 2021).
 const HIP_OFFSET: RangeInclusive<f64> = 0.030..=0.050;
-/// How far its other joints do, m.
+/// Distance of its other joint keypoints, m.
 const JOINT_OFFSET: RangeInclusive<f64> = 0.010..=0.020;
-/// How far points of face and feet do, which are seen directly, m.
+/// Distance of its points of face and feet, which are seen directly, m.
 const SKIN_OFFSET: RangeInclusive<f64> = 0.005..=0.010;
 
-/// By how much a person's rest joints lie off the default body's at the same betas, m; zero unless bodies are
+/// Differences of a person's rest joints from the default body's at the same betas, m; zero unless bodies are
 /// [`Bodies::Individual`].
 pub(super) fn joint_shifts(config: &SimulationConfig, person: usize) -> [Vector3<f64>; N_JOINTS] {
     let rng = &mut stream(config.seed, Purpose::Joints, 0, person);
@@ -31,8 +30,8 @@ pub(super) fn joint_shifts(config: &SimulationConfig, person: usize) -> [Vector3
     }
 }
 
-/// A body with its landmarks where the session's detector sees them: elsewhere than they are for [`Bodies::Individual`], by
-/// one offset for each kind of keypoint, fixed in the bone's frame, mirrored, the same for everybody.
+/// A body with its landmarks moved to the session's keypoints. For [`Bodies::Individual`] every kind of keypoint has one
+/// offset, fixed in the bone's frame, mirrored, the same for all people; otherwise the body is unchanged.
 pub(super) fn as_detected(body: BodyModel, config: &SimulationConfig) -> BodyModel {
     if config.bodies != Bodies::Individual {
         return body;
@@ -43,7 +42,7 @@ pub(super) fn as_detected(body: BodyModel, config: &SimulationConfig) -> BodyMod
     table.applied(&body, &offsets)
 }
 
-/// An offset in any direction that a habit may have: hips come out too high and too wide, what lies in the middle stays there.
+/// A random keypoint bias: hips are too high and too wide, points on the midline stay on it.
 fn offset(kind: &OffsetKind, rng: &mut ChaCha8Rng) -> Vector3<f64> {
     let is_hip = kind.name.ends_with("hip");
     let size = rng.random_range(match kind.is_joint {
@@ -51,14 +50,14 @@ fn offset(kind: &OffsetKind, rng: &mut ChaCha8Rng) -> Vector3<f64> {
         true => JOINT_OFFSET,
         false => SKIN_OFFSET,
     });
-    let mut way = Vector3::from_fn(|_, _| normal(rng, 1.0));
+    let mut direction = Vector3::from_fn(|_, _| normal(rng, 1.0));
     if is_hip {
-        way = Vector3::new(way.x.abs(), way.y.abs(), way.z);
+        direction = Vector3::new(direction.x.abs(), direction.y.abs(), direction.z);
     }
     if kind.is_on_midline() {
-        way.x = 0.0;
+        direction.x = 0.0;
     }
-    way.normalize() * size
+    direction.normalize() * size
 }
 
 #[cfg(test)]
@@ -76,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn joints_lie_ten_millimetres_off_per_axis() {
+    fn joints_differ_by_ten_millimetres_per_axis() {
         let config = config(Bodies::Individual);
         let shifts: Vec<f64> = (0..50).flat_map(|p| joint_shifts(&config, p)).flat_map(|s| [s.x, s.y, s.z]).collect();
         let sd = (shifts.iter().map(|s| s * s).sum::<f64>() / shifts.len() as f64).sqrt();
@@ -85,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn a_detector_sees_hips_too_wide_and_both_sides_alike() {
+    fn detected_hips_are_too_wide_and_symmetric() {
         let body = default_body();
         let seen = as_detected(body.clone(), &config(Bodies::Individual));
         let shift = |name: &str| {

@@ -1,4 +1,4 @@
-//! The points a detector looks for, from a posed skeleton: one rule a keypoint, for every convention.
+//! True keypoints of a posed skeleton: one rule a keypoint, for every convention.
 
 use super::config::SimulationConfig;
 use super::error::SimulationError;
@@ -9,7 +9,7 @@ use crate::body::model::{BodyModel, ShapedBody};
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention};
 use nalgebra::Vector3;
 
-/// Where a keypoint lies on the body.
+/// Position of a keypoint on the body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Rule {
     /// At an offset (m, for the generic adult) in the frame of a joint.
@@ -23,7 +23,7 @@ pub enum Rule {
     Between(usize, usize),
 }
 
-/// Points on the head, in the head's frame, m; the left one of a pair.
+/// Points on the head in the head's frame, m; the left one of each pair.
 const HEAD: [(&str, [f64; 3]); 7] = [
     ("nose", [0.0, 0.045, 0.115]),
     ("eye", [0.033, 0.080, 0.095]),
@@ -34,7 +34,7 @@ const HEAD: [(&str, [f64; 3]); 7] = [
     ("head_top", [0.0, 0.170, 0.015]),
 ];
 
-/// Points on feet and hands: name, joint it hangs on, offset on the left side, m.
+/// Points on feet and hands: name, joint, offset on the left side, m.
 const EXTREMITIES: [(&str, &str, [f64; 3]); 6] = [
     ("big_toe", "foot", [-0.020, -0.015, 0.070]),
     ("small_toe", "foot", [0.045, -0.015, 0.040]),
@@ -70,17 +70,17 @@ impl Rule {
     }
 }
 
-/// What a detector finds on one person.
+/// The true keypoints of one person.
 #[derive(Debug, Clone)]
 pub enum Detectable {
-    /// Points by rule, on a person of a size relative to the generic adult.
+    /// Points by rule, on a person of the given size relative to the generic adult.
     Rules(Vec<Rule>, f64),
     /// Landmarks (by index) of the default body in a shape.
     Body(Box<(BodyModel, ShapedBody)>, Vec<usize>),
 }
 
 impl Detectable {
-    /// What the session's detector takes for its named keypoints on a person.
+    /// The points that the session's detector reports for its named keypoints on a person.
     ///
     /// # Errors
     /// [`SimulationError::UnknownKeypoint`] where the body has no such point.

@@ -1,20 +1,21 @@
-//! Seeded scenes with exact truth and named noise: tests, demo, benchmarks.
+//! Seeded sessions with exact truth and documented noise, for tests, demo and benchmarks.
 //!
 //! In reading order:
 //!
-//! - [`config`], [`presets`]: what is simulated: people, cameras, noise
-//! - [`skeleton`]: the simulated body, deliberately not the one that is fitted
-//! - `individual`: default bodies with joints of their own, and a detector with habits
-//! - [`choreography`], [`gait`]: people who walk, stop, turn, crouch, sit, reach and gesture
+//! - [`config`], [`presets`]: people, cameras and noise of a session
+//! - [`skeleton`]: the simulated body, deliberately not the body model of the fit
+//! - `individual`: default bodies with moved joints, and a detector with a keypoint bias
+//! - [`choreography`], `action_generator`, [`gait`]: people who walk, stop, turn, crouch, sit, reach and gesture
 //! - `dance`: two people within arms' reach
-//! - [`placement`]: people from motion capture (AMASS layout) or drawn from the motion prior, put on the floor
-//! - [`landmarks`]: the points a detector looks for, from a posed skeleton
+//! - [`placement`], `drawn`: people from motion capture (AMASS layout) or from the motion prior, put on the floor
+//! - [`landmarks`]: the true keypoints of a posed skeleton
 //! - [`rig`]: cameras around the scene
-//! - [`occlusion`], [`detector`]: what each camera's detector and tracker report
-//! - [`truth`]: what really was, and its files
+//! - [`scene`]: joints and true keypoints over time; recordings
+//! - [`occlusion`], `observer`, [`detector`]: the detections of each camera
+//! - [`truth`]: the exact truth, and its files
 //!
-//! World: y up, metres, floor at y = 0. Every random number comes from a ChaCha8 stream keyed by the seed and by the
-//! item it belongs to (camera, person), so that one more camera changes nothing of the others.
+//! World: y up, metres, floor at y = 0. Every random number comes from a ChaCha8 stream keyed by the seed and by its
+//! item (camera, person), so that an additional camera does not change the others.
 
 mod action_generator;
 pub mod choreography;

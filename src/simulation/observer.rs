@@ -1,7 +1,7 @@
-//! One person as one camera's detector sees them.
+//! Simulated detections of one person in a view.
 //!
-//! Errors are proportional to the person's apparent size and partly drift slowly; outliers have heavy tails; hidden
-//! joints are worse and mostly missing; detections vanish for runs of frames; left and right get exchanged.
+//! Errors are proportional to the person's apparent size and partly drift slowly; outliers have heavy tails; hidden joints
+//! have larger errors and are mostly missing; detections are missing for runs of frames; left and right are exchanged.
 
 use super::config::{NoiseConfig, SimulationConfig};
 use super::occlusion::is_hidden;
@@ -15,7 +15,7 @@ use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StudentT;
 
-/// Which points a left/right flip exchanges.
+/// The points that a left/right flip exchanges.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Flip {
     Body,
@@ -23,7 +23,7 @@ enum Flip {
     Arms,
 }
 
-/// A detector's state for one person: its random stream, its drift, its lapses.
+/// The detector's state for one person: random stream, drift and missing frames.
 pub(super) struct Observer {
     rng: ChaCha8Rng,
     person: usize,
@@ -37,15 +37,15 @@ pub(super) struct Observer {
 
 /// Correlation of the detector's drift after 1/30 s.
 const DRIFT_MEMORY_30HZ: f64 = 0.9;
-/// Shares of drift and of white jitter in a joint's error; their squares add up to one.
+/// Shares of drift and of white jitter in a joint's error; their squares sum to one.
 const DRIFT_SHARE: f64 = 0.6;
 const WHITE_SHARE: f64 = 0.8;
-/// People smaller than this are seen no more precisely, px.
+/// Smallest apparent size for the noise, px.
 const MIN_SIZE_PX: f64 = 20.0;
-/// A person nearer than this to the camera plane is not seen, m.
+/// Points nearer to the camera plane than this are not seen, m.
 const MIN_DEPTH: f64 = 0.2;
 
-/// A point in the image before the detector's faults.
+/// A point in the image before noise is added.
 #[derive(Debug, Clone, Copy)]
 struct Projected {
     pixel: Vector2<f64>,
@@ -140,7 +140,7 @@ impl Observer {
         starts
     }
 
-    /// Pixels with jitter and outliers, and which are outliers.
+    /// Pixels with jitter and outliers, and whether each is an outlier.
     fn disturbed(&mut self, points: &[Projected], size: f64) -> (Vec<Vector2<f64>>, Vec<bool>) {
         let noise = self.noise;
         let heavy = StudentT::new(1.8).expect("1.8 degrees of freedom are positive");
@@ -170,7 +170,7 @@ impl Observer {
         }
     }
 
-    /// What is said of one point: pixels to a hundredth, confidence (falls with the error) to a thousandth.
+    /// The keypoint reported of one point: pixels to a hundredth, confidence (falls with the error) to a thousandth.
     fn report(&mut self, point: &Projected, pixel: &Vector2<f64>, error_of_size: f64) -> Keypoint {
         let hidden = if point.hidden { 0.20 } else { 0.0 };
         let confidence = 0.95 * (-error_of_size / 0.10).exp() + normal(&mut self.rng, 0.08) - hidden;
@@ -215,7 +215,7 @@ fn project(scene: &SimulatedScene, frame: usize, person: usize, camera: &RigCame
     scene.keypoints[frame][person].iter().map(point).collect()
 }
 
-/// The longer side of the box round the points in the image, px.
+/// The longer side of the bounding box of the points in the image, px.
 fn apparent_size(points: &[Projected]) -> f64 {
     let seen = || points.iter().filter(|p| p.in_view);
     let low = seen().fold(Vector2::repeat(f64::INFINITY), |low, p| low.inf(&p.pixel));

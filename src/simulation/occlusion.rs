@@ -1,4 +1,4 @@
-//! Who hides whom: people as capsules between the camera and a point.
+//! Occlusion: people as capsules between the camera and a point.
 
 use super::skeleton::joint;
 use crate::body::skeleton::N_JOINTS;
@@ -19,14 +19,14 @@ const CAPSULES: [(usize, usize, f64); 11] = [
     (joint("head"), joint("head"), 0.12),
 ];
 
-/// A body hides a point of another one that lies farther behind it than this, m.
+/// A body hides points of other people that are farther behind it than this, m.
 const GAP_OTHER: f64 = 0.10;
-/// It hides its own points only from farther away (they lie on its surface), m.
+/// A body hides its own points only if they are farther behind than this, since they lie on its surface, m.
 const GAP_OWN: f64 = 0.25;
-/// And with thinner capsules.
+/// Relative thickness of the capsules that hide a person's own points.
 const OWN_THICKNESS: f64 = 0.6;
 
-/// Whether the sight from `center` to a point of person `owner` is blocked by a capsule of anybody in `people`.
+/// Whether a capsule of any of `people` blocks the line of sight from `center` to a point of person `owner`.
 pub fn is_hidden(
     center: &Vector3<f64>,
     point: &Vector3<f64>,
@@ -43,12 +43,12 @@ pub fn is_hidden(
     })
 }
 
-/// Two segments at their nearest.
+/// The nearest points of two segments.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nearest {
     /// Distance, m.
     pub distance: f64,
-    /// Where on the first segment, 0 to 1.
+    /// Position on the first segment, 0 to 1.
     pub along_first: f64,
 }
 

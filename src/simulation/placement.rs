@@ -1,4 +1,4 @@
-//! People from takes, of files or drawn from the prior: resampled, cut to length, put on the floor and next to each other.
+//! People from takes, read from files or drawn from the prior: resampled, cut, put on the floor and next to each other.
 
 use super::config::{Bodies, SimulationConfig};
 use super::drawn::{drawn_take, stand};
@@ -13,12 +13,12 @@ use nalgebra::{Matrix3, Vector3};
 use rand::RngExt;
 use std::path::PathBuf;
 
-/// One person a file, in the given order; the session is as long as the shortest of them, at most `config.frames`.
+/// One person a file, in the given order; the session is as long as the shortest take, at most `config.frames`.
 ///
-/// A longer take is read from a random start.
+/// Longer takes start at a random frame.
 ///
 /// # Errors
-/// [`SimulationError`] where there are too few files or one cannot be read.
+/// [`SimulationError`] if there are too few files or one cannot be read.
 pub fn people_from_files(
     paths: &[PathBuf],
     config: &SimulationConfig,
@@ -45,7 +45,7 @@ pub fn people_from_files(
     Ok(placed(people, config))
 }
 
-/// People whose motions are drawn from the prior, each with an own body.
+/// People with motions drawn from the prior, each with a random body.
 pub fn people_from_prior(config: &SimulationConfig) -> Vec<SimulatedPerson> {
     let person = |index: usize| {
         let mut person =
@@ -57,8 +57,8 @@ pub fn people_from_prior(config: &SimulationConfig) -> Vec<SimulatedPerson> {
     placed((0..config.people).map(person).collect(), config)
 }
 
-/// Each person is shifted and turned on the floor so that people share the space, 0.45 m apart where a place is found within
-/// 200 tries, within 2.2 m of the centre; all as long as the shortest.
+/// Shifts and turns people on the floor so that they share the space: 0.45 m apart, if a position is found within 200 tries,
+/// and within 2.2 m of the centre. All takes are cut to the shortest.
 fn placed(mut people: Vec<SimulatedPerson>, config: &SimulationConfig) -> Vec<SimulatedPerson> {
     let n_frames = people.iter().map(|p| p.poses.len()).min().unwrap_or(0);
     people.iter_mut().for_each(|p| p.poses.truncate(n_frames));
@@ -69,10 +69,10 @@ fn placed(mut people: Vec<SimulatedPerson>, config: &SimulationConfig) -> Vec<Si
     people
 }
 
-/// Somebody in the motion of a take, at the session's rate: rotations along the geodesic, positions along the line; a default
-/// body with its bones where the captured ones were.
+/// A person with the motion of a take at the session's frame rate: rotations along the geodesic, positions linear. Rotations
+/// of a default body are retargeted from the mocap skeleton.
 fn resampled(take: MotionTake, body: SimulatedPerson, fps: f64) -> SimulatedPerson {
-    let zero = body.betas.map(|_| default_body().mocap_from_body);
+    let mocap_from_body = body.betas.map(|_| default_body().mocap_from_body);
     let duration = (take.poses.len() - 1) as f64 / take.fps;
     let n_frames = (duration * fps + 1e-9).floor() as usize + 1;
     let pose = |frame: usize| {
@@ -81,9 +81,9 @@ fn resampled(take: MotionTake, body: SimulatedPerson, fps: f64) -> SimulatedPers
         let (a, b) = (&take.poses[first], &take.poses[(first + 1).min(take.poses.len() - 1)]);
         let share = (at - first as f64).clamp(0.0, 1.0);
         let turn = |j: usize| {
-            let captured = a.rotations[j]
+            let mocap = a.rotations[j]
                 * rotation::exp(&(rotation::log(&(a.rotations[j].transpose() * b.rotations[j])) * share));
-            zero.as_ref().map_or(captured, |zero| retargeted(&captured, j, zero))
+            mocap_from_body.as_ref().map_or(mocap, |mocap_from_body| retargeted(&mocap, j, mocap_from_body))
         };
         MotionPose { rotations: std::array::from_fn(turn), pelvis: a.pelvis.lerp(&b.pelvis, share) }
     };
@@ -101,10 +101,10 @@ fn cut(person: &mut SimulatedPerson, config: &SimulationConfig, index: usize) {
     }
 }
 
-/// Foot joints lie this high above the floor when the foot stands on it, m.
+/// Height of foot joints above the floor when the foot stands on it, m.
 const FOOT_HEIGHT: f64 = 0.03;
 
-/// Shifts the take in height: its lowest foot is on the floor in 95 % of all frames or higher.
+/// Shifts the take in height so that its lowest foot is on the floor or above it in 95 % of all frames.
 fn put_on_floor(person: &mut SimulatedPerson) {
     let lowest_foot = |pose: &MotionPose| {
         let joints = person.skeleton.pose(pose).joints;
@@ -116,7 +116,7 @@ fn put_on_floor(person: &mut SimulatedPerson) {
     person.poses.iter_mut().for_each(|pose| pose.pelvis.y -= floor);
 }
 
-/// Turns and shifts a person on the floor, away from those already placed.
+/// Turns and shifts a person on the floor, away from those that are already placed.
 fn place(person: &mut SimulatedPerson, placed: &[SimulatedPerson], config: &SimulationConfig, index: usize) {
     const NEAR: f64 = 0.45;
     const FAR: f64 = 2.2;

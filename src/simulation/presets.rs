@@ -1,16 +1,16 @@
-//! Configurations by name, and random ones.
+//! Named and random configurations.
 
 use super::config::{Bodies, MotionSource, NoiseConfig, RigConfig, SimulationConfig, Tracks};
 use super::random::{Purpose, stream};
 use crate::body::skeleton::KeypointConvention;
 use rand::RngExt;
 
-/// How hard a session is.
+/// Difficulty of a session.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Preset {
     /// 2 people, 8 views, a good detector, no swaps.
     Easy,
-    /// 2 people, 6 views, a usual detector.
+    /// 2 people, 6 views, a typical detector.
     Paper,
     /// 4 people, 5 views, a poor detector and tracker.
     Hard,

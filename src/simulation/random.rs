@@ -1,10 +1,10 @@
-//! Random streams keyed by the item they belong to.
+//! Random streams keyed by purpose and item.
 
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
-/// What a stream of random numbers is for.
+/// Purpose of a stream of random numbers; its index is part of the stream's key.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Purpose {
     Config,

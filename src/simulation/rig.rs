@@ -8,20 +8,20 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 /// One camera of the rig.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RigCamera {
-    /// Its name.
+    /// Name of the camera.
     pub id: String,
-    /// Its exact intrinsics.
+    /// Exact intrinsics.
     pub intrinsics: Intrinsics,
-    /// Its exact pose.
+    /// Exact pose.
     pub camera_from_world: Rigid,
 }
 
 /// The middle of a standing person, which every camera is aimed at, m.
 const AIM_HEIGHT: f64 = 0.95;
-/// No camera hangs lower than this, m.
+/// Smallest height of a camera, m.
 const MIN_HEIGHT: f64 = 0.6;
 
-/// `views` cameras as `config` says; camera `i` has its own random stream.
+/// The cameras of a configuration; every camera has a separate random stream.
 pub fn cameras(config: &RigConfig, views: usize, seed: u64) -> Vec<RigCamera> {
     (0..views).map(|view| camera(config, view, views, seed)).collect()
 }
@@ -37,7 +37,7 @@ fn camera(config: &RigConfig, view: usize, views: usize, seed: u64) -> RigCamera
     let fov = (config.fov_deg * (1.0 + normal(&mut rng, 0.03))).clamp(1.0, 160.0).to_radians();
     let (width, height) = (f64::from(config.image_width), f64::from(config.image_height));
     let dist = config.lens.distortion();
-    // The edge of the image shows what lies at half the field of view.
+    // The edge of the image is at half the field of view.
     let focal = ten_thousandths(0.5 * width / dist.distorted(&Vector2::new((0.5 * fov).tan(), 0.0)).x);
     let intrinsics = Intrinsics {
         width: config.image_width,
@@ -57,7 +57,7 @@ fn camera(config: &RigConfig, view: usize, views: usize, seed: u64) -> RigCamera
     }
 }
 
-/// Where a camera stands on the circle, rad from +z towards +x.
+/// Position of a camera on the circle, rad from +z towards +x.
 fn azimuth(arrangement: Arrangement, view: usize, views: usize) -> f64 {
     match arrangement {
         Arrangement::Ring => std::f64::consts::TAU * view as f64 / views as f64,
@@ -73,7 +73,7 @@ fn camera_rotation_towards(direction: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::from_rows(&[right.transpose(), down.transpose(), forward.transpose()])
 }
 
-/// Calibration files carry four decimals; the truth has no more.
+/// Rounds to four decimals, the precision of calibration files.
 fn ten_thousandths(value: f64) -> f64 {
     (value * 1e4).round() / 1e4
 }

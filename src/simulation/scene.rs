@@ -1,4 +1,4 @@
-//! The simulated scene, and what one camera records of it.
+//! The simulated scene, and the recording of one camera.
 
 use super::config::SimulationConfig;
 use super::error::SimulationError;
@@ -8,54 +8,54 @@ use crate::body::skeleton::{KeypointConvention, N_JOINTS};
 use crate::session::Detection;
 use nalgebra::Vector3;
 
-/// The people, posed, and the points a detector looks for.
+/// Joints and true keypoints of all people over time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulatedScene {
     /// `joints[frame][person][joint]`, world, m.
     pub joints: Vec<Vec<[Vector3<f64>; N_JOINTS]>>,
-    /// `keypoints[frame][person][keypoint]`: what the detector takes for the convention's named points, world, m.
+    /// `keypoints[frame][person][keypoint]`: the true keypoints, including the keypoint bias, world, m.
     pub keypoints: Vec<Vec<Vec<Vector3<f64>>>>,
-    /// What the points are.
+    /// Convention of the keypoints.
     pub convention: KeypointConvention,
-    /// Whether each frame lies within the time that is simulated.
+    /// Whether each frame lies within the simulated time.
     pub exists: Vec<bool>,
 }
 
-/// What one camera delivers, and the truth about it.
+/// The recording of one camera, and its truth.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ViewRecording {
-    /// Detections, frame by frame.
+    /// Detections by frame.
     pub frames: Vec<Vec<Detection>>,
-    /// The true person of each of them.
+    /// The true person of each detection.
     pub identities: Vec<Vec<usize>>,
-    /// What was counted on the way.
+    /// Counts of detections and noise.
     pub tally: Tally,
 }
 
-/// Counts of what the detector did.
+/// Counts of detections and noise.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Tally {
-    /// People with at least four points in the image.
+    /// Number of people with at least four points in the image, over all frames.
     pub detections_possible: usize,
-    /// Points in the image, of those detected.
+    /// Number of points in the image, of the people detected.
     pub joints_in_view: usize,
-    /// Points reported.
+    /// Number of points reported.
     pub joints: usize,
-    /// Identity swaps begun.
+    /// Number of identity swaps.
     pub swaps: usize,
-    /// Detections with left and right exchanged.
+    /// Number of detections with left and right exchanged.
     pub flips: usize,
-    /// Outliers reported.
+    /// Number of outliers reported.
     pub outliers: usize,
     /// Error of every point reported, px.
     pub errors_px: Vec<f64>,
 }
 
 impl SimulatedScene {
-    /// Poses everybody in every frame.
+    /// Poses all people in all frames.
     ///
     /// # Errors
-    /// [`SimulationError::UnknownKeypoint`] where a body has no point for a keypoint of the convention.
+    /// [`SimulationError::UnknownKeypoint`] if a body has no point for a keypoint of the convention.
     pub fn new(people: &[SimulatedPerson], config: &SimulationConfig) -> Result<Self, SimulationError> {
         let n_frames = people.iter().map(|p| p.poses.len()).min().unwrap_or(0);
         let detected = people.iter().map(|p| Detectable::new(p, config)).collect::<Result<Vec<_>, _>>()?;
@@ -69,8 +69,8 @@ impl SimulatedScene {
         Ok(scene)
     }
 
-    /// The scene as a camera sees it whose frame `n` is taken at `n + offset`; between frames on a cubic through four
-    /// of them (Catmull and Rom 1974), which at 30 Hz is within 0.1 mm of how people move.
+    /// The scene of a camera whose frame `n` is taken at time `n + offset`, frames; between frames a cubic through four of
+    /// them (Catmull and Rom 1974), which at 30 Hz is within 0.1 mm of real motion.
     pub(super) fn at_offset(&self, offset: f64) -> Self {
         let last = self.joints.len() as f64 - 1.0;
         let time = |frame: usize| frame as f64 + offset;
@@ -92,7 +92,7 @@ impl SimulatedScene {
     }
 }
 
-/// A path at a time between frames; before the first and after the last frame it stands still.
+/// A path at a time between frames; constant before the first and after the last frame.
 fn between(time: f64, last: f64, at: impl Fn(usize) -> Vector3<f64>) -> Vector3<f64> {
     let time = time.clamp(0.0, last);
     let (start, s) = (time.floor(), time.fract());

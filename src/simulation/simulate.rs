@@ -1,4 +1,4 @@
-//! A simulated session and its truth, from the configuration.
+//! Simulates a session and its truth from a configuration.
 
 use super::config::{MotionSource, SimulationConfig};
 use super::detector::record;
@@ -10,13 +10,13 @@ use super::truth::{self, Simulated, Truth};
 use super::{choreography, dance, placement};
 use crate::session::{Session, View};
 
-/// Simulates a session and keeps its truth.
+/// Simulates a session and its truth.
 ///
 /// # Errors
 /// [`SimulationError`] when the configuration is out of range or a motion file cannot be read.
 pub fn simulate(config: &SimulationConfig) -> Result<Simulated, SimulationError> {
     config.check()?;
-    let people = people_in_motion(config)?;
+    let people = simulated_people(config)?;
     let scene = SimulatedScene::new(&people, config)?;
     let cameras = rig::cameras(&config.rig, config.views, config.seed);
     let recordings: Vec<ViewRecording> =
@@ -34,7 +34,7 @@ pub fn simulate(config: &SimulationConfig) -> Result<Simulated, SimulationError>
     Ok(Simulated { session: session(config, truth.joints.len(), cameras, recordings), truth, config: config.clone() })
 }
 
-fn people_in_motion(config: &SimulationConfig) -> Result<Vec<SimulatedPerson>, SimulationError> {
+fn simulated_people(config: &SimulationConfig) -> Result<Vec<SimulatedPerson>, SimulationError> {
     match &config.motion {
         MotionSource::Procedural => Ok(choreography::procedural_people(config)),
         MotionSource::Dance => Ok(dance::dancing_people(config)),

@@ -1,6 +1,6 @@
 //! The simulated body: 24 joints in SMPL's order, generic adult proportions, individual variation.
 //!
-//! It is deliberately not the body model that is fitted to sessions: a simulation judges only what does not share its
+//! It is deliberately not the body model of the fit: a simulation can only judge methods that do not share its
 //! assumptions. Proportions are rounded figures near de Leva's joint centres (J. Biomech. 29, 1996), stature 1.72 m.
 
 use super::config::{Bodies, SimulationConfig};
@@ -13,7 +13,7 @@ use crate::motion_prior::motion_file::MotionPose;
 use nalgebra::Vector3;
 use rand_chacha::ChaCha8Rng;
 
-/// Joint offsets of one person.
+/// Joint offsets of one simulated person.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulatedSkeleton {
     /// From the parent to the joint in the zero pose (a T facing +z, left = +x, y up), m; entry 0 is zero.
@@ -22,22 +22,22 @@ pub struct SimulatedSkeleton {
     pub scale: f64,
 }
 
-/// One person in motion.
+/// One simulated person and their motion.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulatedPerson {
-    /// The body.
+    /// The skeleton.
     pub skeleton: SimulatedSkeleton,
-    /// Its shape, where it is the default body.
+    /// Shape, if the body is the default body.
     pub betas: Option<Betas>,
-    /// By how much its rest joints lie off those of the default body in this shape, m.
+    /// Differences of the rest joints from those of the default body at this shape, m.
     pub joint_shifts: [Vector3<f64>; N_JOINTS],
-    /// One pose a frame.
+    /// Poses by frame.
     pub poses: Vec<MotionPose>,
-    /// Name of the motion.
+    /// Name of the motion's source.
     pub source: String,
 }
 
-/// Index of a joint by its name in [`JOINT_NAMES`]; in a constant a misspelt name does not build.
+/// Index of a joint by its name in [`JOINT_NAMES`]; in a constant an unknown name is a compile error.
 pub(super) const fn joint(name: &str) -> usize {
     let mut index = 0;
     while index < N_JOINTS {
@@ -49,7 +49,7 @@ pub(super) const fn joint(name: &str) -> usize {
     panic!("no such joint")
 }
 
-/// String comparison that constants may use.
+/// String comparison for constants.
 const fn same(a: &[u8], b: &[u8]) -> bool {
     let mut i = 0;
     while i < a.len() && i < b.len() && a[i] == b[i] {
@@ -91,12 +91,11 @@ const LIMBS: [&[&str]; 7] = [
 const STATURE_SD: f64 = 0.06;
 /// Standard deviation of a segment's length at given stature.
 const LIMB_SD: f64 = 0.04;
-/// Further out than this many standard deviations people are not drawn.
+/// Largest deviation of drawn people, standard deviations.
 const MAX_DEVIATIONS: f64 = 2.5;
 
 impl SimulatedPerson {
-    /// The person of `config` by the seed, who does not move yet: an adult of the simulator's own, or the default body at
-    /// betas from N(0, 1).
+    /// A random person without motion: a random adult skeleton, or the default body at betas from N(0, 1).
     pub(super) fn still(config: &SimulationConfig, person: usize, source: &str) -> Self {
         let rng = &mut stream(config.seed, Purpose::Body, 0, person);
         let still = Self::of_skeleton(SimulatedSkeleton::generic(), source.to_owned());
@@ -109,12 +108,12 @@ impl SimulatedPerson {
         Self { skeleton: skeleton.unwrap_or(still.skeleton), ..still }
     }
 
-    /// Somebody of whom only the bones are known, who does not move yet.
+    /// A person without motion and shape, given the skeleton.
     pub(super) fn of_skeleton(skeleton: SimulatedSkeleton, source: String) -> Self {
         Self { skeleton, betas: None, joint_shifts: [Vector3::zeros(); N_JOINTS], poses: Vec::new(), source }
     }
 
-    /// The body model that the person is exactly, where it is the default body or one like it.
+    /// The person's exact body model, if it is the default body or an individual variant of it.
     pub fn model(&self) -> Option<BodyModel> {
         self.betas.map(|_| default_body().with_joints_moved(&self.joint_shifts))
     }

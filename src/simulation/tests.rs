@@ -18,7 +18,7 @@ fn bytes(simulated: &Simulated) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_session_and_another_one_another() {
+fn the_seed_determines_the_session() {
     let first = simulate(&small(Preset::Hard, 5)).unwrap();
     let again = simulate(&small(Preset::Hard, 5)).unwrap();
     assert_eq!(first, again);
@@ -27,7 +27,7 @@ fn the_same_seed_gives_the_same_session_and_another_one_another() {
 }
 
 #[test]
-fn one_more_view_changes_nothing_of_the_others_on_an_arc_of_one_point() {
+fn another_view_does_not_change_the_others() {
     let mut config = small(Preset::Hard, 2);
     config.rig.arrangement = Arrangement::Arc { span_deg: 0.0 };
     let few = simulate(&config).unwrap();
@@ -36,7 +36,7 @@ fn one_more_view_changes_nothing_of_the_others_on_an_arc_of_one_point() {
 }
 
 #[test]
-fn without_noise_every_point_in_the_image_is_where_it_projects() {
+fn without_noise_points_lie_at_their_projections() {
     let config = SimulationConfig { noise: NoiseConfig::NONE, ..small(Preset::Paper, 3) };
     let Simulated { session, truth, .. } = simulate(&config).unwrap();
     let (mut n, mut expected) = (0, 0);
@@ -63,9 +63,9 @@ fn without_noise_every_point_in_the_image_is_where_it_projects() {
 }
 
 #[test]
-fn presets_are_as_hard_as_their_statistics_say() {
-    // The simulator this one is modelled on: median error 2.0, 5.2, 8.8 px; joints kept 0.956, 0.901, 0.809.
-    // People here move differently and stand elsewhere: a quarter more or less in pixels, 0.07 in shares.
+fn presets_have_their_documented_difficulty() {
+    // Reference simulator: median error 2.0, 5.2, 8.8 px; joints kept 0.956, 0.901, 0.809. Motions and positions differ here:
+    // tolerance a quarter in pixels, 0.07 in shares.
     for (preset, median, kept) in [(Preset::Easy, 2.0, 0.956), (Preset::Paper, 5.2, 0.901), (Preset::Hard, 8.8, 0.809)]
     {
         let mut config = SimulationConfig::preset(preset);
@@ -98,7 +98,7 @@ fn bones_keep_their_lengths_and_people_differ() {
 }
 
 #[test]
-fn procedural_people_stand_on_the_floor_stay_in_reach_and_move_as_people_do() {
+fn procedural_people_stand_stay_near_and_move_naturally() {
     let config = SimulationConfig { frames: 1800, people: 3, ..SimulationConfig::preset(Preset::Paper) };
     let people = choreography::procedural_people(&config);
     let feet = [joint("left_foot"), joint("right_foot")];
@@ -125,10 +125,7 @@ fn procedural_people_stand_on_the_floor_stay_in_reach_and_move_as_people_do() {
     // Walking and gesturing people: 3 to 6 m/s^2 on average; a swung wrist reaches some 50, a heel strike 100.
     assert!(mean > 1.0 && mean < 8.0, "mean acceleration {mean} m/s^2");
     assert!(worst < 150.0, "greatest acceleration {worst} m/s^2");
-    assert!(
-        lowest_pelvis < 0.7 && highest_wrist > 1.6,
-        "nobody crouches ({lowest_pelvis}) or reaches up ({highest_wrist})"
-    );
+    assert!(lowest_pelvis < 0.7 && highest_wrist > 1.6, "lowest pelvis {lowest_pelvis}, highest wrist {highest_wrist}");
     for (a, b) in [(0, 1), (0, 2), (1, 2)] {
         let nearest = (0..1800).map(|f| (posed[a][f][0] - posed[b][f][0]).xz().norm()).fold(9.0, f64::min);
         assert!(nearest > 0.2, "people {a} and {b} walk through each other: {nearest} m");
@@ -149,7 +146,7 @@ fn a_motion_does_not_depend_on_the_frame_rate() {
 }
 
 #[test]
-fn every_convention_can_be_simulated_and_keeps_left_and_right_apart() {
+fn simulates_every_convention_with_mirrored_sides() {
     let person = skeleton::SimulatedSkeleton::generic();
     let rest = crate::motion_prior::motion_file::MotionPose {
         rotations: [nalgebra::Matrix3::identity(); N_JOINTS],
@@ -199,7 +196,7 @@ fn swaps_exchange_two_people_for_5_to_60_frames() {
 }
 
 #[test]
-fn nonsense_is_refused_by_name() {
+fn rejects_values_out_of_range_by_name() {
     let mut config = SimulationConfig::preset(Preset::Easy);
     config.rig.fov_deg = f64::NAN;
     assert!(matches!(simulate(&config), Err(SimulationError::Config { field: "fov_deg", .. })));
@@ -211,7 +208,7 @@ fn nonsense_is_refused_by_name() {
 }
 
 #[test]
-fn random_rigs_stay_in_their_ranges_and_are_solvable_captures() {
+fn random_rigs_stay_in_their_ranges() {
     for seed in 0..50 {
         let c = random_rig_config(seed);
         c.check().unwrap();
@@ -258,7 +255,7 @@ fn write_take(path: &std::path::Path, z_up: bool) {
 }
 
 #[test]
-fn motion_files_are_resampled_turned_upright_and_put_on_the_floor() {
+fn motion_files_are_resampled_and_put_on_the_floor() {
     let folder = tempfile::tempdir().unwrap();
     let poses = [false, true].map(|z_up| {
         let path = folder.path().join(format!("take-{z_up}.npz"));
@@ -282,7 +279,7 @@ fn motion_files_are_resampled_turned_upright_and_put_on_the_floor() {
     }
     let feet = |pose| y_up.skeleton.pose(pose).joints[joint("left_foot")].y;
     assert!((feet(&y_up.poses[0]) - 0.03).abs() < 0.01);
-    // Walks 0.3 m in the second, whichever way it was turned.
+    // Walks 0.3 m within the second, however it was turned.
     assert!(((y_up.poses[30].pelvis - y_up.poses[0].pelvis).norm() - 0.3).abs() < 1e-9);
 }
 
@@ -302,7 +299,7 @@ fn real_motion_capture_can_be_simulated() {
     let config = SimulationConfig { people: 2, frames: 120, motion, ..SimulationConfig::preset(Preset::Paper) };
     let Simulated { truth, .. } = simulate(&config).unwrap();
     assert!(truth.statistics.det_rate > 0.8, "{:?}", truth.statistics);
-    // Left is left: seen from behind, the left hip is on the left of somebody who faces +z in their own frame.
+    // The left hip is at +x in the pelvis's frame.
     let pelvis = &truth.people[0].poses[0].rotations[0];
     let across = truth.joints[0][0][joint("left_hip")] - truth.joints[0][0][joint("right_hip")];
     assert!(pelvis.column(0).dot(&across) > 0.1);
@@ -323,7 +320,7 @@ fn a_body_between_camera_and_point_hides_it() {
     assert!(occlusion::is_hidden(&camera, &back[spine], 0, &[&back, &front]));
     assert!(!occlusion::is_hidden(&camera, &front[spine], 1, &[&back, &front]));
     assert!(!occlusion::is_hidden(&camera, &back[spine], 0, &[&back, &aside]));
-    // A point on the own surface is not hidden by the own body.
+    // A point on a body's surface is not hidden by the same body.
     assert!(!occlusion::is_hidden(&camera, &back[spine], 0, &[&back]));
     let crossing = occlusion::nearest_on_segments(
         &Vector3::new(-1.0, 0.0, 0.0),

@@ -1,4 +1,4 @@
-//! What a tracker calls people in one view.
+//! Simulated track numbers of a view.
 
 use super::config::{SimulationConfig, Tracks};
 use super::random::{Purpose, stream};
@@ -6,7 +6,7 @@ use rand::RngExt;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 
-/// Names people, and sometimes exchanges two of them.
+/// Numbers people, and sometimes swaps two of them.
 pub(super) struct SimulatedTracker {
     rng: ChaCha8Rng,
     people: usize,
@@ -37,12 +37,12 @@ impl SimulatedTracker {
         }
     }
 
-    /// The stream of this view's own choices.
+    /// The random stream of this view.
     pub(super) fn rng(&mut self) -> &mut ChaCha8Rng {
         &mut self.rng
     }
 
-    /// Goes on by one frame; true where two people are exchanged from now on.
+    /// Advances by one frame; true if a swap of two people starts.
     pub(super) fn step(&mut self) -> bool {
         if self.frames_left > 0 {
             self.frames_left -= 1;
@@ -59,7 +59,7 @@ impl SimulatedTracker {
         false
     }
 
-    /// What the person is called in this frame.
+    /// Track number of a person in this frame.
     pub(super) fn track_id(&self, person: usize) -> Option<i64> {
         let named = match self.swapped {
             Some((a, b)) if a == person => b,

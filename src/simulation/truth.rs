@@ -1,4 +1,4 @@
-//! What really was, and its files.
+//! Ground truth of a simulated session, and its files.
 
 use super::config::{Bodies, SimulationConfig};
 use super::scene::{SimulatedScene, ViewRecording};
@@ -15,14 +15,14 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-/// A session and the truth about it.
+/// A simulated session with its truth and configuration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Simulated {
-    /// What a user would upload.
+    /// The session as a user would upload it.
     pub session: Session,
-    /// What they would like to know.
+    /// Its exact truth.
     pub truth: Truth,
-    /// What was asked for.
+    /// Its configuration.
     pub config: SimulationConfig,
 }
 
@@ -33,52 +33,52 @@ pub struct Truth {
     pub cameras: Vec<Rigid>,
     /// `joints[frame][person][joint]`, SMPL's order.
     pub joints: Vec<Vec<[Vector3<f64>; N_JOINTS]>>,
-    /// `keypoints[frame][person][keypoint]`, what the detector takes for the convention's named points.
+    /// `keypoints[frame][person][keypoint]`, including the keypoint bias.
     pub keypoints: Vec<Vec<Vec<Vector3<f64>>>>,
     /// `identities[view][frame][detection]`: the true person.
     pub identities: Vec<Vec<Vec<usize>>>,
     /// Bodies and their motion.
     pub people: Vec<SimulatedPerson>,
-    /// How hard the session turned out.
+    /// Counts and errors of the detections.
     pub statistics: Statistics,
 }
 
-/// How hard a session turned out.
+/// Counts and errors of a session's detections.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Statistics {
-    /// Detections.
+    /// Number of detections.
     pub det: usize,
-    /// People and views and frames with at least four points in the image.
+    /// Number of people, views and frames with at least four points in the image.
     pub det_possible: usize,
     /// `det / det_possible`.
     pub det_rate: f64,
-    /// Points reported.
+    /// Number of points reported.
     pub joints: usize,
-    /// Points in the image, of the people detected.
+    /// Number of points in the image, of the people detected.
     pub joints_in_view: usize,
     /// `joints / joints_in_view`.
     pub joint_rate: f64,
-    /// Identity swaps.
+    /// Number of identity swaps.
     pub swaps: usize,
-    /// Left/right flips.
+    /// Number of left/right flips.
     pub flips: usize,
-    /// Outliers reported.
+    /// Number of outliers reported.
     pub outliers: usize,
-    /// Median error of the points reported, px.
+    /// Median error of the reported points, px.
     pub err_px_median: Option<f64>,
-    /// 95th percentile, px.
+    /// 95th percentile of the error, px.
     pub err_px_p95: Option<f64>,
-    /// 99th percentile, px.
+    /// 99th percentile of the error, px.
     pub err_px_p99: Option<f64>,
-    /// Seed.
+    /// Seed of the session.
     pub seed: u64,
-    /// People.
+    /// Number of people.
     pub people: usize,
-    /// Cameras.
+    /// Number of cameras.
     pub views: usize,
-    /// Frames.
+    /// Number of frames.
     pub frames: usize,
-    /// Name of each person's motion.
+    /// Name of each person's motion source.
     pub sources: Vec<String>,
 }
 
@@ -117,10 +117,11 @@ pub(super) fn statistics(
 }
 
 /// Writes `gt/cameras.json`, `gt/poses3d.json`, `gt/keypoints3d.json`, `gt/identities.json`, `gt/simulation.json`, and
-/// `gt/bodies.json` where people are default bodies, under `session_folder`, which is made where it does not exist. Points are rounded to a thousandth of a millimetre.
+/// `gt/bodies.json` if people are default bodies, under `session_folder`, which is created if it does not exist. Points are
+/// rounded to a thousandth of a millimetre.
 ///
 /// # Errors
-/// Whatever the file system says.
+/// What the file system reports.
 pub fn write_truth(simulated: &Simulated, session_folder: &Path) -> io::Result<()> {
     let (session, truth) = (&simulated.session, &simulated.truth);
     let folder = session_folder.join("gt");

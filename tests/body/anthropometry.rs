@@ -1,4 +1,4 @@
-//! M6 to M9: the body against the survey and against published segment masses.
+//! Tests of the body against the survey and against published segment masses.
 
 use nalgebra::Vector3;
 use rand::SeedableRng;
@@ -36,7 +36,7 @@ fn girth(surface: &Surface, y: f64, from: f64) -> f64 {
     total
 }
 
-/// M6. Means of ANSUR II, men and women half and half.
+/// Means of ANSUR II, men and women half and half.
 #[test]
 fn the_mean_body_has_the_surveys_measures() {
     let model = default_body();
@@ -62,8 +62,8 @@ fn the_mean_body_has_the_surveys_measures() {
     }
 }
 
-/// Volume where the part holds: columns of 4 mm along z, good to 1 %, a column's part decided by its x and y, and
-/// shared out by the skin weights of `joints` where any are given.
+/// Volume of a body part by columns of 4 mm along z, to 1 %: columns where `is_inside` holds at their x and y, weighted by
+/// the skin weights of `joints` if any are given.
 fn part_volume(model: &BodyModel, joints: &[usize], is_inside: &dyn Fn(f64, f64) -> bool) -> f64 {
     const CELL: f64 = 0.004;
     let surface = &model.surface;
@@ -101,10 +101,10 @@ fn part_volume(model: &BodyModel, joints: &[usize], is_inside: &dyn Fn(f64, f64)
     total
 }
 
-/// M7. De Leva 1996, men and women averaged, % of the whole. His thigh ends at a plane through the crotch and the front
+/// De Leva 1996, men and women averaged, % of the whole. His thigh ends at a plane through the crotch and the front
 /// iliac spine, 37 degrees from the midplane; shank and thigh part at the knee.
 #[test]
-fn segments_have_their_published_shares() {
+fn segment_masses_match_published_shares() {
     let model = default_body();
     let whole = model.surface.volume(&model.surface.vertices);
     let is_above_hips = |x: f64, y: f64| y > 0.81 + x.abs() * 1.327;
@@ -125,7 +125,6 @@ fn segments_have_their_published_shares() {
     }
 }
 
-/// M8.
 #[test]
 fn beta_0_is_stature_and_beta_1_is_mass() {
     let model = default_body();
@@ -148,9 +147,9 @@ fn beta_0_is_stature_and_beta_1_is_mass() {
     }
 }
 
-/// M9. The survey: SD 92 mm and 15.5 kg, correlation 0.69.
+/// The survey: SD 92 mm and 15.5 kg, correlation 0.69.
 #[test]
-fn drawn_bodies_spread_as_the_population_does() {
+fn drawn_bodies_vary_as_the_population() {
     let model = default_body();
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(9);
     let drawn: Vec<[f64; 2]> = (0..1000)

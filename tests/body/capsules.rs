@@ -1,4 +1,4 @@
-//! M14: the capsules against the skin, and their derivatives.
+//! Tests of the capsules against the skin, and of their derivatives.
 
 use crate::posing::{random_pose, standard_poses};
 use nalgebra::Vector3;
@@ -73,16 +73,16 @@ fn the_capsules_follow_the_skin_in_natural_poses() {
     describe("near standing", &near);
     assert_near("20 poses", summary(near.concat()));
     describe("twice as far", &drawn(0.5));
-    // Extreme bends are reported, not judged: see the module's known limits.
+    // Extreme bends are printed, not tested: see the module's known limits.
     for (name, pose) in standard_poses() {
         let [rms, p95] = residual_mm(&model, &capsules, &Betas::zeros(), &pose);
         println!("{name}: {rms:.2} mm, {p95:.2} mm");
     }
 }
 
-/// A wider, taller and deeper body: nothing of the embedded one's sizes is built in.
+/// A wider, taller and deeper body: the fit does not depend on the default body's size.
 #[test]
-fn another_body_gets_capsules_of_its_own() {
+fn fits_another_body() {
     let mut model = default_body();
     let mut surface = (*model.surface).clone();
     surface.vertices.iter_mut().for_each(|v| *v = v.component_mul(&Vector3::new(1.1, 1.15, 1.2)));
@@ -140,7 +140,7 @@ fn derivatives_agree_with_central_differences() {
 
 /// Two bodies face to face, apart, then one inside the other.
 #[test]
-fn bodies_are_apart_or_overlap_by_what_they_are() {
+fn distances_between_bodies_match_the_mesh() {
     let model = default_body();
     let capsules = BodyCapsules::fitted(&model);
     let at = |z: f64| {

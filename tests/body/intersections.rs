@@ -1,4 +1,4 @@
-//! M5: no triangle cuts another.
+//! Tests for self-intersections of the mesh.
 
 use crate::posing::standard_poses;
 use nalgebra::Vector3;
@@ -58,7 +58,7 @@ fn cuts(p: &[Vector3<f64>; 3], q: &[Vector3<f64>; 3]) -> bool {
 }
 
 #[test]
-fn the_counter_counts() {
+fn counts_known_intersections() {
     let triangle = |z: f64| [Vector3::new(0.0, 0.0, z), Vector3::new(0.02, 0.0, z), Vector3::new(0.0, 0.02, z)];
     let spike = [Vector3::new(0.005, 0.005, -0.01), Vector3::new(0.006, 0.005, 0.01), Vector3::new(0.005, 0.007, 0.01)];
     let vertices: Vec<_> = triangle(0.0).into_iter().chain(spike).chain(triangle(0.5)).collect();
@@ -66,7 +66,7 @@ fn the_counter_counts() {
 }
 
 #[test]
-fn no_shape_cuts_itself_at_rest_nor_with_lowered_arms() {
+fn the_mean_shape_does_not_intersect_itself() {
     let model = default_body();
     let surface = &model.surface;
     let mut a_pose = Pose::rest();
@@ -76,17 +76,17 @@ fn no_shape_cuts_itself_at_rest_nor_with_lowered_arms() {
     assert_eq!(n_intersections(&skinned(&model, &Betas::zeros(), &a_pose), &surface.faces), 0);
 }
 
-/// How many of 200 drawn shapes cut themselves, and the most pairs of faces that one of them has.
+/// Number of 200 drawn shapes that intersect themselves, and the most intersecting pairs of faces of one of them.
 fn n_cutting(draw: &mut dyn FnMut() -> Betas) -> [usize; 2] {
     let surface = &default_body().surface;
     let pairs: Vec<usize> = (0..200).map(|_| n_intersections(&surface.shaped(&draw()), &surface.faces)).collect();
     [pairs.iter().filter(|n| **n > 0).count(), pairs.iter().copied().max().unwrap_or(0)]
 }
 
-/// Every beta anywhere within two standard deviations, and as a known limit all of them at their ends at once (a shape
-/// that nobody has: 6.3 standard deviations): there the seams of arm and chest and of shoulder and neck fold.
+/// Every beta uniform within two standard deviations and, as a known limit, all betas at +-2 at once (an unrealistic shape:
+/// 6.3 standard deviations): there the seams of arm and chest and of shoulder and neck fold.
 #[test]
-fn drawn_shapes_hardly_ever_cut_themselves() {
+fn drawn_shapes_rarely_intersect_themselves() {
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(5);
     let [within, worst_within] = n_cutting(&mut || Betas::from_fn(|_, _| rng.random_range(-2.0..=2.0)));
     let [at_ends, worst_at_ends] =
@@ -96,9 +96,9 @@ fn drawn_shapes_hardly_ever_cut_themselves() {
     assert!(at_ends <= 60 && worst_at_ends <= 100);
 }
 
-/// Creases cut themselves under linear blending; the counts are reported, not judged.
+/// Creases intersect under linear blend skinning; the counts are printed, not tested.
 #[test]
-fn creases_are_counted() {
+fn counts_intersections_in_creases() {
     let model = default_body();
     for (name, pose) in standard_poses() {
         let vertices = skinned(&model, &Betas::zeros(), &pose);

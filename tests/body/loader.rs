@@ -1,4 +1,4 @@
-//! M15 and the hostile files: every layout gives the body back, and no file does anything but be refused.
+//! Tests of the loader: every layout reproduces the body, and hostile files are rejected without side effects.
 
 use std::io::Write;
 use std::path::Path;
@@ -30,7 +30,7 @@ fn assert_same(found: &BodyModel, name: &str) {
 }
 
 #[test]
-fn every_layout_gives_the_default_body_back() {
+fn every_layout_reproduces_the_default_body() {
     let folder = tempfile::tempdir().unwrap();
     let source = folder.path().join("source.npz");
     std::fs::write(&source, body_npz(&default_body().surface, true).unwrap()).unwrap();
@@ -38,7 +38,7 @@ fn every_layout_gives_the_default_body_back() {
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/body/write_layouts.py");
     let has_numpy = Command::new("python3").args(["-c", "import numpy, scipy.sparse"]).status();
     if !has_numpy.is_ok_and(|status| status.success()) {
-        eprintln!("SKIPPED: python3 with numpy and scipy is not there; other programs' layouts are not tested");
+        eprintln!("SKIPPED: python3 with numpy and scipy is not installed; other programs' layouts are not tested");
         return;
     }
     let layouts = folder.path().join("layouts");
@@ -56,7 +56,7 @@ fn every_layout_gives_the_default_body_back() {
     }
 }
 
-/// A block of eight vertices, all at the pelvis: the least that is a body.
+/// A block of eight vertices, all attached to the pelvis: the smallest valid body.
 fn small_body() -> Surface {
     let corner = |i: usize| nalgebra::Vector3::new((i & 1) as f64, (i >> 1 & 1) as f64 * 1.7, (i >> 2) as f64);
     Surface {
@@ -70,7 +70,7 @@ fn small_body() -> Surface {
     }
 }
 
-/// A pickle writer for the tests: protocol 2, arrays as numpy spells them.
+/// A pickle writer: protocol 2, arrays as numpy writes them.
 #[derive(Default)]
 struct Pickler(Vec<u8>);
 
@@ -105,14 +105,14 @@ impl Pickler {
     }
 }
 
-/// A pickle of the small body, one field told by the caller.
-fn small_pickle(special: &str, tell: &dyn Fn(&mut Pickler)) -> Vec<u8> {
+/// A pickle of the small body; `write` writes the field `special`.
+fn small_pickle(special: &str, write: &dyn Fn(&mut Pickler)) -> Vec<u8> {
     let surface = small_body();
     let mut pickle = Pickler(b"\x80\x02}(".to_vec());
     for field in ["v_template", "shapedirs", "weights", "J_regressor", "kintree_table", "f"] {
         pickle.text(field);
         match field {
-            _ if field == special => tell(&mut pickle),
+            _ if field == special => write(&mut pickle),
             "v_template" => pickle.floats(&[8, 3], surface.vertices.iter().flat_map(|v| [v.x, v.y, v.z])),
             "shapedirs" => pickle.floats(&[8, 3, 2], (0..48).map(|k| f64::from(k) * 0.01)),
             "weights" => pickle.floats(&[8, 24], (0..192).map(|k| f64::from(k % 24 == 0))),
@@ -129,7 +129,7 @@ fn small_pickle(special: &str, tell: &dyn Fn(&mut Pickler)) -> Vec<u8> {
 }
 
 #[test]
-fn a_small_pickle_is_a_body() {
+fn reads_a_small_pickle() {
     let body = read(&small_pickle("", &|_| ())).unwrap();
     assert_eq!(body.surface.vertices, small_body().vertices);
     assert_eq!(body.rest_joints[5], body.surface.vertices[3]);
@@ -137,7 +137,7 @@ fn a_small_pickle_is_a_body() {
 }
 
 #[test]
-fn a_call_is_refused_by_name_and_never_made() {
+fn rejects_calls_by_name_without_executing_them() {
     let mark = std::env::temp_dir().join(format!("wandless-executed-{}", std::process::id()));
     let command = format!("touch {}", mark.display());
     for (module, name) in [("os", "system"), ("posix", "system"), ("builtins", "eval"), ("numpy", "load")] {
@@ -153,7 +153,7 @@ fn a_call_is_refused_by_name_and_never_made() {
     assert!(!mark.exists());
 }
 
-/// Files that mean harm: what, the bytes, a word of the refusal.
+/// Hostile files: name, bytes, a word of the expected error.
 fn hostile_files() -> Vec<(&'static str, Vec<u8>, &'static str)> {
     let own_x = |p: &mut Pickler| {
         // A Ch whose x is itself, through the memo.
@@ -173,8 +173,8 @@ fn hostile_files() -> Vec<(&'static str, Vec<u8>, &'static str)> {
         p.int(7_500_000);
         p.0.extend(b"\x86ub");
     };
-    type Tell<'a> = &'a dyn Fn(&mut Pickler);
-    let pickles: [(&str, &str, Tell, &str); 13] = [
+    type Write<'a> = &'a dyn Fn(&mut Pickler);
+    let pickles: [(&str, &str, Write, &str); 13] = [
         ("a call", "f", &|p| p.0.extend(b"cos\nsystem\nX\x04\x00\x00\x00true\x85R"), "os.system"),
         ("recursive memo", "v_template", &own_x, "contain itself"),
         ("2 GB claimed", "v_template", &|p| p.array(&[90_000_000, 3], "f8", &[]), "larger"),
@@ -190,7 +190,7 @@ fn hostile_files() -> Vec<(&'static str, Vec<u8>, &'static str)> {
         ("far corner", "f", &|p| p.floats(&[1, 3], [0.0, 1.0, 8.0].into_iter()), "numbers of vertices"),
     ];
     let mut files: Vec<(&str, Vec<u8>, &str)> =
-        pickles.into_iter().map(|(name, field, tell, word)| (name, small_pickle(field, tell), word)).collect();
+        pickles.into_iter().map(|(name, field, write, word)| (name, small_pickle(field, write), word)).collect();
     files.push(("a bomb", bomb(false, 1), "shape"));
     files.push(("a bomb in Fortran order", bomb(true, 1), "shape"));
     files.push(("a larger bomb", bomb(false, 40), "larger"));
@@ -198,8 +198,8 @@ fn hostile_files() -> Vec<(&'static str, Vec<u8>, &'static str)> {
     files
 }
 
-/// Some kilobytes that unpack to arrays of zeros, as large as fields may be, or said to be `factor` times as large. The
-/// template is at fault, which shows when all arrays are in memory.
+/// Some kilobytes that unpack to arrays of zeros, as large as fields may be; the headers claim `factor` times as much. The
+/// template is invalid, which is detected when all arrays are in memory.
 fn bomb(is_fortran: bool, factor: usize) -> Vec<u8> {
     let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
     let sizes = [("weights", 1_500_000), ("shapedirs", 7_500_000), ("posedirs", 7_500_000), ("f", 1_500_000)];
@@ -217,7 +217,7 @@ fn bomb(is_fortran: bool, factor: usize) -> Vec<u8> {
 }
 
 #[test]
-fn hostile_files_get_one_clear_error() {
+fn hostile_files_give_one_clear_error() {
     for (name, bytes, expected) in hostile_files() {
         let error = read(&bytes).unwrap_err().to_string();
         assert!(error.contains(expected) && !error.contains('\n'), "{name}: {error}");
@@ -229,11 +229,10 @@ fn hostile_files_get_one_clear_error() {
     assert!(LandmarkTable::from_json(br#"{"nose": [{"vertex": 8, "weight": 0.5}]}"#).is_err());
 }
 
-/// Row 3: a child process whose whole address space is 256 MiB (more than it can ever hold in memory) refuses each file
-/// with one line and exit code 2, and reads a good one.
+/// A child process with an address space of 256 MiB rejects each file with one line and exit code 2, and reads a good one.
 #[cfg(all(target_os = "linux", feature = "cli"))]
 #[test]
-fn hostile_files_are_refused_within_256_mib() {
+fn hostile_files_are_rejected_within_256_mib() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("body");
     let info = |bytes: &[u8]| {
@@ -245,9 +244,9 @@ fn hostile_files_are_refused_within_256_mib() {
     assert!(good.status.success(), "{}", String::from_utf8_lossy(&good.stderr));
     for (name, bytes, expected) in hostile_files() {
         let output = info(&bytes);
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(2), "{name}: {said}");
-        assert!(said.contains(expected) && said.trim_end().lines().count() == 1, "{name}: {said}");
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{name}: {stderr}");
+        assert!(stderr.contains(expected) && stderr.trim_end().lines().count() == 1, "{name}: {stderr}");
     }
 }
 
@@ -264,17 +263,17 @@ fn truncated_and_flipped_files_never_panic() {
         for bit in 0..8 * bytes.len() {
             let mut flipped = bytes.clone();
             flipped[bit / 8] ^= 1 << (bit % 8);
-            // A flip in an unread place or a last digit leaves a body: the point is that nothing panics.
+            // A flip in unused bytes or a last digit leaves a valid body; the test is that nothing panics.
             refused += usize::from(read(&flipped).is_err());
             n += 1;
         }
     }
-    println!("{refused} of {n} flips refused");
+    println!("{refused} of {n} flips rejected");
     assert!(refused > n / 20);
 }
 
 #[test]
-fn a_landmark_table_overrules_the_file() {
+fn a_landmark_table_overrides_the_file() {
     let table = LandmarkTable::from_json(br#"{"nose": [{"vertex": 5, "weight": 1.0}]}"#).unwrap();
     let bytes = body_npz(&default_body().surface, false).unwrap();
     let body = body_from_bytes("own".to_owned(), &bytes, &table).unwrap();

@@ -1,4 +1,4 @@
-//! M1 to M4, M13, M16: the mesh, its weights, its joints, its symmetry, and that it can be made again.
+//! Tests of the mesh: weights, joints, symmetry, and that the generator reproduces the embedded file.
 
 use crate::generated;
 use nalgebra::Vector3;
@@ -8,9 +8,9 @@ use wandless::body::default_body;
 use wandless::body::loader::{LandmarkTable, body_from_bytes, body_npz};
 use wandless::body::skeleton::{JOINT_NAMES, N_JOINTS};
 
-/// M16. To make the file anew: `WANDLESS_WRITE_ASSETS=1 cargo test --release --test body`.
+/// To generate the file again: `WANDLESS_WRITE_ASSETS=1 cargo test --release --test body`.
 #[test]
-fn the_embedded_body_is_what_the_generator_makes_bit_for_bit() {
+fn the_generator_reproduces_the_embedded_body() {
     let body = generated();
     let bytes = body_npz(&body.surface, false).unwrap();
     if std::env::var_os("WANDLESS_WRITE_ASSETS").is_some() {
@@ -18,13 +18,12 @@ fn the_embedded_body_is_what_the_generator_makes_bit_for_bit() {
         std::fs::write(path, &bytes).unwrap();
     }
     let made = body_from_bytes(default_body().name, &bytes, &LandmarkTable::default()).unwrap();
-    assert!(made == default_body(), "make the file anew: see the test's comment");
+    assert!(made == default_body(), "generate the file again: see the test's comment");
     assert!(bytes.len() < 1_500_000, "{} bytes", bytes.len());
 }
 
-/// M1.
 #[test]
-fn the_surface_is_closed_simple_and_turned_outward() {
+fn the_surface_is_closed_and_turned_outward() {
     let surface = &default_body().surface;
     assert!(surface.is_watertight());
     let n_edges = surface.faces.len() * 3 / 2;
@@ -44,9 +43,8 @@ fn the_surface_is_closed_simple_and_turned_outward() {
     assert!(surface.volume(&surface.vertices) > 0.0);
 }
 
-/// M2.
 #[test]
-fn weights_are_few_positive_and_stay_on_their_side() {
+fn weights_are_sparse_positive_and_one_sided() {
     let surface = &default_body().surface;
     let mut owned = [0; N_JOINTS];
     for (row, vertex) in surface.skin.iter().zip(&surface.vertices) {
@@ -62,7 +60,7 @@ fn weights_are_few_positive_and_stay_on_their_side() {
     assert!(owned.iter().all(|n| *n >= 10), "{owned:?}");
 }
 
-/// M3: regressed joints against the places that the figure was made from.
+/// Regressed joints against the positions that the figure was generated from.
 #[test]
 fn regressed_joints_follow_the_measures() {
     let (model, made) = (default_body(), generated());
@@ -84,7 +82,6 @@ fn regressed_joints_follow_the_measures() {
     assert!(worst[0] < 0.5e-3 && worst[1] <= 2e-3 && worst[2] <= 4e-3);
 }
 
-/// M4.
 #[test]
 fn left_is_the_mirror_image_of_right() {
     let surface = &default_body().surface;
@@ -114,7 +111,6 @@ fn left_is_the_mirror_image_of_right() {
     }
 }
 
-/// M13.
 #[test]
 fn triangles_are_well_shaped() {
     let surface = &default_body().surface;

@@ -1,4 +1,4 @@
-//! M10 to M12 and the landmarks: the posed mesh.
+//! Tests of the posed mesh and of the landmarks.
 
 use nalgebra::{Matrix3, Matrix4, Vector3};
 use rand::SeedableRng;
@@ -37,15 +37,15 @@ fn slow_vertex(model: &BodyModel, betas: &Betas, pose: &Pose, i: usize) -> Vecto
         })
     };
     let rest = surface.vertices[i] + surface.shape_directions[i] * betas;
-    let carried = |s: &wandless::body::surface::JointWeight| {
+    let moved = |s: &wandless::body::surface::JointWeight| {
         (global(s.joint) * (rest - joint(s.joint)).push(1.0)).xyz() * s.weight
     };
-    surface.skin[i].iter().map(carried).sum::<Vector3<f64>>() + pose.translation
+    surface.skin[i].iter().map(moved).sum::<Vector3<f64>>() + pose.translation
 }
 
-/// M10, with a pose blend shape thrown in.
+/// Includes a pose blend shape.
 #[test]
-fn skinning_is_what_its_definition_says() {
+fn skinning_agrees_with_its_definition() {
     let model = default_body();
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(10);
     let pose = random_pose(&mut rng, 0.5);
@@ -64,7 +64,6 @@ fn skinning_is_what_its_definition_says() {
     assert!((0..vertices.len()).all(|i| (again[i] - vertices[i]).norm() < 1e-9));
 }
 
-/// M11.
 #[test]
 fn the_mesh_turns_about_the_rest_pelvis() {
     let model = default_body();
@@ -103,7 +102,6 @@ pub(crate) fn standard_poses() -> [(&'static str, Pose); 6] {
     ]
 }
 
-/// M12.
 #[test]
 fn bending_keeps_the_volume() {
     let model = default_body();
@@ -115,7 +113,7 @@ fn bending_keeps_the_volume() {
     }
 }
 
-/// Row 4 of the issue: 100 random poses and shapes, every keypoint of every convention.
+/// 100 random poses and shapes, every keypoint of every convention.
 #[test]
 fn landmarks_are_exact_to_the_full_mesh() {
     let model = default_body();
@@ -139,8 +137,8 @@ fn landmarks_are_exact_to_the_full_mesh() {
     assert!(worst <= 1e-9);
 }
 
-/// M10 and row 4: all derivatives of every keypoint of every convention, relative to the keypoint's largest, over 100
-/// random poses and shapes. Central differences with a step of 1e-5 are good to 1e-9.
+/// All derivatives of every keypoint of every convention, relative to the keypoint's largest, over 100
+/// random poses and shapes. Central differences with a step of 1e-5 are accurate to 1e-9.
 #[test]
 fn landmark_derivatives_are_exact() {
     let model = default_body();
@@ -198,7 +196,7 @@ fn columns(values: &[f64]) -> Vec<Vector3<f64>> {
 }
 
 #[test]
-fn every_keypoint_of_every_convention_has_a_landmark_near_its_measured_place() {
+fn landmarks_lie_at_their_measured_positions() {
     let model = default_body();
     let body = model.shaped(&Betas::zeros());
     let skeleton = posed(&body, &Pose::rest());

@@ -1,4 +1,4 @@
-//! Motion files that are none: one clear error each.
+//! Reading and writing motion files; invalid files give one clear error each.
 
 use super::{rotations, waving};
 use npyz::WriterBuilder;
@@ -21,7 +21,7 @@ fn npz(path: &Path, arrays: &[(&str, &[u64], Vec<f64>)]) -> PathBuf {
 }
 
 #[test]
-fn what_is_written_is_read() {
+fn reads_what_it_writes() {
     let folder = tempfile::tempdir().unwrap();
     let (path, take) = (folder.path().join("a.npz"), waving(40, 60.0, 0.3));
     write_take(&path, &take).unwrap();
@@ -35,7 +35,7 @@ fn what_is_written_is_read() {
 }
 
 #[test]
-fn bad_motion_files_are_refused_by_name() {
+fn rejects_invalid_motion_files_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name);
     let rate = ("mocap_framerate", &[][..], vec![30.0]);

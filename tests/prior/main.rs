@@ -1,4 +1,4 @@
-//! The motion prior: its shipped weights, its training, the files it refuses.
+//! Tests of the motion prior: shipped weights, training, motion files.
 
 #![allow(clippy::unwrap_used)] // a test may
 
@@ -11,7 +11,7 @@ use wandless::geometry::rotation;
 use wandless::motion_prior::chart::LocalRotations;
 use wandless::motion_prior::motion_file::{MotionPose, MotionTake};
 
-/// Somebody who waves both arms and bends the knees, seen at `fps`; `phase` makes takes differ.
+/// A person who waves both arms and bends the knees, at frame rate `fps`; takes differ by `phase`.
 fn waving(n_frames: usize, fps: f64, phase: f64) -> MotionTake {
     let pose = |f: usize| {
         let time = f as f64 / fps;

@@ -1,4 +1,4 @@
-//! The embedded weights: that they load, and what they must be able to do.
+//! Tests of the embedded weights.
 
 use super::{rotations, waving};
 use std::path::Path;
@@ -20,7 +20,7 @@ fn mean_angle_deg(a: &[LocalRotations], b: &[LocalRotations]) -> f64 {
 }
 
 #[test]
-fn takes_of_any_length_come_back_with_what_lies_outside_the_latent_untouched() {
+fn reconstruction_keeps_length_and_outside_joints() {
     let prior = MotionPrior::embedded();
     for n in [1, 2, 3, 8, 127, 128, 129, 700] {
         let mut take = rotations(&waving(n, 30.0, 0.2));
@@ -28,7 +28,7 @@ fn takes_of_any_length_come_back_with_what_lies_outside_the_latent_untouched() {
         let back = prior.reconstructed(&take, None, 30.0);
         assert_eq!(back.len(), n);
         assert!(take.iter().zip(&back).all(|(a, b)| a[0] == b[0] && a[13] == b[13] && a[22] == b[22]));
-        // Wrists and toes, which move next to nothing and are coded last, count here as much as hips: 6 degrees seen.
+        // Wrists and toes, which move joints very little, count here as much as hips: 6 degrees measured.
         assert!(mean_angle_deg(&take, &back) < 8.0, "{n}: {}", mean_angle_deg(&take, &back));
     }
     assert!(prior.reconstructed(&[], None, 30.0).is_empty());
@@ -46,9 +46,9 @@ fn a_motion_is_the_same_at_25_30_and_60_hz() {
     }
 }
 
-/// Unseen joints may hold anything.
+/// Rotations of unseen joints are arbitrary.
 #[test]
-fn what_was_not_seen_is_not_read() {
+fn unseen_rotations_are_ignored() {
     let prior = MotionPrior::embedded();
     let take = rotations(&waving(90, 25.0, 0.5));
     let mut seen = vec![[true; N_JOINTS]; 90];
@@ -59,7 +59,7 @@ fn what_was_not_seen_is_not_read() {
     assert!(mean_angle_deg(&a, &b) < 1e-9);
 }
 
-/// Row 8 of the acceptance on the shipped weights, across a seam between windows: differences in single precision.
+/// Across a seam between windows, with differences in single precision.
 #[test]
 fn the_gradient_to_the_code_agrees_with_differences() {
     let prior = MotionPrior::embedded();
@@ -79,11 +79,11 @@ fn the_gradient_to_the_code_agrees_with_differences() {
     assert!((difference - slope).abs() < 1e-4 * length, "{difference} {slope} {length}");
 }
 
-/// The acceptance of the prior on real takes (the bounds that must hold; the asset's card has the figures).
+/// Bounds on real takes; the model card has the figures.
 #[test]
-fn the_figures_of_the_card_hold_on_takes_never_trained_on() {
+fn the_model_cards_figures_hold_on_test_takes() {
     let Ok(data) = std::env::var("WANDLESS_TEST_DATA") else {
-        eprintln!("SKIPPED the_figures_of_the_card_hold_on_takes_never_trained_on: WANDLESS_TEST_DATA is not set");
+        eprintln!("SKIPPED the_model_cards_figures_hold_on_test_takes: WANDLESS_TEST_DATA is not set");
         return;
     };
     let prior = MotionPrior::embedded();
@@ -106,7 +106,7 @@ fn the_figures_of_the_card_hold_on_takes_never_trained_on() {
     assert!(ratio(&gap) < 1.05 && ratio(&limb) < 1.05 && ratio(&gap).min(ratio(&limb)) < 1.0, "{gap:?} {limb:?}");
     for steady in [false, true] {
         let noise = noise_task(prior, &clips, steady);
-        // The first smoothing passes through what it is given: the error of the input.
+        // The first smoothing reproduces its input: its error is that of the input.
         let input_mm = noise.smoothings_mm[0].1;
         assert!(noise.prior.mean_mm < noise.best_smoothing_mm().min(0.7 * input_mm), "{noise:?}");
         assert!((0.7..1.3).contains(&noise.prior.acceleration_ratio), "{noise:?}");

@@ -1,4 +1,4 @@
-//! A tiny network on synthetic takes: the same bytes again, with more threads, and after an interruption.
+//! Training of a tiny network: the same bytes in every run, with any number of threads, and after an interruption.
 
 use super::waving;
 use std::path::Path;
@@ -29,7 +29,7 @@ fn trained(data: &Dataset, threads: usize) -> Checkpoint {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_bytes_with_any_number_of_threads() {
+fn the_seed_determines_the_bytes_with_any_threads() {
     let folder = tempfile::tempdir().unwrap();
     let data = data(folder.path());
     let once = checkpoint_bytes(&trained(&data, 1));
@@ -39,9 +39,9 @@ fn the_same_seed_gives_the_same_bytes_with_any_number_of_threads() {
     assert_ne!(once, checkpoint_bytes(&other));
 }
 
-/// The only look at the held out subjects within a short run is its last step: its state is the complete run.
+/// A short run validates once, at its last step, so that the state is that of the complete run.
 #[test]
-fn a_finished_state_is_gone_on_with_to_the_same_bytes_and_a_torn_one_is_refused() {
+fn resuming_gives_the_same_bytes() {
     let folder = tempfile::tempdir().unwrap();
     let data = data(folder.path());
     let mut kept = None;
@@ -55,7 +55,7 @@ fn a_finished_state_is_gone_on_with_to_the_same_bytes_and_a_torn_one_is_refused(
 }
 
 #[test]
-fn too_little_data_is_refused() {
+fn rejects_too_little_data() {
     let folder = tempfile::tempdir().unwrap();
     write_take(&folder.path().join("short.npz"), &waving(20, 30.0, 0.0)).unwrap();
     let data = read_dataset(folder.path()).unwrap();

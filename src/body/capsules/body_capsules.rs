@@ -24,30 +24,30 @@ pub struct CapsuleEnd {
     pub radius_directions: BetaRow,
 }
 
-/// A capsule that one joint carries.
+/// A capsule fixed to one joint.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BodyCapsule {
-    /// Whose frame its ends are fixed in.
+    /// The joint in whose frame its ends are fixed.
     pub joint: usize,
-    /// Its ends.
+    /// Both ends.
     pub ends: [CapsuleEnd; 2],
 }
 
 /// The capsules of a body model, fitted to its surface.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BodyCapsules {
-    /// In a fixed order, the same for every model.
+    /// All capsules, in the same order for every model.
     pub capsules: [BodyCapsule; N_CAPSULES],
 }
 
-/// One body's ball in a distance: a point, or the nearest point of another body, lies in direction `normal` from it.
+/// The ball of a capsule that determines a distance to a point or to another body.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NearestBall {
-    /// Which capsule.
+    /// Index of the capsule.
     pub capsule: usize,
-    /// Where its centre lies between the ends, 0 to 1.
+    /// Position of its centre between the ends, 0 to 1.
     pub share: f64,
-    /// Unit vector away from the centre, in the world.
+    /// Unit vector from the centre towards the other point, world.
     pub normal: Vector3<f64>,
 }
 
@@ -55,8 +55,8 @@ impl BodyCapsules {
     /// The capsules of a shape in a pose, in the world.
     pub fn posed(&self, betas: &Betas, skeleton: &PosedSkeleton) -> [TaperedCapsule; N_CAPSULES] {
         let posed = |capsule: &BodyCapsule| {
-            let (place, turn) = (skeleton.joints[capsule.joint], skeleton.rotations[capsule.joint]);
-            let centre = |end: &CapsuleEnd| place + turn * (end.offset + end.offset_directions * betas);
+            let (joint, rotation) = (skeleton.joints[capsule.joint], skeleton.rotations[capsule.joint]);
+            let centre = |end: &CapsuleEnd| joint + rotation * (end.offset + end.offset_directions * betas);
             let radius = |end: &CapsuleEnd| (end.radius + end.radius_directions.dot(betas)).max(MIN_RADIUS);
             TaperedCapsule { ends: capsule.ends.each_ref().map(centre), radii: capsule.ends.each_ref().map(radius) }
         };
@@ -65,7 +65,7 @@ impl BodyCapsules {
 
     /// Derivative of a distance to the local right increment `R_a <- R_a exp(d)` of joint `a` of this body (per rad).
     ///
-    /// The ball's centre c turns with every joint above it: `dc = -[c - p_a]x G_a d`, hence `n^T [c - p_a]x G_a`. The
+    /// The ball's centre c rotates with every joint above it: `dc = -[c - p_a]x G_a d`, hence `n^T [c - p_a]x G_a`. The
     /// derivative to the body's translation is `-n`.
     pub fn distance_by_rotation(
         &self,
@@ -97,5 +97,5 @@ impl BodyCapsules {
     }
 }
 
-/// No shape makes a capsule thinner than this, m.
+/// Smallest radius of a capsule at any shape, m.
 pub(super) const MIN_RADIUS: f64 = 5e-3;

@@ -1,12 +1,12 @@
-//! The least-squares fit of the capsules to a body's skin at rest and in natural poses, and of how they change per beta.
+//! The least-squares fit of the capsules to a body's skin at rest and in natural poses, and of their change per beta.
 //!
-//! Every sampled vertex belongs to the capsule it is nearest to, seen from the capsule's joint; per capsule
-//! `min sum w d(v_i)^2` over two ends and two radii by damped Gauss-Newton, with new owners after each step. Then, owners
-//! held, the change per beta at rest is linear: `min sum (D_i x + n_i . S_i)^2`, where `D_i` are the derivatives of the
+//! Every sampled vertex is assigned to its nearest capsule, in the frame of the capsule's joint; per capsule
+//! `min sum w d(v_i)^2` over two ends and two radii by damped Gauss-Newton, with new assignments after each step. With fixed
+//! assignments, the change per beta at rest is linear: `min sum (D_i x + n_i . S_i)^2`, where `D_i` are the derivatives of the
 //! distance to the eight numbers.
 //!
-//! A vertex may belong to a capsule only if its skin weights have a say in it: a hand that hangs at a hip is not taken
-//! for the hip.
+//! A vertex may be assigned to a capsule only if its skin weights include a joint near the capsule's: a hand that hangs at a
+//! hip is not assigned to the hip.
 
 use super::body_capsules::{BodyCapsule, BodyCapsules, CapsuleEnd, MIN_RADIUS, N_CAPSULES};
 use super::start::{RoughCapsule, rough_capsules};
@@ -23,17 +23,17 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
-/// Vertices that the fit looks at, about.
+/// Approximate number of vertices used.
 const N_SAMPLES: usize = 2_500;
-/// Steps; the residual changes by less than 1 % after half of them.
+/// Gauss-Newton steps; the residual changes by less than 1 % after half of them.
 const N_STEPS: usize = 24;
-/// Damping against some hundred vertices a capsule: ends inside the body, which hardly any vertex sees, stay put.
+/// Damping, small against some hundred vertices a capsule: it holds ends inside the body that few vertices determine.
 const DAMPING: f64 = 0.3;
-/// Natural poses beside the rest pose, drawn with this share of the joints' spreads: without them the arms' roots fit
-/// a T-pose only.
+/// Natural poses beside the rest pose; without them the capsules at the shoulders fit the T-pose only.
 const N_POSES: usize = 8;
+/// Spread of the natural poses, as a share of the joints' standard deviations.
 const POSE_SPREAD: f64 = 0.5;
-/// Weight of the rest pose against one of those: as much as all together.
+/// Weight of the rest pose relative to a natural pose: as much as all of them together.
 const REST_WEIGHT: f64 = 8.0;
 
 /// Both ends in the joint's frame, both radii.
@@ -75,7 +75,7 @@ fn fitted(model: &BodyModel) -> BodyCapsules {
     BodyCapsules { capsules: std::array::from_fn(|k| body_capsule(joints[k], &numbers[k], &by_betas[k])) }
 }
 
-/// A vertex that the fit looks at, and the capsules it may belong to.
+/// A sampled vertex and the capsules it may be assigned to.
 struct Sample {
     vertex: usize,
     candidates: Vec<usize>,
@@ -84,30 +84,30 @@ struct Sample {
 fn samples(model: &BodyModel, joints: &[usize; N_CAPSULES]) -> Vec<Sample> {
     let skin = &model.surface.skin;
     let step = (skin.len() / N_SAMPLES).max(1);
-    let candidates = |vertex: usize| (0..N_CAPSULES).filter(|&k| has_a_say(&skin[vertex], joints[k])).collect();
+    let candidates = |vertex: usize| (0..N_CAPSULES).filter(|&k| is_near(&skin[vertex], joints[k])).collect();
     (0..skin.len()).step_by(step).map(|vertex| Sample { vertex, candidates: candidates(vertex) }).collect()
 }
 
-/// Whether a vertex hangs on the joint or on one at most two bones away.
-fn has_a_say(skin: &[JointWeight], joint: usize) -> bool {
+/// Whether the skin weights include the joint or one at most two bones away.
+fn is_near(skin: &[JointWeight], joint: usize) -> bool {
     let up = |joint: usize| [Some(joint), PARENTS[joint], PARENTS[joint].and_then(|parent| PARENTS[parent])];
     let [own, parent, grandparent] = up(joint);
-    let is_near = |other: usize| {
+    let is_close = |other: usize| {
         let above = up(other);
         above.contains(&own) || above[..2].contains(&parent) || Some(other) == grandparent
     };
-    skin.iter().any(|share| is_near(share.joint))
+    skin.iter().any(|share| is_close(share.joint))
 }
 
 /// The samples in one pose.
 struct View {
     skeleton: PosedSkeleton,
-    /// Places of the samples.
+    /// Positions of the samples, world, m.
     places: Vec<Vector3<f64>>,
     weight: f64,
 }
 
-/// The rest pose, then the natural ones.
+/// The rest pose, then the natural poses.
 fn views(model: &BodyModel, samples: &[Sample]) -> Vec<View> {
     let view = |pose: &Pose, weight: f64| {
         let skin = skinned(model, &Betas::zeros(), pose);
@@ -163,7 +163,7 @@ fn by_numbers(share: f64, normal: &Vector3<f64>) -> Numbers {
     Numbers::from_iterator(first.iter().chain(second.iter()).copied().chain([share - 1.0, -share]))
 }
 
-/// How the numbers follow the skin at rest per beta: the start is that of the joints they were placed by, radii held.
+/// Change of the numbers per beta, fitted to the skin at rest; starts from the change of the joints, with fixed radii.
 fn numbers_by_betas(
     model: &BodyModel,
     rough: &[RoughCapsule; N_CAPSULES],

@@ -1,4 +1,4 @@
-//! Where the capsules start from, in terms of joints: the fit finds the rest.
+//! Initial capsules, defined by joints.
 
 use super::body_capsules::N_CAPSULES;
 use crate::body::model::{BodyModel, ShapeDirections};
@@ -8,20 +8,20 @@ use nalgebra::Vector3;
 /// A capsule before the fit, in the rest pose.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct RoughCapsule {
-    /// The joint that carries it.
+    /// The joint it is fixed to.
     pub joint: usize,
-    /// Its ends at beta 0, m.
+    /// Both ends at beta 0, m.
     pub ends: [Vector3<f64>; 2],
-    /// Their change per beta, m.
+    /// Change of the ends per beta, m.
     pub directions: [ShapeDirections; 2],
-    /// At both ends, m.
+    /// Radius at both ends, m.
     pub radius: f64,
 }
 
-/// A share of the way from one joint to another, and an offset (m).
+/// A point: two joints, the share of the way from the first to the second, and an offset (m).
 type Anchor = (&'static str, &'static str, f64, [f64; 3]);
 
-/// Carrying joint, both ends, radius (m); for the left side, or in the middle.
+/// Joint, both ends, radius (m); for the left side or the midline.
 type Line = (&'static str, [Anchor; 2], f64);
 
 const PAIRED: [Line; 9] = [
@@ -46,7 +46,7 @@ const fn bone(from: &'static str, to: &'static str, first: f64, second: f64) -> 
     [(from, to, first, [0.0; 3]), (from, to, second, [0.0; 3])]
 }
 
-/// The capsules to start from: middle, left, right.
+/// The initial capsules: midline, left, right.
 pub(super) fn rough_capsules(model: &BodyModel) -> [RoughCapsule; N_CAPSULES] {
     std::array::from_fn(|k| match k.checked_sub(MIDDLE.len()) {
         None => rough(model, &MIDDLE[k], Side::Left),
@@ -61,7 +61,7 @@ enum Side {
     Right,
 }
 
-fn rough(model: &BodyModel, (carrier, anchors, radius): &Line, side: Side) -> RoughCapsule {
+fn rough(model: &BodyModel, (joint_name, anchors, radius): &Line, side: Side) -> RoughCapsule {
     let joint = |name: &str| {
         let of_side = match side {
             Side::Left => name.to_owned(),
@@ -80,7 +80,7 @@ fn rough(model: &BodyModel, (carrier, anchors, radius): &Line, side: Side) -> Ro
         model.shape_directions[joint(from)] * (1.0 - share) + model.shape_directions[joint(to)] * *share
     };
     RoughCapsule {
-        joint: joint(carrier),
+        joint: joint(joint_name),
         ends: anchors.each_ref().map(end),
         directions: anchors.each_ref().map(directions),
         radius: *radius,

@@ -1,9 +1,9 @@
-//! The figure: every tube of the left half and the midline, its sections in terms of measures.
+//! The figure: all tubes of the left half and the midline, their sections as functions of measures.
 //!
 //! Girths, breadths and lengths are those of ANSUR II: half extents are shares of a measured girth, chosen so that the
-//! section's perimeter at beta 0 is the measured one at about the measured ratio of breadth to depth. What the survey
-//! does not measure (knee, elbow, face, thickness of hand and foot) is estimated, good to some 10 mm. The thighs keep
-//! 22 mm apart for every shape, since a surface that touches itself has no inside.
+//! section's perimeter at beta 0 is the measured one at about the measured ratio of breadth to depth. Sections that the
+//! survey does not measure (knee, elbow, face, thickness of hand and foot) are estimated to some 10 mm. The thighs are 22 mm
+//! apart at every shape, since a surface that touches itself has no inside.
 
 use super::places::{Place, arm, fixed, head, joint_place, leg, length, spine};
 use super::tubes::{Axis, Station, Tube};
@@ -11,7 +11,7 @@ use crate::body::anthropometry::{Length, Measure, Measure::*, Population, Varied
 use crate::body::model::ShapeDirections;
 use nalgebra::Vector3;
 
-/// All tubes for x >= 0; midline ones whole.
+/// All tubes at x >= 0; those of the midline are complete.
 pub(super) fn figure(population: &Population) -> Vec<Tube> {
     let tube = |axis, squareness, caps, sections: &[Section]| Tube {
         axis,
@@ -32,7 +32,7 @@ pub(super) fn figure(population: &Population) -> Vec<Tube> {
     ]
 }
 
-/// A cross-section: its centre and half extents as lengths of the body.
+/// A cross-section: centre and half extents as functions of measures.
 struct Section {
     centre: Place,
     half: [Length; 2],
@@ -60,17 +60,17 @@ fn section(centre: Place, first: Length, second: Length) -> Section {
     Section { centre, half: [first, second] }
 }
 
-/// A section whose two half extents are shares of one measure.
+/// A section whose half extents are shares of one measure.
 fn of_girth(centre: Place, measure: Measure, first: f64, second: f64) -> Section {
     section(centre, share(first, measure), share(second, measure))
 }
 
-/// On the midline at a measured height, `up` from it.
+/// A point on the midline, `up` metres above a measured height.
 fn midline(measure: Measure, up: f64, z: f64) -> Place {
     [fixed(0.0), length(up, &[(1.0, measure)]), fixed(z)]
 }
 
-/// Heights follow the hip and the neck, as the spine's joints do, so that mesh and joints keep together at every shape.
+/// Heights depend on hip and neck, as the spine's joints do, so that mesh and joints agree at every shape.
 fn trunk() -> Vec<Section> {
     let at = |share: f64, z: f64| spine(share, z);
     let hips = length(0.0, &[(0.110, ButtockGirth), (0.287, BicristalBreadth)]);
@@ -148,7 +148,8 @@ fn thumb() -> Vec<Section> {
     vec![section(at(0.16, 0.004), fixed(0.014), fixed(0.016)), section(at(0.48, 0.034), fixed(0.011), fixed(0.012))]
 }
 
-/// The thigh's inner side stays 11 mm off the midline: its centre moves out by what its half breadth gains.
+/// A section of the thigh; its inner side is 11 mm from the midline at every shape, since the centre moves out as the
+/// half breadth grows.
 fn thigh(y: Length, z: f64, breadth: f64, depth: f64) -> Section {
     let half = share(breadth, ThighGirth);
     section([Length { constant: 0.011, ..half.clone() }, y, fixed(z)], half, share(depth, ThighGirth))
@@ -170,7 +171,7 @@ fn leg_sections() -> Vec<Section> {
     ]
 }
 
-/// Flat on the floor: the centre is as high as the section's half height.
+/// The foot is flat on the floor: the centre's height is the section's half height.
 fn foot() -> Vec<Section> {
     let of = |x: f64, z: Length, half_width: Length, half_height: f64| {
         section(leg(fixed(half_height), x, z), half_width, fixed(half_height))

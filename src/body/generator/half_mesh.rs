@@ -1,8 +1,8 @@
 //! The left half of a mirror-symmetric surface: surface nets on a graded grid.
 //!
-//! The grid's first column of cells straddles the midplane, so its vertices lie on it, and the mirror image closes the
-//! mesh without a seam. Surface nets (Gibson 1998): one vertex per cell that the surface crosses, one quad per crossed
-//! grid edge. Two sheets of the surface within one cell would share their vertex: the figure keeps them apart.
+//! The grid's first column of cells straddles the midplane, so that its vertices lie on the plane and the mirror image closes
+//! the mesh without a seam. Surface nets (Gibson 1998): one vertex per cell that the surface crosses, one quad per crossed
+//! grid edge. Two sheets of the surface within one cell would share a vertex: the figure keeps them apart.
 
 use super::tubes::{Tube, body_distance};
 use nalgebra::Vector3;
@@ -10,22 +10,22 @@ use nalgebra::Vector3;
 /// Triangles for x >= 0, anticlockwise from outside; vertices on the plane are shared with the mirror image.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct HalfMesh {
-    /// Metres.
+    /// Positions, m.
     pub vertices: Vec<Vector3<f64>>,
     /// Whether the vertex lies in the midplane, x = 0.
     pub on_plane: Vec<bool>,
-    /// Indices of vertices.
+    /// Triangles as indices of vertices.
     pub faces: Vec<[usize; 3]>,
 }
 
-/// Spacing of the grid over most of the body, m: 7,000 vertices.
+/// Spacing of the grid over most of the body, m; gives 7,000 vertices.
 const COARSE: f64 = 0.0198;
-/// At hands, feet and face, m.
+/// Spacing at hands, feet and face, m.
 const FINE: f64 = 0.013;
 /// Half width of the cells on the midplane, m; less than half the gap between the thighs.
 const MIDDLE: f64 = 0.006;
 
-/// Grid lines from `start` on: each band lays lines at its spacing up to its end.
+/// Grid lines from `start` on; each band (end, spacing) adds lines up to its end.
 fn graded(start: f64, bands: &[(f64, f64)]) -> Vec<f64> {
     let mut lines = vec![start];
     let mut at = start;
@@ -63,7 +63,7 @@ impl Grid {
         Vector3::from_fn(|axis, _| self.lines[axis][node[axis]])
     }
 
-    /// All nodes that have a successor on every axis when `margin` is 1, all nodes when it is 0.
+    /// All nodes if `margin` is 0; those with a successor on every axis if it is 1.
     fn nodes(&self, margin: usize) -> impl Iterator<Item = [usize; 3]> + use<> {
         let [nx, ny, nz] = self.size().map(|n| n - margin);
         (0..nx).flat_map(move |i| (0..ny).flat_map(move |j| (0..nz).map(move |k| [i, j, k])))
@@ -91,7 +91,7 @@ pub(super) fn half_surface(tubes: &[Tube]) -> HalfMesh {
             next[axis] += 1;
             let (here, there) = (values[grid.index(node)] < 0.0, values[grid.index(next)] < 0.0);
             if here != there {
-                let quad = cells_round(node, axis).map(|cell| vertex_of_cell[grid.index(cell)]);
+                let quad = cells_around(node, axis).map(|cell| vertex_of_cell[grid.index(cell)]);
                 add_quad(&mut mesh, if here { quad } else { [quad[3], quad[2], quad[1], quad[0]] });
             }
         }
@@ -120,8 +120,8 @@ fn cell_vertex(grid: &Grid, values: &[f64], cell: [usize; 3]) -> Option<Vector3<
     (count > 0.0).then(|| sum / count)
 }
 
-/// The four cells round the grid edge that starts at `node`, anticlockwise seen from the edge's end.
-fn cells_round(node: [usize; 3], axis: usize) -> [[usize; 3]; 4] {
+/// The four cells around the grid edge that starts at `node`, anticlockwise seen from the edge's end.
+fn cells_around(node: [usize; 3], axis: usize) -> [[usize; 3]; 4] {
     let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
     [(1, 1), (0, 1), (0, 0), (1, 0)].map(|(du, dv)| {
         let mut cell = node;

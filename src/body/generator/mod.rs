@@ -1,14 +1,14 @@
-//! The default body's generator: from published anthropometry to a mesh, deterministic to the last bit.
+//! Generator of the default body: from published anthropometry to a mesh, deterministic to the last bit.
 //!
-//! 1. `places`: where joints and landmarks lie, in terms of measures;
-//! 2. `figure`: the body as `tubes`, in terms of measures too;
+//! 1. `places`: joints and landmarks as functions of measures;
+//! 2. `figure`: the body as `tubes`, as functions of measures;
 //! 3. `half_mesh`, `relaxation`: the left half as well-shaped triangles, mirrored;
-//! 4. `tubes`: how every vertex moves per beta;
-//! 5. `skin`: which joints carry it;
-//! 6. `regressor`: joints and landmarks as shares of vertices.
+//! 4. `tubes`: the change of every vertex per beta;
+//! 5. `skin`: skin weights;
+//! 6. `regressor`: joints and landmarks as weighted sums of vertices.
 //!
-//! Why not a scan-based model: none may be shipped. Why no pose blend shapes: they are what the patents on SMPL claim.
-//! Known limits: no fingers, no face beyond nose and jaw; the muscles do not bulge; arms hang at identity collars.
+//! Why not a scan-based model: no licence allows shipping one. Why no pose blend shapes: the patents on SMPL cover them.
+//! Known limits: no fingers, no face beyond nose and jaw; muscles do not bulge; arms hang down at identity collars.
 
 mod figure;
 mod half_mesh;
@@ -27,24 +27,24 @@ use super::surface::{JointWeight, Surface, SurfacePoint, VertexWeight};
 use half_mesh::{HalfMesh, half_surface};
 use nalgebra::Vector3;
 use places::{VariedPlace, joint_place, side_and_part, surface_place, varied};
-use regressor::{Carrier, convex_row};
+use regressor::{Candidate, convex_row};
 use relaxation::relax;
 use skin::{Tips, mirror_joint, skin_weights};
 use std::collections::BTreeSet;
 use tubes::surface_directions;
 
-/// What the generator makes.
+/// A generated body.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GeneratedBody {
-    /// The mesh with all that hangs on it.
+    /// The mesh with skin weights, regressor and surface points.
     pub surface: Surface,
-    /// The joints that the regressor was fitted to, m.
+    /// The joints that the regressor is fitted to, m.
     pub joints: [Vector3<f64>; N_JOINTS],
-    /// Their change per beta, m.
+    /// Change of the joints per beta, m.
     pub joint_directions: [ShapeDirections; N_JOINTS],
 }
 
-/// Makes the default adult: floor at y = 0, 1.692 m tall at beta 0, betas of [`Population::ansur2`].
+/// Generates the default adult: floor at y = 0, 1.692 m tall at beta 0, betas of [`Population::ansur2`].
 pub fn generate() -> GeneratedBody {
     let population = Population::ansur2();
     let tubes = figure::figure(&population);
@@ -62,9 +62,9 @@ pub fn generate() -> GeneratedBody {
     let skin = skin_weights(&half, &joints, &tips(&population));
     let mirror = Mirror::of(&half);
     let mut surface = mirror.whole(&half, &directions, &skin);
-    let carriers = Carriers::of(&surface, &mirror);
-    surface.regressor = regressor(&carriers, &mirror, &places);
-    surface.points = surface_points(&carriers, &mirror, &population);
+    let candidates = Candidates::of(&surface, &mirror);
+    surface.regressor = regressor(&candidates, &mirror, &places);
+    surface.points = surface_points(&candidates, &mirror, &population);
     GeneratedBody { surface, joints, joint_directions: std::array::from_fn(|j| places[j].directions) }
 }
 
@@ -81,9 +81,9 @@ fn tips(population: &Population) -> Tips {
     }
 }
 
-/// The correspondence between the left half and the whole: half vertices first, then images of those off the plane.
+/// Maps the left half to the whole mesh: half vertices first, then mirror images of those off the plane.
 struct Mirror {
-    /// The image of every vertex of the whole mesh.
+    /// Mirror image of every vertex of the whole mesh.
     image: Vec<usize>,
     n_half: usize,
 }
@@ -101,7 +101,7 @@ impl Mirror {
         Self { image, n_half }
     }
 
-    /// The whole surface, without a regressor yet.
+    /// The whole surface, without regressor and points.
     fn whole(&self, half: &HalfMesh, directions: &[ShapeDirections], skin: &[Vec<JointWeight>]) -> Surface {
         let other_side = |v: &JointWeight| JointWeight { joint: mirror_joint(v.joint), ..*v };
         let originals = self.image[self.n_half..].to_vec();
@@ -133,15 +133,15 @@ fn reflected(v: &Vector3<f64>) -> Vector3<f64> {
     Vector3::new(-v.x, v.y, v.z)
 }
 
-/// What may carry a joint or a point: single vertices of the left half, or mirrored pairs for the midline.
-struct Carriers {
-    left: Vec<Carrier>,
-    pairs: Vec<Carrier>,
+/// Candidates for the sums that define a joint or a point: vertices of the left half, or mirrored pairs for the midline.
+struct Candidates {
+    left: Vec<Candidate>,
+    pairs: Vec<Candidate>,
 }
 
-impl Carriers {
+impl Candidates {
     fn of(surface: &Surface, mirror: &Mirror) -> Self {
-        let single = |i: usize| Carrier {
+        let single = |i: usize| Candidate {
             vertices: vec![i],
             place: surface.vertices[i],
             directions: surface.shape_directions[i],
@@ -156,28 +156,32 @@ impl Carriers {
         Self { left: (0..mirror.n_half).map(single).collect(), pairs: (0..mirror.n_half).map(pair).collect() }
     }
 
-    /// Shares of vertices for a left or a midline place.
+    /// Weights of vertices for a place on the left side or the midline.
     fn row(&self, name: &str, place: &VariedPlace) -> Vec<VertexWeight> {
         convex_row(place, if name.starts_with("left_") { &self.left } else { &self.pairs })
     }
 }
 
-fn regressor(carriers: &Carriers, mirror: &Mirror, places: &[VariedPlace; N_JOINTS]) -> [Vec<VertexWeight>; N_JOINTS] {
+fn regressor(
+    candidates: &Candidates,
+    mirror: &Mirror,
+    places: &[VariedPlace; N_JOINTS],
+) -> [Vec<VertexWeight>; N_JOINTS] {
     let mut rows: [Vec<VertexWeight>; N_JOINTS] = std::array::from_fn(|_| Vec::new());
     for (j, name) in JOINT_NAMES.iter().enumerate() {
         rows[j] = match name.starts_with("right_") {
             true => mirror.row(&rows[mirror_joint(j)]),
-            false => carriers.row(name, &places[j]),
+            false => candidates.row(name, &places[j]),
         };
     }
     rows
 }
 
-/// Every surface point that a convention names.
-fn surface_points(carriers: &Carriers, mirror: &Mirror, population: &Population) -> Vec<SurfacePoint> {
+/// All surface points that a convention names.
+fn surface_points(candidates: &Candidates, mirror: &Mirror, population: &Population) -> Vec<SurfacePoint> {
     let names: BTreeSet<&str> = KeypointConvention::ALL.iter().flat_map(|c| c.names().iter().copied()).collect();
     let left_row =
-        |name: &str| Some(carriers.row(name, &varied(&surface_place(side_and_part(name).1)?, 1.0, population)));
+        |name: &str| Some(candidates.row(name, &varied(&surface_place(side_and_part(name).1)?, 1.0, population)));
     let point = |name: &&str| {
         let vertices = match name.strip_prefix("right_") {
             Some(part) => mirror.row(&left_row(&format!("left_{part}"))?),

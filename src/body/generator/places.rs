@@ -1,34 +1,34 @@
-//! Where the joints and the detectors' points lie, in terms of measured lengths.
+//! Rest positions of the joints and the detectors' points as functions of measured lengths.
 //!
-//! Joints are put at their anatomical places, but for those of the trunk's ends, where files of SMPL's layout mean another
-//! place: the pelvis joint lies some 85 mm above the hip line, neck and head some 60 and 155 mm above the shoulder
-//! line (anatomy: the foot of the neck's spine at 100 mm, the condyles at 180 mm). Written for the left side and mirrored. Sources of the factors:
+//! Joints have their anatomical positions, except at the ends of the trunk, where SMPL's layout differs: the pelvis joint
+//! lies some 85 mm above the hip line, neck and head some 60 and 155 mm above the shoulder line (anatomy: the base of the
+//! cervical spine at 100 mm, the condyles at 180 mm). Given for the left side and mirrored. Sources of the factors:
 //! - ANSUR II heights and lengths ([`crate::body::anthropometry`]);
 //! - de Leva 1996 (J. Biomech. 29:1223): the shoulder's centre lies 10.4 % of the upper arm below the acromion, the
 //!   elbow's 4.3 % above the radiale; his forearm (elbow to wrist centre) ends 9 mm short of the stylion;
 //! - Harrington et al. 2007 (J. Biomech. 40:595): a hip's distance from the midline is 0.33 times the pelvic width
 //!   between the front iliac spines (0.875 of the bicristal breadth) + 7.3 mm;
-//! - the plumb line of upright posture (Kendall): ear, shoulder, hip and knee in one frontal plane, the ankle taken
-//!   with them;
+//! - the plumb line of upright posture (Kendall): ear, shoulder, hip and knee in one frontal plane, the ankle assumed
+//!   in it too;
 //! - ball of the foot at 0.74 of the foot's length, the ankle's axis at 0.25 of it from the heel (ANSUR II ball of
 //!   foot length; de Leva);
-//! - eye height 111 mm below the crown, pupils 63 mm apart (ANSUR II); the other points of face and foot are own
-//!   estimates, good to 10 mm.
+//! - eye height 111 mm below the crown, pupils 63 mm apart (ANSUR II); the other points of face and foot are our own
+//!   estimates, to 10 mm.
 //!
-//! Known limits: arms hang at identity collars (the shoulder joints of a true T-pose lie 30 to 40 mm higher). No
-//! detector bias is built in: reported as 30 to 50 mm at hip and knee (Needham et al. 2021), its direction differs by
-//! detector; the fit takes it up in the betas.
+//! Known limits: arms hang at identity collars (the shoulder joints of a true T-pose lie 30 to 40 mm higher). Detector bias
+//! is not included: it is reported as 30 to 50 mm at hip and knee (Needham et al. 2021), its direction differs by detector,
+//! and the betas absorb it in the fit.
 
 use crate::body::anthropometry::{Length, Measure, Measure::*, Population, VariedLength};
 use crate::body::model::ShapeDirections;
 use nalgebra::Vector3;
 
-/// A place in the rest pose: x to the left, y up from the floor, z to the front.
+/// A rest position: x to the left, y up from the floor, z to the front.
 pub(super) type Place = [Length; 3];
 
-/// The place's mean and its change per beta.
+/// Mean of a rest position and its change per beta.
 pub(super) struct VariedPlace {
-    /// At beta 0, m.
+    /// Position at beta 0, m.
     pub mean: Vector3<f64>,
     /// Change per beta, m.
     pub directions: ShapeDirections,
@@ -42,13 +42,13 @@ pub(super) fn fixed(constant: f64) -> Length {
     length(constant, &[])
 }
 
-/// A point on the trunk, a share of the way from the pelvis joint (0) to the neck joint (1), `z` in front.
+/// A point on the trunk: a share of the way from the pelvis joint (0) to the neck joint (1), `z` metres in front.
 pub(super) fn spine(share: f64, z: f64) -> Place {
     let y = length(0.0, &[(1.0 - share, TrochanterHeight), (0.05 * (1.0 - share), Stature), (share, CervicaleHeight)]);
     [fixed(0.0), y, fixed(z)]
 }
 
-/// A point on the arm, `factors` of upper arm, forearm and hand length out from the shoulder joint.
+/// A point on the arm: shares of upper arm, forearm and hand length, and `constant` metres, out from the shoulder joint.
 pub(super) fn arm(upper_arm: f64, forearm: f64, hand: f64, constant: f64) -> Place {
     let x = length(
         -0.027 + constant,
@@ -57,21 +57,21 @@ pub(super) fn arm(upper_arm: f64, forearm: f64, hand: f64, constant: f64) -> Pla
     [x, length(0.0, &[(1.0, AcromialHeight), (-0.104, UpperArm)]), fixed(0.0)]
 }
 
-/// A point on the leg's vertical axis at height `y`, `x` to the left of the hip.
+/// A point on the leg's vertical axis at height `y`, `x` metres to the left of the hip.
 pub(super) fn leg(y: Length, x: f64, z: Length) -> Place {
     [length(0.0073 + x, &[(0.33 * 0.875, BicristalBreadth)]), y, z]
 }
 
-/// A point on the head, `below` the crown.
+/// A point on the head: measures `below` and `up` metres added to the crown's height.
 pub(super) fn head(x: f64, below: &[(f64, Measure)], up: f64, z: f64) -> Place {
     let y: Vec<_> = [(1.0, Stature)].iter().chain(below).copied().collect();
     [fixed(x), length(up, &y), fixed(z)]
 }
 
-/// The head joint lies so far below the ear canals, m; the condyles, about which a head nods, at 30 mm.
+/// Distance of the head joint below the ear canals, m; the condyles, about which a head nods, are at 30 mm.
 const HEAD_BELOW_EAR: f64 = 0.055;
 
-/// Rest place of a midline joint or a left one, by SMPL's name without the side.
+/// Rest position of a joint on the midline or the left side, by SMPL's name without the side.
 pub(super) fn joint_place(name: &str) -> Place {
     match name {
         "pelvis" => spine(0.0, 0.0),
@@ -94,7 +94,7 @@ pub(super) fn joint_place(name: &str) -> Place {
     }
 }
 
-/// Rest place of a point on the skin, for the midline and the left side.
+/// Rest position of a point on the skin, on the midline or the left side.
 pub(super) fn surface_place(name: &str) -> Option<Place> {
     let eye = |x: f64, z: f64| head(x, &[], -0.111, z);
     Some(match name {
@@ -108,7 +108,7 @@ pub(super) fn surface_place(name: &str) -> Option<Place> {
         "big_toe" => leg(fixed(0.015), -0.010, length(-0.005, &[(0.75, FootLength)])),
         "small_toe" => leg(fixed(0.012), 0.050, length(-0.005, &[(0.62, FootLength)])),
         "heel" => leg(fixed(0.020), 0.0, length(0.005, &[(-0.25, FootLength)])),
-        // Knuckles about the palm; the palm faces the floor, so the thumb points to the front.
+        // Knuckles relative to the palm; the palm faces the floor, so the thumb points to the front.
         "index" => on_hand(0.005, 0.025),
         "pinky" => on_hand(-0.010, -0.030),
         "thumb" => on_hand(-0.025, 0.045),

@@ -1,4 +1,4 @@
-//! Joints and landmarks from vertices: sparse convex combinations that follow the generator's places at every shape.
+//! Joints and landmarks from vertices: sparse convex combinations that approximate the generator's positions at every shape.
 
 use super::places::VariedPlace;
 use crate::body::anthropometry::N_BETAS;
@@ -6,51 +6,51 @@ use crate::body::model::ShapeDirections;
 use crate::body::surface::VertexWeight;
 use nalgebra::{DMatrix, DVector, Vector3};
 
-/// A vertex or the mean of a vertex and its mirror image, which may carry a place.
+/// A vertex, or the mean of a vertex and its mirror image, as a candidate of a convex combination.
 #[derive(Debug, Clone)]
-pub(super) struct Carrier {
+pub(super) struct Candidate {
     /// The vertices that share its weight equally.
     pub vertices: Vec<usize>,
-    /// Rest place at beta 0, m.
+    /// Rest position at beta 0, m.
     pub place: Vector3<f64>,
-    /// Its change per beta, m.
+    /// Change of the position per beta, m.
     pub directions: ShapeDirections,
 }
 
-/// Weight of the place at beta 0 against that of its change per beta.
+/// Weight of the position at beta 0 relative to its change per beta.
 const TEMPLATE_WEIGHT: f64 = 3.0;
-/// Weight of the condition that the shares sum to 1, m.
+/// Weight of the condition that the weights sum to 1, m.
 const SUM_WEIGHT: f64 = 10.0;
-/// Carriers lie at most this many times as far away as the nearest, plus a margin, m.
+/// Candidates are at most this many times as far away as the nearest one, plus a margin, m.
 const RADIUS: [f64; 2] = [1.7, 0.03];
 
-/// The non-negative shares, summing to 1, whose combination comes nearest to the place at beta 0 and per beta.
-pub(super) fn convex_row(place: &VariedPlace, carriers: &[Carrier]) -> Vec<VertexWeight> {
-    let distance = |carrier: &Carrier| (carrier.place - place.mean).norm();
-    let nearest = carriers.iter().map(distance).fold(f64::INFINITY, f64::min);
-    let near: Vec<&Carrier> = carriers.iter().filter(|c| distance(c) <= RADIUS[0] * nearest + RADIUS[1]).collect();
+/// The non-negative weights, summing to 1, whose combination is nearest to the position at beta 0 and to its change per beta.
+pub(super) fn convex_row(place: &VariedPlace, candidates: &[Candidate]) -> Vec<VertexWeight> {
+    let distance = |candidate: &Candidate| (candidate.place - place.mean).norm();
+    let nearest = candidates.iter().map(distance).fold(f64::INFINITY, f64::min);
+    let near: Vec<&Candidate> = candidates.iter().filter(|c| distance(c) <= RADIUS[0] * nearest + RADIUS[1]).collect();
     let n_rows = 3 + 3 * N_BETAS + 1;
     let column = |offset: Vector3<f64>, directions: &ShapeDirections, sum: f64| {
         let entries = offset.iter().map(|v| v * TEMPLATE_WEIGHT).chain(directions.iter().copied());
         DVector::from_iterator(n_rows, entries.chain([sum]))
     };
-    // Relative to the place the target is zero but for the sum, which keeps the equations well scaled.
+    // Relative to the position the target is zero except for the sum, which keeps the equations well scaled.
     let columns: Vec<DVector<f64>> =
         near.iter().map(|c| column(c.place - place.mean, &(c.directions - place.directions), SUM_WEIGHT)).collect();
     let target = column(Vector3::zeros(), &ShapeDirections::zeros(), SUM_WEIGHT);
     let shares = non_negative_least_squares(&DMatrix::from_columns(&columns), &target);
     let total: f64 = shares.iter().sum();
     let mut row: Vec<VertexWeight> = Vec::new();
-    for (carrier, share) in near.iter().zip(shares.iter()).filter(|(_, share)| **share > 0.0) {
-        let weight = share / total / carrier.vertices.len() as f64;
-        row.extend(carrier.vertices.iter().map(|&vertex| VertexWeight { vertex, weight }));
+    for (candidate, share) in near.iter().zip(shares.iter()).filter(|(_, share)| **share > 0.0) {
+        let weight = share / total / candidate.vertices.len() as f64;
+        row.extend(candidate.vertices.iter().map(|&vertex| VertexWeight { vertex, weight }));
     }
     row
 }
 
 /// `min |A x - b|` over `x >= 0`: the active set method of Lawson and Hanson (1974, chapter 23) on the normal equations.
 ///
-/// Ends after `3 n` steps at the latest, then with the best of what is feasible.
+/// Ends after at most `3 n` steps with the best feasible solution.
 fn non_negative_least_squares(a: &DMatrix<f64>, b: &DVector<f64>) -> DVector<f64> {
     let n = a.ncols();
     let (gram, moment) = (a.tr_mul(a), a.tr_mul(b));
@@ -80,7 +80,7 @@ fn non_negative_least_squares(a: &DMatrix<f64>, b: &DVector<f64>) -> DVector<f64
 
 fn solve_passive(gram: &DMatrix<f64>, moment: &DVector<f64>, passive: &[usize]) -> Option<DVector<f64>> {
     let n = passive.len();
-    // A trace of damping keeps nearly equal carriers apart.
+    // A little damping keeps the system regular for nearly equal candidates.
     let system = DMatrix::from_fn(n, n, |i, j| gram[(passive[i], passive[j])] + if i == j { 1e-9 } else { 0.0 });
     Some(system.cholesky()?.solve(&DVector::from_fn(n, |i, _| moment[passive[i]])))
 }
@@ -90,7 +90,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_would_be_negative_is_zero_and_the_rest_is_best() {
+    fn negative_solutions_become_zero_and_the_rest_optimal() {
         let a = DMatrix::from_row_slice(3, 2, &[1.0, 0.0, 0.0, 1.0, 1.0, 1.0]);
         let x = non_negative_least_squares(&a, &DVector::from_vec(vec![2.0, -3.0, 1.0]));
         assert!((x[0] - 1.5).abs() < 1e-8 && x[1] == 0.0);

@@ -1,15 +1,15 @@
-//! Well-shaped triangles: vertices slide along the surface, edges flip, short edges collapse.
+//! Mesh relaxation to well-shaped triangles: vertices slide along the surface, edges flip, short edges collapse.
 
 use super::half_mesh::HalfMesh;
 use super::tubes::{Tube, body_distance, body_gradient};
 use nalgebra::Vector3;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Rounds of flipping, collapsing and sliding; the smallest angle has settled by then.
+/// Rounds of flipping, collapsing and sliding; the smallest angle has converged after them.
 const ROUNDS: usize = 8;
-/// Slides in each round.
+/// Sliding steps in each round.
 const SLIDES: usize = 12;
-/// Shorter edges collapse, m.
+/// Edges shorter than this collapse, m.
 const SHORTEST: f64 = 0.0062;
 
 /// Relaxes the mesh onto the tubes' surface.
@@ -24,7 +24,7 @@ pub(super) fn relax(mesh: &mut HalfMesh, tubes: &[Tube]) {
     flip_edges(mesh);
 }
 
-/// The vertices joined to each vertex by an edge, in ascending order.
+/// The vertices connected to each vertex by an edge, in ascending order.
 pub(super) fn neighbours(mesh: &HalfMesh) -> Vec<Vec<usize>> {
     let mut sets = vec![BTreeSet::new(); mesh.vertices.len()];
     for [a, b, c] in &mesh.faces {
@@ -36,10 +36,10 @@ pub(super) fn neighbours(mesh: &HalfMesh) -> Vec<Vec<usize>> {
     sets.into_iter().map(|set| set.into_iter().collect()).collect()
 }
 
-/// Moves every vertex half way to the middle of the triangles round it along the surface, then back onto it.
+/// Moves every vertex along the surface half way to the centroid of the triangles around it, then back onto the surface.
 ///
-/// The middle is weighted by area, which evens the triangles out; the plain mean of the neighbours would draw thin tips
-/// (toes, fingers) in.
+/// The centroid is weighted by area, which makes the triangles equal; the mean of the neighbours would shrink thin tips
+/// (toes, fingers).
 fn slide(mesh: &mut HalfMesh, tubes: &[Tube]) {
     let mut sums = vec![Vector3::zeros(); mesh.vertices.len()];
     let mut areas = vec![0.0; mesh.vertices.len()];
@@ -53,7 +53,7 @@ fn slide(mesh: &mut HalfMesh, tubes: &[Tube]) {
     }
     for i in 0..mesh.vertices.len() {
         let point = mesh.vertices[i];
-        // A vertex on the plane sees mirror images as well: its way off the plane cancels.
+        // A vertex on the plane also has the mirrored triangles: its movement off the plane cancels.
         let gradient = body_gradient(tubes, &point);
         let mut step = (sums[i] / areas[i] - point) * 0.5;
         if mesh.on_plane[i] {
@@ -74,7 +74,7 @@ fn onto_surface(tubes: &[Tube], point: &Vector3<f64>, on_plane: bool) -> Vector3
     point
 }
 
-/// The faces on either side of every inner edge, by its ends in ascending order.
+/// The faces on both sides of every edge, by its ends in ascending order.
 fn faces_of_edges(faces: &[[usize; 3]]) -> BTreeMap<[usize; 2], Vec<usize>> {
     let mut edges: BTreeMap<[usize; 2], Vec<usize>> = BTreeMap::new();
     for (f, [a, b, c]) in faces.iter().enumerate() {
@@ -96,7 +96,7 @@ fn flip_edges(mesh: &mut HalfMesh) {
             if touched[f] || touched[g] {
                 continue;
             }
-            // f holds i -> j in this direction or the other one; a faces it in f, b in g.
+            // f contains i -> j in this direction or the reverse; a is opposite to it in f, b in g.
             let runs_forward = (0..3).any(|k| mesh.faces[f][k] == i && mesh.faces[f][(k + 1) % 3] == j);
             let (i, j) = if runs_forward { (i, j) } else { (j, i) };
             let (a, b) = (opposite(mesh.faces[f], i, j), opposite(mesh.faces[g], i, j));
@@ -146,8 +146,8 @@ fn smallest_angle_cosine(mesh: &HalfMesh, face: [usize; 3]) -> f64 {
 
 /// Merges the ends of short edges where the surface stays a surface; returns whether it merged any.
 ///
-/// The ends may share exactly the two vertices opposite the edge (link condition), and a vertex of the plane is never
-/// drawn off it. Merged edges keep their distance from each other within one call.
+/// The ends may share exactly the two vertices opposite the edge (link condition), and vertices of the plane do not move.
+/// Edges merged in one call do not share neighbours.
 fn collapse_short_edges(mesh: &mut HalfMesh) -> bool {
     let near = neighbours(mesh);
     let mut target: Vec<usize> = (0..mesh.vertices.len()).collect();

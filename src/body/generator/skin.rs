@@ -1,4 +1,4 @@
-//! Skin weights: which joints carry a point, by its distance to their bones.
+//! Skin weights from a point's distances to the bones.
 
 use super::half_mesh::HalfMesh;
 use super::relaxation::neighbours;
@@ -6,23 +6,23 @@ use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
 use crate::body::surface::JointWeight;
 use nalgebra::Vector3;
 
-/// Shares of all joints at one vertex.
+/// Weights of all joints at one vertex.
 type Row = [f64; N_JOINTS];
 
-/// A bone farther than the nearest one by this much has no share, m.
+/// A bone farther away than the nearest one by this distance has no weight, m.
 const REACH: f64 = 0.060;
-/// Rounds of smoothing over the mesh.
+/// Smoothing rounds over the mesh.
 const SMOOTHING: usize = 6;
-/// Most joints that a vertex hangs on.
+/// Most joints of a vertex.
 const MOST: usize = 4;
-/// Right of the midplane by this much nothing hangs on a left limb, and the reverse, m.
+/// Vertices farther than this from the midplane have no weight on limbs of the other side, m.
 const SIDE_MARGIN: f64 = 0.018;
 
-/// The shares of every vertex of the left half: at most four, in descending order, summing to 1.
+/// The weights of every vertex of the left half: at most four, in descending order, summing to 1.
 ///
-/// A joint's share falls with the distance of its bone beyond that of the nearest bone, `(1 - excess / reach)^3`; only
-/// the nearest bone's joint, its parent and its children take part, so that no arm hangs on a hip. The shares are then
-/// smoothed over the mesh and its mirror image.
+/// A joint's weight falls with the distance of its bone beyond that of the nearest bone, `(1 - excess / reach)^3`; only the
+/// nearest bone's joint, its parent and its children have weights, so that an arm is not attached to a hip. The weights are
+/// then smoothed over the mesh and its mirror image.
 pub(super) fn skin_weights(mesh: &HalfMesh, joints: &[Vector3<f64>; N_JOINTS], tips: &Tips) -> Vec<Vec<JointWeight>> {
     let bones = bones(joints, tips);
     let near = neighbours(mesh);
@@ -38,17 +38,17 @@ pub(super) fn skin_weights(mesh: &HalfMesh, joints: &[Vector3<f64>; N_JOINTS], t
     rows.iter().zip(&mesh.vertices).map(|(row, vertex)| strongest(row, vertex)).collect()
 }
 
-/// Where the bones without a child joint end, left side.
+/// Ends of the bones without a child joint, left side, m.
 pub(super) struct Tips {
     pub crown: Vector3<f64>,
     pub finger: Vector3<f64>,
     pub toe: Vector3<f64>,
     pub heel: Vector3<f64>,
-    /// Between the legs: the lower end of the pelvis.
+    /// Lower end of the pelvis, between the legs.
     pub crotch: Vector3<f64>,
 }
 
-/// A segment that a joint carries.
+/// The segment of one joint.
 struct Bone {
     joint: usize,
     from: Vector3<f64>,
@@ -133,7 +133,7 @@ fn normalised(row: Row) -> Row {
     row.map(|v| v / total)
 }
 
-/// The four largest shares; on the plane an even number of sided ones, so that the mirror image is the same.
+/// The four largest weights; on the plane left and right joints come in pairs, so that the mirror image is the same.
 fn strongest(row: &Row, vertex: &Vector3<f64>) -> Vec<JointWeight> {
     let is_far = vertex.x > SIDE_MARGIN;
     let allowed = |j: &usize| !(is_far && JOINT_NAMES[*j].starts_with("right_"));

@@ -1,9 +1,9 @@
-//! The generator against its own figures; what the embedded body must be is in `tests/body`.
+//! Tests of the generator's parts; `tests/body` tests the embedded body.
 
 use super::tubes::{body_distance, body_gradient};
 use super::*;
 
-/// The figure's distance is exact to first order: stepping by it along the gradient ends on the surface.
+/// The figure's distance is exact to first order: steps along the gradient end on the surface.
 #[test]
 fn a_step_by_the_distance_ends_on_the_surface() {
     let tubes = figure::figure(&Population::ansur2());
@@ -21,9 +21,9 @@ fn a_step_by_the_distance_ends_on_the_surface() {
     }
 }
 
-/// A tube's directions are those of the tube itself: a figure of shifted means, sampled at shifted points, is the same.
+/// The crown moves by the standard deviation of stature per unit of beta 0, the sole does not move.
 #[test]
-fn the_crown_and_the_sole_move_as_stature_says() {
+fn crown_and_sole_move_with_stature() {
     let tubes = figure::figure(&Population::ansur2());
     let crown = surface_directions(&tubes, &Vector3::new(0.0, 1.692, 0.005));
     assert!((crown[(1, 0)] - 0.09214).abs() < 1e-6);

@@ -1,12 +1,12 @@
-//! Tubes: stacks of rounded cross-sections, the clay that the default body is made of.
+//! Tubes: stacks of rounded cross-sections, the parts of the default body.
 //!
-//! Only sums, products and square roots, which IEEE 754 fixes to the last bit: the body comes out the same everywhere.
+//! Uses sums, products and square roots only, which IEEE 754 defines to the last bit: every machine generates the same body.
 
 use crate::body::anthropometry::BetaRow;
 use crate::body::model::ShapeDirections;
 use nalgebra::Vector3;
 
-/// The direction that a tube's stations follow; its cross-sections lie across it.
+/// The direction of a tube; its cross-sections are perpendicular to it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Axis {
     /// To the left: sections span y and z.
@@ -18,7 +18,7 @@ pub(super) enum Axis {
 }
 
 impl Axis {
-    /// The axis itself, then the two that span the sections.
+    /// Index of the axis, then of the two that span the sections.
     fn indices(self) -> [usize; 3] {
         match self {
             Self::X => [0, 1, 2],
@@ -37,37 +37,37 @@ pub(super) struct Station {
     pub centre_directions: ShapeDirections,
     /// Half extents along the section's two axes at beta 0, m.
     pub half: [f64; 2],
-    /// Their change per beta, m.
+    /// Change of the half extents per beta, m.
     pub half_directions: [BetaRow; 2],
 }
 
 /// A stack of at least two stations along an axis, rounded off at both ends.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Tube {
-    /// The stack's direction.
+    /// Direction of the tube.
     pub axis: Axis,
-    /// In ascending order along the axis.
+    /// Cross-sections in ascending order along the axis.
     pub stations: Vec<Station>,
-    /// How far the round ends reach beyond the first and the last station, m.
+    /// Length of the round ends beyond the first and the last station, m.
     pub caps: [f64; 2],
     /// 0: elliptic sections, 1: rectangular ones, between: squircles.
     pub squareness: f64,
 }
 
-/// Shares of the stations in a section: cubic between the two neighbours on either side.
+/// Weights of the stations in a section: cubic in the two neighbours on either side.
 struct SectionBlend {
     first: usize,
     weights: Vec<f64>,
 }
 
-/// A point in a tube's own terms, which keep their meaning when the tube changes its shape.
+/// A point relative to a tube, in coordinates that do not depend on the tube's shape.
 struct TubePoint {
     blend: SectionBlend,
     section: Section,
-    /// Beyond the end station, m; 0 between the ends.
+    /// Distance beyond the end station, m; 0 between the ends.
     overshoot: f64,
     cap: f64,
-    /// From the section's centre, in half extents.
+    /// Offset from the section's centre, in half extents.
     relative: [f64; 2],
 }
 
@@ -101,7 +101,7 @@ impl Tube {
         (q - 1.0) / norm.max(1e-9)
     }
 
-    /// How a point that is carried by the tube moves per beta, m.
+    /// Change per beta of a point fixed to the tube, m.
     pub(super) fn directions_at(&self, point: &Vector3<f64>) -> ShapeDirections {
         let local = self.locate(point);
         let [_, first, second] = self.axis.indices();
@@ -142,8 +142,8 @@ impl Tube {
         section
     }
 
-    /// Cubic Hermite shares with the slopes of the neighbouring chords: linear in the stations' values, so that a body
-    /// of any betas is interpolated the same way.
+    /// Cubic Hermite weights with the slopes of the neighbouring chords: linear in the stations' values, hence the same for
+    /// all betas.
     fn blend(&self, at: f64) -> SectionBlend {
         let [along, ..] = self.axis.indices();
         let n = self.stations.len();
@@ -166,7 +166,7 @@ impl Tube {
     }
 }
 
-/// Where two tubes come this near to each other, m, their union is rounded.
+/// The union of two tubes is rounded where their distances differ by less than this, m.
 const ROUNDING: f64 = 0.03;
 
 /// Signed distance to the rounded union of the tubes and their mirror images, m.
@@ -190,10 +190,10 @@ pub(super) fn body_gradient(tubes: &[Tube], point: &Vector3<f64>) -> Vector3<f64
     })
 }
 
-/// Two tubes share a point as long as their distances to it differ by less than this, m.
+/// Two tubes both move a point if their distances to it differ by less than this, m.
 const SHARING: f64 = 0.04;
 
-/// How a surface point (x >= 0) moves per beta: as the tubes nearest to it say, m.
+/// Change of a surface point (x >= 0) per beta, the weighted mean over the tubes nearest to it, m.
 pub(super) fn surface_directions(tubes: &[Tube], point: &Vector3<f64>) -> ShapeDirections {
     let distances: Vec<f64> = tubes.iter().map(|tube| tube.distance(point)).collect();
     let nearest = distances.iter().copied().fold(f64::INFINITY, f64::min);
