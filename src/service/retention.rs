@@ -3,7 +3,6 @@
 use super::Shared;
 use super::settings::Retention;
 use super::store::{StoreError, Tenant, sessions};
-use sqlx::Row;
 use std::time::{Duration, Instant, SystemTime};
 
 /// Interval between two removals.
@@ -85,6 +84,6 @@ async fn remove_sessions(shared: &Shared, days: f64) -> Result<usize, StoreError
 
 /// Returns ids and tenants of the next rows of `query` that are older than `days`.
 async fn next_batch(shared: &Shared, query: &'static str, days: f64) -> Result<Vec<(String, Tenant)>, StoreError> {
-    let rows = sqlx::query(query).bind(format!("-{days} days")).bind(BATCH).fetch_all(shared.store.read()).await?;
-    rows.iter().map(|row| Ok((row.try_get("id")?, Tenant::stored(row.try_get("tenant")?)))).collect()
+    let rows = sqlx::query_as(query).bind(format!("-{days} days")).bind(BATCH);
+    Ok(rows.fetch_all(shared.store.read()).await?)
 }

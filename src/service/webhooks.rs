@@ -16,15 +16,13 @@ use super::settings::WebhookSettings;
 use super::store::{Store, StoreError, Tenant, tenants};
 use call::{Call, CallOutcome};
 use serde::Serialize;
-use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::JoinSet;
 
 /// Delivery of one event to one receiver.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Serialize, sqlx::FromRow)]
 pub struct Delivery {
     /// Value of the header `webhook-id`.
     pub id: String,
@@ -45,6 +43,7 @@ pub struct Delivery {
     /// Time of the last change; UTC, RFC 3339.
     pub updated_at: String,
     #[serde(skip)]
+    #[sqlx(rename = "job_id")]
     job: String,
     #[serde(skip)]
     tenant: Tenant,
@@ -89,16 +88,15 @@ pub(super) async fn run(shared: Shared, networks: Arc<Networks>) {
 /// Returns the due deliveries, oldest first.
 async fn due(shared: &Shared) -> Result<Vec<Delivery>, StoreError> {
     let longest = 2 * wait_after(shared.settings.webhooks.max_tries, &shared.settings.webhooks).as_secs();
-    let rows = sqlx::query(
+    let rows = sqlx::query_as(
         "SELECT * FROM webhook_deliveries
          WHERE state = 'waiting' AND (next_try_at <= unixepoch() OR next_try_at > unixepoch() + ?)
          ORDER BY seq LIMIT ?",
     )
     .bind(longest as i64)
     .bind(2 * MAX_CALLS as i64)
-    .fetch_all(shared.store.read())
-    .await?;
-    rows.iter().map(from_row).collect()
+    .fetch_all(shared.store.read());
+    Ok(rows.await?)
 }
 
 /// Makes one try; returns the id of the delivery.
@@ -194,8 +192,8 @@ fn wait_after(tries: i64, settings: &WebhookSettings) -> Duration {
 /// # Errors
 /// When the store fails.
 pub async fn deliveries_of(store: &Store, tenant: &Tenant, job: &str) -> Result<Vec<Delivery>, StoreError> {
-    let rows = sqlx::query("SELECT * FROM webhook_deliveries WHERE job_id = ? AND tenant = ? ORDER BY seq");
-    rows.bind(job).bind(tenant.name()).fetch_all(store.read()).await?.iter().map(from_row).collect()
+    let rows = sqlx::query_as("SELECT * FROM webhook_deliveries WHERE job_id = ? AND tenant = ? ORDER BY seq");
+    Ok(rows.bind(job).bind(tenant.name()).fetch_all(store.read()).await?)
 }
 
 /// Makes a delivery due again, whatever its state; `None` if it does not exist.
@@ -204,7 +202,7 @@ pub async fn deliveries_of(store: &Store, tenant: &Tenant, job: &str) -> Result<
 /// When the store fails.
 pub async fn redeliver(store: &Store, tenant: &Tenant, job: &str, id: &str) -> Result<Option<Delivery>, StoreError> {
     let mut transaction = store.write().await?;
-    let row = sqlx::query(
+    let delivery = sqlx::query_as(
         "UPDATE webhook_deliveries
          SET state = 'waiting', tries = 0, next_try_at = 0, updated_at = strftime('%Y-%m-%dT%H:%M:%fZ', 'now')
          WHERE id = ? AND job_id = ? AND tenant = ? RETURNING *",
@@ -215,23 +213,7 @@ pub async fn redeliver(store: &Store, tenant: &Tenant, job: &str, id: &str) -> R
     .fetch_optional(&mut *transaction)
     .await?;
     transaction.commit().await?;
-    row.as_ref().map(from_row).transpose()
-}
-
-fn from_row(row: &SqliteRow) -> Result<Delivery, StoreError> {
-    Ok(Delivery {
-        id: row.try_get("id")?,
-        event: row.try_get("event")?,
-        url: row.try_get("url")?,
-        state: row.try_get("state")?,
-        tries: row.try_get("tries")?,
-        last_status: row.try_get("last_status")?,
-        last_error: row.try_get("last_error")?,
-        created_at: row.try_get("created_at")?,
-        updated_at: row.try_get("updated_at")?,
-        job: row.try_get("job_id")?,
-        tenant: Tenant::stored(row.try_get("tenant")?),
-    })
+    Ok(delivery)
 }
 
 #[cfg(test)]

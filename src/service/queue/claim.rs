@@ -7,9 +7,10 @@ use super::phase::Phase;
 use super::rows::phase_from_row;
 use crate::service::failpoint::{failpoint, fault};
 use crate::service::store::artifacts::{self, Artifact};
+use crate::service::store::database::WriteTransaction;
 use crate::service::store::error::StoreError;
 use crate::service::store::summary::Summary;
-use sqlx::{Row, Sqlite, Transaction};
+use sqlx::Row;
 use std::collections::BTreeMap;
 
 /// One job claimed by one worker.
@@ -205,10 +206,7 @@ impl Queue {
 }
 
 /// Returns the tenant with queued jobs that was served the longest ago, and moves it to the end of the order.
-async fn next_tenant(
-    transaction: &mut Transaction<'static, Sqlite>,
-    max_running: i64,
-) -> Result<Option<String>, StoreError> {
+async fn next_tenant(transaction: &mut WriteTransaction, max_running: i64) -> Result<Option<String>, StoreError> {
     let name = sqlx::query_scalar(
         "UPDATE tenants SET turn = 1 + (SELECT max(turn) FROM tenants)
          WHERE name = (SELECT name FROM tenants
@@ -221,7 +219,7 @@ async fn next_tenant(
 }
 
 async fn write_outcome(
-    transaction: &mut Transaction<'static, Sqlite>,
+    transaction: &mut WriteTransaction,
     claim: &Claim,
     outcome: &ClaimOutcome<Published>,
     next: Phase,
@@ -251,7 +249,7 @@ async fn write_outcome(
 
 /// Writes the size of the result, which counts towards the tenant's quota.
 async fn write_result_size(
-    transaction: &mut Transaction<'static, Sqlite>,
+    transaction: &mut WriteTransaction,
     claim: &Claim,
     artifacts: &[Artifact],
 ) -> Result<(), StoreError> {

@@ -5,10 +5,10 @@ use super::job::Job;
 use super::rows::job_from_row;
 use crate::service::failpoint::{failpoint, fault};
 use crate::service::settings::{RequestLimits, TenantLimits};
+use crate::service::store::database::WriteTransaction;
 use crate::service::store::error::StoreError;
 use crate::service::store::random::new_id;
 use crate::service::store::tenants::{self, Tenant};
-use sqlx::{Row, Sqlite, Transaction};
 use std::collections::BTreeMap;
 
 /// A validated request for a job.
@@ -130,31 +130,32 @@ impl Queue {
     }
 }
 
-type Writing = Transaction<'static, Sqlite>;
-
 /// Returns the job id stored with a key; an error if the key was used for another request.
 async fn job_of_key(
-    transaction: &mut Writing,
+    transaction: &mut WriteTransaction,
     tenant: &Tenant,
     key: &IdempotencyKey,
 ) -> Result<Option<String>, EnqueueError> {
-    let row = sqlx::query("SELECT fingerprint, job_id FROM idempotency WHERE tenant = ? AND key = ?");
-    let Some(row) = row.bind(tenant.name()).bind(&key.key).fetch_optional(&mut **transaction).await? else {
-        return Ok(None);
-    };
-    if row.try_get::<&str, _>("fingerprint")? != key.fingerprint {
-        return Err(EnqueueError::KeyReused);
+    let row = sqlx::query_as("SELECT fingerprint, job_id FROM idempotency WHERE tenant = ? AND key = ?");
+    let row: Option<(String, String)> =
+        row.bind(tenant.name()).bind(&key.key).fetch_optional(&mut **transaction).await?;
+    match row {
+        Some((fingerprint, _)) if fingerprint != key.fingerprint => Err(EnqueueError::KeyReused),
+        row => Ok(row.map(|(_, job)| job)),
     }
-    Ok(Some(row.try_get("job_id")?))
 }
 
-async fn require_session(transaction: &mut Writing, new: &NewJob) -> Result<(), EnqueueError> {
+async fn require_session(transaction: &mut WriteTransaction, new: &NewJob) -> Result<(), EnqueueError> {
     let session = sqlx::query("SELECT 1 FROM sessions WHERE id = ? AND tenant = ?");
     let session = session.bind(&new.session).bind(new.tenant.name());
     session.fetch_optional(&mut **transaction).await?.map(|_| ()).ok_or(EnqueueError::SessionMissing)
 }
 
-async fn require_capacity(transaction: &mut Writing, tenant: &Tenant, limits: QueueLimits) -> Result<(), EnqueueError> {
+async fn require_capacity(
+    transaction: &mut WriteTransaction,
+    tenant: &Tenant,
+    limits: QueueLimits,
+) -> Result<(), EnqueueError> {
     let waiting = sqlx::query_scalar("SELECT count(*) FROM jobs WHERE state = 'queued'");
     let waiting: i64 = waiting.fetch_one(&mut **transaction).await?;
     if waiting >= limits.total {
@@ -165,7 +166,7 @@ async fn require_capacity(transaction: &mut Writing, tenant: &Tenant, limits: Qu
     if waiting < limits.tenant { Ok(()) } else { Err(EnqueueError::TenantFull { waiting }) }
 }
 
-async fn insert(transaction: &mut Writing, new: &NewJob) -> Result<Job, EnqueueError> {
+async fn insert(transaction: &mut WriteTransaction, new: &NewJob) -> Result<Job, EnqueueError> {
     let row = sqlx::query(
         "INSERT INTO jobs (id, tenant, session_id, options, labels, priority, webhook, state, created_at)
          VALUES (?, ?, ?, ?, ?, ?, ?, 'queued', strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
@@ -184,7 +185,7 @@ async fn insert(transaction: &mut Writing, new: &NewJob) -> Result<Job, EnqueueE
 }
 
 async fn insert_key(
-    transaction: &mut Writing,
+    transaction: &mut WriteTransaction,
     tenant: &Tenant,
     key: &IdempotencyKey,
     job: &str,

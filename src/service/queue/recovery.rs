@@ -4,7 +4,6 @@ use super::handle::Queue;
 use crate::service::failpoint::{failpoint, fault};
 use crate::service::store::error::StoreError;
 use crate::service::store::sessions;
-use sqlx::Row;
 use std::collections::BTreeMap;
 
 /// Counts of what recovery changed.
@@ -105,7 +104,6 @@ async fn open_jobs(queue: &Queue) -> Result<Vec<String>, StoreError> {
 }
 
 async fn published_fences(queue: &Queue) -> Result<BTreeMap<String, i64>, StoreError> {
-    let rows = sqlx::query("SELECT id, result_fence FROM jobs WHERE state = 'succeeded'");
-    let rows = rows.fetch_all(queue.store.read()).await?;
-    rows.iter().map(|row| Ok((row.try_get("id")?, row.try_get("result_fence")?))).collect()
+    let rows = sqlx::query_as::<_, (String, i64)>("SELECT id, result_fence FROM jobs WHERE state = 'succeeded'");
+    Ok(rows.fetch_all(queue.store.read()).await?.into_iter().collect())
 }

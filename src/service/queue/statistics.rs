@@ -2,7 +2,6 @@
 
 use super::handle::Queue;
 use crate::service::store::error::StoreError;
-use sqlx::Row;
 
 /// Current counts of the queue.
 #[derive(Debug, Default)]
@@ -23,10 +22,8 @@ impl Queue {
     /// # Errors
     /// When the store fails.
     pub async fn statistics(&self) -> Result<QueueStatistics, StoreError> {
-        let rows = sqlx::query("SELECT state, count(*) AS n FROM jobs GROUP BY state ORDER BY state");
-        let rows = rows.fetch_all(self.store.read()).await?;
-        let by_state = rows.iter().map(|row| Ok((row.try_get("state")?, row.try_get("n")?)));
-        let by_state = by_state.collect::<Result<_, sqlx::Error>>()?;
+        let by_state = sqlx::query_as("SELECT state, count(*) FROM jobs GROUP BY state ORDER BY state");
+        let by_state = by_state.fetch_all(self.store.read()).await?;
         let oldest: Option<f64> = sqlx::query_scalar(
             "SELECT (julianday('now') - julianday(min(created_at))) * 86400.0 FROM jobs WHERE state = 'queued'",
         )

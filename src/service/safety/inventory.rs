@@ -2,10 +2,10 @@
 
 use crate::service::store::StoreError;
 use serde::{Deserialize, Serialize};
-use sqlx::{Row, SqlitePool};
+use sqlx::{FromRow, SqlitePool};
 
 /// One file below a data folder.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, FromRow)]
 pub(super) struct NamedFile {
     /// Path below the data folder, with `/`.
     pub(super) name: String,
@@ -18,16 +18,12 @@ pub(super) struct NamedFile {
 
 /// Lists all uploads and published files, sorted by name.
 pub(super) async fn named_files(database: &SqlitePool) -> Result<Vec<NamedFile>, StoreError> {
-    let rows = sqlx::query(
+    let rows = sqlx::query_as(
         "SELECT id AS owner, 'sessions/' || id AS name, sha256 FROM sessions
          UNION ALL
          SELECT jobs.id, 'results/' || jobs.id || '/' || result_fence || '/' || name, sha256
          FROM artifacts JOIN jobs ON jobs.id = artifacts.job_id
          ORDER BY name",
     );
-    let rows = rows.fetch_all(database).await?;
-    let file = |row: &sqlx::sqlite::SqliteRow| -> Result<NamedFile, sqlx::Error> {
-        Ok(NamedFile { name: row.try_get("name")?, sha256: row.try_get("sha256")?, owner: row.try_get("owner")? })
-    };
-    Ok(rows.iter().map(file).collect::<Result<_, _>>()?)
+    Ok(rows.fetch_all(database).await?)
 }

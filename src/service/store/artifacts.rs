@@ -1,22 +1,21 @@
 //! Published files of a job: listed, hashed and synced once, then served by their digest.
 
-use super::database::Store;
+use super::database::{Store, WriteTransaction};
 use super::error::StoreError;
 use sha2::{Digest, Sha256};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, Sqlite, Transaction};
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
 
 /// One published file.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, sqlx::FromRow)]
 pub struct Artifact {
     /// Path below the result folder, with `/`.
     pub name: String,
     /// Media type.
     pub media_type: String,
     /// Size, bytes.
+    #[sqlx(try_from = "i64")]
     pub bytes: u64,
     /// SHA-256, hex.
     pub sha256: String,
@@ -101,11 +100,7 @@ fn media_type(name: &str) -> &'static str {
 ///
 /// # Errors
 /// When the database fails.
-pub async fn insert(
-    transaction: &mut Transaction<'static, Sqlite>,
-    job: &str,
-    artifacts: &[Artifact],
-) -> Result<(), StoreError> {
+pub async fn insert(transaction: &mut WriteTransaction, job: &str, artifacts: &[Artifact]) -> Result<(), StoreError> {
     for artifact in artifacts {
         sqlx::query("INSERT INTO artifacts (job_id, name, media_type, bytes, sha256) VALUES (?, ?, ?, ?, ?)")
             .bind(job)
@@ -124,17 +119,8 @@ pub async fn insert(
 /// # Errors
 /// When the store fails.
 pub async fn get(store: &Store, job: &str, name: &str) -> Result<Option<Artifact>, StoreError> {
-    let row = sqlx::query("SELECT * FROM artifacts WHERE job_id = ? AND name = ?").bind(job).bind(name);
-    row.fetch_optional(store.read()).await?.as_ref().map(from_row).transpose()
-}
-
-fn from_row(row: &SqliteRow) -> Result<Artifact, StoreError> {
-    Ok(Artifact {
-        name: row.try_get("name")?,
-        media_type: row.try_get("media_type")?,
-        bytes: row.try_get::<i64, _>("bytes")? as u64,
-        sha256: row.try_get("sha256")?,
-    })
+    let row = sqlx::query_as("SELECT * FROM artifacts WHERE job_id = ? AND name = ?").bind(job).bind(name);
+    Ok(row.fetch_optional(store.read()).await?)
 }
 
 #[cfg(test)]

@@ -17,6 +17,9 @@ const BUSY_PATIENCE: Duration = Duration::from_secs(10);
 /// SQLite 3.7.0 to 3.51.2 can corrupt the file if two connections write and checkpoint at the same time.
 const OLDEST_SOUND_SQLITE: [u32; 3] = [3, 51, 3];
 
+/// An open transaction that may write.
+pub(crate) type WriteTransaction = Transaction<'static, Sqlite>;
+
 /// The database and the folders of one service process.
 #[derive(Debug, Clone)]
 pub struct Store {
@@ -125,7 +128,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database is locked or fails.
-    pub(crate) async fn write(&self) -> Result<Transaction<'static, Sqlite>, sqlx::Error> {
+    pub(crate) async fn write(&self) -> Result<WriteTransaction, sqlx::Error> {
         self.writer.begin_with("BEGIN IMMEDIATE").await
     }
 
@@ -133,7 +136,7 @@ impl Store {
     ///
     /// # Errors
     /// When the database is locked or fails.
-    pub(crate) async fn write_relaxed(&self) -> Result<Transaction<'static, Sqlite>, sqlx::Error> {
+    pub(crate) async fn write_relaxed(&self) -> Result<WriteTransaction, sqlx::Error> {
         self.progress_writer.begin_with("BEGIN IMMEDIATE").await
     }
 

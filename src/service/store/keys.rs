@@ -156,7 +156,7 @@ fn is_same_digest(stored: &str, given: &str) -> bool {
 fn from_row(row: &SqliteRow) -> Result<ApiKey, StoreError> {
     Ok(ApiKey {
         id: row.try_get("id")?,
-        tenant: Tenant::stored(row.try_get("tenant")?),
+        tenant: row.try_get("tenant")?,
         name: row.try_get("name")?,
         scopes: serde_json::from_str(row.try_get("scopes")?)?,
         created_at: row.try_get("created_at")?,

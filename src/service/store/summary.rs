@@ -1,10 +1,10 @@
 //! Summary rows of a result, read from the published files, so that database and files agree.
 
+use super::database::WriteTransaction;
 use super::error::StoreError;
 use crate::session::reconstruction::{CameraReport, ErrorSummary, PersonReport, Quality, ScaleReport};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
-use sqlx::{Sqlite, Transaction};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -92,7 +92,7 @@ impl Summary {
     ///
     /// # Errors
     /// When the database fails.
-    pub async fn insert(&self, transaction: &mut Transaction<'static, Sqlite>, job: &str) -> Result<(), StoreError> {
+    pub async fn insert(&self, transaction: &mut WriteTransaction, job: &str) -> Result<(), StoreError> {
         insert_verdict(transaction, job, &self.report).await?;
         for (index, stage) in self.report.stages.iter().enumerate() {
             insert_stage(transaction, job, index, stage).await?;
@@ -115,11 +115,7 @@ fn read_json<T: DeserializeOwned>(file: PathBuf) -> Result<T, SummaryError> {
     value.map_err(|reason| SummaryError { file, reason })
 }
 
-async fn insert_verdict(
-    transaction: &mut Transaction<'static, Sqlite>,
-    job: &str,
-    report: &ReportFile,
-) -> Result<(), StoreError> {
+async fn insert_verdict(transaction: &mut WriteTransaction, job: &str, report: &ReportFile) -> Result<(), StoreError> {
     let verdict = serde_json::to_value(report.quality.verdict)?;
     let scale = report.scale.as_ref();
     sqlx::query(
@@ -140,7 +136,7 @@ async fn insert_verdict(
 }
 
 async fn insert_stage(
-    transaction: &mut Transaction<'static, Sqlite>,
+    transaction: &mut WriteTransaction,
     job: &str,
     index: usize,
     stage: &StageFile,
@@ -171,7 +167,7 @@ async fn insert_stage(
 }
 
 async fn insert_camera(
-    transaction: &mut Transaction<'static, Sqlite>,
+    transaction: &mut WriteTransaction,
     job: &str,
     index: usize,
     camera: &CameraFile,
@@ -203,7 +199,7 @@ async fn insert_camera(
 }
 
 async fn insert_person(
-    transaction: &mut Transaction<'static, Sqlite>,
+    transaction: &mut WriteTransaction,
     job: &str,
     person: &PersonFile,
     report: Option<&PersonReport>,

@@ -1,15 +1,15 @@
 //! Tenants: the owners of sessions and jobs, their disk usage and their webhook secrets.
 
-use super::database::Store;
+use super::database::{Store, WriteTransaction};
 use super::error::StoreError;
 use super::random::random_bytes;
 use base64::Engine;
 use serde::Serialize;
-use sqlx::{Sqlite, Transaction};
 
 /// Name of a tenant: 1 to 64 letters, digits, `-`, `_` and `.`.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, sqlx::Type)]
 #[serde(transparent)]
+#[sqlx(transparent)]
 pub struct Tenant(String);
 
 /// Maximal length of a name, characters.
@@ -26,11 +26,6 @@ impl Tenant {
         let is_name_char = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
         let is_name = (1..=MAX_NAME).contains(&name.len()) && name.chars().all(is_name_char);
         is_name.then(|| Self(name.to_owned()))
-    }
-
-    /// Wraps a name read from the database, without validation.
-    pub(crate) fn stored(name: String) -> Self {
-        Self(name)
     }
 
     /// The name as text.
@@ -51,10 +46,7 @@ pub async fn stored_bytes(store: &Store, tenant: &Tenant) -> Result<i64, StoreEr
 ///
 /// # Errors
 /// When the store fails.
-pub(crate) async fn stored_bytes_in(
-    transaction: &mut Transaction<'static, Sqlite>,
-    tenant: &Tenant,
-) -> Result<i64, StoreError> {
+pub(crate) async fn stored_bytes_in(transaction: &mut WriteTransaction, tenant: &Tenant) -> Result<i64, StoreError> {
     Ok(sqlx::query_scalar(STORED_BYTES).bind(tenant.name()).fetch_one(&mut **transaction).await?)
 }
 
@@ -63,10 +55,7 @@ const STORED_BYTES: &str = "
          + (SELECT coalesce(sum(result_bytes), 0) FROM jobs WHERE tenant = ?1)";
 
 /// Inserts the row of a tenant unless it exists.
-pub(crate) async fn insert_if_missing(
-    transaction: &mut Transaction<'static, Sqlite>,
-    tenant: &Tenant,
-) -> Result<(), StoreError> {
+pub(crate) async fn insert_if_missing(transaction: &mut WriteTransaction, tenant: &Tenant) -> Result<(), StoreError> {
     sqlx::query("INSERT INTO tenants (name) VALUES (?) ON CONFLICT (name) DO NOTHING")
         .bind(tenant.name())
         .execute(&mut **transaction)
