@@ -1,12 +1,12 @@
-"""Catalogue A1, A2, A3: the service is killed at random moments, and at every named point; nothing promised is lost.
+"""A1, A2, A3: kills the service at random times and at every failpoint, and checks that nothing acknowledged is lost.
 
     python3 checks/service/crashes.py --kills 200
     cargo build --release --features failpoints --target-dir target/failpoints
     python3 checks/service/crashes.py --kills 0 --points 1 --program target/failpoints/release/wandless
 
-Clients keep a ledger of every 2xx. After the last restart every job that was answered 202 must be there, be final within
-60 s, and have at most one result, whose files all have their digests; its webhook must have been called; SQLite and
-`wandless verify` must find the data folder whole.
+Clients record every 2xx response. After the last restart every job that was answered 202 must exist, be final within 60 s
+and have at most one result, with the right digest of every file; its webhook must have been called; SQLite's integrity
+check and `wandless verify` must pass.
 """
 
 import http.server
@@ -26,22 +26,22 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 
 
 def points():
-    """Every point that the program knows."""
+    """Returns the names of all failpoints of the program."""
     with open(os.path.join(HERE, "..", "..", "src", "service", "failpoint.rs")) as source:
         table = source.read().split("FAILPOINTS", 1)[1].split("];", 1)[0]
     return re.findall(r'"([a-z.]+)"', table)
 
 
 class Receiver:
-    """Takes webhooks; counts those of each job."""
+    """Receives webhooks and records the reported states by job."""
 
     def __init__(self):
         calls = self.calls = {}
 
         class Handler(http.server.BaseHTTPRequestHandler):
             def do_POST(self):
-                told = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
-                calls.setdefault(told["data"]["id"], []).append(told["data"]["state"])
+                event = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+                calls.setdefault(event["data"]["id"], []).append(event["data"]["state"])
                 self.send_response(204)
                 self.end_headers()
 
@@ -54,12 +54,12 @@ class Receiver:
         self.url = f"http://127.0.0.1:{server.server_port}/"
 
 
-# Jobs of one client that may wait at the same time.
+# Maximal number of queued jobs of one client.
 MAX_WAITING = 5
 
 
 class Ledger:
-    """What the service has promised."""
+    """Everything that the service has acknowledged."""
 
     def __init__(self):
         self.lock = threading.Lock()
@@ -68,14 +68,14 @@ class Ledger:
 
 
 def work(service, ledger, seed, over, n_frames):
-    """One client: uploads, submits, cancels and deletes until it is over; every refusal by death is taken in its stride."""
+    """One client: uploads, submits, cancels and deletes until `over` is set; errors caused by kills are ignored."""
     dice = random.Random(seed)
     n, waiting = 0, []
     while not over.is_set():
         client = service.client(patience_s=0.0, timeout_s=10.0)
         n += 1
         if len(waiting) >= MAX_WAITING:
-            # What is handed in must be possible to finish: "within 60 s" is not a promise about any load.
+            # The accepted work must be small enough to finish within the 60 s.
             try:
                 waiting = [job for job in waiting if not is_over(client, job)]
             except (wandless.Problem, OSError, wandless.http.client.HTTPException, ValueError):
@@ -89,7 +89,7 @@ def work(service, ledger, seed, over, n_frames):
                 ledger.sessions[session["id"]] = session["sha256"]
             if dice.random() < 0.2:
                 with ledger.lock:
-                    del ledger.sessions[session["id"]]  # asked to go, whatever the answer
+                    del ledger.sessions[session["id"]]  # deletion requested, whatever the response
                 client.delete_session(session["id"])
                 continue
             options = {"extrinsics": "fixed", "exports": []}
@@ -108,7 +108,7 @@ def work(service, ledger, seed, over, n_frames):
                     ledger.canceled.add(job["id"])
             elif fate < 0.3:
                 with ledger.lock:
-                    ledger.deleted.add(job["id"])  # asked for, whatever the answer
+                    ledger.deleted.add(job["id"])  # deletion requested, whatever the response
                 client.delete_job(job["id"])
             time.sleep(dice.uniform(0.0, 0.3))
         except (wandless.Problem, OSError, wandless.http.client.HTTPException, ValueError):
@@ -120,12 +120,12 @@ def is_over(client, job):
         return client.job(job)["state"] in wandless.FINAL
     except wandless.Problem as problem:
         if problem.status == 404:
-            return True  # deleted; a lost one is found by the judge
+            return True  # deleted; `check_promises` reports lost jobs
         raise
 
 
-def judge(service, ledger, faults):
-    """After the last restart."""
+def check_promises(service, ledger, faults):
+    """Checks all acknowledged requests after the last restart."""
     client = service.client()
     deadline = time.monotonic() + 60
     finals = {}
@@ -148,10 +148,10 @@ def judge(service, ledger, faults):
             time.sleep(0.05)
     for job, now in finals.items():
         faults.require(now["state"] in ("succeeded", "canceled"), f"{job} is {now['state']}: {now['error']}")
-        faults.require(now["attempt"] <= 1, f"{job}: a death of the service was counted against it")
+        faults.require(now["attempt"] <= 1, f"{job}: a crash of the service was counted against it")
         if job in ledger.canceled:
-            # A cancel that was answered 202 outweighs everything; one answered 409 came after the end and is not noted.
-            faults.require(now["state"] == "canceled", f"{job} was promised to be canceled and is {now['state']}")
+            # A cancel answered 202 takes precedence over any outcome; one answered 409 came after the end and is not recorded.
+            faults.require(now["state"] == "canceled", f"{job} was answered as canceled and is {now['state']}")
         if now["state"] == "succeeded":
             try:
                 for file in client.manifest(job)["files"]:
@@ -166,8 +166,8 @@ def judge(service, ledger, faults):
     while any(job not in called for job in finals) and time.monotonic() < deadline:
         time.sleep(0.1)
     for job, now in finals.items():
-        told = called.get(job, [])
-        faults.require(told and set(told) == {now["state"]}, f"{job} is {now['state']}, its webhook told {told}")
+        reported = called.get(job, [])
+        faults.require(reported and set(reported) == {now["state"]}, f"{job} is {now['state']}, its webhook reported {reported}")
     states = [now["state"] for now in finals.values()]
     print(f"{len(ledger.jobs)} jobs accepted, {states.count('succeeded')} succeeded, {states.count('canceled')} canceled, "
           f"{len(ledger.deleted)} deleted; {sum(map(len, called.values()))} webhooks", flush=True)
@@ -182,56 +182,56 @@ def judge(service, ledger, faults):
     faults.require(verified.returncode == 0, f"verify: {verified.stdout} {verified.stderr}")
 
 
-def run(service, faults, seed, n_clients, n_frames, deaths):
-    """Clients at work while `deaths(service)` does what it does; then everything is judged."""
+def run(service, faults, seed, n_clients, n_frames, kill):
+    """Runs clients while `kill()` kills the service, then checks everything acknowledged."""
     ledger, over = Ledger(), threading.Event()
     service.start()
     clients = [threading.Thread(target=work, args=(service, ledger, 100 * seed + i, over, n_frames)) for i in range(n_clients)]
     for client in clients:
         client.start()
-    deaths()
+    kill()
     over.set()
     for client in clients:
         client.join()
-    judge(service, ledger, faults)
+    check_promises(service, ledger, faults)
 
 
 def main():
-    asked = arguments(__doc__, kills=200, points=0, clients=4, frames=10, only="")
-    dice = random.Random(asked.seed)
+    args = arguments(__doc__, kills=200, points=0, clients=4, frames=10, only="")
+    dice = random.Random(args.seed)
     faults = Faults()
-    service = Service(asked.program, words=WORDS)
-    if asked.kills:
+    service = Service(args.program, words=WORDS)
+    if args.kills:
         starts = []
 
         def kill_at_random():
-            for _ in range(asked.kills):
+            for _ in range(args.kills):
                 time.sleep(dice.uniform(0.0, 0.6))
                 service.kill()
                 seconds = service.start()
                 faults.require(seconds is not None, "a start was refused")
                 starts.append(seconds or service.start())
 
-        run(service, faults, asked.seed, asked.clients, asked.frames, kill_at_random)
-        print(f"{asked.kills} kills; start to serving: median {sorted(starts)[len(starts) // 2] * 1000:.0f} ms, "
+        run(service, faults, args.seed, args.clients, args.frames, kill_at_random)
+        print(f"{args.kills} kills; start to serving: median {sorted(starts)[len(starts) // 2] * 1000:.0f} ms, "
               f"worst {max(starts) * 1000:.0f} ms", flush=True)
-    if asked.points or asked.only:
-        reached = [kill_at_point(asked, faults, point, hit) for point in points() if asked.only in point for hit in passes(point)]
+    if args.points or args.only:
+        reached = [kill_at_point(args, faults, point, hit) for point in points() if args.only in point for hit in passes(point)]
         print(f"{sum(reached)} of {len(reached)} passes of {len(points())} points reached", flush=True)
-    faults.end(service, asked.keep)
+    faults.end(service, args.keep)
 
 
 def passes(point):
-    """A start and a stop happen once."""
+    """Passes of a point to test: start, recovery and stop happen only once."""
     return (1,) if point.startswith(("start", "recover", "stop")) else (1, 2)
 
 
-def kill_at_point(asked, faults, point, hit):
-    """Catalogue A2 (and A3 for the points of the recovery): the service dies at the first and the second pass of one point."""
-    service = Service(asked.program, words=WORDS)
+def kill_at_point(args, faults, point, hit):
+    """A2 (A3 for the points of recovery): the service is killed at one pass of one failpoint."""
+    service = Service(args.program, words=WORDS)
     reached = []
 
-    def die_at_point():
+    def kill_there():
         time.sleep(1.0)
         service.kill()
         service.start(WANDLESS_FAILPOINT=f"{point}:{hit}")
@@ -246,7 +246,7 @@ def kill_at_point(asked, faults, point, hit):
         service.start()
 
     n_before = len(faults.found)
-    run(service, faults, asked.seed + sum(map(ord, point)), 2, asked.frames, die_at_point)
+    run(service, faults, args.seed + sum(map(ord, point)), 2, args.frames, kill_there)
     faults.require(reached == [True], f"{point}:{hit} was not reached")
     print(f"{point}:{hit}", "reached" if reached == [True] else "NOT REACHED", flush=True)
     if len(faults.found) == n_before:

@@ -1,4 +1,4 @@
-"""What the checks of the service have in common: a service under test, small takes, and a ledger of what was promised."""
+"""Shared parts of the service checks: a service under test, small sessions, and a list of found faults."""
 
 import argparse
 import hashlib
@@ -23,11 +23,11 @@ import wandless  # noqa: E402
 
 
 def arguments(description, **counts):
-    """The arguments of a check: the program, a seed, and how often each thing is done."""
+    """Parses the arguments of a check: the program, a seed, and the number of repetitions."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--program", default="target/release/wandless")
     parser.add_argument("--seed", type=int, default=int(time.time()))
-    parser.add_argument("--keep", action="store_true", help="keep the data folder even when everything is well")
+    parser.add_argument("--keep", action="store_true", help="keep the data folder even if the check passes")
     for name, default in counts.items():
         parser.add_argument("--" + name.replace("_", "-"), type=type(default), default=default)
     found = parser.parse_args()
@@ -36,7 +36,7 @@ def arguments(description, **counts):
 
 
 def take(n_frames=10, n_cameras=2, seed=0):
-    """A session of one walker before known cameras, as one document."""
+    """A session of one walking person in front of known cameras, as one JSON document."""
     cameras, poses = [], {}
     turn = random.Random(seed).uniform(0.0, 6.0)
     heights = [1.6, 1.62, 1.62, 1.6, 1.6, 1.4, 1.4, 1.1, 1.1, 0.9, 0.9, 0.9, 0.9, 0.5, 0.5, 0.1, 0.1]
@@ -78,7 +78,7 @@ def unit(a):
 
 
 class Service:
-    """One `wandless serve` on a data folder; started anew as often as wanted."""
+    """A `wandless serve` process on a data folder; can be restarted any number of times."""
 
     def __init__(self, program, data=None, words=(), environment=None, prefix=()):
         self.program, self.words, self.prefix = program, list(words), list(prefix)
@@ -87,7 +87,7 @@ class Service:
         self.process, self.port = None, None
 
     def start(self, **environment):
-        """Starts it and waits until it says where it serves; gives the seconds that took, None where it died before."""
+        """Starts the service and waits for its address; returns the seconds this took, or None if the service exited."""
         start = time.monotonic()
         listen = f"127.0.0.1:{self.port or 0}"
         command = [*self.prefix, self.program, "serve", "--listen", listen, "--data", self.data, *self.words]
@@ -116,7 +116,7 @@ class Service:
         self.process.wait()
 
     def stop(self):
-        """Asks it to end; gives exit code and seconds."""
+        """Stops the service with SIGTERM; returns exit code and seconds."""
         start = time.monotonic()
         self.process.send_signal(signal.SIGTERM)
         code = self.process.wait(timeout=40)
@@ -132,7 +132,7 @@ class Service:
         return {line.rsplit(" ", 1)[0]: float(line.rsplit(" ", 1)[1]) for line in lines if not line.startswith("#")}
 
     def integrity(self):
-        """What SQLite says of a copy of the stopped service's database."""
+        """Result of SQLite's integrity check on a copy of the stopped service's database."""
         with tempfile.TemporaryDirectory() as folder:
             for name in ("wandless.db", "wandless.db-wal"):
                 if os.path.exists(os.path.join(self.data, name)):
@@ -145,7 +145,7 @@ class Service:
 
 
 class Faults:
-    """Counts what is wrong and ends the check with it."""
+    """Collects the faults that a check finds, and exits with 1 if there are any."""
 
     def __init__(self):
         self.found = []
@@ -175,7 +175,7 @@ def sha256(data):
 
 
 def get(port, path, connection=None, headers=None):
-    """One GET on a connection that may be kept; status and seconds."""
+    """One GET request, optionally on an open connection; returns status and seconds."""
     connection = connection or http.client.HTTPConnection("127.0.0.1", port, timeout=60)
     start = time.monotonic()
     connection.request("GET", path, headers=headers or {})

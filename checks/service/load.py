@@ -1,4 +1,4 @@
-"""Catalogue B5, B6, row 12: ten thousand waiting jobs, a thousand clients while every core solves, and how long a start takes.
+"""B5, B6, row 12: ten thousand queued jobs, a thousand clients while all cores solve, and the duration of a start.
 
     python3 checks/service/load.py --jobs 10000 --clients 1000 --seconds 60
 """
@@ -16,9 +16,9 @@ from harness import Faults, Service, arguments, get, percentile, take
 
 
 def main():
-    asked = arguments(__doc__, jobs=10000, clients=1000, seconds=60, requests_per_s=20.0, solver_frames=8000)
+    args = arguments(__doc__, jobs=10000, clients=1000, seconds=60, requests_per_s=20.0, solver_frames=8000)
     faults = Faults()
-    empty = Service(asked.program)
+    empty = Service(args.program)
     seconds = empty.start()
     ready(empty)
     print(f"start of an empty service {seconds * 1000:.0f} ms")
@@ -26,25 +26,25 @@ def main():
     empty.stop()
     empty.remove()
 
-    service = Service(asked.program, words=["--set", f"jobs.concurrent={os.cpu_count()}"])
+    service = Service(args.program, words=["--set", f"jobs.concurrent={os.cpu_count()}"])
     service.start()
     client = service.client()
-    long = client.upload(take(asked.solver_frames, 4, seed=1))["id"]
+    long = client.upload(take(args.solver_frames, 4, seed=1))["id"]
     short = client.upload(take(10, 2, seed=2))["id"]
     done = client.submit(short, options={"extrinsics": "fixed"})["id"]
     client.wait(done)
-    enqueue(service, short, asked.jobs, faults)
+    enqueue(service, short, args.jobs, faults)
     solving = [client.submit(long, options={"extrinsics": "refine", "seed": n}, priority=10)["id"] for n in range(20)]
     claims(service, faults)
     lists(service, faults)
-    crowd(service, solving, done, asked, faults)
+    crowd(service, solving, done, args, faults)
     service.kill()
     seconds = service.start()
     seconds += ready(service)
-    print(f"start with {asked.jobs} jobs {seconds * 1000:.0f} ms")
+    print(f"start with {args.jobs} jobs {seconds * 1000:.0f} ms")
     faults.require(seconds <= 2.0, "a start with many jobs takes more than 2 s")
     service.kill()
-    faults.end(service, asked.keep)
+    faults.end(service, args.keep)
 
 
 def ready(service):
@@ -55,7 +55,7 @@ def ready(service):
 
 
 def enqueue(service, session, n_jobs, faults):
-    """Fifty clients hand in all jobs."""
+    """Fifty clients submit all jobs."""
     body = json.dumps({"session": session, "options": {"extrinsics": "fixed", "exports": []}})
     left = iter(range(n_jobs))
     lock = threading.Lock()
@@ -91,7 +91,7 @@ TURN = """SELECT name FROM tenants WHERE EXISTS (SELECT 1 FROM jobs WHERE state 
 
 
 def claims(service, faults):
-    """The two statements of the claim on a copy of the database, at full depth."""
+    """Measures the two statements of a claim on a copy of the database with all jobs queued."""
     copy = service.data + ".copy"
     shutil.copytree(service.data, copy)
     with sqlite3.connect(copy + "/wandless.db") as database:
@@ -116,21 +116,21 @@ def lists(service, faults):
 
 
 def busy_cores():
-    """Seconds that all processors together have worked since they started."""
+    """Busy seconds of all processors together since boot."""
     with open("/proc/stat") as stat:
         return sum(map(int, stat.readline().split()[1:4])) / os.sysconf("SC_CLK_TCK")
 
 
-def crowd(service, solving, done, asked, faults):
-    """Many kept connections, a steady rate over all of them, while the cores solve."""
-    connections = [http.client.HTTPConnection("127.0.0.1", service.port, timeout=60) for _ in range(asked.clients)]
-    free = list(range(asked.clients))
+def crowd(service, solving, done, args, faults):
+    """Requests at a steady rate over many open connections while all cores solve."""
+    connections = [http.client.HTTPConnection("127.0.0.1", service.port, timeout=60) for _ in range(args.clients)]
+    free = list(range(args.clients))
     lock = threading.Lock()
     times, statuses, broken = [], [], []
     paths = [f"/v1/jobs/{solving[0]}", "/v1/jobs?page_size=20", f"/v1/jobs/{done}/people"]
-    end = time.monotonic() + asked.seconds
+    end = time.monotonic() + args.seconds
 
-    def ask(seed):
+    def request(seed):
         dice = random.Random(seed)
         while time.monotonic() < end:
             with lock:
@@ -140,35 +140,35 @@ def crowd(service, solving, done, asked, faults):
                 times.append(seconds)
                 statuses.append(status)
             except (http.client.HTTPException, OSError):
-                connections[which].close()  # the service had closed it as idle; the next request opens it anew
+                connections[which].close()  # the service had closed the idle connection; the next request reopens it
                 broken.append(which)
             with lock:
                 free.append(which)
-            time.sleep(dice.expovariate(asked.requests_per_s / 20))
+            time.sleep(dice.expovariate(args.requests_per_s / 20))
 
     client = service.client()
     while client.job(solving[0])["state"] != "running":
         time.sleep(0.1)
     for connection in connections:
         connection.connect()
-    worked, begun = busy_cores(), time.monotonic()
-    threads = [threading.Thread(target=ask, args=(asked.seed + i,)) for i in range(20)]
+    worked, begin = busy_cores(), time.monotonic()
+    threads = [threading.Thread(target=request, args=(args.seed + i,)) for i in range(20)]
     for thread in threads:
         thread.start()
     peak = 0.0
     while any(thread.is_alive() for thread in threads):
         peak = max(peak, service.rss_mib())
         time.sleep(0.5)
-    share = (busy_cores() - worked) / (time.monotonic() - begun) / os.cpu_count()
+    share = (busy_cores() - worked) / (time.monotonic() - begin) / os.cpu_count()
     states = [client.job(job)["state"] for job in solving]
-    state = f"{states.count('succeeded')} done, {states.count('running')} at work, cores {100 * share:.0f} % busy"
+    state = f"{states.count('succeeded')} done, {states.count('running')} running, cores {100 * share:.0f} % busy"
     faults.require("running" in states and share >= 0.9, f"the cores were not busy to the end: {state}")
     worst = percentile(times, 0.99) * 1000
-    print(f"{len(times)} requests of {asked.clients} clients, solver {state}: p50 {percentile(times, 0.5) * 1000:.1f} ms, "
+    print(f"{len(times)} requests of {args.clients} clients, solver {state}: p50 {percentile(times, 0.5) * 1000:.1f} ms, "
           f"p99 {worst:.1f} ms, worst {max(times) * 1000:.0f} ms, RSS {peak:.0f} MiB, {len(broken)} reopened")
     faults.require(all(status < 500 for status in statuses), f"answers: {sorted(set(statuses))}")
     faults.require(worst <= 250, "the status p99 is above 250 ms")
-    faults.require(peak <= 300, "the service takes more than 300 MiB")
+    faults.require(peak <= 300, "the service uses more than 300 MiB")
 
 
 if __name__ == "__main__":

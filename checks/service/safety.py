@@ -1,5 +1,5 @@
-"""Catalogue A7, A8, A14, F1 to F3, F5: work is taken up after its last finished stage; backup, restore and verify; a damaged data
-folder; the same input, the same bytes.
+"""A7, A8, A14, F1 to F3, F5: jobs resume after their last finished stage; backup, restore and verify; damaged data folders;
+identical bytes for identical input.
 
     python3 checks/service/safety.py --kills 20 --backups 20 --flips 100
 """
@@ -30,10 +30,10 @@ def digests(client, job):
     return {file["name"]: file["sha256"] for file in client.manifest(job)["files"]}
 
 
-def resume(asked, faults):
-    """A7, A8: killed in every stage, whole and damaged checkpoints; the result is that of an uninterrupted run. Stages of
-    milliseconds are met only by a program with points and faults, which lingers where one begins."""
-    service = Service(asked.program, environment={"WANDLESS_LOG": "info", "WANDLESS_LINGER_MS": "150"})
+def resume(args, faults):
+    """A7, A8: kills the service in every stage, also damaging checkpoints; the result must equal that of an uninterrupted run.
+    Stages of a few milliseconds need a program with the feature `failpoints`, which delays the start of each stage."""
+    service = Service(args.program, environment={"WANDLESS_LOG": "info", "WANDLESS_LINGER_MS": "150"})
     service.start()
     client = service.client()
     session = client.upload(take(300, 4, seed=2))["id"]
@@ -41,42 +41,42 @@ def resume(asked, faults):
     golden = client.submit(session, options=options)["id"]
     client.wait(golden)
     expected = digests(client, golden)
-    dice = random.Random(asked.seed)
-    again, met, taken_up = [], {}, 0
-    for n in range(asked.kills * len(STAGES)):
+    dice = random.Random(args.seed)
+    again, killed_in, resumed = [], {}, 0
+    for n in range(args.kills * len(STAGES)):
         wanted = STAGES[n % len(STAGES)]
         client = service.client()
         job = client.submit(session, options=options)["id"]
-        begins(service, client, job, wanted)
+        wait_for_stage(service, client, job, wanted)
         time.sleep(dice.uniform(0.0, 0.2))
         service.kill()
         kept = finished(service, job)
         stage = next((name for name in STAGES if name not in kept), "none") if kept else "too late"
-        met[stage] = met.get(stage, 0) + 1
+        killed_in[stage] = killed_in.get(stage, 0) + 1
         if n % 4 == 3:
             damage(service, job, dice)
             kept = []
         service.start()
         client = service.client()
         done = client.wait(job)
-        faults.require(digests(client, job) == expected, f"A7: killed in {stage}: other bytes")
+        faults.require(digests(client, job) == expected, f"A7: killed in {stage}: different bytes")
         faults.require(done["attempt"] == 1, f"A7: killed in {stage}: attempt {done['attempt']}")
         time.sleep(0.05)
         log = re.sub(r"(\x1b|\\x1b|\\u\{1b\})\[[0-9;]*m", "", "".join(service.stderr)).replace("\\", "")
-        told = [line for line in log.splitlines() if "is not run again" in line]
-        again += [(stage, name, told) for name in kept if not any(f'stage="{name}"' in line for line in told)]
-        taken_up += len(kept)
+        reused = [line for line in log.splitlines() if "is not run again" in line]
+        again += [(stage, name, reused) for name in kept if not any(f'stage="{name}"' in line for line in reused)]
+        resumed += len(kept)
         client.delete_job(job)
-    faults.require(not again, f"A7: finished and run again: {again[:3]} ({len(again)})")
-    faults.require(taken_up > 0, "A7: nothing was ever taken up")
-    faults.require(all(met.get(stage) for stage in STAGES), f"A7: no kill met {[stage for stage in STAGES if stage not in met]}")
-    print(f"A7, A8: killed in {met}; {taken_up} finished stages taken up, all results the same bytes", flush=True)
+    faults.require(not again, f"A7: finished stages were run again: {again[:3]} ({len(again)})")
+    faults.require(resumed > 0, "A7: no finished stage was ever reused")
+    faults.require(all(killed_in.get(stage) for stage in STAGES), f"A7: no kill in {[stage for stage in STAGES if stage not in killed_in]}")
+    print(f"A7, A8: killed in {killed_in}; {resumed} finished stages reused, all results identical", flush=True)
     service.kill()
     service.remove()
 
 
-def begins(service, client, job, stage):
-    """Waits until the stage before is kept, or the job is over: what a job tells of its stage is up to a second old."""
+def wait_for_stage(service, client, job, stage):
+    """Waits until the checkpoint of the previous stage exists, or the job has ended; the reported stage can be a second old."""
     before = (["synchronisation"] + STAGES)[STAGES.index(stage)]
     begun = time.monotonic()
     while before not in finished(service, job) and time.monotonic() < begun + 120:
@@ -91,7 +91,7 @@ def finished(service, job):
 
 
 def damage(service, job, dice):
-    """One bit, a cut, or another release's file."""
+    """Damages the checkpoints: a flipped bit, a truncated file, or a file of another release."""
     folder = os.path.join(service.data, "checkpoints", job)
     for name in os.listdir(folder) if os.path.isdir(folder) else []:
         path = os.path.join(folder, name)
@@ -108,12 +108,12 @@ def damage(service, job, dice):
             file.write(data)
 
 
-def same_bytes(asked, faults):
-    """F5: five runs, one and two threads, before and after a restart."""
+def same_bytes(args, faults):
+    """F5: five runs with one and two threads, with a restart after each."""
     results = []
     data = tempfile.mkdtemp(prefix="wandless-check-")
     for n, threads in enumerate((0, 1, 2, 0, 1)):
-        service = Service(asked.program, data=data, words=["--set", f"jobs.threads={threads}"])
+        service = Service(args.program, data=data, words=["--set", f"jobs.threads={threads}"])
         service.start()
         client = service.client()
         session = client.upload(take(60, 3, seed=6))["id"]
@@ -121,14 +121,14 @@ def same_bytes(asked, faults):
         client.wait(job)
         results.append(digests(client, job))
         service.stop()
-    faults.require(all(result == results[0] for result in results), "F5: the same input has other bytes")
-    print(f"F5: five runs on one and two threads over five restarts: {len(results[0])} files, the same bytes", flush=True)
+    faults.require(all(result == results[0] for result in results), "F5: the same input gave different bytes")
+    print(f"F5: five runs on one and two threads over five restarts: {len(results[0])} files, identical bytes", flush=True)
     shutil.rmtree(data)
 
 
-def backups(asked, faults):
+def backups(args, faults):
     """F1, F2: backups under load, each restored and served."""
-    service = Service(asked.program, words=["--set", "jobs.concurrent=2"])
+    service = Service(args.program, words=["--set", "jobs.concurrent=2"])
     service.start()
     over, times, n_jobs = threading.Event(), {"calm": [], "backup": []}, [0]
     at_backup = threading.Event()
@@ -155,18 +155,18 @@ def backups(asked, faults):
         thread.start()
     place = tempfile.mkdtemp(prefix="wandless-backup-")
     time.sleep(3)
-    for n in range(asked.backups):
+    for n in range(args.backups):
         at_backup.set()
         made = run(service, "backup", f"{place}/{n}", "--data", service.data)
         at_backup.clear()
         faults.require(made.returncode == 0, f"F1: backup {n}: {made.stderr}")
-        faults.require(made.returncode or not unlisted(f"{place}/{n}"), f"F1: backup {n} leaves out {unlisted(f'{place}/{n}')[:3]}")
+        faults.require(made.returncode or not unlisted(f"{place}/{n}"), f"F1: backup {n} omits {unlisted(f'{place}/{n}')[:3]}")
         time.sleep(0.3)
     over.set()
     for thread in threads:
         thread.join()
     longest = 0.0
-    for n in range(asked.backups):
+    for n in range(args.backups):
         start = time.monotonic()
         back = Service(service.program, data=f"{place}/data{n}")
         restored = run(service, "restore", f"{place}/{n}", "--data", back.data)
@@ -193,16 +193,16 @@ def backups(asked, faults):
         longest = max(longest, time.monotonic() - start)
         shutil.rmtree(back.data)
     calm, busy = (percentile(times[kind], 0.99) * 1000 for kind in ("calm", "backup"))
-    faults.require(busy <= 2 * calm + 20, f"F1: a look takes {busy:.0f} ms at p99 while a backup is made, {calm:.0f} ms otherwise")
-    print(f"F1, F2: {asked.backups} backups under load of {n_jobs[0]} jobs, each restored, verified and served within {longest:.1f} s; "
-          f"p99 {calm:.0f} ms, {busy:.0f} ms while a backup is made", flush=True)
+    faults.require(busy <= 2 * calm + 20, f"F1: a status request takes {busy:.0f} ms (p99) during a backup, {calm:.0f} ms otherwise")
+    print(f"F1, F2: {args.backups} backups under load of {n_jobs[0]} jobs, each restored, verified and served within {longest:.1f} s; "
+          f"p99 {calm:.0f} ms, {busy:.0f} ms during a backup", flush=True)
     service.kill()
     service.remove()
     shutil.rmtree(place)
 
 
 def unlisted(backup):
-    """Files that the backup's rows name and its list does not."""
+    """Files that the rows of the backup refer to, but its list omits."""
     with open(os.path.join(backup, "backup.json")) as file:
         listed = {entry["name"] for entry in json.load(file)["files"]}
     with sqlite3.connect(f"file:{backup}/wandless.db?mode=ro&immutable=1", uri=True) as database:
@@ -213,7 +213,7 @@ def unlisted(backup):
 
 
 def live_bytes(log):
-    """How far the log of a killed service is of its present generation."""
+    """Bytes of the current generation in the write-ahead log of a killed service."""
     with open(log, "rb") as file:
         data = file.read()
     size, salts, at = struct.unpack(">I", data[8:12])[0], data[16:24], 32
@@ -222,9 +222,9 @@ def live_bytes(log):
     return at if at > 32 else 0
 
 
-def flips(asked, faults):
-    """F3: one byte of anything, of a stopped and of a killed service; a damaged result is never served."""
-    service = Service(asked.program)
+def flips(args, faults):
+    """F3: flips one bit in any file of a stopped and of a killed service; a damaged result must not be served."""
+    service = Service(args.program)
     service.start()
     client = service.client()
     jobs = [client.submit(client.upload(take(10, 2, seed=n))["id"], options={**OPTIONS, "seed": n}, labels={"note": "x" * 200})["id"] for n in range(8)]
@@ -237,9 +237,9 @@ def flips(asked, faults):
     client.submit(client.upload(take(10, 2, seed=90))["id"], options=OPTIONS, labels={"late": "y" * 200})
     service.kill()
     whole = run(service, "verify", service.data)
-    faults.require(whole.returncode == 0, f"F3: the killed folder is not whole: {whole.stdout}")
-    dice = random.Random(asked.seed)
-    noticed, missed = {}, []
+    faults.require(whole.returncode == 0, f"F3: the folder of the killed service does not verify: {whole.stdout}")
+    dice = random.Random(args.seed)
+    detected, missed = {}, []
     for state in ("killed", "stopped"):
         if state == "stopped":
             service.start()
@@ -253,12 +253,12 @@ def flips(asked, faults):
             files = [path for path in files if os.path.exists(path) and os.path.getsize(path)]
             if kind == "result":
                 files = [path for path in files if ".tmp/" not in path]
-            for _ in range(asked.flips if files else 0):
+            for _ in range(args.flips if files else 0):
                 path = dice.choice(files)
                 end = live_bytes(path) if kind == "log" else os.path.getsize(path)
                 at = dice.randrange(end) if end else None
                 while kind == "database" and at // 4096 + 1 in in_log:
-                    at = dice.randrange(end)  # the log holds the page, and its copy here will be overwritten
+                    at = dice.randrange(end)  # the log contains the page, and this copy will be overwritten
                 if at is None:
                     continue
                 backup = path + ".whole"
@@ -271,11 +271,11 @@ def flips(asked, faults):
                 found = run(service, "verify", service.data)
                 if found.returncode == 0:
                     missed.append((state, kind, os.path.basename(path), at))
-                noticed[state, kind] = noticed.get((state, kind), 0) + 1
+                detected[state, kind] = detected.get((state, kind), 0) + 1
                 shutil.move(backup, path)
                 if os.path.exists(os.path.join(service.data, "wandless.db-shm")) and state == "killed":
                     os.remove(os.path.join(service.data, "wandless.db-shm"))
-    faults.require(not missed, f"F3: {len(missed)} flips were not noticed: {missed[:5]}")
+    faults.require(not missed, f"F3: {len(missed)} flips were not detected: {missed[:5]}")
     service.start()
     client = service.client()
     people = next(os.path.join(base, name) for base, _, names in os.walk(os.path.join(service.data, "results", jobs[0])) for name in names if name == "people.json")
@@ -287,7 +287,7 @@ def flips(asked, faults):
     except wandless.Problem as problem:
         faults.require(problem.status == 500 and problem.code == "corrupt", f"F3: {problem}")
     service.kill()
-    print(f"F3: flips noticed: { {' '.join(k): v for k, v in noticed.items()} }, missed {len(missed)}; a damaged file is answered `corrupt`", flush=True)
+    print(f"F3: flips detected: { {' '.join(k): v for k, v in detected.items()} }, missed {len(missed)}; a damaged file is answered `corrupt`", flush=True)
     service.remove()
 
 
@@ -298,9 +298,9 @@ def pages_of_log(log):
     return {struct.unpack(">I", data[at:at + 4])[0] for at in range(32, end, 24 + size)} if end else set()
 
 
-def damaged_folders(asked, faults):
-    """A14: each is a named error or a job that failed by name; never an empty database without a word."""
-    whole = Service(asked.program)
+def damaged_folders(args, faults):
+    """A14: every damage gives a specific error or a failed job; a lost database is never silently replaced."""
+    whole = Service(args.program)
     whole.start()
     client = whole.client()
     session = client.upload(take(10, 2, seed=1))["id"]
@@ -340,15 +340,15 @@ def damaged_folders(asked, faults):
         remove("results")(data)
         open(os.path.join(data, "results"), "w").close()
 
-    # What is done, and what may come of it: `refused` by name, or states of the done and of the waiting job.
+    # The damage and the expected outcome: the start is `refused`, or the states of the finished and of the queued job.
     cases = {"database emptied": (emptied, "refused"), "database gone": (remove("wandless.db", "wandless.db-wal", "wandless.db-shm"), "refused"),
-             "database no database": (garbled, "refused"), "database cut": (cut, "refused"), "database of a newer release": (newer, "refused"),
+             "database not a database": (garbled, "refused"), "database cut": (cut, "refused"), "database of a newer release": (newer, "refused"),
              "results is a file": (folder_is_file, "refused"), "results gone": (remove("results"), "corrupt"),
              "input gone": (remove("sessions/" + session), "failed"), "input emptied": (other(b""), "failed"),
              "input of other bytes": (other(json.dumps(take(10, 2, seed=7)).encode()), "failed"),
              "tmp and checkpoints gone": (remove("tmp", "checkpoints", "reserve", "lock"), "fine"), "digests gone": (remove("wandless.db.pages"), "fine"),
              "folder read-only": (None, "refused"), "folder of another": (None, "refused")}
-    told = {}
+    outcomes = {}
     for name, (harm, expected) in cases.items():
         data = tempfile.mkdtemp(prefix="wandless-damaged-")
         os.rmdir(data)
@@ -359,21 +359,21 @@ def damaged_folders(asked, faults):
         else:
             os.chmod(data, 0o755)
             prefix = ("setpriv", "--reuid", "65534", "--regid", "65534", "--clear-groups")
-        service = Service(asked.program, data=data, prefix=prefix)
+        service = Service(args.program, data=data, prefix=prefix)
         started = service.start()
         if expected == "refused":
             text = "".join(service.stderr).strip()
             faults.require(started is None and service.process.returncode == 1 and "wandless:" in text and len(text) < 400, f"A14 {name}: {started} {text[:300]}")
-            told[name] = text.split(": ", 1)[-1][-90:]
+            outcomes[name] = text.split(": ", 1)[-1][-90:]
             if started is not None:
                 service.kill()
         else:
-            faults.require(started is not None, f"A14 {name}: it does not start")
+            faults.require(started is not None, f"A14 {name}: the service does not start")
             client = service.client()
             client.delete_job(blocker)
-            end = outcome(client, queued)
-            told[name] = end
-            faults.require(end == ("failed" if expected == "failed" else "succeeded"), f"A14 {name}: the waiting job is {end}")
+            end = final_state(client, queued)
+            outcomes[name] = end
+            faults.require(end == ("failed" if expected == "failed" else "succeeded"), f"A14 {name}: the queued job is {end}")
             try:
                 client.request("GET", f"/v1/jobs/{done}/people")
                 found = "fine"
@@ -382,11 +382,11 @@ def damaged_folders(asked, faults):
             faults.require(found == ("corrupt" if expected == "corrupt" else "fine"), f"A14 {name}: the result is {found}")
             service.kill()
         shutil.rmtree(data, ignore_errors=True)
-    print(f"A14: {told}", flush=True)
+    print(f"A14: {outcomes}", flush=True)
     whole.remove()
 
 
-def outcome(client, job):
+def final_state(client, job):
     try:
         return client.wait(job)["state"]
     except wandless.JobFailed as failed:
@@ -394,11 +394,11 @@ def outcome(client, job):
 
 
 def main():
-    asked = arguments(__doc__, kills=4, backups=20, flips=100, only="")
+    args = arguments(__doc__, kills=4, backups=20, flips=100, only="")
     faults = Faults()
     for check in (damaged_folders, same_bytes, resume, flips, backups):
-        if asked.only in check.__name__:
-            check(asked, faults)
+        if args.only in check.__name__:
+            check(args, faults)
     faults.end()
 
 

@@ -1,9 +1,9 @@
-"""Every check against the fault it is there to find: a run that does not fail on a broken promise is blind.
+"""Runs each check against the fault that it must detect; a check that passes on a broken guarantee is ineffective.
 
     cargo build --release --features failpoints --target-dir target/failpoints
     python3 checks/service/selftest.py --program target/failpoints/release/wandless
 
-The faults are those of `src/service/failpoint.rs`; each must have its line here.
+The faults are listed in `src/service/failpoint.rs`; each needs an entry here.
 """
 
 import os
@@ -16,7 +16,7 @@ from harness import arguments
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 
-# Fault; what the check must say of it; the check and its words, as little of it as should notice.
+# Fault: text that the check must report; the check and its arguments, as few repetitions as suffice to detect the fault.
 FAULTS = {
     "enqueue.early": ("is lost", "crashes.py", "--kills", "20"),
     "publish.late": ("no whole result", "crashes.py", "--kills", "0", "--only", "finish.committed"),
@@ -53,31 +53,31 @@ FAULTS = {
 
 
 def main():
-    asked = arguments(__doc__, only="", limit=300)
+    args = arguments(__doc__, only="", limit=300)
     with open(os.path.join(HERE, "..", "..", "src", "service", "failpoint.rs")) as source:
         table = source.read().split("FAULTS", 1)[1].split("];", 1)[0]
     known = set(re.findall(r'\("([a-z.]+)",', table))
-    blind = sorted(known ^ set(FAULTS))
-    if blind:
-        print("faults without a check, or checks without a fault:", blind)
+    missed = sorted(known ^ set(FAULTS))
+    if missed:
+        print("faults without a check, or checks without a fault:", missed)
     for fault, (mark, check, *words) in FAULTS.items():
-        if asked.only not in fault:
+        if args.only not in fault:
             continue
         start = time.monotonic()
-        command = [sys.executable, os.path.join(HERE, check), "--program", asked.program, "--seed", str(asked.seed), *words]
+        command = [sys.executable, os.path.join(HERE, check), "--program", args.program, "--seed", str(args.seed), *words]
         try:
-            run = subprocess.run(command, env={**os.environ, "WANDLESS_FAULT": fault}, capture_output=True, text=True, timeout=asked.limit)
+            run = subprocess.run(command, env={**os.environ, "WANDLESS_FAULT": fault}, capture_output=True, text=True, timeout=args.limit)
             found = [line for line in run.stdout.splitlines() if line.startswith("FAULT")]
-            told = [line for line in found if mark in line]
-            noticed = run.returncode == 1 and bool(told)
-            how = (told or found or run.stderr.strip().splitlines()[-1:] or ["nothing was said"])[0][:110]
+            matching = [line for line in found if mark in line]
+            detected = run.returncode == 1 and bool(matching)
+            how = (matching or found or run.stderr.strip().splitlines()[-1:] or ["no output"])[0][:110]
         except subprocess.TimeoutExpired:
-            noticed, how = False, "it did not end in time"
-        print(f"{'noticed' if noticed else 'BLIND  '} {fault:<20} {check:<12} {time.monotonic() - start:4.0f} s  {how}", flush=True)
-        if not noticed:
-            blind.append(fault)
-    print("FAILED" if blind else "passed", blind or "")
-    sys.exit(1 if blind else 0)
+            detected, how = False, "timeout"
+        print(f"{'detected' if detected else 'MISSED  '} {fault:<20} {check:<12} {time.monotonic() - start:4.0f} s  {how}", flush=True)
+        if not detected:
+            missed.append(fault)
+    print("FAILED" if missed else "passed", missed or "")
+    sys.exit(1 if missed else 0)
 
 
 if __name__ == "__main__":

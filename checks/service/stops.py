@@ -1,10 +1,10 @@
-"""Catalogue A9 to A12, B1, B2, B4, row 10: stops in order, poison, a paused worker, a second server, a full disk, a held
-database, a clock that jumps, and cancels at every moment.
+"""A9 to A12, B1, B2, B4, row 10: orderly stops, jobs that crash, a paused worker, a second service, a full disk, a locked
+database, clock changes, and cancels in every stage.
 
     python3 checks/service/stops.py --stops 50 --cancels 40
 
-A full disk needs the right to mount a tmpfs, a jumping clock `faketime`; what is not there is skipped and said. `--only NAME`
-runs one of them.
+The full disk needs permission to mount a tmpfs, the clock changes need `faketime`; without them these checks are skipped
+with a message. `--only NAME` runs one check.
 """
 
 import glob
@@ -44,14 +44,14 @@ def running_job(service, client, seed, frames=LONG):
     return job
 
 
-def stops(asked, faults):
-    """A10."""
-    dice = random.Random(asked.seed)
-    service = Service(asked.program)
+def stops(args, faults):
+    """A10: orderly stops while a job runs and clients are connected."""
+    dice = random.Random(args.seed)
+    service = Service(args.program)
     service.start()
-    job = running_job(service, service.client(), 1, frames=LONG * max(1, min(30, asked.stops // 2)))
+    job = running_job(service, service.client(), 1, frames=LONG * max(1, min(30, args.stops // 2)))
     times = []
-    for _ in range(asked.stops):
+    for _ in range(args.stops):
         until(lambda: children(service), 10)
         sockets = [socket.create_connection(("127.0.0.1", service.port)) for _ in range(50)]
         for slow in sockets[:10]:
@@ -64,40 +64,40 @@ def stops(asked, faults):
             connection.close()
         service.start()
     faults.require(service.client().job(job)["attempt"] == 1, "a stop was counted against the job")
-    print(f"A10: {asked.stops} stops, worst {max(times):.1f} s")
+    print(f"A10: {args.stops} stops, worst {max(times):.1f} s")
     service.kill()
     service.remove()
 
 
-MOMENTS = ["queued", "running", "cameras", "denoising", "held_out_check", "joint_trajectories", "metric_scale", "body_fit"]
+STEPS = ["queued", "running", "cameras", "denoising", "held_out_check", "joint_trajectories", "metric_scale", "body_fit"]
 
 
-def is_at(job, moment):
-    """Whether a job is where it is to be canceled, or past it."""
-    if moment in ("queued", "running"):
-        return job["state"] != "queued" or moment == "queued"
+def has_reached(job, step):
+    """Whether a job has reached the step at which to cancel it, or is past it."""
+    if step in ("queued", "running"):
+        return job["state"] != "queued" or step == "queued"
     stage = job["progress"]["stage"]
-    return job["state"] in wandless.FINAL or (stage in MOMENTS and MOMENTS.index(stage) >= MOMENTS.index(moment))
+    return job["state"] in wandless.FINAL or (stage in STEPS and STEPS.index(stage) >= STEPS.index(step))
 
 
-def cancels(asked, faults):
-    """Row 10: at every moment of a job's life."""
-    dice = random.Random(asked.seed)
-    service = Service(asked.program)
+def cancels(args, faults):
+    """Row 10: cancels at every step of a job."""
+    dice = random.Random(args.seed)
+    service = Service(args.program)
     service.start()
     client = service.client()
     session = client.upload(take(6000, 4, seed=3))["id"]
     times, states, too_late = [], {}, 0
-    for n in range(asked.cancels):
-        wanted = MOMENTS[n % len(MOMENTS)]
-        before_it = client.submit(session, options={"extrinsics": "refine"}, priority=5)["id"] if wanted == "queued" else None
+    for n in range(args.cancels):
+        step = STEPS[n % len(STEPS)]
+        blocker = client.submit(session, options={"extrinsics": "refine"}, priority=5)["id"] if step == "queued" else None
         job = client.submit(session, options={"extrinsics": "refine"})["id"]
-        begun = time.monotonic()
-        while not is_at(client.job(job), wanted) and time.monotonic() < begun + 60:
+        begin = time.monotonic()
+        while not has_reached(client.job(job), step) and time.monotonic() < begin + 60:
             time.sleep(0.002)
         time.sleep(dice.choice([0.0, 0.0, 0.05]))
-        if before_it:
-            faults.require(client.job(before_it)["state"] == "running", "nothing was at work before the waiting job")
+        if blocker:
+            faults.require(client.job(blocker)["state"] == "running", "no other job was running before the queued job")
         before = client.job(job)
         stage = before["progress"]["stage"] or before["state"]
         start = time.monotonic()
@@ -106,15 +106,15 @@ def cancels(asked, faults):
         except wandless.Problem as problem:
             too_late += problem.code == "already_final"
             continue
-        at_rest = children(service) if before_it else []
-        done = until(lambda: client.job(job)["state"] == "canceled" and children(service) in ([], at_rest), 5)
+        expected = children(service) if blocker else []
+        done = until(lambda: client.job(job)["state"] == "canceled" and children(service) in ([], expected), 5)
         seconds = time.monotonic() - start
         times.append(seconds)
         states[stage] = states.get(stage, 0) + 1
         faults.require(done and seconds <= 2, f"a cancel in {stage} took {seconds:.1f} s")
-        faults.require(client.cancel(job)["state"] == "canceled", "a second cancel is another answer")
-        if before_it:
-            client.cancel(before_it)
+        faults.require(client.cancel(job)["state"] == "canceled", "a second cancel has a different answer")
+        if blocker:
+            client.cancel(blocker)
             until(lambda: not children(service), 5)
     last = client.submit(client.upload(take(10, 2, seed=4))["id"], options={"extrinsics": "fixed"})["id"]
     client.wait(last)
@@ -123,15 +123,15 @@ def cancels(asked, faults):
         faults.require(False, "a job that has succeeded was canceled")
     except wandless.Problem as problem:
         faults.require(problem.status == 409 and problem.code == "already_final", f"{problem}")
-    faults.require(len(states) >= 6, f"cancels met only {states}")
+    faults.require(len(states) >= 6, f"cancels happened only in {states}")
     print(f"cancel: {len(times)} cancels, {too_late} too late, worst {max(times):.2f} s, in {states}")
     service.kill()
     service.remove()
 
 
-def poison(asked, faults):
-    """A9: a job whose process dies, hangs or wants all memory; the others go on."""
-    service = Service(asked.program, words=["--set", "jobs.silence_limit_s=2"])
+def poison(args, faults):
+    """A9: a job whose process is killed, hangs and aborts is given up as `dead`; other jobs continue."""
+    service = Service(args.program, words=["--set", "jobs.silence_limit_s=2"])
     service.start()
     client = service.client()
     job = running_job(service, client, 4)
@@ -142,16 +142,16 @@ def poison(asked, faults):
         os.kill(child, how)
         until(lambda: child not in children(service), 10)
     dead = until(lambda: client.job(job)["state"] == "dead", 20)
-    faults.require(dead, f"A9: the poison is {client.job(job)['state']}")
+    faults.require(dead, f"A9: the crashing job is {client.job(job)['state']}")
     faults.require(client.wait(other)["state"] == "succeeded", "A9: the other job did not finish")
     service.kill()
     service.remove()
-    print("A9: dead after three deaths (killed, hung, aborted)")
+    print("A9: dead after three crashes (killed, hung, aborted)")
 
 
-def paused(asked, faults):
-    """A11: a paused process is killed and its job runs again; nothing of the old attempt is published."""
-    service = Service(asked.program, words=["--set", "jobs.silence_limit_s=2"])
+def paused(args, faults):
+    """A11, A12: a paused process is killed and its job runs again, with one result; a second service is rejected."""
+    service = Service(args.program, words=["--set", "jobs.silence_limit_s=2"])
     service.start()
     client = service.client()
     job = running_job(service, client, 6)
@@ -165,18 +165,18 @@ def paused(asked, faults):
     faults.require(gone and done["attempt"] == 2 and len(results) == 1, f"A11: {gone} {done['attempt']} {results}")
     print("A11: the paused process was killed, the second attempt succeeded, one result")
     start = time.monotonic()
-    second = Service(asked.program, data=service.data)
-    refused = second.start() is None
+    second = Service(args.program, data=service.data)
+    rejected = second.start() is None
     seconds = time.monotonic() - start
-    faults.require(refused and seconds < 1 and "another wandless service" in "".join(second.stderr), "A12: not refused")
-    print(f"A12: the second service was refused after {seconds:.2f} s")
+    faults.require(rejected and seconds < 1 and "another wandless service" in "".join(second.stderr), "A12: not rejected")
+    print(f"A12: the second service was rejected after {seconds:.2f} s")
     service.kill()
     service.remove()
 
 
-def held(asked, faults):
-    """B2: another process holds the database."""
-    service = Service(asked.program)
+def held(args, faults):
+    """B2: another process locks the database for 1 s and for 30 s."""
+    service = Service(args.program)
     service.start()
     client = service.client(patience_s=0.0)
     session = client.upload(take(10, 2, seed=7))["id"]
@@ -187,35 +187,35 @@ def held(asked, faults):
         start = time.monotonic()
         try:
             client.submit(session, key=f"held-{seconds}")
-            refusal = None
+            problem_found = None
         except wandless.Problem as problem:
-            refusal = problem
+            problem_found = problem
         waited = time.monotonic() - start
         if seconds == 1:
-            faults.require(refusal is None, f"B2: one second of waiting was refused: {refusal}")
+            faults.require(problem_found is None, f"B2: a request was rejected during a lock of one second: {problem_found}")
         else:
-            faults.require(refusal is not None and refusal.status == 503, f"B2: {refusal} after {waited:.0f} s")
+            faults.require(problem_found is not None and problem_found.status == 503, f"B2: {problem_found} after {waited:.0f} s")
             time.sleep(max(0.0, seconds + 1 - waited))
-    faults.require(service.client().submit(session, key="after"), "B2: nothing is accepted afterwards")
+    faults.require(service.client().submit(session, key="after"), "B2: no job is accepted afterwards")
     holder.close()
-    print("B2: 1 s unseen, 30 s answered 503, then all is well")
+    print("B2: a lock of 1 s goes unnoticed, one of 30 s is answered 503, then jobs are accepted again")
     service.kill()
     service.remove()
 
 
-def full_disk(asked, faults):
-    """B1: a disk of some size is full; what is there stays, cancel and delete work, space brings everything back."""
+def full_disk(args, faults):
+    """B1: on a full disk existing jobs are kept and deletes work; after space is freed, jobs succeed again."""
     place = tempfile.mkdtemp(prefix="wandless-disk-")
     mount = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64m", "tmpfs", place], capture_output=True)
     if mount.returncode:
-        print("B1: SKIPPED, a tmpfs may not be mounted here")
+        print("B1: SKIPPED, no permission to mount a tmpfs")
         return
-    dice = random.Random(asked.seed)
+    dice = random.Random(args.seed)
     answers = {}
     try:
-        for n in range(asked.disks):
+        for n in range(args.disks):
             data = os.path.join(place, f"data{n}")
-            service = Service(asked.program, data=data, words=["--set", "limits.min_free_bytes=0"])
+            service = Service(args.program, data=data, words=["--set", "limits.min_free_bytes=0"])
             service.start()
             client = service.client(patience_s=0.0)
             queued = client.submit(client.upload(take(10, 2, seed=n))["id"], options={"extrinsics": "fixed"})["id"]
@@ -242,7 +242,7 @@ def full_disk(asked, faults):
                 faults.require(False, f"B1: delete on a full disk: {problem}")
             os.remove(os.path.join(place, "filler"))
             again = client.submit(client.upload(take(20, 2, seed=9999 + n))["id"], options={"extrinsics": "fixed"})["id"]
-            faults.require(client.wait(again)["state"] == "succeeded", "B1: no recovery once there is space")
+            faults.require(client.wait(again)["state"] == "succeeded", "B1: no recovery after space was freed")
             service.kill()
             whole = service.integrity()
             faults.require(whole == "ok", f"B1: {whole}")
@@ -250,22 +250,22 @@ def full_disk(asked, faults):
     finally:
         subprocess.run(["umount", "-l", place], check=False)
         os.rmdir(place)
-    print(f"B1: {asked.disks} full disks: {answers}")
+    print(f"B1: {args.disks} full disks: {answers}")
 
 
 JUMPS = ("+1h", "-1h", "+10y", "-5y", "+0")
 
 
-def clocks(asked, faults):
-    """B4: the wall clock jumps while jobs wait and run, and between two starts."""
+def clocks(args, faults):
+    """B4: the wall clock jumps while jobs are queued and running, and between two starts."""
     library = next(iter(glob.glob("/usr/lib/*/faketime/libfaketime.so.1")), None)
     if not library:
-        print("B4: SKIPPED, faketime is not there")
+        print("B4: SKIPPED, faketime is not installed")
         return
     with tempfile.NamedTemporaryFile("w", delete=False) as file:
         file.write("+0")
     environment = {"LD_PRELOAD": library, "FAKETIME_TIMESTAMP_FILE": file.name, "FAKETIME_NO_CACHE": "1", "FAKETIME_DONT_FAKE_MONOTONIC": "1"}
-    service = Service(asked.program, environment=environment)
+    service = Service(args.program, environment=environment)
     service.start()
     client = service.client()
     jobs, years = [running_job(service, client, 8, frames=400)], set()
@@ -293,19 +293,19 @@ def clocks(asked, faults):
     listed = [job["id"] for job in client.jobs()]
     faults.require(listed == jobs[::-1] and len(set(jobs)) == len(jobs), "B4: the order of the list follows the clock")
     fences = sqlite3.connect(f"file:{service.data}/wandless.db?mode=ro", uri=True).execute("SELECT max(fence), sum(crashes) FROM jobs").fetchone()
-    faults.require(fences[0] <= 1 + len(JUMPS) and fences[1] == 0, f"B4: claims and deaths {fences}")
-    print(f"B4: {len(jobs)} jobs over {2 * len(JUMPS)} jumps through the years {sorted(years)}: each once, in order")
+    faults.require(fences[0] <= 1 + len(JUMPS) and fences[1] == 0, f"B4: claims and crashes {fences}")
+    print(f"B4: {len(jobs)} jobs over {2 * len(JUMPS)} clock changes through the years {sorted(years)}: each ran once, in order")
     service.kill()
     service.remove()
     os.remove(file.name)
 
 
 def main():
-    asked = arguments(__doc__, stops=50, cancels=40, disks=30, only="")
+    args = arguments(__doc__, stops=50, cancels=40, disks=30, only="")
     faults = Faults()
     for check in (poison, paused, cancels, stops, held, full_disk, clocks):
-        if asked.only in check.__name__:
-            check(asked, faults)
+        if args.only in check.__name__:
+            check(args, faults)
     faults.end()
 
 
