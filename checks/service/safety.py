@@ -63,7 +63,7 @@ def resume(args, faults):
         faults.require(done["attempt"] == 1, f"A7: killed in {stage}: attempt {done['attempt']}")
         time.sleep(0.05)
         log = re.sub(r"(\x1b|\\x1b|\\u\{1b\})\[[0-9;]*m", "", "".join(service.stderr)).replace("\\", "")
-        reused = [line for line in log.splitlines() if "is not run again" in line]
+        reused = [line for line in log.splitlines() if "resumed from its checkpoint" in line]
         again += [(stage, name, reused) for name in kept if not any(f'stage="{name}"' in line for line in reused)]
         resumed += len(kept)
         client.delete_job(job)

@@ -49,7 +49,7 @@ fn a_killed_job_goes_on_after_its_last_finished_stage_and_gives_the_same_bytes()
     assert_eq!(result(&id), result(&whole));
     drop(server);
     let log = std::io::read_to_string(log).unwrap();
-    assert_eq!(log.matches("is not run again").count(), 6, "{log}");
+    assert_eq!(log.matches("resumed from its checkpoint").count(), 6, "{log}");
 }
 
 #[test]
