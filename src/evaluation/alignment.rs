@@ -1,10 +1,10 @@
-//! The transform between the result's world and the truth's.
+//! Alignment of the result's world to the truth's.
 
 use crate::geometry::{Rigid, Similarity};
 use nalgebra::{Matrix3, Matrix4, SymmetricEigen, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// What is fitted, and to what.
+/// Kind of alignment: which transform is fitted, and to what.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Alignment {
@@ -16,7 +16,7 @@ pub enum Alignment {
     RigidPose,
     /// Rotation to the orientations (chordal mean), then translation and scale to the centres. Needs two cameras.
     Sim3Pose,
-    /// Nothing: both worlds are one already.
+    /// No alignment: both worlds are the same.
     None,
 }
 
@@ -33,27 +33,27 @@ impl Alignment {
     }
 }
 
-/// `truth_from_solved` for cameras that correspond by position; the identity where there are none.
+/// The transform `truth_from_solved` for two lists of corresponding cameras; the identity for empty lists.
 ///
-/// `solved`, `truth`: `camera_from_world`, equally many.
+/// `solved`, `truth`: `camera_from_world`, metres, lists of the same length.
 pub fn truth_from_solved(solved: &[Rigid], truth: &[Rigid], alignment: Alignment) -> Similarity {
     let centers = |cameras: &[Rigid]| cameras.iter().map(Rigid::center).collect::<Vec<_>>();
     let (source, target) = (centers(solved), centers(truth));
     match alignment {
         Alignment::Rigid => align_points(&source, &target, Scale::One),
         Alignment::Sim3 => align_points(&source, &target, Scale::Free),
-        Alignment::RigidPose => align_turned(&mean_turn(solved, truth), &source, &target, Scale::One),
-        Alignment::Sim3Pose => align_turned(&mean_turn(solved, truth), &source, &target, Scale::Free),
+        Alignment::RigidPose => align_with_rotation(&mean_rotation(solved, truth), &source, &target, Scale::One),
+        Alignment::Sim3Pose => align_with_rotation(&mean_rotation(solved, truth), &source, &target, Scale::Free),
         Alignment::None => align_points(&[], &[], Scale::One),
     }
 }
 
-/// Whether [`align_points`] may change the size.
+/// Scale of the alignment in [`align_points`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Scale {
-    /// It may not.
+    /// Fixed to 1.
     One,
-    /// It may.
+    /// Estimated.
     Free,
 }
 
@@ -69,17 +69,22 @@ pub fn align_points(source: &[Vector3<f64>], target: &[Vector3<f64>], scale: Sca
     let (source_mean, target_mean) = (mean(source), mean(target));
     let pairs = source.iter().zip(target).map(|(x, y)| (x - source_mean, y - target_mean));
     let covariance: Matrix3<f64> = pairs.map(|(x, y)| y * x.transpose()).sum();
-    align_turned(&best_rotation(&covariance), source, target, scale)
+    align_with_rotation(&best_rotation(&covariance), source, target, scale)
 }
 
-/// The rotation `truth_from_solved` on which cameras agree by their orientations.
-fn mean_turn(solved: &[Rigid], truth: &[Rigid]) -> Matrix3<f64> {
+/// The chordal mean of the rotations `truth_from_solved` of all cameras' orientations.
+fn mean_rotation(solved: &[Rigid], truth: &[Rigid]) -> Matrix3<f64> {
     let sum: Matrix3<f64> = solved.iter().zip(truth).map(|(s, t)| t.rotation.transpose() * s.rotation).sum();
     best_rotation(&sum)
 }
 
 /// [`align_points`] where the rotation Q is known: `s = sum y_i^T Q x_i / |X|^2` of the centred points.
-fn align_turned(rotation: &Matrix3<f64>, source: &[Vector3<f64>], target: &[Vector3<f64>], scale: Scale) -> Similarity {
+fn align_with_rotation(
+    rotation: &Matrix3<f64>,
+    source: &[Vector3<f64>],
+    target: &[Vector3<f64>],
+    scale: Scale,
+) -> Similarity {
     let (source_mean, target_mean) = (mean(source), mean(target));
     let pairs = || source.iter().zip(target).map(|(x, y)| (rotation * (x - source_mean), y - target_mean));
     let spread: f64 = pairs().map(|(x, _)| x.norm_squared()).sum();
@@ -122,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn a_similarity_is_recovered_exactly() {
+    fn recovers_a_similarity() {
         let truth = Similarity {
             scale: 1.7,
             rotation: rotation::exp(&Vector3::new(2.0, -1.5, 1.0)),
@@ -137,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn mirrored_points_are_aligned_by_a_rotation() {
+    fn aligns_mirrored_points_by_a_rotation() {
         let target: Vec<_> = points().iter().map(|p| Vector3::new(-p.x, p.y, p.z)).collect();
         let found = align_points(&points(), &target, Scale::Free);
         assert!((found.rotation.determinant() - 1.0).abs() < 1e-12);
@@ -145,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn two_cameras_are_enough_for_orientations_and_scale() {
+    fn two_cameras_determine_rotation_and_scale() {
         let cameras = [Vector3::x(), Vector3::new(0.3, 2.0, -1.0)]
             .map(|translation| Rigid { rotation: rotation::exp(&(translation * 0.7)), translation });
         let rotation = rotation::exp(&Vector3::new(0.4, -0.2, 0.9));
@@ -157,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn one_camera_is_enough_for_orientations() {
+    fn one_camera_determines_rotation() {
         let camera =
             Rigid { rotation: rotation::exp(&Vector3::new(0.3, 0.2, 0.1)), translation: Vector3::new(1.0, 2.0, 3.0) };
         let moved = Similarity { scale: 1.0, rotation: rotation::exp(&Vector3::y()), translation: Vector3::x() };

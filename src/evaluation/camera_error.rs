@@ -1,4 +1,4 @@
-//! How far solved cameras are from the true ones.
+//! Errors of solved cameras.
 
 use super::alignment::{Alignment, truth_from_solved};
 use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
@@ -8,12 +8,12 @@ use nalgebra::{Vector2, Vector3};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// One camera, true and solved.
+/// A camera with its true and its solved pose.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CameraPair {
     /// Its name.
     pub id: String,
-    /// Its intrinsics; distortion is left out of reprojection errors, on both sides.
+    /// Its intrinsics; reprojection errors ignore the distortion of both cameras.
     pub intrinsics: Intrinsics,
     /// True `camera_from_world`.
     pub truth: Rigid,
@@ -21,7 +21,7 @@ pub struct CameraPair {
     pub solved: Rigid,
 }
 
-/// The placed cameras of a result beside the true ones (`camera_from_world`), in the session's order.
+/// Pairs the solved cameras of a result with the true ones (`camera_from_world`), in the session's order.
 pub fn camera_pairs(session: &Session, truth: &[Rigid], solved: &[SolvedCamera]) -> Vec<CameraPair> {
     let views = session.views.iter().zip(truth).zip(solved);
     let pair = |((view, truth), solved): ((&View, &Rigid), &SolvedCamera)| {
@@ -42,11 +42,11 @@ pub struct CameraErrors {
     pub reprojection_px: Option<f64>,
     /// The alignment.
     pub mode: Alignment,
-    /// Factor from the solution's size to the truth's.
+    /// Scale of the alignment, truth over solution.
     pub scale: f64,
-    /// How many cameras were solved.
+    /// Number of solved cameras.
     pub n_cameras: usize,
-    /// Each camera.
+    /// Errors by camera.
     pub per_camera: BTreeMap<String, CameraError>,
 }
 
@@ -61,12 +61,12 @@ pub struct CameraError {
     pub reprojection_px: Option<f64>,
 }
 
-/// A joint nearer to the camera plane than this is not compared, m.
+/// Smallest depth of a joint that is compared, m.
 const MIN_DEPTH: f64 = 0.1;
-/// The error of a joint that the solved camera has behind it, px.
+/// Error of a joint that is behind the solved camera, px.
 const BEHIND_PX: f64 = 1e4;
 
-/// Errors after the alignment that fits best; `points`: true joints, m.
+/// Errors after the alignment; `points`: true joints, world metres.
 pub fn camera_errors(pairs: &[CameraPair], points: &[Vector3<f64>], alignment: Alignment) -> CameraErrors {
     let (solved, truth): (Vec<Rigid>, Vec<Rigid>) = pairs.iter().map(|p| (p.solved, p.truth)).unzip();
     let truth_from_solved = truth_from_solved(&solved, &truth, alignment);
@@ -90,21 +90,21 @@ pub fn camera_errors(pairs: &[CameraPair], points: &[Vector3<f64>], alignment: A
     }
 }
 
-/// Errors between cameras, which need no alignment: the worst pair.
+/// Errors of relative camera poses, which need no alignment, of the worst pair.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct RelativeCameraError {
     /// Largest angle between true and solved relative rotation, degrees.
     pub rotation_deg: f64,
     /// Largest angle between the true and the solved direction to another camera, seen from the first, degrees.
     pub direction_deg: f64,
-    /// Pairs compared.
+    /// Number of pairs.
     pub n_pairs: usize,
 }
 
-/// Worst relative error over all pairs of cameras, in both orders; `None` for fewer than two.
+/// Largest relative errors over all pairs of cameras, in both orders; `None` for fewer than two cameras.
 ///
-/// With `R_ij = R_j R_i^T` and `d_ij = R_i (C_j - C_i)`: the angle of `R_ij` against the true one and of `d_ij` against
-/// the true one. Neither depends on world or scale.
+/// With `R_ij = R_j R_i^T` and `d_ij = R_i (C_j - C_i)`: the angle between the true and the solved `R_ij`, and between the
+/// true and the solved `d_ij`. Neither depends on the world or the scale.
 pub fn relative_camera_error(pairs: &[CameraPair]) -> Option<RelativeCameraError> {
     let mut worst = RelativeCameraError { rotation_deg: 0.0, direction_deg: 0.0, n_pairs: 0 };
     for (i, a) in pairs.iter().enumerate() {
@@ -119,12 +119,12 @@ pub fn relative_camera_error(pairs: &[CameraPair]) -> Option<RelativeCameraError
     (worst.n_pairs > 0).then_some(worst)
 }
 
-/// Angle of the rotation that takes one orientation to the other, degrees.
+/// Angle of the relative rotation of two orientations, degrees.
 fn angle_between(a: &Rigid, b: &Rigid) -> f64 {
     rotation::log(&(a.rotation.transpose() * b.rotation)).norm().to_degrees()
 }
 
-/// Mean over the points that the true camera has in its image.
+/// Mean over the points inside the true camera's image, px.
 fn reprojection_error(pair: &CameraPair, aligned: &Rigid, points: &[Vector3<f64>]) -> Option<f64> {
     let ideal = Intrinsics { dist: Distortion::None, ..pair.intrinsics };
     let (width, height) = (f64::from(ideal.width), f64::from(ideal.height));
@@ -140,7 +140,7 @@ fn reprojection_error(pair: &CameraPair, aligned: &Rigid, points: &[Vector3<f64>
     mean(points.iter().filter_map(error))
 }
 
-/// Arithmetic mean; `None` of nothing.
+/// Arithmetic mean; `None` for no values.
 pub(super) fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     let (sum, n) = values.fold((0.0, 0_usize), |(sum, n), value| (sum + value, n + 1));
     (n > 0).then(|| sum / n as f64)
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn another_world_of_another_size_is_no_error_after_a_similarity() {
+    fn a_similarity_leaves_no_error_after_alignment() {
         let moved = Similarity { scale: 0.5, rotation: rotation::exp(&Vector3::x()), translation: Vector3::y() };
         let mut pairs = ring(4);
         pairs.iter_mut().for_each(|pair| pair.solved = moved.move_camera(&pair.truth));
@@ -178,13 +178,13 @@ mod tests {
     }
 
     #[test]
-    fn the_worst_pair_is_found() {
+    fn finds_the_worst_pair() {
         let mut pairs = ring(3);
         let angle = 3.0_f64.to_radians();
         pairs[1].solved = pairs[1].truth.perturbed_left(&Vector3::zeros(), &Vector3::new(0.0, 0.0, angle));
         let relative = relative_camera_error(&pairs).unwrap();
         assert!((relative.rotation_deg - 3.0).abs() < 1e-9);
-        // The turned camera sees the others turned about its own axis: at most 3 degrees, less off the image plane.
+        // The rotated camera sees the others rotated about its own axis: by at most 3 degrees, less outside the image plane.
         assert!(relative.direction_deg > 0.5 && relative.direction_deg < 3.0 + 1e-9);
         assert_eq!(relative_camera_error(&pairs[..1]), None);
     }

@@ -1,4 +1,5 @@
-//! The files that an evaluation reads: cameras, poses, identities and what it needs of the session. Metres after reading.
+//! Readers of the files that an evaluation needs: cameras, poses, identities, parts of the session. Lengths are metres after
+//! reading.
 
 use super::error::EvaluationError;
 use super::person_matching::Frames;
@@ -11,7 +12,7 @@ use serde::{Deserialize, Deserializer};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// What an evaluation needs of `session.json`.
+/// The parts of `session.json` that an evaluation needs.
 #[derive(Debug, Clone, Deserialize)]
 pub struct SessionDocument {
     /// Frames per second.
@@ -57,11 +58,11 @@ impl SessionCamera {
 /// A file of poses or keypoints.
 #[derive(Debug, Clone)]
 pub struct PosesDocument {
-    /// What the joints are.
+    /// Skeleton of the joints.
     pub skeleton: Skeleton,
-    /// Up axis, where the file names it.
+    /// Up axis, where the file states it.
     pub up_axis: Option<UpAxis>,
-    /// All joints of everybody; frames without anybody are left out.
+    /// All joints of all people; frames without people are left out.
     pub frames: Frames<Vec<Point>>,
 }
 
@@ -117,7 +118,7 @@ impl Unit {
     }
 }
 
-/// `camera_from_world` of every camera that has a pose.
+/// Reads `camera_from_world` of every camera that has a pose, metres.
 ///
 /// # Errors
 /// [`EvaluationError`] where the file cannot be read.
@@ -130,7 +131,7 @@ pub fn read_cameras(path: &Path) -> Result<BTreeMap<String, Rigid>, EvaluationEr
     Ok(cameras.into_iter().filter_map(posed).collect())
 }
 
-/// Poses of everybody in every frame.
+/// Reads the poses of all people in all frames.
 ///
 /// # Errors
 /// [`EvaluationError`] where the file cannot be read, its joints are unknown, or a person has too few of them.
@@ -154,7 +155,7 @@ pub fn read_poses(path: &Path) -> Result<PosesDocument, EvaluationError> {
     Ok(PosesDocument { skeleton, up_axis: file.up_axis, frames })
 }
 
-/// Names of people per detection.
+/// Reads the person's name of every detection.
 ///
 /// # Errors
 /// [`EvaluationError`] where the file cannot be read.
@@ -164,7 +165,7 @@ pub fn read_identities(path: &Path) -> Result<Identities, EvaluationError> {
     Ok(named.into_iter().map(|(camera, frames)| (camera, frames.into_iter().map(names).collect())).collect())
 }
 
-/// Track ids of every detection of a camera's `poses/<camera>.json`, frame by frame.
+/// Reads the track numbers of every detection of a camera's `poses/<camera>.json`, frame by frame.
 ///
 /// # Errors
 /// [`EvaluationError`] where the file cannot be read.
@@ -189,7 +190,7 @@ fn matrix(rows: &[[f64; 3]; 3]) -> Matrix3<f64> {
     Matrix3::from_fn(|row, column| rows[row][column])
 }
 
-/// A name given as text or as a number.
+/// A name, given as text or as a number.
 struct Name(String);
 
 impl<'de> Deserialize<'de> for Name {

@@ -9,15 +9,15 @@ pub enum EvaluationError {
     /// A file cannot be read, or is not the expected JSON.
     #[error(transparent)]
     File(#[from] JsonFileError),
-    /// The joints of a file are none of ours.
-    #[error("{}: unknown joint names, beginning {:?}", path.display(), names.first())]
+    /// The joint names of a file belong to no known skeleton.
+    #[error("{}: unknown joint names, starting with {:?}; expected the names of a keypoint convention or of Shelf", path.display(), names.first())]
     UnknownJoints {
         /// The file.
         path: PathBuf,
-        /// Its joints.
+        /// The joint names in the file.
         names: Vec<String>,
     },
-    /// A person has too few or too many joints.
+    /// A person has a wrong number of joints.
     #[error("{}: frame {frame}, person {person}: {expected} joints expected, found {found}", path.display())]
     Joints {
         /// The file.
@@ -26,25 +26,25 @@ pub enum EvaluationError {
         frame: i64,
         /// The person.
         person: String,
-        /// Joints that the file names.
+        /// Number of joints that the file names.
         expected: usize,
-        /// Joints that the person has.
+        /// Number of joints of the person.
         found: usize,
     },
-    /// Identities do not fit the session's detections.
+    /// The number of identities differs from the number of detections.
     #[error("camera {camera}, frame entry {frame}: {expected} identities expected, found {found}")]
     Identities {
         /// The camera.
         camera: String,
-        /// Position of the frame in the camera's file.
+        /// Index of the frame in the camera's file.
         frame: usize,
-        /// Detections of the session.
+        /// Number of detections in the session.
         expected: usize,
-        /// Identities given.
+        /// Number of identities found.
         found: usize,
     },
-    /// The result holds nothing that can be compared.
-    #[error("{}: cameras.json, keypoints3d.json, poses3d.json or identities.json expected", result.display())]
+    /// The result contains nothing that can be compared.
+    #[error("{}: the folder contains none of cameras.json, keypoints3d.json, poses3d.json and identities.json", result.display())]
     Nothing {
         /// The folder.
         result: PathBuf,

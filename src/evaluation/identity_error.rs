@@ -1,38 +1,38 @@
-//! Who was taken for whom: identities of detections against the truth.
+//! Accuracy of the identities of detections.
 
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// One detection.
+/// Identities of one detection.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct IdentityRow {
-    /// Who it really is.
+    /// The true person.
     pub truth: Option<i64>,
-    /// Who the result says it is; `None`: rejected.
+    /// The person in the result; `None`: rejected.
     pub given: Option<String>,
-    /// What the tracker called it.
+    /// The detector's track number.
     pub track_id: Option<i64>,
 }
 
-/// How well detections were given to people.
+/// Accuracy and coverage of the assignment of detections to people.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct IdentityError {
-    /// Detections given to the right person / given to anyone.
+    /// Share of the assigned detections that have the right person, 0 to 1.
     pub accuracy: f64,
-    /// Detections given to anyone / all.
+    /// Share of all detections that are assigned to a person, 0 to 1.
     pub coverage: f64,
     /// Detections.
     pub n: usize,
-    /// People in the result.
+    /// Number of people in the result.
     pub people_predicted: usize,
-    /// Detections whose track id names somebody else; `None` where track ids do not name true people at all.
+    /// Detections with a swapped track number; `None` where track numbers do not correspond to true people at all.
     pub n_swapped: Option<usize>,
-    /// Of them given to the right person.
+    /// Share of the swapped detections that have the right person, 0 to 1.
     pub swapped_recall: Option<f64>,
 }
 
-/// Compares identities. People of the result are mapped one to one onto true people, greedily by the most shared
-/// detections over the whole session; ties go to the pair met first in `rows`.
+/// Compares identities. People of the result are mapped one to one to true people, greedily by the number of common
+/// detections over the whole session; among equal pairs the first one in `rows` is taken.
 pub fn identity_error(rows: &[IdentityRow]) -> IdentityError {
     let truth_of = true_person_of(rows);
     let is_right =
@@ -54,27 +54,27 @@ pub fn identity_error(rows: &[IdentityRow]) -> IdentityError {
     }
 }
 
-/// The true person behind each person of the result.
+/// The true person of each person of the result.
 fn true_person_of(rows: &[IdentityRow]) -> BTreeMap<&str, Option<i64>> {
-    struct Vote<'a> {
+    struct Pair<'a> {
         truth: Option<i64>,
         given: &'a str,
         count: usize,
     }
-    let mut votes: Vec<Vote> = Vec::new();
+    let mut pairs: Vec<Pair> = Vec::new();
     for row in rows {
         let Some(given) = row.given.as_deref() else { continue };
-        match votes.iter_mut().find(|vote| vote.truth == row.truth && vote.given == given) {
-            Some(vote) => vote.count += 1,
-            None => votes.push(Vote { truth: row.truth, given, count: 1 }),
+        match pairs.iter_mut().find(|pair| pair.truth == row.truth && pair.given == given) {
+            Some(pair) => pair.count += 1,
+            None => pairs.push(Pair { truth: row.truth, given, count: 1 }),
         }
     }
-    votes.sort_by_key(|vote| std::cmp::Reverse(vote.count));
+    pairs.sort_by_key(|pair| std::cmp::Reverse(pair.count));
     let mut truth_of = BTreeMap::new();
-    for vote in votes {
-        let taken = truth_of.values().any(|truth| *truth == vote.truth);
-        if !taken && !truth_of.contains_key(vote.given) {
-            truth_of.insert(vote.given, vote.truth);
+    for pair in pairs {
+        let taken = truth_of.values().any(|truth| *truth == pair.truth);
+        if !taken && !truth_of.contains_key(pair.given) {
+            truth_of.insert(pair.given, pair.truth);
         }
     }
     truth_of
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn names_do_not_matter_but_mixing_people_does() {
+    fn ignores_names_and_counts_mixed_people() {
         let rows = [
             row(0, Some("b"), Some(0)),
             row(0, Some("b"), Some(1)),
@@ -99,13 +99,13 @@ mod tests {
         ];
         let found = identity_error(&rows);
         assert_eq!((found.accuracy, found.coverage), (0.75, 0.8));
-        // Two ids were swapped; the result kept the first of them with its person.
+        // Two track numbers were swapped; the result assigns the first of them correctly.
         assert_eq!((found.n_swapped, found.swapped_recall), (Some(2), Some(0.5)));
         assert_eq!(found.people_predicted, 2);
     }
 
     #[test]
-    fn ids_that_name_nobody_are_not_called_swapped() {
+    fn unrelated_track_numbers_are_not_swapped() {
         let found = identity_error(&[row(0, Some("0"), Some(55)), row(1, Some("1"), None)]);
         assert_eq!((found.accuracy, found.n_swapped, found.swapped_recall), (1.0, None, None));
     }

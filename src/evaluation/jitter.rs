@@ -1,4 +1,4 @@
-//! How much a motion trembles: mean acceleration, and how far it is from the truth's.
+//! Jitter of motions: mean acceleration, and its error.
 
 use super::camera_error::mean;
 use super::person_matching::{Frames, Matching, People, matched};
@@ -10,15 +10,15 @@ use serde::Serialize;
 pub struct Jitter {
     /// Mean second difference, mm per frame squared.
     pub mm_per_frame2: Option<f64>,
-    /// The same in m/s^2.
+    /// The same, m/s^2.
     pub m_per_s2: Option<f64>,
-    /// Second differences taken.
+    /// Number of second differences.
     pub n: usize,
 }
 
 /// Mean of `|x(t+1) - 2 x(t) + x(t-1)|` over all joints known in three consecutive frames.
 ///
-/// Needs names of people that persist. A lower figure than the truth's means a motion that was smoothed away.
+/// People must keep their names over time. A value below the truth's indicates excessive smoothing.
 pub fn jitter(frames: &Frames<Vec<Point>>, fps: f64) -> Jitter {
     let mut differences = Vec::new();
     for (frame, people) in frames {
@@ -35,8 +35,8 @@ pub fn jitter(frames: &Frames<Vec<Point>>, fps: f64) -> Jitter {
 
 /// Mean of `|a_solved - a_true|`, `a = x(t+1) - 2 x(t) + x(t-1)`, over the 14 joints of `actors`, mm per frame squared.
 ///
-/// People are matched one to one in the middle frame; a person of the result whose name does not go on through all
-/// three frames says nothing.
+/// People are matched one to one in the middle frame; a person of the result whose name does not occur in all three frames is
+/// ignored.
 pub fn acceleration_error(truth: &Frames<Shelf14>, solved: &Frames<Shelf14>, actors: &[String]) -> Option<f64> {
     let mut differences = Vec::new();
     for frame in truth.keys() {
@@ -49,15 +49,18 @@ pub fn acceleration_error(truth: &Frames<Shelf14>, solved: &Frames<Shelf14>, act
             };
             let (Some(t), Some(s)) = (poses(true_people, actor), poses(people, name)) else { continue };
             if actors.iter().any(|a| a == actor) {
-                let bend = |p: &[Shelf14; 3], j: usize| Some(p[2][j]? - p[1][j]? * 2.0 + p[0][j]?);
-                differences.extend((0..t[0].len()).filter_map(|j| Some((bend(&s, j)? - bend(&t, j)?).norm())));
+                let second_difference = |p: &[Shelf14; 3], j: usize| Some(p[2][j]? - p[1][j]? * 2.0 + p[0][j]?);
+                differences.extend(
+                    (0..t[0].len())
+                        .filter_map(|j| Some((second_difference(&s, j)? - second_difference(&t, j)?).norm())),
+                );
             }
         }
     }
     mean(differences.into_iter()).map(|m| 1e3 * m)
 }
 
-/// A frame between its neighbours.
+/// A frame and its two neighbours.
 fn three_frames(frames: &Frames<Shelf14>, frame: i64) -> Option<[&People<Shelf14>; 3]> {
     Some([frames.get(&(frame - 1))?, frames.get(&frame)?, frames.get(&(frame + 1))?])
 }
@@ -69,7 +72,7 @@ mod tests {
     use std::collections::BTreeMap;
 
     #[test]
-    fn a_falling_point_accelerates_by_g_and_gaps_do_not_count() {
+    fn measures_gravity_and_ignores_gaps() {
         let at = |frame: i64| Some(Vector3::new(0.0, -0.5 * 9.81 * (frame as f64 / 50.0).powi(2), 0.0));
         let mut frames: Frames<Vec<Point>> = Frames::new();
         for frame in [0, 1, 2, 3, 7, 8] {
@@ -82,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn the_acceleration_error_is_that_of_what_was_added_and_worlds_may_drift() {
+    fn acceleration_error_ignores_drift_and_counts_trembling() {
         let person = |frame: i64, extra: f64| -> Shelf14 {
             std::array::from_fn(|j| Some(Vector3::new(0.02 * frame as f64 + extra, 0.1 * j as f64, 0.0)))
         };
@@ -92,7 +95,7 @@ mod tests {
         let (truth, actors) = (take("a", &|_| 0.0), ["a".to_owned()]);
         let drifting = acceleration_error(&truth, &take("7", &|t| 0.01 * t as f64), &actors).unwrap();
         assert!(drifting < 1e-9);
-        // 2 mm to and fro: every second difference is 8 mm.
+        // Alternating by 2 mm: every second difference is 8 mm.
         let trembling = take("7", &|t| if t % 2 == 0 { 2e-3 } else { -2e-3 });
         assert!((acceleration_error(&truth, &trembling, &actors).unwrap() - 8.0).abs() < 1e-9);
         assert_eq!(acceleration_error(&truth, &trembling, &["b".to_owned()]), None);

@@ -8,14 +8,14 @@ use nalgebra::Vector3;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// A part of the body: its name and where it starts and ends.
+/// A body part: its name and its end joints.
 struct Part {
     name: &'static str,
     start: fn(&Shelf14) -> Point,
     end: usize,
 }
 
-/// The ten parts; the torso starts between the hips.
+/// The ten body parts; the torso starts between the hips.
 const PARTS: [Part; 10] = [
     Part { name: "L_upper_arm", start: |p| p[9], end: 10 },
     Part { name: "R_upper_arm", start: |p| p[8], end: 7 },
@@ -29,56 +29,56 @@ const PARTS: [Part; 10] = [
     Part { name: "torso", start: mid_hip, end: BOTTOM_HEAD },
 ];
 
-/// A part is correct when its ends are off by at most this share of its length on average.
+/// Largest mean error of a correct part's ends, as a share of its length.
 const ALPHA: f64 = 0.5;
-/// A person farther off than this on average is not matched, m.
+/// Largest mean joint error of a matched person, m.
 const REJECT: f64 = 0.5;
 
-/// Percentage of correct parts.
+/// Percentage of correct parts (PCP).
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Pcp {
     /// Tolerance, share of the part's length.
     pub alpha: f64,
-    /// How people were matched.
+    /// Matching of people.
     pub matching: Matching,
-    /// Percent, per true person.
+    /// PCP per true person, percent.
     pub per_actor: BTreeMap<String, f64>,
-    /// True poses, per true person.
+    /// Number of true poses, per true person.
     pub n_poses: BTreeMap<String, usize>,
-    /// Mean over the actors asked for, percent.
+    /// Mean over the selected people, percent.
     pub average: Option<f64>,
-    /// Percent, per part, over the actors asked for.
+    /// PCP per part over the selected people, percent.
     pub per_part: BTreeMap<&'static str, f64>,
 }
 
-/// Mean distance of joints, mm, over matched poses: as they are, with the hips laid over each other, after Procrustes
+/// Mean per-joint position error (MPJPE), mm, over matched poses: without alignment, with aligned hips, and after Procrustes
 /// alignment (rotation, translation and scale); over all 14 joints and over the 12 limb joints.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Mpjpe {
-    /// As they are.
+    /// 14 joints, without alignment, mm.
     pub raw14: Option<f64>,
-    /// Hips laid over each other.
+    /// 14 joints, aligned hips, mm.
     pub root14: Option<f64>,
-    /// Procrustes.
+    /// 14 joints, Procrustes alignment, mm.
     pub pa14: Option<f64>,
-    /// As they are.
+    /// 12 limb joints, without alignment, mm.
     pub raw12: Option<f64>,
-    /// Hips laid over each other.
+    /// 12 limb joints, aligned hips, mm.
     pub root12: Option<f64>,
-    /// Procrustes.
+    /// 12 limb joints, Procrustes alignment, mm.
     pub pa12: Option<f64>,
-    /// True poses.
+    /// Number of true poses.
     pub n_gt: usize,
-    /// Of them matched within 0.5 m.
+    /// Number of them that are matched within 0.5 m.
     pub n_matched: usize,
     /// `n_matched / n_gt`.
     pub recall: f64,
 }
 
-/// PCP of `solved` against `truth`; the averages are over `actors`.
+/// PCP of `solved` relative to `truth`, both in one world, metres; the averages are over `actors`.
 ///
-/// A part is correct when `(|start error| + |end error|) / 2 <= 0.5 |true part|`. A true person without a match has ten
-/// wrong parts; further people of the result cost nothing.
+/// A part is correct when `(|start error| + |end error|) / 2 <= 0.5 |true part|`. All ten parts of a true person without a
+/// match are wrong; additional people of the result have no effect.
 pub fn pcp(truth: &Frames<Shelf14>, solved: &Frames<Shelf14>, actors: &[String], matching: Matching) -> Pcp {
     let mut correct: BTreeMap<&str, [usize; PARTS.len()]> = BTreeMap::new();
     let mut n_poses: BTreeMap<String, usize> = BTreeMap::new();
@@ -111,7 +111,7 @@ pub fn pcp(truth: &Frames<Shelf14>, solved: &Frames<Shelf14>, actors: &[String],
     }
 }
 
-/// MPJPE of `solved` against `truth` over `actors`, matched one to one.
+/// MPJPE of `solved` relative to `truth` over `actors`, matched one to one; both in one world, metres.
 pub fn mpjpe(truth: &Frames<Shelf14>, solved: &Frames<Shelf14>, actors: &[String]) -> Mpjpe {
     let (mut n_gt, mut n_matched) = (0, 0);
     let (mut all, mut limbs) = (PoseDistances::default(), PoseDistances::default());
@@ -140,7 +140,7 @@ pub fn mpjpe(truth: &Frames<Shelf14>, solved: &Frames<Shelf14>, actors: &[String
     }
 }
 
-/// Distances of all poses so far, m.
+/// Mean joint distances of the poses added so far, m.
 #[derive(Default)]
 struct PoseDistances {
     raw: Vec<f64>,
@@ -149,7 +149,7 @@ struct PoseDistances {
 }
 
 impl PoseDistances {
-    /// Fewer common joints than this say nothing about a pose.
+    /// Smallest number of common joints of a compared pose.
     const MIN_JOINTS: usize = 4;
 
     fn add(&mut self, truth: &Shelf14, solved: &Shelf14, n_joints: usize) {
@@ -171,7 +171,7 @@ impl PoseDistances {
 }
 
 impl Part {
-    /// A part that the truth or the result lacks is wrong.
+    /// Whether the part is correct; one that the truth or the result lacks is wrong.
     fn is_correct(&self, truth: &Shelf14, solved: &Shelf14) -> bool {
         let ends = || Some(((self.start)(truth)?, truth[self.end]?, (self.start)(solved)?, solved[self.end]?));
         ends().is_some_and(|(true_start, true_end, start, end)| {
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn the_truth_itself_scores_full_marks() {
+    fn truth_scores_perfectly() {
         let truth = frames(&[("0", person(0.0)), ("1", person(2.0))]);
         let score = pcp(&truth, &truth, &names(&["0", "1"]), Matching::Nearest);
         assert_eq!(score.average, Some(100.0));
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shift_is_seen_by_the_raw_error_only() {
+    fn a_shift_changes_the_raw_error_only() {
         let truth = frames(&[("0", person(0.0))]);
         let errors = mpjpe(&truth, &frames(&[("9", person(0.1))]), &names(&["0"]));
         assert!((errors.raw14.unwrap() - 100.0).abs() < 1e-9);
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn two_people_share_a_prediction_only_when_nearest_may() {
+    fn only_nearest_matching_shares_a_prediction() {
         let truth = frames(&[("0", person(0.0)), ("1", person(0.05))]);
         let one = frames(&[("a", person(0.0))]);
         assert_eq!(pcp(&truth, &one, &names(&["0", "1"]), Matching::Nearest).average, Some(100.0));

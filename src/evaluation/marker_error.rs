@@ -1,8 +1,8 @@
-//! How far virtual markers on the fitted skin lie from the same markers on the true skin.
+//! Distances of virtual markers on the fitted skin from the same markers on the true skin.
 //!
-//! A marker is paired once and for all. With real markers the usual pairing is the fitted vertex nearest in the first frame,
-//! since nobody knows the true one ([`first_meetings`]); where bodies share their vertices, it can be the same one: then the
-//! error holds that of the first frame and a body that is turned inside its skin, too.
+//! Each marker corresponds to one fixed vertex of the fitted body. With real markers that is usually the vertex nearest in
+//! the first frame, since the true one is unknown ([`first_matches`]); bodies of one model share their vertices, and the same
+//! vertex is used: the error then includes that of the first frame and rotations of the body inside its skin.
 
 use super::camera_error::mean;
 use super::person_matching::{Frames, Matching, People, matched};
@@ -15,9 +15,9 @@ use std::collections::BTreeMap;
 /// One person in one frame, world metres.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MarkedPose {
-    /// SMPL's joints: who is compared with whom.
+    /// SMPL's joints, for matching people.
     pub joints: [Vector3<f64>; N_JOINTS],
-    /// The markers, in an order that truth and result share.
+    /// The markers, in an order common to truth and result.
     pub markers: Vec<Vector3<f64>>,
 }
 
@@ -30,17 +30,17 @@ pub struct MarkerError {
     pub spread_mm: Option<f64>,
     /// Standard deviation over people and frames of the mean over the markers, mm.
     pub spread_of_poses_mm: Option<f64>,
-    /// Share of the true people of all frames who have a fitted body.
+    /// Share of the true people of all frames that have a fitted body, 0 to 1.
     pub recall: f64,
 }
 
-/// Distances of markers of `solved` to those of `truth`. In every frame people are matched one to one by their joints, the
-/// rule of the pose errors; somebody far from everybody counts too.
+/// Distances of the markers of `solved` to those of `truth`. In every frame people are matched one to one by their joints, as
+/// for pose errors, but without a limit on the distance.
 pub fn marker_error(truth: &Frames<MarkedPose>, solved: &Frames<MarkedPose>) -> MarkerError {
     let (mut n_true, mut distances, mut of_poses) = (0, Vec::new(), Vec::new());
-    let nobody = People::new();
+    let no_people = People::new();
     for (frame, true_people) in truth {
-        let people = solved.get(frame).unwrap_or(&nobody);
+        let people = solved.get(frame).unwrap_or(&no_people);
         n_true += true_people.len();
         for (actor, name) in matched(&skeletons(true_people), &skeletons(people), Matching::One2one) {
             let pairs = true_people[actor].markers.iter().zip(&people[name].markers);
@@ -57,16 +57,16 @@ pub fn marker_error(truth: &Frames<MarkedPose>, solved: &Frames<MarkedPose>) -> 
     }
 }
 
-/// For everybody in `solved` the first frame in which the matching gives them somebody of `truth`: frame, true name.
-pub fn first_meetings(truth: &Frames<MarkedPose>, solved: &Frames<MarkedPose>) -> BTreeMap<String, (i64, String)> {
-    let mut meetings = BTreeMap::new();
+/// For each person of `solved` the first frame with a match in `truth`: frame and true name.
+pub fn first_matches(truth: &Frames<MarkedPose>, solved: &Frames<MarkedPose>) -> BTreeMap<String, (i64, String)> {
+    let mut matches = BTreeMap::new();
     for (frame, true_people) in truth {
         let Some(people) = solved.get(frame) else { continue };
         for (actor, name) in matched(&skeletons(true_people), &skeletons(people), Matching::One2one) {
-            meetings.entry(name.to_owned()).or_insert((*frame, actor.to_owned()));
+            matches.entry(name.to_owned()).or_insert((*frame, actor.to_owned()));
         }
     }
-    meetings
+    matches
 }
 
 /// For each marker the vertex of a mesh nearest to it.
@@ -80,7 +80,7 @@ pub fn nearest_vertices(markers: &[Vector3<f64>], mesh: &[Vector3<f64>]) -> Vec<
 
 fn skeletons(people: &People<MarkedPose>) -> People<Shelf14> {
     let skeleton = Skeleton::Keypoints(KeypointConvention::Smpl24);
-    // SMPL's head needs no upright.
+    // SMPL's head joints do not depend on the up axis.
     let shelf = |pose: &MarkedPose| to_shelf14(&pose.joints.map(Some), skeleton, &Vector3::y());
     people.iter().map(|(name, pose)| (name.clone(), shelf(pose))).collect()
 }
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_mesh_has_no_error_and_a_mesh_ten_millimetres_off_has_ten() {
+    fn measures_a_shift_of_ten_millimetres() {
         let truth = frames(Vector3::zeros(), ["a", "b"]);
         let same = marker_error(&truth, &frames(Vector3::zeros(), ["1", "0"]));
         assert_eq!((same.mean_mm, same.spread_mm, same.recall), (Some(0.0), Some(0.0), 1.0));
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_missing_lowers_the_recall_and_errors_spread_over_frames() {
+    fn missing_people_lower_recall_and_frames_spread() {
         let truth = frames(Vector3::zeros(), ["a", "b"]);
         let mut solved = frames(Vector3::zeros(), ["0", "1"]);
         solved.get_mut(&0).unwrap().remove("1");

@@ -1,20 +1,19 @@
-//! 38 virtual markers on the skin, spread over the segments as a full-body mocap set spreads them.
+//! 38 virtual markers on the skin, distributed over the body segments like a full-body motion capture set.
 //!
-//! A marker is a vertex of the mesh, found by a rule on the mean shape at rest: the vertex nearest to a ray that leaves the
-//! body at a named place. Bodies of one model share their vertices, so that a marker is the same spot of the skin on
-//! every shape.
+//! A marker is a vertex of the mesh: the vertex nearest to a ray that leaves the body at a defined place in the rest pose of
+//! the mean shape. Bodies of one model share their vertices, so that a marker is the same spot of the skin on every shape.
 
 use crate::body::skeleton::JOINT_NAMES;
 use crate::body::{Betas, BodyModel};
 use nalgebra::Vector3;
 
-/// Where a marker sits: the place at which a ray leaves the skin.
+/// Position of a marker: where a ray leaves the skin.
 struct Rule {
     name: &'static str,
-    /// The ray begins at this joint at rest (of a pair the left one), and this far from it, m.
+    /// The ray starts at this joint in the rest pose (of a pair the left one), shifted by this offset, m.
     joint: &'static str,
     offset: [f64; 3],
-    /// Where it goes. In the T-pose x is left, y up, z forward.
+    /// Direction of the ray. In the T-pose x is left, y up, z forward.
     direction: [f64; 3],
 }
 
@@ -22,7 +21,7 @@ const fn rule(name: &'static str, joint: &'static str, offset: [f64; 3], directi
     Rule { name, joint, offset, direction }
 }
 
-/// Markers of the middle.
+/// Markers of the midline.
 const MIDDLE: [Rule; 4] = [
     rule("c7", "neck", [0.0, 0.0, 0.0], [0.0, 0.0, -1.0]),
     rule("t10", "spine2", [0.0, 0.0, 0.0], [0.0, 0.0, -1.0]),
@@ -30,7 +29,7 @@ const MIDDLE: [Rule; 4] = [
     rule("sternum", "spine3", [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]),
 ];
 
-/// Markers of the left side; those of the right are their mirror images.
+/// Markers of the left side; the right side is mirrored.
 const LEFT: [Rule; 17] = [
     rule("forehead", "head", [0.0, 0.10, 0.0], [0.6, 0.0, 0.8]),
     rule("back_head", "head", [0.0, 0.10, 0.0], [0.6, 0.0, -0.8]),
@@ -60,13 +59,13 @@ pub struct Marker {
     pub vertex: usize,
 }
 
-/// The markers on a body model: those of the middle, then left and right in turn.
+/// The markers of a body model: those of the midline, then left and right alternating.
 pub fn markers(model: &BodyModel) -> Vec<Marker> {
     let mesh = model.surface.shaped(&Betas::zeros());
     let place = |rule: &Rule, side: &str, mirror: f64| {
         let mirrored = |[x, y, z]: [f64; 3]| Vector3::new(x * mirror, y, z);
         let own = rule.joint.replace("left_", side);
-        let joint = JOINT_NAMES.iter().position(|name| *name == own).expect("rules name joints; a test sees all");
+        let joint = JOINT_NAMES.iter().position(|name| *name == own).expect("a test checks that all rules name joints");
         let start = model.rest_joints[joint] + mirrored(rule.offset);
         let vertex = nearest_to_ray(&mesh, &start, &mirrored(rule.direction).normalize());
         Marker { name: format!("{side}{}", rule.name), vertex }
@@ -76,7 +75,7 @@ pub fn markers(model: &BodyModel) -> Vec<Marker> {
     middle.chain(sides).collect()
 }
 
-/// The point ahead of `start` that lies nearest to the ray along the unit vector `direction`.
+/// Index of the point ahead of `start` that is nearest to the ray along the unit vector `direction`.
 fn nearest_to_ray(points: &[Vector3<f64>], start: &Vector3<f64>, direction: &Vector3<f64>) -> usize {
     let distance = |point: &Vector3<f64>| {
         let (from, along) = (point - start, (point - start).dot(direction));
@@ -93,7 +92,7 @@ mod tests {
     use std::collections::BTreeSet;
 
     #[test]
-    fn markers_are_spots_of_their_own_on_the_skin_near_their_joints_and_mirrored() {
+    fn markers_are_distinct_mirrored_and_near_their_joints() {
         let model = default_body();
         let markers = markers(&model);
         assert_eq!(markers.len(), 38);
@@ -102,17 +101,17 @@ mod tests {
         for pair in markers[MIDDLE.len()..].chunks(2) {
             let (left, right) = (place(&pair[0]), place(&pair[1]));
             let image = Vector3::new(-right.x, right.y, right.z);
-            // Vertices lie some 15 mm apart.
+            // Vertices are about 15 mm apart.
             assert!(left.x > 0.0 && (left - image).norm() < 0.015, "{}: {left} {right}", pair[0].name);
         }
         let on_the_left = markers[MIDDLE.len()..].iter().step_by(2);
         for (rule, marker) in MIDDLE.iter().zip(&markers).chain(LEFT.iter().zip(on_the_left)) {
             let joint = JOINT_NAMES.iter().position(|name| *name == rule.joint).unwrap();
-            let way = place(marker) - model.rest_joints[joint] - Vector3::from(rule.offset);
+            let ray = place(marker) - model.rest_joints[joint] - Vector3::from(rule.offset);
             let beside =
-                way - Vector3::from(rule.direction).normalize() * way.dot(&Vector3::from(rule.direction).normalize());
-            // A half of the pelvis is the deepest that a ray begins.
-            assert!(way.norm() < 0.2 && beside.norm() < 0.012, "{}: {way} {beside}", marker.name);
+                ray - Vector3::from(rule.direction).normalize() * ray.dot(&Vector3::from(rule.direction).normalize());
+            // The longest ray crosses half of the pelvis.
+            assert!(ray.norm() < 0.2 && beside.norm() < 0.012, "{}: {ray} {beside}", marker.name);
         }
     }
 }

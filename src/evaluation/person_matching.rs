@@ -1,4 +1,4 @@
-//! Which person of the result is compared with which true person, frame by frame.
+//! Matching of the result's people to true people, frame by frame.
 
 use super::camera_error::mean;
 use super::shelf14::Shelf14;
@@ -14,13 +14,13 @@ pub type Frames<J> = BTreeMap<i64, People<J>>;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Matching {
-    /// Each true person gets the nearest one; several may share it. The literature's rule.
+    /// Each true person is matched to the nearest one; several may share it. The rule of the literature.
     Nearest,
-    /// Greedily by distance, one to one.
+    /// One to one, greedily by distance.
     One2one,
 }
 
-/// Mean distance over the joints that both have; `None` where they share none.
+/// Mean distance over the common joints, m; `None` where there are none.
 pub(super) fn mean_distance(truth: &Shelf14, solved: &Shelf14) -> Option<f64> {
     mean(truth.iter().zip(solved).filter_map(|(t, s)| Some(((*t)? - (*s)?).norm())))
 }
@@ -32,10 +32,10 @@ pub(super) fn for_each_match<'a>(
     matching: Matching,
     mut visit: impl FnMut(&'a str, &'a Shelf14, Option<&'a Shelf14>),
 ) {
-    let nobody = People::new();
+    let no_people = People::new();
     for (frame, true_people) in truth {
         let people = solved.get(frame);
-        let matches = matched(true_people, people.unwrap_or(&nobody), matching);
+        let matches = matched(true_people, people.unwrap_or(&no_people), matching);
         for (actor, pose) in true_people {
             let found = matches.get(actor.as_str()).and_then(|name| people.and_then(|people| people.get(*name)));
             visit(actor, pose, found);
@@ -43,7 +43,7 @@ pub(super) fn for_each_match<'a>(
     }
 }
 
-/// Name in the result for each true person that has a match.
+/// The matched name in the result for each true person with a match.
 pub(super) fn matched<'a>(
     truth: &'a People<Shelf14>,
     solved: &'a People<Shelf14>,
@@ -52,7 +52,7 @@ pub(super) fn matched<'a>(
     let mut distances: Vec<(&str, &str, f64)> = Vec::with_capacity(truth.len() * solved.len());
     for (actor, true_pose) in truth {
         for (name, pose) in solved {
-            // Without a common joint nothing speaks for the pair.
+            // A pair without a common joint is not matched.
             distances.extend(mean_distance(true_pose, pose).map(|d| (actor.as_str(), name.as_str(), d)));
         }
     }

@@ -1,4 +1,4 @@
-//! The numbers here against those of the independent reference scorer, on spoilt copies of real and simulated truth.
+//! Comparison with an independent reference scorer, on perturbed copies of real and simulated truth.
 
 use super::alignment::Alignment;
 use super::report::{EvaluationOptions, evaluate};
@@ -11,10 +11,10 @@ use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Relative; both sides compute in doubles, so that only the order of sums and the decomposition differ.
+/// Relative tolerance: both compute in doubles, and differ in the order of sums and the decomposition.
 const TOLERANCE: f64 = 1e-6;
 
-/// The data and the scorer, where this machine has them.
+/// The data and the scorer, where they are available.
 fn reference() -> Option<(PathBuf, PathBuf)> {
     let Ok(data) = std::env::var("WANDLESS_TEST_DATA") else {
         eprintln!("SKIPPED: agreement with the reference scorer: WANDLESS_TEST_DATA is not set");
@@ -36,9 +36,9 @@ fn read(path: &Path) -> Value {
     serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
 }
 
-struct Spoiler(ChaCha8Rng);
+struct Perturbation(ChaCha8Rng);
 
-impl Spoiler {
+impl Perturbation {
     fn normal(&mut self, sd: f64) -> f64 {
         sd * self.0.sample::<f64, _>(StandardNormal)
     }
@@ -47,11 +47,11 @@ impl Spoiler {
         Vector3::from_fn(|_, _| self.normal(sd))
     }
 
-    /// Cameras in another world and unit, each a few centimetres and degrees off, the last one unsolved.
+    /// Cameras in another world and unit, each with an error of centimetres and degrees, the last one unsolved.
     fn cameras(&mut self, truth: &Value) -> Value {
         let turn = rotation::exp(&Vector3::new(0.4, -1.0, 0.7));
         let n = truth.as_array().unwrap().len();
-        let spoilt = truth.as_array().unwrap().iter().enumerate().map(|(i, camera)| {
+        let perturbed = truth.as_array().unwrap().iter().enumerate().map(|(i, camera)| {
             if i + 1 == n && n > 5 {
                 return json!({"id": camera["id"], "R": null, "t": null});
             }
@@ -63,15 +63,15 @@ impl Spoiler {
             let rows: Vec<Vec<f64>> = r.row_iter().map(|row| row.iter().copied().collect()).collect();
             json!({"id": camera["id"], "R": rows, "t": (-(r * center) * 1e3).as_slice(), "units": "mm"})
         });
-        json!({"units": "m", "cameras": spoilt.collect::<Vec<_>>()})
+        json!({"units": "m", "cameras": perturbed.collect::<Vec<_>>()})
     }
 
-    /// Poses in the same other world: noisy, renamed, with missing joints, people and frames, and a person too many.
+    /// Poses in the same other world: noisy, renamed, with missing joints, people and frames, and an additional person.
     fn poses(&mut self, truth: &Value, names: &str) -> Value {
         let turn = rotation::exp(&Vector3::new(0.4, -1.0, 0.7));
         let mut frames = serde_json::Map::new();
         for (frame, people) in truth["frames"].as_object().unwrap() {
-            let mut spoilt = serde_json::Map::new();
+            let mut perturbed = serde_json::Map::new();
             for (person, joints) in people.as_object().unwrap() {
                 if self.0.random_bool(0.1) {
                     continue;
@@ -87,12 +87,12 @@ impl Spoiler {
                 };
                 let joints: Vec<Value> = joints.as_array().unwrap().iter().map(&mut joint).collect();
                 if self.0.random_bool(0.1) {
-                    spoilt.insert(format!("ghost{person}"), joints.clone().into());
+                    perturbed.insert(format!("ghost{person}"), joints.clone().into());
                 }
-                spoilt.insert(format!("p{}", 7 - person.parse::<i32>().unwrap()), joints.into());
+                perturbed.insert(format!("p{}", 7 - person.parse::<i32>().unwrap()), joints.into());
             }
             if !self.0.random_bool(0.05) {
-                frames.insert(frame.clone(), spoilt.into());
+                frames.insert(frame.clone(), perturbed.into());
             }
         }
         json!({"joint_names": truth[names], "units": "m", "frames": frames})
@@ -112,7 +112,7 @@ impl Spoiler {
     }
 }
 
-/// Every number of `expected` stands in `found`, equal to the tolerance. The data's path may be spelt differently.
+/// Asserts that `found` contains every number of `expected`, within the tolerance. The path of the data may differ.
 fn assert_same(expected: &Value, found: &Value, at: &str, n: &mut usize) {
     match expected {
         Value::Object(fields) => {
@@ -129,24 +129,25 @@ fn assert_same(expected: &Value, found: &Value, at: &str, n: &mut usize) {
     }
 }
 
-/// Spoils a truth, scores it twice, compares. `poses`: which truth file and which scorer's name for its joints.
-fn agree(capture: &str, poses: (&str, &str, &str), up: &str, align: Alignment, seed: u64) {
+/// Perturbs a truth, scores it with both programs and compares. `poses`: the truth file, its list of joint names, and the
+/// scorer's name for the joints.
+fn assert_agreement(capture: &str, poses: (&str, &str, &str), up: &str, align: Alignment, seed: u64) {
     let Some((data, scorer)) = reference() else { return };
     let data = data.join(capture);
     let truth = data.join("gt");
     let folder = tempfile::tempdir().unwrap();
-    let mut spoiler = Spoiler(ChaCha8Rng::seed_from_u64(seed));
+    let mut perturbation = Perturbation(ChaCha8Rng::seed_from_u64(seed));
     let (file, names, joints) = poses;
     let write = |name: &str, value: &Value| std::fs::write(folder.path().join(name), value.to_string()).unwrap();
-    write("cameras.json", &spoiler.cameras(&read(&truth.join("cameras.json"))));
-    write(file, &spoiler.poses(&read(&truth.join(file)), names));
+    write("cameras.json", &perturbation.cameras(&read(&truth.join("cameras.json"))));
+    write(file, &perturbation.poses(&read(&truth.join(file)), names));
     let mut command = Command::new("python3");
     command.arg(scorer).arg("--data").arg(&data);
     command.arg("--cameras").arg(folder.path().join("cameras.json"));
     command.arg("--poses").arg(folder.path().join(file));
     command.args(["--pred-joints", joints, "--up", up, "--align", align.name()]);
     if truth.join("identities.json").is_file() {
-        write("identities.json", &spoiler.identities(&read(&truth.join("identities.json"))));
+        write("identities.json", &perturbation.identities(&read(&truth.join("identities.json"))));
         command.arg("--identities").arg(folder.path().join("identities.json"));
     }
     let output = command.output().unwrap();
@@ -159,21 +160,27 @@ fn agree(capture: &str, poses: (&str, &str, &str), up: &str, align: Alignment, s
     assert!(n > 60, "only {n} numbers were compared");
     let table = evaluation.to_string();
     assert!(table.contains("rigid_pose") && table.contains("PCP"), "{table}");
-    eprintln!("{capture}: {n} numbers agree\n{table}");
+    eprintln!("{capture}: {n} numbers assert_agreement\n{table}");
 }
 
 #[test]
-fn a_real_capture_scores_as_the_reference_says() {
-    agree("shelf", ("poses3d.json", "joint_names", "shelf14"), "0,0,1", Alignment::Rigid, 1);
+fn agrees_on_a_real_capture() {
+    assert_agreement("shelf", ("poses3d.json", "joint_names", "shelf14"), "0,0,1", Alignment::Rigid, 1);
 }
 
 #[test]
-fn smpl_joints_score_as_the_reference_says() {
-    agree("simulated/hard", ("poses3d.json", "joint_names", "smpl24"), "0,1,0", Alignment::Sim3, 2);
+fn agrees_on_smpl_joints() {
+    assert_agreement("simulated/hard", ("poses3d.json", "joint_names", "smpl24"), "0,1,0", Alignment::Sim3, 2);
 }
 
 #[test]
-fn detector_keypoints_score_as_the_reference_says() {
-    agree("simulated/hard", ("keypoints3d.json", "keypoint_names", "body25"), "0,1,0", Alignment::RigidPose, 3);
-    agree("simulated/paper", ("keypoints3d.json", "keypoint_names", "coco17"), "0,1,0", Alignment::Sim3, 4);
+fn agrees_on_detector_keypoints() {
+    assert_agreement(
+        "simulated/hard",
+        ("keypoints3d.json", "keypoint_names", "body25"),
+        "0,1,0",
+        Alignment::RigidPose,
+        3,
+    );
+    assert_agreement("simulated/paper", ("keypoints3d.json", "keypoint_names", "coco17"), "0,1,0", Alignment::Sim3, 4);
 }

@@ -1,4 +1,5 @@
-//! One result against one truth, as a table and as JSON. The numbers are those of the independent reference scorer.
+//! Evaluation of one result against one ground truth, as a table and as JSON. An independent reference scorer gives the same
+//! numbers.
 
 use super::alignment::{Alignment, truth_from_solved};
 use super::camera_error::{CameraErrors, CameraPair, RelativeCameraError, camera_errors, relative_camera_error};
@@ -18,19 +19,19 @@ use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// How poses are compared.
+/// Options of an evaluation.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct EvaluationOptions {
-    /// How the result's world is laid over the truth's before poses are compared. `None`: rigidly by the camera centres;
-    /// by orientations too where fewer than three cameras are solved; not at all where there are none.
+    /// Alignment of the result's world to the truth's before poses are compared. `None`: rigid by the camera centres; by
+    /// orientations too where fewer than three cameras are solved; no alignment without cameras.
     pub align: Option<Alignment>,
-    /// Up axis of the truth's world. `None`: as its files say, else z.
+    /// Up axis of the truth's world. `None`: as stated in its files, else z.
     pub up: Option<UpAxis>,
-    /// Whom averages are over. `None`: everybody, on Shelf truth the three actors of the literature.
+    /// People that averages include. `None`: all; on Shelf truth the three actors of the literature.
     pub actors: Option<Vec<String>>,
 }
 
-/// Everything that can be said of a result.
+/// All errors of a result.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Evaluation {
     /// The session's folder.
@@ -41,7 +42,7 @@ pub struct Evaluation {
     /// Camera errors that need no alignment.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cameras_relative: Option<RelativeCameraError>,
-    /// Errors of the poses whose joints are most like the truth's.
+    /// Errors of the file of poses whose joints are most similar to the truth's.
     #[serde(flatten)]
     pub poses: Option<PoseErrors>,
     /// Errors of the result's other file of poses.
@@ -81,9 +82,9 @@ pub struct PoseErrors {
 /// Mean accelerations of result and truth.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Jitters {
-    /// The result's.
+    /// Of the result.
     pub pred: Jitter,
-    /// The truth's.
+    /// Of the truth.
     pub gt: Jitter,
     /// Mean distance of the two accelerations, 14 joints, mm per frame squared.
     pub error_mm_per_frame2: Option<f64>,
@@ -91,13 +92,13 @@ pub struct Jitters {
 
 const POSES: &str = "poses3d.json";
 const KEYPOINTS: &str = "keypoints3d.json";
-/// The actors that papers average over.
+/// The actors that publications average over.
 const SHELF_ACTORS: [&str; 3] = ["0", "1", "2"];
 
-/// Compares a result folder with a truth folder (`…/gt`), beside which the session lies.
+/// Compares a result folder with a truth folder (`…/gt`) inside the session's folder.
 ///
-/// Read are `cameras.json`, `keypoints3d.json`, `poses3d.json` and `identities.json`, as far as both folders have what
-/// they need.
+/// Reads `cameras.json`, `keypoints3d.json`, `poses3d.json` and `identities.json`, as far as both folders contain the
+/// necessary files.
 ///
 /// # Errors
 /// [`EvaluationError`] where a file cannot be read or contradicts the session.
@@ -111,11 +112,11 @@ pub fn evaluate(result: &Path, truth: &Path, options: &EvaluationOptions) -> Res
         None => Vec::new(),
     };
     let truth_from_result = world_alignment(&pairs, options.align);
-    let judge = PoseJudge::new(&session, &true_poses, options);
+    let comparison = PoseComparison::new(&session, &true_poses, options);
     let mut poses = Vec::new();
-    for name in judge.files_in_order() {
+    for name in comparison.files_in_order() {
         if let Some(path) = existing(result, name) {
-            poses.push(judge.errors(name, &documents::read_poses(&path)?, &truth_from_result));
+            poses.push(comparison.errors(name, &documents::read_poses(&path)?, &truth_from_result));
         }
     }
     let identity = match (existing(result, "identities.json"), existing(truth, "identities.json")) {
@@ -162,18 +163,18 @@ fn aligned_cameras(pairs: &[CameraPair], truth: &PosesDocument) -> AlignedCamera
     }
 }
 
-fn world_alignment(pairs: &[CameraPair], wanted: Option<Alignment>) -> Similarity {
-    let usual = match pairs.len() {
+fn world_alignment(pairs: &[CameraPair], requested: Option<Alignment>) -> Similarity {
+    let default = match pairs.len() {
         0 => Alignment::None,
         1 | 2 => Alignment::RigidPose,
         _ => Alignment::Rigid,
     };
     let (solved, truth): (Vec<Rigid>, Vec<Rigid>) = pairs.iter().map(|pair| (pair.solved, pair.truth)).unzip();
-    truth_from_solved(&solved, &truth, wanted.unwrap_or(usual))
+    truth_from_solved(&solved, &truth, requested.unwrap_or(default))
 }
 
-/// True poses, ready to be compared with.
-struct PoseJudge<'a> {
+/// True poses, converted for the comparison.
+struct PoseComparison<'a> {
     truth: &'a PosesDocument,
     true_shelf: Frames<Shelf14>,
     actors: Vec<String>,
@@ -181,28 +182,29 @@ struct PoseJudge<'a> {
     fps: f64,
 }
 
-impl<'a> PoseJudge<'a> {
+impl<'a> PoseComparison<'a> {
     fn new(session: &SessionDocument, truth: &'a PosesDocument, options: &EvaluationOptions) -> Self {
         let up = match options.up.or(truth.up_axis).or(session.up_axis).unwrap_or(UpAxis::Z) {
             UpAxis::X => Vector3::x(),
             UpAxis::Y => Vector3::y(),
             UpAxis::Z => Vector3::z(),
         };
-        let everybody = || truth.frames.values().flat_map(BTreeMap::keys).collect::<BTreeSet<_>>().into_iter().cloned();
-        let usual = || match truth.skeleton {
+        let all_people =
+            || truth.frames.values().flat_map(BTreeMap::keys).collect::<BTreeSet<_>>().into_iter().cloned();
+        let default = || match truth.skeleton {
             Skeleton::Shelf => SHELF_ACTORS.map(str::to_owned).to_vec(),
-            Skeleton::Keypoints(_) => everybody().collect(),
+            Skeleton::Keypoints(_) => all_people().collect(),
         };
         Self {
             true_shelf: shelf_frames(&truth.frames, truth.skeleton, &up),
-            actors: options.actors.clone().unwrap_or_else(usual),
+            actors: options.actors.clone().unwrap_or_else(default),
             truth,
             up,
             fps: session.fps,
         }
     }
 
-    /// SMPL's joints are compared with SMPL's, annotated ones with a detector's.
+    /// Files of poses, the one most similar to the truth first: SMPL joints for SMPL truth, keypoints for annotated truth.
     fn files_in_order(&self) -> [&'static str; 2] {
         match self.truth.skeleton {
             Skeleton::Keypoints(KeypointConvention::Smpl24) => [POSES, KEYPOINTS],

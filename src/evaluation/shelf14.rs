@@ -1,12 +1,12 @@
-//! Every skeleton as the 14 joints of the Shelf and Campus annotation, on which pose errors are defined.
+//! Conversion of every skeleton to the 14 joints of the Shelf and Campus annotation, on which pose errors are defined.
 
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention};
 use nalgebra::Vector3;
 
-/// How many joints.
+/// Number of joints.
 pub const N_SHELF: usize = 14;
 
-/// Their order.
+/// Names of the joints, in order.
 pub const SHELF_NAMES: [&str; N_SHELF] = [
     "R_ankle",
     "R_knee",
@@ -24,34 +24,34 @@ pub const SHELF_NAMES: [&str; N_SHELF] = [
     "top_head",
 ];
 
-/// The 12 limb joints, the leading ones.
+/// Number of limb joints, which come first.
 pub const N_LIMB: usize = 12;
-/// Right hip.
+/// Index of the right hip.
 pub const RIGHT_HIP: usize = 2;
-/// Left hip.
+/// Index of the left hip.
 pub const LEFT_HIP: usize = 3;
 const RIGHT_SHOULDER: usize = 8;
 const LEFT_SHOULDER: usize = 9;
-/// Where neck and head meet.
+/// Index of the joint between neck and head.
 pub const BOTTOM_HEAD: usize = 12;
 const TOP_HEAD: usize = 13;
 
 /// A point that may be missing.
 pub type Point = Option<Vector3<f64>>;
-/// A person as the 14 joints.
+/// The 14 joints of a person, metres.
 pub type Shelf14 = [Point; N_SHELF];
 
-/// What the joints of a file are.
+/// Skeleton of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Skeleton {
-    /// The 14 joints themselves, perhaps with more behind them.
+    /// The 14 joints, possibly followed by others.
     Shelf,
     /// A keypoint convention.
     Keypoints(KeypointConvention),
 }
 
 impl Skeleton {
-    /// The skeleton whose joints have these names; `None` for none of ours.
+    /// The skeleton with these joint names; `None` for unknown names.
     pub fn from_names(names: &[String]) -> Option<Self> {
         if names.len() >= N_SHELF && names.iter().zip(SHELF_NAMES).all(|(a, b)| a == b) {
             return Some(Self::Shelf);
@@ -62,11 +62,12 @@ impl Skeleton {
     }
 }
 
-/// The 14 joints of a person given in `skeleton`; `points` has one entry per joint of it; `up`: unit vector of the world.
+/// Converts a person of `skeleton` to the 14 joints; `points`: one entry per joint of it, metres; `up`: unit vector of the
+/// world.
 ///
-/// Limbs are copied. Detectors know no head joints: with S the middle of the shoulders and E that of the ears (one ear,
-/// else the nose), bottom head is `S + (E - S) / 2` and top head lies 0.125 m ahead of it (`up` x shoulder line) and
-/// 0.145 m above it: the rule of the usual Shelf evaluation. SMPL: half way from neck to head, and 0.16 m beyond the head.
+/// Limbs are copied. Detectors have no head joints: with S the midpoint of the shoulders and E that of the ears (one ear,
+/// else the nose), bottom head is `S + (E - S) / 2` and top head lies 0.125 m ahead of it (`up` x shoulder line) and 0.145 m
+/// above it: the rule of the usual Shelf evaluation. SMPL: midpoint of neck and head, and 0.16 m beyond the head.
 pub fn to_shelf14(points: &[Point], skeleton: Skeleton, up: &Vector3<f64>) -> Shelf14 {
     let Skeleton::Keypoints(convention) = skeleton else {
         return std::array::from_fn(|j| points.get(j).copied().flatten());
@@ -116,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn every_convention_is_known_by_its_names_and_fills_all_joints() {
+    fn converts_every_convention_to_all_joints() {
         for convention in KeypointConvention::ALL {
             let skeleton = Skeleton::from_names(&names(convention)).unwrap();
             assert_eq!(skeleton, Skeleton::Keypoints(convention));
@@ -128,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn the_head_of_a_detector_lies_ahead_of_and_above_the_shoulders() {
+    fn head_lies_ahead_of_and_above_the_shoulders() {
         let coco = KeypointConvention::Coco17;
         let mut points: Vec<Point> = vec![None; 17];
         let mut set = |name: &str, p: [f64; 3]| points[coco.index_of(name).unwrap()] = Some(Vector3::from(p));

@@ -1,4 +1,4 @@
-//! An evaluation as a table for people to read.
+//! An evaluation as a text table.
 
 use super::camera_error::CameraErrors;
 use super::report::{Evaluation, PoseErrors};
@@ -57,7 +57,7 @@ fn write_poses(f: &mut fmt::Formatter<'_>, poses: &PoseErrors) -> fmt::Result {
     }
     let (solved, truth) = (number(jitter.pred.m_per_s2, 2), number(jitter.gt.m_per_s2, 2));
     writeln!(f, "  {:<20}{solved:>12}   truth: {truth}", "jitter m/s^2")?;
-    writeln!(f, "  {:<20}{:>12}", "its error mm/frame^2", number(jitter.error_mm_per_frame2, 2))
+    writeln!(f, "  {:<20}{:>12}", "jitter error mm/fr^2", number(jitter.error_mm_per_frame2, 2))
 }
 
 fn number(value: Option<f64>, decimals: usize) -> String {

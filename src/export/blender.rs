@@ -1,11 +1,11 @@
 //! `scene.py`: a script that builds the take in Blender: cameras with shifted lenses, an armature per person, keyframes.
 //!
-//! Run as `blender --python scene.py`. The data are y up below one empty that turns them to Blender's z up; frames have
-//! the session's own numbers. K, the distortion's model and its coefficients stand in custom properties of the camera
-//! objects. Armatures are hidden while the person is not there; the custom property `carried` says in which frames
-//! nobody saw them.
+//! Run as `blender --python scene.py`. The data have y up, below one empty object that rotates them to Blender's z up; frames
+//! have the session's frame numbers. K and the distortion model with its coefficients are custom properties of the camera
+//! objects. Armatures are hidden where the person is absent; the custom property `carried` lists the frames in which no
+//! camera detected the person.
 //!
-//! Known limit: Blender has one image size and one pixel aspect a scene; the script takes the first camera's.
+//! Known limit: Blender has one image size and one pixel aspect per scene; the script uses those of the first camera.
 
 use super::files::{ResultFiles, micro, micro_entries};
 use super::film::{film_lens, world_from_film};
@@ -18,7 +18,7 @@ use crate::session::recording::UpAxis;
 use serde_json::{Value, json};
 use std::io;
 
-/// What the script does with its data.
+/// The part of the script that builds the scene from the data.
 const BUILD: &str = include_str!("blender/build.py");
 const MM: f64 = 1000.0;
 
@@ -34,7 +34,7 @@ pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
         "cameras": take.cameras.iter().map(camera).collect::<Vec<_>>(),
         "people": take.motions.iter().map(|motion| person(&take, motion)).collect::<Vec<_>>(),
     });
-    // A JSON text in a string literal: every escape of JSON's strings is one of Python's.
+    // The JSON text as a string literal: every escape of JSON strings is also valid in Python.
     let literal = serde_json::to_string(&data.to_string())?;
     let script = format!("import json\n\nTAKE = json.loads({literal})\n\n{BUILD}");
     files.bytes("scene.py", "text/x-python", script.as_bytes())
@@ -51,7 +51,7 @@ fn camera(camera: &TakeCamera) -> Value {
         "rotation_xyzw": quaternion_xyzw(&pose.rotation),
         "focal_length_mm": film.focal_length * MM,
         "sensor_width_mm": film.sensor_width * MM,
-        // Blender shifts in widths of the sensor, both ways.
+        // Blender measures both shifts in widths of the sensor.
         "shift": [film.offset_right / film.sensor_width, film.offset_up / film.sensor_width],
         "pixel_aspect": lens.fx / lens.fy,
         "K": rows(&lens.matrix()),

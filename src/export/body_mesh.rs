@@ -1,11 +1,11 @@
-//! The default body as the viewer draws it, in the layout of [`super::buffers`].
+//! The default body for the viewer, in the layout of [`super::buffers`].
 //!
 //! Header: `format: "wandless.body"`, `version: 1`, `name` and `sha256` of the model, `metres_per_step` and
 //!
 //! - `vertices` `[V, 3]`: the rest pose at beta 0, m
 //! - `vertex_directions` `[V, 3, 10]`: change per beta, in steps of `metres_per_step`
-//! - `joints` `[24, 3]` and `joint_directions` `[24, 3, 10]`: the same of the rest joints, m
-//! - `skin_joints` `[V, 4]` and `skin_weights` `[V, 4]`: who carries each vertex; the weights sum to 255
+//! - `joints` `[24, 3]` and `joint_directions` `[24, 3, 10]`: the same for the rest joints, m
+//! - `skin_joints` `[V, 4]` and `skin_weights` `[V, 4]`: the joints of each vertex and their weights, which sum to 255
 //! - `faces` `[F, 3]`: triangles, anticlockwise from outside
 
 use super::buffers::{Array, Payload};
@@ -16,11 +16,11 @@ use nalgebra::Vector3;
 use serde::Serialize;
 use std::io;
 
-/// The layout described above.
+/// Version of the layout described above.
 const VERSION: u32 = 1;
 
-/// Joints that carry a vertex at most; the default body has no vertex with more.
-const MAX_CARRIERS: usize = 4;
+/// Largest number of joints of a vertex; the default body has no vertex with more.
+const MAX_JOINTS_PER_VERTEX: usize = 4;
 
 #[derive(Serialize)]
 struct Header<'a> {
@@ -38,16 +38,16 @@ struct Header<'a> {
     faces: Array,
 }
 
-/// A file and the digest of the model in it.
+/// A file with the digest of its model.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BodyMesh {
     /// The file.
     pub bytes: Vec<u8>,
-    /// Digest of the model, as `people.json` names it.
+    /// Digest of the model, as in `people.json`.
     pub sha256: String,
 }
 
-/// The default body's mesh. It is ours to give away; a body that an operator registered is not.
+/// The default body's mesh, which may be distributed freely, unlike bodies that an operator registers.
 ///
 /// # Errors
 /// Where its header cannot be written as JSON.
@@ -63,7 +63,8 @@ fn file(model: &BodyModel, sha256: &str) -> io::Result<Vec<u8>> {
     let directions = || surface.shape_directions.iter().flat_map(row_by_row);
     let largest = directions().fold(0.0, |most: f64, value| most.max(value.abs()));
     let metres_per_step = if largest > 0.0 { largest / f64::from(i16::MAX) } else { 1.0 };
-    let carriers: Vec<[(u8, u8); MAX_CARRIERS]> = surface.skin.iter().map(|row| carriers(row)).collect();
+    let skin_weights_of: Vec<[(u8, u8); MAX_JOINTS_PER_VERTEX]> =
+        surface.skin.iter().map(|row| skin_weights_of(row)).collect();
     let coordinates = |points: &[Vector3<f64>]| points.iter().flat_map(|p| [p.x, p.y, p.z]).collect::<Vec<_>>();
     let joint_directions = model.shape_directions.iter().flat_map(row_by_row);
     let header = Header {
@@ -77,8 +78,10 @@ fn file(model: &BodyModel, sha256: &str) -> io::Result<Vec<u8>> {
             .i16(&[n_vertices, 3, 10], directions().map(|v| (v / metres_per_step).round() as i16)),
         joints: payload.f32(&[n_joints, 3], coordinates(&model.rest_joints)),
         joint_directions: payload.f32(&[n_joints, 3, 10], joint_directions),
-        skin_joints: payload.u8(&[n_vertices, MAX_CARRIERS], carriers.iter().flatten().map(|carrier| carrier.0)),
-        skin_weights: payload.u8(&[n_vertices, MAX_CARRIERS], carriers.iter().flatten().map(|carrier| carrier.1)),
+        skin_joints: payload
+            .u8(&[n_vertices, MAX_JOINTS_PER_VERTEX], skin_weights_of.iter().flatten().map(|pair| pair.0)),
+        skin_weights: payload
+            .u8(&[n_vertices, MAX_JOINTS_PER_VERTEX], skin_weights_of.iter().flatten().map(|pair| pair.1)),
         faces: payload.u16(&[surface.faces.len(), 3], surface.faces.iter().flatten().map(|vertex| *vertex as u16)),
     };
     payload.file(&header)
@@ -89,19 +92,20 @@ fn row_by_row(directions: &ShapeDirections) -> impl Iterator<Item = f64> {
     directions.transpose().iter().copied().collect::<Vec<_>>().into_iter()
 }
 
-/// The strongest carriers of a vertex as joint and share of 255; what rounding leaves over goes to the strongest.
-fn carriers(row: &[JointWeight]) -> [(u8, u8); MAX_CARRIERS] {
+/// The joints of a vertex with the largest weights, in descending order, with weights as shares of 255; the remainder of the
+/// rounding is added to the first.
+fn skin_weights_of(row: &[JointWeight]) -> [(u8, u8); MAX_JOINTS_PER_VERTEX] {
     let mut strongest = row.to_vec();
     strongest.sort_by(|a, b| b.weight.total_cmp(&a.weight).then(a.joint.cmp(&b.joint)));
-    strongest.truncate(MAX_CARRIERS);
+    strongest.truncate(MAX_JOINTS_PER_VERTEX);
     let total: f64 = strongest.iter().map(|one| one.weight).sum();
-    let mut carriers = [(0, 0); MAX_CARRIERS];
-    for (carrier, one) in carriers.iter_mut().zip(&strongest) {
-        *carrier = (one.joint as u8, (255.0 * one.weight / total.max(f64::MIN_POSITIVE)).floor() as u8);
+    let mut skin_weights_of = [(0, 0); MAX_JOINTS_PER_VERTEX];
+    for (pair, one) in skin_weights_of.iter_mut().zip(&strongest) {
+        *pair = (one.joint as u8, (255.0 * one.weight / total.max(f64::MIN_POSITIVE)).floor() as u8);
     }
-    let given: u32 = carriers.iter().map(|carrier| u32::from(carrier.1)).sum();
-    carriers[0].1 += (255 - given) as u8;
-    carriers
+    let given: u32 = skin_weights_of.iter().map(|pair| u32::from(pair.1)).sum();
+    skin_weights_of[0].1 += (255 - given) as u8;
+    skin_weights_of
 }
 
 #[cfg(test)]
@@ -109,22 +113,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_weights_of_every_vertex_sum_to_one() {
+    fn weights_of_every_vertex_sum_to_one() {
         let model = default_body();
-        assert!(model.surface.vertices.len() <= usize::from(u16::MAX), "faces are written in 16 bits");
+        assert!(model.surface.vertices.len() <= usize::from(u16::MAX), "faces have 16-bit indices");
         for row in &model.surface.skin {
-            assert!(row.len() <= MAX_CARRIERS);
-            let carriers = carriers(row);
-            assert_eq!(carriers.iter().map(|carrier| u32::from(carrier.1)).sum::<u32>(), 255);
+            assert!(row.len() <= MAX_JOINTS_PER_VERTEX);
+            let skin_weights_of = skin_weights_of(row);
+            assert_eq!(skin_weights_of.iter().map(|pair| u32::from(pair.1)).sum::<u32>(), 255);
             for one in row {
-                let share = carriers.iter().find(|carrier| usize::from(carrier.0) == one.joint).unwrap().1;
+                let share = skin_weights_of.iter().find(|pair| usize::from(pair.0) == one.joint).unwrap().1;
                 assert!((f64::from(share) / 255.0 - one.weight).abs() < 4.0 / 255.0);
             }
         }
     }
 
     #[test]
-    fn the_mesh_is_small_and_names_its_model() {
+    fn mesh_is_small_and_names_its_model() {
         let mesh = default_body_mesh().unwrap();
         assert_eq!(mesh.sha256, default_body().sha256());
         assert!(mesh.bytes.len() < 1_000_000, "{}", mesh.bytes.len());

@@ -1,22 +1,21 @@
-//! A binary file that describes itself: a JSON header, then plain arrays. What the viewer's `stages/*.bin` are made of.
+//! A self-describing binary file: a JSON header followed by plain arrays. The layout of the viewer's `stages/*.bin`.
 //!
-//! | bytes | hold |
-//! |---|---|
+//! | bytes | content |
 //! | 0..8 | `WANDLESS` |
 //! | 8..12 | `L`: length of the header, u32 little endian, a multiple of 4 |
 //! | 12..12 + L | the header, JSON in UTF-8, blanks at its end |
 //! | 12 + L.. | the payload: arrays one after another, each padded with zeros to a multiple of 4 bytes |
 //!
-//! An array is announced in the header as `{type: "f32" | "u8" | "i16" | "u16" | "u32", offset, shape}`: little endian, row
-//! by row, `offset` in bytes from the start of the payload. Since every part is a multiple of 4 bytes long, a browser lays
-//! typed arrays over the file without a copy. A number that is not known is NaN in an `f32` array.
+//! An array is described in the header as `{type: "f32" | "u8" | "i16" | "u16" | "u32", offset, shape}`: little endian, row
+//! by row, `offset` in bytes from the start of the payload. Every part has a length of a multiple of 4 bytes, so that a
+//! browser can use typed arrays on the file without a copy. An unknown number is NaN in an `f32` array.
 
 use serde::Serialize;
 
 /// First bytes of every such file.
 const MAGIC: &[u8; 8] = b"WANDLESS";
 
-/// Where an array lies, as the header says it.
+/// Type, position and shape of an array, as the header describes it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub(super) struct Array {
     #[serde(rename = "type")]
@@ -25,12 +24,12 @@ pub(super) struct Array {
     shape: Vec<usize>,
 }
 
-/// The payload being gathered.
+/// The payload that is being collected.
 #[derive(Debug, Default)]
 pub(super) struct Payload(Vec<u8>);
 
 impl Payload {
-    /// Appends 32-bit floats; what is not finite becomes NaN.
+    /// Appends 32-bit floats; values that are not finite become NaN.
     pub(super) fn f32(&mut self, shape: &[usize], values: impl IntoIterator<Item = f64>) -> Array {
         let written = |value: f64| if value.is_finite() { value as f32 } else { f32::NAN };
         self.array("f32", shape, values.into_iter().map(|value| written(value).to_le_bytes()))
@@ -64,7 +63,11 @@ impl Payload {
     ) -> Array {
         let offset = self.0.len();
         values.for_each(|value| self.0.extend_from_slice(&value));
-        debug_assert_eq!(self.0.len() - offset, N * shape.iter().product::<usize>(), "the shape counts the values");
+        debug_assert_eq!(
+            self.0.len() - offset,
+            N * shape.iter().product::<usize>(),
+            "the shape matches the number of values"
+        );
         self.0.resize(self.0.len().next_multiple_of(4), 0);
         Array { kind, offset, shape: shape.to_vec() }
     }
@@ -87,7 +90,7 @@ mod tests {
     use serde_json::json;
 
     #[test]
-    fn the_file_is_laid_out_as_the_page_says() {
+    fn writes_the_documented_layout() {
         let mut payload = Payload::default();
         let bytes = payload.u8(&[3], [1, 2, 3]);
         let floats = payload.f32(&[1, 2], [0.5, f64::INFINITY]);

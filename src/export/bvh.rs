@@ -1,9 +1,10 @@
-//! `<person>.bvh`, `<person>.humanik.bvh`, `<person>.mixamo.bvh`: one skeleton, its motion, and its joints' names.
+//! `<person>.bvh`, `<person>.humanik.bvh`, `<person>.mixamo.bvh`: the same skeleton and motion with three sets of joint
+//! names.
 //!
-//! Centimetres, degrees, y up; rest pose: SMPL's T-pose with all joint frames parallel to the world. Rotation channels
-//! are `Z X Y` (`R = R_z R_x R_y`), without jumps of whole turns. The root's offset is zero: its channels are the
-//! pelvis's place. The file starts with the person's first frame, which the format has no word for (`publish.people` of
-//! the manifest says it), nor has it one for frames in which nobody was seen.
+//! Centimetres, degrees, y up; rest pose: SMPL's T-pose with all joint frames parallel to the world. Rotation channels are `Z
+//! X Y` (`R = R_z R_x R_y`), without jumps of full turns. The root's offset is zero: its channels contain the pelvis
+//! position. The file starts with the person's first frame, whose number the format cannot represent (see `publish.people` of
+//! the manifest), nor can it mark frames in which no camera detected the person.
 
 use super::files::ResultFiles;
 use super::rotation_forms::{ZxyAngles, nearest_angles, zxy_angles};
@@ -17,10 +18,10 @@ use std::io;
 
 /// Centimetres in a metre.
 const CM: f64 = 100.0;
-/// A leaf's end beyond its joint, as a share of its own bone: BVH draws a bone to it.
+/// Length of the end site of a leaf joint, as a share of the leaf's own bone.
 const END_SHARE: f64 = 0.5;
 
-/// HumanIK's names, as MotionBuilder characterises them; Mixamo's are the same behind `mixamorig:`.
+/// HumanIK's names, as MotionBuilder uses them; Mixamo's are the same with the prefix `mixamorig:`.
 const HUMANIK_NAMES: [&str; N_JOINTS] = [
     "Hips",
     "LeftUpLeg",
@@ -69,7 +70,7 @@ pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
     Ok(())
 }
 
-/// The joint and what hangs on it, children in order of their numbers.
+/// Adds a joint and its descendants, children in order of their numbers.
 fn add_joint(
     text: &mut String,
     names: &[String; N_JOINTS],
@@ -99,7 +100,7 @@ fn children(joint: usize) -> impl Iterator<Item = usize> {
     (0..N_JOINTS).filter(move |&child| PARENTS[child] == Some(joint))
 }
 
-/// The joints in the order in which the hierarchy names them.
+/// The joints in the order of the hierarchy.
 fn hierarchy_order() -> Vec<usize> {
     fn visit(joint: usize, order: &mut Vec<usize>) {
         order.push(joint);

@@ -1,10 +1,11 @@
 //! `<person>.c3d`: the 24 joints as points, in the layout of the C3D user's guide (c3d.org).
 //!
-//! Little-endian, 32-bit floats; millimetres, z up (`POINT:X_SCREEN` +X, `Y_SCREEN` +Z). A point's residual is -1 where
-//! nobody saw the person: its coordinates are then zero. Frames have the session's own numbers where the 16 bits of
-//! the header can hold them (1 to 65535), else they count from 1; `TRIAL:ACTUAL_START_FIELD` says the same in 32 bits.
+//! Little-endian, 32-bit floats; millimetres, z up (`POINT:X_SCREEN` +X, `Y_SCREEN` +Z). A point's residual is -1 where no
+//! camera detected the person: its coordinates are then zero. Frames have the session's frame numbers where the 16 bits of
+//! the header can represent them (1 to 65535), else they count from 1; `TRIAL:ACTUAL_START_FIELD` contains the same in 32
+//! bits.
 //!
-//! Known limit: at most 65535 frames by the header; a longer person's `POINT:LONG_FRAMES` says how many there are.
+//! Known limit: the header counts at most 65535 frames; `POINT:LONG_FRAMES` contains the number of a longer motion.
 
 use super::files::ResultFiles;
 use super::take::Take;
@@ -18,11 +19,11 @@ const BLOCK_BYTES: usize = 512;
 const FIRST_PARAMETER_BLOCK: u8 = 2;
 /// Marks header and parameters as C3D.
 const KEY: u8 = 0x50;
-/// Numbers are stored as on Intel's processors.
+/// Code for numbers in the byte order of Intel processors.
 const LITTLE_ENDIAN: u8 = 84;
 const MM: f64 = 1000.0;
 
-/// Which frames the file says it holds.
+/// First and last frame number in the file.
 struct FrameRange {
     first: u32,
     last: u32,
@@ -39,7 +40,7 @@ pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
 
 fn points(take: &Take, motion: &BodyMotion) -> Vec<u8> {
     let range = frame_range(take, motion);
-    // The parameters hold the number of the block behind them, which does not change their length.
+    // The parameters contain the number of the data block behind them, which does not change their length.
     let n_parameter_blocks = parameters(take, motion, &range, 0).len() / BLOCK_BYTES;
     let data_block = u16::from(FIRST_PARAMETER_BLOCK) + n_parameter_blocks as u16;
     let mut bytes = header(take, &range, data_block);
@@ -127,7 +128,7 @@ fn parameters(take: &Take, motion: &BodyMotion, range: &FrameRange, data_block: 
             add_record(&mut records, name, id, &encoded(value));
         }
     }
-    // What follows the last record begins with a name of length zero.
+    // The end of the records is marked by a name of length zero.
     let n_blocks = (4 + records.len() + 1).div_ceil(BLOCK_BYTES);
     let mut bytes = vec![1, KEY, n_blocks as u8, LITTLE_ENDIAN];
     bytes.extend(records);

@@ -1,12 +1,11 @@
 //! `Calib.toml` (Pose2Sim) and `calibration.toml` (anipose): cameras as TOML tables.
 //!
 //! `name`; `size` px; `matrix` K; `distortions` `k1 k2 p1 p2` and, for anipose, `k3` and a rational lens's `k4 k5 k6`;
-//! `rotation` Rodrigues vector rad, `translation` m: `x_camera = exp(rotation) x_world + translation`; `fisheye`, and
-//! where it is true, `distortions` is `k1 k2 k3 k4`. The world is the result's own: Pose2Sim takes z as up.
+//! `rotation` Rodrigues vector rad, `translation` m: `x_camera = exp(rotation) x_world + translation`; `fisheye`, and where
+//! it is true, `distortions` is `k1 k2 k3 k4`. The world is that of the result: Pose2Sim assumes z up.
 //!
-//! Known limits: Pose2Sim's layout has four coefficients of distortion; a `k3` or a rational lens is left out and
-//! reported. Its own reader passes over `fisheye`. Those versions of anipose's that project without OpenCV take five
-//! coefficients and no other number of them.
+//! Known limits: Pose2Sim's layout has four distortion coefficients; a `k3` or a rational lens is left out and reported. Its
+//! own reader ignores `fisheye`. Versions of anipose that project without OpenCV require exactly five coefficients.
 
 use super::files::ResultFiles;
 use super::names::{file_names, quoted};
@@ -40,7 +39,8 @@ fn table(key: &str, camera: &TakeCamera, n_distortions: usize) -> String {
     let is_fisheye = matches!(lens.dist, Distortion::Fisheye4(_));
     let coefficients = match lens.dist {
         Distortion::None | Distortion::OpenCv5(_) => lens.dist.coefficients()[..n_distortions].to_vec(),
-        // A part of a rational lens is no lens: without room for all of it there is none, and that is reported.
+        // The first coefficients of a rational lens alone are invalid: where the format lacks the others, no distortion is
+        // written, and the loss is reported.
         Distortion::Rational8(_) if n_distortions < 5 => vec![0.0; n_distortions],
         Distortion::Rational8(_) | Distortion::Fisheye4(_) => lens.dist.coefficients().to_vec(),
     };

@@ -1,4 +1,4 @@
-//! `cameras.json`: intrinsics as given or refined, poses as found.
+//! `cameras.json`: intrinsics as given or refined, and the solved poses.
 
 use crate::session::formats::{LensFields, entries, rows};
 use crate::session::reconstruction::{ErrorSummary, SolvedCamera};

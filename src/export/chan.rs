@@ -1,10 +1,10 @@
-//! `<camera>.chan`: Nuke's camera channels, one line a frame.
+//! `<camera>.chan`: Nuke's camera channels, one line per frame.
 //!
-//! `frame tx ty tz rx ry rz vfov`: metres, degrees, y up, looking along -z. The file does not say the order of rotation:
-//! it is Nuke's own, ZXY (`R = R_y R_x R_z`). The vertical angle of view is that of the whole image.
+//! `frame tx ty tz rx ry rz vfov`: metres, degrees, y up, looking along -z. The file does not state the order of rotation; it
+//! is Nuke's default, ZXY (`R = R_y R_x R_z`). The vertical field of view is that of the whole image.
 //!
-//! Known limit: no principal point, pixel aspect, skew or distortion; they are in `cameras.json`, and the manifest says
-//! what was lost.
+//! Known limit: no principal point, pixel aspect, skew or distortion; they are in `cameras.json`, and the manifest lists the
+//! losses.
 
 use super::files::ResultFiles;
 use super::film::{vertical_view, world_from_film};
@@ -23,7 +23,7 @@ pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
         let world_from_film = world_from_film(camera);
         let (t, angles) = (world_from_film.translation, yxz_angles(&world_from_film.rotation));
         let degrees = [angles.x, angles.y, angles.z, vertical_view(&camera.intrinsics)].map(f64::to_degrees);
-        // A billionth of a metre and of a degree: far below a thousandth of a pixel.
+        // Rounded to 1e-9 m and degrees, far below a thousandth of a pixel.
         let values = [t.x, t.y, t.z].into_iter().chain(degrees).map(|value| format!("{:.9}", rounded(value, 9)));
         let values = values.collect::<Vec<_>>().join("\t");
         let lines: String = (0..take.n_frames).map(|i| format!("{}\t{values}\n", take.frame_number(i))).collect();

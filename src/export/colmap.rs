@@ -1,9 +1,9 @@
 //! `colmap/cameras.txt`, `images.txt` and an empty `points3D.txt`: COLMAP's text model, one image per camera.
 //!
-//! Model `PINHOLE` without distortion, `OPENCV` (`k1 k2 p1 p2`), with a `k3` or a rational lens `FULL_OPENCV`, of a
-//! fisheye `OPENCV_FISHEYE`. COLMAP's first pixel has its centre at (0.5, 0.5): half a pixel is added to the principal
-//! point. Poses are `camera_from_world`, quaternions `w x y z`, metres, in the result's own world. Images are named after
-//! their camera, `<camera>.png`.
+//! Model `PINHOLE` without distortion, `OPENCV` (`k1 k2 p1 p2`), with a `k3` or a rational lens `FULL_OPENCV`, for a fisheye
+//! `OPENCV_FISHEYE`. COLMAP's first pixel has its centre at (0.5, 0.5): half a pixel is added to the principal point. Poses
+//! are `camera_from_world`, quaternions `w x y z`, metres, in the result's world. Images are named after their camera,
+//! `<camera>.png`.
 
 use super::files::ResultFiles;
 use super::names::file_names;

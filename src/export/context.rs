@@ -1,13 +1,13 @@
-//! What a result states about how it was made.
+//! Provenance of a result, as the manifest states it.
 
 use crate::session::reconstruction::ExportFormat;
 
-/// What a result says of its own making.
+/// Provenance of a result.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ResultContext<'a> {
-    /// Digest of the input (`LoadedSession::sha256`).
+    /// SHA-256 digest of the input (`LoadedSession::sha256`).
     pub input_sha256: &'a str,
-    /// The options as they were in force.
+    /// The options of the solve.
     pub options: serde_json::Value,
     /// Version of the program.
     pub solver_version: &'a str,

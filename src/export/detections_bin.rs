@@ -1,19 +1,19 @@
-//! `stages/detections.bin`: what the detectors saw and whom it was given to, in the layout of [`super::buffers`].
+//! `stages/detections.bin`: the detections and the people they are assigned to, in the layout of [`super::buffers`].
 //!
-//! The viewer asks for it when it looks through a camera. Header: `format: "wandless.detections"`, `version: 1` and
+//! The viewer loads it when it shows the view of a camera. Header: `format: "wandless.detections"`, `version: 1` and
 //! `cameras`, each with
 //!
 //! - `id`
-//! - `starts` `[n_frames + 1]`: detections `starts[f]..starts[f + 1]` are those of frame index `f`
-//! - `person` `[detections]`: whom each was given to, -1 for nobody
+//! - `starts` `[n_frames + 1]`: the detections of frame index `f` are `starts[f]..starts[f + 1]`
+//! - `person` `[detections]`: the person that each is assigned to, -1 for none
 //! - `pixels` `[detections, K, 2]`: px as detected (distorted), NaN where the detector gave no point
 //! - `confidence` `[detections, K]`: 0 to 255 for 0 to 1
 //!
-//! and, where there was a consistency stage, what it made of them:
+//! and, where the consistency stage ran, its changes:
 //!
-//! - `before` `[detections]`: whom each would show if nothing were repaired, -1 for nobody
-//! - `repaired` `[M]`: detections whose keypoints it exchanged or rejected
-//! - `sources` `[M, K]`: for every keypoint of those the detected one that shows it, 255 where it was rejected
+//! - `before` `[detections]`: the person of each without any repair, -1 for none
+//! - `repaired` `[M]`: detections with exchanged or rejected keypoints
+//! - `sources` `[M, K]`: for every keypoint of those the index of the detected one that shows it, 255 where it is rejected
 
 use super::buffers::{Array, Payload};
 use crate::session::reconstruction::{DetectionRepairs, RepairedDetection};
@@ -21,7 +21,7 @@ use crate::session::{Detection, Keypoint, PersonId, Reconstruction, Session, Vie
 use serde::Serialize;
 use std::io;
 
-/// The layout described above.
+/// Version of the layout described above.
 const VERSION: u32 = 1;
 
 #[derive(Serialize)]
@@ -68,7 +68,7 @@ fn camera<'a>(
     reconstruction: &Reconstruction,
     payload: &mut Payload,
 ) -> Camera<'a> {
-    let given = given_to(view, reconstruction.identities.get(index));
+    let given = assigned_people(view, reconstruction.identities.get(index));
     let detections = || view.frames.iter().flatten();
     let n_detections = detections().count();
     let ends = view.frames.iter().scan(0, |n, frame| {
@@ -96,8 +96,8 @@ fn camera<'a>(
     }
 }
 
-/// Whom every detection of a view was given to, frame by frame; -1 for nobody.
-fn given_to(view: &View, identities: Option<&Vec<Vec<Option<PersonId>>>>) -> Vec<i16> {
+/// The person of every detection of a view, frame by frame; -1 for none.
+fn assigned_people(view: &View, identities: Option<&Vec<Vec<Option<PersonId>>>>) -> Vec<i16> {
     let given = |frame: usize, detection: usize| {
         let person = (*identities?.get(frame)?.get(detection)?)?;
         i16::try_from(person.0).ok()
@@ -125,17 +125,17 @@ fn repair_arrays(
         })
         .collect();
     let repaired: Vec<&RepairedDetection> =
-        repairs.repaired.iter().filter(|one| one.view == index && one.frame.0 < starts.len()).collect();
-    let before = given_to(view, repairs.identities_before.get(index));
-    let source = |one: &RepairedDetection, k: usize| one.sources.get(k).copied().flatten();
+        repairs.repaired.iter().filter(|repair| repair.view == index && repair.frame.0 < starts.len()).collect();
+    let before = assigned_people(view, repairs.identities_before.get(index));
+    let source = |repair: &RepairedDetection, k: usize| repair.sources.get(k).copied().flatten();
     RepairArrays {
         before: payload.i16(&[before.len()], before),
         repaired: payload
-            .u32(&[repaired.len()], repaired.iter().map(|one| (starts[one.frame.0] + one.detection) as u32)),
+            .u32(&[repaired.len()], repaired.iter().map(|repair| (starts[repair.frame.0] + repair.detection) as u32)),
         sources: payload.u8(
             &[repaired.len(), n_keypoints],
-            repaired.iter().flat_map(|one| {
-                (0..n_keypoints).map(move |k| source(one, k).and_then(|k| u8::try_from(k).ok()).unwrap_or(u8::MAX))
+            repaired.iter().flat_map(|repair| {
+                (0..n_keypoints).map(move |k| source(repair, k).and_then(|k| u8::try_from(k).ok()).unwrap_or(u8::MAX))
             }),
         ),
     }

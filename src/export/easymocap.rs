@@ -1,10 +1,10 @@
 //! `easymocap/`: `intri.yml`, `extri.yml`, and per frame `smpl/<frame>.json`, as EasyMocap writes them.
 //!
-//! `[{id, Rh [1][3], Th [1][3], poses [1][72], shapes [1][10]}]`: EasyMocap poses the body with no turn of the root, then
-//! turns and moves all of it, `x = R(Rh) x_posed + Th`. SMPL turns about the rest pelvis J_0, hence
-//! `Th = T + J_0 - R(Rh) J_0`. A person stands in the frames where somebody saw them, and in no other.
+//! `[{id, Rh [1][3], Th [1][3], poses [1][72], shapes [1][10]}]`: EasyMocap poses the body without a root rotation, then
+//! rotates and translates all of it, `x = R(Rh) x_posed + Th`. SMPL rotates about the rest pelvis J_0, hence `Th = T + J_0 -
+//! R(Rh) J_0`. A person is listed only in the frames in which a camera detected them.
 //!
-//! Known limit: frames before 0 keep their sign in the file's name.
+//! Known limit: file names of frames before 0 contain a minus sign.
 
 use super::files::{ResultFiles, micro};
 use super::opencv_yaml;
@@ -30,7 +30,7 @@ struct Person {
 /// Writes the folder.
 pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
     opencv_yaml::write(files, take, "easymocap/")?;
-    // Frames without anybody have their empty file too: EasyMocap counts files.
+    // Frames without people have a file with an empty list: EasyMocap counts files.
     let mut frames: BTreeMap<i64, Vec<Person>> =
         (0..take.n_frames).map(|i| (take.frame_number(i), Vec::new())).collect();
     for motion in &take.motions {

@@ -1,4 +1,4 @@
-//! The files of a result and what has been written of them.
+//! Writing of a result's files, with the list of what has been written.
 
 use crate::session::digest::sha256_of_reader;
 use crate::session::formats::rounded;
@@ -8,13 +8,13 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// A result folder being written.
+/// A result folder that is being written.
 pub(super) struct ResultFiles {
     dir: PathBuf,
     written: Vec<FileEntry>,
 }
 
-/// One file of the result, as the manifest lists it.
+/// A file of the result, as the manifest lists it.
 #[derive(Debug, Clone, Serialize)]
 pub(super) struct FileEntry {
     name: String,
@@ -29,14 +29,14 @@ impl ResultFiles {
         Ok(Self { dir: dir.to_owned(), written: Vec::new() })
     }
 
-    /// Writes a JSON file. A number that is not finite becomes null: JSON has no word for it.
+    /// Writes a JSON file. Numbers that are not finite become null, since JSON cannot represent them.
     pub(super) fn json(&mut self, name: &str, value: &impl Serialize) -> io::Result<()> {
         let mut bytes = serde_json::to_vec(value)?;
         bytes.push(b'\n');
         self.bytes(name, "application/json", &bytes)
     }
 
-    /// Writes a file; `name` may hold slashes.
+    /// Writes a file; `name` may contain slashes.
     pub(super) fn bytes(&mut self, name: &str, media_type: &'static str, bytes: &[u8]) -> io::Result<()> {
         let path = self.dir.join(name);
         if let Some(parent) = path.parent() {
@@ -48,23 +48,23 @@ impl ResultFiles {
         Ok(())
     }
 
-    /// The names of what has been written from the `n`th file on.
+    /// The names of the written files from the `n`th on.
     pub(super) fn names_from(&self, n: usize) -> Vec<String> {
         self.written.iter().skip(n).map(|file| file.name.clone()).collect()
     }
 
-    /// What has been written, in order.
+    /// The written files, in order.
     pub(super) fn written(&self) -> &[FileEntry] {
         &self.written
     }
 }
 
-/// Metres or radians as they are written: a micrometre and a microradian are below every error of ours.
+/// Rounds metres or radians for a file to 1e-6, which is below every error of a result.
 pub(super) fn micro(value: f64) -> f64 {
     rounded(value, 6)
 }
 
-/// A point or an axis-angle vector as it is written.
+/// Rounds a point or an axis-angle vector for a file.
 pub(super) fn micro_entries(vector: &Vector3<f64>) -> [f64; 3] {
     [micro(vector.x), micro(vector.y), micro(vector.z)]
 }

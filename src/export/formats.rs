@@ -1,4 +1,4 @@
-//! The table of formats: who writes each, and what an asset system asks about it.
+//! The table of formats: the writer of each, and its description for asset systems.
 
 use super::files::ResultFiles;
 use super::take::Take;
@@ -10,40 +10,40 @@ use crate::session::recording::UpAxis;
 use serde::Serialize;
 use std::io;
 
-/// One format of a published take, as AYON describes representations.
+/// A format of a published take, as AYON describes representations.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Representation {
     /// The format's name in `options.exports`.
     pub name: String,
     /// The files' extension.
     pub ext: &'static str,
-    /// The files, below the folder of the result.
+    /// The files, as paths below the result folder.
     pub files: Vec<String>,
-    /// First frame, in the session's numbers.
+    /// First frame number.
     #[serde(rename = "frameStart")]
     pub frame_start: i64,
-    /// Last frame, in the session's numbers.
+    /// Last frame number.
     #[serde(rename = "frameEnd")]
     pub frame_end: i64,
     /// Frames per second.
     pub fps: f64,
-    /// What else there is to know.
+    /// World and losses.
     pub data: RepresentationData,
 }
 
-/// The world of a format's files.
+/// The world of a format's files, and its losses.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct RepresentationData {
     /// Which axis points up.
     pub up_axis: UpAxis,
     /// Always `right`.
     pub handedness: &'static str,
-    /// How long a unit is, m.
+    /// Length of a unit, m.
     pub metres_per_unit: f64,
-    /// Order of Euler angles, first turn first, where the files leave it open.
+    /// Order of Euler angles, first rotation first, where the files do not state it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rotation_order: Option<&'static str>,
-    /// What the format has no place for, a sentence each.
+    /// What the format cannot represent, one sentence each.
     pub lost: Vec<String>,
 }
 
@@ -108,7 +108,7 @@ fn extension(format: F) -> &'static str {
     }
 }
 
-/// Where the format's readers expect an axis up; the others keep the result's world.
+/// The up axis that the format's readers expect; `None` for formats that keep the result's world.
 fn up_axis(format: F) -> Option<UpAxis> {
     match format {
         F::Glb | F::Bvh | F::Usd | F::Trc | F::Chan => Some(UpAxis::Y),

@@ -1,9 +1,9 @@
 //! `scene.glb`: binary glTF 2.0 with a skinned skeleton and its animation per person and a node per camera.
 //!
-//! Metres, y up; time 0 s is the session's first frame. Every person has a skin whose joints are SMPL's, bound in the
-//! T-pose, and a mesh of one small octahedron a bone, so that viewers show something. A glTF camera has neither
-//! principal point nor distortion: `extras` of its node hold K, `distortion_model`, `dist` and the image size, those of a
-//! person's node `frame_presence` and the frames in which nobody saw them (`carried`), all in the session's own numbers.
+//! Metres, y up; time 0 s is the session's first frame. Every person has a skin whose joints are SMPL's, bound in the T-pose,
+//! and a mesh of one small octahedron per bone that makes the skeleton visible. A glTF camera has neither principal point nor
+//! distortion: `extras` of its node contain K, `distortion_model`, `dist` and the image size; those of a person's node
+//! contain `frame_presence` and the frames in which no camera detected the person (`carried`), as frame numbers.
 
 mod buffer;
 mod sticks;
@@ -20,7 +20,7 @@ use buffer::{Buffer, Element};
 use serde_json::{Value, json};
 use std::io;
 
-/// Nearest distance that is drawn, m.
+/// Near clipping plane, m.
 const NEAR: f64 = 0.01;
 
 /// The arrays of a glTF document.
@@ -185,7 +185,7 @@ impl Document {
     }
 }
 
-/// Ranges of frames, ends included, in which nobody saw the person.
+/// Ranges of frame numbers, ends included, in which no camera detected the person.
 fn carried_ranges(take: &Take, motion: &BodyMotion) -> Vec<[i64; 2]> {
     let mut ranges: Vec<[i64; 2]> = Vec::new();
     for (t, _) in motion.frames.iter().enumerate().filter(|(_, pose)| !pose.valid) {

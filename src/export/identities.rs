@@ -1,4 +1,4 @@
-//! `identities.json`: whom each detection was given to, in the order of the input.
+//! `identities.json`: the person that each detection is assigned to, in the order of the input.
 
 use crate::session::{Reconstruction, Session};
 use serde::ser::{Serialize, SerializeMap, Serializer};
@@ -15,7 +15,7 @@ impl Serialize for Identities<'_> {
         for (v, view) in self.session.views.iter().enumerate() {
             let of_frame = |frame: usize| -> Vec<Option<usize>> {
                 let given = self.reconstruction.identities.get(v).and_then(|frames| frames.get(frame));
-                // A frame that the reconstruction does not speak of has its detections given to nobody.
+                // Detections of a frame that the reconstruction lacks are assigned to no person.
                 let person = |d: usize| given.and_then(|people| *people.get(d)?).map(|person| person.0);
                 (0..view.frames[frame].len()).map(person).collect()
             };

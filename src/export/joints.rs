@@ -1,4 +1,4 @@
-//! `poses3d.json` and `keypoints3d.json`: points of people, frame by frame, world metres.
+//! `poses3d.json` and `keypoints3d.json`: 3D points of people, frame by frame, world metres.
 
 use super::files::micro_entries;
 use crate::body::skeleton::JOINT_NAMES;
@@ -8,10 +8,10 @@ use nalgebra::Vector3;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Points of each person, in order of `joint_names`; null where nothing is known.
+/// Points of each person, in order of `joint_names`; null where unknown.
 type PointsByPerson = BTreeMap<usize, Vec<Option<[f64; 3]>>>;
 
-/// Either file. Frames and people are written in order of their numbers.
+/// Content of either file. Frames and people are in order of their numbers.
 #[derive(Serialize)]
 pub(super) struct Joints {
     joint_names: &'static [&'static str],
@@ -20,7 +20,7 @@ pub(super) struct Joints {
     frames: BTreeMap<i64, PointsByPerson>,
 }
 
-/// The content of `poses3d.json`: the body's 24 joints, in every frame of a person's motion, carried ones included.
+/// The content of `poses3d.json`: the body's 24 joints in every frame of a person's motion, including carried poses.
 pub(super) fn body_joints(session: &Session, reconstruction: &Reconstruction) -> Joints {
     let mut joints = empty(&JOINT_NAMES, reconstruction.up_axis);
     for motion in &reconstruction.motions {
@@ -33,7 +33,7 @@ pub(super) fn body_joints(session: &Session, reconstruction: &Reconstruction) ->
     joints
 }
 
-/// The content of `keypoints3d.json`: the detector's points, in the frames where any of them is known.
+/// The content of `keypoints3d.json`: the keypoints, in frames with at least one known point.
 pub(super) fn keypoints(session: &Session, reconstruction: &Reconstruction) -> Joints {
     let mut joints = empty(session.convention.names(), reconstruction.up_axis);
     for trajectory in &reconstruction.keypoints {
@@ -52,7 +52,7 @@ fn empty(joint_names: &'static [&'static str], up_axis: UpAxis) -> Joints {
     Joints { joint_names, units: "m", up_axis, frames: BTreeMap::new() }
 }
 
-/// A point as it is written: null as a whole where any coordinate is not finite.
+/// A rounded point; `None` where any coordinate is not finite.
 fn written(point: &Vector3<f64>) -> Option<[f64; 3]> {
     point.iter().all(|c| c.is_finite()).then(|| micro_entries(point))
 }

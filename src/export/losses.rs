@@ -1,25 +1,25 @@
-//! What a format cannot hold of a take, in words: what is lost is said.
+//! Losses: the parts of a take that a format cannot represent, as sentences for the manifest.
 
 use super::take::{Take, TakeCamera};
 use crate::geometry::{Distortion, Intrinsics};
 use crate::session::reconstruction::ExportFormat as F;
 
-/// What a format's camera has, where it has cameras.
-struct Holds {
+/// Camera parameters that a format can represent.
+struct CameraSupport {
     principal_point: bool,
-    /// Of `k1 k2 p1 p2 k3`, the first so many.
+    /// Number of leading coefficients of `k1 k2 p1 p2 k3`.
     n_distortions: usize,
-    /// The rational model.
+    /// The rational distortion model.
     rational: bool,
-    /// The fisheye model.
+    /// The fisheye distortion model.
     fisheye: bool,
     skew: bool,
-    /// Pixels of `fx` other than `fy`.
+    /// Pixels that are not square, `fx` other than `fy`.
     pixel_aspect: bool,
 }
 
-fn holds(format: F) -> Option<Holds> {
-    let all = Holds {
+fn support(format: F) -> Option<CameraSupport> {
+    let all = CameraSupport {
         principal_point: true,
         n_distortions: 5,
         rational: true,
@@ -27,60 +27,61 @@ fn holds(format: F) -> Option<Holds> {
         skew: true,
         pixel_aspect: true,
     };
-    let no_lens = Holds { n_distortions: 0, rational: false, fisheye: false, ..all };
+    let no_lens = CameraSupport { n_distortions: 0, rational: false, fisheye: false, ..all };
     match format {
         F::SmplNpz | F::Bvh | F::Trc | F::C3d => None,
         F::AniposeToml => Some(all),
-        F::Easymocap | F::OpencvYaml => Some(Holds { fisheye: false, ..all }),
-        F::CalibToml => Some(Holds { n_distortions: 4, rational: false, ..all }),
-        F::Colmap => Some(Holds { skew: false, ..all }),
-        F::Usd => Some(Holds { skew: false, ..no_lens }),
-        F::Blender => Some(Holds { skew: false, pixel_aspect: false, ..no_lens }),
-        F::Glb => Some(Holds { principal_point: false, skew: false, ..no_lens }),
-        F::Chan => Some(Holds { principal_point: false, skew: false, pixel_aspect: false, ..no_lens }),
+        F::Easymocap | F::OpencvYaml => Some(CameraSupport { fisheye: false, ..all }),
+        F::CalibToml => Some(CameraSupport { n_distortions: 4, rational: false, ..all }),
+        F::Colmap => Some(CameraSupport { skew: false, ..all }),
+        F::Usd => Some(CameraSupport { skew: false, ..no_lens }),
+        F::Blender => Some(CameraSupport { skew: false, pixel_aspect: false, ..no_lens }),
+        F::Glb => Some(CameraSupport { principal_point: false, skew: false, ..no_lens }),
+        F::Chan => Some(CameraSupport { principal_point: false, skew: false, pixel_aspect: false, ..no_lens }),
     }
 }
 
-/// One sentence for each camera that is not in the file, or not whole.
+/// One sentence for each camera that the format lacks or represents incompletely.
 pub(super) fn losses(format: F, take: &Take) -> Vec<String> {
-    let Some(holds) = holds(format) else { return Vec::new() };
-    let unplaced = take.unplaced.iter().map(|id| format!("camera {id}: was not placed and is left out"));
+    let Some(support) = support(format) else { return Vec::new() };
+    let unsolved =
+        take.unplaced.iter().map(|id| format!("camera {id}: its pose was not solved, and the camera is left out"));
     let partial = take.cameras.iter().filter_map(|camera| {
-        let lost = lost(&holds, &camera.intrinsics);
+        let lost = lost(&support, &camera.intrinsics);
         (!lost.is_empty()).then(|| sentence(camera, &lost))
     });
-    unplaced.chain(partial).collect()
+    unsolved.chain(partial).collect()
 }
 
-/// Below this, px, a principal point is in the middle, and below it the focal lengths are one.
+/// Differences below this, px, are ignored: of the principal point from the centre, and of the two focal lengths.
 const SAME_PX: f64 = 1e-6;
 
-fn lost(holds: &Holds, lens: &Intrinsics) -> Vec<&'static str> {
+fn lost(support: &CameraSupport, lens: &Intrinsics) -> Vec<&'static str> {
     let middle = [f64::from(lens.width) - 1.0, f64::from(lens.height) - 1.0].map(|size| size / 2.0);
     let is_off_centre = (lens.cx - middle[0]).abs() > SAME_PX || (lens.cy - middle[1]).abs() > SAME_PX;
     let mut lost = Vec::new();
-    if is_off_centre && !holds.principal_point {
+    if is_off_centre && !support.principal_point {
         lost.push("the principal point");
     }
-    if (lens.fx - lens.fy).abs() > SAME_PX && !holds.pixel_aspect {
-        lost.push("focal lengths that differ");
+    if (lens.fx - lens.fy).abs() > SAME_PX && !support.pixel_aspect {
+        lost.push("different focal lengths");
     }
-    if lens.skew != 0.0 && !holds.skew {
+    if lens.skew != 0.0 && !support.skew {
         lost.push("skew");
     }
     lost.extend(match lens.dist {
-        Distortion::OpenCv5(dist) if dist[holds.n_distortions..].iter().any(|d| *d != 0.0) => {
-            Some(if holds.n_distortions == 4 { "k3" } else { "distortion" })
+        Distortion::OpenCv5(dist) if dist[support.n_distortions..].iter().any(|d| *d != 0.0) => {
+            Some(if support.n_distortions == 4 { "k3" } else { "distortion" })
         }
-        Distortion::Rational8(_) if !holds.rational => Some("rational distortion"),
-        Distortion::Fisheye4(_) if !holds.fisheye => Some("fisheye distortion"),
+        Distortion::Rational8(_) if !support.rational => Some("rational distortion"),
+        Distortion::Fisheye4(_) if !support.fisheye => Some("fisheye distortion"),
         _ => None,
     });
     lost
 }
 
 fn sentence(camera: &TakeCamera, lost: &[&str]) -> String {
-    format!("camera {}: the format has no place for {}; cameras.json has it", camera.id, lost.join(" and "))
+    format!("camera {}: the format does not support {}; see cameras.json", camera.id, lost.join(" and "))
 }
 
 #[cfg(test)]
@@ -104,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_is_there_can_be_lost() {
+    fn reports_only_parameters_in_use() {
         let plain = Intrinsics {
             width: 101,
             height: 51,
@@ -115,11 +116,11 @@ mod tests {
             skew: 0.0,
             dist: Distortion::None,
         };
-        assert_eq!(losses(F::Chan, &take(plain)), ["camera b: was not placed and is left out"]);
+        assert_eq!(losses(F::Chan, &take(plain)), ["camera b: its pose was not solved, and the camera is left out"]);
         assert!(losses(F::Bvh, &take(plain)).is_empty());
         let k3 = Intrinsics { dist: Distortion::OpenCv5([0.1, 0.0, 0.0, 0.0, 0.01]), ..plain };
-        let of_pose2sim = losses(F::CalibToml, &take(k3));
-        assert_eq!(of_pose2sim[1], "camera a: the format has no place for k3; cameras.json has it");
+        let pose2sim = losses(F::CalibToml, &take(k3));
+        assert_eq!(pose2sim[1], "camera a: the format does not support k3; see cameras.json");
         assert_eq!(losses(F::AniposeToml, &take(k3)).len(), 1);
         let rational = Intrinsics { dist: Distortion::Rational8([0.1, 0.0, 0.0, 0.0, 0.0, 0.2, 0.0, 0.0]), ..plain };
         assert!(losses(F::CalibToml, &take(rational))[1].contains("rational distortion"));
@@ -129,6 +130,6 @@ mod tests {
         assert_eq!(losses(F::Colmap, &take(fisheye)).len(), 1);
         assert_eq!(losses(F::CalibToml, &take(fisheye)).len(), 1);
         let odd = Intrinsics { cx: 53.0, fy: 81.0, skew: 0.1, ..k3 };
-        assert!(losses(F::Chan, &take(odd))[1].contains("the principal point and focal lengths that differ and skew"));
+        assert!(losses(F::Chan, &take(odd))[1].contains("the principal point and different focal lengths and skew"));
     }
 }

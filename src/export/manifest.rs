@@ -1,4 +1,4 @@
-//! `manifest.json`: what lies in the result, and what it was made from.
+//! `manifest.json`: the files of the result, and the input, options and models it was solved with.
 
 use super::context::ResultContext;
 use super::files::FileEntry;
@@ -32,7 +32,7 @@ struct Models<'a> {
     body: &'a BodyModelId,
 }
 
-/// What a studio's asset system asks of a published take.
+/// Description of the published take for a studio's asset system.
 #[derive(Serialize)]
 struct Publish<'a> {
     up_axis: UpAxis,
@@ -40,7 +40,7 @@ struct Publish<'a> {
     metres_per_unit: f64,
     frame_range: [i64; 2],
     fps: f64,
-    /// The same as numerator and denominator.
+    /// The frame rate as numerator and denominator.
     frame_rate: [u64; 2],
     /// SMPTE time code of frame number 0.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -49,18 +49,18 @@ struct Publish<'a> {
     representations: Vec<Representation>,
 }
 
-/// When a person is there: the formats that have no word for it begin with the first of these frames.
+/// Frames in which a person is present; files of formats without frame numbers start with the first of them.
 #[derive(Serialize)]
 struct Presence {
     id: usize,
     frame_range: [i64; 2],
 }
 
-/// What has been written.
+/// The files that have been written.
 pub(super) struct Written {
-    /// In the formats asked for.
+    /// The requested formats.
     pub(super) representations: Vec<Representation>,
-    /// Every file but the manifest.
+    /// All files except the manifest.
     pub(super) files: Vec<FileEntry>,
 }
 

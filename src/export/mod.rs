@@ -1,10 +1,10 @@
-//! The result folder, one file a format: what `wandless reconstruct --out` and a job's artifacts hold.
+//! Writers of the result folder, one file per format: the output of `wandless reconstruct --out` and the artifacts of a job.
 //!
-//! World: right-handed, metres; `x_camera = R x_world + t` with OpenCV's camera axes. Frames carry the session's own
-//! numbers. The same reconstruction gives the same bytes: no clock, no map whose order could change.
+//! World: right-handed, metres; `x_camera = R x_world + t` with OpenCV's camera axes. Frames have the session's frame
+//! numbers. The same reconstruction gives the same bytes: files contain no wall-clock times and no map of arbitrary order.
 //!
-//! The JSON files are written from the [`Reconstruction`], the formats of other programs from a [`Take`] of it, which
-//! can also be read back from the JSON files ([`read_take`]). What a format cannot hold of it, the manifest says.
+//! The JSON files are written from the [`Reconstruction`], the formats of other programs from a [`Take`] of it, which can
+//! also be read back from the JSON files ([`read_take`]). The manifest lists what a format cannot represent.
 
 mod blender;
 mod body_mesh;
@@ -56,13 +56,13 @@ use std::path::Path;
 /// Media type of files that only the viewer reads.
 const OCTETS: &str = "application/octet-stream";
 
-/// Writes every file of a result into `dir`, which is made where it is missing; the manifest comes last.
+/// Writes all files of a result into `dir`, which is created where it is missing; the manifest is written last.
 ///
-/// Numbers are finite or null. Metres and radians are rounded to 1e-6, the poses of cameras are not. Files of an earlier
-/// result that this one does not have are left alone and not listed in the manifest.
+/// Numbers are finite or null. Metres and radians are rounded to 1e-6, except for camera poses. Files of an earlier result
+/// that this one does not contain are not removed and not listed in the manifest.
 ///
 /// # Errors
-/// Whatever writing fails with.
+/// The error of the file system.
 pub fn write_result(
     dir: &Path,
     session: &Session,
@@ -84,17 +84,18 @@ pub fn write_result(
     files.json("manifest.json", &manifest::manifest(session, context, reconstruction, &take, written))
 }
 
-/// Writes a take in further formats into `dir`, which is made where it is missing; says what each format could not hold.
+/// Writes a take in further formats into `dir`, which is created where it is missing, and describes each format with its
+/// losses.
 ///
-/// The bytes are those that the result would have got at once. Files of the same name are replaced.
+/// The bytes are the same as if the formats had been written with the result. Files of the same name are replaced.
 ///
 /// # Errors
-/// Whatever writing fails with.
+/// The error of the file system.
 pub fn write_formats(dir: &Path, take: &Take, formats: &[ExportFormat]) -> io::Result<Vec<Representation>> {
     write_all(&mut ResultFiles::create(dir)?, take, formats)
 }
 
-/// A format asked for twice is written once.
+/// Writes each format once, even where it is requested twice.
 fn write_all(files: &mut ResultFiles, take: &Take, formats: &[ExportFormat]) -> io::Result<Vec<Representation>> {
     let is_new = |i: usize| !formats[..i].contains(&formats[i]);
     let formats = (0..formats.len()).filter(|&i| is_new(i)).map(|i| formats[i]);

@@ -1,20 +1,20 @@
-//! `stages/motion.bin`: all that the viewer draws of the scene, in the layout of [`super::buffers`].
+//! `stages/motion.bin`: all data that the viewer draws in the scene, in the layout of [`super::buffers`].
 //!
 //! Header: `format: "wandless.motion"`, `version: 1`, `name`, `fps`, `first_frame`, `n_frames`, `joint_names`,
-//! `joint_parents` (null for the root), `keypoint_names`, `world` (`cameras.json` as it is), `body_model` (of
+//! `joint_parents` (null for the root), `keypoint_names`, `world` (the content of `cameras.json`), `body_model` (of
 //! `people.json`) and `people`, each with
 //!
-//! - `id`; `betas`; `first`: frame index (from 0, not the session's number) of the first row of all arrays
+//! - `id`; `betas`; `first`: frame index (from 0) of the first row of all arrays
 //! - `joints` `[frames, 24, 3]`: the body's joints, world metres
 //! - `turns` `[frames, 24, 4]`: `world_from_joint` as quaternions x y z w, 32767 for 1
-//! - `valid` `[frames]`: 0 where the pose is carried
-//! - `keypoints` `[frames, K, 3]`: the detector's points in the world, metres, NaN where nothing is known
-//! - `n_views` `[frames, K]`: cameras that saw each of them
-//! - `repairs`: `[frame index, camera index]` where the detector's own track of this person broke and ours went on, or
-//!   where this person began to be given what would have been another's
+//! - `valid` `[frames]`: 0 where the pose is carried over
+//! - `keypoints` `[frames, K, 3]`: the keypoints in the world, metres, NaN where unknown
+//! - `n_views` `[frames, K]`: number of cameras that observe each of them
+//! - `repairs`: `[frame index, camera index]` where the detector's track of this person ended and the result continues it
+//!   with another, or where detections that would have been another person's are assigned to this one from here on
 //!
-//! and `rejected` `[cameras, n_frames]`: detections given to nobody; `repaired`, the same shape, where there was a
-//! consistency stage: detections whose keypoints it exchanged or rejected. Both at most 255.
+//! and `rejected` `[cameras, n_frames]`: number of detections assigned to no person; `repaired`, same shape, where the
+//! consistency stage ran: number of detections with exchanged or rejected keypoints. Both are at most 255.
 
 use super::buffers::{Array, Payload};
 use super::cameras::{Cameras, cameras};
@@ -27,7 +27,7 @@ use crate::session::{BodyMotion, JointTrajectory, PersonId, Reconstruction, Sess
 use serde::Serialize;
 use std::io;
 
-/// The layout described above.
+/// Version of the layout described above.
 const VERSION: u32 = 1;
 
 #[derive(Serialize)]
@@ -103,7 +103,7 @@ fn person(
     payload: &mut Payload,
 ) -> Person {
     let (n_frames, n_keypoints) = (motion.frames.len(), session.convention.names().len());
-    // Rows of the path that belong to the motion's frames: either may be the longer one.
+    // Rows of the trajectory at the motion's frames: either may be longer.
     let row = |i: usize| Some((path?, (motion.first.0 + i).checked_sub(path?.first.0)?));
     let point = |i: usize, k: usize| row(i).and_then(|(path, t)| *path.points.get(t)?.get(k)?);
     let count = |i: usize, k: usize| row(i).and_then(|(path, t)| path.n_views.get(t)?.get(k).copied()).unwrap_or(0);
@@ -125,7 +125,7 @@ fn person(
     }
 }
 
-/// `world_from_joint` of all joints, four numbers each; the rest rotation where a pose is not finite.
+/// Quaternions `world_from_joint` of all joints, four numbers each; the identity where a pose is not finite.
 fn turns(pose: &BodyPose) -> Vec<i16> {
     let mut world_from_joint = pose.rotations;
     for (joint, parent) in PARENTS.iter().enumerate() {
@@ -140,8 +140,8 @@ fn turns(pose: &BodyPose) -> Vec<i16> {
     world_from_joint.iter().flat_map(quaternion).map(|c| (c * f64::from(i16::MAX)).round() as i16).collect()
 }
 
-/// Where the detection given to a person bears another track id than the one of that camera before it, or would have been
-/// another person's while the one before it would not.
+/// Frames and cameras in which the person's detection has another track number than the person's previous one in that camera,
+/// or in which it would have been another person's without the repairs while the previous one would not.
 fn repairs(session: &Session, reconstruction: &Reconstruction, person: PersonId) -> Vec<[usize; 2]> {
     let before = reconstruction.repairs.as_ref().map(|repairs| &repairs.identities_before);
     let mut found = Vec::new();
@@ -165,8 +165,8 @@ fn repairs(session: &Session, reconstruction: &Reconstruction, person: PersonId)
 
 fn repaired(session: &Session, repairs: &DetectionRepairs, payload: &mut Payload) -> Array {
     let mut counts = vec![0_u8; session.views.len() * session.n_frames];
-    for one in &repairs.repaired {
-        if let Some(count) = counts.get_mut(one.view * session.n_frames + one.frame.0) {
+    for repair in &repairs.repaired {
+        if let Some(count) = counts.get_mut(repair.view * session.n_frames + repair.frame.0) {
             *count = count.saturating_add(1);
         }
     }

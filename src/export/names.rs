@@ -1,24 +1,24 @@
-//! Names of cameras as file names and identifiers.
+//! Camera names as file names and identifiers.
 
 use std::collections::BTreeSet;
 
-/// Letters, digits, `_` and `-`: safe in file names, in TOML keys and in OpenCV's.
+/// File names of letters, digits, `_` and `-`, which are also valid keys in TOML and OpenCV's YAML.
 pub(super) fn file_names<'a>(ids: impl Iterator<Item = &'a str>) -> Vec<String> {
     unique(ids, |c| c.is_ascii_alphanumeric() || c == '_' || c == '-')
 }
 
-/// `camera_` and letters, digits and `_`: names of USD's prims.
+/// USD prim names: `camera_` followed by letters, digits and `_`.
 pub(super) fn identifiers<'a>(ids: impl Iterator<Item = &'a str>) -> Vec<String> {
     let names = unique(ids, |c| c.is_ascii_alphanumeric() || c == '_');
     names.into_iter().map(|name| format!("camera_{name}")).collect()
 }
 
-/// A quoted string with escapes, as JSON, TOML and YAML have them in common.
+/// A quoted string with the escapes that JSON, TOML and YAML have in common.
 pub(super) fn quoted(text: &str) -> String {
     serde_json::Value::from(text).to_string()
 }
 
-/// Other characters become `_`; what is then taken (also in other case, for file systems that see none) gets a number.
+/// Replaces other characters by `_`; repeated names (compared without case, for file systems that ignore it) get a number.
 fn unique<'a>(ids: impl Iterator<Item = &'a str>, is_allowed: impl Fn(char) -> bool) -> Vec<String> {
     let mut taken = BTreeSet::new();
     let mut unique_name = |id: &str| {

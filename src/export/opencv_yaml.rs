@@ -1,10 +1,11 @@
 //! `intri.yml` and `extri.yml`: OpenCV's file storage with EasyMocap's names.
 //!
-//! `names`; per camera `K_` 3x3 px, `dist_` 1x5 (`k1 k2 p1 p2 k3`) or, of a rational lens, 1x8 (`k4 k5 k6` after them),
-//! `H_`, `W_` px; `R_` Rodrigues vector rad, `Rot_` 3x3, `T_` m: `x_camera = Rot x_world + T`. The world is the result's
-//! own.
+//! `names`; per camera `K_` 3x3 px, `dist_` 1x5 (`k1 k2 p1 p2 k3`) or, for a rational lens, 1x8 (followed by `k4 k5 k6`),
+//! `H_`, `W_` px; `R_` Rodrigues vector rad, `Rot_` 3x3, `T_` m: `x_camera = Rot x_world + T`. The world is that of the
+//! result.
 //!
-//! Known limits: a list of four is read as `k1 k2 p1 p2`, so a fisheye's is left out and reported. Keys hold letters, digits, `_` and `-` only; `names` holds the names as they are in the keys.
+//! Known limits: four coefficients are read as `k1 k2 p1 p2`, so those of a fisheye are left out and reported. Keys contain
+//! letters, digits, `_` and `-` only; `names` contains the names as in the keys.
 
 use super::files::ResultFiles;
 use super::names::file_names;
@@ -28,10 +29,10 @@ fn intrinsics(take: &Take) -> String {
     for (name, camera) in names.iter().zip(&take.cameras) {
         let lens = &camera.intrinsics;
         text += &matrix(&format!("K_{name}"), 3, 3, &row_major(&lens.matrix()));
-        // Readers take the list for a polynomial: a fisheye's has no place here, and that is reported.
+        // Readers interpret the coefficients as a polynomial: a fisheye's are left out, which is reported.
         let dist = match lens.dist {
             Distortion::Fisheye4(_) => Distortion::None,
-            held => held,
+            supported => supported,
         };
         let coefficients = dist.coefficients();
         text += &matrix(&format!("dist_{name}"), 1, coefficients.len(), coefficients);

@@ -1,4 +1,4 @@
-//! `people.json`: shape and motion of every person, SMPL's convention.
+//! `people.json`: shape and motion of every person in SMPL's convention.
 
 use super::files::{micro, micro_entries};
 use crate::geometry::rotation;
@@ -37,7 +37,7 @@ pub(super) fn people<'a>(session: &Session, reconstruction: &'a Reconstruction) 
     }
 }
 
-/// The session's own numbers of a motion's frames, without holes.
+/// Frame numbers of a motion, consecutive.
 pub(super) fn frame_numbers(session: &Session, motion: &BodyMotion) -> Vec<i64> {
     (0..motion.frames.len()).map(|i| session.frame_number(FrameIndex(motion.first.0 + i))).collect()
 }

@@ -1,4 +1,4 @@
-//! A finished result read back as a [`Take`]: what one more format of it is written from.
+//! Reads a finished result back as a [`Take`], from which further formats can be written.
 
 use super::take::{Take, TakeCamera, carried_where_not_finite};
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
@@ -12,22 +12,22 @@ use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Why a folder is no finished result.
+/// Why a folder cannot be read as a finished result.
 #[derive(Debug, thiserror::Error)]
 pub enum ReadError {
     /// A file cannot be read, or is not the expected JSON.
     #[error(transparent)]
     File(#[from] JsonFileError),
     /// The files contradict each other or themselves.
-    #[error("{file}: {what}: {expected} expected, found {found}")]
+    #[error("{file}: {what}: expected {expected}, found {found}")]
     Contradiction {
         /// Name of the file.
         file: &'static str,
-        /// What is wrong there.
+        /// The part of the file that is wrong.
         what: String,
-        /// What would be right.
+        /// The expected content.
         expected: String,
-        /// What it says.
+        /// The content found.
         found: String,
     },
 }
@@ -63,7 +63,7 @@ struct Camera {
     #[serde(rename = "K")]
     matrix: [[f64; 3]; 3],
     dist: Vec<f64>,
-    /// Where the coefficients alone do not say it.
+    /// Present where the coefficients alone do not determine the model.
     distortion_model: Option<String>,
     #[serde(rename = "R")]
     rotation: Option<[[f64; 3]; 3]>,
@@ -93,16 +93,16 @@ struct PosesFile {
     frames: BTreeMap<i64, JointsByPerson>,
 }
 
-/// A joint that was not finite is null.
+/// Joints; null for a joint that is not finite.
 type JointsByPerson = BTreeMap<usize, Vec<Option<[f64; 3]>>>;
 
-/// Longest time line that is read, frames: nine hours at 30 fps, as sessions have it.
+/// Longest time line that is read, frames: nine hours at 30 fps, the limit of sessions.
 const MAX_FRAMES: i64 = 1_000_000;
 
 /// Reads `manifest.json`, `cameras.json`, `people.json` and `poses3d.json` of a result.
 ///
 /// # Errors
-/// [`ReadError`]: the folder is no result, or one that was changed by hand into something else.
+/// [`ReadError`] where the folder is not a result, or was changed inconsistently.
 pub fn read_take(dir: &Path) -> Result<Take, ReadError> {
     let manifest: ManifestFile = read_json_file(&dir.join("manifest.json"))?;
     let cameras: CamerasFile = read_json_file(&dir.join("cameras.json"))?;
@@ -132,8 +132,8 @@ pub fn read_take(dir: &Path) -> Result<Take, ReadError> {
         motions: Vec::new(),
     };
     for camera in cameras.cameras {
-        match placed(&camera)? {
-            Some(placed) => take.cameras.push(placed),
+        match solved_camera(&camera)? {
+            Some(solved) => take.cameras.push(solved),
             None => take.unplaced.push(camera.id),
         }
     }
@@ -141,14 +141,14 @@ pub fn read_take(dir: &Path) -> Result<Take, ReadError> {
     for person in &people.people {
         if !ids.insert(person.id) {
             let what = format!("person {}", person.id);
-            return Err(contradiction("people.json", &what, "one of each id", "another".to_owned()));
+            return Err(contradiction("people.json", &what, "unique ids", "a repeated id".to_owned()));
         }
         take.motions.extend(carried_where_not_finite(motion(&take, person, &poses)?));
     }
     Ok(take)
 }
 
-fn placed(camera: &Camera) -> Result<Option<TakeCamera>, ReadError> {
+fn solved_camera(camera: &Camera) -> Result<Option<TakeCamera>, ReadError> {
     let (Some(rotation), Some(translation)) = (camera.rotation, camera.translation) else { return Ok(None) };
     let k = camera.matrix;
     let fault = |what: &str, expected: &str, found: String| {
@@ -161,7 +161,7 @@ fn placed(camera: &Camera) -> Result<Option<TakeCamera>, ReadError> {
     };
     let Some(dist) = dist else {
         let model = camera.distortion_model.as_deref().unwrap_or("opencv");
-        return fault("dist", "a lens of OpenCV's", format!("{model} {:?}", camera.dist));
+        return fault("dist", "a distortion model of OpenCV", format!("{model} {:?}", camera.dist));
     };
     let intrinsics = Intrinsics {
         width: camera.width,
@@ -174,16 +174,16 @@ fn placed(camera: &Camera) -> Result<Option<TakeCamera>, ReadError> {
         dist,
     };
     if camera.width == 0 || camera.height == 0 {
-        return fault("size", "a size", format!("{}x{}", camera.width, camera.height));
+        return fault("size", "a positive image size", format!("{}x{}", camera.width, camera.height));
     }
     if intrinsics.fx.min(intrinsics.fy) <= 0.0 {
         return fault("K", "positive focal lengths", format!("{} and {}", intrinsics.fx, intrinsics.fy));
     }
     let rotation = Matrix3::from_fn(|r, c| rotation[r][c]);
-    // Three digits of a matrix typed by hand pass, a scaled or mirrored one does not.
+    // A matrix rounded to three digits passes, a scaled or mirrored one does not.
     let is_rotation = (rotation.transpose() * rotation - Matrix3::identity()).norm() < 1e-2;
     if !(is_rotation && rotation.determinant() > 0.0) {
-        return fault("R", "a rotation", format!("{:?}", rotation.transpose().as_slice()));
+        return fault("R", "a rotation matrix", format!("{:?}", rotation.transpose().as_slice()));
     }
     let camera_from_world = Rigid { rotation, translation: Vector3::from(translation) };
     Ok(Some(TakeCamera { id: camera.id.clone(), intrinsics, camera_from_world }))
@@ -196,15 +196,15 @@ fn motion(take: &Take, person: &Person, poses: &PosesFile) -> Result<BodyMotion,
     };
     let counts = [person.global_orient.len(), person.body_pose.len(), person.transl.len(), person.valid.len()];
     if let Some(found) = counts.into_iter().find(|count| *count != n_frames) {
-        return Err(fault("frames", format!("{n_frames} entries of everything"), found.to_string()));
+        return Err(fault("frames", format!("{n_frames} entries in every list"), found.to_string()));
     }
     let [start, end] = take.frame_range();
     let first = person.frames.first().copied().unwrap_or(start);
     let last = first.saturating_add_unsigned(n_frames.saturating_sub(1) as u64);
-    let has_hole = person.frames.windows(2).any(|pair| pair[0].checked_add(1) != Some(pair[1]));
-    if first < start || last > end || has_hole {
+    let has_gap = person.frames.windows(2).any(|pair| pair[0].checked_add(1) != Some(pair[1]));
+    if first < start || last > end || has_gap {
         let found = format!("{first} to {}", person.frames.last().unwrap_or(&first));
-        return Err(fault("frames", format!("frames without holes from {start} to {end}"), found));
+        return Err(fault("frames", format!("consecutive frames from {start} to {end}"), found));
     }
     let Ok(betas) = <[f64; 10]>::try_from(person.betas.iter().map(|b| number(*b)).collect::<Vec<_>>()) else {
         return Err(fault("betas", "10 numbers".to_owned(), person.betas.len().to_string()));
@@ -233,7 +233,7 @@ fn motion(take: &Take, person: &Person, poses: &PosesFile) -> Result<BodyMotion,
     Ok(BodyMotion { person: PersonId(person.id), first, betas, frames })
 }
 
-/// JSON's null is a number that was not finite.
+/// Null in JSON is a number that is not finite.
 fn number(value: Option<f64>) -> f64 {
     value.unwrap_or(f64::NAN)
 }

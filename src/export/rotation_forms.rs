@@ -1,4 +1,4 @@
-//! The forms in which formats speak of rotations: Euler angles and quaternions, continuous over time.
+//! Rotations as Euler angles and quaternions that are continuous over time.
 
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion};
 use std::f64::consts::{PI, TAU};
@@ -11,10 +11,10 @@ pub(super) struct ZxyAngles {
     pub(super) y: f64,
 }
 
-/// Below this cosine of x the turns about z and y are one and the same: y is taken as 0.
+/// Below this cosine of x the rotations about z and y have the same axis: y is set to 0.
 const GIMBAL_LOCK: f64 = 1e-9;
 
-/// `R = R_z(z) R_x(x) R_y(y)`, x within a quarter turn.
+/// Angles of `R = R_z(z) R_x(x) R_y(y)`, with x between -90 and 90 degrees.
 pub(super) fn zxy_angles(r: &Matrix3<f64>) -> ZxyAngles {
     let cos_x = r.m31.hypot(r.m33);
     let x = r.m32.atan2(cos_x);
@@ -24,13 +24,13 @@ pub(super) fn zxy_angles(r: &Matrix3<f64>) -> ZxyAngles {
     ZxyAngles { z: (-r.m12).atan2(r.m22), x, y: (-r.m31).atan2(r.m33) }
 }
 
-/// `R = R_y(y) R_x(x) R_z(z)`: the angles of the transpose with their signs changed.
+/// Angles of `R = R_y(y) R_x(x) R_z(z)`: those of the transpose with opposite signs.
 pub(super) fn yxz_angles(r: &Matrix3<f64>) -> ZxyAngles {
     let ZxyAngles { z, x, y } = zxy_angles(&r.transpose());
     ZxyAngles { z: -z, x: -x, y: -y }
 }
 
-/// The angles of the same rotation nearest to those of the frame before: a curve without jumps.
+/// The angles of the same rotation that are nearest to those of the previous frame, for curves without jumps.
 pub(super) fn nearest_angles(angles: ZxyAngles, before: ZxyAngles) -> ZxyAngles {
     let other = ZxyAngles { z: angles.z + PI, x: PI - angles.x, y: angles.y + PI };
     let [a, b] = [angles, other].map(|c| ZxyAngles {
@@ -49,7 +49,7 @@ pub(super) fn quaternion_xyzw(r: &Matrix3<f64>) -> [f64; 4] {
     if w < 0.0 { [-x, -y, -z, -w] } else { [x, y, z, w] }
 }
 
-/// Quaternions of one joint over time; of each pair `q`, `-q` the one nearer to the frame before, as readers mix them.
+/// Quaternions of one joint over time; of `q` and `-q` the one nearer to the previous frame, since readers interpolate them.
 pub(super) fn quaternions_xyzw<'a>(rotations: impl Iterator<Item = &'a Matrix3<f64>>) -> Vec<[f64; 4]> {
     let mut quaternions: Vec<[f64; 4]> = rotations.map(quaternion_xyzw).collect();
     for t in 1..quaternions.len() {
@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn angles_give_the_rotation_back() {
+    fn angles_reproduce_the_rotation() {
         let mut before = ZxyAngles { z: 0.0, x: 0.0, y: 0.0 };
         for r in some_rotations() {
             let a = zxy_angles(&r);
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_all_the_way_round_has_no_jumps() {
+    fn full_turns_have_no_jumps() {
         let turns: Vec<_> = (0..200).map(|i| about(1, 0.1 * f64::from(i)) * about(0, 0.3)).collect();
         let mut before = zxy_angles(&turns[0]);
         for r in &turns {

@@ -1,14 +1,14 @@
-//! `smpl/<person>.npz` and `smplh/<person>.npz`: AMASS's layout in the result's own world.
+//! `smpl/<person>.npz` and `smplh/<person>.npz`: AMASS's layout in the result's world.
 //!
-//! `poses` (T, 72 or 156) axis-angle, rad; `trans` (T, 3) SMPL's `transl`, m; `betas` (10); `gender`; the frame rate
-//! under both of AMASS's spellings; `surface_model_type`. Ours: `up_axis`, `frames` (T) the session's numbers, `valid`
-//! (T). AMASS itself has z up: `up_axis` says which world this is.
+//! `poses` (T, 72 or 156) axis-angle, rad; `trans` (T, 3) SMPL's `transl`, m; `betas` (10); `gender`; the frame rate under
+//! both of AMASS's spellings; `surface_model_type`. In addition: `up_axis`, `frames` (T) frame numbers, `valid` (T). AMASS
+//! itself has z up: `up_axis` states the axis of this file.
 //!
-//! Known limit: SMPL-H has 30 finger joints where SMPL has two hands; they are written as the rest pose.
+//! Known limit: SMPL-H has 30 finger joints in place of SMPL's two hands; they are written in the rest pose.
 
 use super::files::ResultFiles;
 use super::people::axis_angles;
-use super::take::{Take, letter};
+use super::take::{Take, axis_name};
 use crate::formats::npz::{CompressionMethod, NpzWriter};
 use crate::session::BodyMotion;
 use std::io::{self, Cursor};
@@ -50,7 +50,7 @@ fn motion_npz(take: &Take, motion: &BodyMotion, model: &str, poses: &[Vec<f64>])
     npz.array("mocap_framerate", &[], [take.fps])?;
     npz.array("mocap_frame_rate", &[], [take.fps])?;
     npz.text("surface_model_type", model)?;
-    npz.text("up_axis", letter(take.up_axis))?;
+    npz.text("up_axis", axis_name(take.up_axis))?;
     npz.array("frames", &[n_frames], frames)?;
     npz.array("valid", &[n_frames], motion.frames.iter().map(|pose| pose.valid))?;
     Ok(npz.finish()?.into_inner())

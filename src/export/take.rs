@@ -1,7 +1,7 @@
-//! What the formats write: cameras and people on one time line, as the JSON files of the result hold them.
+//! The input of the format writers: cameras and people on one time line, as the JSON files of the result hold them.
 //!
-//! A take is made from a reconstruction or read back from a finished result ([`super::read_take`]); both give the same
-//! numbers, so that a format written later has the bytes it would have had at once.
+//! A take is converted from a reconstruction or read back from a finished result ([`super::read_take`]); both give the same
+//! numbers, so that a format written later has the same bytes.
 
 use super::files::micro;
 use crate::body::skeleton::{N_JOINTS, PARENTS};
@@ -13,53 +13,53 @@ use nalgebra::{Matrix3, Vector3};
 /// Cameras and people of a result. World: right-handed, metres.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Take {
-    /// For people to read.
+    /// Name of the session, for display.
     pub name: String,
     /// Frames per second.
     pub fps: f64,
-    /// The session's own number of frame index 0.
+    /// Frame number of frame index 0.
     pub first_frame: i64,
-    /// Length of the time line.
+    /// Number of frames of the time line.
     pub n_frames: usize,
     /// Up axis of the world.
     pub up_axis: UpAxis,
-    /// The cameras that were placed, in the session's order.
+    /// Cameras with a solved pose, in the session's order.
     pub cameras: Vec<TakeCamera>,
-    /// Names of the cameras that were not.
+    /// Names of the other cameras.
     pub unplaced: Vec<String>,
-    /// Everybody's motion; every number is finite.
+    /// Motions of all people; every number is finite.
     pub motions: Vec<BodyMotion>,
 }
 
-/// A camera that stands somewhere.
+/// A camera with a solved pose.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TakeCamera {
     /// Its name.
     pub id: String,
-    /// OpenCV's model.
+    /// Intrinsics of OpenCV's model.
     pub intrinsics: Intrinsics,
-    /// OpenCV's axes: x right, y down, z forward.
+    /// Camera pose, metres; OpenCV's axes: x right, y down, z forward.
     pub camera_from_world: Rigid,
 }
 
 impl Take {
-    /// The session's own number of a frame, given by its index.
+    /// Frame number of a frame index.
     pub fn frame_number(&self, index: usize) -> i64 {
         self.first_frame.saturating_add_unsigned(index as u64)
     }
 
-    /// First and last frame of the time line in the session's own numbers.
+    /// First and last frame number of the time line.
     pub fn frame_range(&self) -> [i64; 2] {
         [self.first_frame, self.frame_number(self.n_frames.saturating_sub(1))]
     }
 
-    /// First and last frame of a motion in the session's own numbers: when the person is there.
+    /// First and last frame number of a motion: the frames in which the person is present.
     pub fn presence(&self, motion: &BodyMotion) -> [i64; 2] {
         let first = motion.first.0;
         [self.frame_number(first), self.frame_number(first + motion.frames.len().saturating_sub(1))]
     }
 
-    /// The same take in a world whose `up_axis` points up.
+    /// The take in a world with `up_axis` up.
     pub fn turned_up(&self, up_axis: UpAxis) -> Take {
         let target_from_world = turn(up_axis, self.up_axis);
         let mut take = Take { up_axis, ..self.clone() };
@@ -67,7 +67,7 @@ impl Take {
             camera.camera_from_world.rotation *= target_from_world.transpose();
         }
         for pose in take.motions.iter_mut().flat_map(|motion| &mut motion.frames) {
-            // SMPL turns about the rest pelvis J_0 and adds the translation: J_0 = p_0 - T stays, p_0 is turned.
+            // SMPL rotates about the rest pelvis J_0 and adds the translation: J_0 = p_0 - T is constant, p_0 is rotated.
             let rest_pelvis = pose.joints[0] - pose.translation;
             pose.rotations[0] = target_from_world * pose.rotations[0];
             pose.joints = pose.joints.map(|joint| target_from_world * joint);
@@ -77,8 +77,8 @@ impl Take {
     }
 }
 
-/// The take of a reconstruction: its numbers rounded as the JSON files have them, frames that are not finite carried
-/// from their neighbours.
+/// Converts a reconstruction: numbers are rounded as in the JSON files, and poses that are not finite are carried over from
+/// neighbouring frames.
 pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Take {
     let mut take = Take {
         name: session.name.clone(),
@@ -116,8 +116,8 @@ pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Tak
     take
 }
 
-/// Puts the nearest earlier (at the start: later) finite pose in place of one that is not, marked as not valid; `None`
-/// where there is no finite pose at all. Betas that are not finite become 0.
+/// Replaces every pose that is not finite by the nearest earlier (at the start: later) finite one, marked as not valid;
+/// `None` without any finite pose. Betas that are not finite become 0.
 pub(super) fn carried_where_not_finite(mut motion: BodyMotion) -> Option<BodyMotion> {
     let finite = |v: &Vector3<f64>| v.iter().all(|c| c.is_finite());
     let usable: Vec<bool> = motion
@@ -141,8 +141,8 @@ pub(super) fn carried_where_not_finite(mut motion: BodyMotion) -> Option<BodyMot
     Some(motion)
 }
 
-/// The person's joints in SMPL's rest pose, y up, m: `J_0 = p_0 - T`, `J_j = J_par + G_par^T (p_j - p_par)`, means over
-/// the frames.
+/// Joints of the person in SMPL's rest pose, y up, m: `J_0 = p_0 - T`, `J_j = J_par + G_par^T (p_j - p_par)`, mean over the
+/// frames.
 pub(super) fn rest_joints(motion: &BodyMotion) -> [Vector3<f64>; N_JOINTS] {
     let mut offsets = [Vector3::zeros(); N_JOINTS];
     for pose in &motion.frames {
@@ -165,8 +165,8 @@ pub(super) fn rest_joints(motion: &BodyMotion) -> [Vector3<f64>; N_JOINTS] {
     rest
 }
 
-/// The axis's name.
-pub(super) fn letter(up_axis: UpAxis) -> &'static str {
+/// Name of the axis.
+pub(super) fn axis_name(up_axis: UpAxis) -> &'static str {
     match up_axis {
         UpAxis::X => "x",
         UpAxis::Y => "y",
@@ -174,8 +174,8 @@ pub(super) fn letter(up_axis: UpAxis) -> &'static str {
     }
 }
 
-/// `target_from_source` of two worlds by their up axes: y and z by a quarter turn about x, as modelling programs do it;
-/// x to y by exchanging the axes in a circle.
+/// The rotation `target_from_source` between two worlds given by their up axes: y and z by a quarter turn about x, as
+/// modelling programs do; x to y by a cyclic permutation of the axes.
 fn turn(target: UpAxis, source: UpAxis) -> Matrix3<f64> {
     let y_from = |axis| match axis {
         UpAxis::X => Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
@@ -190,7 +190,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn up_becomes_up_and_nothing_is_mirrored() {
+    fn maps_up_to_up_without_mirroring() {
         let axes = [(UpAxis::X, Vector3::x()), (UpAxis::Y, Vector3::y()), (UpAxis::Z, Vector3::z())];
         for (source, up_in_source) in axes {
             for (target, up_in_target) in axes {

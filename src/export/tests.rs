@@ -1,4 +1,4 @@
-//! A made-up result, read back.
+//! A synthetic result, written and read back.
 
 use super::*;
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention, N_JOINTS};
@@ -135,7 +135,7 @@ fn read(dir: &Path, name: &str) -> Value {
 }
 
 #[test]
-fn cameras_keep_every_digit_and_unsolved_ones_are_null() {
+fn cameras_keep_all_digits_and_unsolved_are_null() {
     let dir = written();
     let cameras = read(dir.path(), "cameras.json");
     let (solved, unsolved) = (&cameras["cameras"][0], &cameras["cameras"][1]);
@@ -150,7 +150,7 @@ fn cameras_keep_every_digit_and_unsolved_ones_are_null() {
 }
 
 #[test]
-fn people_and_joints_carry_the_sessions_frame_numbers() {
+fn people_and_joints_have_the_sessions_frame_numbers() {
     let dir = written();
     let person = &read(dir.path(), "people.json")["people"][0];
     assert_eq!(person["frames"], json!([301, 302]));
@@ -186,7 +186,7 @@ fn numbers_that_are_not_finite_become_null() {
 }
 
 #[test]
-fn the_npz_reads_back() {
+fn npz_reads_back() {
     let dir = written();
     let npz = fs::File::open(dir.path().join("smplh/0.npz")).unwrap();
     let mut npz = zip::ZipArchive::new(npz).unwrap();
@@ -217,14 +217,14 @@ fn the_manifest_lists_every_file_but_itself() {
         let bytes = fs::read(dir.path().join(file["name"].as_str().unwrap())).unwrap();
         assert_eq!(file["bytes"], json!(bytes.len()));
         assert_eq!(file["sha256"], json!(crate::session::digest::sha256_of_reader(&mut &bytes[..]).unwrap()));
-        // Sizes and digests are checked above; they follow the last digit of the machine's arithmetic.
+        // Sizes and digests are checked above; they depend on the last digit of the machine's arithmetic.
         (file["bytes"], file["sha256"]) = (json!("checked"), json!("checked"));
     }
     insta::assert_json_snapshot!(manifest);
 }
 
 #[test]
-fn the_same_result_gives_the_same_bytes() {
+fn same_result_gives_same_bytes() {
     let (a, b) = (written(), written());
     for name in ["manifest.json", "people.json", "smpl/0.npz"] {
         assert_eq!(fs::read(a.path().join(name)).unwrap(), fs::read(b.path().join(name)).unwrap(), "{name}");
@@ -232,7 +232,7 @@ fn the_same_result_gives_the_same_bytes() {
 }
 
 #[test]
-fn a_format_written_later_has_the_bytes_it_would_have_had_at_once() {
+fn formats_written_later_have_the_same_bytes() {
     let (at_once, later) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let context = ResultContext { exports: &ExportFormat::ALL, ..context() };
     write_result(at_once.path(), &session(), &context, &reconstruction()).unwrap();
@@ -256,7 +256,7 @@ fn every_lens_reads_back() {
         Distortion::None,
         Distortion::OpenCv5([-0.1, 0.02, 0.001, -0.0005, 0.004]),
         Distortion::Rational8([0.6, 0.1, 0.0005, -0.0003, 0.01, 0.75, 0.2, 0.02]),
-        // Without coefficients a fisheye still measures the angle.
+        // A fisheye with zero coefficients still measures angles.
         Distortion::Fisheye4([0.0; 4]),
         Distortion::Fisheye4([-0.03, 0.012, -0.006, 0.001]),
     ];
@@ -270,7 +270,7 @@ fn every_lens_reads_back() {
 }
 
 #[test]
-fn a_pose_that_is_not_finite_is_carried_and_said_so() {
+fn carries_over_poses_that_are_not_finite() {
     let mut broken = reconstruction();
     broken.motions[0].frames[0].joints[3].y = f64::NAN;
     let dir = tempfile::tempdir().unwrap();
@@ -282,13 +282,13 @@ fn a_pose_that_is_not_finite_is_carried_and_said_so() {
 }
 
 #[test]
-fn a_result_that_was_changed_into_something_else_is_no_result() {
+fn rejects_inconsistent_results() {
     let faults = [
         ("manifest.json", "\"frame_range\":[300,302]", "\"frame_range\":[302,300]", "publish.frame_range"),
         ("manifest.json", "\"frame_range\":[300,302]", "\"frame_range\":[-9223372036854775808,302]", "frame_range"),
-        ("people.json", "[301,302]", "[301,303]", "frames without holes"),
-        ("people.json", "[301,302]", "[302,303]", "frames without holes from 300 to 302"),
-        ("people.json", "[true,false]", "[true]", "2 entries of everything"),
+        ("people.json", "[301,302]", "[301,303]", "consecutive frames"),
+        ("people.json", "[301,302]", "[302,303]", "consecutive frames from 300 to 302"),
+        ("people.json", "[true,false]", "[true]", "2 entries in every list"),
         ("poses3d.json", "\"302\"", "\"309\"", "24 joints"),
         ("cameras.json", "\"width\":640", "\"width\":0", "camera b: size"),
         ("cameras.json", "[500.0,", "[-500.0,", "focal lengths"),
@@ -297,13 +297,13 @@ fn a_result_that_was_changed_into_something_else_is_no_result() {
         ("cameras.json", "\"dist\":", "\"distortion_model\":\"fisheye\",\"dist\":[1.0],\"was\":", "fisheye [1.0]"),
         ("cameras.json", "{", "[", "cameras.json"),
     ];
-    for (file, right, wrong, said) in faults {
+    for (file, right, wrong, expected) in faults {
         let dir = written();
         let text = fs::read_to_string(dir.path().join(file)).unwrap();
         assert!(text.contains(right), "{file}: {right}");
         fs::write(dir.path().join(file), text.replacen(right, wrong, 1)).unwrap();
         let error = read_take(dir.path()).unwrap_err().to_string();
-        assert!(error.contains(said), "{file}: {error}");
+        assert!(error.contains(expected), "{file}: {error}");
     }
 }
 
@@ -314,7 +314,7 @@ fn opened(dir: &Path, name: &str) -> (Value, Vec<u8>) {
     (serde_json::from_slice(&bytes[12..end]).unwrap(), bytes[end..].to_vec())
 }
 
-/// One f32 of an array by its place in it.
+/// One f32 of an array by its index.
 fn f32_at(payload: &[u8], array: &Value, index: usize) -> f32 {
     assert_eq!(array["type"], "f32");
     let at = array["offset"].as_u64().unwrap() as usize + 4 * index;
@@ -322,7 +322,7 @@ fn f32_at(payload: &[u8], array: &Value, index: usize) -> f32 {
 }
 
 #[test]
-fn the_viewers_motion_reads_back() {
+fn motion_bin_reads_back() {
     let mut session = session();
     for (frame, track_id) in [(0, 7), (2, 8)] {
         session.views[0].frames[frame].iter_mut().for_each(|d| d.track_id = Some(track_id));
@@ -337,14 +337,14 @@ fn the_viewers_motion_reads_back() {
     assert_eq!(person["joints"]["shape"], json!([2, 24, 3]));
     assert_eq!(f32_at(&payload, &person["joints"], (24 + 5) * 3), 5.0);
     assert_eq!(f32_at(&payload, &person["joints"], (24 + 5) * 3 + 1), 0.75);
-    // The path begins a frame before the motion; its second row, the motion's first, knows nothing.
+    // The trajectory starts a frame before the motion; its second row, the motion's first, has no points.
     assert!(f32_at(&payload, &person["keypoints"], 6 * 3).is_nan());
     assert_eq!(person["repairs"], json!([[2, 0]]));
     let rejected = header["rejected"]["offset"].as_u64().unwrap() as usize;
     assert_eq!(payload[rejected..rejected + 6], [0, 0, 1, 1, 0, 2]);
     let repaired = header["repaired"]["offset"].as_u64().unwrap() as usize;
     assert_eq!(payload[repaired..repaired + 6], [0, 0, 1, 0, 0, 0]);
-    // Joint 4 hangs on joint 1, the only one that is turned.
+    // Joint 4 is a child of joint 1, the only rotated one.
     let turns = person["turns"]["offset"].as_u64().unwrap() as usize + 2 * 4 * 4;
     let turn = |i: usize| i16::from_le_bytes([payload[turns + 2 * i], payload[turns + 2 * i + 1]]);
     let half = TURN.norm() / 2.0;
@@ -354,7 +354,7 @@ fn the_viewers_motion_reads_back() {
 }
 
 #[test]
-fn the_viewers_detections_read_back() {
+fn detections_bin_reads_back() {
     let dir = written();
     let (header, payload) = opened(dir.path(), "stages/detections.bin");
     let camera = &header["cameras"][0];

@@ -1,8 +1,8 @@
 //! `<person>.trc`: OpenSim's marker file, the 24 joints as markers.
 //!
-//! Metres, y up. `Frame#` holds the session's own numbers, `Time` runs from the session's first frame. There is no word
-//! for a missing marker that OpenSim's inverse kinematics would survive: carried poses stand where nobody was seen, and
-//! `people.json` says which.
+//! Metres, y up. `Frame#` is the session's frame number, `Time` starts at the session's first frame. The format has no
+//! missing markers that OpenSim's inverse kinematics accepts: where no camera detected the person, the poses are carried
+//! over, and `people.json` lists these frames.
 
 use super::files::{ResultFiles, micro};
 use super::take::Take;

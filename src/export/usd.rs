@@ -1,9 +1,9 @@
 //! `scene.usda`: USD as text, with a UsdSkel skeleton and animation per person and a camera per camera.
 //!
-//! Metres (`metersPerUnit` 1), y up; time codes are the session's own frame numbers. Lengths of a UsdGeomCamera are in
-//! tenths of a unit; the principal point is its aperture offset. The distortion's model and coefficients, K
-//! and the image size are custom attributes (`userProperties:…`), as UsdGeomCamera has none. `visibility` says when a
-//! person is there, `userProperties:valid` in which frames somebody saw them.
+//! Metres (`metersPerUnit` 1), y up; time codes are the session's frame numbers. Lengths of a UsdGeomCamera are in tenths of
+//! a unit; the principal point is its aperture offset. Distortion model and coefficients, K and the image size are custom
+//! attributes (`userProperties:…`), since UsdGeomCamera has none. `visibility` marks the frames in which a person is present,
+//! `userProperties:valid` those in which a camera detected them.
 
 use super::files::{ResultFiles, micro};
 use super::film::{film_lens, world_from_film};
@@ -17,7 +17,7 @@ use crate::session::recording::UpAxis;
 use nalgebra::Vector3;
 use std::io;
 
-/// Tenths of a unit in a unit, the unit being a metre.
+/// Tenths of a unit per unit; a unit is a metre.
 const TENTHS: f64 = 10.0;
 
 /// Writes the file.
@@ -121,7 +121,7 @@ fn visibility(take: &Take, motion: &BodyMotion) -> String {
     format!("{{ {} }}", samples.collect::<Vec<_>>().join(", "))
 }
 
-/// A sample where the word changes: a bool is held until the next.
+/// Samples where the value changes: a bool is held until the next sample.
 fn valid(take: &Take, motion: &BodyMotion) -> String {
     let mut samples = Vec::new();
     let mut before = None;
@@ -190,7 +190,7 @@ fn film_camera(camera: &TakeCamera, name: &str) -> String {
     )
 }
 
-/// A translation as a matrix on row vectors, which is how USD writes them.
+/// A translation matrix for row vectors, which USD uses.
 fn shifted(by: &Vector3<f64>) -> String {
     format!(
         "( (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), ({:?}, {:?}, {:?}, 1) )",

@@ -1,4 +1,4 @@
-//! A BVH read as its players do: a tree of offsets, channels applied in their order.
+//! BVH, read like its players do: a tree of offsets, with channels applied in their order.
 
 use crate::result::{FPS, assert_near, both_up_axes};
 use nalgebra::{Rotation3, Vector3};
@@ -55,7 +55,7 @@ fn parse(text: &str) -> Bvh {
     Bvh { joints, frame_secs, frames }
 }
 
-/// World places of one frame, in the file's unit.
+/// Joint positions of one frame in the world, in the file's unit.
 fn posed(bvh: &Bvh, frame: &[f64]) -> Vec<Vector3<f64>> {
     let mut values = frame.iter();
     let mut posed: Vec<(Rotation3<f64>, Vector3<f64>)> = Vec::new();
@@ -85,7 +85,7 @@ fn posed(bvh: &Bvh, frame: &[f64]) -> Vec<Vector3<f64>> {
 }
 
 #[test]
-fn joints_are_where_the_result_has_them() {
+fn joints_match_the_result() {
     for written in both_up_axes() {
         for person in written.people() {
             let bvh = parse(&written.text(&format!("{}.bvh", person.id)));
@@ -103,11 +103,11 @@ fn joints_are_where_the_result_has_them() {
 }
 
 #[test]
-fn curves_have_no_jumps_and_profiles_differ_in_names_only() {
+fn curves_are_continuous_and_profiles_differ_in_names() {
     let [written, _] = both_up_axes();
     let smpl = parse(&written.text("0.bvh"));
     for pair in smpl.frames.windows(2) {
-        assert!(pair[0].iter().zip(&pair[1]).all(|(a, b)| (a - b).abs() < 150.0), "a jump of whole turns");
+        assert!(pair[0].iter().zip(&pair[1]).all(|(a, b)| (a - b).abs() < 150.0), "a jump by full turns");
     }
     for (profile, name) in [("humanik", "LeftForeArm"), ("mixamo", "mixamorig:LeftForeArm")] {
         let other = parse(&written.text(&format!("0.{profile}.bvh")));

@@ -1,11 +1,11 @@
-//! OpenCV YAML, the TOML files and COLMAP's text, read line by line and projected by OpenCV's own formulas.
+//! OpenCV YAML, the TOML files and COLMAP's text, parsed line by line and projected with OpenCV's formulas.
 
 use crate::result::{Written, both_up_axes};
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector2, Vector3};
 use std::collections::BTreeMap;
 use wandless::geometry::{Distortion, Intrinsics};
 
-/// A camera as OpenCV's `projectPoints` takes it, or its `fisheye::projectPoints`.
+/// A camera as in OpenCV's `projectPoints` or `fisheye::projectPoints`.
 struct OpenCv {
     matrix: Matrix3<f64>,
     dist: Vec<f64>,
@@ -40,7 +40,7 @@ fn floats(text: &str) -> Vec<f64> {
     words.map(|word| word.parse().unwrap()).collect()
 }
 
-/// Keys to the numbers behind `data:`, or to the rest of the line.
+/// Numbers by key: those after `data:`, or the rest of the line.
 fn yaml(text: &str) -> BTreeMap<String, Vec<f64>> {
     assert!(text.starts_with("%YAML:1.0\n---\nnames:\n"));
     let mut values = BTreeMap::new();
@@ -88,14 +88,14 @@ fn check_yaml(written: &Written, folder: &str) {
 }
 
 #[test]
-fn opencv_yaml_projects_alike() {
+fn opencv_yaml_projects_like_cameras_json() {
     for written in both_up_axes() {
         check_yaml(&written, "");
         check_yaml(&written, "easymocap/");
     }
 }
 
-/// Tables in order, keys to what stands behind the equals sign.
+/// Tables in order, with the text after the equals sign by key.
 fn toml(text: &str) -> Vec<(String, BTreeMap<String, String>)> {
     let mut tables: Vec<(String, BTreeMap<String, String>)> = Vec::new();
     for line in text.lines().filter(|line| !line.is_empty()) {
@@ -110,7 +110,7 @@ fn toml(text: &str) -> Vec<(String, BTreeMap<String, String>)> {
 }
 
 #[test]
-fn toml_calibrations_project_alike() {
+fn toml_calibrations_project_like_cameras_json() {
     for written in both_up_axes() {
         for (file, n_distortions) in [("Calib.toml", 4), ("calibration.toml", 5)] {
             let tables = toml(&written.text(file));
@@ -145,7 +145,7 @@ fn toml_calibrations_project_alike() {
 }
 
 #[test]
-fn colmap_projects_alike_but_for_its_half_pixel() {
+fn colmap_projects_like_cameras_json_with_half_pixel() {
     for written in both_up_axes() {
         let content = |name: &str| -> Vec<String> {
             let text = written.text(name);
@@ -153,7 +153,7 @@ fn colmap_projects_alike_but_for_its_half_pixel() {
         };
         let (cameras, images) = (content("colmap/cameras.txt"), content("colmap/images.txt"));
         assert!(content("colmap/points3D.txt").is_empty());
-        assert_eq!((cameras.len(), images.len()), (6, 12), "an image is two lines, the second may be empty");
+        assert_eq!((cameras.len(), images.len()), (6, 12), "an image has two lines, the second may be empty");
         let models: Vec<&str> = cameras.iter().map(|line| line.split(' ').nth(1).unwrap()).collect();
         assert_eq!(models, ["PINHOLE", "OPENCV", "FULL_OPENCV", "PINHOLE", "FULL_OPENCV", "OPENCV_FISHEYE"]);
         for (i, camera) in written.cameras().iter().enumerate() {

@@ -1,4 +1,4 @@
-//! The glb taken apart and posed by the specification of glTF 2.0.
+//! The glb, parsed and posed according to the specification of glTF 2.0.
 
 use crate::result::{FIRST_FRAME, FPS, Written, assert_near, both_up_axes, centred, numbers};
 use nalgebra::{Isometry3, Matrix4, Point3, Quaternion, Translation3, UnitQuaternion, Vector2, Vector3};
@@ -7,7 +7,7 @@ use std::fs;
 use wandless::body::skeleton::JOINT_NAMES;
 use wandless::session::recording::UpAxis;
 
-/// A channel of an animation with its sampler's values.
+/// A channel of an animation with the values of its sampler.
 struct Channel {
     node: usize,
     path: String,
@@ -66,7 +66,7 @@ impl Glb {
         self.nodes().iter().position(holds)
     }
 
-    /// `parent_from_node`, with what an animation says of it.
+    /// The transform `parent_from_node`, with its animated values.
     fn local(&self, node: usize, animated: &dyn Fn(usize, &str) -> Option<Vec<f64>>) -> Isometry3<f64> {
         let still = |path: &str| Some(&self.nodes()[node][path]).filter(|v| v.is_array()).map(numbers);
         let value = |path: &str| animated(node, path).or_else(|| still(path));
@@ -85,7 +85,7 @@ impl Glb {
 }
 
 #[test]
-fn joints_are_where_the_result_has_them() {
+fn joints_match_the_result() {
     for written in both_up_axes() {
         let glb = Glb::read(&written);
         let animation = &glb.root["animations"][0];
@@ -117,8 +117,8 @@ fn joints_are_where_the_result_has_them() {
                 };
                 for (j, node) in joints.iter().enumerate() {
                     assert_eq!(glb.nodes()[*node]["name"], JOINT_NAMES[j]);
-                    let place = glb.world(*node, &animated).translation.vector;
-                    assert_near(&written.turned(UpAxis::Y, &person.joints[i][j]), &place, JOINT_NAMES[j]);
+                    let position = glb.world(*node, &animated).translation.vector;
+                    assert_near(&written.turned(UpAxis::Y, &person.joints[i][j]), &position, JOINT_NAMES[j]);
                 }
             }
         }
@@ -126,7 +126,7 @@ fn joints_are_where_the_result_has_them() {
 }
 
 #[test]
-fn skins_are_bound_in_the_pose_that_the_nodes_rest_in() {
+fn skins_are_bound_in_the_rest_pose_of_the_nodes() {
     let [written, _] = both_up_axes();
     let glb = Glb::read(&written);
     for skin in glb.root["skins"].as_array().unwrap() {
@@ -140,7 +140,7 @@ fn skins_are_bound_in_the_pose_that_the_nodes_rest_in() {
 }
 
 #[test]
-fn cameras_project_alike_but_for_what_gltf_lacks() {
+fn cameras_project_like_cameras_json() {
     for written in both_up_axes() {
         let glb = Glb::read(&written);
         for camera in written.cameras() {

@@ -1,7 +1,7 @@
-//! Every export, written to disk and read back by a small reader of its own that shares no code with the writer.
+//! Every export is written to disk and read back by a small reader that shares no code with the writer.
 //!
-//! Joints are compared with `poses3d.json` (at most 0.5 mm), cameras with the projection of `cameras.json` (at most
-//! 0.1 px over what the format can hold), in results with y and with z up.
+//! Joints are compared with `poses3d.json` (at most 0.5 mm), cameras with the projection of `cameras.json` (at most 0.1 px,
+//! with the parameters that the format supports), for results with y and with z up.
 
 #![allow(clippy::unwrap_used)] // a test may
 

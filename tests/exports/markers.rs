@@ -1,4 +1,4 @@
-//! TRC and C3D, read by their published layouts.
+//! TRC and C3D, read according to their published layouts.
 
 use crate::result::{FIRST_FRAME, FPS, assert_near, both_up_axes};
 use nalgebra::Vector3;
@@ -8,7 +8,7 @@ use wandless::body::skeleton::JOINT_NAMES;
 use wandless::session::recording::UpAxis;
 
 #[test]
-fn trc_joints_are_where_the_result_has_them() {
+fn trc_joints_match_the_result() {
     for written in both_up_axes() {
         for person in written.people() {
             let text = written.text(&format!("{}.trc", person.id));
@@ -46,7 +46,7 @@ fn float(bytes: &[u8], at: usize) -> f32 {
     f32::from_le_bytes(bytes[at..at + 4].try_into().unwrap())
 }
 
-/// Values of all parameters, `GROUP:NAME` to raw bytes, by following the records.
+/// Raw bytes of all parameters by `GROUP:NAME`, by following the records.
 fn parameters(bytes: &[u8]) -> BTreeMap<String, Vec<u8>> {
     let start = (usize::from(bytes[0]) - 1) * 512;
     assert_eq!((bytes[start + 1], bytes[start + 3]), (0x50, 84));
@@ -73,7 +73,7 @@ fn parameters(bytes: &[u8]) -> BTreeMap<String, Vec<u8>> {
 }
 
 #[test]
-fn c3d_joints_are_where_the_result_has_them() {
+fn c3d_joints_match_the_result() {
     for written in both_up_axes() {
         for person in written.people() {
             let bytes = fs::read(written.path(&format!("{}.c3d", person.id))).unwrap();

@@ -1,4 +1,4 @@
-//! A made-up result that no format finds easy: people who come and go, crooked cameras, odd names.
+//! A synthetic result that is difficult for every format: people that come and go, asymmetric cameras, unusual names.
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 use serde_json::Value;
@@ -14,21 +14,21 @@ use wandless::session::reconstruction::*;
 use wandless::session::recording::UpAxis;
 use wandless::session::{FrameIndex, PersonId, Reconstruction, Session, View};
 
-/// Joints of exports and `poses3d.json` may differ by this, m.
+/// Largest distance between joints of exports and `poses3d.json`, m.
 pub(crate) const JOINT_TOLERANCE: f64 = 0.5e-3;
-/// Pixels of exports and `cameras.json` may differ by this.
+/// Largest distance between projections by exports and by `cameras.json`, px.
 pub(crate) const PIXEL_TOLERANCE: f64 = 0.1;
 pub(crate) const FIRST_FRAME: i64 = 100;
 pub(crate) const N_FRAMES: usize = 40;
 pub(crate) const FPS: f64 = 30.0;
 
-/// A result folder and what its JSON files say.
+/// A result folder and its JSON files.
 pub(crate) struct Written {
     pub(crate) dir: TempDir,
     pub(crate) up_axis: UpAxis,
 }
 
-/// One person as `people.json` and `poses3d.json` have them, in the result's world.
+/// One person of `people.json` and `poses3d.json`, in the result's world.
 pub(crate) struct WrittenPerson {
     pub(crate) id: usize,
     pub(crate) frames: Vec<i64>,
@@ -80,7 +80,7 @@ impl Written {
         serde_json::from_str(&self.text(name)).unwrap()
     }
 
-    /// A point of this result's world in a world with `up_axis` up.
+    /// Converts a point of this result's world to a world with `up_axis` up.
     pub(crate) fn turned(&self, up_axis: UpAxis, p: &Vector3<f64>) -> Vector3<f64> {
         match (up_axis, self.up_axis) {
             (UpAxis::Y, UpAxis::Z) => Vector3::new(p.x, p.z, -p.y),
@@ -105,7 +105,7 @@ impl Written {
         people["people"].as_array().unwrap().iter().map(person).collect()
     }
 
-    /// The cameras that were placed.
+    /// The cameras with a solved pose.
     pub(crate) fn cameras(&self) -> Vec<WrittenCamera> {
         let file = self.json("cameras.json");
         let placed = file["cameras"].as_array().unwrap().iter().filter(|camera| !camera["R"].is_null());
@@ -137,7 +137,7 @@ impl Written {
             .collect()
     }
 
-    /// What the manifest says that a format lost.
+    /// The losses of a format that the manifest lists.
     pub(crate) fn lost(&self, format: &str) -> Vec<String> {
         let manifest = self.json("manifest.json");
         let all = manifest["publish"]["representations"].as_array().unwrap();
@@ -145,8 +145,8 @@ impl Written {
         one["data"]["lost"].as_array().unwrap().iter().map(|s| s.as_str().unwrap().to_owned()).collect()
     }
 
-    /// Checks a reader's projection of everybody's joints against that of `cameras.json`, `hold` having taken away what
-    /// the format cannot hold.
+    /// Compares a reader's projection of all joints with that of `cameras.json`; `hold` removes parameters that the format
+    /// does not support.
     pub(crate) fn assert_projects(
         &self,
         camera: &WrittenCamera,
@@ -163,7 +163,7 @@ impl Written {
                 n_compared += 1;
             }
         }
-        assert!(n_compared > 500, "camera {} sees next to nobody", camera.id);
+        assert!(n_compared > 500, "camera {} sees too few joints", camera.id);
     }
 }
 
@@ -185,7 +185,7 @@ pub(crate) fn assert_near(ours: &Vector3<f64>, theirs: &Vector3<f64>, what: &str
     assert!(distance <= JOINT_TOLERANCE, "{what}: {distance} m");
 }
 
-/// The principal point that a camera without one has.
+/// Sets the principal point to the image centre, for formats without one.
 pub(crate) fn centred(lens: &mut Intrinsics) {
     lens.cx = (f64::from(lens.width) - 1.0) / 2.0;
     lens.cy = (f64::from(lens.height) - 1.0) / 2.0;
@@ -245,7 +245,7 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
         time_offset: None,
         focal_factor: None,
     };
-    // Cameras round the people, looking at a point at breast height.
+    // Cameras around the people, looking at a point at chest height.
     let up = if up_axis == UpAxis::Y { Vector3::y() } else { Vector3::z() };
     let side = Vector3::x();
     let front = side.cross(&up);
@@ -283,7 +283,7 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
     }
 }
 
-/// Somebody who swings all joints and turns round twice; frames 5 to 7 of the motion were seen by nobody.
+/// A person who moves all joints and turns around twice; no camera detected frames 5 to 7 of the motion.
 fn motion(person: usize, first: usize, n_frames: usize, up_axis: UpAxis) -> BodyMotion {
     let betas = Betas::from_fn(|k, _| 0.6 * (person as f64 + k as f64).sin());
     let body = default_body().shaped(&betas);
@@ -329,15 +329,13 @@ fn the_manifest_describes_every_format() {
         }
         assert!(written.lost("colmap").iter().any(|line| line.contains("camera kamera-4") && line.contains("skew")));
         assert!(written.lost("calib_toml").iter().any(|line| line.contains("camera cam c") && line.contains("k3")));
-        let says = |format: &str, id: &str, what: &str| {
-            written
-                .lost(format)
-                .contains(&format!("camera {id}: the format has no place for {what}; cameras.json has it"))
+        let lists = |format: &str, id: &str, what: &str| {
+            written.lost(format).contains(&format!("camera {id}: the format does not support {what}; see cameras.json"))
         };
-        assert!(says("calib_toml", "wide", "rational distortion"));
-        assert!(says("glb", "dome", "the principal point and fisheye distortion"));
-        assert!(says("opencv_yaml", "dome", "fisheye distortion") && says("easymocap", "dome", "fisheye distortion"));
+        assert!(lists("calib_toml", "wide", "rational distortion"));
+        assert!(lists("glb", "dome", "the principal point and fisheye distortion"));
+        assert!(lists("opencv_yaml", "dome", "fisheye distortion") && lists("easymocap", "dome", "fisheye distortion"));
         assert_eq!(written.lost("opencv_yaml").len(), 2);
-        assert_eq!(written.lost("anipose_toml"), ["camera lost: was not placed and is left out"]);
+        assert_eq!(written.lost("anipose_toml"), ["camera lost: its pose was not solved, and the camera is left out"]);
     }
 }

@@ -1,4 +1,4 @@
-//! SMPL parameters posed by a forward pass of this file's own, from AMASS's npz and from EasyMocap's JSON.
+//! SMPL parameters from AMASS's npz and from EasyMocap's JSON, posed by this file's own forward kinematics.
 
 use crate::result::{FPS, Written, assert_near, both_up_axes, numbers};
 use nalgebra::{Rotation3, Vector3};
@@ -9,7 +9,7 @@ use wandless::body::skeleton::PARENTS;
 use wandless::body::{Betas, default_body};
 use wandless::session::recording::UpAxis;
 
-/// Joints of the npz and of `poses3d.json` may differ by this, m.
+/// Largest distance between joints of the npz and of `poses3d.json`, m.
 const NPZ_TOLERANCE: f64 = 1e-4;
 
 /// The members of an npz by name.
@@ -34,11 +34,11 @@ fn shape(members: &BTreeMap<String, Vec<u8>>, name: &str) -> Vec<u64> {
 
 fn text(members: &BTreeMap<String, Vec<u8>>, name: &str) -> String {
     let file = npyz::NpyFile::new(&members[name][..]).unwrap();
-    assert!(file.dtype().descr().contains("<U"), "{name} is no unicode text");
+    assert!(file.dtype().descr().contains("<U"), "{name} is not unicode text");
     file.into_vec::<String>().unwrap().remove(0)
 }
 
-/// SMPL without its mesh: the first rotation about the rest pelvis, then `transl`.
+/// SMPL's joints: the first rotation about the rest pelvis, then `transl`.
 fn joints(rest: &[Vector3<f64>], angles: &[f64], transl: &Vector3<f64>) -> Vec<Vector3<f64>> {
     let mut turns: Vec<Rotation3<f64>> = Vec::new();
     let mut places = Vec::new();
@@ -55,7 +55,7 @@ fn joints(rest: &[Vector3<f64>], angles: &[f64], transl: &Vector3<f64>) -> Vec<V
 }
 
 #[test]
-fn npz_joints_are_where_the_result_has_them() {
+fn npz_joints_match_the_result() {
     for written in both_up_axes() {
         for person in written.people() {
             let wide = members(&written, &format!("smplh/{}.npz", person.id));
@@ -79,11 +79,11 @@ fn npz_joints_are_where_the_result_has_them() {
     }
 }
 
-/// What Meshcapade's add-on for Blender asks of an AMASS file, in its order: `trans`, `gender` as text, a frame rate
-/// under one of two spellings, `betas`, `poses` of SMPL-H's width; frames are stepped by `int(rate / target)`, which
-/// must not be zero at its target of 30; nothing may need pickle.
+/// Requirements of Meshcapade's add-on for Blender, in its order: `trans`, `gender` as text, a frame rate under one of two
+/// spellings, `betas`, `poses` of SMPL-H's width; frames are stepped by `int(rate / target)`, which must not be zero at its
+/// target of 30; no array may need pickle.
 #[test]
-fn the_wide_npz_has_what_the_smpl_add_on_asks_for() {
+fn smplh_npz_meets_the_blender_add_ons_requirements() {
     let [written, _] = both_up_axes();
     let npz = members(&written, "smplh/0.npz");
     let n_frames = shape(&npz, "trans")[0];
@@ -98,18 +98,22 @@ fn the_wide_npz_has_what_the_smpl_add_on_asks_for() {
     assert_eq!(text(&npz, "surface_model_type"), "smplh");
     for (name, bytes) in &npz {
         let descr = npyz::NpyFile::new(&bytes[..]).unwrap().dtype().descr();
-        assert!(!descr.contains('O'), "{name} is {descr}: it would need pickle");
+        assert!(!descr.contains('O'), "{name} is {descr}: it needs pickle");
     }
 }
 
 #[test]
-fn easymocap_joints_are_where_the_result_has_them() {
+fn easymocap_joints_match_the_result() {
     for written in both_up_axes() {
         for person in written.people() {
             for (t, frame) in person.frames.iter().enumerate() {
                 let people = written.json(&format!("easymocap/smpl/{frame:06}.json"));
                 let theirs = people.as_array().unwrap().iter().find(|p| p["id"] == person.id);
-                assert_eq!(theirs.is_some(), person.valid[t], "somebody is there where somebody saw them");
+                assert_eq!(
+                    theirs.is_some(),
+                    person.valid[t],
+                    "people are listed in the frames in which they were detected"
+                );
                 let Some(theirs) = theirs else { continue };
                 let row = |key: &str| numbers(&theirs[key][0]);
                 let rest = default_body().shaped(&Betas::from_row_slice(&row("shapes"))).rest_joints;

@@ -7,7 +7,7 @@ use wandless::geometry::{Distortion, Intrinsics};
 use wandless::session::recording::UpAxis;
 
 #[test]
-fn chan_projects_alike_but_for_what_it_lacks() {
+fn chan_projects_like_cameras_json() {
     for written in both_up_axes() {
         let names = ["01", "left_front", "cam_c", "kamera-4", "wide", "dome"];
         for (camera, name) in written.cameras().iter().zip(names) {
@@ -36,7 +36,7 @@ fn chan_projects_alike_but_for_what_it_lacks() {
     }
 }
 
-/// `TAKE` of the script: Python's string literal, which is JSON's too.
+/// `TAKE` of the script: a Python string literal that is also valid JSON.
 fn take(script: &str) -> Value {
     let line = script.lines().find_map(|line| line.strip_prefix("TAKE = json.loads(")).unwrap();
     let literal: String = serde_json::from_str(line.strip_suffix(')').unwrap()).unwrap();
@@ -49,7 +49,7 @@ fn turn(xyzw: &Value) -> UnitQuaternion<f64> {
 }
 
 #[test]
-fn the_script_has_everybody_where_the_result_has_them() {
+fn script_joints_match_the_result() {
     for written in both_up_axes() {
         let take = take(&written.text("scene.py"));
         assert_eq!(take["name"], "a \"take\" \\ with 'quotes' ü\n");
@@ -77,7 +77,7 @@ fn the_script_has_everybody_where_the_result_has_them() {
 }
 
 #[test]
-fn the_script_has_cameras_that_project_alike_but_for_what_blender_lacks() {
+fn script_cameras_project_like_cameras_json() {
     for written in both_up_axes() {
         let take = take(&written.text("scene.py"));
         for (camera, theirs) in written.cameras().iter().zip(take["cameras"].as_array().unwrap()) {
@@ -90,7 +90,7 @@ fn the_script_has_cameras_that_project_alike_but_for_what_blender_lacks() {
             let focal = number("focal_length_mm") / number("sensor_width_mm"); // widths of the image
             let shift = numbers(&theirs["shift"]);
             let aspect = number("pixel_aspect");
-            // By Blender's manual: the shift moves the image's middle by that many widths of the sensor.
+            // According to Blender's manual the shift moves the image centre by this many widths of the sensor.
             let project = |point: &Vector3<f64>| {
                 let p = world_from_camera.inverse_transform_point(&Point3::from(written.turned(UpAxis::Y, point)));
                 let (x, y) = (p.x / -p.z * focal - shift[0], p.y / -p.z * focal - shift[1]);

@@ -1,4 +1,4 @@
-//! The `.usda` read by its indentation and posed as UsdSkel does.
+//! The `.usda` file, parsed line by line and posed as UsdSkel does.
 
 use crate::result::{Written, assert_near, both_up_axes};
 use nalgebra::{Isometry3, Matrix4, Quaternion, Translation3, UnitQuaternion, Vector2, Vector3, Vector4};
@@ -7,7 +7,7 @@ use wandless::body::skeleton::JOINT_NAMES;
 use wandless::geometry::Intrinsics;
 use wandless::session::recording::UpAxis;
 
-/// Attributes by prim path: `World/person_0/Skeleton` to name to text. Samples go under `name@frame`.
+/// Attributes by prim path and name: `World/person_0/Skeleton` to name to text. Samples have the name `name@frame`.
 fn attributes(text: &str) -> BTreeMap<String, BTreeMap<String, String>> {
     let mut prims: BTreeMap<String, BTreeMap<String, String>> = BTreeMap::new();
     let mut path: Vec<String> = Vec::new();
@@ -45,13 +45,13 @@ fn numbers(text: &str) -> Vec<f64> {
     words.map(|word| word.parse().unwrap()).collect()
 }
 
-/// USD's matrices stand on the right of row vectors.
+/// USD's matrices multiply row vectors from the right.
 fn matrices(text: &str) -> Vec<Matrix4<f64>> {
     numbers(text).chunks(16).map(Matrix4::from_column_slice).collect()
 }
 
 #[test]
-fn joints_are_where_the_result_has_them() {
+fn joints_match_the_result() {
     for written in both_up_axes() {
         let text = written.text("scene.usda");
         assert!(
@@ -82,14 +82,14 @@ fn joints_are_where_the_result_has_them() {
             let (bind, rest) = (matrices(&skeleton["bindTransforms"]), matrices(&skeleton["restTransforms"]));
             for j in 0..24 {
                 let world = parent(j).map_or(rest[j], |p| bind[p] * rest[j]);
-                assert!((bind[j] - world).norm() < 1e-5, "{} rests where it is bound", paths[j]);
+                assert!((bind[j] - world).norm() < 1e-5, "the rest and bind poses of {} differ", paths[j]);
             }
         }
     }
 }
 
 #[test]
-fn people_are_seen_while_they_are_there() {
+fn people_are_visible_while_present() {
     let [written, _] = both_up_axes();
     let prims = attributes(&written.text("scene.usda"));
     let of = |person: usize, name: &str| prims[&format!("World/person_{person}")][name].clone();
@@ -104,7 +104,7 @@ fn check_camera(written: &Written, prim: &BTreeMap<String, String>, camera: &cra
     let camera_from_world = world_from_camera.try_inverse().unwrap();
     let focal = number("focalLength");
     let (width, height) = (number("userProperties:width"), number("userProperties:height"));
-    // GfCamera: the frustum spans the aperture about its offset.
+    // GfCamera: the frustum covers the aperture around its offset.
     let (aperture_x, offset_x) = (number("horizontalAperture"), number("horizontalApertureOffset"));
     let (aperture_y, offset_y) = (number("verticalAperture"), number("verticalApertureOffset"));
     let project = |point: &Vector3<f64>| {
@@ -122,7 +122,7 @@ fn check_camera(written: &Written, prim: &BTreeMap<String, String>, camera: &cra
 }
 
 #[test]
-fn cameras_project_alike_but_for_distortion_and_skew() {
+fn cameras_project_like_cameras_json() {
     for written in both_up_axes() {
         let prims = attributes(&written.text("scene.usda"));
         let names = ["camera_01", "camera_left_front", "camera_cam_c", "camera_kamera_4", "camera_wide", "camera_dome"];

@@ -13,7 +13,7 @@ use crate::body::{Betas, BodyModel, default_body};
 use crate::cli::bad_input::BadInput;
 use crate::cli::solve::use_threads;
 use crate::evaluation::alignment::{Alignment, truth_from_solved};
-use crate::evaluation::marker_error::{MarkedPose, first_meetings, marker_error, nearest_vertices};
+use crate::evaluation::marker_error::{MarkedPose, first_matches, marker_error, nearest_vertices};
 use crate::evaluation::markers::markers;
 use crate::evaluation::person_matching::Frames;
 use crate::geometry::Similarity;
@@ -146,7 +146,7 @@ impl Dance {
         truth_from_result: &Similarity,
         fitted: &Frames<MarkedPose>,
     ) -> BTreeMap<usize, Vec<usize>> {
-        let first_frames = first_meetings(&self.truth, fitted);
+        let first_frames = first_matches(&self.truth, fitted);
         let paired = |motion: &BodyMotion| {
             let (frame, actor) = first_frames.get(&motion.person.0.to_string())?;
             let pose = &motion.frames[*frame as usize - motion.first.0];

@@ -1,4 +1,4 @@
-//! The binary half of a glb: one buffer, a view and an accessor per array.
+//! The binary part of a glb: one buffer, with a view and an accessor per array.
 
 use serde_json::{Value, json};
 use std::io;
@@ -13,7 +13,7 @@ const UNSIGNED_SHORT: u32 = 5123;
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
-/// What an accessor counts.
+/// Element type of an accessor.
 #[derive(Clone, Copy)]
 pub(super) enum Element {
     Scalar,
@@ -42,7 +42,7 @@ impl Element {
     }
 }
 
-/// The buffer so far.
+/// The buffer under construction.
 #[derive(Default)]
 pub(super) struct Buffer {
     bytes: Vec<u8>,
@@ -51,7 +51,7 @@ pub(super) struct Buffer {
 }
 
 impl Buffer {
-    /// Adds floats with their bounds, which times and positions must have; gives the accessor's number.
+    /// Adds floats with their bounds, which glTF requires for times and positions; returns the index of the accessor.
     pub(super) fn floats(&mut self, values: &[f32], element: Element) -> usize {
         let bytes = values.iter().flat_map(|value| value.to_le_bytes());
         self.add(bytes, None, json!({ "componentType": FLOAT }), values.len(), element);
@@ -75,7 +75,7 @@ impl Buffer {
         accessor
     }
 
-    /// Adds four bytes a vertex.
+    /// Adds four bytes per vertex.
     pub(super) fn vertex_bytes(&mut self, values: &[[u8; 4]]) -> usize {
         let bytes = values.iter().flatten().copied();
         self.add(bytes, Some(ARRAY_BUFFER), json!({ "componentType": UNSIGNED_BYTE }), values.len() * 4, Element::Vec4);
@@ -117,10 +117,10 @@ impl Buffer {
         self.accessors.push(accessor);
     }
 
-    /// The whole file, `root` completed by what the buffer holds.
+    /// The whole file: `root` completed with the buffer's views and accessors.
     ///
     /// # Errors
-    /// Beyond 4 GiB, which the format's 32 bits cannot count.
+    /// Beyond 4 GiB, the limit of the format's 32-bit sizes.
     pub(super) fn into_glb(self, mut root: Value) -> io::Result<Vec<u8>> {
         if !self.bytes.is_empty() {
             root["buffers"] = json!([{ "byteLength": self.bytes.len() }]);
@@ -134,7 +134,8 @@ impl Buffer {
             chunks.push((BINARY_CHUNK, self.bytes));
         }
         let n_bytes = 12 + chunks.iter().map(|(_, bytes)| 8 + bytes.len()).sum::<usize>();
-        let counted = |n: usize| u32::try_from(n).map_err(|_| io::Error::other("the scene is too long for a glb"));
+        let counted =
+            |n: usize| u32::try_from(n).map_err(|_| io::Error::other("the scene exceeds 4 GiB, the limit of a glb"));
         let mut glb = Vec::with_capacity(n_bytes);
         for word in [GLTF_MAGIC, GLTF_VERSION, counted(n_bytes)?] {
             glb.extend(word.to_le_bytes());
@@ -148,7 +149,7 @@ impl Buffer {
     }
 }
 
-/// Chunks and arrays begin at multiples of four bytes.
+/// Pads to a multiple of four bytes, where chunks and arrays start.
 fn fill(bytes: &mut Vec<u8>, with: u8) {
     bytes.resize(bytes.len().next_multiple_of(4), with);
 }

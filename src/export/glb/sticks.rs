@@ -1,4 +1,4 @@
-//! A mesh of octahedra, one a bone: what is seen of a skeleton that has no skin of its own.
+//! A mesh of octahedra, one per bone, which makes a skeleton without skin visible.
 
 use super::buffer::{Buffer, Element};
 use crate::body::skeleton::{N_JOINTS, PARENTS};
@@ -6,29 +6,29 @@ use crate::geometry::rotation::any_perpendicular;
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
-/// Where along the bone it is thickest, and how thick it is there, as shares of its length.
+/// Position and radius of the thickest cross-section, as shares of the bone's length.
 const WAIST_AT: f64 = 0.15;
 const WAIST_RADIUS: f64 = 0.1;
 /// Corners 0 (parent), 1 to 4 (waist), 5 (child); counter-clockwise from outside.
 const FACES: [[u16; 3]; 8] = [[0, 2, 1], [0, 3, 2], [0, 4, 3], [0, 1, 4], [5, 1, 2], [5, 2, 3], [5, 3, 4], [5, 4, 1]];
 
-/// The primitive in the rest pose; every octahedron is carried by the joint that its bone starts from.
+/// The primitive in the rest pose; every octahedron is skinned to the joint at which its bone starts.
 pub(super) fn primitive(buffer: &mut Buffer, rest: &[Vector3<f64>; N_JOINTS]) -> Value {
-    let (mut places, mut carriers, mut corners) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut positions, mut joints, mut corners) = (Vec::new(), Vec::new(), Vec::new());
     for (joint, parent) in PARENTS.iter().enumerate() {
         let Some(parent) = *parent else { continue };
-        let first = carriers.len() as u16;
+        let first = joints.len() as u16;
         for corner in octahedron(&rest[parent], &rest[joint]) {
-            places.extend([corner.x as f32, corner.y as f32, corner.z as f32]);
-            carriers.push([parent as u8, 0, 0, 0]);
+            positions.extend([corner.x as f32, corner.y as f32, corner.z as f32]);
+            joints.push([parent as u8, 0, 0, 0]);
         }
         corners.extend(FACES.iter().flatten().map(|corner| first + corner));
     }
-    let weights = [1.0, 0.0, 0.0, 0.0].repeat(carriers.len());
+    let weights = [1.0, 0.0, 0.0, 0.0].repeat(joints.len());
     json!({
         "attributes": {
-            "POSITION": buffer.vertex_floats(&places, Element::Vec3),
-            "JOINTS_0": buffer.vertex_bytes(&carriers),
+            "POSITION": buffer.vertex_floats(&positions, Element::Vec3),
+            "JOINTS_0": buffer.vertex_bytes(&joints),
             "WEIGHTS_0": buffer.vertex_floats(&weights, Element::Vec4),
         },
         "indices": buffer.indices(&corners),
