@@ -1,9 +1,8 @@
 //! Builds the web viewer and lists its files for `src/service/http/viewer.rs`.
 //!
-//! Everything happens in `OUT_DIR`: `web/` is copied there, its packages come from `npm ci`, Vite writes the page. Where
-//! Node.js is missing, or the packages cannot be had, the list is empty, cargo says so in one warning, and the service
-//! answers with a plain page. `WANDLESS_VIEWER=skip` leaves the viewer out at once. The script runs again only where a
-//! source below `web/` (or that variable) changed.
+//! `web/` is copied to `OUT_DIR`, `npm ci` installs its packages there, and Vite builds the page. If Node.js is missing or
+//! the packages cannot be installed, the list is empty, cargo prints a warning, and the service serves a plain page.
+//! `WANDLESS_VIEWER=skip` leaves the viewer out. The script runs again only if a source in `web/` or that variable changes.
 
 use std::error::Error;
 use std::fmt::Write;
@@ -11,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{env, fs};
 
-/// What the viewer is made from.
+/// Sources of the viewer.
 const SOURCES: [&str; 7] =
     ["package.json", "package-lock.json", ".npmrc", "tsconfig.json", "vite.config.ts", "index.html", "src"];
 
@@ -30,12 +29,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// The folder of the built page; `None`, with a warning, where it could not be built.
+/// Builds the page and returns its folder; `None`, with a warning, if the build fails.
 fn built_page(web: &Path, out: &Path) -> Option<PathBuf> {
     match build(web, &out.join("web")) {
         Ok(page) => Some(page),
         Err(error) => {
-            println!("cargo:warning=the web viewer is left out, a plain page is served instead: {error}");
+            println!("cargo:warning=the web viewer could not be built, a plain page is served instead: {error}");
             None
         }
     }
@@ -58,7 +57,7 @@ fn build(web: &Path, work: &Path) -> Result<PathBuf, Box<dyn Error>> {
     Ok(work.join("dist"))
 }
 
-/// Copies a file, or a folder in place of whatever was there.
+/// Copies a file or a folder; an existing folder is replaced.
 fn copy(from: &Path, to: &Path) -> std::io::Result<()> {
     if !from.is_dir() {
         fs::create_dir_all(to.parent().unwrap_or(to))?;
@@ -82,30 +81,30 @@ fn run(dir: &Path, program: &str, arguments: &[&str]) -> Result<(), Box<dyn Erro
         return Ok(());
     }
     let text = String::from_utf8_lossy(&output.stderr);
-    let reason = text.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("no reason given").to_owned();
+    let reason = text.lines().rfind(|line| !line.trim().is_empty()).unwrap_or("no error message").to_owned();
     Err(format!("`{program} {}` failed: {reason}", arguments.join(" ")).into())
 }
 
-/// Rust source of the slice of embedded files, in order of their names.
+/// Rust source of the slice of embedded files, sorted by name.
 fn list_of_assets(page: Option<&Path>) -> Result<String, Box<dyn Error>> {
     let mut paths = Vec::new();
     if let Some(page) = page {
-        gather(page, &mut paths)?;
+        collect_files(page, &mut paths)?;
         paths.sort();
     }
     let mut source = String::from("&[\n");
     for path in paths {
-        let name = path.strip_prefix(page.unwrap_or(&path))?.to_str().ok_or("a file's name is no UTF-8")?.to_owned();
+        let name = path.strip_prefix(page.unwrap_or(&path))?.to_str().ok_or("a file name is not UTF-8")?.to_owned();
         writeln!(source, "    Asset {{ name: {name:?}, bytes: include_bytes!({path:?}) }},")?;
     }
     source.push_str("]\n");
     Ok(source)
 }
 
-fn gather(dir: &Path, paths: &mut Vec<PathBuf>) -> std::io::Result<()> {
+fn collect_files(dir: &Path, paths: &mut Vec<PathBuf>) -> std::io::Result<()> {
     for entry in fs::read_dir(dir)? {
         let path = entry?.path();
-        if path.is_dir() { gather(&path, paths)? } else { paths.push(path) }
+        if path.is_dir() { collect_files(&path, paths)? } else { paths.push(path) }
     }
     Ok(())
 }

@@ -1,5 +1,5 @@
-// The bodies as they are drawn, against linear blend skinning of `people.json` with the body that `wandless body export`
-// writes: another way to the same vertices.
+// Compares the drawn bodies with an independent linear blend skinning of `people.json`, using the body of
+// `wandless body export`.
 
 import { readFileSync } from 'node:fs'
 import { inflateRawSync } from 'node:zlib'
@@ -7,7 +7,7 @@ import { check } from './browser.mjs'
 
 const N_JOINTS = 24
 
-/** The weights are sent in steps of 1/255. */
+/** Includes the error of the skinning weights, which are quantised to 1/255. */
 const TOLERANCE_MM = 2
 
 export async function checkBodies(page, base, job, file) {
@@ -31,7 +31,7 @@ export async function checkBodies(page, base, job, file) {
   check(`bodies against people.json within ${TOLERANCE_MM} mm`, n > 0 && worst <= TOLERANCE_MM, `${worst.toFixed(2)} mm over ${n} vertices`)
 }
 
-/** Rest joints, world turns and places of all joints. */
+/** Rest joints, world rotations and world positions of all joints. */
 function posed({ v_template, shapedirs, J_regressor, kintree_table }, person, row) {
   const n = v_template.shape[0]
   const rest = Array.from({ length: N_JOINTS }, (_, j) => {
@@ -43,26 +43,26 @@ function posed({ v_template, shapedirs, J_regressor, kintree_table }, person, ro
     return joint
   })
   const local = [person.global_orient[row], ...Array.from({ length: N_JOINTS - 1 }, (_, j) => person.body_pose[row].slice(3 * j, 3 * j + 3))]
-  const turns = []
-  const places = []
+  const rotations = []
+  const positions = []
   for (let j = 0; j < N_JOINTS; j++) {
     const parent = j === 0 ? -1 : Number(kintree_table.at(j))
-    const own = turned(local[j])
-    turns[j] = parent < 0 ? own : product(turns[parent], own)
+    const localRotation = rotationMatrix(local[j])
+    rotations[j] = parent < 0 ? localRotation : product(rotations[parent], localRotation)
     const offset = rest[j].map((c, i) => c - (parent < 0 ? 0 : rest[parent][i]))
-    places[j] = parent < 0 ? rest[j].map((c, i) => c + person.transl[row][i]) : sum(places[parent], times(turns[parent], offset))
+    positions[j] = parent < 0 ? rest[j].map((c, i) => c + person.transl[row][i]) : sum(positions[parent], times(rotations[parent], offset))
   }
-  return { rest, turns, places }
+  return { rest, rotations, positions }
 }
 
-function skinned({ v_template, shapedirs, weights }, betas, { rest, turns, places }, vertex) {
+function skinned({ v_template, shapedirs, weights }, betas, { rest, rotations, positions }, vertex) {
   const point = restVertex(v_template, shapedirs, betas, vertex)
   const found = [0, 0, 0]
   for (let j = 0; j < N_JOINTS; j++) {
     const weight = weights.at(vertex * N_JOINTS + j)
     if (weight === 0) continue
-    const carried = sum(places[j], times(turns[j], point.map((c, i) => c - rest[j][i])))
-    carried.forEach((c, i) => (found[i] += weight * c))
+    const moved = sum(positions[j], times(rotations[j], point.map((c, i) => c - rest[j][i])))
+    moved.forEach((c, i) => (found[i] += weight * c))
   }
   return found
 }
@@ -71,7 +71,7 @@ const restVertex = (template, directions, betas, v) =>
   [0, 1, 2].map((i) => template.at(3 * v + i) + betas.reduce((s, beta, b) => s + beta * directions.at((3 * v + i) * betas.length + b), 0))
 
 /** Rodrigues' formula. */
-function turned(axisAngle) {
+function rotationMatrix(axisAngle) {
   const angle = Math.hypot(...axisAngle)
   const [x, y, z] = axisAngle.map((c) => c / (angle || 1))
   const [s, c] = [Math.sin(angle), 1 - Math.cos(angle)]

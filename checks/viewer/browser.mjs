@@ -1,4 +1,4 @@
-// Chromium, what the checks do with a page, and how they speak of it.
+// Starts Chromium, opens pages, takes screenshots and reports check results.
 
 import axe from 'axe-core'
 import { existsSync, mkdirSync } from 'node:fs'
@@ -20,7 +20,7 @@ export function openBrowser() {
   return chromium.launch({ executablePath: EXECUTABLE, args: FLAGS })
 }
 
-/** A page that fails the check where a script of it fails or the policy stops something. */
+/** Opens a page. Script errors and violations of the content security policy fail the check. */
 export async function openPage(browser, { colorScheme = 'dark', isPolicyTried = false } = {}) {
   const context = await browser.newContext({ viewport: { width: 1440, height: 900 }, colorScheme, bypassCSP: false })
   const page = await context.newPage()
@@ -41,7 +41,7 @@ export function check(what, isTrue, figure = '') {
 export const fail = (what) => check(what, false)
 export const failed = () => failures > 0
 
-/** Serious and critical findings of axe-core, in a world of its own so that the page's policy stays as it is. */
+/** Checks a page state with axe-core for serious and critical findings. It runs in an isolated world, so that the policy of the page stays unchanged. */
 export async function checkAccess(page, state) {
   const session = await page.context().newCDPSession(page)
   const { frameTree } = await session.send('Page.getFrameTree')

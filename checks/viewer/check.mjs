@@ -1,4 +1,4 @@
-// The whole check, in the order of its README.
+// All viewer checks, in the order of the README.
 
 import { execFileSync } from 'node:child_process'
 import { readFileSync } from 'node:fs'
@@ -9,10 +9,10 @@ import { checkKeys } from './keys.mjs'
 import { LENSES, throughLenses } from './lenses.mjs'
 import { checkFirstView, checkLens, checkPlay, checkProjection, drawn, sceneReady } from './scene.mjs'
 import { PROGRAM, asDocument, simulate, solve, startService, temporaryFolder, uploaded } from './service.mjs'
-import { HOSTILE, doubtfulResult, hostileNames, lostJobs, policy, unharmed } from './states.mjs'
+import { HOSTILE, rejectedResult, hostileNames, jobsWithoutResult, policy, checkEscaped } from './states.mjs'
 
 if (!hasBrowser()) {
-  console.log('SKIPPED: the viewer is not checked, there is no Chromium (apt-get install chromium, or set CHROMIUM)')
+  console.log('SKIPPED: the viewer is not checked because Chromium is missing (apt-get install chromium, or set CHROMIUM)')
   process.exit(0)
 }
 const isLong = process.argv.includes('--long')
@@ -24,7 +24,7 @@ const folder = temporaryFolder()
 const service = await startService(join(folder, 'data'))
 const { base } = service
 if ((await (await fetch(base)).text()).includes('without its web viewer')) {
-  console.log('SKIPPED: the viewer is not checked, the program was built without it')
+  console.log('SKIPPED: the viewer is not checked because the program was built without it')
   process.exit(0)
 }
 const browser = await openBrowser()
@@ -37,9 +37,9 @@ const job = await dropAndSolve()
 await scene()
 await report()
 await files()
-await cancelSecond()
-await doubtfulResult({ page, base, job })
-await lostJobs({ page, base, folder })
+await cancelLongJob()
+await rejectedResult({ page, base, job })
+await jobsWithoutResult({ page, base, folder })
 await hostileNames({ page, base, folder })
 await policy({ browser, base })
 if (!isShort) {
@@ -48,9 +48,9 @@ if (!isShort) {
   await checkKeys(browser, join(folder, 'keys'), join(folder, 'take'))
 }
 if (isLong) await largeTake()
-await deadServer()
+await stoppedService()
 await browser.close()
-console.log(`${failed() ? 'FAILED' : 'passed'} in ${((Date.now() - start) / 1000).toFixed(0)} s; pictures in shots/`)
+console.log(`${failed() ? 'FAILED' : 'passed'} in ${((Date.now() - start) / 1000).toFixed(0)} s; screenshots in shots/`)
 process.exit(failed() ? 1 : 0)
 
 async function noJobs() {
@@ -60,7 +60,7 @@ async function noJobs() {
   await checkAccess(page, 'no jobs')
 }
 
-/** Drops a file on the window as a mouse would. */
+/** Drops a file on the window. */
 async function drop(name, text) {
   const transfer = await page.evaluateHandle(([name, text]) => {
     const transfer = new DataTransfer()
@@ -76,8 +76,8 @@ async function rejectedUpload() {
   const notice = page.locator('.side .notice')
   await notice.waitFor()
   const text = await notice.innerText()
-  check('a rejected upload says what and what to do', /not accepted/.test(text) && /What to do/.test(text))
-  await unharmed(page, "a dropped file's name")
+  check('a rejected upload is explained, with a remedy', /was rejected/.test(text) && /What to do/.test(text))
+  await checkEscaped(page, "a dropped file's name")
   await shot(page, 'upload-rejected')
   await checkAccess(page, 'rejected upload')
 }
@@ -87,9 +87,9 @@ async function dropAndSolve() {
   const session = await simulate(join(folder, 'take'), size)
   await drop('take.json', asDocument(session))
   await page.getByRole('button', { name: 'Start', exact: true }).waitFor()
-  await page.getByText(/It will take about/).waitFor()
-  check('the inspection is told before the start', true)
-  await page.getByText('Files to write beside the JSON').click()
+  await page.getByText(/Expected solve time/).waitFor()
+  check('the inspection is shown before the start', true)
+  await page.getByText('Export formats in addition to JSON').click()
   await page.getByLabel('glb').check()
   await shot(page, 'start')
   await checkAccess(page, 'start of a job')
@@ -112,10 +112,10 @@ async function scene() {
   await page.getByRole('slider', { name: 'Frame' }).fill('77')
   check('scrubbing moves the scene', (await page.evaluate(() => window.wandless.frame())) === 77)
   await page.getByRole('button', { name: 'Next mark' }).click()
-  check('a mark is one click away', (await page.evaluate(() => window.wandless.frame())) !== 77)
+  check('the next mark is one click away', (await page.evaluate(() => window.wandless.frame())) !== 77)
   await page.getByRole('button', { name: /^Person 0/ }).click()
-  await page.getByText('Bone lengths vary by').waitFor()
-  await checkAccess(page, 'a person chosen')
+  await page.getByText('Bone length variation').waitFor()
+  await checkAccess(page, 'a selected person')
   await shot(page, 'person')
   await through()
   await sideBySide()
@@ -143,7 +143,7 @@ async function through() {
   await checkAccess(page, 'through a camera')
   await checkProjection(page, base, job, 'ideal lens')
   await page.keyboard.press('v')
-  await page.getByText('Raw: as detected').waitFor()
+  await page.getByText('Raw: detected').waitFor()
   await drawn(page)
   await shot(page, 'through-compared')
   await checkAccess(page, 'raw and denoised through a camera')
@@ -152,14 +152,14 @@ async function through() {
 }
 
 async function sideBySide() {
-  for (const [name, text] of [['cleaning', 'Denoised: consistent'], ['body', 'Body, fitted']]) {
+  for (const [name, text] of [['cleaning', 'Denoised: repaired'], ['body', 'Fitted body']]) {
     await page.keyboard.press('v')
     await page.getByText(text).waitFor()
     await drawn(page)
     await shot(page, `compared-${name}`)
     await checkAccess(page, `side by side, ${name}`)
   }
-  check('raw and denoised stand side by side', await page.evaluate(() => window.wandless.hasDetections()))
+  check('raw and denoised are shown side by side', await page.evaluate(() => window.wandless.hasDetections()))
   await page.keyboard.press('v')
 }
 
@@ -175,7 +175,7 @@ async function report() {
   const isHidden = !(await page.getByRole('link', { name: 'Scene' }).isVisible())
   await shot(page, 'report-print')
   await page.emulateMedia({ media: null })
-  check('the report prints, without what paper has no use for', pages >= 1 && pages <= 4 && isHidden, `${pages} pages of A4`)
+  check('the report prints without navigation', pages >= 1 && pages <= 4 && isHidden, `${pages} pages of A4`)
   await page.getByRole('button', { name: 'Light' }).click()
   await checkAccess(page, 'report, light')
   await shot(page, 'report-light')
@@ -197,8 +197,8 @@ async function files() {
   }
 }
 
-/** One that takes long enough to be caught at work. */
-async function cancelSecond() {
+/** Cancels and deletes a long job. */
+async function cancelLongJob() {
   const long = await simulate(join(folder, 'long'), { people: 4, views: 5, frames: 600, name: 'long take' })
   await uploaded(base, asDocument(long))
   await page.goto(`${base}/#/`)
@@ -208,21 +208,21 @@ async function cancelSecond() {
   await page.goto(`${base}/#/`)
   const row = page.locator('.job', { hasText: 'long take' })
   await row.locator('progress').waitFor()
-  const told = async () => (await row.locator('.job-progress').innerText()).trim()
-  const before = await told()
+  const progressText = async () => (await row.locator('.job-progress').innerText()).trim()
+  const before = await progressText()
   await page.waitForFunction((before) => document.querySelector('.job-progress')?.innerText.trim() !== before, before, { timeout: 20_000 })
-  check('the list tells the progress of a job by itself', true)
+  check('the list updates the progress of a job', true)
   await shot(page, 'home-running')
-  await checkAccess(page, 'list with a job at work')
+  await checkAccess(page, 'list with a running job')
   await row.getByRole('link').click()
   await page.getByRole('button', { name: 'Cancel' }).click()
   await page.getByRole('heading', { name: 'Canceled' }).waitFor({ timeout: 10_000 })
-  check('a second job is canceled', true)
+  check('a running job is canceled', true)
   await shot(page, 'canceled')
   await checkAccess(page, 'canceled job')
   await page.getByRole('button', { name: 'Delete' }).click()
   await page.getByRole('button', { name: 'Keep it' }).waitFor()
-  await checkAccess(page, 'before a deletion')
+  await checkAccess(page, 'confirmation of a deletion')
   await page.locator('dialog').getByRole('button', { name: 'Delete' }).click()
   await page.getByRole('heading', { name: 'Jobs', exact: true }).waitFor()
   await page.waitForFunction(() => ![...document.querySelectorAll('.job')].some((one) => one.textContent.includes('long take')))
@@ -247,7 +247,7 @@ async function lenses() {
   }
 }
 
-/** The same result, made with a body of the operator's. */
+/** The same session, solved with a registered body. */
 async function otherBody() {
   const data = join(folder, 'data')
   const file = join(folder, 'body.npz')
@@ -260,7 +260,7 @@ async function otherBody() {
   await sceneReady(page)
   await page.getByText(/never leaves the service/).waitFor()
   const names = (await (await fetch(`${base}/v1/jobs/${job.id}/result`)).json()).files.map(({ name }) => name)
-  check('people of a registered body are drawn as the default body, and it is said', job.state === 'succeeded' && !names.some((name) => /bod(y|ies)/.test(name)),
+  check('people of a registered body are drawn as the default body, with a note', job.state === 'succeeded' && !names.some((name) => /bod(y|ies)/.test(name)),
     asked.filter((path) => path.endsWith('.bin')).map((path) => path.split('/').pop()).join(', '))
   await shot(page, 'other-body')
   await checkAccess(page, 'scene of a registered body')
@@ -278,14 +278,14 @@ async function largeTake() {
   await fresh.context().close()
 }
 
-/** The page is open when the service dies. */
-async function deadServer() {
+/** The service stops while the page is open. */
+async function stoppedService() {
   await page.goto(`${base}/#/`)
   await page.locator('.job').first().waitFor()
   await shot(page, 'home')
   service.stop()
   await page.getByText('The service does not answer.').waitFor({ timeout: 20_000 })
-  check('a dead server is told', /What to do/.test(await page.locator('.banner').innerText()))
-  await shot(page, 'dead-server')
-  await checkAccess(page, 'dead server')
+  check('a stopped service is reported', /What to do/.test(await page.locator('.banner').innerText()))
+  await shot(page, 'stopped-service')
+  await checkAccess(page, 'stopped service')
 }

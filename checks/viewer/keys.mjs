@@ -1,4 +1,4 @@
-// A service that wants keys: which page asks for one, and whether everything works with it.
+// A service with API keys: the key dialogue, and all functions with a key.
 
 import { execFileSync } from 'node:child_process'
 import { check, checkAccess, openPage, shot } from './browser.mjs'
@@ -12,10 +12,10 @@ export async function checkKeys(browser, folder, take) {
   const page = await openPage(browser, { colorScheme: 'light' })
   await page.goto(base)
   await page.getByLabel('API key').fill('wl_wrong_key')
-  await checkAccess(page, 'key asked for')
+  await checkAccess(page, 'key dialogue')
   await page.getByRole('button', { name: 'Use this key' }).click()
   await page.getByText('does not accept this key').waitFor()
-  check('a wrong key is told', true)
+  check('a wrong key is reported', true)
   await shot(page, 'wrong-key')
   await checkAccess(page, 'wrong key')
   await page.getByLabel('API key').fill(key)
@@ -26,7 +26,7 @@ export async function checkKeys(browser, folder, take) {
   const streams = []
   page.on('response', (answer) => answer.url().endsWith('/events') && streams.push(answer.status()))
   await page.locator('input[type=file]').first().setInputFiles({ name: 'take.json', mimeType: 'application/json', buffer: Buffer.from(asDocument(take)) })
-  await page.getByText(/It will take about/).waitFor()
+  await page.getByText(/Expected solve time/).waitFor()
   check('with a key: upload and inspection', true)
   await page.getByRole('button', { name: 'Start', exact: true }).click()
   await page.locator('.job-page progress').waitFor()
@@ -35,8 +35,8 @@ export async function checkKeys(browser, folder, take) {
   await page.getByRole('link', { name: 'Files' }).click()
   const [download] = await Promise.all([page.waitForEvent('download'), page.getByRole('button', { name: 'cameras.json' }).click()])
   check('with a key: download', (await download.failure()) === null)
-  const refused = await fetch(`${base}/v1/jobs`, { headers: { 'Sec-Fetch-Dest': 'empty' } })
-  check('a script is not asked for a password by the browser', refused.status === 401 && /^Bearer/.test(refused.headers.get('www-authenticate')))
+  const rejected = await fetch(`${base}/v1/jobs`, { headers: { 'Sec-Fetch-Dest': 'empty' } })
+  check('no password prompt of the browser for requests of scripts', rejected.status === 401 && /^Bearer/.test(rejected.headers.get('www-authenticate')))
   await page.context().close()
   stop()
 }

@@ -1,23 +1,23 @@
-// OpenCV's cameras, written out once more so that the viewer is not judged by itself, and a take filmed through each lens.
+// Independent implementation of OpenCV's camera models, and a simulated take with lens distortion.
 
 import { readFileSync, writeFileSync } from 'node:fs'
 import { join } from 'node:path'
 
-/** One camera each, in this order; the other cameras of a take are left as they are. */
+/** Lenses of the first cameras of a take, in order; the other cameras keep their lens. */
 export const LENSES = [
   { dist: [-0.28, 0.09, 0.0012, -0.0008, -0.012] },
   { dist: [0.35, -0.12, 0.0006, 0.0009, 0.01, 0.62, -0.05, 0.008], distortion_model: 'rational' },
   { dist: [-0.031, 0.012, -0.006, 0.001], distortion_model: 'fisheye' },
 ]
 
-/** Distorted normalised coordinates of ideal ones. */
-function bent({ dist, distortion_model }, [a, b]) {
+/** Distorts normalised coordinates. */
+function distorted({ dist, distortion_model }, [a, b]) {
   if (distortion_model === 'fisheye') {
     const r = Math.hypot(a, b)
     const theta = Math.atan(r)
     const [k1, k2, k3, k4] = dist
-    const bentRadius = theta + k1 * theta ** 3 + k2 * theta ** 5 + k3 * theta ** 7 + k4 * theta ** 9
-    return r === 0 ? [a, b] : [(a / r) * bentRadius, (b / r) * bentRadius]
+    const distortedRadius = theta + k1 * theta ** 3 + k2 * theta ** 5 + k3 * theta ** 7 + k4 * theta ** 9
+    return r === 0 ? [a, b] : [(a / r) * distortedRadius, (b / r) * distortedRadius]
   }
   const [k1, k2, p1, p2, k3 = 0, k4 = 0, k5 = 0, k6 = 0] = dist
   const s = a * a + b * b
@@ -27,16 +27,16 @@ function bent({ dist, distortion_model }, [a, b]) {
 
 const pixelOf = (K, [u, v]) => [K[0][0] * u + K[0][1] * v + K[0][2], K[1][1] * v + K[1][2]]
 
-/** Where a camera of `cameras.json` sees a point of the world, with its lens and without; null behind it. */
+/** Projects a world point with a camera of `cameras.json`, with and without distortion; null behind the camera. */
 export function projected(camera, point) {
   const { K, R, t } = camera
   const [x, y, z] = R.map((row, i) => row[0] * point[0] + row[1] * point[1] + row[2] * point[2] + t[i])
   if (z < 1e-3) return null
   const ideal = [x / z, y / z]
-  return { distorted: pixelOf(K, bent(camera, ideal)), pinhole: pixelOf(K, ideal) }
+  return { distorted: pixelOf(K, distorted(camera, ideal)), pinhole: pixelOf(K, ideal) }
 }
 
-/** Films a simulated session of ideal cameras through the lenses: what a detector would have seen then. */
+/** Applies the lenses to the keypoints of a simulated session with ideal cameras. */
 export function throughLenses(folder) {
   const path = join(folder, 'session.json')
   const session = JSON.parse(readFileSync(path, 'utf8'))
@@ -48,7 +48,7 @@ export function throughLenses(folder) {
       for (const keypoint of keypoints) {
         const v = (keypoint[1] - camera.K[1][2]) / camera.K[1][1]
         const u = (keypoint[0] - camera.K[0][2] - camera.K[0][1] * v) / camera.K[0][0]
-        ;[keypoint[0], keypoint[1]] = pixelOf(camera.K, bent(camera, [u, v]))
+        ;[keypoint[0], keypoint[1]] = pixelOf(camera.K, distorted(camera, [u, v]))
       }
     }
     writeFileSync(file, JSON.stringify(poses))

@@ -1,24 +1,24 @@
-// The scene of a job: what it costs to show it, and whether it shows what the result says.
+// The scene of a job: loading time, memory, and correctness of its projections.
 
 import { readFileSync, readdirSync } from 'node:fs'
 import { check } from './browser.mjs'
 import { projected } from './lenses.mjs'
 
-/** Waits until the scene is there, bodies and all. */
+/** Waits until the scene with its bodies is loaded. */
 export const sceneReady = (page) => page.waitForFunction(() => window.wandless, null, { timeout: 120_000 })
 
 /** Waits for the next picture. */
 export const drawn = (page) => page.evaluate(() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done))))
 
-/** As often as this a first view is measured; the best one counts, since whatever else runs on the machine only adds to it. */
+/** Number of measurements of the first view. The fastest one counts, because other load only adds time. */
 const VIEWS = 3
 
-/** Time and bytes of the first view of a finished job, every time in a browser that knows nothing yet. */
+/** Time and bytes of the first view of a finished job, each in a new browser context. */
 export async function checkFirstView(open, base, job, what) {
-  const seen = []
-  for (let i = 0; i < VIEWS; i++) seen.push(await firstView(await open(), base, job))
-  const times = seen.map(({ secs }) => secs.toFixed(2)).join(', ')
-  const [secs, bytes] = [Math.min(...seen.map(({ secs }) => secs)), Math.max(...seen.map(({ bytes }) => bytes))]
+  const views = []
+  for (let i = 0; i < VIEWS; i++) views.push(await firstView(await open(), base, job))
+  const times = views.map(({ secs }) => secs.toFixed(2)).join(', ')
+  const [secs, bytes] = [Math.min(...views.map(({ secs }) => secs)), Math.max(...views.map(({ bytes }) => bytes))]
   check(`${what}: first view within 2 s`, secs <= 2, `${times} s`)
   check(`${what}: at most 15 MB`, bytes <= 15e6, `${(bytes / 1e6).toFixed(2)} MB`)
 }
@@ -37,7 +37,7 @@ async function firstView(page, base, job) {
   return { secs, bytes }
 }
 
-/** The overlay's joints, and the picture's own camera, against an independent projection of the result's files. */
+/** Compares the joints of the overlay and the 3D picture with an independent projection of the result files. */
 export async function checkProjection(page, base, job, what) {
   const file = async (name) => (await fetch(`${base}/v1/jobs/${job.id}/artifacts/${name}`)).json()
   const [{ cameras }, { frames }] = await Promise.all([file('cameras.json'), file('poses3d.json')])
@@ -61,12 +61,12 @@ export async function checkProjection(page, base, job, what) {
     }
   }
   check(`${what}: overlay against cameras.json x poses3d.json within 0.5 px`, n > 0 && worstOverlay <= 0.5, `${worstOverlay.toFixed(4)} px over ${n} joints`)
-  check(`${what}: picture through the camera, lens apart, within 0.5 px`, n > 0 && worstPicture <= 0.5, `${worstPicture.toFixed(4)} px`)
+  check(`${what}: picture through the camera, without distortion, within 0.5 px`, n > 0 && worstPicture <= 0.5, `${worstPicture.toFixed(4)} px`)
 }
 
 const distance = ([a, b], [c, d]) => Math.hypot(a - c, b - d)
 
-/** Plays for a while: the time between pictures, and whether memory grows, the script's, the card's and the whole browser's. */
+/** Plays for some time; measures frame times and the memory of scripts, GPU and browser. */
 export async function checkPlay(page, minutes, what) {
   const heap = async () => {
     const session = await page.context().newCDPSession(page)
@@ -84,13 +84,13 @@ export async function checkPlay(page, minutes, what) {
   const times = (await page.evaluate(() => window.wandless.frameTimes())).sort((a, b) => a - b)
   await page.keyboard.press('Space')
   const at = (share) => times[Math.floor(share * (times.length - 1))]?.toFixed(1)
-  check(`${what}: frame time stated`, times.length > 0, `median ${at(0.5)} ms, 95 % ${at(0.95)} ms`)
+  check(`${what}: frame time`, times.length > 0, `median ${at(0.5)} ms, 95 % ${at(0.95)} ms`)
   const grown = `${(before / 1e6).toFixed(1)} to ${(after / 1e6).toFixed(1)} MB in ${minutes} min, geometries ${held.geometries} to ${holds.geometries}`
   check(`${what}: memory does not grow`, after < Math.max(1.1 * before, before + 8e6) && holds.geometries === held.geometries, grown)
-  check(`${what}: nor does the browser`, resides < 1.15 * resident + 40e6, `${(resident / 1e6).toFixed(0)} to ${(resides / 1e6).toFixed(0)} MB resident`)
+  check(`${what}: memory of the browser does not grow`, resides < 1.15 * resident + 40e6, `${(resident / 1e6).toFixed(0)} to ${(resides / 1e6).toFixed(0)} MB resident`)
 }
 
-/** Resident memory of all processes that this check has started, the service's apart. */
+/** Resident memory of all browser processes of this check. */
 function residentOfBrowser() {
   const parents = new Map()
   const sizes = new Map()
@@ -100,17 +100,17 @@ function residentOfBrowser() {
       parents.set(id, /^PPid:\s*(\d+)/m.exec(status)?.[1])
       if (/^Name:\s*chrom/m.test(status)) sizes.set(id, 1024 * Number(/^VmRSS:\s*(\d+)/m.exec(status)?.[1] ?? 0))
     } catch {
-      // It has ended meanwhile.
+      // The process has ended.
     }
   }
   const isOurs = (id) => id === String(process.pid) || (parents.has(id) && isOurs(parents.get(id)))
   return [...sizes].filter(([id]) => isOurs(id)).reduce((sum, [, size]) => sum + size, 0)
 }
 
-/** Joints that stand free of the others: wrists and ankles. */
+/** Joints that are rarely occluded: wrists and ankles. */
 const ENDS = [20, 21, 7, 8]
 
-/** Whether the skeletons stand in the picture where the camera's lens puts them, and not where a pinhole would. */
+/** Checks that skeletons are drawn at their distorted positions, and not at those of a pinhole camera. */
 export async function checkLens(page, base, job, camera, what) {
   const file = async (name) => (await fetch(`${base}/v1/jobs/${job.id}/artifacts/${name}`)).json()
   const [{ cameras }, { frames }] = await Promise.all([file('cameras.json'), file('poses3d.json')])
@@ -119,16 +119,16 @@ export async function checkLens(page, base, job, camera, what) {
   for (const number of numbers.filter((_, i) => i % 5 === 0)) {
     const seen = Object.values(frames[number]).flatMap((joints) => ENDS.map((j) => projected(cameras[camera], joints[j])))
     const isInside = ([x, y]) => x > 8 && y > 8 && x < cameras[camera].width - 8 && y < cameras[camera].height - 8
-    // Only where the lens moves a joint well off its own mark is there anything to tell apart.
-    const telling = seen.filter((one) => one && isInside(one.distorted) && isInside(one.pinhole) && distance(one.distorted, one.pinhole) > 16)
-    for (const kind of ['distorted', 'pinhole']) points[kind].push({ frame: number - numbers[0], pixels: telling.map((one) => one[kind]) })
+    // Only joints that the distortion moves by more than the size of their marker are informative.
+    const informative = seen.filter((one) => one && isInside(one.distorted) && isInside(one.pinhole) && distance(one.distorted, one.pinhole) > 16)
+    for (const kind of ['distorted', 'pinhole']) points[kind].push({ frame: number - numbers[0], pixels: informative.map((one) => one[kind]) })
   }
   const [bent, straight] = [await inked(page, camera, cameras[camera], points.distorted), await inked(page, camera, cameras[camera], points.pinhole)]
-  check(`${what}: the picture is bent as the lens bends`, bent.n > 10 && bent.share > 0.97 && straight.share < 0.8,
-    `${bent.n} joints, ${(100 * bent.share).toFixed(0)} % where the lens puts them, ${(100 * straight.share).toFixed(0)} % where a pinhole would`)
+  check(`${what}: the picture is distorted as by the lens`, bent.n > 10 && bent.share > 0.97 && straight.share < 0.8,
+    `${bent.n} joints, ${(100 * bent.share).toFixed(0)} % at the distorted position, ${(100 * straight.share).toFixed(0)} % at the pinhole position`)
 }
 
-/** How many of the image's pixels something is drawn at. */
+/** Share of the given image pixels at which something is drawn. */
 async function inked(page, index, { width }, frames) {
   const hits = []
   for (const { frame, pixels } of frames.filter(({ pixels }) => pixels.length)) {

@@ -1,4 +1,4 @@
-// A service of our own on fresh data, and the sessions that are given to it.
+// Starts a service on fresh data; simulates, uploads and solves sessions.
 
 import { execFile, spawn } from 'node:child_process'
 import { mkdtempSync, readFileSync, rmSync, writeFileSync } from 'node:fs'
@@ -10,7 +10,7 @@ import { promisify } from 'node:util'
 const ROOT = resolve(dirname(fileURLToPath(import.meta.url)), '../..')
 export const PROGRAM = process.env.WANDLESS ?? join(ROOT, 'target/release/wandless')
 
-/** A folder that is gone at the end. */
+/** A temporary folder, deleted at exit. */
 export function temporaryFolder() {
   const folder = mkdtempSync(join(tmpdir(), 'wandless-viewer-'))
   process.on('exit', () => rmSync(folder, { recursive: true, force: true }))
@@ -31,7 +31,7 @@ export function startService(data) {
   })
 }
 
-/** Makes a session; `name` takes the place of the simulated one's. */
+/** Simulates a session; `name` replaces its name. */
 export async function simulate(folder, { people, views, frames, name }) {
   const words = ['--people', people, '--views', views, '--frames', frames, '--seed', 1, '--out', folder]
   await promisify(execFile)(PROGRAM, ['simulate', ...words.map(String)])
@@ -50,18 +50,18 @@ export function asDocument(folder) {
 
 const post = (base, path, body) => fetch(base + path, { method: 'POST', headers: { 'Content-Type': 'application/json' }, body })
 
-/** Uploads a document; the session. */
+/** Uploads a document and returns the session. */
 export async function uploaded(base, document) {
   const answer = await post(base, '/v1/sessions', document)
-  if (!answer.ok) throw new Error(`the session was refused: ${await answer.text()}`)
+  if (!answer.ok) throw new Error(`the session was rejected: ${await answer.text()}`)
   return answer.json()
 }
 
-/** Uploads a document and solves it over HTTP, with options and labels where there are any; the finished job. */
+/** Uploads and solves a document with optional options and labels; returns the finished job. */
 export async function solve(base, document, more = {}) {
   const session = await uploaded(base, document)
   const answer = await post(base, '/v1/jobs', JSON.stringify({ session: session.id, ...more }))
-  if (!answer.ok) throw new Error(`the job was refused: ${await answer.text()}`)
+  if (!answer.ok) throw new Error(`the job was rejected: ${await answer.text()}`)
   let job = await answer.json()
   while (!['succeeded', 'failed', 'canceled', 'dead'].includes(job.state)) {
     job = await (await fetch(`${base}/v1/jobs/${job.id}?wait=20`)).json()

@@ -1,4 +1,4 @@
-// Jobs that end without a result, names that are no names, scripts that should not run.
+// Failed jobs, rejected results, names with HTML in them, and the content security policy.
 
 import { join } from 'node:path'
 import { check, checkAccess, openPage, shot } from './browser.mjs'
@@ -8,28 +8,28 @@ import { asDocument, simulate, solve } from './service.mjs'
 export const HOSTILE = '<img src=x onerror="window.owned=1"><b>take</b>'
 const HOSTILE_CAMERA = '<svg onload="window.owned=2"> & "cam"'
 
-/** Jobs that end without a result, and one that never was. */
-export async function lostJobs({ page, base, folder }) {
+/** Jobs without a result, and an unknown job. */
+export async function jobsWithoutResult({ page, base, folder }) {
   const document = JSON.parse(asDocument(join(folder, 'take')))
   for (const poses of Object.values(document.poses)) for (const frame of poses.frames) frame.people = []
-  const job = await solve(base, JSON.stringify({ ...document, name: 'nobody' }))
+  const job = await solve(base, JSON.stringify({ ...document, name: 'no people' }))
   await page.goto(`${base}/#/jobs/${job.id}`)
-  await told(page, 'failed', 'a failed job', job.error?.code)
-  const dead = { ...job, state: 'dead', error: { code: 'died', detail: 'The work ended three times without a result.', remedy: 'Submit it again with fewer frames, and tell the operator.' } }
+  await checkExplained(page, 'failed', 'a failed job', job.error?.code)
+  const dead = { ...job, state: 'dead', error: { code: 'crashed', detail: 'The job process crashed three times.', remedy: 'Submit the session again with fewer frames, or contact the operator.' } }
   await page.route('**/events', (route) => route.fulfill({ contentType: 'text/event-stream', body: `event: state\nid: 1\ndata: ${JSON.stringify(dead)}\n\n` }))
   await page.goto(`${base}/#/`)
   await page.goto(`${base}/#/jobs/${job.id}`)
-  await page.getByText('died three times').waitFor()
-  await told(page, 'dead', 'a dead job')
+  await page.getByText('crashed three times').waitFor()
+  await checkExplained(page, 'dead', 'a crashed job')
   await page.unroute('**/events')
   await page.goto(`${base}/#/jobs/job_00000000000000000000000000000000`)
-  await page.getByRole('heading', { name: 'There is no such job' }).waitFor()
-  await told(page, 'no-such-job', 'a job that never was')
+  await page.getByRole('heading', { name: 'This job does not exist' }).waitFor()
+  await checkExplained(page, 'no-such-job', 'an unknown job')
 }
 
-/** A result that the report warns of says so beside the scene and on top of the report. */
-export async function doubtfulResult({ page, base, job }) {
-  const reason = 'cam02 is known to 3.1 degrees only: it sees nobody that another camera sees; move it closer to the others'
+/** A rejected result shows its verdict beside the scene and in the report. */
+export async function rejectedResult({ page, base, job }) {
+  const reason = 'the orientation sigma of cam02 is 3.1 degrees: it shares no people with other cameras; move it closer to the others'
   const reject = async (route) => {
     const report = await (await route.fetch()).json()
     await route.fulfill({ json: { ...report, quality: { verdict: 'reject', reasons: [reason, 'half of all detections were rejected'] } } })
@@ -38,28 +38,28 @@ export async function doubtfulResult({ page, base, job }) {
   await page.goto(`${base}/#/`)
   await page.goto(`${base}/#/jobs/${job.id}`)
   await sceneReady(page)
-  await page.locator('.doubts').getByText('do not use').waitFor()
+  await page.locator('.quality').getByText('do not use').waitFor()
   await shot(page, 'rejected-scene')
   await checkAccess(page, 'scene of a rejected result')
   await page.getByRole('link', { name: 'Report' }).click()
   await page.getByText('Do not use this result.').waitFor()
-  check('a rejected result says so, with reasons and remedies', await page.getByText('move it closer').isVisible())
+  check('a rejected result shows its verdict, reasons and remedies', await page.getByText('move it closer').isVisible())
   await shot(page, 'rejected-report')
   await checkAccess(page, 'report of a rejected result')
   await page.unroute('**/report')
 }
 
-async function told(page, name, what, figure = '') {
+async function checkExplained(page, name, what, figure = '') {
   await page.locator('.job-body .notice.bad').waitFor()
   const text = await page.locator('.job-body').innerText()
-  check(`${what} says what and what to do`, /What to do/.test(text), figure)
+  check(`${what} is explained, with a remedy`, /What to do/.test(text), figure)
   await shot(page, name)
   await checkAccess(page, what)
 }
 
-export async function unharmed(page, what) {
+export async function checkEscaped(page, what) {
   const found = await page.evaluate(() => ({ owned: window.owned, strange: document.querySelectorAll('main img, main svg[onload], main b').length }))
-  check(`${what} with HTML in it is text`, found.owned === undefined && found.strange === 0)
+  check(`${what} with HTML is shown as text`, found.owned === undefined && found.strange === 0)
 }
 
 export async function hostileNames({ page, base, folder }) {
@@ -72,27 +72,27 @@ export async function hostileNames({ page, base, folder }) {
   const job = await solve(base, JSON.stringify(document), { labels: { [HOSTILE.slice(0, 40)]: HOSTILE } })
   await page.goto(`${base}/#/`)
   await page.getByRole('link', { name: HOSTILE }).first().waitFor()
-  await unharmed(page, "a session's name")
+  await checkEscaped(page, "a session's name")
   await shot(page, 'hostile-home')
   await page.goto(`${base}/#/jobs/${job.id}`)
   await sceneReady(page)
   await page.getByRole('button', { name: `Look through ${HOSTILE_CAMERA}` }).click()
   await drawn(page)
-  await unharmed(page, "a camera's name")
+  await checkEscaped(page, "a camera's name")
   await shot(page, 'hostile-scene')
   for (const tab of ['Report', 'Files']) {
     await page.getByRole('link', { name: tab }).click()
     await page.locator('table').first().waitFor()
-    await unharmed(page, `a name on the page ${tab}`)
+    await checkEscaped(page, `a name on the page ${tab}`)
     await shot(page, `hostile-${tab.toLowerCase()}`)
   }
 }
 
-/** Nothing written into the page runs, even where somebody gets it there. */
+/** The content security policy blocks injected scripts and handlers. */
 export async function policy({ browser, base }) {
   const answer = await fetch(base)
   const rules = answer.headers.get('content-security-policy') ?? ''
-  check('the policy allows nothing inline', /default-src 'none'/.test(rules) && !/unsafe/.test(rules), rules.split(';')[1]?.trim())
+  check('the policy forbids inline scripts', /default-src 'none'/.test(rules) && !/unsafe/.test(rules), rules.split(';')[1]?.trim())
   const other = await openPage(browser, { colorScheme: 'dark', isPolicyTried: true })
   await other.goto(base)
   await other.evaluate(() => {
@@ -103,6 +103,6 @@ export async function policy({ browser, base }) {
     document.body.append(script, image)
   })
   await other.waitForTimeout(500)
-  check('a script and a handler put into the page do not run', (await other.evaluate(() => window.owned)) === undefined)
+  check('injected scripts and handlers do not run', (await other.evaluate(() => window.owned)) === undefined)
   await other.context().close()
 }

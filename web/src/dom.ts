@@ -1,30 +1,30 @@
-// The one way elements are made. Text goes in as text: a name with HTML in it stays a name.
+// Creation of DOM elements. Text is always inserted as text, so that names with HTML in them are harmless.
 
 export type Child = Node | string | number | null | undefined | false
 
 type Properties = Record<string, unknown>
 
-/** An element with attributes, listeners (`onclick: …`) and children; `class` and `data-…` are attributes as they stand. */
+/** Creates an element with attributes (also `class` and `data-…`), listeners (`onclick: …`) and children. */
 export function el<K extends keyof HTMLElementTagNameMap>(
   tag: K,
   properties: Properties = {},
   ...children: Child[]
 ): HTMLElementTagNameMap[K] {
-  return dressed(document.createElement(tag), properties, children)
+  return initialised(document.createElement(tag), properties, children)
 }
 
 const SVG = 'http://www.w3.org/2000/svg'
 
-/** The same for SVG. */
+/** Creates an SVG element. */
 export function svg<K extends keyof SVGElementTagNameMap>(
   tag: K,
   properties: Properties = {},
   ...children: Child[]
 ): SVGElementTagNameMap[K] {
-  return dressed(document.createElementNS(SVG, tag) as SVGElementTagNameMap[K], properties, children)
+  return initialised(document.createElementNS(SVG, tag) as SVGElementTagNameMap[K], properties, children)
 }
 
-function dressed<E extends Element>(element: E, properties: Properties, children: Child[]): E {
+function initialised<E extends Element>(element: E, properties: Properties, children: Child[]): E {
   for (const [name, value] of Object.entries(properties)) {
     if (value === null || value === undefined || value === false) continue
     if (name.startsWith('on')) element.addEventListener(name.slice(2), value as EventListener)
@@ -39,12 +39,12 @@ function isShown(child: Child): child is Node | string | number {
   return child !== null && child !== undefined && child !== false
 }
 
-/** Puts new children in place of the old ones. */
+/** Replaces all children of an element. */
 export function fill(parent: Element, ...children: Child[]) {
   parent.replaceChildren(...children.filter(isShown).map((child) => (child instanceof Node ? child : String(child))))
 }
 
-/** A button; its label is read out even where only a sign is shown. */
+/** Creates a button with `label` as its text, unless children are given. */
 export function button(label: string, onclick: () => void, properties: Properties = {}, ...children: Child[]) {
   return el('button', { type: 'button', onclick, ...properties }, ...(children.length ? children : [label]))
 }

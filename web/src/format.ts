@@ -1,4 +1,4 @@
-// Numbers as people read them: a unit behind each, no more digits than are true.
+// Formatting of numbers with units and a sensible number of digits.
 
 const THIN = '\u202f'
 export const NOTHING = '–'
@@ -49,8 +49,8 @@ export function grouped(n: number) {
   return Math.round(n).toString().replace(/\B(?=(\d{3})+$)/g, THIN)
 }
 
-/** A moment as the reader's own clock shows it. */
-export function moment(text: string | null) {
+/** A time in the local time zone. */
+export function localTime(text: string | null) {
   if (!text) return NOTHING
   const at = new Date(text)
   const isToday = at.toDateString() === new Date().toDateString()
@@ -58,7 +58,7 @@ export function moment(text: string | null) {
   return isToday ? `today ${time}` : `${at.toLocaleDateString()} ${time}`
 }
 
-/** A stage's name as words. */
+/** An identifier as words: `body_fit` becomes `body fit`. */
 export function words(name: string) {
   return name.replaceAll('_', ' ')
 }

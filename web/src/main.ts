@@ -1,4 +1,4 @@
-// The frame of all pages: which one the address asks for, the theme, and whether the service answers.
+// Entry point: selects the page for the address, switches the theme and shows connection problems.
 
 import { Problem } from './api/client'
 import { button, el, fill } from './dom'
@@ -12,9 +12,9 @@ startTheme()
 const banner = el('div', { class: 'banner', 'aria-live': 'assertive' })
 const page = el('main', {})
 const theme = button('', toggleTheme, { class: 'quiet' })
-const nameTheme = () => (theme.textContent = isDark() ? 'Light' : 'Dark')
-onThemeChange(nameTheme)
-nameTheme()
+const labelTheme = () => (theme.textContent = isDark() ? 'Light' : 'Dark')
+onThemeChange(labelTheme)
+labelTheme()
 
 document.getElementById('app')!.append(
   el('header', { class: 'top' },
@@ -36,21 +36,21 @@ function route() {
   const { signal } = closing
   open = null
   if (kind === 'jobs' && id) {
-    open = { id, page: openJob(encodeURIComponent(id), tab as Tab, signal, told) }
+    open = { id, page: openJob(encodeURIComponent(id), tab as Tab, signal, showProblem) }
     fill(page, open.page.element)
   } else {
     document.title = 'wandless'
-    fill(page, openHome(signal, told).element)
+    fill(page, openHome(signal, showProblem).element)
   }
 }
 
-/** Says at the top of every page that the service does not answer, and takes it back once it does. */
-function told(problem: Problem | null) {
+/** Shows a problem with the service at the top of every page; null removes it. */
+function showProblem(problem: Problem | null) {
   if (problem?.status === 401 || problem?.status === 403) askForKey(restart)
   if (!problem) return fill(banner)
   if (problem.status === 401) {
-    const cause = { code: 'key_needed', detail: 'This service opens for those who have a key.', remedy: 'Enter it; the operator makes one with `wandless key create`.' }
-    return fill(banner, causeCard('A key is needed', cause), button('Enter the key', () => askForKey(restart)))
+    const cause = { code: 'key_needed', detail: 'This service requires an API key.', remedy: 'Enter the key; the operator creates one with `wandless key create`.' }
+    return fill(banner, causeCard('API key required', cause), button('Enter the key', () => askForKey(restart)))
   }
   fill(banner, problemCard(problem.status === 0 ? 'No connection' : 'The service could not answer', problem))
 }

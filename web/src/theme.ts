@@ -1,4 +1,4 @@
-// Dark and light: the system's choice until the reader makes another.
+// Dark and light theme: the system setting unless the user has chosen one.
 
 const NAME = 'wandless.theme'
 const listeners = new Set<() => void>()
@@ -19,7 +19,7 @@ export function toggleTheme() {
   apply()
 }
 
-/** Calls `listener` at every change; returns how to end that. */
+/** Calls `listener` at every change; returns a function that unsubscribes. */
 export function onThemeChange(listener: () => void) {
   listeners.add(listener)
   return () => void listeners.delete(listener)

@@ -1,8 +1,8 @@
-// Requests to the service, their answers and every way they fail.
+// Requests to the service and their errors.
 
 import type { Cause, Inspection, Job, Manifest, Report, Session } from './types'
 
-/** What went wrong, in the service's words where it gave any. */
+/** Error of a request, with the explanation of the service if it gave one. */
 export class Problem extends Error {
   readonly status: number
   readonly cause: Cause
@@ -14,7 +14,7 @@ export class Problem extends Error {
   }
 }
 
-/** The service's key, kept for this tab only. */
+/** Name of the API key in the session storage, which lives as long as the tab. */
 const KEY = 'wandless.key'
 
 export function hasKey() {
@@ -31,7 +31,7 @@ export function authorization(): Record<string, string> {
   return key ? { Authorization: `Bearer ${key}` } : {}
 }
 
-/** A request that either answers or throws a `Problem`; `AbortError`s pass. */
+/** Sends a request. Throws a `Problem` on errors; `AbortError`s are passed on. */
 export async function request(path: string, init: RequestInit = {}): Promise<Response> {
   let response: Response
   try {
@@ -48,7 +48,7 @@ export function unreachable() {
   return new Problem(0, {
     code: 'unreachable',
     detail: 'The service does not answer.',
-    remedy: 'Check that `wandless serve` is running; this page tries again by itself.',
+    remedy: 'Check that `wandless serve` is running; this page retries automatically.',
   })
 }
 
@@ -56,7 +56,7 @@ async function problemOf(response: Response) {
   return problemFrom(response.status, await response.text().catch(() => ''))
 }
 
-/** A problem from an answer's status and text, whatever stands between us and the service. */
+/** The problem of a response; the text may come from a proxy and need not be a problem document. */
 export function problemFrom(status: number, text: string) {
   const other = { code: 'unexpected', detail: `The service answered ${status}.`, remedy: 'Try again.' }
   try {
@@ -92,7 +92,7 @@ export function startJob(session: string, options: Record<string, unknown>) {
   return json<Job>('/v1/jobs', { method: 'POST', headers, body: JSON.stringify({ session, options }) })
 }
 
-/** The inspection's findings, or nothing where the service has no such route. */
+/** The inspection of a session; null if the service does not offer inspections. */
 export async function inspect(session: string, signal?: AbortSignal): Promise<Inspection | null> {
   try {
     return await json(`/v1/sessions/${session}/inspection`, { signal })
@@ -102,12 +102,12 @@ export async function inspect(session: string, signal?: AbortSignal): Promise<In
   }
 }
 
-/** Path of a result's file; a name may hold slashes, and anything else. */
+/** Path of a result file; its name may contain slashes and special characters. */
 export function artifactPath(job: string, name: string) {
   return `/v1/jobs/${job}/artifacts/${name.split('/').map(encodeURIComponent).join('/')}`
 }
 
-/** A result's file as bytes; nothing where the result has no such file. */
+/** Content of a result file; null if the result does not contain it. */
 export async function getArtifact(job: string, name: string, signal?: AbortSignal): Promise<ArrayBuffer | null> {
   try {
     return await (await request(artifactPath(job, name), { signal })).arrayBuffer()

@@ -1,4 +1,4 @@
-// Server-sent events read with `fetch`: `EventSource` could not carry the service's key.
+// Server-sent events read with `fetch`, because `EventSource` cannot send the API key.
 
 export interface ServerEvent {
   name: string
@@ -6,18 +6,18 @@ export interface ServerEvent {
   id: string | null
 }
 
-/** Nothing for so long (the service sends a comment every 10 s): the stream is dead, ms. */
-const SILENCE_MS = 25_000
+/** A stream without data for this time is broken, ms. The service sends a comment every 10 s. */
+const TIMEOUT_MS = 25_000
 
-/** The events of an answer as they come; ends with the stream, or after `SILENCE_MS` without a byte. */
-export async function* eventsOf(answer: Response): AsyncGenerator<ServerEvent> {
-  const reader = answer.body?.getReader()
+/** Yields the events of a response; ends with the stream or after `TIMEOUT_MS` without data. */
+export async function* eventsOf(response: Response): AsyncGenerator<ServerEvent> {
+  const reader = response.body?.getReader()
   if (!reader) return
   const decoder = new TextDecoder()
   let text = ''
   try {
     for (;;) {
-      const portion = await within(reader.read(), SILENCE_MS)
+      const portion = await within(reader.read(), TIMEOUT_MS)
       if (!portion || portion.done) return
       text += decoder.decode(portion.value, { stream: true }).replaceAll('\r', '')
       const blocks = text.split('\n\n')
@@ -32,7 +32,7 @@ export async function* eventsOf(answer: Response): AsyncGenerator<ServerEvent> {
   }
 }
 
-/** One block of lines; nothing where it only says that the stream is alive. */
+/** Parses one block of lines; null for a keep-alive comment. */
 function eventOf(block: string): ServerEvent | null {
   const event: ServerEvent = { name: 'message', data: '', id: null }
   for (const line of block.split('\n')) {
@@ -44,9 +44,9 @@ function eventOf(block: string): ServerEvent | null {
   return event.data ? event : null
 }
 
-/** What a promise gives, or null after `ms`. */
+/** Result of a promise, or null after `ms`. */
 function within<T>(promise: Promise<T>, ms: number): Promise<T | null> {
   let timer = 0
-  const late = new Promise<null>((resolve) => (timer = window.setTimeout(() => resolve(null), ms)))
-  return Promise.race([promise, late]).finally(() => clearTimeout(timer))
+  const timeout = new Promise<null>((resolve) => (timer = window.setTimeout(() => resolve(null), ms)))
+  return Promise.race([promise, timeout]).finally(() => clearTimeout(timer))
 }

@@ -1,26 +1,26 @@
-// A job as it changes, told by the service's events.
+// Follows a job through the events of the service.
 
 import { Problem, getJob, request } from './client'
 import { eventsOf } from './events'
 import { type Job, type Progress, isFinal } from './types'
 
-/** Between two tries of a service that does not answer, ms. */
+/** Delay before a retry after a failed request, ms. */
 const RETRY_MS = 2000
 
-/** Who listens to a job. */
+/** Callbacks of `follow`. */
 export interface Follower {
   onJob: (job: Job) => void
-  /** A line that the job's own process wrote. */
+  /** A log line of the job process. */
   onLog?: (line: string) => void
-  /** Why nothing is heard; null as soon as the service answers again. */
+  /** A connection problem; null as soon as the service answers again. */
   onProblem: (problem: Problem | null) => void
 }
 
-/** Tells of a job at once and at every change until it is final, is gone, or `signal` aborts. */
+/** Reports a job immediately and at every change, until it is final or deleted or `signal` aborts. */
 export async function follow(id: string, follower: Follower, signal: AbortSignal) {
   let last: string | null = null
   let job: Job | null = null
-  const tell = (now: Job) => {
+  const report = (now: Job) => {
     job = now
     follower.onJob(now)
   }
@@ -33,14 +33,14 @@ export async function follow(id: string, follower: Follower, signal: AbortSignal
         if (signal.aborted) return
         last = version ?? last
         if (name === 'log') follower.onLog?.(String(JSON.parse(data).line))
-        else if (name === 'state') tell(JSON.parse(data))
-        // A stage's time is told by the job alone.
-        else if (name === 'progress' && job) tell(await withProgress(job, JSON.parse(data), signal))
+        else if (name === 'state') report(JSON.parse(data))
+        // Progress events do not contain the times of finished stages.
+        else if (name === 'progress' && job) report(await withProgress(job, JSON.parse(data), signal))
         if (job && isFinal((job as Job).state)) return
       }
     } catch (error) {
       if (signal.aborted) return
-      const problem = error instanceof Problem ? error : unreadable(error)
+      const problem = error instanceof Problem ? error : interrupted(error)
       follower.onProblem(problem)
       if (problem.status === 401 || problem.status === 404) return
     }
@@ -52,10 +52,10 @@ async function withProgress(job: Job, progress: Progress, signal: AbortSignal): 
   return job.progress?.stage === progress.stage ? { ...job, progress } : getJob(job.id, signal)
 }
 
-/** A stream that breaks in the middle fails in the browser's own words. */
-function unreadable(error: unknown) {
-  const detail = `The service's answer broke off (${error instanceof Error ? error.message : String(error)}).`
-  return new Problem(0, { code: 'broken_off', detail, remedy: 'This page tries again by itself.' })
+/** Wraps the error of an interrupted stream. */
+function interrupted(error: unknown) {
+  const detail = `The connection to the service was interrupted (${error instanceof Error ? error.message : String(error)}).`
+  return new Problem(0, { code: 'interrupted', detail, remedy: 'This page retries automatically.' })
 }
 
 export function pause(ms: number, signal: AbortSignal) {

@@ -1,4 +1,4 @@
-// What the service says, as far as the viewer reads it.
+// Documents of the HTTP API, with the fields that the viewer uses.
 
 export type State = 'queued' | 'running' | 'canceling' | 'succeeded' | 'failed' | 'canceled' | 'dead'
 export type Verdict = 'pass' | 'warn' | 'reject'
@@ -18,7 +18,7 @@ export interface Session {
   created_at: string
 }
 
-/** What can be said of a session before it is solved. */
+/** Inspection of a session before it is solved. */
 export interface Inspection {
   cameras: { id: string; frames_with_people: number; detections: number }[]
   /** Cameras that see the same people. */
@@ -46,7 +46,7 @@ export interface Quality {
   reasons: string[]
 }
 
-/** Why a job failed; the same fields as in a problem. */
+/** Reason why a job failed; the fields of a problem document. */
 export interface Cause {
   code: string
   detail: string
@@ -100,8 +100,8 @@ export interface SigmaSummary {
   p95: number
 }
 
-/** Figures of one kind of keypoint of one person. */
-export interface KeypointFigures {
+/** Statistics of one keypoint of one person. */
+export interface KeypointStatistics {
   keypoint: string
   n_observations: number
   rejected: number
@@ -110,7 +110,7 @@ export interface KeypointFigures {
   sigma_mm: SigmaSummary | null
 }
 
-/** What is optional is not in the reports of earlier versions. */
+/** Optional fields are missing in reports of earlier versions. */
 export interface Report {
   stages: {
     stage: string
@@ -140,7 +140,7 @@ export interface Report {
     sigma_mm?: SigmaSummary | null
     ray_angle_deg?: number | null
     dilution?: number | null
-    keypoints?: KeypointFigures[]
+    keypoints?: KeypointStatistics[]
     bone_length_spread: number | null
     jitter_m_per_s2: number | null
   }[]
@@ -153,7 +153,7 @@ export interface Report {
   quality: Quality
 }
 
-/** What the consistency stage did to one person's detections in one camera. */
+/** Changes of the consistency stage to the detections of one person in one camera. */
 export interface ConsistencyPair {
   camera: string
   person: number

@@ -1,16 +1,16 @@
-// A dropped file or folder on its way to the service.
+// Upload of a dropped or chosen file or folder.
 
 import { zipSync } from 'fflate'
 import { authorization, problemFrom, unreachable } from './client'
 import type { Session } from './types'
 
-/** Something to upload: one file, or the files of a folder under their paths. */
+/** Files to upload: one file, or the files of a folder with their paths. */
 export interface Take {
   name: string
   files: { path: string; file: File }[]
 }
 
-/** What was dropped: the only file, or everything below the only folder. */
+/** Files of a drop event; folders are read recursively. */
 export async function takeFromDrop(transfer: DataTransfer): Promise<Take | null> {
   const entries = [...transfer.items].map((item) => item.webkitGetAsEntry?.()).filter((entry) => entry != null)
   if (entries.length === 0) return takeFromFiles([...transfer.files])
@@ -18,7 +18,7 @@ export async function takeFromDrop(transfer: DataTransfer): Promise<Take | null>
   return files.length ? { name: entries[0].name, files } : null
 }
 
-/** What was chosen in a file dialogue. */
+/** Files chosen in a file dialogue. */
 export function takeFromFiles(files: File[]): Take | null {
   if (files.length === 0) return null
   const listed = files.map((file) => ({ path: file.webkitRelativePath || file.name, file }))
@@ -34,15 +34,15 @@ async function filesBelow(entry: FileSystemEntry, folder: string): Promise<Take[
   const reader = (entry as FileSystemDirectoryEntry).createReader()
   const children: FileSystemEntry[] = []
   for (;;) {
-    // A folder is told in portions, the last one empty.
-    const some = await new Promise<FileSystemEntry[]>((resolve, reject) => reader.readEntries(resolve, reject))
-    if (some.length === 0) break
-    children.push(...some)
+    // The entries of a folder arrive in batches; an empty batch ends the list.
+    const batch = await new Promise<FileSystemEntry[]>((resolve, reject) => reader.readEntries(resolve, reject))
+    if (batch.length === 0) break
+    children.push(...batch)
   }
   return (await Promise.all(children.map((child) => filesBelow(child, `${path}/`)))).flat()
 }
 
-/** Sends a take; `onProgress` hears the share that has left. */
+/** Uploads a take; `onProgress` receives the uploaded share, 0 to 1. */
 export async function upload(take: Take, onProgress: (share: number) => void): Promise<Session> {
   const only = take.files.length === 1 ? take.files[0].file : null
   const type = only && mediaType(only.name)
@@ -58,17 +58,17 @@ function mediaType(name: string) {
 }
 
 async function zipped(take: Take): Promise<Uint8Array<ArrayBuffer>> {
-  // Truth and images are no part of an upload.
+  // Ground truth and images are not uploaded.
   const isWanted = (path: string) => !/(^|\/)gt\//.test(path) && !/\.(jpe?g|png|mp4|mov)$/i.test(path)
   const members: Record<string, Uint8Array> = {}
   for (const { path, file } of take.files.filter(({ path }) => isWanted(path))) {
     members[path] = new Uint8Array(await file.arrayBuffer())
   }
-  // `zip` deflates in workers made from blobs, which the page's policy forbids.
+  // The asynchronous `zip` uses workers from blobs, which the content security policy forbids.
   return zipSync(members, { level: 1 }) as Uint8Array<ArrayBuffer>
 }
 
-/** XMLHttpRequest, since `fetch` does not tell how much of a body has left. */
+/** Uses XMLHttpRequest, because `fetch` does not report upload progress. */
 function send(body: Blob, type: string, onProgress: (share: number) => void): Promise<Session> {
   return new Promise((resolve, reject) => {
     const request = new XMLHttpRequest()

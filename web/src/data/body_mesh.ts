@@ -1,4 +1,4 @@
-// The default body's mesh, from `/assets/default-body.bin`: shaped once a person, posed by the graphics card.
+// Mesh of the default body from `/assets/default-body.bin`. It is shaped once per person and posed by the GPU.
 
 import { type ArrayRef, Described } from './described'
 import { N_JOINTS } from './motion'
@@ -13,10 +13,10 @@ export interface BodyMesh {
   /** [V, 3, 10], in steps of `metres_per_step`. */
   directions: Int16Array
   metres_per_step: number
-  /** [24, 3] and [24, 3, 10]: the same of the joints, metres. */
+  /** [24, 3] and [24, 3, 10]: rest joints and their shape directions, metres. */
   joints: Float32Array
   jointDirections: Float32Array
-  /** [V, 4]: who carries each vertex, and how much of 255. */
+  /** [V, 4]: joints of each vertex and their skinning weights, 0 to 255. */
   skinJoints: Uint8Array
   skinWeights: Uint8Array
   /** [F, 3] */
@@ -40,7 +40,7 @@ export function readBodyMesh(bytes: ArrayBuffer): BodyMesh {
   }
 }
 
-/** Vertices and joints of a shape in the rest pose, metres: `T + S beta`. */
+/** Vertices and joints of a shaped body in the rest pose, metres: `T + S beta`. */
 export function shaped(mesh: BodyMesh, betas: number[]) {
   const add = (rest: Float32Array, directions: Int16Array | Float32Array, unit: number) =>
     rest.map((value, i) => {
@@ -54,16 +54,16 @@ export function shaped(mesh: BodyMesh, betas: number[]) {
   }
 }
 
-/** Joints whose distances tell how large a body is: shin, thigh, upper arm, forearm of either side. */
+/** Joint pairs whose distances measure the size of a body: thighs, shins, upper arms, forearms. */
 const LIMBS = [[1, 4], [4, 7], [2, 5], [5, 8], [16, 18], [18, 20], [17, 19], [19, 21]]
 
-/** The mean body, as large as somebody whose joints stand at `at` of `joints`: for people of a body that is not ours to have. */
-export function likeness(mesh: BodyMesh, joints: Float32Array, at: number) {
-  const reach = (points: Float32Array, first: number) =>
+/** The mean body, scaled to the limb lengths of the joints in row `at`: for people whose body model is not available. */
+export function scaledMeanBody(mesh: BodyMesh, joints: Float32Array, at: number) {
+  const limbLength = (points: Float32Array, first: number) =>
     LIMBS.reduce((sum, [a, b]) => {
       const [i, j] = [3 * (first + a), 3 * (first + b)]
       return sum + Math.hypot(points[i] - points[j], points[i + 1] - points[j + 1], points[i + 2] - points[j + 2])
     }, 0)
-  const scale = reach(joints, at * N_JOINTS) / reach(mesh.joints, 0)
+  const scale = limbLength(joints, at * N_JOINTS) / limbLength(mesh.joints, 0)
   return { vertices: mesh.vertices.map((c) => scale * c), joints: mesh.joints.map((c) => scale * c) }
 }

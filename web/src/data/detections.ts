@@ -1,27 +1,26 @@
-// What each camera's detector saw, what the consistency stage made of it and whom it was given to, from
-// `stages/detections.bin`.
+// Detections of each camera with their persons and the changes of the consistency stage, from `stages/detections.bin`.
 
 import { type ArrayRef, Described } from './described'
 
 export interface CameraDetections {
   /** Detections `starts[f]` to `starts[f + 1]` are those of frame index f. */
   starts: Uint32Array
-  /** Whom each was given to; -1 for nobody. */
+  /** Person of each detection; -1: not assigned. */
   person: Int16Array
-  /** [detections, K, 2], px, NaN where the detector gave no point. */
+  /** [detections, K, 2], px; NaN for missing points. */
   pixels: Float32Array
   /** [detections, K]: 0 to 255. */
   confidence: Uint8Array
-  /** What was done to them; null where nothing was cleaned. */
+  /** Changes of the consistency stage; null if it was switched off. */
   cleaning: Cleaning | null
 }
 
 export interface Cleaning {
-  /** Whom each had been given to before; -1 for nobody. */
+  /** Person of each detection before the stage; -1: not assigned. */
   before: Int16Array
   /** Row of `sources` for each detection whose keypoints were exchanged or rejected. */
   rows: Map<number, number>
-  /** [rows, K]: the detected keypoint that shows each, `REJECTED` for none. */
+  /** [rows, K]: index of the detected keypoint that is used for each keypoint; `REJECTED` for none. */
   sources: Uint8Array
 }
 
@@ -31,7 +30,7 @@ type Names = 'starts' | 'person' | 'pixels' | 'confidence'
 type CleaningNames = 'before' | 'repaired' | 'sources'
 type Header = { cameras: (Record<Names, ArrayRef> & Partial<Record<CleaningNames, ArrayRef>>)[] }
 
-/** By camera, in the session's order. */
+/** Reads the detections per camera, in the order of the session. */
 export function readDetections(bytes: ArrayBuffer): CameraDetections[] {
   const file = new Described<Header>(bytes, 'wandless.detections')
   return file.header.cameras.map(({ before, repaired, sources, ...camera }) => ({
@@ -49,7 +48,7 @@ export function readDetections(bytes: ArrayBuffer): CameraDetections[] {
   }))
 }
 
-/** The detected keypoint that shows keypoint `k` of a detection after cleaning; -1 where it was rejected. */
+/** Index of the detected keypoint that is used for keypoint `k` after cleaning; -1 if it was rejected. */
 export function sourceOf({ cleaning }: CameraDetections, detection: number, k: number, n_keypoints: number) {
   const row = cleaning?.rows.get(detection)
   if (!cleaning || row === undefined) return k
@@ -57,22 +56,22 @@ export function sourceOf({ cleaning }: CameraDetections, detection: number, k: n
   return source === REJECTED ? -1 : source
 }
 
-/** What was done to one detection, in a few words; empty where nothing was. */
-export function deedsOn(seen: CameraDetections, detection: number, n_keypoints: number): string {
-  const { cleaning, person } = seen
+/** Describes the changes to one detection in a few words; empty without changes. */
+export function changesOf(detections: CameraDetections, detection: number, n_keypoints: number): string {
+  const { cleaning, person } = detections
   if (!cleaning) return ''
-  const said: string[] = []
+  const changes: string[] = []
   const before = cleaning.before[detection]
-  if (before >= 0 && before !== person[detection]) said.push(`was person ${before}`)
+  if (before >= 0 && before !== person[detection]) changes.push(`was person ${before}`)
   if (cleaning.rows.has(detection)) {
     let [exchanged, rejected] = [0, 0]
     for (let k = 0; k < n_keypoints; k++) {
-      const source = sourceOf(seen, detection, k, n_keypoints)
+      const source = sourceOf(detections, detection, k, n_keypoints)
       if (source < 0) rejected++
       else if (source !== k) exchanged++
     }
-    if (exchanged) said.push('left and right exchanged')
-    if (rejected) said.push(rejected === 1 ? '1 joint rejected' : `${rejected} joints rejected`)
+    if (exchanged) changes.push('left and right exchanged')
+    if (rejected) changes.push(rejected === 1 ? '1 joint rejected' : `${rejected} joints rejected`)
   }
-  return said.join(', ')
+  return changes.join(', ')
 }

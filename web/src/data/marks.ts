@@ -1,11 +1,11 @@
-// Where something happened on the time line: identities repaired, detections mended or rejected.
+// Marks on the time line: frames with repaired identities and repaired or rejected detections.
 
 import type { Motion } from './motion'
 
-/** Marks nearer to each other than this are one for whoever goes from mark to mark, frames. */
-const APART = 5
+/** Marks closer than this to the previous frame with a mark are skipped, frames. */
+const MIN_DISTANCE = 5
 
-/** The nearest mark before (-1) or after (1) a frame, of one camera or of all; the frame itself where there is none. */
+/** The nearest mark before (-1) or after (1) a frame, of one camera or of all; the frame itself if there are no more marks. */
 export function nextMark(motion: Motion, camera: number | null, frame: number, by: number) {
   const marks = marksOf(motion, camera)
   const found = by > 0 ? marks.find((mark) => mark > frame) : marks.findLast((mark) => mark < frame)
@@ -16,13 +16,13 @@ function marksOf(motion: Motion, camera: number | null) {
   const ofCamera = motion.people.flatMap(({ repairs }) => repairs.filter(([, c]) => camera === null || c === camera))
   const marked = new Set(ofCamera.map(([frame]) => frame))
   for (let frame = 0; frame < motion.n_frames; frame++) {
-    if (countAt(motion, motion.rejected, frame, camera) + countAt(motion, motion.mended, frame, camera)) marked.add(frame)
+    if (countAt(motion, motion.rejected, frame, camera) + countAt(motion, motion.repaired, frame, camera)) marked.add(frame)
   }
   const inOrder = [...marked].sort((a, b) => a - b)
-  return inOrder.filter((frame, i) => i === 0 || frame - inOrder[i - 1] > APART)
+  return inOrder.filter((frame, i) => i === 0 || frame - inOrder[i - 1] > MIN_DISTANCE)
 }
 
-/** Detections of a frame that were counted in one camera, or in all together. */
+/** Counted detections of a frame in one camera, or in all cameras. */
 export function countAt({ cameras, n_frames }: Motion, counts: Uint8Array | null, frame: number, camera: number | null = null) {
   if (!counts) return 0
   if (camera !== null) return counts[camera * n_frames + frame]

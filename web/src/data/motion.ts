@@ -1,4 +1,4 @@
-// The scene of a result: cameras and people over time, from `stages/motion.bin`.
+// Scene of a result: cameras and people over time, from `stages/motion.bin`.
 
 import { type ArrayRef, Described } from './described'
 
@@ -8,7 +8,7 @@ export interface Camera {
   height: number
   K: number[][]
   dist: number[]
-  /** How the lens bends rays, where `dist` alone does not say it. */
+  /** Distortion model, if it is not the polynomial model. */
   distortion_model?: 'rational' | 'fisheye'
   R: number[][] | null
   t: number[] | null
@@ -24,19 +24,19 @@ export interface Person {
   /** Frame index of row 0. */
   first: number
   n_frames: number
-  /** Shape, population standard deviations; null in results of versions that did not tell. */
+  /** Shape, population standard deviations; null in results of earlier versions. */
   betas: number[] | null
   /** [frames, 24, 3], world metres. */
   joints: Float32Array
-  /** [frames, 24, 4]: `world_from_joint` as quaternions x y z w, `UNIT_TURN` for 1; null as above. */
-  turns: Int16Array | null
-  /** [frames]: 0 where the pose is carried. */
+  /** [frames, 24, 4]: `world_from_joint` as quaternions x y z w, `QUATERNION_UNIT` for 1; null as above. */
+  rotations: Int16Array | null
+  /** [frames]: 0 where the pose is not supported by observations. */
   valid: Uint8Array
-  /** [frames, K, 3], world metres, NaN where nothing is known. */
+  /** [frames, K, 3], world metres; NaN: unknown. */
   keypoints: Float32Array
   /** [frames, K]: cameras that saw each keypoint. */
   n_views: Uint8Array
-  /** [frame index, camera index] where the detector's track broke and ours went on. */
+  /** [frame index, camera index] where the track of the detector changed person and was repaired. */
   repairs: [number, number][]
 }
 
@@ -51,18 +51,18 @@ export interface Motion {
   keypoint_names: string[]
   cameras: Camera[]
   people: Person[]
-  /** What the people were fitted with; null in results of versions that did not tell. */
+  /** Body model of the fit; null in results of earlier versions. */
   body_model: { name: string; sha256: string } | null
-  /** [cameras, n_frames]: detections given to nobody. */
+  /** [cameras, n_frames]: number of detections that were not assigned to a person. */
   rejected: Uint8Array
-  /** [cameras, n_frames]: detections whose keypoints were exchanged or rejected; null where nothing was cleaned. */
-  mended: Uint8Array | null
+  /** [cameras, n_frames]: number of detections with exchanged or rejected keypoints; null without the consistency stage. */
+  repaired: Uint8Array | null
 }
 
 export const N_JOINTS = 24
-export const UNIT_TURN = 32767
+export const QUATERNION_UNIT = 32767
 
-interface Header extends Omit<Motion, 'cameras' | 'people' | 'rejected' | 'mended' | 'up_axis'> {
+interface Header extends Omit<Motion, 'cameras' | 'people' | 'rejected' | 'repaired' | 'up_axis'> {
   world: { up_axis: 'y' | 'z'; cameras: Camera[] }
   people: (Pick<Person, 'id' | 'first' | 'repairs'> &
     Record<'joints' | 'valid' | 'keypoints' | 'n_views', ArrayRef> & { betas?: number[]; turns?: ArrayRef })[]
@@ -85,23 +85,23 @@ export function readMotion(bytes: ArrayBuffer): Motion {
       n_frames: person.joints.shape[0],
       betas: person.betas ?? null,
       joints: file.f32(person.joints),
-      turns: person.turns ? file.i16(person.turns) : null,
+      rotations: person.turns ? file.i16(person.turns) : null,
       valid: file.u8(person.valid),
       keypoints: file.f32(person.keypoints),
       n_views: file.u8(person.n_views),
     })),
     rejected: file.u8(rejected),
-    mended: repaired ? file.u8(repaired) : null,
+    repaired: repaired ? file.u8(repaired) : null,
   }
 }
 
-/** Row of a person's arrays at a frame index; -1 where the person is not there. */
+/** Row of the arrays of a person at a frame index; -1 where the person is absent. */
 export function rowAt(person: Person, frame: number) {
   const row = frame - person.first
   return row >= 0 && row < person.n_frames ? row : -1
 }
 
-/** Edges of a skeleton between names, as far as a convention has them. */
+/** Edges between keypoint names; a convention may lack some of them. */
 const EDGES = [
   ['nose', 'left_eye'], ['nose', 'right_eye'], ['left_eye', 'left_ear'], ['right_eye', 'right_ear'],
   ['left_shoulder', 'right_shoulder'], ['left_hip', 'right_hip'],
@@ -114,7 +114,7 @@ const EDGES = [
   ['right_ankle', 'right_heel'], ['right_ankle', 'right_big_toe'],
 ]
 
-/** Pairs of indices that are joined by a line when a convention's keypoints are drawn. */
+/** Keypoint index pairs that are connected by a line in drawings. */
 export function keypointEdges(names: string[]): [number, number][] {
   const pairs = EDGES.map(([a, b]) => [names.indexOf(a), names.indexOf(b)] as [number, number])
   return pairs.filter(([a, b]) => a >= 0 && b >= 0)

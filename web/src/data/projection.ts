@@ -1,12 +1,12 @@
-// The pinhole camera with OpenCV's lenses (five and eight coefficients, fisheye), as the solver has them. Pixel (0, 0) is
-// the centre of the first pixel.
+// Pinhole camera with OpenCV distortion (five and eight coefficients, fisheye), as in the solver. Pixel (0, 0) is the
+// centre of the first pixel.
 
 import type { Camera } from './motion'
 
-/** Nearer to the camera's plane than this (m) nothing projects. */
+/** Smallest depth of points that are projected, m. */
 const MIN_DEPTH = 1e-3
 
-/** Where a point of the world (m) is seen (px), written to `pixel`; false behind the camera or for an unknown point. */
+/** Projects a world point (m) and writes `pixel` (px); false behind the camera and for unknown points. */
 export function project(camera: Camera, x: number, y: number, z: number, pixel: [number, number]): boolean {
   const { R, t } = camera
   if (!R || !t) return false
@@ -18,22 +18,22 @@ export function project(camera: Camera, x: number, y: number, z: number, pixel: 
   return true
 }
 
-/** The pixel of ideal normalised coordinates, written to `pixel`. */
+/** Writes the pixel of undistorted normalised coordinates to `pixel`. */
 export function pixelFromNormalized(camera: Camera, u: number, v: number, pixel: [number, number]) {
-  bend(camera, u, v, pixel)
+  distort(camera, u, v, pixel)
   const { K } = camera
   const [du, dv] = pixel
   pixel[0] = K[0][0] * du + K[0][1] * dv + K[0][2]
   pixel[1] = K[1][1] * dv + K[1][2]
 }
 
-/** Whether the lens bends anything at all. */
-export function isBent({ dist }: Camera) {
+/** Whether the lens has any distortion. */
+export function isDistorted({ dist }: Camera) {
   return dist.some((k) => k !== 0)
 }
 
-/** What the lens makes of ideal normalised coordinates. */
-function bend({ dist, distortion_model }: Camera, u: number, v: number, bent: [number, number]) {
+/** Distorts normalised coordinates. */
+function distort({ dist, distortion_model }: Camera, u: number, v: number, distorted: [number, number]) {
   const r2 = u * u + v * v
   if (distortion_model === 'fisheye') {
     const r = Math.sqrt(r2)
@@ -41,32 +41,32 @@ function bend({ dist, distortion_model }: Camera, u: number, v: number, bent: [n
     const s = theta * theta
     const factor = 1 + s * (dist[0] + s * (dist[1] + s * (dist[2] + s * dist[3])))
     const scale = r > 1e-9 ? (theta * factor) / r : 1
-    bent[0] = scale * u
-    bent[1] = scale * v
+    distorted[0] = scale * u
+    distorted[1] = scale * v
     return
   }
   const [k1 = 0, k2 = 0, p1 = 0, p2 = 0, k3 = 0, k4 = 0, k5 = 0, k6 = 0] = dist
   const radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-  bent[0] = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u)
-  bent[1] = v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v
+  distorted[0] = u * radial + 2 * p1 * u * v + p2 * (r2 + 2 * u * u)
+  distorted[1] = v * radial + p1 * (r2 + 2 * v * v) + 2 * p2 * u * v
 }
 
-/** Farther from the axis than this (rad) a fisheye's ray is not followed. */
+/** Largest angle to the optical axis in the inverse of the fisheye model, rad. */
 const MAX_ANGLE = 1.55
 
-/** The ideal normalised coordinates of a pixel. Where the lens folds over there is none; the last guess is given. */
+/** Undistorted normalised coordinates of a pixel; approximate where the distortion is not invertible. */
 export function normalizedFromPixel(camera: Camera, x: number, y: number): [number, number] {
   const { K } = camera
   const v = (y - K[1][2]) / K[1][1]
   const u = (x - K[0][2] - K[0][1] * v) / K[0][0]
-  if (!isBent(camera)) return [u, v]
-  const [guess, bent]: [number, number][] = [startOf(camera, u, v), [0, 0]]
-  // A secant per axis: the lens is nearly a scaling, so that each step gains two digits or more.
+  if (!isDistorted(camera)) return [u, v]
+  const [guess, distorted]: [number, number][] = [startOf(camera, u, v), [0, 0]]
+  // Secant steps: distortion is nearly a scaling, so that each step gains at least two digits.
   for (let i = 0; i < 12; i++) {
-    bend(camera, guess[0], guess[1], bent)
-    const [du, dv] = [u - bent[0], v - bent[1]]
+    distort(camera, guess[0], guess[1], distorted)
+    const [du, dv] = [u - distorted[0], v - distorted[1]]
     if (Math.abs(du) + Math.abs(dv) < 1e-9) break
-    const step = slope(camera, guess, bent)
+    const step = slope(camera, guess, distorted)
     guess[0] += du / step
     guess[1] += dv / step
   }
@@ -80,12 +80,12 @@ function startOf({ distortion_model }: Camera, u: number, v: number): [number, n
   return [scale * u, scale * v]
 }
 
-/** Growth of the bent radius with the ideal one, kept positive. */
+/** Derivative of the distorted radius by the undistorted one, at least 0.05. */
 function slope(camera: Camera, [u, v]: [number, number], [bu, bv]: [number, number]) {
   const r = Math.hypot(u, v)
   if (r < 1e-6) return 1
   const h = 1e-5
   const ahead: [number, number] = [0, 0]
-  bend(camera, u * (1 + h), v * (1 + h), ahead)
+  distort(camera, u * (1 + h), v * (1 + h), ahead)
   return Math.max(Math.hypot(ahead[0] - bu, ahead[1] - bv) / (h * r), 0.05)
 }

@@ -1,41 +1,42 @@
-// People as the detections alone would have them: every keypoint met by its rays, frame by frame, with whoever tracking took
-// for the person and nothing repaired.
+// 3D points from the raw detections: each keypoint is triangulated per frame with the identities before the consistency
+// stage.
 
 import { type CameraDetections } from './detections'
 import type { Camera, Motion } from './motion'
 import { normalizedFromPixel } from './projection'
 
-/** A detected point below this confidence (of 255) is left out: the solver's own bound, 0.3. */
+/** Points below this confidence (of 255) are ignored: the threshold of the solver, 0.3. */
 const MIN_CONFIDENCE = 77
 
-/** By person [K, 3], world metres, NaN where fewer than two cameras saw the point. */
+/** Points per person, [K, 3], world metres; NaN with fewer than two cameras. */
 export function rawPoints(motion: Motion, detections: CameraDetections[], frame: number): Float32Array[] {
   const n = motion.keypoint_names.length
   return motion.people.map(({ id }) => {
     const points = new Float32Array(3 * n).fill(NaN)
     const own = motion.cameras.map((camera, c) => (camera.R ? detectionOf(detections[c], frame, id) : -1))
     for (let k = 0; k < n; k++) {
-      const meeting = new Meeting()
+      const triangulation = new Triangulation()
       own.forEach((d, c) => {
         if (d < 0 || detections[c].confidence[d * n + k] < MIN_CONFIDENCE) return
         const [x, y] = [detections[c].pixels[2 * (d * n + k)], detections[c].pixels[2 * (d * n + k) + 1]]
-        if (x === x) meeting.add(motion.cameras[c], x, y)
+        if (x === x) triangulation.add(motion.cameras[c], x, y)
       })
-      const met = meeting.point()
-      if (met) points.set(met, 3 * k)
+      const point = triangulation.point()
+      if (point) points.set(point, 3 * k)
     }
     return points
   })
 }
 
-function detectionOf(seen: CameraDetections, frame: number, id: number) {
-  const given = seen.cleaning?.before ?? seen.person
-  for (let d = seen.starts[frame]; d < seen.starts[frame + 1]; d++) if (given[d] === id) return d
+/** Index of the detection of a person in a frame; -1 without one. */
+function detectionOf(detections: CameraDetections, frame: number, id: number) {
+  const assigned = detections.cleaning?.before ?? detections.person
+  for (let d = detections.starts[frame]; d < detections.starts[frame + 1]; d++) if (assigned[d] === id) return d
   return -1
 }
 
-/** The point nearest to a set of rays: `sum (I - d d^T) (x - c) = 0`. */
-class Meeting {
+/** The point with the least squared distance to a set of rays: `sum (I - d d^T) (x - c) = 0`. */
+class Triangulation {
   private readonly m = [0, 0, 0, 0, 0, 0] // xx xy xz yy yz zz
   private readonly b = [0, 0, 0]
   private n = 0
@@ -61,7 +62,7 @@ class Meeting {
     const [p, q, r] = this.b
     const cofactors = [d * f - e * e, c * e - b * f, b * e - c * d]
     const det = a * cofactors[0] + b * cofactors[1] + c * cofactors[2]
-    // Rays that are nearly parallel meet nowhere in particular.
+    // Nearly parallel rays do not determine a point.
     if (this.n < 2 || det < 1e-4) return null
     return [
       (cofactors[0] * p + cofactors[1] * q + cofactors[2] * r) / det,

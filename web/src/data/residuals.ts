@@ -1,13 +1,13 @@
-// How far what was seen lies from what was found, frame by frame.
+// Reprojection errors and accelerations over time.
 
 import { type CameraDetections, sourceOf } from './detections'
 import { type Motion, rowAt } from './motion'
 import { project } from './projection'
 
-/** A detected point below this confidence (of 255) is not judged: the solver's own bound, 0.3. */
+/** Points below this confidence (of 255) are ignored: the threshold of the solver, 0.3. */
 const MIN_CONFIDENCE = 77
 
-/** Median distance of detected keypoints to their reprojection by camera and frame, px; NaN where nothing was seen. */
+/** Median reprojection error per camera and frame, px; NaN without observations. */
 export function residualsOverTime(motion: Motion, detections: CameraDetections[]): Float32Array[] {
   return motion.cameras.map((camera, c) => {
     const medians = new Float32Array(motion.n_frames).fill(NaN)
@@ -23,28 +23,29 @@ export function residualsOverTime(motion: Motion, detections: CameraDetections[]
   })
 }
 
+/** Visits every observation of a frame: 3D keypoint (x, y, z) and detected pixel (u, v). */
 function eachMatch(
   motion: Motion,
-  seen: CameraDetections,
+  detections: CameraDetections,
   frame: number,
   visit: (x: number, y: number, z: number, u: number, v: number) => void,
 ) {
   const n = motion.keypoint_names.length
-  for (let d = seen.starts[frame]; d < seen.starts[frame + 1]; d++) {
-    const person = motion.people.find((one) => one.id === seen.person[d])
+  for (let d = detections.starts[frame]; d < detections.starts[frame + 1]; d++) {
+    const person = motion.people.find((one) => one.id === detections.person[d])
     const row = person ? rowAt(person, frame) : -1
     if (!person || row < 0) continue
     for (let k = 0; k < n; k++) {
-      const source = sourceOf(seen, d, k, n)
-      if (source < 0 || seen.confidence[d * n + source] < MIN_CONFIDENCE) continue
+      const source = sourceOf(detections, d, k, n)
+      if (source < 0 || detections.confidence[d * n + source] < MIN_CONFIDENCE) continue
       const [p, q] = [3 * (row * n + k), 2 * (d * n + source)]
       const x = person.keypoints[p]
-      if (x === x) visit(x, person.keypoints[p + 1], person.keypoints[p + 2], seen.pixels[q], seen.pixels[q + 1])
+      if (x === x) visit(x, person.keypoints[p + 1], person.keypoints[p + 2], detections.pixels[q], detections.pixels[q + 1])
     }
   }
 }
 
-/** Mean acceleration of each person's joints by frame, m/s^2; NaN where the person is not there. */
+/** Mean joint acceleration per person and frame, m/s^2; NaN where the person is absent. */
 export function accelerationOverTime(motion: Motion): Float32Array[] {
   return motion.people.map((person) => {
     const rows = new Float32Array(motion.n_frames).fill(NaN)

@@ -1,4 +1,4 @@
-// Small signs: the state of a job, the verdict over a result.
+// Chips for job states and verdicts, and the progress bar of a job.
 
 import type { Job, Verdict } from '../api/types'
 import { el } from '../dom'
@@ -9,11 +9,11 @@ export function stateChip(job: Job) {
 }
 
 export function verdictChip(verdict: Verdict) {
-  const text = { pass: 'pass', warn: 'look before use', reject: 'do not use' }[verdict]
+  const text = { pass: 'pass', warn: 'check before use', reject: 'do not use' }[verdict]
   return el('span', { class: `chip verdict-${verdict}` }, text)
 }
 
-/** A bar with the stage in words; nothing once the job has ended. */
+/** Progress bar with the current stage; null once the job has ended. */
 export function progressBar(job: Job) {
   if (!['queued', 'running', 'canceling'].includes(job.state)) return null
   const progress = job.progress ?? { stage: '', stage_index: 0, stage_count: 0, fraction: 0, message: '', eta_s: null }

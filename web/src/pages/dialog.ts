@@ -1,4 +1,4 @@
-// A modal dialogue of the browser's own; gone from the page once it is closed.
+// Modal dialogues; removed from the page when they are closed.
 
 import { button, type Child, el } from '../dom'
 
@@ -11,16 +11,16 @@ export function openDialog(title: string, ...children: Child[]): HTMLDialogEleme
   return dialog
 }
 
-/** Asks before something is lost. */
-export function confirmLoss(question: string, act: string): Promise<boolean> {
+/** Asks for confirmation of a deletion; `action` labels the confirming button. */
+export function confirmDeletion(question: string, action: string): Promise<boolean> {
   return new Promise((resolve) => {
-    let answer = false
+    let isConfirmed = false
     const dialog = openDialog(
       question,
       el('div', { class: 'actions' },
         button('Keep it', () => dialog.close()),
-        button(act, () => ((answer = true), dialog.close()), { class: 'danger' })),
+        button(action, () => ((isConfirmed = true), dialog.close()), { class: 'danger' })),
     )
-    dialog.addEventListener('close', () => resolve(answer))
+    dialog.addEventListener('close', () => resolve(isConfirmed))
   })
 }

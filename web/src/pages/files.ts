@@ -1,27 +1,27 @@
-// Every file of a result, to be taken away.
+// Table of the files of a result with download links.
 
 import { artifactPath, getManifest, hasKey, request } from '../api/client'
 import type { FileEntry, Job } from '../api/types'
 import { button, el } from '../dom'
 import { bytes } from '../format'
 
-const MEANINGS: [RegExp, string][] = [
+const DESCRIPTIONS: [RegExp, string][] = [
   [/^cameras\.json$/, 'cameras: K, R, t, uncertainty'],
   [/^people\.json$/, 'people: shape and pose, SMPL convention'],
-  [/^poses3d\.json$/, "people: the body's 24 joints, metres"],
-  [/^keypoints3d\.json$/, "people: the detector's points, metres"],
-  [/^identities\.json$/, 'who each detection was given to'],
-  [/^report\.json$/, 'figures and verdict'],
-  [/^manifest\.json$/, 'every file with its digest'],
-  [/^smpl\//, 'AMASS layout, 72 wide'],
-  [/^smplh\//, 'AMASS layout, 156 wide'],
-  [/\.glb$/, 'scene: glTF, animated'],
+  [/^poses3d\.json$/, 'people: 24 body joints, metres'],
+  [/^keypoints3d\.json$/, 'people: 3D keypoints of the detector convention, metres'],
+  [/^identities\.json$/, 'person of each detection'],
+  [/^report\.json$/, 'statistics and verdict'],
+  [/^manifest\.json$/, 'list of all files with digests'],
+  [/^smpl\//, 'SMPL pose parameters (72), AMASS layout'],
+  [/^smplh\//, 'SMPL-H pose parameters (156), AMASS layout'],
+  [/\.glb$/, 'animated scene: glTF'],
   [/\.usda$/, 'scene: USD'],
   [/\.bvh$/, 'motion: BVH'],
   [/\.trc$/, 'markers: TRC'],
   [/\.c3d$/, 'markers: C3D'],
   [/^colmap\//, 'cameras: COLMAP'],
-  [/^stages\//, 'what this page draws'],
+  [/^stages\//, 'data of this viewer'],
 ]
 
 export async function filesPage(job: Job, signal: AbortSignal) {
@@ -30,17 +30,17 @@ export async function filesPage(job: Job, signal: AbortSignal) {
   const rows = [...manifest.files, own].map((file) =>
     el('tr', {},
       el('td', {}, download(job, file.name)),
-      el('td', { class: 'soft' }, MEANINGS.find(([pattern]) => pattern.test(file.name))?.[1] ?? ''),
+      el('td', { class: 'soft' }, DESCRIPTIONS.find(([pattern]) => pattern.test(file.name))?.[1] ?? ''),
       el('td', { class: 'number' }, file.bytes ? bytes(file.bytes) : ''),
       el('td', { class: 'digest', title: file.sha256 }, file.sha256.slice(0, 12))))
   return el('section', { class: 'files', 'aria-label': 'Files' },
     el('table', {},
-      el('thead', {}, el('tr', {}, ...['File', 'Holds', 'Size', 'SHA-256'].map((name) => el('th', { scope: 'col' }, name)))),
+      el('thead', {}, el('tr', {}, ...['File', 'Content', 'Size', 'SHA-256'].map((name) => el('th', { scope: 'col' }, name)))),
       el('tbody', {}, ...rows)),
-    el('p', { class: 'hint' }, `Made by version ${manifest.solver_version} from the input with digest ${manifest.input.sha256.slice(0, 12)}.`))
+    el('p', { class: 'hint' }, `Solver version ${manifest.solver_version}, input digest ${manifest.input.sha256.slice(0, 12)}.`))
 }
 
-/** A link; with a key a request of ours, since a link cannot carry one. */
+/** Download link. With an API key it is a button that sends a request, because a link cannot send the key. */
 function download(job: Job, name: string) {
   const path = artifactPath(job.id, name)
   const file = name.split('/').pop() ?? name

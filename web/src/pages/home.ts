@@ -1,27 +1,27 @@
-// The first page: drop a session, see every job.
+// Home page: upload of sessions, lists of sessions and jobs.
 
 import { Problem, cancelJob, deleteJob, deleteSession, listJobs, listSessions } from '../api/client'
 import { follow, pause } from '../api/follow'
 import { type Job, type Session, isFinal } from '../api/types'
 import { type Take, takeFromDrop, takeFromFiles, upload } from '../api/upload'
 import { button, el, fill } from '../dom'
-import { bytes, count, grouped, moment, percent } from '../format'
+import { bytes, count, grouped, localTime, percent } from '../format'
 import { duration, progressBar, stateChip, verdictChip } from './chips'
-import { confirmLoss } from './dialog'
+import { confirmDeletion } from './dialog'
 import { problemCard } from './notice'
 import { openStart } from './start'
 
-/** Between two looks at the lists, ms; how far the running jobs are comes by itself. */
-const REST_MS = 3000
+/** Time between two refreshes of the lists, ms. Progress of running jobs arrives as events. */
+const REFRESH_MS = 3000
 
-/** Jobs followed at the same time: a browser opens six connections to a service at most. */
-const MOST_FOLLOWED = 3
+/** Maximum number of jobs followed at the same time: a browser opens at most six connections to a service. */
+const MAX_FOLLOWED = 3
 
 export interface Home {
   element: HTMLElement
 }
 
-/** `onproblem` hears of a service that does not answer or wants a key, and of the end of that. */
+/** `onproblem` receives problems with the service, and null when it answers again. */
 export function openHome(signal: AbortSignal, onproblem: (problem: Problem | null) => void): Home {
   const jobs = el('div', { class: 'jobs' })
   const sessions = el('div', { class: 'sessions' })
@@ -40,13 +40,13 @@ export function openHome(signal: AbortSignal, onproblem: (problem: Problem | nul
     }
     listed.filter(({ state }) => !isFinal(state)).forEach(watchJob)
   }
-  /** Draws a job's progress as it comes; any other change is worth a new list. */
+  /** Draws the progress of a job; any other change refreshes the lists. */
   const watchJob = (job: Job) => {
-    if (followed.has(job.id) || followed.size >= MOST_FOLLOWED) return
+    if (followed.has(job.id) || followed.size >= MAX_FOLLOWED) return
     followed.set(job.id, job.state)
     const onJob = (now: Job) => {
-      const place = jobs.querySelector(`[data-job="${job.id}"] .job-progress`)
-      if (place) fill(place, progressBar(now))
+      const progress = jobs.querySelector(`[data-job="${job.id}"] .job-progress`)
+      if (progress) fill(progress, progressBar(now))
       const isNew = followed.get(job.id) !== now.state
       followed.set(job.id, now.state)
       if (isNew) refresh().catch(() => {})
@@ -81,7 +81,7 @@ async function watch(refresh: () => Promise<void>, signal: AbortSignal, onproble
       if (!(error instanceof Problem)) throw error
       onproblem(error)
     }
-    await pause(REST_MS, signal)
+    await pause(REFRESH_MS, signal)
   }
 }
 
@@ -89,9 +89,9 @@ type Act = (title: string, action: () => Promise<unknown>) => Promise<void>
 
 function receive(take: Take, status: HTMLElement, trouble: HTMLElement, act: Act) {
   fill(trouble)
-  act(`${take.name} was not accepted`, async () => {
+  act(`${take.name} was rejected`, async () => {
     try {
-      const session = await upload(take, (share) => (status.textContent = `Sending ${take.name}: ${percent(share)}`))
+      const session = await upload(take, (share) => (status.textContent = `Uploading ${take.name}: ${percent(share)}`))
       openStart(session, (job) => (location.hash = `#/jobs/${job.id}`))
     } finally {
       status.textContent = ''
@@ -111,10 +111,10 @@ function dropZone(ontake: (take: Take | null) => void) {
   const status = el('p', { class: 'status', role: 'status' })
   const element = el('div', { class: 'drop' },
     el('p', { class: 'drop-title' }, 'Drop a session here'),
-    el('p', { class: 'hint' }, 'A folder, a zip, one JSON document or NDJSON: keypoints of two or more cameras.'),
+    el('p', { class: 'hint' }, 'A folder, a zip file, a JSON document or NDJSON with the 2D poses of all cameras.'),
     el('div', { class: 'actions' }, button('Choose a file', () => file.click()), button('Choose a folder', () => folder.click())),
     status, file, folder)
-  // The whole window takes a drop: nobody aims.
+  // A drop anywhere in the window counts.
   const events = new AbortController()
   const on = (name: string, listener: (event: DragEvent) => void) =>
     window.addEventListener(name, (event) => {
@@ -134,7 +134,7 @@ function dropZone(ontake: (take: Take | null) => void) {
 function jobTable(jobs: Job[], sessions: Session[], act: Act) {
   if (jobs.length === 0) {
     return el('div', { class: 'empty' }, el('p', {}, 'No jobs yet.'),
-      el('p', { class: 'hint' }, 'Drop a session, or choose one and press Solve. `wandless simulate --out take` makes one to try.'))
+      el('p', { class: 'hint' }, 'Drop a session, or choose one and press Solve. `wandless simulate --out take` creates an example.'))
   }
   return el('ul', { class: 'job-list' }, ...jobs.map((job) => jobRow(job, sessions.find(({ id }) => id === job.session), act)))
 }
@@ -146,10 +146,10 @@ function jobRow(job: Job, session: Session | undefined, act: Act) {
     el('div', { class: 'job-head' },
       el('a', { href: `#/jobs/${job.id}` }, name),
       stateChip(job), job.quality ? verdictChip(job.quality.verdict) : null, ...labels,
-      el('span', { class: 'job-time' }, `${moment(job.created_at)} · ${duration(job)}`),
+      el('span', { class: 'job-time' }, `${localTime(job.created_at)} · ${duration(job)}`),
       isFinal(job.state)
         ? button('Delete', async () => {
-            if (await confirmLoss(`Delete the job on ${name} and its result?`, 'Delete')) {
+            if (await confirmDeletion(`Delete the job on ${name} and its result?`, 'Delete')) {
               act('The job was not deleted', () => deleteJob(job.id))
             }
           }, { class: 'quiet', 'aria-label': `Delete the job on ${name}` })
@@ -174,17 +174,17 @@ function sessionCards(sessions: Session[], act: Act) {
         button('Solve', () => openStart(session, (job) => (location.hash = `#/jobs/${job.id}`)), {
           class: 'primary', 'aria-label': `Solve ${session.name}` }),
         button('Delete', async () => {
-          if (await confirmLoss(`Delete the session ${session.name}?`, 'Delete')) {
+          if (await confirmDeletion(`Delete the session ${session.name}?`, 'Delete')) {
             act('The session was not deleted', () => deleteSession(session.id))
           }
         }, { class: 'quiet', 'aria-label': `Delete the session ${session.name}` }))))
 }
 
-/** Redraws a list without taking the focus from whoever uses the keyboard. */
-function keepingFocus(place: HTMLElement, redraw: () => void) {
-  const focusable = () => [...place.querySelectorAll<HTMLElement>('a, button, summary')]
+/** Redraws a list and keeps the keyboard focus. */
+function keepingFocus(list: HTMLElement, redraw: () => void) {
+  const focusable = () => [...list.querySelectorAll<HTMLElement>('a, button, summary')]
   const label = (element: Element | null) => element?.getAttribute('aria-label') ?? element?.textContent
-  const held = place.contains(document.activeElement) ? label(document.activeElement) : null
+  const focused = list.contains(document.activeElement) ? label(document.activeElement) : null
   redraw()
-  if (held) focusable().find((element) => label(element) === held)?.focus()
+  if (focused) focusable().find((element) => label(element) === focused)?.focus()
 }

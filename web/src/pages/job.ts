@@ -1,21 +1,21 @@
-// The page of a job: how it goes, then its scene, its report and its files.
+// Page of a job: progress, then scene, report and files of its result.
 
 import { Problem, cancelJob, deleteJob, getSession, startJob } from '../api/client'
 import { follow } from '../api/follow'
 import { type Job, isFinal } from '../api/types'
 import { button, el, fill } from '../dom'
-import { moment, seconds, words } from '../format'
+import { localTime, seconds, words } from '../format'
 import { reportPage } from '../report/report'
 import { type OpenScene, openScene } from '../scene/page'
 import { duration, progressBar, stateChip, verdictChip } from './chips'
-import { confirmLoss } from './dialog'
+import { confirmDeletion } from './dialog'
 import { filesPage } from './files'
 import { causeCard, problemCard } from './notice'
 
 export type Tab = 'scene' | 'report' | 'files'
 const TABS: [Tab, string][] = [['scene', 'Scene'], ['report', 'Report'], ['files', 'Files']]
 
-/** Lines of the log that are kept. */
+/** Maximum number of log lines on the page. */
 const LOG_LINES = 200
 
 export interface JobPage {
@@ -42,16 +42,16 @@ export function openJob(id: string, tab: Tab, signal: AbortSignal, onproblem: (p
       fill(trouble, problemCard(title, error))
     }
   }
-  let headShown = ''
+  let headKey = ''
   const time = el('span', { class: 'job-time' })
   const drawHead = (now: Job) => {
-    time.textContent = `${moment(now.created_at)} · ${duration(now)}`
-    // Progress comes many times a second: a button that is made anew under the pointer takes no click.
+    time.textContent = `${localTime(now.created_at)} · ${duration(now)}`
+    // Progress arrives many times per second; a button that is recreated under the pointer would not receive clicks.
     const wanted = JSON.stringify([now.state, now.quality, name])
-    if (wanted !== headShown) fill(head, ...headOf(now, name || now.session, time, act))
-    headShown = wanted
+    if (wanted !== headKey) fill(head, ...headOf(now, name || now.session, time, act))
+    headKey = wanted
   }
-  const waiting = new Waiting()
+  const progress = new ProgressView()
   const show = async (wanted: Tab) => {
     tab = wanted
     for (const link of tabs.querySelectorAll('a')) {
@@ -74,10 +74,10 @@ export function openJob(id: string, tab: Tab, signal: AbortSignal, onproblem: (p
     drawHead(now)
     tabs.hidden = now.state !== 'succeeded'
     if (now.state === 'succeeded') show(tab)
-    else if (isFinal(now.state)) fill(body, ending(now))
+    else if (isFinal(now.state)) fill(body, endNotice(now))
     else {
-      waiting.show(now)
-      if (!body.contains(waiting.element)) fill(body, waiting.element)
+      progress.show(now)
+      if (!body.contains(progress.element)) fill(body, progress.element)
     }
   }
   fill(tabs, ...TABS.map(([key, label]) => el('a', { href: `#/jobs/${id}/${key}`, 'data-tab': key }, label)))
@@ -86,9 +86,9 @@ export function openJob(id: string, tab: Tab, signal: AbortSignal, onproblem: (p
       if (!job) getSession(now.session, signal).then((session) => ((name = session.name), changed(job ?? now)), () => {})
       changed(now)
     },
-    onLog: (line) => waiting.log(line),
+    onLog: (line) => progress.log(line),
     onProblem: (problem) => {
-      if (problem?.status === 404) fill(body, problemCard('There is no such job', problem))
+      if (problem?.status === 404) fill(body, problemCard('This job does not exist', problem))
       else onproblem(problem)
     },
   }, signal)
@@ -108,16 +108,16 @@ async function contentOf(tab: Tab, job: Job, signal: AbortSignal): Promise<OpenS
   if (tab === 'files') return filesPage(job, signal)
   const scene = await openScene(job, signal)
   if (scene) return scene
-  return causeCard('There is no scene to show', {
+  return causeCard('No scene available', {
     code: 'no_scene',
-    detail: 'This result was made by a version that did not write stages/motion.bin.',
-    remedy: 'Solve the session again, or take its files from the tab Files.',
+    detail: 'The result of this solver version does not contain stages/motion.bin.',
+    remedy: 'Solve the session again, or download the result on the tab Files.',
   })
 }
 
 function headOf(job: Job, name: string, time: HTMLElement, act: (title: string, action: () => Promise<unknown>) => void) {
   const remove = async () => {
-    if (!(await confirmLoss(`Delete the job on ${name} and its result?`, 'Delete'))) return
+    if (!(await confirmDeletion(`Delete the job on ${name} and its result?`, 'Delete'))) return
     act('The job was not deleted', async () => {
       await deleteJob(job.id)
       location.hash = '#/'
@@ -138,22 +138,22 @@ function headOf(job: Job, name: string, time: HTMLElement, act: (title: string, 
   ]
 }
 
-/** What is shown in place of a result. */
-function ending(job: Job) {
+/** Notice of a job that ended without a result. */
+function endNotice(job: Job) {
   if (job.state === 'canceled') {
-    return el('section', { class: 'notice' }, el('h2', {}, 'Canceled'), el('p', {}, 'The work has stopped and nothing was kept.'),
-      el('p', { class: 'remedy' }, el('strong', {}, 'What to do: '), 'start it again with “Solve again”.'))
+    return el('section', { class: 'notice' }, el('h2', {}, 'Canceled'), el('p', {}, 'The job was stopped; it has no result.'),
+      el('p', { class: 'remedy' }, el('strong', {}, 'What to do: '), 'start a new job with “Solve again”.'))
   }
   const cause = job.error ?? { code: job.state, detail: 'The job ended without a result.' }
-  const remedy = cause.remedy || 'Mend the input, upload it and start a new job; this one keeps its end.'
-  return causeCard(job.state === 'dead' ? 'The job died three times' : 'This capture could not be solved', { ...cause, remedy })
+  const remedy = cause.remedy || 'Correct the input, upload it again and start a new job.'
+  return causeCard(job.state === 'dead' ? 'The job crashed three times' : 'This session could not be solved', { ...cause, remedy })
 }
 
-/** What is shown until there is a result. */
-class Waiting {
+/** Progress and log of a job without a result. */
+class ProgressView {
   private readonly progress = el('div', { role: 'status' })
   private readonly stages = el('ol', { class: 'stages' })
-  private readonly lines = el('pre', { class: 'log', tabindex: 0, 'aria-label': 'Lines of the log' })
+  private readonly lines = el('pre', { class: 'log', tabindex: 0, 'aria-label': 'Log lines' })
   private readonly logBox = el('details', { hidden: true }, el('summary', {}, 'Log'), this.lines)
   readonly element = el('section', { class: 'waiting', 'aria-label': 'Progress' }, this.progress, this.stages, this.logBox)
 

@@ -1,24 +1,24 @@
-// What went wrong and what to do, the same everywhere.
+// Cards that explain a problem and its remedy.
 
 import { Problem } from '../api/client'
 import type { Cause } from '../api/types'
 import { el } from '../dom'
 
-/** A card of a problem; errors of our own are told as they are. */
+/** Card of a problem of the service or of an error of the viewer. */
 export function problemCard(title: string, error: unknown) {
   if (error instanceof Problem) return causeCard(title, error.cause)
   return causeCard(title, { code: 'viewer', detail: error instanceof Error ? error.message : String(error) })
 }
 
 export function causeCard(title: string, cause: Cause) {
-  const places: [string, unknown][] = [
+  const locations: [string, unknown][] = [
     ['File', cause.file],
     ['Camera', cause.camera],
     ['Frame', cause.frame],
     ['Person', cause.person],
     ['Where', cause.pointer],
   ]
-  const rows = places.filter(([, value]) => value !== null && value !== undefined && value !== '')
+  const rows = locations.filter(([, value]) => value !== null && value !== undefined && value !== '')
   return el(
     'section',
     { class: 'notice bad', role: 'alert' },
@@ -29,7 +29,7 @@ export function causeCard(title: string, cause: Cause) {
   )
 }
 
-/** The service speaks in clauses. */
+/** Turns a clause of the service into a sentence. */
 function sentence(text: string) {
   const [first = '', ...rest] = text
   return first.toUpperCase() + rest.join('') + (/[.!?:)\]}>]$/.test(text) ? '' : '.')

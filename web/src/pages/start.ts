@@ -1,4 +1,4 @@
-// The options of a new job, with the inspection's findings where the service has them.
+// Dialogue with the options of a new job and the inspection of its session.
 
 import { inspect, startJob } from '../api/client'
 import type { Inspection, Job, Session } from '../api/types'
@@ -12,33 +12,33 @@ const EXPORTS = [
   'chan', 'blender',
 ]
 
-/** Opens the dialogue; `onstart` hears of the job. */
+/** Opens the dialogue; `onstart` receives the new job. */
 export function openStart(session: Session, onstart: (job: Job) => void) {
-  const people = el('input', { type: 'number', min: 1, max: 64, id: 'people', placeholder: 'found out' })
+  const people = el('input', { type: 'number', min: 1, max: 64, id: 'people', placeholder: 'estimated' })
   const extrinsics = select('extrinsics', [
-    ['estimate', 'found from the people'],
+    ['estimate', 'estimated from the people'],
     ...(session.has_extrinsics
-      ? ([['fixed', "the session's, untouched"], ['refine', "the session's, refined"]] as [string, string][])
+      ? ([['fixed', 'given by the session, fixed'], ['refine', 'given by the session, refined']] as [string, string][])
       : []),
   ])
   const height = el('input', { type: 'number', id: 'height', min: 0.5, max: 2.6, step: 0.01, placeholder: 'from body proportions' })
   const upAxis = select('up_axis', [['y', 'y'], ['z', 'z']])
   const toggles = [
-    toggle('denoise', 'Repair identities and flips, reject bad joints'),
+    toggle('denoise', 'Repair identity swaps and left-right flips, reject inconsistent joints'),
     toggle('motion_prior', 'Motion prior'),
-    toggle('collision', 'Bodies do not pass through each other'),
+    toggle('collision', 'Collision resolution between bodies'),
   ]
   const exports = EXPORTS.map((name) => toggle(name, name, name === 'smpl_npz'))
   const trouble = el('div')
   const findings = el('div', { class: 'findings' })
   const form = el('form', { class: 'options' },
     findings,
-    field('People', people, 'How many there are, if it is known.'),
+    field('People', people, 'Number of people, if known.'),
     field('Cameras', extrinsics),
-    field('Height of the tallest, m', height, 'Gives the scene its size.'),
-    field('Up', upAxis),
+    field('Height of the tallest, m', height, 'Sets the metric scale.'),
+    field('Up axis', upAxis),
     el('fieldset', {}, el('legend', {}, 'Stages'), ...toggles.map(({ element }) => element)),
-    el('details', {}, el('summary', {}, 'Files to write beside the JSON'),
+    el('details', {}, el('summary', {}, 'Export formats in addition to JSON'),
       el('div', { class: 'grid' }, ...exports.map(({ element }) => element))),
     trouble,
     el('div', { class: 'actions' }, button('Not now', () => dialog.close()), el('button', { class: 'primary' }, 'Start')),
@@ -55,36 +55,36 @@ export function openStart(session: Session, onstart: (job: Job) => void) {
       dialog.close()
       onstart(job)
     } catch (error) {
-      fill(trouble, problemCard('The job was not accepted', error))
+      fill(trouble, problemCard('The job was rejected', error))
     }
   })
   const dialog = openDialog(`Solve ${session.name}`, form)
   showFindings(session, findings)
 }
 
-async function showFindings(session: Session, place: HTMLElement) {
-  fill(place, el('p', { class: 'hint', role: 'status' }, 'Looking at the session…'))
+async function showFindings(session: Session, list: HTMLElement) {
+  fill(list, el('p', { class: 'hint', role: 'status' }, 'Inspecting the session…'))
   try {
     const inspection = await inspect(session.id)
     const lines = [...(inspection ? linesOf(inspection) : []), ...session.warnings]
-    fill(place, lines.length > 0 && el('h3', {}, 'Inspection'), lines.length > 0 && el('ul', {}, ...lines.map((line) => el('li', {}, line))))
+    fill(list, lines.length > 0 && el('h3', {}, 'Inspection'), lines.length > 0 && el('ul', {}, ...lines.map((line) => el('li', {}, line))))
   } catch (error) {
-    fill(place, problemCard('The session could not be inspected', error))
+    fill(list, problemCard('The session could not be inspected', error))
   }
 }
 
-/** The findings, then what may be expected. */
+/** Findings, groups of cameras and expected accuracy and time, one sentence each. */
 function linesOf({ findings, groups, cameras, expected }: Inspection) {
   const together = groups.length === 1
     ? `All ${cameras.length} cameras see the same people.`
-    : `The cameras fall into groups that share nobody: ${groups.map((group) => group.join(', ')).join(' | ')}.`
+    : `Groups of cameras without common people: ${groups.map((group) => group.join(', ')).join(' | ')}.`
   const { joint_error_mm, solve_s, cameras_per_person } = expected
   return [
     ...findings.map(({ detail }) => detail),
     groups.length > 0 && together,
     cameras_per_person != null && `Each person is seen by ${cameras_per_person.toFixed(1)} cameras on average.`,
-    joint_error_mm != null && `Joints are expected within about ${millimetres(joint_error_mm)}.`,
-    solve_s != null && `It will take about ${seconds(solve_s)}.`,
+    joint_error_mm != null && `Expected joint error: about ${millimetres(joint_error_mm)}.`,
+    solve_s != null && `Expected solve time: about ${seconds(solve_s)}.`,
   ].filter((line): line is string => Boolean(line))
 }
 

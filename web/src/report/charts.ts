@@ -1,10 +1,10 @@
-// Pictures of numbers, as SVG that prints: bars, and lines over time.
+// Bar charts and line charts as SVG, on screen and for printing.
 
 import { el, svg } from '../dom'
 
 const WIDTH = 540
 
-/** One bar per row with its number at the end; `mark` is drawn as a tick (a mean beside a median). */
+/** One bar per row with its value; `mark` is drawn as a tick (the mean beside the median). */
 export function barChart(title: string, unit: string, rows: { name: string; value: number | null; mark?: number | null; note?: string }[]) {
   const [row, left, right] = [26, 110, 90]
   const most = Math.max(...rows.map(({ value, mark }) => Math.max(value ?? 0, mark ?? 0)), 1e-9) * 1.02
@@ -23,12 +23,12 @@ export function barChart(title: string, unit: string, rows: { name: string; valu
   return figure(title, svg('svg', { viewBox: `0 0 ${WIDTH} ${height}`, role: 'img', 'aria-label': title }, ...bars))
 }
 
-/** Lines over frames; NaN breaks a line. `start`: the number of the first frame. */
+/** Lines over frames; NaN interrupts a line. `start`: number of the first frame. */
 export function lineChart(title: string, unit: string, start: number, lines: { name: string; color: string; values: Float32Array }[]) {
   const [height, left, bottom, top] = [190, 46, 24, 8]
   const n = Math.max(...lines.map(({ values }) => values.length), 2)
   const all = lines.flatMap(({ values }) => Array.from(values).filter(Number.isFinite)).sort((a, b) => a - b)
-  // A single spike must not flatten everything else: the scale ends a little above the 99.5th percentile.
+  // The scale ends slightly above the 99.5th percentile, so that single spikes do not flatten the rest.
   const most = niceAbove((all[Math.floor(0.995 * (all.length - 1))] ?? 1) * 1.05)
   const x = (i: number) => left + (i / (n - 1)) * (WIDTH - left - 8)
   const y = (value: number) => top + (1 - Math.min(value / most, 1)) * (height - top - bottom)
@@ -51,7 +51,7 @@ function figure(title: string, ...children: Element[]) {
   return el('figure', { class: 'chart' }, el('figcaption', {}, title), ...children)
 }
 
-/** Mean over a window of about a hundredth of the take, so that the picture shows the course and not the hair. */
+/** Moving average over about 1 % of the frames. */
 function smoothed(values: Float32Array) {
   const half = Math.floor(values.length / 200)
   return Float32Array.from(values, (value, i) => {

@@ -1,4 +1,4 @@
-// People as the default body: shaped once, posed by the graphics card for every frame.
+// People drawn with the mesh of the default body: shaped once, posed by the GPU in every frame.
 
 import {
   type Bone,
@@ -15,8 +15,8 @@ import {
   Sphere,
   Vector3,
 } from 'three'
-import { type BodyMesh, likeness, shaped } from '../data/body_mesh'
-import { type Motion, type Person, N_JOINTS, UNIT_TURN } from '../data/motion'
+import { type BodyMesh, scaledMeanBody, shaped } from '../data/body_mesh'
+import { type Motion, type Person, N_JOINTS, QUATERNION_UNIT } from '../data/motion'
 import type { Lens } from './lens'
 
 interface Body {
@@ -26,36 +26,36 @@ interface Body {
 
 export class Bodies {
   private readonly bodies: Body[]
-  private readonly turn = new Quaternion()
-  private readonly place = new Vector3()
+  private readonly rotation = new Quaternion()
+  private readonly position = new Vector3()
   private readonly one = new Vector3(1, 1, 1)
 
-  /** Whether the bodies are only a likeness, since the people were fitted with a body that stays where it is. */
-  readonly isLikeness: boolean
+  /** Whether the people were fitted with another body model, which the service does not publish. */
+  readonly isSubstitute: boolean
 
   constructor(motion: Motion, mesh: BodyMesh, parent: Object3D, layer: number, lens: Lens) {
-    this.isLikeness = motion.body_model?.sha256 !== mesh.sha256
+    this.isSubstitute = motion.body_model?.sha256 !== mesh.sha256
     const shared = sharedGeometry(mesh)
     this.bodies = motion.people.map((person) => {
-      const body = bodyOf(person, mesh, shared, this.isLikeness)
-      lens.bend(body.mesh.material as MeshLambertMaterial)
+      const body = bodyOf(person, mesh, shared, this.isSubstitute)
+      lens.applyTo(body.mesh.material as MeshLambertMaterial)
       body.mesh.layers.set(layer)
       parent.add(body.mesh)
       return body
     })
   }
 
-  /** Poses a person as they are in a row of their arrays. */
+  /** Poses a person as in a row of the motion arrays. */
   pose(index: number, person: Person, row: number, color: Color) {
     const { mesh, bones } = this.bodies[index]
     mesh.visible = true
     ;(mesh.material as MeshLambertMaterial).color.copy(color)
-    const turns = person.turns!
+    const rotations = person.rotations!
     for (let joint = 0; joint < N_JOINTS; joint++) {
       const [i, q] = [3 * (row * N_JOINTS + joint), 4 * (row * N_JOINTS + joint)]
-      this.turn.set(turns[q], turns[q + 1], turns[q + 2], turns[q + 3])
-      this.turn.set(this.turn.x / UNIT_TURN, this.turn.y / UNIT_TURN, this.turn.z / UNIT_TURN, this.turn.w / UNIT_TURN).normalize()
-      bones[joint].matrixWorld.compose(this.place.fromArray(person.joints, i), this.turn, this.one)
+      this.rotation.set(rotations[q], rotations[q + 1], rotations[q + 2], rotations[q + 3])
+      this.rotation.set(this.rotation.x / QUATERNION_UNIT, this.rotation.y / QUATERNION_UNIT, this.rotation.z / QUATERNION_UNIT, this.rotation.w / QUATERNION_UNIT).normalize()
+      bones[joint].matrixWorld.compose(this.position.fromArray(person.joints, i), this.rotation, this.one)
     }
   }
 
@@ -63,7 +63,7 @@ export class Bodies {
     for (const { mesh } of this.bodies) mesh.visible = false
   }
 
-  /** A vertex of the body as it was posed last, world metres: for the checks. */
+  /** A vertex of the posed body, world metres. Used by the browser checks. */
   vertex(index: number, vertex: number): [number, number, number] {
     const { mesh } = this.bodies[index]
     mesh.skeleton.update()
@@ -80,7 +80,7 @@ export class Bodies {
   }
 }
 
-/** What all bodies have in common: faces, skin and, near enough, the directions of the skin. */
+/** Geometry shared by all bodies: faces, skinning weights and, approximately, normals. */
 function sharedGeometry(mesh: BodyMesh) {
   const geometry = new BufferGeometry()
   geometry.setIndex(new BufferAttribute(mesh.faces, 1))
@@ -91,15 +91,15 @@ function sharedGeometry(mesh: BodyMesh) {
   return geometry
 }
 
-function bodyOf(person: Person, mesh: BodyMesh, shared: BufferGeometry, isLikeness: boolean): Body {
+function bodyOf(person: Person, mesh: BodyMesh, shared: BufferGeometry, isSubstitute: boolean): Body {
   const at = Math.max(person.valid.indexOf(1), 0)
-  const shape = isLikeness || !person.betas ? likeness(mesh, person.joints, at) : shaped(mesh, person.betas)
+  const shape = isSubstitute || !person.betas ? scaledMeanBody(mesh, person.joints, at) : shaped(mesh, person.betas)
   const geometry = new BufferGeometry()
   geometry.setIndex(shared.getIndex())
   geometry.setAttribute('position', new BufferAttribute(shape.vertices, 3))
   for (const name of ['normal', 'skinIndex', 'skinWeight']) geometry.setAttribute(name, shared.getAttribute(name))
   const body = new SkinnedMesh(geometry, new MeshLambertMaterial())
-  // The bones stand in the result's own world already: no parent of theirs turns them, and the mesh's own turn comes after.
+  // Bone matrices are given in the world of the result. They have no parents; the transform of the mesh is applied afterwards.
   const bones = Array.from({ length: N_JOINTS }, () => new Object3D())
   const inverses = bones.map((_, joint) => {
     const [x, y, z] = shape.joints.subarray(3 * joint, 3 * joint + 3)
@@ -109,7 +109,7 @@ function bodyOf(person: Person, mesh: BodyMesh, shared: BufferGeometry, isLikene
   body.bind(new Skeleton(bones as Bone[], inverses), new Matrix4())
   body.castShadow = true
   body.frustumCulled = false
-  // Never asked for where nothing is culled, but measured vertex by vertex where it is missing.
+  // Without it three.js would compute the bounding sphere from all vertices.
   body.boundingSphere = new Sphere(new Vector3(), Infinity)
   body.visible = false
   return { mesh: body, bones }

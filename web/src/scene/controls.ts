@@ -1,11 +1,11 @@
-// The buttons of the scene page: time below the picture, what is shown above it.
+// Controls of the scene page: transport below the picture, display switches above it.
 
 import { button, el, fill } from '../dom'
 import { showHelp } from '../pages/help'
 import { type Comparison, SPEEDS, SWITCHES, comparisonsOf } from './state'
 import type { SceneView } from './view'
 
-/** Play, step, speed and the time. */
+/** Play, step, speed, marks and clock. */
 export class Transport {
   readonly element: HTMLElement
   private readonly play: HTMLButtonElement
@@ -23,20 +23,20 @@ export class Transport {
       { class: 'transport' },
       button('One frame back', () => step(-1), { class: 'icon', 'aria-label': 'One frame back', title: '←' }, '‹'),
       this.play,
-      button('One frame on', () => step(1), { class: 'icon', 'aria-label': 'One frame on', title: '→' }, '›'),
+      button('One frame forward', () => step(1), { class: 'icon', 'aria-label': 'One frame forward', title: '→' }, '›'),
       this.speed,
-      button('Previous mark', () => view.toMark(-1), { 'aria-label': 'Previous mark', title: 'To the repair or rejection before (,)' }, '◂ Mark'),
-      button('Next mark', () => view.toMark(1), { 'aria-label': 'Next mark', title: 'To the next repair or rejection (.)' }, 'Mark ▸'),
+      button('Previous mark', () => view.toMark(-1), { 'aria-label': 'Previous mark', title: 'Previous repair or rejection (,)' }, '◂ Mark'),
+      button('Next mark', () => view.toMark(1), { 'aria-label': 'Next mark', title: 'Next repair or rejection (.)' }, 'Mark ▸'),
       this.clock,
       el('span', { class: 'legend marks' },
         el('span', {}, '◆ identity repaired'),
-        el('span', {}, el('i', { class: 'mark mended' }), 'detection mended'),
+        el('span', {}, el('i', { class: 'mark repaired' }), 'detection repaired'),
         el('span', {}, el('i', { class: 'mark rejected' }), 'detection rejected')),
-      button('Keys', showHelp, { class: 'quiet', title: '?' }),
+      button('Shortcuts', showHelp, { class: 'quiet', title: '?' }),
     )
   }
 
-  /** Writes the time down and returns it. */
+  /** Updates the clock and returns its text. */
   show() {
     const { view } = this
     const { fps, first_frame, n_frames } = view.motion
@@ -49,9 +49,9 @@ export class Transport {
   }
 }
 
-/** What is shown, and what stands beside it. */
+/** Display switches and the choice of the comparison. */
 export class Switches {
-  readonly element = el('div', { class: 'switches', role: 'toolbar', 'aria-label': 'What is shown' })
+  readonly element = el('div', { class: 'switches', role: 'toolbar', 'aria-label': 'Display' })
   private isThrough: boolean | null = null
   private compared: HTMLSelectElement | null = null
 

@@ -1,31 +1,31 @@
-// The keyboard of the scene page.
+// Keyboard shortcuts of the scene page.
 
 import { SPEEDS, SWITCHES, comparisonsOf } from './state'
 import type { SceneView } from './view'
 
-/** What each key does, as the help shows it. */
+/** Keys and their actions, for the help dialogue. */
 export const KEY_HELP: [string, string][] = [
   ['Space', 'play or pause'],
-  ['← →', 'one frame back or on; with Shift ten'],
+  ['← →', 'one frame back or forward; ten with Shift'],
   ['Home End', 'first and last frame'],
-  [', .', 'to the mark before or after: a repair or a rejection'],
+  [', .', 'previous or next mark (repair or rejection)'],
   ['[ ]', 'slower, faster'],
-  ['1 – 9', 'look through a camera; the same key or Esc leaves it'],
-  ['Tab', 'to the next control; Enter chooses'],
+  ['1 – 9', 'look through a camera; the same key or Esc returns'],
+  ['Tab', 'next control; Enter activates it'],
   ...SWITCHES.map(({ key, title }): [string, string] => [key.toUpperCase(), title.charAt(0).toLowerCase() + title.slice(1)]),
-  ['V', 'side by side: raw and denoised, points and body'],
-  ['F', 'turn to what is selected, or show everything'],
-  ['Alt ← → ↑ ↓', 'turn the view'],
-  ['+ −', 'come closer, go back'],
-  ['?', 'this list'],
+  ['V', 'compare side by side: raw and denoised, points and body'],
+  ['F', 'centre the selection, or reset the view'],
+  ['Alt ← → ↑ ↓', 'rotate the view'],
+  ['+ −', 'zoom in, zoom out'],
+  ['?', 'show this list'],
 ]
 
-/** Acts on a key; false where it means nothing here. */
+/** Handles a key; false if the key has no action. */
 export function press(view: SceneView, event: KeyboardEvent, help: () => void): boolean {
   if (event.ctrlKey || event.metaKey || isTyping(event.target)) return false
   const { state } = view
   const step = event.shiftKey ? 10 : 1
-  if (event.altKey) return turn(view, event.key)
+  if (event.altKey) return rotate(view, event.key)
   switch (event.key) {
     case ' ':
       if (event.target instanceof HTMLButtonElement) return false
@@ -93,7 +93,7 @@ function pressNumber(view: SceneView, key: string) {
   return true
 }
 
-function turn(view: SceneView, key: string) {
+function rotate(view: SceneView, key: string) {
   const arrows: Record<string, [number, number]> = {
     ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, -0.06], ArrowDown: [0, 0.06],
   }

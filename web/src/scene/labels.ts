@@ -1,4 +1,4 @@
-// Names of cameras and people over the picture, as text of the page.
+// Labels of cameras and people, as HTML elements over the picture.
 
 import { type PerspectiveCamera, type Matrix4, Vector3 } from 'three'
 import { el } from '../dom'
@@ -6,7 +6,7 @@ import { type Motion, N_JOINTS, rowAt } from '../data/motion'
 import { personColor } from './palette'
 import type { Rectangle } from './stage'
 
-/** A person's name stands so far above the head joint, m. */
+/** Height of the label of a person above the head joint, m. */
 const ABOVE_HEAD = 0.33
 const HEAD = 15
 
@@ -26,7 +26,7 @@ export class Labels {
     this.element.append(...this.cameras, ...this.people)
   }
 
-  /** Puts every name where `view` shows its thing; `isShown` false hides them all. */
+  /** Moves every label to its camera or person as seen by `view`; `isShown` false hides all. */
   show(frame: number, view: PerspectiveCamera, threeFromWorld: Matrix4, part: Rectangle, isShown: boolean) {
     this.element.hidden = !isShown
     if (!isShown) return
@@ -44,8 +44,8 @@ export class Labels {
     })
   }
 
-  private place(label: HTMLElement, point: Vector3, view: PerspectiveCamera, turn: Matrix4, part: Rectangle) {
-    point.applyMatrix4(turn).project(view)
+  private place(label: HTMLElement, point: Vector3, view: PerspectiveCamera, threeFromWorld: Matrix4, part: Rectangle) {
+    point.applyMatrix4(threeFromWorld).project(view)
     const isVisible = Math.abs(point.z) < 1 && Math.abs(point.x) < 1.05 && Math.abs(point.y) < 1.05
     label.hidden = !isVisible
     if (!isVisible) return

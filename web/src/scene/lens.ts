@@ -1,15 +1,15 @@
-// The lens of the camera that is looked through: bends what is drawn as it bent what was filmed.
+// Lens distortion of the current camera, applied to everything that is drawn.
 
 import type { Material } from 'three'
 import type { Camera } from '../data/motion'
-import { isBent, normalizedFromPixel } from '../data/projection'
+import { isDistorted, normalizedFromPixel } from '../data/projection'
 
 const DECLARATIONS = /* glsl */ `
 uniform int lensModel; // 0: none, 1: polynomial or rational, 2: fisheye
 uniform float lensRadial[6];
 uniform vec2 lensTangential;
-uniform float lensReach; // squared radius beyond which nothing is bent: there the polynomial may fold over
-vec2 bent(vec2 n) {
+uniform float lensReach; // squared radius beyond which points are not distorted: the polynomial may not be monotonic there
+vec2 distorted(vec2 n) {
   float r2 = dot(n, n);
   if (r2 > lensReach) return n;
   if (lensModel == 2) {
@@ -28,17 +28,17 @@ vec2 bent(vec2 n) {
 }
 `
 
-/** The view's axes are three.js' (y up, looking along -z), the lens' are OpenCV's. */
+/** View axes follow three.js (y up, looking along -z), lens axes follow OpenCV. */
 const PROJECTION = /* glsl */ `
 #include <project_vertex>
 if (lensModel != 0 && mvPosition.z < -0.01) {
-  vec2 seen = bent(vec2(mvPosition.x, -mvPosition.y) / -mvPosition.z);
+  vec2 seen = distorted(vec2(mvPosition.x, -mvPosition.y) / -mvPosition.z);
   mvPosition.xy = vec2(seen.x, -seen.y) * -mvPosition.z;
   gl_Position = projectionMatrix * mvPosition;
 }
 `
 
-/** So far beyond the corner of the image, in squared radius, the lens is still followed. */
+/** Distortion is applied up to this multiple of the squared radius of the image corners. */
 const MARGIN = 1.6
 
 export class Lens {
@@ -49,8 +49,8 @@ export class Lens {
     lensReach: { value: 0 },
   }
 
-  /** Makes a material draw through the lens. */
-  bend<M extends Material>(material: M): M {
+  /** Applies the lens distortion to a material. */
+  applyTo<M extends Material>(material: M): M {
     const before = material.onBeforeCompile
     material.onBeforeCompile = (shader, renderer) => {
       before.call(material, shader, renderer)
@@ -62,10 +62,10 @@ export class Lens {
     return material
   }
 
-  /** Looks through a camera's lens from now on; through none for null. */
+  /** Sets the camera whose lens is applied; null for no distortion. */
   set(camera: Camera | null) {
     const { lensModel, lensRadial, lensTangential, lensReach } = this.uniforms
-    if (!camera || !isBent(camera)) return void (lensModel.value = 0)
+    if (!camera || !isDistorted(camera)) return void (lensModel.value = 0)
     const { dist, width, height } = camera
     const corners = [[0, 0], [width, 0], [0, height], [width, height]].map(([x, y]) => normalizedFromPixel(camera, x, y))
     lensReach.value = MARGIN * Math.max(...corners.map(([u, v]) => u * u + v * v))

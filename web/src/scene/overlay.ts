@@ -1,6 +1,6 @@
-// Looking through a camera: its detections and the reprojected body over each other, with the distance between them.
+// Overlay of a camera view: detections, the reprojected body and the distances between them.
 
-import { type CameraDetections, deedsOn, sourceOf } from '../data/detections'
+import { type CameraDetections, changesOf, sourceOf } from '../data/detections'
 import { type Motion, N_JOINTS, keypointEdges, rowAt } from '../data/motion'
 import { project } from '../data/projection'
 import { errorColor, personColor } from './palette'
@@ -13,18 +13,18 @@ export interface OverlayLook {
   selected: number | null
 }
 
-/** Detections as they came, given as tracking had them, or as the consistency stage left them. */
+/** Raw detections with identities from tracking, or detections after the consistency stage. */
 export type Side = 'raw' | 'denoised'
 
-/** What one picture of the overlay found, for the line beside it. */
-export interface OverlayFigures {
+/** Counts and reprojection errors of one overlay picture. */
+export interface OverlayStatistics {
   n_detections: number
   n_rejected: number
-  n_mended: number
+  n_repaired: number
   distances: number[]
 }
 
-/** Points below this confidence (of 255) are not joined by lines. */
+/** Points below this confidence (of 255) are not connected by lines. */
 const MIN_CONFIDENCE = 26
 
 const REJECTED = '#ff5d62'
@@ -36,7 +36,7 @@ export class Overlay {
   private readonly edges: [number, number][]
   private readonly pixel: [number, number] = [0, 0]
   private readonly ratio = Math.min(devicePixelRatio, 2)
-  /** Pixels of the filmed image to one of the screen. */
+  /** Image pixels per screen pixel. */
   private scale = 1
 
   constructor(private readonly motion: Motion) {
@@ -49,7 +49,7 @@ export class Overlay {
     this.canvas.hidden = true
   }
 
-  /** An empty overlay over a stage of this size, CSS pixels. */
+  /** Clears the overlay and sets its size, CSS pixels. */
   begin(width: number, height: number) {
     const size = { width: Math.round(width * this.ratio), height: Math.round(height * this.ratio) }
     this.canvas.hidden = false
@@ -58,20 +58,20 @@ export class Overlay {
     this.context.clearRect(0, 0, size.width, size.height)
   }
 
-  /** Draws a frame of a camera into a part of the stage. */
-  show(part: Rectangle, side: Side, view: number, frame: number, seen: CameraDetections | null, look: OverlayLook): OverlayFigures {
-    const figures: OverlayFigures = { n_detections: 0, n_rejected: 0, n_mended: 0, distances: [] }
+  /** Draws a frame of a camera into a rectangle of the stage. */
+  show(part: Rectangle, side: Side, view: number, frame: number, detections: CameraDetections | null, look: OverlayLook): OverlayStatistics {
+    const statistics: OverlayStatistics = { n_detections: 0, n_rejected: 0, n_repaired: 0, distances: [] }
     this.context.save()
     this.enter(part, view)
     this.motion.people.forEach((_, index) => {
       if (look.body && isShown(look, index)) this.drawBody(index, view, frame)
     })
-    if (seen) this.drawDetections(seen, side, view, frame, look, figures)
+    if (detections) this.drawDetections(detections, side, view, frame, look, statistics)
     this.context.restore()
-    return figures
+    return statistics
   }
 
-  /** From here on one unit is one pixel of the filmed image, (0, 0) the centre of the first. */
+  /** Sets the transform: one unit is one image pixel, and (0, 0) is the centre of the first pixel. */
   private enter(part: Rectangle, view: number) {
     const { context, ratio } = this
     this.scale = this.motion.cameras[view].width / part.width
@@ -105,46 +105,46 @@ export class Overlay {
     context.stroke()
   }
 
-  private drawDetections(seen: CameraDetections, side: Side, view: number, frame: number, look: OverlayLook, figures: OverlayFigures) {
-    const given = side === 'raw' ? (seen.cleaning?.before ?? seen.person) : seen.person
-    for (let d = seen.starts[frame]; d < seen.starts[frame + 1]; d++) {
-      figures.n_detections++
-      const index = this.motion.people.findIndex((person) => person.id === given[d])
-      if (index < 0) figures.n_rejected++
-      if (seen.cleaning?.rows.has(d)) figures.n_mended++
+  private drawDetections(detections: CameraDetections, side: Side, view: number, frame: number, look: OverlayLook, statistics: OverlayStatistics) {
+    const assigned = side === 'raw' ? (detections.cleaning?.before ?? detections.person) : detections.person
+    for (let d = detections.starts[frame]; d < detections.starts[frame + 1]; d++) {
+      statistics.n_detections++
+      const index = this.motion.people.findIndex((person) => person.id === assigned[d])
+      if (index < 0) statistics.n_rejected++
+      if (detections.cleaning?.rows.has(d)) statistics.n_repaired++
       if (!isShown(look, index)) continue
-      if (look.detections) this.drawDetection(seen, side, d, index)
-      if (side === 'denoised' && look.residuals && index >= 0) this.drawResiduals(seen, d, index, view, frame, figures)
+      if (look.detections) this.drawDetection(detections, side, d, index)
+      if (side === 'denoised' && look.residuals && index >= 0) this.drawResiduals(detections, d, index, view, frame, statistics)
     }
   }
 
-  /** Raw: in the colour of whom it was taken for. Denoised: white, what was rejected in red, what was done beside it. */
-  private drawDetection(seen: CameraDetections, side: Side, d: number, index: number) {
+  /** Raw: in the colour of the assigned person. Denoised: white, rejected points red, with a description of the changes. */
+  private drawDetection(detections: CameraDetections, side: Side, d: number, index: number) {
     const { context, motion } = this
     const n = motion.keypoint_names.length
-    const source = (k: number) => (side === 'raw' ? k : sourceOf(seen, d, k, n))
+    const source = (k: number) => (side === 'raw' ? k : sourceOf(detections, d, k, n))
     this.pen(index < 0 ? REJECTED : side === 'raw' ? personColor(index) : WHITE, side === 'raw' ? 2 : 1.3, 0.9, index < 0 ? [5, 4] : [])
     context.beginPath()
     for (const [a, b] of this.edges.map(([a, b]) => [source(a), source(b)])) {
-      if (a < 0 || b < 0 || Math.min(seen.confidence[d * n + a], seen.confidence[d * n + b]) < MIN_CONFIDENCE) continue
-      context.moveTo(seen.pixels[2 * (d * n + a)], seen.pixels[2 * (d * n + a) + 1])
-      context.lineTo(seen.pixels[2 * (d * n + b)], seen.pixels[2 * (d * n + b) + 1])
+      if (a < 0 || b < 0 || Math.min(detections.confidence[d * n + a], detections.confidence[d * n + b]) < MIN_CONFIDENCE) continue
+      context.moveTo(detections.pixels[2 * (d * n + a)], detections.pixels[2 * (d * n + a) + 1])
+      context.lineTo(detections.pixels[2 * (d * n + b)], detections.pixels[2 * (d * n + b) + 1])
     }
     context.stroke()
     if (side === 'raw') return
-    this.crossOut(seen, d, (k) => source(k) < 0)
-    this.tell(seen, d, index < 0 ? 'rejected' : deedsOn(seen, d, n), index)
+    this.crossOut(detections, d, (k) => source(k) < 0)
+    this.annotate(detections, d, index < 0 ? 'rejected' : changesOf(detections, d, n), index)
   }
 
-  /** A cross on every detected point that was rejected. */
-  private crossOut(seen: CameraDetections, d: number, isRejected: (k: number) => boolean) {
+  /** Draws a cross on every rejected point. */
+  private crossOut(detections: CameraDetections, d: number, isRejected: (k: number) => boolean) {
     const { context } = this
     const n = this.motion.keypoint_names.length
     const arm = 4.5 * this.scale
     this.pen(REJECTED, 2, 1)
     context.beginPath()
     for (let k = 0; k < n; k++) {
-      const [x, y] = [seen.pixels[2 * (d * n + k)], seen.pixels[2 * (d * n + k) + 1]]
+      const [x, y] = [detections.pixels[2 * (d * n + k)], detections.pixels[2 * (d * n + k) + 1]]
       if (!isRejected(k) || x !== x) continue
       context.moveTo(x - arm, y - arm)
       context.lineTo(x + arm, y + arm)
@@ -154,15 +154,15 @@ export class Overlay {
     context.stroke()
   }
 
-  /** Words over the highest point of a detection. */
-  private tell(seen: CameraDetections, d: number, words: string, index: number) {
+  /** Writes text above the highest point of a detection. */
+  private annotate(detections: CameraDetections, d: number, words: string, index: number) {
     if (!words) return
     const { context } = this
     const n = this.motion.keypoint_names.length
     let [x, y] = [0, Infinity]
     for (let k = 0; k < n; k++) {
       const i = 2 * (d * n + k)
-      if (seen.pixels[i + 1] < y) [x, y] = [seen.pixels[i], seen.pixels[i + 1]]
+      if (detections.pixels[i + 1] < y) [x, y] = [detections.pixels[i], detections.pixels[i + 1]]
     }
     if (y === Infinity) return
     context.font = `600 ${12 * this.scale}px system-ui, sans-serif`
@@ -175,21 +175,21 @@ export class Overlay {
     context.fillText(words, x, y - 8 * this.scale)
   }
 
-  private drawResiduals(seen: CameraDetections, d: number, index: number, view: number, frame: number, figures: OverlayFigures) {
+  private drawResiduals(detections: CameraDetections, d: number, index: number, view: number, frame: number, statistics: OverlayStatistics) {
     const { context, motion, pixel } = this
     const person = motion.people[index]
     const row = rowAt(person, frame)
     const n = motion.keypoint_names.length
     for (let k = 0; row >= 0 && k < n; k++) {
-      const source = sourceOf(seen, d, k, n)
-      if (source < 0 || seen.confidence[d * n + source] < MIN_CONFIDENCE) continue
-      const [u, v] = [seen.pixels[2 * (d * n + source)], seen.pixels[2 * (d * n + source) + 1]]
+      const source = sourceOf(detections, d, k, n)
+      if (source < 0 || detections.confidence[d * n + source] < MIN_CONFIDENCE) continue
+      const [u, v] = [detections.pixels[2 * (d * n + source)], detections.pixels[2 * (d * n + source) + 1]]
       const i = 3 * (row * n + k)
       const points = person.keypoints
       if (points[i] !== points[i]) continue
       if (!project(motion.cameras[view], points[i], points[i + 1], points[i + 2], pixel)) continue
       const distance = Math.hypot(pixel[0] - u, pixel[1] - v)
-      figures.distances.push(distance)
+      statistics.distances.push(distance)
       const color = errorColor(distance)
       this.pen(color, 2, 1)
       context.beginPath()
@@ -203,7 +203,7 @@ export class Overlay {
     }
   }
 
-  /** Width in pixels of the screen. */
+  /** Sets the line style; `width` and `dash` in screen pixels. */
   private pen(color: string, width: number, opacity: number, dash: number[] = []) {
     this.context.strokeStyle = color
     this.context.globalAlpha = opacity
@@ -216,7 +216,7 @@ function isShown(look: OverlayLook, index: number) {
   return look.selected === null || look.selected === index || index < 0
 }
 
-/** The body's 24 joints in a camera's image, [24, 2] px, NaN behind the camera; null where the person is not there. */
+/** The 24 body joints in a camera image, [24, 2] px; NaN behind the camera; null where the person is absent. */
 export function projectedJoints(motion: Motion, view: number, frame: number, index: number): Float32Array | null {
   const person = motion.people[index]
   const row = rowAt(person, frame)

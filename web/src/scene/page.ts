@@ -1,4 +1,4 @@
-// The scene page of a job: loads the result's buffers, puts the parts together, hears the keyboard.
+// Scene page of a job: loads the result, assembles the parts and handles the keyboard.
 
 import { getArtifact, getReport, request } from '../api/client'
 import type { Job } from '../api/types'
@@ -16,19 +16,19 @@ import { closeSurface, openSurface } from './surface'
 import { Timeline } from './timeline'
 import { SceneView } from './view'
 
-/** A page that is shown until `close`. */
+/** An open scene; `close` releases its resources. */
 export interface OpenScene {
   element: HTMLElement
   close: () => void
 }
 
-/** Null where the result holds nothing to draw. */
+/** Opens the scene; null if the result contains no motion. */
 export async function openScene(job: Job, signal: AbortSignal): Promise<OpenScene | null> {
-  const asked = getArtifact(job.id, 'stages/motion.bin', signal)
+  const motionFile = getArtifact(job.id, 'stages/motion.bin', signal)
   const mesh = getDefaultBody(signal).catch(() => null)
   const report = getReport(job.id, signal).catch(() => null)
   const surface = openSurface()
-  const motion = await asked.then((bytes) => bytes && readMotion(bytes)).catch((error) => (closeSurface(surface), Promise.reject(error)))
+  const motion = await motionFile.then((bytes) => bytes && readMotion(bytes)).catch((error) => (closeSurface(surface), Promise.reject(error)))
   if (!motion) return closeSurface(surface), null
   const body = await mesh
   const view = new SceneView(motion, surface, () => draw(), () => change())
@@ -37,7 +37,7 @@ export async function openScene(job: Job, signal: AbortSignal): Promise<OpenScen
   const line = new CameraLine(view)
   const transport = new Transport(view)
   const switches = new Switches(view)
-  let isAsked = false
+  let isRequested = false
 
   const draw = () => {
     timeline.show(view.frame, transport.show())
@@ -47,8 +47,8 @@ export async function openScene(job: Job, signal: AbortSignal): Promise<OpenScen
     panel.show()
     switches.show()
     transport.show()
-    if (view.needsDetections && !isAsked) {
-      isAsked = true
+    if (view.needsDetections && !isRequested) {
+      isRequested = true
       loadDetections(job, view, signal)
     }
   }
@@ -67,27 +67,27 @@ export async function openScene(job: Job, signal: AbortSignal): Promise<OpenScen
   document.addEventListener('keydown', onkey)
   const observer = new ResizeObserver(() => (timeline.resize(), draw()))
   observer.observe(timeline.element)
-  const forgetTheme = onThemeChange(() => (view.repaint(), timeline.resize(), draw()))
+  const unsubscribeTheme = onThemeChange(() => (view.repaint(), timeline.resize(), draw()))
   change()
-  report.then((found) => signal.aborted || panel.tell(found))
-  dress(view, panel, body)
-  inspect(view)
+  report.then((found) => signal.aborted || panel.setReport(found))
+  addBodies(view, panel, body)
+  exposeForChecks(view)
   const close = () => {
     document.removeEventListener('keydown', onkey)
     observer.disconnect()
-    forgetTheme()
+    unsubscribeTheme()
     view.close()
-    inspect(null)
+    exposeForChecks(null)
   }
   return { element, close }
 }
 
-function dress(view: SceneView, panel: Panel, mesh: BodyMesh | null) {
-  if (mesh) view.dress(mesh)
+function addBodies(view: SceneView, panel: Panel, mesh: BodyMesh | null) {
+  if (mesh) view.addBodies(mesh)
   const { people, motion } = view
-  if (!people.bodies) panel.remark('People are drawn as skeletons: the mesh of the body, or their poses, could not be had.')
-  else if (people.bodies.isLikeness) {
-    panel.remark(`Fitted with the body “${motion.body_model?.name ?? 'unknown'}”, which never leaves the service. Drawn is the default body in the same pose and of the same size; the joints are those of the fit.`)
+  if (!people.bodies) panel.setNote('People are drawn as skeletons because the body mesh or the joint rotations are not available.')
+  else if (people.bodies.isSubstitute) {
+    panel.setNote(`The people were fitted with the body “${motion.body_model?.name ?? 'unknown'}”, which never leaves the service. The scene shows the default body with the same pose and size; the joints are those of the fit.`)
   }
 }
 
@@ -101,22 +101,22 @@ async function loadDetections(job: Job, view: SceneView, signal: AbortSignal) {
   view.invalidate()
 }
 
-/** What the console and the checks may ask of the scene on show. */
-function inspect(view: SceneView | null) {
+/** Publishes `window.wandless` for the browser checks and the console. */
+function exposeForChecks(view: SceneView | null) {
   const surface = view && {
     frame: () => view.frame,
     seek: (frame: number) => view.set({ at: frame, isPlaying: false }),
-    /** The body's joints in a camera's image as the overlay draws them, px. */
+    /** Body joints in a camera image as drawn by the overlay, px. */
     projectedJoints: (camera: number, frame: number, person: number) => {
       const pixels = projectedJoints(view.motion, camera, frame, person)
       return pixels && Array.from(pixels)
     },
-    /** Where the three-dimensional picture through a camera shows a point of the world, px, lens distortion apart. */
+    /** Pixel at which the 3D picture through a camera shows a world point, without lens distortion. */
     pixelThrough: (camera: number, point: [number, number, number]) =>
       view.stage.pixelThrough(view.motion.cameras[camera], point),
-    /** The part of the stage that a camera's image lies on, CSS pixels. */
+    /** Rectangle of the camera image on the stage, CSS pixels. */
     pictureOf: (camera: number) => view.pictureOf(camera),
-    /** A vertex of a person's body as it is drawn, world metres; null where there is no body. */
+    /** A vertex of the drawn body of a person, world metres; null without a body. */
     bodyVertex: (person: number, vertex: number) => view.people.bodies?.vertex(person, vertex) ?? null,
     hasDetections: () => view.detections !== null,
     frameTimes: () => [...view.frameTimes],

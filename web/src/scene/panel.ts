@@ -1,4 +1,4 @@
-// The column beside the scene: people and cameras with their figures, selected and looked through from here.
+// Panel beside the scene: lists of people and cameras with their statistics, for selection and camera views.
 
 import type { Quality, Report } from '../api/types'
 import type { Camera, Motion } from '../data/motion'
@@ -15,8 +15,8 @@ export class Panel {
   private readonly people: HTMLButtonElement[]
   private readonly cameras: { select: HTMLButtonElement; look: HTMLButtonElement }[]
   private readonly details = el('div', { class: 'details', 'aria-live': 'polite' })
-  private readonly remarks = el('p', { class: 'hint remark', role: 'status' })
-  private readonly doubts = el('div', { class: 'doubts' })
+  private readonly note = el('p', { class: 'hint note', role: 'status' })
+  private readonly quality = el('div', { class: 'quality' })
   private report: Report | null = null
   private shown = ''
 
@@ -27,10 +27,10 @@ export class Panel {
     this.element = el(
       'aside',
       { class: 'panel', 'aria-label': 'People and cameras' },
-      this.doubts,
+      this.quality,
       el('h2', {}, 'People'),
       this.people.length ? el('ul', {}, ...this.people.map((row) => el('li', {}, row))) : noPeople(),
-      this.remarks,
+      this.note,
       el('h2', {}, 'Cameras'),
       el('ul', {}, ...this.cameras.map(({ select, look }) => el('li', { class: 'camera-row' }, select, look))),
       this.details,
@@ -47,7 +47,7 @@ export class Panel {
       { class: 'row', 'aria-pressed': 'false' },
       swatch,
       el('span', { class: 'row-name' }, `Person ${person.id}`),
-      el('span', { class: 'row-figure', title: 'Median distance of what was seen to what was found' }),
+      el('span', { class: 'row-figure', title: 'Median reprojection error' }),
     )
   }
 
@@ -59,7 +59,7 @@ export class Panel {
       { class: 'row', 'aria-pressed': 'false' },
       el('span', { class: 'swatch camera-swatch', 'aria-hidden': 'true' }),
       el('span', { class: 'row-name' }, camera.id),
-      el('span', { class: 'row-figure' }, camera.R ? px(camera.reprojection_px?.median) : 'not placed'),
+      el('span', { class: 'row-figure' }, camera.R ? px(camera.reprojection_px?.median) : 'not solved'),
     )
     const look = button(
       'Look',
@@ -69,24 +69,24 @@ export class Panel {
     return { select, look }
   }
 
-  /** Adds the report's figures as soon as they are there. */
-  tell(report: Report | null) {
+  /** Adds the statistics of the report once it is loaded. */
+  setReport(report: Report | null) {
     this.report = report
-    fill(this.doubts, ...doubtsOf(report?.quality))
+    fill(this.quality, ...qualityNotice(report?.quality))
     this.people.forEach((row, index) => {
-      const figures = report?.people.find(({ id }) => id === this.view.motion.people[index].id)
-      row.querySelector('.row-figure')!.textContent = px(figures?.reprojection_px?.median)
+      const statistics = report?.people.find(({ id }) => id === this.view.motion.people[index].id)
+      row.querySelector('.row-figure')!.textContent = px(statistics?.reprojection_px?.median)
     })
     this.shown = ''
     this.show()
   }
 
-  /** Says something about everybody. */
-  remark(text: string) {
-    this.remarks.textContent = text
+  /** Shows a note about all people. */
+  setNote(text: string) {
+    this.note.textContent = text
   }
 
-  /** Marks what is selected and writes its figures down. */
+  /** Highlights the selection and shows its details. */
   show() {
     const { person, camera, through } = this.view.state
     this.people.forEach((row, index) => row.setAttribute('aria-pressed', String(index === person)))
@@ -99,23 +99,23 @@ export class Panel {
     this.shown = wanted
     if (person !== null) fill(this.details, ...this.personDetails(person))
     else if (camera !== null) fill(this.details, ...this.cameraDetails(camera))
-    else fill(this.details, el('p', { class: 'hint' }, 'Choose a person or a camera, here or in the scene.'))
+    else fill(this.details, el('p', { class: 'hint' }, 'Select a person or a camera, here or in the scene.'))
   }
 
   private personDetails(index: number) {
     const { motion } = this.view
     const person = motion.people[index]
-    const figures = this.report?.people.find((one) => one.id === person.id)
-    const carried = person.valid.reduce((n, valid) => n + (valid ? 0 : 1), 0)
+    const statistics = this.report?.people.find((one) => one.id === person.id)
+    const unobserved = person.valid.reduce((n, valid) => n + (valid ? 0 : 1), 0)
     const from = motion.first_frame + person.first
     return [
       el('h3', {}, `Person ${person.id}`),
       table([
         ['Frames', `${from} to ${from + person.n_frames - 1}`],
-        ['Median error', px(figures?.reprojection_px?.median)],
-        ['Bone lengths vary by', percent(figures?.bone_length_spread, 1)],
-        ['Mean acceleration', acceleration(figures?.jitter_m_per_s2)],
-        ['Poses carried over gaps', carried ? count(carried, 'frame') : 'none'],
+        ['Median error', px(statistics?.reprojection_px?.median)],
+        ['Bone length variation', percent(statistics?.bone_length_spread, 1)],
+        ['Mean acceleration', acceleration(statistics?.jitter_m_per_s2)],
+        ['Frames without observations', unobserved ? count(unobserved, 'frame') : 'none'],
         ['Identities repaired', person.repairs.length ? count(person.repairs.length, 'time') : 'none'],
       ]),
     ]
@@ -123,7 +123,7 @@ export class Panel {
 
   private cameraDetails(index: number) {
     const camera = this.view.motion.cameras[index]
-    const figures = this.report?.cameras.find((one) => one.id === camera.id)
+    const statistics = this.report?.cameras.find((one) => one.id === camera.id)
     const position = camera.position?.map((c) => c.toFixed(2)).join(', ')
     return [
       el('h3', {}, camera.id),
@@ -131,20 +131,20 @@ export class Panel {
         ['Image', `${camera.width}\u202f×\u202f${camera.height}\u202fpx`],
         ['Median error', px(camera.reprojection_px?.median)],
         ['Mean error', px(camera.reprojection_px?.mean)],
-        ['Position', position ? `${position} m` : 'not placed'],
+        ['Position', position ? `${position} m` : 'not solved'],
         ['Height', metres(camera.position?.[this.view.motion.up_axis === 'y' ? 1 : 2])],
-        ['Position within', camera.sigma_position_mm == null ? '–' : `± ${millimetres(camera.sigma_position_mm)}`],
-        ['Direction within', camera.sigma_angle_deg == null ? '–' : `± ${degrees(camera.sigma_angle_deg)}`],
+        ['Position sigma', camera.sigma_position_mm == null ? '–' : `± ${millimetres(camera.sigma_position_mm)}`],
+        ['Direction sigma', camera.sigma_angle_deg == null ? '–' : `± ${degrees(camera.sigma_angle_deg)}`],
         ...lensRow(camera),
-        ['Rejected', figures ? `${figures.n_rejected_detections} of ${figures.n_detections} detections` : '–'],
+        ['Rejected', statistics ? `${statistics.n_rejected_detections} of ${statistics.n_detections} detections` : '–'],
       ]),
-      el('p', { class: 'hint' }, `The ball round it shows the uncertainty of its position, ${SIGMA_SCALE} times as large.`),
+      el('p', { class: 'hint' }, `The sphere shows the standard deviation of the position, enlarged ${SIGMA_SCALE} times.`),
     ]
   }
 }
 
-/** Why somebody should not simply take the result; nothing where it passed. */
-function doubtsOf(quality?: Quality) {
+/** Verdict with its first reason; empty if the result passed. */
+function qualityNotice(quality?: Quality) {
   if (!quality || quality.verdict === 'pass') return []
   const [first, ...others] = quality.reasons
   return [el('div', { class: `verdict verdict-box-${quality.verdict}` },
@@ -159,18 +159,18 @@ function lensRow({ dist, distortion_model }: Camera): [string, string][] {
 }
 
 function noPeople() {
-  return el('p', { class: 'hint' }, 'Nobody was found. The report says why.')
+  return el('p', { class: 'hint' }, 'No people were reconstructed. The report lists the reasons.')
 }
 
 function table(rows: [string, string][]) {
   return el('dl', {}, ...rows.flatMap(([name, value]) => [el('dt', {}, name), el('dd', {}, value)]))
 }
 
-/** The line over a camera's picture: its name, what is seen in this frame, the colours of distances. */
+/** Line above a camera image: name, statistics of the frame, colour legend of reprojection errors. */
 export class CameraLine {
   readonly element = el('div', { class: 'camera-line', hidden: true })
   private readonly name = el('strong')
-  private readonly figures = el('span', { class: 'figures' })
+  private readonly statistics = el('span', { class: 'figures' })
 
   constructor(private readonly view: SceneView) {
     const ramp = el('canvas', { class: 'ramp', width: 64, height: 8, 'aria-hidden': 'true' })
@@ -179,23 +179,23 @@ export class CameraLine {
       context.fillStyle = errorColor((x / 63) * WORST_PX)
       context.fillRect(x, 0, 1, 8)
     }
-    const legend = el('span', { class: 'legend', title: 'Colours of distances' }, '0', ramp, `${WORST_PX} px`)
-    const leave = button('Leave', () => view.set({ through: null }), { class: 'quiet', title: 'Esc' })
-    this.element.append(this.name, this.figures, legend, leave)
+    const legend = el('span', { class: 'legend', title: 'Reprojection error' }, '0', ramp, `${WORST_PX} px`)
+    const leave = button('Close', () => view.set({ through: null }), { class: 'quiet', title: 'Esc' })
+    this.element.append(this.name, this.statistics, legend, leave)
   }
 
   show() {
     const { through } = this.view.state
     this.element.hidden = through === null
-    const { figures } = this.view
+    const { statistics } = this.view
     if (through === null) return
     this.name.textContent = this.view.motion.cameras[through].id
-    if (!this.view.detections) return void (this.figures.textContent = 'The result holds no detections to lay over it.')
-    if (!figures) return
-    const seen = count(figures.n_detections, 'detection')
-    const mended = figures.n_mended ? `, ${figures.n_mended} mended` : ''
-    const rejected = figures.n_rejected ? `, ${figures.n_rejected} rejected` : ''
-    const middle = figures.distances.length ? ` · median ${px(median([...figures.distances]))}` : ''
-    this.figures.textContent = seen + mended + rejected + middle
+    if (!this.view.detections) return void (this.statistics.textContent = 'The result does not contain detections.')
+    if (!statistics) return
+    const detected = count(statistics.n_detections, 'detection')
+    const repaired = statistics.n_repaired ? `, ${statistics.n_repaired} repaired` : ''
+    const rejected = statistics.n_rejected ? `, ${statistics.n_rejected} rejected` : ''
+    const middle = statistics.distances.length ? ` · median ${px(median([...statistics.distances]))}` : ''
+    this.statistics.textContent = detected + repaired + rejected + middle
   }
 }

@@ -1,11 +1,11 @@
-// People as bodies, as skeletons, as the points that were found of them and as the points that came in.
+// People drawn as bodies, skeletons, 3D keypoints and raw 3D points.
 
 import { Color, type Object3D } from 'three'
 import type { BodyMesh } from '../data/body_mesh'
 import { type Motion, type Person, N_JOINTS, keypointEdges, rowAt } from '../data/motion'
 import { Bodies } from './bodies'
 import type { Lens } from './lens'
-import { type Ground, personColor } from './palette'
+import { type SceneColors, personColor } from './palette'
 import { RoundCones } from './round_cones'
 
 const BONE_RADIUS = 0.013
@@ -13,7 +13,7 @@ const JOINT_RADIUS = 0.024
 const POINT_RADIUS = 0.024
 const EDGE_RADIUS = 0.009
 
-/** Three.js layers: what is drawn for whom when two pictures stand side by side. */
+/** Three.js layers; side-by-side pictures draw different layers. */
 export const LAYERS = { shared: 0, body: 1, points: 2, raw: 3 }
 
 export interface PeopleLook {
@@ -21,12 +21,12 @@ export interface PeopleLook {
   skeleton: boolean
   points: boolean
   selected: number | null
-  /** Set back behind what is drawn over it. */
+  /** Faded, because an overlay is drawn on top. */
   isMuted: boolean
 }
 
 export class People {
-  /** Null until the mesh is there. */
+  /** Null until the mesh is loaded. */
   bodies: Bodies | null = null
   private readonly skeletons: RoundCones
   private readonly points: RoundCones
@@ -45,17 +45,17 @@ export class People {
     parent.add(this.skeletons.mesh, this.points.mesh, this.raw.mesh)
   }
 
-  /** Whether people can be drawn with a skin at all. */
+  /** Whether the result contains the joint rotations that bodies need. */
   get canHaveBodies() {
-    return this.motion.people.every(({ turns }) => turns !== null)
+    return this.motion.people.every(({ rotations }) => rotations !== null)
   }
 
-  dress(mesh: BodyMesh) {
+  addBodies(mesh: BodyMesh) {
     if (this.canHaveBodies) this.bodies = new Bodies(this.motion, mesh, this.parent, LAYERS.body, this.lens)
   }
 
-  /** Poses everybody as they are at a frame index; `raw`: the points that came in, by person. */
-  show(frame: number, look: PeopleLook, raw: Float32Array[] | null, ground: Ground) {
+  /** Draws all people at a frame index; `raw`: raw 3D points per person. */
+  show(frame: number, look: PeopleLook, raw: Float32Array[] | null, colors: SceneColors) {
     const all = [this.skeletons, this.points, this.raw]
     all.forEach((cones) => cones.clear())
     this.bodies?.hide()
@@ -63,12 +63,12 @@ export class People {
     this.motion.people.forEach((person, index) => {
       const row = rowAt(person, frame)
       this.color.set(personColor(index))
-      const isAside = look.selected !== null && look.selected !== index
-      if (isAside) this.color.lerp(this.tone.set(ground.carried), 0.6)
+      const isOther = look.selected !== null && look.selected !== index
+      if (isOther) this.color.lerp(this.tone.set(colors.unobserved), 0.6)
       if (raw) this.addPoints(this.raw, raw[index], 0)
       if (row < 0) return
-      if (person.valid[row] === 0) this.color.lerp(this.tone.set(ground.carried), 0.75)
-      if (look.isMuted) this.color.lerp(this.tone.set(ground.background), 0.55)
+      if (person.valid[row] === 0) this.color.lerp(this.tone.set(colors.unobserved), 0.75)
+      if (look.isMuted) this.color.lerp(this.tone.set(colors.background), 0.55)
       if (look.body && this.bodies) this.bodies.pose(index, person, row, this.color)
       if (look.skeleton || (look.body && !this.bodies)) this.addSkeleton(person, row)
       if (look.points) this.addPoints(this.points, person.keypoints, row * n)

@@ -1,12 +1,12 @@
-// What a click in the scene means.
+// Selection by a click in the scene.
 
 import { Vector3 } from 'three'
 import { type Motion, N_JOINTS, rowAt } from '../data/motion'
 
-/** A click nearer to a thing's middle than this chooses it, CSS pixels. */
-const REACH = 28
+/** Largest distance of a click to the selected joint or camera, CSS pixels. */
+const MAX_DISTANCE = 28
 
-/** The person or camera nearest to a point of the screen; `screenOf` gives where a point of the world is seen. */
+/** The person or camera nearest to a screen point; `screenOf` projects a world point to the screen. */
 export function pick(
   motion: Motion,
   frame: number,
@@ -16,7 +16,7 @@ export function pick(
   y: number,
 ) {
   const point = new Vector3()
-  let [nearest, person, camera] = [REACH, null as number | null, null as number | null]
+  let [nearest, person, camera] = [MAX_DISTANCE, null as number | null, null as number | null]
   const offer = (chosenPerson: number | null, chosenCamera: number | null) => {
     const seen = screenOf(point)
     const distance = seen ? Math.hypot(seen[0] - x, seen[1] - y) : Infinity

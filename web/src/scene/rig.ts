@@ -1,4 +1,4 @@
-// The cameras of a result as frusta, and how to look through one.
+// Cameras of a result, drawn as frusta, and the view through a camera.
 
 import {
   BufferGeometry,
@@ -15,60 +15,60 @@ import {
 } from 'three'
 import type { Camera } from '../data/motion'
 import type { Lens } from './lens'
-import type { Ground } from './palette'
+import type { SceneColors } from './palette'
 
-/** Depth at which a frustum ends, m. */
+/** Depth of a frustum, m. */
 const DEPTH = 0.45
 
-/** The sphere round a camera has so many standard deviations of its position as radius: one alone is a few millimetres. */
+/** Radius of the sphere at a camera in standard deviations of its position, which is only a few millimetres. */
 export const SIGMA_SCALE = 20
 
-/** Least radius of that sphere, m, so that a camera of unknown uncertainty still has a body. */
-const LEAST_RADIUS = 0.025
+/** Minimum radius of that sphere, m; also used for cameras of unknown uncertainty. */
+const MIN_RADIUS = 0.025
 
 const [NEAR, FAR] = [0.05, 200]
 
 export class Rig {
-  private readonly items: { index: number; lines: LineSegments; ball: Mesh }[]
+  private readonly items: { index: number; lines: LineSegments; sphere: Mesh }[]
 
   constructor(readonly cameras: Camera[], parent: Object3D, lens: Lens) {
     this.items = cameras.flatMap((camera, index) => {
       const pose = worldFromCamera(camera)
       if (!pose) return []
       const lines = new LineSegments(frustum(camera), new LineBasicMaterial({ transparent: true }))
-      const radius = Math.max(LEAST_RADIUS, (SIGMA_SCALE * (camera.sigma_position_mm ?? 0)) / 1000)
-      const ball = new Mesh(new SphereGeometry(radius, 20, 14), new MeshBasicMaterial({ transparent: true }))
-      for (const object of [lines, ball]) {
-        lens.bend(object.material as LineBasicMaterial | MeshBasicMaterial)
+      const radius = Math.max(MIN_RADIUS, (SIGMA_SCALE * (camera.sigma_position_mm ?? 0)) / 1000)
+      const sphere = new Mesh(new SphereGeometry(radius, 20, 14), new MeshBasicMaterial({ transparent: true }))
+      for (const object of [lines, sphere]) {
+        lens.applyTo(object.material as LineBasicMaterial | MeshBasicMaterial)
         object.matrixAutoUpdate = false
         object.matrix.copy(pose)
         parent.add(object)
       }
-      return [{ index, lines, ball }]
+      return [{ index, lines, sphere }]
     })
   }
 
-  show(isShown: boolean, selected: number | null, through: number | null, ground: Ground) {
-    for (const { index, lines, ball } of this.items) {
-      lines.visible = ball.visible = isShown && index !== through
+  show(isShown: boolean, selected: number | null, through: number | null, colors: SceneColors) {
+    for (const { index, lines, sphere } of this.items) {
+      lines.visible = sphere.visible = isShown && index !== through
       const material = lines.material as LineBasicMaterial
-      material.color.set(index === selected ? ground.accent : ground.line)
+      material.color.set(index === selected ? colors.accent : colors.line)
       material.opacity = index === selected ? 1 : 0.8
-      const fill = ball.material as MeshBasicMaterial
-      fill.color.set(ground.accent)
+      const fill = sphere.material as MeshBasicMaterial
+      fill.color.set(colors.accent)
       fill.opacity = index === selected ? 0.75 : 0.35
     }
   }
 
   dispose() {
-    for (const mesh of this.items.flatMap(({ lines, ball }) => [lines, ball])) {
+    for (const mesh of this.items.flatMap(({ lines, sphere }) => [lines, sphere])) {
       mesh.geometry.dispose()
       ;(mesh.material as LineBasicMaterial | MeshBasicMaterial).dispose()
     }
   }
 }
 
-/** `world_from_camera` in the camera's own (OpenCV) axes; null for a camera that was not placed. */
+/** `world_from_camera` with OpenCV camera axes; null for a camera that was not solved. */
 export function worldFromCamera({ R, t, position }: Camera): Matrix4 | null {
   if (!R || !t || !position) return null
   const [x, y, z] = position
@@ -80,7 +80,7 @@ export function worldFromCamera({ R, t, position }: Camera): Matrix4 | null {
   )
 }
 
-/** Apex, four edges, the image's border and a mark at its upper side. */
+/** Lines of a frustum: four edges, the image border and a mark at its top. */
 function frustum({ K, width, height }: Camera) {
   const corner = (u: number, v: number) =>
     new Vector3(((u - K[0][2]) / K[0][0]) * DEPTH, ((v - K[1][2]) / K[1][1]) * DEPTH, DEPTH)
@@ -91,10 +91,10 @@ function frustum({ K, width, height }: Camera) {
   return new BufferGeometry().setAttribute('position', new Float32BufferAttribute(ends.flatMap((p) => p.toArray()), 3))
 }
 
-/** From three.js' camera axes (y up, looking along -z) to OpenCV's. */
+/** From the camera axes of three.js (y up, looking along -z) to those of OpenCV. */
 const FLIP = new Matrix4().makeScale(1, -1, -1)
 
-/** Makes `view` see what the filmed image shows, lens distortion apart; `three_from_world` is the scene's turn. */
+/** Sets `view` to the pose and intrinsics of a camera, without lens distortion. */
 export function lookThrough(view: PerspectiveCamera, camera: Camera, threeFromWorld: Matrix4) {
   const pose = worldFromCamera(camera)
   if (!pose) return

@@ -1,4 +1,4 @@
-// Many round cones (two spheres and their hull) in one draw call: what bones and points are made of.
+// Round cones (two spheres and their convex hull), drawn in one call; used for bones and points.
 
 import {
   CapsuleGeometry,
@@ -13,7 +13,7 @@ import {
 } from 'three'
 import type { Lens } from './lens'
 
-/** A unit capsule whose vertices know their end; the shader puts each end's half sphere where the instance says. */
+/** A unit capsule whose vertices store their end; the shader moves each half sphere to its end of the instance. */
 function capsule(segments: number) {
   const source = new CapsuleGeometry(1, 1, segments, 2 * segments)
   const position = source.getAttribute('position')
@@ -49,7 +49,7 @@ vec4 centre = mix(tail, tip, end);
 vec3 transformed = centre.xyz + centre.w * outwards(position);
 `
 
-function placing<M extends Material>(material: M): M {
+function withInstances<M extends Material>(material: M): M {
   material.onBeforeCompile = (shader) => {
     shader.vertexShader = (DECLARATIONS + shader.vertexShader)
       .replace('#include <beginnormal_vertex>', NORMAL)
@@ -59,7 +59,7 @@ function placing<M extends Material>(material: M): M {
   return material
 }
 
-/** A mesh of at most `capacity` round cones, filled anew for every frame. */
+/** A mesh of at most `capacity` round cones, refilled in every frame. */
 export class RoundCones {
   readonly mesh: Mesh
   private readonly geometry: InstancedBufferGeometry
@@ -80,7 +80,7 @@ export class RoundCones {
     this.geometry.setAttribute('color', (this.colors = attribute(3)))
     this.mesh = new Mesh(
       this.geometry,
-      lens.bend(placing(new MeshLambertMaterial({ vertexColors: true }))),
+      lens.applyTo(withInstances(new MeshLambertMaterial({ vertexColors: true }))),
     )
     this.mesh.layers.set(layer)
     this.mesh.frustumCulled = false
@@ -90,7 +90,7 @@ export class RoundCones {
     this.n = 0
   }
 
-  /** Adds a cone from row `a` to row `b` of an array of points; unknown points (NaN) are left out. */
+  /** Adds a cone from row `a` to row `b` of an array of points; unknown points (NaN) are skipped. */
   add(points: Float32Array, a: number, b: number, radiusA: number, radiusB: number, color: Color) {
     const [i, j] = [3 * a, 3 * b]
     this.put(points[i], points[i + 1], points[i + 2], radiusA, points[j], points[j + 1], points[j + 2], radiusB, color)
@@ -108,7 +108,7 @@ export class RoundCones {
     this.n++
   }
 
-  /** Hands what was added over to the next picture. */
+  /** Uploads the added cones for the next picture. */
   show() {
     this.geometry.instanceCount = this.n
     this.mesh.visible = this.n > 0

@@ -1,4 +1,4 @@
-// The stage: floor, light, the free view and the views through cameras, and when a picture is drawn.
+// The stage: floor, lights, the free view and the views through cameras.
 
 import {
   AmbientLight,
@@ -19,8 +19,8 @@ import {
 } from 'three'
 import { OrbitControls } from 'three/addons/controls/OrbitControls.js'
 import { type Camera, type Motion, N_JOINTS } from '../data/motion'
-import { isBent } from '../data/projection'
-import { type Ground, ground } from './palette'
+import { isDistorted } from '../data/projection'
+import { type SceneColors, sceneColors } from './palette'
 import { Lens } from './lens'
 import { lookThrough } from './rig'
 import { type Surface, closeSurface } from './surface'
@@ -36,16 +36,16 @@ export interface Rectangle {
 /** Side of the floor grid, m. */
 const FLOOR = 40
 
-/** Width to height below which the free view steps back. */
+/** Aspect ratio below which the free view zooms out. */
 const NARROW = 1.05
 
 export class Stage {
   readonly canvas: HTMLCanvasElement
-  /** Everything in the result's own world; turned where that has z up. */
+  /** Objects in the world of the result; rotated if its z axis is up. */
   readonly world = new Group()
   readonly free: PerspectiveCamera
   readonly lens = new Lens()
-  ground: Ground = ground()
+  colors: SceneColors = sceneColors()
   private readonly through = new PerspectiveCamera()
   private readonly scene = new Scene()
   private readonly renderer: WebGLRenderer
@@ -56,13 +56,13 @@ export class Stage {
   private readonly centre: Vector3
   private readonly reach: number
 
-  /** `onchange`: the free view has moved, a new picture is due. */
+  /** `onchange` is called when the free view has moved. */
   constructor(motion: Motion, private readonly surface: Surface, onchange: () => void) {
     this.renderer = surface.renderer
     this.canvas = this.renderer.domElement
     this.canvas.tabIndex = 0
     this.canvas.setAttribute('role', 'img')
-    this.canvas.setAttribute('aria-label', 'The scene in three dimensions: drag to turn, wheel to come closer.')
+    this.canvas.setAttribute('aria-label', '3D scene: drag to rotate, scroll to zoom.')
 
     if (motion.up_axis === 'z') this.world.rotation.x = -Math.PI / 2
     this.world.updateMatrixWorld(true)
@@ -94,15 +94,15 @@ export class Stage {
     return [this.sun, this.sun.target, new HemisphereLight('#dfe9ff', '#5a5148', 1.3), new AmbientLight('#ffffff', 0.35)]
   }
 
-  /** Takes the colours of the theme in force. */
+  /** Applies the colours of the current theme. */
   repaint() {
-    this.ground = ground()
-    this.renderer.setClearColor(this.ground.background)
-    this.scene.fog = new Fog(this.ground.background, 2.2 * this.reach + 4, 5 * this.reach + 14)
+    this.colors = sceneColors()
+    this.renderer.setClearColor(this.colors.background)
+    this.scene.fog = new Fog(this.colors.background, 2.2 * this.reach + 4, 5 * this.reach + 14)
     for (const grid of this.grids) this.scene.remove(grid), grid.dispose()
     this.grids = [
-      new GridHelper(FLOOR, 2 * FLOOR, this.ground.grid, this.ground.grid),
-      new GridHelper(FLOOR, FLOOR / 5, this.ground.gridStrong, this.ground.gridStrong),
+      new GridHelper(FLOOR, 2 * FLOOR, this.colors.grid, this.colors.grid),
+      new GridHelper(FLOOR, FLOOR / 5, this.colors.gridStrong, this.colors.gridStrong),
     ]
     this.grids.forEach((grid, i) => {
       grid.position.y = -0.002 + 0.001 * i
@@ -111,7 +111,7 @@ export class Stage {
     })
   }
 
-  /** The free view as it is at first: everybody and every camera in the picture. */
+  /** Resets the free view to show all people and cameras. */
   resetView() {
     this.controls.target.copy(this.centre)
     const distance = 1.6 * this.reach
@@ -119,7 +119,7 @@ export class Stage {
     this.controls.update()
   }
 
-  /** Turns the free view about its centre (rad) or comes closer by a factor: the keyboard's way. */
+  /** Rotates the free view about its centre (rad) and scales its distance by `closer`. */
   orbit(azimuth: number, polar: number, closer: number) {
     const arm = this.free.position.clone().sub(this.controls.target)
     const length = arm.length() * closer
@@ -130,7 +130,7 @@ export class Stage {
     this.controls.update()
   }
 
-  /** Puts a point of three.js' world into the middle of the free view. */
+  /** Centres the free view on a point of the three.js world. */
   lookAt(point: Vector3) {
     const shift = point.clone().sub(this.controls.target)
     this.controls.target.add(shift)
@@ -142,27 +142,27 @@ export class Stage {
     this.renderer.setSize(width, height, false)
   }
 
-  /** The free view on a part of the canvas. */
+  /** Draws the free view into a rectangle of the canvas. */
   drawFree(part: Rectangle, layers: number[]) {
     this.controls.enabled = true
     this.free.aspect = part.width / part.height
-    // A narrow picture shows what a wide one would between its sides.
+    // A narrow picture zooms out to keep the horizontal extent.
     this.free.zoom = Math.min(1, this.free.aspect / NARROW)
     this.free.updateProjectionMatrix()
     this.lens.set(null)
     this.draw(part, this.free, layers, true)
   }
 
-  /** What a camera filmed, on a part of the canvas of the image's own shape. */
+  /** Draws the view through a camera into a rectangle with the aspect ratio of its image. */
   drawThrough(part: Rectangle, camera: Camera, layers: number[]) {
     this.controls.enabled = false
     lookThrough(this.through, camera, this.world.matrixWorld)
     this.lens.set(camera)
-    // The long lines of the floor would stay straight where the lens bends them.
-    this.draw(part, this.through, layers, !isBent(camera))
+    // The floor grid is hidden, because distortion of its vertices alone would leave its long lines straight.
+    this.draw(part, this.through, layers, !isDistorted(camera))
   }
 
-  /** Pixel of the filmed image (no distortion) at which the picture through the camera shows a point of the world. */
+  /** Undistorted image pixel at which the picture through the camera shows a world point. */
   pixelThrough(camera: Camera, point: [number, number, number]): [number, number] {
     lookThrough(this.through, camera, this.world.matrixWorld)
     const seen = new Vector3(...point).applyMatrix4(this.world.matrixWorld)
@@ -187,7 +187,7 @@ export class Stage {
     this.renderer.render(this.scene, camera)
   }
 
-  /** What the graphics card holds, for the check of memory. */
+  /** GPU resources in use. Used by the browser checks. */
   get memory() {
     return { ...this.renderer.info.memory, programs: this.renderer.info.programs?.length ?? 0 }
   }
@@ -201,7 +201,7 @@ export class Stage {
   }
 }
 
-/** Darkens where the light does not come; invisible otherwise. */
+/** Floor that shows shadows only. */
 function shadowCatcher() {
   const floor = new Mesh(new PlaneGeometry(FLOOR, FLOOR), new ShadowMaterial({ opacity: 0.32 }))
   floor.rotation.x = -Math.PI / 2

@@ -1,9 +1,9 @@
-// What the scene page shows at the moment; every change is followed by a new picture.
+// State of the scene page; every change triggers a new picture.
 
 import type { Motion } from '../data/motion'
 
 export interface SceneState {
-  /** Time on the session's line, in frames, whole or not. */
+  /** Current time in frames; may be fractional during playback. */
   at: number
   isPlaying: boolean
   speed: number
@@ -13,14 +13,14 @@ export interface SceneState {
   trails: boolean
   cameras: boolean
   names: boolean
-  /** Two pictures side by side. */
+  /** Side-by-side comparison. */
   compared: Comparison
   detections: boolean
   reprojection: boolean
   residuals: boolean
   person: number | null
   camera: number | null
-  /** The camera that is looked through. */
+  /** Camera of the current camera view. */
   through: number | null
 }
 
@@ -28,19 +28,19 @@ export type Switch =
   | 'body' | 'skeleton' | 'points' | 'trails' | 'cameras' | 'names'
   | 'detections' | 'reprojection' | 'residuals'
 
-/** `cleaning`: what came in, beside what the consistency stage left. `body`: adjusted points, beside the body fitted to them. */
+/** `cleaning`: raw detections and detections after the consistency stage. `body`: 3D keypoints and the fitted body. */
 export type Comparison = 'none' | 'cleaning' | 'body'
 
-/** Every comparison: its name in the list, what stands over either half, and whether it is made through a camera, too. */
+/** All comparisons: label, titles of the halves, and whether the comparison is also available in camera views. */
 export const COMPARISONS: { name: Comparison; label: string; halves: [string, string]; inCamera: boolean }[] = [
-  { name: 'none', label: 'One picture', halves: ['', ''], inCamera: true },
-  { name: 'cleaning', label: 'Raw | denoised', halves: ['Raw: as detected and tracked', 'Denoised: consistent, adjusted'], inCamera: true },
-  { name: 'body', label: 'Points | body', halves: ['Points, after bundle adjustment', 'Body, fitted to them'], inCamera: false },
+  { name: 'none', label: 'No comparison', halves: ['', ''], inCamera: true },
+  { name: 'cleaning', label: 'Raw | denoised', halves: ['Raw: detected and tracked', 'Denoised: repaired and adjusted'], inCamera: true },
+  { name: 'body', label: 'Points | body', halves: ['3D keypoints after bundle adjustment', 'Fitted body'], inCamera: false },
 ]
 
-/** The comparisons that a result has the data for. */
+/** Comparisons for which the result contains the data. */
 export function comparisonsOf(motion: Motion, isThrough: boolean) {
-  return COMPARISONS.filter(({ name, inCamera }) => (inCamera || !isThrough) && (name !== 'cleaning' || motion.mended !== null))
+  return COMPARISONS.filter(({ name, inCamera }) => (inCamera || !isThrough) && (name !== 'cleaning' || motion.repaired !== null))
 }
 
 export const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4]
@@ -66,15 +66,15 @@ export function initialState(): SceneState {
   }
 }
 
-/** Every switch: its name on the page, its key, what it shows. */
+/** All display switches: label, key and description. */
 export const SWITCHES: { name: Switch; label: string; key: string; title: string; inCamera: boolean }[] = [
-  { name: 'body', label: 'Body', key: 'b', title: 'The fitted body', inCamera: false },
-  { name: 'skeleton', label: 'Skeleton', key: 's', title: 'The 24 joints of the body', inCamera: false },
-  { name: 'points', label: 'Points', key: 'p', title: "The detector's points in the world, before the body", inCamera: false },
+  { name: 'body', label: 'Body', key: 'b', title: 'Fitted bodies', inCamera: false },
+  { name: 'skeleton', label: 'Skeleton', key: 's', title: 'Skeletons with 24 joints', inCamera: false },
+  { name: 'points', label: 'Points', key: 'p', title: '3D keypoints before the body fit', inCamera: false },
   { name: 'trails', label: 'Trails', key: 't', title: 'Paths on the floor', inCamera: false },
-  { name: 'cameras', label: 'Cameras', key: 'c', title: 'Frusta of the cameras', inCamera: false },
-  { name: 'names', label: 'Names', key: 'n', title: 'Names of people and cameras', inCamera: false },
-  { name: 'detections', label: 'Detections', key: 'd', title: 'What the detector saw', inCamera: true },
-  { name: 'reprojection', label: 'Reprojection', key: 'r', title: 'The body as this camera should see it', inCamera: true },
-  { name: 'residuals', label: 'Distances', key: 'e', title: 'From each detected point to where it should be', inCamera: true },
+  { name: 'cameras', label: 'Cameras', key: 'c', title: 'Camera frusta', inCamera: false },
+  { name: 'names', label: 'Labels', key: 'n', title: 'Labels of people and cameras', inCamera: false },
+  { name: 'detections', label: 'Detections', key: 'd', title: '2D detections', inCamera: true },
+  { name: 'reprojection', label: 'Reprojection', key: 'r', title: 'Reprojected body', inCamera: true },
+  { name: 'residuals', label: 'Errors', key: 'e', title: 'Reprojection error of each keypoint', inCamera: true },
 ]

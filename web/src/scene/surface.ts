@@ -1,21 +1,21 @@
-// What the scene is drawn on, opened before there is anything to draw: the graphics start while the result is on its way.
+// WebGL surface of the scene. It is opened before the result is loaded, so that both happen at the same time.
 
 import { WebGLRenderer } from 'three'
 
 export interface Surface {
   renderer: WebGLRenderer
-  /** No graphics card: the processor draws, and is spared what costs most. */
+  /** Software rendering: shadows and antialiasing are switched off. */
   isSlow: boolean
 }
 
-/** Opens a surface; `dispose` its renderer. Fails where the browser has no WebGL 2. */
+/** Opens a surface. Throws if the browser does not support WebGL 2. */
 export function openSurface(): Surface {
   const canvas = document.createElement('canvas')
   const attributes: WebGLContextAttributes = { antialias: false, alpha: false, powerPreference: 'high-performance' }
   const plain = canvas.getContext('webgl2', attributes)
-  if (!plain) throw new Error('This browser has no WebGL 2, which the scene is drawn with. The report and the files need none.')
+  if (!plain) throw new Error('The scene needs WebGL 2, which this browser does not support. The report and the files work without it.')
   const isSlow = isDrawnBySoftware(plain)
-  // Whether edges are smoothed is settled when a context is made: with a graphics card another one is wanted.
+  // Antialiasing is fixed when a context is created, so that hardware rendering needs a second context.
   const renderer = isSlow
     ? new WebGLRenderer({ canvas, context: plain })
     : new WebGLRenderer({ antialias: true, powerPreference: 'high-performance' })

@@ -1,4 +1,4 @@
-// The time line: a bar of presence per person, marks where identities were repaired or detections rejected, the playhead.
+// Time line: presence of each person, marks of repairs and rejections, and the playhead.
 
 import { el } from '../dom'
 import { countAt } from '../data/marks'
@@ -19,9 +19,9 @@ export class Timeline {
   private width = 0
   private readonly height: number
 
-  /** `onseek` hears the frame index asked for. */
+  /** `onseek` receives the requested frame index. */
   constructor(private readonly motion: Motion, onseek: (frame: number) => void) {
-    this.height = TOP + motion.people.length * ROW + (motion.mended ? 2 : 1) * MARKS + 10
+    this.height = TOP + motion.people.length * ROW + (motion.repaired ? 2 : 1) * MARKS + 10
     const last = Math.max(motion.n_frames - 1, 0)
     this.slider = el('input', { type: 'range', min: 0, max: last, step: 1, value: '0', 'aria-label': 'Frame' })
     this.slider.addEventListener('input', () => onseek(Number(this.slider.value)))
@@ -35,7 +35,7 @@ export class Timeline {
     this.element = el('div', { class: 'timeline' }, this.slider, this.canvas)
   }
 
-  /** Takes a new width or new colours. */
+  /** Redraws after a change of width or colours. */
   resize() {
     this.width = this.element.clientWidth
     const ratio = Math.min(devicePixelRatio, 2)
@@ -57,7 +57,7 @@ export class Timeline {
     context.drawImage(this.picture, 0, 0)
     const ratio = Math.min(devicePixelRatio, 2)
     context.scale(ratio, ratio)
-    context.fillStyle = this.ink('--ink')
+    context.fillStyle = this.color('--ink')
     context.fillRect(this.x(frame) - 0.75, 0, 1.5, this.height)
   }
 
@@ -65,7 +65,7 @@ export class Timeline {
     return LABELS + (frame / Math.max(this.motion.n_frames - 1, 1)) * (this.width - LABELS - 8)
   }
 
-  private ink(name: string) {
+  private color(name: string) {
     return getComputedStyle(document.documentElement).getPropertyValue(name).trim()
   }
 
@@ -76,17 +76,17 @@ export class Timeline {
     this.motion.people.forEach((person, index) => {
       const top = TOP + index * ROW
       context.globalAlpha = 1
-      context.fillStyle = this.ink('--ink-soft')
+      context.fillStyle = this.color('--ink-soft')
       context.fillText(`Person ${person.id}`, 2, top + BAR / 2)
       this.drawPresence(context, person, index, top)
       this.drawRepairs(context, person, top)
     })
     const below = TOP + this.motion.people.length * ROW + 3
-    if (this.motion.mended) this.drawCounts(context, 'Mended', this.motion.mended, '--fair', below)
-    this.drawCounts(context, 'Rejected', this.motion.rejected, '--bad', below + (this.motion.mended ? MARKS : 0))
+    if (this.motion.repaired) this.drawCounts(context, 'Repaired', this.motion.repaired, '--fair', below)
+    this.drawCounts(context, 'Rejected', this.motion.rejected, '--bad', below + (this.motion.repaired ? MARKS : 0))
   }
 
-  /** The more cameras see the person, the stronger; carried poses are hollow. Drawn in runs of frames that look the same. */
+  /** Opacity shows the number of cameras that see the person; frames without observations are thin. Equal frames are merged. */
   private drawPresence(context: CanvasRenderingContext2D, person: Person, index: number, top: number) {
     const n_keypoints = this.motion.keypoint_names.length
     const most = Math.max(this.motion.cameras.length, 2)
@@ -112,19 +112,19 @@ export class Timeline {
     context.globalAlpha = 1
     for (const [frame] of person.repairs) {
       const x = this.x(frame)
-      context.fillStyle = this.ink('--panel')
+      context.fillStyle = this.color('--panel')
       diamond(context, x, top + BAR / 2, 6)
-      context.fillStyle = this.ink('--ink')
+      context.fillStyle = this.color('--ink')
       diamond(context, x, top + BAR / 2, 4)
     }
   }
 
-  /** A bar at every frame, the higher the more detections of all cameras. */
+  /** Draws a bar per frame whose height shows the number of detections in all cameras. */
   private drawCounts(context: CanvasRenderingContext2D, name: string, counts: Uint8Array, color: string, top: number) {
     context.globalAlpha = 1
-    context.fillStyle = this.ink('--ink-soft')
+    context.fillStyle = this.color('--ink-soft')
     context.fillText(name, 2, top + MARKS / 2 - 1)
-    context.fillStyle = this.ink(color)
+    context.fillStyle = this.color(color)
     for (let frame = 0; frame < this.motion.n_frames; frame++) {
       const height = Math.min(3 + 2 * countAt(this.motion, counts, frame), MARKS - 2)
       if (height > 3) context.fillRect(this.x(frame) - 0.75, top + MARKS - 2 - height, 1.5, height)

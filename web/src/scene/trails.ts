@@ -1,4 +1,4 @@
-// Where people have been: their paths on the floor, the last two seconds strong.
+// Paths of people on the floor; the last two seconds are highlighted.
 
 import { BufferGeometry, Float32BufferAttribute, Line, LineBasicMaterial, type Object3D } from 'three'
 import { type Motion, N_JOINTS } from '../data/motion'
@@ -6,7 +6,7 @@ import { personColor } from './palette'
 
 const RECENT_SECS = 2
 
-/** Above the floor, so that the grid does not flicker through it, m. */
+/** Height above the floor, m; prevents flickering with the grid. */
 const HEIGHT = 0.006
 
 export class Trails {

@@ -1,4 +1,4 @@
-// The scene of a job: stage, people, cameras, overlay and time line, drawn when something changed.
+// Scene view of a job: combines stage, people, cameras and overlay, and redraws after changes.
 
 import { Vector3 } from 'three'
 import type { BodyMesh } from '../data/body_mesh'
@@ -8,7 +8,7 @@ import { type Motion, N_JOINTS, rowAt } from '../data/motion'
 import { rawPoints } from '../data/raw_points'
 import { el } from '../dom'
 import { Labels } from './labels'
-import { Overlay, type OverlayFigures, type Side } from './overlay'
+import { Overlay, type OverlayStatistics, type Side } from './overlay'
 import { LAYERS, People } from './people'
 import { pick } from './pick'
 import { Rig } from './rig'
@@ -17,15 +17,15 @@ import { COMPARISONS, type SceneState, comparisonsOf, initialState } from './sta
 import type { Surface } from './surface'
 import { Trails } from './trails'
 
-/** Room for the switches over a camera's image, CSS pixels. */
-const BAR = 54
+/** Height of the bar with switches above a camera image, CSS pixels. */
+const BAR_HEIGHT = 54
 
 export class SceneView {
   readonly element: HTMLElement
   readonly stage: Stage
   readonly state: SceneState = initialState()
   readonly frameTimes: number[] = []
-  figures: OverlayFigures | null = null
+  statistics: OverlayStatistics | null = null
   detections: CameraDetections[] | null = null
   readonly people: People
   private readonly rig: Rig
@@ -62,7 +62,7 @@ export class SceneView {
     return Math.max(this.motion.n_frames - 1, 0)
   }
 
-  /** Changes the state and draws. */
+  /** Changes the state and requests a new picture. */
   set(change: Partial<SceneState>) {
     Object.assign(this.state, change)
     this.state.at = Math.min(Math.max(this.state.at, 0), this.lastFrame)
@@ -73,12 +73,12 @@ export class SceneView {
     this.invalidate()
   }
 
-  /** To the mark before (-1) or after (1): of the camera that is looked through, or of any. */
+  /** Seeks to the previous (-1) or next (1) mark, of the current camera view or of all cameras. */
   toMark(by: number) {
     this.set({ at: nextMark(this.motion, this.state.through, this.frame, by), isPlaying: false })
   }
 
-  /** A new picture at the next chance. */
+  /** Requests a new picture. */
   invalidate() {
     if (this.request === 0 && !this.isClosed) this.request = requestAnimationFrame((now) => this.tick(now))
   }
@@ -109,13 +109,13 @@ export class SceneView {
     if (this.frameTimes.length > 600) this.frameTimes.shift()
   }
 
-  /** Dresses everybody with the body's mesh. */
-  dress(mesh: BodyMesh) {
-    this.people.dress(mesh)
+  /** Adds body meshes to all people. */
+  addBodies(mesh: BodyMesh) {
+    this.people.addBodies(mesh)
     this.invalidate()
   }
 
-  /** Whether what is shown asks for the detections. */
+  /** Whether the current state needs the detections. */
   get needsDetections() {
     return this.state.through !== null || this.state.compared === 'cleaning'
   }
@@ -133,13 +133,13 @@ export class SceneView {
       isMuted: through !== null,
     }
     const raw = state.compared === 'cleaning' && through === null && this.detections
-    this.people.show(frame, look, raw ? rawPoints(this.motion, raw, frame) : null, stage.ground)
+    this.people.show(frame, look, raw ? rawPoints(this.motion, raw, frame) : null, stage.colors)
     this.trails.show(frame, state.trails && through === null)
-    this.rig.show(state.cameras, state.camera, through, stage.ground)
+    this.rig.show(state.cameras, state.camera, through, stage.colors)
     this.showHalves(isCompared)
     stage.clear()
     if (through !== null) return this.drawThrough(through)
-    this.figures = null
+    this.statistics = null
     this.overlay.clear()
     this.drawFree(isCompared)
   }
@@ -167,40 +167,40 @@ export class SceneView {
     this.labels.show(this.frame, this.stage.free, this.stage.world.matrixWorld, whole, this.state.names && !isCompared)
   }
 
-  /** The part of the stage that a camera's image lies on. */
+  /** Rectangle of the camera image on the stage. */
   pictureOf(view: number): Rectangle {
     return this.imagePart(this.underBar(), view)
   }
 
   private underBar(): Rectangle {
     const { clientWidth: width, clientHeight: height } = this.element
-    return { left: 0, top: BAR, width, height: height - BAR }
+    return { left: 0, top: BAR_HEIGHT, width, height: height - BAR_HEIGHT }
   }
 
   private drawThrough(view: number) {
     const { state, frame } = this
     const { clientWidth: width, clientHeight: height } = this.element
-    const seen = this.detections?.[view] ?? null
+    const detections = this.detections?.[view] ?? null
     const whole = this.underBar()
     const pictures: [Rectangle, Side][] = state.compared === 'cleaning'
       ? [[halvesOf(whole)[0], 'raw'], [halvesOf(whole)[1], 'denoised']]
       : [[whole, 'denoised']]
     this.overlay.begin(width, height)
-    for (const [place, side] of pictures) {
-      const part = this.imagePart(place, view)
+    for (const [area, side] of pictures) {
+      const part = this.imagePart(area, view)
       const look = { ...state, body: state.reprojection && side === 'denoised', selected: state.person }
       this.stage.drawThrough(part, this.motion.cameras[view], side === 'raw' ? [LAYERS.shared] : [LAYERS.shared, LAYERS.points, LAYERS.body])
-      this.figures = this.overlay.show(part, side, view, frame, seen, look)
+      this.statistics = this.overlay.show(part, side, view, frame, detections, look)
     }
     this.labels.show(frame, this.stage.free, this.stage.world.matrixWorld, whole, false)
   }
 
-  /** The largest rectangle of a camera's image in the middle of a place. */
-  private imagePart(place: Rectangle, view: number): Rectangle {
+  /** The largest centred rectangle inside `area` with the aspect ratio of the camera image. */
+  private imagePart(area: Rectangle, view: number): Rectangle {
     const { width, height } = this.motion.cameras[view]
-    const scale = Math.min(place.width / width, place.height / height)
+    const scale = Math.min(area.width / width, area.height / height)
     const [w, h] = [width * scale, height * scale]
-    return { left: place.left + (place.width - w) / 2, top: place.top + (place.height - h) / 2, width: w, height: h }
+    return { left: area.left + (area.width - w) / 2, top: area.top + (area.height - h) / 2, width: w, height: h }
   }
 
   private resize() {
@@ -208,7 +208,7 @@ export class SceneView {
     if (clientWidth === 0 || clientHeight === 0) return
     this.isSized = true
     this.stage.resize(clientWidth, clientHeight)
-    // The canvas is empty after a new size: draw at once, not at the next chance.
+    // A resized canvas is empty, so draw immediately.
     this.draw()
     this.ondraw()
   }
@@ -222,7 +222,7 @@ export class SceneView {
     })
   }
 
-  /** Selects what lies under a point of the screen; nothing deselects. */
+  /** Selects the person or camera at a screen point, or clears the selection. */
   private choose(clientX: number, clientY: number) {
     const box = this.element.getBoundingClientRect()
     const screenOf = (point: Vector3) => {
@@ -233,7 +233,7 @@ export class SceneView {
     this.set(pick(this.motion, this.frame, this.state.cameras, screenOf, clientX - box.left, clientY - box.top))
   }
 
-  /** Turns the free view to the selected person or camera. */
+  /** Centres the free view on the selected person or camera, or resets it. */
   frameSelected() {
     const { person, camera } = this.state
     const point = new Vector3()
