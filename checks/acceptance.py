@@ -35,7 +35,7 @@ class Server:
                 return
             except (urllib.error.URLError, ConnectionError, TimeoutError):
                 time.sleep(0.05)
-        raise SystemExit("the service does not get ready")
+        raise SystemExit("the service does not become ready")
 
     def call(self, method, path, body=None, kind="application/json"):
         if body is not None and not isinstance(body, bytes):
@@ -304,7 +304,7 @@ def row_13_14(args, scratch):
     state = server.wait(job)
     files = server.artifacts(job)
     server.stop()
-    say(13, "killed in the middle, restarted", f"{state['state']}, attempt {state['attempt']}, same bytes {digest(files) == digest(undisturbed)}", state["state"] == "succeeded" and digest(files) == digest(undisturbed))
+    say(13, "killed while running, restarted", f"{state['state']}, attempt {state['attempt']}, same bytes {digest(files) == digest(undisturbed)}", state["state"] == "succeeded" and digest(files) == digest(undisturbed))
     folder = scratch / "shelf"
     folder.mkdir()
     with zipfile.ZipFile(io.BytesIO(z)) as archive:

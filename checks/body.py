@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""The SMPL files of a result against its `poses3d.json`, by numpy alone.
+"""Compares the SMPL files of a result with its `poses3d.json`, using only numpy.
 
     wandless body export --out BODY.npz [--body FILE]
     python3 checks/body.py RESULT BODY.npz
 
 The forward pass is written from its definition (Loper et al. 2015, Eqs. 2 to 4): rest joints `J = R (T + S beta)`, then
-`p_j = p_parent + G_parent (J_j - J_parent)`, the root turning about its own rest place, and the translation on top. Prints
-one line per person; exit code 1 where a joint is farther off than 0.1 mm.
+`p_j = p_parent + G_parent (J_j - J_parent)`, the root rotating about its rest position, and the translation added. Prints
+one line per person; exit code 1 where a joint differs by more than 0.1 mm.
 """
 import json
 import pathlib
@@ -51,10 +51,10 @@ def main():
     for path in files:
         motion = np.load(path, allow_pickle=False)
         found = joints(body, motion["betas"], motion["poses"], motion["trans"])
-        told = np.array([frames[str(frame)][path.stem] for frame in motion["frames"]])
-        off = np.linalg.norm(found - told, axis=-1).max()
+        expected = np.array([frames[str(frame)][path.stem] for frame in motion["frames"]])
+        off = np.linalg.norm(found - expected, axis=-1).max()
         worst = max(worst, off)
-        print(f"person {path.stem}: {len(told)} frames, joints off by {off:.1e} m at most")
+        print(f"person {path.stem}: {len(expected)} frames, largest joint distance {off:.1e} m")
     print("ok" if worst <= BOUND_M else "FAIL", f"{worst:.1e} m, bound {BOUND_M:.0e}")
     return worst > BOUND_M
 

@@ -1,7 +1,7 @@
-"""lenses.py WANDLESS WORK [--sessions N]: cameras behind bent glass are found as well as behind straight.
+"""lenses.py WANDLESS WORK [--sessions N]: accuracy of cameras with distorting lenses.
 
-Simulates the same scenes through a pinhole, a wide-angle lens (OpenCV's five numbers) and a fisheye of 100 degrees, and
-compares the cameras' mean errors after a similarity: those of bent glass are at most 20 % larger.
+Simulates the same scenes with a pinhole, a wide-angle lens (OpenCV's five numbers) and a fisheye of 100 degrees, and
+compares the cameras' mean errors after a similarity alignment: those of distorting lenses may be at most 20 % larger.
 """
 
 import argparse
@@ -35,7 +35,7 @@ found = {lens: [errors(lens, seed) for seed in range(1, args.sessions + 1)] for 
 means = {lens: [statistics.mean(column) for column in zip(*found[lens])] for lens in lenses}
 good = True
 for lens in lenses:
-    ratios = [own / straight for own, straight in zip(means[lens], means["pinhole"])]
+    ratios = [own / pinhole for own, pinhole in zip(means[lens], means["pinhole"])]
     good = good and max(ratios) <= 1.2
     print(f"{lens}: {means[lens][0]:.2f} mm, {means[lens][1]:.4f} degrees; {ratios[0]:.3f} and {ratios[1]:.3f} of pinhole")
 sys.exit(0 if good else 1)

@@ -1,8 +1,8 @@
-"""synchronisation.py WANDLESS WORK [--sessions N] [--preset P] [--views V] [--frames F]: offsets in time found from motion.
+"""synchronisation.py WANDLESS WORK [--sessions N] [--preset P] [--views V] [--frames F]: estimation of time offsets.
 
-Simulates sessions whose cameras are off by whole frames (-15 to 15) and by 0.3 of a frame, has the offsets estimated, and
-compares them with the truth after taking off what all cameras share, which means nothing: whole frames must come out whole,
-fractions to 0.05 frame. The same scenes without offsets say what the cameras' errors should be (at most 10 % more).
+Simulates sessions with time offsets of whole frames (-15 to 15) and of 0.3 frame, estimates the offsets, and compares them
+with the truth after removing their common part, which is arbitrary: whole frames must be exact, fractions within 0.05 frame.
+The cameras' errors may be at most 10 % larger than those of the same scenes without offsets.
 """
 
 import argparse
@@ -28,7 +28,7 @@ def run(*arguments):
 
 
 def solved(name, seed, offsets, options):
-    """Errors of the cameras (mm, degrees), of the offsets (frames), and their standard deviations as told."""
+    """Errors of the cameras (mm, degrees), of the offsets (frames), and their reported standard deviations."""
     session, result = f"{args.work}/{name}_{seed}", f"{args.work}/{name}_{seed}_result"
     size = ["--preset", args.preset, "--views", args.views, "--frames", args.frames]
     run("simulate", "--procedural", "--out", session, "--seed", seed, *size, *(["--offset", *offsets] if offsets else []))
@@ -58,9 +58,9 @@ for seed in range(args.first, args.first + args.sessions):
     whole += off
     errors["whole"].append(cameras)
     parts = [0.3 * (view % 2) for view in range(args.views)]
-    cameras, off, told = solved("fraction", seed, parts, estimate)
+    cameras, off, reported = solved("fraction", seed, parts, estimate)
     fractions += off
-    sigmas += told
+    sigmas += reported
     errors["fraction"].append(cameras)
     errors["given"].append(solved("given", seed, [], {})[0])
     print(seed, offsets, [f"{error:+.3f}" for error in whole[-args.views :]], [f"{error:+.3f}" for error in off],
@@ -68,7 +68,7 @@ for seed in range(args.first, args.first + args.sessions):
 rms = lambda values: (sum(v * v for v in values) / len(values)) ** 0.5
 print(f"whole frames exact in {n_whole} of {args.sessions}; rms {rms(whole):.3f}, worst {max(map(abs, whole)):.3f} frames")
 print(f"0.3 frame: rms {rms(fractions):.3f}, worst {max(map(abs, fractions)):.3f}, within 0.05 "
-      f"{sum(abs(f) <= 0.05 for f in fractions)} of {len(fractions)}; told sigma {statistics.median(sigmas):.3f}")
+      f"{sum(abs(f) <= 0.05 for f in fractions)} of {len(fractions)}; reported sigma {statistics.median(sigmas):.3f}")
 good = n_whole == args.sessions and rms(fractions) <= 0.05
 for i, unit in enumerate(["mm", "degrees"]):
     given, *others = [statistics.mean(table[i] for table in errors[kind]) for kind in ["given", "whole", "fraction"]]

@@ -1,4 +1,4 @@
-"""amass.py RESULT EXPORTS: the npz files by numpy, posed by a forward pass in numpy."""
+"""amass.py RESULT EXPORTS: reads the npz files with numpy and poses them with a forward pass in numpy."""
 
 import numpy as np
 from result import Result, Worst
@@ -34,7 +34,7 @@ def forward(rest, poses, trans):
 
 
 def rest_joints(poses, trans, joints):
-    """The npz has no skeleton: it is taken from the first frame, all others must agree with it."""
+    """Rest joints from the first frame, since the npz has none; all other frames must agree with them."""
     world = chain(poses[:1])[0]
     rest = [joints[0, 0] - trans[0]]
     for j in range(1, 24):

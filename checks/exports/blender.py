@@ -1,4 +1,4 @@
-"""BVH, GLB, the script and the .chan files opened by Blender: blender --background --python blender.py -- RESULT EXPORTS."""
+"""Opens BVH, GLB, the script and the .chan files in Blender: blender --background --python blender.py -- RESULT EXPORTS."""
 
 import json
 import sys
@@ -46,13 +46,13 @@ def worst_joint(person, armature, first_shown):
 
 
 def worst_pixel(camera, thing, principal_point, pixel_aspect=True):
-    """Largest distance of projections, without distortion, and without what else the format has no place for."""
+    """Largest distance of projections, without distortion and other parameters that the format does not support."""
     scene = bpy.context.scene
     scene.render.resolution_x, scene.render.resolution_y = camera["width"], camera["height"]
     k, pose = [list(row) for row in camera["K"]], Matrix(camera["R"])
     if not pixel_aspect:
         k[0][0] = k[1][1]
-    # Pixels that are not square are the scene's, not the camera's.
+    # The pixel aspect belongs to the scene, not to the camera.
     scene.render.pixel_aspect_x = max(1.0, k[1][1] / k[0][0])
     scene.render.pixel_aspect_y = max(1.0, k[0][0] / k[1][1])
     centre = (k[0][2], k[1][2]) if principal_point else ((camera["width"] - 1) / 2, (camera["height"] - 1) / 2)
@@ -69,14 +69,14 @@ def worst_pixel(camera, thing, principal_point, pixel_aspect=True):
     return worst
 
 
-def say(name, joint, pixel=0.0):
+def report(name, joint, pixel=0.0):
     good = joint <= JOINT_TOLERANCE and pixel <= PIXEL_TOLERANCE
     print(f"{'ok' if good else 'FAILED'} blender {name}: {1e3 * joint:.5f} mm, {pixel:.6f} px", flush=True)
     return good
 
 
-def mend_readers():
-    """Blender 3.4 opens BVH files with a mode that Python 3.11 no longer has, and names a type that numpy dropped."""
+def patch_readers():
+    """Blender 3.4 opens BVH files with a mode that Python 3.11 removed, and uses a type that numpy removed."""
     import numpy
     from io_anim_bvh import import_bvh
 
@@ -92,7 +92,7 @@ def check_bvh():
         start = person["frames"][0] - FIRST + 1  # Blender starts no BVH before frame 1
         bpy.ops.import_anim.bvh(filepath=f"{EXPORTS}/{person['id']}.bvh", global_scale=0.01, frame_start=start)
         joint = max(joint, worst_joint(person, bpy.context.object, 1))
-    return say("bvh", joint)
+    return report("bvh", joint)
 
 
 def check_glb():
@@ -101,7 +101,7 @@ def check_glb():
     objects = bpy.data.objects
     joint = max(worst_joint(person, objects[f"person_{person['id']}"], 0) for person in PEOPLE)
     pixel = max(worst_pixel(camera, objects[camera["id"]], False) for camera in CAMERAS)
-    return say("glb", joint, pixel)
+    return report("glb", joint, pixel)
 
 
 def check_script():
@@ -119,7 +119,7 @@ def check_script():
             assert objects[f"person_{person['id']}"].hide_viewport
     scene.frame_set(FIRST)
     pixel = max(worst_pixel(camera, objects[camera["id"]], True) for camera in CAMERAS)
-    return say("scene.py", joint, pixel)
+    return report("scene.py", joint, pixel)
 
 
 def check_chan():
@@ -135,9 +135,9 @@ def check_chan():
         options = {"z_up": True, "rotation_order": "ZXY", "sensor_width": 36.0, "sensor_height": height}
         bpy.ops.import_scene.import_chan(filepath=path, **options)
         pixel = max(pixel, worst_pixel(camera, thing, False, pixel_aspect=False))
-    return say("chan", 0.0, pixel)
+    return report("chan", 0.0, pixel)
 
 
-mend_readers()
+patch_readers()
 if not all([check_bvh(), check_glb(), check_script(), check_chan()]):
     sys.exit(1)

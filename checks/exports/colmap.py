@@ -1,4 +1,4 @@
-"""colmap.py RESULT EXPORTS: the text model by pycolmap, its cameras projecting."""
+"""colmap.py RESULT EXPORTS: reads the text model with pycolmap and compares projections."""
 
 import numpy as np
 import pycolmap

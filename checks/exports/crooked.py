@@ -1,4 +1,4 @@
-"""crooked.py RESULT: makes a result hard for every format: crooked lenses, and a person who comes, is lost, and goes."""
+"""crooked.py RESULT: makes a result difficult for every format: asymmetric lenses, and a person with missing frames."""
 
 import json
 import sys

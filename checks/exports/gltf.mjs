@@ -1,4 +1,4 @@
-// gltf.mjs RESULT EXPORTS: scene.glb by Khronos's validator, then opened and animated by three.js.
+// gltf.mjs RESULT EXPORTS: checks scene.glb with Khronos's validator, then opens and animates it with three.js.
 import { readFileSync } from 'node:fs';
 import { pathToFileURL } from 'node:url';
 
@@ -51,7 +51,7 @@ for (const [i, camera] of cameras.entries()) {
     for (const joint of Object.values(frame).flat()) {
       const p = R.map((row, r) => row[0] * joint[0] + row[1] * joint[1] + row[2] * joint[2] + t[r]);
       if (p[2] < 0.1) continue;
-      // A glTF camera looks through the middle of its image and does not distort.
+      // A glTF camera has a central principal point and no distortion.
       const ours = [K[0][0] * p[0] / p[2] + (width - 1) / 2, K[1][1] * p[1] / p[2] + (height - 1) / 2];
       const seen = yUp(joint).project(theirs);
       const pixel = [(seen.x + 1) / 2 * width - 0.5, (1 - seen.y) / 2 * height - 0.5];

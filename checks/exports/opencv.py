@@ -1,4 +1,4 @@
-"""opencv.py RESULT EXPORTS: the YAML files by OpenCV's FileStorage, the TOML files by toml, all by projectPoints."""
+"""opencv.py RESULT EXPORTS: reads the YAML files with FileStorage, the TOML files with toml; all with projectPoints."""
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ points = result.all_joints()
 
 
 def compare(camera, matrix, dist, rotation, translation, is_fisheye=False):
-    """What the file cannot hold (the manifest says so) must be no distortion at all, never another lens's numbers."""
+    """An unsupported distortion (listed in the manifest) must be written as none, not as another lens's numbers."""
     model = camera.get("distortion_model")
     is_held = is_fisheye if model == "fisheye" else model is None or len(dist) == 8
     assert is_held or not np.any(dist), camera["id"]

@@ -1,4 +1,4 @@
-"""opensim.py RESULT EXPORTS: the TRC files by trc-data-reader."""
+"""opensim.py RESULT EXPORTS: reads the TRC files with trc-data-reader."""
 
 import numpy as np
 import trc

@@ -1,4 +1,4 @@
-"""points.py RESULT EXPORTS: the C3D files by ezc3d."""
+"""points.py RESULT EXPORTS: reads the C3D files with ezc3d."""
 
 import ezc3d
 import numpy as np

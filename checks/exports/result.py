@@ -1,4 +1,4 @@
-"""A result's JSON files, and the projection of its cameras by numpy alone."""
+"""A result's JSON files, and the projection of its cameras using only numpy."""
 
 import json
 import sys
@@ -24,7 +24,7 @@ class Result:
             self.people.append({**person, "joints": np.array(joints)})  # [frames, 24, 3]
 
     def turned(self, up, points):
-        """Points of the result's world in one with another axis up."""
+        """Converts points of the result's world to a world with another up axis."""
         x, y, z = np.moveaxis(np.asarray(points), -1, 0)
         if (self.up, up) == ("y", "z"):
             return np.stack([x, -z, y], -1)
@@ -37,7 +37,7 @@ class Result:
 
 
 def bent(camera, x, y, n_distortions):
-    """OpenCV's lenses by their published formulas, of a polynomial the first `n_distortions` coefficients."""
+    """OpenCV's distortion models by their published formulas; of a polynomial the first `n_distortions` coefficients."""
     dist = list(camera["dist"])
     if n_distortions and camera.get("distortion_model") == "fisheye":
         r = np.hypot(x, y)
@@ -51,7 +51,7 @@ def bent(camera, x, y, n_distortions):
 
 
 def project(camera, points, n_distortions=8, principal_point=True, square=False):
-    """OpenCV's model by its published formula; `None` rows behind the camera are left out: (pixels, is_before)."""
+    """Pixels of the points before the camera by OpenCV's published formula, and the mask of these points."""
     p = points @ np.array(camera["R"]).T + np.array(camera["t"])
     before = p[:, 2] > 0.1
     x, y = (p[before, :2] / p[before, 2:]).T
@@ -66,7 +66,7 @@ def project(camera, points, n_distortions=8, principal_point=True, square=False)
 
 
 class Worst:
-    """The largest errors seen; says them and ends with 1 beyond the bounds."""
+    """The largest errors; prints them and exits with 1 beyond the bounds."""
 
     def __init__(self, name, joint_tolerance=JOINT_TOLERANCE):
         self.name, self.joint_tolerance = name, joint_tolerance

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Every export opened by an independent reader: run.sh WANDLESS WORK; see checks/README.md.
+# Opens every export with an independent reader: run.sh WANDLESS WORK; see checks/README.md.
 set -euo pipefail
 wandless=$(realpath "$1")
 work=$2

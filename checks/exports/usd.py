@@ -1,4 +1,4 @@
-"""usd.py RESULT EXPORTS: the stage by OpenUSD: skeletons by UsdSkel's queries, cameras by GfCamera's frusta."""
+"""usd.py RESULT EXPORTS: opens the stage with OpenUSD: skeletons with UsdSkel's queries, cameras as GfCamera's frusta."""
 
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdSkel
