@@ -1,4 +1,4 @@
-//! A single camera whose pose is known: people found, and facing where they face.
+//! A single camera with known pose: people are found and face the right way.
 
 use super::identity_shares;
 use nalgebra::{Matrix3, Vector3};
@@ -19,7 +19,7 @@ const RIGHT_HIP: usize = 2;
 const LEFT_SHOULDER: usize = 16;
 const RIGHT_SHOULDER: usize = 17;
 
-/// Two people before one camera with a usual detector, the camera's pose given in a world that is `turned`.
+/// Two people before one camera with a typical detector; the camera's pose is given in the turned world.
 fn before_one_camera(turned_from_world: &Rigid) -> (Simulated, Reconstruction) {
     let preset = SimulationConfig::preset(Preset::Paper);
     let config = SimulationConfig { people: 2, views: 1, frames: 150, tracks: Tracks::None, ..preset };
@@ -30,9 +30,9 @@ fn before_one_camera(turned_from_world: &Rigid) -> (Simulated, Reconstruction) {
     (simulated, found)
 }
 
-/// Mean distance of limb joints with the hips' middles laid on each other (m), and the share of poses that face less than
-/// a right angle off, over all frames of everybody.
-fn pose_figures(simulated: &Simulated, found: &Reconstruction, turned_from_world: &Rigid) -> (f64, f64) {
+/// Mean distance of limb joints after aligning the middles of the hips (m), and the share of poses that face less than a
+/// right angle off, over all frames of all persons.
+fn pose_statistics(simulated: &Simulated, found: &Reconstruction, turned_from_world: &Rigid) -> (f64, f64) {
     let (mut error, mut n_facing, mut n) = (0.0, 0usize, 0usize);
     for motion in &found.motions {
         let mut votes = [0usize; 2];
@@ -53,15 +53,15 @@ fn pose_figures(simulated: &Simulated, found: &Reconstruction, turned_from_world
     (error / n as f64, n_facing as f64 / n as f64)
 }
 
-/// The bound of 150 mm is what a single view is promised to keep; 80 to 110 are usual.
+/// The bound of 150 mm is the promised accuracy of a single view; 80 to 110 are usual.
 #[test]
-fn two_people_before_one_camera_are_found_and_face_where_they_face() {
+fn two_people_before_one_camera_face_the_right_way() {
     let world = Rigid::identity();
     let (simulated, found) = before_one_camera(&world);
     assert_eq!(found.motions.len(), 2);
     let (right, given) = identity_shares(&simulated, &found);
     assert!(right > 0.95 && given > 0.9, "{right} of {given}");
-    let (error, facing) = pose_figures(&simulated, &found, &world);
+    let (error, facing) = pose_statistics(&simulated, &found, &world);
     assert!(error < 0.15 && facing > 0.9, "{error} m, {facing}");
     let quality = &found.report.quality;
     assert_eq!(quality.verdict, Verdict::Warn, "{:?}", quality.reasons);
@@ -72,11 +72,11 @@ fn two_people_before_one_camera_are_found_and_face_where_they_face() {
 }
 
 #[test]
-fn a_world_whose_up_axis_nobody_named_is_seen_upright_by_its_camera() {
+fn the_camera_shows_the_up_axis_of_an_unnamed_world() {
     // z up, as surveys have it; the default of the options is y.
     let rotation = Matrix3::new(1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 1.0, 0.0);
     let turned_from_world = Rigid { rotation, translation: Vector3::zeros() };
     let (simulated, found) = before_one_camera(&turned_from_world);
-    let (error, facing) = pose_figures(&simulated, &found, &turned_from_world);
+    let (error, facing) = pose_statistics(&simulated, &found, &turned_from_world);
     assert!(error < 0.15 && facing > 0.9, "{error} m, {facing}");
 }

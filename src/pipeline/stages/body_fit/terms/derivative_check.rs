@@ -12,7 +12,7 @@ use super::data::DataSource;
 use super::keypoint_bias::KeypointBiasPrior;
 use super::shape::ShapePrior;
 use super::term::BorderTerm;
-use super::unknowns::{MotionState, Shape};
+use super::unknowns::{Border, MotionState, Shape};
 use crate::body::bone_offsets::{BoneOffsets, with_bones};
 use crate::body::capsules::BodyCapsules;
 use crate::body::default_body;
@@ -34,10 +34,6 @@ fn wave(i: usize) -> f64 {
     ((i * 37 % 101) as f64 / 50.0 - 1.0) * 0.5
 }
 
-fn offsets(n: usize, seed: usize) -> Vec<Vector3<f64>> {
-    (0..n).map(|k| Vector3::from_fn(|axis, _| 0.1 * wave(seed * k + axis))).collect()
-}
-
 /// Five frames of one person with points and pixels of all landmarks.
 struct Fixture {
     model: BodyModel,
@@ -45,6 +41,7 @@ struct Fixture {
     observations: Observations,
     state: MotionState,
     config: BodyFitConfig,
+    progress: Progress,
 }
 
 impl Fixture {
@@ -76,34 +73,37 @@ impl Fixture {
         };
         let state = MotionState { betas: Betas::from_fn(|k, _| wave(k)), poses: (0..N_FRAMES).map(pose).collect() };
         let table = OffsetTable::new(&model, KeypointConvention::Body25);
-        Self { model, table, observations, state, config: BodyFitConfig::default() }
+        Self { model, table, observations, state, config: BodyFitConfig::default(), progress: Progress::silent() }
     }
 
-    /// The model with some bone and keypoint offsets, and increments of them from `border` on.
-    fn model_at(&self, problem: &MotionProblem, border: &DVector<f64>) -> BodyModel {
-        let columns = problem.unknowns.border;
-        let increment = |first: usize, k: usize| border.fixed_rows::<3>(first + 3 * k).into_owned();
-        let moved = |first: usize, offsets: Vec<Vector3<f64>>| -> Vec<Vector3<f64>> {
-            offsets.iter().enumerate().map(|(k, offset)| offset + increment(first, k)).collect()
+    fn border(&self) -> Border<'_> {
+        Border { shape: Shape::Free, bias: Some(&self.table) }
+    }
+
+    /// The model with some bone and keypoint offsets, and increments of them in `border`.
+    fn model_at(&self, border: &DVector<f64>) -> BodyModel {
+        let offset = |first: usize, k: usize| {
+            Vector3::from_fn(|axis, _| 0.1 * wave(5 * k + axis)) + border.fixed_rows::<3>(first + 3 * k)
         };
-        let bias = moved(columns.keypoint_bias().start, offsets(self.table.kinds.len(), 5));
-        let bones = moved(columns.bones().start, offsets(columns.bones().len() / 3, 9));
-        let bones: BoneOffsets = std::array::from_fn(|k| bones[k]);
+        let bias =
+            (0..self.table.kinds.len()).map(|k| offset(self.border().keypoint_bias().start, k)).collect::<Vec<_>>();
+        let bones: BoneOffsets = std::array::from_fn(|k| offset(self.border().bones().start, k));
         with_bones(&self.table.applied(&self.model, &bias), &bones)
     }
 
-    /// Calls `problem_of` with the objective on `model`.
-    fn objective<T>(
-        &self,
-        model: &BodyModel,
-        data: DataSource,
-        shape: Shape,
-        problem_of: impl FnOnce(Objective) -> T,
-    ) -> T {
-        let progress = Progress::silent();
-        let (config, frame_interval) = (&self.config, 1.0 / 25.0);
-        let context = FitContext { model, config, first_config: config, frame_interval, progress: &progress };
-        problem_of(Objective::new(&context, config, &self.observations, data, shape))
+    fn objective<'a>(&'a self, model: &'a BodyModel, data: DataSource, shape: Shape) -> Objective<'a> {
+        let (config, progress) = (&self.config, &self.progress);
+        let context = FitContext { model, config, first_config: config, frame_interval: 1.0 / 25.0, progress };
+        Objective::new(&context, config, &self.observations, data, shape)
+    }
+
+    /// The problem over all unknowns on `model`, with all terms or the one at index `only`.
+    fn problem<'a>(&'a self, model: &'a BodyModel, data: DataSource, only: Option<usize>) -> MotionProblem<'a> {
+        let objective = self.objective(model, data, Shape::Free);
+        let (bias, speeds) = (Some(&self.table), Some(&self.state));
+        let mut problem = Objective { bias, speeds, shape_prior: 3.0, ..objective }.problem();
+        keep(&mut problem, only);
+        problem
     }
 }
 
@@ -148,26 +148,13 @@ fn keep(problem: &mut MotionProblem, only: Option<usize>) {
 #[test]
 fn gradients_of_motion_terms_match_differences() {
     let fixture = Fixture::new();
+    let start = fixture.model_at(&DVector::zeros(fixture.border().len()));
     for data in [DataSource::Points { sigma: 0.5 }, DataSource::Pixels { share: 0.2 }] {
         for only in (0..6).map(Some).chain([None]) {
-            let with = |model: &BodyModel, problem_of: &dyn Fn(&MotionProblem) -> f64| {
-                fixture.objective(model, data, Shape::Free, |objective| {
-                    let speeds = Some(&fixture.state);
-                    let bias = Some(&fixture.table);
-                    let mut problem = Objective { bias, speeds, shape_prior: 3.0, ..objective }.problem();
-                    keep(&mut problem, only);
-                    problem_of(&problem)
-                })
-            };
-            with(&fixture.model, &|layout| {
-                let start = fixture.model_at(layout, &DVector::zeros(layout.unknowns.border.len()));
-                with(&start, &|problem| {
-                    assert_gradient_of(problem, &fixture.state, |step| {
-                        let moved = problem.moved(&fixture.state, step);
-                        with(&fixture.model_at(problem, &step.border), &|problem| problem.cost(&moved))
-                    });
-                    0.0
-                })
+            let problem = fixture.problem(&start, data, only);
+            assert_gradient_of(&problem, &fixture.state, |step| {
+                let model = fixture.model_at(&step.border);
+                fixture.problem(&model, data, only).cost(&problem.moved(&fixture.state, step))
             });
         }
     }
@@ -186,12 +173,11 @@ fn gradient_of_the_collision_term_matches_differences() {
     };
     let by_frame: Vec<_> = fixture.state.poses.iter().map(overlaps).collect();
     let collisions = Some(Collisions { capsules: &capsules, by_frame: &by_frame, sigma: 0.01 });
-    fixture.objective(model, DataSource::Points { sigma: 0.5 }, Shape::Held, |objective| {
-        let mut problem = Objective { collisions, ..objective }.problem();
-        let last = problem.frame_terms.len() - 1;
-        keep(&mut problem, Some(last));
-        assert_gradient_of(&problem, &fixture.state, |step| problem.cost(&problem.moved(&fixture.state, step)));
-    });
+    let objective = fixture.objective(model, DataSource::Points { sigma: 0.5 }, Shape::Held);
+    let mut problem = Objective { collisions, ..objective }.problem();
+    let last = problem.frame_terms.len() - 1;
+    keep(&mut problem, Some(last));
+    assert_gradient_of(&problem, &fixture.state, |step| problem.cost(&problem.moved(&fixture.state, step)));
 }
 
 #[test]
