@@ -1,20 +1,20 @@
 //! Shape and pose of each person: the articulated fit.
 //!
 //! Per person one shape, per frame a root motion and 21 joint rotations, and for the session the keypoint bias of its
-//! detector. A fit straight to pixels gets stuck (method.md 15), so that it runs in passes: a closed-form start, then the
+//! detector. A fit straight to pixels gets stuck (docs/method.md 10.3), so that it runs in passes: a closed-form start, then the
 //! triangulated points (of a single view: points lifted to 3D), then the detected pixels, then pixels with the keypoint
 //! bias released.
 //!
 //! | file | content |
 //! |---|---|
-//! | [`fit`], [`input`], [`config`], [`context`] | the steps over all persons, and what they read |
-//! | [`observations`] | triangulated points and detected pixels of one person |
-//! | [`initial_motion`], [`monocular`] | the closed-form start; points of a single view lifted to 3D |
-//! | [`person_fit`], [`local_fit`], [`pixel_residuals`] | passes over one person's windows; runs fitted again; the detector's accuracy |
-//! | [`terms`], [`objective`], [`motion_problem`], [`minimisation`] | the terms, their list, its sum, the damped Gauss-Newton steps |
-//! | [`keypoint_bias`], [`session_bias`] | the detector's offsets, estimated over all persons |
-//! | [`collision_resolution`], [`capsule_overlaps`] | overlaps between bodies |
-//! | [`person_motion`], [`statures`] | published motions and statistics; body heights |
+//! | `fit`, `input`, `config`, `context` | the steps over all persons, and what they read |
+//! | `observations` | triangulated points and detected pixels of one person |
+//! | `initial_motion`, `monocular` | the closed-form start; points of a single view lifted to 3D |
+//! | `person_fit`, `local_fit`, `pixel_residuals` | passes over one person's windows; runs fitted again; the detector's accuracy |
+//! | `terms`, `objective`, `motion_problem`, `minimisation` | the terms, their list, its sum, the damped Gauss-Newton steps |
+//! | `keypoint_bias`, `session_bias` | the detector's offsets, estimated over all persons |
+//! | `collision_resolution`, `capsule_overlaps` | overlaps between bodies |
+//! | `person_motion`, `statures` | published motions and statistics; body heights |
 
 mod capsule_overlaps;
 mod collision_resolution;
