@@ -10,7 +10,7 @@ use crate::body::BodyModel;
 use crate::body::kinematics::Pose;
 use crate::body::model::{Betas, ShapedBody};
 use crate::optim::block_banded::{BandedStep, BlockBanded, Corner};
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -35,14 +35,6 @@ const RUN: usize = 16;
 
 /// Added to the diagonal of a held frame, which makes its step a millionth of a free one.
 const HOLD: f64 = 1e15;
-
-/// One frame's part of the system.
-struct FrameBlocks {
-    diagonal: DMatrix<f64>,
-    border: DMatrix<f64>,
-    gradient: DVector<f64>,
-    tracked: Vec<TrackedLandmark>,
-}
 
 impl MotionProblem<'_> {
     /// The state after a step of the solver.
@@ -75,23 +67,23 @@ impl MotionProblem<'_> {
         let body = self.model.shaped(&state.betas);
         let run_blocks = |(run, poses): (usize, &[Pose])| {
             let mut corner = Corner::zeros(n_border);
-            let frame = |(i, pose)| self.frame_blocks(RUN * run + i, (&body, &state.betas), pose, &mut corner);
-            let frames: Vec<FrameBlocks> = poses.iter().enumerate().map(frame).collect();
+            let frame = |(i, pose)| self.frame_system(RUN * run + i, (&body, &state.betas), pose, &mut corner);
+            let frames: Vec<(FrameSystem, Vec<TrackedLandmark>)> = poses.iter().enumerate().map(frame).collect();
             (frames, corner)
         };
-        let runs: Vec<(Vec<FrameBlocks>, Corner)> = state.poses.par_chunks(RUN).enumerate().map(run_blocks).collect();
+        let runs: Vec<(Vec<_>, Corner)> = state.poses.par_chunks(RUN).enumerate().map(run_blocks).collect();
 
         let weight = self.time_weight;
         let mut tracked = Vec::with_capacity(state.poses.len());
         for (frames, corner) in runs {
             system.corner.hessian += corner.hessian * weight;
             system.corner.gradient += corner.gradient * weight;
-            for frame in frames {
+            for (frame, landmarks) in frames {
                 let t = tracked.len();
                 system.diagonal[t] = frame.diagonal * weight;
                 system.border[t] = frame.border * weight;
                 system.gradient[t] = frame.gradient * weight;
-                tracked.push(frame.tracked);
+                tracked.push(landmarks);
             }
         }
         let betas = self.unknowns.border.betas();
@@ -108,23 +100,23 @@ impl MotionProblem<'_> {
         system
     }
 
-    fn frame_blocks(
+    /// Blocks of one frame, and its tracked landmarks.
+    fn frame_system(
         &self,
         index: usize,
         shape: (&ShapedBody, &Betas),
         pose: &Pose,
         corner: &mut Corner,
-    ) -> FrameBlocks {
+    ) -> (FrameSystem, Vec<TrackedLandmark>) {
         let frame = PosedFrame::new(&self.landmarks, shape, index, pose).linearised();
-        let mut system = FrameSystem::zeros(&self.unknowns, corner);
-        self.frame_terms.iter().for_each(|term| term.add_to(&frame, &mut system));
+        let mut system = FrameSystem::zeros(&self.unknowns);
+        self.frame_terms.iter().for_each(|term| term.add_to(&frame, &mut system, corner));
         system.add_floor();
         let tracked = |&landmark: &usize| TrackedLandmark {
             position: frame.posed.position(landmark),
             jacobian: frame.jacobian(landmark),
         };
-        let FrameSystem { diagonal, border, gradient, .. } = system;
-        FrameBlocks { diagonal, border, gradient, tracked: self.tracked.iter().map(tracked).collect() }
+        (system, self.tracked.iter().map(tracked).collect())
     }
 }
 

@@ -12,6 +12,7 @@ use crate::body::capsules::{BodyCapsules, N_CAPSULES, NearestBall};
 use crate::body::kinematics::PosedSkeleton;
 use crate::body::skeleton::chain_to_root;
 use crate::geometry::capsule::TaperedCapsule;
+use crate::optim::block_banded::Corner;
 use crate::residuals::interpenetration::missing_distance;
 use nalgebra::Vector3;
 use std::collections::BTreeSet;
@@ -85,7 +86,7 @@ impl FrameTerm for CollisionTerm<'_> {
         overlaps.iter().map(|overlap| 0.5 * missing(overlap).powi(2)).sum()
     }
 
-    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem) {
+    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem, _: &mut Corner) {
         let Collisions { capsules, by_frame, sigma } = self.collisions;
         let (skeleton, overlaps) = (&frame.posed.skeleton, &by_frame[frame.posed.index]);
         if overlaps.is_empty() {

@@ -4,6 +4,7 @@ use super::super::observations::{Observations, PixelObservation, PointObservatio
 use super::frame::{LinearisedFrame, PosedFrame};
 use super::frame_system::FrameSystem;
 use super::term::FrameTerm;
+use crate::optim::block_banded::Corner;
 use crate::residuals::position_cost::{PositionCost, point_cost};
 use crate::residuals::reprojection::pixel_cost;
 use std::ops::Add;
@@ -61,7 +62,7 @@ impl FrameTerm for DataTerm<'_> {
         sum
     }
 
-    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem) {
-        self.for_each_landmark(&frame.posed, |landmark, at| frame.jacobian(landmark).add_cost(&at, system));
+    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem, corner: &mut Corner) {
+        self.for_each_landmark(&frame.posed, |landmark, at| frame.jacobian(landmark).add_cost(&at, system, corner));
     }
 }

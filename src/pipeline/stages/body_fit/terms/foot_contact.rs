@@ -4,12 +4,11 @@
 //! ankles accelerated two to three times as much as in truth, all other joints 0.8 to 1.3 times.
 
 use super::super::config::BodyFitConfig;
-use super::acceleration_blocks::RobustAcceleration;
 use super::landmark_jacobian::BorderJacobian;
 use super::speed_scaling::{sigma_growth, speeds};
 use super::term::WindowTerm;
 use super::unknowns::MotionState;
-use super::window::{TrackedLandmark, Window};
+use super::window::{RobustAcceleration, TrackedLandmark, Window};
 use crate::body::kinematics::{landmark_position, posed};
 use crate::body::model::BodyModel;
 use crate::optim::block_banded::BlockBanded;

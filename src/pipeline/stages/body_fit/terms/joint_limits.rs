@@ -7,6 +7,7 @@ use super::term::FrameTerm;
 use super::unknowns::Unknowns;
 use crate::body::joint_ranges::JointRange;
 use crate::body::skeleton::N_JOINTS;
+use crate::optim::block_banded::Corner;
 use crate::residuals::joint_angles::{JointAngleCost, JointAngleWeights, joint_angle_cost};
 
 /// Limits of all free joints but the root.
@@ -45,7 +46,7 @@ impl FrameTerm for JointLimits {
         self.costs(frame).map(|(_, angle)| angle.cost).sum()
     }
 
-    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem) {
+    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem, _: &mut Corner) {
         for (group, angle) in self.costs(&frame.posed) {
             let mut gradient = system.gradient.fixed_rows_mut::<3>(3 * group);
             gradient += angle.gradient;

@@ -20,8 +20,8 @@ pub(crate) struct LandmarkJacobian {
 
 impl LandmarkJacobian {
     /// Adds a cost over the position.
-    pub(crate) fn add_cost(&self, at: &PositionCost, system: &mut FrameSystem) {
-        self.by_border.add_to_corner(&at.gradient, &at.hessian, system.corner);
+    pub(crate) fn add_cost(&self, at: &PositionCost, system: &mut FrameSystem, corner: &mut Corner) {
+        self.by_border.add_to_corner(&at.gradient, &at.hessian, corner);
         for (i, (row, a)) in self.by_frame.iter().enumerate() {
             let mut gradient = system.gradient.fixed_rows_mut::<3>(3 * row);
             gradient += a.tr_mul(&at.gradient);

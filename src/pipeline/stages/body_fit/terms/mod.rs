@@ -16,7 +16,6 @@
 //! gradients of all. [`unknowns`] defines the unknowns and their places: three per group in every frame, and a border shared by
 //! all frames.
 
-pub(crate) mod acceleration_blocks;
 pub(crate) mod bone_lengths;
 pub(crate) mod collision;
 pub(crate) mod data;

@@ -8,6 +8,7 @@ use super::unknowns::Unknowns;
 use crate::body::model::BodyModel;
 use crate::motion_prior::MotionPrior;
 use crate::motion_prior::pose_gaussian::PoseGaussian;
+use crate::optim::block_banded::Corner;
 use crate::residuals::pose_likelihood::{PoseWeights, pose_cost, pose_derivatives};
 
 /// The motion prior's Gaussian over the rotations of the free joints, in the body's own skeleton.
@@ -37,7 +38,7 @@ impl FrameTerm for PosePrior {
         pose_cost(&frame.pose.rotations, &self.poses, &self.weights)
     }
 
-    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem) {
+    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem, _: &mut Corner) {
         let found = pose_derivatives(&frame.posed.pose.rotations, &self.poses, &self.weights);
         for (i, &row) in self.groups.iter().enumerate() {
             let mut gradient = system.gradient.fixed_rows_mut::<3>(3 * row);

@@ -1,11 +1,10 @@
 //! Smoothness: accelerations of the pelvis and of the joint rotations.
 
 use super::super::config::BodyFitConfig;
-use super::acceleration_blocks::RobustAcceleration;
 use super::speed_scaling::{rotation_speeds, sigma_growth, speeds};
 use super::term::WindowTerm;
 use super::unknowns::{MotionState, TRANSLATION_GROUP, Unknowns};
-use super::window::{TrackedLandmark, Window};
+use super::window::{RobustAcceleration, TrackedLandmark, Window};
 use crate::body::joint_ranges::JointRange;
 use crate::body::skeleton::N_JOINTS;
 use crate::optim::block_banded::BlockBanded;

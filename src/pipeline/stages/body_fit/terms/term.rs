@@ -14,8 +14,8 @@ pub(crate) trait FrameTerm: Sync {
     /// Cost of one frame.
     fn cost(&self, frame: &PosedFrame) -> f64;
 
-    /// Adds gradient and Gauss-Newton blocks of one frame.
-    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem);
+    /// Adds gradient and Gauss-Newton blocks of one frame, those of the border with itself to `corner`.
+    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem, corner: &mut Corner);
 }
 
 /// A term of three successive frames; its cost is per unit of time weight.
