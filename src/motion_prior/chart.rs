@@ -9,9 +9,8 @@
 //! linear code get every rotation on its shortest branch (`on_shortest_branch`): mocap wrists turn up to a full turn from
 //! their mean, where neither has training data.
 //!
-//! The training data have collars and hands at identity; these joints are not part of the latent: [`JointGaussian`].
+//! The training data have collars and hands at identity; these joints are not part of the latent.
 
-use crate::body::joint_ranges::joint_ranges;
 use crate::body::skeleton::N_JOINTS;
 use crate::geometry::rotation;
 use nalgebra::{Matrix3, Vector3};
@@ -37,40 +36,6 @@ pub type Features = [f64; N_FEATURES];
 pub struct Chart {
     /// `M_j` in the order of [`LATENT_JOINTS`].
     pub means: [Matrix3<f64>; LATENT_JOINTS.len()],
-}
-
-/// Prior of a joint outside the latent: a Gaussian about its rest, and limits, per rotation vector component.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct JointGaussian {
-    /// The joint, in SMPL's order.
-    pub joint: usize,
-    /// Mean, rad.
-    pub mean: Vector3<f64>,
-    /// Standard deviation, rad.
-    pub spread: Vector3<f64>,
-    /// Smallest allowed component, rad.
-    pub min: Vector3<f64>,
-    /// Largest allowed component, rad.
-    pub max: Vector3<f64>,
-}
-
-/// Standard deviation and limit of hand rotations, degrees: hands move 8 cm of the body, and detectors rarely see their
-/// rotation.
-const HAND_SPREAD_DEG: f64 = 15.0;
-const HAND_LIMIT_DEG: f64 = 60.0;
-
-/// Gaussians and limits of [`OUTSIDE_JOINTS`]: collars by the clinical ranges, hands by the constants above.
-pub fn outside_gaussians() -> [JointGaussian; OUTSIDE_JOINTS.len()] {
-    let ranges = joint_ranges();
-    OUTSIDE_JOINTS.map(|joint| {
-        let range = ranges[joint];
-        if joint < 22 {
-            return JointGaussian { joint, mean: range.rest, spread: range.spread, min: range.min, max: range.max };
-        }
-        let limit = Vector3::repeat(HAND_LIMIT_DEG.to_radians());
-        let spread = Vector3::repeat(HAND_SPREAD_DEG.to_radians());
-        JointGaussian { joint, mean: Vector3::zeros(), spread, min: -limit, max: limit }
-    })
 }
 
 impl Chart {
@@ -213,10 +178,5 @@ mod tests {
         let mut all: Vec<usize> = LATENT_JOINTS.iter().chain(&OUTSIDE_JOINTS).copied().collect();
         all.sort_unstable();
         assert_eq!(all, (1..N_JOINTS).collect::<Vec<_>>());
-        for gaussian in outside_gaussians() {
-            for axis in 0..3 {
-                assert!(gaussian.min[axis] < gaussian.mean[axis] && gaussian.mean[axis] < gaussian.max[axis]);
-            }
-        }
     }
 }

@@ -1,4 +1,4 @@
-//! Rotations between samples: a cubic on SO(3) through four neighbours, with its derivatives.
+//! Rotations between samples: a cubic on SO(3) through four neighbours.
 //!
 //! The prior uses a 30 Hz grid, sessions have their own frame rates. Between samples 1 and 2 of four the rotation is
 //! `R_1 exp(c_0 l_0 + c_2 l_2 + c_3 l_3)`, `l_k = log(R_1^T R_k)`, with Catmull and Rom's weights c of the place s
@@ -32,15 +32,6 @@ pub fn resampled_len(n_frames: usize, from_fps: f64, to_fps: f64) -> usize {
     (duration * to_fps + 1e-6).floor() as usize + usize::from(n_frames > 0)
 }
 
-/// A rotation between samples and its derivatives.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Interpolated {
-    /// The rotation.
-    pub rotation: Matrix3<f64>,
-    /// Right increment of the rotation per right increment of samples 0 to 3.
-    pub by_samples: [Matrix3<f64>; 4],
-}
-
 /// Catmull and Rom's weights of samples 0, 2 and 3; those of all four sum to 1 and sample 1 is the origin.
 fn weights(share: f64) -> [f64; 3] {
     let (s, s2, s3) = (share, share * share, share * share * share);
@@ -56,22 +47,6 @@ fn increment(samples: &[Matrix3<f64>; 4], share: f64) -> Vector3<f64> {
     let [c0, c2, c3] = weights(share);
     let from_first = |k: usize| rotation::log(&(samples[1].transpose() * samples[k]));
     from_first(0) * c0 + from_first(2) * c2 + from_first(3) * c3
-}
-
-/// [`interpolate`] with derivatives. With `w = sum c_k l_k`: sample k moves w by `c_k J_r^-1(l_k)`, sample 1 by
-/// `-sum c_k J_l^-1(l_k)`, and `exp(w)` changes by the right increment `J_r(w) dw`; sample 1 is also a factor of the result.
-pub fn interpolate_with_derivatives(samples: &[Matrix3<f64>; 4], share: f64) -> Interpolated {
-    let w = increment(samples, share);
-    let turn = rotation::exp(&w);
-    let by_w = rotation::right_jacobian(&w);
-    let mut by_samples = [turn.transpose(), turn.transpose(), Matrix3::zeros(), Matrix3::zeros()];
-    by_samples[0] = Matrix3::zeros();
-    for (k, weight) in [0, 2, 3].into_iter().zip(weights(share)) {
-        let l = rotation::log(&(samples[1].transpose() * samples[k]));
-        by_samples[k] += by_w * rotation::right_jacobian_inverse(&l) * weight;
-        by_samples[1] -= by_w * rotation::left_jacobian_inverse(&l) * weight;
-    }
-    Interpolated { rotation: samples[1] * turn, by_samples }
 }
 
 /// Rotations of all joints of a take on another grid, from the first frame on.
@@ -97,24 +72,6 @@ mod tests {
 
     fn samples() -> [Matrix3<f64>; 4] {
         [[0.1, 0.5, -0.2], [0.3, 0.7, 0.1], [0.8, 0.2, 0.4], [1.1, -0.3, 0.3]].map(|w| rotation::exp(&Vector3::from(w)))
-    }
-
-    /// Central differences with a step of 1e-6 are good to 1e-9.
-    #[test]
-    fn the_derivatives_agree_with_central_differences() {
-        for share in [0.0, 0.3, 1.0] {
-            let found = interpolate_with_derivatives(&samples(), share);
-            assert!((found.rotation - interpolate(&samples(), share)).norm() < 1e-12);
-            for (k, axis) in (0..4).flat_map(|k| (0..3).map(move |axis| (k, axis))) {
-                let stepped = |h: f64| {
-                    let mut samples = samples();
-                    samples[k] *= rotation::exp(&Vector3::ith(axis, h));
-                    rotation::log(&(found.rotation.transpose() * interpolate(&samples, share)))
-                };
-                let difference = (stepped(1e-6) - stepped(-1e-6)) / 2e-6;
-                assert!((difference - found.by_samples[k].column(axis)).norm() < 1e-8, "{share} {k} {axis}");
-            }
-        }
     }
 
     #[test]

@@ -8,7 +8,7 @@
 //! - [`pose_gaussian`]: a Gaussian over poses
 //! - [`paths`]: candidate paths by smoothing
 //! - [`checkpoint`]: the file of a trained prior
-//! - [`interpolation`]: rotations between samples, with derivatives
+//! - [`interpolation`]: rotations between samples
 //! - [`motion_file`], [`motion_writer`], [`dataset`]: motion capture in the AMASS layout
 //! - [`windows`], [`prior`]: long takes; the operations of a trained prior
 //! - [`corruption`], [`training`]: training of the network

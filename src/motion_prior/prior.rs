@@ -10,8 +10,8 @@ use super::interpolation::{grid_place, interpolate, resampled_len};
 use super::joints::{frame, rows};
 use super::paths::Observed;
 use super::shape::VaeShape;
-use super::vae::{Decoded, Vae};
-use super::windows::{WindowBatch, window_batches};
+use super::vae::Vae;
+use super::windows::window_batches;
 use crate::body::skeleton::N_JOINTS;
 use std::sync::OnceLock;
 
@@ -34,13 +34,6 @@ pub struct Posterior {
     pub mean: Vec<f32>,
     /// Logarithm of its variance, `[T, 32]`.
     pub log_variance: Vec<f32>,
-}
-
-/// Decoded motions, with the values that the backward pass needs.
-pub struct Motions {
-    /// Features of each take, `[T, 57]`.
-    pub features: Vec<Vec<f32>>,
-    runs: Vec<(WindowBatch, Decoded)>,
 }
 
 impl MotionPrior {
@@ -102,45 +95,21 @@ impl MotionPrior {
         inputs.iter().zip(&heads).map(posterior).collect()
     }
 
-    /// Decodes codes `[T, 32]`, each take of its own length.
+    /// Decodes codes `[T, 32]`, each take of its own length, to features `[T, 57]`.
     pub fn decode(&self, codes: &[Vec<f32>]) -> Vec<Vec<f32>> {
-        self.run(codes, |_, _| {})
-    }
-
-    /// The same, with the values that [`MotionPrior::pull_back`] needs.
-    pub fn decode_for_gradient(&self, codes: &[Vec<f32>]) -> Motions {
-        let mut runs = Vec::new();
-        let features = self.run(codes, |batch, decoded| runs.push((batch, decoded)));
-        Motions { features, runs }
-    }
-
-    /// Gradient to the codes from that to the features, `[T, 57]` a take, at fixed weights.
-    pub fn pull_back(&self, motions: &Motions, d_features: &[Vec<f32>]) -> Vec<Vec<f32>> {
-        let views: Vec<&[f32]> = d_features.iter().map(Vec::as_slice).collect();
-        let mut d_codes: Vec<Vec<f32>> =
-            d_features.iter().map(|d| vec![0.0; d.len() / N_FEATURES * LATENT_DIM]).collect();
-        for (batch, decoded) in &motions.runs {
-            let d = batch.blend_backward(&views, N_FEATURES);
-            batch.add(&self.vae.decode_backward(decoded, &d, batch.len(), None), LATENT_DIM, &mut d_codes);
-        }
-        d_codes
-    }
-
-    /// Rotations of a take's features `[T, 57]`, on the prior's grid; joints outside the latent at rest.
-    pub fn rotations(&self, features: &[f32]) -> Vec<LocalRotations> {
-        features.chunks_exact(N_FEATURES).map(|row| self.chart().rotations(&frame(row))).collect()
-    }
-
-    fn run(&self, codes: &[Vec<f32>], mut keep: impl FnMut(WindowBatch, Decoded)) -> Vec<Vec<f32>> {
         let views: Vec<&[f32]> = codes.iter().map(Vec::as_slice).collect();
         let lengths: Vec<usize> = codes.iter().map(|code| code.len() / LATENT_DIM).collect();
         let mut features: Vec<Vec<f32>> = lengths.iter().map(|n| vec![0.0; n * N_FEATURES]).collect();
         for batch in window_batches(&lengths) {
             let decoded = self.vae.decode(&batch.cut(&views, LATENT_DIM), batch.len(), BlendingFactors::SHIPPED);
             batch.blend(&decoded.features, N_FEATURES, &mut features);
-            keep(batch, decoded);
         }
         features
+    }
+
+    /// Rotations of a take's features `[T, 57]`, on the prior's grid; joints outside the latent at rest.
+    pub fn rotations(&self, features: &[f32]) -> Vec<LocalRotations> {
+        features.chunks_exact(N_FEATURES).map(|row| self.chart().rotations(&frame(row))).collect()
     }
 
     /// Rotations of a take at `fps` after encoder and decoder: unseen joints completed, noise removed.

@@ -79,24 +79,6 @@ impl WindowBatch {
             }
         }
     }
-
-    /// Gradient to the results from that to the blended takes.
-    pub(crate) fn blend_backward(&self, d_takes: &[&[f32]], width: usize) -> Vec<f32> {
-        let part = |w: &Window| -> Vec<f32> {
-            let rows = d_takes[w.take][w.start * width..(w.start + w.len) * width].chunks_exact(width);
-            rows.enumerate().flat_map(|(i, row)| row.iter().map(move |d| w.weight(i) * d)).collect()
-        };
-        let parts: Vec<Vec<f32>> = self.0.iter().map(part).collect();
-        interleaved(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>(), width)
-    }
-
-    /// Adds `[T, B, width]` without weights: the backward pass of [`WindowBatch::cut`].
-    pub(crate) fn add(&self, parts: &[f32], width: usize, takes: &mut [Vec<f32>]) {
-        for (window, part) in self.0.iter().zip(separated(parts, width, self.len())) {
-            let rows = &mut takes[window.take][window.start * width..];
-            rows.iter_mut().zip(part).for_each(|(sum, x)| *sum += x);
-        }
-    }
 }
 
 #[cfg(test)]

@@ -6,5 +6,7 @@ mod calibrations;
 mod damage;
 mod dialects;
 mod speed;
+#[path = "../fixtures/stick_figure.rs"]
+mod stick_figure;
 mod suspicions;
 mod take;

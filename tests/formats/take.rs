@@ -1,5 +1,7 @@
 //! One recording of two people and three cameras, and functions that write it as other tools' files.
 
+pub(crate) use crate::stick_figure::COCO17;
+use crate::stick_figure::stick_figure_point;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use std::io::{Cursor, Write};
 use wandless::geometry::{Distortion, Intrinsics, Rigid};
@@ -12,56 +14,6 @@ pub(crate) const HEIGHT: u32 = 720;
 
 /// Files with their names.
 pub(crate) type Files = Vec<(String, Vec<u8>)>;
-
-/// Joints of a standing body, metres: right is -x, up is +y.
-const BODY: [(&str, [f64; 3]); 26] = [
-    ("nose", [0.0, 1.62, 0.12]),
-    ("neck", [0.0, 1.45, 0.0]),
-    ("head_top", [0.0, 1.8, 0.0]),
-    ("mid_hip", [0.0, 0.95, 0.0]),
-    ("left_shoulder", [0.18, 1.44, 0.0]),
-    ("right_shoulder", [-0.18, 1.44, 0.01]),
-    ("left_elbow", [0.25, 1.16, 0.02]),
-    ("right_elbow", [-0.28, 1.18, 0.05]),
-    ("left_wrist", [0.3, 0.92, 0.1]),
-    ("right_wrist", [-0.35, 0.97, 0.2]),
-    ("left_hip", [0.1, 0.94, 0.0]),
-    ("right_hip", [-0.1, 0.94, 0.0]),
-    ("left_knee", [0.11, 0.5, 0.05]),
-    ("right_knee", [-0.12, 0.5, -0.03]),
-    ("left_ankle", [0.12, 0.09, 0.0]),
-    ("right_ankle", [-0.13, 0.09, -0.1]),
-    ("left_eye", [0.03, 1.66, 0.1]),
-    ("right_eye", [-0.03, 1.66, 0.1]),
-    ("left_ear", [0.07, 1.64, 0.02]),
-    ("right_ear", [-0.07, 1.64, 0.02]),
-    ("left_big_toe", [0.13, 0.02, 0.16]),
-    ("right_big_toe", [-0.14, 0.02, 0.06]),
-    ("left_small_toe", [0.18, 0.02, 0.13]),
-    ("right_small_toe", [-0.19, 0.02, 0.03]),
-    ("left_heel", [0.11, 0.03, -0.06]),
-    ("right_heel", [-0.12, 0.03, -0.16]),
-];
-
-pub(crate) const COCO17: [&str; 17] = [
-    "nose",
-    "left_eye",
-    "right_eye",
-    "left_ear",
-    "right_ear",
-    "left_shoulder",
-    "right_shoulder",
-    "left_elbow",
-    "right_elbow",
-    "left_wrist",
-    "right_wrist",
-    "left_hip",
-    "right_hip",
-    "left_knee",
-    "right_knee",
-    "left_ankle",
-    "right_ankle",
-];
 
 /// A detected point: x and y in pixels, confidence.
 pub(crate) type Point = [f64; 3];
@@ -95,10 +47,10 @@ pub(crate) fn camera(index: usize, dist: Distortion) -> Camera {
 
 /// Position of a person's joint at a frame, world metres.
 fn joint(person: usize, frame: i64, name: &str) -> Option<Vector3<f64>> {
-    let (_, position) = BODY.iter().find(|(own, _)| *own == name)?;
+    let position = stick_figure_point(name)?;
     let turn = Rotation3::from_axis_angle(&Vector3::y_axis(), 0.9 * person as f64 + 0.05 * frame as f64);
     let at = Vector3::new(1.3 * person as f64 - 0.7, 0.0, 0.03 * frame as f64 - 0.4);
-    Some(turn * Vector3::from(*position) + at)
+    Some(turn * Vector3::from(position) + at)
 }
 
 /// Detected points of a person: pixels to 0.01 px, confidences of three digits; unknown joints missing.

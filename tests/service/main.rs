@@ -10,6 +10,8 @@ mod jobs;
 mod operations;
 mod results;
 mod server;
+#[path = "../fixtures/stick_figure.rs"]
+mod stick_figure;
 mod take;
 mod tenants;
 mod uploads;

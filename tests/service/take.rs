@@ -1,24 +1,11 @@
 //! A small take: two stick figures walk in circles before four known cameras, seen without any error.
 
+use crate::stick_figure::{COCO17, stick_figure_point};
 use serde_json::{Value, json};
 use std::io::Write;
 use zip::write::SimpleFileOptions;
 
 type Point = [f64; 3];
-
-/// Half of an adult of 1.70 m as COCO-17 has it: nose, eye, ear, shoulder, elbow, wrist, hip, knee, ankle; the other half
-/// is its mirror. Metres; x to the left, y up, z ahead.
-const FIGURE: [Point; 9] = [
-    [0.0, 1.58, 0.12],
-    [0.03, 1.62, 0.10],
-    [0.07, 1.60, 0.02],
-    [0.18, 1.40, 0.0],
-    [0.22, 1.12, 0.0],
-    [0.23, 0.87, 0.05],
-    [0.10, 0.90, 0.0],
-    [0.10, 0.48, 0.02],
-    [0.10, 0.08, 0.0],
-];
 
 /// Frames of a take whose job is still at work after some seconds on two cores.
 pub const LONG: usize = 2000;
@@ -87,20 +74,18 @@ fn body(frame: usize, person: usize, seed: u32) -> Vec<Point> {
     let heading = 0.8 * time + 3.0 * person as f64 + 0.1 * f64::from(seed);
     let middle = [heading.cos(), 0.0, heading.sin()].map(|x| 0.9 * x);
     let (sin, cos) = (-heading).sin_cos();
-    let mut points = Vec::new();
-    for (joint, at) in FIGURE.iter().enumerate() {
-        for side in if joint == 0 { &[1.0][..] } else { &[1.0, -1.0] } {
-            let phase = (6.0 * time).sin() * side;
-            let swing = match joint {
-                4 | 5 => -0.15 * phase,
-                7 | 8 => 0.2 * phase,
-                _ => 0.0,
-            };
-            let (x, z) = (side * at[0], at[2] + swing);
-            points.push([middle[0] + cos * x + sin * z, at[1], middle[2] - sin * x + cos * z]);
-        }
-    }
-    points
+    let point = |name: &&str| {
+        let phase = (6.0 * time).sin() * if name.starts_with("right_") { -1.0 } else { 1.0 };
+        let swing = match name.split_once('_') {
+            Some((_, "elbow" | "wrist")) => -0.15 * phase,
+            Some((_, "knee" | "ankle")) => 0.2 * phase,
+            _ => 0.0,
+        };
+        let [x, y, z] = stick_figure_point(name).unwrap();
+        let z = z + swing;
+        [middle[0] + cos * x + sin * z, y, middle[2] - sin * x + cos * z]
+    };
+    COCO17.iter().map(point).collect()
 }
 
 fn seen(camera: &Value, point: Point) -> Value {

@@ -3,7 +3,7 @@
 use crate::body::anthropometry::BetaRow;
 use crate::body::kinematics::PosedSkeleton;
 use crate::body::shape::{Betas, ShapeDirections};
-use crate::body::skeleton::{N_JOINTS, chain_to_root};
+use crate::body::skeleton::chain_to_root;
 use crate::geometry::capsule::TaperedCapsule;
 use crate::geometry::rotation::skew;
 use nalgebra::{Matrix3, Vector3};
@@ -80,20 +80,6 @@ impl BodyCapsules {
         let lever = posed[ball.capsule].centre(ball.share) - skeleton.joints[joint];
         let by_centre: Matrix3<f64> = -skew(&lever) * skeleton.rotations[joint];
         -by_centre.tr_mul(&ball.normal)
-    }
-
-    /// Derivative of a distance to the betas of this body, `-n^T dc/dbeta - dr/dbeta`, given that of its joints (m).
-    pub fn distance_by_betas(
-        &self,
-        skeleton: &PosedSkeleton,
-        joints_by_betas: &[ShapeDirections; N_JOINTS],
-        ball: &NearestBall,
-    ) -> BetaRow {
-        let BodyCapsule { joint, ends: [first, second] } = &self.capsules[ball.capsule];
-        let (near, far) = (1.0 - ball.share, ball.share);
-        let offset = first.offset_directions * near + second.offset_directions * far;
-        let by_centre = joints_by_betas[*joint] + skeleton.rotations[*joint] * offset;
-        -by_centre.tr_mul(&ball.normal) - first.radius_directions * near - second.radius_directions * far
     }
 }
 
