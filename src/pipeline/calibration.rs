@@ -3,9 +3,9 @@
 use super::capture::Capture;
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
-use crate::session::reconstruction::{ErrorSummary, StageReport};
+use crate::session::reconstruction::StageReport;
 use crate::session::{JointTrajectory, PersonTrack};
-use nalgebra::{Matrix6, Vector3};
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -88,28 +88,15 @@ pub struct AdjustedCamera {
     pub focal_factor: f64,
     /// Delay of its frames against their numbers, frames; 0 unless refined.
     pub delay: f64,
-    /// Reprojection errors.
-    pub fit: ViewFit,
+    /// Whether any of its observations lies within the last robust scale.
+    pub is_observed: bool,
     /// Uncertainty of the pose; `None` where it did not move or the data do not determine it.
     pub uncertainty: Option<CameraUncertainty>,
-}
-
-/// Reprojection errors of a single view.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct ViewFit {
-    /// Number of observations used.
-    pub n_observations: usize,
-    /// Number of those nearer to their reprojection than the last robust scale.
-    pub n_explained: usize,
-    /// Reprojection error of the explained ones, px.
-    pub reprojection_px: Option<ErrorSummary>,
 }
 
 /// Uncertainty of a camera after a similarity alignment of all cameras (free-network gauge), without the scale.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CameraUncertainty {
-    /// Covariance of the left increment (rho, phi), camera frame: unit of the world, rad.
-    pub covariance: Matrix6<f64>,
     /// Root mean square error of the centre, three axes together, unit of the world.
     pub sigma_position: f64,
     /// Root mean square angular error of the orientation, rad.

@@ -214,8 +214,10 @@ fn tiny_baselines(pairs: &[InspectedPair], cameras: &[InspectedCamera]) -> Vec<F
     let tiny = pairs.iter().filter_map(|pair| {
         let far = pair.cameras.iter().filter_map(distance).reduce(f64::min)?;
         let baseline = pair.baseline_m?;
-        let detail = format!("the cameras are {baseline:.2} m apart and {far:.1} m from the people, which hardly determines depth; move one of \
-             them");
+        let detail = format!(
+            "the cameras are {baseline:.2} m apart and {far:.1} m from the people, which hardly determines depth; move \
+             one of them"
+        );
         let cameras = pair.cameras.to_vec();
         (baseline < TINY_BASELINE * far).then_some(Finding { code: "tiny_baseline", detail, cameras })
     });
@@ -237,8 +239,8 @@ fn in_a_row(session: &Session) -> Option<Finding> {
     (spreads[1] < COLLINEAR * spreads[0]).then_some(finding)
 }
 
-/// Expected accuracy and time. A joint is seen by n cameras from all around: each ray fixes two of three directions, so the information of one direction
-/// is 2n / (3 sigma^2), and the RMS error in space sigma sqrt(9 / 2n).
+/// Expected accuracy and time. For a joint seen by n cameras from all around each ray fixes two of three directions, so the
+/// information of one direction is 2n / (3 sigma^2), and the RMS error in space sigma sqrt(9 / 2n).
 fn expectation(session: &Session, cameras: &[InspectedCamera], n_threads: usize) -> Expectation {
     let sigmas = keypoint_sigmas(session.convention);
     let sigma_m = sigmas.iter().sum::<f64>() / sigmas.len().max(1) as f64;

@@ -114,7 +114,7 @@ struct Delay {
 /// Delays against the first adjusted view; `None` for views that were not adjusted.
 fn delays(calibration: &Calibration) -> Vec<Option<Delay>> {
     let Some(adjusted) = &calibration.adjusted else { return vec![None; calibration.cameras.len()] };
-    let moved = adjusted.cameras.iter().map(|c| c.fit.reprojection_px.map(|_| c));
+    let moved = adjusted.cameras.iter().map(|c| c.is_observed.then_some(c));
     let reference = moved.clone().flatten().next().map_or(0.0, |c| c.delay);
     let sigma = |c: &AdjustedCamera| c.uncertainty.and_then(|u| u.sigma_delay);
     moved.map(|c| c.map(|c| Delay { frames: c.delay - reference, sigma: sigma(c) })).collect()

@@ -1,19 +1,19 @@
 //! Uncertainty of the adjusted cameras.
 //!
 //! Detector errors are correlated in time, so the inverse Hessian is far too small (an eighth of the variance at AR(0.9)).
-//! Valid is the delete-one-block jackknife over blocks of one person's consecutive frames:
+//! The delete-one-block jackknife over blocks of one person's consecutive frames remains valid:
 //!
 //! `(B - 1) / B sum_b d_b d_b^T`, `d_b = (A - A_b)^-1 g_b`
 //!
 //! with `A` the border's reduced Hessian, `A_b`, `g_b` the block's share of it and of the gradient: `d_b` is the
 //! movement of the border, in one Newton step, when the block is left out. To first order it is the sandwich
-//! `A^-1 (sum_b g_b g_b^T) A^-1` (Huber 1967; Liang and Zeger 1986), which runs low where blocks are few (MacKinnon and
+//! `A^-1 (sum_b g_b g_b^T) A^-1` (Huber 1967; Liang and Zeger 1986), which is too small with few blocks (MacKinnon and
 //! White 1985). The solver's Hessian uses a residual's weight in place of its curvature; `A` is that Hessian times the mean
 //! ratio of the two (Huber 1981, section 7.6). The result is transformed to the free-network gauge, in which cameras
 //! are compared after a similarity.
 //!
-//! With few blocks the estimate is noisy, so it is shrunk towards the inverse Hessian, inflated to the same size in the mean
-//! over all `n` unknowns of the border, with `n / (n + B)` of the weight.
+//! With few blocks the estimate is noisy, so it is shrunk towards the inverse Hessian, scaled to the same mean size over
+//! all `n` unknowns of the border, with a weight of `n / (n + B)`.
 //!
 //! Known limits: constant errors (a biased detector, wrong intrinsics) do not show. At AR(0.9) a block
 //! of 50 frames sees 80 % of the long-run variance.
@@ -62,8 +62,7 @@ pub(super) fn camera_uncertainties(
         let of_cameras = border.select_rows(&rows).select_columns(&rows);
         let free = &projection * of_cameras * projection.transpose();
         for (k, &(view, _, _)) in moving.iter().enumerate() {
-            let covariance = free.fixed_view::<6, 6>(6 * k, 6 * k).into_owned();
-            let sigma = |first: usize| covariance.fixed_view::<3, 3>(first, first).trace().max(0.0).sqrt();
+            let sigma = |first: usize| free.fixed_view::<3, 3>(6 * k + first, 6 * k + first).trace().max(0.0).sqrt();
             let sigma_delay = sigma_delay(&border, problem.layout.delay, moving[0].1, moving[k].1);
             let sigma_log_focal = problem.layout.focal.map(|place| {
                 let at = moving[k].1 + place;
@@ -71,7 +70,7 @@ pub(super) fn camera_uncertainties(
             });
             let (sigma_position, sigma_angle) = (sigma(0), sigma(3));
             uncertainties[view] =
-                Some(CameraUncertainty { covariance, sigma_position, sigma_angle, sigma_delay, sigma_log_focal });
+                Some(CameraUncertainty { sigma_position, sigma_angle, sigma_delay, sigma_log_focal });
         }
     }
     uncertainties

@@ -64,17 +64,17 @@ pub fn adjust(
     progress.check()?;
 
     let report = report(&problem, &outcome, cost_before);
-    let fits = problem.view_fits(&outcome.state);
+    let observed = problem.observed_views(&outcome.state);
     let cameras = input
         .cameras
         .iter()
         .zip(&outcome.state.cameras)
-        .zip(fits.into_iter().zip(uncertainties))
-        .map(|((given, solved), (fit, uncertainty))| AdjustedCamera {
+        .zip(observed.into_iter().zip(uncertainties))
+        .map(|((given, solved), (is_observed, uncertainty))| AdjustedCamera {
             camera_from_world: solved.as_ref().map(|c| c.camera_from_world).or(*given),
             focal_factor: solved.as_ref().map_or(1.0, |c| c.log_focal.exp()),
             delay: solved.as_ref().map_or(0.0, |c| c.delay),
-            fit,
+            is_observed,
             uncertainty,
         })
         .collect();

@@ -1,11 +1,8 @@
-//! Results read from a state: misfits, fits per view, points and bone lengths.
+//! Results read from a state: misfits, observed views, points and bone lengths.
 
 use super::problem::Problem;
 use super::state::State;
-use crate::optim::robust::median;
-use crate::pipeline::calibration::ViewFit;
 use crate::pipeline::keyframe::Keyframe;
-use crate::session::reconstruction::ErrorSummary;
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 
@@ -32,22 +29,12 @@ impl Problem<'_> {
         })
     }
 
-    /// Reprojection errors per view.
-    pub(super) fn view_fits(&self, state: &State) -> Vec<ViewFit> {
-        let mut fits = vec![ViewFit::default(); state.cameras.len()];
-        let mut explained = vec![Vec::new(); state.cameras.len()];
-        for misfit in self.misfits(state) {
-            fits[misfit.view].n_observations += 1;
-            if misfit.sigmas <= self.robust_scale {
-                explained[misfit.view].push(misfit.distance_px);
-            }
-        }
-        for (fit, mut distances) in fits.iter_mut().zip(explained) {
-            fit.n_explained = distances.len();
-            let mean = distances.iter().sum::<f64>() / distances.len() as f64;
-            fit.reprojection_px = median(&mut distances).map(|median| ErrorSummary { mean, median });
-        }
-        fits
+    /// Per view, whether any observation lies within the robust scale.
+    pub(super) fn observed_views(&self, state: &State) -> Vec<bool> {
+        let mut observed = vec![false; state.cameras.len()];
+        let explained = self.misfits(state).filter(|misfit| misfit.sigmas <= self.robust_scale);
+        explained.for_each(|misfit| observed[misfit.view] = true);
+        observed
     }
 
     /// Points in the input's shape; points that were not adjusted keep their start.

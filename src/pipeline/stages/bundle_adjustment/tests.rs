@@ -2,7 +2,8 @@
 
 use super::input::Bone;
 use super::*;
-use crate::geometry::{Intrinsics, Rigid, Similarity, rotation};
+use crate::geometry::similarity::{ScaleMode, similarity_from_points};
+use crate::geometry::{Intrinsics, Rigid, rotation};
 use crate::pipeline::calibration::CameraFreedom;
 use crate::pipeline::keyframe::{Keyframe, Observation};
 use nalgebra::{Matrix3, Vector2, Vector3};
@@ -172,27 +173,12 @@ fn solve(input: &AdjustmentInput) -> (Adjusted, StageReport) {
     adjust(input, &AdjustmentConfig::default(), &Progress::silent()).unwrap()
 }
 
-/// `target_from_source` by least squares on points (Umeyama 1991).
-fn similarity(source: &[Vector3<f64>], target: &[Vector3<f64>]) -> Similarity {
-    let n = source.len() as f64;
-    let (from, to) = (source.iter().sum::<Vector3<f64>>() / n, target.iter().sum::<Vector3<f64>>() / n);
-    let covariance: Matrix3<f64> = source.iter().zip(target).map(|(s, t)| (t - to) * (s - from).transpose()).sum();
-    let svd = covariance.svd(true, true);
-    let (u, v_t) = (svd.u.unwrap(), svd.v_t.unwrap());
-    let sign = (u * v_t).determinant().signum();
-    let signs = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, sign));
-    let variance: f64 = source.iter().map(|s| (s - from).norm_squared()).sum();
-    let rotation = u * signs * v_t;
-    let scale = svd.singular_values.dot(&Vector3::new(1.0, 1.0, sign)) / variance;
-    Similarity { scale, rotation, translation: to - rotation * from * scale }
-}
-
 /// Errors of centre (m) and orientation (rad) per camera, after the similarity that aligns the centres.
 fn camera_errors(found: &[Option<Rigid>], truth: &[Rigid]) -> Vec<(f64, f64)> {
     let pairs: Vec<(Rigid, Rigid)> = found.iter().zip(truth).filter_map(|(f, t)| Some(((*f)?, *t))).collect();
     let source: Vec<_> = pairs.iter().map(|(f, _)| f.center()).collect();
     let target: Vec<_> = pairs.iter().map(|(_, t)| t.center()).collect();
-    let truth_from_found = similarity(&source, &target);
+    let truth_from_found = similarity_from_points(&source, &target, ScaleMode::Estimated).unwrap();
     let error = |(found, truth): &(Rigid, Rigid)| {
         let moved = truth_from_found.move_camera(found);
         let angle = rotation::log(&(moved.rotation * truth.rotation.transpose())).norm();
@@ -213,7 +199,7 @@ fn worst(errors: &[(f64, f64)]) -> (f64, f64) {
 fn point_error(adjusted: &Adjusted, scene: &StickScene) -> f64 {
     let source: Vec<_> = adjusted.cameras.iter().map(|c| c.camera_from_world.unwrap().center()).collect();
     let target: Vec<_> = scene.cameras.iter().map(Rigid::center).collect();
-    let truth_from_found = similarity(&source, &target);
+    let truth_from_found = similarity_from_points(&source, &target, ScaleMode::Estimated).unwrap();
     let found = adjusted.points.iter().flatten().flatten();
     let errors = found.zip(scene.points.iter().flatten()).map(|(f, t)| (truth_from_found.transform(f) - t).norm());
     median(&mut errors.collect::<Vec<_>>()).unwrap()

@@ -26,7 +26,7 @@ pub struct TrajectoryConfig {
     pub limb_acceleration: f64,
     /// The same of head and trunk: 5 m/s^2.
     pub trunk_acceleration: f64,
-    /// Geman-McClure scale in standard deviations: beyond three a detection is more likely wrong than noisy.
+    /// Geman-McClure scale, standard deviations.
     pub robust_scale: f64,
     /// Number of re-weighted Gauss-Newton steps.
     pub iterations: usize,
