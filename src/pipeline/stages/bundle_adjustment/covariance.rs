@@ -69,8 +69,7 @@ pub(super) fn camera_uncertainties(
                 border[(at, at)].max(0.0).sqrt()
             });
             let (sigma_position, sigma_angle) = (sigma(0), sigma(3));
-            uncertainties[view] =
-                Some(CameraUncertainty { sigma_position, sigma_angle, sigma_delay, sigma_log_focal });
+            uncertainties[view] = Some(CameraUncertainty { sigma_position, sigma_angle, sigma_delay, sigma_log_focal });
         }
     }
     uncertainties

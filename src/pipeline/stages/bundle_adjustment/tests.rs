@@ -178,7 +178,7 @@ fn camera_errors(found: &[Option<Rigid>], truth: &[Rigid]) -> Vec<(f64, f64)> {
     let pairs: Vec<(Rigid, Rigid)> = found.iter().zip(truth).filter_map(|(f, t)| Some(((*f)?, *t))).collect();
     let source: Vec<_> = pairs.iter().map(|(f, _)| f.center()).collect();
     let target: Vec<_> = pairs.iter().map(|(_, t)| t.center()).collect();
-    let truth_from_found = similarity_from_points(&source, &target, ScaleMode::Estimated).unwrap();
+    let truth_from_found = similarity_from_points(&source, &target, ScaleMode::Free).unwrap();
     let error = |(found, truth): &(Rigid, Rigid)| {
         let moved = truth_from_found.move_camera(found);
         let angle = rotation::log(&(moved.rotation * truth.rotation.transpose())).norm();
@@ -199,7 +199,7 @@ fn worst(errors: &[(f64, f64)]) -> (f64, f64) {
 fn point_error(adjusted: &Adjusted, scene: &StickScene) -> f64 {
     let source: Vec<_> = adjusted.cameras.iter().map(|c| c.camera_from_world.unwrap().center()).collect();
     let target: Vec<_> = scene.cameras.iter().map(Rigid::center).collect();
-    let truth_from_found = similarity_from_points(&source, &target, ScaleMode::Estimated).unwrap();
+    let truth_from_found = similarity_from_points(&source, &target, ScaleMode::Free).unwrap();
     let found = adjusted.points.iter().flatten().flatten();
     let errors = found.zip(scene.points.iter().flatten()).map(|(f, t)| (truth_from_found.transform(f) - t).norm());
     median(&mut errors.collect::<Vec<_>>()).unwrap()
