@@ -1,21 +1,21 @@
 //! Random sample consensus with a soft score, local optimisation and early rejection.
 //!
 //! Score: `sum_i w_i max(0, 1 - d_i^2 / threshold^2)`, the truncated quadratic of MSAC (Torr and Zisserman, CVIU 2000,
-//! Sec. 4) turned into a gain. Every new best model is re-fitted to the data before it is believed (Chum, Matas,
-//! Kittler, "Locally optimized RANSAC", 2003).
+//! Sec. 4) expressed as a gain. Every new best model is re-fitted to the data (Chum, Matas, Kittler, "Locally optimized
+//! RANSAC", 2003).
 
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// What is searched: how many data there are, what each is worth, and when one is explained.
+/// The data of a consensus search, their weights and tolerance, and its limits.
 #[derive(Debug, Clone, Copy)]
 pub struct ConsensusProblem<'a> {
     /// Number of data.
     pub n_data: usize,
-    /// Worth of each datum, not negative; `None`: all 1.
+    /// Weight of each datum, not negative; `None`: all 1.
     pub weights: Option<&'a [f64]>,
-    /// Distance at which a datum's gain reaches zero, in the unit of the distances.
+    /// Distance at which the gain of a datum reaches zero, in the unit of the distances.
     pub threshold: f64,
     /// Greatest number of samples drawn.
     pub iterations: usize,
@@ -32,23 +32,24 @@ pub struct Consensus<Model> {
     pub score: f64,
 }
 
-/// The best model has been missed with less than this probability when the search ends early.
+/// Probability that the search has missed the best model when it ends early, at most.
 const MISS_PROBABILITY: f64 = 1e-3;
 
-/// Minimal samples are noisy and not every pure one gives a good model: that many times more are drawn than purity asks.
-const CAUTION: f64 = 3.0;
+/// Factor on the number of samples that finds an outlier-free one: minimal samples are noisy, and not every outlier-free
+/// one gives a good model.
+const SAMPLES_FACTOR: f64 = 3.0;
 
-/// A score is compared with the best one after every so many data.
+/// Number of data after which a score is compared with the best one.
 const BLOCK: usize = 16;
 
-/// `sqrt(ln(1 / delta) / 2)` of Hoeffding's inequality for `delta = 1e-3`: a model as good as the best one is dropped
-/// early with no more than that probability at each comparison.
+/// `sqrt(ln(1 / delta) / 2)` of Hoeffding's inequality for `delta = 1e-3`: a model as good as the best one is rejected
+/// early with at most that probability at each comparison.
 const HOEFFDING: f64 = 1.858;
 
-/// Draws samples of `SIZE` data, takes their models, keeps the best; `None` where no model explains anything.
+/// Finds the model with the highest score among those of random samples of `SIZE` data; `None` where all scores are zero.
 ///
 /// `solve`: the models of a minimal sample (indices of data). `squared_distance`: of a datum to a model; infinite for
-/// inadmissible ones. `refit`: a model improved on all data.
+/// inadmissible ones. `refit`: improves a model on all data.
 pub fn find_consensus<Model: Copy, const SIZE: usize>(
     problem: &ConsensusProblem<'_>,
     solve: impl Fn(&[usize; SIZE]) -> Vec<Model>,
@@ -80,21 +81,22 @@ pub fn find_consensus<Model: Copy, const SIZE: usize>(
     best
 }
 
-/// `ln(miss) / ln(1 - share^size)`, times [`CAUTION`], within `limit`.
+/// `ln(miss) / ln(1 - share^size)`, times [`SAMPLES_FACTOR`], within `limit`.
 fn enough_samples(limit: usize, size: usize, share: f64) -> usize {
-    let pure = share.clamp(0.0, 1.0).powi(size as i32);
+    let outlier_free = share.clamp(0.0, 1.0).powi(size as i32);
     // Infinite for a share of zero, zero for a share of one.
-    let enough = CAUTION * MISS_PROBABILITY.ln() / (-pure).ln_1p();
+    let enough = SAMPLES_FACTOR * MISS_PROBABILITY.ln() / (-outlier_free).ln_1p();
     limit.min(enough.ceil().max(1.0) as usize)
 }
 
-/// The data of positive weight in random order, so that every prefix is a fair poll of the whole.
+/// The data of positive weight in random order, so that every prefix is a random sample of all data.
 struct SampleOrder {
     order: Vec<usize>,
+    /// Weight of each datum, in this order.
     gain_limit: Vec<f64>,
     /// Sum of the weights of each whole number of blocks.
     weight_before: Vec<f64>,
-    /// Square root of the sum of their squares.
+    /// Square root of the sum of the squared weights, likewise.
     spread_before: Vec<f64>,
     total: f64,
     inverse_threshold2: f64,
@@ -121,20 +123,20 @@ impl SampleOrder {
     fn draw<const SIZE: usize>(&self, rng: &mut ChaCha8Rng) -> [usize; SIZE] {
         let mut sample = [0; SIZE];
         for k in 0..SIZE {
-            // The k-th of the remaining places: steps over those taken, in ascending order.
-            let mut place = rng.random_range(0..self.order.len() - k);
+            // The k-th of the remaining positions: skips those taken, in ascending order.
+            let mut position = rng.random_range(0..self.order.len() - k);
             let mut at = 0;
-            while at < k && sample[at] <= place {
-                place += 1;
+            while at < k && sample[at] <= position {
+                position += 1;
                 at += 1;
             }
             sample.copy_within(at..k, at + 1);
-            sample[at] = place;
+            sample[at] = position;
         }
-        sample.map(|place| self.order[place])
+        sample.map(|position| self.order[position])
     }
 
-    /// The whole score if it is above `minimum_score`; gives up as soon as it cannot, or by Hoeffding's bound will hardly, be.
+    /// The score if it is above `minimum_score`; `None` as soon as it cannot be or, by Hoeffding's bound, probably is not.
     fn score_above(&self, minimum_score: f64, squared_distance: impl Fn(usize) -> f64) -> Option<f64> {
         let share = minimum_score / self.total;
         let mut score = 0.0;
@@ -157,7 +159,7 @@ mod tests {
 
     /// A line through the origin among points of which every second is noise.
     #[test]
-    fn half_the_data_outvote_the_other_half() {
+    fn finds_a_line_among_half_outliers() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let points: Vec<[f64; 2]> = (0..200)
             .map(|i| {
@@ -176,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sample_never_holds_a_datum_twice() {
+    fn samples_hold_every_datum_once() {
         let problem = ConsensusProblem { n_data: 6, weights: None, threshold: 1.0, iterations: 1, seed: 0 };
         let mut rng = ChaCha8Rng::seed_from_u64(2);
         let data = SampleOrder::shuffled(&problem, &mut rng).unwrap();
@@ -191,7 +193,7 @@ mod tests {
     }
 
     #[test]
-    fn purer_data_need_fewer_samples() {
+    fn fewer_outliers_need_fewer_samples() {
         assert_eq!(enough_samples(1000, 5, 0.0), 1000);
         assert_eq!(enough_samples(1000, 5, 1.0), 1);
         assert_eq!(enough_samples(1000, 5, 0.7), 113);

@@ -1,4 +1,4 @@
-//! The relative pose of two views from point pairs, many of them wrong.
+//! The relative pose of two views from point pairs with many outliers.
 
 use super::consensus::{ConsensusProblem, find_consensus};
 use crate::geometry::epipolar::{self, PointPair};
@@ -8,32 +8,32 @@ use crate::optim::dense_levenberg_marquardt::{QuadraticModel, descend};
 use crate::optim::robust::{geman_mcclure_rho, geman_mcclure_weight};
 use nalgebra::{Matrix3, Matrix3x2, SVector};
 
-/// What the pairs say about the two views.
+/// An estimated relative pose, with statistics of the pairs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EssentialEstimate {
     /// `[t]x R` of the pose.
     pub essential: Matrix3<f64>,
-    /// The one of its four poses with most inliers in front of both views; baseline 1.
+    /// Of its four poses the one with most inliers in front of both views; baseline 1.
     pub second_from_first: Rigid,
     /// `sum w max(0, 1 - d^2 / threshold^2)` over all pairs, d the Sampson distance.
     pub support: f64,
     /// Weight of the pairs within the threshold as a share of all weight.
     pub inlier_ratio: f64,
-    /// Share of the inliers in front of both views; half means that direction or rotation is open.
+    /// Share of the inliers in front of both views; one half means that direction or rotation is undetermined.
     pub cheirality_ratio: f64,
 }
 
-/// Linearisations when a new best model is re-fitted, and at the very end.
+/// Linearisations of the re-fit of a new best model, and of the final one.
 const REFIT_ITERATIONS: usize = 4;
 const FINAL_ITERATIONS: usize = 10;
 
 /// Finds the essential matrix that most pairs agree on: five-point samples, soft score, re-fits.
 ///
-/// `pairs`: ideal normalised coordinates. `weights`: worth of each pair, zero to ignore; `None`: all 1. `threshold`:
-/// Sampson distance at which a pair counts for nothing, normalised (px / focal). `iterations`: most samples drawn.
+/// `pairs`: ideal normalised coordinates. `weights`: of each pair, zero to ignore; `None`: all 1. `threshold`:
+/// Sampson distance at which a pair's gain reaches zero, normalised (px / focal). `iterations`: most samples drawn.
 ///
-/// `None` with fewer than five usable pairs or when nothing agrees. Known limit: pairs of a pure rotation fit many
-/// essential matrices; `cheirality_ratio` and the angles of triangulation tell.
+/// `None` with fewer than five usable pairs or where no model has inliers. Known limit: pairs of a pure rotation fit many
+/// essential matrices; a low `cheirality_ratio` and small angles of triangulation indicate it.
 pub fn estimate_essential(
     pairs: &[PointPair],
     weights: Option<&[f64]>,
@@ -47,7 +47,7 @@ pub fn estimate_essential(
         &problem,
         |sample| five_point(&sample.map(|i| pairs[i])),
         |essential, i| epipolar::sampson_squared(essential, &pairs[i].0, &pairs[i].1),
-        // Any of the four poses will do: they share their essential matrix.
+        // All four poses have this essential matrix: any of them serves.
         |essential| {
             let [pose, ..] = epipolar::poses_from_essential(essential);
             epipolar::essential_from_pose(&refit(&pose, REFIT_ITERATIONS))
@@ -94,10 +94,10 @@ pub fn score_essential(
 }
 
 /// Refines a relative pose on pairs: the Geman-McClure loss of Sampson distances, with `threshold` as its scale, over
-/// the five degrees of freedom of an essential matrix (a turn, and a direction of the baseline).
+/// the five degrees of freedom of an essential matrix (rotation, and direction of the baseline).
 ///
-/// Returns `second_from_first` with a baseline of 1, on the branch (of four) that it started from; the start itself,
-/// normalised, where nothing improves it. A zero baseline has no direction to refine and is returned untouched.
+/// Returns `second_from_first` with a baseline of 1, on the branch (of four) of the start; the normalised start where no
+/// step improves it. A start with a zero baseline is returned unchanged.
 pub fn refine_essential(
     start: &Rigid,
     pairs: &[PointPair],
@@ -133,7 +133,7 @@ fn linearize(pose: &Rigid, pairs: &[PointPair], weights: Option<&[f64]>, thresho
         if weight <= 0.0 {
             continue;
         }
-        // One pair that is not finite must not cost all others their descent.
+        // A pair that is not finite is skipped: it would stop the descent for all others.
         if let Some(sampson) = epipolar::sampson_gradient(pose, a, b).filter(|s| s.distance.is_finite()) {
             let (turn, slide) = (sampson.rotation, tangents.tr_mul(&sampson.translation));
             let jacobian = SVector::from([turn.x, turn.y, turn.z, slide.x, slide.y]);

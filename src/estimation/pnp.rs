@@ -1,4 +1,4 @@
-//! A camera's pose from known points, many of them wrongly matched.
+//! A camera's pose from known points with many outliers.
 
 use super::consensus::{ConsensusProblem, find_consensus};
 use crate::geometry::p3p::{PointCorrespondence, p3p};
@@ -7,34 +7,34 @@ use crate::optim::dense_levenberg_marquardt::{QuadraticModel, descend};
 use crate::optim::robust::{geman_mcclure_rho, geman_mcclure_weight};
 use nalgebra::{SVector, Vector2};
 
-/// A pose that points agree on.
+/// An estimated camera pose, with its inliers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PoseEstimate {
     /// The pose, in the points' unit of length.
     pub camera_from_world: Rigid,
     /// `sum max(0, 1 - d^2 / threshold^2)`, d the reprojection error.
     pub support: f64,
-    /// Which points are seen within the threshold, in front of the camera.
+    /// Which points are in front of the camera and within the threshold of their reprojection.
     pub inliers: Vec<bool>,
-    /// Their share.
+    /// Share of inliers.
     pub inlier_ratio: f64,
 }
 
-/// Linearisations when a new best model is re-fitted, and at the very end.
+/// Linearisations of the re-fit of a new best model, and of the final one.
 const REFIT_ITERATIONS: usize = 4;
 const FINAL_ITERATIONS: usize = 15;
 
-/// The camera whose pixels are normalised coordinates: the house's one projection serves here as well.
+/// The camera whose pixels are normalised coordinates.
 const NORMALIZED_CAMERA: Intrinsics =
     Intrinsics { width: 0, height: 0, fx: 1.0, fy: 1.0, cx: 0.0, cy: 0.0, skew: 0.0, dist: Distortion::None };
 
-/// Finds the pose from which most points are seen where they are seen: three-point samples, soft score, re-fits.
+/// Finds the camera pose that most points agree with: three-point samples, soft score, re-fits.
 ///
-/// `points`: world position and ideal normalised coordinates. `threshold`: reprojection error at which a point counts
-/// for nothing, normalised (px / focal). `iterations`: most samples drawn.
+/// `points`: world position and ideal normalised coordinates. `threshold`: reprojection error at which a point's
+/// gain reaches zero, normalised (px / focal). `iterations`: most samples drawn.
 ///
-/// `None` with fewer than four points (three leave up to four poses) or when fewer than four agree. Known limit: points
-/// in one plane far away leave two nearly equal poses.
+/// `None` with fewer than four points (three leave up to four poses) or fewer than four inliers. Known limit: distant
+/// coplanar points have two nearly equal solutions.
 pub fn estimate_pose(
     points: &[PointCorrespondence],
     threshold: f64,
@@ -72,8 +72,8 @@ pub fn score_pose(camera_from_world: &Rigid, points: &[PointCorrespondence], thr
 
 /// Refines a pose on points: the Geman-McClure loss of reprojection errors, with `threshold` as its scale.
 ///
-/// Points behind the camera cost what a gross error costs and pull nowhere. The cost never rises; the start comes back
-/// where nothing improves it.
+/// Points behind the camera have the cost of an outlier and no gradient. The cost never rises; the start is returned
+/// where no step improves it.
 pub fn refine_pose(start: &Rigid, points: &[PointCorrespondence], threshold: f64, iterations: usize) -> Rigid {
     let retract = |pose: &Rigid, step: &SVector<f64, 6>| {
         pose.perturbed_left(&step.fixed_rows::<3>(0).into_owned(), &step.fixed_rows::<3>(3).into_owned())
@@ -97,7 +97,7 @@ fn linearize(camera_from_world: &Rigid, points: &[PointCorrespondence], scale2: 
         let residual = projected - seen;
         let squared = residual.norm_squared();
         if !squared.is_finite() {
-            continue; // One point that is not finite must not cost all others their descent.
+            continue; // a point that is not finite would stop the descent for all others
         }
         // d point = rho + phi x point.
         let by_turn = -by_point * rotation::skew(&in_camera);
@@ -143,11 +143,11 @@ mod tests {
     }
 
     #[test]
-    fn four_of_ten_wrong_points_leave_the_pose_within_its_noise() {
+    fn finds_the_pose_among_four_of_ten_outliers() {
         for seed in 0..30 {
             let (truth, points) = scene(seed, 100, 0.002, 0.4);
             let found = estimate_pose(&points, 0.01, 100, seed).unwrap();
-            // 60 points, 2 mrad at 5 m: some 10 mm / 0.05 degrees expected; five times that is out of reach.
+            // 60 points, 2 mrad at 5 m: some 10 mm / 0.05 degrees expected; five times that is far above the noise.
             assert!(center_error(&found.camera_from_world, &truth) < 0.05, "{seed}");
             let angle = rotation::angle_between(&found.camera_from_world.rotation, &truth.rotation);
             assert!(angle.to_degrees() < 0.4, "{seed}: {}", angle.to_degrees());
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn refinement_converges_from_afar() {
+    fn refinement_converges_from_a_distant_start() {
         let (truth, points) = scene(51, 40, 0.0, 0.0);
         let start = truth.perturbed_left(&Vector3::new(0.2, -0.2, 0.3), &Vector3::new(0.1, -0.1, 0.1));
         let refined = refine_pose(&start, &points, 0.2, 40);
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn hopeless_input_gives_none_and_no_panic() {
+    fn degenerate_input_gives_none() {
         let (_, points) = scene(53, 3, 0.0, 0.0);
         assert_eq!(estimate_pose(&points, 0.01, 20, 0), None);
         assert_eq!(estimate_pose(&[], 0.01, 20, 0), None);

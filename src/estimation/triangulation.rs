@@ -1,4 +1,4 @@
-//! Points from several views of which some are wrong, and the covariance of such points.
+//! Robust triangulation from several views, and the covariance of triangulated points.
 
 use crate::geometry::projection::project_normalized;
 use crate::geometry::triangulation::{PointObservation, triangulate_linear};
@@ -16,7 +16,7 @@ const BEHIND_CAMERA_M: f64 = 1.0;
 ///
 /// Iteratively re-weighted least squares from [`triangulate_linear`]: each ray's weight is its own times Geman and
 /// McClure's, of the residual `depth |projection - normalized|` (m at the point) and `robust_scale_m`. `None` with fewer than two
-/// rays or where [`triangulate_linear`] has no solution. Two rays are not re-weighted: neither can be called the wrong one.
+/// rays or where [`triangulate_linear`] has no solution. Two rays are not re-weighted: they do not show which one is wrong.
 pub fn triangulate_reweighted(mut rays: Vec<PointObservation<'_>>, robust_scale_m: f64) -> Option<Vector3<f64>> {
     if rays.len() < 2 {
         return None;
@@ -37,14 +37,14 @@ pub fn triangulate_reweighted(mut rays: Vec<PointObservation<'_>>, robust_scale_
     Some(point)
 }
 
-/// A detected pixel of a point in one view.
+/// The detected pixel of a point in one of the views.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RayObservation<'a> {
     /// The view's pose.
     pub camera_from_world: &'a Rigid,
     /// The view's intrinsics.
     pub intrinsics: &'a Intrinsics,
-    /// Distorted pixel, as detected.
+    /// Detected pixel (distorted).
     pub pixel: Vector2<f64>,
     /// Standard deviation along each axis, px, positive.
     pub sigma_px: f64,
@@ -53,7 +53,7 @@ pub struct RayObservation<'a> {
 /// Covariance of a point (m^2) from two observations or more: `(sum J^T J / sigma^2)^-1`.
 ///
 /// Backward transport of covariance, Hartley and Zisserman 2003, section 5.2. `None` with fewer than two observations in
-/// front of their cameras, or where they leave the point open. Exact cameras and independent errors are assumed.
+/// front of their cameras, or where they do not determine the point. Exact cameras and independent errors are assumed.
 pub fn covariance<'a>(
     point: &Vector3<f64>,
     observations: impl Iterator<Item = &'a RayObservation<'a>>,

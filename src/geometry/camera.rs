@@ -18,13 +18,13 @@ pub struct Intrinsics {
     pub fx: f64,
     /// Focal length along y, px.
     pub fy: f64,
-    /// Principal point, px.
+    /// Principal point along x, px.
     pub cx: f64,
-    /// Principal point, px.
+    /// Principal point along y, px.
     pub cy: f64,
     /// Axis skew `K[0][1]`, px; zero for almost every camera.
     pub skew: f64,
-    /// What the lens does to straight rays.
+    /// Distortion of the lens.
     pub dist: Distortion,
 }
 
@@ -33,7 +33,7 @@ pub const MIN_DEPTH: f64 = 1e-3;
 
 #[cfg(test)]
 impl Intrinsics {
-    /// 65 degrees wide, without distortion.
+    /// A camera with a horizontal field of view of 65 degrees, without distortion.
     pub(crate) const PLAIN: Self = Self {
         width: 1280,
         height: 720,
@@ -47,12 +47,12 @@ impl Intrinsics {
 }
 
 impl Intrinsics {
-    /// Mean focal length, px: turns an angle (rad) into pixels.
+    /// Mean focal length, px: converts a small angle (rad) to pixels.
     pub fn focal(&self) -> f64 {
         0.5 * (self.fx + self.fy)
     }
 
-    /// The same lens with `fx`, `fy` and the skew times `factor`.
+    /// The same intrinsics with `fx`, `fy` and the skew multiplied by `factor`.
     pub fn with_focal_factor(&self, factor: f64) -> Self {
         Self { fx: self.fx * factor, fy: self.fy * factor, skew: self.skew * factor, ..*self }
     }
@@ -62,7 +62,7 @@ impl Intrinsics {
         Matrix3::new(self.fx, self.skew, self.cx, 0.0, self.fy, self.cy, 0.0, 0.0, 1.0)
     }
 
-    /// Whether a pixel lies on the sensor.
+    /// Whether a pixel lies on the sensor, which ends half a pixel beyond the outer pixel centres.
     pub fn contains(&self, pixel: &Vector2<f64>) -> bool {
         pixel.x >= -0.5 && pixel.y >= -0.5 && pixel.x < self.width as f64 - 0.5 && pixel.y < self.height as f64 - 0.5
     }
@@ -105,8 +105,8 @@ impl Intrinsics {
 
     /// Ideal (undistorted) normalised coordinates of a pixel.
     ///
-    /// Known limit: beyond the radius where the distortion folds over there is no inverse; the last iterate of Newton's
-    /// method is returned, and a fisheye's ray is kept below 89 degrees from the axis.
+    /// Known limit: beyond the radius where the distortion folds over it has no inverse; the last iterate of Newton's
+    /// method is returned. The ray of a fisheye is kept below 89 degrees from the axis.
     pub fn normalized_from_pixel(&self, pixel: &Vector2<f64>) -> Vector2<f64> {
         let y = (pixel.y - self.cy) / self.fy;
         self.dist.undistort(&Vector2::new((pixel.x - self.cx - self.skew * y) / self.fx, y))

@@ -1,41 +1,41 @@
-//! Tapered capsules: balls whose centre runs along a segment while the radius changes linearly.
+//! Tapered capsules: unions of balls whose centre moves along a segment while the radius changes linearly.
 //!
 //! `d(p) = min over s in [0, 1] of |p - c(s)| - r(s)`, `c(s) = (1 - s) e_0 + s e_1`, `r(s) = (1 - s) r_0 + s r_1`. The term
-//! under the minimum is convex, so every minimum found is the minimum; by the envelope theorem derivatives need those of
-//! the nearest ball alone: `dd = n . dp - n . dc - dr`.
+//! under the minimum is convex, so every local minimum is global; by the envelope theorem the derivative is that of the
+//! nearest ball alone: `dd = n . dp - n . dc - dr`.
 
 use super::rotation::any_perpendicular;
 use nalgebra::Vector3;
 
-/// A tapered capsule.
+/// A tapered capsule: the union of all balls between two end balls.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TaperedCapsule {
     /// Centres of the balls at the ends, m.
     pub ends: [Vector3<f64>; 2],
-    /// Their radii, m.
+    /// Radii of these balls, m.
     pub radii: [f64; 2],
 }
 
-/// Signed distance of a point, and the ball it is taken from.
+/// Signed distance of a point to a capsule, and the nearest ball.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PointDistance {
     /// Negative inside, m.
     pub distance: f64,
-    /// Where the nearest ball's centre lies between the ends, 0 to 1.
+    /// Position of the nearest ball's centre between the ends, 0 to 1.
     pub share: f64,
     /// Unit vector from that centre to the point: the derivative of the distance to the point.
     pub normal: Vector3<f64>,
 }
 
-/// Signed distance of two capsules `a` and `b`, and the two balls it is taken from.
+/// Signed distance of two capsules `a` and `b`, and their two nearest balls.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CapsuleDistance {
-    /// Negative where they overlap: how far the two nearest balls reach into each other, m.
+    /// Distance of the two nearest balls, m; negative where they overlap.
     pub distance: f64,
-    /// Where the balls' centres lie between the ends of `a` and of `b`.
+    /// Positions of the balls' centres between the ends of `a` and of `b`, 0 to 1.
     pub shares: [f64; 2],
-    /// Unit vector from the centre in `a` to that in `b`: the derivative of the distance to the centre in `b`, and with
-    /// the other sign to that in `a`.
+    /// Unit vector from the centre in `a` to that in `b`: the derivative of the distance by the centre in `b`, and its
+    /// negative by the centre in `a`.
     pub normal: Vector3<f64>,
 }
 
@@ -61,8 +61,8 @@ impl TaperedCapsule {
     /// The signed distance of a point.
     ///
     /// The stationary share lies `h g / (L sqrt(L^2 - g^2))` beyond the foot of the perpendicular, with the length L, the
-    /// taper `g = r_1 - r_0` and the distance h from the axis. Where one end's ball holds the other it is the capsule. On
-    /// the axis any normal across it serves.
+    /// taper `g = r_1 - r_0` and the distance h from the axis. Where one end ball contains the other it is the capsule. On
+    /// the axis the normal is any vector perpendicular to it.
     pub fn distance_to(&self, point: &Vector3<f64>) -> PointDistance {
         let (along, taper) = (self.along(), self.taper());
         let length_squared = along.norm_squared();
@@ -79,8 +79,8 @@ impl TaperedCapsule {
         PointDistance { distance: from_centre.norm() - self.radius(share), share, normal }
     }
 
-    /// The signed distance of another capsule: the least over the square of shares, which lies at the stationary point
-    /// inside, where there is one, or on one of the four sides, where an end's ball meets the other capsule.
+    /// The signed distance of another capsule: the minimum over the square of shares. It lies at a stationary point
+    /// inside or on one of the four sides, where an end ball is nearest to the other capsule.
     pub fn distance_to_capsule(&self, other: &Self) -> CapsuleDistance {
         if let Some(found) = self.stationary_distance(other) {
             return found;
@@ -98,14 +98,14 @@ impl TaperedCapsule {
         sides.into_iter().fold(of_own_end(0), |best, found| if found.distance < best.distance { found } else { best })
     }
 
-    /// Where neither ball is at an end. With the axes `a`, `b`, their tapers and the unit vector n between the centres,
-    /// `n . a = -g_a` and `n . b = g_b`: n is known up to its side, and the centres follow from it.
+    /// The minimum where neither ball is at an end. With the axes `a`, `b`, their tapers and the unit vector n between the centres,
+    /// `n . a = -g_a` and `n . b = g_b`: these give n up to its side, and n gives the centres.
     fn stationary_distance(&self, other: &Self) -> Option<CapsuleDistance> {
         let (a, b, between) = (self.along(), other.along(), other.ends[0] - self.ends[0]);
         let (aa, ab, bb) = (a.norm_squared(), a.dot(&b), b.norm_squared());
         let determinant = aa * bb - ab * ab;
         if determinant <= PARALLEL * aa * bb {
-            return None; // along a common direction the least is also taken on a side
+            return None; // along a common direction a side has the same minimum
         }
         let in_plane =
             |by_a: f64, by_b: f64| [(bb * by_a - ab * by_b) / determinant, (aa * by_b - ab * by_a) / determinant];
@@ -128,7 +128,7 @@ impl TaperedCapsule {
     }
 }
 
-/// Nearer centres than this have no direction between them, m.
+/// Centres nearer than this have no direction between them, m.
 const TOUCHING: f64 = 1e-12;
 /// Squared sine of the angle between axes that count as parallel.
 const PARALLEL: f64 = 1e-12;
@@ -149,9 +149,9 @@ mod tests {
         TaperedCapsule { ends, radii: [rng.random_range(0.02..0.2), rng.random_range(0.02..0.2)] }
     }
 
-    /// The definition on a fine grid: above the truth by half a step squared at most.
+    /// Compares with the definition on a fine grid, whose error is at most half a step squared.
     #[test]
-    fn distances_are_the_least_over_all_balls() {
+    fn distances_are_minima_over_all_balls() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let share = |i: usize| i as f64 / 200.0;
         for k in 0..300 {
@@ -171,7 +171,7 @@ mod tests {
             let found = a.distance_to_capsule(&b);
             assert!(found.distance <= least + 1e-12 && least < found.distance + 8e-3, "{found:?} {least}");
             let again = b.distance_to_capsule(&a);
-            assert!((again.distance - found.distance).abs() < 1e-12, "which is first makes no difference");
+            assert!((again.distance - found.distance).abs() < 1e-12, "symmetric");
             let [s, t] = found.shares;
             let of_balls = (b.centre(t) - a.centre(s)).norm() - a.radius(s) - b.radius(t);
             assert!((of_balls - found.distance).abs() < 1e-9);
@@ -184,14 +184,14 @@ mod tests {
         assert!((capsule.distance_to(&Vector3::new(0.5, 0.4, 0.0)).distance - 0.3).abs() < 1e-15);
         assert!((capsule.distance_to(&Vector3::new(0.5, 0.0, 0.0)).distance + 0.1).abs() < 1e-15, "on the axis");
         assert!((capsule.distance_to(&Vector3::new(-0.3, 0.4, 0.0)).distance - 0.4).abs() < 1e-15);
-        let swallowed = TaperedCapsule { ends: [Vector3::zeros(), Vector3::x() * 0.1], radii: [0.1, 0.5] };
-        assert!((swallowed.distance_to(&Vector3::new(-1.0, 0.0, 0.0)).distance - 0.6).abs() < 1e-15);
+        let contained = TaperedCapsule { ends: [Vector3::zeros(), Vector3::x() * 0.1], radii: [0.1, 0.5] };
+        assert!((contained.distance_to(&Vector3::new(-1.0, 0.0, 0.0)).distance - 0.6).abs() < 1e-15);
         let ball = TaperedCapsule { ends: [Vector3::y(); 2], radii: [0.2; 2] };
         assert!((ball.distance_to_capsule(&capsule).distance - 0.7).abs() < 1e-15);
         assert!((ball.distance_to_capsule(&ball).distance + 0.4).abs() < 1e-15);
     }
 
-    /// Everything that a distance depends on moves a little; differences of second order stay below 1e-8.
+    /// Moves every quantity that a distance depends on a little; second-order differences stay below 1e-8.
     #[test]
     fn derivatives_are_those_of_the_nearest_balls() {
         let mut rng = ChaCha8Rng::seed_from_u64(2);

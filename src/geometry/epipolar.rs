@@ -1,4 +1,4 @@
-//! Two views: essential matrix, Sampson distance, depths, Plücker rays.
+//! Geometry of two views: essential matrix, Sampson distance, depths, Plücker rays.
 //!
 //! Points are ideal normalised coordinates, `a` in the first view, `b` in the second; `E = [t]x R` of
 //! `second_from_first`, so that `(b, 1)^T E (a, 1) = 0`.
@@ -18,7 +18,7 @@ pub fn essential_from_pose(second_from_first: &Rigid) -> Matrix3<f64> {
 /// Squared Sampson distance (normalised units; times the focal length squared: px^2).
 ///
 /// `(b^T E a)^2 / ((E a)_1^2 + (E a)_2^2 + (E^T b)_1^2 + (E^T b)_2^2)`: Hartley and Zisserman, Eq. (11.9). Independent
-/// of the scale of E. At both epipoles at once it is 0 / 0 and reported as 0.
+/// of the scale of E. Where both points are epipoles it is 0 / 0, reported as 0.
 pub fn sampson_squared(essential: &Matrix3<f64>, a: &Vector2<f64>, b: &Vector2<f64>) -> f64 {
     let e = essential;
     let (lx, ly) = (e.m11 * a.x + e.m12 * a.y + e.m13, e.m21 * a.x + e.m22 * a.y + e.m23);
@@ -31,11 +31,11 @@ pub fn sampson_squared(essential: &Matrix3<f64>, a: &Vector2<f64>, b: &Vector2<f
 /// A signed Sampson distance and its derivatives.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SampsonGradient {
-    /// The distance; its square is [`sampson_squared`].
+    /// The signed distance; its square is [`sampson_squared`].
     pub distance: f64,
-    /// Derivative to a left turn, `R <- exp(phi) R` (the translation is not turned).
+    /// Derivative by a left rotation, `R <- exp(phi) R` (the translation is not rotated).
     pub rotation: Vector3<f64>,
-    /// Derivative to the translation; orthogonal to it, since scale does not matter.
+    /// Derivative by the translation; orthogonal to it, since the distance does not depend on its length.
     pub translation: Vector3<f64>,
 }
 
@@ -43,11 +43,11 @@ pub struct SampsonGradient {
 ///
 /// With `q = R a`, `p = b x t`, `l = t x q = E a`, `m = R^T p = E^T b`, `r = (b . l) / sqrt(g)`:
 /// `dr = u . dl + v . dm`, `u = b / sqrt(g) - k (l_1, l_2, 0)`, `v = -k (m_1, m_2, 0)`, `k = (b . l) / g^(3/2)`;
-/// then `dr/dphi = q x (u x t) + (R v) x p` and `dr/dt = q x u + (R v) x b`. `None` at both epipoles, where g vanishes.
+/// then `dr/dphi = q x (u x t) + (R v) x p` and `dr/dt = q x u + (R v) x b`. `None` where both points are epipoles: there g = 0.
 pub fn sampson_gradient(second_from_first: &Rigid, a: &Vector2<f64>, b: &Vector2<f64>) -> Option<SampsonGradient> {
-    let (turn, t, b) = (&second_from_first.rotation, &second_from_first.translation, b.push(1.0));
-    let (q, p) = (turn * a.push(1.0), b.cross(t));
-    let (l, m) = (t.cross(&q), turn.transpose() * p);
+    let (r, t, b) = (&second_from_first.rotation, &second_from_first.translation, b.push(1.0));
+    let (q, p) = (r * a.push(1.0), b.cross(t));
+    let (l, m) = (t.cross(&q), r.transpose() * p);
     let g = l.x * l.x + l.y * l.y + m.x * m.x + m.y * m.y;
     if g <= 0.0 {
         return None;
@@ -55,7 +55,7 @@ pub fn sampson_gradient(second_from_first: &Rigid, a: &Vector2<f64>, b: &Vector2
     let (algebraic, inverse) = (b.dot(&l), 1.0 / g.sqrt());
     let k = algebraic * inverse / g;
     let u = b * inverse - Vector3::new(l.x, l.y, 0.0) * k;
-    let s = turn * Vector3::new(-k * m.x, -k * m.y, 0.0);
+    let s = r * Vector3::new(-k * m.x, -k * m.y, 0.0);
     Some(SampsonGradient {
         distance: algebraic * inverse,
         rotation: q.cross(&u.cross(t)) + s.cross(&p),
@@ -63,13 +63,13 @@ pub fn sampson_gradient(second_from_first: &Rigid, a: &Vector2<f64>, b: &Vector2
     })
 }
 
-/// The four relative poses (`second_from_first`, baseline 1) of an essential matrix of either sign.
+/// The four relative poses (`second_from_first`, baseline 1) of an essential matrix; its sign does not matter.
 ///
 /// `R = U W V^T` or `U W^T V^T`, `t = +-u_3`: Hartley and Zisserman, result 9.19. A matrix with unequal singular values
 /// gives the poses of the nearest essential matrix.
 pub fn poses_from_essential(essential: &Matrix3<f64>) -> [Rigid; 4] {
     let svd = svd::decompose(essential);
-    // The third singular value is zero: its vectors may be flipped to make both factors rotations.
+    // The third singular value is zero: flipping its vectors makes both factors rotations.
     let proper = |mut m: Matrix3<f64>| {
         let sign = m.determinant().signum();
         m.column_mut(2).scale_mut(sign);
@@ -105,12 +105,12 @@ pub fn pair_depths(second_from_first: &Rigid, a: &Vector2<f64>, b: &Vector2<f64>
     Some(PairDepths { first: t.cross(&b).dot(&normal) / squared, second: t.cross(&q).dot(&normal) / squared })
 }
 
-/// Whether a point pair lies in front of both views.
+/// Whether the point of a pair lies in front of both views.
 pub fn in_front(second_from_first: &Rigid, a: &Vector2<f64>, b: &Vector2<f64>) -> bool {
     pair_depths(second_from_first, a, b).is_some_and(|z| z.first > 0.0 && z.second > 0.0)
 }
 
-/// How many pairs lie in front of both views.
+/// Number of pairs whose point lies in front of both views.
 pub fn cheirality_count(second_from_first: &Rigid, pairs: &[PointPair]) -> usize {
     pairs.iter().filter(|(a, b)| in_front(second_from_first, a, b)).count()
 }
@@ -124,7 +124,7 @@ pub struct PluckerRay {
     pub moment: Vector3<f64>,
 }
 
-/// Below this sine two rays count as parallel: the gap's numerator would be all rounding.
+/// Below this sine of their angle two rays count as parallel: the gap's numerator would be rounding error.
 const PARALLEL_SINE: f64 = 1e-9;
 
 impl PluckerRay {
@@ -134,21 +134,21 @@ impl PluckerRay {
         Self { direction, moment: camera_from_world.center().cross(&direction) }
     }
 
-    /// The point of the line that is nearest to the world's origin.
+    /// The line's nearest point to the world's origin.
     pub fn foot(&self) -> Vector3<f64> {
         self.direction.cross(&self.moment)
     }
 }
 
-/// Distance of a point to a ray's line, m: `|x x n - l|`.
+/// Distance of a point from a ray's line, m: `|x x n - l|`.
 pub fn ray_point_distance(ray: &PluckerRay, point: &Vector3<f64>) -> f64 {
     (point.cross(&ray.direction) - ray.moment).norm()
 }
 
 /// The gap between two rays' lines, m: `|n_i . l_j + n_j . l_i| / |n_i x n_j|`; for parallel lines their distance.
 ///
-/// The numerator alone is the gap times the sine of the angle and under-reports for nearly parallel rays. The lines
-/// may be nearest behind the cameras; depth is not looked at.
+/// The numerator alone is the gap times the sine of the angle, too small for nearly parallel rays. Depths are not
+/// checked: the lines may be nearest behind the cameras.
 pub fn ray_ray_distance(one: &PluckerRay, other: &PluckerRay) -> f64 {
     let sine = one.direction.cross(&other.direction).norm();
     if sine < PARALLEL_SINE {

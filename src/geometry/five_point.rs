@@ -13,13 +13,13 @@ type Linear = [f64; 4];
 type Quadratic = [f64; 10];
 /// Coefficients of a cubic form: x3 y3 x2y xy2 x2z x2w y2z y2w xyz xyw | xz2 xzw xw2 yz2 yzw yw2 z3 z2w zw2 w3.
 ///
-/// This order makes the elimination of the first ten leave polynomials in z (and w = 1) times x, y and 1.
+/// In this order eliminating the first ten leaves polynomials in z (with w = 1) times x, y and 1.
 type Cubic = [f64; 20];
 
-/// Where the product of two variables lies in a [`Quadratic`].
+/// Index in a [`Quadratic`] of the product of two variables.
 const QUADRATIC_INDEX: [[usize; 4]; 4] = [[0, 1, 2, 3], [1, 4, 5, 6], [2, 5, 7, 8], [3, 6, 8, 9]];
 
-/// Where the product of a quadratic monomial and a variable lies in a [`Cubic`].
+/// Index in a [`Cubic`] of the product of a quadratic monomial and a variable.
 const CUBIC_INDEX: [[usize; 4]; 10] = [
     [0, 2, 4, 5],
     [2, 3, 8, 9],
@@ -33,11 +33,11 @@ const CUBIC_INDEX: [[usize; 4]; 10] = [
     [12, 15, 18, 19],
 ];
 
-/// The essential matrices (Frobenius norm sqrt 2, sign free) that five pairs of normalised points allow: at most ten.
+/// The essential matrices (Frobenius norm sqrt 2, arbitrary sign) of five pairs of normalised points: at most ten.
 ///
 /// `pairs`: (first, second) in ideal normalised coordinates; every result satisfies `second^T E first = 0` for all five
 /// and is a true essential matrix. Empty where the elimination is singular (coinciding points). Five pairs of a pure
-/// rotation have a whole family of solutions, of which arbitrary members come back.
+/// rotation have a family of solutions, of which arbitrary members are returned.
 pub fn five_point(pairs: &[(Vector2<f64>, Vector2<f64>); 5]) -> Vec<Matrix3<f64>> {
     let basis = null_space(pairs);
     let Some(reduced) = eliminate(constraints(&basis)) else {
@@ -144,7 +144,7 @@ fn add_cubic_product(sum: &mut Cubic, a: &Quadratic, b: &Linear) {
     }
 }
 
-/// Gauss-Jordan elimination of the first ten monomials with row pivoting; `None` where they are dependent.
+/// Gauss-Jordan elimination of the first ten monomials with row pivoting; `None` where these are linearly dependent.
 fn eliminate(mut rows: [Cubic; 10]) -> Option<[Cubic; 10]> {
     for k in 0..10 {
         let pivot = (k..10).max_by(|&i, &j| rows[i][k].abs().total_cmp(&rows[j][k].abs()))?;
@@ -156,7 +156,7 @@ fn eliminate(mut rows: [Cubic; 10]) -> Option<[Cubic; 10]> {
         (k..20).for_each(|m| rows[k][m] *= inverse);
         let source = rows[k];
         for (i, row) in rows.iter_mut().enumerate() {
-            // Rows above the fifth are only needed as pivots, never read again.
+            // Rows above the fifth serve as pivots only; later steps do not read them.
             if i > k || (i >= 4 && i < k) {
                 let factor = row[k];
                 (k..20).for_each(|m| row[m] -= factor * source[m]);
@@ -212,7 +212,7 @@ fn solution_at(rows: &[PolynomialRow; 3], z: f64) -> Option<Vector4<f64>> {
 
 /// Gauss-Newton on all ten constraints over the unit sphere of (x, y, z, w).
 ///
-/// `None` where it does not arrive at an essential matrix: the root was rounding.
+/// `None` where it does not converge to an essential matrix: the root was a rounding error.
 fn polish(basis: &[Matrix3<f64>; 4], start: Vector4<f64>) -> Option<Vector4<f64>> {
     const STEPS: usize = 4;
     const SOLVED: f64 = 1e-20; // squared; rounding of the ten constraints is some 1e-32
@@ -229,7 +229,7 @@ fn polish(basis: &[Matrix3<f64>; 4], start: Vector4<f64>) -> Option<Vector4<f64>
             let cross = e * d.transpose() * e;
             (d * right + cross + gram * d) * 2.0 - e * (2.0 * e.dot(&d)) - d * trace
         });
-        // The term c c^T fixes the free scale; the step then stays tangent to the sphere.
+        // The term c c^T fixes the scale: the step stays tangent to the sphere.
         let normal = Matrix4::from_fn(|i, j| derivative[i].dot(&derivative[j]) + c[i] * c[j]);
         let gradient = Vector4::from_fn(|i, _| derivative[i].dot(&residual));
         c = (c - normal.cholesky()?.solve(&gradient)).try_normalize(0.0)?;

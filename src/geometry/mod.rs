@@ -1,4 +1,4 @@
-//! Pure maths on points, rotations, cameras: nalgebra only, f64, metres, radians, pixels.
+//! Geometry of points, rotations and cameras: nalgebra only, f64, metres, radians, pixels.
 
 pub mod camera;
 pub mod capsule;

@@ -1,19 +1,19 @@
 //! The pose of a camera from three known points.
 //!
-//! Depths first, pose after: the law of cosines in the three triangles (centre, point i, point j) is solved for the
-//! depths' ratios (Grunert's system; Haralick et al., IJCV 13(3), 1994, Eqs. (1) to (3)), eliminated here to one quartic.
+//! First the depths, then the pose: the law of cosines in the three triangles (centre, point i, point j) gives the
+//! depths' ratios (Grunert's system; Haralick et al., IJCV 13(3), 1994, Eqs. (1) to (3)), reduced here to one quartic.
 
 use super::polynomial;
 use super::rigid::Rigid;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-/// A point in the world and its ideal normalised coordinates in the image.
+/// A point in the world and the ideal normalised coordinates of its image.
 pub type PointCorrespondence = (Vector3<f64>, Vector2<f64>);
 
-/// The poses (`camera_from_world`) that see three points where they are seen: at most four, all depths positive.
+/// The camera poses (`camera_from_world`) consistent with three points: at most four, all depths positive.
 ///
-/// Empty where the points lie on a line, or two of them on one ray. On the danger cylinder through the points (its
-/// axis across their plane) solutions coincide and may be lost to rounding.
+/// Empty where the points lie on a line, or two of them on one ray. For cameras on the danger cylinder (through the
+/// points, perpendicular to their plane) solutions coincide and may be lost to rounding.
 pub fn p3p(points: &[PointCorrespondence; 3]) -> Vec<Rigid> {
     let Some(triangles) = Triangles::new(points) else {
         return Vec::new();
@@ -30,17 +30,17 @@ pub fn p3p(points: &[PointCorrespondence; 3]) -> Vec<Rigid> {
     poses
 }
 
-/// The three triangles at the camera's centre; entry k belongs to the side opposite of point k.
+/// The three triangles at the camera's centre; entry k belongs to the side opposite to point k.
 struct Triangles {
     /// Unit vectors towards the points.
     normalized: [Vector3<f64>; 3],
     /// Cosines of the angles at the centre: of points (1, 2), (2, 0), (0, 1).
     cosines: Vector3<f64>,
-    /// Squared lengths of the same sides.
+    /// Squared lengths of the sides (1, 2), (2, 0), (0, 1).
     sides2: Vector3<f64>,
 }
 
-/// Below this size the divisor of the elimination is taken for zero: its root is double and known to half the digits.
+/// Divisors of the elimination below this count as zero: their root is double and known to half the digits.
 const SMALL_DIVISOR: f64 = 1e-4;
 
 impl Triangles {
@@ -54,9 +54,9 @@ impl Triangles {
 
     /// Depths from the quartic in `v = d_2 / d_0`, with `u = d_1 / d_0`.
     ///
-    /// With `T = 1 - 2 v c_02 + v^2`, `a = s_12 / s_02`, `b = s_01 / s_02` the law of cosines says
+    /// With `T = 1 - 2 v c_02 + v^2`, `a = s_12 / s_02`, `b = s_01 / s_02` the law of cosines gives
     /// (i) `u^2 + v^2 - 2 u v c_12 = a T` and (ii) `1 + u^2 - 2 u c_01 = b T`. Their difference is linear in u:
-    /// `u = N / D`, `N = (a - b) T - v^2 + 1`, `D = 2 (c_01 - v c_12)`; put into (ii):
+    /// `u = N / D`, `N = (a - b) T - v^2 + 1`, `D = 2 (c_01 - v c_12)`; inserted in (ii):
     /// `D^2 + N^2 - 2 c_01 N D - b T D^2 = 0`.
     fn approximate_depths(&self) -> Vec<Vector3<f64>> {
         let (c12, c02, c01) = (self.cosines[0], self.cosines[1], self.cosines[2]);
@@ -93,7 +93,7 @@ impl Triangles {
         depths
     }
 
-    /// Newton's method on the law of cosines itself; `None` where it does not end in positive depths.
+    /// Newton's method on the law of cosines; `None` where it does not converge to positive depths.
     fn polish(&self, start: Vector3<f64>) -> Option<Vector3<f64>> {
         const STEPS: usize = 5;
         let tolerance = 1e-10 * self.sides2.max();
@@ -121,7 +121,7 @@ impl Triangles {
     }
 }
 
-/// The motion that takes the world's triangle to the camera's, by the frames spanned by both.
+/// The rigid motion from the world's triangle to the camera's, from the frames that both span.
 fn pose_from_depths(
     points: &[PointCorrespondence; 3],
     normalized: &[Vector3<f64>; 3],
@@ -148,19 +148,19 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    fn sight(pose: &Rigid, point: Vector3<f64>) -> PointCorrespondence {
+    fn observe(pose: &Rigid, point: Vector3<f64>) -> PointCorrespondence {
         let seen = pose.transform(&point);
         (point, seen.xy() / seen.z)
     }
 
     #[test]
-    fn three_exact_points_give_the_true_pose_among_at_most_four() {
+    fn three_exact_points_give_the_true_pose() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         let mut found = 0;
         for _ in 0..1000 {
             let mut random = || Vector3::from_fn(|_, _| rng.random_range(-1.0..1.0));
             let pose = Rigid { rotation: rotation::exp(&(random() * 2.0)), translation: random() + Vector3::z() * 4.0 };
-            let points = [sight(&pose, random()), sight(&pose, random()), sight(&pose, random())];
+            let points = [observe(&pose, random()), observe(&pose, random()), observe(&pose, random())];
             let poses = p3p(&points);
             for candidate in &poses {
                 for (x, n) in &points {
@@ -175,12 +175,12 @@ mod tests {
     }
 
     #[test]
-    fn an_equilateral_triangle_seen_along_its_axis_is_solved() {
+    fn solves_an_equilateral_triangle_seen_along_its_axis() {
         // Every ratio is 1 and the elimination's divisor vanishes.
         let pose = Rigid { rotation: Matrix3::identity(), translation: Vector3::z() * 3.0 };
         let corner = |k: usize| {
             let (sine, cosine) = (k as f64 * std::f64::consts::TAU / 3.0).sin_cos();
-            sight(&pose, Vector3::new(cosine, sine, 0.0))
+            observe(&pose, Vector3::new(cosine, sine, 0.0))
         };
         let poses = p3p(&[corner(0), corner(1), corner(2)]);
         assert!(poses.iter().any(|p| (p.translation - pose.translation).norm() < 1e-6), "{poses:?}");
@@ -189,7 +189,7 @@ mod tests {
     #[test]
     fn degenerate_triangles_have_no_pose() {
         let pose = Rigid { rotation: Matrix3::identity(), translation: Vector3::z() * 3.0 };
-        let on_line = [0.0, 0.5, 1.0].map(|x| sight(&pose, Vector3::x() * x));
+        let on_line = [0.0, 0.5, 1.0].map(|x| observe(&pose, Vector3::x() * x));
         assert!(p3p(&on_line).is_empty());
         assert!(p3p(&[on_line[0]; 3]).is_empty());
         assert!(p3p(&[(Vector3::repeat(f64::NAN), Vector2::zeros()); 3]).is_empty());

@@ -1,6 +1,6 @@
-//! Real roots of small polynomials, without the heap: what the minimal solvers end in.
+//! Real roots of small polynomials, without heap allocation, for the minimal solvers.
 
-/// The highest degree that is solved (the five-point problem's).
+/// Highest degree that is solved: that of the five-point problem.
 pub const MAX_DEGREE: usize = 10;
 
 /// The real roots of one polynomial.
@@ -11,7 +11,7 @@ pub struct RealRoots {
 }
 
 impl RealRoots {
-    /// The roots found.
+    /// The roots as a slice.
     pub fn as_slice(&self) -> &[f64] {
         &self.values[..self.count]
     }
@@ -24,13 +24,13 @@ impl RealRoots {
     }
 }
 
-/// All real roots of `sum_i coefficients[i] x^i`, those within [-1, 1] first, each group ascending in `x` or `1 / x`.
+/// All real roots of `sum_i coefficients[i] x^i`: those within [-1, 1] ascending, then the others ascending in `1 / x`.
 ///
 /// Between two neighbouring critical points a polynomial is monotone, so the roots of every derivative bracket those
-/// of the one before. Roots beyond 1 are found as the reciprocals of the reversed polynomial's, which keeps all
-/// arithmetic on [-1, 1], where no power overflows. Coefficients beyond [`MAX_DEGREE`] are not read.
+/// of the one before. Roots beyond 1 are reciprocals of roots of the reversed polynomial; all arithmetic stays
+/// on [-1, 1], where powers do not overflow. Coefficients beyond [`MAX_DEGREE`] are not read.
 ///
-/// A pair of roots closer than rounding can part them comes back as one root or as two equal ones.
+/// Two roots that rounding cannot separate are returned as one root or as two equal ones.
 pub fn real_roots(coefficients: &[f64]) -> RealRoots {
     let degree = coefficients.len().saturating_sub(1).min(MAX_DEGREE);
     let mut polynomial = Polynomial { coefficients: [0.0; MAX_DEGREE + 1], degree };
@@ -52,10 +52,10 @@ pub fn real_roots(coefficients: &[f64]) -> RealRoots {
     roots
 }
 
-/// The searched interval is a little wider than [-1, 1], so that a root at its very end still changes the sign.
+/// End of the searched interval, a little beyond 1: a root at exactly 1 still changes the sign.
 const END: f64 = 1.0 + 1e-9;
 
-/// A touching point counts as a double root when its value is below this share of the sum of all coefficients.
+/// An extremum is a double root where its value is below this share of the sum of all absolute coefficients.
 const DOUBLE_ROOT_TOLERANCE: f64 = 1e-13;
 
 struct Polynomial {
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn products_of_linear_and_quadratic_factors_give_their_real_roots_back() {
+    fn products_of_known_factors_give_their_real_roots() {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(2);
         for _ in 0..300 {
             let mut truth: Vec<f64> = (0..6).map(|i| i as f64 - 2.5 + rng.random_range(-0.3..0.3)).collect();
@@ -195,7 +195,7 @@ mod tests {
     }
 
     #[test]
-    fn not_a_number_is_survived() {
+    fn non_finite_coefficients_do_not_panic() {
         real_roots(&[f64::NAN; 11]);
         real_roots(&[f64::INFINITY, 1.0, f64::NEG_INFINITY]);
     }

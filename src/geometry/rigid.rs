@@ -7,30 +7,30 @@ use std::ops::Mul;
 /// `x_target = rotation * x_source + translation`.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Rigid {
-    /// Orthonormal, determinant +1.
+    /// Rotation matrix of determinant +1.
     pub rotation: Matrix3<f64>,
-    /// Metres, in the target frame.
+    /// Position of the source's origin in the target frame, m.
     pub translation: Vector3<f64>,
 }
 
 impl Rigid {
-    /// The motion that moves nothing.
+    /// The identity.
     pub fn identity() -> Self {
         Self { rotation: Matrix3::identity(), translation: Vector3::zeros() }
     }
 
-    /// `a_from_b.inverse()` is `b_from_a`.
+    /// The inverse motion: `a_from_b.inverse()` is `b_from_a`.
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.transpose();
         Self { rotation, translation: -(rotation * self.translation) }
     }
 
-    /// A point of the source frame in the target frame.
+    /// Maps a point of the source frame to the target frame.
     pub fn transform(&self, point: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * point + self.translation
     }
 
-    /// Where the target's origin lies in the source frame; for `camera_from_world` the camera's centre.
+    /// Position of the target's origin in the source frame; for `camera_from_world` the camera's centre.
     pub fn center(&self) -> Vector3<f64> {
         -(self.rotation.transpose() * self.translation)
     }

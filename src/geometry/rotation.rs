@@ -7,13 +7,13 @@ pub fn skew(a: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::new(0.0, -a.z, a.y, a.z, 0.0, -a.x, -a.y, a.x, 0.0)
 }
 
-/// The vector a of a matrix's antisymmetric part times two, `A - A^T = [a]x`: an increment `A exp(e)` changes the trace
+/// The vector a of `A - A^T = [a]x`, twice the antisymmetric part of a matrix: an increment `A exp(e)` changes the trace
 /// by `-e . a`.
 pub fn axial(m: &Matrix3<f64>) -> Vector3<f64> {
     Vector3::new(m.m32 - m.m23, m.m13 - m.m31, m.m21 - m.m12)
 }
 
-/// Below this angle (rad) the closed forms lose digits and their Taylor series is exact to rounding.
+/// Below this angle (rad) the closed forms lose digits and their Taylor series are exact to rounding.
 const SMALL_ANGLE: f64 = 1e-4;
 
 /// Rotation by `|w|` radians about `w` (Rodrigues).
@@ -74,12 +74,12 @@ pub fn angle_between(a: &Matrix3<f64>, b: &Matrix3<f64>) -> f64 {
     log(&(a.transpose() * b)).norm()
 }
 
-/// The first two columns of a rotation, one after the other: the continuous form that networks speak.
+/// The first two columns of a rotation, one after the other: the continuous 6D form used by networks.
 pub fn to_6d(r: &Matrix3<f64>) -> [f64; 6] {
     [r.m11, r.m21, r.m31, r.m12, r.m22, r.m32]
 }
 
-/// A rotation from two columns by Gram and Schmidt: `b1 = a / |a|`, `b2` the part of b across `b1`, `b3 = b1 x b2`.
+/// A rotation from two columns by Gram and Schmidt: `b1 = a / |a|`, `b2` the part of b perpendicular to `b1`, `b3 = b1 x b2`.
 ///
 /// `None` where the columns are zero or parallel.
 pub fn from_6d(columns: &[f64; 6]) -> Option<Matrix3<f64>> {
@@ -92,9 +92,9 @@ pub fn from_6d(columns: &[f64; 6]) -> Option<Matrix3<f64>> {
     Some(Matrix3::from_columns(&[b1, b2, b1.cross(&b2)]))
 }
 
-/// Gradient to two columns from that to the right increment e of [`from_6d`]'s rotation.
+/// Gradient by the two columns, from the gradient by the right increment e of the rotation of [`from_6d`].
 ///
-/// With the part p of b across `b1`, `e_3 = b2 . da / |a|`, `e_2 = -b3 . da / |a|`,
+/// With the part p of b perpendicular to `b1`, `e_3 = b2 . da / |a|`, `e_2 = -b3 . da / |a|`,
 /// `e_1 = b3 . (db - (b1 . b) da / |a|) / |p|`. Zero where the columns are zero or parallel.
 pub fn from_6d_backward(columns: &[f64; 6], d_increment: &Vector3<f64>) -> [f64; 6] {
     let Some(r) = from_6d(columns) else { return [0.0; 6] };
@@ -106,20 +106,20 @@ pub fn from_6d_backward(columns: &[f64; 6], d_increment: &Vector3<f64>) -> [f64;
     [d_a.x, d_a.y, d_a.z, d_b.x, d_b.y, d_b.z]
 }
 
-/// The least rotation that takes the direction of `a` to that of `b`; about some axis across `a` where they are
-/// opposite. The identity where one of them is zero.
+/// The smallest rotation from the direction of `a` to that of `b`; for opposite directions about an arbitrary axis
+/// perpendicular to `a`. The identity where one of them is zero.
 pub fn rotation_between(a: &Vector3<f64>, b: &Vector3<f64>) -> Matrix3<f64> {
     let (Some(a), Some(b)) = (a.try_normalize(0.0), b.try_normalize(0.0)) else {
         return Matrix3::identity();
     };
     let cross = a.cross(&b);
     let angle = cross.norm().atan2(a.dot(&b));
-    // Nearly opposite directions leave an axis of rounding: what is not across a is taken out again.
+    // The axis of nearly opposite directions is mostly rounding error: its component along a is removed.
     let across = cross.try_normalize(1e-300).and_then(|axis| (axis - a * a.dot(&axis)).try_normalize(0.5));
     exp(&(across.unwrap_or_else(|| any_perpendicular(&a)) * angle))
 }
 
-/// Some unit vector perpendicular to `a`: across the axis along which `a` is shortest.
+/// A unit vector perpendicular to `a` and to the axis of the smallest component of `a`.
 pub fn any_perpendicular(a: &Vector3<f64>) -> Vector3<f64> {
     let mut axis = Vector3::zeros();
     axis[a.iamin()] = 1.0;

@@ -10,32 +10,32 @@ use std::ops::Mul;
 pub struct Similarity {
     /// Target units per source unit, positive.
     pub scale: f64,
-    /// Orthonormal, determinant +1.
+    /// Rotation matrix of determinant +1.
     pub rotation: Matrix3<f64>,
-    /// In the target frame.
+    /// In target units.
     pub translation: Vector3<f64>,
 }
 
 impl Similarity {
-    /// The transform that moves nothing.
+    /// The identity.
     pub fn identity() -> Self {
         Self { scale: 1.0, rotation: Matrix3::identity(), translation: Vector3::zeros() }
     }
 
-    /// A point of the source frame in the target frame.
+    /// Maps a point of the source frame to the target frame.
     pub fn transform(&self, point: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * point * self.scale + self.translation
     }
 
-    /// `a_from_b.inverse()` is `b_from_a`.
+    /// The inverse transform: `a_from_b.inverse()` is `b_from_a`.
     pub fn inverse(&self) -> Self {
         let rotation = self.rotation.transpose();
         Self { scale: 1.0 / self.scale, rotation, translation: -(rotation * self.translation) / self.scale }
     }
 
-    /// The same camera seen from the target world: `camera_from_source` becomes `camera_from_target`.
+    /// The pose of the same camera in the target world: `camera_from_source` becomes `camera_from_target`.
     ///
-    /// Images do not change: the camera's own frame takes the target's unit of length.
+    /// Images do not change: the camera frame takes the target's unit of length.
     pub fn move_camera(&self, camera_from_source: &Rigid) -> Rigid {
         let center = self.transform(&camera_from_source.center());
         let rotation = camera_from_source.rotation * self.rotation.transpose();
@@ -54,7 +54,7 @@ impl Mul for Similarity {
     }
 }
 
-/// Whether an alignment may stretch.
+/// Whether an alignment estimates the scale.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ScaleMode {
     /// The scale is estimated.
@@ -86,13 +86,13 @@ pub enum AlignError {
         /// The first such pair.
         index: usize,
     },
-    /// The points of one side lie on a line or in one place: the rotation about it is free.
-    #[error("the points lie on a line")]
+    /// The points of one set lie on a line or coincide: the rotation is not determined.
+    #[error("the points lie on a line: at least 3 points that span a plane expected")]
     Degenerate,
 }
 
-/// Second singular values below this share of the first are a line: rounding of positions 1e6 times as far away as the
-/// points are apart stays below it.
+/// Points lie on a line where the second singular value is below this share of the first. Rounding errors of positions
+/// 1e6 times as far away as the points are apart stay below it.
 const LINE_TOLERANCE: f64 = 1e-9;
 
 /// Aligns two point sets by the least-squares similarity transform.
@@ -100,7 +100,7 @@ const LINE_TOLERANCE: f64 = 1e-9;
 /// `min sum_i |y_i - (c R x_i + t)|^2`: Umeyama, PAMI 13(4), 1991, Eqs. (38) to (43).
 ///
 /// `source` (x), `target` (y): n pairs, n >= 3, any two frames. Returns `target_from_source`. Reflections are excluded
-/// (the sign matrix of Eq. (43)): a mirrored set gets its best proper rotation. Points in one plane are enough.
+/// (the sign matrix of Eq. (43)): a mirrored set gets its best proper rotation. Coplanar points suffice.
 ///
 /// # Errors
 /// [`AlignError`]: see its variants.
@@ -117,7 +117,7 @@ pub fn similarity_from_points(
     let covariance =
         pairs.fold(Matrix3::zeros(), |sum, (x, y)| sum + (y - target_mean) * (x - source_mean).transpose()) / n; // Eq. (38)
     let svd = svd::decompose(&covariance);
-    // Two empty products (both singular values zero) are a line as well, hence not `<`.
+    // `<=` and not `<`: both singular values are zero for coinciding points.
     if svd.singular[1] <= LINE_TOLERANCE * svd.singular[0] {
         return Err(AlignError::Degenerate);
     }

@@ -1,7 +1,7 @@
 //! Singular value decomposition of 3x3 matrices by one-sided Jacobi rotations, and the nearest rotation.
 //!
-//! Why not nalgebra's: its 3x3 case goes through the eigenvectors of `m^T m` and loses half the digits where singular
-//! values are far apart, just where rotations near pi and collinear points are decided.
+//! Why not nalgebra's: its 3x3 case uses the eigenvectors of `m^T m` and loses half the digits where singular values are far
+//! apart, as for rotations near pi and for nearly collinear points.
 
 use super::rotation;
 use nalgebra::{Matrix3, Vector3};
@@ -11,26 +11,26 @@ use nalgebra::{Matrix3, Vector3};
 pub struct Svd {
     /// Left singular vectors in the columns.
     pub u: Matrix3<f64>,
-    /// Not negative, descending.
+    /// Singular values, not negative, descending.
     pub singular: Vector3<f64>,
     /// Right singular vectors in the columns.
     pub v: Matrix3<f64>,
 }
 
-/// Far more sweeps than convergence (quadratic, some 5) needs; bounds the work on non-finite input.
+/// Limit of sweeps, far above the some 5 of quadratic convergence; bounds the work on non-finite input.
 const MAX_SWEEPS: usize = 30;
 
-/// A column shorter than this share of the longest one is rounding: its direction is completed, not normalised.
+/// A column shorter than this share of the longest one is rounding error: its direction is replaced, not normalised.
 const RANK_TOLERANCE: f64 = 1e-14;
 
-/// Decomposes a matrix: Hestenes' method, columns of `m v` are turned until they are orthogonal.
+/// Decomposes a matrix by Hestenes' method: rotates columns of `m v` until they are orthogonal.
 ///
-/// Rank-deficient input gets orthonormal `u` and `v` all the same. Non-finite input gives non-finite output.
+/// `u` and `v` are orthonormal for rank-deficient input too. Non-finite input gives non-finite output.
 pub fn decompose(m: &Matrix3<f64>) -> Svd {
     let (mut b, mut v) = (*m, Matrix3::identity());
     for _ in 0..MAX_SWEEPS {
-        let turned = [(0, 1), (0, 2), (1, 2)].map(|(p, q)| orthogonalize_columns(&mut b, &mut v, p, q));
-        if turned == [false; 3] {
+        let rotated = [(0, 1), (0, 2), (1, 2)].map(|(p, q)| orthogonalize_columns(&mut b, &mut v, p, q));
+        if rotated == [false; 3] {
             break;
         }
     }
@@ -43,14 +43,14 @@ pub fn decompose(m: &Matrix3<f64>) -> Svd {
     Svd { u: left_vectors(&b, &singular), singular, v }
 }
 
-/// Turns columns `p` and `q` of `b` (and `v` with them) so that they are orthogonal; false where they were already.
+/// Rotates columns `p` and `q` of `b` (and of `v`) so that those of `b` become orthogonal; false where they were already.
 fn orthogonalize_columns(b: &mut Matrix3<f64>, v: &mut Matrix3<f64>, p: usize, q: usize) -> bool {
     let (pp, qq) = (b.column(p).norm_squared(), b.column(q).norm_squared());
     let pq = b.column(p).dot(&b.column(q));
     if pq * pq <= f64::EPSILON * f64::EPSILON * pp * qq {
         return false;
     }
-    // The smaller root of t^2 + 2 zeta t - 1: the tangent of the turn, at most 45 degrees.
+    // The smaller root of t^2 + 2 zeta t - 1: the tangent of the angle, at most 45 degrees.
     let zeta = (qq - pp) / (2.0 * pq);
     let tangent = zeta.signum() / (zeta.abs() + zeta.hypot(1.0));
     let cosine = 1.0 / tangent.hypot(1.0);
@@ -65,7 +65,7 @@ fn orthogonalize_columns(b: &mut Matrix3<f64>, v: &mut Matrix3<f64>, p: usize, q
     true
 }
 
-/// Normalised columns of `b`; those that vanish are completed to an orthonormal basis.
+/// Normalised columns of `b`; vanishing ones are completed to an orthonormal basis.
 fn left_vectors(b: &Matrix3<f64>, singular: &Vector3<f64>) -> Matrix3<f64> {
     if singular[0] == 0.0 {
         return Matrix3::identity();
@@ -83,7 +83,7 @@ fn left_vectors(b: &Matrix3<f64>, singular: &Vector3<f64>) -> Matrix3<f64> {
 
 /// The rotation nearest to a matrix in Frobenius norm: `U diag(1, 1, det U V^T) V^T` (Umeyama 1991, Lemma).
 ///
-/// Where it is not unique (rank below 2, or a reflection with two equal smallest singular values) one of the nearest.
+/// One of the nearest where it is not unique: rank below 2, or a reflection with two equal smallest singular values.
 /// Non-finite input gives non-finite output.
 pub fn nearest_rotation(m: &Matrix3<f64>) -> Matrix3<f64> {
     let Svd { mut u, v, .. } = decompose(m);
@@ -108,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn every_rank_is_decomposed_to_rounding() {
+    fn matrices_of_every_rank_are_decomposed() {
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(1);
         assert_decomposes(&Matrix3::zeros());
         for _ in 0..200 {

@@ -1,27 +1,27 @@
-//! Points from several views, linear.
+//! Linear triangulation of points from two or more views.
 
 use super::rigid::Rigid;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-/// One view's sight of a point.
+/// The observation of a point in one view.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PointObservation<'a> {
     /// The view's pose.
     pub camera_from_world: &'a Rigid,
     /// Ideal normalised coordinates.
     pub normalized: Vector2<f64>,
-    /// Worth, not negative; zero to ignore.
+    /// Weight, not negative; observations of weight zero are ignored.
     pub weight: f64,
 }
 
-/// Normal matrices whose determinant is below this share of an isotropic one's are not solved: for two rays, an angle
-/// of some 0.06 degrees.
+/// Normal matrices with a determinant below this share of that of an isotropic matrix are singular: for two rays, an
+/// angle of some 0.06 degrees.
 const MIN_DETERMINANT: f64 = 1e-6;
 
 /// The point nearest to all rays: `min_x sum w |(I - n n^T)(x - C)|^2`, metres in the world.
 ///
-/// `None` with fewer than two rays, with rays too parallel, or when the point is behind one of the cameras. Errors are
-/// metric, not angular: a far camera pulls as hard as a near one.
+/// `None` with fewer than two rays, with nearly parallel rays, or where the point is behind one of the cameras. Errors
+/// are metric, not angular: distant cameras weigh as much as near ones.
 pub fn triangulate_linear(observations: &[PointObservation<'_>]) -> Option<Vector3<f64>> {
     let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
     for observation in observations.iter().filter(|s| s.weight > 0.0) {
@@ -36,23 +36,24 @@ pub fn triangulate_linear(observations: &[PointObservation<'_>]) -> Option<Vecto
     observations.iter().all(in_front).then_some(point)
 }
 
-/// Solves the normal equations of rays; `None` where the rays leave the point open.
+/// Solves the normal equations of rays; `None` where the rays do not determine a point.
 fn solve_rays(normal: &Matrix3<f64>, right: &Vector3<f64>) -> Option<Vector3<f64>> {
     let mean = normal.trace() / 3.0;
     let solvable = normal.determinant() > MIN_DETERMINANT * mean * mean * mean;
     if solvable { Some(normal.cholesky()?.solve(right)) } else { None }
 }
 
-/// The point nearest to both rays (first camera's frame) and whether it is in front of both; `None` for parallel rays.
+/// The midpoint of the shortest segment between two rays (first camera's frame), and whether it is in front of both cameras.
+///
+/// Minimises `|s u - (c + t v)|^2` over the depths s, t: a 2x2 system. `None` for rays at less than 0.06 degrees.
 pub fn midpoint(second_from_first: &Rigid, a: &Vector2<f64>, b: &Vector2<f64>) -> Option<(Vector3<f64>, bool)> {
     let center = second_from_first.center();
     let u = Vector3::new(a.x, a.y, 1.0);
     let v = second_from_first.rotation.transpose() * Vector3::new(b.x, b.y, 1.0);
-    // Minimise |s u - (center + t v)|^2: a 2x2 system.
     let (uu, vv, uv) = (u.dot(&u), v.dot(&v), u.dot(&v));
     let det = uu * vv - uv * uv;
-    if det < 1e-6 * uu * vv {
-        return None; // less than 0.06 degrees between the rays
+    if det < MIN_DETERMINANT * uu * vv {
+        return None;
     }
     let (uc, vc) = (u.dot(&center), v.dot(&center));
     let s = (uc * vv - vc * uv) / det;
@@ -82,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn exact_rays_meet_in_their_point() {
+    fn exact_rays_give_the_exact_point() {
         let cameras = ring(5);
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         for _ in 0..100 {
@@ -92,18 +93,18 @@ mod tests {
             assert!((triangulate_linear(&seen[1..3]).unwrap() - point).norm() < 1e-13);
             seen[0].normalized.x += 1.0;
             seen[0].weight = 0.0;
-            assert!((triangulate_linear(&seen).unwrap() - point).norm() < 1e-13, "no weight, no say");
+            assert!((triangulate_linear(&seen).unwrap() - point).norm() < 1e-13, "weight zero");
         }
     }
 
     #[test]
-    fn open_or_impossible_points_are_none() {
+    fn undetermined_points_are_none() {
         let cameras = ring(3);
         let seen = observations(&cameras, &Vector3::zeros());
         assert_eq!(triangulate_linear(&[]), None);
         assert_eq!(triangulate_linear(&seen[..1]), None);
         assert_eq!(triangulate_linear(&[seen[0], seen[0]]), None, "parallel");
-        // Two cameras side by side whose rays part in front of them meet behind.
+        // Rays that diverge in front of two cameras side by side meet behind them.
         let side = Rigid { translation: Vector3::x() * -1.0, ..Rigid::identity() };
         let apart =
             |camera, x| PointObservation { camera_from_world: camera, normalized: Vector2::new(x, 0.0), weight: 1.0 };

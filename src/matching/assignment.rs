@@ -1,9 +1,9 @@
 //! Minimum-cost assignment of rows to columns.
 
-/// Assigns rows to columns so that the summed cost is least; every pair at or above `forbidden` stays unassigned.
+/// Assigns rows to columns at the least total cost; pairs that cost `forbidden` or more stay unassigned.
 ///
 /// Shortest augmenting paths with potentials (Jonker and Volgenant 1987), O(n^3). `cost(row, column)` must be finite.
-/// Returns the column of each row.
+/// Returns the column of each row; `None` for unassigned rows.
 pub fn assign(
     n_rows: usize,
     n_columns: usize,
@@ -13,7 +13,7 @@ pub fn assign(
     if n_rows == 0 || n_columns == 0 {
         return vec![None; n_rows];
     }
-    // A row may always take its own dummy column at cost `forbidden`, which makes the problem feasible and rectangular.
+    // Each row has a private dummy column at cost `forbidden`: the problem is always feasible.
     let n = n_rows;
     let m = n_columns + n_rows;
     let entry = |i: usize, j: usize| if j < n_columns { cost(i, j).min(forbidden) } else { forbidden };
@@ -31,7 +31,7 @@ pub fn assign(
     column_of
 }
 
-/// Grows the matching by row `start` (1-based) along the cheapest alternating path.
+/// Adds row `start` (1-based) to the matching along the cheapest alternating path.
 fn augment(
     start: usize,
     m: usize,

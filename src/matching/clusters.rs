@@ -1,4 +1,4 @@
-//! Tracklets of one person, across views: agglomeration under known (rough) cameras.
+//! Clusters of tracklets of one person, across views: agglomeration under approximate camera poses.
 
 use super::normalized::NormalizedView;
 use super::pair_score::{VOTE_RADIUS, similarity};
@@ -7,19 +7,19 @@ use crate::geometry::Rigid;
 use crate::geometry::epipolar::essential_from_pose;
 use rayon::prelude::*;
 
-/// Similarity at which a pair of tracklets speaks neither for nor against being one person.
+/// Similarity at which two tracklets are as likely one person as two.
 const NEUTRAL: f64 = 0.45;
 
-/// Frames of an overlap that are looked at.
+/// Frames of an overlap that are compared, at most.
 const MAX_FRAMES: usize = 30;
 
-/// Tracklets per view that take part, longest first: bounds the cost of long sessions, and the longest carry the poses.
+/// Tracklets per view that are clustered, longest first: bounds the cost of long sessions; the longest determine the poses.
 const MAX_TRACKLETS: usize = 60;
 
 /// Tracklets of one person: pairs of view and index into that view's tracklets.
 pub type Cluster = Vec<(usize, usize)>;
 
-/// Groups tracklets into people; never two of one view at one time. Clusters of at least two views, largest first.
+/// Groups tracklets into persons, never two of the same view in the same frame. Clusters of at least two views, largest first.
 pub fn clusters(views: &[NormalizedView], tracklets: &[Vec<Tracklet>], cameras: &[Option<Rigid>]) -> Vec<Cluster> {
     let nodes = nodes(tracklets, cameras);
     let affinity = affinities(views, tracklets, cameras, &nodes);
@@ -42,7 +42,7 @@ fn nodes(tracklets: &[Vec<Tracklet>], cameras: &[Option<Rigid>]) -> Vec<(usize, 
     nodes
 }
 
-/// Summed (similarity - neutral) over the overlap of every two tracklets of different views.
+/// Sum of (similarity - neutral) over the overlap of every two tracklets of different views.
 fn affinities(
     views: &[NormalizedView],
     tracklets: &[Vec<Tracklet>],
@@ -79,22 +79,22 @@ fn affinities(
 /// Merges the two groups with the largest summed affinity until none is positive.
 fn agglomerate(nodes: &[(usize, usize)], tracklets: &[Vec<Tracklet>], affinity: Vec<Vec<f64>>) -> Vec<Cluster> {
     let n = nodes.len();
-    let at_once = |i: usize, j: usize| nodes[i].0 == nodes[j].0 && share_a_frame(nodes[i], nodes[j], tracklets);
-    // Full symmetric tables; `-inf` marks groups that hold two people of one view at one time.
+    let is_conflict = |i: usize, j: usize| nodes[i].0 == nodes[j].0 && share_a_frame(nodes[i], nodes[j], tracklets);
+    // Symmetric; `-inf` for groups that hold two detections of the same view and frame.
     let mut sum = vec![vec![0.0f64; n]; n];
     for i in 0..n {
         for j in 0..i {
-            let value = if at_once(i, j) { f64::NEG_INFINITY } else { affinity[i][j] };
+            let value = if is_conflict(i, j) { f64::NEG_INFINITY } else { affinity[i][j] };
             sum[i][j] = value;
             sum[j][i] = value;
         }
     }
     let mut members: Vec<Vec<usize>> = (0..n).map(|i| vec![i]).collect();
-    let mut alive: Vec<bool> = vec![true; n];
+    let mut is_open: Vec<bool> = vec![true; n];
     loop {
         let mut best = (0.0, 0, 0);
-        for i in (0..n).filter(|&i| alive[i]) {
-            for j in (0..i).filter(|&j| alive[j]) {
+        for i in (0..n).filter(|&i| is_open[i]) {
+            for j in (0..i).filter(|&j| is_open[j]) {
                 if sum[i][j] > best.0 {
                     best = (sum[i][j], i, j);
                 }
@@ -104,10 +104,10 @@ fn agglomerate(nodes: &[(usize, usize)], tracklets: &[Vec<Tracklet>], affinity: 
         if value <= 0.0 {
             break;
         }
-        alive[i] = false;
+        is_open[i] = false;
         let moved = std::mem::take(&mut members[i]);
         members[j].extend(moved);
-        for k in (0..n).filter(|&k| alive[k] && k != j) {
+        for k in (0..n).filter(|&k| is_open[k] && k != j) {
             let merged = sum[i][k] + sum[j][k];
             sum[j][k] = merged;
             sum[k][j] = merged;

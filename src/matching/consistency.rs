@@ -1,8 +1,8 @@
-//! How well detections agree with each other (geometry) and with where a person should be (physics), in noise units.
+//! Affinities of detections with each other (geometry) and with a predicted person (physics).
 //!
-//! The paper's two costs, Huang et al. 2021 Sec. 3.2: distance of two rays, and of a ray to the person's joint, as
-//! affinities. Printed, the first is blind for nearly parallel rays: here it is the true gap. Both are divided by what
-//! the detector's noise makes them, not by metres of one scene: `A = 1 - mean e^2 / (e^2 + s^2)`.
+//! The two costs of Huang et al. 2021, Sec. 3.2, as affinities: the distance of two rays, and of a ray to the person's joint.
+//! The published form of the first vanishes for nearly parallel rays; here it is the distance of the lines. Both are divided
+//! by their standard deviations under the detector's noise: `A = 1 - mean e^2 / (e^2 + s^2)`.
 
 use super::normalized::NormalizedDetection;
 use crate::body::detector_noise::DetectorNoise;
@@ -12,8 +12,8 @@ use crate::geometry::epipolar::{PluckerRay, ray_ray_distance};
 use crate::geometry::projection::NormalizedProjection;
 use crate::optim::robust::OUTLIER_SIGMAS;
 
-/// Keypoints that must be shared before an affinity says anything, and the number below which what is missing counts as
-/// disagreement: two joints that fit are some evidence, four are enough.
+/// Fewest shared keypoints for an affinity, and the number below which missing keypoints count as disagreement: two
+/// joints that fit are weak evidence, four are enough.
 const MIN_SHARED: usize = 2;
 const ENOUGH_SHARED: usize = 4;
 
@@ -22,40 +22,40 @@ pub const GEOMETRY_WEIGHT: f64 = 0.7;
 /// See [`GEOMETRY_WEIGHT`].
 pub const PHYSICS_WEIGHT: f64 = 0.3;
 
-/// Which of a detection's keypoints stands for each keypoint of the body.
+/// For each keypoint of the body the keypoint of a detection that shows it.
 pub type Order = [usize];
 
-/// A detection by a placed camera.
+/// A detection with its camera's pose and the noise of its keypoints.
 #[derive(Debug, Clone)]
 pub struct PosedDetection<'a> {
     /// `camera_from_world`, m.
     pub camera: &'a Rigid,
-    /// What was seen.
+    /// The detection.
     pub detection: &'a NormalizedDetection,
-    /// How many times the noise of a best keypoint each keypoint has ($f(c)$); `None` where it is too doubtful to have a
-    /// say.
+    /// Noise of each keypoint over that of a keypoint of full confidence ($f(c)$); `None` for keypoints of too low
+    /// confidence.
     factors: Vec<Option<f64>>,
 }
 
 impl<'a> PosedDetection<'a> {
-    /// `noise`: how far the detector errs.
+    /// `noise`: standard deviations of the detector.
     pub fn new(camera: &'a Rigid, detection: &'a NormalizedDetection, noise: &DetectorNoise) -> Self {
         let factor = |c: &f64| (*c >= DETECTOR.comparable).then(|| noise.factor(*c));
         Self { camera, detection, factors: detection.confidence.iter().map(factor).collect() }
     }
 }
 
-/// How well a detection agrees with something.
+/// Agreement of a detection with an expectation.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Agreement {
-    /// 0 to 1.
+    /// Affinity, 0 to 1.
     pub affinity: f64,
-    /// Keypoints that had a say.
+    /// Number of compared keypoints.
     pub n_shared: usize,
 }
 
-/// Squared distance of keypoint `from` to where the body's `keypoint` is expected, in variances; `None` where it is not
-/// seen or too doubtful.
+/// Squared distance of keypoint `from` from the expected position of the body's `keypoint`, in variances; `None` where it
+/// is missing or of too low confidence.
 pub fn squared_misfit(
     seen: &PosedDetection,
     from: usize,
@@ -68,7 +68,7 @@ pub fn squared_misfit(
     Some(offset.norm_squared())
 }
 
-/// Agreement of a detection with a person's expected points; `None` where too little is shared.
+/// Agreement of a detection with a person's expected points; `None` with too few shared keypoints.
 pub fn physics_affinity(
     seen: &PosedDetection,
     expected: &[Option<NormalizedProjection>],
@@ -84,7 +84,7 @@ pub fn geometry_affinity(one: &PosedDetection, other: &PosedDetection, noise: &D
     let gap = |(k, sigma_m): (usize, &f64)| {
         let [factor_a, factor_b] = [one.factors[k]?, other.factors[k]?];
         let [a, b] = [one, other].map(|s| PluckerRay::through(s.camera, &s.detection.normalized[k]));
-        // Both rays are uncertain, in the one direction across both of them.
+        // Both rays are uncertain in the one direction perpendicular to both.
         let gap = ray_ray_distance(&a, &b) / (sigma_m * factor_a.hypot(factor_b));
         Some(gap * gap)
     };
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_person_agrees_and_a_neighbour_does_not() {
+    fn only_detections_of_the_same_person_agree() {
         let person: Vec<_> =
             (0..17).map(|k| Vector3::new(0.1 * (k % 3) as f64, 0.15 * k as f64, 0.05 * k as f64)).collect();
         let neighbour: Vec<_> = person.iter().map(|p| p + Vector3::new(0.6, 0.3, 0.2)).collect();

@@ -1,10 +1,15 @@
-//! Who is who: tracklets per view, hypotheses of camera pairs that whole tracklets vote for, the 3D tracker.
+//! Association of detections to persons: tracklets per view, hypotheses of camera pairs, the 3D tracker.
 //!
-//! Nothing is given: no identities, no camera poses. The way from detections to people is
-//! [`detections`] (what every view saw, as rays) → [`tracklets`] (who is who within one view, split rather than swapped)
-//! → [`pair_hypotheses`] (relative poses of two cameras that many tracklets agree on, judged by [`pair_score`]) →
-//! [`view_graph`] (one pose per camera) → [`clusters`] (tracklets of one person, across views) → [`tracker`] (every
-//! detection given to a person under known cameras).
+//! Neither identities nor camera poses are given. Without poses the steps are
+//!
+//! 1. [`normalized`]: detections of every view in ideal normalised coordinates
+//! 2. [`tracklets`]: consecutive detections of one person within a view, split rather than swapped in case of doubt
+//! 3. [`pair_hypotheses`]: relative poses of two cameras that many tracklets agree on, scored by [`pair_score`]
+//! 4. [`view_graph`]: one pose per camera
+//! 5. [`clusters`]: tracklets of one person, across views
+//!
+//! and under known poses [`tracker`], which assigns every detection to a person, and [`convex`], which matches the
+//! detections of one frame by the affinities of [`consistency`]. [`assignment`] is the minimum-cost assignment for all.
 
 pub mod assignment;
 pub mod clusters;

@@ -1,27 +1,27 @@
-//! What every view saw, as rays: undistorted, normalised, with an apparent size.
+//! Detections of every view in ideal normalised coordinates: undistorted, over the focal length, with an apparent size.
 
 use crate::body::detector_profile::DETECTOR;
 use crate::session::{Detection, Session, View};
 use nalgebra::Vector2;
 
-/// A person of ordinary build standing upright spans this much from eyes to ankles, m: turns an apparent size into a depth.
+/// Height from ankles to eyes of an average standing person, m: relates apparent size to depth.
 pub const BODY_SPAN_M: f64 = 1.6;
 
-/// One detection as rays.
+/// A detection in ideal normalised coordinates.
 #[derive(Debug, Clone)]
 pub struct NormalizedDetection {
     /// Ideal normalised image coordinates per named keypoint; meaningless where `confidence` is 0.
     pub normalized: Vec<Vector2<f64>>,
     /// Confidence per named keypoint, 0 where missing.
     pub confidence: Vec<f64>,
-    /// Larger side of the box of all points, normalised units.
+    /// Larger side of the bounding box of all keypoints, normalised units.
     pub size: f64,
-    /// The detector's own track.
+    /// The detector's track number.
     pub track_id: Option<i64>,
 }
 
 impl NormalizedDetection {
-    /// One detection by `view`; its first `n_keypoints` are the named ones.
+    /// Normalises a detection of `view`; its first `n_keypoints` keypoints are the named ones.
     pub fn from_detection(view: &View, detection: &Detection, n_keypoints: usize) -> Self {
         let mut normalized = Vec::with_capacity(n_keypoints);
         let mut confidence = Vec::with_capacity(n_keypoints);
@@ -40,25 +40,25 @@ impl NormalizedDetection {
         Self { normalized, confidence, size, track_id: detection.track_id }
     }
 
-    /// How many keypoints are usable.
+    /// Number of usable keypoints.
     pub fn n_points(&self) -> usize {
         self.confidence.iter().filter(|c| **c > 0.0).count()
     }
 }
 
-/// Smallest apparent size, normalised units (about 10 px at a focal length of 1000 px): keeps ratios finite.
+/// Smallest apparent size, normalised units (10 px at a focal length of 1,000 px): keeps ratios finite.
 const MIN_SIZE: f64 = 0.01;
 
-/// Everything that one camera saw.
+/// All detections of a view.
 #[derive(Debug, Clone)]
 pub struct NormalizedView {
     /// Mean focal length, px.
     pub focal: f64,
-    /// Sightings by frame, in the order of the session's detections.
+    /// Detections per frame, in the session's order.
     pub frames: Vec<Vec<NormalizedDetection>>,
 }
 
-/// All views of a session as rays.
+/// Normalises all views of a session.
 pub fn normalized_views(session: &Session) -> Vec<NormalizedView> {
     let n_keypoints = session.convention.names().len();
     let of_view = |view: &View| NormalizedView {

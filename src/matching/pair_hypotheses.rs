@@ -1,7 +1,7 @@
-//! Hypotheses of the relative pose of two cameras, each fitted to whole tracklets and judged by everything both saw.
+//! Hypotheses of the relative pose of two cameras, each fitted to whole tracklets and scored on sampled frames of both views.
 
 use super::normalized::NormalizedView;
-use super::pair_score::{Match, PairObservations, PairScore, VOTE_RADIUS, score_pair, vote};
+use super::pair_score::{MatchedPair, PairObservations, PairScore, VOTE_RADIUS, score_pair, vote};
 use super::tracklets::Tracklet;
 use crate::body::detector_profile::DETECTOR;
 use crate::estimation::essential::{EssentialEstimate, estimate_essential, refine_essential};
@@ -11,26 +11,26 @@ use nalgebra::Vector2;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// How many hypotheses are made, and from what.
+/// Data and numbers of hypotheses.
 #[derive(Debug, Clone)]
 pub struct HypothesisConfig {
-    /// Longest tracklets of a view that are tried.
+    /// Number of longest tracklets per view that are paired.
     pub n_tracklets: usize,
-    /// Frames that two tracklets must share.
+    /// Fewest frames that two tracklets must share.
     pub min_overlap: usize,
-    /// Frames of the overlap that are used at most.
+    /// Most frames used of an overlap.
     pub max_frames: usize,
-    /// Point pairs given to one robust fit.
+    /// Most point pairs of one robust fit.
     pub max_points: usize,
     /// Epipolar tolerance of the fit, rad: 6 px at a focal length of 1,060 px.
     pub tolerance: f64,
     /// Minimal samples per fit.
     pub iterations: usize,
-    /// Two-person fits, on the best pairs of tracklet pairs.
+    /// Number of two-person fits, on the best pairs of tracklet pairs.
     pub n_unions: usize,
-    /// Hypotheses that are re-fitted on everything that votes for them.
+    /// Number of hypotheses that are re-fitted on all detections that match under them.
     pub n_refits: usize,
-    /// Hypotheses kept for a pair of views.
+    /// Number of hypotheses kept for a pair of views.
     pub n_kept: usize,
 }
 
@@ -50,24 +50,27 @@ impl Default for HypothesisConfig {
     }
 }
 
-/// A relative pose with its judgement; the translation is in metres as far as the people's bones tell.
+/// A relative pose with its score; the translation is in metres, as far as the lengths of bones determine them.
 #[derive(Debug, Clone)]
 pub struct PairHypothesis {
     /// From the first camera of the pair to the second.
     pub second_from_first: Rigid,
-    /// The judgement.
+    /// Score of the pose.
     pub score: PairScore,
 }
 
 /// A camera pair with its tracklets.
 pub struct CameraPair<'a> {
-    /// Sightings of the first and the second camera.
+    /// Detections of the first and the second camera.
     pub views: [&'a NormalizedView; 2],
     /// Their tracklets.
     pub tracklets: [&'a [Tracklet]; 2],
-    /// What every hypothesis is judged on.
+    /// Detections on which every hypothesis is scored.
     pub observations: PairObservations<'a>,
 }
+
+/// Fewest point pairs of a re-fit: four times the five of a minimal sample.
+const MIN_REFIT_POINTS: usize = 20;
 
 type PointPairs = Vec<(Vector2<f64>, Vector2<f64>)>;
 
@@ -76,11 +79,11 @@ pub fn pair_hypotheses(pair: &CameraPair, seed: u64, config: &HypothesisConfig) 
     let singles = single_fits(pair, seed, config);
     let unions = union_fits(&singles, seed, config);
     let fits = singles.iter().map(|s| s.fit.second_from_first).chain(unions);
-    let mut scored: Vec<PairHypothesis> = fits.map(|pose| judged(pair, pose)).collect();
-    sort_best_first(&mut scored);
-    scored.truncate(config.n_refits);
-    let mut refitted: Vec<PairHypothesis> = scored.iter().map(|h| refit(pair, h, config)).collect();
-    refitted.extend(scored);
+    let mut hypotheses: Vec<PairHypothesis> = fits.map(|pose| scored(pair, pose)).collect();
+    sort_best_first(&mut hypotheses);
+    hypotheses.truncate(config.n_refits);
+    let mut refitted: Vec<PairHypothesis> = hypotheses.iter().map(|h| refit(pair, h, config)).collect();
+    refitted.extend(hypotheses);
     sort_best_first(&mut refitted);
     distinct(refitted, config.n_kept)
 }
@@ -109,7 +112,7 @@ fn single_fits(pair: &CameraPair, seed: u64, config: &HypothesisConfig) -> Vec<S
     fits
 }
 
-/// Fits on the union of two tracklet pairs: one person alone leaves the pose weak.
+/// Fits on the union of two tracklet pairs: a single person determines the pose only weakly.
 fn union_fits(singles: &[SingleFit], seed: u64, config: &HypothesisConfig) -> Vec<Rigid> {
     let mut unions: Vec<(f64, usize, usize)> = Vec::new();
     for i in 0..singles.len() {
@@ -166,30 +169,30 @@ fn point_pairs(pair: &CameraPair, a: usize, b: usize, seed: u64, config: &Hypoth
     points
 }
 
-/// Scores a pose and gives its translation the metric length that the people's bones ask for.
-fn judged(pair: &CameraPair, second_from_first: Rigid) -> PairHypothesis {
+/// Scores a pose and scales its translation to metres by the lengths of bones.
+fn scored(pair: &CameraPair, second_from_first: Rigid) -> PairHypothesis {
     let score = score_pair(&pair.observations, &second_from_first);
     let metres = score.log_metres.exp();
     let metric = Rigid { translation: second_from_first.translation * metres, ..second_from_first };
     PairHypothesis { second_from_first: metric, score: PairScore { log_metres: 0.0, ..score } }
 }
 
-/// Re-fits a hypothesis on all points of all people that vote for it, twice.
+/// Re-fits a hypothesis, twice, on all points of all detections that match under it.
 fn refit(pair: &CameraPair, hypothesis: &PairHypothesis, config: &HypothesisConfig) -> PairHypothesis {
     let mut pose = hypothesis.second_from_first;
     for radius in [VOTE_RADIUS, config.tolerance] {
         let (matches, _) = vote(&pair.observations, &essential_from_pose(&pose));
         let points = matched_points(&matches);
-        if points.len() < 20 {
+        if points.len() < MIN_REFIT_POINTS {
             break;
         }
         let unit = Rigid { translation: pose.translation.normalize(), ..pose };
         pose = refine_essential(&unit, &points, None, radius, 10);
     }
-    judged(pair, pose)
+    scored(pair, pose)
 }
 
-fn matched_points(matches: &[Match]) -> PointPairs {
+fn matched_points(matches: &[MatchedPair]) -> PointPairs {
     let mut points = Vec::new();
     for m in matches {
         let seen = (0..m.first.normalized.len())
@@ -203,15 +206,11 @@ fn sort_best_first(hypotheses: &mut [PairHypothesis]) {
     hypotheses.sort_by(|a, b| b.score.quality.total_cmp(&a.score.quality));
 }
 
-/// The best hypotheses that differ by more than 6 degrees in rotation or 15 in direction.
+/// The best hypotheses that differ by more than [`SAME_POSE_DEG`].
 fn distinct(ordered: Vec<PairHypothesis>, n: usize) -> Vec<PairHypothesis> {
     let mut kept: Vec<PairHypothesis> = Vec::new();
     for h in ordered {
-        let same = |k: &PairHypothesis| {
-            let turn = rotation::angle_between(&k.second_from_first.rotation, &h.second_from_first.rotation);
-            let bend = k.second_from_first.translation.angle(&h.second_from_first.translation);
-            turn < 6f64.to_radians() && bend < 15f64.to_radians()
-        };
+        let same = |k: &PairHypothesis| is_same_pose(&k.second_from_first, &h.second_from_first, SAME_POSE_DEG);
         if kept.len() < n && h.score.quality > 0.0 && !kept.iter().any(same) {
             kept.push(h);
         }
@@ -219,7 +218,16 @@ fn distinct(ordered: Vec<PairHypothesis>, n: usize) -> Vec<PairHypothesis> {
     kept
 }
 
-/// One seed from two: the finaliser of SplitMix64.
+/// Noise of hypotheses, degrees: of the rotation, and of the direction of the baseline.
+pub(super) const SAME_POSE_DEG: [f64; 2] = [6.0, 15.0];
+
+/// Whether two relative poses differ by less than these angles in rotation and in the direction of the baseline.
+pub(super) fn is_same_pose(one: &Rigid, other: &Rigid, [rotation_deg, baseline_deg]: [f64; 2]) -> bool {
+    rotation::angle_between(&one.rotation, &other.rotation) < rotation_deg.to_radians()
+        && one.translation.angle(&other.translation) < baseline_deg.to_radians()
+}
+
+/// Combines two seeds into one: the finaliser of SplitMix64.
 pub fn mix(seed: u64, item: u64) -> u64 {
     let mut x = seed ^ item.wrapping_mul(0x9e37_79b9_7f4a_7c15);
     x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);

@@ -1,4 +1,4 @@
-//! How well a relative pose of two cameras explains what both saw: epipolar votes, cheirality, human proportions.
+//! Scores of relative poses of two cameras: epipolar votes, cheirality, human proportions.
 
 use super::assignment::assign;
 use super::normalized::{NormalizedDetection, NormalizedView};
@@ -10,64 +10,65 @@ use crate::geometry::triangulation::midpoint;
 use crate::optim::robust::median_and_spread;
 use nalgebra::{Matrix3, Vector3};
 
-/// Distance from the epipolar line beyond which a point does not vote, rad: 16 px at a focal length of 1,060 px, four
+/// Distance from the epipolar line beyond which a point has no vote, rad: 16 px at a focal length of 1,060 px, four
 /// times the detectors' own noise on people 4 m away.
 pub const VOTE_RADIUS: f64 = 0.015;
 
-/// A pair of detections below this similarity is no match: chance agreement of two standing people reaches 0.4.
+/// Pairs of detections below this similarity do not match: two standing people agree by chance up to 0.4.
 const MIN_SIMILARITY: f64 = 0.4;
 
-/// Spread (MAD) of log bone ratios at which belief falls to 1/e: true pairs have 0.05 to 0.07, wrong ones 0.1 to 1.
+/// Spread (MAD) of log bone ratios at which the factor of a score falls to 1/e: true pairs have 0.05 to 0.07, wrong ones
+/// 0.1 to 1.
 const BONE_SPREAD: f64 = 0.25;
 
-/// Two detections must share this many points to vote.
+/// Fewest keypoints that two detections must share to match.
 const MIN_SHARED: usize = 6;
 
-/// What two cameras saw at a fixed set of frames.
+/// Detections of two cameras in a fixed set of frames.
 pub struct PairObservations<'a> {
-    /// Sightings of the first and the second camera, frame by frame.
+    /// Detections of the first and the second camera, per frame.
     pub frames: Vec<(&'a [NormalizedDetection], &'a [NormalizedDetection])>,
     /// Bones with reference lengths.
     pub bones: &'a [LimbBone],
 }
 
 impl<'a> PairObservations<'a> {
-    /// The observations of `frames`.
+    /// The detections of `frames`.
     pub fn new(first: &'a NormalizedView, second: &'a NormalizedView, frames: &[usize], bones: &'a [LimbBone]) -> Self {
         let at = |&f: &usize| (first.frames[f].as_slice(), second.frames[f].as_slice());
         Self { frames: frames.iter().map(at).filter(|(a, b)| !a.is_empty() && !b.is_empty()).collect(), bones }
     }
 }
 
-/// The judgement on one relative pose.
+/// The score of a relative pose.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct PairScore {
     /// Matched similarity above chance over the most that was possible, 0 to 1.
     pub vote: f64,
-    /// Share of voting points in front of both cameras.
+    /// Share of matched points in front of both cameras.
     pub cheirality: f64,
     /// Median absolute deviation of log (length / reference) over bones and people.
     pub bone_spread: f64,
     /// Log of the metres that one unit of `second_from_first`'s translation stands for.
     pub log_metres: f64,
-    /// Bones measured.
+    /// Number of measured bones.
     pub n_bones: usize,
-    /// The product that hypotheses are ranked by, 0 to 1.
+    /// The product by which hypotheses are ranked, 0 to 1.
     pub quality: f64,
 }
 
-/// Two detections of one person in one frame.
+/// Two detections that match in one frame.
 #[derive(Debug, Clone, Copy)]
-pub struct Match<'a> {
-    /// In the first camera.
+pub struct MatchedPair<'a> {
+    /// Detection of the first camera.
     pub first: &'a NormalizedDetection,
-    /// In the second camera.
+    /// Detection of the second camera.
     pub second: &'a NormalizedDetection,
-    /// 0 to 1.
+    /// Similarity, 0 to 1.
     pub similarity: f64,
 }
 
-/// Share of agreement of two detections with an essential matrix: mean of `max(0, 1 - (d / r)^2)` over shared points.
+/// Agreement of two detections with an essential matrix, 0 to 1: the mean of `max(0, 1 - (d / r)^2)` over shared points.
 pub fn similarity(essential: &Matrix3<f64>, a: &NormalizedDetection, b: &NormalizedDetection, radius: f64) -> f64 {
     let (mut sum, mut n) = (0.0, 0usize);
     let inverse = 1.0 / (radius * radius);
@@ -80,8 +81,8 @@ pub fn similarity(essential: &Matrix3<f64>, a: &NormalizedDetection, b: &Normali
     if n < MIN_SHARED { 0.0 } else { sum / n as f64 }
 }
 
-/// The best one-to-one matches of every frame under an essential matrix, and the vote they add up to.
-pub fn vote<'a>(observations: &PairObservations<'a>, essential: &Matrix3<f64>) -> (Vec<Match<'a>>, f64) {
+/// The best one-to-one matches of every frame under an essential matrix, and their vote (0 to 1).
+pub fn vote<'a>(observations: &PairObservations<'a>, essential: &Matrix3<f64>) -> (Vec<MatchedPair<'a>>, f64) {
     let mut matches = Vec::new();
     let (mut sum, mut possible) = (0.0, 0.0);
     for (first, second) in &observations.frames {
@@ -91,7 +92,7 @@ pub fn vote<'a>(observations: &PairObservations<'a>, essential: &Matrix3<f64>) -
         for (i, column) in columns.iter().enumerate() {
             let Some(j) = *column else { continue };
             sum += table[i][j] - MIN_SIMILARITY;
-            matches.push(Match { first: &first[i], second: &second[j], similarity: table[i][j] });
+            matches.push(MatchedPair { first: &first[i], second: &second[j], similarity: table[i][j] });
         }
         possible += first.len().min(second.len()) as f64 * (1.0 - MIN_SIMILARITY);
     }
@@ -122,11 +123,11 @@ pub fn score_pair(observations: &PairObservations, second_from_first: &Rigid) ->
     PairScore { vote, cheirality, bone_spread, log_metres, n_bones, quality }
 }
 
-/// Fewer bones than this say nothing of human proportions.
+/// Fewest bones from which proportions are measured.
 const MIN_BONES: usize = 8;
 
 /// Points of a match in the first camera's frame and whether they lie in front of both cameras.
-fn triangulate_match(m: &Match, second_from_first: &Rigid) -> Vec<Option<(Vector3<f64>, bool)>> {
+fn triangulate_match(m: &MatchedPair, second_from_first: &Rigid) -> Vec<Option<(Vector3<f64>, bool)>> {
     let n = m.first.normalized.len();
     (0..n)
         .map(|k| {

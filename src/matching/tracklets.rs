@@ -1,14 +1,15 @@
-//! Tracklets: who is who within one view, for as long as there is no doubt. Split rather than swapped.
+//! Tracklets: consecutive detections of one person within a view. In case of doubt tracklets are split rather than swapped.
 
 use super::assignment::assign;
 use super::normalized::{BODY_SPAN_M, NormalizedDetection, NormalizedView};
 use crate::body::detector_profile::DETECTOR;
 use crate::body::human_speeds::WALK_M_S;
+use crate::optim::robust::median;
 
-/// One person in one view over a run of frames.
+/// The detections of one person in one of the views, over consecutive frames.
 #[derive(Debug, Clone)]
 pub struct Tracklet {
-    /// Frame and index of the detection in that frame, in rising order of frames.
+    /// Frame, and index of the detection in that frame; in rising order of frames.
     pub detections: Vec<(usize, usize)>,
 }
 
@@ -23,24 +24,24 @@ impl Tracklet {
         self.detections[self.detections.len() - 1].0
     }
 
-    /// The detection of a frame.
+    /// Index of the detection in a frame; `None` where the tracklet has none.
     pub fn at(&self, frame: usize) -> Option<usize> {
         self.detections.binary_search_by_key(&frame, |s| s.0).ok().map(|i| self.detections[i].1)
     }
 }
 
-/// When two detections may be the same person.
+/// Gates within which two detections may show the same person.
 #[derive(Debug, Clone)]
 pub struct TrackletConfig {
     /// A body's median joint moves at most this fast, m/s: the tracklet of a faster person is split.
     pub max_speed: f64,
     /// Detector noise, as a share of the apparent size: three times the 1 to 2 % seen on OpenPose and COCO detectors.
     pub noise: f64,
-    /// A tracklet survives this long without a detection, s.
+    /// A tracklet without detections for longer than this ends, s.
     pub max_gap: f64,
-    /// The best match must cost less than this share of the second best; otherwise both ends stay open.
+    /// The best match must cost less than this share of the second best; otherwise neither is accepted.
     pub uniqueness: f64,
-    /// Keypoints that two detections must share.
+    /// Fewest keypoints that two detections must share.
     pub min_shared: usize,
 }
 
@@ -50,15 +51,15 @@ impl Default for TrackletConfig {
     }
 }
 
-/// Follows people through one view.
+/// Follows all persons through a view.
 pub fn tracklets(view: &NormalizedView, fps: f64, config: &TrackletConfig) -> Vec<Tracklet> {
     let max_gap = ((config.max_gap * fps).round() as usize).max(1);
     let mut open: Vec<Tracklet> = Vec::new();
     let mut closed: Vec<Tracklet> = Vec::new();
     for (frame, people) in view.frames.iter().enumerate() {
-        let (alive, expired): (Vec<_>, Vec<_>) = open.into_iter().partition(|t| frame - t.last() <= max_gap);
+        let (active, expired): (Vec<_>, Vec<_>) = open.into_iter().partition(|t| frame - t.last() <= max_gap);
         closed.extend(expired);
-        open = alive;
+        open = active;
         for (tracklet, person) in confident_matches(view, &open, frame, people, fps, config) {
             open[tracklet].detections.push((frame, person));
         }
@@ -72,7 +73,7 @@ pub fn tracklets(view: &NormalizedView, fps: f64, config: &TrackletConfig) -> Ve
     closed
 }
 
-/// Pairs of open tracklet and detection that have no rival.
+/// Pairs of open tracklet and detection without a competing pair of similar cost.
 fn confident_matches(
     view: &NormalizedView,
     open: &[Tracklet],
@@ -106,10 +107,5 @@ pub fn step_distance(a: &NormalizedDetection, b: &NormalizedDetection, min_share
         .filter(|&k| a.confidence[k] > DETECTOR.comparable && b.confidence[k] > DETECTOR.comparable)
         .map(|k| (a.normalized[k] - b.normalized[k]).norm())
         .collect();
-    if distances.len() < min_shared {
-        return None;
-    }
-    let middle = distances.len() / 2;
-    let (_, median, _) = distances.select_nth_unstable_by(middle, f64::total_cmp);
-    Some(*median / a.size.max(b.size))
+    if distances.len() < min_shared { None } else { Some(median(&mut distances)? / a.size.max(b.size)) }
 }

@@ -1,18 +1,18 @@
-//! From relative poses of pairs to one pose per camera: cameras are added one by one, each by the hypothesis that all
-//! cameras placed so far agree with best.
+//! One pose per camera from relative poses of pairs: cameras are added one by one, each by the hypothesis that agrees best
+//! with all cameras added so far.
 
-use super::pair_hypotheses::PairHypothesis;
+use super::pair_hypotheses::{PairHypothesis, SAME_POSE_DEG, is_same_pose};
 use super::pair_score::{PairObservations, score_pair};
-use crate::geometry::{Rigid, rotation};
+use crate::geometry::Rigid;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
-/// The cameras of one explanation of the whole session.
+/// Poses of all cameras, from one set of consistent hypotheses.
 #[derive(Debug, Clone)]
 pub struct Rig {
-    /// `camera_from_world`, metres as far as bones tell; `None` where no hypothesis was good enough.
+    /// `camera_from_world`, in metres as far as the lengths of bones determine them; `None` without a good hypothesis.
     pub cameras: Vec<Option<Rigid>>,
-    /// Summed quality of all pairs of placed cameras.
+    /// Sum of the quality of all pairs of posed cameras.
     pub quality: f64,
 }
 
@@ -22,21 +22,24 @@ pub struct ViewGraph<'a> {
     pub n_views: usize,
     /// Hypotheses by pair, best first.
     pub hypotheses: BTreeMap<(usize, usize), Vec<PairHypothesis>>,
-    /// What both cameras of a pair saw.
+    /// Detections of both cameras of a pair.
     pub observations: BTreeMap<(usize, usize), PairObservations<'a>>,
 }
 
-/// Spread of log scale between chained pairs at which belief falls to 1/e: bones give each baseline to some 10 %, and a
-/// third is already another arrangement.
+/// Spread of log scale between chained pairs at which the factor of a quality falls to 1/e: bones give each baseline to
+/// some 10 %, and a difference of a third means another arrangement.
 const SCALE_SPREAD: f64 = 0.35;
 
-/// A camera is placed only when the pairs it forms have at least this quality in sum: below it votes are chance.
+/// Least summed quality of a camera's pairs for it to be added: below it votes are chance.
 const MIN_QUALITY: f64 = 0.04;
 
-/// Seeds that are grown at most, and rigs that are returned.
+/// Differences of relative poses that a first adjustment removes, degrees: of rotation and of the baseline's direction.
+const SAME_ARRANGEMENT_DEG: [f64; 2] = [12.0, 30.0];
+
+/// Most seed pairs that are grown, and most rigs returned.
 const MAX_SEEDS: usize = 8;
 
-/// Grows rigs from the best hypotheses; the best rig comes first.
+/// Grows rigs from the best hypotheses; best rig first.
 pub fn assemble(graph: &ViewGraph) -> Vec<Rig> {
     let mut seeds: Vec<((usize, usize), &PairHypothesis)> =
         graph.hypotheses.iter().flat_map(|(pair, hs)| hs.iter().map(move |h| (*pair, h))).collect();
@@ -61,8 +64,7 @@ pub fn assemble(graph: &ViewGraph) -> Vec<Rig> {
     distinct
 }
 
-/// Whether every camera of `rig` stands in `better` as well, to within what a first adjustment evens out: 12 degrees in
-/// every pair's rotation and 30 in its baseline.
+/// Whether `better` poses every camera of `rig` alike, within [`SAME_ARRANGEMENT_DEG`].
 fn same_arrangement(better: &Rig, rig: &Rig) -> bool {
     let both: Vec<(Rigid, Rigid)> =
         better.cameras.iter().zip(&rig.cameras).filter_map(|(a, b)| b.map(|b| a.map(|a| (a, b)))).flatten().collect();
@@ -72,24 +74,22 @@ fn same_arrangement(better: &Rig, rig: &Rig) -> bool {
     both.iter().enumerate().all(|(i, (a, b))| {
         both[..i].iter().all(|(c, d)| {
             let (one, other) = (*a * c.inverse(), *b * d.inverse());
-            rotation::angle_between(&one.rotation, &other.rotation) < 12f64.to_radians()
-                && one.translation.angle(&other.translation) < 30f64.to_radians()
+            is_same_pose(&one, &other, SAME_ARRANGEMENT_DEG)
         })
     })
 }
 
-/// Whether a rig already holds a hypothesis, within the noise of hypotheses (6 degrees, 15 of the baseline).
+/// Whether a rig already contains a hypothesis, within the noise of hypotheses.
 fn contains(rig: &Rig, (first, second): (usize, usize), second_from_first: &Rigid) -> bool {
     let (Some(a), Some(b)) = (rig.cameras[first], rig.cameras[second]) else { return false };
     let relative = b * a.inverse();
-    rotation::angle_between(&relative.rotation, &second_from_first.rotation) < 6f64.to_radians()
-        && relative.translation.angle(&second_from_first.translation) < 15f64.to_radians()
+    is_same_pose(&relative, second_from_first, SAME_POSE_DEG)
 }
 
 struct Candidate {
     view: usize,
     camera_from_world: Rigid,
-    /// Summed quality against every placed camera.
+    /// Sum of its quality with every posed camera.
     quality: f64,
 }
 
@@ -116,7 +116,7 @@ fn grow(graph: &ViewGraph, (first, second): (usize, usize), seed: &PairHypothesi
     Rig { cameras, quality }
 }
 
-/// Poses of the cameras not yet placed that hypotheses with `anchor` propose, judged against `anchor` and `placed`.
+/// Poses of further cameras from the hypotheses with `anchor`, scored against `anchor` and `placed`.
 fn candidates_from(graph: &ViewGraph, cameras: &[Option<Rigid>], anchor: usize, placed: &[usize]) -> Vec<Candidate> {
     let Some(anchor_from_world) = cameras[anchor] else { return Vec::new() };
     let mut candidates = Vec::new();
@@ -137,7 +137,7 @@ fn candidates_from(graph: &ViewGraph, cameras: &[Option<Rigid>], anchor: usize, 
     candidates
 }
 
-/// Quality of the pair that a candidate forms with a placed camera, its scale included.
+/// Quality of the pair of a candidate and a posed camera, including its scale.
 fn agreement(graph: &ViewGraph, cameras: &[Option<Rigid>], other: usize, candidate: &Candidate) -> f64 {
     let Some(other_from_world) = cameras[other] else { return 0.0 };
     let pair = (other.min(candidate.view), other.max(candidate.view));
@@ -149,7 +149,7 @@ fn agreement(graph: &ViewGraph, cameras: &[Option<Rigid>], other: usize, candida
     let second_from_first = second * first.inverse();
     let Some(observations) = graph.observations.get(&pair) else { return 0.0 };
     if second_from_first.translation.norm() < 1e-3 {
-        return 0.0; // two cameras in one place explain nothing about each other
+        return 0.0; // two cameras in one place have no epipolar geometry
     }
     let score = score_pair(observations, &second_from_first);
     score.quality * (-(score.log_metres / SCALE_SPREAD).powi(2)).exp()

@@ -1,4 +1,4 @@
-//! Arrow systems: many small local systems, coupled only through a few shared unknowns, the border.
+//! Arrow systems: many small local systems that are coupled only through a few shared unknowns, the border.
 //!
 //! ```text
 //! | H_1           W_1 |        H_i: local Hessian of block i        S = B - sum_i W_i^T H_i^-1 W_i
@@ -7,27 +7,26 @@
 //! | W_1^T W_2^T .. B  |        exact elimination (Schur complement)
 //! ```
 //!
-//! Blocks are linearised when they are needed, once to eliminate and once to substitute back, and never stored: the
-//! memory does not grow with their number. A block is dense in memory and sparse in work: zeros are skipped, so what
-//! counts is the fill-in, which the order of the local unknowns decides ([`elimination_order`]); independent points
-//! and coupled skeletons run through the same ten lines. Blocks are shared out in fixed portions and sums are
-//! taken in their order: the result is the same to the last bit whatever the number of threads.
+//! Blocks are linearised twice, to eliminate and to substitute back, and not stored: the memory does not grow with their
+//! number. A block is stored densely, but zeros are skipped, so the work depends on the fill-in and hence on the order of
+//! the local unknowns ([`elimination_order`]); independent points and coupled skeletons need no special cases. Blocks are
+//! divided into fixed portions and summed in order: the result is the same to the last bit for any number of threads.
 
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 
-/// Portions that the blocks are dealt out in: enough to keep every core busy, few enough to keep their sums small.
+/// Number of portions of blocks: enough to keep every core busy, few enough to keep their sums small.
 const MAX_PORTIONS: usize = 64;
 
-/// A pivot below this share of its diagonal is rounding noise: the unknown has no information and does not move.
+/// A pivot below this share of its diagonal entry is rounding error: the unknown is unobserved and does not move.
 const NO_INFORMATION: f64 = 1e-13;
 
 /// How a residual of `R` components depends on one unknown of a block.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Column<const R: usize> {
-    /// Local unknown, or position in the block's own list of border unknowns.
+    /// Local unknown, or index in the block's list of border unknowns.
     pub index: usize,
-    /// Derivative of every component.
+    /// Derivative of every component of the residual.
     pub derivative: [f64; R],
 }
 
@@ -136,7 +135,7 @@ impl Block {
         }
     }
 
-    /// Takes what the eliminated unknowns explain off the border: `B - (L^-1 W)^T L^-1 W`, and the gradient alike.
+    /// Subtracts the eliminated unknowns from the border: `B - (L^-1 W)^T L^-1 W`, and its gradient likewise.
     fn reduce_border(&mut self, damping: f64) {
         let m = self.columns.len();
         for a in 0..m {
@@ -153,7 +152,7 @@ impl Block {
         }
     }
 
-    /// The local step that goes with a step of the whole border.
+    /// The local step, given the step of the whole border.
     fn back_substitute(&self, border_step: &DVector<f64>) -> Vec<f64> {
         let (n, m) = (self.n_local, self.columns.len());
         let mut step: Vec<f64> = self.gradient.iter().map(|g| -g).collect();
@@ -169,12 +168,12 @@ impl Block {
     }
 }
 
-/// The border's system once all local unknowns are eliminated.
+/// The border's system after all local unknowns are eliminated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reduced {
     /// Schur complement S, [border, border], symmetric.
     pub hessian: DMatrix<f64>,
-    /// Gradient of the cost by the border, with the local unknowns at their best.
+    /// Gradient of the cost by the border, with the local unknowns at their minimum.
     pub gradient: DVector<f64>,
     /// Cost of all blocks.
     pub cost: f64,
@@ -182,8 +181,8 @@ pub struct Reduced {
 
 /// Linearises and eliminates every block.
 ///
-/// `linearize(i, block)` resets the block and adds its residuals. `damping` is relative to each diagonal, that of the
-/// border included (Marquardt's).
+/// `linearize(i, block)` resets the block and adds its residuals. `damping` is relative to each diagonal entry, the
+/// border's included (Marquardt 1963).
 pub fn reduce(n_blocks: usize, n_border: usize, damping: f64, linearize: impl Fn(usize, &mut Block) + Sync) -> Reduced {
     let zero =
         || Reduced { hessian: DMatrix::zeros(n_border, n_border), gradient: DVector::zeros(n_border), cost: 0.0 };
@@ -207,7 +206,7 @@ pub fn reduce(n_blocks: usize, n_border: usize, damping: f64, linearize: impl Fn
     total
 }
 
-/// Hands every block's local step, in order of the blocks, to `apply` and collects what it makes of them.
+/// Applies `apply` to every block's local step and collects the results in order of the blocks.
 ///
 /// `damping` and `linearize` must be those of [`reduce`].
 pub fn back_substitute<T: Send>(
@@ -230,8 +229,8 @@ pub fn back_substitute<T: Send>(
     portions.into_iter().flatten().collect()
 }
 
-/// An order of elimination with little fill-in: always the unknown with the fewest neighbours left (minimum degree,
-/// Tinney and Walker 1967). A tree gets none at all.
+/// An order of elimination with little fill-in: always the unknown with the fewest remaining neighbours (minimum degree,
+/// Tinney and Walker 1967). A tree gets no fill-in.
 ///
 /// `edges`: pairs of coupled unknowns below `n`; others are ignored.
 pub fn elimination_order(n: usize, edges: impl IntoIterator<Item = (usize, usize)>) -> Vec<usize> {

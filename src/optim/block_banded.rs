@@ -1,13 +1,13 @@
-//! Gauss-Newton systems over time: one dense block per frame, coupled over two frames, with a narrow border.
+//! Gauss-Newton systems over time: one dense block per frame, coupled over two frames, and a narrow border.
 //!
-//! Exact and linear in the number of frames: a block Cholesky factor `H = L L^T` of bandwidth two blocks. Instead of a
-//! frame's factor its inverse is kept, so that all heavy work is matrix products.
+//! Exact and linear in the number of frames: a block Cholesky factor `H = L L^T` of bandwidth two blocks. Each frame's
+//! factor is stored as its inverse, so that most of the work is matrix products.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 /// Half of a symmetric system `H x = -gradient` over frames of `3 * n_groups` unknowns and a border.
 ///
-/// Frames couple mostly group by group (a joint's acceleration involves that joint alone): [`Coupling`].
+/// Most couplings between frames are within a group (a joint's acceleration involves that joint alone): [`Coupling`].
 #[derive(Debug, Clone)]
 pub struct BlockBanded {
     /// `H[t][t]`; only the lower triangle is read.
@@ -18,7 +18,7 @@ pub struct BlockBanded {
     pub after_next: Vec<Coupling>,
     /// `H[t][border]`.
     pub border: Vec<DMatrix<f64>>,
-    /// What the border has of its own.
+    /// The border's own Hessian and gradient.
     pub corner: Corner,
     /// Gradient by frame.
     pub gradient: Vec<DVector<f64>>,
@@ -40,11 +40,11 @@ impl Corner {
     }
 }
 
-/// A block between two frames: 3 x 3 blocks, one for each group with itself and few between groups.
+/// A block between two frames: one 3x3 block for each group with itself, and a few between groups.
 #[derive(Debug, Clone)]
 pub struct Coupling {
     own: Vec<Matrix3<f64>>,
-    /// Row group, column group, block; what has the same groups adds up.
+    /// Row group, column group, block; blocks of the same groups add up.
     crossed: Vec<(usize, usize, Matrix3<f64>)>,
 }
 
@@ -71,8 +71,8 @@ impl Coupling {
         let n = 3 * self.own.len();
         let mut dense = DMatrix::zeros(n, n);
         for (row, column, block) in self.blocks() {
-            let mut place = dense.fixed_view_mut::<3, 3>(3 * row, 3 * column);
-            place += block;
+            let mut target = dense.fixed_view_mut::<3, 3>(3 * row, 3 * column);
+            target += block;
         }
         dense
     }
@@ -86,20 +86,20 @@ impl Coupling {
             for c in 3 * column..n {
                 let right =
                     Vector3::new(lower[(c, 3 * column)], lower[(c, 3 * column + 1)], lower[(c, 3 * column + 2)]);
-                let mut place = product.fixed_view_mut::<3, 1>(3 * row, c);
-                place += block * right;
+                let mut target = product.fixed_view_mut::<3, 1>(3 * row, c);
+                target += block * right;
             }
         }
         product
     }
 }
 
-/// A solution.
+/// The solution of a [`BlockBanded`] system.
 #[derive(Debug, Clone)]
 pub struct BandedStep {
-    /// By frame.
+    /// Step of each frame.
     pub frames: Vec<DVector<f64>>,
-    /// The border's.
+    /// Step of the border.
     pub border: DVector<f64>,
 }
 
@@ -122,8 +122,8 @@ impl BlockBanded {
     pub fn add_block(&mut self, [later, earlier]: [usize; 2], [row, column]: [usize; 2], block: Matrix3<f64>) {
         match later - earlier {
             0 => {
-                let mut place = self.diagonal[later].fixed_view_mut::<3, 3>(3 * row, 3 * column);
-                place += block;
+                let mut target = self.diagonal[later].fixed_view_mut::<3, 3>(3 * row, 3 * column);
+                target += block;
             }
             1 => self.next[earlier].add(row, column, block),
             2 => self.after_next[earlier].add(row, column, block),
@@ -131,7 +131,7 @@ impl BlockBanded {
         }
     }
 
-    /// Solves with every diagonal entry raised by its `damping`-fold (Marquardt).
+    /// Solves with every diagonal entry multiplied by `1 + damping` (Marquardt 1963).
     ///
     /// Returns `None` where the damped system is not positive definite, or not finite.
     pub fn solve(&self, damping: f64) -> Option<BandedStep> {
@@ -147,9 +147,9 @@ impl BlockBanded {
         eliminated.step(border)
     }
 
-    /// Eliminates the frames, their diagonal raised by its `damping`-fold: what is left is a system of the border alone.
+    /// Eliminates the frames, with their diagonal multiplied by `1 + damping`; a system of the border remains.
     ///
-    /// Systems that share unknowns of their borders are solved together by adding up what is left of each.
+    /// Systems that share unknowns of their borders are solved together by adding up the remaining systems.
     pub fn eliminated(&self, damping: f64) -> Option<Eliminated> {
         let n_frames = self.diagonal.len();
         let n_border = self.corner.gradient.len();
@@ -196,7 +196,7 @@ impl BlockBanded {
     }
 }
 
-/// A system whose frames are eliminated: `corner * border = right` is left.
+/// A system after elimination of its frames: `corner * border = right` remains.
 pub struct Eliminated {
     factors: Vec<FrameFactor>,
     /// Schur complement of the undamped corner.
@@ -206,7 +206,7 @@ pub struct Eliminated {
 }
 
 impl Eliminated {
-    /// The whole step, given the border's; `None` where it is not finite.
+    /// The step of all frames, given the border's; `None` where it is not finite.
     pub fn step(&self, border: DVector<f64>) -> Option<BandedStep> {
         let (n_frames, n_border) = (self.factors.len(), border.len());
         let mut frames: Vec<DVector<f64>> = vec![DVector::zeros(0); n_frames];
@@ -226,7 +226,7 @@ impl Eliminated {
     }
 }
 
-/// What the elimination of a frame leaves for the way back.
+/// Factors of an eliminated frame, for the back substitution.
 struct FrameFactor {
     /// `L[t][t]^-1`.
     inverse: DMatrix<f64>,
@@ -238,7 +238,7 @@ struct FrameFactor {
     right: DMatrix<f64>,
 }
 
-/// A matrix with every diagonal entry raised by its `damping`-fold (Marquardt).
+/// A matrix with every diagonal entry multiplied by `1 + damping` (Marquardt 1963).
 pub fn damped(block: &DMatrix<f64>, damping: f64) -> DMatrix<f64> {
     let mut block = block.clone();
     for i in 0..block.nrows() {
@@ -247,9 +247,9 @@ pub fn damped(block: &DMatrix<f64>, damping: f64) -> DMatrix<f64> {
     block
 }
 
-/// `A - B B^T`, of which the lower triangle counts: the upper right quarter is left out.
+/// `A - B B^T` in the lower triangle; the upper right quarter is not computed.
 ///
-/// The transpose is a copy: a view with strides would do, but nalgebra 0.35 runs past the end of one in small products.
+/// The transpose is a copy because nalgebra 0.35 reads past the end of strided views in small products.
 fn subtract_square(target: &mut DMatrix<f64>, b: &DMatrix<f64>) {
     let (n, h) = (target.nrows(), target.nrows() / 2);
     let across = b.transpose();
@@ -257,7 +257,7 @@ fn subtract_square(target: &mut DMatrix<f64>, b: &DMatrix<f64>) {
     target.view_mut((h, 0), (n - h, n)).gemm(-1.0, &b.rows(h, n - h), &across, 1.0);
 }
 
-/// `A L^T` of a lower triangular `L`, whose upper right quarter is left out.
+/// `A L^T` of a lower triangular `L`, whose upper right quarter is not read.
 fn times_transposed(a: &DMatrix<f64>, lower: &DMatrix<f64>) -> DMatrix<f64> {
     let (m, n, h) = (a.nrows(), a.ncols(), a.ncols() / 2);
     let upper = lower.transpose();
@@ -321,95 +321,4 @@ fn inverse_of_small_factor(a: &DMatrix<f64>) -> Option<DMatrix<f64>> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use rand::{RngExt, SeedableRng};
-
-    /// A random positive definite system of the right pattern: sums of squares of rows that touch it legally.
-    fn random_system(n_frames: usize, n_groups: usize, n_border: usize, seed: u64) -> BlockBanded {
-        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
-        let mut uniform = || rng.random_range(-1.0..1.0);
-        let n = 3 * n_groups;
-        let mut system = BlockBanded::zeros(n_frames, n_groups, n_border);
-        for t in 0..n_frames {
-            let rows = DMatrix::from_fn(n + 4, n + n_border, |_, _| uniform());
-            let square = rows.tr_mul(&rows);
-            system.diagonal[t] += square.view((0, 0), (n, n));
-            system.border[t] += square.view((0, n), (n, n_border));
-            system.corner.hessian += square.view((n, n), (n_border, n_border));
-            system.gradient[t] = DVector::from_fn(n, |_, _| uniform());
-        }
-        for t in 0..n_frames.saturating_sub(2) {
-            for g in 0..n_groups {
-                let j: [Matrix3<f64>; 3] = std::array::from_fn(|_| Matrix3::from_fn(|_, _| uniform()));
-                for (i, a) in j.iter().enumerate() {
-                    let mut view = system.diagonal[t + i].fixed_view_mut::<3, 3>(3 * g, 3 * g);
-                    view += a.transpose() * a;
-                }
-                system.next[t].add(g, g, j[1].transpose() * j[0]);
-                system.next[t + 1].add(g, g, j[2].transpose() * j[1]);
-                system.after_next[t].add(g, g, j[2].transpose() * j[0]);
-            }
-            // A place that two groups move.
-            let (g, h) = (0, n_groups - 1);
-            let j: [Matrix3<f64>; 3] = std::array::from_fn(|_| Matrix3::from_fn(|_, _| uniform()));
-            for (row, a) in [(g, 1.0), (h, 0.5)] {
-                for (column, b) in [(g, 1.0), (h, 0.5)] {
-                    let block = |i: usize, k: usize| j[i].transpose() * j[k] * (a * b);
-                    for i in 0..3 {
-                        let mut view = system.diagonal[t + i].fixed_view_mut::<3, 3>(3 * row, 3 * column);
-                        view += block(i, i);
-                    }
-                    system.next[t].add(row, column, block(1, 0));
-                    system.next[t + 1].add(row, column, block(2, 1));
-                    system.after_next[t].add(row, column, block(2, 0));
-                }
-            }
-        }
-        system.corner.gradient = DVector::from_fn(n_border, |_, _| uniform());
-        system
-    }
-
-    fn dense(system: &BlockBanded) -> (DMatrix<f64>, DVector<f64>) {
-        let (n, t_count, m) = (system.diagonal[0].nrows(), system.diagonal.len(), system.corner.gradient.len());
-        let mut h = DMatrix::zeros(n * t_count + m, n * t_count + m);
-        let mut g = DVector::zeros(n * t_count + m);
-        for t in 0..t_count {
-            h.view_mut((n * t, n * t), (n, n)).copy_from(&system.diagonal[t]);
-            h.view_mut((n * t, n * t_count), (n, m)).copy_from(&system.border[t]);
-            h.view_mut((n * t_count, n * t), (m, n)).copy_from(&system.border[t].transpose());
-            g.rows_mut(n * t, n).copy_from(&system.gradient[t]);
-            for (distance, couplings) in [(1, &system.next), (2, &system.after_next)] {
-                if let Some(block) = couplings.get(t).map(Coupling::dense) {
-                    h.view_mut((n * (t + distance), n * t), (n, n)).copy_from(&block);
-                    h.view_mut((n * t, n * (t + distance)), (n, n)).copy_from(&block.transpose());
-                }
-            }
-        }
-        h.view_mut((n * t_count, n * t_count), (m, m)).copy_from(&system.corner.hessian);
-        g.rows_mut(n * t_count, m).copy_from(&system.corner.gradient);
-        (h, g)
-    }
-
-    #[test]
-    fn the_banded_solution_is_the_dense_one() {
-        for (n_frames, n_groups, n_border) in [(1, 2, 3), (2, 3, 0), (7, 9, 4), (5, 21, 10)] {
-            let system = random_system(n_frames, n_groups, n_border, 5);
-            let step = system.solve(0.0).unwrap();
-            let (h, g) = dense(&system);
-            let expected = h.lu().solve(&-g).unwrap();
-            let found: Vec<f64> =
-                step.frames.iter().flat_map(|f| f.iter()).chain(step.border.iter()).copied().collect();
-            assert!((DVector::from_vec(found) - &expected).norm() < 1e-8 * expected.norm());
-        }
-    }
-
-    #[test]
-    fn an_indefinite_system_is_refused() {
-        let mut system = random_system(4, 8, 2, 1);
-        system.diagonal[2][(20, 20)] = -1.0;
-        assert!(system.solve(0.0).is_none());
-        system.diagonal[2][(20, 20)] = f64::NAN;
-        assert!(system.solve(0.0).is_none());
-    }
-}
+mod tests;

@@ -5,7 +5,7 @@ use nalgebra::{SMatrix, SVector};
 /// A robust cost and its Gauss-Newton model about one state.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct QuadraticModel<const N: usize> {
-    /// Robust cost of the state.
+    /// Robust cost of the state: the sum of `rho`.
     pub cost: f64,
     /// Gradient of half the cost: `sum w J^T r`.
     pub gradient: SVector<f64, N>,
@@ -14,12 +14,12 @@ pub struct QuadraticModel<const N: usize> {
 }
 
 impl<const N: usize> QuadraticModel<N> {
-    /// Nothing observed yet.
+    /// The model without residuals.
     pub fn zeros() -> Self {
         Self { cost: 0.0, gradient: SVector::zeros(), hessian: SMatrix::zeros() }
     }
 
-    /// Adds one residual with its derivative, its weight and its share of the cost.
+    /// Adds one residual with its derivative, its weight and its cost.
     pub fn add(&mut self, residual: f64, jacobian: &SVector<f64, N>, weight: f64, cost: f64) {
         self.cost += cost;
         self.gradient += jacobian * (weight * residual);
@@ -27,16 +27,16 @@ impl<const N: usize> QuadraticModel<N> {
     }
 }
 
-/// A step that promises to lower the cost by less than this share ends the descent. With n observations it is some
-/// `sqrt(n) * 1e-4` standard deviations of the unknowns: far below the noise, whatever the units.
-const SETTLED: f64 = 1e-8;
+/// The descent ends with a step whose predicted decrease is below this share of the cost. With n observations that is some
+/// `sqrt(n) * 1e-4` standard deviations of the unknowns: far below the noise, in any unit.
+const MIN_PREDICTED_DECREASE: f64 = 1e-8;
 
-/// First damping, as a share of the diagonal: nearly Gauss-Newton, since every start here is a good one.
+/// First damping, as a share of the diagonal: nearly Gauss-Newton, since all initial states are close to the minimum.
 const FIRST_DAMPING: f64 = 1e-4;
 
-/// Walks downhill for at most `iterations` linearisations; the cost never rises.
+/// Minimises the cost from `start` with at most `iterations` linearisations; the cost never rises.
 ///
-/// `linearize` gives `None` where the state is inadmissible, `retract` moves a state by a tangent step.
+/// `linearize` returns `None` for inadmissible states; `retract` moves a state by a tangent step.
 pub fn descend<State: Copy, const N: usize>(
     start: State,
     iterations: usize,
@@ -50,14 +50,14 @@ pub fn descend<State: Copy, const N: usize>(
     let mut damping = FIRST_DAMPING;
     for _ in 0..iterations {
         let mut damped = model.hessian;
-        // The floor keeps an unobserved direction solvable: its gradient is zero and it does not move.
+        // The floor keeps unobserved directions solvable: their gradient is zero and they do not move.
         (0..N).for_each(|i| damped[(i, i)] += damping * damped[(i, i)] + f64::MIN_POSITIVE);
         let Some(factor) = damped.cholesky() else {
             damping = (damping * 10.0).max(FIRST_DAMPING);
             continue;
         };
         let step = -factor.solve(&model.gradient);
-        let promised = -step.dot(&model.gradient);
+        let predicted_decrease = -step.dot(&model.gradient);
         let candidate = retract(&state, &step);
         match linearize(&candidate) {
             Some(better) if better.cost < model.cost => {
@@ -66,7 +66,7 @@ pub fn descend<State: Copy, const N: usize>(
             }
             _ => damping *= 10.0,
         }
-        if promised <= SETTLED * model.cost {
+        if predicted_decrease <= MIN_PREDICTED_DECREASE * model.cost {
             break;
         }
     }
@@ -88,13 +88,13 @@ mod tests {
     }
 
     #[test]
-    fn the_end_of_a_curved_valley_is_reached() {
+    fn reaches_the_minimum_of_a_curved_valley() {
         let end = descend(Vector2::new(-1.2, 1.0), 100, valley, |x, step| x + step);
         assert!((end - Vector2::new(1.0, 1.0)).norm() < 1e-8, "{end}");
     }
 
     #[test]
-    fn an_inadmissible_or_unobserved_start_is_returned() {
+    fn returns_an_inadmissible_or_unobserved_start() {
         let start = Vector2::new(3.0, 4.0);
         assert_eq!(descend(start, 10, |_: &Vector2<f64>| None::<QuadraticModel<2>>, |x, s| x + s), start);
         assert_eq!(descend(start, 10, |_: &Vector2<f64>| Some(QuadraticModel::<2>::zeros()), |x, s| x + s), start);

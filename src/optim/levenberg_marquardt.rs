@@ -1,10 +1,10 @@
-//! The Levenberg-Marquardt damping loop, written once. What is solved in a step is the problem's own affair.
+//! The Levenberg-Marquardt damping loop for problems that assemble and solve their damped system themselves.
 
 use crate::progress::{Canceled, Progress};
 
-/// A least-squares problem that can be stepped.
+/// A least-squares problem that solves its own damped system.
 pub trait LeastSquares {
-    /// All unknowns.
+    /// Values of all unknowns.
     type State: Clone;
 
     /// Cost of a state: half the (robust) sum of squares.
@@ -12,11 +12,11 @@ pub trait LeastSquares {
 
     /// Solves `(J^T W J + damping * diag(J^T W J)) step = -J^T W r` at `state` and applies the step.
     ///
-    /// `None` where the damped system cannot be solved; it is then tried again with more damping.
+    /// `None` where the damped system cannot be solved; the loop then tries again with more damping.
     fn step(&self, state: &Self::State, damping: f64) -> Option<Trial<Self::State>>;
 }
 
-/// Where a step leads.
+/// The result of a step.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trial<S> {
     /// The state after the step.
@@ -25,28 +25,28 @@ pub struct Trial<S> {
     pub cost: f64,
 }
 
-/// When to stop.
+/// Criteria for stopping.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stopping {
-    /// Steps solved for, rejected ones included.
+    /// Greatest number of steps solved for, including rejected ones.
     pub max_iterations: usize,
-    /// Converged once an accepted step lowers the cost by less than this share of it.
+    /// The loop has converged when an accepted step lowers the cost by less than this share of it.
     pub relative_decrease: f64,
 }
 
-/// Why the loop ended. None of these is an error: the state returned is the best one seen.
+/// Why the loop ended. None of these is an error: the returned state has the lowest cost found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Termination {
-    /// The last step hardly lowered the cost.
+    /// The last step lowered the cost by less than the required share.
     Converged,
     /// The limit of iterations was reached.
     MaxIterations,
-    /// No step lowers the cost, however strongly damped.
+    /// No step lowers the cost at any damping.
     Stalled,
 }
 
 impl Termination {
-    /// One word for reports.
+    /// The name used in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Converged => "converged",
@@ -56,14 +56,14 @@ impl Termination {
     }
 }
 
-/// The best state found and how it was reached.
+/// The best state found, and statistics of the loop.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Outcome<S> {
     /// The state of lowest cost.
     pub state: S,
-    /// Steps solved for.
+    /// Number of steps solved for.
     pub iterations: usize,
-    /// Cost of the start.
+    /// Cost of the initial state.
     pub cost_before: f64,
     /// Cost of `state`.
     pub cost_after: f64,
@@ -71,19 +71,19 @@ pub struct Outcome<S> {
     pub termination: Termination,
 }
 
-/// First damping, relative to the diagonal: nearly a Gauss-Newton step, as our starts are seldom far off.
+/// First damping, relative to the diagonal: nearly a Gauss-Newton step, since initial states are rarely far from the minimum.
 const INITIAL_DAMPING: f64 = 1e-4;
-/// Below this the damping changes no digit of the step that matters; above `MAX_DAMPING` steps change no digit of the state.
+/// Smaller dampings do not change significant digits of the step; larger ones than `MAX_DAMPING` do not change the state.
 const MIN_DAMPING: f64 = 1e-9;
 const MAX_DAMPING: f64 = 1e8;
-/// Damping falls and rises by these factors; rising faster than falling saves rejected steps (Nielsen 1999 does alike).
+/// Factors of the damping after accepted and rejected steps; rising faster than falling saves rejected steps (as in Nielsen 1999).
 const DAMPING_FALL: f64 = 0.2;
 const DAMPING_RISE: f64 = 10.0;
 
-/// Lowers the cost from `start`: damped steps, accepted when the cost falls (Marquardt 1963).
+/// Minimises the cost from `start` by damped steps, accepted where the cost does not rise (Marquardt 1963).
 ///
 /// # Errors
-/// [`Canceled`] once `progress` says so; asked before and after every step.
+/// [`Canceled`] when `progress` is canceled; checked before and after every step.
 pub fn minimize<P: LeastSquares>(
     problem: &P,
     start: P::State,
@@ -100,7 +100,7 @@ pub fn minimize<P: LeastSquares>(
         progress.check()?;
         iterations += 1;
         let trial = problem.step(&state, damping);
-        // A canceled problem may have cut its step short: its answer must not be looked at.
+        // A canceled problem may have returned early with an incomplete step.
         progress.check()?;
         match trial {
             // A cost that is not a number compares false and the step is rejected.
@@ -148,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn finds_the_end_of_rosenbrocks_valley() {
+    fn finds_the_minimum_of_rosenbrocks_valley() {
         let stopping = Stopping { max_iterations: 100, relative_decrease: 1e-12 };
         let outcome = minimize(&Rosenbrock, [-1.2, 1.0], &stopping, &Progress::silent()).unwrap();
         assert!((outcome.state[0] - 1.0).abs() < 1e-6 && (outcome.state[1] - 1.0).abs() < 1e-6);

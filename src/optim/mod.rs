@@ -1,10 +1,11 @@
-//! Least squares that knows no cameras and no bodies.
+//! Least squares and dynamic programming, independent of cameras and bodies.
 //!
-//! - [`robust`]: a bounded cost for residuals of which some are grossly wrong
-//! - [`levenberg_marquardt`]: the damping loop, written once
-//! - [`point_chain`]: points in a row, each held to its neighbours
-//! - [`block_banded`]: one dense block per frame, coupled over two frames, with a border
-//! - [`arrow`]: many small local systems coupled only through a few shared unknowns
+//! - [`robust`]: bounded costs for residuals with outliers, medians and quantiles
+//! - [`levenberg_marquardt`]: the damping loop of large problems, which assemble and solve their systems themselves
+//! - [`dense_levenberg_marquardt`]: the same for a handful of unknowns, from a linearised cost
+//! - [`point_chain`]: banded Cholesky of a trajectory of points, 3x3 blocks coupled by multiples of the identity
+//! - [`block_banded`]: banded Cholesky with one dense block per frame, coupled over two frames, and a border
+//! - [`arrow`]: many small systems coupled only through a few shared unknowns
 //! - [`viterbi`]: the cheapest path through a few states per step
 
 pub mod arrow;

@@ -1,19 +1,19 @@
-//! Points in a row, each held to its neighbours and the next but one: a system of 3x3 blocks, linear in its size.
+//! Banded systems over a sequence of points, each coupled to its two predecessors: 3x3 blocks, solved in linear time.
 
 use nalgebra::{Matrix3, Vector3};
 
-/// A symmetric positive definite matrix over a row of points, of which block `(t, t)` is anything and blocks `(t, t - 1)`
-/// and `(t, t - 2)` are multiples of the identity.
+/// A symmetric positive definite matrix over a sequence of points. Blocks `(t, t)` are arbitrary; blocks `(t, t - 1)` and
+/// `(t, t - 2)` are multiples of the identity.
 #[derive(Debug, Clone)]
 pub struct PointChain {
     /// Blocks `(t, t)`.
     pub diagonal: Vec<Matrix3<f64>>,
-    /// Factors of the blocks `(t, t - 1)` and `(t, t - 2)`; of those that would lie outside, 0.
+    /// Factors of the blocks `(t, t - 1)` and `(t, t - 2)`; 0 for blocks outside the matrix.
     pub couplings: Vec<[f64; 2]>,
 }
 
 impl PointChain {
-    /// The second differences of `n` points, squared and summed, times `weight`.
+    /// The quadratic form `weight * sum |x_(t+1) - 2 x_t + x_(t-1)|^2` over `n` points.
     pub fn of_second_differences(n: usize, weight: f64) -> Self {
         let mut chain = Self { diagonal: vec![Matrix3::zeros(); n], couplings: vec![[0.0; 2]; n] };
         for last in 2..n {
@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn solves_what_a_dense_solver_solves() {
+    fn agrees_with_a_dense_solver() {
         for n in [1, 2, 3, 40] {
             let chain = chain(n);
             let b: Vec<Vector3<f64>> = (0..n).map(|t| Vector3::new(t as f64, (t as f64).sin(), 1.0)).collect();
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn second_differences_of_a_straight_line_cost_nothing_and_of_a_bend_their_square() {
+    fn second_differences_cost_nothing_on_a_straight_line() {
         let chain = PointChain::of_second_differences(6, 2.0);
         let cost = |x: &[Vector3<f64>]| -> f64 { chain.times(x).iter().zip(x).map(|(a, b)| a.dot(b)).sum() };
         let line: Vec<Vector3<f64>> = (0..6).map(|t| Vector3::new(1.0, 2.0, 3.0) * t as f64).collect();
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn an_indefinite_matrix_is_refused() {
+    fn rejects_indefinite_matrices() {
         let chain = PointChain { diagonal: vec![Matrix3::identity(); 2], couplings: vec![[0.0; 2], [2.0, 0.0]] };
         assert!(chain.solve(vec![Vector3::x(); 2]).is_none());
     }

@@ -1,23 +1,23 @@
-//! Bounded costs for residuals of which some are grossly wrong, and the schedule that tightens them.
+//! Robust statistics: bounded costs for residuals with outliers, their schedule of scales, medians and quantiles.
 
 /// A robust cost and the weight with which its residual enters the normal equations.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Robust {
-    /// Half of rho, so that for small residuals it equals half the squared residual.
+    /// Half of rho: for small residuals half the squared residual.
     pub cost: f64,
-    /// `rho'(e) / (2 e)`: 1 for small residuals, 0 for gross ones.
+    /// `rho'(e) / (2 e)`: 1 for small residuals, near 0 for outliers.
     pub weight: f64,
-    /// `rho''(e) / 2`: how fast the pull grows along the residual; negative for outliers. Across it, `weight` is.
+    /// `rho''(e) / 2`, the second derivative along the residual; negative for outliers. Perpendicular to it, it is `weight`.
     pub curvature: f64,
 }
 
 /// The Geman-McClure cost of a residual of squared norm `squared`.
 ///
-/// `rho(e) = s^2 e^2 / (s^2 + e^2)`, `w = (s^2 / (s^2 + e^2))^2`, `rho'' / 2 = w (1 - 4 e^2 / (s^2 + e^2))`: Geman and McClure 1985, in the scaling where rho is
-/// `e^2` near zero. For a residual of several components `squared` is that of the whole vector.
+/// `rho(e) = s^2 e^2 / (s^2 + e^2)`, `w = (s^2 / (s^2 + e^2))^2`, `rho'' / 2 = w (1 - 4 e^2 / (s^2 + e^2))`: Geman and
+/// McClure 1985, scaled so that rho is `e^2` near zero. `squared` is the squared norm of a residual vector.
 ///
-/// `scale`: positive, in the unit of the residual. Solvers use the weight in place of the curvature, which
-/// is negative beyond `s / sqrt(3)`: the normal matrix then stays positive semi-definite. A covariance needs both.
+/// `scale`: positive, in the unit of the residual. Solvers use the weight instead of the curvature, which is negative
+/// beyond `s / sqrt(3)`: the normal matrix stays positive semi-definite. A covariance needs both.
 pub fn geman_mcclure(squared: f64, scale: f64) -> Robust {
     let s2 = scale * scale;
     let ratio = s2 / (s2 + squared);
@@ -25,10 +25,10 @@ pub fn geman_mcclure(squared: f64, scale: f64) -> Robust {
     Robust { cost: 0.5 * squared * ratio, weight, curvature: weight * (4.0 * ratio - 3.0) }
 }
 
-/// What [`geman_mcclure`] charges for an infinite residual: `s^2 / 2`.
+/// The cost [`geman_mcclure`] of an infinite residual: `s^2 / 2`.
 ///
-/// A datum that cannot be explained at all (a point behind the camera that saw it) pays this much; free of charge, the
-/// solver would push bad points there.
+/// It applies to data without a residual, as a point behind the camera that saw it. At no cost the solver would move
+/// bad points there.
 pub fn geman_mcclure_ceiling(scale: f64) -> f64 {
     0.5 * scale * scale
 }
@@ -59,25 +59,25 @@ pub fn charbonnier(factor: f64, squared: f64, knee_squared: f64) -> Robust {
     Robust { cost: factor * knee_squared * (root - 1.0), weight, curvature: weight / (root * root) }
 }
 
-/// Graduated non-convexity: the scale falls geometrically, so that a rough start is not taken for a set of outliers.
+/// Graduated non-convexity: the scale falls geometrically, so that the residuals of a rough start are not outliers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GraduatedScale {
     /// First scale, in units of the residual's standard deviation.
     pub start: f64,
     /// Last scale, same unit.
     pub end: f64,
-    /// How many scales, both ends included; at least 1 (which is `end` alone).
+    /// Number of scales including both ends, at least 1; 1 means `end` alone.
     pub steps: usize,
 }
 
 impl GraduatedScale {
-    /// The scales from `start` to `end`, in order; `end` exactly.
+    /// The scales from `start` to `end`, in order; the last is exactly `end`.
     pub fn scales(&self) -> Vec<f64> {
         let last = self.steps.max(1) - 1;
         (0..last).map(|k| self.start * (self.end / self.start).powf(k as f64 / last as f64)).chain([self.end]).collect()
     }
 
-    /// The same schedule starting no wider than `widest`; a start that is good already is not shaken by outliers.
+    /// The same schedule with a first scale of at most `widest`: for good starts, which outliers would disturb.
     pub fn starting_within(&self, widest: f64) -> Self {
         Self { start: self.start.min(widest.max(self.end)), ..*self }
     }
@@ -92,19 +92,19 @@ pub const INTERVAL_95: f64 = 1.96;
 /// Median length of a normal error in two dimensions over its standard deviation per axis: `sqrt(2 ln 2)`.
 pub const MEDIAN_LENGTH_IN_PLANE: f64 = 1.177;
 
-/// Median and median absolute deviation; zeros for an empty set.
+/// Median and median absolute deviation; zeros for an empty set. Reorders `values`.
 pub fn median_and_spread(values: &mut [f64]) -> (f64, f64) {
     let Some(center) = median(values) else { return (0.0, 0.0) };
     let mut deviations: Vec<f64> = values.iter().map(|v| (v - center).abs()).collect();
     (center, median(&mut deviations).unwrap_or(0.0))
 }
 
-/// The upper median; reorders `values`.
+/// The upper median; `None` for an empty set. Reorders `values`.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     quantile(values, 0.5)
 }
 
-/// The value with `share` (0 to 1) of all below it; reorders `values`.
+/// The value with `share` (0 to 1) of all values below it; `None` for an empty set. Reorders `values`.
 pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     let last = values.len().checked_sub(1)?;
     let place = (values.len() as f64 * share) as usize;
@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_weight_is_the_derivative_of_the_cost_by_half_the_squared_residual() {
+    fn the_weight_is_the_derivative_of_the_cost() {
         for e2 in [0.0, 0.3, 4.0, 900.0] {
             let h = 1e-5 * (1.0 + e2);
             let slope = (geman_mcclure(e2 + h, 3.0).cost - geman_mcclure(e2 - h, 3.0).cost) / h;
@@ -125,16 +125,16 @@ mod tests {
     }
 
     #[test]
-    fn the_curvature_is_the_derivative_of_the_pull() {
+    fn the_curvature_is_the_second_derivative_of_the_cost() {
         for e in [0.0, 0.3, 1.7, 30.0_f64] {
-            let pull = |e: f64| e * geman_mcclure(e * e, 3.0).weight;
-            let slope = (pull(e + 1e-5) - pull(e - 1e-5)) / 2e-5;
+            let slope_at = |e: f64| e * geman_mcclure(e * e, 3.0).weight;
+            let slope = (slope_at(e + 1e-5) - slope_at(e - 1e-5)) / 2e-5;
             assert!((slope - geman_mcclure(e * e, 3.0).curvature).abs() < 1e-8);
         }
     }
 
     #[test]
-    fn the_cost_ends_at_its_ceiling() {
+    fn the_cost_is_bounded_by_its_ceiling() {
         let far = geman_mcclure(1e12, 3.0);
         assert!((far.cost - geman_mcclure_ceiling(3.0)).abs() < 1e-6 && far.weight < 1e-12);
     }

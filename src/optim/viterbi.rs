@@ -1,12 +1,11 @@
 //! The cheapest path through a few states per step.
 
-/// The state of every step on the path of least cost; a step without states repeats nothing and is left out of the
-/// chain: its entry is `None`.
+/// The state of every step on the path of least cost. Steps without states are skipped: their entry is `None`.
 ///
 /// $\min_{s} \sum_t u_t(s_t) + \sum_t d(s_{t-1}, s_t)$ over the steps that have states — Viterbi 1967.
 ///
 /// `own[t][s]`: cost of a state; `change(t, r, u, s)`: cost of going from state `r` of step `t` to state `s` of step `u`.
-/// Of equally cheap paths the one through earlier states.
+/// Of equally cheap paths, the one through states of lower index.
 pub fn cheapest_path(own: &[Vec<f64>], change: impl Fn(usize, usize, usize, usize) -> f64) -> Vec<Option<usize>> {
     let steps: Vec<usize> = (0..own.len()).filter(|&t| !own[t].is_empty()).collect();
     let mut path = vec![None; own.len()];
@@ -40,10 +39,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_glimpse_to_the_contrary_is_outvoted_and_a_lasting_change_is_followed() {
-        let believes = |state: usize| if state == 0 { vec![0.0, 1.0] } else { vec![1.0, 0.0] };
+    fn follows_lasting_changes_and_not_single_outliers() {
+        let costs_of = |state: usize| if state == 0 { vec![0.0, 1.0] } else { vec![1.0, 0.0] };
         let step = |_: usize, r: usize, _: usize, s: usize| if r == s { 0.0 } else { 1.5 };
-        let path = |seen: &[usize]| cheapest_path(&seen.iter().map(|&s| believes(s)).collect::<Vec<_>>(), step);
+        let path = |seen: &[usize]| cheapest_path(&seen.iter().map(|&s| costs_of(s)).collect::<Vec<_>>(), step);
         assert_eq!(path(&[0, 0, 0, 1, 0, 0, 0]), [Some(0); 7]);
         assert_eq!(path(&[0, 0, 0, 1, 1, 1, 1])[2..4], [Some(0), Some(1)]);
     }

@@ -12,7 +12,7 @@ struct Scene {
     pairs: Vec<PointPair>,
 }
 
-/// Two views 4 m apart and some 60 degrees turned, that look at a stage of 4 m; a share of the pairs is arbitrary.
+/// Two views 4 m apart and rotated by some 60 degrees that see a volume of 3 m; a share of the pairs is arbitrary.
 fn scene(seed: u64, n: usize, outliers: f64) -> Scene {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let noise = Normal::new(0.0, NOISE).unwrap();
@@ -48,11 +48,11 @@ fn half_wrong_pairs_leave_the_pose_within_its_noise() {
     for seed in 0..20 {
         let scene = scene(seed, 150, 0.5);
         let found = estimate_essential(&scene.pairs, None, 6e-3, 300, seed).unwrap();
-        // The best that these pairs can say: the descent from the truth, which knows no sampling.
+        // The best solution of these pairs: the descent from the truth, without sampling.
         let from_truth = refine_essential(&scene.pose, &scene.pairs, None, 6e-3, 20);
         let best = score_essential(&epipolar::essential_from_pose(&from_truth), &scene.pairs, None, 6e-3);
         assert!(found.support > 0.99 * best.support, "{seed}: {} {}", found.support, best.support);
-        // 75 pairs at 2 px on a stage of 3 m: a median of 0.5 degrees, so 2.5 is out of the noise's reach.
+        // 75 pairs at 2 px on a stage of 3 m: a median of 0.5 degrees, so 2.5 is far above the noise.
         let pose = &found.second_from_first;
         assert!(rotation_error_deg(pose, &scene.pose) < 2.5, "{seed}: {}", rotation_error_deg(pose, &scene.pose));
         assert!(direction_error_deg(pose, &scene.pose) < 2.5, "{seed}: {}", direction_error_deg(pose, &scene.pose));
@@ -70,7 +70,7 @@ fn the_same_seed_gives_the_same_bits() {
 }
 
 #[test]
-fn pairs_of_no_weight_are_not_seen() {
+fn pairs_of_weight_zero_are_ignored() {
     let mut scene = scene(8, 120, 0.0);
     let weights: Vec<f64> = (0..120).map(|i| if i < 60 { 1.0 } else { 0.0 }).collect();
     scene.pairs[60..].iter_mut().for_each(|(_, b)| b.x = f64::NAN);
@@ -80,7 +80,7 @@ fn pairs_of_no_weight_are_not_seen() {
 }
 
 #[test]
-fn refinement_reaches_the_truth_on_exact_pairs_from_ten_degrees_away() {
+fn refinement_converges_from_ten_degrees_away() {
     let scene = scene(9, 60, 0.0);
     let exact: Vec<PointPair> = scene
         .pairs
@@ -101,7 +101,7 @@ fn refinement_reaches_the_truth_on_exact_pairs_from_ten_degrees_away() {
 }
 
 #[test]
-fn one_pair_that_is_not_finite_changes_nothing_for_the_others() {
+fn non_finite_pairs_are_ignored() {
     let scene = scene(11, 80, 0.0);
     let mut pairs = scene.pairs.clone();
     pairs.push((nalgebra::Vector2::repeat(f64::NAN), nalgebra::Vector2::zeros()));
@@ -111,7 +111,7 @@ fn one_pair_that_is_not_finite_changes_nothing_for_the_others() {
 }
 
 #[test]
-fn hopeless_input_gives_none_and_no_panic() {
+fn degenerate_input_gives_none() {
     let scene = scene(10, 4, 0.0);
     assert_eq!(estimate_essential(&scene.pairs, None, 6e-3, 100, 0), None);
     assert_eq!(estimate_essential(&[], None, 6e-3, 100, 0), None);

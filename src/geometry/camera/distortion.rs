@@ -1,4 +1,4 @@
-//! How a lens bends ideal normalised coordinates: OpenCV's polynomial, rational and fisheye models.
+//! Lens distortion of ideal normalised coordinates: OpenCV's polynomial, rational and fisheye models.
 
 use nalgebra::Vector2;
 
@@ -17,7 +17,7 @@ pub enum Distortion {
     Fisheye4([f64; 4]),
 }
 
-/// Five coefficients in OpenCV's order; five zeros are no distortion.
+/// Five coefficients in OpenCV's order; five zeros mean no distortion.
 impl From<[f64; 5]> for Distortion {
     fn from(dist: [f64; 5]) -> Self {
         if dist == [0.0; 5] { Self::None } else { Self::OpenCv5(dist) }
@@ -32,13 +32,13 @@ pub(super) struct Distorted {
     pub(super) jacobian: [f64; 4],
 }
 
-/// A ray farther than this (rad) from the axis is not undistorted: its tangent belongs to no image of a body.
+/// Rays farther than this (rad) from the axis are not undistorted: an image of a body has no such rays.
 const MAX_FISHEYE_ANGLE: f64 = 1.55;
 /// Below this squared radius the fisheye's quotients are replaced by their series: its next term is 1e-12 relative.
 const SMALL_SQUARED_RADIUS: f64 = 1e-6;
 
 impl Distortion {
-    /// The model's name, as `distortion_model` of a session spells it.
+    /// The model's name, as in the field `distortion_model` of a session.
     pub fn name(&self) -> &'static str {
         match self {
             Self::None => "none",
@@ -48,7 +48,7 @@ impl Distortion {
         }
     }
 
-    /// The coefficients in OpenCV's order; five zeros where there is no distortion, as most readers expect.
+    /// The coefficients in OpenCV's order; five zeros without distortion, as most readers expect.
     pub fn coefficients(&self) -> &[f64] {
         match self {
             Self::None => &[0.0; 5],
@@ -58,8 +58,8 @@ impl Distortion {
         }
     }
 
-    /// OpenCV's list of growing length: 0, 4, 5 or 8 coefficients, or 12 or 14 whose thin prism and tilt terms are zero;
-    /// `None` for any other.
+    /// The model of an OpenCV list of coefficients: 0, 4, 5 or 8 of them, or 12 or 14 with thin prism and tilt terms of
+    /// zero; `None` for any other list.
     pub fn from_opencv(coefficients: &[f64]) -> Option<Self> {
         match *coefficients {
             [] => Some(Self::None),
@@ -68,13 +68,13 @@ impl Distortion {
             [k1, k2, p1, p2, k3, k4, k5, k6] => Some(Self::Rational8([k1, k2, p1, p2, k3, k4, k5, k6])),
             _ => {
                 let (known, rest) = coefficients.split_at_checked(8)?;
-                let is_ours = [4, 6].contains(&rest.len()) && rest.iter().all(|k| *k == 0.0);
-                if is_ours { Self::from_opencv(known) } else { None }
+                let is_supported = [4, 6].contains(&rest.len()) && rest.iter().all(|k| *k == 0.0);
+                if is_supported { Self::from_opencv(known) } else { None }
             }
         }
     }
 
-    /// A fisheye's `k1 k2 k3 k4`, with the zero that some writers append; `None` for any other list.
+    /// A fisheye model from `k1 k2 k3 k4`, possibly followed by the zero that some writers append; `None` for other lists.
     pub fn from_fisheye(coefficients: &[f64]) -> Option<Self> {
         match *coefficients {
             [k1, k2, k3, k4] | [k1, k2, k3, k4, 0.0] => Some(Self::Fisheye4([k1, k2, k3, k4])),
@@ -112,7 +112,7 @@ impl Distortion {
 
     /// Ideal normalised coordinates of distorted ones.
     ///
-    /// Known limit: beyond the radius where the polynomial folds over there is no inverse; the last iterate is returned.
+    /// Known limit: beyond the radius where the polynomial folds over it has no inverse; the last iterate is returned.
     pub(super) fn undistort(&self, distorted: &Vector2<f64>) -> Vector2<f64> {
         match self {
             Self::None => *distorted,

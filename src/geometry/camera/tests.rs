@@ -57,7 +57,7 @@ fn an_ideal_fisheye_measures_the_angle() {
 }
 
 #[test]
-fn what_is_not_in_front_does_not_project() {
+fn points_behind_the_camera_do_not_project() {
     let camera = camera(Distortion::None);
     for z in [-1.0, 0.0, 0.5 * MIN_DEPTH] {
         let point = Vector3::new(0.1, 0.1, z);

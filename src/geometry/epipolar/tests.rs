@@ -28,7 +28,7 @@ fn essential_distance(a: &Matrix3<f64>, b: &Matrix3<f64>) -> f64 {
 }
 
 #[test]
-fn five_pairs_give_the_true_essential_matrix_among_at_most_ten() {
+fn five_pairs_give_the_true_essential_matrix() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let mut found = 0;
     for _ in 0..1000 {
@@ -47,7 +47,7 @@ fn five_pairs_give_the_true_essential_matrix_among_at_most_ten() {
 }
 
 #[test]
-fn five_equal_or_non_finite_pairs_do_no_harm() {
+fn five_equal_or_non_finite_pairs_do_not_panic() {
     let pair = (Vector2::new(0.1, 0.2), Vector2::new(0.3, -0.1));
     five_point(&[pair; 5]);
     five_point(&[(Vector2::repeat(f64::NAN), Vector2::zeros()); 5]);
@@ -55,7 +55,7 @@ fn five_equal_or_non_finite_pairs_do_no_harm() {
 }
 
 #[test]
-fn the_true_pose_is_among_the_four_and_alone_in_front() {
+fn only_the_true_of_four_poses_is_in_front() {
     let mut rng = ChaCha8Rng::seed_from_u64(4);
     for _ in 0..200 {
         let pose = random_pose(&mut rng);
@@ -119,7 +119,7 @@ fn depths_of_an_exact_pair_are_its_z() {
 }
 
 #[test]
-fn rays_know_their_distance_to_points_and_to_each_other() {
+fn distances_between_rays_and_points_are_exact() {
     let at = |x: f64, y: f64| Rigid { rotation: Matrix3::identity(), translation: -Vector3::new(x, y, 0.0) };
     let forward = PluckerRay::through(&at(1.0, 2.0), &Vector2::zeros());
     assert!((ray_point_distance(&forward, &Vector3::new(1.0, 5.0, 9.0)) - 3.0).abs() < 1e-14);

@@ -78,7 +78,7 @@ fn the_6d_form_round_trips_and_rejects_parallel_columns() {
 
 /// Central differences with a step of 1e-6 are good to 1e-9.
 #[test]
-fn the_gradient_of_the_6d_form_agrees_with_central_differences() {
+fn the_6d_gradient_agrees_with_central_differences() {
     let columns = [0.7, -1.1, 0.4, 0.9, 0.6, -0.3];
     let (r, pull) = (from_6d(&columns).unwrap(), Vector3::new(0.3, -0.8, 0.5));
     let gradient = from_6d_backward(&columns, &pull);
@@ -101,7 +101,7 @@ fn an_increment_changes_the_trace_by_the_axial_vector() {
 }
 
 #[test]
-fn the_least_rotation_takes_one_direction_to_the_other() {
+fn rotation_between_is_the_smallest_one() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     for gap in [0.0, 1e-14, 1e-9, 1e-5, 0.1, 1.0] {
         let a = random_direction(&mut rng);
@@ -109,7 +109,7 @@ fn the_least_rotation_takes_one_direction_to_the_other() {
         for b in [tilt * a, -(tilt * a)] {
             let turn = rotation_between(&(a * 3.0), &(b * 0.2));
             assert!((turn * a - b).norm() < 1e-14, "{gap}: {}", (turn * a - b).norm());
-            assert!((angle_between(&turn, &Matrix3::identity()) - a.angle(&b)).abs() < 1e-7, "the least one");
+            assert!((angle_between(&turn, &Matrix3::identity()) - a.angle(&b)).abs() < 1e-7, "the smallest one");
         }
     }
     assert_eq!(rotation_between(&Vector3::zeros(), &Vector3::x()), Matrix3::identity());

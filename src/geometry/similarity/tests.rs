@@ -17,7 +17,7 @@ fn squared_error(s: &Similarity, source: &[Vector3<f64>], target: &[Vector3<f64>
 }
 
 #[test]
-fn exact_points_give_the_transform_back_whatever_the_angle() {
+fn exact_points_give_the_exact_transform() {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     for angle in [0.0, 1e-9, 0.3, 2.0, PI - 1e-9, PI] {
         for _ in 0..50 {
@@ -77,7 +77,7 @@ fn a_rigid_alignment_keeps_the_length() {
 }
 
 #[test]
-fn what_cannot_be_aligned_is_refused_with_its_reason() {
+fn degenerate_points_are_rejected_with_the_reason() {
     let line: Vec<_> = (0..5).map(|i| Vector3::new(1.0, 2.0, -1.0) * (i as f64) / 3.0 + Vector3::x() * 100.0).collect();
     let place = vec![Vector3::new(0.1, 0.2, 0.3); 5];
     let cloud = random_points(&mut ChaCha8Rng::seed_from_u64(4), 5);

@@ -70,7 +70,7 @@ mod tests {
         let n_views: Vec<usize> = whole[0].assignments.iter().map(|(_, a)| a.iter().flatten().count()).collect();
         assert_eq!(n_views, [2, 2, 2, 2, 4, 4, 2, 2, 2]);
         assert_eq!(merged(person(2..4, 0.05, &[2, 3])).len(), 1, "within");
-        assert_eq!(merged(person(4..9, 0.05, &[1, 2])).len(), 2, "one view sees both");
+        assert_eq!(merged(person(4..9, 0.05, &[1, 2])).len(), 2, "a view sees both");
         assert_eq!(merged(person(4..9, 0.4, &[2, 3])).len(), 2, "elsewhere");
         assert_eq!(merged(person(6..9, 0.0, &[2, 3])).len(), 2, "at another time");
     }

@@ -24,13 +24,13 @@ pub(super) fn new_person(
     people: &[TrackedPerson],
 ) -> Option<TrackedPerson> {
     match scene.views.len() {
-        1 => from_one_view(scene, frame, &free[0], people),
+        1 => from_single_view(scene, frame, &free[0], people),
         _ => from_agreeing_views(scene, config, frame, free, people),
     }
 }
 
 /// The detection with most keypoints that no person stands for yet.
-fn from_one_view(
+fn from_single_view(
     scene: &TrackerScene,
     frame: usize,
     free: &[usize],

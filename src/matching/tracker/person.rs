@@ -156,8 +156,8 @@ impl TrackedPerson {
         frame: usize,
         assignment: &[Option<usize>],
     ) {
-        // While one view alone sees a person its motion in depth stays hidden: when a second view returns, the shift
-        // since the last confirmed frame appears at once.
+        // A single view does not show motion in depth: when a second view sees the person again, the shift since the
+        // last confirmed frame appears at once.
         let since = if scene.is_confirmed(assignment) {
             let confirmed = self.assignments.iter().rev().find(|(_, a)| scene.is_confirmed(a));
             confirmed.map_or(self.first(), |(f, _)| *f)

@@ -1,6 +1,6 @@
 //! Re-acquisition: other views' unassigned detections for persons that a single view holds.
 //!
-//! One view fixes a person's direction but not its depth: within a second the person may be a step away from where the other
+//! A single view fixes a person's direction but not its depth: within a second the person may be a step away from where the other
 //! views expect it. Agreement of the rays of two views then counts more than the predicted position.
 
 use super::initialisation::agreement;

@@ -41,7 +41,7 @@ fn two_people_passing_one_camera_keep_their_identities() {
     }
 }
 
-/// One view loses a person for half a second in which they run towards the other camera, along its rays.
+/// A view loses a person for half a second, in which the person runs towards the other camera, along its rays.
 #[test]
 fn a_person_moving_along_the_rays_of_one_view_is_reacquired() {
     let aside = Matrix3::new(0.0, 0.0, 1.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0);

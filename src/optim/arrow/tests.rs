@@ -74,7 +74,7 @@ fn one_and_two_threads_give_the_same_bits() {
 }
 
 #[test]
-fn an_unknown_without_information_does_not_move_and_spoils_nothing() {
+fn an_unobserved_unknown_does_not_move() {
     let with_idle = |i: usize, block: &mut Block| {
         block.reset(3, &[0]);
         let local = [Column { index: 0, derivative: [1.0] }, Column { index: 2, derivative: [2.0] }];
@@ -90,8 +90,8 @@ fn an_unknown_without_information_does_not_move_and_spoils_nothing() {
 }
 
 #[test]
-fn leaves_go_first_and_a_tree_has_no_fill_in() {
-    // A star with centre 0 and a tail 3-4: whoever is eliminated has at most one neighbour left.
+fn elimination_of_a_tree_has_no_fill_in() {
+    // A star with centre 0 and a tail 3-4: every eliminated vertex has at most one neighbour left.
     let edges = [(0, 1), (0, 2), (0, 3), (3, 4)];
     let order = elimination_order(5, edges);
     let place = |v| order.iter().position(|&o| o == v).unwrap();

@@ -1,0 +1,89 @@
+use super::*;
+use rand::{RngExt, SeedableRng};
+
+/// A random positive definite system of this pattern: a sum of squares of rows within it.
+fn random_system(n_frames: usize, n_groups: usize, n_border: usize, seed: u64) -> BlockBanded {
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
+    let mut uniform = || rng.random_range(-1.0..1.0);
+    let n = 3 * n_groups;
+    let mut system = BlockBanded::zeros(n_frames, n_groups, n_border);
+    for t in 0..n_frames {
+        let rows = DMatrix::from_fn(n + 4, n + n_border, |_, _| uniform());
+        let square = rows.tr_mul(&rows);
+        system.diagonal[t] += square.view((0, 0), (n, n));
+        system.border[t] += square.view((0, n), (n, n_border));
+        system.corner.hessian += square.view((n, n), (n_border, n_border));
+        system.gradient[t] = DVector::from_fn(n, |_, _| uniform());
+    }
+    for t in 0..n_frames.saturating_sub(2) {
+        for g in 0..n_groups {
+            let j: [Matrix3<f64>; 3] = std::array::from_fn(|_| Matrix3::from_fn(|_, _| uniform()));
+            for (i, a) in j.iter().enumerate() {
+                let mut view = system.diagonal[t + i].fixed_view_mut::<3, 3>(3 * g, 3 * g);
+                view += a.transpose() * a;
+            }
+            system.next[t].add(g, g, j[1].transpose() * j[0]);
+            system.next[t + 1].add(g, g, j[2].transpose() * j[1]);
+            system.after_next[t].add(g, g, j[2].transpose() * j[0]);
+        }
+        // A residual of two groups.
+        let (g, h) = (0, n_groups - 1);
+        let j: [Matrix3<f64>; 3] = std::array::from_fn(|_| Matrix3::from_fn(|_, _| uniform()));
+        for (row, a) in [(g, 1.0), (h, 0.5)] {
+            for (column, b) in [(g, 1.0), (h, 0.5)] {
+                let block = |i: usize, k: usize| j[i].transpose() * j[k] * (a * b);
+                for i in 0..3 {
+                    let mut view = system.diagonal[t + i].fixed_view_mut::<3, 3>(3 * row, 3 * column);
+                    view += block(i, i);
+                }
+                system.next[t].add(row, column, block(1, 0));
+                system.next[t + 1].add(row, column, block(2, 1));
+                system.after_next[t].add(row, column, block(2, 0));
+            }
+        }
+    }
+    system.corner.gradient = DVector::from_fn(n_border, |_, _| uniform());
+    system
+}
+
+fn dense(system: &BlockBanded) -> (DMatrix<f64>, DVector<f64>) {
+    let (n, t_count, m) = (system.diagonal[0].nrows(), system.diagonal.len(), system.corner.gradient.len());
+    let mut h = DMatrix::zeros(n * t_count + m, n * t_count + m);
+    let mut g = DVector::zeros(n * t_count + m);
+    for t in 0..t_count {
+        h.view_mut((n * t, n * t), (n, n)).copy_from(&system.diagonal[t]);
+        h.view_mut((n * t, n * t_count), (n, m)).copy_from(&system.border[t]);
+        h.view_mut((n * t_count, n * t), (m, n)).copy_from(&system.border[t].transpose());
+        g.rows_mut(n * t, n).copy_from(&system.gradient[t]);
+        for (distance, couplings) in [(1, &system.next), (2, &system.after_next)] {
+            if let Some(block) = couplings.get(t).map(Coupling::dense) {
+                h.view_mut((n * (t + distance), n * t), (n, n)).copy_from(&block);
+                h.view_mut((n * t, n * (t + distance)), (n, n)).copy_from(&block.transpose());
+            }
+        }
+    }
+    h.view_mut((n * t_count, n * t_count), (m, m)).copy_from(&system.corner.hessian);
+    g.rows_mut(n * t_count, m).copy_from(&system.corner.gradient);
+    (h, g)
+}
+
+#[test]
+fn the_banded_solution_equals_the_dense_one() {
+    for (n_frames, n_groups, n_border) in [(1, 2, 3), (2, 3, 0), (7, 9, 4), (5, 21, 10)] {
+        let system = random_system(n_frames, n_groups, n_border, 5);
+        let step = system.solve(0.0).unwrap();
+        let (h, g) = dense(&system);
+        let expected = h.lu().solve(&-g).unwrap();
+        let found: Vec<f64> = step.frames.iter().flat_map(|f| f.iter()).chain(step.border.iter()).copied().collect();
+        assert!((DVector::from_vec(found) - &expected).norm() < 1e-8 * expected.norm());
+    }
+}
+
+#[test]
+fn rejects_indefinite_systems() {
+    let mut system = random_system(4, 8, 2, 1);
+    system.diagonal[2][(20, 20)] = -1.0;
+    assert!(system.solve(0.0).is_none());
+    system.diagonal[2][(20, 20)] = f64::NAN;
+    assert!(system.solve(0.0).is_none());
+}
