@@ -3,7 +3,7 @@
 use super::rigid::Rigid;
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-/// The observation of a point in one view.
+/// The observation of a point in one of the views.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PointObservation<'a> {
     /// The view's pose.

@@ -73,7 +73,7 @@ fn only_the_true_of_four_poses_is_in_front() {
 }
 
 #[test]
-fn sampson_distance_is_first_order_distance_to_the_epipolar_lines() {
+fn sampson_distance_is_first_order_epipolar_distance() {
     // Sideways motion: epipolar lines are rows; a row difference d between two views is d / sqrt 2 in each.
     let e = essential_from_pose(&Rigid { rotation: Matrix3::identity(), translation: Vector3::x() });
     let squared = sampson_squared(&e, &Vector2::new(0.3, 0.1), &Vector2::new(-0.2, 0.1 + 0.02));
