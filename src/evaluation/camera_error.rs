@@ -66,7 +66,8 @@ const MIN_DEPTH: f64 = 0.1;
 /// Error of a joint that is behind the solved camera, px.
 const BEHIND_PX: f64 = 1e4;
 
-/// Errors after the alignment; `points`: true joints, world metres.
+/// Errors after the alignment; `points`: true joints, world metres. Per camera: `|C_aligned - C_true|`, the angle of
+/// `R_aligned^T R_true`, and the mean distance between the projections of the points inside the true image.
 pub fn camera_errors(pairs: &[CameraPair], points: &[Vector3<f64>], alignment: Alignment) -> CameraErrors {
     let (solved, truth): (Vec<Rigid>, Vec<Rigid>) = pairs.iter().map(|p| (p.solved, p.truth)).unzip();
     let truth_from_solved = truth_from_solved(&solved, &truth, alignment);

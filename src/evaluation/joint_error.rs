@@ -111,7 +111,8 @@ pub fn pcp(truth: &Frames<Shelf14>, solved: &Frames<Shelf14>, actors: &[String],
     }
 }
 
-/// MPJPE of `solved` relative to `truth` over `actors`, matched one to one; both in one world, metres.
+/// MPJPE of `solved` relative to `truth` over `actors`, matched one to one; both in one world, metres. The mean over poses of
+/// the mean of `|x_solved - x_true|` over the common joints; poses farther off than 0.5 m count as not matched.
 pub fn mpjpe(truth: &Frames<Shelf14>, solved: &Frames<Shelf14>, actors: &[String]) -> Mpjpe {
     let (mut n_gt, mut n_matched) = (0, 0);
     let (mut all, mut limbs) = (PoseDistances::default(), PoseDistances::default());

@@ -69,7 +69,7 @@ pub fn first_matches(truth: &Frames<MarkedPose>, solved: &Frames<MarkedPose>) ->
     matches
 }
 
-/// For each marker the vertex of a mesh nearest to it.
+/// For each marker the index of the nearest vertex of a mesh; `markers` and `mesh` in one world, metres.
 pub fn nearest_vertices(markers: &[Vector3<f64>], mesh: &[Vector3<f64>]) -> Vec<usize> {
     let square = |marker: &Vector3<f64>, vertex: usize| (mesh[vertex] - marker).norm_squared();
     let nearest = |marker: &Vector3<f64>| {

@@ -95,7 +95,7 @@ pub struct BodyModelId {
 /// An export format of a result (`options.exports`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-#[allow(missing_docs)] // the names say it
+#[allow(missing_docs)] // self-explanatory names
 pub enum ExportFormat {
     SmplNpz,
     Easymocap,

@@ -12,11 +12,11 @@ def quaternion(xyzw):
 
 
 def add_object(name, data, parent):
-    """An object in the scene's collection; its axes are those of its parent."""
-    thing = bpy.data.objects.new(name, data)
-    bpy.context.scene.collection.objects.link(thing)
-    thing.parent = parent
-    return thing
+    """Adds an object to the scene's collection, with the axes of its parent."""
+    obj = bpy.data.objects.new(name, data)
+    bpy.context.scene.collection.objects.link(obj)
+    obj.parent = parent
+    return obj
 
 
 def set_scene(take):
@@ -31,7 +31,7 @@ def set_scene(take):
         first = take["cameras"][0]
         scene.render.resolution_x, scene.render.resolution_y = first["width"], first["height"]
         scene.render.resolution_percentage = 100
-        # Only ratios count, and Blender wants both at least 1.
+        # Only the ratio matters; Blender requires both to be at least 1.
         scene.render.pixel_aspect_x = max(1.0, 1.0 / first["pixel_aspect"])
         scene.render.pixel_aspect_y = max(1.0, first["pixel_aspect"])
 
@@ -54,7 +54,7 @@ def add_camera(take_camera, world):
 
 
 def add_bones(armature, person, names, parents):
-    """Bones from every joint to its first child; the rest pose is the T-pose."""
+    """Adds bones from every joint to its first child; the rest pose is the T-pose."""
     rest = [Vector(joint) for joint in person["rest_joints"]]
     bpy.context.view_layer.objects.active = armature
     bpy.ops.object.mode_set(mode="EDIT")
@@ -77,7 +77,7 @@ def leaf(rest, joint, parents):
 
 
 def animate(armature, person, names):
-    """Local turns about axes parallel to the world, put into each bone's own axes."""
+    """Keyframes of the local rotations, converted from axes parallel to the world to each bone's own axes."""
     first = person["first_frame"]
     for joint, name in enumerate(names):
         bone = armature.pose.bones[name]

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// The class of a refusal; the service answers each with an HTTP status of its own.
+/// The class of a refusal; the service maps each class to an HTTP status.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum UploadErrorKind {
     /// The bytes do not follow the declared format.

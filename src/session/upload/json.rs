@@ -65,13 +65,8 @@ pub(crate) trait Fields {
 
 /// Reads the items of a list, one by one.
 pub(crate) trait Items {
-    /// Reads item `index`; false at the end of the list.
-    fn item<'d, S: SeqAccess<'d>>(
-        &mut self,
-        index: usize,
-        seq: &mut S,
-        reading: &mut Reading,
-    ) -> Result<bool, S::Error>;
+    /// Reads item `i`; false at the end of the list.
+    fn item<'d, S: SeqAccess<'d>>(&mut self, i: usize, seq: &mut S, reading: &mut Reading) -> Result<bool, S::Error>;
 }
 
 /// A JSON object to be read into `F`.

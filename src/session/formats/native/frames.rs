@@ -45,12 +45,7 @@ impl Fields for PosesFields {
 struct Frames<'p>(&'p mut RawPoses);
 
 impl Items for Frames<'_> {
-    fn item<'d, S: SeqAccess<'d>>(
-        &mut self,
-        _index: usize,
-        seq: &mut S,
-        reading: &mut Reading,
-    ) -> Result<bool, S::Error> {
+    fn item<'d, S: SeqAccess<'d>>(&mut self, _i: usize, seq: &mut S, reading: &mut Reading) -> Result<bool, S::Error> {
         let mut fields = FrameFields::default();
         if seq.next_element_seed(Object(&mut fields, reading))?.is_none() {
             return Ok(false);
@@ -131,20 +126,15 @@ impl Fields for LineFields {
 struct People<'p>(&'p mut Vec<Detection>);
 
 impl Items for People<'_> {
-    fn item<'d, S: SeqAccess<'d>>(
-        &mut self,
-        index: usize,
-        seq: &mut S,
-        reading: &mut Reading,
-    ) -> Result<bool, S::Error> {
-        reading.place.person = Some(index);
+    fn item<'d, S: SeqAccess<'d>>(&mut self, i: usize, seq: &mut S, reading: &mut Reading) -> Result<bool, S::Error> {
+        reading.place.person = Some(i);
         let mut fields = PersonFields::default();
         if seq.next_element_seed(Object(&mut fields, reading))?.is_none() {
             reading.place.person = None;
             return Ok(false);
         }
-        if index == reading.limits.max_people_per_frame {
-            return Err(reading.refuse(Fault::TooManyPeople.with(format!("the frame has more than {index} people"))));
+        if i == reading.limits.max_people_per_frame {
+            return Err(reading.refuse(Fault::TooManyPeople.with(format!("the frame has more than {i} people"))));
         }
         reading.spend(PERSON_AS_KEYPOINTS).map_err(|e| reading.refuse(e))?;
         let Some(keypoints) = fields.keypoints else {
@@ -181,16 +171,11 @@ impl Fields for PersonFields {
 struct Keypoints<'k>(&'k mut Vec<Keypoint>);
 
 impl Items for Keypoints<'_> {
-    fn item<'d, S: SeqAccess<'d>>(
-        &mut self,
-        index: usize,
-        seq: &mut S,
-        reading: &mut Reading,
-    ) -> Result<bool, S::Error> {
+    fn item<'d, S: SeqAccess<'d>>(&mut self, i: usize, seq: &mut S, reading: &mut Reading) -> Result<bool, S::Error> {
         let Some(numbers) = seq.next_element::<Numbers>()? else { return Ok(false) };
         reading.spend(1).map_err(|e| reading.refuse(e))?;
-        if index == MAX_KEYPOINTS_PER_PERSON {
-            return Err(reading.refuse(Fault::KeypointCount.with(format!("a person has more than {index} keypoints"))));
+        if i == MAX_KEYPOINTS_PER_PERSON {
+            return Err(reading.refuse(Fault::KeypointCount.with(format!("a person has more than {i} keypoints"))));
         }
         let keypoint = match numbers.0[..] {
             [x, y, confidence] => checked_keypoint(x, y, confidence, reading.warnings),

@@ -75,17 +75,12 @@ impl Fields for DocumentFields {
 struct Cameras<'c>(&'c mut Vec<RawCamera>);
 
 impl Items for Cameras<'_> {
-    fn item<'d, S: SeqAccess<'d>>(
-        &mut self,
-        index: usize,
-        seq: &mut S,
-        reading: &mut Reading,
-    ) -> Result<bool, S::Error> {
+    fn item<'d, S: SeqAccess<'d>>(&mut self, i: usize, seq: &mut S, reading: &mut Reading) -> Result<bool, S::Error> {
         let mut fields = CameraFields::default();
         if seq.next_element_seed(Object(&mut fields, reading))?.is_none() {
             return Ok(false);
         }
-        if index == reading.limits.max_cameras {
+        if i == reading.limits.max_cameras {
             return Err(reading.refuse(
                 Fault::TooManyCameras.with(format!("the session has more than {} cameras", reading.limits.max_cameras)),
             ));

@@ -54,15 +54,24 @@ pub(crate) fn read_list(
     images: &mut ImageTable,
     reading: &mut Reading<'_>,
 ) -> Result<FoundPoses, UploadError> {
-    let mut stream = JsonStream::new(reader, reading.limits);
     let mut people = People { found: FoundPoses::default(), images };
-    if is_document {
-        stream.next(&mut people, reading)?;
-    } else {
-        stream.next_list(&mut people, reading)?;
-    }
-    stream.expect_end(reading)?;
+    read_whole(reader, is_document, &mut people, reading)?;
     Ok(people.found)
+}
+
+/// Reads a document that is an object, or a list alone.
+fn read_whole(
+    reader: impl Read,
+    is_document: bool,
+    target: &mut (impl Fields + Items),
+    reading: &mut Reading<'_>,
+) -> Result<(), UploadError> {
+    let mut stream = JsonStream::new(reader, reading.limits);
+    match is_document {
+        true => stream.next(target, reading)?,
+        false => stream.next_list(target, reading)?,
+    }
+    stream.expect_end(reading)
 }
 
 struct People<'i> {
@@ -103,12 +112,7 @@ impl People<'_> {
 }
 
 impl Items for People<'_> {
-    fn item<'d, S: SeqAccess<'d>>(
-        &mut self,
-        _index: usize,
-        seq: &mut S,
-        reading: &mut Reading,
-    ) -> Result<bool, S::Error> {
+    fn item<'d, S: SeqAccess<'d>>(&mut self, _i: usize, seq: &mut S, reading: &mut Reading) -> Result<bool, S::Error> {
         let Some(person) = seq.next_element::<Person>()? else { return Ok(false) };
         self.add(person, reading).map_err(|e| reading.refuse(e))?;
         Ok(true)
@@ -145,12 +149,7 @@ struct Category {
 struct Images<'i>(&'i mut ImageTable);
 
 impl Items for Images<'_> {
-    fn item<'d, S: SeqAccess<'d>>(
-        &mut self,
-        _index: usize,
-        seq: &mut S,
-        reading: &mut Reading,
-    ) -> Result<bool, S::Error> {
+    fn item<'d, S: SeqAccess<'d>>(&mut self, _i: usize, seq: &mut S, reading: &mut Reading) -> Result<bool, S::Error> {
         let Some(image) = seq.next_element::<CocoImage>()? else { return Ok(false) };
         if self.0.len() == reading.limits.max_view_frames {
             return Err(reading
@@ -172,14 +171,8 @@ pub(crate) fn read_mmpose(
     is_document: bool,
     reading: &mut Reading<'_>,
 ) -> Result<FoundPoses, UploadError> {
-    let mut stream = JsonStream::new(reader, reading.limits);
     let mut frames = MmposeFrames(FoundPoses::default());
-    if is_document {
-        stream.next(&mut frames, reading)?;
-    } else {
-        stream.next_list(&mut frames, reading)?;
-    }
-    stream.expect_end(reading)?;
+    read_whole(reader, is_document, &mut frames, reading)?;
     Ok(frames.0)
 }
 
@@ -223,12 +216,7 @@ fn order_of(meta: &MetaInfo) -> Option<JointOrder> {
 }
 
 impl Items for MmposeFrames {
-    fn item<'d, S: SeqAccess<'d>>(
-        &mut self,
-        _index: usize,
-        seq: &mut S,
-        reading: &mut Reading,
-    ) -> Result<bool, S::Error> {
+    fn item<'d, S: SeqAccess<'d>>(&mut self, _i: usize, seq: &mut S, reading: &mut Reading) -> Result<bool, S::Error> {
         let Some(frame) = seq.next_element::<MmposeFrame>()? else { return Ok(false) };
         reading.place.frame = Some(frame.frame_id);
         self.0.frame(None, frame.frame_id, reading).map(|_| ()).map_err(|e| reading.refuse(e))?;
