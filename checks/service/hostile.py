@@ -1,5 +1,5 @@
-"""Catalogue D1 to D10 over HTTP: what nobody would send. Every upload is answered 4xx with a code and a remedy within 2 s and
-64 MiB, or is accepted and its job reaches an end that says what is wrong; no number of a result is none.
+"""Catalogue D1 to D10 over HTTP: hostile uploads. Each is refused with 4xx, a code and a remedy within 2 s and 64 MiB, or is
+accepted, and its job ends with a result or a typed error; every number of a result is finite.
 
     python3 checks/service/hostile.py
 """
@@ -31,7 +31,7 @@ def native(session):
 
 
 def filled(gib, byte):
-    """A deflated member of one byte again and again, written without making it whole."""
+    """A deflated member that repeats one byte, written in blocks."""
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
         with archive.open("session.json", "w", force_zip64=True) as member:
@@ -42,14 +42,14 @@ def filled(gib, byte):
 
 
 def empty_entries(n):
-    """A zip of n empty members, made by hand: the library would take minutes."""
+    """A zip of n empty members, written directly: the library would take minutes."""
     local, central = io.BytesIO(), io.BytesIO()
     for i in range(n):
         name = b"%07x" % i
-        at = local.tell()
+        at = len(local.getbuffer())
         local.write(struct.pack("<4sHHHHHIIIHH", b"PK\3\4", 20, 0, 0, 0, 0, 0, 0, 0, len(name), 0) + name)
         central.write(struct.pack("<4sHHHHHHIIIHHHHHII", b"PK\1\2", 20, 20, 0, 0, 0, 0, 0, 0, 0, len(name), 0, 0, 0, 0, 0, at) + name)
-    start, size = local.tell(), central.tell()
+    start, size = len(local.getbuffer()), len(central.getbuffer())
     end64 = struct.pack("<4sQHHIIQQQQ", b"PK\6\6", 44, 45, 45, 0, 0, n, n, size, start)
     tail = struct.pack("<4sIQI", b"PK\6\7", 0, start + size, 1) + struct.pack("<4sHHHHIIH", b"PK\5\6", 0, 0, 65535, 65535, 0xFFFFFFFF, 0xFFFFFFFF, 0)
     return local.getvalue() + central.getvalue() + end64 + tail
@@ -64,21 +64,21 @@ def containers(good):
     """D1, D2 (a sample), D3."""
     whole = zip_of(good)
     yield "5 GiB of zeros", filled(5, b"\0")
-    yield "2 GiB of spaces", filled(2, b" ")  # which JSON allows: only the limits end it
+    yield "2 GiB of spaces", filled(2, b" ")  # JSON allows spaces: only the limits stop it
     yield "a million empty members", empty_entries(1_000_000)
     yield "nested zip", zip_of([("session.zip", whole)])
-    for name, offset, value in (("directory size 0", 12, b"\0" * 4), ("directory size lies", 12, b"\xff" * 4), ("directory place lies", 16, b"\xff" * 4),
-                                ("member count lies", 10, b"\xff\x7f"), ("comment length lies", 20, b"\xff\xff")):
+    for name, offset, value in (("directory size 0", 12, b"\0" * 4), ("wrong directory size", 12, b"\xff" * 4), ("wrong directory offset", 16, b"\xff" * 4),
+                                ("wrong member count", 10, b"\xff\x7f"), ("wrong comment length", 20, b"\xff\xff")):
         yield name, patched(whole, b"PK\5\6", offset, value)
     yield "trailing bytes", whole + b"x" * 100
     yield "prepended bytes", b"PK\3\4junk" + whole
     yield "member method 99", patched(whole, b"PK\1\2", 10, b"\x63\0")
     yield "member encrypted", patched(whole, b"PK\1\2", 8, b"\1\0")
-    yield "member size lies", patched(whole, b"PK\1\2", 24, b"\xff\xff\xff\x7f")
-    yield "local header elsewhere", patched(whole, b"PK\1\2", 42, b"\1\0\0\0")
+    yield "wrong member size", patched(whole, b"PK\1\2", 24, b"\xff\xff\xff\x7f")
+    yield "wrong local header offset", patched(whole, b"PK\1\2", 42, b"\1\0\0\0")
     yield "overlapping members", patched(whole, b"PK\1\2", 42, b"\0\0\0\0")
     twice = zip_of(good + [("poses/camX.json", b"{}")])
-    yield "one name twice", twice.replace(b"poses/camX.json", b"poses/cam0.json")
+    yield "duplicate name", twice.replace(b"poses/camX.json", b"poses/cam0.json")
     for n in range(0, len(whole), max(1, len(whole) // 200)):
         yield f"cut at {n}", whole[:n]
     names = ["../x", "/etc/passwd", "C:\\x", "..\\x", "a\0b", "a/../../b", "CON", "x" * 4096, "caf\u00e9", "cafe\u0301", "\u202ejson.x", "./x", "a//b"]
@@ -128,14 +128,14 @@ def documents(good):
     for name, matrix in bad_k.items():
         yield f"K {name}", changed(cameras=[{**cameras[0], "K": matrix}, *cameras[1:]])
     rotation = cameras[0]["R"]
-    for name, fields in {"R no rotation": {"R": [[2 * x for x in row] for row in rotation]}, "R mirrored": {"R": [[-x for x in row] for row in rotation]},
+    for name, fields in {"R not a rotation": {"R": [[2 * x for x in row] for row in rotation]}, "R mirrored": {"R": [[-x for x in row] for row in rotation]},
                          "no size": {"width": 0}, "huge distortion": {"dist": [1e9, 0, 0, 0, 0]}, "t far": {"t": [1e300, 0, 0]}}.items():
         yield name, changed(cameras=[{**cameras[0], **fields}, *cameras[1:]])
     for name in ("", "..", "\U0001f3a5", "x" * 1000, "x" * 1001, "con", "CAM1", "a/b", "a\nb", "\u202ex"):
         poses = dict(good["poses"])
         poses[name] = poses.pop("cam0")
         yield f"camera {name[:8]!r}", changed(cameras=[{**cameras[0], "id": name}, *cameras[1:]], poses=poses)
-    yield "camera twice", changed(cameras=[cameras[0], cameras[0], *cameras[1:]])
+    yield "duplicate camera", changed(cameras=[cameras[0], cameras[0], *cameras[1:]])
     frames = good["poses"]["cam0"]["frames"]
 
     def posed(frames):
@@ -149,7 +149,7 @@ def documents(good):
 
     people = lambda frame: frame["people"]
     yield "unordered frames", posed(frames[::-1])
-    yield "one frame twice", posed(frames + frames[:1])
+    yield "duplicate frame", posed(frames + frames[:1])
     yield "gaps", posed(frames[::5])
     yield "an empty camera", posed([])
     yield "no confidence", each(lambda i, frame: [point.__setitem__(2, 0) for person in people(frame) for point in person["keypoints"]])
@@ -163,7 +163,7 @@ def documents(good):
 
 
 def degenerate():
-    """D10: two cameras in one place, all on one line, a still subject, mirrored sides; cameras estimated and given."""
+    """D10: identical cameras, collinear cameras, a motionless subject, mirrored sides; cameras estimated and given."""
     good = take(25, 3, seed=9)
     same = copy.deepcopy(good)
     for camera in same["cameras"]:
@@ -207,7 +207,7 @@ class Hostile:
         self.refused, self.accepted, self.codes, self.slowest, self.grown = 0, [], {}, 0.0, 0.0
 
     def try_upload(self, name, body, media_type):
-        """The session where it was accepted; a refusal is judged."""
+        """Returns the session if it was accepted; checks a refusal."""
         before = self.peak(reset=True)
         start = time.monotonic()
         session, problem = None, None
@@ -216,7 +216,7 @@ class Hostile:
         except wandless.Problem as refusal:
             problem = refusal
         except OSError as error:
-            # Of what is refused at its start some 16 MiB are read for the answer's sake, and no more.
+            # The service reads at most 16 MiB of a body that it refuses at its start.
             self.faults.require(len(body) > 64 << 20, f"{name}: no answer but {error}")
             return None
         seconds, grown = time.monotonic() - start, self.peak() - before
@@ -228,7 +228,7 @@ class Hostile:
         self.slowest, self.grown = max(self.slowest, seconds), max(self.grown, grown)
         self.faults.require(400 <= problem.status < 500, f"{name}: {problem}")
         self.faults.require(problem.document.get("remedy") and problem.code, f"{name}: no code or no remedy: {problem}")
-        # Sending a hundred megabytes is the client's time.
+        # The time to send a hundred megabytes is the client's.
         self.faults.require(seconds <= 2 + len(body) / 50e6, f"{name}: refused after {seconds:.1f} s")
         self.faults.require(grown <= 64, f"{name}: the refusal took {grown:.0f} MiB")
         return None
@@ -243,7 +243,7 @@ class Hostile:
             return next(int(line.split()[1]) / 1024 for line in status if line.startswith(wanted))
 
     def solve(self, name, session, options):
-        """Whatever was accepted reaches an end that says what is wrong."""
+        """Runs a job on an accepted session; it must succeed or fail with a typed error."""
         try:
             job = self.client.submit(session, options=options)["id"]
         except wandless.Problem as problem:
@@ -260,7 +260,7 @@ class Hostile:
         for file in self.client.manifest(job)["files"]:
             if file["name"].endswith(".json"):
                 document = json.loads(self.client.artifact(job, file["name"]), parse_constant=lambda word: math.nan)
-                self.faults.require(is_finite(document), f"{name}: {file['name']} holds a number that is none")
+                self.faults.require(is_finite(document), f"{name}: {file['name']} contains a number that is not finite")
         return now["quality"]["verdict"]
 
 
@@ -277,9 +277,9 @@ def tree(folder):
 
 
 def main():
-    asked = arguments(__doc__, flips=1)
+    args = arguments(__doc__, flips=1)
     faults = Faults()
-    service = Service(asked.program, words=["--set", "limits.max_queued=100000"])
+    service = Service(args.program, words=["--set", "limits.max_queued=100000"])
     service.start()
     hostile = Hostile(service, faults)
     good = take(25, 2, seed=3)
@@ -293,11 +293,11 @@ def main():
         hostile.try_upload(name, body, kind)
     print(f"{hostile.refused} refused with {len(hostile.codes)} codes, slowest {hostile.slowest:.2f} s, memory +{hostile.grown:.0f} MiB; {len(hostile.accepted)} accepted", flush=True)
     small = zip_of(native(take(1, 2, seed=4)))
-    dice = random.Random(asked.seed)
+    rng = random.Random(args.seed)
     n_refused, n_same = 0, 0
-    for at in range(0, len(small), asked.flips):  # D2: every byte, one bit of it
+    for at in range(0, len(small), args.flips):  # D2: every byte, one bit of it
         body = bytearray(small)
-        body[at] ^= 1 << dice.randrange(8)
+        body[at] ^= 1 << rng.randrange(8)
         session = hostile.try_upload(f"flip at {at}", bytes(body), "application/zip")
         n_refused, n_same = n_refused + (session is None), n_same + (session is not None)
     print(f"D2: {n_refused} of {n_refused + n_same} flips refused, {n_same} harmless", flush=True)
@@ -309,16 +309,16 @@ def main():
             end = hostile.solve(name, session["id"], {"extrinsics": extrinsics, "exports": []}) if session else "refused"
             ends[f"{name}, {extrinsics}"] = end
             if extrinsics == "estimate":
-                faults.require(end != "pass", f"D10: {name}: passed without a word")
+                faults.require(end != "pass", f"D10: {name}: passed without a warning")
     print("accepted:", ends, flush=True)
     stored = [name for name in tree(service.data)]
-    faults.require(all(os.path.realpath(path).startswith(os.path.realpath(service.data)) for path in stored), "D3: a file lies outside")
-    faults.require(outside is None or [p for p in tree(os.path.dirname(service.data)) if not p.startswith(service.data)] == outside, "D3: a file was made outside")
-    faults.require(not any(word in path for path in stored for word in ("passwd", "CON", "caf\u00e9", "cafe\u0301", "..")), "D3: a client's name is on the disk")
-    faults.require(not os.listdir(os.path.join(service.data, "tmp")), "files are left in tmp")
-    faults.require(service.client().request("GET", "/healthz").status == 200, "the service is gone")
+    faults.require(all(os.path.realpath(path).startswith(os.path.realpath(service.data)) for path in stored), "D3: a file is outside of the data folder")
+    faults.require(outside is None or [p for p in tree(os.path.dirname(service.data)) if not p.startswith(service.data)] == outside, "D3: a file was created outside of the data folder")
+    faults.require(not any(word in path for path in stored for word in ("passwd", "CON", "caf\u00e9", "cafe\u0301", "..")), "D3: a name from the client is on the disk")
+    faults.require(not os.listdir(os.path.join(service.data, "tmp")), "files remain in tmp")
+    faults.require(service.client().request("GET", "/healthz").status == 200, "the service does not answer")
     service.kill()
-    faults.end(service, asked.keep)
+    faults.end(service, args.keep)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
-"""Catalogue C1, C4 to C7, E6: slow clients, the same key at the same time, abuse on the wire, ranges, clients that leave, keys
-that are guessed.
+"""Catalogue C1, C4 to C7, E6: slow clients, concurrent use of one idempotency key, malformed HTTP, ranges, disconnecting
+clients, guessed keys.
 
     python3 checks/service/sockets.py --slow 500 --seconds 120
 """
@@ -18,8 +18,9 @@ from harness import Faults, Service, arguments, get, percentile, take, wandless
 HEAD = b"POST /v1/sessions HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\nContent-Length: 1000000\r\n\r\n"
 
 
-def slow_clients(service, asked, faults):
-    """C1: silent, a head byte by byte, a body byte by byte, a reader that does not read; all closed, others prompt."""
+def slow_clients(service, options, faults):
+    """C1: a silent client, a head byte by byte, a body byte by byte, a client that does not read: all are closed, and other
+    clients get prompt answers."""
     client = service.client()
     job = client.submit(client.upload(take(300, 4, seed=1))["id"], options={"extrinsics": "fixed", "exports": ["glb"]})["id"]
     client.wait(job)
@@ -28,7 +29,7 @@ def slow_clients(service, asked, faults):
              "reader": (f"GET /v1/jobs/{job}/artifacts/{large} HTTP/1.1\r\nHost: x\r\n\r\n" * 20).encode()}
     sockets = {}
     for kind, first in kinds.items():
-        for _ in range(asked.slow):
+        for _ in range(options.slow):
             connection = socket.socket()
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             connection.connect(("127.0.0.1", service.port))
@@ -37,7 +38,7 @@ def slow_clients(service, asked, faults):
             sockets[connection] = kind
     start, times = time.monotonic(), []
     closed = {kind: [] for kind in kinds}
-    while sockets and time.monotonic() < start + asked.seconds:
+    while sockets and time.monotonic() < start + options.seconds:
         times.append(get(service.port, "/healthz")[1])
         for connection, kind in list(sockets.items()):
             try:
@@ -50,29 +51,29 @@ def slow_clients(service, asked, faults):
                 connection.close()
                 del sockets[connection]
         time.sleep(1.0)
-    # Whoever does not read does not learn that the connection was ended; the service's own count tells.
+    # A client that does not read cannot notice the closed connection; the metric of the service shows it.
     opened = service.metrics()["wandless_connections"]
-    faults.require(opened <= 3, f"C1: {opened:.0f} connections are open after {asked.seconds} s")
+    faults.require(opened <= 3, f"C1: {opened:.0f} connections are open after {options.seconds} s")
     for kind, ends in closed.items():
         if kind == "reader":
             continue
         left = sum(1 for other in sockets.values() if other == kind)
-        faults.require(left == 0, f"C1: {left} of kind {kind} are still open after {asked.seconds} s")
+        faults.require(left == 0, f"C1: {left} of kind {kind} are still open after {options.seconds} s")
         print(f"C1 {kind}: {len(ends)} closed, the last after {max(ends, default=0):.0f} s")
     worst = percentile(times, 0.99) * 1000
     faults.require(worst <= 500, f"C1: a normal client waits {worst:.0f} ms")
-    print(f"C1: a normal client's p99 {worst:.0f} ms, {opened:.0f} connections are left")
+    print(f"C1: a normal client's p99 {worst:.0f} ms, {opened:.0f} connections remain")
 
 
 def received(connection):
-    """What has come on a socket that does not wait; empty at its end."""
+    """The data received on a non-blocking socket; empty at its end."""
     try:
         return connection.recv(65536)
     except BlockingIOError:
         return b"nothing yet"
 
 
-def one_key(service, asked, faults):
+def one_key(service, options, faults):
     """C4."""
     client = service.client()
     session = client.upload(take(10, 2, seed=2))["id"]
@@ -92,7 +93,7 @@ def one_key(service, asked, faults):
         faults.require(False, "C4: another request under the key was accepted")
     except wandless.Problem as problem:
         faults.require(problem.status == 422, f"C4: {problem}")
-    # The answer is lost on its way: the request is made and the connection cut.
+    # The answer is lost: the connection is closed after the request.
     body = json.dumps({"session": session, "options": {"extrinsics": "fixed", "seed": 2}}).encode()
     cut = socket.create_connection(("127.0.0.1", service.port))
     cut.sendall(b"POST /v1/jobs HTTP/1.1\r\nHost: x\r\nIdempotency-Key: cut\r\nContent-Type: application/json\r\n"
@@ -106,10 +107,10 @@ def one_key(service, asked, faults):
         ids.add(json.loads(connection.getresponse().read())["id"])
     listed = [job for job in client.jobs() if job["options"]["seed"] == 2]
     faults.require(len(ids) == 1 and len(listed) == 1, f"C4: {len(listed)} jobs after a lost answer")
-    print("C4: 50 at once and a lost answer: one job each")
+    print("C4: 50 concurrent requests and a lost answer give one job each")
 
 
-def abuse(service, asked, faults):
+def malformed_http(service, options, faults):
     """C5."""
     before = service.rss_mib()
     get_ = b"GET /healthz HTTP/1.1\r\nHost: x\r\n"
@@ -133,22 +134,22 @@ def abuse(service, asked, faults):
         "percent": b"GET /v1/jobs/%ff%fe%00 HTTP/1.1\r\nHost: x\r\n\r\n",
         "pipelined": (get_ + b"\r\n") * 999 + get_ + b"Connection: close\r\n\r\n",
     }
-    dice = random.Random(asked.seed)
+    rng = random.Random(options.seed)
     for n in range(200):
-        corpus[f"noise {n}"] = dice.randbytes(dice.randrange(1, 2000))
+        corpus[f"noise {n}"] = rng.randbytes(rng.randrange(1, 2000))
     for name, text in corpus.items():
         answer = exchange(service.port, text, half_close=name != "pipelined")
         status = answer[9:12]
         fine = status[:1] == b"4" or not answer or (name in ("pipelined", "absolute", "bare LF") and status == b"200")
         faults.require(fine, f"C5 {name}: {answer[:60]}")
-        faults.require(b"root:" not in answer, f"C5 {name}: a file was given away")
+        faults.require(b"root:" not in answer, f"C5 {name}: a file was disclosed")
         if name == "pipelined":
             faults.require(answer.count(b"HTTP/1.1 200") == 1000, "C5: not every pipelined request was answered")
     expect = b"POST /v1/sessions HTTP/1.1\r\nHost: x\r\nExpect: 100-continue\r\nContent-Type: application/zip\r\nContent-Length: 99999999999\r\n\r\n"
     faults.require(exchange(service.port, expect).startswith(b"HTTP/1.1 413"), "C5: 100-continue for what is too large")
     grown = service.rss_mib() - before
     faults.require(get(service.port, "/healthz")[0] == 200 and grown < 64, f"C5: RSS grew by {grown:.0f} MiB")
-    print(f"C5: {len(corpus) + 1} abuses, RSS +{grown:.0f} MiB")
+    print(f"C5: {len(corpus) + 1} malformed requests, RSS +{grown:.0f} MiB")
 
 
 def exchange(port, text, seconds=8.0, half_close=True):
@@ -167,28 +168,28 @@ def exchange(port, text, seconds=8.0, half_close=True):
     return answer
 
 
-def ranges(service, asked, faults):
+def ranges(service, options, faults):
     """C6."""
     client = service.client()
     job = client.submit(client.upload(take(60, 3, seed=3))["id"], options={"extrinsics": "fixed"})["id"]
     client.wait(job)
-    dice = random.Random(asked.seed)
+    rng = random.Random(options.seed)
     path = f"/v1/jobs/{job}/people"
     whole = client.request("GET", path)
     size, tag = len(whole.body), whole.headers["ETag"]
     for _ in range(100):
-        first = dice.randrange(size)
-        last = dice.randrange(first, size + 5)
+        first = rng.randrange(size)
+        last = rng.randrange(first, size + 5)
         part = client.request("GET", path, headers={"Range": f"bytes={first}-{last}", "If-Range": tag})
         faults.require(part.status == 206 and part.body == whole.body[first:last + 1], f"C6: {first}-{last}")
-        wanted = f"bytes {first}-{min(last, size - 1)}/{size}"
-        faults.require(part.headers["Content-Range"] == wanted, f"C6: {part.headers['Content-Range']}, not {wanted}")
+        expected = f"bytes {first}-{min(last, size - 1)}/{size}"
+        faults.require(part.headers["Content-Range"] == expected, f"C6: {part.headers['Content-Range']}, not {expected}")
     faults.require(client.request("GET", path, headers={"If-None-Match": tag}).status == 304, "C6: If-None-Match")
     print("C6: 100 ranges are right")
 
 
-def leavers(service, asked, faults):
-    """C7: clients that are gone in the middle of a wait, a stream, a download."""
+def disconnects(service, options, faults):
+    """C7: clients that disconnect during a wait or an event stream."""
     client = service.client()
     job = client.submit(client.upload(take(20000, 3, seed=4))["id"], options={"extrinsics": "fixed"})["id"]
     tag = client.request("GET", f"/v1/jobs/{job}").headers["ETag"]
@@ -204,12 +205,12 @@ def leavers(service, asked, faults):
         time.sleep(0.1)
     faults.require(held == 0, f"C7: {held:.0f} answers are still held after 5 s")
     client.delete_job(job)
-    print("C7: 500 clients left, nothing is held")
+    print("C7: 500 clients disconnected, no answer is held")
 
 
-def guesses(service, asked, faults):
-    """E6: from here on keys are asked for."""
-    made = subprocess.run([asked.program, "key", "create", "--data", service.data], capture_output=True, text=True)
+def guesses(service, options, faults):
+    """E6: from here on keys are required."""
+    made = subprocess.run([options.program, "key", "create", "--data", service.data], capture_output=True, text=True)
     key = made.stdout.strip()
     statuses, times, over = {}, [], threading.Event()
 
@@ -225,28 +226,28 @@ def guesses(service, asked, faults):
     end = time.monotonic() + 5
     while time.monotonic() < end:
         status, seconds = get(service.port, "/v1/jobs", headers={"Authorization": f"Bearer {key}"})
-        faults.require(status == 200, f"E6: the right key is answered {status}")
+        faults.require(status == 200, f"E6: a valid key is answered {status}")
         times.append(seconds)
         time.sleep(0.05)
     over.set()
     for thread in threads:
         thread.join()
     faults.require(set(statuses) <= {401, 429} and statuses.get(401, 0) <= 120, f"E6: {statuses}")
-    print(f"E6: {statuses}, the right key's p99 {percentile(times, 0.99) * 1000:.0f} ms")
+    print(f"E6: {statuses}, a valid key's p99 {percentile(times, 0.99) * 1000:.0f} ms")
 
 
 def main():
-    asked = arguments(__doc__, slow=500, seconds=120, only="")
+    options = arguments(__doc__, slow=500, seconds=120, only="")
     faults = Faults()
-    # Four kinds at once: the cap on connections is not what is tried here.
+    # Four kinds at once: the limit of connections is not under test here.
     resource.setrlimit(resource.RLIMIT_NOFILE, (min(8192, resource.getrlimit(resource.RLIMIT_NOFILE)[1]),) * 2)
-    service = Service(asked.program, words=["--set", f"limits.max_connections={max(1024, 5 * asked.slow)}"])
+    service = Service(options.program, words=["--set", f"limits.max_connections={max(1024, 5 * options.slow)}"])
     service.start()
-    for check in (one_key, abuse, ranges, leavers, slow_clients, guesses):
-        if asked.only in check.__name__:
-            check(service, asked, faults)
+    for check in (one_key, malformed_http, ranges, disconnects, slow_clients, guesses):
+        if options.only in check.__name__:
+            check(service, options, faults)
     service.kill()
-    faults.end(service, asked.keep)
+    faults.end(service, options.keep)
 
 
 if __name__ == "__main__":

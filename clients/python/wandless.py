@@ -1,10 +1,10 @@
-"""A client of the wandless service in one file, on Python's standard library alone (3.9 or later).
+"""A client of the wandless service in one file; needs only the standard library of Python 3.9 or later.
 
     from wandless import Client
     client = Client("http://127.0.0.1:8700", key="wl_…")
     session = client.upload("take.zip")
     job = client.submit(session["id"], options={"people": 3})
-    job = client.wait(job["id"], tell=lambda job: print(job["progress"]["fraction"]))
+    job = client.wait(job["id"], on_change=lambda job: print(job["progress"]["fraction"]))
     client.download(job["id"], "result")
 
 Or as a command: python3 wandless.py http://127.0.0.1:8700 take.zip result
@@ -26,7 +26,7 @@ FINAL = ("succeeded", "failed", "canceled", "dead")
 
 
 class Problem(Exception):
-    """An answer that is a problem document: `status`, `code`, `detail`, `remedy`, and `document` with the whole of it."""
+    """An error answer: `status`, `code`, `detail`, `remedy`, and `document`, the whole problem document."""
 
     def __init__(self, status, document):
         self.status = status
@@ -38,7 +38,7 @@ class Problem(Exception):
 
 
 class JobFailed(Exception):
-    """A job that ended without a result; `job` is the whole of it."""
+    """A job that ended without a result; `job` is the job document."""
 
     def __init__(self, job):
         self.job = job
@@ -46,10 +46,10 @@ class JobFailed(Exception):
 
 
 class Client:
-    """Speaks to one service. Not for several threads at once: make one client for each."""
+    """Client of one service. It is not thread-safe: create one client per thread."""
 
     def __init__(self, server, key=None, timeout_s=120.0, patience_s=60.0):
-        """`patience_s`: how long a service that restarts, or asks to come back later, is asked again."""
+        """`patience_s`: how long requests are retried while the service restarts or is busy."""
         self.url = urllib.parse.urlsplit(server)
         self.key = key
         self.timeout_s = timeout_s
@@ -58,7 +58,7 @@ class Client:
     # Sessions
 
     def upload(self, source):
-        """Uploads a session: the path of a zip, a JSON or an NDJSON file, or a dict."""
+        """Uploads a session: the path of a zip, JSON or NDJSON file, or a dict."""
         if isinstance(source, dict):
             return self.json("POST", "/v1/sessions", body=json.dumps(source).encode(), media_type="application/json")
         with open(source, "rb") as file:
@@ -69,11 +69,11 @@ class Client:
         return self.json("POST", "/v1/sessions", body=source, media_type=media_type)
 
     def inspect(self, session):
-        """What can be expected of a session before anything is solved."""
+        """Inspects a session before it is solved."""
         return self.json("GET", f"/v1/sessions/{session}/inspection")
 
     def sessions(self):
-        """Every session, newest first."""
+        """Iterates over all sessions, newest first."""
         return self.pages("/v1/sessions", "sessions")
 
     def delete_session(self, session):
@@ -82,7 +82,7 @@ class Client:
     # Jobs
 
     def submit(self, session, options=None, labels=None, priority=0, webhook=None, key=None):
-        """Submits a job. Said again with the same `key` it is the same job; a fresh key is made where none is given."""
+        """Submits a job. A repetition with the same `key` returns the same job; without `key` a new one is generated."""
         body = {"session": session, "options": options or {}, "labels": labels or {}, "priority": priority}
         if webhook is not None:
             body["webhook"] = {"url": webhook}
@@ -91,30 +91,30 @@ class Client:
         return self.json("POST", "/v1/jobs", body=text, media_type="application/json", headers=headers)
 
     def job(self, job, wait_s=0, etag=None):
-        """The job; held up to `wait_s` until it changes. None where it is still the one of `etag`."""
+        """Returns the job after a change, or after `wait_s` at the latest. None if it still has the given `etag`."""
         headers = {"If-None-Match": etag} if etag else {}
         path = f"/v1/jobs/{job}" + (f"?wait={wait_s}" if wait_s else "")
         answer = self.request("GET", path, headers=headers)
         return None if answer.status == 304 else json.loads(answer.body)
 
     def jobs(self, state=None, label=None):
-        """Jobs, newest first."""
-        wanted = {key: value for key, value in (("state", state), ("label", label)) if value}
-        return self.pages("/v1/jobs", "jobs", wanted)
+        """Iterates over jobs, newest first."""
+        query = {key: value for key, value in (("state", state), ("label", label)) if value}
+        return self.pages("/v1/jobs", "jobs", query)
 
-    def wait(self, job, tell=None, wait_s=30):
-        """Follows a job to its end and gives it back; raises `JobFailed` where it has no result."""
+    def wait(self, job, on_change=None, wait_s=30):
+        """Follows a job to its end and returns it; raises `JobFailed` if it has no result."""
         while True:
             now = self.job(job, wait_s=wait_s)
-            if tell:
-                tell(now)
+            if on_change:
+                on_change(now)
             if now["state"] == "succeeded":
                 return now
             if now["state"] in FINAL:
                 raise JobFailed(now)
 
     def events(self, job, last_event_id=None):
-        """The job's events as they come: pairs of name and data, until it ends."""
+        """Iterates over the events of a job, pairs of name and data, until it ends."""
         headers = {"Last-Event-ID": str(last_event_id)} if last_event_id else {}
         connection, answer = self.open("GET", f"/v1/jobs/{job}/events", None, headers)
         try:
@@ -145,19 +145,19 @@ class Client:
         return self.json("GET", f"/v1/jobs/{job}/result")
 
     def artifact(self, job, name):
-        """The bytes of one file of a result, checked against the digest that the service publishes."""
+        """Returns the bytes of one file of a result, after a check of its digest."""
         answer = self.request("GET", f"/v1/jobs/{job}/artifacts/{urllib.parse.quote(name)}")
         if hashlib.sha256(answer.body).hexdigest() != answer.headers.get("ETag", "").strip('"'):
-            raise ValueError(f"{name}: the bytes received are not the ones published")
+            raise ValueError(f"{name}: the received bytes do not have the published digest")
         return answer.body
 
     def download(self, job, folder):
-        """Writes every file of a result below `folder`."""
+        """Writes all files of a result into `folder`."""
         names = [file["name"] for file in self.manifest(job)["files"]] + ["manifest.json"]
         for name in names:
             path = os.path.join(folder, *name.split("/"))
             if os.path.relpath(path, folder).startswith(".."):
-                raise ValueError(f"{name}: the service names a file outside of its result")
+                raise ValueError(f"{name}: the path of the file leaves the folder")
             os.makedirs(os.path.dirname(path), exist_ok=True)
             with open(path, "wb") as file:
                 file.write(self.artifact(job, name))
@@ -174,7 +174,7 @@ class Client:
     def redeliver(self, job, delivery):
         return self.json("POST", f"/v1/jobs/{job}/deliveries/{delivery}/redeliver")
 
-    # Below
+    # Requests
 
     def pages(self, path, items, query=None):
         query = dict(query or {})
@@ -189,7 +189,7 @@ class Client:
         return json.loads(self.request(method, path, **request).body)
 
     def request(self, method, path, body=None, media_type=None, headers=None):
-        """One request; asked again while the service restarts or is busy, where asking twice does no harm."""
+        """Sends a request; retries it while the service restarts or is busy, if a repetition is harmless."""
         headers = dict(headers or {})
         if media_type:
             headers["Content-Type"] = media_type
@@ -230,12 +230,12 @@ class Client:
                 try:
                     connection.request(method, path, body=file, headers=headers)
                 except BrokenPipeError:
-                    pass  # as below
+                    pass  # refused before the whole body was sent: the answer has the reason
                 return connection, connection.getresponse()
         try:
             connection.request(method, path, body=body, headers=headers)
         except BrokenPipeError:
-            pass  # refused before all was sent: the answer says why
+            pass  # refused before the whole body was sent: the answer has the reason
         return connection, connection.getresponse()
 
 
@@ -252,7 +252,7 @@ def problem(status, body):
 
 
 def check_webhook(secret, headers, body, tolerance_s=300):
-    """True where a webhook was signed with `secret` and is not old. `headers`: any mapping; `body`: the bytes as received."""
+    """True if a webhook was signed with `secret` and is recent. `headers`: any mapping; `body`: the bytes as received."""
     headers = {key.lower(): value for key, value in headers.items()}
     key = base64.b64decode(secret.removeprefix("whsec_") if hasattr(secret, "removeprefix") else secret[6:])
     signed = f"{headers['webhook-id']}.{headers['webhook-timestamp']}.".encode() + body
@@ -270,7 +270,7 @@ def main(arguments):
     client = Client(server, key=os.environ.get("WANDLESS_KEY"))
     job = client.submit(client.upload(session)["id"])
     try:
-        job = client.wait(job["id"], tell=lambda job: print(job["state"], f"{job['progress']['fraction']:.2f}"))
+        job = client.wait(job["id"], on_change=lambda job: print(job["state"], f"{job['progress']['fraction']:.2f}"))
     except JobFailed as failed:
         print(failed, file=sys.stderr)
         return 1

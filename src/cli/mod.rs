@@ -124,7 +124,7 @@ pub fn main() -> ExitCode {
         Command::Health(args) => operator::health(args),
         #[cfg(feature = "service")]
         Command::Openapi => {
-            println!("{}", crate::service::http::openapi::text());
+            println!("{}", crate::service::http::openapi_json());
             Ok(())
         }
         #[cfg(feature = "service")]

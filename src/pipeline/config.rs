@@ -8,9 +8,11 @@ use serde::{Deserialize, Serialize};
 
 /// Options of one job; names and defaults are those of the HTTP API.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
     /// Number of people, where it is known.
+    #[cfg_attr(feature = "service", schema(minimum = 1))]
     pub people: Option<usize>,
     /// Treatment of the cameras' poses.
     pub extrinsics: Extrinsics,
@@ -19,6 +21,7 @@ pub struct Options {
     /// Source of the metric scale.
     pub scale: ScaleSource,
     /// Up axis of the result's world.
+    #[cfg_attr(feature = "service", schema(value_type = String, pattern = "^[yz]$"))]
     pub up_axis: UpAxis,
     /// Whether detections are repaired by physics-geometry consistency.
     pub denoise: bool,
@@ -60,6 +63,7 @@ impl Default for Options {
 
 /// Facts of a camera that the check of options needs, so that the session itself need not be loaded.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
 pub struct CameraFacts {
     /// The camera's name.
     pub id: String,
@@ -151,6 +155,7 @@ impl Options {
 
 /// `options.extrinsics`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Extrinsics {
     /// Estimated without a start.
@@ -163,6 +168,7 @@ pub enum Extrinsics {
 
 /// `options.intrinsics`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum IntrinsicsMode {
     /// As given.
@@ -173,6 +179,7 @@ pub enum IntrinsicsMode {
 
 /// `options.scale`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
 #[serde(tag = "from", rename_all = "snake_case", deny_unknown_fields)]
 pub enum ScaleSource {
     /// From the people's bone lengths.
@@ -195,6 +202,7 @@ pub enum ScaleSource {
 
 /// `options.sync`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
 #[serde(rename_all = "lowercase")]
 pub enum Sync {
     /// Those of the session; 0 where it gives none.

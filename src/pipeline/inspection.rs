@@ -11,6 +11,7 @@ use serde::Serialize;
 
 /// The inspection of one session.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
 pub struct Inspection {
     /// Every camera, in the session's order.
     pub cameras: Vec<InspectedCamera>,
@@ -26,6 +27,7 @@ pub struct Inspection {
 
 /// Detections of one camera.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
 pub struct InspectedCamera {
     /// The camera's name.
     pub id: String,
@@ -34,24 +36,29 @@ pub struct InspectedCamera {
     /// Number of detections in all frames.
     pub detections: usize,
     /// Median distance to the people, m, assuming that they stand upright; null without a complete detection.
+    #[cfg_attr(feature = "service", schema(required))]
     pub distance_m: Option<f64>,
 }
 
 /// Co-visibility of two cameras.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
 pub struct InspectedPair {
     /// Names of the two cameras.
     pub cameras: [String; 2],
     /// Number of frames in which both have detections.
     pub frames_together: usize,
     /// Distance between their centres, m, where the session gives both poses.
+    #[cfg_attr(feature = "service", schema(required))]
     pub baseline_m: Option<f64>,
 }
 
 /// One expected problem.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
 pub struct Finding {
     /// `split`, `few_frames`, `no_person`, `static`, `tiny_baseline` or `collinear`.
+    #[cfg_attr(feature = "service", schema(pattern = "^(split|few_frames|no_person|static|tiny_baseline|collinear)$"))]
     pub code: &'static str,
     /// One sentence, with the remedy.
     pub detail: String,
@@ -61,8 +68,10 @@ pub struct Finding {
 
 /// Expected result.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
 pub struct Expectation {
     /// RMS error of a joint in space, mm; null where fewer than two cameras see people together.
+    #[cfg_attr(feature = "service", schema(required))]
     pub joint_error_mm: Option<f64>,
     /// Wall seconds of the job once it runs.
     pub solve_s: f64,

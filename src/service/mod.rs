@@ -1,19 +1,20 @@
-//! The service: sessions and jobs over HTTP, each job in a supervised child process, SQLite as the one truth.
+//! The service: sessions and jobs over HTTP, each job in a supervised child process, SQLite as the single source of truth.
 //!
-//! Inside: `http` and `worker` stand on `queue`, that on `store`, that on `settings`; `http` and `worker` never meet.
+//! Import order: `http` and `worker` use `queue`, `queue` uses `store`, `store` uses `settings`; `http` and `worker` do not
+//! import each other.
 //!
-//! - [`settings`]: what an operator may set
-//! - [`failpoint`]: where the checks may end the process or break a promise
+//! - [`settings`]: every setting of an operator, with its default
+//! - [`failpoint`]: points at which the checks end the process or break a guarantee
 //! - [`store`]: the data folder: database, uploads, results
-//! - [`bodies`]: body models that jobs may ask for by name
+//! - [`bodies`]: registered body models, which jobs request by name
 //! - [`queue`]: the `jobs` table: accept, claim, finish, cancel, recover
-//! - [`protocol`]: what the service and a job's child say to each other
-//! - [`metrics`]: what is counted for whoever watches
-//! - [`webhooks`]: the calls that tell of a job's end
+//! - [`protocol`]: messages between the service and the child process of a job
+//! - [`metrics`]: Prometheus metrics
+//! - [`webhooks`]: HTTP calls that report the end of a job
 //! - [`safety`]: backup, restore, verify
-//! - `retention`: what is removed by itself
-//! - `worker`: one claimed job -> one child process -> one recorded end
-//! - [`http`]: every route
+//! - `retention`: automatic removal of old jobs and sessions
+//! - `worker`: runs one claimed job in one child process and records its outcome
+//! - [`http`]: the HTTP API
 
 pub mod bodies;
 pub mod failpoint;
@@ -25,6 +26,7 @@ pub mod queue;
 mod retention;
 pub mod safety;
 pub mod settings;
+mod shared;
 pub mod store;
 pub mod webhooks;
 mod worker;
@@ -32,8 +34,8 @@ mod worker;
 pub use settings::Settings;
 
 use failpoint::{failpoint, fault};
-use metrics::Metrics;
 use queue::Queue;
+use shared::Shared;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use store::{Store, StoreError};
@@ -42,26 +44,26 @@ use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 use webhooks::{NetworkError, Networks};
 
-/// Why the service does not start.
+/// Reasons why the service does not start.
 #[derive(Debug, thiserror::Error)]
 pub enum ServeError {
-    /// Nobody is asked for a key yet, so nobody from outside may come.
+    /// Without API keys, requests from other machines are not accepted.
     #[error(
-        "{listen}: only a loopback address can be served as long as there are no API keys; make one with `wandless key create`, or listen on 127.0.0.1"
+        "{listen}: without API keys only a loopback address can be served; create a key with `wandless key create`, or listen on 127.0.0.1"
     )]
     NotLoopback {
-        /// The address asked for.
+        /// The requested address.
         listen: SocketAddr,
     },
-    /// The address is taken or not ours.
+    /// The address is in use or not available on this machine.
     #[error("{listen}: {source}")]
     Listen {
-        /// The address asked for.
+        /// The requested address.
         listen: SocketAddr,
-        /// What the system said.
+        /// The error of the operating system.
         source: std::io::Error,
     },
-    /// A network in the settings is none.
+    /// A network in the settings is malformed.
     #[error(transparent)]
     Network(#[from] NetworkError),
     /// The data folder cannot be used.
@@ -69,26 +71,16 @@ pub enum ServeError {
     Store(#[from] StoreError),
 }
 
-/// A service at work.
+/// A running service.
 pub struct Running {
-    /// Where it listens.
+    /// The address it listens on.
     pub address: SocketAddr,
     store: Store,
     draining: CancellationToken,
     tasks: Vec<JoinHandle<()>>,
 }
 
-/// What all parts of the service use.
-#[derive(Clone)]
-struct Shared {
-    store: Store,
-    queue: Queue,
-    settings: Arc<Settings>,
-    metrics: Arc<Metrics>,
-    draining: CancellationToken,
-}
-
-/// Opens and mends the data folder, then serves and works until [`Running::stop`].
+/// Opens and recovers the data folder, then serves requests and runs jobs until [`Running::stop`].
 ///
 /// Must be called on a multi-threaded runtime that outlives the service.
 ///
@@ -115,7 +107,7 @@ pub async fn start(settings: Settings) -> Result<Running, ServeError> {
     let shared =
         Shared { store, queue, settings: Arc::new(settings), metrics: Arc::default(), draining: draining.clone() };
     let mut tasks = vec![
-        tokio::spawn(http::serve(http::App::new(shared.clone(), networks.clone()), listener)),
+        tokio::spawn(http::serve(shared.clone(), networks.clone(), listener)),
         tokio::spawn(webhooks::run(shared.clone(), networks)),
         tokio::spawn(retention::run(shared.clone())),
         tokio::spawn(store::pages::run_checkpointer(shared.store.clone(), draining.clone())),
@@ -127,12 +119,12 @@ pub async fn start(settings: Settings) -> Result<Running, ServeError> {
 }
 
 impl Running {
-    /// Stops in order: no new connections, open requests end, running jobs go back to the queue.
+    /// Stops the service: accepts no new connections, finishes open requests, returns running jobs to the queue.
     pub async fn stop(self) {
         self.draining.cancel();
         for task in self.tasks {
             if let Err(error) = task.await {
-                tracing::error!(%error, "a part of the service had ended before");
+                tracing::error!(%error, "a task of the service had ended early");
             }
         }
         failpoint("stop.drained");

@@ -1,6 +1,6 @@
-//! What the service and a job's child process say to each other: one order on the child's stdin, JSON lines on its stdout.
+//! Messages between the service and the child process of a job: one order on the child's stdin, JSON lines on its stdout.
 //!
-//! The service keeps the stdin open: its end tells the child that the service is gone.
+//! The service keeps the child's stdin open; end of file on it means that the service has ended.
 
 use super::queue::job::JobError;
 use crate::pipeline::Options;
@@ -10,23 +10,23 @@ use std::path::PathBuf;
 /// The first line of the child's stdin.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Order {
-    /// The stored upload.
+    /// Path of the stored upload.
     pub session: PathBuf,
-    /// Its digest when it was accepted.
+    /// SHA-256 of the upload when it was accepted, hex.
     pub session_sha256: String,
-    /// What was asked for.
+    /// Options of the job.
     pub options: Options,
-    /// Where the registered bodies lie.
+    /// Folder of the registered body models.
     pub bodies: PathBuf,
     /// An empty folder for the result.
     pub out: PathBuf,
-    /// A folder for finished stages, which outlives the process.
+    /// A folder for the checkpoints of finished stages; it outlives the process.
     pub checkpoints: PathBuf,
-    /// Solver threads.
+    /// Number of solver threads.
     pub threads: usize,
-    /// Address space that the child may take, bytes.
+    /// Limit of the child's address space, bytes.
     pub memory_bytes: Option<u64>,
-    /// Process id of the service; a child whose parent is another one was orphaned before it could say so.
+    /// Process id of the service; a child with another parent process was orphaned at its start.
     pub parent: i32,
 }
 
@@ -34,24 +34,24 @@ pub struct Order {
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Message {
-    /// Once a second: the process lives.
+    /// Sent once a second while the process runs.
     Alive,
-    /// How far the work is.
+    /// Progress of the work.
     Progress {
         /// Name of the stage.
         stage: String,
-        /// Its position.
+        /// Index of the stage.
         stage_index: usize,
-        /// How many there are.
+        /// Number of stages.
         stage_count: usize,
-        /// Share of the whole.
+        /// Completed share of the whole work, 0 to 1.
         fraction: f64,
-        /// One sentence.
+        /// What the stage is doing, one sentence.
         message: String,
     },
-    /// The result lies in the folder; exit code 0 follows.
+    /// The result folder is complete; the child then exits with code 0.
     Done,
-    /// There will be no result; exit code 1 follows.
+    /// The job has failed; the child then exits with code 1.
     Failed {
         /// The typed cause.
         error: JobError,

@@ -1,7 +1,7 @@
 //! Automatic removal of old jobs with their results, and of old sessions without jobs. Off by default.
 
-use super::Shared;
 use super::settings::Retention;
+use super::shared::Shared;
 use super::store::{StoreError, Tenant, sessions};
 use std::time::{Duration, Instant, SystemTime};
 

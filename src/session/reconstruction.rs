@@ -94,6 +94,7 @@ pub struct BodyModelId {
 
 /// An export format of a result (`options.exports`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 #[allow(missing_docs)] // self-explanatory names
 pub enum ExportFormat {

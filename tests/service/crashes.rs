@@ -1,4 +1,4 @@
-//! Deaths: of the service, of a job's child; and the commands that go through the service.
+//! Crashes of the service and of child processes, and the commands that use the service.
 
 use crate::server::{Server, signal};
 use crate::take::{LONG, take};
@@ -7,7 +7,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 #[test]
-fn a_killed_service_takes_its_child_along_and_the_next_one_finishes_the_job() {
+fn child_ends_with_killed_service_and_job_resumes() {
     let mut server = Server::start();
     let id = server.submit(&server.upload(LONG, 1));
     let queued = server.submit(&server.upload(10, 2));
@@ -20,13 +20,13 @@ fn a_killed_service_takes_its_child_along_and_the_next_one_finishes_the_job() {
         }
     }
     let job = server.wait_for_state(&id, "succeeded");
-    assert_eq!(job["attempt"], 1, "the service's death is not the job's fault");
+    assert_eq!(job["attempt"], 1, "a crash of the service does not count as an attempt");
     server.wait_for_state(&queued, "succeeded");
     server.get(&format!("/v1/jobs/{id}/result")).expect(200);
 }
 
 #[test]
-fn a_killed_job_goes_on_after_its_last_finished_stage_and_gives_the_same_bytes() {
+fn resumed_job_gives_the_same_bytes() {
     let data = tempfile::tempdir().unwrap();
     let start = || {
         let mut serve = crate::server::command(data.path());
@@ -53,7 +53,7 @@ fn a_killed_job_goes_on_after_its_last_finished_stage_and_gives_the_same_bytes()
 }
 
 #[test]
-fn a_stopped_service_puts_its_job_back_and_the_next_one_finishes_it() {
+fn stopped_service_requeues_its_job() {
     let server = Server::start();
     let id = server.submit(&server.upload(LONG, 1));
     server.wait_for_state(&id, "running");
@@ -62,7 +62,7 @@ fn a_stopped_service_puts_its_job_back_and_the_next_one_finishes_it() {
 }
 
 #[test]
-fn a_job_whose_child_dies_three_times_is_dead_and_the_others_go_on() {
+fn job_is_dead_after_three_crashes_of_its_child() {
     let server = Server::start();
     let poison = server.submit(&server.upload(LONG, 1));
     let other = server.submit(&server.upload(10, 2));
@@ -77,7 +77,7 @@ fn a_job_whose_child_dies_three_times_is_dead_and_the_others_go_on() {
 }
 
 #[test]
-fn a_session_lost_from_the_disk_fails_its_job_with_a_cause() {
+fn job_fails_if_its_session_file_is_missing() {
     let server = Server::start();
     let busy = server.submit(&server.upload(LONG, 1));
     let id = server.submit(&server.upload(10, 2));
@@ -89,7 +89,7 @@ fn a_session_lost_from_the_disk_fails_its_job_with_a_cause() {
 }
 
 #[test]
-fn an_idle_service_stops_at_an_interrupt() {
+fn idle_service_stops_on_interrupt() {
     let data = tempfile::tempdir().unwrap();
     let mut process = crate::server::command(data.path()).stdout(std::process::Stdio::null()).spawn().unwrap();
     std::thread::sleep(Duration::from_millis(500));

@@ -1,4 +1,4 @@
-//! Every way to be refused is a problem document, and the service lives on.
+//! Every error is a problem document, and the service keeps running.
 
 use crate::http::{FORM, JSON, ZIP, form, send, send_raw};
 use crate::server::{Server, command};
@@ -26,7 +26,7 @@ fn unknown_routes_methods_and_media_types_are_problems() {
 }
 
 #[test]
-fn malformed_uploads_are_refused_and_leave_nothing() {
+fn rejects_malformed_uploads_and_stores_nothing() {
     let server = Server::start();
     let zip = zipped(&take(10, 1));
     let mut session = take(10, 1);
@@ -55,7 +55,7 @@ fn malformed_uploads_are_refused_and_leave_nothing() {
 }
 
 #[test]
-fn jobs_that_cannot_be_are_refused_with_a_pointer() {
+fn rejects_impossible_jobs_with_a_pointer() {
     let server = Server::start();
     let mut unknown = take(10, 1);
     for camera in unknown["cameras"].as_array_mut().unwrap() {
@@ -109,7 +109,7 @@ fn jobs_that_cannot_be_are_refused_with_a_pointer() {
 }
 
 #[test]
-fn a_form_with_bad_options_uploads_nothing() {
+fn form_with_bad_options_stores_nothing() {
     let server = Server::start();
     let zip = zipped(&take(10, 1));
     for (options, code) in [("{", "malformed"), ("[]", "malformed"), ("{\"x\": 1}", "option_unknown")] {
@@ -121,7 +121,7 @@ fn a_form_with_bad_options_uploads_nothing() {
 }
 
 #[test]
-fn a_result_before_the_end_is_not_ready_and_an_ended_job_cannot_be_canceled() {
+fn rejects_early_result_and_late_cancel() {
     let server = Server::start();
     let id = server.submit(&server.upload(60, 1));
     for name in ["result", "cameras", "people", "report", "artifacts/cameras.json"] {
@@ -135,7 +135,7 @@ fn a_result_before_the_end_is_not_ready_and_an_ended_job_cannot_be_canceled() {
 }
 
 #[test]
-fn a_body_that_says_it_is_too_large_is_refused_before_it_is_read() {
+fn rejects_a_declared_too_large_body_before_reading() {
     let server = Server::start();
     let head = "POST /v1/sessions HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\n";
     let start = Instant::now();
@@ -147,7 +147,7 @@ fn a_body_that_says_it_is_too_large_is_refused_before_it_is_read() {
 }
 
 #[test]
-fn nonsense_on_the_wire_ends_the_connection_and_nothing_else() {
+fn malformed_http_closes_only_its_connection() {
     let server = Server::start();
     let huge = format!("GET /healthz HTTP/1.1\r\nX: {}\r\n\r\n", "x".repeat(1 << 20));
     let many = format!("GET /healthz HTTP/1.1\r\n{}\r\n", "X: y\r\n".repeat(10_000));
@@ -160,7 +160,7 @@ fn nonsense_on_the_wire_ends_the_connection_and_nothing_else() {
 }
 
 #[test]
-fn a_silent_and_a_half_said_request_are_cut_after_five_seconds() {
+fn closes_connections_without_a_full_head_after_5_s() {
     let server = Server::start();
     for bytes in [&b""[..], b"GET /healthz HTTP/1.1\r\nHost: "] {
         let start = Instant::now();
@@ -170,7 +170,7 @@ fn a_silent_and_a_half_said_request_are_cut_after_five_seconds() {
 }
 
 #[test]
-fn wrong_usage_ends_with_2_and_one_clear_line() {
+fn wrong_usage_exits_with_2_and_one_line() {
     let data = tempfile::tempdir().unwrap();
     let run = |command: &mut Command| {
         let output = command.output().unwrap();

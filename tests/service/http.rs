@@ -1,11 +1,11 @@
-//! Requests and answers, plain.
+//! HTTP requests and answers.
 
 use serde_json::Value;
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::time::Duration;
 
-/// An answer, read to its end.
+/// A complete answer.
 #[derive(Debug)]
 pub struct Answer {
     pub status: u16,
@@ -22,14 +22,14 @@ impl Answer {
         serde_json::from_slice(&self.body).unwrap()
     }
 
-    /// Panics with the whole answer where the status is another one.
+    /// Panics with the body if the status differs.
     #[track_caller]
     pub fn expect(self, status: u16) -> Self {
         assert_eq!(self.status, status, "{}", String::from_utf8_lossy(&self.body));
         self
     }
 
-    /// Checks that this is a whole problem document of this status and code.
+    /// Checks that the answer is a complete problem document with this status and code.
     #[track_caller]
     pub fn expect_problem(self, status: u16, code: &str) -> Value {
         let answer = self.expect(status);
@@ -44,7 +44,7 @@ impl Answer {
     }
 }
 
-/// One request with headers and perhaps a body.
+/// Sends one request.
 pub fn send(method: &str, url: &str, headers: &[(&str, &str)], body: Option<&[u8]>) -> Answer {
     let config = ureq::Agent::config_builder().http_status_as_error(false).build();
     let agent = ureq::Agent::new_with_config(config);
@@ -60,17 +60,17 @@ pub fn send(method: &str, url: &str, headers: &[(&str, &str)], body: Option<&[u8
     Answer { status: response.status().as_u16(), headers: response.headers().clone(), body }
 }
 
-/// Raw bytes on a fresh connection; what comes back until the other side ends it.
+/// Sends raw bytes on a new connection and returns everything received until the service closes it.
 pub fn send_raw(address: &str, bytes: &[u8]) -> String {
     let mut stream = TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
     stream.write_all(bytes).unwrap();
     let mut answer = Vec::new();
-    let _ = stream.read_to_end(&mut answer); // a reset after the answer is an end, too
+    let _ = stream.read_to_end(&mut answer); // a reset after the answer also ends the connection
     String::from_utf8_lossy(&answer).into_owned()
 }
 
-/// A form of parts: name and bytes.
+/// A form with these parts (name and bytes).
 pub fn form(parts: &[(&str, &[u8])]) -> Vec<u8> {
     let mut body = Vec::new();
     for (name, bytes) in parts {
@@ -85,7 +85,7 @@ pub fn form(parts: &[(&str, &[u8])]) -> Vec<u8> {
 
 /// The Content-Type of [`form`].
 pub const FORM: (&str, &str) = ("content-type", "multipart/form-data; boundary=XX");
-/// The Content-Type of documents.
+/// The Content-Type of JSON documents.
 pub const JSON: (&str, &str) = ("content-type", "application/json");
-/// The Content-Type of archives.
+/// The Content-Type of zip files.
 pub const ZIP: (&str, &str) = ("content-type", "application/zip");

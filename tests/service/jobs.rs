@@ -8,7 +8,7 @@ use std::process::Command;
 use std::time::{Duration, Instant};
 
 #[test]
-fn a_job_runs_to_its_success() {
+fn job_succeeds() {
     let server = Server::start();
     let session = server.upload(20, 1);
     let body =
@@ -20,7 +20,7 @@ fn a_job_runs_to_its_success() {
     assert_eq!(job["state"], "queued");
     assert_eq!((&job["session"], &job["labels"]["take"]), (&json!(session), &json!("7")));
     assert_eq!(job["options"]["extrinsics"], "fixed");
-    assert_eq!(job["options"]["seed"], 0, "defaults are written out");
+    assert_eq!(job["options"]["seed"], 0, "defaults are included");
 
     let done = server.wait_for_state(id, "succeeded");
     assert_eq!(done["progress"]["fraction"], 1.0);
@@ -48,7 +48,7 @@ fn one_shot_submission_uploads_and_enqueues() {
 }
 
 #[test]
-fn an_idempotency_key_is_one_job_however_often_and_fast_it_is_said() {
+fn repeated_idempotency_key_gives_one_job() {
     let server = Server::start();
     let session = server.upload(10, 1);
     let body = json!({ "session": session }).to_string();
@@ -70,7 +70,7 @@ fn an_idempotency_key_is_one_job_however_often_and_fast_it_is_said() {
 }
 
 #[test]
-fn waiting_ends_with_a_change_and_an_unchanged_job_is_304() {
+fn wait_ends_on_change_and_unchanged_job_is_304() {
     let server = Server::start();
     let first = server.submit(&server.upload(LONG, 1));
     let waiting = server.submit(&server.upload(10, 2));
@@ -92,7 +92,7 @@ fn waiting_ends_with_a_change_and_an_unchanged_job_is_304() {
 }
 
 #[test]
-fn a_cancel_stops_the_work_within_two_seconds() {
+fn cancel_stops_the_work_within_2_s() {
     let server = Server::start();
     let id = server.submit(&server.upload(LONG, 1));
     server.wait_for_state(&id, "running");
@@ -110,7 +110,7 @@ fn a_cancel_stops_the_work_within_two_seconds() {
 }
 
 #[test]
-fn a_child_that_cannot_answer_is_canceled_by_force() {
+fn cancel_kills_an_unresponsive_child() {
     let server = Server::start();
     let id = server.submit(&server.upload(LONG, 1));
     server.wait_for_state(&id, "running");
@@ -122,7 +122,7 @@ fn a_child_that_cannot_answer_is_canceled_by_force() {
 }
 
 #[test]
-fn a_deleted_job_is_gone_in_whatever_state() {
+fn deletes_a_job_in_any_state() {
     let server = Server::start();
     let done = server.submit(&server.upload(10, 1));
     server.wait_for_state(&done, "succeeded");
@@ -133,14 +133,14 @@ fn a_deleted_job_is_gone_in_whatever_state() {
         server.get(&format!("/v1/jobs/{id}")).expect_problem(404, "not_found");
         server.delete(&format!("/v1/jobs/{id}")).expect_problem(404, "not_found");
     }
-    let next = server.submit(&server.upload(10, 3)); // the worker is free again
+    let next = server.submit(&server.upload(10, 3)); // the worker is available again
     server.wait_for_state(&next, "succeeded");
     let left = server.files("results");
     assert!(left.iter().all(|file| file.to_string_lossy().contains(&next)), "{left:?}");
 }
 
 #[test]
-fn jobs_are_listed_newest_first_by_state_label_and_page() {
+fn lists_jobs_by_state_label_and_page() {
     let server = Server::start();
     let busy = server.submit(&server.upload(LONG, 1));
     let session = server.upload(10, 2);
@@ -163,7 +163,7 @@ fn jobs_are_listed_newest_first_by_state_label_and_page() {
 }
 
 #[test]
-fn a_job_is_fitted_with_the_body_it_names() {
+fn fits_the_requested_body_model() {
     let server = Server::start();
     let file = server.data().join("own.npz");
     let body = |words: &[&str]| {

@@ -1,4 +1,4 @@
-"""The whole journey with the Python client: server, session and result folder are the arguments."""
+"""Uses every method of the Python client; arguments: server, session, result folder."""
 
 import http.server
 import os
@@ -46,7 +46,7 @@ assert wandless.check_webhook(client.webhook_secret(), headers, body)
 assert not wandless.check_webhook(client.webhook_secret(), headers, body + b" ")
 try:
     client.submit("session_" + 32 * "0")
-    raise SystemExit("a job on no session was accepted")
+    raise SystemExit("a job without a session was accepted")
 except wandless.Problem as problem:
     assert problem.status == 404 and problem.code == "session_not_found" and problem.remedy
 client.delete_job(job["id"])

@@ -1,7 +1,7 @@
-//! The service as its clients meet it: the real binary on a free port, spoken to over HTTP.
+//! Tests of the service over HTTP: the real binary on a free port.
 #![cfg(feature = "service")]
-#![allow(clippy::unwrap_used)] // a test that meets what it did not expect has failed
-#![allow(unreachable_pub)] // the modules share with each other, a test binary exports nothing
+#![allow(clippy::unwrap_used)] // an unexpected value fails the test
+#![allow(unreachable_pub)] // the modules share items; a test binary exports nothing
 
 mod crashes;
 mod errors;

@@ -1,4 +1,4 @@
-//! The operator's side: settings, figures, logs, a stop in order, backup, restore, verify, memory, events, webhooks, client.
+//! Operation: settings, metrics, logs, shutdown, backup, restore, verify, memory, events, webhooks, client.
 
 use crate::http::{JSON, send};
 use crate::server::{Server, command, signal};
@@ -16,7 +16,7 @@ fn wandless(words: &[&str], paths: &[&Path]) -> Output {
 }
 
 #[test]
-fn the_figures_tell_of_jobs_requests_and_refusals() {
+fn metrics_count_jobs_requests_and_refusals() {
     let server = Server::start();
     let id = server.submit(&server.upload(10, 1));
     server.wait_for_state(&id, "succeeded");
@@ -44,7 +44,7 @@ fn the_figures_tell_of_jobs_requests_and_refusals() {
 }
 
 #[test]
-fn every_answer_has_an_id_that_stands_in_the_log_and_keys_never_do() {
+fn log_has_request_ids_and_no_keys() {
     let data = tempfile::tempdir().unwrap();
     let mut serve = command(data.path());
     serve.args(["--log-format", "json"]).env("WANDLESS_LOG", "info").stderr(Stdio::piped());
@@ -66,7 +66,7 @@ fn every_answer_has_an_id_that_stands_in_the_log_and_keys_never_do() {
 }
 
 #[test]
-fn a_job_that_wants_too_much_memory_fails_by_name_and_the_service_lives() {
+fn job_over_its_memory_limit_fails_as_out_of_memory() {
     let server = Server::with(&["--set", "jobs.memory_bytes=90000000"]);
     let id = server.submit(&server.upload(LONG, 1));
     let job = server.wait_until(&id, |job| matches!(job["state"].as_str(), Some("failed" | "dead" | "succeeded")));
@@ -75,7 +75,7 @@ fn a_job_that_wants_too_much_memory_fails_by_name_and_the_service_lives() {
 }
 
 #[test]
-fn events_follow_a_job_to_its_end() {
+fn event_stream_ends_with_the_job() {
     let server = Server::start();
     let id = server.submit(&server.upload(60, 1));
     let stream = server.get(&format!("/v1/jobs/{id}/events")).expect(200);
@@ -92,7 +92,7 @@ fn events_follow_a_job_to_its_end() {
 }
 
 #[test]
-fn an_inspection_tells_what_to_expect() {
+fn inspection_estimates_the_accuracy() {
     let server = Server::start();
     let id = server.upload(100, 1);
     let inspection = server.get(&format!("/v1/sessions/{id}/inspection")).expect(200).json();
@@ -102,7 +102,7 @@ fn an_inspection_tells_what_to_expect() {
     server.get("/v1/sessions/session_0/inspection").expect_problem(404, "not_found");
 }
 
-/// Answers each connection with the next status; gives what was received.
+/// A webhook receiver that answers each connection with the next status; returns the received requests.
 fn receiver(statuses: &'static [u16]) -> (String, std::thread::JoinHandle<Vec<String>>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let url = format!("http://{}/hook", listener.local_addr().unwrap());
@@ -135,7 +135,7 @@ fn receiver(statuses: &'static [u16]) -> (String, std::thread::JoinHandle<Vec<St
 }
 
 #[test]
-fn a_webhook_is_signed_repeated_and_never_led_astray() {
+fn webhook_is_signed_and_repeated_without_redirects() {
     let server =
         Server::with(&["--set", "webhooks.allowed_networks=[\"127.0.0.1\"]", "--set", "webhooks.first_wait_s=0"]);
     let secret = server.get("/v1/webhook-secret").expect(200).json()["secret"].as_str().unwrap().to_owned();
@@ -174,7 +174,7 @@ fn a_webhook_is_signed_repeated_and_never_led_astray() {
 }
 
 #[test]
-fn a_backup_under_work_is_whole_and_a_restored_service_goes_on() {
+fn restored_backup_of_a_busy_service_continues() {
     let server = Server::start();
     let done = server.submit(&server.upload(10, 1));
     server.wait_for_state(&done, "succeeded");
@@ -199,7 +199,7 @@ fn a_backup_under_work_is_whole_and_a_restored_service_goes_on() {
 }
 
 #[test]
-fn verify_finds_every_flipped_byte_and_names_its_file() {
+fn verify_finds_every_flipped_bit() {
     let server = Server::start();
     let id = server.submit(&server.upload(10, 1));
     server.wait_for_state(&id, "succeeded");
@@ -224,7 +224,7 @@ fn verify_finds_every_flipped_byte_and_names_its_file() {
 }
 
 #[test]
-fn a_stop_with_work_and_open_connections_is_quick_and_counts_nothing() {
+fn busy_service_stops_quickly_without_an_attempt() {
     let server = Server::start();
     let id = server.submit(&server.upload(LONG, 1));
     server.wait_for_state(&id, "running");
@@ -238,7 +238,7 @@ fn a_stop_with_work_and_open_connections_is_quick_and_counts_nothing() {
     std::thread::sleep(Duration::from_millis(200));
     signal(server.pid(), Signal::TERM);
     std::thread::sleep(Duration::from_millis(100));
-    assert!(std::net::TcpStream::connect(address).is_err(), "a stopping service accepts nobody");
+    assert!(std::net::TcpStream::connect(address).is_err(), "a stopping service accepts no connections");
     let start = Instant::now();
     let server = server.ended_and_restarted();
     assert!(start.elapsed() < Duration::from_secs(10));
@@ -248,7 +248,7 @@ fn a_stop_with_work_and_open_connections_is_quick_and_counts_nothing() {
 }
 
 #[test]
-fn settings_are_told_with_their_defaults_and_mistakes_by_name() {
+fn prints_settings_and_names_unknown_ones() {
     let printed = wandless(&["serve", "--print-settings", "--set", "limits.max_wait_s=7"], &[]);
     let text = String::from_utf8(printed.stdout).unwrap();
     assert!(text.contains("max_wait_s = 7.0") && text.contains("max_crashes = 3"), "{text}");
@@ -258,7 +258,7 @@ fn settings_are_told_with_their_defaults_and_mistakes_by_name() {
 }
 
 #[test]
-fn a_database_held_by_another_is_no_loss_and_no_error_for_a_moment() {
+fn briefly_locked_database_loses_no_request() {
     let server = Server::start();
     let session = server.upload(10, 1);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
@@ -276,10 +276,10 @@ fn a_database_held_by_another_is_no_loss_and_no_error_for_a_moment() {
 }
 
 #[test]
-fn the_python_client_does_the_whole_journey() {
+fn python_client_covers_the_api() {
     let python = Command::new("python3").arg("--version").output();
     if !python.is_ok_and(|output| output.status.success()) {
-        eprintln!("SKIPPED: python3 is not there");
+        eprintln!("SKIPPED: python3 is not installed");
         return;
     }
     let server = Server::with(&["--set", "webhooks.allowed_networks=[\"127.0.0.0/8\"]"]);

@@ -1,4 +1,4 @@
-//! Results: the manifest, every file it names, ranges, damage, and the rows that say the same.
+//! Results: the manifest, all its files, ranges, damaged files, and the summary rows.
 
 use crate::http::Answer;
 use crate::server::Server;
@@ -18,7 +18,7 @@ fn succeeded() -> (Server, String) {
 }
 
 #[test]
-fn every_file_of_the_manifest_is_served_with_its_digest() {
+fn serves_every_file_of_the_manifest() {
     let (server, id) = succeeded();
     let manifest = server.get(&format!("/v1/jobs/{id}/result")).expect(200).json();
     let files = manifest["files"].as_array().unwrap();
@@ -41,7 +41,7 @@ fn every_file_of_the_manifest_is_served_with_its_digest() {
 }
 
 #[test]
-fn ranges_and_conditions_are_kept() {
+fn honours_ranges_and_conditions() {
     let (server, id) = succeeded();
     let path = format!("/v1/jobs/{id}/cameras");
     let whole = server.get(&path).expect(200);
@@ -66,7 +66,7 @@ fn ranges_and_conditions_are_kept() {
 }
 
 #[test]
-fn a_damaged_file_is_an_error_and_never_wrong_bytes() {
+fn damaged_file_is_an_error() {
     let (server, id) = succeeded();
     let path = server.files("results").into_iter().find(|path| path.ends_with("report.json")).unwrap();
     let mut bytes = std::fs::read(&path).unwrap();
@@ -79,7 +79,7 @@ fn a_damaged_file_is_an_error_and_never_wrong_bytes() {
 }
 
 #[test]
-fn the_rows_say_what_the_files_say() {
+fn summary_rows_match_the_files() {
     let (server, id) = succeeded();
     let report = server.get(&format!("/v1/jobs/{id}/report")).json();
     let cameras = server.get(&format!("/v1/jobs/{id}/cameras")).json();
@@ -108,8 +108,9 @@ fn the_rows_say_what_the_files_say() {
             .fetch_one(&database)
             .await
             .unwrap();
-        let told = report["stages"].as_array().unwrap().iter().map(|stage| stage["metrics"].as_object().unwrap().len());
-        assert_eq!(figures as usize, told.sum::<usize>());
+        let expected =
+            report["stages"].as_array().unwrap().iter().map(|stage| stage["metrics"].as_object().unwrap().len());
+        assert_eq!(figures as usize, expected.sum::<usize>());
 
         let rows = sqlx::query("SELECT * FROM camera_results WHERE job_id = ? ORDER BY camera_index");
         let rows = rows.bind(&id).fetch_all(&database).await.unwrap();

@@ -9,11 +9,11 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// Longest that a small job may take here, on two busy cores.
+/// Longest time for a small job on two busy cores.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 pub struct Server {
-    /// None once it was waited for.
+    /// `None` after the process was awaited.
     process: Option<Child>,
     address: String,
     data: TempDir,
@@ -31,7 +31,7 @@ impl Server {
         Self { process: Some(process), address, data }
     }
 
-    /// On whatever data folder the command names.
+    /// Runs a given command, which names the data folder.
     pub fn from_command(command: &mut Command) -> Self {
         let (process, address) = spawned(command);
         Self { process: Some(process), address, data: tempfile::tempdir().unwrap() }
@@ -42,7 +42,7 @@ impl Server {
         Self { process: Some(process), address, data }
     }
 
-    /// Kills the service as a power cut would, child processes not asked, and starts it again.
+    /// Kills the service without warning, as a power failure does, and starts it again.
     pub fn killed_and_restarted(mut self) -> Self {
         let mut process = self.process.take().unwrap();
         process.kill().unwrap();
@@ -50,19 +50,19 @@ impl Server {
         self.restarted()
     }
 
-    /// Asks the service to stop and starts it again.
+    /// Stops the service with SIGTERM and starts it again.
     pub fn stopped_and_restarted(self) -> Self {
         signal(self.pid(), rustix::process::Signal::TERM);
         self.ended_and_restarted()
     }
 
-    /// Waits for the end of a service that was asked to stop, and starts it again.
+    /// Waits for the end of a stopping service and starts it again.
     pub fn ended_and_restarted(mut self) -> Self {
         self.await_end();
         self.restarted()
     }
 
-    /// Asks the service to stop and leaves its data folder.
+    /// Stops the service with SIGTERM and returns its data folder.
     pub fn stopped(mut self) -> TempDir {
         signal(self.pid(), rustix::process::Signal::TERM);
         self.await_end();
@@ -79,7 +79,7 @@ impl Server {
         self.process.as_ref().unwrap().id()
     }
 
-    /// What it writes to its log, where the command has piped it.
+    /// Its log, if the command pipes stderr.
     pub fn stderr(&mut self) -> std::process::ChildStderr {
         self.process.as_mut().unwrap().stderr.take().unwrap()
     }
@@ -122,14 +122,14 @@ impl Server {
         self.post(path, &[JSON], body.to_string().as_bytes())
     }
 
-    /// Uploads a take of some frames and gives its id.
+    /// Uploads a session of `frames` frames and returns its id.
     pub fn upload(&self, frames: usize, seed: u32) -> String {
         let answer = self.post_json("/v1/sessions", &take(frames, seed));
         assert!(matches!(answer.status, 200 | 201), "{}", String::from_utf8_lossy(&answer.body));
         answer.json()["id"].as_str().unwrap().to_owned()
     }
 
-    /// Submits a job on a session, its cameras taken as given.
+    /// Submits a job for a session with fixed cameras.
     pub fn submit(&self, session: &str) -> String {
         let body = json!({ "session": session, "options": { "extrinsics": "fixed" } });
         self.post_json("/v1/jobs", &body).expect(202).json()["id"].as_str().unwrap().to_owned()
@@ -139,7 +139,7 @@ impl Server {
         self.get(&format!("/v1/jobs/{id}")).expect(200).json()
     }
 
-    /// Follows a job until `is_reached`, checking on the way that its fraction never falls.
+    /// Follows a job until `is_reached`; checks that its fraction never falls.
     pub fn wait_until(&self, id: &str, is_reached: impl Fn(&Value) -> bool) -> Value {
         let deadline = Instant::now() + PATIENCE;
         let mut fraction = 0.0;

@@ -1,4 +1,4 @@
-//! A small take: two stick figures walk in circles before four known cameras, seen without any error.
+//! A small recording: two stick figures walk in circles in front of four known cameras, detected without noise.
 
 use crate::stick_figure::{COCO17, stick_figure_point};
 use serde_json::{Value, json};
@@ -7,7 +7,7 @@ use zip::write::SimpleFileOptions;
 
 type Point = [f64; 3];
 
-/// Frames of a take whose job is still at work after some seconds on two cores.
+/// Number of frames whose job still runs after some seconds on two cores.
 pub const LONG: usize = 2000;
 
 /// A session with the extrinsics of all its cameras, as one JSON document; `seed` shifts the walk.
@@ -26,7 +26,7 @@ pub fn take(frames: usize, seed: u32) -> Value {
     })
 }
 
-/// The same as a zip of the native layout.
+/// The session as a zip file in the native layout.
 pub fn zipped(take: &Value) -> Vec<u8> {
     let mut session = take.clone();
     let poses = session.as_object_mut().unwrap().remove("poses").unwrap();
@@ -42,7 +42,7 @@ pub fn zipped(take: &Value) -> Vec<u8> {
     zip.finish().unwrap().into_inner()
 }
 
-/// 4 m from the middle, 1.5 m high, looking at the middle at 1 m.
+/// A camera 4 m from the centre, 1.5 m high, directed at the centre at a height of 1 m.
 fn camera(index: usize) -> Value {
     let angle = 0.4 + 1.5 * index as f64;
     let center = [4.0 * angle.cos(), 1.5, 4.0 * angle.sin()];
@@ -68,7 +68,7 @@ fn recorded(camera: &Value, frame: usize, seed: u32) -> Value {
     json!({ "frame": frame, "people": people })
 }
 
-/// COCO-17 of one walker in the world.
+/// COCO-17 points of one walking person in world coordinates, m.
 fn body(frame: usize, person: usize, seed: u32) -> Vec<Point> {
     let time = frame as f64 / 25.0;
     let heading = 0.8 * time + 3.0 * person as f64 + 0.1 * f64::from(seed);

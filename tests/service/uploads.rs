@@ -1,11 +1,11 @@
-//! Sessions: every form of upload, the same bytes again, lists, removal.
+//! Sessions: every form of upload, repeated uploads, lists, deletion.
 
 use crate::http::{FORM, JSON, ZIP, form};
 use crate::server::Server;
 use crate::take::{LONG, take, zipped};
 
 #[test]
-fn a_session_is_accepted_in_every_form_and_the_same_bytes_are_the_same_session() {
+fn accepts_every_form_and_deduplicates_bytes() {
     let server = Server::start();
     let zip = zipped(&take(10, 1));
     let new = server.post("/v1/sessions", &[ZIP], &zip).expect(201);
@@ -29,7 +29,7 @@ fn a_session_is_accepted_in_every_form_and_the_same_bytes_are_the_same_session()
 }
 
 #[test]
-fn the_same_bytes_at_the_same_time_are_one_session() {
+fn concurrent_identical_uploads_give_one_session() {
     let server = Server::start();
     let zip = zipped(&take(10, 1));
     let mut ids: Vec<String> = std::thread::scope(|scope| {
@@ -43,7 +43,7 @@ fn the_same_bytes_at_the_same_time_are_one_session() {
 }
 
 #[test]
-fn sessions_are_listed_newest_first_in_pages_and_removed_unless_in_use() {
+fn lists_sessions_in_pages_and_deletes_unused_ones() {
     let server = Server::start();
     let ids: Vec<String> = (0..3).map(|seed| server.upload(10, seed)).collect();
     let first = server.get("/v1/sessions?page_size=2").expect(200).json();

@@ -1,10 +1,10 @@
-//! Who asks, and whether they may: API keys, scopes, and how often.
+//! Access control: API keys, scopes and rate limits.
 //!
-//! A key comes as `Authorization: Bearer wl_…`, or as the password of `Authorization: Basic`, which a browser asks its user
-//! for. As long as no key was ever made and the service listens on the loopback, everybody is the tenant `default`. What
-//! belongs to another tenant is answered as what does not exist.
+//! A key is sent as `Authorization: Bearer wl_…`, or as the password of `Authorization: Basic`, for which a browser prompts.
+//! While no key was ever created and the service listens on a loopback address, every request acts as the tenant `default`.
+//! Resources of other tenants are answered like resources that do not exist.
 
-use super::App;
+use super::app::App;
 use super::error::Problem;
 use super::server::Peer;
 use crate::service::failpoint::fault;
@@ -19,10 +19,10 @@ use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use std::time::Duration;
 
-/// Whose request it is; every handler below `/v1` takes one.
+/// The authenticated tenant of a request; every handler below `/v1` extracts it.
 #[derive(Debug, Clone)]
 pub(super) struct Caller {
-    /// The only tenant whose things the request may touch.
+    /// The only tenant whose resources the request can access.
     pub(super) tenant: Tenant,
 }
 
@@ -34,13 +34,13 @@ impl<S: Sync + Send> FromRequestParts<S> for Caller {
     }
 }
 
-/// Lets a request below `/v1` through with its [`Caller`]: looking needs `read`, everything else `write`.
+/// Middleware of the routes below `/v1`, adds the [`Caller`]: GET and HEAD need the scope `read`, other methods `write`.
 pub(super) async fn to_the_api(State(app): State<App>, request: Request, next: Next) -> Response {
-    let is_look = matches!(*request.method(), Method::GET | Method::HEAD);
-    admit(app, if is_look { Scope::Read } else { Scope::Write }, request, next).await
+    let is_read = matches!(*request.method(), Method::GET | Method::HEAD);
+    admit(app, if is_read { Scope::Read } else { Scope::Write }, request, next).await
 }
 
-/// Lets a request for the service's figures through.
+/// Middleware of `/metrics`: needs the scope `metrics`.
 pub(super) async fn to_the_metrics(State(app): State<App>, request: Request, next: Next) -> Response {
     admit(app, Scope::Metrics, request, next).await
 }
@@ -58,7 +58,7 @@ async fn admit(app: App, scope: Scope, request: Request, next: Next) -> Response
 
 async fn caller(app: &App, scope: Scope, head: &Parts) -> Result<Caller, Problem> {
     require_own_page(app, head)?;
-    if !asks_for_keys(app).await? {
+    if !requires_keys(app).await? {
         return Ok(Caller { tenant: Tenant::default_tenant() });
     }
     let key = match token(&head.headers) {
@@ -66,7 +66,7 @@ async fn caller(app: &App, scope: Scope, head: &Parts) -> Result<Caller, Problem
         None => None,
     };
     let Some(key) = key else { return Err(refuse_key(app, head)) };
-    app.tenant_pace.take(key.tenant.name()).map_err(|wait| too_many("the tenant asks too often", wait))?;
+    app.tenant_rates.take(key.tenant.name()).map_err(|wait| too_many("the tenant sends too many requests", wait))?;
     if !key.scopes.contains(&scope) {
         return Err(Problem::new(
             StatusCode::FORBIDDEN,
@@ -78,23 +78,23 @@ async fn caller(app: &App, scope: Scope, head: &Parts) -> Result<Caller, Problem
     Ok(Caller { tenant: if fault("tenants.one") { Tenant::default_tenant() } else { key.tenant } })
 }
 
-async fn asks_for_keys(app: &App) -> Result<bool, StoreError> {
+async fn requires_keys(app: &App) -> Result<bool, StoreError> {
     Ok(!app.settings.listen.ip().is_loopback() || keys::any(&app.store).await?)
 }
 
-/// A page of another site must not submit forms in the name of whoever is looking at it.
+/// Refuses changes by pages of other sites: they must not submit forms with the rights of the browser's user.
 fn require_own_page(app: &App, head: &Parts) -> Result<(), Problem> {
     let text = |name: &str| head.headers.get(name).and_then(|value| value.to_str().ok());
-    let is_look = matches!(head.method, Method::GET | Method::HEAD);
+    let is_read = matches!(head.method, Method::GET | Method::HEAD);
     let is_foreign = text("sec-fetch-site").is_some_and(|site| !matches!(site, "same-origin" | "none"));
     let is_listed = text("origin").is_some_and(|origin| app.settings.cors_origins.iter().any(|o| o == origin));
-    if is_look || !is_foreign || is_listed {
+    if is_read || !is_foreign || is_listed {
         return Ok(());
     }
     Err(Problem::new(
         StatusCode::FORBIDDEN,
         "foreign_page",
-        "a page of another site may not change anything here",
+        "pages of other sites cannot change anything here",
         "ask the operator to list the site in cors_origins",
     ))
 }
@@ -112,10 +112,10 @@ fn token(headers: &HeaderMap) -> Option<String> {
     }
 }
 
-/// 401, or 429 where the address has tried too many wrong keys.
+/// 401, or 429 after too many wrong keys from one address.
 fn refuse_key(app: &App, head: &Parts) -> Problem {
     let peer = head.extensions.get::<Peer>().map_or_else(String::new, |peer| peer.0.ip().to_string());
-    if let Err(wait) = app.bad_key_pace.take(&peer)
+    if let Err(wait) = app.bad_key_rates.take(&peer)
         && !fault("guesses.free")
     {
         return too_many("too many requests without a valid key", wait);
@@ -124,12 +124,13 @@ fn refuse_key(app: &App, head: &Parts) -> Problem {
         StatusCode::UNAUTHORIZED,
         "unauthorized",
         "a valid API key is needed",
-        "send the header Authorization: Bearer <key>; the operator makes keys with `wandless key create`",
+        "send the header Authorization: Bearer <key>; the operator creates keys with `wandless key create`",
     )
     .with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static(challenge(&head.headers)))
 }
 
-/// A browser asks its user where a page or a download is refused; the viewer's scripts ask on their own page instead.
+/// The `WWW-Authenticate` header: `Basic` makes the browser prompt for pages and downloads; scripts of the viewer get
+/// `Bearer` and show their own prompt.
 fn challenge(headers: &HeaderMap) -> &'static str {
     let is_script = headers.get("sec-fetch-dest").is_some_and(|destination| destination == "empty");
     if is_script { "Bearer realm=\"wandless\"" } else { "Basic realm=\"wandless\", charset=\"UTF-8\"" }
@@ -137,7 +138,7 @@ fn challenge(headers: &HeaderMap) -> &'static str {
 
 fn too_many(detail: &str, wait: Duration) -> Problem {
     let seconds = HeaderValue::from(wait.as_secs().max(1));
-    Problem::new(StatusCode::TOO_MANY_REQUESTS, "too_many_requests", detail, "wait as long as Retry-After says")
+    Problem::new(StatusCode::TOO_MANY_REQUESTS, "too_many_requests", detail, "retry after the time in Retry-After")
         .with_header(header::RETRY_AFTER, seconds)
 }
 
@@ -146,7 +147,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_browser_asks_its_user_for_pages_but_not_for_scripts() {
+    fn browser_prompts_for_pages_but_not_for_scripts() {
         let of = |destination: &'static str| {
             let mut headers = HeaderMap::new();
             headers.insert("sec-fetch-dest", HeaderValue::from_static(destination));
@@ -157,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_is_read_from_either_scheme() {
+    fn reads_keys_from_bearer_and_basic() {
         let read = |value: &str| {
             let mut headers = HeaderMap::new();
             headers.insert(header::AUTHORIZATION, HeaderValue::from_str(value).unwrap());

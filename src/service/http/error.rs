@@ -1,14 +1,16 @@
-//! Problem documents (RFC 9457): every error a client can meet.
+//! Problem documents (RFC 9457): the form of every error answer.
 
 use crate::service::failpoint::fault;
 use crate::service::store::StoreError;
 use crate::service::store::sessions::AddError;
+use crate::session::upload::UploadError;
 use axum::body::Body;
 use axum::extract::Request;
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
+use utoipa::ToSchema;
 
 /// An error as the client sees it.
 #[derive(Debug, Clone, PartialEq)]
@@ -17,20 +19,45 @@ pub(super) struct Problem {
     headers: Vec<(HeaderName, HeaderValue)>,
 }
 
-/// The body. `instance` is the request's path; of an internal error an id that stands in the log.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-struct Document {
-    /// `about:blank`: the code says more than a page would.
+/// Description of an error (RFC 9457).
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[schema(as = Problem)]
+pub(super) struct Document {
+    /// Always `about:blank`; `code` identifies the error.
     #[serde(rename = "type")]
     kind: &'static str,
+    /// Name of the status.
     title: &'static str,
     #[serde(serialize_with = "status_as_number")]
+    #[schema(value_type = u16, minimum = 400, maximum = 599)]
     status: StatusCode,
+    /// What is wrong.
     detail: String,
+    /// Path of the request; for an internal error an id that the log of the service contains.
     instance: String,
+    /// Identifies the kind of error.
     code: &'static str,
-    #[serde(flatten)]
-    place: Place,
+    /// File inside the upload.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    file: Option<String>,
+    /// Id of the camera.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    camera: Option<String>,
+    /// Frame number of the session.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    frame: Option<i64>,
+    /// Index of the person in the frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    person: Option<usize>,
+    /// JSON pointer to the erroneous value.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pointer: Option<String>,
+    /// What to do.
     remedy: String,
 }
 
@@ -38,28 +65,8 @@ fn status_as_number<S: serde::Serializer>(status: &StatusCode, serializer: S) ->
     serializer.serialize_u16(status.as_u16())
 }
 
-/// Where in the request or the upload the fault lies.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
-pub(super) struct Place {
-    /// Member of the upload.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) file: Option<String>,
-    /// Camera id.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) camera: Option<String>,
-    /// Frame, in the session's numbers.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) frame: Option<i64>,
-    /// Position of the person in the frame.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) person: Option<usize>,
-    /// JSON pointer.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub(super) pointer: Option<String>,
-}
-
 impl Problem {
-    /// A problem: what went wrong, for machines and for people, and what to do.
+    /// A problem with its status, its code, what is wrong, and what to do.
     pub(super) fn new(
         status: StatusCode,
         code: &'static str,
@@ -73,35 +80,41 @@ impl Problem {
             detail: detail.into(),
             instance: String::new(),
             code,
-            place: Place::default(),
+            file: None,
+            camera: None,
+            frame: None,
+            person: None,
+            pointer: None,
             remedy: remedy.into(),
         };
         Self { document: Box::new(document), headers: Vec::new() }
     }
 
-    /// For machines.
+    /// Identifies the kind of error.
     pub(super) fn code(&self) -> &'static str {
         self.document.code
     }
 
-    /// For people.
+    /// What is wrong.
     pub(super) fn detail(&self) -> &str {
         &self.document.detail
     }
 
-    /// The same, naming a place in the request's JSON.
+    /// Adds the JSON pointer to the erroneous value.
     pub(super) fn at(mut self, pointer: impl Into<String>) -> Self {
-        self.document.place.pointer = Some(pointer.into());
+        self.document.pointer = Some(pointer.into());
         self
     }
 
-    /// The same, naming a place in an upload.
-    pub(super) fn in_upload(mut self, place: Place) -> Self {
-        self.document.place = place;
-        self
+    /// A rejected upload, with the location of the error.
+    pub(super) fn of_upload(status: StatusCode, error: UploadError) -> Self {
+        let UploadError { code, detail, remedy, file, camera, frame, person, pointer, .. } = error;
+        let mut problem = Self::new(status, code, detail, remedy);
+        *problem.document = Document { file, camera, frame, person, pointer, ..*problem.document };
+        problem
     }
 
-    /// The same with a header.
+    /// Adds a header to the answer.
     pub(super) fn with_header(mut self, name: HeaderName, value: HeaderValue) -> Self {
         self.headers.push((name, value));
         self
@@ -112,22 +125,22 @@ impl Problem {
         Self::new(StatusCode::BAD_REQUEST, "malformed", detail, remedy)
     }
 
-    /// 404 for a thing of a kind.
+    /// 404 for a resource; `kind` is "job" or "session".
     pub(super) fn not_found(kind: &str) -> Self {
         Self::new(
             StatusCode::NOT_FOUND,
             "not_found",
-            format!("there is no such {kind}"),
-            format!("list what there is with GET /v1/{kind}s"),
+            format!("the {kind} does not exist"),
+            format!("list the existing ones with GET /v1/{kind}s"),
         )
     }
 
-    /// 415, naming what is taken.
+    /// 415 with the accepted media types.
     pub(super) fn unsupported_media_type(accepted: &str) -> Self {
         Self::new(
             StatusCode::UNSUPPORTED_MEDIA_TYPE,
             "unsupported_media_type",
-            "the body is of no kind that this route takes",
+            "this route does not accept the media type of the body",
             format!("set Content-Type to {accepted}"),
         )
     }
@@ -138,11 +151,11 @@ impl Problem {
             StatusCode::PAYLOAD_TOO_LARGE,
             "too_large",
             format!("the body is larger than {limit} bytes"),
-            "send less: cut the take, or deflate it in a zip",
+            "send less: shorten the recording, or compress it in a zip file",
         )
     }
 
-    /// 500: the cause goes to the log under a fresh id, the client learns the id.
+    /// 500: the cause is logged under a new id, which the client receives as the instance.
     pub(super) fn internal(error: impl std::fmt::Display) -> Self {
         let incident = uuid::Uuid::new_v4();
         tracing::error!(%incident, %error, "a request failed");
@@ -150,7 +163,7 @@ impl Problem {
             StatusCode::INTERNAL_SERVER_ERROR,
             "internal",
             "the service failed",
-            "try again; if it stays so, give the operator the instance",
+            "try again; if the error persists, report the instance to the operator",
         );
         problem.document.instance = format!("urn:uuid:{incident}");
         problem
@@ -167,12 +180,12 @@ impl Problem {
         Self::new(
             StatusCode::INSUFFICIENT_STORAGE,
             "disk_full",
-            "the service's disk is full",
-            "delete jobs and sessions that nobody needs, or ask the operator",
+            "the disk of the service is full",
+            "delete jobs and sessions that are not needed, or ask the operator",
         )
     }
 
-    /// What a failed file operation means to the client.
+    /// 507 for a full disk, 500 for any other failed file operation.
     pub(super) fn from_io(error: &std::io::Error) -> Self {
         match error.kind() {
             std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded if !fault("disk.unnamed") => {
@@ -204,7 +217,7 @@ impl From<AddError> for Problem {
                 StatusCode::INSUFFICIENT_STORAGE,
                 "quota_exceeded",
                 error.to_string(),
-                "delete sessions and jobs that nobody needs, or ask the operator for more",
+                "delete sessions and jobs that are not needed, or ask the operator for more",
             ),
             AddError::Store(error) => error.into(),
         }
@@ -214,12 +227,12 @@ impl From<AddError> for Problem {
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
         let mut response = self.document.status.into_response();
-        response.extensions_mut().insert(self); // written by `write_problems`, which knows the request
+        response.extensions_mut().insert(self); // `write_problems` adds the body
         response
     }
 }
 
-/// Writes the problem document of a failed request.
+/// Middleware: writes the problem document into the answer of a failed request.
 pub(super) async fn write_problems(request: Request, next: Next) -> Response {
     let path = request.uri().path().to_owned();
     let mut response = next.run(request).await;

@@ -1,13 +1,14 @@
-//! `GET /v1/jobs/{id}/events`: the job's life as server-sent events.
+//! `GET /v1/jobs/{id}/events`: the progress of a job as server-sent events.
 //!
-//! `state` carries the whole job and comes first, at every change of state, and last; `progress` how far it is; `log` a line
-//! of the job's own process. The id of an event is the job's version: a client that comes back with `Last-Event-ID` is told
-//! the state again only where it has changed.
+//! `state` holds the whole job and is sent first, at every change of state, and last; `progress` holds the progress, `log` one
+//! line of the job's process. The id of an event is the version of the job: a client that reconnects with `Last-Event-ID`
+//! receives the state again only if it has changed.
 
 use super::access::Caller;
+use super::app::App;
 use super::error::Problem;
-use super::jobs::document;
-use super::{ApiPath, App};
+use super::extract::{ApiPath, JobPath};
+use super::jobs::JobDocument;
 use crate::service::metrics::Held;
 use crate::service::queue::LogLine;
 use crate::service::queue::Phase;
@@ -23,17 +24,20 @@ use std::time::Duration;
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
 
-/// A comment is sent after so long without an event: proxies keep the stream open, and a client that is gone is noticed.
+/// A comment is sent after this time without an event: proxies keep the stream open, and a lost client is noticed.
 const KEEP_ALIVE: Duration = Duration::from_secs(10);
 
-/// The stream; it ends after the final state.
+/// Follow a job.
+#[utoipa::path(get, path = "/v1/jobs/{id}/events", operation_id = "followJob", tag = "jobs", params(JobPath),
+    responses((status = 200, description = "Events `state`, `progress` and `log` until the final state", body = String,
+        content_type = "text/event-stream")))]
 pub(super) async fn stream(
     State(app): State<App>,
     caller: Caller,
-    ApiPath(id): ApiPath<String>,
+    ApiPath(JobPath { id }): ApiPath<JobPath>,
     headers: HeaderMap,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Problem> {
-    let (changes, log) = (app.queue.listen(), app.queue.listen_to_logs()); // before the first look
+    let (changes, log) = (app.queue.listen(), app.queue.listen_to_logs()); // before the first read, so that no change is missed
     let job = app.queue.get(&caller.tenant, &id).await?.ok_or_else(|| Problem::not_found("job"))?;
     let known = headers.get("last-event-id").and_then(|value| value.to_str().ok()?.parse::<i64>().ok());
     let mut follower = Follower {
@@ -51,7 +55,7 @@ pub(super) async fn stream(
     if known == Some(job.version) && !job.state.phase().is_final() {
         (follower.phase, follower.progress) = (Some(job.state.phase()), job.progress);
     } else {
-        follower.note(&job);
+        follower.note(job);
     }
     let events = futures_util::stream::unfold(follower, |mut follower| async move {
         let event = follower.next().await?;
@@ -60,7 +64,7 @@ pub(super) async fn stream(
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(KEEP_ALIVE)))
 }
 
-/// What one client has been told.
+/// State of one event stream: what was sent last, and what waits.
 struct Follower {
     app: App,
     caller: Caller,
@@ -71,8 +75,8 @@ struct Follower {
     progress: JobProgress,
     waiting: VecDeque<Event>,
     is_at_end: bool,
-    /// Counted as an open stream.
-    #[allow(dead_code)] // held for its end
+    /// Counts the stream as open while it lives.
+    #[allow(dead_code)]
     held: Held,
 }
 
@@ -90,7 +94,7 @@ impl Follower {
             tokio::select! {
                 changed = self.changes.recv() => match changed {
                     Ok(changed) if *changed != *self.id => {}
-                    Ok(_) | Err(RecvError::Lagged(_)) => self.look().await,
+                    Ok(_) | Err(RecvError::Lagged(_)) => self.read_job().await,
                     Err(RecvError::Closed) => self.is_at_end = true,
                 },
                 line = self.log.recv() => {
@@ -103,23 +107,24 @@ impl Follower {
         }
     }
 
-    async fn look(&mut self) {
+    async fn read_job(&mut self) {
         match self.app.queue.get(&self.caller.tenant, &self.id).await {
-            Ok(Some(job)) => self.note(&job),
+            Ok(Some(job)) => self.note(job),
             Ok(None) => self.is_at_end = true,
-            Err(error) => tracing::warn!(job.id = self.id, %error, "the job could not be read for its followers"),
+            Err(error) => tracing::warn!(job.id = self.id, %error, "the job could not be read for its event streams"),
         }
     }
 
-    fn note(&mut self, job: &Job) {
-        let phase = job.state.phase();
+    /// Queues the events for what differs from the last sent version.
+    fn note(&mut self, job: Job) {
+        let (phase, version) = (job.state.phase(), Some(job.version));
         if self.progress != job.progress {
             self.progress = job.progress.clone();
-            self.waiting.extend(event("progress", Some(job.version), &job.progress));
+            self.waiting.extend(event("progress", version, &job.progress));
         }
         if self.phase != Some(phase) {
             self.phase = Some(phase);
-            self.waiting.extend(event("state", Some(job.version), &document(job)));
+            self.waiting.extend(event("state", version, &JobDocument::of(job)));
         }
         self.is_at_end = phase.is_final();
     }

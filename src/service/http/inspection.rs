@@ -1,9 +1,10 @@
-//! `GET /v1/sessions/{id}/inspection`: what can be expected, before any compute is spent.
+//! `GET /v1/sessions/{id}/inspection`: problems and expected accuracy of a session, before it is solved.
 
 use super::access::Caller;
+use super::app::App;
 use super::error::Problem;
-use super::intake::upload_problem;
-use super::{ApiPath, App};
+use super::extract::{ApiPath, SessionPath};
+use super::upload::upload_problem;
 use crate::pipeline::inspection::{Inspection, inspect};
 use crate::service::store::sessions;
 use crate::session::upload::{self, UploadLimits};
@@ -12,15 +13,17 @@ use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
 
-/// The inspection; the same for ever, as its session is.
+/// Inspect a session before it is solved.
+#[utoipa::path(get, path = "/v1/sessions/{id}/inspection", operation_id = "inspectSession", tag = "sessions",
+    params(SessionPath), responses((status = 200, description = "The inspection", body = Inspection), (status = 422)))]
 pub(super) async fn get(
     State(app): State<App>,
     caller: Caller,
-    ApiPath(id): ApiPath<String>,
+    ApiPath(SessionPath { id }): ApiPath<SessionPath>,
 ) -> Result<Response, Problem> {
     let session = sessions::get(&app.store, &caller.tenant, &id).await?;
     let session = session.ok_or_else(|| Problem::not_found("session"))?;
-    let _turn = app.validations.acquire().await.map_err(Problem::internal)?; // it holds a session in memory
+    let _turn = app.validations.acquire().await.map_err(Problem::internal)?; // the inspection holds a session in memory
     let (path, threads) = (app.store.folders.session(&id), app.settings.jobs.threads);
     let inspected = tokio::task::spawn_blocking(move || -> Result<Inspection, Problem> {
         let loaded = upload::read_path(&path, &UploadLimits::default()).map_err(upload_problem)?;

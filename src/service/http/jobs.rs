@@ -1,44 +1,73 @@
-//! `/v1/jobs`: list, look, wait, cancel, delete; [`super::submission`] accepts them.
+//! `/v1/jobs`: list, get, wait for, cancel and delete jobs; [`super::submission`] creates them.
 
 use super::access::Caller;
+use super::app::App;
 use super::error::Problem;
+use super::extract::{ApiPath, ApiQuery, JobPath};
 use super::page::{Page, PageQuery};
-use super::{ApiPath, ApiQuery, App};
+use crate::pipeline::Options;
 use crate::service::failpoint::fault;
 use crate::service::metrics::Held;
-use crate::service::queue::Phase;
-use crate::service::queue::job::Job;
-use crate::service::queue::{Cancel, JobFilter, LabelFilter};
+use crate::service::queue::job::{Job, JobError, JobProgress, JobQuality};
+use crate::service::queue::{Cancel, JobFilter, LabelFilter, Phase};
 use crate::service::store::Tenant;
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use serde::Deserialize;
-use serde_json::{Value, json};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::collections::BTreeMap;
 use std::time::Duration;
 use tokio::time::Instant;
+use utoipa::openapi::schema::{Object, ObjectBuilder, Type};
+use utoipa::{IntoParams, ToSchema};
 
 /// `?state=&label=&page_size=&page_token=`
-#[derive(Debug, Deserialize)]
+#[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
 pub(super) struct ListQuery {
+    /// State of the jobs; empty: any state.
+    #[param(schema_with = state_filter, required = false)]
     state: Option<String>,
+    /// `key` or `key=value`.
+    #[param(nullable = false)]
     label: Option<String>,
+    /// Jobs per page; values above 500 mean 500.
+    #[param(nullable = false, minimum = 0, default = 50)]
     page_size: Option<i64>,
+    /// `next_page_token` of the page before.
+    #[param(nullable = false, pattern = "^(s[0-9a-f]{1,15})?$")]
     page_token: Option<String>,
 }
 
-/// `GET /v1/jobs`, newest first.
+fn state_filter() -> Object {
+    let states = [""].into_iter().chain(Phase::ALL.map(Phase::name));
+    ObjectBuilder::new().schema_type(Type::String).enum_values(Some(states)).build()
+}
+
+/// One page of jobs.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct JobPage {
+    jobs: Vec<JobDocument>,
+    /// Requests the next page; null on the last page.
+    #[schema(required)]
+    next_page_token: Option<String>,
+}
+
+/// List jobs, newest first.
+#[utoipa::path(get, path = "/v1/jobs", operation_id = "listJobs", tag = "jobs", params(ListQuery),
+    responses((status = 200, description = "One page", body = JobPage), (status = 400)))]
 pub(super) async fn list(
     State(app): State<App>,
     Caller { tenant }: Caller,
     ApiQuery(query): ApiQuery<ListQuery>,
-) -> Result<Response, Problem> {
+) -> Result<Json<JobPage>, Problem> {
     let state = query.state.filter(|state| !state.is_empty());
     let state = state.map(|state| Phase::parse(&state).ok_or(state)).transpose().map_err(|state| {
         let names = Phase::ALL.map(Phase::name).join(", ");
-        Problem::malformed(format!("`{state}` is no state of a job"), format!("take one of {names}"))
+        Problem::malformed(format!("`{state}` is not a state of a job"), format!("use one of {names}"))
     })?;
     let label = query.label.filter(|label| !label.is_empty()).map(|label| match label.split_once('=') {
         Some((key, value)) => LabelFilter { key: key.to_owned(), value: Some(value.to_owned()) },
@@ -48,22 +77,31 @@ pub(super) async fn list(
     let filter = JobFilter { state, label, before: page.before()? };
     let rows = app.queue.list(&tenant, &filter, page.fetch_size()?).await?;
     let page = Page::cut(rows, &page, |job: &Job| job.seq)?;
-    let jobs: Vec<Value> = page.items.iter().map(document).collect();
-    Ok(Json(json!({ "jobs": jobs, "next_page_token": page.next_page_token })).into_response())
+    let jobs = page.items.into_iter().map(JobDocument::of).collect();
+    Ok(Json(JobPage { jobs, next_page_token: page.next_page_token }))
 }
 
-/// `?wait=` in seconds.
-#[derive(Debug, Deserialize)]
+/// `?wait=`
+#[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
 pub(super) struct WaitQuery {
+    /// Longest time, s, until the answer, which comes once the job differs from If-None-Match; at most 60.
+    #[param(nullable = false, minimum = 0)]
     wait: Option<f64>,
 }
 
-/// `GET /v1/jobs/{id}`: at once, or with `?wait=` once it differs from `If-None-Match` (or from what it was when asked).
+/// Get a job, at once or after a change.
+///
+/// With `wait`, the answer comes once the job differs from `If-None-Match`, or from its version at the time of the request.
+#[utoipa::path(get, path = "/v1/jobs/{id}", operation_id = "getJob", tag = "jobs",
+    params(JobPath, WaitQuery, ("If-None-Match" = inline(Option<String>), Header, nullable = false)),
+    responses((status = 200, description = "The job", body = JobDocument, headers(("ETag" = String))),
+        (status = 304, description = "Unchanged")))]
 pub(super) async fn get(
     State(app): State<App>,
     Caller { tenant }: Caller,
-    ApiPath(id): ApiPath<String>,
+    ApiPath(JobPath { id }): ApiPath<JobPath>,
     ApiQuery(query): ApiQuery<WaitQuery>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
@@ -72,7 +110,7 @@ pub(super) async fn get(
     }
     let wait = match query.wait {
         Some(seconds) if !(seconds.is_finite() && seconds >= 0.0) => {
-            return Err(Problem::malformed(format!("wait is {seconds}"), "give seconds, 0 or more"));
+            return Err(Problem::malformed(format!("wait is {seconds}"), "use a number of seconds, 0 or more"));
         }
         Some(seconds) => Duration::from_secs_f64(seconds.min(app.settings.limits.max_wait.as_secs_f64())),
         None => Duration::ZERO,
@@ -83,10 +121,10 @@ pub(super) async fn get(
     if known.is_some_and(|known| known == tag) {
         return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, tag)]).into_response());
     }
-    Ok(answer(&job).into_response())
+    Ok(answer(job).into_response())
 }
 
-/// The job once it is final, changed, or the time is over, or the service stops.
+/// Waits until the job is final or has changed, the time is over, or the service stops; returns the job.
 async fn wait_for_change(
     app: &App,
     tenant: &Tenant,
@@ -96,7 +134,7 @@ async fn wait_for_change(
 ) -> Result<Job, Problem> {
     let _held = Held::new(&app.metrics);
     let deadline = Instant::now() + wait;
-    let mut changes = app.queue.listen(); // before the first look: no change slips between
+    let mut changes = app.queue.listen(); // before the first read, so that no change is missed
     let draining = &app.draining;
     let mut first_tag = None;
     loop {
@@ -110,7 +148,7 @@ async fn wait_for_change(
             tokio::select! {
                 changed = changes.recv() => match changed {
                     Ok(changed) if *changed != *id => {}
-                    _ => break, // its own, or too many to know
+                    _ => break, // this job has changed, or notifications were lost
                 },
                 () = tokio::time::sleep_until(deadline) => break,
                 () = draining.cancelled() => break,
@@ -119,29 +157,33 @@ async fn wait_for_change(
     }
 }
 
-/// `POST /v1/jobs/{id}/cancel`: 202 and the job; 409 where it has ended otherwise.
+/// Cancel a job.
+#[utoipa::path(post, path = "/v1/jobs/{id}/cancel", operation_id = "cancelJob", tag = "jobs", params(JobPath),
+    responses((status = 202, description = "The job stops within 2 s", body = JobDocument), (status = 409)))]
 pub(super) async fn cancel(
     State(app): State<App>,
     Caller { tenant }: Caller,
-    ApiPath(id): ApiPath<String>,
+    ApiPath(JobPath { id }): ApiPath<JobPath>,
 ) -> Result<Response, Problem> {
     match app.queue.cancel(&tenant, &id).await? {
-        Cancel::Accepted(job) => Ok((StatusCode::ACCEPTED, answer(&job)).into_response()),
+        Cancel::Accepted(job) => Ok((StatusCode::ACCEPTED, answer(*job)).into_response()),
         Cancel::Missing => Err(Problem::not_found("job")),
         Cancel::AlreadyFinal(phase) => Err(Problem::new(
             StatusCode::CONFLICT,
             "already_final",
-            format!("the job has ended: {}", phase.name()),
-            "a final state never changes; DELETE removes the job",
+            format!("the job has already ended: {}", phase.name()),
+            "a final state never changes; use DELETE to remove the job",
         )),
     }
 }
 
-/// `DELETE /v1/jobs/{id}`: 204; a running one is stopped.
+/// Delete a job and its files.
+#[utoipa::path(delete, path = "/v1/jobs/{id}", operation_id = "deleteJob", tag = "jobs", params(JobPath),
+    responses((status = 204, description = "Deleted; a running job is stopped")))]
 pub(super) async fn delete(
     State(app): State<App>,
     Caller { tenant }: Caller,
-    ApiPath(id): ApiPath<String>,
+    ApiPath(JobPath { id }): ApiPath<JobPath>,
 ) -> Result<StatusCode, Problem> {
     if app.queue.delete(&tenant, &id).await? { Ok(StatusCode::NO_CONTENT) } else { Err(Problem::not_found("job")) }
 }
@@ -151,39 +193,70 @@ fn etag(job: &Job) -> String {
 }
 
 /// The job with its ETag.
-pub(super) fn answer(job: &Job) -> impl IntoResponse {
-    ([(header::ETAG, etag(job)), (header::CACHE_CONTROL, "no-cache".to_owned())], Json(document(job)))
+pub(super) fn answer(job: Job) -> impl IntoResponse {
+    ([(header::ETAG, etag(&job)), (header::CACHE_CONTROL, "no-cache".to_owned())], Json(JobDocument::of(job)))
 }
 
-/// The job as clients see it.
-pub(super) fn document(job: &Job) -> Value {
-    let own = format!("/v1/jobs/{}", job.id);
-    json!({
-        "id": job.id,
-        "state": job.state.phase().name(),
-        "session": job.session,
-        "options": job.options,
-        "labels": job.labels,
-        "priority": job.priority,
-        "created_at": job.created_at,
-        "started_at": job.started_at,
-        "finished_at": job.state.finished_at(),
-        "attempt": job.attempt,
-        "progress": job.progress,
-        "stage_seconds": job.stage_seconds,
-        "quality": job.state.quality(),
-        "error": job.state.error(),
-        "solver_version": job.solver_version,
-        "links": {
-            "self": own,
-            "session": format!("/v1/sessions/{}", job.session),
-            "cancel": format!("{own}/cancel"),
-            "events": format!("{own}/events"),
-            "result": format!("{own}/result"),
-            "cameras": format!("{own}/cameras"),
-            "people": format!("{own}/people"),
-            "report": format!("{own}/report"),
-            "artifacts": format!("{own}/artifacts/"),
-        },
-    })
+/// One reconstruction of one session.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = Job)]
+pub(super) struct JobDocument {
+    id: String,
+    #[schema(inline, value_type = Phase)]
+    state: &'static str,
+    /// Id of the session.
+    session: String,
+    #[schema(value_type = Options)]
+    options: Value,
+    labels: BTreeMap<String, String>,
+    priority: i64,
+    #[schema(format = DateTime)]
+    created_at: String,
+    #[schema(required, format = DateTime)]
+    started_at: Option<String>,
+    #[schema(required, format = DateTime)]
+    finished_at: Option<String>,
+    #[schema(minimum = 0)]
+    attempt: i64,
+    progress: JobProgress,
+    /// Wall time of each stage, s.
+    stage_seconds: BTreeMap<String, f64>,
+    #[schema(required)]
+    quality: Option<JobQuality>,
+    #[schema(required)]
+    error: Option<JobError>,
+    #[schema(required)]
+    solver_version: Option<String>,
+    /// Paths of related resources.
+    links: BTreeMap<&'static str, String>,
+}
+
+impl JobDocument {
+    /// Describes `job` to its client.
+    pub(super) fn of(job: Job) -> Self {
+        let own = format!("/v1/jobs/{}", job.id);
+        let parts = ["cancel", "events", "result", "cameras", "people", "report"];
+        let mut links: BTreeMap<_, _> = parts.into_iter().map(|part| (part, format!("{own}/{part}"))).collect();
+        links.insert("artifacts", format!("{own}/artifacts/"));
+        links.insert("session", format!("/v1/sessions/{}", job.session));
+        links.insert("self", own);
+        Self {
+            state: job.state.phase().name(),
+            finished_at: job.state.finished_at().map(str::to_owned),
+            quality: job.state.quality().cloned(),
+            error: job.state.error().cloned(),
+            id: job.id,
+            session: job.session,
+            options: job.options,
+            labels: job.labels,
+            priority: job.priority,
+            created_at: job.created_at,
+            started_at: job.started_at,
+            attempt: job.attempt,
+            progress: job.progress,
+            stage_seconds: job.stage_seconds,
+            solver_version: job.solver_version,
+            links,
+        }
+    }
 }

@@ -1,21 +1,21 @@
 //! `multipart/form-data` (RFC 7578), read as a stream in bounded memory.
 //!
-//! Why not a library: the ones at hand buffer a preamble or a part's head without bound, and read a ready body ahead of
-//! its reader. What a browser or an HTTP client sends needs a hundred lines.
+//! Why not a library: the available ones buffer a preamble or the head of a part without a limit, and read ahead of their
+//! reader. The forms that browsers and HTTP clients send need a hundred lines.
 
+use super::body::GuardedBody;
 use super::error::Problem;
-use super::upload::GuardedBody;
 use crate::service::settings::RequestLimits;
 use axum::body::Body;
 use axum::http::{HeaderMap, HeaderValue, header};
 
-/// A part's head: two short headers.
+/// Longest head of a part: two short headers.
 const MAX_HEAD_BYTES: usize = 8 << 10;
 
-/// RFC 2046: 70 characters.
+/// Longest boundary (RFC 2046).
 const MAX_BOUNDARY_BYTES: usize = 70;
 
-/// The parts of a body, one after the other.
+/// Reader of the parts of a form, in order.
 pub(super) struct Multipart<'a, 'b> {
     body: &'a mut GuardedBody<'b>,
     /// `\r\n--` and the boundary.
@@ -25,25 +25,25 @@ pub(super) struct Multipart<'a, 'b> {
     is_at_end: bool,
 }
 
-/// What a part's head says; how the client calls its file is not asked, nor what it says that it holds.
+/// Head of a part; its file name and media type are ignored.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Part {
-    /// Form field.
+    /// Name of the form field.
     pub(super) name: String,
 }
 
 impl<'a, 'b> Multipart<'a, 'b> {
-    /// Reads the boundary from the request's head.
+    /// Reads the boundary from the head of the request.
     pub(super) fn new(headers: &HeaderMap, body: &'a mut GuardedBody<'b>) -> Result<Self, Problem> {
         let content_type = headers.get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
         let boundary = parameter(content_type, "boundary").filter(|b| (1..=MAX_BOUNDARY_BYTES).contains(&b.len()));
         let boundary = boundary.ok_or_else(|| malformed("the Content-Type has no valid boundary"))?;
         let delimiter = format!("\r\n--{boundary}").into_bytes();
-        // The first delimiter stands at the start of the body, without a line break of its own.
+        // The first delimiter is at the start of the body, without a line break before it.
         Ok(Self { body, delimiter, buffer: b"\r\n".to_vec(), is_in_part: false, is_at_end: false })
     }
 
-    /// The next part's head; what is left of the part before it is skipped. `None` after the last.
+    /// Head of the next part; skips the rest of the part before it. `None` after the last part.
     pub(super) async fn next_part(&mut self) -> Result<Option<Part>, Problem> {
         while self.is_in_part {
             self.data().await?;
@@ -74,7 +74,7 @@ impl<'a, 'b> Multipart<'a, 'b> {
                 let bytes = std::mem::replace(&mut self.buffer, rest);
                 return Ok((!bytes.is_empty()).then_some(bytes));
             }
-            // A delimiter may have begun in the last bytes: they wait for the next chunk.
+            // A delimiter may begin in the last bytes: they are kept until the next chunk.
             let sure = self.buffer.len().saturating_sub(self.delimiter.len());
             if sure > 0 {
                 let rest = self.buffer.split_off(sure);
@@ -85,7 +85,7 @@ impl<'a, 'b> Multipart<'a, 'b> {
         Ok(None)
     }
 
-    /// The whole of a small part.
+    /// Reads a small part completely.
     pub(super) async fn text(&mut self, max_bytes: usize) -> Result<Vec<u8>, Problem> {
         let mut text = Vec::new();
         while let Some(bytes) = self.data().await? {
@@ -97,14 +97,14 @@ impl<'a, 'b> Multipart<'a, 'b> {
         Ok(text)
     }
 
-    /// The lines up to the empty one.
+    /// Reads the head of a part, up to the empty line.
     async fn head(&mut self) -> Result<Part, Problem> {
         let end = loop {
             if let Some(end) = find(&self.buffer, b"\r\n\r\n") {
                 break end;
             }
             if self.buffer.len() > MAX_HEAD_BYTES {
-                return Err(malformed("a part's head is too long"));
+                return Err(malformed("the head of a part is too long"));
             }
             self.fill().await?;
         };
@@ -112,7 +112,7 @@ impl<'a, 'b> Multipart<'a, 'b> {
             return Err(malformed("a boundary is not followed by a line break"));
         }
         let head: Vec<u8> = self.buffer.drain(..end + 4).collect();
-        let head = std::str::from_utf8(&head).map_err(|_| malformed("a part's head is no UTF-8"))?;
+        let head = std::str::from_utf8(&head).map_err(|_| malformed("the head of a part is not UTF-8"))?;
         let value = |name: &str| {
             let mut lines = head.split("\r\n").filter_map(|line| line.split_once(':'));
             lines.find(|(key, _)| key.trim().eq_ignore_ascii_case(name)).map(|(_, value)| value.trim())
@@ -136,8 +136,10 @@ impl<'a, 'b> Multipart<'a, 'b> {
     }
 }
 
-/// Reads a form that lies in memory, as if it came in pieces of that size: the names and sizes of its parts, or why it is
-/// none. What the fuzzer calls.
+/// Reads a form from memory in pieces of `piece` bytes; returns the name and size of each part. Entry point of the fuzzer.
+///
+/// # Errors
+/// What is malformed.
 pub fn read_form(content_type: &str, form: &[u8], piece: usize) -> Result<Vec<(String, usize)>, String> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().map_err(|e| e.to_string())?;
     let value = HeaderValue::from_str(content_type).map_err(|e| e.to_string())?;
@@ -158,10 +160,10 @@ pub fn read_form(content_type: &str, form: &[u8], piece: usize) -> Result<Vec<(S
 }
 
 fn malformed(detail: &str) -> Problem {
-    Problem::malformed(detail, "send multipart/form-data as RFC 7578 says")
+    Problem::malformed(detail, "send multipart/form-data as specified by RFC 7578")
 }
 
-/// A parameter of a header's value: `; name="value"` or `; name=value`.
+/// The parameter `name` of a header value: `; name="value"` or `; name=value`.
 fn parameter(value: &str, name: &str) -> Option<String> {
     let (_, mut rest) = value.split_once(';')?;
     loop {
@@ -216,7 +218,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn parts_are_the_same_wherever_the_body_is_cut() {
+    async fn reads_the_same_parts_at_any_chunk_boundary() {
         let whole = read(BODY, 0).await.unwrap();
         assert_eq!(whole[0].0, Part { name: "options".into() });
         assert_eq!(whole[0].1, b"{\"seed\":1}");
@@ -228,7 +230,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_body_that_ends_early_or_has_no_boundary_is_refused() {
+    async fn rejects_truncated_form_and_preamble() {
         for end in 0..BODY.len() - 4 {
             assert!(read(&BODY[..end], 0).await.is_err(), "ends at {end}");
         }
@@ -236,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn parameters_are_read_quoted_or_plain() {
+    fn reads_quoted_and_plain_parameters() {
         assert_eq!(parameter("form-data; name=\"x\"; filename=\"y=1; z\"", "filename").as_deref(), Some("y=1; z"));
         assert_eq!(parameter("multipart/form-data; charset=utf-8; boundary=b", "boundary").as_deref(), Some("b"));
         assert_eq!(parameter("form-data", "name"), None);

@@ -1,216 +1,192 @@
-//! `GET /openapi.json` (OpenAPI 3.1) and `GET /docs`: the API described out of one table, checked against the router by a
-//! test and against the checked-in `openapi/openapi.json` by another.
+//! `GET /openapi.json` (OpenAPI 3.1) and `GET /docs`.
+//!
+//! The handlers and the types that they read and write derive the document (`utoipa`). [`Description::of`] adds what holds
+//! for groups of operations: ids in paths, access control, problem documents and links.
 
-mod operations;
-mod schemas;
-
+use axum::Extension;
 use axum::http::header;
-use axum::response::{Html, IntoResponse, Response};
-use operations::{Operation, operations};
+use axum::response::{Html, IntoResponse};
 use serde_json::{Map, Value, json};
-use std::sync::LazyLock;
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::sync::Arc;
 
-/// The whole description.
-pub fn document() -> Value {
-    let mut paths = Map::new();
-    for operation in operations() {
-        let methods = paths.entry(operation.path.to_owned()).or_insert_with(|| json!({}));
-        methods[operation.method] = described(&operation);
-    }
-    json!({
-        "openapi": "3.1.0",
-        "info": {
+/// The description of the API.
+pub(super) struct Description {
+    /// The OpenAPI document.
+    pub(super) json: String,
+    /// The same as an HTML page without scripts.
+    page: String,
+}
+
+/// Get this description.
+#[utoipa::path(get, path = "/openapi.json", operation_id = "getDescription", tag = "service",
+    responses((status = 200, description = "The OpenAPI document", body = Value)))]
+pub(super) async fn document(Extension(description): Extension<Arc<Description>>) -> impl IntoResponse {
+    ([(header::CONTENT_TYPE, "application/json")], description.json.clone())
+}
+
+/// Get the description as a page to read.
+#[utoipa::path(get, path = "/docs", operation_id = "getDocs", tag = "service",
+    responses((status = 200, description = "The page", body = String, content_type = "text/html")))]
+pub(super) async fn page(Extension(description): Extension<Arc<Description>>) -> impl IntoResponse {
+    let policy = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; frame-ancestors 'none'";
+    let headers = [(header::CONTENT_SECURITY_POLICY, policy), (header::X_CONTENT_TYPE_OPTIONS, "nosniff")];
+    (headers, Html(description.page.clone()))
+}
+
+impl Description {
+    /// Completes the derived document and writes the page.
+    pub(super) fn of(derived: utoipa::openapi::OpenApi) -> Self {
+        let mut document = serde_json::to_value(derived).expect("an OpenAPI document serialises");
+        document["info"] = json!({
             "title": "wandless",
             "version": env!("CARGO_PKG_VERSION"),
-            "description": "Moving people and the cameras that filmed them, recovered together. Upload a session, submit a \
-                job, follow it, fetch the result. Once a job was answered 202 it reaches exactly one final state and at \
-                most one published result.",
+            "description": "Recovers moving people and the cameras that filmed them from 2D poses. Upload a session, submit a \
+                job, follow it, download the result. A job that was answered 202 reaches exactly one final state and \
+                publishes at most one result.",
             "license": { "name": "MIT OR Apache-2.0", "identifier": "MIT OR Apache-2.0" },
-        },
-        "servers": [{ "url": "/" }],
-        "paths": paths,
-        "components": {
-            "schemas": schemas::schemas(),
-            "securitySchemes": {
-                "key": { "type": "http", "scheme": "bearer", "description": "An API key; asked for once one was made" },
-                "browser": { "type": "http", "scheme": "basic", "description": "The same key as the password" },
-            },
-        },
+        });
+        document["servers"] = json!([{ "url": "/" }]);
+        document["components"]["securitySchemes"] = json!({
+            "key": { "type": "http", "scheme": "bearer", "description": "An API key; required once a key was created" },
+            "browser": { "type": "http", "scheme": "basic", "description": "The same key as the password" },
+        });
+        let paths = document["paths"].take();
+        let mut paths: BTreeMap<String, Map<String, Value>> = serde_json::from_value(paths).expect("paths are objects");
+        paths = paths.into_iter().map(|(path, methods)| (path.replace("{*", "{"), methods)).collect();
+        let links = ["session", "job"].map(|kind| links(&paths, kind));
+        for (path, methods) in &mut paths {
+            for operation in methods.values_mut() {
+                complete(path, operation);
+                match operation["operationId"].as_str() {
+                    Some("createSession") => operation["responses"]["201"]["links"] = links[0].clone(),
+                    Some("createJob") => operation["responses"]["202"]["links"] = links[1].clone(),
+                    _ => {}
+                }
+            }
+        }
+        document["paths"] = json!(paths);
+        close_answers(&mut document["components"]["schemas"]);
+        let json = serde_json::to_string_pretty(&document).expect("a JSON value serialises");
+        Self { json, page: html(&paths, &document["components"]["schemas"]) }
+    }
+}
+
+/// Adds the refusals that follow from the path, and describes every refusal.
+fn complete(path: &str, operation: &mut Value) {
+    let mut common = vec!["default"];
+    if path.contains("{id}") {
+        common.extend(["400", "404"]);
+    }
+    if path.starts_with("/v1") || path == "/metrics" {
+        common.extend(["401", "403", "429", "503"]);
+        operation["security"] = json!([{}, { "key": [] }, { "browser": [] }]);
+    }
+    let schema = json!({ "$ref": "#/components/schemas/Problem" });
+    let Some(responses) = operation["responses"].as_object_mut() else { return };
+    for status in common {
+        responses.entry(status).or_insert(Value::Null);
+    }
+    for (status, response) in responses {
+        if let Some(meaning) = meaning(status) {
+            *response =
+                json!({ "description": meaning, "content": { "application/problem+json": { "schema": schema } } });
+        }
+    }
+}
+
+/// Meaning of a status that comes with a problem document.
+fn meaning(status: &str) -> Option<&'static str> {
+    Some(match status {
+        "400" => "Malformed request",
+        "401" => "A valid API key is required",
+        "403" => "The key lacks the scope, or the request comes from a page of another site",
+        "404" => "The resource does not exist, or belongs to another tenant",
+        "408" => "The body arrived too slowly",
+        "409" => "Not possible in the current state",
+        "413" => "The body is too large",
+        "415" => "Unsupported media type",
+        "416" => "The range is outside of the file",
+        "422" => "Understood, but impossible",
+        "429" => "Too many requests; retry after the time in Retry-After",
+        "500" => "The service failed; its log has the instance of the problem",
+        "503" => "Busy or stopping; retry after the time in Retry-After",
+        "507" => "The disk or the quota of the tenant is full",
+        "default" => "Any other error",
+        _ => return None,
     })
 }
 
-/// The description as it is checked in.
-pub fn text() -> String {
-    serde_json::to_string_pretty(&document()).expect("a document of strings and numbers always serialises")
-}
-
-static TEXT: LazyLock<String> = LazyLock::new(text);
-
-/// `GET /openapi.json`.
-pub(super) async fn document_route() -> Response {
-    ([(header::CONTENT_TYPE, "application/json")], TEXT.as_str()).into_response()
-}
-
-static PAGE: LazyLock<String> = LazyLock::new(written_page);
-
-/// `GET /docs`: the description for people; one page without scripts.
-pub(super) async fn page() -> Response {
-    let policy = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; frame-ancestors 'none'";
-    ([(header::CONTENT_SECURITY_POLICY, policy), (header::X_CONTENT_TYPE_OPTIONS, "nosniff")], Html(PAGE.as_str()))
-        .into_response()
-}
-
-fn described(operation: &Operation) -> Value {
-    let mut described = json!({
-        "operationId": operation.id,
-        "summary": operation.summary,
-        "tags": [operation.tag],
-        "responses": {},
-    });
-    if !operation.parameters.is_empty() {
-        described["parameters"] = Value::Array(operation.parameters.clone());
-    }
-    if let Some(body) = &operation.body {
-        described["requestBody"] = body.clone();
-    }
-    if operation.needs_key {
-        described["security"] = json!([{}, { "key": [] }, { "browser": [] }]);
-    }
-    for (status, answer) in &operation.answers {
-        described["responses"][status.to_string()] = answer.clone();
-    }
-    let refusal = |description: &str| {
-        let schema = json!({ "$ref": "#/components/schemas/Problem" });
-        json!({ "description": description, "content": { "application/problem+json": { "schema": schema } } })
-    };
-    for status in operation.refusals {
-        described["responses"][status.to_string()] = refusal(meaning(*status));
-    }
-    if operation.needs_key {
-        for status in [401, 403, 429, 503] {
-            described["responses"][status.to_string()] = refusal(meaning(status));
+/// Operations that take the id of a newly created resource; a new session can also become a job.
+fn links(paths: &BTreeMap<String, Map<String, Value>>, kind: &str) -> Value {
+    let mut links = Map::new();
+    let prefix = format!("/v1/{kind}s/{{id}}");
+    for (_, methods) in paths.iter().filter(|(path, _)| path.starts_with(&prefix) && path.matches('{').count() == 1) {
+        for id in methods.values().filter_map(|operation| operation["operationId"].as_str()) {
+            let parameters = json!({ "id": "$response.body#/id" });
+            links.insert(id.to_owned(), json!({ "operationId": id, "parameters": parameters }));
         }
     }
-    described["responses"]["default"] = refusal("Any other error");
-    described
+    if kind == "session" {
+        let body = json!({ "session": "$response.body#/id" });
+        links.insert("createJob".to_owned(), json!({ "operationId": "createJob", "requestBody": body }));
+    }
+    Value::Object(links)
 }
 
-/// What a status says of a request.
-fn meaning(status: u16) -> &'static str {
-    match status {
-        400 => "Malformed",
-        401 => "A valid key is needed",
-        403 => "The key lacks the scope, or a page of another site asks",
-        404 => "There is none, or it is another tenant's",
-        408 => "The body came too slowly",
-        409 => "Not in this state",
-        413 => "Too large",
-        415 => "Unsupported media type",
-        416 => "The range lies outside of the file",
-        422 => "Understood, but impossible",
-        429 => "Too many; Retry-After says when to come back",
-        503 => "Busy, or stopping; Retry-After says when to come back",
-        507 => "The disk or the tenant's quota is full",
-        _ => "The service failed; the instance stands in its log",
+/// Answers have no other members than the described ones; flattened members become members of their own.
+fn close_answers(schemas: &mut Value) {
+    for (name, schema) in schemas.as_object_mut().into_iter().flatten() {
+        if let Some(parts) = schema.as_object_mut().and_then(|schema| schema.remove("allOf")) {
+            let members =
+                |key: &str| parts.as_array().into_iter().flatten().map(|part| part[key].clone()).collect::<Vec<_>>();
+            let properties: Map<String, Value> =
+                members("properties").iter().flat_map(|p| p.as_object().cloned().into_iter().flatten()).collect();
+            let required: Vec<Value> =
+                members("required").iter().flat_map(|r| r.as_array().cloned().into_iter().flatten()).collect();
+            schema["type"] = json!("object");
+            (schema["properties"], schema["required"]) = (json!(properties), json!(required));
+        }
+        if schema.get("properties").is_some() && name != "SessionDocument" {
+            schema["additionalProperties"] = json!(false);
+        }
     }
 }
 
-fn written_page() -> String {
+fn html(paths: &BTreeMap<String, Map<String, Value>>, schemas: &Value) -> String {
     let mut rows = String::new();
-    for operation in operations() {
-        let answers: Vec<String> = operation.answers.iter().map(|(status, _)| status.to_string()).collect();
-        let refusals: Vec<String> = operation.refusals.iter().map(u16::to_string).collect();
-        rows.push_str(&format!(
-            "<tr><td><code>{} {}</code></td><td>{}</td><td>{}</td><td>{}</td></tr>\n",
-            operation.method.to_uppercase(),
-            escaped(operation.path),
-            escaped(operation.summary),
-            answers.join(", "),
-            refusals.join(", "),
-        ));
+    for (path, methods) in paths {
+        for (method, operation) in methods {
+            let statuses = operation["responses"].as_object().into_iter().flat_map(|responses| responses.keys());
+            let (refusals, answers): (Vec<&str>, Vec<&str>) =
+                statuses.map(String::as_str).partition(|status| meaning(status).is_some());
+            let [method, path] = [&method.to_uppercase(), path].map(|text| escaped(text));
+            let summary = escaped(operation["summary"].as_str().unwrap_or_default());
+            let (answers, refusals) = (answers.join(", "), refusals.join(", "));
+            let _ = writeln!(
+                rows,
+                "<tr><td><code>{method} {path}</code></td><td>{summary}</td><td>{answers}</td><td>{refusals}</td></tr>"
+            );
+        }
     }
-    let mut things = String::new();
-    for (name, schema) in schemas::schemas().as_object().into_iter().flatten() {
-        let text = serde_json::to_string_pretty(schema).unwrap_or_default();
-        things.push_str(&format!("<h3 id=\"{name}\">{name}</h3>\n<pre>{}</pre>\n", escaped(&text)));
+    let mut types = String::new();
+    for (name, schema) in schemas.as_object().into_iter().flatten() {
+        let text = escaped(&serde_json::to_string_pretty(schema).unwrap_or_default());
+        let _ = writeln!(types, "<h3 id=\"{name}\">{name}</h3>\n<pre>{text}</pre>");
     }
     format!(
         "<!doctype html>\n<html lang=\"en\"><meta charset=\"utf-8\"><title>wandless: HTTP API</title>\n\
          <style>body {{ font: 15px/1.5 sans-serif; max-width: 70em; margin: 2em auto; padding: 0 1em }} \
          td, th {{ padding: .3em .8em .3em 0; text-align: left; vertical-align: top }} \
          pre {{ background: #f4f4f4; padding: 1em; overflow: auto }}</style>\n\
-         <h1>wandless: HTTP API</h1>\n<p>For machines: <a href=\"/openapi.json\">openapi.json</a> (OpenAPI 3.1). Errors are \
-         problem documents with a code, a place and a remedy (<a href=\"#Problem\">Problem</a>).</p>\n\
-         <table><tr><th>Route</th><th>Does</th><th>Answers</th><th>Refuses</th></tr>\n{rows}</table>\n\
-         <h2>What is sent and answered</h2>\n{things}</html>\n"
+         <h1>wandless: HTTP API</h1>\n<p>The same as an OpenAPI 3.1 document: <a href=\"/openapi.json\">openapi.json</a>. \
+         Errors are problem documents with a code, a location and a remedy (<a href=\"#Problem\">Problem</a>).</p>\n\
+         <table><tr><th>Route</th><th>Purpose</th><th>Answers</th><th>Errors</th></tr>\n{rows}</table>\n\
+         <h2>Types</h2>\n{types}</html>\n"
     )
 }
 
 fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::pipeline::Options;
-    use std::collections::BTreeSet;
-
-    #[test]
-    fn the_table_describes_every_route_and_no_other() {
-        let plain = |path: &str| path.replace("{*", "{");
-        let routes: BTreeSet<String> = super::super::api()
-            .iter()
-            .map(|(path, _)| plain(path))
-            .chain(super::super::open().iter().map(|(path, _)| plain(path)))
-            .chain(["/metrics".to_owned()])
-            .collect();
-        let described: BTreeSet<String> = operations().iter().map(|operation| operation.path.to_owned()).collect();
-        assert_eq!(described, routes);
-    }
-
-    #[test]
-    fn the_checked_in_description_is_this_one() {
-        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi/openapi.json");
-        let kept = std::fs::read_to_string(file).unwrap();
-        assert!(kept.trim() == text().trim(), "write it anew: wandless openapi > openapi/openapi.json");
-    }
-
-    #[test]
-    fn every_reference_leads_somewhere_and_every_id_is_its_own() {
-        fn references(value: &Value, found: &mut Vec<String>) {
-            match value {
-                Value::Object(map) => {
-                    found.extend(map.get("$ref").and_then(Value::as_str).map(str::to_owned));
-                    map.values().for_each(|value| references(value, found));
-                }
-                Value::Array(list) => list.iter().for_each(|value| references(value, found)),
-                _ => {}
-            }
-        }
-        let document = document();
-        let mut found = Vec::new();
-        references(&document, &mut found);
-        assert!(!found.is_empty());
-        for reference in found {
-            assert!(document.pointer(reference.trim_start_matches('#')).is_some(), "{reference}");
-        }
-        let ids: BTreeSet<&str> = operations().iter().map(|operation| operation.id).collect();
-        assert_eq!(ids.len(), operations().len());
-    }
-
-    #[test]
-    fn the_described_options_are_those_of_the_pipeline() {
-        let described = document();
-        let described = described["components"]["schemas"]["Options"]["properties"].as_object().unwrap();
-        let known = serde_json::to_value(Options::default()).unwrap();
-        let names = |map: &Map<String, Value>| map.keys().cloned().collect::<BTreeSet<_>>();
-        assert_eq!(names(described), names(known.as_object().unwrap()));
-        for (name, value) in known.as_object().unwrap() {
-            assert_eq!(&described[name]["default"], value, "{name}");
-        }
-        let exports = described["exports"]["items"]["enum"].as_array().unwrap();
-        let all = serde_json::json!({ "exports": exports });
-        assert_eq!(serde_json::from_value::<Options>(all).unwrap().exports.len(), exports.len());
-    }
 }

@@ -1,4 +1,4 @@
-//! What a client may ask of a job, checked before it is accepted.
+//! Reads and checks the options of a job before the job is accepted.
 
 use super::error::Problem;
 use crate::pipeline::{CameraFacts, Options, PipelineError};
@@ -7,11 +7,11 @@ use axum::http::StatusCode;
 use serde_json::{Map, Value};
 use std::path::Path;
 
-/// Reads the options; unknown keys and wrong types are refused by name.
+/// Reads the options; an unknown key or a wrong type is an error that names the option.
 pub(super) fn parse(options: Option<Value>) -> Result<Options, Problem> {
     let Some(options) = options.filter(|options| !options.is_null()) else { return Ok(Options::default()) };
     let Value::Object(map) = &options else {
-        return Err(Problem::malformed("options is no JSON object", "send {\"<option>\": value}").at("/options"));
+        return Err(Problem::malformed("options is not a JSON object", "send {\"<option>\": value}").at("/options"));
     };
     serde_json::from_value(options.clone()).map_err(|error| {
         find_bad_option(map).unwrap_or_else(|| {
@@ -20,14 +20,14 @@ pub(super) fn parse(options: Option<Value>) -> Result<Options, Problem> {
     })
 }
 
-/// The option that alone is refused already.
+/// Finds the option that causes the error: the first one that fails on its own.
 fn find_bad_option(options: &Map<String, Value>) -> Option<Problem> {
     options.iter().find_map(|(key, value)| {
         let alone = Value::Object(Map::from_iter([(key.clone(), value.clone())]));
         let error = serde_json::from_value::<Options>(alone).err()?;
         let pointer = format!("/options/{}", key.replace('~', "~0").replace('/', "~1"));
         let code = if is_known(key) { "option_malformed" } else { "option_unknown" };
-        let remedy = if is_known(key) { "see the option's meaning and values" } else { "leave it out" };
+        let remedy = if is_known(key) { "see the description of the option" } else { "remove it" };
         Some(Problem::new(StatusCode::BAD_REQUEST, code, format!("options: {error}"), remedy).at(pointer))
     })
 }
@@ -36,7 +36,7 @@ fn is_known(key: &str) -> bool {
     serde_json::to_value(Options::default()).is_ok_and(|all| all.get(key).is_some())
 }
 
-/// Whether this session and the bodies registered here can give what is asked for.
+/// Checks that the session and the registered body models support the options.
 pub(super) fn check(options: &Options, cameras: &[CameraFacts], bodies: &Path) -> Result<(), Problem> {
     let bodies = bodies::list(bodies).map_err(Problem::internal)?;
     let names: Vec<String> = bodies.into_iter().map(|body| body.name).collect();

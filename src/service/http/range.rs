@@ -1,10 +1,10 @@
-//! `Range` (RFC 9110, section 14): one part of a file.
+//! The `Range` header (RFC 9110, section 14), for one range of a file.
 
 use super::error::Problem;
 use crate::service::failpoint::fault;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 
-/// The bytes to send.
+/// The bytes of a file to send.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Part {
     pub(super) start: u64,
@@ -12,8 +12,11 @@ pub(super) struct Part {
     pub(super) is_partial: bool,
 }
 
-/// The part asked for; the whole where nothing, several parts or nonsense is asked for, or where `If-Range` names another
-/// file. 416 for a part behind the end.
+/// Reads the requested range of a file of `bytes` bytes. Returns the whole file if there is no range, several ranges or a
+/// malformed range, or if `If-Range` does not match `tag`.
+///
+/// # Errors
+/// 416 for a range after the end of the file.
 pub(super) fn requested_part(headers: &HeaderMap, tag: &str, bytes: u64) -> Result<Part, Problem> {
     let whole = Part { start: 0, length: bytes, is_partial: false };
     let text = |name| headers.get(name).and_then(|value: &HeaderValue| value.to_str().ok());
@@ -34,7 +37,7 @@ pub(super) fn requested_part(headers: &HeaderMap, tag: &str, bytes: u64) -> Resu
     Ok(Part { start, length: end - start, is_partial: true })
 }
 
-/// `bytes=first-last`, either end open.
+/// Parses `bytes=first-last`, where one of the two may be missing.
 fn parse(range: &str) -> Option<(Option<u64>, Option<u64>)> {
     let (first, last) = range.strip_prefix("bytes=")?.trim().split_once('-')?;
     let number = |text: &str| {
@@ -49,7 +52,7 @@ fn unsatisfiable(bytes: u64) -> Problem {
         StatusCode::RANGE_NOT_SATISFIABLE,
         "range_not_satisfiable",
         format!("the file has {bytes} bytes"),
-        "ask for a range inside of the file",
+        "request a range inside of the file",
     );
     match HeaderValue::from_str(&format!("bytes */{bytes}")) {
         Ok(value) => problem.with_header(header::CONTENT_RANGE, value),
@@ -68,7 +71,7 @@ mod tests {
     }
 
     #[test]
-    fn ranges_are_read_as_the_rfc_says() {
+    fn reads_ranges_by_the_rfc() {
         let some = |start, length| Part { start, length, is_partial: true };
         assert_eq!(part("bytes=0-0").unwrap(), some(0, 1));
         assert_eq!(part("bytes=2-").unwrap(), some(2, 8));

@@ -1,66 +1,167 @@
-//! `/v1/jobs/{id}/result`, `/artifacts/{name}`, `/cameras`, `/people`, `/report`: published files, by their digest.
+//! `/v1/jobs/{id}/result`, `/artifacts/{name}`, `/cameras`, `/people`, `/report`: the published files of a job.
 
 use super::access::Caller;
+use super::app::App;
 use super::error::Problem;
+use super::extract::{ApiPath, JobPath};
 use super::range::{Part, requested_part};
-use super::{ApiPath, App};
 use crate::service::metrics::Held;
 use crate::service::queue::job::JobState;
 use crate::service::store::artifacts::{self, Artifact, digest_file};
 use axum::body::Body;
-use axum::extract::State;
+use axum::extract::FromRequestParts;
+use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use axum::routing::{MethodRouter, get};
 use futures_util::StreamExt;
+use serde::Deserialize;
+use serde_json::Value;
 use std::path::PathBuf;
 use tokio::io::{AsyncReadExt, AsyncSeekExt};
 use tokio_util::io::ReaderStream;
+use utoipa::{IntoParams, IntoResponses, ToSchema};
 
-/// A route to one file that every result has.
-pub(super) fn named(name: &'static str) -> MethodRouter<App> {
-    get(move |app: State<App>, caller: Caller, id: ApiPath<String>, headers: HeaderMap| {
-        file(app, caller, id, name, headers)
-    })
-}
-
-/// Any file by its name in the manifest.
-pub(super) async fn artifact(
-    app: State<App>,
+/// Everything of a request for a file but its path.
+pub(super) struct FileRequest {
+    app: App,
     caller: Caller,
-    ApiPath((id, name)): ApiPath<(String, String)>,
     headers: HeaderMap,
-) -> Result<Response, Problem> {
-    file(app, caller, ApiPath(id), &name, headers).await
 }
 
-async fn file(
-    State(app): State<App>,
-    Caller { tenant }: Caller,
-    ApiPath(id): ApiPath<String>,
-    name: &str,
-    headers: HeaderMap,
-) -> Result<Response, Problem> {
-    let job = app.queue.get(&tenant, &id).await?.ok_or_else(|| Problem::not_found("job"))?;
-    let JobState::Succeeded { result_fence, .. } = job.state else {
-        return Err(not_ready(&id, job.state.phase().name()));
-    };
-    let artifact = artifacts::get(&app.store, &id, name).await?.ok_or_else(|| no_such_file(&id))?;
-    let path = app.store.folders.result(&id, result_fence).join(&artifact.name);
-    let tag = format!("\"{}\"", artifact.sha256);
-    if matches_any(&headers, &tag) {
-        return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, tag)]).into_response());
+impl FromRequestParts<App> for FileRequest {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, app: &App) -> Result<Self, Problem> {
+        let caller = Caller::from_request_parts(parts, app).await?;
+        Ok(Self { app: app.clone(), caller, headers: parts.headers.clone() })
     }
-    require_undamaged(&artifact, path.clone()).await?;
-    let part = requested_part(&headers, &tag, artifact.bytes)?;
-    send(&artifact, path, &tag, part, Held::new(&app.metrics)).await
+}
+
+/// A JSON document; the README describes each file.
+#[derive(ToSchema)]
+#[schema(value_type = Object)]
+#[allow(dead_code)]
+struct JsonFile(Value);
+
+/// Answers of the routes to JSON files.
+#[derive(IntoResponses)]
+#[allow(dead_code)] // describes what `FileRequest::answer` sends
+enum FileAnswer {
+    /// The file.
+    #[response(status = 200, content_type = "application/json", headers(("ETag" = String)))]
+    Whole(#[to_schema] JsonFile),
+    /// The requested range.
+    #[response(status = 206)]
+    Range,
+    /// Unchanged.
+    #[response(status = 304)]
+    Unchanged,
+    #[response(status = 409)]
+    NotReady,
+    #[response(status = 416)]
+    RangeNotSatisfiable,
+    #[response(status = 500)]
+    Corrupt,
+}
+
+/// `{id}` of a job and `{name}` of a file.
+#[derive(Deserialize, IntoParams)]
+#[into_params(parameter_in = Path)]
+pub(super) struct ArtifactPath {
+    /// Id of the job.
+    #[param(pattern = "^job_[0-9a-f]{32}$")]
+    id: String,
+    /// Name of the file in the manifest; may contain slashes.
+    name: String,
+}
+
+/// Get the manifest: every file of the result with its digest.
+#[utoipa::path(
+    get,
+    path = "/v1/jobs/{id}/result",
+    operation_id = "getResult",
+    tag = "results",
+    params(JobPath),
+    responses(FileAnswer)
+)]
+pub(super) async fn manifest(job: ApiPath<JobPath>, request: FileRequest) -> Result<Response, Problem> {
+    request.answer(&job.0.id, "manifest.json").await
+}
+
+/// Get `cameras.json`.
+#[utoipa::path(
+    get,
+    path = "/v1/jobs/{id}/cameras",
+    operation_id = "getCameras",
+    tag = "results",
+    params(JobPath),
+    responses(FileAnswer)
+)]
+pub(super) async fn cameras(job: ApiPath<JobPath>, request: FileRequest) -> Result<Response, Problem> {
+    request.answer(&job.0.id, "cameras.json").await
+}
+
+/// Get `people.json`.
+#[utoipa::path(
+    get,
+    path = "/v1/jobs/{id}/people",
+    operation_id = "getPeople",
+    tag = "results",
+    params(JobPath),
+    responses(FileAnswer)
+)]
+pub(super) async fn people(job: ApiPath<JobPath>, request: FileRequest) -> Result<Response, Problem> {
+    request.answer(&job.0.id, "people.json").await
+}
+
+/// Get `report.json`.
+#[utoipa::path(
+    get,
+    path = "/v1/jobs/{id}/report",
+    operation_id = "getReport",
+    tag = "results",
+    params(JobPath),
+    responses(FileAnswer)
+)]
+pub(super) async fn report(job: ApiPath<JobPath>, request: FileRequest) -> Result<Response, Problem> {
+    request.answer(&job.0.id, "report.json").await
+}
+
+/// Get one file of the result.
+#[utoipa::path(get, path = "/v1/jobs/{id}/artifacts/{*name}", operation_id = "getArtifact", tag = "results",
+    params(ArtifactPath),
+    responses((status = 200, description = "The file", body = Value, content_type = "*/*", headers(("ETag" = String))),
+        (status = 206, description = "The requested range"), (status = 304, description = "Unchanged"),
+        (status = 409), (status = 416), (status = 500)))]
+pub(super) async fn artifact(path: ApiPath<ArtifactPath>, request: FileRequest) -> Result<Response, Problem> {
+    request.answer(&path.0.id, &path.0.name).await
+}
+
+impl FileRequest {
+    /// Sends the file `name` of the job `id`, or the requested part of it.
+    async fn answer(self, id: &str, name: &str) -> Result<Response, Problem> {
+        let Self { app, caller: Caller { tenant }, headers } = self;
+        let job = app.queue.get(&tenant, id).await?.ok_or_else(|| Problem::not_found("job"))?;
+        let JobState::Succeeded { result_fence, .. } = job.state else {
+            return Err(not_ready(id, job.state.phase().name()));
+        };
+        let artifact = artifacts::get(&app.store, id, name).await?.ok_or_else(|| no_such_file(id))?;
+        let path = app.store.folders.result(id, result_fence).join(&artifact.name);
+        let tag = format!("\"{}\"", artifact.sha256);
+        if matches_any(&headers, &tag) {
+            return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, tag)]).into_response());
+        }
+        require_undamaged(&artifact, path.clone()).await?;
+        let part = requested_part(&headers, &tag, artifact.bytes)?;
+        send(&artifact, path, &tag, part, Held::new(&app.metrics)).await
+    }
 }
 
 fn not_ready(id: &str, state: &str) -> Problem {
     Problem::new(
         StatusCode::CONFLICT,
         "not_ready",
-        format!("the job is {state}: there is no result"),
+        format!("the job is {state} and has no result"),
         format!("wait for `succeeded` with GET /v1/jobs/{id}?wait=30"),
     )
 }
@@ -69,23 +170,23 @@ fn no_such_file(id: &str) -> Problem {
     Problem::new(
         StatusCode::NOT_FOUND,
         "not_found",
-        "the result has no such file",
-        format!("the manifest at /v1/jobs/{id}/result names them all"),
+        "the result does not contain this file",
+        format!("GET /v1/jobs/{id}/result lists all files"),
     )
 }
 
-/// `If-None-Match`: a list of tags, weak ones too, or `*`.
+/// Whether `If-None-Match`, a list of strong or weak tags or `*`, contains `tag`.
 fn matches_any(headers: &HeaderMap, tag: &str) -> bool {
     let known = headers.get(header::IF_NONE_MATCH).and_then(|value| value.to_str().ok()).unwrap_or_default();
     known.split(',').map(str::trim).any(|known| known == "*" || known.trim_start_matches("W/") == tag)
 }
 
-/// Hashes the file before its first byte is sent: a damaged result is an error, never wrong bytes.
+/// Hashes the file before its first byte is sent: a damaged file gives an error, never wrong bytes.
 async fn require_undamaged(artifact: &Artifact, path: PathBuf) -> Result<(), Problem> {
     let digest = tokio::task::spawn_blocking(move || digest_file(&path)).await.map_err(Problem::internal)?;
     match digest {
         Ok(digest) if digest.sha256 == artifact.sha256 => Ok(()),
-        Ok(_) => Err(corrupt(artifact, "its digest is not the published one")),
+        Ok(_) => Err(corrupt(artifact, "the digest differs from the published one")),
         Err(error) => Err(corrupt(artifact, &error.to_string())),
     }
 }
@@ -95,8 +196,8 @@ fn corrupt(artifact: &Artifact, reason: &str) -> Problem {
     Problem::new(
         StatusCode::INTERNAL_SERVER_ERROR,
         "corrupt",
-        "the file on the service's disk is damaged or gone",
-        "run the job again, and tell the operator",
+        "the file on the disk of the service is damaged or missing",
+        "run the job again and inform the operator",
     )
 }
 
@@ -104,7 +205,7 @@ async fn send(artifact: &Artifact, path: PathBuf, tag: &str, part: Part, held: H
     let mut file = tokio::fs::File::open(path).await.map_err(|error| corrupt(artifact, &error.to_string()))?;
     file.seek(std::io::SeekFrom::Start(part.start)).await.map_err(|error| Problem::from_io(&error))?;
     let bytes = ReaderStream::with_capacity(file.take(part.length), 64 << 10);
-    let body = Body::from_stream(bytes.inspect(move |_| _ = &held)); // counted until the last byte, or the client, is gone
+    let body = Body::from_stream(bytes.inspect(move |_| _ = &held)); // counted until the last byte is sent or the client disconnects
     let mut response = Response::new(body);
     let mut set = |name, value: &str| {
         if let Ok(value) = HeaderValue::from_str(value) {
@@ -125,7 +226,7 @@ async fn send(artifact: &Artifact, path: PathBuf, tag: &str, part: Part, held: H
     Ok(response)
 }
 
-/// RFC 6266, the name in RFC 8187's form: whatever a camera is called, the header stays one header.
+/// `Content-Disposition` (RFC 6266) with the file name encoded by RFC 8187, so that no name can break the header.
 fn disposition(name: &str) -> String {
     let last = name.rsplit('/').next().unwrap_or(name);
     let encoded: String = last

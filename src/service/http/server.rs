@@ -1,8 +1,8 @@
 //! The accept loop: hyper's http1 with the timeouts that `axum::serve` lacks.
 //!
-//! A connection whose first request head is silent or half said ends after `header_timeout`, one that was of use after
-//! `keep_alive` without a whole head, a stalled upload in [`super::upload`], a client that takes nothing of its answer after
-//! `write_timeout`; no more than `max_connections` are open. HTTP/2 is not offered: it has no header timeout.
+//! A connection is closed after `header_timeout` without a complete first request head, after `keep_alive` without a complete
+//! further head, and after `write_timeout` if the client does not read its answer; [`super::body`] ends stalled uploads. At most
+//! `max_connections` are open. HTTP/2 is not offered, because hyper has no header timeout for it.
 
 use crate::service::failpoint::fault;
 use crate::service::metrics::Metrics;
@@ -26,14 +26,14 @@ use tokio::time::{Instant, Sleep};
 use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 
-/// Who is at the other end of the connection.
+/// Address of the client of a connection.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Peer(pub(super) SocketAddr);
 
-/// Between two tries to accept where the process has run out of file descriptors.
+/// Time between two attempts to accept a connection, for example after the process ran out of file descriptors.
 const ACCEPT_RETRY: Duration = Duration::from_millis(100);
 
-/// Serves until `draining`; then no connection is accepted, requests at work have `drain_limit` to end.
+/// Serves until `draining` is cancelled; then accepts no more connections and gives open requests `drain_limit` to end.
 pub(super) async fn serve(
     listener: TcpListener,
     router: Router,
@@ -68,13 +68,13 @@ pub(super) async fn serve(
             metrics.connections.dec();
             drop(slot);
         });
-        while connections.try_join_next().is_some() {} // those that have ended
+        while connections.try_join_next().is_some() {} // forget ended connections
     }
     drop(listener);
     let drain_limit = if fault("stop.endless") { Duration::MAX } else { drain_limit };
     let ended = async { while connections.join_next().await.is_some() {} };
     if tokio::time::timeout(drain_limit, ended).await.is_err() {
-        tracing::warn!("connections still open after the drain limit are cut");
+        tracing::warn!("closing connections that are still open after the drain limit");
     }
     connections.shutdown().await;
 }
@@ -86,12 +86,12 @@ async fn serve_connection(
     limits: RequestLimits,
     draining: CancellationToken,
 ) {
-    let _ = stream.set_nodelay(true); // small answers must not wait; without it they only come later
-    let io = TokioIo::new(PatientStream::new(stream, limits.write_timeout));
-    let was_of_use = Arc::new(Notify::new());
-    let is_of_use = was_of_use.clone();
+    let _ = stream.set_nodelay(true); // avoids delays of small answers; an error only keeps the delay
+    let io = TokioIo::new(TimedStream::new(stream, limits.write_timeout));
+    let got_request = Arc::new(Notify::new());
+    let request_seen = got_request.clone();
     let service = TowerToHyperService::new(router.map_request(move |mut request: hyper::Request<Incoming>| {
-        is_of_use.notify_one();
+        request_seen.notify_one();
         request.extensions_mut().insert(peer);
         request
     }));
@@ -101,7 +101,7 @@ async fn serve_connection(
         .max_buf_size(64 << 10)
         .serve_connection(io, service);
     let mut connection = std::pin::pin!(connection);
-    let first_head = tokio::time::timeout(limits.header_timeout, was_of_use.notified());
+    let first_head = tokio::time::timeout(limits.header_timeout, got_request.notified());
     tokio::select! {
         _ = connection.as_mut() => return,
         first_head = first_head => if first_head.is_err() { return },
@@ -119,39 +119,38 @@ async fn serve_connection(
     }
 }
 
-/// A stream that gives up on a peer which takes no byte for `patience`.
-struct PatientStream {
+/// A stream that fails if the peer takes no byte for `write_timeout`.
+struct TimedStream {
     stream: TcpStream,
-    patience: Duration,
-    /// Running while a write waits.
+    write_timeout: Duration,
+    /// Set while a write waits.
     deadline: Option<Pin<Box<Sleep>>>,
 }
 
-impl PatientStream {
-    fn new(stream: TcpStream, patience: Duration) -> Self {
-        Self { stream, patience, deadline: None }
+impl TimedStream {
+    fn new(stream: TcpStream, write_timeout: Duration) -> Self {
+        Self { stream, write_timeout, deadline: None }
     }
 
-    /// Passes a write's answer on; a pending one becomes an error once the patience is over.
+    /// Returns the result of a write; a pending write becomes an error after the timeout.
     fn timed<T>(&mut self, cx: &mut Context<'_>, written: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
         if written.is_ready() {
             self.deadline = None;
             return written;
         }
-        let patience = self.patience;
-        let deadline =
-            self.deadline.get_or_insert_with(|| Box::pin(tokio::time::sleep_until(Instant::now() + patience)));
+        let end = Instant::now() + self.write_timeout;
+        let deadline = self.deadline.get_or_insert_with(|| Box::pin(tokio::time::sleep_until(end)));
         deadline.as_mut().poll(cx).map(|()| Err(io::ErrorKind::TimedOut.into()))
     }
 }
 
-impl AsyncRead for PatientStream {
+impl AsyncRead for TimedStream {
     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         Pin::new(&mut self.stream).poll_read(cx, buffer)
     }
 }
 
-impl AsyncWrite for PatientStream {
+impl AsyncWrite for TimedStream {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         let written = Pin::new(&mut self.stream).poll_write(cx, bytes);
         self.timed(cx, written)

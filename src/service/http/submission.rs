@@ -1,11 +1,13 @@
-//! `POST /v1/jobs`: a job on a stored session, or session and job in one form.
+//! `POST /v1/jobs`: creates a job for a stored session, or for a session in the same form.
 
 use super::access::Caller;
+use super::app::App;
+use super::body::GuardedBody;
 use super::error::Problem;
-use super::intake::{MediaType, keep, receive_form, unless_refused};
-use super::jobs::answer;
-use super::upload::GuardedBody;
-use super::{App, options};
+use super::jobs::{JobDocument, answer};
+use super::options;
+use super::upload::{MediaType, keep, receive_form, unless_refused};
+use crate::pipeline::Options;
 use crate::service::queue::{EnqueueError, IdempotencyKey, NewJob, QueueLimits};
 use crate::service::store::Tenant;
 use crate::service::store::sessions::{self, StoredSession};
@@ -18,35 +20,82 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
+use utoipa::openapi::schema::{AdditionalProperties, Object, ObjectBuilder, Type};
+use utoipa::{IntoParams, ToSchema};
 
-/// Labels of one job.
+/// Largest number of labels of one job.
 const MAX_LABELS: usize = 32;
-/// Characters of a label's key or value, and of an Idempotency-Key.
+/// Longest label key, label value and Idempotency-Key, characters.
 const MAX_LABEL_CHARS: usize = 256;
-/// `priority` lies within plus and minus this.
+/// Largest absolute value of `priority`.
 const MAX_PRIORITY: i64 = 1000;
 
-/// The body of `POST /v1/jobs` as JSON.
-#[derive(Debug, Deserialize)]
+/// A job to create.
+#[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
+#[schema(as = NewJob)]
 struct NewJobBody {
+    /// Id of the session.
     session: String,
+    #[schema(value_type = Option<Options>)]
     options: Option<Value>,
     #[serde(default)]
+    #[schema(schema_with = labels_schema)]
     labels: BTreeMap<String, String>,
+    /// Jobs of higher priority run first, among the jobs of one tenant.
     #[serde(default)]
+    #[schema(minimum = -1000, maximum = 1000, default = 0)]
     priority: i64,
     webhook: Option<Webhook>,
 }
 
-/// Who is to be told of the job's end.
-#[derive(Debug, Deserialize)]
+fn labels_schema() -> Object {
+    let text = || ObjectBuilder::new().schema_type(Type::String).max_length(Some(MAX_LABEL_CHARS));
+    ObjectBuilder::new()
+        .schema_type(Type::Object)
+        .description(Some("Marks of the client, which `GET /v1/jobs?label=` can filter by"))
+        .max_properties(Some(MAX_LABELS))
+        .property_names(Some(text().min_length(Some(1))))
+        .additional_properties(Some(AdditionalProperties::RefOr(text().build().into())))
+        .build()
+}
+
+/// Receiver of the HTTP call that reports the end of the job.
+#[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 struct Webhook {
+    #[schema(format = "uri", max_length = 2000)]
     url: String,
 }
 
-/// `POST /v1/jobs`: 202, `Location` and the job.
+/// A session and the options of its job as a form.
+#[derive(ToSchema)]
+#[allow(dead_code)] // describes what `receive_form` reads
+struct JobForm {
+    #[schema(content_media_type = "application/octet-stream")]
+    session: String,
+    /// Options as JSON.
+    #[schema(required = false, content_media_type = "application/json")]
+    options: String,
+}
+
+/// Headers of a submission.
+#[derive(IntoParams)]
+#[into_params(parameter_in = Header)]
+#[allow(dead_code)] // describes what `idempotency_key` reads
+struct SubmissionHeaders {
+    /// The same key with the same request returns the same job; with another request the answer is 422.
+    #[param(rename = "Idempotency-Key", nullable = false, min_length = 1, max_length = 256, pattern = "^[!-~]+$")]
+    idempotency_key: Option<String>,
+}
+
+/// Submit a job.
+#[utoipa::path(post, path = "/v1/jobs", operation_id = "createJob", tag = "jobs", params(SubmissionHeaders),
+    request_body(content((NewJobBody = "application/json"), (inline(JobForm) = "multipart/form-data"))),
+    responses((status = 202, description = "Accepted: the job will reach a final state", body = JobDocument,
+            headers(("Location" = String, description = "Path of the job"))),
+        (status = 400), (status = 404), (status = 408), (status = 409), (status = 413), (status = 415), (status = 422),
+        (status = 507)))]
 pub(super) async fn create(
     State(app): State<App>,
     Caller { tenant }: Caller,
@@ -60,15 +109,15 @@ pub(super) async fn create(
     };
     let parsed = options::parse(asked.options)?;
     options::check(&parsed, &session.summary.camera_facts, &app.store.folders.bodies())?;
-    check_marks(&asked.labels, asked.priority)?;
+    check_labels_and_priority(&asked.labels, asked.priority)?;
     let webhook = asked.webhook.map(|webhook| webhook_url(&app, webhook)).transpose()?;
     let options = serde_json::to_value(&parsed).map_err(Problem::internal)?;
     let new = NewJob { tenant, session: session.id, options, labels: asked.labels, priority: asked.priority, webhook };
     let key = idempotency_key(&headers, &new, &session.summary.sha256)?;
-    let job =
-        app.queue.enqueue(&new, key.as_ref(), QueueLimits::of(&app.settings.limits, &app.settings.tenants)).await?;
+    let limits = QueueLimits::of(&app.settings.limits, &app.settings.tenants);
+    let job = app.queue.enqueue(&new, key.as_ref(), limits).await?;
     let location = [(header::LOCATION, format!("/v1/jobs/{}", job.id))];
-    Ok((StatusCode::ACCEPTED, location, answer(&job)).into_response())
+    Ok((StatusCode::ACCEPTED, location, answer(job)).into_response())
 }
 
 async fn of_stored_session(
@@ -98,14 +147,14 @@ async fn of_uploaded_session(
     body: Body,
 ) -> Result<(NewJobBody, StoredSession), Problem> {
     let form = receive_form(app, tenant, headers, body, &["session", "options"]).await?;
-    let received = form.session.ok_or_else(|| {
-        Problem::malformed("the form has no part `session`", "send the session as the part `session`")
-    })?;
+    let received = form
+        .session
+        .ok_or_else(|| Problem::malformed("the form has no part `session`", "add the session as the part `session`"))?;
     let text = form.options.filter(|text| !text.is_empty());
     let options = text.map(|text| serde_json::from_slice(&text)).transpose().map_err(|error| {
         Problem::malformed(format!("the part `options`: {error}"), "send one JSON object").at("/options")
     })?;
-    options::parse(options.clone())?; // before the upload is validated and kept
+    options::parse(options.clone())?; // before the upload is validated and stored
     let session = keep(app, tenant, received).await?.session;
     let asked =
         NewJobBody { session: session.id.clone(), options, labels: BTreeMap::new(), priority: 0, webhook: None };
@@ -116,12 +165,12 @@ fn session_missing() -> Problem {
     Problem::new(
         StatusCode::NOT_FOUND,
         "session_not_found",
-        "there is no such session",
+        "the session does not exist",
         "upload it with POST /v1/sessions",
     )
 }
 
-/// A URL that may be called; what it resolves to is checked again at each call.
+/// Checks that the URL may be called; the addresses that it resolves to are checked again at each call.
 fn webhook_url(app: &App, webhook: Webhook) -> Result<String, Problem> {
     let refused = |error: webhooks::TargetError| {
         Problem::new(StatusCode::UNPROCESSABLE_ENTITY, "webhook_refused", error.to_string(), error.remedy())
@@ -131,25 +180,27 @@ fn webhook_url(app: &App, webhook: Webhook) -> Result<String, Problem> {
     Ok(webhook.url)
 }
 
-fn check_marks(labels: &BTreeMap<String, String>, priority: i64) -> Result<(), Problem> {
+fn check_labels_and_priority(labels: &BTreeMap<String, String>, priority: i64) -> Result<(), Problem> {
     let is_long = |text: &String| text.chars().count() > MAX_LABEL_CHARS;
     if labels.len() > MAX_LABELS || labels.iter().any(|(key, value)| key.is_empty() || is_long(key) || is_long(value)) {
-        let remedy = format!("give at most {MAX_LABELS} labels of 1 to {MAX_LABEL_CHARS} characters");
-        return Err(Problem::malformed("labels are too many, too long or empty", remedy).at("/labels"));
+        let remedy = format!("use at most {MAX_LABELS} labels of 1 to {MAX_LABEL_CHARS} characters");
+        return Err(
+            Problem::malformed("there are too many labels, or a label is too long or empty", remedy).at("/labels")
+        );
     }
     if priority.abs() > MAX_PRIORITY {
-        let remedy = format!("take -{MAX_PRIORITY} to {MAX_PRIORITY}");
+        let remedy = format!("use -{MAX_PRIORITY} to {MAX_PRIORITY}");
         return Err(Problem::malformed("priority is out of range", remedy).at("/priority"));
     }
     Ok(())
 }
 
-/// The key, bound to the canonical request: a form's boundary and a document's spaces do not count.
+/// The Idempotency-Key with a digest of the canonical request, which ignores form boundaries and white space.
 fn idempotency_key(headers: &HeaderMap, new: &NewJob, sha256: &str) -> Result<Option<IdempotencyKey>, Problem> {
     let Some(key) = headers.get("idempotency-key") else { return Ok(None) };
     let key =
         key.to_str().ok().filter(|key| (1..=MAX_LABEL_CHARS).contains(&key.len())).ok_or_else(|| {
-            Problem::malformed("the Idempotency-Key is empty, too long or no ASCII", "send a fresh UUID")
+            Problem::malformed("the Idempotency-Key is empty, too long or not ASCII", "use a new UUID")
         })?;
     let request = json!([sha256, new.options, new.labels, new.priority, new.webhook]).to_string();
     let fingerprint = hex::encode(Sha256::digest(request.as_bytes()));
@@ -164,13 +215,13 @@ impl From<EnqueueError> for Problem {
                 StatusCode::UNPROCESSABLE_ENTITY,
                 "idempotency_key_reused",
                 "the Idempotency-Key was used for another request",
-                "take a fresh key for each new request",
+                "use a new key for each new request",
             ),
             EnqueueError::JobDeleted => Self::new(
                 StatusCode::CONFLICT,
                 "job_deleted",
                 "the job of this Idempotency-Key was deleted",
-                "take a fresh key to run it again",
+                "use a new key to run it again",
             ),
             EnqueueError::Full { .. } | EnqueueError::TenantFull { .. } => {
                 Self::new(StatusCode::TOO_MANY_REQUESTS, "queue_full", error.to_string(), "try again later")

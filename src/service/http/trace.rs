@@ -1,6 +1,8 @@
-//! Every request gets an id, a line in the log and a place in the figures.
+//! Gives every request an id, a log line and an entry in the metrics.
+//!
+//! Why not `tower_http::request_id`: it takes over any id of a client, unchecked, and ids are written into the log.
 
-use super::App;
+use super::app::App;
 use super::error::Problem;
 use axum::extract::{MatchedPath, Request, State};
 use axum::http::{HeaderValue, Method};
@@ -10,10 +12,10 @@ use std::time::Instant;
 use tracing::Instrument;
 
 const REQUEST_ID: &str = "x-request-id";
-/// Characters of the longest id that is taken over from a client or a proxy.
+/// Longest id that is taken over from a client or a proxy, characters.
 const MAX_ID: usize = 64;
 
-/// Runs a request under its id: the client's where it sends one, a fresh one otherwise.
+/// Middleware: runs a request under the id that the client sent, or under a new one.
 pub(super) async fn follow(State(app): State<App>, request: Request, next: Next) -> Response {
     let start = Instant::now();
     let method = request.method().clone();
@@ -28,7 +30,7 @@ pub(super) async fn follow(State(app): State<App>, request: Request, next: Next)
     app.metrics.note_request(&method, &route, status.as_u16(), code, seconds);
     span.in_scope(|| {
         let status = status.as_u16();
-        // What changes something, and what was refused, is worth a line; being looked at is not.
+        // Changes and errors are logged, plain reads are not.
         if !matches!(method, Method::GET | Method::HEAD) || status >= 400 {
             tracing::info!(status, code, duration_s = seconds, "request");
         } else {

@@ -1,216 +1,196 @@
-//! Request bodies as they come: bounded in size and in patience, streamed to disk with their digest.
+//! Uploads of sessions: received into a temporary file, recognised, validated, stored.
 
+use super::app::App;
+use super::body::{GuardedBody, Refused, Spool, Spooled, refuse};
 use super::error::Problem;
-use crate::service::failpoint::fault;
-use crate::service::settings::RequestLimits;
-use crate::service::store::folders::TemporaryFile;
-use axum::body::{Body, Bytes};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
-use http_body_util::BodyExt;
-use sha2::{Digest, Sha256};
-use std::time::Duration;
-use tokio::io::AsyncWriteExt;
-use tokio::time::{Instant, timeout};
+use super::multipart::Multipart;
+use crate::pipeline::CameraFacts;
+use crate::service::failpoint::{failpoint, fault};
+use crate::service::store::sessions::{self, Added, SessionSummary};
+use crate::service::store::{Tenant, new_id, tenants};
+use crate::session::upload::{self, LoadedSession, UploadError, UploadErrorKind, UploadLimits};
+use axum::body::Body;
+use axum::http::{HeaderMap, StatusCode, header};
+use std::fs::File;
 
-/// How much of a refused body is read so that the client gets to see the answer instead of a broken pipe.
-const POLITENESS: u64 = 16 << 20;
-
-/// A body read chunk by chunk under the limits.
-pub(super) struct GuardedBody<'a> {
-    body: Body,
-    limits: &'a RequestLimits,
-    max_bytes: u64,
-    received: u64,
-    window_end: Instant,
-    window_bytes: u64,
-    /// The client asked whether to send at all (`Expect: 100-continue`): an answer before the first read is a no.
-    asks_first: bool,
+/// Media type of a request body.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum MediaType {
+    Zip,
+    Json,
+    Ndjson,
+    Multipart,
 }
 
-impl<'a> GuardedBody<'a> {
-    /// Refuses at once what says itself that it is too large, or comes encoded.
-    pub(super) fn new(
-        headers: &HeaderMap,
-        body: Body,
-        limits: &'a RequestLimits,
-        max_bytes: u64,
-    ) -> Result<Self, Refused<'a>> {
-        let window_end = Instant::now() + limits.body_window;
-        let asks_first = headers.contains_key(header::EXPECT);
-        let guarded = Self { body, limits, max_bytes, received: 0, window_end, window_bytes: 0, asks_first };
-        let length = headers.get(header::CONTENT_LENGTH).and_then(|v| v.to_str().ok()?.parse::<u64>().ok());
-        if length.is_some_and(|length| length > max_bytes) && !fault("length.unread") {
-            return Err(Refused { problem: Problem::too_large(max_bytes), body: guarded });
-        }
-        if headers.get(header::CONTENT_ENCODING).is_some_and(|encoding| encoding != "identity") {
-            let problem = Problem::new(
-                StatusCode::UNSUPPORTED_MEDIA_TYPE,
-                "unsupported_encoding",
-                "the body has a Content-Encoding",
-                "send it plain; a zip is deflated already",
-            );
-            return Err(Refused { problem, body: guarded });
-        }
-        Ok(guarded)
+impl MediaType {
+    /// Reads `Content-Type`.
+    pub(super) fn of(headers: &HeaderMap) -> Option<Self> {
+        let value = headers.get(header::CONTENT_TYPE)?.to_str().ok()?;
+        Self::parse(value.split(';').next().unwrap_or(value).trim())
     }
 
-    /// The next bytes; `None` at the end.
-    pub(super) async fn chunk(&mut self) -> Result<Option<Bytes>, Problem> {
-        loop {
-            let patience = if fault("body.patient") { Duration::MAX } else { self.limits.body_idle_timeout };
-            let frame = timeout(patience, self.body.frame()).await;
-            let frame = frame.map_err(|_| too_slow("nothing came for too long"))?;
-            let Some(frame) = frame else { return Ok(None) };
-            let frame = frame.map_err(|_| Problem::malformed("the body ended early", "send it again"))?;
-            let Ok(bytes) = frame.into_data() else { continue }; // trailers
-            self.received += bytes.len() as u64;
-            if self.received > self.max_bytes {
-                return Err(Problem::too_large(self.max_bytes));
-            }
-            self.require_minimum_rate(bytes.len() as u64)?;
-            return Ok(Some(bytes));
-        }
+    fn parse(value: &str) -> Option<Self> {
+        Some(match value.to_ascii_lowercase().as_str() {
+            "application/zip" | "application/x-zip-compressed" => Self::Zip,
+            "application/json" => Self::Json,
+            "application/x-ndjson" | "application/ndjson" => Self::Ndjson,
+            "multipart/form-data" => Self::Multipart,
+            _ => return None,
+        })
     }
+}
 
-    fn require_minimum_rate(&mut self, bytes: u64) -> Result<(), Problem> {
-        self.window_bytes += bytes;
-        let now = Instant::now();
-        if now < self.window_end {
-            return Ok(());
-        }
-        if self.window_bytes < self.limits.body_min_bytes && !fault("body.patient") {
-            return Err(too_slow("the body came too slowly"));
-        }
-        (self.window_end, self.window_bytes) = (now + self.limits.body_window, 0);
+/// Parts of a form: the upload and, where allowed, the options.
+#[derive(Default)]
+pub(super) struct Form {
+    pub(super) session: Option<Spooled>,
+    pub(super) options: Option<Vec<u8>>,
+}
+
+/// Returns the problem 507 if the disk or the quota of the tenant is full already.
+async fn require_space(app: &App, tenant: &Tenant) -> Result<(), Problem> {
+    app.require_disk()?;
+    let (stored, max) = (tenants::stored_bytes(&app.store, tenant).await?, app.settings.tenants.max_bytes);
+    if stored < max || fault("quota.none") {
         Ok(())
+    } else {
+        Err(sessions::AddError::QuotaExceeded { stored, max }.into())
     }
+}
 
-    /// The whole of a small body.
-    pub(super) async fn read_all(mut self) -> Result<Vec<u8>, Refused<'a>> {
-        let mut all = Vec::new();
-        loop {
-            match self.chunk().await {
-                Ok(Some(bytes)) => all.extend_from_slice(&bytes),
-                Ok(None) => return Ok(all),
-                Err(problem) => return Err(Refused { problem, body: self }),
-            }
+/// Streams a whole body to disk.
+pub(super) async fn receive(app: &App, tenant: &Tenant, headers: &HeaderMap, body: Body) -> Result<Spooled, Problem> {
+    require_space(app, tenant).await?;
+    let limits = &app.settings.limits;
+    let body = GuardedBody::new(headers, body, limits, limits.max_upload_bytes);
+    let mut body = unless_refused(body).await?;
+    match spool(app, &mut body).await {
+        Ok(spooled) => Ok(spooled),
+        Err(problem) => Err(refuse(body, problem).await),
+    }
+}
+
+async fn spool(app: &App, body: &mut GuardedBody<'_>) -> Result<Spooled, Problem> {
+    let mut spool = Spool::create(app.store.folders.temporary()).await?;
+    while let Some(bytes) = body.chunk().await? {
+        spool.write(&bytes).await?;
+    }
+    spool.finish().await
+}
+
+/// Streams the part `session` of a form to disk and reads the part `options`, where it is `allowed`.
+pub(super) async fn receive_form(
+    app: &App,
+    tenant: &Tenant,
+    headers: &HeaderMap,
+    body: Body,
+    allowed: &[&str],
+) -> Result<Form, Problem> {
+    require_space(app, tenant).await?;
+    let limits = &app.settings.limits;
+    let body = GuardedBody::new(headers, body, limits, limits.max_upload_bytes);
+    let mut body = unless_refused(body).await?;
+    match read_form(app, headers, &mut body, allowed).await {
+        Ok(form) => Ok(form),
+        Err(problem) => Err(refuse(body, problem).await),
+    }
+}
+
+async fn read_form(
+    app: &App,
+    headers: &HeaderMap,
+    body: &mut GuardedBody<'_>,
+    allowed: &[&str],
+) -> Result<Form, Problem> {
+    let mut multipart = Multipart::new(headers, body)?;
+    let mut form = Form::default();
+    while let Some(part) = multipart.next_part().await? {
+        let is_twice = match part.name.as_str() {
+            "session" => form.session.is_some(),
+            _ => form.options.is_some(),
+        };
+        if !allowed.contains(&part.name.as_str()) || is_twice {
+            let detail =
+                format!("the form has {} part `{}`", if is_twice { "a second" } else { "an unknown" }, part.name);
+            return Err(Problem::malformed(detail, format!("send each of these parts once: {}", allowed.join(", "))));
         }
-    }
-
-    /// Reads on for a while into nothing.
-    async fn drain(mut self) {
-        if self.asks_first && self.received == 0 {
-            return;
+        if part.name == "options" {
+            form.options = Some(multipart.text(app.settings.limits.max_json_bytes as usize).await?);
+            continue;
         }
-        self.max_bytes = u64::MAX;
-        let end = self.received + POLITENESS;
-        let drained = async { while self.received < end && matches!(self.chunk().await, Ok(Some(_))) {} };
-        let _ = timeout(Duration::from_secs(2), drained).await; // polite, not patient
-    }
-}
-
-/// A refused body: its problem is answered once some of the rest was read.
-pub(super) struct Refused<'a> {
-    problem: Problem,
-    body: GuardedBody<'a>,
-}
-
-impl Refused<'_> {
-    /// The answer.
-    pub(super) async fn problem(self) -> Problem {
-        refuse(self.body, self.problem).await
-    }
-}
-
-/// Reads on for a while, so that the client sees `problem`, and ends the connection after it.
-pub(super) async fn refuse(body: GuardedBody<'_>, problem: Problem) -> Problem {
-    body.drain().await;
-    problem.with_header(header::CONNECTION, HeaderValue::from_static("close"))
-}
-
-fn too_slow(detail: &str) -> Problem {
-    Problem::new(StatusCode::REQUEST_TIMEOUT, "too_slow", detail, "send the body without pauses")
-        .with_header(header::CONNECTION, HeaderValue::from_static("close"))
-}
-
-/// Bytes on their way to disk.
-pub(super) struct Spool {
-    file: TemporaryFile,
-    writer: tokio::fs::File,
-    hasher: Sha256,
-    bytes: u64,
-}
-
-/// An upload that lies complete in `tmp/`, not yet synced.
-#[derive(Debug)]
-pub(super) struct Spooled {
-    /// Gone when dropped.
-    pub(super) file: TemporaryFile,
-    /// Digest of the bytes.
-    pub(super) sha256: String,
-    /// How many.
-    pub(super) bytes: u64,
-}
-
-impl Spool {
-    /// An empty file.
-    pub(super) async fn create(file: TemporaryFile) -> Result<Self, Problem> {
-        let writer = tokio::fs::File::create(&file.path).await.map_err(|e| Problem::from_io(&e))?;
-        Ok(Self { file, writer, hasher: Sha256::new(), bytes: 0 })
-    }
-
-    /// Appends.
-    pub(super) async fn write(&mut self, bytes: &[u8]) -> Result<(), Problem> {
-        self.hasher.update(bytes);
-        self.bytes += bytes.len() as u64;
-        self.writer.write_all(bytes).await.map_err(|e| Problem::from_io(&e))
-    }
-
-    /// Hands the whole over.
-    pub(super) async fn finish(mut self) -> Result<Spooled, Problem> {
-        self.writer.flush().await.map_err(|e| Problem::from_io(&e))?;
-        Ok(Spooled { file: self.file, sha256: hex::encode(self.hasher.finalize()), bytes: self.bytes })
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use futures_util::{StreamExt, stream};
-
-    type Chunks = Vec<Result<Vec<u8>, std::io::Error>>;
-
-    fn body(chunks: usize, then_hangs: bool) -> Body {
-        let chunks: Chunks = (0..chunks).map(|_| Ok(vec![0; 100])).collect();
-        let chunks = stream::iter(chunks);
-        if then_hangs { Body::from_stream(chunks.chain(stream::pending())) } else { Body::from_stream(chunks) }
-    }
-
-    async fn read(body: Body, limits: &RequestLimits, max_bytes: u64) -> Result<usize, u16> {
-        let status = |problem: Problem| axum::response::IntoResponse::into_response(problem).status().as_u16();
-        let mut guarded =
-            GuardedBody::new(&HeaderMap::new(), body, limits, max_bytes).ok().expect("no header to refuse");
-        let mut received = 0;
-        while let Some(bytes) = guarded.chunk().await.map_err(status)? {
-            received += bytes.len();
+        let mut spool = Spool::create(app.store.folders.temporary()).await?;
+        while let Some(bytes) = multipart.data().await? {
+            spool.write(&bytes).await?;
         }
-        Ok(received)
+        form.session = Some(spool.finish().await?);
     }
+    Ok(form)
+}
 
-    #[tokio::test]
-    async fn a_body_may_be_as_large_as_allowed_and_no_larger() {
-        let limits = RequestLimits::default();
-        assert_eq!(read(body(5, false), &limits, 500).await, Ok(500));
-        assert_eq!(read(body(5, false), &limits, 499).await, Err(413));
+pub(super) async fn unless_refused<T>(body: Result<T, Refused<'_>>) -> Result<T, Problem> {
+    match body {
+        Ok(body) => Ok(body),
+        Err(refused) => Err(refused.problem().await),
     }
+}
 
-    #[tokio::test]
-    async fn a_body_that_stalls_or_dribbles_is_cut() {
-        let idle = RequestLimits { body_idle_timeout: Duration::from_millis(20), ..RequestLimits::default() };
-        assert_eq!(read(body(2, true), &idle, 1000).await, Err(408));
-        let slow = RequestLimits { body_window: Duration::ZERO, body_min_bytes: 101, ..RequestLimits::default() };
-        assert_eq!(read(body(2, false), &slow, 1000).await, Err(408));
-        let fast_enough = RequestLimits { body_window: Duration::ZERO, body_min_bytes: 100, ..slow };
-        assert_eq!(read(body(2, false), &fast_enough, 1000).await, Ok(200));
+/// Validates and stores an upload; bytes that the tenant uploaded before give the stored session.
+pub(super) async fn keep(app: &App, tenant: &Tenant, spooled: Spooled) -> Result<Added, Problem> {
+    if let Some(session) = sessions::get_by_sha256(&app.store, tenant, &spooled.sha256).await? {
+        return Ok(Added { session, is_new: false });
     }
+    failpoint("upload.spooled");
+    let _turn = app.validations.acquire().await.map_err(Problem::internal)?; // validation holds a session in memory
+    let folders = app.store.folders.clone();
+    let kept = tokio::task::spawn_blocking(move || -> Result<_, Problem> {
+        let summary = validate(&spooled)?;
+        let id = new_id("session");
+        spooled.file.keep_as(&folders.session(&id)).map_err(|e| Problem::from_io(&e))?;
+        Ok((id, summary))
+    });
+    let (id, summary) = kept.await.map_err(Problem::internal)??;
+    let added = sessions::add(&app.store, tenant, &id, &summary, app.settings.tenants.max_bytes).await;
+    failpoint("upload.recorded");
+    if !added.as_ref().is_ok_and(|added| added.is_new) {
+        app.store.remove_files("sessions", &id).await; // the same bytes arrived twice at the same time, or the row was refused
+    }
+    Ok(added?)
+}
+
+/// Reads the upload as a job does and returns its summary. The content determines the format.
+fn validate(spooled: &Spooled) -> Result<SessionSummary, Problem> {
+    let file = File::open(&spooled.file.path).map_err(|e| Problem::from_io(&e))?;
+    let limits = match fault("limits.none") {
+        true => UploadLimits { max_unpacked_bytes: u64::MAX, max_ratio: u64::MAX, ..UploadLimits::default() },
+        false => UploadLimits::default(),
+    };
+    let loaded = upload::read_upload(file, "upload", &limits).map_err(upload_problem)?;
+    Ok(summarise(loaded, spooled))
+}
+
+fn summarise(loaded: LoadedSession, spooled: &Spooled) -> SessionSummary {
+    let LoadedSession { session, format, warnings, .. } = loaded;
+    SessionSummary {
+        sha256: spooled.sha256.clone(),
+        bytes: spooled.bytes,
+        cameras: session.views.len(),
+        frames: session.n_frames,
+        people_max: session.views.iter().flat_map(|view| &view.frames).map(Vec::len).max().unwrap_or(0),
+        keypoint_convention: session.convention.name().to_owned(),
+        format: format.to_owned(),
+        warnings,
+        camera_facts: CameraFacts::of(&session),
+        name: session.name,
+    }
+}
+
+/// Describes a rejected upload to the client.
+pub(super) fn upload_problem(error: UploadError) -> Problem {
+    let status = match error.kind {
+        UploadErrorKind::Malformed => StatusCode::BAD_REQUEST,
+        UploadErrorKind::TooLarge => StatusCode::PAYLOAD_TOO_LARGE,
+        UploadErrorKind::Unsupported => StatusCode::UNSUPPORTED_MEDIA_TYPE,
+        UploadErrorKind::Impossible => StatusCode::UNPROCESSABLE_ENTITY,
+    };
+    Problem::of_upload(status, error)
 }

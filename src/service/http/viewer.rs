@@ -1,9 +1,9 @@
-//! `/` and `/assets/{name}`: the web viewer, embedded when the program was built, and the default body that it draws.
+//! `/` and `/assets/{name}`: the web viewer, which is embedded at build time, and the mesh of the default body.
 //!
-//! The page may load nothing from elsewhere and run nothing written into it: its `Content-Security-Policy` allows its own
-//! scripts, styles and requests only, nothing inline.
+//! The page cannot load anything from other sites or run inline code: its `Content-Security-Policy` allows only its own
+//! scripts, styles and requests.
 
-use super::App;
+use super::app::App;
 use super::error::Problem;
 use crate::export::{BodyMesh, default_body_mesh};
 use axum::Router;
@@ -20,21 +20,21 @@ struct Asset {
     bytes: &'static [u8],
 }
 
-/// Every file of the page; none where it was left out of the build.
+/// Every file of the page; empty if the program was built without the viewer.
 const ASSETS: &[Asset] = include!(concat!(env!("OUT_DIR"), "/viewer_assets.rs"));
 
-/// What is served where the viewer was left out.
+/// The page of a program that was built without the viewer.
 const PLAIN_PAGE: &str = "<!doctype html>
 <html lang=\"en\"><meta charset=\"utf-8\"><title>wandless</title>
 <h1>wandless is running</h1>
-<p>This program was built without its web viewer, because Node.js or the packages of <code>web/</code> were not there.
-The API lies under <a href=\"/v1/jobs\">/v1</a>. To get the viewer, install Node.js 20.19 or later, touch
+<p>This program was built without its web viewer, because Node.js or the packages of <code>web/</code> were missing.
+The API is at <a href=\"/v1/jobs\">/v1</a>. To get the viewer, install Node.js 20.19 or later, touch
 <code>web/package.json</code> and build again.</p>
 </html>
 ";
 
-/// `script-src` and `style-src` without `unsafe-inline`: a name with HTML in it stays a name. Images made by the page
-/// itself (downloads, favicons) are `blob:` and `data:`.
+/// `script-src` and `style-src` exclude `unsafe-inline`: HTML inside a name is not executed. Images that the page itself makes
+/// (downloads, favicons) are `blob:` and `data:`.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: \
      blob:; connect-src 'self'; font-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
@@ -46,8 +46,8 @@ pub(super) fn routes() -> Router<App> {
         .route("/assets/{*name}", get(asset))
 }
 
-/// The mesh of the default body, made at the first request. Its name has no digest, so browsers ask whether it is still
-/// the same; a body that an operator registered is never sent.
+/// The mesh of the default body, computed at the first request. Its name has no digest, so browsers revalidate it; body models
+/// that an operator registered are never sent.
 async fn default_body(headers: HeaderMap) -> Result<Response, Problem> {
     static MESH: OnceCell<BodyMesh> = OnceCell::const_new();
     let make = || async {
@@ -73,11 +73,11 @@ async fn page() -> Response {
     }
 }
 
-/// A script or a style sheet; its name holds the digest of its content, so it may be kept for ever.
+/// A script or a style sheet; its name contains the digest of its content, so it can be cached for ever.
 async fn asset(Path(name): Path<String>) -> Result<Response, Problem> {
     let found = ASSETS.iter().find(|asset| asset.name.strip_prefix("assets/") == Some(name.as_str()));
     found.map(|asset| answer(asset, "public, max-age=31536000, immutable")).ok_or_else(|| {
-        let detail = "the viewer has no such file";
+        let detail = "the viewer does not contain this file";
         Problem::new(StatusCode::NOT_FOUND, "not_found", detail, "reload the page")
     })
 }
@@ -107,11 +107,11 @@ fn media_type(name: &str) -> &'static str {
 mod tests {
     use super::*;
 
-    /// Scripts and styles together, bytes.
+    /// Largest total size of scripts and styles, bytes.
     const MAX_ASSETS: usize = 3_000_000;
 
     #[tokio::test]
-    async fn the_page_comes_with_a_policy_that_runs_nothing_inline() {
+    async fn page_has_a_policy_without_inline_code() {
         let response = page().await;
         assert_eq!(response.status(), StatusCode::OK);
         let policy = response.headers()[header::CONTENT_SECURITY_POLICY].to_str().unwrap();
@@ -119,12 +119,12 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_file_that_is_not_there_is_a_problem() {
+    async fn missing_asset_is_a_problem() {
         assert!(asset(Path("../index.html".to_owned())).await.is_err());
     }
 
     #[tokio::test]
-    async fn a_browser_that_has_the_default_body_is_not_sent_it_again() {
+    async fn unchanged_default_body_is_answered_304() {
         let first = default_body(HeaderMap::new()).await.unwrap();
         let tag = first.headers()[header::ETAG].clone();
         let again = default_body(HeaderMap::from_iter([(header::IF_NONE_MATCH, tag)])).await.unwrap();
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn the_viewer_is_small_and_its_page_holds_no_script_of_its_own() {
+    fn viewer_is_small_and_has_no_inline_code() {
         let bytes: usize = ASSETS.iter().map(|asset| asset.bytes.len()).sum();
         assert!(bytes <= MAX_ASSETS, "{bytes}");
         let page = ASSETS.iter().find(|asset| asset.name == "index.html").map_or(PLAIN_PAGE.as_bytes(), |p| p.bytes);

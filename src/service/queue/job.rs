@@ -92,16 +92,18 @@ impl JobState {
 }
 
 /// Verdict on a result.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, utoipa::ToSchema)]
+#[schema(as = Quality)]
 pub struct JobQuality {
     /// `pass`, `warn` or `reject`.
+    #[schema(pattern = "^(pass|warn|reject)$")]
     pub verdict: String,
     /// Reasons of the verdict, one sentence each.
     pub reasons: Vec<String>,
 }
 
 /// Why a job has no result: what is wrong, where, and what to do.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct JobError {
     /// Machine-readable code.
     pub code: String,
@@ -109,15 +111,19 @@ pub struct JobError {
     pub detail: String,
     /// Camera id.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
     pub camera: Option<String>,
     /// Frame number of the session.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
     pub frame: Option<i64>,
     /// Index of the person within the frame.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
     pub person: Option<usize>,
     /// JSON pointer to the offending value.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
     pub pointer: Option<String>,
     /// What to do.
     #[serde(skip_serializing_if = "String::is_empty", default)]
@@ -125,19 +131,24 @@ pub struct JobError {
 }
 
 /// Progress of a job.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, utoipa::ToSchema)]
+#[schema(as = Progress)]
 pub struct JobProgress {
     /// Name of the stage.
     pub stage: String,
     /// Index of the stage.
+    #[schema(minimum = 0)]
     pub stage_index: i64,
     /// Number of stages.
+    #[schema(minimum = 0)]
     pub stage_count: i64,
     /// Completed share of the whole job, 0 to 1; never decreases.
+    #[schema(minimum = 0, maximum = 1)]
     pub fraction: f64,
     /// Description of the current step, one sentence.
     pub message: String,
     /// Estimated seconds to the end; `None` while there is too little progress for an estimate.
+    #[schema(required)]
     pub eta_s: Option<f64>,
 }
 

@@ -1,7 +1,8 @@
 //! Names of the job states.
 
 /// Name of a job state, without the data of [`JobState`](super::job::JobState).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, utoipa::ToSchema)]
+#[schema(rename_all = "lowercase")]
 #[allow(missing_docs)] // documented at `JobState`
 pub enum Phase {
     Queued,

@@ -10,7 +10,7 @@ use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
 /// Summary of a valid upload, as reported to clients.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct SessionSummary {
     /// Name of the session.
     pub name: String,
@@ -35,14 +35,17 @@ pub struct SessionSummary {
 }
 
 /// A stored session.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
+#[schema(as = Session)]
 pub struct StoredSession {
     /// Session id: `session_` and random bits.
     pub id: String,
     /// Summary of the upload.
     #[serde(flatten)]
+    #[schema(inline)]
     pub summary: SessionSummary,
     /// Time of the upload; UTC, RFC 3339.
+    #[schema(format = DateTime)]
     pub created_at: String,
     /// Position in the list of all sessions.
     #[serde(skip)]

@@ -3,7 +3,6 @@
 mod child;
 mod supervision;
 
-use super::Shared;
 use super::failpoint::{failpoint, fault};
 use super::memory::child_limit;
 use super::metrics::Metrics;
@@ -12,6 +11,7 @@ use super::queue::job::JobError;
 use super::queue::outcome::ClaimOutcome;
 use super::queue::{Claim, Finished, Published, Queue};
 use super::settings::Settings;
+use super::shared::Shared;
 use super::store::folders::publish;
 use super::store::summary::Summary;
 use super::store::{Store, artifacts};

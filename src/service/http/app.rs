@@ -1,0 +1,54 @@
+//! State that every HTTP handler can use.
+
+use super::error::Problem;
+use super::rate_limit::RateLimiter;
+use crate::service::metrics::Metrics;
+use crate::service::queue::Queue;
+use crate::service::settings::Settings;
+use crate::service::shared::Shared;
+use crate::service::store::Store;
+use crate::service::webhooks::Networks;
+use std::sync::Arc;
+use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
+
+/// Handles and limits of the HTTP API; clones share them.
+#[derive(Clone)]
+pub(super) struct App {
+    pub(super) store: Store,
+    pub(super) queue: Queue,
+    pub(super) settings: Arc<Settings>,
+    pub(super) metrics: Arc<Metrics>,
+    /// Cancelled when the service begins to stop.
+    pub(super) draining: CancellationToken,
+    /// Private networks that webhooks may call.
+    pub(super) allowed_networks: Arc<Networks>,
+    /// Limits the number of uploads that are held in memory at the same time.
+    pub(super) validations: Arc<Semaphore>,
+    /// Rate limit of each tenant.
+    pub(super) tenant_rates: Arc<RateLimiter>,
+    /// Rate limit of requests without a valid key, for each address.
+    pub(super) bad_key_rates: Arc<RateLimiter>,
+}
+
+/// Uploads validated at the same time: each may hold a session of some hundred megabytes.
+const VALIDATIONS: usize = 2;
+
+impl App {
+    pub(super) fn new(shared: Shared, allowed_networks: Arc<Networks>) -> Self {
+        let Shared { store, queue, settings, metrics, draining } = shared;
+        let tenant_rates = Arc::new(RateLimiter::new(settings.tenants.requests_per_s));
+        let bad_key_rates = Arc::new(RateLimiter::new(settings.limits.bad_keys_per_s));
+        let validations = Arc::new(Semaphore::new(VALIDATIONS));
+        Self { store, queue, settings, metrics, draining, allowed_networks, validations, tenant_rates, bad_key_rates }
+    }
+
+    /// Returns the problem 507 while the disk is nearly full.
+    pub(super) fn require_disk(&self) -> Result<(), Problem> {
+        match self.store.folders.free_bytes() {
+            Ok(free) if free < self.settings.limits.min_free_bytes => Err(Problem::disk_full()),
+            Ok(_) => Ok(()),
+            Err(error) => Err(Problem::internal(error)),
+        }
+    }
+}

@@ -1,0 +1,136 @@
+//! Every route and the layers around them.
+
+use super::app::App;
+use super::error::Problem;
+use super::openapi::Description;
+use super::{
+    access, cors, deliveries, error, events, health, inspection, jobs, openapi, results, server, sessions, submission,
+    trace, viewer,
+};
+use crate::service::shared::Shared;
+use crate::service::webhooks::Networks;
+use axum::http::StatusCode;
+use axum::middleware::{from_fn, from_fn_with_state};
+use axum::{Extension, Router};
+use std::sync::Arc;
+use tokio::net::TcpListener;
+use tower::util::option_layer;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+/// Serves the API until the service begins to stop.
+pub(in crate::service) async fn serve(shared: Shared, allowed_networks: Arc<Networks>, listener: TcpListener) {
+    let app = App::new(shared, allowed_networks);
+    let (settings, metrics, draining) = (app.settings.clone(), app.metrics.clone(), app.draining.clone());
+    server::serve(listener, router(app), &settings.limits, settings.drain_limit, metrics, draining).await;
+}
+
+/// The OpenAPI document of this program as text.
+pub fn openapi_json() -> String {
+    let api = api().merge(monitoring()).merge(open());
+    Description::of(api.into_openapi()).json
+}
+
+/// Routes that need an API key where keys are required.
+fn api() -> OpenApiRouter<App> {
+    OpenApiRouter::new()
+        .routes(routes!(sessions::create, sessions::list))
+        .routes(routes!(sessions::get, sessions::delete))
+        .routes(routes!(inspection::get))
+        .routes(routes!(submission::create, jobs::list))
+        .routes(routes!(jobs::get, jobs::delete))
+        .routes(routes!(events::stream))
+        .routes(routes!(jobs::cancel))
+        .routes(routes!(results::manifest))
+        .routes(routes!(results::artifact))
+        .routes(routes!(results::cameras))
+        .routes(routes!(results::people))
+        .routes(routes!(results::report))
+        .routes(routes!(deliveries::list))
+        .routes(routes!(deliveries::redeliver))
+        .routes(routes!(deliveries::secret))
+}
+
+/// The route that needs a key with the scope `metrics`.
+fn monitoring() -> OpenApiRouter<App> {
+    OpenApiRouter::new().routes(routes!(health::metrics))
+}
+
+/// Routes without access control.
+fn open() -> OpenApiRouter<App> {
+    OpenApiRouter::new()
+        .routes(routes!(health::alive))
+        .routes(routes!(health::ready))
+        .routes(routes!(openapi::document))
+        .routes(routes!(openapi::page))
+}
+
+fn router(app: App) -> Router {
+    let api = api().layer(from_fn_with_state(app.clone(), access::to_the_api));
+    let monitoring = monitoring().layer(from_fn_with_state(app.clone(), access::to_the_metrics));
+    let (router, description) = api.merge(monitoring).merge(open()).split_for_parts();
+    router
+        .merge(viewer::routes())
+        .fallback(no_such_route)
+        .method_not_allowed_fallback(no_such_method)
+        .layer(Extension(Arc::new(Description::of(description))))
+        .layer(from_fn(error::write_problems))
+        .layer(option_layer(cors::layer(&app.settings.cors_origins)))
+        .layer(from_fn_with_state(app.clone(), trace::follow))
+        .with_state(app)
+}
+
+async fn no_such_route() -> Problem {
+    Problem::new(
+        StatusCode::NOT_FOUND,
+        "not_found",
+        "this route does not exist",
+        "the routes of the API begin with /v1",
+    )
+}
+
+async fn no_such_method() -> Problem {
+    let remedy = "use one of the methods in the header Allow";
+    Problem::new(StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed", "the route does not support this method", remedy)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn checked_in_openapi_document_is_current() {
+        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi/openapi.json");
+        let kept = std::fs::read_to_string(file).unwrap();
+        assert!(kept.trim() == openapi_json().trim(), "write it again: wandless openapi > openapi/openapi.json");
+    }
+
+    #[test]
+    fn references_resolve_and_operation_ids_are_unique() {
+        use serde_json::Value;
+        fn visit<'a>(value: &'a Value, references: &mut Vec<&'a str>, ids: &mut Vec<&'a str>) {
+            match value {
+                Value::Object(map) => {
+                    references.extend(map.get("$ref").and_then(Value::as_str));
+                    ids.extend(
+                        map.get("operationId").filter(|_| map.contains_key("responses")).and_then(Value::as_str),
+                    );
+                    map.values().for_each(|value| visit(value, references, ids));
+                }
+                Value::Array(list) => list.iter().for_each(|value| visit(value, references, ids)),
+                _ => {}
+            }
+        }
+        let document: Value = serde_json::from_str(&openapi_json()).unwrap();
+        let (mut references, mut ids) = (Vec::new(), Vec::new());
+        visit(&document, &mut references, &mut ids);
+        let n_operations = ids.len();
+        ids.sort_unstable();
+        ids.dedup();
+        assert_eq!((ids.len(), n_operations), (25, 25));
+        assert!(!references.is_empty());
+        for reference in references {
+            assert!(document.pointer(reference.trim_start_matches('#')).is_some(), "{reference}");
+        }
+    }
+}
