@@ -150,7 +150,9 @@ fn gradients_of_motion_terms_match_differences() {
     let fixture = Fixture::new();
     let start = fixture.model_at(&DVector::zeros(fixture.border().len()));
     for data in [DataSource::Points { sigma: 0.5 }, DataSource::Pixels { share: 0.2 }] {
-        for only in (0..6).map(Some).chain([None]) {
+        let all = fixture.problem(&start, data, None);
+        let n_terms = all.frame_terms.len() + all.window_terms.len() + 1;
+        for only in (0..n_terms).map(Some).chain([None]) {
             let problem = fixture.problem(&start, data, only);
             assert_gradient_of(&problem, &fixture.state, |step| {
                 let model = fixture.model_at(&step.border);
