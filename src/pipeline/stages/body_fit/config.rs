@@ -128,7 +128,7 @@ impl BodyFitConfig {
             pose_weights: PoseWeights { weight: 0.3, ..Self::default().pose_weights },
             // Observations determine only half of the unknowns: 69.0 mm with the prior from the start, 70.7 with it as refinement.
             motion_prior_refines: false,
-            // One view cannot separate the keypoint bias from the poses.
+            // A single view cannot separate the keypoint bias from the poses.
             estimate_keypoint_bias: false,
             // With fewer equations than unknowns the residuals do not show the errors. On four captures 72.9 mm with 0, 77.9
             // with the largest possible value.
