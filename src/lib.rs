@@ -18,7 +18,8 @@
 //! }
 //! ```
 //!
-//! `examples/` holds complete programs: from a folder, from data in memory, and from detector output to glTF.
+//! [`session::SessionBuilder`] builds sessions from data in memory. `examples/` holds complete programs: from a folder, from
+//! data in memory, and from detector output to glTF.
 //!
 //! # Modules, in reading order
 //!

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 
 /// Evaluates a prior on held-out motion files and prints a table.
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct Args {
+pub(super) struct Args {
     /// Folder with motion files
     data: PathBuf,
     /// Prior file [default: the embedded prior]
@@ -22,7 +22,7 @@ pub(in crate::cli) struct Args {
 /// Length of the corrupted clips, frames: the corruption in the middle and one second before and after it.
 const CLIP_FRAMES: usize = 120;
 
-pub(in crate::cli) fn run(args: Args) -> anyhow::Result<()> {
+pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let prior = &read_prior(args.prior.as_deref())?;
     let data = read_dataset(&args.data).map_err(|error| BadInput(error.to_string()))?;
     let takes = features_of(prior, &data.takes);

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 /// Samples a latent code from N(0, I), smooths it in time and decodes it; the pelvis position is fixed.
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct SampleArgs {
+pub(super) struct SampleArgs {
     /// Output file
     #[arg(long)]
     out: PathBuf,
@@ -31,7 +31,7 @@ pub(in crate::cli) struct SampleArgs {
 
 /// Encodes and decodes a motion; rotations of pelvis, collars and hands are copied from the input.
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct ReconstructArgs {
+pub(super) struct ReconstructArgs {
     /// Motion file in the AMASS layout
     input: PathBuf,
     /// Output file
@@ -44,7 +44,7 @@ pub(in crate::cli) struct ReconstructArgs {
 
 /// Interpolates linearly from the latent codes of one motion to those of another over the length of the shorter one.
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct InterpolateArgs {
+pub(super) struct InterpolateArgs {
     /// Motion file of the start
     from: PathBuf,
     /// Motion file of the end
@@ -60,12 +60,12 @@ pub(in crate::cli) struct InterpolateArgs {
 /// Height of the pelvis above the floor in generated motions, m.
 const PELVIS_HEIGHT: f64 = 0.94;
 
-pub(in crate::cli) fn sample(args: SampleArgs) -> anyhow::Result<()> {
+pub(super) fn sample(args: SampleArgs) -> anyhow::Result<()> {
     let prior = read_prior(args.prior.as_deref())?;
     write(&args.out, &in_place(&prior, &[random_code(args.frames as usize, args.seed)]))
 }
 
-pub(in crate::cli) fn reconstruct(args: ReconstructArgs) -> anyhow::Result<()> {
+pub(super) fn reconstruct(args: ReconstructArgs) -> anyhow::Result<()> {
     let prior = read_prior(args.prior.as_deref())?;
     let mut take = read(&args.input)?;
     let rotations: Vec<_> = take.poses.iter().map(|pose| pose.rotations).collect();
@@ -75,7 +75,7 @@ pub(in crate::cli) fn reconstruct(args: ReconstructArgs) -> anyhow::Result<()> {
     write(&args.out, &take)
 }
 
-pub(in crate::cli) fn interpolate(args: InterpolateArgs) -> anyhow::Result<()> {
+pub(super) fn interpolate(args: InterpolateArgs) -> anyhow::Result<()> {
     let prior = read_prior(args.prior.as_deref())?;
     let observed = |path: &Path| -> anyhow::Result<_> {
         let take = read(path)?;

@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// Trains a prior on every `.npz` file below a folder. Each subfolder is a subject; every ninth subject is held out. The
 /// same data, seed and steps give the same bytes with any number of threads.
 #[derive(Debug, clap::Args)]
-pub(in crate::cli) struct Args {
+pub(super) struct Args {
     /// Folder with one subfolder of motion files per subject
     data: PathBuf,
     /// Output file
@@ -46,7 +46,7 @@ pub(in crate::cli) struct Args {
     resume: bool,
 }
 
-pub(in crate::cli) fn run(args: Args) -> anyhow::Result<()> {
+pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let data = read_dataset(&args.data).map_err(|error| BadInput(error.to_string()))?;
     let form = match (args.plain, args.per_frame) {
         (true, _) => VaeForm::Plain,
