@@ -24,7 +24,7 @@ const MM: f64 = 1000.0;
 
 /// Writes the file.
 pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
-    let take = take.turned_up(UpAxis::Y);
+    let take = take.with_up_axis(UpAxis::Y);
     let data = json!({
         "name": take.name,
         "fps": take.fps,

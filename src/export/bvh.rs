@@ -51,7 +51,7 @@ const HUMANIK_NAMES: [&str; N_JOINTS] = [
 
 /// Writes three files per person.
 pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
-    let take = take.turned_up(UpAxis::Y);
+    let take = take.with_up_axis(UpAxis::Y);
     let profiles = [
         ("", JOINT_NAMES.map(str::to_owned)),
         (".humanik", HUMANIK_NAMES.map(str::to_owned)),

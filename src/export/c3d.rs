@@ -31,7 +31,7 @@ struct FrameRange {
 
 /// Writes a file per person.
 pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
-    let take = take.turned_up(UpAxis::Z);
+    let take = take.with_up_axis(UpAxis::Z);
     for motion in &take.motions {
         files.bytes(&format!("{}.c3d", motion.person.0), "application/octet-stream", &points(&take, motion))?;
     }

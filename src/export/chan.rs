@@ -17,7 +17,7 @@ use std::io;
 
 /// Writes a file per camera.
 pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
-    let take = take.turned_up(UpAxis::Y);
+    let take = take.with_up_axis(UpAxis::Y);
     let names = file_names(take.cameras.iter().map(|camera| camera.id.as_str()));
     for (camera, name) in take.cameras.iter().zip(names) {
         let world_from_film = world_from_film(camera);

@@ -38,7 +38,7 @@ struct Document {
 
 /// Writes the file.
 pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
-    let take = take.turned_up(UpAxis::Y);
+    let take = take.with_up_axis(UpAxis::Y);
     let mut document = Document::default();
     for motion in &take.motions {
         document.add_person(&take, motion);

@@ -45,7 +45,7 @@ fn support(format: F) -> Option<CameraSupport> {
 pub(super) fn losses(format: F, take: &Take) -> Vec<String> {
     let Some(support) = support(format) else { return Vec::new() };
     let unsolved =
-        take.unplaced.iter().map(|id| format!("camera {id}: its pose was not solved, and the camera is left out"));
+        take.unsolved.iter().map(|id| format!("camera {id}: its pose was not solved, and the camera is left out"));
     let partial = take.cameras.iter().filter_map(|camera| {
         let lost = lost(&support, &camera.intrinsics);
         (!lost.is_empty()).then(|| sentence(camera, &lost))
@@ -99,7 +99,7 @@ mod tests {
             n_frames: 1,
             up_axis: UpAxis::Y,
             cameras: vec![camera],
-            unplaced: vec!["b".to_owned()],
+            unsolved: vec!["b".to_owned()],
             motions: Vec::new(),
         }
     }

@@ -1,6 +1,6 @@
 //! Reads a finished result back as a [`Take`], from which further formats can be written.
 
-use super::take::{Take, TakeCamera, carried_where_not_finite};
+use super::take::{Take, TakeCamera, carry_over_non_finite};
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
 use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
 use crate::session::json_file::{JsonFileError, read_json_file};
@@ -128,13 +128,13 @@ pub fn read_take(dir: &Path) -> Result<Take, ReadError> {
         n_frames: length as usize + 1,
         up_axis,
         cameras: Vec::new(),
-        unplaced: Vec::new(),
+        unsolved: Vec::new(),
         motions: Vec::new(),
     };
     for camera in cameras.cameras {
         match solved_camera(&camera)? {
             Some(solved) => take.cameras.push(solved),
-            None => take.unplaced.push(camera.id),
+            None => take.unsolved.push(camera.id),
         }
     }
     let mut ids = BTreeSet::new();
@@ -143,7 +143,7 @@ pub fn read_take(dir: &Path) -> Result<Take, ReadError> {
             let what = format!("person {}", person.id);
             return Err(contradiction("people.json", &what, "unique ids", "a repeated id".to_owned()));
         }
-        take.motions.extend(carried_where_not_finite(motion(&take, person, &poses)?));
+        take.motions.extend(carry_over_non_finite(motion(&take, person, &poses)?));
     }
     Ok(take)
 }

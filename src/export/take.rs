@@ -26,7 +26,7 @@ pub struct Take {
     /// Cameras with a solved pose, in the session's order.
     pub cameras: Vec<TakeCamera>,
     /// Names of the other cameras.
-    pub unplaced: Vec<String>,
+    pub unsolved: Vec<String>,
     /// Motions of all people; every number is finite.
     pub motions: Vec<BodyMotion>,
 }
@@ -60,8 +60,8 @@ impl Take {
     }
 
     /// The take in a world with `up_axis` up.
-    pub fn turned_up(&self, up_axis: UpAxis) -> Take {
-        let target_from_world = turn(up_axis, self.up_axis);
+    pub fn with_up_axis(&self, up_axis: UpAxis) -> Take {
+        let target_from_world = rotation_between(up_axis, self.up_axis);
         let mut take = Take { up_axis, ..self.clone() };
         for camera in &mut take.cameras {
             camera.camera_from_world.rotation *= target_from_world.transpose();
@@ -87,7 +87,7 @@ pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Tak
         n_frames: session.n_frames,
         up_axis: reconstruction.up_axis,
         cameras: Vec::new(),
-        unplaced: Vec::new(),
+        unsolved: Vec::new(),
         motions: Vec::new(),
     };
     for (view, solved) in session.views.iter().zip(&reconstruction.cameras) {
@@ -99,7 +99,7 @@ pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Tak
                     camera_from_world,
                 });
             }
-            None => take.unplaced.push(view.id.clone()),
+            None => take.unsolved.push(view.id.clone()),
         }
     }
     let rounded = |motion: &BodyMotion| {
@@ -110,7 +110,7 @@ pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Tak
             pose.translation = pose.translation.map(micro);
             pose.joints = pose.joints.map(|joint| joint.map(micro));
         }
-        carried_where_not_finite(motion)
+        carry_over_non_finite(motion)
     };
     take.motions = reconstruction.motions.iter().filter_map(rounded).collect();
     take
@@ -118,14 +118,14 @@ pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Tak
 
 /// Replaces every pose that is not finite by the nearest earlier (at the start: later) finite one, marked as not valid;
 /// `None` without any finite pose. Betas that are not finite become 0.
-pub(super) fn carried_where_not_finite(mut motion: BodyMotion) -> Option<BodyMotion> {
+pub(super) fn carry_over_non_finite(mut motion: BodyMotion) -> Option<BodyMotion> {
     let finite = |v: &Vector3<f64>| v.iter().all(|c| c.is_finite());
     let usable: Vec<bool> = motion
         .frames
         .iter()
         .map(|pose| {
-            let turned = pose.rotations.iter().all(|r| r.iter().all(|c| c.is_finite()));
-            turned && finite(&pose.translation) && pose.joints.iter().all(finite)
+            let has_finite_rotations = pose.rotations.iter().all(|r| r.iter().all(|c| c.is_finite()));
+            has_finite_rotations && finite(&pose.translation) && pose.joints.iter().all(finite)
         })
         .collect();
     let mut source = usable.iter().position(|usable| *usable)?;
@@ -176,7 +176,7 @@ pub(super) fn axis_name(up_axis: UpAxis) -> &'static str {
 
 /// The rotation `target_from_source` between two worlds given by their up axes: y and z by a quarter turn about x, as
 /// modelling programs do; x to y by a cyclic permutation of the axes.
-fn turn(target: UpAxis, source: UpAxis) -> Matrix3<f64> {
+fn rotation_between(target: UpAxis, source: UpAxis) -> Matrix3<f64> {
     let y_from = |axis| match axis {
         UpAxis::X => Matrix3::new(0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0),
         UpAxis::Y => Matrix3::identity(),
@@ -194,12 +194,12 @@ mod tests {
         let axes = [(UpAxis::X, Vector3::x()), (UpAxis::Y, Vector3::y()), (UpAxis::Z, Vector3::z())];
         for (source, up_in_source) in axes {
             for (target, up_in_target) in axes {
-                let turn = turn(target, source);
-                assert_eq!(turn * up_in_source, up_in_target);
-                assert_eq!(turn.determinant(), 1.0);
+                let rotation = rotation_between(target, source);
+                assert_eq!(rotation * up_in_source, up_in_target);
+                assert_eq!(rotation.determinant(), 1.0);
             }
         }
         let front = Vector3::new(1.0, 2.0, 3.0);
-        assert_eq!(turn(UpAxis::Y, UpAxis::Z) * front, Vector3::new(1.0, 3.0, -2.0));
+        assert_eq!(rotation_between(UpAxis::Y, UpAxis::Z) * front, Vector3::new(1.0, 3.0, -2.0));
     }
 }

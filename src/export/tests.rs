@@ -237,7 +237,7 @@ fn formats_written_later_have_the_same_bytes() {
     let context = ResultContext { exports: &ExportFormat::ALL, ..context() };
     write_result(at_once.path(), &session(), &context, &reconstruction()).unwrap();
     let take = read_take(at_once.path()).unwrap();
-    assert_eq!((take.motions.len(), take.unplaced.as_slice()), (1, &["a".to_owned()][..]));
+    assert_eq!((take.motions.len(), take.unsolved.as_slice()), (1, &["a".to_owned()][..]));
     let representations = write_formats(later.path(), &take, &ExportFormat::ALL).unwrap();
     let files: Vec<&String> = representations.iter().flat_map(|r| &r.files).collect();
     assert!(files.len() >= 13);

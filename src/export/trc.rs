@@ -13,7 +13,7 @@ use std::io;
 
 /// Writes a file per person.
 pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
-    let take = take.turned_up(UpAxis::Y);
+    let take = take.with_up_axis(UpAxis::Y);
     for motion in &take.motions {
         let name = format!("{}.trc", motion.person.0);
         files.bytes(&name, "text/plain", markers(&take, motion, &name).as_bytes())?;

@@ -22,7 +22,7 @@ const TENTHS: f64 = 10.0;
 
 /// Writes the file.
 pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
-    files.bytes("scene.usda", "model/vnd.usda", scene(&take.turned_up(UpAxis::Y)).as_bytes())
+    files.bytes("scene.usda", "model/vnd.usda", scene(&take.with_up_axis(UpAxis::Y)).as_bytes())
 }
 
 fn scene(take: &Take) -> String {

@@ -82,7 +82,7 @@ pub struct Adjusted {
 /// One adjusted camera.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct AdjustedCamera {
-    /// The given pose where the view is unplaced, held, or has too few observations to move.
+    /// The given pose where the view is unsolved, held, or has too few observations to move.
     pub camera_from_world: Option<Rigid>,
     /// Factor on both focal lengths; 1 unless refined.
     pub focal_factor: f64,

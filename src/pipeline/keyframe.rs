@@ -11,7 +11,7 @@ pub struct Keyframe {
     pub frame: usize,
     /// Start of every keypoint, world; a keypoint without a start (`None`) is not adjusted.
     pub points: Vec<Option<Vector3<f64>>>,
-    /// Detected keypoints. Those of unplaced views and of points without a start are ignored.
+    /// Detected keypoints. Those of unsolved views and of points without a start are ignored.
     pub observations: Vec<Observation>,
 }
 

@@ -21,7 +21,7 @@ pub struct Bone {
 pub struct AdjustmentInput<'a> {
     /// Per view.
     pub intrinsics: &'a [Intrinsics],
-    /// `camera_from_world` per view; an unplaced view (`None`) stays unplaced.
+    /// `camera_from_world` per view; an unsolved view (`None`) stays unsolved.
     pub cameras: Vec<Option<Rigid>>,
     /// In any order; the result has the same order.
     pub keyframes: Vec<Keyframe>,

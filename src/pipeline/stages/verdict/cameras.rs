@@ -25,7 +25,7 @@ const ODD_ERROR: f64 = 1.6;
 const ODD_LOSS: f64 = 0.25;
 
 pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
-    let mut reasons: Vec<Reason> = unplaced(input).chain(odd_cameras(input)).chain(disagreement(input)).collect();
+    let mut reasons: Vec<Reason> = unsolved(input).chain(odd_cameras(input)).chain(disagreement(input)).collect();
     if input.estimated {
         reasons.extend(uncertain(input));
         reasons.extend(ambiguous(input));
@@ -33,7 +33,7 @@ pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
     reasons
 }
 
-fn unplaced(input: &VerdictInput) -> impl Iterator<Item = Reason> {
+fn unsolved(input: &VerdictInput) -> impl Iterator<Item = Reason> {
     let is_rest_solved = input.n_placed() >= 2;
     input.cameras.iter().filter(|camera| !camera.solved).map(move |camera| {
         let text = format!(
