@@ -110,11 +110,6 @@ pub fn in_front(second_from_first: &Rigid, a: &Vector2<f64>, b: &Vector2<f64>) -
     pair_depths(second_from_first, a, b).is_some_and(|z| z.first > 0.0 && z.second > 0.0)
 }
 
-/// Number of pairs whose point lies in front of both views.
-pub fn cheirality_count(second_from_first: &Rigid, pairs: &[PointPair]) -> usize {
-    pairs.iter().filter(|(a, b)| in_front(second_from_first, a, b)).count()
-}
-
 /// A line of sight in the world in Plücker coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PluckerRay {

@@ -23,7 +23,7 @@ pub fn p3p(points: &[PointCorrespondence; 3]) -> Vec<Rigid> {
         let Some(depths) = triangles.polish(depths) else {
             continue;
         };
-        if let Some(pose) = pose_from_depths(points, &triangles.normalized, &depths) {
+        if let Some(pose) = pose_from_depths(points, &triangles.directions, &depths) {
             poses.push(pose);
         }
     }
@@ -33,7 +33,7 @@ pub fn p3p(points: &[PointCorrespondence; 3]) -> Vec<Rigid> {
 /// The three triangles at the camera's centre; entry k belongs to the side opposite to point k.
 struct Triangles {
     /// Unit vectors towards the points.
-    normalized: [Vector3<f64>; 3],
+    directions: [Vector3<f64>; 3],
     /// Cosines of the angles at the centre: of points (1, 2), (2, 0), (0, 1).
     cosines: Vector3<f64>,
     /// Squared lengths of the sides (1, 2), (2, 0), (0, 1).
@@ -45,11 +45,11 @@ const SMALL_DIVISOR: f64 = 1e-4;
 
 impl Triangles {
     fn new(points: &[PointCorrespondence; 3]) -> Option<Self> {
-        let normalized = points.map(|(_, n)| n.push(1.0).normalize());
+        let directions = points.map(|(_, n)| n.push(1.0).normalize());
         let side = |k: usize| ((k + 1) % 3, (k + 2) % 3);
-        let cosines = Vector3::from_fn(|k, _| normalized[side(k).0].dot(&normalized[side(k).1]));
+        let cosines = Vector3::from_fn(|k, _| directions[side(k).0].dot(&directions[side(k).1]));
         let sides2 = Vector3::from_fn(|k, _| (points[side(k).0].0 - points[side(k).1].0).norm_squared());
-        (sides2.min() > 0.0).then_some(Self { normalized, cosines, sides2 })
+        (sides2.min() > 0.0).then_some(Self { directions, cosines, sides2 })
     }
 
     /// Depths from the quartic in `v = d_2 / d_0`, with `u = d_1 / d_0`.
@@ -124,10 +124,10 @@ impl Triangles {
 /// The rigid motion from the world's triangle to the camera's, from the frames that both span.
 fn pose_from_depths(
     points: &[PointCorrespondence; 3],
-    normalized: &[Vector3<f64>; 3],
+    directions: &[Vector3<f64>; 3],
     depths: &Vector3<f64>,
 ) -> Option<Rigid> {
-    let seen = [normalized[0] * depths[0], normalized[1] * depths[1], normalized[2] * depths[2]];
+    let seen = [directions[0] * depths[0], directions[1] * depths[1], directions[2] * depths[2]];
     let known = [points[0].0, points[1].0, points[2].0];
     let rotation = triangle_frame(&seen)? * triangle_frame(&known)?.transpose();
     Some(Rigid { rotation, translation: seen[0] - rotation * known[0] })

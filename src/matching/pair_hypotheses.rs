@@ -14,13 +14,13 @@ use rand_chacha::ChaCha8Rng;
 /// Data and numbers of hypotheses.
 #[derive(Debug, Clone)]
 pub struct HypothesisConfig {
-    /// Number of longest tracklets per view that are paired.
+    /// Number of longest tracklets per view that are paired; 7 bound the cost to 49 fits per pair of views.
     pub n_tracklets: usize,
-    /// Fewest frames that two tracklets must share.
+    /// Fewest frames that two tracklets must share: 5 are a sixth of a second at 30 fps.
     pub min_overlap: usize,
-    /// Most frames used of an overlap.
+    /// Most frames used of an overlap, evenly spread.
     pub max_frames: usize,
-    /// Most point pairs of one robust fit.
+    /// Most point pairs of one robust fit, drawn at random: more cost time and do not change the best model.
     pub max_points: usize,
     /// Epipolar tolerance of the fit, rad: 6 px at a focal length of 1,060 px.
     pub tolerance: f64,

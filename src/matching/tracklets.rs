@@ -37,7 +37,7 @@ pub struct TrackletConfig {
     pub max_speed: f64,
     /// Detector noise, as a share of the apparent size: three times the 1 to 2 % seen on OpenPose and COCO detectors.
     pub noise: f64,
-    /// A tracklet without detections for longer than this ends, s.
+    /// A tracklet without detections for longer than this ends, s: a person walks 0.3 m in this time.
     pub max_gap: f64,
     /// The best match must cost less than this share of the second best; otherwise neither is accepted.
     pub uniqueness: f64,

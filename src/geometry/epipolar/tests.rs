@@ -62,7 +62,7 @@ fn only_the_true_of_four_poses_is_in_front() {
         let pairs: Vec<_> = (0..20).map(|_| random_pair(&mut rng, &pose)).collect();
         for sign in [1.0, -1.0] {
             let poses = poses_from_essential(&(essential_from_pose(&pose) * sign));
-            let counts = poses.map(|p| cheirality_count(&p, &pairs));
+            let counts = poses.map(|p| pairs.iter().filter(|(a, b)| in_front(&p, a, b)).count());
             let best = (0..4).max_by_key(|&i| counts[i]).unwrap();
             assert_eq!(counts[best], 20);
             assert!((poses[best].rotation - pose.rotation).norm() < 1e-12);
