@@ -1,13 +1,14 @@
 //! Cycle-consistent matching of the detections of one frame in all views at once, by convex relaxation.
 //!
 //! $\min_X \langle \alpha 1 - A, X \rangle + \lambda \lVert X \rVert_*$ over symmetric $0 \le X \le 1$ with $X_{ii} = 1$ and
-//! $X_{ab} = 0$ for two candidates of one group (a view): method.md 3.3, after Huang and Guibas 2013. The nuclear norm
+//! $X_{ab} = 0$ for two candidates of one group (a view): docs/method.md 3.3, after Huang and Guibas 2013. The nuclear norm
 //! favours few persons, and thereby transitivity. Solved by ADMM: singular-value thresholding and projection alternate.
 //! `X` is symmetric, so its singular values are the magnitudes of its eigenvalues.
 
 use nalgebra::DMatrix;
 
-/// Parameters of the relaxation; method.md 3.3.
+/// Parameters of the relaxation. Defaults as published with mvpose, the origin of this solver (docs/method.md 3.3); affinities
+/// have no unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MatcherConfig {
     /// Weight $\lambda$ of the nuclear norm.

@@ -20,7 +20,7 @@ pub struct HypothesisConfig {
     pub min_overlap: usize,
     /// Most frames used of an overlap, evenly spread.
     pub max_frames: usize,
-    /// Most point pairs of one robust fit, drawn at random: more cost time and do not change the best model.
+    /// Most point pairs of one robust fit, drawn at random: bounds the cost of a fit.
     pub max_points: usize,
     /// Epipolar tolerance of the fit, rad: 6 px at a focal length of 1,060 px.
     pub tolerance: f64,

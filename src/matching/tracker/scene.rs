@@ -9,8 +9,8 @@ use nalgebra::Matrix3;
 /// Gates of the tracker. Lengths are metres on a body: the depth says what a pixel is worth.
 #[derive(Debug, Clone)]
 pub struct TrackerConfig {
-    /// A detection belongs to a prediction when their median joint distance is below this, m: six times the 0.03 m that
-    /// detectors and predictions err.
+    /// A detection belongs to a prediction when their median joint distance is below this, m: three standard deviations
+    /// of 0.06 m.
     pub gate: f64,
     /// The gate widens by this for every second without a detection, m/s: people turn and stop.
     pub gate_growth: f64,
