@@ -117,7 +117,7 @@ def clean(text, *paths):
 
 def mass_assignment(callers, a, session, faults):
     """E2."""
-    for field in ("tenant", "state", "fence", "attempt", "id", "deaths"):
+    for field in ("tenant", "state", "fence", "attempt", "id", "crashes"):
         status = callers.ask(a, "POST", "/v1/jobs", {"session": session, field: "x"})[0]
         faults.require(status == 400, f"E2: a job with `{field}`: {status}")
         status = callers.ask(a, "POST", "/v1/jobs", {"session": session, "options": {field: "x"}})[0]
