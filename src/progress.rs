@@ -51,14 +51,14 @@ pub struct Progress {
     stage: Stage,
     /// The step's slice of the whole work, as fractions.
     start: f64,
-    width: f64,
+    end: f64,
 }
 
 impl Progress {
     /// Reports to `listener`; `canceled` may be set from any thread.
     pub fn new(listener: impl Fn(&ProgressEvent) + Send + Sync + 'static, canceled: Arc<AtomicBool>) -> Self {
         let work = Work { canceled, listener: Box::new(listener), furthest: Mutex::new(0.0) };
-        Self { work: Arc::new(work), stage: Stage { name: "", index: 0, count: 1 }, start: 0.0, width: 1.0 }
+        Self { work: Arc::new(work), stage: Stage { name: "", index: 0, count: 1 }, start: 0.0, end: 1.0 }
     }
 
     /// Reports nothing and is never canceled.
@@ -81,11 +81,16 @@ impl Progress {
     /// Reports that `fraction` (0 to 1) of this step is done.
     pub fn report(&self, fraction: f64, message: impl Into<String>) {
         let Stage { name: stage, index: stage_index, count: stage_count } = self.stage;
-        let fraction = (self.start + self.width * fraction.clamp(0.0, 1.0)).min(1.0);
+        let fraction = self.at(fraction);
         let mut furthest = self.work.furthest.lock().unwrap_or_else(PoisonError::into_inner);
         *furthest = furthest.max(fraction);
         let message = message.into();
         (self.work.listener)(&ProgressEvent { stage, stage_index, stage_count, fraction: *furthest, message });
+    }
+
+    /// The share of the whole work at `fraction` of this step; exact at its end.
+    fn at(&self, fraction: f64) -> f64 {
+        if fraction >= 1.0 { self.end } else { self.start + (self.end - self.start) * fraction.max(0.0) }
     }
 
     /// Call between units of work of at most some 100 ms.
@@ -134,10 +139,11 @@ impl Steps {
 
     fn slice(&self, index: usize) -> Progress {
         let total: f64 = self.weights.iter().sum();
-        let share = |steps: &[f64]| if total > 0.0 { steps.iter().sum::<f64>() / total } else { 0.0 };
-        let (before, own) = self.weights.split_at(index.min(self.weights.len()));
-        let start = self.whole.start + self.whole.width * share(before);
-        Progress { start, width: self.whole.width * share(&own[..own.len().min(1)]), ..self.whole.clone() }
+        let n = self.weights.len();
+        let at = |n_done: usize| {
+            self.whole.at(self.weights[..n_done.min(n)].iter().sum::<f64>() / total.max(f64::MIN_POSITIVE))
+        };
+        Progress { start: at(index), end: at(index + 1), ..self.whole.clone() }
     }
 }
 
@@ -152,7 +158,7 @@ mod tests {
         let progress = Progress::new(move |event| heard.lock().unwrap().push(event.clone()), Arc::default());
         let mut stages = progress.stages(vec![("cameras", 3.0), ("body_fit", 1.0)]);
         let cameras = stages.begin("cameras");
-        let mut steps = cameras.steps([1.0, 2.0]);
+        let mut steps = cameras.steps([1.0, 1.0]);
         let first = steps.begin("a");
         steps.begin("b").report(0.5, "c");
         first.report(1.0, "late");
@@ -162,9 +168,9 @@ mod tests {
         let expected = [
             (0, 0.0, ""),
             (0, 0.0, "a"),
-            (0, 0.25, "b"),
-            (0, 0.5, "c"),
-            (0, 0.5, "late"),
+            (0, 0.375, "b"),
+            (0, 0.5625, "c"),
+            (0, 0.5625, "late"),
             (1, 0.75, ""),
             (1, 1.0, "d"),
         ];

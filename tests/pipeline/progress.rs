@@ -17,7 +17,7 @@ fn events_of(session: &Session, options: &Options) -> Vec<ProgressEvent> {
 
 #[test]
 fn progress_never_falls_and_ends_at_one_for_all_options() {
-    let config = SimulationConfig { people: 2, views: 3, frames: 40, ..SimulationConfig::preset(Preset::Easy) };
+    let config = SimulationConfig { people: 2, views: 4, frames: 60, ..SimulationConfig::preset(Preset::Easy) };
     let simulated = simulate(&config).unwrap();
     let mut posed = simulated.session.clone();
     for (view, truth) in posed.views.iter_mut().zip(&simulated.truth.cameras) {
