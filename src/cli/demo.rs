@@ -1,12 +1,12 @@
 //! `wandless demo`: runs the commands `simulate`, `serve`, `submit` and `evaluate` in order.
 
+use super::arguments::arguments_of;
 use super::client::Client;
 use super::serve::StopSignals;
 use super::submit::{download, submit};
 use super::{evaluate, simulate};
 use crate::pipeline::Options;
 use crate::service::{self, Settings};
-use clap::Parser;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
 use tokio::runtime::Runtime;
@@ -63,21 +63,13 @@ fn submit_and_evaluate(server: &str, session: &Path, result: &Path) -> anyhow::R
     evaluate_result(result, &session.join("gt"))
 }
 
-/// Parser of the arguments of one command.
-#[derive(Parser)]
-struct Arguments<T: clap::Args> {
-    #[command(flatten)]
-    args: T,
-}
-
 fn simulate_session(out: &Path, seed: u64) -> anyhow::Result<()> {
     let seed = seed.to_string();
     let words = ["simulate", "--people", "3", "--views", "5", "--seed", &seed, "--out"].map(std::ffi::OsStr::new);
-    let arguments = Arguments::try_parse_from(words.into_iter().chain([out.as_os_str()]))?;
-    simulate::run(arguments.args)
+    simulate::run(arguments_of(words.into_iter().chain([out.as_os_str()]))?)
 }
 
 fn evaluate_result(result: &Path, truth: &Path) -> anyhow::Result<()> {
     let words = ["evaluate".as_ref(), result.as_os_str(), "--truth".as_ref(), truth.as_os_str()];
-    evaluate::run(Arguments::try_parse_from(words)?.args)
+    evaluate::run(arguments_of(words)?)
 }

@@ -88,13 +88,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::Parser;
-
-    #[derive(Parser)]
-    struct Cli {
-        #[command(flatten)]
-        args: Args,
-    }
+    use crate::cli::arguments::arguments_of;
 
     #[test]
     fn truth_compared_with_itself_has_no_error() {
@@ -108,7 +102,7 @@ mod tests {
         let (gt, out) = (folder.path().join("gt"), folder.path().join("errors.json"));
         let line =
             ["evaluate", &gt.to_string_lossy(), "--truth", &gt.to_string_lossy(), "--out", &out.to_string_lossy()];
-        run(Cli::try_parse_from(line).unwrap().args).unwrap();
+        run(arguments_of(line).unwrap()).unwrap();
         let errors: serde_json::Value = serde_json::from_slice(&std::fs::read(out).unwrap()).unwrap();
         assert!(errors["cameras"]["rigid"]["position_mm"].as_f64().unwrap() < 1e-6);
         assert!(errors["mpjpe"]["raw14"].as_f64().unwrap() < 1e-6);
@@ -120,7 +114,7 @@ mod tests {
     #[test]
     fn names_missing_truth_folder() {
         let line = ["evaluate", "no/result", "--truth", "no/truth"];
-        let error = run(Cli::try_parse_from(line).unwrap().args).unwrap_err();
+        let error = run(arguments_of(line).unwrap()).unwrap_err();
         assert!(error.to_string().contains("no/truth"), "{error}");
     }
 }

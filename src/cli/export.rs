@@ -49,19 +49,13 @@ fn format_named(name: &str) -> Result<ExportFormat, serde_json::Error> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::Parser;
-
-    #[derive(Parser)]
-    struct Line {
-        #[command(flatten)]
-        args: Args,
-    }
+    use crate::cli::arguments::arguments_of;
 
     #[test]
     fn format_names_match_the_export_option() {
-        let line = Line::try_parse_from(["export", "result", "--to", "glb,opencv_yaml", "--out", "out"]).unwrap();
-        assert_eq!(line.args.to, [ExportFormat::Glb, ExportFormat::OpencvYaml]);
-        let error = Line::try_parse_from(["export", "result", "--to", "fbx", "--out", "out"]).err().unwrap();
+        let args: Args = arguments_of(["export", "result", "--to", "glb,opencv_yaml", "--out", "out"]).unwrap();
+        assert_eq!(args.to, [ExportFormat::Glb, ExportFormat::OpencvYaml]);
+        let error = arguments_of::<Args>(["export", "result", "--to", "fbx", "--out", "out"]).err().unwrap();
         assert!(error.to_string().contains("expected one of `smpl_npz`"), "{error}");
     }
 

@@ -1,5 +1,7 @@
 //! The command line: one file per command.
 
+#[cfg(any(test, feature = "service"))]
+mod arguments;
 mod bad_input;
 mod bench;
 mod body;

@@ -191,17 +191,11 @@ fn parse_convention(name: &str) -> Result<KeypointConvention, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cli::arguments::arguments_of;
     use crate::session::upload::{UploadLimits, read_path};
-    use clap::Parser;
-
-    #[derive(Parser)]
-    struct Cli {
-        #[command(flatten)]
-        args: Args,
-    }
 
     fn args(line: &str) -> Args {
-        Cli::try_parse_from(format!("simulate {line}").split_whitespace()).unwrap().args
+        arguments_of(format!("simulate {line}").split_whitespace().map(str::to_owned)).unwrap()
     }
 
     #[test]
@@ -212,7 +206,7 @@ mod tests {
         assert_eq!((given.tracks, given.convention), (Tracks::PerView, KeypointConvention::Halpe26));
         assert_eq!(config(&args("--out x --preset random --seed 4 --procedural")), random_rig_config(4));
         assert_eq!(config(&args("--out x")).motion, MotionSource::Prior);
-        assert!(Cli::try_parse_from(["simulate", "--out", "x", "--convention", "tail"]).is_err());
+        assert!(arguments_of::<Args>(["simulate", "--out", "x", "--convention", "tail"]).is_err());
     }
 
     #[test]
