@@ -3,6 +3,7 @@
 //! The handlers and the types that they read and write derive the document (`utoipa`). [`Description::of`] adds what holds
 //! for groups of operations: ids in paths, access control, problem documents and links.
 
+use super::error;
 use axum::Extension;
 use axum::http::header;
 use axum::response::{Html, IntoResponse};
@@ -10,6 +11,7 @@ use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::sync::Arc;
+use utoipa::PartialSchema;
 
 /// The description of the API.
 pub(super) struct Description {
@@ -52,6 +54,8 @@ impl Description {
             "key": { "type": "http", "scheme": "bearer", "description": "An API key; required once a key was created" },
             "browser": { "type": "http", "scheme": "basic", "description": "The same key as the password" },
         });
+        let problem = serde_json::to_value(error::Document::schema()).expect("a schema serialises");
+        document["components"]["schemas"]["Problem"] = problem; // no handler names it: `complete` adds the error answers
         let paths = document["paths"].take();
         let mut paths: BTreeMap<String, Map<String, Value>> = serde_json::from_value(paths).expect("paths are objects");
         paths = paths.into_iter().map(|(path, methods)| (path.replace("{*", "{"), methods)).collect();

@@ -129,6 +129,9 @@ mod tests {
         ids.dedup();
         assert_eq!((ids.len(), n_operations), (25, 25));
         assert!(!references.is_empty());
+        for flattened in ["sha256", "id"] {
+            assert!(document["components"]["schemas"]["Session"]["properties"].get(flattened).is_some(), "{flattened}");
+        }
         for reference in references {
             assert!(document.pointer(reference.trim_start_matches('#')).is_some(), "{reference}");
         }
