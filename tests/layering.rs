@@ -52,6 +52,8 @@ const TABLE: &[(&str, &[&str])] = &[
         ],
     ),
     ("main", &["cli"]),
+    // Re-exports what most programs need.
+    ("prelude", &["pipeline", "export", "session", "body", "geometry", "progress"]),
     // The crate's root declares every folder and imports none.
     ("lib", &[]),
 ];
@@ -108,7 +110,8 @@ fn no_stage_imports_another_stage() {
 fn no_files_import_each_other_in_a_ring() {
     let tree = Tree::read();
     let rings = rings(&tree.edges());
-    let named = |ring: &Vec<usize>| ring.iter().map(|file| tree.sources[*file].path.as_str()).collect::<Vec<_>>().join(", ");
+    let named =
+        |ring: &Vec<usize>| ring.iter().map(|file| tree.sources[*file].path.as_str()).collect::<Vec<_>>().join(", ");
     assert!(rings.is_empty(), "{} rings\n{}", rings.len(), rings.iter().map(named).collect::<Vec<_>>().join("\n"));
 }
 
@@ -117,7 +120,11 @@ fn only_service_and_command_line_use_http_and_sql() {
     let mut faults = Vec::new();
     for source in Tree::read().sources.iter().filter(|source| !["service", "cli"].contains(&source.folder())) {
         for name in SERVICE_CRATES {
-            if source.code.split(|c: char| !c.is_alphanumeric() && c != '_' && c != ':').any(|w| w.starts_with(&format!("{name}::"))) {
+            if source
+                .code
+                .split(|c: char| !c.is_alphanumeric() && c != '_' && c != ':')
+                .any(|w| w.starts_with(&format!("{name}::")))
+            {
                 faults.push(format!("`src/{}` uses `{name}`; only `service` and `cli` may", source.path));
             }
         }
@@ -143,7 +150,10 @@ fn reads_every_form_of_import() {
         Source::new(path, text).imports().iter().map(|import| import.path.join("::")).collect::<Vec<_>>()
     };
     let text = "use crate::{body::skeleton, session::{Session, view::View as V}};\nlet x = crate::geometry::exp(w);";
-    assert_eq!(paths("optim/a.rs", text), ["body::skeleton", "session::Session", "session::view::View", "geometry::exp"]);
+    assert_eq!(
+        paths("optim/a.rs", text),
+        ["body::skeleton", "session::Session", "session::view::View", "geometry::exp"]
+    );
     assert_eq!(paths("pipeline/a/b.rs", "use super::super::config;"), ["pipeline::config"]);
     assert_eq!(paths("pipeline/a.rs", "use super::{config, c::x};"), ["pipeline::config", "pipeline::c::x"]);
     assert_eq!(paths("optim/mod.rs", "mod arrow;\npub use arrow::Arrow;"), ["optim::arrow::Arrow"]);
@@ -174,7 +184,8 @@ fn rings(edges: &[BTreeSet<usize>]) -> Vec<Vec<usize>> {
     };
     let reached: Vec<BTreeSet<usize>> = (0..edges.len()).map(reach).collect();
     let ring_of = |i: usize| (0..edges.len()).filter(|j| reached[i].contains(j) && reached[*j].contains(&i)).collect();
-    let all: BTreeSet<Vec<usize>> = (0..edges.len()).map(ring_of).filter(|ring: &Vec<usize>| !ring.is_empty()).collect();
+    let all: BTreeSet<Vec<usize>> =
+        (0..edges.len()).map(ring_of).filter(|ring: &Vec<usize>| !ring.is_empty()).collect();
     all.into_iter().collect()
 }
 

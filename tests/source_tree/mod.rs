@@ -69,8 +69,11 @@ impl Source {
 
     /// Names of the modules that the file declares.
     fn children(&self) -> BTreeSet<&str> {
-        self.code.split(';').filter_map(|s| s.split_whitespace().rev().take(2).collect::<Vec<_>>().try_into().ok())
-            .filter_map(|[name, keyword]: [&str; 2]| (keyword == "mod").then_some(name)).collect()
+        self.code
+            .split(';')
+            .filter_map(|s| s.split_whitespace().rev().take(2).collect::<Vec<_>>().try_into().ok())
+            .filter_map(|[name, keyword]: [&str; 2]| (keyword == "mod").then_some(name))
+            .collect()
     }
 
     /// A written path as a path from the crate's root; `None` for paths into other crates.
@@ -137,8 +140,12 @@ impl Tree {
     /// By file, the other files that it imports from.
     pub fn edges(&self) -> Vec<BTreeSet<usize>> {
         let targets = |(i, imports): (usize, &Vec<Import>)| {
-            imports.iter().filter(|import| import.reexported_as.is_none())
-                .filter_map(|import| self.file_of(&import.path)).filter(|j| *j != i).collect()
+            imports
+                .iter()
+                .filter(|import| import.reexported_as.is_none())
+                .filter_map(|import| self.file_of(&import.path))
+                .filter(|j| *j != i)
+                .collect()
         };
         self.imports.iter().enumerate().map(targets).collect()
     }
@@ -172,7 +179,13 @@ fn code_of(text: &str) -> String {
             lines.next(); // a test module in a file of its own, or an item for tests
             continue;
         }
-        code += line.split("//").next().unwrap_or_default();
+        let line = line.split("//").next().unwrap_or_default();
+        // The path in `pub(in crate::a)` limits a name's visibility and imports nothing.
+        let (before, after) = line
+            .split_once("pub(in ")
+            .map_or((line, ""), |(before, rest)| (before, rest.split_once(')').map_or("", |(_, after)| after)));
+        code += before;
+        code += after;
         code.push('\n');
     }
     code
