@@ -55,8 +55,8 @@ selftest: build-failpoints
     python3 checks/service/selftest.py
 
 # One reader of foreign bytes under seeded damage
-fuzz target seconds="600": build
-    {{program}} bench fuzz --target {{target}} --seconds {{seconds}}
+fuzz target seconds="600":
+    FUZZ_TARGET={{target}} FUZZ_SECONDS={{seconds}} cargo test --release --test fuzz -- --ignored --nocapture
 
 # Every export opened by an independent reader
 exports work: build

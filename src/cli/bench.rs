@@ -1,8 +1,7 @@
-//! `wandless bench`: accuracy on simulated and real sessions, speed, and fuzzing of all file readers.
+//! `wandless bench`: accuracy on simulated and real sessions, and speed.
 
 mod ablation;
 mod bodies;
-mod fuzz;
 mod markers;
 mod rigs;
 mod solved_cameras;
@@ -43,8 +42,6 @@ enum Bench {
     Markers(markers::MarkersArgs),
     /// Seconds per stage on one session, and throughput in frames x views x people per second and core
     Speed(speed::SpeedArgs),
-    /// Run one file reader on damaged input; reports panics, hangs, excessive memory and accepted invalid values
-    Fuzz(fuzz::Args),
 }
 
 /// Runs the command.
@@ -58,6 +55,5 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
         Bench::Ablation(args) => ablation::run(&args),
         Bench::Markers(args) => markers::run(&args),
         Bench::Speed(args) => speed::run(&args),
-        Bench::Fuzz(args) => fuzz::run(&args),
     }
 }

@@ -1,7 +1,6 @@
 //! Fuzz inputs: the bytes of one file or the files of an upload, and the seed inputs in the repository.
 
-use crate::cli::bad_input::BadInput;
-use crate::session::digest::sha256_of_reader;
+use wandless::session::digest::sha256_of_reader;
 use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
 use zip::write::SimpleFileOptions;
@@ -77,18 +76,13 @@ impl Input {
     }
 }
 
-/// Reads all seeds of a folder in the order of their names.
-///
-/// # Errors
-/// [`BadInput`] if the folder cannot be read or holds no seeds.
-pub(super) fn read_seeds(folder: &Path) -> anyhow::Result<Vec<Input>> {
-    let bad = |reason: String| BadInput(format!("{}: {reason}", folder.display()));
-    let entries = std::fs::read_dir(folder).map_err(|error| bad(error.to_string()))?;
+/// Reads all seeds of a folder in the order of their names. At least one is expected.
+pub(super) fn read_seeds(folder: &Path) -> Vec<Input> {
+    let entries = std::fs::read_dir(folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
     let mut paths: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
     paths.sort();
-    let seeds = paths.iter().map(|path| Ok(Input::parse(std::fs::read(path)?)));
-    let seeds = seeds.collect::<anyhow::Result<Vec<Input>>>()?;
-    if seeds.is_empty() { Err(bad("the folder contains no seeds".to_owned()).into()) } else { Ok(seeds) }
+    assert!(!paths.is_empty(), "{}: the folder contains no seeds", folder.display());
+    paths.iter().map(|path| Input::parse(std::fs::read(path).unwrap())).collect()
 }
 
 #[cfg(test)]

@@ -1,50 +1,43 @@
-//! `wandless bench fuzz`: runs a file reader on inputs that are made from valid ones by seeded random damage.
+//! Fuzzing: every reader of foreign bytes on inputs that are made from valid ones by seeded random damage.
+//!
+//! `cargo test --release --test fuzz` runs every seed of `checks/fuzz` and 300 damaged cases per reader. The long form runs one
+//! reader: `FUZZ_TARGET=poses FUZZ_SECONDS=600 FUZZ_SEED=1 cargo test --release --test fuzz -- --ignored --nocapture`.
 //!
 //! A case with a new outcome becomes a seed itself, so that damage accumulates on inputs that get far. The same seed, corpus
 //! and number of cases give the same cases. A panic, an accepted invalid value, a slow case or excessive memory is a
-//! failure: the case is saved and reported, and the command fails.
+//! failure: the case is saved in `fuzz-failures` and reported. After the fix it becomes a seed.
 //!
 //! Why not cargo-fuzz: it needs a nightly compiler, and damage to words and numbers reaches the readers of text formats. The
 //! error codes of rejected inputs replace most of the feedback that instrumentation would give.
+
+#![allow(clippy::unwrap_used)] // a test may
 
 mod corpus;
 mod damage;
 mod targets;
 mod watch;
 
-use crate::cli::bad_input::BadInput;
 use corpus::{Input, read_seeds};
 use damage::damaged;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Duration, Instant};
 use targets::{TARGETS, Target};
 use watch::Watch;
 
-/// Arguments of `bench fuzz`.
-#[derive(Debug, clap::Args)]
-pub(super) struct Args {
-    /// Reader to fuzz; `list` prints all readers
-    #[arg(long)]
-    target: String,
-    /// Duration, seconds
-    #[arg(long, default_value_t = 60)]
-    seconds: u64,
-    /// Maximum number of cases; 0 means unlimited
-    #[arg(long, default_value_t = 0)]
+/// One run of a reader.
+struct Run<'a> {
+    target: &'a Target,
+    duration: Duration,
+    /// Maximum number of cases; 0 means unlimited.
     cases: u64,
-    /// Seed of the damage
-    #[arg(long, default_value_t = 0)]
+    /// Seed of the damage.
     seed: u64,
-    /// Folder with one subfolder of seed inputs per kind of input
-    #[arg(long, default_value = "checks/fuzz")]
-    corpus: PathBuf,
-    /// Folder for the inputs of failed cases
-    #[arg(long, default_value = "fuzz-failures")]
-    failures: PathBuf,
+    /// Folder for the inputs of failed cases.
+    failures: &'a Path,
 }
 
 /// Time limit of a case. A case that exceeds it is repeated and timed in processor time, because the machine may be busy.
@@ -73,21 +66,14 @@ struct Totals {
     largest_kib: u64,
 }
 
-/// Runs the command.
-pub(super) fn run(args: &Args) -> anyhow::Result<()> {
-    if args.target == "list" {
-        TARGETS.iter().for_each(|target| println!("{:<16} {}", target.name, target.description));
-        return Ok(());
-    }
-    let target = TARGETS.iter().find(|target| target.name == args.target);
-    let target = target.ok_or_else(|| {
-        BadInput(format!("--target {}: no such reader; `--target list` prints all readers", args.target))
-    })?;
-    let mut seeds: Vec<Input> = read_seeds(&args.corpus.join(target.seeds))?.into_iter().map(target.prepare).collect();
-    println!("target {}, {} seeds, seed {}", target.name, seeds.len(), args.seed);
-    let totals = fuzz(target, &mut seeds, args);
+/// Runs one reader, prints the totals and panics if a case failed.
+fn run(run: &Run) {
+    let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("checks/fuzz");
+    let mut seeds: Vec<Input> = read_seeds(&corpus.join(run.target.seeds)).into_iter().map(run.target.prepare).collect();
+    let totals = fuzz(run, &mut seeds);
     println!(
-        "{} cases, {} accepted, {} kinds of outcome, {} failed, longest case {:.0} ms, memory +{} MiB",
+        "{}: {} cases, {} accepted, {} kinds of outcome, {} failed, longest case {:.0} ms, memory +{} MiB",
+        run.target.name,
         totals.n_cases,
         totals.n_accepted,
         totals.outcomes.len(),
@@ -95,20 +81,20 @@ pub(super) fn run(args: &Args) -> anyhow::Result<()> {
         totals.longest.as_secs_f64() * 1e3,
         totals.largest_kib >> 10,
     );
-    anyhow::ensure!(totals.n_failed == 0, "{} failed cases were saved in {}", totals.n_failed, args.failures.display());
-    Ok(())
+    assert_eq!(totals.n_failed, 0, "failed cases were saved in {}", run.failures.display());
 }
 
-fn fuzz(target: &Target, seeds: &mut Vec<Input>, args: &Args) -> Totals {
-    let mut rng = ChaCha8Rng::seed_from_u64(args.seed);
+fn fuzz(run: &Run, seeds: &mut Vec<Input>) -> Totals {
+    let (target, failures) = (run.target, run.failures);
+    let mut rng = ChaCha8Rng::seed_from_u64(run.seed);
     let mut totals = Totals::default();
-    let watch = Watch::start(&args.failures);
+    let watch = Watch::start(failures);
     let n_valid = seeds.len();
     for seed in seeds.clone() {
-        try_case(target, seed, seeds, &watch, &mut totals, &args.failures);
+        try_case(target, seed, seeds, &watch, &mut totals, failures);
     }
-    let end = Instant::now() + Duration::from_secs(args.seconds);
-    while Instant::now() < end && (args.cases == 0 || totals.n_cases < args.cases) {
+    let end = Instant::now() + run.duration;
+    while Instant::now() < end && (run.cases == 0 || totals.n_cases < run.cases) {
         let memory = watch::reset_peak();
         let mut batch = Vec::with_capacity(BATCH);
         for _ in 0..BATCH {
@@ -117,12 +103,12 @@ fn fuzz(target: &Target, seeds: &mut Vec<Input>, args: &Args) -> Totals {
             let seed = pool.choose(&mut rng).expect("a folder without seeds is rejected").clone();
             let case = damaged(seed, seeds, MAX_BYTES, &mut rng);
             batch.push(case.clone());
-            try_case(target, case, seeds, &watch, &mut totals, &args.failures);
+            try_case(target, case, seeds, &watch, &mut totals, failures);
         }
         let growth = watch::growth_kib(memory);
         totals.largest_kib = totals.largest_kib.max(growth);
         if growth > MAX_GROWTH_KIB {
-            find_memory_failure(target, batch, &mut totals, &args.failures);
+            find_memory_failure(target, batch, &mut totals, failures);
         }
     }
     totals
@@ -175,36 +161,37 @@ fn save_failure(case: &Input, fault: &str, totals: &mut Totals, failures: &Path)
     }
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Every seed of the corpus in the repository, and 300 damaged cases per reader.
-    #[test]
-    fn corpus_has_no_failures() {
-        for target in TARGETS {
-            let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("checks/fuzz");
-            let failures = tempfile::tempdir().unwrap();
-            let args = Args {
-                target: target.name.to_owned(),
-                seconds: 600,
-                cases: 300,
-                seed: 1,
-                corpus,
-                failures: failures.path().to_owned(),
-            };
-            run(&args).unwrap();
-        }
+/// Every seed of the corpus in the repository, and 300 damaged cases per reader.
+#[test]
+fn corpus_has_no_failures() {
+    let failures = tempfile::tempdir().unwrap();
+    for target in TARGETS {
+        run(&Run { target, duration: Duration::from_secs(600), cases: 300, seed: 1, failures: failures.path() });
     }
+}
 
-    #[test]
-    fn reports_panics() {
-        let failures = tempfile::tempdir().unwrap();
-        let target = Target { read: |_| panic!("deliberate"), ..TARGETS[0] };
-        let mut totals = Totals::default();
-        let watch = Watch::start(failures.path());
-        try_case(&target, Input::file(b"x".to_vec()), &mut Vec::new(), &watch, &mut totals, failures.path());
-        assert_eq!((totals.n_failed, totals.n_cases), (1, 1));
-        assert_eq!(std::fs::read_dir(failures.path()).unwrap().count(), 1);
-    }
+/// The long form, on the reader that `FUZZ_TARGET` names.
+#[test]
+#[ignore = "runs for FUZZ_SECONDS; see the head of this file"]
+fn one_reader_has_no_failures() {
+    let setting = |name: &str, default: &str| std::env::var(name).unwrap_or_else(|_| default.to_owned());
+    let name = setting("FUZZ_TARGET", "");
+    let names: Vec<&str> = TARGETS.iter().map(|target| target.name).collect();
+    let target = TARGETS.iter().find(|target| target.name == name);
+    let target = target.unwrap_or_else(|| panic!("FUZZ_TARGET={name:?}: no such reader; one of {names:?}"));
+    let number = |name: &str, default: &str| setting(name, default).parse().unwrap();
+    let duration = Duration::from_secs(number("FUZZ_SECONDS", "60"));
+    let failures = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz-failures");
+    run(&Run { target, duration, cases: 0, seed: number("FUZZ_SEED", "0"), failures: &failures });
+}
+
+#[test]
+fn reports_panics() {
+    let failures = tempfile::tempdir().unwrap();
+    let target = Target { read: |_| panic!("deliberate"), ..TARGETS[0] };
+    let mut totals = Totals::default();
+    let watch = Watch::start(failures.path());
+    try_case(&target, Input::file(b"x".to_vec()), &mut Vec::new(), &watch, &mut totals, failures.path());
+    assert_eq!((totals.n_failed, totals.n_cases), (1, 1));
+    assert_eq!(std::fs::read_dir(failures.path()).unwrap().count(), 1);
 }

@@ -1,9 +1,9 @@
 //! The readers that can be fuzzed. A new reader needs a line in [`TARGETS`] and a folder of seeds.
 
 use super::corpus::Input;
-use crate::body::loader::{BodyFileError, LandmarkTable, body_from_bytes};
-use crate::session::Session;
-use crate::session::upload::{LoadedSession, UploadError, UploadLimits, read_upload};
+use wandless::body::loader::{BodyFileError, LandmarkTable, body_from_bytes};
+use wandless::session::Session;
+use wandless::session::upload::{LoadedSession, UploadError, UploadLimits, read_upload};
 use std::io::Cursor;
 
 /// One reader.
@@ -195,7 +195,7 @@ fn landmarks(case: &Input) -> Result<Outcome, String> {
 
 #[cfg(feature = "service")]
 fn multipart(case: &Input) -> Result<Outcome, String> {
-    let read = |piece| crate::service::http::read_form("multipart/form-data; boundary=AaB", case.bytes(), piece);
+    let read = |piece| wandless::service::http::read_form("multipart/form-data; boundary=AaB", case.bytes(), piece);
     let (whole, pieces) = (read(usize::MAX), read(7));
     if whole != pieces {
         return Err(format!("the form depends on how its bytes arrive: {whole:?}, {pieces:?}"));
