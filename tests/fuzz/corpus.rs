@@ -1,16 +1,16 @@
 //! Fuzz inputs: the bytes of one file or the files of an upload, and the seed inputs in the repository.
 
-use wandless::session::digest::sha256_of_reader;
 use std::io::{Cursor, Write};
 use std::path::{Path, PathBuf};
+use wandless::session::digest::sha256_of_reader;
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
 /// Input of a reader.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub(super) struct Input {
+pub(crate) struct Input {
     /// Name and bytes of each file; the name of a single file is empty.
-    pub(super) members: Vec<(String, Vec<u8>)>,
+    pub(crate) members: Vec<(String, Vec<u8>)>,
 }
 
 /// Start of the line that introduces a member in a text seed.
@@ -18,12 +18,12 @@ const MEMBER: &str = "=== ";
 
 impl Input {
     /// Input of one file.
-    pub(super) fn file(bytes: Vec<u8>) -> Self {
+    pub(crate) fn file(bytes: Vec<u8>) -> Self {
         Self { members: vec![(String::new(), bytes)] }
     }
 
     /// Parses a seed: a text whose members follow lines `=== name`, or otherwise one file.
-    pub(super) fn parse(bytes: Vec<u8>) -> Self {
+    pub(crate) fn parse(bytes: Vec<u8>) -> Self {
         let Some(text) = std::str::from_utf8(&bytes).ok().filter(|text| text.starts_with(MEMBER)) else {
             return Self::file(bytes);
         };
@@ -37,12 +37,12 @@ impl Input {
     }
 
     /// Bytes of the first file.
-    pub(super) fn bytes(&self) -> &[u8] {
+    pub(crate) fn bytes(&self) -> &[u8] {
         self.members.first().map_or(&[], |(_, bytes)| bytes)
     }
 
     /// All members as a zip. Members that a writer rejects (repeated names) are left out.
-    pub(super) fn zipped(&self) -> Vec<u8> {
+    pub(crate) fn zipped(&self) -> Vec<u8> {
         let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
         for (i, (name, content)) in self.members.iter().enumerate() {
             let method = if i % 2 == 0 { CompressionMethod::Stored } else { CompressionMethod::Deflated };
@@ -58,7 +58,7 @@ impl Input {
     ///
     /// # Errors
     /// Errors of the file system.
-    pub(super) fn write(&self, folder: &Path) -> std::io::Result<PathBuf> {
+    pub(crate) fn write(&self, folder: &Path) -> std::io::Result<PathBuf> {
         let mut text = Vec::new();
         for (name, bytes) in &self.members {
             if !name.is_empty() {
@@ -77,7 +77,7 @@ impl Input {
 }
 
 /// Reads all seeds of a folder in the order of their names. At least one is expected.
-pub(super) fn read_seeds(folder: &Path) -> Vec<Input> {
+pub(crate) fn read_seeds(folder: &Path) -> Vec<Input> {
     let entries = std::fs::read_dir(folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
     let mut paths: Vec<PathBuf> = entries.flatten().map(|entry| entry.path()).collect();
     paths.sort();

@@ -69,7 +69,7 @@ const HEADER_WORDS: [u32; 8] = [0, 1, 0x7f, 0xff, 0xffff, 0x7fff_ffff, 0x8000_00
 const MAX_DAMAGES: u32 = 6;
 
 /// Damages the input one to [`MAX_DAMAGES`] times. Parts may come from `others`.
-pub(super) fn damaged(mut input: Input, others: &[Input], max_bytes: usize, rng: &mut ChaCha8Rng) -> Input {
+pub(crate) fn damaged(mut input: Input, others: &[Input], max_bytes: usize, rng: &mut ChaCha8Rng) -> Input {
     let n_damages = if rng.random() { 1 } else { rng.random_range(1..=MAX_DAMAGES) };
     for _ in 0..n_damages {
         if input.members.len() > 1 && rng.random_range(0..12) == 0 {

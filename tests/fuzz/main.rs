@@ -69,7 +69,8 @@ struct Totals {
 /// Runs one reader, prints the totals and panics if a case failed.
 fn run(run: &Run) {
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("checks/fuzz");
-    let mut seeds: Vec<Input> = read_seeds(&corpus.join(run.target.seeds)).into_iter().map(run.target.prepare).collect();
+    let mut seeds: Vec<Input> =
+        read_seeds(&corpus.join(run.target.seeds)).into_iter().map(run.target.prepare).collect();
     let totals = fuzz(run, &mut seeds);
     println!(
         "{}: {} cases, {} accepted, {} kinds of outcome, {} failed, longest case {:.0} ms, memory +{} MiB",

@@ -1,36 +1,36 @@
 //! The readers that can be fuzzed. A new reader needs a line in [`TARGETS`] and a folder of seeds.
 
 use super::corpus::Input;
+use std::io::Cursor;
 use wandless::body::loader::{BodyFileError, LandmarkTable, body_from_bytes};
 use wandless::session::Session;
 use wandless::session::upload::{LoadedSession, UploadError, UploadLimits, read_upload};
-use std::io::Cursor;
 
 /// One reader.
 #[derive(Clone, Copy)]
-pub(super) struct Target {
+pub(crate) struct Target {
     /// Name on the command line.
-    pub(super) name: &'static str,
+    pub(crate) name: &'static str,
     /// Description in the list of targets.
-    pub(super) description: &'static str,
+    pub(crate) description: &'static str,
     /// Folder of its seeds in the corpus.
-    pub(super) seeds: &'static str,
+    pub(crate) seeds: &'static str,
     /// Converts a seed to the input that is damaged.
-    pub(super) prepare: fn(Input) -> Input,
+    pub(crate) prepare: fn(Input) -> Input,
     /// Reads a case. An error is a defect; a rejected input is not.
-    pub(super) read: fn(&Input) -> Result<Outcome, String>,
+    pub(crate) read: fn(&Input) -> Result<Outcome, String>,
 }
 
 /// Outcome of one case.
 #[derive(Debug)]
-pub(super) struct Outcome {
-    pub(super) is_accepted: bool,
+pub(crate) struct Outcome {
+    pub(crate) is_accepted: bool,
     /// Distinguishes outcomes: error code and location of a rejected input, or the format of an accepted one.
-    pub(super) label: String,
+    pub(crate) label: String,
 }
 
 /// All readers of untrusted input.
-pub(super) const TARGETS: &[Target] = &[
+pub(crate) const TARGETS: &[Target] = &[
     Target { name: "zip", description: "zip files, damaged bytewise", seeds: "poses", prepare: zipped, read: upload },
     Target {
         name: "session_zip",

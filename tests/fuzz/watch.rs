@@ -11,13 +11,13 @@ use std::time::{Duration, Instant};
 const HANG: Duration = Duration::from_secs(30);
 
 /// Watches the current case from another thread.
-pub(super) struct Watch {
+pub(crate) struct Watch {
     current: Arc<Mutex<Option<(Instant, Input)>>>,
 }
 
 impl Watch {
     /// Starts the watching thread. A case that hangs is saved in `failures` and ends the process.
-    pub(super) fn start(failures: &Path) -> Self {
+    pub(crate) fn start(failures: &Path) -> Self {
         let current: Arc<Mutex<Option<(Instant, Input)>>> = Arc::default();
         let (watched, failures) = (current.clone(), failures.to_owned());
         std::thread::spawn(move || {
@@ -37,7 +37,7 @@ impl Watch {
     }
 
     /// Runs a case and returns its outcome, or a description of the defect.
-    pub(super) fn run(&self, case: &Input, read: impl FnOnce() -> Result<Outcome, String>) -> Result<Outcome, String> {
+    pub(crate) fn run(&self, case: &Input, read: impl FnOnce() -> Result<Outcome, String>) -> Result<Outcome, String> {
         self.set(Some((Instant::now(), case.clone())));
         let outcome = catch_unwind(AssertUnwindSafe(read));
         self.set(None);
@@ -54,19 +54,19 @@ impl Watch {
 }
 
 /// Processor time of this thread; `None` if the system does not report it.
-pub(super) fn processor_time() -> Option<Duration> {
+pub(crate) fn processor_time() -> Option<Duration> {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
     Some(Duration::from_nanos(text.split_whitespace().next()?.parse().ok()?))
 }
 
 /// Resets the peak memory of this process and returns its current memory, KiB; `None` if the system does not report it.
-pub(super) fn reset_peak() -> Option<u64> {
+pub(crate) fn reset_peak() -> Option<u64> {
     std::fs::write("/proc/self/clear_refs", "5").ok()?;
     status_kib("VmRSS:")
 }
 
 /// Growth of the peak memory above `before`, KiB.
-pub(super) fn growth_kib(before: Option<u64>) -> u64 {
+pub(crate) fn growth_kib(before: Option<u64>) -> u64 {
     before.zip(status_kib("VmHWM:")).map_or(0, |(before, peak)| peak.saturating_sub(before))
 }
 

@@ -1,6 +1,6 @@
 //! Reads the Rust files below `src/` and the imports between them.
 
-#![allow(dead_code)] // each test binary uses its own part
+#![allow(dead_code, unreachable_pub)] // each test binary uses its own part, and exports nothing
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -110,8 +110,7 @@ impl Tree {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
         let paths = files_below(&root, "rs");
         assert!(paths.len() > 10, "no sources found below {}", root.display());
-        let is_test =
-            |path: &Path| path.iter().any(|part| part.to_string_lossy().starts_with("tests"));
+        let is_test = |path: &Path| path.iter().any(|part| part.to_string_lossy().starts_with("tests"));
         let read = |path: &PathBuf| {
             let parts: Vec<_> = path.strip_prefix(&root).unwrap().iter().map(|part| part.to_string_lossy()).collect();
             Source::new(&parts.join("/"), &fs::read_to_string(path).unwrap())
