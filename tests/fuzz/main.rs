@@ -73,8 +73,9 @@ fn run(run: &Run) {
         read_seeds(&corpus.join(run.target.seeds)).into_iter().map(run.target.prepare).collect();
     let totals = fuzz(run, &mut seeds);
     println!(
-        "{}: {} cases, {} accepted, {} kinds of outcome, {} failed, longest case {:.0} ms, memory +{} MiB",
+        "{} ({}): {} cases, {} accepted, {} kinds of outcome, {} failed, longest case {:.0} ms, memory +{} MiB",
         run.target.name,
+        run.target.description,
         totals.n_cases,
         totals.n_accepted,
         totals.outcomes.len(),

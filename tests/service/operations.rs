@@ -29,7 +29,7 @@ fn metrics_count_jobs_requests_and_refusals() {
         "wandless_jobs_running_without_live_worker 0",
         "wandless_claims_ended_total{state=\"succeeded\"} 1",
         "wandless_refused_total{code=\"not_found\"} 1",
-        "wandless_child_deaths_total 0",
+        "wandless_child_crashes_total 0",
     ] {
         assert!(page.lines().any(|l| l == line), "{line}\n{page}");
     }

@@ -43,7 +43,7 @@ fn two_people_passing_one_camera_keep_their_identities() {
 
 /// A view loses a person for half a second, in which the person runs towards the other camera, along its rays.
 #[test]
-fn a_person_moving_along_the_rays_of_one_view_is_reacquired() {
+fn a_person_moving_along_the_rays_of_a_view_is_reacquired() {
     let aside = Matrix3::new(0.0, 0.0, 1.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0);
     let cameras = [Some(Rigid::identity()), Some(Rigid { rotation: aside, translation: Vector3::new(-5.0, 0.0, 5.0) })];
     let x = |frame: usize| -1.0 + 3.0 / 30.0 * (frame as f64 - 15.0).clamp(0.0, 15.0);

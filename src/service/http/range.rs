@@ -12,8 +12,8 @@ pub(super) struct Part {
     pub(super) is_partial: bool,
 }
 
-/// Reads the requested range of a file of `bytes` bytes. Returns the whole file if there is no range, several ranges or a
-/// malformed range, or if `If-Range` does not match `tag`.
+/// Reads the requested range of a file of `bytes` bytes. Returns the whole file without a range, for several ranges or a
+/// malformed range, and if `If-Range` does not match `tag`.
 ///
 /// # Errors
 /// 416 for a range after the end of the file.

@@ -74,7 +74,7 @@ impl JobState {
         }
     }
 
-    /// Why there is no result, for failed and dead jobs.
+    /// Why the result is missing, for failed and dead jobs.
     pub fn error(&self) -> Option<&JobError> {
         match self {
             Self::Failed { error, .. } | Self::Dead { error, .. } => Some(error),

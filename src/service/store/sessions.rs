@@ -20,7 +20,7 @@ pub struct SessionSummary {
     pub cameras: usize,
     /// Number of frames on the common time line.
     pub frames: usize,
-    /// Largest number of detections in one frame of one view.
+    /// Largest number of detections in one frame of a view.
     pub people_max: usize,
     /// Keypoint convention, in its canonical spelling.
     pub keypoint_convention: String,

@@ -175,7 +175,7 @@ async fn record(
                 return phase.name();
             }
             Ok(Finished::Lost) => {
-                tracing::info!(job.id = %claim.job, fence = claim.fence, "the claim is no longer valid; its result is discarded");
+                tracing::info!(job.id = %claim.job, fence = claim.fence, "the claim has expired; its result is discarded");
                 store.folders.remove_claim(&claim.job, claim.fence);
                 return "lost";
             }

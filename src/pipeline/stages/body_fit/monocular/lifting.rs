@@ -7,7 +7,7 @@
 //! configurations of a chain of known lengths; the paths through them are ours.
 //!
 //! Known limits: all people are assumed as large as an average adult, so that a child appears too far away; a person who lies
-//! or stands on the hands is taken for one who leans; a limb that is not detected for long is guessed.
+//! or stands on the hands is treated as a leaning person; a limb that is not detected for long is guessed.
 
 use super::super::observations::{Observations, PointObservation};
 use super::limb_configurations::{BodyLimb, JointCosts, LimbConfiguration, body_limbs};

@@ -64,8 +64,8 @@ impl BodyLimb {
         let [_, middle, end] = self.landmarks.map(|l| normalized[l]);
         let (Some(middle), Some(end)) = (middle, end) else { return Vec::new() };
         let mut found = Vec::with_capacity(4);
-        for middle in on_ray(&middle, root, self.lengths[0]) {
-            for end in on_ray(&end, &middle, self.lengths[1]) {
+        for middle in points_at_distance(&middle, root, self.lengths[0]) {
+            for end in points_at_distance(&end, &middle, self.lengths[1]) {
                 let trunk_from_camera = camera_from_trunk.transpose();
                 let upper = trunk_from_camera * (middle - root);
                 let lower = trunk_from_camera * (end - middle);
@@ -82,7 +82,7 @@ impl BodyLimb {
 
 /// The points on a ray at distance `length` from `center`, the nearer to the camera first; the nearest point of the ray
 /// where the whole ray is further away.
-fn on_ray(normalized: &Vector2<f64>, center: &Vector3<f64>, length: f64) -> Vec<Vector3<f64>> {
+fn points_at_distance(normalized: &Vector2<f64>, center: &Vector3<f64>, length: f64) -> Vec<Vector3<f64>> {
     let ray = Vector3::new(normalized.x, normalized.y, 1.0);
     let (square, middle) = (ray.norm_squared(), ray.dot(center));
     let discriminant = middle * middle - square * (center.norm_squared() - length * length);
@@ -101,7 +101,7 @@ mod tests {
     fn points_on_a_ray_lie_at_the_bone_length() {
         let center = Vector3::new(0.2, -0.1, 4.0);
         let normalized = Vector2::new(0.09, 0.01);
-        let found = on_ray(&normalized, &center, 0.4);
+        let found = points_at_distance(&normalized, &center, 0.4);
         assert_eq!(found.len(), 2);
         for point in &found {
             assert!(
@@ -109,6 +109,10 @@ mod tests {
             );
         }
         assert!(found[0].z < center.z && center.z < found[1].z);
-        assert_eq!(on_ray(&normalized, &center, 0.05).len(), 1, "a bone that looks too long lies across the view");
+        assert_eq!(
+            points_at_distance(&normalized, &center, 0.05).len(),
+            1,
+            "a bone that looks too long lies across the view"
+        );
     }
 }

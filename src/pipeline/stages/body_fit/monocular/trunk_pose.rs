@@ -140,8 +140,8 @@ impl Trunk {
             let moved_place = place + step.fixed_rows::<3>(3);
             let (moved_cost, moved_system) = self.system(image, &moved_turn, &moved_place);
             if moved_cost < cost {
-                (turn, place, cost, system, damping) =
-                    (moved_turn, moved_place, moved_cost, moved_system, damping * 0.1);
+                (turn, place, system, cost, damping) =
+                    (moved_turn, moved_place, moved_system, moved_cost, damping * 0.1);
             } else {
                 damping = damping * 30.0 + 1e-3;
             }
