@@ -150,6 +150,6 @@ mod tests {
         let reference = Reference { arm: "full", columns: &["error mm"] };
         let mut table = Table::new(&COLUMNS, Some(reference));
         table.add("free", "full", statistics(&COLUMNS, [Some(1.25), None]));
-        assert_eq!(table.markdown().lines().nth(2), Some("| free | whole | 1.2 | - |"));
+        assert_eq!(table.markdown().lines().nth(2), Some("| free | full | 1.2 | - |"));
     }
 }

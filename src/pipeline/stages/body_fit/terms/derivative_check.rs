@@ -100,8 +100,8 @@ impl Fixture {
     /// The problem over all unknowns on `model`, with all terms or the one at index `only`.
     fn problem<'a>(&'a self, model: &'a BodyModel, data: DataSource, only: Option<usize>) -> MotionProblem<'a> {
         let objective = self.objective(model, data, Shape::Free);
-        let (bias, speeds) = (Some(&self.table), Some(&self.state));
-        let mut problem = Objective { bias, speeds, shape_prior: 3.0, ..objective }.problem();
+        // Typical accelerations: those scaled by speed would follow the model's bones, but are constants of the problem.
+        let mut problem = Objective { bias: Some(&self.table), shape_prior: 3.0, ..objective }.problem();
         keep(&mut problem, only);
         problem
     }
