@@ -76,13 +76,16 @@ def resume(args, faults):
 
 
 def wait_for_stage(service, client, job, stage):
-    """Waits until the checkpoint of the previous stage exists, or the job has ended; the reported stage can be a second old."""
-    before = (["synchronisation"] + STAGES)[STAGES.index(stage)]
-    begun = time.monotonic()
-    while before not in finished(service, job) and time.monotonic() < begun + 120:
-        time.sleep(0.002)
-        if not os.path.isdir(os.path.join(service.data, "checkpoints", job)) and client.job(job)["state"] in wandless.FINAL:
+    """Waits until the previous stage has its checkpoint (before the first: until the job runs), or the job has ended. The
+    reported stage would be up to a second old."""
+    folder, n = os.path.join(service.data, "checkpoints", job), STAGES.index(stage)
+    begin = time.monotonic()
+    while time.monotonic() < begin + 120:
+        if STAGES[n - 1] in finished(service, job) if n else os.path.isdir(folder):
             return
+        if not os.path.isdir(folder) and client.job(job)["state"] in wandless.FINAL:
+            return
+        time.sleep(0.002)
 
 
 def finished(service, job):
