@@ -199,16 +199,8 @@ mod tests {
         let bone = |name: &str| JOINT_NAMES[table.kinds.iter().find(|kind| kind.name == name).unwrap().joint];
         let found = ["hip", "knee", "ankle", "shoulder", "elbow", "wrist", "neck", "mid_hip", "nose", "heel"].map(bone);
         let expected = [
-            "pelvis",
-            "left_hip",
-            "left_knee",
-            "left_collar",
-            "left_shoulder",
-            "left_elbow",
-            "spine3",
-            "pelvis",
-            "head",
-            "left_ankle",
+            "pelvis", "left_hip", "left_knee", "left_collar", "left_shoulder", "left_elbow", "spine3", "pelvis",
+            "head", "left_ankle",
         ];
         assert_eq!(found, expected);
         assert!(OffsetTable::new(&model, KeypointConvention::Smpl24).kinds.is_empty());

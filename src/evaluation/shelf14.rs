@@ -8,20 +8,8 @@ pub const N_SHELF: usize = 14;
 
 /// Names of the joints, in order.
 pub const SHELF_NAMES: [&str; N_SHELF] = [
-    "R_ankle",
-    "R_knee",
-    "R_hip",
-    "L_hip",
-    "L_knee",
-    "L_ankle",
-    "R_wrist",
-    "R_elbow",
-    "R_shoulder",
-    "L_shoulder",
-    "L_elbow",
-    "L_wrist",
-    "bottom_head",
-    "top_head",
+    "R_ankle", "R_knee", "R_hip", "L_hip", "L_knee", "L_ankle", "R_wrist", "R_elbow", "R_shoulder", "L_shoulder",
+    "L_elbow", "L_wrist", "bottom_head", "top_head",
 ];
 
 /// Number of limb joints, which come first.

@@ -12,16 +12,8 @@ pub(crate) type Fields = BTreeMap<String, Array>;
 
 /// The fields that are read; all others are skipped. The weights come first: they distinguish the models of the family.
 pub(super) const FIELDS: [&str; 10] = [
-    "weights",
-    "v_template",
-    "shapedirs",
-    "posedirs",
-    "J_regressor",
-    "kintree_table",
-    "f",
-    "landmark_names",
-    "landmark_vertices",
-    "landmark_weights",
+    "weights", "v_template", "shapedirs", "posedirs", "J_regressor", "kintree_table", "f", "landmark_names",
+    "landmark_vertices", "landmark_weights",
 ];
 
 /// Most elements of one field.

@@ -44,9 +44,9 @@ pub(crate) fn assemble(
         let time_offset = checked_time_offset(camera.time_offset.unwrap_or(0.0)).map_err(in_camera)?;
         views.push(View { id: camera.id.clone(), intrinsics, camera_from_world, time_offset, frames, delivered });
     }
-    if views.iter().all(|view| view.delivered.is_empty()) {
-        return Err(in_header(Fault::NoFrames.with("no camera has a frame")));
-    }
+    Fault::NoFrames
+        .when(views.iter().all(|view| view.delivered.is_empty()), || "no camera has a frame")
+        .map_err(in_header)?;
     for view in views.iter().filter(|view| view.delivered.is_empty()) {
         warnings.add(format!("camera {} has no frames", shown(&view.id)));
     }
@@ -116,21 +116,13 @@ fn checked_up_axis(name: &str) -> Result<UpAxis, UploadError> {
 
 /// Ids are compared byte by byte; neither case nor Unicode normal form is folded.
 fn check_ids(cameras: &[RawCamera], limits: &UploadLimits) -> Result<(), UploadError> {
-    if cameras.is_empty() {
-        return Err(Fault::NoCameras.with("`cameras` is empty"));
-    }
-    if cameras.len() > limits.max_cameras {
-        return Err(Fault::TooManyCameras.with(format!(
-            "the session has {} cameras, at most {} are read",
-            cameras.len(),
-            limits.max_cameras
-        )));
-    }
+    Fault::NoCameras.when(cameras.is_empty(), || "`cameras` is empty")?;
+    Fault::TooManyCameras.when(cameras.len() > limits.max_cameras, || {
+        format!("the session has {} cameras, at most {} are read", cameras.len(), limits.max_cameras)
+    })?;
     for (i, camera) in cameras.iter().enumerate() {
         let at = |error| UploadError { pointer: Some(format!("/cameras/{i}/id")), ..error };
-        if camera.id.is_empty() {
-            return Err(at(Fault::CameraIdInvalid.with("the camera's id is empty")));
-        }
+        Fault::CameraIdInvalid.when(camera.id.is_empty(), || "the camera's id is empty").map_err(at)?;
         if camera.id.len() > MAX_ID_BYTES {
             return Err(at(Fault::CameraIdInvalid
                 .with(format!("the camera's id has {} bytes, at most {MAX_ID_BYTES} are read", camera.id.len()))));
@@ -151,9 +143,7 @@ fn checked_n_frames(raw: &RawSession, limits: &UploadLimits, warnings: &mut Warn
         warnings.add(format!("`n_frames` is missing; {n} frames were found"));
         n.unsigned_abs()
     });
-    if n_frames == 0 {
-        return Err(Fault::NoFrames.with("n_frames is 0, expected at least 1"));
-    }
+    Fault::NoFrames.when(n_frames == 0, || "n_frames is 0, expected at least 1")?;
     let n = usize::try_from(n_frames).unwrap_or(usize::MAX);
     if n > limits.max_frames || n.saturating_mul(raw.cameras.len()) > limits.max_view_frames {
         let detail = format!(

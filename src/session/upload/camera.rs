@@ -61,9 +61,7 @@ pub(super) fn checked_extrinsics(raw: &RawCamera, warnings: &mut Warnings) -> Re
     let rotation = checked_rotation(&matrix)?;
     let translation = vector3(t).ok_or_else(|| invalid(format!("t has {} entries, expected 3", t.0.len())))?;
     let norm = translation.norm();
-    if !norm.is_finite() {
-        return Err(Fault::NumberNotFinite.with(format!("t is {:?}", t.0)));
-    }
+    Fault::NumberNotFinite.when(!norm.is_finite(), || format!("t is {:?}", t.0))?;
     if norm > FAR {
         warnings.add(format!(
             "camera {} has t of length {norm:.0} m, expected metres: is it in millimetres?",
@@ -83,9 +81,7 @@ fn check_matrix(k: &Matrix3<f64>) -> Result<(), UploadError> {
         let [a, b, c] = [k[(2, 0)], k[(2, 1)], k[(2, 2)]];
         return Err(invalid(format!("the bottom row of K is [{a}, {b}, {c}], expected [0, 0, 1]{hint}")));
     }
-    if k[(1, 0)] != 0.0 {
-        return Err(invalid(format!("K[1][0] is {}, expected 0", k[(1, 0)])));
-    }
+    Fault::CameraInvalid.when(k[(1, 0)] != 0.0, || format!("K[1][0] is {}, expected 0", k[(1, 0)]))?;
     if !k[(0, 1)].is_finite() || k[(0, 1)].abs() > 0.5 * k[(0, 0)].abs() {
         return Err(invalid(format!("the skew K[0][1] is {} px, expected about 0", k[(0, 1)])));
     }
@@ -178,9 +174,7 @@ fn checked_rotation(matrix: &Matrix3<f64>) -> Result<Matrix3<f64>, UploadError> 
             "R is not orthonormal: R^T R differs from the identity by {deviation:.2e}, expected at most {ROTATION_TOLERANCE:e}"
         )));
     }
-    if matrix.determinant() < 0.0 {
-        return Err(invalid("R is a reflection: its determinant is -1"));
-    }
+    Fault::CameraInvalid.when(matrix.determinant() < 0.0, || "R is a reflection: its determinant is -1")?;
     if deviation <= EXACT_ROTATION {
         return Ok(*matrix);
     }

@@ -26,13 +26,10 @@ pub(crate) fn checked_keypoint(
     if !(x.is_finite() && y.is_finite() && confidence.is_finite()) {
         return Err(Fault::NumberNotFinite.with(format!("a keypoint is [{x}, {y}, {confidence}]")));
     }
-    if x.abs() > MAX_COORDINATE_PX || y.abs() > MAX_COORDINATE_PX {
-        let detail = format!("a keypoint lies at ({x:e}, {y:e}) px, expected at most {MAX_COORDINATE_PX:e} px");
-        return Err(Fault::KeypointInvalid.with(detail));
-    }
-    if confidence < 0.0 {
-        return Err(Fault::KeypointInvalid.with(format!("a confidence is {confidence}, expected 0 to 1")));
-    }
+    Fault::KeypointInvalid.when(x.abs() > MAX_COORDINATE_PX || y.abs() > MAX_COORDINATE_PX, || {
+        format!("a keypoint lies at ({x:e}, {y:e}) px, expected at most {MAX_COORDINATE_PX:e} px")
+    })?;
+    Fault::KeypointInvalid.when(confidence < 0.0, || format!("a confidence is {confidence}, expected 0 to 1"))?;
     if confidence > 1.0 {
         warnings.clamped_confidence(confidence);
     }
@@ -62,16 +59,14 @@ pub(crate) fn add_frame(
 ) -> Result<(), UploadError> {
     reading.spend(FRAME_AS_KEYPOINTS)?;
     let max_people = reading.limits.max_people_per_frame;
-    if people.len() > max_people {
-        let detail = format!("the frame has {} people, at most {max_people} are read", people.len());
-        return Err(Fault::TooManyPeople.with(detail));
-    }
+    Fault::TooManyPeople.when(people.len() > max_people, || {
+        format!("the frame has {} people, at most {max_people} are read", people.len())
+    })?;
     if poses.order.len() == reading.limits.max_frames {
         return Err(Fault::TooManyFrames.with(format!("a camera has more than {} frames", poses.order.len())));
     }
-    if poses.detections.insert(frame, people).is_some() {
-        return Err(Fault::FrameDuplicate.with(format!("frame {frame} occurs twice")));
-    }
+    Fault::FrameDuplicate
+        .when(poses.detections.insert(frame, people).is_some(), || format!("frame {frame} occurs twice"))?;
     poses.order.push(frame);
     Ok(())
 }

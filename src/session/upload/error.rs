@@ -69,114 +69,83 @@ fn one_line(text: String) -> String {
     text.chars().flat_map(|c| if c.is_control() { c.escape_debug().collect() } else { vec![c] }).collect()
 }
 
-/// Every reason for which an upload is refused; `row` holds the meaning of each.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[allow(missing_docs)] // documented by the table in `row`
-pub enum Fault {
-    FileUnreadable,
-    FormatUnknown,
-    Encoding,
-    ZipInvalid,
-    ZipNameUnsafe,
-    ZipSymlink,
-    ZipDuplicateMember,
-    ZipOverlap,
-    ZipCorrupt,
-    ZipEncrypted,
-    ZipMethod,
-    ZipRatio,
-    TooLarge,
-    TooManyMembers,
-    TooManyCameras,
-    TooManyFrames,
-    TooManyPeople,
-    TooManyKeypoints,
-    TokenTooLong,
-    JsonTooDeep,
-    JsonInvalid,
-    JsonType,
-    TrailingData,
-    DuplicateKey,
-    MissingField,
-    NumberNotFinite,
-    SessionAmbiguous,
-    PosesMissing,
-    NoCameras,
-    NoFrames,
-    FpsInvalid,
-    TimeInvalid,
-    ConventionUnknown,
-    CameraIdInvalid,
-    CameraDuplicate,
-    CameraUnknown,
-    CameraInvalid,
-    DistortionUnsupported,
-    FrameInvalid,
-    FrameOutOfRange,
-    FrameDuplicate,
-    KeypointCount,
-    KeypointInvalid,
-    CalibrationInvalid,
-    TableInvalid,
-    SkeletonUnknown,
-    ImageSizeUnknown,
+/// Defines [`Fault`] from one row per fault: name, code, kind, remedy.
+macro_rules! faults {
+    ($($fault:ident, $code:literal, $kind:ident, $remedy:literal;)*) => {
+        /// Every reason for which an upload is refused.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        #[allow(missing_docs)] // documented by its code and its remedy
+        pub enum Fault {
+            $($fault,)*
+        }
+
+        impl Fault {
+            /// Every fault, for the service's description and for tests.
+            pub const ALL: &[Self] = &[$(Self::$fault,)*];
+
+            /// Code, kind and remedy.
+            fn row(self) -> (&'static str, UploadErrorKind, &'static str) {
+                match self {
+                    $(Self::$fault => ($code, UploadErrorKind::$kind, $remedy),)*
+                }
+            }
+        }
+    };
 }
 
-use Fault as F;
-use UploadErrorKind::{Impossible, Malformed, TooLarge, Unsupported};
+faults! {
+    FileUnreadable, "file_unreadable", Malformed, "check the path and its permissions";
+    FormatUnknown, "format_unknown", Unsupported, "send a session folder, a zip of it, or a JSON or NDJSON document";
+    Encoding, "encoding", Malformed, "save the file as UTF-8 without a byte order mark";
+    ZipInvalid, "zip_invalid", Malformed, "the archive is truncated or damaged: create it again and resend it";
+    ZipNameUnsafe, "zip_name_unsafe", Malformed, "archive the session folder with plain relative names";
+    ZipSymlink, "zip_symlink", Malformed, "archive the files themselves instead of links";
+    ZipDuplicateMember, "zip_duplicate_member", Malformed, "archive every file only once";
+    ZipOverlap, "zip_overlap", Malformed, "create the archive again; its members must not share bytes";
+    ZipCorrupt, "zip_corrupt", Malformed, "the member does not decompress to its stated content: resend the archive";
+    ZipEncrypted, "zip_encrypted", Unsupported, "create the archive without a password";
+    ZipMethod, "zip_method", Unsupported, "compress with deflate, or store without compression";
+    ZipRatio, "zip_ratio", TooLarge, "pose files do not compress that well: archive the actual session";
+    TooLarge, "too_large", TooLarge, "send fewer frames or fewer cameras";
+    TooManyMembers, "too_many_members", TooLarge, "archive only poses and calibration, without images";
+    TooManyCameras, "too_many_cameras", TooLarge, "remove some of the cameras";
+    TooManyFrames, "too_many_frames", TooLarge, "split the recording into shorter sessions";
+    TooManyPeople, "too_many_people", TooLarge, "keep only the most confident people of the frame";
+    TooManyKeypoints, "too_many_keypoints", TooLarge, "split the recording into shorter sessions";
+    TokenTooLong, "token_too_long", TooLarge, "remove content other than poses";
+    JsonTooDeep, "json_too_deep", Malformed, "follow the session layout, which has 8 levels of nesting";
+    JsonInvalid, "json_invalid", Malformed, "write the file with a JSON library";
+    JsonType, "json_type", Malformed, "follow the session layout";
+    TrailingData, "trailing_data", Malformed, "remove everything after the document";
+    DuplicateKey, "duplicate_key", Malformed, "write every key only once";
+    MissingField, "missing_field", Malformed, "add the missing field";
+    NumberNotFinite, "number_not_finite", Malformed, "write a missing keypoint as [0, 0, 0]";
+    SessionAmbiguous, "session_ambiguous", Malformed, "send one session per upload, with one file of poses per camera";
+    PosesMissing, "poses_missing", Malformed, "add poses/<camera id>.json, or `poses` inline";
+    NoCameras, "no_cameras", Impossible, "list at least one camera";
+    NoFrames, "no_frames", Impossible, "send at least one frame with a frame number";
+    FpsInvalid, "fps_invalid", Impossible, "give frames per second between 0.1 and 2000";
+    TimeInvalid, "time_invalid", Impossible, "correct the value or remove it";
+    ConventionUnknown, "convention_unknown", Impossible, "use one of the supported conventions";
+    CameraIdInvalid, "camera_id_invalid", Impossible, "give every camera a short, non-empty id";
+    CameraDuplicate, "camera_duplicate", Impossible, "give every camera a unique id";
+    CameraUnknown, "camera_unknown", Impossible, "list the camera in `cameras` of the session";
+    CameraInvalid, "camera_invalid", Impossible, "correct the camera's calibration";
+    DistortionUnsupported, "distortion_unsupported", Impossible,
+        "undistort the keypoints, or calibrate with OpenCV's 5, rational 8 or fisheye 4 coefficients";
+    FrameInvalid, "frame_invalid", Impossible, "number frames with integers below 2^53";
+    FrameOutOfRange, "frame_out_of_range", Impossible, "correct `first_frame` or `n_frames`";
+    FrameDuplicate, "frame_duplicate", Impossible, "write every frame of a camera only once";
+    KeypointCount, "keypoint_count", Impossible, "correct `keypoint_convention` or the detector's output";
+    KeypointInvalid, "keypoint_invalid", Impossible, "write keypoints as [x px, y px, confidence 0 to 1]";
+    CalibrationInvalid, "calibration_invalid", Malformed, "export the file again with the tool that wrote it";
+    TableInvalid, "table_invalid", Malformed, "export the table again with the tool that wrote it";
+    SkeletonUnknown, "skeleton_unknown", Impossible,
+        "name the joints: `keypoint_convention` or `keypoint_names` in session.json";
+    ImageSizeUnknown, "image_size_unknown", Impossible, "give `width` and `height` of the camera in session.json";
+}
 
 impl Fault {
-    /// Every fault, for the service's description and for tests.
-    pub const ALL: [Self; 47] = [
-        F::FileUnreadable,
-        F::FormatUnknown,
-        F::Encoding,
-        F::ZipInvalid,
-        F::ZipNameUnsafe,
-        F::ZipSymlink,
-        F::ZipDuplicateMember,
-        F::ZipOverlap,
-        F::ZipCorrupt,
-        F::ZipEncrypted,
-        F::ZipMethod,
-        F::ZipRatio,
-        F::TooLarge,
-        F::TooManyMembers,
-        F::TooManyCameras,
-        F::TooManyFrames,
-        F::TooManyPeople,
-        F::TooManyKeypoints,
-        F::TokenTooLong,
-        F::JsonTooDeep,
-        F::JsonInvalid,
-        F::JsonType,
-        F::TrailingData,
-        F::DuplicateKey,
-        F::MissingField,
-        F::NumberNotFinite,
-        F::SessionAmbiguous,
-        F::PosesMissing,
-        F::NoCameras,
-        F::NoFrames,
-        F::FpsInvalid,
-        F::TimeInvalid,
-        F::ConventionUnknown,
-        F::CameraIdInvalid,
-        F::CameraDuplicate,
-        F::CameraUnknown,
-        F::CameraInvalid,
-        F::DistortionUnsupported,
-        F::FrameInvalid,
-        F::FrameOutOfRange,
-        F::FrameDuplicate,
-        F::KeypointCount,
-        F::KeypointInvalid,
-        F::CalibrationInvalid,
-        F::TableInvalid,
-        F::SkeletonUnknown,
-        F::ImageSizeUnknown,
-    ];
-
     /// The machine-readable reason.
     pub fn code(self) -> &'static str {
         self.row().0
@@ -203,81 +172,13 @@ impl Fault {
         }
     }
 
-    /// Code, kind and remedy of every fault.
-    fn row(self) -> (&'static str, UploadErrorKind, &'static str) {
-        match self {
-            F::FileUnreadable => ("file_unreadable", Malformed, "check the path and its permissions"),
-            F::FormatUnknown => {
-                ("format_unknown", Unsupported, "send a session folder, a zip of it, or a JSON or NDJSON document")
-            }
-            F::Encoding => ("encoding", Malformed, "save the file as UTF-8 without a byte order mark"),
-            F::ZipInvalid => {
-                ("zip_invalid", Malformed, "the archive is truncated or damaged: create it again and resend it")
-            }
-            F::ZipNameUnsafe => ("zip_name_unsafe", Malformed, "archive the session folder with plain relative names"),
-            F::ZipSymlink => ("zip_symlink", Malformed, "archive the files themselves instead of links"),
-            F::ZipDuplicateMember => ("zip_duplicate_member", Malformed, "archive every file only once"),
-            F::ZipOverlap => ("zip_overlap", Malformed, "create the archive again; its members must not share bytes"),
-            F::ZipCorrupt => {
-                ("zip_corrupt", Malformed, "the member does not decompress to its stated content: resend the archive")
-            }
-            F::ZipEncrypted => ("zip_encrypted", Unsupported, "create the archive without a password"),
-            F::ZipMethod => ("zip_method", Unsupported, "compress with deflate, or store without compression"),
-            F::ZipRatio => ("zip_ratio", TooLarge, "pose files do not compress that well: archive the actual session"),
-            F::TooLarge => ("too_large", TooLarge, "send fewer frames or fewer cameras"),
-            F::TooManyMembers => ("too_many_members", TooLarge, "archive only poses and calibration, without images"),
-            F::TooManyCameras => ("too_many_cameras", TooLarge, "remove some of the cameras"),
-            F::TooManyFrames => ("too_many_frames", TooLarge, "split the recording into shorter sessions"),
-            F::TooManyPeople => ("too_many_people", TooLarge, "keep only the most confident people of the frame"),
-            F::TooManyKeypoints => ("too_many_keypoints", TooLarge, "split the recording into shorter sessions"),
-            F::TokenTooLong => ("token_too_long", TooLarge, "remove content other than poses"),
-            F::JsonTooDeep => ("json_too_deep", Malformed, "follow the session layout, which has 8 levels of nesting"),
-            F::JsonInvalid => ("json_invalid", Malformed, "write the file with a JSON library"),
-            F::JsonType => ("json_type", Malformed, "follow the session layout"),
-            F::TrailingData => ("trailing_data", Malformed, "remove everything after the document"),
-            F::DuplicateKey => ("duplicate_key", Malformed, "write every key only once"),
-            F::MissingField => ("missing_field", Malformed, "add the missing field"),
-            F::NumberNotFinite => ("number_not_finite", Malformed, "write a missing keypoint as [0, 0, 0]"),
-            F::SessionAmbiguous => {
-                ("session_ambiguous", Malformed, "send one session per upload, with one file of poses per camera")
-            }
-            F::PosesMissing => ("poses_missing", Malformed, "add poses/<camera id>.json, or `poses` inline"),
-            F::NoCameras => ("no_cameras", Impossible, "list at least one camera"),
-            F::NoFrames => ("no_frames", Impossible, "send at least one frame with a frame number"),
-            F::FpsInvalid => ("fps_invalid", Impossible, "give frames per second between 0.1 and 2000"),
-            F::TimeInvalid => ("time_invalid", Impossible, "correct the value or remove it"),
-            F::ConventionUnknown => ("convention_unknown", Impossible, "use one of the supported conventions"),
-            F::CameraIdInvalid => ("camera_id_invalid", Impossible, "give every camera a short, non-empty id"),
-            F::CameraDuplicate => ("camera_duplicate", Impossible, "give every camera a unique id"),
-            F::CameraUnknown => ("camera_unknown", Impossible, "list the camera in `cameras` of the session"),
-            F::CameraInvalid => ("camera_invalid", Impossible, "correct the camera's calibration"),
-            F::DistortionUnsupported => (
-                "distortion_unsupported",
-                Impossible,
-                "undistort the keypoints, or calibrate with OpenCV's 5, rational 8 or fisheye 4 coefficients",
-            ),
-            F::FrameInvalid => ("frame_invalid", Impossible, "number frames with integers below 2^53"),
-            F::FrameOutOfRange => ("frame_out_of_range", Impossible, "correct `first_frame` or `n_frames`"),
-            F::FrameDuplicate => ("frame_duplicate", Impossible, "write every frame of a camera only once"),
-            F::KeypointCount => {
-                ("keypoint_count", Impossible, "correct `keypoint_convention` or the detector's output")
-            }
-            F::KeypointInvalid => {
-                ("keypoint_invalid", Impossible, "write keypoints as [x px, y px, confidence 0 to 1]")
-            }
-            F::CalibrationInvalid => {
-                ("calibration_invalid", Malformed, "export the file again with the tool that wrote it")
-            }
-            F::TableInvalid => ("table_invalid", Malformed, "export the table again with the tool that wrote it"),
-            F::SkeletonUnknown => (
-                "skeleton_unknown",
-                Impossible,
-                "name the joints: `keypoint_convention` or `keypoint_names` in session.json",
-            ),
-            F::ImageSizeUnknown => {
-                ("image_size_unknown", Impossible, "give `width` and `height` of the camera in session.json")
-            }
-        }
+    /// This fault as an error where `is_present`, with the detail.
+    ///
+    /// # Errors
+    /// This fault, without a location.
+    #[inline]
+    pub(crate) fn when<D: Into<String>>(self, is_present: bool, detail: impl FnOnce() -> D) -> Result<(), UploadError> {
+        if is_present { Err(self.with(detail())) } else { Ok(()) }
     }
 }
 

@@ -30,9 +30,7 @@ pub(super) fn index_zip<R: Read + Seek>(mut reader: R, limits: &UploadLimits) ->
     check_end_record(&mut reader, limits)?;
     let config = Config { archive_offset: ArchiveOffset::Known(0) };
     let mut archive = ZipArchive::with_config(config, reader).map_err(|e| Fault::ZipInvalid.with(e.to_string()))?;
-    if archive.has_duplicate_names() {
-        return Err(Fault::ZipDuplicateMember.with("the archive contains one name twice"));
-    }
+    Fault::ZipDuplicateMember.when(archive.has_duplicate_names(), || "the archive contains one name twice")?;
     let positions = checked_positions(&archive, limits)?;
     match archive.has_overlapping_entries() {
         Ok(false) => Ok(ZipIndex { archive, positions }),
@@ -74,12 +72,9 @@ fn check_end_record<R: Read + Seek>(reader: &mut R, limits: &UploadLimits) -> Re
     if directory.n_members > limits.max_members as u64 {
         return Err(Fault::TooManyMembers.with(format!("the archive has more than {} members", limits.max_members)));
     }
-    if directory.bytes > limits.max_directory_bytes {
-        return Err(Fault::TooManyMembers.with(format!(
-            "the directory has {} bytes, at most {} are read",
-            directory.bytes, limits.max_directory_bytes
-        )));
-    }
+    Fault::TooManyMembers.when(directory.bytes > limits.max_directory_bytes, || {
+        format!("the directory has {} bytes, at most {} are read", directory.bytes, limits.max_directory_bytes)
+    })?;
     if directory.start.checked_add(directory.bytes) != Some(directory.end) {
         return Err(invalid("the directory is not at the position that the end record states"));
     }
@@ -161,21 +156,16 @@ fn checked_name(raw: &[u8]) -> Result<&str, UploadError> {
 }
 
 fn check_member(entry: &ZipFileEntry<'_>, limits: &UploadLimits) -> Result<(), UploadError> {
-    if entry.is_symlink() {
-        return Err(Fault::ZipSymlink.with("the member is a symbolic link"));
-    }
-    if entry.encrypted() {
-        return Err(Fault::ZipEncrypted.with("the member is encrypted"));
-    }
-    if !matches!(entry.compression(), CompressionMethod::Stored | CompressionMethod::Deflated) {
-        return Err(Fault::ZipMethod
-            .with(format!("the member is compressed with method {}, expected deflate or none", entry.compression())));
-    }
+    Fault::ZipSymlink.when(entry.is_symlink(), || "the member is a symbolic link")?;
+    Fault::ZipEncrypted.when(entry.encrypted(), || "the member is encrypted")?;
+    Fault::ZipMethod
+        .when(!matches!(entry.compression(), CompressionMethod::Stored | CompressionMethod::Deflated), || {
+            format!("the member is compressed with method {}, expected deflate or none", entry.compression())
+        })?;
     let (packed, unpacked) = (entry.compressed_size(), entry.size());
-    if unpacked > limits.ratio_free_bytes && unpacked > packed.saturating_mul(limits.max_ratio) {
-        let detail =
-            format!("{packed} bytes decompress to {unpacked}, expected a ratio of at most {} to 1", limits.max_ratio);
-        return Err(Fault::ZipRatio.with(detail));
-    }
+    Fault::ZipRatio
+        .when(unpacked > limits.ratio_free_bytes && unpacked > packed.saturating_mul(limits.max_ratio), || {
+            format!("{packed} bytes decompress to {unpacked}, expected a ratio of at most {} to 1", limits.max_ratio)
+        })?;
     Ok(())
 }

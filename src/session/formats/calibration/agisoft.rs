@@ -61,12 +61,9 @@ fn lens_of(sensor: Node<'_, '_>) -> Result<Option<RawCamera>, UploadError> {
         return Err(invalid("a sensor has no resolution"));
     };
     let kind = calibration.attribute("type").or(sensor.attribute("type")).unwrap_or("frame");
-    if !["frame", "fisheye", "equidistant_fisheye"].contains(&kind) {
-        return Err(Fault::DistortionUnsupported.with(format!(
-            "the sensor type of Agisoft is {}, expected frame, fisheye or equidistant_fisheye",
-            shown(kind)
-        )));
-    }
+    Fault::DistortionUnsupported.when(!["frame", "fisheye", "equidistant_fisheye"].contains(&kind), || {
+        format!("the sensor type of Agisoft is {}, expected frame, fisheye or equidistant_fisheye", shown(kind))
+    })?;
     let (is_fisheye, f) = (kind != "frame", number("f")?);
     let [k1, k2, k3, k4] = [number("k1")?, number("k2")?, number("k3")?, number("k4")?];
     let (own_p1, own_p2) = (number("p1")?, number("p2")?);

@@ -105,9 +105,7 @@ fn without_comment(line: &str) -> &str {
 }
 
 fn block(rest: &mut &[Line<'_>], indent: usize, depth: usize) -> Result<Yaml, UploadError> {
-    if depth > MAX_DEPTH {
-        return Err(Fault::CalibrationInvalid.with("the document has too many levels of nesting"));
-    }
+    Fault::CalibrationInvalid.when(depth > MAX_DEPTH, || "the document has too many levels of nesting")?;
     let Some(first) = rest.first() else { return Ok(Yaml::Scalar(String::new())) };
     if first.text.starts_with("- ") || first.text == "-" {
         return dashes(rest, first.indent, depth);

@@ -61,9 +61,7 @@ pub(crate) fn read_members<R: Read + Seek>(
     let found = read_sources(&survey, members, reading)?;
     let mut sources = found.sources;
     sources.retain(|source| !source.poses.order.is_empty());
-    if sources.is_empty() {
-        return Err(Fault::NoFrames.with("the pose files contain no frame"));
-    }
+    Fault::NoFrames.when(sources.is_empty(), || "the pose files contain no frame")?;
     let cameras = std::mem::take(&mut calibration.cameras);
     let (cameras, mut sources) = paired(cameras, sources, reading)?;
     let convention = skeleton::unify(&mut sources, &header, reading.warnings)?;
@@ -132,17 +130,17 @@ fn read_calibrations<R: Read + Seek>(
         }
         is_whole
     });
-    if calibration.cameras.is_empty() {
-        return Err(Fault::NoCameras
-            .with("the upload contains no camera intrinsics: add a calibration file, or `cameras` to session.json"));
-    }
-    if calibration.cameras.len() > 4 * reading.limits.max_cameras {
-        return Err(Fault::TooManyCameras.with(format!(
+    Fault::NoCameras.when(
+        calibration.cameras.is_empty(),
+        || "the upload contains no camera intrinsics: add a calibration file, or `cameras` to session.json",
+    )?;
+    Fault::TooManyCameras.when(calibration.cameras.len() > 4 * reading.limits.max_cameras, || {
+        format!(
             "the calibration has {} cameras, at most {} are read",
             calibration.cameras.len(),
             4 * reading.limits.max_cameras
-        )));
-    }
+        )
+    })?;
     Ok(calibration)
 }
 
@@ -167,10 +165,9 @@ fn paired(
             }
         }
     }
-    if by_camera.is_empty() {
-        let detail = format!("no pose file matches a camera of the calibration ({})", ids.join(", "));
-        return Err(Fault::CameraUnknown.with(shown(&detail)));
-    }
+    Fault::CameraUnknown.when(by_camera.is_empty(), || {
+        shown(&format!("no pose file matches a camera of the calibration ({})", ids.join(", ")))
+    })?;
     let (mut kept, mut poses) = (Vec::new(), Vec::new());
     for (i, camera) in cameras.into_iter().enumerate() {
         match by_camera.remove(&i) {

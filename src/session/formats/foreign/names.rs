@@ -70,20 +70,8 @@ fn plain(name: &str) -> Option<String> {
 
 /// Words that pose tools add to a camera's name.
 const TOOLS: [&str; 14] = [
-    "json",
-    "keypoints",
-    "keypoint",
-    "pose",
-    "poses",
-    "results",
-    "result",
-    "alphapose",
-    "openpose",
-    "predictions",
-    "2d",
-    "int",
-    "intrinsics",
-    "calib",
+    "json", "keypoints", "keypoint", "pose", "poses", "results", "result", "alphapose", "openpose", "predictions",
+    "2d", "int", "intrinsics", "calib",
 ];
 
 /// The last number in a name.

@@ -94,10 +94,10 @@ fn check_pixels(source: &Source) -> Result<(), UploadError> {
     let people = || source.poses.detections.values().flatten();
     let seen = || people().flat_map(|person| &person.keypoints).filter(|keypoint| keypoint.is_present());
     let n_seen = seen().take(50).count();
-    if n_seen == 50 && seen().all(|keypoint| keypoint.pixel.amax() <= NORMALISED) {
-        return Err(Fault::KeypointInvalid
-            .with("all keypoints lie within 2 px of the origin: they are normalised coordinates, expected pixels"));
-    }
+    Fault::KeypointInvalid.when(
+        n_seen == 50 && seen().all(|keypoint| keypoint.pixel.amax() <= NORMALISED),
+        || "all keypoints lie within 2 px of the origin: they are normalised coordinates, expected pixels",
+    )?;
     Ok(())
 }
 
@@ -121,9 +121,8 @@ fn order_of(source: &Source, header: &Header, warnings: &mut Warnings) -> Result
     let declared = names.or_else(|| convention.map(JointOrder::of_convention));
     let own = declared.into_iter().chain(source.order.clone()).find(|order| order.joints.len() == n_points);
     if let Some(order) = own {
-        if order.joints.iter().flatten().count() < 4 {
-            return Err(Fault::SkeletonUnknown.with("fewer than 4 of the joint names are known"));
-        }
+        Fault::SkeletonUnknown
+            .when(order.joints.iter().flatten().count() < 4, || "fewer than 4 of the joint names are known")?;
         return Ok(order);
     }
     match best_order(JointOrder::candidates(n_points), people()) {

@@ -157,13 +157,9 @@ fn read_group<R: Read + Seek>(
         order: None,
         image_size: None,
     };
-    if group.files.len() > reading.limits.max_frames {
-        return Err(Fault::TooManyFrames.with(format!(
-            "the camera has {} frames, at most {} are read",
-            group.files.len(),
-            reading.limits.max_frames
-        )));
-    }
+    Fault::TooManyFrames.when(group.files.len() > reading.limits.max_frames, || {
+        format!("the camera has {} frames, at most {} are read", group.files.len(), reading.limits.max_frames)
+    })?;
     let mut rest = group.files.as_slice();
     while !rest.is_empty() {
         let mut batch: Vec<(i64, &str, Vec<u8>)> = Vec::new();
@@ -213,8 +209,8 @@ pub(super) fn read_bytes<R: Read + Seek>(
     let of_file = |e| UploadError { file: Some(name.to_owned()), ..e };
     let read = members.open(name)?.take(max_bytes + 1).read_to_end(&mut bytes);
     read.map_err(|e| of_file(crate::session::upload::json::fault_of_io(e)))?;
-    if bytes.len() as u64 > max_bytes {
-        return Err(of_file(Fault::TooLarge.with(format!("the file has more than {max_bytes} bytes"))));
-    }
+    Fault::TooLarge
+        .when(bytes.len() as u64 > max_bytes, || format!("the file has more than {max_bytes} bytes"))
+        .map_err(of_file)?;
     Ok(bytes)
 }

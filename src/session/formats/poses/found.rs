@@ -48,10 +48,9 @@ impl FoundPoses {
         reading: &mut Reading<'_>,
     ) -> Result<&mut Vec<Detection>, UploadError> {
         let key = camera.map(str::to_owned);
-        if self.by_camera.len() > reading.limits.max_cameras {
-            return Err(Fault::TooManyCameras
-                .with(format!("the file has poses of more than {} cameras", self.by_camera.len() - 1)));
-        }
+        Fault::TooManyCameras.when(self.by_camera.len() > reading.limits.max_cameras, || {
+            format!("the file has poses of more than {} cameras", self.by_camera.len() - 1)
+        })?;
         let file = reading.place.file.clone().unwrap_or_default();
         let poses = self.by_camera.entry(key).or_insert_with(|| RawPoses { file, ..RawPoses::default() });
         if !poses.detections.contains_key(&frame) {
