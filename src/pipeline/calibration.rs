@@ -4,7 +4,7 @@ use super::capture::Capture;
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
 use crate::session::reconstruction::StageReport;
-use crate::session::{JointTrajectory, PersonTrack};
+use crate::session::{JointTrajectory, PersonTrack, Session};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -43,6 +43,27 @@ impl Calibration {
     pub fn n_placed(&self) -> usize {
         self.cameras.iter().flatten().count()
     }
+
+    /// The persons of `session` with their `points`, world of the calibration.
+    pub fn people<'a>(&'a self, session: &'a Session, points: &'a [JointTrajectory]) -> TrackedPeople<'a> {
+        let Self { noise, cameras, association, .. } = self;
+        TrackedPeople { session, noise, cameras, tracks: &association.tracks, points }
+    }
+}
+
+/// Detections of all persons and their points, under cameras.
+#[derive(Debug, Clone, Copy)]
+pub struct TrackedPeople<'a> {
+    /// The detections.
+    pub session: &'a Session,
+    /// Detector noise.
+    pub noise: &'a DetectorNoise,
+    /// `camera_from_world` per view, metres; `None` for a camera without a pose.
+    pub cameras: &'a [Option<Rigid>],
+    /// The detections of each person.
+    pub tracks: &'a [PersonTrack],
+    /// Points of each person, metres, in the order of the tracks; the body fit matches them by person.
+    pub points: &'a [JointTrajectory],
 }
 
 /// All persons found, as tracks, with a first estimate of their points.

@@ -5,7 +5,9 @@ use crate::body::bones::{LimbBone, limb_bones};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::matching::normalized::{NormalizedView, normalized_views};
 use crate::matching::tracker::TrackerScene;
+use crate::matching::tracklets::{Tracklet, TrackletConfig, tracklets};
 use crate::session::Session;
+use rayon::prelude::*;
 
 /// A session with its options and what stages derive from it once.
 pub struct Capture<'a> {
@@ -29,6 +31,12 @@ impl<'a> Capture<'a> {
     pub fn scene<'b>(&'b self, cameras: &'b [Option<Rigid>]) -> TrackerScene<'b> {
         let (fps, n_frames) = (self.session.fps, self.session.n_frames);
         TrackerScene { views: &self.views, cameras, bones: &self.bones, fps, n_frames }
+    }
+
+    /// People followed within each view.
+    pub fn tracklets(&self) -> Vec<Vec<Tracklet>> {
+        let (fps, config) = (self.session.fps, TrackletConfig::default());
+        self.views.par_iter().map(|view| tracklets(view, fps, &config)).collect()
     }
 
     /// Intrinsics per view.

@@ -13,7 +13,7 @@
 //! | 4 | [`denoising`](passes::denoising) | trajectories, repair of detections, detector noise | `denoise: true`; twice |
 //! | | | in between: final bundle adjustment (not `fixed`), association | once |
 //! | 5 | [`held_out_check`](passes::held_out_check) | bundle adjustment on a half of the frames, error on the rest | 2 halves |
-//! | 6 | [`trajectories`](passes::trajectories) | smooth trajectories of the keypoints | once |
+//! | 6 | [`joint_trajectories`](stages::joint_trajectories) | smooth trajectories of the keypoints | once |
 //! | 7 | [`metric_scale`] | scale; for `scale: height` statures by body fit | once; up to 4 fits |
 //! | 8 | [`result`] | world frame, body fit, fit statistics, verdict | once |
 //!
@@ -49,14 +49,11 @@ use passes::denoising::denoised_capture;
 use passes::focal_lengths::{FocalLengths, refined_focal_lengths};
 use passes::held_out_check::heldout_px;
 use passes::synchronisation::{Timing, estimated_timing};
-use passes::trajectories::trajectories;
 use result::{Solution, statures};
+use stages::joint_trajectories::joint_trajectories;
 use stages::metric_scale;
 
 /// [`reconstruct_with_body`] with the embedded body.
-///
-/// # Errors
-/// As there.
 pub fn reconstruct(session: &Session, options: &Options, progress: &Progress) -> Result<Reconstruction, PipelineError> {
     reconstruct_with_body(session, options, &default_body(), progress)
 }
@@ -78,9 +75,6 @@ pub fn reconstruct_with_body(
 }
 
 /// [`reconstruct_with_body`] that resumes after the last pass stored in `checkpoints`; the result is the same to the bit.
-///
-/// # Errors
-/// As there.
 pub fn reconstruct_with_checkpoints(
     session: &Session,
     options: &Options,
@@ -149,7 +143,8 @@ pub fn reconstruct_with_checkpoints(
 
     // 6. Smooth trajectories of all keypoints.
     let step = stages.begin("joint_trajectories");
-    let paths = checkpoints.stage("joint_trajectories", || trajectories(&capture, &calibration, &step))?;
+    let start = calibration.people(capture.session, &calibration.association.points);
+    let paths = checkpoints.stage("joint_trajectories", || joint_trajectories(&start, &step))?;
 
     // 7. Metres per unit.
     let step = stages.begin("metric_scale");

@@ -21,9 +21,6 @@ use crate::session::{JointTrajectory, PersonTrack, Reconstruction};
 use nalgebra::Vector3;
 
 /// Fitted stature of every person if a unit of the calibration is `scale` metres, by track.
-///
-/// # Errors
-/// [`Canceled`].
 pub fn statures(
     capture: &Capture,
     calibration: &Calibration,
@@ -78,9 +75,6 @@ impl Solution {
     }
 
     /// Fits the bodies and assembles the result.
-    ///
-    /// # Errors
-    /// [`PipelineError::Canceled`].
     pub fn with_bodies(
         mut self,
         capture: &Capture,

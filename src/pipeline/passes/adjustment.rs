@@ -3,17 +3,14 @@
 use crate::body::bones::LENGTH_SIGMA;
 use crate::geometry::Rigid;
 use crate::optim::robust::median;
-use crate::pipeline::calibration::{Adjusted, Association, Calibration, CameraFreedom};
+use crate::pipeline::calibration::{Adjusted, Calibration, CameraFreedom};
 use crate::pipeline::capture::Capture;
-use crate::pipeline::passes::trajectories::trajectories;
 use crate::pipeline::stages::association::associate;
 use crate::pipeline::stages::bundle_adjustment::adjust;
 use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput, Bone};
-use crate::pipeline::stages::keyframe_selection::{
-    FrameFilter, KeyframeBudget, noise_factor, select_keyframes, set_image_velocities,
-};
+use crate::pipeline::stages::joint_trajectories::joint_trajectories;
+use crate::pipeline::stages::keyframe_selection::{FrameFilter, noise_factor, select_keyframes, set_image_velocities};
 use crate::progress::{Canceled, Progress};
-use crate::session::reconstruction::StageReport;
 
 /// Effort of one bundle adjustment.
 #[derive(Debug, Clone, Copy)]
@@ -56,22 +53,7 @@ impl Effort {
 /// All frames may be used.
 pub const ALL_FRAMES: FrameFilter = &|_| true;
 
-/// Assigns the detections under `cameras`.
-///
-/// # Errors
-/// [`Canceled`].
-pub fn associated(
-    capture: &Capture,
-    cameras: &[Option<Rigid>],
-    progress: &Progress,
-) -> Result<(Association, StageReport), Canceled> {
-    associate(&capture.scene(cameras), capture.options.people, progress)
-}
-
 /// One round: bundle adjustment, then association under the new cameras. Returns `before` if less is explained then.
-///
-/// # Errors
-/// [`Canceled`].
 pub fn adjusted_and_associated(
     capture: &Capture,
     before: Calibration,
@@ -80,7 +62,7 @@ pub fn adjusted_and_associated(
 ) -> Result<Calibration, Canceled> {
     let mut steps = progress.steps([3.0, 1.0]);
     let mut after = adjusted(capture, &before, effort, ALL_FRAMES, &steps.begin("adjusting cameras and points"))?;
-    let (association, report) = associated(capture, &after.cameras, &steps.begin("re-associating detections"))?;
+    let (association, report) = associate(capture, &after.cameras, &steps.begin("re-associating detections"))?;
     // A wrong association after a right start is the real danger: a round that explains less is discarded.
     let is_comparable = before.n_placed() == before.association.n_views_placed;
     if is_comparable && association.explained < before.association.explained - 0.01 {
@@ -92,9 +74,6 @@ pub fn adjusted_and_associated(
 }
 
 /// The cameras after bundle adjustment on selected keyframes, rescaled so that bones keep adult lengths.
-///
-/// # Errors
-/// [`Canceled`].
 pub fn adjusted(
     capture: &Capture,
     before: &Calibration,
@@ -103,13 +82,12 @@ pub fn adjusted(
     progress: &Progress,
 ) -> Result<Calibration, Canceled> {
     let session = capture.session;
-    let budget = KeyframeBudget { max_keyframes: effort.max_keyframes, noise: &before.noise, metres_per_unit: 1.0 };
-    let mut keyframes = select_keyframes(session, &before.cameras, &before.association, budget, allowed);
+    let mut keyframes = select_keyframes(session, before, &before.cameras, effort.max_keyframes, allowed);
     if keyframes.is_empty() {
         return Ok(before.clone());
     }
     if effort.refine_delays {
-        let trajectories = trajectories(capture, before, progress)?;
+        let trajectories = joint_trajectories(&before.people(session, &before.association.points), progress)?;
         set_image_velocities(&mut keyframes, session, &before.cameras, &trajectories);
     }
     let bones: Vec<Bone> = capture.bones.iter().map(|b| Bone { a: b.a, b: b.b, sigma: LENGTH_SIGMA }).collect();

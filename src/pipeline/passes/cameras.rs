@@ -2,16 +2,15 @@
 
 use crate::geometry::{Rigid, rotation};
 use crate::matching::clusters::clusters;
-use crate::matching::tracklets::{Tracklet, TrackletConfig, tracklets};
+use crate::matching::tracklets::Tracklet;
 use crate::matching::view_graph::Rig;
 use crate::pipeline::calibration::Calibration;
 use crate::pipeline::capture::Capture;
-use crate::pipeline::passes::adjustment::{ALL_FRAMES, Effort, adjusted, adjusted_and_associated, associated};
-use crate::pipeline::stages::association::from_clusters;
+use crate::pipeline::passes::adjustment::{ALL_FRAMES, Effort, adjusted, adjusted_and_associated};
+use crate::pipeline::stages::association::{associate, from_clusters};
 use crate::pipeline::stages::camera_init::initial_rigs;
 use crate::pipeline::stages::camera_registration::register_remaining;
 use crate::progress::{Canceled, Progress};
-use rayon::prelude::*;
 
 /// Largest number of arrangements tried in full, and the smallest share of the best one's quality for a trial.
 const MAX_TRIALS: usize = 3;
@@ -31,9 +30,6 @@ pub enum FinalAdjustment {
 }
 
 /// Cameras and persons: estimated without a start, or under the session's extrinsics.
-///
-/// # Errors
-/// [`Canceled`].
 pub fn calibrated(capture: &Capture, last: FinalAdjustment, progress: &Progress) -> Result<Calibration, Canceled> {
     let mut steps = progress.steps(if last == FinalAdjustment::Here { [0.75, 0.25] } else { [1.0, 0.0] });
     let calibration = if capture.estimates_extrinsics() {
@@ -52,9 +48,6 @@ pub fn calibrated(capture: &Capture, last: FinalAdjustment, progress: &Progress)
 
 /// Cameras and persons of a recording whose times or focal lengths are still approximate: under `cameras` where an
 /// earlier round has estimated them, else [`calibrated`].
-///
-/// # Errors
-/// [`Canceled`].
 pub fn roughly_calibrated(
     capture: &Capture,
     cameras: Option<Vec<Option<Rigid>>>,
@@ -69,12 +62,8 @@ pub fn roughly_calibrated(
 }
 
 /// The arrangement that scores best before any adjustment: `camera_from_world` per view, `None` where it is not placed.
-///
-/// # Errors
-/// [`Canceled`].
 pub fn initial_cameras(capture: &Capture, progress: &Progress) -> Result<Vec<Option<Rigid>>, Canceled> {
-    let tracklets = tracklets_by_view(capture);
-    let (rigs, _) = initial_rigs(&capture.views, &tracklets, &capture.bones, capture.options.seed, progress)?;
+    let (rigs, _) = initial_rigs(capture, &capture.tracklets(), progress)?;
     Ok(rigs.into_iter().next().map_or_else(|| vec![None; capture.views.len()], |rig| rig.cameras))
 }
 
@@ -82,9 +71,9 @@ pub fn initial_cameras(capture: &Capture, progress: &Progress) -> Result<Vec<Opt
 fn estimated(capture: &Capture, progress: &Progress) -> Result<Calibration, Canceled> {
     let mut steps = progress.steps([0.05, 0.3, 0.3, 0.15, 0.15]);
     steps.begin("following people within each view");
-    let tracklets = tracklets_by_view(capture);
+    let tracklets = capture.tracklets();
     let comparing = steps.begin("comparing pairs of cameras");
-    let (rigs, report) = initial_rigs(&capture.views, &tracklets, &capture.bones, capture.options.seed, &comparing)?;
+    let (rigs, report) = initial_rigs(capture, &tracklets, &comparing)?;
     let trying = steps.begin("trying arrangements of the cameras");
     let mut calibration = best_trial(capture, &tracklets, &rigs, &trying)?;
     calibration.stages.insert(0, report);
@@ -96,14 +85,9 @@ fn estimated(capture: &Capture, progress: &Progress) -> Result<Calibration, Canc
     Ok(calibration)
 }
 
-fn tracklets_by_view(capture: &Capture) -> Vec<Vec<Tracklet>> {
-    let (fps, config) = (capture.session.fps, TrackletConfig::default());
-    capture.views.par_iter().map(|view| tracklets(view, fps, &config)).collect()
-}
-
 /// Persons under known cameras; nothing is adjusted.
 fn under_cameras(capture: &Capture, cameras: Vec<Option<Rigid>>, progress: &Progress) -> Result<Calibration, Canceled> {
-    let (association, report) = associated(capture, &cameras, progress)?;
+    let (association, report) = associate(capture, &cameras, progress)?;
     Ok(Calibration { association, stages: vec![report], ..Calibration::unadjusted(capture, cameras) })
 }
 
@@ -155,7 +139,7 @@ fn trial(
     let start = Calibration { association, ..Calibration::unadjusted(capture, rig.cameras.clone()) };
     let adjusting = steps.begin("adjusting cameras and points");
     let mut trial = adjusted(capture, &start, Effort::TRIAL, ALL_FRAMES, &adjusting)?;
-    let (association, report) = associated(capture, &trial.cameras, &steps.begin("associating detections"))?;
+    let (association, report) = associate(capture, &trial.cameras, &steps.begin("associating detections"))?;
     trial.association = association;
     trial.stages.push(report);
     Ok(trial)

@@ -2,12 +2,11 @@
 
 use crate::pipeline::calibration::{Calibration, CameraFreedom};
 use crate::pipeline::capture::Capture;
-use crate::pipeline::passes::adjustment::{Effort, adjusted_and_associated, associated};
-use crate::pipeline::passes::trajectories::trajectories;
-use crate::pipeline::stages::association::identities;
-use crate::pipeline::stages::denoising::context::DenoisingInput;
+use crate::pipeline::passes::adjustment::{Effort, adjusted_and_associated};
+use crate::pipeline::stages::association::{associate, identities};
 use crate::pipeline::stages::denoising::{Denoised, denoise};
 use crate::pipeline::stages::detector_noise::measured_noise;
+use crate::pipeline::stages::joint_trajectories::joint_trajectories;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{ConsistencyReport, DetectionRepairs, NoiseAtConfidence, RepairedDetection};
 use crate::session::{Detection, FrameIndex, Keypoint, PersonId, PersonTrack, Session};
@@ -48,9 +47,6 @@ struct Change {
 
 /// Repairs the detections under the cameras so far, measures the detector noise on the residuals, adjusts the cameras
 /// (unless they are held) and re-associates the detections, then repairs the original detections once more.
-///
-/// # Errors
-/// [`Canceled`].
 pub fn denoised_capture(
     capture: &Capture,
     mut calibration: Calibration,
@@ -69,7 +65,7 @@ pub fn denoised_capture(
         }
         CameraFreedom::Held => {
             let step = steps.begin("re-associating detections");
-            let (association, report) = associated(&repaired_capture, &calibration.cameras, &step)?;
+            let (association, report) = associate(&repaired_capture, &calibration.cameras, &step)?;
             calibration.association = association;
             calibration.stages.push(report);
         }
@@ -82,16 +78,9 @@ pub fn denoised_capture(
 }
 
 fn repaired(capture: &Capture, calibration: &Calibration, progress: &Progress) -> Result<Denoised, Canceled> {
-    let trajectories = trajectories(capture, calibration, progress)?;
-    let input = DenoisingInput {
-        session: capture.session,
-        views: &capture.views,
-        cameras: &calibration.cameras,
-        tracks: &calibration.association.tracks,
-        trajectories: &trajectories,
-        noise: &calibration.noise,
-    };
-    denoise(input, progress)
+    let start = calibration.people(capture.session, &calibration.association.points);
+    let trajectories = joint_trajectories(&start, progress)?;
+    denoise(calibration.people(capture.session, &trajectories), &capture.views, progress)
 }
 
 /// Replaces the detector noise by the one measured on `session`; with too few detections the known one stays.

@@ -38,9 +38,6 @@ const ROUNDS: usize = 2;
 const MAX_SIGMA_SHARE: f64 = 0.5;
 
 /// Estimates the factors.
-///
-/// # Errors
-/// [`Canceled`].
 pub fn refined_focal_lengths(
     session: &Session,
     options: &Options,

@@ -6,7 +6,7 @@ use crate::pipeline::capture::Capture;
 use crate::pipeline::passes::adjustment::{Effort, adjusted};
 use crate::pipeline::stages::bundle_adjustment::adjust;
 use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput};
-use crate::pipeline::stages::keyframe_selection::{FrameFilter, KeyframeBudget, select_keyframes};
+use crate::pipeline::stages::keyframe_selection::{FrameFilter, select_keyframes};
 use crate::progress::{Canceled, Progress};
 
 /// Frames of a block that is used for estimation or for judging as a whole: neighbouring frames share their errors.
@@ -18,9 +18,6 @@ const CLIP_PX: f64 = 25.0;
 /// Mean reprojection error (px) of cameras that were estimated from every other block of frames, on the other blocks.
 ///
 /// `None` where a half of the frames is not enough. Held cameras are the same on both halves.
-///
-/// # Errors
-/// [`Canceled`].
 pub fn heldout_px(
     capture: &Capture,
     calibration: &Calibration,
@@ -52,8 +49,7 @@ fn error_px(
     progress: &Progress,
 ) -> Result<Option<f64>, Canceled> {
     let max_keyframes = Effort::FINAL.max_keyframes;
-    let budget = KeyframeBudget { max_keyframes, noise: &calibration.noise, metres_per_unit: 1.0 };
-    let mut keyframes = select_keyframes(capture.session, cameras, &calibration.association, budget, allowed);
+    let mut keyframes = select_keyframes(capture.session, calibration, cameras, max_keyframes, allowed);
     for keyframe in &mut keyframes {
         let mut n_views = vec![0u8; keyframe.points.len()];
         keyframe.observations.iter().for_each(|o| n_views[o.keypoint] += 1);

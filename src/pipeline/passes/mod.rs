@@ -6,4 +6,3 @@ pub mod denoising;
 pub mod focal_lengths;
 pub mod held_out_check;
 pub mod synchronisation;
-pub mod trajectories;

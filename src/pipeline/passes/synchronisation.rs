@@ -45,9 +45,6 @@ const MAX_STEP: f64 = 2.5;
 const SIGMA_WARN: f64 = 0.25;
 
 /// Estimates the offsets, starting from those that the session gives.
-///
-/// # Errors
-/// [`Canceled`].
 pub fn estimated_timing(
     session: &Session,
     options: &Options,

@@ -1,31 +1,29 @@
 //! Association: assigns detections to persons across views and time, under known cameras.
 
 use crate::body::detector_profile::DETECTOR;
+use crate::geometry::Rigid;
 use crate::geometry::projection::project_normalized;
 use crate::matching::clusters::Cluster;
 use crate::matching::normalized::NormalizedDetection;
 use crate::matching::tracker::{TrackedPerson, TrackerConfig, TrackerScene, skeleton, track};
 use crate::matching::tracklets::Tracklet;
 use crate::pipeline::calibration::Association;
+use crate::pipeline::capture::Capture;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::StageReport;
 use crate::session::recording::{FrameIndex, PersonId, Session};
 use crate::session::{JointTrajectory, PersonTrack};
 use std::collections::BTreeMap;
 
-/// Assigns each detection to one person or rejects it.
-///
-/// `n_people`: the number of persons where it is known; the best supported ones are kept.
-///
-/// # Errors
-/// [`Canceled`].
+/// Assigns each detection to one person or rejects it; where the number of persons is known, the best supported are kept.
 pub fn associate(
-    scene: &TrackerScene,
-    n_people: Option<usize>,
+    capture: &Capture,
+    cameras: &[Option<Rigid>],
     progress: &Progress,
 ) -> Result<(Association, StageReport), Canceled> {
+    let scene = &capture.scene(cameras);
     let mut people = track(scene, &TrackerConfig::default(), progress)?;
-    if let Some(n) = n_people {
+    if let Some(n) = capture.options.people {
         people.truncate(n);
     }
     let explained = explained(scene, &people);

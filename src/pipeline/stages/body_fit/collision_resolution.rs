@@ -25,9 +25,6 @@ const TOLERATED: f64 = 0.01;
 
 /// Moves overlapping persons apart if `resolve`, and reports the depth of overlaps before and after. `first_frame`: number of
 /// the session's first frame.
-///
-/// # Errors
-/// [`Canceled`].
 pub(super) fn resolve_collisions(
     context: &FitContext,
     people: &mut [PersonFit],

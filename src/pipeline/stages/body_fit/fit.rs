@@ -32,9 +32,6 @@ pub struct FittedBodies {
 }
 
 /// Fits the bodies of all persons. The same input gives the same bytes whatever the number of threads.
-///
-/// # Errors
-/// [`Canceled`] once the caller has canceled the work.
 pub fn fit_bodies(
     input: BodyFitInput,
     model: &BodyModel,

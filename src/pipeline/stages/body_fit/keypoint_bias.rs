@@ -26,9 +26,6 @@ pub(super) struct EstimatedBias {
 }
 
 /// Estimates the keypoint bias from the first fits of all persons; `None` for a convention that no detector uses.
-///
-/// # Errors
-/// [`Canceled`].
 pub(super) fn estimated_bias(
     context: &FitContext,
     convention: KeypointConvention,

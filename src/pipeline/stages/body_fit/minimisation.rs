@@ -30,9 +30,6 @@ impl FittedMotion {
 const MAX_TRIALS: usize = 6;
 
 /// Lowers the cost of `problem` from `start` in at most `max_iterations` accepted steps.
-///
-/// # Errors
-/// [`Canceled`].
 pub(super) fn minimised(
     context: &FitContext,
     problem: &MotionProblem,

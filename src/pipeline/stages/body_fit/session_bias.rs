@@ -95,9 +95,6 @@ const MAX_ITERATIONS: usize = 7;
 const MIN_DECREASE: f64 = 1.0;
 
 /// The offsets under one hypothesis, estimated together with all motions, from `start`.
-///
-/// # Errors
-/// [`Canceled`].
 pub(super) fn session_bias(
     table: &OffsetTable,
     hypothesis: Hypothesis,

@@ -14,9 +14,6 @@ use rayon::prelude::*;
 /// Fits each person's body alone, to the run of frames with most pixels and without the motion prior.
 ///
 /// In the order of the tracks; `None` where the closed form finds no start.
-///
-/// # Errors
-/// [`Canceled`] once the caller has canceled the work.
 pub fn fitted_statures(
     input: BodyFitInput,
     model: &BodyModel,

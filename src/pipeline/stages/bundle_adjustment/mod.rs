@@ -42,9 +42,6 @@ const START_MEDIANS: f64 = 4.0;
 ///
 /// Known limits: one minimum is found, the nearest on the graduated path; groups of cameras that share no point keep
 /// the relative pose of the start and have no uncertainty.
-///
-/// # Errors
-/// [`Canceled`] once `progress` says so.
 pub fn adjust(
     input: &AdjustmentInput,
     config: &AdjustmentConfig,

@@ -1,11 +1,12 @@
 //! Camera initialisation: first extrinsics from people seen in common; only the intrinsics are known.
 
-use crate::body::bones::LimbBone;
 use crate::matching::normalized::NormalizedView;
 use crate::matching::pair_hypotheses::{CameraPair, HypothesisConfig, mix, pair_hypotheses};
 use crate::matching::pair_score::PairObservations;
 use crate::matching::tracklets::Tracklet;
 use crate::matching::view_graph::{Rig, ViewGraph, assemble};
+use crate::pipeline::capture::Capture;
+use crate::pipeline::config::Options;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::StageReport;
 use rand::{RngExt, SeedableRng};
@@ -18,17 +19,13 @@ use std::collections::BTreeMap;
 const N_JUDGED_FRAMES: usize = 60;
 
 /// Proposes arrangements of the cameras, best first; each places at least two cameras.
-///
-/// # Errors
-/// [`Canceled`].
 pub fn initial_rigs(
-    views: &[NormalizedView],
+    capture: &Capture,
     tracklets: &[Vec<Tracklet>],
-    bones: &[LimbBone],
-    seed: u64,
     progress: &Progress,
 ) -> Result<(Vec<Rig>, StageReport), Canceled> {
-    let frames = judged_frames(views, seed);
+    let Capture { views, bones, options: Options { seed, .. }, .. } = capture;
+    let frames = judged_frames(views, *seed);
     let pairs: Vec<(usize, usize)> = (0..views.len()).flat_map(|b| (0..b).map(move |a| (a, b))).collect();
     let config = HypothesisConfig::default();
     let found: Vec<Result<_, Canceled>> = pairs
@@ -38,7 +35,7 @@ pub fn initial_rigs(
             let observations = PairObservations::new(&views[a], &views[b], &frames, bones);
             let pair =
                 CameraPair { views: [&views[a], &views[b]], tracklets: [&tracklets[a], &tracklets[b]], observations };
-            let hypotheses = pair_hypotheses(&pair, mix(seed, (a * views.len() + b) as u64), &config);
+            let hypotheses = pair_hypotheses(&pair, mix(*seed, (a * views.len() + b) as u64), &config);
             Ok(((a, b), hypotheses, pair.observations))
         })
         .collect();

@@ -1,38 +1,22 @@
-//! Input of the repair, its records, and what all of its steps read.
+//! Records of the repair, and what all of its steps read.
 
 use super::flips::{Flip, flips};
-use crate::body::detector_noise::DetectorNoise;
-use crate::geometry::Rigid;
 use crate::matching::normalized::NormalizedView;
-use crate::session::{JointTrajectory, PersonTrack, Session};
-
-/// Input of the stage.
-#[derive(Clone, Copy)]
-pub struct DenoisingInput<'a> {
-    /// The original detections.
-    pub session: &'a Session,
-    /// The same in normalised coordinates.
-    pub views: &'a [NormalizedView],
-    /// `camera_from_world` per view; the unit is a metre as far as bone lengths show.
-    pub cameras: &'a [Option<Rigid>],
-    /// The association so far.
-    pub tracks: &'a [PersonTrack],
-    /// Every person's smooth trajectory, in the order of the tracks.
-    pub trajectories: &'a [JointTrajectory],
-    /// Detector noise.
-    pub noise: &'a DetectorNoise,
-}
+use crate::pipeline::calibration::TrackedPeople;
 
 /// Input of all steps.
 pub(super) struct Context<'a> {
-    pub(super) input: DenoisingInput<'a>,
+    /// Every person's points are the smooth trajectory.
+    pub(super) input: TrackedPeople<'a>,
+    /// The original detections in normalised coordinates.
+    pub(super) views: &'a [NormalizedView],
     /// The candidate flips; the first changes nothing.
     pub(super) flips: Vec<Flip>,
 }
 
 impl<'a> Context<'a> {
-    pub(super) fn new(input: DenoisingInput<'a>) -> Self {
-        Self { input, flips: flips(input.session.convention) }
+    pub(super) fn new(input: TrackedPeople<'a>, views: &'a [NormalizedView]) -> Self {
+        Self { input, views, flips: flips(input.session.convention) }
     }
 }
 

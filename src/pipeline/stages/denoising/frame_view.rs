@@ -1,6 +1,6 @@
 //! One frame: the detections of every view and the expected projections of every person.
 
-use super::context::{DenoisingInput, DetectionIndex};
+use super::context::{Context, DetectionIndex};
 use crate::geometry::Rigid;
 use crate::geometry::projection::{NormalizedProjection, project_normalized};
 use crate::matching::consistency::PosedDetection;
@@ -24,9 +24,10 @@ pub(super) struct ViewOfFrame<'a> {
 }
 
 impl<'a> FrameView<'a> {
-    pub(super) fn new(input: &DenoisingInput<'a>, frame: usize) -> Self {
+    pub(super) fn new(context: &Context<'a>, frame: usize) -> Self {
+        let input = context.input;
         let points = |person: &usize| {
-            let trajectory = &input.trajectories[*person];
+            let trajectory = &input.points[*person];
             trajectory.points.get(frame.checked_sub(trajectory.first.0)?)
         };
         let present: Vec<usize> = (0..input.tracks.len()).filter(|p| points(p).is_some()).collect();
@@ -41,7 +42,7 @@ impl<'a> FrameView<'a> {
                 expected: present.iter().filter_map(points).map(projected).collect(),
             }
         };
-        let views = input.cameras.iter().zip(input.views).map(of_view).collect();
+        let views = input.cameras.iter().zip(context.views).map(of_view).collect();
         Self { frame, present, views }
     }
 

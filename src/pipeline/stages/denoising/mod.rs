@@ -5,17 +5,19 @@
 //! identity is judged on all frames at once and not by the previous frame. Ambiguous frames are solved as one
 //! cycle-consistent matching of all detections and all persons ([`crate::matching::convex`]).
 
-pub mod context;
+mod context;
 mod flips;
 mod frame_view;
 mod identity;
 mod joints;
 mod report;
 
+use crate::matching::normalized::NormalizedView;
+use crate::pipeline::calibration::TrackedPeople;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{ConsistencyReport, StageReport};
 use crate::session::{PersonTrack, Session};
-use context::{Context, DenoisingInput, DetectionIndex, FrameRepairs, Repair};
+use context::{Context, DetectionIndex, FrameRepairs, Repair};
 use frame_view::FrameView;
 use identity::FrameIdentities;
 use rayon::prelude::*;
@@ -33,19 +35,17 @@ pub struct Denoised {
     pub stage_report: StageReport,
 }
 
-/// Repairs the detections and the association. The same input gives the same bytes whatever the number of threads.
-///
-/// # Errors
-/// [`Canceled`].
-pub fn denoise(input: DenoisingInput, progress: &Progress) -> Result<Denoised, Canceled> {
-    let context = Context::new(input);
+/// Repairs the detections and the association; `input` holds the smooth trajectories, `views` the detections in normalised
+/// coordinates. The same input gives the same bytes whatever the number of threads.
+pub fn denoise(input: TrackedPeople, views: &[NormalizedView], progress: &Progress) -> Result<Denoised, Canceled> {
+    let context = Context::new(input, views);
     let frames = (0..input.session.n_frames).into_par_iter();
     let solved: Vec<FrameRepairs> = frames
         .map(|frame| {
             if frame % 64 == 0 {
                 progress.check()?;
             }
-            Ok(repaired_frame(&context, &FrameView::new(&input, frame)))
+            Ok(repaired_frame(&context, &FrameView::new(&context, frame)))
         })
         .collect::<Result<_, Canceled>>()?;
     let mut session = input.session.clone();
@@ -78,7 +78,7 @@ fn repaired_frame(context: &Context, frame: &FrameView) -> FrameRepairs {
             let at = DetectionIndex { view, frame: frame.frame, detection };
             let track = frame.present[person];
             let (seen, expected) = (frame.seen(at), &frame.views[view].expected[person]);
-            let trajectory = &context.input.trajectories[track];
+            let trajectory = &context.input.points[track];
             let n_views = &trajectory.n_views[frame.frame - trajectory.first.0];
             let flip = flips::best(&context.flips, context.input.noise, seen, expected);
             let order = &context.flips[flip].order;

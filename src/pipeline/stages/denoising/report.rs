@@ -1,6 +1,7 @@
 //! Reports of the repairs.
 
-use super::context::{DenoisingInput, FrameRepairs};
+use super::context::FrameRepairs;
+use crate::pipeline::calibration::TrackedPeople;
 use crate::session::PersonTrack;
 use crate::session::reconstruction::{ConsistencyPair, ConsistencyReport, StageReport};
 use crate::session::recording::PersonId;
@@ -8,7 +9,7 @@ use std::collections::BTreeMap;
 
 /// Number of repairs per camera and person.
 pub(super) fn consistency_report(
-    input: &DenoisingInput,
+    input: &TrackedPeople,
     tracks: &[PersonTrack],
     solved: &[FrameRepairs],
 ) -> ConsistencyReport {
@@ -41,7 +42,7 @@ pub(super) fn consistency_report(
 
 /// Runs of frames in which a track id of a view shows another person than it mostly does: view, person shown, and first and
 /// last frame.
-fn swaps(input: &DenoisingInput, tracks: &[PersonTrack]) -> Vec<(usize, PersonId, [usize; 2])> {
+fn swaps(input: &TrackedPeople, tracks: &[PersonTrack]) -> Vec<(usize, PersonId, [usize; 2])> {
     let mut shown: BTreeMap<(usize, i64), Vec<(usize, PersonId)>> = BTreeMap::new();
     for track in tracks {
         for (t, assignment) in track.detections.iter().enumerate() {

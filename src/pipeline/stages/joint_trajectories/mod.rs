@@ -5,89 +5,38 @@
 //! triangulation, smoothing and gap filling are one problem, so a joint that a single view sees stays near that view's
 //! ray. `q` is the spectral density of white acceleration (m^2/s^3), hence independent of the frame rate.
 
-use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_profile::DETECTOR;
-use crate::geometry::Rigid;
 use crate::geometry::projection::NEAR_PLANE;
 use crate::optim::point_chain::PointChain;
 use crate::optim::robust::{OUTLIER_SIGMAS, geman_mcclure};
+use crate::pipeline::calibration::TrackedPeople;
 use crate::progress::{Canceled, Progress};
 use crate::residuals::reprojection;
-use crate::session::recording::{FrameIndex, Session};
+use crate::session::recording::FrameIndex;
 use crate::session::{JointTrajectory, PersonTrack};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 
-/// Settings of the trajectories.
-#[derive(Debug, Clone)]
-pub struct TrajectoryConfig {
-    /// Spectral density of acceleration of hands and feet, m^2/s^3: 12 m/s^2 (a brisk gesture) held for a thirtieth of a
-    /// second.
-    pub limb_acceleration: f64,
-    /// The same of head and trunk: 5 m/s^2.
-    pub trunk_acceleration: f64,
-    /// Geman-McClure scale, standard deviations.
-    pub robust_scale: f64,
-    /// Number of re-weighted Gauss-Newton steps.
-    pub iterations: usize,
-}
+/// Spectral density of acceleration of hands and feet, m^2/s^3: 12 m/s^2 (a brisk gesture) held for a thirtieth of a second.
+const LIMB_ACCELERATION: f64 = 5.0;
+/// The same of head and trunk: 5 m/s^2.
+const TRUNK_ACCELERATION: f64 = 0.8;
 
-impl Default for TrajectoryConfig {
-    fn default() -> Self {
-        Self { limb_acceleration: 5.0, trunk_acceleration: 0.8, robust_scale: OUTLIER_SIGMAS, iterations: 8 }
-    }
-}
+/// Number of re-weighted Gauss-Newton steps.
+const N_STEPS: usize = 8;
 
-/// Input of the stage.
-pub struct TrajectoryInput<'a> {
-    /// The detections.
-    pub session: &'a Session,
-    /// Detector noise.
-    pub noise: &'a DetectorNoise,
-    /// `camera_from_world` per view.
-    pub cameras: &'a [Option<Rigid>],
-    /// Detections per person.
-    pub tracks: &'a [PersonTrack],
-    /// Start of each person's points, same frames as the track; may have gaps.
-    pub start: &'a [JointTrajectory],
-    /// Metres per unit of the cameras' world.
-    pub metres_per_unit: f64,
-    /// Damping of each step.
-    pub damping: Damping,
-}
+/// Weight per m^2 of a point's current position in a solver step: 10 m, so that a frame without any constraint keeps its
+/// position.
+const DAMPING: f64 = 0.01;
+/// The same for a single view, which does not constrain depth: 0.1 m, or depth would diverge along the rays; across them the
+/// detector's 0.02 m is still reached within the steps.
+const MONOCULAR_DAMPING: f64 = 100.0;
 
-/// Damping of a solver step: standard deviation of a point about its current position.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Damping {
-    /// 10 m, so that a frame without any constraint keeps its position.
-    Weak,
-    /// 0.1 m: a single view does not constrain depth, which would diverge along the rays; across them the detector's 0.02 m
-    /// is still reached within the steps.
-    Strong,
-}
-
-impl Damping {
-    /// Weight per m^2.
-    fn weight(self) -> f64 {
-        match self {
-            Self::Weak => 0.01,
-            Self::Strong => 100.0,
-        }
-    }
-}
-
-/// Estimates all trajectories, in parallel over keypoints.
-///
-/// # Errors
-/// [`Canceled`].
-pub fn joint_trajectories(
-    input: &TrajectoryInput,
-    config: &TrajectoryConfig,
-    progress: &Progress,
-) -> Result<Vec<JointTrajectory>, Canceled> {
+/// Estimates all trajectories, in parallel over keypoints; the points of `input` are the start, and may have gaps.
+pub fn joint_trajectories(input: &TrackedPeople, progress: &Progress) -> Result<Vec<JointTrajectory>, Canceled> {
     let names = input.session.convention.names();
     let mut people = Vec::with_capacity(input.tracks.len());
-    for (track, start) in input.tracks.iter().zip(input.start) {
+    for (track, start) in input.tracks.iter().zip(input.points) {
         progress.check()?;
         let rays = rays_by_keypoint(input, track);
         let paths: Vec<Path> = (0..names.len())
@@ -96,8 +45,8 @@ pub fn joint_trajectories(
                 let limb =
                     ["wrist", "elbow", "ankle", "knee", "toe", "heel", "hand", "foot", "index", "pinky", "thumb"];
                 let is_limb = limb.iter().any(|part| names[k].ends_with(part));
-                let density = if is_limb { config.limb_acceleration } else { config.trunk_acceleration };
-                path(input, &rays[k], interpolated(start, k), density, config)
+                let density = if is_limb { LIMB_ACCELERATION } else { TRUNK_ACCELERATION };
+                path(input, &rays[k], interpolated(start, k), density)
             })
             .collect();
         people.push(transposed(track, &rays, &paths));
@@ -119,7 +68,7 @@ struct KeypointRay {
 }
 
 /// All detections of a person: `[keypoint]`, ordered by time.
-fn rays_by_keypoint(input: &TrajectoryInput, track: &PersonTrack) -> Vec<Vec<KeypointRay>> {
+fn rays_by_keypoint(input: &TrackedPeople, track: &PersonTrack) -> Vec<Vec<KeypointRay>> {
     let mut rays: Vec<Vec<KeypointRay>> = input.noise.sigmas_m().iter().map(|_| Vec::new()).collect();
     for (t, assignments) in track.detections.iter().enumerate() {
         for (view, detection) in assignments.iter().enumerate() {
@@ -135,22 +84,14 @@ fn rays_by_keypoint(input: &TrajectoryInput, track: &PersonTrack) -> Vec<Vec<Key
     rays
 }
 
-fn path(
-    input: &TrajectoryInput,
-    rays: &[KeypointRay],
-    start: Option<Path>,
-    density: f64,
-    config: &TrajectoryConfig,
-) -> Path {
+fn path(input: &TrackedPeople, rays: &[KeypointRay], start: Option<Path>, density: f64) -> Path {
     let Some(mut points) = start else { return Path::new() };
-    let unit = input.metres_per_unit;
     let dt = input.session.frame_interval();
-    let smoothness = PointChain::of_second_differences(points.len(), unit * unit / (density * dt.powi(3) * 2.0 / 3.0));
+    let smoothness = PointChain::of_second_differences(points.len(), 1.0 / (density * dt.powi(3) * 2.0 / 3.0));
     // From ten times the robust scale down: the start may be 0.2 m off.
-    for iteration in 0..config.iterations {
-        let widening = (10.0f64).powf(1.0 - iteration as f64 / (config.iterations - 1).max(1) as f64);
-        let scale = config.robust_scale * widening;
-        if !step(input, rays, &mut points, &smoothness, scale) {
+    for iteration in 0..N_STEPS {
+        let widening = (10.0f64).powf(1.0 - iteration as f64 / (N_STEPS - 1) as f64);
+        if !step(input, rays, &mut points, &smoothness, OUTLIER_SIGMAS * widening) {
             break;
         }
     }
@@ -175,7 +116,7 @@ fn interpolated(start: &JointTrajectory, keypoint: usize) -> Option<Path> {
 
 /// One re-weighted Gauss-Newton step on a whole path; false where the system cannot be solved.
 fn step(
-    input: &TrajectoryInput,
+    input: &TrackedPeople,
     rays: &[KeypointRay],
     points: &mut [Vector3<f64>],
     smoothness: &PointChain,
@@ -183,8 +124,8 @@ fn step(
 ) -> bool {
     let mut gradient = smoothness.times(points);
     let mut system = smoothness.clone();
-    let damping =
-        Matrix3::from_diagonal_element(input.metres_per_unit * input.metres_per_unit * input.damping.weight());
+    let is_monocular = input.session.views.len() == 1;
+    let damping = Matrix3::from_diagonal_element(if is_monocular { MONOCULAR_DAMPING } else { DAMPING });
     system.diagonal.iter_mut().for_each(|block| *block += damping);
     for ray in rays {
         if let Some((by_point, hessian)) = linearize(input, ray, &points[ray.t], robust_scale) {
@@ -199,14 +140,14 @@ fn step(
 
 /// Gradient and Gauss-Newton Hessian of one detection's cost by its point.
 fn linearize(
-    input: &TrajectoryInput,
+    input: &TrackedPeople,
     ray: &KeypointRay,
     point: &Vector3<f64>,
     robust_scale: f64,
 ) -> Option<(Vector3<f64>, Matrix3<f64>)> {
     let camera = input.cameras[ray.view].as_ref()?;
     let intrinsics = &input.session.views[ray.view].intrinsics;
-    let depth = camera.transform(point).z * input.metres_per_unit;
+    let depth = camera.transform(point).z;
     if depth < NEAR_PLANE {
         return None;
     }

@@ -1,49 +1,37 @@
 //! Selection of keyframes for bundle adjustment: a fixed number, spread over persons and time, so that the cost of the
 //! cameras does not grow with the length of the recording.
 
-use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_profile::DETECTOR;
 use crate::geometry::Rigid;
 use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
-use crate::pipeline::calibration::Association;
+use crate::pipeline::calibration::Calibration;
 use crate::pipeline::keyframe::{Keyframe, Observation};
-use crate::session::JointTrajectory;
 use crate::session::recording::Session;
+use crate::session::{JointTrajectory, PersonTrack};
 use nalgebra::Vector2;
-
-/// Settings of the selection.
-#[derive(Debug, Clone, Copy)]
-pub struct KeyframeBudget<'a> {
-    /// Largest number of keyframes.
-    pub max_keyframes: usize,
-    /// Detector noise.
-    pub noise: &'a DetectorNoise,
-    /// Metres per unit of the cameras' world.
-    pub metres_per_unit: f64,
-}
 
 /// Whether a frame may be used.
 pub type FrameFilter<'a> = &'a (dyn Fn(usize) -> bool + Sync);
 
-/// Selects skeletons seen by at least two cameras, evenly over persons and time: in each stretch of time the one that
-/// most cameras see.
+/// Selects at most about `max_keyframes` skeletons seen by at least two `cameras`, evenly over persons and time: in each
+/// stretch of time the one that most cameras see. Persons and noise are those of `calibration`.
 pub fn select_keyframes(
     session: &Session,
+    calibration: &Calibration,
     cameras: &[Option<Rigid>],
-    association: &Association,
-    budget: KeyframeBudget,
+    max_keyframes: usize,
     allowed: FrameFilter,
 ) -> Vec<Keyframe> {
-    let candidates: Vec<Vec<(usize, usize)>> =
-        (0..association.tracks.len()).map(|p| candidates(association, cameras, p, allowed)).collect();
+    let tracks = &calibration.association.tracks;
+    let candidates: Vec<Vec<(usize, usize)>> = tracks.iter().map(|track| candidates(track, cameras, allowed)).collect();
     let total: usize = candidates.iter().map(Vec::len).sum();
     let mut selected = Vec::new();
     for (person, frames) in candidates.iter().enumerate() {
-        let share = (frames.len() * budget.max_keyframes).div_ceil(total.max(1)).min(frames.len());
+        let share = (frames.len() * max_keyframes).div_ceil(total.max(1)).min(frames.len());
         for i in 0..share {
             let stretch = &frames[i * frames.len() / share..(i + 1) * frames.len() / share];
             let Some(best) = stretch.iter().max_by_key(|(_, n)| *n) else { continue };
-            selected.push(keyframe(session, cameras, association, person, best.0, budget));
+            selected.push(keyframe(session, calibration, cameras, person, best.0));
         }
     }
     selected.retain(|k: &Keyframe| k.observations.len() >= 8);
@@ -52,13 +40,7 @@ pub fn select_keyframes(
 }
 
 /// Frames of a person seen by at least two placed cameras: index in the track and number of views.
-fn candidates(
-    association: &Association,
-    cameras: &[Option<Rigid>],
-    person: usize,
-    allowed: FrameFilter,
-) -> Vec<(usize, usize)> {
-    let track = &association.tracks[person];
+fn candidates(track: &PersonTrack, cameras: &[Option<Rigid>], allowed: FrameFilter) -> Vec<(usize, usize)> {
     let n_views = |assignment: &[Option<usize>]| {
         assignment.iter().zip(cameras).filter(|(d, c)| d.is_some() && c.is_some()).count()
     };
@@ -74,15 +56,15 @@ fn candidates(
 
 fn keyframe(
     session: &Session,
+    calibration: &Calibration,
     cameras: &[Option<Rigid>],
-    association: &Association,
     person: usize,
     t: usize,
-    budget: KeyframeBudget,
 ) -> Keyframe {
+    let Calibration { association, noise, .. } = calibration;
     let track = &association.tracks[person];
     let frame = track.first.0 + t;
-    let n_keypoints = budget.noise.sigmas_m().len();
+    let n_keypoints = noise.sigmas_m().len();
     let start = &association.points[person].points[t];
     let mut observations = Vec::new();
     for (view, detection) in track.detections[t].iter().enumerate() {
@@ -90,8 +72,8 @@ fn keyframe(
         let intrinsics = &session.views[view].intrinsics;
         for (keypoint, k) in session.views[view].frames[frame][*detection].keypoints[..n_keypoints].iter().enumerate() {
             let Some(point) = start[keypoint].filter(|_| k.confidence >= DETECTOR.judged) else { continue };
-            let depth = (camera.transform(&point).z * budget.metres_per_unit).max(0.3);
-            let sigma_m = budget.noise.sigma_m(keypoint, k.confidence);
+            let depth = camera.transform(&point).z.max(0.3);
+            let sigma_m = noise.sigma_m(keypoint, k.confidence);
             let sigma_px = sigma_m * intrinsics.focal() / depth;
             observations.push(Observation { keypoint, view, pixel: k.pixel, sigma_px, velocity: Vector2::zeros() });
         }

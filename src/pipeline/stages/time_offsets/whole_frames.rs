@@ -8,7 +8,7 @@ use crate::geometry::Rigid;
 use crate::matching::normalized::NormalizedView;
 use crate::matching::pair_hypotheses::{CameraPair, HypothesisConfig, mix, pair_hypotheses};
 use crate::matching::pair_score::{PairObservations, score_pair};
-use crate::matching::tracklets::{Tracklet, TrackletConfig, tracklets};
+use crate::matching::tracklets::Tracklet;
 use crate::pipeline::capture::Capture;
 use crate::progress::{Canceled, Progress};
 use rayon::prelude::*;
@@ -67,13 +67,9 @@ impl PairScores {
 }
 
 /// Estimates the offsets.
-///
-/// # Errors
-/// [`Canceled`].
 pub fn whole_offsets(capture: &Capture, progress: &Progress) -> Result<WholeOffsets, Canceled> {
     let (fps, n_views) = (capture.session.fps, capture.views.len());
-    let config = TrackletConfig::default();
-    let followed: Vec<Vec<Tracklet>> = capture.views.par_iter().map(|view| tracklets(view, fps, &config)).collect();
+    let followed = capture.tracklets();
     // At least half of the recording is in common.
     let range = ((MAX_OFFSET_SECS * fps).round() as i64).min(capture.session.n_frames as i64 / 2);
     let step = ((STEP_SECS * fps).round() as i64).max(1);

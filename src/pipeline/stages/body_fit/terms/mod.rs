@@ -12,15 +12,13 @@
 //! | [`bone_lengths`] | border, person | prior of the person's bone offsets |
 //! | [`keypoint_bias`] | border, session | prior of the detector's keypoint offsets |
 //!
-//! A new term implements one of the traits of [`term`] and joins the list in `objective.rs`; `derivative_check.rs` checks the
+//! A new term implements one of the traits of [`term`] and joins the list in `objective.rs`; `tests.rs` checks the
 //! gradients of all. [`unknowns`] defines the unknowns and their places: three per group in every frame, and a border shared by
 //! all frames.
 
 pub(crate) mod bone_lengths;
 pub(crate) mod collision;
 pub(crate) mod data;
-#[cfg(test)]
-mod derivative_check;
 pub(crate) mod foot_contact;
 pub(crate) mod frame;
 pub(crate) mod frame_system;
@@ -32,5 +30,7 @@ pub(crate) mod shape;
 pub(crate) mod smoothness;
 pub(crate) mod speed_scaling;
 pub(crate) mod term;
+#[cfg(test)]
+mod tests;
 pub(crate) mod unknowns;
 pub(crate) mod window;
