@@ -132,15 +132,6 @@ impl KeypointConvention {
         self.names().iter().position(|n| *n == name)
     }
 
-    /// Pairs of keypoints whose distance is constant for one person: limbs and, if the convention has them, feet and face.
-    pub fn bones(self) -> Vec<(usize, usize)> {
-        let index = |side: &str, name: &str| self.index_of(&format!("{side}_{name}"));
-        let pair = |side: &str, (a, b): (&str, &str)| Some((index(side, a)?, index(side, b)?));
-        let of_side = |side| SIDE_BONES.iter().filter_map(move |&bone| pair(side, bone));
-        let across = ["eye", "hip"].iter().filter_map(|name| Some((index("left", name)?, index("right", name)?)));
-        of_side("left").chain(of_side("right")).chain(across).collect()
-    }
-
     /// For each named keypoint its left/right counterpart (itself on the midline).
     pub fn mirror(self) -> Vec<usize> {
         let names = self.names();
@@ -151,19 +142,6 @@ impl KeypointConvention {
         names.iter().enumerate().map(|(i, n)| self.index_of(&twin(n)).unwrap_or(i)).collect()
     }
 }
-
-/// Rigid pairs of one side.
-const SIDE_BONES: [(&str, &str); 9] = [
-    ("hip", "knee"),
-    ("knee", "ankle"),
-    ("shoulder", "elbow"),
-    ("elbow", "wrist"),
-    ("ankle", "heel"),
-    ("ankle", "foot"),
-    ("heel", "big_toe"),
-    ("big_toe", "small_toe"),
-    ("eye", "ear"),
-];
 
 const COCO18_NAMES: [&str; 18] = [
     "nose", "neck", "right_shoulder", "right_elbow", "right_wrist", "left_shoulder", "left_elbow", "left_wrist",
@@ -216,18 +194,6 @@ mod tests {
             assert_eq!(KeypointConvention::parse(c.name()), Some(c));
             let m = c.mirror();
             assert!(m.iter().enumerate().all(|(i, &j)| m[j] == i), "{}", c.name());
-        }
-    }
-
-    #[test]
-    fn conventions_have_limbs_and_mirrored_bones() {
-        for c in KeypointConvention::ALL {
-            let (bones, mirror) = (c.bones(), c.mirror());
-            assert!(bones.len() >= 9, "{}", c.name());
-            for (a, b) in &bones {
-                let twin = (mirror[*a], mirror[*b]);
-                assert!(bones.contains(&twin) || bones.contains(&(twin.1, twin.0)), "{}", c.name());
-            }
         }
     }
 

@@ -62,11 +62,6 @@ impl Intrinsics {
         Matrix3::new(self.fx, self.skew, self.cx, 0.0, self.fy, self.cy, 0.0, 0.0, 1.0)
     }
 
-    /// Whether a pixel lies on the sensor, which ends half a pixel beyond the outer pixel centres.
-    pub fn contains(&self, pixel: &Vector2<f64>) -> bool {
-        pixel.x >= -0.5 && pixel.y >= -0.5 && pixel.x < self.width as f64 - 0.5 && pixel.y < self.height as f64 - 0.5
-    }
-
     /// Projects a point in the camera frame; `None` behind or on the camera plane.
     pub fn pixel_from_camera(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
         if point.z < MIN_DEPTH {

@@ -43,17 +43,10 @@ impl<'a> PairObservations<'a> {
 /// The score of a relative pose.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct PairScore {
-    /// Matched similarity above chance over the most that was possible, 0 to 1.
-    pub vote: f64,
-    /// Share of matched points in front of both cameras.
-    pub cheirality: f64,
-    /// Median absolute deviation of log (length / reference) over bones and people.
-    pub bone_spread: f64,
     /// Log of the metres that one unit of `second_from_first`'s translation stands for.
     pub log_metres: f64,
-    /// Number of measured bones.
-    pub n_bones: usize,
-    /// The product by which hypotheses are ranked, 0 to 1.
+    /// The product by which hypotheses are ranked, 0 to 1: of the vote, of the share of points in front of both cameras and
+    /// of how human the proportions of the bones are.
     pub quality: f64,
 }
 
@@ -64,8 +57,6 @@ pub struct MatchedPair<'a> {
     pub first: &'a NormalizedDetection,
     /// Detection of the second camera.
     pub second: &'a NormalizedDetection,
-    /// Similarity, 0 to 1.
-    pub similarity: f64,
 }
 
 /// Agreement of two detections with an essential matrix, 0 to 1: the mean of `max(0, 1 - (d / r)^2)` over shared points.
@@ -92,7 +83,7 @@ pub fn vote<'a>(observations: &PairObservations<'a>, essential: &Matrix3<f64>) -
         for (i, column) in columns.iter().enumerate() {
             let Some(j) = *column else { continue };
             sum += table[i][j] - MIN_SIMILARITY;
-            matches.push(MatchedPair { first: &first[i], second: &second[j], similarity: table[i][j] });
+            matches.push(MatchedPair { first: &first[i], second: &second[j] });
         }
         possible += first.len().min(second.len()) as f64 * (1.0 - MIN_SIMILARITY);
     }
@@ -120,7 +111,7 @@ pub fn score_pair(observations: &PairObservations, second_from_first: &Rigid) ->
     let (log_metres, bone_spread) = median_and_spread(&mut log_ratios);
     let human = if n_bones >= MIN_BONES { (-(bone_spread / BONE_SPREAD).powi(2)).exp() } else { 0.0 };
     let quality = vote * (2.0 * cheirality - 1.0).max(0.0) * human;
-    PairScore { vote, cheirality, bone_spread, log_metres, n_bones, quality }
+    PairScore { log_metres, quality }
 }
 
 /// Fewest bones from which proportions are measured.

@@ -57,11 +57,6 @@ impl MotionPrior {
         Self { shape, provenance, vae: Vae::new(shape, &basis, &parameters), basis }
     }
 
-    /// Widths and form of the network.
-    pub fn shape(&self) -> VaeShape {
-        self.shape
-    }
-
     /// Origin of the weights.
     pub fn provenance(&self) -> &Provenance {
         &self.provenance

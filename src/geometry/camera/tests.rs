@@ -113,10 +113,3 @@ fn undistortion_comes_back_to_every_pixel_of_the_image() {
         }
     }
 }
-
-#[test]
-fn the_sensor_ends_half_a_pixel_beyond_the_outer_centres() {
-    let camera = camera(Distortion::None);
-    assert!(camera.contains(&Vector2::new(-0.5, -0.5)) && camera.contains(&Vector2::new(1919.4, 1079.4)));
-    assert!(!camera.contains(&Vector2::new(-0.6, 0.0)) && !camera.contains(&Vector2::new(0.0, 1079.5)));
-}
