@@ -4,20 +4,15 @@
 //! distribution unlimited): 4,082 men and 1,986 women, here pooled half and half. Soldiers have more muscle than
 //! civilians; children are not covered.
 
-use nalgebra::SVector;
-
-/// Number of shape coefficients (betas).
-pub const N_BETAS: usize = 10;
-
-/// Change of a quantity per unit of each beta.
-pub type BetaRow = SVector<f64, N_BETAS>;
+use wandless::body::shape::{BetaRow, N_BETAS};
 
 /// Number of measures in the table.
-pub const N_MEASURES: usize = 35;
+pub(super) const N_MEASURES: usize = 35;
 
 /// A body measure, in the table's order. Each of the first ten defines one beta.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Measure {
+#[allow(dead_code)] // rows of the table whose measure the figure does not use
+pub(super) enum Measure {
     /// Standing height.
     Stature,
     /// Body mass (kg, where all others are mm).
@@ -172,7 +167,7 @@ const CORRELATIONS: [&[f64]; N_MEASURES] = [
 
 /// The population as a linear model: `measure_i = mean_i + loadings_i . beta`, `beta ~ N(0, I)`.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Population {
+pub(super) struct Population {
     /// Mean of each measure, m (kg for the weight).
     pub means: [f64; N_MEASURES],
     /// Change of each measure per unit of each beta, m (kg for the weight).
@@ -190,7 +185,7 @@ impl Population {
     /// shoulder height, foot: each is the part that the earlier ones do not explain. Only the first beta therefore
     /// changes the stature, and the ten are independent with variance one by construction. Known limit: the later
     /// measures keep an unexplained standard deviation (5 to 9 mm for lengths, up to 45 mm for girths).
-    pub fn ansur2() -> Self {
+    pub(super) fn ansur2() -> Self {
         let mut factor = [BetaRow::zeros(); N_MEASURES];
         let mut unexplained = [0.0; N_MEASURES];
         for i in 0..N_MEASURES {
@@ -213,7 +208,7 @@ impl Population {
 
 /// `constant + sum of factor * measure`, m: a coordinate on the body as a function of the measures.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Length {
+pub(super) struct Length {
     /// Part that does not vary, m.
     pub constant: f64,
     /// Measures and their factors.
@@ -222,7 +217,7 @@ pub struct Length {
 
 /// Mean of a length over the population and its change per beta, m.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct VariedLength {
+pub(super) struct VariedLength {
     /// Value at beta 0, m.
     pub mean: f64,
     /// Change per unit of each beta, m.
@@ -231,7 +226,7 @@ pub struct VariedLength {
 
 impl Length {
     /// The length in a population.
-    pub fn in_population(&self, population: &Population) -> VariedLength {
+    pub(super) fn in_population(&self, population: &Population) -> VariedLength {
         let mut length = VariedLength { mean: self.constant, per_beta: BetaRow::zeros() };
         for &(factor, measure) in &self.terms {
             length.mean += factor * population.means[measure as usize];
