@@ -40,18 +40,7 @@ pub struct SessionCamera {
 impl SessionCamera {
     /// The camera's intrinsics without distortion.
     pub fn intrinsics(&self) -> Intrinsics {
-        let k = &self.matrix;
-        let (width, height) = (self.width, self.height);
-        Intrinsics {
-            width,
-            height,
-            fx: k[0][0],
-            fy: k[1][1],
-            cx: k[0][2],
-            cy: k[1][2],
-            skew: k[0][1],
-            dist: Distortion::None,
-        }
+        Intrinsics::from_matrix([self.width, self.height], &self.matrix, Distortion::None)
     }
 }
 

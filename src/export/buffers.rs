@@ -35,26 +35,6 @@ impl Payload {
         self.array("f32", shape, values.into_iter().map(|value| written(value).to_le_bytes()))
     }
 
-    /// Appends bytes.
-    pub(super) fn u8(&mut self, shape: &[usize], values: impl IntoIterator<Item = u8>) -> Array {
-        self.array("u8", shape, values.into_iter().map(|value| [value]))
-    }
-
-    /// Appends signed 16-bit integers.
-    pub(super) fn i16(&mut self, shape: &[usize], values: impl IntoIterator<Item = i16>) -> Array {
-        self.array("i16", shape, values.into_iter().map(i16::to_le_bytes))
-    }
-
-    /// Appends unsigned 16-bit integers.
-    pub(super) fn u16(&mut self, shape: &[usize], values: impl IntoIterator<Item = u16>) -> Array {
-        self.array("u16", shape, values.into_iter().map(u16::to_le_bytes))
-    }
-
-    /// Appends unsigned 32-bit integers.
-    pub(super) fn u32(&mut self, shape: &[usize], values: impl IntoIterator<Item = u32>) -> Array {
-        self.array("u32", shape, values.into_iter().map(u32::to_le_bytes))
-    }
-
     fn array<const N: usize>(
         &mut self,
         kind: &'static str,
@@ -83,6 +63,20 @@ impl Payload {
         Ok([MAGIC.as_slice(), &length.to_le_bytes(), &header, &self.0].concat())
     }
 }
+
+/// A method of [`Payload`] for each integer type.
+macro_rules! integers {
+    ($($integer:ident)*) => {
+        impl Payload {$(
+            /// Appends integers.
+            pub(super) fn $integer(&mut self, shape: &[usize], values: impl IntoIterator<Item = $integer>) -> Array {
+                self.array(stringify!($integer), shape, values.into_iter().map($integer::to_le_bytes))
+            }
+        )*}
+    };
+}
+
+integers! { u8 i16 u16 u32 }
 
 #[cfg(test)]
 mod tests {

@@ -71,13 +71,14 @@ fn camera<'a>(
     let given = assigned_people(view, reconstruction.identities.get(index));
     let detections = || view.frames.iter().flatten();
     let n_detections = detections().count();
-    let ends = view.frames.iter().scan(0, |n, frame| {
-        *n += frame.len() as u32;
-        Some(*n)
-    });
+    let mut starts = vec![0];
+    for frame in &view.frames {
+        starts.push(starts[starts.len() - 1] + frame.len() as u32);
+    }
+    let repairs = reconstruction.repairs.as_ref();
     Camera {
         id: &view.id,
-        starts: payload.u32(&[view.frames.len() + 1], std::iter::once(0).chain(ends)),
+        starts: payload.u32(&[view.frames.len() + 1], starts.iter().copied()),
         person: payload.i16(&[n_detections], given),
         pixels: payload.f32(
             &[n_detections, n_keypoints, 2],
@@ -92,7 +93,7 @@ fn camera<'a>(
                 .flat_map(|d| keypoints(d, n_keypoints))
                 .map(|point| point.map_or(0, |point| (255.0 * point.confidence.clamp(0.0, 1.0)).round() as u8)),
         ),
-        repairs: reconstruction.repairs.as_ref().map(|c| repair_arrays(view, index, n_keypoints, c, payload)),
+        repairs: repairs.map(|repairs| repair_arrays(view, index, n_keypoints, repairs, &starts, payload)),
     }
 }
 
@@ -113,25 +114,17 @@ fn repair_arrays(
     index: usize,
     n_keypoints: usize,
     repairs: &DetectionRepairs,
+    starts: &[u32],
     payload: &mut Payload,
 ) -> RepairArrays {
-    let starts: Vec<usize> = view
-        .frames
-        .iter()
-        .scan(0, |n, frame| {
-            let start = *n;
-            *n += frame.len();
-            Some(start)
-        })
-        .collect();
     let repaired: Vec<&RepairedDetection> =
-        repairs.repaired.iter().filter(|repair| repair.view == index && repair.frame.0 < starts.len()).collect();
+        repairs.repaired.iter().filter(|repair| repair.view == index && repair.frame.0 < view.frames.len()).collect();
     let before = assigned_people(view, repairs.identities_before.get(index));
     let source = |repair: &RepairedDetection, k: usize| repair.sources.get(k).copied().flatten();
     RepairArrays {
         before: payload.i16(&[before.len()], before),
         repaired: payload
-            .u32(&[repaired.len()], repaired.iter().map(|repair| (starts[repair.frame.0] + repair.detection) as u32)),
+            .u32(&[repaired.len()], repaired.iter().map(|repair| starts[repair.frame.0] + repair.detection as u32)),
         sources: payload.u8(
             &[repaired.len(), n_keypoints],
             repaired.iter().flat_map(|repair| {

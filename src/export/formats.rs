@@ -74,53 +74,38 @@ pub(super) fn write(format: F, files: &mut ResultFiles, take: &Take) -> io::Resu
         F::Blender => blender::write(files, take),
     }?;
     let [frame_start, frame_end] = take.frame_range();
+    let (ext, up_axis, metres_per_unit) = layout(format);
     Ok(Representation {
         name: name(format),
-        ext: extension(format),
+        ext,
         files: files.names_from(n_before),
         frame_start,
         frame_end,
         fps: take.fps,
         data: RepresentationData {
-            up_axis: up_axis(format).unwrap_or(take.up_axis),
+            up_axis: up_axis.unwrap_or(take.up_axis),
             handedness: "right",
-            metres_per_unit: metres_per_unit(format),
+            metres_per_unit,
             rotation_order: (format == F::Chan).then_some("ZXY"),
             lost: losses::losses(format, take),
         },
     })
 }
 
-fn extension(format: F) -> &'static str {
+/// Extension of the files, the up axis that their readers expect (`None`: that of the result), and metres per unit.
+fn layout(format: F) -> (&'static str, Option<UpAxis>, f64) {
     match format {
-        F::SmplNpz => "npz",
-        F::Easymocap => "json",
-        F::Glb => "glb",
-        F::Bvh => "bvh",
-        F::Usd => "usda",
-        F::Trc => "trc",
-        F::C3d => "c3d",
-        F::OpencvYaml => "yml",
-        F::CalibToml | F::AniposeToml => "toml",
-        F::Colmap => "txt",
-        F::Chan => "chan",
-        F::Blender => "py",
-    }
-}
-
-/// The up axis that the format's readers expect; `None` for formats that keep the result's world.
-fn up_axis(format: F) -> Option<UpAxis> {
-    match format {
-        F::Glb | F::Bvh | F::Usd | F::Trc | F::Chan => Some(UpAxis::Y),
-        F::C3d | F::Blender => Some(UpAxis::Z),
-        F::SmplNpz | F::Easymocap | F::OpencvYaml | F::CalibToml | F::AniposeToml | F::Colmap => None,
-    }
-}
-
-fn metres_per_unit(format: F) -> f64 {
-    match format {
-        F::Bvh => 0.01,
-        F::C3d => 0.001,
-        _ => 1.0,
+        F::SmplNpz => ("npz", None, 1.0),
+        F::Easymocap => ("json", None, 1.0),
+        F::Glb => ("glb", Some(UpAxis::Y), 1.0),
+        F::Bvh => ("bvh", Some(UpAxis::Y), 0.01),
+        F::Usd => ("usda", Some(UpAxis::Y), 1.0),
+        F::Trc => ("trc", Some(UpAxis::Y), 1.0),
+        F::C3d => ("c3d", Some(UpAxis::Z), 0.001),
+        F::OpencvYaml => ("yml", None, 1.0),
+        F::CalibToml | F::AniposeToml => ("toml", None, 1.0),
+        F::Colmap => ("txt", None, 1.0),
+        F::Chan => ("chan", Some(UpAxis::Y), 1.0),
+        F::Blender => ("py", Some(UpAxis::Z), 1.0),
     }
 }

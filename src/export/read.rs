@@ -150,7 +150,6 @@ pub fn read_take(dir: &Path) -> Result<Take, ReadError> {
 
 fn solved_camera(camera: &Camera) -> Result<Option<TakeCamera>, ReadError> {
     let (Some(rotation), Some(translation)) = (camera.rotation, camera.translation) else { return Ok(None) };
-    let k = camera.matrix;
     let fault = |what: &str, expected: &str, found: String| {
         Err(contradiction("cameras.json", &format!("camera {}: {what}", camera.id), expected, found))
     };
@@ -163,16 +162,7 @@ fn solved_camera(camera: &Camera) -> Result<Option<TakeCamera>, ReadError> {
         let model = camera.distortion_model.as_deref().unwrap_or("opencv");
         return fault("dist", "a distortion model of OpenCV", format!("{model} {:?}", camera.dist));
     };
-    let intrinsics = Intrinsics {
-        width: camera.width,
-        height: camera.height,
-        fx: k[0][0],
-        fy: k[1][1],
-        cx: k[0][2],
-        cy: k[1][2],
-        skew: k[0][1],
-        dist,
-    };
+    let intrinsics = Intrinsics::from_matrix([camera.width, camera.height], &camera.matrix, dist);
     if camera.width == 0 || camera.height == 0 {
         return fault("size", "a positive image size", format!("{}x{}", camera.width, camera.height));
     }

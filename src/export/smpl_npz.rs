@@ -8,7 +8,7 @@
 
 use super::files::ResultFiles;
 use super::people::axis_angles;
-use super::take::{Take, axis_name};
+use super::take::Take;
 use crate::formats::npz::{CompressionMethod, NpzWriter};
 use crate::session::BodyMotion;
 use std::io::{self, Cursor};
@@ -50,7 +50,7 @@ fn motion_npz(take: &Take, motion: &BodyMotion, model: &str, poses: &[Vec<f64>])
     npz.array("mocap_framerate", &[], [take.fps])?;
     npz.array("mocap_frame_rate", &[], [take.fps])?;
     npz.text("surface_model_type", model)?;
-    npz.text("up_axis", axis_name(take.up_axis))?;
+    npz.text("up_axis", &format!("{:?}", take.up_axis).to_lowercase())?;
     npz.array("frames", &[n_frames], frames)?;
     npz.array("valid", &[n_frames], motion.frames.iter().map(|pose| pose.valid))?;
     Ok(npz.finish()?.into_inner())

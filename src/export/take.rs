@@ -165,15 +165,6 @@ pub(super) fn rest_joints(motion: &BodyMotion) -> [Vector3<f64>; N_JOINTS] {
     rest
 }
 
-/// Name of the axis.
-pub(super) fn axis_name(up_axis: UpAxis) -> &'static str {
-    match up_axis {
-        UpAxis::X => "x",
-        UpAxis::Y => "y",
-        UpAxis::Z => "z",
-    }
-}
-
 /// The rotation `target_from_source` between two worlds given by their up axes: y and z by a quarter turn about x, as
 /// modelling programs do; x to y by a cyclic permutation of the axes.
 fn rotation_between(target: UpAxis, source: UpAxis) -> Matrix3<f64> {

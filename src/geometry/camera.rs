@@ -52,6 +52,11 @@ impl Intrinsics {
         0.5 * (self.fx + self.fy)
     }
 
+    /// The intrinsics with the matrix K, row by row, of images of `size` (width and height, px).
+    pub fn from_matrix([width, height]: [u32; 2], k: &[[f64; 3]; 3], dist: Distortion) -> Self {
+        Self { width, height, fx: k[0][0], fy: k[1][1], cx: k[0][2], cy: k[1][2], skew: k[0][1], dist }
+    }
+
     /// The same intrinsics with `fx`, `fy` and the skew multiplied by `factor`.
     pub fn with_focal_factor(&self, factor: f64) -> Self {
         Self { fx: self.fx * factor, fy: self.fy * factor, skew: self.skew * factor, ..*self }

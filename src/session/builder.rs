@@ -8,7 +8,6 @@ use super::upload::error::{Fault, UploadError};
 use super::upload::json::{Place, Reading, ShortList};
 use super::upload::limits::{PERSON_AS_KEYPOINTS, UploadLimits};
 use super::upload::raw::{RawCamera, RawPoses, RawSession, rows_of_matrix};
-use super::upload::suspicions;
 use super::upload::warnings::Warnings;
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::{Intrinsics, Rigid};
@@ -126,7 +125,6 @@ impl SessionBuilder {
             added.map_err(|e| reading.place.of(e))?;
         }
         let session = assemble(raw, &limits, &mut warnings)?;
-        suspicions::report(&session, &mut warnings);
         Ok((session, warnings.into_lines()))
     }
 }

@@ -27,7 +27,7 @@ use super::formats::{foreign, native};
 use super::recording::Session;
 use json::Reading;
 use members::Members;
-use raw::RawSession;
+use raw::MembersRead;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
@@ -87,12 +87,11 @@ pub fn read_upload<R: Read + Seek>(
             read_members(&mut members, &mut reading).map_err(in_upload)?
         }
         Container::Document => {
-            let (raw, shape) = native::read_document(&mut reader, name, &mut reading)?;
-            MembersRead { raw, format: shape.name().to_owned(), files: Vec::new() }
+            let (raw, layout) = native::read_document(&mut reader, name, &mut reading)?;
+            MembersRead { raw, format: layout.to_owned(), files: Vec::new() }
         }
     };
     let session = assemble::assemble(raw, limits, &mut warnings)?;
-    suspicions::report(&session, &mut warnings);
     reader.rewind().map_err(unreadable)?;
     let sha256 = sha256_of_reader(&mut reader).map_err(unreadable)?;
     Ok(LoadedSession { session, format, warnings: warnings.into_lines(), sha256 })
@@ -104,7 +103,6 @@ fn read_folder(dir: &Path, limits: &UploadLimits) -> Result<LoadedSession, Uploa
     let mut members = Members::of_folder(dir, limits).map_err(in_folder)?;
     let read = read_members(&mut members, &mut Reading::new(limits, &mut warnings)).map_err(in_folder)?;
     let session = assemble::assemble(read.raw, limits, &mut warnings)?;
-    suspicions::report(&session, &mut warnings);
     let sha256 = digest_of_members(&mut members, read.files)?;
     Ok(LoadedSession { session, format: read.format, warnings: warnings.into_lines(), sha256 })
 }
@@ -133,14 +131,6 @@ fn sniff<R: Read + Seek>(reader: &mut R) -> Result<Container, UploadError> {
                 .with(format!("the file starts with bytes {start}, expected a zip or a JSON object")))
         }
     }
-}
-
-/// Content of the files of a folder or an archive.
-struct MembersRead {
-    raw: RawSession,
-    format: String,
-    /// Names of the files that were read.
-    files: Vec<String>,
 }
 
 /// Recognises whether the files are a native session or other tools' files, and reads them.
@@ -172,14 +162,12 @@ fn read_members<R: Read + Seek>(
         Some(header) => survey.has_foreign_poses() || foreign::names_joints(members, header),
     };
     if is_foreign {
-        let foreign::ForeignSession { raw, format, files } =
-            foreign::read_members(foreign::Survey { header, ..survey }, members, reading)?;
-        return Ok(MembersRead { raw, format, files });
+        return foreign::read_members(foreign::Survey { header, ..survey }, members, reading);
     }
     let root = header.unwrap_or_default().trim_end_matches("session.json").to_owned();
     let raw = native::read_members(members, &root, reading)?;
     let files = native::member_names(&raw, &root);
-    Ok(MembersRead { raw, format: native::Shape::Folder.name().to_owned(), files })
+    Ok(MembersRead { raw, format: "native".to_owned(), files })
 }
 
 /// Whether the folder encloses the whole session. `__MACOSX/` does not: it holds copies that macOS adds to archives.

@@ -23,21 +23,13 @@ pub(super) enum Element {
 }
 
 impl Element {
-    fn name(self) -> &'static str {
+    /// glTF's name, and the number of values.
+    fn layout(self) -> (&'static str, usize) {
         match self {
-            Self::Scalar => "SCALAR",
-            Self::Vec3 => "VEC3",
-            Self::Vec4 => "VEC4",
-            Self::Mat4 => "MAT4",
-        }
-    }
-
-    fn width(self) -> usize {
-        match self {
-            Self::Scalar => 1,
-            Self::Vec3 => 3,
-            Self::Vec4 => 4,
-            Self::Mat4 => 16,
+            Self::Scalar => ("SCALAR", 1),
+            Self::Vec3 => ("VEC3", 3),
+            Self::Vec4 => ("VEC4", 4),
+            Self::Mat4 => ("MAT4", 16),
         }
     }
 }
@@ -54,18 +46,18 @@ impl Buffer {
     /// Adds floats with their bounds, which glTF requires for times and positions; returns the index of the accessor.
     pub(super) fn floats(&mut self, values: &[f32], element: Element) -> usize {
         let bytes = values.iter().flat_map(|value| value.to_le_bytes());
-        self.add(bytes, None, json!({ "componentType": FLOAT }), values.len(), element);
-        let width = element.width();
+        let accessor = self.add(bytes, None, FLOAT, values.len(), element);
+        let (_, width) = element.layout();
         if width <= 3 {
             let of_column = |c: usize| values.iter().skip(c).step_by(width).copied();
             let bound = |pick: fn(f32, f32) -> f32| -> Vec<Option<f32>> {
                 (0..width).map(|c| of_column(c).reduce(pick)).collect()
             };
             let (min, max) = (bound(f32::min), bound(f32::max));
-            self.accessors[self.views.len() - 1]["min"] = json!(min);
-            self.accessors[self.views.len() - 1]["max"] = json!(max);
+            self.accessors[accessor]["min"] = json!(min);
+            self.accessors[accessor]["max"] = json!(max);
         }
-        self.views.len() - 1
+        accessor
     }
 
     /// Adds floats of vertices.
@@ -78,31 +70,23 @@ impl Buffer {
     /// Adds four bytes per vertex.
     pub(super) fn vertex_bytes(&mut self, values: &[[u8; 4]]) -> usize {
         let bytes = values.iter().flatten().copied();
-        self.add(bytes, Some(ARRAY_BUFFER), json!({ "componentType": UNSIGNED_BYTE }), values.len() * 4, Element::Vec4);
-        self.views.len() - 1
+        self.add(bytes, Some(ARRAY_BUFFER), UNSIGNED_BYTE, values.len() * 4, Element::Vec4)
     }
 
     /// Adds indices of triangles.
     pub(super) fn indices(&mut self, values: &[u16]) -> usize {
         let bytes = values.iter().flat_map(|value| value.to_le_bytes());
-        self.add(
-            bytes,
-            Some(ELEMENT_ARRAY_BUFFER),
-            json!({ "componentType": UNSIGNED_SHORT }),
-            values.len(),
-            Element::Scalar,
-        );
-        self.views.len() - 1
+        self.add(bytes, Some(ELEMENT_ARRAY_BUFFER), UNSIGNED_SHORT, values.len(), Element::Scalar)
     }
 
     fn add(
         &mut self,
         bytes: impl Iterator<Item = u8>,
         target: Option<u32>,
-        mut accessor: Value,
+        component_type: u32,
         n_values: usize,
         element: Element,
-    ) {
+    ) -> usize {
         let offset = self.bytes.len();
         self.bytes.extend(bytes);
         let mut view = json!({ "buffer": 0, "byteOffset": offset, "byteLength": self.bytes.len() - offset });
@@ -110,11 +94,12 @@ impl Buffer {
             view["target"] = json!(target);
         }
         fill(&mut self.bytes, 0);
-        accessor["bufferView"] = json!(self.views.len());
-        accessor["count"] = json!(n_values / element.width());
-        accessor["type"] = json!(element.name());
+        let (index, (name, width)) = (self.views.len(), element.layout());
         self.views.push(view);
-        self.accessors.push(accessor);
+        self.accessors.push(json!({
+            "componentType": component_type, "bufferView": index, "count": n_values / width, "type": name,
+        }));
+        index
     }
 
     /// The whole file: `root` completed with the buffer's views and accessors.

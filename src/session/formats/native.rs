@@ -16,44 +16,27 @@ use header::DocumentFields;
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
 
-/// Variants of the layout; their names are part of the response to an upload.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Shape {
-    Folder,
-    Json,
-    Ndjson,
-}
-
-impl Shape {
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Folder => "native",
-            Self::Json => "native_json",
-            Self::Ndjson => "native_ndjson",
-        }
-    }
-}
-
-/// Reads one document with inline poses, or a header followed by one line per camera and frame.
+/// Reads one document with inline poses (`native_json`), or a header followed by one line per camera and frame
+/// (`native_ndjson`); returns the session and the name of its layout.
 pub(crate) fn read_document(
     reader: impl Read,
     file: &str,
     reading: &mut Reading<'_>,
-) -> Result<(RawSession, Shape), UploadError> {
+) -> Result<(RawSession, &'static str), UploadError> {
     reading.place.file = Some(file.to_owned());
     let mut stream = JsonStream::new(reader, reading.limits);
     let mut document = DocumentFields::default();
     stream.next(&mut document, reading)?;
     if let Some(poses) = document.poses.take() {
         stream.expect_end(reading)?;
-        return Ok((document.finish(reading, poses)?, Shape::Json));
+        return Ok((document.finish(reading, poses)?, "native_json"));
     }
     if stream.at_end(reading)? {
         return Err(reading.place.of(Fault::PosesMissing.with("the document has no `poses` and no frames follow it")));
     }
     let mut raw = document.finish(reading, BTreeMap::new())?;
     read_lines(&mut stream, &mut raw, reading)?;
-    Ok((raw, Shape::Ndjson))
+    Ok((raw, "native_ndjson"))
 }
 
 /// Reads `session.json` under `root` (`""` or `"<folder>/"`) and the poses of every camera in it.

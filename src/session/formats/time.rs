@@ -2,16 +2,9 @@
 
 use serde::{Deserialize, Deserializer, de};
 
-/// A frame rate as written: a number, or a ratio such as `"30000/1001"`.
+/// A frame rate, frames per second, as written: a number, or a ratio such as `"30000/1001"`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct FrameRate(f64);
-
-impl FrameRate {
-    /// Frames per second.
-    pub(crate) fn per_second(&self) -> f64 {
-        self.0
-    }
-}
+pub(crate) struct FrameRate(pub(crate) f64);
 
 impl<'de> Deserialize<'de> for FrameRate {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
@@ -75,7 +68,7 @@ mod tests {
 
     #[test]
     fn recovers_written_frame_rates() {
-        let read = |text: &str| serde_json::from_str::<FrameRate>(text).map(|rate| rate.per_second());
+        let read = |text: &str| serde_json::from_str::<FrameRate>(text).map(|rate| rate.0);
         assert_eq!(read("25").unwrap(), 25.0);
         assert_eq!(ratio(read("\"30000/1001\"").unwrap()), [30000, 1001]);
         assert_eq!(ratio(read("\"1000/33\"").unwrap()), [1000, 33]);

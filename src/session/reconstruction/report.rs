@@ -135,21 +135,17 @@ pub struct PersonReport {
     /// Reprojection error of the keypoints, px.
     pub reprojection_px: Option<ErrorSummary>,
     /// The same at the keypoints' depths, mm: `px * depth / focal`.
-    #[serde(default)]
     pub reprojection_mm: Option<ErrorSummary>,
     /// Share of the track's frames with detections in at least two solved cameras, 0 to 1.
     #[serde(default)]
     pub share_in_two_views: f64,
     /// Standard deviation of the 3D keypoints, mm, from the views of a single frame with exact cameras (smoothness over time
     /// lowers it). `None` without two views of the person.
-    #[serde(default)]
     pub sigma_mm: Option<SigmaSummary>,
     /// Median angle between the rays to a keypoint, of the pair nearest to a right angle, 0 to 90 degrees.
-    #[serde(default)]
     pub ray_angle_deg: Option<f64>,
     /// Median dilution of precision: standard deviation of a 3D keypoint divided by that of one ray; `sqrt(4.5 / n)` for `n`
     /// cameras all around, much larger where all rays are nearly parallel.
-    #[serde(default)]
     pub dilution: Option<f64>,
     /// Statistics by kind of keypoint, in the order of the session's convention.
     #[serde(default)]
@@ -202,7 +198,6 @@ pub struct CameraReport {
     /// Reprojection error, px.
     pub reprojection_px: Option<ErrorSummary>,
     /// The same at the keypoints' depths, mm: `px * depth / focal`.
-    #[serde(default)]
     pub reprojection_mm: Option<ErrorSummary>,
     /// Share of the keypoints of its assigned detections rejected as outliers of the reprojection, 0 to 1.
     #[serde(default)]
@@ -232,7 +227,6 @@ pub struct Report {
     #[serde(default)]
     pub detector: KeypointBias,
     /// Report of the consistency stage; `None` where it is switched off.
-    #[serde(default)]
     pub consistency: Option<ConsistencyReport>,
     /// How far people's bodies reach into each other.
     #[serde(default)]

@@ -4,6 +4,7 @@ use super::camera::{checked_extrinsics, checked_intrinsics};
 use super::error::{Fault, UploadError, shown};
 use super::limits::UploadLimits;
 use super::raw::{RawCamera, RawPoses, RawSession};
+use super::suspicions;
 use super::warnings::Warnings;
 use crate::body::skeleton::KeypointConvention;
 use crate::session::formats::time::is_timecode;
@@ -54,7 +55,9 @@ pub(crate) fn assemble(
         warnings.add(format!("poses of unknown camera {} are ignored", shown(id)));
     }
     let (name, first_frame) = (raw.name, raw.first_frame);
-    Ok(Session { name, fps, first_frame, n_frames, convention, up_axis, start_timecode, views })
+    let session = Session { name, fps, first_frame, n_frames, convention, up_axis, start_timecode, views };
+    suspicions::report(&session, warnings);
+    Ok(session)
 }
 
 struct TimeLine {

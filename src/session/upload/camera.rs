@@ -28,16 +28,8 @@ pub(super) fn checked_intrinsics(raw: &RawCamera, warnings: &mut Warnings) -> Re
     let rows = raw.matrix.as_ref().ok_or_else(|| Fault::MissingField.with("the camera has no `K`"))?;
     let k = matrix3(rows).ok_or_else(|| invalid(format!("K is {}, expected 3x3", shape(rows))))?;
     check_matrix(&k)?;
-    let intrinsics = Intrinsics {
-        width: raw.width,
-        height: raw.height,
-        fx: k[(0, 0)],
-        fy: k[(1, 1)],
-        cx: k[(0, 2)],
-        cy: k[(1, 2)],
-        skew: k[(0, 1)],
-        dist: checked_distortion(raw)?,
-    };
+    let intrinsics =
+        Intrinsics::from_matrix([raw.width, raw.height], &crate::session::formats::rows(&k), checked_distortion(raw)?);
     check_focal(&intrinsics)?;
     check_principal_point(&intrinsics, &raw.id, warnings)?;
     check_distortion_at_corner(&intrinsics)?;

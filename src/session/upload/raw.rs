@@ -23,6 +23,16 @@ pub(crate) struct RawSession {
     pub poses: BTreeMap<String, RawPoses>,
 }
 
+/// Content of the files of a folder or an archive.
+#[derive(Debug)]
+pub(crate) struct MembersRead {
+    pub raw: RawSession,
+    /// Name of the layout, or of the dialects of the poses and the formats of the calibration.
+    pub format: String,
+    /// Names of the files that were read.
+    pub files: Vec<String>,
+}
+
 /// One camera as written.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct RawCamera {

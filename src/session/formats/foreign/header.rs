@@ -10,7 +10,7 @@ use serde::Deserialize;
 #[derive(Debug, Default, Deserialize)]
 pub(super) struct Header {
     pub(super) name: Option<String>,
-    fps: Option<FrameRate>,
+    pub(super) fps: Option<FrameRate>,
     pub(super) first_frame: Option<i64>,
     pub(super) n_frames: Option<u64>,
     pub(super) keypoint_convention: Option<String>,
@@ -48,11 +48,6 @@ impl Header {
     /// An invalid document.
     pub(super) fn read(bytes: &[u8]) -> Result<Self, UploadError> {
         document_from_bytes(bytes)
-    }
-
-    /// Frames per second.
-    pub(super) fn fps(&self) -> Option<f64> {
-        self.fps.as_ref().map(FrameRate::per_second)
     }
 
     /// Cameras with the fields that the header gives.

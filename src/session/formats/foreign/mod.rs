@@ -18,21 +18,11 @@ use crate::session::formats::poses::PoseDialect;
 use crate::session::upload::error::{Fault, UploadError, shown};
 use crate::session::upload::json::{Reading, ShortList};
 use crate::session::upload::members::Members;
-use crate::session::upload::raw::{RawCamera, RawSession};
+use crate::session::upload::raw::{MembersRead, RawCamera, RawSession};
 use header::Header;
 use sources::{Source, read_bytes, read_sources};
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
-
-/// A session read from other tools' files.
-#[derive(Debug)]
-pub(crate) struct ForeignSession {
-    pub(crate) raw: RawSession,
-    /// Dialects of the poses and formats of the calibration: `openpose with opencv_yaml`.
-    pub(crate) format: String,
-    /// Names of all files that were read.
-    pub(crate) files: Vec<String>,
-}
 
 /// Largest header and calibration file, bytes; a calibration of a thousand images has some megabytes.
 const MAX_HEADER_BYTES: u64 = 4 << 20;
@@ -54,7 +44,7 @@ pub(crate) fn read_members<R: Read + Seek>(
     survey: Survey,
     members: &mut Members<R>,
     reading: &mut Reading<'_>,
-) -> Result<ForeignSession, UploadError> {
+) -> Result<MembersRead, UploadError> {
     let mut header = read_header(&survey, members)?;
     let header_cameras = header.take_cameras();
     let mut calibration = read_calibrations(&survey, &header_cameras, members, reading)?;
@@ -74,7 +64,7 @@ pub(crate) fn read_members<R: Read + Seek>(
     for name in &survey.unrecognised {
         reading.warnings.add(format!("file {} is neither poses nor a calibration: it is ignored", shown(name)));
     }
-    let fps = header.fps().or(found.fps).or(calibration.fps).unwrap_or_else(|| {
+    let fps = header.fps.map(|rate| rate.0).or(found.fps).or(calibration.fps).unwrap_or_else(|| {
         let line =
             format!("no file contains the frame rate: {DEFAULT_FPS} per second are assumed; add `fps` to session.json");
         reading.warnings.add(line);
@@ -98,7 +88,7 @@ pub(crate) fn read_members<R: Read + Seek>(
         poses: cameras.iter().map(|camera| camera.id.clone()).zip(sources.into_iter().map(|s| s.poses)).collect(),
         cameras,
     };
-    Ok(ForeignSession { raw, format, files: files_of(survey) })
+    Ok(MembersRead { raw, format, files: files_of(survey) })
 }
 
 fn read_header<R: Read + Seek>(survey: &Survey, members: &mut Members<R>) -> Result<Header, UploadError> {

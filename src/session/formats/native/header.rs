@@ -53,7 +53,7 @@ impl Fields for DocumentFields {
     fn field<'d, M: MapAccess<'d>>(&mut self, key: &str, map: &mut M, reading: &mut Reading) -> Result<bool, M::Error> {
         match key {
             "name" => self.name = map.next_value()?,
-            "fps" => self.fps = Some(map.next_value::<FrameRate>()?.per_second()),
+            "fps" => self.fps = Some(map.next_value::<FrameRate>()?.0),
             "n_frames" => self.n_frames = map.next_value()?,
             "first_frame" => {
                 self.first_frame = map.next_value()?;
