@@ -1,12 +1,10 @@
 //! Assembly of the result: cameras and trajectories in the world frame, bodies, fit statistics and verdict.
 
-use super::calibration::Calibration;
+use super::calibration::{Calibration, TrackedPeople};
 use super::capture::Capture;
 use super::error::PipelineError;
 use super::stages::association::identities;
-use super::stages::body_fit::{
-    BodyFitConfig, BodyFitInput, FittedBodies, fit_bodies, fitted_statures, landmark_trajectory,
-};
+use super::stages::body_fit::{BodyFitConfig, FittedBodies, fit_bodies, fitted_statures, landmark_trajectory};
 use super::stages::fit_statistics::FitStatistics;
 use super::stages::verdict::input::VerdictInput;
 use super::stages::verdict::quality;
@@ -32,15 +30,11 @@ pub fn statures(
     let metres_from_units = Similarity { scale, ..Similarity::identity() };
     let (mut cameras, mut points) = (calibration.cameras.clone(), trajectories.to_vec());
     move_into(&metres_from_units, &mut cameras, &mut points);
-    let input = BodyFitInput {
-        session: capture.session,
-        noise: &calibration.noise,
-        cameras: &cameras,
-        tracks: &calibration.association.tracks,
-        points: &points,
-        up: Vector3::y(), // used with a single view only
-    };
-    fitted_statures(input, model, progress)
+    fitted_statures(
+        &TrackedPeople { cameras: &cameras, ..calibration.people(capture.session, &points) },
+        model,
+        progress,
+    )
 }
 
 /// Cameras and trajectories in the result's world.
@@ -82,14 +76,7 @@ impl Solution {
         progress: &Progress,
     ) -> Result<Reconstruction, PipelineError> {
         let tracks = self.calibration.association.tracks.clone();
-        let input = BodyFitInput {
-            session: capture.session,
-            noise: &self.calibration.noise,
-            cameras: &self.calibration.cameras,
-            tracks: &tracks,
-            points: &self.trajectories,
-            up: self.upright(capture),
-        };
+        let input = self.calibration.people(capture.session, &self.trajectories);
         let is_monocular = capture.session.views.len() == 1;
         let config = if is_monocular { BodyFitConfig::monocular() } else { BodyFitConfig::default() };
         let config = BodyFitConfig {
@@ -98,7 +85,7 @@ impl Solution {
             ..config
         };
         let FittedBodies { motions, detector_model, mut detector, penetration, report } =
-            fit_bodies(input, model, &config, progress)?;
+            fit_bodies(&input, &self.upright(capture), model, &config, progress)?;
         if is_monocular {
             detector.reason =
                 "a single view cannot separate keypoint bias of the detector from the poses of people".to_owned();
@@ -114,14 +101,9 @@ impl Solution {
                 trajectory.points = landmark_trajectory(&detector_model, motion, capture.session.convention).points;
             }
         }
-        let statistics = FitStatistics::new(
-            capture.session,
-            &self.calibration.cameras,
-            &self.calibration.noise,
-            &kept,
-            &self.trajectories,
-        );
-        let report = Report { detector, ..self.report(capture, &kept, &statistics, penetration) };
+        let shown = TrackedPeople { tracks: &kept, ..self.calibration.people(capture.session, &self.trajectories) };
+        let statistics = FitStatistics::new(&shown);
+        let report = Report { detector, ..self.report(capture, &shown, &statistics, penetration) };
         let mut keypoints = std::mem::take(&mut self.trajectories);
         for (trajectory, motion) in keypoints.iter_mut().zip(&motions) {
             fill_from_body(trajectory, &landmark_trajectory(&detector_model, motion, capture.session.convention));
@@ -175,14 +157,14 @@ impl Solution {
     fn report(
         &self,
         capture: &Capture,
-        tracks: &[PersonTrack],
+        people: &TrackedPeople,
         statistics: &FitStatistics,
         penetration: PenetrationReport,
     ) -> Report {
         let session = capture.session;
-        let cameras = statistics.camera_reports(session, &self.calibration.cameras, tracks);
-        let people = statistics.person_reports(session, &capture.bones, tracks, &self.trajectories);
-        let geometry = statistics.geometry_report(&self.trajectories);
+        let geometry = statistics.geometry_report(people.points);
+        let cameras = statistics.camera_reports(people);
+        let people = statistics.person_reports(people, &capture.bones);
         let n_detections: usize = cameras.iter().map(|c| c.n_detections).sum();
         let n_rejected: usize = cameras.iter().map(|c| c.n_rejected_detections).sum();
         let adjusted = self.calibration.adjusted.as_ref();

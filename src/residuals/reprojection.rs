@@ -40,7 +40,8 @@ pub fn linearize(
     pixel: &Vector2<f64>,
     sigma_px: f64,
 ) -> Option<Reprojection> {
-    let (p, predicted, by_p) = projection(intrinsics, camera_from_world, point_in_world)?;
+    let p = camera_from_world.transform(point_in_world);
+    let (predicted, by_p) = intrinsics.project_with_jacobian(&p)?;
     let per_sigma = sigma_px.recip();
     let by_p = by_p * per_sigma;
     let (u, v) = (by_p.row(0), by_p.row(1));
@@ -68,7 +69,8 @@ pub fn pixel_cost(
     sigma_px: f64,
     robust_scale: f64,
 ) -> PositionCost {
-    let Some((_, predicted, by_p)) = projection(intrinsics, camera_from_world, point_in_world) else {
+    let point_in_camera = camera_from_world.transform(point_in_world);
+    let Some((predicted, by_p)) = intrinsics.project_with_jacobian(&point_in_camera) else {
         let cost = geman_mcclure_ceiling(robust_scale);
         return PositionCost { cost, gradient: Vector3::zeros(), hessian: Matrix3::zeros() };
     };
@@ -76,17 +78,6 @@ pub fn pixel_cost(
     let by_point = by_p * camera_from_world.rotation / sigma_px;
     let Robust { cost, weight, .. } = geman_mcclure(residual.norm_squared(), robust_scale);
     PositionCost { cost, gradient: by_point.tr_mul(&residual) * weight, hessian: by_point.tr_mul(&by_point) * weight }
-}
-
-/// The point in the camera's frame, its pixel, and the derivative of the pixel by the point in the camera's frame.
-fn projection(
-    intrinsics: &Intrinsics,
-    camera_from_world: &Rigid,
-    point_in_world: &Vector3<f64>,
-) -> Option<(Vector3<f64>, Vector2<f64>, Matrix2x3<f64>)> {
-    let point_in_camera = camera_from_world.transform(point_in_world);
-    let (pixel, by_point) = intrinsics.project_with_jacobian(&point_in_camera)?;
-    Some((point_in_camera, pixel, by_point))
 }
 
 #[cfg(test)]

@@ -21,7 +21,6 @@ use crate::session::reconstruction::{Quality, StageReport, TimeOffset, Verdict};
 use crate::session::{FrameIndex, Reconstruction, Session};
 use serde::{Deserialize, Serialize};
 use std::borrow::Cow;
-use std::collections::BTreeMap;
 
 /// Time offsets of all cameras.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -82,18 +81,13 @@ pub fn estimated_timing(
         cameras = Some(after.cameras);
         rounds += 1;
     }
-    let metrics = BTreeMap::from([
-        ("pairs".to_owned(), whole.n_pairs as f64),
-        ("pair_agreement".to_owned(), whole.agreement),
-        ("last_step_frames".to_owned(), largest_step),
-    ]);
+    let metrics =
+        [("pairs", whole.n_pairs as f64), ("pair_agreement", whole.agreement), ("last_step_frames", largest_step)];
+    let termination = if largest_step > CONVERGED { "rounds_exhausted" } else { "converged" };
     let report = StageReport {
-        stage: "synchronisation".to_owned(),
-        iterations: rounds,
         cost_before: cost[0],
         cost_after: cost[1],
-        termination: if largest_step > CONVERGED { "rounds_exhausted" } else { "converged" }.to_owned(),
-        metrics,
+        ..StageReport::new("synchronisation", rounds, termination, metrics)
     };
     let secs = |frames: f64| frames / session.fps;
     let of_view =

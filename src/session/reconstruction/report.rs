@@ -21,6 +21,20 @@ pub struct StageReport {
     pub metrics: BTreeMap<String, f64>,
 }
 
+impl StageReport {
+    /// Report of a stage without an objective.
+    pub fn new<'a>(
+        stage: &str,
+        iterations: usize,
+        termination: &str,
+        metrics: impl IntoIterator<Item = (&'a str, f64)>,
+    ) -> Self {
+        let metrics = metrics.into_iter().map(|(name, value)| (name.to_owned(), value)).collect();
+        let (stage, termination) = (stage.to_owned(), termination.to_owned());
+        Self { stage, iterations, cost_before: None, cost_after: None, termination, metrics }
+    }
+}
+
 /// The metric scale and the measurements behind it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ScaleReport {

@@ -13,7 +13,6 @@ use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::StageReport;
 use crate::session::recording::{FrameIndex, PersonId, Session};
 use crate::session::{JointTrajectory, PersonTrack};
-use std::collections::BTreeMap;
 
 /// Assigns each detection to one person or rejects it; where the number of persons is known, the best supported are kept.
 pub fn associate(
@@ -30,16 +29,8 @@ pub fn associate(
     let n_views = scene.views.len();
     let tracks: Vec<PersonTrack> = people.iter().enumerate().map(|(i, p)| as_track(i, p, n_views)).collect();
     let points = people.iter().enumerate().map(|(i, p)| as_points(i, p)).collect();
-    let metrics =
-        BTreeMap::from([("people".to_owned(), people.len() as f64), ("explained_share".to_owned(), explained)]);
-    let report = StageReport {
-        stage: "association".to_owned(),
-        iterations: scene.n_frames,
-        cost_before: None,
-        cost_after: None,
-        termination: "all_frames".to_owned(),
-        metrics,
-    };
+    let metrics = [("people", people.len() as f64), ("explained_share", explained)];
+    let report = StageReport::new("association", scene.n_frames, "all_frames", metrics);
     let n_views_placed = scene.cameras.iter().flatten().count();
     Ok((Association { tracks, points, explained, n_views_placed }, report))
 }

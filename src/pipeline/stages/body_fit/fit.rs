@@ -3,16 +3,18 @@
 use super::collision_resolution::resolve_collisions;
 use super::config::BodyFitConfig;
 use super::context::FitContext;
-use super::input::BodyFitInput;
 use super::keypoint_bias::estimated_bias;
 use super::monocular::lifting::lifted;
 use super::observations::{Observations, gather_observations};
 use super::person_fit::{StartedMotion, finish_motion, start_motion};
 use super::person_motion::{PersonFit, body_motion, stage_report, valid_frames};
 use crate::body::BodyModel;
+use crate::body::scale::FittedStature;
+use crate::pipeline::calibration::TrackedPeople;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{KeypointBias, PenetrationReport, StageReport};
 use crate::session::{BodyMotion, PersonTrack};
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 /// All persons' bodies, with statistics of the fit.
@@ -32,8 +34,12 @@ pub struct FittedBodies {
 }
 
 /// Fits the bodies of all persons. The same input gives the same bytes whatever the number of threads.
+///
+/// `up`: the upward direction in the world, unit length. Monocular fits use it, since a single view does not show how far
+/// people lean.
 pub fn fit_bodies(
-    input: BodyFitInput,
+    input: &TrackedPeople,
+    up: &Vector3<f64>,
     model: &BodyModel,
     config: &BodyFitConfig,
     progress: &Progress,
@@ -41,7 +47,7 @@ pub fn fit_bodies(
     let frame_interval = input.session.frame_interval();
     let first_config = config.without_refinement();
     let context = FitContext { model, config, first_config: &first_config, frame_interval, progress };
-    let started = started_people(input, &context)?;
+    let started = started_people(input, up, &context)?;
     progress.report(0.5, "estimating the keypoint bias of the detector");
 
     let people: Vec<&(Observations, StartedMotion)> = started.iter().flatten().collect();
@@ -79,17 +85,40 @@ pub fn fit_bodies(
 
 /// Observations and first fit of each person, by track.
 fn started_people(
-    input: BodyFitInput,
+    input: &TrackedPeople,
+    up: &Vector3<f64>,
     context: &FitContext,
 ) -> Result<Vec<Option<(Observations, StartedMotion)>>, Canceled> {
     let start_person = |track: &PersonTrack| {
         context.progress.check()?;
-        let points = input.points.iter().find(|p| p.person == track.person);
-        let mut observations = gather_observations(input, track, points, context.model);
+        let mut observations = gather_observations(input, track, context.model);
         if input.session.views.len() == 1 {
-            observations.points = lifted(context.model, &observations, &input.up, context.frame_interval);
+            observations.points = lifted(context.model, &observations, up, context.frame_interval);
         }
         Ok(start_motion(context, &observations)?.map(|started| (observations, started)))
     };
     input.tracks.par_iter().map(start_person).collect()
+}
+
+/// Fits each person's body alone, to the run of frames with most pixels and without the motion prior.
+///
+/// In the order of the tracks; `None` where the closed form finds no start.
+pub fn fitted_statures(
+    input: &TrackedPeople,
+    model: &BodyModel,
+    progress: &Progress,
+) -> Result<Vec<Option<FittedStature>>, Canceled> {
+    let config = BodyFitConfig { motion_prior: false, ..BodyFitConfig::default() };
+    let frame_interval = input.session.frame_interval();
+    let context = FitContext { model, config: &config, first_config: &config, frame_interval, progress };
+    let fit = |track: &PersonTrack| {
+        progress.check()?;
+        let observations = gather_observations(input, track, model);
+        let observations = observations.slice(observations.most_seen(0..track.detections.len(), config.bias_frames[0]));
+        let n_keypoints = observations.pixels.iter().map(Vec::len).sum();
+        let started = start_motion(&context, &observations)?;
+        let metres = |started: StartedMotion| model.surface.stature(&started.fitted.state.betas);
+        Ok(started.map(|started| FittedStature { metres: metres(started), n_keypoints }))
+    };
+    input.tracks.par_iter().map(fit).collect()
 }

@@ -7,14 +7,14 @@
 //!
 //! | file | content |
 //! |---|---|
-//! | `fit`, `input`, `config`, `context` | the steps over all persons, and what they read |
+//! | `fit`, `config`, `context` | the steps over all persons, and what they read |
 //! | `observations` | triangulated points and detected pixels of one person |
 //! | `initial_motion`, `monocular` | the closed-form start; points of a single view lifted to 3D |
 //! | `person_fit`, `local_fit`, `pixel_residuals` | passes over one person's windows; runs fitted again; the detector's accuracy |
 //! | `terms`, `objective`, `motion_problem`, `minimisation` | the terms, their list, its sum, the damped Gauss-Newton steps |
 //! | `keypoint_bias`, `session_bias` | the detector's offsets, estimated over all persons |
 //! | `collision_resolution`, `capsule_overlaps` | overlaps between bodies |
-//! | `person_motion`, `statures` | published motions and statistics; body heights |
+//! | `person_motion` | published motions and statistics |
 
 mod capsule_overlaps;
 mod collision_resolution;
@@ -22,7 +22,6 @@ mod config;
 mod context;
 mod fit;
 mod initial_motion;
-mod input;
 mod keypoint_bias;
 mod local_fit;
 mod minimisation;
@@ -34,7 +33,6 @@ mod person_fit;
 mod person_motion;
 mod pixel_residuals;
 mod session_bias;
-mod statures;
 mod terms;
 #[cfg(test)]
 mod tests;
@@ -42,7 +40,5 @@ mod tests;
 mod tests_simulated;
 
 pub use config::BodyFitConfig;
-pub use fit::{FittedBodies, fit_bodies};
-pub use input::BodyFitInput;
+pub use fit::{FittedBodies, fit_bodies, fitted_statures};
 pub use person_motion::landmark_trajectory;
-pub use statures::fitted_statures;

@@ -1,10 +1,9 @@
 //! The least-squares problem of one person's motion: the cost of its terms and their Gauss-Newton system.
 
+use super::terms::border_priors::ShapePrior;
 use super::terms::frame::{Landmarks, PosedFrame};
-use super::terms::frame_system::FrameSystem;
-use super::terms::shape::ShapePrior;
 use super::terms::term::{BorderTerm, FrameTerm, WindowTerm};
-use super::terms::unknowns::{MotionState, Unknowns};
+use super::terms::unknowns::{FrameSystem, MotionState, Unknowns};
 use super::terms::window::{TrackedLandmark, Window};
 use crate::body::BodyModel;
 use crate::body::kinematics::Pose;

@@ -1,10 +1,10 @@
 //! One person's observations by frame: triangulated points and detected pixels of the body's landmarks.
 
-use super::input::BodyFitInput;
 use crate::body::BodyModel;
 use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_profile::DETECTOR;
 use crate::geometry::{Intrinsics, Rigid};
+use crate::pipeline::calibration::TrackedPeople;
 use crate::session::{Detection, JointTrajectory, PersonTrack, Session};
 use nalgebra::{Vector2, Vector3};
 use std::ops::Range;
@@ -75,13 +75,9 @@ impl Observations {
 }
 
 /// Gathers the triangulated points and detected pixels of one person over the frames of the person's track.
-pub(super) fn gather_observations(
-    input: BodyFitInput,
-    track: &PersonTrack,
-    points: Option<&JointTrajectory>,
-    model: &BodyModel,
-) -> Observations {
-    let BodyFitInput { session, noise, cameras, .. } = input;
+pub(super) fn gather_observations(people: &TrackedPeople, track: &PersonTrack, model: &BodyModel) -> Observations {
+    let TrackedPeople { session, noise, cameras, points, .. } = *people;
+    let points = points.iter().find(|p| p.person == track.person);
     let landmarks = model.landmarks_of(session.convention);
     let camera_of_view: Vec<Option<usize>> = cameras
         .iter()

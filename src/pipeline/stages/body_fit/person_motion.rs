@@ -10,7 +10,6 @@ use crate::body::skeleton::KeypointConvention;
 use crate::session::people::BodyPose;
 use crate::session::reconstruction::StageReport;
 use crate::session::{BodyMotion, FrameIndex, JointTrajectory, PersonId};
-use std::collections::BTreeMap;
 use std::ops::Range;
 
 /// One person's fit on the session's time line.
@@ -84,24 +83,22 @@ pub fn landmark_trajectory(model: &BodyModel, motion: &BodyMotion, convention: K
 pub(super) fn stage_report(people: &[PersonFit], n_tracks: usize) -> StageReport {
     let fitted: Vec<&FittedMotion> = people.iter().map(|person| &person.fitted).collect();
     let n_frames: usize = fitted.iter().map(|f| f.state.poses.len()).sum();
-    let mut metrics = BTreeMap::from([
-        ("people".to_owned(), fitted.len() as f64),
-        ("people_skipped".to_owned(), (n_tracks - fitted.len()) as f64),
-        ("frames".to_owned(), n_frames as f64),
-    ]);
+    let mut metrics = vec![
+        ("people", fitted.len() as f64),
+        ("people_skipped", (n_tracks - fitted.len()) as f64),
+        ("frames", n_frames as f64),
+    ];
     let mut medians: Vec<f64> = fitted.iter().filter_map(|f| f.median_reprojection_px).collect();
     medians.sort_by(f64::total_cmp);
     if let Some(worst) = medians.last() {
-        metrics.insert("worst_person_median_reprojection_px".to_owned(), *worst);
-        metrics.insert("median_reprojection_px".to_owned(), medians[medians.len() / 2]);
+        metrics.push(("worst_person_median_reprojection_px", *worst));
+        metrics.push(("median_reprojection_px", medians[medians.len() / 2]));
     }
-    let converged = fitted.iter().all(|f| f.converged);
+    let iterations = fitted.iter().map(|f| f.iterations).max().unwrap_or(0);
+    let termination = if fitted.iter().all(|f| f.converged) { "converged" } else { "iteration limit" };
     StageReport {
-        stage: "body_fit".to_owned(),
-        iterations: fitted.iter().map(|f| f.iterations).max().unwrap_or(0),
         cost_before: Some(fitted.iter().map(|f| f.cost_before).sum()),
         cost_after: Some(fitted.iter().map(|f| f.cost_after).sum()),
-        termination: if converged { "converged" } else { "iteration limit" }.to_owned(),
-        metrics,
+        ..StageReport::new("body_fit", iterations, termination, metrics)
     }
 }

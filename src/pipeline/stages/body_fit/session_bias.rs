@@ -8,9 +8,8 @@ use super::context::FitContext;
 use super::motion_problem::MotionProblem;
 use super::objective::Objective;
 use super::observations::Observations;
-use super::terms::bone_lengths::BoneLengthPrior;
+use super::terms::border_priors::{BoneLengthPrior, KeypointBiasPrior};
 use super::terms::data::DataSource;
-use super::terms::keypoint_bias::KeypointBiasPrior;
 use super::terms::term::BorderTerm;
 use super::terms::unknowns::{Border, MotionState, Shape};
 use crate::body::BodyModel;
@@ -210,7 +209,7 @@ impl<'a> Solver<'a> {
         let Corner { mut hessian, gradient } = session;
         let mut right = -gradient;
         let mut log_volume = -0.5 * hessian.diagonal().iter().map(|weight| weight.ln()).sum::<f64>();
-        let log_bone_prior = 0.5 * self.border.bones().len() as f64 * self.bone_prior.precision().ln();
+        let log_bone_prior = 0.5 * self.border.bones().len() as f64 * self.bone_prior.precision(0).ln();
         let mut own_parts = Vec::with_capacity(people.len());
         for person in &people {
             let (own, across) =

@@ -1,6 +1,6 @@
 //! The fit against synthetic motions with exact truth.
 
-use super::{BodyFitConfig, BodyFitInput, FittedBodies, fit_bodies, landmark_trajectory};
+use super::{BodyFitConfig, FittedBodies, fit_bodies, landmark_trajectory};
 use crate::body::BodyModel;
 use crate::body::default_body;
 use crate::body::detector_noise::DetectorNoise;
@@ -9,6 +9,7 @@ use crate::body::kinematics::{Pose, posed};
 use crate::body::model::Betas;
 use crate::body::skeleton::{KeypointConvention, N_JOINTS};
 use crate::geometry::{Intrinsics, Rigid, rotation};
+use crate::pipeline::calibration::TrackedPeople;
 use crate::progress::Progress;
 use crate::session::people::BodyPose;
 use crate::session::{
@@ -100,9 +101,9 @@ struct Scene {
 }
 
 impl Scene {
-    fn input(&self) -> BodyFitInput<'_> {
+    fn input(&self) -> TrackedPeople<'_> {
         let Self { session, cameras, tracks, points, noise } = self;
-        BodyFitInput { session, noise, cameras, tracks, points, up: Vector3::y() }
+        TrackedPeople { session, noise, cameras, tracks, points }
     }
 }
 
@@ -184,7 +185,7 @@ fn fitted(scene: &Scene) -> BodyMotion {
     let input = scene.input();
     let config = BodyFitConfig::default();
     let FittedBodies { mut motions, report, .. } =
-        fit_bodies(input, &default_body(), &config, &Progress::silent()).unwrap();
+        fit_bodies(&input, &Vector3::y(), &default_body(), &config, &Progress::silent()).unwrap();
     println!("{} iterations, {}, {:?}", report.iterations, report.termination, report.metrics);
     motions.remove(0)
 }
@@ -286,7 +287,7 @@ fn separates_keypoint_bias_from_the_body() {
     let input = scene.input();
     let fit = |estimate_keypoint_bias: bool| {
         let config = BodyFitConfig { estimate_keypoint_bias, ..BodyFitConfig::default() };
-        fit_bodies(input, &model, &config, &Progress::silent()).unwrap()
+        fit_bodies(&input, &Vector3::y(), &model, &config, &Progress::silent()).unwrap()
     };
     let (with, without) = (fit(true), fit(false));
     assert!(with.detector.applied, "{}", with.detector.reason);
@@ -309,7 +310,7 @@ fn windows_join_without_a_seam() {
     let input = scene.input();
     let fit = |window_frames: usize| {
         let config = BodyFitConfig { window_frames, ..BodyFitConfig::default() };
-        fit_bodies(input, &default_body(), &config, &Progress::silent()).unwrap().motions.remove(0)
+        fit_bodies(&input, &Vector3::y(), &default_body(), &config, &Progress::silent()).unwrap().motions.remove(0)
     };
     let (whole, cut) = (fit(480), fit(60));
     assert_eq!(cut.frames.len(), 180);
@@ -346,7 +347,7 @@ fn long_gaps_are_invalid_and_unseen_people_left_out() {
     scene.points[0].points.iter_mut().flatten().for_each(|p| *p = None);
     let input = scene.input();
     let FittedBodies { motions, report, .. } =
-        fit_bodies(input, &default_body(), &BodyFitConfig::default(), &Progress::silent()).unwrap();
+        fit_bodies(&input, &Vector3::y(), &default_body(), &BodyFitConfig::default(), &Progress::silent()).unwrap();
     assert!(motions.is_empty());
     assert_eq!(report.metrics["people_skipped"], 1.0);
 }
@@ -357,5 +358,5 @@ fn a_canceled_fit_stops() {
     let input = scene.input();
     let canceled = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(true));
     let progress = Progress::new(|_| {}, canceled);
-    assert!(fit_bodies(input, &default_body(), &BodyFitConfig::default(), &progress).is_err());
+    assert!(fit_bodies(&input, &Vector3::y(), &default_body(), &BodyFitConfig::default(), &progress).is_err());
 }

@@ -1,7 +1,7 @@
 //! The fit on the simulated captures: true cameras and identities, noisy detections, mocap skeletons in place of the body
 //! model's.
 
-use super::{BodyFitConfig, BodyFitInput, FittedBodies, fit_bodies, landmark_trajectory};
+use super::{BodyFitConfig, FittedBodies, fit_bodies, landmark_trajectory};
 use crate::body::default_body;
 use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_offsets::OffsetTable;
@@ -9,6 +9,7 @@ use crate::estimation::triangulation::triangulate_reweighted;
 use crate::evaluation::documents::{read_cameras, read_identities, read_poses};
 use crate::geometry::Rigid;
 use crate::geometry::triangulation::PointObservation;
+use crate::pipeline::calibration::TrackedPeople;
 use crate::progress::Progress;
 use crate::session::upload::{UploadLimits, read_path};
 use crate::session::{FrameIndex, JointTrajectory, PersonId, PersonTrack, Session};
@@ -85,17 +86,16 @@ fn fits_simulated_captures_better_than_triangulation() {
         let capture = load(&folder);
         let convention = capture.session.convention;
         let points: Vec<JointTrajectory> = capture.tracks.iter().map(|t| triangulated(&capture, t)).collect();
-        let input = BodyFitInput {
+        let input = TrackedPeople {
             session: &capture.session,
             noise: &DetectorNoise::published(convention),
             cameras: &capture.cameras,
             tracks: &capture.tracks,
             points: &points,
-            up: Vector3::y(),
         };
         let model = default_body();
         let FittedBodies { motions, detector_model, detector, .. } =
-            fit_bodies(input, &model, &BodyFitConfig::default(), &Progress::silent()).unwrap();
+            fit_bodies(&input, &Vector3::y(), &model, &BodyFitConfig::default(), &Progress::silent()).unwrap();
         assert!(!detector.applied, "mocap skeletons differ from the body model, their detector has no bias");
         for kind in OffsetTable::new(&model, convention).kinds {
             let row = detector.offsets.iter().find(|row| row.keypoint == kind.name).unwrap();

@@ -20,7 +20,7 @@
 
 use super::gauge::hold_idle;
 use super::problem::Problem;
-use super::state::State;
+use super::variables::State;
 use crate::geometry::Rigid;
 use crate::geometry::rotation::skew;
 use crate::optim::arrow::{self, Block};

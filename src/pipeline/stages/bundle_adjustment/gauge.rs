@@ -4,8 +4,7 @@
 //! baseline. The reduced system stays positive definite and needs no prior, and the full one remains available for the
 //! covariance. A step moves the partner's centre off its sphere about the anchor by second order only; it is moved back.
 
-use super::state::{CameraState, State};
-use super::variables::{Layout, Variables};
+use super::variables::{CameraState, Layout, State, Variables};
 use crate::geometry::Rigid;
 use nalgebra::{DMatrix, DVector, Vector3};
 

@@ -16,7 +16,6 @@ mod gauge;
 pub mod input;
 mod problem;
 mod readout;
-mod state;
 #[cfg(test)]
 mod tests;
 mod variables;
@@ -28,8 +27,7 @@ use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::StageReport;
 use input::{AdjustmentConfig, AdjustmentInput};
 use problem::Problem;
-use state::State;
-use std::collections::BTreeMap;
+use variables::State;
 
 /// The first robust scale is at most this many median residuals, so that outliers do not disturb a good start.
 const START_MEDIANS: f64 = 4.0;
@@ -107,23 +105,18 @@ fn descend(
 }
 
 fn report(problem: &Problem, outcome: &Outcome<State>, cost_before: f64) -> StageReport {
-    let mut metrics = BTreeMap::new();
     let misfits: Vec<_> = problem.misfits(&outcome.state).collect();
-    metrics.insert("observations".to_owned(), misfits.len() as f64);
-    metrics.insert("border_unknowns".to_owned(), problem.layout.n_border as f64);
     let n_explained = misfits.iter().filter(|m| m.sigmas <= problem.robust_scale).count();
-    metrics.insert("explained_observations".to_owned(), n_explained as f64);
-    if let Some(median_px) =
-        median(&mut misfits.iter().map(|m| m.distance_px).filter(|d| d.is_finite()).collect::<Vec<_>>())
-    {
-        metrics.insert("median_reprojection_px".to_owned(), median_px);
-    }
+    let median_px = median(&mut misfits.iter().map(|m| m.distance_px).filter(|d| d.is_finite()).collect::<Vec<_>>());
+    let metrics = [
+        ("observations", misfits.len() as f64),
+        ("border_unknowns", problem.layout.n_border as f64),
+        ("explained_observations", n_explained as f64),
+    ];
+    let metrics = metrics.into_iter().chain(median_px.map(|median| ("median_reprojection_px", median)));
     StageReport {
-        stage: "bundle_adjustment".to_owned(),
-        iterations: outcome.iterations,
         cost_before: Some(cost_before),
         cost_after: Some(outcome.cost_after),
-        termination: outcome.termination.name().to_owned(),
-        metrics,
+        ..StageReport::new("bundle_adjustment", outcome.iterations, outcome.termination.name(), metrics)
     }
 }

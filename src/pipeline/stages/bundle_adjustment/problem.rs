@@ -2,8 +2,7 @@
 
 use super::gauge::Gauge;
 use super::input::{AdjustmentConfig, AdjustmentInput};
-use super::state::{CameraState, State};
-use super::variables::{self, Layout, Variables};
+use super::variables::{self, CameraState, Layout, State, Variables};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::optim::arrow::{self, Block, Column};
 use crate::optim::levenberg_marquardt::{LeastSquares, Trial};

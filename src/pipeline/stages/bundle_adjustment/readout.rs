@@ -1,7 +1,7 @@
 //! Results read from a state: misfits, observed views, points and bone lengths.
 
 use super::problem::Problem;
-use super::state::State;
+use super::variables::State;
 use crate::pipeline::keyframe::Keyframe;
 use nalgebra::Vector3;
 use std::collections::BTreeMap;

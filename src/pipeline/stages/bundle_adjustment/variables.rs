@@ -1,9 +1,11 @@
 //! The unknowns: which points of each keyframe have enough observations, and the columns of all unknowns in the system.
 
 use super::input::{AdjustmentInput, Bone};
+use crate::geometry::{Intrinsics, Rigid};
 use crate::optim::arrow::elimination_order;
 use crate::pipeline::calibration::CameraFreedom;
 use crate::pipeline::keyframe::{Keyframe, Observation};
+use nalgebra::Vector3;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Smallest number of observations of a camera that is adjusted: six unknowns, and some to spare.
@@ -61,6 +63,27 @@ pub(super) struct Layout {
     pub(super) persons: Vec<usize>,
     pub(super) n_bones: usize,
     pub(super) n_border: usize,
+}
+
+/// Current values of a camera's unknowns, with the intrinsics that follow from them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct CameraState {
+    pub(super) intrinsics: Intrinsics,
+    pub(super) log_focal: f64,
+    /// Frames.
+    pub(super) delay: f64,
+    pub(super) camera_from_world: Rigid,
+}
+
+/// All unknowns.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct State {
+    /// `None` for views that take no part.
+    pub(super) cameras: Vec<Option<CameraState>>,
+    /// [person, bone], flat.
+    pub(super) log_lengths: Vec<f64>,
+    /// [keyframe][slot]
+    pub(super) points: Vec<Vec<Vector3<f64>>>,
 }
 
 /// Chooses the unknowns that can be adjusted. Clears views that cannot be used from `placed`.

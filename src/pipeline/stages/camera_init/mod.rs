@@ -66,23 +66,15 @@ fn judged_frames(views: &[NormalizedView], seed: u64) -> Vec<usize> {
 }
 
 fn report(graph: &ViewGraph, rigs: &[Rig]) -> StageReport {
-    let mut metrics = BTreeMap::new();
-    metrics.insert("pairs".to_owned(), graph.hypotheses.len() as f64);
-    metrics.insert("hypotheses".to_owned(), graph.hypotheses.values().map(Vec::len).sum::<usize>() as f64);
-    metrics.insert("rigs".to_owned(), rigs.len() as f64);
+    let mut metrics = vec![
+        ("pairs", graph.hypotheses.len() as f64),
+        ("hypotheses", graph.hypotheses.values().map(Vec::len).sum::<usize>() as f64),
+        ("rigs", rigs.len() as f64),
+    ];
     if let Some(best) = rigs.first() {
-        metrics.insert("best_quality".to_owned(), best.quality);
-        metrics.insert("cameras_placed".to_owned(), best.cameras.iter().flatten().count() as f64);
+        metrics.push(("best_quality", best.quality));
+        metrics.push(("cameras_placed", best.cameras.iter().flatten().count() as f64));
     }
-    if let Some(second) = rigs.get(1) {
-        metrics.insert("runner_up_quality".to_owned(), second.quality);
-    }
-    StageReport {
-        stage: "camera_init".to_owned(),
-        iterations: rigs.len(),
-        cost_before: None,
-        cost_after: None,
-        termination: "hypotheses_exhausted".to_owned(),
-        metrics,
-    }
+    metrics.extend(rigs.get(1).map(|second| ("runner_up_quality", second.quality)));
+    StageReport::new("camera_init", rigs.len(), "hypotheses_exhausted", metrics)
 }

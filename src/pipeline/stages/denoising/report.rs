@@ -84,12 +84,5 @@ pub(super) fn stage_report(report: &ConsistencyReport, solved: &[FrameRepairs]) 
         ("flips_undone", report.pairs.iter().map(|p| p.flips_undone).sum()),
         ("swaps_repaired", report.pairs.iter().map(|p| p.swaps_repaired.len()).sum()),
     ];
-    StageReport {
-        stage: "denoising".to_owned(),
-        iterations: solved.len(),
-        cost_before: None,
-        cost_after: None,
-        termination: "all_frames".to_owned(),
-        metrics: metrics.into_iter().map(|(name, n)| (name.to_owned(), n as f64)).collect::<BTreeMap<_, _>>(),
-    }
+    StageReport::new("denoising", solved.len(), "all_frames", metrics.map(|(name, n)| (name, n as f64)))
 }

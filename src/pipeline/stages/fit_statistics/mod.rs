@@ -8,14 +8,13 @@
 mod reprojections;
 
 use crate::body::bones::LimbBone;
-use crate::body::detector_noise::DetectorNoise;
-use crate::geometry::Rigid;
 use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median, quantile};
+use crate::pipeline::calibration::TrackedPeople;
 use crate::session::reconstruction::{
     CameraReport, ErrorSummary, GeometryReport, KeypointReport, PersonReport, SigmaSummary,
 };
 use crate::session::recording::Session;
-use crate::session::{FrameIndex, JointTrajectory, PersonTrack};
+use crate::session::{FrameIndex, JointTrajectory};
 use nalgebra::Vector3;
 use reprojections::{KeypointStatistics, Misfits, PersonStatistics, people_statistics};
 
@@ -33,19 +32,13 @@ pub struct FitStatistics {
 
 impl FitStatistics {
     /// Compares all trajectories (world, m) with all detections.
-    pub fn new(
-        session: &Session,
-        cameras: &[Option<Rigid>],
-        noise: &DetectorNoise,
-        tracks: &[PersonTrack],
-        paths: &[JointTrajectory],
-    ) -> Self {
-        let people = people_statistics(session, cameras, noise, tracks, paths);
+    pub fn new(input: &TrackedPeople) -> Self {
+        let people = people_statistics(input);
         let n_keypoints = people.first().map_or(0, |p| p.keypoints.len());
         let ray_sigmas = (0..n_keypoints).map(|k| ray_sigma(people.iter().map(|p| &p.keypoints[k]))).collect();
         let of_view =
             |v: usize| Misfits::together(people.iter().flat_map(|p| &p.keypoints).map(move |k| &k.by_view[v]));
-        let views = (0..session.views.len()).map(of_view).collect();
+        let views = (0..input.session.views.len()).map(of_view).collect();
         Self { people, ray_sigmas, views }
     }
 
@@ -55,12 +48,8 @@ impl FitStatistics {
     }
 
     /// One report per camera.
-    pub fn camera_reports(
-        &self,
-        session: &Session,
-        cameras: &[Option<Rigid>],
-        tracks: &[PersonTrack],
-    ) -> Vec<CameraReport> {
+    pub fn camera_reports(&self, people: &TrackedPeople) -> Vec<CameraReport> {
+        let TrackedPeople { session, cameras, tracks, .. } = people;
         let given = |view: usize| {
             tracks.iter().flat_map(|t| &t.detections).filter(|assignment| assignment[view].is_some()).count()
         };
@@ -81,14 +70,9 @@ impl FitStatistics {
     }
 
     /// One report per person.
-    pub fn person_reports(
-        &self,
-        session: &Session,
-        bones: &[LimbBone],
-        tracks: &[PersonTrack],
-        paths: &[JointTrajectory],
-    ) -> Vec<PersonReport> {
-        let rows = tracks.iter().zip(paths).zip(&self.people);
+    pub fn person_reports(&self, people: &TrackedPeople, bones: &[LimbBone]) -> Vec<PersonReport> {
+        let TrackedPeople { session, tracks, points, .. } = people;
+        let rows = tracks.iter().zip(*points).zip(&self.people);
         rows.map(|((track, path), statistics)| {
             let last = FrameIndex(track.first.0 + track.detections.len() - 1);
             let misfits = statistics.misfits();

@@ -4,6 +4,7 @@ use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_profile::DETECTOR;
 use crate::estimation::triangulation::{RayObservation, covariance};
 use crate::geometry::Rigid;
+use crate::pipeline::calibration::TrackedPeople;
 use crate::session::recording::{Detection, Session, View};
 use crate::session::{JointTrajectory, PersonTrack};
 use nalgebra::Vector3;
@@ -76,24 +77,13 @@ impl PersonStatistics {
 }
 
 /// Compares all trajectories with all detections; persons in the order of the tracks.
-pub(super) fn people_statistics(
-    session: &Session,
-    cameras: &[Option<Rigid>],
-    noise: &DetectorNoise,
-    tracks: &[PersonTrack],
-    paths: &[JointTrajectory],
-) -> Vec<PersonStatistics> {
-    let people = tracks.par_iter().zip(paths);
-    people.map(|(track, path)| person_statistics(session, cameras, noise, track, path)).collect()
+pub(super) fn people_statistics(people: &TrackedPeople) -> Vec<PersonStatistics> {
+    let rows = people.tracks.par_iter().zip(people.points);
+    rows.map(|(track, path)| person_statistics(people, track, path)).collect()
 }
 
-fn person_statistics(
-    session: &Session,
-    cameras: &[Option<Rigid>],
-    noise: &DetectorNoise,
-    track: &PersonTrack,
-    path: &JointTrajectory,
-) -> PersonStatistics {
+fn person_statistics(people: &TrackedPeople, track: &PersonTrack, path: &JointTrajectory) -> PersonStatistics {
+    let TrackedPeople { session, cameras, noise, .. } = *people;
     let nothing = KeypointStatistics {
         by_view: vec![Misfits::default(); session.views.len()],
         dilutions: Vec::new(),

@@ -5,9 +5,8 @@
 
 use super::super::capsule_overlaps::CapsuleOverlap;
 use super::frame::{LinearisedFrame, PosedFrame};
-use super::frame_system::FrameSystem;
 use super::term::FrameTerm;
-use super::unknowns::{TRANSLATION_GROUP, Unknowns};
+use super::unknowns::{FrameSystem, TRANSLATION_GROUP, Unknowns};
 use crate::body::capsules::{BodyCapsules, N_CAPSULES, NearestBall};
 use crate::body::kinematics::PosedSkeleton;
 use crate::body::skeleton::chain_to_root;

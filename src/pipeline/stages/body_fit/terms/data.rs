@@ -2,8 +2,8 @@
 
 use super::super::observations::{Observations, PixelObservation, PointObservation};
 use super::frame::{LinearisedFrame, PosedFrame};
-use super::frame_system::FrameSystem;
 use super::term::FrameTerm;
+use super::unknowns::FrameSystem;
 use crate::optim::block_banded::Corner;
 use crate::residuals::position_cost::{PositionCost, point_cost};
 use crate::residuals::reprojection::pixel_cost;

@@ -2,9 +2,8 @@
 
 use super::super::config::BodyFitConfig;
 use super::frame::{LinearisedFrame, PosedFrame};
-use super::frame_system::FrameSystem;
 use super::term::FrameTerm;
-use super::unknowns::Unknowns;
+use super::unknowns::{FrameSystem, Unknowns};
 use crate::body::joint_ranges::JointRange;
 use crate::body::skeleton::N_JOINTS;
 use crate::optim::block_banded::Corner;

@@ -1,7 +1,6 @@
 //! Derivatives of a landmark's position by all unknowns: those of its frame and those of the border.
 
-use super::frame_system::FrameSystem;
-use super::unknowns::Border;
+use super::unknowns::{Border, FrameSystem};
 use crate::body::bone_offsets::landmark_by_bones;
 use crate::body::kinematics::{PosedSkeleton, landmark_by_betas};
 use crate::body::model::{BodyModel, ShapeDirections};

@@ -2,9 +2,8 @@
 
 use super::super::config::BodyFitConfig;
 use super::frame::{LinearisedFrame, PosedFrame};
-use super::frame_system::FrameSystem;
 use super::term::FrameTerm;
-use super::unknowns::Unknowns;
+use super::unknowns::{FrameSystem, Unknowns};
 use crate::body::model::BodyModel;
 use crate::motion_prior::MotionPrior;
 use crate::motion_prior::pose_gaussian::PoseGaussian;

@@ -4,7 +4,7 @@
 //! nothing.
 
 use super::frame::{LinearisedFrame, PosedFrame};
-use super::frame_system::FrameSystem;
+use super::unknowns::FrameSystem;
 use super::window::{TrackedLandmark, Window};
 use crate::optim::block_banded::{BlockBanded, Corner};
 use nalgebra::Vector3;
@@ -27,11 +27,20 @@ pub(crate) trait WindowTerm: Sync {
     fn add_to(&self, window: &Window<TrackedLandmark>, system: &mut BlockBanded);
 }
 
-/// A term of the border alone: of unknowns of the person, or of the whole session.
+/// A quadratic term of the border alone: of unknowns of the person, or of the whole session.
 pub(crate) trait BorderTerm: Sync {
     /// Cost of `values`, the unknowns that the term is about.
     fn cost(&self, values: &[f64]) -> f64;
 
-    /// Adds gradient and Gauss-Newton blocks at `values`, the first of which has column `first` of `corner`.
-    fn add_to(&self, values: &[f64], first: usize, corner: &mut Corner);
+    /// Second derivative of the cost by value `k`; the Hessian is diagonal.
+    fn precision(&self, k: usize) -> f64;
+
+    /// Adds gradient and Hessian at `values`, the first of which has column `first` of `corner`.
+    fn add_to(&self, values: &[f64], first: usize, corner: &mut Corner) {
+        for (k, value) in values.iter().enumerate() {
+            let weight = self.precision(k);
+            corner.hessian[(first + k, first + k)] += weight;
+            corner.gradient[first + k] += weight * value;
+        }
+    }
 }
