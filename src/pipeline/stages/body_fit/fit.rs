@@ -1,4 +1,4 @@
-//! The fit of all persons of a session, step by step.
+//! The fit of all persons of a session, step by step, and of their statures alone.
 
 use super::collision_resolution::resolve_collisions;
 use super::config::BodyFitConfig;

@@ -7,14 +7,14 @@
 //!
 //! | file | content |
 //! |---|---|
-//! | `fit`, `config`, `context` | the steps over all persons, and what they read |
+//! | `fit`, `config`, `context` | the steps over all persons, also for statures alone, and what they read |
 //! | `observations` | triangulated points and detected pixels of one person |
 //! | `initial_motion`, `monocular` | the closed-form start; points of a single view lifted to 3D |
 //! | `person_fit`, `local_fit`, `pixel_residuals` | passes over one person's windows; runs fitted again; the detector's accuracy |
 //! | `terms`, `objective`, `motion_problem`, `minimisation` | the terms, their list, its sum, the damped Gauss-Newton steps |
 //! | `keypoint_bias`, `session_bias` | the detector's offsets, estimated over all persons |
 //! | `collision_resolution`, `capsule_overlaps` | overlaps between bodies |
-//! | `person_motion` | published motions and statistics |
+//! | `person_motion` | a fit on the session's time line, its published motion and statistics |
 
 mod capsule_overlaps;
 mod collision_resolution;
