@@ -27,12 +27,6 @@ impl Similarity {
         self.rotation * point * self.scale + self.translation
     }
 
-    /// The inverse transform: `a_from_b.inverse()` is `b_from_a`.
-    pub fn inverse(&self) -> Self {
-        let rotation = self.rotation.transpose();
-        Self { scale: 1.0 / self.scale, rotation, translation: -(rotation * self.translation) / self.scale }
-    }
-
     /// The pose of the same camera in the target world: `camera_from_source` becomes `camera_from_target`.
     ///
     /// Images do not change: the camera frame takes the target's unit of length.

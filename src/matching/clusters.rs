@@ -2,7 +2,7 @@
 
 use super::normalized::NormalizedView;
 use super::pair_score::{VOTE_RADIUS, similarity};
-use super::tracklets::Tracklet;
+use super::tracklets::{Tracklet, longest};
 use crate::geometry::Rigid;
 use crate::geometry::epipolar::essential_from_pose;
 use rayon::prelude::*;
@@ -33,9 +33,7 @@ pub fn clusters(views: &[NormalizedView], tracklets: &[Vec<Tracklet>], cameras: 
 fn nodes(tracklets: &[Vec<Tracklet>], cameras: &[Option<Rigid>]) -> Vec<(usize, usize)> {
     let mut nodes = Vec::new();
     for (view, list) in tracklets.iter().enumerate().filter(|(v, _)| cameras[*v].is_some()) {
-        let mut order: Vec<usize> = (0..list.len()).collect();
-        order.sort_by_key(|&t| (std::cmp::Reverse(list[t].detections.len()), t));
-        order.truncate(MAX_TRACKLETS);
+        let mut order = longest(list, MAX_TRACKLETS);
         order.sort_unstable();
         nodes.extend(order.into_iter().map(|t| (view, t)));
     }
@@ -60,8 +58,7 @@ fn affinities(
                 }
                 let essential = essential_from_pose(&(second * first.inverse()));
                 let (s, t) = (&tracklets[v][a], &tracklets[w][b]);
-                let shared: Vec<(usize, usize, usize)> =
-                    s.detections.iter().filter_map(|&(f, p)| t.at(f).map(|q| (f, p, q))).collect();
+                let shared = s.shared_with(t);
                 let n = shared.len().min(MAX_FRAMES);
                 let sum: f64 = (0..n)
                     .map(|k| {

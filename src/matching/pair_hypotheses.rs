@@ -2,7 +2,7 @@
 
 use super::normalized::NormalizedView;
 use super::pair_score::{MatchedPair, PairObservations, PairScore, VOTE_RADIUS, score_pair, vote};
-use super::tracklets::Tracklet;
+use super::tracklets::{Tracklet, longest};
 use crate::body::detector_profile::DETECTOR;
 use crate::estimation::essential::{EssentialEstimate, estimate_essential, refine_essential};
 use crate::geometry::epipolar::essential_from_pose;
@@ -97,7 +97,7 @@ struct SingleFit {
 /// One robust fit for each pair of long tracklets that overlap.
 fn single_fits(pair: &CameraPair, seed: u64, config: &HypothesisConfig) -> Vec<SingleFit> {
     let mut fits = Vec::new();
-    let longest = [0, 1].map(|side| longest_tracklets(pair.tracklets[side], config.n_tracklets));
+    let longest = [0, 1].map(|side| longest(pair.tracklets[side], config.n_tracklets));
     for &a in &longest[0] {
         for &b in &longest[1] {
             let item_seed = mix(seed, (a as u64) << 32 | b as u64);
@@ -136,18 +136,10 @@ fn union_fits(singles: &[SingleFit], seed: u64, config: &HypothesisConfig) -> Ve
         .collect()
 }
 
-fn longest_tracklets(tracklets: &[Tracklet], n: usize) -> Vec<usize> {
-    let mut order: Vec<usize> = (0..tracklets.len()).collect();
-    order.sort_by_key(|&t| (std::cmp::Reverse(tracklets[t].detections.len()), t));
-    order.truncate(n);
-    order
-}
-
 /// Confident point pairs from well-spread frames of the overlap of two tracklets.
 fn point_pairs(pair: &CameraPair, a: usize, b: usize, seed: u64, config: &HypothesisConfig) -> PointPairs {
     let (first, second) = (&pair.tracklets[0][a], &pair.tracklets[1][b]);
-    let shared: Vec<(usize, usize, usize)> =
-        first.detections.iter().filter_map(|&(f, p)| second.at(f).map(|q| (f, p, q))).collect();
+    let shared = first.shared_with(second);
     if shared.len() < config.min_overlap {
         return Vec::new();
     }

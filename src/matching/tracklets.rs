@@ -28,6 +28,19 @@ impl Tracklet {
     pub fn at(&self, frame: usize) -> Option<usize> {
         self.detections.binary_search_by_key(&frame, |s| s.0).ok().map(|i| self.detections[i].1)
     }
+
+    /// Frames in which both tracklets have a detection, with the index of each.
+    pub(super) fn shared_with(&self, other: &Self) -> Vec<(usize, usize, usize)> {
+        self.detections.iter().filter_map(|&(f, p)| other.at(f).map(|q| (f, p, q))).collect()
+    }
+}
+
+/// Indices of the `n` longest tracklets, longest first.
+pub(super) fn longest(tracklets: &[Tracklet], n: usize) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..tracklets.len()).collect();
+    order.sort_by_key(|&t| (std::cmp::Reverse(tracklets[t].detections.len()), t));
+    order.truncate(n);
+    order
 }
 
 /// Gates within which two detections may show the same person.

@@ -31,7 +31,6 @@ fn exact_points_give_the_exact_transform() {
             let target: Vec<_> = source.iter().map(|x| truth.transform(x)).collect();
             let found = similarity_from_points(&source, &target, ScaleMode::Free).unwrap();
             assert!(distance(&found, &truth) < 1e-12, "{angle}: {}", distance(&found, &truth));
-            assert!(distance(&(found.inverse() * found), &Similarity::identity()) < 1e-13);
         }
     }
 }
