@@ -86,7 +86,6 @@ impl Options {
     /// # Errors
     /// [`PipelineError::Option`] naming the option and the remedy.
     pub fn check(&self, cameras: &[CameraFacts], bodies: &[String]) -> Result<(), PipelineError> {
-        let refuse = |option, reason: String| Err(PipelineError::Option { option, reason });
         let unposed = cameras.iter().find(|camera| !camera.has_extrinsics);
         if let Some(camera) = unposed.filter(|_| self.extrinsics != Extrinsics::Estimate) {
             let reason = format!(
@@ -96,30 +95,26 @@ impl Options {
             return refuse("/extrinsics", reason);
         }
         if self.intrinsics == IntrinsicsMode::RefineFocal && self.extrinsics == Extrinsics::Fixed {
-            let reason = "refine_focal also changes camera poses; use extrinsics \"refine\" or \"estimate\"".to_owned();
+            let reason = "refine_focal also changes camera poses; use extrinsics \"refine\" or \"estimate\"";
             return refuse("/intrinsics", reason);
         }
         if self.intrinsics == IntrinsicsMode::RefineFocal && cameras.len() < 2 {
-            return refuse(
-                "/intrinsics",
-                "a single camera does not determine its focal length; use \"fixed\"".to_owned(),
-            );
+            return refuse("/intrinsics", "a single camera does not determine its focal length; use \"fixed\"");
         }
         if self.body != DEFAULT_BODY && !bodies.contains(&self.body) {
             let known: String = bodies.iter().map(|name| format!(" or {name:?}")).collect();
             return refuse("/body", format!("{:?} is not a registered body; use \"{DEFAULT_BODY}\"{known}", self.body));
         }
         if self.people == Some(0) {
-            return refuse("/people", "0 people cannot be solved; give 1 or more, or null".to_owned());
+            return refuse("/people", "0 people cannot be solved; give 1 or more, or null");
         }
         if self.up_axis == UpAxis::X {
-            return refuse("/up_axis", "up axis x is not supported; use \"y\" or \"z\"".to_owned());
+            return refuse("/up_axis", "up axis x is not supported; use \"y\" or \"z\"");
         }
         self.check_scale(cameras)
     }
 
     fn check_scale(&self, known: &[CameraFacts]) -> Result<(), PipelineError> {
-        let refuse = |option, reason: String| Err(PipelineError::Option { option, reason });
         match &self.scale {
             ScaleSource::Body => Ok(()),
             ScaleSource::Height { metres, .. } if !(0.5..=2.6).contains(metres) => {
@@ -137,10 +132,7 @@ impl Options {
                     );
                 }
                 if cameras[0] == cameras[1] {
-                    return refuse(
-                        "/scale/cameras",
-                        "both cameras are the same; name two different cameras".to_owned(),
-                    );
+                    return refuse("/scale/cameras", "both cameras are the same; name two different cameras");
                 }
                 match cameras.iter().find(|id| known.iter().all(|camera| camera.id != **id)) {
                     Some(id) => {
@@ -151,6 +143,10 @@ impl Options {
             }
         }
     }
+}
+
+fn refuse(option: &'static str, reason: impl Into<String>) -> Result<(), PipelineError> {
+    Err(PipelineError::Option { option, reason: reason.into() })
 }
 
 /// `options.extrinsics`.

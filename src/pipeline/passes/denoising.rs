@@ -93,12 +93,14 @@ fn measure_noise(calibration: &mut Calibration, session: &Session) {
 impl DenoisedCapture {
     fn new(original: &Session, calibration: Calibration, before: &[PersonTrack], denoised: Denoised) -> Self {
         let identities_before = identities_without_repair(original, before, &denoised.tracks);
+        let numbers = |point: &Keypoint| [point.pixel.x, point.pixel.y, point.confidence];
         let mut changes = Vec::new();
         for (view, (before, after)) in original.views.iter().zip(&denoised.session.views).enumerate() {
             for (frame, (before, after)) in before.frames.iter().zip(&after.frames).enumerate() {
-                let pairs = before.iter().zip(after).enumerate();
-                let changed = pairs.filter(|(_, (before, after))| before != after);
-                changes.extend(changed.map(|(detection, (_, after))| Change::new(view, frame, detection, after)));
+                for (detection, (_, after)) in before.iter().zip(after).enumerate().filter(|(_, (a, b))| a != b) {
+                    let keypoints = after.keypoints.iter().map(numbers).collect();
+                    changes.push(Change { view, frame, detection, keypoints });
+                }
             }
         }
         let level = |(confidence, sigma_m)| NoiseAtConfidence { confidence, sigma_mm: 1e3 * sigma_m };
@@ -122,13 +124,6 @@ impl DenoisedCapture {
         }
         let repairs = DetectionRepairs { identities_before: self.identities_before, repaired: repaired_detections };
         (self.calibration, RepairedSession { session, report: self.report, repairs })
-    }
-}
-
-impl Change {
-    fn new(view: usize, frame: usize, detection: usize, after: &Detection) -> Self {
-        let keypoints = after.keypoints.iter().map(|point| [point.pixel.x, point.pixel.y, point.confidence]).collect();
-        Self { view, frame, detection, keypoints }
     }
 }
 

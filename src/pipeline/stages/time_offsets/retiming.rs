@@ -19,16 +19,7 @@ pub fn retimed(session: &Session, offsets: &[f64]) -> Session {
     let rays = normalized_views(session);
     let views = session.views.iter().zip(&rays).zip(offsets);
     let views = views.map(|((view, rays), &offset)| retimed_view(view, rays, session.fps, offset)).collect();
-    Session { views, ..without_views(session) }
-}
-
-fn without_views(session: &Session) -> Session {
-    Session {
-        name: session.name.clone(),
-        start_timecode: session.start_timecode.clone(),
-        views: Vec::new(),
-        ..*session
-    }
+    Session { name: session.name.clone(), start_timecode: session.start_timecode.clone(), views, ..*session }
 }
 
 fn retimed_view(view: &View, rays: &NormalizedView, fps: f64, offset: f64) -> View {
