@@ -111,8 +111,9 @@ async function scene() {
   await checkAccess(page, 'scene')
   await page.getByRole('slider', { name: 'Frame' }).fill('77')
   check('scrubbing moves the scene', (await page.evaluate(() => window.wandless.frame())) === 77)
-  await page.getByRole('button', { name: 'Next mark' }).click()
-  check('the next mark is one click away', (await page.evaluate(() => window.wandless.frame())) !== 77)
+  // Marks that follow each other closely count as one: in a short take all may belong to one that begins earlier.
+  await page.getByRole('button', { name: 'Previous mark' }).click()
+  check('the previous mark is one click away', (await page.evaluate(() => window.wandless.frame())) < 77)
   await page.getByRole('button', { name: /^Person 0/ }).click()
   await page.getByText('Bone length variation').waitFor()
   await checkAccess(page, 'a selected person')
