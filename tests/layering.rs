@@ -15,7 +15,6 @@ use std::collections::BTreeSet;
 const TABLE: &[(&str, &[&str])] = &[
     ("geometry", &[]),
     ("formats", &[]),
-    ("formats", &[]),
     ("progress", &[]),
     ("optim", &["progress"]),
     ("body", &["formats", "geometry", "optim"]),
@@ -24,7 +23,7 @@ const TABLE: &[(&str, &[&str])] = &[
     ("residuals", &["geometry", "body", "optim", "motion_prior"]),
     ("estimation", &["geometry", "optim"]),
     ("evaluation", &["session", "body", "geometry"]),
-    ("export", &["formats", "session", "body", "formats", "geometry"]),
+    ("export", &["formats", "session", "body", "geometry"]),
     ("simulation", &["session", "motion_prior", "body", "geometry"]),
     ("matching", &["estimation", "residuals", "session", "geometry", "optim", "body", "progress"]),
     (

@@ -1,5 +1,6 @@
 //! What a body is: skeleton, keypoint conventions, kinematics.
 
+pub mod anthropometry;
 pub mod bone_offsets;
 pub mod bones;
 pub mod capsules;
@@ -7,6 +8,7 @@ pub mod default_body;
 pub mod detector_noise;
 pub mod detector_offsets;
 pub mod detector_profile;
+pub mod generator;
 pub mod human_speeds;
 pub mod joint_ranges;
 pub mod kinematics;

@@ -4,14 +4,13 @@
 
 mod anthropometry;
 mod capsules;
-mod generator;
 mod intersections;
 mod loader;
 mod mesh;
 mod posing;
 
-use generator::{GeneratedBody, generate};
 use std::sync::OnceLock;
+use wandless::body::generator::{GeneratedBody, generate};
 
 /// The generated body; generated once a process, since it takes seconds.
 fn generated() -> &'static GeneratedBody {

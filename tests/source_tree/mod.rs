@@ -51,7 +51,7 @@ impl Source {
             expressions += before;
             let is_public = before.trim_end().rsplit([';', '}', '{']).next().is_some_and(|head| head.contains("pub"));
             for (path, alias) in use_tree(statement) {
-                if let Some(path) = self.from_root(&path) {
+                if let Some(path) = self.rooted(&path) {
                     let name = alias.or_else(|| path.last().cloned());
                     imports.push(Import { path, reexported_as: name.filter(|_| is_public) });
                 }
@@ -60,7 +60,7 @@ impl Source {
         }
         expressions += rest;
         for path in inline_paths(&expressions) {
-            if let Some(path) = self.from_root(&path) {
+            if let Some(path) = self.rooted(&path) {
                 imports.push(Import { path, reexported_as: None });
             }
         }
@@ -77,7 +77,7 @@ impl Source {
     }
 
     /// A written path as a path from the crate's root; `None` for paths into other crates.
-    fn from_root(&self, written: &[String]) -> Option<Vec<String>> {
+    fn rooted(&self, written: &[String]) -> Option<Vec<String>> {
         let mut module = self.module();
         let first = written.first()?.as_str();
         let rest = match first {

@@ -1,7 +1,7 @@
 //! The capsules of a body model: posed, and the derivatives of distances from them.
 
+use crate::body::anthropometry::BetaRow;
 use crate::body::kinematics::PosedSkeleton;
-use crate::body::shape::BetaRow;
 use crate::body::shape::{Betas, ShapeDirections};
 use crate::body::skeleton::chain_to_root;
 use crate::geometry::capsule::TaperedCapsule;

@@ -10,10 +10,10 @@
 
 use super::body_capsules::{BodyCapsule, BodyCapsules, CapsuleEnd, MIN_RADIUS, N_CAPSULES};
 use super::start::{RoughCapsule, rough_capsules};
+use crate::body::anthropometry::N_BETAS;
 use crate::body::joint_ranges::natural_pose;
 use crate::body::kinematics::{Pose, PosedSkeleton, posed};
 use crate::body::model::{Betas, BodyModel};
-use crate::body::shape::N_BETAS;
 use crate::body::skeleton::PARENTS;
 use crate::body::skinning::skinned;
 use crate::body::surface::JointWeight;

@@ -1,6 +1,6 @@
 //! Writing a body: SMPL's `.npz` layout with our landmarks, Wavefront OBJ and binary glTF.
 
-use crate::body::shape::N_BETAS;
+use crate::body::anthropometry::N_BETAS;
 use crate::body::skeleton::{N_JOINTS, PARENTS};
 use crate::body::surface::{N_POSE_FEATURES, Surface};
 use crate::formats::npz::{CompressionMethod, NpzWriter};

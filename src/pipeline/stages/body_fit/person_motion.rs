@@ -3,9 +3,9 @@
 use super::minimisation::FittedMotion;
 use super::observations::Observations;
 use crate::body::BodyModel;
+use crate::body::anthropometry::N_BETAS;
 use crate::body::kinematics::{Pose, landmark_position, posed};
 use crate::body::model::Betas;
-use crate::body::shape::N_BETAS;
 use crate::body::skeleton::KeypointConvention;
 use crate::session::people::BodyPose;
 use crate::session::reconstruction::StageReport;

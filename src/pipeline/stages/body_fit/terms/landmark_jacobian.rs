@@ -1,10 +1,10 @@
 //! Derivatives of a landmark's position by all unknowns: those of its frame and those of the border.
 
 use super::unknowns::{Border, FrameSystem};
+use crate::body::anthropometry::N_BETAS;
 use crate::body::bone_offsets::landmark_by_bones;
 use crate::body::kinematics::{PosedSkeleton, landmark_by_betas};
 use crate::body::model::{BodyModel, ShapeDirections};
-use crate::body::shape::N_BETAS;
 use crate::body::skeleton::N_JOINTS;
 use crate::optim::block_banded::Corner;
 use crate::residuals::position_cost::PositionCost;

@@ -1,10 +1,10 @@
 //! The unknowns of a motion, their places in the Gauss-Newton system, and its blocks of a single frame.
 
+use crate::body::anthropometry::N_BETAS;
 use crate::body::bone_offsets::N_BONE_KINDS;
 use crate::body::detector_offsets::OffsetTable;
 use crate::body::kinematics::{Pose, moving_joints};
 use crate::body::model::{Betas, BodyModel};
-use crate::body::shape::N_BETAS;
 use crate::body::skeleton::N_JOINTS;
 use crate::geometry::rotation;
 use crate::optim::block_banded::BandedStep;

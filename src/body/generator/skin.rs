@@ -2,9 +2,9 @@
 
 use super::half_mesh::HalfMesh;
 use super::relaxation::neighbours;
+use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
+use crate::body::surface::JointWeight;
 use nalgebra::Vector3;
-use wandless::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
-use wandless::body::surface::JointWeight;
 
 /// Weights of all joints at one vertex.
 type Row = [f64; N_JOINTS];

@@ -13,29 +13,29 @@
 mod figure;
 mod half_mesh;
 mod places;
-mod population;
 mod regressor;
 mod relaxation;
 mod skin;
+#[cfg(test)]
 mod tests;
 mod tubes;
 
+use super::anthropometry::Population;
+use super::model::ShapeDirections;
+use super::skeleton::{JOINT_NAMES, KeypointConvention, N_JOINTS};
+use super::surface::{JointWeight, Surface, SurfacePoint, VertexWeight};
 use half_mesh::{HalfMesh, half_surface};
 use nalgebra::Vector3;
 use places::{VariedPlace, joint_place, side_and_part, surface_place, varied};
-use population::Population;
 use regressor::{Candidate, convex_row};
 use relaxation::relax;
 use skin::{Tips, mirror_joint, skin_weights};
 use std::collections::BTreeSet;
 use tubes::surface_directions;
-use wandless::body::shape::ShapeDirections;
-use wandless::body::skeleton::{JOINT_NAMES, KeypointConvention, N_JOINTS};
-use wandless::body::surface::{JointWeight, Surface, SurfacePoint, VertexWeight};
 
 /// A generated body.
 #[derive(Debug, Clone, PartialEq)]
-pub(crate) struct GeneratedBody {
+pub struct GeneratedBody {
     /// The mesh with skin weights, regressor and surface points.
     pub surface: Surface,
     /// The joints that the regressor is fitted to, m.
@@ -45,7 +45,7 @@ pub(crate) struct GeneratedBody {
 }
 
 /// Generates the default adult: floor at y = 0, 1.692 m tall at beta 0, betas of [`Population::ansur2`].
-pub(crate) fn generate() -> GeneratedBody {
+pub fn generate() -> GeneratedBody {
     let population = Population::ansur2();
     let tubes = figure::figure(&population);
     let places: [VariedPlace; N_JOINTS] = std::array::from_fn(|j| {

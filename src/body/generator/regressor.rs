@@ -1,10 +1,10 @@
 //! Joints and landmarks from vertices: sparse convex combinations that approximate the generator's positions at every shape.
 
 use super::places::VariedPlace;
+use crate::body::anthropometry::N_BETAS;
+use crate::body::model::ShapeDirections;
+use crate::body::surface::VertexWeight;
 use nalgebra::{DMatrix, DVector, Vector3};
-use wandless::body::shape::N_BETAS;
-use wandless::body::shape::ShapeDirections;
-use wandless::body::surface::VertexWeight;
 
 /// A vertex, or the mean of a vertex and its mirror image, as a candidate of a convex combination.
 #[derive(Debug, Clone)]

@@ -4,15 +4,20 @@
 //! distribution unlimited): 4,082 men and 1,986 women, here pooled half and half. Soldiers have more muscle than
 //! civilians; children are not covered.
 
-use wandless::body::shape::{BetaRow, N_BETAS};
+use nalgebra::SVector;
+
+/// Number of shape coefficients (betas).
+pub const N_BETAS: usize = 10;
+
+/// Change of a quantity per unit of each beta.
+pub type BetaRow = SVector<f64, N_BETAS>;
 
 /// Number of measures in the table.
-pub(super) const N_MEASURES: usize = 35;
+pub const N_MEASURES: usize = 35;
 
 /// A body measure, in the table's order. Each of the first ten defines one beta.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[allow(dead_code)] // rows of the table whose measure the figure does not use
-pub(super) enum Measure {
+pub enum Measure {
     /// Standing height.
     Stature,
     /// Body mass (kg, where all others are mm).
@@ -167,7 +172,7 @@ const CORRELATIONS: [&[f64]; N_MEASURES] = [
 
 /// The population as a linear model: `measure_i = mean_i + loadings_i . beta`, `beta ~ N(0, I)`.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Population {
+pub struct Population {
     /// Mean of each measure, m (kg for the weight).
     pub means: [f64; N_MEASURES],
     /// Change of each measure per unit of each beta, m (kg for the weight).
@@ -185,7 +190,7 @@ impl Population {
     /// shoulder height, foot: each is the part that the earlier ones do not explain. Only the first beta therefore
     /// changes the stature, and the ten are independent with variance one by construction. Known limit: the later
     /// measures keep an unexplained standard deviation (5 to 9 mm for lengths, up to 45 mm for girths).
-    pub(super) fn ansur2() -> Self {
+    pub fn ansur2() -> Self {
         let mut factor = [BetaRow::zeros(); N_MEASURES];
         let mut unexplained = [0.0; N_MEASURES];
         for i in 0..N_MEASURES {
@@ -208,7 +213,7 @@ impl Population {
 
 /// `constant + sum of factor * measure`, m: a coordinate on the body as a function of the measures.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Length {
+pub struct Length {
     /// Part that does not vary, m.
     pub constant: f64,
     /// Measures and their factors.
@@ -217,7 +222,7 @@ pub(super) struct Length {
 
 /// Mean of a length over the population and its change per beta, m.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct VariedLength {
+pub struct VariedLength {
     /// Value at beta 0, m.
     pub mean: f64,
     /// Change per unit of each beta, m.
@@ -226,7 +231,7 @@ pub(super) struct VariedLength {
 
 impl Length {
     /// The length in a population.
-    pub(super) fn in_population(&self, population: &Population) -> VariedLength {
+    pub fn in_population(&self, population: &Population) -> VariedLength {
         let mut length = VariedLength { mean: self.constant, per_beta: BetaRow::zeros() };
         for &(factor, measure) in &self.terms {
             length.mean += factor * population.means[measure as usize];

@@ -2,9 +2,9 @@
 //!
 //! Uses sums, products and square roots only, which IEEE 754 defines to the last bit: every machine generates the same body.
 
+use crate::body::anthropometry::BetaRow;
+use crate::body::model::ShapeDirections;
 use nalgebra::Vector3;
-use wandless::body::shape::BetaRow;
-use wandless::body::shape::ShapeDirections;
 
 /// The direction of a tube; its cross-sections are perpendicular to it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

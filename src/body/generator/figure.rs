@@ -6,10 +6,10 @@
 //! apart at every shape, since a surface that touches itself has no inside.
 
 use super::places::{Place, arm, fixed, head, joint_place, leg, length, spine};
-use super::population::{Length, Measure, Measure::*, Population, VariedLength};
 use super::tubes::{Axis, Station, Tube};
+use crate::body::anthropometry::{Length, Measure, Measure::*, Population, VariedLength};
+use crate::body::model::ShapeDirections;
 use nalgebra::Vector3;
-use wandless::body::shape::ShapeDirections;
 
 /// All tubes at x >= 0; those of the midline are complete.
 pub(super) fn figure(population: &Population) -> Vec<Tube> {

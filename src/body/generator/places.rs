@@ -3,7 +3,7 @@
 //! Joints have their anatomical positions, except at the ends of the trunk, where SMPL's layout differs: the pelvis joint
 //! lies some 85 mm above the hip line, neck and head some 60 and 155 mm above the shoulder line (anatomy: the base of the
 //! cervical spine at 100 mm, the condyles at 180 mm). Given for the left side and mirrored. Sources of the factors:
-//! - ANSUR II heights and lengths (`population`);
+//! - ANSUR II heights and lengths ([`crate::body::anthropometry`]);
 //! - de Leva 1996 (J. Biomech. 29:1223): the shoulder's centre lies 10.4 % of the upper arm below the acromion, the
 //!   elbow's 4.3 % above the radiale; his forearm (elbow to wrist centre) ends 9 mm short of the stylion;
 //! - Harrington et al. 2007 (J. Biomech. 40:595): a hip's distance from the midline is 0.33 times the pelvic width
@@ -19,9 +19,9 @@
 //! is not included: it is reported as 30 to 50 mm at hip and knee (Needham et al. 2021), its direction differs by detector,
 //! and the betas absorb it in the fit.
 
-use super::population::{Length, Measure, Measure::*, Population, VariedLength};
+use crate::body::anthropometry::{Length, Measure, Measure::*, Population, VariedLength};
+use crate::body::model::ShapeDirections;
 use nalgebra::Vector3;
-use wandless::body::shape::ShapeDirections;
 
 /// A rest position: x to the left, y up from the floor, z to the front.
 pub(super) type Place = [Length; 3];
