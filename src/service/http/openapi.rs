@@ -141,10 +141,15 @@ fn links(paths: &BTreeMap<String, Map<String, Value>>, kind: &str) -> Value {
 
 /// Answers have no other members than the described ones; flattened members become members of their own.
 fn close_answers(schemas: &mut Value) {
+    let named = schemas.clone();
+    let resolved = |part: &Value| {
+        let target = part["$ref"].as_str().and_then(|reference| named.get(reference.rsplit('/').next()?));
+        target.unwrap_or(part).clone()
+    };
     for (name, schema) in schemas.as_object_mut().into_iter().flatten() {
         if let Some(parts) = schema.as_object_mut().and_then(|schema| schema.remove("allOf")) {
-            let members =
-                |key: &str| parts.as_array().into_iter().flatten().map(|part| part[key].clone()).collect::<Vec<_>>();
+            let parts: Vec<Value> = parts.as_array().into_iter().flatten().map(resolved).collect();
+            let members = |key: &str| parts.iter().map(|part| part[key].clone()).collect::<Vec<_>>();
             let properties: Map<String, Value> =
                 members("properties").iter().flat_map(|p| p.as_object().cloned().into_iter().flatten()).collect();
             let required: Vec<Value> =

@@ -42,7 +42,6 @@ pub struct StoredSession {
     pub id: String,
     /// Summary of the upload.
     #[serde(flatten)]
-    #[schema(inline)]
     pub summary: SessionSummary,
     /// Time of the upload; UTC, RFC 3339.
     #[schema(format = DateTime)]
