@@ -19,7 +19,7 @@ export async function jobsWithoutResult({ page, base, folder }) {
   await page.route('**/events', (route) => route.fulfill({ contentType: 'text/event-stream', body: `event: state\nid: 1\ndata: ${JSON.stringify(dead)}\n\n` }))
   await page.goto(`${base}/#/`)
   await page.goto(`${base}/#/jobs/${job.id}`)
-  await page.getByText('crashed three times').waitFor()
+  await page.getByText('The job crashed three times').waitFor()
   await checkExplained(page, 'dead', 'a crashed job')
   await page.unroute('**/events')
   await page.goto(`${base}/#/jobs/job_00000000000000000000000000000000`)
