@@ -1,9 +1,9 @@
 //! The 3D tracker: assigns every detection to a person, frame by frame, under known cameras.
 //!
-//! A person is a predicted skeleton ([`person`]). In each frame every view assigns its detections to the nearest
-//! predictions; persons held by a single view are re-acquired by the others ([`reacquisition`]); unassigned detections start
-//! new persons ([`initialisation`]). At the end duplicates are merged ([`duplicate_merging`]), and fragments of one person
-//! are joined ([`stitching`]) by position, build and the detectors' track numbers ([`reidentification`]).
+//! A person is a predicted skeleton (`person`). In each frame every view assigns its detections to the nearest
+//! predictions; persons held by a single view are re-acquired by the others (`reacquisition`); unassigned detections start
+//! new persons (`initialisation`). At the end duplicates are merged (`duplicate_merging`), and fragments of one person
+//! are joined (`stitching`) by position, build and the detectors' track numbers (`reidentification`).
 
 mod duplicate_merging;
 mod initialisation;
