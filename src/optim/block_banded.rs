@@ -46,11 +46,13 @@ pub struct Coupling {
     own: Vec<Matrix3<f64>>,
     /// Row group, column group, block; blocks of the same groups add up.
     crossed: Vec<(usize, usize, Matrix3<f64>)>,
+    /// Between all groups, where a term couples many; adds to the others.
+    full: Option<DMatrix<f64>>,
 }
 
 impl Coupling {
     fn zeros(n_groups: usize) -> Self {
-        Self { own: vec![Matrix3::zeros(); n_groups], crossed: Vec::new() }
+        Self { own: vec![Matrix3::zeros(); n_groups], crossed: Vec::new(), full: None }
     }
 
     /// Adds a block at groups `row` of the later and `column` of the earlier frame.
@@ -69,7 +71,7 @@ impl Coupling {
 
     fn dense(&self) -> DMatrix<f64> {
         let n = 3 * self.own.len();
-        let mut dense = DMatrix::zeros(n, n);
+        let mut dense = self.full.clone().unwrap_or_else(|| DMatrix::zeros(n, n));
         for (row, column, block) in self.blocks() {
             let mut target = dense.fixed_view_mut::<3, 3>(3 * row, 3 * column);
             target += block;
@@ -80,6 +82,9 @@ impl Coupling {
     /// `C L^T` of a lower triangular `L`.
     fn times_transposed(&self, lower: &DMatrix<f64>) -> DMatrix<f64> {
         let n = lower.nrows();
+        if self.full.is_some() {
+            return times_transposed(&self.dense(), lower);
+        }
         let mut product = DMatrix::zeros(n, n);
         for (row, column, block) in self.blocks() {
             // Column c of L^T is row c of L: zero right of its diagonal.
@@ -128,6 +133,19 @@ impl BlockBanded {
             1 => self.next[earlier].add(row, column, block),
             2 => self.after_next[earlier].add(row, column, block),
             distance => unreachable!("frames {distance} apart do not couple"),
+        }
+    }
+
+    /// Adds a full block between frame `later` and the frame `distance` (one or two) before it.
+    pub fn add_coupling(&mut self, later: usize, distance: usize, block: DMatrix<f64>) {
+        let coupling = match distance {
+            1 => &mut self.next[later - 1],
+            2 => &mut self.after_next[later - 2],
+            _ => unreachable!("frames {distance} apart do not couple"),
+        };
+        match &mut coupling.full {
+            Some(full) => *full += block,
+            empty => *empty = Some(block),
         }
     }
 

@@ -82,15 +82,20 @@ impl Solution {
         let config = BodyFitConfig {
             resolve_collisions: capture.options.collision,
             motion_prior: capture.options.motion_prior,
+            adjust_cameras: capture.estimates_extrinsics() && !is_monocular && std::env::var("WJ").as_deref() != Ok("0"),
             ..config
         };
-        let FittedBodies { motions, detector_model, mut detector, penetration, report } =
+        let FittedBodies { motions, detector_model, mut detector, penetration, report, cameras } =
             fit_bodies(&input, &self.upright(capture), model, &config, progress)?;
         if is_monocular {
             detector.reason =
                 "a single view cannot separate keypoint bias of the detector from the poses of people".to_owned();
         }
         self.calibration.stages.push(report);
+        if let Some(cameras) = cameras {
+            let placed = self.calibration.cameras.iter_mut().filter(|camera| camera.is_some());
+            placed.zip(cameras).for_each(|(camera, adjusted)| *camera = Some(adjusted));
+        }
         // A track whose trunk was never triangulated has no body and is left out of the result.
         let kept: Vec<PersonTrack> =
             tracks.into_iter().filter(|t| motions.iter().any(|m| m.person == t.person)).collect();

@@ -50,6 +50,8 @@ pub struct BodyFitConfig {
     pub window_frames: usize,
     /// Frames beyond its own that a window includes on each side.
     pub halo_frames: usize,
+    /// Whether the cameras are adjusted together with the motions.
+    pub adjust_cameras: bool,
     /// Whether the keypoint bias of the detector is estimated.
     pub estimate_keypoint_bias: bool,
     /// Most frames of one person, and of all together, that the estimate of the keypoint bias uses.
@@ -102,6 +104,7 @@ impl Default for BodyFitConfig {
             // Some 70 MB a window; the factor of a frame is 0.12 MB.
             window_frames: 480,
             halo_frames: 30,
+            adjust_cameras: false,
             estimate_keypoint_bias: true,
             // Six seconds of walking or talking turn every limb; offsets are shared, so that more people need less of each.
             bias_frames: [180, 360],

@@ -3,6 +3,7 @@
 use super::collision_resolution::resolve_collisions;
 use super::config::BodyFitConfig;
 use super::context::FitContext;
+use super::joint_problem::joint_cameras;
 use super::keypoint_bias::estimated_bias;
 use super::monocular::lifting::lifted;
 use super::observations::{Observations, gather_observations};
@@ -10,6 +11,7 @@ use super::person_fit::{StartedMotion, finish_motion, start_motion};
 use super::person_motion::{PersonFit, body_motion, stage_report, valid_frames};
 use crate::body::BodyModel;
 use crate::body::scale::FittedStature;
+use crate::geometry::Rigid;
 use crate::pipeline::calibration::TrackedPeople;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{KeypointBias, PenetrationReport, StageReport};
@@ -29,6 +31,8 @@ pub struct FittedBodies {
     pub detector: KeypointBias,
     /// Overlaps between bodies.
     pub penetration: PenetrationReport,
+    /// `camera_from_world` of the placed cameras, where they were adjusted.
+    pub cameras: Option<Vec<Rigid>>,
     /// Iterations, costs and residuals.
     pub report: StageReport,
 }
@@ -62,11 +66,16 @@ pub fn fit_bodies(
     let (detector_model, detector) =
         bias.map_or_else(|| (model.clone(), KeypointBias::default()), |bias| (bias.model, bias.report));
     let context = FitContext { model: &detector_model, ..context };
+    let mut started = started;
+    let cameras = match config.adjust_cameras {
+        true => joint_cameras(&context, &mut started)?,
+        false => None,
+    };
     let gap_limit = (config.gap_limit_secs / frame_interval).round() as usize;
     let finish_person = |(track, started): (&PersonTrack, Option<(Observations, StartedMotion)>)| {
         progress.check()?;
         let Some((observations, started)) = started else { return Ok(None) };
-        let fitted = finish_motion(&context, &observations, started, has_bias)?;
+        let fitted = finish_motion(&context, &observations, started, has_bias || config.adjust_cameras)?;
         let valid = valid_frames(&observations, gap_limit);
         Ok(Some(PersonFit { person: track.person, first: track.first.0, observations, fitted, valid }))
     };
@@ -80,6 +89,7 @@ pub fn fit_bodies(
         detector,
         detector_model,
         penetration,
+        cameras,
     })
 }
 

@@ -22,6 +22,7 @@ mod config;
 mod context;
 mod fit;
 mod initial_motion;
+mod joint_problem;
 mod keypoint_bias;
 mod local_fit;
 mod minimisation;

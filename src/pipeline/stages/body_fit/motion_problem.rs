@@ -4,6 +4,8 @@ use super::terms::border_priors::ShapePrior;
 use super::terms::frame::{Landmarks, PosedFrame};
 use super::terms::term::{BorderTerm, FrameTerm, WindowTerm};
 use super::terms::unknowns::{FrameSystem, MotionState, Unknowns};
+use super::terms::path_system::add_paths;
+use super::terms::whitened_pixels::WhitenedPixels;
 use super::terms::window::{TrackedLandmark, Window};
 use crate::body::BodyModel;
 use crate::body::kinematics::Pose;
@@ -20,6 +22,8 @@ pub(super) struct MotionProblem<'a> {
     pub unknowns: Unknowns<'a>,
     pub frame_terms: Vec<Box<dyn FrameTerm + 'a>>,
     pub window_terms: Vec<Box<dyn WindowTerm + 'a>>,
+    /// Detected pixels with errors that are correlated in time, where these are modelled.
+    pub paths: Option<WhitenedPixels<'a>>,
     pub shape_prior: ShapePrior,
     /// Landmarks whose paths the window terms look at.
     pub tracked: Vec<usize>,
@@ -46,16 +50,19 @@ impl MotionProblem<'_> {
         let body = self.model.shaped(&state.betas);
         let frame_cost = |(index, pose): (usize, &Pose)| {
             let frame = PosedFrame::new(&self.landmarks, (&body, &state.betas), index, pose);
-            let positions = self.tracked.iter().map(|&landmark| frame.position(landmark)).collect();
-            (self.frame_terms.iter().map(|term| term.cost(&frame)).sum::<f64>(), positions)
+            let at = |landmarks: &[usize]| landmarks.iter().map(|&landmark| frame.position(landmark)).collect::<Vec<_>>();
+            let cost = self.frame_terms.iter().map(|term| term.cost(&frame)).sum::<f64>();
+            (cost, (at(&self.tracked), at(self.path_landmarks())))
         };
-        let (frames, tracked): (Vec<f64>, Vec<Vec<Vector3<f64>>>) =
+        let (frames, (tracked, paths)): (Vec<f64>, (Vec<Vec<Vector3<f64>>>, Vec<Vec<Vector3<f64>>>)) =
             state.poses.par_iter().enumerate().map(frame_cost).unzip();
         let over_windows = |term: &dyn WindowTerm| -> f64 {
             middles(state).map(|middle| term.cost(&Window::new(middle, &state.poses, &tracked))).sum()
         };
         let windows = self.window_terms.iter().map(|term| over_windows(term.as_ref()));
+        let paths = self.paths.as_ref().map_or(0.0, |term| term.cost(&paths));
         self.shape_prior.cost(state.betas.as_slice())
+            + paths
             + self.time_weight * windows.fold(frames.iter().sum::<f64>(), |sum, cost| sum + cost)
     }
 
@@ -67,18 +74,20 @@ impl MotionProblem<'_> {
         let run_blocks = |(run, poses): (usize, &[Pose])| {
             let mut corner = Corner::zeros(n_border);
             let frame = |(i, pose)| self.frame_system(RUN * run + i, (&body, &state.betas), pose, &mut corner);
-            let frames: Vec<(FrameSystem, Vec<TrackedLandmark>)> = poses.iter().enumerate().map(frame).collect();
+            let frames: Vec<LinearFrame> = poses.iter().enumerate().map(frame).collect();
             (frames, corner)
         };
         let runs: Vec<(Vec<_>, Corner)> = state.poses.par_chunks(RUN).enumerate().map(run_blocks).collect();
 
         let weight = self.time_weight;
         let mut tracked = Vec::with_capacity(state.poses.len());
+        let mut paths = Vec::with_capacity(state.poses.len());
         for (frames, corner) in runs {
             system.corner.hessian += corner.hessian * weight;
             system.corner.gradient += corner.gradient * weight;
-            for (frame, landmarks) in frames {
+            for LinearFrame { system: frame, tracked: landmarks, paths: of_frame } in frames {
                 let t = tracked.len();
+                paths.push(of_frame);
                 system.diagonal[t] = frame.diagonal * weight;
                 system.border[t] = frame.border * weight;
                 system.gradient[t] = frame.gradient * weight;
@@ -88,6 +97,9 @@ impl MotionProblem<'_> {
         let betas = self.unknowns.border.betas();
         if !betas.is_empty() {
             self.shape_prior.add_to(state.betas.as_slice(), betas.start, &mut system.corner);
+        }
+        if let Some(term) = &self.paths {
+            add_paths(term, &self.unknowns, &paths, &mut system);
         }
         for middle in middles(state) {
             let window = Window::new(middle, &state.poses, &tracked);
@@ -106,7 +118,7 @@ impl MotionProblem<'_> {
         shape: (&ShapedBody, &Betas),
         pose: &Pose,
         corner: &mut Corner,
-    ) -> (FrameSystem, Vec<TrackedLandmark>) {
+    ) -> LinearFrame {
         let frame = PosedFrame::new(&self.landmarks, shape, index, pose).linearised();
         let mut system = FrameSystem::zeros(&self.unknowns);
         self.frame_terms.iter().for_each(|term| term.add_to(&frame, &mut system, corner));
@@ -115,8 +127,33 @@ impl MotionProblem<'_> {
             position: frame.posed.position(landmark),
             jacobian: frame.jacobian(landmark),
         };
-        (system, self.tracked.iter().map(tracked).collect())
+        LinearFrame {
+            tracked: self.tracked.iter().map(tracked).collect(),
+            paths: self.path_landmarks().iter().map(tracked).collect(),
+            system,
+        }
     }
+
+    fn path_landmarks(&self) -> &[usize] {
+        self.paths.as_ref().map_or(&[], |paths| paths.landmarks.as_slice())
+    }
+
+    /// Positions of the landmarks of the paths by frame.
+    pub(super) fn path_positions(&self, state: &MotionState) -> Vec<Vec<Vector3<f64>>> {
+        let body = self.model.shaped(&state.betas);
+        let at = |(index, pose): (usize, &Pose)| {
+            let frame = PosedFrame::new(&self.landmarks, (&body, &state.betas), index, pose);
+            self.path_landmarks().iter().map(|&landmark| frame.position(landmark)).collect()
+        };
+        state.poses.par_iter().enumerate().map(at).collect()
+    }
+}
+
+/// One frame's own blocks, and its landmarks that other terms look at.
+struct LinearFrame {
+    system: FrameSystem,
+    tracked: Vec<TrackedLandmark>,
+    paths: Vec<TrackedLandmark>,
 }
 
 /// The frames that have a frame on either side.

@@ -14,6 +14,7 @@ use super::terms::pose_prior::PosePrior;
 use super::terms::smoothness::Smoothness;
 use super::terms::term::{FrameTerm, WindowTerm};
 use super::terms::unknowns::{Border, MotionState, Shape, Unknowns};
+use super::terms::whitened_pixels::WhitenedPixels;
 use super::terms::window::RobustAcceleration;
 use crate::body::BodyModel;
 use crate::body::detector_offsets::OffsetTable;
@@ -34,6 +35,8 @@ pub(super) struct Objective<'a> {
     pub shape_prior: f64,
     /// Keypoint offsets as unknowns, with the person's bone offsets; their values are in `model`.
     pub bias: Option<&'a OffsetTable>,
+    /// Number of cameras whose poses are unknowns.
+    pub n_cameras: usize,
     /// The motion whose speeds scale the sigmas of accelerations; without one they are those of typical speeds.
     pub speeds: Option<&'a MotionState>,
     /// Overlaps with other persons' bodies.
@@ -69,6 +72,7 @@ impl<'a> Objective<'a> {
             shape,
             shape_prior: config.shape_prior,
             bias: None,
+            n_cameras: 0,
             speeds: None,
             collisions: None,
             extra_joints: &[],
@@ -78,7 +82,7 @@ impl<'a> Objective<'a> {
 
     /// Unknowns shared by all frames.
     pub(super) fn border(&self) -> Border<'a> {
-        Border { shape: self.shape, bias: self.bias }
+        Border { shape: self.shape, bias: self.bias, n_cameras: self.n_cameras }
     }
 
     /// Factor of a frame's cost.
@@ -97,9 +101,16 @@ impl<'a> Objective<'a> {
 
         let prior = config.motion_prior.then(|| PosePrior::new(model, config, &unknowns));
         let with_prior = prior.as_ref().map_or(&[] as &[usize], PosePrior::joints);
-        let data = DataTerm { observations, source: self.data, robust_scale: config.robust_scale };
-        let limits = JointLimits::new(config, &ranges, &unknowns, with_prior);
-        let mut frame_terms: Vec<Box<dyn FrameTerm + 'a>> = vec![Box::new(data), Box::new(limits)];
+        let robust_scale = config.robust_scale;
+        let mut frame_terms: Vec<Box<dyn FrameTerm + 'a>> = Vec::new();
+        let mut paths = None;
+        match self.data {
+            DataSource::Paths { share, process } => {
+                paths = Some(WhitenedPixels::new(observations, share, &process, robust_scale));
+            }
+            source => frame_terms.push(Box::new(DataTerm { observations, source, robust_scale })),
+        }
+        frame_terms.push(Box::new(JointLimits::new(config, &ranges, &unknowns, with_prior)));
         frame_terms.extend(prior.map(|prior| Box::new(prior) as Box<dyn FrameTerm>));
         if let Some(collisions) = self.collisions {
             frame_terms.push(Box::new(CollisionTerm::new(collisions, &unknowns)));
@@ -125,6 +136,7 @@ impl<'a> Objective<'a> {
             unknowns,
             frame_terms,
             window_terms,
+            paths,
             shape_prior: ShapePrior { weight: self.shape_prior },
             tracked,
             held: self.held,

@@ -164,7 +164,7 @@ impl<'a> Solver<'a> {
         Self {
             table,
             context,
-            border: Border { shape: Shape::Free, bias: Some(table) },
+            border: Border { shape: Shape::Free, bias: Some(table), n_cameras: 0 },
             bone_prior: BoneLengthPrior { sigma: hypothesis.bone_sigma(), correlated_frames },
             bias_prior: KeypointBiasPrior { sigmas, correlated_frames },
         }

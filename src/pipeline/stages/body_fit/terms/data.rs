@@ -2,6 +2,7 @@
 
 use super::super::observations::{Observations, PixelObservation, PointObservation};
 use super::frame::{LinearisedFrame, PosedFrame};
+use super::noise_process::NoiseProcess;
 use super::term::FrameTerm;
 use super::unknowns::FrameSystem;
 use crate::optim::block_banded::Corner;
@@ -16,6 +17,8 @@ pub(crate) enum DataSource {
     Points { sigma: f64 },
     /// Pixels; standard deviation per axis as a share of [`PixelObservation::scale_px`].
     Pixels { share: f64 },
+    /// Pixels whose errors are correlated in time; see [`WhitenedPixels`](super::whitened_pixels::WhitenedPixels).
+    Paths { share: f64, process: NoiseProcess },
 }
 
 /// Robust distances between landmarks and their observations.
@@ -51,6 +54,8 @@ impl DataTerm<'_> {
                     }
                 }
             }
+            // Paths are a term of their own.
+            DataSource::Paths { .. } => {}
         }
     }
 }

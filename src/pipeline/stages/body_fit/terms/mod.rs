@@ -3,6 +3,7 @@
 //! | file | extent | cost |
 //! |---|---|---|
 //! | [`data`] | frame | triangulated points or detected pixels of landmarks |
+//! | [`whitened_pixels`] | path | detected pixels whose errors are correlated in time |
 //! | [`joint_limits`] | frame | ends of the joints' ranges, and the rest pose |
 //! | [`pose_prior`] | frame | a Gaussian over recorded poses |
 //! | [`collision`] | frame | overlap with other persons' bodies |
@@ -21,6 +22,8 @@ pub(crate) mod foot_contact;
 pub(crate) mod frame;
 pub(crate) mod joint_limits;
 pub(crate) mod landmark_jacobian;
+pub(crate) mod noise_process;
+pub(crate) mod path_system;
 pub(crate) mod pose_prior;
 pub(crate) mod smoothness;
 pub(crate) mod speed_scaling;
@@ -28,4 +31,5 @@ pub(crate) mod term;
 #[cfg(test)]
 mod tests;
 pub(crate) mod unknowns;
+pub(crate) mod whitened_pixels;
 pub(crate) mod window;

@@ -75,7 +75,7 @@ impl Fixture {
     }
 
     fn border(&self) -> Border<'_> {
-        Border { shape: Shape::Free, bias: Some(&self.table) }
+        Border { shape: Shape::Free, bias: Some(&self.table), n_cameras: 0 }
     }
 
     /// The model with some bone and keypoint offsets, and increments of them in `border`.

@@ -36,6 +36,8 @@ pub(crate) struct Border<'a> {
     /// The keypoint offsets, where they are unknowns; the person's bone offsets then are, too. Values of both are in the
     /// body model.
     pub bias: Option<&'a OffsetTable>,
+    /// Number of cameras whose poses are unknowns: all of the observations, or none.
+    pub n_cameras: usize,
 }
 
 impl Border<'_> {
@@ -56,6 +58,12 @@ impl Border<'_> {
         first..first + self.bias.map_or(0, |table| 3 * table.kinds.len())
     }
 
+    /// Columns of the cameras' poses, six each: the left increment of `camera_from_world`.
+    pub(crate) fn cameras(&self) -> Range<usize> {
+        let first = self.keypoint_bias().end;
+        first..first + 6 * self.n_cameras
+    }
+
     /// Columns of the person's own unknowns.
     pub(crate) fn person(&self) -> Range<usize> {
         0..self.bones().end
@@ -68,7 +76,7 @@ impl Border<'_> {
 
     /// Number of columns.
     pub(crate) fn len(&self) -> usize {
-        self.keypoint_bias().end
+        self.cameras().end
     }
 }
 

@@ -1,0 +1,237 @@
+//! Cameras and motions of all persons as one least-squares problem.
+//!
+//! Each person's motion and shape are eliminated; what remains on the cameras is added up (an arrow of arrows) and solved in
+//! a free network: the seven directions of a similarity, which no detection determines, stay as they are.
+
+use super::context::FitContext;
+use super::motion_problem::MotionProblem;
+use super::objective::Objective;
+use super::observations::{Observations, PosedCamera};
+use super::person_fit::StartedMotion;
+use super::terms::data::DataSource;
+use super::terms::noise_process::{NoiseProcess, sigma_of};
+use super::terms::unknowns::{Border, MotionState, Shape};
+use super::terms::whitened_pixels::WhitenedPixels;
+use crate::geometry::Rigid;
+use crate::geometry::rotation::skew;
+use crate::optim::block_banded::{BandedStep, Eliminated, damped};
+use crate::progress::Canceled;
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use rayon::prelude::*;
+
+/// One person's part.
+struct Member {
+    observations: Observations,
+    state: MotionState,
+}
+
+/// Accepted steps, and the decrease of the cost below which one is the last.
+const MAX_ITERATIONS: usize = 8;
+const MIN_DECREASE: f64 = 0.5;
+
+fn env(name: &str, default: f64) -> f64 {
+    std::env::var(name).ok().and_then(|v| v.parse().ok()).unwrap_or(default)
+}
+
+/// Adjusts the cameras together with the first fits of all persons; both are replaced by what is found.
+pub(super) fn joint_cameras(
+    context: &FitContext,
+    started: &mut [Option<(Observations, StartedMotion)>],
+) -> Result<Option<Vec<Rigid>>, Canceled> {
+    let total = env("WJ_FRAMES", 1600.0) as usize;
+    let n_people = started.iter().flatten().count();
+    if n_people == 0 {
+        return Ok(None);
+    }
+    let mut runs = Vec::new();
+    let mut members: Vec<Member> = Vec::new();
+    for (observations, started) in started.iter().flatten() {
+        let run = observations.most_seen(started.window.clone(), total / n_people);
+        let own = run.start - started.window.start..run.end - started.window.start;
+        let fitted = &started.fitted.state;
+        members.push(Member {
+            observations: observations.slice(run.clone()),
+            state: MotionState { betas: fitted.betas, poses: fitted.poses[own].to_vec() },
+        });
+        runs.push(run);
+    }
+    let n_cameras = members[0].observations.cameras.len();
+    if n_cameras < 2 {
+        return Ok(None);
+    }
+    let mut cameras = members[0].observations.cameras.clone();
+    for _ in 0..env("WJ_ROUNDS", 2.0) as usize {
+        let (share, process) = measured(context, &members);
+        if std::env::var("WJ_VERBOSE").is_ok() {
+            eprintln!("share {share:.5} process {:?}", process.autocorrelation);
+        }
+        let solver = Solver { context, n_cameras, data: DataSource::Paths { share, process } };
+        cameras = solver.solved(&mut members, cameras)?;
+    }
+    let poses: Vec<Rigid> = cameras.iter().map(|camera| camera.camera_from_world).collect();
+    for (((observations, started), member), run) in started.iter_mut().flatten().zip(members).zip(runs) {
+        observations.cameras.clone_from(&cameras);
+        started.start.betas = member.state.betas;
+        started.fitted.state.betas = member.state.betas;
+        let own = run.start - started.window.start..run.end - started.window.start;
+        started.fitted.state.poses[own].clone_from_slice(&member.state.poses);
+        started.start.poses[run].clone_from_slice(&member.state.poses);
+    }
+    Ok(Some(poses))
+}
+
+/// Standard deviation (a share of the pixels' scale) and correlation of the detector's errors, from the residuals of all members.
+fn measured(context: &FitContext, members: &[Member]) -> (f64, NoiseProcess) {
+    let unit = NoiseProcess { autocorrelation: [0.0; 2] };
+    let residuals = |member: &Member| {
+        let problem = problem(context, DataSource::Paths { share: 1.0, process: unit }, 0, member);
+        let paths = WhitenedPixels::new(&member.observations, 1.0, &unit, context.config.robust_scale);
+        paths.residuals(&problem.path_positions(&member.state))
+    };
+    let mut channels: Vec<_> = members.iter().flat_map(residuals).collect();
+    let mut lengths: Vec<f64> = channels.iter().flatten().map(|(_, r)| r.norm()).collect();
+    let level = sigma_of(&mut lengths).unwrap_or(0.01);
+    channels.iter_mut().flatten().for_each(|(_, r)| *r /= level);
+    let mut process = NoiseProcess::measured(channels.iter().map(Vec::as_slice));
+    if let Ok(v) = std::env::var("WJ_AR") {
+        let v: Vec<f64> = v.split(',').filter_map(|x| x.parse().ok()).collect();
+        process = NoiseProcess { autocorrelation: [v[0], v[1]] };
+    }
+    // The process's own share: innovations have unit variance.
+    let innovations = |member: &Member| {
+        let problem = problem(context, DataSource::Paths { share: level, process }, 0, member);
+        let paths = WhitenedPixels::new(&member.observations, level, &process, context.config.robust_scale);
+        paths.innovations(&problem.path_positions(&member.state))
+    };
+    let mut lengths: Vec<f64> = members.iter().flat_map(innovations).collect();
+    let factor = sigma_of(&mut lengths).unwrap_or(1.0);
+    if std::env::var("WJ_VERBOSE").is_ok() {
+        eprintln!("level {level:.5} innovation factor {factor:.3}");
+    }
+    (level * factor.clamp(0.2, 3.0), process)
+}
+
+fn problem<'a>(context: &FitContext<'a>, data: DataSource, n_cameras: usize, member: &'a Member) -> MotionProblem<'a> {
+    let config = if env("WJ_PRIOR", 1.0) > 0.0 { context.config } else { context.first_config };
+    Objective { n_cameras, ..Objective::new(context, config, &member.observations, data, Shape::Free) }.problem()
+}
+
+struct Solver<'a> {
+    context: &'a FitContext<'a>,
+    n_cameras: usize,
+    data: DataSource,
+}
+
+impl Solver<'_> {
+    fn border(&self) -> Border<'_> {
+        Border { shape: Shape::Free, bias: None, n_cameras: self.n_cameras }
+    }
+
+    fn solved(&self, members: &mut [Member], mut cameras: Vec<PosedCamera>) -> Result<Vec<PosedCamera>, Canceled> {
+        let mut cost = self.cost(members);
+        let mut damping = 1e-5;
+        let (mut accepted, mut trials) = (0, 0);
+        while accepted < MAX_ITERATIONS && trials < 2 * MAX_ITERATIONS {
+            self.context.progress.check()?;
+            trials += 1;
+            let Some((camera_step, motions)) = self.step(members, &cameras, damping) else { break };
+            let moved_cameras = moved(&cameras, &camera_step);
+            let states: Vec<MotionState> = members
+                .par_iter()
+                .zip(&motions)
+                .map(|(member, step)| problem(self.context, self.data, self.n_cameras, member).moved(&member.state, step))
+                .collect();
+            let before: Vec<MotionState> = members
+                .iter_mut()
+                .zip(states)
+                .map(|(member, state)| {
+                    member.observations.cameras.clone_from(&moved_cameras);
+                    std::mem::replace(&mut member.state, state)
+                })
+                .collect();
+            let moved_cost = self.cost(members);
+            if std::env::var("WJ_VERBOSE").is_ok() {
+                eprintln!("cost {cost:.1} -> {moved_cost:.1} damping {damping:e} step {:.5}", camera_step.norm());
+            }
+            if moved_cost < cost {
+                let is_done = cost - moved_cost < MIN_DECREASE;
+                (cost, cameras, damping) = (moved_cost, moved_cameras, damping * 0.1);
+                accepted += 1;
+                if is_done {
+                    break;
+                }
+            } else {
+                for (member, before) in members.iter_mut().zip(before) {
+                    member.state = before;
+                    member.observations.cameras.clone_from(&cameras);
+                }
+                damping = (damping * 20.0).max(1e-6);
+            }
+        }
+        Ok(cameras)
+    }
+
+    fn cost(&self, members: &[Member]) -> f64 {
+        let cost = |member: &Member| problem(self.context, self.data, self.n_cameras, member).cost(&member.state);
+        let costs: Vec<f64> = members.par_iter().map(cost).collect();
+        costs.iter().sum()
+    }
+
+    /// Step of the cameras and of all motions.
+    fn step(&self, members: &[Member], cameras: &[PosedCamera], damping: f64) -> Option<(DVector<f64>, Vec<BandedStep>)> {
+        let eliminated = |member: &Member| {
+            problem(self.context, self.data, self.n_cameras, member).linearised(&member.state).eliminated(damping)
+        };
+        let people: Vec<Eliminated> = members.par_iter().map(eliminated).collect::<Option<_>>()?;
+        let (n_own, n) = (self.border().person().len(), self.border().session().len());
+        let mut hessian = DMatrix::zeros(n, n);
+        let mut right = DVector::zeros(n);
+        let mut own_parts = Vec::with_capacity(people.len());
+        for person in &people {
+            let (own, across) =
+                (person.corner.view((0, 0), (n_own, n_own)), person.corner.view((0, n_own), (n_own, n)));
+            let own = damped(&own.into_owned(), damping).cholesky()?;
+            let (by_cameras, rest) = (own.solve(&across), own.solve(&person.right.rows(0, n_own)));
+            hessian += person.corner.view((n_own, n_own), (n, n)) - across.tr_mul(&by_cameras);
+            right += person.right.rows(n_own, n) - across.tr_mul(&rest);
+            own_parts.push((by_cameras, rest));
+        }
+        let basis = free_network_basis(cameras);
+        let reduced = damped(&basis.tr_mul(&(&hessian * &basis)), damping);
+        let camera_step = &basis * reduced.cholesky()?.solve(&basis.tr_mul(&right));
+        let motion = |(person, (by_cameras, rest)): (&Eliminated, &(DMatrix<f64>, DVector<f64>))| {
+            let own = rest - by_cameras * &camera_step;
+            let border = own.iter().chain(camera_step.iter()).copied();
+            person.step(DVector::from_iterator(own.len() + camera_step.len(), border))
+        };
+        let motions = people.iter().zip(&own_parts).map(motion).collect::<Option<_>>()?;
+        Some((camera_step, motions))
+    }
+}
+
+fn moved(cameras: &[PosedCamera], step: &DVector<f64>) -> Vec<PosedCamera> {
+    let moved = |(i, camera): (usize, &PosedCamera)| {
+        let (rho, phi) = (step.fixed_rows::<3>(6 * i).into_owned(), step.fixed_rows::<3>(6 * i + 3).into_owned());
+        PosedCamera { camera_from_world: camera.camera_from_world.perturbed_left(&rho, &phi), ..*camera }
+    };
+    cameras.iter().enumerate().map(moved).collect()
+}
+
+/// Orthonormal directions of all camera poses across those of a similarity. [6 cameras, 6 cameras - 7]
+fn free_network_basis(cameras: &[PosedCamera]) -> DMatrix<f64> {
+    let n = 6 * cameras.len();
+    let poses = || cameras.iter().map(|camera| camera.camera_from_world);
+    let centroid = poses().map(|p| p.center()).sum::<Vector3<f64>>() / cameras.len() as f64;
+    let mut directions = DMatrix::zeros(n, 7);
+    for (k, pose) in poses().enumerate() {
+        let (arm, rotation) = (pose.center() - centroid, pose.rotation);
+        directions.fixed_view_mut::<3, 3>(6 * k, 0).copy_from(&-rotation);
+        directions.fixed_view_mut::<3, 3>(6 * k, 3).copy_from(&(rotation * skew(&arm)));
+        directions.fixed_view_mut::<3, 1>(6 * k, 6).copy_from(&(-(rotation * arm)));
+        directions.fixed_view_mut::<3, 3>(6 * k + 3, 3).copy_from(&Matrix3::from(-rotation));
+    }
+    let eigen = (&directions * directions.transpose()).symmetric_eigen();
+    let mut order: Vec<usize> = (0..n).collect();
+    order.sort_by(|a, b| eigen.eigenvalues[*a].total_cmp(&eigen.eigenvalues[*b]));
+    DMatrix::from_columns(&order[..n - 7].iter().map(|&i| eigen.eigenvectors.column(i)).collect::<Vec<_>>())
+}

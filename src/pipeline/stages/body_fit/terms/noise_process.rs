@@ -1,0 +1,96 @@
+//! Errors of a detector over time: an autoregressive process of order two, and the factors that whiten it.
+//!
+//! Detectors' errors are slow: on real detections their autocorrelation is 0.8 from frame to frame and 0.4 after a second.
+//! A residual in itself then says little that its predecessor did not say; what is new is the innovation
+//!
+//! `e_t = (r_t - a_1 r_{t-1} - a_2 r_{t-2}) / s`
+//!
+//! with `a` and `s` from the autocorrelations of lags one and two (Yule 1927, Walker 1931). Innovations are uncorrelated, so that
+//! a sum of their squares is the log likelihood of a path.
+
+use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
+use nalgebra::Vector2;
+
+/// The process of standardised residuals: unit variance where nothing came before.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct NoiseProcess {
+    /// Autocorrelation after one and two frames.
+    pub autocorrelation: [f64; 2],
+}
+
+/// Longest gap whose memory is computed, frames.
+const MAX_GAP: usize = 10_000;
+
+/// Bounds of an autocorrelation: beyond the upper one level and innovation could not be separated numerically.
+const BOUNDS: [f64; 2] = [0.0, 0.995];
+
+/// Residuals beyond this many standard deviations are not part of the process.
+const OUTLIER: f64 = 4.0;
+
+impl NoiseProcess {
+    /// Independent errors.
+    #[cfg(test)]
+    pub(crate) const WHITE: Self = Self { autocorrelation: [0.0; 2] };
+
+    /// The process of `channels`: runs of (frame, standardised residual) of one keypoint in one view, ascending.
+    pub(crate) fn measured<'a>(channels: impl Iterator<Item = &'a [(usize, Vector2<f64>)]> + Clone) -> Self {
+        let autocorrelation = |lag: usize| {
+            let (mut product, mut square) = (0.0, 0.0);
+            for channel in channels.clone() {
+                for (i, (frame, now)) in channel.iter().enumerate() {
+                    let before = channel[..i].iter().rev().take(lag).find(|(earlier, _)| earlier + lag == *frame);
+                    let Some((_, before)) = before else { continue };
+                    if now.norm() < OUTLIER && before.norm() < OUTLIER {
+                        product += now.dot(before);
+                        square += 0.5 * (now.norm_squared() + before.norm_squared());
+                    }
+                }
+            }
+            if square > 0.0 { (product / square).clamp(BOUNDS[0], BOUNDS[1]) } else { 0.0 }
+        };
+        let [one, two] = [1, 2].map(autocorrelation);
+        // A stationary process needs rho_2 > 2 rho_1^2 - 1; one that oscillates would not be a detector's.
+        Self { autocorrelation: [one, two.clamp(one * one, one.max(one * one))] }
+    }
+
+    /// Factors of the residuals of a frame, the one before and the one before that, given how long ago this keypoint was last
+    /// seen: `[seen one frame ago, seen two frames ago]`, and the frames since it was last seen at all.
+    pub(crate) fn innovation(&self, [one_ago, two_ago]: [bool; 2], gap: Option<usize>) -> [f64; 3] {
+        let [first, second] = self.autocorrelation;
+        match (one_ago, two_ago) {
+            (true, true) => {
+                let determinant = 1.0 - first * first;
+                let a = [first * (1.0 - second) / determinant, (second - first * first) / determinant];
+                let sigma = (1.0 - a[0] * first - a[1] * second).max(1e-4).sqrt();
+                [1.0 / sigma, -a[0] / sigma, -a[1] / sigma]
+            }
+            (true, false) => {
+                let sigma = (1.0 - first * first).sqrt();
+                [1.0 / sigma, -first / sigma, 0.0]
+            }
+            (false, true) => {
+                let sigma = (1.0 - second * second).sqrt();
+                [1.0 / sigma, 0.0, -second / sigma]
+            }
+            // What was known before the gap is not counted again.
+            (false, false) => {
+                let memory = gap.map_or(0.0, |gap| self.memory(gap));
+                [(1.0 - memory * memory).sqrt(), 0.0, 0.0]
+            }
+        }
+    }
+
+    /// Autocorrelation after `gap` frames, at least three.
+    fn memory(&self, gap: usize) -> f64 {
+        let [first, second] = self.autocorrelation;
+        if first <= 0.0 {
+            return 0.0;
+        }
+        second * (second / first).powi(gap.min(MAX_GAP) as i32 - 2)
+    }
+}
+
+/// Standard deviation per axis of vectors, from their median length.
+pub(crate) fn sigma_of(lengths: &mut [f64]) -> Option<f64> {
+    Some(median(lengths)? / MEDIAN_LENGTH_IN_PLANE)
+}
