@@ -9,7 +9,7 @@ use super::objective::Objective;
 use super::observations::{Observations, PosedCamera};
 use super::person_fit::StartedMotion;
 use super::terms::data::DataSource;
-use super::terms::noise_process::{NoiseProcess, sigma_of};
+use super::terms::noise_process::{LagSums, NoiseProcess, PathNoise, sigma_of};
 use super::terms::unknowns::{Border, MotionState, Shape};
 use super::terms::whitened_pixels::WhitenedPixels;
 use crate::geometry::Rigid;
@@ -61,11 +61,8 @@ pub(super) fn joint_cameras(
     }
     let mut cameras = members[0].observations.cameras.clone();
     for _ in 0..env("WJ_ROUNDS", 2.0) as usize {
-        let (share, process) = measured(context, &members);
-        if std::env::var("WJ_VERBOSE").is_ok() {
-            eprintln!("share {share:.5} process {:?}", process.autocorrelation);
-        }
-        let solver = Solver { context, n_cameras, data: DataSource::Paths { share, process } };
+        let noise = measured(context, &members);
+        let solver = Solver { context, n_cameras, data: DataSource::Paths(&noise) };
         cameras = solver.solved(&mut members, cameras)?;
     }
     let poses: Vec<Rigid> = cameras.iter().map(|camera| camera.camera_from_world).collect();
@@ -80,38 +77,61 @@ pub(super) fn joint_cameras(
     Ok(Some(poses))
 }
 
-/// Standard deviation (a share of the pixels' scale) and correlation of the detector's errors, from the residuals of all members.
-fn measured(context: &FitContext, members: &[Member]) -> (f64, NoiseProcess) {
-    let unit = NoiseProcess { autocorrelation: [0.0; 2] };
-    let residuals = |member: &Member| {
-        let problem = problem(context, DataSource::Paths { share: 1.0, process: unit }, 0, member);
-        let paths = WhitenedPixels::new(&member.observations, 1.0, &unit, context.config.robust_scale);
-        paths.residuals(&problem.path_positions(&member.state))
+/// The detector's errors, from the residuals of all members.
+fn measured(context: &FitContext, members: &[Member]) -> PathNoise {
+    let n_landmarks = context.model.landmarks.len();
+    let own = env("WJ_OWN", 1.0) > 0.0;
+    let unit = PathNoise::white(n_landmarks, 1.0);
+    let paths = |noise: &PathNoise, member: &Member| -> (Vec<_>, Vec<_>) {
+        let problem = problem(context, DataSource::Paths(noise), 0, member);
+        let paths = WhitenedPixels::new(&member.observations, noise, context.config.robust_scale);
+        let positions = problem.path_positions(&member.state);
+        (paths.residuals(&positions), paths.innovations(&positions))
     };
-    let mut channels: Vec<_> = members.iter().flat_map(residuals).collect();
-    let mut lengths: Vec<f64> = channels.iter().flatten().map(|(_, r)| r.norm()).collect();
-    let level = sigma_of(&mut lengths).unwrap_or(0.01);
-    channels.iter_mut().flatten().for_each(|(_, r)| *r /= level);
-    let mut process = NoiseProcess::measured(channels.iter().map(Vec::as_slice));
-    if let Ok(v) = std::env::var("WJ_AR") {
-        let v: Vec<f64> = v.split(',').filter_map(|x| x.parse().ok()).collect();
-        process = NoiseProcess { autocorrelation: [v[0], v[1]] };
+    let residuals: Vec<_> = members.iter().flat_map(|member| paths(&unit, member).0).collect();
+    let lengths = residuals.iter().map(|(l, run)| (*l, run.iter().map(|(_, r)| r.norm()).collect()));
+    let level = levels(n_landmarks, lengths, own);
+    let mut sums = vec![LagSums::default(); n_landmarks];
+    let mut all = LagSums::default();
+    for (landmark, mut run) in residuals {
+        run.iter_mut().for_each(|(_, r)| *r /= level[landmark]);
+        sums[landmark].add(&run);
+        all.add(&run);
     }
-    // The process's own share: innovations have unit variance.
-    let innovations = |member: &Member| {
-        let problem = problem(context, DataSource::Paths { share: level, process }, 0, member);
-        let paths = WhitenedPixels::new(&member.observations, level, &process, context.config.robust_scale);
-        paths.innovations(&problem.path_positions(&member.state))
-    };
-    let mut lengths: Vec<f64> = members.iter().flat_map(innovations).collect();
-    let factor = sigma_of(&mut lengths).unwrap_or(1.0);
+    let processes = sums
+        .iter()
+        .map(|sums| NoiseProcess::of(&if own { sums.pooled(&all, POOLED) } else { all }))
+        .collect();
+    let noise = PathNoise { processes, shares: level };
+    // Innovations get unit variance.
+    let innovations = members.iter().flat_map(|member| paths(&noise, member).1);
+    let factors = levels(n_landmarks, innovations, own);
     if std::env::var("WJ_VERBOSE").is_ok() {
-        eprintln!("level {level:.5} innovation factor {factor:.3}");
+        for l in 0..n_landmarks {
+            eprintln!("{} level {:.4} factor {:.3} ar {:?}", context.model.landmarks[l].name, noise.shares[l], factors[l], noise.processes[l].autocorrelation);
+        }
     }
-    (level * factor.clamp(0.2, 3.0), process)
+    let shares = noise.shares.iter().zip(factors).map(|(share, factor)| share * factor).collect();
+    PathNoise { shares, ..noise }
 }
 
-fn problem<'a>(context: &FitContext<'a>, data: DataSource, n_cameras: usize, member: &'a Member) -> MotionProblem<'a> {
+/// Standard deviations by landmark of lengths in the plane, drawn towards that of all together where there are few.
+fn levels(n_landmarks: usize, lengths: impl Iterator<Item = (usize, Vec<f64>)>, own: bool) -> Vec<f64> {
+    let mut by_landmark = vec![Vec::new(); n_landmarks];
+    lengths.for_each(|(landmark, lengths)| by_landmark[landmark].extend(lengths));
+    let all = sigma_of(&mut by_landmark.concat()).unwrap_or(1.0);
+    let level = |mut lengths: Vec<f64>| {
+        let n = lengths.len() as f64;
+        let sigma = sigma_of(&mut lengths).unwrap_or(all);
+        if own { ((n * sigma.ln() + POOLED * all.ln()) / (n + POOLED)).exp() } else { all }
+    };
+    by_landmark.into_iter().map(level).collect()
+}
+
+/// Residuals of all landmarks that count as much as one landmark's own.
+const POOLED: f64 = 100.0;
+
+fn problem<'a>(context: &FitContext<'a>, data: DataSource<'a>, n_cameras: usize, member: &'a Member) -> MotionProblem<'a> {
     let config = if env("WJ_PRIOR", 1.0) > 0.0 { context.config } else { context.first_config };
     Objective { n_cameras, ..Objective::new(context, config, &member.observations, data, Shape::Free) }.problem()
 }
@@ -119,7 +139,7 @@ fn problem<'a>(context: &FitContext<'a>, data: DataSource, n_cameras: usize, mem
 struct Solver<'a> {
     context: &'a FitContext<'a>,
     n_cameras: usize,
-    data: DataSource,
+    data: DataSource<'a>,
 }
 
 impl Solver<'_> {

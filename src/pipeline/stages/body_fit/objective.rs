@@ -29,7 +29,7 @@ pub(super) struct Objective<'a> {
     pub config: &'a BodyFitConfig,
     /// s.
     pub frame_interval: f64,
-    pub data: DataSource,
+    pub data: DataSource<'a>,
     pub shape: Shape,
     /// Weight of the prior of the betas against the data of one frame.
     pub shape_prior: f64,
@@ -59,7 +59,7 @@ impl<'a> Objective<'a> {
         context: &FitContext<'a>,
         config: &'a BodyFitConfig,
         observations: &'a Observations,
-        data: DataSource,
+        data: DataSource<'a>,
         shape: Shape,
     ) -> Self {
         let FitContext { model, frame_interval, .. } = *context;
@@ -105,9 +105,7 @@ impl<'a> Objective<'a> {
         let mut frame_terms: Vec<Box<dyn FrameTerm + 'a>> = Vec::new();
         let mut paths = None;
         match self.data {
-            DataSource::Paths { share, process } => {
-                paths = Some(WhitenedPixels::new(observations, share, &process, robust_scale));
-            }
+            DataSource::Paths(noise) => paths = Some(WhitenedPixels::new(observations, noise, robust_scale)),
             source => frame_terms.push(Box::new(DataTerm { observations, source, robust_scale })),
         }
         frame_terms.push(Box::new(JointLimits::new(config, &ranges, &unknowns, with_prior)));

@@ -2,7 +2,7 @@
 
 use super::super::observations::{Observations, PixelObservation, PointObservation};
 use super::frame::{LinearisedFrame, PosedFrame};
-use super::noise_process::NoiseProcess;
+use super::noise_process::PathNoise;
 use super::term::FrameTerm;
 use super::unknowns::FrameSystem;
 use crate::optim::block_banded::Corner;
@@ -12,19 +12,19 @@ use std::ops::Add;
 
 /// Which observations are fitted, and how precise they are taken to be.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum DataSource {
+pub(crate) enum DataSource<'a> {
     /// Triangulated points; standard deviation per axis, m.
     Points { sigma: f64 },
     /// Pixels; standard deviation per axis as a share of [`PixelObservation::scale_px`].
     Pixels { share: f64 },
     /// Pixels whose errors are correlated in time; see [`WhitenedPixels`](super::whitened_pixels::WhitenedPixels).
-    Paths { share: f64, process: NoiseProcess },
+    Paths(&'a PathNoise),
 }
 
 /// Robust distances between landmarks and their observations.
 pub(crate) struct DataTerm<'a> {
     pub observations: &'a Observations,
-    pub source: DataSource,
+    pub source: DataSource<'a>,
     /// Scale of Geman-McClure's cost, in standard deviations.
     pub robust_scale: f64,
 }
@@ -55,7 +55,7 @@ impl DataTerm<'_> {
                 }
             }
             // Paths are a term of their own.
-            DataSource::Paths { .. } => {}
+            DataSource::Paths(_) => {}
         }
     }
 }

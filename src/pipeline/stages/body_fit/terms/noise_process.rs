@@ -28,27 +28,12 @@ const BOUNDS: [f64; 2] = [0.0, 0.995];
 const OUTLIER: f64 = 4.0;
 
 impl NoiseProcess {
-    /// Independent errors.
-    #[cfg(test)]
-    pub(crate) const WHITE: Self = Self { autocorrelation: [0.0; 2] };
-
-    /// The process of `channels`: runs of (frame, standardised residual) of one keypoint in one view, ascending.
-    pub(crate) fn measured<'a>(channels: impl Iterator<Item = &'a [(usize, Vector2<f64>)]> + Clone) -> Self {
-        let autocorrelation = |lag: usize| {
-            let (mut product, mut square) = (0.0, 0.0);
-            for channel in channels.clone() {
-                for (i, (frame, now)) in channel.iter().enumerate() {
-                    let before = channel[..i].iter().rev().take(lag).find(|(earlier, _)| earlier + lag == *frame);
-                    let Some((_, before)) = before else { continue };
-                    if now.norm() < OUTLIER && before.norm() < OUTLIER {
-                        product += now.dot(before);
-                        square += 0.5 * (now.norm_squared() + before.norm_squared());
-                    }
-                }
-            }
+    /// From sums of products.
+    pub(crate) fn of(sums: &LagSums) -> Self {
+        let autocorrelation = |[product, square]: [f64; 2]| {
             if square > 0.0 { (product / square).clamp(BOUNDS[0], BOUNDS[1]) } else { 0.0 }
         };
-        let [one, two] = [1, 2].map(autocorrelation);
+        let [one, two] = sums.lags.map(autocorrelation);
         // A stationary process needs rho_2 > 2 rho_1^2 - 1; one that oscillates would not be a detector's.
         Self { autocorrelation: [one, two.clamp(one * one, one.max(one * one))] }
     }
@@ -87,6 +72,54 @@ impl NoiseProcess {
             return 0.0;
         }
         second * (second / first).powi(gap.min(MAX_GAP) as i32 - 2)
+    }
+}
+
+/// Sums over pairs of residuals one and two frames apart: of their products, and of their mean squares.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct LagSums {
+    lags: [[f64; 2]; 2],
+}
+
+impl LagSums {
+    /// Adds a channel: a run of (frame, standardised residual) of one keypoint in one view, ascending.
+    pub(crate) fn add(&mut self, channel: &[(usize, Vector2<f64>)]) {
+        for (lag, sums) in (1..).zip(&mut self.lags) {
+            for (i, (frame, now)) in channel.iter().enumerate() {
+                let before = channel[..i].iter().rev().take(lag).find(|(earlier, _)| earlier + lag == *frame);
+                let Some((_, before)) = before else { continue };
+                if now.norm() < OUTLIER && before.norm() < OUTLIER {
+                    sums[0] += now.dot(before);
+                    sums[1] += 0.5 * (now.norm_squared() + before.norm_squared());
+                }
+            }
+        }
+    }
+
+    /// These and a share of others, `weight` mean squares of them.
+    pub(crate) fn pooled(&self, others: &Self, weight: f64) -> Self {
+        let mut pooled = *self;
+        for (own, other) in pooled.lags.iter_mut().zip(&others.lags) {
+            let factor = weight / other[1].max(f64::MIN_POSITIVE);
+            own[0] += factor * other[0];
+            own[1] += factor * other[1];
+        }
+        pooled
+    }
+}
+
+/// The detector's errors by landmark.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct PathNoise {
+    pub processes: Vec<NoiseProcess>,
+    /// Standard deviation per axis as a share of the pixels' scale.
+    pub shares: Vec<f64>,
+}
+
+impl PathNoise {
+    /// The same independent noise for all landmarks.
+    pub(crate) fn white(n_landmarks: usize, share: f64) -> Self {
+        Self { processes: vec![NoiseProcess { autocorrelation: [0.0; 2] }; n_landmarks], shares: vec![share; n_landmarks] }
     }
 }
 

@@ -5,7 +5,7 @@
 //! the camera, and on what shapes the body.
 
 use super::super::observations::Observations;
-use super::noise_process::NoiseProcess;
+use super::noise_process::{NoiseProcess, PathNoise};
 use crate::optim::robust::{Robust, geman_mcclure, geman_mcclure_ceiling};
 use crate::residuals::reprojection::{Reprojection, linearize, residual};
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix2x3, Matrix2x6, Matrix3x6, Vector2, Vector3};
@@ -58,8 +58,7 @@ pub(crate) struct PathBlocks {
 }
 
 impl<'a> WhitenedPixels<'a> {
-    /// `share`: standard deviation per axis as a share of the pixels' scale.
-    pub(crate) fn new(observations: &'a Observations, share: f64, process: &NoiseProcess, robust_scale: f64) -> Self {
+    pub(crate) fn new(observations: &'a Observations, noise: &PathNoise, robust_scale: f64) -> Self {
         let n_frames = observations.pixels.len();
         let n_cameras = observations.cameras.len();
         let mut landmarks: Vec<usize> = observations.pixels.iter().flatten().map(|pixel| pixel.landmark).collect();
@@ -71,8 +70,8 @@ impl<'a> WhitenedPixels<'a> {
             for pixel in pixels {
                 let Ok(landmark) = landmarks.binary_search(&pixel.landmark) else { continue };
                 let seen = &mut channels[landmark][pixel.camera].seen;
-                let parts = parts(seen, frame, process);
-                seen.push(Seen { frame, pixel: pixel.pixel, sigma_px: share * pixel.scale_px, parts });
+                let parts = parts(seen, frame, &noise.processes[pixel.landmark]);
+                seen.push(Seen { frame, pixel: pixel.pixel, sigma_px: noise.shares[pixel.landmark] * pixel.scale_px, parts });
             }
         }
         for of_landmark in &mut channels {
@@ -91,12 +90,7 @@ impl<'a> WhitenedPixels<'a> {
     }
 
     fn channel_cost(&self, channel: &Channel, landmark: usize, positions: &[Vec<Vector3<f64>>]) -> f64 {
-        let camera = &self.observations.cameras[channel.camera];
-        let residual = |seen: &Seen| {
-            let position = &positions[seen.frame][landmark];
-            residual(&camera.intrinsics, &camera.camera_from_world, position, &seen.pixel, seen.sigma_px)
-        };
-        let residuals: Vec<Option<Vector2<f64>>> = channel.seen.iter().map(residual).collect();
+        let residuals = self.channel_residuals(channel, landmark, positions);
         let innovation = |seen: &Seen| match combined(&seen.parts, |i| residuals[i]) {
             Some(e) => geman_mcclure(e.norm_squared(), self.robust_scale).cost,
             None => geman_mcclure_ceiling(self.robust_scale),
@@ -104,37 +98,48 @@ impl<'a> WhitenedPixels<'a> {
         channel.seen.iter().map(innovation).sum()
     }
 
-    /// Innovations of all channels, in standard deviations.
-    pub(crate) fn innovations(&self, positions: &[Vec<Vector3<f64>>]) -> Vec<f64> {
+    /// Residuals of all channels: landmark, and a run of (frame, standardised residual).
+    pub(crate) fn residuals(&self, positions: &[Vec<Vector3<f64>>]) -> Vec<(usize, Vec<(usize, Vector2<f64>)>)> {
+        self.for_channels(positions, |channel, residuals| {
+            let seen = channel.seen.iter().zip(residuals);
+            seen.filter_map(|(seen, residual)| Some((seen.frame, (*residual)?))).collect()
+        })
+    }
+
+    /// Innovations of all channels that follow something: landmark, and their lengths in standard deviations.
+    pub(crate) fn innovations(&self, positions: &[Vec<Vector3<f64>>]) -> Vec<(usize, Vec<f64>)> {
+        self.for_channels(positions, |channel, residuals| {
+            let following = channel.seen.iter().filter(|seen| seen.parts.len() > 1);
+            following.filter_map(|seen| Some(combined(&seen.parts, |i| residuals[i])?.norm())).collect()
+        })
+    }
+
+    fn for_channels<T>(
+        &self,
+        positions: &[Vec<Vector3<f64>>],
+        of: impl Fn(&Channel, &[Option<Vector2<f64>>]) -> T,
+    ) -> Vec<(usize, T)> {
         let mut all = Vec::new();
-        for (landmark, channels) in self.channels.iter().enumerate() {
+        for (l, channels) in self.channels.iter().enumerate() {
             for channel in channels {
-                let camera = &self.observations.cameras[channel.camera];
-                let residual = |seen: &Seen| {
-                    let position = &positions[seen.frame][landmark];
-                    residual(&camera.intrinsics, &camera.camera_from_world, position, &seen.pixel, seen.sigma_px)
-                };
-                let residuals: Vec<Option<Vector2<f64>>> = channel.seen.iter().map(residual).collect();
-                all.extend(channel.seen.iter().filter(|s| s.parts.len() > 1).filter_map(|seen| Some(combined(&seen.parts, |i| residuals[i])?.norm())));
+                all.push((self.landmarks[l], of(channel, &self.channel_residuals(channel, l, positions))));
             }
         }
         all
     }
 
-    /// Residuals of all channels: runs of (frame, standardised residual).
-    pub(crate) fn residuals(&self, positions: &[Vec<Vector3<f64>>]) -> Vec<Vec<(usize, Vector2<f64>)>> {
-        let channels = self.channels.iter().enumerate().flat_map(|(landmark, channels)| {
-            channels.iter().map(move |channel| {
-                let camera = &self.observations.cameras[channel.camera];
-                let of = |seen: &Seen| {
-                    let position = &positions[seen.frame][landmark];
-                    let r = residual(&camera.intrinsics, &camera.camera_from_world, position, &seen.pixel, seen.sigma_px);
-                    Some((seen.frame, r?))
-                };
-                channel.seen.iter().filter_map(of).collect()
-            })
-        });
-        channels.collect()
+    fn channel_residuals(
+        &self,
+        channel: &Channel,
+        landmark: usize,
+        positions: &[Vec<Vector3<f64>>],
+    ) -> Vec<Option<Vector2<f64>>> {
+        let camera = &self.observations.cameras[channel.camera];
+        let residual = |seen: &Seen| {
+            let position = &positions[seen.frame][landmark];
+            residual(&camera.intrinsics, &camera.camera_from_world, position, &seen.pixel, seen.sigma_px)
+        };
+        channel.seen.iter().map(residual).collect()
     }
 
     /// Gradient and Gauss-Newton blocks; those of the cameras only where `moves_cameras`.
