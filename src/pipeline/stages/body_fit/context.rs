@@ -1,6 +1,7 @@
 //! What all fits of a session share.
 
 use super::config::BodyFitConfig;
+use super::terms::noise_process::PathNoise;
 use crate::body::BodyModel;
 use crate::progress::Progress;
 
@@ -14,6 +15,8 @@ pub(super) struct FitContext<'a> {
     /// s.
     pub frame_interval: f64,
     pub progress: &'a Progress,
+    /// The detector's errors over time, once they have been measured.
+    pub noise: Option<&'a PathNoise>,
 }
 
 impl FitContext<'_> {

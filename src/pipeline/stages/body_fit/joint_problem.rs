@@ -8,13 +8,19 @@ use super::motion_problem::MotionProblem;
 use super::objective::Objective;
 use super::observations::{Observations, PosedCamera};
 use super::person_fit::StartedMotion;
+use super::terms::border_priors::{BoneLengthPrior, KeypointBiasPrior};
 use super::terms::data::DataSource;
+use super::terms::term::BorderTerm;
 use super::terms::noise_process::{LagSums, NoiseProcess, PathNoise, sigma_of};
 use super::terms::unknowns::{Border, MotionState, Shape};
 use super::terms::whitened_pixels::WhitenedPixels;
+use crate::body::BodyModel;
+use crate::body::bone_offsets::{BoneOffsets, with_bones};
+use crate::body::detector_offsets::OffsetTable;
+use crate::body::skeleton::KeypointConvention;
 use crate::geometry::Rigid;
 use crate::geometry::rotation::skew;
-use crate::optim::block_banded::{BandedStep, Eliminated, damped};
+use crate::optim::block_banded::{BandedStep, Corner, Eliminated, damped};
 use crate::progress::Canceled;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 use rayon::prelude::*;
@@ -23,6 +29,7 @@ use rayon::prelude::*;
 struct Member {
     observations: Observations,
     state: MotionState,
+    bones: BoneOffsets,
 }
 
 /// Accepted steps, and the decrease of the cost below which one is the last.
@@ -36,8 +43,9 @@ fn env(name: &str, default: f64) -> f64 {
 /// Adjusts the cameras together with the first fits of all persons; both are replaced by what is found.
 pub(super) fn joint_cameras(
     context: &FitContext,
+    convention: KeypointConvention,
     started: &mut [Option<(Observations, StartedMotion)>],
-) -> Result<Option<Vec<Rigid>>, Canceled> {
+) -> Result<Option<(Vec<Rigid>, PathNoise)>, Canceled> {
     let total = env("WJ_FRAMES", 1600.0) as usize;
     let n_people = started.iter().flatten().count();
     if n_people == 0 {
@@ -52,6 +60,7 @@ pub(super) fn joint_cameras(
         members.push(Member {
             observations: observations.slice(run.clone()),
             state: MotionState { betas: fitted.betas, poses: fitted.poses[own].to_vec() },
+            bones: BoneOffsets::default(),
         });
         runs.push(run);
     }
@@ -60,11 +69,28 @@ pub(super) fn joint_cameras(
         return Ok(None);
     }
     let mut cameras = members[0].observations.cameras.clone();
+    let table = OffsetTable::new(context.model, convention);
+    let mut offsets = vec![Vector3::zeros(); table.kinds.len()];
     for _ in 0..env("WJ_ROUNDS", 2.0) as usize {
-        let noise = measured(context, &members);
-        let solver = Solver { context, n_cameras, data: DataSource::Paths(&noise) };
-        cameras = solver.solved(&mut members, cameras)?;
+        let noise = measured(context, &table, &offsets, &members);
+        let sigmas = table.kinds.iter().map(|kind| kind.prior_sigma * env("WJ_BIAS", 1.0)).collect();
+        let solver = Solver {
+            context,
+            table: &table,
+            n_cameras,
+            data: DataSource::Paths(&noise),
+            bone_prior: BoneLengthPrior { sigma: env("WJ_BONE", 0.01), correlated_frames: 1.0 },
+            bias_prior: KeypointBiasPrior { sigmas, correlated_frames: 1.0 },
+        };
+        cameras = solver.solved(&mut members, cameras, &mut offsets)?;
+        if std::env::var("WJ_VERBOSE").is_ok() {
+            for (kind, o) in table.kinds.iter().zip(&offsets) {
+                eprintln!("{} {:.1} {:.1} {:.1}", kind.name, o.x * 1e3, o.y * 1e3, o.z * 1e3);
+            }
+            members.iter().for_each(|m| eprintln!("bones {:?}", m.bones.map(|b| (b.norm() * 1e3).round())));
+        }
     }
+    let noise = measured(context, &table, &offsets, &members);
     let poses: Vec<Rigid> = cameras.iter().map(|camera| camera.camera_from_world).collect();
     for (((observations, started), member), run) in started.iter_mut().flatten().zip(members).zip(runs) {
         observations.cameras.clone_from(&cameras);
@@ -74,16 +100,23 @@ pub(super) fn joint_cameras(
         started.fitted.state.poses[own].clone_from_slice(&member.state.poses);
         started.start.poses[run].clone_from_slice(&member.state.poses);
     }
-    Ok(Some(poses))
+    Ok(Some((poses, noise)))
 }
 
 /// The detector's errors, from the residuals of all members.
-fn measured(context: &FitContext, members: &[Member]) -> PathNoise {
+fn measured(
+    context: &FitContext,
+    table: &OffsetTable,
+    offsets: &[Vector3<f64>],
+    members: &[Member],
+) -> PathNoise {
+    let model = table.applied(context.model, offsets);
     let n_landmarks = context.model.landmarks.len();
     let own = env("WJ_OWN", 1.0) > 0.0;
     let unit = PathNoise::white(n_landmarks, 1.0);
     let paths = |noise: &PathNoise, member: &Member| -> (Vec<_>, Vec<_>) {
-        let problem = problem(context, DataSource::Paths(noise), 0, member);
+        let own = with_bones(&model, &member.bones);
+        let problem = problem(context, &own, DataSource::Paths(noise), None, 0, member);
         let paths = WhitenedPixels::new(&member.observations, noise, context.config.robust_scale);
         let positions = problem.path_positions(&member.state);
         (paths.residuals(&positions), paths.innovations(&positions))
@@ -111,7 +144,11 @@ fn measured(context: &FitContext, members: &[Member]) -> PathNoise {
             eprintln!("{} level {:.4} factor {:.3} ar {:?}", context.model.landmarks[l].name, noise.shares[l], factors[l], noise.processes[l].autocorrelation);
         }
     }
-    let shares = noise.shares.iter().zip(factors).map(|(share, factor)| share * factor).collect();
+    let names = std::env::var("WJ_OUT").unwrap_or_default();
+    let out = |l: usize| if names.split(',').any(|n| !n.is_empty() && context.model.landmarks[l].name.ends_with(n)) { env("WJ_OUTF", 10.0) } else { 1.0 };
+    let shares = noise.shares.iter().zip(factors).enumerate().map(|(l, (share, factor))| share * factor * out(l)).collect();
+    let lam = env("WJ_LAM", 1.0);
+    let noise = PathNoise { processes: noise.processes.iter().map(|p| NoiseProcess { autocorrelation: p.autocorrelation.map(|a| a * lam) }).collect(), ..noise };
     PathNoise { shares, ..noise }
 }
 
@@ -131,58 +168,84 @@ fn levels(n_landmarks: usize, lengths: impl Iterator<Item = (usize, Vec<f64>)>, 
 /// Residuals of all landmarks that count as much as one landmark's own.
 const POOLED: f64 = 100.0;
 
-fn problem<'a>(context: &FitContext<'a>, data: DataSource<'a>, n_cameras: usize, member: &'a Member) -> MotionProblem<'a> {
+fn problem<'a>(
+    context: &FitContext<'a>,
+    model: &'a BodyModel,
+    data: DataSource<'a>,
+    bias: Option<&'a OffsetTable>,
+    n_cameras: usize,
+    member: &'a Member,
+) -> MotionProblem<'a> {
+    let context = &FitContext { model, ..*context };
     let config = if env("WJ_PRIOR", 1.0) > 0.0 { context.config } else { context.first_config };
-    Objective { n_cameras, ..Objective::new(context, config, &member.observations, data, Shape::Free) }.problem()
+    let config = Box::leak(Box::new(super::config::BodyFitConfig { robust_scale: env("WJ_ROB", 4.0), ..config.clone() }));
+    Objective { n_cameras, bias, ..Objective::new(context, config, &member.observations, data, Shape::Free) }.problem()
 }
 
 struct Solver<'a> {
     context: &'a FitContext<'a>,
+    table: &'a OffsetTable,
+    bone_prior: BoneLengthPrior,
+    bias_prior: KeypointBiasPrior,
     n_cameras: usize,
     data: DataSource<'a>,
 }
 
 impl Solver<'_> {
     fn border(&self) -> Border<'_> {
-        Border { shape: Shape::Free, bias: None, n_cameras: self.n_cameras }
+        Border { shape: Shape::Free, bias: Some(self.table), n_cameras: self.n_cameras }
     }
 
-    fn solved(&self, members: &mut [Member], mut cameras: Vec<PosedCamera>) -> Result<Vec<PosedCamera>, Canceled> {
-        let mut cost = self.cost(members);
+    fn solved(
+        &self,
+        members: &mut [Member],
+        mut cameras: Vec<PosedCamera>,
+        offsets: &mut Vec<Vector3<f64>>,
+    ) -> Result<Vec<PosedCamera>, Canceled> {
+        let mut cost = self.cost(members, offsets);
         let mut damping = 1e-5;
         let (mut accepted, mut trials) = (0, 0);
         while accepted < MAX_ITERATIONS && trials < 2 * MAX_ITERATIONS {
             self.context.progress.check()?;
             trials += 1;
-            let Some((camera_step, motions)) = self.step(members, &cameras, damping) else { break };
+            let Some((session_step, motions)) = self.step(members, offsets, &cameras, damping) else { break };
+            let n_bias = 3 * offsets.len();
+            let camera_step = session_step.rows(n_bias, session_step.len() - n_bias).into_owned();
             let moved_cameras = moved(&cameras, &camera_step);
-            let states: Vec<MotionState> = members
+            let moved_offsets: Vec<Vector3<f64>> = offsets.iter().enumerate().map(|(k, o)| o + session_step.fixed_rows::<3>(3 * k)).collect();
+            let states: Vec<(MotionState, BoneOffsets)> = members
                 .par_iter()
                 .zip(&motions)
-                .map(|(member, step)| problem(self.context, self.data, self.n_cameras, member).moved(&member.state, step))
-                .collect();
-            let before: Vec<MotionState> = members
-                .iter_mut()
-                .zip(states)
-                .map(|(member, state)| {
-                    member.observations.cameras.clone_from(&moved_cameras);
-                    std::mem::replace(&mut member.state, state)
+                .map(|(member, step)| {
+                    let first = self.border().bones().start;
+                    let bone = |k: usize| member.bones[k] + step.border.fixed_rows::<3>(first + 3 * k);
+                    let state = self.problem(self.context.model, member).moved(&member.state, step);
+                    (state, std::array::from_fn(bone))
                 })
                 .collect();
-            let moved_cost = self.cost(members);
+            let before: Vec<(MotionState, BoneOffsets)> = members
+                .iter_mut()
+                .zip(states)
+                .map(|(member, (state, bones))| {
+                    member.observations.cameras.clone_from(&moved_cameras);
+                    (std::mem::replace(&mut member.state, state), std::mem::replace(&mut member.bones, bones))
+                })
+                .collect();
+            let moved_cost = self.cost(members, &moved_offsets);
             if std::env::var("WJ_VERBOSE").is_ok() {
                 eprintln!("cost {cost:.1} -> {moved_cost:.1} damping {damping:e} step {:.5}", camera_step.norm());
             }
             if moved_cost < cost {
                 let is_done = cost - moved_cost < MIN_DECREASE;
                 (cost, cameras, damping) = (moved_cost, moved_cameras, damping * 0.1);
+                *offsets = moved_offsets;
                 accepted += 1;
                 if is_done {
                     break;
                 }
             } else {
                 for (member, before) in members.iter_mut().zip(before) {
-                    member.state = before;
+                    (member.state, member.bones) = before;
                     member.observations.cameras.clone_from(&cameras);
                 }
                 damping = (damping * 20.0).max(1e-6);
@@ -191,21 +254,41 @@ impl Solver<'_> {
         Ok(cameras)
     }
 
-    fn cost(&self, members: &[Member]) -> f64 {
-        let cost = |member: &Member| problem(self.context, self.data, self.n_cameras, member).cost(&member.state);
-        let costs: Vec<f64> = members.par_iter().map(cost).collect();
-        costs.iter().sum()
+    fn problem<'b>(&'b self, model: &'b BodyModel, member: &'b Member) -> MotionProblem<'b> {
+        problem(self.context, model, self.data, Some(self.table), self.n_cameras, member)
     }
 
-    /// Step of the cameras and of all motions.
-    fn step(&self, members: &[Member], cameras: &[PosedCamera], damping: f64) -> Option<(DVector<f64>, Vec<BandedStep>)> {
+    fn cost(&self, members: &[Member], offsets: &[Vector3<f64>]) -> f64 {
+        let model = self.table.applied(self.context.model, offsets);
+        let cost = |member: &Member| {
+            let own = with_bones(&model, &member.bones);
+            self.problem(&own, member).cost(&member.state) + self.bone_prior.cost(&flat(&member.bones))
+        };
+        let costs: Vec<f64> = members.par_iter().map(cost).collect();
+        costs.iter().sum::<f64>() + self.bias_prior.cost(&flat(offsets))
+    }
+
+    /// Step of the session's unknowns and of all motions.
+    fn step(
+        &self,
+        members: &[Member],
+        offsets: &[Vector3<f64>],
+        cameras: &[PosedCamera],
+        damping: f64,
+    ) -> Option<(DVector<f64>, Vec<BandedStep>)> {
+        let model = self.table.applied(self.context.model, offsets);
         let eliminated = |member: &Member| {
-            problem(self.context, self.data, self.n_cameras, member).linearised(&member.state).eliminated(damping)
+            let own = with_bones(&model, &member.bones);
+            let mut system = self.problem(&own, member).linearised(&member.state);
+            self.bone_prior.add_to(&flat(&member.bones), self.border().bones().start, &mut system.corner);
+            system.eliminated(damping)
         };
         let people: Vec<Eliminated> = members.par_iter().map(eliminated).collect::<Option<_>>()?;
         let (n_own, n) = (self.border().person().len(), self.border().session().len());
-        let mut hessian = DMatrix::zeros(n, n);
-        let mut right = DVector::zeros(n);
+        let mut session = Corner::zeros(n);
+        self.bias_prior.add_to(&flat(offsets), 0, &mut session);
+        let Corner { mut hessian, gradient } = session;
+        let mut right = -gradient;
         let mut own_parts = Vec::with_capacity(people.len());
         for person in &people {
             let (own, across) =
@@ -216,7 +299,7 @@ impl Solver<'_> {
             right += person.right.rows(n_own, n) - across.tr_mul(&rest);
             own_parts.push((by_cameras, rest));
         }
-        let basis = free_network_basis(cameras);
+        let basis = session_basis(3 * offsets.len(), cameras);
         let reduced = damped(&basis.tr_mul(&(&hessian * &basis)), damping);
         let camera_step = &basis * reduced.cholesky()?.solve(&basis.tr_mul(&right));
         let motion = |(person, (by_cameras, rest)): (&Eliminated, &(DMatrix<f64>, DVector<f64>))| {
@@ -235,6 +318,20 @@ fn moved(cameras: &[PosedCamera], step: &DVector<f64>) -> Vec<PosedCamera> {
         PosedCamera { camera_from_world: camera.camera_from_world.perturbed_left(&rho, &phi), ..*camera }
     };
     cameras.iter().enumerate().map(moved).collect()
+}
+
+fn flat(offsets: &[Vector3<f64>]) -> Vec<f64> {
+    offsets.iter().flat_map(|offset| offset.iter().copied()).collect()
+}
+
+/// All directions of `n_others` unknowns, and those of [`free_network_basis`].
+fn session_basis(n_others: usize, cameras: &[PosedCamera]) -> DMatrix<f64> {
+    let of_cameras = free_network_basis(cameras);
+    let (n, n_free) = of_cameras.shape();
+    let mut basis = DMatrix::zeros(n_others + n, n_others + n_free);
+    basis.view_mut((0, 0), (n_others, n_others)).fill_with_identity();
+    basis.view_mut((n_others, n_others), (n, n_free)).copy_from(&of_cameras);
+    basis
 }
 
 /// Orthonormal directions of all camera poses across those of a similarity. [6 cameras, 6 cameras - 7]

@@ -137,6 +137,9 @@ fn fit_window(
     for pass in if has_pixels { passes } else { &[Pass::Points] } {
         let (data, max_iterations) = match pass {
             Pass::Points => (DataSource::Points { sigma: config.point_sigma }, on_points),
+            Pass::Last if context.noise.is_some() => {
+                (context.noise.map_or(DataSource::Points { sigma: 1.0 }, DataSource::Paths), on_pixels)
+            }
             _ => (DataSource::Pixels { share: pixel_share(context, &observations, &whole.state) }, on_pixels),
         };
         let config = if *pass == Pass::Last { config } else { first_config };
