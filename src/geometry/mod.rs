@@ -4,6 +4,7 @@ pub mod camera;
 pub mod capsule;
 pub mod epipolar;
 pub mod five_point;
+pub mod free_network;
 pub mod p3p;
 pub mod polynomial;
 pub mod projection;

@@ -1,11 +1,14 @@
 //! Assembly of the result: cameras and trajectories in the world frame, bodies, fit statistics and verdict.
 
-use super::calibration::{Calibration, TrackedPeople};
+use super::calibration::{Calibration, CameraUncertainty, TrackedPeople};
 use super::capture::Capture;
 use super::error::PipelineError;
 use super::stages::association::identities;
-use super::stages::body_fit::{BodyFitConfig, FittedBodies, fit_bodies, fitted_statures, landmark_trajectory};
+use super::stages::body_fit::{
+    AdjustedCameras, BodyFitConfig, FittedBodies, fit_bodies, fitted_statures, landmark_trajectory,
+};
 use super::stages::fit_statistics::FitStatistics;
+use super::stages::joint_trajectories::joint_trajectories;
 use super::stages::verdict::input::VerdictInput;
 use super::stages::verdict::quality;
 use super::stages::world_frame::world_from_solution;
@@ -82,19 +85,20 @@ impl Solution {
         let config = BodyFitConfig {
             resolve_collisions: capture.options.collision,
             motion_prior: capture.options.motion_prior,
-            adjust_cameras: capture.estimates_extrinsics() && !is_monocular && std::env::var("WJ").as_deref() != Ok("0"),
+            adjust_cameras: capture.estimates_extrinsics() && !is_monocular,
             ..config
         };
-        let FittedBodies { motions, detector_model, mut detector, penetration, report, cameras } =
+        let FittedBodies { motions, detector_model, mut detector, penetration, report, adjusted } =
             fit_bodies(&input, &self.upright(capture), model, &config, progress)?;
         if is_monocular {
             detector.reason =
                 "a single view cannot separate keypoint bias of the detector from the poses of people".to_owned();
         }
         self.calibration.stages.push(report);
-        if let Some(cameras) = cameras {
-            let placed = self.calibration.cameras.iter_mut().filter(|camera| camera.is_some());
-            placed.zip(cameras).for_each(|(camera, adjusted)| *camera = Some(adjusted));
+        if let Some(adjusted) = adjusted {
+            self.take_over(adjusted);
+            let start = std::mem::take(&mut self.trajectories);
+            self.trajectories = joint_trajectories(&self.calibration.people(capture.session, &start), progress)?;
         }
         // A track whose trunk was never triangulated has no body and is left out of the result.
         let kept: Vec<PersonTrack> =
@@ -123,6 +127,21 @@ impl Solution {
             repairs: None,
             report,
         })
+    }
+
+    /// Takes the cameras that were adjusted together with the bodies.
+    fn take_over(&mut self, adjusted: AdjustedCameras) {
+        let placed: Vec<usize> =
+            (0..self.calibration.cameras.len()).filter(|&v| self.calibration.cameras[v].is_some()).collect();
+        for (&view, camera) in placed.iter().zip(adjusted.cameras) {
+            self.calibration.cameras[view] = Some(camera);
+        }
+        let Some(before) = &mut self.calibration.adjusted else { return };
+        for (&view, uncertainty) in placed.iter().zip(adjusted.uncertainties) {
+            // Positions of the calibration are in its unit.
+            let sigma_position = uncertainty.sigma_position / self.metres_per_unit;
+            before.cameras[view].uncertainty = Some(CameraUncertainty { sigma_position, ..uncertainty });
+        }
     }
 
     /// The upright in the result's world: the up axis. Where extrinsics are given without an up axis and the camera would

@@ -1,9 +1,9 @@
 //! The fit of all persons of a session, step by step, and of their statures alone.
 
+use super::camera_adjustment::{AdjustedCameras, adjusted_cameras};
 use super::collision_resolution::resolve_collisions;
 use super::config::BodyFitConfig;
 use super::context::FitContext;
-use super::joint_problem::joint_cameras;
 use super::keypoint_bias::estimated_bias;
 use super::monocular::lifting::lifted;
 use super::observations::{Observations, gather_observations};
@@ -11,7 +11,6 @@ use super::person_fit::{StartedMotion, finish_motion, start_motion};
 use super::person_motion::{PersonFit, body_motion, stage_report, valid_frames};
 use crate::body::BodyModel;
 use crate::body::scale::FittedStature;
-use crate::geometry::Rigid;
 use crate::pipeline::calibration::TrackedPeople;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{KeypointBias, PenetrationReport, StageReport};
@@ -31,8 +30,8 @@ pub struct FittedBodies {
     pub detector: KeypointBias,
     /// Overlaps between bodies.
     pub penetration: PenetrationReport,
-    /// `camera_from_world` of the placed cameras, where they were adjusted.
-    pub cameras: Option<Vec<Rigid>>,
+    /// The placed cameras, where they were adjusted together with the motions.
+    pub adjusted: Option<AdjustedCameras>,
     /// Iterations, costs and residuals.
     pub report: StageReport,
 }
@@ -67,18 +66,20 @@ pub fn fit_bodies(
         bias.map_or_else(|| (model.clone(), KeypointBias::default()), |bias| (bias.model, bias.report));
     let context = FitContext { model: &detector_model, ..context };
     let mut started = started;
-    let cameras = match config.adjust_cameras {
-        true => joint_cameras(&context, input.session.convention, &mut started)?,
+    let adjusted = match config.adjust_cameras {
+        true => {
+            progress.report(0.7, "adjusting cameras and motions together");
+            adjusted_cameras(&context, input.session.convention, &mut started)?
+        }
         false => None,
     };
-    let (cameras, noise) = cameras.map_or((None, None), |(cameras, noise)| (Some(cameras), Some(noise)));
-    let noise = noise.as_ref().filter(|_| std::env::var("WJ_LAST").as_deref() == Ok("1"));
-    let context = FitContext { noise, ..context };
+    let has_changed = has_bias || adjusted.is_some();
+    let context = FitContext { noise: adjusted.as_ref().map(|adjusted| &adjusted.noise), ..context };
     let gap_limit = (config.gap_limit_secs / frame_interval).round() as usize;
     let finish_person = |(track, started): (&PersonTrack, Option<(Observations, StartedMotion)>)| {
         progress.check()?;
         let Some((observations, started)) = started else { return Ok(None) };
-        let fitted = finish_motion(&context, &observations, started, has_bias || config.adjust_cameras)?;
+        let fitted = finish_motion(&context, &observations, started, has_changed)?;
         let valid = valid_frames(&observations, gap_limit);
         Ok(Some(PersonFit { person: track.person, first: track.first.0, observations, fitted, valid }))
     };
@@ -92,7 +93,7 @@ pub fn fit_bodies(
         detector,
         detector_model,
         penetration,
-        cameras,
+        adjusted,
     })
 }
 

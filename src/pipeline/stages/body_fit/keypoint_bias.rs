@@ -6,13 +6,11 @@
 //! reported for detectors.
 
 use super::context::FitContext;
+use super::joint_problem::Member;
 use super::observations::Observations;
 use super::person_fit::StartedMotion;
-use super::pixel_residuals::pixel_share;
-use super::session_bias::{BiasSample, Hypothesis, SessionBias, session_bias};
-use super::terms::unknowns::MotionState;
+use super::session_bias::{Hypothesis, SessionBias, session_bias};
 use crate::body::BodyModel;
-use crate::body::bone_offsets::BoneOffsets;
 use crate::body::detector_offsets::{OffsetKind, OffsetTable};
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention};
 use crate::progress::Canceled;
@@ -37,9 +35,9 @@ pub(super) fn estimated_bias(
     }
     let [per_person, in_all] = context.config.bias_frames;
     let n_frames = (in_all / started.len()).min(per_person);
-    let samples =
-        started.iter().map(|(observations, started)| sample(context, observations, started, n_frames)).collect();
-    let found = likeliest(&table, samples, context)?;
+    let members =
+        started.iter().map(|(observations, started)| Member::of(context, observations, started, n_frames)).collect();
+    let found = likeliest(&table, members, context)?;
     let (moves_joints, reason) = decision(&table, &found);
     let is_applied = |kind: &OffsetKind| moves_joints || !kind.is_joint;
     let rows = || table.kinds.iter().zip(&found.offsets);
@@ -57,27 +55,16 @@ pub(super) fn estimated_bias(
     Ok(Some(EstimatedBias { model: table.applied(context.model, &applied), report }))
 }
 
-/// One person's sample: the run of frames with most pixels in the window of the first fit.
-fn sample(context: &FitContext, observations: &Observations, started: &StartedMotion, n_frames: usize) -> BiasSample {
-    let run = observations.most_seen(started.window.clone(), n_frames);
-    let own = run.start - started.window.start..run.end - started.window.start;
-    let observations = observations.slice(run);
-    let fitted = &started.fitted.state;
-    let state = MotionState { betas: fitted.betas, poses: fitted.poses[own].to_vec() };
-    let share = pixel_share(context, &observations, &state);
-    BiasSample { observations, state, bones: BoneOffsets::default(), share }
-}
-
 /// The session's offsets under the likeliest hypothesis.
 ///
 /// Detector bias and body proportions leave about as much open as each other, and how much exactly depends on how unusual
 /// people are assumed to be: the lower cost decides between them. That either is needed at all must show in the evidence, which
 /// charges for what a hypothesis leaves open: with clean detections of ordinary bodies, 80 free numbers fit some of the noise.
-fn likeliest(table: &OffsetTable, mut samples: Vec<BiasSample>, context: &FitContext) -> Result<SessionBias, Canceled> {
+fn likeliest(table: &OffsetTable, mut members: Vec<Member>, context: &FitContext) -> Result<SessionBias, Canceled> {
     let none = vec![Vector3::zeros(); table.kinds.len()];
-    let no_bias = session_bias(table, Hypothesis::NoBias, none, &mut samples, context)?;
+    let no_bias = session_bias(table, Hypothesis::NoBias, none, &mut members, context)?;
     // The others start from the solution of the simplest.
-    let under = |hypothesis| session_bias(table, hypothesis, no_bias.offsets.clone(), &mut samples.clone(), context);
+    let under = |hypothesis| session_bias(table, hypothesis, no_bias.offsets.clone(), &mut members.clone(), context);
     let (proportions, detector) = (under(Hypothesis::BodyProportions)?, under(Hypothesis::DetectorBias)?);
     let biased = if detector.cost < proportions.cost { detector } else { proportions };
     Ok(if biased.negative_log_evidence() < no_bias.negative_log_evidence() { biased } else { no_bias })

@@ -12,10 +12,13 @@
 //! | `initial_motion`, `monocular` | the closed-form start; points of a single view lifted to 3D |
 //! | `person_fit`, `local_fit`, `pixel_residuals` | passes over one person's windows; runs fitted again; the detector's accuracy |
 //! | `terms`, `objective`, `motion_problem`, `minimisation` | the terms, their list, its sum, the damped Gauss-Newton steps |
-//! | `keypoint_bias`, `session_bias` | the detector's offsets, estimated over all persons |
+//! | `joint_problem` | all persons as one problem, with the detector's offsets and the cameras |
+//! | `keypoint_bias`, `session_bias` | the detector's offsets, with the cameras held |
+//! | `camera_adjustment`, `noise_measurement` | cameras and motions together, under errors correlated in time |
 //! | `collision_resolution`, `capsule_overlaps` | overlaps between bodies |
 //! | `person_motion` | a fit on the session's time line, its published motion and statistics |
 
+mod camera_adjustment;
 mod capsule_overlaps;
 mod collision_resolution;
 mod config;
@@ -28,6 +31,7 @@ mod local_fit;
 mod minimisation;
 mod monocular;
 mod motion_problem;
+mod noise_measurement;
 mod objective;
 mod observations;
 mod person_fit;
@@ -40,6 +44,7 @@ mod tests;
 #[cfg(test)]
 mod tests_simulated;
 
+pub use camera_adjustment::AdjustedCameras;
 pub use config::BodyFitConfig;
 pub use fit::{FittedBodies, fit_bodies, fitted_statures};
 pub use person_motion::landmark_trajectory;

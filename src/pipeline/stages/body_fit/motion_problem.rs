@@ -2,9 +2,9 @@
 
 use super::terms::border_priors::ShapePrior;
 use super::terms::frame::{Landmarks, PosedFrame};
+use super::terms::path_system::add_paths;
 use super::terms::term::{BorderTerm, FrameTerm, WindowTerm};
 use super::terms::unknowns::{FrameSystem, MotionState, Unknowns};
-use super::terms::path_system::add_paths;
 use super::terms::whitened_pixels::WhitenedPixels;
 use super::terms::window::{TrackedLandmark, Window};
 use crate::body::BodyModel;
@@ -50,7 +50,8 @@ impl MotionProblem<'_> {
         let body = self.model.shaped(&state.betas);
         let frame_cost = |(index, pose): (usize, &Pose)| {
             let frame = PosedFrame::new(&self.landmarks, (&body, &state.betas), index, pose);
-            let at = |landmarks: &[usize]| landmarks.iter().map(|&landmark| frame.position(landmark)).collect::<Vec<_>>();
+            let at =
+                |landmarks: &[usize]| landmarks.iter().map(|&landmark| frame.position(landmark)).collect::<Vec<_>>();
             let cost = self.frame_terms.iter().map(|term| term.cost(&frame)).sum::<f64>();
             (cost, (at(&self.tracked), at(self.path_landmarks())))
         };
@@ -136,16 +137,6 @@ impl MotionProblem<'_> {
 
     fn path_landmarks(&self) -> &[usize] {
         self.paths.as_ref().map_or(&[], |paths| paths.landmarks.as_slice())
-    }
-
-    /// Positions of the landmarks of the paths by frame.
-    pub(super) fn path_positions(&self, state: &MotionState) -> Vec<Vec<Vector3<f64>>> {
-        let body = self.model.shaped(&state.betas);
-        let at = |(index, pose): (usize, &Pose)| {
-            let frame = PosedFrame::new(&self.landmarks, (&body, &state.betas), index, pose);
-            self.path_landmarks().iter().map(|&landmark| frame.position(landmark)).collect()
-        };
-        state.poses.par_iter().enumerate().map(at).collect()
     }
 }
 

@@ -21,17 +21,12 @@
 use super::gauge::hold_idle;
 use super::problem::Problem;
 use super::variables::State;
-use crate::geometry::Rigid;
-use crate::geometry::rotation::skew;
+use crate::geometry::{Rigid, free_network};
 use crate::optim::arrow::{self, Block};
 use crate::optim::robust::geman_mcclure;
 use crate::pipeline::calibration::CameraUncertainty;
-use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
-
-/// Weight of orientations in the alignment, in units of the rig's radius: small, so that centres decide as in evaluation,
-/// and orientations matter only for a rig whose centres lie on a line.
-const ORIENTATION_WEIGHT: f64 = 1e-2;
 
 /// Smallest ratio of curvature to weight, reached where half of the residuals are as large as the robust scale.
 const MIN_CURVATURE: f64 = 0.1;
@@ -56,7 +51,7 @@ pub(super) fn camera_uncertainties(
         .collect();
     let mut uncertainties = vec![None; state.cameras.len()];
     let poses: Vec<Rigid> = moving.iter().map(|&(_, _, pose)| pose).collect();
-    let projection = free_network_projection(&poses);
+    let projection = free_network::projection(&poses);
     if let (Some(border), Some(projection)) = (border_covariance(problem, state, block_frames), projection) {
         let rows: Vec<usize> = moving.iter().flat_map(|&(_, first, _)| first..first + 6).collect();
         let of_cameras = border.select_rows(&rows).select_columns(&rows);
@@ -154,31 +149,4 @@ fn curvature_per_weight(problem: &Problem, state: &State) -> f64 {
     }
     // At the minimum the mean is positive; the floor bounds the certainty of a bad fit.
     if weight > 0.0 { (curvature / weight).max(MIN_CURVATURE) } else { 1.0 }
-}
-
-/// Projection that removes the best similarity from a joint increment of all cameras: `I - N (N^T D N)^-1 N^T D`. [6 cameras, 6 cameras]
-///
-/// `N`: the seven directions of a similarity, `D`: the weights of centres (1) and orientations in the alignment.
-/// `None` for fewer than two cameras or coinciding centres.
-fn free_network_projection(poses: &[Rigid]) -> Option<DMatrix<f64>> {
-    let n = 6 * poses.len();
-    let centroid = poses.iter().map(Rigid::center).sum::<Vector3<f64>>() / poses.len().max(1) as f64;
-    let squared_radius =
-        poses.iter().map(|p| (p.center() - centroid).norm_squared()).sum::<f64>() / poses.len().max(1) as f64;
-    let mut directions = DMatrix::zeros(n, 7);
-    for (k, pose) in poses.iter().enumerate() {
-        let (arm, rotation) = (pose.center() - centroid, pose.rotation);
-        // The centre moves by t + omega x arm + s arm, and rho = -R dC, phi = -R omega.
-        directions.fixed_view_mut::<3, 3>(6 * k, 0).copy_from(&-rotation);
-        directions.fixed_view_mut::<3, 3>(6 * k, 3).copy_from(&(rotation * skew(&arm)));
-        directions.fixed_view_mut::<3, 1>(6 * k, 6).copy_from(&(-(rotation * arm)));
-        directions.fixed_view_mut::<3, 3>(6 * k + 3, 3).copy_from(&Matrix3::from(-rotation));
-    }
-    let orientation = ORIENTATION_WEIGHT * ORIENTATION_WEIGHT * squared_radius;
-    let mut weighted = directions.clone();
-    for k in 0..poses.len() {
-        weighted.rows_mut(6 * k + 3, 3).scale_mut(orientation);
-    }
-    let normal = weighted.tr_mul(&directions).cholesky()?;
-    Some(DMatrix::identity(n, n) - &directions * normal.solve(&weighted.transpose()))
 }

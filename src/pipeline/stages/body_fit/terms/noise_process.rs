@@ -8,7 +8,6 @@
 //! with `a` and `s` from the autocorrelations of lags one and two (Yule 1927, Walker 1931). Innovations are uncorrelated, so that
 //! a sum of their squares is the log likelihood of a path.
 
-use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
 use nalgebra::Vector2;
 
 /// The process of standardised residuals: unit variance where nothing came before.
@@ -119,11 +118,9 @@ pub(crate) struct PathNoise {
 impl PathNoise {
     /// The same independent noise for all landmarks.
     pub(crate) fn white(n_landmarks: usize, share: f64) -> Self {
-        Self { processes: vec![NoiseProcess { autocorrelation: [0.0; 2] }; n_landmarks], shares: vec![share; n_landmarks] }
+        Self {
+            processes: vec![NoiseProcess { autocorrelation: [0.0; 2] }; n_landmarks],
+            shares: vec![share; n_landmarks],
+        }
     }
-}
-
-/// Standard deviation per axis of vectors, from their median length.
-pub(crate) fn sigma_of(lengths: &mut [f64]) -> Option<f64> {
-    Some(median(lengths)? / MEDIAN_LENGTH_IN_PLANE)
 }

@@ -91,7 +91,8 @@ impl Fixture {
 
     fn objective<'a>(&'a self, model: &'a BodyModel, data: DataSource, shape: Shape) -> Objective<'a> {
         let (config, progress) = (&self.config, &self.progress);
-        let context = FitContext { model, config, first_config: config, frame_interval: 1.0 / 25.0, progress, noise: None };
+        let context =
+            FitContext { model, config, first_config: config, frame_interval: 1.0 / 25.0, progress, noise: None };
         Objective::new(&context, config, &self.observations, data, shape)
     }
 

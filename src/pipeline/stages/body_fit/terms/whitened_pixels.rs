@@ -8,7 +8,7 @@ use super::super::observations::Observations;
 use super::noise_process::{NoiseProcess, PathNoise};
 use crate::optim::robust::{Robust, geman_mcclure, geman_mcclure_ceiling};
 use crate::residuals::reprojection::{Reprojection, linearize, residual};
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix2x3, Matrix2x6, Matrix3x6, Vector2, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix2x6, Matrix3, Matrix3x6, Vector2, Vector3};
 use rayon::prelude::*;
 
 /// Innovations of all channels of one person.
@@ -71,7 +71,12 @@ impl<'a> WhitenedPixels<'a> {
                 let Ok(landmark) = landmarks.binary_search(&pixel.landmark) else { continue };
                 let seen = &mut channels[landmark][pixel.camera].seen;
                 let parts = parts(seen, frame, &noise.processes[pixel.landmark]);
-                seen.push(Seen { frame, pixel: pixel.pixel, sigma_px: noise.shares[pixel.landmark] * pixel.scale_px, parts });
+                seen.push(Seen {
+                    frame,
+                    pixel: pixel.pixel,
+                    sigma_px: noise.shares[pixel.landmark] * pixel.scale_px,
+                    parts,
+                });
             }
         }
         for of_landmark in &mut channels {

@@ -1,0 +1,72 @@
+//! The detector's errors over time, measured on the residuals of a fit.
+
+use super::context::FitContext;
+use super::joint_problem::Member;
+use super::terms::noise_process::{LagSums, NoiseProcess, PathNoise};
+use super::terms::whitened_pixels::WhitenedPixels;
+use crate::body::BodyModel;
+use crate::body::bone_offsets::with_bones;
+use crate::body::kinematics::{landmark_position, posed};
+use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
+use nalgebra::Vector3;
+
+/// Number of residuals of all landmarks that count as much as one landmark's own: four seconds of one view, in which a slow
+/// error has changed once.
+const POOLED: f64 = 100.0;
+
+/// Measures the processes of all landmarks on the residuals of `members`, whose landmarks lie where `model` has them.
+///
+/// The variance of the innovations is measured, too: it decides the weights, and real errors have heavier tails than their
+/// autocorrelation says.
+pub(super) fn measured_noise(context: &FitContext, model: &BodyModel, members: &[Member]) -> PathNoise {
+    let n_landmarks = model.landmarks.len();
+    let paths = |noise: &PathNoise, member: &Member| {
+        let paths = WhitenedPixels::new(&member.observations, noise, context.config.robust_scale);
+        let positions = positions(model, member, &paths.landmarks);
+        (paths.residuals(&positions), paths.innovations(&positions))
+    };
+    let unit = PathNoise::white(n_landmarks, 1.0);
+    let residuals: Vec<_> = members.iter().flat_map(|member| paths(&unit, member).0).collect();
+    let lengths = residuals.iter().map(|(landmark, run)| (*landmark, run.iter().map(|(_, r)| r.norm()).collect()));
+    let levels = sigmas(n_landmarks, lengths);
+
+    let mut sums = vec![LagSums::default(); n_landmarks];
+    let mut all = LagSums::default();
+    for (landmark, mut run) in residuals {
+        run.iter_mut().for_each(|(_, residual)| *residual /= levels[landmark]);
+        sums[landmark].add(&run);
+        all.add(&run);
+    }
+    let processes = sums.iter().map(|sums| NoiseProcess::of(&sums.pooled(&all, POOLED))).collect();
+    let noise = PathNoise { processes, shares: levels };
+
+    let factors = sigmas(n_landmarks, members.iter().flat_map(|member| paths(&noise, member).1));
+    let shares = noise.shares.iter().zip(factors).map(|(share, factor)| share * factor).collect();
+    PathNoise { shares, ..noise }
+}
+
+/// Positions of `landmarks` in the frames of a member, `[frame][landmark]`.
+fn positions(model: &BodyModel, member: &Member, landmarks: &[usize]) -> Vec<Vec<Vector3<f64>>> {
+    let own = with_bones(model, &member.bones);
+    let body = own.shaped(&member.state.betas);
+    let at = |pose| {
+        let skeleton = posed(&body, pose);
+        landmarks.iter().map(|&landmark| landmark_position(&own, &body, &skeleton, landmark)).collect()
+    };
+    member.state.poses.iter().map(at).collect()
+}
+
+/// Standard deviations per axis by landmark, from lengths in the plane; drawn towards that of all where there are few.
+fn sigmas(n_landmarks: usize, lengths: impl Iterator<Item = (usize, Vec<f64>)>) -> Vec<f64> {
+    let mut by_landmark = vec![Vec::new(); n_landmarks];
+    lengths.for_each(|(landmark, lengths)| by_landmark[landmark].extend(lengths));
+    let sigma =
+        |lengths: &mut [f64]| median(lengths).map(|median| (median / MEDIAN_LENGTH_IN_PLANE).max(f64::MIN_POSITIVE));
+    let all = sigma(&mut by_landmark.concat()).unwrap_or(1.0);
+    let pooled = |mut lengths: Vec<f64>| {
+        let n = lengths.len() as f64;
+        let own = sigma(&mut lengths).unwrap_or(all);
+        ((n * own.ln() + POOLED * all.ln()) / (n + POOLED)).exp()
+    };
+    by_landmark.into_iter().map(pooled).collect()
+}
