@@ -76,9 +76,14 @@ pub struct OffsetTable {
 }
 
 impl OffsetTable {
+    /// No offsets.
+    pub fn empty(model: &BodyModel) -> Self {
+        Self { kinds: Vec::new(), of_landmarks: vec![None; model.landmarks.len()] }
+    }
+
     /// The offsets of a convention's landmarks; none for SMPL's own joints, which do not come from a detector.
     pub fn new(model: &BodyModel, convention: KeypointConvention) -> Self {
-        let mut table = Self { kinds: Vec::new(), of_landmarks: vec![None; model.landmarks.len()] };
+        let mut table = Self::empty(model);
         if convention == KeypointConvention::Smpl24 {
             return table;
         }

@@ -1,6 +1,6 @@
 //! Assembly of the result: cameras and trajectories in the world frame, bodies, fit statistics and verdict.
 
-use super::calibration::{Calibration, CameraUncertainty, TrackedPeople};
+use super::calibration::{Calibration, TrackedPeople};
 use super::capture::Capture;
 use super::error::PipelineError;
 use super::stages::association::identities;
@@ -129,19 +129,11 @@ impl Solution {
         })
     }
 
-    /// Takes the cameras that were adjusted together with the bodies.
+    /// Takes the cameras that were adjusted together with the bodies. Their uncertainty remains that of bundle adjustment, from
+    /// the spread of blocks of time: the joint problem's own leaves out errors slower than its model of the noise.
     fn take_over(&mut self, adjusted: AdjustedCameras) {
-        let placed: Vec<usize> =
-            (0..self.calibration.cameras.len()).filter(|&v| self.calibration.cameras[v].is_some()).collect();
-        for (&view, camera) in placed.iter().zip(adjusted.cameras) {
-            self.calibration.cameras[view] = Some(camera);
-        }
-        let Some(before) = &mut self.calibration.adjusted else { return };
-        for (&view, uncertainty) in placed.iter().zip(adjusted.uncertainties) {
-            // Positions of the calibration are in its unit.
-            let sigma_position = uncertainty.sigma_position / self.metres_per_unit;
-            before.cameras[view].uncertainty = Some(CameraUncertainty { sigma_position, ..uncertainty });
-        }
+        let placed = self.calibration.cameras.iter_mut().flatten();
+        placed.zip(adjusted.cameras).for_each(|(camera, adjusted)| *camera = adjusted);
     }
 
     /// The upright in the result's world: the up axis. Where extrinsics are given without an up axis and the camera would

@@ -69,7 +69,7 @@ pub fn fit_bodies(
     let adjusted = match config.adjust_cameras {
         true => {
             progress.report(0.7, "adjusting cameras and motions together");
-            adjusted_cameras(&context, input.session.convention, &mut started)?
+            adjusted_cameras(&context, &mut started)?
         }
         false => None,
     };

@@ -77,7 +77,7 @@ pub(super) struct Stopping {
 pub(super) struct Minimum {
     /// Offsets of the keypoints by kind, m.
     pub offsets: Vec<Vector3<f64>>,
-    pub cameras: Vec<PosedCamera>,
+    cameras: Vec<PosedCamera>,
     pub cost: f64,
     /// The system of the session before the last step; `None` where it could not be factored.
     pub reduced: Option<Reduced>,

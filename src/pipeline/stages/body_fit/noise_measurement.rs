@@ -14,11 +14,12 @@ use nalgebra::Vector3;
 /// error has changed once.
 const POOLED: f64 = 100.0;
 
-/// Measures the processes of all landmarks on the residuals of `members`, whose landmarks lie where `model` has them.
+/// Measures the processes of all landmarks on the residuals of `members`.
 ///
 /// The variance of the innovations is measured, too: it decides the weights, and real errors have heavier tails than their
 /// autocorrelation says.
-pub(super) fn measured_noise(context: &FitContext, model: &BodyModel, members: &[Member]) -> PathNoise {
+pub(super) fn measured_noise(context: &FitContext, members: &[Member]) -> PathNoise {
+    let model = context.model;
     let n_landmarks = model.landmarks.len();
     let paths = |noise: &PathNoise, member: &Member| {
         let paths = WhitenedPixels::new(&member.observations, noise, context.config.robust_scale);
