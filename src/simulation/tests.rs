@@ -2,6 +2,8 @@ use super::*;
 use crate::body::skeleton::{KeypointConvention, N_JOINTS, PARENTS};
 use crate::geometry::rotation;
 use crate::session::Session;
+use crate::session::digest::NamedDigest;
+use crate::session::formats::native::to_json;
 use nalgebra::Vector3;
 use skeleton::joint;
 
@@ -24,6 +26,27 @@ fn the_seed_determines_the_session() {
     assert_eq!(first, again);
     assert_eq!(bytes(&first), bytes(&again));
     assert_ne!(first.session, simulate(&small(Preset::Hard, 6)).unwrap().session);
+}
+
+/// Hash of the uploaded session and the true persons of its detections.
+fn digest(config: &SimulationConfig) -> String {
+    let Simulated { session, truth, .. } = simulate(config).unwrap();
+    let mut digest = NamedDigest::default();
+    digest.add("session", &mut to_json(&session).unwrap().as_bytes()).unwrap();
+    digest.add("identities", &mut serde_json::to_vec(&truth.identities).unwrap().as_slice()).unwrap();
+    digest.finish()[..16].to_owned()
+}
+
+/// Earlier releases wrote these bytes; figures on simulated sessions stay comparable only as long as they do not change.
+#[test]
+fn sessions_of_the_presets_keep_their_bytes() {
+    let found = [
+        digest(&small(Preset::Easy, 1)),
+        digest(&SimulationConfig { tracks: Tracks::PerView, ..small(Preset::Paper, 2) }),
+        digest(&SimulationConfig { convention: KeypointConvention::Body25, ..small(Preset::Hard, 3) }),
+        digest(&SimulationConfig { frames: 60, ..random_rig_config(4) }),
+    ];
+    assert_eq!(found, ["ff1dcd562c3c69fc", "d164fb09f1e77a04", "8cb63b34f1b8b2a1", "2d6f2ea3266648c5"]);
 }
 
 #[test]
