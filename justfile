@@ -38,8 +38,8 @@ rigs count="200": build
 bodies count="20": build
     {{program}} bench bodies --count {{count}}
 
-# The worth of each part on sessions with truth
-ablation out +sessions: build
+# The worth of each part on sessions with truth, given or simulated
+ablation out *sessions: build
     {{program}} bench ablation {{sessions}} --out {{out}}
 
 # The acceptance of the main job over HTTP, on captures with truth

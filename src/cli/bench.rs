@@ -8,6 +8,7 @@ mod solved_cameras;
 mod speed;
 mod table;
 
+use super::noise::NoiseName;
 use super::solve::use_threads;
 
 /// Arguments of `bench`.
@@ -30,13 +31,16 @@ enum Bench {
         /// A rig fails if the error of any camera pair exceeds this, degrees
         #[arg(long, default_value_t = 5.0)]
         limit_deg: f64,
+        /// Kind of the detector's errors; their rates are those of the preset `paper`
+        #[arg(long, value_enum, default_value_t = NoiseName::Real)]
+        noise: NoiseName,
         /// Number of solver threads; 0 uses all cores
         #[arg(long, default_value_t = 0)]
         threads: usize,
     },
     /// Errors of body shape, joint angles and metric scale on simulated people with default bodies
     Bodies(bodies::BodiesArgs),
-    /// Ablation study on sessions with ground truth; a table as Markdown and as JSON
+    /// Ablation study on given or simulated sessions with ground truth; a table as Markdown and as JSON
     Ablation(ablation::AblationArgs),
     /// Errors of virtual skin markers on two dancing people with 1 to 12 cameras; a table as Markdown and as JSON
     Markers(markers::MarkersArgs),
@@ -47,9 +51,9 @@ enum Bench {
 /// Runs the command.
 pub(super) fn run(args: Args) -> anyhow::Result<()> {
     match args.bench {
-        Bench::Rigs { count, seed, limit_deg, threads } => {
+        Bench::Rigs { count, seed, limit_deg, noise, threads } => {
             use_threads(threads);
-            rigs::run(seed..seed + count, limit_deg)
+            rigs::run(seed..seed + count, limit_deg, noise)
         }
         Bench::Bodies(args) => bodies::run(&args),
         Bench::Ablation(args) => ablation::run(&args),

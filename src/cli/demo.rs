@@ -2,6 +2,7 @@
 
 use super::arguments::arguments_of;
 use super::client::Client;
+use super::noise::NoiseName;
 use super::serve::StopSignals;
 use super::submit::{download, submit};
 use super::{evaluate, simulate};
@@ -20,6 +21,9 @@ pub(super) struct Args {
     /// Seed of the simulation
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Kind of the detector's errors
+    #[arg(long, value_enum, default_value_t = NoiseName::Real)]
+    noise: NoiseName,
     /// Keep the service running until Ctrl-C
     #[arg(long)]
     keep: bool,
@@ -34,7 +38,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let session = dir.join("session");
     let result = dir.join("result");
     println!("simulating 3 people and 5 cameras: {}", session.display());
-    simulate_session(&session, args.seed)?;
+    simulate_session(&session, args.seed, args.noise)?;
 
     let runtime = Runtime::new()?;
     let listen = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
@@ -63,9 +67,10 @@ fn submit_and_evaluate(server: &str, session: &Path, result: &Path) -> anyhow::R
     evaluate_result(result, &session.join("gt"))
 }
 
-fn simulate_session(out: &Path, seed: u64) -> anyhow::Result<()> {
+fn simulate_session(out: &Path, seed: u64, noise: NoiseName) -> anyhow::Result<()> {
     let seed = seed.to_string();
-    let words = ["simulate", "--people", "3", "--views", "5", "--seed", &seed, "--out"].map(std::ffi::OsStr::new);
+    let words = ["simulate", "--people", "3", "--views", "5", "--noise", noise.word(), "--seed", &seed, "--out"];
+    let words = words.map(std::ffi::OsStr::new);
     simulate::run(arguments_of(words.into_iter().chain([out.as_os_str()]))?)
 }
 

@@ -7,6 +7,7 @@ mod bench;
 mod body;
 mod evaluate;
 mod export;
+mod noise;
 mod output_folder;
 mod prior;
 mod progress_display;

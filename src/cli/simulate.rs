@@ -1,5 +1,6 @@
 //! `wandless simulate`: simulates a session with exact ground truth.
 
+use super::noise::NoiseName;
 use crate::body::skeleton::KeypointConvention;
 use crate::session::formats::native;
 use crate::simulation::{Bodies, Lens, MotionSource, Preset, SimulationConfig, Statistics, Tracks, random_rig_config};
@@ -19,6 +20,9 @@ pub(super) struct Args {
     /// Difficulty; `random` draws cameras and people from the seed
     #[arg(long, value_enum, default_value_t = PresetName::Paper)]
     preset: PresetName,
+    /// Kind of the errors; their rates are those of the preset
+    #[arg(long, value_enum, default_value_t = NoiseName::Presets)]
+    noise: NoiseName,
     /// Seed of all random numbers
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -129,6 +133,7 @@ fn config(args: &Args) -> SimulationConfig {
         PresetName::Random => random_rig_config(args.seed),
     };
     config.seed = args.seed;
+    config.noise = args.noise.of(config.noise);
     if args.default_bodies {
         config.bodies = Bodies::Default;
     }
@@ -193,6 +198,7 @@ mod tests {
     use super::*;
     use crate::cli::arguments::arguments_of;
     use crate::session::upload::{UploadLimits, read_path};
+    use crate::simulation::NoiseConfig;
 
     fn args(line: &str) -> Args {
         arguments_of(format!("simulate {line}").split_whitespace().map(str::to_owned)).unwrap()
@@ -206,19 +212,25 @@ mod tests {
         assert_eq!((given.tracks, given.convention), (Tracks::PerView, KeypointConvention::Halpe26));
         assert_eq!(config(&args("--out x --preset random --seed 4 --procedural")), random_rig_config(4));
         assert_eq!(config(&args("--out x")).motion, MotionSource::Prior);
+        assert_eq!(config(&args("--out x")).noise, NoiseConfig::preset(Preset::Paper));
+        let real = NoiseConfig::preset(Preset::Easy).with_real_errors();
+        assert_eq!(config(&args("--out x --preset easy --noise real")).noise, real);
         assert!(arguments_of::<Args>(["simulate", "--out", "x", "--convention", "tail"]).is_err());
     }
 
     #[test]
     fn written_session_reads_back_unchanged() {
         let folder = tempfile::tempdir().unwrap();
-        let mut args = args("--out x --preset hard --frames 40");
-        args.out = folder.path().to_owned();
-        let simulated = simulate(&config(&args)).unwrap();
-        run(args).unwrap();
-        let read = read_path(folder.path(), &UploadLimits::default()).unwrap();
-        assert_eq!(read.session, simulated.session);
-        // The only warning says that `gt/` is not part of an upload.
-        assert!(read.warnings.iter().all(|warning| warning.contains("gt/")), "{:?}", read.warnings);
+        for noise in ["presets", "real"] {
+            let mut args = args(&format!("--out x --preset hard --frames 40 --noise {noise}"));
+            args.out = folder.path().join(noise);
+            let out = args.out.clone();
+            let simulated = simulate(&config(&args)).unwrap();
+            run(args).unwrap();
+            let read = read_path(&out, &UploadLimits::default()).unwrap();
+            assert_eq!(read.session, simulated.session);
+            // The only warning says that `gt/` is not part of an upload.
+            assert!(read.warnings.iter().all(|warning| warning.contains("gt/")), "{:?}", read.warnings);
+        }
     }
 }

@@ -1,6 +1,7 @@
 //! Configuration of a simulated session: people, cameras, noise; every number with its unit.
 
 use super::error::SimulationError;
+use super::real_noise::RealNoise;
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::Distortion;
 use serde::Serialize;
@@ -59,6 +60,10 @@ pub struct NoiseConfig {
     pub swaps_per_minute: f64,
     /// Share of detections with left and right exchanged: whole body (half of them), legs or arms.
     pub flip_rate: f64,
+    /// Errors as of a real detector: slow, shared and lasting, with ghosts, half detections and merged limbs. `None`: errors
+    /// are independent, except for the drift of `jitter_of_size`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub real: Option<RealNoise>,
 }
 
 impl NoiseConfig {
@@ -73,6 +78,7 @@ impl NoiseConfig {
         hidden_person_missing_rate: 0.0,
         swaps_per_minute: 0.0,
         flip_rate: 0.0,
+        real: None,
     };
 }
 
@@ -204,7 +210,8 @@ impl SimulationConfig {
             ("image_width", r.image_width as f64, 16.0, 65536.0, "16 to 65536 px"),
             ("image_height", r.image_height as f64, 16.0, 65536.0, "16 to 65536 px"),
         ];
-        for (field, value, low, high, expected) in ranges {
+        let real = n.real.map_or_else(Vec::new, |real| real.ranges().to_vec());
+        for (field, value, low, high, expected) in ranges.into_iter().chain(real) {
             // NaN is outside every range.
             if !(low..=high).contains(&value) {
                 return Err(SimulationError::Config { field, value, expected });

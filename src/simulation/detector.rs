@@ -1,6 +1,8 @@
 //! Detections and track numbers of one camera over the whole session.
 
 use super::config::SimulationConfig;
+use super::ghosts::Ghosts;
+use super::merged_limbs::LimbMerging;
 use super::observer::Observer;
 use super::rig::RigCamera;
 use super::scene::{SimulatedScene, ViewRecording};
@@ -15,17 +17,28 @@ pub fn record(scene: &SimulatedScene, view: usize, camera: &RigCamera, config: &
     let scene = shifted.as_ref().unwrap_or(scene);
     let mut recording = ViewRecording::default();
     let mut tracker = SimulatedTracker::new(view, config);
-    let mut observers: Vec<Observer> =
-        (0..config.people).map(|person| Observer::new(scene, view, person, config)).collect();
+    let mut observers: Vec<Observer> = (0..config.people).map(|person| Observer::new(view, person, config)).collect();
+    let mut real =
+        config.noise.real.map(|real| (LimbMerging::new(real, view, config), Ghosts::new(real, view, config)));
     for frame in 0..scene.joints.len() {
         recording.tally.swaps += usize::from(tracker.step());
-        let mut seen: Vec<(usize, Detection)> = Vec::with_capacity(config.people);
+        let (mut people, mut detections) = (Vec::new(), Vec::new());
         for (person, observer) in observers.iter_mut().enumerate() {
             let seen_as = observer.observe(scene, frame, camera, &mut recording.tally);
             if let Some(keypoints) = seen_as.filter(|_| scene.exists[frame]) {
-                seen.push((person, Detection { track_id: tracker.track_id(person), keypoints }));
+                people.push(Some(person));
+                detections.push(Detection { track_id: tracker.track_id(person), keypoints });
             }
         }
+        if let Some((merging, ghosts)) = &mut real {
+            recording.tally.merged_limbs += merging.merge(&mut detections);
+            if let Some(ghost) = ghosts.observe(scene, camera).filter(|_| scene.exists[frame]) {
+                people.push(None);
+                detections.push(Detection { track_id: tracker.ghost_id(ghost.index), keypoints: ghost.keypoints });
+                recording.tally.ghosts += 1;
+            }
+        }
+        let mut seen: Vec<(Option<usize>, Detection)> = people.into_iter().zip(detections).collect();
         seen.shuffle(tracker.rng());
         let (identities, detections) = seen.into_iter().unzip();
         recording.identities.push(identities);

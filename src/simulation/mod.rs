@@ -11,7 +11,10 @@
 //! - [`landmarks`]: the true keypoints of a posed skeleton
 //! - [`rig`]: cameras around the scene
 //! - [`scene`]: joints and true keypoints over time; recordings
-//! - [`occlusion`], `observer`, [`detector`]: the detections of each camera
+//! - [`occlusion`], `projection`: the true keypoints in the image
+//! - `observer`, [`detector`]: the detections of each camera
+//! - `preset_errors`: independent errors of keypoints, the noise of the presets
+//! - [`real_noise`], `real_errors`, `ghosts`, `merged_limbs`: the noise of a real detector; `processes`: what lasts
 //! - [`truth`]: the exact truth, and its files
 //!
 //! World: y up, metres, floor at y = 0. Every random number comes from a ChaCha8 stream keyed by the seed and by its
@@ -25,13 +28,21 @@ pub mod detector;
 mod drawn;
 mod error;
 pub mod gait;
+mod ghosts;
 mod individual;
+mod keypoint_errors;
 pub mod landmarks;
+mod merged_limbs;
 mod observer;
 pub mod occlusion;
 pub mod placement;
+mod preset_errors;
 pub mod presets;
+mod processes;
+mod projection;
 mod random;
+mod real_errors;
+pub mod real_noise;
 pub mod rig;
 pub mod scene;
 mod simulate;
@@ -42,8 +53,11 @@ pub mod truth;
 pub use config::{Arrangement, Bodies, Lens, MotionSource, NoiseConfig, RigConfig, SimulationConfig, Tracks};
 pub use error::SimulationError;
 pub use presets::{Preset, random_rig_config};
+pub use real_noise::RealNoise;
 pub use simulate::simulate;
 pub use truth::{Simulated, Statistics, Truth, write_truth};
 
+#[cfg(test)]
+mod real_noise_tests;
 #[cfg(test)]
 mod tests;

@@ -1,19 +1,17 @@
-//! Simulated detections of one person in a view.
-//!
-//! Errors are proportional to the person's apparent size and partly drift slowly; outliers have heavy tails; hidden joints
-//! have larger errors and are mostly missing; detections are missing for runs of frames; left and right are exchanged.
+//! Simulated detections of one person in a view: missing detections, errors of the keypoints, left/right flips.
 
 use super::config::{NoiseConfig, SimulationConfig};
-use super::occlusion::is_hidden;
-use super::random::{Purpose, normal, stream};
+use super::keypoint_errors::{Disturbed, KeypointErrors, MISSING};
+use super::preset_errors::PresetErrors;
+use super::projection::{Projector, apparent_size};
+use super::random::{Purpose, stream};
+use super::real_errors::RealErrors;
 use super::rig::RigCamera;
 use super::scene::{SimulatedScene, Tally};
-use crate::body::skeleton::{KeypointConvention, N_JOINTS};
+use crate::body::skeleton::KeypointConvention;
 use crate::session::Keypoint;
-use nalgebra::{Vector2, Vector3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use rand_distr::StudentT;
 
 /// The points that a left/right flip exchanges.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -23,48 +21,32 @@ enum Flip {
     Arms,
 }
 
-/// The detector's state for one person: random stream, drift and missing frames.
+/// The detector's state for one person: random stream, errors and missing frames.
 pub(super) struct Observer {
     rng: ChaCha8Rng,
     person: usize,
     noise: NoiseConfig,
-    /// Correlation of the drift from one frame to the next.
-    drift_memory: f64,
-    drift: Vec<Vector2<f64>>,
+    projector: Projector,
+    errors: Box<dyn KeypointErrors>,
     missed_frames_left: usize,
     mirror: Vec<usize>,
 }
 
-/// Correlation of the detector's drift after 1/30 s.
-const DRIFT_MEMORY_30HZ: f64 = 0.9;
-/// Shares of drift and of white jitter in a joint's error; their squares sum to one.
-const DRIFT_SHARE: f64 = 0.6;
-const WHITE_SHARE: f64 = 0.8;
-/// Smallest apparent size for the noise, px.
-const MIN_SIZE_PX: f64 = 20.0;
-/// Points nearer to the camera plane than this are not seen, m.
-const MIN_DEPTH: f64 = 0.2;
-
-/// A point in the image before noise is added.
-#[derive(Debug, Clone, Copy)]
-struct Projected {
-    pixel: Vector2<f64>,
-    in_view: bool,
-    hidden: bool,
-}
-
 impl Observer {
-    pub(super) fn new(scene: &SimulatedScene, view: usize, person: usize, config: &SimulationConfig) -> Self {
+    pub(super) fn new(view: usize, person: usize, config: &SimulationConfig) -> Self {
         let mut rng = stream(config.seed, Purpose::Detector, view, person);
-        let mirror = scene.convention.mirror();
+        let errors: Box<dyn KeypointErrors> = match config.noise.real {
+            None => Box::new(PresetErrors::new(config, &mut rng)),
+            Some(real) => Box::new(RealErrors::new(real, config, &mut rng)),
+        };
         Self {
-            drift: mirror.iter().map(|_| white(&mut rng)).collect(),
             rng,
             person,
             noise: config.noise,
-            drift_memory: DRIFT_MEMORY_30HZ.powf(30.0 / config.fps),
+            projector: Projector::new(config.convention),
+            errors,
             missed_frames_left: 0,
-            mirror,
+            mirror: config.convention.mirror(),
         }
     }
 
@@ -76,10 +58,10 @@ impl Observer {
         camera: &RigCamera,
         tally: &mut Tally,
     ) -> Option<Vec<Keypoint>> {
-        let points = project(scene, frame, self.person, camera);
+        let points = self.projector.project(scene, frame, self.person, camera);
         let n_in_view = points.iter().filter(|p| p.in_view).count();
         tally.detections_possible += usize::from(n_in_view >= 4);
-        self.drift_on();
+        self.errors.advance(&points, &mut self.rng);
         if self.is_missed() || n_in_view < 4 {
             return None;
         }
@@ -88,43 +70,26 @@ impl Observer {
             return None;
         }
         let size = apparent_size(&points);
-        let (mut pixels, outliers) = self.disturbed(&points, size);
+        let mut disturbed = self.errors.disturbed(&points, size, &mut self.rng);
         if self.happens(self.noise.flip_rate) {
-            self.flip(&mut pixels, scene.convention);
+            self.flip(&mut disturbed, scene.convention);
             tally.flips += 1;
         }
-        let mut keypoints = Vec::with_capacity(scene.convention.n_keypoints());
-        let (mut errors, mut n_outliers) = (Vec::new(), 0);
-        for (k, point) in points.iter().enumerate() {
-            let error = (pixels[k] - point.pixel).norm();
-            let keypoint = self.report(point, &pixels[k], error / size);
-            if keypoint.is_present() {
-                errors.push(error);
-                n_outliers += usize::from(outliers[k]);
-            }
-            keypoints.push(keypoint);
-        }
-        if errors.len() < 3 {
+        let mut keypoints = self.errors.reported(&points, &disturbed, size, &mut self.rng);
+        let reported: Vec<usize> = (0..points.len()).filter(|&k| keypoints[k].is_present()).collect();
+        if reported.len() < 3 {
             return None;
         }
         keypoints.resize(scene.convention.n_keypoints(), MISSING);
-        tally.joints += errors.len();
+        tally.joints += reported.len();
         tally.joints_in_view += n_in_view;
-        tally.outliers += n_outliers;
-        tally.errors_px.append(&mut errors);
+        tally.outliers += reported.iter().filter(|&&k| disturbed[k].is_outlier).count();
+        tally.errors_px.extend(reported.iter().map(|&k| (disturbed[k].pixel - points[k].pixel).norm()));
         Some(keypoints)
     }
 
     fn happens(&mut self, probability: f64) -> bool {
         self.rng.random::<f64>() < probability
-    }
-
-    /// First-order autoregression of unit variance.
-    fn drift_on(&mut self) {
-        let (memory, fresh) = (self.drift_memory, (1.0 - self.drift_memory.powi(2)).sqrt());
-        for drift in &mut self.drift {
-            *drift = *drift * memory + white(&mut self.rng) * fresh;
-        }
     }
 
     fn is_missed(&mut self) -> bool {
@@ -140,47 +105,18 @@ impl Observer {
         starts
     }
 
-    /// Pixels with jitter and outliers, and whether each is an outlier.
-    fn disturbed(&mut self, points: &[Projected], size: f64) -> (Vec<Vector2<f64>>, Vec<bool>) {
-        let noise = self.noise;
-        let heavy = StudentT::new(1.8).expect("1.8 degrees of freedom are positive");
-        let mut disturb = |(point, drift): (&Projected, &Vector2<f64>)| {
-            let (worse, likelier) = if point.hidden { (2.5, 4.0) } else { (1.0, 1.0) };
-            let jitter =
-                (drift * DRIFT_SHARE + white(&mut self.rng) * WHITE_SHARE) * (noise.jitter_of_size * size * worse);
-            let is_outlier = self.rng.random::<f64>() < noise.outlier_rate * likelier;
-            let mut gross = || (self.rng.sample(heavy) * noise.outlier_of_size * size * 0.35).clamp(-size, size);
-            let error = if is_outlier { jitter + Vector2::new(gross(), gross()) } else { jitter };
-            (point.pixel + error, is_outlier)
-        };
-        points.iter().zip(&self.drift).map(&mut disturb).unzip()
-    }
-
-    fn flip(&mut self, pixels: &mut [Vector2<f64>], convention: KeypointConvention) {
+    fn flip(&mut self, disturbed: &mut [Disturbed], convention: KeypointConvention) {
         let flip = match self.rng.random::<f64>() {
             share if share < 0.5 => Flip::Body,
             share if share < 0.75 => Flip::Legs,
             _ => Flip::Arms,
         };
-        let original = pixels.to_vec();
+        let original = disturbed.to_vec();
         for (k, name) in convention.names().iter().enumerate() {
             if flip.exchanges(name) {
-                pixels[k] = original[self.mirror[k]];
+                disturbed[k].pixel = original[self.mirror[k]].pixel;
             }
         }
-    }
-
-    /// The keypoint reported of one point: pixels to a hundredth, confidence (falls with the error) to a thousandth.
-    fn report(&mut self, point: &Projected, pixel: &Vector2<f64>, error_of_size: f64) -> Keypoint {
-        let hidden = if point.hidden { 0.20 } else { 0.0 };
-        let confidence = 0.95 * (-error_of_size / 0.10).exp() + normal(&mut self.rng, 0.08) - hidden;
-        let confidence = (confidence.clamp(0.02, 1.0) * 1e3).round() / 1e3;
-        let dropped = self.happens(self.noise.missed_joint_rate);
-        let dropped_hidden = self.happens(self.noise.occluded_joint_missing_rate) && point.hidden;
-        if dropped || dropped_hidden || !point.in_view || confidence < 0.05 {
-            return MISSING;
-        }
-        Keypoint { pixel: pixel.map(|v| (v * 1e2).round() / 1e2), confidence }
     }
 }
 
@@ -193,32 +129,4 @@ impl Flip {
             Self::Arms => any(&["shoulder", "elbow", "wrist", "hand", "pinky", "index", "thumb"]),
         }
     }
-}
-
-const MISSING: Keypoint = Keypoint { pixel: Vector2::new(0.0, 0.0), confidence: 0.0 };
-
-fn white(rng: &mut ChaCha8Rng) -> Vector2<f64> {
-    Vector2::new(normal(rng, 1.0), normal(rng, 1.0))
-}
-
-fn project(scene: &SimulatedScene, frame: usize, person: usize, camera: &RigCamera) -> Vec<Projected> {
-    let center = camera.camera_from_world.center();
-    let people: Vec<&[Vector3<f64>; N_JOINTS]> = scene.joints[frame].iter().collect();
-    let (width, height) = (f64::from(camera.intrinsics.width), f64::from(camera.intrinsics.height));
-    let point = |point: &Vector3<f64>| {
-        let in_camera = camera.camera_from_world.transform(point);
-        let pixel = camera.intrinsics.pixel_from_camera(&in_camera).unwrap_or_else(Vector2::zeros);
-        let on_sensor = pixel.x > 0.0 && pixel.x < width && pixel.y > 0.0 && pixel.y < height;
-        let in_view = in_camera.z > MIN_DEPTH && on_sensor;
-        Projected { pixel, in_view, hidden: is_hidden(&center, point, person, &people) }
-    };
-    scene.keypoints[frame][person].iter().map(point).collect()
-}
-
-/// The longer side of the bounding box of the points in the image, px.
-fn apparent_size(points: &[Projected]) -> f64 {
-    let seen = || points.iter().filter(|p| p.in_view);
-    let low = seen().fold(Vector2::repeat(f64::INFINITY), |low, p| low.inf(&p.pixel));
-    let high = seen().fold(Vector2::repeat(f64::NEG_INFINITY), |high, p| high.sup(&p.pixel));
-    (high - low).max().max(MIN_SIZE_PX)
 }

@@ -2,6 +2,7 @@
 
 use super::config::{Bodies, MotionSource, NoiseConfig, RigConfig, SimulationConfig, Tracks};
 use super::random::{Purpose, stream};
+use super::real_noise::RealNoise;
 use crate::body::skeleton::KeypointConvention;
 use rand::RngExt;
 
@@ -42,6 +43,11 @@ impl SimulationConfig {
 }
 
 impl NoiseConfig {
+    /// The same rates with the errors of a real detector.
+    pub fn with_real_errors(self) -> Self {
+        Self { real: Some(RealNoise::MEASURED), ..self }
+    }
+
     /// The noise of a preset.
     pub fn preset(preset: Preset) -> Self {
         match preset {
@@ -55,6 +61,7 @@ impl NoiseConfig {
                 hidden_person_missing_rate: 0.8,
                 swaps_per_minute: 0.0,
                 flip_rate: 0.001,
+                real: None,
             },
             Preset::Paper => Self {
                 jitter_of_size: 0.012,
@@ -66,6 +73,7 @@ impl NoiseConfig {
                 hidden_person_missing_rate: 0.8,
                 swaps_per_minute: 4.0,
                 flip_rate: 0.006,
+                real: None,
             },
             Preset::Hard => Self {
                 jitter_of_size: 0.022,
@@ -77,6 +85,7 @@ impl NoiseConfig {
                 hidden_person_missing_rate: 0.8,
                 swaps_per_minute: 10.0,
                 flip_rate: 0.02,
+                real: None,
             },
         }
     }

@@ -17,6 +17,8 @@ pub(super) enum Purpose {
     TrackNames,
     Joints,
     KeypointBias,
+    Ghosts,
+    MergedLimbs,
 }
 
 /// The stream of one purpose and one item; `view` or `person` is 0 where the item has none.

@@ -26,8 +26,8 @@ pub struct SimulatedScene {
 pub struct ViewRecording {
     /// Detections by frame.
     pub frames: Vec<Vec<Detection>>,
-    /// The true person of each detection.
-    pub identities: Vec<Vec<usize>>,
+    /// The true person of each detection; `None` for a ghost.
+    pub identities: Vec<Vec<Option<usize>>>,
     /// Counts of detections and noise.
     pub tally: Tally,
 }
@@ -47,7 +47,11 @@ pub struct Tally {
     pub flips: usize,
     /// Number of outliers reported.
     pub outliers: usize,
-    /// Error of every point reported, px.
+    /// Number of detections of ghosts.
+    pub ghosts: usize,
+    /// Number of limbs reported in the detection of another person.
+    pub merged_limbs: usize,
+    /// Error of every point reported, before limbs are merged, px.
     pub errors_px: Vec<f64>,
 }
 

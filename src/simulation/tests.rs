@@ -2,11 +2,17 @@ use super::*;
 use crate::body::skeleton::{KeypointConvention, N_JOINTS, PARENTS};
 use crate::geometry::rotation;
 use crate::session::Session;
+use crate::session::digest::NamedDigest;
+use crate::session::formats::native::to_json;
 use nalgebra::Vector3;
 use skeleton::joint;
 
 fn small(preset: Preset, seed: u64) -> SimulationConfig {
     SimulationConfig { frames: 60, seed, ..SimulationConfig::preset(preset) }
+}
+
+fn with_real_errors(config: SimulationConfig) -> SimulationConfig {
+    SimulationConfig { noise: config.noise.with_real_errors(), ..config }
 }
 
 fn bytes(simulated: &Simulated) -> Vec<Vec<u8>> {
@@ -24,15 +30,43 @@ fn the_seed_determines_the_session() {
     assert_eq!(first, again);
     assert_eq!(bytes(&first), bytes(&again));
     assert_ne!(first.session, simulate(&small(Preset::Hard, 6)).unwrap().session);
+    let real = simulate(&with_real_errors(small(Preset::Hard, 5))).unwrap();
+    let again = simulate(&with_real_errors(small(Preset::Hard, 5))).unwrap();
+    assert_eq!(real, again);
+    assert_eq!(bytes(&real), bytes(&again));
+    assert_ne!(real.session, first.session);
+    assert_ne!(real.session, simulate(&with_real_errors(small(Preset::Hard, 6))).unwrap().session);
+}
+
+/// Hash of the uploaded session and the true persons of its detections.
+fn digest(config: &SimulationConfig) -> String {
+    let Simulated { session, truth, .. } = simulate(config).unwrap();
+    let mut digest = NamedDigest::default();
+    digest.add("session", &mut to_json(&session).unwrap().as_bytes()).unwrap();
+    digest.add("identities", &mut serde_json::to_vec(&truth.identities).unwrap().as_slice()).unwrap();
+    digest.finish()[..16].to_owned()
+}
+
+/// Earlier releases wrote these bytes; figures on simulated sessions stay comparable only as long as they do not change.
+#[test]
+fn sessions_of_the_presets_keep_their_bytes() {
+    let found = [
+        digest(&small(Preset::Easy, 1)),
+        digest(&SimulationConfig { tracks: Tracks::PerView, ..small(Preset::Paper, 2) }),
+        digest(&SimulationConfig { convention: KeypointConvention::Body25, ..small(Preset::Hard, 3) }),
+        digest(&SimulationConfig { frames: 60, ..random_rig_config(4) }),
+    ];
+    assert_eq!(found, ["ff1dcd562c3c69fc", "d164fb09f1e77a04", "8cb63b34f1b8b2a1", "2d6f2ea3266648c5"]);
 }
 
 #[test]
 fn another_view_does_not_change_the_others() {
-    let mut config = small(Preset::Hard, 2);
-    config.rig.arrangement = Arrangement::Arc { span_deg: 0.0 };
-    let few = simulate(&config).unwrap();
-    let more = simulate(&SimulationConfig { views: config.views + 1, ..config }).unwrap();
-    assert_eq!(few.session.views[..], more.session.views[..few.session.views.len()]);
+    for mut config in [small(Preset::Hard, 2), with_real_errors(small(Preset::Hard, 2))] {
+        config.rig.arrangement = Arrangement::Arc { span_deg: 0.0 };
+        let few = simulate(&config).unwrap();
+        let more = simulate(&SimulationConfig { views: config.views + 1, ..config }).unwrap();
+        assert_eq!(few.session.views[..], more.session.views[..few.session.views.len()]);
+    }
 }
 
 #[test]
@@ -43,7 +77,7 @@ fn without_noise_points_lie_at_their_projections() {
     for (v, view) in session.views.iter().enumerate() {
         for (f, detections) in view.frames.iter().enumerate() {
             for (d, detection) in detections.iter().enumerate() {
-                let person = truth.identities[v][f][d];
+                let person = truth.identities[v][f][d].unwrap();
                 assert_eq!(detection.track_id, Some(person as i64));
                 for (keypoint, point) in detection.keypoints.iter().zip(&truth.keypoints[f][person]) {
                     let pixel = view.intrinsics.pixel_from_camera(&truth.cameras[v].transform(point)).unwrap();
@@ -161,9 +195,11 @@ fn simulates_every_convention_with_mirrored_sides() {
             assert!((points[k] - mirrored).norm() < 1e-12, "{}: {}", convention.name(), convention.names()[k]);
         }
         let config = SimulationConfig { convention, frames: 3, ..SimulationConfig::preset(Preset::Easy) };
-        let session = simulate(&config).unwrap().session;
-        let detections = session.views.iter().flat_map(|v| v.frames.iter().flatten());
-        assert!(detections.into_iter().all(|d| d.keypoints.len() == convention.n_keypoints()));
+        for config in [config.clone(), with_real_errors(config)] {
+            let session = simulate(&config).unwrap().session;
+            let detections = session.views.iter().flat_map(|v| v.frames.iter().flatten());
+            assert!(detections.into_iter().all(|d| d.keypoints.len() == convention.n_keypoints()));
+        }
     }
 }
 
@@ -174,8 +210,9 @@ fn swaps_exchange_two_people_for_5_to_60_frames() {
     let Simulated { session, truth, .. } = simulate(&config).unwrap();
     assert!(truth.statistics.swaps > 10);
     for (v, view) in session.views.iter().enumerate() {
-        let swapped =
-            |f: usize| view.frames[f].iter().zip(&truth.identities[v][f]).any(|(d, &p)| d.track_id != Some(p as i64));
+        let swapped = |f: usize| {
+            view.frames[f].iter().zip(&truth.identities[v][f]).any(|(d, p)| d.track_id != p.map(|p| p as i64))
+        };
         let mut run = 0;
         for f in 0..900 {
             if swapped(f) {
@@ -202,6 +239,9 @@ fn rejects_values_out_of_range_by_name() {
     assert!(matches!(simulate(&config), Err(SimulationError::Config { field: "fov_deg", .. })));
     let config = SimulationConfig { people: 0, ..SimulationConfig::preset(Preset::Easy) };
     assert!(matches!(simulate(&config), Err(SimulationError::Config { field: "people", .. })));
+    let mut config = with_real_errors(SimulationConfig::preset(Preset::Easy));
+    config.noise.real = Some(RealNoise { ghosts: 1.0, ..RealNoise::MEASURED });
+    assert!(matches!(simulate(&config), Err(SimulationError::Config { field: "ghosts", .. })));
     let motion = MotionSource::Files(vec!["no/such.npz".into()]);
     let config = SimulationConfig { people: 1, motion, ..SimulationConfig::preset(Preset::Easy) };
     assert!(matches!(simulate(&config), Err(SimulationError::Motion { .. })));

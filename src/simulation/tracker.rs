@@ -68,4 +68,9 @@ impl SimulatedTracker {
         };
         self.names[named]
     }
+
+    /// Track number of a ghost: the numbers of ghosts follow those of people.
+    pub(super) fn ghost_id(&self, ghost: usize) -> Option<i64> {
+        self.names[0].map(|_| (self.names.len() + ghost) as i64)
+    }
 }

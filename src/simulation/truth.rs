@@ -35,8 +35,8 @@ pub struct Truth {
     pub joints: Vec<Vec<[Vector3<f64>; N_JOINTS]>>,
     /// `keypoints[frame][person][keypoint]`, including the keypoint bias.
     pub keypoints: Vec<Vec<Vec<Vector3<f64>>>>,
-    /// `identities[view][frame][detection]`: the true person.
-    pub identities: Vec<Vec<Vec<usize>>>,
+    /// `identities[view][frame][detection]`: the true person; `None` for a ghost.
+    pub identities: Vec<Vec<Vec<Option<usize>>>>,
     /// Bodies and their motion.
     pub people: Vec<SimulatedPerson>,
     /// Counts and errors of the detections.
@@ -46,7 +46,7 @@ pub struct Truth {
 /// Counts and errors of a session's detections.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Statistics {
-    /// Number of detections.
+    /// Number of detections of people.
     pub det: usize,
     /// Number of people, views and frames with at least four points in the image.
     pub det_possible: usize,
@@ -64,7 +64,13 @@ pub struct Statistics {
     pub flips: usize,
     /// Number of outliers reported.
     pub outliers: usize,
-    /// Median error of the reported points, px.
+    /// Number of detections of ghosts; only with [`RealNoise`](super::RealNoise).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ghosts: Option<usize>,
+    /// Number of limbs reported in the detection of another person; only with [`RealNoise`](super::RealNoise).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub merged_limbs: Option<usize>,
+    /// Median error of the reported points, before limbs are merged, px.
     pub err_px_median: Option<f64>,
     /// 95th percentile of the error, px.
     pub err_px_p95: Option<f64>,
@@ -92,7 +98,7 @@ pub(super) fn statistics(
     let mut errors: Vec<f64> = recordings.iter().flat_map(|r| r.tally.errors_px.iter().copied()).collect();
     errors.sort_by(f64::total_cmp);
     let percentile = |share: f64| errors.get(((errors.len() as f64 - 1.0).max(0.0) * share).round() as usize).copied();
-    let det = sum(|r| r.frames.iter().map(Vec::len).sum());
+    let det = sum(|r| r.identities.iter().flatten().flatten().count());
     let (det_possible, joints) = (sum(|r| r.tally.detections_possible), sum(|r| r.tally.joints));
     let joints_in_view = sum(|r| r.tally.joints_in_view);
     Statistics {
@@ -105,6 +111,8 @@ pub(super) fn statistics(
         swaps: sum(|r| r.tally.swaps),
         flips: sum(|r| r.tally.flips),
         outliers: sum(|r| r.tally.outliers),
+        ghosts: config.noise.real.map(|_| sum(|r| r.tally.ghosts)),
+        merged_limbs: config.noise.real.map(|_| sum(|r| r.tally.merged_limbs)),
         err_px_median: percentile(0.5),
         err_px_p95: percentile(0.95),
         err_px_p99: percentile(0.99),
@@ -118,7 +126,7 @@ pub(super) fn statistics(
 
 /// Writes `gt/cameras.json`, `gt/poses3d.json`, `gt/keypoints3d.json`, `gt/identities.json`, `gt/simulation.json`, and
 /// `gt/bodies.json` if people are default bodies, under `session_folder`, which is created if it does not exist. Points are
-/// rounded to a thousandth of a millimetre.
+/// rounded to a thousandth of a millimetre; the identity of a ghost is `null`.
 ///
 /// # Errors
 /// What the file system reports.
@@ -143,7 +151,7 @@ pub fn write_truth(simulated: &Simulated, session_folder: &Path) -> io::Result<(
     let points = frames(truth.keypoints.iter().map(|people| people.iter().map(Vec::as_slice)));
     let names = session.convention.names();
     write("keypoints3d.json", &json!({"keypoint_names": names, "units": "m", "up": "y", "frames": points}))?;
-    let identities: BTreeMap<&str, &Vec<Vec<usize>>> = ids().zip(&truth.identities).collect();
+    let identities: BTreeMap<&str, &Vec<Vec<Option<usize>>>> = ids().zip(&truth.identities).collect();
     write("identities.json", &json!(identities))?;
     let model = default_body();
     let body = |person: &SimulatedPerson| {

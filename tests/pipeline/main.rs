@@ -39,7 +39,7 @@ fn identity_shares(simulated: &Simulated, found: &Reconstruction) -> (f64, f64) 
             n_all += 1;
             if let Some(person) = given {
                 n_given += 1;
-                counts[person.0][*truth] += 1;
+                counts[person.0][truth.unwrap()] += 1;
             }
         }
     }

@@ -37,7 +37,11 @@ fn pose_statistics(simulated: &Simulated, found: &Reconstruction, turned_from_wo
     for motion in &found.motions {
         let mut votes = [0usize; 2];
         for (truth, given) in simulated.truth.identities[0].iter().zip(&found.identities[0]) {
-            truth.iter().zip(given).filter(|(_, g)| **g == Some(motion.person)).for_each(|(t, _)| votes[*t] += 1);
+            truth
+                .iter()
+                .zip(given)
+                .filter(|(_, g)| **g == Some(motion.person))
+                .for_each(|(t, _)| votes[t.unwrap()] += 1);
         }
         let person = usize::from(votes[1] > votes[0]);
         for (t, frame) in motion.frames.iter().enumerate() {

@@ -33,7 +33,7 @@ fn offsets_are_accurate_to_a_twentieth_of_a_frame() {
         for (found, true_ones) in found.iter().zip(true_ones) {
             assert_eq!(found.len(), true_ones.len());
             n += found.iter().flatten().count();
-            right += found.iter().zip(true_ones).filter(|(f, t)| f.is_some_and(|f| f.0 == **t)).count();
+            right += found.iter().zip(true_ones).filter(|(f, t)| f.map(|f| f.0) == **t).count();
         }
     }
     let wrong_or_right = right.max(n - right); // two people, numbered either way

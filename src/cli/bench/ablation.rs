@@ -1,11 +1,12 @@
 //! `wandless bench ablation`: contribution of each part of the method, on sessions with ground truth.
 //!
-//! Every session is solved with the full method and with one part left out, with unknown and with given cameras. The row of
+//! Sessions are given, or simulated with the noise of a real detector. Every session is solved with the full method and with one part left out, with unknown and with given cameras. The row of
 //! bundle adjustment evaluates the keypoints of the full solve, to which its bodies are fitted. With unknown cameras, a
 //! further row evaluates camera initialisation alone: the keypoints of a solve that keeps the initial cameras fixed.
 
 use super::table::{Column, Reference, Statistics, Table, statistics};
 use crate::cli::bad_input::BadInput;
+use crate::cli::noise::NoiseName;
 use crate::cli::solve::use_threads;
 use crate::evaluation::alignment::Alignment;
 use crate::evaluation::documents::read_cameras;
@@ -18,7 +19,9 @@ use crate::pipeline::passes::cameras::initial_cameras;
 use crate::pipeline::{Options, reconstruct};
 use crate::progress::Progress;
 use crate::session::Session;
+use crate::session::formats::native::write_folder;
 use crate::session::upload::{UploadLimits, read_path};
+use crate::simulation::{MotionSource, Preset, SimulationConfig, Tracks, simulate, write_truth};
 use anyhow::Context;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -26,12 +29,21 @@ use std::time::Instant;
 /// Arguments of `bench ablation`.
 #[derive(Debug, clap::Args)]
 pub(super) struct AblationArgs {
-    /// Sessions with ground truth (SESSION/gt); several give means and standard deviations
-    #[arg(required = true)]
+    /// Sessions with ground truth (SESSION/gt) instead of simulated ones; several give means and standard deviations
+    #[arg(conflicts_with_all = ["count", "seed", "noise"])]
     sessions: Vec<PathBuf>,
-    /// Output folder for all results, ablation.md and ablation.json; must not exist
+    /// Output folder for simulated sessions, all results, ablation.md and ablation.json; must not exist
     #[arg(long)]
     out: PathBuf,
+    /// Number of simulated sessions, each with 2 people and 6 cameras
+    #[arg(long, default_value_t = 3)]
+    count: u64,
+    /// Seed of the first simulated session; the others follow
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Kind of the simulated detector's errors; their rates are those of the preset `paper`
+    #[arg(long, value_enum, default_value_t = NoiseName::Real)]
+    noise: NoiseName,
     /// Number of solver threads; 0 uses all cores
     #[arg(long, default_value_t = 0)]
     threads: usize,
@@ -89,7 +101,7 @@ pub(super) fn run(args: &AblationArgs) -> anyhow::Result<()> {
         return Err(BadInput(format!("{}: the folder exists; choose a new one", args.out.display())).into());
     }
     let mut table = Table::new(&COLUMNS, Some(REFERENCE));
-    for (k, path) in args.sessions.iter().enumerate() {
+    for (k, path) in sessions(args)?.iter().enumerate() {
         let limits = UploadLimits::default();
         let loaded = read_path(path, &limits).map_err(|e| BadInput(format!("{}: {e}", path.display())))?;
         let truth = path.join("gt");
@@ -111,6 +123,29 @@ pub(super) fn run(args: &AblationArgs) -> anyhow::Result<()> {
         }
     }
     table.publish(&args.out, "ablation")
+}
+
+/// The given sessions, or simulated ones in `OUT/sessions`. Procedural motion, because motion drawn from the motion prior
+/// would favour the solves with this prior.
+fn sessions(args: &AblationArgs) -> anyhow::Result<Vec<PathBuf>> {
+    if !args.sessions.is_empty() {
+        return Ok(args.sessions.clone());
+    }
+    let simulated = |seed: u64| {
+        let preset = SimulationConfig::preset(Preset::Paper);
+        let simulated = simulate(&SimulationConfig {
+            seed,
+            tracks: Tracks::None,
+            noise: args.noise.of(preset.noise),
+            motion: MotionSource::Procedural,
+            ..preset
+        })?;
+        let folder = args.out.join(format!("sessions/{seed}"));
+        let written = write_folder(&simulated.session, &folder).and_then(|()| write_truth(&simulated, &folder));
+        written.with_context(|| folder.display().to_string())?;
+        Ok(folder)
+    };
+    (args.seed..args.seed + args.count).map(simulated).collect()
 }
 
 /// The session with unknown cameras, and with the true ones.
@@ -184,8 +219,29 @@ fn statistics_of(errors: &Evaluation, poses: Option<&PoseErrors>, overlap_mm: Op
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::session::formats::native::write_folder;
-    use crate::simulation::{Preset, SimulationConfig, simulate, write_truth};
+    use crate::cli::arguments::arguments_of;
+
+    fn args(line: &str) -> Result<AblationArgs, clap::Error> {
+        arguments_of(format!("ablation {line}").split_whitespace().map(str::to_owned))
+    }
+
+    #[test]
+    fn sessions_are_given_or_simulated_with_real_noise() {
+        assert!(args("take --out x --noise real").is_err() && args("take --out x --count 2").is_err());
+        assert_eq!(sessions(&args("take --out x").unwrap()).unwrap(), [PathBuf::from("take")]);
+        let folder = tempfile::tempdir().unwrap();
+        let read = |noise: &str| {
+            let mut args = args(&format!("--out x --count 1 --seed 7 {noise}")).unwrap();
+            args.out = folder.path().join(args.noise.word());
+            let paths = sessions(&args).unwrap();
+            assert_eq!(paths, [args.out.join("sessions/7")]);
+            read_cameras(&paths[0].join("gt/cameras.json")).unwrap();
+            read_path(&paths[0], &UploadLimits::default()).unwrap().session
+        };
+        let [real, preset] = ["", "--noise presets"].map(read);
+        assert_eq!((real.views.len(), preset.views.len()), (6, 6));
+        assert_ne!(real, preset);
+    }
 
     #[test]
     fn short_session_fills_every_row() {
@@ -196,7 +252,8 @@ mod tests {
         write_folder(&simulated.session, &session).unwrap();
         write_truth(&simulated, &session).unwrap();
         let out = folder.path().join("out");
-        run(&AblationArgs { sessions: vec![session], out: out.clone(), threads: 0 }).unwrap();
+        let given = format!("{} --out {}", session.display(), out.display());
+        run(&args(&given).unwrap()).unwrap();
         let rows: serde_json::Value =
             serde_json::from_slice(&std::fs::read(out.join("ablation.json")).unwrap()).unwrap();
         // All variants and bundle adjustment for both kinds of cameras; initialisation for unknown cameras.

@@ -1,5 +1,6 @@
 //! `wandless bench rigs`: success rate of camera initialisation on random rigs, and calibration of its uncertainty.
 
+use crate::cli::noise::NoiseName;
 use crate::evaluation::alignment::Alignment;
 use crate::evaluation::camera_error::{CameraPair, camera_errors, camera_pairs, relative_camera_error};
 use crate::optim::robust::INTERVAL_95;
@@ -10,10 +11,11 @@ use crate::simulation::{Simulated, random_rig_config, simulate};
 use std::time::Instant;
 
 /// Solves one rig per seed and prints one line per rig, then the totals.
-pub(super) fn run(seeds: std::ops::Range<u64>, limit_deg: f64) -> anyhow::Result<()> {
+pub(super) fn run(seeds: std::ops::Range<u64>, limit_deg: f64, noise: NoiseName) -> anyhow::Result<()> {
     let (mut large, mut small) = (Totals::default(), Totals::default());
     for seed in seeds {
-        let config = random_rig_config(seed);
+        let mut config = random_rig_config(seed);
+        config.noise = noise.of(config.noise);
         let started = Instant::now();
         let outcome = solve_rig(&simulate(&config)?, seed);
         let failed = outcome.worst_deg > limit_deg;
