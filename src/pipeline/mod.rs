@@ -15,7 +15,9 @@
 //! | 5 | [`held_out_check`](passes::held_out_check) | bundle adjustment on a half of the frames, error on the rest | 2 halves |
 //! | 6 | [`joint_trajectories`](stages::joint_trajectories) | smooth trajectories of the keypoints | once |
 //! | 7 | [`metric_scale`] | scale; for `scale: height` statures by body fit | once; up to 4 fits |
-//! | 8 | [`result`] | world frame, body fit, fit statistics, verdict | once |
+//! | 8 | [`result`] | world frame, body fit | once |
+//! | | | within it cameras and bodies together, then smooth trajectories again | `extrinsics: estimate`, several cameras; once |
+//! | | | fit statistics, verdict | once |
 //!
 //! In passes 1 and 2 the rounds after the first keep the cameras of the round before and only associate. The final bundle
 //! adjustment of estimated or refined cameras runs exactly once per calibration: in pass 4 on repaired detections, or

@@ -174,6 +174,7 @@ mod tests {
             first_config: &config,
             frame_interval: 1.0 / 30.0,
             progress: &progress,
+            noise: None,
         };
         let mut people = make();
         let kept = resolve_collisions(&context, &mut people, false, 100).unwrap();

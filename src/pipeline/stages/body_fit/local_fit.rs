@@ -7,9 +7,8 @@ use super::context::FitContext;
 use super::minimisation::minimised;
 use super::objective::Objective;
 use super::observations::Observations;
-use super::pixel_residuals::pixel_share;
+use super::pixel_residuals::detected_pixels;
 use super::terms::collision::Collisions;
-use super::terms::data::DataSource;
 use super::terms::unknowns::{MotionState, Shape};
 use crate::progress::Canceled;
 use std::ops::Range;
@@ -39,7 +38,7 @@ pub(super) fn refitted(
     for run in runs {
         let (observations, collisions) = (observations.slice(run.clone()), collisions.slice(run.clone()));
         let start = MotionState { betas: state.betas, poses: state.poses[run.clone()].to_vec() };
-        let data = DataSource::Pixels { share: pixel_share(context, &observations, &start) };
+        let data = detected_pixels(context, &observations, &start);
         let extra_joints: Vec<usize> = collisions.joints().into_iter().collect();
         let alone = Objective {
             speeds: Some(&start),

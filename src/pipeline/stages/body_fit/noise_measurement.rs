@@ -10,7 +10,7 @@ use crate::body::kinematics::{landmark_position, posed};
 use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
 use nalgebra::Vector3;
 
-/// Number of residuals of all landmarks that count as much as one landmark's own: four seconds of one view, in which a slow
+/// Number of residuals of all landmarks that count as much as one landmark's own: four seconds of one camera, in which a slow
 /// error has changed once.
 const POOLED: f64 = 100.0;
 

@@ -5,7 +5,7 @@ use super::initial_motion::initial_motion;
 use super::minimisation::{FittedMotion, minimised};
 use super::objective::Objective;
 use super::observations::Observations;
-use super::pixel_residuals::{median_distance_px, pixel_share};
+use super::pixel_residuals::{detected_pixels, median_distance_px, pixel_share};
 use super::terms::data::DataSource;
 use super::terms::unknowns::{MotionState, Shape};
 use crate::progress::Canceled;
@@ -137,10 +137,8 @@ fn fit_window(
     for pass in if has_pixels { passes } else { &[Pass::Points] } {
         let (data, max_iterations) = match pass {
             Pass::Points => (DataSource::Points { sigma: config.point_sigma }, on_points),
-            Pass::Last if context.noise.is_some() => {
-                (context.noise.map_or(DataSource::Points { sigma: 1.0 }, DataSource::Paths), on_pixels)
-            }
-            _ => (DataSource::Pixels { share: pixel_share(context, &observations, &whole.state) }, on_pixels),
+            Pass::Last => (detected_pixels(context, &observations, &whole.state), on_pixels),
+            Pass::First => (DataSource::Pixels { share: pixel_share(context, &observations, &whole.state) }, on_pixels),
         };
         let config = if *pass == Pass::Last { config } else { first_config };
         let start = whole.state;

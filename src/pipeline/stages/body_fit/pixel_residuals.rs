@@ -2,6 +2,7 @@
 
 use super::context::FitContext;
 use super::observations::Observations;
+use super::terms::data::DataSource;
 use super::terms::unknowns::MotionState;
 use crate::body::BodyModel;
 use crate::body::kinematics::{landmark_position, posed};
@@ -21,6 +22,17 @@ pub(super) fn pixel_share(context: &FitContext, observations: &Observations, sta
     let n = 2.0 * shares.len() as f64 / state.poses.len().max(1) as f64;
     let freedom = (n / (n - context.config.unknowns_per_frame).max(MIN_FREEDOM * n)).sqrt();
     median(&mut shares).map_or(high, |m| (freedom * m / MEDIAN_LENGTH_IN_PLANE).clamp(low, high))
+}
+
+/// The detected pixels as data: with errors correlated in time once those have been measured, before with independent errors
+/// of the size that the residuals of `state` show.
+pub(super) fn detected_pixels<'a>(
+    context: &FitContext<'a>,
+    observations: &Observations,
+    state: &MotionState,
+) -> DataSource<'a> {
+    let independent = || DataSource::Pixels { share: pixel_share(context, observations, state) };
+    context.noise.map_or_else(independent, DataSource::Paths)
 }
 
 /// Median distance of the detected pixels from the projected landmarks, px.

@@ -30,6 +30,8 @@ pub(crate) mod speed_scaling;
 pub(crate) mod term;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tests_paths;
 pub(crate) mod unknowns;
 pub(crate) mod whitened_pixels;
 pub(crate) mod window;

@@ -81,7 +81,7 @@ pub(crate) struct LagSums {
 }
 
 impl LagSums {
-    /// Adds a channel: a run of (frame, standardised residual) of one keypoint in one view, ascending.
+    /// Adds a channel: a run of (frame, standardised residual) of one keypoint in one camera, ascending.
     pub(crate) fn add(&mut self, channel: &[(usize, Vector2<f64>)]) {
         for (lag, sums) in (1..).zip(&mut self.lags) {
             for (i, (frame, now)) in channel.iter().enumerate() {
@@ -122,5 +122,68 @@ impl PathNoise {
             processes: vec![NoiseProcess { autocorrelation: [0.0; 2] }; n_landmarks],
             shares: vec![share; n_landmarks],
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    const PROCESS: NoiseProcess = NoiseProcess { autocorrelation: [0.84, 0.75] };
+
+    /// A path of the process: its innovations are drawn, and the factors inverted.
+    fn path(n: usize) -> Vec<(usize, Vector2<f64>)> {
+        let mut rng = ChaCha8Rng::seed_from_u64(3);
+        let mut path: Vec<(usize, Vector2<f64>)> = Vec::with_capacity(n);
+        for t in 0..n {
+            let [own, one, two] = PROCESS.innovation([t >= 1, t >= 2], None);
+            let at = |lag: usize| t.checked_sub(lag).map_or_else(Vector2::zeros, |i| path[i].1);
+            let drawn = Vector2::from_fn(|_, _| StandardNormal.sample(&mut rng));
+            path.push((t, (drawn - at(1) * one - at(2) * two) / own));
+        }
+        path
+    }
+
+    /// 20,000 frames of correlation time 10 know an autocorrelation to 0.01; clipping at four sigma costs less.
+    #[test]
+    fn autocorrelation_of_a_path_is_measured() {
+        let mut sums = LagSums::default();
+        sums.add(&path(20_000));
+        let found = NoiseProcess::of(&sums).autocorrelation;
+        for (found, truth) in found.into_iter().zip(PROCESS.autocorrelation) {
+            assert!((found - truth).abs() < 0.02, "{found} for {truth}");
+        }
+        assert_eq!(NoiseProcess::of(&LagSums::default()).autocorrelation, [0.0; 2]);
+    }
+
+    /// The level's variance is one: what the process draws has the variance that a first residual is given.
+    #[test]
+    fn a_path_of_unit_innovations_has_unit_variance() {
+        let path = path(20_000);
+        let variance = path.iter().map(|(_, r)| 0.5 * r.norm_squared()).sum::<f64>() / path.len() as f64;
+        assert!((variance - 1.0).abs() < 0.05, "{variance}");
+    }
+
+    #[test]
+    fn after_a_gap_only_what_was_forgotten_counts() {
+        let weight = |gap: Option<usize>| PROCESS.innovation([false; 2], gap)[0];
+        assert_eq!(weight(None), 1.0);
+        assert!(weight(Some(3)) < weight(Some(10)) && weight(Some(10)) < weight(Some(1000)));
+        assert!((weight(Some(1000)) - 1.0).abs() < 1e-9);
+        let white = NoiseProcess { autocorrelation: [0.0; 2] };
+        assert_eq!(white.innovation([true, true], Some(1)), [1.0, 0.0, 0.0]);
+        assert_eq!(white.innovation([false, false], Some(5)), [1.0, 0.0, 0.0]);
+    }
+
+    /// Few residuals of a landmark are drawn towards those of all.
+    #[test]
+    fn sparse_landmarks_take_the_process_of_all() {
+        let mut all = LagSums::default();
+        all.add(&path(5_000));
+        let pooled = NoiseProcess::of(&LagSums::default().pooled(&all, 100.0));
+        assert!((pooled.autocorrelation[0] - NoiseProcess::of(&all).autocorrelation[0]).abs() < 1e-12);
     }
 }

@@ -24,26 +24,26 @@ use crate::progress::Progress;
 use crate::residuals::derivative_check::assert_gradient;
 use nalgebra::{DVector, Vector2, Vector3};
 
-const N_FRAMES: usize = 5;
+pub(super) const N_FRAMES: usize = 5;
 const N_DIRECTIONS: usize = 20;
 
 /// Numbers between -0.5 and 0.5 without a pattern.
-fn wave(i: usize) -> f64 {
+pub(super) fn wave(i: usize) -> f64 {
     ((i * 37 % 101) as f64 / 50.0 - 1.0) * 0.5
 }
 
 /// Five frames of one person with points and pixels of all landmarks.
-struct Fixture {
-    model: BodyModel,
-    table: OffsetTable,
-    observations: Observations,
-    state: MotionState,
-    config: BodyFitConfig,
+pub(super) struct Fixture {
+    pub model: BodyModel,
+    pub table: OffsetTable,
+    pub observations: Observations,
+    pub state: MotionState,
+    pub config: BodyFitConfig,
     progress: Progress,
 }
 
 impl Fixture {
-    fn new() -> Self {
+    pub(super) fn new() -> Self {
         let model = default_body();
         let pose = |t: usize| Pose {
             rotations: std::array::from_fn(|j| rotation::exp(&Vector3::from_fn(|a, _| wave(7 * t + 3 * j + a)))),
@@ -79,7 +79,7 @@ impl Fixture {
     }
 
     /// The model with some bone and keypoint offsets, and increments of them in `border`.
-    fn model_at(&self, border: &DVector<f64>) -> BodyModel {
+    pub(super) fn model_at(&self, border: &DVector<f64>) -> BodyModel {
         let offset = |first: usize, k: usize| {
             Vector3::from_fn(|axis, _| 0.1 * wave(5 * k + axis)) + border.fixed_rows::<3>(first + 3 * k)
         };
@@ -89,7 +89,7 @@ impl Fixture {
         with_bones(&self.table.applied(&self.model, &bias), &bones)
     }
 
-    fn objective<'a>(&'a self, model: &'a BodyModel, data: DataSource, shape: Shape) -> Objective<'a> {
+    pub(super) fn objective<'a>(&'a self, model: &'a BodyModel, data: DataSource<'a>, shape: Shape) -> Objective<'a> {
         let (config, progress) = (&self.config, &self.progress);
         let context =
             FitContext { model, config, first_config: config, frame_interval: 1.0 / 25.0, progress, noise: None };
@@ -97,7 +97,7 @@ impl Fixture {
     }
 
     /// The problem over all unknowns on `model`, with all terms or the one at index `only`.
-    fn problem<'a>(&'a self, model: &'a BodyModel, data: DataSource, only: Option<usize>) -> MotionProblem<'a> {
+    fn problem<'a>(&'a self, model: &'a BodyModel, data: DataSource<'a>, only: Option<usize>) -> MotionProblem<'a> {
         let objective = self.objective(model, data, Shape::Free);
         // Typical accelerations: those scaled by speed would follow the model's bones, but are constants of the problem.
         let mut problem = Objective { bias: Some(&self.table), shape_prior: 3.0, ..objective }.problem();
@@ -107,7 +107,7 @@ impl Fixture {
 }
 
 /// Checks the gradient of `problem` along directions of all unknowns; `cost_at`: the cost after a step.
-fn assert_gradient_of(problem: &MotionProblem, state: &MotionState, cost_at: impl Fn(&BandedStep) -> f64) {
+pub(super) fn assert_gradient_of(problem: &MotionProblem, state: &MotionState, cost_at: impl Fn(&BandedStep) -> f64) {
     let system = problem.linearised(state);
     let (n, n_border) = (system.gradient[0].len(), problem.unknowns.border.len());
     let direction = |d: usize| BandedStep {
@@ -132,7 +132,7 @@ fn assert_gradient_of(problem: &MotionProblem, state: &MotionState, cost_at: imp
 }
 
 /// Leaves one term of the problem, or all for `None`: frame terms come first, then window terms, then the shape prior.
-fn keep(problem: &mut MotionProblem, only: Option<usize>) {
+pub(super) fn keep(problem: &mut MotionProblem, only: Option<usize>) {
     let Some(only) = only else { return };
     let (n_frame, n_window) = (problem.frame_terms.len(), problem.window_terms.len());
     let mut index = 0..;

@@ -1,0 +1,108 @@
+//! The term of whitened pixels: its gradient and its Gauss-Newton system, over motion, shape, offsets and cameras.
+
+use super::super::motion_problem::MotionProblem;
+use super::super::objective::Objective;
+use super::super::observations::{Observations, PosedCamera};
+use super::data::DataSource;
+use super::noise_process::{NoiseProcess, PathNoise};
+use super::tests::{Fixture, N_FRAMES, assert_gradient_of, keep, wave};
+use super::unknowns::{Border, MotionState, Shape};
+use crate::body::BodyModel;
+use crate::body::kinematics::{landmark_position, posed};
+use crate::geometry::{Rigid, rotation};
+use nalgebra::{DVector, Vector3};
+
+/// No frame or window term of the fixture has this index: only the paths are left.
+const PATHS_ALONE: Option<usize> = Some(usize::MAX);
+
+fn correlated(model: &BodyModel) -> PathNoise {
+    let n = model.landmarks.len();
+    PathNoise { processes: vec![NoiseProcess { autocorrelation: [0.8, 0.7] }; n], shares: vec![0.2; n] }
+}
+
+/// Observations of the fixture in two cameras; the second misses every third landmark in the middle frames.
+fn two_views(fixture: &Fixture) -> Observations {
+    let mut observations = fixture.observations.clone();
+    let turned =
+        Rigid { rotation: rotation::exp(&Vector3::new(0.1, 1.2, -0.05)), translation: Vector3::new(0.1, -0.2, 4.5) };
+    observations.cameras.push(PosedCamera { camera_from_world: turned, ..observations.cameras[0] });
+    for (t, pixels) in observations.pixels.iter_mut().enumerate() {
+        let is_seen = |landmark: usize| !(1..3).contains(&t) || !landmark.is_multiple_of(3);
+        let mut second: Vec<_> = pixels.iter().copied().filter(|pixel| is_seen(pixel.landmark)).collect();
+        for pixel in &mut second {
+            pixel.camera = 1;
+            pixel.pixel += nalgebra::Vector2::new(40.0 * wave(pixel.landmark), 30.0);
+        }
+        pixels.extend(second);
+        pixels.sort_by_key(|pixel| pixel.landmark);
+    }
+    observations
+}
+
+fn problem<'a>(
+    fixture: &'a Fixture,
+    model: &'a BodyModel,
+    observations: &'a Observations,
+    noise: &'a PathNoise,
+    n_cameras: usize,
+) -> MotionProblem<'a> {
+    let objective = fixture.objective(model, DataSource::Paths(noise), Shape::Free);
+    let mut problem = Objective { bias: Some(&fixture.table), observations, n_cameras, ..objective }.problem();
+    keep(&mut problem, PATHS_ALONE);
+    problem
+}
+
+#[test]
+fn gradient_of_whitened_pixels_matches_differences() {
+    let fixture = Fixture::new();
+    let observations = two_views(&fixture);
+    let border = Border { shape: Shape::Free, bias: Some(&fixture.table), n_cameras: 2 };
+    let (noise, cameras) = (correlated(&fixture.model), border.cameras());
+    let start = fixture.model_at(&DVector::zeros(border.len()));
+    let all = problem(&fixture, &start, &observations, &noise, 2);
+    assert_gradient_of(&all, &fixture.state, |step| {
+        let mut moved = observations.clone();
+        for (k, camera) in moved.cameras.iter_mut().enumerate() {
+            let part = |i: usize| step.border.fixed_rows::<3>(cameras.start + 6 * k + i).into_owned();
+            camera.camera_from_world = camera.camera_from_world.perturbed_left(&part(0), &part(3));
+        }
+        let model = fixture.model_at(&step.border);
+        problem(&fixture, &model, &moved, &noise, 2).cost(&all.moved(&fixture.state, step))
+    });
+}
+
+/// With pixels where the body is, the Gauss-Newton system is exact: a step from nearby leaves a thousandth of the cost.
+/// Without its blocks between frames it would leave most of it.
+#[test]
+fn one_step_from_nearby_removes_the_cost_of_paths() {
+    let fixture = Fixture::new();
+    let mut observations = two_views(&fixture);
+    let body = fixture.model.shaped(&fixture.state.betas);
+    for (pixels, pose) in observations.pixels.iter_mut().zip(&fixture.state.poses) {
+        let skeleton = posed(&body, pose);
+        for pixel in pixels {
+            let camera = &observations.cameras[pixel.camera];
+            let position = landmark_position(&fixture.model, &body, &skeleton, pixel.landmark);
+            let in_camera = camera.camera_from_world.transform(&position);
+            pixel.pixel = camera.intrinsics.pixel_from_camera(&in_camera).unwrap();
+        }
+    }
+    let noise = correlated(&fixture.model);
+    let objective = fixture.objective(&fixture.model, DataSource::Paths(&noise), Shape::Held);
+    let mut problem = Objective { observations: &observations, ..objective }.problem();
+    keep(&mut problem, PATHS_ALONE);
+    assert!(problem.cost(&fixture.state) < 1e-12);
+
+    let mut nearby: MotionState = fixture.state.clone();
+    for (t, pose) in nearby.poses.iter_mut().enumerate() {
+        pose.translation += Vector3::from_fn(|axis, _| 1e-3 * wave(3 * t + axis));
+        for (j, turned) in pose.rotations.iter_mut().enumerate() {
+            *turned *= rotation::exp(&Vector3::from_fn(|axis, _| 2e-3 * wave(5 * j + 7 * t + axis)));
+        }
+    }
+    let before = problem.cost(&nearby);
+    let step = problem.linearised(&nearby).solve(0.0).unwrap();
+    assert_eq!(step.frames.len(), N_FRAMES);
+    let after = problem.cost(&problem.moved(&nearby, &step));
+    assert!(after < 1e-3 * before, "{before} -> {after}");
+}
