@@ -240,8 +240,10 @@ impl Queue {
         failpoint("finish.filled");
         transaction.commit().await?;
         failpoint("finish.committed");
-        if let Some(wait) = wait {
+        if let (Some(wait), ClaimOutcome::Failed(error)) = (wait, outcome) {
             self.deferrals().defer(&claim.job, Instant::now(), wait);
+            let (code, detail, wait_s) = (&error.code, &error.detail, wait.as_secs());
+            tracing::warn!(job.id = %claim.job, code, detail, wait_s, "the machine failed the job; it waits for its next try");
         }
         if next == Phase::Queued {
             self.work.notify_one();
