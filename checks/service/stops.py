@@ -203,11 +203,6 @@ def held(args, faults):
     service.remove()
 
 
-def has_settled(job):
-    """Whether a job has ended, or was put back because of the full disk."""
-    return job["state"] in wandless.FINAL or "next try" in job["progress"]["message"]
-
-
 def full_disk(args, faults):
     """B1: on a full disk existing jobs are kept and deletes work; after space is freed, jobs succeed again."""
     place = tempfile.mkdtemp(prefix="wandless-disk-")
@@ -232,7 +227,7 @@ def full_disk(args, faults):
                 try:
                     job = client.submit(client.upload(take(60, 4, seed=100 * n + seed))["id"], options={"extrinsics": "fixed"})
                     code = "accepted"
-                    until(lambda: has_settled(client.job(job["id"])), 30)
+                    until(lambda: client.job(job["id"])["state"] in wandless.FINAL, 30)
                 except wandless.Problem as problem:
                     code = f"{problem.status} {problem.code}"
                     faults.require(problem.status in (503, 507), f"B1: {problem}")

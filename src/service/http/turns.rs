@@ -25,6 +25,11 @@ impl Turns {
         Self { at_once, patience: PATIENCE, by_tenant: Mutex::default() }
     }
 
+    /// The same with another longest wait.
+    pub(super) fn with_patience(self, patience: Duration) -> Self {
+        Self { patience, ..self }
+    }
+
     /// Waits for a turn; it ends when the permit is dropped.
     pub(super) async fn take(&self, tenant: &Tenant) -> Result<OwnedSemaphorePermit, Problem> {
         let turns = {
@@ -54,7 +59,7 @@ mod tests {
 
     #[tokio::test]
     async fn tenants_wait_for_their_own_turns_only() {
-        let turns = Turns { patience: Duration::from_millis(20), ..Turns::new(1) };
+        let turns = Turns::new(1).with_patience(Duration::from_millis(20));
         let [a, b] = ["a", "b"].map(|name| Tenant::parse(name).unwrap());
         let held = turns.take(&a).await.unwrap();
         assert!(turns.take(&b).await.is_ok());
