@@ -45,6 +45,9 @@ FAULTS = {
     "keys.kept": ("revoked", "tenants.py", "--calls", "40"),
     "webhooks.anywhere": ("E7", "tenants.py", "--calls", "40"),
     "quota.none": ("E9", "tenants.py", "--calls", "40"),
+    "disk.unwatched": ("row 1", "storage.py", "--row", "1"),
+    "pages.unbounded": ("row 4", "storage.py", "--row", "4"),
+    "arrivals.uncounted": ("row 8", "storage.py", "--row", "8"),
     "verify.blind": ("F3", "safety.py", "--only", "flips", "--flips", "2"),
     "backup.short": ("F1", "safety.py", "--only", "backups", "--backups", "2"),
     "damage.silent": ("A14", "safety.py", "--only", "damaged_folders"),
@@ -67,7 +70,7 @@ def main():
         command = [sys.executable, os.path.join(HERE, check), "--program", args.program, "--seed", str(args.seed), *words]
         try:
             run = subprocess.run(command, env={**os.environ, "WANDLESS_FAULT": fault}, capture_output=True, text=True, timeout=args.limit)
-            found = [line for line in run.stdout.splitlines() if line.startswith("FAULT")]
+            found = [line for line in run.stdout.splitlines() if line.startswith("FAULT") or ": FAILED: " in line]
             matching = [line for line in found if mark in line]
             detected = run.returncode == 1 and bool(matching)
             how = (matching or found or run.stderr.strip().splitlines()[-1:] or ["no output"])[0][:110]

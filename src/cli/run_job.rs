@@ -179,9 +179,7 @@ fn job_error(error: SolveError) -> JobError {
         SolveError::Pipeline(PipelineError::Unsolvable { code, reason }) => {
             JobError { code: code.to_owned(), detail: reason, ..JobError::default() }
         }
-        SolveError::Write(error) if error.kind() == std::io::ErrorKind::StorageFull => {
-            coded("disk_full", "free disk space, then submit the job again")
-        }
-        SolveError::Write(_) => coded("result_unwritten", "check the log of the service, then submit the job again"),
+        SolveError::Write(error) => JobError::of_machine(&error, &detail)
+            .unwrap_or_else(|| coded("result_unwritten", "check the log of the service, then submit the job again")),
     }
 }

@@ -16,7 +16,7 @@ pub const FAILPOINTS: [&str; 36] = [
 ];
 
 /// Names of all faults, and what each does.
-pub const FAULTS: [(&str, &str); 31] = [
+pub const FAULTS: [(&str, &str); 34] = [
     ("enqueue.early", "a job is answered 202 before its row is committed"),
     ("publish.late", "a job is succeeded before its files are in their folder"),
     ("recovery.blames", "a crash of the service is counted as a crash of the job"),
@@ -44,6 +44,9 @@ pub const FAULTS: [(&str, &str); 31] = [
     ("keys.kept", "revoking a key has no effect"),
     ("webhooks.anywhere", "a webhook can call private addresses"),
     ("quota.none", "a tenant can fill the disk"),
+    ("disk.unwatched", "jobs run and fail on a full disk"),
+    ("pages.unbounded", "a page of a list can have any size"),
+    ("arrivals.uncounted", "uploads count only after their last byte"),
     ("verify.blind", "a changed file is not detected"),
     ("backup.short", "a backup omits a file"),
     ("damage.silent", "a lost database is replaced by an empty one"),

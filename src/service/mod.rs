@@ -92,7 +92,7 @@ pub async fn start(settings: Settings) -> Result<Running, ServeError> {
         tokio::time::sleep(std::time::Duration::from_secs(3)).await;
     }
     let networks = Arc::new(Networks::parse(&settings.webhooks.allowed_networks)?);
-    let store = Store::open(&settings.data).await?;
+    let store = Store::open(&settings.data).await?.with_min_free_bytes(settings.limits.min_free_bytes);
     if !listen.ip().is_loopback() && !store::keys::any(&store).await? {
         return Err(ServeError::NotLoopback { listen });
     }

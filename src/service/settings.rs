@@ -77,7 +77,7 @@ pub struct RequestLimits {
     pub max_wait: Duration,
     /// Maximal number of queued jobs of all tenants; further ones are answered 429.
     pub max_queued: i64,
-    /// Uploads are answered 507 while the disk has fewer free bytes than this.
+    /// While the disk has fewer free bytes than this, no job is claimed, and uploads and submissions are answered 507.
     pub min_free_bytes: u64,
     /// Wrong keys per second that one address can try before it is answered 429.
     pub bad_keys_per_s: f64,
@@ -87,7 +87,7 @@ pub struct RequestLimits {
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TenantLimits {
-    /// Quota of uploads and results together, bytes.
+    /// Quota of uploads and results together, bytes; unfinished uploads count. At the quota, submissions are refused, too.
     pub max_bytes: i64,
     /// Maximal number of queued jobs.
     pub max_queued: i64,

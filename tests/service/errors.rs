@@ -72,7 +72,11 @@ fn rejects_impossible_jobs_with_a_pointer() {
     let webhook = ask(json!({ "session": session, "webhook": { "url": "http://localhost" } }));
     assert_eq!(webhook.expect_problem(422, "webhook_refused")["pointer"], "/webhook/url");
     ask(json!({ "session": session, "priority": 10_000_000 })).expect_problem(400, "malformed");
+    ask(json!({ "session": session, "priority": i64::MIN })).expect_problem(400, "malformed");
     ask(json!({ "session": session, "labels": { "": "x" } })).expect_problem(400, "malformed");
+    let labels: serde_json::Map<_, _> = (0..17).map(|n| (format!("{n}"), json!("x".repeat(240)))).collect();
+    let many = ask(json!({ "session": session, "labels": labels })).expect_problem(400, "malformed");
+    assert_eq!(many["pointer"], "/labels");
 
     for (asked, status, code, pointer) in [
         (json!({ "sede": 1 }), 400, "option_unknown", "/options/sede"),
@@ -106,6 +110,18 @@ fn rejects_impossible_jobs_with_a_pointer() {
         server.get(&format!("/v1/jobs?{query}")).expect_problem(400, "malformed");
     }
     assert_eq!(server.get("/v1/jobs").json()["jobs"], json!([]));
+}
+
+#[test]
+fn rejects_a_session_with_a_long_name() {
+    let server = Server::start();
+    let mut long = take(10, 1);
+    for (bytes, status) in [(257, 422), (256, 201)] {
+        long["name"] = json!("x".repeat(bytes));
+        let answer = server.post_json("/v1/sessions", &long);
+        assert_eq!(answer.status, status, "{}", String::from_utf8_lossy(&answer.body));
+    }
+    assert_eq!(server.files("sessions").len() + server.files("tmp").len(), 1);
 }
 
 #[test]

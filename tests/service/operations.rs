@@ -7,6 +7,7 @@ use rustix::process::Signal;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpListener;
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -196,6 +197,38 @@ fn restored_backup_of_a_busy_service_continues() {
     let server = Server::from_command(&mut command(&restored));
     server.get(&format!("/v1/jobs/{done}/cameras")).expect(200);
     server.wait_for_state(&running, "succeeded");
+}
+
+#[test]
+fn backup_takes_relative_names_and_includes_bodies() {
+    let server = Server::start();
+    let id = server.submit(&server.upload(10, 1));
+    server.wait_for_state(&id, "succeeded");
+    let data = server.data().to_owned();
+    let place = tempfile::tempdir().unwrap();
+    let body = place.path().join("body.npz");
+    assert!(wandless(&["body", "export", "--out"], &[&body]).status.success());
+    assert!(wandless(&["body", "add", "--data"], &[&data, Path::new("studio"), &body]).status.success());
+    std::fs::create_dir(place.path().join("nightly.tmp")).unwrap();
+    std::fs::write(place.path().join("nightly.tmp/notes"), b"of another program").unwrap();
+    let run = |words: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_wandless"));
+        let output = command.current_dir(place.path()).args(words).output().unwrap();
+        assert!(output.status.success(), "{words:?}: {}", String::from_utf8_lossy(&output.stderr));
+    };
+    run(&["backup", "nightly.2026-11-22", "--data", data.to_str().unwrap()]);
+    run(&["restore", "nightly.2026-11-22", "--data", "restored"]);
+    run(&["verify", "nightly.2026-11-22"]);
+    for folder in ["nightly.2026-11-22", "restored"] {
+        let folder = place.path().join(folder);
+        let bodies = crate::server::files_below(&folder.join("bodies"));
+        assert_eq!(bodies.len(), 2, "{bodies:?}");
+        let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
+        assert_eq!((mode(&folder), mode(&folder.join("wandless.db")), mode(&bodies[0])), (0o700, 0o600, 0o600));
+    }
+    let body = &crate::server::files_below(&place.path().join("nightly.2026-11-22/bodies"))[0];
+    std::fs::write(body, b"damaged").unwrap();
+    assert_eq!(wandless(&["verify"], &[&place.path().join("nightly.2026-11-22")]).status.code(), Some(1));
 }
 
 #[test]

@@ -4,6 +4,8 @@ use crate::http::{Answer, JSON, send, send_raw};
 use crate::server::Server;
 use crate::take::take;
 use serde_json::{Value, json};
+use std::io::{Read, Write};
+use std::net::TcpStream;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
@@ -138,6 +140,21 @@ fn quotas_are_exact_and_released_on_delete() {
     server.post("/v1/sessions", &[JSON], take(11, 1).to_string().as_bytes()).expect_problem(507, "quota_exceeded");
     server.delete(&format!("/v1/sessions/{}", session["id"].as_str().unwrap())).expect(204);
     server.post("/v1/sessions", &[JSON], text.as_bytes()).expect(201);
+
+    let id = server.get("/v1/sessions").expect(200).json()["sessions"][0]["id"].clone();
+    server.post_json("/v1/jobs", &json!({ "session": id })).expect_problem(507, "quota_exceeded");
+
+    let server = Server::with(&["--set", "tenants.max_bytes=1000"]);
+    let unfinished = [700, 400].map(|length| {
+        let mut stream = TcpStream::connect(server.address()).unwrap();
+        let head = "POST /v1/sessions HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n";
+        write!(stream, "{head}Content-Length: {length}\r\n\r\n{{").unwrap();
+        std::thread::sleep(Duration::from_millis(300));
+        stream
+    });
+    let mut answer = [0; 12];
+    (&unfinished[1]).read_exact(&mut answer).unwrap();
+    assert_eq!(&answer, b"HTTP/1.1 507", "the announced bytes of both uploads exceed the quota");
 
     let server = Server::with(&["--set", "tenants.max_queued=2"]);
     let busy = server.submit(&server.upload(crate::take::LONG, 1));

@@ -4,7 +4,7 @@ use super::access::Caller;
 use super::app::App;
 use super::error::Problem;
 use super::extract::{ApiPath, ApiQuery, JobPath};
-use super::page::{Page, PageQuery};
+use super::page::{self, PageQuery};
 use crate::pipeline::Options;
 use crate::service::failpoint::fault;
 use crate::service::metrics::Held;
@@ -34,7 +34,7 @@ pub(super) struct ListQuery {
     /// `key` or `key=value`.
     #[param(nullable = false)]
     label: Option<String>,
-    /// Jobs per page; values above 500 mean 500.
+    /// Most jobs per page; values above 500 mean 500. Long labels make a page shorter.
     #[param(nullable = false, minimum = 0, default = 50)]
     page_size: Option<i64>,
     /// `next_page_token` of the page before.
@@ -49,7 +49,7 @@ fn state_filter() -> Object {
 
 /// One page of jobs.
 #[derive(Debug, Serialize, ToSchema)]
-pub(super) struct JobPage {
+struct JobPage {
     jobs: Vec<JobDocument>,
     /// Requests the next page; null on the last page.
     #[schema(required)]
@@ -63,7 +63,7 @@ pub(super) async fn list(
     State(app): State<App>,
     Caller { tenant }: Caller,
     ApiQuery(query): ApiQuery<ListQuery>,
-) -> Result<Json<JobPage>, Problem> {
+) -> Result<Response, Problem> {
     let state = query.state.filter(|state| !state.is_empty());
     let state = state.map(|state| Phase::parse(&state).ok_or(state)).transpose().map_err(|state| {
         let names = Phase::ALL.map(Phase::name).join(", ");
@@ -73,12 +73,14 @@ pub(super) async fn list(
         Some((key, value)) => LabelFilter { key: key.to_owned(), value: Some(value.to_owned()) },
         None => LabelFilter { key: label, value: None },
     });
-    let page = PageQuery { page_size: query.page_size, page_token: query.page_token };
-    let filter = JobFilter { state, label, before: page.before()? };
-    let rows = app.queue.list(&tenant, &filter, page.fetch_size()?).await?;
-    let page = Page::cut(rows, &page, |job: &Job| job.seq)?;
-    let jobs = page.items.into_iter().map(JobDocument::of).collect();
-    Ok(Json(JobPage { jobs, next_page_token: page.next_page_token }))
+    let asked = PageQuery { page_size: query.page_size, page_token: query.page_token };
+    let filter = JobFilter { state, label, before: asked.before()? };
+    let max_rows = asked.max_rows()?;
+    let turn = app.lists.take(&tenant).await?;
+    let listed = app.queue.list(&tenant, &filter, max_rows).await?;
+    let next_page_token = page::next_page_token(&listed, |job| job.seq);
+    let jobs = listed.items.into_iter().map(JobDocument::of).collect();
+    page::answer(&JobPage { jobs, next_page_token }, turn)
 }
 
 /// `?wait=`

@@ -23,6 +23,7 @@ mod server;
 mod sessions;
 mod submission;
 mod trace;
+mod turns;
 mod upload;
 mod viewer;
 

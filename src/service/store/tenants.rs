@@ -50,9 +50,8 @@ pub(crate) async fn stored_bytes_in(transaction: &mut WriteTransaction, tenant: 
     Ok(sqlx::query_scalar(STORED_BYTES).bind(tenant.name()).fetch_one(&mut **transaction).await?)
 }
 
-const STORED_BYTES: &str = "
-    SELECT (SELECT coalesce(sum(bytes), 0) FROM sessions WHERE tenant = ?1)
-         + (SELECT coalesce(sum(result_bytes), 0) FROM jobs WHERE tenant = ?1)";
+/// The running total, which triggers keep.
+const STORED_BYTES: &str = "SELECT coalesce((SELECT stored_bytes FROM tenants WHERE name = ?), 0)";
 
 /// Inserts the row of a tenant unless it exists.
 pub(crate) async fn insert_if_missing(transaction: &mut WriteTransaction, tenant: &Tenant) -> Result<(), StoreError> {

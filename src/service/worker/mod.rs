@@ -150,13 +150,19 @@ async fn publish_result(store: &Store, claim: &Claim) -> ClaimOutcome<Published>
     .await;
     match published.map_err(anyhow::Error::from).and_then(std::convert::identity) {
         Ok(published) => ClaimOutcome::Succeeded(published),
-        Err(error) => ClaimOutcome::Failed(JobError {
-            code: "result_unpublished".to_owned(),
-            detail: format!("the result could not be published: {error:#}"),
-            remedy: "free disk space if the disk is full, then submit the job again".to_owned(),
-            ..JobError::default()
-        }),
+        Err(error) => ClaimOutcome::Failed(unpublished(&error)),
     }
+}
+
+fn unpublished(error: &anyhow::Error) -> JobError {
+    let detail = format!("the result could not be published: {error:#}");
+    let cause = error.chain().find_map(|cause| cause.downcast_ref::<std::io::Error>());
+    cause.and_then(|cause| JobError::of_machine(cause, &detail)).unwrap_or_else(|| JobError {
+        code: "result_unpublished".to_owned(),
+        detail,
+        remedy: "check the log of the service, then submit the job again".to_owned(),
+        ..JobError::default()
+    })
 }
 
 /// Records the outcome and returns the name of the new state. Retries on errors, because an unrecorded job would run again.
