@@ -8,10 +8,12 @@ use super::jobs::{JobDocument, answer};
 use super::options;
 use super::upload::{MediaType, keep, receive_form, unless_refused};
 use crate::pipeline::Options;
+use crate::service::queue::job::Origin;
 use crate::service::queue::{EnqueueError, IdempotencyKey, NewJob, QueueLimits};
 use crate::service::store::Tenant;
 use crate::service::store::sessions::{self, StoredSession};
 use crate::service::webhooks;
+use axum::Extension;
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
@@ -99,6 +101,7 @@ struct SubmissionHeaders {
 pub(super) async fn create(
     State(app): State<App>,
     Caller { tenant }: Caller,
+    Extension(origin): Extension<Origin>,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
@@ -112,10 +115,12 @@ pub(super) async fn create(
     check_labels_and_priority(&asked.labels, asked.priority)?;
     let webhook = asked.webhook.map(|webhook| webhook_url(&app, webhook)).transpose()?;
     let options = serde_json::to_value(&parsed).map_err(Problem::internal)?;
-    let new = NewJob { tenant, session: session.id, options, labels: asked.labels, priority: asked.priority, webhook };
+    let (labels, priority) = (asked.labels, asked.priority);
+    let new = NewJob { tenant, session: session.id, options, labels, priority, webhook, origin };
     let key = idempotency_key(&headers, &new, &session.summary.sha256)?;
     let limits = QueueLimits::of(&app.settings.limits, &app.settings.tenants);
     let job = app.queue.enqueue(&new, key.as_ref(), limits).await?;
+    tracing::info!(job.id = job.id, "job accepted");
     let location = [(header::LOCATION, format!("/v1/jobs/{}", job.id))];
     Ok((StatusCode::ACCEPTED, location, answer(job)).into_response())
 }

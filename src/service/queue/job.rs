@@ -130,6 +130,15 @@ pub struct JobError {
     pub remedy: String,
 }
 
+/// The request that submitted a job, for the log.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Origin {
+    /// `X-Request-Id` of the request.
+    pub request: Option<String>,
+    /// Public part of its API key; `None` where no key is required.
+    pub key: Option<String>,
+}
+
 /// Progress of a job.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, utoipa::ToSchema)]
 #[schema(as = Progress)]
