@@ -5,12 +5,12 @@ use super::error::StoreError;
 use super::tenants::{self, Tenant};
 use crate::pipeline::CameraFacts;
 use crate::service::failpoint::{failpoint, fault};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
 /// Summary of a valid upload, as reported to clients.
-#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct SessionSummary {
     /// Name of the session.
     pub name: String,

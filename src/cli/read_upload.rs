@@ -1,0 +1,31 @@
+//! `wandless read-upload`: validates one upload in a child process of the service.
+
+use super::child::{self, Kind};
+use super::confinement::Access;
+use crate::service::protocol::{READ_UPLOAD, UploadTask};
+use crate::service::validation;
+use std::process::ExitCode;
+
+const KIND: Kind = Kind { command: READ_UPLOAD, oom_score: 1000 };
+
+fn access(task: &UploadTask) -> Access<'_> {
+    Access { reads: vec![&task.upload], writes: Vec::new() }
+}
+
+/// Runs the child.
+pub(super) fn run() -> ExitCode {
+    let order = match child::begin(&KIND, access) {
+        Ok(order) => order,
+        Err(code) => return code,
+    };
+    match validation::read(&order.task) {
+        Ok(verdict) => {
+            child::send(&verdict);
+            ExitCode::SUCCESS
+        }
+        Err(error) => {
+            tracing::error!(%error, "the upload cannot be opened");
+            ExitCode::FAILURE
+        }
+    }
+}
