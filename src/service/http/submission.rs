@@ -120,7 +120,6 @@ pub(super) async fn create(
     let key = idempotency_key(&headers, &new, &session.summary.sha256)?;
     let limits = QueueLimits::of(&app.settings.limits, &app.settings.tenants);
     let job = app.queue.enqueue(&new, key.as_ref(), limits).await?;
-    tracing::info!(job.id = job.id, "job accepted");
     let location = [(header::LOCATION, format!("/v1/jobs/{}", job.id))];
     Ok((StatusCode::ACCEPTED, location, answer(job)).into_response())
 }

@@ -57,9 +57,9 @@ pub(super) async fn run(shared: Shared) {
 }
 
 /// Span of all log lines of a claim, those of its child process included: whose job it is, and the request that submitted
-/// it.
+/// it. Its level keeps it at every setting of `WANDLESS_LOG`.
 fn span(claim: &Claim) -> tracing::Span {
-    tracing::info_span!(
+    tracing::error_span!(
         "job",
         job.id = claim.job,
         fence = claim.fence,
