@@ -10,6 +10,7 @@ import http.server
 import io
 import os
 import random
+import shutil
 import signal
 import socketserver
 import subprocess
@@ -355,6 +356,7 @@ def row_19(args):
     finally:
         service.kill()
         service.remove()
+        shutil.rmtree(place)
 
 
 def status_of(pids):

@@ -22,7 +22,7 @@ pub(super) fn confine(access: &Access<'_>) {
     if crate::service::failpoint::fault("children.free") {
         return;
     }
-    match linux::restrict_files(access) {
+    match linux::restrict_files(&access.reads, &access.writes) {
         Ok(status) => tracing::debug!(?status, "files are restricted by landlock"),
         Err(error) => tracing::warn!(%error, "landlock does not restrict this process"),
     }
@@ -37,19 +37,19 @@ pub(super) fn confine(_access: &Access<'_>) {}
 
 #[cfg(target_os = "linux")]
 mod linux {
-    use super::Access;
     use landlock::{
-        ABI, Access as _, AccessFs, AccessNet, Ruleset, RulesetAttr, RulesetCreatedAttr, RulesetError, RulesetStatus,
-        Scope, path_beneath_rules,
+        ABI, Access, AccessFs, AccessNet, Ruleset, RulesetAttr, RulesetCreatedAttr, RulesetError, RulesetStatus, Scope,
+        path_beneath_rules,
     };
     use seccompiler::{BpfProgram, SeccompAction, SeccompFilter};
     use std::collections::BTreeMap;
+    use std::path::Path;
 
     /// Linux 6.12: files, TCP, signals. An older kernel enforces what it has.
     const LATEST: ABI = ABI::V6;
 
-    /// Lets the thread open only the files of `access`. Open files stay open.
-    pub(super) fn restrict_files(access: &Access<'_>) -> Result<RulesetStatus, RulesetError> {
+    /// Lets the thread open only files in `reads` and `writes`. Open files stay open.
+    pub(super) fn restrict_files(reads: &[&Path], writes: &[&Path]) -> Result<RulesetStatus, RulesetError> {
         let read = AccessFs::ReadFile | AccessFs::ReadDir;
         let write = AccessFs::from_all(LATEST) & !AccessFs::Execute;
         let restricted = Ruleset::default()
@@ -57,8 +57,8 @@ mod linux {
             .handle_access(AccessNet::from_all(LATEST))?
             .scope(Scope::from_all(LATEST))?
             .create()?
-            .add_rules(path_beneath_rules(&access.reads, read))?
-            .add_rules(path_beneath_rules(&access.writes, write))?
+            .add_rules(path_beneath_rules(reads, read))?
+            .add_rules(path_beneath_rules(writes, write))?
             .restrict_self()?;
         Ok(restricted.ruleset)
     }
@@ -99,9 +99,10 @@ mod linux {
     }
 }
 
-#[cfg(all(test, target_os = "linux"))]
+#[cfg(target_os = "linux")]
+#[cfg(test)]
 mod tests {
-    use super::*;
+    use super::linux;
     use std::fs;
     use std::io::ErrorKind::PermissionDenied;
     use std::net::UdpSocket;
@@ -118,7 +119,7 @@ mod tests {
         let restricted = std::thread::scope(|scope| {
             let run = || {
                 let (input, out) = (path("input"), path("out"));
-                let restricted = linux::restrict_files(&Access { reads: vec![&input], writes: vec![&out] }).unwrap();
+                let restricted = linux::restrict_files(&[&input], &[&out]).unwrap();
                 if restricted == landlock::RulesetStatus::NotEnforced {
                     return false;
                 }

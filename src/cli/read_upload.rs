@@ -1,6 +1,6 @@
 //! `wandless read-upload`: validates one upload in a child process of the service.
 
-use super::child::{self, Kind};
+use super::child::{Kind, begin, send};
 use super::confinement::Access;
 use crate::service::protocol::{READ_UPLOAD, UploadTask};
 use crate::service::validation;
@@ -14,13 +14,13 @@ fn access(task: &UploadTask) -> Access<'_> {
 
 /// Runs the child.
 pub(super) fn run() -> ExitCode {
-    let order = match child::begin(&KIND, access) {
+    let order = match begin(&KIND, access) {
         Ok(order) => order,
         Err(code) => return code,
     };
     match validation::read(&order.task) {
         Ok(verdict) => {
-            child::send(&verdict);
+            send(&verdict);
             ExitCode::SUCCESS
         }
         Err(error) => {

@@ -3,7 +3,7 @@
 //! The order is the first line of stdin; events are JSON lines on stdout. SIGTERM cancels the job by ending the process
 //! immediately: the service publishes results only after success and deletes the folder of a canceled job.
 
-use super::child::{self, Kind, send};
+use super::child::{Kind, begin, send};
 use super::confinement::Access;
 use super::solve::{SolveError, solve, use_threads};
 use crate::body::default_body;
@@ -28,7 +28,7 @@ const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
 pub(super) fn run() -> ExitCode {
     // The number of cores depends on files of the system, which the child cannot read later.
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let task = match child::begin(&KIND, access) {
+    let task = match begin(&KIND, access) {
         Ok(order) => order.task,
         Err(code) => return code,
     };

@@ -43,6 +43,11 @@ pub(super) enum ValidationError {
 /// Reads the upload in a child process and returns its summary.
 pub(super) async fn validate(settings: &Settings, upload: &Path) -> Result<SessionSummary, ValidationError> {
     let limits = &settings.limits;
+    if fault("uploads.spilled")
+        && let Some(outside) = settings.data.parent()
+    {
+        std::fs::write(outside.join("spilled"), "").map_err(anyhow::Error::from)?;
+    }
     let memory = upload_limit(limits).filter(|_| !fault("uploads.unlimited"));
     let order = Order::new(UploadTask { upload: upload.to_owned() }, memory);
     let mut child = Child::start(&settings.program, READ_UPLOAD, &order, |_| {}).await?;

@@ -5,10 +5,12 @@
 //! Tenants take turns, see [`turns`].
 
 mod call;
+mod delivery;
 mod target;
 mod turns;
 
 pub use call::signature;
+pub use delivery::Delivery;
 pub use target::{NetworkError, Networks, TargetError, check_url};
 
 use super::failpoint::failpoint;
@@ -17,48 +19,12 @@ use super::settings::WebhookSettings;
 use super::shared::Shared;
 use super::store::{Store, StoreError, Tenant, tenants};
 use call::{Call, CallOutcome};
-use serde::Serialize;
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::{Id, JoinSet};
 use tokio::time::MissedTickBehavior;
 use turns::{Turns, Waiting};
-
-/// Delivery of one event to one receiver.
-#[derive(Debug, Clone, Serialize, sqlx::FromRow, utoipa::ToSchema)]
-pub struct Delivery {
-    /// Value of the header `webhook-id`.
-    pub id: String,
-    /// Event type: `job.succeeded`, `job.failed`, `job.canceled` or `job.dead`.
-    #[schema(pattern = r"^job\.(succeeded|failed|canceled|dead)$")]
-    pub event: String,
-    /// URL of the receiver.
-    pub url: String,
-    /// `waiting`, `delivered` or `failed`.
-    #[schema(pattern = "^(waiting|delivered|failed)$")]
-    pub state: String,
-    /// Number of calls made.
-    #[schema(minimum = 0)]
-    pub tries: i64,
-    /// HTTP status of the last call.
-    #[schema(required)]
-    pub last_status: Option<i64>,
-    /// Why the last call failed.
-    #[schema(required)]
-    pub last_error: Option<String>,
-    /// Time of creation; UTC, RFC 3339.
-    #[schema(format = DateTime)]
-    pub created_at: String,
-    /// Time of the last change; UTC, RFC 3339.
-    #[schema(format = DateTime)]
-    pub updated_at: String,
-    #[serde(skip)]
-    #[sqlx(rename = "job_id")]
-    job: String,
-    #[serde(skip)]
-    tenant: Tenant,
-}
 
 /// Interval between two checks for due deliveries.
 const CHECK_INTERVAL: Duration = Duration::from_secs(1);

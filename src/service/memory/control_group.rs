@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn without_control_groups_there_is_no_limit() {
+    fn without_control_groups_nothing_is_limited() {
         assert_eq!(limit_and_kills(&[]), (None, None));
         assert_eq!(limit_and_kills(&[MOUNT_2, ("proc/self/cgroup", "0::/a\n")]), (None, None));
     }

@@ -4,7 +4,7 @@
 //! first tries come before repetitions, then the order of creation counts. A tenant and a host have a maximal number of
 //! running calls.
 
-use super::Delivery;
+use super::delivery::Delivery;
 use crate::service::failpoint::fault;
 use std::collections::BTreeMap;
 use ureq::http::Uri;

@@ -9,7 +9,7 @@ use super::metrics::Metrics;
 use super::protocol::{JobTask, Order, RUN_JOB};
 use super::queue::job::JobError;
 use super::queue::outcome::ClaimOutcome;
-use super::queue::{Claim, Finished, Published, Queue};
+use super::queue::{Claim, Finished, Phase, Published, Queue};
 use super::settings::Settings;
 use super::shared::Shared;
 use super::store::folders::publish;
@@ -198,7 +198,7 @@ async fn record(
     loop {
         match queue.finish(claim, &outcome, settings.jobs.max_crashes).await {
             Ok(Finished::Recorded(phase)) => {
-                log_end(phase.name(), &outcome);
+                log_end(phase, &outcome);
                 return phase.name();
             }
             Ok(Finished::Lost) => {
@@ -224,13 +224,15 @@ async fn record(
 }
 
 /// Logs the new state of the job with its reason.
-fn log_end(state: &str, outcome: &ClaimOutcome<Published>) {
+fn log_end(phase: Phase, outcome: &ClaimOutcome<Published>) {
+    let state = phase.name();
+    let what = if phase.is_final() { "job ended" } else { "job is queued again" };
     match outcome {
         ClaimOutcome::Failed(JobError { code, detail, camera, frame, .. }) => {
-            tracing::warn!(state, code, detail, camera, frame, "job ended");
+            tracing::warn!(state, code, detail, camera, frame, "{what}");
         }
-        ClaimOutcome::Crashed(detail) => tracing::warn!(state, code = "child_died", detail, "job ended"),
-        ClaimOutcome::Succeeded(_) | ClaimOutcome::Released => tracing::info!(state, "job ended"),
+        ClaimOutcome::Crashed(detail) => tracing::warn!(state, code = "child_died", detail, "{what}"),
+        ClaimOutcome::Succeeded(_) | ClaimOutcome::Released => tracing::info!(state, "{what}"),
     }
 }
 
