@@ -110,7 +110,9 @@ pub fn main() -> ExitCode {
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(is_terminal);
     match log_form(&cli) {
         LogForm::Text => log.init(),
+        #[cfg(feature = "service")]
         LogForm::Json => log.json().flatten_event(true).init(),
+        #[cfg(feature = "service")]
         LogForm::Child => log.without_time().init(),
     }
     let done = match cli.command {
@@ -172,8 +174,10 @@ enum LogForm {
     /// Lines to read.
     Text,
     /// One JSON object per line (an option of `serve`).
+    #[cfg(feature = "service")]
     Json,
     /// Lines that the service repeats in its own log, with its own time.
+    #[cfg(feature = "service")]
     Child,
 }
 

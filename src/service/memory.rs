@@ -15,7 +15,7 @@ const JOBS_SHARE: f64 = 0.75;
 /// Share of the machine's memory for one validation of an upload; two run at the same time.
 const UPLOAD_SHARE: f64 = 0.125;
 
-/// Lowest limit of a validation that is not set, bytes: enough for five minutes of 8 cameras and 4 people. In a group of
+/// Lowest limit of a validation that is not set, bytes: enough for five minutes of 4 cameras and 4 people. In a group of
 /// 1 GiB two of them and a job can exceed the memory together; then a validation is ended.
 const MIN_UPLOAD_BYTES: u64 = 256 << 20;
 

@@ -2,7 +2,7 @@
 //!
 //! Delivery is at least once: receivers recognise repetitions by `webhook-id`. A database trigger inserts the delivery in
 //! the transaction that ends the job; this task makes the calls, waits longer after each failure, and stores the outcome.
-//! Tenants take turns, see [`turns`].
+//! Tenants take turns (`turns.rs`).
 
 mod call;
 mod delivery;
@@ -97,6 +97,7 @@ async fn deliver(shared: Shared, networks: Arc<Networks>, delivery: Delivery) {
     counter.inc();
     tracing::info!(
         job.id = delivery.job,
+        tenant = delivery.tenant.name(),
         delivery.id = delivery.id,
         status = outcome.status,
         error = outcome.error,

@@ -8,7 +8,7 @@ use super::jobs::{JobDocument, answer};
 use super::options;
 use super::upload::{MediaType, keep, receive_form, unless_refused};
 use crate::pipeline::Options;
-use crate::service::queue::job::Origin;
+use crate::service::queue::job::Submitter;
 use crate::service::queue::{EnqueueError, IdempotencyKey, NewJob, QueueLimits};
 use crate::service::store::Tenant;
 use crate::service::store::sessions::{self, StoredSession};
@@ -101,7 +101,7 @@ struct SubmissionHeaders {
 pub(super) async fn create(
     State(app): State<App>,
     Caller { tenant }: Caller,
-    Extension(origin): Extension<Origin>,
+    Extension(submitter): Extension<Submitter>,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
@@ -116,7 +116,7 @@ pub(super) async fn create(
     let webhook = asked.webhook.map(|webhook| webhook_url(&app, webhook)).transpose()?;
     let options = serde_json::to_value(&parsed).map_err(Problem::internal)?;
     let (labels, priority) = (asked.labels, asked.priority);
-    let new = NewJob { tenant, session: session.id, options, labels, priority, webhook, origin };
+    let new = NewJob { tenant, session: session.id, options, labels, priority, webhook, submitter };
     let key = idempotency_key(&headers, &new, &session.summary.sha256)?;
     let limits = QueueLimits::of(&app.settings.limits, &app.settings.tenants);
     let job = app.queue.enqueue(&new, key.as_ref(), limits).await?;

@@ -4,7 +4,7 @@
 
 use super::app::App;
 use super::error::Problem;
-use crate::service::queue::job::Origin;
+use crate::service::queue::job::Submitter;
 use axum::extract::{MatchedPath, Request, State};
 use axum::http::{HeaderValue, Method};
 use axum::middleware::Next;
@@ -23,7 +23,7 @@ pub(super) async fn follow(State(app): State<App>, mut request: Request, next: N
     let route = request.extensions().get::<MatchedPath>().map_or("none".to_owned(), |path| path.as_str().to_owned());
     let id = request_id(&request);
     let text = id.to_str().unwrap_or_default().to_owned();
-    request.extensions_mut().insert(Origin { request: Some(text), key: None });
+    request.extensions_mut().insert(Submitter { request: Some(text), key: None });
     let span = tracing::info_span!("request", request.id = id.to_str().unwrap_or_default(), %method, route);
     let mut response = next.run(request).instrument(span.clone()).await;
     response.headers_mut().insert(REQUEST_ID, id);

@@ -1,7 +1,7 @@
 //! Worker operations on the queue: claim, heartbeat, finish. Each write checks the claim's fence.
 
 use super::handle::Queue;
-use super::job::{JobError, JobProgress, Origin};
+use super::job::{JobError, JobProgress, Submitter};
 use super::outcome::{ClaimOutcome, next_phase};
 use super::phase::Phase;
 use super::rows::phase_from_row;
@@ -23,7 +23,7 @@ pub struct Claim {
     /// Owner of the job.
     pub tenant: String,
     /// The request that submitted the job.
-    pub origin: Origin,
+    pub submitter: Submitter,
     /// Session id.
     pub session: String,
     /// SHA-256 of the upload, hex.
@@ -102,7 +102,7 @@ impl Queue {
             job: row.try_get("id")?,
             fence: row.try_get("fence")?,
             tenant,
-            origin: Origin { request: row.try_get("request_id")?, key: row.try_get("key_id")? },
+            submitter: Submitter { request: row.try_get("request_id")?, key: row.try_get("key_id")? },
             session: row.try_get("session_id")?,
             session_sha256: row.try_get("sha256")?,
             options: serde_json::from_str(row.try_get("options")?)?,

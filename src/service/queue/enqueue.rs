@@ -1,7 +1,7 @@
 //! Accepting a job from a client, once per Idempotency-Key.
 
 use super::handle::Queue;
-use super::job::{Job, Origin};
+use super::job::{Job, Submitter};
 use super::rows::job_from_row;
 use crate::service::failpoint::{failpoint, fault};
 use crate::service::settings::{RequestLimits, TenantLimits};
@@ -27,7 +27,7 @@ pub struct NewJob {
     /// URL to call when the job ends.
     pub webhook: Option<String>,
     /// The request that submits the job.
-    pub origin: Origin,
+    pub submitter: Submitter,
 }
 
 /// An `Idempotency-Key` and the request that used it.
@@ -182,8 +182,8 @@ async fn insert(transaction: &mut WriteTransaction, new: &NewJob) -> Result<Job,
     .bind(serde_json::to_string(&new.labels).map_err(StoreError::from)?)
     .bind(new.priority)
     .bind(&new.webhook)
-    .bind(&new.origin.request)
-    .bind(&new.origin.key)
+    .bind(&new.submitter.request)
+    .bind(&new.submitter.key)
     .fetch_one(&mut **transaction)
     .await?;
     Ok(job_from_row(&row)?)

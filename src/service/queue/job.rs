@@ -132,7 +132,7 @@ pub struct JobError {
 
 /// The request that submitted a job, for the log.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Origin {
+pub struct Submitter {
     /// `X-Request-Id` of the request.
     pub request: Option<String>,
     /// Public part of its API key; `None` where no key is required.

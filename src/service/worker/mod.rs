@@ -64,8 +64,8 @@ fn span(claim: &Claim) -> tracing::Span {
         job.id = claim.job,
         fence = claim.fence,
         tenant = claim.tenant,
-        key.id = claim.origin.key,
-        request.id = claim.origin.request,
+        key.id = claim.submitter.key,
+        request.id = claim.submitter.request,
     )
 }
 
