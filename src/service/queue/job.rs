@@ -130,15 +130,6 @@ pub struct JobError {
     pub remedy: String,
 }
 
-/// The request that submitted a job, for the log.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Submitter {
-    /// `X-Request-Id` of the request.
-    pub request: Option<String>,
-    /// Public part of its API key; `None` where no key is required.
-    pub key: Option<String>,
-}
-
 /// Progress of a job.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, utoipa::ToSchema)]
 #[schema(as = Progress)]
@@ -159,6 +150,15 @@ pub struct JobProgress {
     /// Estimated seconds to the end; `None` while there is too little progress for an estimate.
     #[schema(required)]
     pub eta_s: Option<f64>,
+}
+
+/// The request that submitted a job, for the log.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Submitter {
+    /// `X-Request-Id` of the request.
+    pub request: Option<String>,
+    /// Public part of its API key; `None` where no key is required.
+    pub key: Option<String>,
 }
 
 /// A job as stored in the database.
