@@ -153,8 +153,12 @@ def row_5(args):
             start = time.monotonic()
             patient.upload(take(10, 2, seed=100 + n))
             times.append(time.monotonic() - start)
+        large = upload_zip(patient, crowd(2_000_000, seed=2))
+        patient.inspect(large["id"])
+        inspected = peak_mib(service) - before
+        require(inspected <= 64, f"an inspection grew the service by {inspected:.0f} MiB")
         note = "" if group.outer else "; SKIPPED the control group: no permission"
-        return (f"{len(hostile) / 1e6:.1f} MB answered {answer} after {seconds:.1f} s, service +{grown:.0f} MiB, 20 of 20 jobs succeeded, "
+        return (f"{len(hostile) / 1e6:.1f} MB answered {answer} after {seconds:.1f} s, service +{grown:.0f} MiB (+{inspected:.0f} MiB with an inspection), 20 of 20 jobs succeeded, "
                 f"small upload {percentile(times, 0.5) * 1000:.0f} ms{note}")
     finally:
         service.kill()

@@ -96,7 +96,7 @@ enum Command {
     #[cfg(feature = "service")]
     #[command(hide = true)]
     RunJob,
-    /// Validate one upload (child process of the service)
+    /// Read one upload (child process of the service)
     #[cfg(feature = "service")]
     #[command(hide = true)]
     ReadUpload,

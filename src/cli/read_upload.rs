@@ -1,4 +1,4 @@
-//! `wandless read-upload`: validates one upload in a child process of the service.
+//! `wandless read-upload`: validates or inspects one upload in a child process of the service.
 
 use super::child::{Kind, begin, send};
 use super::confinement::Access;
@@ -14,11 +14,13 @@ fn access(task: &UploadTask) -> Access<'_> {
 
 /// Runs the child.
 pub(super) fn run() -> ExitCode {
+    // The number of cores depends on files of the system, which the child cannot read later.
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let order = match begin(&KIND, access) {
         Ok(order) => order,
         Err(code) => return code,
     };
-    match validation::read(&order.task) {
+    match validation::read(&order.task, cores) {
         Ok(verdict) => {
             send(&verdict);
             ExitCode::SUCCESS

@@ -1,6 +1,6 @@
 //! Memory limits of the child processes.
 //!
-//! The jobs together get three quarters of the machine or of the control group, the validations of uploads a quarter. When
+//! The jobs together get three quarters of the machine or of the control group, the validations and inspections of uploads a quarter. When
 //! memory runs out nevertheless, the kernel ends a validation first, then a job, and the service last (see `oom_score`).
 
 mod control_group;

@@ -1,6 +1,6 @@
 //! Messages between the service and its child processes: one order on the child's stdin, JSON lines on its stdout.
 //!
-//! A child solves one job or validates one upload. The service keeps the child's stdin open; end of file on it means that
+//! A child solves one job or reads one upload. The service keeps the child's stdin open; end of file on it means that
 //! the service has ended.
 
 use super::queue::job::JobError;
@@ -31,7 +31,7 @@ impl<T> Order<T> {
 /// Command of the child that solves a job.
 pub const RUN_JOB: &str = "run-job";
 
-/// Command of the child that validates an upload.
+/// Command of the child that reads an upload.
 pub const READ_UPLOAD: &str = "read-upload";
 
 /// One job to solve.
@@ -81,14 +81,29 @@ pub enum Message {
     },
 }
 
-/// One upload to validate.
+/// One upload to read.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct UploadTask {
     /// Path of the received bytes.
     pub upload: PathBuf,
+    /// What is asked about it.
+    pub question: Question,
 }
 
-/// The only line of the stdout of a child that validates an upload.
+/// Why an upload is read.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Question {
+    /// Whether it is a session.
+    Validation,
+    /// Which problems the session has, before it is solved.
+    Inspection {
+        /// Number of solver threads; 0 uses all cores.
+        threads: usize,
+    },
+}
+
+/// The only line of the stdout of a child that reads an upload.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(tag = "verdict", rename_all = "snake_case")]
 pub enum UploadVerdict {
@@ -96,6 +111,11 @@ pub enum UploadVerdict {
     Accepted {
         /// Figures of the session.
         summary: SessionSummary,
+    },
+    /// The session is inspected.
+    Inspected {
+        /// The inspection as a JSON document.
+        document: String,
     },
     /// The upload is refused.
     Refused {

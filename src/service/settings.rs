@@ -51,10 +51,10 @@ pub struct Settings {
 pub struct RequestLimits {
     /// Maximal size of an upload as sent, bytes.
     pub max_upload_bytes: u64,
-    /// Maximal address space of the child process that validates an upload, bytes: an upload that needs more is answered
+    /// Maximal address space of the child process that validates or inspects an upload, bytes: an upload that needs more is answered
     /// 413. 0 means an eighth of the memory of the machine (or of the control group), at least 256 MiB.
     pub validation_memory_bytes: u64,
-    /// Timeout for validating an upload; one that takes longer is answered 413.
+    /// Timeout for validating or inspecting an upload; one that takes longer is answered 413.
     #[serde(rename = "validation_timeout_s", with = "seconds")]
     pub validation_timeout: Duration,
     /// Maximal size of a JSON request that is not an upload, bytes.

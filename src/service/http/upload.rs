@@ -158,7 +158,7 @@ pub(super) async fn keep(app: &App, tenant: &Tenant, spooled: Spooled) -> Result
 }
 
 /// Describes a rejected upload to the client.
-pub(super) fn upload_problem(error: UploadError) -> Problem {
+fn upload_problem(error: UploadError) -> Problem {
     let status = match error.kind {
         UploadErrorKind::Malformed => StatusCode::BAD_REQUEST,
         UploadErrorKind::TooLarge => StatusCode::PAYLOAD_TOO_LARGE,
