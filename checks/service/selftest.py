@@ -52,6 +52,10 @@ FAULTS = {
     "backup.short": ("F1", "safety.py", "--only", "backups", "--backups", "2"),
     "damage.silent": ("A14", "safety.py", "--only", "damaged_folders"),
     "seed.random": ("F5", "safety.py", "--only", "same_bytes"),
+    "uploads.unlimited": ("row 5", "workers.py", "--row", "5"),
+    "uploads.spilled": ("D3", "hostile.py", "--flips", "500"),
+    "webhooks.unfair": ("row 9", "workers.py", "--row", "9"),
+    "children.free": ("row 19", "workers.py", "--row", "19"),
 }
 
 

@@ -16,7 +16,7 @@ pub const FAILPOINTS: [&str; 36] = [
 ];
 
 /// Names of all faults, and what each does.
-pub const FAULTS: [(&str, &str); 34] = [
+pub const FAULTS: &[(&str, &str)] = &[
     ("enqueue.early", "a job is answered 202 before its row is committed"),
     ("publish.late", "a job is succeeded before its files are in their folder"),
     ("recovery.blames", "a crash of the service is counted as a crash of the job"),
@@ -51,6 +51,10 @@ pub const FAULTS: [(&str, &str); 34] = [
     ("backup.short", "a backup omits a file"),
     ("damage.silent", "a lost database is replaced by an empty one"),
     ("seed.random", "the seed of a job differs in every run"),
+    ("uploads.unlimited", "an upload is validated without a memory limit"),
+    ("uploads.spilled", "an upload leaves a file beside the data folder"),
+    ("webhooks.unfair", "webhooks are called in the order of their creation"),
+    ("children.free", "a job's process is not confined"),
 ];
 
 /// Kills the process if the environment names this failpoint.

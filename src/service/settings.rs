@@ -25,7 +25,7 @@ pub struct Settings {
     pub data: PathBuf,
     /// Address to listen on; port 0 chooses a free port.
     pub listen: SocketAddr,
-    /// Program that is started as `run-job` for each job; by default the running program.
+    /// Program that is started for each job and each upload; by default the running program.
     #[serde(skip)]
     pub program: PathBuf,
     /// Limits of uploads and requests.
@@ -51,6 +51,12 @@ pub struct Settings {
 pub struct RequestLimits {
     /// Maximal size of an upload as sent, bytes.
     pub max_upload_bytes: u64,
+    /// Maximal address space of the child process that validates or inspects an upload, bytes: an upload that needs more is answered
+    /// 413. 0 means an eighth of the memory of the machine (or of the control group), at least 256 MiB.
+    pub validation_memory_bytes: u64,
+    /// Timeout for validating or inspecting an upload; one that takes longer is answered 413.
+    #[serde(rename = "validation_timeout_s", with = "seconds")]
+    pub validation_timeout: Duration,
     /// Maximal size of a JSON request that is not an upload, bytes.
     pub max_json_bytes: u64,
     /// Timeout for receiving a request's head.
@@ -181,6 +187,8 @@ impl Default for RequestLimits {
     fn default() -> Self {
         Self {
             max_upload_bytes: 2 << 30, // one hour of 8 cameras and 4 people, deflated, is about 1.5 GB
+            validation_memory_bytes: 0,
+            validation_timeout: Duration::from_secs(300), // 8 GiB of text, the largest content, take about 100 s
             max_json_bytes: 1 << 20,
             header_timeout: Duration::from_secs(5),
             keep_alive: Duration::from_secs(75), // longer than a long poll's 60 s, as proxies and clients expect

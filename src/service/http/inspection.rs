@@ -4,11 +4,9 @@ use super::access::Caller;
 use super::app::App;
 use super::error::Problem;
 use super::extract::{ApiPath, SessionPath};
-use super::upload::upload_problem;
-use crate::pipeline::inspection::{Inspection, inspect};
+use crate::pipeline::inspection::Inspection;
 use crate::service::store::sessions;
-use crate::session::upload::{self, UploadLimits};
-use axum::Json;
+use crate::service::validation;
 use axum::extract::State;
 use axum::http::header;
 use axum::response::{IntoResponse, Response};
@@ -23,14 +21,9 @@ pub(super) async fn get(
 ) -> Result<Response, Problem> {
     let session = sessions::get(&app.store, &caller.tenant, &id).await?;
     let session = session.ok_or_else(|| Problem::not_found("session"))?;
-    let _turn = app.validations.acquire().await.map_err(Problem::internal)?; // the inspection holds a session in memory
-    let (path, threads) = (app.store.folders.session(&id), app.settings.jobs.threads);
-    let inspected = tokio::task::spawn_blocking(move || -> Result<Inspection, Problem> {
-        let loaded = upload::read_path(&path, &UploadLimits::default()).map_err(upload_problem)?;
-        let threads = if threads == 0 { std::thread::available_parallelism().map_or(1, usize::from) } else { threads };
-        Ok(inspect(&loaded.session, threads))
-    });
-    let inspection = inspected.await.map_err(Problem::internal)??;
-    let tag = [(header::ETAG, format!("\"{}-{}\"", session.summary.sha256, env!("CARGO_PKG_VERSION")))];
-    Ok((tag, Json(inspection)).into_response())
+    let _turn = app.validations.acquire().await.map_err(Problem::internal)?; // each may take its whole memory limit
+    let document = validation::inspect(&app.settings, &app.store.folders.session(&id)).await?;
+    let tag = format!("\"{}-{}\"", session.summary.sha256, env!("CARGO_PKG_VERSION"));
+    let headers = [(header::CONTENT_TYPE, "application/json".to_owned()), (header::ETAG, tag)];
+    Ok((headers, document).into_response())
 }

@@ -8,10 +8,12 @@ use super::jobs::{JobDocument, answer};
 use super::options;
 use super::upload::{MediaType, keep, receive_form, unless_refused};
 use crate::pipeline::{CameraFacts, Options};
+use crate::service::queue::job::Submitter;
 use crate::service::queue::{EnqueueError, IdempotencyKey, NewJob, QueueLimits};
 use crate::service::store::Tenant;
 use crate::service::store::sessions::{self, AddError, SessionSummary, StoredSession};
 use crate::service::webhooks;
+use axum::Extension;
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
@@ -102,6 +104,7 @@ struct SubmissionHeaders {
 pub(super) async fn create(
     State(app): State<App>,
     Caller { tenant }: Caller,
+    Extension(submitter): Extension<Submitter>,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
@@ -118,7 +121,8 @@ pub(super) async fn create(
     check_labels_and_priority(&asked.labels, asked.priority)?;
     let webhook = asked.webhook.map(|webhook| webhook_url(&app, webhook)).transpose()?;
     let options = serde_json::to_value(&parsed).map_err(Problem::internal)?;
-    let new = NewJob { tenant, session: session.id, options, labels: asked.labels, priority: asked.priority, webhook };
+    let (labels, priority) = (asked.labels, asked.priority);
+    let new = NewJob { tenant, session: session.id, options, labels, priority, webhook, submitter };
     let key = key.map(|key| IdempotencyKey { key, fingerprint: fingerprint(&new, &session.sha256) });
     let limits = QueueLimits::of(&app.settings.limits, &app.settings.tenants);
     let job = app.queue.enqueue(&new, key.as_ref(), limits).await?;

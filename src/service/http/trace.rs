@@ -4,6 +4,7 @@
 
 use super::app::App;
 use super::error::Problem;
+use crate::service::queue::job::Submitter;
 use axum::extract::{MatchedPath, Request, State};
 use axum::http::{HeaderValue, Method};
 use axum::middleware::Next;
@@ -16,11 +17,13 @@ const REQUEST_ID: &str = "x-request-id";
 const MAX_ID: usize = 64;
 
 /// Middleware: runs a request under the id that the client sent, or under a new one.
-pub(super) async fn follow(State(app): State<App>, request: Request, next: Next) -> Response {
+pub(super) async fn follow(State(app): State<App>, mut request: Request, next: Next) -> Response {
     let start = Instant::now();
     let method = request.method().clone();
     let route = request.extensions().get::<MatchedPath>().map_or("none".to_owned(), |path| path.as_str().to_owned());
     let id = request_id(&request);
+    let text = id.to_str().unwrap_or_default().to_owned();
+    request.extensions_mut().insert(Submitter { request: Some(text), key: None });
     let span = tracing::info_span!("request", request.id = id.to_str().unwrap_or_default(), %method, route);
     let mut response = next.run(request).instrument(span.clone()).await;
     response.headers_mut().insert(REQUEST_ID, id);

@@ -4,15 +4,14 @@ use super::app::App;
 use super::body::{GuardedBody, Refused, Spool, Spooled, refuse};
 use super::error::Problem;
 use super::multipart::Multipart;
-use crate::pipeline::CameraFacts;
-use crate::service::failpoint::{failpoint, fault};
+use crate::service::failpoint::failpoint;
 use crate::service::store::reservation::Reservation;
 use crate::service::store::sessions::{self, Added, SessionSummary};
 use crate::service::store::{Tenant, new_id};
-use crate::session::upload::{self, LoadedSession, UploadError, UploadErrorKind, UploadLimits};
+use crate::service::validation::{self, ValidationError};
+use crate::session::upload::{UploadError, UploadErrorKind};
 use axum::body::Body;
 use axum::http::{HeaderMap, StatusCode, header};
-use std::fs::File;
 
 /// Media type of a request body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -154,15 +153,16 @@ pub(super) async fn keep(app: &App, tenant: &Tenant, received: Received) -> Resu
         return Ok(Added { session, is_new: false });
     }
     failpoint("upload.spooled");
-    let _turn = app.validations.acquire().await.map_err(Problem::internal)?; // validation holds a session in memory
+    let _turn = app.validations.acquire().await.map_err(Problem::internal)?; // each may take its whole memory limit
+    let read = validation::validate(&app.settings, &spooled.file.path).await?;
+    let summary = SessionSummary { sha256: spooled.sha256.clone(), bytes: spooled.bytes, ..read };
     let folders = app.store.folders.clone();
     let kept = tokio::task::spawn_blocking(move || -> Result<_, Problem> {
-        let summary = validate(&spooled)?;
         let id = new_id("session");
         spooled.file.keep_as(&folders.session(&id)).map_err(|e| Problem::from_io(&e))?;
-        Ok((id, summary))
+        Ok(id)
     });
-    let (id, summary) = kept.await.map_err(Problem::internal)??;
+    let id = kept.await.map_err(Problem::internal)??;
     let added = sessions::add(&app.store, tenant, &id, &summary, app.settings.tenants.max_bytes).await;
     failpoint("upload.recorded");
     if !added.as_ref().is_ok_and(|added| added.is_new) {
@@ -171,35 +171,8 @@ pub(super) async fn keep(app: &App, tenant: &Tenant, received: Received) -> Resu
     Ok(added?)
 }
 
-/// Reads the upload as a job does and returns its summary. The content determines the format.
-fn validate(spooled: &Spooled) -> Result<SessionSummary, Problem> {
-    let file = File::open(&spooled.file.path).map_err(|e| Problem::from_io(&e))?;
-    let limits = match fault("limits.none") {
-        true => UploadLimits { max_unpacked_bytes: u64::MAX, max_ratio: u64::MAX, ..UploadLimits::default() },
-        false => UploadLimits::default(),
-    };
-    let loaded = upload::read_upload(file, "upload", &limits).map_err(upload_problem)?;
-    Ok(summarise(loaded, spooled))
-}
-
-fn summarise(loaded: LoadedSession, spooled: &Spooled) -> SessionSummary {
-    let LoadedSession { session, format, warnings, .. } = loaded;
-    SessionSummary {
-        sha256: spooled.sha256.clone(),
-        bytes: spooled.bytes,
-        cameras: session.views.len(),
-        frames: session.n_frames,
-        people_max: session.views.iter().flat_map(|view| &view.frames).map(Vec::len).max().unwrap_or(0),
-        keypoint_convention: session.convention.name().to_owned(),
-        format: format.to_owned(),
-        warnings,
-        camera_facts: CameraFacts::of(&session),
-        name: session.name,
-    }
-}
-
 /// Describes a rejected upload to the client.
-pub(super) fn upload_problem(error: UploadError) -> Problem {
+fn upload_problem(error: UploadError) -> Problem {
     let status = match error.kind {
         UploadErrorKind::Malformed => StatusCode::BAD_REQUEST,
         UploadErrorKind::TooLarge => StatusCode::PAYLOAD_TOO_LARGE,
@@ -207,4 +180,21 @@ pub(super) fn upload_problem(error: UploadError) -> Problem {
         UploadErrorKind::Impossible => StatusCode::UNPROCESSABLE_ENTITY,
     };
     Problem::of_upload(status, error)
+}
+
+impl From<ValidationError> for Problem {
+    fn from(error: ValidationError) -> Self {
+        let detail = error.to_string();
+        match error {
+            ValidationError::Refused(error) => upload_problem(error),
+            ValidationError::TooLarge { setting, .. } => Self::new(
+                StatusCode::PAYLOAD_TOO_LARGE,
+                "too_large",
+                detail,
+                format!("send fewer frames or fewer cameras, or ask the operator to raise limits.{setting}"),
+            ),
+            ValidationError::MemoryShort => Self::unavailable("memory_short", detail),
+            ValidationError::Failed(error) => Self::internal(format!("{error:#}")),
+        }
+    }
 }

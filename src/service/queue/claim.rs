@@ -1,7 +1,7 @@
 //! Worker operations on the queue: claim, heartbeat, finish. Each write checks the claim's fence.
 
 use super::handle::Queue;
-use super::job::{JobError, JobProgress};
+use super::job::{JobError, JobProgress, Submitter};
 use super::outcome::{ClaimOutcome, next_phase};
 use super::phase::Phase;
 use super::rows::phase_from_row;
@@ -25,6 +25,10 @@ pub struct Claim {
     pub job: String,
     /// Number of the claim; each claim of a job increments it.
     pub fence: i64,
+    /// Owner of the job.
+    pub tenant: String,
+    /// The request that submitted the job.
+    pub submitter: Submitter,
     /// Session id.
     pub session: String,
     /// SHA-256 of the upload, hex.
@@ -100,7 +104,7 @@ impl Queue {
              WHERE seq = (SELECT seq FROM jobs WHERE state = 'queued' AND tenant = ?3
                             AND id NOT IN (SELECT value FROM json_each(?4))
                           ORDER BY priority DESC, seq LIMIT 1)
-             RETURNING id, fence, session_id, options,
+             RETURNING id, fence, request_id, key_id, session_id, options,
                        (SELECT sha256 FROM sessions WHERE sessions.id = jobs.session_id) AS sha256",
         )
         .bind(&self.store.boot)
@@ -113,6 +117,8 @@ impl Queue {
         let claim = Claim {
             job: row.try_get("id")?,
             fence: row.try_get("fence")?,
+            tenant,
+            submitter: Submitter { request: row.try_get("request_id")?, key: row.try_get("key_id")? },
             session: row.try_get("session_id")?,
             session_sha256: row.try_get("sha256")?,
             options: serde_json::from_str(row.try_get("options")?)?,
@@ -243,7 +249,7 @@ impl Queue {
         if let (Some(wait), ClaimOutcome::Failed(error)) = (wait, outcome) {
             self.deferrals().defer(&claim.job, Instant::now(), wait);
             let (code, detail, wait_s) = (&error.code, &error.detail, wait.as_secs());
-            tracing::warn!(job.id = %claim.job, code, detail, wait_s, "the machine failed the job; it waits for its next try");
+            tracing::warn!(code, detail, wait_s, "the machine failed the job; it waits for its next try");
         }
         if next == Phase::Queued {
             self.work.notify_one();

@@ -1,7 +1,7 @@
 //! Accepting a job from a client, once per Idempotency-Key.
 
 use super::handle::Queue;
-use super::job::Job;
+use super::job::{Job, Submitter};
 use super::rows::job_from_row;
 use crate::service::failpoint::{failpoint, fault};
 use crate::service::settings::{RequestLimits, TenantLimits};
@@ -26,6 +26,8 @@ pub struct NewJob {
     pub priority: i64,
     /// URL to call when the job ends.
     pub webhook: Option<String>,
+    /// The request that submits the job.
+    pub submitter: Submitter,
 }
 
 /// An `Idempotency-Key` and the request that used it.
@@ -220,8 +222,9 @@ async fn require_capacity(
 
 async fn insert(transaction: &mut WriteTransaction, new: &NewJob) -> Result<Job, EnqueueError> {
     let row = sqlx::query(
-        "INSERT INTO jobs (id, tenant, session_id, options, labels, priority, webhook, state, created_at)
-         VALUES (?, ?, ?, ?, ?, ?, ?, 'queued', strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
+        "INSERT INTO jobs (id, tenant, session_id, options, labels, priority, webhook, request_id, key_id, state,
+                           created_at)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, 'queued', strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
          RETURNING *, NULL AS verdict, NULL AS reasons",
     )
     .bind(new_id("job"))
@@ -231,6 +234,8 @@ async fn insert(transaction: &mut WriteTransaction, new: &NewJob) -> Result<Job,
     .bind(serde_json::to_string(&new.labels).map_err(StoreError::from)?)
     .bind(new.priority)
     .bind(&new.webhook)
+    .bind(&new.submitter.request)
+    .bind(&new.submitter.key)
     .fetch_one(&mut **transaction)
     .await?;
     Ok(job_from_row(&row)?)

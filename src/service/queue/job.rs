@@ -184,6 +184,15 @@ pub struct JobProgress {
     pub eta_s: Option<f64>,
 }
 
+/// The request that submitted a job, for the log.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Submitter {
+    /// `X-Request-Id` of the request.
+    pub request: Option<String>,
+    /// Public part of its API key; `None` where no key is required.
+    pub key: Option<String>,
+}
+
 /// A job as stored in the database.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Job {

@@ -1,6 +1,6 @@
 //! Tests of the queue on a real database in a temporary folder.
 
-use super::job::{JobError, JobProgress};
+use super::job::{JobError, JobProgress, Submitter};
 use super::outcome::ClaimOutcome;
 use super::recovery::{Recovered, recover};
 use super::*;
@@ -68,7 +68,9 @@ fn tenant() -> Tenant {
 
 fn new_job(priority: i64) -> NewJob {
     let options = serde_json::json!({});
-    NewJob { tenant: tenant(), session: "s".to_owned(), options, labels: BTreeMap::new(), priority, webhook: None }
+    let submitter = Submitter { request: Some("r".to_owned()), key: Some("k".to_owned()) };
+    let session = "s".to_owned();
+    NewJob { tenant: tenant(), session, options, labels: BTreeMap::new(), priority, webhook: None, submitter }
 }
 
 fn crashed() -> ClaimOutcome<Published> {
@@ -83,6 +85,14 @@ async fn claims_jobs_by_priority_then_age() {
         assert_eq!(test.queue.claim(i64::MAX).await.unwrap().unwrap().job, expected);
     }
     assert!(test.queue.claim(i64::MAX).await.unwrap().is_none());
+}
+
+#[tokio::test]
+async fn a_claim_names_its_tenant_and_its_request() {
+    let test = TestQueue::new().await;
+    test.enqueue(0).await;
+    let claim = test.queue.claim(i64::MAX).await.unwrap().unwrap();
+    assert_eq!((claim.tenant.as_str(), &claim.submitter), (tenant().name(), &new_job(0).submitter));
 }
 
 #[tokio::test]

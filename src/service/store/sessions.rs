@@ -6,7 +6,7 @@ use super::listing::{Listed, read_page};
 use super::tenants::{self, Tenant};
 use crate::pipeline::CameraFacts;
 use crate::service::failpoint::{failpoint, fault};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
@@ -14,7 +14,7 @@ use sqlx::sqlite::SqliteRow;
 pub const MAX_NAME_BYTES: usize = 256;
 
 /// Summary of a valid upload, as reported to clients.
-#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct SessionSummary {
     /// Name of the session.
     pub name: String,
