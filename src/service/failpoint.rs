@@ -16,7 +16,7 @@ pub const FAILPOINTS: [&str; 36] = [
 ];
 
 /// Names of all faults, and what each does.
-pub const FAULTS: [(&str, &str); 31] = [
+pub const FAULTS: [(&str, &str); 35] = [
     ("enqueue.early", "a job is answered 202 before its row is committed"),
     ("publish.late", "a job is succeeded before its files are in their folder"),
     ("recovery.blames", "a crash of the service is counted as a crash of the job"),
@@ -48,6 +48,10 @@ pub const FAULTS: [(&str, &str); 31] = [
     ("backup.short", "a backup omits a file"),
     ("damage.silent", "a lost database is replaced by an empty one"),
     ("seed.random", "the seed of a job differs in every run"),
+    ("descriptors.unreserved", "connections can take every file descriptor"),
+    ("idlers.kept", "idle connections keep their slots"),
+    ("hosts.any", "a service without keys answers requests to any host"),
+    ("origins.any", "pages of other sites can change anything"),
 ];
 
 /// Kills the process if the environment names this failpoint.

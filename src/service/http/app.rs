@@ -1,7 +1,9 @@
 //! State that every HTTP handler can use.
 
 use super::error::Problem;
+use super::inspections::Inspections;
 use super::rate_limit::RateLimiter;
+use super::verified::VerifiedFiles;
 use crate::service::metrics::Metrics;
 use crate::service::queue::Queue;
 use crate::service::settings::Settings;
@@ -25,6 +27,10 @@ pub(super) struct App {
     pub(super) allowed_networks: Arc<Networks>,
     /// Limits the number of uploads that are held in memory at the same time.
     pub(super) validations: Arc<Semaphore>,
+    /// Inspections of sessions: the finished ones and the turns of the others.
+    pub(super) inspections: Arc<Inspections>,
+    /// Published files whose digest was compared.
+    pub(super) verified: Arc<VerifiedFiles>,
     /// Rate limit of each tenant.
     pub(super) tenant_rates: Arc<RateLimiter>,
     /// Rate limit of requests without a valid key, for each address.
@@ -40,7 +46,19 @@ impl App {
         let tenant_rates = Arc::new(RateLimiter::new(settings.tenants.requests_per_s));
         let bad_key_rates = Arc::new(RateLimiter::new(settings.limits.bad_keys_per_s));
         let validations = Arc::new(Semaphore::new(VALIDATIONS));
-        Self { store, queue, settings, metrics, draining, allowed_networks, validations, tenant_rates, bad_key_rates }
+        Self {
+            store,
+            queue,
+            settings,
+            metrics,
+            draining,
+            allowed_networks,
+            validations,
+            inspections: Arc::default(),
+            verified: Arc::default(),
+            tenant_rates,
+            bad_key_rates,
+        }
     }
 
     /// Returns the problem 507 while the disk is nearly full.

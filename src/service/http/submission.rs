@@ -116,6 +116,7 @@ pub(super) async fn create(
     let key = idempotency_key(&headers, &new, &session.summary.sha256)?;
     let limits = QueueLimits::of(&app.settings.limits, &app.settings.tenants);
     let job = app.queue.enqueue(&new, key.as_ref(), limits).await?;
+    tracing::Span::current().record("job.id", job.id.as_str());
     let location = [(header::LOCATION, format!("/v1/jobs/{}", job.id))];
     Ok((StatusCode::ACCEPTED, location, answer(job)).into_response())
 }
@@ -188,9 +189,9 @@ fn check_labels_and_priority(labels: &BTreeMap<String, String>, priority: i64) -
             Problem::malformed("there are too many labels, or a label is too long or empty", remedy).at("/labels")
         );
     }
-    if priority.abs() > MAX_PRIORITY {
+    if !(-MAX_PRIORITY..=MAX_PRIORITY).contains(&priority) {
         let remedy = format!("use -{MAX_PRIORITY} to {MAX_PRIORITY}");
-        return Err(Problem::malformed("priority is out of range", remedy).at("/priority"));
+        return Err(Problem::malformed(format!("priority is {priority}"), remedy).at("/priority"));
     }
     Ok(())
 }
