@@ -49,6 +49,10 @@ FAULTS = {
     "backup.short": ("F1", "safety.py", "--only", "backups", "--backups", "2"),
     "damage.silent": ("A14", "safety.py", "--only", "damaged_folders"),
     "seed.random": ("F5", "safety.py", "--only", "same_bytes"),
+    "descriptors.unreserved": ("row 2", "front.py", "--row", "2"),
+    "idlers.kept": ("row 3", "front.py", "--row", "3"),
+    "hosts.any": ("row 6", "front.py", "--row", "6"),
+    "origins.any": ("row 7", "front.py", "--row", "7"),
 }
 
 
