@@ -6,6 +6,7 @@
 //! Resources of other tenants are answered like resources that do not exist.
 
 use super::app::App;
+use super::connections::network;
 use super::error::Problem;
 use super::origin::{require_known_host, require_own_page};
 use super::server::Peer;
@@ -159,7 +160,7 @@ fn token(headers: &HeaderMap) -> Option<String> {
 
 /// 401, or 429 after too many wrong keys from one address.
 fn refuse_key(app: &App, head: &Parts) -> Problem {
-    let peer = head.extensions.get::<Peer>().map_or_else(String::new, |peer| peer.address.ip().to_string());
+    let peer = head.extensions.get::<Peer>().map_or_else(String::new, |peer| network(peer.address.ip()).to_string());
     if let Err(wait) = app.bad_key_rates.take(&peer)
         && !fault("guesses.free")
     {

@@ -209,7 +209,7 @@ impl Drop for Pending {
 }
 
 /// The address, or for IPv6 its /64: one client has all addresses of it.
-fn network(address: IpAddr) -> IpAddr {
+pub(super) fn network(address: IpAddr) -> IpAddr {
     match address.to_canonical() {
         IpAddr::V6(v6) => IpAddr::V6(Ipv6Addr::from_bits(v6.to_bits() >> 64 << 64)),
         v4 => v4,
