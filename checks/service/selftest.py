@@ -56,6 +56,10 @@ FAULTS = {
     "uploads.spilled": ("D3", "hostile.py", "--flips", "500"),
     "webhooks.unfair": ("row 9", "workers.py", "--row", "9"),
     "children.free": ("row 19", "workers.py", "--row", "19"),
+    "descriptors.unreserved": ("row 2", "front.py", "--row", "2"),
+    "idlers.kept": ("row 3", "front.py", "--row", "3"),
+    "hosts.any": ("row 6", "front.py", "--row", "6"),
+    "origins.any": ("row 7", "front.py", "--row", "7"),
 }
 
 

@@ -55,7 +55,7 @@ def stops(args, faults):
         until(lambda: children(service), 10)
         sockets = [socket.create_connection(("127.0.0.1", service.port)) for _ in range(50)]
         for slow in sockets[:10]:
-            slow.sendall(b"POST /v1/sessions HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\nContent-Length: 99\r\n\r\nP")
+            slow.sendall(b"POST /v1/sessions HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/zip\r\nContent-Length: 99\r\n\r\nP")
         time.sleep(dice.uniform(0.0, 0.2))
         code, seconds = service.stop()
         times.append(seconds)

@@ -55,6 +55,10 @@ pub const FAULTS: &[(&str, &str)] = &[
     ("uploads.spilled", "an upload leaves a file beside the data folder"),
     ("webhooks.unfair", "webhooks are called in the order of their creation"),
     ("children.free", "a job's process is not confined"),
+    ("descriptors.unreserved", "connections can take every file descriptor"),
+    ("idlers.kept", "idle connections keep their slots"),
+    ("hosts.any", "a service without keys answers requests to any host"),
+    ("origins.any", "pages of other sites can change anything"),
 ];
 
 /// Kills the process if the environment names this failpoint.

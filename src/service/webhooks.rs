@@ -120,9 +120,9 @@ async fn deliver(shared: Shared, networks: Arc<Networks>, delivery: Delivery) {
 async fn prepare_call(shared: &Shared, delivery: &Delivery) -> Result<Option<Call>, StoreError> {
     let tenant = &delivery.tenant;
     let Some(job) = shared.queue.get(tenant, &delivery.job).await? else { return Ok(None) };
-    let secret = tenants::webhook_secret(&shared.store, tenant).await?;
+    let secrets = tenants::signing_secrets(&shared.store, tenant).await?;
     let body = serde_json::to_vec(&payload(delivery, &job))?;
-    Ok(Some(Call { id: delivery.id.clone(), url: delivery.url.clone(), secret, body }))
+    Ok(Some(Call { id: delivery.id.clone(), url: delivery.url.clone(), secrets, body }))
 }
 
 /// Body of the event: the job and its outcome, without results; receivers fetch those with their API key.

@@ -153,7 +153,7 @@ fn rejects_early_result_and_late_cancel() {
 #[test]
 fn rejects_a_declared_too_large_body_before_reading() {
     let server = Server::start();
-    let head = "POST /v1/sessions HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\n";
+    let head = "POST /v1/sessions HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/zip\r\n";
     let start = Instant::now();
     let answer = send_raw(server.address(), format!("{head}Content-Length: 99999999999\r\n\r\nPK").as_bytes());
     assert!(answer.starts_with("HTTP/1.1 413") && answer.contains("\"too_large\""), "{answer}");
@@ -167,7 +167,7 @@ fn malformed_http_closes_only_its_connection() {
     let server = Server::start();
     let huge = format!("GET /healthz HTTP/1.1\r\nX: {}\r\n\r\n", "x".repeat(1 << 20));
     let many = format!("GET /healthz HTTP/1.1\r\n{}\r\n", "X: y\r\n".repeat(10_000));
-    let both = "POST /v1/jobs HTTP/1.1\r\nHost: x\r\nContent-Length: 5\r\nContent-Length: 6\r\n\r\nhello";
+    let both = "POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 5\r\nContent-Length: 6\r\n\r\nhello";
     for bytes in [&b"\0\xff\r\n\r\n"[..], b"GET\r\n\r\n", huge.as_bytes(), many.as_bytes(), both.as_bytes()] {
         let answer = send_raw(server.address(), bytes);
         assert!(answer.is_empty() || answer.starts_with("HTTP/1.1 4"), "{answer}");

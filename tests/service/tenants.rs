@@ -9,7 +9,8 @@ use std::net::TcpStream;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-fn key(server: &Server, words: &[&str]) -> String {
+/// Creates a key of the service under test.
+pub fn key(server: &Server, words: &[&str]) -> String {
     let output = Command::new(env!("CARGO_BIN_EXE_wandless"))
         .args(["key", "create"])
         .args(words)
@@ -21,7 +22,8 @@ fn key(server: &Server, words: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap().trim().to_owned()
 }
 
-fn ask(server: &Server, method: &str, path: &str, key: &str, body: Option<&Value>) -> Answer {
+/// Sends a request with a key.
+pub fn ask(server: &Server, method: &str, path: &str, key: &str, body: Option<&Value>) -> Answer {
     let bearer = format!("Bearer {key}");
     let mut headers = vec![("authorization", bearer.as_str())];
     headers.extend(body.map(|_| JSON));

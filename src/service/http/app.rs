@@ -1,8 +1,10 @@
 //! State that every HTTP handler can use.
 
 use super::error::Problem;
+use super::inspections::Inspections;
 use super::rate_limit::RateLimiter;
 use super::turns::Turns;
+use super::verified::VerifiedFiles;
 use crate::service::metrics::Metrics;
 use crate::service::queue::Queue;
 use crate::service::settings::Settings;
@@ -28,6 +30,10 @@ pub(super) struct App {
     pub(super) validations: Arc<Semaphore>,
     /// Limits the number of lists that one tenant reads at the same time.
     pub(super) lists: Arc<Turns>,
+    /// Inspections of sessions: the finished ones and the turns of the others.
+    pub(super) inspections: Arc<Inspections>,
+    /// Published files whose digest was compared.
+    pub(super) verified: Arc<VerifiedFiles>,
     /// Rate limit of each tenant.
     pub(super) tenant_rates: Arc<RateLimiter>,
     /// Rate limit of requests without a valid key, for each address.
@@ -56,6 +62,8 @@ impl App {
             allowed_networks,
             validations,
             lists,
+            inspections: Arc::default(),
+            verified: Arc::default(),
             tenant_rates,
             bad_key_rates,
         }

@@ -2,6 +2,7 @@
 
 use super::access::Caller;
 use super::app::App;
+use super::conditions::require_match;
 use super::error::Problem;
 use super::extract::{ApiPath, ApiQuery, JobPath};
 use super::page::{self, PageQuery};
@@ -97,9 +98,10 @@ pub(super) struct WaitQuery {
 ///
 /// With `wait`, the answer comes once the job differs from `If-None-Match`, or from its version at the time of the request.
 #[utoipa::path(get, path = "/v1/jobs/{id}", operation_id = "getJob", tag = "jobs",
-    params(JobPath, WaitQuery, ("If-None-Match" = inline(Option<String>), Header, nullable = false)),
+    params(JobPath, WaitQuery, ("If-None-Match" = inline(Option<String>), Header, nullable = false),
+        ("If-Match" = inline(Option<String>), Header, nullable = false)),
     responses((status = 200, description = "The job", body = JobDocument, headers(("ETag" = String))),
-        (status = 304, description = "Unchanged")))]
+        (status = 304, description = "Unchanged"), (status = 412)))]
 pub(super) async fn get(
     State(app): State<App>,
     Caller { tenant }: Caller,
@@ -120,6 +122,7 @@ pub(super) async fn get(
     let known = headers.get(header::IF_NONE_MATCH).and_then(|value| value.to_str().ok()).map(str::to_owned);
     let job = wait_for_change(&app, &tenant, &id, known.as_deref(), wait).await?;
     let tag = etag(&job);
+    require_match(&headers, &tag)?;
     if known.is_some_and(|known| known == tag) {
         return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, tag)]).into_response());
     }
@@ -160,13 +163,17 @@ async fn wait_for_change(
 }
 
 /// Cancel a job.
-#[utoipa::path(post, path = "/v1/jobs/{id}/cancel", operation_id = "cancelJob", tag = "jobs", params(JobPath),
-    responses((status = 202, description = "The job stops within 2 s", body = JobDocument), (status = 409)))]
+#[utoipa::path(post, path = "/v1/jobs/{id}/cancel", operation_id = "cancelJob", tag = "jobs",
+    params(JobPath, ("If-Match" = inline(Option<String>), Header, nullable = false)),
+    responses((status = 202, description = "The job stops within 2 s", body = JobDocument), (status = 409),
+        (status = 412)))]
 pub(super) async fn cancel(
     State(app): State<App>,
     Caller { tenant }: Caller,
     ApiPath(JobPath { id }): ApiPath<JobPath>,
+    headers: HeaderMap,
 ) -> Result<Response, Problem> {
+    require_version(&app, &tenant, &id, &headers).await?;
     match app.queue.cancel(&tenant, &id).await? {
         Cancel::Accepted(job) => Ok((StatusCode::ACCEPTED, answer(*job)).into_response()),
         Cancel::Missing => Err(Problem::not_found("job")),
@@ -180,14 +187,27 @@ pub(super) async fn cancel(
 }
 
 /// Delete a job and its files.
-#[utoipa::path(delete, path = "/v1/jobs/{id}", operation_id = "deleteJob", tag = "jobs", params(JobPath),
-    responses((status = 204, description = "Deleted; a running job is stopped")))]
+#[utoipa::path(delete, path = "/v1/jobs/{id}", operation_id = "deleteJob", tag = "jobs",
+    params(JobPath, ("If-Match" = inline(Option<String>), Header, nullable = false)),
+    responses((status = 204, description = "Deleted; a running job is stopped"), (status = 412)))]
 pub(super) async fn delete(
     State(app): State<App>,
     Caller { tenant }: Caller,
     ApiPath(JobPath { id }): ApiPath<JobPath>,
+    headers: HeaderMap,
 ) -> Result<StatusCode, Problem> {
+    require_version(&app, &tenant, &id, &headers).await?;
     if app.queue.delete(&tenant, &id).await? { Ok(StatusCode::NO_CONTENT) } else { Err(Problem::not_found("job")) }
+}
+
+/// Checks `If-Match` before a change. Final jobs have one version for ever; a running job can still change in the moment
+/// between this check and the change.
+async fn require_version(app: &App, tenant: &Tenant, id: &str, headers: &HeaderMap) -> Result<(), Problem> {
+    if !headers.contains_key(header::IF_MATCH) {
+        return Ok(());
+    }
+    let job = app.queue.get(tenant, id).await?.ok_or_else(|| Problem::not_found("job"))?;
+    require_match(headers, &etag(&job))
 }
 
 fn etag(job: &Job) -> String {

@@ -126,6 +126,7 @@ pub(super) async fn create(
     let key = key.map(|key| IdempotencyKey { key, fingerprint: fingerprint(&new, &session.sha256) });
     let limits = QueueLimits::of(&app.settings.limits, &app.settings.tenants);
     let job = app.queue.enqueue(&new, key.as_ref(), limits).await?;
+    tracing::Span::current().record("job.id", job.id.as_str());
     let location = [(header::LOCATION, format!("/v1/jobs/{}", job.id))];
     Ok((StatusCode::ACCEPTED, location, answer(job)).into_response())
 }
