@@ -136,7 +136,7 @@ mod tests {
         let store = Store::open(folder.path()).await.unwrap();
         let tenant = Tenant::parse("a").unwrap();
         let first = webhook_secret(&store, &tenant).await.unwrap();
-        assert_eq!(signing_secrets(&store, &tenant).await.unwrap(), [first.clone()]);
+        assert_eq!(signing_secrets(&store, &tenant).await.unwrap(), std::slice::from_ref(&first));
         let second = rotate_webhook_secret(&store, &tenant).await.unwrap();
         assert_ne!(first, second);
         assert_eq!(webhook_secret(&store, &tenant).await.unwrap(), second);
