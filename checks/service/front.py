@@ -153,6 +153,9 @@ def row_3(options, require):
     """Idle connections without a key do not lock out a client with a key."""
     service = started(options, prefix=FEW_DESCRIPTORS)
     token = key(service, "--scopes", "read,write,metrics")
+    client = service.client(key=token)
+    session = client.upload(take(60, 3, seed=3))["id"]
+    jobs = [client.submit(session, options={**SHORT, "seed": seed})["id"] for seed in range(options.jobs)]
     waits, failures = [], []
     with Idlers(service, options.connections):
         end = time.monotonic() + 15
@@ -181,8 +184,10 @@ def row_3(options, require):
     left = sum(Idlers.is_open(connection) for connection in held)
     require(limited <= 140, f"one address keeps {limited} connections without a key")
     require(left == 0, f"{left} idle connections without a key are open after 8 s")
+    ends = [client.wait(job)["state"] for job in jobs]
+    require(set(ends) == {"succeeded"}, f"the jobs beside them are {ends}")
     ended(service)
-    return f"{len(waits)} requests with a key, the slowest {max(waits):.2f} s, p50 {percentile(waits, 0.5) * 1000:.0f} ms; of 300 idle connections of one address {limited} after 3.5 s, {left} after 8.5 s"
+    return f"{len(jobs)} jobs succeeded; {len(waits)} requests with a key, the slowest {max(waits):.2f} s, p50 {percentile(waits, 0.5) * 1000:.0f} ms; of 300 idle connections of one address {limited} after 3.5 s, {left} after 8.5 s"
 
 
 def made_unblocking(connection):

@@ -100,6 +100,7 @@ async fn loose_database_of_an_earlier_release_is_rewritten() {
     let store = Store::open(folder.path()).await.unwrap();
     fill_and_empty(&store, 3000).await.unwrap();
     store.close().await;
+    drop(store); // and the lock of the folder with it
     let loose = std::fs::metadata(&path).unwrap().len();
     let store = Store::open(folder.path()).await.unwrap();
     let mode: i64 = sqlx::query_scalar("PRAGMA auto_vacuum").fetch_one(store.read()).await.unwrap();
