@@ -105,7 +105,10 @@ def wait_for_stage(service, client, job, stage):
 
 def finished(service, job):
     folder = os.path.join(service.data, "checkpoints", job)
-    return [name[:-5] for name in os.listdir(folder) if name.endswith(".ckpt")] if os.path.isdir(folder) else []
+    try:
+        return [name[:-5] for name in os.listdir(folder) if name.endswith(".ckpt")]
+    except FileNotFoundError:
+        return []
 
 
 def damage(service, job, dice):
