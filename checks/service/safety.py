@@ -51,7 +51,8 @@ def resume(args, faults):
         time.sleep(dice.uniform(0.0, 0.2))
         service.kill()
         kept = finished(service, job)
-        stage = next((name for name in STAGES if name not in kept), "none") if kept else "too late"
+        has_ended = not os.path.isdir(os.path.join(service.data, "checkpoints", job))
+        stage = "too late" if has_ended else next((name for name in STAGES if name not in kept), "none")
         killed_in[stage] = killed_in.get(stage, 0) + 1
         if n % 4 == 3:
             damage(service, job, dice)

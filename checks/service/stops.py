@@ -204,6 +204,12 @@ def held(args, faults):
     service.remove()
 
 
+def fill(place, left):
+    """Takes the space of a disk except for `left` bytes."""
+    with open(os.path.join(place, "filler"), "ab") as filler:
+        filler.write(b"\0" * max(0, shutil.disk_usage(place).free - left))
+
+
 def full_disk(args, faults):
     """B1: on a full disk no job fails, existing jobs are kept and deletes work; after space is freed, all jobs succeed."""
     place = tempfile.mkdtemp(prefix="wandless-disk-")
@@ -226,15 +232,10 @@ def full_disk(args, faults):
             blocker = client.submit(client.upload(long)["id"], options={"extrinsics": "refine"}, priority=5)["id"]
             waiting = [client.submit(client.upload(take(20, 3, seed=1000 + 10 * n + i))["id"], options=options)["id"] for i in range(3)]
             until(lambda: client.job(blocker)["state"] == "running", 30)
-            free = shutil.disk_usage(place).free
-            with open(os.path.join(place, "filler"), "wb") as filler:
-                filler.write(b"\0" * max(0, free - dice.choice([0, 4096, 20_000, 100_000, 400_000])))
+            left = dice.choice([0, 4096, 20_000, 100_000, 400_000])
+            fill(place, left)
             states = [client.job(job)["state"] for job in waiting]
             faults.require(states == ["queued"] * 3, f"B1: the waiting jobs were {states} before the disk was full")
-            try:
-                client.delete_job(blocker)  # now the waiting jobs run on the full disk
-            except wandless.Problem as problem:
-                faults.require(False, f"B1: delete of a running job on a full disk: {problem}")
             for seed in range(3):
                 try:
                     waiting.append(client.submit(client.upload(take(60, 4, seed=100 * n + seed))["id"], options=options)["id"])
@@ -246,15 +247,18 @@ def full_disk(args, faults):
                     code = f"broken connection {error}"
                     faults.require(False, f"B1: {code}")
                 answers[code] = answers.get(code, 0) + 1
-                time.sleep(1.0)
+            faults.require(client.job(done)["state"] == "succeeded", "B1: a job was lost")
+            for job in (done, blocker):
+                try:
+                    client.delete_job(job)
+                except wandless.Problem as problem:
+                    faults.require(False, f"B1: delete on a full disk: {problem}")
+            until(lambda: not os.path.exists(os.path.join(data, "checkpoints", blocker)), 10)
+            fill(place, left)  # also the space that was freed; now the waiting jobs run
+            time.sleep(4.0)
             ends = [client.job(job) for job in waiting]
             failed = [(job["state"], (job["error"] or {}).get("code")) for job in ends if job["state"] in ("failed", "dead", "canceled")]
             faults.require(not failed, f"B1: {len(failed)} of {len(ends)} jobs ended because the disk was full: {failed[:3]}")
-            faults.require(client.job(done)["state"] == "succeeded", "B1: a job was lost")
-            try:
-                client.delete_job(done)
-            except wandless.Problem as problem:
-                faults.require(False, f"B1: delete on a full disk: {problem}")
             os.remove(os.path.join(place, "filler"))
             waiting.append(client.submit(client.upload(take(20, 2, seed=9999 + n))["id"], options=options)["id"])
             until(lambda: all(client.job(job)["state"] in wandless.FINAL for job in waiting), 90)
@@ -267,6 +271,7 @@ def full_disk(args, faults):
     finally:
         subprocess.run(["umount", "-l", place], check=False)
         os.rmdir(place)
+    faults.require(any(code.startswith("507") for code in answers), f"B1: no upload met a full disk: {answers}")
     print(f"B1: {args.disks} full disks with waiting jobs: {answers}")
 
 

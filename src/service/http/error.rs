@@ -180,6 +180,9 @@ impl Problem {
 
     /// 507.
     pub(super) fn disk_full(detail: impl Into<String>) -> Self {
+        if fault("disk.unnamed") {
+            return Self::internal(detail.into());
+        }
         Self::new(
             StatusCode::INSUFFICIENT_STORAGE,
             "disk_full",
@@ -191,9 +194,7 @@ impl Problem {
     /// 507 for a full disk, 500 for any other failed file operation.
     pub(super) fn from_io(error: &std::io::Error) -> Self {
         match error.kind() {
-            std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded if !fault("disk.unnamed") => {
-                Self::disk_full(DISK_FULL)
-            }
+            std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => Self::disk_full(DISK_FULL),
             _ => Self::internal(error),
         }
     }
