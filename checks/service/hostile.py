@@ -10,7 +10,9 @@ import json
 import math
 import os
 import random
+import shutil
 import struct
+import tempfile
 import time
 import zipfile
 
@@ -279,12 +281,13 @@ def tree(folder):
 def main():
     args = arguments(__doc__, flips=1)
     faults = Faults()
-    service = Service(args.program, words=["--set", "limits.max_queued=100000"])
+    place = tempfile.mkdtemp(prefix="wandless-hostile-")  # a folder of its own: all that appears beside the data is a fault
+    service = Service(args.program, data=os.path.join(place, "data"), words=["--set", "limits.max_queued=100000"])
     service.start()
     hostile = Hostile(service, faults)
     good = take(25, 2, seed=3)
     whole = zip_of(native(good))
-    outside = tree(os.path.dirname(service.data)) if os.path.dirname(service.data) != "/tmp" else None
+    known = set(os.listdir(service.data)) | {"bodies", "wandless.db.pages"}
     for name, body in containers(native(good)):
         hostile.try_upload(name, body, "application/zip")
     for name, body in documents(good):
@@ -311,13 +314,16 @@ def main():
             if extrinsics == "estimate":
                 faults.require(end != "pass", f"D10: {name}: passed without a warning")
     print("accepted:", ends, flush=True)
-    stored = [name for name in tree(service.data)]
+    stored = tree(service.data)
     faults.require(all(os.path.realpath(path).startswith(os.path.realpath(service.data)) for path in stored), "D3: a file is outside of the data folder")
-    faults.require(outside is None or [p for p in tree(os.path.dirname(service.data)) if not p.startswith(service.data)] == outside, "D3: a file was created outside of the data folder")
+    made = [name for name in os.listdir(place) if name != "data"] + [name for name in os.listdir(service.data) if name not in known]
+    faults.require(not made, f"D3: created outside of the data folder, or directly in it: {made[:5]}")
     faults.require(not any(word in path for path in stored for word in ("passwd", "CON", "caf\u00e9", "cafe\u0301", "..")), "D3: a name from the client is on the disk")
     faults.require(not os.listdir(os.path.join(service.data, "tmp")), "files remain in tmp")
     faults.require(service.client().request("GET", "/healthz").status == 200, "the service does not answer")
     service.kill()
+    if not (faults.found or args.keep):
+        shutil.rmtree(place)
     faults.end(service, args.keep)
 
 

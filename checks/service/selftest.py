@@ -45,10 +45,21 @@ FAULTS = {
     "keys.kept": ("revoked", "tenants.py", "--calls", "40"),
     "webhooks.anywhere": ("E7", "tenants.py", "--calls", "40"),
     "quota.none": ("E9", "tenants.py", "--calls", "40"),
+    "disk.unwatched": ("row 1", "storage.py", "--row", "1"),
+    "pages.unbounded": ("row 4", "storage.py", "--row", "4"),
+    "arrivals.uncounted": ("row 8", "storage.py", "--row", "8"),
     "verify.blind": ("F3", "safety.py", "--only", "flips", "--flips", "2"),
     "backup.short": ("F1", "safety.py", "--only", "backups", "--backups", "2"),
     "damage.silent": ("A14", "safety.py", "--only", "damaged_folders"),
     "seed.random": ("F5", "safety.py", "--only", "same_bytes"),
+    "uploads.unlimited": ("row 5", "workers.py", "--row", "5"),
+    "uploads.spilled": ("D3", "hostile.py", "--flips", "500"),
+    "webhooks.unfair": ("row 9", "workers.py", "--row", "9"),
+    "children.free": ("row 19", "workers.py", "--row", "19"),
+    "descriptors.unreserved": ("row 2", "front.py", "--row", "2"),
+    "idlers.kept": ("row 3", "front.py", "--row", "3"),
+    "hosts.any": ("row 6", "front.py", "--row", "6"),
+    "origins.any": ("row 7", "front.py", "--row", "7"),
 }
 
 
@@ -67,7 +78,7 @@ def main():
         command = [sys.executable, os.path.join(HERE, check), "--program", args.program, "--seed", str(args.seed), *words]
         try:
             run = subprocess.run(command, env={**os.environ, "WANDLESS_FAULT": fault}, capture_output=True, text=True, timeout=args.limit)
-            found = [line for line in run.stdout.splitlines() if line.startswith("FAULT")]
+            found = [line for line in run.stdout.splitlines() if line.startswith("FAULT") or ": FAILED: " in line]
             matching = [line for line in found if mark in line]
             detected = run.returncode == 1 and bool(matching)
             how = (matching or found or run.stderr.strip().splitlines()[-1:] or ["no output"])[0][:110]

@@ -15,7 +15,7 @@ import time
 
 from harness import Faults, Service, arguments, get, percentile, take, wandless
 
-HEAD = b"POST /v1/sessions HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\nContent-Length: 1000000\r\n\r\n"
+HEAD = b"POST /v1/sessions HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/zip\r\nContent-Length: 1000000\r\n\r\n"
 
 
 def slow_clients(service, options, faults):
@@ -26,7 +26,7 @@ def slow_clients(service, options, faults):
     client.wait(job)
     large = max(client.manifest(job)["files"], key=lambda file: file["bytes"])["name"]
     kinds = {"silent": b"", "head": b"GET /healthz HTTP/1.1\r\nX: ", "body": HEAD,
-             "reader": (f"GET /v1/jobs/{job}/artifacts/{large} HTTP/1.1\r\nHost: x\r\n\r\n" * 20).encode()}
+             "reader": (f"GET /v1/jobs/{job}/artifacts/{large} HTTP/1.1\r\nHost: localhost\r\n\r\n" * 20).encode()}
     sockets = {}
     for kind, first in kinds.items():
         for _ in range(options.slow):
@@ -96,7 +96,7 @@ def one_key(service, options, faults):
     # The answer is lost: the connection is closed after the request.
     body = json.dumps({"session": session, "options": {"extrinsics": "fixed", "seed": 2}}).encode()
     cut = socket.create_connection(("127.0.0.1", service.port))
-    cut.sendall(b"POST /v1/jobs HTTP/1.1\r\nHost: x\r\nIdempotency-Key: cut\r\nContent-Type: application/json\r\n"
+    cut.sendall(b"POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nIdempotency-Key: cut\r\nContent-Type: application/json\r\n"
                 b"Content-Length: %d\r\n\r\n" % len(body) + body)
     time.sleep(0.5)
     cut.close()
@@ -113,25 +113,25 @@ def one_key(service, options, faults):
 def malformed_http(service, options, faults):
     """C5."""
     before = service.rss_mib()
-    get_ = b"GET /healthz HTTP/1.1\r\nHost: x\r\n"
+    get_ = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
     corpus = {
-        "CL and TE": b"POST /v1/jobs HTTP/1.1\r\nHost: x\r\nContent-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\nGET /x",
-        "two lengths": b"POST /v1/jobs HTTP/1.1\r\nHost: x\r\nContent-Length: 5\r\nContent-Length: 6\r\n\r\nhello!",
-        "signed length": b"POST /v1/jobs HTTP/1.1\r\nHost: x\r\nContent-Length: +5\r\n\r\nhello",
+        "CL and TE": b"POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 5\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n\r\nGET /x",
+        "two lengths": b"POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 5\r\nContent-Length: 6\r\n\r\nhello!",
+        "signed length": b"POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: +5\r\n\r\nhello",
         "bare LF": b"GET /healthz HTTP/1.1\nHost: x\n\n",
-        "odd TE": b"POST /v1/jobs HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: xchunked\r\n\r\n0\r\n\r\n",
+        "odd TE": b"POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: xchunked\r\n\r\n0\r\n\r\n",
         "10,000 headers": get_ + b"X: y\r\n" * 10_000 + b"\r\n",
         "1 MiB header": get_ + b"X: " + b"y" * (1 << 20) + b"\r\n\r\n",
-        "64 KiB URL": b"GET /" + b"a" * 65536 + b" HTTP/1.1\r\nHost: x\r\n\r\n",
-        "huge chunk": b"POST /v1/sessions HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\nTransfer-Encoding: chunked\r\n\r\nffffffffffffffff\r\n",
-        "chunk extensions": b"POST /v1/sessions HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\nTransfer-Encoding: chunked\r\n\r\n1;" + b"a=b;" * 100_000 + b"\r\nx\r\n0\r\n\r\n",
+        "64 KiB URL": b"GET /" + b"a" * 65536 + b" HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        "huge chunk": b"POST /v1/sessions HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/zip\r\nTransfer-Encoding: chunked\r\n\r\nffffffffffffffff\r\n",
+        "chunk extensions": b"POST /v1/sessions HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/zip\r\nTransfer-Encoding: chunked\r\n\r\n1;" + b"a=b;" * 100_000 + b"\r\nx\r\n0\r\n\r\n",
         "HTTP/2": b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n",
         "no version": b"GET /\r\n\r\n",
-        "NUL": b"GET /\0 HTTP/1.1\r\nHost: x\r\n\r\n",
-        "CONNECT": b"CONNECT example.org:443 HTTP/1.1\r\nHost: x\r\n\r\n",
-        "absolute": b"GET http://elsewhere.example/healthz HTTP/1.1\r\nHost: x\r\n\r\n",
-        "traversal": b"GET /v1/jobs/../../../etc/passwd HTTP/1.1\r\nHost: x\r\n\r\n",
-        "percent": b"GET /v1/jobs/%ff%fe%00 HTTP/1.1\r\nHost: x\r\n\r\n",
+        "NUL": b"GET /\0 HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        "CONNECT": b"CONNECT example.org:443 HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        "absolute": b"GET http://elsewhere.example/healthz HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        "traversal": b"GET /v1/jobs/../../../etc/passwd HTTP/1.1\r\nHost: localhost\r\n\r\n",
+        "percent": b"GET /v1/jobs/%ff%fe%00 HTTP/1.1\r\nHost: localhost\r\n\r\n",
         "pipelined": (get_ + b"\r\n") * 999 + get_ + b"Connection: close\r\n\r\n",
     }
     rng = random.Random(options.seed)
@@ -145,7 +145,7 @@ def malformed_http(service, options, faults):
         faults.require(b"root:" not in answer, f"C5 {name}: a file was disclosed")
         if name == "pipelined":
             faults.require(answer.count(b"HTTP/1.1 200") == 1000, "C5: not every pipelined request was answered")
-    expect = b"POST /v1/sessions HTTP/1.1\r\nHost: x\r\nExpect: 100-continue\r\nContent-Type: application/zip\r\nContent-Length: 99999999999\r\n\r\n"
+    expect = b"POST /v1/sessions HTTP/1.1\r\nHost: localhost\r\nExpect: 100-continue\r\nContent-Type: application/zip\r\nContent-Length: 99999999999\r\n\r\n"
     faults.require(exchange(service.port, expect).startswith(b"HTTP/1.1 413"), "C5: 100-continue for what is too large")
     grown = service.rss_mib() - before
     faults.require(get(service.port, "/healthz")[0] == 200 and grown < 64, f"C5: RSS grew by {grown:.0f} MiB")
@@ -196,7 +196,7 @@ def disconnects(service, options, faults):
     for n in range(500):
         path = [f"/v1/jobs/{job}?wait=60", f"/v1/jobs/{job}/events"][n % 2]
         gone = socket.create_connection(("127.0.0.1", service.port))
-        gone.sendall(f"GET {path} HTTP/1.1\r\nHost: x\r\nIf-None-Match: {tag}\r\n\r\n".encode())
+        gone.sendall(f"GET {path} HTTP/1.1\r\nHost: localhost\r\nIf-None-Match: {tag}\r\n\r\n".encode())
         if n % 50 == 0:
             time.sleep(0.05)
         gone.close()

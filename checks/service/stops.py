@@ -55,7 +55,7 @@ def stops(args, faults):
         until(lambda: children(service), 10)
         sockets = [socket.create_connection(("127.0.0.1", service.port)) for _ in range(50)]
         for slow in sockets[:10]:
-            slow.sendall(b"POST /v1/sessions HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\nContent-Length: 99\r\n\r\nP")
+            slow.sendall(b"POST /v1/sessions HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/zip\r\nContent-Length: 99\r\n\r\nP")
         time.sleep(dice.uniform(0.0, 0.2))
         code, seconds = service.stop()
         times.append(seconds)
@@ -123,7 +123,8 @@ def cancels(args, faults):
         faults.require(False, "a job that has succeeded was canceled")
     except wandless.Problem as problem:
         faults.require(problem.status == 409 and problem.code == "already_final", f"{problem}")
-    faults.require(len(states) >= 6, f"cancels happened only in {states}")
+    wanted = min(6, args.cancels // 2)  # a step may pass before the cancel arrives
+    faults.require(len(states) >= wanted, f"cancels happened only in {states}, not in {wanted} stages")
     print(f"cancel: {len(times)} cancels, {too_late} too late, worst {max(times):.2f} s, in {states}")
     service.kill()
     service.remove()
@@ -203,31 +204,42 @@ def held(args, faults):
     service.remove()
 
 
+def fill(place, left):
+    """Takes the space of a disk except for `left` bytes."""
+    with open(os.path.join(place, "filler"), "ab") as filler:
+        filler.write(b"\0" * max(0, shutil.disk_usage(place).free - left))
+
+
 def full_disk(args, faults):
-    """B1: on a full disk existing jobs are kept and deletes work; after space is freed, jobs succeed again."""
+    """B1: on a full disk no job fails, existing jobs are kept and deletes work; after space is freed, all jobs succeed."""
     place = tempfile.mkdtemp(prefix="wandless-disk-")
     mount = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64m", "tmpfs", place], capture_output=True)
     if mount.returncode:
         print("B1: SKIPPED, no permission to mount a tmpfs")
+        os.rmdir(place)
         return
     dice = random.Random(args.seed)
     answers = {}
+    long, options = take(LONG, 4, seed=8), {"extrinsics": "fixed"}
     try:
         for n in range(args.disks):
             data = os.path.join(place, f"data{n}")
             service = Service(args.program, data=data, words=["--set", "limits.min_free_bytes=0"])
             service.start()
             client = service.client(patience_s=0.0)
-            queued = client.submit(client.upload(take(10, 2, seed=n))["id"], options={"extrinsics": "fixed"})["id"]
-            done = client.wait(queued)
-            free = shutil.disk_usage(place).free
-            with open(os.path.join(place, "filler"), "wb") as filler:
-                filler.write(b"\0" * max(0, free - dice.choice([0, 4096, 20_000, 100_000, 400_000])))
+            done = client.submit(client.upload(take(10, 2, seed=n))["id"], options=options)["id"]
+            client.wait(done)
+            blocker = client.submit(client.upload(long)["id"], options={"extrinsics": "refine"}, priority=5)["id"]
+            waiting = [client.submit(client.upload(take(20, 3, seed=1000 + 10 * n + i))["id"], options=options)["id"] for i in range(3)]
+            until(lambda: client.job(blocker)["state"] == "running", 30)
+            left = dice.choice([0, 4096, 20_000, 100_000, 400_000])
+            fill(place, left)
+            states = [client.job(job)["state"] for job in waiting]
+            faults.require(states == ["queued"] * 3, f"B1: the waiting jobs were {states} before the disk was full")
             for seed in range(3):
                 try:
-                    job = client.submit(client.upload(take(60, 4, seed=100 * n + seed))["id"], options={"extrinsics": "fixed"})
+                    waiting.append(client.submit(client.upload(take(60, 4, seed=100 * n + seed))["id"], options=options)["id"])
                     code = "accepted"
-                    until(lambda: client.job(job["id"])["state"] in wandless.FINAL, 30)
                 except wandless.Problem as problem:
                     code = f"{problem.status} {problem.code}"
                     faults.require(problem.status in (503, 507), f"B1: {problem}")
@@ -235,14 +247,23 @@ def full_disk(args, faults):
                     code = f"broken connection {error}"
                     faults.require(False, f"B1: {code}")
                 answers[code] = answers.get(code, 0) + 1
-            faults.require(client.job(queued)["state"] == done["state"], "B1: a job was lost")
-            try:
-                client.delete_job(queued)
-            except wandless.Problem as problem:
-                faults.require(False, f"B1: delete on a full disk: {problem}")
+            faults.require(client.job(done)["state"] == "succeeded", "B1: a job was lost")
+            for job in (done, blocker):
+                try:
+                    client.delete_job(job)
+                except wandless.Problem as problem:
+                    faults.require(False, f"B1: delete on a full disk: {problem}")
+            until(lambda: not os.path.exists(os.path.join(data, "checkpoints", blocker)), 10)
+            fill(place, left)  # also the space that was freed; now the waiting jobs run
+            time.sleep(4.0)
+            ends = [client.job(job) for job in waiting]
+            failed = [(job["state"], (job["error"] or {}).get("code")) for job in ends if job["state"] in ("failed", "dead", "canceled")]
+            faults.require(not failed, f"B1: {len(failed)} of {len(ends)} jobs ended because the disk was full: {failed[:3]}")
             os.remove(os.path.join(place, "filler"))
-            again = client.submit(client.upload(take(20, 2, seed=9999 + n))["id"], options={"extrinsics": "fixed"})["id"]
-            faults.require(client.wait(again)["state"] == "succeeded", "B1: no recovery after space was freed")
+            waiting.append(client.submit(client.upload(take(20, 2, seed=9999 + n))["id"], options=options)["id"])
+            until(lambda: all(client.job(job)["state"] in wandless.FINAL for job in waiting), 90)
+            states = [client.job(job)["state"] for job in waiting]
+            faults.require(set(states) == {"succeeded"}, f"B1: after space was freed the jobs are {states}")
             service.kill()
             whole = service.integrity()
             faults.require(whole == "ok", f"B1: {whole}")
@@ -250,7 +271,8 @@ def full_disk(args, faults):
     finally:
         subprocess.run(["umount", "-l", place], check=False)
         os.rmdir(place)
-    print(f"B1: {args.disks} full disks: {answers}")
+    faults.require(any(code.startswith("507") for code in answers), f"B1: no upload met a full disk: {answers}")
+    print(f"B1: {args.disks} full disks with waiting jobs: {answers}")
 
 
 JUMPS = ("+1h", "-1h", "+10y", "-5y", "+0")
@@ -301,7 +323,7 @@ def clocks(args, faults):
 
 
 def main():
-    args = arguments(__doc__, stops=50, cancels=40, disks=30, only="")
+    args = arguments(__doc__, stops=50, cancels=40, disks=8, only="")
     faults = Faults()
     for check in (poison, paused, cancels, stops, held, full_disk, clocks):
         if args.only in check.__name__:

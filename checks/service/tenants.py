@@ -230,9 +230,10 @@ def edges(service, callers, a, faults):
 
 def quotas(program, faults):
     """E9: quotas are exact and are released by deletion."""
-    service = Service(program, words=["--set", "tenants.max_queued=5", "--set", "jobs.concurrent=1", "--set", "tenants.max_bytes=200000"])
+    service = Service(program, words=["--set", "tenants.max_queued=5", "--set", "jobs.concurrent=1"])
     service.start()
-    client = service.client(key=key(service), patience_s=0.0)
+    token = key(service)
+    client = service.client(key=token, patience_s=0.0)
     blocker = client.submit(client.upload(take(60, 2, seed=1))["id"], options={"extrinsics": "fixed"}, priority=9)["id"]
     session, n, refusal = client.upload(take(10, 2, seed=2))["id"], 0, None
     while refusal is None and n < 50:
@@ -246,6 +247,10 @@ def quotas(program, faults):
     waiting = [job["id"] for job in client.jobs() if job["state"] == "queued"]
     client.delete_job(waiting[0]) if waiting else None
     faults.require(client.submit(session, options={"extrinsics": "fixed", "exports": []}), "E9: refused after a deletion")
+    service.stop()
+    service.words += ["--set", "tenants.max_bytes=200000"]
+    service.start()
+    client = service.client(key=token, patience_s=0.0)
     refusal, seed = None, 100
     while refusal is None and seed < 200:
         try:

@@ -168,6 +168,10 @@ class Client:
     def webhook_secret(self):
         return self.json("GET", "/v1/webhook-secret")["secret"]
 
+    def rotate_webhook_secret(self):
+        """Replaces the secret; calls are signed with both for 24 hours."""
+        return self.json("POST", "/v1/webhook-secret")["secret"]
+
     def deliveries(self, job):
         return self.json("GET", f"/v1/jobs/{job}/deliveries")["deliveries"]
 

@@ -9,7 +9,8 @@ use std::fs::File;
 use std::path::Path;
 use std::time::{Duration, Instant};
 use ureq::http::{Response, StatusCode, header};
-use ureq::{Agent, Body};
+use ureq::typestate::{WithBody, WithoutBody};
+use ureq::{Agent, Body, RequestBuilder};
 
 /// Seconds for which the service may hold one request for the state of a job (long polling).
 const WAIT: u32 = 30;
@@ -17,10 +18,13 @@ const WAIT: u32 = 30;
 /// Time for which a service that does not answer is asked again.
 const RETRY_TIME: Duration = Duration::from_secs(60);
 
-/// Address of a service and the connections to it.
+/// Address of a service, the connections to it and the key.
 pub(super) struct Client {
     agent: Agent,
+    /// URL without user information and final slash.
     server: String,
+    /// Value of the header `Authorization`.
+    authorization: Option<String>,
 }
 
 /// The fields of a session that the client needs.
@@ -92,19 +96,42 @@ pub(super) struct ManifestFile {
 }
 
 impl Client {
-    /// Client of the service at `server` (`http://host:port`).
-    pub(super) fn new(server: &str) -> Self {
+    /// Client of the service at `server` (`http://host:port`). Without a `key`, the password in the URL is the key.
+    pub(super) fn new(server: &str, key: Option<&str>) -> Self {
+        let (server, password) = without_userinfo(server);
+        let key = key.filter(|key| !key.trim().is_empty()).map(str::to_owned).or(password);
         let config = Agent::config_builder()
             .http_status_as_error(false) // the client reads problem documents
             .timeout_connect(Some(Duration::from_secs(10)))
             .timeout_recv_response(Some(Duration::from_secs(u64::from(WAIT) + 300))) // the service validates a large upload before it answers
             .build();
-        Self { agent: Agent::new_with_config(config), server: server.trim_end_matches('/').to_owned() }
+        let authorization = key.map(|key| format!("Bearer {}", key.trim()));
+        Self { agent: Agent::new_with_config(config), server: server.trim_end_matches('/').to_owned(), authorization }
+    }
+
+    /// URL of the service, without user information.
+    pub(super) fn server(&self) -> &str {
+        &self.server
+    }
+
+    fn get(&self, path: &str) -> RequestBuilder<WithoutBody> {
+        self.with_key(self.agent.get(format!("{}{path}", self.server)))
+    }
+
+    fn post(&self, path: &str) -> RequestBuilder<WithBody> {
+        self.with_key(self.agent.post(format!("{}{path}", self.server)))
+    }
+
+    fn with_key<B>(&self, request: RequestBuilder<B>) -> RequestBuilder<B> {
+        match &self.authorization {
+            Some(authorization) => request.header(header::AUTHORIZATION, authorization),
+            None => request,
+        }
     }
 
     /// Uploads a session.
     pub(super) fn upload(&self, session: &File, media_type: &str) -> anyhow::Result<SessionAnswer> {
-        let request = self.agent.post(format!("{}/v1/sessions", self.server));
+        let request = self.post("/v1/sessions");
         let bytes = session.metadata()?.len();
         let request = request.header(header::CONTENT_LENGTH, bytes.to_string()).content_type(media_type);
         self.document(request.send(session).with_context(|| self.server.clone())?)
@@ -114,25 +141,25 @@ impl Client {
     pub(super) fn create_job(&self, session: &str, options: &serde_json::Value) -> anyhow::Result<JobAnswer> {
         let key = uuid::Uuid::new_v4().to_string();
         self.with_retries(|| {
-            let request = self.agent.post(format!("{}/v1/jobs", self.server)).header("idempotency-key", &key);
+            let request = self.post("/v1/jobs").header("idempotency-key", &key);
             request.send_json(serde_json::json!({ "session": session, "options": options }))
         })
     }
 
     /// Waits until the job has changed or [`WAIT`] seconds have passed, and returns it.
     pub(super) fn wait_for_job(&self, id: &str) -> anyhow::Result<JobAnswer> {
-        self.with_retries(|| self.agent.get(format!("{}/v1/jobs/{id}?wait={WAIT}", self.server)).call())
+        self.with_retries(|| self.get(&format!("/v1/jobs/{id}?wait={WAIT}")).call())
     }
 
     /// List of the files of a result.
     pub(super) fn manifest(&self, job: &str) -> anyhow::Result<Manifest> {
-        self.with_retries(|| self.agent.get(format!("{}/v1/jobs/{job}/result", self.server)).call())
+        self.with_retries(|| self.get(&format!("/v1/jobs/{job}/result")).call())
     }
 
     /// Downloads one file of a result and checks its digest.
     pub(super) fn download(&self, job: &str, name: &str, sha256: Option<&str>, to: &Path) -> anyhow::Result<()> {
-        let url = format!("{}/v1/jobs/{job}/artifacts/{}", self.server, percent_encoded(name));
-        let response = self.agent.get(url).call().with_context(|| self.server.clone())?;
+        let path = format!("/v1/jobs/{job}/artifacts/{}", percent_encoded(name));
+        let response = self.get(&path).call().with_context(|| self.server.clone())?;
         let mut response = self.expect_success(response)?;
         let etag = response.headers().get(header::ETAG).and_then(|tag| tag.to_str().ok()).map(str::to_owned);
         let mut file = File::create(to).with_context(|| to.display().to_string())?;
@@ -188,4 +215,39 @@ impl Client {
 fn percent_encoded(name: &str) -> String {
     let plain = |byte: u8| byte.is_ascii_alphanumeric() || b"/-._~".contains(&byte);
     name.bytes().map(|b| if plain(b) { char::from(b).to_string() } else { format!("%{b:02X}") }).collect()
+}
+
+/// Splits a URL into the URL without user information and the password, which must not appear in messages.
+pub(super) fn without_userinfo(url: &str) -> (String, Option<String>) {
+    let start = url.find("://").map_or(0, |at| at + "://".len());
+    let end = url[start..].find(['/', '?', '#']).map_or(url.len(), |at| start + at);
+    let Some((userinfo, host)) = url[start..end].rsplit_once('@') else { return (url.to_owned(), None) };
+    let password = userinfo.split_once(':').map(|(_, password)| password.to_owned());
+    (format!("{}{host}{}", &url[..start], &url[end..]), password)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn user_information_is_split_off() {
+        let split = |url: &str| {
+            let (url, password) = without_userinfo(url);
+            (url, password.unwrap_or_default())
+        };
+        let of = |url: &str, password: &str| (url.to_owned(), password.to_owned());
+        assert_eq!(split("http://127.0.0.1:8700"), of("http://127.0.0.1:8700", ""));
+        assert_eq!(split("http://x:wl_a_b@host:8700/base"), of("http://host:8700/base", "wl_a_b"));
+        assert_eq!(split("https://wl_a_b@host"), of("https://host", ""));
+        assert_eq!(split("x:a@b@host/?q=u:p@c"), of("host/?q=u:p@c", "a@b"));
+    }
+
+    #[test]
+    fn given_key_is_preferred_to_the_password_of_the_url() {
+        let key = |url: &str, key: Option<&str>| Client::new(url, key).authorization.unwrap_or_default();
+        assert_eq!(key("http://x:of_url@host", Some("given")), "Bearer given");
+        assert_eq!(key("http://x:of_url@host", None), "Bearer of_url");
+        assert_eq!(key("http://host", None), "");
+    }
 }

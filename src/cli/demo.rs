@@ -59,7 +59,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
 }
 
 fn submit_and_evaluate(server: &str, session: &Path, result: &Path) -> anyhow::Result<()> {
-    let client = Client::new(server);
+    let client = Client::new(server, None);
     let job = submit(&client, session, &serde_json::to_value(Options::default())?)?;
     println!("{server}/v1/jobs/{}: {}", job.id, job.quality.unwrap_or_default());
     download(&client, &job.id, result)?;

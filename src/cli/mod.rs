@@ -16,13 +16,19 @@ mod simulate;
 mod solve;
 
 #[cfg(feature = "service")]
+mod child;
+#[cfg(feature = "service")]
 mod client;
+#[cfg(feature = "service")]
+mod confinement;
 #[cfg(feature = "service")]
 mod demo;
 #[cfg(feature = "service")]
 mod key;
 #[cfg(feature = "service")]
 mod operator;
+#[cfg(feature = "service")]
+mod read_upload;
 #[cfg(feature = "service")]
 mod run_job;
 #[cfg(feature = "service")]
@@ -32,6 +38,7 @@ mod submit;
 
 use bad_input::BadInput;
 use clap::{Parser, Subcommand};
+use std::io::IsTerminal;
 use std::process::ExitCode;
 use tracing_subscriber::EnvFilter;
 
@@ -90,16 +97,24 @@ enum Command {
     #[cfg(feature = "service")]
     #[command(hide = true)]
     RunJob,
+    /// Read one upload (child process of the service)
+    #[cfg(feature = "service")]
+    #[command(hide = true)]
+    ReadUpload,
 }
 
 /// Runs the command line; exit code 0: done, 1: failed, 2: wrong usage or unusable input.
 pub fn main() -> ExitCode {
     let cli = Cli::parse(); // exits with 2 on wrong usage
     let filter = EnvFilter::try_from_env("WANDLESS_LOG").unwrap_or_else(|_| EnvFilter::new(default_level(&cli)));
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
-    match wants_json_log(&cli) {
-        true => log.json().flatten_event(true).init(),
-        false => log.init(),
+    let is_terminal = std::io::stderr().is_terminal();
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(is_terminal);
+    match log_form(&cli) {
+        LogForm::Text => log.init(),
+        #[cfg(feature = "service")]
+        LogForm::Json => log.json().flatten_event(true).init(),
+        #[cfg(feature = "service")]
+        LogForm::Child => log.without_time().init(),
     }
     let done = match cli.command {
         Command::Reconstruct(args) => reconstruct::run(args),
@@ -132,6 +147,8 @@ pub fn main() -> ExitCode {
         }
         #[cfg(feature = "service")]
         Command::RunJob => return run_job::run(),
+        #[cfg(feature = "service")]
+        Command::ReadUpload => return read_upload::run(),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -153,12 +170,25 @@ fn one_line(error: &anyhow::Error) -> String {
     line
 }
 
-/// Whether the log is written as JSON lines (an option of `serve`).
-fn wants_json_log(cli: &Cli) -> bool {
+/// Form of the log on stderr.
+enum LogForm {
+    /// Lines to read.
+    Text,
+    /// One JSON object per line (an option of `serve`).
+    #[cfg(feature = "service")]
+    Json,
+    /// Lines that the service repeats in its own log, with its own time.
+    #[cfg(feature = "service")]
+    Child,
+}
+
+fn log_form(cli: &Cli) -> LogForm {
     match &cli.command {
         #[cfg(feature = "service")]
-        Command::Serve(args) => args.log_format == serve::LogFormat::Json,
-        _ => false,
+        Command::Serve(args) if args.log_format == serve::LogFormat::Json => LogForm::Json,
+        #[cfg(feature = "service")]
+        Command::RunJob | Command::ReadUpload => LogForm::Child,
+        _ => LogForm::Text,
     }
 }
 

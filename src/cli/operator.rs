@@ -1,6 +1,7 @@
 //! `wandless backup`, `restore`, `verify` and `health`: commands for operators.
 
 use super::bad_input::BadInput;
+use super::client::without_userinfo;
 use crate::service::safety;
 use crate::service::settings::DEFAULT_DATA;
 use anyhow::{Context, bail};
@@ -78,7 +79,8 @@ pub(super) fn verify(args: VerifyArgs) -> anyhow::Result<()> {
 /// Runs `health`; exit code 1 if the service is not ready.
 pub(super) fn health(args: HealthArgs) -> anyhow::Result<()> {
     let config = ureq::Agent::config_builder().timeout_global(Some(Duration::from_secs(5))).build();
-    let url = format!("{}/readyz", args.server.trim_end_matches('/'));
+    let (server, _) = without_userinfo(&args.server); // readiness needs no key
+    let url = format!("{}/readyz", server.trim_end_matches('/'));
     ureq::Agent::new_with_config(config).get(&url).call().with_context(|| url.clone())?;
     Ok(())
 }

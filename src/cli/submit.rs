@@ -20,6 +20,9 @@ pub(super) struct Args {
     /// URL of the service
     #[arg(long, default_value = "http://127.0.0.1:8700")]
     server: String,
+    /// API key; an environment variable is not shown in the list of processes, unlike an argument
+    #[arg(long, env = "WANDLESS_KEY", hide_env_values = true)]
+    key: Option<String>,
     /// JSON file with job options
     #[arg(long)]
     options: Option<PathBuf>,
@@ -34,12 +37,12 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     if let Some(out) = &args.out {
         require_free(out)?;
     }
-    let client = Client::new(&args.server);
+    let client = Client::new(&args.server, args.key.as_deref());
     let job = submit(&client, &args.session, &options)?;
     if let Some(out) = &args.out {
         download(&client, &job.id, out)?;
     }
-    println!("{}/v1/jobs/{}: {}", args.server.trim_end_matches('/'), job.id, job.quality.unwrap_or_default());
+    println!("{}/v1/jobs/{}: {}", client.server(), job.id, job.quality.unwrap_or_default());
     Ok(())
 }
 

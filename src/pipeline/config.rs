@@ -4,7 +4,7 @@ use super::error::PipelineError;
 use crate::session::reconstruction::ExportFormat;
 use crate::session::recording::UpAxis;
 use crate::session::{Session, View};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// Options of one job; names and defaults are those of the HTTP API.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -35,7 +35,8 @@ pub struct Options {
     pub sync: Sync,
     /// Seed of every random choice.
     pub seed: u64,
-    /// Formats written in addition to the JSON files.
+    /// Formats written in addition to the JSON files; repeated ones count once.
+    #[serde(deserialize_with = "distinct")]
     pub exports: Vec<ExportFormat>,
 }
 
@@ -59,6 +60,20 @@ impl Default for Options {
             exports: vec![ExportFormat::SmplNpz],
         }
     }
+}
+
+/// Reads a list without repetitions, in the order of the first occurrences.
+fn distinct<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<ExportFormat>, D::Error> {
+    let mut formats = Vec::<ExportFormat>::deserialize(deserializer)?;
+    let mut known = Vec::new();
+    formats.retain(|format| {
+        let is_new = !known.contains(format);
+        if is_new {
+            known.push(*format);
+        }
+        is_new
+    });
+    Ok(formats)
 }
 
 /// Facts of a camera that the check of options needs, so that the session itself need not be loaded.
@@ -205,4 +220,15 @@ pub enum Sync {
     Given,
     /// Estimated, starting from those of the session.
     Estimate,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn repeated_exports_count_once() {
+        let options: Options = serde_json::from_str(r#"{"exports": ["glb", "bvh", "glb", "glb"]}"#).unwrap();
+        assert_eq!(options.exports, [ExportFormat::Glb, ExportFormat::Bvh]);
+    }
 }

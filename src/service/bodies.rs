@@ -82,6 +82,10 @@ pub fn add(
 /// # Errors
 /// [`BodyRegistryError::Registry`] when the folder cannot be read.
 pub fn list(folder: &Path) -> Result<Vec<RegisteredBody>, BodyRegistryError> {
+    names(folder)?.iter().map(|name| find(folder, name)).collect()
+}
+
+fn names(folder: &Path) -> Result<Vec<String>, BodyRegistryError> {
     let fail = |source| BodyRegistryError::Registry { path: folder.to_owned(), source };
     let entries = match std::fs::read_dir(folder) {
         Ok(entries) => entries.collect::<io::Result<Vec<_>>>().map_err(fail)?,
@@ -91,7 +95,15 @@ pub fn list(folder: &Path) -> Result<Vec<RegisteredBody>, BodyRegistryError> {
     let files = entries.iter().map(|entry| entry.path()).filter(|path| path.extension().is_some_and(|e| e == "json"));
     let mut names: Vec<String> = files.filter_map(|path| Some(path.file_stem()?.to_str()?.to_owned())).collect();
     names.sort();
-    names.iter().map(|name| find(folder, name)).collect()
+    Ok(names)
+}
+
+/// Names of the files that describe the registered bodies, below the folder, without their converted bodies.
+///
+/// # Errors
+/// [`BodyRegistryError::Registry`] when the folder cannot be read.
+pub(super) fn entry_files(folder: &Path) -> Result<Vec<String>, BodyRegistryError> {
+    Ok(names(folder)?.iter().map(|name| format!("{name}.json")).collect())
 }
 
 /// Loads the body model of a name.

@@ -16,7 +16,7 @@ pub const FAILPOINTS: [&str; 36] = [
 ];
 
 /// Names of all faults, and what each does.
-pub const FAULTS: [(&str, &str); 31] = [
+pub const FAULTS: &[(&str, &str)] = &[
     ("enqueue.early", "a job is answered 202 before its row is committed"),
     ("publish.late", "a job is succeeded before its files are in their folder"),
     ("recovery.blames", "a crash of the service is counted as a crash of the job"),
@@ -44,10 +44,21 @@ pub const FAULTS: [(&str, &str); 31] = [
     ("keys.kept", "revoking a key has no effect"),
     ("webhooks.anywhere", "a webhook can call private addresses"),
     ("quota.none", "a tenant can fill the disk"),
+    ("disk.unwatched", "jobs run and fail on a full disk"),
+    ("pages.unbounded", "a page of a list can have any size"),
+    ("arrivals.uncounted", "uploads count only after their last byte"),
     ("verify.blind", "a changed file is not detected"),
     ("backup.short", "a backup omits a file"),
     ("damage.silent", "a lost database is replaced by an empty one"),
     ("seed.random", "the seed of a job differs in every run"),
+    ("uploads.unlimited", "an upload is validated without a memory limit"),
+    ("uploads.spilled", "an upload leaves a file beside the data folder"),
+    ("webhooks.unfair", "webhooks are called in the order of their creation"),
+    ("children.free", "a job's process is not confined"),
+    ("descriptors.unreserved", "connections can take every file descriptor"),
+    ("idlers.kept", "idle connections keep their slots"),
+    ("hosts.any", "a service without keys answers requests to any host"),
+    ("origins.any", "pages of other sites can change anything"),
 ];
 
 /// Kills the process if the environment names this failpoint.

@@ -8,7 +8,10 @@
 //! - [`store`]: the data folder: database, uploads, results
 //! - [`bodies`]: registered body models, which jobs request by name
 //! - [`queue`]: the `jobs` table: accept, claim, finish, cancel, recover
-//! - [`protocol`]: messages between the service and the child process of a job
+//! - [`protocol`]: messages between the service and its child processes
+//! - `child`: a child process: its order, its messages, its log, its end
+//! - `memory`: memory limits of the child processes
+//! - [`validation`]: reads an upload in a child process
 //! - [`metrics`]: Prometheus metrics
 //! - [`webhooks`]: HTTP calls that report the end of a job
 //! - [`safety`]: backup, restore, verify
@@ -17,6 +20,7 @@
 //! - [`http`]: the HTTP API
 
 pub mod bodies;
+mod child;
 pub mod failpoint;
 pub mod http;
 mod memory;
@@ -28,6 +32,7 @@ pub mod safety;
 pub mod settings;
 mod shared;
 pub mod store;
+pub mod validation;
 pub mod webhooks;
 mod worker;
 
@@ -92,7 +97,7 @@ pub async fn start(settings: Settings) -> Result<Running, ServeError> {
         tokio::time::sleep(std::time::Duration::from_secs(3)).await;
     }
     let networks = Arc::new(Networks::parse(&settings.webhooks.allowed_networks)?);
-    let store = Store::open(&settings.data).await?;
+    let store = Store::open(&settings.data).await?.with_min_free_bytes(settings.limits.min_free_bytes);
     if !listen.ip().is_loopback() && !store::keys::any(&store).await? {
         return Err(ServeError::NotLoopback { listen });
     }

@@ -1,7 +1,8 @@
-//! Automatic removal of old jobs with their results, and of old sessions without jobs. Off by default.
+//! Automatic removal of old jobs with their results and of old sessions without jobs, both off by default, and of the
+//! Idempotency-Keys of deleted jobs.
 
-use super::settings::Retention;
 use super::shared::Shared;
+use super::store::clock::{self, SuspectClock};
 use super::store::{StoreError, Tenant, sessions};
 use std::time::{Duration, Instant, SystemTime};
 
@@ -15,16 +16,30 @@ const MAX_DRIFT: Duration = Duration::from_secs(300);
 /// Rows removed at a time, so that a long list does not block writers.
 const BATCH: i64 = 100;
 
-/// Removes old jobs and sessions until the service stops.
+/// Days after its first use after which the key of a deleted job is forgotten; a later repetition of the request is a new
+/// job. Clients repeat a request for minutes, rarely for days.
+const KEY_DAYS: f64 = 30.0;
+
+/// Removes old jobs, sessions and Idempotency-Keys until the service stops.
 pub(super) async fn run(shared: Shared) {
-    let retention = shared.settings.retention.clone();
-    if retention.jobs_days.is_none() && retention.sessions_days.is_none() {
-        return;
-    }
     let start = (Instant::now(), SystemTime::now());
+    let (mut last, mut is_reported) = (Instant::now(), false);
     while !shared.draining.is_cancelled() {
         if is_clock_plausible(start) {
-            if let Err(error) = remove_old(&shared, &retention).await {
+            let ran_s = last.elapsed().as_secs() as i64;
+            last = Instant::now();
+            let suspect = clock::observe(&shared.store, ran_s).await;
+            if let Ok(Some(suspect)) = suspect
+                && !std::mem::replace(&mut is_reported, true)
+            {
+                report(suspect);
+            }
+            let removed = match suspect {
+                Ok(None) => remove_old(&shared).await,
+                Ok(Some(_)) => Ok(()),
+                Err(error) => Err(error),
+            };
+            if let Err(error) = removed {
                 tracing::error!(%error, "old jobs or sessions could not be removed; trying again later");
             }
         } else {
@@ -39,13 +54,25 @@ pub(super) async fn run(shared: Shared) {
     }
 }
 
+fn report(SuspectClock { days_ahead, hours_left }: SuspectClock) {
+    tracing::error!(
+        days_ahead,
+        hours_left,
+        "the system clock is far ahead of the last time that the service has seen; correct it if it is wrong: nothing is \
+         removed by age until the service has run for these hours"
+    );
+}
+
 /// Whether the wall clock and the monotonic clock agree about the time since `start`.
 fn is_clock_plausible((monotonic, wall): (Instant, SystemTime)) -> bool {
     let elapsed = monotonic.elapsed();
     wall.elapsed().is_ok_and(|by_wall| by_wall.abs_diff(elapsed) < MAX_DRIFT)
 }
 
-async fn remove_old(shared: &Shared, retention: &Retention) -> Result<(), StoreError> {
+async fn remove_old(shared: &Shared) -> Result<(), StoreError> {
+    let retention = &shared.settings.retention;
+    let keys = shared.queue.forget_keys(KEY_DAYS).await?;
+    tracing::debug!(keys, "old Idempotency-Keys of deleted jobs removed");
     if let Some(days) = retention.jobs_days {
         while remove_jobs(shared, days).await? == BATCH as usize {}
     }
@@ -56,8 +83,7 @@ async fn remove_old(shared: &Shared, retention: &Retention) -> Result<(), StoreE
 }
 
 async fn remove_jobs(shared: &Shared, days: f64) -> Result<usize, StoreError> {
-    const OLD: &str =
-        "SELECT id, tenant FROM jobs WHERE finished_at < strftime('%Y-%m-%dT%H:%M:%fZ', 'now', ?) ORDER BY seq LIMIT ?";
+    const OLD: &str = "SELECT id, tenant FROM jobs WHERE finished_at < strftime('%Y-%m-%dT%H:%M:%fZ', 'now', ?) ORDER BY finished_at LIMIT ?";
     let old = next_batch(shared, OLD, days).await?;
     for (id, tenant) in &old {
         shared.queue.delete(tenant, id).await?;

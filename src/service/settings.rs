@@ -4,6 +4,7 @@
 //! use the same names; [`layers`] merges them. Durations there are in seconds.
 
 pub mod layers;
+mod ranges;
 mod seconds;
 
 use serde::{Deserialize, Serialize};
@@ -25,7 +26,7 @@ pub struct Settings {
     pub data: PathBuf,
     /// Address to listen on; port 0 chooses a free port.
     pub listen: SocketAddr,
-    /// Program that is started as `run-job` for each job; by default the running program.
+    /// Program that is started for each job and each upload; by default the running program.
     #[serde(skip)]
     pub program: PathBuf,
     /// Limits of uploads and requests.
@@ -40,6 +41,9 @@ pub struct Settings {
     pub retention: Retention,
     /// Origins of other sites whose pages may call the API (`https://studio.example`); none by default.
     pub cors_origins: Vec<String>,
+    /// Hosts besides the loopback names (`studio.example`) that requests may be sent to while no API key is required; none by
+    /// default. A page whose name resolves to the loopback must not act with the rights of the operator.
+    pub allowed_hosts: Vec<String>,
     /// How long a stop waits for open downloads before closing them.
     #[serde(rename = "drain_limit_s", with = "seconds")]
     pub drain_limit: Duration,
@@ -51,6 +55,12 @@ pub struct Settings {
 pub struct RequestLimits {
     /// Maximal size of an upload as sent, bytes.
     pub max_upload_bytes: u64,
+    /// Maximal address space of the child process that validates or inspects an upload, bytes: an upload that needs more is answered
+    /// 413. 0 means an eighth of the memory of the machine (or of the control group), at least 256 MiB.
+    pub validation_memory_bytes: u64,
+    /// Timeout for validating or inspecting an upload; one that takes longer is answered 413.
+    #[serde(rename = "validation_timeout_s", with = "seconds")]
+    pub validation_timeout: Duration,
     /// Maximal size of a JSON request that is not an upload, bytes.
     pub max_json_bytes: u64,
     /// Timeout for receiving a request's head.
@@ -62,6 +72,9 @@ pub struct RequestLimits {
     /// An idle connection is kept open for this time.
     #[serde(rename = "keep_alive_s", with = "seconds")]
     pub keep_alive: Duration,
+    /// An idle connection on which no request was admitted yet (without a valid key) is kept open for this time.
+    #[serde(rename = "keep_alive_without_key_s", with = "seconds")]
+    pub keep_alive_without_key: Duration,
     /// Minimal number of bytes that an upload must send in each `body_window`.
     pub body_min_bytes: u64,
     /// Time window of `body_min_bytes`.
@@ -70,14 +83,17 @@ pub struct RequestLimits {
     /// A connection whose client receives nothing for this time is closed.
     #[serde(rename = "write_timeout_s", with = "seconds")]
     pub write_timeout: Duration,
-    /// Maximal number of open connections; further ones wait in the kernel's queue.
+    /// Maximal number of open connections; lower where the limit of file descriptors requires it. A further connection takes
+    /// the place of the one that was idle the longest, or waits in the kernel's queue.
     pub max_connections: usize,
+    /// Maximal number of open connections of one address (of an IPv6 /64) on which no request was admitted yet.
+    pub max_connections_per_address: usize,
     /// Maximal value of `?wait=`.
     #[serde(rename = "max_wait_s", with = "seconds")]
     pub max_wait: Duration,
     /// Maximal number of queued jobs of all tenants; further ones are answered 429.
     pub max_queued: i64,
-    /// Uploads are answered 507 while the disk has fewer free bytes than this.
+    /// While the disk has fewer free bytes than this, no job is claimed, and uploads and submissions are answered 507.
     pub min_free_bytes: u64,
     /// Wrong keys per second that one address can try before it is answered 429.
     pub bad_keys_per_s: f64,
@@ -87,7 +103,7 @@ pub struct RequestLimits {
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TenantLimits {
-    /// Quota of uploads and results together, bytes.
+    /// Quota of uploads and results together, bytes; unfinished uploads count. At the quota, submissions are refused, too.
     pub max_bytes: i64,
     /// Maximal number of queued jobs.
     pub max_queued: i64,
@@ -172,6 +188,7 @@ impl Default for Settings {
             webhooks: WebhookSettings::default(),
             retention: Retention::default(),
             cors_origins: Vec::new(),
+            allowed_hosts: Vec::new(),
             drain_limit: Duration::from_secs(8), // together with ending the child well below the 10 s of a process supervisor
         }
     }
@@ -181,14 +198,18 @@ impl Default for RequestLimits {
     fn default() -> Self {
         Self {
             max_upload_bytes: 2 << 30, // one hour of 8 cameras and 4 people, deflated, is about 1.5 GB
+            validation_memory_bytes: 0,
+            validation_timeout: Duration::from_secs(300), // 8 GiB of text, the largest content, take about 100 s
             max_json_bytes: 1 << 20,
             header_timeout: Duration::from_secs(5),
             keep_alive: Duration::from_secs(75), // longer than a long poll's 60 s, as proxies and clients expect
+            keep_alive_without_key: Duration::from_secs(5), // the viewer loads its files at once
             body_idle_timeout: Duration::from_secs(30),
             body_min_bytes: 60 << 10, // 1 KiB/s over the window
             body_window: Duration::from_secs(60),
             write_timeout: Duration::from_secs(60),
             max_connections: 1024,
+            max_connections_per_address: 128, // browsers open 6 each: twenty of them behind one router
             max_wait: Duration::from_secs(60),
             max_queued: 20_000,
             min_free_bytes: 256 << 20,

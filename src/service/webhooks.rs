@@ -2,11 +2,15 @@
 //!
 //! Delivery is at least once: receivers recognise repetitions by `webhook-id`. A database trigger inserts the delivery in
 //! the transaction that ends the job; this task makes the calls, waits longer after each failure, and stores the outcome.
+//! Tenants take turns (`turns.rs`).
 
 mod call;
+mod delivery;
 mod target;
+mod turns;
 
 pub use call::signature;
+pub use delivery::Delivery;
 pub use target::{NetworkError, Networks, TargetError, check_url};
 
 use super::failpoint::failpoint;
@@ -15,99 +19,76 @@ use super::settings::WebhookSettings;
 use super::shared::Shared;
 use super::store::{Store, StoreError, Tenant, tenants};
 use call::{Call, CallOutcome};
-use serde::Serialize;
-use std::collections::BTreeSet;
+use std::collections::HashMap;
 use std::sync::Arc;
-use std::time::Duration;
-use tokio::task::JoinSet;
+use std::time::{Duration, Instant};
+use tokio::task::{Id, JoinSet};
+use tokio::time::MissedTickBehavior;
+use turns::{Turns, Waiting};
 
-/// Delivery of one event to one receiver.
-#[derive(Debug, Clone, Serialize, sqlx::FromRow, utoipa::ToSchema)]
-pub struct Delivery {
-    /// Value of the header `webhook-id`.
-    pub id: String,
-    /// Event type: `job.succeeded`, `job.failed`, `job.canceled` or `job.dead`.
-    #[schema(pattern = r"^job\.(succeeded|failed|canceled|dead)$")]
-    pub event: String,
-    /// URL of the receiver.
-    pub url: String,
-    /// `waiting`, `delivered` or `failed`.
-    #[schema(pattern = "^(waiting|delivered|failed)$")]
-    pub state: String,
-    /// Number of calls made.
-    #[schema(minimum = 0)]
-    pub tries: i64,
-    /// HTTP status of the last call.
-    #[schema(required)]
-    pub last_status: Option<i64>,
-    /// Why the last call failed.
-    #[schema(required)]
-    pub last_error: Option<String>,
-    /// Time of creation; UTC, RFC 3339.
-    #[schema(format = DateTime)]
-    pub created_at: String,
-    /// Time of the last change; UTC, RFC 3339.
-    #[schema(format = DateTime)]
-    pub updated_at: String,
-    #[serde(skip)]
-    #[sqlx(rename = "job_id")]
-    job: String,
-    #[serde(skip)]
-    tenant: Tenant,
-}
-
-/// Interval between two checks for due deliveries.
+/// Shortest interval between two checks for due deliveries.
 const CHECK_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Maximal number of concurrent calls; an unresponsive receiver occupies one of them for the timeout.
-const MAX_CALLS: usize = 16;
+/// Number of due deliveries that are read at once: enough for the turns of a hundred tenants.
+const MAX_WAITING: i64 = 512;
 
 /// Makes the calls until the service stops.
 pub(super) async fn run(shared: Shared, networks: Arc<Networks>) {
-    let mut calls: JoinSet<String> = JoinSet::new();
-    let mut in_flight = BTreeSet::new();
-    let mut has_backlog = false;
+    let mut calls: JoinSet<()> = JoinSet::new();
+    let mut ids: HashMap<Id, String> = HashMap::new();
+    let (mut turns, mut waiting) = (Turns::default(), Vec::new());
+    let mut checks = tokio::time::interval(CHECK_INTERVAL);
+    checks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         tokio::select! {
-            () = tokio::time::sleep(CHECK_INTERVAL) => {}
+            _ = checks.tick() => {
+                let start = Instant::now();
+                match due(&shared).await {
+                    Ok(due) => {
+                        waiting = due.into_iter().filter(|due| !turns.is_running(&due.id)).map(Waiting::new).collect();
+                    }
+                    Err(error) => tracing::error!(%error, "cannot read the due webhooks; trying again"),
+                }
+                // A hundred thousand due deliveries take a second to read: at most a tenth of the time is spent on it.
+                checks.reset_after(CHECK_INTERVAL.max(10 * start.elapsed()));
+            }
             () = shared.draining.cancelled() => return, // the next start repeats interrupted calls
-            Some(ended) = calls.join_next() => {
-                in_flight.retain(|id| ended.as_ref().is_ok_and(|ended| ended != id));
-                if !has_backlog {
-                    continue;
+            Some(ended) = calls.join_next_with_id() => {
+                let call = ended.map_or_else(|error| error.id(), |(call, ())| call);
+                if let Some(id) = ids.remove(&call) {
+                    turns.end(&id);
                 }
             }
         }
-        match due(&shared).await {
-            Ok(due) => {
-                has_backlog = due.len() > MAX_CALLS; // then check again as soon as a call ends
-                for delivery in due {
-                    if in_flight.len() < MAX_CALLS && in_flight.insert(delivery.id.clone()) {
-                        calls.spawn(deliver(shared.clone(), networks.clone(), delivery));
-                    }
-                }
-            }
-            Err(error) => tracing::error!(%error, "cannot read the due webhooks; trying again"),
+        while let Some(delivery) = turns.next(&mut waiting) {
+            let id = delivery.id.clone();
+            let call = calls.spawn(deliver(shared.clone(), networks.clone(), delivery));
+            ids.insert(call.id(), id);
         }
     }
 }
 
-/// Returns the due deliveries, oldest first.
+/// Returns the due deliveries: of each tenant first tries before repetitions and one URL after the other, and the first
+/// ones of all tenants before the second ones, so that no tenant and no URL fills the list.
 async fn due(shared: &Shared) -> Result<Vec<Delivery>, StoreError> {
     let longest = 2 * wait_after(shared.settings.webhooks.max_tries, &shared.settings.webhooks).as_secs();
     let rows = sqlx::query_as(
-        "SELECT * FROM webhook_deliveries
-         WHERE state = 'waiting' AND (next_try_at <= unixepoch() OR next_try_at > unixepoch() + ?)
-         ORDER BY seq LIMIT ?",
+        "WITH due AS (
+             SELECT *, row_number() OVER (PARTITION BY tenant, url ORDER BY tries > 0, seq) AS place_of_url
+             FROM webhook_deliveries
+             WHERE state = 'waiting' AND (next_try_at <= unixepoch() OR next_try_at > unixepoch() + ?)),
+         placed AS (
+             SELECT *, row_number() OVER (PARTITION BY tenant ORDER BY tries > 0, place_of_url, seq) AS place FROM due)
+         SELECT * FROM placed ORDER BY place, seq LIMIT ?",
     )
     .bind(longest as i64)
-    .bind(2 * MAX_CALLS as i64)
+    .bind(MAX_WAITING)
     .fetch_all(shared.store.read());
     Ok(rows.await?)
 }
 
-/// Makes one try; returns the id of the delivery.
-async fn deliver(shared: Shared, networks: Arc<Networks>, delivery: Delivery) -> String {
+/// Makes one try.
+async fn deliver(shared: Shared, networks: Arc<Networks>, delivery: Delivery) {
     failpoint("webhook.due");
     let outcome = match prepare_call(&shared, &delivery).await {
         Ok(Some(call)) => {
@@ -115,7 +96,7 @@ async fn deliver(shared: Shared, networks: Arc<Networks>, delivery: Delivery) ->
             let called = tokio::task::spawn_blocking(move || call.make(&networks, timeout)).await;
             called.unwrap_or_else(|error| CallOutcome::failed(None, error.to_string()))
         }
-        Ok(None) => return delivery.id, // the job was deleted, and the delivery with it
+        Ok(None) => return, // the job was deleted, and the delivery with it
         Err(error) => CallOutcome::failed(None, error.to_string()),
     };
     let counter =
@@ -123,6 +104,7 @@ async fn deliver(shared: Shared, networks: Arc<Networks>, delivery: Delivery) ->
     counter.inc();
     tracing::info!(
         job.id = delivery.job,
+        tenant = delivery.tenant.name(),
         delivery.id = delivery.id,
         status = outcome.status,
         error = outcome.error,
@@ -133,15 +115,14 @@ async fn deliver(shared: Shared, networks: Arc<Networks>, delivery: Delivery) ->
         tracing::error!(delivery.id = delivery.id, %error, "cannot store the outcome of a webhook call; the call will be repeated");
     }
     failpoint("webhook.noted");
-    delivery.id
 }
 
 async fn prepare_call(shared: &Shared, delivery: &Delivery) -> Result<Option<Call>, StoreError> {
     let tenant = &delivery.tenant;
     let Some(job) = shared.queue.get(tenant, &delivery.job).await? else { return Ok(None) };
-    let secret = tenants::webhook_secret(&shared.store, tenant).await?;
+    let secrets = tenants::signing_secrets(&shared.store, tenant).await?;
     let body = serde_json::to_vec(&payload(delivery, &job))?;
-    Ok(Some(Call { id: delivery.id.clone(), url: delivery.url.clone(), secret, body }))
+    Ok(Some(Call { id: delivery.id.clone(), url: delivery.url.clone(), secrets, body }))
 }
 
 /// Body of the event: the job and its outcome, without results; receivers fetch those with their API key.

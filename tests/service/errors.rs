@@ -72,7 +72,11 @@ fn rejects_impossible_jobs_with_a_pointer() {
     let webhook = ask(json!({ "session": session, "webhook": { "url": "http://localhost" } }));
     assert_eq!(webhook.expect_problem(422, "webhook_refused")["pointer"], "/webhook/url");
     ask(json!({ "session": session, "priority": 10_000_000 })).expect_problem(400, "malformed");
+    ask(json!({ "session": session, "priority": i64::MIN })).expect_problem(400, "malformed");
     ask(json!({ "session": session, "labels": { "": "x" } })).expect_problem(400, "malformed");
+    let labels: serde_json::Map<_, _> = (0..17).map(|n| (format!("{n}"), json!("x".repeat(240)))).collect();
+    let many = ask(json!({ "session": session, "labels": labels })).expect_problem(400, "malformed");
+    assert_eq!(many["pointer"], "/labels");
 
     for (asked, status, code, pointer) in [
         (json!({ "sede": 1 }), 400, "option_unknown", "/options/sede"),
@@ -109,6 +113,18 @@ fn rejects_impossible_jobs_with_a_pointer() {
 }
 
 #[test]
+fn rejects_a_session_with_a_long_name() {
+    let server = Server::start();
+    let mut long = take(10, 1);
+    for (bytes, status) in [(257, 422), (256, 201)] {
+        long["name"] = json!("x".repeat(bytes));
+        let answer = server.post_json("/v1/sessions", &long);
+        assert_eq!(answer.status, status, "{}", String::from_utf8_lossy(&answer.body));
+    }
+    assert_eq!(server.files("sessions").len() + server.files("tmp").len(), 1);
+}
+
+#[test]
 fn form_with_bad_options_stores_nothing() {
     let server = Server::start();
     let zip = zipped(&take(10, 1));
@@ -137,7 +153,7 @@ fn rejects_early_result_and_late_cancel() {
 #[test]
 fn rejects_a_declared_too_large_body_before_reading() {
     let server = Server::start();
-    let head = "POST /v1/sessions HTTP/1.1\r\nHost: x\r\nContent-Type: application/zip\r\n";
+    let head = "POST /v1/sessions HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/zip\r\n";
     let start = Instant::now();
     let answer = send_raw(server.address(), format!("{head}Content-Length: 99999999999\r\n\r\nPK").as_bytes());
     assert!(answer.starts_with("HTTP/1.1 413") && answer.contains("\"too_large\""), "{answer}");
@@ -151,7 +167,7 @@ fn malformed_http_closes_only_its_connection() {
     let server = Server::start();
     let huge = format!("GET /healthz HTTP/1.1\r\nX: {}\r\n\r\n", "x".repeat(1 << 20));
     let many = format!("GET /healthz HTTP/1.1\r\n{}\r\n", "X: y\r\n".repeat(10_000));
-    let both = "POST /v1/jobs HTTP/1.1\r\nHost: x\r\nContent-Length: 5\r\nContent-Length: 6\r\n\r\nhello";
+    let both = "POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: 5\r\nContent-Length: 6\r\n\r\nhello";
     for bytes in [&b"\0\xff\r\n\r\n"[..], b"GET\r\n\r\n", huge.as_bytes(), many.as_bytes(), both.as_bytes()] {
         let answer = send_raw(server.address(), bytes);
         assert!(answer.is_empty() || answer.starts_with("HTTP/1.1 4"), "{answer}");

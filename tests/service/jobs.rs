@@ -70,6 +70,22 @@ fn repeated_idempotency_key_gives_one_job() {
 }
 
 #[test]
+fn key_gives_its_job_after_the_session_is_deleted() {
+    let server = Server::start();
+    let session = server.upload(10, 1);
+    let body = json!({ "session": session, "options": { "extrinsics": "fixed" } }).to_string();
+    let key = [JSON, ("idempotency-key", "once")];
+    let job = server.post("/v1/jobs", &key, body.as_bytes()).expect(202).json();
+    server.wait_for_state(job["id"].as_str().unwrap(), "succeeded");
+    server.delete(&format!("/v1/sessions/{session}")).expect(204);
+    let again = server.post("/v1/jobs", &key, body.as_bytes()).expect(202).json();
+    assert_eq!((&again["id"], &again["state"]), (&job["id"], &json!("succeeded")));
+    let other = json!({ "session": session, "options": { "extrinsics": "fixed", "seed": 1 } }).to_string();
+    server.post("/v1/jobs", &key, other.as_bytes()).expect_problem(422, "idempotency_key_reused");
+    server.post("/v1/jobs", &[JSON], body.as_bytes()).expect_problem(404, "session_not_found");
+}
+
+#[test]
 fn wait_ends_on_change_and_unchanged_job_is_304() {
     let server = Server::start();
     let first = server.submit(&server.upload(LONG, 1));

@@ -44,6 +44,15 @@ for _ in range(100):
 headers, body = received[0]
 assert wandless.check_webhook(client.webhook_secret(), headers, body)
 assert not wandless.check_webhook(client.webhook_secret(), headers, body + b" ")
+secrets = [client.webhook_secret(), client.rotate_webhook_secret()]
+while client.deliveries(job["id"])[0]["state"] != "delivered":
+    threading.Event().wait(0.1)
+client.redeliver(job["id"], client.deliveries(job["id"])[0]["id"])
+for _ in range(100):
+    if len(received) > 1:
+        break
+    threading.Event().wait(0.1)
+assert secrets[0] != secrets[1] and all(wandless.check_webhook(secret, *received[1]) for secret in secrets)
 try:
     client.submit("session_" + 32 * "0")
     raise SystemExit("a job without a session was accepted")

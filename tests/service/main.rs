@@ -5,6 +5,7 @@
 
 mod crashes;
 mod errors;
+mod front;
 mod http;
 mod jobs;
 mod operations;

@@ -7,6 +7,7 @@ use rustix::process::Signal;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpListener;
+use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -61,8 +62,56 @@ fn log_has_request_ids_and_no_keys() {
     BufReader::new(log).read_to_string(&mut text).unwrap();
     let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     assert!(lines.iter().any(|line| line["span"]["request.id"] == "take-7" && line["status"] == 404), "{text}");
-    assert!(lines.iter().any(|line| line["job.id"] == id.as_str()), "{text}");
+    assert!(lines.iter().any(|line| line["span"]["job.id"] == id.as_str()), "{text}");
     assert!(!text.contains("wl_a_secret"));
+}
+
+#[test]
+fn log_says_why_a_job_failed_and_whose_it_is() {
+    let data = tempfile::tempdir().unwrap();
+    let mut serve = command(data.path());
+    serve.args(["--log-format", "json", "--set", "jobs.memory_bytes=90000000"]).stderr(Stdio::piped());
+    let mut server = Server::from_command(&mut serve);
+    let log = server.stderr();
+    let asked = json!({ "session": server.upload(LONG, 1), "options": { "extrinsics": "fixed" } }).to_string();
+    let headers = [JSON, ("x-request-id", "submission-7")];
+    let job = server.post("/v1/jobs", &headers, asked.as_bytes()).expect(202).json();
+    let id = job["id"].as_str().unwrap();
+    server.wait_for_state(id, "failed");
+    std::thread::sleep(Duration::from_millis(200)); // the line is written after the row
+    drop(server);
+    let mut text = String::new();
+    BufReader::new(log).read_to_string(&mut text).unwrap();
+    let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let ended = lines.iter().find(|line| line["message"] == "job ended").unwrap();
+    assert_eq!((&ended["state"], &ended["code"]), (&json!("failed"), &json!("out_of_memory")), "{text}");
+    assert!(ended["detail"].as_str().unwrap().contains("85 MiB"), "{ended}");
+    let span = &ended["span"];
+    assert_eq!((&span["job.id"], &span["tenant"]), (&json!(id), &json!("default")), "{ended}");
+    assert_eq!(span["request.id"], "submission-7", "{ended}");
+    let crash = lines.iter().find(|line| line["message"] == "the job's process crashed").unwrap();
+    assert_eq!((&crash["signal"], &crash["span"]["job.id"]), (&json!(6), &json!(id)), "{crash}");
+    assert!(!text.contains('\u{1b}') && !text.contains("\\u001b"), "colour codes: {text}");
+}
+
+#[test]
+fn upload_over_its_memory_limit_is_refused() {
+    let server = Server::with(&["--set", "limits.validation_memory_bytes=90000000"]);
+    server.upload(10, 1);
+    // A hundred people of 17 keypoints in each frame: 35 MB of text, 90 MB in memory.
+    let person = json!({ "track_id": null, "keypoints": vec![[1, 1, 1]; 17] }).to_string();
+    let people = vec![person.as_str(); 100].join(",");
+    let frame = |n: usize| format!(r#"{{"frame": {n}, "people": [{people}]}}"#);
+    let frames: Vec<String> = (0..2000).map(frame).collect();
+    let mut session = take(10, 2);
+    session["n_frames"] = json!(2000);
+    session["poses"]["cam0"]["frames"] = json!("FRAMES");
+    let text = session.to_string().replace("\"FRAMES\"", &format!("[{}]", frames.join(",")));
+    let refused = server.post("/v1/sessions", &[JSON], text.as_bytes()).expect_problem(413, "too_large");
+    let text = refused.to_string();
+    assert!(text.contains("85 MiB") && text.contains("validation_memory_bytes"), "{text}");
+    server.upload(10, 3);
+    assert!(server.files("tmp").is_empty());
 }
 
 #[test]
@@ -196,6 +245,38 @@ fn restored_backup_of_a_busy_service_continues() {
     let server = Server::from_command(&mut command(&restored));
     server.get(&format!("/v1/jobs/{done}/cameras")).expect(200);
     server.wait_for_state(&running, "succeeded");
+}
+
+#[test]
+fn backup_takes_relative_names_and_includes_bodies() {
+    let server = Server::start();
+    let id = server.submit(&server.upload(10, 1));
+    server.wait_for_state(&id, "succeeded");
+    let data = server.data().to_owned();
+    let place = tempfile::tempdir().unwrap();
+    let body = place.path().join("body.npz");
+    assert!(wandless(&["body", "export", "--out"], &[&body]).status.success());
+    assert!(wandless(&["body", "add", "--data"], &[&data, Path::new("studio"), &body]).status.success());
+    std::fs::create_dir(place.path().join("nightly.tmp")).unwrap();
+    std::fs::write(place.path().join("nightly.tmp/notes"), b"of another program").unwrap();
+    let run = |words: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_wandless"));
+        let output = command.current_dir(place.path()).args(words).output().unwrap();
+        assert!(output.status.success(), "{words:?}: {}", String::from_utf8_lossy(&output.stderr));
+    };
+    run(&["backup", "nightly.2026-11-22", "--data", data.to_str().unwrap()]);
+    run(&["restore", "nightly.2026-11-22", "--data", "restored"]);
+    run(&["verify", "nightly.2026-11-22"]);
+    for folder in ["nightly.2026-11-22", "restored"] {
+        let folder = place.path().join(folder);
+        let bodies = crate::server::files_below(&folder.join("bodies"));
+        assert_eq!(bodies.len(), 2, "{bodies:?}");
+        let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
+        assert_eq!((mode(&folder), mode(&folder.join("wandless.db")), mode(&bodies[0])), (0o700, 0o600, 0o600));
+    }
+    let body = &crate::server::files_below(&place.path().join("nightly.2026-11-22/bodies"))[0];
+    std::fs::write(body, b"damaged").unwrap();
+    assert_eq!(wandless(&["verify"], &[&place.path().join("nightly.2026-11-22")]).status.code(), Some(1));
 }
 
 #[test]

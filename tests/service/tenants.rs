@@ -4,10 +4,13 @@ use crate::http::{Answer, JSON, send, send_raw};
 use crate::server::Server;
 use crate::take::take;
 use serde_json::{Value, json};
+use std::io::{Read, Write};
+use std::net::TcpStream;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-fn key(server: &Server, words: &[&str]) -> String {
+/// Creates a key of the service under test.
+pub fn key(server: &Server, words: &[&str]) -> String {
     let output = Command::new(env!("CARGO_BIN_EXE_wandless"))
         .args(["key", "create"])
         .args(words)
@@ -19,7 +22,8 @@ fn key(server: &Server, words: &[&str]) -> String {
     String::from_utf8(output.stdout).unwrap().trim().to_owned()
 }
 
-fn ask(server: &Server, method: &str, path: &str, key: &str, body: Option<&Value>) -> Answer {
+/// Sends a request with a key.
+pub fn ask(server: &Server, method: &str, path: &str, key: &str, body: Option<&Value>) -> Answer {
     let bearer = format!("Bearer {key}");
     let mut headers = vec![("authorization", bearer.as_str())];
     headers.extend(body.map(|_| JSON));
@@ -138,6 +142,21 @@ fn quotas_are_exact_and_released_on_delete() {
     server.post("/v1/sessions", &[JSON], take(11, 1).to_string().as_bytes()).expect_problem(507, "quota_exceeded");
     server.delete(&format!("/v1/sessions/{}", session["id"].as_str().unwrap())).expect(204);
     server.post("/v1/sessions", &[JSON], text.as_bytes()).expect(201);
+
+    let id = server.get("/v1/sessions").expect(200).json()["sessions"][0]["id"].clone();
+    server.post_json("/v1/jobs", &json!({ "session": id })).expect_problem(507, "quota_exceeded");
+
+    let server = Server::with(&["--set", "tenants.max_bytes=1000"]);
+    let unfinished = [700, 400].map(|length| {
+        let mut stream = TcpStream::connect(server.address()).unwrap();
+        let head = "POST /v1/sessions HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: application/json\r\n";
+        write!(stream, "{head}Content-Length: {length}\r\n\r\n{{").unwrap();
+        std::thread::sleep(Duration::from_millis(300));
+        stream
+    });
+    let mut answer = [0; 12];
+    (&unfinished[1]).read_exact(&mut answer).unwrap();
+    assert_eq!(&answer, b"HTTP/1.1 507", "the announced bytes of both uploads exceed the quota");
 
     let server = Server::with(&["--set", "tenants.max_queued=2"]);
     let busy = server.submit(&server.upload(crate::take::LONG, 1));

@@ -1,13 +1,17 @@
 //! Access control: API keys, scopes and rate limits.
 //!
 //! A key is sent as `Authorization: Bearer wl_…`, or as the password of `Authorization: Basic`, for which a browser prompts.
-//! While no key was ever created and the service listens on a loopback address, every request acts as the tenant `default`.
+//! While no key was ever created and the service listens on a loopback address, every request acts as the tenant `default`;
+//! [`super::origin`] then checks the host that it was sent to.
 //! Resources of other tenants are answered like resources that do not exist.
 
 use super::app::App;
+use super::connections::network;
 use super::error::Problem;
+use super::origin::{require_known_host, require_own_page};
 use super::server::Peer;
 use crate::service::failpoint::fault;
+use crate::service::queue::job::Submitter;
 use crate::service::store::keys::{self, Scope};
 use crate::service::store::{StoreError, Tenant};
 use axum::extract::{FromRequestParts, Request, State};
@@ -17,7 +21,11 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use std::time::Duration;
+use std::time::{Duration, Instant};
+use tracing::Span;
+
+/// An answer that took longer is withheld if the key was revoked in the meantime.
+const LONG_WAIT: Duration = Duration::from_secs(1);
 
 /// The authenticated tenant of a request; every handler below `/v1` extracts it.
 #[derive(Debug, Clone)]
@@ -34,10 +42,38 @@ impl<S: Sync + Send> FromRequestParts<S> for Caller {
     }
 }
 
-/// Middleware of the routes below `/v1`, adds the [`Caller`]: GET and HEAD need the scope `read`, other methods `write`.
+/// What admitted a request: the id of a key, or `None` where no key was required.
+#[derive(Debug, Clone)]
+pub(super) struct Credential(Option<String>);
+
+impl Credential {
+    /// Whether a request would still be admitted.
+    pub(super) async fn is_valid(&self, app: &App) -> Result<bool, StoreError> {
+        match &self.0 {
+            Some(key) => keys::is_active(&app.store, key).await,
+            None => Ok(!requires_keys(app).await?),
+        }
+    }
+}
+
+impl<S: Sync + Send> FromRequestParts<S> for Credential {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Problem> {
+        parts.extensions.get::<Self>().cloned().ok_or_else(|| Problem::internal("a route without an access check"))
+    }
+}
+
+/// Middleware of the routes below `/v1`, adds [`Caller`] and [`Credential`]: GET and HEAD need the scope `read`, other
+/// methods `write`.
 pub(super) async fn to_the_api(State(app): State<App>, request: Request, next: Next) -> Response {
-    let is_read = matches!(*request.method(), Method::GET | Method::HEAD);
-    admit(app, if is_read { Scope::Read } else { Scope::Write }, request, next).await
+    let scope = if is_read(request.method()) { Scope::Read } else { Scope::Write };
+    admit(app, scope, request, next).await
+}
+
+/// Middleware of the routes that show secrets: every method needs the scope `write`.
+pub(super) async fn to_the_secrets(State(app): State<App>, request: Request, next: Next) -> Response {
+    admit(app, Scope::Write, request, next).await
 }
 
 /// Middleware of `/metrics`: needs the scope `metrics`.
@@ -47,25 +83,55 @@ pub(super) async fn to_the_metrics(State(app): State<App>, request: Request, nex
 
 async fn admit(app: App, scope: Scope, request: Request, next: Next) -> Response {
     let (mut head, body) = request.into_parts();
-    match caller(&app, scope, &head).await {
-        Ok(caller) => {
-            head.extensions.insert(caller);
-            next.run(Request::from_parts(head, body)).await
-        }
-        Err(problem) => problem.into_response(),
+    let start = Instant::now();
+    let is_read = is_read(&head.method);
+    let (caller, credential) = match caller(&app, scope, &head).await {
+        Ok(admitted) => admitted,
+        Err(problem) => return problem.into_response(),
+    };
+    head.extensions.insert(caller);
+    if let Some(submitter) = head.extensions.get_mut::<Submitter>() {
+        submitter.key.clone_from(&credential.0);
+    }
+    head.extensions.insert(credential.clone());
+    let challenge = challenge(&head.headers);
+    let response = next.run(Request::from_parts(head, body)).await;
+    if !is_read || start.elapsed() < LONG_WAIT {
+        return response;
+    }
+    match credential.is_valid(&app).await {
+        Ok(true) => response,
+        Ok(false) => unauthorized(challenge).into_response(),
+        Err(error) => Problem::from(error).into_response(),
     }
 }
 
-async fn caller(app: &App, scope: Scope, head: &Parts) -> Result<Caller, Problem> {
-    require_own_page(app, head)?;
+fn is_read(method: &Method) -> bool {
+    matches!(*method, Method::GET | Method::HEAD)
+}
+
+async fn caller(app: &App, scope: Scope, head: &Parts) -> Result<(Caller, Credential), Problem> {
+    let note_access = |has_access: bool| {
+        if let Some(peer) = head.extensions.get::<Peer>() {
+            peer.connection.note_access(has_access);
+        }
+    };
     if !requires_keys(app).await? {
-        return Ok(Caller { tenant: Tenant::default_tenant() });
+        require_known_host(app, head)?;
+        require_own_page(app, head)?;
+        note_access(true);
+        let tenant = Tenant::default_tenant();
+        Span::current().record("tenant", tenant.name());
+        return Ok((Caller { tenant }, Credential(None)));
     }
+    require_own_page(app, head)?;
     let key = match token(&head.headers) {
         Some(token) => keys::check(&app.store, &token).await?,
         None => None,
     };
+    note_access(key.is_some());
     let Some(key) = key else { return Err(refuse_key(app, head)) };
+    Span::current().record("tenant", key.tenant.name()).record("key.id", key.id.as_str());
     app.tenant_rates.take(key.tenant.name()).map_err(|wait| too_many("the tenant sends too many requests", wait))?;
     if !key.scopes.contains(&scope) {
         return Err(Problem::new(
@@ -75,28 +141,12 @@ async fn caller(app: &App, scope: Scope, head: &Parts) -> Result<Caller, Problem
             "ask the operator for a key with this scope",
         ));
     }
-    Ok(Caller { tenant: if fault("tenants.one") { Tenant::default_tenant() } else { key.tenant } })
+    let tenant = if fault("tenants.one") { Tenant::default_tenant() } else { key.tenant };
+    Ok((Caller { tenant }, Credential(Some(key.id))))
 }
 
 async fn requires_keys(app: &App) -> Result<bool, StoreError> {
     Ok(!app.settings.listen.ip().is_loopback() || keys::any(&app.store).await?)
-}
-
-/// Refuses changes by pages of other sites: they must not submit forms with the rights of the browser's user.
-fn require_own_page(app: &App, head: &Parts) -> Result<(), Problem> {
-    let text = |name: &str| head.headers.get(name).and_then(|value| value.to_str().ok());
-    let is_read = matches!(head.method, Method::GET | Method::HEAD);
-    let is_foreign = text("sec-fetch-site").is_some_and(|site| !matches!(site, "same-origin" | "none"));
-    let is_listed = text("origin").is_some_and(|origin| app.settings.cors_origins.iter().any(|o| o == origin));
-    if is_read || !is_foreign || is_listed {
-        return Ok(());
-    }
-    Err(Problem::new(
-        StatusCode::FORBIDDEN,
-        "foreign_page",
-        "pages of other sites cannot change anything here",
-        "ask the operator to list the site in cors_origins",
-    ))
 }
 
 fn token(headers: &HeaderMap) -> Option<String> {
@@ -114,19 +164,23 @@ fn token(headers: &HeaderMap) -> Option<String> {
 
 /// 401, or 429 after too many wrong keys from one address.
 fn refuse_key(app: &App, head: &Parts) -> Problem {
-    let peer = head.extensions.get::<Peer>().map_or_else(String::new, |peer| peer.0.ip().to_string());
+    let peer = head.extensions.get::<Peer>().map_or_else(String::new, |peer| network(peer.address.ip()).to_string());
     if let Err(wait) = app.bad_key_rates.take(&peer)
         && !fault("guesses.free")
     {
         return too_many("too many requests without a valid key", wait);
     }
+    unauthorized(challenge(&head.headers))
+}
+
+fn unauthorized(challenge: &'static str) -> Problem {
     Problem::new(
         StatusCode::UNAUTHORIZED,
         "unauthorized",
         "a valid API key is needed",
         "send the header Authorization: Bearer <key>; the operator creates keys with `wandless key create`",
     )
-    .with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static(challenge(&head.headers)))
+    .with_header(header::WWW_AUTHENTICATE, HeaderValue::from_static(challenge))
 }
 
 /// The `WWW-Authenticate` header: `Basic` makes the browser prompt for pages and downloads; scripts of the viewer get

@@ -1,7 +1,10 @@
 //! State that every HTTP handler can use.
 
 use super::error::Problem;
+use super::inspections::Inspections;
 use super::rate_limit::RateLimiter;
+use super::turns::Turns;
+use super::verified::VerifiedFiles;
 use crate::service::metrics::Metrics;
 use crate::service::queue::Queue;
 use crate::service::settings::Settings;
@@ -25,6 +28,12 @@ pub(super) struct App {
     pub(super) allowed_networks: Arc<Networks>,
     /// Limits the number of uploads that are held in memory at the same time.
     pub(super) validations: Arc<Semaphore>,
+    /// Limits the number of lists that one tenant reads at the same time.
+    pub(super) lists: Arc<Turns>,
+    /// Inspections of sessions: the finished ones and the turns of the others.
+    pub(super) inspections: Arc<Inspections>,
+    /// Published files whose digest was compared.
+    pub(super) verified: Arc<VerifiedFiles>,
     /// Rate limit of each tenant.
     pub(super) tenant_rates: Arc<RateLimiter>,
     /// Rate limit of requests without a valid key, for each address.
@@ -34,21 +43,34 @@ pub(super) struct App {
 /// Uploads validated at the same time: each may hold a session of some hundred megabytes.
 const VALIDATIONS: usize = 2;
 
+/// Lists of one tenant at the same time: each can hold some megabytes until its client has read it.
+const LISTS_PER_TENANT: usize = 4;
+
 impl App {
     pub(super) fn new(shared: Shared, allowed_networks: Arc<Networks>) -> Self {
         let Shared { store, queue, settings, metrics, draining } = shared;
         let tenant_rates = Arc::new(RateLimiter::new(settings.tenants.requests_per_s));
         let bad_key_rates = Arc::new(RateLimiter::new(settings.limits.bad_keys_per_s));
         let validations = Arc::new(Semaphore::new(VALIDATIONS));
-        Self { store, queue, settings, metrics, draining, allowed_networks, validations, tenant_rates, bad_key_rates }
+        let lists = Arc::new(Turns::new(LISTS_PER_TENANT));
+        Self {
+            store,
+            queue,
+            settings,
+            metrics,
+            draining,
+            allowed_networks,
+            validations,
+            lists,
+            inspections: Arc::default(),
+            verified: Arc::default(),
+            tenant_rates,
+            bad_key_rates,
+        }
     }
 
     /// Returns the problem 507 while the disk is nearly full.
     pub(super) fn require_disk(&self) -> Result<(), Problem> {
-        match self.store.folders.free_bytes() {
-            Ok(free) if free < self.settings.limits.min_free_bytes => Err(Problem::disk_full()),
-            Ok(_) => Ok(()),
-            Err(error) => Err(Problem::internal(error)),
-        }
+        Ok(self.store.require_space()?)
     }
 }

@@ -17,6 +17,7 @@ pub(super) fn layer(origins: &[String]) -> Option<CorsLayer> {
             .allow_headers([
                 header::AUTHORIZATION,
                 header::CONTENT_TYPE,
+                header::IF_MATCH,
                 header::IF_NONE_MATCH,
                 header::IF_RANGE,
                 header::RANGE,

@@ -69,9 +69,21 @@ pub(super) async fn redeliver(
     })
 }
 
-/// Get the secret that signs the webhooks of the caller.
+/// Get the secret that signs the webhooks of the caller; needs the scope `write`.
 #[utoipa::path(get, path = "/v1/webhook-secret", operation_id = "getWebhookSecret", tag = "webhooks",
     responses((status = 200, description = "The secret, `whsec_…`", body = WebhookSecret)))]
 pub(super) async fn secret(State(app): State<App>, Caller { tenant }: Caller) -> Result<Json<WebhookSecret>, Problem> {
     Ok(Json(WebhookSecret { secret: tenants::webhook_secret(&app.store, &tenant).await? }))
+}
+
+/// Replace the secret that signs the webhooks of the caller.
+///
+/// For 24 hours calls are signed with both secrets, so that receivers can change over.
+#[utoipa::path(post, path = "/v1/webhook-secret", operation_id = "rotateWebhookSecret", tag = "webhooks",
+    responses((status = 200, description = "The new secret, `whsec_…`", body = WebhookSecret)))]
+pub(super) async fn rotate_secret(
+    State(app): State<App>,
+    Caller { tenant }: Caller,
+) -> Result<Json<WebhookSecret>, Problem> {
+    Ok(Json(WebhookSecret { secret: tenants::rotate_webhook_secret(&app.store, &tenant).await? }))
 }

@@ -19,6 +19,9 @@ pub(super) struct Problem {
     headers: Vec<(HeaderName, HeaderValue)>,
 }
 
+/// Detail of a failed write for want of space.
+const DISK_FULL: &str = "the disk of the service is full";
+
 /// Description of an error (RFC 9457).
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(as = Problem)]
@@ -176,11 +179,14 @@ impl Problem {
     }
 
     /// 507.
-    pub(super) fn disk_full() -> Self {
+    pub(super) fn disk_full(detail: impl Into<String>) -> Self {
+        if fault("disk.unnamed") {
+            return Self::internal(detail.into());
+        }
         Self::new(
             StatusCode::INSUFFICIENT_STORAGE,
             "disk_full",
-            "the disk of the service is full",
+            detail,
             "delete jobs and sessions that are not needed, or ask the operator",
         )
     }
@@ -188,9 +194,7 @@ impl Problem {
     /// 507 for a full disk, 500 for any other failed file operation.
     pub(super) fn from_io(error: &std::io::Error) -> Self {
         match error.kind() {
-            std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded if !fault("disk.unnamed") => {
-                Self::disk_full()
-            }
+            std::io::ErrorKind::StorageFull | std::io::ErrorKind::QuotaExceeded => Self::disk_full(DISK_FULL),
             _ => Self::internal(error),
         }
     }
@@ -202,9 +206,10 @@ impl From<StoreError> for Problem {
             StoreError::Database(sqlx::Error::PoolTimedOut) => Self::unavailable("busy", "the database is busy"),
             StoreError::Database(sqlx::Error::Database(cause)) => match cause.code().as_deref() {
                 Some("5" | "6" | "261" | "517") => Self::unavailable("busy", "the database is busy"), // BUSY, LOCKED
-                _ if error.is_disk_full() => Self::disk_full(),
+                _ if error.is_disk_full() => Self::disk_full(DISK_FULL),
                 _ => Self::internal(error),
             },
+            StoreError::DiskFull { .. } => Self::disk_full(error.to_string()),
             _ => Self::internal(error),
         }
     }
@@ -219,6 +224,10 @@ impl From<AddError> for Problem {
                 error.to_string(),
                 "delete sessions and jobs that are not needed, or ask the operator for more",
             ),
+            AddError::NameTooLong { .. } => {
+                Self::new(StatusCode::UNPROCESSABLE_ENTITY, "name_too_long", error.to_string(), "shorten the name")
+                    .at("/name")
+            }
             AddError::Store(error) => error.into(),
         }
     }

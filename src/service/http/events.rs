@@ -4,7 +4,7 @@
 //! line of the job's process. The id of an event is the version of the job: a client that reconnects with `Last-Event-ID`
 //! receives the state again only if it has changed.
 
-use super::access::Caller;
+use super::access::{Caller, Credential};
 use super::app::App;
 use super::error::Problem;
 use super::extract::{ApiPath, JobPath};
@@ -23,9 +23,13 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::broadcast::Receiver;
 use tokio::sync::broadcast::error::RecvError;
+use tokio::time::{Interval, MissedTickBehavior};
 
 /// A comment is sent after this time without an event: proxies keep the stream open, and a lost client is noticed.
 const KEEP_ALIVE: Duration = Duration::from_secs(10);
+
+/// A stream ends at most this long after its key was revoked.
+const KEY_CHECK_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Follow a job.
 #[utoipa::path(get, path = "/v1/jobs/{id}/events", operation_id = "followJob", tag = "jobs", params(JobPath),
@@ -34,16 +38,21 @@ const KEEP_ALIVE: Duration = Duration::from_secs(10);
 pub(super) async fn stream(
     State(app): State<App>,
     caller: Caller,
+    credential: Credential,
     ApiPath(JobPath { id }): ApiPath<JobPath>,
     headers: HeaderMap,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Problem> {
     let (changes, log) = (app.queue.listen(), app.queue.listen_to_logs()); // before the first read, so that no change is missed
     let job = app.queue.get(&caller.tenant, &id).await?.ok_or_else(|| Problem::not_found("job"))?;
+    let mut key_checks = tokio::time::interval(KEY_CHECK_INTERVAL);
+    key_checks.set_missed_tick_behavior(MissedTickBehavior::Delay); // a client that reads slowly causes no burst of checks
     let known = headers.get("last-event-id").and_then(|value| value.to_str().ok()?.parse::<i64>().ok());
     let mut follower = Follower {
         held: Held::new(&app.metrics),
         app,
         caller,
+        credential,
+        key_checks,
         id,
         changes,
         log,
@@ -68,6 +77,8 @@ pub(super) async fn stream(
 struct Follower {
     app: App,
     caller: Caller,
+    credential: Credential,
+    key_checks: Interval,
     id: String,
     changes: Receiver<Arc<str>>,
     log: Receiver<LogLine>,
@@ -81,7 +92,7 @@ struct Follower {
 }
 
 impl Follower {
-    /// The next event; `None` after the final state, and when the job was deleted or the service stops.
+    /// The next event; `None` after the final state, and when the job was deleted, the key was revoked or the service stops.
     async fn next(&mut self) -> Option<Event> {
         loop {
             if let Some(event) = self.waiting.pop_front() {
@@ -102,8 +113,16 @@ impl Follower {
                         self.waiting.extend(event("log", None, &serde_json::json!({ "line": &*line.line })));
                     }
                 },
+                _ = self.key_checks.tick() => self.check_key().await,
                 () = draining.cancelled() => self.is_at_end = true,
             }
+        }
+    }
+
+    async fn check_key(&mut self) {
+        match self.credential.is_valid(&self.app).await {
+            Ok(is_valid) => self.is_at_end = !is_valid,
+            Err(error) => tracing::warn!(job.id = self.id, %error, "the key of an event stream could not be checked"),
         }
     }
 

@@ -2,35 +2,56 @@
 
 use super::access::Caller;
 use super::app::App;
+use super::conditions::{is_unchanged, require_match};
 use super::error::Problem;
 use super::extract::{ApiPath, SessionPath};
-use super::upload::upload_problem;
-use crate::pipeline::inspection::{Inspection, inspect};
-use crate::service::store::sessions;
-use crate::session::upload::{self, UploadLimits};
-use axum::Json;
+use crate::pipeline::inspection::Inspection;
+use crate::service::store::Tenant;
+use crate::service::store::sessions::{self, StoredSession};
+use crate::service::validation;
+use axum::body::Bytes;
 use axum::extract::State;
-use axum::http::header;
+use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
 /// Inspect a session before it is solved.
 #[utoipa::path(get, path = "/v1/sessions/{id}/inspection", operation_id = "inspectSession", tag = "sessions",
-    params(SessionPath), responses((status = 200, description = "The inspection", body = Inspection), (status = 422)))]
+    params(SessionPath),
+    responses((status = 200, description = "The inspection", body = Inspection, headers(("ETag" = String))),
+        (status = 304, description = "Unchanged"), (status = 412), (status = 413), (status = 422), (status = 503)))]
 pub(super) async fn get(
     State(app): State<App>,
-    caller: Caller,
+    Caller { tenant }: Caller,
     ApiPath(SessionPath { id }): ApiPath<SessionPath>,
+    headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let session = sessions::get(&app.store, &caller.tenant, &id).await?;
+    let session = sessions::get(&app.store, &tenant, &id).await?;
     let session = session.ok_or_else(|| Problem::not_found("session"))?;
-    let _turn = app.validations.acquire().await.map_err(Problem::internal)?; // the inspection holds a session in memory
-    let (path, threads) = (app.store.folders.session(&id), app.settings.jobs.threads);
-    let inspected = tokio::task::spawn_blocking(move || -> Result<Inspection, Problem> {
-        let loaded = upload::read_path(&path, &UploadLimits::default()).map_err(upload_problem)?;
-        let threads = if threads == 0 { std::thread::available_parallelism().map_or(1, usize::from) } else { threads };
-        Ok(inspect(&loaded.session, threads))
-    });
-    let inspection = inspected.await.map_err(Problem::internal)??;
-    let tag = [(header::ETAG, format!("\"{}-{}\"", session.summary.sha256, env!("CARGO_PKG_VERSION")))];
-    Ok((tag, Json(inspection)).into_response())
+    let version = env!("CARGO_PKG_VERSION");
+    let tag = format!("\"{}-{version}-{}\"", session.summary.sha256, app.settings.jobs.threads); // the time follows from the threads
+    require_match(&headers, &tag)?;
+    if is_unchanged(&headers, &tag) {
+        return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, tag)]).into_response());
+    }
+    let document = match app.inspections.get(&session.summary.sha256) {
+        Some(document) => document,
+        None => inspected(&app, &tenant, session).await?,
+    };
+    let headers = [(header::CONTENT_TYPE, "application/json".to_owned()), (header::ETAG, tag)];
+    Ok((headers, document).into_response())
+}
+
+/// Inspects the session when it is the turn of the tenant, and keeps the inspection.
+async fn inspected(app: &App, tenant: &Tenant, session: StoredSession) -> Result<Bytes, Problem> {
+    let inspections = &app.inspections;
+    let _tenant_turn = inspections.tenants.take(tenant).await?;
+    let sha256 = session.summary.sha256;
+    if let Some(document) = inspections.get(&sha256) {
+        return Ok(document); // a request before this one has inspected the same session
+    }
+    let _turn = inspections.turn.acquire().await.map_err(Problem::internal)?;
+    let _memory = app.validations.acquire().await.map_err(Problem::internal)?; // may take its whole limit, as an upload does
+    let document = Bytes::from(validation::inspect(&app.settings, &app.store.folders.session(&session.id)).await?);
+    inspections.insert(sha256, document.clone());
+    Ok(document)
 }

@@ -2,9 +2,10 @@
 
 use super::access::Caller;
 use super::app::App;
+use super::conditions::require_match;
 use super::error::Problem;
 use super::extract::{ApiPath, ApiQuery, JobPath};
-use super::page::{Page, PageQuery};
+use super::page::{self, PageQuery};
 use crate::pipeline::Options;
 use crate::service::failpoint::fault;
 use crate::service::metrics::Held;
@@ -34,7 +35,7 @@ pub(super) struct ListQuery {
     /// `key` or `key=value`.
     #[param(nullable = false)]
     label: Option<String>,
-    /// Jobs per page; values above 500 mean 500.
+    /// Most jobs per page; values above 500 mean 500. Long labels make a page shorter.
     #[param(nullable = false, minimum = 0, default = 50)]
     page_size: Option<i64>,
     /// `next_page_token` of the page before.
@@ -49,7 +50,7 @@ fn state_filter() -> Object {
 
 /// One page of jobs.
 #[derive(Debug, Serialize, ToSchema)]
-pub(super) struct JobPage {
+struct JobPage {
     jobs: Vec<JobDocument>,
     /// Requests the next page; null on the last page.
     #[schema(required)]
@@ -63,7 +64,7 @@ pub(super) async fn list(
     State(app): State<App>,
     Caller { tenant }: Caller,
     ApiQuery(query): ApiQuery<ListQuery>,
-) -> Result<Json<JobPage>, Problem> {
+) -> Result<Response, Problem> {
     let state = query.state.filter(|state| !state.is_empty());
     let state = state.map(|state| Phase::parse(&state).ok_or(state)).transpose().map_err(|state| {
         let names = Phase::ALL.map(Phase::name).join(", ");
@@ -73,12 +74,14 @@ pub(super) async fn list(
         Some((key, value)) => LabelFilter { key: key.to_owned(), value: Some(value.to_owned()) },
         None => LabelFilter { key: label, value: None },
     });
-    let page = PageQuery { page_size: query.page_size, page_token: query.page_token };
-    let filter = JobFilter { state, label, before: page.before()? };
-    let rows = app.queue.list(&tenant, &filter, page.fetch_size()?).await?;
-    let page = Page::cut(rows, &page, |job: &Job| job.seq)?;
-    let jobs = page.items.into_iter().map(JobDocument::of).collect();
-    Ok(Json(JobPage { jobs, next_page_token: page.next_page_token }))
+    let asked = PageQuery { page_size: query.page_size, page_token: query.page_token };
+    let filter = JobFilter { state, label, before: asked.before()? };
+    let max_rows = asked.max_rows()?;
+    let turn = app.lists.take(&tenant).await?;
+    let listed = app.queue.list(&tenant, &filter, max_rows).await?;
+    let next_page_token = page::next_page_token(&listed, |job| job.seq);
+    let jobs = listed.items.into_iter().map(JobDocument::of).collect();
+    page::answer(&JobPage { jobs, next_page_token }, turn)
 }
 
 /// `?wait=`
@@ -95,9 +98,10 @@ pub(super) struct WaitQuery {
 ///
 /// With `wait`, the answer comes once the job differs from `If-None-Match`, or from its version at the time of the request.
 #[utoipa::path(get, path = "/v1/jobs/{id}", operation_id = "getJob", tag = "jobs",
-    params(JobPath, WaitQuery, ("If-None-Match" = inline(Option<String>), Header, nullable = false)),
+    params(JobPath, WaitQuery, ("If-None-Match" = inline(Option<String>), Header, nullable = false),
+        ("If-Match" = inline(Option<String>), Header, nullable = false)),
     responses((status = 200, description = "The job", body = JobDocument, headers(("ETag" = String))),
-        (status = 304, description = "Unchanged")))]
+        (status = 304, description = "Unchanged"), (status = 412)))]
 pub(super) async fn get(
     State(app): State<App>,
     Caller { tenant }: Caller,
@@ -118,6 +122,7 @@ pub(super) async fn get(
     let known = headers.get(header::IF_NONE_MATCH).and_then(|value| value.to_str().ok()).map(str::to_owned);
     let job = wait_for_change(&app, &tenant, &id, known.as_deref(), wait).await?;
     let tag = etag(&job);
+    require_match(&headers, &tag)?;
     if known.is_some_and(|known| known == tag) {
         return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, tag)]).into_response());
     }
@@ -158,13 +163,17 @@ async fn wait_for_change(
 }
 
 /// Cancel a job.
-#[utoipa::path(post, path = "/v1/jobs/{id}/cancel", operation_id = "cancelJob", tag = "jobs", params(JobPath),
-    responses((status = 202, description = "The job stops within 2 s", body = JobDocument), (status = 409)))]
+#[utoipa::path(post, path = "/v1/jobs/{id}/cancel", operation_id = "cancelJob", tag = "jobs",
+    params(JobPath, ("If-Match" = inline(Option<String>), Header, nullable = false)),
+    responses((status = 202, description = "The job stops within 2 s", body = JobDocument), (status = 409),
+        (status = 412)))]
 pub(super) async fn cancel(
     State(app): State<App>,
     Caller { tenant }: Caller,
     ApiPath(JobPath { id }): ApiPath<JobPath>,
+    headers: HeaderMap,
 ) -> Result<Response, Problem> {
+    require_version(&app, &tenant, &id, &headers).await?;
     match app.queue.cancel(&tenant, &id).await? {
         Cancel::Accepted(job) => Ok((StatusCode::ACCEPTED, answer(*job)).into_response()),
         Cancel::Missing => Err(Problem::not_found("job")),
@@ -178,14 +187,27 @@ pub(super) async fn cancel(
 }
 
 /// Delete a job and its files.
-#[utoipa::path(delete, path = "/v1/jobs/{id}", operation_id = "deleteJob", tag = "jobs", params(JobPath),
-    responses((status = 204, description = "Deleted; a running job is stopped")))]
+#[utoipa::path(delete, path = "/v1/jobs/{id}", operation_id = "deleteJob", tag = "jobs",
+    params(JobPath, ("If-Match" = inline(Option<String>), Header, nullable = false)),
+    responses((status = 204, description = "Deleted; a running job is stopped"), (status = 412)))]
 pub(super) async fn delete(
     State(app): State<App>,
     Caller { tenant }: Caller,
     ApiPath(JobPath { id }): ApiPath<JobPath>,
+    headers: HeaderMap,
 ) -> Result<StatusCode, Problem> {
+    require_version(&app, &tenant, &id, &headers).await?;
     if app.queue.delete(&tenant, &id).await? { Ok(StatusCode::NO_CONTENT) } else { Err(Problem::not_found("job")) }
+}
+
+/// Checks `If-Match` before a change. Final jobs have one version for ever; a running job can still change in the moment
+/// between this check and the change.
+async fn require_version(app: &App, tenant: &Tenant, id: &str, headers: &HeaderMap) -> Result<(), Problem> {
+    if !headers.contains_key(header::IF_MATCH) {
+        return Ok(());
+    }
+    let job = app.queue.get(tenant, id).await?.ok_or_else(|| Problem::not_found("job"))?;
+    require_match(headers, &etag(&job))
 }
 
 fn etag(job: &Job) -> String {

@@ -33,8 +33,7 @@ pub(super) async fn document(Extension(description): Extension<Arc<Description>>
     responses((status = 200, description = "The page", body = String, content_type = "text/html")))]
 pub(super) async fn page(Extension(description): Extension<Arc<Description>>) -> impl IntoResponse {
     let policy = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; frame-ancestors 'none'";
-    let headers = [(header::CONTENT_SECURITY_POLICY, policy), (header::X_CONTENT_TYPE_OPTIONS, "nosniff")];
-    (headers, Html(description.page.clone()))
+    ([(header::CONTENT_SECURITY_POLICY, policy)], Html(description.page.clone()))
 }
 
 impl Description {
@@ -105,10 +104,11 @@ fn meaning(status: &str) -> Option<&'static str> {
     Some(match status {
         "400" => "Malformed request",
         "401" => "A valid API key is required",
-        "403" => "The key lacks the scope, or the request comes from a page of another site",
+        "403" => "The key lacks the scope, or the request comes from a page of another site or names an unknown host",
         "404" => "The resource does not exist, or belongs to another tenant",
         "408" => "The body arrived too slowly",
         "409" => "Not possible in the current state",
+        "412" => "If-Match names another version",
         "413" => "The body is too large",
         "415" => "Unsupported media type",
         "416" => "The range is outside of the file",

@@ -1,31 +1,33 @@
 //! Paginated lists: `page_size`, and a `page_token` that names the last row of the page before.
 
 use super::error::Problem;
-use serde::Deserialize;
+use crate::service::store::listing::Listed;
+use axum::body::{Body, Bytes};
+use axum::http::{HeaderValue, header};
+use axum::response::{IntoResponse, Response};
+use futures_util::{StreamExt, stream};
+use serde::{Deserialize, Serialize};
+use std::convert::Infallible;
+use tokio::sync::OwnedSemaphorePermit;
 use utoipa::IntoParams;
 
 const DEFAULT_PAGE_SIZE: i64 = 50;
 const MAX_PAGE_SIZE: i64 = 500;
+
+/// Bytes handed to the connection at a time.
+const CHUNK_BYTES: usize = 64 << 10;
 
 /// `?page_size=&page_token=`
 #[derive(Debug, Default, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct PageQuery {
-    /// Items per page; values above 500 mean 500.
+    /// Most items per page; values above 500 mean 500. Long items make a page shorter.
     #[param(nullable = false, minimum = 0, default = 50)]
     pub(super) page_size: Option<i64>,
     /// `next_page_token` of the page before.
     #[param(nullable = false, pattern = "^(s[0-9a-f]{1,15})?$")]
     pub(super) page_token: Option<String>,
-}
-
-/// One page of a list.
-#[derive(Debug)]
-pub(super) struct Page<T> {
-    pub(super) items: Vec<T>,
-    /// Requests the next page; `None` on the last page.
-    pub(super) next_page_token: Option<String>,
 }
 
 impl PageQuery {
@@ -43,12 +45,8 @@ impl PageQuery {
         }
     }
 
-    /// Number of rows to fetch: one more than the page holds shows whether another page follows.
-    pub(super) fn fetch_size(&self) -> Result<i64, Problem> {
-        Ok(self.size()? + 1)
-    }
-
-    fn size(&self) -> Result<i64, Problem> {
+    /// Largest number of rows of the page.
+    pub(super) fn max_rows(&self) -> Result<i64, Problem> {
         match self.page_size {
             None | Some(0) => Ok(DEFAULT_PAGE_SIZE),
             Some(size) if size > 0 => Ok(size.min(MAX_PAGE_SIZE)),
@@ -59,15 +57,25 @@ impl PageQuery {
     }
 }
 
-impl<T> Page<T> {
-    /// Makes a page of the fetched rows and drops the extra row.
-    pub(super) fn cut(mut rows: Vec<T>, query: &PageQuery, seq: impl Fn(&T) -> i64) -> Result<Self, Problem> {
-        let size = query.size()? as usize;
-        let is_last = rows.len() <= size;
-        rows.truncate(size);
-        let next_page_token = rows.last().filter(|_| !is_last).map(|row| format!("s{:x}", seq(row)));
-        Ok(Self { items: rows, next_page_token })
-    }
+/// `next_page_token` of a page; `None` on the last one. `seq` is the position of a row in the list.
+pub(super) fn next_page_token<T>(page: &Listed<T>, seq: impl Fn(&T) -> i64) -> Option<String> {
+    page.items.last().filter(|_| page.has_more).map(|row| format!("s{:x}", seq(row)))
+}
+
+/// Sends a page as JSON; `turn` ends when the client has read it.
+pub(super) fn answer(page: &impl Serialize, turn: OwnedSemaphorePermit) -> Result<Response, Problem> {
+    let text = Bytes::from(serde_json::to_vec(page).map_err(Problem::internal)?);
+    let headers = [
+        (header::CONTENT_TYPE, HeaderValue::from_static("application/json")),
+        (header::CONTENT_LENGTH, HeaderValue::from(text.len())),
+    ];
+    let starts = (0..text.len()).step_by(CHUNK_BYTES);
+    let chunks = starts.map(move |start| text.slice(start..text.len().min(start + CHUNK_BYTES)));
+    let chunks = stream::iter(chunks).map(move |chunk| {
+        let _ = &turn; // held until the last chunk is taken
+        Ok::<_, Infallible>(chunk)
+    });
+    Ok((headers, Body::from_stream(chunks)).into_response())
 }
 
 #[cfg(test)]
@@ -80,10 +88,11 @@ mod tests {
         let mut query = PageQuery { page_size: Some(2), page_token: None };
         let mut seen = Vec::new();
         loop {
-            let fetched = rows(query.before().unwrap()).take(query.fetch_size().unwrap() as usize).collect();
-            let page = Page::cut(fetched, &query, |seq| *seq).unwrap();
+            let mut rest = rows(query.before().unwrap());
+            let items = rest.by_ref().take(query.max_rows().unwrap() as usize).collect();
+            let page = Listed { items, has_more: rest.next().is_some() };
+            query.page_token = next_page_token(&page, |seq| *seq);
             seen.extend(page.items);
-            query.page_token = page.next_page_token;
             if query.page_token.is_none() {
                 break;
             }

@@ -2,12 +2,13 @@
 
 use super::access::Caller;
 use super::app::App;
+use super::conditions::{is_unchanged, require_match};
 use super::error::Problem;
 use super::extract::{ApiPath, JobPath};
 use super::range::{Part, requested_part};
 use crate::service::metrics::Held;
 use crate::service::queue::job::JobState;
-use crate::service::store::artifacts::{self, Artifact, digest_file};
+use crate::service::store::artifacts::{self, Artifact, digest_of};
 use axum::body::Body;
 use axum::extract::FromRequestParts;
 use axum::http::request::Parts;
@@ -16,6 +17,7 @@ use axum::response::{IntoResponse, Response};
 use futures_util::StreamExt;
 use serde::Deserialize;
 use serde_json::Value;
+use std::fs::File;
 use std::path::PathBuf;
 use tokio::io::{AsyncReadExt, AsyncSeekExt};
 use tokio_util::io::ReaderStream;
@@ -58,6 +60,8 @@ enum FileAnswer {
     Unchanged,
     #[response(status = 409)]
     NotReady,
+    #[response(status = 412)]
+    OtherVersion,
     #[response(status = 416)]
     RangeNotSatisfiable,
     #[response(status = 500)]
@@ -132,7 +136,7 @@ pub(super) async fn report(job: ApiPath<JobPath>, request: FileRequest) -> Resul
     params(ArtifactPath),
     responses((status = 200, description = "The file", body = Value, content_type = "*/*", headers(("ETag" = String))),
         (status = 206, description = "The requested range"), (status = 304, description = "Unchanged"),
-        (status = 409), (status = 416), (status = 500)))]
+        (status = 409), (status = 412), (status = 416), (status = 500)))]
 pub(super) async fn artifact(path: ApiPath<ArtifactPath>, request: FileRequest) -> Result<Response, Problem> {
     request.answer(&path.0.id, &path.0.name).await
 }
@@ -148,12 +152,16 @@ impl FileRequest {
         let artifact = artifacts::get(&app.store, id, name).await?.ok_or_else(|| no_such_file(id))?;
         let path = app.store.folders.result(id, result_fence).join(&artifact.name);
         let tag = format!("\"{}\"", artifact.sha256);
-        if matches_any(&headers, &tag) {
+        require_match(&headers, &tag)?;
+        if is_unchanged(&headers, &tag) {
             return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, tag)]).into_response());
         }
-        require_undamaged(&artifact, path.clone()).await?;
         let part = requested_part(&headers, &tag, artifact.bytes)?;
-        send(&artifact, path, &tag, part, Held::new(&app.metrics)).await
+        match undamaged(&app, &artifact, path, part).await? {
+            Ok(file) => send(&artifact, file, &tag, part, Held::new(&app.metrics)).await,
+            Err(_) if app.queue.get(&tenant, id).await?.is_none() => Err(Problem::not_found("job")), // deleted meanwhile
+            Err(damage) => Err(corrupt(&artifact, &damage)),
+        }
     }
 }
 
@@ -175,20 +183,27 @@ fn no_such_file(id: &str) -> Problem {
     )
 }
 
-/// Whether `If-None-Match`, a list of strong or weak tags or `*`, contains `tag`.
-fn matches_any(headers: &HeaderMap, tag: &str) -> bool {
-    let known = headers.get(header::IF_NONE_MATCH).and_then(|value| value.to_str().ok()).unwrap_or_default();
-    known.split(',').map(str::trim).any(|known| known == "*" || known.trim_start_matches("W/") == tag)
-}
-
-/// Hashes the file before its first byte is sent: a damaged file gives an error, never wrong bytes.
-async fn require_undamaged(artifact: &Artifact, path: PathBuf) -> Result<(), Problem> {
-    let digest = tokio::task::spawn_blocking(move || digest_file(&path)).await.map_err(Problem::internal)?;
-    match digest {
-        Ok(digest) if digest.sha256 == artifact.sha256 => Ok(()),
-        Ok(_) => Err(corrupt(artifact, "the digest differs from the published one")),
-        Err(error) => Err(corrupt(artifact, &error.to_string())),
-    }
+/// Opens the file and compares its digest before its first byte is sent: a damaged file gives an error, never wrong bytes.
+/// A part of a file is sent without that if the file was compared a short time ago and was not written since.
+async fn undamaged(app: &App, artifact: &Artifact, path: PathBuf, part: Part) -> Result<Result<File, String>, Problem> {
+    let (sha256, verified) = (artifact.sha256.clone(), app.verified.clone());
+    let opened = tokio::task::spawn_blocking(move || -> std::io::Result<Option<File>> {
+        let mut file = File::open(path)?;
+        let state = file.metadata()?;
+        if part.is_partial && verified.contain(&state, &sha256) {
+            return Ok(Some(file));
+        }
+        if digest_of(&mut file)?.sha256 != sha256 {
+            return Ok(None);
+        }
+        verified.insert(&state, sha256);
+        Ok(Some(file))
+    });
+    let opened = opened.await.map_err(Problem::internal)?;
+    Ok(match opened {
+        Ok(file) => file.ok_or_else(|| "the digest differs from the published one".to_owned()),
+        Err(error) => Err(error.to_string()),
+    })
 }
 
 fn corrupt(artifact: &Artifact, reason: &str) -> Problem {
@@ -201,8 +216,8 @@ fn corrupt(artifact: &Artifact, reason: &str) -> Problem {
     )
 }
 
-async fn send(artifact: &Artifact, path: PathBuf, tag: &str, part: Part, held: Held) -> Result<Response, Problem> {
-    let mut file = tokio::fs::File::open(path).await.map_err(|error| corrupt(artifact, &error.to_string()))?;
+async fn send(artifact: &Artifact, file: File, tag: &str, part: Part, held: Held) -> Result<Response, Problem> {
+    let mut file = tokio::fs::File::from_std(file);
     file.seek(std::io::SeekFrom::Start(part.start)).await.map_err(|error| Problem::from_io(&error))?;
     let bytes = ReaderStream::with_capacity(file.take(part.length), 64 << 10);
     let body = Body::from_stream(bytes.inspect(move |_| _ = &held)); // counted until the last byte is sent or the client disconnects
@@ -216,7 +231,6 @@ async fn send(artifact: &Artifact, path: PathBuf, tag: &str, part: Part, held: H
     set(header::CONTENT_LENGTH, &part.length.to_string());
     set(header::ACCEPT_RANGES, "bytes");
     set(header::ETAG, tag);
-    set(header::X_CONTENT_TYPE_OPTIONS, "nosniff");
     set(header::CONTENT_DISPOSITION, &disposition(&artifact.name));
     if part.is_partial {
         let last = part.start + part.length - 1;

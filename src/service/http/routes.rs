@@ -4,13 +4,14 @@ use super::app::App;
 use super::error::Problem;
 use super::openapi::Description;
 use super::{
-    access, cors, deliveries, error, events, health, inspection, jobs, openapi, results, server, sessions, submission,
-    trace, viewer,
+    access, cors, deliveries, descriptors, error, events, health, inspection, jobs, openapi, results, server, sessions,
+    submission, trace, viewer,
 };
 use crate::service::shared::Shared;
 use crate::service::webhooks::Networks;
-use axum::http::StatusCode;
-use axum::middleware::{from_fn, from_fn_with_state};
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::middleware::{from_fn, from_fn_with_state, map_response};
+use axum::response::Response;
 use axum::{Extension, Router};
 use std::sync::Arc;
 use tokio::net::TcpListener;
@@ -22,12 +23,14 @@ use utoipa_axum::routes;
 pub(in crate::service) async fn serve(shared: Shared, allowed_networks: Arc<Networks>, listener: TcpListener) {
     let app = App::new(shared, allowed_networks);
     let (settings, metrics, draining) = (app.settings.clone(), app.metrics.clone(), app.draining.clone());
-    server::serve(listener, router(app), &settings.limits, settings.drain_limit, metrics, draining).await;
+    let limits = &settings.limits;
+    let max_connections = descriptors::allowed_connections(limits.max_connections, settings.jobs.concurrent);
+    server::serve(listener, router(app), limits, max_connections, settings.drain_limit, metrics, draining).await;
 }
 
 /// The OpenAPI document of this program as text.
 pub fn openapi_json() -> String {
-    let api = api().merge(monitoring()).merge(open());
+    let api = api().merge(secrets()).merge(monitoring()).merge(open());
     Description::of(api.into_openapi()).json
 }
 
@@ -48,7 +51,11 @@ fn api() -> OpenApiRouter<App> {
         .routes(routes!(results::report))
         .routes(routes!(deliveries::list))
         .routes(routes!(deliveries::redeliver))
-        .routes(routes!(deliveries::secret))
+}
+
+/// Routes that need a key with the scope `write`, whatever the method.
+fn secrets() -> OpenApiRouter<App> {
+    OpenApiRouter::new().routes(routes!(deliveries::secret, deliveries::rotate_secret))
 }
 
 /// The route that needs a key with the scope `metrics`.
@@ -68,7 +75,8 @@ fn open() -> OpenApiRouter<App> {
 fn router(app: App) -> Router {
     let api = api().layer(from_fn_with_state(app.clone(), access::to_the_api));
     let monitoring = monitoring().layer(from_fn_with_state(app.clone(), access::to_the_metrics));
-    let (router, description) = api.merge(monitoring).merge(open()).split_for_parts();
+    let secrets = secrets().layer(from_fn_with_state(app.clone(), access::to_the_secrets));
+    let (router, description) = api.merge(secrets).merge(monitoring).merge(open()).split_for_parts();
     router
         .merge(viewer::routes())
         .fallback(no_such_route)
@@ -77,7 +85,14 @@ fn router(app: App) -> Router {
         .layer(from_fn(error::write_problems))
         .layer(option_layer(cors::layer(&app.settings.cors_origins)))
         .layer(from_fn_with_state(app.clone(), trace::follow))
+        .layer(map_response(without_sniffing))
         .with_state(app)
+}
+
+/// Browsers must not guess another media type than the declared one: text from an upload could become a script.
+async fn without_sniffing(mut response: Response) -> Response {
+    response.headers_mut().insert(header::X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    response
 }
 
 async fn no_such_route() -> Problem {
@@ -127,7 +142,7 @@ mod tests {
         let n_operations = ids.len();
         ids.sort_unstable();
         ids.dedup();
-        assert_eq!((ids.len(), n_operations), (24, 24));
+        assert_eq!((ids.len(), n_operations), (25, 25));
         assert!(!references.is_empty());
         for flattened in ["sha256", "id"] {
             assert!(document["components"]["schemas"]["Session"]["properties"].get(flattened).is_some(), "{flattened}");

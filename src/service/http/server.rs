@@ -1,17 +1,19 @@
-//! The accept loop: hyper's http1 with the timeouts that `axum::serve` lacks.
+//! The accept loop: hyper's http1 with the limits that `axum::serve` lacks.
 //!
-//! A connection is closed after `header_timeout` without a complete first request head, after `keep_alive` without a complete
-//! further head, and after `write_timeout` if the client does not read its answer; [`super::body`] ends stalled uploads. At most
-//! `max_connections` are open. HTTP/2 is not offered, because hyper has no header timeout for it.
+//! [`super::connections`] closes a connection that is idle for too long or in the way of others, [`super::body`] ends stalled
+//! uploads, and a connection whose client does not read its answer is closed after `write_timeout`. HTTP/2 is not offered,
+//! because hyper has no header timeout for it.
 
+use super::connections::{Connection, Connections, Pending};
 use crate::service::failpoint::fault;
 use crate::service::metrics::Metrics;
 use crate::service::settings::RequestLimits;
 use axum::Router;
-use hyper::body::Incoming;
+use axum::body::{Body, Bytes};
+use hyper::body::{Frame, Incoming, SizeHint};
 use hyper::server::conn::http1;
-use hyper_util::rt::{TokioIo, TokioTimer};
-use hyper_util::service::TowerToHyperService;
+use hyper::service::service_fn;
+use hyper_util::rt::TokioIo;
 use std::io;
 use std::net::SocketAddr;
 use std::pin::Pin;
@@ -20,15 +22,17 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{Notify, Semaphore};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, Sleep};
 use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 
-/// Address of the client of a connection.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Peer(pub(super) SocketAddr);
+/// The connection of a request and the address of its client.
+#[derive(Clone)]
+pub(super) struct Peer {
+    pub(super) address: SocketAddr,
+    pub(super) connection: Connection,
+}
 
 /// Time between two attempts to accept a connection, for example after the process ran out of file descriptors.
 const ACCEPT_RETRY: Duration = Duration::from_millis(100);
@@ -38,77 +42,75 @@ pub(super) async fn serve(
     listener: TcpListener,
     router: Router,
     limits: &RequestLimits,
+    max_connections: usize,
     drain_limit: Duration,
     metrics: Arc<Metrics>,
     draining: CancellationToken,
 ) {
-    let slots = Arc::new(Semaphore::new(limits.max_connections));
-    let mut connections = JoinSet::new();
-    loop {
-        let slot = tokio::select! {
-            slot = slots.clone().acquire_owned() => slot,
-            () = draining.cancelled() => break,
-        };
-        let (stream, peer) = tokio::select! {
-            accepted = listener.accept() => match accepted {
-                Ok(accepted) => accepted,
-                Err(error) => {
-                    tracing::warn!(%error, "a connection could not be accepted");
-                    tokio::time::sleep(ACCEPT_RETRY).await;
-                    continue;
-                }
-            },
-            () = draining.cancelled() => break,
-        };
-        let connection = serve_connection(stream, Peer(peer), router.clone(), limits.clone(), draining.clone());
-        let metrics = metrics.clone();
-        connections.spawn(async move {
-            metrics.connections.inc();
-            connection.await;
-            metrics.connections.dec();
-            drop(slot);
-        });
-        while connections.try_join_next().is_some() {} // forget ended connections
+    let connections = Connections::new(limits.clone(), max_connections);
+    let mut tasks = JoinSet::new();
+    let accepting = async {
+        for id in 0.. {
+            let (stream, address) = accepted(&listener).await;
+            let connection = connections.enter(id, address.ip()).await;
+            let peer = Peer { address, connection: connection.clone() };
+            let served = serve_connection(stream, peer, router.clone(), limits.write_timeout, draining.clone());
+            let metrics = metrics.clone();
+            tasks.spawn(async move {
+                metrics.connections.inc();
+                served.await;
+                metrics.connections.dec();
+                connection.end();
+            });
+            while tasks.try_join_next().is_some() {} // forget ended connections
+        }
+    };
+    tokio::select! {
+        () = accepting => {}
+        () = connections.sweep() => {}
+        () = draining.cancelled() => {}
     }
     drop(listener);
     let drain_limit = if fault("stop.endless") { Duration::MAX } else { drain_limit };
-    let ended = async { while connections.join_next().await.is_some() {} };
+    let ended = async { while tasks.join_next().await.is_some() {} };
     if tokio::time::timeout(drain_limit, ended).await.is_err() {
         tracing::warn!("closing connections that are still open after the drain limit");
     }
-    connections.shutdown().await;
+    tasks.shutdown().await;
+}
+
+/// The next connection.
+async fn accepted(listener: &TcpListener) -> (TcpStream, SocketAddr) {
+    loop {
+        match listener.accept().await {
+            Ok(accepted) => return accepted,
+            Err(error) => tracing::warn!(%error, "a connection could not be accepted"),
+        }
+        tokio::time::sleep(ACCEPT_RETRY).await;
+    }
 }
 
 async fn serve_connection(
     stream: TcpStream,
     peer: Peer,
     router: Router,
-    limits: RequestLimits,
+    write_timeout: Duration,
     draining: CancellationToken,
 ) {
     let _ = stream.set_nodelay(true); // avoids delays of small answers; an error only keeps the delay
-    let io = TokioIo::new(TimedStream::new(stream, limits.write_timeout));
-    let got_request = Arc::new(Notify::new());
-    let request_seen = got_request.clone();
-    let service = TowerToHyperService::new(router.map_request(move |mut request: hyper::Request<Incoming>| {
-        request_seen.notify_one();
-        request.extensions_mut().insert(peer);
-        request
-    }));
-    let connection = http1::Builder::new()
-        .timer(TokioTimer::new())
-        .header_read_timeout(limits.keep_alive.max(limits.header_timeout))
-        .max_buf_size(64 << 10)
-        .serve_connection(io, service);
+    let io = TokioIo::new(TimedStream::new(stream, write_timeout));
+    let close = peer.connection.close.clone();
+    let service = service_fn(move |mut request: hyper::Request<Incoming>| {
+        let pending = peer.connection.begin_request();
+        request.extensions_mut().insert(peer.clone());
+        let answer = router.clone().oneshot(request);
+        async move { answer.await.map(|answer| answer.map(|body| PendingBody { body, _pending: pending })) }
+    });
+    let connection = http1::Builder::new().max_buf_size(64 << 10).serve_connection(io, service);
     let mut connection = std::pin::pin!(connection);
-    let first_head = tokio::time::timeout(limits.header_timeout, got_request.notified());
-    tokio::select! {
-        _ = connection.as_mut() => return,
-        first_head = first_head => if first_head.is_err() { return },
-        () = draining.cancelled() => {}
-    }
     let result = tokio::select! {
         result = connection.as_mut() => result,
+        () = close.cancelled() => return,
         () = draining.cancelled() => {
             connection.as_mut().graceful_shutdown();
             connection.await
@@ -116,6 +118,29 @@ async fn serve_connection(
     };
     if let Err(error) = result {
         tracing::debug!(%error, "connection ended early");
+    }
+}
+
+/// The body of an answer; its connection is busy until the body is dropped.
+struct PendingBody {
+    body: Body,
+    _pending: Pending,
+}
+
+impl hyper::body::Body for PendingBody {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        Pin::new(&mut self.body).poll_frame(cx)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
     }
 }
 

@@ -4,7 +4,7 @@ use super::access::Caller;
 use super::app::App;
 use super::error::Problem;
 use super::extract::{ApiPath, ApiQuery, SessionPath};
-use super::page::{Page, PageQuery};
+use super::page::{self, PageQuery};
 use super::upload::{MediaType, keep, receive, receive_form};
 use crate::service::store::sessions::{self, RemoveError, StoredSession};
 use axum::Json;
@@ -18,7 +18,7 @@ use utoipa::ToSchema;
 
 /// One page of sessions.
 #[derive(Debug, Serialize, ToSchema)]
-pub(super) struct SessionPage {
+struct SessionPage {
     sessions: Vec<StoredSession>,
     /// Requests the next page; null on the last page.
     #[schema(required)]
@@ -105,11 +105,12 @@ pub(super) async fn list(
     State(app): State<App>,
     Caller { tenant }: Caller,
     ApiQuery(query): ApiQuery<PageQuery>,
-) -> Result<Json<SessionPage>, Problem> {
-    let before = query.before()?.unwrap_or(i64::MAX);
-    let rows = sessions::list(&app.store, &tenant, before, query.fetch_size()?).await?;
-    let page = Page::cut(rows, &query, |session: &StoredSession| session.seq)?;
-    Ok(Json(SessionPage { sessions: page.items, next_page_token: page.next_page_token }))
+) -> Result<Response, Problem> {
+    let (before, max_rows) = (query.before()?.unwrap_or(i64::MAX), query.max_rows()?);
+    let turn = app.lists.take(&tenant).await?;
+    let listed = sessions::list(&app.store, &tenant, before, max_rows).await?;
+    let next_page_token = page::next_page_token(&listed, |session| session.seq);
+    page::answer(&SessionPage { sessions: listed.items, next_page_token }, turn)
 }
 
 /// Get a session.

@@ -7,11 +7,13 @@ use super::error::Problem;
 use super::jobs::{JobDocument, answer};
 use super::options;
 use super::upload::{MediaType, keep, receive_form, unless_refused};
-use crate::pipeline::Options;
+use crate::pipeline::{CameraFacts, Options};
+use crate::service::queue::job::Submitter;
 use crate::service::queue::{EnqueueError, IdempotencyKey, NewJob, QueueLimits};
 use crate::service::store::Tenant;
-use crate::service::store::sessions::{self, StoredSession};
+use crate::service::store::sessions::{self, AddError, SessionSummary, StoredSession};
 use crate::service::webhooks;
+use axum::Extension;
 use axum::body::Body;
 use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
@@ -27,6 +29,8 @@ use utoipa::{IntoParams, ToSchema};
 const MAX_LABELS: usize = 32;
 /// Longest label key, label value and Idempotency-Key, characters.
 const MAX_LABEL_CHARS: usize = 256;
+/// Largest size of all labels of one job, bytes of keys and values: lists return the labels of each job.
+const MAX_LABEL_BYTES: usize = 4096;
 /// Largest absolute value of `priority`.
 const MAX_PRIORITY: i64 = 1000;
 
@@ -84,7 +88,8 @@ struct JobForm {
 #[into_params(parameter_in = Header)]
 #[allow(dead_code)] // describes what `idempotency_key` reads
 struct SubmissionHeaders {
-    /// The same key with the same request returns the same job; with another request the answer is 422.
+    /// The same key with the same request returns the same job, also after the session was deleted; with another request the
+    /// answer is 422. 30 days after its first use, the key of a deleted job is forgotten.
     #[param(rename = "Idempotency-Key", nullable = false, min_length = 1, max_length = 256, pattern = "^[!-~]+$")]
     idempotency_key: Option<String>,
 }
@@ -99,25 +104,46 @@ struct SubmissionHeaders {
 pub(super) async fn create(
     State(app): State<App>,
     Caller { tenant }: Caller,
+    Extension(submitter): Extension<Submitter>,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Response, Problem> {
+    let key = idempotency_key(&headers)?;
     let (asked, session) = match MediaType::of(&headers) {
-        Some(MediaType::Json) => of_stored_session(&app, &tenant, &headers, body).await?,
+        Some(MediaType::Json) => of_stored_session(&app, &tenant, &headers, body, key.as_deref()).await?,
         Some(MediaType::Multipart) => of_uploaded_session(&app, &tenant, &headers, body).await?,
         _ => return Err(Problem::unsupported_media_type("application/json or multipart/form-data")),
     };
     let parsed = options::parse(asked.options)?;
-    options::check(&parsed, &session.summary.camera_facts, &app.store.folders.bodies())?;
+    if let Some(cameras) = &session.cameras {
+        options::check(&parsed, cameras, &app.store.folders.bodies())?;
+    }
     check_labels_and_priority(&asked.labels, asked.priority)?;
     let webhook = asked.webhook.map(|webhook| webhook_url(&app, webhook)).transpose()?;
     let options = serde_json::to_value(&parsed).map_err(Problem::internal)?;
-    let new = NewJob { tenant, session: session.id, options, labels: asked.labels, priority: asked.priority, webhook };
-    let key = idempotency_key(&headers, &new, &session.summary.sha256)?;
+    let (labels, priority) = (asked.labels, asked.priority);
+    let new = NewJob { tenant, session: session.id, options, labels, priority, webhook, submitter };
+    let key = key.map(|key| IdempotencyKey { key, fingerprint: fingerprint(&new, &session.sha256) });
     let limits = QueueLimits::of(&app.settings.limits, &app.settings.tenants);
     let job = app.queue.enqueue(&new, key.as_ref(), limits).await?;
+    tracing::Span::current().record("job.id", job.id.as_str());
     let location = [(header::LOCATION, format!("/v1/jobs/{}", job.id))];
     Ok((StatusCode::ACCEPTED, location, answer(job)).into_response())
+}
+
+/// The session of a request.
+struct AskedSession {
+    id: String,
+    sha256: String,
+    /// `None` for a deleted session on which a job was accepted under the Idempotency-Key of this request.
+    cameras: Option<Vec<CameraFacts>>,
+}
+
+impl AskedSession {
+    fn stored(session: StoredSession) -> Self {
+        let SessionSummary { sha256, camera_facts, .. } = session.summary;
+        Self { id: session.id, sha256, cameras: Some(camera_facts) }
+    }
 }
 
 async fn of_stored_session(
@@ -125,7 +151,8 @@ async fn of_stored_session(
     tenant: &Tenant,
     headers: &HeaderMap,
     body: Body,
-) -> Result<(NewJobBody, StoredSession), Problem> {
+    key: Option<&str>,
+) -> Result<(NewJobBody, AskedSession), Problem> {
     let limits = &app.settings.limits;
     let body = unless_refused(GuardedBody::new(headers, body, limits, limits.max_json_bytes)).await?;
     let text = unless_refused(body.read_all().await).await?;
@@ -135,8 +162,15 @@ async fn of_stored_session(
             "send {\"session\": \"<id>\", \"options\"?: {…}, \"labels\"?: {…}, \"priority\"?: 0}",
         )
     })?;
-    let session = sessions::get(&app.store, tenant, &asked.session).await?;
-    let session = session.ok_or_else(|| session_missing().at("/session"))?;
+    if let Some(session) = sessions::get(&app.store, tenant, &asked.session).await? {
+        return Ok((asked, AskedSession::stored(session)));
+    }
+    let sha256 = match key {
+        Some(key) => app.queue.session_of_key(tenant, key, &asked.session).await?,
+        None => None,
+    };
+    let sha256 = sha256.ok_or_else(|| session_missing().at("/session"))?;
+    let session = AskedSession { id: asked.session.clone(), sha256, cameras: None };
     Ok((asked, session))
 }
 
@@ -145,7 +179,7 @@ async fn of_uploaded_session(
     tenant: &Tenant,
     headers: &HeaderMap,
     body: Body,
-) -> Result<(NewJobBody, StoredSession), Problem> {
+) -> Result<(NewJobBody, AskedSession), Problem> {
     let form = receive_form(app, tenant, headers, body, &["session", "options"]).await?;
     let received = form
         .session
@@ -158,7 +192,7 @@ async fn of_uploaded_session(
     let session = keep(app, tenant, received).await?.session;
     let asked =
         NewJobBody { session: session.id.clone(), options, labels: BTreeMap::new(), priority: 0, webhook: None };
-    Ok((asked, session))
+    Ok((asked, AskedSession::stored(session)))
 }
 
 fn session_missing() -> Problem {
@@ -188,23 +222,32 @@ fn check_labels_and_priority(labels: &BTreeMap<String, String>, priority: i64) -
             Problem::malformed("there are too many labels, or a label is too long or empty", remedy).at("/labels")
         );
     }
-    if priority.abs() > MAX_PRIORITY {
+    let bytes: usize = labels.iter().map(|(key, value)| key.len() + value.len()).sum();
+    if bytes > MAX_LABEL_BYTES {
+        let detail = format!("the labels have {bytes} bytes");
+        return Err(Problem::malformed(detail, format!("use at most {MAX_LABEL_BYTES} bytes")).at("/labels"));
+    }
+    if !(-MAX_PRIORITY..=MAX_PRIORITY).contains(&priority) {
         let remedy = format!("use -{MAX_PRIORITY} to {MAX_PRIORITY}");
-        return Err(Problem::malformed("priority is out of range", remedy).at("/priority"));
+        return Err(Problem::malformed(format!("priority is {priority}"), remedy).at("/priority"));
     }
     Ok(())
 }
 
-/// The Idempotency-Key with a digest of the canonical request, which ignores form boundaries and white space.
-fn idempotency_key(headers: &HeaderMap, new: &NewJob, sha256: &str) -> Result<Option<IdempotencyKey>, Problem> {
+/// The header `Idempotency-Key`.
+fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
     let Some(key) = headers.get("idempotency-key") else { return Ok(None) };
     let key =
         key.to_str().ok().filter(|key| (1..=MAX_LABEL_CHARS).contains(&key.len())).ok_or_else(|| {
             Problem::malformed("the Idempotency-Key is empty, too long or not ASCII", "use a new UUID")
         })?;
+    Ok(Some(key.to_owned()))
+}
+
+/// Digest of the canonical request, which ignores form boundaries and white space.
+fn fingerprint(new: &NewJob, sha256: &str) -> String {
     let request = json!([sha256, new.options, new.labels, new.priority, new.webhook]).to_string();
-    let fingerprint = hex::encode(Sha256::digest(request.as_bytes()));
-    Ok(Some(IdempotencyKey { key: key.to_owned(), fingerprint }))
+    hex::encode(Sha256::digest(request.as_bytes()))
 }
 
 impl From<EnqueueError> for Problem {
@@ -227,6 +270,7 @@ impl From<EnqueueError> for Problem {
                 Self::new(StatusCode::TOO_MANY_REQUESTS, "queue_full", error.to_string(), "try again later")
                     .with_header(header::RETRY_AFTER, HeaderValue::from_static("60"))
             }
+            EnqueueError::QuotaExceeded { stored, max } => AddError::QuotaExceeded { stored, max }.into(),
             EnqueueError::Store(error) => error.into(),
         }
     }

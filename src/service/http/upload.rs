@@ -4,14 +4,14 @@ use super::app::App;
 use super::body::{GuardedBody, Refused, Spool, Spooled, refuse};
 use super::error::Problem;
 use super::multipart::Multipart;
-use crate::pipeline::CameraFacts;
-use crate::service::failpoint::{failpoint, fault};
+use crate::service::failpoint::failpoint;
+use crate::service::store::reservation::Reservation;
 use crate::service::store::sessions::{self, Added, SessionSummary};
-use crate::service::store::{Tenant, new_id, tenants};
-use crate::session::upload::{self, LoadedSession, UploadError, UploadErrorKind, UploadLimits};
+use crate::service::store::{Tenant, new_id};
+use crate::service::validation::{self, ValidationError};
+use crate::session::upload::{UploadError, UploadErrorKind};
 use axum::body::Body;
 use axum::http::{HeaderMap, StatusCode, header};
-use std::fs::File;
 
 /// Media type of a request body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -40,42 +40,51 @@ impl MediaType {
     }
 }
 
+/// A complete upload and the space that it occupies until its row exists.
+pub(super) struct Received {
+    spooled: Spooled,
+    reservation: Reservation,
+}
+
 /// Parts of a form: the upload and, where allowed, the options.
 #[derive(Default)]
 pub(super) struct Form {
-    pub(super) session: Option<Spooled>,
+    pub(super) session: Option<Received>,
     pub(super) options: Option<Vec<u8>>,
 }
 
-/// Returns the problem 507 if the disk or the quota of the tenant is full already.
-async fn require_space(app: &App, tenant: &Tenant) -> Result<(), Problem> {
-    app.require_disk()?;
-    let (stored, max) = (tenants::stored_bytes(&app.store, tenant).await?, app.settings.tenants.max_bytes);
-    if stored < max || fault("quota.none") {
-        Ok(())
-    } else {
-        Err(sessions::AddError::QuotaExceeded { stored, max }.into())
-    }
+/// Reserves the bytes that `Content-Length` announces. Those of a form include its options and boundaries, so only the
+/// session in it counts towards the quota, while it arrives.
+async fn reserve(app: &App, tenant: &Tenant, headers: &HeaderMap, is_form: bool) -> Result<Reservation, Problem> {
+    let length = headers.get(header::CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse().ok());
+    let max_bytes = app.settings.tenants.max_bytes;
+    Ok(app.store.reserve(tenant, max_bytes, length.unwrap_or(0), !is_form).await?)
 }
 
 /// Streams a whole body to disk.
-pub(super) async fn receive(app: &App, tenant: &Tenant, headers: &HeaderMap, body: Body) -> Result<Spooled, Problem> {
-    require_space(app, tenant).await?;
+pub(super) async fn receive(app: &App, tenant: &Tenant, headers: &HeaderMap, body: Body) -> Result<Received, Problem> {
     let limits = &app.settings.limits;
     let body = GuardedBody::new(headers, body, limits, limits.max_upload_bytes);
     let mut body = unless_refused(body).await?;
-    match spool(app, &mut body).await {
-        Ok(spooled) => Ok(spooled),
+    match spool(app, tenant, headers, &mut body).await {
+        Ok(received) => Ok(received),
         Err(problem) => Err(refuse(body, problem).await),
     }
 }
 
-async fn spool(app: &App, body: &mut GuardedBody<'_>) -> Result<Spooled, Problem> {
+async fn spool(
+    app: &App,
+    tenant: &Tenant,
+    headers: &HeaderMap,
+    body: &mut GuardedBody<'_>,
+) -> Result<Received, Problem> {
+    let mut reservation = reserve(app, tenant, headers, false).await?;
     let mut spool = Spool::create(app.store.folders.temporary()).await?;
     while let Some(bytes) = body.chunk().await? {
+        reservation.note(bytes.len() as u64)?;
         spool.write(&bytes).await?;
     }
-    spool.finish().await
+    Ok(Received { spooled: spool.finish().await?, reservation })
 }
 
 /// Streams the part `session` of a form to disk and reads the part `options`, where it is `allowed`.
@@ -86,11 +95,10 @@ pub(super) async fn receive_form(
     body: Body,
     allowed: &[&str],
 ) -> Result<Form, Problem> {
-    require_space(app, tenant).await?;
     let limits = &app.settings.limits;
     let body = GuardedBody::new(headers, body, limits, limits.max_upload_bytes);
     let mut body = unless_refused(body).await?;
-    match read_form(app, headers, &mut body, allowed).await {
+    match read_form(app, tenant, headers, &mut body, allowed).await {
         Ok(form) => Ok(form),
         Err(problem) => Err(refuse(body, problem).await),
     }
@@ -98,10 +106,12 @@ pub(super) async fn receive_form(
 
 async fn read_form(
     app: &App,
+    tenant: &Tenant,
     headers: &HeaderMap,
     body: &mut GuardedBody<'_>,
     allowed: &[&str],
 ) -> Result<Form, Problem> {
+    let mut reservation = Some(reserve(app, tenant, headers, true).await?);
     let mut multipart = Multipart::new(headers, body)?;
     let mut form = Form::default();
     while let Some(part) = multipart.next_part().await? {
@@ -118,11 +128,13 @@ async fn read_form(
             form.options = Some(multipart.text(app.settings.limits.max_json_bytes as usize).await?);
             continue;
         }
+        let Some(mut reservation) = reservation.take() else { continue }; // taken by the only part `session`
         let mut spool = Spool::create(app.store.folders.temporary()).await?;
         while let Some(bytes) = multipart.data().await? {
+            reservation.note(bytes.len() as u64)?;
             spool.write(&bytes).await?;
         }
-        form.session = Some(spool.finish().await?);
+        form.session = Some(Received { spooled: spool.finish().await?, reservation });
     }
     Ok(form)
 }
@@ -135,20 +147,22 @@ pub(super) async fn unless_refused<T>(body: Result<T, Refused<'_>>) -> Result<T,
 }
 
 /// Validates and stores an upload; bytes that the tenant uploaded before give the stored session.
-pub(super) async fn keep(app: &App, tenant: &Tenant, spooled: Spooled) -> Result<Added, Problem> {
+pub(super) async fn keep(app: &App, tenant: &Tenant, received: Received) -> Result<Added, Problem> {
+    let Received { spooled, reservation: _until_the_row_exists } = received;
     if let Some(session) = sessions::get_by_sha256(&app.store, tenant, &spooled.sha256).await? {
         return Ok(Added { session, is_new: false });
     }
     failpoint("upload.spooled");
-    let _turn = app.validations.acquire().await.map_err(Problem::internal)?; // validation holds a session in memory
+    let _turn = app.validations.acquire().await.map_err(Problem::internal)?; // each may take its whole memory limit
+    let read = validation::validate(&app.settings, &spooled.file.path).await?;
+    let summary = SessionSummary { sha256: spooled.sha256.clone(), bytes: spooled.bytes, ..read };
     let folders = app.store.folders.clone();
     let kept = tokio::task::spawn_blocking(move || -> Result<_, Problem> {
-        let summary = validate(&spooled)?;
         let id = new_id("session");
         spooled.file.keep_as(&folders.session(&id)).map_err(|e| Problem::from_io(&e))?;
-        Ok((id, summary))
+        Ok(id)
     });
-    let (id, summary) = kept.await.map_err(Problem::internal)??;
+    let id = kept.await.map_err(Problem::internal)??;
     let added = sessions::add(&app.store, tenant, &id, &summary, app.settings.tenants.max_bytes).await;
     failpoint("upload.recorded");
     if !added.as_ref().is_ok_and(|added| added.is_new) {
@@ -157,35 +171,8 @@ pub(super) async fn keep(app: &App, tenant: &Tenant, spooled: Spooled) -> Result
     Ok(added?)
 }
 
-/// Reads the upload as a job does and returns its summary. The content determines the format.
-fn validate(spooled: &Spooled) -> Result<SessionSummary, Problem> {
-    let file = File::open(&spooled.file.path).map_err(|e| Problem::from_io(&e))?;
-    let limits = match fault("limits.none") {
-        true => UploadLimits { max_unpacked_bytes: u64::MAX, max_ratio: u64::MAX, ..UploadLimits::default() },
-        false => UploadLimits::default(),
-    };
-    let loaded = upload::read_upload(file, "upload", &limits).map_err(upload_problem)?;
-    Ok(summarise(loaded, spooled))
-}
-
-fn summarise(loaded: LoadedSession, spooled: &Spooled) -> SessionSummary {
-    let LoadedSession { session, format, warnings, .. } = loaded;
-    SessionSummary {
-        sha256: spooled.sha256.clone(),
-        bytes: spooled.bytes,
-        cameras: session.views.len(),
-        frames: session.n_frames,
-        people_max: session.views.iter().flat_map(|view| &view.frames).map(Vec::len).max().unwrap_or(0),
-        keypoint_convention: session.convention.name().to_owned(),
-        format: format.to_owned(),
-        warnings,
-        camera_facts: CameraFacts::of(&session),
-        name: session.name,
-    }
-}
-
 /// Describes a rejected upload to the client.
-pub(super) fn upload_problem(error: UploadError) -> Problem {
+fn upload_problem(error: UploadError) -> Problem {
     let status = match error.kind {
         UploadErrorKind::Malformed => StatusCode::BAD_REQUEST,
         UploadErrorKind::TooLarge => StatusCode::PAYLOAD_TOO_LARGE,
@@ -193,4 +180,21 @@ pub(super) fn upload_problem(error: UploadError) -> Problem {
         UploadErrorKind::Impossible => StatusCode::UNPROCESSABLE_ENTITY,
     };
     Problem::of_upload(status, error)
+}
+
+impl From<ValidationError> for Problem {
+    fn from(error: ValidationError) -> Self {
+        let detail = error.to_string();
+        match error {
+            ValidationError::Refused(error) => upload_problem(error),
+            ValidationError::TooLarge { setting, .. } => Self::new(
+                StatusCode::PAYLOAD_TOO_LARGE,
+                "too_large",
+                detail,
+                format!("send fewer frames or fewer cameras, or ask the operator to raise limits.{setting}"),
+            ),
+            ValidationError::MemoryShort => Self::unavailable("memory_short", detail),
+            ValidationError::Failed(error) => Self::internal(format!("{error:#}")),
+        }
+    }
 }

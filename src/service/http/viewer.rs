@@ -4,6 +4,7 @@
 //! scripts, styles and requests.
 
 use super::app::App;
+use super::conditions::is_unchanged;
 use super::error::Problem;
 use crate::export::{BodyMesh, default_body_mesh};
 use axum::Router;
@@ -58,7 +59,7 @@ async fn default_body(headers: HeaderMap) -> Result<Response, Problem> {
     };
     let mesh = MESH.get_or_try_init(make).await?;
     let tag = format!("\"{}\"", mesh.sha256);
-    if headers.get(header::IF_NONE_MATCH).is_some_and(|known| known.as_bytes() == tag.as_bytes()) {
+    if is_unchanged(&headers, &tag) {
         return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, tag)]).into_response());
     }
     let mut response = answer(&Asset { name: "default-body.bin", bytes: &mesh.bytes }, "no-cache");
@@ -87,7 +88,6 @@ fn answer(asset: &Asset, cache_control: &'static str) -> Response {
         (header::CONTENT_TYPE, media_type(asset.name)),
         (header::CACHE_CONTROL, cache_control),
         (header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY),
-        (header::X_CONTENT_TYPE_OPTIONS, "nosniff"),
         (header::REFERRER_POLICY, "no-referrer"),
     ];
     (headers, asset.bytes).into_response()

@@ -1,7 +1,7 @@
 //! Worker operations on the queue: claim, heartbeat, finish. Each write checks the claim's fence.
 
 use super::handle::Queue;
-use super::job::{JobError, JobProgress};
+use super::job::{JobError, JobProgress, Submitter};
 use super::outcome::{ClaimOutcome, next_phase};
 use super::phase::Phase;
 use super::rows::phase_from_row;
@@ -12,6 +12,11 @@ use crate::service::store::error::StoreError;
 use crate::service::store::summary::Summary;
 use sqlx::Row;
 use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+/// Interval in which an idle worker looks for claimable jobs.
+const RECHECK_INTERVAL: Duration = Duration::from_secs(2);
 
 /// One job claimed by one worker.
 #[derive(Debug, Clone)]
@@ -20,6 +25,10 @@ pub struct Claim {
     pub job: String,
     /// Number of the claim; each claim of a job increments it.
     pub fence: i64,
+    /// Owner of the job.
+    pub tenant: String,
+    /// The request that submitted the job.
+    pub submitter: Submitter,
     /// Session id.
     pub session: String,
     /// SHA-256 of the upload, hex.
@@ -58,9 +67,10 @@ pub enum Finished {
 }
 
 impl Queue {
-    /// Waits until a job may be claimable.
+    /// Waits until a job may be claimable: after a wake-up, or after some seconds, because free disk space and the end of a
+    /// job's wait wake no worker.
     pub async fn work(&self) {
-        self.work.notified().await;
+        let _ = tokio::time::timeout(RECHECK_INTERVAL, self.work.notified()).await; // both mean: look again
     }
 
     /// Wakes one more worker; called by a worker that stops and may have consumed a wake-up.
@@ -69,7 +79,8 @@ impl Queue {
     }
 
     /// Claims the first queued job of the tenant whose turn it is, by priority, then age. Tenants with `max_running`
-    /// running jobs are skipped.
+    /// running jobs are skipped, and so are jobs that wait after a fault of the machine. While the disk has less than its
+    /// minimum of free bytes, no job is claimed: it could not write its result.
     ///
     /// # Errors
     /// When the store fails.
@@ -77,26 +88,37 @@ impl Queue {
         if fault("claim.clocked") && self.has_jobs_dated_in_the_future().await? {
             return Ok(None);
         }
+        if !self.has_queued_jobs().await? || !self.has_space()? {
+            return Ok(None);
+        }
+        let Some(waiting) = self.deferrals().waiting(Instant::now()).map(|ids| serde_json::to_string(&ids)) else {
+            return Ok(None);
+        };
+        let waiting = waiting?;
         let mut transaction = self.store.write().await?;
-        let Some(tenant) = next_tenant(&mut transaction, max_running).await? else { return Ok(None) };
+        let Some(tenant) = next_tenant(&mut transaction, max_running, &waiting).await? else { return Ok(None) };
         let row = sqlx::query(
             "UPDATE jobs SET state = 'running', version = version + 1, fence = fence + 1, attempt = crashes + 1, boot = ?1,
                              started_at = coalesce(started_at, strftime('%Y-%m-%dT%H:%M:%fZ', 'now')),
                              solver_version = ?2, stage_seconds = '{}'
              WHERE seq = (SELECT seq FROM jobs WHERE state = 'queued' AND tenant = ?3
+                            AND id NOT IN (SELECT value FROM json_each(?4))
                           ORDER BY priority DESC, seq LIMIT 1)
-             RETURNING id, fence, session_id, options,
+             RETURNING id, fence, request_id, key_id, session_id, options,
                        (SELECT sha256 FROM sessions WHERE sessions.id = jobs.session_id) AS sha256",
         )
         .bind(&self.store.boot)
         .bind(env!("CARGO_PKG_VERSION"))
         .bind(&tenant)
+        .bind(&waiting)
         .fetch_optional(&mut *transaction)
         .await?;
         let Some(row) = row else { return Ok(None) };
         let claim = Claim {
             job: row.try_get("id")?,
             fence: row.try_get("fence")?,
+            tenant,
+            submitter: Submitter { request: row.try_get("request_id")?, key: row.try_get("key_id")? },
             session: row.try_get("session_id")?,
             session_sha256: row.try_get("sha256")?,
             options: serde_json::from_str(row.try_get("options")?)?,
@@ -106,6 +128,30 @@ impl Queue {
         failpoint("claim.committed");
         self.announce(&claim.job);
         Ok(Some(claim))
+    }
+
+    async fn has_queued_jobs(&self) -> Result<bool, StoreError> {
+        let any = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM jobs WHERE state = 'queued')");
+        Ok(any.fetch_one(self.store.read()).await?)
+    }
+
+    /// Whether the disk has its minimum of free bytes; a change is logged once.
+    fn has_space(&self) -> Result<bool, StoreError> {
+        match self.store.require_space() {
+            Ok(()) => {
+                if self.lacks_space.swap(false, Ordering::Relaxed) {
+                    tracing::info!("the disk has free space again; jobs are claimed");
+                }
+                Ok(true)
+            }
+            Err(error @ StoreError::DiskFull { .. }) => {
+                if !self.lacks_space.swap(true, Ordering::Relaxed) {
+                    tracing::error!(%error, "no job is claimed until disk space is freed");
+                }
+                Ok(false)
+            }
+            Err(error) => Err(error),
+        }
     }
 
     /// Compares times with the clock, which no claim may do; used by the fault `claim.clocked` only.
@@ -179,8 +225,18 @@ impl Queue {
         .bind(&claim.job)
         .bind(claim.fence);
         let Some(row) = row.fetch_optional(&mut *transaction).await? else { return Ok(Finished::Lost) };
-        let next = next_phase(phase_from_row(&row)?, outcome, row.try_get("crashes")?, max_crashes);
-        write_outcome(&mut transaction, claim, outcome, next).await?;
+        let phase = phase_from_row(&row)?;
+        let wait = match outcome {
+            ClaimOutcome::Failed(error) if phase == Phase::Running && error.is_of_machine() => {
+                self.deferrals().next_wait(&claim.job)
+            }
+            _ => None,
+        };
+        let next = match wait {
+            Some(_) => Phase::Queued,
+            None => next_phase(phase, outcome, row.try_get("crashes")?, max_crashes),
+        };
+        write_outcome(&mut transaction, claim, outcome, next, wait).await?;
         failpoint("finish.written");
         if let (Phase::Succeeded, ClaimOutcome::Succeeded(published)) = (next, outcome) {
             write_result_size(&mut transaction, claim, &published.artifacts).await?;
@@ -190,10 +246,16 @@ impl Queue {
         failpoint("finish.filled");
         transaction.commit().await?;
         failpoint("finish.committed");
+        if let (Some(wait), ClaimOutcome::Failed(error)) = (wait, outcome) {
+            self.deferrals().defer(&claim.job, Instant::now(), wait);
+            let (code, detail, wait_s) = (&error.code, &error.detail, wait.as_secs());
+            tracing::warn!(code, detail, wait_s, "the machine failed the job; it waits for its next try");
+        }
         if next == Phase::Queued {
             self.work.notify_one();
         }
         if next.is_final() {
+            self.deferrals().forget(&claim.job);
             self.store.remove_files("checkpoints", &claim.job).await;
         }
         if next != Phase::Succeeded {
@@ -206,16 +268,21 @@ impl Queue {
 }
 
 /// Returns the tenant with queued jobs that was served the longest ago, and moves it to the end of the order.
-async fn next_tenant(transaction: &mut WriteTransaction, max_running: i64) -> Result<Option<String>, StoreError> {
+async fn next_tenant(
+    transaction: &mut WriteTransaction,
+    max_running: i64,
+    waiting: &str,
+) -> Result<Option<String>, StoreError> {
     let name = sqlx::query_scalar(
         "UPDATE tenants SET turn = 1 + (SELECT max(turn) FROM tenants)
          WHERE name = (SELECT name FROM tenants
-                       WHERE EXISTS (SELECT 1 FROM jobs WHERE state = 'queued' AND tenant = name)
-                         AND (SELECT count(*) FROM jobs WHERE state IN ('running', 'canceling') AND tenant = name) < ?
+                       WHERE EXISTS (SELECT 1 FROM jobs WHERE state = 'queued' AND tenant = name
+                                       AND id NOT IN (SELECT value FROM json_each(?2)))
+                         AND (SELECT count(*) FROM jobs WHERE state IN ('running', 'canceling') AND tenant = name) < ?1
                        ORDER BY turn, name LIMIT 1)
          RETURNING name",
     );
-    Ok(name.bind(max_running).fetch_optional(&mut **transaction).await?)
+    Ok(name.bind(max_running).bind(waiting).fetch_optional(&mut **transaction).await?)
 }
 
 async fn write_outcome(
@@ -223,7 +290,14 @@ async fn write_outcome(
     claim: &Claim,
     outcome: &ClaimOutcome<Published>,
     next: Phase,
+    wait: Option<Duration>,
 ) -> Result<(), StoreError> {
+    let message = match (wait, outcome) {
+        (Some(wait), ClaimOutcome::Failed(error)) => {
+            Some(format!("waiting {} s for the next try: {}", wait.as_secs(), error.detail))
+        }
+        _ => None,
+    };
     let error = match (next, outcome) {
         (Phase::Failed, ClaimOutcome::Failed(error)) => Some(serde_json::to_string(error)?),
         (Phase::Dead, ClaimOutcome::Crashed(how)) => Some(serde_json::to_string(&crashed_too_often(how))?),
@@ -231,7 +305,7 @@ async fn write_outcome(
     };
     sqlx::query(
         "UPDATE jobs SET state = ?1, version = version + 1, boot = NULL, eta_s = NULL, error = ?2,
-                         crashes = crashes + ?3,
+                         crashes = crashes + ?3, message = coalesce(?6, message),
                          fraction = CASE ?1 WHEN 'succeeded' THEN 1.0 ELSE fraction END,
                          result_fence = CASE ?1 WHEN 'succeeded' THEN fence END,
                          finished_at = CASE ?1 WHEN 'queued' THEN NULL ELSE strftime('%Y-%m-%dT%H:%M:%fZ', 'now') END
@@ -242,6 +316,7 @@ async fn write_outcome(
     .bind(matches!(outcome, ClaimOutcome::Crashed(_)) && !fault("crashes.uncounted"))
     .bind(&claim.job)
     .bind(claim.fence)
+    .bind(message)
     .execute(&mut **transaction)
     .await?;
     Ok(())

@@ -1,7 +1,7 @@
 //! Accepting a job from a client, once per Idempotency-Key.
 
 use super::handle::Queue;
-use super::job::Job;
+use super::job::{Job, Submitter};
 use super::rows::job_from_row;
 use crate::service::failpoint::{failpoint, fault};
 use crate::service::settings::{RequestLimits, TenantLimits};
@@ -26,6 +26,8 @@ pub struct NewJob {
     pub priority: i64,
     /// URL to call when the job ends.
     pub webhook: Option<String>,
+    /// The request that submits the job.
+    pub submitter: Submitter,
 }
 
 /// An `Idempotency-Key` and the request that used it.
@@ -37,19 +39,21 @@ pub struct IdempotencyKey {
     pub fingerprint: String,
 }
 
-/// Upper bounds on the number of queued jobs.
+/// Upper bounds on the queue and on the stored bytes of the tenant.
 #[derive(Debug, Clone, Copy)]
 pub struct QueueLimits {
     /// Jobs of all tenants together.
     pub total: i64,
     /// Jobs of one tenant.
     pub tenant: i64,
+    /// Bytes of the tenant's uploads and results, the quota.
+    pub max_bytes: i64,
 }
 
 impl QueueLimits {
     /// Takes the limits from the settings.
     pub fn of(limits: &RequestLimits, tenants: &TenantLimits) -> Self {
-        Self { total: limits.max_queued, tenant: tenants.max_queued }
+        Self { total: limits.max_queued, tenant: tenants.max_queued, max_bytes: tenants.max_bytes }
     }
 }
 
@@ -77,7 +81,15 @@ pub enum EnqueueError {
         /// Number of queued jobs.
         waiting: i64,
     },
-    /// The store failed.
+    /// The quota of the tenant is used up, so that no result could be stored.
+    #[error("the tenant has used its quota: {stored} of {max} bytes are stored")]
+    QuotaExceeded {
+        /// Bytes that the tenant uses.
+        stored: i64,
+        /// Quota of the tenant, bytes.
+        max: i64,
+    },
+    /// The store failed, or the disk has less than its minimum of free bytes.
     #[error(transparent)]
     Store(#[from] StoreError),
 }
@@ -107,12 +119,13 @@ impl Queue {
             transaction.rollback().await?;
             return self.get(&new.tenant, &known).await?.ok_or(EnqueueError::JobDeleted);
         }
+        self.store.require_space()?;
         require_session(&mut transaction, new).await?;
         require_capacity(&mut transaction, &new.tenant, limits).await?;
         tenants::insert_if_missing(&mut transaction, &new.tenant).await?;
         let job = insert(&mut transaction, new).await?;
         if let Some(key) = idempotency {
-            insert_key(&mut transaction, &new.tenant, key, &job.id).await?;
+            insert_key(&mut transaction, new, key, &job.id).await?;
         }
         failpoint("enqueue.inserted");
         if fault("enqueue.early") {
@@ -127,6 +140,40 @@ impl Queue {
         self.work.notify_one();
         self.announce(&job.id);
         Ok(job)
+    }
+}
+
+impl Queue {
+    /// Returns the SHA-256 of a session, which may be deleted, if a job on it was accepted under this key.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub async fn session_of_key(
+        &self,
+        tenant: &Tenant,
+        key: &str,
+        session: &str,
+    ) -> Result<Option<String>, StoreError> {
+        let sha256 = "SELECT session_sha256 FROM idempotency WHERE tenant = ? AND key = ? AND session_id = ?";
+        let sha256 = sqlx::query_scalar::<_, Option<String>>(sha256).bind(tenant.name()).bind(key).bind(session);
+        Ok(sha256.fetch_optional(self.store.read()).await?.flatten())
+    }
+
+    /// Forgets the keys of deleted jobs that were first used more than `days` ago. Returns their number.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub(crate) async fn forget_keys(&self, days: f64) -> Result<u64, StoreError> {
+        let mut transaction = self.store.write_relaxed().await?;
+        let forgotten = sqlx::query(
+            "DELETE FROM idempotency WHERE created_at < strftime('%Y-%m-%dT%H:%M:%fZ', 'now', ?)
+               AND NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.id = idempotency.job_id)",
+        )
+        .bind(format!("{} days", -days))
+        .execute(&mut *transaction)
+        .await?;
+        transaction.commit().await?;
+        Ok(forgotten.rows_affected())
     }
 }
 
@@ -156,20 +203,28 @@ async fn require_capacity(
     tenant: &Tenant,
     limits: QueueLimits,
 ) -> Result<(), EnqueueError> {
-    let waiting = sqlx::query_scalar("SELECT count(*) FROM jobs WHERE state = 'queued'");
+    let waiting = sqlx::query_scalar("SELECT coalesce(sum(jobs), 0) FROM job_counts WHERE state = 'queued'");
     let waiting: i64 = waiting.fetch_one(&mut **transaction).await?;
     if waiting >= limits.total {
         return Err(EnqueueError::Full { waiting });
     }
-    let own = sqlx::query_scalar("SELECT count(*) FROM jobs WHERE state = 'queued' AND tenant = ?").bind(tenant.name());
-    let waiting: i64 = own.fetch_one(&mut **transaction).await?;
-    if waiting < limits.tenant { Ok(()) } else { Err(EnqueueError::TenantFull { waiting }) }
+    let own = "SELECT coalesce(sum(jobs), 0) FROM job_counts WHERE state = 'queued' AND tenant = ?";
+    let waiting: i64 = sqlx::query_scalar(own).bind(tenant.name()).fetch_one(&mut **transaction).await?;
+    if waiting >= limits.tenant {
+        return Err(EnqueueError::TenantFull { waiting });
+    }
+    let stored = tenants::stored_bytes_in(transaction, tenant).await?;
+    if stored >= limits.max_bytes && !fault("quota.none") {
+        return Err(EnqueueError::QuotaExceeded { stored, max: limits.max_bytes });
+    }
+    Ok(())
 }
 
 async fn insert(transaction: &mut WriteTransaction, new: &NewJob) -> Result<Job, EnqueueError> {
     let row = sqlx::query(
-        "INSERT INTO jobs (id, tenant, session_id, options, labels, priority, webhook, state, created_at)
-         VALUES (?, ?, ?, ?, ?, ?, ?, 'queued', strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
+        "INSERT INTO jobs (id, tenant, session_id, options, labels, priority, webhook, request_id, key_id, state,
+                           created_at)
+         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, 'queued', strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
          RETURNING *, NULL AS verdict, NULL AS reasons",
     )
     .bind(new_id("job"))
@@ -179,6 +234,8 @@ async fn insert(transaction: &mut WriteTransaction, new: &NewJob) -> Result<Job,
     .bind(serde_json::to_string(&new.labels).map_err(StoreError::from)?)
     .bind(new.priority)
     .bind(&new.webhook)
+    .bind(&new.submitter.request)
+    .bind(&new.submitter.key)
     .fetch_one(&mut **transaction)
     .await?;
     Ok(job_from_row(&row)?)
@@ -186,18 +243,20 @@ async fn insert(transaction: &mut WriteTransaction, new: &NewJob) -> Result<Job,
 
 async fn insert_key(
     transaction: &mut WriteTransaction,
-    tenant: &Tenant,
+    new: &NewJob,
     key: &IdempotencyKey,
     job: &str,
 ) -> Result<(), EnqueueError> {
     sqlx::query(
-        "INSERT INTO idempotency (tenant, key, fingerprint, job_id, created_at)
-         VALUES (?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))",
+        "INSERT INTO idempotency (tenant, key, fingerprint, job_id, session_id, session_sha256, created_at)
+         VALUES (?1, ?2, ?3, ?4, ?5, (SELECT sha256 FROM sessions WHERE id = ?5),
+                 strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))",
     )
-    .bind(tenant.name())
+    .bind(new.tenant.name())
     .bind(&key.key)
     .bind(&key.fingerprint)
     .bind(job)
+    .bind(&new.session)
     .execute(&mut **transaction)
     .await?;
     Ok(())

@@ -1,13 +1,17 @@
 //! The queue handle: reads, cancels and deletes jobs, and announces changes.
 
+use super::deferral::Deferrals;
 use super::job::Job;
 use super::phase::Phase;
 use super::rows::job_from_row;
 use crate::service::failpoint::failpoint;
 use crate::service::store::database::Store;
 use crate::service::store::error::StoreError;
+use crate::service::store::listing::{Listed, read_page};
 use crate::service::store::tenants::Tenant;
-use std::sync::Arc;
+use sqlx::{QueryBuilder, Sqlite};
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::{Notify, broadcast};
 
 /// The queue of one service process. Cloning shares it.
@@ -16,6 +20,10 @@ pub struct Queue {
     pub(super) store: Store,
     /// Wakes a worker when a job may be claimable.
     pub(super) work: Arc<Notify>,
+    /// Jobs that wait after a fault of the machine.
+    deferrals: Arc<Mutex<Deferrals>>,
+    /// Whether the lack of disk space was logged.
+    pub(super) lacks_space: Arc<AtomicBool>,
     /// Sends the id of each job whose row has changed.
     changes: broadcast::Sender<Arc<str>>,
     /// Sends the log lines of the jobs' child processes.
@@ -62,10 +70,27 @@ pub enum Cancel {
     Missing,
 }
 
+/// Bytes of text of a job.
+const ROW_BYTES: &str =
+    "octet_length(options) + octet_length(labels) + octet_length(message) + octet_length(stage_seconds)
+    + coalesce(octet_length(error), 0) + coalesce(octet_length(reasons), 0)";
+
 impl Queue {
     /// Creates the queue of a store.
     pub fn new(store: Store) -> Self {
-        Self { store, work: Arc::default(), changes: broadcast::channel(1024).0, log: broadcast::channel(256).0 }
+        Self {
+            store,
+            work: Arc::default(),
+            deferrals: Arc::default(),
+            lacks_space: Arc::default(),
+            changes: broadcast::channel(1024).0,
+            log: broadcast::channel(256).0,
+        }
+    }
+
+    /// Jobs that wait after a fault of the machine.
+    pub(super) fn deferrals(&self) -> MutexGuard<'_, Deferrals> {
+        self.deferrals.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Subscribes to the ids of jobs whose rows change.
@@ -104,27 +129,32 @@ impl Queue {
         row.as_ref().map(job_from_row).transpose()
     }
 
-    /// Lists a tenant's jobs, newest first, at most `limit`.
+    /// Lists a tenant's jobs, newest first, at most `max_rows`.
     ///
     /// # Errors
     /// When the store fails.
-    pub async fn list(&self, tenant: &Tenant, filter: &JobFilter, limit: i64) -> Result<Vec<Job>, StoreError> {
-        let rows = sqlx::query(
-            "SELECT jobs.*, verdict, reasons FROM jobs LEFT JOIN verdicts ON verdicts.job_id = jobs.id
-             WHERE tenant = ?6 AND seq < ?1 AND (?2 IS NULL OR state = ?2)
-               AND (?3 IS NULL OR EXISTS (SELECT 1 FROM json_each(jobs.labels) AS label
-                                          WHERE label.key = ?3 AND (?4 IS NULL OR label.value = ?4)))
-             ORDER BY seq DESC LIMIT ?5",
-        )
-        .bind(filter.before.unwrap_or(i64::MAX))
-        .bind(filter.state.map(Phase::name))
-        .bind(filter.label.as_ref().map(|label| label.key.as_str()))
-        .bind(filter.label.as_ref().and_then(|label| label.value.as_deref()))
-        .bind(limit)
-        .bind(tenant.name())
-        .fetch_all(self.store.read())
-        .await?;
-        rows.iter().map(job_from_row).collect()
+    pub async fn list(&self, tenant: &Tenant, filter: &JobFilter, max_rows: i64) -> Result<Listed<Job>, StoreError> {
+        // The table whose index has the order of the list comes first.
+        let (table, tables) = match filter.label {
+            Some(_) => ("job_labels", "job_labels CROSS JOIN jobs ON jobs.seq = job_labels.seq"),
+            None => ("jobs", "jobs"),
+        };
+        let mut query = QueryBuilder::<Sqlite>::new("SELECT jobs.*, verdict, reasons, ");
+        query.push(ROW_BYTES).push(" AS row_bytes FROM ").push(tables);
+        query.push(" LEFT JOIN verdicts ON verdicts.job_id = jobs.id WHERE ");
+        query.push(table).push(".tenant = ").push_bind(tenant.name());
+        query.push(" AND ").push(table).push(".seq < ").push_bind(filter.before.unwrap_or(i64::MAX));
+        if let Some(state) = filter.state {
+            query.push(" AND jobs.state = ").push_bind(state.name());
+        }
+        if let Some(label) = &filter.label {
+            query.push(" AND job_labels.key = ").push_bind(&label.key);
+            if let Some(value) = &label.value {
+                query.push(" AND job_labels.value = ").push_bind(value);
+            }
+        }
+        query.push(" ORDER BY ").push(table).push(".seq DESC LIMIT ").push_bind(max_rows + 1);
+        read_page(query.build().fetch(self.store.read()), max_rows, job_from_row).await
     }
 
     /// Cancels a job: a queued job immediately, a running job through its worker.
@@ -163,6 +193,7 @@ impl Queue {
         failpoint("cancel.marked");
         transaction.commit().await?;
         failpoint("cancel.committed");
+        self.deferrals().forget(id);
         self.announce(id);
         let Some(job) = self.get(tenant, id).await? else { return Ok(Cancel::Missing) };
         if job.state.phase() == Phase::Canceled {
@@ -199,6 +230,7 @@ impl Queue {
             return Ok(false);
         }
         failpoint("delete.committed");
+        self.deferrals().forget(id);
         self.announce(id);
         self.store.remove_files("results", id).await;
         self.store.remove_files("checkpoints", id).await;

@@ -1,6 +1,7 @@
 //! A job and its states; no SQL.
 
 use super::phase::Phase as P;
+use crate::service::failpoint::fault;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -130,6 +131,37 @@ pub struct JobError {
     pub remedy: String,
 }
 
+/// Faults of the machine: code, errors of the operating system, and remedy.
+const MACHINE_FAULTS: [(&str, &[rustix::io::Errno], &str); 3] = [
+    (
+        "disk_full",
+        &[rustix::io::Errno::NOSPC, rustix::io::Errno::DQUOT],
+        "free disk space or raise the disk quota of the service",
+    ),
+    (
+        "too_many_open_files",
+        &[rustix::io::Errno::MFILE, rustix::io::Errno::NFILE],
+        "raise the limit of open files of the service (ulimit -n)",
+    ),
+    ("disk_failed", &[rustix::io::Errno::IO], "check the disk and the log of the operating system"),
+];
+
+impl JobError {
+    /// Describes a failed file operation that is the fault of the machine: a full disk or disk quota, too many open files,
+    /// a failing disk. `None` for other errors.
+    pub fn of_machine(error: &std::io::Error, detail: &str) -> Option<Self> {
+        let errno = rustix::io::Errno::from_io_error(error)?;
+        let (code, _, remedy) = MACHINE_FAULTS.iter().find(|(_, errors, _)| errors.contains(&errno))?;
+        let (code, remedy) = ((*code).to_owned(), (*remedy).to_owned());
+        Some(Self { code, detail: detail.to_owned(), remedy, ..Self::default() })
+    }
+
+    /// Whether the machine is at fault: the same job can succeed later.
+    pub fn is_of_machine(&self) -> bool {
+        MACHINE_FAULTS.iter().any(|(code, _, _)| *code == self.code) && !fault("disk.unwatched")
+    }
+}
+
 /// Progress of a job.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, utoipa::ToSchema)]
 #[schema(as = Progress)]
@@ -150,6 +182,15 @@ pub struct JobProgress {
     /// Estimated seconds to the end; `None` while there is too little progress for an estimate.
     #[schema(required)]
     pub eta_s: Option<f64>,
+}
+
+/// The request that submitted a job, for the log.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Submitter {
+    /// `X-Request-Id` of the request.
+    pub request: Option<String>,
+    /// Public part of its API key; `None` where no key is required.
+    pub key: Option<String>,
 }
 
 /// A job as stored in the database.
@@ -183,4 +224,27 @@ pub struct Job {
     pub created_at: String,
     /// Time of the first claim; UTC, RFC 3339.
     pub started_at: Option<String>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::{Error, ErrorKind};
+
+    #[test]
+    fn distinguishes_faults_of_the_machine() {
+        let code = |error: &Error| JobError::of_machine(error, "x").map(|error| error.code);
+        for (errno, expected) in [
+            (rustix::io::Errno::NOSPC, "disk_full"),
+            (rustix::io::Errno::DQUOT, "disk_full"),
+            (rustix::io::Errno::MFILE, "too_many_open_files"),
+            (rustix::io::Errno::IO, "disk_failed"),
+        ] {
+            assert_eq!(code(&errno.into()).as_deref(), Some(expected));
+        }
+        assert!(JobError::of_machine(&rustix::io::Errno::NOSPC.into(), "x").is_some_and(|error| error.is_of_machine()));
+        assert_eq!(code(&rustix::io::Errno::NOENT.into()), None);
+        assert_eq!(code(&Error::from(ErrorKind::InvalidData)), None);
+        assert!(!JobError { code: "result_unwritten".to_owned(), ..JobError::default() }.is_of_machine());
+    }
 }

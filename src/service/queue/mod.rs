@@ -8,6 +8,7 @@
 //! their boot id instead of a clock. That takes a few statements on a table that the service needs anyway.
 
 mod claim;
+mod deferral;
 mod enqueue;
 mod handle;
 pub mod job;

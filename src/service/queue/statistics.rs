@@ -22,10 +22,14 @@ impl Queue {
     /// # Errors
     /// When the store fails.
     pub async fn statistics(&self) -> Result<QueueStatistics, StoreError> {
-        let by_state = sqlx::query_as("SELECT state, count(*) FROM jobs GROUP BY state ORDER BY state");
+        let by_state = sqlx::query_as(
+            "SELECT state, sum(jobs) FROM job_counts GROUP BY state HAVING sum(jobs) > 0 ORDER BY state",
+        );
         let by_state = by_state.fetch_all(self.store.read()).await?;
         let oldest: Option<f64> = sqlx::query_scalar(
-            "SELECT (julianday('now') - julianday(min(created_at))) * 86400.0 FROM jobs WHERE state = 'queued'",
+            // The first queued job of each tenant, by an index.
+            "SELECT (julianday('now') - julianday(min(created_at))) * 86400.0 FROM jobs
+             WHERE seq IN (SELECT (SELECT min(seq) FROM jobs WHERE tenant = name AND state = 'queued') FROM tenants)",
         )
         .fetch_one(self.store.read())
         .await?;

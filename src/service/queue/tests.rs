@@ -1,14 +1,15 @@
 //! Tests of the queue on a real database in a temporary folder.
 
-use super::job::{JobError, JobProgress};
+use super::job::{JobError, JobProgress, Submitter};
 use super::outcome::ClaimOutcome;
 use super::recovery::{Recovered, recover};
 use super::*;
 use crate::service::store::sessions::{self, SessionSummary};
-use crate::service::store::{Store, StoreError, Tenant};
+use crate::service::store::{Store, StoreError, Tenant, tenants};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode};
 use sqlx::{ConnectOptions, Connection};
 use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 struct TestQueue {
@@ -59,7 +60,7 @@ impl TestQueue {
     }
 }
 
-const LIMITS: QueueLimits = QueueLimits { total: 100, tenant: 100 };
+const LIMITS: QueueLimits = QueueLimits { total: 100, tenant: 100, max_bytes: i64::MAX };
 
 fn tenant() -> Tenant {
     Tenant::default_tenant()
@@ -67,7 +68,9 @@ fn tenant() -> Tenant {
 
 fn new_job(priority: i64) -> NewJob {
     let options = serde_json::json!({});
-    NewJob { tenant: tenant(), session: "s".to_owned(), options, labels: BTreeMap::new(), priority, webhook: None }
+    let submitter = Submitter { request: Some("r".to_owned()), key: Some("k".to_owned()) };
+    let session = "s".to_owned();
+    NewJob { tenant: tenant(), session, options, labels: BTreeMap::new(), priority, webhook: None, submitter }
 }
 
 fn crashed() -> ClaimOutcome<Published> {
@@ -82,6 +85,14 @@ async fn claims_jobs_by_priority_then_age() {
         assert_eq!(test.queue.claim(i64::MAX).await.unwrap().unwrap().job, expected);
     }
     assert!(test.queue.claim(i64::MAX).await.unwrap().is_none());
+}
+
+#[tokio::test]
+async fn a_claim_names_its_tenant_and_its_request() {
+    let test = TestQueue::new().await;
+    test.enqueue(0).await;
+    let claim = test.queue.claim(i64::MAX).await.unwrap().unwrap();
+    assert_eq!((claim.tenant.as_str(), &claim.submitter), (tenant().name(), &new_job(0).submitter));
 }
 
 #[tokio::test]
@@ -122,7 +133,7 @@ async fn tenants_cannot_access_each_others_jobs() {
     let id = test.enqueue(0).await;
     let other = Tenant::parse("other").unwrap();
     assert!(test.queue.get(&other, &id).await.unwrap().is_none());
-    assert!(test.queue.list(&other, &JobFilter::default(), 10).await.unwrap().is_empty());
+    assert!(test.queue.list(&other, &JobFilter::default(), 10).await.unwrap().items.is_empty());
     assert!(matches!(test.queue.cancel(&other, &id).await.unwrap(), Cancel::Missing));
     assert!(!test.queue.delete(&other, &id).await.unwrap());
     let foreign = NewJob { tenant: other.clone(), ..new_job(0) };
@@ -260,13 +271,171 @@ async fn rejects_removing_a_session_in_use() {
     assert!(matches!(rejected, Err(EnqueueError::SessionMissing)));
 }
 
+fn disk_full() -> ClaimOutcome<Published> {
+    ClaimOutcome::Failed(JobError {
+        code: "disk_full".to_owned(),
+        detail: "no space left".to_owned(),
+        ..JobError::default()
+    })
+}
+
+#[tokio::test]
+async fn a_full_disk_puts_the_job_back_and_others_run() {
+    let test = TestQueue::new().await;
+    let (first, second) = (test.enqueue(5).await, test.enqueue(0).await);
+    let claim = test.queue.claim(i64::MAX).await.unwrap().unwrap();
+    assert_eq!(test.finish(&claim, disk_full()).await, Finished::Recorded(Phase::Queued));
+    let job = test.queue.get(&tenant(), &first).await.unwrap().unwrap();
+    assert_eq!((job.progress.message.as_str(), job.attempt), ("waiting 5 s for the next try: no space left", 1));
+    let next = test.queue.claim(i64::MAX).await.unwrap().unwrap();
+    assert_eq!(next.job, second, "the job that waits is skipped although its priority is higher");
+    assert!(test.queue.claim(i64::MAX).await.unwrap().is_none());
+    test.queue.cancel(&tenant(), &next.job).await.unwrap();
+    assert_eq!(test.finish(&next, disk_full()).await, Finished::Recorded(Phase::Canceled));
+    let test = test.restarted().await;
+    assert_eq!(test.queue.claim(i64::MAX).await.unwrap().unwrap().job, first, "a restart tries the job at once");
+}
+
+#[tokio::test]
+async fn a_job_fails_after_too_many_full_disks() {
+    let test = TestQueue::new().await;
+    let id = test.enqueue(0).await;
+    for _ in 0..100 {
+        assert!(test.queue.deferrals().next_wait(&id).is_some());
+        test.queue.deferrals().defer(&id, Instant::now(), Duration::ZERO);
+    }
+    let claim = test.queue.claim(i64::MAX).await.unwrap().unwrap();
+    assert_eq!(test.finish(&claim, disk_full()).await, Finished::Recorded(Phase::Failed));
+}
+
+#[tokio::test]
+async fn a_nearly_full_disk_stops_claims_and_submissions() {
+    let test = TestQueue::new().await;
+    let id = test.enqueue(0).await;
+    let full = Queue::new(test.queue.store.clone().with_min_free_bytes(u64::MAX));
+    assert!(full.claim(i64::MAX).await.unwrap().is_none());
+    let refused = full.enqueue(&new_job(0), None, LIMITS).await;
+    assert!(matches!(refused, Err(EnqueueError::Store(error)) if error.is_disk_full()));
+    assert_eq!(test.queue.claim(i64::MAX).await.unwrap().unwrap().job, id);
+}
+
+#[tokio::test]
+async fn a_used_up_quota_rejects_jobs_but_not_repetitions() {
+    let test = TestQueue::new().await;
+    let key = IdempotencyKey { key: "k".to_owned(), fingerprint: "f".to_owned() };
+    let accepted = test.queue.enqueue(&new_job(0), Some(&key), LIMITS).await.unwrap();
+    let used_up = QueueLimits { max_bytes: 5, ..LIMITS };
+    let refused = test.queue.enqueue(&new_job(0), None, used_up).await;
+    assert!(matches!(refused, Err(EnqueueError::QuotaExceeded { stored: 5, max: 5 })));
+    let again = test.queue.enqueue(&new_job(0), Some(&key), used_up).await.unwrap();
+    assert_eq!(again.id, accepted.id);
+    test.queue.enqueue(&new_job(0), None, QueueLimits { max_bytes: 6, ..LIMITS }).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_key_remembers_its_session_until_it_is_forgotten() {
+    let test = TestQueue::new().await;
+    let key = IdempotencyKey { key: "k".to_owned(), fingerprint: "f".to_owned() };
+    let id = test.queue.enqueue(&new_job(0), Some(&key), LIMITS).await.unwrap().id;
+    test.queue.cancel(&tenant(), &id).await.unwrap();
+    sessions::remove(&test.queue.store, &tenant(), "s").await.unwrap();
+    let known = |session: &'static str| async { test.queue.session_of_key(&tenant(), "k", session).await.unwrap() };
+    assert_eq!((known("s").await.as_deref(), known("other").await), (Some("00"), None));
+    let again = test.queue.enqueue(&new_job(0), Some(&key), LIMITS).await.unwrap();
+    assert_eq!(again.id, id);
+    assert_eq!(test.queue.forget_keys(-1.0).await.unwrap(), 0, "the job exists");
+    assert!(test.queue.delete(&tenant(), &id).await.unwrap());
+    assert_eq!(test.queue.forget_keys(30.0).await.unwrap(), 0, "the key is new");
+    assert_eq!(test.queue.forget_keys(-1.0).await.unwrap(), 1);
+    assert_eq!(known("s").await, None);
+}
+
+#[tokio::test]
+async fn lists_by_label_and_state_through_indices() {
+    let test = TestQueue::new().await;
+    let mut ids = Vec::new();
+    for (scene, n) in [("a", 1), ("b", 2), ("a", 3)] {
+        let labels = [("scene", scene.to_owned()), ("n", n.to_string())].map(|(key, value)| (key.to_owned(), value));
+        let new = NewJob { labels: labels.into(), ..new_job(0) };
+        ids.push(test.queue.enqueue(&new, None, LIMITS).await.unwrap().id);
+    }
+    test.queue.cancel(&tenant(), &ids[0]).await.unwrap();
+    let listed = async |state: Option<Phase>, key: &str, value: Option<&str>| -> Vec<String> {
+        let label = Some(LabelFilter { key: key.to_owned(), value: value.map(str::to_owned) });
+        let label = label.filter(|label| !label.key.is_empty());
+        let filter = JobFilter { state, label, before: None };
+        let page = test.queue.list(&tenant(), &filter, 10).await.unwrap();
+        assert!(!page.has_more);
+        page.items.into_iter().map(|job| job.id).collect()
+    };
+    assert_eq!(listed(None, "scene", Some("a")).await, [&*ids[2], &*ids[0]]);
+    assert_eq!(listed(None, "scene", None).await, [&*ids[2], &*ids[1], &*ids[0]]);
+    assert_eq!(listed(Some(Phase::Canceled), "scene", Some("a")).await, [&*ids[0]]);
+    assert_eq!(listed(Some(Phase::Queued), "", None).await, [&*ids[2], &*ids[1]]);
+    assert!(test.queue.delete(&tenant(), &ids[2]).await.unwrap());
+    assert_eq!(listed(None, "scene", Some("a")).await, [&*ids[0]]);
+}
+
+#[tokio::test]
+async fn pages_of_long_labels_end_early() {
+    let test = TestQueue::new().await;
+    let labels = BTreeMap::from([("note".to_owned(), "x".repeat(400_000))]);
+    for _ in 0..5 {
+        let new = NewJob { labels: labels.clone(), ..new_job(0) };
+        test.queue.enqueue(&new, None, LIMITS).await.unwrap();
+    }
+    let (mut before, mut lengths) = (None, Vec::new());
+    loop {
+        let filter = JobFilter { before, ..JobFilter::default() };
+        let page = test.queue.list(&tenant(), &filter, 10).await.unwrap();
+        before = page.items.last().map(|job| job.seq);
+        lengths.push(page.items.len());
+        if !page.has_more {
+            break;
+        }
+    }
+    assert_eq!(lengths, [2, 2, 1]);
+}
+
+#[tokio::test]
+async fn running_totals_equal_the_rows() {
+    let test = TestQueue::new().await;
+    let mut ids = Vec::new();
+    for _ in 0..4 {
+        ids.push(test.enqueue(0).await);
+    }
+    let claim = test.queue.claim(i64::MAX).await.unwrap().unwrap();
+    test.queue.cancel(&tenant(), &ids[1]).await.unwrap();
+    assert!(test.queue.delete(&tenant(), &ids[2]).await.unwrap());
+    let mut transaction = test.queue.store.write().await.unwrap();
+    sqlx::query("UPDATE jobs SET result_bytes = 70 WHERE id = ?")
+        .bind(&claim.job)
+        .execute(&mut *transaction)
+        .await
+        .unwrap();
+    transaction.commit().await.unwrap();
+    let statistics = test.queue.statistics().await.unwrap();
+    let by_state = [("canceled", 1), ("queued", 1), ("running", 1)].map(|(state, n)| (state.to_owned(), n));
+    assert_eq!(statistics.by_state, by_state);
+    assert!(statistics.oldest_queued_s >= 0.0);
+    let stored = async || tenants::stored_bytes(&test.queue.store, &tenant()).await.unwrap();
+    assert_eq!(stored().await, 75);
+    assert!(test.queue.delete(&tenant(), &claim.job).await.unwrap());
+    assert_eq!(stored().await, 5);
+    for id in [&ids[1], &ids[3]] {
+        assert!(test.queue.delete(&tenant(), id).await.unwrap());
+    }
+    sessions::remove(&test.queue.store, &tenant(), "s").await.unwrap();
+    assert_eq!((stored().await, test.queue.statistics().await.unwrap().by_state), (0, Vec::new()));
+}
+
 #[tokio::test]
 async fn a_full_queue_rejects_jobs() {
     let test = TestQueue::new().await;
     test.enqueue(0).await;
-    let rejected = test.queue.enqueue(&new_job(0), None, QueueLimits { total: 1, tenant: 100 }).await;
+    let rejected = test.queue.enqueue(&new_job(0), None, QueueLimits { total: 1, ..LIMITS }).await;
     assert!(matches!(rejected, Err(EnqueueError::Full { waiting: 1 })));
-    let rejected = test.queue.enqueue(&new_job(0), None, QueueLimits { total: 100, tenant: 1 }).await;
+    let rejected = test.queue.enqueue(&new_job(0), None, QueueLimits { tenant: 1, ..LIMITS }).await;
     assert!(matches!(rejected, Err(EnqueueError::TenantFull { waiting: 1 })));
 }
 

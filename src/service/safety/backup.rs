@@ -1,16 +1,19 @@
 //! Creating and restoring a backup.
 
+use super::error::BackupError;
 use super::inventory::{NamedFile, named_files};
+use super::source::open;
+use super::staging::Staging;
+use crate::service::bodies;
 use crate::service::failpoint::fault;
 use crate::service::store::artifacts::digest_file;
-use crate::service::store::{DATABASE, StoreError};
+use crate::service::store::{DATABASE, private};
 use serde::{Deserialize, Serialize};
 use sqlx::SqlitePool;
-use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions};
+use std::collections::BTreeSet;
 use std::fs::File;
-use std::io;
-use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::io::{self, Write};
+use std::path::Path;
 
 /// Name of a backup's list of files.
 pub(super) const MANIFEST: &str = "backup.json";
@@ -25,60 +28,19 @@ pub(super) struct Manifest {
     pub(super) files: Vec<NamedFile>,
 }
 
-/// Why a backup or a restore failed.
-#[derive(Debug, thiserror::Error)]
-pub enum BackupError {
-    /// A file could not be read or written.
-    #[error("{}: {source}", path.display())]
-    File {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error of the operating system.
-        source: io::Error,
-    },
-    /// The target folder is not empty.
-    #[error("{}: the folder is not empty; choose another one", path.display())]
-    Occupied {
-        /// Path of the target folder.
-        path: PathBuf,
-    },
-    /// A file differs from its digest.
-    #[error("{name}: the file of {owner} is missing or damaged; the target folder was not created")]
-    Damaged {
-        /// Path below the folder.
-        name: String,
-        /// Id of the session or job.
-        owner: String,
-    },
-    /// The list of files cannot be read.
-    #[error("{}: {source}", path.display())]
-    Manifest {
-        /// Path of the list.
-        path: PathBuf,
-        /// Parse error.
-        source: serde_json::Error,
-    },
-    /// The database failed.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-}
-
-impl From<sqlx::Error> for BackupError {
-    fn from(error: sqlx::Error) -> Self {
-        Self::Store(error.into())
-    }
-}
+/// Owner of the registered bodies in a list of files.
+pub(super) const BODIES: &str = "bodies";
 
 /// Copies the data folder `data` to the new folder `to`, also while its service runs. Returns the number of files.
 ///
 /// # Errors
-/// [`BackupError`]; the files copied until then stay in `<to>.tmp`.
+/// [`BackupError`]; `to` is then not created.
 pub async fn back_up(data: &Path, to: &Path) -> Result<usize, BackupError> {
     require_empty(to)?;
-    let staging = to.with_extension("tmp");
-    make_folder(&staging)?;
-    require_empty(&staging)?;
+    let place = Staging::create(to)?;
+    let staging = place.path();
     let copy = staging.join(DATABASE);
+    private::create_file(&copy).map_err(|source| BackupError::File { path: copy.clone(), source })?;
     let database = open(&data.join(DATABASE), false).await?;
     sqlx::query("VACUUM INTO ?").bind(copy.display().to_string()).execute(&database).await?;
     database.close().await;
@@ -86,7 +48,7 @@ pub async fn back_up(data: &Path, to: &Path) -> Result<usize, BackupError> {
     let copied = open(&copy, true).await?;
     let mut files = Vec::new();
     for file in named_files(&copied).await? {
-        match copy_file(data, &staging, &file)? {
+        match copy_file(data, staging, &file)? {
             Copied::Complete => files.push(file),
             Copied::Missing => delete_owner(&copied, &file).await?,
         }
@@ -101,9 +63,10 @@ pub async fn back_up(data: &Path, to: &Path) -> Result<usize, BackupError> {
         files.pop();
     }
     files.push(NamedFile { name: DATABASE.to_owned(), sha256, owner: String::new() });
+    files.extend(copy_bodies(data, staging)?);
     files.sort();
-    write_manifest(&staging, &files)?;
-    publish(&staging, to)?;
+    write_manifest(staging, &files)?;
+    place.publish()?;
     Ok(files.len())
 }
 
@@ -114,15 +77,13 @@ pub async fn back_up(data: &Path, to: &Path) -> Result<usize, BackupError> {
 pub fn restore(from: &Path, data: &Path) -> Result<usize, BackupError> {
     require_empty(data)?;
     let manifest = read_manifest(from)?;
-    let staging = data.with_extension("tmp");
-    make_folder(&staging)?;
-    require_empty(&staging)?;
+    let place = Staging::create(data)?;
     for file in &manifest.files {
-        if !is_inside(&file.name) || matches!(copy_file(from, &staging, file)?, Copied::Missing) {
+        if !is_inside(&file.name) || matches!(copy_file(from, place.path(), file)?, Copied::Missing) {
             return Err(BackupError::Damaged { name: file.name.clone(), owner: file.owner.clone() });
         }
     }
-    publish(&staging, data)?;
+    place.publish()?;
     Ok(manifest.files.len())
 }
 
@@ -130,13 +91,6 @@ pub(super) fn read_manifest(backup: &Path) -> Result<Manifest, BackupError> {
     let path = backup.join(MANIFEST);
     let text = std::fs::read(&path).map_err(|source| BackupError::File { path: path.clone(), source })?;
     serde_json::from_slice(&text).map_err(|source| BackupError::Manifest { path, source })
-}
-
-/// Opens a database file with one connection, without taking the lock of the data folder.
-pub(super) async fn open(path: &Path, may_write: bool) -> Result<SqlitePool, StoreError> {
-    let options = SqliteConnectOptions::new().filename(path).busy_timeout(Duration::from_secs(30));
-    let options = options.read_only(!may_write).foreign_keys(true);
-    Ok(SqlitePoolOptions::new().max_connections(1).connect_with(options).await?)
 }
 
 enum Copied {
@@ -147,21 +101,49 @@ enum Copied {
 
 /// Copies one file and verifies the digest of the copy.
 fn copy_file(from: &Path, to: &Path, file: &NamedFile) -> Result<Copied, BackupError> {
-    let (source, target) = (from.join(&file.name), to.join(&file.name));
+    match copy(from, to, &file.name)? {
+        None => Ok(Copied::Missing),
+        Some(sha256) if sha256 == file.sha256 => Ok(Copied::Complete),
+        Some(_) => Err(BackupError::Damaged { name: file.name.clone(), owner: file.owner.clone() }),
+    }
+}
+
+/// Copies the file `name`, which only its owner can read then. Returns the digest of the copy; `None` if it does not exist.
+fn copy(from: &Path, to: &Path, name: &str) -> Result<Option<String>, BackupError> {
+    let (source, target) = (from.join(name), to.join(name));
     let failed = |source| BackupError::File { path: target.clone(), source };
     if let Some(folder) = target.parent() {
         std::fs::create_dir_all(folder).map_err(failed)?;
     }
     match std::fs::copy(&source, &target) {
         Ok(_) => {}
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Copied::Missing),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(BackupError::File { path: source, source: error }),
     }
+    private::restrict(&target).map_err(failed)?;
     File::open(&target).and_then(|copy| copy.sync_all()).map_err(failed)?;
-    if digest_file(&target).map_err(failed)?.sha256 != file.sha256 {
-        return Err(BackupError::Damaged { name: file.name.clone(), owner: file.owner.clone() });
+    Ok(Some(digest_file(&target).map_err(failed)?.sha256))
+}
+
+/// Copies the registered bodies: first their entries, then the converted bodies that the copied entries name, so that a body
+/// that is registered again meanwhile is complete in its earlier or its new form.
+fn copy_bodies(data: &Path, to: &Path) -> Result<Vec<NamedFile>, BackupError> {
+    let mut files = Vec::new();
+    let mut copy_body = |name: &str| -> Result<(), BackupError> {
+        let name = format!("{BODIES}/{name}");
+        if let Some(sha256) = copy(data, to, &name)? {
+            files.push(NamedFile { name, sha256, owner: BODIES.to_owned() });
+        }
+        Ok(())
+    };
+    for entry in bodies::entry_files(&bodies::folder(data))? {
+        copy_body(&entry)?;
     }
-    Ok(Copied::Complete)
+    let converted: BTreeSet<String> = bodies::list(&bodies::folder(to))?.into_iter().map(|body| body.file).collect();
+    for file in converted {
+        copy_body(&file)?;
+    }
+    Ok(files)
 }
 
 /// Deletes a session or job with a missing file from the copied database.
@@ -187,24 +169,14 @@ fn require_empty(folder: &Path) -> Result<(), BackupError> {
     }
 }
 
-fn make_folder(folder: &Path) -> Result<(), BackupError> {
-    std::fs::create_dir_all(folder).map_err(|source| BackupError::File { path: folder.to_owned(), source })
-}
-
 fn write_manifest(folder: &Path, files: &[NamedFile]) -> Result<(), BackupError> {
     let manifest = Manifest { wandless: env!("CARGO_PKG_VERSION").to_owned(), files: files.to_vec() };
     let path = folder.join(MANIFEST);
     let text =
         serde_json::to_vec_pretty(&manifest).map_err(|source| BackupError::Manifest { path: path.clone(), source })?;
-    let written = std::fs::write(&path, text).and_then(|()| File::open(&path)?.sync_all());
+    let written = private::create_file(&path).and_then(|mut file| {
+        file.write_all(&text)?;
+        file.sync_all()
+    });
     written.map_err(|source| BackupError::File { path, source })
-}
-
-/// Renames the complete folder to its final name.
-fn publish(staging: &Path, target: &Path) -> Result<(), BackupError> {
-    if target.exists() {
-        std::fs::remove_dir(target).map_err(|source| BackupError::File { path: target.to_owned(), source })?;
-    }
-    crate::service::store::folders::publish(staging, target)
-        .map_err(|source| BackupError::File { path: target.to_owned(), source })
 }

@@ -11,7 +11,7 @@ pub(super) struct NamedFile {
     pub(super) name: String,
     /// SHA-256 of the published file, hex.
     pub(super) sha256: String,
-    /// Id of the owner, `session_…` or `job_…`; empty for the database itself.
+    /// Id of the owner, `session_…` or `job_…`, or `bodies`; empty for the database itself.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub(super) owner: String,
 }

@@ -5,8 +5,10 @@
 //! of its write-ahead log, whether the service is running, was killed or has stopped. Known limit: a folder that was never
 //! served by a release with page digests has none.
 
-use super::backup::{BackupError, MANIFEST, open, read_manifest};
+use super::backup::{BODIES, MANIFEST, Manifest, read_manifest};
+use super::error::BackupError;
 use super::inventory::named_files;
+use super::source::Source;
 use crate::pipeline::checkpoints::is_whole;
 use crate::service::failpoint::fault;
 use crate::service::store::DATABASE;
@@ -36,7 +38,11 @@ pub async fn verify(folder: &Path) -> Result<Report, BackupError> {
     if let Err(source) = std::fs::metadata(&path) {
         return Err(BackupError::File { path, source });
     }
-    check_database_bytes(folder, &mut report)?;
+    match read_manifest(folder) {
+        Ok(manifest) => check_listed(folder, &manifest, &mut report),
+        Err(BackupError::Manifest { source, .. }) => report.damages.push(format!("{MANIFEST}: {source}")),
+        Err(_) => check_pages(folder, &mut report)?,
+    }
     check_checkpoints(folder, &mut report);
     if let Err(error) = check_rows(folder, &mut report).await {
         report.damages.push(format!("{DATABASE}: {error}"));
@@ -44,28 +50,29 @@ pub async fn verify(folder: &Path) -> Result<Report, BackupError> {
     Ok(report)
 }
 
-/// Checks the bytes of the database: against the list of a backup, or page by page.
-fn check_database_bytes(folder: &Path, report: &mut Report) -> Result<(), BackupError> {
+/// Checks the database and the bodies of a backup against its list; [`check_rows`] checks the other files.
+fn check_listed(folder: &Path, manifest: &Manifest, report: &mut Report) {
+    for file in manifest.files.iter().filter(|file| file.name == DATABASE || file.owner == BODIES) {
+        report.checked += 1;
+        let damage = match digest_file(&folder.join(&file.name)) {
+            Ok(digest) if digest.sha256 == file.sha256 || fault("verify.blind") => continue,
+            Ok(_) => "the bytes have changed since the backup".to_owned(),
+            Err(error) => error.to_string(),
+        };
+        report.damages.push(format!("{}: {damage}", file.name));
+    }
+}
+
+/// Checks the database of a data folder page by page.
+fn check_pages(folder: &Path, report: &mut Report) -> Result<(), BackupError> {
     let path = folder.join(DATABASE);
-    let failed = |source| BackupError::File { path: path.clone(), source };
-    let listed = match read_manifest(folder) {
-        Ok(manifest) => manifest.files.into_iter().find(|file| file.name == DATABASE),
-        Err(BackupError::Manifest { source, .. }) => {
-            report.damages.push(format!("{MANIFEST}: {source}"));
-            return Ok(());
-        }
-        Err(_) => None,
-    };
-    let damage = match listed {
-        Some(listed) if digest_file(&path).map_err(failed)?.sha256 == listed.sha256 => None,
-        Some(_) => Some("the bytes have changed since the backup".to_owned()),
-        None => match pages::compare(&path).map_err(failed)? {
-            Compared::Damaged(damage) => Some(damage),
-            Compared::Unknown | Compared::Intact(_) => None,
-        },
-    };
+    let compared = pages::compare(&path).map_err(|source| BackupError::File { path, source })?;
     report.checked += 1;
-    report.damages.extend(damage.filter(|_| !fault("verify.blind")).map(|damage| format!("{DATABASE}: {damage}")));
+    if let Compared::Damaged(damage) = compared
+        && !fault("verify.blind")
+    {
+        report.damages.push(format!("{DATABASE}: {damage}"));
+    }
     Ok(())
 }
 
@@ -86,10 +93,11 @@ fn check_checkpoints(folder: &Path, report: &mut Report) {
 }
 
 async fn check_rows(folder: &Path, report: &mut Report) -> Result<(), BackupError> {
-    let database = open(&folder.join(DATABASE), false).await?;
-    let faults: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check").fetch_all(&database).await?;
+    let source = Source::open(folder).await?;
+    let database = &source.database;
+    let faults: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check").fetch_all(database).await?;
     report.damages.extend(faults.iter().filter(|fault| *fault != "ok").map(|fault| format!("{DATABASE}: {fault}")));
-    let files = named_files(&database).await?;
+    let files = named_files(database).await?;
     for file in &files {
         report.checked += 1;
         match digest_file(&folder.join(&file.name)) {

@@ -3,6 +3,7 @@
 //! Why not figment: it adds seven crates and toml 0.8 beside toml 1.2 for the 60 lines here (last release 2024).
 
 use super::Settings;
+use super::ranges::check;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
@@ -67,7 +68,8 @@ impl Layers {
         ours.sort();
         for (name, value) in ours {
             let key = name["WANDLESS_".len()..].to_ascii_lowercase().replace("__", ".");
-            let is_setting = key.contains('.') || ["data", "listen", "cors_origins", "drain_limit_s"].contains(&&*key);
+            let is_setting = key.contains('.')
+                || ["data", "listen", "cors_origins", "allowed_hosts", "drain_limit_s"].contains(&&*key);
             if is_setting {
                 self = self.word(&key, &value)?;
             }
@@ -107,12 +109,7 @@ impl Layers {
             Settings::deserialize(Value::Table(self.table)).map_err(|error| invalid(error.message().to_owned()))?;
         settings.program =
             std::env::current_exe().map_err(|error| invalid(format!("path of the running program: {error}")))?;
-        if settings.jobs.concurrent == 0 {
-            return Err(invalid("jobs.concurrent is 0; set it to 1 or more".to_owned()));
-        }
-        if settings.limits.max_connections == 0 {
-            return Err(invalid("limits.max_connections is 0; set it to 1 or more".to_owned()));
-        }
+        check(&settings).map_err(invalid)?;
         Ok(settings)
     }
 }

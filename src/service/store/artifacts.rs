@@ -68,7 +68,14 @@ pub struct FileDigest {
 /// # Errors
 /// When the file cannot be read.
 pub fn digest_file(path: &Path) -> io::Result<FileDigest> {
-    let mut file = File::open(path)?;
+    digest_of(&mut File::open(path)?)
+}
+
+/// Computes the size and the SHA-256 of everything that a reader returns.
+///
+/// # Errors
+/// When reading fails.
+pub fn digest_of(file: &mut impl Read) -> io::Result<FileDigest> {
     let mut hasher = Sha256::new();
     let mut buffer = vec![0; 1 << 16];
     let mut bytes = 0;

@@ -2,10 +2,14 @@
 
 use super::error::StoreError;
 use super::folders::Folders;
+use super::space::Space;
+use super::{private, shrink};
 use crate::service::failpoint::{failpoint, fault};
 use sqlx::migrate::{MigrateError, Migrator};
-use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous};
-use sqlx::{Connection, Sqlite, Transaction};
+use sqlx::sqlite::{
+    SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
+};
+use sqlx::{ConnectOptions, Connection, Sqlite, Transaction};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -30,6 +34,8 @@ pub struct Store {
     readers: SqlitePool,
     /// Copies the write-ahead log into the database; the only connection that does, see [`super::pages`].
     pub(super) checkpointer: SqlitePool,
+    /// Free space of the disk and uploads that are arriving.
+    pub(super) space: Space,
     /// Folders of the files.
     pub folders: Folders,
     /// Id of this process: a running job of another boot is an orphan.
@@ -77,7 +83,8 @@ impl Store {
         let database = folders.database();
         let is_lost =
             |is_empty: bool| Ok::<_, StoreError>(is_empty && folders.hold_files()? && !fault("damage.silent"));
-        if is_lost(std::fs::metadata(&database).map_or(0, |m| m.len()) == 0)? {
+        let is_empty = std::fs::metadata(&database).map_or(0, |m| m.len()) == 0;
+        if is_lost(is_empty)? {
             return Err(StoreError::DatabaseLost { path: database });
         }
         let options = SqliteConnectOptions::new()
@@ -88,6 +95,12 @@ impl Store {
             .busy_timeout(if fault("busy.impatient") { Duration::ZERO } else { BUSY_PATIENCE })
             .pragma("wal_autocheckpoint", "0")
             .pragma("secure_delete", "ON");
+        if is_empty {
+            let created = private::create_file(&database); // SQLite gives the write-ahead log the same mode
+            created.map_err(|source| StoreError::Folder { path: database.clone(), source })?;
+            // Only an empty file takes this setting, and every connection that has it would write it again.
+            options.clone().auto_vacuum(SqliteAutoVacuum::Incremental).connect().await?.close().await?;
+        }
         let pool = |options: SqliteConnectOptions, n: u32| {
             let pool = SqlitePoolOptions::new().max_connections(n).idle_timeout(None).max_lifetime(None);
             // SQLite ends a transaction by itself when the disk is full; sqlx's connection would then assume forever that
@@ -107,6 +120,9 @@ impl Store {
             other => StoreError::Migration(other),
         })?;
         failpoint("start.migrated");
+        if folders.are_owned() {
+            shrink::rewrite_if_loose(&writer).await?;
+        }
         if fault("claims.scanned") {
             sqlx::query("DROP INDEX IF EXISTS jobs_by_state").execute(&writer).await?;
         }
@@ -119,6 +135,7 @@ impl Store {
             progress_writer,
             readers,
             checkpointer,
+            space: Space::default(),
             folders,
             boot: uuid::Uuid::new_v4().simple().to_string(),
         })
@@ -182,6 +199,14 @@ impl Store {
     pub async fn create_reserve(&self) {
         let folders = self.folders.clone();
         let _ = tokio::task::spawn_blocking(move || folders.create_reserve()).await; // fails only when the process ends
+    }
+
+    /// Returns some free pages of the database to the disk if a large part of it is free.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub(super) async fn shrink(&self) -> Result<(), StoreError> {
+        Ok(shrink::step(&self.readers, &self.progress_writer).await?)
     }
 
     /// Closes the connections after their last statement; the owner of the folder empties the write-ahead log first.

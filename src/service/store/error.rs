@@ -54,6 +54,16 @@ pub enum StoreError {
     /// A statement failed.
     #[error("database: {0}")]
     Database(#[from] sqlx::Error),
+    /// Fewer bytes are free than must stay free besides those for uploads that are arriving.
+    #[error("{free} bytes of the disk are free, {announced} are needed for uploads, and {min} must stay free")]
+    DiskFull {
+        /// Free bytes.
+        free: u64,
+        /// Bytes of this upload and of the others that are arriving.
+        announced: u64,
+        /// Minimum (`limits.min_free_bytes`).
+        min: u64,
+    },
     /// The operating system provides no random numbers.
     #[error("the operating system provides no random numbers")]
     NoRandomness,
@@ -63,10 +73,15 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Whether the disk is full: SQLite's FULL, or a failed write or shared memory allocation.
+    /// Whether the disk is full: below its minimum of free bytes, SQLite's FULL, or a failed write or shared memory allocation.
     pub fn is_disk_full(&self) -> bool {
-        let Self::Database(sqlx::Error::Database(cause)) = self else { return false };
-        matches!(cause.code().as_deref(), Some("13" | "778" | "4874"))
+        match self {
+            Self::DiskFull { .. } => true,
+            Self::Database(sqlx::Error::Database(cause)) => {
+                matches!(cause.code().as_deref(), Some("13" | "778" | "4874"))
+            }
+            _ => false,
+        }
     }
 
     /// Converts SQLite's CORRUPT and NOTADB to [`StoreError::DatabaseDamaged`] with the path of the file.

@@ -5,11 +5,13 @@
 //! (finished stages of an open job). File names are generated here, never taken from a client.
 
 use super::error::StoreError;
+use super::private;
 use super::random::new_id;
 use crate::service::failpoint::{failpoint, fault};
 use rustix::fs::FlockOperation;
 use std::fs::File;
-use std::io;
+use std::io::{self, Write};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -54,8 +56,10 @@ impl Folders {
         }
         let fail = |path: &Path, source| StoreError::Folder { path: path.to_owned(), source };
         let root = root.canonicalize().map_err(|source| fail(root, source))?; // child processes may have another working folder
+        restrict(&root);
         let path = root.join("lock");
-        let lock = File::options().create(true).append(true).open(&path).map_err(|source| fail(&path, source))?;
+        let lock =
+            File::options().create(true).append(true).mode(0o600).open(&path).map_err(|source| fail(&path, source))?;
         match take_lock(&lock) {
             Ok(()) => Ok(Self { root, lock: Some(Arc::new(lock)) }),
             Err(_) if fault("lock.none") => Ok(Self { root, lock: Some(Arc::new(lock)) }),
@@ -66,7 +70,7 @@ impl Folders {
 
     /// Whether a running service owns a data folder.
     pub(crate) fn are_in_use(root: &Path) -> bool {
-        let lock = File::options().append(true).open(root.join("lock"));
+        let lock = File::open(root.join("lock"));
         let taken = lock.map(|lock| rustix::fs::flock(&lock, FlockOperation::NonBlockingLockExclusive));
         matches!(taken, Ok(Err(rustix::io::Errno::WOULDBLOCK))) // a lock taken here is released with the file
     }
@@ -177,7 +181,8 @@ impl Folders {
         if path.exists() {
             return;
         }
-        if let Err(error) = std::fs::write(&path, vec![0; RESERVE_BYTES]) {
+        let written = private::create_file(&path).and_then(|mut file| file.write_all(&vec![0; RESERVE_BYTES]));
+        if let Err(error) = written {
             tracing::warn!(%error, "cannot create the reserve file for a full disk");
             self.release_reserve();
         }
@@ -195,6 +200,16 @@ impl Folders {
     pub fn free_bytes(&self) -> io::Result<u64> {
         let disk = rustix::fs::statvfs(&self.root)?;
         Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
+    }
+}
+
+/// Takes the rights of group and others from a data folder and its files beside `sessions/` and the like.
+fn restrict(root: &Path) {
+    let files = ["", DATABASE, "wandless.db-wal", "wandless.db-shm", PAGES, RESERVE, "lock"];
+    for path in files.map(|name| root.join(name)) {
+        if let Err(error) = private::restrict(&path) {
+            tracing::warn!(path = %path.display(), %error, "other users of this machine may be able to read the data");
+        }
     }
 }
 
@@ -245,6 +260,7 @@ pub fn publish(from: &Path, to: &Path) -> io::Result<()> {
     std::fs::rename(from, to)?;
     failpoint("publish.renamed");
     match to.parent() {
+        Some(parent) if parent == Path::new("") => File::open(".")?.sync_all(),
         Some(parent) => File::open(parent)?.sync_all(),
         None => Ok(()),
     }

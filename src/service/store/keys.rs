@@ -132,6 +132,15 @@ pub async fn any(store: &Store) -> Result<bool, StoreError> {
     Ok(sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM api_keys)").fetch_one(store.read()).await?)
 }
 
+/// Whether the key with this id exists and is not revoked.
+///
+/// # Errors
+/// When the store fails.
+pub async fn is_active(store: &Store, id: &str) -> Result<bool, StoreError> {
+    let active = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM api_keys WHERE id = ? AND revoked_at IS NULL)");
+    Ok(active.bind(id).fetch_one(store.read()).await?)
+}
+
 /// Returns the key of a client's token; `None` if it is unknown or revoked.
 ///
 /// # Errors
@@ -186,7 +195,9 @@ mod tests {
         }
         let mixed = format!("wl_{}_{}", first.id, second.token.rsplit('_').next().unwrap());
         assert!(check(&store, &mixed).await.unwrap().is_none());
+        assert!(is_active(&store, &first.id).await.unwrap());
         assert!(revoke(&store, &first.id).await.unwrap());
+        assert!(!is_active(&store, &first.id).await.unwrap());
         assert!(!revoke(&store, &first.id).await.unwrap());
         assert!(check(&store, &first.token).await.unwrap().is_none());
         assert!(check(&store, &second.token).await.unwrap().is_some());

@@ -1,14 +1,20 @@
 //! The data folder: one SQLite database and the files that its rows refer to. Only this module accesses either directly.
 
 pub mod artifacts;
+pub(crate) mod clock;
 pub mod database;
 pub mod error;
 pub mod folders;
 pub mod keys;
+pub mod listing;
 mod log;
 pub(crate) mod pages;
+pub(crate) mod private;
 pub mod random;
+pub mod reservation;
 pub mod sessions;
+mod shrink;
+mod space;
 pub mod summary;
 pub mod tenants;
 

@@ -12,9 +12,11 @@ use super::database::Store;
 use super::error::StoreError;
 use super::folders::{Folders, PAGES, publish};
 use super::log::Log;
+use super::private;
 use sha2::{Digest, Sha256};
 use std::fs::File;
-use std::io::{self, BufReader, Read, Write};
+use std::io::{self, Write};
+use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::time::{Duration, SystemTime};
 
@@ -59,6 +61,9 @@ pub(crate) async fn run_checkpointer(store: Store, draining: tokio_util::sync::C
         let written = written_at(&store.folders.log());
         if written == seen {
             continue;
+        }
+        if let Err(error) = store.shrink().await {
+            tracing::warn!(%error, "the free part of the database was not returned to the disk; trying again");
         }
         match store.checkpoint().await {
             Ok(()) => seen = written,
@@ -148,34 +153,34 @@ fn compare_once(database: &Path) -> io::Result<Compared> {
 }
 
 impl PageDigests {
-    /// Computes the digests of a database file; `known` digests are reused for pages that are not in the log.
+    /// Computes the digests of a database file; pages with a `known` digest that are not in the log are not read.
     fn of(database: &Path, known: Option<(&PageDigests, &Log)>) -> io::Result<Self> {
         let file = File::open(database)?;
-        let mut reader = BufReader::with_capacity(1 << 20, file);
         let mut header = [0; 100];
-        reader.read_exact(&mut header)?;
+        file.read_exact_at(&mut header, 0)?;
         let page_bytes = match u16::from_be_bytes([header[16], header[17]]) {
             1 => 65536,
             bytes => usize::from(bytes).max(512),
         };
+        let n_pages = file.metadata()?.len() / page_bytes as u64;
         let known = known.filter(|(pages, _)| pages.page_bytes == page_bytes);
         let mut page = vec![0; page_bytes];
-        page[..100].copy_from_slice(&header);
-        reader.read_exact(&mut page[100..])?;
-        let mut digests = Vec::new();
-        loop {
-            let number = digests.len() as u32 + 1;
+        let mut digests = Vec::with_capacity(n_pages as usize);
+        for index in 0..n_pages {
             let old = known.and_then(|(pages, log)| {
-                let old = pages.digests.get(digests.len()).copied();
-                old.filter(|_| !log.pages.contains(&number))
+                let old = pages.digests.get(index as usize).copied();
+                old.filter(|_| !log.pages.contains(&(index as u32 + 1)))
             });
-            digests.push(old.unwrap_or_else(|| digest(&page)));
-            match reader.read_exact(&mut page) {
-                Ok(()) => {}
-                Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(Self { page_bytes, digests }),
-                Err(error) => return Err(error),
-            }
+            digests.push(match old {
+                Some(old) => old,
+                None => match file.read_exact_at(&mut page, index * page_bytes as u64) {
+                    Ok(()) => digest(&page),
+                    Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => break, // the file was shortened meanwhile
+                    Err(error) => return Err(error),
+                },
+            });
         }
+        Ok(Self { page_bytes, digests })
     }
 
     /// Reads stored digests; `None` if the file is missing or damaged.
@@ -194,7 +199,7 @@ impl PageDigests {
     fn write(&self, path: &Path) -> io::Result<()> {
         let rest = self.digests.as_flattened();
         let staging = path.with_extension("pages.tmp");
-        let mut file = File::create(&staging)?;
+        let mut file = private::create_file(&staging)?;
         let sum = hex::encode(checksum(self.page_bytes, rest));
         file.write_all(format!("{MAGIC} {} {sum}\n", self.page_bytes).as_bytes())?;
         file.write_all(rest)?;

@@ -2,15 +2,19 @@
 
 use super::database::Store;
 use super::error::StoreError;
+use super::listing::{Listed, read_page};
 use super::tenants::{self, Tenant};
 use crate::pipeline::CameraFacts;
 use crate::service::failpoint::{failpoint, fault};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
 
+/// Longest name of a session, bytes: several lines of text. Lists return the name of each session.
+pub const MAX_NAME_BYTES: usize = 256;
+
 /// Summary of a valid upload, as reported to clients.
-#[derive(Debug, Clone, PartialEq, Serialize, utoipa::ToSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 pub struct SessionSummary {
     /// Name of the session.
     pub name: String,
@@ -71,6 +75,12 @@ pub enum AddError {
         /// Quota of the tenant, bytes.
         max: i64,
     },
+    /// The name is too long for lists.
+    #[error("the session's name has {bytes} bytes; at most {MAX_NAME_BYTES} are possible")]
+    NameTooLong {
+        /// Bytes of the name.
+        bytes: usize,
+    },
     /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -116,6 +126,9 @@ pub async fn add(
     summary: &SessionSummary,
     max_bytes: i64,
 ) -> Result<Added, AddError> {
+    if summary.name.len() > MAX_NAME_BYTES {
+        return Err(AddError::NameTooLong { bytes: summary.name.len() });
+    }
     let mut transaction = store.write().await?;
     let stored = tenants::stored_bytes_in(&mut transaction, tenant).await?;
     let known = sqlx::query("SELECT * FROM sessions WHERE tenant = ? AND sha256 = ?");
@@ -168,13 +181,22 @@ pub async fn get_by_sha256(store: &Store, tenant: &Tenant, sha256: &str) -> Resu
     row.fetch_optional(store.read()).await?.as_ref().map(from_row).transpose()
 }
 
-/// Lists a tenant's sessions older than `before` (a `seq`), newest first, at most `limit`.
+/// Lists a tenant's sessions older than `before` (a `seq`), newest first, at most `max_rows`.
 ///
 /// # Errors
 /// When the store fails.
-pub async fn list(store: &Store, tenant: &Tenant, before: i64, limit: i64) -> Result<Vec<StoredSession>, StoreError> {
-    let rows = sqlx::query("SELECT * FROM sessions WHERE tenant = ? AND seq < ? ORDER BY seq DESC LIMIT ?");
-    rows.bind(tenant.name()).bind(before).bind(limit).fetch_all(store.read()).await?.iter().map(from_row).collect()
+pub async fn list(
+    store: &Store,
+    tenant: &Tenant,
+    before: i64,
+    max_rows: i64,
+) -> Result<Listed<StoredSession>, StoreError> {
+    let rows = sqlx::query(
+        "SELECT *, octet_length(name) + octet_length(cameras) + octet_length(warnings) AS row_bytes
+         FROM sessions WHERE tenant = ? AND seq < ? ORDER BY seq DESC LIMIT ?",
+    );
+    let rows = rows.bind(tenant.name()).bind(before).bind(max_rows + 1).fetch(store.read());
+    read_page(rows, max_rows, from_row).await
 }
 
 /// Returns all session ids, sorted.

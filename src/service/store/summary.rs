@@ -18,12 +18,12 @@ pub struct Summary {
 
 /// A published file is missing or has unexpected content.
 #[derive(Debug, thiserror::Error)]
-#[error("{file}: {reason}", file = .file.display())]
+#[error("{file}: {source}", file = .file.display())]
 pub struct SummaryError {
     /// Path of the file.
     pub file: PathBuf,
-    /// Description of the problem.
-    pub reason: String,
+    /// Error of the operating system, or of the parser.
+    pub source: std::io::Error,
 }
 
 #[derive(Debug, Deserialize)]
@@ -110,9 +110,8 @@ impl Summary {
 }
 
 fn read_json<T: DeserializeOwned>(file: PathBuf) -> Result<T, SummaryError> {
-    let text = std::fs::read(&file).map_err(|e| e.to_string());
-    let value = text.and_then(|text| serde_json::from_slice(&text).map_err(|e| e.to_string()));
-    value.map_err(|reason| SummaryError { file, reason })
+    let value = std::fs::read(&file).and_then(|text| Ok(serde_json::from_slice(&text)?));
+    value.map_err(|source| SummaryError { file, source })
 }
 
 async fn insert_verdict(transaction: &mut WriteTransaction, job: &str, report: &ReportFile) -> Result<(), StoreError> {

@@ -50,9 +50,8 @@ pub(crate) async fn stored_bytes_in(transaction: &mut WriteTransaction, tenant: 
     Ok(sqlx::query_scalar(STORED_BYTES).bind(tenant.name()).fetch_one(&mut **transaction).await?)
 }
 
-const STORED_BYTES: &str = "
-    SELECT (SELECT coalesce(sum(bytes), 0) FROM sessions WHERE tenant = ?1)
-         + (SELECT coalesce(sum(result_bytes), 0) FROM jobs WHERE tenant = ?1)";
+/// The running total, which triggers keep.
+const STORED_BYTES: &str = "SELECT coalesce((SELECT stored_bytes FROM tenants WHERE name = ?), 0)";
 
 /// Inserts the row of a tenant unless it exists.
 pub(crate) async fn insert_if_missing(transaction: &mut WriteTransaction, tenant: &Tenant) -> Result<(), StoreError> {
@@ -66,6 +65,9 @@ pub(crate) async fn insert_if_missing(transaction: &mut WriteTransaction, tenant
 /// Prefix of a webhook secret (Standard Webhooks).
 const SECRET_PREFIX: &str = "whsec_";
 
+/// Time for which a replaced webhook secret still signs, s: a day, so that receivers can change over at any hour.
+const OVERLAP_S: i64 = 24 * 3600;
+
 /// Returns the secret that signs a tenant's webhooks, `whsec_` and 256 random bits in base64; created on first use.
 ///
 /// # Errors
@@ -78,16 +80,48 @@ pub async fn webhook_secret(store: &Store, tenant: &Tenant) -> Result<String, St
     if let Some(Some(secret)) = known {
         return Ok(secret);
     }
+    let set = "UPDATE tenants SET webhook_secret = coalesce(webhook_secret, ?) WHERE name = ? RETURNING webhook_secret";
+    set_secret(store, tenant, set).await
+}
+
+/// Replaces the secret of a tenant by a new one, which is returned; the replaced one signs for another day.
+///
+/// # Errors
+/// When the store or the system's source of randomness fails.
+pub async fn rotate_webhook_secret(store: &Store, tenant: &Tenant) -> Result<String, StoreError> {
+    let set = "UPDATE tenants SET previous_webhook_secret = webhook_secret, webhook_secret_set_at = unixepoch(),
+                                  webhook_secret = ? WHERE name = ? RETURNING webhook_secret";
+    set_secret(store, tenant, set).await
+}
+
+/// Returns all secrets that sign a tenant's webhooks now, the current one first.
+///
+/// # Errors
+/// When the store or the system's source of randomness fails.
+pub async fn signing_secrets(store: &Store, tenant: &Tenant) -> Result<Vec<String>, StoreError> {
+    let mut secrets = vec![webhook_secret(store, tenant).await?];
+    let previous: Option<String> = sqlx::query_scalar(
+        "SELECT previous_webhook_secret FROM tenants
+         WHERE name = ? AND previous_webhook_secret IS NOT NULL AND abs(unixepoch() - webhook_secret_set_at) < ?",
+    )
+    .bind(tenant.name())
+    .bind(OVERLAP_S)
+    .fetch_optional(store.read())
+    .await?;
+    secrets.extend(previous);
+    Ok(secrets)
+}
+
+/// Runs a statement that sets the secret of a tenant to a new one; returns the secret that holds then.
+async fn set_secret(store: &Store, tenant: &Tenant, statement: &'static str) -> Result<String, StoreError> {
     let secret = base64::engine::general_purpose::STANDARD.encode(random_bytes()?);
     let mut transaction = store.write().await?;
     insert_if_missing(&mut transaction, tenant).await?;
-    let secret: String = sqlx::query_scalar(
-        "UPDATE tenants SET webhook_secret = coalesce(webhook_secret, ?) WHERE name = ? RETURNING webhook_secret",
-    )
-    .bind(format!("{SECRET_PREFIX}{secret}"))
-    .bind(tenant.name())
-    .fetch_one(&mut *transaction)
-    .await?;
+    let secret: String = sqlx::query_scalar(statement)
+        .bind(format!("{SECRET_PREFIX}{secret}"))
+        .bind(tenant.name())
+        .fetch_one(&mut *transaction)
+        .await?;
     transaction.commit().await?;
     Ok(secret)
 }
@@ -95,6 +129,24 @@ pub async fn webhook_secret(store: &Store, tenant: &Tenant) -> Result<String, St
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[tokio::test]
+    async fn replaced_webhook_secret_signs_for_another_day() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        let tenant = Tenant::parse("a").unwrap();
+        let first = webhook_secret(&store, &tenant).await.unwrap();
+        assert_eq!(signing_secrets(&store, &tenant).await.unwrap(), std::slice::from_ref(&first));
+        let second = rotate_webhook_secret(&store, &tenant).await.unwrap();
+        assert_ne!(first, second);
+        assert_eq!(webhook_secret(&store, &tenant).await.unwrap(), second);
+        assert_eq!(signing_secrets(&store, &tenant).await.unwrap(), [second.clone(), first]);
+        let mut transaction = store.write().await.unwrap();
+        let a_day_later = sqlx::query("UPDATE tenants SET webhook_secret_set_at = unixepoch() - ?").bind(OVERLAP_S);
+        a_day_later.execute(&mut *transaction).await.unwrap();
+        transaction.commit().await.unwrap();
+        assert_eq!(signing_secrets(&store, &tenant).await.unwrap(), [second]);
+    }
 
     #[test]
     fn rejects_names_with_other_characters() {

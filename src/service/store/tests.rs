@@ -1,10 +1,14 @@
-//! Opening the database of an earlier release.
+//! Opening a data folder: the database of an earlier release, file modes, the size of the database.
 
 use super::database::{MIGRATIONS, Store};
+use super::error::StoreError;
+use super::folders::PAGES;
 use sqlx::migrate::Migrator;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
 use std::borrow::Cow;
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
 
 /// Last migration of the release before the column `crashes`.
 const OLD_RELEASE: i64 = 4;
@@ -27,4 +31,80 @@ async fn keeps_the_crash_count_of_an_earlier_release() {
     let crashes: i64 = sqlx::query_scalar("SELECT crashes FROM jobs").fetch_one(store.read()).await.unwrap();
     assert_eq!(crashes, 2);
     store.close().await;
+}
+
+fn mode(path: &Path) -> u32 {
+    std::fs::metadata(path).unwrap().permissions().mode() & 0o777
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn data_is_readable_by_its_owner_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    Store::open(&data).await.unwrap().close().await;
+    let loosen = |name: &str, mode: u32| {
+        std::fs::set_permissions(data.join(name), std::fs::Permissions::from_mode(mode)).unwrap();
+    };
+    loosen("", 0o755);
+    loosen("wandless.db", 0o644);
+    let store = Store::open(&data).await.unwrap(); // the folder of an earlier release
+    store.checkpoint().await.unwrap();
+    assert_eq!(mode(&data), 0o700);
+    for name in ["wandless.db", "wandless.db-wal", "wandless.db-shm", PAGES, "lock", "reserve"] {
+        assert_eq!(mode(&data.join(name)), 0o600, "{name}");
+    }
+    store.close().await;
+}
+
+/// Fills a table of its own with `pages` pages, and empties it.
+async fn fill_and_empty(store: &Store, pages: i64) -> Result<(), StoreError> {
+    let mut transaction = store.write().await?;
+    sqlx::query("CREATE TABLE IF NOT EXISTS filler (bytes BLOB)").execute(&mut *transaction).await?;
+    sqlx::query(
+        "WITH RECURSIVE n (i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < ?)
+         INSERT INTO filler SELECT randomblob(4000) FROM n",
+    )
+    .bind(pages)
+    .execute(&mut *transaction)
+    .await?;
+    transaction.commit().await?;
+    store.checkpoint().await?;
+    let mut transaction = store.write().await?;
+    sqlx::query("DELETE FROM filler").execute(&mut *transaction).await?;
+    Ok(transaction.commit().await?)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn database_shrinks_after_deletions() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::open(folder.path()).await.unwrap();
+    fill_and_empty(&store, 5000).await.unwrap();
+    let full = store.disk_usage().database_bytes;
+    for _ in 0..4 {
+        store.shrink().await.unwrap();
+        store.checkpoint().await.unwrap();
+    }
+    let empty = store.disk_usage().database_bytes;
+    assert!(full > 20_000_000 && empty < 8_000_000, "{full} {empty}");
+    store.close().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn loose_database_of_an_earlier_release_is_rewritten() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("wandless.db");
+    let plain = SqliteConnectOptions::new().filename(&path).create_if_missing(true);
+    let mut database = plain.connect().await.unwrap();
+    MIGRATIONS.run(&mut database).await.unwrap(); // without the setting that lets the file shrink step by step
+    database.close().await.unwrap();
+    let store = Store::open(folder.path()).await.unwrap();
+    fill_and_empty(&store, 3000).await.unwrap();
+    store.close().await;
+    drop(store); // and the lock of the folder with it
+    let loose = std::fs::metadata(&path).unwrap().len();
+    let store = Store::open(folder.path()).await.unwrap();
+    let mode: i64 = sqlx::query_scalar("PRAGMA auto_vacuum").fetch_one(store.read()).await.unwrap();
+    store.close().await;
+    let tight = std::fs::metadata(&path).unwrap().len();
+    assert!(mode == 2 && loose > 12_000_000 && tight < 2_000_000, "{mode} {loose} {tight}");
 }

@@ -25,7 +25,8 @@ const MAX_ADDRESSES: usize = 16;
 pub(super) struct Call {
     pub(super) id: String,
     pub(super) url: String,
-    pub(super) secret: String,
+    /// Secrets that sign the call: the current one, and the one that it has replaced a short time ago.
+    pub(super) secrets: Vec<String>,
     pub(super) body: Vec<u8>,
 }
 
@@ -61,7 +62,8 @@ impl Call {
         let addresses = self.addresses()?;
         networks.check_all(&addresses).map_err(|error| error.to_string())?;
         let now = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_secs());
-        let signature = signature(&self.secret, &self.id, now, &self.body).ok_or("the secret is not valid base64")?;
+        let signed = self.secrets.iter().map(|secret| signature(secret, &self.id, now, &self.body));
+        let signatures: Vec<String> = signed.collect::<Option<_>>().ok_or("the secret is not valid base64")?;
         let config = Agent::config_builder()
             .http_status_as_error(false)
             .max_redirects(0)
@@ -76,7 +78,7 @@ impl Call {
             .content_type("application/json")
             .header("webhook-id", &self.id)
             .header("webhook-timestamp", now.to_string())
-            .header("webhook-signature", signature)
+            .header("webhook-signature", signatures.join(" "))
             .send(&self.body[..]);
         let mut answer = answer.map_err(|error| error.to_string())?;
         let mut rest = answer.body_mut().as_reader().take(MAX_ANSWER);

@@ -1,15 +1,15 @@
 //! Workers: each claims a job, runs it in a supervised child process of this program, and records the outcome.
 
-mod child;
 mod supervision;
 
+use super::child::Child;
 use super::failpoint::{failpoint, fault};
-use super::memory::child_limit;
+use super::memory;
 use super::metrics::Metrics;
-use super::protocol::Order;
+use super::protocol::{JobTask, Order, RUN_JOB};
 use super::queue::job::JobError;
 use super::queue::outcome::ClaimOutcome;
-use super::queue::{Claim, Finished, Published, Queue};
+use super::queue::{Claim, Finished, Phase, Published, Queue};
 use super::settings::Settings;
 use super::shared::Shared;
 use super::store::folders::publish;
@@ -17,10 +17,11 @@ use super::store::summary::Summary;
 use super::store::{Store, artifacts};
 use crate::pipeline::Options;
 use anyhow::Context;
-use child::Child;
+use rustix::process::Signal;
 use std::time::Duration;
-use supervision::{ChildExit, supervise};
+use supervision::{ChildExit, Crash, supervise};
 use tokio_util::sync::CancellationToken;
+use tracing::Instrument;
 
 /// Wait before another try after a failure of the system or the disk.
 const RETRY_INTERVAL: Duration = Duration::from_secs(2);
@@ -35,9 +36,12 @@ pub(super) async fn run(shared: Shared) {
         match queue.claim(settings.tenants.max_running).await {
             Ok(Some(claim)) => {
                 metrics.note_heartbeat(&claim.job);
-                let outcome = run_claim(&store, &queue, &settings, &metrics, &claim, draining.clone()).await;
-                let state = record(&store, &queue, &settings, &claim, outcome).await;
-                metrics.note_end(&claim.job, state);
+                let span = span(&claim);
+                let run = async {
+                    let outcome = run_claim(&store, &queue, &settings, &metrics, &claim, draining.clone()).await;
+                    record(&store, &queue, &settings, &claim, outcome).await
+                };
+                metrics.note_end(&claim.job, run.instrument(span).await);
             }
             Ok(None) => tokio::select! {
                 () = queue.work() => {}
@@ -50,6 +54,19 @@ pub(super) async fn run(shared: Shared) {
         }
     }
     queue.wake_next(); // this worker may have consumed a wake-up
+}
+
+/// Span of all log lines of a claim, those of its child process included: whose job it is, and the request that submitted
+/// it. Its level keeps it at every setting of `WANDLESS_LOG`.
+fn span(claim: &Claim) -> tracing::Span {
+    tracing::error_span!(
+        "job",
+        job.id = claim.job,
+        fence = claim.fence,
+        tenant = claim.tenant,
+        key.id = claim.submitter.key,
+        request.id = claim.submitter.request,
+    )
 }
 
 /// Runs the child process of a claim and publishes its result.
@@ -65,35 +82,50 @@ async fn run_claim(
         Ok(order) => order,
         Err(error) => return ClaimOutcome::Failed(error),
     };
+    let kills = memory::group_kills();
     let mut child = match start(settings, queue, claim, &order).await {
         Ok(child) => child,
         Err(error) => {
-            tracing::error!(job.id = %claim.job, error = format!("{error:#}"), "cannot start the job's process; trying again");
+            tracing::error!(error = format!("{error:#}"), "cannot start the job's process; trying again");
             tokio::time::sleep(RETRY_INTERVAL).await;
             return ClaimOutcome::Released;
         }
     };
-    tracing::info!(job.id = %claim.job, fence = claim.fence, pid = child.pid(), "job started");
+    tracing::info!(pid = child.pid(), "job started");
     failpoint("child.started");
     let exit = supervise(&mut child, queue, &settings.jobs, metrics, claim, draining).await;
     failpoint("child.ended");
     match exit {
-        ChildExit::Crashed(_) if child.ran_out_of_memory() => ClaimOutcome::Failed(out_of_memory(&order)),
+        ChildExit::Crashed(_) if child.ran_out_of_memory() => ClaimOutcome::Failed(out_of_memory(order.memory_bytes)),
         ChildExit::Done => publish_result(store, claim).await,
         ChildExit::Failed(error) => ClaimOutcome::Failed(error),
-        ChildExit::Crashed(how) => ClaimOutcome::Crashed(how),
+        ChildExit::Crashed(crash) => crashed(crash, order.memory_bytes, kills),
         ChildExit::Stopped => ClaimOutcome::Released,
     }
 }
 
-fn order(store: &Store, settings: &Settings, claim: &Claim) -> Result<Order, JobError> {
+/// Outcome of a crash. `limit`: of the job's process; `kills`: how often the kernel had ended a process of the control
+/// group before the job, because memory ran out.
+fn crashed(crash: Crash, limit: Option<u64>, kills: Option<u64>) -> ClaimOutcome<Published> {
+    let is_killed = crash.signal == Some(Signal::KILL.as_raw());
+    if !is_killed || memory::group_kills() <= kills {
+        return ClaimOutcome::Crashed(crash.how);
+    }
+    match memory::group_limit() {
+        // The job alone could fill the group: another attempt would end in the same way.
+        Some(group) if limit.is_none_or(|limit| limit >= group) => ClaimOutcome::Failed(out_of_memory(Some(group))),
+        _ => ClaimOutcome::Crashed(format!("{}: the memory of the service ran out", crash.how)),
+    }
+}
+
+fn order(store: &Store, settings: &Settings, claim: &Claim) -> Result<Order<JobTask>, JobError> {
     let options: Options = serde_json::from_value(claim.options.clone()).map_err(|error| JobError {
         code: "option_unknown".to_owned(),
         detail: format!("this release cannot read the job's options: {error}"),
         remedy: "submit the job again".to_owned(),
         ..JobError::default()
     })?;
-    Ok(Order {
+    let task = JobTask {
         session: store.folders.session(&claim.session),
         session_sha256: claim.session_sha256.clone(),
         options,
@@ -101,13 +133,12 @@ fn order(store: &Store, settings: &Settings, claim: &Claim) -> Result<Order, Job
         out: store.folders.staging(&claim.job, claim.fence),
         checkpoints: store.folders.checkpoints(&claim.job),
         threads: settings.jobs.threads,
-        memory_bytes: child_limit(&settings.jobs),
-        parent: rustix::process::getpid().as_raw_nonzero().get(),
-    })
+    };
+    Ok(Order::new(task, memory::job_limit(&settings.jobs)))
 }
 
-fn out_of_memory(order: &Order) -> JobError {
-    let limit = order.memory_bytes.map_or("the machine has".to_owned(), |bytes| format!("{} MiB", bytes >> 20));
+fn out_of_memory(limit: Option<u64>) -> JobError {
+    let limit = limit.map_or("the machine has".to_owned(), |bytes| format!("{} MiB", bytes >> 20));
     JobError {
         code: "out_of_memory".to_owned(),
         detail: format!("the job needs more memory than {limit}"),
@@ -116,16 +147,12 @@ fn out_of_memory(order: &Order) -> JobError {
     }
 }
 
-async fn start(settings: &Settings, queue: &Queue, claim: &Claim, order: &Order) -> anyhow::Result<Child> {
-    let (out, checkpoints) = (order.out.clone(), order.checkpoints.clone());
+async fn start(settings: &Settings, queue: &Queue, claim: &Claim, order: &Order<JobTask>) -> anyhow::Result<Child> {
+    let (out, checkpoints) = (order.task.out.clone(), order.task.checkpoints.clone());
     let create = move || std::fs::create_dir_all(out).and_then(|()| std::fs::create_dir_all(checkpoints));
     tokio::task::spawn_blocking(create).await?.context("result folder")?;
     let (queue, job) = (queue.clone(), claim.job.clone());
-    Child::start(&settings.program, order, move |line| {
-        tracing::warn!(job.id = job, "{line}");
-        queue.send_line(&job, line);
-    })
-    .await
+    Child::start(&settings.program, RUN_JOB, order, move |line| queue.send_line(&job, line)).await
 }
 
 /// Hashes and syncs all files, renames the folder and syncs its parent; `Queue::finish` then writes the rows.
@@ -150,13 +177,19 @@ async fn publish_result(store: &Store, claim: &Claim) -> ClaimOutcome<Published>
     .await;
     match published.map_err(anyhow::Error::from).and_then(std::convert::identity) {
         Ok(published) => ClaimOutcome::Succeeded(published),
-        Err(error) => ClaimOutcome::Failed(JobError {
-            code: "result_unpublished".to_owned(),
-            detail: format!("the result could not be published: {error:#}"),
-            remedy: "free disk space if the disk is full, then submit the job again".to_owned(),
-            ..JobError::default()
-        }),
+        Err(error) => ClaimOutcome::Failed(unpublished(&error)),
     }
+}
+
+fn unpublished(error: &anyhow::Error) -> JobError {
+    let detail = format!("the result could not be published: {error:#}");
+    let cause = error.chain().find_map(|cause| cause.downcast_ref::<std::io::Error>());
+    cause.and_then(|cause| JobError::of_machine(cause, &detail)).unwrap_or_else(|| JobError {
+        code: "result_unpublished".to_owned(),
+        detail,
+        remedy: "check the log of the service, then submit the job again".to_owned(),
+        ..JobError::default()
+    })
 }
 
 /// Records the outcome and returns the name of the new state. Retries on errors, because an unrecorded job would run again.
@@ -171,11 +204,11 @@ async fn record(
     loop {
         match queue.finish(claim, &outcome, settings.jobs.max_crashes).await {
             Ok(Finished::Recorded(phase)) => {
-                tracing::info!(job.id = %claim.job, fence = claim.fence, state = phase.name(), "job ended");
+                log_end(phase, &outcome);
                 return phase.name();
             }
             Ok(Finished::Lost) => {
-                tracing::info!(job.id = %claim.job, fence = claim.fence, "the claim has expired; its result is discarded");
+                tracing::info!("the claim has expired; its result is discarded");
                 store.folders.remove_claim(&claim.job, claim.fence);
                 return "lost";
             }
@@ -183,15 +216,43 @@ async fn record(
                 if error.is_disk_full() {
                     store.release_reserve().await; // the outcome must be recorded even on a full disk
                 }
-                tracing::error!(job.id = %claim.job, %error, "cannot record the job's outcome; trying again");
+                tracing::error!(%error, "cannot record the job's outcome; trying again");
                 tries += 1;
                 tokio::time::sleep(RETRY_INTERVAL).await;
             }
             Err(error) => {
                 // The row stays `running` with this boot id; the next start requeues the job.
-                tracing::error!(job.id = %claim.job, %error, "cannot record the job's outcome; the next start runs the job again");
+                tracing::error!(%error, "cannot record the job's outcome; the next start runs the job again");
                 return "unrecorded";
             }
+        }
+    }
+}
+
+/// Logs the new state of the job with its reason.
+fn log_end(phase: Phase, outcome: &ClaimOutcome<Published>) {
+    let state = phase.name();
+    let what = if phase.is_final() { "job ended" } else { "job is queued again" };
+    match outcome {
+        ClaimOutcome::Failed(_) if !phase.is_final() => {} // `finish` has logged the fault and the wait
+        ClaimOutcome::Failed(JobError { code, detail, camera, frame, .. }) => {
+            tracing::warn!(state, code, detail, camera, frame, "{what}");
+        }
+        ClaimOutcome::Crashed(detail) => tracing::warn!(state, code = "child_died", detail, "{what}"),
+        ClaimOutcome::Succeeded(_) | ClaimOutcome::Released => tracing::info!(state, "{what}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_crash_without_lack_of_memory_counts_as_a_crash() {
+        for signal in [None, Some(6), Some(9)] {
+            let crash = Crash { how: "how".to_owned(), signal };
+            let outcome = crashed(crash, Some(1), Some(u64::MAX));
+            assert!(matches!(outcome, ClaimOutcome::Crashed(how) if how == "how"), "{signal:?}");
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Supervision of one child process: progress, cancellation, silence, exit.
 
-use super::child::Child;
+use crate::service::child::Child;
 use crate::service::failpoint::fault;
 use crate::service::metrics::Metrics;
 use crate::service::protocol::Message;
@@ -8,6 +8,8 @@ use crate::service::queue::job::{JobError, JobProgress};
 use crate::service::queue::{Claim, ClaimStatus, Queue};
 use crate::service::settings::JobSettings;
 use std::collections::BTreeMap;
+use std::os::unix::process::ExitStatusExt;
+use std::process::ExitStatus;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::broadcast;
@@ -21,10 +23,31 @@ pub(super) enum ChildExit {
     Done,
     /// It reported a typed error.
     Failed(JobError),
-    /// It crashed, or was killed because it hung; the text says how.
-    Crashed(String),
+    /// It crashed, or was killed because it hung.
+    Crashed(Crash),
     /// The service stopped it: the job was canceled or deleted, or the service ends.
     Stopped,
+}
+
+/// End of a child process without a report.
+#[derive(Debug)]
+pub(super) struct Crash {
+    /// How it ended.
+    pub(super) how: String,
+    /// Signal that ended it, unless the service sent it.
+    pub(super) signal: Option<i32>,
+}
+
+impl From<ExitStatus> for Crash {
+    fn from(status: ExitStatus) -> Self {
+        Self { how: status.to_string(), signal: status.signal() }
+    }
+}
+
+impl From<String> for Crash {
+    fn from(how: String) -> Self {
+        Self { how, signal: None }
+    }
 }
 
 /// Minimal interval between two writes of progress.
@@ -70,7 +93,7 @@ pub(super) async fn supervise(
                     break Some(ChildExit::Stopped);
                 }
                 if let Some(how) = tracker.hang(settings) {
-                    break Some(ChildExit::Crashed(how));
+                    break Some(ChildExit::Crashed(how.into()));
                 }
             }
         }
@@ -82,8 +105,9 @@ pub(super) async fn supervise(
         }
         None => wait_for_exit(child, settings, last_message).await,
     };
-    if matches!(exit, ChildExit::Crashed(_)) {
+    if let ChildExit::Crashed(Crash { how, signal }) = &exit {
         metrics.child_crashes.inc();
+        tracing::warn!(signal, how, "the job's process crashed");
     }
     tracker.close_stage();
     metrics.note_stages(&tracker.stage_seconds);
@@ -97,11 +121,11 @@ async fn wait_for_exit(child: &mut Child, settings: &JobSettings, last_message: 
     match (status, last_message) {
         (Ok(Ok(status)), Some(Message::Done)) if status.success() => ChildExit::Done,
         (Ok(Ok(status)), Some(Message::Failed { error })) if status.code().is_some() => ChildExit::Failed(error),
-        (Ok(Ok(status)), _) => ChildExit::Crashed(status.to_string()),
-        (Ok(Err(error)), _) => ChildExit::Crashed(error.to_string()),
+        (Ok(Ok(status)), _) => ChildExit::Crashed(status.into()),
+        (Ok(Err(error)), _) => ChildExit::Crashed(error.to_string().into()),
         (Err(_), _) => {
             child.stop(settings.kill_grace).await;
-            ChildExit::Crashed("it closed its output but did not exit".to_owned())
+            ChildExit::Crashed("it closed its output but did not exit".to_owned().into())
         }
     }
 }
@@ -122,7 +146,7 @@ async fn is_active(queue: &Queue, claim: &Claim) -> bool {
     match queue.claim_status(claim).await {
         Ok(status) => status == ClaimStatus::Active || fault("cancel.deaf"),
         Err(error) => {
-            tracing::warn!(job.id = %claim.job, %error, "cannot read the status of the claim");
+            tracing::warn!(%error, "cannot read the status of the claim");
             true
         }
     }
@@ -189,7 +213,7 @@ impl ProgressTracker {
             return;
         }
         if let Err(error) = queue.heartbeat(claim, &self.progress, &self.stage_seconds).await {
-            tracing::warn!(job.id = %claim.job, %error, "cannot write progress");
+            tracing::warn!(%error, "cannot write progress");
         }
     }
 

@@ -12,8 +12,8 @@ use crate::session::recording::{Detection, FrameIndex, Session, UpAxis, View};
 
 /// Range of frame rates, frames per second: from time lapse to high speed.
 const FPS_RANGE: [f64; 2] = [0.1, 2000.0];
-/// Largest length of a camera's id, bytes.
-const MAX_ID_BYTES: usize = 4096;
+/// Largest length of a camera's id, bytes: 256 characters of four bytes, and more than any file name, from which ids come.
+const MAX_ID_BYTES: usize = 1024;
 
 /// Checks a session and builds it.
 ///

@@ -71,3 +71,19 @@ async fn detects_any_changed_byte_of_a_killed_services_log() {
         std::fs::write(&database, whole).unwrap();
     }
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_checkpoint_reads_changed_pages_only() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = written(folder.path()).await;
+    store.checkpoint().await.unwrap();
+    let database = folder.path().join("wandless.db");
+    let known = PageDigests::read(&folder.path().join(PAGES)).unwrap();
+    let length = std::fs::metadata(&database).unwrap().len() as usize;
+    let whole = flipped(&database, length - 1); // a page that is read again would have a new digest
+    let log = Log { pages: [2].into(), damage: None };
+    assert_eq!(PageDigests::of(&database, Some((&known, &log))).unwrap(), known);
+    assert_ne!(PageDigests::of(&database, None).unwrap(), known);
+    std::fs::write(&database, whole).unwrap();
+    store.close().await;
+}

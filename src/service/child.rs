@@ -1,21 +1,28 @@
-//! The child process of one job.
+//! A child process of the service, which solves one job or validates one upload.
+//!
+//! Why a process of its own: an abort, a memory limit or a hang ends one piece of work and nothing else.
 
-use crate::service::protocol::{Message, Order};
+use super::protocol::Order;
 use anyhow::Context;
 use rustix::process::{Pid, Signal, kill_process};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use std::path::Path;
 use std::process::{ExitStatus, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader, Lines};
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
 use tokio::process::{ChildStderr, ChildStdin, ChildStdout, Command};
 use tokio::task::JoinHandle;
+use tracing::{Instrument, Level};
 
-/// A running `wandless run-job`.
+/// A running child process.
 pub(super) struct Child {
     process: tokio::process::Child,
-    lines: Lines<BufReader<ChildStdout>>,
+    stdout: BufReader<ChildStdout>,
+    /// Beginning of the line that is being read.
+    line: Vec<u8>,
     /// Kept open without writing; when it closes, the child notices that the service is gone.
     _stdin: ChildStdin,
     /// Set when stderr reports a failed allocation.
@@ -27,21 +34,26 @@ pub(super) struct Child {
 /// Messages of a failed allocation: of the standard library on abort, and of an error value.
 const OUT_OF_MEMORY: [&str; 2] = ["memory allocation of ", "OutOfMemory"];
 
+/// Maximal length of a message, bytes; a longer one counts as the end of the output. The longest is the summary of an
+/// upload with 64 long camera names and many warnings.
+const MAX_MESSAGE: usize = 8 << 20;
+
 /// Maximal length of a log line, characters; the rest is cut.
 const MAX_LINE: usize = 2000;
 
 impl Child {
-    /// Starts the child process and sends its order; `log` receives every line of its stderr.
+    /// Starts the program with a command of a child and sends the order; `log` receives every line of its stderr.
     ///
     /// Must be called on a thread that lives as long as the service: the kernel kills the child with the *thread* that
     /// started it.
     pub(super) async fn start(
         program: &Path,
-        order: &Order,
+        command: &str,
+        order: &Order<impl Serialize>,
         log: impl Fn(&str) + Send + 'static,
     ) -> anyhow::Result<Self> {
         let mut process = Command::new(program)
-            .arg("run-job")
+            .arg(command)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
@@ -53,14 +65,21 @@ impl Child {
         let stdout = process.stdout.take().context("the child has no stdout")?;
         let stderr = process.stderr.take().context("the child has no stderr")?;
         let ran_out_of_memory = Arc::new(AtomicBool::new(false));
-        let listener = tokio::spawn(listen(stderr, ran_out_of_memory.clone(), log));
+        let listener = tokio::spawn(listen(stderr, ran_out_of_memory.clone(), log).in_current_span());
         let mut line = serde_json::to_vec(order)?;
         line.push(b'\n');
         // `wait` reports a child that crashed before reading its order, with its exit status.
         if let Err(error) = stdin.write_all(&line).await {
-            tracing::warn!(%error, "cannot send the order to the job's process");
+            tracing::warn!(%error, "cannot send the order to the child process");
         }
-        Ok(Self { process, lines: BufReader::new(stdout).lines(), _stdin: stdin, ran_out_of_memory, listener })
+        Ok(Self {
+            process,
+            stdout: BufReader::new(stdout),
+            line: Vec::new(),
+            _stdin: stdin,
+            ran_out_of_memory,
+            listener,
+        })
     }
 
     /// Whether a memory allocation failed.
@@ -74,14 +93,17 @@ impl Child {
     }
 
     /// Waits for the next message; `None` once the child has closed its stdout. Other lines are skipped.
-    pub(super) async fn message(&mut self) -> Option<Message> {
+    pub(super) async fn message<M: DeserializeOwned>(&mut self) -> Option<M> {
         loop {
-            match self.lines.next_line().await {
-                Ok(Some(line)) => match serde_json::from_str(&line) {
-                    Ok(message) => return Some(message),
-                    Err(error) => tracing::warn!(%error, "the job's process wrote a line that is not a message"),
-                },
-                Ok(None) | Err(_) => return None,
+            // Canceled and called again, it continues the line.
+            let room = MAX_MESSAGE.saturating_sub(self.line.len()) as u64;
+            let read = (&mut self.stdout).take(room).read_until(b'\n', &mut self.line).await;
+            if read.is_err() || self.line.last() != Some(&b'\n') {
+                return None;
+            }
+            match serde_json::from_slice(&std::mem::take(&mut self.line)) {
+                Ok(message) => return Some(message),
+                Err(error) => tracing::warn!(%error, "the child process wrote a line that is not a message"),
             }
         }
     }
@@ -106,7 +128,7 @@ impl Child {
             return;
         }
         if let Err(error) = self.process.kill().await {
-            tracing::error!(%error, "cannot kill the job's process");
+            tracing::error!(%error, "cannot kill the child process");
         }
     }
 }
@@ -117,6 +139,44 @@ async fn listen(stderr: ChildStderr, ran_out_of_memory: Arc<AtomicBool>, log: im
         if OUT_OF_MEMORY.iter().any(|message| line.contains(message)) {
             ran_out_of_memory.store(true, Ordering::Relaxed);
         }
-        log(line.char_indices().nth(MAX_LINE).map_or(&line, |(end, _)| &line[..end]));
+        let line = line.char_indices().nth(MAX_LINE).map_or(&*line, |(end, _)| &line[..end]);
+        repeat(line);
+        log(line);
+    }
+}
+
+/// Logs a line of the child at the level that it starts with; other lines, such as a panic's, are warnings.
+fn repeat(line: &str) {
+    let (level, text) = level_of(line);
+    match level {
+        Level::ERROR => tracing::error!("{text}"),
+        Level::WARN => tracing::warn!("{text}"),
+        Level::INFO => tracing::info!("{text}"),
+        Level::DEBUG => tracing::debug!("{text}"),
+        Level::TRACE => tracing::trace!("{text}"),
+    }
+}
+
+/// Splits `INFO target: text` into the level and the rest.
+fn level_of(line: &str) -> (Level, &str) {
+    let trimmed = line.trim_start();
+    let (word, rest) = trimmed.split_once(' ').unwrap_or((trimmed, ""));
+    match word.parse() {
+        Ok(level) if word.len() > 1 => (level, rest),
+        _ => (Level::WARN, line),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn reads_the_level_of_a_log_line() {
+        assert_eq!(level_of(" INFO wandless::pipeline: resumed"), (Level::INFO, "wandless::pipeline: resumed"));
+        assert_eq!(level_of("ERROR wandless: x"), (Level::ERROR, "wandless: x"));
+        for line in ["memory allocation of 80 bytes failed", "thread 'main' panicked at x.rs:1:2:", "", "3 cameras"] {
+            assert_eq!(level_of(line), (Level::WARN, line));
+        }
     }
 }
