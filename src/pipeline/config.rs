@@ -38,6 +38,14 @@ pub struct Options {
     /// Formats written in addition to the JSON files; repeated ones count once.
     #[serde(deserialize_with = "distinct")]
     pub exports: Vec<ExportFormat>,
+    /// Whether cameras are adjusted together with the bodies, and the detector's errors are taken as correlated in time. Not an
+    /// option of the API: `bench ablation` shows what it is worth.
+    #[serde(skip, default = "adjust_with_bodies")]
+    pub adjust_with_bodies: bool,
+}
+
+fn adjust_with_bodies() -> bool {
+    true
 }
 
 /// `options.body` for the embedded body.
@@ -58,6 +66,7 @@ impl Default for Options {
             sync: Sync::Given,
             seed: 0,
             exports: vec![ExportFormat::SmplNpz],
+            adjust_with_bodies: true,
         }
     }
 }

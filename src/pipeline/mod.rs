@@ -16,7 +16,7 @@
 //! | 6 | [`joint_trajectories`](stages::joint_trajectories) | smooth trajectories of the keypoints | once |
 //! | 7 | [`metric_scale`] | scale; for `scale: height` statures by body fit | once; up to 4 fits |
 //! | 8 | [`result`] | world frame, body fit | once |
-//! | | | within it cameras and bodies together, then smooth trajectories again | `extrinsics: estimate`, several cameras; once |
+//! | | | within it cameras and bodies together, then smooth trajectories again | not `fixed`, several cameras; once |
 //! | | | fit statistics, verdict | once |
 //!
 //! In passes 1 and 2 the rounds after the first keep the cameras of the round before and only associate. The final bundle

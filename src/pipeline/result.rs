@@ -2,11 +2,10 @@
 
 use super::calibration::{Calibration, TrackedPeople};
 use super::capture::Capture;
+use super::config::Extrinsics;
 use super::error::PipelineError;
 use super::stages::association::identities;
-use super::stages::body_fit::{
-    AdjustedCameras, BodyFitConfig, FittedBodies, fit_bodies, fitted_statures, landmark_trajectory,
-};
+use super::stages::body_fit::{BodyFitConfig, FittedBodies, fit_bodies, fitted_statures, landmark_trajectory};
 use super::stages::fit_statistics::FitStatistics;
 use super::stages::joint_trajectories::joint_trajectories;
 use super::stages::verdict::input::VerdictInput;
@@ -85,18 +84,19 @@ impl Solution {
         let config = BodyFitConfig {
             resolve_collisions: capture.options.collision,
             motion_prior: capture.options.motion_prior,
-            adjust_cameras: capture.estimates_extrinsics() && !is_monocular,
+            correlated_errors: capture.options.adjust_with_bodies && config.correlated_errors,
+            adjust_cameras: capture.options.adjust_with_bodies && capture.options.extrinsics != Extrinsics::Fixed,
             ..config
         };
-        let FittedBodies { motions, detector_model, mut detector, penetration, report, adjusted } =
+        let FittedBodies { motions, detector_model, mut detector, penetration, report, cameras } =
             fit_bodies(&input, &self.upright(capture), model, &config, progress)?;
         if is_monocular {
             detector.reason =
                 "a single view cannot separate keypoint bias of the detector from the poses of people".to_owned();
         }
         self.calibration.stages.push(report);
-        if let Some(adjusted) = adjusted {
-            self.take_over(adjusted);
+        if let Some(cameras) = cameras {
+            self.take_over(cameras);
             let start = std::mem::take(&mut self.trajectories);
             self.trajectories = joint_trajectories(&self.calibration.people(capture.session, &start), progress)?;
         }
@@ -131,9 +131,9 @@ impl Solution {
 
     /// Takes the cameras that were adjusted together with the bodies. Their uncertainty remains that of bundle adjustment, from
     /// the spread of blocks of time: the joint problem's own leaves out errors slower than its model of the noise.
-    fn take_over(&mut self, adjusted: AdjustedCameras) {
+    fn take_over(&mut self, cameras: Vec<Rigid>) {
         let placed = self.calibration.cameras.iter_mut().flatten();
-        placed.zip(adjusted.cameras).for_each(|(camera, adjusted)| *camera = adjusted);
+        placed.zip(cameras).for_each(|(camera, adjusted)| *camera = adjusted);
     }
 
     /// The upright in the result's world: the up axis. Where extrinsics are given without an up axis and the camera would

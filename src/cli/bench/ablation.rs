@@ -61,8 +61,12 @@ const INITIAL: &str = "initial";
 /// Keypoints of the full solve.
 const POINTS: &str = "bundle adjustment only";
 
-const ARMS: [Arm; 4] = [
+const ARMS: [Arm; 5] = [
     Arm { name: FULL, options: Options::default },
+    Arm {
+        name: "cameras held at bundle adjustment",
+        options: || Options { adjust_with_bodies: false, ..Options::default() },
+    },
     Arm { name: "without consistency", options: || Options { denoise: false, ..Options::default() } },
     Arm { name: "without motion prior", options: || Options { motion_prior: false, ..Options::default() } },
     Arm { name: "without collision", options: || Options { collision: false, ..Options::default() } },

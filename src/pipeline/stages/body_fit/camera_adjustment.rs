@@ -14,13 +14,13 @@ use crate::body::detector_offsets::OffsetTable;
 use crate::geometry::Rigid;
 use crate::progress::Canceled;
 
-/// Cameras after the adjustment.
+/// The detector's errors, and the cameras after the adjustment.
 #[derive(Debug, Clone)]
-pub struct AdjustedCameras {
-    /// `camera_from_world` of the placed cameras.
-    pub cameras: Vec<Rigid>,
+pub(super) struct AdjustedCameras {
+    /// `camera_from_world` of the placed cameras; `None` where they were held.
+    pub cameras: Option<Vec<Rigid>>,
     /// The detector's errors.
-    pub(super) noise: PathNoise,
+    pub noise: PathNoise,
 }
 
 /// Most frames of all persons together: cameras that are seen this often are known to a third of what constant errors of the
@@ -38,9 +38,12 @@ const N_ROUNDS: usize = 2;
 /// A step of less than a tenth of a standard deviation is the last: the next would be a hundredth.
 const STOPPING: Stopping = Stopping { max_iterations: 8, min_decrease: 0.5, min_sigmas: 0.1 };
 
-/// Adjusts the cameras together with the first fits of all persons, both of which are replaced; `None` with fewer than two
-/// cameras, or without persons.
-pub(super) fn adjusted_cameras(
+/// Fewest frames of one person.
+const MIN_FRAMES: usize = 60;
+
+/// Measures the detector's errors on the first fits of all persons. Where `config.adjust_cameras`, cameras and first fits are
+/// adjusted together under these errors, and replaced. `None` with fewer than two cameras, or without persons.
+pub(super) fn correlated_errors(
     context: &FitContext,
     started: &mut [Option<(Observations, StartedMotion)>],
 ) -> Result<Option<AdjustedCameras>, Canceled> {
@@ -49,14 +52,17 @@ pub(super) fn adjusted_cameras(
     if n_cameras < 2 {
         return Ok(None);
     }
-    let member = |(observations, started): &(Observations, StartedMotion)| {
-        Member::of(context, observations, started, MAX_FRAMES / n_people)
-    };
+    let n_frames = (MAX_FRAMES / n_people).max(MIN_FRAMES);
+    let member =
+        |(observations, started): &(Observations, StartedMotion)| Member::of(context, observations, started, n_frames);
     let mut members: Vec<Member> = started.iter().flatten().map(member).collect();
+    let mut noise = measured_noise(context, &members);
+    if !context.config.adjust_cameras {
+        return Ok(Some(AdjustedCameras { cameras: None, noise }));
+    }
     // The detector's offsets are in the model; released again, they cost half of the time and change no camera by a tenth.
     let table = OffsetTable::empty(context.model);
     for _ in 0..N_ROUNDS {
-        let noise = measured_noise(context, &members);
         let problem = JointProblem {
             context,
             table: &table,
@@ -67,14 +73,14 @@ pub(super) fn adjusted_cameras(
             moves_cameras: true,
         };
         problem.minimised(&mut members, Vec::new(), &STOPPING)?;
+        noise = measured_noise(context, &members);
     }
-    let noise = measured_noise(context, &members);
     let cameras = members.first().map_or_else(Vec::new, |member| member.observations.cameras.clone());
     for ((observations, started), member) in started.iter_mut().flatten().zip(members) {
         take_over(observations, started, member);
     }
     let cameras = cameras.iter().map(|camera| camera.camera_from_world).collect();
-    Ok(Some(AdjustedCameras { cameras, noise }))
+    Ok(Some(AdjustedCameras { cameras: Some(cameras), noise }))
 }
 
 /// The first fit goes on from where the adjustment ended.

@@ -50,7 +50,9 @@ pub struct BodyFitConfig {
     pub window_frames: usize,
     /// Frames beyond its own that a window includes on each side.
     pub halo_frames: usize,
-    /// Whether the cameras are adjusted together with the motions.
+    /// Whether the last fit takes the detector's errors as correlated in time.
+    pub correlated_errors: bool,
+    /// Whether the cameras are adjusted together with the motions under these errors.
     pub adjust_cameras: bool,
     /// Whether the keypoint bias of the detector is estimated.
     pub estimate_keypoint_bias: bool,
@@ -104,6 +106,7 @@ impl Default for BodyFitConfig {
             // Some 70 MB a window; the factor of a frame is 0.12 MB.
             window_frames: 480,
             halo_frames: 30,
+            correlated_errors: true,
             adjust_cameras: false,
             estimate_keypoint_bias: true,
             // Six seconds of walking or talking turn every limb; offsets are shared, so that more people need less of each.
@@ -133,6 +136,7 @@ impl BodyFitConfig {
             motion_prior_refines: false,
             // A single view cannot separate the keypoint bias from the poses.
             estimate_keypoint_bias: false,
+            correlated_errors: false,
             // With fewer equations than unknowns the residuals do not show the errors. On four captures 72.9 mm with 0, 77.9
             // with the largest possible value.
             unknowns_per_frame: 0.0,

@@ -1,6 +1,6 @@
 //! The fit of all persons of a session, step by step, and of their statures alone.
 
-use super::camera_adjustment::{AdjustedCameras, adjusted_cameras};
+use super::camera_adjustment::correlated_errors;
 use super::collision_resolution::resolve_collisions;
 use super::config::BodyFitConfig;
 use super::context::FitContext;
@@ -11,6 +11,7 @@ use super::person_fit::{StartedMotion, finish_motion, start_motion};
 use super::person_motion::{PersonFit, body_motion, stage_report, valid_frames};
 use crate::body::BodyModel;
 use crate::body::scale::FittedStature;
+use crate::geometry::Rigid;
 use crate::pipeline::calibration::TrackedPeople;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{KeypointBias, PenetrationReport, StageReport};
@@ -30,8 +31,8 @@ pub struct FittedBodies {
     pub detector: KeypointBias,
     /// Overlaps between bodies.
     pub penetration: PenetrationReport,
-    /// The placed cameras, where they were adjusted together with the motions.
-    pub adjusted: Option<AdjustedCameras>,
+    /// `camera_from_world` of the placed cameras, where they were adjusted together with the motions.
+    pub cameras: Option<Vec<Rigid>>,
     /// Iterations, costs and residuals.
     pub report: StageReport,
 }
@@ -66,10 +67,10 @@ pub fn fit_bodies(
         bias.map_or_else(|| (model.clone(), KeypointBias::default()), |bias| (bias.model, bias.report));
     let context = FitContext { model: &detector_model, ..context };
     let mut started = started;
-    let adjusted = match config.adjust_cameras {
+    let adjusted = match config.correlated_errors {
         true => {
             progress.report(0.7, "adjusting cameras and motions together");
-            adjusted_cameras(&context, &mut started)?
+            correlated_errors(&context, &mut started)?
         }
         false => None,
     };
@@ -93,7 +94,7 @@ pub fn fit_bodies(
         detector,
         detector_model,
         penetration,
-        adjusted,
+        cameras: adjusted.and_then(|adjusted| adjusted.cameras),
     })
 }
 

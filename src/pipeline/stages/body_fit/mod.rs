@@ -44,7 +44,6 @@ mod tests;
 #[cfg(test)]
 mod tests_simulated;
 
-pub use camera_adjustment::AdjustedCameras;
 pub use config::BodyFitConfig;
 pub use fit::{FittedBodies, fit_bodies, fitted_statures};
 pub use person_motion::landmark_trajectory;
