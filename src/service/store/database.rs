@@ -9,7 +9,7 @@ use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::sqlite::{
     SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
 };
-use sqlx::{ConnectOptions, Connection, Sqlite, Transaction};
+use sqlx::{ConnectOptions, Connection, Sqlite, SqliteConnection, Transaction};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -99,7 +99,10 @@ impl Store {
             let created = private::create_file(&database); // SQLite gives the write-ahead log the same mode
             created.map_err(|source| StoreError::Folder { path: database.clone(), source })?;
             // Only an empty file takes this setting, and every connection that has it would write it again.
-            options.clone().auto_vacuum(SqliteAutoVacuum::Incremental).connect().await?.close().await?;
+            let first = options.clone().auto_vacuum(SqliteAutoVacuum::Incremental);
+            let mut first = first.synchronous(SqliteSynchronous::Normal).connect().await?;
+            migrate(&mut first).await?; // one write to the disk at the end instead of one for each migration
+            first.close().await?;
         }
         let pool = |options: SqliteConnectOptions, n: u32| {
             let pool = SqlitePoolOptions::new().max_connections(n).idle_timeout(None).max_lifetime(None);
@@ -115,10 +118,7 @@ impl Store {
         if is_lost(n_tables == 0)? {
             return Err(StoreError::DatabaseLost { path: database });
         }
-        MIGRATIONS.run(&writer).await.map_err(|error| match error {
-            MigrateError::VersionMissing(migration) => StoreError::Newer { migration },
-            other => StoreError::Migration(other),
-        })?;
+        migrate(&mut *writer.acquire().await?).await?;
         failpoint("start.migrated");
         if folders.are_owned() {
             shrink::rewrite_if_loose(&writer).await?;
@@ -221,6 +221,13 @@ impl Store {
         self.progress_writer.close().await;
         self.writer.close().await;
     }
+}
+
+async fn migrate(database: &mut SqliteConnection) -> Result<(), StoreError> {
+    MIGRATIONS.run(database).await.map_err(|error| match error {
+        MigrateError::VersionMissing(migration) => StoreError::Newer { migration },
+        other => StoreError::Migration(other),
+    })
 }
 
 async fn require_sound_sqlite(pool: &SqlitePool) -> Result<(), StoreError> {
