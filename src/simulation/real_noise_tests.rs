@@ -61,7 +61,7 @@ fn series_of(simulated: &Simulated) -> Vec<Series> {
     let mut all = Vec::new();
     for (v, view) in session.views.iter().enumerate() {
         let camera_from_world = truth.cameras[v];
-        let camera = RigCamera { id: view.id.clone(), intrinsics: view.intrinsics.clone(), camera_from_world };
+        let camera = RigCamera { id: view.id.clone(), intrinsics: view.intrinsics, camera_from_world };
         for person in 0..truth.people.len() {
             let mut of_person: Vec<Series> =
                 names.iter().map(|keypoint| Series { keypoint, samples: vec![None; session.n_frames] }).collect();

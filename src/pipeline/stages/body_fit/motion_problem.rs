@@ -5,7 +5,7 @@ use super::terms::frame::{Landmarks, PosedFrame};
 use super::terms::path_system::add_paths;
 use super::terms::term::{BorderTerm, FrameTerm, WindowTerm};
 use super::terms::unknowns::{FrameSystem, MotionState, Unknowns};
-use super::terms::whitened_pixels::WhitenedPixels;
+use super::terms::whitened_pixels::{Positions, WhitenedPixels};
 use super::terms::window::{TrackedLandmark, Window};
 use crate::body::BodyModel;
 use crate::body::kinematics::Pose;
@@ -55,7 +55,7 @@ impl MotionProblem<'_> {
             let cost = self.frame_terms.iter().map(|term| term.cost(&frame)).sum::<f64>();
             (cost, (at(&self.tracked), at(self.path_landmarks())))
         };
-        let (frames, (tracked, paths)): (Vec<f64>, (Vec<Vec<Vector3<f64>>>, Vec<Vec<Vector3<f64>>>)) =
+        let (frames, (tracked, paths)): (Vec<f64>, (Positions, Positions)) =
             state.poses.par_iter().enumerate().map(frame_cost).unzip();
         let over_windows = |term: &dyn WindowTerm| -> f64 {
             middles(state).map(|middle| term.cost(&Window::new(middle, &state.poses, &tracked))).sum()

@@ -3,12 +3,11 @@
 use super::context::FitContext;
 use super::joint_problem::Member;
 use super::terms::noise_process::{LagSums, NoiseProcess, PathNoise};
-use super::terms::whitened_pixels::WhitenedPixels;
+use super::terms::whitened_pixels::{Positions, WhitenedPixels};
 use crate::body::BodyModel;
 use crate::body::bone_offsets::with_bones;
 use crate::body::kinematics::{landmark_position, posed};
 use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
-use nalgebra::Vector3;
 
 /// Number of residuals of all landmarks that count as much as one landmark's own: four seconds of one camera, in which a slow
 /// error has changed once.
@@ -47,7 +46,7 @@ pub(super) fn measured_noise(context: &FitContext, members: &[Member]) -> PathNo
 }
 
 /// Positions of `landmarks` in the frames of a member, `[frame][landmark]`.
-fn positions(model: &BodyModel, member: &Member, landmarks: &[usize]) -> Vec<Vec<Vector3<f64>>> {
+fn positions(model: &BodyModel, member: &Member, landmarks: &[usize]) -> Positions {
     let own = with_bones(model, &member.bones);
     let body = own.shaped(&member.state.betas);
     let at = |pose| {

@@ -2,10 +2,10 @@
 
 use super::landmark_jacobian::LandmarkJacobian;
 use super::unknowns::Unknowns;
-use super::whitened_pixels::{PathBlock, WhitenedPixels};
+use super::whitened_pixels::{PathBlock, Positions, WhitenedPixels};
 use super::window::TrackedLandmark;
 use crate::optim::block_banded::BlockBanded;
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix3xX, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix3xX};
 use rayon::prelude::*;
 
 /// Adds the term at the landmarks `paths`, `[frame][observed landmark]`.
@@ -20,7 +20,7 @@ pub(crate) fn add_paths(
     system: &mut BlockBanded,
 ) {
     let border = &unknowns.border;
-    let positions: Vec<Vec<Vector3<f64>>> =
+    let positions: Positions =
         paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect();
     let blocks = term.blocks(&positions, border.n_cameras > 0);
     let (n_point, cameras) = (border.keypoint_bias().end, border.cameras());

@@ -11,6 +11,12 @@ use crate::residuals::reprojection::{Reprojection, linearize, residual};
 use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix2x6, Matrix3, Matrix3x6, Vector2, Vector3};
 use rayon::prelude::*;
 
+/// World positions, m: `[frame][observed landmark]`.
+pub(crate) type Positions = Vec<Vec<Vector3<f64>>>;
+
+/// A channel's frames and standardised residuals, ascending in time.
+pub(crate) type Run = Vec<(usize, Vector2<f64>)>;
+
 /// Innovations of all channels of one person.
 pub(crate) struct WhitenedPixels<'a> {
     observations: &'a Observations,
@@ -86,7 +92,7 @@ impl<'a> WhitenedPixels<'a> {
     }
 
     /// Cost of the motion with the landmarks at `positions`, `[frame][observed landmark]`.
-    pub(crate) fn cost(&self, positions: &[Vec<Vector3<f64>>]) -> f64 {
+    pub(crate) fn cost(&self, positions: &Positions) -> f64 {
         let of_landmark = |landmark: usize| -> f64 {
             self.channels[landmark].iter().map(|channel| self.channel_cost(channel, landmark, positions)).sum()
         };
@@ -94,7 +100,7 @@ impl<'a> WhitenedPixels<'a> {
         costs.iter().sum()
     }
 
-    fn channel_cost(&self, channel: &Channel, landmark: usize, positions: &[Vec<Vector3<f64>>]) -> f64 {
+    fn channel_cost(&self, channel: &Channel, landmark: usize, positions: &Positions) -> f64 {
         let residuals = self.channel_residuals(channel, landmark, positions);
         let innovation = |seen: &Seen| match combined(&seen.parts, |i| residuals[i]) {
             Some(e) => geman_mcclure(e.norm_squared(), self.robust_scale).cost,
@@ -104,7 +110,7 @@ impl<'a> WhitenedPixels<'a> {
     }
 
     /// Residuals of all channels: landmark, and a run of (frame, standardised residual).
-    pub(crate) fn residuals(&self, positions: &[Vec<Vector3<f64>>]) -> Vec<(usize, Vec<(usize, Vector2<f64>)>)> {
+    pub(crate) fn residuals(&self, positions: &Positions) -> Vec<(usize, Run)> {
         self.for_channels(positions, |channel, residuals| {
             let seen = channel.seen.iter().zip(residuals);
             seen.filter_map(|(seen, residual)| Some((seen.frame, (*residual)?))).collect()
@@ -112,7 +118,7 @@ impl<'a> WhitenedPixels<'a> {
     }
 
     /// Innovations of all channels that follow something: landmark, and their lengths in standard deviations.
-    pub(crate) fn innovations(&self, positions: &[Vec<Vector3<f64>>]) -> Vec<(usize, Vec<f64>)> {
+    pub(crate) fn innovations(&self, positions: &Positions) -> Vec<(usize, Vec<f64>)> {
         self.for_channels(positions, |channel, residuals| {
             let following = channel.seen.iter().filter(|seen| seen.parts.len() > 1);
             following.filter_map(|seen| Some(combined(&seen.parts, |i| residuals[i])?.norm())).collect()
@@ -121,7 +127,7 @@ impl<'a> WhitenedPixels<'a> {
 
     fn for_channels<T>(
         &self,
-        positions: &[Vec<Vector3<f64>>],
+        positions: &Positions,
         of: impl Fn(&Channel, &[Option<Vector2<f64>>]) -> T,
     ) -> Vec<(usize, T)> {
         let mut all = Vec::new();
@@ -137,7 +143,7 @@ impl<'a> WhitenedPixels<'a> {
         &self,
         channel: &Channel,
         landmark: usize,
-        positions: &[Vec<Vector3<f64>>],
+        positions: &Positions,
     ) -> Vec<Option<Vector2<f64>>> {
         let camera = &self.observations.cameras[channel.camera];
         let residual = |seen: &Seen| {
@@ -148,7 +154,7 @@ impl<'a> WhitenedPixels<'a> {
     }
 
     /// Gradient and Gauss-Newton blocks; those of the cameras only where `moves_cameras`.
-    pub(crate) fn blocks(&self, positions: &[Vec<Vector3<f64>>], moves_cameras: bool) -> PathBlocks {
+    pub(crate) fn blocks(&self, positions: &Positions, moves_cameras: bool) -> PathBlocks {
         let n_cameras = if moves_cameras { self.observations.cameras.len() } else { 0 };
         let of_landmark = |landmark: usize| {
             let zero = PathBlock {
@@ -180,7 +186,7 @@ impl<'a> WhitenedPixels<'a> {
         &self,
         channel: &Channel,
         landmark: usize,
-        positions: &[Vec<Vector3<f64>>],
+        positions: &Positions,
         frames: &mut [PathBlock],
         (hessian, gradient): (&mut DMatrix<f64>, &mut DVector<f64>),
     ) {
