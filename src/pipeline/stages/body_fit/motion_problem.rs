@@ -11,7 +11,6 @@ use crate::body::BodyModel;
 use crate::body::kinematics::Pose;
 use crate::body::model::{Betas, ShapedBody};
 use crate::optim::block_banded::{BandedStep, BlockBanded, Corner};
-use nalgebra::Vector3;
 use rayon::prelude::*;
 use std::ops::Range;
 
