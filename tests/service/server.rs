@@ -170,11 +170,14 @@ impl Server {
         pids.filter(|pid| parent(*pid) == Some(self.pid())).collect()
     }
 
-    /// The child at work, once there is one.
+    /// The child at work, once there is one. A child that has not yet begun its program is not: stopped there, it would
+    /// stop the thread of the service that waits for the begin, too.
     pub fn child(&self) -> u32 {
         let deadline = Instant::now() + PATIENCE;
+        let works =
+            |pid: &u32| std::fs::read(format!("/proc/{pid}/cmdline")).is_ok_and(|line| has_word(&line, b"run-job"));
         loop {
-            if let [pid] = self.children()[..] {
+            if let [pid] = self.children().into_iter().filter(works).collect::<Vec<_>>()[..] {
                 return pid;
             }
             assert!(Instant::now() < deadline, "no child came up");
@@ -186,6 +189,11 @@ impl Server {
     pub fn files(&self, folder: &str) -> Vec<PathBuf> {
         files_below(&self.data.path().join(folder))
     }
+}
+
+/// Whether a command line, its words ended by zeros, has this word.
+fn has_word(line: &[u8], word: &[u8]) -> bool {
+    line.split(|byte| *byte == 0).any(|found| found == word)
 }
 
 impl Drop for Server {
