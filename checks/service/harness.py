@@ -165,6 +165,25 @@ class Faults:
         sys.exit(1 if self.found else 0)
 
 
+class Failed(Exception):
+    """What a row of a check has found."""
+
+
+def require(truth, what):
+    if not truth:
+        raise Failed(what)
+
+
+def until(truth, seconds):
+    """Whether `truth` holds within `seconds`."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        if truth():
+            return True
+        time.sleep(0.02)
+    return truth()
+
+
 def percentile(values, share):
     values = sorted(values)
     return values[min(len(values) - 1, int(share * len(values)))]

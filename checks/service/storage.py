@@ -19,27 +19,9 @@ import tempfile
 import threading
 import time
 
-from harness import Service, arguments, percentile, take, wandless
+from harness import Failed, Service, arguments, percentile, require, take, until, wandless
 
 FIXED = {"extrinsics": "fixed", "exports": []}
-
-
-class Failed(Exception):
-    """What a row has found."""
-
-
-def require(truth, what):
-    if not truth:
-        raise Failed(what)
-
-
-def until(truth, seconds):
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        if truth():
-            return True
-        time.sleep(0.05)
-    return truth()
 
 
 def words(settings):

@@ -20,28 +20,10 @@ import threading
 import time
 import zipfile
 
-from harness import Service, arguments, json, percentile, take, wandless
+from harness import Failed, Service, arguments, json, percentile, require, take, until, wandless
 
 FIXED = {"extrinsics": "fixed", "exports": []}
 MIB = 1 << 20
-
-
-class Failed(Exception):
-    """What a row found."""
-
-
-def require(truth, what):
-    if not truth:
-        raise Failed(what)
-
-
-def until(truth, seconds):
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        if truth():
-            return True
-        time.sleep(0.02)
-    return False
 
 
 def children(service):
