@@ -75,7 +75,10 @@ pub fn fit_bodies(
         false => None,
     };
     let has_changed = has_bias || adjusted.is_some();
-    let context = FitContext { noise: adjusted.as_ref().map(|adjusted| &adjusted.noise), ..context };
+    let noise = adjusted.as_ref().map(|adjusted| &adjusted.noise);
+    let slow = noise.map_or(0.0, |noise| noise.typical().autocorrelation);
+    let last_config = config.under_correlated_errors(slow);
+    let context = FitContext { noise, config: &last_config, ..context };
     let gap_limit = (config.gap_limit_secs / frame_interval).round() as usize;
     let finish_person = |(track, started): (&PersonTrack, Option<(Observations, StartedMotion)>)| {
         progress.check()?;

@@ -9,12 +9,12 @@ use super::motion_problem::MotionProblem;
 use super::objective::Objective;
 use super::observations::{Observations, PosedCamera};
 use super::person_fit::StartedMotion;
-use super::pixel_residuals::pixel_share;
+use super::pixel_residuals::{DetectedPixels, pixel_share};
 use super::terms::border_priors::{BoneLengthPrior, KeypointBiasPrior};
-use super::terms::data::DataSource;
 use super::terms::noise_process::PathNoise;
 use super::terms::term::BorderTerm;
 use super::terms::unknowns::{Border, MotionState, Shape};
+use super::terms::whitened_pixels::WhitenedPixels;
 use crate::body::BodyModel;
 use crate::body::bone_offsets::{BoneOffsets, with_bones};
 use crate::body::detector_offsets::OffsetTable;
@@ -95,12 +95,15 @@ impl JointProblem<'_> {
         stopping: &Stopping,
     ) -> Result<Minimum, Canceled> {
         let cameras = members.first().map_or_else(Vec::new, |member| member.observations.cameras.clone());
-        let cost = self.cost(members, &offsets);
+        let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
+        let cost = self.cost(members, &pixels, &offsets);
         let mut minimum = Minimum { offsets, cameras, cost, reduced: None };
         let mut damping = DAMPING;
         for _ in 0..stopping.max_iterations {
             self.context.progress.check()?;
-            let Some(reduced) = self.reduced(members, &minimum.offsets, &minimum.cameras, damping) else { break };
+            let Some(reduced) = self.reduced((members, &pixels), &minimum.offsets, &minimum.cameras, damping) else {
+                break;
+            };
             let step = reduced.solved(damping);
             let is_small = step.as_ref().is_some_and(|step| reduced.rms_sigmas(step) < stopping.min_sigmas);
             minimum.reduced = Some(reduced);
@@ -108,10 +111,10 @@ impl JointProblem<'_> {
             let offsets: Vec<Vector3<f64>> =
                 minimum.offsets.iter().enumerate().map(|(k, o)| o + step.session.fixed_rows::<3>(3 * k)).collect();
             let cameras = self.moved_cameras(&minimum.cameras, &step.session);
-            let moved = self.moved(members, &step);
+            let moved = self.moved((members, &pixels), &step);
             let before: Vec<(MotionState, BoneOffsets)> =
                 members.iter_mut().zip(moved).map(|(member, moved)| member.replaced(moved, &cameras)).collect();
-            let cost = self.cost(members, &offsets);
+            let cost = self.cost(members, &pixels, &offsets);
             if cost < minimum.cost {
                 let is_done = is_small || minimum.cost - cost < stopping.min_decrease;
                 minimum = Minimum { offsets, cameras, cost, ..minimum };
@@ -137,49 +140,60 @@ impl JointProblem<'_> {
         self.border(member.observations.cameras.len())
     }
 
+    fn pixels(&self, member: &Member) -> DetectedPixels {
+        match self.errors {
+            Errors::Independent => DetectedPixels::Independent { share: member.share },
+            Errors::Correlated(noise) => {
+                let robust_scale = self.context.config.robust_scale;
+                DetectedPixels::Correlated(WhitenedPixels::new(&member.observations, noise, robust_scale))
+            }
+        }
+    }
+
     /// The problem of one person's motion.
-    fn problem<'b>(&'b self, model: &'b BodyModel, member: &'b Member) -> MotionProblem<'b> {
-        let data = match self.errors {
-            Errors::Independent => DataSource::Pixels { share: member.share },
-            Errors::Correlated(noise) => DataSource::Paths(noise),
-        };
+    fn problem<'b>(
+        &'b self,
+        model: &'b BodyModel,
+        member: &'b Member,
+        pixels: &'b DetectedPixels,
+    ) -> MotionProblem<'b> {
         let context = FitContext { model, ..*self.context };
         Objective {
             bias: Some(self.table),
             n_cameras: self.border_of(member).n_cameras,
             shape_prior: self.shape_prior,
-            ..Objective::new(&context, context.config, &member.observations, data, Shape::Free)
+            ..Objective::new(&context, context.config, &member.observations, pixels.source(), Shape::Free)
         }
         .problem()
     }
 
-    fn cost(&self, members: &[Member], offsets: &[Vector3<f64>]) -> f64 {
+    fn cost(&self, members: &[Member], pixels: &[DetectedPixels], offsets: &[Vector3<f64>]) -> f64 {
         let model = self.table.applied(self.context.model, offsets);
-        let person = |member: &Member| {
+        let person = |(member, pixels): (&Member, &DetectedPixels)| {
             let own = with_bones(&model, &member.bones);
-            self.problem(&own, member).cost(&member.state) + self.bone_prior.cost(&flat(&member.bones))
+            self.problem(&own, member, pixels).cost(&member.state) + self.bone_prior.cost(&flat(&member.bones))
         };
-        let people: Vec<f64> = members.par_iter().map(person).collect();
+        let people: Vec<f64> = members.par_iter().zip(pixels).map(person).collect();
         people.iter().sum::<f64>() + self.bias_prior.cost(&flat(offsets))
     }
 
     /// The normal equations of the session's unknowns, with each person's own eliminated.
     fn reduced(
         &self,
-        members: &[Member],
+        (members, pixels): (&[Member], &[DetectedPixels]),
         offsets: &[Vector3<f64>],
         cameras: &[PosedCamera],
         damping: f64,
     ) -> Option<Reduced> {
         let model = self.table.applied(self.context.model, offsets);
-        let person = |member: &Member| {
+        let person = |(member, pixels): (&Member, &DetectedPixels)| {
             let own = with_bones(&model, &member.bones);
-            let mut system = self.problem(&own, member).linearised(&member.state);
+            let mut system = self.problem(&own, member, pixels).linearised(&member.state);
             let first = self.border_of(member).bones().start;
             self.bone_prior.add_to(&flat(&member.bones), first, &mut system.corner);
             system.eliminated(damping)
         };
-        let people: Vec<Eliminated> = members.par_iter().map(person).collect::<Option<_>>()?;
+        let people: Vec<Eliminated> = members.par_iter().zip(pixels).map(person).collect::<Option<_>>()?;
         let border = self.border(cameras.len());
         let (n_own, n) = (border.person().len(), border.session().len());
         let mut session = Corner::zeros(n);
@@ -210,13 +224,13 @@ impl JointProblem<'_> {
         Some(Reduced { people, own_parts, basis, hessian, factor, right, log_volume })
     }
 
-    fn moved(&self, members: &[Member], step: &Step) -> Vec<(MotionState, BoneOffsets)> {
-        let moved = |(member, step): (&Member, &BandedStep)| {
+    fn moved(&self, (members, pixels): (&[Member], &[DetectedPixels]), step: &Step) -> Vec<(MotionState, BoneOffsets)> {
+        let moved = |((member, pixels), step): ((&Member, &DetectedPixels), &BandedStep)| {
             let first = self.border_of(member).bones().start;
             let bone = |k: usize| member.bones[k] + step.border.fixed_rows::<3>(first + 3 * k);
-            (self.problem(self.context.model, member).moved(&member.state, step), std::array::from_fn(bone))
+            (self.problem(self.context.model, member, pixels).moved(&member.state, step), std::array::from_fn(bone))
         };
-        members.par_iter().zip(&step.motions).map(moved).collect()
+        members.par_iter().zip(pixels).zip(&step.motions).map(moved).collect()
     }
 
     fn moved_cameras(&self, cameras: &[PosedCamera], session: &DVector<f64>) -> Vec<PosedCamera> {
@@ -233,18 +247,20 @@ impl JointProblem<'_> {
 }
 
 impl Member {
-    /// A run of `n_frames` with most pixels in the window of the first fit.
+    /// Every `stride`-th frame of the run of `n_frames` with most pixels in the window of the first fit.
     pub(super) fn of(
         context: &FitContext,
         observations: &Observations,
         started: &StartedMotion,
         n_frames: usize,
+        stride: usize,
     ) -> Self {
         let run = observations.most_seen(started.window.clone(), n_frames);
         let own = run.start - started.window.start..run.end - started.window.start;
-        let observations = observations.slice(run.clone());
+        let observations = observations.slice(run.clone()).thinned(stride);
         let fitted = &started.fitted.state;
-        let state = MotionState { betas: fitted.betas, poses: fitted.poses[own].to_vec() };
+        let poses = fitted.poses[own].iter().step_by(stride).copied().collect();
+        let state = MotionState { betas: fitted.betas, poses };
         let share = pixel_share(context, &observations, &state);
         Self { run, observations, state, bones: BoneOffsets::default(), share }
     }

@@ -36,7 +36,7 @@ pub(super) fn estimated_bias(
     let [per_person, in_all] = context.config.bias_frames;
     let n_frames = (in_all / started.len()).min(per_person);
     let members =
-        started.iter().map(|(observations, started)| Member::of(context, observations, started, n_frames)).collect();
+        started.iter().map(|(observations, started)| Member::of(context, observations, started, n_frames, 1)).collect();
     let found = likeliest(&table, members, context)?;
     let (moves_joints, reason) = decision(&table, &found);
     let is_applied = |kind: &OffsetKind| moves_joints || !kind.is_joint;

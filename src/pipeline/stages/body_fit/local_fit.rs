@@ -7,7 +7,7 @@ use super::context::FitContext;
 use super::minimisation::minimised;
 use super::objective::Objective;
 use super::observations::Observations;
-use super::pixel_residuals::detected_pixels;
+use super::pixel_residuals::DetectedPixels;
 use super::terms::collision::Collisions;
 use super::terms::unknowns::{MotionState, Shape};
 use crate::progress::Canceled;
@@ -38,13 +38,13 @@ pub(super) fn refitted(
     for run in runs {
         let (observations, collisions) = (observations.slice(run.clone()), collisions.slice(run.clone()));
         let start = MotionState { betas: state.betas, poses: state.poses[run.clone()].to_vec() };
-        let data = detected_pixels(context, &observations, &start);
+        let pixels = DetectedPixels::new(context, &observations, &start);
         let extra_joints: Vec<usize> = collisions.joints().into_iter().collect();
         let alone = Objective {
             speeds: Some(&start),
             extra_joints: &extra_joints,
             held: &held_frames(&run, state.poses.len()),
-            ..Objective::new(context, context.config, &observations, data, Shape::Held)
+            ..Objective::new(context, context.config, &observations, pixels.source(), Shape::Held)
         };
         let problem = Objective { collisions: Some(collisions), ..alone }.problem();
         let moved = minimised(context, &problem, start.clone(), steps)?.state;

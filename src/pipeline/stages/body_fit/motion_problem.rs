@@ -1,5 +1,6 @@
 //! The least-squares problem of one person's motion: the cost of its terms and their Gauss-Newton system.
 
+use super::observations::PosedCamera;
 use super::terms::border_priors::ShapePrior;
 use super::terms::frame::{Landmarks, PosedFrame};
 use super::terms::path_system::add_paths;
@@ -21,8 +22,8 @@ pub(super) struct MotionProblem<'a> {
     pub unknowns: Unknowns<'a>,
     pub frame_terms: Vec<Box<dyn FrameTerm + 'a>>,
     pub window_terms: Vec<Box<dyn WindowTerm + 'a>>,
-    /// Detected pixels with errors that are correlated in time, where these are modelled.
-    pub paths: Option<WhitenedPixels<'a>>,
+    /// Detected pixels with errors that are correlated in time, where these are modelled, and the cameras.
+    pub paths: Option<(&'a WhitenedPixels, &'a [PosedCamera])>,
     pub shape_prior: ShapePrior,
     /// Landmarks whose paths the window terms look at.
     pub tracked: Vec<usize>,
@@ -60,7 +61,7 @@ impl MotionProblem<'_> {
             middles(state).map(|middle| term.cost(&Window::new(middle, &state.poses, &tracked))).sum()
         };
         let windows = self.window_terms.iter().map(|term| over_windows(term.as_ref()));
-        let paths = self.paths.as_ref().map_or(0.0, |term| term.cost(&paths));
+        let paths = self.paths.map_or(0.0, |(term, cameras)| term.cost(cameras, &paths));
         self.shape_prior.cost(state.betas.as_slice())
             + paths
             + self.time_weight * windows.fold(frames.iter().sum::<f64>(), |sum, cost| sum + cost)
@@ -98,7 +99,7 @@ impl MotionProblem<'_> {
         if !betas.is_empty() {
             self.shape_prior.add_to(state.betas.as_slice(), betas.start, &mut system.corner);
         }
-        if let Some(term) = &self.paths {
+        if let Some(term) = self.paths {
             add_paths(term, &self.unknowns, &paths, &mut system);
         }
         for middle in middles(state) {
@@ -135,7 +136,7 @@ impl MotionProblem<'_> {
     }
 
     fn path_landmarks(&self) -> &[usize] {
-        self.paths.as_ref().map_or(&[], |paths| paths.landmarks.as_slice())
+        self.paths.map_or(&[], |(paths, _)| paths.landmarks.as_slice())
     }
 }
 

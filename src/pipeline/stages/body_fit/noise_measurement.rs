@@ -23,15 +23,16 @@ pub(super) fn measured_noise(context: &FitContext, members: &[Member]) -> PathNo
     let paths = |noise: &PathNoise, member: &Member| {
         let paths = WhitenedPixels::new(&member.observations, noise, context.config.robust_scale);
         let positions = positions(model, member, &paths.landmarks);
-        (paths.residuals(&positions), paths.innovations(&positions))
+        let cameras = &member.observations.cameras;
+        (paths.residuals(cameras, &positions), paths.innovations(cameras, &positions))
     };
     let unit = PathNoise::white(n_landmarks, 1.0);
     let residuals: Vec<_> = members.iter().flat_map(|member| paths(&unit, member).0).collect();
     let lengths = residuals.iter().map(|(landmark, run)| (*landmark, run.iter().map(|(_, r)| r.norm()).collect()));
     let levels = sigmas(n_landmarks, lengths);
 
-    let mut sums = vec![LagSums::default(); n_landmarks];
-    let mut all = LagSums::default();
+    let mut sums = vec![LagSums::new(context.frame_interval); n_landmarks];
+    let mut all = LagSums::new(context.frame_interval);
     for (landmark, mut run) in residuals {
         run.iter_mut().for_each(|(_, residual)| *residual /= levels[landmark]);
         sums[landmark].add(&run);

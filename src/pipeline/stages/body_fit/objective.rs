@@ -14,7 +14,6 @@ use super::terms::pose_prior::PosePrior;
 use super::terms::smoothness::Smoothness;
 use super::terms::term::{FrameTerm, WindowTerm};
 use super::terms::unknowns::{Border, MotionState, Shape, Unknowns};
-use super::terms::whitened_pixels::WhitenedPixels;
 use super::terms::window::RobustAcceleration;
 use crate::body::BodyModel;
 use crate::body::detector_offsets::OffsetTable;
@@ -105,7 +104,7 @@ impl<'a> Objective<'a> {
         let mut frame_terms: Vec<Box<dyn FrameTerm + 'a>> = Vec::new();
         let mut paths = None;
         match self.data {
-            DataSource::Paths(noise) => paths = Some(WhitenedPixels::new(observations, noise, robust_scale)),
+            DataSource::Paths(pixels) => paths = Some((pixels, observations.cameras.as_slice())),
             source => frame_terms.push(Box::new(DataTerm { observations, source, robust_scale })),
         }
         frame_terms.push(Box::new(JointLimits::new(config, &ranges, &unknowns, with_prior)));

@@ -64,6 +64,15 @@ impl Observations {
         first..first + length
     }
 
+    /// Every `stride`-th frame.
+    pub(super) fn thinned(self, stride: usize) -> Self {
+        Self {
+            points: self.points.into_iter().step_by(stride).collect(),
+            pixels: self.pixels.into_iter().step_by(stride).collect(),
+            ..self
+        }
+    }
+
     /// The observations of a run of frames.
     pub(super) fn slice(&self, frames: Range<usize>) -> Self {
         Self {

@@ -5,7 +5,7 @@ use super::initial_motion::initial_motion;
 use super::minimisation::{FittedMotion, minimised};
 use super::objective::Objective;
 use super::observations::Observations;
-use super::pixel_residuals::{detected_pixels, median_distance_px, pixel_share};
+use super::pixel_residuals::{DetectedPixels, median_distance_px, pixel_share};
 use super::terms::data::DataSource;
 use super::terms::unknowns::{MotionState, Shape};
 use crate::progress::Canceled;
@@ -135,10 +135,11 @@ fn fit_window(
     let [on_points, on_pixels] = config.max_iterations;
     let mut whole = FittedMotion::initial(state);
     for pass in if has_pixels { passes } else { &[Pass::Points] } {
-        let (data, max_iterations) = match pass {
-            Pass::Points => (DataSource::Points { sigma: config.point_sigma }, on_points),
-            Pass::Last => (detected_pixels(context, &observations, &whole.state), on_pixels),
-            Pass::First => (DataSource::Pixels { share: pixel_share(context, &observations, &whole.state) }, on_pixels),
+        let pixels = (*pass == Pass::Last).then(|| DetectedPixels::new(context, &observations, &whole.state));
+        let (data, max_iterations) = match (pass, &pixels) {
+            (Pass::Points, _) => (DataSource::Points { sigma: config.point_sigma }, on_points),
+            (_, Some(pixels)) => (pixels.source(), on_pixels),
+            (_, None) => (DataSource::Pixels { share: pixel_share(context, &observations, &whole.state) }, on_pixels),
         };
         let config = if *pass == Pass::Last { config } else { first_config };
         let start = whole.state;

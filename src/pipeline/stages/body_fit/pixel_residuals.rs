@@ -4,6 +4,7 @@ use super::context::FitContext;
 use super::observations::Observations;
 use super::terms::data::DataSource;
 use super::terms::unknowns::MotionState;
+use super::terms::whitened_pixels::WhitenedPixels;
 use crate::body::BodyModel;
 use crate::body::kinematics::{landmark_position, posed};
 use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
@@ -24,15 +25,30 @@ pub(super) fn pixel_share(context: &FitContext, observations: &Observations, sta
     median(&mut shares).map_or(high, |m| (freedom * m / MEDIAN_LENGTH_IN_PLANE).clamp(low, high))
 }
 
-/// The detected pixels as data: with errors correlated in time once those have been measured, before with independent errors
-/// of the size that the residuals of `state` show.
-pub(super) fn detected_pixels<'a>(
-    context: &FitContext<'a>,
-    observations: &Observations,
-    state: &MotionState,
-) -> DataSource<'a> {
-    let independent = || DataSource::Pixels { share: pixel_share(context, observations, state) };
-    context.noise.map_or_else(independent, DataSource::Paths)
+/// The detected pixels of one person as data.
+pub(super) enum DetectedPixels {
+    /// With independent errors; standard deviation as a share of apparent size.
+    Independent { share: f64 },
+    /// With errors that are correlated in time.
+    Correlated(WhitenedPixels),
+}
+
+impl DetectedPixels {
+    /// Correlated in time once the errors have been measured; before, independent of the size that the residuals of `state`
+    /// show.
+    pub(super) fn new(context: &FitContext, observations: &Observations, state: &MotionState) -> Self {
+        match context.noise {
+            Some(noise) => Self::Correlated(WhitenedPixels::new(observations, noise, context.config.robust_scale)),
+            None => Self::Independent { share: pixel_share(context, observations, state) },
+        }
+    }
+
+    pub(super) fn source(&self) -> DataSource<'_> {
+        match self {
+            Self::Independent { share } => DataSource::Pixels { share: *share },
+            Self::Correlated(pixels) => DataSource::Paths(pixels),
+        }
+    }
 }
 
 /// Median distance of the detected pixels from the projected landmarks, px.

@@ -2,23 +2,23 @@
 
 use super::super::observations::{Observations, PixelObservation, PointObservation};
 use super::frame::{LinearisedFrame, PosedFrame};
-use super::noise_process::PathNoise;
 use super::term::FrameTerm;
 use super::unknowns::FrameSystem;
+use super::whitened_pixels::WhitenedPixels;
 use crate::optim::block_banded::Corner;
 use crate::residuals::position_cost::{PositionCost, point_cost};
 use crate::residuals::reprojection::pixel_cost;
 use std::ops::Add;
 
 /// Which observations are fitted, and how precise they are taken to be.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub(crate) enum DataSource<'a> {
     /// Triangulated points; standard deviation per axis, m.
     Points { sigma: f64 },
     /// Pixels; standard deviation per axis as a share of [`PixelObservation::scale_px`].
     Pixels { share: f64 },
-    /// Pixels whose errors are correlated in time; see [`WhitenedPixels`](super::whitened_pixels::WhitenedPixels).
-    Paths(&'a PathNoise),
+    /// Pixels whose errors are correlated in time.
+    Paths(&'a WhitenedPixels),
 }
 
 /// Robust distances between landmarks and their observations.

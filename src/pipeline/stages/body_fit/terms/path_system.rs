@@ -1,5 +1,6 @@
 //! Blocks of the paths' term in the Gauss-Newton system: from positions of landmarks to the unknowns that move them.
 
+use super::super::observations::PosedCamera;
 use super::landmark_jacobian::LandmarkJacobian;
 use super::unknowns::Unknowns;
 use super::whitened_pixels::{PathBlock, Positions, WhitenedPixels};
@@ -14,7 +15,7 @@ use rayon::prelude::*;
 /// a frame and of the one `k` frames earlier: blocks `J_t^T M_k J_{t-k}` between frames, `J_t^T N_t` and `B_t^T N_t` to the border,
 /// where `N_t = sum_k M_k B_{t-k} + M_k^T B_{t+k}`.
 pub(crate) fn add_paths(
-    term: &WhitenedPixels,
+    (term, cameras): (&WhitenedPixels, &[PosedCamera]),
     unknowns: &Unknowns,
     paths: &[Vec<TrackedLandmark>],
     system: &mut BlockBanded,
@@ -22,7 +23,7 @@ pub(crate) fn add_paths(
     let border = &unknowns.border;
     let positions: Positions =
         paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect();
-    let blocks = term.blocks(&positions, border.n_cameras > 0);
+    let blocks = term.blocks(cameras, &positions, border.n_cameras > 0);
     let (n_point, cameras) = (border.keypoint_bias().end, border.cameras());
     let by_border: Vec<Vec<Matrix3xX<f64>>> = paths
         .par_iter()
@@ -33,7 +34,7 @@ pub(crate) fn add_paths(
     let frame_part = |t: usize| {
         let mut part = FramePart::zeros(n, border.len(), t);
         for (l, landmark) in paths[t].iter().enumerate() {
-            let of_frame = |t: usize| blocks.landmarks[l].get(t);
+            let of_frame = |t: usize| blocks.landmarks[l].frames.get(t);
             let Some(block) = of_frame(t) else { continue };
             if block.hessian[0] == Matrix3::zeros() {
                 continue;
@@ -50,7 +51,7 @@ pub(crate) fn add_paths(
                 }
             }
             by_border_of_position.columns_mut(0, n_point).copy_from(&point_columns);
-            for (camera, columns) in block.by_camera.iter().enumerate() {
+            for (camera, columns) in blocks.landmarks[l].by_cameras(t).iter().enumerate() {
                 by_border_of_position.fixed_columns_mut::<6>(cameras.start + 6 * camera).copy_from(columns);
             }
             part.add_own(block, &landmark.jacobian, &by_border_of_position);
@@ -77,10 +78,7 @@ pub(crate) fn add_paths(
     let crossed = corner.view((0, cameras.start), (n_point, cameras.len())).transpose();
     corner.view_mut((cameras.start, 0), (cameras.len(), n_point)).copy_from(&crossed);
     system.corner.hessian += corner;
-    let mut own = system.corner.hessian.view_mut((cameras.start, cameras.start), (cameras.len(), cameras.len()));
-    own += blocks.camera_hessian;
-    let mut own = system.corner.gradient.rows_mut(cameras.start, cameras.len());
-    own += blocks.camera_gradient;
+    blocks.add_cameras_to(cameras.start, &mut system.corner);
 }
 
 /// What the paths add to one frame.

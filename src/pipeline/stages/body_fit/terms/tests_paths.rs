@@ -7,6 +7,7 @@ use super::data::DataSource;
 use super::noise_process::{NoiseProcess, PathNoise};
 use super::tests::{Fixture, N_FRAMES, assert_gradient_of, keep, wave};
 use super::unknowns::{Border, MotionState, Shape};
+use super::whitened_pixels::WhitenedPixels;
 use crate::body::BodyModel;
 use crate::body::kinematics::{landmark_position, posed};
 use crate::geometry::{Rigid, rotation};
@@ -15,9 +16,13 @@ use nalgebra::{DVector, Vector3};
 /// No frame or window term of the fixture has this index: only the paths are left.
 const PATHS_ALONE: Option<usize> = Some(usize::MAX);
 
-fn correlated(model: &BodyModel) -> PathNoise {
-    let n = model.landmarks.len();
-    PathNoise { processes: vec![NoiseProcess { autocorrelation: [0.8, 0.7] }; n], shares: vec![0.2; n] }
+const ROBUST_SCALE: f64 = 4.0;
+
+fn whitened(fixture: &Fixture, observations: &Observations) -> WhitenedPixels {
+    let n = fixture.model.landmarks.len();
+    let process = NoiseProcess { autocorrelation: 0.8, decay: 0.9 };
+    let noise = PathNoise { processes: vec![process; n], shares: vec![0.2; n] };
+    WhitenedPixels::new(observations, &noise, ROBUST_SCALE)
 }
 
 /// Observations of the fixture in two cameras; the second misses every third landmark in the middle frames.
@@ -43,10 +48,10 @@ fn problem<'a>(
     fixture: &'a Fixture,
     model: &'a BodyModel,
     observations: &'a Observations,
-    noise: &'a PathNoise,
+    pixels: &'a WhitenedPixels,
     n_cameras: usize,
 ) -> MotionProblem<'a> {
-    let objective = fixture.objective(model, DataSource::Paths(noise), Shape::Free);
+    let objective = fixture.objective(model, DataSource::Paths(pixels), Shape::Free);
     let mut problem = Objective { bias: Some(&fixture.table), observations, n_cameras, ..objective }.problem();
     keep(&mut problem, PATHS_ALONE);
     problem
@@ -57,9 +62,9 @@ fn gradient_of_whitened_pixels_matches_differences() {
     let fixture = Fixture::new();
     let observations = two_views(&fixture);
     let border = Border { shape: Shape::Free, bias: Some(&fixture.table), n_cameras: 2 };
-    let (noise, cameras) = (correlated(&fixture.model), border.cameras());
+    let (pixels, cameras) = (whitened(&fixture, &observations), border.cameras());
     let start = fixture.model_at(&DVector::zeros(border.len()));
-    let all = problem(&fixture, &start, &observations, &noise, 2);
+    let all = problem(&fixture, &start, &observations, &pixels, 2);
     assert_gradient_of(&all, &fixture.state, |step| {
         let mut moved = observations.clone();
         for (k, camera) in moved.cameras.iter_mut().enumerate() {
@@ -67,7 +72,7 @@ fn gradient_of_whitened_pixels_matches_differences() {
             camera.camera_from_world = camera.camera_from_world.perturbed_left(&part(0), &part(3));
         }
         let model = fixture.model_at(&step.border);
-        problem(&fixture, &model, &moved, &noise, 2).cost(&all.moved(&fixture.state, step))
+        problem(&fixture, &model, &moved, &pixels, 2).cost(&all.moved(&fixture.state, step))
     });
 }
 
@@ -87,8 +92,8 @@ fn one_step_from_nearby_removes_the_cost_of_paths() {
             pixel.pixel = camera.intrinsics.pixel_from_camera(&in_camera).unwrap();
         }
     }
-    let noise = correlated(&fixture.model);
-    let objective = fixture.objective(&fixture.model, DataSource::Paths(&noise), Shape::Held);
+    let pixels = whitened(&fixture, &observations);
+    let objective = fixture.objective(&fixture.model, DataSource::Paths(&pixels), Shape::Held);
     let mut problem = Objective { observations: &observations, ..objective }.problem();
     keep(&mut problem, PATHS_ALONE);
     assert!(problem.cost(&fixture.state) < 1e-12);

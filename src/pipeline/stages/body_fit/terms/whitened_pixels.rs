@@ -4,11 +4,12 @@
 //! ([`NoiseProcess`](super::noise_process::NoiseProcess)), which depends on the landmark in up to three successive frames, on
 //! the camera, and on what shapes the body.
 
-use super::super::observations::Observations;
+use super::super::observations::{Observations, PosedCamera};
 use super::noise_process::{NoiseProcess, PathNoise};
+use crate::optim::block_banded::Corner;
 use crate::optim::robust::{Robust, geman_mcclure, geman_mcclure_ceiling};
 use crate::residuals::reprojection::{Reprojection, linearize, residual};
-use nalgebra::{DMatrix, DVector, Matrix2x3, Matrix2x6, Matrix3, Matrix3x6, Vector2, Vector3};
+use nalgebra::{Matrix2x6, Matrix3, Matrix3x6, Matrix6, Vector2, Vector3, Vector6};
 use rayon::prelude::*;
 
 /// World positions, m: `[frame][observed landmark]`.
@@ -17,9 +18,9 @@ pub(crate) type Positions = Vec<Vec<Vector3<f64>>>;
 /// A channel's frames and standardised residuals, ascending in time.
 pub(crate) type Run = Vec<(usize, Vector2<f64>)>;
 
-/// Innovations of all channels of one person.
-pub(crate) struct WhitenedPixels<'a> {
-    observations: &'a Observations,
+/// Innovations of all channels of one person. The cameras come with each call, since they move while channels stay.
+#[derive(Debug)]
+pub(crate) struct WhitenedPixels {
     /// The observed landmarks, ascending; other lists have their order.
     pub landmarks: Vec<usize>,
     /// By observed landmark.
@@ -29,6 +30,7 @@ pub(crate) struct WhitenedPixels<'a> {
 }
 
 /// One landmark in one camera over time.
+#[derive(Debug)]
 struct Channel {
     camera: usize,
     /// Ascending in time.
@@ -36,35 +38,87 @@ struct Channel {
 }
 
 /// A detected pixel and its part in the channel.
+#[derive(Debug)]
 struct Seen {
     frame: usize,
     pixel: Vector2<f64>,
     sigma_px: f64,
-    /// Positions in the channel and factors of the residuals that make the innovation, this one first.
-    parts: Vec<(usize, f64)>,
+    parts: Parts,
+}
+
+/// Positions in the channel and factors of the residuals that make an innovation: the newest, and up to two before it.
+#[derive(Debug, Clone, Copy)]
+struct Parts {
+    parts: [(usize, f64); 3],
+    len: usize,
 }
 
 /// What the innovations ask of one landmark in one frame, to second order.
-#[derive(Clone)]
+#[derive(Debug, Clone)]
 pub(crate) struct PathBlock {
     pub gradient: Vector3<f64>,
     /// Second derivatives by this frame's position and by that of this frame, one, and two frames earlier.
     pub hessian: [Matrix3<f64>; 3],
-    /// Second derivatives by this position and each camera; empty where the cameras are held.
-    pub by_camera: Vec<Matrix3x6<f64>>,
+}
+
+/// What the innovations ask of one landmark in all frames.
+pub(crate) struct LandmarkBlocks {
+    /// By frame.
+    pub frames: Vec<PathBlock>,
+    /// Second derivatives by a position and a camera, `[frame * n_cameras + camera]`; empty where the cameras are held.
+    by_camera: Vec<Matrix3x6<f64>>,
+    cameras: Vec<CameraBlock>,
+}
+
+/// Of one camera alone.
+#[derive(Clone)]
+struct CameraBlock {
+    hessian: Matrix6<f64>,
+    gradient: Vector6<f64>,
 }
 
 /// The whole term to second order.
 pub(crate) struct PathBlocks {
-    /// `[observed landmark][frame]`.
-    pub landmarks: Vec<Vec<PathBlock>>,
-    /// Of the cameras among themselves.
-    pub camera_hessian: DMatrix<f64>,
-    pub camera_gradient: DVector<f64>,
+    /// By observed landmark.
+    pub landmarks: Vec<LandmarkBlocks>,
+    n_cameras: usize,
 }
 
-impl<'a> WhitenedPixels<'a> {
-    pub(crate) fn new(observations: &'a Observations, noise: &PathNoise, robust_scale: f64) -> Self {
+impl PathBlocks {
+    /// Adds the blocks of the cameras among themselves; their unknowns begin at `first`.
+    pub(crate) fn add_cameras_to(&self, first: usize, corner: &mut Corner) {
+        for camera in 0..self.n_cameras {
+            let at = first + 6 * camera;
+            for blocks in &self.landmarks {
+                let mut hessian = corner.hessian.fixed_view_mut::<6, 6>(at, at);
+                hessian += blocks.cameras[camera].hessian;
+                let mut gradient = corner.gradient.fixed_rows_mut::<6>(at);
+                gradient += blocks.cameras[camera].gradient;
+            }
+        }
+    }
+}
+
+impl LandmarkBlocks {
+    fn zeros(n_frames: usize, n_cameras: usize) -> Self {
+        let frame = PathBlock { gradient: Vector3::zeros(), hessian: [Matrix3::zeros(); 3] };
+        let camera = CameraBlock { hessian: Matrix6::zeros(), gradient: Vector6::zeros() };
+        Self {
+            frames: vec![frame; n_frames],
+            by_camera: vec![Matrix3x6::zeros(); n_frames * n_cameras],
+            cameras: vec![camera; n_cameras],
+        }
+    }
+
+    /// Second derivatives by the position of a frame and each camera.
+    pub(crate) fn by_cameras(&self, frame: usize) -> &[Matrix3x6<f64>] {
+        let n = self.cameras.len();
+        &self.by_camera[frame * n..(frame + 1) * n]
+    }
+}
+
+impl WhitenedPixels {
+    pub(crate) fn new(observations: &Observations, noise: &PathNoise, robust_scale: f64) -> Self {
         let n_frames = observations.pixels.len();
         let n_cameras = observations.cameras.len();
         let mut landmarks: Vec<usize> = observations.pixels.iter().flatten().map(|pixel| pixel.landmark).collect();
@@ -76,7 +130,7 @@ impl<'a> WhitenedPixels<'a> {
             for pixel in pixels {
                 let Ok(landmark) = landmarks.binary_search(&pixel.landmark) else { continue };
                 let seen = &mut channels[landmark][pixel.camera].seen;
-                let parts = parts(seen, frame, &noise.processes[pixel.landmark]);
+                let parts = Parts::new(seen, frame, &noise.processes[pixel.landmark]);
                 seen.push(Seen {
                     frame,
                     pixel: pixel.pixel,
@@ -88,21 +142,22 @@ impl<'a> WhitenedPixels<'a> {
         for of_landmark in &mut channels {
             of_landmark.retain(|channel| !channel.seen.is_empty());
         }
-        Self { observations, landmarks, channels, robust_scale, n_frames }
+        Self { landmarks, channels, robust_scale, n_frames }
     }
 
     /// Cost of the motion with the landmarks at `positions`, `[frame][observed landmark]`.
-    pub(crate) fn cost(&self, positions: &Positions) -> f64 {
+    pub(crate) fn cost(&self, cameras: &[PosedCamera], positions: &Positions) -> f64 {
         let of_landmark = |landmark: usize| -> f64 {
-            self.channels[landmark].iter().map(|channel| self.channel_cost(channel, landmark, positions)).sum()
+            let cost = |channel: &Channel| self.channel_cost(channel, landmark, cameras, positions);
+            self.channels[landmark].iter().map(cost).sum()
         };
         let costs: Vec<f64> = (0..self.landmarks.len()).into_par_iter().map(of_landmark).collect();
         costs.iter().sum()
     }
 
-    fn channel_cost(&self, channel: &Channel, landmark: usize, positions: &Positions) -> f64 {
-        let residuals = self.channel_residuals(channel, landmark, positions);
-        let innovation = |seen: &Seen| match combined(&seen.parts, |i| residuals[i]) {
+    fn channel_cost(&self, channel: &Channel, landmark: usize, cameras: &[PosedCamera], positions: &Positions) -> f64 {
+        let residuals = channel.residuals(landmark, cameras, positions);
+        let innovation = |seen: &Seen| match seen.parts.combined(|i| residuals[i]) {
             Some(e) => geman_mcclure(e.norm_squared(), self.robust_scale).cost,
             None => geman_mcclure_ceiling(self.robust_scale),
         };
@@ -110,139 +165,119 @@ impl<'a> WhitenedPixels<'a> {
     }
 
     /// Residuals of all channels: landmark, and a run of (frame, standardised residual).
-    pub(crate) fn residuals(&self, positions: &Positions) -> Vec<(usize, Run)> {
-        self.for_channels(positions, |channel, residuals| {
+    pub(crate) fn residuals(&self, cameras: &[PosedCamera], positions: &Positions) -> Vec<(usize, Run)> {
+        self.for_channels(cameras, positions, |channel, residuals| {
             let seen = channel.seen.iter().zip(residuals);
             seen.filter_map(|(seen, residual)| Some((seen.frame, (*residual)?))).collect()
         })
     }
 
     /// Innovations of all channels that follow something: landmark, and their lengths in standard deviations.
-    pub(crate) fn innovations(&self, positions: &Positions) -> Vec<(usize, Vec<f64>)> {
-        self.for_channels(positions, |channel, residuals| {
-            let following = channel.seen.iter().filter(|seen| seen.parts.len() > 1);
-            following.filter_map(|seen| Some(combined(&seen.parts, |i| residuals[i])?.norm())).collect()
+    pub(crate) fn innovations(&self, cameras: &[PosedCamera], positions: &Positions) -> Vec<(usize, Vec<f64>)> {
+        self.for_channels(cameras, positions, |channel, residuals| {
+            let following = channel.seen.iter().filter(|seen| seen.parts.len > 1);
+            following.filter_map(|seen| Some(seen.parts.combined(|i| residuals[i])?.norm())).collect()
         })
     }
 
     fn for_channels<T>(
         &self,
+        cameras: &[PosedCamera],
         positions: &Positions,
         of: impl Fn(&Channel, &[Option<Vector2<f64>>]) -> T,
     ) -> Vec<(usize, T)> {
         let mut all = Vec::new();
         for (l, channels) in self.channels.iter().enumerate() {
             for channel in channels {
-                all.push((self.landmarks[l], of(channel, &self.channel_residuals(channel, l, positions))));
+                all.push((self.landmarks[l], of(channel, &channel.residuals(l, cameras, positions))));
             }
         }
         all
     }
 
-    fn channel_residuals(
-        &self,
-        channel: &Channel,
-        landmark: usize,
-        positions: &Positions,
-    ) -> Vec<Option<Vector2<f64>>> {
-        let camera = &self.observations.cameras[channel.camera];
+    /// Gradient and Gauss-Newton blocks; those of the cameras only where `moves_cameras`.
+    pub(crate) fn blocks(&self, cameras: &[PosedCamera], positions: &Positions, moves_cameras: bool) -> PathBlocks {
+        let n_cameras = if moves_cameras { cameras.len() } else { 0 };
+        let of_landmark = |landmark: usize| {
+            let mut blocks = LandmarkBlocks::zeros(self.n_frames, n_cameras);
+            for channel in &self.channels[landmark] {
+                let linear = channel.linearised(landmark, cameras, positions);
+                self.add_channel(channel, &linear, &mut blocks);
+            }
+            blocks
+        };
+        PathBlocks { landmarks: (0..self.landmarks.len()).into_par_iter().map(of_landmark).collect(), n_cameras }
+    }
+
+    fn add_channel(&self, channel: &Channel, linear: &[Option<Reprojection>], blocks: &mut LandmarkBlocks) {
+        let n_cameras = blocks.cameras.len();
+        for seen in &channel.seen {
+            let Some(e) = seen.parts.combined(|i| linear[i].map(|l| l.residual)) else { continue };
+            let Robust { weight, .. } = geman_mcclure(e.norm_squared(), self.robust_scale);
+            let parts =
+                || seen.parts.iter().filter_map(|&(i, factor)| Some((channel.seen[i].frame, linear[i]?, factor)));
+            let mut by_camera = Matrix2x6::zeros();
+            if n_cameras > 0 {
+                parts().for_each(|(_, l, factor)| by_camera += l.by_camera * factor);
+                let own = &mut blocks.cameras[channel.camera];
+                own.hessian += by_camera.tr_mul(&by_camera) * weight;
+                own.gradient += by_camera.tr_mul(&e) * weight;
+            }
+            for (later, l, factor) in parts() {
+                let left = l.by_point.transpose() * (weight * factor);
+                blocks.frames[later].gradient += left * e;
+                if n_cameras > 0 {
+                    blocks.by_camera[later * n_cameras + channel.camera] += left * by_camera;
+                }
+                for (earlier, l, factor) in parts().filter(|(earlier, ..)| *earlier <= later) {
+                    blocks.frames[later].hessian[later - earlier] += left * l.by_point * factor;
+                }
+            }
+        }
+    }
+}
+
+impl Channel {
+    fn residuals(&self, landmark: usize, cameras: &[PosedCamera], positions: &Positions) -> Vec<Option<Vector2<f64>>> {
+        let camera = &cameras[self.camera];
         let residual = |seen: &Seen| {
             let position = &positions[seen.frame][landmark];
             residual(&camera.intrinsics, &camera.camera_from_world, position, &seen.pixel, seen.sigma_px)
         };
-        channel.seen.iter().map(residual).collect()
+        self.seen.iter().map(residual).collect()
     }
 
-    /// Gradient and Gauss-Newton blocks; those of the cameras only where `moves_cameras`.
-    pub(crate) fn blocks(&self, positions: &Positions, moves_cameras: bool) -> PathBlocks {
-        let n_cameras = if moves_cameras { self.observations.cameras.len() } else { 0 };
-        let of_landmark = |landmark: usize| {
-            let zero = PathBlock {
-                gradient: Vector3::zeros(),
-                hessian: [Matrix3::zeros(); 3],
-                by_camera: vec![Matrix3x6::zeros(); n_cameras],
-            };
-            let mut frames = vec![zero; self.n_frames];
-            let mut hessian = DMatrix::zeros(6 * n_cameras, 6 * n_cameras);
-            let mut gradient = DVector::zeros(6 * n_cameras);
-            for channel in &self.channels[landmark] {
-                self.add_channel(channel, landmark, positions, &mut frames, (&mut hessian, &mut gradient));
-            }
-            (frames, hessian, gradient)
+    fn linearised(&self, landmark: usize, cameras: &[PosedCamera], positions: &Positions) -> Vec<Option<Reprojection>> {
+        let camera = &cameras[self.camera];
+        let linear = |seen: &Seen| {
+            let position = &positions[seen.frame][landmark];
+            linearize(&camera.intrinsics, &camera.camera_from_world, position, &seen.pixel, seen.sigma_px)
         };
-        let parts: Vec<_> = (0..self.landmarks.len()).into_par_iter().map(of_landmark).collect();
-        let mut camera_hessian = DMatrix::zeros(6 * n_cameras, 6 * n_cameras);
-        let mut camera_gradient = DVector::zeros(6 * n_cameras);
-        let mut landmarks = Vec::with_capacity(parts.len());
-        for (frames, hessian, gradient) in parts {
-            camera_hessian += hessian;
-            camera_gradient += gradient;
-            landmarks.push(frames);
-        }
-        PathBlocks { landmarks, camera_hessian, camera_gradient }
-    }
-
-    fn add_channel(
-        &self,
-        channel: &Channel,
-        landmark: usize,
-        positions: &Positions,
-        frames: &mut [PathBlock],
-        (hessian, gradient): (&mut DMatrix<f64>, &mut DVector<f64>),
-    ) {
-        let camera = &self.observations.cameras[channel.camera];
-        let linear: Vec<Option<Reprojection>> = channel
-            .seen
-            .iter()
-            .map(|seen| {
-                let position = &positions[seen.frame][landmark];
-                linearize(&camera.intrinsics, &camera.camera_from_world, position, &seen.pixel, seen.sigma_px)
-            })
-            .collect();
-        let moves_cameras = !gradient.is_empty();
-        let first = 6 * channel.camera;
-        for seen in &channel.seen {
-            let Some(e) = combined(&seen.parts, |i| linear[i].map(|l| l.residual)) else { continue };
-            let Robust { weight, .. } = geman_mcclure(e.norm_squared(), self.robust_scale);
-            let part = |&(i, factor): &(usize, f64)| linear[i].map(|l| (channel.seen[i].frame, l.by_point * factor));
-            let parts: Vec<(usize, Matrix2x3<f64>)> = seen.parts.iter().filter_map(part).collect();
-            let mut by_camera = Matrix2x6::zeros();
-            if moves_cameras {
-                for &(i, factor) in &seen.parts {
-                    by_camera += linear[i].map_or_else(Matrix2x6::zeros, |l| l.by_camera * factor);
-                }
-                let mut block = hessian.fixed_view_mut::<6, 6>(first, first);
-                block += by_camera.tr_mul(&by_camera) * weight;
-                let mut rows = gradient.fixed_rows_mut::<6>(first);
-                rows += by_camera.tr_mul(&e) * weight;
-            }
-            for (later, a) in &parts {
-                let left = a.transpose() * weight;
-                frames[*later].gradient += left * e;
-                if moves_cameras {
-                    frames[*later].by_camera[channel.camera] += left * by_camera;
-                }
-                for (earlier, b) in parts.iter().filter(|(earlier, _)| earlier <= later) {
-                    frames[*later].hessian[later - earlier] += left * b;
-                }
-            }
-        }
+        self.seen.iter().map(linear).collect()
     }
 }
 
-/// The parts of the innovation of a pixel of `frame` that follows `seen`.
-fn parts(seen: &[Seen], frame: usize, process: &NoiseProcess) -> Vec<(usize, f64)> {
-    let ago = |lag: usize| (0..seen.len()).rev().take(2).find(|&i| seen[i].frame + lag == frame);
-    let (one, two) = (ago(1), ago(2));
-    let gap = seen.last().map(|last| frame - last.frame);
-    let [own, by_one, by_two] = process.innovation([one.is_some(), two.is_some()], gap);
-    let mut parts = vec![(seen.len(), own)];
-    parts.extend(one.map(|i| (i, by_one)));
-    parts.extend(two.map(|i| (i, by_two)));
-    parts
-}
+impl Parts {
+    /// The parts of the innovation of a pixel of `frame` that follows `seen`.
+    fn new(seen: &[Seen], frame: usize, process: &NoiseProcess) -> Self {
+        let ago = |lag: usize| (0..seen.len()).rev().take(2).find(|&i| seen[i].frame + lag == frame);
+        let (one, two) = (ago(1), ago(2));
+        let gap = seen.last().map(|last| frame - last.frame);
+        let [own, by_one, by_two] = process.innovation([one.is_some(), two.is_some()], gap);
+        let mut parts = Self { parts: [(seen.len(), own); 3], len: 1 };
+        for (i, factor) in one.map(|i| (i, by_one)).into_iter().chain(two.map(|i| (i, by_two))) {
+            parts.parts[parts.len] = (i, factor);
+            parts.len += 1;
+        }
+        parts
+    }
 
-/// The sum of residuals times their factors; `None` where one of them has no residual.
-fn combined(parts: &[(usize, f64)], residual: impl Fn(usize) -> Option<Vector2<f64>>) -> Option<Vector2<f64>> {
-    parts.iter().try_fold(Vector2::zeros(), |sum, &(i, factor)| Some(sum + residual(i)? * factor))
+    fn iter(&self) -> impl Iterator<Item = &(usize, f64)> {
+        self.parts[..self.len].iter()
+    }
+
+    /// The sum of residuals times their factors; `None` where one of them has no residual.
+    fn combined(&self, residual: impl Fn(usize) -> Option<Vector2<f64>>) -> Option<Vector2<f64>> {
+        self.iter().try_fold(Vector2::zeros(), |sum, &(i, factor)| Some(sum + residual(i)? * factor))
+    }
 }
