@@ -222,8 +222,8 @@ def main():
 
 
 def passes(point):
-    """Passes of a point to test: start, recovery and stop happen only once."""
-    return (1,) if point.startswith(("start", "recover", "stop")) else (1, 2)
+    """Passes of a point to test: creation, start, recovery and stop happen only once."""
+    return (1,) if point.startswith(("create", "start", "recover", "stop")) else (1, 2)
 
 
 def kill_at_point(args, faults, point, hit):
@@ -245,8 +245,16 @@ def kill_at_point(args, faults, point, hit):
             service.kill()
         service.start()
 
+    def kill_creation():
+        service.start(WANDLESS_FAILPOINT=f"{point}:{hit}")
+        reached.append(service.process.wait(timeout=60) == -signal.SIGKILL)
+
     n_before = len(faults.found)
-    run(service, faults, args.seed + sum(map(ord, point)), 2, args.frames, kill_there)
+    is_creation = point.startswith("create")
+    if is_creation:
+        kill_creation()
+    kill = (lambda: time.sleep(1.0)) if is_creation else kill_there
+    run(service, faults, args.seed + sum(map(ord, point)), 2, args.frames, kill)
     faults.require(reached == [True], f"{point}:{hit} was not reached")
     print(f"{point}:{hit}", "reached" if reached == [True] else "NOT REACHED", flush=True)
     if len(faults.found) == n_before:

@@ -10,8 +10,11 @@ use axum::response::{Html, IntoResponse};
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::fmt::Write;
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 use utoipa::PartialSchema;
+
+/// A description that is written when it is first asked for: few starts of the service need it.
+pub(super) type LazyDescription = LazyLock<Description, Box<dyn FnOnce() -> Description + Send>>;
 
 /// The description of the API.
 pub(super) struct Description {
@@ -24,14 +27,14 @@ pub(super) struct Description {
 /// Get this description.
 #[utoipa::path(get, path = "/openapi.json", operation_id = "getDescription", tag = "service",
     responses((status = 200, description = "The OpenAPI document", body = Value)))]
-pub(super) async fn document(Extension(description): Extension<Arc<Description>>) -> impl IntoResponse {
+pub(super) async fn document(Extension(description): Extension<Arc<LazyDescription>>) -> impl IntoResponse {
     ([(header::CONTENT_TYPE, "application/json")], description.json.clone())
 }
 
 /// Get the description as a page to read.
 #[utoipa::path(get, path = "/docs", operation_id = "getDocs", tag = "service",
     responses((status = 200, description = "The page", body = String, content_type = "text/html")))]
-pub(super) async fn page(Extension(description): Extension<Arc<Description>>) -> impl IntoResponse {
+pub(super) async fn page(Extension(description): Extension<Arc<LazyDescription>>) -> impl IntoResponse {
     let policy = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; frame-ancestors 'none'";
     ([(header::CONTENT_SECURITY_POLICY, policy)], Html(description.page.clone()))
 }

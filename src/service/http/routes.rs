@@ -2,7 +2,7 @@
 
 use super::app::App;
 use super::error::Problem;
-use super::openapi::Description;
+use super::openapi::{Description, LazyDescription};
 use super::{
     access, cors, deliveries, descriptors, error, events, health, inspection, jobs, openapi, results, server, sessions,
     submission, trace, viewer,
@@ -76,12 +76,13 @@ fn router(app: App) -> Router {
     let api = api().layer(from_fn_with_state(app.clone(), access::to_the_api));
     let monitoring = monitoring().layer(from_fn_with_state(app.clone(), access::to_the_metrics));
     let secrets = secrets().layer(from_fn_with_state(app.clone(), access::to_the_secrets));
-    let (router, description) = api.merge(secrets).merge(monitoring).merge(open()).split_for_parts();
+    let (router, derived) = api.merge(secrets).merge(monitoring).merge(open()).split_for_parts();
+    let description = LazyDescription::new(Box::new(move || Description::of(derived)));
     router
         .merge(viewer::routes())
         .fallback(no_such_route)
         .method_not_allowed_fallback(no_such_method)
-        .layer(Extension(Arc::new(Description::of(description))))
+        .layer(Extension(Arc::new(description)))
         .layer(from_fn(error::write_problems))
         .layer(option_layer(cors::layer(&app.settings.cors_origins)))
         .layer(from_fn_with_state(app.clone(), trace::follow))

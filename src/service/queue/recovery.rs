@@ -28,6 +28,21 @@ pub async fn recover(queue: &Queue) -> Result<Recovered, StoreError> {
     if fault("recovery.forgets") {
         return Ok(Recovered::default());
     }
+    let (requeued, canceled) = if has_orphans(queue).await? { release_orphans(queue).await? } else { (0, 0) };
+    failpoint("recover.committed");
+    let removed = sweep(queue).await?;
+    failpoint("recover.swept");
+    Ok(Recovered { requeued, canceled, removed })
+}
+
+/// Whether a job runs in another boot. A statement that changes jobs writes to the disk even if it finds none.
+async fn has_orphans(queue: &Queue) -> Result<bool, StoreError> {
+    let any = "SELECT EXISTS (SELECT 1 FROM jobs WHERE state IN ('running', 'canceling') AND boot <> ?)";
+    Ok(sqlx::query_scalar(any).bind(&queue.store.boot).fetch_one(queue.store.read()).await?)
+}
+
+/// Returns the running jobs of other boots to the queue and ends those that were being canceled; their numbers.
+async fn release_orphans(queue: &Queue) -> Result<(u64, u64), StoreError> {
     let mut transaction = queue.store.write().await?;
     if fault("recovery.blames") {
         let blamed = sqlx::query("UPDATE jobs SET crashes = crashes + 1 WHERE state = 'running'");
@@ -52,10 +67,7 @@ pub async fn recover(queue: &Queue) -> Result<Recovered, StoreError> {
     .rows_affected();
     failpoint("recover.updated");
     transaction.commit().await?;
-    failpoint("recover.committed");
-    let removed = sweep(queue).await?;
-    failpoint("recover.swept");
-    Ok(Recovered { requeued, canceled, removed })
+    Ok((requeued, canceled))
 }
 
 /// Removes unfinished uploads, uploads without a row, checkpoints of ended jobs, and all results but the published ones.
@@ -69,20 +81,24 @@ async fn sweep(queue: &Queue) -> Result<usize, StoreError> {
     for name in folders.names("tmp")? {
         remove("tmp", &name);
     }
-    let known = sessions::ids(&queue.store).await?;
-    for name in folders.names("sessions")? {
+    // A table is read only where there is a file that it could name.
+    let uploads = folders.names("sessions")?;
+    let known = if uploads.is_empty() { Vec::new() } else { sessions::ids(&queue.store).await? };
+    for name in uploads {
         if known.binary_search(&name).is_err() {
             remove("sessions", &name);
         }
     }
-    let open_jobs = open_jobs(queue).await?;
-    for job in folders.names("checkpoints")? {
+    let checkpoints = folders.names("checkpoints")?;
+    let open_jobs = if checkpoints.is_empty() { Vec::new() } else { open_jobs(queue).await? };
+    for job in checkpoints {
         if open_jobs.binary_search(&job).is_err() {
             remove("checkpoints", &job);
         }
     }
-    let published = published_fences(queue).await?;
-    for job in folders.names("results")? {
+    let results = folders.names("results")?;
+    let published = if results.is_empty() { BTreeMap::new() } else { published_fences(queue).await? };
+    for job in results {
         match published.get(&job) {
             None => remove("results", &job),
             Some(fence) => {

@@ -1,8 +1,9 @@
 //! Opening a data folder: the database of an earlier release, file modes, the size of the database.
 
-use super::database::{MIGRATIONS, Store};
+use super::database::Store;
 use super::error::StoreError;
 use super::folders::PAGES;
+use super::schema::MIGRATIONS;
 use sqlx::migrate::Migrator;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection};
@@ -107,4 +108,23 @@ async fn loose_database_of_an_earlier_release_is_rewritten() {
     store.close().await;
     let tight = std::fs::metadata(&path).unwrap().len();
     assert!(mode == 2 && loose > 12_000_000 && tight < 2_000_000, "{mode} {loose} {tight}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn interrupted_creation_is_repeated_by_the_next_start() {
+    let folder = tempfile::tempdir().unwrap();
+    // What a kill can leave: parts of the new file and of its log, no database; beside it the log of a removed database.
+    for name in ["wandless.db.new", "wandless.db.new-wal", "wandless.db.new-journal", "wandless.db-wal"] {
+        std::fs::write(folder.path().join(name), [7; 5000]).unwrap();
+    }
+    let store = Store::open(folder.path()).await.unwrap();
+    let found: String = sqlx::query_scalar("PRAGMA integrity_check").fetch_one(store.read()).await.unwrap();
+    assert_eq!(found, "ok");
+    let applied = sqlx::query_scalar::<_, i64>("SELECT count(*) FROM _sqlx_migrations WHERE success");
+    assert_eq!(applied.fetch_one(store.read()).await.unwrap(), MIGRATIONS.iter().count() as i64);
+    store.close().await;
+    let names =
+        std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let beside: Vec<String> = names.filter(|name| name.contains(".new")).collect();
+    assert!(beside.is_empty(), "{beside:?}");
 }
