@@ -3,10 +3,11 @@
     python3 checks/service/crashes.py --kills 200
     cargo build --release --features failpoints --target-dir target/failpoints
     python3 checks/service/crashes.py --kills 0 --points 1 --program target/failpoints/release/wandless
+    python3 checks/service/crashes.py --kills 0 --lost 60 --program target/failpoints/release/wandless
 
 Clients record every 2xx response. After the last restart every job that was answered 202 must exist, be final within 60 s
 and have at most one result, with the right digest of every file; its webhook must have been called; SQLite's integrity
-check and `wandless verify` must pass.
+check and `wandless verify` must pass. `--lost`: the same after seconds in which every third COMMIT is made but looks failed.
 """
 
 import http.server
@@ -197,7 +198,7 @@ def run(service, faults, seed, n_clients, n_frames, kill):
 
 
 def main():
-    args = arguments(__doc__, kills=200, points=0, clients=4, frames=10, only="")
+    args = arguments(__doc__, kills=200, points=0, lost=0, clients=4, frames=10, only="")
     dice = random.Random(args.seed)
     faults = Faults()
     service = Service(args.program, words=WORDS)
@@ -215,6 +216,10 @@ def main():
         run(service, faults, args.seed, args.clients, args.frames, kill_at_random)
         print(f"{args.kills} kills; start to serving: median {sorted(starts)[len(starts) // 2] * 1000:.0f} ms, "
               f"worst {max(starts) * 1000:.0f} ms", flush=True)
+    if args.lost:
+        deaf = Service(args.program, words=WORDS, environment={"WANDLESS_LOST_ANSWERS": "3"})
+        run(deaf, faults, args.seed, args.clients, args.frames, lambda: time.sleep(args.lost))
+        deaf.remove()
     if args.points or args.only:
         reached = [kill_at_point(args, faults, point, hit) for point in points() if args.only in point for hit in passes(point)]
         print(f"{sum(reached)} of {len(reached)} passes of {len(points())} points reached", flush=True)

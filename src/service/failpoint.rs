@@ -3,7 +3,8 @@
 //! `WANDLESS_FAILPOINT=name` kills the process at the first pass of that point, `name:3` at the third, so that the moment
 //! between step i and i + 1 is met every time. `WANDLESS_FAULT=name` breaks one guarantee, so that a check that does not
 //! notice is known to be ineffective (`checks/service/selftest.py`). `WANDLESS_LINGER_MS=150` delays the start of every
-//! stage of a job. Without the feature `failpoints` none of these variables has an effect.
+//! stage of a job. `WANDLESS_LOST_ANSWERS=3` makes every third COMMIT of sessions and jobs look failed although it was made.
+//! Without the feature `failpoints` none of these variables has an effect.
 
 /// Names of all failpoints, in the order of a job's life.
 pub const FAILPOINTS: [&str; 38] = [
@@ -51,6 +52,7 @@ pub const FAULTS: &[(&str, &str)] = &[
     ("verify.blind", "a changed file is not detected"),
     ("backup.short", "a backup omits a file"),
     ("damage.silent", "a lost database is replaced by an empty one"),
+    ("commit.forgotten", "a repeated report of a recorded result counts as lost"),
     ("seed.random", "the seed of a job differs in every run"),
     ("uploads.unlimited", "an upload is validated without a memory limit"),
     ("uploads.spilled", "an upload leaves a file beside the data folder"),
@@ -87,6 +89,23 @@ pub(crate) fn linger() {
     if let Some(milliseconds) = std::env::var("WANDLESS_LINGER_MS").ok().and_then(|text| text.parse().ok()) {
         std::thread::sleep(std::time::Duration::from_millis(milliseconds));
     }
+}
+
+/// An error after every `WANDLESS_LOST_ANSWERS`th commit, as if its answer were lost.
+///
+/// # Errors
+/// See above; never without the feature `failpoints`.
+pub(crate) fn lose_answer() -> std::io::Result<()> {
+    #[cfg(feature = "failpoints")]
+    {
+        use std::sync::atomic::{AtomicU64, Ordering};
+        static COMMITS: AtomicU64 = AtomicU64::new(0);
+        let every = std::env::var("WANDLESS_LOST_ANSWERS").ok().and_then(|text| text.parse::<u64>().ok());
+        if every.is_some_and(|n| n > 0 && COMMITS.fetch_add(1, Ordering::SeqCst) % n == n - 1) {
+            return Err(std::io::Error::other("the answer to the COMMIT was lost"));
+        }
+    }
+    Ok(())
 }
 
 /// Whether the environment names this fault.

@@ -165,8 +165,17 @@ pub(super) async fn keep(app: &App, tenant: &Tenant, received: Received) -> Resu
     let id = kept.await.map_err(Problem::internal)??;
     let added = sessions::add(&app.store, tenant, &id, &summary, app.settings.tenants.max_bytes).await;
     failpoint("upload.recorded");
-    if !added.as_ref().is_ok_and(|added| added.is_new) {
-        app.store.remove_files("sessions", &id).await; // the same bytes arrived twice at the same time, or the row was refused
+    if added.as_ref().is_ok_and(|added| added.is_new) {
+        return Ok(added?);
+    }
+    // The same bytes arrived twice at the same time, or the row was refused. An error can also mean that the answer to the
+    // COMMIT was lost: then the row is there, and the bytes belong to it.
+    match sessions::get(&app.store, tenant, &id).await {
+        Ok(Some(session)) => return Ok(Added { session, is_new: true }),
+        Ok(None) => app.store.remove_files("sessions", &id).await,
+        Err(error) => {
+            tracing::warn!(%error, session.id = id, "an upload may have no row; the next start removes it then")
+        }
     }
     Ok(added?)
 }

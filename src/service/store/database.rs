@@ -4,7 +4,7 @@ use super::error::StoreError;
 use super::folders::Folders;
 use super::space::Space;
 use super::{schema, shrink};
-use crate::service::failpoint::{failpoint, fault};
+use crate::service::failpoint::{failpoint, fault, lose_answer};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous};
 use sqlx::{Connection, Sqlite, Transaction};
 use std::io;
@@ -137,6 +137,16 @@ impl Store {
         self.writer.begin_with("BEGIN IMMEDIATE").await
     }
 
+    /// Commits a transaction of [`Store::write`]. After an error the transaction may be committed or not; a caller that
+    /// removes or repeats something must look first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub(crate) async fn commit(&self, transaction: WriteTransaction) -> Result<(), sqlx::Error> {
+        transaction.commit().await?;
+        Ok(lose_answer()?)
+    }
+
     /// Starts a transaction for progress and similar data, which a power cut may lose.
     ///
     /// # Errors
@@ -175,6 +185,13 @@ impl Store {
         let (folders, name) = (self.folders.clone(), name.to_owned());
         // Fails only when the process ends; the next start removes files without a row.
         let _ = tokio::task::spawn_blocking(move || folders.remove(folder, &name)).await;
+    }
+
+    /// Removes what one claim of a job has written, without blocking the threads that answer clients.
+    pub async fn remove_claim(&self, job: &str, fence: i64) {
+        let (folders, job) = (self.folders.clone(), job.to_owned());
+        // Fails only when the process ends; the next start removes files without a row.
+        let _ = tokio::task::spawn_blocking(move || folders.remove_claim(&job, fence)).await;
     }
 
     /// Removes the reserve file, so that operations that free space also work on a full disk.
