@@ -45,7 +45,8 @@ def fill(service, n_jobs, n_tenants, n_idle):
     """Adds jobs that end as soon as they are claimed, and tenants without jobs."""
     with sqlite3.connect(os.path.join(service.data, "wandless.db")) as database:
         database.execute("PRAGMA synchronous = OFF")
-        database.executemany("INSERT INTO tenants (name) VALUES (?)", ((f"idle{n}",) for n in range(n_idle)))
+        names = [f"idle{n}" for n in range(n_idle)] + [f"tenant{n}" for n in range(n_tenants)]
+        database.executemany("INSERT INTO tenants (name) VALUES (?)", ((name,) for name in names))
         database.executemany(
             """INSERT INTO jobs (id, tenant, session_id, options, labels, priority, state, created_at)
                VALUES (?, ?, 'none', '{"unreadable": true}', '{}', 0, 'queued', '2026-01-01T00:00:00.000Z')""",
