@@ -105,9 +105,9 @@ impl Queue {
             options: serde_json::from_str(row.try_get("options")?)?,
         };
         failpoint("claim.updated");
-        self.active.add(&claim.job);
+        self.active.add(&claim.job, claim.fence);
         if let Err(error) = self.store.commit(transaction).await {
-            self.active.lose(&claim.job);
+            self.active.lose(&claim.job, claim.fence);
             return Err(error.into());
         }
         failpoint("claim.committed");

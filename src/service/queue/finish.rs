@@ -79,11 +79,11 @@ impl Queue {
             }
             ClaimRow::Lost => {
                 transaction.rollback().await?;
-                self.active.remove(&claim.job);
+                self.active.remove(&claim.job, claim.fence);
                 return Ok(Finished::Lost);
             }
         };
-        self.active.remove(&claim.job);
+        self.active.remove(&claim.job, claim.fence);
         if let (Some(wait), ClaimOutcome::Failed(error)) = (wait, outcome) {
             self.deferrals().defer(&claim.job, Instant::now(), wait);
             let (code, detail, wait_s) = (&error.code, &error.detail, wait.as_secs());

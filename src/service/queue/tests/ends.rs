@@ -73,13 +73,26 @@ async fn a_requeued_job_keeps_the_files_of_its_next_claim() {
     assert_eq!((own.exists(), next.exists()), (false, true));
 }
 
+#[tokio::test]
+async fn a_late_report_leaves_the_next_claim_held() {
+    let test = TestQueue::new().await;
+    test.enqueue(0).await;
+    let first = test.queue.claim(i64::MAX).await.unwrap().unwrap();
+    test.finish(&first, crashed()).await;
+    let second = test.queue.claim(i64::MAX).await.unwrap().unwrap();
+    assert_eq!(test.finish(&first, crashed()).await, Finished::Lost);
+    test.queue.active.note_strays();
+    assert!(test.queue.claim(i64::MAX).await.unwrap().is_none());
+    assert_eq!(test.queue.claim_status(&second).await.unwrap(), ClaimStatus::Active);
+}
+
 /// Claims a job as a process does that never hears of its COMMIT.
 async fn claim_without_answer(test: &TestQueue, id: &str) {
     let mut transaction = test.queue.store.write().await.unwrap();
     let claim = sqlx::query("UPDATE jobs SET state = 'running', fence = fence + 1, boot = ? WHERE id = ?");
     claim.bind(&test.queue.store.boot).bind(id).execute(&mut *transaction).await.unwrap();
     transaction.commit().await.unwrap();
-    test.queue.active.lose(id);
+    test.queue.active.note_strays();
 }
 
 #[tokio::test]
