@@ -3,7 +3,7 @@
 //! `WANDLESS_FAILPOINT=name` kills the process at the first pass of that point, `name:3` at the third, so that the moment
 //! between step i and i + 1 is met every time. `WANDLESS_FAULT=name` breaks one guarantee, so that a check that does not
 //! notice is known to be ineffective (`checks/service/selftest.py`). `WANDLESS_LINGER_MS=150` delays the start of every
-//! stage of a job. `WANDLESS_LOST_ANSWERS=3` makes every third COMMIT of sessions and jobs look failed although it was made.
+//! stage of a job. `WANDLESS_LOST_ANSWERS=3` makes one in three COMMITs of sessions and jobs look failed although it was made.
 //! Without the feature `failpoints` none of these variables has an effect.
 
 /// Names of all failpoints, in the order of a job's life.
@@ -91,7 +91,8 @@ pub(crate) fn linger() {
     }
 }
 
-/// An error after every `WANDLESS_LOST_ANSWERS`th commit, as if its answer were lost.
+/// An error after one in `WANDLESS_LOST_ANSWERS` commits, as if its answer were lost. Which ones follows from their number in
+/// no regular order: repetitions would otherwise let the same step meet every loss.
 ///
 /// # Errors
 /// See above; never without the feature `failpoints`.
@@ -100,8 +101,11 @@ pub(crate) fn lose_answer() -> std::io::Result<()> {
     {
         use std::sync::atomic::{AtomicU64, Ordering};
         static COMMITS: AtomicU64 = AtomicU64::new(0);
-        let every = std::env::var("WANDLESS_LOST_ANSWERS").ok().and_then(|text| text.parse::<u64>().ok());
-        if every.is_some_and(|n| n > 0 && COMMITS.fetch_add(1, Ordering::SeqCst) % n == n - 1) {
+        const MIX: u64 = 0x9e37_79b9_7f4a_7c15; // 2^64 divided by the golden ratio: spreads consecutive numbers
+        let one_in = std::env::var("WANDLESS_LOST_ANSWERS").ok().and_then(|text| text.parse::<u64>().ok());
+        let mixed = COMMITS.fetch_add(1, Ordering::SeqCst).wrapping_mul(MIX);
+        let mixed = (mixed ^ (mixed >> 29)).wrapping_mul(MIX) >> 32;
+        if one_in.is_some_and(|n| n > 0 && mixed % n == 0) {
             return Err(std::io::Error::other("the answer to the COMMIT was lost"));
         }
     }
