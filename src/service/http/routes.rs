@@ -4,8 +4,8 @@ use super::app::App;
 use super::error::Problem;
 use super::openapi::{Description, LazyDescription};
 use super::{
-    access, cors, deliveries, descriptors, error, events, health, inspection, jobs, openapi, results, server, sessions,
-    submission, trace, viewer,
+    access, archive, cors, deliveries, descriptors, error, events, exports, health, inspection, jobs, openapi, results,
+    server, sessions, submission, trace, viewer,
 };
 use crate::service::shared::Shared;
 use crate::service::webhooks::Networks;
@@ -46,6 +46,8 @@ fn api() -> OpenApiRouter<App> {
         .routes(routes!(jobs::cancel))
         .routes(routes!(results::manifest))
         .routes(routes!(results::artifact))
+        .routes(routes!(archive::get))
+        .routes(routes!(exports::add))
         .routes(routes!(results::cameras))
         .routes(routes!(results::people))
         .routes(routes!(results::report))
@@ -143,7 +145,7 @@ mod tests {
         let n_operations = ids.len();
         ids.sort_unstable();
         ids.dedup();
-        assert_eq!((ids.len(), n_operations), (25, 25));
+        assert_eq!((ids.len(), n_operations), (27, 27));
         assert!(!references.is_empty());
         for flattened in ["sha256", "id"] {
             assert!(document["components"]["schemas"]["Session"]["properties"].get(flattened).is_some(), "{flattened}");

@@ -9,7 +9,7 @@ use crate::service::store::reservation::Reservation;
 use crate::service::store::sessions::{self, Added, SessionSummary};
 use crate::service::store::{Tenant, new_id};
 use crate::service::validation::{self, ValidationError};
-use crate::session::upload::{UploadError, UploadErrorKind};
+use crate::session::upload::{Fault, UploadError, UploadErrorKind};
 use axum::body::Body;
 use axum::http::{HeaderMap, StatusCode, header};
 
@@ -38,6 +38,15 @@ impl MediaType {
             _ => return None,
         })
     }
+}
+
+/// 415; videos and images are answered with what to run first.
+pub(super) fn unsupported(headers: &HeaderMap, accepted: &str) -> Problem {
+    let media_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    if media_type.starts_with("video/") || media_type.starts_with("image/") {
+        return upload_problem(Fault::PosesNotDetected.with("a video or an image holds no 2D poses"));
+    }
+    Problem::unsupported_media_type(accepted)
 }
 
 /// A complete upload and the space that it occupies until its row exists.

@@ -11,6 +11,7 @@ mod active;
 mod claim;
 mod deferral;
 mod enqueue;
+mod exports;
 mod finish;
 mod handle;
 pub mod job;
