@@ -97,7 +97,7 @@ fn in_words(errors: &Evaluation, verdict: &str) -> String {
         let direction = if percent < 0.0 { "small" } else { "large" };
         text += &format!(
             " The metric scale is {:.1} % too {direction}, and the errors above are without it: bodies alone determine the \
-             scale to some 3 %, one known height or camera distance (--height, --camera-distance) to 0.1 %.",
+             scale to some 3 %, a known height or camera distance (--height, --camera-distance) much better.",
             percent.abs()
         );
     }
