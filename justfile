@@ -62,6 +62,15 @@ fuzz target seconds="600":
 exports work: build
     checks/exports/run.sh {{program}} {{work}}
 
+# The Python package against the program
+python: build
+    python3 -m venv target/python && target/python/bin/pip install --quiet -e 'clients/python[test]'
+    cd clients/python && ../../target/python/bin/mypy && ../../target/python/bin/pytest -q
+
+# Clients of two generators go the whole way of a job
+clients work: build
+    checks/clients/run.sh {{program}} {{work}}
+
 # The viewer in a real browser, long form
 viewer: build
     cd checks/viewer && npm ci && npm run check -- --long

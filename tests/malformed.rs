@@ -159,7 +159,7 @@ fn containers() -> Vec<Case> {
         case(zip_with_header(14, 16, [1, 2]), "zip_corrupt", Malformed, &["\"session.json\""]),
         case(zip_with_header(22, 24, [5, 0]), "zip_corrupt", Malformed, &["\"session.json\""]),
         case(zip_of_zeros(), "zip_ratio", TooLarge, &["\"session.json\"", "5368709120"]),
-        case(two, "session_ambiguous", Malformed, &["\"b/session.json\""]),
+        case(two, "session_ambiguous", Malformed, &["\"a\", \"b\""]),
         case(zip_with(&[], |_| {}), "format_unknown", Unsupported, &["no session.json"]),
         case(zip_with(&no_poses, |_| {}), "poses_missing", Malformed, &["\"right\"", "poses/right.json"]),
         case(zip_with(&corrupt, |_| {}), "trailing_data", Malformed, &["\"poses/left.json\""]),

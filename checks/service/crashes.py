@@ -3,10 +3,11 @@
     python3 checks/service/crashes.py --kills 200
     cargo build --release --features failpoints --target-dir target/failpoints
     python3 checks/service/crashes.py --kills 0 --points 1 --program target/failpoints/release/wandless
+    python3 checks/service/crashes.py --kills 0 --lost 60 --program target/failpoints/release/wandless
 
 Clients record every 2xx response. After the last restart every job that was answered 202 must exist, be final within 60 s
 and have at most one result, with the right digest of every file; its webhook must have been called; SQLite's integrity
-check and `wandless verify` must pass.
+check and `wandless verify` must pass. `--lost`: the same after seconds in which one in three COMMITs is made but looks failed.
 """
 
 import http.server
@@ -159,8 +160,9 @@ def check_promises(service, ledger, faults):
                     faults.require(sha256(found) == file["sha256"], f"{job}/{file['name']}: wrong bytes")
             except wandless.Problem as problem:
                 faults.require(False, f"{job} has no whole result: {problem}")
-            results = os.listdir(os.path.join(service.data, "results", job))
-            faults.require(len(results) == 1, f"{job} has the results {results}")
+            folder = os.path.join(service.data, "results", job)
+            results = os.listdir(folder) if os.path.isdir(folder) else []
+            faults.require(len(results) == 1, f"{job} has no whole result, or several: {results}")
     deadline = time.monotonic() + 60
     called = ledger.receiver.calls
     while any(job not in called for job in finals) and time.monotonic() < deadline:
@@ -197,7 +199,7 @@ def run(service, faults, seed, n_clients, n_frames, kill):
 
 
 def main():
-    args = arguments(__doc__, kills=200, points=0, clients=4, frames=10, only="")
+    args = arguments(__doc__, kills=200, points=0, lost=0, clients=4, frames=10, only="")
     dice = random.Random(args.seed)
     faults = Faults()
     service = Service(args.program, words=WORDS)
@@ -215,6 +217,14 @@ def main():
         run(service, faults, args.seed, args.clients, args.frames, kill_at_random)
         print(f"{args.kills} kills; start to serving: median {sorted(starts)[len(starts) // 2] * 1000:.0f} ms, "
               f"worst {max(starts) * 1000:.0f} ms", flush=True)
+    if args.lost:
+        deaf = Service(args.program, words=WORDS, environment={"WANDLESS_LOST_ANSWERS": "3"})
+        # A lost answer costs its worker 2 s: half of the clients, so that the accepted work ends in time.
+        run(deaf, faults, args.seed, (args.clients + 1) // 2, args.frames, lambda: time.sleep(args.lost))
+        if faults.found:
+            print("data folder kept:", deaf.data)
+        else:
+            deaf.remove()
     if args.points or args.only:
         reached = [kill_at_point(args, faults, point, hit) for point in points() if args.only in point for hit in passes(point)]
         print(f"{sum(reached)} of {len(reached)} passes of {len(points())} points reached", flush=True)
@@ -222,8 +232,8 @@ def main():
 
 
 def passes(point):
-    """Passes of a point to test: start, recovery and stop happen only once."""
-    return (1,) if point.startswith(("start", "recover", "stop")) else (1, 2)
+    """Passes of a point to test: creation, start, recovery and stop happen only once."""
+    return (1,) if point.startswith(("create", "start", "recover", "stop")) else (1, 2)
 
 
 def kill_at_point(args, faults, point, hit):
@@ -245,8 +255,16 @@ def kill_at_point(args, faults, point, hit):
             service.kill()
         service.start()
 
+    def kill_creation():
+        service.start(WANDLESS_FAILPOINT=f"{point}:{hit}")
+        reached.append(service.process.wait(timeout=60) == -signal.SIGKILL)
+
     n_before = len(faults.found)
-    run(service, faults, args.seed + sum(map(ord, point)), 2, args.frames, kill_there)
+    is_creation = point.startswith("create")
+    if is_creation:
+        kill_creation()
+    kill = (lambda: time.sleep(1.0)) if is_creation else kill_there
+    run(service, faults, args.seed + sum(map(ord, point)), 2, args.frames, kill)
     faults.require(reached == [True], f"{point}:{hit} was not reached")
     print(f"{point}:{hit}", "reached" if reached == [True] else "NOT REACHED", flush=True)
     if len(faults.found) == n_before:

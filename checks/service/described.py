@@ -14,7 +14,7 @@ import tempfile
 from harness import Faults, Service, arguments, take
 
 CONFIG = os.path.join(os.path.dirname(os.path.abspath(__file__)), "schemathesis.toml")
-OF_A_JOB = ["", "/cameras", "/people", "/report", "/result", "/deliveries", "/artifacts/{name}"]
+OF_A_JOB = ["", "/archive", "/cameras", "/exports", "/people", "/report", "/result", "/deliveries", "/artifacts/{name}"]
 OF_A_SESSION = ["", "/inspection"]
 
 

@@ -51,6 +51,7 @@ FAULTS = {
     "verify.blind": ("F3", "safety.py", "--only", "flips", "--flips", "2"),
     "backup.short": ("F1", "safety.py", "--only", "backups", "--backups", "2"),
     "damage.silent": ("A14", "safety.py", "--only", "damaged_folders"),
+    "commit.forgotten": ("no whole result", "crashes.py", "--kills", "0", "--lost", "10"),
     "seed.random": ("F5", "safety.py", "--only", "same_bytes"),
     "uploads.unlimited": ("row 5", "workers.py", "--row", "5"),
     "uploads.spilled": ("D3", "hostile.py", "--flips", "500"),

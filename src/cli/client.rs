@@ -1,6 +1,7 @@
 //! Blocking HTTP client of `submit` and `demo`.
 
 use super::bad_input::BadInput;
+use crate::pipeline::CameraFacts;
 use crate::service::store::artifacts::{FileDigest, digest_file};
 use anyhow::{Context, bail};
 use serde::Deserialize;
@@ -33,6 +34,8 @@ pub(super) struct SessionAnswer {
     pub(super) id: String,
     #[serde(default)]
     pub(super) warnings: Vec<String>,
+    #[serde(default)]
+    pub(super) camera_facts: Vec<CameraFacts>,
 }
 
 /// The fields of a job that the client needs.
@@ -41,7 +44,6 @@ pub(super) struct JobAnswer {
     pub(super) id: String,
     pub(super) state: String,
     pub(super) progress: ProgressAnswer,
-    pub(super) quality: Option<serde_json::Value>,
     pub(super) error: Option<ProblemAnswer>,
 }
 
@@ -154,6 +156,11 @@ impl Client {
     /// List of the files of a result.
     pub(super) fn manifest(&self, job: &str) -> anyhow::Result<Manifest> {
         self.with_retries(|| self.get(&format!("/v1/jobs/{job}/result")).call())
+    }
+
+    /// One of the JSON files of a result that have a route of their own: `report`, `cameras`, `people`.
+    pub(super) fn result_file(&self, job: &str, name: &str) -> anyhow::Result<serde_json::Value> {
+        self.with_retries(|| self.get(&format!("/v1/jobs/{job}/{name}")).call())
     }
 
     /// Downloads one file of a result and checks its digest.

@@ -5,7 +5,10 @@ use super::client::Client;
 use super::noise::NoiseName;
 use super::serve::StopSignals;
 use super::submit::{download, submit};
-use super::{evaluate, simulate};
+use super::summary::Summary;
+use super::{evaluate as evaluation_command, simulate};
+use crate::evaluation::alignment::Alignment;
+use crate::evaluation::{Evaluation, EvaluationOptions, evaluate};
 use crate::pipeline::Options;
 use crate::service::{self, Settings};
 use std::net::{Ipv4Addr, SocketAddr};
@@ -60,11 +63,45 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
 
 fn submit_and_evaluate(server: &str, session: &Path, result: &Path) -> anyhow::Result<()> {
     let client = Client::new(server, None);
-    let job = submit(&client, session, &serde_json::to_value(Options::default())?)?;
-    println!("{server}/v1/jobs/{}: {}", job.id, job.quality.unwrap_or_default());
+    let job = submit(&client, session, &Options::default())?;
     download(&client, &job.id, result)?;
-    println!("result: {}", result.display());
-    evaluate_result(result, &session.join("gt"))
+    let truth = session.join("gt");
+    let figures = result.with_file_name("evaluation.json");
+    evaluate_result(result, &truth, &figures)?;
+    let alignment = EvaluationOptions { align: Some(Alignment::Sim3), ..EvaluationOptions::default() };
+    let errors = evaluate(result, &truth, &alignment)?;
+    println!("\n{}\n", in_words(&errors, Summary::of_folder(result)?.verdict()));
+    println!("figures: {}", figures.display());
+    println!("result: {0}; to look at it: wandless view {0}", result.display());
+    println!("viewer, while the service runs: {server}/#/jobs/{}", job.id);
+    Ok(())
+}
+
+/// The outcome in one paragraph. `errors`: after an alignment that removes the error of the scale.
+fn in_words(errors: &Evaluation, verdict: &str) -> String {
+    let mut text = String::from("From 2D poses alone, without calibration and identities:");
+    if let Some(cameras) = errors.cameras.as_ref().map(|cameras| &cameras.sim3) {
+        let (mm, deg) = (cameras.position_mm.unwrap_or(f64::NAN), cameras.angle_deg.unwrap_or(f64::NAN));
+        text += &format!(" {} cameras within {mm:.1} mm and {deg:.2} degrees of the truth,", cameras.n_cameras);
+    }
+    if let Some(mm) = errors.poses.as_ref().and_then(|poses| poses.mpjpe.raw12) {
+        let people = errors.identity.as_ref().map_or(0, |identity| identity.people_predicted);
+        text += &format!(" {people} people within {mm:.0} mm (mean over the limb joints)");
+    }
+    if let Some(identity) = &errors.identity {
+        text += &format!(", {:.1} % of the assigned detections given to the right person", 100.0 * identity.accuracy);
+    }
+    text.push('.');
+    if let Some(cameras) = &errors.cameras {
+        let percent = 100.0 * (1.0 / cameras.sim3.scale - 1.0);
+        let direction = if percent < 0.0 { "small" } else { "large" };
+        text += &format!(
+            " The metric scale is {:.1} % too {direction}, and the errors above are without it: bodies alone determine the \
+             scale to some 3 %, a known height or camera distance (--height, --camera-distance) much better.",
+            percent.abs()
+        );
+    }
+    text + &format!(" Verdict: {verdict}.")
 }
 
 fn simulate_session(out: &Path, seed: u64, noise: NoiseName) -> anyhow::Result<()> {
@@ -74,7 +111,8 @@ fn simulate_session(out: &Path, seed: u64, noise: NoiseName) -> anyhow::Result<(
     simulate::run(arguments_of(words.into_iter().chain([out.as_os_str()]))?)
 }
 
-fn evaluate_result(result: &Path, truth: &Path) -> anyhow::Result<()> {
+fn evaluate_result(result: &Path, truth: &Path, out: &Path) -> anyhow::Result<()> {
     let words = ["evaluate".as_ref(), result.as_os_str(), "--truth".as_ref(), truth.as_os_str()];
-    evaluate::run(arguments_of(words)?)
+    let words = words.into_iter().chain(["--out".as_ref(), out.as_os_str()]);
+    evaluation_command::run(arguments_of(words)?)
 }

@@ -5,15 +5,19 @@ mod arguments;
 mod bad_input;
 mod bench;
 mod body;
+mod completions;
 mod evaluate;
 mod export;
 mod noise;
+mod option_flags;
+mod options;
 mod output_folder;
 mod prior;
 mod progress_display;
 mod reconstruct;
 mod simulate;
 mod solve;
+mod summary;
 
 #[cfg(feature = "service")]
 mod child;
@@ -35,14 +39,19 @@ mod run_job;
 mod serve;
 #[cfg(feature = "service")]
 mod submit;
+#[cfg(feature = "service")]
+mod view;
 
 use bad_input::BadInput;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use std::io::IsTerminal;
 use std::process::ExitCode;
+use summary::RejectedResult;
 use tracing_subscriber::EnvFilter;
 
 /// Reconstructs moving people and the cameras that filmed them from 2D poses, without a calibration wand.
+///
+/// Exit codes: 0 done, 1 failed, 2 wrong usage or unusable input, 3 a result was written but its verdict is `reject`.
 #[derive(Debug, Parser)]
 #[command(name = "wandless", version)]
 struct Cli {
@@ -58,6 +67,8 @@ enum Command {
     Evaluate(evaluate::Args),
     /// Export a finished result to further formats
     Export(export::Args),
+    /// List every option of a job with type, default, range and effect
+    Options(options::Args),
     /// Simulate a session with exact ground truth
     Simulate(simulate::Args),
     /// Measure accuracy, robustness and speed
@@ -72,6 +83,9 @@ enum Command {
     /// Upload a session to a service, follow its job and download the result
     #[cfg(feature = "service")]
     Submit(submit::Args),
+    /// Open the viewer on a result folder, without a service
+    #[cfg(feature = "service")]
+    View(view::Args),
     /// Simulate a session, solve it through a local service and evaluate the result
     #[cfg(feature = "service")]
     Demo(demo::Args),
@@ -93,6 +107,8 @@ enum Command {
     /// Print the OpenAPI description of the HTTP API
     #[cfg(feature = "service")]
     Openapi,
+    /// Print the completion script of a shell
+    Completions(completions::Args),
     /// Solve one job (child process of the service)
     #[cfg(feature = "service")]
     #[command(hide = true)]
@@ -103,13 +119,18 @@ enum Command {
     ReadUpload,
 }
 
-/// Runs the command line; exit code 0: done, 1: failed, 2: wrong usage or unusable input.
+/// Runs the command line; exit code 0: done, 1: failed, 2: wrong usage or unusable input, 3: written, but with the verdict
+/// `reject`.
 pub fn main() -> ExitCode {
     let cli = Cli::parse(); // exits with 2 on wrong usage
     let filter = EnvFilter::try_from_env("WANDLESS_LOG").unwrap_or_else(|_| EnvFilter::new(default_level(&cli)));
-    let is_terminal = std::io::stderr().is_terminal();
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(is_terminal);
+    // https://no-color.org: any non-empty value switches colours off.
+    let has_colours =
+        std::io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty());
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(has_colours);
     match log_form(&cli) {
+        LogForm::Plain => log.without_time().with_target(false).init(),
+        #[cfg(feature = "service")]
         LogForm::Text => log.init(),
         #[cfg(feature = "service")]
         LogForm::Json => log.json().flatten_event(true).init(),
@@ -120,6 +141,10 @@ pub fn main() -> ExitCode {
         Command::Reconstruct(args) => reconstruct::run(args),
         Command::Evaluate(args) => evaluate::run(args),
         Command::Export(args) => export::run(args),
+        Command::Options(args) => {
+            options::run(&args);
+            Ok(())
+        }
         Command::Simulate(args) => simulate::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Body(args) => body::run(args),
@@ -128,6 +153,8 @@ pub fn main() -> ExitCode {
         Command::Serve(args) => serve::run(args),
         #[cfg(feature = "service")]
         Command::Submit(args) => submit::run(args),
+        #[cfg(feature = "service")]
+        Command::View(args) => view::run(args),
         #[cfg(feature = "service")]
         Command::Demo(args) => demo::run(args),
         #[cfg(feature = "service")]
@@ -145,6 +172,10 @@ pub fn main() -> ExitCode {
             println!("{}", crate::service::http::openapi_json());
             Ok(())
         }
+        Command::Completions(args) => {
+            completions::run(&args, Cli::command());
+            Ok(())
+        }
         #[cfg(feature = "service")]
         Command::RunJob => return run_job::run(),
         #[cfg(feature = "service")]
@@ -154,8 +185,17 @@ pub fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("wandless: {}", one_line(&error));
-            ExitCode::from(if error.is::<BadInput>() { 2 } else { 1 })
+            ExitCode::from(exit_code(&error))
         }
+    }
+}
+
+/// Exit code of an error: 2 for unusable input, 3 for a result that should not be used, otherwise 1.
+fn exit_code(error: &anyhow::Error) -> u8 {
+    match error {
+        _ if error.is::<BadInput>() => 2,
+        _ if error.is::<RejectedResult>() => 3,
+        _ => 1,
     }
 }
 
@@ -172,7 +212,10 @@ fn one_line(error: &anyhow::Error) -> String {
 
 /// Form of the log on stderr.
 enum LogForm {
-    /// Lines to read.
+    /// Lines without time, for a command that a person waits for.
+    Plain,
+    /// Lines with time, for the service.
+    #[cfg(feature = "service")]
     Text,
     /// One JSON object per line (an option of `serve`).
     #[cfg(feature = "service")]
@@ -187,8 +230,10 @@ fn log_form(cli: &Cli) -> LogForm {
         #[cfg(feature = "service")]
         Command::Serve(args) if args.log_format == serve::LogFormat::Json => LogForm::Json,
         #[cfg(feature = "service")]
+        Command::Serve(_) => LogForm::Text,
+        #[cfg(feature = "service")]
         Command::RunJob | Command::ReadUpload => LogForm::Child,
-        _ => LogForm::Text,
+        _ => LogForm::Plain,
     }
 }
 
@@ -204,7 +249,6 @@ fn default_level(cli: &Cli) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn command_line_is_consistent() {

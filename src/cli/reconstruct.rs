@@ -2,13 +2,15 @@
 
 use super::bad_input::BadInput;
 use super::body::read_body;
+use super::option_flags::OptionArgs;
 use super::output_folder::{publish, require_free, staging_folder};
 use super::progress_display::ProgressDisplay;
 use super::solve::{SolveError, solve, use_threads};
+use super::summary::Summary;
 use crate::pipeline::config::DEFAULT_BODY;
 use crate::pipeline::{Options, PipelineError};
 use crate::progress::{Progress, ProgressEvent};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// Arguments of `reconstruct`.
@@ -19,28 +21,25 @@ pub(super) struct Args {
     /// Result folder; must be empty or not exist
     #[arg(long)]
     out: PathBuf,
-    /// JSON file with job options
-    #[arg(long)]
-    options: Option<PathBuf>,
-    /// Body model, a SMPL .npz or .pkl file [default: the embedded model]
-    #[arg(long)]
-    body: Option<PathBuf>,
-    /// JSON file that maps face and foot keypoints to vertices of that body model
+    /// JSON file that maps face and foot keypoints to vertices of the body model of --body
     #[arg(long, requires = "body")]
     landmarks: Option<PathBuf>,
     /// Number of solver threads; 0 uses all cores
     #[arg(long, default_value_t = 0)]
     threads: usize,
+    #[command(flatten)]
+    options: OptionArgs,
 }
 
 /// Runs the command.
+///
+/// # Errors
+/// [`BadInput`] for an unusable session or option; [`RejectedResult`](super::summary::RejectedResult) after the result was
+/// written, if its verdict is `reject`.
 pub(super) fn run(args: Args) -> anyhow::Result<()> {
-    let options = read_options(args.options.as_deref())?;
-    if args.body.is_none() && options.body != DEFAULT_BODY {
-        let reason = "registered body names exist in the service only; pass the body file with --body";
-        return Err(BadInput(format!("/body: {reason}")).into());
-    }
-    let body = read_body(args.body.as_deref(), args.landmarks.as_deref())?;
+    let mut options = args.options.read()?;
+    let body = body_file(&args.options, &mut options)?;
+    let body = read_body(body.as_deref(), args.landmarks.as_deref())?;
     require_free(&args.out)?;
     use_threads(args.threads);
     let display = Arc::new(ProgressDisplay::new());
@@ -49,19 +48,23 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let staging = staging_folder(&args.out)?;
     let solved = solve(&args.session, None, &options, &body, None, &staging, &Progress::new(show, Arc::default()));
     display.finish();
-    let quality = publish(&staging, &args.out, solved.map_err(input_or_failure))?;
-    println!("{}: {}", args.out.display(), serde_json::to_string(&quality)?);
-    Ok(())
+    publish(&staging, &args.out, solved.map_err(input_or_failure))?;
+    let summary = Summary::of_folder(&args.out)?;
+    print!("{summary}");
+    println!("result: {0}; to look at it: wandless view {0}", args.out.display());
+    summary.accepted()
 }
 
-/// Reads options from a JSON file; without a file the defaults.
-pub(super) fn read_options(file: Option<&Path>) -> anyhow::Result<Options> {
-    let Some(file) = file else { return Ok(Options::default()) };
-    let bad = |reason: String| {
-        BadInput(format!("{}: {reason}; see `options` in the API description (`wandless openapi`)", file.display()))
-    };
-    let text = std::fs::read(file).map_err(|error| bad(error.to_string()))?;
-    Ok(serde_json::from_slice(&text).map_err(|error| bad(error.to_string()))?)
+/// The body model's file from the flag `--body`, which in this command names a file.
+fn body_file(given: &OptionArgs, options: &mut Options) -> Result<Option<PathBuf>, BadInput> {
+    if options.body == DEFAULT_BODY {
+        return Ok(None);
+    }
+    if !given.has_flag("body") {
+        let reason = "registered body names exist in the service only; pass the body file with --body";
+        return Err(BadInput(format!("/body: {reason}")));
+    }
+    Ok(Some(PathBuf::from(std::mem::replace(&mut options.body, DEFAULT_BODY.to_owned()))))
 }
 
 /// Separates unusable input (exit code 2) from failures.

@@ -3,7 +3,8 @@
 use crate::body::BodyModel;
 use crate::export::{self, ResultContext};
 use crate::pipeline::checkpoints::Checkpoints;
-use crate::pipeline::{self, Options, PipelineError};
+use crate::pipeline::config::Extrinsics;
+use crate::pipeline::{self, CameraFacts, Options, PipelineError};
 use crate::progress::Progress;
 use crate::session::reconstruction::Quality;
 use crate::session::upload::{self, UploadError, UploadLimits};
@@ -40,13 +41,14 @@ pub(super) fn solve(
     out: &Path,
     progress: &Progress,
 ) -> Result<Quality, SolveError> {
-    let loaded = upload::read_path(session, &UploadLimits::default())?;
-    for warning in &loaded.warnings {
+    let mut loaded = upload::read_path(session, &UploadLimits::default())?;
+    for warning in loaded.warnings.iter().cloned().chain(ignored_poses(options, &CameraFacts::of(&loaded.session))) {
         tracing::warn!("{warning}");
     }
     if sha256.is_some_and(|sha256| sha256 != loaded.sha256) {
         return Err(SolveError::Changed);
     }
+    loaded.session.fps = options.fps.unwrap_or(loaded.session.fps); // the result's files state the rate that was used
     let checkpoints = match checkpoints {
         Some(folder) => Checkpoints::in_folder(folder, &loaded.sha256, options, body),
         None => Checkpoints::none(),
@@ -61,6 +63,18 @@ pub(super) fn solve(
     };
     export::write_result(out, &loaded.session, &context, &reconstruction)?;
     Ok(reconstruction.report.quality)
+}
+
+/// A warning where the session gives camera poses that the options do not use.
+pub(super) fn ignored_poses(options: &Options, cameras: &[CameraFacts]) -> Option<String> {
+    let n = cameras.iter().filter(|camera| camera.has_extrinsics).count();
+    (n > 0 && options.extrinsics == Extrinsics::Estimate).then(|| {
+        format!(
+            "the session gives R and t of {n} of {} cameras, which `extrinsics: estimate` ignores; use \"fixed\" or \"refine\" \
+             to keep them and their world",
+            cameras.len()
+        )
+    })
 }
 
 /// Sets the number of solver threads of this process; 0 uses all cores.

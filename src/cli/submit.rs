@@ -2,9 +2,12 @@
 
 use super::bad_input::BadInput;
 use super::client::{Client, JobAnswer};
+use super::option_flags::OptionArgs;
 use super::output_folder::{publish, require_free, staging_folder};
 use super::progress_display::ProgressDisplay;
-use super::reconstruct::read_options;
+use super::solve::ignored_poses;
+use super::summary::Summary;
+use crate::pipeline::Options;
 use anyhow::{Context, bail};
 use std::fs::File;
 use std::io::{Read, Seek};
@@ -23,17 +26,20 @@ pub(super) struct Args {
     /// API key; an environment variable is not shown in the list of processes, unlike an argument
     #[arg(long, env = "WANDLESS_KEY", hide_env_values = true)]
     key: Option<String>,
-    /// JSON file with job options
-    #[arg(long)]
-    options: Option<PathBuf>,
     /// Result folder; must be empty or not exist. Without it the result is not downloaded
     #[arg(long)]
     out: Option<PathBuf>,
+    #[command(flatten)]
+    options: OptionArgs,
 }
 
 /// Runs the command.
+///
+/// # Errors
+/// [`BadInput`] for an unusable session or option; [`RejectedResult`](super::summary::RejectedResult) after the download, if
+/// the verdict is `reject`.
 pub(super) fn run(args: Args) -> anyhow::Result<()> {
-    let options = serde_json::to_value(read_options(args.options.as_deref())?)?;
+    let options = args.options.read()?;
     if let Some(out) = &args.out {
         require_free(out)?;
     }
@@ -42,19 +48,25 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     if let Some(out) = &args.out {
         download(&client, &job.id, out)?;
     }
-    println!("{}/v1/jobs/{}: {}", client.server(), job.id, job.quality.unwrap_or_default());
-    Ok(())
+    let summary =
+        Summary::of_documents(&client.result_file(&job.id, "report")?, &client.result_file(&job.id, "cameras")?)?;
+    print!("{summary}");
+    println!("job: {0}/v1/jobs/{1}; to look at it: {0}/#/jobs/{1}", client.server(), job.id);
+    if let Some(out) = &args.out {
+        println!("result: {}", out.display());
+    }
+    summary.accepted()
 }
 
 /// Uploads a session, creates its job and waits until the job has succeeded.
-pub(super) fn submit(client: &Client, session: &Path, options: &serde_json::Value) -> anyhow::Result<JobAnswer> {
+pub(super) fn submit(client: &Client, session: &Path, options: &Options) -> anyhow::Result<JobAnswer> {
     let unreadable = |error: anyhow::Error| BadInput(format!("{}: {error:#}", session.display()));
     let upload = open(session).map_err(unreadable)?;
     let stored = client.upload(&upload.file, upload.media_type)?;
-    for warning in &stored.warnings {
-        eprintln!("{warning}");
+    for warning in stored.warnings.iter().cloned().chain(ignored_poses(options, &stored.camera_facts)) {
+        eprintln!("warning: {warning}");
     }
-    follow(client, client.create_job(&stored.id, options)?)
+    follow(client, client.create_job(&stored.id, &serde_json::to_value(options)?)?)
 }
 
 /// Shows the progress of the job until it ends.

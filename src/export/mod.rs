@@ -6,6 +6,7 @@
 //! The JSON files are written from the [`Reconstruction`], the formats of other programs from a [`Take`] of it, which can
 //! also be read back from the JSON files ([`read_take`]). The manifest lists what a format cannot represent.
 
+mod additions;
 mod blender;
 mod body_mesh;
 mod buffers;
@@ -40,6 +41,7 @@ mod usd;
 #[cfg(test)]
 mod tests;
 
+pub use additions::{AdditionError, missing_formats, write_additions};
 pub use body_mesh::{BodyMesh, default_body_mesh};
 pub use context::ResultContext;
 pub use formats::{Representation, RepresentationData, name};

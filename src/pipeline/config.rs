@@ -2,9 +2,10 @@
 
 use super::error::PipelineError;
 use crate::session::reconstruction::ExportFormat;
-use crate::session::recording::UpAxis;
+use crate::session::recording::{FPS_RANGE, UpAxis};
 use crate::session::{Session, View};
 use serde::{Deserialize, Deserializer, Serialize};
+use std::borrow::Cow;
 
 /// Options of one job; names and defaults are those of the HTTP API.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -14,6 +15,8 @@ pub struct Options {
     /// Number of people, where it is known.
     #[cfg_attr(feature = "service", schema(minimum = 1))]
     pub people: Option<usize>,
+    /// Frame rate that replaces the session's, frames per second.
+    pub fps: Option<f64>,
     /// Treatment of the cameras' poses.
     pub extrinsics: Extrinsics,
     /// Treatment of the cameras' intrinsics.
@@ -55,6 +58,7 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             people: None,
+            fps: None,
             extrinsics: Extrinsics::Estimate,
             intrinsics: IntrinsicsMode::Fixed,
             scale: ScaleSource::Body,
@@ -103,7 +107,18 @@ impl CameraFacts {
     }
 }
 
+/// Plausible heights of people, m.
+pub const HEIGHT_RANGE: [f64; 2] = [0.5, 2.6];
+
 impl Options {
+    /// The session at the frame rate of the options.
+    pub fn at_rate<'s>(&self, session: &'s Session) -> Cow<'s, Session> {
+        match self.fps {
+            Some(fps) if fps != session.fps => Cow::Owned(Session { fps, ..session.clone() }),
+            _ => Cow::Borrowed(session),
+        }
+    }
+
     /// Checks the options against the session's cameras; `bodies`: names of the registered body models, without the
     /// embedded one.
     ///
@@ -132,6 +147,13 @@ impl Options {
         if self.people == Some(0) {
             return refuse("/people", "0 people cannot be solved; give 1 or more, or null");
         }
+        let [min, max] = FPS_RANGE;
+        if let Some(fps) = self.fps.filter(|fps| !(min..=max).contains(fps)) {
+            return refuse(
+                "/fps",
+                format!("{fps} frames per second are not a frame rate; give {min} to {max}, or null"),
+            );
+        }
         if self.up_axis == UpAxis::X {
             return refuse("/up_axis", "up axis x is not supported; use \"y\" or \"z\"");
         }
@@ -141,8 +163,10 @@ impl Options {
     fn check_scale(&self, known: &[CameraFacts]) -> Result<(), PipelineError> {
         match &self.scale {
             ScaleSource::Body => Ok(()),
-            ScaleSource::Height { metres, .. } if !(0.5..=2.6).contains(metres) => {
-                refuse("/scale/metres", format!("{metres} m is not a plausible height of a person; give 0.5 to 2.6 m"))
+            ScaleSource::Height { metres, .. } if !(HEIGHT_RANGE[0]..=HEIGHT_RANGE[1]).contains(metres) => {
+                let [min, max] = HEIGHT_RANGE;
+                let reason = format!("{metres} m is not a plausible height of a person; give {min} to {max} m");
+                refuse("/scale/metres", reason)
             }
             ScaleSource::Height { who, .. } if who != "tallest" && who.parse::<i64>().is_err() => {
                 refuse("/scale/who", format!("{who:?} is neither \"tallest\" nor a track id"))

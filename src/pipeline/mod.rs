@@ -23,7 +23,7 @@
 //! adjustment of estimated or refined cameras runs exactly once per calibration: in pass 4 on repaired detections, or
 //! without that pass at the end of pass 3.
 //!
-//! Nouns (`calibration`, `capture`, `config`, `error`, `keyframe`) import no stage; stages import nouns and no other stage;
+//! Nouns (`calibration`, `capture`, `config`, `error`, `keyframe`, `option_table`) import no stage; stages import nouns and no other stage;
 //! passes import stages; this file imports passes.
 
 pub mod calibration;
@@ -33,6 +33,8 @@ pub mod config;
 pub mod error;
 pub mod inspection;
 pub mod keyframe;
+pub mod option_reference;
+pub mod option_table;
 pub mod passes;
 pub mod result;
 pub mod stages;
@@ -87,6 +89,7 @@ pub fn reconstruct_with_checkpoints(
     // The caller has already looked up `options.body`.
     options.check(&CameraFacts::of(session), std::slice::from_ref(&options.body))?;
     require_detections(session)?;
+    let session = &*options.at_rate(session);
     let mut stages = progress.stages(stage_weights(options));
     let freedom = match options.extrinsics {
         Extrinsics::Fixed => CameraFreedom::Held,

@@ -3,16 +3,18 @@
 //! `WANDLESS_FAILPOINT=name` kills the process at the first pass of that point, `name:3` at the third, so that the moment
 //! between step i and i + 1 is met every time. `WANDLESS_FAULT=name` breaks one guarantee, so that a check that does not
 //! notice is known to be ineffective (`checks/service/selftest.py`). `WANDLESS_LINGER_MS=150` delays the start of every
-//! stage of a job. Without the feature `failpoints` none of these variables has an effect.
+//! stage of a job. `WANDLESS_LOST_ANSWERS=3` makes one in three COMMITs of sessions and jobs look failed although it was made.
+//! Without the feature `failpoints` none of these variables has an effect.
 
 /// Names of all failpoints, in the order of a job's life.
-pub const FAILPOINTS: [&str; 36] = [
-    "start.locked", "start.migrated", "recover.updated", "recover.committed", "recover.swept", "upload.spooled",
-    "upload.synced", "publish.renamed", "upload.published", "upload.recorded", "session.marked", "session.committed",
-    "session.removed", "enqueue.inserted", "enqueue.committed", "claim.updated", "claim.committed", "child.started",
-    "progress.noted", "child.ended", "result.hashed", "result.published", "finish.written", "finish.filled",
-    "finish.committed", "finish.cleared", "cancel.marked", "cancel.committed", "delete.marked", "delete.committed",
-    "delete.removed", "webhook.due", "webhook.called", "webhook.noted", "stop.drained", "stop.closed",
+pub const FAILPOINTS: [&str; 38] = [
+    "start.locked", "create.written", "create.named", "start.migrated", "recover.updated", "recover.committed",
+    "recover.swept", "upload.spooled", "upload.synced", "publish.renamed", "upload.published", "upload.recorded",
+    "session.marked", "session.committed", "session.removed", "enqueue.inserted", "enqueue.committed", "claim.updated",
+    "claim.committed", "child.started", "progress.noted", "child.ended", "result.hashed", "result.published",
+    "finish.written", "finish.filled", "finish.committed", "finish.cleared", "cancel.marked", "cancel.committed",
+    "delete.marked", "delete.committed", "delete.removed", "webhook.due", "webhook.called", "webhook.noted",
+    "stop.drained", "stop.closed",
 ];
 
 /// Names of all faults, and what each does.
@@ -50,6 +52,7 @@ pub const FAULTS: &[(&str, &str)] = &[
     ("verify.blind", "a changed file is not detected"),
     ("backup.short", "a backup omits a file"),
     ("damage.silent", "a lost database is replaced by an empty one"),
+    ("commit.forgotten", "a repeated report of a recorded result counts as lost"),
     ("seed.random", "the seed of a job differs in every run"),
     ("uploads.unlimited", "an upload is validated without a memory limit"),
     ("uploads.spilled", "an upload leaves a file beside the data folder"),
@@ -86,6 +89,27 @@ pub(crate) fn linger() {
     if let Some(milliseconds) = std::env::var("WANDLESS_LINGER_MS").ok().and_then(|text| text.parse().ok()) {
         std::thread::sleep(std::time::Duration::from_millis(milliseconds));
     }
+}
+
+/// An error after one in `WANDLESS_LOST_ANSWERS` commits, as if its answer were lost. Which ones follows from their number in
+/// no regular order: repetitions would otherwise let the same step meet every loss.
+///
+/// # Errors
+/// See above; never without the feature `failpoints`.
+pub(crate) fn lose_answer() -> std::io::Result<()> {
+    #[cfg(feature = "failpoints")]
+    {
+        use std::sync::atomic::{AtomicU64, Ordering};
+        static COMMITS: AtomicU64 = AtomicU64::new(0);
+        const MIX: u64 = 0x9e37_79b9_7f4a_7c15; // 2^64 divided by the golden ratio: spreads consecutive numbers
+        let one_in = std::env::var("WANDLESS_LOST_ANSWERS").ok().and_then(|text| text.parse::<u64>().ok());
+        let mixed = COMMITS.fetch_add(1, Ordering::SeqCst).wrapping_mul(MIX);
+        let mixed = (mixed ^ (mixed >> 29)).wrapping_mul(MIX) >> 32;
+        if one_in.is_some_and(|n| n > 0 && mixed % n == 0) {
+            return Err(std::io::Error::other("the answer to the COMMIT was lost"));
+        }
+    }
+    Ok(())
 }
 
 /// Whether the environment names this fault.

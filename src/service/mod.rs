@@ -12,6 +12,7 @@
 //! - `child`: a child process: its order, its messages, its log, its end
 //! - `memory`: memory limits of the child processes
 //! - [`validation`]: reads an upload in a child process
+//! - `exports`: formats that are added to a published result
 //! - [`metrics`]: Prometheus metrics
 //! - [`webhooks`]: HTTP calls that report the end of a job
 //! - [`safety`]: backup, restore, verify
@@ -21,6 +22,7 @@
 
 pub mod bodies;
 mod child;
+mod exports;
 pub mod failpoint;
 pub mod http;
 mod memory;

@@ -4,6 +4,9 @@ use crate::body::skeleton::KeypointConvention;
 use crate::geometry::{Intrinsics, Rigid};
 use nalgebra::Vector2;
 
+/// Range of frame rates, frames per second: from time lapse to high speed.
+pub const FPS_RANGE: [f64; 2] = [0.1, 2000.0];
+
 /// Index of a frame on the session's dense time line, from 0; the session's own frame number is `first_frame + index`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize, serde::Deserialize)]
 pub struct FrameIndex(pub usize);

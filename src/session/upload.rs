@@ -11,6 +11,7 @@ mod guard;
 pub(crate) mod json;
 pub(crate) mod limits;
 pub(crate) mod members;
+pub(crate) mod pictures;
 pub(crate) mod raw;
 pub(crate) mod suspicions;
 pub(crate) mod warnings;
@@ -19,6 +20,7 @@ mod zip_index;
 #[cfg(test)]
 mod tests;
 
+use error::shown;
 pub use error::{Fault, UploadError, UploadErrorKind};
 pub use limits::UploadLimits;
 
@@ -125,6 +127,9 @@ fn sniff<R: Read + Seek>(reader: &mut R) -> Result<Container, UploadError> {
         }
         _ if head.trim_ascii_start().first() == Some(&b'{') => Ok(Container::Document),
         [] => Err(Fault::FormatUnknown.with("the file is empty")),
+        head if pictures::is_picture(head) => {
+            Err(Fault::PosesNotDetected.with("the file is a video or an image, which holds no 2D poses"))
+        }
         _ => {
             let start = hex::encode(&head[..head.len().min(8)]);
             Err(Fault::FormatUnknown
@@ -138,22 +143,32 @@ fn read_members<R: Read + Seek>(
     members: &mut Members<R>,
     reading: &mut Reading<'_>,
 ) -> Result<MembersRead, UploadError> {
-    let is_header =
-        |name: &&str| name.strip_suffix("session.json").is_some_and(|f| f.is_empty() || is_enclosing_folder(f));
-    let headers: Vec<String> = members.names().filter(is_header).take(2).map(str::to_owned).collect();
-    let header = match headers.as_slice() {
+    let sessions = session_folders(members);
+    let header = match sessions.as_slice() {
+        [first, others @ ..] if first.is_empty() => {
+            if !others.is_empty() {
+                reading.warnings.add(format!("sessions below this one are ignored: {}", listed(others)));
+            }
+            Some("session.json".to_owned())
+        }
+        [only] if is_enclosing_folder(only) => Some(format!("{only}session.json")),
         [] => None,
-        [header] => Some(header.clone()),
-        [..] if members.contains("session.json") => Some("session.json".to_owned()),
-        [first, second, ..] => {
-            return Err(
-                Fault::SessionAmbiguous.with(format!("the upload contains two sessions, {first:?} and {second:?}"))
-            );
+        several => {
+            let detail = format!("the upload contains sessions in folders below it: {}", listed(several));
+            return Err(UploadError {
+                remedy: "send one of these folders".to_owned(),
+                ..Fault::SessionAmbiguous.with(detail)
+            });
         }
     };
     let survey = foreign::survey(members);
     let is_foreign = match &header {
         None if !survey.has_poses() => {
+            if let [first, ..] = survey.pictures.as_slice() {
+                let n = survey.pictures.len();
+                let detail = format!("the upload contains no 2D poses, but {n} videos or images ({}…)", shown(first));
+                return Err(Fault::PosesNotDetected.with(detail));
+            }
             let missing = "the upload contains no session.json and no pose file of a known dialect".to_owned();
             let detail = std::iter::once(missing).chain(survey.hints).collect::<Vec<_>>().join("; ");
             return Err(Fault::FormatUnknown.with(detail));
@@ -168,6 +183,30 @@ fn read_members<R: Read + Seek>(
     let raw = native::read_members(members, &root, reading)?;
     let files = native::member_names(&raw, &root);
     Ok(MembersRead { raw, format: "native".to_owned(), files })
+}
+
+/// Folders with a `session.json`, with their final slash, in order; the upload itself is the empty name. Copies that macOS adds
+/// to archives, hidden folders and ground truth do not count.
+fn session_folders<R>(members: &Members<R>) -> Vec<String>
+where
+    R: Read + Seek,
+{
+    let is_folder = |folder: &&str| {
+        folder.is_empty()
+            || folder.ends_with('/') && !folder.split('/').any(|p| p.starts_with('.') || p == "gt" || p == "__MACOSX")
+    };
+    let folders = members.names().filter_map(|name| name.strip_suffix("session.json")).filter(is_folder);
+    let mut folders: Vec<String> = folders.map(str::to_owned).collect();
+    folders.sort();
+    folders
+}
+
+/// Names of folders for a message, the first ten of them.
+fn listed(folders: &[String]) -> String {
+    const MAX: usize = 10;
+    let names: Vec<String> = folders.iter().take(MAX).map(|folder| shown(folder.trim_end_matches('/'))).collect();
+    let more = if folders.len() > MAX { format!(" and {} more", folders.len() - MAX) } else { String::new() };
+    format!("{}{more}", names.join(", "))
 }
 
 /// Whether the folder encloses the whole session. `__MACOSX/` does not: it holds copies that macOS adds to archives.

@@ -369,6 +369,47 @@ fn reads_caliscope_points_with_time_stamps() {
 }
 
 #[test]
+fn reads_caliscope_frame_times_as_rate_and_offsets() {
+    let mut text = "sync_index,cam_id,frame_index,frame_time,point_id,img_loc_x,img_loc_y\n".to_owned();
+    for frame in 0..N_FRAMES {
+        for i in 0..CAMERAS.len() {
+            let time = 7.0 + 0.04 * frame as f64 + if i == 2 { 0.012 } else { 0.0 };
+            for (id, [x, y, _]) in people(i, frame, &COCO17)[0].iter().enumerate() {
+                text += &format!("{frame},{},{frame},{time},{id},{x},{y}\n", i + 1);
+            }
+        }
+    }
+    let loaded = read(&vec![calib_toml(), ("xy_rtmpose.csv".to_owned(), text.into_bytes())]).unwrap();
+    assert!((loaded.session.fps - 25.0).abs() < 1e-6, "{}", loaded.session.fps);
+    let offsets: Vec<f64> = loaded.session.views.iter().map(|view| view.time_offset).collect();
+    assert!(offsets[0] == 0.0 && offsets[1].abs() < 1e-9 && (offsets[2] - 0.012).abs() < 1e-9, "{offsets:?}");
+    assert!(!loaded.warnings.iter().any(|line| line.contains("frame rate")), "{:?}", loaded.warnings);
+}
+
+#[test]
+fn files_of_other_formats_are_counted_in_one_warning() {
+    let mut files = openpose(&COCO17);
+    for n in 0..45 {
+        files.push((format!("images/board{n}x.png"), b"\x89PNG\r\n\x1a\n".to_vec()));
+    }
+    files.push(("notes.txt".to_owned(), b"a note".to_vec()));
+    let warnings = read(&files).unwrap().warnings;
+    let lines: Vec<&String> = warnings.iter().filter(|line| line.contains("other formats")).collect();
+    assert!(lines.len() == 1 && lines[0].starts_with("46 files of other formats are ignored ("), "{warnings:?}");
+}
+
+#[test]
+fn videos_are_answered_with_what_to_run_first() {
+    let video = b"\0\0\0\x20ftypisom\0\0\x02\0".to_vec();
+    let error = read(&vec![calib_toml(), ("cam1.mp4".to_owned(), video.clone())]).unwrap_err();
+    assert_eq!(error.code, "poses_not_detected");
+    assert!(error.detail.contains("cam1.mp4") && error.remedy.contains("--write_json"), "{error}");
+    let limits = wandless::session::upload::UploadLimits::default();
+    let single = wandless::session::upload::read_upload(std::io::Cursor::new(video), "cam1.mp4", &limits);
+    assert_eq!(single.unwrap_err().code, "poses_not_detected");
+}
+
+#[test]
 fn rejects_implausible_poses_with_location() {
     let code = |files: &Files| read(files).map_err(|e| (e.code, e.file)).unwrap_err();
     let mut normalised = openpose(&COCO17);

@@ -355,27 +355,3 @@ fn briefly_locked_database_loses_no_request() {
     });
     server.wait_for_state(&id, "succeeded");
 }
-
-#[test]
-fn python_client_covers_the_api() {
-    let python = Command::new("python3").arg("--version").output();
-    if !python.is_ok_and(|output| output.status.success()) {
-        eprintln!("SKIPPED: python3 is not installed");
-        return;
-    }
-    let server = Server::with(&["--set", "webhooks.allowed_networks=[\"127.0.0.0/8\"]"]);
-    let folder = tempfile::tempdir().unwrap();
-    let session = folder.path().join("take.json");
-    std::fs::write(&session, take(20, 1).to_string()).unwrap();
-    let output = Command::new("python3")
-        .args(["-B", concat!(env!("CARGO_MANIFEST_DIR"), "/tests/service/journey.py")])
-        .arg(server.url(""))
-        .arg(&session)
-        .arg(folder.path().join("result"))
-        .env("PYTHONPATH", concat!(env!("CARGO_MANIFEST_DIR"), "/clients/python"))
-        .output()
-        .unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let refused = server.post("/v1/sessions", &[JSON], b"{}");
-    assert!((400..500).contains(&refused.status));
-}

@@ -2,7 +2,7 @@
 
 use crate::http::Answer;
 use crate::server::Server;
-use serde_json::Value;
+use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use sqlx::Row;
 
@@ -128,4 +128,47 @@ fn summary_rows_match_the_files() {
             assert_eq!(person["frames"].as_array().unwrap().len() as i64, row.get::<i64, _>("n_frames"));
         }
     });
+}
+
+#[test]
+fn exports_are_added_once_and_survive_a_restart() {
+    let (server, id) = succeeded();
+    let names = |manifest: &Value| -> Vec<String> {
+        manifest["files"].as_array().unwrap().iter().map(|file| file["name"].as_str().unwrap().to_owned()).collect()
+    };
+    let before = server.get(&format!("/v1/jobs/{id}/result")).expect(200).json();
+    let path = format!("/v1/jobs/{id}/exports");
+    let added = server.post_json(&path, &json!({ "exports": ["glb", "bvh", "glb"] })).expect(200);
+    let after = added.json();
+    assert!(names(&before).iter().all(|name| names(&after).contains(name)));
+    assert_eq!(names(&after).iter().filter(|name| *name == "scene.glb").count(), 1);
+    let again = server.post_json(&path, &json!({ "exports": ["bvh"] })).expect(200);
+    assert_eq!(added.header("etag"), again.header("etag"));
+    let scene = server.get(&format!("/v1/jobs/{id}/artifacts/scene.glb")).expect(200).body;
+    assert!(scene.starts_with(b"glTF"));
+
+    let server = server.killed_and_restarted();
+    assert_eq!(server.get(&format!("/v1/jobs/{id}/artifacts/scene.glb")).expect(200).body, scene);
+    let archive = server.get(&format!("/v1/jobs/{id}/archive")).expect(200);
+    assert_eq!(archive.header("content-type"), "application/zip");
+    let archive = zip::ZipArchive::new(std::io::Cursor::new(archive.body)).unwrap();
+    assert_eq!(archive.len(), names(&after).len() + 1);
+    let verified = std::process::Command::new(env!("CARGO_BIN_EXE_wandless")).arg("verify").arg(server.data()).output();
+    let verified = verified.unwrap();
+    assert!(verified.status.success(), "{}", String::from_utf8_lossy(&verified.stdout));
+    assert!(String::from_utf8_lossy(&verified.stdout).contains("0 damaged, 0 strays"));
+}
+
+#[test]
+fn exports_of_other_jobs_and_formats_are_refused() {
+    let (server, id) = succeeded();
+    let path = format!("/v1/jobs/{id}/exports");
+    server.post_json(&path, &json!({ "exports": ["mp3"] })).expect_problem(400, "malformed");
+    server.post_json(&path, &json!({ "exports": [] })).expect_problem(400, "malformed");
+    let other = format!("/v1/jobs/job_{}/exports", "0".repeat(32));
+    server.post_json(&other, &json!({ "exports": ["glb"] })).expect_problem(404, "not_found");
+    server.get(&format!("/v1/jobs/job_{}/archive", "0".repeat(32))).expect_problem(404, "not_found");
+    let damaged = server.files("results").into_iter().find(|path| path.ends_with("people.json")).unwrap();
+    std::fs::write(&damaged, b"{}").unwrap();
+    server.post_json(&path, &json!({ "exports": ["glb"] })).expect_problem(500, "corrupt");
 }

@@ -30,6 +30,10 @@ pub(super) struct App {
     pub(super) validations: Arc<Semaphore>,
     /// Limits the number of lists that one tenant reads at the same time.
     pub(super) lists: Arc<Turns>,
+    /// Limits the number of archives that are written at the same time: each holds a thread while its client reads.
+    pub(super) archives: Arc<Semaphore>,
+    /// Formats are added to one result at a time: each takes a core and the memory of a result.
+    pub(super) exporting: Arc<Semaphore>,
     /// Inspections of sessions: the finished ones and the turns of the others.
     pub(super) inspections: Arc<Inspections>,
     /// Published files whose digest was compared.
@@ -42,6 +46,9 @@ pub(super) struct App {
 
 /// Uploads validated at the same time: each may hold a session of some hundred megabytes.
 const VALIDATIONS: usize = 2;
+
+/// Archives written at the same time.
+const ARCHIVES: usize = 8;
 
 /// Lists of one tenant at the same time: each can hold some megabytes until its client has read it.
 const LISTS_PER_TENANT: usize = 4;
@@ -62,6 +69,8 @@ impl App {
             allowed_networks,
             validations,
             lists,
+            archives: Arc::new(Semaphore::new(ARCHIVES)),
+            exporting: Arc::new(Semaphore::new(1)),
             inspections: Arc::default(),
             verified: Arc::default(),
             tenant_rates,

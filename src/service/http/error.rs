@@ -207,6 +207,8 @@ impl From<StoreError> for Problem {
             StoreError::Database(sqlx::Error::Database(cause)) => match cause.code().as_deref() {
                 Some("5" | "6" | "261" | "517") => Self::unavailable("busy", "the database is busy"), // BUSY, LOCKED
                 _ if error.is_disk_full() => Self::disk_full(DISK_FULL),
+                // Another request has just stored the same; a repetition finds it.
+                _ if cause.is_unique_violation() => Self::unavailable("busy", "another request is storing the same"),
                 _ => Self::internal(error),
             },
             StoreError::DiskFull { .. } => Self::disk_full(error.to_string()),

@@ -257,7 +257,7 @@ impl JobDocument {
     /// Describes `job` to its client.
     pub(super) fn of(job: Job) -> Self {
         let own = format!("/v1/jobs/{}", job.id);
-        let parts = ["cancel", "events", "result", "cameras", "people", "report"];
+        let parts = ["archive", "cancel", "cameras", "events", "exports", "people", "report", "result"];
         let mut links: BTreeMap<_, _> = parts.into_iter().map(|part| (part, format!("{own}/{part}"))).collect();
         links.insert("artifacts", format!("{own}/artifacts/"));
         links.insert("session", format!("/v1/sessions/{}", job.session));

@@ -2,6 +2,7 @@
 
 mod access;
 mod app;
+mod archive;
 mod body;
 mod conditions;
 mod connections;
@@ -10,6 +11,7 @@ mod deliveries;
 mod descriptors;
 mod error;
 mod events;
+mod exports;
 mod extract;
 mod health;
 mod inspection;
@@ -22,6 +24,7 @@ mod origin;
 mod page;
 mod range;
 mod rate_limit;
+pub mod result_viewer;
 mod results;
 mod routes;
 mod server;

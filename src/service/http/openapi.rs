@@ -3,15 +3,22 @@
 //! The handlers and the types that they read and write derive the document (`utoipa`). [`Description::of`] adds what holds
 //! for groups of operations: ids in paths, access control, problem documents and links.
 
+mod guide;
+mod options;
+
 use super::error;
 use axum::Extension;
 use axum::http::header;
 use axum::response::{Html, IntoResponse};
+use guide::escaped;
 use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 use std::fmt::Write;
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 use utoipa::PartialSchema;
+
+/// A description that is written when it is first asked for: few starts of the service need it.
+pub(super) type LazyDescription = LazyLock<Description, Box<dyn FnOnce() -> Description + Send>>;
 
 /// The description of the API.
 pub(super) struct Description {
@@ -24,14 +31,14 @@ pub(super) struct Description {
 /// Get this description.
 #[utoipa::path(get, path = "/openapi.json", operation_id = "getDescription", tag = "service",
     responses((status = 200, description = "The OpenAPI document", body = Value)))]
-pub(super) async fn document(Extension(description): Extension<Arc<Description>>) -> impl IntoResponse {
+pub(super) async fn document(Extension(description): Extension<Arc<LazyDescription>>) -> impl IntoResponse {
     ([(header::CONTENT_TYPE, "application/json")], description.json.clone())
 }
 
 /// Get the description as a page to read.
 #[utoipa::path(get, path = "/docs", operation_id = "getDocs", tag = "service",
     responses((status = 200, description = "The page", body = String, content_type = "text/html")))]
-pub(super) async fn page(Extension(description): Extension<Arc<Description>>) -> impl IntoResponse {
+pub(super) async fn page(Extension(description): Extension<Arc<LazyDescription>>) -> impl IntoResponse {
     let policy = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; frame-ancestors 'none'";
     ([(header::CONTENT_SECURITY_POLICY, policy)], Html(description.page.clone()))
 }
@@ -70,6 +77,7 @@ impl Description {
             }
         }
         document["paths"] = json!(paths);
+        options::describe(&mut document["components"]["schemas"]);
         close_answers(&mut document["components"]["schemas"]);
         let json = serde_json::to_string_pretty(&document).expect("a JSON value serialises");
         Self { json, page: html(&paths, &document["components"]["schemas"]) }
@@ -86,6 +94,7 @@ fn complete(path: &str, operation: &mut Value) {
         common.extend(["401", "403", "429", "503"]);
         operation["security"] = json!([{}, { "key": [] }, { "browser": [] }]);
     }
+    describe_bytes(operation);
     let schema = json!({ "$ref": "#/components/schemas/Problem" });
     let Some(responses) = operation["responses"].as_object_mut() else { return };
     for status in common {
@@ -95,6 +104,20 @@ fn complete(path: &str, operation: &mut Value) {
         if let Some(meaning) = meaning(status) {
             *response =
                 json!({ "description": meaning, "content": { "application/problem+json": { "schema": schema } } });
+        }
+    }
+}
+
+/// Bodies that are not JSON are bytes or lines of text; generators of clients need the type.
+fn describe_bytes(operation: &mut Value) {
+    for place in ["/requestBody/content", "/responses/200/content"] {
+        let content = operation.pointer_mut(place).and_then(Value::as_object_mut);
+        for (media_type, body) in content.into_iter().flatten() {
+            match media_type.as_str() {
+                "application/zip" | "*/*" => body["schema"] = json!({ "type": "string", "format": "binary" }),
+                "application/x-ndjson" => body["schema"] = json!({ "type": "string" }),
+                _ => {}
+            }
         }
     }
 }
@@ -184,6 +207,7 @@ fn html(paths: &BTreeMap<String, Map<String, Value>>, schemas: &Value) -> String
         let text = escaped(&serde_json::to_string_pretty(schema).unwrap_or_default());
         let _ = writeln!(types, "<h3 id=\"{name}\">{name}</h3>\n<pre>{text}</pre>");
     }
+    let guide = guide::guide();
     format!(
         "<!doctype html>\n<html lang=\"en\"><meta charset=\"utf-8\"><title>wandless: HTTP API</title>\n\
          <style>body {{ font: 15px/1.5 sans-serif; max-width: 70em; margin: 2em auto; padding: 0 1em }} \
@@ -191,11 +215,7 @@ fn html(paths: &BTreeMap<String, Map<String, Value>>, schemas: &Value) -> String
          pre {{ background: #f4f4f4; padding: 1em; overflow: auto }}</style>\n\
          <h1>wandless: HTTP API</h1>\n<p>The same as an OpenAPI 3.1 document: <a href=\"/openapi.json\">openapi.json</a>. \
          Errors are problem documents with a code, a location and a remedy (<a href=\"#Problem\">Problem</a>).</p>\n\
-         <table><tr><th>Route</th><th>Purpose</th><th>Answers</th><th>Errors</th></tr>\n{rows}</table>\n\
+         {guide}<h2>Routes</h2>\n<table><tr><th>Route</th><th>Purpose</th><th>Answers</th><th>Errors</th></tr>\n{rows}</table>\n\
          <h2>Types</h2>\n{types}</html>\n"
     )
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }

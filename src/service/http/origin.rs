@@ -55,6 +55,11 @@ fn requested_host(head: &Parts) -> Option<&str> {
     of_target.or_else(|| head.headers.get(header::HOST)?.to_str().ok())
 }
 
+/// Whether a `Host` header names the loopback.
+pub(super) fn is_loopback_name(requested: &str) -> bool {
+    is_known(requested, &[])
+}
+
 fn is_known(requested: &str, allowed: &[String]) -> bool {
     let Ok(authority) = requested.parse::<Authority>() else { return false };
     let host = authority.host().trim_end_matches('.');

@@ -8,6 +8,7 @@ use super::extract::{ApiPath, JobPath};
 use super::range::{Part, requested_part};
 use crate::service::metrics::Held;
 use crate::service::queue::job::JobState;
+use crate::service::store::Tenant;
 use crate::service::store::artifacts::{self, Artifact, digest_of};
 use axum::body::Body;
 use axum::extract::FromRequestParts;
@@ -25,9 +26,9 @@ use utoipa::{IntoParams, IntoResponses, ToSchema};
 
 /// Everything of a request for a file but its path.
 pub(super) struct FileRequest {
-    app: App,
-    caller: Caller,
-    headers: HeaderMap,
+    pub(super) app: App,
+    pub(super) caller: Caller,
+    pub(super) headers: HeaderMap,
 }
 
 impl FromRequestParts<App> for FileRequest {
@@ -43,7 +44,7 @@ impl FromRequestParts<App> for FileRequest {
 #[derive(ToSchema)]
 #[schema(value_type = Object)]
 #[allow(dead_code)]
-struct JsonFile(Value);
+pub(super) struct JsonFile(Value);
 
 /// Answers of the routes to JSON files.
 #[derive(IntoResponses)]
@@ -143,12 +144,9 @@ pub(super) async fn artifact(path: ApiPath<ArtifactPath>, request: FileRequest) 
 
 impl FileRequest {
     /// Sends the file `name` of the job `id`, or the requested part of it.
-    async fn answer(self, id: &str, name: &str) -> Result<Response, Problem> {
+    pub(super) async fn answer(self, id: &str, name: &str) -> Result<Response, Problem> {
         let Self { app, caller: Caller { tenant }, headers } = self;
-        let job = app.queue.get(&tenant, id).await?.ok_or_else(|| Problem::not_found("job"))?;
-        let JobState::Succeeded { result_fence, .. } = job.state else {
-            return Err(not_ready(id, job.state.phase().name()));
-        };
+        let result_fence = published_fence(&app, &tenant, id).await?;
         let artifact = artifacts::get(&app.store, id, name).await?.ok_or_else(|| no_such_file(id))?;
         let path = app.store.folders.result(id, result_fence).join(&artifact.name);
         let tag = format!("\"{}\"", artifact.sha256);
@@ -159,10 +157,24 @@ impl FileRequest {
         let part = requested_part(&headers, &tag, artifact.bytes)?;
         match undamaged(&app, &artifact, path, part).await? {
             Ok(file) => send(&artifact, file, &tag, part, Held::new(&app.metrics)).await,
-            Err(_) if app.queue.get(&tenant, id).await?.is_none() => Err(Problem::not_found("job")), // deleted meanwhile
+            // Deleted meanwhile, or replaced by a result with further formats.
+            Err(_) if published_fence(&app, &tenant, id).await? != result_fence => Err(replaced()),
             Err(damage) => Err(corrupt(&artifact, &damage)),
         }
     }
+}
+
+/// The fence of the published result of a job.
+pub(super) async fn published_fence(app: &App, tenant: &Tenant, id: &str) -> Result<i64, Problem> {
+    let job = app.queue.get(tenant, id).await?.ok_or_else(|| Problem::not_found("job"))?;
+    match job.state {
+        JobState::Succeeded { result_fence, .. } => Ok(result_fence),
+        other => Err(not_ready(id, other.phase().name())),
+    }
+}
+
+fn replaced() -> Problem {
+    Problem::unavailable("busy", "formats were added to the result in this moment")
 }
 
 fn not_ready(id: &str, state: &str) -> Problem {
@@ -174,7 +186,7 @@ fn not_ready(id: &str, state: &str) -> Problem {
     )
 }
 
-fn no_such_file(id: &str) -> Problem {
+pub(super) fn no_such_file(id: &str) -> Problem {
     Problem::new(
         StatusCode::NOT_FOUND,
         "not_found",
@@ -241,7 +253,7 @@ async fn send(artifact: &Artifact, file: File, tag: &str, part: Part, held: Held
 }
 
 /// `Content-Disposition` (RFC 6266) with the file name encoded by RFC 8187, so that no name can break the header.
-fn disposition(name: &str) -> String {
+pub(super) fn disposition(name: &str) -> String {
     let last = name.rsplit('/').next().unwrap_or(name);
     let encoded: String = last
         .bytes()

@@ -2,10 +2,10 @@
 
 use super::app::App;
 use super::error::Problem;
-use super::openapi::Description;
+use super::openapi::{Description, LazyDescription};
 use super::{
-    access, cors, deliveries, descriptors, error, events, health, inspection, jobs, openapi, results, server, sessions,
-    submission, trace, viewer,
+    access, archive, cors, deliveries, descriptors, error, events, exports, health, inspection, jobs, openapi, results,
+    server, sessions, submission, trace, viewer,
 };
 use crate::service::shared::Shared;
 use crate::service::webhooks::Networks;
@@ -46,6 +46,8 @@ fn api() -> OpenApiRouter<App> {
         .routes(routes!(jobs::cancel))
         .routes(routes!(results::manifest))
         .routes(routes!(results::artifact))
+        .routes(routes!(archive::get))
+        .routes(routes!(exports::add))
         .routes(routes!(results::cameras))
         .routes(routes!(results::people))
         .routes(routes!(results::report))
@@ -76,12 +78,13 @@ fn router(app: App) -> Router {
     let api = api().layer(from_fn_with_state(app.clone(), access::to_the_api));
     let monitoring = monitoring().layer(from_fn_with_state(app.clone(), access::to_the_metrics));
     let secrets = secrets().layer(from_fn_with_state(app.clone(), access::to_the_secrets));
-    let (router, description) = api.merge(secrets).merge(monitoring).merge(open()).split_for_parts();
+    let (router, derived) = api.merge(secrets).merge(monitoring).merge(open()).split_for_parts();
+    let description = LazyDescription::new(Box::new(move || Description::of(derived)));
     router
         .merge(viewer::routes())
         .fallback(no_such_route)
         .method_not_allowed_fallback(no_such_method)
-        .layer(Extension(Arc::new(Description::of(description))))
+        .layer(Extension(Arc::new(description)))
         .layer(from_fn(error::write_problems))
         .layer(option_layer(cors::layer(&app.settings.cors_origins)))
         .layer(from_fn_with_state(app.clone(), trace::follow))
@@ -142,7 +145,7 @@ mod tests {
         let n_operations = ids.len();
         ids.sort_unstable();
         ids.dedup();
-        assert_eq!((ids.len(), n_operations), (25, 25));
+        assert_eq!((ids.len(), n_operations), (27, 27));
         assert!(!references.is_empty());
         for flattened in ["sha256", "id"] {
             assert!(document["components"]["schemas"]["Session"]["properties"].get(flattened).is_some(), "{flattened}");

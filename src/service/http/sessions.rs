@@ -5,7 +5,7 @@ use super::app::App;
 use super::error::Problem;
 use super::extract::{ApiPath, ApiQuery, SessionPath};
 use super::page::{self, PageQuery};
-use super::upload::{MediaType, keep, receive, receive_form};
+use super::upload::{MediaType, keep, receive, receive_form, unsupported};
 use crate::service::store::sessions::{self, RemoveError, StoredSession};
 use axum::Json;
 use axum::body::Body;
@@ -14,7 +14,7 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
 use serde_json::{Value, json};
-use utoipa::ToSchema;
+use utoipa::{IntoParams, ToSchema};
 
 /// One page of sessions.
 #[derive(Debug, Serialize, ToSchema)]
@@ -44,7 +44,7 @@ struct SessionDocument {
 #[derive(ToSchema)]
 #[allow(dead_code)] // describes what `receive_form` reads
 struct SessionForm {
-    #[schema(content_media_type = "application/octet-stream")]
+    #[schema(format = Binary, content_media_type = "application/octet-stream")]
     session: String,
 }
 
@@ -63,8 +63,18 @@ fn example_session() -> Value {
     })
 }
 
+/// Headers of an upload.
+#[derive(IntoParams)]
+#[into_params(parameter_in = Header)]
+#[allow(dead_code)] // describes what `trace` reads
+struct UploadHeaders {
+    /// Id of the request in the log of the service and in the answer; without it a new one.
+    #[param(rename = "X-Request-Id", nullable = false)]
+    x_request_id: Option<String>,
+}
+
 /// Upload a session.
-#[utoipa::path(post, path = "/v1/sessions", operation_id = "createSession", tag = "sessions",
+#[utoipa::path(post, path = "/v1/sessions", operation_id = "createSession", tag = "sessions", params(UploadHeaders),
     request_body(content((SessionDocument = "application/json", example = json!(example_session())),
         (inline(SessionForm) = "multipart/form-data"), ("application/zip"), ("application/x-ndjson"))),
     responses(
@@ -80,9 +90,7 @@ pub(super) async fn create(
     body: Body,
 ) -> Result<Response, Problem> {
     let media_type = MediaType::of(&headers).ok_or_else(|| {
-        Problem::unsupported_media_type(
-            "application/zip, multipart/form-data, application/json or application/x-ndjson",
-        )
+        unsupported(&headers, "application/zip, multipart/form-data, application/json or application/x-ndjson")
     })?;
     let received = match media_type {
         MediaType::Multipart => {

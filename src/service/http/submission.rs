@@ -76,11 +76,19 @@ struct Webhook {
 #[derive(ToSchema)]
 #[allow(dead_code)] // describes what `receive_form` reads
 struct JobForm {
-    #[schema(content_media_type = "application/octet-stream")]
+    #[schema(format = Binary, content_media_type = "application/octet-stream")]
     session: String,
     /// Options as JSON.
     #[schema(required = false, content_media_type = "application/json")]
     options: String,
+}
+
+fn example_job() -> Value {
+    json!({
+        "session": "session_0123456789abcdef0123456789abcdef",
+        "options": { "people": 3, "fps": 25, "scale": { "from": "height", "metres": 1.82, "who": "tallest" } },
+        "labels": { "take": "07" },
+    })
 }
 
 /// Headers of a submission.
@@ -96,7 +104,8 @@ struct SubmissionHeaders {
 
 /// Submit a job.
 #[utoipa::path(post, path = "/v1/jobs", operation_id = "createJob", tag = "jobs", params(SubmissionHeaders),
-    request_body(content((NewJobBody = "application/json"), (inline(JobForm) = "multipart/form-data"))),
+    request_body(content((NewJobBody = "application/json", example = json!(example_job())),
+        (inline(JobForm) = "multipart/form-data"))),
     responses((status = 202, description = "Accepted: the job will reach a final state", body = JobDocument,
             headers(("Location" = String, description = "Path of the job"))),
         (status = 400), (status = 404), (status = 408), (status = 409), (status = 413), (status = 415), (status = 422),

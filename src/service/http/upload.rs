@@ -9,7 +9,7 @@ use crate::service::store::reservation::Reservation;
 use crate::service::store::sessions::{self, Added, SessionSummary};
 use crate::service::store::{Tenant, new_id};
 use crate::service::validation::{self, ValidationError};
-use crate::session::upload::{UploadError, UploadErrorKind};
+use crate::session::upload::{Fault, UploadError, UploadErrorKind};
 use axum::body::Body;
 use axum::http::{HeaderMap, StatusCode, header};
 
@@ -38,6 +38,15 @@ impl MediaType {
             _ => return None,
         })
     }
+}
+
+/// 415; videos and images are answered with what to run first.
+pub(super) fn unsupported(headers: &HeaderMap, accepted: &str) -> Problem {
+    let media_type = headers.get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok()).unwrap_or_default();
+    if media_type.starts_with("video/") || media_type.starts_with("image/") {
+        return upload_problem(Fault::PosesNotDetected.with("a video or an image holds no 2D poses"));
+    }
+    Problem::unsupported_media_type(accepted)
 }
 
 /// A complete upload and the space that it occupies until its row exists.
@@ -165,8 +174,17 @@ pub(super) async fn keep(app: &App, tenant: &Tenant, received: Received) -> Resu
     let id = kept.await.map_err(Problem::internal)??;
     let added = sessions::add(&app.store, tenant, &id, &summary, app.settings.tenants.max_bytes).await;
     failpoint("upload.recorded");
-    if !added.as_ref().is_ok_and(|added| added.is_new) {
-        app.store.remove_files("sessions", &id).await; // the same bytes arrived twice at the same time, or the row was refused
+    if added.as_ref().is_ok_and(|added| added.is_new) {
+        return Ok(added?);
+    }
+    // The same bytes arrived twice at the same time, or the row was refused. An error can also mean that the answer to the
+    // COMMIT was lost: then the row is there, and the bytes belong to it.
+    match sessions::get(&app.store, tenant, &id).await {
+        Ok(Some(session)) => return Ok(Added { session, is_new: true }),
+        Ok(None) => app.store.remove_files("sessions", &id).await,
+        Err(error) => {
+            tracing::warn!(%error, session.id = id, "an upload may have no row; the next start removes it then")
+        }
     }
     Ok(added?)
 }

@@ -3,7 +3,6 @@
 //! The page cannot load anything from other sites or run inline code: its `Content-Security-Policy` allows only its own
 //! scripts, styles and requests.
 
-use super::app::App;
 use super::conditions::is_unchanged;
 use super::error::Problem;
 use crate::export::{BodyMesh, default_body_mesh};
@@ -39,8 +38,13 @@ The API is at <a href=\"/v1/jobs\">/v1</a>. To get the viewer, install Node.js 2
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: \
      blob:; connect-src 'self'; font-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
+/// Whether the program contains the page.
+pub(super) fn has_page() -> bool {
+    !ASSETS.is_empty()
+}
+
 /// The viewer's routes.
-pub(super) fn routes() -> Router<App> {
+pub(super) fn routes<S: Clone + Send + Sync + 'static>() -> Router<S> {
     Router::new()
         .route("/", get(page))
         .route("/assets/default-body.bin", get(default_body))

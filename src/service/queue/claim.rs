@@ -1,15 +1,13 @@
-//! Worker operations on the queue: claim, heartbeat, finish. Each write checks the claim's fence.
+//! Worker operations on the queue: claim and heartbeat. Each write checks the claim's fence.
 
 use super::handle::Queue;
-use super::job::{JobError, JobProgress, Submitter};
-use super::outcome::{ClaimOutcome, next_phase};
+use super::job::{JobProgress, Submitter};
 use super::phase::Phase;
+use super::recovery::{Orphans, release_orphans};
 use super::rows::phase_from_row;
 use crate::service::failpoint::{failpoint, fault};
-use crate::service::store::artifacts::{self, Artifact};
 use crate::service::store::database::WriteTransaction;
 use crate::service::store::error::StoreError;
-use crate::service::store::summary::Summary;
 use sqlx::Row;
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
@@ -48,24 +46,6 @@ pub enum ClaimStatus {
     Lost,
 }
 
-/// A result in its final folder whose rows are not yet written.
-#[derive(Debug)]
-pub struct Published {
-    /// Files of the result.
-    pub artifacts: Vec<Artifact>,
-    /// Summary rows of the result.
-    pub summary: Summary,
-}
-
-/// Result of [`Queue::finish`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Finished {
-    /// The job is now in this state.
-    Recorded(Phase),
-    /// The claim was no longer valid; nothing was written.
-    Lost,
-}
-
 impl Queue {
     /// Waits until a job may be claimable: after a wake-up, or after some seconds, because free disk space and the end of a
     /// job's wait wake no worker.
@@ -88,6 +68,7 @@ impl Queue {
         if fault("claim.clocked") && self.has_jobs_dated_in_the_future().await? {
             return Ok(None);
         }
+        self.release_strays().await?;
         if !self.has_queued_jobs().await? || !self.has_space()? {
             return Ok(None);
         }
@@ -124,10 +105,32 @@ impl Queue {
             options: serde_json::from_str(row.try_get("options")?)?,
         };
         failpoint("claim.updated");
-        transaction.commit().await?;
+        self.active.add(&claim.job, claim.fence);
+        if let Err(error) = self.store.commit(transaction).await {
+            self.active.lose(&claim.job, claim.fence);
+            return Err(error.into());
+        }
         failpoint("claim.committed");
         self.announce(&claim.job);
         Ok(Some(claim))
+    }
+
+    /// Returns jobs to the queue whose claim was committed although this process saw an error.
+    async fn release_strays(&self) -> Result<(), StoreError> {
+        if !self.active.take_strays() {
+            return Ok(());
+        }
+        match release_orphans(self).await {
+            Ok(Orphans { requeued, canceled }) if requeued + canceled > 0 => {
+                tracing::warn!(requeued, canceled, "jobs whose claim was committed without an answer were put back");
+                Ok(())
+            }
+            Ok(_) => Ok(()),
+            Err(error) => {
+                self.active.note_strays();
+                Err(error)
+            }
+        }
     }
 
     async fn has_queued_jobs(&self) -> Result<bool, StoreError> {
@@ -207,64 +210,6 @@ impl Queue {
         self.announce(&claim.job);
         Ok(())
     }
-
-    /// Records the outcome of a claim, all rows in one transaction.
-    ///
-    /// # Errors
-    /// When the store fails; nothing is recorded then, and the call can be repeated.
-    pub async fn finish(
-        &self,
-        claim: &Claim,
-        outcome: &ClaimOutcome<Published>,
-        max_crashes: u32,
-    ) -> Result<Finished, StoreError> {
-        let mut transaction = self.store.write().await?;
-        let row = sqlx::query(
-            "SELECT state, crashes FROM jobs WHERE id = ? AND fence = ? AND state IN ('running', 'canceling')",
-        )
-        .bind(&claim.job)
-        .bind(claim.fence);
-        let Some(row) = row.fetch_optional(&mut *transaction).await? else { return Ok(Finished::Lost) };
-        let phase = phase_from_row(&row)?;
-        let wait = match outcome {
-            ClaimOutcome::Failed(error) if phase == Phase::Running && error.is_of_machine() => {
-                self.deferrals().next_wait(&claim.job)
-            }
-            _ => None,
-        };
-        let next = match wait {
-            Some(_) => Phase::Queued,
-            None => next_phase(phase, outcome, row.try_get("crashes")?, max_crashes),
-        };
-        write_outcome(&mut transaction, claim, outcome, next, wait).await?;
-        failpoint("finish.written");
-        if let (Phase::Succeeded, ClaimOutcome::Succeeded(published)) = (next, outcome) {
-            write_result_size(&mut transaction, claim, &published.artifacts).await?;
-            artifacts::insert(&mut transaction, &claim.job, &published.artifacts).await?;
-            published.summary.insert(&mut transaction, &claim.job).await?;
-        }
-        failpoint("finish.filled");
-        transaction.commit().await?;
-        failpoint("finish.committed");
-        if let (Some(wait), ClaimOutcome::Failed(error)) = (wait, outcome) {
-            self.deferrals().defer(&claim.job, Instant::now(), wait);
-            let (code, detail, wait_s) = (&error.code, &error.detail, wait.as_secs());
-            tracing::warn!(code, detail, wait_s, "the machine failed the job; it waits for its next try");
-        }
-        if next == Phase::Queued {
-            self.work.notify_one();
-        }
-        if next.is_final() {
-            self.deferrals().forget(&claim.job);
-            self.store.remove_files("checkpoints", &claim.job).await;
-        }
-        if next != Phase::Succeeded {
-            self.store.remove_files("results", &claim.job).await; // no row will ever refer to them
-        }
-        failpoint("finish.cleared");
-        self.announce(&claim.job);
-        Ok(Finished::Recorded(next))
-    }
 }
 
 /// Returns the tenant with queued jobs that was served the longest ago, and moves it to the end of the order.
@@ -276,69 +221,11 @@ async fn next_tenant(
     let name = sqlx::query_scalar(
         "UPDATE tenants SET turn = 1 + (SELECT max(turn) FROM tenants)
          WHERE name = (SELECT name FROM tenants
-                       WHERE EXISTS (SELECT 1 FROM jobs WHERE state = 'queued' AND tenant = name
+                       WHERE n_queued > 0 AND n_running + n_canceling < ?1
+                         AND EXISTS (SELECT 1 FROM jobs WHERE state = 'queued' AND tenant = name
                                        AND id NOT IN (SELECT value FROM json_each(?2)))
-                         AND (SELECT count(*) FROM jobs WHERE state IN ('running', 'canceling') AND tenant = name) < ?1
                        ORDER BY turn, name LIMIT 1)
          RETURNING name",
     );
     Ok(name.bind(max_running).bind(waiting).fetch_optional(&mut **transaction).await?)
-}
-
-async fn write_outcome(
-    transaction: &mut WriteTransaction,
-    claim: &Claim,
-    outcome: &ClaimOutcome<Published>,
-    next: Phase,
-    wait: Option<Duration>,
-) -> Result<(), StoreError> {
-    let message = match (wait, outcome) {
-        (Some(wait), ClaimOutcome::Failed(error)) => {
-            Some(format!("waiting {} s for the next try: {}", wait.as_secs(), error.detail))
-        }
-        _ => None,
-    };
-    let error = match (next, outcome) {
-        (Phase::Failed, ClaimOutcome::Failed(error)) => Some(serde_json::to_string(error)?),
-        (Phase::Dead, ClaimOutcome::Crashed(how)) => Some(serde_json::to_string(&crashed_too_often(how))?),
-        _ => None,
-    };
-    sqlx::query(
-        "UPDATE jobs SET state = ?1, version = version + 1, boot = NULL, eta_s = NULL, error = ?2,
-                         crashes = crashes + ?3, message = coalesce(?6, message),
-                         fraction = CASE ?1 WHEN 'succeeded' THEN 1.0 ELSE fraction END,
-                         result_fence = CASE ?1 WHEN 'succeeded' THEN fence END,
-                         finished_at = CASE ?1 WHEN 'queued' THEN NULL ELSE strftime('%Y-%m-%dT%H:%M:%fZ', 'now') END
-         WHERE id = ?4 AND fence = ?5",
-    )
-    .bind(next.name())
-    .bind(error)
-    .bind(matches!(outcome, ClaimOutcome::Crashed(_)) && !fault("crashes.uncounted"))
-    .bind(&claim.job)
-    .bind(claim.fence)
-    .bind(message)
-    .execute(&mut **transaction)
-    .await?;
-    Ok(())
-}
-
-/// Writes the size of the result, which counts towards the tenant's quota.
-async fn write_result_size(
-    transaction: &mut WriteTransaction,
-    claim: &Claim,
-    artifacts: &[Artifact],
-) -> Result<(), StoreError> {
-    let bytes: u64 = artifacts.iter().map(|artifact| artifact.bytes).sum();
-    let update = sqlx::query("UPDATE jobs SET result_bytes = ? WHERE id = ?").bind(bytes as i64).bind(&claim.job);
-    update.execute(&mut **transaction).await?;
-    Ok(())
-}
-
-fn crashed_too_often(how: &str) -> JobError {
-    JobError {
-        code: "child_died".to_owned(),
-        detail: format!("the job's process crashed too often; last crash: {how}"),
-        remedy: "read the service log; try a smaller session or more memory".to_owned(),
-        ..JobError::default()
-    }
 }

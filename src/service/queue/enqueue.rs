@@ -112,10 +112,11 @@ impl Queue {
         limits: QueueLimits,
     ) -> Result<Job, EnqueueError> {
         let mut transaction = self.store.write().await?;
-        let idempotency = idempotency.filter(|_| !fault("key.ignored"));
-        if let Some(key) = idempotency
-            && let Some(known) = job_of_key(&mut transaction, &new.tenant, key).await?
+        let id = new_id("job");
+        if let Some(key) = idempotency.filter(|_| !fault("key.ignored"))
+            && !take_key(&mut transaction, new, key, &id).await?
         {
+            let known = job_of_key(&mut transaction, &new.tenant, key).await?;
             transaction.rollback().await?;
             return self.get(&new.tenant, &known).await?.ok_or(EnqueueError::JobDeleted);
         }
@@ -123,10 +124,7 @@ impl Queue {
         require_session(&mut transaction, new).await?;
         require_capacity(&mut transaction, &new.tenant, limits).await?;
         tenants::insert_if_missing(&mut transaction, &new.tenant).await?;
-        let job = insert(&mut transaction, new).await?;
-        if let Some(key) = idempotency {
-            insert_key(&mut transaction, new, key, &job.id).await?;
-        }
+        let job = insert(&mut transaction, new, id).await?;
         failpoint("enqueue.inserted");
         if fault("enqueue.early") {
             tokio::spawn(async move {
@@ -135,7 +133,11 @@ impl Queue {
             });
             return Ok(job);
         }
-        transaction.commit().await?;
+        if let Err(error) = self.store.commit(transaction).await
+            && self.get(&new.tenant, &job.id).await?.is_none()
+        {
+            return Err(error.into()); // a job that is there was committed, and only the answer was lost
+        }
         failpoint("enqueue.committed");
         self.work.notify_one();
         self.announce(&job.id);
@@ -177,19 +179,40 @@ impl Queue {
     }
 }
 
-/// Returns the job id stored with a key; an error if the key was used for another request.
+/// Takes a key for a new job; false if it is taken. The insertion itself finds that out, so that of two simultaneous
+/// requests the second waits for the first.
+async fn take_key(
+    transaction: &mut WriteTransaction,
+    new: &NewJob,
+    key: &IdempotencyKey,
+    job: &str,
+) -> Result<bool, EnqueueError> {
+    let inserted = sqlx::query(
+        "INSERT INTO idempotency (tenant, key, fingerprint, job_id, session_id, session_sha256, created_at)
+         VALUES (?1, ?2, ?3, ?4, ?5, (SELECT sha256 FROM sessions WHERE id = ?5),
+                 strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
+         ON CONFLICT (tenant, key) DO NOTHING",
+    )
+    .bind(new.tenant.name())
+    .bind(&key.key)
+    .bind(&key.fingerprint)
+    .bind(job)
+    .bind(&new.session)
+    .execute(&mut **transaction)
+    .await?;
+    Ok(inserted.rows_affected() == 1)
+}
+
+/// Returns the job id stored with a taken key; an error if the key was used for another request.
 async fn job_of_key(
     transaction: &mut WriteTransaction,
     tenant: &Tenant,
     key: &IdempotencyKey,
-) -> Result<Option<String>, EnqueueError> {
+) -> Result<String, EnqueueError> {
     let row = sqlx::query_as("SELECT fingerprint, job_id FROM idempotency WHERE tenant = ? AND key = ?");
-    let row: Option<(String, String)> =
-        row.bind(tenant.name()).bind(&key.key).fetch_optional(&mut **transaction).await?;
-    match row {
-        Some((fingerprint, _)) if fingerprint != key.fingerprint => Err(EnqueueError::KeyReused),
-        row => Ok(row.map(|(_, job)| job)),
-    }
+    let row: (String, String) = row.bind(tenant.name()).bind(&key.key).fetch_one(&mut **transaction).await?;
+    let (fingerprint, job) = row;
+    if fingerprint == key.fingerprint { Ok(job) } else { Err(EnqueueError::KeyReused) }
 }
 
 async fn require_session(transaction: &mut WriteTransaction, new: &NewJob) -> Result<(), EnqueueError> {
@@ -203,12 +226,12 @@ async fn require_capacity(
     tenant: &Tenant,
     limits: QueueLimits,
 ) -> Result<(), EnqueueError> {
-    let waiting = sqlx::query_scalar("SELECT coalesce(sum(jobs), 0) FROM job_counts WHERE state = 'queued'");
-    let waiting: i64 = waiting.fetch_one(&mut **transaction).await?;
+    let waiting = "SELECT coalesce(sum(n_queued), 0) FROM tenants WHERE n_queued > 0";
+    let waiting: i64 = sqlx::query_scalar(waiting).fetch_one(&mut **transaction).await?;
     if waiting >= limits.total {
         return Err(EnqueueError::Full { waiting });
     }
-    let own = "SELECT coalesce(sum(jobs), 0) FROM job_counts WHERE state = 'queued' AND tenant = ?";
+    let own = "SELECT coalesce((SELECT n_queued FROM tenants WHERE name = ?), 0)";
     let waiting: i64 = sqlx::query_scalar(own).bind(tenant.name()).fetch_one(&mut **transaction).await?;
     if waiting >= limits.tenant {
         return Err(EnqueueError::TenantFull { waiting });
@@ -220,14 +243,14 @@ async fn require_capacity(
     Ok(())
 }
 
-async fn insert(transaction: &mut WriteTransaction, new: &NewJob) -> Result<Job, EnqueueError> {
+async fn insert(transaction: &mut WriteTransaction, new: &NewJob, id: String) -> Result<Job, EnqueueError> {
     let row = sqlx::query(
         "INSERT INTO jobs (id, tenant, session_id, options, labels, priority, webhook, request_id, key_id, state,
                            created_at)
          VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, 'queued', strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
          RETURNING *, NULL AS verdict, NULL AS reasons",
     )
-    .bind(new_id("job"))
+    .bind(id)
     .bind(new.tenant.name())
     .bind(&new.session)
     .bind(new.options.to_string())
@@ -239,25 +262,4 @@ async fn insert(transaction: &mut WriteTransaction, new: &NewJob) -> Result<Job,
     .fetch_one(&mut **transaction)
     .await?;
     Ok(job_from_row(&row)?)
-}
-
-async fn insert_key(
-    transaction: &mut WriteTransaction,
-    new: &NewJob,
-    key: &IdempotencyKey,
-    job: &str,
-) -> Result<(), EnqueueError> {
-    sqlx::query(
-        "INSERT INTO idempotency (tenant, key, fingerprint, job_id, session_id, session_sha256, created_at)
-         VALUES (?1, ?2, ?3, ?4, ?5, (SELECT sha256 FROM sessions WHERE id = ?5),
-                 strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))",
-    )
-    .bind(new.tenant.name())
-    .bind(&key.key)
-    .bind(&key.fingerprint)
-    .bind(job)
-    .bind(&new.session)
-    .execute(&mut **transaction)
-    .await?;
-    Ok(())
 }

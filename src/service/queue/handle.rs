@@ -1,5 +1,6 @@
 //! The queue handle: reads, cancels and deletes jobs, and announces changes.
 
+use super::active::ActiveClaims;
 use super::deferral::Deferrals;
 use super::job::Job;
 use super::phase::Phase;
@@ -20,6 +21,8 @@ pub struct Queue {
     pub(super) store: Store,
     /// Wakes a worker when a job may be claimable.
     pub(super) work: Arc<Notify>,
+    /// Claims of the workers of this process.
+    pub(super) active: Arc<ActiveClaims>,
     /// Jobs that wait after a fault of the machine.
     deferrals: Arc<Mutex<Deferrals>>,
     /// Whether the lack of disk space was logged.
@@ -81,6 +84,7 @@ impl Queue {
         Self {
             store,
             work: Arc::default(),
+            active: Arc::default(),
             deferrals: Arc::default(),
             lacks_space: Arc::default(),
             changes: broadcast::channel(1024).0,
@@ -173,29 +177,23 @@ impl Queue {
 
     async fn try_to_cancel(&self, tenant: &Tenant, id: &str) -> Result<Cancel, StoreError> {
         let mut transaction = self.store.write().await?;
-        sqlx::query(
-            "UPDATE jobs SET state = 'canceled', version = version + 1, eta_s = NULL,
-                             finished_at = strftime('%Y-%m-%dT%H:%M:%fZ', 'now')
-             WHERE id = ? AND tenant = ? AND state = 'queued'",
-        )
-        .bind(id)
-        .bind(tenant.name())
-        .execute(&mut *transaction)
-        .await?;
-        sqlx::query(
-            "UPDATE jobs SET state = 'canceling', version = version + 1
-             WHERE id = ? AND tenant = ? AND state = 'running'",
-        )
-        .bind(id)
-        .bind(tenant.name())
-        .execute(&mut *transaction)
-        .await?;
+        // One statement for both states: between two, a worker could claim the job.
+        let cancel = sqlx::query(
+            "UPDATE jobs SET state = CASE state WHEN 'queued' THEN 'canceled' ELSE 'canceling' END, version = version + 1,
+                             eta_s = CASE state WHEN 'queued' THEN NULL ELSE eta_s END,
+                             finished_at = CASE state WHEN 'queued' THEN strftime('%Y-%m-%dT%H:%M:%fZ', 'now') END
+             WHERE id = ? AND tenant = ? AND state IN ('queued', 'running')",
+        );
+        cancel.bind(id).bind(tenant.name()).execute(&mut *transaction).await?;
         failpoint("cancel.marked");
-        transaction.commit().await?;
+        let committed = self.store.commit(transaction).await;
         failpoint("cancel.committed");
+        let Some(job) = self.get(tenant, id).await? else { return Ok(Cancel::Missing) };
+        if let (Err(error), Phase::Queued | Phase::Running) = (committed, job.state.phase()) {
+            return Err(error.into()); // otherwise only the answer to the commit was lost
+        }
         self.deferrals().forget(id);
         self.announce(id);
-        let Some(job) = self.get(tenant, id).await? else { return Ok(Cancel::Missing) };
         if job.state.phase() == Phase::Canceled {
             self.store.remove_files("checkpoints", id).await; // left by an attempt before a restart
         }
@@ -225,7 +223,11 @@ impl Queue {
         let deleted = sqlx::query("DELETE FROM jobs WHERE id = ? AND tenant = ?").bind(id).bind(tenant.name());
         let deleted = deleted.execute(&mut *transaction).await?;
         failpoint("delete.marked");
-        transaction.commit().await?;
+        if let Err(error) = self.store.commit(transaction).await
+            && self.get(tenant, id).await?.is_some()
+        {
+            return Err(error.into()); // a job that is gone was deleted, and only the answer was lost
+        }
         if deleted.rows_affected() == 0 {
             return Ok(false);
         }

@@ -7,9 +7,12 @@
 //! Why not a queue library: the guarantee needs a fence per attempt, crashes counted per job, and orphans recognised by
 //! their boot id instead of a clock. That takes a few statements on a table that the service needs anyway.
 
+mod active;
 mod claim;
 mod deferral;
 mod enqueue;
+mod exports;
+mod finish;
 mod handle;
 pub mod job;
 pub mod outcome;
@@ -21,7 +24,8 @@ pub mod statistics;
 #[cfg(test)]
 mod tests;
 
-pub use claim::{Claim, ClaimStatus, Finished, Published};
+pub use claim::{Claim, ClaimStatus};
 pub use enqueue::{EnqueueError, IdempotencyKey, NewJob, QueueLimits};
+pub use finish::{Finished, Published};
 pub use handle::{Cancel, JobFilter, LabelFilter, LogLine, Queue};
 pub use phase::Phase;

@@ -28,34 +28,63 @@ pub async fn recover(queue: &Queue) -> Result<Recovered, StoreError> {
     if fault("recovery.forgets") {
         return Ok(Recovered::default());
     }
-    let mut transaction = queue.store.write().await?;
-    if fault("recovery.blames") {
-        let blamed = sqlx::query("UPDATE jobs SET crashes = crashes + 1 WHERE state = 'running'");
-        blamed.execute(&mut *transaction).await?;
-    }
-    let requeued = sqlx::query(
-        "UPDATE jobs SET state = 'queued', version = version + 1, boot = NULL, eta_s = NULL
-         WHERE state = 'running' AND boot <> ?",
-    )
-    .bind(&queue.store.boot)
-    .execute(&mut *transaction)
-    .await?
-    .rows_affected();
-    let canceled = sqlx::query(
-        "UPDATE jobs SET state = 'canceled', version = version + 1, boot = NULL, eta_s = NULL,
-                         finished_at = strftime('%Y-%m-%dT%H:%M:%fZ', 'now')
-         WHERE state = 'canceling' AND boot <> ?",
-    )
-    .bind(&queue.store.boot)
-    .execute(&mut *transaction)
-    .await?
-    .rows_affected();
-    failpoint("recover.updated");
-    transaction.commit().await?;
+    let has_orphans = has_orphans(queue).await?;
+    let Orphans { requeued, canceled } = if has_orphans { release_orphans(queue).await? } else { Orphans::default() };
     failpoint("recover.committed");
     let removed = sweep(queue).await?;
     failpoint("recover.swept");
     Ok(Recovered { requeued, canceled, removed })
+}
+
+/// Counts of the orphans that were released.
+#[derive(Debug, Default)]
+pub(super) struct Orphans {
+    /// Jobs that are queued again.
+    pub(super) requeued: u64,
+    /// Jobs that are canceled.
+    pub(super) canceled: u64,
+}
+
+/// Whether a job runs in another boot. A statement that changes jobs writes to the disk even if it finds none.
+async fn has_orphans(queue: &Queue) -> Result<bool, StoreError> {
+    let any = "SELECT EXISTS (SELECT 1 FROM jobs WHERE state IN ('running', 'canceling') AND boot <> ?)";
+    Ok(sqlx::query_scalar(any).bind(&queue.store.boot).fetch_one(queue.store.read()).await?)
+}
+
+/// Returns the running jobs that no worker of this process holds to the queue, and ends those that were being canceled.
+///
+/// # Errors
+/// When the store fails.
+pub(super) async fn release_orphans(queue: &Queue) -> Result<Orphans, StoreError> {
+    let mut transaction = queue.store.write().await?;
+    let held = queue.active.as_json(); // under the lock, so that no claim is committed in between
+    if fault("recovery.blames") {
+        let blamed = sqlx::query("UPDATE jobs SET crashes = crashes + 1 WHERE state = 'running'");
+        blamed.execute(&mut *transaction).await?;
+    }
+    let requeued: Vec<String> = sqlx::query_scalar(
+        "UPDATE jobs SET state = 'queued', version = version + 1, boot = NULL, eta_s = NULL
+         WHERE state = 'running' AND (boot <> ?1 OR id NOT IN (SELECT value FROM json_each(?2))) RETURNING id",
+    )
+    .bind(&queue.store.boot)
+    .bind(&held)
+    .fetch_all(&mut *transaction)
+    .await?;
+    let canceled: Vec<String> = sqlx::query_scalar(
+        "UPDATE jobs SET state = 'canceled', version = version + 1, boot = NULL, eta_s = NULL,
+                         finished_at = strftime('%Y-%m-%dT%H:%M:%fZ', 'now')
+         WHERE state = 'canceling' AND (boot <> ?1 OR id NOT IN (SELECT value FROM json_each(?2))) RETURNING id",
+    )
+    .bind(&queue.store.boot)
+    .bind(&held)
+    .fetch_all(&mut *transaction)
+    .await?;
+    failpoint("recover.updated");
+    transaction.commit().await?;
+    for job in requeued.iter().chain(&canceled) {
+        queue.announce(job);
+    }
+    Ok(Orphans { requeued: requeued.len() as u64, canceled: canceled.len() as u64 })
 }
 
 /// Removes unfinished uploads, uploads without a row, checkpoints of ended jobs, and all results but the published ones.
@@ -69,20 +98,24 @@ async fn sweep(queue: &Queue) -> Result<usize, StoreError> {
     for name in folders.names("tmp")? {
         remove("tmp", &name);
     }
-    let known = sessions::ids(&queue.store).await?;
-    for name in folders.names("sessions")? {
+    // A table is read only where there is a file that it could name.
+    let uploads = folders.names("sessions")?;
+    let known = if uploads.is_empty() { Vec::new() } else { sessions::ids(&queue.store).await? };
+    for name in uploads {
         if known.binary_search(&name).is_err() {
             remove("sessions", &name);
         }
     }
-    let open_jobs = open_jobs(queue).await?;
-    for job in folders.names("checkpoints")? {
+    let checkpoints = folders.names("checkpoints")?;
+    let open_jobs = if checkpoints.is_empty() { Vec::new() } else { open_jobs(queue).await? };
+    for job in checkpoints {
         if open_jobs.binary_search(&job).is_err() {
             remove("checkpoints", &job);
         }
     }
-    let published = published_fences(queue).await?;
-    for job in folders.names("results")? {
+    let results = folders.names("results")?;
+    let published = if results.is_empty() { BTreeMap::new() } else { published_fences(queue).await? };
+    for job in results {
         match published.get(&job) {
             None => remove("results", &job),
             Some(fence) => {

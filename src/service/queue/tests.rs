@@ -1,5 +1,8 @@
 //! Tests of the queue on a real database in a temporary folder.
 
+mod depth;
+mod ends;
+
 use super::job::{JobError, JobProgress, Submitter};
 use super::outcome::ClaimOutcome;
 use super::recovery::{Recovered, recover};

@@ -130,6 +130,15 @@ pub async fn get(store: &Store, job: &str, name: &str) -> Result<Option<Artifact
     Ok(row.fetch_optional(store.read()).await?)
 }
 
+/// Returns all files of a job by name.
+///
+/// # Errors
+/// When the store fails.
+pub async fn list(store: &Store, job: &str) -> Result<Vec<Artifact>, StoreError> {
+    let rows = sqlx::query_as("SELECT * FROM artifacts WHERE job_id = ? ORDER BY name").bind(job);
+    Ok(rows.fetch_all(store.read()).await?)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

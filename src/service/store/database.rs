@@ -3,17 +3,13 @@
 use super::error::StoreError;
 use super::folders::Folders;
 use super::space::Space;
-use super::{private, shrink};
-use crate::service::failpoint::{failpoint, fault};
-use sqlx::migrate::{MigrateError, Migrator};
-use sqlx::sqlite::{
-    SqliteAutoVacuum, SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
-};
-use sqlx::{ConnectOptions, Connection, Sqlite, SqliteConnection, Transaction};
+use super::{schema, shrink};
+use crate::service::failpoint::{failpoint, fault, lose_answer};
+use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous};
+use sqlx::{Connection, Sqlite, Transaction};
+use std::io;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
-
-pub(super) static MIGRATIONS: Migrator = sqlx::migrate!("./migrations");
+use std::time::{Duration, Instant};
 
 /// How long to wait for a database that another process has locked.
 const BUSY_PATIENCE: Duration = Duration::from_secs(10);
@@ -83,53 +79,45 @@ impl Store {
         let database = folders.database();
         let is_lost =
             |is_empty: bool| Ok::<_, StoreError>(is_empty && folders.hold_files()? && !fault("damage.silent"));
-        let is_empty = std::fs::metadata(&database).map_or(0, |m| m.len()) == 0;
-        if is_lost(is_empty)? {
+        let is_new = is_missing_or_empty(&database);
+        if is_lost(is_new)? {
             return Err(StoreError::DatabaseLost { path: database });
         }
         let options = SqliteConnectOptions::new()
             .filename(&database)
-            .create_if_missing(true)
             .journal_mode(SqliteJournalMode::Wal)
             .foreign_keys(true)
             .busy_timeout(if fault("busy.impatient") { Duration::ZERO } else { BUSY_PATIENCE })
             .pragma("wal_autocheckpoint", "0")
             .pragma("secure_delete", "ON");
-        if is_empty {
-            let created = private::create_file(&database); // SQLite gives the write-ahead log the same mode
-            created.map_err(|source| StoreError::Folder { path: database.clone(), source })?;
-            // Only an empty file takes this setting, and every connection that has it would write it again.
-            let first = options.clone().auto_vacuum(SqliteAutoVacuum::Incremental);
-            let mut first = first.synchronous(SqliteSynchronous::Normal).connect().await?;
-            migrate(&mut first).await?; // one write to the disk at the end instead of one for each migration
-            first.close().await?;
+        match (is_new, folders.are_owned()) {
+            (true, true) => schema::create(&folders, &options).await?,
+            (true, false) => await_creation(&database).await?,
+            (false, _) => {}
         }
-        let pool = |options: SqliteConnectOptions, n: u32| {
-            let pool = SqlitePoolOptions::new().max_connections(n).idle_timeout(None).max_lifetime(None);
-            // SQLite ends a transaction by itself when the disk is full; sqlx's connection would then assume forever that
-            // it is still inside a transaction, so it is replaced.
-            let pool = pool.before_acquire(|connection, _| Box::pin(async { Ok(!connection.is_in_transaction()) }));
-            pool.acquire_timeout(Duration::from_secs(30)).connect_with(options)
-        };
-        let writer = pool(options.clone().synchronous(SqliteSynchronous::Full), 1).await?;
+        let writer = pool(1).connect_with(options.clone().synchronous(SqliteSynchronous::Full)).await?;
         require_sound_sqlite(&writer).await?;
-        // A file without its write-ahead log can be a valid database without tables.
-        let n_tables: i64 = sqlx::query_scalar("SELECT count(*) FROM sqlite_master").fetch_one(&writer).await?;
-        if is_lost(n_tables == 0)? {
-            return Err(StoreError::DatabaseLost { path: database });
+        if !is_new {
+            // A file without its write-ahead log can be a valid database without tables.
+            let n_tables: i64 = sqlx::query_scalar("SELECT count(*) FROM sqlite_master").fetch_one(&writer).await?;
+            if is_lost(n_tables == 0)? {
+                return Err(StoreError::DatabaseLost { path: database });
+            }
+            schema::migrate(&mut *writer.acquire().await?).await?;
         }
-        migrate(&mut *writer.acquire().await?).await?;
         failpoint("start.migrated");
-        if folders.are_owned() {
+        if folders.are_owned() && !is_new {
             shrink::rewrite_if_loose(&writer).await?;
         }
         if fault("claims.scanned") {
             sqlx::query("DROP INDEX IF EXISTS jobs_by_state").execute(&writer).await?;
         }
         folders.create_reserve();
-        let progress_writer = pool(options.clone().synchronous(SqliteSynchronous::Normal), 1).await?;
-        let checkpointer = pool(options.clone().synchronous(SqliteSynchronous::Full), 1).await?;
-        let readers = pool(options.read_only(true), 4).await?;
+        // The first checkpoint is made seconds after the start.
+        let checkpointer = pool(1).connect_lazy_with(options.clone().synchronous(SqliteSynchronous::Full));
+        let progress = options.clone().synchronous(SqliteSynchronous::Normal);
+        let opening = (pool(1).connect_with(progress), pool(4).connect_with(options.read_only(true)));
+        let (progress_writer, readers) = tokio::try_join!(opening.0, opening.1)?;
         Ok(Self {
             writer,
             progress_writer,
@@ -147,6 +135,16 @@ impl Store {
     /// When the database is locked or fails.
     pub(crate) async fn write(&self) -> Result<WriteTransaction, sqlx::Error> {
         self.writer.begin_with("BEGIN IMMEDIATE").await
+    }
+
+    /// Commits a transaction of [`Store::write`]. After an error the transaction may be committed or not; a caller that
+    /// removes or repeats something must look first.
+    ///
+    /// # Errors
+    /// When the database fails.
+    pub(crate) async fn commit(&self, transaction: WriteTransaction) -> Result<(), sqlx::Error> {
+        transaction.commit().await?;
+        Ok(lose_answer()?)
     }
 
     /// Starts a transaction for progress and similar data, which a power cut may lose.
@@ -189,6 +187,13 @@ impl Store {
         let _ = tokio::task::spawn_blocking(move || folders.remove(folder, &name)).await;
     }
 
+    /// Removes what one claim of a job has written, without blocking the threads that answer clients.
+    pub async fn remove_claim(&self, job: &str, fence: i64) {
+        let (folders, job) = (self.folders.clone(), job.to_owned());
+        // Fails only when the process ends; the next start removes files without a row.
+        let _ = tokio::task::spawn_blocking(move || folders.remove_claim(&job, fence)).await;
+    }
+
     /// Removes the reserve file, so that operations that free space also work on a full disk.
     pub async fn release_reserve(&self) {
         let folders = self.folders.clone();
@@ -223,11 +228,29 @@ impl Store {
     }
 }
 
-async fn migrate(database: &mut SqliteConnection) -> Result<(), StoreError> {
-    MIGRATIONS.run(database).await.map_err(|error| match error {
-        MigrateError::VersionMissing(migration) => StoreError::Newer { migration },
-        other => StoreError::Migration(other),
-    })
+/// A pool of at most `n` connections, which stay open.
+fn pool(n: u32) -> SqlitePoolOptions {
+    let pool = SqlitePoolOptions::new().max_connections(n).idle_timeout(None).max_lifetime(None);
+    // SQLite ends a transaction by itself when the disk is full; sqlx's connection would then assume forever that it is
+    // still inside a transaction, so it is replaced.
+    let pool = pool.before_acquire(|connection, _| Box::pin(async { Ok(!connection.is_in_transaction()) }));
+    pool.acquire_timeout(Duration::from_secs(30))
+}
+
+fn is_missing_or_empty(database: &Path) -> bool {
+    std::fs::metadata(database).map_or(0, |file| file.len()) == 0
+}
+
+/// Waits until the service that owns the folder has created the database.
+async fn await_creation(database: &Path) -> Result<(), StoreError> {
+    let deadline = Instant::now() + BUSY_PATIENCE;
+    while is_missing_or_empty(database) {
+        if Instant::now() >= deadline {
+            return Err(StoreError::Folder { path: database.to_owned(), source: io::ErrorKind::NotFound.into() });
+        }
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    Ok(())
 }
 
 async fn require_sound_sqlite(pool: &SqlitePool) -> Result<(), StoreError> {

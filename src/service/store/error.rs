@@ -84,6 +84,20 @@ impl StoreError {
         }
     }
 
+    /// Whether a repetition fails in the same way, because the values do not fit the tables: SQLite's TOOBIG, CONSTRAINT and
+    /// MISMATCH, or a value that cannot be converted.
+    pub fn is_of_values(&self) -> bool {
+        match self {
+            Self::Database(sqlx::Error::Database(cause)) => {
+                let code = cause.code().and_then(|code| code.parse::<u32>().ok());
+                code.is_some_and(|code| matches!(code & 0xff, 18..=20))
+            }
+            Self::Database(sqlx::Error::Encode(_) | sqlx::Error::Decode(_) | sqlx::Error::ColumnDecode { .. }) => true,
+            Self::Json(_) => true,
+            _ => false,
+        }
+    }
+
     /// Converts SQLite's CORRUPT and NOTADB to [`StoreError::DatabaseDamaged`] with the path of the file.
     pub(super) fn of_file(self, path: &Path) -> Self {
         let cause = match &self {

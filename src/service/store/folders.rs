@@ -1,6 +1,6 @@
 //! File layout of a data folder, and how a file is made durable.
 //!
-//! `wandless.db` with its write-ahead log and `wandless.db.pages`, `lock`, `reserve`, `tmp/` (unfinished uploads), `sessions/<id>`,
+//! `wandless.db` with its write-ahead log and `wandless.db.pages`, `wandless.db.new` (while it is created), `lock`, `reserve`, `tmp/` (unfinished uploads), `sessions/<id>`,
 //! `results/<job>/<fence>/` (published), `results/<job>/<fence>.tmp/` (being written by a child process), `checkpoints/<job>/`
 //! (finished stages of an open job). File names are generated here, never taken from a client.
 
@@ -22,7 +22,7 @@ pub const DATABASE: &str = "wandless.db";
 /// Name of the page digests in a data folder.
 pub(super) const PAGES: &str = "wandless.db.pages";
 
-/// A file of zeros that is removed when the disk is full, so that deletes still work.
+/// A file without content that is removed when the disk is full, so that deletes still work.
 const RESERVE: &str = "reserve";
 
 /// Size of the reserve: enough for the write-ahead log of some thousand deletes.
@@ -104,6 +104,11 @@ impl Folders {
         self.root.join(DATABASE)
     }
 
+    /// Path of the database while it is created.
+    pub(super) fn new_database(&self) -> PathBuf {
+        self.root.join("wandless.db.new")
+    }
+
     /// Folder of the registered body models.
     pub fn bodies(&self) -> PathBuf {
         crate::service::bodies::folder(&self.root)
@@ -181,7 +186,7 @@ impl Folders {
         if path.exists() {
             return;
         }
-        let written = private::create_file(&path).and_then(|mut file| file.write_all(&vec![0; RESERVE_BYTES]));
+        let written = private::create_file(&path).and_then(|file| allocate(file, RESERVE_BYTES));
         if let Err(error) = written {
             tracing::warn!(%error, "cannot create the reserve file for a full disk");
             self.release_reserve();
@@ -200,6 +205,15 @@ impl Folders {
     pub fn free_bytes(&self) -> io::Result<u64> {
         let disk = rustix::fs::statvfs(&self.root)?;
         Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
+    }
+}
+
+/// Takes space of the disk for a file; where the file system cannot reserve it, by writing zeros.
+fn allocate(mut file: File, bytes: usize) -> io::Result<()> {
+    use rustix::io::Errno;
+    match rustix::fs::fallocate(&file, rustix::fs::FallocateFlags::empty(), 0, bytes as u64) {
+        Err(Errno::OPNOTSUPP | Errno::NOSYS | Errno::INVAL) => file.write_all(&vec![0; bytes]),
+        allocated => Ok(allocated?),
     }
 }
 

@@ -12,6 +12,7 @@ pub(crate) mod pages;
 pub(crate) mod private;
 pub mod random;
 pub mod reservation;
+mod schema;
 pub mod sessions;
 mod shrink;
 mod space;

@@ -131,18 +131,11 @@ pub async fn add(
     }
     let mut transaction = store.write().await?;
     let stored = tenants::stored_bytes_in(&mut transaction, tenant).await?;
-    let known = sqlx::query("SELECT * FROM sessions WHERE tenant = ? AND sha256 = ?");
-    let known = known.bind(tenant.name()).bind(&summary.sha256).fetch_optional(&mut *transaction).await?;
-    if let Some(known) = known {
-        return Ok(Added { session: from_row(&known)?, is_new: false });
-    }
-    if stored.saturating_add_unsigned(summary.bytes) > max_bytes && !fault("quota.none") {
-        return Err(AddError::QuotaExceeded { stored, max: max_bytes });
-    }
     let row = sqlx::query(
         "INSERT INTO sessions (id, tenant, sha256, bytes, name, cameras, n_frames, people_max, keypoint_convention,
                                format, warnings, created_at)
          VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
+         ON CONFLICT (tenant, sha256) DO NOTHING
          RETURNING *",
     )
     .bind(id)
@@ -156,10 +149,18 @@ pub async fn add(
     .bind(&summary.keypoint_convention)
     .bind(&summary.format)
     .bind(serde_json::to_string(&summary.warnings).map_err(StoreError::from)?)
-    .fetch_one(&mut *transaction)
+    .fetch_optional(&mut *transaction)
     .await?;
+    let Some(row) = row else {
+        let known = sqlx::query("SELECT * FROM sessions WHERE tenant = ? AND sha256 = ?");
+        let known = known.bind(tenant.name()).bind(&summary.sha256).fetch_one(&mut *transaction).await?;
+        return Ok(Added { session: from_row(&known)?, is_new: false });
+    };
+    if stored.saturating_add_unsigned(summary.bytes) > max_bytes && !fault("quota.none") {
+        return Err(AddError::QuotaExceeded { stored, max: max_bytes }); // the insertion is rolled back
+    }
     let session = from_row(&row)?;
-    transaction.commit().await?;
+    store.commit(transaction).await?;
     Ok(Added { session, is_new: true })
 }
 
@@ -239,7 +240,11 @@ async fn try_to_remove(store: &Store, tenant: &Tenant, id: &str) -> Result<(), R
         return Err(RemoveError::Missing);
     }
     failpoint("session.marked");
-    transaction.commit().await?;
+    if let Err(error) = store.commit(transaction).await
+        && get(store, tenant, id).await?.is_some()
+    {
+        return Err(error.into()); // a session that is gone was removed, and only the answer was lost
+    }
     failpoint("session.committed");
     store.remove_files("sessions", id).await;
     failpoint("session.removed");

@@ -1,27 +1,62 @@
 //! Opening a data folder: the database of an earlier release, file modes, the size of the database.
 
-use super::database::{MIGRATIONS, Store};
+use super::database::Store;
 use super::error::StoreError;
 use super::folders::PAGES;
+use super::schema::MIGRATIONS;
 use sqlx::migrate::Migrator;
 use sqlx::sqlite::SqliteConnectOptions;
-use sqlx::{ConnectOptions, Connection};
+use sqlx::{ConnectOptions, Connection, SqliteConnection};
 use std::borrow::Cow;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
-/// Last migration of the release before the column `crashes`.
-const OLD_RELEASE: i64 = 4;
+/// Last migration before the column `crashes`.
+const BEFORE_CRASHES: i64 = 4;
+
+/// Last migration before the counters of the table `tenants`.
+const BEFORE_TENANT_COUNTERS: i64 = 10;
+
+/// Creates the database of an earlier release, whose last migration was `last`.
+async fn database_of(folder: &Path, last: i64) -> SqliteConnection {
+    let options = SqliteConnectOptions::new().filename(folder.join("wandless.db")).create_if_missing(true);
+    let mut database = options.connect().await.unwrap();
+    let old: Vec<_> = MIGRATIONS.iter().filter(|migration| migration.version <= last).cloned().collect();
+    let migrator = Migrator { migrations: Cow::Owned(old), ..Migrator::DEFAULT };
+    migrator.run(&mut database).await.unwrap();
+    database
+}
+
+#[tokio::test]
+async fn counters_of_an_earlier_release_are_taken_over() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut database = database_of(folder.path(), BEFORE_TENANT_COUNTERS).await;
+    for (id, tenant, state) in [("a", "x", "queued"), ("b", "x", "queued"), ("c", "y", "canceled")] {
+        sqlx::query(
+            "INSERT INTO jobs (id, tenant, session_id, options, labels, priority, state, created_at, finished_at)
+             VALUES (?1, ?2, 's', '{}', '{}', 0, ?3, '2026-01-01T00:00:00.000Z',
+                     CASE ?3 WHEN 'queued' THEN NULL ELSE '2026-01-01T00:00:00.000Z' END)",
+        )
+        .bind(id)
+        .bind(tenant)
+        .bind(state)
+        .execute(&mut database)
+        .await
+        .unwrap();
+    }
+    database.close().await.unwrap();
+    let store = Store::open(folder.path()).await.unwrap();
+    let counters =
+        sqlx::query_as("SELECT name, n_queued, n_canceled FROM tenants WHERE name <> 'default' ORDER BY name");
+    let counters: Vec<(String, i64, i64)> = counters.fetch_all(store.read()).await.unwrap();
+    assert_eq!(counters, [("x".to_owned(), 2, 0), ("y".to_owned(), 0, 1)]);
+    store.close().await;
+}
 
 #[tokio::test]
 async fn keeps_the_crash_count_of_an_earlier_release() {
     let folder = tempfile::tempdir().unwrap();
-    let options = SqliteConnectOptions::new().filename(folder.path().join("wandless.db")).create_if_missing(true);
-    let mut database = options.connect().await.unwrap();
-    let all = MIGRATIONS.iter().cloned();
-    let old: Vec<_> = all.filter(|migration| migration.version <= OLD_RELEASE).collect();
-    let migrator = Migrator { migrations: Cow::Owned(old), ..Migrator::DEFAULT };
-    migrator.run(&mut database).await.unwrap();
+    let mut database = database_of(folder.path(), BEFORE_CRASHES).await;
     let job = "INSERT INTO jobs (id, session_id, options, labels, priority, state, deaths, created_at)
          VALUES ('j', 's', '{}', '{}', 0, 'queued', 2, '2026-01-01T00:00:00.000Z')";
     sqlx::query(job).execute(&mut database).await.unwrap();
@@ -107,4 +142,23 @@ async fn loose_database_of_an_earlier_release_is_rewritten() {
     store.close().await;
     let tight = std::fs::metadata(&path).unwrap().len();
     assert!(mode == 2 && loose > 12_000_000 && tight < 2_000_000, "{mode} {loose} {tight}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn interrupted_creation_is_repeated_by_the_next_start() {
+    let folder = tempfile::tempdir().unwrap();
+    // What a kill can leave: parts of the new file and of its log, no database; beside it the log of a removed database.
+    for name in ["wandless.db.new", "wandless.db.new-wal", "wandless.db.new-journal", "wandless.db-wal"] {
+        std::fs::write(folder.path().join(name), [7; 5000]).unwrap();
+    }
+    let store = Store::open(folder.path()).await.unwrap();
+    let found: String = sqlx::query_scalar("PRAGMA integrity_check").fetch_one(store.read()).await.unwrap();
+    assert_eq!(found, "ok");
+    let applied = sqlx::query_scalar::<_, i64>("SELECT count(*) FROM _sqlx_migrations WHERE success");
+    assert_eq!(applied.fetch_one(store.read()).await.unwrap(), MIGRATIONS.iter().count() as i64);
+    store.close().await;
+    let names =
+        std::fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let beside: Vec<String> = names.filter(|name| name.contains(".new")).collect();
+    assert!(beside.is_empty(), "{beside:?}");
 }

@@ -14,7 +14,7 @@ use super::settings::Settings;
 use super::shared::Shared;
 use super::store::folders::publish;
 use super::store::summary::Summary;
-use super::store::{Store, artifacts};
+use super::store::{Store, StoreError, artifacts};
 use crate::pipeline::Options;
 use anyhow::Context;
 use rustix::process::Signal;
@@ -26,8 +26,8 @@ use tracing::Instrument;
 /// Wait before another try after a failure of the system or the disk.
 const RETRY_INTERVAL: Duration = Duration::from_secs(2);
 
-/// Most tries to record an outcome.
-const MAX_TRIES: usize = 30;
+/// Tries to record an outcome while the service stops.
+const MAX_TRIES_WHILE_STOPPING: usize = 3;
 
 /// Claims and runs jobs one after the other until `draining` is canceled; the running job then returns to the queue.
 pub(super) async fn run(shared: Shared) {
@@ -39,7 +39,7 @@ pub(super) async fn run(shared: Shared) {
                 let span = span(&claim);
                 let run = async {
                     let outcome = run_claim(&store, &queue, &settings, &metrics, &claim, draining.clone()).await;
-                    record(&store, &queue, &settings, &claim, outcome).await
+                    record(&store, &queue, &settings, &claim, outcome, &draining).await
                 };
                 metrics.note_end(&claim.job, run.instrument(span).await);
             }
@@ -192,40 +192,56 @@ fn unpublished(error: &anyhow::Error) -> JobError {
     })
 }
 
-/// Records the outcome and returns the name of the new state. Retries on errors, because an unrecorded job would run again.
+/// Records the outcome and returns the name of the new state. Tries again until the database accepts it: meanwhile no
+/// other job could be claimed, and a restart would run this one again. An outcome whose rows do not fit the tables is
+/// recorded as a failure of the job.
 async fn record(
     store: &Store,
     queue: &Queue,
     settings: &Settings,
     claim: &Claim,
-    outcome: ClaimOutcome<Published>,
+    mut outcome: ClaimOutcome<Published>,
+    draining: &CancellationToken,
 ) -> &'static str {
-    let mut tries = 0;
+    let mut tries_while_stopping = 0;
     loop {
-        match queue.finish(claim, &outcome, settings.jobs.max_crashes).await {
+        let error = match queue.finish(claim, &outcome, settings.jobs.max_crashes).await {
             Ok(Finished::Recorded(phase)) => {
                 log_end(phase, &outcome);
                 return phase.name();
             }
             Ok(Finished::Lost) => {
                 tracing::info!("the claim has expired; its result is discarded");
-                store.folders.remove_claim(&claim.job, claim.fence);
+                store.remove_claim(&claim.job, claim.fence).await;
                 return "lost";
             }
-            Err(error) if tries < MAX_TRIES => {
-                if error.is_disk_full() {
-                    store.release_reserve().await; // the outcome must be recorded even on a full disk
-                }
-                tracing::error!(%error, "cannot record the job's outcome; trying again");
-                tries += 1;
-                tokio::time::sleep(RETRY_INTERVAL).await;
-            }
-            Err(error) => {
-                // The row stays `running` with this boot id; the next start requeues the job.
-                tracing::error!(%error, "cannot record the job's outcome; the next start runs the job again");
-                return "unrecorded";
-            }
+            Err(error) => error,
+        };
+        if error.is_of_values() && matches!(outcome, ClaimOutcome::Succeeded(_)) {
+            tracing::error!(%error, "the rows of the result cannot be stored");
+            outcome = ClaimOutcome::Failed(unrecorded(&error));
+            continue;
         }
+        if error.is_disk_full() {
+            store.release_reserve().await; // the outcome must be recorded even on a full disk
+        }
+        tries_while_stopping += usize::from(draining.is_cancelled());
+        if tries_while_stopping == MAX_TRIES_WHILE_STOPPING {
+            // The row stays `running` with this boot id; the next start requeues the job.
+            tracing::error!(%error, "cannot record the job's outcome; the next start runs the job again");
+            return "unrecorded";
+        }
+        tracing::error!(%error, "cannot record the job's outcome; trying again");
+        tokio::time::sleep(RETRY_INTERVAL).await;
+    }
+}
+
+fn unrecorded(error: &StoreError) -> JobError {
+    JobError {
+        code: "result_unrecorded".to_owned(),
+        detail: format!("the rows of the result could not be stored: {error}"),
+        remedy: "report this error with the log of the service".to_owned(),
+        ..JobError::default()
     }
 }
 
@@ -244,15 +260,4 @@ fn log_end(phase: Phase, outcome: &ClaimOutcome<Published>) {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_crash_without_lack_of_memory_counts_as_a_crash() {
-        for signal in [None, Some(6), Some(9)] {
-            let crash = Crash { how: "how".to_owned(), signal };
-            let outcome = crashed(crash, Some(1), Some(u64::MAX));
-            assert!(matches!(outcome, ClaimOutcome::Crashed(how) if how == "how"), "{signal:?}");
-        }
-    }
-}
+mod tests;

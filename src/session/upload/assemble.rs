@@ -8,10 +8,8 @@ use super::suspicions;
 use super::warnings::Warnings;
 use crate::body::skeleton::KeypointConvention;
 use crate::session::formats::time::is_timecode;
-use crate::session::recording::{Detection, FrameIndex, Session, UpAxis, View};
+use crate::session::recording::{Detection, FPS_RANGE, FrameIndex, Session, UpAxis, View};
 
-/// Range of frame rates, frames per second: from time lapse to high speed.
-const FPS_RANGE: [f64; 2] = [0.1, 2000.0];
 /// Largest length of a camera's id, bytes: 256 characters of four bytes, and more than any file name, from which ids come.
 const MAX_ID_BYTES: usize = 1024;
 

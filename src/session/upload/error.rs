@@ -96,6 +96,9 @@ macro_rules! faults {
 faults! {
     FileUnreadable, "file_unreadable", Malformed, "check the path and its permissions";
     FormatUnknown, "format_unknown", Unsupported, "send a session folder, a zip of it, or a JSON or NDJSON document";
+    PosesNotDetected, "poses_not_detected", Unsupported,
+        "detect 2D poses in every video first, for example with OpenPose (openpose.bin --video cam1.mp4 --write_json poses/cam1 \
+         --display 0 --render_pose 0), then send the folder of its JSON files with the calibration (docs/videos.md)";
     Encoding, "encoding", Malformed, "save the file as UTF-8 without a byte order mark";
     ZipInvalid, "zip_invalid", Malformed, "the archive is truncated or damaged: create it again and resend it";
     ZipNameUnsafe, "zip_name_unsafe", Malformed, "archive the session folder with plain relative names";

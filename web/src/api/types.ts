@@ -3,6 +3,12 @@
 export type State = 'queued' | 'running' | 'canceling' | 'succeeded' | 'failed' | 'canceled' | 'dead'
 export type Verdict = 'pass' | 'warn' | 'reject'
 
+/** Name of a camera, and whether the session gives its R and t. */
+export interface CameraFacts {
+  id: string
+  has_extrinsics: boolean
+}
+
 export interface Session {
   id: string
   name: string
@@ -13,8 +19,7 @@ export interface Session {
   format: string
   warnings: string[]
   bytes: number
-  camera_ids: string[]
-  has_extrinsics: boolean
+  camera_facts: CameraFacts[]
   created_at: string
 }
 

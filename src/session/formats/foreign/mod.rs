@@ -61,12 +61,10 @@ pub(crate) fn read_members<R: Read + Seek>(
         .map(|(camera, source)| sized(camera, source, &header_cameras, reading))
         .collect::<Result<_, _>>()?;
     survey.hints.iter().for_each(|hint| reading.warnings.add(hint.clone()));
-    for name in &survey.unrecognised {
-        reading.warnings.add(format!("file {} is neither poses nor a calibration: it is ignored", shown(name)));
-    }
+    survey.ignored().into_iter().for_each(|line| reading.warnings.add(line));
     let fps = header.fps.map(|rate| rate.0).or(found.fps).or(calibration.fps).unwrap_or_else(|| {
         let line =
-            format!("no file contains the frame rate: {DEFAULT_FPS} per second are assumed; add `fps` to session.json");
+            format!("no file contains the frame rate: {DEFAULT_FPS} per second are assumed; give the option `fps`, or a file session.json with {{\"fps\": 25}} beside the others");
         reading.warnings.add(line);
         DEFAULT_FPS
     });
@@ -174,7 +172,8 @@ fn paired(
     Ok((kept, poses))
 }
 
-/// Scales a camera to the image size of its keypoints: as the pose file or the header states it, else as calibrated.
+/// Scales a camera to the image size of its keypoints: as the pose file or the header states it, else as calibrated. Its time
+/// offset is that of the header, else of the calibration, else of the time stamps of its poses.
 fn sized(
     mut camera: RawCamera,
     source: &Source,
@@ -203,8 +202,8 @@ fn sized(
         scale_matrix(&mut camera, scale);
     }
     [camera.width, camera.height] = size;
-    let timed = header_cameras.iter().find(|own| own.id == camera.id && own.time_offset.is_some());
-    camera.time_offset = timed.map_or(camera.time_offset, |own| own.time_offset);
+    let of_header = header_cameras.iter().find(|own| own.id == camera.id).and_then(|own| own.time_offset);
+    camera.time_offset = of_header.or(camera.time_offset).or(source.time_offset);
     Ok(camera)
 }
 
@@ -255,7 +254,7 @@ fn format_name(sources: &[Source], calibration: &Calibration, header_cameras: &[
 }
 
 fn files_of(survey: Survey) -> Vec<String> {
-    let Survey { header, calibrations, streams, groups, unrecognised: _, hints: _ } = survey;
+    let Survey { header, calibrations, streams, groups, unrecognised: _, pictures: _, hints: _ } = survey;
     let named = calibrations.into_iter().map(|(name, _)| name).chain(streams.into_iter().map(|(name, _)| name));
     let frames = groups.into_iter().flat_map(|group| group.files).map(|(_, name)| name);
     header.into_iter().chain(named).chain(frames).collect()

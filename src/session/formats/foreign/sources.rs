@@ -30,6 +30,8 @@ pub(super) struct Source {
     pub(super) is_alphapose: bool,
     pub(super) order: Option<JointOrder>,
     pub(super) image_size: Option<[u32; 2]>,
+    /// Time offset of the camera, s, where the file contains time stamps.
+    pub(super) time_offset: Option<f64>,
 }
 
 /// Content of all pose files.
@@ -63,6 +65,7 @@ pub(super) fn read_sources<R: Read + Seek>(
         reading.place.file = Some(name.clone());
         let found = read_stream(name, *dialect, members, &mut images, &mut all.fps, reading);
         let found = found.map_err(|e| reading.place.of(e))?;
+        all.fps = all.fps.or(found.fps);
         all.sources.extend(split_by_camera(name, *dialect, found));
     }
     for group in &survey.groups {
@@ -111,11 +114,12 @@ fn is_document<R: Read + Seek>(members: &mut Members<R>, name: &str) -> Result<b
 
 /// One source per camera of a file, named as in the file, or after the file.
 fn split_by_camera(name: &str, dialect: PoseDialect, found: FoundPoses) -> Vec<Source> {
-    let FoundPoses { by_camera, order, image_size } = found;
+    let FoundPoses { by_camera, order, image_size, fps: _, time_offsets } = found;
     let n_cameras = by_camera.len();
     let source = |(camera, poses): (Option<String>, RawPoses)| Source {
         dialect,
         image_size: image_size.get(&camera).copied(),
+        time_offset: camera.as_ref().and_then(|camera| time_offsets.get(camera)).copied(),
         // Images without a camera's name are named after the file.
         names: camera.clone().into_iter().chain(if n_cameras > 1 { Vec::new() } else { path_names(name) }).collect(),
         poses,
@@ -156,6 +160,7 @@ fn read_group<R: Read + Seek>(
         is_alphapose: group.dialect == PoseDialect::AlphaPoseCmu,
         order: None,
         image_size: None,
+        time_offset: None,
     };
     Fault::TooManyFrames.when(group.files.len() > reading.limits.max_frames, || {
         format!("the camera has {} frames, at most {} are read", group.files.len(), reading.limits.max_frames)

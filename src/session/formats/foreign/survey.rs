@@ -4,6 +4,7 @@ use crate::session::formats::calibration::{self, CalibrationFormat};
 use crate::session::formats::poses::{self, PoseDialect, frame_name};
 use crate::session::upload::error::shown;
 use crate::session::upload::members::Members;
+use crate::session::upload::pictures::is_picture;
 use std::collections::BTreeMap;
 use std::io::{Read, Seek};
 
@@ -16,8 +17,10 @@ pub(crate) struct Survey {
     /// Pose files of a whole camera or recording.
     pub(crate) streams: Vec<(String, PoseDialect)>,
     pub(crate) groups: Vec<FrameGroup>,
-    /// Unrecognised files.
-    pub(crate) unrecognised: Vec<String>,
+    /// Unrecognised files: one name and the number of files that it stands for.
+    pub(crate) unrecognised: Vec<(String, usize)>,
+    /// Videos and images.
+    pub(crate) pictures: Vec<String>,
     /// Files that could be read after a conversion, with instructions, one sentence each.
     pub(crate) hints: Vec<String>,
 }
@@ -46,6 +49,7 @@ enum FileKind {
     Calibration(CalibrationFormat),
     Poses(PoseDialect),
     Hdf5,
+    Picture,
 }
 
 /// HDF5's first bytes.
@@ -81,21 +85,23 @@ pub(crate) fn survey<R: Read + Seek>(members: &mut Members<R>) -> Survey {
             Some(FileKind::Poses(dialect)) if dialect.is_file_per_frame() => {
                 survey.groups.push(FrameGroup { dialect, folder, stem, shares_folder: false, files });
             }
+            Some(FileKind::Picture) => survey.pictures.extend(files.into_iter().map(|(_, name)| name)),
             Some(_) if files.len() <= MAX_NUMBERED => singles.extend(files.into_iter().map(|(_, name)| name)),
-            _ => survey.unrecognised.push(format!("{}… ({} files)", files[0].1, files.len())),
+            _ => survey.unrecognised.push((files[0].1.clone(), files.len())),
         }
     }
     singles.sort_unstable();
     for name in singles {
         match kind_of(members, &name) {
             Some(FileKind::Calibration(format)) => survey.calibrations.push((name, format)),
-            Some(FileKind::Poses(dialect)) if dialect.is_file_per_frame() => survey.unrecognised.push(name),
+            Some(FileKind::Poses(dialect)) if dialect.is_file_per_frame() => survey.unrecognised.push((name, 1)),
             Some(FileKind::Poses(dialect)) => survey.streams.push((name, dialect)),
             Some(FileKind::Hdf5) => survey.hints.push(format!(
                 "file {} is HDF5, which is not supported: convert DeepLabCut's table to CSV (pandas.read_hdf(FILE).to_csv(OTHER))",
                 shown(&name)
             )),
-            None => survey.unrecognised.push(name),
+            Some(FileKind::Picture) => survey.pictures.push(name),
+            None => survey.unrecognised.push((name, 1)),
         }
     }
     mark_shared_folders(&mut survey.groups);
@@ -109,6 +115,22 @@ impl Survey {
             !matches!(dialect, PoseDialect::Native | PoseDialect::CocoImages | PoseDialect::CaliscopeTimestamps)
         };
         !self.groups.is_empty() || self.streams.iter().any(is_foreign)
+    }
+
+    /// A sentence about the files that are not read; `None` if every file is read.
+    pub(crate) fn ignored(&self) -> Option<String> {
+        const MAX_NAMES: usize = 3;
+        let singles = self.pictures.iter().map(|name| (name, 1));
+        let all: Vec<(&String, usize)> = self.unrecognised.iter().map(|(name, n)| (name, *n)).chain(singles).collect();
+        let n: usize = all.iter().map(|(_, n)| n).sum();
+        let names: Vec<String> = all.iter().take(MAX_NAMES).map(|(name, _)| shown(name)).collect();
+        let names = names.join(", ");
+        match n {
+            0 => None,
+            1 => Some(format!("file {names} is neither poses nor a calibration: it is ignored")),
+            _ if n > all.len().min(MAX_NAMES) => Some(format!("{n} files of other formats are ignored ({names}, …)")),
+            _ => Some(format!("{n} files of other formats are ignored ({names})")),
+        }
     }
 
     /// Whether there are poses at all.
@@ -131,6 +153,9 @@ fn kind_of<R: Read + Seek>(members: &mut Members<R>, name: &str) -> Option<FileK
     members.open(name).ok()?.take(HEAD_BYTES).read_to_end(&mut head).ok()?;
     if head.starts_with(HDF5) {
         return Some(FileKind::Hdf5);
+    }
+    if is_picture(&head) {
+        return Some(FileKind::Picture);
     }
     if poses::is_array(&head) {
         return Some(FileKind::Poses(PoseDialect::MediaPipeArray));

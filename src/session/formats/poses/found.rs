@@ -16,6 +16,10 @@ pub(crate) struct FoundPoses {
     pub(crate) order: Option<JointOrder>,
     /// Width and height of the images of the keypoints, px, by camera, where the file contains them.
     pub(crate) image_size: BTreeMap<Option<String>, [u32; 2]>,
+    /// Frames per second, where the file contains time stamps.
+    pub(crate) fps: Option<f64>,
+    /// Time offsets by camera name, s, where the file contains time stamps.
+    pub(crate) time_offsets: BTreeMap<String, f64>,
 }
 
 impl FoundPoses {

@@ -9,6 +9,7 @@ mod lists;
 mod points;
 mod sniff;
 mod tables;
+mod time_stamps;
 
 pub(crate) use arrays::{is_array, read_array};
 pub(crate) use found::FoundPoses;

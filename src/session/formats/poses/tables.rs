@@ -3,6 +3,7 @@
 use super::found::FoundPoses;
 use super::frame_name::frame_name;
 use super::points::{checked_point, missing};
+use super::time_stamps::TimeStamps;
 use crate::session::formats::joints::JointOrder;
 use crate::session::recording::{Detection, Keypoint};
 use crate::session::upload::error::{Fault, UploadError};
@@ -74,7 +75,8 @@ fn columns<const N: usize>(header: &[&str], names: [&str; N]) -> Result<[usize; 
     Ok(places)
 }
 
-/// Reads Caliscope's points: one person per camera, confidence 1, frames by `sync_index`.
+/// Reads Caliscope's points: one person per camera, confidence 1, frames by `sync_index`; frame rate and time offsets of the
+/// cameras by `frame_time`.
 ///
 /// # Errors
 /// A missing column or an invalid number.
@@ -82,6 +84,8 @@ pub(crate) fn read_caliscope(reader: impl Read, reading: &mut Reading<'_>) -> Re
     let mut lines = Lines::new(reader);
     let header = lines.next()?.ok_or_else(|| invalid(1, "is missing"))?;
     let places = columns(&header, ["sync_index", "cam_id", "point_id", "img_loc_x", "img_loc_y"])?;
+    let time_column = header.iter().position(|column| *column == "frame_time");
+    let mut stamps = TimeStamps::default();
     let mut people: BTreeMap<(String, i64), Vec<Keypoint>> = BTreeMap::new();
     let mut n_points = 0;
     loop {
@@ -93,6 +97,9 @@ pub(crate) fn read_caliscope(reader: impl Read, reading: &mut Reading<'_>) -> Re
         let point: usize = cell(2)?.parse().ok().filter(|p| *p < MAX_POINTS).ok_or_else(|| bad("point_id"))?;
         let [x, y] =
             [number(cell(3)?).ok_or_else(|| bad("img_loc_x"))?, number(cell(4)?).ok_or_else(|| bad("img_loc_y"))?];
+        if let Some(time) = time_column.and_then(|column| number(cells.get(column)?)) {
+            stamps.add(cell(1)?, frame, time);
+        }
         let keypoints = people.entry((cell(1)?.to_owned(), frame)).or_default();
         if keypoints.len() <= point {
             reading.spend(point + 1 - keypoints.len())?;
@@ -101,7 +108,7 @@ pub(crate) fn read_caliscope(reader: impl Read, reading: &mut Reading<'_>) -> Re
         keypoints[point] = checked_point(x, y, 1.0).map_err(|why| Fault::KeypointInvalid.with(why))?;
         n_points = n_points.max(point + 1);
     }
-    let mut found = FoundPoses::default();
+    let mut found = FoundPoses { fps: stamps.fps(), time_offsets: stamps.offsets(), ..FoundPoses::default() };
     for ((camera, frame), mut keypoints) in people {
         keypoints.resize(n_points, missing());
         found.add(Some(&camera), frame, Detection { track_id: None, keypoints }, reading)?;

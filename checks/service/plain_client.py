@@ -1,13 +1,6 @@
-"""A client of the wandless service in one file; needs only the standard library of Python 3.9 or later.
+"""The client of the service checks: standard library only, one connection per request, every step open to a check.
 
-    from wandless import Client
-    client = Client("http://127.0.0.1:8700", key="wl_…")
-    session = client.upload("take.zip")
-    job = client.submit(session["id"], options={"people": 3})
-    job = client.wait(job["id"], on_change=lambda job: print(job["progress"]["fraction"]))
-    client.download(job["id"], "result")
-
-Or as a command: python3 wandless.py http://127.0.0.1:8700 take.zip result
+Programs use the package in `clients/python`.
 """
 
 import base64
@@ -17,7 +10,6 @@ import http.client
 import json
 import os
 import random
-import sys
 import time
 import urllib.parse
 import uuid
@@ -264,24 +256,3 @@ def check_webhook(secret, headers, body, tolerance_s=300):
     fresh = abs(time.time() - int(headers["webhook-timestamp"])) <= tolerance_s
     given = headers.get("webhook-signature", "").split()
     return fresh and any(hmac.compare_digest(expected, signature) for signature in given)
-
-
-def main(arguments):
-    if len(arguments) != 3:
-        print("usage: wandless.py SERVER SESSION RESULT_FOLDER (the key in WANDLESS_KEY)", file=sys.stderr)
-        return 2
-    server, session, folder = arguments
-    client = Client(server, key=os.environ.get("WANDLESS_KEY"))
-    job = client.submit(client.upload(session)["id"])
-    try:
-        job = client.wait(job["id"], on_change=lambda job: print(job["state"], f"{job['progress']['fraction']:.2f}"))
-    except JobFailed as failed:
-        print(failed, file=sys.stderr)
-        return 1
-    client.download(job["id"], folder)
-    print(job["quality"])
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

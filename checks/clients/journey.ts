@@ -1,0 +1,39 @@
+// The whole way of a job with the types that openapi-typescript generates: node journey.js SERVER TAKE
+
+import { readFileSync } from 'node:fs'
+import { join } from 'node:path'
+import createClient from 'openapi-fetch'
+import type { components, paths } from './wandless'
+
+const [server, take] = process.argv.slice(2)
+const client = createClient<paths>({ baseUrl: server })
+
+/** The data of an answer; ends the program with the problem document otherwise. */
+function data<T>({ data, error }: { data?: T; error?: unknown }): NonNullable<T> {
+  if (data === undefined || data === null) throw new Error(JSON.stringify(error))
+  return data
+}
+
+const header = JSON.parse(readFileSync(join(take, 'session.json'), 'utf8'))
+const poses = Object.fromEntries(header.cameras.map(({ id }: { id: string }) =>
+  [id, JSON.parse(readFileSync(join(take, 'poses', `${id}.json`), 'utf8'))]))
+const session = data(await client.POST('/v1/sessions', { body: { ...header, poses } }))
+console.assert(session.cameras === header.cameras.length)
+data(await client.GET('/v1/sessions/{id}/inspection', { params: { path: { id: session.id } } }))
+
+const options: components['schemas']['Options'] = { people: 2, seed: 21, scale: { from: 'height', metres: 1.8, who: 'tallest' } }
+let job = data(await client.POST('/v1/jobs', { body: { session: session.id, options }, params: { header: { 'Idempotency-Key': 'typescript' } } }))
+while (!['succeeded', 'failed', 'canceled', 'dead'].includes(job.state)) {
+  job = data(await client.GET('/v1/jobs/{id}', { params: { path: { id: job.id }, query: { wait: 30 } } }))
+}
+const id = job.id
+if (job.state !== 'succeeded') throw new Error(JSON.stringify(job.error))
+data(await client.GET('/v1/jobs/{id}/report', { params: { path: { id } } }))
+const manifest = data(await client.POST('/v1/jobs/{id}/exports', { params: { path: { id } }, body: { exports: ['glb'] } }))
+if (!JSON.stringify(manifest).includes('scene.glb')) throw new Error('the format was not added')
+const archive = data(await client.GET('/v1/jobs/{id}/archive', { params: { path: { id } }, parseAs: 'arrayBuffer' })) as unknown as ArrayBuffer
+if (new TextDecoder().decode(archive.slice(0, 2)) !== 'PK') throw new Error('the archive is not a zip')
+
+const refused = await client.POST('/v1/jobs', { body: { session: `session_${'0'.repeat(32)}` } })
+if (refused.error?.code !== 'session_not_found') throw new Error('a job without a session was not refused')
+await client.DELETE('/v1/jobs/{id}', { params: { path: { id } } })

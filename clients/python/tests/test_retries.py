@@ -1,0 +1,73 @@
+"""Repetition of requests, against a server that fails on purpose."""
+
+import http.server
+import json
+import threading
+
+import pytest
+
+from wandless import Client, Problem
+
+SESSION = {"id": "session_1"}
+
+
+class Flaky(http.server.BaseHTTPRequestHandler):
+    """Answers as the list says, then with a session; `close` ends the connection without an answer."""
+
+    plan: list = []
+    seen: list = []
+
+    def do_POST(self):
+        body = self.rfile.read(int(self.headers["Content-Length"]))
+        self.seen.append((self.path, self.headers.get("Idempotency-Key"), body))
+        step = self.plan.pop(0) if self.plan else 200
+        if step == "close":
+            self.connection.close()
+            return
+        text = json.dumps(SESSION if step == 200 else {"code": "busy", "detail": "wait", "remedy": "wait"}).encode()
+        self.send_response(step)
+        self.send_header("Content-Length", str(len(text)))
+        self.send_header("Retry-After", "0.01")
+        self.end_headers()
+        self.wfile.write(text)
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture()
+def flaky():
+    Flaky.plan, Flaky.seen = [], []
+    listener = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Flaky)
+    threading.Thread(target=listener.serve_forever, daemon=True).start()
+    with Client(f"http://127.0.0.1:{listener.server_port}", patience_s=5) as client:
+        yield client
+    listener.shutdown()
+
+
+def test_upload_is_repeated_as_a_whole(flaky):
+    Flaky.plan = [503, "close", 429]
+    content = json.dumps({"name": "x" * 500_000}).encode()
+    assert flaky.upload(content) == SESSION
+    assert [body for _, _, body in Flaky.seen] == [content] * 4
+
+
+def test_repeated_submission_keeps_its_idempotency_key(flaky):
+    Flaky.plan = ["close", 503]
+    flaky.submit("session_1", {"people": 2})
+    keys = {key for _, key, _ in Flaky.seen}
+    assert len(Flaky.seen) == 3 and len(keys) == 1 and None not in keys
+
+
+def test_refusals_are_not_repeated(flaky):
+    Flaky.plan = [422]
+    with pytest.raises(Problem) as refusal:
+        flaky.submit("session_1")
+    assert refusal.value.status == 422 and len(Flaky.seen) == 1
+
+
+def test_patience_ends(flaky):
+    flaky.patience_s = 0.2
+    Flaky.plan = [503] * 1000
+    with pytest.raises(Problem):
+        flaky.submit("session_1")

@@ -1,0 +1,404 @@
+//! The table of options: name, type, unit, range and effect of every option of a job.
+//!
+//! OpenAPI, the flags of the command line, `docs/options.md` and the dialog of the viewer derive from this table, so that they
+//! cannot differ. Defaults are not repeated here: they come from [`Options::default`].
+
+use super::config::{HEIGHT_RANGE, Options};
+use crate::session::recording::FPS_RANGE;
+use serde_json::Value;
+
+/// One option of a job.
+#[derive(Debug, Clone, Copy)]
+pub struct OptionRow {
+    /// Key in `options`.
+    pub name: &'static str,
+    /// Label in the viewer's dialog.
+    pub label: &'static str,
+    /// Type and range of its values.
+    pub kind: Kind,
+    /// Unit; empty where it has none.
+    pub unit: &'static str,
+    /// What the option does, in one or two sentences.
+    pub effect: &'static str,
+    /// Name of the flag without `--`; empty where the forms of the option have flags of their own.
+    pub flag: &'static str,
+    /// Whether most recordings need a decision about it: the viewer's dialog shows the others on request.
+    pub is_common: bool,
+}
+
+/// Type and range of an option's values.
+#[derive(Debug, Clone, Copy)]
+pub enum Kind {
+    /// `true` or `false`.
+    Switch,
+    /// A whole number of at least `min`.
+    Whole {
+        /// Smallest value.
+        min: u64,
+        /// Whether `null` is allowed.
+        or_null: bool,
+    },
+    /// A number within a range, limits included.
+    Number {
+        /// Smallest and largest value.
+        range: [f64; 2],
+        /// Whether `null` is allowed.
+        or_null: bool,
+    },
+    /// A text.
+    Text,
+    /// Ids of two cameras.
+    TwoCameras,
+    /// One of several names.
+    Choice(&'static [Choice]),
+    /// A list of names, each of which counts once.
+    Choices(&'static [Choice]),
+    /// An object whose field `from` selects one of several forms.
+    Forms(&'static [Form]),
+}
+
+/// One of the names that an option can have.
+#[derive(Debug, Clone, Copy)]
+pub struct Choice {
+    /// The name.
+    pub value: &'static str,
+    /// What it selects.
+    pub meaning: &'static str,
+}
+
+/// One form of an option that is an object.
+#[derive(Debug, Clone, Copy)]
+pub struct Form {
+    /// Value of the field `from`.
+    pub from: &'static str,
+    /// What it selects.
+    pub meaning: &'static str,
+    /// Name of its flag without `--`, and the flag's value as `--help` shows it; empty where it has none.
+    pub flag: [&'static str; 2],
+    /// The other fields.
+    pub fields: &'static [Field],
+}
+
+/// A field of a form.
+#[derive(Debug, Clone, Copy)]
+pub struct Field {
+    /// Key in the object.
+    pub name: &'static str,
+    /// Type and range.
+    pub kind: Kind,
+    /// Unit; empty where it has none.
+    pub unit: &'static str,
+    /// What the field states.
+    pub effect: &'static str,
+}
+
+const fn choice(value: &'static str, meaning: &'static str) -> Choice {
+    Choice { value, meaning }
+}
+
+/// Every option, in the order of its documentation.
+pub const OPTION_TABLE: &[OptionRow] = &[
+    OptionRow {
+        name: "people",
+        label: "People",
+        kind: Kind::Whole { min: 1, or_null: true },
+        unit: "people",
+        effect: "Number of people in the recording, where it is known. Without it the number is estimated.",
+        flag: "people",
+        is_common: true,
+    },
+    OptionRow {
+        name: "fps",
+        label: "Frame rate",
+        kind: Kind::Number { range: FPS_RANGE, or_null: true },
+        unit: "frames per second",
+        effect: "Frame rate of the recording; it replaces the rate in the session. Detectors write none: without this \
+                 option and without `fps` in session.json 30 is assumed.",
+        flag: "fps",
+        is_common: true,
+    },
+    OptionRow {
+        name: "extrinsics",
+        label: "Camera poses",
+        kind: Kind::Choice(&[
+            choice("estimate", "estimated from the people; R and t of the session are ignored"),
+            choice("fixed", "R and t of the session, unchanged; the result stays in their world"),
+            choice("refine", "refined, starting from R and t of the session; the result stays in their world"),
+        ]),
+        unit: "",
+        effect: "Positions and orientations of the cameras. `fixed` and `refine` need R and t of every camera; a single \
+                 camera needs `fixed`.",
+        flag: "extrinsics",
+        is_common: true,
+    },
+    OptionRow {
+        name: "intrinsics",
+        label: "Focal lengths",
+        kind: Kind::Choice(&[
+            choice("fixed", "K and distortion of the session, unchanged"),
+            choice(
+                "refine_focal",
+                "one factor of the focal length per camera is estimated, for focal lengths that are \
+                 wrong by some per cent",
+            ),
+        ]),
+        unit: "",
+        effect: "Focal lengths of the cameras. `refine_focal` needs two or more cameras and does not go with \
+                 `extrinsics: fixed`.",
+        flag: "intrinsics",
+        is_common: true,
+    },
+    OptionRow {
+        name: "sync",
+        label: "Synchronisation",
+        kind: Kind::Choice(&[
+            choice("given", "`time_offset_s` of the session's cameras; 0 where it is missing"),
+            choice(
+                "estimate",
+                "estimated from the motion, to fractions of a frame, starting from those of the session",
+            ),
+        ]),
+        unit: "",
+        effect: "Time offsets between the cameras.",
+        flag: "sync",
+        is_common: true,
+    },
+    OptionRow {
+        name: "scale",
+        label: "Metric scale",
+        kind: Kind::Forms(&[
+            Form {
+                from: "body",
+                meaning: "limb lengths and statures of adults; with unknown cameras its error is some 3 %",
+                flag: ["", ""],
+                fields: &[],
+            },
+            Form {
+                from: "height",
+                meaning: "the standing height of one person is known",
+                flag: ["height", "METRES[,TRACK_ID]"],
+                fields: &[
+                    Field {
+                        name: "metres",
+                        kind: Kind::Number { range: HEIGHT_RANGE, or_null: false },
+                        unit: "m",
+                        effect: "height without shoes",
+                    },
+                    Field {
+                        name: "who",
+                        kind: Kind::Text,
+                        unit: "",
+                        effect: "`tallest`, or the track id that the session gives to the person's detections",
+                    },
+                ],
+            },
+            Form {
+                from: "camera_distance",
+                meaning: "the distance between two cameras is known",
+                flag: ["camera-distance", "CAMERA,CAMERA,METRES"],
+                fields: &[
+                    Field { name: "cameras", kind: Kind::TwoCameras, unit: "", effect: "ids of the two cameras" },
+                    Field {
+                        name: "metres",
+                        kind: Kind::Number { range: [0.0, f64::INFINITY], or_null: false },
+                        unit: "m",
+                        effect: "distance of their centres, above 0",
+                    },
+                ],
+            },
+        ]),
+        unit: "",
+        effect: "Source of the metric scale.",
+        flag: "",
+        is_common: true,
+    },
+    OptionRow {
+        name: "up_axis",
+        label: "Up axis",
+        kind: Kind::Choice(&[
+            choice("y", "y up, as in most animation programs"),
+            choice("z", "z up, as in Blender, AMASS and most simulators"),
+        ]),
+        unit: "",
+        effect: "Up axis of the result's world.",
+        flag: "up",
+        is_common: true,
+    },
+    OptionRow {
+        name: "body",
+        label: "Body model",
+        kind: Kind::Text,
+        unit: "",
+        effect: "Body model that is fitted: `default`, or a name that the operator registered with `wandless body add`. \
+                 `reconstruct` reads the model from a file instead.",
+        flag: "body",
+        is_common: false,
+    },
+    OptionRow {
+        name: "denoise",
+        label: "Repair identity swaps and left-right flips, reject inconsistent joints",
+        kind: Kind::Switch,
+        unit: "",
+        effect: "Repairs detections: identity swaps and left-right flips are undone, joints that contradict the other \
+                 cameras are rejected. Off: identities from association and tracking alone.",
+        flag: "denoise",
+        is_common: false,
+    },
+    OptionRow {
+        name: "motion_prior",
+        label: "Motion prior",
+        kind: Kind::Switch,
+        unit: "",
+        effect: "Prefers likely poses and keeps standing feet still. Off: body fit with smoothness alone.",
+        flag: "motion-prior",
+        is_common: false,
+    },
+    OptionRow {
+        name: "collision",
+        label: "Collision resolution between bodies",
+        kind: Kind::Switch,
+        unit: "",
+        effect: "Moves bodies that reach into each other apart.",
+        flag: "collision",
+        is_common: false,
+    },
+    OptionRow {
+        name: "seed",
+        label: "Seed",
+        kind: Kind::Whole { min: 0, or_null: false },
+        unit: "",
+        effect: "Seed of every random choice. The same session, options and seed give the same bytes.",
+        flag: "seed",
+        is_common: false,
+    },
+    OptionRow {
+        name: "exports",
+        label: "Export formats in addition to JSON",
+        kind: Kind::Choices(&[
+            choice("smpl_npz", "poses and shapes of every person in AMASS's layout (72 and 156 wide)"),
+            choice("easymocap", "EasyMocap's keypoints and SMPL parameters"),
+            choice("glb", "cameras and people as an animated glTF scene"),
+            choice("bvh", "one BVH skeleton per person"),
+            choice("usd", "cameras and people as a USD scene"),
+            choice("trc", "joint centres as OpenSim's TRC, one file per person"),
+            choice("c3d", "joint centres as C3D, one file per person"),
+            choice("opencv_yaml", "cameras as OpenCV's intri.yml and extri.yml"),
+            choice("calib_toml", "cameras as Pose2Sim's Calib.toml"),
+            choice("anipose_toml", "cameras as anipose's calibration.toml"),
+            choice("colmap", "cameras as COLMAP's text model"),
+            choice("chan", "one .chan file per camera, for Nuke and Blender"),
+            choice("blender", "a Python script that builds the scene in Blender"),
+        ]),
+        unit: "",
+        effect: "Formats that are written in addition to the JSON files.",
+        flag: "exports",
+        is_common: false,
+    },
+];
+
+impl OptionRow {
+    /// The row of an option.
+    pub fn named(name: &str) -> Option<&'static Self> {
+        OPTION_TABLE.iter().find(|row| row.name == name)
+    }
+
+    /// The value that the option has where it is not given.
+    pub fn default(&self) -> Value {
+        serde_json::to_value(Options::default()).map_or(Value::Null, |all| all[self.name].clone())
+    }
+}
+
+impl Kind {
+    /// Name of the type, as the documentation states it.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Switch => "boolean",
+            Self::Whole { or_null: true, .. } => "whole number or null",
+            Self::Whole { or_null: false, .. } => "whole number",
+            Self::Number { or_null: true, .. } => "number or null",
+            Self::Number { or_null: false, .. } => "number",
+            Self::Text => "text",
+            Self::TwoCameras => "two camera ids",
+            Self::Choice(_) => "one name",
+            Self::Choices(_) => "list of names",
+            Self::Forms(_) => "object",
+        }
+    }
+
+    /// The allowed values in words; empty for a text or an object.
+    pub fn range(&self) -> String {
+        let names = |choices: &[Choice]| {
+            choices.iter().map(|choice| format!("`{}`", choice.value)).collect::<Vec<_>>().join(", ")
+        };
+        match self {
+            Self::Switch => "`true`, `false`".to_owned(),
+            Self::Whole { min, .. } => format!("{min} or more"),
+            Self::Number { range: [min, max], .. } if max.is_finite() => format!("{min} to {max}"),
+            Self::Number { range: [min, _], .. } => format!("above {min}"),
+            Self::Text | Self::TwoCameras => String::new(),
+            Self::Choice(choices) | Self::Choices(choices) => names(choices),
+            Self::Forms(forms) => forms.iter().map(|form| format!("`{}`", form.from)).collect::<Vec<_>>().join(", "),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    /// A valid value of every choice and form of a row.
+    fn values(row: &OptionRow) -> Vec<Value> {
+        match row.kind {
+            Kind::Switch => vec![json!(true), json!(false)],
+            Kind::Whole { min, or_null } => [json!(min)].into_iter().chain(or_null.then_some(Value::Null)).collect(),
+            Kind::Number { range, .. } => vec![json!(range[0])],
+            Kind::Text | Kind::TwoCameras => vec![json!("default")],
+            Kind::Choice(choices) => choices.iter().map(|choice| json!(choice.value)).collect(),
+            Kind::Choices(choices) => choices.iter().map(|choice| json!([choice.value])).collect(),
+            Kind::Forms(forms) => forms
+                .iter()
+                .map(|form| {
+                    let value = |field: &Field| match field.kind {
+                        Kind::Number { .. } => json!(1.5),
+                        Kind::TwoCameras => json!(["a", "b"]),
+                        _ => json!("tallest"),
+                    };
+                    let fields = form.fields.iter().map(|field| (field.name.to_owned(), value(field)));
+                    Value::Object([("from".to_owned(), json!(form.from))].into_iter().chain(fields).collect())
+                })
+                .collect(),
+        }
+    }
+
+    #[test]
+    fn table_has_every_option_once() {
+        let all = serde_json::to_value(Options::default()).unwrap();
+        let mut names: Vec<&str> = OPTION_TABLE.iter().map(|row| row.name).collect();
+        names.sort_unstable();
+        let mut known: Vec<&str> = all.as_object().unwrap().keys().map(String::as_str).collect();
+        known.sort_unstable();
+        assert_eq!(names, known);
+    }
+
+    #[test]
+    fn every_listed_value_is_a_valid_option() {
+        for row in OPTION_TABLE {
+            for value in values(row) {
+                let options = json!({ row.name: value });
+                let read: Result<Options, _> = serde_json::from_value(options.clone());
+                let read = read.unwrap_or_else(|error| panic!("{options}: {error}"));
+                assert_eq!(serde_json::to_value(read).unwrap()[row.name], value);
+            }
+        }
+    }
+
+    #[test]
+    fn rows_are_described_in_whole_sentences() {
+        for row in OPTION_TABLE {
+            assert!(row.effect.ends_with('.') && !row.label.is_empty(), "{}", row.name);
+            let has_own_flags = matches!(row.kind, Kind::Forms(_));
+            assert_eq!(row.flag.is_empty(), has_own_flags, "{}", row.name);
+        }
+    }
+}

@@ -1,0 +1,113 @@
+//! Tests of what a worker does with the end of a job.
+
+use super::super::queue::job::Submitter;
+use super::super::queue::{NewJob, QueueLimits};
+use super::super::store::Tenant;
+use super::super::store::sessions::{self, SessionSummary};
+use super::*;
+use crate::service::store::artifacts::Artifact;
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+#[test]
+fn a_crash_without_lack_of_memory_counts_as_a_crash() {
+    for signal in [None, Some(6), Some(9)] {
+        let crash = Crash { how: "how".to_owned(), signal };
+        let outcome = crashed(crash, Some(1), Some(u64::MAX));
+        assert!(matches!(outcome, ClaimOutcome::Crashed(how) if how == "how"), "{signal:?}");
+    }
+}
+
+/// A queue with one claimed job.
+struct Claimed {
+    _folder: tempfile::TempDir,
+    store: Store,
+    queue: Queue,
+    claim: Claim,
+}
+
+impl Claimed {
+    async fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(folder.path()).await.unwrap();
+        let queue = Queue::new(store.clone());
+        let tenant = Tenant::default_tenant();
+        let summary = SessionSummary {
+            name: "take".to_owned(),
+            sha256: "00".to_owned(),
+            cameras: 0,
+            frames: 3,
+            people_max: 1,
+            keypoint_convention: "coco17".to_owned(),
+            format: "native".to_owned(),
+            warnings: Vec::new(),
+            bytes: 5,
+            camera_facts: Vec::new(),
+        };
+        sessions::add(&store, &tenant, "s", &summary, i64::MAX).await.unwrap();
+        let new = NewJob {
+            tenant,
+            session: "s".to_owned(),
+            options: serde_json::json!({}),
+            labels: BTreeMap::new(),
+            priority: 0,
+            webhook: None,
+            submitter: Submitter::default(),
+        };
+        queue.enqueue(&new, None, QueueLimits { total: 9, tenant: 9, max_bytes: i64::MAX }).await.unwrap();
+        let claim = queue.claim(9).await.unwrap().unwrap();
+        Self { _folder: folder, store, queue, claim }
+    }
+
+    /// A published result whose files have these names.
+    fn published(&self, names: &[String]) -> ClaimOutcome<Published> {
+        let folder = self.store.folders.result(&self.claim.job, self.claim.fence);
+        std::fs::create_dir_all(&folder).unwrap();
+        let report = r#"{"stages": [], "cameras": [], "people": [], "heldout_px": null, "scale": null,
+                         "rejected_detections": 0.0, "quality": {"verdict": "pass", "reasons": []}}"#;
+        std::fs::write(folder.join("report.json"), report).unwrap();
+        std::fs::write(folder.join("cameras.json"), r#"{"cameras": []}"#).unwrap();
+        std::fs::write(folder.join("people.json"), r#"{"people": []}"#).unwrap();
+        let artifact = |name: &String| Artifact {
+            name: name.clone(),
+            media_type: "text/plain".to_owned(),
+            bytes: 1,
+            sha256: "00".to_owned(),
+        };
+        let artifacts = names.iter().map(artifact).collect();
+        ClaimOutcome::Succeeded(Published { artifacts, summary: Summary::read(&folder).unwrap() })
+    }
+
+    async fn record(&self, outcome: ClaimOutcome<Published>) -> &'static str {
+        let draining = CancellationToken::new();
+        record(&self.store, &self.queue, &Settings::default(), &self.claim, outcome, &draining).await
+    }
+
+    async fn job(&self) -> crate::service::queue::job::Job {
+        self.queue.get(&Tenant::default_tenant(), &self.claim.job).await.unwrap().unwrap()
+    }
+}
+
+#[tokio::test]
+async fn a_result_whose_rows_do_not_fit_ends_the_job() {
+    let claimed = Claimed::new().await;
+    let twice = ["a".to_owned(), "a".to_owned()];
+    assert_eq!(claimed.record(claimed.published(&twice)).await, "failed");
+    let job = claimed.job().await;
+    assert_eq!(job.state.error().unwrap().code, "result_unrecorded");
+    assert!(!claimed.store.folders.job(&job.id).exists());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_end_on_a_full_database_is_recorded_later() {
+    let claimed = Claimed::new().await;
+    let mut transaction = claimed.store.write().await.unwrap();
+    sqlx::query("PRAGMA max_page_count = 1").fetch_all(&mut *transaction).await.unwrap(); // the present size is the limit
+    transaction.rollback().await.unwrap();
+    let names: Vec<String> = (0..300).map(|n| format!("{n:0500}")).collect();
+    let outcome = claimed.published(&names);
+    let start = Instant::now();
+    assert_eq!(claimed.record(outcome).await, "succeeded"); // sqlx replaces the connection after SQLITE_FULL
+    assert!(start.elapsed() >= RETRY_INTERVAL, "the first try failed");
+    assert!(claimed.store.folders.result(&claimed.claim.job, 1).join("report.json").exists());
+}
