@@ -140,7 +140,7 @@ fn form_with_bad_options_stores_nothing() {
 fn rejects_early_result_and_late_cancel() {
     let server = Server::start();
     let id = server.submit(&server.upload(60, 1));
-    for name in ["result", "cameras", "people", "report", "artifacts/cameras.json"] {
+    for name in ["result", "cameras", "people", "report", "archive", "artifacts/cameras.json"] {
         server.get(&format!("/v1/jobs/{id}/{name}")).expect_problem(409, "not_ready");
     }
     server.wait_for_state(&id, "succeeded");

@@ -40,6 +40,7 @@ pub(super) async fn add(
     body: Body,
 ) -> Result<Response, Problem> {
     let FileRequest { app, caller: Caller { tenant }, headers } = request;
+    published_fence(&app, &tenant, &id).await?; // a job of another tenant is unknown, whatever the body
     let formats = read_formats(&app, &headers, body).await?;
     // The work outlives its request: a client that leaves must not leave a half-written folder behind.
     let (worker, owner, job) = (app.clone(), tenant.clone(), id.clone());
@@ -82,9 +83,10 @@ async fn add_formats(app: &App, tenant: &Tenant, id: &str, formats: Vec<ExportFo
             return Err(Problem::new(status, "corrupt", "the published result is damaged or cannot be read", remedy));
         }
     };
-    let replaced = app.queue.replace_result(tenant, id, fence, &files).await;
-    if !matches!(replaced, Ok(true)) {
-        app.store.folders.remove_claim(id, fence + 1);
+    // An error leaves open whether the rows were written: the folder stays, and the next start removes it if no row refers to it.
+    if app.queue.replace_result(tenant, id, fence, &files).await? {
+        return Ok(());
     }
-    if replaced? { Ok(()) } else { Err(Problem::not_found("job")) }
+    app.store.folders.remove_claim(id, fence + 1);
+    Err(Problem::not_found("job"))
 }

@@ -1,7 +1,7 @@
 //! The viewer on a result folder, without a service: `/`, its assets, and the few read-only routes that the page of a job uses.
 //!
 //! The folder is shown as the only job of the only session. Files are looked up in the manifest, so that no request can name
-//! another file. Only requests to loopback names are answered, as in [`super::origin`].
+//! another file. Only requests to loopback names are answered, as by a service without keys.
 
 use super::error::{self, Problem};
 use super::origin::is_loopback_name;

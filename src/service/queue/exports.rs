@@ -7,7 +7,8 @@ use crate::service::store::error::StoreError;
 use crate::service::store::tenants::Tenant;
 
 impl Queue {
-    /// Refers a succeeded job to the files in the folder of `fence + 1` instead of that of `fence`, which is then removed.
+    /// Refers a succeeded job to the files in the folder of `fence + 1` instead of that of `fence`, which stays until the next
+    /// start: downloads and backups that have begun read it, and its files share their bytes with those of the new folder.
     /// Returns false, without a change, if the job was deleted or its result was replaced meanwhile.
     ///
     /// # Errors
@@ -40,7 +41,6 @@ impl Queue {
         transaction.commit().await?;
         failpoint("exports.committed");
         self.announce(job);
-        self.store.remove_files("results", &format!("{job}/{fence}")).await;
         Ok(true)
     }
 }
