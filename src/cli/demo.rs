@@ -97,7 +97,7 @@ fn in_words(errors: &Evaluation, verdict: &str) -> String {
         let direction = if percent < 0.0 { "small" } else { "large" };
         text += &format!(
             " The metric scale is {:.1} % too {direction}, and the errors above are without it: bodies alone determine the \
-             scale to some 3 %, a known height or camera distance (--height, --camera-distance) much better.",
+             scale to some 3 % in the median, a known height or camera distance (--height, --camera-distance) much better.",
             percent.abs()
         );
     }
@@ -108,7 +108,8 @@ fn simulate_session(out: &Path, seed: u64, noise: NoiseName) -> anyhow::Result<(
     let seed = seed.to_string();
     let words = ["simulate", "--people", "3", "--views", "5", "--noise", noise.word(), "--seed", &seed, "--out"];
     let words = words.map(std::ffi::OsStr::new);
-    simulate::run(arguments_of(words.into_iter().chain([out.as_os_str()]))?)
+    simulate::simulate_into_folder(&arguments_of(words.into_iter().chain([out.as_os_str()]))?)?;
+    Ok(())
 }
 
 fn evaluate_result(result: &Path, truth: &Path, out: &Path) -> anyhow::Result<()> {

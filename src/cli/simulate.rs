@@ -115,14 +115,21 @@ pub(super) enum TracksName {
 /// # Errors
 /// Numbers out of range, unreadable motion files, errors of the file system.
 pub(super) fn run(args: Args) -> anyhow::Result<()> {
-    let config = config(&args);
+    println!("{}", serde_json::to_string_pretty(&simulate_into_folder(&args)?)?);
+    Ok(())
+}
+
+/// Simulates and writes the session; returns statistics of its difficulty.
+///
+/// # Errors
+/// As [`run`].
+pub(super) fn simulate_into_folder(args: &Args) -> anyhow::Result<Statistics> {
+    let config = config(args);
     let simulated = simulate(&config)?;
     let write =
         || native::write_folder(&simulated.session, &args.out).and_then(|()| write_truth(&simulated, &args.out));
     write().with_context(|| format!("cannot write {}", args.out.display()))?;
-    let statistics: &Statistics = &simulated.truth.statistics;
-    println!("{}", serde_json::to_string_pretty(statistics)?);
-    Ok(())
+    Ok(simulated.truth.statistics)
 }
 
 fn config(args: &Args) -> SimulationConfig {
