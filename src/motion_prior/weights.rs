@@ -114,7 +114,8 @@ impl Weights {
         let provenance = provenance.ok_or_else(|| WeightsError::Provenance("missing".to_owned()))?;
         let provenance: Provenance =
             serde_json::from_str(provenance).map_err(|error| WeightsError::Provenance(error.to_string()))?;
-        if !(1..=MAX_WIDTH).contains(&provenance.width) || !(provenance.temperature > 0.0) {
+        let has_temperature = provenance.temperature.is_finite() && provenance.temperature > 0.0;
+        if !(1..=MAX_WIDTH).contains(&provenance.width) || !has_temperature {
             return Err(WeightsError::Provenance("width or temperature is outside its range".to_owned()));
         }
         let file = SafeTensors::deserialize(bytes)?;
