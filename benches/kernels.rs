@@ -1,4 +1,4 @@
-//! Kernels on one thread: camera projection, body kinematics, and the decoder of the motion prior.
+//! Kernels on one thread: camera projection, body kinematics, and the denoiser of the motion prior.
 
 use divan::counter::ItemsCount;
 use divan::{Bencher, black_box};
@@ -12,7 +12,7 @@ use wandless::body::skinning::skinned;
 use wandless::body::{Betas, default_body};
 use wandless::geometry::{Distortion, Intrinsics};
 use wandless::motion_prior::MotionPrior;
-use wandless::motion_prior::basis::LATENT_DIM;
+use wandless::motion_prior::observed::ObservedMotion;
 
 fn main() {
     divan::main();
@@ -72,14 +72,15 @@ fn skinning(bencher: Bencher) {
     bencher.bench(|| skinned(black_box(&model), &betas, black_box(&pose)));
 }
 
-/// Decoding of the latent codes of 4 people x 300 frames.
+/// The denoiser on the motions of 4 people x 300 frames, each with a hidden arm.
 #[divan::bench(sample_count = 10, sample_size = 1)]
-fn motion_prior_decoder(bencher: Bencher) {
+fn motion_prior_denoiser(bencher: Bencher) {
     let (people, frames) = (4, 300);
     let prior = MotionPrior::embedded();
-    let codes = vec![vec![0.1; frames * LATENT_DIM]; people];
+    let mut motion = ObservedMotion::exact(prior.drawn(frames, 1), vec![Vector3::zeros(); frames]);
+    motion.hide(&[16, 18, 20], 100..160);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("the system can start one thread");
-    bencher
-        .counter(ItemsCount::new(people * frames))
-        .bench_local(|| pool.install(|| black_box(prior.decode(black_box(&codes)))));
+    bencher.counter(ItemsCount::new(people * frames)).bench_local(|| {
+        pool.install(|| (0..people).for_each(|_| drop(black_box(prior.completed(black_box(&motion))))));
+    });
 }

@@ -31,7 +31,7 @@
 //! - [`progress`]: progress reports and cancellation
 //! - [`optim`]: least-squares solvers and robust kernels
 //! - [`body`]: the body model: skeleton, keypoint conventions, shape, kinematics, skinning
-//! - [`motion_prior`]: the variational autoencoder of human motion, its training and its embedded weights
+//! - [`motion_prior`]: the network that completes unseen joints, its training and its embedded weights
 //! - [`session`]: sessions, views, detections and reconstructions; readers of all input formats
 //! - [`residuals`]: residuals of the objective with their derivatives
 //! - [`estimation`]: robust estimators: essential matrix, camera pose, triangulation

@@ -8,8 +8,8 @@
 
 use super::chart::{Chart, Features, LATENT_JOINTS, LocalRotations, N_FEATURES, on_shortest_branch};
 use super::joints::{Bones, frame, rows};
-use super::panels::{Panels, add_product};
-use crate::body::skeleton::{N_JOINTS, PARENTS};
+use super::observed::joints_below;
+use crate::body::skeleton::N_JOINTS;
 use crate::geometry::rotation;
 use crate::geometry::svd::nearest_rotation;
 use nalgebra::{Cholesky, DMatrix, Matrix3, SymmetricEigen};
@@ -34,12 +34,8 @@ pub struct Basis {
     pub mean: [f32; N_FEATURES],
     /// Standard deviation of each feature, rad.
     pub spread: [f32; N_FEATURES],
-    /// `L V S^-1`, `[57, 32]`: code of a frame from its features less the mean.
-    pub code_from_features: Vec<f32>,
     /// `(L^-T V S)^T`, `[32, 57]`: features less the mean from a code.
     pub features_from_code: Vec<f32>,
-    /// `u_t - m = a_1 (u_(t-1) - m) + a_2 (u_(t-2) - m)` of each feature at 30 Hz: a baseline of the evaluation.
-    pub autoregression: [[f32; 2]; N_FEATURES],
 }
 
 /// Mean rotations over a training set.
@@ -77,71 +73,28 @@ pub fn fit_basis(chart: Chart, takes: &[Vec<Features>]) -> Option<Basis> {
     order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
     let leading = DMatrix::from_fn(N_FEATURES, LATENT_DIM, |i, k| eigen.eigenvectors[(i, order[k])]);
     let sd = |k: usize| eigen.eigenvalues[order[k]].max(1e-12).sqrt();
-    let code = &factor * &leading;
     let decode = factor.transpose().solve_upper_triangular(&leading)?;
     let row_major = |n: usize, m: usize| (0..n).flat_map(move |i| (0..m).map(move |j| (i, j)));
     Some(Basis {
         chart,
         mean: mean.map(|v| v as f32),
         spread: spread.map(|v| v as f32),
-        code_from_features: row_major(N_FEATURES, LATENT_DIM).map(|(i, k)| (code[(i, k)] / sd(k)) as f32).collect(),
         features_from_code: row_major(LATENT_DIM, N_FEATURES).map(|(k, i)| (decode[(i, k)] * sd(k)) as f32).collect(),
-        autoregression: autoregression(takes, &mean),
     })
 }
 
-/// The matrices of the linear code, prepared for products; N rows.
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct LinearCode {
-    mean: [f32; N_FEATURES],
-    to_code: Panels,
-    to_code_transposed: Panels,
-    from_code: Panels,
-    from_code_transposed: Panels,
-}
-
-impl LinearCode {
-    pub(crate) fn new(basis: &Basis) -> Self {
-        let (to, from) = (&basis.code_from_features, &basis.features_from_code);
-        Self {
-            mean: basis.mean,
-            to_code: Panels::from_rows(to, N_FEATURES, LATENT_DIM),
-            to_code_transposed: Panels::from_columns(to, LATENT_DIM, N_FEATURES),
-            from_code: Panels::from_rows(from, LATENT_DIM, N_FEATURES),
-            from_code_transposed: Panels::from_columns(from, N_FEATURES, LATENT_DIM),
-        }
+impl Basis {
+    /// Features of codes `[N, 32]`, `[N, 57]`.
+    pub fn features(&self, codes: &[f32]) -> Vec<f32> {
+        let row = |code: &[f32]| {
+            let feature = |i: usize| {
+                let moved = code.iter().enumerate().map(|(k, z)| z * self.features_from_code[k * N_FEATURES + i]);
+                self.mean[i] + moved.sum::<f32>()
+            };
+            (0..N_FEATURES).map(feature).collect::<Vec<f32>>()
+        };
+        codes.chunks_exact(LATENT_DIM).flat_map(row).collect()
     }
-
-    /// `[N, 57]` to `[N, 32]`.
-    pub(crate) fn code(&self, features: &[f32]) -> Vec<f32> {
-        let off: Vec<f32> =
-            features.chunks_exact(N_FEATURES).flat_map(|f| f.iter().zip(&self.mean).map(|(f, m)| f - m)).collect();
-        product(&off, &self.to_code, N_FEATURES, LATENT_DIM)
-    }
-
-    /// Gradient to the features from that to the code.
-    pub(crate) fn code_backward(&self, d_code: &[f32]) -> Vec<f32> {
-        product(d_code, &self.to_code_transposed, LATENT_DIM, N_FEATURES)
-    }
-
-    /// `[N, 32]` to `[N, 57]`.
-    pub(crate) fn features(&self, code: &[f32]) -> Vec<f32> {
-        let n = code.len() / LATENT_DIM;
-        let mut features: Vec<f32> = self.mean.iter().copied().cycle().take(n * N_FEATURES).collect();
-        add_product(code, &self.from_code, &mut features);
-        features
-    }
-
-    /// Gradient to the code from that to the features.
-    pub(crate) fn features_backward(&self, d_features: &[f32]) -> Vec<f32> {
-        product(d_features, &self.from_code_transposed, N_FEATURES, LATENT_DIM)
-    }
-}
-
-fn product(x: &[f32], w: &Panels, n_in: usize, n_out: usize) -> Vec<f32> {
-    let mut y = vec![0.0; x.len() / n_in * n_out];
-    add_product(x, w, &mut y);
-    y
 }
 
 /// `E[J^T J] / 23` over frames, plus the floor.
@@ -153,7 +106,7 @@ fn joint_metric<'a>(chart: &Chart, frames: impl Iterator<Item = &'a Features>) -
     for features in frames {
         let posed = bones.posed(&chart.rotations(features));
         for (i, joint) in LATENT_JOINTS.iter().enumerate() {
-            for below in (0..N_JOINTS).filter(|below| is_above(*joint, *below)) {
+            for below in joints_below(*joint) {
                 let lever = posed.joints[below] - posed.joints[*joint];
                 let block = -rotation::skew(&lever) * posed.rotations[*joint];
                 jacobian.fixed_view_mut::<3, 3>(3 * below, 3 * i).copy_from(&block);
@@ -163,32 +116,4 @@ fn joint_metric<'a>(chart: &Chart, frames: impl Iterator<Item = &'a Features>) -
         n += 1;
     }
     metric / (n.max(1) * (N_JOINTS - 1)) as f64 + DMatrix::identity(N_FEATURES, N_FEATURES) * METRIC_FLOOR
-}
-
-/// Whether a rotation of `joint` moves `below`.
-fn is_above(joint: usize, below: usize) -> bool {
-    std::iter::successors(PARENTS[below], |&j| PARENTS[j]).any(|j| j == joint)
-}
-
-/// Least squares of each feature on its two predecessors.
-fn autoregression(takes: &[Vec<Features>], mean: &Features) -> [[f32; 2]; N_FEATURES] {
-    std::array::from_fn(|i| {
-        let (mut normal, mut right) = ([[0.0_f64; 2]; 2], [0.0_f64; 2]);
-        for window in takes.iter().flat_map(|take| take.windows(3)) {
-            let [before, last, next] = [window[0][i] - mean[i], window[1][i] - mean[i], window[2][i] - mean[i]];
-            normal[0][0] += last * last;
-            normal[0][1] += last * before;
-            normal[1][1] += before * before;
-            right[0] += last * next;
-            right[1] += before * next;
-        }
-        let determinant = normal[0][0] * normal[1][1] - normal[0][1] * normal[0][1];
-        if determinant <= 1e-12 * normal[0][0] * normal[1][1] {
-            return [1.0, 0.0];
-        }
-        [
-            ((right[0] * normal[1][1] - right[1] * normal[0][1]) / determinant) as f32,
-            ((right[1] * normal[0][0] - right[0] * normal[0][1]) / determinant) as f32,
-        ]
-    })
 }

@@ -1,13 +1,11 @@
-//! Rotations as the 57 features a frame that the network processes, and back.
+//! Rotations as 57 features a frame, and back.
 //!
 //! Joint j turns by `R_j = M_j exp(u_j)` with its mean rotation `M_j` over the training set: three numbers a joint,
-//! continuous within half a turn of the mean, and a decoder that cannot leave SO(3). The 6D form (first two columns) is
-//! curved where these are straight: at 32 numbers a frame its principal components have a joint error of 23 mm on the
-//! validation takes, those of `u` 3 mm (model card).
+//! continuous within half a turn of the mean. The 6D form (first two columns) is curved where these are straight: at 32
+//! numbers a frame its principal components have a joint error of 23 mm on the validation takes, those of `u` 3 mm.
 //!
-//! Along a take the branch of each joint's logarithm is continuous, so that smoothing crosses no seam. The network and the
-//! linear code get every rotation on its shortest branch (`on_shortest_branch`): mocap wrists turn up to a full turn from
-//! their mean, where neither has training data.
+//! Along a take the branch of each joint's logarithm is continuous. The linear code gets every rotation on its shortest
+//! branch (`on_shortest_branch`): mocap wrists turn up to a full turn from their mean, where it has no training data.
 //!
 //! The training data have collars and hands at identity; these joints are not part of the latent.
 
@@ -103,18 +101,6 @@ pub(crate) fn on_shortest_branch(mut features: Vec<f32>) -> Vec<f32> {
     features
 }
 
-/// Gradient to the features from that to their shortest branches: with `a = |u|` the derivative of the branch is
-/// `(1 - 2 pi k / a) I + 2 pi k u u^T / a^3`.
-pub(crate) fn on_shortest_branch_backward(features: &[f32], d_features: &mut [f32]) {
-    for (values, d_values) in features.chunks_exact(3).zip(d_features.chunks_exact_mut(3)) {
-        let (u, d) = (joint(values), joint(d_values));
-        let (angle, turned) = (u.norm(), whole_turns(&u) * TAU);
-        if turned > 0.0 {
-            write_joint(d_values, &(d * (1.0 - turned / angle) + u * (turned * u.dot(&d) / angle.powi(3))));
-        }
-    }
-}
-
 fn joint(values: &[f32]) -> Vector3<f64> {
     Vector3::from_fn(|axis, _| f64::from(values[axis]))
 }
@@ -154,23 +140,15 @@ mod tests {
         }
     }
 
-    /// Three joints: one inside, one past half a turn, one at rest. Steps of 1e-2 in single precision: good to 1e-3.
+    /// Three joints: one inside, one past half a turn, one at rest.
     #[test]
-    fn the_shortest_branch_and_its_gradient_are_exact() {
+    fn the_shortest_branch_is_the_same_rotation() {
         let features = vec![0.4, -0.3, 1.0, 2.0, -2.5, 1.5, 0.0, 0.0, 0.0];
         let shortest = on_shortest_branch(features.clone());
         assert_eq!((&shortest[..3], &shortest[6..]), (&features[..3], &features[6..]));
         assert!(joint(&shortest[3..6]).norm() < PI);
         let turn = |f: &[f32]| rotation::exp(&joint(&f[3..6]));
         assert!((turn(&shortest) - turn(&features)).norm() < 1e-6);
-        let pull: Vec<f32> = (0..9).map(|i| (i as f32).cos()).collect();
-        let value = |f: Vec<f32>| on_shortest_branch(f).iter().zip(&pull).map(|(x, p)| x * p).sum::<f32>();
-        let mut gradient = pull.clone();
-        on_shortest_branch_backward(&features, &mut gradient);
-        for i in 0..9 {
-            let stepped = |h: f32| value((0..9).map(|k| features[k] + if k == i { h } else { 0.0 }).collect());
-            assert!(((stepped(1e-2) - stepped(-1e-2)) / 2e-2 - gradient[i]).abs() < 1e-3, "{i}");
-        }
     }
 
     #[test]

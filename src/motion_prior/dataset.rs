@@ -2,9 +2,10 @@
 
 use super::chart::LocalRotations;
 use super::interpolation::{resampled, resampled_len};
+use super::joints::Bones;
 use super::motion_file::{MotionProblem, read_take};
 use crate::body::skeleton::N_JOINTS;
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Vector3};
 use sha2::{Digest, Sha256};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -19,8 +20,12 @@ pub struct Take {
     pub subject: String,
     /// File name.
     pub name: String,
-    /// Local rotations of every frame.
+    /// Local rotations of every frame; entry 0 is `world_from_pelvis`, y up.
     pub rotations: Vec<LocalRotations>,
+    /// Position of the pelvis, m.
+    pub pelvis: Vec<Vector3<f64>>,
+    /// Whether the left and the right foot stand.
+    pub contacts: Vec<[bool; 2]>,
 }
 
 /// All takes below a folder, by path, and the digest of their files.
@@ -98,12 +103,47 @@ fn read(path: &Path) -> Result<Take, DatasetError> {
     let take = read_take(path).map_err(|problem| DatasetError::Motion { path: path.to_owned(), problem })?;
     let rotations: Vec<LocalRotations> = take.poses.iter().map(|pose| pose.rotations).collect();
     let n_samples = resampled_len(rotations.len(), take.fps, GRID_FPS);
+    let rotations = resampled(&rotations, take.fps, GRID_FPS, n_samples);
+    let path_at = |i: usize| {
+        let at = (i as f64 * take.fps / GRID_FPS).min(take.poses.len() as f64 - 1.0);
+        let [first, next] = [at.floor() as usize, at.ceil() as usize].map(|frame| take.poses[frame].pelvis);
+        first.lerp(&next, at.fract())
+    };
+    let pelvis: Vec<Vector3<f64>> = (0..n_samples).map(path_at).collect();
+    let bones = take.rest_joints.as_ref().map_or_else(Bones::of_default_body, Bones::of_rest_joints);
     let name = |part: Option<&std::ffi::OsStr>| part.map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     Ok(Take {
         subject: name(path.parent().and_then(Path::file_name)),
         name: name(path.file_name()),
-        rotations: resampled(&rotations, take.fps, GRID_FPS, n_samples),
+        contacts: standing_feet(&bones, &rotations, &pelvis),
+        rotations,
+        pelvis,
     })
+}
+
+/// Joints of the left and of the right forefoot.
+const FEET: [usize; 2] = [10, 11];
+/// A foot that moves more slowly than this stands, m/s: a walking foot swings at 2 to 4 m/s, and recorded standing feet
+/// tremble and slide by less than 0.2 m/s.
+const STANDING_SPEED: f64 = 0.25;
+
+/// Feet that stand: slower than [`STANDING_SPEED`] between the neighbouring frames.
+fn standing_feet(bones: &Bones, rotations: &[LocalRotations], pelvis: &[Vector3<f64>]) -> Vec<[bool; 2]> {
+    let feet: Vec<[Vector3<f64>; 2]> = rotations
+        .iter()
+        .zip(pelvis)
+        .map(|(frame, pelvis)| FEET.map(|joint| frame[0] * bones.posed(frame).joints[joint] + pelvis))
+        .collect();
+    let stands = |t: usize, side: usize| {
+        let [from, to] = [t.saturating_sub(1), (t + 1).min(feet.len() - 1)];
+        (feet[to][side] - feet[from][side]).norm() * GRID_FPS <= STANDING_SPEED * (to - from) as f64
+    };
+    (0..feet.len()).map(|t| [stands(t, 0), stands(t, 1)]).collect()
+}
+
+/// The mirror image of a path at the plane x = 0.
+pub fn mirrored_path(path: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+    path.iter().map(|p| Vector3::new(-p.x, p.y, p.z)).collect()
 }
 
 /// A take with left and right exchanged: every rotation is reflected at the plane x = 0.
@@ -156,7 +196,13 @@ mod tests {
 
     #[test]
     fn no_subject_is_on_both_sides() {
-        let take = |i: usize| Take { subject: format!("s{:02}", i % 20), name: format!("{i}"), rotations: Vec::new() };
+        let take = |i: usize| Take {
+            subject: format!("s{:02}", i % 20),
+            name: format!("{i}"),
+            rotations: Vec::new(),
+            pelvis: Vec::new(),
+            contacts: Vec::new(),
+        };
         let takes: Vec<Take> = (0..60).map(take).collect();
         let [training, held_out] = split_by_subject(&takes);
         assert_eq!((training.len(), held_out.len()), (54, 6));

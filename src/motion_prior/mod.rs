@@ -1,48 +1,37 @@
-//! The motion prior: a variational autoencoder over whole takes, its training, and the embedded weights.
+//! The motion prior: how people move where cameras do not see them.
 //!
 //! In reading order:
 //!
-//! - [`chart`]: rotations as 57 numbers a frame; joints outside the latent
-//! - [`joints`]: joint positions from features, with the backward pass
-//! - [`basis`]: the frozen linear code
-//! - [`pose_gaussian`]: a Gaussian over poses
-//! - [`paths`]: candidate paths by smoothing
-//! - [`checkpoint`]: the file of a trained prior
-//! - [`interpolation`]: rotations between samples
 //! - [`motion_file`], [`motion_writer`], [`dataset`]: motion capture in the AMASS layout
-//! - [`windows`], [`prior`]: long takes; the operations of a trained prior
-//! - [`corruption`], [`training`]: training of the network
-//! - [`evaluation`]: errors of a prior on test takes
+//! - [`interpolation`]: rotations between samples
+//! - [`chart`], [`joints`], [`basis`]: rotations as 57 numbers a frame; joint positions; the linear code of single poses
+//! - [`pose_gaussian`]: the linear code as a Gaussian over poses
+//! - [`drawing`]: motions drawn from it
+//! - [`observed`], [`bridge`]: motions with gaps; paths through the gaps that need no network
+//! - [`denoiser_input`], [`denoiser`]: the network that corrects them and states its uncertainty
+//! - [`gaps`], [`objective`], [`training`]: its training
+//! - [`weights`], [`prior`]: its file; the operations of a trained prior, at any frame rate (`grid`)
+//! - [`evaluation`]: errors of hidden joints
 
 pub mod basis;
+pub mod bridge;
 pub mod chart;
-pub mod checkpoint;
-mod clips;
-pub mod corruption;
 pub mod dataset;
-mod encoder_input;
+pub mod denoiser;
+pub mod denoiser_input;
+pub mod drawing;
 pub mod evaluation;
-mod fusion;
-mod gru;
+pub mod gaps;
+mod grid;
 pub mod interpolation;
 pub mod joints;
-mod layers;
 pub mod motion_file;
 pub mod motion_writer;
-mod objective;
-pub mod optimizer;
-mod panels;
-pub mod paths;
-mod pentadiagonal;
+pub mod objective;
+pub mod observed;
 pub mod pose_gaussian;
 pub mod prior;
-mod self_contact;
-mod shape;
-mod six_d;
 pub mod training;
-mod trunk;
-mod vae;
-pub mod windows;
+pub mod weights;
 
 pub use prior::MotionPrior;
-pub use shape::{VaeForm, VaeShape};

@@ -1,39 +1,41 @@
-//! The trained prior and its operations, for takes of any length.
+//! The trained prior and its operations.
 
-use super::basis::{Basis, LATENT_DIM};
-use super::chart::{Chart, LATENT_JOINTS, LocalRotations, N_FEATURES, OUTSIDE_JOINTS};
-use super::checkpoint::{Checkpoint, CheckpointError, Provenance, checkpoint_from_bytes};
-use super::dataset::GRID_FPS;
-use super::encoder_input::EncoderInput;
-use super::fusion::BlendingFactors;
-use super::interpolation::{grid_place, interpolate, resampled_len};
-use super::joints::{frame, rows};
-use super::paths::Observed;
-use super::shape::VaeShape;
-use super::vae::Vae;
-use super::windows::window_batches;
-use crate::body::skeleton::N_JOINTS;
+use super::basis::Basis;
+use super::chart::{Chart, Features, LocalRotations};
+use super::denoiser::Denoiser;
+use super::denoiser_input::{DenoiserInput, N_INPUT, denoiser_input};
+use super::joints::frame;
+use super::observed::{DESCRIBED_JOINTS, N_DESCRIBED, ObservedMotion};
+use super::weights::{Provenance, Weights, WeightsError};
+use crate::geometry::rotation::{exp, right_jacobian_inverse};
+use candle_core::{Device, Tensor};
+use nalgebra::{Matrix3, Vector3};
 use std::sync::OnceLock;
 
-/// The embedded weights; their model card is `assets/motion-prior-v1.md`.
-const WEIGHTS: &[u8] = include_bytes!("../../assets/motion-prior-v1.bin");
+/// The embedded weights; their model card is `assets/motion-prior-v2.md`.
+const WEIGHTS: &[u8] = include_bytes!("../../assets/motion-prior-v2.safetensors");
 
 /// A trained prior over motions on the 30 Hz grid.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone)]
 pub struct MotionPrior {
-    shape: VaeShape,
     provenance: Provenance,
     basis: Basis,
-    vae: Vae,
+    denoiser: Denoiser,
 }
 
-/// The encoder's posterior of one take.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Posterior {
-    /// Mean of z, `[T, 32]`.
-    pub mean: Vec<f32>,
-    /// Logarithm of its variance, `[T, 32]`.
-    pub log_variance: Vec<f32>,
+/// What the denoiser states about a motion.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Completion {
+    /// Mean rotations; joints that the denoiser does not describe as given.
+    pub rotations: Vec<LocalRotations>,
+    /// Inverse covariance of each described joint's right increment about its mean, rad^-2.
+    pub precision: Vec<[Matrix3<f64>; N_DESCRIBED]>,
+    /// Mean velocity of the pelvis in the world, m/s.
+    pub velocity: Vec<Vector3<f64>>,
+    /// Its standard deviations along the pelvis's axes, m/s.
+    pub velocity_sigma: Vec<Vector3<f64>>,
+    /// Probability that the left and the right foot stands.
+    pub contact: Vec<[f64; 2]>,
 }
 
 impl MotionPrior {
@@ -46,15 +48,17 @@ impl MotionPrior {
     /// A prior from the bytes of its file.
     ///
     /// # Errors
-    /// [`CheckpointError`].
-    pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
-        Ok(Self::new(checkpoint_from_bytes(bytes)?))
+    /// [`WeightsError`] names what is wrong.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, WeightsError> {
+        Self::new(Weights::from_bytes(bytes)?)
     }
 
-    /// A prior from a checkpoint.
-    pub fn new(checkpoint: Checkpoint) -> Self {
-        let Checkpoint { shape, provenance, basis, parameters } = checkpoint;
-        Self { shape, provenance, vae: Vae::new(shape, &basis, &parameters), basis }
+    /// A prior from its weights.
+    ///
+    /// # Errors
+    /// A variable of the network is missing or has another shape.
+    pub fn new(weights: Weights) -> Result<Self, WeightsError> {
+        Ok(Self { denoiser: weights.network()?, provenance: weights.provenance, basis: weights.basis })
     }
 
     /// Origin of the weights.
@@ -62,104 +66,84 @@ impl MotionPrior {
         &self.provenance
     }
 
-    /// The frozen basis.
+    /// The linear code of single poses.
     pub fn basis(&self) -> &Basis {
         &self.basis
     }
 
-    /// The chart of the features.
+    /// The chart of the linear code's features.
     pub fn chart(&self) -> &Chart {
         &self.basis.chart
     }
 
-    /// Encodes takes of any length; completes unseen joints and removes noise.
-    pub fn encode(&self, takes: &[Observed]) -> Vec<Posterior> {
-        let inputs: Vec<EncoderInput> = takes.iter().map(|take| self.shape.input(&self.basis, take)).collect();
-        let values: Vec<&[f32]> = inputs.iter().map(|input| input.values.as_slice()).collect();
-        let lengths: Vec<usize> = takes.iter().map(Observed::n_frames).collect();
-        let (n_in, n_head) = (self.shape.encoder().n_in, self.shape.encoder().n_out);
-        let mut heads: Vec<Vec<f32>> = lengths.iter().map(|n| vec![0.0; n * n_head]).collect();
-        for batch in window_batches(&lengths) {
-            let head = self.vae.head(&batch.cut(&values, n_in), batch.len());
-            batch.blend(&head, n_head, &mut heads);
-        }
-        let posterior = |(input, head): (&EncoderInput, &Vec<f32>)| {
-            let [mean, log_variance] = self.vae.posterior(input, head);
-            Posterior { mean, log_variance }
-        };
-        inputs.iter().zip(&heads).map(posterior).collect()
+    /// The mean pose: rotations of joints that are never seen.
+    pub fn mean_pose(&self) -> LocalRotations {
+        let mean: Features = frame(&self.basis.mean);
+        self.chart().rotations(&mean)
     }
 
-    /// Decodes codes `[T, 32]`, each take of its own length, to features `[T, 57]`.
-    pub fn decode(&self, codes: &[Vec<f32>]) -> Vec<Vec<f32>> {
-        let views: Vec<&[f32]> = codes.iter().map(Vec::as_slice).collect();
-        let lengths: Vec<usize> = codes.iter().map(|code| code.len() / LATENT_DIM).collect();
-        let mut features: Vec<Vec<f32>> = lengths.iter().map(|n| vec![0.0; n * N_FEATURES]).collect();
-        for batch in window_batches(&lengths) {
-            let decoded = self.vae.decode(&batch.cut(&views, LATENT_DIM), batch.len(), BlendingFactors::SHIPPED);
-            batch.blend(&decoded.features, N_FEATURES, &mut features);
-        }
-        features
-    }
-
-    /// Rotations of a take's features `[T, 57]`, on the prior's grid; joints outside the latent at rest.
-    pub fn rotations(&self, features: &[f32]) -> Vec<LocalRotations> {
-        features.chunks_exact(N_FEATURES).map(|row| self.chart().rotations(&frame(row))).collect()
-    }
-
-    /// Rotations of a take at `fps` after encoder and decoder: unseen joints completed, noise removed.
+    /// Completes and denoises a motion at 30 Hz of any length. A frame's result depends on the 84 frames around it, and on
+    /// the edges of the gaps in them.
     ///
-    /// `seen`: for every frame and joint in SMPL's order whether its rotation is known; `None`: all are. Pelvis, collars
-    /// and hands are returned unchanged.
-    pub fn reconstructed(
-        &self,
-        take: &[LocalRotations],
-        seen: Option<&[[bool; N_JOINTS]]>,
-        fps: f64,
-    ) -> Vec<LocalRotations> {
-        if take.is_empty() {
-            return Vec::new();
+    /// # Panics
+    /// Never for weights that [`Self::new`] accepted: the network's shapes are fixed.
+    pub fn completed(&self, motion: &ObservedMotion) -> Completion {
+        if motion.n_frames() == 0 {
+            return Completion::default();
         }
-        let observed = self.observed(take, seen, fps);
-        let codes: Vec<Vec<f32>> = self.encode(&[observed]).into_iter().map(|posterior| posterior.mean).collect();
-        let features = &self.decode(&codes)[0];
-        let grid: Vec<LocalRotations> = self.rotations(features);
-        let at_frame = |(f, given): (usize, &LocalRotations)| {
-            let place = grid_place(f as f64 * GRID_FPS / fps, grid.len());
-            std::array::from_fn(|j| {
-                if j == 0 || OUTSIDE_JOINTS.contains(&j) {
-                    return given[j];
-                }
-                interpolate(&place.samples.map(|s| grid[s][j]), place.share)
-            })
-        };
-        take.iter().enumerate().map(at_frame).collect()
+        let input = denoiser_input(motion, &self.mean_pose());
+        self.stated(&input).expect("the shapes of input and network agree")
     }
 
-    /// A take at `fps` on the 30 Hz grid. A joint is seen where it is seen in both neighbouring frames; if it is unseen in
-    /// one of the outer two frames of the cubic, that frame is replaced by its neighbour. A grid sample less than one frame
-    /// after the take's end repeats the last frame.
-    pub fn observed(&self, take: &[LocalRotations], seen: Option<&[[bool; N_JOINTS]]>, fps: f64) -> Observed {
-        let is_seen = |frame: usize, joint: usize| seen.is_none_or(|seen| seen[frame][joint]);
-        let n_samples = resampled_len(take.len(), fps, GRID_FPS);
-        let ends_before = (n_samples as f64 - 1.0) * fps / GRID_FPS < take.len() as f64 - 1.0 - 1e-6;
-        let n_samples = n_samples + usize::from(ends_before);
-        let mut grid = Vec::with_capacity(n_samples);
-        let mut flags = Vec::with_capacity(n_samples * LATENT_JOINTS.len());
-        for i in 0..n_samples {
-            let place = grid_place(i as f64 * fps / GRID_FPS, take.len());
-            let known = |joint: usize| {
-                let [mut before, first, second, mut after] = place.samples;
-                before = if is_seen(before, joint) { before } else { first };
-                after = if is_seen(after, joint) { after } else { second };
-                [before, first, second, after]
-            };
-            grid.push(std::array::from_fn(|j| interpolate(&known(j).map(|s| take[s][j]), place.share)));
-            flags.extend(LATENT_JOINTS.iter().map(|joint| {
-                let [_, first, second, _] = place.samples;
-                (place.share > 0.999 || is_seen(first, *joint)) && (place.share < 0.001 || is_seen(second, *joint))
-            }));
+    fn stated(&self, input: &DenoiserInput) -> candle_core::Result<Completion> {
+        let n_frames = input.bridged.pelvis.len();
+        let values = Tensor::from_slice(&input.values, (1, n_frames, N_INPUT), &Device::Cpu)?;
+        let stated = self.denoiser.forward(&values)?;
+        let rows = |tensor: &Tensor| tensor.contiguous()?.flatten_all()?.to_vec1::<f32>();
+        let [correction, diagonal, below] = [&stated.correction, &stated.log_diagonal, &stated.below].map(rows);
+        let (correction, diagonal, below) = (correction?, diagonal?, below?);
+        let [velocity, velocity_sigma, contact] =
+            [&stated.velocity, &stated.log_velocity_sigma, &stated.contact].map(rows);
+        let (velocity, velocity_sigma, contact) = (velocity?, velocity_sigma?, contact?);
+
+        let mut rotations = input.bridged.rotations.clone();
+        let mut precision = vec![[Matrix3::zeros(); N_DESCRIBED]; n_frames];
+        for (t, frame) in rotations.iter_mut().enumerate() {
+            for (described, &joint) in DESCRIBED_JOINTS.iter().enumerate() {
+                let row = t * N_DESCRIBED + described;
+                let unit = f64::from(input.units[row]);
+                let off = three(&correction, row) * unit;
+                frame[joint] *= exp(&off);
+                let factor = factor(&three(&diagonal, row), &three(&below, row)) * right_jacobian_inverse(&off);
+                precision[t][described] = factor.tr_mul(&factor) / (unit * unit * self.provenance.temperature);
+            }
         }
-        Observed { features: rows(&self.chart().features_of_take(&grid)), seen: flags }
+        let world = |t: usize| {
+            let next = (t + 1).min(n_frames - 1);
+            let bridged = (input.bridged.pelvis[next] - input.bridged.pelvis[t]) * super::dataset::GRID_FPS;
+            bridged + input.bridged.rotations[t][0] * three(&velocity, t)
+        };
+        Ok(Completion {
+            rotations,
+            precision,
+            velocity: (0..n_frames).map(world).collect(),
+            velocity_sigma: (0..n_frames).map(|t| three(&velocity_sigma, t).map(f64::exp)).collect(),
+            contact: contact.chunks_exact(2).map(|odds| [odds[0], odds[1]].map(probability)).collect(),
+        })
     }
+}
+
+/// Row `i` of rows of three.
+fn three(values: &[f32], i: usize) -> Vector3<f64> {
+    Vector3::from_fn(|axis, _| f64::from(values[3 * i + axis]))
+}
+
+/// The lower triangular factor L of a precision `L^T L`: its rows are those of a unit triangle times the diagonal.
+fn factor(log_diagonal: &Vector3<f64>, below: &Vector3<f64>) -> Matrix3<f64> {
+    let unit = Matrix3::new(1.0, 0.0, 0.0, below.x, 1.0, 0.0, below.y, below.z, 1.0);
+    Matrix3::from_diagonal(&log_diagonal.map(f64::exp)) * unit
+}
+
+fn probability(log_odds: f32) -> f64 {
+    1.0 / (1.0 + (-f64::from(log_odds)).exp())
 }

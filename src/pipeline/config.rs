@@ -28,8 +28,10 @@ pub struct Options {
     pub up_axis: UpAxis,
     /// Whether detections are repaired by physics-geometry consistency.
     pub denoise: bool,
-    /// Whether the motion prior is used: likely poses, standing feet.
-    pub motion_prior: bool,
+    /// What is known of human motion beside the cameras; `true` is `denoiser`, `false` is `none`.
+    #[serde(deserialize_with = "named_or_switched")]
+    #[cfg_attr(feature = "service", schema(value_type = MotionPriorChoice))]
+    pub motion_prior: MotionPriorMode,
     /// Whether collisions between bodies are resolved.
     pub collision: bool,
     /// Name of a registered body model.
@@ -64,7 +66,7 @@ impl Default for Options {
             scale: ScaleSource::Body,
             up_axis: UpAxis::Y,
             denoise: true,
-            motion_prior: true,
+            motion_prior: MotionPriorMode::Denoiser,
             collision: true,
             body: DEFAULT_BODY.to_owned(),
             sync: Sync::Given,
@@ -87,6 +89,20 @@ fn distinct<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<ExportForm
         is_new
     });
     Ok(formats)
+}
+
+/// Reads a mode by its name, or as a switch.
+fn named_or_switched<'de, D: Deserializer<'de>>(deserializer: D) -> Result<MotionPriorMode, D::Error> {
+    let found = serde_json::Value::deserialize(deserializer)?;
+    let named = match &found {
+        serde_json::Value::Bool(true) => Some(MotionPriorMode::Denoiser),
+        serde_json::Value::Bool(false) => Some(MotionPriorMode::None),
+        name => MotionPriorMode::deserialize(name).ok(),
+    };
+    named.ok_or_else(|| {
+        let remedy = "use \"denoiser\", \"pose\", \"none\", true or false";
+        serde::de::Error::custom(format!("motion_prior: {found} is not a motion prior; {remedy}"))
+    })
 }
 
 /// Facts of a camera that the check of options needs, so that the session itself need not be loaded.
@@ -244,6 +260,30 @@ pub enum ScaleSource {
     },
 }
 
+/// `options.motion_prior`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
+#[serde(rename_all = "lowercase")]
+pub enum MotionPriorMode {
+    /// Likely poses and standing feet; joints that no camera shows for a while are completed from the rest of the motion.
+    Denoiser,
+    /// Likely poses and standing feet.
+    Pose,
+    /// Smoothness alone.
+    None,
+}
+
+/// What `options.motion_prior` accepts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
+#[serde(untagged)]
+pub enum MotionPriorChoice {
+    /// By name.
+    Mode(MotionPriorMode),
+    /// `true` is `denoiser`, `false` is `none`.
+    Switch(bool),
+}
+
 /// `options.sync`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
@@ -263,5 +303,19 @@ mod tests {
     fn repeated_exports_count_once() {
         let options: Options = serde_json::from_str(r#"{"exports": ["glb", "bvh", "glb", "glb"]}"#).unwrap();
         assert_eq!(options.exports, [ExportFormat::Glb, ExportFormat::Bvh]);
+    }
+
+    #[test]
+    fn the_motion_prior_has_names_and_switches() {
+        let read = |text: &str| serde_json::from_str::<Options>(&format!(r#"{{"motion_prior": {text}}}"#));
+        let cases = [("true", "denoiser"), ("false", "none"), (r#""denoiser""#, "denoiser"), (r#""pose""#, "pose")];
+        for (given, name) in cases {
+            let options = read(given).unwrap();
+            assert_eq!(serde_json::to_value(&options).unwrap()["motion_prior"], name);
+        }
+        for wrong in [r#""latent""#, "1", "null"] {
+            let refused = read(wrong).unwrap_err().to_string();
+            assert!(refused.contains("motion_prior") && refused.contains("\"pose\""), "{refused}");
+        }
     }
 }

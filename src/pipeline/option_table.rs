@@ -247,9 +247,13 @@ pub const OPTION_TABLE: &[OptionRow] = &[
     OptionRow {
         name: "motion_prior",
         label: "Motion prior",
-        kind: Kind::Switch,
+        kind: Kind::Choice(&[
+            choice("denoiser", "likely poses and standing feet; joints that no camera shows for a while are completed"),
+            choice("pose", "likely poses and standing feet"),
+            choice("none", "smoothness alone"),
+        ]),
         unit: "",
-        effect: "Prefers likely poses and keeps standing feet still. Off: body fit with smoothness alone.",
+        effect: "What is known of human motion beside the cameras. `true` and `false` stay valid for `denoiser` and `none`.",
         flag: "motion-prior",
         is_common: false,
     },

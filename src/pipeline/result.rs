@@ -2,7 +2,7 @@
 
 use super::calibration::{Calibration, TrackedPeople};
 use super::capture::Capture;
-use super::config::Extrinsics;
+use super::config::{Extrinsics, MotionPriorMode};
 use super::error::PipelineError;
 use super::stages::association::identities;
 use super::stages::body_fit::{BodyFitConfig, FittedBodies, fit_bodies, fitted_statures, landmark_trajectory};
@@ -83,7 +83,8 @@ impl Solution {
         let config = if is_monocular { BodyFitConfig::monocular() } else { BodyFitConfig::default() };
         let config = BodyFitConfig {
             resolve_collisions: capture.options.collision,
-            motion_prior: capture.options.motion_prior,
+            motion_prior: capture.options.motion_prior != MotionPriorMode::None,
+            completes_gaps: capture.options.motion_prior == MotionPriorMode::Denoiser,
             correlated_errors: capture.options.adjust_with_bodies && config.correlated_errors,
             adjust_cameras: capture.options.adjust_with_bodies && capture.options.extrinsics != Extrinsics::Fixed,
             ..config

@@ -13,3 +13,4 @@ pub mod joint_angles;
 pub mod pose_likelihood;
 pub mod position_cost;
 pub mod reprojection;
+pub mod rotation_likelihood;

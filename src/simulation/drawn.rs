@@ -11,7 +11,6 @@ use crate::geometry::rotation;
 use crate::motion_prior::MotionPrior;
 use crate::motion_prior::chart::LocalRotations;
 use crate::motion_prior::dataset::GRID_FPS;
-use crate::motion_prior::evaluation::random_code;
 use crate::motion_prior::motion_file::{MotionPose, MotionTake};
 use nalgebra::Vector3;
 use rand::RngExt;
@@ -22,13 +21,13 @@ pub(super) fn drawn_take(config: &SimulationConfig, person: usize) -> MotionTake
     let rng = &mut stream(config.seed, Purpose::Motion, 0, person);
     let prior = MotionPrior::embedded();
     let n_frames = (config.frames as f64 / config.fps * GRID_FPS).ceil() as usize + 1;
-    let features = prior.decode(&[random_code(n_frames, rng.random())]);
+    let drawn = prior.drawn(n_frames, rng.random());
     let heading = random_heading(rng);
     let pose = |(t, mut rotations): (usize, LocalRotations)| {
         rotations[0] = rotation::exp(&(Vector3::y() * heading(t as f64 / GRID_FPS)));
         MotionPose { rotations, pelvis: Vector3::zeros() }
     };
-    let poses = features.iter().flat_map(|f| prior.rotations(f)).enumerate().map(pose).collect();
+    let poses = drawn.into_iter().enumerate().map(pose).collect();
     MotionTake { rest_joints: None, poses, fps: GRID_FPS }
 }
 

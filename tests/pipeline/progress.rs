@@ -1,7 +1,7 @@
 //! Progress of whole runs: the share of the work never falls and ends at 1, for every set of passes.
 
 use std::sync::{Arc, Mutex};
-use wandless::pipeline::config::{Extrinsics, IntrinsicsMode, ScaleSource, Sync};
+use wandless::pipeline::config::{Extrinsics, IntrinsicsMode, MotionPriorMode, ScaleSource, Sync};
 use wandless::pipeline::{Options, reconstruct};
 use wandless::progress::{Progress, ProgressEvent};
 use wandless::session::Session;
@@ -31,7 +31,7 @@ fn progress_never_falls_and_ends_at_one_for_all_options() {
         (&simulated.session, Options { denoise: false, ..default() }, 5),
         (&simulated.session, Options { sync, intrinsics: focal, scale: height, ..default() }, 8),
         (&simulated.session, Options { sync, denoise: false, collision: false, ..default() }, 6),
-        (&posed, Options { extrinsics: Extrinsics::Fixed, motion_prior: false, ..default() }, 6),
+        (&posed, Options { extrinsics: Extrinsics::Fixed, motion_prior: MotionPriorMode::None, ..default() }, 6),
         (&posed, Options { extrinsics: Extrinsics::Fixed, denoise: false, ..default() }, 5),
         (&posed, Options { extrinsics: Extrinsics::Refine, intrinsics: focal, ..default() }, 7),
     ];

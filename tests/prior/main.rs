@@ -37,3 +37,7 @@ fn waving(n_frames: usize, fps: f64, phase: f64) -> MotionTake {
 fn rotations(take: &MotionTake) -> Vec<LocalRotations> {
     take.poses.iter().map(|pose| pose.rotations).collect()
 }
+
+fn pelvis(take: &MotionTake) -> Vec<Vector3<f64>> {
+    take.poses.iter().map(|pose| pose.pelvis).collect()
+}

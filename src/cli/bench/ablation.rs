@@ -14,7 +14,7 @@ use crate::evaluation::report::PoseErrors;
 use crate::evaluation::{Evaluation, EvaluationOptions, evaluate};
 use crate::export::{ResultContext, write_result};
 use crate::pipeline::capture::Capture;
-use crate::pipeline::config::Extrinsics;
+use crate::pipeline::config::{Extrinsics, MotionPriorMode};
 use crate::pipeline::passes::cameras::initial_cameras;
 use crate::pipeline::{Options, reconstruct};
 use crate::progress::Progress;
@@ -61,14 +61,21 @@ const INITIAL: &str = "initial";
 /// Keypoints of the full solve.
 const POINTS: &str = "bundle adjustment only";
 
-const ARMS: [Arm; 5] = [
+const ARMS: [Arm; 6] = [
     Arm { name: FULL, options: Options::default },
     Arm {
         name: "cameras held at bundle adjustment",
         options: || Options { adjust_with_bodies: false, ..Options::default() },
     },
     Arm { name: "without consistency", options: || Options { denoise: false, ..Options::default() } },
-    Arm { name: "without motion prior", options: || Options { motion_prior: false, ..Options::default() } },
+    Arm {
+        name: "motion prior of single poses",
+        options: || Options { motion_prior: MotionPriorMode::Pose, ..Options::default() },
+    },
+    Arm {
+        name: "without motion prior",
+        options: || Options { motion_prior: MotionPriorMode::None, ..Options::default() },
+    },
     Arm { name: "without collision", options: || Options { collision: false, ..Options::default() } },
 ];
 

@@ -18,12 +18,10 @@ enum Action {
     Train(train::Args),
     /// Evaluate a prior on held-out motion files
     Eval(eval::Args),
-    /// Sample a motion from the prior
+    /// Draw a motion from the prior
     Sample(motions::SampleArgs),
-    /// Encode and decode a motion file
+    /// Denoise a motion file and complete hidden joints
     Reconstruct(motions::ReconstructArgs),
-    /// Interpolate between two motions in the latent space
-    Interpolate(motions::InterpolateArgs),
 }
 
 /// Runs the command.
@@ -33,6 +31,5 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
         Action::Eval(args) => eval::run(args),
         Action::Sample(args) => motions::sample(args),
         Action::Reconstruct(args) => motions::reconstruct(args),
-        Action::Interpolate(args) => motions::interpolate(args),
     }
 }

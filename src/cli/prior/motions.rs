@@ -1,24 +1,24 @@
-//! `wandless prior sample | reconstruct | interpolate`: write motions of the prior as files in the AMASS layout.
+//! `wandless prior sample | reconstruct`: write motions of the prior as files in the AMASS layout.
 
 use super::prior_file::read_prior;
+use crate::body::skeleton::JOINT_NAMES;
 use crate::cli::bad_input::BadInput;
-use crate::motion_prior::MotionPrior;
-use crate::motion_prior::chart::LocalRotations;
+use crate::geometry::rotation::{exp, log};
 use crate::motion_prior::dataset::GRID_FPS;
-use crate::motion_prior::evaluation::random_code;
 use crate::motion_prior::motion_file::{MotionPose, MotionTake, read_take};
 use crate::motion_prior::motion_writer::write_take;
+use crate::motion_prior::observed::{DESCRIBED_JOINTS, N_DESCRIBED};
 use anyhow::Context;
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
 
-/// Samples a latent code from N(0, I), smooths it in time and decodes it; the pelvis position is fixed.
+/// Draws random poses that change smoothly; the pelvis position is fixed.
 #[derive(Debug, clap::Args)]
 pub(super) struct SampleArgs {
     /// Output file
     #[arg(long)]
     out: PathBuf,
-    /// Seed of the latent code
+    /// Seed of the poses
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Length in frames at 30 Hz
@@ -29,7 +29,7 @@ pub(super) struct SampleArgs {
     prior: Option<PathBuf>,
 }
 
-/// Encodes and decodes a motion; rotations of pelvis, collars and hands are copied from the input.
+/// Removes noise and completes hidden joints; collars, hands and the pelvis position are copied from the input.
 #[derive(Debug, clap::Args)]
 pub(super) struct ReconstructArgs {
     /// Motion file in the AMASS layout
@@ -37,70 +37,76 @@ pub(super) struct ReconstructArgs {
     /// Output file
     #[arg(long)]
     out: PathBuf,
+    /// Standard deviation of the given rotations, degrees per axis
+    #[arg(long, default_value_t = 1.0)]
+    noise_deg: f64,
+    /// Joints that are hidden, by name and separated by commas, such as left_shoulder,left_elbow
+    #[arg(long, value_delimiter = ',', requires = "from", requires = "to")]
+    hide: Vec<String>,
+    /// First hidden frame of the file
+    #[arg(long)]
+    from: Option<usize>,
+    /// Frame after the last hidden one
+    #[arg(long)]
+    to: Option<usize>,
     /// Prior file [default: the embedded prior]
     #[arg(long)]
     prior: Option<PathBuf>,
 }
 
-/// Interpolates linearly from the latent codes of one motion to those of another over the length of the shorter one.
-#[derive(Debug, clap::Args)]
-pub(super) struct InterpolateArgs {
-    /// Motion file of the start
-    from: PathBuf,
-    /// Motion file of the end
-    to: PathBuf,
-    /// Output file
-    #[arg(long)]
-    out: PathBuf,
-    /// Prior file [default: the embedded prior]
-    #[arg(long)]
-    prior: Option<PathBuf>,
-}
-
-/// Height of the pelvis above the floor in generated motions, m.
+/// Height of the pelvis above the floor in drawn motions, m.
 const PELVIS_HEIGHT: f64 = 0.94;
 
 pub(super) fn sample(args: SampleArgs) -> anyhow::Result<()> {
     let prior = read_prior(args.prior.as_deref())?;
-    write(&args.out, &in_place(&prior, &[random_code(args.frames as usize, args.seed)]))
+    let pose = |rotations| MotionPose { rotations, pelvis: Vector3::new(0.0, PELVIS_HEIGHT, 0.0) };
+    let poses = prior.drawn(args.frames as usize, args.seed).into_iter().map(pose).collect();
+    write(&args.out, &MotionTake { rest_joints: None, poses, fps: GRID_FPS })
 }
 
 pub(super) fn reconstruct(args: ReconstructArgs) -> anyhow::Result<()> {
     let prior = read_prior(args.prior.as_deref())?;
-    let mut take = read(&args.input)?;
+    if !(0.0..=60.0).contains(&args.noise_deg) {
+        return Err(BadInput(format!("--noise-deg {}: give 0 to 60 degrees", args.noise_deg)).into());
+    }
+    let mut take = read_take(&args.input).map_err(|error| BadInput(format!("{}: {error}", args.input.display())))?;
     let rotations: Vec<_> = take.poses.iter().map(|pose| pose.rotations).collect();
-    for (pose, rotations) in take.poses.iter_mut().zip(prior.reconstructed(&rotations, None, take.fps)) {
-        pose.rotations = rotations;
+    let pelvis: Vec<_> = take.poses.iter().map(|pose| pose.pelvis).collect();
+    let mut sigma = vec![[args.noise_deg.to_radians(); N_DESCRIBED]; rotations.len()];
+    let hidden = hidden_joints(&args.hide)?;
+    let frames = args.from.unwrap_or(0)..args.to.unwrap_or(0);
+    if frames.start > frames.end || frames.end > rotations.len() {
+        let n = rotations.len();
+        return Err(BadInput(format!(
+            "--from {} --to {}: {} has frames 0 to {n}",
+            frames.start,
+            frames.end,
+            args.input.display()
+        ))
+        .into());
+    }
+    for row in &mut sigma[frames] {
+        hidden.iter().for_each(|&described| row[described] = f64::INFINITY);
+    }
+    let completed = prior.completed_at(&rotations, &pelvis, &sigma, take.fps);
+    for (pose, rotations) in take.poses.iter_mut().zip(completed.rotations) {
+        pose.rotations = rotations.map(|r| exp(&log(&r)));
     }
     write(&args.out, &take)
 }
 
-pub(super) fn interpolate(args: InterpolateArgs) -> anyhow::Result<()> {
-    let prior = read_prior(args.prior.as_deref())?;
-    let observed = |path: &Path| -> anyhow::Result<_> {
-        let take = read(path)?;
-        let rotations: Vec<_> = take.poses.iter().map(|pose| pose.rotations).collect();
-        Ok(prior.observed(&rotations, None, take.fps))
+/// Places of named joints among those that the prior describes.
+fn hidden_joints(names: &[String]) -> Result<Vec<usize>, BadInput> {
+    let place = |name: &String| {
+        let found = DESCRIBED_JOINTS.iter().skip(1).position(|&joint| JOINT_NAMES[joint] == *name);
+        found.map(|place| place + 1).ok_or_else(|| {
+            let known: Vec<&str> = DESCRIBED_JOINTS.iter().skip(1).map(|&joint| JOINT_NAMES[joint]).collect();
+            BadInput(format!("--hide {name}: not a joint of the prior; use {}", known.join(", ")))
+        })
     };
-    let codes = prior.encode(&[observed(&args.from)?, observed(&args.to)?]);
-    let n = codes[0].mean.len().min(codes[1].mean.len());
-    let pairs = codes[0].mean[..n].iter().zip(&codes[1].mean[..n]);
-    let blend = |(i, (a, b)): (usize, (&f32, &f32))| a + (b - a) * (i as f32 / n as f32);
-    write(&args.out, &in_place(&prior, &[pairs.enumerate().map(blend).collect()]))
-}
-
-fn read(path: &Path) -> anyhow::Result<MotionTake> {
-    Ok(read_take(path).map_err(|error| BadInput(format!("{}: {error}", path.display())))?)
+    names.iter().map(place).collect()
 }
 
 fn write(path: &Path, take: &MotionTake) -> anyhow::Result<()> {
     write_take(path, take).with_context(|| path.display().to_string())
-}
-
-/// Decodes latent codes to a motion with a fixed pelvis position.
-fn in_place(prior: &MotionPrior, codes: &[Vec<f32>]) -> MotionTake {
-    let features = prior.decode(codes);
-    let pose = |rotations: LocalRotations| MotionPose { rotations, pelvis: Vector3::new(0.0, PELVIS_HEIGHT, 0.0) };
-    let poses = features.iter().flat_map(|f| prior.rotations(f)).map(pose).collect();
-    MotionTake { rest_joints: None, poses, fps: GRID_FPS }
 }

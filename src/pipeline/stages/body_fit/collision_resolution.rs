@@ -173,6 +173,7 @@ mod tests {
             config: &config,
             first_config: &config,
             frame_interval: 1.0 / 30.0,
+            up: Vector3::y(),
             progress: &progress,
             noise: None,
         };

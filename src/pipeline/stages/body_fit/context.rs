@@ -4,6 +4,7 @@ use super::config::BodyFitConfig;
 use super::terms::noise_process::PathNoise;
 use crate::body::BodyModel;
 use crate::progress::Progress;
+use nalgebra::Vector3;
 
 /// Model, settings and progress of the fits of a session.
 #[derive(Clone, Copy)]
@@ -14,6 +15,8 @@ pub(super) struct FitContext<'a> {
     pub first_config: &'a BodyFitConfig,
     /// s.
     pub frame_interval: f64,
+    /// The upward direction in the world, unit length.
+    pub up: Vector3<f64>,
     pub progress: &'a Progress,
     /// The detector's errors over time, once they have been measured.
     pub noise: Option<&'a PathNoise>,

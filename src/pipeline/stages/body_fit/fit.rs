@@ -50,7 +50,8 @@ pub fn fit_bodies(
 ) -> Result<FittedBodies, Canceled> {
     let frame_interval = input.session.frame_interval();
     let first_config = config.without_refinement();
-    let context = FitContext { model, config, first_config: &first_config, frame_interval, progress, noise: None };
+    let context =
+        FitContext { model, config, first_config: &first_config, frame_interval, up: *up, progress, noise: None };
     let started = started_people(input, up, &context)?;
     progress.report(0.5, "estimating the keypoint bias of the detector");
 
@@ -128,7 +129,10 @@ pub fn fitted_statures(
 ) -> Result<Vec<Option<FittedStature>>, Canceled> {
     let config = BodyFitConfig { motion_prior: false, ..BodyFitConfig::default() };
     let frame_interval = input.session.frame_interval();
-    let context = FitContext { model, config: &config, first_config: &config, frame_interval, progress, noise: None };
+    // Without the motion prior the way up is of no account.
+    let up = Vector3::y();
+    let context =
+        FitContext { model, config: &config, first_config: &config, frame_interval, up, progress, noise: None };
     let fit = |track: &PersonTrack| {
         progress.check()?;
         let observations = gather_observations(input, track, model);

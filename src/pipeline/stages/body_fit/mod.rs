@@ -12,6 +12,7 @@
 //! | `initial_motion`, `monocular` | the closed-form start; points of a single view lifted to 3D |
 //! | `person_fit`, `local_fit`, `pixel_residuals` | passes over one person's windows; runs fitted again; the detector's accuracy |
 //! | `terms`, `objective`, `motion_problem`, `minimisation` | the terms, their list, its sum, the damped Gauss-Newton steps |
+//! | `gap_completion` | joints that no camera shows for a while, completed by the motion prior |
 //! | `joint_problem` | all persons as one problem, with the detector's offsets and the cameras |
 //! | `keypoint_bias`, `session_bias` | the detector's offsets, with the cameras held |
 //! | `camera_adjustment`, `noise_measurement` | cameras and motions together, under errors correlated in time |
@@ -24,6 +25,7 @@ mod collision_resolution;
 mod config;
 mod context;
 mod fit;
+mod gap_completion;
 mod initial_motion;
 mod joint_problem;
 mod keypoint_bias;

@@ -2,10 +2,12 @@
 
 use super::config::BodyFitConfig;
 use super::context::FitContext;
+use super::gap_completion::GapCompletion;
 use super::motion_problem::MotionProblem;
 use super::observations::Observations;
 use super::terms::border_priors::ShapePrior;
 use super::terms::collision::{CollisionTerm, Collisions};
+use super::terms::completion::Completion;
 use super::terms::data::{DataSource, DataTerm};
 use super::terms::foot_contact::{FootContact, ankles};
 use super::terms::frame::Landmarks;
@@ -38,6 +40,8 @@ pub(super) struct Objective<'a> {
     pub n_cameras: usize,
     /// The motion whose speeds scale the sigmas of accelerations; without one they are those of typical speeds.
     pub speeds: Option<&'a MotionState>,
+    /// Joints that the motion prior completes, where it does.
+    pub completion: Option<&'a GapCompletion>,
     /// Overlaps with other persons' bodies.
     pub collisions: Option<Collisions<'a>>,
     /// Joints that are free although no observation shows them, such as the wrist of an overlapping hand.
@@ -73,6 +77,7 @@ impl<'a> Objective<'a> {
             bias: None,
             n_cameras: 0,
             speeds: None,
+            completion: None,
             collisions: None,
             extra_joints: &[],
             held: &[],
@@ -98,7 +103,8 @@ impl<'a> Objective<'a> {
         let (n_frames, time_weight) = (observations.points.len(), self.time_weight());
         let robust = RobustAcceleration { knee: config.acceleration_knee, time_weight };
 
-        let prior = config.motion_prior.then(|| PosePrior::new(model, config, &unknowns));
+        let completed = self.completion.map_or_else(Vec::new, GapCompletion::completed_frames);
+        let prior = config.motion_prior.then(|| PosePrior::new(model, config, &unknowns).without(completed));
         let with_prior = prior.as_ref().map_or(&[] as &[usize], PosePrior::joints);
         let robust_scale = config.robust_scale;
         let mut frame_terms: Vec<Box<dyn FrameTerm + 'a>> = Vec::new();
@@ -109,6 +115,8 @@ impl<'a> Objective<'a> {
         }
         frame_terms.push(Box::new(JointLimits::new(config, &ranges, &unknowns, with_prior)));
         frame_terms.extend(prior.map(|prior| Box::new(prior) as Box<dyn FrameTerm>));
+        frame_terms
+            .extend(self.completion.map(|gaps| Box::new(Completion::new(gaps, &unknowns)) as Box<dyn FrameTerm>));
         if let Some(collisions) = self.collisions {
             frame_terms.push(Box::new(CollisionTerm::new(collisions, &unknowns)));
         }

@@ -1,6 +1,7 @@
 //! The fit of one person's motion, whole or window by window.
 
 use super::context::FitContext;
+use super::gap_completion::completed_gaps;
 use super::initial_motion::initial_motion;
 use super::minimisation::{FittedMotion, minimised};
 use super::objective::Objective;
@@ -142,9 +143,14 @@ fn fit_window(
             (_, None) => (DataSource::Pixels { share: pixel_share(context, &observations, &whole.state) }, on_pixels),
         };
         let config = if *pass == Pass::Last { config } else { first_config };
-        let start = whole.state;
+        let completion = (*pass == Pass::Last && config.completes_gaps)
+            .then(|| completed_gaps(context, &observations, &whole.state))
+            .flatten();
+        let start = completion.as_ref().map_or(whole.state.clone(), |gaps| gaps.applied_to(&whole.state));
         let speeds = (*pass != Pass::Points).then_some(&start);
-        let problem = Objective { speeds, ..Objective::new(context, config, &observations, data, shape) }.problem();
+        let completion = completion.as_ref();
+        let problem =
+            Objective { speeds, completion, ..Objective::new(context, config, &observations, data, shape) }.problem();
         let fitted = minimised(context, &problem, start.clone(), max_iterations)?;
         whole = FittedMotion { iterations: whole.iterations + fitted.iterations, ..fitted };
     }

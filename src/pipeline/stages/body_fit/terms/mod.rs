@@ -6,6 +6,7 @@
 //! | [`whitened_pixels`] | path | detected pixels whose errors are correlated in time |
 //! | [`joint_limits`] | frame | ends of the joints' ranges, and the rest pose |
 //! | [`pose_prior`] | frame | a Gaussian over recorded poses |
+//! | [`completion`] | frame | Gaussians of the motion prior about joints that no camera shows |
 //! | [`collision`] | frame | overlap with other persons' bodies |
 //! | [`smoothness`] | three frames | accelerations of the pelvis and of the joint rotations |
 //! | [`foot_contact`] | three frames | accelerations of the ankles in the world |
@@ -17,6 +18,7 @@
 
 pub(crate) mod border_priors;
 pub(crate) mod collision;
+pub(crate) mod completion;
 pub(crate) mod data;
 pub(crate) mod foot_contact;
 pub(crate) mod frame;

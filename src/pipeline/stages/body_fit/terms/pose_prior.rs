@@ -16,6 +16,8 @@ pub(crate) struct PosePrior {
     /// Group of each of the Gaussian's joints.
     groups: Vec<usize>,
     weights: PoseWeights,
+    /// Frames that it leaves to other terms; none where it is shorter.
+    left_out: Vec<bool>,
 }
 
 impl PosePrior {
@@ -23,7 +25,17 @@ impl PosePrior {
         let mocap = PoseGaussian::over(MotionPrior::embedded().basis(), &unknowns.joints);
         let poses = mocap.retargeted_to(&model.mocap_from_body);
         let groups = poses.joints.iter().filter_map(|&joint| unknowns.group(joint)).collect();
-        Self { poses, groups, weights: config.pose_weights }
+        Self { poses, groups, weights: config.pose_weights, left_out: Vec::new() }
+    }
+
+    /// The same without the frames in which the motion prior completes joints: likely single poses would draw them from the
+    /// motion's course to the mean pose.
+    pub(crate) fn without(self, left_out: Vec<bool>) -> Self {
+        Self { left_out, ..self }
+    }
+
+    fn leaves_out(&self, frame: usize) -> bool {
+        self.left_out.get(frame).is_some_and(|left_out| *left_out)
     }
 
     /// The joints that it describes.
@@ -34,10 +46,16 @@ impl PosePrior {
 
 impl FrameTerm for PosePrior {
     fn cost(&self, frame: &PosedFrame) -> f64 {
+        if self.leaves_out(frame.index) {
+            return 0.0;
+        }
         pose_cost(&frame.pose.rotations, &self.poses, &self.weights)
     }
 
     fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem, _: &mut Corner) {
+        if self.leaves_out(frame.posed.index) {
+            return;
+        }
         let found = pose_derivatives(&frame.posed.pose.rotations, &self.poses, &self.weights);
         for (i, &row) in self.groups.iter().enumerate() {
             let mut gradient = system.gradient.fixed_rows_mut::<3>(3 * row);

@@ -3,6 +3,7 @@
 use super::super::capsule_overlaps::CapsuleBody;
 use super::super::config::BodyFitConfig;
 use super::super::context::FitContext;
+use super::super::gap_completion::GapCompletion;
 use super::super::motion_problem::MotionProblem;
 use super::super::objective::Objective;
 use super::super::observations::{Observations, PixelObservation, PointObservation, PosedCamera};
@@ -22,7 +23,8 @@ use crate::geometry::{Intrinsics, Rigid, rotation};
 use crate::optim::block_banded::{BandedStep, Corner};
 use crate::progress::Progress;
 use crate::residuals::derivative_check::assert_gradient;
-use nalgebra::{DVector, Vector2, Vector3};
+use crate::residuals::rotation_likelihood::RotationGaussian;
+use nalgebra::{DVector, Matrix3, Vector2, Vector3};
 
 pub(super) const N_FRAMES: usize = 5;
 const N_DIRECTIONS: usize = 20;
@@ -91,8 +93,15 @@ impl Fixture {
 
     pub(super) fn objective<'a>(&'a self, model: &'a BodyModel, data: DataSource<'a>, shape: Shape) -> Objective<'a> {
         let (config, progress) = (&self.config, &self.progress);
-        let context =
-            FitContext { model, config, first_config: config, frame_interval: 1.0 / 25.0, progress, noise: None };
+        let context = FitContext {
+            model,
+            config,
+            first_config: config,
+            frame_interval: 1.0 / 25.0,
+            up: Vector3::y(),
+            progress,
+            noise: None,
+        };
         Objective::new(&context, config, &self.observations, data, shape)
     }
 
@@ -176,6 +185,23 @@ fn gradient_of_the_collision_term_matches_differences() {
     let collisions = Some(Collisions { capsules: &capsules, by_frame: &by_frame, sigma: 0.01 });
     let objective = fixture.objective(model, DataSource::Points { sigma: 0.5 }, Shape::Held);
     let mut problem = Objective { collisions, ..objective }.problem();
+    let last = problem.frame_terms.len() - 1;
+    keep(&mut problem, Some(last));
+    assert_gradient_of(&problem, &fixture.state, |step| problem.cost(&problem.moved(&fixture.state, step)));
+}
+
+#[test]
+fn gradient_of_completed_joints_matches_differences() {
+    let fixture = Fixture::new();
+    let completed = |joint: usize| {
+        let factor = Matrix3::new(3.0, 0.4, 0.1, 0.0, 2.0, -0.3, 0.0, 0.0, 1.0);
+        let mean = rotation::exp(&Vector3::new(0.1, wave(joint), 0.2));
+        (joint, RotationGaussian { mean, precision: factor.tr_mul(&factor) })
+    };
+    let of_frame = |t: usize| if t.is_multiple_of(2) { vec![completed(4), completed(16)] } else { Vec::new() };
+    let gaps = GapCompletion { frames: (0..N_FRAMES).map(of_frame).collect() };
+    let objective = fixture.objective(&fixture.model, DataSource::Points { sigma: 0.5 }, Shape::Held);
+    let mut problem = Objective { completion: Some(&gaps), ..objective }.problem();
     let last = problem.frame_terms.len() - 1;
     keep(&mut problem, Some(last));
     assert_gradient_of(&problem, &fixture.state, |step| problem.cost(&problem.moved(&fixture.state, step)));

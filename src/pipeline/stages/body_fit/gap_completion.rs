@@ -1,0 +1,159 @@
+//! Joints that no camera shows for a while, completed by the motion prior from the rest of a fitted motion.
+
+use super::context::FitContext;
+use super::observations::Observations;
+use super::terms::unknowns::MotionState;
+use crate::body::kinematics::{Pose, landmark_position, moving_joints, posed};
+use crate::body::mocap_skeleton::retargeted;
+use crate::body::skeleton::{N_JOINTS, PARENTS};
+use crate::geometry::rotation::rotation_between;
+use crate::motion_prior::MotionPrior;
+use crate::motion_prior::chart::LocalRotations;
+use crate::motion_prior::observed::{DESCRIBED_JOINTS, N_DESCRIBED};
+use crate::residuals::rotation_likelihood::RotationGaussian;
+use nalgebra::{Matrix3, Vector3};
+
+/// What the motion prior states about the unseen joints of a window.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct GapCompletion {
+    /// By frame: joint, and the Gaussian over its rotation on the body.
+    pub frames: Vec<Vec<(usize, RotationGaussian)>>,
+}
+
+impl GapCompletion {
+    /// The motion with the mean rotations of the completed joints.
+    pub(super) fn applied_to(&self, state: &MotionState) -> MotionState {
+        let mut state = state.clone();
+        for (pose, joints) in state.poses.iter_mut().zip(&self.frames) {
+            joints.iter().for_each(|(joint, gaussian)| pose.rotations[*joint] = gaussian.mean);
+        }
+        state
+    }
+
+    /// Frames with a completed joint.
+    pub(super) fn completed_frames(&self) -> Vec<bool> {
+        self.frames.iter().map(|joints| !joints.is_empty()).collect()
+    }
+}
+
+/// Keypoints nearer to a joint than this tell nothing of its rotation, m: elbows and knees lie 0.2 to 0.45 m from the next
+/// joint, and a landmark's own offset from its joint is below 0.1 m.
+const MIN_LEVER: f64 = 0.1;
+/// Gaps shorter than this are left to the smoothness terms, s: the shortest of the training.
+const MIN_GAP: f64 = 5.0 / 30.0;
+/// Share of a frame's information that counts, at 30 frames a second: the prior's errors are alike over some ten frames.
+const INDEPENDENT_SHARE: f64 = 0.1;
+
+/// Completes the joints that no keypoint shows for [`MIN_GAP`] or longer, but some keypoint shows elsewhere in the window;
+/// `None` if there are none.
+pub(super) fn completed_gaps(
+    context: &FitContext,
+    observations: &Observations,
+    state: &MotionState,
+) -> Option<GapCompletion> {
+    let mut sigma = rotation_sigmas(context, observations, state);
+    let mut is_completed = vec![[false; N_DESCRIBED]; sigma.len()];
+    for described in 0..N_DESCRIBED {
+        let seen: Vec<bool> = sigma.iter().map(|row| row[described].is_finite()).collect();
+        if !seen.contains(&true) {
+            continue;
+        }
+        for gap in gaps(&seen) {
+            let is_long = gap.len() as f64 * context.frame_interval >= MIN_GAP;
+            for frame in gap.clone() {
+                is_completed[frame][described] = is_long;
+                if !is_long {
+                    // The first fit's smoothness bridges it well.
+                    sigma[frame][described] = sigma[gap.start.saturating_sub(1)][described].min(0.5);
+                }
+            }
+        }
+    }
+    if !is_completed.iter().flatten().any(|is_completed| *is_completed) {
+        return None;
+    }
+    let turns = &context.model.mocap_from_body;
+    let up = rotation_between(&context.up, &Vector3::y());
+    let rotations: Vec<LocalRotations> =
+        state.poses.iter().map(|pose| mocap_rotations(&pose.rotations, turns, &up)).collect();
+    let pelvis: Vec<Vector3<f64>> = state.poses.iter().map(|pose| up * pose.translation).collect();
+    let found = MotionPrior::embedded().completed_at(&rotations, &pelvis, &sigma, 1.0 / context.frame_interval);
+    let on_body = |frame: usize, described: usize| {
+        let joint = DESCRIBED_JOINTS[described];
+        let mean = retargeted(&found.rotations[frame][joint], joint, turns);
+        let own = turns[joint].tr_mul(&found.precision[frame][described]) * turns[joint] * INDEPENDENT_SHARE;
+        (joint, RotationGaussian { mean: if joint == 0 { up.tr_mul(&mean) } else { mean }, precision: own })
+    };
+    let completed = |(frame, row): (usize, &[bool; N_DESCRIBED])| {
+        (0..N_DESCRIBED).filter(|&described| row[described]).map(|described| on_body(frame, described)).collect()
+    };
+    Some(GapCompletion { frames: is_completed.iter().enumerate().map(completed).collect() })
+}
+
+/// Runs of frames that are not seen.
+fn gaps(seen: &[bool]) -> Vec<std::ops::Range<usize>> {
+    let runs = seen.chunk_by(|a, b| a == b).scan(0, |start, run| {
+        let range = *start..*start + run.len();
+        *start = range.end;
+        Some((range, run[0]))
+    });
+    runs.filter(|(_, is_seen)| !is_seen).map(|(range, _)| range).collect()
+}
+
+/// How well keypoints determine each joint's rotation, rad per axis: keypoints that it moves, each with the error of a
+/// triangulated one over its distance from the joint; infinite without one.
+fn rotation_sigmas(context: &FitContext, observations: &Observations, state: &MotionState) -> Vec<[f64; N_DESCRIBED]> {
+    let model = context.model;
+    let body = model.shaped(&state.betas);
+    let moving: Vec<Vec<usize>> = model.landmarks.iter().map(moving_joints).collect();
+    let of_frame = |(frame, pose): (usize, &Pose)| {
+        let skeleton = posed(&body, pose);
+        let mut information = [0.0_f64; N_JOINTS];
+        for pixel in &observations.pixels[frame] {
+            let position = landmark_position(model, &body, &skeleton, pixel.landmark);
+            for &joint in &moving[pixel.landmark] {
+                let lever = (position - skeleton.joints[joint]).norm();
+                if lever > MIN_LEVER {
+                    information[joint] += (lever / context.config.point_sigma).powi(2);
+                }
+            }
+        }
+        DESCRIBED_JOINTS.map(|joint| information[joint].sqrt().recip())
+    };
+    state.poses.iter().enumerate().map(of_frame).collect()
+}
+
+/// Local rotations of the mocap skeleton in a world with y up, `Q_p R_j Q_j^T`, the inverse of [`retargeted`].
+fn mocap_rotations(
+    rotations: &LocalRotations,
+    mocap_from_body: &[Matrix3<f64>; N_JOINTS],
+    up: &Matrix3<f64>,
+) -> LocalRotations {
+    std::array::from_fn(|joint| {
+        let parent = PARENTS[joint].map_or(*up, |parent| mocap_from_body[parent]);
+        parent * rotations[joint] * mocap_from_body[joint].transpose()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::body::default_body;
+    use crate::geometry::rotation::exp;
+
+    #[test]
+    fn rotations_return_from_the_mocap_skeleton() {
+        let turns = default_body().mocap_from_body;
+        let rotations: LocalRotations = std::array::from_fn(|j| exp(&Vector3::new(0.1 * j as f64, 0.3, -0.2)));
+        let there = mocap_rotations(&rotations, &turns, &Matrix3::identity());
+        for joint in 0..N_JOINTS {
+            assert!((retargeted(&there[joint], joint, &turns) - rotations[joint]).norm() < 1e-12, "{joint}");
+        }
+    }
+
+    #[test]
+    fn gaps_are_the_runs_that_are_not_seen() {
+        assert_eq!(gaps(&[false, true, false, false, true]), [0..1, 2..4]);
+        assert!(gaps(&[true; 3]).is_empty() && gaps(&[]).is_empty());
+    }
+}

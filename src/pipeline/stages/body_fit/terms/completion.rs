@@ -1,0 +1,40 @@
+//! Joints that no camera shows for a while: Gaussians about what the motion prior states from the rest of the motion.
+
+use super::super::gap_completion::GapCompletion;
+use super::frame::{LinearisedFrame, PosedFrame};
+use super::term::FrameTerm;
+use super::unknowns::{FrameSystem, Unknowns};
+use crate::optim::block_banded::Corner;
+use crate::residuals::rotation_likelihood::{RotationGaussian, rotation_cost, rotation_derivatives};
+
+/// The term of the completed joints that are unknowns.
+pub(crate) struct Completion {
+    /// By frame: joint, its group, and the Gaussian over its rotation.
+    frames: Vec<Vec<(usize, usize, RotationGaussian)>>,
+}
+
+impl Completion {
+    pub(crate) fn new(gaps: &GapCompletion, unknowns: &Unknowns) -> Self {
+        let of_frame = |joints: &Vec<(usize, RotationGaussian)>| {
+            joints.iter().filter_map(|&(joint, gaussian)| Some((joint, unknowns.group(joint)?, gaussian))).collect()
+        };
+        Self { frames: gaps.frames.iter().map(of_frame).collect() }
+    }
+}
+
+impl FrameTerm for Completion {
+    fn cost(&self, frame: &PosedFrame) -> f64 {
+        let rotations = &frame.pose.rotations;
+        self.frames[frame.index].iter().map(|(joint, _, gaussian)| rotation_cost(&rotations[*joint], gaussian)).sum()
+    }
+
+    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem, _: &mut Corner) {
+        for (joint, group, gaussian) in &self.frames[frame.posed.index] {
+            let found = rotation_derivatives(&frame.posed.pose.rotations[*joint], gaussian);
+            let mut gradient = system.gradient.fixed_rows_mut::<3>(3 * group);
+            gradient += found.gradient;
+            let mut block = system.diagonal.fixed_view_mut::<3, 3>(3 * group, 3 * group);
+            block += found.hessian;
+        }
+    }
+}
