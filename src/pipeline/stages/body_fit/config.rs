@@ -128,7 +128,7 @@ impl BodyFitConfig {
 
     /// The settings of the fits that take errors as correlated in time, by `autocorrelation` from frame to frame.
     ///
-    /// Slow errors are told from fast motion by their course, so that a pixel decides more over some frames and less over many;
+    /// Slow errors and fast motion differ in their course, so that a pixel decides more over some frames and less over many;
     /// smoothness has to decide more in turn. At an autocorrelation of 0.87 (realistic noise) jitter over the truth's is 1.0 to
     /// 1.1 with half the accelerations, 1.2 to 1.4 with those of independent errors, and joints come 1 to 2 % closer; at 0.3 (the
     /// presets) half the accelerations make joints 1 to 3 % worse.
