@@ -26,7 +26,7 @@ const DIFFERENCE_GAIN: f64 = 5.0;
 pub struct DenoiserInput {
     /// `[T, N_INPUT]`.
     pub values: Vec<f32>,
-    /// Unit of the corrections, `[T, 20]`, rad: see [`expected_error`].
+    /// Unit of the corrections, `[T, 20]`, rad: the expected error of the bridge.
     pub units: Vec<f32>,
     /// The motion that the output corrects.
     pub bridged: BridgedMotion,
