@@ -7,14 +7,14 @@
 //! Without the feature `failpoints` none of these variables has an effect.
 
 /// Names of all failpoints, in the order of a job's life.
-pub const FAILPOINTS: [&str; 38] = [
+pub const FAILPOINTS: [&str; 40] = [
     "start.locked", "create.written", "create.named", "start.migrated", "recover.updated", "recover.committed",
     "recover.swept", "upload.spooled", "upload.synced", "publish.renamed", "upload.published", "upload.recorded",
     "session.marked", "session.committed", "session.removed", "enqueue.inserted", "enqueue.committed", "claim.updated",
     "claim.committed", "child.started", "progress.noted", "child.ended", "result.hashed", "result.published",
     "finish.written", "finish.filled", "finish.committed", "finish.cleared", "cancel.marked", "cancel.committed",
-    "delete.marked", "delete.committed", "delete.removed", "webhook.due", "webhook.called", "webhook.noted",
-    "stop.drained", "stop.closed",
+    "delete.marked", "delete.committed", "delete.removed", "exports.written", "exports.committed", "webhook.due",
+    "webhook.called", "webhook.noted", "stop.drained", "stop.closed",
 ];
 
 /// Names of all faults, and what each does.
