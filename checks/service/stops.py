@@ -19,7 +19,7 @@ import tempfile
 import threading
 import time
 
-from harness import Faults, Service, arguments, take, wandless
+from harness import Faults, Service, arguments, take, until, wandless
 
 LONG = 4000
 
@@ -27,15 +27,6 @@ LONG = 4000
 def children(service):
     found = subprocess.run(["ps", "-o", "pid=", "--ppid", str(service.process.pid)], capture_output=True, text=True)
     return [int(pid) for pid in found.stdout.split()]
-
-
-def until(truth, seconds):
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        if truth():
-            return True
-        time.sleep(0.01)
-    return False
 
 
 def running_job(service, client, seed, frames=LONG):

@@ -74,8 +74,9 @@ pub(super) fn correlated_errors(
     };
     let (mut cameras, mut bones) = (None, vec![BoneOffsets::default(); n_people]);
     if context.config.adjust_cameras {
-        let stride = stride(context, &members(started, 1));
-        let mut adjusted = members(started, stride);
+        let all = members(started, 1);
+        let stride = stride(context, &all);
+        let mut adjusted = if stride == 1 { all } else { members(started, stride) };
         adjust(&FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context }, &mut adjusted)?;
         cameras = adjusted.first().map(|member| member.observations.cameras.clone());
         for ((observations, started), member) in started.iter_mut().flatten().zip(&adjusted) {

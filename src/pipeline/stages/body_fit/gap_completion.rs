@@ -22,8 +22,7 @@ pub(crate) struct GapCompletion {
 
 impl GapCompletion {
     /// The motion with the mean rotations of the completed joints.
-    pub(super) fn applied_to(&self, state: &MotionState) -> MotionState {
-        let mut state = state.clone();
+    pub(super) fn applied_to(&self, mut state: MotionState) -> MotionState {
         for (pose, joints) in state.poses.iter_mut().zip(&self.frames) {
             joints.iter().for_each(|(joint, gaussian)| pose.rotations[*joint] = gaussian.mean);
         }

@@ -6,7 +6,7 @@ use super::initial_motion::initial_motion;
 use super::minimisation::{FittedMotion, minimised};
 use super::objective::Objective;
 use super::observations::Observations;
-use super::pixel_residuals::{DetectedPixels, median_distance_px, pixel_share};
+use super::pixel_residuals::{DetectedPixels, median_distance_px};
 use super::terms::data::DataSource;
 use super::terms::unknowns::{MotionState, Shape};
 use crate::progress::Canceled;
@@ -136,17 +136,23 @@ fn fit_window(
     let [on_points, on_pixels] = config.max_iterations;
     let mut whole = FittedMotion::initial(state);
     for pass in if has_pixels { passes } else { &[Pass::Points] } {
-        let pixels = (*pass == Pass::Last).then(|| DetectedPixels::new(context, &observations, &whole.state));
-        let (data, max_iterations) = match (pass, &pixels) {
-            (Pass::Points, _) => (DataSource::Points { sigma: config.point_sigma }, on_points),
-            (_, Some(pixels)) => (pixels.source(), on_pixels),
-            (_, None) => (DataSource::Pixels { share: pixel_share(context, &observations, &whole.state) }, on_pixels),
+        let pixels = match pass {
+            Pass::Points => None,
+            Pass::First => Some(DetectedPixels::independent(context, &observations, &whole.state)),
+            Pass::Last => Some(DetectedPixels::new(context, &observations, &whole.state)),
+        };
+        let (data, max_iterations) = match &pixels {
+            Some(pixels) => (pixels.source(), on_pixels),
+            None => (DataSource::Points { sigma: config.point_sigma }, on_points),
         };
         let config = if *pass == Pass::Last { config } else { first_config };
         let completion = (*pass == Pass::Last && config.completes_gaps)
             .then(|| completed_gaps(context, &observations, &whole.state))
             .flatten();
-        let start = completion.as_ref().map_or(whole.state.clone(), |gaps| gaps.applied_to(&whole.state));
+        let start = match &completion {
+            Some(gaps) => gaps.applied_to(whole.state),
+            None => whole.state,
+        };
         let speeds = (*pass != Pass::Points).then_some(&start);
         let completion = completion.as_ref();
         let problem =

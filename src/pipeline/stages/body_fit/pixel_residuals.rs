@@ -39,8 +39,13 @@ impl DetectedPixels {
     pub(super) fn new(context: &FitContext, observations: &Observations, state: &MotionState) -> Self {
         match context.noise {
             Some(noise) => Self::Correlated(WhitenedPixels::new(observations, noise, context.config.robust_scale)),
-            None => Self::Independent { share: pixel_share(context, observations, state) },
+            None => Self::independent(context, observations, state),
         }
+    }
+
+    /// Independent, of the size that the residuals of `state` show.
+    pub(super) fn independent(context: &FitContext, observations: &Observations, state: &MotionState) -> Self {
+        Self::Independent { share: pixel_share(context, observations, state) }
     }
 
     pub(super) fn source(&self) -> DataSource<'_> {
