@@ -10,7 +10,6 @@ use super::observations::{Observations, PosedCamera};
 use super::person_fit::StartedMotion;
 use super::terms::border_priors::{BoneLengthPrior, KeypointBiasPrior};
 use super::terms::noise_process::PathNoise;
-use crate::body::bone_offsets::BoneOffsets;
 use crate::body::detector_offsets::OffsetTable;
 use crate::body::kinematics::Pose;
 use crate::geometry::{Rigid, rotation};
@@ -25,7 +24,7 @@ pub(super) struct AdjustedCameras {
     pub noise: PathNoise,
 }
 
-/// Most frames of all persons together: cameras that are seen this often are known to a third of what constant errors of the
+/// Most frames of all persons together, spread over the take: cameras that are seen this often are known to a third of what constant errors of the
 /// detector leave open.
 const MAX_FRAMES: usize = 1200;
 
@@ -43,14 +42,14 @@ const STOPPING: Stopping = Stopping { max_iterations: 8, min_decrease: 0.5, min_
 /// Fewest frames of one person.
 const MIN_FRAMES: usize = 60;
 
-/// Longest time between the frames of the adjustment, s.
+/// Longest time between the frames of the adjustment where it could take more of them, s.
 ///
 /// Residuals that lie farther apart tell more of the slow part of the errors than those of successive frames, and what lies
 /// between says little that is new: with every second or third frame at 30 Hz cameras come 6 to 14 % closer than with all, in a
 /// third of the time. Of white errors every frame counts: cameras came 11 to 13 % worse.
 const FRAME_SECS: f64 = 0.1;
 
-/// Least autocorrelation of the errors of successive frames of the adjustment, if it leaves out any.
+/// Least autocorrelation of the errors of successive frames of the adjustment, if it leaves out any that it could take.
 const MIN_SHARED: f64 = 0.7;
 
 /// Fewest frames of all persons that are left by thinning: with 150 instead of 300 cameras come a fifth worse.
@@ -68,68 +67,85 @@ pub(super) fn correlated_errors(
         return Ok(None);
     }
     let n_frames = (MAX_FRAMES / n_people).max(MIN_FRAMES);
-    let members = |started: &[Option<(Observations, StartedMotion)>], stride: usize| -> Vec<Member> {
-        let people = started.iter().flatten();
-        people.map(|(observations, fit)| Member::of(context, observations, fit, n_frames, stride)).collect()
+    let seen_most = |started: &[Option<(Observations, StartedMotion)>]| -> Vec<Member> {
+        let member = |(observations, fit): &(Observations, StartedMotion)| {
+            Member::of(context, observations, fit, observations.most_seen(fit.window.clone(), n_frames), 1)
+        };
+        started.iter().flatten().map(member).collect()
     };
-    let (mut cameras, mut bones) = (None, vec![BoneOffsets::default(); n_people]);
+    let mut cameras = None;
+    let mut measured = None;
     if context.config.adjust_cameras {
-        let all = members(started, 1);
-        let stride = stride(context, &all);
-        let mut adjusted = if stride == 1 { all } else { members(started, stride) };
-        adjust(&FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context }, &mut adjusted)?;
+        let n_tracked: usize = started.iter().flatten().map(|(observations, _)| observations.pixels.len()).sum();
+        let informative = informative_stride(context, &seen_most(started));
+        let stride = n_tracked.div_ceil(MAX_FRAMES).max(informative);
+        let spread = |(observations, fit): &(Observations, StartedMotion)| {
+            Member::of(context, observations, fit, 0..observations.pixels.len(), stride)
+        };
+        let mut adjusted: Vec<Member> = started.iter().flatten().map(spread).collect();
+        let thinned = FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context };
+        for _ in 0..N_ROUNDS {
+            adjust(&thinned, &mut adjusted, true, &STOPPING)?;
+        }
         cameras = adjusted.first().map(|member| member.observations.cameras.clone());
         for ((observations, started), member) in started.iter_mut().flatten().zip(&adjusted) {
-            take_over(observations, started, member, stride);
+            take_over(observations, started, member, stride <= informative);
         }
-        bones = adjusted.into_iter().map(|member| member.bones).collect();
+        // With the bones of the adjustment: what the betas do not span would look like slow errors of the detector, and with
+        // errors that large and slow joints come up to a fifth worse.
+        let with_bones = |(member, adjusted): (Member, Member)| Member { bones: adjusted.bones, ..member };
+        let mut members: Vec<Member> = seen_most(started).into_iter().zip(adjusted).map(with_bones).collect();
+        if stride > 1 {
+            // Frames between adjusted ones do not show the detector's errors before they have settled.
+            adjust(context, &mut members, false, &Stopping { max_iterations: 1, ..STOPPING })?;
+        }
+        measured = Some(measured_noise(context, &members));
     }
-    // With the bones of the adjustment: what the betas do not span would look like slow errors of the detector, and with errors
-    // that large and slow joints come up to a fifth worse.
-    let with_bones = |(member, bones)| Member { bones, ..member };
-    let noise =
-        measured_noise(context, &members(started, 1).into_iter().zip(bones).map(with_bones).collect::<Vec<_>>());
+    let noise = measured.unwrap_or_else(|| measured_noise(context, &seen_most(started)));
     let poses = |cameras: Vec<PosedCamera>| cameras.iter().map(|camera| camera.camera_from_world).collect();
     Ok(Some(AdjustedCameras { cameras: cameras.map(poses), noise }))
 }
 
-/// Every how many frames the adjustment takes one.
-fn stride(context: &FitContext, members: &[Member]) -> usize {
+/// Every how many frames the adjustment takes one, by how much each says that is new.
+fn informative_stride(context: &FitContext, members: &[Member]) -> usize {
     let n_seen: usize = members.iter().map(|member| member.run.len()).sum();
     let longest = ((FRAME_SECS / context.frame_interval).round() as usize).min(n_seen / MIN_LEFT);
     let typical = measured_noise(context, members).typical();
     (2..=longest).rev().find(|&stride| typical.after(stride) >= MIN_SHARED).unwrap_or(1)
 }
 
-/// Adjusts cameras and motions of all members in rounds.
-fn adjust(context: &FitContext, members: &mut [Member]) -> Result<(), Canceled> {
-    // The detector's offsets are in the model; released again, they cost half of the time and change no camera by a tenth.
-    let table = OffsetTable::empty(context.model);
-    for _ in 0..N_ROUNDS {
-        let noise = measured_noise(context, members);
-        let problem = JointProblem {
-            context,
-            table: &table,
-            errors: Errors::Correlated(&noise),
-            shape_prior: context.config.shape_prior,
-            bone_prior: BoneLengthPrior { sigma: BONE_SIGMA, correlated_frames: 1.0 },
-            bias_prior: KeypointBiasPrior { sigmas: Vec::new(), correlated_frames: 1.0 },
-            moves_cameras: true,
-        };
-        problem.minimised(members, Vec::new(), &STOPPING)?;
-    }
+/// Measures the errors of all members, and adjusts motions and cameras under them.
+fn adjust(
+    context: &FitContext,
+    members: &mut [Member],
+    moves_cameras: bool,
+    stopping: &Stopping,
+) -> Result<(), Canceled> {
+    let noise = measured_noise(context, members);
+    let problem = JointProblem {
+        context,
+        // The detector's offsets are in the model; released again, they cost half of the time and change no camera by a tenth.
+        table: &OffsetTable::empty(context.model),
+        errors: Errors::Correlated(&noise),
+        shape_prior: context.config.shape_prior,
+        bone_prior: BoneLengthPrior { sigma: BONE_SIGMA, correlated_frames: 1.0 },
+        bias_prior: KeypointBiasPrior { sigmas: Vec::new(), correlated_frames: 1.0 },
+        moves_cameras,
+    };
+    problem.minimised(members, Vec::new(), stopping)?;
     Ok(())
 }
 
-/// The first fit goes on from where the adjustment of every `stride`-th frame ended; frames between them are carried along.
-fn take_over(observations: &mut Observations, started: &mut StartedMotion, member: &Member, stride: usize) {
-    let first = member.run.start - started.window.start;
-    let own = &mut started.fitted.state.poses[first..first + member.run.len()];
-    carry_along(own, &member.state.poses, stride);
-    observations.cameras.clone_from(&member.observations.cameras);
-    started.start.betas = member.state.betas;
+/// The first fit goes on from where the adjustment ended; frames between adjusted ones are carried along.
+///
+/// Where adjusted frames lie so far apart that each has errors of its own, poses stay those of the first fit. With them taken
+/// over, joints came 6 % worse.
+fn take_over(observations: &mut Observations, started: &mut StartedMotion, member: &Member, takes_poses: bool) {
+    if takes_poses {
+        carry_along(&mut started.fitted.state.poses[member.run.clone()], &member.state.poses, member.stride);
+    }
     started.fitted.state.betas = member.state.betas;
-    started.start.poses[member.run.clone()].clone_from_slice(own);
+    observations.cameras.clone_from(&member.observations.cameras);
 }
 
 /// Moves every `stride`-th pose to `adjusted`, and those between by what their neighbours moved, weighted linearly.

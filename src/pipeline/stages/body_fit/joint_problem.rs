@@ -30,7 +30,9 @@ use std::ops::Range;
 pub(super) struct Member {
     /// Frames of the person's track.
     pub run: Range<usize>,
-    /// With the cameras as they stand.
+    /// Every how many of them are part of the problem.
+    pub stride: usize,
+    /// At the frames that are, with the cameras as they stand.
     pub observations: Observations,
     pub state: MotionState,
     /// The person's bones against the model's, starting at zero.
@@ -247,22 +249,20 @@ impl JointProblem<'_> {
 }
 
 impl Member {
-    /// Every `stride`-th frame of the run of `n_frames` with most pixels in the window of the first fit.
+    /// Every `stride`-th frame of a run of the track.
     pub(super) fn of(
         context: &FitContext,
         observations: &Observations,
         started: &StartedMotion,
-        n_frames: usize,
+        run: Range<usize>,
         stride: usize,
     ) -> Self {
-        let run = observations.most_seen(started.window.clone(), n_frames);
-        let own = run.start - started.window.start..run.end - started.window.start;
-        let observations = observations.slice(run.clone()).thinned(stride);
+        let observations = observations.thinned(run.clone(), stride);
         let fitted = &started.fitted.state;
-        let poses = fitted.poses[own].iter().step_by(stride).copied().collect();
+        let poses = fitted.poses[run.clone()].iter().step_by(stride).copied().collect();
         let state = MotionState { betas: fitted.betas, poses };
         let share = pixel_share(context, &observations, &state);
-        Self { run, observations, state, bones: BoneOffsets::default(), share }
+        Self { run, stride, observations, state, bones: BoneOffsets::default(), share }
     }
 
     /// Takes another motion, skeleton and cameras; returns the previous motion and skeleton.

@@ -35,8 +35,11 @@ pub(super) fn estimated_bias(
     }
     let [per_person, in_all] = context.config.bias_frames;
     let n_frames = (in_all / started.len()).min(per_person);
-    let members =
-        started.iter().map(|(observations, started)| Member::of(context, observations, started, n_frames, 1)).collect();
+    let member = |(observations, started): &&(Observations, StartedMotion)| {
+        let run = observations.most_seen(started.window.clone(), n_frames);
+        Member::of(context, observations, started, run, 1)
+    };
+    let members = started.iter().map(member).collect();
     let found = likeliest(&table, members, context)?;
     let (moves_joints, reason) = decision(&table, &found);
     let is_applied = |kind: &OffsetKind| moves_joints || !kind.is_joint;

@@ -9,9 +9,12 @@ use crate::body::bone_offsets::with_bones;
 use crate::body::kinematics::{landmark_position, posed};
 use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
 
-/// Number of residuals of all landmarks that count as much as one landmark's own: four seconds of one camera, in which a slow
-/// error has changed once.
-const POOLED: f64 = 100.0;
+/// Number of residuals of all landmarks that count as much as one landmark's own for its process. Slow errors change every thirty
+/// frames or so, so that 1,000 residuals know an autocorrelation of 0.85 to 0.05, which is what landmarks differ by.
+const POOLED_PROCESS: f64 = 1000.0;
+
+/// The same for its standard deviation: four seconds of one camera, in which a slow error has changed once.
+const POOLED_SIGMA: f64 = 100.0;
 
 /// Measures the processes of all landmarks on the residuals of `members`.
 ///
@@ -38,7 +41,7 @@ pub(super) fn measured_noise(context: &FitContext, members: &[Member]) -> PathNo
         sums[landmark].add(&run);
         all.add(&run);
     }
-    let processes = sums.iter().map(|sums| NoiseProcess::of(&sums.pooled(&all, POOLED))).collect();
+    let processes = sums.iter().map(|sums| NoiseProcess::of(&sums.pooled(&all, POOLED_PROCESS))).collect();
     let noise = PathNoise { processes, shares: levels };
 
     let factors = sigmas(n_landmarks, members.iter().flat_map(|member| paths(&noise, member).1));
@@ -67,7 +70,7 @@ fn sigmas(n_landmarks: usize, lengths: impl Iterator<Item = (usize, Vec<f64>)>) 
     let pooled = |mut lengths: Vec<f64>| {
         let n = lengths.len() as f64;
         let own = sigma(&mut lengths).unwrap_or(all);
-        ((n * own.ln() + POOLED * all.ln()) / (n + POOLED)).exp()
+        ((n * own.ln() + POOLED_SIGMA * all.ln()) / (n + POOLED_SIGMA)).exp()
     };
     by_landmark.into_iter().map(pooled).collect()
 }

@@ -64,12 +64,13 @@ impl Observations {
         first..first + length
     }
 
-    /// Every `stride`-th frame.
-    pub(super) fn thinned(self, stride: usize) -> Self {
+    /// The observations of every `stride`-th frame of a run.
+    pub(super) fn thinned(&self, run: Range<usize>, stride: usize) -> Self {
+        let every = || run.clone().step_by(stride);
         Self {
-            points: self.points.into_iter().step_by(stride).collect(),
-            pixels: self.pixels.into_iter().step_by(stride).collect(),
-            ..self
+            cameras: self.cameras.clone(),
+            points: every().map(|t| self.points[t].clone()).collect(),
+            pixels: every().map(|t| self.pixels[t].clone()).collect(),
         }
     }
 

@@ -13,61 +13,62 @@ use crate::progress::Canceled;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// One person after the first fit, of the window with most observations.
+/// One person after the first fit.
 pub(super) struct StartedMotion {
-    /// The whole track: that window and its halo as fitted, closed form elsewhere.
-    pub start: MotionState,
-    /// The window with most observations.
-    pub window: Range<usize>,
-    /// The fit of that window.
+    /// Of the whole track.
     pub fitted: FittedMotion,
+    /// The window with most observations, which determined the shape.
+    pub window: Range<usize>,
 }
 
-/// Initialises one person and fits the window with most observations, shape free; `None` when the closed form fails.
+/// Initialises one person and fits the track, its shape by the window with most observations; `None` when the closed form
+/// fails.
 pub(super) fn start_motion(
     context: &FitContext,
     observations: &Observations,
 ) -> Result<Option<StartedMotion>, Canceled> {
-    let Some(mut start) = initial_motion(context.model, observations) else { return Ok(None) };
+    let Some(start) = initial_motion(context.model, observations) else { return Ok(None) };
     let windows = windows(start.poses.len(), context.config.window_frames.max(3));
     let n_observed = |w: &Range<usize>| (n_observations(observations, w), std::cmp::Reverse(w.start));
     let Some(window) = windows.into_iter().max_by_key(n_observed) else { return Ok(None) };
-    let fitted = fit_window(context, observations, &start, &window, Shape::Free, &[Pass::Points, Pass::First])?;
-    start.betas = fitted.whole.state.betas;
-    start.poses[fitted.frames.clone()].copy_from_slice(&fitted.whole.state.poses);
-    Ok(Some(StartedMotion { start, fitted: fitted.without_halo(&window), window }))
+    let fitted = fit_windows(context, observations, start, &window, &[Pass::Points, Pass::First])?;
+    Ok(Some(StartedMotion { fitted, window }))
 }
 
-/// Fits the whole track: the window of the first fit again where the model has changed or the motion prior refines, from
-/// its present state; then all others with its shape.
+/// Fits the whole track again where the model or the settings have changed since the first fit.
 pub(super) fn finish_motion(
     context: &FitContext,
     observations: &Observations,
     started: StartedMotion,
     has_model_changed: bool,
 ) -> Result<FittedMotion, Canceled> {
-    let StartedMotion { start, window, mut fitted } = started;
-    let mut first_iterations = 0;
+    let StartedMotion { window, mut fitted } = started;
     if has_model_changed || context.has_refinement() {
-        first_iterations = fitted.iterations;
-        fitted = fit_window(context, observations, &start, &window, Shape::Free, &[Pass::Last])?.without_halo(&window);
+        let first_iterations = fitted.iterations;
+        fitted = fit_windows(context, observations, fitted.state, &window, &[Pass::Last])?;
+        fitted.iterations += first_iterations;
     }
-    let windows = windows(start.poses.len(), context.config.window_frames.max(3));
-    if windows.len() > 1 {
-        let shaped = MotionState { betas: fitted.state.betas, ..start };
-        let passes: &[Pass] = match context.has_refinement() {
-            true => &[Pass::Points, Pass::First, Pass::Last],
-            false => &[Pass::Points, Pass::Last],
-        };
-        let fit = |w: &Range<usize>| match *w == window {
-            true => Ok(fitted.clone()),
-            false => Ok(fit_window(context, observations, &shaped, w, Shape::Held, passes)?.without_halo(w)),
-        };
-        fitted = joined(windows.par_iter().map(fit).collect::<Result<_, Canceled>>()?);
-    }
-    fitted.iterations += first_iterations;
     fitted.median_reprojection_px = median_distance_px(context.model, observations, &fitted.state);
     Ok(fitted)
+}
+
+/// Fits `first` with its shape free, then all other windows with that shape.
+fn fit_windows(
+    context: &FitContext,
+    observations: &Observations,
+    start: MotionState,
+    first: &Range<usize>,
+    passes: &[Pass],
+) -> Result<FittedMotion, Canceled> {
+    let windows = windows(start.poses.len(), context.config.window_frames.max(3));
+    let whole = fit_window(context, observations, &start, first, Shape::Free, passes)?;
+    let shaped = MotionState { betas: whole.whole.state.betas, ..start };
+    let of_first = whole.without_halo(first);
+    let fit = |w: &Range<usize>| match w == first {
+        true => Ok(of_first.clone()),
+        false => Ok(fit_window(context, observations, &shaped, w, Shape::Held, passes)?.without_halo(w)),
+    };
+    Ok(joined(windows.par_iter().map(fit).collect::<Result<_, Canceled>>()?))
 }
 
 /// A pass of the fit of a window, from a rough start to the end.
