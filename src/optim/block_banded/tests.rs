@@ -1,89 +1,126 @@
 use super::*;
+use nalgebra::DMatrixView;
 use rand::{RngExt, SeedableRng};
 
-/// A random positive definite system of this pattern: a sum of squares of rows within it.
-fn random_system(n_frames: usize, n_groups: usize, n_border: usize, seed: u64) -> BlockBanded {
+/// Jacobian of rows over the unknowns of three successive frames and the border, added to the band and to a dense system.
+struct Both {
+    system: BlockBanded,
+    dense: DMatrix<f64>,
+    gradient: DVector<f64>,
+    n: usize,
+    n_frames: usize,
+}
+
+impl Both {
+    fn zeros(n_frames: usize, n_groups: usize, n_border: usize) -> Self {
+        let n = 3 * n_groups;
+        let n_all = n * n_frames + n_border;
+        let system = BlockBanded::zeros(n_frames, n_groups, n_border);
+        Self { system, dense: DMatrix::zeros(n_all, n_all), gradient: DVector::zeros(n_all), n, n_frames }
+    }
+
+    /// Adds the square of `rows`, whose columns are the listed groups of frames (frame, group), then the border.
+    fn add_square(&mut self, rows: &DMatrix<f64>, groups: &[[usize; 2]]) {
+        let square = rows.tr_mul(rows);
+        let n_border = self.system.layout.n_border;
+        let own = 3 * groups.len();
+        let border = self.n * self.n_frames;
+        let places: Vec<usize> = groups
+            .iter()
+            .flat_map(|[t, g]| (0..3).map(move |i| [*t, *g, i]))
+            .map(|[t, g, i]| self.n * t + 3 * g + i)
+            .chain(border..border + if rows.ncols() > own { n_border } else { 0 })
+            .collect();
+        for (i, &a) in places.iter().enumerate() {
+            for (j, &b) in places.iter().enumerate() {
+                self.dense[(a, b)] += square[(i, j)];
+            }
+        }
+        let block = |i: usize, k: usize| -> Matrix3<f64> { square.fixed_view::<3, 3>(3 * i, 3 * k).into() };
+        for (i, &[later, row]) in groups.iter().enumerate() {
+            for (k, &[earlier, column]) in groups.iter().enumerate() {
+                if [later, row] >= [earlier, column] || later > earlier {
+                    self.system.add_block([later, earlier], [row, column], &block(i, k));
+                }
+            }
+            for k in 0..places.len() - own {
+                let across = square.fixed_view::<1, 3>(own + k, 3 * i).into_owned();
+                self.system.frame(later).add_border(k, 3 * row, &across);
+            }
+        }
+        let corner: DMatrixView<f64> = square.view((own, own), (places.len() - own, places.len() - own));
+        let mut target = self.system.corner.hessian.view_mut((0, 0), corner.shape());
+        target += corner;
+    }
+}
+
+/// A random positive definite system of this pattern: a sum of squares of rows within it; `mixes`: every group of a frame with
+/// every group of the next two, too.
+fn random_system([n_frames, n_groups, n_border]: [usize; 3], mixes: bool, seed: u64) -> Both {
     let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(seed);
     let mut uniform = || rng.random_range(-1.0..1.0);
+    let mut both = Both::zeros(n_frames, n_groups, n_border);
     let n = 3 * n_groups;
-    let mut system = BlockBanded::zeros(n_frames, n_groups, n_border);
     for t in 0..n_frames {
-        let rows = DMatrix::from_fn(n + 4, n + n_border, |_, _| uniform());
-        let square = rows.tr_mul(&rows);
-        system.diagonal[t] += square.view((0, 0), (n, n));
-        system.border[t] += square.view((0, n), (n, n_border));
-        system.corner.hessian += square.view((n, n), (n_border, n_border));
-        system.gradient[t] = DVector::from_fn(n, |_, _| uniform());
+        let groups: Vec<[usize; 2]> = (0..n_groups).map(|g| [t, g]).collect();
+        both.add_square(&DMatrix::from_fn(n + 4, n + n_border, |_, _| uniform()), &groups);
     }
     for t in 0..n_frames.saturating_sub(2) {
         for g in 0..n_groups {
-            let j: [Matrix3<f64>; 3] = std::array::from_fn(|_| Matrix3::from_fn(|_, _| uniform()));
-            for (i, a) in j.iter().enumerate() {
-                let mut view = system.diagonal[t + i].fixed_view_mut::<3, 3>(3 * g, 3 * g);
-                view += a.transpose() * a;
-            }
-            system.next[t].add(g, g, j[1].transpose() * j[0]);
-            system.next[t + 1].add(g, g, j[2].transpose() * j[1]);
-            system.after_next[t].add(g, g, j[2].transpose() * j[0]);
+            let groups = [[t, g], [t + 1, g], [t + 2, g]];
+            both.add_square(&DMatrix::from_fn(3, 9, |_, _| uniform()), &groups);
         }
-        // A residual of two groups.
-        let (g, h) = (0, n_groups - 1);
-        let j: [Matrix3<f64>; 3] = std::array::from_fn(|_| Matrix3::from_fn(|_, _| uniform()));
-        for (row, a) in [(g, 1.0), (h, 0.5)] {
-            for (column, b) in [(g, 1.0), (h, 0.5)] {
-                let block = |i: usize, k: usize| j[i].transpose() * j[k] * (a * b);
-                for i in 0..3 {
-                    let mut view = system.diagonal[t + i].fixed_view_mut::<3, 3>(3 * row, 3 * column);
-                    view += block(i, i);
-                }
-                system.next[t].add(row, column, block(1, 0));
-                system.next[t + 1].add(row, column, block(2, 1));
-                system.after_next[t].add(row, column, block(2, 0));
-            }
+        let all: Vec<[usize; 2]> = (t..t + 3).flat_map(|t| (0..n_groups).map(move |g| [t, g])).collect();
+        let ends: Vec<[usize; 2]> = (t..t + 3).flat_map(|t| [[t, 0], [t, n_groups - 1]]).collect();
+        let groups = if mixes { all } else { ends };
+        both.add_square(&DMatrix::from_fn(3, 3 * groups.len(), |_, _| uniform()), &groups);
+    }
+    for t in 0..n_frames {
+        let part = nalgebra::SVector::<f64, 3>::from_fn(|_, _| uniform());
+        for g in 0..n_groups {
+            both.system.frame(t).add_gradient(3 * g, &part);
+            both.gradient.fixed_rows_mut::<3>(n * t + 3 * g).copy_from(&part);
         }
     }
-    system.corner.gradient = DVector::from_fn(n_border, |_, _| uniform());
-    system
-}
-
-fn dense(system: &BlockBanded) -> (DMatrix<f64>, DVector<f64>) {
-    let (n, t_count, m) = (system.diagonal[0].nrows(), system.diagonal.len(), system.corner.gradient.len());
-    let mut h = DMatrix::zeros(n * t_count + m, n * t_count + m);
-    let mut g = DVector::zeros(n * t_count + m);
-    for t in 0..t_count {
-        h.view_mut((n * t, n * t), (n, n)).copy_from(&system.diagonal[t]);
-        h.view_mut((n * t, n * t_count), (n, m)).copy_from(&system.border[t]);
-        h.view_mut((n * t_count, n * t), (m, n)).copy_from(&system.border[t].transpose());
-        g.rows_mut(n * t, n).copy_from(&system.gradient[t]);
-        for (distance, couplings) in [(1, &system.next), (2, &system.after_next)] {
-            if let Some(block) = couplings.get(t).map(Coupling::dense) {
-                h.view_mut((n * (t + distance), n * t), (n, n)).copy_from(&block);
-                h.view_mut((n * t, n * (t + distance)), (n, n)).copy_from(&block.transpose());
-            }
-        }
-    }
-    h.view_mut((n * t_count, n * t_count), (m, m)).copy_from(&system.corner.hessian);
-    g.rows_mut(n * t_count, m).copy_from(&system.corner.gradient);
-    (h, g)
+    both.system.corner.gradient = DVector::from_fn(n_border, |_, _| uniform());
+    both.gradient.rows_mut(n * n_frames, n_border).copy_from(&both.system.corner.gradient);
+    both
 }
 
 #[test]
 fn the_banded_solution_equals_the_dense_one() {
-    for (n_frames, n_groups, n_border) in [(1, 2, 3), (2, 3, 0), (7, 9, 4), (5, 21, 10)] {
-        let system = random_system(n_frames, n_groups, n_border, 5);
-        let step = system.solve(0.0).unwrap();
-        let (h, g) = dense(&system);
-        let expected = h.lu().solve(&-g).unwrap();
-        let found: Vec<f64> = step.frames.iter().flat_map(|f| f.iter()).chain(step.border.iter()).copied().collect();
-        assert!((DVector::from_vec(found) - &expected).norm() < 1e-8 * expected.norm());
+    let sizes = [[1, 2, 3], [2, 3, 0], [7, 9, 4], [5, 21, 10], [4, 17, 30], [6, 8, 7]];
+    for (size, mixes) in sizes.into_iter().flat_map(|size| [(size, false), (size, true)]) {
+        for damping in [0.0, 0.3] {
+            let mut both = random_system(size, mixes, 5);
+            let step = both.system.solve(damping).unwrap();
+            let expected = damped(&both.dense, damping).lu().solve(&-&both.gradient).unwrap();
+            let found = step.frames.iter().flat_map(|f| f.iter()).chain(step.border.iter()).copied();
+            let found = DVector::from_iterator(expected.len(), found);
+            assert!((found - &expected).norm() < 1e-8 * expected.norm(), "{size:?} {mixes} {damping}");
+        }
     }
 }
 
 #[test]
+fn a_cleared_system_is_as_new() {
+    let both = random_system([5, 6, 4], true, 3);
+    let mut used = both.system.eliminated(1.0).unwrap().into_system();
+    used.clear();
+    let fresh = BlockBanded::zeros(5, 6, 4);
+    assert_eq!(
+        (&used.panels, &used.starts, &used.corner.hessian),
+        (&fresh.panels, &fresh.starts, &fresh.corner.hessian)
+    );
+}
+
+#[test]
 fn rejects_indefinite_systems() {
-    let mut system = random_system(4, 8, 2, 1);
-    system.diagonal[2][(20, 20)] = -1.0;
-    assert!(system.solve(0.0).is_none());
-    system.diagonal[2][(20, 20)] = f64::NAN;
-    assert!(system.solve(0.0).is_none());
+    for value in [-1e3, f64::NAN] {
+        let mut both = random_system([4, 8, 2], false, 1);
+        let mut block = Matrix3::zeros();
+        block[(1, 1)] = value;
+        both.system.add_block([2, 2], [6, 6], &block);
+        assert!(both.system.solve(0.0).is_none());
+    }
 }

@@ -10,9 +10,9 @@ use super::observations::{Observations, PosedCamera};
 use super::person_fit::StartedMotion;
 use super::terms::border_priors::{BoneLengthPrior, KeypointBiasPrior};
 use super::terms::noise_process::PathNoise;
+use super::thinned_motion::carry_along;
 use crate::body::detector_offsets::OffsetTable;
-use crate::body::kinematics::Pose;
-use crate::geometry::{Rigid, rotation};
+use crate::geometry::Rigid;
 use crate::progress::Canceled;
 
 /// The detector's errors, and the cameras after the adjustment.
@@ -146,47 +146,4 @@ fn take_over(observations: &mut Observations, started: &mut StartedMotion, membe
     }
     started.fitted.state.betas = member.state.betas;
     observations.cameras.clone_from(&member.observations.cameras);
-}
-
-/// Moves every `stride`-th pose to `adjusted`, and those between by what their neighbours moved, weighted linearly.
-fn carry_along(poses: &mut [Pose], adjusted: &[Pose], stride: usize) {
-    let before: Vec<Pose> = poses.iter().step_by(stride).copied().collect();
-    for (t, pose) in poses.iter_mut().enumerate() {
-        let (k, part) = (t / stride, (t % stride) as f64 / stride as f64);
-        let moved = [(k, 1.0 - part), ((k + 1).min(before.len() - 1), part)];
-        for (k, weight) in moved {
-            pose.translation += (adjusted[k].translation - before[k].translation) * weight;
-        }
-        for (joint, turned) in pose.rotations.iter_mut().enumerate() {
-            let turn =
-                |k: usize| rotation::log(&(before[k].rotations[joint].transpose() * adjusted[k].rotations[joint]));
-            *turned *= rotation::exp(&moved.iter().map(|(k, weight)| turn(*k) * *weight).sum());
-        }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use nalgebra::Vector3;
-
-    /// A motion that is turned and moved as a whole stays one: frames between adjusted ones follow.
-    #[test]
-    fn frames_between_adjusted_ones_are_carried_along() {
-        let pose = |t: usize, turn: f64, shift: f64| {
-            let mut pose = Pose::rest();
-            pose.rotations[4] = rotation::exp(&Vector3::new(0.1 * t as f64, 0.0, 0.0));
-            pose.rotations[4] *= rotation::exp(&Vector3::new(0.0, turn, 0.0));
-            pose.translation = Vector3::new(0.02 * t as f64 + shift, 0.9, 0.0);
-            pose
-        };
-        let mut poses: Vec<Pose> = (0..8).map(|t| pose(t, 0.0, 0.0)).collect();
-        let adjusted: Vec<Pose> = (0..8).step_by(3).map(|t| pose(t, 0.2, 0.05)).collect();
-        carry_along(&mut poses, &adjusted, 3);
-        for (t, found) in poses.iter().enumerate() {
-            let wanted = pose(t, 0.2, 0.05);
-            assert!((found.rotations[4] - wanted.rotations[4]).norm() < 1e-12, "frame {t}");
-            assert!((found.translation - wanted.translation).norm() < 1e-12, "frame {t}");
-        }
-    }
 }

@@ -19,7 +19,7 @@ use crate::body::BodyModel;
 use crate::body::bone_offsets::{BoneOffsets, with_bones};
 use crate::body::detector_offsets::OffsetTable;
 use crate::geometry::{Rigid, free_network};
-use crate::optim::block_banded::{BandedStep, Corner, Eliminated, damped};
+use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, Eliminated, damped};
 use crate::progress::Canceled;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Vector3};
 use rayon::prelude::*;
@@ -103,7 +103,9 @@ impl JointProblem<'_> {
         let mut damping = DAMPING;
         for _ in 0..stopping.max_iterations {
             self.context.progress.check()?;
-            let Some(reduced) = self.reduced((members, &pixels), &minimum.offsets, &minimum.cameras, damping) else {
+            let systems = minimum.reduced.take().map_or_else(Vec::new, Reduced::into_systems);
+            let reduced = self.reduced((members, &pixels), &minimum.offsets, &minimum.cameras, systems, damping);
+            let Some(reduced) = reduced else {
                 break;
             };
             let step = reduced.solved(damping);
@@ -179,23 +181,31 @@ impl JointProblem<'_> {
         people.iter().sum::<f64>() + self.bias_prior.cost(&flat(offsets))
     }
 
-    /// The normal equations of the session's unknowns, with each person's own eliminated.
+    /// The normal equations of the session's unknowns, with each person's own eliminated, in the memory of `systems` where there
+    /// are any.
     fn reduced(
         &self,
         (members, pixels): (&[Member], &[DetectedPixels]),
         offsets: &[Vector3<f64>],
         cameras: &[PosedCamera],
+        mut systems: Vec<BlockBanded>,
         damping: f64,
     ) -> Option<Reduced> {
         let model = self.table.applied(self.context.model, offsets);
-        let person = |(member, pixels): (&Member, &DetectedPixels)| {
+        if systems.is_empty() {
+            let zero = |(member, pixels): (&Member, &DetectedPixels)| {
+                self.problem(&model, member, pixels).zero_system(member.state.poses.len())
+            };
+            systems = members.iter().zip(pixels).map(zero).collect();
+        }
+        let person = |((member, pixels), mut system): ((&Member, &DetectedPixels), BlockBanded)| {
             let own = with_bones(&model, &member.bones);
-            let mut system = self.problem(&own, member, pixels).linearised(&member.state);
+            self.problem(&own, member, pixels).linearise(&member.state, &mut system);
             let first = self.border_of(member).bones().start;
             self.bone_prior.add_to(&flat(&member.bones), first, &mut system.corner);
             system.eliminated(damping)
         };
-        let people: Vec<Eliminated> = members.par_iter().zip(pixels).map(person).collect::<Option<_>>()?;
+        let people: Vec<Eliminated> = members.par_iter().zip(pixels).zip(systems).map(person).collect::<Option<_>>()?;
         let border = self.border(cameras.len());
         let (n_own, n) = (border.person().len(), border.session().len());
         let mut session = Corner::zeros(n);
@@ -300,6 +310,11 @@ pub(super) struct Reduced {
 }
 
 impl Reduced {
+    /// The persons' systems, for the next ones.
+    fn into_systems(self) -> Vec<BlockBanded> {
+        self.people.into_iter().map(Eliminated::into_system).collect()
+    }
+
     fn solved(&self, damping: f64) -> Option<Step> {
         let free = damped(&self.hessian, damping).cholesky()?.solve(&self.right);
         let session = self.basis.as_ref().map_or_else(|| free.clone(), |basis| basis * &free);

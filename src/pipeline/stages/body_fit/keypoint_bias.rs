@@ -10,6 +10,7 @@ use super::joint_problem::Member;
 use super::observations::Observations;
 use super::person_fit::StartedMotion;
 use super::session_bias::{Hypothesis, SessionBias, session_bias};
+use super::thinned_motion::rough_stride;
 use crate::body::BodyModel;
 use crate::body::detector_offsets::{OffsetKind, OffsetTable};
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention};
@@ -23,6 +24,9 @@ pub(super) struct EstimatedBias {
     pub report: KeypointBias,
 }
 
+/// Fewest frames of all persons that are left by thinning: 80 numbers are estimated.
+const MIN_LEFT: usize = 100;
+
 /// Estimates the keypoint bias from the first fits of all persons; `None` for a convention that no detector uses.
 pub(super) fn estimated_bias(
     context: &FitContext,
@@ -35,12 +39,15 @@ pub(super) fn estimated_bias(
     }
     let [per_person, in_all] = context.config.bias_frames;
     let n_frames = (in_all / started.len()).min(per_person);
+    // What an error that lasts some frames says of offsets is said by every third of them.
+    let n_seen: usize = started.iter().map(|(_, started)| started.window.len().min(n_frames)).sum();
+    let stride = rough_stride(context.frame_interval).min(n_seen / MIN_LEFT).max(1);
     let member = |(observations, started): &&(Observations, StartedMotion)| {
         let run = observations.most_seen(started.window.clone(), n_frames);
-        Member::of(context, observations, started, run, 1)
+        Member::of(context, observations, started, run, stride)
     };
-    let members = started.iter().map(member).collect();
-    let found = likeliest(&table, members, context)?;
+    let thinned = FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context };
+    let found = likeliest(&table, started.iter().map(member).collect(), &thinned)?;
     let (moves_joints, reason) = decision(&table, &found);
     let is_applied = |kind: &OffsetKind| moves_joints || !kind.is_joint;
     let rows = || table.kinds.iter().zip(&found.offsets);

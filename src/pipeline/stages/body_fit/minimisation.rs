@@ -39,12 +39,14 @@ pub(super) fn minimised(
     let mut state = start;
     let cost_before = problem.cost(&state);
     let (mut cost, mut damping, mut iterations, mut converged) = (cost_before, 1e-4, 0, false);
+    let mut system = problem.zero_system(state.poses.len());
     while iterations < max_iterations && !converged {
         context.progress.check()?;
         iterations += 1;
-        let system = problem.linearised(&state);
         let mut is_better = false;
         for _ in 0..MAX_TRIALS {
+            // The solution takes the system's place.
+            problem.linearise(&state, &mut system);
             if let Some(step) = system.solve(damping) {
                 let moved = problem.moved(&state, &step);
                 let moved_cost = problem.cost(&moved);

@@ -12,6 +12,7 @@
 //! | `initial_motion`, `monocular` | the closed-form start; points of a single view lifted to 3D |
 //! | `person_fit`, `local_fit`, `pixel_residuals` | passes over one person's windows; runs fitted again; the detector's accuracy |
 //! | `terms`, `objective`, `motion_problem`, `minimisation` | the terms, their list, its sum, the damped Gauss-Newton steps |
+//! | `thinned_motion` | fits to every few frames, from which those between follow |
 //! | `gap_completion` | joints that no camera shows for a while, completed by the motion prior |
 //! | `joint_problem` | all persons as one problem, with the detector's offsets and the cameras |
 //! | `keypoint_bias`, `session_bias` | the detector's offsets, with the cameras held |
@@ -45,6 +46,7 @@ mod terms;
 mod tests;
 #[cfg(test)]
 mod tests_simulated;
+mod thinned_motion;
 
 pub use config::BodyFitConfig;
 pub use fit::{FittedBodies, fit_bodies, fitted_statures};

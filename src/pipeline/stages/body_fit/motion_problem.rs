@@ -2,16 +2,15 @@
 
 use super::observations::PosedCamera;
 use super::terms::border_priors::ShapePrior;
-use super::terms::frame::{Landmarks, PosedFrame};
+use super::terms::frame::{Landmarks, LinearisedFrame, PosedFrame};
 use super::terms::path_system::add_paths;
-use super::terms::term::{BorderTerm, FrameTerm, WindowTerm};
-use super::terms::unknowns::{FrameSystem, MotionState, Unknowns};
+use super::terms::term::{BorderTerm, FrameTerm, RUN, WindowTerm};
+use super::terms::unknowns::{MotionState, Unknowns};
 use super::terms::whitened_pixels::{Positions, WhitenedPixels};
 use super::terms::window::{TrackedLandmark, Window};
 use crate::body::BodyModel;
 use crate::body::kinematics::Pose;
-use crate::body::model::{Betas, ShapedBody};
-use crate::optim::block_banded::{BandedStep, BlockBanded, Corner};
+use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, FramePanel};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -33,8 +32,9 @@ pub(super) struct MotionProblem<'a> {
     pub time_weight: f64,
 }
 
-/// Frames linearised one after another; they share one corner.
-const RUN: usize = 16;
+/// Added to every frame's diagonal (squared residual per rad^2 or m^2), so that a frame without observations does not make
+/// the system singular: 1e6 times weaker than one keypoint.
+const FLOOR: f64 = 1e-4;
 
 /// Added to the diagonal of a held frame, which makes its step a millionth of a free one.
 const HOLD: f64 = 1e15;
@@ -67,32 +67,35 @@ impl MotionProblem<'_> {
             + self.time_weight * windows.fold(frames.iter().sum::<f64>(), |sum, cost| sum + cost)
     }
 
-    /// The Gauss-Newton system at `state`.
-    pub(super) fn linearised(&self, state: &MotionState) -> BlockBanded {
-        let n_border = self.unknowns.border.len();
-        let mut system = BlockBanded::zeros(state.poses.len(), self.unknowns.n_groups(), n_border);
-        let body = self.model.shaped(&state.betas);
-        let run_blocks = |(run, poses): (usize, &[Pose])| {
-            let mut corner = Corner::zeros(n_border);
-            let frame = |(i, pose)| self.frame_system(RUN * run + i, (&body, &state.betas), pose, &mut corner);
-            let frames: Vec<LinearFrame> = poses.iter().enumerate().map(frame).collect();
-            (frames, corner)
-        };
-        let runs: Vec<(Vec<_>, Corner)> = state.poses.par_chunks(RUN).enumerate().map(run_blocks).collect();
+    /// The zero system of a motion of `n_frames`.
+    pub(super) fn zero_system(&self, n_frames: usize) -> BlockBanded {
+        BlockBanded::zeros(n_frames, self.unknowns.n_groups(), self.unknowns.border.len())
+    }
 
-        let weight = self.time_weight;
-        let mut tracked = Vec::with_capacity(state.poses.len());
-        let mut paths = Vec::with_capacity(state.poses.len());
-        for (frames, corner) in runs {
-            system.corner.hessian += corner.hessian * weight;
-            system.corner.gradient += corner.gradient * weight;
-            for LinearFrame { system: frame, tracked: landmarks, paths: of_frame } in frames {
-                let t = tracked.len();
-                paths.push(of_frame);
-                system.diagonal[t] = frame.diagonal * weight;
-                system.border[t] = frame.border * weight;
-                system.gradient[t] = frame.gradient * weight;
-                tracked.push(landmarks);
+    /// Makes `system` the Gauss-Newton system at `state`.
+    pub(super) fn linearise(&self, state: &MotionState, system: &mut BlockBanded) {
+        system.clear();
+        let body = self.model.shaped(&state.betas);
+        let add_run = |(run, (frames, poses)): (usize, (&mut [FramePanel], &[Pose]))| {
+            let mut corner = Corner::zeros(self.unknowns.border.len());
+            let add = |(i, (frame, pose)): (usize, (&mut FramePanel, &Pose))| {
+                let posed = PosedFrame::new(&self.landmarks, (&body, &state.betas), RUN * run + i, pose);
+                self.add_frame(&posed.linearised(), frame, &mut corner)
+            };
+            let landmarks: Vec<FrameLandmarks> = frames.iter_mut().zip(poses).enumerate().map(add).collect();
+            (landmarks, corner)
+        };
+        let mut frames = system.frames();
+        let runs = frames.par_chunks_mut(RUN).zip(state.poses.par_chunks(RUN)).enumerate();
+        let runs: Vec<(Vec<FrameLandmarks>, Corner)> = runs.map(add_run).collect();
+
+        let (mut tracked, mut paths) = (Vec::with_capacity(state.poses.len()), Vec::with_capacity(state.poses.len()));
+        for (landmarks, corner) in runs {
+            system.corner.hessian += corner.hessian * self.time_weight;
+            system.corner.gradient += corner.gradient * self.time_weight;
+            for frame in landmarks {
+                tracked.push(frame.tracked);
+                paths.push(frame.paths);
             }
         }
         let betas = self.unknowns.border.betas();
@@ -100,38 +103,27 @@ impl MotionProblem<'_> {
             self.shape_prior.add_to(state.betas.as_slice(), betas.start, &mut system.corner);
         }
         if let Some(term) = self.paths {
-            add_paths(term, &self.unknowns, &paths, &mut system);
+            add_paths(term, &self.unknowns, &paths, system);
         }
         for middle in middles(state) {
             let window = Window::new(middle, &state.poses, &tracked);
-            self.window_terms.iter().for_each(|term| term.add_to(&window, &mut system));
+            self.window_terms.iter().for_each(|term| term.add_to(&window, system));
         }
-        for &t in self.held {
-            (0..system.diagonal[t].nrows()).for_each(|i| system.diagonal[t][(i, i)] += HOLD);
-        }
-        system
+        self.held.iter().for_each(|&t| system.frame(t).add_to_diagonal(HOLD));
     }
 
-    /// Blocks of one frame, and its tracked landmarks.
-    fn frame_system(
-        &self,
-        index: usize,
-        shape: (&ShapedBody, &Betas),
-        pose: &Pose,
-        corner: &mut Corner,
-    ) -> LinearFrame {
-        let frame = PosedFrame::new(&self.landmarks, shape, index, pose).linearised();
-        let mut system = FrameSystem::zeros(&self.unknowns);
-        self.frame_terms.iter().for_each(|term| term.add_to(&frame, &mut system, corner));
-        system.add_floor();
-        let tracked = |&landmark: &usize| TrackedLandmark {
+    /// Adds the terms of one frame; returns its landmarks that other terms look at.
+    fn add_frame(&self, frame: &LinearisedFrame, system: &mut FramePanel, corner: &mut Corner) -> FrameLandmarks {
+        self.frame_terms.iter().for_each(|term| term.add_to(frame, system, corner));
+        system.add_to_diagonal(FLOOR);
+        system.scale(self.time_weight);
+        let linear = |&landmark: &usize| TrackedLandmark {
             position: frame.posed.position(landmark),
             jacobian: frame.jacobian(landmark),
         };
-        LinearFrame {
-            tracked: self.tracked.iter().map(tracked).collect(),
-            paths: self.path_landmarks().iter().map(tracked).collect(),
-            system,
+        FrameLandmarks {
+            tracked: self.tracked.iter().map(linear).collect(),
+            paths: self.path_landmarks().iter().map(linear).collect(),
         }
     }
 
@@ -140,9 +132,8 @@ impl MotionProblem<'_> {
     }
 }
 
-/// One frame's own blocks, and its landmarks that other terms look at.
-struct LinearFrame {
-    system: FrameSystem,
+/// The landmarks of one frame that window terms and paths look at.
+struct FrameLandmarks {
     tracked: Vec<TrackedLandmark>,
     paths: Vec<TrackedLandmark>,
 }

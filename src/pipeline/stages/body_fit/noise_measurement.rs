@@ -10,7 +10,7 @@ use crate::body::kinematics::{landmark_position, posed};
 use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
 
 /// Number of residuals of all landmarks that count as much as one landmark's own for its process. Slow errors change every thirty
-/// frames or so, so that 1,000 residuals know an autocorrelation of 0.85 to 0.05, which is what landmarks differ by.
+/// frames or so, so that 1,000 residuals know an autocorrelation of 0.85 to 0.03, about as much as landmarks differ by.
 const POOLED_PROCESS: f64 = 1000.0;
 
 /// The same for its standard deviation: four seconds of one camera, in which a slow error has changed once.

@@ -9,6 +9,7 @@ use super::observations::Observations;
 use super::pixel_residuals::{DetectedPixels, median_distance_px};
 use super::terms::data::DataSource;
 use super::terms::unknowns::{MotionState, Shape};
+use super::thinned_motion::{carry_along, rough_stride};
 use crate::progress::Canceled;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -31,11 +32,17 @@ pub(super) fn start_motion(
     let windows = windows(start.poses.len(), context.config.window_frames.max(3));
     let n_observed = |w: &Range<usize>| (n_observations(observations, w), std::cmp::Reverse(w.start));
     let Some(window) = windows.into_iter().max_by_key(n_observed) else { return Ok(None) };
-    let fitted = fit_windows(context, observations, start, &window, &[Pass::Points, Pass::First])?;
+    let fitted = fit_windows(
+        context,
+        observations,
+        start,
+        &window,
+        [&[Pass::Points, Pass::First], &[Pass::Points, Pass::Rough]],
+    )?;
     Ok(Some(StartedMotion { fitted, window }))
 }
 
-/// Fits the whole track again where the model or the settings have changed since the first fit.
+/// Fits the whole track again where the model or the settings have changed since the first fit, or where that was rough.
 pub(super) fn finish_motion(
     context: &FitContext,
     observations: &Observations,
@@ -43,39 +50,45 @@ pub(super) fn finish_motion(
     has_model_changed: bool,
 ) -> Result<FittedMotion, Canceled> {
     let StartedMotion { window, mut fitted } = started;
-    if has_model_changed || context.has_refinement() {
+    let has_rough_windows = window.len() < fitted.state.poses.len();
+    if has_model_changed || context.has_refinement() || has_rough_windows {
         let first_iterations = fitted.iterations;
-        fitted = fit_windows(context, observations, fitted.state, &window, &[Pass::Last])?;
+        fitted = fit_windows(context, observations, fitted.state, &window, [&[Pass::Last]; 2])?;
         fitted.iterations += first_iterations;
     }
     fitted.median_reprojection_px = median_distance_px(context.model, observations, &fitted.state);
     Ok(fitted)
 }
 
-/// Fits `first` with its shape free, then all other windows with that shape.
+/// Fits `first` with its shape free, then all other windows with that shape; each of the two in `passes` of its own.
 fn fit_windows(
     context: &FitContext,
     observations: &Observations,
     start: MotionState,
     first: &Range<usize>,
-    passes: &[Pass],
+    [of_first, of_others]: [&[Pass]; 2],
 ) -> Result<FittedMotion, Canceled> {
     let windows = windows(start.poses.len(), context.config.window_frames.max(3));
-    let whole = fit_window(context, observations, &start, first, Shape::Free, passes)?;
+    let whole = fit_window(context, observations, &start, first, Shape::Free, of_first)?;
     let shaped = MotionState { betas: whole.whole.state.betas, ..start };
-    let of_first = whole.without_halo(first);
+    let fitted = whole.without_halo(first);
     let fit = |w: &Range<usize>| match w == first {
-        true => Ok(of_first.clone()),
-        false => Ok(fit_window(context, observations, &shaped, w, Shape::Held, passes)?.without_halo(w)),
+        true => Ok(fitted.clone()),
+        false => Ok(fit_window(context, observations, &shaped, w, Shape::Held, of_others)?.without_halo(w)),
     };
     Ok(joined(windows.par_iter().map(fit).collect::<Result<_, Canceled>>()?))
 }
 
+/// Fewest frames that are left by thinning; shorter windows are fitted whole.
+const MIN_THINNED: usize = 30;
+
 /// A pass of the fit of a window, from a rough start to the end.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Pass {
-    /// Triangulated points, since a fit from closed form straight to pixels gets stuck.
+    /// Triangulated points, since a fit from closed form straight to pixels gets stuck; every few frames.
     Points,
+    /// As the first pass over pixels, every few frames.
+    Rough,
     /// Pixels, with the settings of the first fit ([`FitContext::first_config`]).
     First,
     /// Pixels, with all terms.
@@ -128,38 +141,75 @@ fn fit_window(
     shape: Shape,
     passes: &[Pass],
 ) -> Result<FittedWindow, Canceled> {
-    let FitContext { config, first_config, .. } = *context;
-    let frames =
-        window.start.saturating_sub(config.halo_frames)..(window.end + config.halo_frames).min(start.poses.len());
+    let halo = context.config.halo_frames;
+    let frames = window.start.saturating_sub(halo)..(window.end + halo).min(start.poses.len());
     let observations = observations.slice(frames.clone());
     let state = MotionState { betas: start.betas, poses: start.poses[frames.clone()].to_vec() };
     let has_pixels = observations.pixels.iter().any(|frame| !frame.is_empty());
-    let [on_points, on_pixels] = config.max_iterations;
     let mut whole = FittedMotion::initial(state);
     for pass in if has_pixels { passes } else { &[Pass::Points] } {
-        let pixels = match pass {
-            Pass::Points => None,
-            Pass::First => Some(DetectedPixels::independent(context, &observations, &whole.state)),
-            Pass::Last => Some(DetectedPixels::new(context, &observations, &whole.state)),
+        let is_rough = has_pixels && matches!(pass, Pass::Points | Pass::Rough);
+        let fitted = match if is_rough { stride(context, &observations) } else { 1 } {
+            1 => fit_pass(context, &observations, whole.state, shape, *pass)?,
+            stride => fit_thinned(context, &observations, whole.state, shape, *pass, stride)?,
         };
-        let (data, max_iterations) = match &pixels {
-            Some(pixels) => (pixels.source(), on_pixels),
-            None => (DataSource::Points { sigma: config.point_sigma }, on_points),
-        };
-        let config = if *pass == Pass::Last { config } else { first_config };
-        let completion = (*pass == Pass::Last && config.completes_gaps)
-            .then(|| completed_gaps(context, &observations, &whole.state))
-            .flatten();
-        let start = match &completion {
-            Some(gaps) => gaps.applied_to(whole.state),
-            None => whole.state,
-        };
-        let speeds = (*pass != Pass::Points).then_some(&start);
-        let completion = completion.as_ref();
-        let problem =
-            Objective { speeds, completion, ..Objective::new(context, config, &observations, data, shape) }.problem();
-        let fitted = minimised(context, &problem, start.clone(), max_iterations)?;
         whole = FittedMotion { iterations: whole.iterations + fitted.iterations, ..fitted };
     }
     Ok(FittedWindow { whole, frames })
+}
+
+/// Every how many frames a rough pass takes one. A single camera leaves so much open that its fit wants all of them.
+fn stride(context: &FitContext, observations: &Observations) -> usize {
+    let stride = rough_stride(context.frame_interval);
+    let has_enough = observations.cameras.len() > 1 && observations.pixels.len() >= MIN_THINNED * stride;
+    if has_enough { stride } else { 1 }
+}
+
+/// A pass over every `stride`-th frame; those between are carried along.
+fn fit_thinned(
+    context: &FitContext,
+    observations: &Observations,
+    start: MotionState,
+    shape: Shape,
+    pass: Pass,
+    stride: usize,
+) -> Result<FittedMotion, Canceled> {
+    let context = FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context };
+    let MotionState { betas, mut poses } = start;
+    let few = MotionState { betas, poses: poses.iter().step_by(stride).copied().collect() };
+    let fitted = fit_pass(&context, &observations.thinned(0..observations.pixels.len(), stride), few, shape, pass)?;
+    carry_along(&mut poses, &fitted.state.poses, stride);
+    Ok(FittedMotion { state: MotionState { poses, ..fitted.state }, ..fitted })
+}
+
+/// One pass over all frames of `observations`.
+fn fit_pass(
+    context: &FitContext,
+    observations: &Observations,
+    start: MotionState,
+    shape: Shape,
+    pass: Pass,
+) -> Result<FittedMotion, Canceled> {
+    let FitContext { config, first_config, .. } = *context;
+    let pixels = match pass {
+        Pass::Points => None,
+        Pass::Rough | Pass::First => Some(DetectedPixels::independent(context, observations, &start)),
+        Pass::Last => Some(DetectedPixels::new(context, observations, &start)),
+    };
+    let [on_points, on_pixels] = config.max_iterations;
+    let (data, max_iterations) = match &pixels {
+        Some(pixels) => (pixels.source(), on_pixels),
+        None => (DataSource::Points { sigma: config.point_sigma }, on_points),
+    };
+    let config = if pass == Pass::Last { config } else { first_config };
+    let completion =
+        (pass == Pass::Last && config.completes_gaps).then(|| completed_gaps(context, observations, &start)).flatten();
+    let start = match &completion {
+        Some(gaps) => gaps.applied_to(start),
+        None => start,
+    };
+    let speeds = (pass != Pass::Points).then_some(&start);
+    let completion = completion.as_ref();
+    let objective = Objective { speeds, completion, ..Objective::new(context, config, observations, data, shape) };
+    minimised(context, &objective.problem(), start.clone(), max_iterations)
 }

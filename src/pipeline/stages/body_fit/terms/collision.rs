@@ -6,12 +6,12 @@
 use super::super::capsule_overlaps::CapsuleOverlap;
 use super::frame::{LinearisedFrame, PosedFrame};
 use super::term::FrameTerm;
-use super::unknowns::{FrameSystem, TRANSLATION_GROUP, Unknowns};
+use super::unknowns::{TRANSLATION_GROUP, Unknowns};
 use crate::body::capsules::{BodyCapsules, N_CAPSULES, NearestBall};
 use crate::body::kinematics::PosedSkeleton;
 use crate::body::skeleton::chain_to_root;
 use crate::geometry::capsule::TaperedCapsule;
-use crate::optim::block_banded::Corner;
+use crate::optim::block_banded::{Corner, FramePanel};
 use crate::residuals::interpenetration::missing_distance;
 use nalgebra::Vector3;
 use std::collections::BTreeSet;
@@ -85,7 +85,7 @@ impl FrameTerm for CollisionTerm<'_> {
         overlaps.iter().map(|overlap| 0.5 * missing(overlap).powi(2)).sum()
     }
 
-    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem, _: &mut Corner) {
+    fn add_to(&self, frame: &LinearisedFrame, system: &mut FramePanel, _: &mut Corner) {
         let Collisions { capsules, by_frame, sigma } = self.collisions;
         let (skeleton, overlaps) = (&frame.posed.skeleton, &by_frame[frame.posed.index]);
         if overlaps.is_empty() {
@@ -102,11 +102,9 @@ impl FrameTerm for CollisionTerm<'_> {
             let by_group = self.by_group(skeleton, &posed, &ball);
             for (i, (row, a)) in by_group.iter().enumerate() {
                 // The residual falls with the distance.
-                let mut part = system.gradient.fixed_rows_mut::<3>(3 * row);
-                part -= a * missing;
+                system.add_gradient(3 * row, &(a * -missing));
                 for (column, b) in &by_group[..=i] {
-                    let mut block = system.diagonal.fixed_view_mut::<3, 3>(3 * row, 3 * column);
-                    block += a * b.transpose();
+                    system.add_own(3 * row, 3 * column, &(a * b.transpose()));
                 }
             }
         }

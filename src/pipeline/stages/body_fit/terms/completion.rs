@@ -3,8 +3,8 @@
 use super::super::gap_completion::GapCompletion;
 use super::frame::{LinearisedFrame, PosedFrame};
 use super::term::FrameTerm;
-use super::unknowns::{FrameSystem, Unknowns};
-use crate::optim::block_banded::Corner;
+use super::unknowns::Unknowns;
+use crate::optim::block_banded::{Corner, FramePanel};
 use crate::residuals::rotation_likelihood::{RotationGaussian, rotation_cost, rotation_derivatives};
 
 /// The term of the completed joints that are unknowns.
@@ -28,13 +28,11 @@ impl FrameTerm for Completion {
         self.frames[frame.index].iter().map(|(joint, _, gaussian)| rotation_cost(&rotations[*joint], gaussian)).sum()
     }
 
-    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem, _: &mut Corner) {
+    fn add_to(&self, frame: &LinearisedFrame, system: &mut FramePanel, _: &mut Corner) {
         for (joint, group, gaussian) in &self.frames[frame.posed.index] {
             let found = rotation_derivatives(&frame.posed.pose.rotations[*joint], gaussian);
-            let mut gradient = system.gradient.fixed_rows_mut::<3>(3 * group);
-            gradient += found.gradient;
-            let mut block = system.diagonal.fixed_view_mut::<3, 3>(3 * group, 3 * group);
-            block += found.hessian;
+            system.add_gradient(3 * group, &found.gradient);
+            system.add_own(3 * group, 3 * group, &found.hessian);
         }
     }
 }

@@ -3,9 +3,8 @@
 use super::super::observations::{Observations, PixelObservation, PointObservation};
 use super::frame::{LinearisedFrame, PosedFrame};
 use super::term::FrameTerm;
-use super::unknowns::FrameSystem;
 use super::whitened_pixels::WhitenedPixels;
-use crate::optim::block_banded::Corner;
+use crate::optim::block_banded::{Corner, FramePanel};
 use crate::residuals::position_cost::{PositionCost, point_cost};
 use crate::residuals::reprojection::pixel_cost;
 use std::ops::Add;
@@ -67,7 +66,7 @@ impl FrameTerm for DataTerm<'_> {
         sum
     }
 
-    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem, corner: &mut Corner) {
+    fn add_to(&self, frame: &LinearisedFrame, system: &mut FramePanel, corner: &mut Corner) {
         self.for_each_landmark(&frame.posed, |landmark, at| frame.jacobian(landmark).add_cost(&at, system, corner));
     }
 }

@@ -70,11 +70,12 @@ impl FootContact {
         let factors = SECOND_DIFFERENCE.map(|c| c * scale);
         let by_frame = around.map(|landmark| landmark.jacobian.by_frame.as_slice());
         let weight = self.robust.add_to(middle, &residual, factors, by_frame, system);
-        let by_border = BorderJacobian::sum([0, 1, 2].map(|i| (&around[i].jacobian.by_border, factors[i])));
+        let by_border =
+            BorderJacobian::sum(&[0, 1, 2].map(|i| (Matrix3::identity() * factors[i], &around[i].jacobian.by_border)));
         for (i, (groups, factor)) in by_frame.iter().zip(factors).enumerate() {
             for (group, jacobian) in *groups {
                 let left = jacobian.transpose() * (factor * weight);
-                by_border.add_to_border(3 * group, &left, &mut system.border[middle - 1 + i]);
+                by_border.add_to_border(3 * group, &left, &mut system.frame(middle - 1 + i));
             }
         }
         by_border.add_to_corner(&(residual * weight), &(Matrix3::identity() * weight), &mut system.corner);

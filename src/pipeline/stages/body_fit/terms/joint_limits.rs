@@ -3,10 +3,10 @@
 use super::super::config::BodyFitConfig;
 use super::frame::{LinearisedFrame, PosedFrame};
 use super::term::FrameTerm;
-use super::unknowns::{FrameSystem, Unknowns};
+use super::unknowns::Unknowns;
 use crate::body::joint_ranges::JointRange;
 use crate::body::skeleton::N_JOINTS;
-use crate::optim::block_banded::Corner;
+use crate::optim::block_banded::{Corner, FramePanel};
 use crate::residuals::joint_angles::{JointAngleCost, JointAngleWeights, joint_angle_cost};
 
 /// Limits of all free joints but the root.
@@ -45,12 +45,10 @@ impl FrameTerm for JointLimits {
         self.costs(frame).map(|(_, angle)| angle.cost).sum()
     }
 
-    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem, _: &mut Corner) {
+    fn add_to(&self, frame: &LinearisedFrame, system: &mut FramePanel, _: &mut Corner) {
         for (group, angle) in self.costs(&frame.posed) {
-            let mut gradient = system.gradient.fixed_rows_mut::<3>(3 * group);
-            gradient += angle.gradient;
-            let mut block = system.diagonal.fixed_view_mut::<3, 3>(3 * group, 3 * group);
-            block += angle.hessian;
+            system.add_gradient(3 * group, &angle.gradient);
+            system.add_own(3 * group, 3 * group, &angle.hessian);
         }
     }
 }

@@ -1,14 +1,14 @@
 //! Derivatives of a landmark's position by all unknowns: those of its frame and those of the border.
 
-use super::unknowns::{Border, FrameSystem};
+use super::unknowns::Border;
 use crate::body::anthropometry::N_BETAS;
 use crate::body::bone_offsets::landmark_by_bones;
 use crate::body::kinematics::{PosedSkeleton, landmark_by_betas};
 use crate::body::model::{BodyModel, ShapeDirections};
 use crate::body::skeleton::N_JOINTS;
-use crate::optim::block_banded::Corner;
+use crate::optim::block_banded::{Corner, FramePanel};
 use crate::residuals::position_cost::PositionCost;
-use nalgebra::{DMatrix, Matrix3, Matrix3xX, Vector3};
+use nalgebra::{Matrix3, SMatrix, Vector3};
 
 /// Derivatives of one landmark's position.
 pub(crate) struct LandmarkJacobian {
@@ -19,16 +19,21 @@ pub(crate) struct LandmarkJacobian {
 
 impl LandmarkJacobian {
     /// Adds a cost over the position.
-    pub(crate) fn add_cost(&self, at: &PositionCost, system: &mut FrameSystem, corner: &mut Corner) {
+    pub(crate) fn add_cost(&self, at: &PositionCost, system: &mut FramePanel, corner: &mut Corner) {
         self.by_border.add_to_corner(&at.gradient, &at.hessian, corner);
+        self.add_to_frame(&at.gradient, &at.hessian, system);
+        for (row, a) in &self.by_frame {
+            self.by_border.add_to_border(3 * row, &a.tr_mul(&at.hessian), system);
+        }
+    }
+
+    /// Adds a cost over the position, given by its gradient and Hessian, to what concerns the frame alone.
+    pub(crate) fn add_to_frame(&self, by_position: &Vector3<f64>, hessian: &Matrix3<f64>, system: &mut FramePanel) {
         for (i, (row, a)) in self.by_frame.iter().enumerate() {
-            let mut gradient = system.gradient.fixed_rows_mut::<3>(3 * row);
-            gradient += a.tr_mul(&at.gradient);
-            let left = a.tr_mul(&at.hessian);
-            self.by_border.add_to_border(3 * row, &left, &mut system.border);
+            system.add_gradient(3 * row, &a.tr_mul(by_position));
+            let left = a.tr_mul(hessian);
             for (column, b) in &self.by_frame[..=i] {
-                let mut block = system.diagonal.fixed_view_mut::<3, 3>(3 * row, 3 * column);
-                block += left * b;
+                system.add_own(3 * row, 3 * column, &(left * b));
             }
         }
     }
@@ -70,26 +75,15 @@ impl BorderJacobian {
         Self { betas, blocks }
     }
 
-    /// As one matrix over the first `n_columns` of the border. [3, columns]
-    pub(crate) fn dense(&self, n_columns: usize) -> Matrix3xX<f64> {
-        let mut dense = Matrix3xX::zeros(n_columns);
-        if let Some(betas) = &self.betas {
-            dense.columns_mut(0, N_BETAS).copy_from(betas);
+    /// Sum of derivatives of one landmark, in several frames, each times its factor from the left.
+    pub(crate) fn sum(parts: &[(Matrix3<f64>, &Self)]) -> Self {
+        let mut sum = Self { betas: None, blocks: Vec::new() };
+        for (factor, part) in parts {
+            sum.betas = part.betas.map(|betas| factor * betas + sum.betas.unwrap_or_else(ShapeDirections::zeros));
+            sum.blocks.extend(part.blocks.iter().skip(sum.blocks.len()).map(|(column, _)| (*column, Matrix3::zeros())));
+            sum.blocks.iter_mut().zip(&part.blocks).for_each(|((_, sum), (_, block))| *sum += factor * block);
         }
-        for (column, block) in &self.blocks {
-            let mut target = dense.fixed_columns_mut::<3>(*column);
-            target += block;
-        }
-        dense
-    }
-
-    /// Sum of the derivatives of one landmark in several frames, each times its factor.
-    pub(crate) fn sum(parts: [(&Self, f64); 3]) -> Self {
-        let [(first, _), ..] = parts;
-        let betas = first.betas.map(|_| parts.iter().filter_map(|(part, factor)| Some(part.betas? * *factor)).sum());
-        let block = |k: usize| parts.iter().map(|(part, factor)| part.blocks[k].1 * *factor).sum();
-        let blocks = first.blocks.iter().enumerate().map(|(k, (column, _))| (*column, block(k))).collect();
-        Self { betas, blocks }
+        sum
     }
 
     /// Adds a cost over the position, given by its gradient and Hessian.
@@ -99,41 +93,59 @@ impl BorderJacobian {
         position_hessian: &Matrix3<f64>,
         corner: &mut Corner,
     ) {
-        let Corner { hessian, gradient } = corner;
+        self.add_gradient(by_position, corner);
+        self.add_product(&Self::sum(&[(*position_hessian, self)]), corner);
+    }
+
+    /// Adds `B^T g` to the gradient, where `B` are these derivatives.
+    pub(crate) fn add_gradient(&self, by_position: &Vector3<f64>, corner: &mut Corner) {
         if let Some(betas) = &self.betas {
-            let mut block = hessian.fixed_view_mut::<N_BETAS, N_BETAS>(0, 0);
-            block += betas.tr_mul(&(position_hessian * betas));
-            let mut gradient = gradient.fixed_rows_mut::<N_BETAS>(0);
+            let mut gradient = corner.gradient.fixed_rows_mut::<N_BETAS>(0);
             gradient += betas.tr_mul(by_position);
         }
         for (row, a) in &self.blocks {
-            let pulled = a.tr_mul(position_hessian);
-            let mut gradient = gradient.fixed_rows_mut::<3>(*row);
+            let mut gradient = corner.gradient.fixed_rows_mut::<3>(*row);
             gradient += a.tr_mul(by_position);
-            for (column, b) in &self.blocks {
-                let mut block = hessian.fixed_view_mut::<3, 3>(*row, *column);
-                block += pulled * b;
-            }
-            if let Some(betas) = &self.betas {
-                let crossed = pulled * betas;
-                let mut block = hessian.fixed_view_mut::<3, N_BETAS>(*row, 0);
-                block += crossed;
-                let mut block = hessian.fixed_view_mut::<N_BETAS, 3>(0, *row);
-                block += crossed.transpose();
-            }
         }
     }
 
-    /// Adds the blocks between the border and three unknowns of the frame from row `row` on; `left`: derivative by these,
-    /// transposed, times the Hessian of the position.
-    pub(crate) fn add_to_border(&self, row: usize, left: &Matrix3<f64>, border: &mut DMatrix<f64>) {
-        if let Some(betas) = &self.betas {
-            let mut block = border.fixed_view_mut::<3, N_BETAS>(row, 0);
-            block += left * betas;
+    /// Adds `B^T N` to the Hessian, where `B` are these derivatives, and `N` has columns of the same unknowns.
+    pub(crate) fn add_product(&self, other: &Self, corner: &mut Corner) {
+        if let (Some(a), Some(b)) = (&self.betas, &other.betas) {
+            let mut block = corner.hessian.fixed_view_mut::<N_BETAS, N_BETAS>(0, 0);
+            block += a.tr_mul(b);
         }
-        for (column, b) in &self.blocks {
-            let mut block = border.fixed_view_mut::<3, 3>(row, *column);
-            block += left * b;
+        for (row, a) in &self.blocks {
+            if let Some(b) = &other.betas {
+                let mut block = corner.hessian.fixed_view_mut::<3, N_BETAS>(*row, 0);
+                block += a.tr_mul(b);
+            }
+        }
+        for (column, b) in &other.blocks {
+            self.add_columns(*column, b, corner);
+        }
+    }
+
+    /// Adds `B^T N` to columns `first` on of the Hessian.
+    pub(crate) fn add_columns<const C: usize>(&self, first: usize, n: &SMatrix<f64, 3, C>, corner: &mut Corner) {
+        if let Some(betas) = &self.betas {
+            let mut block = corner.hessian.fixed_view_mut::<N_BETAS, C>(0, first);
+            block += betas.tr_mul(n);
+        }
+        for (row, a) in &self.blocks {
+            let mut block = corner.hessian.fixed_view_mut::<3, C>(*row, first);
+            block += a.tr_mul(n);
+        }
+    }
+
+    /// Adds the blocks between the border and three unknowns of the frame from `first` on; `left`: derivative by these,
+    /// transposed, times the Hessian of the position.
+    pub(crate) fn add_to_border(&self, first: usize, left: &Matrix3<f64>, system: &mut FramePanel) {
+        if let Some(betas) = &self.betas {
+            system.add_border(0, first, &(left * betas).transpose());
+        }
+        for (row, b) in &self.blocks {
+            system.add_border(*row, first, &(left * b).transpose());
         }
     }
 }

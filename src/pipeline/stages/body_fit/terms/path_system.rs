@@ -1,12 +1,13 @@
 //! Blocks of the paths' term in the Gauss-Newton system: from positions of landmarks to the unknowns that move them.
 
 use super::super::observations::PosedCamera;
-use super::landmark_jacobian::LandmarkJacobian;
+use super::landmark_jacobian::BorderJacobian;
+use super::term::RUN;
 use super::unknowns::Unknowns;
-use super::whitened_pixels::{PathBlock, Positions, WhitenedPixels};
+use super::whitened_pixels::{PathBlocks, Positions, WhitenedPixels};
 use super::window::TrackedLandmark;
-use crate::optim::block_banded::BlockBanded;
-use nalgebra::{DMatrix, DVector, Matrix3, Matrix3xX};
+use crate::optim::block_banded::{BlockBanded, Corner, FramePanel};
+use nalgebra::Matrix3;
 use rayon::prelude::*;
 
 /// Adds the term at the landmarks `paths`, `[frame][observed landmark]`.
@@ -24,114 +25,84 @@ pub(crate) fn add_paths(
     let positions: Positions =
         paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect();
     let blocks = term.blocks(cameras, &positions, border.n_cameras > 0);
-    let (n_point, cameras) = (border.keypoint_bias().end, border.cameras());
-    let by_border: Vec<Vec<Matrix3xX<f64>>> = paths
-        .par_iter()
-        .map(|frame| frame.iter().map(|landmark| landmark.jacobian.by_border.dense(n_point)).collect())
-        .collect();
-
-    let n = 3 * unknowns.n_groups();
-    let frame_part = |t: usize| {
-        let mut part = FramePart::zeros(n, border.len(), t);
-        for (l, landmark) in paths[t].iter().enumerate() {
-            let of_frame = |t: usize| blocks.landmarks[l].frames.get(t);
-            let Some(block) = of_frame(t) else { continue };
-            if block.hessian[0] == Matrix3::zeros() {
-                continue;
-            }
-            let mut by_border_of_position = Matrix3xX::zeros(border.len());
-            let mut point_columns = block.hessian[0] * &by_border[t][l];
-            for lag in 1..=2 {
-                if let Some(earlier) = t.checked_sub(lag) {
-                    point_columns += block.hessian[lag] * &by_border[earlier][l];
-                    part.add_coupling(lag, &landmark.jacobian, &block.hessian[lag], &paths[earlier][l].jacobian);
-                }
-                if let Some(later) = of_frame(t + lag) {
-                    point_columns += later.hessian[lag].transpose() * &by_border[t + lag][l];
-                }
-            }
-            by_border_of_position.columns_mut(0, n_point).copy_from(&point_columns);
-            for (camera, columns) in blocks.landmarks[l].by_cameras(t).iter().enumerate() {
-                by_border_of_position.fixed_columns_mut::<6>(cameras.start + 6 * camera).copy_from(columns);
-            }
-            part.add_own(block, &landmark.jacobian, &by_border_of_position);
-            part.corner.rows_mut(0, n_point).gemm(1.0, &by_border[t][l].transpose(), &by_border_of_position, 1.0);
-            part.corner_gradient.rows_mut(0, n_point).gemv_tr(1.0, &by_border[t][l], &block.gradient, 1.0);
-        }
-        part
+    let (n_border, cameras) = (border.len(), border.cameras());
+    let linear = LinearPaths { blocks: &blocks, paths, first_camera: cameras.start, has_border: n_border > 0 };
+    let add_run = |(run, frames): (usize, &mut [FramePanel])| {
+        let mut corner = Corner::zeros(n_border);
+        frames.iter_mut().enumerate().for_each(|(i, frame)| linear.add_frame(RUN * run + i, frame, &mut corner));
+        corner
     };
-    let parts: Vec<FramePart> = (0..paths.len()).into_par_iter().map(frame_part).collect();
-    let mut corner = DMatrix::zeros(border.len(), border.len());
-    for (t, part) in parts.into_iter().enumerate() {
-        system.diagonal[t] += part.diagonal;
-        system.border[t] += part.border;
-        system.gradient[t] += part.gradient;
-        for (lag, coupling) in part.couplings.into_iter().enumerate() {
-            if let Some(coupling) = coupling {
-                system.add_coupling(t, lag + 1, coupling);
-            }
-        }
-        corner += part.corner;
-        system.corner.gradient += part.corner_gradient;
+    let corners: Vec<Corner> = system.frames().par_chunks_mut(RUN).enumerate().map(add_run).collect();
+    let mut corner = Corner::zeros(n_border);
+    for part in corners {
+        corner.hessian += part.hessian;
+        corner.gradient += part.gradient;
     }
     // Rows of the cameras against what moves points: the transpose of the columns.
-    let crossed = corner.view((0, cameras.start), (n_point, cameras.len())).transpose();
-    corner.view_mut((cameras.start, 0), (cameras.len(), n_point)).copy_from(&crossed);
-    system.corner.hessian += corner;
+    let crossed = corner.hessian.view((0, cameras.start), (cameras.start, cameras.len())).transpose();
+    corner.hessian.view_mut((cameras.start, 0), (cameras.len(), cameras.start)).copy_from(&crossed);
+    system.corner.hessian += corner.hessian;
+    system.corner.gradient += corner.gradient;
     blocks.add_cameras_to(cameras.start, &mut system.corner);
 }
 
-/// What the paths add to one frame.
-struct FramePart {
-    diagonal: DMatrix<f64>,
-    /// With the frames one and two before.
-    couplings: [Option<DMatrix<f64>>; 2],
-    border: DMatrix<f64>,
-    gradient: DVector<f64>,
-    corner: DMatrix<f64>,
-    corner_gradient: DVector<f64>,
+/// The term to second order by positions, and the derivatives of these.
+struct LinearPaths<'a> {
+    blocks: &'a PathBlocks,
+    paths: &'a [Vec<TrackedLandmark>],
+    /// Column of the first camera.
+    first_camera: usize,
+    has_border: bool,
 }
 
-impl FramePart {
-    fn zeros(n: usize, n_border: usize, t: usize) -> Self {
-        let coupling = |lag: usize| (t >= lag).then(|| DMatrix::zeros(n, n));
-        Self {
-            diagonal: DMatrix::zeros(n, n),
-            couplings: [coupling(1), coupling(2)],
-            border: DMatrix::zeros(n, n_border),
-            gradient: DVector::zeros(n),
-            corner: DMatrix::zeros(n_border, n_border),
-            corner_gradient: DVector::zeros(n_border),
-        }
-    }
-
-    fn add_own(&mut self, block: &PathBlock, jacobian: &LandmarkJacobian, by_border: &Matrix3xX<f64>) {
-        for (i, (row, a)) in jacobian.by_frame.iter().enumerate() {
-            let mut gradient = self.gradient.fixed_rows_mut::<3>(3 * row);
-            gradient += a.tr_mul(&block.gradient);
-            let mut border = self.border.fixed_rows_mut::<3>(3 * row);
-            border += a.tr_mul(by_border);
-            let left = a.tr_mul(&block.hessian[0]);
-            for (column, b) in &jacobian.by_frame[..=i] {
-                let mut target = self.diagonal.fixed_view_mut::<3, 3>(3 * row, 3 * column);
-                target += left * b;
+impl LinearPaths<'_> {
+    /// Adds what concerns frame `t`: its own blocks, those of later frames with it, and its rows of the border.
+    fn add_frame(&self, t: usize, system: &mut FramePanel, corner: &mut Corner) {
+        for (l, landmark) in self.paths[t].iter().enumerate() {
+            let of_landmark = &self.blocks.landmarks[l];
+            let Some(block) = of_landmark.frames.get(t).filter(|block| block.hessian[0] != Matrix3::zeros()) else {
+                continue;
+            };
+            landmark.jacobian.add_to_frame(&block.gradient, &block.hessian[0], system);
+            for lag in 1..=2 {
+                let Some(hessian) = of_landmark.frames.get(t + lag).map(|later| &later.hessian[lag]) else { continue };
+                if *hessian == Matrix3::zeros() {
+                    continue;
+                }
+                for (row, a) in &self.paths[t + lag][l].jacobian.by_frame {
+                    let left = a.tr_mul(hessian);
+                    for (column, b) in &landmark.jacobian.by_frame {
+                        system.add_coupling(lag, 3 * row, 3 * column, &(left * b));
+                    }
+                }
+            }
+            if self.has_border {
+                self.add_border(t, l, system, corner);
             }
         }
     }
 
-    fn add_coupling(
-        &mut self,
-        lag: usize,
-        later: &LandmarkJacobian,
-        hessian: &Matrix3<f64>,
-        earlier: &LandmarkJacobian,
-    ) {
-        let Some(coupling) = &mut self.couplings[lag - 1] else { return };
-        for (row, a) in &later.by_frame {
-            let left = a.tr_mul(hessian);
-            for (column, b) in &earlier.by_frame {
-                let mut target = coupling.fixed_view_mut::<3, 3>(3 * row, 3 * column);
-                target += left * b;
+    /// Adds the rows of the border of one landmark in frame `t`.
+    fn add_border(&self, t: usize, l: usize, system: &mut FramePanel, corner: &mut Corner) {
+        let (landmark, of_landmark) = (&self.paths[t][l], &self.blocks.landmarks[l]);
+        let by_border = |t: usize| &self.paths[t][l].jacobian.by_border;
+        let block = &of_landmark.frames[t];
+        let mut parts = vec![(block.hessian[0], by_border(t))];
+        for lag in 1..=2 {
+            parts.extend(t.checked_sub(lag).map(|earlier| (block.hessian[lag], by_border(earlier))));
+            parts.extend(of_landmark.frames.get(t + lag).map(|b| (b.hessian[lag].transpose(), by_border(t + lag))));
+        }
+        let across = BorderJacobian::sum(&parts);
+        let own = &landmark.jacobian.by_border;
+        own.add_gradient(&block.gradient, corner);
+        own.add_product(&across, corner);
+        for (camera, by_camera) in of_landmark.by_cameras(t).iter().enumerate() {
+            own.add_columns(self.first_camera + 6 * camera, by_camera, corner);
+        }
+        for (group, a) in &landmark.jacobian.by_frame {
+            across.add_to_border(3 * group, &a.transpose(), system);
+            for (camera, by_camera) in of_landmark.by_cameras(t).iter().enumerate() {
+                system.add_border(self.first_camera + 6 * camera, 3 * group, &by_camera.tr_mul(a));
             }
         }
     }

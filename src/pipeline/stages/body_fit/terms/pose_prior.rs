@@ -3,11 +3,11 @@
 use super::super::config::BodyFitConfig;
 use super::frame::{LinearisedFrame, PosedFrame};
 use super::term::FrameTerm;
-use super::unknowns::{FrameSystem, Unknowns};
+use super::unknowns::Unknowns;
 use crate::body::model::BodyModel;
 use crate::motion_prior::MotionPrior;
 use crate::motion_prior::pose_gaussian::PoseGaussian;
-use crate::optim::block_banded::Corner;
+use crate::optim::block_banded::{Corner, FramePanel};
 use crate::residuals::pose_likelihood::{PoseWeights, pose_cost, pose_derivatives};
 
 /// The motion prior's Gaussian over the rotations of the free joints, in the body's own skeleton.
@@ -52,17 +52,15 @@ impl FrameTerm for PosePrior {
         pose_cost(&frame.pose.rotations, &self.poses, &self.weights)
     }
 
-    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem, _: &mut Corner) {
+    fn add_to(&self, frame: &LinearisedFrame, system: &mut FramePanel, _: &mut Corner) {
         if self.leaves_out(frame.posed.index) {
             return;
         }
         let found = pose_derivatives(&frame.posed.pose.rotations, &self.poses, &self.weights);
         for (i, &row) in self.groups.iter().enumerate() {
-            let mut gradient = system.gradient.fixed_rows_mut::<3>(3 * row);
-            gradient += found.gradient.fixed_rows::<3>(3 * i);
+            system.add_gradient(3 * row, &found.gradient.fixed_rows::<3>(3 * i).into_owned());
             for (k, &column) in self.groups.iter().enumerate().take(i + 1) {
-                let mut block = system.diagonal.fixed_view_mut::<3, 3>(3 * row, 3 * column);
-                block += found.hessian.fixed_view::<3, 3>(3 * i, 3 * k);
+                system.add_own(3 * row, 3 * column, &found.hessian.fixed_view::<3, 3>(3 * i, 3 * k).into_owned());
             }
         }
     }

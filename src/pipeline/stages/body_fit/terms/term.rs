@@ -4,10 +4,12 @@
 //! nothing.
 
 use super::frame::{LinearisedFrame, PosedFrame};
-use super::unknowns::FrameSystem;
 use super::window::{TrackedLandmark, Window};
-use crate::optim::block_banded::{BlockBanded, Corner};
+use crate::optim::block_banded::{BlockBanded, Corner, FramePanel};
 use nalgebra::Vector3;
+
+/// Frames that are linearised one after another; they share one corner.
+pub(crate) const RUN: usize = 16;
 
 /// A term of single frames; its cost is per unit of time weight.
 pub(crate) trait FrameTerm: Sync {
@@ -15,7 +17,7 @@ pub(crate) trait FrameTerm: Sync {
     fn cost(&self, frame: &PosedFrame) -> f64;
 
     /// Adds gradient and Gauss-Newton blocks of one frame, those of the border with itself to `corner`.
-    fn add_to(&self, frame: &LinearisedFrame, system: &mut FrameSystem, corner: &mut Corner);
+    fn add_to(&self, frame: &LinearisedFrame, system: &mut FramePanel, corner: &mut Corner);
 }
 
 /// A term of three successive frames; its cost is per unit of time weight.

@@ -117,15 +117,16 @@ impl Fixture {
 
 /// Checks the gradient of `problem` along directions of all unknowns; `cost_at`: the cost after a step.
 pub(super) fn assert_gradient_of(problem: &MotionProblem, state: &MotionState, cost_at: impl Fn(&BandedStep) -> f64) {
-    let system = problem.linearised(state);
-    let (n, n_border) = (system.gradient[0].len(), problem.unknowns.border.len());
+    let mut system = problem.zero_system(N_FRAMES);
+    problem.linearise(state, &mut system);
+    let (n, n_border) = (3 * problem.unknowns.n_groups(), problem.unknowns.border.len());
     let direction = |d: usize| BandedStep {
         frames: (0..N_FRAMES).map(|t| DVector::from_fn(n, |i, _| wave(11 * t + 13 * i + d))).collect(),
         border: DVector::from_fn(n_border, |i, _| wave(17 * i + d)),
     };
     let directions: Vec<BandedStep> = (0..N_DIRECTIONS).map(direction).collect();
     let slope = |unit: &BandedStep| {
-        let by_frame = system.gradient.iter().zip(&unit.frames).map(|(g, s)| g.dot(s)).sum::<f64>();
+        let by_frame = unit.frames.iter().enumerate().map(|(t, step)| system.gradient(t).dot(step)).sum::<f64>();
         system.corner.gradient.dot(&unit.border) + by_frame
     };
     let slopes: Vec<f64> = directions.iter().map(slope).collect();

@@ -106,7 +106,9 @@ fn one_step_from_nearby_removes_the_cost_of_paths() {
         }
     }
     let before = problem.cost(&nearby);
-    let step = problem.linearised(&nearby).solve(0.0).unwrap();
+    let mut system = problem.zero_system(N_FRAMES);
+    problem.linearise(&nearby, &mut system);
+    let step = system.solve(0.0).unwrap();
     assert_eq!(step.frames.len(), N_FRAMES);
     let after = problem.cost(&problem.moved(&nearby, &step));
     assert!(after < 1e-3 * before, "{before} -> {after}");

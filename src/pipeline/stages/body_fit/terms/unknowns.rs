@@ -1,4 +1,4 @@
-//! The unknowns of a motion, their places in the Gauss-Newton system, and its blocks of a single frame.
+//! The unknowns of a motion, and their places in the Gauss-Newton system.
 
 use crate::body::anthropometry::N_BETAS;
 use crate::body::bone_offsets::N_BONE_KINDS;
@@ -8,7 +8,6 @@ use crate::body::model::{Betas, BodyModel};
 use crate::body::skeleton::N_JOINTS;
 use crate::geometry::rotation;
 use crate::optim::block_banded::BandedStep;
-use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 
 /// Values of the unknowns of one person's motion.
@@ -139,32 +138,5 @@ impl<'a> Unknowns<'a> {
             }
         }
         moved
-    }
-}
-
-/// Blocks of one frame in the Gauss-Newton system, before the time weight.
-pub(crate) struct FrameSystem {
-    /// Of the frame's unknowns with themselves; only the lower triangle is read.
-    pub diagonal: DMatrix<f64>,
-    /// Of the frame's unknowns with the border.
-    pub border: DMatrix<f64>,
-    pub gradient: DVector<f64>,
-}
-
-/// Added to every frame's diagonal (squared residual per rad^2 or m^2), so that a frame without observations does not make
-/// the system singular: 1e6 times weaker than one keypoint.
-const FLOOR: f64 = 1e-4;
-
-impl FrameSystem {
-    pub(crate) fn zeros(unknowns: &Unknowns) -> Self {
-        let (n, n_border) = (3 * unknowns.n_groups(), unknowns.border.len());
-        Self { diagonal: DMatrix::zeros(n, n), border: DMatrix::zeros(n, n_border), gradient: DVector::zeros(n) }
-    }
-
-    /// Adds a small constant to the diagonal.
-    pub(crate) fn add_floor(&mut self) {
-        for i in 0..self.diagonal.nrows() {
-            self.diagonal[(i, i)] += FLOOR;
-        }
     }
 }

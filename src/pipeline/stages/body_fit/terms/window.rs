@@ -58,11 +58,10 @@ impl RobustAcceleration {
         for (i, (groups, factor)) in by_frame.iter().zip(factors).enumerate() {
             for (row, jacobian) in *groups {
                 let left = jacobian.transpose() * (factor * weight);
-                let mut gradient = system.gradient[middle - 1 + i].fixed_rows_mut::<3>(3 * row);
-                gradient += left * residual;
+                system.frame(middle - 1 + i).add_gradient(3 * row, &(left * residual));
                 for (k, (earlier, factor)) in by_frame.iter().zip(factors).enumerate().take(i + 1) {
                     for (column, other) in *earlier {
-                        system.add_block([middle - 1 + i, middle - 1 + k], [*row, *column], left * other * factor);
+                        system.add_block([middle - 1 + i, middle - 1 + k], [*row, *column], &(left * other * factor));
                     }
                 }
             }
