@@ -18,7 +18,7 @@ use nalgebra::{DMatrix, DVector, Matrix3};
 use substitution::Substitution;
 
 /// Half of a symmetric system `H x = -gradient` over frames of `3 * n_groups` unknowns and a border.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct BlockBanded {
     layout: Layout,
     /// A panel per frame.
@@ -31,7 +31,7 @@ pub struct BlockBanded {
 }
 
 /// The system of the border's unknowns among themselves.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Corner {
     /// `H[border][border]`, full.
     pub hessian: DMatrix<f64>,
@@ -58,21 +58,19 @@ pub struct BandedStep {
 impl BlockBanded {
     /// The zero system.
     pub fn zeros(n_frames: usize, n_groups: usize, n_border: usize) -> Self {
-        let layout = Layout { n: 3 * n_groups, n_border };
-        Self {
-            layout,
-            panels: vec![0.0; n_frames * layout.panel_len()],
-            starts: vec![layout.n; n_frames * layout.frame_strips()],
-            corner: Corner::zeros(n_border),
-        }
+        let mut system = Self::default();
+        system.reset(n_frames, n_groups, n_border);
+        system
     }
 
-    /// Makes it the zero system.
-    pub fn clear(&mut self) {
-        self.panels.fill(0.0);
-        self.starts.fill(self.layout.n);
-        self.corner.hessian.fill(0.0);
-        self.corner.gradient.fill(0.0);
+    /// Makes it the zero system of this size. A system that served before keeps its memory.
+    pub fn reset(&mut self, n_frames: usize, n_groups: usize, n_border: usize) {
+        self.layout = Layout { n: 3 * n_groups, n_border };
+        self.panels.clear();
+        self.panels.resize(n_frames * self.layout.panel_len(), 0.0);
+        self.starts.clear();
+        self.starts.resize(n_frames * self.layout.frame_strips(), self.layout.n);
+        self.corner = Corner::zeros(n_border);
     }
 
     /// The frames, for terms that add to one each.
@@ -111,7 +109,7 @@ impl BlockBanded {
     }
 
     /// Solves with every diagonal entry multiplied by `1 + damping` (Marquardt 1963). The system is used up: before the next one
-    /// it wants [`clear`](Self::clear).
+    /// it wants [`reset`](Self::reset).
     ///
     /// Returns `None` where the damped system is not positive definite, or not finite.
     pub fn solve(&mut self, damping: f64) -> Option<BandedStep> {

@@ -11,7 +11,7 @@ use std::ops::Range;
 pub(super) const STRIP: usize = 8;
 
 /// The extent of all panels of a system.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(super) struct Layout {
     /// Unknowns of a frame.
     pub n: usize,

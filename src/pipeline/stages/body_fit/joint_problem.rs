@@ -103,7 +103,8 @@ impl JointProblem<'_> {
         let mut damping = DAMPING;
         for _ in 0..stopping.max_iterations {
             self.context.progress.check()?;
-            let systems = minimum.reduced.take().map_or_else(Vec::new, Reduced::into_systems);
+            let none = || vec![BlockBanded::default(); members.len()];
+            let systems = minimum.reduced.take().map_or_else(none, Reduced::into_systems);
             let reduced = self.reduced((members, &pixels), &minimum.offsets, &minimum.cameras, systems, damping);
             let Some(reduced) = reduced else {
                 break;
@@ -181,23 +182,16 @@ impl JointProblem<'_> {
         people.iter().sum::<f64>() + self.bias_prior.cost(&flat(offsets))
     }
 
-    /// The normal equations of the session's unknowns, with each person's own eliminated, in the memory of `systems` where there
-    /// are any.
+    /// The normal equations of the session's unknowns, with each person's own eliminated, in the memory of `systems`.
     fn reduced(
         &self,
         (members, pixels): (&[Member], &[DetectedPixels]),
         offsets: &[Vector3<f64>],
         cameras: &[PosedCamera],
-        mut systems: Vec<BlockBanded>,
+        systems: Vec<BlockBanded>,
         damping: f64,
     ) -> Option<Reduced> {
         let model = self.table.applied(self.context.model, offsets);
-        if systems.is_empty() {
-            let zero = |(member, pixels): (&Member, &DetectedPixels)| {
-                self.problem(&model, member, pixels).zero_system(member.state.poses.len())
-            };
-            systems = members.iter().zip(pixels).map(zero).collect();
-        }
         let person = |((member, pixels), mut system): ((&Member, &DetectedPixels), BlockBanded)| {
             let own = with_bones(&model, &member.bones);
             self.problem(&own, member, pixels).linearise(&member.state, &mut system);

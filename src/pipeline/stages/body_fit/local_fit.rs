@@ -10,6 +10,7 @@ use super::observations::Observations;
 use super::pixel_residuals::DetectedPixels;
 use super::terms::collision::Collisions;
 use super::terms::unknowns::{MotionState, Shape};
+use crate::optim::block_banded::BlockBanded;
 use crate::progress::Canceled;
 use std::ops::Range;
 
@@ -35,6 +36,7 @@ pub(super) fn refitted(
     steps: usize,
     collisions: Collisions,
 ) -> Result<MotionState, Canceled> {
+    let mut system = BlockBanded::default();
     for run in runs {
         let (observations, collisions) = (observations.slice(run.clone()), collisions.slice(run.clone()));
         let start = MotionState { betas: state.betas, poses: state.poses[run.clone()].to_vec() };
@@ -47,7 +49,7 @@ pub(super) fn refitted(
             ..Objective::new(context, context.config, &observations, pixels.source(), Shape::Held)
         };
         let problem = Objective { collisions: Some(collisions), ..alone }.problem();
-        let moved = minimised(context, &problem, start.clone(), steps)?.state;
+        let moved = minimised(context, &problem, start.clone(), steps, &mut system)?.state;
         let before = MotionState { betas: before.betas, poses: before.poses[run.clone()].to_vec() };
         let others = alone.problem();
         let increase = others.cost(&moved) - others.cost(&before);

@@ -3,6 +3,7 @@
 use super::context::FitContext;
 use super::motion_problem::MotionProblem;
 use super::terms::unknowns::MotionState;
+use crate::optim::block_banded::BlockBanded;
 use crate::progress::Canceled;
 
 /// A person's motion after a minimisation, with statistics.
@@ -29,24 +30,24 @@ impl FittedMotion {
 /// Dampings tried before a state counts as the minimum: 1e-4 to 1e3 and beyond.
 const MAX_TRIALS: usize = 6;
 
-/// Lowers the cost of `problem` from `start` in at most `max_iterations` accepted steps.
+/// Lowers the cost of `problem` from `start` in at most `max_iterations` accepted steps, in the memory of `system`.
 pub(super) fn minimised(
     context: &FitContext,
     problem: &MotionProblem,
     start: MotionState,
     max_iterations: usize,
+    system: &mut BlockBanded,
 ) -> Result<FittedMotion, Canceled> {
     let mut state = start;
     let cost_before = problem.cost(&state);
     let (mut cost, mut damping, mut iterations, mut converged) = (cost_before, 1e-4, 0, false);
-    let mut system = problem.zero_system(state.poses.len());
     while iterations < max_iterations && !converged {
         context.progress.check()?;
         iterations += 1;
         let mut is_better = false;
         for _ in 0..MAX_TRIALS {
             // The solution takes the system's place.
-            problem.linearise(&state, &mut system);
+            problem.linearise(&state, system);
             if let Some(step) = system.solve(damping) {
                 let moved = problem.moved(&state, &step);
                 let moved_cost = problem.cost(&moved);

@@ -67,14 +67,9 @@ impl MotionProblem<'_> {
             + self.time_weight * windows.fold(frames.iter().sum::<f64>(), |sum, cost| sum + cost)
     }
 
-    /// The zero system of a motion of `n_frames`.
-    pub(super) fn zero_system(&self, n_frames: usize) -> BlockBanded {
-        BlockBanded::zeros(n_frames, self.unknowns.n_groups(), self.unknowns.border.len())
-    }
-
     /// Makes `system` the Gauss-Newton system at `state`.
     pub(super) fn linearise(&self, state: &MotionState, system: &mut BlockBanded) {
-        system.clear();
+        system.reset(state.poses.len(), self.unknowns.n_groups(), self.unknowns.border.len());
         let body = self.model.shaped(&state.betas);
         let add_run = |(run, (frames, poses)): (usize, (&mut [FramePanel], &[Pose]))| {
             let mut corner = Corner::zeros(self.unknowns.border.len());

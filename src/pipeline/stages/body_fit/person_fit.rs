@@ -10,6 +10,7 @@ use super::pixel_residuals::{DetectedPixels, median_distance_px};
 use super::terms::data::DataSource;
 use super::terms::unknowns::{MotionState, Shape};
 use super::thinned_motion::{carry_along, rough_stride};
+use crate::optim::block_banded::BlockBanded;
 use crate::progress::Canceled;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -146,12 +147,12 @@ fn fit_window(
     let observations = observations.slice(frames.clone());
     let state = MotionState { betas: start.betas, poses: start.poses[frames.clone()].to_vec() };
     let has_pixels = observations.pixels.iter().any(|frame| !frame.is_empty());
-    let mut whole = FittedMotion::initial(state);
+    let (mut whole, mut system) = (FittedMotion::initial(state), BlockBanded::default());
     for pass in if has_pixels { passes } else { &[Pass::Points] } {
         let is_rough = has_pixels && matches!(pass, Pass::Points | Pass::Rough);
         let fitted = match if is_rough { stride(context, &observations) } else { 1 } {
-            1 => fit_pass(context, &observations, whole.state, shape, *pass)?,
-            stride => fit_thinned(context, &observations, whole.state, shape, *pass, stride)?,
+            1 => fit_pass(context, &observations, whole.state, shape, *pass, &mut system)?,
+            stride => fit_thinned(context, &observations, whole.state, shape, *pass, stride, &mut system)?,
         };
         whole = FittedMotion { iterations: whole.iterations + fitted.iterations, ..fitted };
     }
@@ -173,11 +174,13 @@ fn fit_thinned(
     shape: Shape,
     pass: Pass,
     stride: usize,
+    system: &mut BlockBanded,
 ) -> Result<FittedMotion, Canceled> {
     let context = FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context };
     let MotionState { betas, mut poses } = start;
     let few = MotionState { betas, poses: poses.iter().step_by(stride).copied().collect() };
-    let fitted = fit_pass(&context, &observations.thinned(0..observations.pixels.len(), stride), few, shape, pass)?;
+    let thinned = observations.thinned(0..observations.pixels.len(), stride);
+    let fitted = fit_pass(&context, &thinned, few, shape, pass, system)?;
     carry_along(&mut poses, &fitted.state.poses, stride);
     Ok(FittedMotion { state: MotionState { poses, ..fitted.state }, ..fitted })
 }
@@ -189,6 +192,7 @@ fn fit_pass(
     start: MotionState,
     shape: Shape,
     pass: Pass,
+    system: &mut BlockBanded,
 ) -> Result<FittedMotion, Canceled> {
     let FitContext { config, first_config, .. } = *context;
     let pixels = match pass {
@@ -211,5 +215,5 @@ fn fit_pass(
     let speeds = (pass != Pass::Points).then_some(&start);
     let completion = completion.as_ref();
     let objective = Objective { speeds, completion, ..Objective::new(context, config, observations, data, shape) };
-    minimised(context, &objective.problem(), start.clone(), max_iterations)
+    minimised(context, &objective.problem(), start.clone(), max_iterations, system)
 }

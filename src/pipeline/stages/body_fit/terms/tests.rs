@@ -20,7 +20,7 @@ use crate::body::kinematics::Pose;
 use crate::body::model::{Betas, BodyModel};
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::{Intrinsics, Rigid, rotation};
-use crate::optim::block_banded::{BandedStep, Corner};
+use crate::optim::block_banded::{BandedStep, BlockBanded, Corner};
 use crate::progress::Progress;
 use crate::residuals::derivative_check::assert_gradient;
 use crate::residuals::rotation_likelihood::RotationGaussian;
@@ -117,7 +117,7 @@ impl Fixture {
 
 /// Checks the gradient of `problem` along directions of all unknowns; `cost_at`: the cost after a step.
 pub(super) fn assert_gradient_of(problem: &MotionProblem, state: &MotionState, cost_at: impl Fn(&BandedStep) -> f64) {
-    let mut system = problem.zero_system(N_FRAMES);
+    let mut system = BlockBanded::default();
     problem.linearise(state, &mut system);
     let (n, n_border) = (3 * problem.unknowns.n_groups(), problem.unknowns.border.len());
     let direction = |d: usize| BandedStep {

@@ -11,6 +11,7 @@ use super::whitened_pixels::WhitenedPixels;
 use crate::body::BodyModel;
 use crate::body::kinematics::{landmark_position, posed};
 use crate::geometry::{Rigid, rotation};
+use crate::optim::block_banded::BlockBanded;
 use nalgebra::{DVector, Vector3};
 
 /// No frame or window term of the fixture has this index: only the paths are left.
@@ -106,7 +107,7 @@ fn one_step_from_nearby_removes_the_cost_of_paths() {
         }
     }
     let before = problem.cost(&nearby);
-    let mut system = problem.zero_system(N_FRAMES);
+    let mut system = BlockBanded::default();
     problem.linearise(&nearby, &mut system);
     let step = system.solve(0.0).unwrap();
     assert_eq!(step.frames.len(), N_FRAMES);
