@@ -338,5 +338,7 @@ fn inverse_of_small_factor(a: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     Some(inverse)
 }
 
+mod responses;
+mod selected_inverse;
 #[cfg(test)]
 mod tests;
