@@ -173,7 +173,7 @@ mod tests {
         assert!(projection(&poses[..1]).is_none());
     }
 
-    /// Whatever a similarity of the whole scene does is no uncertainty; one camera's is that camera's and its points'.
+    /// A similarity of the whole scene leaves nothing uncertain; an increment of one camera is that of this camera.
     #[test]
     fn uncertainty_is_that_after_alignment() {
         let poses = rig();

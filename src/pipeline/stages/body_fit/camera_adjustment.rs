@@ -13,6 +13,7 @@ use super::terms::noise_process::PathNoise;
 use crate::body::bone_offsets::BoneOffsets;
 use crate::body::detector_offsets::OffsetTable;
 use crate::body::kinematics::Pose;
+use crate::geometry::free_network::CameraCovariance;
 use crate::geometry::{Rigid, rotation};
 use crate::progress::Canceled;
 
@@ -21,6 +22,8 @@ use crate::progress::Canceled;
 pub(super) struct AdjustedCameras {
     /// `camera_from_world` of the placed cameras; `None` where they were held.
     pub cameras: Option<Vec<Rigid>>,
+    /// Of the adjusted cameras.
+    pub covariance: Option<CameraCovariance>,
     /// The detector's errors.
     pub noise: PathNoise,
 }
@@ -31,7 +34,7 @@ const MAX_FRAMES: usize = 1200;
 
 /// Standard deviation of a person's bones about those of the betas, m per axis: joint centres of another definition, and
 /// proportions that the betas do not span.
-const BONE_SIGMA: f64 = 0.01;
+pub(super) const BONE_SIGMA: f64 = 0.01;
 
 /// The noise is measured on the first fit, then on the adjusted one; a third round changes the cameras by a tenth of their
 /// standard deviation.
@@ -72,12 +75,13 @@ pub(super) fn correlated_errors(
         let people = started.iter().flatten();
         people.map(|(observations, fit)| Member::of(context, observations, fit, n_frames, stride)).collect()
     };
-    let (mut cameras, mut bones) = (None, vec![BoneOffsets::default(); n_people]);
+    let (mut cameras, mut covariance, mut bones) = (None, None, vec![BoneOffsets::default(); n_people]);
     if context.config.adjust_cameras {
         let all = members(started, 1);
         let stride = stride(context, &all);
         let mut adjusted = if stride == 1 { all } else { members(started, stride) };
-        adjust(&FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context }, &mut adjusted)?;
+        covariance =
+            adjust(&FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context }, &mut adjusted)?;
         cameras = adjusted.first().map(|member| member.observations.cameras.clone());
         for ((observations, started), member) in started.iter_mut().flatten().zip(&adjusted) {
             take_over(observations, started, member, stride);
@@ -90,7 +94,7 @@ pub(super) fn correlated_errors(
     let noise =
         measured_noise(context, &members(started, 1).into_iter().zip(bones).map(with_bones).collect::<Vec<_>>());
     let poses = |cameras: Vec<PosedCamera>| cameras.iter().map(|camera| camera.camera_from_world).collect();
-    Ok(Some(AdjustedCameras { cameras: cameras.map(poses), noise }))
+    Ok(Some(AdjustedCameras { cameras: cameras.map(poses), noise, covariance }))
 }
 
 /// Every how many frames the adjustment takes one.
@@ -101,11 +105,11 @@ fn stride(context: &FitContext, members: &[Member]) -> usize {
     (2..=longest).rev().find(|&stride| typical.after(stride) >= MIN_SHARED).unwrap_or(1)
 }
 
-/// Adjusts cameras and motions of all members in rounds.
-fn adjust(context: &FitContext, members: &mut [Member]) -> Result<(), Canceled> {
+/// Adjusts cameras and motions of all members in rounds; returns the covariance of the cameras.
+fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Option<CameraCovariance>, Canceled> {
     // The detector's offsets are in the model; released again, they cost half of the time and change no camera by a tenth.
     let table = OffsetTable::empty(context.model);
-    for _ in 0..N_ROUNDS {
+    for round in 1..=N_ROUNDS {
         let noise = measured_noise(context, members);
         let problem = JointProblem {
             context,
@@ -117,8 +121,11 @@ fn adjust(context: &FitContext, members: &mut [Member]) -> Result<(), Canceled> 
             moves_cameras: true,
         };
         problem.minimised(members, Vec::new(), &STOPPING)?;
+        if round == N_ROUNDS {
+            return Ok(problem.camera_covariance(members, noise.typical().autocorrelation));
+        }
     }
-    Ok(())
+    Ok(None)
 }
 
 /// The first fit goes on from where the adjustment of every `stride`-th frame ended; frames between them are carried along.

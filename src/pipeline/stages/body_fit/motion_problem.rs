@@ -2,7 +2,7 @@
 
 use super::observations::PosedCamera;
 use super::terms::border_priors::ShapePrior;
-use super::terms::frame::{Landmarks, PosedFrame};
+use super::terms::frame::{Landmarks, LinearisedFrame, PosedFrame};
 use super::terms::path_system::add_paths;
 use super::terms::term::{BorderTerm, FrameTerm, WindowTerm};
 use super::terms::unknowns::{FrameSystem, MotionState, Unknowns};
@@ -124,15 +124,22 @@ impl MotionProblem<'_> {
         let mut system = FrameSystem::zeros(&self.unknowns);
         self.frame_terms.iter().for_each(|term| term.add_to(&frame, &mut system, corner));
         system.add_floor();
-        let tracked = |&landmark: &usize| TrackedLandmark {
-            position: frame.posed.position(landmark),
-            jacobian: frame.jacobian(landmark),
-        };
+        let tracked = |&landmark: &usize| tracked(&frame, landmark);
         LinearFrame {
             tracked: self.tracked.iter().map(tracked).collect(),
             paths: self.path_landmarks().iter().map(tracked).collect(),
             system,
         }
+    }
+
+    /// The landmarks of the paths with derivatives, `[frame][observed landmark]`.
+    pub(super) fn linearised_paths(&self, state: &MotionState) -> Vec<Vec<TrackedLandmark>> {
+        let body = self.model.shaped(&state.betas);
+        let frame = |(index, pose): (usize, &Pose)| {
+            let frame = PosedFrame::new(&self.landmarks, (&body, &state.betas), index, pose).linearised();
+            self.path_landmarks().iter().map(|&landmark| tracked(&frame, landmark)).collect()
+        };
+        state.poses.par_iter().enumerate().map(frame).collect()
     }
 
     fn path_landmarks(&self) -> &[usize] {
@@ -145,6 +152,10 @@ struct LinearFrame {
     system: FrameSystem,
     tracked: Vec<TrackedLandmark>,
     paths: Vec<TrackedLandmark>,
+}
+
+fn tracked(frame: &LinearisedFrame, landmark: usize) -> TrackedLandmark {
+    TrackedLandmark { position: frame.posed.position(landmark), jacobian: frame.jacobian(landmark) }
 }
 
 /// The frames that have a frame on either side.
