@@ -48,10 +48,19 @@ pub fn landmark_by_bones<'a>(
     landmark: &'a Landmark,
     rotations: &'a [Matrix3<f64>; N_JOINTS],
 ) -> impl Iterator<Item = (usize, Matrix3<f64>)> + 'a {
-    landmark.terms.iter().filter(|term| term.weight != 0.0).flat_map(move |term| {
-        chain_to_root(term.joint).filter_map(move |joint| {
-            let (kind, mirror) = kind_of(joint)?;
-            Some((kind, rotations[PARENTS[joint]?] * mirror * term.weight))
-        })
+    let shown = landmark.terms.iter().filter(|term| term.weight != 0.0);
+    shown.flat_map(move |term| {
+        joint_by_bones(term.joint, rotations).map(move |(kind, block)| (kind, block * term.weight))
+    })
+}
+
+/// The same of a joint.
+pub fn joint_by_bones(
+    joint: usize,
+    rotations: &[Matrix3<f64>; N_JOINTS],
+) -> impl Iterator<Item = (usize, Matrix3<f64>)> + '_ {
+    chain_to_root(joint).filter_map(move |bone| {
+        let (kind, mirror) = kind_of(bone)?;
+        Some((kind, rotations[PARENTS[bone]?] * mirror))
     })
 }

@@ -86,6 +86,13 @@ pub fn landmark_by_rotation(
     -skew(&lever) * skeleton.rotations[joint]
 }
 
+/// The same of a joint's position: zero where `ancestor` is not above it.
+pub fn joint_by_rotation(skeleton: &PosedSkeleton, joint: usize, ancestor: usize) -> Matrix3<f64> {
+    let is_above = chain_to_root(joint).skip(1).any(|j| j == ancestor);
+    let arm = skeleton.joints[joint] - skeleton.joints[ancestor];
+    if is_above { -skew(&arm) * skeleton.rotations[ancestor] } else { Matrix3::zeros() }
+}
+
 /// Derivatives of all joints to the betas: `S_0 + sum over the path of G_par(k) (S_k - S_par(k))`, m.
 pub fn joints_by_betas(model: &BodyModel, skeleton: &PosedSkeleton) -> [ShapeDirections; N_JOINTS] {
     let mut by_betas = [model.shape_directions[0]; N_JOINTS];
@@ -155,6 +162,18 @@ mod tests {
         let (body, h) = (model.shaped(&betas), 1e-6);
         let skeleton = posed(&body, &pose);
         let by_betas = joints_by_betas(&model, &skeleton);
+        for (joint, ancestor) in (0..N_JOINTS).flat_map(|joint| (0..N_JOINTS).map(move |ancestor| (joint, ancestor))) {
+            let jacobian = joint_by_rotation(&skeleton, joint, ancestor);
+            for axis in 0..3 {
+                let stepped = |h: f64| {
+                    let mut p = pose;
+                    p.rotations[ancestor] *= exp(&Vector3::ith(axis, h));
+                    posed(&body, &p).joints[joint]
+                };
+                let difference = (stepped(h) - stepped(-h)) / (2.0 * h);
+                assert!((difference - jacobian.column(axis)).norm() < 1e-8, "{joint} about {ancestor}");
+            }
+        }
         for l in 0..model.landmarks.len() {
             let at = |pose: &Pose, betas: &Betas| {
                 let body = model.shaped(betas);

@@ -43,6 +43,7 @@ struct Person {
     n_detections: usize,
     reprojection_px: Option<Spread>,
     sigma_mm: Option<Spread>,
+    joint_sigma_mm: Option<Spread>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -125,12 +126,17 @@ impl fmt::Display for Summary {
             let (mm, deg) = (cell(camera.sigma_position_mm, 1), cell(camera.sigma_angle_deg, 3));
             writeln!(f, "  {id:<22}{px:>12}{mm:>14}{deg:>14}")?;
         }
-        writeln!(f, "{:<24}{:>12}{:>14}{:>14}", "person", "median px", "± keypoint mm", "detections")?;
+        writeln!(
+            f,
+            "{:<24}{:>12}{:>14}{:>14}{:>14}",
+            "person", "median px", "± keypoint mm", "± joint mm", "detections"
+        )?;
         for person in people {
             let frames = format!("{}, frames {} to {}", person.id, person.first_frame, person.last_frame);
             let px = cell(person.reprojection_px.as_ref().map(|px| px.median), 2);
-            let mm = cell(person.sigma_mm.as_ref().map(|mm| mm.median), 1);
-            writeln!(f, "  {frames:<22}{px:>12}{mm:>14}{:>14}", person.n_detections)?;
+            let [keypoint, joint] =
+                [&person.sigma_mm, &person.joint_sigma_mm].map(|mm| cell(mm.as_ref().map(|mm| mm.median), 1));
+            writeln!(f, "  {frames:<22}{px:>12}{keypoint:>14}{joint:>14}{:>14}", person.n_detections)?;
         }
         if let Some(px) = heldout_px {
             writeln!(f, "held-out error: {px:.2} px (cameras from half of the recording, judged on the other half)")?;
@@ -166,7 +172,7 @@ mod tests {
         let report = json!({
             "quality": { "verdict": verdict, "reasons": ["short recording: 12 frames"] },
             "people": [{ "id": 0, "first_frame": 3, "last_frame": 90, "n_detections": 400,
-                "reprojection_px": { "mean": 2.0, "median": 1.5 }, "sigma_mm": null }],
+                "reprojection_px": { "mean": 2.0, "median": 1.5 }, "sigma_mm": null, "joint_sigma_mm": { "median": 14.25, "p95": 30.0 } }],
             "heldout_px": 2.5,
             "scale": { "value": 2.0, "interval95": [0.95, 1.06], "evidence": "limb lengths of 1 person" },
         });
@@ -189,6 +195,7 @@ mod tests {
             "a camera with a very …",
             "not solved",
             "0, frames 3 to 90",
+            "14.2",
             "held-out error: 2.50 px",
             "-5.0 % to +6.0 %",
         ] {

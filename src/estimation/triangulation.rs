@@ -1,10 +1,11 @@
 //! Robust triangulation from several views, and the covariance of triangulated points.
 
 use crate::geometry::projection::project_normalized;
+use crate::geometry::rotation::skew;
 use crate::geometry::triangulation::{PointObservation, triangulate_linear};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::optim::robust::geman_mcclure_weight;
-use nalgebra::{Matrix2x3, Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix2x3, Matrix3, Matrix3x6, Vector2, Vector3};
 
 /// Re-weightings of a point; its weights settle in two or three.
 const REWEIGHTINGS: usize = 3;
@@ -66,6 +67,23 @@ pub fn covariance<'a>(
     if n < 2 { None } else { Some(information.cholesky()?.inverse()) }
 }
 
+/// Movement of the point by the left increment (rho, phi) of one observation's `camera_from_world`:
+/// `-C J^T J_camera / sigma^2` with `C` its [`covariance`]; `None` behind the camera.
+pub fn point_by_camera(
+    point: &Vector3<f64>,
+    observation: &RayObservation<'_>,
+    covariance: &Matrix3<f64>,
+) -> Option<Matrix3x6<f64>> {
+    let camera = observation.camera_from_world;
+    let in_camera = camera.transform(point);
+    let (_, by_point) = observation.intrinsics.project_with_jacobian(&in_camera)?;
+    let left = covariance * camera.rotation.transpose() * by_point.transpose() * by_point;
+    let mut by_camera = Matrix3x6::zeros();
+    by_camera.fixed_columns_mut::<3>(0).copy_from(&-left);
+    by_camera.fixed_columns_mut::<3>(3).copy_from(&(left * skew(&in_camera)));
+    Some(by_camera * (observation.sigma_px * observation.sigma_px).recip())
+}
+
 /// Derivative of the reprojection error in sigmas to the point (1 / m); `None` behind the camera.
 fn whitened_jacobian(point: &Vector3<f64>, observation: &RayObservation<'_>) -> Option<Matrix2x3<f64>> {
     let camera = observation.camera_from_world;
@@ -76,7 +94,8 @@ fn whitened_jacobian(point: &Vector3<f64>, observation: &RayObservation<'_>) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::rotation;
+    use crate::geometry::{free_network, rotation};
+    use nalgebra::SMatrix;
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
     use rand_distr::{Distribution, Normal};
@@ -127,6 +146,26 @@ mod tests {
         assert_eq!(triangulate_reweighted(Vec::new(), 0.06), None);
         assert_eq!(triangulate_reweighted(vec![rays[0]], 0.06), None);
         assert_eq!(triangulate_reweighted(vec![rays[0]; 200], 0.06), None);
+    }
+
+    /// Images stay as they are when cameras and point move by the same similarity.
+    #[test]
+    fn a_point_follows_a_similarity_of_its_cameras() {
+        let (cameras, point) = (cameras(4), Vector3::new(0.3, -0.2, 0.4));
+        let ray = |camera_from_world| RayObservation {
+            camera_from_world,
+            intrinsics: &Intrinsics::PLAIN,
+            pixel: Vector2::zeros(),
+            sigma_px: SIGMA_PX,
+        };
+        let rays: Vec<RayObservation<'_>> = cameras.iter().map(ray).collect();
+        let covariance = covariance(&point, rays.iter()).unwrap();
+        let directions = free_network::similarity_directions(&cameras);
+        let mut moved = SMatrix::<f64, 3, 7>::zeros();
+        for (k, ray) in rays.iter().enumerate() {
+            moved += point_by_camera(&point, ray, &covariance).unwrap() * directions.fixed_view::<6, 7>(6 * k, 0);
+        }
+        assert!((moved - free_network::point_directions(&cameras, &point)).norm() < 1e-9, "{moved}");
     }
 
     #[test]

@@ -1,8 +1,10 @@
 //! `people.json`: shape and motion of every person in SMPL's convention.
 
 use super::files::{micro, micro_entries};
+use crate::body::skeleton::N_JOINTS;
 use crate::geometry::rotation;
-use crate::session::people::BodyPose;
+use crate::session::formats::rounded;
+use crate::session::people::{BodyPose, JointSigmas};
 use crate::session::reconstruction::BodyModelId;
 use crate::session::{BodyMotion, FrameIndex, Reconstruction, Session};
 use serde::Serialize;
@@ -25,6 +27,9 @@ struct Person {
     body_pose: Vec<Vec<f64>>,
     transl: Vec<[f64; 3]>,
     valid: Vec<bool>,
+    /// By frame and joint, three axes together.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    joint_sigma_mm: Option<Vec<[f64; N_JOINTS]>>,
 }
 
 /// The content of `people.json`.
@@ -47,6 +52,11 @@ pub(super) fn axis_angles(pose: &BodyPose) -> Vec<f64> {
     pose.rotations.iter().flat_map(|r| <[f64; 3]>::from(rotation::log(r))).collect()
 }
 
+/// Standard deviations in mm, to a hundredth.
+fn millimetres(sigmas: &JointSigmas) -> [f64; N_JOINTS] {
+    sigmas.map(|sigma| rounded(1e3 * sigma, 2))
+}
+
 fn person(session: &Session, motion: &BodyMotion) -> Person {
     // [frames, 72]
     let poses: Vec<Vec<f64>> =
@@ -59,5 +69,6 @@ fn person(session: &Session, motion: &BodyMotion) -> Person {
         body_pose: poses.iter().map(|pose| pose[3..].to_vec()).collect(),
         transl: motion.frames.iter().map(|pose| micro_entries(&pose.translation)).collect(),
         valid: motion.frames.iter().map(|pose| pose.valid).collect(),
+        joint_sigma_mm: motion.joint_sigmas.as_ref().map(|sigmas| sigmas.iter().map(millimetres).collect()),
     }
 }

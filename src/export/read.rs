@@ -85,6 +85,8 @@ struct Person {
     body_pose: Vec<Vec<Option<f64>>>,
     transl: Vec<[Option<f64>; 3]>,
     valid: Vec<bool>,
+    #[serde(default)]
+    joint_sigma_mm: Option<Vec<[Option<f64>; N_JOINTS]>>,
 }
 
 #[derive(Deserialize)]
@@ -184,7 +186,9 @@ fn motion(take: &Take, person: &Person, poses: &PosesFile) -> Result<BodyMotion,
     let fault = |what: &str, expected: String, found: String| {
         contradiction("people.json", &format!("person {}: {what}", person.id), &expected, found)
     };
-    let counts = [person.global_orient.len(), person.body_pose.len(), person.transl.len(), person.valid.len()];
+    let n_sigmas = person.joint_sigma_mm.as_ref().map_or(n_frames, Vec::len);
+    let counts =
+        [person.global_orient.len(), person.body_pose.len(), person.transl.len(), person.valid.len(), n_sigmas];
     if let Some(found) = counts.into_iter().find(|count| *count != n_frames) {
         return Err(fault("frames", format!("{n_frames} entries in every list"), found.to_string()));
     }
@@ -220,7 +224,9 @@ fn motion(take: &Take, person: &Person, poses: &PosesFile) -> Result<BodyMotion,
         });
     }
     let first = FrameIndex(first.abs_diff(start) as usize);
-    Ok(BodyMotion { person: PersonId(person.id), first, betas, frames })
+    let metres = |sigmas: &[Option<f64>; N_JOINTS]| sigmas.map(|mm| 1e-3 * number(mm));
+    let joint_sigmas = person.joint_sigma_mm.as_ref().map(|frames| frames.iter().map(metres).collect());
+    Ok(BodyMotion { person: PersonId(person.id), first, betas, frames, joint_sigmas })
 }
 
 /// Null in JSON is a number that is not finite.

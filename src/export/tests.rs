@@ -79,6 +79,7 @@ fn reconstruction() -> Reconstruction {
             first: FrameIndex(1),
             betas: [0.5; 10],
             frames: vec![pose(0.25), pose(0.75)],
+            joint_sigmas: Some(vec![[0.0125; 24], [0.02; 24]]),
         }],
         identities: vec![
             vec![vec![Some(PersonId(0))], vec![], vec![None, Some(PersonId(0))]],
@@ -159,6 +160,7 @@ fn people_and_joints_have_the_sessions_frame_numbers() {
     assert_eq!(person["body_pose"][0].as_array().unwrap().len(), 69);
     assert_eq!(person["body_pose"][0][0], json!(0.3));
     assert_eq!(person["global_orient"][1], json!([0.0, 0.0, 0.0]));
+    assert_eq!(person["joint_sigma_mm"], json!([vec![12.5; 24], vec![20.0; 24]]));
 
     let joints = read(dir.path(), "poses3d.json");
     assert_eq!(joints["joint_names"], json!(JOINT_NAMES));
@@ -289,6 +291,7 @@ fn rejects_inconsistent_results() {
         ("people.json", "[301,302]", "[301,303]", "consecutive frames"),
         ("people.json", "[301,302]", "[302,303]", "consecutive frames from 300 to 302"),
         ("people.json", "[true,false]", "[true]", "2 entries in every list"),
+        ("people.json", "\"joint_sigma_mm\":[", "\"joint_sigma_mm\":[],\"was\":[", "2 entries in every list"),
         ("poses3d.json", "\"302\"", "\"309\"", "24 joints"),
         ("cameras.json", "\"width\":640", "\"width\":0", "camera b: size"),
         ("cameras.json", "[500.0,", "[-500.0,", "focal lengths"),

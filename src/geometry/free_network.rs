@@ -4,7 +4,7 @@
 
 use super::Rigid;
 use super::rotation::skew;
-use nalgebra::{DMatrix, Matrix3, Vector3};
+use nalgebra::{DMatrix, Matrix3, Matrix3xX, SMatrix, Vector3};
 
 /// Weight of orientations in the alignment, in units of the rig's radius: small, so that centres decide as in evaluation,
 /// and orientations matter only for a rig whose centres lie on a line.
@@ -36,11 +36,28 @@ pub fn basis(poses: &[Rigid]) -> DMatrix<f64> {
     DMatrix::from_columns(&order.iter().map(|&k| eigen.eigenvectors.column(k)).collect::<Vec<_>>())
 }
 
-/// Projection that removes the best similarity from a joint increment of all cameras: `I - N (N^T D N)^-1 N^T D`. [6 cameras, 6 cameras]
+/// Movement of a point under the same seven: `t + omega x arm + s arm`.
+pub fn point_directions(poses: &[Rigid], point: &Vector3<f64>) -> SMatrix<f64, 3, 7> {
+    let arm = point - centroid(poses);
+    let mut directions = SMatrix::<f64, 3, 7>::zeros();
+    directions.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
+    directions.fixed_view_mut::<3, 3>(0, 3).copy_from(&-skew(&arm));
+    directions.fixed_view_mut::<3, 1>(0, 6).copy_from(&arm);
+    directions
+}
+
+/// Projection that removes the best similarity from a joint increment of all cameras: `I - N A`, with `N` the seven directions
+/// of a similarity and `A` their [`alignment`]. [6 cameras, 6 cameras]
+pub fn projection(poses: &[Rigid]) -> Option<DMatrix<f64>> {
+    let n = 6 * poses.len();
+    Some(DMatrix::identity(n, n) - similarity_directions(poses) * alignment(poses)?)
+}
+
+/// The similarity that a joint increment of all cameras is nearest to: `(N^T D N)^-1 N^T D`. [7, 6 cameras]
 ///
 /// `N`: the seven directions of a similarity, `D`: the weights of centres (1) and orientations in the alignment.
 /// `None` for fewer than two cameras or coinciding centres.
-pub fn projection(poses: &[Rigid]) -> Option<DMatrix<f64>> {
+pub fn alignment(poses: &[Rigid]) -> Option<DMatrix<f64>> {
     let centroid = centroid(poses);
     let squared_radius =
         poses.iter().map(|p| (p.center() - centroid).norm_squared()).sum::<f64>() / poses.len().max(1) as f64;
@@ -51,8 +68,56 @@ pub fn projection(poses: &[Rigid]) -> Option<DMatrix<f64>> {
         weighted.rows_mut(6 * k + 3, 3).scale_mut(orientation);
     }
     let normal = weighted.tr_mul(&directions).cholesky()?;
-    let n = directions.nrows();
-    Some(DMatrix::identity(n, n) - &directions * normal.solve(&weighted.transpose()))
+    Some(normal.solve(&weighted.transpose()))
+}
+
+/// Uncertainty of a camera's pose after a similarity alignment of all cameras.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PoseSigma {
+    /// Root mean square error of the centre, three axes together, unit of the world.
+    pub position: f64,
+    /// Root mean square angular error of the orientation, rad.
+    pub angle: f64,
+}
+
+/// Covariance of the increments of all cameras, in whatever gauge.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraCovariance {
+    poses: Vec<Rigid>,
+    /// [6 cameras, 6 cameras]
+    covariance: DMatrix<f64>,
+    /// See [`alignment`].
+    alignment: DMatrix<f64>,
+}
+
+impl CameraCovariance {
+    /// `None` as of [`alignment`].
+    pub fn new(poses: Vec<Rigid>, covariance: DMatrix<f64>) -> Option<Self> {
+        let alignment = alignment(&poses)?;
+        Some(Self { poses, covariance, alignment })
+    }
+
+    /// Number of cameras.
+    pub fn n_cameras(&self) -> usize {
+        self.poses.len()
+    }
+
+    /// Per camera.
+    pub fn pose_sigmas(&self) -> Vec<PoseSigma> {
+        let n = 6 * self.poses.len();
+        let projection = DMatrix::identity(n, n) - similarity_directions(&self.poses) * &self.alignment;
+        let free = &projection * &self.covariance * projection.transpose();
+        let sigma = |first: usize| free.fixed_view::<3, 3>(first, first).trace().max(0.0).sqrt();
+        (0..self.poses.len()).map(|k| PoseSigma { position: sigma(6 * k), angle: sigma(6 * k + 3) }).collect()
+    }
+
+    /// Variance of a point's position, three axes together, after a similarity alignment of all cameras.
+    ///
+    /// `by_cameras`: movement of the point by the cameras' increments. [3, 6 cameras]
+    pub fn point_variance(&self, point: &Vector3<f64>, by_cameras: &Matrix3xX<f64>) -> f64 {
+        let after = by_cameras - point_directions(&self.poses, point) * &self.alignment;
+        (&after * &self.covariance).component_mul(&after).sum()
+    }
 }
 
 fn centroid(poses: &[Rigid]) -> Vector3<f64> {
@@ -80,18 +145,20 @@ mod tests {
     fn directions_are_those_of_a_similarity() {
         let (poses, small) = (rig(), 1e-5);
         let (turn, shift, scale) = (Vector3::new(0.3, -0.5, 0.8) * small, Vector3::new(1.0, 2.0, -1.0) * small, small);
-        let by = nalgebra::DVector::from_iterator(7, shift.iter().chain(turn.iter()).copied().chain([scale]));
+        let by = nalgebra::SVector::<f64, 7>::from_iterator(shift.iter().chain(turn.iter()).copied().chain([scale]));
         let increments = similarity_directions(&poses) * by;
         let centroid = centroid(&poses);
+        let moved = |point: Vector3<f64>| centroid + shift + rotation::exp(&turn) * (point - centroid) * (1.0 + scale);
+        let point = Vector3::new(0.5, 0.9, -1.2);
+        assert!((point + point_directions(&poses, &point) * by - moved(point)).norm() < 1e-8);
         for (k, pose) in poses.iter().enumerate() {
-            let arm = pose.center() - centroid;
-            let center = centroid + shift + rotation::exp(&turn) * arm * (1.0 + scale);
+            let center = moved(pose.center());
             let turned = pose.rotation * rotation::exp(&-turn);
             let rho = increments.fixed_rows::<3>(6 * k).into_owned();
             let phi = increments.fixed_rows::<3>(6 * k + 3).into_owned();
-            let moved = pose.perturbed_left(&rho, &phi);
-            assert!((moved.center() - center).norm() < 1e-8, "{k}");
-            assert!((moved.rotation - turned).norm() < 1e-8, "{k}");
+            let found = pose.perturbed_left(&rho, &phi);
+            assert!((found.center() - center).norm() < 1e-8, "{k}");
+            assert!((found.rotation - turned).norm() < 1e-8, "{k}");
         }
     }
 
@@ -104,5 +171,27 @@ mod tests {
         assert!(basis.tr_mul(&directions).amax() < 1e-9);
         assert!((projection(&poses).unwrap() * directions).amax() < 1e-9);
         assert!(projection(&poses[..1]).is_none());
+    }
+
+    /// A similarity of the whole scene leaves nothing uncertain; an increment of one camera is that of this camera.
+    #[test]
+    fn uncertainty_is_that_after_alignment() {
+        let poses = rig();
+        let directions = similarity_directions(&poses);
+        let of_similarity = CameraCovariance::new(poses.clone(), &directions * directions.transpose()).unwrap();
+        assert!(of_similarity.pose_sigmas().iter().all(|sigma| sigma.position < 1e-6 && sigma.angle < 1e-6));
+        let point = Vector3::new(0.5, 0.9, -1.2);
+        // A point that follows a similarity as all cameras do.
+        let follows = point_directions(&poses, &point) * alignment(&poses).unwrap();
+        let follows = Matrix3xX::from_iterator(24, follows.iter().copied());
+        assert!(of_similarity.point_variance(&point, &follows) < 1e-9);
+        assert!(of_similarity.point_variance(&point, &Matrix3xX::zeros(24)) > 1.0);
+
+        let mut one = DMatrix::zeros(24, 24);
+        one[(5, 5)] = 0.01 * 0.01;
+        let of_one = CameraCovariance::new(poses, one).unwrap();
+        let sigmas = of_one.pose_sigmas();
+        assert!((sigmas[0].angle - 0.01).abs() < 1e-3, "{sigmas:?}");
+        assert!(sigmas[1..].iter().all(|sigma| sigma.angle < 1e-3), "{sigmas:?}");
     }
 }

@@ -4,8 +4,11 @@
 //! together in the memory in which it is factored, frame by frame ([`FramePanel`]), and the same memory takes the next one.
 
 mod elimination;
+mod frame_factor;
 mod kernel;
 mod layout;
+mod responses;
+mod selected_inverse;
 mod substitution;
 #[cfg(test)]
 mod tests;

@@ -1,6 +1,6 @@
 //! Assembly of the result: cameras and trajectories in the world frame, bodies, fit statistics and verdict.
 
-use super::calibration::{Calibration, TrackedPeople};
+use super::calibration::{Calibration, CameraUncertainty, TrackedPeople};
 use super::capture::Capture;
 use super::config::{Extrinsics, MotionPriorMode};
 use super::error::PipelineError;
@@ -13,11 +13,15 @@ use super::stages::verdict::quality;
 use super::stages::world_frame::world_from_solution;
 use crate::body::BodyModel;
 use crate::body::scale::FittedStature;
+use crate::geometry::free_network::CameraCovariance;
 use crate::geometry::{Rigid, Similarity};
+use crate::optim::robust::{median, quantile};
 use crate::progress::{Canceled, Progress};
-use crate::session::reconstruction::{BodyModelId, KeypointBias, PenetrationReport, Report, ScaleReport, SolvedCamera};
+use crate::session::reconstruction::{
+    BodyModelId, KeypointBias, PenetrationReport, Report, ScaleReport, SigmaSummary, SolvedCamera,
+};
 use crate::session::recording::UpAxis;
-use crate::session::{JointTrajectory, PersonTrack, Reconstruction};
+use crate::session::{BodyMotion, JointTrajectory, PersonTrack, Reconstruction};
 use nalgebra::Vector3;
 
 /// Fitted stature of every person if a unit of the calibration is `scale` metres, by track.
@@ -89,7 +93,7 @@ impl Solution {
             adjust_cameras: capture.options.adjust_with_bodies && capture.options.extrinsics != Extrinsics::Fixed,
             ..config
         };
-        let FittedBodies { motions, detector_model, mut detector, penetration, report, cameras } =
+        let FittedBodies { motions, detector_model, mut detector, penetration, report, cameras, camera_covariance } =
             fit_bodies(&input, &self.upright(capture), model, &config, progress)?;
         if is_monocular {
             detector.reason =
@@ -97,7 +101,7 @@ impl Solution {
         }
         self.calibration.stages.push(report);
         if let Some(cameras) = cameras {
-            self.take_over(cameras);
+            self.take_over(cameras, camera_covariance.as_ref());
             let start = std::mem::take(&mut self.trajectories);
             self.trajectories = joint_trajectories(&self.calibration.people(capture.session, &start), progress)?;
         }
@@ -112,8 +116,9 @@ impl Solution {
             }
         }
         let shown = TrackedPeople { tracks: &kept, ..self.calibration.people(capture.session, &self.trajectories) };
-        let statistics = FitStatistics::new(&shown);
-        let report = Report { detector, ..self.report(capture, &shown, &statistics, penetration) };
+        let statistics = FitStatistics::new(&shown, camera_covariance.as_ref());
+        let mut report = Report { detector, ..self.report(capture, &shown, &statistics, penetration) };
+        report.people.iter_mut().zip(&motions).for_each(|(person, motion)| person.joint_sigma_mm = joint_sigma(motion));
         let mut keypoints = std::mem::take(&mut self.trajectories);
         for (trajectory, motion) in keypoints.iter_mut().zip(&motions) {
             fill_from_body(trajectory, &landmark_trajectory(&detector_model, motion, capture.session.convention));
@@ -130,11 +135,20 @@ impl Solution {
         })
     }
 
-    /// Takes the cameras that were adjusted together with the bodies. Their uncertainty remains that of bundle adjustment, from
-    /// the spread of blocks of time: the joint problem's own leaves out errors slower than its model of the noise.
-    fn take_over(&mut self, cameras: Vec<Rigid>) {
+    /// Takes the cameras that were adjusted together with the bodies, and their uncertainty where it is known.
+    fn take_over(&mut self, cameras: Vec<Rigid>, covariance: Option<&CameraCovariance>) {
         let placed = self.calibration.cameras.iter_mut().flatten();
         placed.zip(cameras).for_each(|(camera, adjusted)| *camera = adjusted);
+        let (Some(covariance), Some(adjusted)) = (covariance, &mut self.calibration.adjusted) else { return };
+        let placed = adjusted.cameras.iter_mut().zip(&self.calibration.cameras).filter(|(_, pose)| pose.is_some());
+        for ((camera, _), sigma) in placed.zip(covariance.pose_sigmas()) {
+            camera.uncertainty = Some(CameraUncertainty {
+                sigma_position: sigma.position / self.metres_per_unit,
+                sigma_angle: sigma.angle,
+                sigma_delay: camera.uncertainty.and_then(|before| before.sigma_delay),
+                sigma_log_focal: camera.uncertainty.and_then(|before| before.sigma_log_focal),
+            });
+        }
     }
 
     /// The upright in the result's world: the up axis. Where extrinsics are given without an up axis and the camera would
@@ -231,6 +245,13 @@ fn move_into(world_from_solution: &Similarity, cameras: &mut [Option<Rigid>], tr
     for point in trajectories.iter_mut().flat_map(|p| p.points.iter_mut().flatten()).flatten() {
         *point = world_from_solution.transform(point);
     }
+}
+
+/// Over all joints and valid frames, mm.
+fn joint_sigma(motion: &BodyMotion) -> Option<SigmaSummary> {
+    let frames = motion.frames.iter().zip(motion.joint_sigmas.as_ref()?).filter(|(pose, _)| pose.valid);
+    let mut sigmas: Vec<f64> = frames.flat_map(|(_, sigmas)| sigmas.map(|sigma| 1e3 * sigma)).collect();
+    Some(SigmaSummary { median: median(&mut sigmas)?, p95: quantile(&mut sigmas, 0.95)? })
 }
 
 /// Replaces points that no view saw by the body's landmarks, which are more accurate than an interpolated trajectory.

@@ -40,7 +40,13 @@ pub struct BodyMotion {
     pub betas: [f64; 10],
     /// One entry per frame from `first` on.
     pub frames: Vec<BodyPose>,
+    /// Standard deviations of the joints' positions by frame, three axes together, m; apart from a similarity of the whole
+    /// scene. `None` where the session does not show them.
+    pub joint_sigmas: Option<Vec<JointSigmas>>,
 }
+
+/// A standard deviation for each joint, m.
+pub type JointSigmas = [f64; N_JOINTS];
 
 /// One frame of a [`BodyMotion`].
 #[derive(Debug, Clone, PartialEq)]

@@ -311,6 +311,7 @@ fn motion(person: usize, first: usize, n_frames: usize, up_axis: UpAxis) -> Body
         first: FrameIndex(first),
         betas: betas.into(),
         frames: (0..n_frames).map(pose).collect(),
+        joint_sigmas: Some(vec![[0.01; N_JOINTS]; n_frames]),
     }
 }
 

@@ -1,12 +1,11 @@
 //! `wandless bench rigs`: success rate of camera initialisation on random rigs, and calibration of its uncertainty.
 
+use super::coverage::Coverages;
 use crate::cli::noise::NoiseName;
-use crate::evaluation::alignment::Alignment;
-use crate::evaluation::camera_error::{CameraPair, camera_errors, camera_pairs, relative_camera_error};
-use crate::optim::robust::INTERVAL_95;
+use crate::evaluation::camera_error::{camera_pairs, relative_camera_error};
 use crate::pipeline::{Options, reconstruct};
 use crate::progress::Progress;
-use crate::session::reconstruction::{SolvedCamera, Verdict};
+use crate::session::reconstruction::Verdict;
 use crate::simulation::{Simulated, random_rig_config, simulate};
 use std::time::Instant;
 
@@ -42,15 +41,7 @@ struct RigOutcome {
     worst_deg: f64,
     /// Verdict; `None` if the session was rejected as unsolvable.
     verdict: Option<Verdict>,
-    coverage: Coverage,
-}
-
-/// Number of estimated 95 % intervals of camera positions and orientations that contain the truth, after Sim(3) alignment.
-#[derive(Debug, Clone, Copy, Default)]
-struct Coverage {
-    n: usize,
-    positions: usize,
-    orientations: usize,
+    coverages: Coverages,
 }
 
 /// Totals of one class of rigs.
@@ -61,7 +52,7 @@ struct Totals {
     failed_without_warning: usize,
     warned: usize,
     worst: Vec<f64>,
-    coverage: Coverage,
+    coverages: Coverages,
 }
 
 impl Totals {
@@ -72,9 +63,7 @@ impl Totals {
         self.failed_without_warning += usize::from(failed && !warned);
         self.warned += usize::from(warned && !failed);
         self.worst.push(outcome.worst_deg);
-        self.coverage.n += outcome.coverage.n;
-        self.coverage.positions += outcome.coverage.positions;
-        self.coverage.orientations += outcome.coverage.orientations;
+        self.coverages.merge(&outcome.coverages);
     }
 
     fn print(mut self, name: &str) {
@@ -92,13 +81,7 @@ impl Totals {
             self.failed_without_warning,
             self.warned
         );
-        let Coverage { n, positions, orientations } = self.coverage;
-        let percent = |count: usize| 100.0 * count as f64 / n.max(1) as f64;
-        println!(
-            "  95 % intervals of {n} cameras contain {:.1} % of the positions and {:.1} % of the orientations",
-            percent(positions),
-            percent(orientations)
-        );
+        println!("{}", self.coverages);
     }
 }
 
@@ -106,25 +89,12 @@ impl Totals {
 fn solve_rig(simulated: &Simulated, seed: u64) -> RigOutcome {
     let options = Options { seed, ..Options::default() };
     let Ok(result) = reconstruct(&simulated.session, &options, &Progress::silent()) else {
-        return RigOutcome { worst_deg: f64::INFINITY, verdict: None, coverage: Coverage::default() };
+        return RigOutcome { worst_deg: f64::INFINITY, verdict: None, coverages: Coverages::default() };
     };
     let pairs = camera_pairs(&simulated.session, &simulated.truth.cameras, &result.cameras);
     let complete = pairs.len() == simulated.session.views.len();
     let error = relative_camera_error(&pairs).filter(|_| complete);
     let worst_deg = error.map_or(f64::INFINITY, |e| e.rotation_deg.max(e.direction_deg));
-    let coverage = if complete { coverage(&pairs, &result.cameras) } else { Coverage::default() };
-    RigOutcome { worst_deg, verdict: Some(result.report.quality.verdict), coverage }
-}
-
-fn coverage(pairs: &[CameraPair], solved: &[SolvedCamera]) -> Coverage {
-    let errors = camera_errors(pairs, &[], Alignment::Sim3);
-    let mut coverage = Coverage::default();
-    for (pair, camera) in pairs.iter().zip(solved) {
-        let error = &errors.per_camera[&pair.id];
-        let (Some(position), Some(angle)) = (camera.sigma_position_mm, camera.sigma_angle_deg) else { continue };
-        coverage.n += 1;
-        coverage.positions += usize::from(error.position_mm <= INTERVAL_95 * position);
-        coverage.orientations += usize::from(error.angle_deg <= INTERVAL_95 * angle);
-    }
-    coverage
+    let coverages = if complete { Coverages::of(simulated, &result, &pairs) } else { Coverages::default() };
+    RigOutcome { worst_deg, verdict: Some(result.report.quality.verdict), coverages }
 }

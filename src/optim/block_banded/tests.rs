@@ -121,3 +121,26 @@ fn rejects_indefinite_systems() {
         assert!(both.system.solve(0.0).is_none());
     }
 }
+
+#[test]
+fn inverse_blocks_and_responses_equal_the_dense_ones() {
+    for (n_frames, n_groups, n_border) in [(1, 2, 3), (2, 3, 2), (7, 9, 4)] {
+        let Both { system, dense: h, .. } = random_system([n_frames, n_groups, n_border], true, 7);
+        let eliminated = system.eliminated(0.0).unwrap();
+        let (n, all) = (3 * n_groups, 3 * n_groups * n_frames);
+        let inverse = h.view((0, 0), (all, all)).into_owned().try_inverse().unwrap();
+        let mut visited = 0;
+        eliminated.for_each_inverse_block(|t, block| {
+            visited += 1;
+            let expected = inverse.view((n * t, n * t), (n, n));
+            assert!((block - expected).norm() < 1e-8 * expected.norm(), "frame {t} of {n_frames}");
+        });
+        assert_eq!(visited, n_frames);
+
+        let columns = DMatrix::from_fn(n_border, 2, |i, j| 1.0 + i as f64 - 2.0 * j as f64);
+        let expected = -inverse * h.view((0, all), (all, n_border)) * &columns;
+        for (t, response) in eliminated.responses(&columns).iter().enumerate() {
+            assert!((response - expected.rows(n * t, n)).norm() < 1e-8 * expected.norm(), "frame {t} of {n_frames}");
+        }
+    }
+}

@@ -153,9 +153,13 @@ pub struct PersonReport {
     /// Share of the track's frames with detections in at least two solved cameras, 0 to 1.
     #[serde(default)]
     pub share_in_two_views: f64,
-    /// Standard deviation of the 3D keypoints, mm, from the views of a single frame with exact cameras (smoothness over time
-    /// lowers it). `None` without two views of the person.
+    /// Standard deviation of the 3D keypoints, mm, from the views of a single frame and the uncertainty of the cameras (smoothness
+    /// over time lowers it). `None` without two views of the person.
     pub sigma_mm: Option<SigmaSummary>,
+    /// Standard deviation of the body's joints over all frames, mm, three axes together and apart from a similarity of the
+    /// whole scene. `None` where the session does not show it.
+    #[serde(default)]
+    pub joint_sigma_mm: Option<SigmaSummary>,
     /// Median angle between the rays to a keypoint, of the pair nearest to a right angle, 0 to 90 degrees.
     pub ray_angle_deg: Option<f64>,
     /// Median dilution of precision: standard deviation of a 3D keypoint divided by that of one ray; `sqrt(4.5 / n)` for `n`

@@ -143,6 +143,7 @@ export interface Report {
     reprojection_mm?: Summary | null
     share_in_two_views?: number
     sigma_mm?: SigmaSummary | null
+    joint_sigma_mm?: SigmaSummary | null
     ray_angle_deg?: number | null
     dilution?: number | null
     keypoints?: KeypointStatistics[]

@@ -49,6 +49,7 @@ class Result:
 
         `frames [F]` numbers of the session; `person_ids [P]`; `joints [P, F, 24, 3]` m, in the order `joint_names [24]`;
         `poses [P, F, 72]` axis-angle, SMPL's order with the root first, rad; `trans [P, F, 3]` m; `betas [P, 10]`;
+        `joint_sigma_mm [P, F, 24]` standard deviations of the joints, NaN where not stated;
         `valid [P, F]` false where the pose was carried over or the person is absent; `camera_ids [C]`, `K [C, 3, 3]` px,
         `R [C, 3, 3]`, `t [C, 3]` m, `positions [C, 3]` m.
         """
@@ -59,13 +60,14 @@ class Result:
         shape = (len(self.people), len(frames))
         joints = np.full((*shape, N_JOINTS, 3), np.nan)
         poses, trans = np.full((*shape, 72), np.nan), np.full((*shape, 3), np.nan)
-        valid = np.zeros(shape, bool)
+        valid, sigmas = np.zeros(shape, bool), np.full((*shape, N_JOINTS), np.nan)
         for row, person in enumerate(self.people):
             at = [column[frame] for frame in person["frames"]]
             poses[row, at, :3] = person["global_orient"]
             poses[row, at, 3:] = person["body_pose"]
             trans[row, at] = person["transl"]
             valid[row, at] = person["valid"]
+            sigmas[row, at] = person.get("joint_sigma_mm", np.nan)
         rows = {str(person["id"]): row for row, person in enumerate(self.people)}
         for frame, by_person in self.poses3d["frames"].items():
             for person, points in by_person.items():
@@ -77,7 +79,7 @@ class Result:
             "frames": np.array(frames, dtype=int),
             "person_ids": np.array([person["id"] for person in self.people], dtype=int),
             "joint_names": np.array(self.poses3d["joint_names"]),
-            "joints": joints, "poses": poses, "trans": trans, "valid": valid,
+            "joints": joints, "joint_sigma_mm": sigmas, "poses": poses, "trans": trans, "valid": valid,
             "betas": np.array([person["betas"] for person in self.people]).reshape(-1, 10),
             "camera_ids": np.array([camera["id"] for camera in self.cameras]),
             "K": np.array([camera["K"] for camera in self.cameras]),

@@ -13,6 +13,7 @@ use super::terms::noise_process::PathNoise;
 use super::thinned_motion::carry_along;
 use crate::body::detector_offsets::OffsetTable;
 use crate::geometry::Rigid;
+use crate::geometry::free_network::CameraCovariance;
 use crate::progress::Canceled;
 
 /// The detector's errors, and the cameras after the adjustment.
@@ -20,6 +21,8 @@ use crate::progress::Canceled;
 pub(super) struct AdjustedCameras {
     /// `camera_from_world` of the placed cameras; `None` where they were held.
     pub cameras: Option<Vec<Rigid>>,
+    /// Of the adjusted cameras.
+    pub covariance: Option<CameraCovariance>,
     /// The detector's errors.
     pub noise: PathNoise,
 }
@@ -30,7 +33,7 @@ const MAX_FRAMES: usize = 1200;
 
 /// Standard deviation of a person's bones about those of the betas, m per axis: joint centres of another definition, and
 /// proportions that the betas do not span.
-const BONE_SIGMA: f64 = 0.01;
+pub(super) const BONE_SIGMA: f64 = 0.01;
 
 /// The noise is measured on the first fit, then on the adjusted one; a third round changes the cameras by a tenth of their
 /// standard deviation.
@@ -73,8 +76,7 @@ pub(super) fn correlated_errors(
         };
         started.iter().flatten().map(member).collect()
     };
-    let mut cameras = None;
-    let mut measured = None;
+    let (mut cameras, mut covariance, mut measured) = (None, None, None);
     if context.config.adjust_cameras {
         let n_tracked: usize = started.iter().flatten().map(|(observations, _)| observations.pixels.len()).sum();
         let informative = informative_stride(context, &seen_most(started));
@@ -85,7 +87,7 @@ pub(super) fn correlated_errors(
         let mut adjusted: Vec<Member> = started.iter().flatten().map(spread).collect();
         let thinned = FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context };
         for _ in 0..N_ROUNDS {
-            adjust(&thinned, &mut adjusted, true, &STOPPING)?;
+            covariance = adjust(&thinned, &mut adjusted, true, &STOPPING)?;
         }
         cameras = adjusted.first().map(|member| member.observations.cameras.clone());
         for ((observations, started), member) in started.iter_mut().flatten().zip(&adjusted) {
@@ -103,7 +105,7 @@ pub(super) fn correlated_errors(
     }
     let noise = measured.unwrap_or_else(|| measured_noise(context, &seen_most(started)));
     let poses = |cameras: Vec<PosedCamera>| cameras.iter().map(|camera| camera.camera_from_world).collect();
-    Ok(Some(AdjustedCameras { cameras: cameras.map(poses), noise }))
+    Ok(Some(AdjustedCameras { cameras: cameras.map(poses), noise, covariance }))
 }
 
 /// Every how many frames the adjustment takes one, by how much each says that is new.
@@ -120,7 +122,7 @@ fn adjust(
     members: &mut [Member],
     moves_cameras: bool,
     stopping: &Stopping,
-) -> Result<(), Canceled> {
+) -> Result<Option<CameraCovariance>, Canceled> {
     let noise = measured_noise(context, members);
     let problem = JointProblem {
         context,
@@ -133,7 +135,7 @@ fn adjust(
         moves_cameras,
     };
     problem.minimised(members, Vec::new(), stopping)?;
-    Ok(())
+    Ok(problem.camera_covariance(members, noise.typical().autocorrelation))
 }
 
 /// The first fit goes on from where the adjustment ended; frames between adjusted ones are carried along.

@@ -4,6 +4,7 @@ use super::camera_adjustment::correlated_errors;
 use super::collision_resolution::resolve_collisions;
 use super::config::BodyFitConfig;
 use super::context::FitContext;
+use super::joint_uncertainty::joint_sigmas;
 use super::keypoint_bias::estimated_bias;
 use super::monocular::lifting::lifted;
 use super::observations::{Observations, gather_observations};
@@ -12,6 +13,7 @@ use super::person_motion::{PersonFit, body_motion, stage_report, valid_frames};
 use crate::body::BodyModel;
 use crate::body::scale::FittedStature;
 use crate::geometry::Rigid;
+use crate::geometry::free_network::CameraCovariance;
 use crate::pipeline::calibration::TrackedPeople;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{KeypointBias, PenetrationReport, StageReport};
@@ -33,6 +35,8 @@ pub struct FittedBodies {
     pub penetration: PenetrationReport,
     /// `camera_from_world` of the placed cameras, where they were adjusted together with the motions.
     pub cameras: Option<Vec<Rigid>>,
+    /// Theirs, m and rad; `None` where they were held or the session does not determine them.
+    pub camera_covariance: Option<CameraCovariance>,
     /// Iterations, costs and residuals.
     pub report: StageReport,
 }
@@ -92,13 +96,18 @@ pub fn fit_bodies(
     let mut people: Vec<PersonFit> = people.into_iter().flatten().collect();
     progress.report(0.9, "resolving collisions between bodies");
     let penetration = resolve_collisions(&context, &mut people, config.resolve_collisions, input.session.first_frame)?;
+    let (cameras, camera_covariance) =
+        adjusted.as_ref().map_or((None, None), |adjusted| (adjusted.cameras.clone(), adjusted.covariance.clone()));
+    let sigmas = |person: &PersonFit| joint_sigmas(&context, person, camera_covariance.as_ref());
+    let sigmas: Vec<_> = people.par_iter().map(sigmas).collect();
     Ok(FittedBodies {
         report: stage_report(&people, input.tracks.len()),
-        motions: people.iter().map(|person| body_motion(model, person)).collect(),
+        motions: people.iter().zip(sigmas).map(|(person, sigmas)| body_motion(model, person, sigmas)).collect(),
         detector,
         detector_model,
         penetration,
-        cameras: adjusted.and_then(|adjusted| adjusted.cameras),
+        cameras,
+        camera_covariance,
     })
 }
 

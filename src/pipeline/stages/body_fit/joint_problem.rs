@@ -4,6 +4,8 @@
 //! added up (an arrow of arrows). Cameras move in a free network: the seven directions of a similarity, which no detection
 //! shows, keep their values.
 
+mod camera_covariance;
+
 use super::context::FitContext;
 use super::motion_problem::MotionProblem;
 use super::objective::Objective;

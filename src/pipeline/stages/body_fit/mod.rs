@@ -17,6 +17,7 @@
 //! | `joint_problem` | all persons as one problem, with the detector's offsets and the cameras |
 //! | `keypoint_bias`, `session_bias` | the detector's offsets, with the cameras held |
 //! | `camera_adjustment`, `noise_measurement` | cameras and motions together, under errors correlated in time |
+//! | `joint_uncertainty` | standard deviations of the joints |
 //! | `collision_resolution`, `capsule_overlaps` | overlaps between bodies |
 //! | `person_motion` | a fit on the session's time line, its published motion and statistics |
 
@@ -29,6 +30,7 @@ mod fit;
 mod gap_completion;
 mod initial_motion;
 mod joint_problem;
+mod joint_uncertainty;
 mod keypoint_bias;
 mod local_fit;
 mod minimisation;

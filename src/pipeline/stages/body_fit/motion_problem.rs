@@ -112,14 +112,21 @@ impl MotionProblem<'_> {
         self.frame_terms.iter().for_each(|term| term.add_to(frame, system, corner));
         system.add_to_diagonal(FLOOR);
         system.scale(self.time_weight);
-        let linear = |&landmark: &usize| TrackedLandmark {
-            position: frame.posed.position(landmark),
-            jacobian: frame.jacobian(landmark),
-        };
+        let linear = |&landmark: &usize| tracked(frame, landmark);
         FrameLandmarks {
             tracked: self.tracked.iter().map(linear).collect(),
             paths: self.path_landmarks().iter().map(linear).collect(),
         }
+    }
+
+    /// The landmarks of the paths with derivatives, `[frame][observed landmark]`.
+    pub(super) fn linearised_paths(&self, state: &MotionState) -> Vec<Vec<TrackedLandmark>> {
+        let body = self.model.shaped(&state.betas);
+        let frame = |(index, pose): (usize, &Pose)| {
+            let frame = PosedFrame::new(&self.landmarks, (&body, &state.betas), index, pose).linearised();
+            self.path_landmarks().iter().map(|&landmark| tracked(&frame, landmark)).collect()
+        };
+        state.poses.par_iter().enumerate().map(frame).collect()
     }
 
     fn path_landmarks(&self) -> &[usize] {
@@ -131,6 +138,10 @@ impl MotionProblem<'_> {
 struct FrameLandmarks {
     tracked: Vec<TrackedLandmark>,
     paths: Vec<TrackedLandmark>,
+}
+
+fn tracked(frame: &LinearisedFrame, landmark: usize) -> TrackedLandmark {
+    TrackedLandmark { position: frame.posed.position(landmark), jacobian: frame.jacobian(landmark) }
 }
 
 /// The frames that have a frame on either side.

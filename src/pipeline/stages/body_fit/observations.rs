@@ -55,6 +55,12 @@ impl Observations {
         !self.pixels[frame].is_empty()
     }
 
+    /// Mean number of equations of a frame that any view saw: two per pixel.
+    pub(super) fn equations_per_frame(&self) -> f64 {
+        let seen = self.pixels.iter().filter(|frame| !frame.is_empty()).count();
+        2.0 * self.pixels.iter().map(Vec::len).sum::<usize>() as f64 / seen.max(1) as f64
+    }
+
     /// The run of `n_frames` (or of the whole window) with most pixels in a window of frames.
     pub(super) fn most_seen(&self, window: Range<usize>, n_frames: usize) -> Range<usize> {
         let length = window.len().min(n_frames.max(1));

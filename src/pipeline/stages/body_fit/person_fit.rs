@@ -112,7 +112,7 @@ impl FittedWindow {
 }
 
 /// Runs of at most `length` frames, their lengths as equal as possible.
-fn windows(n_frames: usize, length: usize) -> Vec<Range<usize>> {
+pub(super) fn windows(n_frames: usize, length: usize) -> Vec<Range<usize>> {
     let count = n_frames.div_ceil(length);
     (0..count).map(|i| i * n_frames / count..(i + 1) * n_frames / count).collect()
 }

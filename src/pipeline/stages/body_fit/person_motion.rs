@@ -7,7 +7,7 @@ use crate::body::anthropometry::N_BETAS;
 use crate::body::kinematics::{Pose, landmark_position, posed};
 use crate::body::model::Betas;
 use crate::body::skeleton::KeypointConvention;
-use crate::session::people::BodyPose;
+use crate::session::people::{BodyPose, JointSigmas};
 use crate::session::reconstruction::StageReport;
 use crate::session::{BodyMotion, FrameIndex, JointTrajectory, PersonId};
 use std::ops::Range;
@@ -47,7 +47,7 @@ pub(super) fn valid_frames(observations: &Observations, limit: usize) -> Vec<boo
 }
 
 /// The published motion of a fit.
-pub(super) fn body_motion(model: &BodyModel, person: &PersonFit) -> BodyMotion {
+pub(super) fn body_motion(model: &BodyModel, person: &PersonFit, joint_sigmas: Option<Vec<JointSigmas>>) -> BodyMotion {
     let PersonFit { fitted, valid, .. } = person;
     let body = model.shaped(&fitted.state.betas);
     let frame = |(pose, valid): (&Pose, &bool)| BodyPose {
@@ -58,7 +58,7 @@ pub(super) fn body_motion(model: &BodyModel, person: &PersonFit) -> BodyMotion {
     };
     let betas: [f64; N_BETAS] = fitted.state.betas.into();
     let frames = fitted.state.poses.iter().zip(valid).map(frame).collect();
-    BodyMotion { person: person.person, first: FrameIndex(person.first), betas, frames }
+    BodyMotion { person: person.person, first: FrameIndex(person.first), betas, frames, joint_sigmas }
 }
 
 /// The keypoints of a motion's body, in the order of `convention`, by frame.

@@ -12,6 +12,12 @@ use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
 /// Least share of the equations that counts as left over to show the errors.
 const MIN_FREEDOM: f64 = 0.25;
 
+/// Variance of errors over that of the residuals that `n` equations leave of them after determining `p` unknowns:
+/// `n / (n - p)`.
+pub(super) fn variance_per_residual(n: f64, p: f64) -> f64 {
+    n / (n - p).max(MIN_FREEDOM * n)
+}
+
 /// The detector's standard deviation per axis as a share of apparent size, from the median residual.
 ///
 /// The median length of a normal error in the plane is a known multiple of sigma. The estimate is enlarged by
@@ -21,7 +27,7 @@ pub(super) fn pixel_share(context: &FitContext, observations: &Observations, sta
         residuals(context.model, observations, state).into_iter().map(|residual| residual.share).collect();
     let [low, high] = context.config.pixel_share_bounds;
     let n = 2.0 * shares.len() as f64 / state.poses.len().max(1) as f64;
-    let freedom = (n / (n - context.config.unknowns_per_frame).max(MIN_FREEDOM * n)).sqrt();
+    let freedom = variance_per_residual(n, context.config.unknowns_per_frame).sqrt();
     median(&mut shares).map_or(high, |m| (freedom * m / MEDIAN_LENGTH_IN_PLANE).clamp(low, high))
 }
 

@@ -178,6 +178,7 @@ fn exact_motion(truth: &Truth) -> BodyMotion {
         first: FrameIndex(0),
         betas: truth.betas.into(),
         frames: truth.poses.iter().map(frame).collect(),
+        joint_sigmas: None,
     }
 }
 

@@ -21,7 +21,8 @@
 use super::gauge::hold_idle;
 use super::problem::Problem;
 use super::variables::State;
-use crate::geometry::{Rigid, free_network};
+use crate::geometry::Rigid;
+use crate::geometry::free_network::CameraCovariance;
 use crate::optim::arrow::{self, Block};
 use crate::optim::robust::geman_mcclure;
 use crate::pipeline::calibration::CameraUncertainty;
@@ -51,19 +52,16 @@ pub(super) fn camera_uncertainties(
         .collect();
     let mut uncertainties = vec![None; state.cameras.len()];
     let poses: Vec<Rigid> = moving.iter().map(|&(_, _, pose)| pose).collect();
-    let projection = free_network::projection(&poses);
-    if let (Some(border), Some(projection)) = (border_covariance(problem, state, block_frames), projection) {
-        let rows: Vec<usize> = moving.iter().flat_map(|&(_, first, _)| first..first + 6).collect();
-        let of_cameras = border.select_rows(&rows).select_columns(&rows);
-        let free = &projection * of_cameras * projection.transpose();
-        for (k, &(view, _, _)) in moving.iter().enumerate() {
-            let sigma = |first: usize| free.fixed_view::<3, 3>(6 * k + first, 6 * k + first).trace().max(0.0).sqrt();
-            let sigma_delay = sigma_delay(&border, problem.layout.delay, moving[0].1, moving[k].1);
+    let Some(border) = border_covariance(problem, state, block_frames) else { return uncertainties };
+    let rows: Vec<usize> = moving.iter().flat_map(|&(_, first, _)| first..first + 6).collect();
+    if let Some(covariance) = CameraCovariance::new(poses, border.select_rows(&rows).select_columns(&rows)) {
+        for (&(view, first, _), sigma) in moving.iter().zip(covariance.pose_sigmas()) {
+            let sigma_delay = sigma_delay(&border, problem.layout.delay, moving[0].1, first);
             let sigma_log_focal = problem.layout.focal.map(|place| {
-                let at = moving[k].1 + place;
+                let at = first + place;
                 border[(at, at)].max(0.0).sqrt()
             });
-            let (sigma_position, sigma_angle) = (sigma(0), sigma(3));
+            let (sigma_position, sigma_angle) = (sigma.position, sigma.angle);
             uncertainties[view] = Some(CameraUncertainty { sigma_position, sigma_angle, sigma_delay, sigma_log_focal });
         }
     }

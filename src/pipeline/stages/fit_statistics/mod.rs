@@ -2,12 +2,13 @@
 //!
 //! A keypoint's standard deviation in space is the noise of one ray times the dilution of the views that see it. The noise
 //! is measured per keypoint, over all persons, from the distances of its detections from the result, in metres on the body.
-//! Known limits: cameras are taken as exact (their standard deviations are reported separately), errors of different views
-//! as independent, and a bias that all views share does not show.
+//! What the cameras are uncertain by, after a similarity alignment, is added. Known limits: errors of different views are taken as
+//! independent, and a bias that all views share does not show.
 
 mod reprojections;
 
 use crate::body::bones::LimbBone;
+use crate::geometry::free_network::CameraCovariance;
 use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median, quantile};
 use crate::pipeline::calibration::TrackedPeople;
 use crate::session::reconstruction::{
@@ -32,8 +33,10 @@ pub struct FitStatistics {
 
 impl FitStatistics {
     /// Compares all trajectories (world, m) with all detections.
-    pub fn new(input: &TrackedPeople) -> Self {
-        let people = people_statistics(input);
+    ///
+    /// `covariance`: of the placed cameras; without one they count as exact.
+    pub fn new(input: &TrackedPeople, covariance: Option<&CameraCovariance>) -> Self {
+        let people = people_statistics(input, covariance);
         let n_keypoints = people.first().map_or(0, |p| p.keypoints.len());
         let ray_sigmas = (0..n_keypoints).map(|k| ray_sigma(people.iter().map(|p| &p.keypoints[k]))).collect();
         let of_view =
@@ -85,6 +88,7 @@ impl FitStatistics {
                 reprojection_mm: summary(&misfits.mm),
                 share_in_two_views: statistics.share_in_two_views,
                 sigma_mm: sigmas_mm(statistics.keypoints.iter().zip(&self.ray_sigmas)),
+                joint_sigma_mm: None,
                 ray_angle_deg: median_ray_angle_deg(statistics.keypoints.iter()),
                 dilution: median_dilution(statistics.keypoints.iter()),
                 keypoints: self.keypoint_reports(session, statistics),
@@ -128,11 +132,14 @@ fn ray_sigma<'a>(people: impl Iterator<Item = &'a KeypointStatistics>) -> Option
     Some(median(&mut errors)? / MEDIAN_LENGTH_IN_PLANE)
 }
 
-/// Standard deviations of points in space, mm, from their dilutions and the noise of a ray (m).
+/// Standard deviations of points in space, mm, from their dilutions, the noise of a ray (m), and that of the cameras.
 fn sigmas_mm<'a>(keypoints: impl Iterator<Item = (&'a KeypointStatistics, &'a Option<f64>)>) -> Option<SigmaSummary> {
     let mut sigmas: Vec<f64> = keypoints
         .filter_map(|(statistics, ray_sigma)| Some((statistics, (*ray_sigma)?)))
-        .flat_map(|(statistics, ray_sigma)| statistics.dilutions.iter().map(move |dilution| 1e3 * ray_sigma * dilution))
+        .flat_map(|(statistics, ray_sigma)| {
+            let parts = statistics.dilutions.iter().zip(&statistics.camera_variances);
+            parts.map(move |(dilution, of_cameras)| 1e3 * ((ray_sigma * dilution).powi(2) + of_cameras).sqrt())
+        })
         .collect();
     Some(SigmaSummary { median: median(&mut sigmas)?, p95: quantile(&mut sigmas, 0.95)? })
 }

@@ -2,12 +2,13 @@
 
 use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_profile::DETECTOR;
-use crate::estimation::triangulation::{RayObservation, covariance};
+use crate::estimation::triangulation::{RayObservation, covariance, point_by_camera};
 use crate::geometry::Rigid;
+use crate::geometry::free_network::CameraCovariance;
 use crate::pipeline::calibration::TrackedPeople;
 use crate::session::recording::{Detection, Session, View};
 use crate::session::{JointTrajectory, PersonTrack};
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Matrix3xX, Vector3};
 use rayon::prelude::*;
 
 /// Distances of detections from their reprojections.
@@ -51,6 +52,8 @@ pub(super) struct KeypointStatistics {
     /// Per frame in which two views or more agree: standard deviation in space (root of the trace of the covariance) over
     /// that of one ray of full confidence. The position dilution of precision of satellite navigation.
     pub(super) dilutions: Vec<f64>,
+    /// Per such frame: variance of the point from that of the cameras, after a similarity alignment, m^2.
+    pub(super) camera_variances: Vec<f64>,
     /// Per such frame: angle between two rays, of the pair nearest to a right angle, 0 to pi/2.
     pub(super) ray_angles: Vec<f64>,
     /// Explained distances of such frames as errors of one ray before the fit of the point, m on the body, scaled to a
@@ -77,16 +80,27 @@ impl PersonStatistics {
 }
 
 /// Compares all trajectories with all detections; persons in the order of the tracks.
-pub(super) fn people_statistics(people: &TrackedPeople) -> Vec<PersonStatistics> {
+///
+/// `covariance`: of the placed cameras; without one they count as exact.
+pub(super) fn people_statistics(
+    people: &TrackedPeople,
+    covariance: Option<&CameraCovariance>,
+) -> Vec<PersonStatistics> {
     let rows = people.tracks.par_iter().zip(people.points);
-    rows.map(|(track, path)| person_statistics(people, track, path)).collect()
+    rows.map(|(track, path)| person_statistics(people, covariance, track, path)).collect()
 }
 
-fn person_statistics(people: &TrackedPeople, track: &PersonTrack, path: &JointTrajectory) -> PersonStatistics {
+fn person_statistics(
+    people: &TrackedPeople,
+    covariance: Option<&CameraCovariance>,
+    track: &PersonTrack,
+    path: &JointTrajectory,
+) -> PersonStatistics {
     let TrackedPeople { session, cameras, noise, .. } = *people;
     let nothing = KeypointStatistics {
         by_view: vec![Misfits::default(); session.views.len()],
         dilutions: Vec::new(),
+        camera_variances: Vec::new(),
         ray_angles: Vec::new(),
         ray_errors: Vec::new(),
     };
@@ -98,7 +112,8 @@ fn person_statistics(people: &TrackedPeople, track: &PersonTrack, path: &JointTr
         n_in_two_views += usize::from(detections.len() >= 2);
         for (k, (point, statistics)) in points.iter().zip(&mut keypoints).enumerate() {
             if let Some(point) = point {
-                statistics.add(point, detections.iter().filter_map(|s| s.ray(noise, k, point)).collect());
+                let rays = detections.iter().filter_map(|s| s.ray(noise, k, point)).collect();
+                statistics.add(point, rays, covariance);
             }
         }
     }
@@ -109,6 +124,8 @@ fn person_statistics(people: &TrackedPeople, track: &PersonTrack, path: &JointTr
 /// A person's detection in a placed view.
 struct PlacedDetection<'a> {
     index: usize,
+    /// Number of the camera among the placed ones.
+    placed: usize,
     view: &'a View,
     camera: &'a Rigid,
     detection: &'a Detection,
@@ -121,17 +138,19 @@ fn placed_detections<'a>(
     frame: usize,
 ) -> Vec<PlacedDetection<'a>> {
     let views = session.views.iter().zip(cameras).zip(assignment).enumerate();
-    views
-        .filter_map(|(index, ((view, camera), detection))| {
-            let (camera, detection) = (camera.as_ref()?, &view.frames[frame][(*detection)?]);
-            Some(PlacedDetection { index, view, camera, detection })
-        })
-        .collect()
+    let placed =
+        views.filter_map(|(index, ((view, camera), detection))| Some((index, view, camera.as_ref()?, detection)));
+    let detected = placed.enumerate().filter_map(|(placed, (index, view, camera, detection))| {
+        Some(PlacedDetection { index, placed, view, camera, detection: &view.frames[frame][(*detection)?] })
+    });
+    detected.collect()
 }
 
 /// One confident detection of a point.
 struct PointRay<'a> {
     view: usize,
+    /// Number of the camera among the placed ones.
+    placed: usize,
     /// Its standard deviation is an error of 1 m on the body, px, times the detector's factor.
     observation: RayObservation<'a>,
     distance_px: f64,
@@ -148,7 +167,7 @@ impl<'a> PlacedDetection<'a> {
         let metres_per_px = in_camera.z / intrinsics.focal();
         let sigma_px = noise.factor(seen.confidence) / metres_per_px;
         let observation = RayObservation { camera_from_world: self.camera, intrinsics, pixel: seen.pixel, sigma_px };
-        Some(PointRay { view: self.index, observation, distance_px, metres_per_px })
+        Some(PointRay { view: self.index, placed: self.placed, observation, distance_px, metres_per_px })
     }
 }
 
@@ -165,7 +184,7 @@ impl PointRay<'_> {
 
 impl KeypointStatistics {
     /// Adds one frame's detections of a point.
-    fn add(&mut self, point: &Vector3<f64>, mut rays: Vec<PointRay>) {
+    fn add(&mut self, point: &Vector3<f64>, mut rays: Vec<PointRay>, cameras: Option<&CameraCovariance>) {
         for ray in &rays {
             let misfits = &mut self.by_view[ray.view];
             if ray.is_explained() {
@@ -178,10 +197,28 @@ impl KeypointStatistics {
         rays.retain(PointRay::is_explained);
         let Some(of_unit_rays) = covariance(point, rays.iter().map(|ray| &ray.observation)) else { return };
         self.dilutions.push(of_unit_rays.trace().sqrt());
+        self.camera_variances
+            .push(cameras.map_or(0.0, |cameras| camera_variance(point, &rays, &of_unit_rays, cameras)));
         self.ray_angles.push(widest_crossing(point, &rays));
         let factor = error_per_residual(rays.len());
         self.ray_errors.extend(rays.iter().map(|ray| factor * ray.distance_px / ray.observation.sigma_px));
     }
+}
+
+/// Variance of a point from that of its cameras, m^2; `of_unit_rays`: its covariance from unit rays.
+fn camera_variance(
+    point: &Vector3<f64>,
+    rays: &[PointRay],
+    of_unit_rays: &Matrix3<f64>,
+    cameras: &CameraCovariance,
+) -> f64 {
+    let mut by_cameras = Matrix3xX::zeros(6 * cameras.n_cameras());
+    for ray in rays {
+        if let Some(by_camera) = point_by_camera(point, &ray.observation, of_unit_rays) {
+            by_cameras.fixed_columns_mut::<6>(6 * ray.placed).copy_from(&by_camera);
+        }
+    }
+    cameras.point_variance(point, &by_cameras)
 }
 
 /// Ratio of error to residual of a point triangulated from `n` views: the point absorbs three of `2 n` degrees of freedom,
@@ -228,14 +265,15 @@ mod tests {
                 sigma_px: metres_per_px.recip(),
             };
             let distance_px = (LENS.pixel_from_camera(&in_camera).unwrap() - pixel).norm();
-            PointRay { view, observation, distance_px, metres_per_px }
+            PointRay { view, placed: view, observation, distance_px, metres_per_px }
         };
         cameras.iter().zip(pixels).enumerate().map(ray).collect()
     }
 
     fn statistics(n_views: usize) -> KeypointStatistics {
         let by_view = vec![Misfits::default(); n_views];
-        KeypointStatistics { by_view, dilutions: Vec::new(), ray_angles: Vec::new(), ray_errors: Vec::new() }
+        let (dilutions, camera_variances, ray_angles, ray_errors) = Default::default();
+        KeypointStatistics { by_view, dilutions, camera_variances, ray_angles, ray_errors }
     }
 
     #[test]
@@ -244,7 +282,7 @@ mod tests {
             let cameras = cameras(&[0.0, angle_deg]);
             let mut found = statistics(2);
             let middle = [Vector2::new(LENS.cx, LENS.cy); 2];
-            found.add(&Vector3::zeros(), rays(&cameras, &middle, &Vector3::zeros()));
+            found.add(&Vector3::zeros(), rays(&cameras, &middle, &Vector3::zeros()), None);
             // Information of two planes across the rays: 2, 1 + cos a, 1 - cos a.
             let cosine = f64::to_radians(angle_deg).cos();
             let expected = (0.5 + 1.0 / (1.0 + cosine) + 1.0 / (1.0 - cosine)).sqrt();
@@ -273,7 +311,7 @@ mod tests {
             let observations: Vec<PointObservation> = cameras.iter().zip(&pixels).map(observation).collect();
             let point = triangulate_linear(&observations).unwrap();
             squared += point.norm_squared();
-            found.add(&point, rays(&cameras, &pixels, &point));
+            found.add(&point, rays(&cameras, &pixels, &point), None);
         }
         let scatter = (squared / n as f64).sqrt();
         let ray_sigma = median(&mut found.ray_errors).unwrap() / MEDIAN_LENGTH_IN_PLANE;
@@ -288,7 +326,7 @@ mod tests {
         let cameras = cameras(&[0.0, 90.0]);
         let mut found = statistics(2);
         let pixels = [Vector2::new(LENS.cx, LENS.cy), Vector2::new(LENS.cx + 30.0, LENS.cy)];
-        found.add(&Vector3::zeros(), rays(&cameras, &pixels, &Vector3::zeros()));
+        found.add(&Vector3::zeros(), rays(&cameras, &pixels, &Vector3::zeros()), None);
         assert_eq!((found.by_view[0].px.len(), found.by_view[1].n_rejected), (1, 1));
         assert!(found.dilutions.is_empty());
         assert_eq!(Misfits::together(found.by_view.iter()).rejected(), 0.5);
@@ -299,7 +337,7 @@ mod tests {
         let cameras = cameras(&[0.0, 90.0]);
         let mut found = statistics(2);
         let pixels = [Vector2::new(LENS.cx + 10.0, LENS.cy), Vector2::new(LENS.cx, LENS.cy)];
-        found.add(&Vector3::zeros(), rays(&cameras, &pixels, &Vector3::zeros()));
+        found.add(&Vector3::zeros(), rays(&cameras, &pixels, &Vector3::zeros()), None);
         assert!((found.by_view[0].mm[0] - 40.0).abs() < 1e-9, "10 px at 4 m and 1000 px");
     }
 }

@@ -8,7 +8,7 @@ use crate::body::model::{BodyModel, ShapeDirections};
 use crate::body::skeleton::N_JOINTS;
 use crate::optim::block_banded::{Corner, FramePanel};
 use crate::residuals::position_cost::PositionCost;
-use nalgebra::{Matrix3, SMatrix, Vector3};
+use nalgebra::{Matrix3, Matrix3xX, SMatrix, Vector3};
 
 /// Derivatives of one landmark's position.
 pub(crate) struct LandmarkJacobian {
@@ -73,6 +73,19 @@ impl BorderJacobian {
             }
         }
         Self { betas, blocks }
+    }
+
+    /// As one matrix over the first `n_columns` of the border. [3, columns]
+    pub(crate) fn dense(&self, n_columns: usize) -> Matrix3xX<f64> {
+        let mut dense = Matrix3xX::zeros(n_columns);
+        if let Some(betas) = &self.betas {
+            dense.columns_mut(0, N_BETAS).copy_from(betas);
+        }
+        for (column, block) in &self.blocks {
+            let mut target = dense.fixed_columns_mut::<3>(*column);
+            target += block;
+        }
+        dense
     }
 
     /// Sum of derivatives of one landmark, in several frames, each times its factor from the left.

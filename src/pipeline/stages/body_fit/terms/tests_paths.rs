@@ -8,11 +8,13 @@ use super::noise_process::{NoiseProcess, PathNoise};
 use super::tests::{Fixture, N_FRAMES, assert_gradient_of, keep, wave};
 use super::unknowns::{Border, MotionState, Shape};
 use super::whitened_pixels::WhitenedPixels;
+use super::whitened_pixels::scores::Movements;
 use crate::body::BodyModel;
 use crate::body::kinematics::{landmark_position, posed};
 use crate::geometry::{Rigid, rotation};
 use crate::optim::block_banded::BlockBanded;
-use nalgebra::{DVector, Vector3};
+use crate::residuals::derivative_check::assert_gradient;
+use nalgebra::{DMatrix, DVector, Matrix3xX, Vector3};
 
 /// No frame or window term of the fixture has this index: only the paths are left.
 const PATHS_ALONE: Option<usize> = Some(usize::MAX);
@@ -74,6 +76,41 @@ fn gradient_of_whitened_pixels_matches_differences() {
         }
         let model = fixture.model_at(&step.border);
         problem(&fixture, &model, &moved, &pixels, 2).cost(&all.moved(&fixture.state, step))
+    });
+}
+
+/// Scores are the parts of the gradient along given movements of landmarks and cameras.
+#[test]
+fn scores_of_channels_add_up_to_the_gradient() {
+    let fixture = Fixture::new();
+    let observations = two_views(&fixture);
+    let pixels = whitened(&fixture, &observations);
+    let body = fixture.model.shaped(&fixture.state.betas);
+    let at = |pose| {
+        let skeleton = posed(&body, pose);
+        let position = |&landmark: &usize| landmark_position(&fixture.model, &body, &skeleton, landmark);
+        pixels.landmarks.iter().map(position).collect::<Vec<_>>()
+    };
+    let positions: Vec<Vec<Vector3<f64>>> = fixture.state.poses.iter().map(at).collect();
+    let moves = |seed: usize| Matrix3xX::from_fn(2, |i, k| wave(seed + 5 * i + 11 * k));
+    let landmarks: Vec<Vec<Matrix3xX<f64>>> =
+        (0..N_FRAMES).map(|t| (0..pixels.landmarks.len()).map(|l| moves(17 * t + 3 * l)).collect()).collect();
+    let of_cameras = DMatrix::from_fn(12, 2, |i, k| wave(7 * i + k));
+    let movements = Movements { landmarks: &landmarks, cameras: &of_cameras };
+    let scores = pixels.scores(&observations.cameras, &positions, &movements);
+    assert_eq!(scores.len(), 4 * pixels.landmarks.len());
+    let sum = scores.iter().fold(DVector::zeros(2), |sum, score| sum + score);
+    assert_gradient(sum.as_slice(), |d| {
+        let d = DVector::from_column_slice(d);
+        let point = |(point, by): (&Vector3<f64>, &Matrix3xX<f64>)| point + by * &d;
+        let moved = positions.iter().zip(&landmarks).map(|(points, by)| points.iter().zip(by).map(point).collect());
+        let step = &of_cameras * &d;
+        let mut cameras = observations.cameras.clone();
+        for (k, camera) in cameras.iter_mut().enumerate() {
+            let part = |i: usize| step.fixed_rows::<3>(6 * k + i).into_owned();
+            camera.camera_from_world = camera.camera_from_world.perturbed_left(&part(0), &part(3));
+        }
+        pixels.cost(&cameras, &moved.collect())
     });
 }
 

@@ -4,6 +4,8 @@
 //! ([`NoiseProcess`](super::noise_process::NoiseProcess)), which depends on the landmark in up to three successive frames, on
 //! the camera, and on what shapes the body.
 
+pub(crate) mod scores;
+
 use super::super::observations::{Observations, PosedCamera};
 use super::noise_process::{NoiseProcess, PathNoise};
 use crate::optim::block_banded::Corner;

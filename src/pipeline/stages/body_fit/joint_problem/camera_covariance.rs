@@ -1,0 +1,114 @@
+//! Covariance of the cameras, from the spread of what the detector's channels ask of them.
+//!
+//! The inverse Hessian of the joint problem takes the detector's errors for the process that whitens them. Real errors are
+//! slower and partly constant, so that it is too small by a factor of up to 5. What holds whatever the errors' course in time is
+//! the sandwich (Huber 1967; Liang and Zeger 1986)
+//!
+//! `H^-1 (sum_c s_c s_c^T) H^-1`, `s_c = sum_t (J_cameras + J_motion X)_t^T W e_t`
+//!
+//! over channels c (a person's landmark in a view, either axis of the image): `s_c` is the channel's part in the gradient after
+//! elimination of the motions, which follow the cameras by `X = -H_mm^-1 H_mc`. Residuals are smaller than the errors, and three
+//! factors make up for it:
+//!
+//! - `C / (C - k)` for the k directions of the cameras that C independent channels determine (the first order of MacKinnon and
+//!   White 1985), as many as there are over the design effect;
+//! - `n / (n - p)` for a person's n equations a frame: a motion of p unknowns a frame follows errors that are as slow as it;
+//! - `1 + 0.2 rho (m - 1)`, the design effect (Kish 1965) of m landmarks of one region that share a fifth of their slow errors,
+//!   with the measured autocorrelation `rho` from frame to frame as their slow part. Cameras and motions follow what a region
+//!   shares, so that hardly any of it is left in the residuals.
+
+use super::super::pixel_residuals::{DetectedPixels, variance_per_residual};
+use super::super::terms::whitened_pixels::scores::Movements;
+use super::super::terms::window::TrackedLandmark;
+use super::{JointProblem, Member, Reduced, with_bones};
+use crate::geometry::free_network::CameraCovariance;
+use crate::optim::block_banded::BlockBanded;
+use nalgebra::{DMatrix, DVector, Matrix3xX};
+
+/// Correlation of slow errors of two landmarks of a face, of the legs, or of trunk and arms, as measured on real detections
+/// (docs/method.md 15: 0.45 squared; hips 0.38, nose and eyes 0.49).
+const SHARED: f64 = 0.2;
+
+/// Face; legs; trunk and arms.
+const N_REGIONS: f64 = 3.0;
+
+impl JointProblem<'_> {
+    /// At the minimum; the cameras are the only unknowns of the session. `None` where the channels do not determine them.
+    ///
+    /// `slow`: autocorrelation of the errors from frame to frame.
+    pub(in super::super) fn camera_covariance(&self, members: &[Member], slow: f64) -> Option<CameraCovariance> {
+        let cameras = &members.first()?.observations.cameras;
+        let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
+        let systems = vec![BlockBanded::default(); members.len()];
+        let reduced = self.reduced((members, &pixels), &[], cameras, systems, 0.0)?;
+        let basis = reduced.basis.as_ref()?;
+        let n_free = basis.ncols();
+        let (mut spread, mut n_independent) = (DMatrix::zeros(n_free, n_free), 0.0);
+        for (person, (member, pixels)) in members.iter().zip(&pixels).enumerate() {
+            let PersonScores { channels, design, followed } = self.scores(&reduced, person, (member, pixels), slow)?;
+            n_independent += channels.len() as f64 / design;
+            channels.iter().for_each(|score| spread.ger(design * followed, score, score, 1.0));
+        }
+        let n_left = n_independent - n_free as f64;
+        if n_left <= 0.0 {
+            return None;
+        }
+        spread *= n_independent / n_left;
+        let inverse = basis * reduced.factor.inverse();
+        let covariance = &inverse * spread * inverse.transpose();
+        CameraCovariance::new(cameras.iter().map(|camera| camera.camera_from_world).collect(), covariance)
+    }
+
+    /// Scores of one person's channels by the free directions of the session.
+    fn scores(
+        &self,
+        reduced: &Reduced,
+        person: usize,
+        (member, pixels): (&Member, &DetectedPixels),
+        slow: f64,
+    ) -> Option<PersonScores> {
+        let (DetectedPixels::Correlated(over_time), Some(basis)) = (pixels, &reduced.basis) else { return None };
+        let (own, frames) = reduced.responses(person, basis);
+        let model = with_bones(self.context.model, &member.bones);
+        let problem = self.problem(&model, member, pixels);
+        let paths = problem.linearised_paths(&member.state);
+        let movement = |t: usize, landmark: &TrackedLandmark| {
+            let mut movement: Matrix3xX<f64> = landmark.jacobian.by_border.dense(own.nrows()) * &own;
+            for (group, block) in &landmark.jacobian.by_frame {
+                movement += block * frames[t].fixed_rows::<3>(3 * group);
+            }
+            movement
+        };
+        let of_frame =
+            |(t, landmarks): (usize, &Vec<TrackedLandmark>)| landmarks.iter().map(|l| movement(t, l)).collect();
+        let landmarks: Vec<Vec<Matrix3xX<f64>>> = paths.iter().enumerate().map(of_frame).collect();
+        let positions = paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect();
+        let movements = Movements { landmarks: &landmarks, cameras: basis };
+        let channels = over_time.scores(&member.observations.cameras, &positions, &movements);
+        let n_unknowns = (3 * problem.unknowns.n_groups()) as f64;
+        let n_neighbours = (over_time.landmarks.len() as f64 / N_REGIONS - 1.0).max(0.0);
+        let followed = variance_per_residual(member.observations.equations_per_frame(), n_unknowns);
+        Some(PersonScores { channels, design: 1.0 + SHARED * slow * n_neighbours, followed })
+    }
+}
+
+/// What one person's channels ask of the cameras.
+struct PersonScores {
+    channels: Vec<DVector<f64>>,
+    /// Variance of a sum of the errors over that of as many independent ones.
+    design: f64,
+    /// Variance of the errors over that of the residuals that the motion leaves of them.
+    followed: f64,
+}
+
+impl Reduced {
+    /// Movement of a person's own border and frames per unit of each free direction of the session.
+    pub(super) fn responses(&self, person: usize, basis: &DMatrix<f64>) -> (DMatrix<f64>, Vec<DMatrix<f64>>) {
+        let own = -(&self.own_parts[person].0 * basis);
+        let mut border = DMatrix::zeros(own.nrows() + basis.nrows(), basis.ncols());
+        border.rows_mut(0, own.nrows()).copy_from(&own);
+        border.rows_mut(own.nrows(), basis.nrows()).copy_from(basis);
+        let frames = self.people[person].responses(&border);
+        (own, frames)
+    }
+}

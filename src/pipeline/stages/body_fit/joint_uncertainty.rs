@@ -1,0 +1,120 @@
+//! Standard deviations of the joints of a fitted motion.
+//!
+//! The covariance of a joint at `x` in a frame is a sum over what it depends on,
+//!
+//! `f (J Z J^T + R_b C_b R_b^T) + sigma^2 R_o R_o^T + R_c C_c R_c^T`
+//!
+//! with `J = dx/d(frame)`, `Z` the frame's block of the inverse of the motion's system, and `R = dx/d(border) + J X` the movement
+//! by an unknown that all frames share while the frames follow it by `X = -H_ff^-1 H_fb`: by the betas, whose covariance `C_b` is
+//! that of the window; by proportions that the betas do not span, which the fit leaves out (bone offsets of standard deviation
+//! `sigma`); and by the cameras. `f = n / (n - p)`: n equations a frame determine p unknowns, and leave residuals, by which
+//! errors are measured, smaller than these. What no view sees is as uncertain as smoothness and the pose prior leave it.
+//! Collision resolution is left out.
+
+use super::camera_adjustment::BONE_SIGMA;
+use super::context::FitContext;
+use super::objective::Objective;
+use super::person_fit::windows;
+use super::person_motion::PersonFit;
+use super::pixel_residuals::{DetectedPixels, variance_per_residual};
+use super::terms::unknowns::{MotionState, Shape, TRANSLATION_GROUP, Unknowns};
+use crate::body::bone_offsets::joint_by_bones;
+use crate::body::detector_offsets::OffsetTable;
+use crate::body::kinematics::{PosedSkeleton, joint_by_rotation, joints_by_betas, posed};
+use crate::body::model::ShapeDirections;
+use crate::body::skeleton::N_JOINTS;
+use crate::geometry::free_network::CameraCovariance;
+use crate::optim::block_banded::BlockBanded;
+use crate::session::people::JointSigmas;
+use nalgebra::{DMatrix, Matrix3, Matrix3xX};
+use rayon::prelude::*;
+use std::ops::Range;
+
+/// By frame of the motion; `None` where the detector's errors over time were not measured.
+///
+/// `cameras`: of the observations' cameras; without it these are exact.
+pub(super) fn joint_sigmas(
+    context: &FitContext,
+    person: &PersonFit,
+    cameras: Option<&CameraCovariance>,
+) -> Option<Vec<JointSigmas>> {
+    context.noise?;
+    let windows = windows(person.valid.len(), context.config.window_frames.max(3));
+    let of_window = |window: &Range<usize>| window_sigmas(context, person, cameras, window);
+    Some(windows.par_iter().map(of_window).collect::<Option<Vec<_>>>()?.concat())
+}
+
+fn window_sigmas(
+    context: &FitContext,
+    person: &PersonFit,
+    cameras: Option<&CameraCovariance>,
+    window: &Range<usize>,
+) -> Option<Vec<JointSigmas>> {
+    let halo = context.config.halo_frames;
+    let frames = window.start.saturating_sub(halo)..(window.end + halo).min(person.valid.len());
+    let observations = person.observations.slice(frames.clone());
+    let whole = &person.fitted.state;
+    let state = MotionState { betas: whole.betas, poses: whole.poses[frames.clone()].to_vec() };
+    let pixels = DetectedPixels::new(context, &observations, &state);
+    let table = OffsetTable::empty(context.model);
+    let objective = Objective::new(context, context.config, &observations, pixels.source(), Shape::Free);
+    let n_cameras = cameras.map_or(0, CameraCovariance::n_cameras);
+    let problem = Objective { bias: Some(&table), n_cameras, speeds: Some(&state), ..objective }.problem();
+    let (unknowns, border) = (&problem.unknowns, problem.unknowns.border);
+    let mut system = BlockBanded::default();
+    problem.linearise(&state, &mut system);
+    let eliminated = system.eliminated(0.0)?;
+    let responses = eliminated.responses(&DMatrix::identity(border.len(), border.len()));
+    let of_betas = eliminated.corner.view_range(border.betas(), border.betas()).into_owned().cholesky()?.inverse();
+    let errors = variance_per_residual(observations.equations_per_frame(), (3 * unknowns.n_groups()) as f64);
+    let body = context.model.shaped(&state.betas);
+
+    let mut sigmas = vec![[0.0; N_JOINTS]; state.poses.len()];
+    eliminated.for_each_inverse_block(|t, of_frame| {
+        let skeleton = posed(&body, &state.poses[t]);
+        let by_betas = joints_by_betas(context.model, &skeleton);
+        for joint in 0..N_JOINTS {
+            let by_frame = by_frame(unknowns, &skeleton, joint);
+            let by_border = by_own_border(unknowns, &by_betas[joint], &skeleton, joint) + &by_frame * &responses[t];
+            let by = |columns: Range<usize>| by_border.columns_range(columns).into_owned();
+            let measured = variance(&by_frame, of_frame) + variance(&by(border.betas()), &of_betas);
+            let of_bones = BONE_SIGMA * BONE_SIGMA * by(border.bones()).norm_squared();
+            let position = &skeleton.joints[joint];
+            let of_cameras = cameras.map_or(0.0, |cameras| cameras.point_variance(position, &by(border.cameras())));
+            sigmas[t][joint] = (errors * measured + of_bones + of_cameras).max(0.0).sqrt();
+        }
+    });
+    Some(sigmas[window.start - frames.start..window.end - frames.start].to_vec())
+}
+
+/// The trace of `by covariance by^T`.
+fn variance(by: &Matrix3xX<f64>, covariance: &DMatrix<f64>) -> f64 {
+    (by * covariance).component_mul(by).sum()
+}
+
+/// Derivatives of a joint's position by the unknowns of its frame.
+fn by_frame(unknowns: &Unknowns, skeleton: &PosedSkeleton, joint: usize) -> Matrix3xX<f64> {
+    let mut by_frame = Matrix3xX::zeros(3 * unknowns.n_groups());
+    by_frame.fixed_columns_mut::<3>(3 * TRANSLATION_GROUP).copy_from(&Matrix3::identity());
+    for (group, ancestor) in unknowns.rotations() {
+        by_frame.fixed_columns_mut::<3>(3 * group).copy_from(&joint_by_rotation(skeleton, joint, ancestor));
+    }
+    by_frame
+}
+
+/// The same by the unknowns of the border, the frames held.
+fn by_own_border(
+    unknowns: &Unknowns,
+    by_betas: &ShapeDirections,
+    skeleton: &PosedSkeleton,
+    joint: usize,
+) -> Matrix3xX<f64> {
+    let border = unknowns.border;
+    let mut by_border = Matrix3xX::zeros(border.len());
+    by_border.columns_range_mut(border.betas()).copy_from(by_betas);
+    for (kind, block) in joint_by_bones(joint, &skeleton.rotations) {
+        let mut columns = by_border.fixed_columns_mut::<3>(border.bones().start + 3 * kind);
+        columns += block;
+    }
+    by_border
+}
