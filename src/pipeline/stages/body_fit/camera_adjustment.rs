@@ -3,24 +3,31 @@
 //! Bundle adjustment takes the detector's errors as independent. They are slow, so that what lies still says little and what
 //! moves says much: with the errors whitened the cameras' errors fall by a third on realistic noise.
 
+use super::camera_priors::{CameraPriors, OVERCOUNT};
 use super::context::FitContext;
-use super::joint_problem::{Errors, JointProblem, Member, Stopping};
+use super::focal_prior::{FocalPrior, RefinedFocal};
+use super::joint_problem::{Errors, JointProblem, Member, Minimum, Stopping};
 use super::noise_measurement::measured_noise;
 use super::observations::{Observations, PosedCamera};
 use super::person_fit::StartedMotion;
 use super::terms::border_priors::{BoneLengthPrior, KeypointBiasPrior};
+use super::terms::camera_unknowns::{CameraUnknowns, FOCAL};
 use super::terms::noise_process::PathNoise;
 use crate::body::bone_offsets::BoneOffsets;
 use crate::body::detector_offsets::OffsetTable;
 use crate::body::kinematics::Pose;
 use crate::geometry::{Rigid, rotation};
+use crate::pipeline::focal_spread::{FocalSpread, FoundFactors};
 use crate::progress::Canceled;
+use crate::session::reconstruction::FocalFactor;
 
 /// The detector's errors, and the cameras after the adjustment.
 #[derive(Debug, Clone)]
 pub(super) struct AdjustedCameras {
     /// `camera_from_world` of the placed cameras; `None` where they were held.
     pub cameras: Option<Vec<Rigid>>,
+    /// Focal lengths of the placed cameras; `None` where they were held.
+    pub focal: Option<RefinedFocal>,
     /// The detector's errors.
     pub noise: PathNoise,
 }
@@ -72,12 +79,13 @@ pub(super) fn correlated_errors(
         let people = started.iter().flatten();
         people.map(|(observations, fit)| Member::of(context, observations, fit, n_frames, stride)).collect()
     };
-    let (mut cameras, mut bones) = (None, vec![BoneOffsets::default(); n_people]);
+    let (mut cameras, mut focal, mut bones) = (None, None, vec![BoneOffsets::default(); n_people]);
     if context.config.adjust_cameras {
         let all = members(started, 1);
         let stride = stride(context, &all);
         let mut adjusted = if stride == 1 { all } else { members(started, stride) };
-        adjust(&FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context }, &mut adjusted)?;
+        focal =
+            adjust(&FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context }, &mut adjusted)?;
         cameras = adjusted.first().map(|member| member.observations.cameras.clone());
         for ((observations, started), member) in started.iter_mut().flatten().zip(&adjusted) {
             take_over(observations, started, member, stride);
@@ -90,7 +98,7 @@ pub(super) fn correlated_errors(
     let noise =
         measured_noise(context, &members(started, 1).into_iter().zip(bones).map(with_bones).collect::<Vec<_>>());
     let poses = |cameras: Vec<PosedCamera>| cameras.iter().map(|camera| camera.camera_from_world).collect();
-    Ok(Some(AdjustedCameras { cameras: cameras.map(poses), noise }))
+    Ok(Some(AdjustedCameras { cameras: cameras.map(poses), focal, noise }))
 }
 
 /// Every how many frames the adjustment takes one.
@@ -102,9 +110,11 @@ fn stride(context: &FitContext, members: &[Member]) -> usize {
 }
 
 /// Adjusts cameras and motions of all members in rounds.
-fn adjust(context: &FitContext, members: &mut [Member]) -> Result<(), Canceled> {
+fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Option<RefinedFocal>, Canceled> {
     // The detector's offsets are in the model; released again, they cost half of the time and change no camera by a tenth.
     let table = OffsetTable::empty(context.model);
+    let mut priors = CameraPriors::new(&context.config.known_cameras);
+    let mut refined = None;
     for _ in 0..N_ROUNDS {
         let noise = measured_noise(context, members);
         let problem = JointProblem {
@@ -114,11 +124,35 @@ fn adjust(context: &FitContext, members: &mut [Member]) -> Result<(), Canceled> 
             shape_prior: context.config.shape_prior,
             bone_prior: BoneLengthPrior { sigma: BONE_SIGMA, correlated_frames: 1.0 },
             bias_prior: KeypointBiasPrior { sigmas: Vec::new(), correlated_frames: 1.0 },
-            moves_cameras: true,
+            cameras: Some(&priors),
         };
-        problem.minimised(members, Vec::new(), &STOPPING)?;
+        let minimum = problem.minimised(members, Vec::new(), &STOPPING)?;
+        if let Some(prior) = &mut priors.focal {
+            if let Some((found, spread)) = refined_focal(&minimum, prior) {
+                prior.spread = spread;
+                refined = Some(found);
+            }
+        }
     }
-    Ok(())
+    Ok(refined)
+}
+
+/// Focal lengths at a minimum under `prior`, and the likeliest spread of their errors.
+fn refined_focal(minimum: &Minimum, prior: &FocalPrior) -> Option<(RefinedFocal, FocalSpread)> {
+    let log_factors = prior.log_factors(&minimum.session.cameras);
+    let covariance = minimum.reduced.as_ref()?.covariance();
+    let n_camera = CameraUnknowns { focal: true }.len();
+    let first = covariance.nrows() - n_camera * log_factors.len();
+    let columns: Vec<usize> = (0..log_factors.len()).map(|camera| first + n_camera * camera + FOCAL).collect();
+    let covariance = covariance.select_rows(&columns).select_columns(&columns) * OVERCOUNT;
+    let factor = |k: usize| {
+        let value = log_factors[k].exp();
+        FocalFactor { value, sigma: value * covariance[(k, k)].max(0.0).sqrt() }
+    };
+    let factors = (0..log_factors.len()).map(factor).collect();
+    let (spread, log_evidence) =
+        FocalSpread::likeliest(&FoundFactors::new(&log_factors, covariance.clone(), prior.spread)?);
+    Some((RefinedFocal { factors, log_evidence }, spread))
 }
 
 /// The first fit goes on from where the adjustment of every `stride`-th frame ended; frames between them are carried along.

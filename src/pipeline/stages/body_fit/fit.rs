@@ -4,6 +4,7 @@ use super::camera_adjustment::correlated_errors;
 use super::collision_resolution::resolve_collisions;
 use super::config::BodyFitConfig;
 use super::context::FitContext;
+use super::focal_prior::RefinedFocal;
 use super::keypoint_bias::estimated_bias;
 use super::monocular::lifting::lifted;
 use super::observations::{Observations, gather_observations};
@@ -33,6 +34,8 @@ pub struct FittedBodies {
     pub penetration: PenetrationReport,
     /// `camera_from_world` of the placed cameras, where they were adjusted together with the motions.
     pub cameras: Option<Vec<Rigid>>,
+    /// Focal lengths of the placed cameras, where they were refined with the motions.
+    pub focal: Option<RefinedFocal>,
     /// Iterations, costs and residuals.
     pub report: StageReport,
 }
@@ -92,12 +95,16 @@ pub fn fit_bodies(
     let mut people: Vec<PersonFit> = people.into_iter().flatten().collect();
     progress.report(0.9, "resolving collisions between bodies");
     let penetration = resolve_collisions(&context, &mut people, config.resolve_collisions, input.session.first_frame)?;
+    let focal = adjusted.as_ref().and_then(|adjusted| adjusted.focal.clone());
+    let mut report = stage_report(&people, input.tracks.len());
+    report.metrics.extend(focal.as_ref().map(|focal| ("focal_log_evidence".to_owned(), focal.log_evidence)));
     Ok(FittedBodies {
-        report: stage_report(&people, input.tracks.len()),
+        report,
         motions: people.iter().map(|person| body_motion(model, person)).collect(),
         detector,
         detector_model,
         penetration,
+        focal,
         cameras: adjusted.and_then(|adjusted| adjusted.cameras),
     })
 }

@@ -20,11 +20,14 @@
 //! | `person_motion` | a fit on the session's time line, its published motion and statistics |
 
 mod camera_adjustment;
+mod camera_pose_prior;
+mod camera_priors;
 mod capsule_overlaps;
 mod collision_resolution;
 mod config;
 mod context;
 mod fit;
+mod focal_prior;
 mod gap_completion;
 mod initial_motion;
 mod joint_problem;
@@ -40,12 +43,14 @@ mod person_fit;
 mod person_motion;
 mod pixel_residuals;
 mod session_bias;
+mod session_state;
 mod terms;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
 mod tests_simulated;
 
-pub use config::BodyFitConfig;
+pub use config::{BodyFitConfig, KnownCameras};
 pub use fit::{FittedBodies, fit_bodies, fitted_statures};
+pub use focal_prior::RefinedFocal;
 pub use person_motion::landmark_trajectory;

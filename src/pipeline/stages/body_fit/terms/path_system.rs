@@ -23,8 +23,9 @@ pub(crate) fn add_paths(
     let border = &unknowns.border;
     let positions: Positions =
         paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect();
-    let blocks = term.blocks(cameras, &positions, border.n_cameras > 0);
-    let (n_point, cameras) = (border.keypoint_bias().end, border.cameras());
+    let blocks = term.blocks(cameras, &positions, border.cameras);
+    let (n_point, cameras, n_camera) =
+        (border.keypoint_bias().end, border.camera_columns(), border.cameras.unknowns.len());
     let by_border: Vec<Vec<Matrix3xX<f64>>> = paths
         .par_iter()
         .map(|frame| frame.iter().map(|landmark| landmark.jacobian.by_border.dense(n_point)).collect())
@@ -52,7 +53,8 @@ pub(crate) fn add_paths(
             }
             by_border_of_position.columns_mut(0, n_point).copy_from(&point_columns);
             for (camera, columns) in blocks.landmarks[l].by_cameras(t).iter().enumerate() {
-                by_border_of_position.fixed_columns_mut::<6>(cameras.start + 6 * camera).copy_from(columns);
+                let mut own = by_border_of_position.columns_mut(cameras.start + n_camera * camera, n_camera);
+                own.copy_from(&columns.columns(0, n_camera));
             }
             part.add_own(block, &landmark.jacobian, &by_border_of_position);
             part.corner.rows_mut(0, n_point).gemm(1.0, &by_border[t][l].transpose(), &by_border_of_position, 1.0);
