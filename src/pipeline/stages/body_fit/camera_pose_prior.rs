@@ -16,7 +16,7 @@ pub(super) struct CameraPosePrior {
 /// thousandths of the distance.
 const SIGMA_POSITION: f64 = 0.02;
 
-/// Standard deviation of a given orientation per axis, rad: 0.3 degrees, what a tripod turns when somebody brushes against it.
+/// Standard deviation of a given orientation per axis, rad: 0.3 degrees, what a tripod turns when it is brushed against.
 const SIGMA_ANGLE: f64 = 0.005;
 
 impl CameraPosePrior {
