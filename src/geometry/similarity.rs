@@ -125,6 +125,33 @@ pub fn similarity_from_points(
     Ok(Similarity { scale, rotation, translation: target_mean - rotation * source_mean * scale }) // Eq. (41)
 }
 
+/// Length of the arms that stand for a camera's orientation in [`similarity_from_cameras`], as a share of the rig's radius:
+/// centres decide, and orientations settle what centres on a line or of two cameras leave open.
+const ARM: f64 = 0.1;
+
+/// Aligns the same cameras in two worlds by the least-squares similarity of their centres and of the ends of three arms along
+/// their axes.
+///
+/// `source`, `target`: `camera_from_world` of n cameras, n >= 2. Returns `target_from_source`.
+///
+/// # Errors
+/// [`AlignError::Degenerate`] where the centres of either coincide.
+pub fn similarity_from_cameras(source: &[Rigid], target: &[Rigid]) -> Result<Similarity, AlignError> {
+    similarity_from_points(&arms(source), &arms(target), ScaleMode::Free)
+}
+
+/// Each camera's centre, and the ends of its arms.
+fn arms(cameras: &[Rigid]) -> Vec<Vector3<f64>> {
+    let centers: Vec<Vector3<f64>> = cameras.iter().map(Rigid::center).collect();
+    let middle = mean(&centers);
+    let length = ARM * (centers.iter().map(|c| (c - middle).norm_squared()).sum::<f64>() / centers.len() as f64).sqrt();
+    let points = |(camera, center): (&Rigid, &Vector3<f64>)| {
+        let axes = camera.rotation.transpose() * length;
+        [*center, center + axes.column(0), center + axes.column(1), center + axes.column(2)]
+    };
+    cameras.iter().zip(&centers).flat_map(points).collect()
+}
+
 fn check_points(source: &[Vector3<f64>], target: &[Vector3<f64>]) -> Result<(), AlignError> {
     if source.len() != target.len() {
         return Err(AlignError::UnequalCounts { n_source: source.len(), n_target: target.len() });

@@ -98,6 +98,19 @@ pub struct Adjusted {
     pub points: Vec<Vec<Option<Vector3<f64>>>>,
     /// Per person and bone, in the unit of the world; `None` where no keyframe has both ends.
     pub bone_lengths: BTreeMap<usize, Vec<Option<f64>>>,
+    /// Focal factors with their covariance, where they were refined and the data determine them.
+    pub focal: Option<FocalEstimate>,
+}
+
+/// Focal factors of several views.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FocalEstimate {
+    /// Indices of the views.
+    pub views: Vec<usize>,
+    /// Logarithms of the factors, by entry of `views`.
+    pub log_factors: Vec<f64>,
+    /// Their covariance.
+    pub covariance: Vec<Vec<f64>>,
 }
 
 /// One adjusted camera.
@@ -124,6 +137,4 @@ pub struct CameraUncertainty {
     pub sigma_angle: f64,
     /// Standard deviation of the delay against the first moving camera's, frames; where delays are refined.
     pub sigma_delay: Option<f64>,
-    /// Standard deviation of the focal factor's logarithm; where focal lengths are refined.
-    pub sigma_log_focal: Option<f64>,
 }

@@ -4,7 +4,7 @@
 //! |---|---|---|---|
 //! | 1 | [`synchronisation`](passes::synchronisation) | time offsets in whole frames | `sync: estimate`; once |
 //! | | | pass 3, keyframe selection, bundle adjustment with delays | 1 to 6 rounds |
-//! | 2 | [`focal_lengths`](passes::focal_lengths) | pass 3, bundle adjustment with focal lengths | `refine_focal`; 2 rounds |
+//! | 2 | [`focal_lengths`](passes::focal_lengths) | pass 3, bundle adjustment with focal lengths | `refine_focal`; 1 or 2 rounds |
 //! | 3 | [`cameras`](passes::cameras) | camera initialisation | `extrinsics: estimate`; once |
 //! | | | keyframe selection, bundle adjustment, association | up to 3 arrangements |
 //! | | | camera registration, keyframes, bundle adjustment, association | 2 rounds |
@@ -23,7 +23,7 @@
 //! adjustment of estimated or refined cameras runs exactly once per calibration: in pass 4 on repaired detections, or
 //! without that pass at the end of pass 3.
 //!
-//! Nouns (`calibration`, `capture`, `config`, `error`, `keyframe`, `option_table`) import no stage; stages import nouns and no other stage;
+//! Nouns (`calibration`, `capture`, `config`, `error`, `focal_lengths`, `focal_spread`, `keyframe`, `option_table`) import no stage; stages import nouns and no other stage;
 //! passes import stages; this file imports passes.
 
 pub mod calibration;
@@ -31,6 +31,8 @@ pub mod capture;
 pub mod checkpoints;
 pub mod config;
 pub mod error;
+pub mod focal_lengths;
+pub mod focal_spread;
 pub mod inspection;
 pub mod keyframe;
 pub mod option_reference;
@@ -48,9 +50,10 @@ use checkpoints::Checkpoints;
 pub use config::{CameraFacts, Options};
 use config::{Extrinsics, IntrinsicsMode, Sync};
 pub use error::PipelineError;
+use focal_lengths::FocalLengths;
 use passes::cameras::{FinalAdjustment, calibrated};
 use passes::denoising::denoised_capture;
-use passes::focal_lengths::{FocalLengths, refined_focal_lengths};
+use passes::focal_lengths::refined_focal_lengths;
 use passes::held_out_check::heldout_px;
 use passes::synchronisation::{Timing, estimated_timing};
 use result::{Solution, statures};
@@ -108,7 +111,7 @@ pub fn reconstruct_with_checkpoints(
     let timed = timing.applied_to(session);
 
     // 2. Focal lengths.
-    let focal_lengths = match options.intrinsics {
+    let mut focal_lengths = match options.intrinsics {
         IntrinsicsMode::Fixed => FocalLengths::given(&timed),
         IntrinsicsMode::RefineFocal => {
             let step = stages.begin("focal_lengths");
@@ -162,7 +165,7 @@ pub fn reconstruct_with_checkpoints(
     // 8. World frame, bodies, statistics and verdict.
     let step = stages.begin("body_fit");
     let solution = Solution::in_world(&capture, calibration, paths, scale, heldout_px);
-    let mut reconstruction = solution.with_bodies(&capture, body, &step)?;
+    let mut reconstruction = solution.with_bodies(&capture, &mut focal_lengths, body, &step)?;
     if let Some(repaired) = repaired {
         reconstruction.report.consistency = Some(repaired.report);
         reconstruction.repairs = Some(repaired.repairs);

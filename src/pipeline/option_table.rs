@@ -123,7 +123,11 @@ pub const OPTION_TABLE: &[OptionRow] = &[
         kind: Kind::Choice(&[
             choice("estimate", "estimated from the people; R and t of the session are ignored"),
             choice("fixed", "R and t of the session, unchanged; the result stays in their world"),
-            choice("refine", "refined, starting from R and t of the session; the result stays in their world"),
+            choice(
+                "refine",
+                "refined: R and t of the session count as known to 20 mm and 0.3 degrees per axis; the result stays \
+                 in their world",
+            ),
         ]),
         unit: "",
         effect: "Positions and orientations of the cameras. `fixed` and `refine` need R and t of every camera; a single \
@@ -138,8 +142,8 @@ pub const OPTION_TABLE: &[OptionRow] = &[
             choice("fixed", "K and distortion of the session, unchanged"),
             choice(
                 "refine_focal",
-                "one factor of the focal length per camera is estimated, for focal lengths that are \
-                 wrong by some per cent",
+                "one factor of the focal length per camera is estimated together with poses and people, for focal \
+                 lengths that may be wrong by some per cent; those that the recording does not contradict stay",
             ),
         ]),
         unit: "",

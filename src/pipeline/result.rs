@@ -2,10 +2,13 @@
 
 use super::calibration::{Calibration, CameraUncertainty, TrackedPeople};
 use super::capture::Capture;
-use super::config::{Extrinsics, MotionPriorMode};
+use super::config::{Extrinsics, IntrinsicsMode, MotionPriorMode};
 use super::error::PipelineError;
+use super::focal_lengths::FocalLengths;
 use super::stages::association::identities;
-use super::stages::body_fit::{BodyFitConfig, FittedBodies, fit_bodies, fitted_statures, landmark_trajectory};
+use super::stages::body_fit::{
+    BodyFitConfig, FittedBodies, KnownCameras, fit_bodies, fitted_statures, landmark_trajectory,
+};
 use super::stages::fit_statistics::FitStatistics;
 use super::stages::joint_trajectories::joint_trajectories;
 use super::stages::verdict::input::VerdictInput;
@@ -14,6 +17,7 @@ use super::stages::world_frame::world_from_solution;
 use crate::body::BodyModel;
 use crate::body::scale::FittedStature;
 use crate::geometry::free_network::CameraCovariance;
+use crate::geometry::similarity::similarity_from_cameras;
 use crate::geometry::{Rigid, Similarity};
 use crate::optim::robust::{median, quantile};
 use crate::progress::{Canceled, Progress};
@@ -21,8 +25,9 @@ use crate::session::reconstruction::{
     BodyModelId, KeypointBias, PenetrationReport, Report, ScaleReport, SigmaSummary, SolvedCamera,
 };
 use crate::session::recording::UpAxis;
-use crate::session::{BodyMotion, JointTrajectory, PersonTrack, Reconstruction};
+use crate::session::{BodyMotion, JointTrajectory, PersonTrack, Reconstruction, Session};
 use nalgebra::Vector3;
+use std::borrow::Cow;
 
 /// Fitted stature of every person if a unit of the calibration is `scale` metres, by track.
 pub fn statures(
@@ -66,9 +71,15 @@ impl Solution {
         let metres_per_unit = scale.as_ref().map_or(1.0, |s| s.value);
         let given = !capture.estimates_extrinsics();
         let up_axis = if given { capture.session.up_axis.unwrap_or(options.up_axis) } else { options.up_axis };
-        if !given {
-            let world_from_solution =
-                world_from_solution(capture.session, &calibration.cameras, &trajectories, metres_per_unit, up_axis);
+        let cameras = &calibration.cameras;
+        let world_from_solution = match options.extrinsics {
+            Extrinsics::Estimate => {
+                Some(world_from_solution(capture.session, cameras, &trajectories, metres_per_unit, up_axis))
+            }
+            Extrinsics::Refine => given_from_solution(capture.session, cameras),
+            Extrinsics::Fixed => None,
+        };
+        if let Some(world_from_solution) = world_from_solution {
             move_into(&world_from_solution, &mut calibration.cameras, &mut trajectories);
         }
         Self { calibration, trajectories, metres_per_unit, scale, heldout_px, up_axis }
@@ -78,6 +89,7 @@ impl Solution {
     pub fn with_bodies(
         mut self,
         capture: &Capture,
+        focal_lengths: &mut FocalLengths,
         model: &BodyModel,
         progress: &Progress,
     ) -> Result<Reconstruction, PipelineError> {
@@ -90,20 +102,33 @@ impl Solution {
             motion_prior: capture.options.motion_prior != MotionPriorMode::None,
             completes_gaps: capture.options.motion_prior == MotionPriorMode::Denoiser,
             correlated_errors: capture.options.adjust_with_bodies && config.correlated_errors,
+            known_cameras: self.known_cameras(capture, focal_lengths),
             adjust_cameras: capture.options.adjust_with_bodies && capture.options.extrinsics != Extrinsics::Fixed,
             ..config
         };
-        let FittedBodies { motions, detector_model, mut detector, penetration, report, cameras, camera_covariance } =
-            fit_bodies(&input, &self.upright(capture), model, &config, progress)?;
+        let FittedBodies {
+            motions,
+            detector_model,
+            mut detector,
+            penetration,
+            report,
+            cameras,
+            camera_covariance,
+            focal,
+        } = fit_bodies(&input, &self.upright(capture), model, &config, progress)?;
         if is_monocular {
             detector.reason =
                 "a single view cannot separate keypoint bias of the detector from the poses of people".to_owned();
         }
         self.calibration.stages.push(report);
+        let session = match focal {
+            Some(focal) => Cow::Owned(focal_lengths.replace(self.placed_views().zip(focal.factors), capture.session)),
+            None => Cow::Borrowed(capture.session),
+        };
         if let Some(cameras) = cameras {
             self.take_over(cameras, camera_covariance.as_ref());
             let start = std::mem::take(&mut self.trajectories);
-            self.trajectories = joint_trajectories(&self.calibration.people(capture.session, &start), progress)?;
+            self.trajectories = joint_trajectories(&self.calibration.people(&session, &start), progress)?;
         }
         // A track whose trunk was never triangulated has no body and is left out of the result.
         let kept: Vec<PersonTrack> =
@@ -115,7 +140,7 @@ impl Solution {
                 trajectory.points = landmark_trajectory(&detector_model, motion, capture.session.convention).points;
             }
         }
-        let shown = TrackedPeople { tracks: &kept, ..self.calibration.people(capture.session, &self.trajectories) };
+        let shown = TrackedPeople { tracks: &kept, ..self.calibration.people(&session, &self.trajectories) };
         let statistics = FitStatistics::new(&shown, camera_covariance.as_ref());
         let mut report = Report { detector, ..self.report(capture, &shown, &statistics, penetration) };
         report.people.iter_mut().zip(&motions).for_each(|(person, motion)| person.joint_sigma_mm = joint_sigma(motion));
@@ -146,8 +171,26 @@ impl Solution {
                 sigma_position: sigma.position / self.metres_per_unit,
                 sigma_angle: sigma.angle,
                 sigma_delay: camera.uncertainty.and_then(|before| before.sigma_delay),
-                sigma_log_focal: camera.uncertainty.and_then(|before| before.sigma_log_focal),
             });
+        }
+    }
+
+    /// Indices of the views with a pose.
+    fn placed_views(&self) -> impl Iterator<Item = usize> + use<> {
+        let is_placed: Vec<bool> = self.calibration.cameras.iter().map(Option::is_some).collect();
+        (0..is_placed.len()).filter(move |&view| is_placed[view])
+    }
+
+    /// What the session gives of the placed cameras, as far as the options have it refined.
+    fn known_cameras(&self, capture: &Capture, refined: &FocalLengths) -> KnownCameras {
+        let (options, views) = (capture.options, &capture.session.views);
+        let focal_px = || self.placed_views().map(|v| views[v].intrinsics.focal() / refined.factor(v)).collect();
+        KnownCameras {
+            focal_px: (options.intrinsics == IntrinsicsMode::RefineFocal).then(focal_px),
+            poses: match options.extrinsics {
+                Extrinsics::Refine => self.placed_views().map(|view| views[view].camera_from_world).collect(),
+                Extrinsics::Estimate | Extrinsics::Fixed => None,
+            },
         }
     }
 
@@ -236,6 +279,15 @@ impl Solution {
 
 /// A camera whose own upright is further than this from the up axis looks steeply down, or the axis is wrong, rad.
 const MAX_CAMERA_TILT: f64 = 1.05; // 60 degrees
+
+/// From a world in which cameras were refined to that of the given ones, whose place and scale their adjustment does not keep;
+/// `None` with a single camera.
+fn given_from_solution(session: &Session, cameras: &[Option<Rigid>]) -> Option<Similarity> {
+    let pairs = session.views.iter().zip(cameras).filter_map(|(view, solved)| Some((solved.as_ref()?, view)));
+    let (solved, given): (Vec<Rigid>, Vec<Rigid>) =
+        pairs.filter_map(|(solved, view)| Some((*solved, view.camera_from_world?))).unzip();
+    similarity_from_cameras(&solved, &given).ok()
+}
 
 /// Moves cameras and points by a similarity.
 fn move_into(world_from_solution: &Similarity, cameras: &mut [Option<Rigid>], trajectories: &mut [JointTrajectory]) {

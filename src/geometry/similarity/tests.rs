@@ -106,3 +106,21 @@ fn composition_and_cameras_follow_the_points() {
     let (before, after) = (camera.transform(&x), a.move_camera(&camera).transform(&a.transform(&x)));
     assert!((after - before * a.scale).norm() < 1e-14, "the same direction, the target's unit");
 }
+
+/// Two cameras have one baseline: their orientations settle the turn about it.
+#[test]
+fn aligns_two_cameras_by_their_orientations() {
+    let truth = Similarity {
+        scale: 1.3,
+        rotation: rotation::exp(&Vector3::new(0.4, -1.2, 0.3)),
+        translation: Vector3::new(2.0, -1.0, 0.5),
+    };
+    let camera = |k: usize| {
+        let turn = Vector3::new(0.2, 1.1 * k as f64, -0.1);
+        Rigid { rotation: rotation::exp(&turn), translation: Vector3::new(0.1 * k as f64, 0.2, 4.0) }
+    };
+    let source = [camera(0), camera(1)];
+    let target = source.map(|camera| truth.move_camera(&camera));
+    assert!(distance(&similarity_from_cameras(&source, &target).unwrap(), &truth) < 1e-9);
+    assert_eq!(similarity_from_cameras(&source[..1], &target[..1]), Err(AlignError::Degenerate));
+}

@@ -3,18 +3,23 @@
 //! Bundle adjustment takes the detector's errors as independent. They are slow, so that what lies still says little and what
 //! moves says much: with the errors whitened the cameras' errors fall by a third on realistic noise.
 
+use super::camera_priors::{CameraPriors, OVERCOUNT};
 use super::context::FitContext;
-use super::joint_problem::{Errors, JointProblem, Member, Stopping};
+use super::focal_prior::{FocalPrior, RefinedFocal};
+use super::joint_problem::{Errors, JointProblem, Member, Minimum, Stopping};
 use super::noise_measurement::measured_noise;
 use super::observations::{Observations, PosedCamera};
 use super::person_fit::StartedMotion;
 use super::terms::border_priors::{BoneLengthPrior, KeypointBiasPrior};
+use super::terms::camera_unknowns::{CameraUnknowns, FOCAL};
 use super::terms::noise_process::PathNoise;
 use super::thinned_motion::carry_along;
 use crate::body::detector_offsets::OffsetTable;
 use crate::geometry::Rigid;
 use crate::geometry::free_network::CameraCovariance;
+use crate::pipeline::focal_spread::{FocalSpread, FoundFactors};
 use crate::progress::Canceled;
+use crate::session::reconstruction::FocalFactor;
 
 /// The detector's errors, and the cameras after the adjustment.
 #[derive(Debug, Clone)]
@@ -23,6 +28,8 @@ pub(super) struct AdjustedCameras {
     pub cameras: Option<Vec<Rigid>>,
     /// Of the adjusted cameras.
     pub covariance: Option<CameraCovariance>,
+    /// Focal lengths of the placed cameras; `None` where they were held.
+    pub focal: Option<RefinedFocal>,
     /// The detector's errors.
     pub noise: PathNoise,
 }
@@ -76,7 +83,7 @@ pub(super) fn correlated_errors(
         };
         started.iter().flatten().map(member).collect()
     };
-    let (mut cameras, mut covariance, mut measured) = (None, None, None);
+    let (mut cameras, mut focal, mut covariance, mut measured) = (None, None, None, None);
     if context.config.adjust_cameras {
         let n_tracked: usize = started.iter().flatten().map(|(observations, _)| observations.pixels.len()).sum();
         let informative = informative_stride(context, &seen_most(started));
@@ -86,8 +93,14 @@ pub(super) fn correlated_errors(
         };
         let mut adjusted: Vec<Member> = started.iter().flatten().map(spread).collect();
         let thinned = FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context };
+        let mut priors = CameraPriors::new(&context.config.known_cameras);
         for _ in 0..N_ROUNDS {
-            covariance = adjust(&thinned, &mut adjusted, true, &STOPPING)?;
+            let round = adjust(&thinned, &mut adjusted, Some(&priors), &STOPPING)?;
+            covariance = round.covariance;
+            if let (Some((found, spread)), Some(prior)) = (round.focal, &mut priors.focal) {
+                prior.spread = spread;
+                focal = Some(found);
+            }
         }
         cameras = adjusted.first().map(|member| member.observations.cameras.clone());
         for ((observations, started), member) in started.iter_mut().flatten().zip(&adjusted) {
@@ -99,13 +112,13 @@ pub(super) fn correlated_errors(
         let mut members: Vec<Member> = seen_most(started).into_iter().zip(adjusted).map(with_bones).collect();
         if stride > 1 {
             // Frames between adjusted ones do not show the detector's errors before they have settled.
-            adjust(context, &mut members, false, &Stopping { max_iterations: 1, ..STOPPING })?;
+            adjust(context, &mut members, None, &Stopping { max_iterations: 1, ..STOPPING })?;
         }
         measured = Some(measured_noise(context, &members));
     }
     let noise = measured.unwrap_or_else(|| measured_noise(context, &seen_most(started)));
     let poses = |cameras: Vec<PosedCamera>| cameras.iter().map(|camera| camera.camera_from_world).collect();
-    Ok(Some(AdjustedCameras { cameras: cameras.map(poses), noise, covariance }))
+    Ok(Some(AdjustedCameras { cameras: cameras.map(poses), focal, noise, covariance }))
 }
 
 /// Every how many frames the adjustment takes one, by how much each says that is new.
@@ -116,13 +129,20 @@ fn informative_stride(context: &FitContext, members: &[Member]) -> usize {
     (2..=longest).rev().find(|&stride| typical.after(stride) >= MIN_SHARED).unwrap_or(1)
 }
 
-/// Measures the errors of all members, and adjusts motions and cameras under them.
+/// What one round of the adjustment says of the cameras.
+struct Round {
+    covariance: Option<CameraCovariance>,
+    /// Focal lengths, where they are unknowns, and the likeliest spread of their errors.
+    focal: Option<(RefinedFocal, FocalSpread)>,
+}
+
+/// Measures the errors of all members, and adjusts motions and, as far as they are not held, cameras under them.
 fn adjust(
     context: &FitContext,
     members: &mut [Member],
-    moves_cameras: bool,
+    cameras: Option<&CameraPriors>,
     stopping: &Stopping,
-) -> Result<Option<CameraCovariance>, Canceled> {
+) -> Result<Round, Canceled> {
     let noise = measured_noise(context, members);
     let problem = JointProblem {
         context,
@@ -132,10 +152,29 @@ fn adjust(
         shape_prior: context.config.shape_prior,
         bone_prior: BoneLengthPrior { sigma: BONE_SIGMA, correlated_frames: 1.0 },
         bias_prior: KeypointBiasPrior { sigmas: Vec::new(), correlated_frames: 1.0 },
-        moves_cameras,
+        cameras,
     };
-    problem.minimised(members, Vec::new(), stopping)?;
-    Ok(problem.camera_covariance(members, noise.typical().autocorrelation))
+    let minimum = problem.minimised(members, Vec::new(), stopping)?;
+    let focal = cameras.and_then(|priors| priors.focal.as_ref()).and_then(|prior| refined_focal(&minimum, prior));
+    Ok(Round { covariance: problem.camera_covariance(members, noise.typical().autocorrelation), focal })
+}
+
+/// Focal lengths at a minimum under `prior`, and the likeliest spread of their errors.
+fn refined_focal(minimum: &Minimum, prior: &FocalPrior) -> Option<(RefinedFocal, FocalSpread)> {
+    let log_factors = prior.log_factors(&minimum.session.cameras);
+    let covariance = minimum.reduced.as_ref()?.covariance();
+    let n_camera = CameraUnknowns { focal: true }.len();
+    let first = covariance.nrows() - n_camera * log_factors.len();
+    let columns: Vec<usize> = (0..log_factors.len()).map(|camera| first + n_camera * camera + FOCAL).collect();
+    let covariance = covariance.select_rows(&columns).select_columns(&columns) * OVERCOUNT;
+    let factor = |k: usize| {
+        let value = log_factors[k].exp();
+        FocalFactor { value, sigma: value * covariance[(k, k)].max(0.0).sqrt() }
+    };
+    let factors = (0..log_factors.len()).map(factor).collect();
+    let (spread, log_evidence) =
+        FocalSpread::likeliest(&FoundFactors::new(&log_factors, covariance.clone(), prior.spread)?);
+    Some((RefinedFocal { factors, log_evidence }, spread))
 }
 
 /// The first fit goes on from where the adjustment ended; frames between adjusted ones are carried along.

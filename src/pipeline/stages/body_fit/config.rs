@@ -1,5 +1,6 @@
 //! Settings of the fit.
 
+use crate::geometry::Rigid;
 use crate::residuals::pose_likelihood::PoseWeights;
 
 /// Every number of the fit.
@@ -56,6 +57,8 @@ pub struct BodyFitConfig {
     pub correlated_errors: bool,
     /// Whether the cameras are adjusted together with the motions under these errors.
     pub adjust_cameras: bool,
+    /// What is known of the cameras that are adjusted.
+    pub known_cameras: KnownCameras,
     /// Whether the keypoint bias of the detector is estimated.
     pub estimate_keypoint_bias: bool,
     /// Most frames of one person, and of all together, that the estimate of the keypoint bias uses.
@@ -64,6 +67,15 @@ pub struct BodyFitConfig {
     pub max_iterations: [usize; 2],
     /// A step that lowers the cost by less than this share is the last.
     pub min_decrease: f64,
+}
+
+/// What is known of the placed cameras, by camera.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct KnownCameras {
+    /// Given focal lengths, px, where they are refined; `None`: they are held.
+    pub focal_px: Option<Vec<f64>>,
+    /// Given `camera_from_world`; `None`: nothing is known of the poses.
+    pub poses: Option<Vec<Rigid>>,
 }
 
 impl Default for BodyFitConfig {
@@ -111,6 +123,7 @@ impl Default for BodyFitConfig {
             halo_frames: 30,
             correlated_errors: true,
             adjust_cameras: false,
+            known_cameras: KnownCameras::default(),
             estimate_keypoint_bias: true,
             // Six seconds of walking or talking turn every limb; offsets are shared, so that more people need less of each.
             bias_frames: [180, 360],

@@ -4,6 +4,7 @@ use super::camera_adjustment::correlated_errors;
 use super::collision_resolution::resolve_collisions;
 use super::config::BodyFitConfig;
 use super::context::FitContext;
+use super::focal_prior::RefinedFocal;
 use super::joint_uncertainty::joint_sigmas;
 use super::keypoint_bias::estimated_bias;
 use super::monocular::lifting::lifted;
@@ -37,6 +38,8 @@ pub struct FittedBodies {
     pub cameras: Option<Vec<Rigid>>,
     /// Theirs, m and rad; `None` where they were held or the session does not determine them.
     pub camera_covariance: Option<CameraCovariance>,
+    /// Focal lengths of the placed cameras, where they were refined with the motions.
+    pub focal: Option<RefinedFocal>,
     /// Iterations, costs and residuals.
     pub report: StageReport,
 }
@@ -100,14 +103,18 @@ pub fn fit_bodies(
         adjusted.as_ref().map_or((None, None), |adjusted| (adjusted.cameras.clone(), adjusted.covariance.clone()));
     let sigmas = |person: &PersonFit| joint_sigmas(&context, person, camera_covariance.as_ref());
     let sigmas: Vec<_> = people.par_iter().map(sigmas).collect();
+    let focal = adjusted.as_ref().and_then(|adjusted| adjusted.focal.clone());
+    let mut report = stage_report(&people, input.tracks.len());
+    report.metrics.extend(focal.as_ref().map(|focal| ("focal_log_evidence".to_owned(), focal.log_evidence)));
     Ok(FittedBodies {
-        report: stage_report(&people, input.tracks.len()),
+        report,
         motions: people.iter().zip(sigmas).map(|(person, sigmas)| body_motion(model, person, sigmas)).collect(),
         detector,
         detector_model,
         penetration,
         cameras,
         camera_covariance,
+        focal,
     })
 }
 

@@ -6,22 +6,24 @@
 
 mod camera_covariance;
 
+use super::camera_priors::CameraPriors;
 use super::context::FitContext;
 use super::motion_problem::MotionProblem;
 use super::objective::Objective;
 use super::observations::{Observations, PosedCamera};
 use super::person_fit::StartedMotion;
 use super::pixel_residuals::{DetectedPixels, pixel_share};
+use super::session_state::SessionState;
 use super::terms::border_priors::{BoneLengthPrior, KeypointBiasPrior};
 use super::terms::noise_process::PathNoise;
 use super::terms::term::BorderTerm;
-use super::terms::unknowns::{Border, MotionState, Shape};
+use super::terms::unknowns::{Border, CameraColumns, MotionState, Shape};
 use super::terms::whitened_pixels::WhitenedPixels;
 use crate::body::BodyModel;
 use crate::body::bone_offsets::{BoneOffsets, with_bones};
 use crate::body::detector_offsets::OffsetTable;
-use crate::geometry::{Rigid, free_network};
 use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, Eliminated, damped};
+use crate::optim::determinant::half_log_det;
 use crate::progress::Canceled;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Vector3};
 use rayon::prelude::*;
@@ -61,8 +63,8 @@ pub(super) struct JointProblem<'a> {
     pub shape_prior: f64,
     pub bone_prior: BoneLengthPrior,
     pub bias_prior: KeypointBiasPrior,
-    /// Whether the cameras are unknowns.
-    pub moves_cameras: bool,
+    /// What is known of the cameras; `None`: they are held.
+    pub cameras: Option<&'a CameraPriors>,
 }
 
 /// When a minimisation ends.
@@ -79,9 +81,7 @@ pub(super) struct Stopping {
 
 /// The unknowns of the session at the minimum.
 pub(super) struct Minimum {
-    /// Offsets of the keypoints by kind, m.
-    pub offsets: Vec<Vector3<f64>>,
-    cameras: Vec<PosedCamera>,
+    pub session: SessionState,
     pub cost: f64,
     /// The system of the session before the last step; `None` where it could not be factored.
     pub reduced: Option<Reduced>,
@@ -100,38 +100,35 @@ impl JointProblem<'_> {
     ) -> Result<Minimum, Canceled> {
         let cameras = members.first().map_or_else(Vec::new, |member| member.observations.cameras.clone());
         let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
-        let cost = self.cost(members, &pixels, &offsets);
-        let mut minimum = Minimum { offsets, cameras, cost, reduced: None };
+        let session = SessionState { offsets, cameras };
+        let cost = self.cost(members, &pixels, &session);
+        let mut minimum = Minimum { session, cost, reduced: None };
         let mut damping = DAMPING;
         for _ in 0..stopping.max_iterations {
             self.context.progress.check()?;
             let none = || vec![BlockBanded::default(); members.len()];
             let systems = minimum.reduced.take().map_or_else(none, Reduced::into_systems);
-            let reduced = self.reduced((members, &pixels), &minimum.offsets, &minimum.cameras, systems, damping);
-            let Some(reduced) = reduced else {
-                break;
-            };
+            let reduced = self.reduced((members, &pixels), &minimum.session, systems, damping);
+            let Some(reduced) = reduced else { break };
             let step = reduced.solved(damping);
             let is_small = step.as_ref().is_some_and(|step| reduced.rms_sigmas(step) < stopping.min_sigmas);
             minimum.reduced = Some(reduced);
             let Some(step) = step else { break };
-            let offsets: Vec<Vector3<f64>> =
-                minimum.offsets.iter().enumerate().map(|(k, o)| o + step.session.fixed_rows::<3>(3 * k)).collect();
-            let cameras = self.moved_cameras(&minimum.cameras, &step.session);
+            let session = minimum.session.moved(&step.session, self.camera_columns(minimum.session.cameras.len()));
             let moved = self.moved((members, &pixels), &step);
             let before: Vec<(MotionState, BoneOffsets)> =
-                members.iter_mut().zip(moved).map(|(member, moved)| member.replaced(moved, &cameras)).collect();
-            let cost = self.cost(members, &pixels, &offsets);
+                members.iter_mut().zip(moved).map(|(member, moved)| member.replaced(moved, &session.cameras)).collect();
+            let cost = self.cost(members, &pixels, &session);
             if cost < minimum.cost {
                 let is_done = is_small || minimum.cost - cost < stopping.min_decrease;
-                minimum = Minimum { offsets, cameras, cost, ..minimum };
+                minimum = Minimum { session, cost, ..minimum };
                 damping *= 0.1;
                 if is_done {
                     break;
                 }
             } else {
                 for (member, before) in members.iter_mut().zip(before) {
-                    member.replaced(before, &minimum.cameras);
+                    member.replaced(before, &minimum.session.cameras);
                 }
                 damping = (damping * 20.0).max(1e-6);
             }
@@ -140,7 +137,11 @@ impl JointProblem<'_> {
     }
 
     fn border(&self, n_cameras: usize) -> Border<'_> {
-        Border { shape: Shape::Free, bias: Some(self.table), n_cameras: if self.moves_cameras { n_cameras } else { 0 } }
+        Border { shape: Shape::Free, bias: Some(self.table), cameras: self.camera_columns(n_cameras) }
+    }
+
+    fn camera_columns(&self, n_cameras: usize) -> CameraColumns {
+        self.cameras.map_or_else(CameraColumns::default, |priors| priors.columns(n_cameras))
     }
 
     fn border_of(&self, member: &Member) -> Border<'_> {
@@ -167,29 +168,29 @@ impl JointProblem<'_> {
         let context = FitContext { model, ..*self.context };
         Objective {
             bias: Some(self.table),
-            n_cameras: self.border_of(member).n_cameras,
+            cameras: self.border_of(member).cameras,
             shape_prior: self.shape_prior,
             ..Objective::new(&context, context.config, &member.observations, pixels.source(), Shape::Free)
         }
         .problem()
     }
 
-    fn cost(&self, members: &[Member], pixels: &[DetectedPixels], offsets: &[Vector3<f64>]) -> f64 {
-        let model = self.table.applied(self.context.model, offsets);
+    fn cost(&self, members: &[Member], pixels: &[DetectedPixels], session: &SessionState) -> f64 {
+        let model = self.table.applied(self.context.model, &session.offsets);
         let person = |(member, pixels): (&Member, &DetectedPixels)| {
             let own = with_bones(&model, &member.bones);
             self.problem(&own, member, pixels).cost(&member.state) + self.bone_prior.cost(&flat(&member.bones))
         };
         let people: Vec<f64> = members.par_iter().zip(pixels).map(person).collect();
-        people.iter().sum::<f64>() + self.bias_prior.cost(&flat(offsets))
+        let of_cameras = self.cameras.map_or(0.0, |priors| priors.cost(&session.cameras));
+        people.iter().sum::<f64>() + self.bias_prior.cost(&flat(&session.offsets)) + of_cameras
     }
 
     /// The normal equations of the session's unknowns, with each person's own eliminated, in the memory of `systems`.
     fn reduced(
         &self,
         (members, pixels): (&[Member], &[DetectedPixels]),
-        offsets: &[Vector3<f64>],
-        cameras: &[PosedCamera],
+        SessionState { offsets, cameras }: &SessionState,
         systems: Vec<BlockBanded>,
         damping: f64,
     ) -> Option<Reduced> {
@@ -206,6 +207,9 @@ impl JointProblem<'_> {
         let (n_own, n) = (border.person().len(), border.session().len());
         let mut session = Corner::zeros(n);
         self.bias_prior.add_to(&flat(offsets), 0, &mut session);
+        if let Some(priors) = self.cameras {
+            priors.add_to(cameras, border.keypoint_bias().len(), &mut session);
+        }
         let Corner { mut hessian, gradient } = session;
         let mut right = -gradient;
         let bias = 0..border.keypoint_bias().len();
@@ -222,7 +226,7 @@ impl JointProblem<'_> {
             right += person.right.rows(n_own, n) - across.tr_mul(&rest);
             own_parts.push((by_session, rest));
         }
-        let basis = self.moves_cameras.then(|| session_basis(3 * offsets.len(), cameras));
+        let basis = self.cameras.map(|priors| priors.basis(3 * offsets.len(), cameras));
         if let Some(basis) = &basis {
             hessian = basis.tr_mul(&(hessian * basis));
             right = basis.tr_mul(&right);
@@ -239,18 +243,6 @@ impl JointProblem<'_> {
             (self.problem(self.context.model, member, pixels).moved(&member.state, step), std::array::from_fn(bone))
         };
         members.par_iter().zip(pixels).zip(&step.motions).map(moved).collect()
-    }
-
-    fn moved_cameras(&self, cameras: &[PosedCamera], session: &DVector<f64>) -> Vec<PosedCamera> {
-        if !self.moves_cameras {
-            return cameras.to_vec();
-        }
-        let first = session.len() - 6 * cameras.len();
-        let moved = |(i, camera): (usize, &PosedCamera)| {
-            let part = |k: usize| session.fixed_rows::<3>(first + 6 * i + k).into_owned();
-            PosedCamera { camera_from_world: camera.camera_from_world.perturbed_left(&part(0), &part(3)), ..*camera }
-        };
-        cameras.iter().enumerate().map(moved).collect()
     }
 }
 
@@ -284,6 +276,8 @@ impl Member {
 
 /// A step of all unknowns.
 struct Step {
+    /// The session's in the directions in which they move.
+    free: DVector<f64>,
     /// Offsets, then cameras.
     session: DVector<f64>,
     motions: Vec<BandedStep>,
@@ -320,7 +314,7 @@ impl Reduced {
             person.step(DVector::from_iterator(own.len() + session.len(), border))
         };
         let motions = self.people.iter().zip(&self.own_parts).map(motion).collect::<Option<_>>()?;
-        Some(Step { session, motions })
+        Some(Step { free, session, motions })
     }
 
     /// Covariance of the session's unknowns if the cost is a negative log likelihood.
@@ -331,28 +325,12 @@ impl Reduced {
 
     /// Root mean square of a step over the session's unknowns in their standard deviations.
     fn rms_sigmas(&self, step: &Step) -> f64 {
-        let free = self.basis.as_ref().map_or_else(|| step.session.clone(), |basis| basis.tr_mul(&step.session));
-        (free.dot(&(&self.hessian * &free)) / free.len().max(1) as f64).max(0.0).sqrt()
+        let free = &step.free;
+        (free.dot(&(&self.hessian * free)) / free.len().max(1) as f64).max(0.0).sqrt()
     }
-}
-
-/// `log |A| / 2` of a matrix `A = L L^T`.
-fn half_log_det(cholesky: &Cholesky<f64, Dyn>) -> f64 {
-    cholesky.l_dirty().diagonal().iter().map(|d| d.ln()).sum()
 }
 
 /// The numbers of offsets, three each.
 pub(super) fn flat(offsets: &[Vector3<f64>]) -> Vec<f64> {
     offsets.iter().flat_map(|offset| offset.iter().copied()).collect()
-}
-
-/// All directions of `n_others` unknowns, and those of a free network.
-fn session_basis(n_others: usize, cameras: &[PosedCamera]) -> DMatrix<f64> {
-    let poses: Vec<Rigid> = cameras.iter().map(|camera| camera.camera_from_world).collect();
-    let of_cameras = free_network::basis(&poses);
-    let (n, n_free) = of_cameras.shape();
-    let mut basis = DMatrix::zeros(n_others + n, n_others + n_free);
-    basis.view_mut((0, 0), (n_others, n_others)).fill_with_identity();
-    basis.view_mut((n_others, n_others), (n, n_free)).copy_from(&of_cameras);
-    basis
 }

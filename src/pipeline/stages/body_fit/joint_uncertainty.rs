@@ -17,7 +17,8 @@ use super::objective::Objective;
 use super::person_fit::windows;
 use super::person_motion::PersonFit;
 use super::pixel_residuals::{DetectedPixels, variance_per_residual};
-use super::terms::unknowns::{MotionState, Shape, TRANSLATION_GROUP, Unknowns};
+use super::terms::camera_unknowns::CameraUnknowns;
+use super::terms::unknowns::{CameraColumns, MotionState, Shape, TRANSLATION_GROUP, Unknowns};
 use crate::body::bone_offsets::joint_by_bones;
 use crate::body::detector_offsets::OffsetTable;
 use crate::body::kinematics::{PosedSkeleton, joint_by_rotation, joints_by_betas, posed};
@@ -59,7 +60,8 @@ fn window_sigmas(
     let table = OffsetTable::empty(context.model);
     let objective = Objective::new(context, context.config, &observations, pixels.source(), Shape::Free);
     let n_cameras = cameras.map_or(0, CameraCovariance::n_cameras);
-    let problem = Objective { bias: Some(&table), n_cameras, speeds: Some(&state), ..objective }.problem();
+    let columns = CameraColumns { n_cameras, unknowns: CameraUnknowns::default() };
+    let problem = Objective { bias: Some(&table), cameras: columns, speeds: Some(&state), ..objective }.problem();
     let (unknowns, border) = (&problem.unknowns, problem.unknowns.border);
     let mut system = BlockBanded::default();
     problem.linearise(&state, &mut system);
@@ -80,7 +82,8 @@ fn window_sigmas(
             let measured = variance(&by_frame, of_frame) + variance(&by(border.betas()), &of_betas);
             let of_bones = BONE_SIGMA * BONE_SIGMA * by(border.bones()).norm_squared();
             let position = &skeleton.joints[joint];
-            let of_cameras = cameras.map_or(0.0, |cameras| cameras.point_variance(position, &by(border.cameras())));
+            let of_cameras =
+                cameras.map_or(0.0, |cameras| cameras.point_variance(position, &by(border.camera_columns())));
             sigmas[t][joint] = (errors * measured + of_bones + of_cameras).max(0.0).sqrt();
         }
     });

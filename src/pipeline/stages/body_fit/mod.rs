@@ -22,11 +22,14 @@
 //! | `person_motion` | a fit on the session's time line, its published motion and statistics |
 
 mod camera_adjustment;
+mod camera_pose_prior;
+mod camera_priors;
 mod capsule_overlaps;
 mod collision_resolution;
 mod config;
 mod context;
 mod fit;
+mod focal_prior;
 mod gap_completion;
 mod initial_motion;
 mod joint_problem;
@@ -43,6 +46,7 @@ mod person_fit;
 mod person_motion;
 mod pixel_residuals;
 mod session_bias;
+mod session_state;
 mod terms;
 #[cfg(test)]
 mod tests;
@@ -50,6 +54,7 @@ mod tests;
 mod tests_simulated;
 mod thinned_motion;
 
-pub use config::BodyFitConfig;
+pub use config::{BodyFitConfig, KnownCameras};
 pub use fit::{FittedBodies, fit_bodies, fitted_statures};
+pub use focal_prior::RefinedFocal;
 pub use person_motion::landmark_trajectory;

@@ -15,7 +15,7 @@ use super::terms::joint_limits::JointLimits;
 use super::terms::pose_prior::PosePrior;
 use super::terms::smoothness::Smoothness;
 use super::terms::term::{FrameTerm, WindowTerm};
-use super::terms::unknowns::{Border, MotionState, Shape, Unknowns};
+use super::terms::unknowns::{Border, CameraColumns, MotionState, Shape, Unknowns};
 use super::terms::window::RobustAcceleration;
 use crate::body::BodyModel;
 use crate::body::detector_offsets::OffsetTable;
@@ -36,8 +36,8 @@ pub(super) struct Objective<'a> {
     pub shape_prior: f64,
     /// Keypoint offsets as unknowns, with the person's bone offsets; their values are in `model`.
     pub bias: Option<&'a OffsetTable>,
-    /// Number of cameras whose poses are unknowns.
-    pub n_cameras: usize,
+    /// The cameras, where they are unknowns.
+    pub cameras: CameraColumns,
     /// The motion whose speeds scale the sigmas of accelerations; without one they are those of typical speeds.
     pub speeds: Option<&'a MotionState>,
     /// Joints that the motion prior completes, where it does.
@@ -75,7 +75,7 @@ impl<'a> Objective<'a> {
             shape,
             shape_prior: config.shape_prior,
             bias: None,
-            n_cameras: 0,
+            cameras: CameraColumns::default(),
             speeds: None,
             completion: None,
             collisions: None,
@@ -86,7 +86,7 @@ impl<'a> Objective<'a> {
 
     /// Unknowns shared by all frames.
     pub(super) fn border(&self) -> Border<'a> {
-        Border { shape: self.shape, bias: self.bias, n_cameras: self.n_cameras }
+        Border { shape: self.shape, bias: self.bias, cameras: self.cameras }
     }
 
     /// Factor of a frame's cost.

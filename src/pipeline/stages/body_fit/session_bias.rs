@@ -90,15 +90,15 @@ pub(super) fn session_bias(
         shape_prior: CORRELATED_FRAMES,
         bone_prior: BoneLengthPrior { sigma: hypothesis.bone_sigma(), correlated_frames },
         bias_prior: KeypointBiasPrior { sigmas: prior_sigmas.clone(), correlated_frames },
-        moves_cameras: false,
+        cameras: None,
     };
-    let Minimum { offsets, cost, reduced, .. } = problem.minimised(members, start, &STOPPING)?;
+    let Minimum { session, cost, reduced } = problem.minimised(members, start, &STOPPING)?;
     // The data count once in [`CORRELATED_FRAMES`].
     let sigmas = reduced.as_ref().map_or(prior_sigmas, |reduced| {
         let covariance = reduced.covariance() * CORRELATED_FRAMES;
         let sigma = |k: usize| Vector3::from_fn(|axis, _| covariance[(3 * k + axis, 3 * k + axis)].max(0.0).sqrt());
-        (0..offsets.len()).map(sigma).collect()
+        (0..table.kinds.len()).map(sigma).collect()
     });
     let log_volume = reduced.map_or(0.0, |reduced| reduced.log_volume);
-    Ok(SessionBias { offsets, sigmas, cost, log_volume, hypothesis })
+    Ok(SessionBias { offsets: session.offsets, sigmas, cost, log_volume, hypothesis })
 }

@@ -25,7 +25,7 @@ use crate::geometry::Rigid;
 use crate::geometry::free_network::CameraCovariance;
 use crate::optim::arrow::{self, Block};
 use crate::optim::robust::geman_mcclure;
-use crate::pipeline::calibration::CameraUncertainty;
+use crate::pipeline::calibration::{CameraUncertainty, FocalEstimate};
 use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 
@@ -41,31 +41,48 @@ const MIN_REST: f64 = 0.05;
 /// Ridge relative to the diagonal: far above rounding, far below the information of any block.
 const RIDGE: f64 = 1e-9;
 
-/// Uncertainty per view; `None` for views that did not move, and for all views where one of them is undetermined.
-pub(super) fn camera_uncertainties(
-    problem: &Problem,
-    state: &State,
-    block_frames: usize,
-) -> Vec<Option<CameraUncertainty>> {
+/// Uncertainties of the cameras.
+pub(super) struct Uncertainties {
+    /// Per view; `None` for views that did not move, and for all views where one of them is undetermined.
+    pub(super) cameras: Vec<Option<CameraUncertainty>>,
+    /// Focal factors of the views that moved, where they were refined and are determined.
+    pub(super) focal: Option<FocalEstimate>,
+}
+
+/// Estimates the uncertainties from blocks of `block_frames` frames.
+pub(super) fn camera_uncertainties(problem: &Problem, state: &State, block_frames: usize) -> Uncertainties {
     let moving: Vec<(usize, usize, Rigid)> = (state.cameras.iter().zip(&problem.layout.camera_columns).enumerate())
         .filter_map(|(view, (camera, first))| Some((view, (*first)?, camera.as_ref()?.camera_from_world)))
         .collect();
     let mut uncertainties = vec![None; state.cameras.len()];
     let poses: Vec<Rigid> = moving.iter().map(|&(_, _, pose)| pose).collect();
-    let Some(border) = border_covariance(problem, state, block_frames) else { return uncertainties };
+    let border = border_covariance(problem, state, block_frames);
     let rows: Vec<usize> = moving.iter().flat_map(|&(_, first, _)| first..first + 6).collect();
-    if let Some(covariance) = CameraCovariance::new(poses, border.select_rows(&rows).select_columns(&rows)) {
+    let of_cameras =
+        |border: &DMatrix<f64>| CameraCovariance::new(poses, border.select_rows(&rows).select_columns(&rows));
+    if let Some((border, covariance)) = border.as_ref().and_then(|border| Some((border, of_cameras(border)?))) {
         for (&(view, first, _), sigma) in moving.iter().zip(covariance.pose_sigmas()) {
-            let sigma_delay = sigma_delay(&border, problem.layout.delay, moving[0].1, first);
-            let sigma_log_focal = problem.layout.focal.map(|place| {
-                let at = first + place;
-                border[(at, at)].max(0.0).sqrt()
-            });
+            let sigma_delay = sigma_delay(border, problem.layout.delay, moving[0].1, first);
             let (sigma_position, sigma_angle) = (sigma.position, sigma.angle);
-            uncertainties[view] = Some(CameraUncertainty { sigma_position, sigma_angle, sigma_delay, sigma_log_focal });
+            uncertainties[view] = Some(CameraUncertainty { sigma_position, sigma_angle, sigma_delay });
         }
     }
-    uncertainties
+    let focal = problem.layout.focal.zip(border).map(|(place, border)| {
+        let rows: Vec<usize> = moving.iter().map(|&(_, first, _)| first + place).collect();
+        let log_factor =
+            |&(view, _, _): &(usize, usize, Rigid)| state.cameras[view].as_ref().map_or(0.0, |c| c.log_focal);
+        FocalEstimate {
+            views: moving.iter().map(|&(view, _, _)| view).collect(),
+            log_factors: moving.iter().map(log_factor).collect(),
+            covariance: border
+                .select_rows(&rows)
+                .select_columns(&rows)
+                .row_iter()
+                .map(|r| r.iter().copied().collect())
+                .collect(),
+        }
+    });
+    Uncertainties { cameras: uncertainties, focal }
 }
 
 /// Standard deviation of the difference of two cameras' delays; `reference`, `first`: columns of their first unknowns.

@@ -65,8 +65,8 @@ impl Default for AdjustmentConfig {
             final_iterations: 30,
             // 1e-6 of the cost is below 0.1 sigma of any parameter with more than 100 observations.
             relative_decrease: 1e-6,
-            // Focal lengths from a lens's data sheet are seldom more than 5 % off.
-            focal_sigma: 0.05,
+            // A guessed angle of view. How far the focal lengths really are off is decided afterwards.
+            focal_sigma: 0.1,
             // The path of a keypoint is straight for some two frames.
             delay_sigma: 2.0,
             // 2 s at 25 Hz: detector errors are correlated over some 10 frames (AR(0.9)); a block must span several.

@@ -25,6 +25,7 @@ use crate::optim::robust::median;
 use crate::pipeline::calibration::{Adjusted, AdjustedCamera};
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::StageReport;
+use covariance::{Uncertainties, camera_uncertainties};
 use input::{AdjustmentConfig, AdjustmentInput};
 use problem::Problem;
 use variables::State;
@@ -52,9 +53,9 @@ pub fn adjust(
     problem.robust_scale = config.scale.end;
     let cost_before = problem.cost(&start);
     let outcome = descend(&mut problem, start, &schedule.scales(), config, progress)?;
-    let uncertainties = match config.uncertainty_block_frames {
-        Some(frames) => covariance::camera_uncertainties(&problem, &outcome.state, frames),
-        None => vec![None; input.cameras.len()],
+    let Uncertainties { cameras: uncertainties, focal } = match config.uncertainty_block_frames {
+        Some(frames) => camera_uncertainties(&problem, &outcome.state, frames),
+        None => Uncertainties { cameras: vec![None; input.cameras.len()], focal: None },
     };
     progress.check()?;
 
@@ -75,7 +76,7 @@ pub fn adjust(
         .collect();
     let points = problem.points_by_keypoint(&input.keyframes, &outcome.state);
     let bone_lengths = problem.bone_lengths(&outcome.state);
-    Ok((Adjusted { cameras, points, bone_lengths }, report))
+    Ok((Adjusted { cameras, points, bone_lengths, focal }, report))
 }
 
 /// Minimises at each robust scale in turn.

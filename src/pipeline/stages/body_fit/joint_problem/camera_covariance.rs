@@ -18,6 +18,8 @@
 //!   shares, so that hardly any of it is left in the residuals.
 
 use super::super::pixel_residuals::{DetectedPixels, variance_per_residual};
+use super::super::session_state::SessionState;
+use super::super::terms::camera_unknowns::POSE;
 use super::super::terms::whitened_pixels::scores::Movements;
 use super::super::terms::window::TrackedLandmark;
 use super::{JointProblem, Member, Reduced, with_bones};
@@ -39,8 +41,9 @@ impl JointProblem<'_> {
     pub(in super::super) fn camera_covariance(&self, members: &[Member], slow: f64) -> Option<CameraCovariance> {
         let cameras = &members.first()?.observations.cameras;
         let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
+        let session = SessionState { offsets: Vec::new(), cameras: cameras.clone() };
         let systems = vec![BlockBanded::default(); members.len()];
-        let reduced = self.reduced((members, &pixels), &[], cameras, systems, 0.0)?;
+        let reduced = self.reduced((members, &pixels), &session, systems, 0.0)?;
         let basis = reduced.basis.as_ref()?;
         let n_free = basis.ncols();
         let (mut spread, mut n_independent) = (DMatrix::zeros(n_free, n_free), 0.0);
@@ -54,7 +57,9 @@ impl JointProblem<'_> {
             return None;
         }
         spread *= n_independent / n_left;
-        let inverse = basis * reduced.factor.inverse();
+        let n = self.camera_columns(cameras.len()).unknowns.len();
+        let poses: Vec<usize> = (0..cameras.len()).flat_map(|camera| n * camera..n * camera + POSE).collect();
+        let inverse = basis.select_rows(&poses) * reduced.factor.inverse();
         let covariance = &inverse * spread * inverse.transpose();
         CameraCovariance::new(cameras.iter().map(|camera| camera.camera_from_world).collect(), covariance)
     }
@@ -83,7 +88,8 @@ impl JointProblem<'_> {
             |(t, landmarks): (usize, &Vec<TrackedLandmark>)| landmarks.iter().map(|l| movement(t, l)).collect();
         let landmarks: Vec<Vec<Matrix3xX<f64>>> = paths.iter().enumerate().map(of_frame).collect();
         let positions = paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect();
-        let movements = Movements { landmarks: &landmarks, cameras: basis };
+        let of_camera = self.camera_columns(member.observations.cameras.len()).unknowns;
+        let movements = Movements { landmarks: &landmarks, cameras: basis, of_camera };
         let channels = over_time.scores(&member.observations.cameras, &positions, &movements);
         let n_unknowns = (3 * problem.unknowns.n_groups()) as f64;
         let n_neighbours = (over_time.landmarks.len() as f64 / N_REGIONS - 1.0).max(0.0);

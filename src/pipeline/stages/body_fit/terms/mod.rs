@@ -17,6 +17,7 @@
 //! all frames.
 
 pub(crate) mod border_priors;
+pub(crate) mod camera_unknowns;
 pub(crate) mod collision;
 pub(crate) mod completion;
 pub(crate) mod data;

@@ -1,9 +1,10 @@
 //! Blocks of the paths' term in the Gauss-Newton system: from positions of landmarks to the unknowns that move them.
 
 use super::super::observations::PosedCamera;
+use super::camera_unknowns::{FOCAL, POSE};
 use super::landmark_jacobian::BorderJacobian;
 use super::term::RUN;
-use super::unknowns::Unknowns;
+use super::unknowns::{CameraColumns, Unknowns};
 use super::whitened_pixels::{PathBlocks, Positions, WhitenedPixels};
 use super::window::TrackedLandmark;
 use crate::optim::block_banded::{BlockBanded, Corner, FramePanel};
@@ -24,9 +25,15 @@ pub(crate) fn add_paths(
     let border = &unknowns.border;
     let positions: Positions =
         paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect();
-    let blocks = term.blocks(cameras, &positions, border.n_cameras > 0);
-    let (n_border, cameras) = (border.len(), border.cameras());
-    let linear = LinearPaths { blocks: &blocks, paths, first_camera: cameras.start, has_border: n_border > 0 };
+    let blocks = term.blocks(cameras, &positions, border.cameras);
+    let (n_border, cameras) = (border.len(), border.camera_columns());
+    let linear = LinearPaths {
+        blocks: &blocks,
+        paths,
+        cameras: border.cameras,
+        first_camera: cameras.start,
+        has_border: n_border > 0,
+    };
     let add_run = |(run, frames): (usize, &mut [FramePanel])| {
         let mut corner = Corner::zeros(n_border);
         frames.iter_mut().enumerate().for_each(|(i, frame)| linear.add_frame(RUN * run + i, frame, &mut corner));
@@ -50,12 +57,18 @@ pub(crate) fn add_paths(
 struct LinearPaths<'a> {
     blocks: &'a PathBlocks,
     paths: &'a [Vec<TrackedLandmark>],
+    cameras: CameraColumns,
     /// Column of the first camera.
     first_camera: usize,
     has_border: bool,
 }
 
 impl LinearPaths<'_> {
+    /// First column of a camera in the border.
+    fn column(&self, camera: usize) -> usize {
+        self.first_camera + self.cameras.unknowns.len() * camera
+    }
+
     /// Adds what concerns frame `t`: its own blocks, those of later frames with it, and its rows of the border.
     fn add_frame(&self, t: usize, system: &mut FramePanel, corner: &mut Corner) {
         for (l, landmark) in self.paths[t].iter().enumerate() {
@@ -97,12 +110,20 @@ impl LinearPaths<'_> {
         own.add_gradient(&block.gradient, corner);
         own.add_product(&across, corner);
         for (camera, by_camera) in of_landmark.by_cameras(t).iter().enumerate() {
-            own.add_columns(self.first_camera + 6 * camera, by_camera, corner);
+            let first = self.column(camera);
+            own.add_columns(first, &by_camera.fixed_columns::<POSE>(0).into_owned(), corner);
+            if self.cameras.unknowns.focal {
+                own.add_columns(first + FOCAL, &by_camera.fixed_columns::<1>(FOCAL).into_owned(), corner);
+            }
         }
         for (group, a) in &landmark.jacobian.by_frame {
             across.add_to_border(3 * group, &a.transpose(), system);
             for (camera, by_camera) in of_landmark.by_cameras(t).iter().enumerate() {
-                system.add_border(self.first_camera + 6 * camera, 3 * group, &by_camera.tr_mul(a));
+                let (first, rows) = (self.column(camera), by_camera.tr_mul(a));
+                system.add_border(first, 3 * group, &rows.fixed_rows::<POSE>(0).into_owned());
+                if self.cameras.unknowns.focal {
+                    system.add_border(first + FOCAL, 3 * group, &rows.fixed_rows::<1>(FOCAL).into_owned());
+                }
             }
         }
     }

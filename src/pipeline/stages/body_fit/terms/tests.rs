@@ -11,7 +11,7 @@ use super::border_priors::{BoneLengthPrior, KeypointBiasPrior, ShapePrior};
 use super::collision::Collisions;
 use super::data::DataSource;
 use super::term::BorderTerm;
-use super::unknowns::{Border, MotionState, Shape};
+use super::unknowns::{Border, CameraColumns, MotionState, Shape};
 use crate::body::bone_offsets::{BoneOffsets, with_bones};
 use crate::body::capsules::BodyCapsules;
 use crate::body::default_body;
@@ -77,7 +77,7 @@ impl Fixture {
     }
 
     fn border(&self) -> Border<'_> {
-        Border { shape: Shape::Free, bias: Some(&self.table), n_cameras: 0 }
+        Border { shape: Shape::Free, bias: Some(&self.table), cameras: CameraColumns::default() }
     }
 
     /// The model with some bone and keypoint offsets, and increments of them in `border`.

@@ -3,10 +3,11 @@
 use super::super::motion_problem::MotionProblem;
 use super::super::objective::Objective;
 use super::super::observations::{Observations, PosedCamera};
+use super::camera_unknowns::{CameraUnknowns, FOCAL};
 use super::data::DataSource;
 use super::noise_process::{NoiseProcess, PathNoise};
 use super::tests::{Fixture, N_FRAMES, assert_gradient_of, keep, wave};
-use super::unknowns::{Border, MotionState, Shape};
+use super::unknowns::{Border, CameraColumns, MotionState, Shape};
 use super::whitened_pixels::WhitenedPixels;
 use super::whitened_pixels::scores::Movements;
 use crate::body::BodyModel;
@@ -52,10 +53,10 @@ fn problem<'a>(
     model: &'a BodyModel,
     observations: &'a Observations,
     pixels: &'a WhitenedPixels,
-    n_cameras: usize,
+    cameras: CameraColumns,
 ) -> MotionProblem<'a> {
     let objective = fixture.objective(model, DataSource::Paths(pixels), Shape::Free);
-    let mut problem = Objective { bias: Some(&fixture.table), observations, n_cameras, ..objective }.problem();
+    let mut problem = Objective { bias: Some(&fixture.table), observations, cameras, ..objective }.problem();
     keep(&mut problem, PATHS_ALONE);
     problem
 }
@@ -64,18 +65,21 @@ fn problem<'a>(
 fn gradient_of_whitened_pixels_matches_differences() {
     let fixture = Fixture::new();
     let observations = two_views(&fixture);
-    let border = Border { shape: Shape::Free, bias: Some(&fixture.table), n_cameras: 2 };
-    let (pixels, cameras) = (whitened(&fixture, &observations), border.cameras());
+    let columns = CameraColumns { n_cameras: 2, unknowns: CameraUnknowns { focal: true } };
+    let border = Border { shape: Shape::Free, bias: Some(&fixture.table), cameras: columns };
+    let (pixels, cameras) = (whitened(&fixture, &observations), border.camera_columns());
     let start = fixture.model_at(&DVector::zeros(border.len()));
-    let all = problem(&fixture, &start, &observations, &pixels, 2);
+    let all = problem(&fixture, &start, &observations, &pixels, columns);
     assert_gradient_of(&all, &fixture.state, |step| {
         let mut moved = observations.clone();
         for (k, camera) in moved.cameras.iter_mut().enumerate() {
-            let part = |i: usize| step.border.fixed_rows::<3>(cameras.start + 6 * k + i).into_owned();
+            let first = cameras.start + columns.unknowns.len() * k;
+            let part = |i: usize| step.border.fixed_rows::<3>(first + i).into_owned();
+            camera.intrinsics = camera.intrinsics.with_focal_factor(step.border[first + FOCAL].exp());
             camera.camera_from_world = camera.camera_from_world.perturbed_left(&part(0), &part(3));
         }
         let model = fixture.model_at(&step.border);
-        problem(&fixture, &model, &moved, &pixels, 2).cost(&all.moved(&fixture.state, step))
+        problem(&fixture, &model, &moved, &pixels, columns).cost(&all.moved(&fixture.state, step))
     });
 }
 
@@ -96,7 +100,7 @@ fn scores_of_channels_add_up_to_the_gradient() {
     let landmarks: Vec<Vec<Matrix3xX<f64>>> =
         (0..N_FRAMES).map(|t| (0..pixels.landmarks.len()).map(|l| moves(17 * t + 3 * l)).collect()).collect();
     let of_cameras = DMatrix::from_fn(12, 2, |i, k| wave(7 * i + k));
-    let movements = Movements { landmarks: &landmarks, cameras: &of_cameras };
+    let movements = Movements { landmarks: &landmarks, cameras: &of_cameras, of_camera: CameraUnknowns::default() };
     let scores = pixels.scores(&observations.cameras, &positions, &movements);
     assert_eq!(scores.len(), 4 * pixels.landmarks.len());
     let sum = scores.iter().fold(DVector::zeros(2), |sum, score| sum + score);

@@ -1,5 +1,6 @@
 //! The unknowns of a motion, and their places in the Gauss-Newton system.
 
+use super::camera_unknowns::CameraUnknowns;
 use crate::body::anthropometry::N_BETAS;
 use crate::body::bone_offsets::N_BONE_KINDS;
 use crate::body::detector_offsets::OffsetTable;
@@ -35,8 +36,24 @@ pub(crate) struct Border<'a> {
     /// The keypoint offsets, where they are unknowns; the person's bone offsets then are, too. Values of both are in the
     /// body model.
     pub bias: Option<&'a OffsetTable>,
-    /// Number of cameras whose poses are unknowns: all of the observations, or none.
+    /// The cameras, where they are unknowns.
+    pub cameras: CameraColumns,
+}
+
+/// Cameras whose unknowns are in the border.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) struct CameraColumns {
+    /// All of the observations, or none.
     pub n_cameras: usize,
+    /// Of each.
+    pub unknowns: CameraUnknowns,
+}
+
+impl CameraColumns {
+    /// Number of columns.
+    pub(crate) fn len(&self) -> usize {
+        self.n_cameras * self.unknowns.len()
+    }
 }
 
 impl Border<'_> {
@@ -57,10 +74,10 @@ impl Border<'_> {
         first..first + self.bias.map_or(0, |table| 3 * table.kinds.len())
     }
 
-    /// Columns of the cameras' poses, six each: the left increment of `camera_from_world`.
-    pub(crate) fn cameras(&self) -> Range<usize> {
+    /// Columns of the cameras, [`CameraUnknowns`] each.
+    pub(crate) fn camera_columns(&self) -> Range<usize> {
         let first = self.keypoint_bias().end;
-        first..first + 6 * self.n_cameras
+        first..first + self.cameras.len()
     }
 
     /// Columns of the person's own unknowns.
@@ -75,7 +92,7 @@ impl Border<'_> {
 
     /// Number of columns.
     pub(crate) fn len(&self) -> usize {
-        self.cameras().end
+        self.camera_columns().end
     }
 }
 

@@ -7,11 +7,13 @@
 pub(crate) mod scores;
 
 use super::super::observations::{Observations, PosedCamera};
+use super::camera_unknowns::{ByCamera, CameraUnknowns, MAX_UNKNOWNS};
 use super::noise_process::{NoiseProcess, PathNoise};
+use super::unknowns::CameraColumns;
 use crate::optim::block_banded::Corner;
 use crate::optim::robust::{Robust, geman_mcclure, geman_mcclure_ceiling};
 use crate::residuals::reprojection::{Reprojection, linearize, residual};
-use nalgebra::{Matrix2x6, Matrix3, Matrix3x6, Matrix6, Vector2, Vector3, Vector6};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 use rayon::prelude::*;
 
 /// World positions, m: `[frame][observed landmark]`.
@@ -68,34 +70,38 @@ pub(crate) struct LandmarkBlocks {
     /// By frame.
     pub frames: Vec<PathBlock>,
     /// Second derivatives by a position and a camera, `[frame * n_cameras + camera]`; empty where the cameras are held.
-    by_camera: Vec<Matrix3x6<f64>>,
+    by_camera: Vec<PointByCamera>,
     cameras: Vec<CameraBlock>,
 }
+
+/// Second derivatives by a position and a camera's unknowns; columns beyond these are zero.
+pub(crate) type PointByCamera = SMatrix<f64, 3, MAX_UNKNOWNS>;
 
 /// Of one camera alone.
 #[derive(Clone)]
 struct CameraBlock {
-    hessian: Matrix6<f64>,
-    gradient: Vector6<f64>,
+    hessian: SMatrix<f64, MAX_UNKNOWNS, MAX_UNKNOWNS>,
+    gradient: SVector<f64, MAX_UNKNOWNS>,
 }
 
 /// The whole term to second order.
 pub(crate) struct PathBlocks {
     /// By observed landmark.
     pub landmarks: Vec<LandmarkBlocks>,
-    n_cameras: usize,
+    cameras: CameraColumns,
 }
 
 impl PathBlocks {
     /// Adds the blocks of the cameras among themselves; their unknowns begin at `first`.
     pub(crate) fn add_cameras_to(&self, first: usize, corner: &mut Corner) {
-        for camera in 0..self.n_cameras {
-            let at = first + 6 * camera;
+        let n = self.cameras.unknowns.len();
+        for camera in 0..self.cameras.n_cameras {
+            let at = first + n * camera;
             for blocks in &self.landmarks {
-                let mut hessian = corner.hessian.fixed_view_mut::<6, 6>(at, at);
-                hessian += blocks.cameras[camera].hessian;
-                let mut gradient = corner.gradient.fixed_rows_mut::<6>(at);
-                gradient += blocks.cameras[camera].gradient;
+                let mut hessian = corner.hessian.view_mut((at, at), (n, n));
+                hessian += blocks.cameras[camera].hessian.view((0, 0), (n, n));
+                let mut gradient = corner.gradient.rows_mut(at, n);
+                gradient += blocks.cameras[camera].gradient.rows(0, n);
             }
         }
     }
@@ -104,16 +110,16 @@ impl PathBlocks {
 impl LandmarkBlocks {
     fn zeros(n_frames: usize, n_cameras: usize) -> Self {
         let frame = PathBlock { gradient: Vector3::zeros(), hessian: [Matrix3::zeros(); 3] };
-        let camera = CameraBlock { hessian: Matrix6::zeros(), gradient: Vector6::zeros() };
+        let camera = CameraBlock { hessian: SMatrix::zeros(), gradient: SVector::zeros() };
         Self {
             frames: vec![frame; n_frames],
-            by_camera: vec![Matrix3x6::zeros(); n_frames * n_cameras],
+            by_camera: vec![SMatrix::zeros(); n_frames * n_cameras],
             cameras: vec![camera; n_cameras],
         }
     }
 
     /// Second derivatives by the position of a frame and each camera.
-    pub(crate) fn by_cameras(&self, frame: usize) -> &[Matrix3x6<f64>] {
+    pub(crate) fn by_cameras(&self, frame: usize) -> &[PointByCamera] {
         let n = self.cameras.len();
         &self.by_camera[frame * n..(frame + 1) * n]
     }
@@ -197,30 +203,35 @@ impl WhitenedPixels {
         all
     }
 
-    /// Gradient and Gauss-Newton blocks; those of the cameras only where `moves_cameras`.
-    pub(crate) fn blocks(&self, cameras: &[PosedCamera], positions: &Positions, moves_cameras: bool) -> PathBlocks {
-        let n_cameras = if moves_cameras { cameras.len() } else { 0 };
+    /// Gradient and Gauss-Newton blocks, those of the cameras by the unknowns of `columns`.
+    pub(crate) fn blocks(&self, cameras: &[PosedCamera], positions: &Positions, columns: CameraColumns) -> PathBlocks {
         let of_landmark = |landmark: usize| {
-            let mut blocks = LandmarkBlocks::zeros(self.n_frames, n_cameras);
+            let mut blocks = LandmarkBlocks::zeros(self.n_frames, columns.n_cameras);
             for channel in &self.channels[landmark] {
                 let linear = channel.linearised(landmark, cameras, positions);
-                self.add_channel(channel, &linear, &mut blocks);
+                self.add_channel(channel, &linear, columns.unknowns, &mut blocks);
             }
             blocks
         };
-        PathBlocks { landmarks: (0..self.landmarks.len()).into_par_iter().map(of_landmark).collect(), n_cameras }
+        PathBlocks { landmarks: (0..self.landmarks.len()).into_par_iter().map(of_landmark).collect(), cameras: columns }
     }
 
-    fn add_channel(&self, channel: &Channel, linear: &[Option<Reprojection>], blocks: &mut LandmarkBlocks) {
+    fn add_channel(
+        &self,
+        channel: &Channel,
+        linear: &[Option<Reprojection>],
+        unknowns: CameraUnknowns,
+        blocks: &mut LandmarkBlocks,
+    ) {
         let n_cameras = blocks.cameras.len();
         for seen in &channel.seen {
             let Some(e) = seen.parts.combined(|i| linear[i].map(|l| l.residual)) else { continue };
             let Robust { weight, .. } = geman_mcclure(e.norm_squared(), self.robust_scale);
             let parts =
                 || seen.parts.iter().filter_map(|&(i, factor)| Some((channel.seen[i].frame, linear[i]?, factor)));
-            let mut by_camera = Matrix2x6::zeros();
+            let mut by_camera = ByCamera::zeros();
             if n_cameras > 0 {
-                parts().for_each(|(_, l, factor)| by_camera += l.by_camera * factor);
+                parts().for_each(|(_, l, factor)| unknowns.add(&l, factor, &mut by_camera));
                 let own = &mut blocks.cameras[channel.camera];
                 own.hessian += by_camera.tr_mul(&by_camera) * weight;
                 own.gradient += by_camera.tr_mul(&e) * weight;

@@ -1,5 +1,6 @@
 //! What the errors of each channel ask of unknowns that landmarks and cameras follow.
 
+use super::super::camera_unknowns::{ByCamera, CameraUnknowns};
 use super::{Channel, PosedCamera, Positions, WhitenedPixels};
 use crate::optim::robust::geman_mcclure;
 use nalgebra::{DMatrix, DVector, Matrix2xX, Matrix3xX};
@@ -9,8 +10,10 @@ use rayon::prelude::*;
 pub(crate) struct Movements<'a> {
     /// Of the positions of the landmarks, `[frame][observed landmark]`. [3, unknowns]
     pub landmarks: &'a [Vec<Matrix3xX<f64>>],
-    /// Of the increments of the cameras. [6 cameras, unknowns]
+    /// Of the unknowns of the cameras, camera by camera. [each camera's, unknowns]
     pub cameras: &'a DMatrix<f64>,
+    /// Which these are.
+    pub of_camera: CameraUnknowns,
 }
 
 impl WhitenedPixels {
@@ -37,7 +40,8 @@ impl WhitenedPixels {
         movements: &Movements,
     ) -> [DVector<f64>; 2] {
         let linear = channel.linearised(landmark, cameras, positions);
-        let of_camera = movements.cameras.fixed_rows::<6>(6 * channel.camera);
+        let n = movements.of_camera.len();
+        let of_camera = movements.cameras.rows(n * channel.camera, n);
         let mut axes = [0, 1].map(|_| DVector::zeros(movements.cameras.ncols()));
         for seen in &channel.seen {
             let Some(e) = seen.parts.combined(|i| linear[i].map(|l| l.residual)) else { continue };
@@ -46,7 +50,9 @@ impl WhitenedPixels {
             for &(i, factor) in seen.parts.iter() {
                 let Some(l) = linear[i] else { continue };
                 let of_landmark = &movements.landmarks[channel.seen[i].frame][landmark];
-                by_unknowns += (l.by_point * of_landmark + l.by_camera * of_camera) * factor;
+                let mut by_camera = ByCamera::zeros();
+                movements.of_camera.add(&l, 1.0, &mut by_camera);
+                by_unknowns += (l.by_point * of_landmark + by_camera.columns(0, n) * of_camera) * factor;
             }
             for (axis, score) in axes.iter_mut().enumerate() {
                 score.axpy(weight * e[axis], &by_unknowns.row(axis).transpose(), 1.0);

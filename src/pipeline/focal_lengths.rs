@@ -1,0 +1,62 @@
+//! Factors on the cameras' focal lengths.
+
+use crate::session::reconstruction::{FocalFactor, StageReport};
+use crate::session::{Reconstruction, Session};
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
+
+/// Factors on the focal lengths that a session gives.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FocalLengths {
+    /// Per view; `None`: the given focal length is kept.
+    pub factors: Vec<Option<FocalFactor>>,
+    /// Report of their first estimate; `None` where there was none.
+    pub report: Option<StageReport>,
+}
+
+impl FocalLengths {
+    /// The session's own focal lengths.
+    pub fn given(session: &Session) -> Self {
+        Self { factors: vec![None; session.views.len()], report: None }
+    }
+
+    /// The factor of a view.
+    pub fn factor(&self, view: usize) -> f64 {
+        self.factors[view].map_or(1.0, |factor| factor.value)
+    }
+
+    /// The session with these focal lengths.
+    pub fn applied_to<'s>(&self, session: &'s Session) -> Cow<'s, Session> {
+        if self.factors.iter().all(Option::is_none) {
+            return Cow::Borrowed(session);
+        }
+        let mut refined = session.clone();
+        for (view, factor) in refined.views.iter_mut().zip(&self.factors) {
+            if let Some(factor) = factor {
+                view.intrinsics = view.intrinsics.with_focal_factor(factor.value);
+            }
+        }
+        Cow::Owned(refined)
+    }
+
+    /// Replaces the factors of some views; returns `session`, to which these were applied, with the new ones.
+    pub fn replace(&mut self, new: impl Iterator<Item = (usize, FocalFactor)>, session: &Session) -> Session {
+        let mut session = session.clone();
+        for (view, factor) in new {
+            let intrinsics = &mut session.views[view].intrinsics;
+            *intrinsics = intrinsics.with_focal_factor(factor.value / self.factor(view));
+            self.factors[view] = Some(factor);
+        }
+        session
+    }
+
+    /// Adds the factors and the report to a result.
+    pub fn add_to(&self, reconstruction: &mut Reconstruction) {
+        for (camera, factor) in reconstruction.cameras.iter_mut().zip(&self.factors) {
+            camera.focal_factor = *factor;
+        }
+        if let Some(report) = &self.report {
+            reconstruction.report.stages.insert(0, report.clone());
+        }
+    }
+}

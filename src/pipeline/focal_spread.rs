@@ -1,0 +1,155 @@
+//! How far the focal lengths of cameras are from those given, and what a session shows of it.
+//!
+//! The logarithms `x` of the factors are normal: each camera has an error of its own, and all share one (cameras of one make with
+//! one wrong data sheet), covariance `S = own^2 I + common^2 11^T`. Which standard deviations a session's lenses have is not known
+//! before: they are those under which the session is likeliest (empirical Bayes; Morris 1983, JASA 78:47). Lenses that are as
+//! given then stay there, and those that are not move as far as the session shows.
+
+use crate::optim::determinant::half_log_det;
+use nalgebra::{DMatrix, DVector};
+
+/// Standard deviations of the logarithms of focal factors.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FocalSpread {
+    /// Of each camera's own error.
+    pub own: f64,
+    /// Of the error that all cameras share.
+    pub common: f64,
+}
+
+/// A checkerboard (0.3 %), the same after refocusing (1 %), an image file's rounded length (3 %), a guessed angle of view (10 %).
+const LEVELS: [f64; 4] = [0.003, 0.01, 0.03, 0.1];
+
+impl FocalSpread {
+    /// Nothing is known beside the order of magnitude.
+    pub const WIDE: Self = Self { own: LEVELS[3], common: LEVELS[3] };
+
+    /// Focal lengths as given.
+    pub const CALIBRATED: Self = Self { own: LEVELS[0], common: LEVELS[0] };
+
+    fn all() -> impl Iterator<Item = Self> {
+        LEVELS.into_iter().flat_map(|own| LEVELS.into_iter().map(move |common| Self { own, common }))
+    }
+
+    /// `S^-1 = (I - common^2 / (own^2 + n common^2) 11^T) / own^2`.
+    pub fn precision(&self, n: usize) -> DMatrix<f64> {
+        let (own, common) = (self.own.powi(2), self.common.powi(2));
+        let shared = common / (own + n as f64 * common);
+        DMatrix::from_fn(n, n, |i, j| (f64::from(u8::from(i == j)) - shared) / own)
+    }
+
+    /// `log |S| / 2`.
+    fn half_log_det(&self, n: usize) -> f64 {
+        let (own, common) = (self.own.powi(2), self.common.powi(2));
+        0.5 * ((n as f64 - 1.0) * own.ln() + (own + n as f64 * common).ln())
+    }
+
+    /// The likeliest, and the logarithm of its likelihood over that of [`Self::CALIBRATED`].
+    pub fn likeliest(found: &FoundFactors) -> (Self, f64) {
+        let evidence = |spread: Self| found.log_evidence(spread);
+        let calibrated = evidence(Self::CALIBRATED);
+        Self::all()
+            .map(|spread| (spread, evidence(spread) - calibrated))
+            .fold((Self::CALIBRATED, 0.0), |best, next| if next.1 > best.1 { next } else { best })
+    }
+}
+
+/// What a session shows of the logarithms: their likelihood `exp(-x^T A x / 2 + b^T x)` up to a factor.
+#[derive(Debug, Clone)]
+pub struct FoundFactors {
+    information: DMatrix<f64>,
+    linear: DVector<f64>,
+}
+
+impl FoundFactors {
+    /// From mean and covariance under a prior; `None` for a covariance that is none.
+    pub fn new(mean: &DVector<f64>, covariance: DMatrix<f64>, under: FocalSpread) -> Option<Self> {
+        let posterior = covariance.cholesky()?.inverse();
+        let linear = &posterior * mean;
+        let mut shown = (posterior - under.precision(mean.len())).symmetric_eigen();
+        shown.eigenvalues.iter_mut().for_each(|value| *value = value.max(0.0));
+        Some(Self { information: shown.recompose(), linear })
+    }
+
+    /// Of `x + origin`, if these were of `x`.
+    pub fn shifted(mut self, origin: &DVector<f64>) -> Self {
+        self.linear += &self.information * origin;
+        self
+    }
+
+    /// Mean and covariance under a prior.
+    pub fn under(&self, spread: FocalSpread) -> Option<(DVector<f64>, DMatrix<f64>)> {
+        let posterior = (&self.information + spread.precision(self.linear.len())).cholesky()?;
+        Some((posterior.solve(&self.linear), posterior.inverse()))
+    }
+
+    /// Logarithm of the session's likelihood under a prior, up to a constant: `b^T (A + S^-1)^-1 b / 2 - log |A + S^-1| / 2 -
+    /// log |S| / 2`.
+    fn log_evidence(&self, spread: FocalSpread) -> f64 {
+        let n = self.linear.len();
+        (&self.information + spread.precision(n)).cholesky().map_or(f64::NEG_INFINITY, |posterior| {
+            0.5 * self.linear.dot(&posterior.solve(&self.linear)) - half_log_det(&posterior) - spread.half_log_det(n)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// As if each factor had been measured to 1 %, independent of the others.
+    fn found(log_factors: &[f64]) -> FoundFactors {
+        let n = log_factors.len();
+        let information = DMatrix::identity(n, n) / 0.01f64.powi(2);
+        FoundFactors { linear: &information * DVector::from_column_slice(log_factors), information }
+    }
+
+    #[test]
+    fn precision_and_determinant_are_those_of_the_covariance() {
+        let spread = FocalSpread { own: 0.03, common: 0.1 };
+        let covariance = DMatrix::from_fn(4, 4, |i, j| 0.01 + if i == j { 0.0009 } else { 0.0 });
+        assert!((spread.precision(4) * &covariance - DMatrix::identity(4, 4)).amax() < 1e-9);
+        assert!((half_log_det(&covariance.cholesky().unwrap()) - spread.half_log_det(4)).abs() < 1e-9);
+    }
+
+    /// Errors of the size of their standard deviations are no reason to move.
+    #[test]
+    fn lenses_as_given_stay() {
+        let (spread, log_evidence) = FocalSpread::likeliest(&found(&[0.01, -0.008, 0.005, -0.011]));
+        assert_eq!((spread, log_evidence), (FocalSpread::CALIBRATED, 0.0));
+        let (mean, _) = found(&[0.01, -0.008, 0.005, -0.011]).under(spread).unwrap();
+        assert!(mean.amax() < 0.002, "{mean}");
+    }
+
+    #[test]
+    fn wrong_lenses_move_as_far_as_is_shown() {
+        let off = [0.1, -0.08, 0.05, -0.11];
+        let (spread, log_evidence) = FocalSpread::likeliest(&found(&off));
+        assert!(spread.own == 0.1 && log_evidence > 50.0, "{spread:?}, {log_evidence}");
+        let (mean, covariance) = found(&off).under(spread).unwrap();
+        // Of 10 % and a measurement to 1 % a hundredth is lost.
+        assert!((mean - DVector::from_column_slice(&off)).amax() < 0.002);
+        assert!((covariance[(0, 0)].sqrt() - 0.00995).abs() < 1e-4);
+    }
+
+    #[test]
+    fn an_error_that_all_lenses_share_is_one_error() {
+        let (spread, _) = FocalSpread::likeliest(&found(&[0.098, 0.103, 0.101, 0.097]));
+        assert_eq!(spread, FocalSpread { own: 0.003, common: 0.1 });
+    }
+
+    /// What a session shows does not depend on the prior under which it was solved, nor on where the unknowns began.
+    #[test]
+    fn the_prior_of_the_solution_does_not_count_twice() {
+        let shown = found(&[0.02, -0.04, 0.01]);
+        for spread in [FocalSpread::WIDE, FocalSpread { own: 0.01, common: 0.03 }] {
+            let (mean, covariance) = shown.under(spread).unwrap();
+            let again = FoundFactors::new(&mean, covariance, spread).unwrap();
+            assert!((again.information / 1e4 - DMatrix::identity(3, 3)).amax() < 1e-6);
+            assert!((again.linear - &shown.linear).amax() < 1e-6 * shown.linear.amax());
+        }
+        let origin = DVector::from_column_slice(&[0.1, 0.1, 0.0]);
+        let moved = found(&[-0.08, -0.14, 0.01]).shifted(&origin);
+        assert!((moved.linear - shown.linear).amax() < 1e-9);
+    }
+}
