@@ -4,6 +4,7 @@ mod ablation;
 mod bodies;
 mod coverage;
 mod markers;
+mod mistakes;
 mod rigs;
 mod solved_cameras;
 mod speed;
@@ -46,6 +47,8 @@ enum Bench {
     Ablation(ablation::AblationArgs),
     /// Errors of virtual skin markers on two dancing people with 1 to 12 cameras; a table as Markdown and as JSON
     Markers(markers::MarkersArgs),
+    /// Mistakes in the files of sessions with ground truth: which are named, detected, harmless or silent; a table as Markdown and as JSON
+    Mistakes(mistakes::MistakesArgs),
     /// Seconds per stage on one session, and throughput in frames x views x people per second and core
     Speed(speed::SpeedArgs),
 }
@@ -60,6 +63,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
         Bench::Bodies(args) => bodies::run(&args),
         Bench::Ablation(args) => ablation::run(&args),
         Bench::Markers(args) => markers::run(&args),
+        Bench::Mistakes(args) => mistakes::run(&args),
         Bench::Speed(args) => speed::run(&args),
     }
 }

@@ -111,6 +111,7 @@ fn reconstruction() -> Reconstruction {
             scale: None,
             rejected_detections: 0.25,
             keypoints_from: "points".to_owned(),
+            suspicions: vec![],
             quality: Quality { verdict: Verdict::Warn, reasons: vec!["few views".to_owned()] },
         },
     }

@@ -5,7 +5,8 @@
 use crate::body::detector_noise::keypoint_sigmas;
 use crate::geometry::Rigid;
 use crate::optim::robust::median;
-use crate::session::{Detection, Session, View};
+use crate::session::recording_tests::suspicions;
+use crate::session::{Detection, Session, Suspicion, View};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use serde::Serialize;
 
@@ -21,6 +22,8 @@ pub struct Inspection {
     pub groups: Vec<Vec<String>>,
     /// Expected problems.
     pub findings: Vec<Finding>,
+    /// Probable mistakes in the files.
+    pub suspicions: Vec<Suspicion>,
     /// Expected result.
     pub expected: Expectation,
 }
@@ -113,7 +116,7 @@ pub fn inspect(session: &Session, n_threads: usize) -> Inspection {
     findings.extend(tiny_baselines(&pairs, &cameras));
     findings.extend(in_a_row(session));
     let expected = expectation(session, &cameras, n_threads);
-    Inspection { cameras, pairs, groups, findings, expected }
+    Inspection { cameras, pairs, groups, findings, suspicions: suspicions(session), expected }
 }
 
 fn inspected(view: &View) -> InspectedCamera {

@@ -43,6 +43,7 @@ pub mod stages;
 
 use crate::body::{BodyModel, default_body};
 use crate::progress::Progress;
+use crate::session::recording_tests::suspicions;
 use crate::session::{Reconstruction, Session};
 use calibration::CameraFreedom;
 use capture::Capture;
@@ -93,6 +94,7 @@ pub fn reconstruct_with_checkpoints(
     options.check(&CameraFacts::of(session), std::slice::from_ref(&options.body))?;
     require_detections(session)?;
     let session = &*options.at_rate(session);
+    let suspicions = suspicions(session);
     let mut stages = progress.stages(stage_weights(options));
     let freedom = match options.extrinsics {
         Extrinsics::Fixed => CameraFreedom::Held,
@@ -164,7 +166,7 @@ pub fn reconstruct_with_checkpoints(
 
     // 8. World frame, bodies, statistics and verdict.
     let step = stages.begin("body_fit");
-    let solution = Solution::in_world(&capture, calibration, paths, scale, heldout_px);
+    let solution = Solution::in_world(&capture, calibration, paths, scale, heldout_px, suspicions);
     let mut reconstruction = solution.with_bodies(&capture, &mut focal_lengths, body, &step)?;
     if let Some(repaired) = repaired {
         reconstruction.report.consistency = Some(repaired.report);

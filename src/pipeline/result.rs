@@ -25,7 +25,7 @@ use crate::session::reconstruction::{
     BodyModelId, KeypointBias, PenetrationReport, Report, ScaleReport, SigmaSummary, SolvedCamera,
 };
 use crate::session::recording::UpAxis;
-use crate::session::{BodyMotion, JointTrajectory, PersonTrack, Reconstruction, Session};
+use crate::session::{BodyMotion, JointTrajectory, PersonTrack, Reconstruction, Session, Suspicion};
 use nalgebra::Vector3;
 use std::borrow::Cow;
 
@@ -55,6 +55,7 @@ pub struct Solution {
     metres_per_unit: f64,
     scale: Option<ScaleReport>,
     heldout_px: Option<f64>,
+    suspicions: Vec<Suspicion>,
     up_axis: UpAxis,
 }
 
@@ -66,6 +67,7 @@ impl Solution {
         mut trajectories: Vec<JointTrajectory>,
         scale: Option<ScaleReport>,
         heldout_px: Option<f64>,
+        suspicions: Vec<Suspicion>,
     ) -> Self {
         let options = capture.options;
         let metres_per_unit = scale.as_ref().map_or(1.0, |s| s.value);
@@ -82,7 +84,7 @@ impl Solution {
         if let Some(world_from_solution) = world_from_solution {
             move_into(&world_from_solution, &mut calibration.cameras, &mut trajectories);
         }
-        Self { calibration, trajectories, metres_per_unit, scale, heldout_px, up_axis }
+        Self { calibration, trajectories, metres_per_unit, scale, heldout_px, suspicions, up_axis }
     }
 
     /// Fits the bodies and assembles the result.
@@ -149,7 +151,7 @@ impl Solution {
             fill_from_body(trajectory, &landmark_trajectory(&detector_model, motion, capture.session.convention));
         }
         Ok(Reconstruction {
-            cameras: self.solved_cameras(&statistics),
+            cameras: self.solved_cameras(capture.session, &statistics),
             keypoints,
             motions,
             identities: identities(capture.session, &kept),
@@ -207,8 +209,10 @@ impl Solution {
         of_camera.filter(|up| !is_known && up.angle(&axis) > MAX_CAMERA_TILT).unwrap_or(axis)
     }
 
-    fn solved_cameras(&self, statistics: &FitStatistics) -> Vec<SolvedCamera> {
-        let uncertainty = |v: usize| self.calibration.adjusted.as_ref().and_then(|a| a.cameras[v].uncertainty);
+    fn solved_cameras(&self, session: &Session, statistics: &FitStatistics) -> Vec<SolvedCamera> {
+        let adjusted = self.calibration.adjusted.as_ref();
+        let is_void = |v: usize| self.suspicions.iter().any(|s| s.voids_uncertainty_of(&session.views[v].id));
+        let uncertainty = |v: usize| adjusted.and_then(|a| a.cameras[v].uncertainty).filter(|_| !is_void(v));
         self.calibration
             .cameras
             .iter()
@@ -254,6 +258,7 @@ impl Solution {
             explained: self.calibration.association.explained,
             sigma_angle_deg: sigmas.and_then(|s| s.reduce(f64::max)),
             rival_explained: self.calibration.rival_explained,
+            suspicions: &self.suspicions,
             estimated: capture.estimates_extrinsics(),
         };
         Report {
@@ -263,6 +268,7 @@ impl Solution {
             people,
             geometry,
             heldout_px: self.heldout_px,
+            suspicions: self.suspicions.clone(),
             scale: self.scale.clone(),
             detector: KeypointBias::default(),
             consistency: None,

@@ -8,9 +8,12 @@ pub mod json_file;
 pub mod people;
 pub mod reconstruction;
 pub mod recording;
+pub mod recording_tests;
+pub mod suspicion;
 pub mod upload;
 
 pub use builder::SessionBuilder;
 pub use people::{BodyMotion, JointTrajectory, PersonTrack};
 pub use reconstruction::Reconstruction;
 pub use recording::{Detection, FrameIndex, Keypoint, PersonId, Session, View};
+pub use suspicion::{Suspicion, SuspicionCode};

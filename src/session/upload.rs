@@ -13,7 +13,6 @@ pub(crate) mod limits;
 pub(crate) mod members;
 pub(crate) mod pictures;
 pub(crate) mod raw;
-pub(crate) mod suspicions;
 pub(crate) mod warnings;
 mod zip_index;
 

@@ -16,6 +16,7 @@
 //! - `preset_errors`: independent errors of keypoints, the noise of the presets
 //! - [`real_noise`], `real_errors`, `ghosts`, `merged_limbs`: the noise of a real detector; `processes`: what lasts
 //! - [`truth`]: the exact truth, and its files
+//! - [`mistakes`]: mistakes that users make with the files of a recording
 //!
 //! World: y up, metres, floor at y = 0. Every random number comes from a ChaCha8 stream keyed by the seed and by its
 //! item (camera, person), so that an additional camera does not change the others.
@@ -33,6 +34,7 @@ mod individual;
 mod keypoint_errors;
 pub mod landmarks;
 mod merged_limbs;
+pub mod mistakes;
 mod observer;
 pub mod occlusion;
 pub mod placement;

@@ -1,6 +1,7 @@
 //! `report.json`: what each stage did, how accurate the result is, and what a user must know before using it.
 
 use super::estimates::{ErrorSummary, SigmaSummary, TimeOffset};
+use crate::session::suspicion::Suspicion;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -253,6 +254,9 @@ pub struct Report {
     pub rejected_detections: f64,
     /// Source of `keypoints3d.json`: adjusted points or body landmarks.
     pub keypoints_from: String,
+    /// Probable mistakes in the files of the recording, found before the solve and on its result.
+    #[serde(default)]
+    pub suspicions: Vec<Suspicion>,
     /// Verdict and reasons.
     pub quality: Quality,
 }

@@ -4,11 +4,11 @@ use super::camera::{checked_extrinsics, checked_intrinsics};
 use super::error::{Fault, UploadError, shown};
 use super::limits::UploadLimits;
 use super::raw::{RawCamera, RawPoses, RawSession};
-use super::suspicions;
 use super::warnings::Warnings;
 use crate::body::skeleton::KeypointConvention;
 use crate::session::formats::time::is_timecode;
 use crate::session::recording::{Detection, FPS_RANGE, FrameIndex, Session, UpAxis, View};
+use crate::session::recording_tests::suspicions;
 
 /// Largest length of a camera's id, bytes: 256 characters of four bytes, and more than any file name, from which ids come.
 const MAX_ID_BYTES: usize = 1024;
@@ -54,7 +54,9 @@ pub(crate) fn assemble(
     }
     let (name, first_frame) = (raw.name, raw.first_frame);
     let session = Session { name, fps, first_frame, n_frames, convention, up_axis, start_timecode, views };
-    suspicions::report(&session, warnings);
+    for suspicion in suspicions(&session) {
+        warnings.add(suspicion.sentence());
+    }
     Ok(session)
 }
 

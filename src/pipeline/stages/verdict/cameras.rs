@@ -33,9 +33,15 @@ pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
     reasons
 }
 
+/// Whether a suspicion explains what is wrong with a camera.
+fn is_named(input: &VerdictInput, camera: &CameraReport) -> bool {
+    input.suspicions.iter().any(|suspicion| suspicion.cameras.contains(&camera.id))
+}
+
 fn unsolved(input: &VerdictInput) -> impl Iterator<Item = Reason> {
     let is_rest_solved = input.n_placed() >= 2;
-    input.cameras.iter().filter(|camera| !camera.solved).map(move |camera| {
+    let unsolved = input.cameras.iter().filter(|camera| !camera.solved && !is_named(input, camera));
+    unsolved.map(move |camera| {
         let text = format!(
             "camera {} could not be placed: its detections agree with no other camera; check its frames, intrinsics and \
              synchronisation",
@@ -52,7 +58,8 @@ fn odd_cameras(input: &VerdictInput) -> Vec<Reason> {
         return Vec::new();
     }
     let others_of = |k: usize| -> Vec<&CameraReport> { [&judged[..k], &judged[k + 1..]].concat() };
-    judged.iter().enumerate().filter_map(|(k, camera)| odd_camera(camera, &others_of(k))).collect()
+    let unnamed = judged.iter().enumerate().filter(|(_, camera)| !is_named(input, camera));
+    unnamed.filter_map(|(k, camera)| odd_camera(camera, &others_of(k))).collect()
 }
 
 fn odd_camera(camera: &CameraReport, others: &[&CameraReport]) -> Option<Reason> {

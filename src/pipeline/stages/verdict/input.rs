@@ -1,5 +1,6 @@
 //! Input of the verdict.
 
+use crate::session::Suspicion;
 use crate::session::reconstruction::{CameraReport, GeometryReport, PenetrationReport, PersonReport};
 
 /// Everything that the verdict depends on.
@@ -23,6 +24,8 @@ pub struct VerdictInput<'a> {
     pub sigma_angle_deg: Option<f64>,
     /// Share of keypoints that the best clearly different arrangement of the cameras explained; 0 without one.
     pub rival_explained: f64,
+    /// Probable mistakes in the files of the recording.
+    pub suspicions: &'a [Suspicion],
     /// Whether the cameras were estimated without a start.
     pub estimated: bool,
 }

@@ -9,6 +9,7 @@ mod geometry;
 pub mod input;
 mod people;
 mod reason;
+mod suspicions;
 #[cfg(test)]
 mod tests;
 
@@ -18,7 +19,7 @@ use reason::Reason;
 
 /// Judges a result.
 pub fn quality(input: &VerdictInput) -> Quality {
-    let mut reasons = Vec::new();
+    let mut reasons = suspicions::reasons(input);
     if input.cameras.len() == 1 {
         reasons.push(monocular(input.n_placed() == 1));
     } else {

@@ -4,6 +4,7 @@ use super::*;
 use crate::session::reconstruction::{
     CameraReport, ErrorSummary, GeometryReport, KeypointReport, Overlap, PenetrationReport, PersonReport, SigmaSummary,
 };
+use crate::session::{Suspicion, SuspicionCode};
 
 /// Owned input of a verdict; a good one has four cameras, two people and twenty seconds.
 #[derive(Clone)]
@@ -16,6 +17,7 @@ struct OwnedInput {
     explained: f64,
     sigma_angle_deg: Option<f64>,
     rival_explained: f64,
+    suspicions: Vec<Suspicion>,
     estimated: bool,
 }
 
@@ -77,6 +79,7 @@ impl OwnedInput {
             explained: 0.97,
             sigma_angle_deg: Some(0.1),
             rival_explained: 0.5,
+            suspicions: Vec::new(),
             estimated: true,
         }
     }
@@ -92,6 +95,7 @@ impl OwnedInput {
             explained: self.explained,
             sigma_angle_deg: self.sigma_angle_deg,
             rival_explained: self.rival_explained,
+            suspicions: &self.suspicions,
             estimated: self.estimated,
         })
     }
@@ -141,6 +145,22 @@ fn names_an_unplaced_camera() {
             ..input.cameras[1].clone()
         };
     });
+}
+
+#[test]
+fn a_suspicion_replaces_other_reasons_about_its_camera() {
+    let suspicion = |code| Suspicion {
+        code,
+        cameras: vec!["cam2".to_owned()],
+        evidence: "its frames are 7 frames late".to_owned(),
+        remedy: "synchronise".to_owned(),
+        suggested_option: None,
+    };
+    assert_reason(Verdict::Warn, &["cam2", "7 frames", "synchronise"], |input| {
+        input.suspicions.push(suspicion(SuspicionCode::TimeOffset));
+        input.cameras[2].reprojection_mm = error(40.0);
+    });
+    assert_reason(Verdict::Reject, &["synchronise"], |input| input.suspicions.push(suspicion(SuspicionCode::YUpwards)));
 }
 
 #[test]

@@ -1,24 +1,15 @@
-//! Plausibility of a calibration, checked before it costs any compute.
-//!
-//! Each camera's points must lie in its image; and where poses are given, people seen by two cameras must lie on each other's
-//! epipolar lines. Where another interpretation of the calibration explains the people much better, a warning names it.
+//! Given poses of the cameras: people seen by two cameras must lie on each other's epipolar lines. Where another
+//! interpretation of the calibration explains the people much better, a suspicion names it.
 //!
 //! Known limits: already undistorted points are only noticed where poses are given, and errors below the detector's noise are
 //! not noticed; they do not affect the result either.
 
-use super::error::shown;
-use super::warnings::Warnings;
 use crate::body::detector_profile::DETECTOR;
 use crate::geometry::{Distortion, Intrinsics, Rigid, epipolar};
-use crate::session::recording::{Detection, Keypoint, Session, View};
-use nalgebra::{Matrix3, Vector2};
+use crate::session::recording::{Keypoint, Session, View};
+use crate::session::suspicion::{Suspicion, SuspicionCode};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
-/// Minimum number of points for a warning.
-const MIN_POINTS: usize = 200;
-/// Share of points that a detector may place outside its image.
-const OUTSIDE: f64 = 0.05;
-/// If all people stay within this share of the image's width and height, the image probably has half the size.
-const NEAR_ORIGIN: f64 = 0.55;
 /// Number of frames and of pairs of cameras that are examined.
 const MAX_FRAMES: usize = 30;
 const MAX_PAIRS: usize = 60;
@@ -31,52 +22,6 @@ const GOOD_PX: f64 = 0.5;
 /// Another interpretation must lower the error to this share.
 const BETTER: f64 = 0.6;
 
-/// Adds a warning for everything that looks wrong with the session's cameras.
-pub(crate) fn report(session: &Session, warnings: &mut Warnings) {
-    for view in &session.views {
-        if let Some(suspicion) = suspicion_of_image(view) {
-            warnings.add(format!(
-                "camera {} with images of {}x{}: {suspicion}",
-                shown(&view.id),
-                view.intrinsics.width,
-                view.intrinsics.height
-            ));
-        }
-    }
-    if let Some(line) = suspicion_of_poses(session) {
-        warnings.add(line);
-    }
-}
-
-fn certain(detection: &Detection) -> impl Iterator<Item = &Keypoint> {
-    detection.keypoints.iter().filter(|keypoint| keypoint.confidence >= DETECTOR.judged)
-}
-
-/// Checks whether the points lie in an image of the camera's size.
-fn suspicion_of_image(view: &View) -> Option<&'static str> {
-    let points = || view.frames.iter().flatten().flat_map(certain).map(|keypoint| keypoint.pixel);
-    let (width, height) = (f64::from(view.intrinsics.width), f64::from(view.intrinsics.height));
-    let n = points().count();
-    if n < MIN_POINTS {
-        return None;
-    }
-    let share_outside = |w: f64, h: f64| {
-        let outside = |p: &Vector2<f64>| p.x < -1.0 || p.y < -1.0 || p.x > w || p.y > h;
-        points().filter(outside).count() as f64 / n as f64
-    };
-    if share_outside(width, height) > OUTSIDE {
-        let is_turned = width != height && share_outside(height, width) < 0.2 * OUTSIDE;
-        return Some(if is_turned {
-            "its keypoints fit an image with width and height exchanged; was the video rotated by 90 degrees?"
-        } else {
-            "its keypoints lie outside the image; does the calibration belong to another resolution?"
-        });
-    }
-    (share_outside(NEAR_ORIGIN * width, NEAR_ORIGIN * height) < 0.2 * OUTSIDE).then_some(
-        "all its keypoints lie in the upper left quarter; were they detected at half the calibration's resolution?",
-    )
-}
-
 /// An interpretation of all cameras.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Hypothesis {
@@ -88,12 +33,13 @@ enum Hypothesis {
     HalfTurn,
     WorldFromCamera,
     TransposedRotation,
+    OpenGlAxes,
 }
 
 use Hypothesis as H;
 
 impl Hypothesis {
-    const OTHERS: [Self; 8] = [
+    const OTHERS: [Self; 9] = [
         H::AlreadyUndistorted,
         H::OtherResolution(0.5),
         H::OtherResolution(2.0),
@@ -102,6 +48,7 @@ impl Hypothesis {
         H::HalfTurn,
         H::WorldFromCamera,
         H::TransposedRotation,
+        H::OpenGlAxes,
     ];
 
     fn sentence(self) -> String {
@@ -118,6 +65,9 @@ impl Hypothesis {
             H::HalfTurn => "the videos were rotated by 180 degrees".to_owned(),
             H::WorldFromCamera => "R and t map camera to world (they must map world to camera)".to_owned(),
             H::TransposedRotation => "R is transposed (it must map world to camera)".to_owned(),
+            H::OpenGlAxes => {
+                "the cameras look along -z with y up, as in OpenGL (they must look along +z with y down)".to_owned()
+            }
         }
     }
 
@@ -132,7 +82,9 @@ impl Hypothesis {
             H::QuarterTurn => camera.normalized_from_pixel(&Vector2::new(pixel.y, last_y - pixel.x)),
             H::ThreeQuarterTurn => camera.normalized_from_pixel(&Vector2::new(last_x - pixel.y, pixel.x)),
             H::HalfTurn => camera.normalized_from_pixel(&Vector2::new(last_x - pixel.x, last_y - pixel.y)),
-            H::AsGiven | H::WorldFromCamera | H::TransposedRotation => camera.normalized_from_pixel(pixel),
+            H::AsGiven | H::WorldFromCamera | H::TransposedRotation | H::OpenGlAxes => {
+                camera.normalized_from_pixel(pixel)
+            }
         }
     }
 
@@ -140,12 +92,17 @@ impl Hypothesis {
         match self {
             H::WorldFromCamera => given.inverse(),
             H::TransposedRotation => Rigid { rotation: given.rotation.transpose(), ..*given },
+            H::OpenGlAxes => {
+                let flip = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
+                Rigid { rotation: flip * given.rotation, translation: flip * given.translation }
+            }
             _ => *given,
         }
     }
 }
 
-fn suspicion_of_poses(session: &Session) -> Option<String> {
+/// The interpretation that explains the people much better than the given one.
+pub(super) fn suspicion(session: &Session) -> Option<Suspicion> {
     let given = epipolar_error_px(session, H::AsGiven).filter(|error| *error > GOOD_PX)?;
     let has_lens = session.views.iter().any(|view| view.intrinsics.dist != Distortion::None);
     let others = H::OTHERS.into_iter().filter(|other| has_lens || *other != H::AlreadyUndistorted);
@@ -155,9 +112,16 @@ fn suspicion_of_poses(session: &Session) -> Option<String> {
         return None;
     }
     let sentence = best.sentence();
-    Some(format!(
+    let evidence = format!(
         "people lie {given:.1} px off the epipolar lines of the given cameras, but only {error:.1} px if {sentence}"
-    ))
+    );
+    Some(Suspicion {
+        code: SuspicionCode::GivenPoses,
+        cameras: Vec::new(),
+        evidence,
+        remedy: "correct the calibration file, or estimate the cameras from the people".to_owned(),
+        suggested_option: Some(r#"{"extrinsics": "estimate"}"#.to_owned()),
+    })
 }
 
 /// Median distance of people to the epipolar lines of the best matching person in another camera, px.

@@ -1,0 +1,270 @@
+//! `wandless bench mistakes`: which mistakes in a recording's files a solve recognises, on sessions with ground truth.
+//!
+//! Every session is solved as it is and with every mistake. A case is *named* where a suspicion has the right code and
+//! cameras, *detected* where the verdict is worse than that of the session as it is or the solve fails, *harmless* where
+//! the result is as good as without the mistake, and *silent* otherwise.
+
+use crate::cli::bad_input::BadInput;
+use crate::cli::solve::use_threads;
+use crate::evaluation::{Evaluation, EvaluationOptions, evaluate};
+use crate::export::{ResultContext, write_result};
+use crate::pipeline::{Options, reconstruct};
+use crate::progress::Progress;
+use crate::session::reconstruction::Verdict;
+use crate::session::upload::{UploadLimits, read_path};
+use crate::session::{Reconstruction, Session, Suspicion};
+use crate::simulation::mistakes::{MISTAKES, Mistake};
+use anyhow::Context;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Arguments of `bench mistakes`.
+#[derive(Debug, clap::Args)]
+pub(super) struct MistakesArgs {
+    /// Sessions with ground truth (SESSION/gt)
+    #[arg(required = true)]
+    sessions: Vec<PathBuf>,
+    /// Output folder for all results, mistakes.md and mistakes.json; must not exist
+    #[arg(long)]
+    out: PathBuf,
+    /// Only mistakes whose name contains this text; several are possible; without mistakes: `none`
+    #[arg(long)]
+    only: Vec<String>,
+    /// Number of solver threads; 0 uses all cores
+    #[arg(long, default_value_t = 0)]
+    threads: usize,
+}
+
+/// Errors from which a result counts as wrong: largest error of a camera after alignment, and mean error of the limbs.
+const WRONG_ANGLE_DEG: f64 = 3.0;
+const WRONG_POSITION_MM: f64 = 100.0;
+const WRONG_LIMBS_MM: f64 = 60.0;
+
+/// A result without a mistake may exceed the bounds itself, then this factor on its errors counts.
+const WORSE: f64 = 1.5;
+
+/// One session with one mistake, solved.
+#[derive(Debug, Clone, Serialize)]
+struct Case {
+    session: String,
+    /// `None`: the session as it is.
+    mistake: Option<&'static str>,
+    outcome: Outcome,
+    #[serde(flatten)]
+    solved: Solved,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+enum Outcome {
+    /// The session as it is, without a suspicion.
+    Clean,
+    /// The session as it is, with a suspicion.
+    FalseAlarm,
+    /// A suspicion with the right code and cameras.
+    Named,
+    /// A worse verdict, or no result.
+    Detected,
+    /// No worse verdict, but a right result.
+    Harmless,
+    /// No worse verdict, and a wrong result.
+    Silent,
+}
+
+/// Result of one solve.
+#[derive(Debug, Clone, Default, Serialize)]
+struct Solved {
+    error: Option<String>,
+    verdict: Option<Verdict>,
+    suspicions: Vec<Suspicion>,
+    reasons: Vec<String>,
+    /// Largest errors over the cameras.
+    position_mm: Option<f64>,
+    angle_deg: Option<f64>,
+    limbs_mm: Option<f64>,
+    /// Largest stated standard deviation of a camera's centre.
+    sigma_mm: Option<f64>,
+    secs: f64,
+}
+
+pub(super) fn run(args: &MistakesArgs) -> anyhow::Result<()> {
+    use_threads(args.threads);
+    if args.out.exists() {
+        return Err(BadInput(format!("{}: the folder exists; choose a new one", args.out.display())).into());
+    }
+    let is_chosen = |m: &&Mistake| args.only.is_empty() || args.only.iter().any(|text| m.name.contains(text));
+    let mut cases = Vec::new();
+    for (k, path) in args.sessions.iter().enumerate() {
+        let loaded =
+            read_path(path, &UploadLimits::default()).map_err(|e| BadInput(format!("{}: {e}", path.display())))?;
+        let session = &loaded.session;
+        let name = path.file_name().map_or_else(|| k.to_string(), |name| name.to_string_lossy().into_owned());
+        let case =
+            |mistake: Option<&'static str>, outcome, solved| Case { session: name.clone(), mistake, outcome, solved };
+        let solve = |session: &Session, n: usize| solved(session, path, &args.out.join(format!("{k}-{name}/{n}")));
+        let clean = solve(session, 0)?;
+        let outcome = if clean.suspicions.is_empty() { Outcome::Clean } else { Outcome::FalseAlarm };
+        cases.push(reported(case(None, outcome, clean.clone())));
+        for (n, mistake) in MISTAKES.iter().enumerate().filter(|(_, mistake)| is_chosen(mistake)) {
+            let Some(changed) = (mistake.inject)(session) else { continue };
+            let solved = solve(&changed, n + 1)?;
+            let outcome = judged(mistake, session, &clean, &solved);
+            cases.push(reported(case(Some(mistake.name), outcome, solved)));
+        }
+    }
+    let table = markdown(&cases);
+    print!("{table}");
+    std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
+    std::fs::write(args.out.join("mistakes.md"), table)?;
+    std::fs::write(args.out.join("mistakes.json"), serde_json::to_string_pretty(&cases)?)?;
+    Ok(())
+}
+
+/// Solves a session and compares the result with the truth of `path`.
+fn solved(session: &Session, path: &Path, out: &Path) -> anyhow::Result<Solved> {
+    let started = Instant::now();
+    let options = Options::default();
+    let result = match reconstruct(session, &options, &Progress::silent()) {
+        Ok(result) => result,
+        Err(error) => return Ok(Solved { error: Some(error.to_string()), ..Solved::default() }),
+    };
+    let secs = started.elapsed().as_secs_f64();
+    let context = ResultContext {
+        input_sha256: "",
+        options: serde_json::to_value(&options)?,
+        solver_version: env!("CARGO_PKG_VERSION"),
+        exports: &[],
+    };
+    std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
+    write_result(out, session, &context, &result)?;
+    let errors = evaluate(out, &path.join("gt"), &EvaluationOptions::default()).map_err(|e| BadInput(e.to_string()))?;
+    Ok(Solved { secs, ..with_errors(&result, &errors) })
+}
+
+fn with_errors(result: &Reconstruction, errors: &Evaluation) -> Solved {
+    let cameras = errors.cameras.as_ref().map(|cameras| &cameras.sim3);
+    let worst = |of: fn(&crate::evaluation::camera_error::CameraError) -> f64| {
+        cameras.and_then(|cameras| cameras.per_camera.values().map(of).reduce(f64::max))
+    };
+    let quality = &result.report.quality;
+    Solved {
+        verdict: Some(quality.verdict),
+        suspicions: result.report.suspicions.clone(),
+        reasons: quality.reasons.clone(),
+        position_mm: worst(|camera| camera.position_mm),
+        angle_deg: worst(|camera| camera.angle_deg),
+        limbs_mm: errors.poses.as_ref().and_then(|poses| poses.mpjpe.root12),
+        sigma_mm: result.cameras.iter().filter_map(|camera| camera.sigma_position_mm).reduce(f64::max),
+        ..Solved::default()
+    }
+}
+
+fn judged(mistake: &Mistake, session: &Session, clean: &Solved, solved: &Solved) -> Outcome {
+    let mut expected: Vec<&str> = mistake.cameras.iter().map(|&v| session.views[v].id.as_str()).collect();
+    expected.sort_unstable();
+    let is_right = |suspicion: &Suspicion| {
+        let mut cameras: Vec<&str> = suspicion.cameras.iter().map(String::as_str).collect();
+        cameras.sort_unstable();
+        mistake.codes.contains(&suspicion.code) && (expected.is_empty() || cameras == expected)
+    };
+    if solved.suspicions.iter().any(is_right) {
+        Outcome::Named
+    } else if solved.verdict.is_none_or(|verdict| Some(verdict) > clean.verdict) {
+        Outcome::Detected
+    } else if is_wrong(clean, solved) {
+        Outcome::Silent
+    } else {
+        Outcome::Harmless
+    }
+}
+
+fn is_wrong(clean: &Solved, solved: &Solved) -> bool {
+    let exceeds = |value: Option<f64>, usual: Option<f64>, bound: f64| {
+        value.is_some_and(|value| value > usual.map_or(bound, |usual| bound.max(WORSE * usual)))
+    };
+    exceeds(solved.angle_deg, clean.angle_deg, WRONG_ANGLE_DEG)
+        || exceeds(solved.position_mm, clean.position_mm, WRONG_POSITION_MM)
+        || exceeds(solved.limbs_mm, clean.limbs_mm, WRONG_LIMBS_MM)
+}
+
+/// Prints one line per case to standard error, so that a long run can be followed.
+fn reported(case: Case) -> Case {
+    let number = |value: Option<f64>, decimals: usize| value.map_or("-".to_owned(), |v| format!("{v:.decimals$}"));
+    let Solved { position_mm, angle_deg, limbs_mm, sigma_mm, secs, .. } = &case.solved;
+    eprintln!(
+        "{} | {} | {:?} | {} mm, {} deg, limbs {} mm, sigma {} mm, {secs:.1} s",
+        case.session,
+        case.mistake.unwrap_or("as it is"),
+        case.outcome,
+        number(*position_mm, 0),
+        number(*angle_deg, 2),
+        number(*limbs_mm, 0),
+        number(*sigma_mm, 0),
+    );
+    for suspicion in &case.solved.suspicions {
+        eprintln!("    {}: {suspicion}", suspicion.code.name());
+    }
+    let lines = case.solved.error.iter().chain(&case.solved.reasons);
+    lines
+        .filter(|line| case.solved.suspicions.iter().all(|s| s.sentence() != **line))
+        .for_each(|line| eprintln!("    - {line}"));
+    case
+}
+
+/// The confusion table: a row per mistake, a column per outcome.
+fn markdown(cases: &[Case]) -> String {
+    const COLUMNS: [(&str, Outcome); 4] = [
+        ("named", Outcome::Named),
+        ("detected", Outcome::Detected),
+        ("harmless", Outcome::Harmless),
+        ("silent", Outcome::Silent),
+    ];
+    let heads: Vec<&str> = COLUMNS.iter().map(|(head, _)| *head).collect();
+    let mut table = format!("| mistake | {} |\n|---|---|---|---|---|\n", heads.join(" | "));
+    for mistake in MISTAKES {
+        let of_mistake: Vec<&Case> = cases.iter().filter(|case| case.mistake == Some(mistake.name)).collect();
+        if !of_mistake.is_empty() {
+            let count = |outcome| of_mistake.iter().filter(|case| case.outcome == outcome).count().to_string();
+            let cells: Vec<String> = COLUMNS.iter().map(|(_, outcome)| count(*outcome)).collect();
+            table.push_str(&format!("| {} | {} |\n", mistake.name, cells.join(" | ")));
+        }
+    }
+    let clean: Vec<&Case> = cases.iter().filter(|case| case.mistake.is_none()).collect();
+    let alarms = clean.iter().filter(|case| case.outcome == Outcome::FalseAlarm).count();
+    table.push_str(&format!("\nFalse alarms: {alarms} of {} sessions without a mistake.\n", clean.len()));
+    table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cli::arguments::arguments_of;
+    use crate::session::formats::native::write_folder;
+    use crate::simulation::{Preset, SimulationConfig, simulate, write_truth};
+
+    fn args(line: &str) -> Result<MistakesArgs, clap::Error> {
+        arguments_of(format!("mistakes {line}").split_whitespace().map(str::to_owned))
+    }
+
+    #[test]
+    fn a_mistake_is_named_and_a_right_session_is_clean() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = SimulationConfig { frames: 60, views: 4, ..SimulationConfig::preset(Preset::Easy) };
+        let simulated = simulate(&config).unwrap();
+        let session = folder.path().join("take");
+        write_folder(&simulated.session, &session).unwrap();
+        write_truth(&simulated, &session).unwrap();
+        let out = folder.path().join("out");
+        let line = format!("{} --out {} --only second", session.display(), out.display());
+        run(&args(&line).unwrap()).unwrap();
+        let cases: serde_json::Value =
+            serde_json::from_slice(&std::fs::read(out.join("mistakes.json")).unwrap()).unwrap();
+        let outcomes: Vec<_> =
+            cases.as_array().unwrap().iter().map(|case| (&case["mistake"], &case["outcome"])).collect();
+        let [none, copied, halved] = &outcomes[..] else { panic!("{outcomes:?}") };
+        assert_eq!((none.0.is_null(), none.1.as_str()), (true, Some("clean")));
+        assert_eq!((copied.0.as_str(), copied.1.as_str()), (Some("keypoints of a second camera"), Some("named")));
+        assert_eq!((halved.0.as_str(), halved.1.as_str()), (Some("every second frame missing"), Some("named")));
+    }
+}

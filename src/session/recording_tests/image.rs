@@ -1,0 +1,92 @@
+//! The keypoints against the image: size, orientation, principal point and unit of the coordinates.
+
+use crate::body::detector_profile::DETECTOR;
+use crate::session::recording::{Keypoint, View};
+use crate::session::suspicion::{Suspicion, SuspicionCode};
+use nalgebra::Vector2;
+
+/// Minimum number of points for a suspicion.
+const MIN_POINTS: usize = 200;
+/// Share of points that a detector may place outside its image.
+const OUTSIDE: f64 = 0.05;
+/// If all people stay within this share of the image's width and height, the image probably has half the size.
+const NEAR_ORIGIN: f64 = 0.55;
+/// Coordinates below this are no pixels of an image of at least [`LEAST_WIDTH`] px: people fill more than its corner.
+const UNIT_RANGE: f64 = 2.0;
+const LEAST_WIDTH: u32 = 64;
+/// Distance of the principal point from the image's centre, as a share of the size, that only a wrong matrix K explains:
+/// lenses are centred to some 3 %, shift lenses and crops to 10 %.
+const OFF_CENTRE: f64 = 0.2;
+/// The same distance under the interpretation that explains it.
+const CENTRED: f64 = 0.1;
+
+/// Compares a view's keypoints and principal point with its image.
+pub(super) fn suspicion(view: &View) -> Option<Suspicion> {
+    let size = Vector2::new(f64::from(view.intrinsics.width), f64::from(view.intrinsics.height));
+    let found = of_keypoints(view, size).or_else(|| of_principal_point(view, size));
+    found.map(|(code, evidence, remedy)| Suspicion {
+        code,
+        cameras: vec![view.id.clone()],
+        evidence: format!("images of {}x{}: {evidence}", view.intrinsics.width, view.intrinsics.height),
+        remedy: remedy.to_owned(),
+        suggested_option: None,
+    })
+}
+
+type Found = (SuspicionCode, String, &'static str);
+
+fn of_keypoints(view: &View, size: Vector2<f64>) -> Option<Found> {
+    let keypoints = view.frames.iter().flatten().flat_map(|detection| &detection.keypoints);
+    let is_certain = |keypoint: &&Keypoint| keypoint.confidence >= DETECTOR.judged;
+    let pixels: Vec<Vector2<f64>> = keypoints.filter(is_certain).map(|keypoint| keypoint.pixel).collect();
+    let n = pixels.len();
+    if n < MIN_POINTS {
+        return None;
+    }
+    let share_outside = |size: Vector2<f64>| {
+        let outside = |p: &&Vector2<f64>| p.x < -1.0 || p.y < -1.0 || p.x > size.x || p.y > size.y;
+        pixels.iter().filter(outside).count() as f64 / n as f64
+    };
+    if view.intrinsics.width >= LEAST_WIDTH && share_outside(Vector2::repeat(UNIT_RANGE)) < 0.2 * OUTSIDE {
+        let evidence = format!("all its keypoints lie between 0 and {UNIT_RANGE}: they are shares of the image's size");
+        return Some((SuspicionCode::NormalizedCoordinates, evidence, "multiply them by the image's width and height"));
+    }
+    let outside = share_outside(size);
+    if outside > OUTSIDE {
+        let turned = size.yx();
+        if turned != size && share_outside(turned) < 0.2 * OUTSIDE {
+            let evidence = "its keypoints fit an image with width and height exchanged".to_owned();
+            return Some((
+                SuspicionCode::Rotated,
+                evidence,
+                "was the video rotated by 90 degrees? calibrate it as it is",
+            ));
+        }
+        let evidence = format!("its keypoints lie outside the image ({:.0} % of them)", 100.0 * outside);
+        return Some((SuspicionCode::Resolution, evidence, "does the calibration belong to another resolution?"));
+    }
+    (share_outside(NEAR_ORIGIN * size) < 0.2 * OUTSIDE).then(|| {
+        let evidence = "all its keypoints lie in the upper left quarter".to_owned();
+        (SuspicionCode::Resolution, evidence, "were they detected at half the calibration's resolution?")
+    })
+}
+
+fn of_principal_point(view: &View, size: Vector2<f64>) -> Option<Found> {
+    let (cx, cy) = (view.intrinsics.cx + 0.5, view.intrinsics.cy + 0.5);
+    let distance = |x: f64, y: f64| (x / size.x - 0.5).abs().max((y / size.y - 0.5).abs());
+    if distance(cx, cy) < OFF_CENTRE {
+        return None;
+    }
+    let off = format!("the principal point ({cx:.0}, {cy:.0}) is far from the centre");
+    if distance(cy, cx) < CENTRED {
+        let evidence = format!("{off}, and near it with cx and cy exchanged");
+        let remedy = "exchange cx and cy, or calibrate the video in the orientation of its keypoints";
+        return Some((SuspicionCode::PrincipalPoint, evidence, remedy));
+    }
+    let factor = cx / size.x + cy / size.y;
+    if factor > 0.0 && distance(cx / factor, cy / factor) < CENTRED {
+        let evidence = format!("{off}: K belongs to images {factor:.2} times as large");
+        return Some((SuspicionCode::Resolution, evidence, "give K for the resolution of the keypoints"));
+    }
+    Some((SuspicionCode::PrincipalPoint, off, "check the matrix K, and whether the images were cropped"))
+}

@@ -1,0 +1,30 @@
+//! Tests of a recording that need no solution: each looks for one mistake in the files and returns a suspicion.
+//!
+//! They run when a session is read (as warnings), when it is inspected, and in every job, whose verdict states them.
+//!
+//! - `image`: pixels outside or in a corner of the image, principal point, normalised coordinates
+//! - `repetition`: the same keypoints in two cameras or in successive frames, periodic gaps
+//! - `detector`: confidences, order of the keypoints
+//! - `given_poses`: given poses of the cameras against epipolar lines
+
+mod detector;
+mod given_poses;
+mod image;
+mod repetition;
+#[cfg(test)]
+mod tests;
+
+use super::recording::Session;
+use super::suspicion::Suspicion;
+
+/// Every suspicion that the keypoints and the calibration raise by themselves.
+pub fn suspicions(session: &Session) -> Vec<Suspicion> {
+    let mut found: Vec<Suspicion> = session.views.iter().filter_map(image::suspicion).collect();
+    found.extend(repetition::duplicate_cameras(session));
+    found.extend(session.views.iter().filter_map(repetition::repeated_frames));
+    found.extend(repetition::periodic_gaps(session));
+    found.extend(detector::low_confidence(session));
+    found.extend(detector::convention(session));
+    found.extend(given_poses::suspicion(session));
+    found
+}

@@ -1,0 +1,119 @@
+//! Each mistake is named, and a recording without one raises no suspicion.
+
+use super::suspicions;
+use crate::body::skeleton::KeypointConvention;
+use crate::geometry::Intrinsics;
+use crate::session::recording::{Detection, FrameIndex, Keypoint, Session, View};
+use crate::session::suspicion::SuspicionCode as Code;
+use nalgebra::Vector2;
+
+const N_FRAMES: usize = 60;
+/// Frames between the two cameras' pictures of the same walk.
+const LAG: usize = 1000;
+
+/// A stick figure that walks through the image; `time` in frames.
+fn walker(time: usize) -> Detection {
+    let place = |name: &str| {
+        let side = match name.split('_').next() {
+            Some("left") => 30.0,
+            Some("right") => -30.0,
+            _ => 0.0,
+        };
+        let heights =
+            [("knee", 330.0), ("ankle", 480.0), ("hip", 180.0), ("shoulder", 0.0), ("elbow", 90.0), ("wrist", 170.0)];
+        let height = heights.iter().find(|(part, _)| name.ends_with(part)).map_or(-60.0, |(_, height)| *height);
+        let x = 80.0 + 1100.0 * ((time as f64 * 0.037).sin() * 0.5 + 0.5) + side;
+        Vector2::new(x, 190.0 + height + 5.0 * (time as f64 * 0.61).sin())
+    };
+    let names = KeypointConvention::Coco17.names();
+    let keypoint = |name: &&str| Keypoint { pixel: place(name), confidence: 0.8 };
+    Detection { track_id: None, keypoints: names.iter().map(keypoint).collect() }
+}
+
+fn session() -> Session {
+    let view = |v: usize| View {
+        id: format!("c{v}"),
+        intrinsics: Intrinsics::PLAIN,
+        camera_from_world: None,
+        time_offset: 0.0,
+        frames: (0..N_FRAMES).map(|f| vec![walker(f + LAG * v)]).collect(),
+        delivered: (0..N_FRAMES).map(FrameIndex).collect(),
+    };
+    Session {
+        name: String::new(),
+        fps: 25.0,
+        first_frame: 0,
+        n_frames: N_FRAMES,
+        convention: KeypointConvention::Coco17,
+        up_axis: None,
+        start_timecode: None,
+        views: vec![view(0), view(1)],
+    }
+}
+
+/// Codes and cameras of the suspicions about a changed session.
+fn found(change: impl Fn(&mut Session)) -> Vec<(Code, Vec<String>)> {
+    let mut session = session();
+    change(&mut session);
+    suspicions(&session).into_iter().map(|s| (s.code, s.cameras)).collect()
+}
+
+fn pixels(session: &mut Session, change: impl Fn(Vector2<f64>) -> Vector2<f64>) {
+    let detections = session.views[1].frames.iter_mut().flatten();
+    detections.flat_map(|d| &mut d.keypoints).for_each(|k| k.pixel = change(k.pixel));
+}
+
+fn second(code: Code) -> Vec<(Code, Vec<String>)> {
+    vec![(code, vec!["c1".to_owned()])]
+}
+
+#[test]
+fn a_right_recording_raises_no_suspicion() {
+    assert_eq!(found(|_| {}), []);
+}
+
+#[test]
+fn names_wrong_coordinates() {
+    let shares = |p: Vector2<f64>| Vector2::new(p.x / 1280.0, p.y / 720.0);
+    assert_eq!(found(|s| pixels(s, shares)), second(Code::NormalizedCoordinates));
+    assert_eq!(found(|s| pixels(s, |p| 0.5 * p)), second(Code::Resolution));
+    assert_eq!(found(|s| pixels(s, |p| 2.0 * p)), second(Code::Resolution));
+    assert_eq!(found(|s| pixels(s, |p| Vector2::new(p.y, 1279.0 - p.x))), second(Code::Rotated));
+}
+
+#[test]
+fn names_a_wrong_principal_point() {
+    let lens = |change: fn(&mut Intrinsics)| found(|s| change(&mut s.views[1].intrinsics));
+    assert_eq!(lens(|k| std::mem::swap(&mut k.cx, &mut k.cy)), second(Code::PrincipalPoint));
+    assert_eq!(lens(|k| (k.cx, k.cy) = (k.cx * 1.5, k.cy * 1.5)), second(Code::Resolution));
+    assert_eq!(lens(|k| k.cx *= 1.6), second(Code::PrincipalPoint));
+    assert_eq!(lens(|k| k.cx *= 1.1), [], "a lens that is not quite centred");
+}
+
+#[test]
+fn names_repeated_keypoints() {
+    let both = vec![(Code::DuplicateCamera, vec!["c0".to_owned(), "c1".to_owned()])];
+    assert_eq!(found(|s| s.views[1].frames = s.views[0].frames.clone()), both);
+    let shift = |s: &mut Session| s.views[1].frames = (0..N_FRAMES).map(|f| vec![walker(f + 7)]).collect();
+    assert_eq!(found(shift), both, "the same video with other frame numbers");
+    let frozen = |s: &mut Session| s.views[1].frames = vec![vec![walker(5)]; N_FRAMES];
+    assert!(found(frozen).contains(&second(Code::RepeatedFrames)[0]));
+    let doubled = |s: &mut Session| s.views[1].frames = (0..N_FRAMES).map(|f| vec![walker(LAG + f / 2)]).collect();
+    assert_eq!(found(doubled), second(Code::RepeatedFrames), "a video stored at twice its rate");
+}
+
+#[test]
+fn names_periodic_gaps() {
+    let thinned = |s: &mut Session, v: usize| s.views[v].frames.iter_mut().skip(1).step_by(2).for_each(Vec::clear);
+    assert_eq!(found(|s| thinned(s, 1)), second(Code::PeriodicGaps));
+    assert_eq!(found(|s| (0..2).for_each(|v| thinned(s, v))), [(Code::PeriodicGaps, vec![])]);
+}
+
+#[test]
+fn names_what_a_detector_gives() {
+    let faint = |s: &mut Session| {
+        let keypoints = s.views.iter_mut().flat_map(|v| v.frames.iter_mut().flatten()).flat_map(|d| &mut d.keypoints);
+        keypoints.for_each(|k| k.confidence *= 0.1);
+    };
+    assert_eq!(found(faint), [(Code::LowConfidence, vec![])]);
+}
