@@ -6,7 +6,9 @@
 //! `Z[s][t] = -(Z[s][t+1] G + Z[s][t+2] F)` for `s = t+1, t+2`, and
 //! `Z[t][t] = L[t][t]^-T L[t][t]^-1 - Z[t+1][t]^T G - Z[t+2][t]^T F`,
 //!
-//! backwards in time and within the band alone (Takahashi, Fagan and Chin 1973; Erisman and Tinney 1975).
+//! backwards in time and within the band alone (Takahashi, Fagan and Chin 1973; Erisman and Tinney 1975). Diagonal blocks are
+//! made symmetric: an antisymmetric rounding error would meet `Z[t+1][t+2] = Z[t+2][t+1]^T` with the wrong sign and grow by a factor
+//! of two a frame.
 
 use super::Eliminated;
 use nalgebra::DMatrix;
@@ -33,8 +35,18 @@ impl Eliminated {
                 }
                 own.gemm(-1.0, &next.transpose(), &to_next, 1.0);
             }
+            make_symmetric(&mut own);
             visit(t, &own);
             (two, across, one) = (one, next, own);
+        }
+    }
+}
+
+fn make_symmetric(a: &mut DMatrix<f64>) {
+    for i in 0..a.nrows() {
+        for j in 0..i {
+            let mean = 0.5 * (a[(i, j)] + a[(j, i)]);
+            (a[(i, j)], a[(j, i)]) = (mean, mean);
         }
     }
 }

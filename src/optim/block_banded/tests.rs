@@ -144,3 +144,30 @@ fn inverse_blocks_and_responses_equal_the_dense_ones() {
         }
     }
 }
+
+/// A smooth path that little but its accelerations holds, for long: rounding errors must not grow with its length.
+#[test]
+fn inverse_blocks_of_a_long_smooth_path_stay_exact() {
+    let n_frames = 300;
+    let mut system = BlockBanded::zeros(n_frames, 2, 0);
+    let identity = Matrix3::<f64>::identity();
+    for t in 0..n_frames {
+        let observed = Matrix3::new(1.0, 0.2, 0.0, 0.2, 0.5, 0.1, 0.0, 0.1, 0.3) * 1e-2;
+        system.add_block([t, t], [0, 0], observed);
+        system.add_block([t, t], [1, 1], identity * 1e-4);
+        system.add_block([t, t], [1, 0], observed * 0.01);
+        system.diagonal[t].fill_upper_triangle_with_lower_triangle();
+    }
+    for t in 0..n_frames - 2 {
+        for (i, a) in [1.0, -2.0, 1.0].into_iter().enumerate() {
+            for (k, b) in [1.0, -2.0, 1.0].into_iter().enumerate().take(i + 1) {
+                (0..2).for_each(|g| system.add_block([t + i, t + k], [g, g], identity * (a * b)));
+            }
+        }
+    }
+    let inverse = dense(&system).0.try_inverse().unwrap();
+    system.eliminated(0.0).unwrap().for_each_inverse_block(|t, block| {
+        let expected = inverse.view((6 * t, 6 * t), (6, 6));
+        assert!((block - expected).norm() < 1e-6 * expected.norm(), "frame {t}");
+    });
+}
