@@ -5,7 +5,7 @@
 
 use super::model::{BodyModel, Landmark, ShapeDirections, ShapedBody};
 use super::skeleton::{N_JOINTS, PARENTS, chain_to_root};
-use crate::geometry::rotation::skew;
+use crate::geometry::rotation::{self, skew};
 use nalgebra::{Matrix3, Vector3};
 
 /// One pose: local rotations `parent_from_joint` (entry 0: `world_from_pelvis`) and SMPL's translation, m.
@@ -21,6 +21,15 @@ impl Pose {
     /// The T-pose, facing +z.
     pub fn rest() -> Self {
         Self { rotations: [Matrix3::identity(); N_JOINTS], translation: Vector3::zeros() }
+    }
+
+    /// The pose a share of the way to another one, each joint turning at a constant rate.
+    pub fn towards(&self, other: &Self, share: f64) -> Self {
+        let turned = |joint: usize| {
+            let (from, to) = (&self.rotations[joint], &other.rotations[joint]);
+            from * rotation::exp(&(rotation::log(&(from.transpose() * to)) * share))
+        };
+        Self { rotations: std::array::from_fn(turned), translation: self.translation.lerp(&other.translation, share) }
     }
 }
 

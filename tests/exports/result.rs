@@ -278,6 +278,7 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
             scale: None,
             rejected_detections: 0.0,
             keypoints_from: String::new(),
+            suspicions: Vec::new(),
             quality: Quality { verdict: Verdict::Pass, reasons: Vec::new() },
         },
     }

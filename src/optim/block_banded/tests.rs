@@ -149,23 +149,19 @@ fn inverse_blocks_and_responses_equal_the_dense_ones() {
 #[test]
 fn inverse_blocks_of_a_long_smooth_path_stay_exact() {
     let n_frames = 300;
-    let mut system = BlockBanded::zeros(n_frames, 2, 0);
-    let identity = Matrix3::<f64>::identity();
+    let mut both = Both::zeros(n_frames, 2, 0);
+    let scaled = |factor: f64| DMatrix::identity(3, 3) * factor;
+    let observed = DMatrix::from_row_slice(3, 3, &[0.1, 0.02, 0.0, 0.0, 0.07, 0.01, 0.0, 0.0, 0.05]);
     for t in 0..n_frames {
-        let observed = Matrix3::new(1.0, 0.2, 0.0, 0.2, 0.5, 0.1, 0.0, 0.1, 0.3) * 1e-2;
-        system.add_block([t, t], [0, 0], observed);
-        system.add_block([t, t], [1, 1], identity * 1e-4);
-        system.add_block([t, t], [1, 0], observed * 0.01);
-        system.diagonal[t].fill_upper_triangle_with_lower_triangle();
+        both.add_square(&observed, &[[t, 0]]);
+        both.add_square(&scaled(0.01), &[[t, 1]]);
     }
+    let accelerations = DMatrix::from_fn(3, 9, |i, k| if k % 3 == i { [1.0, -2.0, 1.0][k / 3] } else { 0.0 });
     for t in 0..n_frames - 2 {
-        for (i, a) in [1.0, -2.0, 1.0].into_iter().enumerate() {
-            for (k, b) in [1.0, -2.0, 1.0].into_iter().enumerate().take(i + 1) {
-                (0..2).for_each(|g| system.add_block([t + i, t + k], [g, g], identity * (a * b)));
-            }
-        }
+        (0..2).for_each(|g| both.add_square(&accelerations, &[[t, g], [t + 1, g], [t + 2, g]]));
     }
-    let inverse = dense(&system).0.try_inverse().unwrap();
+    let Both { system, dense, .. } = both;
+    let inverse = dense.try_inverse().unwrap();
     system.eliminated(0.0).unwrap().for_each_inverse_block(|t, block| {
         let expected = inverse.view((6 * t, 6 * t), (6, 6));
         assert!((block - expected).norm() < 1e-6 * expected.norm(), "frame {t}");

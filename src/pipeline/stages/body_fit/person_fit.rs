@@ -10,6 +10,7 @@ use super::pixel_residuals::{DetectedPixels, median_distance_px};
 use super::terms::data::DataSource;
 use super::terms::unknowns::{MotionState, Shape};
 use super::thinned_motion::{carry_along, rough_stride};
+use crate::body::kinematics::Pose;
 use crate::optim::block_banded::BlockBanded;
 use crate::progress::Canceled;
 use rayon::prelude::*;
@@ -70,14 +71,14 @@ fn fit_windows(
     [of_first, of_others]: [&[Pass]; 2],
 ) -> Result<FittedMotion, Canceled> {
     let windows = windows(start.poses.len(), context.config.window_frames.max(3));
-    let whole = fit_window(context, observations, &start, first, Shape::Free, of_first)?;
-    let shaped = MotionState { betas: whole.whole.state.betas, ..start };
-    let fitted = whole.without_halo(first);
+    let of_first = fit_window(context, observations, &start, first, Shape::Free, of_first)?;
+    let shaped = MotionState { betas: of_first.whole.state.betas, ..start };
     let fit = |w: &Range<usize>| match w == first {
-        true => Ok(fitted.clone()),
-        false => Ok(fit_window(context, observations, &shaped, w, Shape::Held, of_others)?.without_halo(w)),
+        true => Ok(of_first.clone()),
+        false => fit_window(context, observations, &shaped, w, Shape::Held, of_others),
     };
-    Ok(joined(windows.par_iter().map(fit).collect::<Result<_, Canceled>>()?))
+    let fitted = windows.par_iter().map(fit).collect::<Result<_, Canceled>>()?;
+    Ok(joined(&windows, fitted, context.config.halo_frames))
 }
 
 /// Fewest frames that are left by thinning; shorter windows are fitted whole.
@@ -97,6 +98,7 @@ enum Pass {
 }
 
 /// The fit of a window and its halo.
+#[derive(Clone)]
 struct FittedWindow {
     whole: FittedMotion,
     /// The frames fitted.
@@ -104,10 +106,9 @@ struct FittedWindow {
 }
 
 impl FittedWindow {
-    fn without_halo(mut self, window: &Range<usize>) -> FittedMotion {
-        let own = window.start - self.frames.start..window.end - self.frames.start;
-        self.whole.state.poses = self.whole.state.poses[own].to_vec();
-        self.whole
+    /// At a frame of the track.
+    fn pose(&self, t: usize) -> &Pose {
+        &self.whole.state.poses[t - self.frames.start]
     }
 }
 
@@ -121,15 +122,26 @@ fn n_observations(observations: &Observations, window: &Range<usize>) -> usize {
     window.clone().map(|t| observations.pixels[t].len() + observations.points[t].len()).sum()
 }
 
-fn joined(parts: Vec<FittedMotion>) -> FittedMotion {
-    let betas = parts[0].state.betas;
+/// One motion of all windows, which fade into each other over their halos: a jump between them would look like fast motion to
+/// terms that are scaled by speed.
+fn joined(windows: &[Range<usize>], fits: Vec<FittedWindow>, halo: usize) -> FittedMotion {
+    let mut poses: Vec<Pose> =
+        windows.iter().zip(&fits).flat_map(|(window, fit)| window.clone().map(|t| *fit.pose(t))).collect();
+    let fade = windows.iter().map(|window| window.len() / 2).min().unwrap_or(0).min(halo);
+    for (window, [fit, next]) in windows.iter().zip(fits.array_windows()) {
+        for t in window.end - fade..window.end + fade {
+            let share = ((t + fade - window.end) as f64 + 0.5) / (2 * fade) as f64;
+            poses[t] = fit.pose(t).towards(next.pose(t), share);
+        }
+    }
+    let parts = || fits.iter().map(|fit| &fit.whole);
     FittedMotion {
-        cost_before: parts.iter().map(|p| p.cost_before).sum(),
-        cost_after: parts.iter().map(|p| p.cost_after).sum(),
-        iterations: parts.iter().map(|p| p.iterations).max().unwrap_or(0),
-        converged: parts.iter().all(|p| p.converged),
+        cost_before: parts().map(|p| p.cost_before).sum(),
+        cost_after: parts().map(|p| p.cost_after).sum(),
+        iterations: parts().map(|p| p.iterations).max().unwrap_or(0),
+        converged: parts().all(|p| p.converged),
         median_reprojection_px: None,
-        state: MotionState { betas, poses: parts.into_iter().flat_map(|p| p.state.poses).collect() },
+        state: MotionState { betas: fits[0].whole.state.betas, poses },
     }
 }
 
