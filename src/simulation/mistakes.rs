@@ -242,7 +242,8 @@ mod tests {
     use crate::simulation::{Preset, SimulationConfig, simulate};
 
     fn session() -> Session {
-        let config = SimulationConfig { frames: 60, ..SimulationConfig::preset(Preset::Hard) };
+        let preset = SimulationConfig::preset(Preset::Hard);
+        let config = SimulationConfig { frames: 60, convention: KeypointConvention::Body25, ..preset };
         simulate(&config).unwrap().session
     }
 

@@ -138,6 +138,8 @@ fn solved(session: &Session, path: &Path, out: &Path) -> anyhow::Result<Solved> 
     };
     std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
     write_result(out, session, &context, &result)?;
+    // A mistake may change which detections there are; the truth's list of identities then no longer fits.
+    std::fs::remove_file(out.join("identities.json"))?;
     let errors = evaluate(out, &path.join("gt"), &EvaluationOptions::default()).map_err(|e| BadInput(e.to_string()))?;
     Ok(Solved { secs, ..with_errors(&result, &errors) })
 }

@@ -93,15 +93,7 @@ pub(super) fn correlated_errors(
         };
         let mut adjusted: Vec<Member> = started.iter().flatten().map(spread).collect();
         let thinned = FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context };
-        let mut priors = CameraPriors::new(&context.config.known_cameras);
-        for _ in 0..N_ROUNDS {
-            let round = adjust(&thinned, &mut adjusted, Some(&priors), &STOPPING)?;
-            covariance = round.covariance;
-            if let (Some((found, spread)), Some(prior)) = (round.focal, &mut priors.focal) {
-                prior.spread = spread;
-                focal = Some(found);
-            }
-        }
+        (covariance, focal) = adjust(&thinned, &mut adjusted)?;
         cameras = adjusted.first().map(|member| member.observations.cameras.clone());
         for ((observations, started), member) in started.iter_mut().flatten().zip(&adjusted) {
             take_over(observations, started, member, stride <= informative);
@@ -112,7 +104,7 @@ pub(super) fn correlated_errors(
         let mut members: Vec<Member> = seen_most(started).into_iter().zip(adjusted).map(with_bones).collect();
         if stride > 1 {
             // Frames between adjusted ones do not show the detector's errors before they have settled.
-            adjust(context, &mut members, None, &Stopping { max_iterations: 1, ..STOPPING })?;
+            settle(context, &mut members)?;
         }
         measured = Some(measured_noise(context, &members));
     }
@@ -129,34 +121,57 @@ fn informative_stride(context: &FitContext, members: &[Member]) -> usize {
     (2..=longest).rev().find(|&stride| typical.after(stride) >= MIN_SHARED).unwrap_or(1)
 }
 
-/// What one round of the adjustment says of the cameras.
-struct Round {
-    covariance: Option<CameraCovariance>,
-    /// Focal lengths, where they are unknowns, and the likeliest spread of their errors.
-    focal: Option<(RefinedFocal, FocalSpread)>,
+/// Covariance of the cameras, and focal lengths where they are unknowns.
+type Refined = (Option<CameraCovariance>, Option<RefinedFocal>);
+
+/// Adjusts cameras and motions of all members in rounds, each under the errors that the one before left.
+fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Refined, Canceled> {
+    let table = OffsetTable::empty(context.model);
+    let mut priors = CameraPriors::new(&context.config.known_cameras);
+    let mut noise = measured_noise(context, members);
+    let mut focal = None;
+    for round in 1..=N_ROUNDS {
+        let minimum = problem(context, &table, &noise, Some(&priors)).minimised(members, Vec::new(), &STOPPING)?;
+        if let Some(prior) = &mut priors.focal
+            && let Some((found, spread)) = refined_focal(&minimum, prior)
+        {
+            prior.spread = spread;
+            focal = Some(found);
+        }
+        if round < N_ROUNDS {
+            noise = measured_noise(context, members);
+        }
+    }
+    let last = problem(context, &table, &noise, Some(&priors));
+    Ok((last.camera_covariance(members, noise.typical().autocorrelation), focal))
 }
 
-/// Measures the errors of all members, and adjusts motions and, as far as they are not held, cameras under them.
-fn adjust(
-    context: &FitContext,
-    members: &mut [Member],
-    cameras: Option<&CameraPriors>,
-    stopping: &Stopping,
-) -> Result<Round, Canceled> {
+/// One step of the motions alone.
+fn settle(context: &FitContext, members: &mut [Member]) -> Result<(), Canceled> {
+    let table = OffsetTable::empty(context.model);
     let noise = measured_noise(context, members);
-    let problem = JointProblem {
+    let once = Stopping { max_iterations: 1, ..STOPPING };
+    problem(context, &table, &noise, None).minimised(members, Vec::new(), &once)?;
+    Ok(())
+}
+
+/// The joint problem without offsets of the detector: they are in the model; released again, they cost half of the time and
+/// change no camera by a tenth of its standard deviation.
+fn problem<'a>(
+    context: &'a FitContext<'a>,
+    table: &'a OffsetTable,
+    noise: &'a PathNoise,
+    cameras: Option<&'a CameraPriors>,
+) -> JointProblem<'a> {
+    JointProblem {
         context,
-        // The detector's offsets are in the model; released again, they cost half of the time and change no camera by a tenth.
-        table: &OffsetTable::empty(context.model),
-        errors: Errors::Correlated(&noise),
+        table,
+        errors: Errors::Correlated(noise),
         shape_prior: context.config.shape_prior,
         bone_prior: BoneLengthPrior { sigma: BONE_SIGMA, correlated_frames: 1.0 },
         bias_prior: KeypointBiasPrior { sigmas: Vec::new(), correlated_frames: 1.0 },
         cameras,
-    };
-    let minimum = problem.minimised(members, Vec::new(), stopping)?;
-    let focal = cameras.and_then(|priors| priors.focal.as_ref()).and_then(|prior| refined_focal(&minimum, prior));
-    Ok(Round { covariance: problem.camera_covariance(members, noise.typical().autocorrelation), focal })
+    }
 }
 
 /// Focal lengths at a minimum under `prior`, and the likeliest spread of their errors.
