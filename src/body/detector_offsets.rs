@@ -113,9 +113,12 @@ impl OffsetTable {
         self.of_landmarks.get(landmark)?.as_ref()
     }
 
-    /// The first kind whose offset is implausibly large for a detector's bias.
+    /// The first kind of joint whose offset is implausibly large for a detector's bias. Points of the skin lie where annotators and
+    /// bodies have them, and say nothing of joints.
     pub fn implausible(&self, offsets: &[Vector3<f64>]) -> Option<&OffsetKind> {
-        let is_large = |kind: &OffsetKind, o: &Vector3<f64>| o.component_div(&kind.prior_sigma).norm() > MAX_SIGMAS;
+        let is_large = |kind: &OffsetKind, offset: &Vector3<f64>| {
+            kind.is_joint && offset.component_div(&kind.prior_sigma).norm() > MAX_SIGMAS
+        };
         self.kinds.iter().zip(offsets).find(|(kind, offset)| is_large(kind, offset)).map(|(kind, _)| kind)
     }
 
@@ -195,6 +198,19 @@ mod tests {
             assert!((shift - Vector3::new(0.04 * side, 0.01, 0.0)).norm() < 1e-12);
         }
         assert_eq!(place(&moved, "left_knee"), place(&model, "left_knee"));
+    }
+
+    /// Ears 20 mm lower than the body's kept hips that were 40 mm too wide from being corrected.
+    #[test]
+    fn ears_elsewhere_do_not_speak_against_a_bias_of_the_hips() {
+        let table = OffsetTable::new(&default_body(), KeypointConvention::Body25);
+        let kind = |name: &str| table.kinds.iter().position(|kind| kind.name == name).unwrap();
+        let mut offsets = vec![Vector3::zeros(); table.kinds.len()];
+        offsets[kind("ear")] = Vector3::new(0.0, -0.1, 0.0);
+        offsets[kind("hip")] = Vector3::new(0.04, 0.0, 0.0);
+        assert!(table.implausible(&offsets).is_none());
+        offsets[kind("hip")] = Vector3::new(0.04, 0.1, 0.0);
+        assert_eq!(table.implausible(&offsets).unwrap().name, "hip");
     }
 
     #[test]

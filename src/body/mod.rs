@@ -11,6 +11,7 @@ pub mod detector_profile;
 pub mod generator;
 pub mod human_speeds;
 pub mod joint_ranges;
+pub mod keypoint_accelerations;
 pub mod kinematics;
 pub mod landmarks;
 pub mod loader;

@@ -80,6 +80,21 @@ impl PointChain {
     }
 }
 
+/// Frequencies of the integral of [`smoothing_gain`].
+const N_FREQUENCIES: usize = 64;
+
+/// Variance of a point of a long smooth path over that of its own measurement, if errors are independent from point to point.
+///
+/// $\frac1{2\pi} \int 1 / (1 + c (2 - 2 \cos\omega)^2) d\omega$, with `c` the variance of a measurement over that of a second
+/// difference: the diagonal of the inverse of the Hessian, far from both ends.
+pub fn smoothing_gain(c: f64) -> f64 {
+    let kept = |k: usize| {
+        let second_difference = 2.0 - 2.0 * (std::f64::consts::PI * (k as f64 + 0.5) / N_FREQUENCIES as f64).cos();
+        1.0 / (1.0 + c * second_difference.powi(2))
+    };
+    (0..N_FREQUENCIES).map(kept).sum::<f64>() / N_FREQUENCIES as f64
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -138,5 +153,20 @@ mod tests {
     fn rejects_indefinite_matrices() {
         let chain = PointChain { diagonal: vec![Matrix3::identity(); 2], couplings: vec![[0.0; 2], [2.0, 0.0]] };
         assert!(chain.solve(vec![Vector3::x(); 2]).is_none());
+    }
+
+    /// The diagonal of the inverse in the middle of a long path.
+    #[test]
+    fn smoothing_gain_is_that_of_a_long_path() {
+        const N: usize = 401;
+        for c in [1e-4, 0.3, 3.0, 300.0] {
+            let mut system = PointChain::of_second_differences(N, c);
+            system.diagonal.iter_mut().for_each(|block| *block += Matrix3::identity());
+            let mut unit = vec![Vector3::zeros(); N];
+            unit[N / 2] = Vector3::x();
+            let left = system.solve(unit).unwrap()[N / 2].x;
+            assert!((smoothing_gain(c) / left - 1.0).abs() < 1e-3, "{c}: {} and {left}", smoothing_gain(c));
+        }
+        assert!(smoothing_gain(1e-4) > 0.99, "motion, not noise");
     }
 }

@@ -77,7 +77,9 @@ fn shown(estimate: &FocalEstimate, current: &FocalLengths) -> Option<FoundFactor
     let increments = DVector::from_column_slice(&estimate.log_factors);
     let covariance = DMatrix::from_fn(n, n, |i, j| estimate.covariance[i][j]);
     let prior = FocalSpread { own: AdjustmentConfig::default().focal_sigma, common: 0.0 };
-    Some(FoundFactors::new(&increments, covariance * OVERCOUNT, prior)?.shifted(&current))
+    let scatter = &covariance * OVERCOUNT;
+    let found = FoundFactors::new(&increments, &covariance, &scatter, &prior.precision(n))?;
+    Some(found.shifted(&current))
 }
 
 /// The report of an adjustment as that of this pass.

@@ -3,15 +3,14 @@
 //! Bundle adjustment takes the detector's errors as independent. They are slow, so that what lies still says little and what
 //! moves says much: with the errors whitened the cameras' errors fall by a third on realistic noise.
 
-use super::camera_priors::{CameraPriors, OVERCOUNT};
+use super::camera_priors::CameraPriors;
 use super::context::FitContext;
 use super::focal_prior::{FocalPrior, RefinedFocal};
-use super::joint_problem::{Errors, JointProblem, Member, Minimum, Stopping};
+use super::joint_problem::{Errors, JointProblem, Member, Stopping};
 use super::noise_measurement::measured_noise;
 use super::observations::{Observations, PosedCamera};
 use super::person_fit::StartedMotion;
 use super::terms::border_priors::{BoneLengthPrior, KeypointBiasPrior};
-use super::terms::camera_unknowns::{CameraUnknowns, FOCAL};
 use super::terms::noise_process::PathNoise;
 use super::thinned_motion::carry_along;
 use crate::body::detector_offsets::OffsetTable;
@@ -131,12 +130,12 @@ fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Refined, Cance
     let mut noise = measured_noise(context, members);
     let mut focal = None;
     for round in 1..=N_ROUNDS {
-        let minimum = problem(context, &table, &noise, Some(&priors)).minimised(members, Vec::new(), &STOPPING)?;
-        if let Some(prior) = &mut priors.focal
-            && let Some((found, spread)) = refined_focal(&minimum, prior)
-        {
-            prior.spread = spread;
+        let problem = problem(context, &table, &noise, Some(&priors));
+        problem.minimised(members, Vec::new(), &STOPPING)?;
+        let slow = noise.typical().autocorrelation;
+        if let Some((found, likeliest)) = refined_focal(&problem, members, slow) {
             focal = Some(found);
+            priors = likeliest;
         }
         if round < N_ROUNDS {
             noise = measured_noise(context, members);
@@ -174,22 +173,31 @@ fn problem<'a>(
     }
 }
 
-/// Focal lengths at a minimum under `prior`, and the likeliest spread of their errors.
-fn refined_focal(minimum: &Minimum, prior: &FocalPrior) -> Option<(RefinedFocal, FocalSpread)> {
-    let log_factors = prior.log_factors(&minimum.session.cameras);
-    let covariance = minimum.reduced.as_ref()?.covariance();
-    let n_camera = CameraUnknowns { focal: true }.len();
-    let first = covariance.nrows() - n_camera * log_factors.len();
-    let columns: Vec<usize> = (0..log_factors.len()).map(|camera| first + n_camera * camera + FOCAL).collect();
-    let covariance = covariance.select_rows(&columns).select_columns(&columns) * OVERCOUNT;
+/// Focal lengths at a minimum, and the priors with the likeliest spread of their errors; `None` where they are held or the session
+/// does not determine them.
+fn refined_focal(problem: &JointProblem, members: &[Member], slow: f64) -> Option<(RefinedFocal, CameraPriors)> {
+    let priors = problem.cameras?;
+    let prior = priors.focal.as_ref()?;
+    let cameras = &members.first()?.observations.cameras;
+    let log_factors = prior.log_factors(cameras);
+    let spread = problem.spread_of_cameras(members, slow)?;
+    let columns: Vec<usize> = priors.focal_columns(cameras.len()).collect();
+    let (inverse_hessian, covariance) = (spread.inverse_hessian(&columns), spread.covariance(&columns));
+    let found =
+        FoundFactors::new(&log_factors, &inverse_hessian, &covariance, &(prior.precision() * priors.overcount))?;
+    let (likeliest, log_evidence) = FocalSpread::likeliest(&found);
+    let (_, posterior) = found.under(likeliest)?;
     let factor = |k: usize| {
         let value = log_factors[k].exp();
-        FocalFactor { value, sigma: value * covariance[(k, k)].max(0.0).sqrt() }
+        FocalFactor { value, sigma: value * posterior[(k, k)].max(0.0).sqrt() }
     };
     let factors = (0..log_factors.len()).map(factor).collect();
-    let (spread, log_evidence) =
-        FocalSpread::likeliest(&FoundFactors::new(&log_factors, covariance.clone(), prior.spread)?);
-    Some((RefinedFocal { factors, log_evidence }, spread))
+    let overcount = match prior.spread == FocalSpread::WIDE {
+        true => found.overcount(&inverse_hessian),
+        false => priors.overcount,
+    };
+    let focal = Some(FocalPrior { spread: likeliest, ..prior.clone() });
+    Some((RefinedFocal { factors, log_evidence }, CameraPriors { focal, overcount, ..priors.clone() }))
 }
 
 /// The first fit goes on from where the adjustment ended; frames between adjusted ones are carried along.

@@ -11,18 +11,20 @@ use crate::optim::block_banded::Corner;
 use crate::pipeline::focal_spread::FocalSpread;
 use nalgebra::{DMatrix, DVector};
 
-/// How many times the joint problem counts what it shows of the cameras: errors of the detector that are slower than the model of
-/// the noise, or constant, are not in it. On realistic noise the mean square error of focal lengths is 4.3 times their stated
-/// variance, 3 to 7 times by session. Priors count as often.
-pub(super) const OVERCOUNT: f64 = 5.0;
+/// How many times the joint problem counts what it shows of the cameras, before that has been measured. On realistic noise the mean
+/// square error of focal lengths is 4.3 times their stated variance, 3 to 7 times by session.
+const OVERCOUNT: f64 = 5.0;
 
 /// Priors of the cameras' unknowns.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub(super) struct CameraPriors {
     /// Of the focal lengths; `None`: they are held.
     pub focal: Option<FocalPrior>,
     /// Of the poses; `None`: nothing is known, and the cameras move in a free network.
     pub poses: Option<CameraPosePrior>,
+    /// How many times the joint problem counts what it shows of the cameras: errors of the detector that are slower than the model
+    /// of the noise, or constant, are not in it. Priors count as often.
+    pub overcount: f64,
 }
 
 impl CameraPriors {
@@ -30,7 +32,7 @@ impl CameraPriors {
     pub(super) fn new(known: &KnownCameras) -> Self {
         let focal = |given: &Vec<f64>| FocalPrior { given: given.clone(), spread: FocalSpread::WIDE };
         let poses = |given: &Vec<Rigid>| CameraPosePrior { given: given.clone() };
-        Self { focal: known.focal_px.as_ref().map(focal), poses: known.poses.as_ref().map(poses) }
+        Self { focal: known.focal_px.as_ref().map(focal), poses: known.poses.as_ref().map(poses), overcount: OVERCOUNT }
     }
 
     /// The unknowns of `n_cameras` cameras.
@@ -38,10 +40,10 @@ impl CameraPriors {
         CameraColumns { n_cameras, unknowns: CameraUnknowns { focal: self.focal.is_some() } }
     }
 
-    /// Half of squared standard deviations, [`OVERCOUNT`] times.
+    /// Half of squared standard deviations, [`Self::overcount`] times.
     pub(super) fn cost(&self, cameras: &[PosedCamera]) -> f64 {
         let of_focal = self.focal.as_ref().map_or(0.0, |prior| prior.cost(&prior.log_factors(cameras)));
-        OVERCOUNT * (of_focal + self.poses.as_ref().map_or(0.0, |prior| prior.cost(cameras)))
+        self.overcount * (of_focal + self.poses.as_ref().map_or(0.0, |prior| prior.cost(cameras)))
     }
 
     /// Adds gradient and Hessian; the unknowns of the cameras begin at `first`.
@@ -51,13 +53,13 @@ impl CameraPriors {
             for (camera, gradient) in prior.gradients(cameras).iter().enumerate() {
                 for (k, precision) in CameraPosePrior::precisions().into_iter().enumerate() {
                     let at = first + n * camera + k;
-                    corner.gradient[at] += OVERCOUNT * gradient[k];
-                    corner.hessian[(at, at)] += OVERCOUNT * precision;
+                    corner.gradient[at] += self.overcount * gradient[k];
+                    corner.hessian[(at, at)] += self.overcount * precision;
                 }
             }
         }
         if let Some(prior) = &self.focal {
-            let precision = prior.precision() * OVERCOUNT;
+            let precision = prior.precision() * self.overcount;
             let gradient = &precision * prior.log_factors(cameras);
             let columns = self.focal_columns(cameras.len());
             for (i, row) in columns.clone().enumerate() {
@@ -70,7 +72,7 @@ impl CameraPriors {
     }
 
     /// Columns of the focal factors' logarithms among those of the cameras.
-    fn focal_columns(&self, n_cameras: usize) -> impl Iterator<Item = usize> + Clone {
+    pub(super) fn focal_columns(&self, n_cameras: usize) -> impl Iterator<Item = usize> + Clone {
         let n = self.columns(n_cameras).unknowns.len();
         (0..n_cameras).map(move |camera| n * camera + FOCAL)
     }

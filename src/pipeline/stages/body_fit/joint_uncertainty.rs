@@ -7,9 +7,12 @@
 //! with `J = dx/d(frame)`, `Z` the frame's block of the inverse of the motion's system, and `R = dx/d(border) + J X` the movement
 //! by an unknown that all frames share while the frames follow it by `X = -H_ff^-1 H_fb`: by the betas, whose covariance `C_b` is
 //! that of the window; by proportions that the betas do not span, which the fit leaves out (bone offsets of standard deviation
-//! `sigma`); and by the cameras. `f = n / (n - p)`: n equations a frame determine p unknowns, and leave residuals, by which
-//! errors are measured, smaller than these. What no view sees is as uncertain as smoothness and the pose prior leave it.
-//! Collision resolution is left out.
+//! `sigma`); and by the cameras. What bodies define differently is added. `f = n / (n - p)`: n equations a frame determine p
+//! unknowns, and leave residuals, by which errors are measured, smaller than these. What no view sees is as uncertain as smoothness
+//! and the pose prior leave it. Collision resolution is left out.
+//!
+//! Standard deviations change no faster than poses: they are those of every few frames, whose pixels count for those of the frames
+//! between, and linear between them.
 
 use super::camera_adjustment::BONE_SIGMA;
 use super::context::FitContext;
@@ -19,11 +22,12 @@ use super::person_motion::PersonFit;
 use super::pixel_residuals::{DetectedPixels, variance_per_residual};
 use super::terms::camera_unknowns::CameraUnknowns;
 use super::terms::unknowns::{CameraColumns, MotionState, Shape, TRANSLATION_GROUP, Unknowns};
+use super::thinned_motion::rough_stride;
 use crate::body::bone_offsets::joint_by_bones;
 use crate::body::detector_offsets::OffsetTable;
 use crate::body::kinematics::{PosedSkeleton, joint_by_rotation, joints_by_betas, posed};
 use crate::body::model::ShapeDirections;
-use crate::body::skeleton::N_JOINTS;
+use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
 use crate::geometry::free_network::CameraCovariance;
 use crate::optim::block_banded::BlockBanded;
 use crate::session::people::JointSigmas;
@@ -53,9 +57,14 @@ fn window_sigmas(
 ) -> Option<Vec<JointSigmas>> {
     let halo = context.config.halo_frames;
     let frames = window.start.saturating_sub(halo)..(window.end + halo).min(person.valid.len());
-    let observations = person.observations.slice(frames.clone());
+    let stride = rough_stride(context.frame_interval);
+    let observations = person.observations.thinned(frames.clone(), stride);
     let whole = &person.fitted.state;
-    let state = MotionState { betas: whole.betas, poses: whole.poses[frames.clone()].to_vec() };
+    let poses = whole.poses[frames.clone()].iter().step_by(stride).copied().collect();
+    let state = MotionState { betas: whole.betas, poses };
+    let noise = context.noise.map(|noise| noise.thinned(stride));
+    let frame_interval = stride as f64 * context.frame_interval;
+    let context = &FitContext { noise: noise.as_ref(), frame_interval, ..*context };
     let pixels = DetectedPixels::new(context, &observations, &state);
     let table = OffsetTable::empty(context.model);
     let objective = Objective::new(context, context.config, &observations, pixels.source(), Shape::Free);
@@ -81,13 +90,33 @@ fn window_sigmas(
             let by = |columns: Range<usize>| by_border.columns_range(columns).into_owned();
             let measured = variance(&by_frame, of_frame) + variance(&by(border.betas()), &of_betas);
             let of_bones = BONE_SIGMA * BONE_SIGMA * by(border.bones()).norm_squared();
+            let of_definition = 3.0 * definition_sigma(joint).powi(2);
             let position = &skeleton.joints[joint];
             let of_cameras =
                 cameras.map_or(0.0, |cameras| cameras.point_variance(position, &by(border.camera_columns())));
-            sigmas[t][joint] = (errors * measured + of_bones + of_cameras).max(0.0).sqrt();
+            sigmas[t][joint] = (errors * measured + of_bones + of_definition + of_cameras).max(0.0).sqrt();
         }
     });
-    Some(sigmas[window.start - frames.start..window.end - frames.start].to_vec())
+    Some(window.clone().map(|t| between(&sigmas, t - frames.start, stride)).collect())
+}
+
+/// At frame `t` between two of every `stride`-th frame.
+fn between(sigmas: &[JointSigmas], t: usize, stride: usize) -> JointSigmas {
+    let (k, part) = (t / stride, (t % stride) as f64 / stride as f64);
+    let next = &sigmas[(k + 1).min(sigmas.len() - 1)];
+    std::array::from_fn(|joint| sigmas[k][joint] + part * (next[joint] - sigmas[k][joint]))
+}
+
+/// Standard deviation per axis of where a joint lies in another body of the same person, beside [`BONE_SIGMA`], m: no keypoint
+/// shows these joints, and bodies place them by definitions of their own. Between the default body and skeletons of recorded people
+/// upper spine and collars lie 65 mm apart, hands and toes 50 mm, the middle of the spine 40 mm.
+fn definition_sigma(joint: usize) -> f64 {
+    match JOINT_NAMES[joint] {
+        "spine3" | "left_collar" | "right_collar" => 0.035,
+        "spine2" | "left_foot" | "right_foot" | "left_hand" | "right_hand" => 0.02,
+        "spine1" | "head" => 0.01,
+        _ => 0.0,
+    }
 }
 
 /// The trace of `by covariance by^T`.

@@ -65,19 +65,22 @@ pub(super) fn estimated_bias(
     Ok(Some(EstimatedBias { model: table.applied(context.model, &applied), report }))
 }
 
-/// The session's offsets under the likeliest hypothesis.
-///
-/// Detector bias and body proportions leave about as much open as each other, and how much exactly depends on how unusual
-/// people are assumed to be: the lower cost decides between them. That either is needed at all must show in the evidence, which
-/// charges for what a hypothesis leaves open: with clean detections of ordinary bodies, 80 free numbers fit some of the noise.
+/// The session's offsets under the hypothesis of the largest evidence, which charges each for what it leaves open: with clean
+/// detections of ordinary bodies 80 free numbers fit some of the noise, and the bones of every person fit more of it than offsets that all
+/// persons share.
 fn likeliest(table: &OffsetTable, mut members: Vec<Member>, context: &FitContext) -> Result<SessionBias, Canceled> {
     let none = vec![Vector3::zeros(); table.kinds.len()];
     let no_bias = session_bias(table, Hypothesis::NoBias, none, &mut members, context)?;
     // The others start from the solution of the simplest.
     let under = |hypothesis| session_bias(table, hypothesis, no_bias.offsets.clone(), &mut members.clone(), context);
     let (proportions, detector) = (under(Hypothesis::BodyProportions)?, under(Hypothesis::DetectorBias)?);
-    let biased = if detector.cost < proportions.cost { detector } else { proportions };
-    Ok(if biased.negative_log_evidence() < no_bias.negative_log_evidence() { biased } else { no_bias })
+    let mut likeliest = no_bias;
+    for found in [proportions, detector] {
+        if found.negative_log_evidence() < likeliest.negative_log_evidence() {
+            likeliest = found;
+        }
+    }
+    Ok(likeliest)
 }
 
 /// Whether the offsets of joints are applied, and the reason.

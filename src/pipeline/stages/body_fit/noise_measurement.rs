@@ -42,7 +42,7 @@ pub(super) fn measured_noise(context: &FitContext, members: &[Member]) -> PathNo
         all.add(&run);
     }
     let processes = sums.iter().map(|sums| NoiseProcess::of(&sums.pooled(&all, POOLED_PROCESS))).collect();
-    let noise = PathNoise { processes, shares: levels };
+    let noise = PathNoise { processes, shares: levels, ..unit };
 
     let factors = sigmas(n_landmarks, members.iter().flat_map(|member| paths(&noise, member).1));
     let shares = noise.shares.iter().zip(factors).map(|(share, factor)| share * factor).collect();

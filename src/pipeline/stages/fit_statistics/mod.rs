@@ -2,14 +2,17 @@
 //!
 //! A keypoint's standard deviation in space is the noise of one ray times the dilution of the views that see it. The noise
 //! is measured per keypoint, over all persons, from the distances of its detections from the result, in metres on the body.
-//! What the cameras are uncertain by, after a similarity alignment, is added. Known limits: errors of different views are taken as
-//! independent, and a bias that all views share does not show.
+//! Trajectories smooth what changes from frame to frame, not what lasts: the share that does is the autocorrelation of the
+//! distances' directions and lengths over a frame. What the cameras are uncertain by, after a similarity alignment, is added. Known
+//! limits: errors of different views are taken as independent, and a bias that all views share does not show.
 
 mod reprojections;
 
 use crate::body::bones::LimbBone;
+use crate::body::keypoint_accelerations::{acceleration_density, second_difference_variance};
 use crate::geometry::free_network::CameraCovariance;
-use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median, quantile};
+use crate::optim::point_chain::smoothing_gain;
+use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, OUTLIER_SIGMAS, median, quantile};
 use crate::pipeline::calibration::TrackedPeople;
 use crate::session::reconstruction::{
     CameraReport, ErrorSummary, GeometryReport, KeypointReport, PersonReport, SigmaSummary,
@@ -24,11 +27,20 @@ use reprojections::{KeypointStatistics, Misfits, PersonStatistics, people_statis
 pub struct FitStatistics {
     /// In the order of the tracks.
     people: Vec<PersonStatistics>,
-    /// Per keypoint: standard deviation of a ray for which the detector's factor is 1, m on the body; `None` where no two
-    /// views see it.
-    ray_sigmas: Vec<Option<f64>>,
+    /// Per keypoint; `None` where no two views see it.
+    rays: Vec<Option<RayNoise>>,
     /// Per view.
     views: Vec<Misfits>,
+}
+
+/// Errors of the detections of a keypoint.
+#[derive(Debug, Clone, Copy)]
+struct RayNoise {
+    /// Standard deviation for which the detector's factor is 1, m on the body.
+    sigma: f64,
+    /// What a trajectory leaves of the variance of a point: [`smoothing_gain`] of the share of the errors that changes from frame
+    /// to frame, and all of the rest.
+    smoothed: f64,
 }
 
 impl FitStatistics {
@@ -38,11 +50,11 @@ impl FitStatistics {
     pub fn new(input: &TrackedPeople, covariance: Option<&CameraCovariance>) -> Self {
         let people = people_statistics(input, covariance);
         let n_keypoints = people.first().map_or(0, |p| p.keypoints.len());
-        let ray_sigmas = (0..n_keypoints).map(|k| ray_sigma(people.iter().map(|p| &p.keypoints[k]))).collect();
+        let rays = (0..n_keypoints).map(|k| ray_noise(input, k, people.iter().map(|p| &p.keypoints[k]))).collect();
         let of_view =
             |v: usize| Misfits::together(people.iter().flat_map(|p| &p.keypoints).map(move |k| &k.by_view[v]));
         let views = (0..input.session.views.len()).map(of_view).collect();
-        Self { people, ray_sigmas, views }
+        Self { people, rays, views }
     }
 
     /// Reprojection error of a single view, px, and its number of keypoints.
@@ -87,7 +99,7 @@ impl FitStatistics {
                 reprojection_px: summary(&misfits.px),
                 reprojection_mm: summary(&misfits.mm),
                 share_in_two_views: statistics.share_in_two_views,
-                sigma_mm: sigmas_mm(statistics.keypoints.iter().zip(&self.ray_sigmas)),
+                sigma_mm: sigmas_mm(statistics.keypoints.iter().zip(&self.rays)),
                 joint_sigma_mm: None,
                 ray_angle_deg: median_ray_angle_deg(statistics.keypoints.iter()),
                 dilution: median_dilution(statistics.keypoints.iter()),
@@ -100,8 +112,8 @@ impl FitStatistics {
     }
 
     fn keypoint_reports(&self, session: &Session, person: &PersonStatistics) -> Vec<KeypointReport> {
-        let rows = session.convention.names().iter().zip(&person.keypoints).zip(&self.ray_sigmas);
-        rows.map(|((name, statistics), ray_sigma)| {
+        let rows = session.convention.names().iter().zip(&person.keypoints).zip(&self.rays);
+        rows.map(|((name, statistics), rays)| {
             let misfits = Misfits::together(statistics.by_view.iter());
             KeypointReport {
                 keypoint: (*name).to_owned(),
@@ -109,7 +121,7 @@ impl FitStatistics {
                 rejected: misfits.rejected(),
                 reprojection_px: summary(&misfits.px),
                 reprojection_mm: summary(&misfits.mm),
-                sigma_mm: sigmas_mm(std::iter::once((statistics, ray_sigma))),
+                sigma_mm: sigmas_mm(std::iter::once((statistics, rays))),
             }
         })
         .collect()
@@ -126,19 +138,36 @@ impl FitStatistics {
     }
 }
 
-/// Standard deviation of a ray of full confidence of one keypoint, m on the body, from the errors of all persons.
-fn ray_sigma<'a>(people: impl Iterator<Item = &'a KeypointStatistics>) -> Option<f64> {
-    let mut errors: Vec<f64> = people.flat_map(|k| &k.ray_errors).copied().collect();
-    Some(median(&mut errors)? / MEDIAN_LENGTH_IN_PLANE)
+/// Of one keypoint, from the errors of all persons. Errors beyond the robust scale have no say in a point, and count as much as the
+/// scale.
+fn ray_noise<'a>(
+    input: &TrackedPeople,
+    keypoint: usize,
+    people: impl Iterator<Item = &'a KeypointStatistics> + Clone,
+) -> Option<RayNoise> {
+    let mut errors: Vec<f64> = people.clone().flat_map(|k| &k.ray_errors).copied().collect();
+    let limit = OUTLIER_SIGMAS * median(&mut errors)? / MEDIAN_LENGTH_IN_PLANE;
+    let squared = errors.iter().map(|error| error.min(limit).powi(2)).sum::<f64>() / errors.len() as f64;
+    let (product, square) =
+        people.clone().fold((0.0, 0.0), |sums, k| (sums.0 + k.over_time[0], sums.1 + k.over_time[1]));
+    let lasting = if square > 0.0 { (product / square).clamp(0.0, 1.0) } else { 0.0 };
+    let per_axis = input.noise.sigmas_m()[keypoint] * median_dilution(people)? / 3.0f64.sqrt();
+    let density = acceleration_density(input.session.convention.names()[keypoint]);
+    let of_motion = second_difference_variance(density, input.session.frame_interval());
+    let independent = smoothing_gain(per_axis.powi(2) / of_motion);
+    Some(RayNoise { sigma: (0.5 * squared).sqrt(), smoothed: lasting + (1.0 - lasting) * independent })
 }
 
-/// Standard deviations of points in space, mm, from their dilutions, the noise of a ray (m), and that of the cameras.
-fn sigmas_mm<'a>(keypoints: impl Iterator<Item = (&'a KeypointStatistics, &'a Option<f64>)>) -> Option<SigmaSummary> {
+/// Standard deviations of points in space, mm, from their dilutions, the noise of their rays, and that of the cameras.
+fn sigmas_mm<'a>(
+    keypoints: impl Iterator<Item = (&'a KeypointStatistics, &'a Option<RayNoise>)>,
+) -> Option<SigmaSummary> {
     let mut sigmas: Vec<f64> = keypoints
-        .filter_map(|(statistics, ray_sigma)| Some((statistics, (*ray_sigma)?)))
-        .flat_map(|(statistics, ray_sigma)| {
+        .filter_map(|(statistics, rays)| Some((statistics, (*rays)?)))
+        .flat_map(|(statistics, rays)| {
             let parts = statistics.dilutions.iter().zip(&statistics.camera_variances);
-            parts.map(move |(dilution, of_cameras)| 1e3 * ((ray_sigma * dilution).powi(2) + of_cameras).sqrt())
+            let of_rays = rays.sigma.powi(2) * rays.smoothed;
+            parts.map(move |(dilution, of_cameras)| 1e3 * (of_rays * dilution.powi(2) + of_cameras).sqrt())
         })
         .collect();
     Some(SigmaSummary { median: median(&mut sigmas)?, p95: quantile(&mut sigmas, 0.95)? })

@@ -8,7 +8,7 @@ use crate::geometry::free_network::CameraCovariance;
 use crate::pipeline::calibration::TrackedPeople;
 use crate::session::recording::{Detection, Session, View};
 use crate::session::{JointTrajectory, PersonTrack};
-use nalgebra::{Matrix3, Matrix3xX, Vector3};
+use nalgebra::{Matrix3, Matrix3xX, Vector2, Vector3};
 use rayon::prelude::*;
 
 /// Distances of detections from their reprojections.
@@ -59,6 +59,10 @@ pub(super) struct KeypointStatistics {
     /// Explained distances of such frames as errors of one ray before the fit of the point, m on the body, scaled to a
     /// detector's factor of 1.
     pub(super) ray_errors: Vec<f64>,
+    /// Over pairs of such errors of a view in successive frames: sums of products, and of mean squares.
+    pub(super) over_time: [f64; 2],
+    /// By view the frame of the latest error, and the error in units of its standard deviation.
+    latest: Vec<Option<(usize, Vector2<f64>)>>,
 }
 
 /// One person.
@@ -103,6 +107,8 @@ fn person_statistics(
         camera_variances: Vec::new(),
         ray_angles: Vec::new(),
         ray_errors: Vec::new(),
+        over_time: [0.0; 2],
+        latest: vec![None; session.views.len()],
     };
     let mut keypoints = vec![nothing; path.points.first().map_or(0, Vec::len)];
     let (mut n_detections, mut n_in_two_views) = (0, 0);
@@ -113,7 +119,7 @@ fn person_statistics(
         for (k, (point, statistics)) in points.iter().zip(&mut keypoints).enumerate() {
             if let Some(point) = point {
                 let rays = detections.iter().filter_map(|s| s.ray(noise, k, point)).collect();
-                statistics.add(point, rays, covariance);
+                statistics.add(t, point, rays, covariance);
             }
         }
     }
@@ -153,7 +159,8 @@ struct PointRay<'a> {
     placed: usize,
     /// Its standard deviation is an error of 1 m on the body, px, times the detector's factor.
     observation: RayObservation<'a>,
-    distance_px: f64,
+    /// From its reprojection, px.
+    error_px: Vector2<f64>,
     /// Metres at the point's depth per pixel.
     metres_per_px: f64,
 }
@@ -163,17 +170,21 @@ impl<'a> PlacedDetection<'a> {
         let seen = self.detection.keypoints.get(keypoint).filter(|k| k.confidence >= DETECTOR.judged)?;
         let intrinsics = &self.view.intrinsics;
         let in_camera = self.camera.transform(point);
-        let distance_px = (intrinsics.pixel_from_camera(&in_camera)? - seen.pixel).norm();
+        let error_px = seen.pixel - intrinsics.pixel_from_camera(&in_camera)?;
         let metres_per_px = in_camera.z / intrinsics.focal();
         let sigma_px = noise.factor(seen.confidence) / metres_per_px;
         let observation = RayObservation { camera_from_world: self.camera, intrinsics, pixel: seen.pixel, sigma_px };
-        Some(PointRay { view: self.index, placed: self.placed, observation, distance_px, metres_per_px })
+        Some(PointRay { view: self.index, placed: self.placed, observation, error_px, metres_per_px })
     }
 }
 
 impl PointRay<'_> {
+    fn distance_px(&self) -> f64 {
+        self.error_px.norm()
+    }
+
     fn is_explained(&self) -> bool {
-        self.distance_px < DETECTOR.explained_radius * self.observation.intrinsics.focal()
+        self.distance_px() < DETECTOR.explained_radius * self.observation.intrinsics.focal()
     }
 
     /// Unit vector from the camera to the point.
@@ -183,13 +194,13 @@ impl PointRay<'_> {
 }
 
 impl KeypointStatistics {
-    /// Adds one frame's detections of a point.
-    fn add(&mut self, point: &Vector3<f64>, mut rays: Vec<PointRay>, cameras: Option<&CameraCovariance>) {
+    /// Adds the detections of a point in frame `t`.
+    fn add(&mut self, t: usize, point: &Vector3<f64>, mut rays: Vec<PointRay>, cameras: Option<&CameraCovariance>) {
         for ray in &rays {
             let misfits = &mut self.by_view[ray.view];
             if ray.is_explained() {
-                misfits.px.push(ray.distance_px);
-                misfits.mm.push(1e3 * ray.distance_px * ray.metres_per_px);
+                misfits.px.push(ray.distance_px());
+                misfits.mm.push(1e3 * ray.distance_px() * ray.metres_per_px);
             } else {
                 misfits.n_rejected += 1;
             }
@@ -201,7 +212,15 @@ impl KeypointStatistics {
             .push(cameras.map_or(0.0, |cameras| camera_variance(point, &rays, &of_unit_rays, cameras)));
         self.ray_angles.push(widest_crossing(point, &rays));
         let factor = error_per_residual(rays.len());
-        self.ray_errors.extend(rays.iter().map(|ray| factor * ray.distance_px / ray.observation.sigma_px));
+        self.ray_errors.extend(rays.iter().map(|ray| factor * ray.distance_px() / ray.observation.sigma_px));
+        for ray in &rays {
+            let error = ray.error_px / ray.observation.sigma_px;
+            if let Some((_, before)) = self.latest[ray.view].filter(|(frame, _)| frame + 1 == t) {
+                self.over_time[0] += error.dot(&before);
+                self.over_time[1] += 0.5 * (error.norm_squared() + before.norm_squared());
+            }
+            self.latest[ray.view] = Some((t, error));
+        }
     }
 }
 
@@ -264,16 +283,17 @@ mod tests {
                 pixel: *pixel,
                 sigma_px: metres_per_px.recip(),
             };
-            let distance_px = (LENS.pixel_from_camera(&in_camera).unwrap() - pixel).norm();
-            PointRay { view, placed: view, observation, distance_px, metres_per_px }
+            let error_px = pixel - LENS.pixel_from_camera(&in_camera).unwrap();
+            PointRay { view, placed: view, observation, error_px, metres_per_px }
         };
         cameras.iter().zip(pixels).enumerate().map(ray).collect()
     }
 
     fn statistics(n_views: usize) -> KeypointStatistics {
         let by_view = vec![Misfits::default(); n_views];
-        let (dilutions, camera_variances, ray_angles, ray_errors) = Default::default();
-        KeypointStatistics { by_view, dilutions, camera_variances, ray_angles, ray_errors }
+        let (dilutions, camera_variances, ray_angles, ray_errors, over_time) = Default::default();
+        let latest = vec![None; n_views];
+        KeypointStatistics { by_view, dilutions, camera_variances, ray_angles, ray_errors, over_time, latest }
     }
 
     #[test]
@@ -282,7 +302,7 @@ mod tests {
             let cameras = cameras(&[0.0, angle_deg]);
             let mut found = statistics(2);
             let middle = [Vector2::new(LENS.cx, LENS.cy); 2];
-            found.add(&Vector3::zeros(), rays(&cameras, &middle, &Vector3::zeros()), None);
+            found.add(0, &Vector3::zeros(), rays(&cameras, &middle, &Vector3::zeros()), None);
             // Information of two planes across the rays: 2, 1 + cos a, 1 - cos a.
             let cosine = f64::to_radians(angle_deg).cos();
             let expected = (0.5 + 1.0 / (1.0 + cosine) + 1.0 / (1.0 - cosine)).sqrt();
@@ -311,7 +331,7 @@ mod tests {
             let observations: Vec<PointObservation> = cameras.iter().zip(&pixels).map(observation).collect();
             let point = triangulate_linear(&observations).unwrap();
             squared += point.norm_squared();
-            found.add(&point, rays(&cameras, &pixels, &point), None);
+            found.add(0, &point, rays(&cameras, &pixels, &point), None);
         }
         let scatter = (squared / n as f64).sqrt();
         let ray_sigma = median(&mut found.ray_errors).unwrap() / MEDIAN_LENGTH_IN_PLANE;
@@ -326,7 +346,7 @@ mod tests {
         let cameras = cameras(&[0.0, 90.0]);
         let mut found = statistics(2);
         let pixels = [Vector2::new(LENS.cx, LENS.cy), Vector2::new(LENS.cx + 30.0, LENS.cy)];
-        found.add(&Vector3::zeros(), rays(&cameras, &pixels, &Vector3::zeros()), None);
+        found.add(0, &Vector3::zeros(), rays(&cameras, &pixels, &Vector3::zeros()), None);
         assert_eq!((found.by_view[0].px.len(), found.by_view[1].n_rejected), (1, 1));
         assert!(found.dilutions.is_empty());
         assert_eq!(Misfits::together(found.by_view.iter()).rejected(), 0.5);
@@ -337,7 +357,7 @@ mod tests {
         let cameras = cameras(&[0.0, 90.0]);
         let mut found = statistics(2);
         let pixels = [Vector2::new(LENS.cx + 10.0, LENS.cy), Vector2::new(LENS.cx, LENS.cy)];
-        found.add(&Vector3::zeros(), rays(&cameras, &pixels, &Vector3::zeros()), None);
+        found.add(0, &Vector3::zeros(), rays(&cameras, &pixels, &Vector3::zeros()), None);
         assert!((found.by_view[0].mm[0] - 40.0).abs() < 1e-9, "10 px at 4 m and 1000 px");
     }
 }

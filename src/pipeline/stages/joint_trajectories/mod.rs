@@ -6,6 +6,7 @@
 //! ray. `q` is the spectral density of white acceleration (m^2/s^3), hence independent of the frame rate.
 
 use crate::body::detector_profile::DETECTOR;
+use crate::body::keypoint_accelerations::{acceleration_density, second_difference_variance};
 use crate::geometry::projection::NEAR_PLANE;
 use crate::optim::point_chain::PointChain;
 use crate::optim::robust::{OUTLIER_SIGMAS, geman_mcclure};
@@ -16,11 +17,6 @@ use crate::session::recording::FrameIndex;
 use crate::session::{JointTrajectory, PersonTrack};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
-
-/// Spectral density of acceleration of hands and feet, m^2/s^3: 12 m/s^2 (a brisk gesture) held for a thirtieth of a second.
-const LIMB_ACCELERATION: f64 = 5.0;
-/// The same of head and trunk: 5 m/s^2.
-const TRUNK_ACCELERATION: f64 = 0.8;
 
 /// Number of re-weighted Gauss-Newton steps.
 const N_STEPS: usize = 8;
@@ -41,13 +37,7 @@ pub fn joint_trajectories(input: &TrackedPeople, progress: &Progress) -> Result<
         let rays = rays_by_keypoint(input, track);
         let paths: Vec<Path> = (0..names.len())
             .into_par_iter()
-            .map(|k| {
-                let limb =
-                    ["wrist", "elbow", "ankle", "knee", "toe", "heel", "hand", "foot", "index", "pinky", "thumb"];
-                let is_limb = limb.iter().any(|part| names[k].ends_with(part));
-                let density = if is_limb { LIMB_ACCELERATION } else { TRUNK_ACCELERATION };
-                path(input, &rays[k], interpolated(start, k), density)
-            })
+            .map(|k| path(input, &rays[k], interpolated(start, k), acceleration_density(names[k])))
             .collect();
         people.push(transposed(track, &rays, &paths));
     }
@@ -87,7 +77,7 @@ fn rays_by_keypoint(input: &TrackedPeople, track: &PersonTrack) -> Vec<Vec<Keypo
 fn path(input: &TrackedPeople, rays: &[KeypointRay], start: Option<Path>, density: f64) -> Path {
     let Some(mut points) = start else { return Path::new() };
     let dt = input.session.frame_interval();
-    let smoothness = PointChain::of_second_differences(points.len(), 1.0 / (density * dt.powi(3) * 2.0 / 3.0));
+    let smoothness = PointChain::of_second_differences(points.len(), 1.0 / second_difference_variance(density, dt));
     // From ten times the robust scale down: the start may be 0.2 m off.
     for iteration in 0..N_STEPS {
         let widening = (10.0f64).powf(1.0 - iteration as f64 / (N_STEPS - 1) as f64);

@@ -12,7 +12,8 @@
 //!
 //! - `C / (C - k)` for the k directions of the cameras that C independent channels determine (the first order of MacKinnon and
 //!   White 1985), as many as there are over the design effect;
-//! - `n / (n - p)` for a person's n equations a frame: a motion of p unknowns a frame follows errors that are as slow as it;
+//! - `1 + rho p / (n - p)` for a person's n equations a frame: a motion of p unknowns a frame follows errors that are as slow as it,
+//!   of which it leaves `(n - p) / n`, but not those that change from frame to frame;
 //! - `1 + 0.2 rho (m - 1)`, the design effect (Kish 1965) of m landmarks of one region that share a fifth of their slow errors,
 //!   with the measured autocorrelation `rho` from frame to frame as their slow part. Cameras and motions follow what a region
 //!   shares, so that hardly any of it is left in the residuals.
@@ -35,10 +36,19 @@ const SHARED: f64 = 0.2;
 const N_REGIONS: f64 = 3.0;
 
 impl JointProblem<'_> {
+    /// Of the poses, at the minimum; see [`Self::spread_of_cameras`].
+    pub(in super::super) fn camera_covariance(&self, members: &[Member], slow: f64) -> Option<CameraCovariance> {
+        let cameras = &members.first()?.observations.cameras;
+        let n = self.camera_columns(cameras.len()).unknowns.len();
+        let poses: Vec<usize> = (0..cameras.len()).flat_map(|camera| n * camera..n * camera + POSE).collect();
+        let covariance = self.spread_of_cameras(members, slow)?.covariance(&poses);
+        CameraCovariance::new(cameras.iter().map(|camera| camera.camera_from_world).collect(), covariance)
+    }
+
     /// At the minimum; the cameras are the only unknowns of the session. `None` where the channels do not determine them.
     ///
     /// `slow`: autocorrelation of the errors from frame to frame.
-    pub(in super::super) fn camera_covariance(&self, members: &[Member], slow: f64) -> Option<CameraCovariance> {
+    pub(in super::super) fn spread_of_cameras(&self, members: &[Member], slow: f64) -> Option<CameraSpread> {
         let cameras = &members.first()?.observations.cameras;
         let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
         let session = SessionState { offsets: Vec::new(), cameras: cameras.clone() };
@@ -57,11 +67,7 @@ impl JointProblem<'_> {
             return None;
         }
         spread *= n_independent / n_left;
-        let n = self.camera_columns(cameras.len()).unknowns.len();
-        let poses: Vec<usize> = (0..cameras.len()).flat_map(|camera| n * camera..n * camera + POSE).collect();
-        let inverse = basis.select_rows(&poses) * reduced.factor.inverse();
-        let covariance = &inverse * spread * inverse.transpose();
-        CameraCovariance::new(cameras.iter().map(|camera| camera.camera_from_world).collect(), covariance)
+        Some(CameraSpread { basis: basis.clone(), inverse_hessian: reduced.factor.inverse(), scores: spread })
     }
 
     /// Scores of one person's channels by the free directions of the session.
@@ -93,8 +99,32 @@ impl JointProblem<'_> {
         let channels = over_time.scores(&member.observations.cameras, &positions, &movements);
         let n_unknowns = (3 * problem.unknowns.n_groups()) as f64;
         let n_neighbours = (over_time.landmarks.len() as f64 / N_REGIONS - 1.0).max(0.0);
-        let followed = variance_per_residual(member.observations.equations_per_frame(), n_unknowns);
+        let of_slow = variance_per_residual(member.observations.equations_per_frame(), n_unknowns);
+        let followed = 1.0 + slow * (of_slow - 1.0);
         Some(PersonScores { channels, design: 1.0 + SHARED * slow * n_neighbours, followed })
+    }
+}
+
+/// How far the cameras may be from where they are, in the free directions of the session.
+pub(in super::super) struct CameraSpread {
+    /// Of the cameras' unknowns by the free directions.
+    basis: DMatrix<f64>,
+    inverse_hessian: DMatrix<f64>,
+    /// Covariance of the gradient.
+    scores: DMatrix<f64>,
+}
+
+impl CameraSpread {
+    /// Of some of the cameras' unknowns.
+    pub(in super::super) fn covariance(&self, unknowns: &[usize]) -> DMatrix<f64> {
+        let inverse = self.basis.select_rows(unknowns) * &self.inverse_hessian;
+        &inverse * &self.scores * inverse.transpose()
+    }
+
+    /// The same if the detector's errors were as the joint problem takes them.
+    pub(in super::super) fn inverse_hessian(&self, unknowns: &[usize]) -> DMatrix<f64> {
+        let by_free = self.basis.select_rows(unknowns);
+        &by_free * &self.inverse_hessian * by_free.transpose()
     }
 }
 

@@ -65,6 +65,16 @@ impl NoiseProcess {
         last[0]
     }
 
+    /// Of every `stride`-th frame.
+    fn thinned(&self, stride: usize) -> Self {
+        Self { autocorrelation: self.after(stride), decay: self.decay.powi(stride as i32) }
+    }
+
+    /// What a frame of a long path says of a constant level of unit variance: the squared sum of the factors of an innovation.
+    fn level_information(&self) -> f64 {
+        self.innovation([true, true], Some(1)).iter().sum::<f64>().powi(2)
+    }
+
     /// Coefficients `a` of the residuals one and two frames ago: sum and negative product of the roots, the second of which is
     /// `(rho - p) / (1 - rho p)`.
     fn coefficients(&self) -> [f64; 2] {
@@ -144,9 +154,22 @@ pub(crate) struct PathNoise {
     pub processes: Vec<NoiseProcess>,
     /// Standard deviation per axis as a share of the pixels' scale.
     pub shares: Vec<f64>,
+    /// How often an innovation counts; 1 where every frame is taken.
+    pub weights: Vec<f64>,
 }
 
 impl PathNoise {
+    /// Of every `stride`-th frame. Innovations count for what the frames between say of a level that hardly changes: `stride`
+    /// times where errors are independent, once where they last.
+    pub(crate) fn thinned(&self, stride: usize) -> Self {
+        let processes: Vec<NoiseProcess> = self.processes.iter().map(|process| process.thinned(stride)).collect();
+        let weight = |(all, thinned): (&NoiseProcess, &NoiseProcess)| {
+            stride as f64 * all.level_information() / thinned.level_information()
+        };
+        let weights = self.processes.iter().zip(&processes).map(weight).collect();
+        Self { processes, shares: self.shares.clone(), weights }
+    }
+
     /// The medians over the landmarks.
     pub(crate) fn typical(&self) -> NoiseProcess {
         let of = |value: fn(&NoiseProcess) -> f64| {
@@ -157,7 +180,11 @@ impl PathNoise {
 
     /// The same independent noise for all landmarks.
     pub(crate) fn white(n_landmarks: usize, share: f64) -> Self {
-        Self { processes: vec![NoiseProcess::WHITE; n_landmarks], shares: vec![share; n_landmarks] }
+        Self {
+            processes: vec![NoiseProcess::WHITE; n_landmarks],
+            shares: vec![share; n_landmarks],
+            weights: vec![1.0; n_landmarks],
+        }
     }
 }
 
@@ -229,6 +256,21 @@ mod tests {
         assert_eq!([0, 1].map(|lag| PROCESS.after(lag)), [1.0, 0.84]);
         assert!((PROCESS.after(40) / PROCESS.after(39) - 0.95).abs() < 1e-6);
         assert_eq!(NoiseProcess::WHITE.after(2), 0.0);
+    }
+
+    /// Every third frame says of a level what all say, whether errors last or not.
+    #[test]
+    fn thinned_paths_say_as_much_of_a_level() {
+        let slow = NoiseProcess { autocorrelation: 0.95, decay: 0.95 };
+        for process in [NoiseProcess::WHITE, PROCESS, slow] {
+            let noise = PathNoise { processes: vec![process], ..PathNoise::white(1, 1.0) };
+            let thinned = noise.thinned(3);
+            let said = thinned.weights[0] * thinned.processes[0].level_information();
+            assert!((said - 3.0 * process.level_information()).abs() < 1e-12);
+        }
+        let weight = |process| PathNoise { processes: vec![process], ..PathNoise::white(1, 1.0) }.thinned(3).weights[0];
+        assert_eq!(weight(NoiseProcess::WHITE), 3.0);
+        assert!(weight(slow) < 1.01, "{}", weight(slow));
     }
 
     #[test]

@@ -25,7 +25,7 @@ const ROBUST_SCALE: f64 = 4.0;
 fn whitened(fixture: &Fixture, observations: &Observations) -> WhitenedPixels {
     let n = fixture.model.landmarks.len();
     let process = NoiseProcess { autocorrelation: 0.8, decay: 0.9 };
-    let noise = PathNoise { processes: vec![process; n], shares: vec![0.2; n] };
+    let noise = PathNoise { processes: vec![process; n], shares: vec![0.2; n], weights: vec![1.0; n] };
     WhitenedPixels::new(observations, &noise, ROBUST_SCALE)
 }
 

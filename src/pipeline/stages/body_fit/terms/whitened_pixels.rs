@@ -11,7 +11,7 @@ use super::camera_unknowns::{ByCamera, CameraUnknowns, MAX_UNKNOWNS};
 use super::noise_process::{NoiseProcess, PathNoise};
 use super::unknowns::CameraColumns;
 use crate::optim::block_banded::Corner;
-use crate::optim::robust::{Robust, geman_mcclure, geman_mcclure_ceiling};
+use crate::optim::robust::{geman_mcclure, geman_mcclure_ceiling};
 use crate::residuals::reprojection::{Reprojection, linearize, residual};
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 use rayon::prelude::*;
@@ -37,6 +37,8 @@ pub(crate) struct WhitenedPixels {
 #[derive(Debug)]
 struct Channel {
     camera: usize,
+    /// Weight of an innovation.
+    weight: f64,
     /// Ascending in time.
     seen: Vec<Seen>,
 }
@@ -132,8 +134,11 @@ impl WhitenedPixels {
         let mut landmarks: Vec<usize> = observations.pixels.iter().flatten().map(|pixel| pixel.landmark).collect();
         landmarks.sort_unstable();
         landmarks.dedup();
-        let empty = || (0..n_cameras).map(|camera| Channel { camera, seen: Vec::new() }).collect::<Vec<_>>();
-        let mut channels: Vec<Vec<Channel>> = landmarks.iter().map(|_| empty()).collect();
+        let empty = |landmark: &usize| {
+            let weight = noise.weights[*landmark];
+            (0..n_cameras).map(|camera| Channel { camera, weight, seen: Vec::new() }).collect::<Vec<_>>()
+        };
+        let mut channels: Vec<Vec<Channel>> = landmarks.iter().map(empty).collect();
         for (frame, pixels) in observations.pixels.iter().enumerate() {
             for pixel in pixels {
                 let Ok(landmark) = landmarks.binary_search(&pixel.landmark) else { continue };
@@ -169,7 +174,7 @@ impl WhitenedPixels {
             Some(e) => geman_mcclure(e.norm_squared(), self.robust_scale).cost,
             None => geman_mcclure_ceiling(self.robust_scale),
         };
-        channel.seen.iter().map(innovation).sum()
+        channel.weight * channel.seen.iter().map(innovation).sum::<f64>()
     }
 
     /// Residuals of all channels: landmark, and a run of (frame, standardised residual).
@@ -226,7 +231,7 @@ impl WhitenedPixels {
         let n_cameras = blocks.cameras.len();
         for seen in &channel.seen {
             let Some(e) = seen.parts.combined(|i| linear[i].map(|l| l.residual)) else { continue };
-            let Robust { weight, .. } = geman_mcclure(e.norm_squared(), self.robust_scale);
+            let weight = channel.weight * geman_mcclure(e.norm_squared(), self.robust_scale).weight;
             let parts =
                 || seen.parts.iter().filter_map(|&(i, factor)| Some((channel.seen[i].frame, linear[i]?, factor)));
             let mut by_camera = ByCamera::zeros();

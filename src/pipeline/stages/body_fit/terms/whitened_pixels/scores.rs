@@ -45,7 +45,7 @@ impl WhitenedPixels {
         let mut axes = [0, 1].map(|_| DVector::zeros(movements.cameras.ncols()));
         for seen in &channel.seen {
             let Some(e) = seen.parts.combined(|i| linear[i].map(|l| l.residual)) else { continue };
-            let weight = geman_mcclure(e.norm_squared(), self.robust_scale).weight;
+            let weight = channel.weight * geman_mcclure(e.norm_squared(), self.robust_scale).weight;
             let mut by_unknowns = Matrix2xX::zeros(movements.cameras.ncols());
             for &(i, factor) in seen.parts.iter() {
                 let Some(l) = linear[i] else { continue };
