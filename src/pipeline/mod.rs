@@ -23,7 +23,7 @@
 //! adjustment of estimated or refined cameras runs exactly once per calibration: in pass 4 on repaired detections, or
 //! without that pass at the end of pass 3.
 //!
-//! Nouns (`calibration`, `capture`, `config`, `error`, `focal_lengths`, `focal_spread`, `keyframe`, `option_table`) import no stage; stages import nouns and no other stage;
+//! Nouns (`calibration`, `capture`, `config`, `error`, `focal_lengths`, `focal_spread`, `keyframe`, `option_table`, `unsolvable`) import no stage; stages import nouns and no other stage;
 //! passes import stages; this file imports passes.
 
 pub mod calibration;
@@ -40,6 +40,7 @@ pub mod option_table;
 pub mod passes;
 pub mod result;
 pub mod stages;
+pub mod unsolvable;
 
 use crate::body::{BodyModel, default_body};
 use crate::progress::Progress;
@@ -60,6 +61,7 @@ use passes::synchronisation::{Timing, estimated_timing};
 use result::{Solution, statures};
 use stages::joint_trajectories::joint_trajectories;
 use stages::metric_scale;
+use unsolvable::CameraEvidence;
 
 /// [`reconstruct_with_body`] with the embedded body.
 pub fn reconstruct(session: &Session, options: &Options, progress: &Progress) -> Result<Reconstruction, PipelineError> {
@@ -128,12 +130,7 @@ pub fn reconstruct_with_checkpoints(
     let last = if freedom == CameraFreedom::Held { FinalAdjustment::Elsewhere } else { last };
     let calibration = checkpoints.stage("cameras", || calibrated(&capture, last, &step))?;
     if calibration.n_placed() < 2 && session.views.len() > 1 {
-        return Err(PipelineError::Unsolvable {
-            code: "cameras_unsolvable",
-            reason: "no two cameras see the same people move; check that the cameras overlap, that frames are \
-                     synchronised and that the intrinsics belong to these images"
-                .to_owned(),
-        });
+        return Err(CameraEvidence::of(&capture, calibration.n_placed()).error());
     }
 
     // 4. Repaired detections, and the cameras adjusted to them.
