@@ -5,6 +5,8 @@
 //! | 1 | [`synchronisation`](passes::synchronisation) | time offsets in whole frames | `sync: estimate`; once |
 //! | | | pass 3, keyframe selection, bundle adjustment with delays | 1 to 6 rounds |
 //! | 2 | [`focal_lengths`](passes::focal_lengths) | pass 3, bundle adjustment with focal lengths | `refine_focal`; 1 or 2 rounds |
+//! | | [`unknown_lenses`](passes::unknown_lenses) | camera initialisation | `estimate`, or no K; 8 candidates |
+//! | | | keyframe selection, bundle adjustment with focal lengths, association | 3 candidates, then up to 4 rounds |
 //! | 3 | [`cameras`](passes::cameras) | camera initialisation | `extrinsics: estimate`; once |
 //! | | | keyframe selection, bundle adjustment, association | up to 3 arrangements |
 //! | | | camera registration, keyframes, bundle adjustment, association | 2 rounds |
@@ -58,6 +60,7 @@ use passes::denoising::denoised_capture;
 use passes::focal_lengths::refined_focal_lengths;
 use passes::held_out_check::heldout_px;
 use passes::synchronisation::{Timing, estimated_timing};
+use passes::unknown_lenses::estimated_focal_lengths;
 use result::{Solution, statures};
 use stages::joint_trajectories::joint_trajectories;
 use stages::metric_scale;
@@ -97,7 +100,7 @@ pub fn reconstruct_with_checkpoints(
     require_detections(session)?;
     let session = &*options.at_rate(session);
     let suspicions = suspicions(session);
-    let mut stages = progress.stages(stage_weights(options));
+    let mut stages = progress.stages(stage_weights(options, options.intrinsics_of(session)));
     let freedom = match options.extrinsics {
         Extrinsics::Fixed => CameraFreedom::Held,
         Extrinsics::Estimate | Extrinsics::Refine => CameraFreedom::Adjusted,
@@ -115,11 +118,16 @@ pub fn reconstruct_with_checkpoints(
     let timed = timing.applied_to(session);
 
     // 2. Focal lengths.
-    let mut focal_lengths = match options.intrinsics {
+    let intrinsics = options.intrinsics_of(session);
+    let mut focal_lengths = match intrinsics {
         IntrinsicsMode::Fixed => FocalLengths::given(&timed),
         IntrinsicsMode::RefineFocal => {
             let step = stages.begin("focal_lengths");
             checkpoints.stage("focal_lengths", || refined_focal_lengths(&timed, options, last, &step))?
+        }
+        IntrinsicsMode::Estimate => {
+            let step = stages.begin("focal_lengths");
+            checkpoints.stage("focal_lengths", || estimated_focal_lengths(&timed, options, last, &step))?
         }
     };
     let refined = focal_lengths.applied_to(&timed);
@@ -176,10 +184,11 @@ pub fn reconstruct_with_checkpoints(
 }
 
 /// The stages that a job reports, with their shares of the time.
-fn stage_weights(options: &Options) -> Vec<(&'static str, f64)> {
+fn stage_weights(options: &Options, intrinsics: IntrinsicsMode) -> Vec<(&'static str, f64)> {
     let stages = [
         ("synchronisation", 1.5, options.sync == Sync::Estimate),
-        ("focal_lengths", 0.7, options.intrinsics == IntrinsicsMode::RefineFocal),
+        ("focal_lengths", 0.7, intrinsics == IntrinsicsMode::RefineFocal),
+        ("focal_lengths", 3.0, intrinsics == IntrinsicsMode::Estimate),
         ("cameras", 0.4, true),
         ("denoising", 0.15, options.denoise),
         ("held_out_check", 0.1, true),

@@ -53,6 +53,7 @@ fn session(
     let view = |(camera, recording): (RigCamera, ViewRecording)| View {
         id: camera.id,
         intrinsics: camera.intrinsics,
+        has_intrinsics: true,
         camera_from_world: None,
         time_offset: 0.0,
         delivered: (0..n_frames).map(crate::session::FrameIndex).collect(),

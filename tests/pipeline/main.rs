@@ -9,6 +9,7 @@ mod presets;
 mod progress;
 mod scale;
 mod synchronisation;
+mod unknown_lenses;
 mod verdicts;
 
 use wandless::evaluation::camera_error::{camera_pairs, relative_camera_error};

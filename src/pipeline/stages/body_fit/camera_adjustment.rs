@@ -187,8 +187,7 @@ fn refined_focal(minimum: &Minimum, prior: &FocalPrior) -> Option<(RefinedFocal,
         FocalFactor { value, sigma: value * covariance[(k, k)].max(0.0).sqrt() }
     };
     let factors = (0..log_factors.len()).map(factor).collect();
-    let (spread, log_evidence) =
-        FocalSpread::likeliest(&FoundFactors::new(&log_factors, covariance.clone(), prior.spread)?);
+    let (spread, log_evidence) = prior.likeliest(&FoundFactors::new(&log_factors, covariance.clone(), prior.spread)?);
     Some((RefinedFocal { factors, log_evidence }, spread))
 }
 
