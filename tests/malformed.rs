@@ -272,7 +272,6 @@ fn cameras() -> Vec<Case> {
         case(with("/cameras/1/K", wide), "camera_invalid", Impossible, &["\"right\"", "K is 3x4"]),
         case(with("/cameras/1/width", json!(0)), "camera_invalid", Impossible, &["\"right\"", "image size is 0x480"]),
         case(without("/cameras/1", "height"), "missing_field", Malformed, &["\"right\"", "`height`"]),
-        case(without("/cameras/1", "K"), "missing_field", Malformed, &["\"right\"", "`K`"]),
         case(
             with("/cameras/1/dist", json!(vec![1; 12])),
             "distortion_unsupported",

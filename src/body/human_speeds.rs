@@ -13,8 +13,5 @@ pub const JOG_M_S: f64 = 2.5;
 /// A running person's middle, between two frames of a view.
 pub const RUN_M_S: f64 = 5.0;
 
-/// The middle of a body does not move faster indoors: limits the tracker's velocities.
-pub const MAX_BODY_M_S: f64 = 6.0;
-
 /// A hand in a throw: a keypoint that seems faster is another point.
 pub const THROWN_HAND_M_S: f64 = 10.0;

@@ -56,6 +56,9 @@ pub(super) struct Args {
     /// Two people dance within arm's reach of each other
     #[arg(long, conflicts_with_all = ["motion", "procedural"])]
     dance: bool,
+    /// People run straight through the middle at this speed, m/s
+    #[arg(long, conflicts_with_all = ["motion", "procedural", "dance"], value_name = "M_PER_S")]
+    running: Option<f64>,
     /// Motion files in the AMASS layout, one per person, instead of samples of the motion prior
     #[arg(long, num_args = 1..)]
     motion: Vec<PathBuf>,
@@ -150,6 +153,7 @@ fn config(args: &Args) -> SimulationConfig {
     config.motion = match args {
         Args { procedural: true, .. } => MotionSource::Procedural,
         Args { dance: true, .. } => MotionSource::Dance,
+        Args { running: Some(speed), .. } => MotionSource::Running { speed: *speed },
         _ => MotionSource::Prior,
     };
     if !args.motion.is_empty() {

@@ -29,6 +29,7 @@ fn session() -> Session {
             skew: 0.0,
             dist: Distortion::None,
         },
+        has_intrinsics: true,
         camera_from_world: None,
         time_offset: 0.0,
         frames: vec![vec![detection.clone()], Vec::new(), vec![detection.clone(), detection.clone()]],

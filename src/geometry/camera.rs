@@ -57,6 +57,14 @@ impl Intrinsics {
         Self { width, height, fx: k[0][0], fy: k[1][1], cx: k[0][2], cy: k[1][2], skew: k[0][1], dist }
     }
 
+    /// Where nothing but the image size (px) is known: square pixels, the principal point in the middle, no distortion, and a
+    /// focal length of the longer side, which is 53 degrees of view.
+    pub fn guessed([width, height]: [u32; 2], dist: Distortion) -> Self {
+        let focal = f64::from(width.max(height));
+        let middle = |side: u32| 0.5 * (f64::from(side) - 1.0);
+        Self { width, height, fx: focal, fy: focal, cx: middle(width), cy: middle(height), skew: 0.0, dist }
+    }
+
     /// The same intrinsics with `fx`, `fy` and the skew multiplied by `factor`.
     pub fn with_focal_factor(&self, factor: f64) -> Self {
         Self { fx: self.fx * factor, fy: self.fy * factor, skew: self.skew * factor, ..*self }

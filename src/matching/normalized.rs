@@ -8,7 +8,7 @@ use nalgebra::Vector2;
 pub const BODY_SPAN_M: f64 = 1.6;
 
 /// A detection in ideal normalised coordinates.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct NormalizedDetection {
     /// Ideal normalised image coordinates per named keypoint; meaningless where `confidence` is 0.
     pub normalized: Vec<Vector2<f64>>,

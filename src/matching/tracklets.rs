@@ -5,6 +5,7 @@ use super::normalized::{BODY_SPAN_M, NormalizedDetection, NormalizedView};
 use crate::body::detector_profile::DETECTOR;
 use crate::body::human_speeds::WALK_M_S;
 use crate::optim::robust::median;
+use nalgebra::Vector2;
 
 /// The detections of one person in one of the views, over consecutive frames.
 #[derive(Debug, Clone)]
@@ -46,7 +47,7 @@ pub(super) fn longest(tracklets: &[Tracklet], n: usize) -> Vec<usize> {
 /// Gates within which two detections may show the same person.
 #[derive(Debug, Clone)]
 pub struct TrackletConfig {
-    /// A body's median joint moves at most this fast, m/s: the tracklet of a faster person is split.
+    /// A body's median joint moves at most this fast, m/s: the tracklet of a faster person goes on only without a rival.
     pub max_speed: f64,
     /// Detector noise, as a share of the apparent size: three times the 1 to 2 % seen on OpenPose and COCO detectors.
     pub noise: f64,
@@ -54,13 +55,16 @@ pub struct TrackletConfig {
     pub max_gap: f64,
     /// The best match must cost less than this share of the second best; otherwise neither is accepted.
     pub uniqueness: f64,
+    /// Outside every gate a detection may be this far from where a tracklet is expected, of the apparent size: half a body, 1 m
+    /// from one frame to the next. How fast people are is not known, nor is the frame rate always right.
+    pub lone_reach: f64,
     /// Fewest keypoints that two detections must share.
     pub min_shared: usize,
 }
 
 impl Default for TrackletConfig {
     fn default() -> Self {
-        Self { max_speed: WALK_M_S, noise: 0.03, max_gap: 0.25, uniqueness: 0.6, min_shared: 4 }
+        Self { max_speed: WALK_M_S, noise: 0.03, max_gap: 0.25, uniqueness: 0.6, lone_reach: 0.6, min_shared: 4 }
     }
 }
 
@@ -73,7 +77,9 @@ pub fn tracklets(view: &NormalizedView, fps: f64, config: &TrackletConfig) -> Ve
         let (active, expired): (Vec<_>, Vec<_>) = open.into_iter().partition(|t| frame - t.last() <= max_gap);
         closed.extend(expired);
         open = active;
-        for (tracklet, person) in confident_matches(view, &open, frame, people, fps, config) {
+        let near = gate_costs(view, &open, frame, people, fps, config);
+        let lone = lone_matches(view, &open, frame, &near, config);
+        for (tracklet, person) in confident_matches(&near, config).into_iter().chain(lone) {
             open[tracklet].detections.push((frame, person));
         }
         let taken: Vec<usize> = open.iter().filter_map(|t| t.at(frame)).collect();
@@ -86,39 +92,132 @@ pub fn tracklets(view: &NormalizedView, fps: f64, config: &TrackletConfig) -> Ve
     closed
 }
 
-/// Pairs of open tracklet and detection without a competing pair of similar cost.
-fn confident_matches(
+/// Cost of each pair of open tracklet and detection; 1 at the gate.
+fn gate_costs(
     view: &NormalizedView,
     open: &[Tracklet],
     frame: usize,
     people: &[NormalizedDetection],
     fps: f64,
     config: &TrackletConfig,
-) -> Vec<(usize, usize)> {
+) -> Vec<Vec<f64>> {
     let cost = |t: usize, p: usize| {
         let (last_frame, last_person) = open[t].detections[open[t].detections.len() - 1];
         let seconds = (frame - last_frame) as f64 / fps;
         let gate = config.noise + config.max_speed / BODY_SPAN_M * seconds;
         step_distance(&view.frames[last_frame][last_person], &people[p], config.min_shared).map_or(2.0, |d| d / gate)
     };
-    let costs: Vec<Vec<f64>> = (0..open.len()).map(|t| (0..people.len()).map(|p| cost(t, p)).collect()).collect();
-    let matches = assign(open.len(), people.len(), 1.0, |t, p| costs[t][p]);
+    (0..open.len()).map(|t| (0..people.len()).map(|p| cost(t, p)).collect()).collect()
+}
+
+/// Pairs of open tracklet and detection within the gates without a competing pair of similar cost.
+fn confident_matches(costs: &[Vec<f64>], config: &TrackletConfig) -> Vec<(usize, usize)> {
+    let n_people = costs.first().map_or(0, Vec::len);
+    let matches = assign(costs.len(), n_people, 1.0, |t, p| costs[t][p]);
     let pairs = matches.iter().enumerate().filter_map(|(t, p)| p.map(|p| (t, p)));
-    pairs
-        .filter(|&(t, p)| {
-            let rival_person = (0..people.len()).filter(|&q| q != p).map(|q| costs[t][q]);
-            let rival_track = (0..open.len()).filter(|&s| s != t).map(|s| costs[s][p]);
-            let rival = rival_person.chain(rival_track).fold(f64::INFINITY, f64::min);
-            costs[t][p] < config.uniqueness * rival
-        })
-        .collect()
+    pairs.filter(|&(t, p)| costs[t][p] < config.uniqueness * rival(costs, t, p)).collect()
+}
+
+/// Least cost of another pair with the same tracklet or the same detection.
+fn rival(costs: &[Vec<f64>], t: usize, p: usize) -> f64 {
+    let person = (0..costs[t].len()).filter(|&q| q != p).map(|q| costs[t][q]);
+    let track = (0..costs.len()).filter(|&s| s != t).map(|s| costs[s][p]);
+    person.chain(track).fold(f64::INFINITY, f64::min)
+}
+
+/// Pairs outside every gate that have no rival: a runner alone, or one whose neighbours are followed. Distances are from where
+/// the tracklet's last step leads, so that the second step of a runner is near.
+fn lone_matches(
+    view: &NormalizedView,
+    open: &[Tracklet],
+    frame: usize,
+    gate_costs: &[Vec<f64>],
+    config: &TrackletConfig,
+) -> Vec<(usize, usize)> {
+    let people = &view.frames[frame];
+    let is_outside = |t: usize, p: usize| {
+        gate_costs[t].iter().all(|c| *c >= 1.0) && gate_costs.iter().all(|of_track| of_track[p] >= 1.0)
+    };
+    if !(0..open.len()).any(|t| (0..people.len()).any(|p| is_outside(t, p))) {
+        return Vec::new();
+    }
+    let distance = |t: usize, p: usize| {
+        let expected = expected(view, &open[t], frame, config.min_shared);
+        step_distance(&expected, &people[p], config.min_shared).unwrap_or(f64::INFINITY)
+    };
+    let distances: Vec<Vec<f64>> =
+        (0..open.len()).map(|t| (0..people.len()).map(|p| distance(t, p)).collect()).collect();
+    let is_lone = |t: usize, p: usize| {
+        let d = distances[t][p];
+        is_outside(t, p) && d < config.lone_reach && d < config.uniqueness * rival(&distances, t, p)
+    };
+    (0..open.len()).filter_map(|t| (0..people.len()).find(|&p| is_lone(t, p)).map(|p| (t, p))).collect()
+}
+
+/// A tracklet's last detection, moved on at the speed of its last step.
+fn expected(view: &NormalizedView, tracklet: &Tracklet, frame: usize, min_shared: usize) -> NormalizedDetection {
+    let at = |(frame, person): (usize, usize)| &view.frames[frame][person];
+    let mut seen = tracklet.detections.iter().rev().copied();
+    let Some(last) = seen.next() else { return NormalizedDetection::default() };
+    let mut moved = at(last).clone();
+    if let Some(before) = seen.next()
+        && let Some(step) = median_step(at(before), at(last), min_shared)
+    {
+        let n_steps = (frame - last.0) as f64 / (last.0 - before.0) as f64;
+        moved.normalized.iter_mut().for_each(|point| *point += step * n_steps);
+    }
+    moved
+}
+
+/// Median displacement of the shared keypoints per axis; `None` for fewer than `min_shared`.
+fn median_step(from: &NormalizedDetection, to: &NormalizedDetection, min_shared: usize) -> Option<Vector2<f64>> {
+    let (mut x, mut y): (Vec<f64>, Vec<f64>) =
+        shared_keypoints(from, to).map(|k| to.normalized[k] - from.normalized[k]).map(|step| (step.x, step.y)).unzip();
+    if x.len() < min_shared { None } else { Some(Vector2::new(median(&mut x)?, median(&mut y)?)) }
+}
+
+fn shared_keypoints<'a>(a: &'a NormalizedDetection, b: &'a NormalizedDetection) -> impl Iterator<Item = usize> + 'a {
+    let comparable = |d: &NormalizedDetection, k: usize| d.confidence[k] > DETECTOR.comparable;
+    (0..a.normalized.len()).filter(move |&k| comparable(a, k) && comparable(b, k))
 }
 
 /// Median distance of the shared keypoints as a share of the apparent size; `None` for fewer than `min_shared`.
 pub fn step_distance(a: &NormalizedDetection, b: &NormalizedDetection, min_shared: usize) -> Option<f64> {
-    let mut distances: Vec<f64> = (0..a.normalized.len())
-        .filter(|&k| a.confidence[k] > DETECTOR.comparable && b.confidence[k] > DETECTOR.comparable)
-        .map(|k| (a.normalized[k] - b.normalized[k]).norm())
-        .collect();
+    let mut distances: Vec<f64> = shared_keypoints(a, b).map(|k| (a.normalized[k] - b.normalized[k]).norm()).collect();
     if distances.len() < min_shared { None } else { Some(median(&mut distances)? / a.size.max(b.size)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A detection of six keypoints, one apparent size high, at `x` sizes.
+    fn at(x: f64) -> NormalizedDetection {
+        let normalized = (0..6).map(|k| Vector2::new(0.4 * x, 0.08 * f64::from(k))).collect();
+        NormalizedDetection { normalized, confidence: vec![0.9; 6], size: 0.4, track_id: None }
+    }
+
+    fn lengths(frames: Vec<Vec<NormalizedDetection>>) -> Vec<usize> {
+        let view = NormalizedView { focal: 1000.0, frames };
+        let found = tracklets(&view, 25.0, &TrackletConfig::default());
+        found.iter().map(|t| t.detections.len()).collect()
+    }
+
+    /// 10 m/s at 25 Hz are a quarter of a body from frame to frame; the gate is a twentieth.
+    #[test]
+    fn a_runner_alone_was_split_at_every_frame() {
+        assert_eq!(lengths((0..12).map(|f| vec![at(0.25 * f64::from(f))]).collect()), [12]);
+        let two = (0..12).map(|f| vec![at(0.25 * f64::from(f)), at(0.25 * f64::from(f) + 2.0)]).collect();
+        assert_eq!(lengths(two), [12, 12]);
+        let past_a_standing_one = (0..12).map(|f| vec![at(0.25 * f64::from(f)), at(1.37)]).collect();
+        assert_eq!(lengths(past_a_standing_one).into_iter().max(), Some(12));
+    }
+
+    #[test]
+    fn another_person_elsewhere_is_another_tracklet() {
+        let frames = |to: f64| vec![vec![at(0.0)], vec![at(0.01)], vec![at(to)], vec![at(to + 0.01)]];
+        assert_eq!(lengths(frames(0.8)), [2, 2]);
+        // Two that are equally far may be either.
+        assert_eq!(lengths(vec![vec![at(0.0)], vec![at(0.3), at(-0.3)]]), [1, 1, 1]);
+    }
 }

@@ -113,12 +113,23 @@ pub struct CameraFacts {
     pub id: String,
     /// Whether the session gives its `R` and `t`.
     pub has_extrinsics: bool,
+    /// Whether the session gives its `K`.
+    #[serde(default = "given")]
+    pub has_intrinsics: bool,
+}
+
+fn given() -> bool {
+    true
 }
 
 impl CameraFacts {
     /// Facts of every camera, in the session's order.
     pub fn of(session: &Session) -> Vec<Self> {
-        let facts = |view: &View| Self { id: view.id.clone(), has_extrinsics: view.camera_from_world.is_some() };
+        let facts = |view: &View| Self {
+            id: view.id.clone(),
+            has_extrinsics: view.camera_from_world.is_some(),
+            has_intrinsics: view.has_intrinsics,
+        };
         session.views.iter().map(facts).collect()
     }
 }
@@ -156,6 +167,7 @@ impl Options {
         if self.intrinsics == IntrinsicsMode::RefineFocal && cameras.len() < 2 {
             return refuse("/intrinsics", "a single camera does not determine its focal length; use \"fixed\"");
         }
+        self.check_unknown_lenses(cameras)?;
         if self.body != DEFAULT_BODY && !bodies.contains(&self.body) {
             let known: String = bodies.iter().map(|name| format!(" or {name:?}")).collect();
             return refuse("/body", format!("{:?} is not a registered body; use \"{DEFAULT_BODY}\"{known}", self.body));
@@ -174,6 +186,28 @@ impl Options {
             return refuse("/up_axis", "up axis x is not supported; use \"y\" or \"z\"");
         }
         self.check_scale(cameras)
+    }
+
+    /// Treatment of the intrinsics of a session: where a camera has no K they are estimated.
+    pub fn intrinsics_of(&self, session: &Session) -> IntrinsicsMode {
+        let is_known = session.views.iter().all(|view| view.has_intrinsics);
+        if is_known { self.intrinsics } else { IntrinsicsMode::Estimate }
+    }
+
+    fn check_unknown_lenses(&self, cameras: &[CameraFacts]) -> Result<(), PipelineError> {
+        let unknown = cameras.iter().find(|camera| !camera.has_intrinsics);
+        let why = match unknown {
+            Some(camera) => format!("camera {} has no K, so that focal lengths are estimated", camera.id),
+            None if self.intrinsics == IntrinsicsMode::Estimate => "focal lengths are estimated".to_owned(),
+            None => return Ok(()),
+        };
+        if self.extrinsics != Extrinsics::Estimate {
+            return refuse("/extrinsics", format!("{why}, which changes camera poses; use \"estimate\", or give K"));
+        }
+        if cameras.len() < 2 {
+            return refuse("/intrinsics", format!("{why}, which takes two cameras or more; give K and use \"fixed\""));
+        }
+        Ok(())
     }
 
     fn check_scale(&self, known: &[CameraFacts]) -> Result<(), PipelineError> {
@@ -235,6 +269,8 @@ pub enum IntrinsicsMode {
     Fixed,
     /// One focal factor per camera is refined.
     RefineFocal,
+    /// Focal lengths are estimated; those of the session are guesses.
+    Estimate,
 }
 
 /// `options.scale`.

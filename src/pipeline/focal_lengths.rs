@@ -20,6 +20,12 @@ impl FocalLengths {
         Self { factors: vec![None; session.views.len()], report: None }
     }
 
+    /// One factor on the focal lengths of all views, of which nothing else is known.
+    pub fn all(session: &Session, factor: f64) -> Self {
+        let unknown = Some(FocalFactor { value: factor, sigma: factor });
+        Self { factors: vec![unknown; session.views.len()], report: None }
+    }
+
     /// The factor of a view.
     pub fn factor(&self, view: usize) -> f64 {
         self.factors[view].map_or(1.0, |factor| factor.value)

@@ -5,6 +5,8 @@
 //! | 1 | [`synchronisation`](passes::synchronisation) | time offsets in whole frames | `sync: estimate`; once |
 //! | | | pass 3, keyframe selection, bundle adjustment with delays | 1 to 6 rounds |
 //! | 2 | [`focal_lengths`](passes::focal_lengths) | pass 3, bundle adjustment with focal lengths | `refine_focal`; 1 or 2 rounds |
+//! | | [`unknown_lenses`](passes::unknown_lenses) | camera initialisation | `estimate`, or no K; 8 candidates |
+//! | | | keyframe selection, bundle adjustment with focal lengths, association | 3 candidates, then up to 4 rounds |
 //! | 3 | [`cameras`](passes::cameras) | camera initialisation | `extrinsics: estimate`; once |
 //! | | | keyframe selection, bundle adjustment, association | up to 3 arrangements |
 //! | | | camera registration, keyframes, bundle adjustment, association | 2 rounds |
@@ -23,7 +25,7 @@
 //! adjustment of estimated or refined cameras runs exactly once per calibration: in pass 4 on repaired detections, or
 //! without that pass at the end of pass 3.
 //!
-//! Nouns (`calibration`, `capture`, `config`, `error`, `focal_lengths`, `focal_spread`, `keyframe`, `option_table`) import no stage; stages import nouns and no other stage;
+//! Nouns (`calibration`, `capture`, `config`, `error`, `focal_lengths`, `focal_spread`, `keyframe`, `option_table`, `unsolvable`) import no stage; stages import nouns and no other stage;
 //! passes import stages; this file imports passes.
 
 pub mod calibration;
@@ -40,6 +42,7 @@ pub mod option_table;
 pub mod passes;
 pub mod result;
 pub mod stages;
+pub mod unsolvable;
 
 use crate::body::{BodyModel, default_body};
 use crate::progress::Progress;
@@ -57,9 +60,11 @@ use passes::denoising::denoised_capture;
 use passes::focal_lengths::refined_focal_lengths;
 use passes::held_out_check::heldout_px;
 use passes::synchronisation::{Timing, estimated_timing};
+use passes::unknown_lenses::estimated_focal_lengths;
 use result::{Solution, statures};
 use stages::joint_trajectories::joint_trajectories;
 use stages::metric_scale;
+use unsolvable::CameraEvidence;
 
 /// [`reconstruct_with_body`] with the embedded body.
 pub fn reconstruct(session: &Session, options: &Options, progress: &Progress) -> Result<Reconstruction, PipelineError> {
@@ -95,7 +100,7 @@ pub fn reconstruct_with_checkpoints(
     require_detections(session)?;
     let session = &*options.at_rate(session);
     let suspicions = suspicions(session);
-    let mut stages = progress.stages(stage_weights(options));
+    let mut stages = progress.stages(stage_weights(options, options.intrinsics_of(session)));
     let freedom = match options.extrinsics {
         Extrinsics::Fixed => CameraFreedom::Held,
         Extrinsics::Estimate | Extrinsics::Refine => CameraFreedom::Adjusted,
@@ -113,11 +118,16 @@ pub fn reconstruct_with_checkpoints(
     let timed = timing.applied_to(session);
 
     // 2. Focal lengths.
-    let mut focal_lengths = match options.intrinsics {
+    let intrinsics = options.intrinsics_of(session);
+    let mut focal_lengths = match intrinsics {
         IntrinsicsMode::Fixed => FocalLengths::given(&timed),
         IntrinsicsMode::RefineFocal => {
             let step = stages.begin("focal_lengths");
             checkpoints.stage("focal_lengths", || refined_focal_lengths(&timed, options, last, &step))?
+        }
+        IntrinsicsMode::Estimate => {
+            let step = stages.begin("focal_lengths");
+            checkpoints.stage("focal_lengths", || estimated_focal_lengths(&timed, options, last, &step))?
         }
     };
     let refined = focal_lengths.applied_to(&timed);
@@ -128,12 +138,7 @@ pub fn reconstruct_with_checkpoints(
     let last = if freedom == CameraFreedom::Held { FinalAdjustment::Elsewhere } else { last };
     let calibration = checkpoints.stage("cameras", || calibrated(&capture, last, &step))?;
     if calibration.n_placed() < 2 && session.views.len() > 1 {
-        return Err(PipelineError::Unsolvable {
-            code: "cameras_unsolvable",
-            reason: "no two cameras see the same people move; check that the cameras overlap, that frames are \
-                     synchronised and that the intrinsics belong to these images"
-                .to_owned(),
-        });
+        return Err(CameraEvidence::of(&capture, calibration.n_placed()).error());
     }
 
     // 4. Repaired detections, and the cameras adjusted to them.
@@ -179,10 +184,11 @@ pub fn reconstruct_with_checkpoints(
 }
 
 /// The stages that a job reports, with their shares of the time.
-fn stage_weights(options: &Options) -> Vec<(&'static str, f64)> {
+fn stage_weights(options: &Options, intrinsics: IntrinsicsMode) -> Vec<(&'static str, f64)> {
     let stages = [
         ("synchronisation", 1.5, options.sync == Sync::Estimate),
-        ("focal_lengths", 0.7, options.intrinsics == IntrinsicsMode::RefineFocal),
+        ("focal_lengths", 0.7, intrinsics == IntrinsicsMode::RefineFocal),
+        ("focal_lengths", 3.0, intrinsics == IntrinsicsMode::Estimate),
         ("cameras", 0.4, true),
         ("denoising", 0.15, options.denoise),
         ("held_out_check", 0.1, true),

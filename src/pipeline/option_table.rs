@@ -145,10 +145,15 @@ pub const OPTION_TABLE: &[OptionRow] = &[
                 "one factor of the focal length per camera is estimated together with poses and people, for focal \
                  lengths that may be wrong by some per cent; those that the recording does not contradict stay",
             ),
+            choice(
+                "estimate",
+                "estimated from the people, from nothing but image sizes or from guesses that are up to half off; always \
+                 where a camera has no K",
+            ),
         ]),
         unit: "",
-        effect: "Focal lengths of the cameras. `refine_focal` needs two or more cameras and does not go with \
-                 `extrinsics: fixed`.",
+        effect: "Focal lengths of the cameras. `refine_focal` and `estimate` need two or more cameras; the first does not go \
+                 with `extrinsics: fixed`, the second needs `extrinsics: estimate`.",
         flag: "intrinsics",
         is_common: true,
     },

@@ -186,9 +186,11 @@ impl Solution {
     /// What the session gives of the placed cameras, as far as the options have it refined.
     fn known_cameras(&self, capture: &Capture, refined: &FocalLengths) -> KnownCameras {
         let (options, views) = (capture.options, &capture.session.views);
+        let intrinsics = options.intrinsics_of(capture.session);
         let focal_px = || self.placed_views().map(|v| views[v].intrinsics.focal() / refined.factor(v)).collect();
         KnownCameras {
-            focal_px: (options.intrinsics == IntrinsicsMode::RefineFocal).then(focal_px),
+            focal_px: (intrinsics != IntrinsicsMode::Fixed).then(focal_px),
+            is_focal_guessed: intrinsics == IntrinsicsMode::Estimate,
             poses: match options.extrinsics {
                 Extrinsics::Refine => self.placed_views().map(|view| views[view].camera_from_world).collect(),
                 Extrinsics::Estimate | Extrinsics::Fixed => None,

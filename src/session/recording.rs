@@ -45,8 +45,10 @@ pub struct Detection {
 pub struct View {
     /// The camera's name; unique in the session, preserved byte for byte.
     pub id: String,
-    /// Intrinsics as given by the session.
+    /// Intrinsics as given by the session, else [`Intrinsics::guessed`].
     pub intrinsics: Intrinsics,
+    /// Whether the session gives `K`.
+    pub has_intrinsics: bool,
     /// Camera pose `camera_from_world`, metres, where the session gives it.
     pub camera_from_world: Option<Rigid>,
     /// Time offset of the camera, s: frame number `n` was taken at `n / fps + time_offset`.

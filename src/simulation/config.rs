@@ -168,13 +168,18 @@ pub enum Bodies {
 }
 
 /// Source of the motion.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub enum MotionSource {
     /// Walking, stopping, turning, crouching, sitting, reaching, gesturing.
     #[default]
     Procedural,
     /// Two people dancing: face to face within arms' reach, turning about each other.
     Dance,
+    /// Running straight through the middle, past each other.
+    Running {
+        /// Speed, m/s.
+        speed: f64,
+    },
     /// Drawn from the embedded motion prior.
     Prior,
     /// One `.npz` in the AMASS layout a person, in this order.
@@ -220,6 +225,11 @@ impl SimulationConfig {
         if self.motion == MotionSource::Dance && self.people != 2 {
             let value = self.people as f64;
             return Err(SimulationError::Config { field: "people", value, expected: "2 for a dance" });
+        }
+        if let MotionSource::Running { speed } = self.motion
+            && !(0.1..=100.0).contains(&speed)
+        {
+            return Err(SimulationError::Config { field: "running", value: speed, expected: "0.1 to 100 m/s" });
         }
         if let Some(&value) = self.time_offsets.iter().find(|offset| !(-1e6..=1e6).contains(*offset)) {
             let expected = "-1000000 to 1000000 frames";

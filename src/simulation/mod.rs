@@ -6,7 +6,7 @@
 //! - [`skeleton`]: the simulated body, deliberately not the body model of the fit
 //! - `individual`: default bodies with moved joints, and a detector with a keypoint bias
 //! - [`choreography`], `action_generator`, [`gait`]: people who walk, stop, turn, crouch, sit, reach and gesture
-//! - `dance`: two people within arms' reach
+//! - `dance`: two people within arms' reach; `running`: people who run through
 //! - [`placement`], `drawn`: people from motion capture (AMASS layout) or from the motion prior, put on the floor
 //! - [`landmarks`]: the true keypoints of a posed skeleton
 //! - [`rig`]: cameras around the scene
@@ -46,6 +46,7 @@ mod random;
 mod real_errors;
 pub mod real_noise;
 pub mod rig;
+mod running;
 pub mod scene;
 mod simulate;
 pub mod skeleton;

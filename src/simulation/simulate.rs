@@ -7,7 +7,7 @@ use super::rig::{self, RigCamera};
 use super::scene::{SimulatedScene, ViewRecording};
 use super::skeleton::SimulatedPerson;
 use super::truth::{self, Simulated, Truth};
-use super::{choreography, dance, placement};
+use super::{choreography, dance, placement, running};
 use crate::session::{Session, View};
 
 /// Simulates a session and its truth.
@@ -38,6 +38,7 @@ fn simulated_people(config: &SimulationConfig) -> Result<Vec<SimulatedPerson>, S
     match &config.motion {
         MotionSource::Procedural => Ok(choreography::procedural_people(config)),
         MotionSource::Dance => Ok(dance::dancing_people(config)),
+        MotionSource::Running { speed } => Ok(running::running_people(config, *speed)),
         MotionSource::Prior => Ok(placement::people_from_prior(config)),
         MotionSource::Files(paths) => placement::people_from_files(paths, config),
     }
@@ -52,6 +53,7 @@ fn session(
     let view = |(camera, recording): (RigCamera, ViewRecording)| View {
         id: camera.id,
         intrinsics: camera.intrinsics,
+        has_intrinsics: true,
         camera_from_world: None,
         time_offset: 0.0,
         delivered: (0..n_frames).map(crate::session::FrameIndex).collect(),

@@ -2,12 +2,14 @@
 #![allow(clippy::unwrap_used)] // an unexpected value fails the test
 
 mod edge_cases;
+mod fast_people;
 mod joint_adjustment;
 mod monocular;
 mod presets;
 mod progress;
 mod scale;
 mod synchronisation;
+mod unknown_lenses;
 mod verdicts;
 
 use wandless::evaluation::camera_error::{camera_pairs, relative_camera_error};

@@ -2,9 +2,11 @@
 //!
 //! A person is a predicted skeleton (`person`). In each frame every view assigns its detections to the nearest
 //! predictions; persons held by a single view are re-acquired by the others (`reacquisition`); unassigned detections start
-//! new persons (`initialisation`). At the end duplicates are merged (`duplicate_merging`), and fragments of one person
-//! are joined (`stitching`) by position, build and the detectors' track numbers (`reidentification`).
+//! new persons (`initialisation`), or continue a person that is lost where no other person can be meant (`continuation`). At
+//! the end duplicates are merged (`duplicate_merging`), and fragments of one person are joined (`stitching`) by position,
+//! build and the detectors' track numbers (`reidentification`).
 
+mod continuation;
 mod duplicate_merging;
 mod initialisation;
 mod monocular;
@@ -65,6 +67,7 @@ fn step(scene: &TrackerScene, config: &TrackerConfig, frame: usize, people: &mut
     for (person, assignment) in people.iter_mut().zip(&mut assignments) {
         person.update(scene, config, frame, assignment);
     }
+    let n_known = people.len();
     let mut free = scene.unassigned(frame, &assignments);
     while let Some(new) = initialisation::new_person(scene, config, frame, &free, people) {
         for (view, detection) in new.detections_at(frame) {
@@ -72,6 +75,7 @@ fn step(scene: &TrackerScene, config: &TrackerConfig, frame: usize, people: &mut
         }
         people.push(new);
     }
+    continuation::continue_lost(scene, config, frame, people, n_known);
 }
 
 /// For each person the detection of every view that lies nearest to the prediction, one detection to one person.

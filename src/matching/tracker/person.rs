@@ -3,7 +3,6 @@
 use super::monocular;
 use super::scene::{Assignment, TrackerConfig, TrackerScene};
 use super::skeleton::{Skeleton, completed, distance_to_detection, triangulated};
-use crate::body::human_speeds::MAX_BODY_M_S;
 use crate::matching::normalized::NormalizedDetection;
 use crate::optim::robust::median;
 use nalgebra::Vector3;
@@ -26,6 +25,10 @@ pub struct TrackedPerson {
 /// The velocity estimate forgets the past with this time constant, s: the time of half a step.
 const VELOCITY_MEMORY: f64 = 0.15;
 
+/// A body out of sight is expected to go on for half of the time in which it would stop, braking at 4 m/s^2 (a stride of a
+/// runner takes off 1 to 2 m/s): the inverse, s^2/m. At a walk that is the memory of the velocity.
+const COASTING_S2_M: f64 = 0.125;
+
 impl TrackedPerson {
     pub(super) fn new(frame: usize, assignment: Assignment, skeleton: Skeleton) -> Self {
         let (assignments, skeletons) = (vec![(frame, assignment)], vec![skeleton]);
@@ -45,6 +48,15 @@ impl TrackedPerson {
     /// Number of detections.
     pub fn support(&self) -> usize {
         self.assignments.iter().map(|(_, a)| a.iter().flatten().count()).sum()
+    }
+
+    pub(super) fn last_assignment(&self) -> &Assignment {
+        &self.assignments[self.assignments.len() - 1].1
+    }
+
+    /// Speed of the body's middle at the end, m/s.
+    pub(super) fn speed(&self) -> f64 {
+        self.velocity.norm()
     }
 
     pub(super) fn last_skeleton(&self) -> &Skeleton {
@@ -110,10 +122,27 @@ impl TrackedPerson {
 
     /// The skeleton predicted for `frame`, at constant velocity.
     pub(super) fn predict(&self, frame: usize, fps: f64) -> Skeleton {
-        // Beyond the memory of the velocity a body is as likely to have stopped as to have gone on.
-        let seconds = ((frame - self.last_seen()) as f64 / fps).min(VELOCITY_MEMORY);
+        // Beyond the memory of the velocity a walker is as likely to have stopped as to have gone on.
+        let coasting = VELOCITY_MEMORY.max(COASTING_S2_M * self.speed());
+        let seconds = ((frame - self.last_seen()) as f64 / fps).min(coasting);
         let step = self.velocity * seconds;
         self.last_skeleton().iter().map(|p| p.map(|p| p + step)).collect()
+    }
+
+    /// Adds the detections of a frame in which the person was found far from the prediction: how far is the velocity.
+    pub(super) fn resume(
+        &mut self,
+        scene: &TrackerScene,
+        config: &TrackerConfig,
+        frame: usize,
+        assignment: &mut [Option<usize>],
+    ) {
+        let n = self.assignments.len();
+        self.update(scene, config, frame, assignment);
+        if self.assignments.len() > n {
+            let seconds = (frame - self.assignments[n - 1].0) as f64 / scene.fps;
+            self.velocity = shift(&self.skeletons[n], &self.skeletons[n - 1]) / seconds;
+        }
     }
 
     /// Adds the assigned detections of a frame; detections of views that contradict the others are removed from
@@ -165,22 +194,19 @@ impl TrackedPerson {
             self.last_seen()
         };
         let seconds = (frame - since) as f64 / scene.fps;
-        let shift = |axis: usize| {
-            let mut moves: Vec<f64> = skeleton
-                .iter()
-                .zip(self.last_skeleton())
-                .filter_map(|(a, b)| Some((*a)?[axis] - (*b)?[axis]))
-                .collect();
-            median(&mut moves).unwrap_or(0.0) / seconds
-        };
-        let measured = Vector3::new(shift(0), shift(1), shift(2));
+        let measured = shift(skeleton, self.last_skeleton()) / seconds;
         let keep = (-seconds / VELOCITY_MEMORY).exp();
         self.velocity = self.velocity * keep + measured * (1.0 - keep);
-        let speed = self.velocity.norm();
-        if speed > MAX_BODY_M_S {
-            self.velocity *= MAX_BODY_M_S / speed;
-        }
     }
+}
+
+/// Median shift of the keypoints per axis, m.
+fn shift(to: &Skeleton, from: &Skeleton) -> Vector3<f64> {
+    let axis = |axis: usize| {
+        let mut moves: Vec<f64> = to.iter().zip(from).filter_map(|(a, b)| Some((*a)?[axis] - (*b)?[axis])).collect();
+        median(&mut moves).unwrap_or(0.0)
+    };
+    Vector3::new(axis(0), axis(1), axis(2))
 }
 
 /// The view that contradicts the rest most, if any does beyond the limit. With two views the prediction decides.

@@ -100,12 +100,13 @@ impl Appearance {
     }
 }
 
-/// Evidence of the position: `distance` m from the predicted one after `seconds` out of sight.
+/// Evidence of the position: `distance` m from the predicted one after `seconds` out of sight of a person who went at `speed`
+/// m/s. Who is fast may be slower or faster by half.
 ///
 /// Another person may be anywhere: the difference has standard deviation `sqrt(2) spread` per axis of the floor (m).
-pub(super) fn position_evidence(distance: f64, seconds: f64, spread: f64) -> f64 {
+pub(super) fn position_evidence(distance: f64, seconds: f64, speed: f64, spread: f64) -> f64 {
     let anywhere = 2.0 * spread * spread;
-    let near = (POSITION_SIGMA * POSITION_SIGMA + (WALK_M_S * seconds).powi(2)).min(anywhere);
+    let near = (POSITION_SIGMA * POSITION_SIGMA + (WALK_M_S.max(speed / 2.0) * seconds).powi(2)).min(anywhere);
     (anywhere / near).ln() - 0.5 * distance * distance * (1.0 / near - 1.0 / anywhere)
 }
 
@@ -159,9 +160,9 @@ mod tests {
 
     #[test]
     fn position_counts_soon_after_sight_and_not_later() {
-        assert!(position_evidence(0.1, 0.2, 2.0) > 3.0);
-        assert!(position_evidence(3.0, 0.2, 2.0) < -5.0);
-        assert!(position_evidence(3.0, 60.0, 2.0).abs() < 1e-12);
+        assert!(position_evidence(0.1, 0.2, 0.0, 2.0) > 3.0);
+        assert!(position_evidence(3.0, 0.2, 0.0, 2.0) < -5.0);
+        assert!(position_evidence(3.0, 60.0, 0.0, 2.0).abs() < 1e-12);
     }
 
     #[test]

@@ -68,7 +68,10 @@ fn position(scene: &TrackerScene, earlier: &TrackedPerson, later: &TrackedPerson
     }
     let seconds = (later.first() - earlier.last_seen()) as f64 / scene.fps;
     let predicted = earlier.predict(later.first(), scene.fps);
-    Some(distance(&predicted, &later.skeletons[0]).map_or(0.0, |d| position_evidence(d, seconds, spread)))
+    Some(
+        distance(&predicted, &later.skeletons[0])
+            .map_or(0.0, |d| position_evidence(d, seconds, earlier.speed(), spread)),
+    )
 }
 
 #[cfg(test)]

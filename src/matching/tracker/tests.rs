@@ -62,3 +62,28 @@ fn a_person_moving_along_the_rays_of_a_view_is_reacquired() {
     let end = people[0].skeletons[59][0].unwrap();
     assert!((end.x - 0.5).abs() < 0.01, "{end}");
 }
+
+/// Two views of people who run at 10 m/s, 0.4 m from frame to frame at 25 Hz: more than two gates.
+#[test]
+fn a_runner_was_a_new_person_in_every_frame() {
+    let aside = Matrix3::new(0.0, 0.0, 1.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0);
+    let far = Rigid { rotation: aside, translation: Vector3::new(-6.0, 0.0, 6.0) };
+    let cameras = [Some(Rigid::identity()), Some(far)];
+    let starts = |n: usize| &[[-4.0, 5.0], [-4.8, 7.5]][..n];
+    for n in [1, 2] {
+        let at = |camera: &Rigid, frame: usize| -> Vec<NormalizedDetection> {
+            let top = |[x, z]: &[f64; 2]| Vector3::new(x + 0.4 * frame as f64, -0.8, *z);
+            starts(n).iter().map(|start| hanging(camera, top(start), 0.2)).collect()
+        };
+        let frames = |camera: &Rigid| (0..20).map(|frame| at(camera, frame)).collect();
+        let views = cameras.map(|c| NormalizedView { focal: 1000.0, frames: frames(&c.unwrap()) });
+        let bones = limb_bones(KeypointConvention::Coco17);
+        let scene = TrackerScene { views: &views, cameras: &cameras, bones: &bones, fps: 25.0, n_frames: 20 };
+        let people = track(&scene, &TrackerConfig::default(), &Progress::silent()).unwrap();
+        assert_eq!(people.len(), n);
+        for person in people {
+            let d = person.assignments[0].1[0];
+            assert!(person.assignments.len() == 20 && person.assignments.iter().all(|(_, a)| *a == [d, d]), "{n}");
+        }
+    }
+}

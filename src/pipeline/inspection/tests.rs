@@ -15,6 +15,7 @@ fn session(centers: &[[f64; 3]], n_frames: usize, step: f64) -> Session {
         id: format!("c{i}"),
         intrinsics: Intrinsics::PLAIN,
         time_offset: 0.0,
+        has_intrinsics: true,
         camera_from_world: Some(Rigid { rotation: Matrix3::identity(), translation: -Vector3::from(*center) }),
         frames: (0..n_frames).map(person).collect(),
         delivered: (0..n_frames).map(FrameIndex).collect(),

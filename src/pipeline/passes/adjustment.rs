@@ -25,8 +25,8 @@ pub struct Effort {
     uncertainty_block_secs: Option<f64>,
     /// Whether delays of the cameras are estimated.
     refine_delays: bool,
-    /// Whether focal lengths are estimated.
-    refine_focal: bool,
+    /// Standard deviation of the logarithms of the factors on the focal lengths; `None`: they are held.
+    focal_sigma: Option<f64>,
 }
 
 impl Effort {
@@ -36,7 +36,7 @@ impl Effort {
         relative_decrease: 1e-3,
         uncertainty_block_secs: None,
         refine_delays: false,
-        refine_focal: false,
+        focal_sigma: None,
     };
     /// For a round that an association and another adjustment follow.
     pub const ROUND: Self = Self { max_keyframes: 250, relative_decrease: 1e-4, ..Self::TRIAL };
@@ -47,8 +47,18 @@ impl Effort {
     /// With delays: only moving points show them, and there are fewer of those.
     pub const DELAYS: Self = Self { max_keyframes: 1500, relative_decrease: 1e-5, refine_delays: true, ..Self::FINAL };
     /// With focal lengths: a focal length trades against distance, so convergence is slow and matters.
-    pub const FOCAL_LENGTHS: Self = Self { refine_focal: true, ..Self::FINAL };
+    pub const FOCAL_LENGTHS: Self = Self { focal_sigma: Some(GUESSED_ANGLE), ..Self::FINAL };
+    /// With focal lengths of which the order of magnitude is known, for a candidate and for the last rounds.
+    pub const UNKNOWN_FOCAL: Self = Self { focal_sigma: Some(UNKNOWN_ANGLE), relative_decrease: 1e-4, ..Self::TRIAL };
+    /// See [`Self::UNKNOWN_FOCAL`].
+    pub const LAST_UNKNOWN_FOCAL: Self = Self { focal_sigma: Some(UNKNOWN_ANGLE), ..Self::FINAL };
 }
+
+/// A guessed angle of view. How far the focal lengths really are off is decided afterwards.
+pub const GUESSED_ANGLE: f64 = 0.1;
+
+/// Angles of view of phones, action cameras and portrait lenses: focal lengths from 0.5 to 2.5 image widths within two.
+const UNKNOWN_ANGLE: f64 = 0.4;
 
 /// All frames may be used.
 pub const ALL_FRAMES: FrameFilter = &|_| true;
@@ -97,12 +107,14 @@ pub fn adjusted(
         keyframes,
         bones: &bones,
         camera_freedom: CameraFreedom::Adjusted,
-        refine_focal: effort.refine_focal,
+        refine_focal: effort.focal_sigma.is_some(),
         refine_delays: effort.refine_delays,
     };
     let uncertainty_block_frames = effort.uncertainty_block_secs.map(|s| ((s * session.fps).round() as usize).max(1));
     let relative_decrease = effort.relative_decrease;
-    let config = AdjustmentConfig { relative_decrease, uncertainty_block_frames, ..AdjustmentConfig::default() };
+    let defaults = AdjustmentConfig::default();
+    let focal_sigma = effort.focal_sigma.unwrap_or(defaults.focal_sigma);
+    let config = AdjustmentConfig { relative_decrease, uncertainty_block_frames, focal_sigma, ..defaults };
     let (adjusted, report) = adjust(&input, &config, progress)?;
     let cameras: Vec<Option<Rigid>> = adjusted.cameras.iter().map(|c| c.camera_from_world).collect();
     let mut keyframes = input.keyframes;

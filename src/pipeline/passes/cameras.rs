@@ -67,6 +67,16 @@ pub fn initial_cameras(capture: &Capture, progress: &Progress) -> Result<Vec<Opt
     Ok(rigs.into_iter().next().map_or_else(|| vec![None; capture.views.len()], |rig| rig.cameras))
 }
 
+/// The best arrangement of the cameras and the persons under it, after a first adjustment.
+pub fn first_arrangement(capture: &Capture, progress: &Progress) -> Result<Calibration, Canceled> {
+    let tracklets = capture.tracklets();
+    let (rigs, _) = initial_rigs(capture, &tracklets, progress)?;
+    match rigs.first() {
+        Some(rig) => trial(capture, &tracklets, rig, progress),
+        None => under_cameras(capture, vec![None; capture.views.len()], progress),
+    }
+}
+
 /// Estimates the cameras without a start.
 fn estimated(capture: &Capture, progress: &Progress) -> Result<Calibration, Canceled> {
     let mut steps = progress.steps([0.05, 0.3, 0.3, 0.15, 0.15]);

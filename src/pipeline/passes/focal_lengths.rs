@@ -13,9 +13,8 @@ use crate::pipeline::capture::Capture;
 use crate::pipeline::config::Options;
 use crate::pipeline::focal_lengths::FocalLengths;
 use crate::pipeline::focal_spread::{FocalSpread, FoundFactors};
-use crate::pipeline::passes::adjustment::{ALL_FRAMES, Effort, adjusted};
+use crate::pipeline::passes::adjustment::{ALL_FRAMES, Effort, GUESSED_ANGLE, adjusted};
 use crate::pipeline::passes::cameras::{FinalAdjustment, roughly_calibrated};
-use crate::pipeline::stages::bundle_adjustment::input::AdjustmentConfig;
 use crate::progress::{Canceled, Progress};
 use crate::session::Session;
 use crate::session::reconstruction::{FocalFactor, StageReport};
@@ -76,7 +75,7 @@ fn shown(estimate: &FocalEstimate, current: &FocalLengths) -> Option<FoundFactor
     let current = DVector::from_iterator(n, estimate.views.iter().map(|&view| current.factor(view).ln()));
     let increments = DVector::from_column_slice(&estimate.log_factors);
     let covariance = DMatrix::from_fn(n, n, |i, j| estimate.covariance[i][j]);
-    let prior = FocalSpread { own: AdjustmentConfig::default().focal_sigma, common: 0.0 };
+    let prior = FocalSpread { own: GUESSED_ANGLE, common: 0.0 };
     let scatter = &covariance * OVERCOUNT;
     let found = FoundFactors::new(&increments, &covariance, &scatter, &prior.precision(n))?;
     Some(found.shifted(&current))

@@ -6,3 +6,4 @@ pub mod denoising;
 pub mod focal_lengths;
 pub mod held_out_check;
 pub mod synchronisation;
+pub mod unknown_lenses;

@@ -86,7 +86,7 @@ impl ResultFolder {
             serde_json::from_value(manifest_value).map_err(|error| not_a_result(root, "manifest.json", &error))?;
         let quality = read_json(root, "report.json")?["quality"].take();
         let cameras = read_json(root, "cameras.json")?;
-        let facts = |camera: &Value| json!({ "id": camera["id"], "has_extrinsics": false });
+        let facts = |camera: &Value| json!({ "id": camera["id"], "has_extrinsics": false, "has_intrinsics": true });
         let facts: Vec<Value> = cameras["cameras"].as_array().into_iter().flatten().map(facts).collect();
         let time = rfc3339(root.join("manifest.json").metadata().and_then(|meta| meta.modified()).ok());
         let Input { name, sha256 } = manifest.input;

@@ -37,20 +37,25 @@ pub(crate) fn distortion_model(dist: &Distortion) -> Option<&'static str> {
 pub(crate) struct LensFields {
     width: u32,
     height: u32,
-    #[serde(rename = "K")]
-    matrix: [[f64; 3]; 3],
+    #[serde(rename = "K", skip_serializing_if = "Option::is_none")]
+    matrix: Option<[[f64; 3]; 3]>,
     dist: Vec<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     distortion_model: Option<&'static str>,
 }
 
 impl LensFields {
+    /// Those of a lens of which nothing but the image size is known.
+    pub(crate) fn unknown(lens: &Intrinsics) -> Self {
+        Self { matrix: None, ..Self::of(lens) }
+    }
+
     /// The fields of a lens.
     pub(crate) fn of(lens: &Intrinsics) -> Self {
         Self {
             width: lens.width,
             height: lens.height,
-            matrix: rows(&lens.matrix()),
+            matrix: Some(rows(&lens.matrix())),
             dist: lens.dist.coefficients().to_vec(),
             distortion_model: distortion_model(&lens.dist),
         }

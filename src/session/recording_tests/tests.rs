@@ -34,6 +34,7 @@ fn session() -> Session {
     let view = |v: usize| View {
         id: format!("c{v}"),
         intrinsics: Intrinsics::PLAIN,
+        has_intrinsics: true,
         camera_from_world: None,
         time_offset: 0.0,
         frames: (0..N_FRAMES).map(|f| vec![walker(f + LAG * v)]).collect(),

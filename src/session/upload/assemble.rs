@@ -41,8 +41,10 @@ pub(crate) fn assemble(
         check_poses(&poses, &camera.id, &time_line, convention)?;
         let (frames, delivered) = dense(poses, &time_line);
         let time_offset = checked_time_offset(camera.time_offset.unwrap_or(0.0)).map_err(in_camera)?;
-        views.push(View { id: camera.id.clone(), intrinsics, camera_from_world, time_offset, frames, delivered });
+        let (id, has_intrinsics) = (camera.id.clone(), camera.matrix.is_some());
+        views.push(View { id, intrinsics, has_intrinsics, camera_from_world, time_offset, frames, delivered });
     }
+    warn_of_unknown_lenses(&views, warnings);
     Fault::NoFrames
         .when(views.iter().all(|view| view.delivered.is_empty()), || "no camera has a frame")
         .map_err(in_header)?;
@@ -58,6 +60,19 @@ pub(crate) fn assemble(
         warnings.add(suspicion.sentence());
     }
     Ok(session)
+}
+
+fn warn_of_unknown_lenses(views: &[View], warnings: &mut Warnings) {
+    let unknown: Vec<String> = views.iter().filter(|view| !view.has_intrinsics).map(|view| shown(&view.id)).collect();
+    if !unknown.is_empty() {
+        warnings.add(format!(
+            "no K of {} of {} cameras ({}): focal lengths are estimated from the people, which is less accurate than a \
+             calibration",
+            unknown.len(),
+            views.len(),
+            unknown.join(", ")
+        ));
+    }
 }
 
 struct TimeLine {

@@ -17,7 +17,7 @@ const FOCAL_RANGE: [f64; 2] = [0.01, 1000.0];
 /// A camera farther than this from the world's origin, m, is probably given in millimetres.
 const FAR: f64 = 100.0;
 
-/// Checks and returns the intrinsics of a camera.
+/// Checks and returns the intrinsics of a camera; without K those of an unknown lens, [`Intrinsics::guessed`].
 ///
 /// # Errors
 /// [`Fault::CameraInvalid`] or [`Fault::DistortionUnsupported`].
@@ -25,7 +25,9 @@ pub(super) fn checked_intrinsics(raw: &RawCamera, warnings: &mut Warnings) -> Re
     if raw.width == 0 || raw.height == 0 {
         return Err(invalid(format!("the image size is {}x{}, expected positive numbers", raw.width, raw.height)));
     }
-    let rows = raw.matrix.as_ref().ok_or_else(|| Fault::MissingField.with("the camera has no `K`"))?;
+    let Some(rows) = &raw.matrix else {
+        return Ok(Intrinsics::guessed([raw.width, raw.height], checked_distortion(raw)?));
+    };
     let k = matrix3(rows).ok_or_else(|| invalid(format!("K is {}, expected 3x3", shape(rows))))?;
     check_matrix(&k)?;
     let intrinsics =

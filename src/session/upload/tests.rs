@@ -33,6 +33,7 @@ fn small_session() -> Session {
                 dist: [-0.1, 0.02, 1e-4, -2e-4, 0.001].into(),
             },
             time_offset: 0.02,
+            has_intrinsics: true,
             camera_from_world: Some(Rigid {
                 rotation: rotation::exp(&Vector3::new(0.1, -2.0, 0.3)),
                 translation: Vector3::new(0.5, 1.25, 4.0),

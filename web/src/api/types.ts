@@ -7,6 +7,7 @@ export type Verdict = 'pass' | 'warn' | 'reject'
 export interface CameraFacts {
   id: string
   has_extrinsics: boolean
+  has_intrinsics: boolean
 }
 
 export interface Session {

@@ -185,14 +185,14 @@ fn refined_focal(problem: &JointProblem, members: &[Member], slow: f64) -> Optio
     let (inverse_hessian, covariance) = (spread.inverse_hessian(&columns), spread.covariance(&columns));
     let found =
         FoundFactors::new(&log_factors, &inverse_hessian, &covariance, &(prior.precision() * priors.overcount))?;
-    let (likeliest, log_evidence) = FocalSpread::likeliest(&found);
+    let (likeliest, log_evidence) = prior.likeliest(&found);
     let (_, posterior) = found.under(likeliest)?;
     let factor = |k: usize| {
         let value = log_factors[k].exp();
         FocalFactor { value, sigma: value * posterior[(k, k)].max(0.0).sqrt() }
     };
     let factors = (0..log_factors.len()).map(factor).collect();
-    let overcount = match prior.spread == FocalSpread::WIDE {
+    let overcount = match [FocalSpread::WIDE, FocalSpread::UNKNOWN].contains(&prior.spread) {
         true => found.overcount(&inverse_hessian),
         false => priors.overcount,
     };

@@ -8,7 +8,6 @@ use super::terms::camera_unknowns::{CameraUnknowns, FOCAL, POSE};
 use super::terms::unknowns::CameraColumns;
 use crate::geometry::{Rigid, free_network};
 use crate::optim::block_banded::Corner;
-use crate::pipeline::focal_spread::FocalSpread;
 use nalgebra::{DMatrix, DVector};
 
 /// How many times the joint problem counts what it shows of the cameras, before that has been measured. On realistic noise the mean
@@ -30,7 +29,7 @@ pub(super) struct CameraPriors {
 impl CameraPriors {
     /// With focal lengths of which nothing but the order of magnitude is known to be right.
     pub(super) fn new(known: &KnownCameras) -> Self {
-        let focal = |given: &Vec<f64>| FocalPrior { given: given.clone(), spread: FocalSpread::WIDE };
+        let focal = |given: &Vec<f64>| FocalPrior::wide(given.clone(), known.is_focal_guessed);
         let poses = |given: &Vec<Rigid>| CameraPosePrior { given: given.clone() };
         Self { focal: known.focal_px.as_ref().map(focal), poses: known.poses.as_ref().map(poses), overcount: OVERCOUNT }
     }
@@ -144,6 +143,7 @@ mod tests {
         };
         let priors = CameraPriors::new(&KnownCameras {
             focal_px: Some(vec![1010.0, 990.0, 1000.0, 1030.0]),
+            is_focal_guessed: false,
             poses: Some(cameras.iter().map(given).collect()),
         });
         let n = priors.columns(cameras.len()).len();
@@ -158,7 +158,7 @@ mod tests {
     #[test]
     fn cameras_move_away_as_focal_lengths_grow() {
         let cameras = cameras();
-        let priors = CameraPriors::new(&KnownCameras { focal_px: Some(vec![1000.0; 4]), poses: None });
+        let priors = CameraPriors::new(&KnownCameras { focal_px: Some(vec![1000.0; 4]), ..KnownCameras::default() });
         let basis = priors.basis(0, &cameras);
         let n_free = 6 * 4 - 7;
         assert_eq!(basis.shape(), (28, n_free + 4));

@@ -74,6 +74,8 @@ pub struct BodyFitConfig {
 pub struct KnownCameras {
     /// Given focal lengths, px, where they are refined; `None`: they are held.
     pub focal_px: Option<Vec<f64>>,
+    /// Whether these are guesses without any measurement.
+    pub is_focal_guessed: bool,
     /// Given `camera_from_world`; `None`: nothing is known of the poses.
     pub poses: Option<Vec<Rigid>>,
 }

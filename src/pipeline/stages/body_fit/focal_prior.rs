@@ -1,7 +1,7 @@
 //! The prior of the cameras' focal lengths in the joint problem, and what became of it.
 
 use super::observations::PosedCamera;
-use crate::pipeline::focal_spread::FocalSpread;
+use crate::pipeline::focal_spread::{FocalSpread, FoundFactors};
 use crate::session::reconstruction::FocalFactor;
 use nalgebra::{DMatrix, DVector};
 
@@ -11,6 +11,8 @@ pub(super) struct FocalPrior {
     /// By camera, px.
     pub given: Vec<f64>,
     pub spread: FocalSpread,
+    /// Whether the given lengths are guesses, about which the real ones spread widely together.
+    pub is_guessed: bool,
 }
 
 impl FocalPrior {
@@ -18,6 +20,17 @@ impl FocalPrior {
     pub(super) fn log_factors(&self, cameras: &[PosedCamera]) -> DVector<f64> {
         let of = |(camera, given): (&PosedCamera, &f64)| (camera.intrinsics.focal() / given).ln();
         DVector::from_iterator(cameras.len(), cameras.iter().zip(&self.given).map(of))
+    }
+
+    /// Before the recording shows anything.
+    pub(super) fn wide(given: Vec<f64>, is_guessed: bool) -> Self {
+        let spread = if is_guessed { FocalSpread::UNKNOWN } else { FocalSpread::WIDE };
+        Self { given, spread, is_guessed }
+    }
+
+    /// The likeliest spread, and the logarithm of its likelihood over that of focal lengths as given.
+    pub(super) fn likeliest(&self, found: &FoundFactors) -> (FocalSpread, f64) {
+        if self.is_guessed { FocalSpread::likeliest_of_unknown(found) } else { FocalSpread::likeliest(found) }
     }
 
     pub(super) fn precision(&self) -> DMatrix<f64> {

@@ -144,6 +144,7 @@ fn scene_of(model: &BodyModel, truth: &Truth, convention: KeypointConvention, qu
     let view = |(i, frames): (usize, Vec<Vec<Detection>>)| View {
         id: format!("cam{i}"),
         intrinsics: ring()[i].0,
+        has_intrinsics: true,
         camera_from_world: None,
         time_offset: 0.0,
         frames,
@@ -318,7 +319,7 @@ fn focal_lengths_are_found_with_the_cameras() {
         let focal_px = scene.session.views.iter().map(|view| view.intrinsics.focal()).collect();
         let config = BodyFitConfig {
             adjust_cameras: true,
-            known_cameras: KnownCameras { focal_px: Some(focal_px), poses: None },
+            known_cameras: KnownCameras { focal_px: Some(focal_px), ..KnownCameras::default() },
             ..BodyFitConfig::default()
         };
         let fitted = fit_bodies(&scene.input(), &Vector3::y(), &default_body(), &config, &Progress::silent()).unwrap();

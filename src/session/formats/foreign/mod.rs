@@ -52,7 +52,10 @@ pub(crate) fn read_members<R: Read + Seek>(
     let mut sources = found.sources;
     sources.retain(|source| !source.poses.order.is_empty());
     Fault::NoFrames.when(sources.is_empty(), || "the pose files contain no frame")?;
-    let cameras = std::mem::take(&mut calibration.cameras);
+    let cameras = match std::mem::take(&mut calibration.cameras) {
+        none if none.is_empty() => without_lenses(&header_cameras, &sources),
+        cameras => cameras,
+    };
     let (cameras, mut sources) = paired(cameras, sources, reading)?;
     let convention = skeleton::unify(&mut sources, &header, reading.warnings)?;
     let cameras: Vec<RawCamera> = cameras
@@ -118,10 +121,6 @@ fn read_calibrations<R: Read + Seek>(
         }
         is_whole
     });
-    Fault::NoCameras.when(
-        calibration.cameras.is_empty(),
-        || "the upload contains no camera intrinsics: add a calibration file, or `cameras` to session.json",
-    )?;
     Fault::TooManyCameras.when(calibration.cameras.len() > 4 * reading.limits.max_cameras, || {
         format!(
             "the calibration has {} cameras, at most {} are read",
@@ -130,6 +129,15 @@ fn read_calibrations<R: Read + Seek>(
         )
     })?;
     Ok(calibration)
+}
+
+/// The cameras of an upload without any calibration: those of the header, else one of each pose file or folder.
+fn without_lenses(header_cameras: &[RawCamera], sources: &[Source]) -> Vec<RawCamera> {
+    if !header_cameras.is_empty() {
+        return header_cameras.to_vec();
+    }
+    let camera = |id: &String| RawCamera { id: id.clone(), ..RawCamera::default() };
+    sources.iter().filter_map(|source| source.names.first().map(camera)).collect()
 }
 
 /// Pairs cameras with their poses, in the calibration's order; those without a partner are left out with a warning.
@@ -187,7 +195,7 @@ fn sized(
     let size = match stated {
         Some(size) => size,
         None if calibrated.contains(&0) => {
-            let detail = "neither the calibration nor the poses contain the image size";
+            let detail = "neither a calibration nor the poses contain the image size";
             return Err(in_camera(Fault::ImageSizeUnknown.with(detail)));
         }
         None => calibrated,
@@ -249,6 +257,9 @@ fn format_name(sources: &[Source], calibration: &Calibration, header_cameras: &[
     let mut formats = calibration.formats.clone();
     if header_cameras.iter().any(|camera| camera.matrix.is_some()) {
         formats.push("native");
+    }
+    if formats.is_empty() {
+        return dialects.join("+");
     }
     format!("{} with {}", dialects.join("+"), formats.join("+"))
 }

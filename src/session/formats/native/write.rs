@@ -115,7 +115,11 @@ fn document_of<'a>(session: &'a Session, poses: Option<BTreeMap<&'a str, Poses>>
 fn camera_of(view: &View) -> Camera<'_> {
     Camera {
         id: &view.id,
-        lens: LensFields::of(&view.intrinsics),
+        lens: if view.has_intrinsics {
+            LensFields::of(&view.intrinsics)
+        } else {
+            LensFields::unknown(&view.intrinsics)
+        },
         rotation: view.camera_from_world.map(|pose| rows(&pose.rotation)),
         translation: view.camera_from_world.map(|pose| entries(&pose.translation)),
         time_offset_s: Some(view.time_offset).filter(|offset| *offset != 0.0),
