@@ -76,9 +76,12 @@ pub fn wrong_lenses(adjusted: &Adjusted, origins: &[f64], prior_sigma: f64) -> O
     if log_evidence < HINT_LOG_EVIDENCE {
         return None;
     }
-    let (log_factors, covariance) = found.under(spread)?;
+    // Where the evidence is a hint, other evidence must confirm it, and no factor is certain by itself.
+    let is_hint = log_evidence < MIN_LOG_EVIDENCE;
+    let (log_factors, covariance) = found.under(if is_hint { FocalSpread::WIDE } else { spread })?;
     let is_wrong = |k: &usize| {
-        log_factors[*k].abs() > MIN_FOCAL && log_factors[*k].abs() > 2.0 * covariance[(*k, *k)].max(0.0).sqrt()
+        let size = log_factors[*k].abs();
+        size > MIN_FOCAL && (is_hint || size > 2.0 * covariance[(*k, *k)].max(0.0).sqrt())
     };
     let factors: Vec<(usize, f64)> =
         (0..n).filter(is_wrong).map(|k| (estimate.views[k], log_factors[k].exp())).collect();
