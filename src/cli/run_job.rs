@@ -122,7 +122,7 @@ fn job_error(error: SolveError) -> JobError {
             pointer: Some(format!("/options{option}")),
             ..JobError::default()
         },
-        SolveError::Pipeline(PipelineError::Unsolvable { code, reason }) => {
+        SolveError::Pipeline(PipelineError::Unsolvable { code, reason, .. }) => {
             JobError { code: code.to_owned(), detail: reason, ..JobError::default() }
         }
         SolveError::Write(error) => JobError::of_machine(&error, &detail)

@@ -24,6 +24,8 @@ pub struct Checkpoints {
 struct RunFolder {
     path: PathBuf,
     key: String,
+    /// Number of repairs before the run.
+    n_repairs: usize,
 }
 
 /// First line of a file; the number grows with every change of the stored types.
@@ -40,7 +42,12 @@ impl Checkpoints {
         let options = serde_json::to_string(options).unwrap_or_default(); // always serialises
         let run = [env!("CARGO_PKG_VERSION"), session_sha256, &options, &body.sha256()].join("\n");
         let key = hex::encode(Sha256::digest(run.as_bytes()));
-        Self { folder: Some(RunFolder { path: folder.to_owned(), key }) }
+        Self { folder: Some(RunFolder { path: folder.to_owned(), key, n_repairs: 0 }) }
+    }
+
+    /// Those of the same run after `n_repairs` repairs of its recording, which are found anew when it is resumed.
+    pub fn after_repairs(&self, n_repairs: usize) -> Self {
+        Self { folder: self.folder.clone().map(|folder| RunFolder { n_repairs, ..folder }) }
     }
 
     /// The stored result of a stage, or the result of running it.
@@ -52,7 +59,8 @@ impl Checkpoints {
         T: Serialize + DeserializeOwned,
     {
         let Some(folder) = &self.folder else { return run() };
-        let path = folder.path.join(format!("{name}.ckpt"));
+        let attempt = if folder.n_repairs == 0 { String::new() } else { format!("-repaired{}", folder.n_repairs) };
+        let path = folder.path.join(format!("{name}{attempt}.ckpt"));
         if let Some(result) = folder.read(&path) {
             tracing::info!(stage = name, "stage resumed from its checkpoint");
             return Ok(result);

@@ -38,6 +38,8 @@ pub struct Options {
     pub body: String,
     /// Time offsets between cameras.
     pub sync: Sync,
+    /// What is done about probable mistakes in the files.
+    pub repair: Repair,
     /// Seed of every random choice.
     pub seed: u64,
     /// Formats written in addition to the JSON files; repeated ones count once.
@@ -70,6 +72,7 @@ impl Default for Options {
             collision: true,
             body: DEFAULT_BODY.to_owned(),
             sync: Sync::Given,
+            repair: Repair::Suggest,
             seed: 0,
             exports: vec![ExportFormat::SmplNpz],
             adjust_with_bodies: true,
@@ -329,6 +332,17 @@ pub enum Sync {
     Given,
     /// Estimated, starting from those of the session.
     Estimate,
+}
+
+/// `options.repair`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
+#[serde(rename_all = "lowercase")]
+pub enum Repair {
+    /// Suspicions say what to do.
+    Suggest,
+    /// Mistakes with a single remedy are undone, and the recording is solved again.
+    Auto,
 }
 
 #[cfg(test)]

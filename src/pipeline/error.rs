@@ -1,6 +1,7 @@
 //! Why a session cannot be solved.
 
 use crate::progress::Canceled;
+use crate::session::Suspicion;
 
 /// Why the pipeline ends without a result.
 #[derive(Debug, thiserror::Error)]
@@ -21,7 +22,18 @@ pub enum PipelineError {
     Unsolvable {
         /// Machine-readable code.
         code: &'static str,
-        /// What is missing and what to do about it.
+        /// What is missing and what to do about it; the probable mistakes in the files are part of it.
         reason: String,
+        /// Probable mistakes in the files of the recording.
+        suspicions: Vec<Suspicion>,
     },
+}
+
+impl PipelineError {
+    /// The end of a solve of a recording in which these mistakes are probable.
+    pub fn unsolvable(code: &'static str, reason: &str, suspicions: Vec<Suspicion>) -> Self {
+        let named = suspicions.iter().map(|suspicion| format!("; probable mistake: {suspicion}"));
+        let reason = format!("{reason}{}", named.collect::<String>());
+        Self::Unsolvable { code, reason, suspicions }
+    }
 }

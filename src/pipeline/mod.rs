@@ -16,8 +16,10 @@
 //! | | | in between: final bundle adjustment (not `fixed`), association | once |
 //! | 5 | [`held_out_check`](passes::held_out_check) | bundle adjustment on a half of the frames, error on the rest | 2 halves |
 //! | 6 | [`joint_trajectories`](stages::joint_trajectories) | smooth trajectories of the keypoints | once |
-//! | 7 | [`metric_scale`] | scale; for `scale: height` statures by body fit | once; up to 4 fits |
-//! | 8 | [`result`] | world frame, body fit | once |
+//! | 7 | [`recording_check`](passes::recording_check) | mistakes in the files that the solution shows | several cameras; once |
+//! | | | in between: bundle adjustment with delays and focal lengths | once |
+//! | 8 | [`metric_scale`] | scale; for `scale: height` statures by body fit | once; up to 4 fits |
+//! | 9 | [`result`] | world frame, body fit | once |
 //! | | | within it cameras and bodies together, then smooth trajectories again | not `fixed`, several cameras; once |
 //! | | | fit statistics, verdict | once |
 //!
@@ -40,6 +42,7 @@ pub mod keyframe;
 pub mod option_reference;
 pub mod option_table;
 pub mod passes;
+pub mod repair;
 pub mod result;
 pub mod stages;
 pub mod unsolvable;
@@ -47,23 +50,27 @@ pub mod unsolvable;
 use crate::body::{BodyModel, default_body};
 use crate::progress::Progress;
 use crate::session::recording_tests::suspicions;
-use crate::session::{Reconstruction, Session};
+use crate::session::{Reconstruction, Session, Suspicion};
 use calibration::CameraFreedom;
 use capture::Capture;
 use checkpoints::Checkpoints;
 pub use config::{CameraFacts, Options};
-use config::{Extrinsics, IntrinsicsMode, Sync};
+use config::{Extrinsics, IntrinsicsMode, Repair, Sync};
 pub use error::PipelineError;
 use focal_lengths::FocalLengths;
 use passes::cameras::{FinalAdjustment, calibrated};
 use passes::denoising::denoised_capture;
 use passes::focal_lengths::refined_focal_lengths;
 use passes::held_out_check::heldout_px;
+use passes::recording_check::checked;
+use passes::recording_check::solved::Solved;
 use passes::synchronisation::{Timing, estimated_timing};
 use passes::unknown_lenses::estimated_focal_lengths;
+use repair::{MAX_REPAIRS, repaired};
 use result::{Solution, statures};
 use stages::joint_trajectories::joint_trajectories;
 use stages::metric_scale;
+use std::borrow::Cow;
 use unsolvable::CameraEvidence;
 
 /// [`reconstruct_with_body`] with the embedded body.
@@ -98,89 +105,186 @@ pub fn reconstruct_with_checkpoints(
     // The caller has already looked up `options.body`.
     options.check(&CameraFacts::of(session), std::slice::from_ref(&options.body))?;
     require_detections(session)?;
-    let session = &*options.at_rate(session);
-    let suspicions = suspicions(session);
-    let mut stages = progress.stages(stage_weights(options, options.intrinsics_of(session)));
-    let freedom = match options.extrinsics {
-        Extrinsics::Fixed => CameraFreedom::Held,
-        Extrinsics::Estimate | Extrinsics::Refine => CameraFreedom::Adjusted,
-    };
-    let last = if options.denoise { FinalAdjustment::Elsewhere } else { FinalAdjustment::Here };
-
-    // 1. The recording as synchronous cameras would have made it.
-    let timing = match options.sync {
-        Sync::Given => Timing::given(session),
-        Sync::Estimate => {
-            let step = stages.begin("synchronisation");
-            checkpoints.stage("synchronisation", || estimated_timing(session, options, last, &step))?
+    let (mut applied, mut n_repairs) = (Vec::new(), 0);
+    let (mut repaired_session, mut repaired_options) = (Cow::Borrowed(session), options.clone());
+    loop {
+        let may_repair = options.repair == Repair::Auto && n_repairs < MAX_REPAIRS;
+        let checkpoints = checkpoints.after_repairs(n_repairs);
+        let attempt = Attempt {
+            session: &repaired_session,
+            options: &repaired_options,
+            body,
+            checkpoints: &checkpoints,
+            applied: &applied,
+            may_repair,
+        };
+        match attempt.outcome(progress)? {
+            Outcome::Solved(reconstruction) => return Ok(*reconstruction),
+            Outcome::Repaired(repair) => {
+                let Repaired { session, options, suspicions } = *repair;
+                for suspicion in suspicions {
+                    tracing::info!(%suspicion, "the recording is repaired and solved again");
+                    applied.push(Suspicion { applied: true, ..suspicion });
+                }
+                (repaired_session, repaired_options) = (Cow::Owned(session), options);
+                n_repairs += 1;
+            }
         }
-    };
-    let timed = timing.applied_to(session);
+    }
+}
 
-    // 2. Focal lengths.
-    let intrinsics = options.intrinsics_of(session);
-    let mut focal_lengths = match intrinsics {
-        IntrinsicsMode::Fixed => FocalLengths::given(&timed),
-        IntrinsicsMode::RefineFocal => {
-            let step = stages.begin("focal_lengths");
-            checkpoints.stage("focal_lengths", || refined_focal_lengths(&timed, options, last, &step))?
-        }
-        IntrinsicsMode::Estimate => {
-            let step = stages.begin("focal_lengths");
-            checkpoints.stage("focal_lengths", || estimated_focal_lengths(&timed, options, last, &step))?
-        }
-    };
-    let refined = focal_lengths.applied_to(&timed);
-    let capture = Capture::new(&refined, options);
+/// One way through all passes.
+struct Attempt<'a> {
+    session: &'a Session,
+    options: &'a Options,
+    body: &'a BodyModel,
+    checkpoints: &'a Checkpoints,
+    /// The repairs so far.
+    applied: &'a [Suspicion],
+    /// Whether a mistake that can be repaired ends the attempt.
+    may_repair: bool,
+}
 
-    // 3. Cameras and persons.
-    let step = stages.begin("cameras");
-    let last = if freedom == CameraFreedom::Held { FinalAdjustment::Elsewhere } else { last };
-    let calibration = checkpoints.stage("cameras", || calibrated(&capture, last, &step))?;
-    if calibration.n_placed() < 2 && session.views.len() > 1 {
-        return Err(CameraEvidence::of(&capture, calibration.n_placed()).error());
+enum Outcome {
+    Solved(Box<Reconstruction>),
+    Repaired(Box<Repaired>),
+}
+
+/// A recording without the mistake that ended an attempt.
+struct Repaired {
+    session: Session,
+    options: Options,
+    suspicions: Vec<Suspicion>,
+}
+
+impl Attempt<'_> {
+    /// The recording without the first of some mistakes that can be repaired, in all cameras that have it.
+    fn repair(&self, found: &[Suspicion]) -> Option<Outcome> {
+        let repair = |(session, options): (&Session, &Options), suspicion: &Suspicion| {
+            repaired(session, options, suspicion).map(|(session, options)| Repaired {
+                session,
+                options,
+                suspicions: vec![suspicion.clone()],
+            })
+        };
+        let mut rest = found.iter().filter(|_| self.may_repair);
+        let mut first = rest.find_map(|suspicion| repair((self.session, self.options), suspicion))?;
+        let code = first.suspicions[0].code;
+        for suspicion in rest.filter(|suspicion| suspicion.code == code) {
+            // An option that is chosen already repairs this one too.
+            if let Some(next) = repair((&first.session, &first.options), suspicion) {
+                (first.session, first.options) = (next.session, next.options);
+            }
+            first.suspicions.push(suspicion.clone());
+        }
+        Some(Outcome::Repaired(Box::new(first)))
     }
 
-    // 4. Repaired detections, and the cameras adjusted to them.
-    let (calibration, repaired) = if options.denoise {
-        let step = stages.begin("denoising");
-        let denoised = checkpoints.stage("denoising", || denoised_capture(&capture, calibration, freedom, &step))?;
-        let (calibration, repaired) = denoised.applied_to(&refined);
-        (calibration, Some(repaired))
-    } else {
-        (calibration, None)
-    };
-    let capture = repaired.as_ref().map_or(capture, |repaired| Capture::new(&repaired.session, options));
+    fn outcome(&self, progress: &Progress) -> Result<Outcome, PipelineError> {
+        let Self { options, body, checkpoints, .. } = *self;
+        let session = &*options.at_rate(self.session);
+        let mut suspicions = suspicions(session);
+        if let Some(repair) = self.repair(&suspicions) {
+            return Ok(repair);
+        }
+        let mut stages = progress.stages(stage_weights(options, options.intrinsics_of(session)));
+        let freedom = match options.extrinsics {
+            Extrinsics::Fixed => CameraFreedom::Held,
+            Extrinsics::Estimate | Extrinsics::Refine => CameraFreedom::Adjusted,
+        };
+        let last = if options.denoise { FinalAdjustment::Elsewhere } else { FinalAdjustment::Here };
 
-    // 5. Cross-validation of the cameras.
-    let step = stages.begin("held_out_check");
-    let heldout_px = checkpoints.stage("held_out_check", || heldout_px(&capture, &calibration, freedom, &step))?;
+        // 1. The recording as synchronous cameras would have made it.
+        let timing = match options.sync {
+            Sync::Given => Timing::given(session),
+            Sync::Estimate => {
+                let step = stages.begin("synchronisation");
+                checkpoints.stage("synchronisation", || estimated_timing(session, options, last, &step))?
+            }
+        };
+        let timed = timing.applied_to(session);
 
-    // 6. Smooth trajectories of all keypoints.
-    let step = stages.begin("joint_trajectories");
-    let start = calibration.people(capture.session, &calibration.association.points);
-    let paths = checkpoints.stage("joint_trajectories", || joint_trajectories(&start, &step))?;
+        // 2. Focal lengths.
+        let mut focal_lengths = match options.intrinsics_of(session) {
+            IntrinsicsMode::Fixed => FocalLengths::given(&timed),
+            IntrinsicsMode::RefineFocal => {
+                let step = stages.begin("focal_lengths");
+                checkpoints.stage("focal_lengths", || refined_focal_lengths(&timed, options, last, &step))?
+            }
+            IntrinsicsMode::Estimate => {
+                let step = stages.begin("focal_lengths");
+                checkpoints.stage("focal_lengths", || estimated_focal_lengths(&timed, options, last, &step))?
+            }
+        };
+        let refined = focal_lengths.applied_to(&timed);
+        let given = Capture::new(&refined, options);
 
-    // 7. Metres per unit.
-    let step = stages.begin("metric_scale");
-    let statures_at = |scale: f64| statures(&capture, &calibration, &paths, scale, body, &step);
-    let tracks = &calibration.association.tracks;
-    let scale = checkpoints.stage("metric_scale", || {
-        metric_scale::metric_scale(&capture, &calibration.cameras, tracks, &paths, &statures_at)
-    })?;
+        // 3. Cameras and persons.
+        let step = stages.begin("cameras");
+        let last = if freedom == CameraFreedom::Held { FinalAdjustment::Elsewhere } else { last };
+        let calibration = checkpoints.stage("cameras", || calibrated(&given, last, &step))?;
+        if calibration.n_placed() < 2 && session.views.len() > 1 {
+            return Err(CameraEvidence::of(&given, calibration.n_placed()).error(suspicions));
+        }
 
-    // 8. World frame, bodies, statistics and verdict.
-    let step = stages.begin("body_fit");
-    let solution = Solution::in_world(&capture, calibration, paths, scale, heldout_px, suspicions);
-    let mut reconstruction = solution.with_bodies(&capture, &mut focal_lengths, body, &step)?;
-    if let Some(repaired) = repaired {
-        reconstruction.report.consistency = Some(repaired.report);
-        reconstruction.repairs = Some(repaired.repairs);
+        // 4. Repaired detections, and the cameras adjusted to them.
+        let (calibration, repaired) = if options.denoise {
+            let step = stages.begin("denoising");
+            let denoised = checkpoints.stage("denoising", || denoised_capture(&given, calibration, freedom, &step))?;
+            let (calibration, repaired) = denoised.applied_to(&refined);
+            (calibration, Some(repaired))
+        } else {
+            (calibration, None)
+        };
+        let of_repaired = repaired.as_ref().map(|repaired| Capture::new(&repaired.session, options));
+        let capture = of_repaired.as_ref().unwrap_or(&given);
+
+        // 5. Cross-validation of the cameras.
+        let step = stages.begin("held_out_check");
+        let heldout_px = checkpoints.stage("held_out_check", || heldout_px(capture, &calibration, freedom, &step))?;
+
+        // 6. Smooth trajectories of all keypoints.
+        let step = stages.begin("joint_trajectories");
+        let start = calibration.people(capture.session, &calibration.association.points);
+        let paths = checkpoints.stage("joint_trajectories", || joint_trajectories(&start, &step))?;
+
+        // 7. Mistakes in the files that the solution shows.
+        let step = stages.begin("recording_check");
+        let solved = Solved {
+            given: &given,
+            repaired: capture.session,
+            calibration: &calibration,
+            paths: &paths,
+            known: &suspicions,
+        };
+        let found = checkpoints.stage("recording_check", || checked(&solved, &step))?;
+        if let Some(repair) = self.repair(&found) {
+            return Ok(repair);
+        }
+        suspicions.extend(found);
+        suspicions.extend_from_slice(self.applied);
+
+        // 8. Metres per unit.
+        let step = stages.begin("metric_scale");
+        let statures_at = |scale: f64| statures(capture, &calibration, &paths, scale, body, &step);
+        let tracks = &calibration.association.tracks;
+        let scale = checkpoints.stage("metric_scale", || {
+            metric_scale::metric_scale(capture, &calibration.cameras, tracks, &paths, &statures_at)
+        })?;
+
+        // 9. World frame, bodies, statistics and verdict.
+        let step = stages.begin("body_fit");
+        let solution = Solution::in_world(capture, calibration, paths, scale, heldout_px, suspicions);
+        let mut reconstruction = solution.with_bodies(capture, &mut focal_lengths, body, &step)?;
+        if let Some(repaired) = repaired {
+            reconstruction.report.consistency = Some(repaired.report);
+            reconstruction.repairs = Some(repaired.repairs);
+        }
+        focal_lengths.add_to(&mut reconstruction);
+        timing.add_to(session, &mut reconstruction);
+        step.report(1.0, "");
+        Ok(Outcome::Solved(Box::new(reconstruction)))
     }
-    focal_lengths.add_to(&mut reconstruction);
-    timing.add_to(session, &mut reconstruction);
-    step.report(1.0, "");
-    Ok(reconstruction)
 }
 
 /// The stages that a job reports, with their shares of the time.
@@ -193,6 +297,7 @@ fn stage_weights(options: &Options, intrinsics: IntrinsicsMode) -> Vec<(&'static
         ("denoising", 0.15, options.denoise),
         ("held_out_check", 0.1, true),
         ("joint_trajectories", 0.05, true),
+        ("recording_check", 0.03, true),
         ("metric_scale", 0.02, true),
         ("body_fit", 0.28, true),
     ];
@@ -203,11 +308,6 @@ fn require_detections(session: &Session) -> Result<(), PipelineError> {
     if session.views.iter().any(|v| v.frames.iter().any(|people| !people.is_empty())) {
         return Ok(());
     }
-    Err(PipelineError::Unsolvable {
-        code: "no_person_detected",
-        reason:
-            "the session holds no detection of a person in any camera; check that the keypoint files belong to this \
-                 recording"
-                .to_owned(),
-    })
+    let reason = "the session holds no detection of a person in any camera; check that the keypoint files belong to this recording";
+    Err(PipelineError::unsolvable("no_person_detected", reason, Vec::new()))
 }

@@ -173,6 +173,22 @@ pub const OPTION_TABLE: &[OptionRow] = &[
         is_common: true,
     },
     OptionRow {
+        name: "repair",
+        label: "Mistakes in the files",
+        kind: Kind::Choice(&[
+            choice("suggest", "each is named with its remedy; the files are solved as they are"),
+            choice(
+                "auto",
+                "those with a single remedy are undone and the recording is solved again: mirrored images and y upwards, left and \
+                 right exchanged in one camera, coordinates from 0 to 1, time offsets, focal lengths",
+            ),
+        ]),
+        unit: "",
+        effect: "What is done about probable mistakes that the recording itself shows.",
+        flag: "repair",
+        is_common: false,
+    },
+    OptionRow {
         name: "scale",
         label: "Metric scale",
         kind: Kind::Forms(&[

@@ -4,6 +4,7 @@ use super::capture::Capture;
 use super::error::PipelineError;
 use crate::matching::pair_hypotheses::HypothesisConfig;
 use crate::matching::tracklets::Tracklet;
+use crate::session::suspicion::Suspicion;
 
 /// What the stages of camera initialisation found.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,9 +44,9 @@ impl CameraEvidence {
         }
     }
 
-    /// The error of a session without cameras.
-    pub fn error(&self) -> PipelineError {
-        PipelineError::Unsolvable { code: "cameras_unsolvable", reason: self.reason() }
+    /// The error of a session without cameras, in which `suspicions` are probable.
+    pub fn error(&self, suspicions: Vec<Suspicion>) -> PipelineError {
+        PipelineError::unsolvable("cameras_unsolvable", &self.reason(), suspicions)
     }
 
     fn reason(&self) -> String {

@@ -18,6 +18,9 @@ pub struct Suspicion {
     /// The option of a job that repairs it, as JSON such as `{"sync": "estimate"}`; null where the files must be changed.
     #[cfg_attr(feature = "service", schema(required))]
     pub suggested_option: Option<String>,
+    /// Whether the mistake was undone before the solve (`options.repair: auto`): the result is that of the repaired recording.
+    #[serde(default)]
+    pub applied: bool,
 }
 
 /// The mistakes that are recognised.
@@ -87,7 +90,9 @@ impl SuspicionCode {
 impl Suspicion {
     /// Whether the standard deviations of a camera's pose are void, since they rest on the files being right.
     pub fn voids_uncertainty_of(&self, camera: &str) -> bool {
-        self.code.affects_cameras() && (self.cameras.is_empty() || self.cameras.iter().any(|id| id == camera))
+        self.code.affects_cameras()
+            && !self.applied
+            && (self.cameras.is_empty() || self.cameras.iter().any(|id| id == camera))
     }
 
     /// The sentence for a user: cameras, evidence, and after the semicolon the remedy.

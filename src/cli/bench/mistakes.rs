@@ -8,7 +8,8 @@ use crate::cli::bad_input::BadInput;
 use crate::cli::solve::use_threads;
 use crate::evaluation::{Evaluation, EvaluationOptions, evaluate};
 use crate::export::{ResultContext, write_result};
-use crate::pipeline::{Options, reconstruct};
+use crate::pipeline::config::Repair;
+use crate::pipeline::{Options, PipelineError, reconstruct};
 use crate::progress::Progress;
 use crate::session::reconstruction::Verdict;
 use crate::session::upload::{UploadLimits, read_path};
@@ -31,6 +32,9 @@ pub(super) struct MistakesArgs {
     /// Only mistakes whose name contains this text; several are possible; without mistakes: `none`
     #[arg(long)]
     only: Vec<String>,
+    /// Repair mistakes (`options.repair: auto`) and compare the result with that of the session as it is
+    #[arg(long)]
+    repair: bool,
     /// Number of solver threads; 0 uses all cores
     #[arg(long, default_value_t = 0)]
     threads: usize,
@@ -44,6 +48,10 @@ const WRONG_LIMBS_MM: f64 = 60.0;
 /// A result without a mistake may exceed the bounds itself, then this factor on its errors counts.
 const WORSE: f64 = 1.5;
 
+/// A repaired recording may have this many times the errors of the session as it is, but for errors below these.
+const REPAIRED: f64 = 1.2;
+const NEGLIGIBLE: [f64; 3] = [5.0, 0.05, 2.0];
+
 /// One session with one mistake, solved.
 #[derive(Debug, Clone, Serialize)]
 struct Case {
@@ -51,6 +59,8 @@ struct Case {
     /// `None`: the session as it is.
     mistake: Option<&'static str>,
     outcome: Outcome,
+    /// Where a repair was applied: whether the result is as good as without the mistake.
+    is_repaired: Option<bool>,
     #[serde(flatten)]
     solved: Solved,
 }
@@ -100,17 +110,23 @@ pub(super) fn run(args: &MistakesArgs) -> anyhow::Result<()> {
             read_path(path, &UploadLimits::default()).map_err(|e| BadInput(format!("{}: {e}", path.display())))?;
         let session = &loaded.session;
         let name = path.file_name().map_or_else(|| k.to_string(), |name| name.to_string_lossy().into_owned());
-        let case =
-            |mistake: Option<&'static str>, outcome, solved| Case { session: name.clone(), mistake, outcome, solved };
-        let solve = |session: &Session, n: usize| solved(session, path, &args.out.join(format!("{k}-{name}/{n}")));
+        let case = |mistake: Option<&'static str>, outcome, is_repaired, solved| {
+            let session = name.clone();
+            Case { session, mistake, outcome, is_repaired, solved }
+        };
+        let options =
+            Options { repair: if args.repair { Repair::Auto } else { Repair::Suggest }, ..Options::default() };
+        let solve =
+            |session: &Session, n: usize| solved(session, &options, path, &args.out.join(format!("{k}-{name}/{n}")));
         let clean = solve(session, 0)?;
         let outcome = if clean.suspicions.is_empty() { Outcome::Clean } else { Outcome::FalseAlarm };
-        cases.push(reported(case(None, outcome, clean.clone())));
+        cases.push(reported(case(None, outcome, None, clean.clone())));
         for (n, mistake) in MISTAKES.iter().enumerate().filter(|(_, mistake)| is_chosen(mistake)) {
             let Some(changed) = (mistake.inject)(session) else { continue };
             let solved = solve(&changed, n + 1)?;
             let outcome = judged(mistake, session, &clean, &solved);
-            cases.push(reported(case(Some(mistake.name), outcome, solved)));
+            let is_repaired = solved.suspicions.iter().any(|s| s.applied).then(|| is_as_good(&clean, &solved));
+            cases.push(reported(case(Some(mistake.name), outcome, is_repaired, solved)));
         }
     }
     let table = markdown(&cases);
@@ -122,17 +138,21 @@ pub(super) fn run(args: &MistakesArgs) -> anyhow::Result<()> {
 }
 
 /// Solves a session and compares the result with the truth of `path`.
-fn solved(session: &Session, path: &Path, out: &Path) -> anyhow::Result<Solved> {
+fn solved(session: &Session, options: &Options, path: &Path, out: &Path) -> anyhow::Result<Solved> {
     let started = Instant::now();
-    let options = Options::default();
-    let result = match reconstruct(session, &options, &Progress::silent()) {
+    let result = match reconstruct(session, options, &Progress::silent()) {
         Ok(result) => result,
-        Err(error) => return Ok(Solved { error: Some(error.to_string()), ..Solved::default() }),
+        Err(error) => {
+            let message = Some(error.to_string());
+            let suspicions =
+                if let PipelineError::Unsolvable { suspicions, .. } = error { suspicions } else { Vec::new() };
+            return Ok(Solved { error: message, suspicions, ..Solved::default() });
+        }
     };
     let secs = started.elapsed().as_secs_f64();
     let context = ResultContext {
         input_sha256: "",
-        options: serde_json::to_value(&options)?,
+        options: serde_json::to_value(options)?,
         solver_version: env!("CARGO_PKG_VERSION"),
         exports: &[],
     };
@@ -190,6 +210,16 @@ fn is_wrong(clean: &Solved, solved: &Solved) -> bool {
         || exceeds(solved.limbs_mm, clean.limbs_mm, WRONG_LIMBS_MM)
 }
 
+/// Whether a repaired result is as good as that of the session as it is.
+fn is_as_good(clean: &Solved, solved: &Solved) -> bool {
+    let errors = |of: &Solved| [of.position_mm, of.angle_deg, of.limbs_mm];
+    let pairs = errors(clean).into_iter().zip(errors(solved)).zip(NEGLIGIBLE);
+    pairs.into_iter().all(|((usual, error), negligible)| {
+        let bound = usual.map_or(negligible, |usual| negligible.max(REPAIRED * usual));
+        usual.is_none() || error.is_some_and(|error| error <= bound)
+    })
+}
+
 /// Prints one line per case to standard error, so that a long run can be followed.
 fn reported(case: Case) -> Case {
     let number = |value: Option<f64>, decimals: usize| value.map_or("-".to_owned(), |v| format!("{v:.decimals$}"));
@@ -234,6 +264,11 @@ fn markdown(cases: &[Case]) -> String {
     }
     let clean: Vec<&Case> = cases.iter().filter(|case| case.mistake.is_none()).collect();
     let alarms = clean.iter().filter(|case| case.outcome == Outcome::FalseAlarm).count();
+    let repaired: Vec<bool> = cases.iter().filter_map(|case| case.is_repaired).collect();
+    if !repaired.is_empty() {
+        let right = repaired.iter().filter(|is_right| **is_right).count();
+        table.push_str(&format!("\nAs good as without the mistake: {right} of {} repaired cases.\n", repaired.len()));
+    }
     table.push_str(&format!("\nFalse alarms: {alarms} of {} sessions without a mistake.\n", clean.len()));
     table
 }

@@ -5,5 +5,6 @@ pub mod cameras;
 pub mod denoising;
 pub mod focal_lengths;
 pub mod held_out_check;
+pub mod recording_check;
 pub mod synchronisation;
 pub mod unknown_lenses;

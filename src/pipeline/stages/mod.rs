@@ -11,6 +11,7 @@ pub mod fit_statistics;
 pub mod joint_trajectories;
 pub mod keyframe_selection;
 pub mod metric_scale;
+pub mod recording_check;
 pub mod time_offsets;
 pub mod verdict;
 pub mod world_frame;

@@ -49,6 +49,7 @@ pub(super) fn low_confidence(session: &Session) -> Option<Suspicion> {
         ),
         remedy: "give confidences from 0 to 1, where a clearly visible keypoint has 0.6 and more".to_owned(),
         suggested_option: None,
+        applied: false,
     })
 }
 
@@ -72,6 +73,7 @@ pub(super) fn convention(session: &Session) -> Option<Suspicion> {
         ),
         remedy: format!("declare the convention {}", best.name()),
         suggested_option: None,
+        applied: false,
     })
 }
 

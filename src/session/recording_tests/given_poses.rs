@@ -121,6 +121,7 @@ pub(super) fn suspicion(session: &Session) -> Option<Suspicion> {
         evidence,
         remedy: "correct the calibration file, or estimate the cameras from the people".to_owned(),
         suggested_option: Some(r#"{"extrinsics": "estimate"}"#.to_owned()),
+        applied: false,
     })
 }
 

@@ -19,6 +19,10 @@ const LEAST_WIDTH: u32 = 64;
 const OFF_CENTRE: f64 = 0.2;
 /// The same distance under the interpretation that explains it.
 const CENTRED: f64 = 0.1;
+/// In nearly square images an exchange of `cx` and `cy` moves the principal point less: from beyond what shifted lenses have to
+/// where most lenses are.
+const SHIFTED: f64 = 0.12;
+const WELL_CENTRED: f64 = 0.05;
 
 /// Compares a view's keypoints and principal point with its image.
 pub(super) fn suspicion(view: &View) -> Option<Suspicion> {
@@ -30,6 +34,7 @@ pub(super) fn suspicion(view: &View) -> Option<Suspicion> {
         evidence: format!("images of {}x{}: {evidence}", view.intrinsics.width, view.intrinsics.height),
         remedy: remedy.to_owned(),
         suggested_option: None,
+        applied: false,
     })
 }
 
@@ -74,11 +79,13 @@ fn of_keypoints(view: &View, size: Vector2<f64>) -> Option<Found> {
 fn of_principal_point(view: &View, size: Vector2<f64>) -> Option<Found> {
     let (cx, cy) = (view.intrinsics.cx + 0.5, view.intrinsics.cy + 0.5);
     let distance = |x: f64, y: f64| (x / size.x - 0.5).abs().max((y / size.y - 0.5).abs());
-    if distance(cx, cy) < OFF_CENTRE {
+    let (given, exchanged) = (distance(cx, cy), distance(cy, cx));
+    let is_exchanged = given > SHIFTED && exchanged < WELL_CENTRED;
+    if given < OFF_CENTRE && !is_exchanged {
         return None;
     }
     let off = format!("the principal point ({cx:.0}, {cy:.0}) is far from the centre");
-    if distance(cy, cx) < CENTRED {
+    if is_exchanged || exchanged < CENTRED {
         let evidence = format!("{off}, and near it with cx and cy exchanged");
         let remedy = "exchange cx and cy, or calibrate the video in the orientation of its keypoints";
         return Some((SuspicionCode::PrincipalPoint, evidence, remedy));

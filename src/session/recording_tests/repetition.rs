@@ -46,6 +46,7 @@ pub(super) fn duplicate_cameras(session: &Session) -> Vec<Suspicion> {
                     ),
                     remedy: "give each camera its own keypoints, or leave one of the two out".to_owned(),
                     suggested_option: None,
+                    applied: false,
                 });
             }
         }
@@ -71,6 +72,7 @@ pub(super) fn repeated_frames(view: &View) -> Option<Suspicion> {
         remedy: "detect people in the original video, at its own frame rate; a frozen camera must be left out"
             .to_owned(),
         suggested_option: None,
+        applied: false,
     })
 }
 
@@ -98,5 +100,6 @@ pub(super) fn periodic_gaps(session: &Session) -> Option<Suspicion> {
             session.fps / n as f64
         ),
         suggested_option: None,
+        applied: false,
     })
 }

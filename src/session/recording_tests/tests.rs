@@ -89,6 +89,9 @@ fn names_a_wrong_principal_point() {
     assert_eq!(lens(|k| (k.cx, k.cy) = (k.cx * 1.5, k.cy * 1.5)), second(Code::Resolution));
     assert_eq!(lens(|k| k.cx *= 1.6), second(Code::PrincipalPoint));
     assert_eq!(lens(|k| k.cx *= 1.1), [], "a lens that is not quite centred");
+    let square = |k: &mut Intrinsics| (k.width, k.height, k.cx, k.cy) = (1280, 960, 480.0, 640.0);
+    assert_eq!(lens(square), second(Code::PrincipalPoint), "an exchange moves the point less in nearly square images");
+    assert_eq!(lens(|k| (k.cx, k.cy) = (690.0, 420.0)), [], "a shifted lens");
 }
 
 #[test]

@@ -35,7 +35,7 @@ pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
 
 /// Whether a suspicion explains what is wrong with a camera.
 fn is_named(input: &VerdictInput, camera: &CameraReport) -> bool {
-    input.suspicions.iter().any(|suspicion| suspicion.cameras.contains(&camera.id))
+    input.suspicions.iter().any(|suspicion| !suspicion.applied && suspicion.cameras.contains(&camera.id))
 }
 
 fn unsolved(input: &VerdictInput) -> impl Iterator<Item = Reason> {

@@ -2,7 +2,7 @@
 
 use super::input::VerdictInput;
 use super::reason::Reason;
-use crate::session::SuspicionCode as Code;
+use crate::session::{Suspicion, SuspicionCode as Code};
 
 pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
     let reason = |code: Code, text: String| match code {
@@ -10,5 +10,9 @@ pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
         Code::Handedness | Code::YUpwards | Code::NormalizedCoordinates => Reason::reject(text),
         _ => Reason::warn(text),
     };
-    input.suspicions.iter().map(|suspicion| reason(suspicion.code, suspicion.sentence())).collect()
+    let of = |suspicion: &Suspicion| match suspicion.applied {
+        true => Reason::warn(format!("repaired: {suspicion}")),
+        false => reason(suspicion.code, suspicion.sentence()),
+    };
+    input.suspicions.iter().map(of).collect()
 }

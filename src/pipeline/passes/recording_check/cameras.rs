@@ -1,0 +1,142 @@
+//! Single cameras: files that need another reading, exchanged labels, a movement.
+
+use super::solved::{Solved, suspicion};
+use crate::optim::robust::median;
+use crate::pipeline::stages::recording_check::agreement::explained_share;
+use crate::pipeline::stages::recording_check::handedness::upside_down;
+use crate::pipeline::stages::recording_check::labels::exchange;
+use crate::pipeline::stages::recording_check::movement::step;
+use crate::pipeline::stages::recording_check::reading::{Judged, Question, Reading};
+use crate::progress::{Canceled, Progress};
+use crate::session::{Suspicion, SuspicionCode as Code};
+
+/// A camera is read in other ways where its people explain this much less of its detections than is usual.
+const LOW_SHARE: f64 = 0.75;
+/// Another reading is right where it explains this share of what is usual, and this much more than the files as they are.
+const RIGHT_SHARE: f64 = 0.7;
+const MIN_GAIN: f64 = 0.15;
+
+/// Most of the people in an image are upside down.
+pub(super) const MOST: f64 = 0.5;
+
+/// Detections that decide on exchanged labels, and the share of them that fit the other way round.
+const MIN_DECIDING: usize = 30;
+const EXCHANGED: f64 = 0.8;
+
+/// A step of a camera's rotation counts from this angle, rad, and this many standard errors: the steps of right recordings have up
+/// to five, and a millimetre at 1 m does no harm. The people's points follow the camera, so a third of a turn shows as a step.
+const MIN_STEP: f64 = 0.0012;
+const STEP_SIGMAS: f64 = 7.0;
+
+/// Cameras of whose detections the people of the others explain little.
+pub(super) fn other_readings(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
+    let (views, cameras) = (&solved.given.views, &solved.calibration.cameras);
+    let share =
+        |v: usize| cameras[v].as_ref().map_or(0.0, |camera| explained_share(&views[v], camera, solved.paths, 0));
+    let shares: Vec<f64> = (0..views.len()).map(share).collect();
+    let placed = (0..views.len()).filter(|&v| cameras[v].is_some());
+    let Some(usual) = median(&mut placed.map(|v| shares[v]).collect::<Vec<_>>()) else { return Ok(()) };
+    tracing::debug!(?shares, usual, "shares of explained keypoints");
+    let is_doubtful = |v: &usize| shares[*v] < LOW_SHARE * usual && !solved.is_named(*v, found);
+    let doubtful: Vec<usize> = (0..views.len()).filter(is_doubtful).collect();
+    if doubtful.is_empty() {
+        return Ok(());
+    }
+    let tracklets = solved.given.tracklets();
+    for view in doubtful {
+        progress.check()?;
+        let question = Question {
+            session: solved.session(),
+            view,
+            tracklets: &tracklets[view],
+            people: solved.paths,
+            camera: cameras[view].as_ref(),
+            seed: solved.given.options.seed,
+        };
+        let [given, best] = question.judged();
+        tracing::debug!(view, ?given, ?best, usual, "readings of a camera's files");
+        if best.explained > RIGHT_SHARE * usual && best.explained > given.explained + MIN_GAIN {
+            found.extend(of_reading(solved, view, given, best));
+        }
+    }
+    Ok(())
+}
+
+fn of_reading(solved: &Solved, view: usize, given: Judged, best: Judged) -> Option<Suspicion> {
+    let session = solved.session();
+    let is_down = |v: usize| upside_down(session.convention, &session.views[v]).is_some_and(|share| share > MOST);
+    let others_are_down = (0..session.views.len()).any(|v| v != view && is_down(v));
+    let mut option = None;
+    let (code, reading, remedy) = match best.reading {
+        // Turned by 180 degrees, the one is the other: most cameras stand upright.
+        Reading::Mirrored if is_down(view) && !others_are_down => {
+            (Code::YUpwards, "y counted from the lower edge".to_owned(), "give y = height - 1 - y")
+        }
+        Reading::Mirrored => {
+            let remedy = "give x = width - 1 - x, or detect people in the images as recorded";
+            (Code::Mirrored, "mirrored images".to_owned(), remedy)
+        }
+        Reading::LabelsExchanged => {
+            (Code::LabelsExchanged, "left and right exchanged".to_owned(), "exchange them back")
+        }
+        Reading::Late(frames) => {
+            option = Some(r#"{"sync": "estimate"}"#.to_owned());
+            let direction = if frames > 0 { "lower" } else { "higher" };
+            let reading = format!("frame numbers that are {} {direction}", frames.abs());
+            (Code::TimeOffset, reading, "let the time offsets be estimated")
+        }
+        Reading::FocalFactor(factor) => {
+            option = Some(r#"{"intrinsics": "refine_focal"}"#.to_owned());
+            let remedy = "check the matrix K, or let focal lengths be refined";
+            (Code::FocalLength, format!("{factor} times its focal length"), remedy)
+        }
+        Reading::AsGiven => return None,
+    };
+    let evidence = format!(
+        "the people of the other cameras explain {:.0} % of its keypoints, but {:.0} % with {reading}",
+        100.0 * given.explained,
+        100.0 * best.explained
+    );
+    Some(Suspicion { suggested_option: option, ..suspicion(code, solved.ids(&[view]), evidence, remedy) })
+}
+
+/// Cameras in which left and right fit the other cameras better exchanged.
+pub(super) fn exchanged_labels(solved: &Solved, found: &mut Vec<Suspicion>) {
+    let convention = solved.session().convention;
+    let tracks = &solved.calibration.association.tracks;
+    for view in solved.unnamed(found) {
+        let Some(camera) = &solved.calibration.cameras[view] else { continue };
+        let counted = exchange(convention, view, &solved.given.views[view], camera, tracks, solved.paths);
+        tracing::debug!(view, ?counted, "left and right");
+        if counted.n >= MIN_DECIDING && counted.exchanged > EXCHANGED {
+            let evidence = format!(
+                "left and right fit the other cameras better exchanged in {:.0} % of its detections",
+                100.0 * counted.exchanged
+            );
+            found.push(suspicion(Code::LabelsExchanged, solved.ids(&[view]), evidence, "exchange them back"));
+        }
+    }
+}
+
+/// The camera with the most certain step; its step moves points, and with them all others a little.
+pub(super) fn moved_camera(solved: &Solved, found: &mut Vec<Suspicion>) {
+    if solved.calibration.n_placed() < 3 || found.iter().any(|s| s.code.affects_cameras()) {
+        return;
+    }
+    let people = solved.people();
+    let steps = solved.unnamed(found).into_iter().filter_map(|view| Some((view, step(&people, view)?)));
+    let steps: Vec<_> = steps.collect();
+    tracing::debug!(?steps, "rotations of cameras");
+    let Some((view, step)) = steps.into_iter().max_by(|a, b| a.1.sigmas.total_cmp(&b.1.sigmas)) else { return };
+    if step.sigmas < STEP_SIGMAS || step.angle < MIN_STEP {
+        return;
+    }
+    let frame = solved.session().first_frame + step.frame as i64;
+    let evidence = format!(
+        "it turns by {:.2} degrees or more near frame {frame} ({:.0} standard errors)",
+        step.angle.to_degrees(),
+        step.sigmas
+    );
+    let remedy = "solve the frames before and after as two sessions, or leave the camera out";
+    found.push(suspicion(Code::CameraMoved, solved.ids(&[view]), evidence, remedy));
+}

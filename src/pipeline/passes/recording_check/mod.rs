@@ -1,0 +1,39 @@
+//! Mistakes in the recording's files that the solution shows: tests of `stages::recording_check`, from single cameras whose files
+//! need another reading to the recording as a whole.
+//!
+//! Cameras that are named once are left to that name: their errors spill over to the others, and one mistake has one name.
+
+mod cameras;
+mod parameters;
+pub mod solved;
+mod whole;
+
+use crate::progress::{Canceled, Progress};
+use crate::session::Suspicion;
+use solved::Solved;
+
+/// Every suspicion that the solution raises.
+pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, Canceled> {
+    let spoils_all = |s: &Suspicion| s.cameras.is_empty() && s.code.affects_cameras();
+    if solved.calibration.n_placed() < 2 || solved.known.iter().any(spoils_all) {
+        return Ok(Vec::new());
+    }
+    let mut steps = progress.steps([1.0, 1.0, 0.5]);
+    let mut found = Vec::new();
+    let step = steps.begin("reading the files of cameras in other ways");
+    whole::separate_takes(solved, &mut found);
+    if found.is_empty() {
+        cameras::other_readings(solved, &mut found, &step)?;
+        whole::other_take(solved, &mut found, &step)?;
+    }
+    let step = steps.begin("testing delays and focal lengths");
+    if found.is_empty() {
+        parameters::other_parameters(solved, &mut found, &step)?;
+    }
+    steps.begin("testing movements of cameras");
+    cameras::exchanged_labels(solved, &mut found);
+    cameras::moved_camera(solved, &mut found);
+    whole::mirrored_world(solved, &mut found);
+    whole::wrong_frame_rate(solved, &mut found);
+    Ok(found)
+}

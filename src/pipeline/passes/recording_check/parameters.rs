@@ -1,0 +1,153 @@
+//! Delays and focal lengths that an adjustment of all cameras finds.
+
+use super::solved::{Solved, suspicion};
+use crate::body::bones::LENGTH_SIGMA;
+use crate::pipeline::calibration::{Adjusted, CameraFreedom};
+use crate::pipeline::config::{IntrinsicsMode, Sync};
+use crate::pipeline::passes::adjustment::ALL_FRAMES;
+use crate::pipeline::stages::bundle_adjustment::adjust;
+use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput, Bone};
+use crate::pipeline::stages::keyframe_selection::{select_keyframes, set_image_velocities};
+use crate::pipeline::stages::recording_check::lens::resected;
+use crate::pipeline::stages::recording_check::parameters::{
+    Delay, MIN_LOG_EVIDENCE, WrongLenses, delays, wrong_lenses,
+};
+use crate::progress::{Canceled, Progress};
+use crate::session::{Suspicion, SuspicionCode as Code, View};
+
+/// Keyframes of the adjustment: half of those of the last adjustment give standard errors that are 1.4 times as large, still far
+/// below what counts.
+const MAX_KEYFRAMES: usize = 250;
+/// Length of an independent block of one person, s.
+const BLOCK_SECS: f64 = 2.0;
+
+/// Largest difference of logarithms of focal factors that an exchange of two calibrations explains.
+const SAME_FOCAL: f64 = 0.03;
+
+/// Images are smaller than stated where keypoints stay within this share of width and height, but for this share of them: people
+/// walk through more of an image, and the next smaller format has two thirds.
+const SMALLER: f64 = 0.72;
+const OUTSIDE: f64 = 0.01;
+
+/// Delays and focal lengths against those given.
+pub(super) fn other_parameters(
+    solved: &Solved,
+    found: &mut Vec<Suspicion>,
+    progress: &Progress,
+) -> Result<(), Canceled> {
+    let options = solved.given.options;
+    let (adjusted, origins) = adjusted_freely(solved, progress)?;
+    for (view, camera) in adjusted.cameras.iter().enumerate() {
+        let sigma = camera.uncertainty.and_then(|u| u.sigma_delay);
+        tracing::debug!(view, camera.delay, sigma, camera.focal_factor, "found by the check");
+    }
+    if options.sync == Sync::Given {
+        let late = delays(&adjusted).into_iter().filter(|delay| !solved.is_named(delay.view, &[]));
+        found.extend(late.map(|delay| of_delay(solved, &delay)));
+    }
+    if options.intrinsics_of(solved.session()) == IntrinsicsMode::Fixed && found.is_empty() {
+        let prior = AdjustmentConfig::default().focal_sigma;
+        found.extend(wrong_lenses(&adjusted, &origins, prior).and_then(|lenses| of_lenses(solved, &lenses)));
+    }
+    Ok(())
+}
+
+/// The adjustment of cameras and points, with a delay and a factor on the focal length of every camera, and the logarithms of the
+/// factors with which it began, per view.
+fn adjusted_freely(solved: &Solved, progress: &Progress) -> Result<(Adjusted, Vec<f64>), Canceled> {
+    // A camera that has a name already would spoil the others.
+    let unnamed = solved.unnamed(&[]);
+    let mut cameras = solved.calibration.cameras.clone();
+    (0..cameras.len()).filter(|view| !unnamed.contains(view)).for_each(|view| cameras[view] = None);
+    let mut keyframes = select_keyframes(solved.repaired, solved.calibration, &cameras, MAX_KEYFRAMES, ALL_FRAMES);
+    set_image_velocities(&mut keyframes, solved.repaired, &cameras, solved.paths);
+    let people = solved.people();
+    let mut intrinsics = solved.given.intrinsics();
+    let mut origins = vec![0.0; cameras.len()];
+    for view in unnamed {
+        if let Some(lens) = resected(&people, view) {
+            tracing::debug!(view, factor = lens.factor, "focal length by resection");
+            cameras[view] = Some(lens.camera_from_world);
+            intrinsics[view] = intrinsics[view].with_focal_factor(lens.factor);
+            origins[view] = lens.factor.ln();
+        }
+    }
+    let bones: Vec<Bone> = solved.given.bones.iter().map(|b| Bone { a: b.a, b: b.b, sigma: LENGTH_SIGMA }).collect();
+    let input = AdjustmentInput {
+        intrinsics: &intrinsics,
+        cameras,
+        keyframes,
+        bones: &bones,
+        camera_freedom: CameraFreedom::Adjusted,
+        refine_focal: true,
+        refine_delays: true,
+    };
+    let block = ((BLOCK_SECS * solved.session().fps).round() as usize).max(1);
+    let defaults = AdjustmentConfig::default();
+    let config = AdjustmentConfig { relative_decrease: 1e-6, uncertainty_block_frames: Some(block), ..defaults };
+    Ok((adjust(&input, &config, progress)?.0, origins))
+}
+
+fn of_delay(solved: &Solved, delay: &Delay) -> Suspicion {
+    // A picture that was taken late has a frame number that is too low.
+    let direction = if delay.frames > 0.0 { "low" } else { "high" };
+    let evidence =
+        format!("its frame numbers are {:.1} +- {:.1} frames too {direction}", delay.frames.abs(), delay.sigma);
+    let remedy = "let the time offsets be estimated";
+    let suggested_option = Some(r#"{"sync": "estimate"}"#.to_owned());
+    Suspicion { suggested_option, ..suspicion(Code::TimeOffset, solved.ids(&[delay.view]), evidence, remedy) }
+}
+
+fn of_lenses(solved: &Solved, lenses: &WrongLenses) -> Option<Suspicion> {
+    let resized = other_resolution(solved, &lenses.factors);
+    if resized.is_some() || lenses.log_evidence < MIN_LOG_EVIDENCE {
+        return resized;
+    }
+    let exchanged = exchanged_cameras(solved, &lenses.factors);
+    if exchanged.is_some() {
+        return exchanged;
+    }
+    let listed = lenses.factors.iter().map(|&(v, factor)| {
+        let change = 100.0 * (factor - 1.0);
+        format!("{} {change:+.0} %", solved.session().views[v].id)
+    });
+    let listed: Vec<String> = listed.collect();
+    let evidence = format!("the people agree better between cameras with other focal lengths: {}", listed.join(", "));
+    let views: Vec<usize> = lenses.factors.iter().map(|(v, _)| *v).collect();
+    let cameras = if lenses.is_common { Vec::new() } else { solved.ids(&views) };
+    let remedy = "check the matrix K, or let focal lengths be refined";
+    let suggested_option = Some(r#"{"intrinsics": "refine_focal"}"#.to_owned());
+    Some(Suspicion { suggested_option, ..suspicion(Code::FocalLength, cameras, evidence, remedy) })
+}
+
+/// Two cameras of which each has the focal length of the other.
+fn exchanged_cameras(solved: &Solved, factors: &[(usize, f64)]) -> Option<Suspicion> {
+    let focal = |v: usize| solved.session().views[v].intrinsics.focal();
+    let [(a, on_a), (b, on_b)] = factors[..] else { return None };
+    let ratio = (focal(b) / focal(a)).ln();
+    let is_exchanged = (on_a.ln() - ratio).abs() < SAME_FOCAL && (on_b.ln() + ratio).abs() < SAME_FOCAL;
+    is_exchanged.then(|| {
+        let evidence = "each has the focal length of the other".to_owned();
+        let remedy = "exchange their keypoint files, or their calibrations";
+        suspicion(Code::CamerasExchanged, solved.ids(&[a, b]), evidence, remedy)
+    })
+}
+
+/// Cameras whose focal length and keypoints both belong to smaller images.
+fn other_resolution(solved: &Solved, factors: &[(usize, f64)]) -> Option<Suspicion> {
+    let is_smaller = |view: usize| {
+        let View { intrinsics, frames, .. } = &solved.session().views[view];
+        let (width, height) = (SMALLER * f64::from(intrinsics.width), SMALLER * f64::from(intrinsics.height));
+        let keypoints = || frames.iter().flatten().flat_map(|d| &d.keypoints).filter(|k| k.is_present());
+        let outside = keypoints().filter(|k| k.pixel.x > width || k.pixel.y > height).count();
+        outside as f64 <= OUTSIDE * keypoints().count() as f64
+    };
+    let smaller = factors.iter().filter(|(view, factor)| *factor < 1.0 && is_smaller(*view));
+    let views: Vec<usize> = smaller.map(|(view, _)| *view).collect();
+    (!views.is_empty()).then(|| {
+        let evidence = "the focal length is too long, and all keypoints lie in the upper left two thirds of the image: both suit \
+                        smaller images";
+        let remedy = "give K and the size of the images in which people were detected";
+        suspicion(Code::Resolution, solved.ids(&views), evidence.to_owned(), remedy)
+    })
+}

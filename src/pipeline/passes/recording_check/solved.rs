@@ -1,0 +1,52 @@
+//! The solution that the check tests.
+
+use crate::pipeline::calibration::{Calibration, TrackedPeople};
+use crate::pipeline::capture::Capture;
+use crate::session::{JointTrajectory, Session, Suspicion, SuspicionCode};
+
+/// The solution that is tested.
+pub struct Solved<'a> {
+    /// The recording as given, before detections were repaired.
+    pub given: &'a Capture<'a>,
+    /// The recording with repaired detections.
+    pub repaired: &'a Session,
+    /// Cameras and persons.
+    pub calibration: &'a Calibration,
+    /// Smooth trajectories of the persons.
+    pub paths: &'a [JointTrajectory],
+    /// What the files alone have shown.
+    pub known: &'a [Suspicion],
+}
+
+impl Solved<'_> {
+    /// The recording as given.
+    pub(super) fn session(&self) -> &Session {
+        self.given.session
+    }
+
+    /// Names of cameras.
+    pub(super) fn ids(&self, views: &[usize]) -> Vec<String> {
+        views.iter().map(|&v| self.session().views[v].id.clone()).collect()
+    }
+
+    /// Whether a suspicion names the camera.
+    pub(super) fn is_named(&self, view: usize, found: &[Suspicion]) -> bool {
+        self.known.iter().chain(found).any(|s| s.cameras.contains(&self.session().views[view].id))
+    }
+
+    /// Views with a pose that no suspicion names so far.
+    pub(super) fn unnamed(&self, found: &[Suspicion]) -> Vec<usize> {
+        let placed = (0..self.calibration.cameras.len()).filter(|&v| self.calibration.cameras[v].is_some());
+        placed.filter(|&v| !self.is_named(v, found)).collect()
+    }
+
+    /// Detections as given with the persons and trajectories of the solution.
+    pub(super) fn people(&self) -> TrackedPeople<'_> {
+        self.calibration.people(self.session(), self.paths)
+    }
+}
+
+/// A suspicion about some cameras, or without any about the whole recording.
+pub(super) fn suspicion(code: SuspicionCode, cameras: Vec<String>, evidence: String, remedy: &str) -> Suspicion {
+    Suspicion { code, cameras, evidence, remedy: remedy.to_owned(), suggested_option: None, applied: false }
+}

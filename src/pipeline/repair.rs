@@ -1,0 +1,126 @@
+//! Repairs: the recording and the options with a probable mistake undone (`options.repair: auto`).
+//!
+//! Only what has one remedy is repaired. A mirrored world has two, exchanged labels and mirrored images, and a wrong frame rate is
+//! known to some ten per cent only: those are left to the user.
+
+use super::config::Options;
+use crate::geometry::Intrinsics;
+use crate::session::{Session, Suspicion, SuspicionCode as Code, View};
+use nalgebra::Vector2;
+use serde_json::Value;
+
+/// Most repairs one after another, each of one kind of mistake: a recording with more needs a look.
+pub const MAX_REPAIRS: usize = 2;
+
+/// Recording and options without the mistake; `None` where it has no single remedy.
+pub fn repaired(session: &Session, options: &Options, suspicion: &Suspicion) -> Option<(Session, Options)> {
+    let read_anew = |change: fn(&Intrinsics, Vector2<f64>) -> Vector2<f64>| {
+        Some((with_pixels(session, suspicion, change), options.clone()))
+    };
+    match suspicion.code {
+        Code::Mirrored => read_anew(|lens, p| Vector2::new(f64::from(lens.width) - 1.0 - p.x, p.y)),
+        Code::YUpwards => read_anew(|lens, p| Vector2::new(p.x, f64::from(lens.height) - 1.0 - p.y)),
+        Code::NormalizedCoordinates => {
+            read_anew(|lens, p| Vector2::new(p.x * f64::from(lens.width), p.y * f64::from(lens.height)))
+        }
+        Code::LabelsExchanged => Some((with_labels_exchanged(session, suspicion), options.clone())),
+        Code::TimeOffset | Code::FocalLength => {
+            Some((session.clone(), with_option(options, suspicion.suggested_option.as_deref()?)?))
+        }
+        _ => None,
+    }
+}
+
+/// The views that a suspicion names; all where it names none.
+fn concerned<'a>(session: &'a mut Session, suspicion: &'a Suspicion) -> impl Iterator<Item = &'a mut View> {
+    let is_concerned = |view: &&mut View| suspicion.cameras.is_empty() || suspicion.cameras.contains(&view.id);
+    session.views.iter_mut().filter(is_concerned)
+}
+
+fn with_pixels(
+    session: &Session,
+    suspicion: &Suspicion,
+    change: fn(&Intrinsics, Vector2<f64>) -> Vector2<f64>,
+) -> Session {
+    let mut repaired = session.clone();
+    for View { intrinsics, frames, .. } in concerned(&mut repaired, suspicion) {
+        let keypoints = frames.iter_mut().flatten().flat_map(|detection| &mut detection.keypoints);
+        keypoints.filter(|k| k.is_present()).for_each(|k| k.pixel = change(intrinsics, k.pixel));
+    }
+    repaired
+}
+
+fn with_labels_exchanged(session: &Session, suspicion: &Suspicion) -> Session {
+    let twins = session.convention.mirror();
+    let mut repaired = session.clone();
+    for detection in concerned(&mut repaired, suspicion).flat_map(|view| view.frames.iter_mut().flatten()) {
+        let given = detection.keypoints.clone();
+        twins.iter().enumerate().for_each(|(k, &twin)| detection.keypoints[k] = given[twin]);
+    }
+    repaired
+}
+
+/// The options with those of a JSON object; `None` where they do not change.
+fn with_option(options: &Options, changes: &str) -> Option<Options> {
+    let mut merged = serde_json::to_value(options).ok()?;
+    let Value::Object(changes) = serde_json::from_str(changes).ok()? else { return None };
+    changes.into_iter().for_each(|(name, value)| merged[name] = value);
+    let changed: Options = serde_json::from_value(merged).ok()?;
+    let changed = Options { adjust_with_bodies: options.adjust_with_bodies, ..changed };
+    (changed != *options).then_some(changed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::config::Sync;
+    use crate::simulation::mistakes::MISTAKES;
+    use crate::simulation::{Preset, SimulationConfig, simulate};
+
+    fn suspicion(code: Code, cameras: &[&str]) -> Suspicion {
+        Suspicion {
+            code,
+            cameras: cameras.iter().map(|id| (*id).to_owned()).collect(),
+            evidence: String::new(),
+            remedy: String::new(),
+            suggested_option: (code == Code::TimeOffset).then(|| r#"{"sync": "estimate"}"#.to_owned()),
+            applied: false,
+        }
+    }
+
+    #[test]
+    fn a_repair_undoes_its_mistake() {
+        let config = SimulationConfig { frames: 20, ..SimulationConfig::preset(Preset::Paper) };
+        let right = simulate(&config).unwrap().session;
+        let id = right.views[1].id.as_str();
+        let cases = [
+            ("images mirrored in one camera", Code::Mirrored, vec![id]),
+            ("y counted upwards in one camera", Code::YUpwards, vec![id]),
+            ("y counted upwards", Code::YUpwards, vec![]),
+            ("left and right exchanged in one camera", Code::LabelsExchanged, vec![id]),
+            ("coordinates from 0 to 1", Code::NormalizedCoordinates, vec![]),
+        ];
+        for (name, code, cameras) in cases {
+            let mistake = MISTAKES.iter().find(|mistake| mistake.name == name).unwrap();
+            let wrong = (mistake.inject)(&right).unwrap();
+            let (found, _) = repaired(&wrong, &Options::default(), &suspicion(code, &cameras)).unwrap();
+            let pixels = |session: &Session| -> Vec<Vector2<f64>> {
+                let views = session.views.iter().flat_map(|view| view.frames.iter().flatten());
+                views.flat_map(|d| &d.keypoints).filter(|k| k.is_present()).map(|k| k.pixel).collect()
+            };
+            let off = pixels(&found).iter().zip(pixels(&right)).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+            assert!(off < 1e-9, "{name}: {off} px");
+        }
+    }
+
+    #[test]
+    fn a_repair_by_an_option_is_made_once() {
+        let session =
+            simulate(&SimulationConfig { frames: 5, ..SimulationConfig::preset(Preset::Easy) }).unwrap().session;
+        let late = suspicion(Code::TimeOffset, &["cam01"]);
+        let (_, options) = repaired(&session, &Options::default(), &late).unwrap();
+        assert_eq!(options.sync, Sync::Estimate);
+        assert!(repaired(&session, &options, &late).is_none(), "nothing is left to change");
+        assert!(repaired(&session, &options, &suspicion(Code::Handedness, &[])).is_none(), "two remedies");
+    }
+}

@@ -1,0 +1,90 @@
+//! Delays and focal lengths that an adjustment of all cameras finds: which cameras are not as given.
+
+use crate::optim::robust::median;
+use crate::pipeline::calibration::Adjusted;
+use crate::pipeline::focal_spread::{FocalSpread, FoundFactors};
+use nalgebra::{DMatrix, DVector};
+
+/// A delay counts from this size, frames: half a frame is the most that cameras without a common clock differ by when they are
+/// started together, and it moves a hand by 20 mm.
+const MIN_DELAY: f64 = 0.6;
+/// Standard errors from which a delay is certain: a constant error of the detector on moving limbs is in none of them.
+const CERTAIN: f64 = 5.0;
+
+/// A focal length counts from this difference: refocusing changes it by 1 %, and detectors' constant errors look like 2 %.
+const MIN_FOCAL: f64 = 0.05;
+/// Logarithm of the likelihood ratio from which focal lengths are not as given, and from which they may be not.
+pub const MIN_LOG_EVIDENCE: f64 = 8.0;
+const HINT_LOG_EVIDENCE: f64 = 2.0;
+/// How many times an adjustment counts what it shows of the focal lengths: constant errors of the detector are in none of its
+/// blocks (measured for the refinement of focal lengths).
+const OVERCOUNT: f64 = 6.0;
+
+/// A camera whose frames are late.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Delay {
+    /// Index of the view.
+    pub view: usize,
+    /// Frames; negative where they are early.
+    pub frames: f64,
+    /// Standard error.
+    pub sigma: f64,
+}
+
+/// Cameras whose frames are late or early against most others.
+pub fn delays(adjusted: &Adjusted) -> Vec<Delay> {
+    let moved = adjusted.cameras.iter().enumerate().filter(|(_, camera)| camera.is_observed);
+    let moved: Vec<_> =
+        moved.filter_map(|(v, camera)| Some((v, camera.delay, camera.uncertainty?.sigma_delay?))).collect();
+    let Some(usual) = median(&mut moved.iter().map(|(_, delay, _)| *delay).collect::<Vec<_>>()) else {
+        return Vec::new();
+    };
+    // The first camera is the reference and has no error of its own; those of the others are against it.
+    let sigma_of_first = median(&mut moved.iter().map(|m| m.2).filter(|s| *s > 0.0).collect::<Vec<_>>()).unwrap_or(1.0);
+    let delay = |&(view, delay, sigma): &(usize, f64, f64)| Delay {
+        view,
+        frames: delay - usual,
+        sigma: if sigma > 0.0 { sigma } else { sigma_of_first },
+    };
+    let found = moved.iter().map(delay);
+    found.filter(|d| d.frames.abs() > MIN_DELAY && d.frames.abs() > CERTAIN * d.sigma).collect()
+}
+
+/// Focal lengths that are not as given.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WrongLenses {
+    /// Views and the factors on their given focal lengths.
+    pub factors: Vec<(usize, f64)>,
+    /// Whether it is most cameras.
+    pub is_common: bool,
+    /// Logarithm of the likelihood ratio.
+    pub log_evidence: f64,
+}
+
+/// The focal lengths as an adjustment under the given ones finds them; `None` where nothing speaks against the given ones. `origins`: logarithms of
+/// the factors with which that adjustment began, per view; `prior_sigma`: of the logarithm of a factor in it.
+pub fn wrong_lenses(adjusted: &Adjusted, origins: &[f64], prior_sigma: f64) -> Option<WrongLenses> {
+    let estimate = adjusted.focal.as_ref()?;
+    let n = estimate.views.len();
+    let covariance = DMatrix::from_fn(n, n, |i, j| estimate.covariance[i][j]);
+    let mean = DVector::from_column_slice(&estimate.log_factors);
+    let prior = FocalSpread { own: prior_sigma, common: 0.0 };
+    let origin = DVector::from_iterator(n, estimate.views.iter().map(|&view| origins[view]));
+    let scatter = &covariance * OVERCOUNT;
+    let found = FoundFactors::new(&mean, &covariance, &scatter, &prior.precision(n))?.shifted(&origin);
+    let (spread, log_evidence) = FocalSpread::likeliest(&found);
+    tracing::debug!(?mean, ?spread, log_evidence, "focal lengths found by the check");
+    if log_evidence < HINT_LOG_EVIDENCE {
+        return None;
+    }
+    // Where the evidence is a hint, other evidence must confirm it, and no factor is certain by itself.
+    let is_hint = log_evidence < MIN_LOG_EVIDENCE;
+    let (log_factors, covariance) = found.under(if is_hint { FocalSpread::WIDE } else { spread })?;
+    let is_wrong = |k: &usize| {
+        let size = log_factors[*k].abs();
+        size > MIN_FOCAL && (is_hint || size > 2.0 * covariance[(*k, *k)].max(0.0).sqrt())
+    };
+    let factors: Vec<(usize, f64)> =
+        (0..n).filter(is_wrong).map(|k| (estimate.views[k], log_factors[k].exp())).collect();
+    (!factors.is_empty()).then(|| WrongLenses { is_common: 2 * factors.len() > n, factors, log_evidence })
+}

@@ -1,0 +1,187 @@
+//! Other readings of a camera's files: under each the camera is registered anew by the people that the other cameras see, and
+//! judged by the share of its detections that these people then explain.
+//!
+//! Three points give a pose, and a person has a dozen in each frame: a wrong reading explains few of them, so one that explains
+//! about as much as is usual in the other cameras is the right one. The pose is found on one person in a part of the frames and
+//! judged on all people in all frames.
+
+use super::agreement::{explained_share, skeleton};
+use crate::body::detector_profile::DETECTOR;
+use crate::estimation::pnp::estimate_pose;
+use crate::geometry::{Intrinsics, Rigid};
+use crate::matching::normalized::{NormalizedDetection, NormalizedView};
+use crate::matching::tracklets::Tracklet;
+use crate::session::{Detection, JointTrajectory, Session, View};
+use nalgebra::{Vector2, Vector3};
+
+/// A way to read the files of one camera.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Reading {
+    /// As they are.
+    AsGiven,
+    /// Images are mirrored; the same as y counted upwards in an image that is upside down.
+    Mirrored,
+    /// Left and right keypoints are exchanged.
+    LabelsExchanged,
+    /// Frame numbers are this many too high.
+    Late(i64),
+    /// The focal length is this many times the given one.
+    FocalFactor(f64),
+}
+
+use Reading as R;
+
+/// Focal lengths that are tried: a tolerance of ten per cent reaches from one to the next.
+const FOCAL_FACTORS: [f64; 8] = [0.5, 0.6, 0.7, 0.83, 1.2, 1.4, 1.67, 2.0];
+
+/// Largest delay that is tried, frames, and the spacing of the first search: people move less than a keypoint's tolerance in it.
+const MAX_LATE: i64 = 15;
+const LATE_STEP: i64 = 3;
+
+/// Tracklets and persons that are compared, the longest first, and points of one comparison.
+const N_TRACKLETS: usize = 4;
+const N_PEOPLE: usize = 5;
+const MAX_POINTS: usize = 150;
+/// Fewer points than this do not identify a person.
+const MIN_POINTS: usize = 40;
+/// Reprojection error from which a point has no weight, rad: 10 px at a focal length of 1,060 px.
+const TOLERANCE: f64 = 0.01;
+/// Samples of three points: a sixth of outlier-free points is found with 99 %, and the right person has half.
+const SAMPLES: usize = 100;
+/// Share of points that must agree with a pose: chance poses of another person reach a third.
+const MIN_INLIERS: f64 = 0.45;
+/// Poses that are judged on all people and frames.
+const N_JUDGED: usize = 2;
+
+/// A reading with the share of detections that it explains.
+#[derive(Debug, Clone, Copy)]
+pub struct Judged {
+    /// The reading.
+    pub reading: Reading,
+    /// Share of the camera's confident keypoints near a person, 0 to 1.
+    pub explained: f64,
+}
+
+/// The people of the other cameras, and a camera whose files are in question.
+pub struct Question<'a> {
+    /// The recording as given.
+    pub session: &'a Session,
+    /// Index of the camera.
+    pub view: usize,
+    /// People followed in its images.
+    pub tracklets: &'a [Tracklet],
+    /// Points of all persons.
+    pub people: &'a [JointTrajectory],
+    /// Its pose where it has one.
+    pub camera: Option<&'a Rigid>,
+    /// Seed of random samples.
+    pub seed: u64,
+}
+
+impl Question<'_> {
+    /// The files as they are, and the best of all other readings.
+    pub fn judged(&self) -> [Judged; 2] {
+        let given = self.under(R::AsGiven);
+        let fixed = [R::Mirrored, R::LabelsExchanged].into_iter().chain(FOCAL_FACTORS.map(R::FocalFactor));
+        let coarse = (1..=MAX_LATE / LATE_STEP).flat_map(|n| [R::Late(n * LATE_STEP), R::Late(-n * LATE_STEP)]);
+        let near = [R::Late(1), R::Late(-1)];
+        let first = best(fixed.chain(coarse).chain(near).map(|reading| self.under(reading)));
+        let second = match first.reading {
+            R::Late(n) => best((n - LATE_STEP + 1..n + LATE_STEP).filter(|m| *m != 0).map(|m| self.under(R::Late(m)))),
+            _ => first,
+        };
+        [given, best([first, second].into_iter())]
+    }
+
+    fn under(&self, reading: Reading) -> Judged {
+        let view = read(self.session, self.view, reading);
+        let late = if let R::Late(n) = reading { n } else { 0 };
+        let known = self.camera.filter(|_| reading == R::AsGiven);
+        let poses = self.poses(&view, late);
+        let judged = poses.iter().chain(known).map(|pose| explained_share(&view, pose, self.people, late));
+        Judged { reading, explained: judged.fold(0.0, f64::max) }
+    }
+
+    /// The best supported poses.
+    fn poses(&self, view: &NormalizedView, late: i64) -> Vec<Rigid> {
+        let mut tracklets: Vec<&Tracklet> = self.tracklets.iter().collect();
+        tracklets.sort_by_key(|tracklet| std::cmp::Reverse(tracklet.detections.len()));
+        let mut people: Vec<&JointTrajectory> = self.people.iter().collect();
+        people.sort_by_key(|person| std::cmp::Reverse(person.points.len()));
+        let mut found = Vec::new();
+        for tracklet in tracklets.into_iter().take(N_TRACKLETS) {
+            for person in people.iter().take(N_PEOPLE) {
+                let points = correspondences(view, tracklet, person, late);
+                if points.len() >= MIN_POINTS {
+                    found.extend(estimate_pose(&points, TOLERANCE, SAMPLES, self.seed));
+                }
+            }
+        }
+        found.retain(|pose| pose.inlier_ratio >= MIN_INLIERS);
+        found.sort_by(|a, b| b.support.total_cmp(&a.support));
+        found.into_iter().take(N_JUDGED).map(|pose| pose.camera_from_world).collect()
+    }
+}
+
+fn best(judged: impl Iterator<Item = Judged>) -> Judged {
+    let none = Judged { reading: R::AsGiven, explained: 0.0 };
+    judged.fold(none, |best, next| if next.explained > best.explained { next } else { best })
+}
+
+/// The detections of a view, read in another way.
+fn read(session: &Session, view: usize, reading: Reading) -> NormalizedView {
+    let given = &session.views[view];
+    let intrinsics = match reading {
+        R::FocalFactor(factor) => given.intrinsics.with_focal_factor(factor),
+        _ => given.intrinsics,
+    };
+    let twins = session.convention.mirror();
+    let lens = View {
+        id: String::new(),
+        intrinsics,
+        has_intrinsics: true,
+        camera_from_world: None,
+        time_offset: 0.0,
+        frames: Vec::new(),
+        delivered: Vec::new(),
+    };
+    let of_detection = |detection: &Detection| {
+        let mut read = detection.clone();
+        match reading {
+            R::Mirrored => read.keypoints.iter_mut().for_each(|k| k.pixel = mirrored(&intrinsics, k.pixel)),
+            R::LabelsExchanged => {
+                twins.iter().enumerate().for_each(|(k, &twin)| read.keypoints[k] = detection.keypoints[twin]);
+            }
+            R::AsGiven | R::Late(_) | R::FocalFactor(_) => {}
+        }
+        NormalizedDetection::from_detection(&lens, &read, twins.len())
+    };
+    let frames = given.frames.iter().map(|people| people.iter().map(of_detection).collect()).collect();
+    NormalizedView { focal: intrinsics.focal(), frames }
+}
+
+/// The pixel in the mirrored image.
+fn mirrored(lens: &Intrinsics, pixel: Vector2<f64>) -> Vector2<f64> {
+    Vector2::new(f64::from(lens.width) - 1.0 - pixel.x, pixel.y)
+}
+
+/// Points of a person in space and their detections in a tracklet, from evenly spread frames.
+fn correspondences(
+    view: &NormalizedView,
+    tracklet: &Tracklet,
+    person: &JointTrajectory,
+    late: i64,
+) -> Vec<(Vector3<f64>, Vector2<f64>)> {
+    let mut points = Vec::new();
+    for &(frame, detection) in &tracklet.detections {
+        let skeleton = frame.checked_add_signed(-late as isize).and_then(|frame| skeleton(person, frame));
+        let detection = &view.frames[frame][detection];
+        for (k, point) in skeleton.into_iter().flatten().enumerate() {
+            if let Some(point) = point.filter(|_| detection.confidence[k] > DETECTOR.judged) {
+                points.push((point, detection.normalized[k]));
+            }
+        }
+    }
+    let stride = points.len().div_ceil(MAX_POINTS).max(1);
+    points.into_iter().step_by(stride).collect()
+}

@@ -1,0 +1,234 @@
+//! Each test sees its mistake, and nothing in a right recording.
+
+use super::agreement::explained_share;
+use super::frame_rate::{POSSIBLE_RATIOS, steps};
+use super::handedness::{handedness, upside_down};
+use super::labels::exchange;
+use super::lens::resected;
+use super::movement::step;
+use super::parameters::{MIN_LOG_EVIDENCE, delays, wrong_lenses};
+use super::reading::{Question, Reading};
+use super::takes::groups;
+use crate::body::detector_noise::DetectorNoise;
+use crate::geometry::Rigid;
+use crate::matching::normalized::normalized_views;
+use crate::matching::tracklets::{Tracklet, TrackletConfig, tracklets};
+use crate::pipeline::calibration::{Adjusted, AdjustedCamera, CameraUncertainty, FocalEstimate, TrackedPeople};
+use crate::session::{FrameIndex, JointTrajectory, PersonId, PersonTrack, Session};
+use crate::simulation::mistakes::MISTAKES;
+use crate::simulation::{Preset, SimulationConfig, simulate};
+use nalgebra::Vector3;
+use std::collections::BTreeMap;
+
+/// A simulated recording with its true cameras and people.
+struct Scene {
+    session: Session,
+    cameras: Vec<Option<Rigid>>,
+    people: Vec<JointTrajectory>,
+    tracks: Vec<PersonTrack>,
+}
+
+fn scene() -> Scene {
+    let config = SimulationConfig { frames: 150, views: 4, ..SimulationConfig::preset(Preset::Paper) };
+    let simulated = simulate(&config).unwrap();
+    let truth = &simulated.truth;
+    let person = |i: usize| JointTrajectory {
+        person: PersonId(i),
+        first: FrameIndex(0),
+        points: truth.keypoints.iter().map(|people| people[i].iter().map(|p| Some(*p)).collect()).collect(),
+        n_views: truth.keypoints.iter().map(|people| vec![4; people[i].len()]).collect(),
+    };
+    let people: Vec<JointTrajectory> = (0..truth.people.len()).map(person).collect();
+    let tracks = (0..people.len()).map(|i| track(&simulated.session, &truth.identities, i)).collect();
+    Scene { cameras: truth.cameras.iter().copied().map(Some).collect(), session: simulated.session, people, tracks }
+}
+
+/// The true detections of a person.
+fn track(session: &Session, identities: &[Vec<Vec<Option<usize>>>], person: usize) -> PersonTrack {
+    let at = |view: usize, frame: usize| identities[view][frame].iter().position(|id| *id == Some(person));
+    let of_frame = |frame| (0..session.views.len()).map(|view| at(view, frame)).collect();
+    let detections = (0..session.n_frames).map(of_frame).collect();
+    PersonTrack { person: PersonId(person), first: FrameIndex(0), detections }
+}
+
+fn with_mistake(scene: Scene, name: &str) -> Scene {
+    let mistake = MISTAKES.iter().find(|mistake| mistake.name == name).unwrap();
+    Scene { session: (mistake.inject)(&scene.session).unwrap(), ..scene }
+}
+
+fn followed(session: &Session, view: usize) -> Vec<Tracklet> {
+    tracklets(&normalized_views(session)[view], session.fps, &TrackletConfig::default())
+}
+
+/// The best other reading of the second camera's files, and the shares that it and the files as they are explain.
+fn reading(scene: &Scene) -> (Reading, f64, f64) {
+    let question = Question {
+        session: &scene.session,
+        view: 1,
+        tracklets: &followed(&scene.session, 1),
+        people: &scene.people,
+        camera: scene.cameras[1].as_ref(),
+        seed: 0,
+    };
+    let [given, best] = question.judged();
+    (best.reading, best.explained, given.explained)
+}
+
+#[test]
+fn names_the_reading_that_explains_a_camera() {
+    let cases = [
+        ("images mirrored in one camera", Reading::Mirrored),
+        ("y counted upwards in one camera", Reading::Mirrored),
+        ("left and right exchanged in one camera", Reading::LabelsExchanged),
+    ];
+    for (name, expected) in cases {
+        let (best, explained, given) = reading(&with_mistake(scene(), name));
+        assert!(best == expected && explained > given + 0.2, "{name}: {best:?} {explained} {given}");
+    }
+    let (best, explained, given) = reading(&with_mistake(scene(), "7 frames late"));
+    let is_near = matches!(best, Reading::Late(6..=8));
+    assert!(is_near && explained > given, "{best:?} {explained} {given}");
+}
+
+#[test]
+fn a_right_camera_is_explained_as_it_is() {
+    let scene = scene();
+    let (best, explained, given) = reading(&scene);
+    assert!(given > 0.9 && explained < given + 0.01, "{best:?} {explained} {given}");
+    let view = &normalized_views(&scene.session)[1];
+    let turned = scene.cameras[1].unwrap().perturbed_left(&Vector3::zeros(), &Vector3::new(0.0, 0.1, 0.0));
+    assert!(explained_share(view, &turned, &scene.people, 0) < 0.3);
+}
+
+#[test]
+fn exchanged_labels_fit_the_other_way_round() {
+    let shown = |scene: &Scene| {
+        let camera = scene.cameras[1].as_ref().unwrap();
+        let view = &normalized_views(&scene.session)[1];
+        exchange(scene.session.convention, 1, view, camera, &scene.tracks, &scene.people)
+    };
+    let (right, wrong) = (shown(&scene()), shown(&with_mistake(scene(), "left and right exchanged in one camera")));
+    assert!(right.n > 50 && right.exchanged < 0.1, "{right:?}");
+    assert!(wrong.n > 50 && wrong.exchanged > 0.9, "{wrong:?}");
+}
+
+#[test]
+fn people_of_a_mirrored_world_look_backwards() {
+    let Scene { session, people, .. } = scene();
+    let right = handedness(session.convention, &people, session.fps).unwrap();
+    assert!(right.n >= 8 && right.backwards < 0.2 && !right.is_mirrored(), "{right:?}");
+    let mut mirrored = people;
+    mirrored.iter_mut().flat_map(|p| p.points.iter_mut().flatten().flatten()).for_each(|point| point.x = -point.x);
+    assert!(handedness(session.convention, &mirrored, session.fps).unwrap().is_mirrored());
+}
+
+#[test]
+fn people_are_upside_down_where_y_counts_upwards() {
+    let share = |scene: Scene| upside_down(scene.session.convention, &scene.session.views[1]).unwrap();
+    assert!(share(scene()) < 0.1);
+    assert!(share(with_mistake(scene(), "y counted upwards in one camera")) > 0.9);
+}
+
+#[test]
+fn a_knocked_camera_has_a_step() {
+    let steps = |scene: &Scene| -> Vec<f64> {
+        let noise = DetectorNoise::published(scene.session.convention);
+        let Scene { session, cameras, people, tracks } = scene;
+        let people = TrackedPeople { session, noise: &noise, cameras, tracks, points: people };
+        (0..cameras.len()).map(|view| step(&people, view).unwrap().sigmas).collect()
+    };
+    assert!(steps(&scene()).iter().all(|sigmas| *sigmas < 6.0), "{:?}", steps(&scene()));
+    let knocked = steps(&with_mistake(scene(), "camera knocked by 0.5 degrees"));
+    assert!(knocked[1] > 8.0 && knocked.iter().all(|sigmas| *sigmas <= knocked[1]), "{knocked:?}");
+}
+
+#[test]
+fn cameras_without_common_people_are_groups() {
+    let Scene { session, cameras, tracks, .. } = scene();
+    assert_eq!(groups(&session, &cameras, &tracks).len(), 1);
+    let of_views = |track: &PersonTrack, views: [usize; 2]| {
+        let mut part = track.clone();
+        for assigned in &mut part.detections {
+            assigned.iter_mut().enumerate().filter(|(view, _)| !views.contains(view)).for_each(|(_, d)| *d = None);
+        }
+        part
+    };
+    let split: Vec<PersonTrack> =
+        tracks.iter().flat_map(|track| [of_views(track, [0, 1]), of_views(track, [2, 3])]).collect();
+    let mut found = groups(&session, &cameras, &split);
+    found.iter_mut().for_each(|group| group.sort_unstable());
+    found.sort();
+    assert_eq!(found, [[0, 1], [2, 3]]);
+}
+
+#[test]
+fn a_resection_finds_a_wrong_focal_length() {
+    let found = |scene: &Scene| {
+        let noise = DetectorNoise::published(scene.session.convention);
+        let Scene { session, cameras, people, tracks } = scene;
+        resected(&TrackedPeople { session, noise: &noise, cameras, tracks, points: people }, 1).map(|lens| lens.factor)
+    };
+    assert_eq!(found(&scene()), None);
+    let factor = found(&with_mistake(scene(), "focal length +20 %")).unwrap();
+    assert!((factor * 1.2).ln().abs() < 0.06, "{factor}");
+}
+
+fn adjusted(delays: &[f64], log_factors: &[f64]) -> Adjusted {
+    let uncertainty = CameraUncertainty { sigma_position: 0.01, sigma_angle: 0.001, sigma_delay: Some(0.05) };
+    let camera = |delay: &f64| AdjustedCamera {
+        camera_from_world: None,
+        focal_factor: 1.0,
+        delay: *delay,
+        is_observed: true,
+        uncertainty: Some(uncertainty),
+    };
+    let n = log_factors.len();
+    let variance = |i: usize| (0..n).map(|j| if i == j { 1e-4 } else { 0.0 }).collect();
+    Adjusted {
+        cameras: delays.iter().map(camera).collect(),
+        points: Vec::new(),
+        bone_lengths: BTreeMap::new(),
+        focal: Some(FocalEstimate {
+            views: (0..n).collect(),
+            log_factors: log_factors.to_vec(),
+            covariance: (0..n).map(variance).collect(),
+        }),
+    }
+}
+
+#[test]
+fn a_late_camera_is_late_against_most_others() {
+    let found: Vec<(usize, f64)> =
+        delays(&adjusted(&[0.0, 2.1, 0.1, 0.05, -0.1], &[])).iter().map(|d| (d.view, d.frames)).collect();
+    assert_eq!(found, [(1, 2.1 - 0.05)]);
+    assert_eq!(delays(&adjusted(&[-2.0, 0.1, 0.0, 0.1, 0.2], &[])).len(), 1, "the reference itself");
+    assert!(delays(&adjusted(&[0.0, 0.3, -0.3, 0.1], &[])).is_empty());
+}
+
+#[test]
+fn a_wrong_lens_is_named_and_errors_of_a_few_per_cent_are_not() {
+    let one = wrong_lenses(&adjusted(&[0.0; 5], &[0.005, -0.17, 0.01, -0.005, 0.0]), &[0.0; 5], 0.1).unwrap();
+    assert_eq!((one.factors.len(), one.factors[0].0, one.is_common), (1, 1, false));
+    let all = wrong_lenses(&adjusted(&[0.0; 5], &[-0.1, 0.1, -0.11, 0.09, -0.1]), &[0.0; 5], 0.1).unwrap();
+    assert!(all.is_common);
+    let few = wrong_lenses(&adjusted(&[0.0; 5], &[0.02, -0.02, 0.01, -0.01, 0.015]), &[0.0; 5], 0.1);
+    assert!(few.is_none_or(|lenses| lenses.log_evidence < MIN_LOG_EVIDENCE));
+}
+
+#[test]
+fn steps_show_the_frame_rate() {
+    let simulated = simulate(&SimulationConfig { frames: 300, ..SimulationConfig::preset(Preset::Easy) }).unwrap();
+    let convention = simulated.session.convention;
+    let keypoints = &simulated.truth.keypoints;
+    let person = |i: usize| JointTrajectory {
+        person: PersonId(i),
+        first: FrameIndex(0),
+        points: keypoints.iter().map(|people| people[i].iter().map(|p| Some(*p)).collect()).collect(),
+        n_views: Vec::new(),
+    };
+    let people: Vec<JointTrajectory> = (0..simulated.truth.people.len()).map(person).collect();
+    let ratio = |rate: f64| steps(convention, &people, rate * simulated.session.fps).unwrap().ratio;
+    let [least, most] = POSSIBLE_RATIOS;
+    assert!((least..most).contains(&ratio(1.0)), "{}", ratio(1.0));
+    assert!(ratio(0.25) > most && ratio(2.4) < least, "{} {}", ratio(0.25), ratio(2.4));
+}
