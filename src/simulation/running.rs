@@ -30,7 +30,7 @@ fn runner(config: &SimulationConfig, person: usize, heading: f64, speed: f64) ->
     let mut rng = stream(config.seed, Purpose::Motion, 0, person + 1);
     let lane = LANE * (person as f64 - 0.5 * (config.people as f64 - 1.0)) + rng.random_range(-0.2..0.2);
     let (first_phase, first) = (rng.random_range(0.0..TAU), -0.5 * speed * (config.frames as f64 - 1.0) / config.fps);
-    let own_heading = heading + if person % 2 == 0 { 0.0 } else { PI };
+    let own_heading = heading + if person.is_multiple_of(2) { 0.0 } else { PI };
     let direction = |angle: f64| Vector2::new(angle.sin(), angle.cos());
     let arm = Arm { flexion: -0.2, abduction: 0.1, elbow: ELBOW, swing: 1.0 };
     let posture = Posture { lean: LEAN, arms: [arm; 2], ..Posture::default() };

@@ -214,6 +214,7 @@ fn session() -> Session {
     let view = |(id, intrinsics): (&str, Intrinsics)| View {
         id: id.to_owned(),
         intrinsics,
+        has_intrinsics: true,
         camera_from_world: None,
         time_offset: 0.0,
         frames: vec![Vec::new(); N_FRAMES],

@@ -42,7 +42,7 @@ fn cameras_without_common_frames_are_named() {
         view.frames.iter_mut().enumerate().filter(|(f, _)| f / 10 % 4 != v).for_each(|(_, people)| people.clear());
     }
     let failed = reconstruct(&session, &Options::default(), &Progress::silent()).unwrap_err();
-    let PipelineError::Unsolvable { code, reason } = failed else { panic!("{failed}") };
+    let PipelineError::Unsolvable { code, reason, .. } = failed else { panic!("{failed}") };
     assert_eq!(code, "cameras_unsolvable");
     assert!(reason.contains("in none of 6 camera pairs") && reason.contains("sync: estimate"), "{reason}");
 }

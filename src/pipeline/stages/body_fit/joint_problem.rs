@@ -39,9 +39,6 @@ pub(super) struct Member {
     /// At the frames that are, with the cameras as they stand.
     pub observations: Observations,
     pub state: MotionState,
-    /// The motion whose speeds scale the sigmas of accelerations: the one before the problem is solved, since a sigma that
-    /// follows the solution is another cost at every step.
-    pub speeds: MotionState,
     /// The person's bones against the model's, starting at zero.
     pub bones: BoneOffsets,
     /// The detector's standard deviation as a share of apparent size, if its errors are taken as independent.
@@ -173,7 +170,6 @@ impl JointProblem<'_> {
             bias: Some(self.table),
             cameras: self.border_of(member).cameras,
             shape_prior: self.shape_prior,
-            speeds: Some(&member.speeds),
             ..Objective::new(&context, context.config, &member.observations, pixels.source(), Shape::Free)
         }
         .problem()
@@ -264,8 +260,7 @@ impl Member {
         let poses = fitted.poses[run.clone()].iter().step_by(stride).copied().collect();
         let state = MotionState { betas: fitted.betas, poses };
         let share = pixel_share(context, &observations, &state);
-        let speeds = state.clone();
-        Self { run, stride, observations, state, speeds, bones: BoneOffsets::default(), share }
+        Self { run, stride, observations, state, bones: BoneOffsets::default(), share }
     }
 
     /// Takes another motion, skeleton and cameras; returns the previous motion and skeleton.
