@@ -433,7 +433,7 @@ fn rejects_implausible_poses_with_location() {
     assert_eq!(code(&damaged), ("number_not_finite", Some(damaged[10].0.clone())));
     let mut uncalibrated = openpose(&COCO17);
     uncalibrated.remove(1);
-    assert_eq!(code(&uncalibrated).0, "no_cameras");
+    assert_eq!(code(&uncalibrated).0, "image_size_unknown");
     let mut twice = openpose(&COCO17);
     twice.extend(alphapose(1.0).into_iter().filter(|(name, _)| name.contains("cam1/")));
     assert_eq!(code(&twice).0, "session_ambiguous");
