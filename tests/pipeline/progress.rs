@@ -27,13 +27,13 @@ fn progress_never_falls_and_ends_at_one_for_all_options() {
     let height = ScaleSource::Height { metres: 1.75, who: "tallest".to_owned() };
     let (sync, focal) = (Sync::Estimate, IntrinsicsMode::RefineFocal);
     let runs = [
-        (&simulated.session, default(), 6),
-        (&simulated.session, Options { denoise: false, ..default() }, 5),
-        (&simulated.session, Options { sync, intrinsics: focal, scale: height, ..default() }, 8),
-        (&simulated.session, Options { sync, denoise: false, collision: false, ..default() }, 6),
-        (&posed, Options { extrinsics: Extrinsics::Fixed, motion_prior: MotionPriorMode::None, ..default() }, 6),
-        (&posed, Options { extrinsics: Extrinsics::Fixed, denoise: false, ..default() }, 5),
-        (&posed, Options { extrinsics: Extrinsics::Refine, intrinsics: focal, ..default() }, 7),
+        (&simulated.session, default(), 7),
+        (&simulated.session, Options { denoise: false, ..default() }, 6),
+        (&simulated.session, Options { sync, intrinsics: focal, scale: height, ..default() }, 9),
+        (&simulated.session, Options { sync, denoise: false, collision: false, ..default() }, 7),
+        (&posed, Options { extrinsics: Extrinsics::Fixed, motion_prior: MotionPriorMode::None, ..default() }, 7),
+        (&posed, Options { extrinsics: Extrinsics::Fixed, denoise: false, ..default() }, 6),
+        (&posed, Options { extrinsics: Extrinsics::Refine, intrinsics: focal, ..default() }, 8),
     ];
     for (session, options, n_stages) in runs {
         let events = events_of(session, &options);

@@ -36,8 +36,8 @@ fn resumed_job_gives_the_same_bytes() {
     let id = server.submit(&server.upload(LONG, 1));
     server.wait_until(&id, |job| job["progress"]["stage"] == "body_fit");
     let kept = crate::server::files_below(&data.path().join("checkpoints"));
-    // Every pass before the body fit that this job runs: cameras, repair, held-out check, trajectories, scale.
-    assert_eq!(kept.len(), 5, "{kept:?}");
+    // Every pass before the body fit that this job runs: cameras, repair, held-out check, trajectories, check of the recording, scale.
+    assert_eq!(kept.len(), 6, "{kept:?}");
     drop(server); // killed
     let mut server = start();
     let log = server.stderr();
@@ -50,7 +50,7 @@ fn resumed_job_gives_the_same_bytes() {
     assert_eq!(result(&id), result(&whole));
     drop(server);
     let log = std::io::read_to_string(log).unwrap();
-    assert_eq!(log.matches("resumed from its checkpoint").count(), 5, "{log}");
+    assert_eq!(log.matches("resumed from its checkpoint").count(), 6, "{log}");
 }
 
 #[test]

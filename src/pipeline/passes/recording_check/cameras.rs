@@ -26,7 +26,7 @@ const EXCHANGED: f64 = 0.8;
 /// A step of a camera's rotation counts from this angle, rad, and this many standard errors: the steps of right recordings have up
 /// to five, and a millimetre at 1 m does no harm. The people's points follow the camera, so a third of a turn shows as a step.
 const MIN_STEP: f64 = 0.0012;
-const STEP_SIGMAS: f64 = 7.0;
+const STEP_SIGMAS: f64 = 6.0;
 
 /// Cameras of whose detections the people of the others explain little.
 pub(super) fn other_readings(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
@@ -118,7 +118,8 @@ pub(super) fn exchanged_labels(solved: &Solved, found: &mut Vec<Suspicion>) {
     }
 }
 
-/// The camera with the most certain step; its step moves points, and with them all others a little.
+/// The camera with the largest of the certain steps: it moves points, and with them all others a little, whose steps may be the more
+/// certain since their own errors are smaller.
 pub(super) fn moved_camera(solved: &Solved, found: &mut Vec<Suspicion>) {
     if solved.calibration.n_placed() < 3 || found.iter().any(|s| s.code.affects_cameras()) {
         return;
@@ -127,13 +128,11 @@ pub(super) fn moved_camera(solved: &Solved, found: &mut Vec<Suspicion>) {
     let steps = solved.unnamed(found).into_iter().filter_map(|view| Some((view, step(&people, view)?)));
     let steps: Vec<_> = steps.collect();
     tracing::debug!(?steps, "rotations of cameras");
-    let Some((view, step)) = steps.into_iter().max_by(|a, b| a.1.sigmas.total_cmp(&b.1.sigmas)) else { return };
-    if step.sigmas < STEP_SIGMAS || step.angle < MIN_STEP {
-        return;
-    }
+    let certain = steps.into_iter().filter(|(_, step)| step.sigmas >= STEP_SIGMAS && step.angle >= MIN_STEP);
+    let Some((view, step)) = certain.max_by(|a, b| a.1.angle.total_cmp(&b.1.angle)) else { return };
     let frame = solved.session().first_frame + step.frame as i64;
     let evidence = format!(
-        "it turns by {:.2} degrees or more near frame {frame} ({:.0} standard errors)",
+        "it moved during the recording: it turns by {:.2} degrees or more near frame {frame} ({:.0} standard errors)",
         step.angle.to_degrees(),
         step.sigmas
     );
