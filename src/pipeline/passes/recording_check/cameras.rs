@@ -15,6 +15,8 @@ const LOW_SHARE: f64 = 0.75;
 /// Another reading is right where it explains this share of what is usual, and this much more than the files as they are.
 const RIGHT_SHARE: f64 = 0.7;
 const MIN_GAIN: f64 = 0.15;
+/// The same of a factor on the focal length, which fits some of anything: 86 % of a camera that was moved.
+const RIGHT_SHARE_OF_FACTOR: f64 = 0.9;
 
 /// Most of the people in an image are upside down.
 pub(super) const MOST: f64 = 0.5;
@@ -55,7 +57,11 @@ pub(super) fn other_readings(solved: &Solved, found: &mut Vec<Suspicion>, progre
         };
         let [given, best] = question.judged();
         tracing::debug!(view, ?given, ?best, usual, "readings of a camera's files");
-        if best.explained > RIGHT_SHARE * usual && best.explained > given.explained + MIN_GAIN {
+        let right_share = match best.reading {
+            Reading::FocalFactor(_) => RIGHT_SHARE_OF_FACTOR,
+            _ => RIGHT_SHARE,
+        };
+        if best.explained > right_share * usual && best.explained > given.explained + MIN_GAIN {
             found.extend(of_reading(solved, view, given, best));
         }
     }

@@ -22,7 +22,7 @@ const ODD_ERROR: f64 = 1.6;
 
 /// Excess of a camera's share of rejected keypoints or detections over that of the others: occlusion gives a difference of
 /// 0.1, bystanders more.
-const ODD_LOSS: f64 = 0.25;
+const ODD_LOSS: f64 = 0.2;
 
 pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
     let mut reasons: Vec<Reason> = unsolved(input).chain(odd_cameras(input)).chain(disagreement(input)).collect();
