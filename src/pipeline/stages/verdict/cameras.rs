@@ -21,7 +21,7 @@ const RIVAL_WARN: f64 = 0.93;
 const ODD_ERROR: f64 = 1.6;
 
 /// Excess of a camera's share of rejected keypoints or detections over that of the others: occlusion gives a difference of
-/// 0.1, bystanders more.
+/// 0.1, bystanders up to 0.16.
 const ODD_LOSS: f64 = 0.2;
 
 pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
