@@ -132,6 +132,11 @@ impl KeypointConvention {
         self.names().iter().position(|n| *n == name)
     }
 
+    /// Indices of the left and the right keypoint of a part of the body.
+    pub fn sides_of(self, part: &str) -> Option<[usize; 2]> {
+        Some([self.index_of(&format!("left_{part}"))?, self.index_of(&format!("right_{part}"))?])
+    }
+
     /// For each named keypoint its left/right counterpart (itself on the midline).
     pub fn mirror(self) -> Vec<usize> {
         let names = self.names();

@@ -65,6 +65,11 @@ impl Intrinsics {
         Self { width, height, fx: focal, fy: focal, cx: middle(width), cy: middle(height), skew: 0.0, dist }
     }
 
+    /// The pixel in the mirrored image.
+    pub fn mirrored(&self, pixel: &Vector2<f64>) -> Vector2<f64> {
+        Vector2::new(f64::from(self.width) - 1.0 - pixel.x, pixel.y)
+    }
+
     /// The same intrinsics with `fx`, `fy` and the skew multiplied by `factor`.
     pub fn with_focal_factor(&self, factor: f64) -> Self {
         Self { fx: self.fx * factor, fy: self.fy * factor, skew: self.skew * factor, ..*self }

@@ -80,6 +80,28 @@ fn augment(
     }
 }
 
+/// Least cost of another pair in the row or the column of a pair.
+pub fn rival(costs: &[Vec<f64>], row: usize, column: usize) -> f64 {
+    let in_row = (0..costs[row].len()).filter(|&c| c != column).map(|c| costs[row][c]);
+    let in_column = (0..costs.len()).filter(|&r| r != row).map(|r| costs[r][column]);
+    in_row.chain(in_column).fold(f64::INFINITY, f64::min)
+}
+
+/// Pairs below `reach` that cost less than `uniqueness` times any rival, the first of each row, among those that are `possible`.
+pub fn lone_pairs(
+    costs: &[Vec<f64>],
+    reach: f64,
+    uniqueness: f64,
+    possible: impl Fn(usize, usize) -> bool,
+) -> Vec<(usize, usize)> {
+    let is_lone = |row: usize, column: usize| {
+        let cost = costs[row][column];
+        possible(row, column) && cost < reach && cost < uniqueness * rival(costs, row, column)
+    };
+    let of_row = |row: usize| (0..costs[row].len()).find(|&column| is_lone(row, column)).map(|column| (row, column));
+    (0..costs.len()).filter_map(of_row).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,6 +1,6 @@
 //! Tracklets: consecutive detections of one person within a view. In case of doubt tracklets are split rather than swapped.
 
-use super::assignment::assign;
+use super::assignment::{assign, lone_pairs, rival};
 use super::normalized::{BODY_SPAN_M, NormalizedDetection, NormalizedView};
 use crate::body::detector_profile::DETECTOR;
 use crate::body::human_speeds::WALK_M_S;
@@ -118,13 +118,6 @@ fn confident_matches(costs: &[Vec<f64>], config: &TrackletConfig) -> Vec<(usize,
     pairs.filter(|&(t, p)| costs[t][p] < config.uniqueness * rival(costs, t, p)).collect()
 }
 
-/// Least cost of another pair with the same tracklet or the same detection.
-fn rival(costs: &[Vec<f64>], t: usize, p: usize) -> f64 {
-    let person = (0..costs[t].len()).filter(|&q| q != p).map(|q| costs[t][q]);
-    let track = (0..costs.len()).filter(|&s| s != t).map(|s| costs[s][p]);
-    person.chain(track).fold(f64::INFINITY, f64::min)
-}
-
 /// Pairs outside every gate that have no rival: a runner alone, or one whose neighbours are followed. Distances are from where
 /// the tracklet's last step leads, so that the second step of a runner is near.
 fn lone_matches(
@@ -147,11 +140,7 @@ fn lone_matches(
     };
     let distances: Vec<Vec<f64>> =
         (0..open.len()).map(|t| (0..people.len()).map(|p| distance(t, p)).collect()).collect();
-    let is_lone = |t: usize, p: usize| {
-        let d = distances[t][p];
-        is_outside(t, p) && d < config.lone_reach && d < config.uniqueness * rival(&distances, t, p)
-    };
-    (0..open.len()).filter_map(|t| (0..people.len()).find(|&p| is_lone(t, p)).map(|p| (t, p))).collect()
+    lone_pairs(&distances, config.lone_reach, config.uniqueness, is_outside)
 }
 
 /// A tracklet's last detection, moved on at the speed of its last step.

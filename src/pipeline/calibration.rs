@@ -4,6 +4,7 @@ use super::capture::Capture;
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
 use crate::session::reconstruction::StageReport;
+use crate::session::recording::Detection;
 use crate::session::{JointTrajectory, PersonTrack, Session};
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -64,6 +65,20 @@ pub struct TrackedPeople<'a> {
     pub tracks: &'a [PersonTrack],
     /// Points of each person, metres, in the order of the tracks; the body fit matches them by person.
     pub points: &'a [JointTrajectory],
+}
+
+impl<'a> TrackedPeople<'a> {
+    /// Every detection of a person in a view: index of the frame, the person's points, and the detection.
+    pub fn seen_by(&self, view: usize) -> impl Iterator<Item = (usize, &'a [Option<Vector3<f64>>], &'a Detection)> {
+        let frames = &self.session.views[view].frames;
+        self.tracks.iter().zip(self.points).flat_map(move |(track, person)| {
+            let times = track.detections.iter().zip(&person.points).enumerate();
+            times.filter_map(move |(t, (assigned, points))| {
+                let frame = track.first.0 + t;
+                Some((frame, points.as_slice(), frames[frame].get(assigned[view]?)?))
+            })
+        })
+    }
 }
 
 /// All persons found, as tracks, with a first estimate of their points.

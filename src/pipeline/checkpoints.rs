@@ -29,7 +29,7 @@ struct RunFolder {
 }
 
 /// First line of a file; the number grows with every change of the stored types.
-const MAGIC: &str = "wandless-checkpoint 4";
+const MAGIC: &str = "wandless-checkpoint 5";
 
 impl Checkpoints {
     /// Stores nothing.

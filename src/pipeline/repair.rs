@@ -18,7 +18,7 @@ pub fn repaired(session: &Session, options: &Options, suspicion: &Suspicion) -> 
         Some((with_pixels(session, suspicion, change), options.clone()))
     };
     match suspicion.code {
-        Code::Mirrored => read_anew(|lens, p| Vector2::new(f64::from(lens.width) - 1.0 - p.x, p.y)),
+        Code::Mirrored => read_anew(|lens, p| lens.mirrored(&p)),
         Code::YUpwards => read_anew(|lens, p| Vector2::new(p.x, f64::from(lens.height) - 1.0 - p.y)),
         Code::NormalizedCoordinates => {
             read_anew(|lens, p| Vector2::new(p.x * f64::from(lens.width), p.y * f64::from(lens.height)))
@@ -54,8 +54,7 @@ fn with_labels_exchanged(session: &Session, suspicion: &Suspicion) -> Session {
     let twins = session.convention.mirror();
     let mut repaired = session.clone();
     for detection in concerned(&mut repaired, suspicion).flat_map(|view| view.frames.iter_mut().flatten()) {
-        let given = detection.keypoints.clone();
-        twins.iter().enumerate().for_each(|(k, &twin)| detection.keypoints[k] = given[twin]);
+        *detection = detection.with_sides_exchanged(&twins);
     }
     repaired
 }

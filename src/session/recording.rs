@@ -40,6 +40,13 @@ pub struct Detection {
     pub keypoints: Vec<Keypoint>,
 }
 
+impl Detection {
+    /// The same with left and right exchanged; `twins`: [`KeypointConvention::mirror`].
+    pub fn with_sides_exchanged(&self, twins: &[usize]) -> Self {
+        Self { keypoints: twins.iter().map(|&twin| self.keypoints[twin]).collect(), ..self.clone() }
+    }
+}
+
 /// One camera and its detections.
 #[derive(Debug, Clone, PartialEq)]
 pub struct View {

@@ -88,6 +88,17 @@ impl SuspicionCode {
 }
 
 impl Suspicion {
+    /// One for which no option helps; about the whole recording without `cameras`.
+    pub fn new(
+        code: SuspicionCode,
+        cameras: Vec<String>,
+        evidence: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
+        let (evidence, remedy) = (evidence.into(), remedy.into());
+        Self { code, cameras, evidence, remedy, suggested_option: None, applied: false }
+    }
+
     /// Whether the standard deviations of a camera's pose are void, since they rest on the files being right.
     pub fn voids_uncertainty_of(&self, camera: &str) -> bool {
         self.code.affects_cameras()

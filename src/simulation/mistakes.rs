@@ -139,8 +139,7 @@ fn labels_exchanged(session: &Session, views: &[usize]) -> Session {
     for &v in views {
         let Some(View { frames, .. }) = changed.views.get_mut(v) else { continue };
         for detection in frames.iter_mut().flatten() {
-            let given = detection.keypoints.clone();
-            twins.iter().enumerate().for_each(|(k, &twin)| detection.keypoints[k] = given[twin]);
+            *detection = detection.with_sides_exchanged(&twins);
         }
     }
     changed

@@ -7,6 +7,7 @@
 use super::person::TrackedPerson;
 use super::scene::{TrackerConfig, TrackerScene};
 use super::skeleton::{Skeleton, distance};
+use crate::matching::assignment::lone_pairs;
 use crate::matching::normalized::BODY_SPAN_M;
 
 /// Farthest continuation, m: half a body, as of tracklets ([`crate::matching::tracklets::TrackletConfig::lone_reach`]).
@@ -43,20 +44,7 @@ pub(super) fn continue_lost(
             false => vec![f64::INFINITY; people.len() - n_known],
         })
         .collect();
-    let rival = |known: usize, new: usize| {
-        let others = (0..n_known).filter(|&k| k != known).map(|k| distances[k][new]);
-        let other_new = (0..distances[known].len()).filter(|&n| n != new).map(|n| distances[known][n]);
-        others.chain(other_new).fold(f64::INFINITY, f64::min)
-    };
-    let is_continuation = |known: usize, new: usize| {
-        let d = distances[known][new];
-        is_lost(&people[known]) && d < REACH_M && d < UNIQUENESS * rival(known, new)
-    };
-    let found: Vec<(usize, usize)> = (0..n_known)
-        .filter_map(|known| {
-            (0..people.len() - n_known).find(|&new| is_continuation(known, new)).map(|new| (known, new))
-        })
-        .collect();
+    let found = lone_pairs(&distances, REACH_M, UNIQUENESS, |known, _| is_lost(&people[known]));
     let mut is_merged = vec![false; people.len()];
     for (known, new) in found {
         let mut assignment = people[n_known + new].last_assignment().clone();

@@ -8,7 +8,6 @@
 //! two.
 
 use crate::geometry::Rigid;
-use crate::pipeline::calibration::FocalEstimate;
 use crate::pipeline::capture::Capture;
 use crate::pipeline::config::Options;
 use crate::pipeline::focal_lengths::FocalLengths;
@@ -18,7 +17,6 @@ use crate::pipeline::passes::cameras::{FinalAdjustment, roughly_calibrated};
 use crate::progress::{Canceled, Progress};
 use crate::session::Session;
 use crate::session::reconstruction::{FocalFactor, StageReport};
-use nalgebra::{DMatrix, DVector};
 use std::collections::BTreeMap;
 
 /// Rounds at most: the first brings factors of 10 % to within 1 %.
@@ -27,11 +25,6 @@ const ROUNDS: usize = 2;
 /// Logarithm of the likelihood ratio from which focal lengths are taken as other than given: 20 to 1, strong evidence by Kass and
 /// Raftery (JASA 1995, section 3.2).
 const MIN_LOG_EVIDENCE: f64 = 3.0;
-
-/// How many times bundle adjustment counts what it shows of the focal lengths: constant errors of the detector are in none of its
-/// blocks. On realistic noise the mean square error of the factors is 13 times their stated variance with three cameras, twice
-/// with five, 6 times over all of them.
-const OVERCOUNT: f64 = 6.0;
 
 /// Estimates the factors.
 pub fn refined_focal_lengths(
@@ -51,7 +44,8 @@ pub fn refined_focal_lengths(
         let step = steps.begin("adjusting cameras and focal lengths");
         let after = adjusted(&capture, &before, Effort::FOCAL_LENGTHS, ALL_FRAMES, &step)?;
         let Some(estimate) = after.adjusted.as_ref().and_then(|adjusted| adjusted.focal.as_ref()) else { break };
-        let Some(shown) = shown(estimate, &lengths) else { break };
+        let current = |view: usize| lengths.factor(view).ln();
+        let Some(shown) = FoundFactors::of_adjustment(estimate, current, GUESSED_ANGLE) else { break };
         let (spread, log_evidence) = FocalSpread::likeliest(&shown);
         lengths.report = after.stages.last().map(|adjustment| report(adjustment, log_evidence));
         if log_evidence < MIN_LOG_EVIDENCE {
@@ -67,18 +61,6 @@ pub fn refined_focal_lengths(
         cameras = Some(after.cameras);
     }
     Ok(lengths)
-}
-
-/// What an adjustment under the current focal lengths shows of those given.
-fn shown(estimate: &FocalEstimate, current: &FocalLengths) -> Option<FoundFactors> {
-    let n = estimate.views.len();
-    let current = DVector::from_iterator(n, estimate.views.iter().map(|&view| current.factor(view).ln()));
-    let increments = DVector::from_column_slice(&estimate.log_factors);
-    let covariance = DMatrix::from_fn(n, n, |i, j| estimate.covariance[i][j]);
-    let prior = FocalSpread { own: GUESSED_ANGLE, common: 0.0 };
-    let scatter = &covariance * OVERCOUNT;
-    let found = FoundFactors::new(&increments, &covariance, &scatter, &prior.precision(n))?;
-    Some(found.shifted(&current))
 }
 
 /// The report of an adjustment as that of this pass.

@@ -40,16 +40,16 @@ pub(super) fn low_confidence(session: &Session) -> Option<Suspicion> {
     let at = confidences.len() * 19 / 20;
     let (_, best, _) = confidences.select_nth_unstable_by(at, f64::total_cmp);
     let best = *best;
-    (best < DETECTOR.judged).then(|| Suspicion {
-        code: SuspicionCode::LowConfidence,
-        cameras: Vec::new(),
-        evidence: format!(
-            "95 % of the confidences are below {best:.2}, and keypoints below {} are hardly used",
-            DETECTOR.judged
-        ),
-        remedy: "give confidences from 0 to 1, where a clearly visible keypoint has 0.6 and more".to_owned(),
-        suggested_option: None,
-        applied: false,
+    (best < DETECTOR.judged).then(|| {
+        Suspicion::new(
+            SuspicionCode::LowConfidence,
+            Vec::new(),
+            format!(
+                "95 % of the confidences are below {best:.2}, and keypoints below {} are hardly used",
+                DETECTOR.judged
+            ),
+            "give confidences from 0 to 1, where a clearly visible keypoint has 0.6 and more",
+        )
     })
 }
 
@@ -61,19 +61,19 @@ pub(super) fn convention(session: &Session) -> Option<Suspicion> {
     let own = edge_length(session, declared)?;
     let lengths = others.filter_map(|other| Some((edge_length(session, other)?, other)));
     let (length, best) = lengths.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    (length < SHORTER * own).then(|| Suspicion {
-        code: SuspicionCode::Convention,
-        cameras: Vec::new(),
-        evidence: format!(
-            "neighbouring keypoints are {:.0} % of a person's size apart as {}, but only {:.0} % as {}",
-            100.0 * own,
-            declared.name(),
-            100.0 * length,
-            best.name()
-        ),
-        remedy: format!("declare the convention {}", best.name()),
-        suggested_option: None,
-        applied: false,
+    (length < SHORTER * own).then(|| {
+        Suspicion::new(
+            SuspicionCode::Convention,
+            Vec::new(),
+            format!(
+                "neighbouring keypoints are {:.0} % of a person's size apart as {}, but only {:.0} % as {}",
+                100.0 * own,
+                declared.name(),
+                100.0 * length,
+                best.name()
+            ),
+            format!("declare the convention {}", best.name()),
+        )
     })
 }
 

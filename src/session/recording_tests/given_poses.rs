@@ -115,14 +115,9 @@ pub(super) fn suspicion(session: &Session) -> Option<Suspicion> {
     let evidence = format!(
         "people lie {given:.1} px off the epipolar lines of the given cameras, but only {error:.1} px if {sentence}"
     );
-    Some(Suspicion {
-        code: SuspicionCode::GivenPoses,
-        cameras: Vec::new(),
-        evidence,
-        remedy: "correct the calibration file, or estimate the cameras from the people".to_owned(),
-        suggested_option: Some(r#"{"extrinsics": "estimate"}"#.to_owned()),
-        applied: false,
-    })
+    let remedy = "correct the calibration file, or estimate the cameras from the people";
+    let suggested_option = Some(r#"{"extrinsics": "estimate"}"#.to_owned());
+    Some(Suspicion { suggested_option, ..Suspicion::new(SuspicionCode::GivenPoses, Vec::new(), evidence, remedy) })
 }
 
 /// Median distance of people to the epipolar lines of the best matching person in another camera, px.

@@ -28,13 +28,9 @@ const WELL_CENTRED: f64 = 0.05;
 pub(super) fn suspicion(view: &View) -> Option<Suspicion> {
     let size = Vector2::new(f64::from(view.intrinsics.width), f64::from(view.intrinsics.height));
     let found = of_keypoints(view, size).or_else(|| of_principal_point(view, size));
-    found.map(|(code, evidence, remedy)| Suspicion {
-        code,
-        cameras: vec![view.id.clone()],
-        evidence: format!("images of {}x{}: {evidence}", view.intrinsics.width, view.intrinsics.height),
-        remedy: remedy.to_owned(),
-        suggested_option: None,
-        applied: false,
+    found.map(|(code, evidence, remedy)| {
+        let evidence = format!("images of {}x{}: {evidence}", view.intrinsics.width, view.intrinsics.height);
+        Suspicion::new(code, vec![view.id.clone()], evidence, remedy)
     })
 }
 

@@ -37,17 +37,10 @@ pub(super) fn duplicate_cameras(session: &Session) -> Vec<Suspicion> {
             let common = a.intersection(b).count();
             let least = a.len().min(b.len());
             if common >= MIN_REPEATED && common as f64 >= DUPLICATE * least as f64 {
-                found.push(Suspicion {
-                    code: SuspicionCode::DuplicateCamera,
-                    cameras: vec![session.views[i].id.clone(), session.views[j].id.clone()],
-                    evidence: format!(
+                found.push(Suspicion::new(SuspicionCode::DuplicateCamera, vec![session.views[i].id.clone(), session.views[j].id.clone()], format!(
                         "{:.0} % of the detections are the same to the last digit: one camera has the keypoints of the other",
                         100.0 * common as f64 / least as f64
-                    ),
-                    remedy: "give each camera its own keypoints, or leave one of the two out".to_owned(),
-                    suggested_option: None,
-                    applied: false,
-                });
+                    ), "give each camera its own keypoints, or leave one of the two out"));
             }
         }
     }
@@ -62,17 +55,13 @@ pub(super) fn repeated_frames(view: &View) -> Option<Suspicion> {
     let repeats = |pair: &&[Vec<Vec<[u64; 2]>>]| !pair[1].is_empty() && pair[0] == pair[1];
     let repeated = frames.windows(2).filter(repeats).count();
     let share = repeated as f64 / n.max(1) as f64;
-    (repeated >= MIN_REPEATED && share > REPEATED).then(|| Suspicion {
-        code: SuspicionCode::RepeatedFrames,
-        cameras: vec![view.id.clone()],
-        evidence: format!(
-            "{:.0} % of its frames repeat the keypoints of the frame before to the last digit",
-            100.0 * share
-        ),
-        remedy: "detect people in the original video, at its own frame rate; a frozen camera must be left out"
-            .to_owned(),
-        suggested_option: None,
-        applied: false,
+    (repeated >= MIN_REPEATED && share > REPEATED).then(|| {
+        Suspicion::new(
+            SuspicionCode::RepeatedFrames,
+            vec![view.id.clone()],
+            format!("{:.0} % of its frames repeat the keypoints of the frame before to the last digit", 100.0 * share),
+            "detect people in the original video, at its own frame rate; a frozen camera must be left out",
+        )
     })
 }
 
@@ -90,16 +79,14 @@ pub(super) fn periodic_gaps(session: &Session) -> Option<Suspicion> {
     let n = found.first()?.1;
     let cameras: Vec<String> = found.iter().map(|(view, _)| view.id.clone()).collect();
     let is_everywhere = cameras.len() == session.views.len();
-    Some(Suspicion {
-        code: SuspicionCode::PeriodicGaps,
-        cameras: if is_everywhere { Vec::new() } else { cameras },
-        evidence: format!("people are detected in one of {n} frames only"),
-        remedy: format!(
+    Some(Suspicion::new(
+        SuspicionCode::PeriodicGaps,
+        if is_everywhere { Vec::new() } else { cameras },
+        format!("people are detected in one of {n} frames only"),
+        format!(
             "number the frames without gaps and give the rate of the detected frames ({} frames per second), or detect \
              people in every frame",
             session.fps / n as f64
         ),
-        suggested_option: None,
-        applied: false,
-    })
+    ))
 }

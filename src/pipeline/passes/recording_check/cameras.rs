@@ -1,6 +1,6 @@
 //! Single cameras: files that need another reading, exchanged labels, a movement.
 
-use super::solved::{Solved, suspicion};
+use super::solved::Solved;
 use crate::optim::robust::median;
 use crate::pipeline::stages::recording_check::agreement::explained_share;
 use crate::pipeline::stages::recording_check::handedness::upside_down;
@@ -103,7 +103,7 @@ fn of_reading(solved: &Solved, view: usize, given: Judged, best: Judged) -> Opti
         100.0 * given.explained,
         100.0 * best.explained
     );
-    Some(Suspicion { suggested_option: option, ..suspicion(code, solved.ids(&[view]), evidence, remedy) })
+    Some(Suspicion { suggested_option: option, ..Suspicion::new(code, solved.ids(&[view]), evidence, remedy) })
 }
 
 /// Cameras in which left and right fit the other cameras better exchanged.
@@ -119,7 +119,7 @@ pub(super) fn exchanged_labels(solved: &Solved, found: &mut Vec<Suspicion>) {
                 "left and right fit the other cameras better exchanged in {:.0} % of its detections",
                 100.0 * counted.exchanged
             );
-            found.push(suspicion(Code::LabelsExchanged, solved.ids(&[view]), evidence, "exchange them back"));
+            found.push(Suspicion::new(Code::LabelsExchanged, solved.ids(&[view]), evidence, "exchange them back"));
         }
     }
 }
@@ -143,5 +143,5 @@ pub(super) fn moved_camera(solved: &Solved, found: &mut Vec<Suspicion>) {
         step.sigmas
     );
     let remedy = "solve the frames before and after as two sessions, or leave the camera out";
-    found.push(suspicion(Code::CameraMoved, solved.ids(&[view]), evidence, remedy));
+    found.push(Suspicion::new(Code::CameraMoved, solved.ids(&[view]), evidence, remedy));
 }

@@ -1,6 +1,6 @@
 //! Delays and focal lengths that an adjustment of all cameras finds.
 
-use super::solved::{Solved, suspicion};
+use super::solved::Solved;
 use crate::body::bones::LENGTH_SIGMA;
 use crate::pipeline::calibration::{Adjusted, CameraFreedom};
 use crate::pipeline::config::{IntrinsicsMode, Sync};
@@ -95,7 +95,7 @@ fn of_delay(solved: &Solved, delay: &Delay) -> Suspicion {
         format!("its frame numbers are {:.1} +- {:.1} frames too {direction}", delay.frames.abs(), delay.sigma);
     let remedy = "let the time offsets be estimated";
     let suggested_option = Some(r#"{"sync": "estimate"}"#.to_owned());
-    Suspicion { suggested_option, ..suspicion(Code::TimeOffset, solved.ids(&[delay.view]), evidence, remedy) }
+    Suspicion { suggested_option, ..Suspicion::new(Code::TimeOffset, solved.ids(&[delay.view]), evidence, remedy) }
 }
 
 fn of_lenses(solved: &Solved, lenses: &WrongLenses) -> Option<Suspicion> {
@@ -117,7 +117,7 @@ fn of_lenses(solved: &Solved, lenses: &WrongLenses) -> Option<Suspicion> {
     let cameras = if lenses.is_common { Vec::new() } else { solved.ids(&views) };
     let remedy = "check the matrix K, or let focal lengths be refined";
     let suggested_option = Some(r#"{"intrinsics": "refine_focal"}"#.to_owned());
-    Some(Suspicion { suggested_option, ..suspicion(Code::FocalLength, cameras, evidence, remedy) })
+    Some(Suspicion { suggested_option, ..Suspicion::new(Code::FocalLength, cameras, evidence, remedy) })
 }
 
 /// Two cameras of which each has the focal length of the other.
@@ -129,7 +129,7 @@ fn exchanged_cameras(solved: &Solved, factors: &[(usize, f64)]) -> Option<Suspic
     is_exchanged.then(|| {
         let evidence = "each has the focal length of the other".to_owned();
         let remedy = "exchange their keypoint files, or their calibrations";
-        suspicion(Code::CamerasExchanged, solved.ids(&[a, b]), evidence, remedy)
+        Suspicion::new(Code::CamerasExchanged, solved.ids(&[a, b]), evidence, remedy)
     })
 }
 
@@ -148,6 +148,6 @@ fn other_resolution(solved: &Solved, factors: &[(usize, f64)]) -> Option<Suspici
         let evidence = "the focal length is too long, and all keypoints lie in the upper left two thirds of the image: both suit \
                         smaller images";
         let remedy = "give K and the size of the images in which people were detected";
-        suspicion(Code::Resolution, solved.ids(&views), evidence.to_owned(), remedy)
+        Suspicion::new(Code::Resolution, solved.ids(&views), evidence.to_owned(), remedy)
     })
 }

@@ -2,7 +2,7 @@
 
 use crate::pipeline::calibration::{Calibration, TrackedPeople};
 use crate::pipeline::capture::Capture;
-use crate::session::{JointTrajectory, Session, Suspicion, SuspicionCode};
+use crate::session::{JointTrajectory, Session, Suspicion};
 
 /// The solution that is tested.
 pub struct Solved<'a> {
@@ -44,9 +44,4 @@ impl Solved<'_> {
     pub(super) fn people(&self) -> TrackedPeople<'_> {
         self.calibration.people(self.session(), self.paths)
     }
-}
-
-/// A suspicion about some cameras, or without any about the whole recording.
-pub(super) fn suspicion(code: SuspicionCode, cameras: Vec<String>, evidence: String, remedy: &str) -> Suspicion {
-    Suspicion { code, cameras, evidence, remedy: remedy.to_owned(), suggested_option: None, applied: false }
 }

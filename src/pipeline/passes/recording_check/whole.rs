@@ -1,7 +1,7 @@
 //! The recording as a whole: several takes, a mirrored world, a wrong frame rate.
 
 use super::cameras::MOST;
-use super::solved::{Solved, suspicion};
+use super::solved::Solved;
 use crate::pipeline::capture::Capture;
 use crate::pipeline::config::{Extrinsics, Options};
 use crate::pipeline::stages::camera_init::initial_rigs;
@@ -21,7 +21,7 @@ pub(super) fn separate_takes(solved: &Solved, found: &mut Vec<Suspicion>) {
         let evidence =
             format!("no person is seen from two of these groups of cameras at one time: {}", listed.join("; "));
         let remedy = "give the files of one take, and check whether some cameras started much later";
-        found.push(suspicion(Code::SeveralTakes, Vec::new(), evidence, remedy));
+        found.push(Suspicion::new(Code::SeveralTakes, Vec::new(), evidence, remedy));
     }
 }
 
@@ -53,7 +53,7 @@ pub(super) fn other_take(solved: &Solved, found: &mut Vec<Suspicion>, progress: 
             solved.ids(&left).join(", ")
         );
         let remedy = "give the files of one take, and check whether some cameras started much later";
-        found.push(suspicion(Code::SeveralTakes, Vec::new(), evidence, remedy));
+        found.push(Suspicion::new(Code::SeveralTakes, Vec::new(), evidence, remedy));
     }
     Ok(())
 }
@@ -71,11 +71,11 @@ pub(super) fn mirrored_world(solved: &Solved, found: &mut Vec<Suspicion>) {
     let share = format!("people look or bend backwards in {:.0} % of {} cases", 100.0 * shown.backwards, shown.n);
     found.push(if 2 * n_down > n {
         let evidence = format!("{share}, and they are upside down in the images: y is counted from the lower edge");
-        suspicion(Code::YUpwards, Vec::new(), evidence, "give y = height - 1 - y")
+        Suspicion::new(Code::YUpwards, Vec::new(), evidence, "give y = height - 1 - y")
     } else {
         let evidence = format!("{share}: left and right are exchanged, or all images are mirrored");
         let remedy = "exchange left and right keypoints, or give x = width - 1 - x";
-        suspicion(Code::Handedness, Vec::new(), evidence, remedy)
+        Suspicion::new(Code::Handedness, Vec::new(), evidence, remedy)
     });
 }
 
@@ -96,5 +96,5 @@ pub(super) fn wrong_frame_rate(solved: &Solved, found: &mut Vec<Suspicion>) {
         if factor > 1.0 { "slow" } else { "quick" },
         session.fps * factor
     );
-    found.push(suspicion(Code::FrameRate, Vec::new(), evidence, "give the frame rate of the videos (fps)"));
+    found.push(Suspicion::new(Code::FrameRate, Vec::new(), evidence, "give the frame rate of the videos (fps)"));
 }

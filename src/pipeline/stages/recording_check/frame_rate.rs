@@ -34,9 +34,7 @@ pub struct Steps {
 
 /// Steps of all people; `None` without any, or where the convention lacks hips, shoulders or ankles.
 pub fn steps(convention: KeypointConvention, people: &[JointTrajectory], fps: f64) -> Option<Steps> {
-    let pair = |part: &str| {
-        Some([convention.index_of(&format!("left_{part}"))?, convention.index_of(&format!("right_{part}"))?])
-    };
+    let pair = |part: &str| convention.sides_of(part);
     let (hips, shoulders, ankles) = (pair("hip")?, pair("shoulder")?, pair("ankle")?);
     let at = |points: &[Option<Vector3<f64>>], [a, b]: [usize; 2]| Some((points[a]?, points[b]?));
     let trunks = people.iter().flat_map(|person| &person.points).filter_map(|points| {

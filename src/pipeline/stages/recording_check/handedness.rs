@@ -43,7 +43,7 @@ struct Features {
 impl Features {
     fn of(convention: KeypointConvention) -> Option<Self> {
         let at = |name: &str| convention.index_of(name);
-        let pair = |part: &str| Some([at(&format!("left_{part}"))?, at(&format!("right_{part}"))?]);
+        let pair = |part: &str| convention.sides_of(part);
         let mut in_front = Vec::new();
         in_front.extend(at("nose").zip(pair("ear")));
         for side in ["left", "right"] {
@@ -100,10 +100,7 @@ impl Handedness {
 
 /// Share of a camera's people who are upside down in its image; `None` where shoulders and hips are not seen.
 pub fn upside_down(convention: KeypointConvention, view: &View) -> Option<f64> {
-    let index = |part: &str| {
-        Some([convention.index_of(&format!("left_{part}"))?, convention.index_of(&format!("right_{part}"))?])
-    };
-    let (shoulders, hips) = (index("shoulder")?, index("hip")?);
+    let (shoulders, hips) = (convention.sides_of("shoulder")?, convention.sides_of("hip")?);
     let height = |keypoints: &[Keypoint], [a, b]: [usize; 2]| {
         let both = [keypoints.get(a)?, keypoints.get(b)?];
         both.iter().all(|k| k.is_present()).then(|| both[0].pixel.y + both[1].pixel.y)

@@ -63,14 +63,10 @@ fn factor(step: i32) -> f64 {
 /// Points in space with their pixels.
 fn points(people: &TrackedPeople, view: usize) -> Vec<(Vector3<f64>, Vector2<f64>)> {
     let mut found = Vec::new();
-    for (track, person) in people.tracks.iter().zip(people.points) {
-        for (t, (assigned, points)) in track.detections.iter().zip(&person.points).enumerate() {
-            let frame = &people.session.views[view].frames[track.first.0 + t];
-            let Some(detection) = assigned[view].and_then(|d| frame.get(d)) else { continue };
-            let seen = points.iter().zip(&detection.keypoints);
-            let confident = seen.filter(|(_, k)| k.confidence > DETECTOR.confident);
-            found.extend(confident.filter_map(|(point, k)| Some(((*point)?, k.pixel))));
-        }
+    for (_, points, detection) in people.seen_by(view) {
+        let seen = points.iter().zip(&detection.keypoints);
+        let confident = seen.filter(|(_, k)| k.confidence > DETECTOR.confident);
+        found.extend(confident.filter_map(|(point, k)| Some(((*point)?, k.pixel))));
     }
     let stride = found.len().div_ceil(MAX_POINTS).max(1);
     found.into_iter().step_by(stride).collect()

@@ -80,22 +80,16 @@ fn turns(people: &TrackedPeople, view: usize, block: usize) -> Option<Vec<Option
     let camera = people.cameras[view].as_ref()?;
     let n_blocks = people.session.n_frames.div_ceil(block);
     let mut systems = vec![(Matrix3::<f64>::identity() / PRIOR.powi(2), Vector3::<f64>::zeros(), 0usize); n_blocks];
-    for (track, person) in people.tracks.iter().zip(people.points) {
-        for (t, (assigned, points)) in track.detections.iter().zip(&person.points).enumerate() {
-            let frame = track.first.0 + t;
-            let Some(detection) = assigned[view].and_then(|d| people.session.views[view].frames[frame].get(d)) else {
-                continue;
-            };
-            let (matrix, right, n) = &mut systems[frame / block];
-            for (k, (point, seen)) in points.iter().zip(&detection.keypoints).enumerate() {
-                let Some(point) = point.filter(|_| seen.confidence >= DETECTOR.judged) else { continue };
-                let sigma_m = people.noise.sigma_m(k, seen.confidence);
-                let at = people.session.views[view].intrinsics.normalized_from_pixel(&seen.pixel);
-                if let Some((residual, by_turn, weight)) = linearized(camera, &point, &at, sigma_m) {
-                    *matrix += by_turn.tr_mul(&by_turn) * weight;
-                    *right += by_turn.tr_mul(&residual) * weight;
-                    *n += 1;
-                }
+    for (frame, points, detection) in people.seen_by(view) {
+        let (matrix, right, n) = &mut systems[frame / block];
+        for (k, (point, seen)) in points.iter().zip(&detection.keypoints).enumerate() {
+            let Some(point) = point.filter(|_| seen.confidence >= DETECTOR.judged) else { continue };
+            let sigma_m = people.noise.sigma_m(k, seen.confidence);
+            let at = people.session.views[view].intrinsics.normalized_from_pixel(&seen.pixel);
+            if let Some((residual, by_turn, weight)) = linearized(camera, &point, &at, sigma_m) {
+                *matrix += by_turn.tr_mul(&by_turn) * weight;
+                *right += by_turn.tr_mul(&residual) * weight;
+                *n += 1;
             }
         }
     }

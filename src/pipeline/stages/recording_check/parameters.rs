@@ -3,7 +3,6 @@
 use crate::optim::robust::median;
 use crate::pipeline::calibration::Adjusted;
 use crate::pipeline::focal_spread::{FocalSpread, FoundFactors};
-use nalgebra::{DMatrix, DVector};
 
 /// A delay counts from this size, frames: half a frame is the most that cameras without a common clock differ by when they are
 /// started together, and it moves a hand by 20 mm.
@@ -16,10 +15,6 @@ const MIN_FOCAL: f64 = 0.05;
 /// Logarithm of the likelihood ratio from which focal lengths are not as given, and from which they may be not.
 pub const MIN_LOG_EVIDENCE: f64 = 8.0;
 const HINT_LOG_EVIDENCE: f64 = 2.0;
-/// How many times an adjustment counts what it shows of the focal lengths: constant errors of the detector are in none of its
-/// blocks (measured for the refinement of focal lengths).
-const OVERCOUNT: f64 = 6.0;
-
 /// A camera whose frames are late.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Delay {
@@ -61,19 +56,15 @@ pub struct WrongLenses {
     pub log_evidence: f64,
 }
 
-/// The focal lengths as an adjustment under the given ones finds them; `None` where nothing speaks against the given ones. `origins`: logarithms of
-/// the factors with which that adjustment began, per view; `prior_sigma`: of the logarithm of a factor in it.
+/// The focal lengths as an adjustment under the given ones finds them; `None` where nothing speaks against the given ones.
+///
+/// `origins`: logarithms of the factors with which that adjustment began, per view; `prior_sigma`: of the logarithm of a factor
+/// in it.
 pub fn wrong_lenses(adjusted: &Adjusted, origins: &[f64], prior_sigma: f64) -> Option<WrongLenses> {
     let estimate = adjusted.focal.as_ref()?;
-    let n = estimate.views.len();
-    let covariance = DMatrix::from_fn(n, n, |i, j| estimate.covariance[i][j]);
-    let mean = DVector::from_column_slice(&estimate.log_factors);
-    let prior = FocalSpread { own: prior_sigma, common: 0.0 };
-    let origin = DVector::from_iterator(n, estimate.views.iter().map(|&view| origins[view]));
-    let scatter = &covariance * OVERCOUNT;
-    let found = FoundFactors::new(&mean, &covariance, &scatter, &prior.precision(n))?.shifted(&origin);
+    let found = FoundFactors::of_adjustment(estimate, |view| origins[view], prior_sigma)?;
     let (spread, log_evidence) = FocalSpread::likeliest(&found);
-    tracing::debug!(?mean, ?spread, log_evidence, "focal lengths found by the check");
+    tracing::debug!(?estimate.log_factors, ?spread, log_evidence, "focal lengths found by the check");
     if log_evidence < HINT_LOG_EVIDENCE {
         return None;
     }
@@ -85,6 +76,10 @@ pub fn wrong_lenses(adjusted: &Adjusted, origins: &[f64], prior_sigma: f64) -> O
         size > MIN_FOCAL && (is_hint || size > 2.0 * covariance[(*k, *k)].max(0.0).sqrt())
     };
     let factors: Vec<(usize, f64)> =
-        (0..n).filter(is_wrong).map(|k| (estimate.views[k], log_factors[k].exp())).collect();
-    (!factors.is_empty()).then(|| WrongLenses { is_common: 2 * factors.len() > n, factors, log_evidence })
+        (0..estimate.views.len()).filter(is_wrong).map(|k| (estimate.views[k], log_factors[k].exp())).collect();
+    (!factors.is_empty()).then(|| WrongLenses {
+        is_common: 2 * factors.len() > estimate.views.len(),
+        factors,
+        log_evidence,
+    })
 }

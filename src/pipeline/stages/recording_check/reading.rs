@@ -8,7 +8,7 @@
 use super::agreement::{explained_share, skeleton};
 use crate::body::detector_profile::DETECTOR;
 use crate::estimation::pnp::estimate_pose;
-use crate::geometry::{Intrinsics, Rigid};
+use crate::geometry::Rigid;
 use crate::matching::normalized::{NormalizedDetection, NormalizedView};
 use crate::matching::tracklets::Tracklet;
 use crate::session::{Detection, JointTrajectory, Session, View};
@@ -146,23 +146,17 @@ fn read(session: &Session, view: usize, reading: Reading) -> NormalizedView {
         delivered: Vec::new(),
     };
     let of_detection = |detection: &Detection| {
-        let mut read = detection.clone();
-        match reading {
-            R::Mirrored => read.keypoints.iter_mut().for_each(|k| k.pixel = mirrored(&intrinsics, k.pixel)),
-            R::LabelsExchanged => {
-                twins.iter().enumerate().for_each(|(k, &twin)| read.keypoints[k] = detection.keypoints[twin]);
-            }
-            R::AsGiven | R::Late(_) | R::FocalFactor(_) => {}
+        let mut read = match reading {
+            R::LabelsExchanged => detection.with_sides_exchanged(&twins),
+            _ => detection.clone(),
+        };
+        if reading == R::Mirrored {
+            read.keypoints.iter_mut().for_each(|k| k.pixel = intrinsics.mirrored(&k.pixel));
         }
         NormalizedDetection::from_detection(&lens, &read, twins.len())
     };
     let frames = given.frames.iter().map(|people| people.iter().map(of_detection).collect()).collect();
     NormalizedView { focal: intrinsics.focal(), frames }
-}
-
-/// The pixel in the mirrored image.
-fn mirrored(lens: &Intrinsics, pixel: Vector2<f64>) -> Vector2<f64> {
-    Vector2::new(f64::from(lens.width) - 1.0 - pixel.x, pixel.y)
 }
 
 /// Points of a person in space and their detections in a tracklet, from evenly spread frames.
