@@ -50,9 +50,8 @@ pub struct ScaleReport {
 /// Keypoint bias of the session's detector: constant offsets between its keypoints and the body's landmarks.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct KeypointBias {
-    /// Whether the body fit applied these offsets to the limb and trunk joints. It does not where unusual body proportions
-    /// explain the session better, or where an offset exceeds every known detector's bias: the body model does not fit then.
-    /// Offsets of face and feet always apply.
+    /// Whether the body fit applied offsets of hips or shoulders: where a bias is likelier than people's own proportions, and no
+    /// larger than detectors are known to have. Offsets of face and feet always apply.
     pub applied: bool,
     /// Why the offsets were applied or not, one sentence.
     pub reason: String,

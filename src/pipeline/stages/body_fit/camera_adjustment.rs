@@ -6,7 +6,7 @@
 use super::camera_priors::CameraPriors;
 use super::context::FitContext;
 use super::focal_prior::{FocalPrior, RefinedFocal};
-use super::joint_problem::{Errors, JointProblem, Member, Stopping};
+use super::joint_problem::{JointProblem, Member, Stopping};
 use super::noise_measurement::measured_noise;
 use super::observations::{Observations, PosedCamera};
 use super::person_fit::StartedMotion;
@@ -78,7 +78,7 @@ pub(super) fn correlated_errors(
     let n_frames = (MAX_FRAMES / n_people).max(MIN_FRAMES);
     let seen_most = |started: &[Option<(Observations, StartedMotion)>]| -> Vec<Member> {
         let member = |(observations, fit): &(Observations, StartedMotion)| {
-            Member::of(context, observations, fit, observations.most_seen(fit.window.clone(), n_frames), 1)
+            Member::of(observations, fit, observations.most_seen(fit.window.clone(), n_frames), 1)
         };
         started.iter().flatten().map(member).collect()
     };
@@ -88,7 +88,7 @@ pub(super) fn correlated_errors(
         let informative = informative_stride(context, &seen_most(started));
         let stride = n_tracked.div_ceil(MAX_FRAMES).max(informative);
         let spread = |(observations, fit): &(Observations, StartedMotion)| {
-            Member::of(context, observations, fit, 0..observations.pixels.len(), stride)
+            Member::of(observations, fit, 0..observations.pixels.len(), stride)
         };
         let mut adjusted: Vec<Member> = started.iter().flatten().map(spread).collect();
         let thinned = FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context };
@@ -165,10 +165,10 @@ fn problem<'a>(
     JointProblem {
         context,
         table,
-        errors: Errors::Correlated(noise),
+        noise,
         shape_prior: context.config.shape_prior,
-        bone_prior: BoneLengthPrior { sigma: BONE_SIGMA, correlated_frames: 1.0 },
-        bias_prior: KeypointBiasPrior { sigmas: Vec::new(), correlated_frames: 1.0 },
+        bone_prior: BoneLengthPrior { sigma: BONE_SIGMA },
+        bias_prior: KeypointBiasPrior { sigmas: Vec::new() },
         cameras,
     }
 }

@@ -5,6 +5,9 @@
 //! shows, keep their values.
 
 mod camera_covariance;
+mod proportions;
+
+pub(super) use proportions::{ProportionEvidence, Role};
 
 use super::camera_priors::CameraPriors;
 use super::context::FitContext;
@@ -12,7 +15,7 @@ use super::motion_problem::MotionProblem;
 use super::objective::Objective;
 use super::observations::{Observations, PosedCamera};
 use super::person_fit::StartedMotion;
-use super::pixel_residuals::{DetectedPixels, pixel_share};
+use super::pixel_residuals::DetectedPixels;
 use super::session_state::SessionState;
 use super::terms::border_priors::{BoneLengthPrior, KeypointBiasPrior};
 use super::terms::noise_process::PathNoise;
@@ -23,7 +26,6 @@ use crate::body::BodyModel;
 use crate::body::bone_offsets::{BoneOffsets, with_bones};
 use crate::body::detector_offsets::OffsetTable;
 use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, Eliminated, damped};
-use crate::optim::determinant::half_log_det;
 use crate::progress::Canceled;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn, Vector3};
 use rayon::prelude::*;
@@ -41,24 +43,14 @@ pub(super) struct Member {
     pub state: MotionState,
     /// The person's bones against the model's, starting at zero.
     pub bones: BoneOffsets,
-    /// The detector's standard deviation as a share of apparent size, if its errors are taken as independent.
-    pub share: f64,
-}
-
-/// How the errors of the detections are distributed.
-#[derive(Clone, Copy)]
-pub(super) enum Errors<'a> {
-    /// Independent, with each member's share.
-    Independent,
-    /// Correlated in time.
-    Correlated(&'a PathNoise),
 }
 
 /// The problem over all members.
 pub(super) struct JointProblem<'a> {
     pub context: &'a FitContext<'a>,
     pub table: &'a OffsetTable,
-    pub errors: Errors<'a>,
+    /// The detector's errors over time.
+    pub noise: &'a PathNoise,
     /// Weight of the prior of the betas against the data of one frame.
     pub shape_prior: f64,
     pub bone_prior: BoneLengthPrior,
@@ -149,13 +141,8 @@ impl JointProblem<'_> {
     }
 
     fn pixels(&self, member: &Member) -> DetectedPixels {
-        match self.errors {
-            Errors::Independent => DetectedPixels::Independent { share: member.share },
-            Errors::Correlated(noise) => {
-                let robust_scale = self.context.config.robust_scale;
-                DetectedPixels::Correlated(WhitenedPixels::new(&member.observations, noise, robust_scale))
-            }
-        }
+        let robust_scale = self.context.config.robust_scale;
+        DetectedPixels::Correlated(WhitenedPixels::new(&member.observations, self.noise, robust_scale))
     }
 
     /// The problem of one person's motion.
@@ -186,14 +173,14 @@ impl JointProblem<'_> {
         people.iter().sum::<f64>() + self.bias_prior.cost(&flat(&session.offsets)) + of_cameras
     }
 
-    /// The normal equations of the session's unknowns, with each person's own eliminated, in the memory of `systems`.
-    fn reduced(
+    /// The persons' systems with their motions eliminated, in the memory of `systems`.
+    fn eliminated(
         &self,
         (members, pixels): (&[Member], &[DetectedPixels]),
-        SessionState { offsets, cameras }: &SessionState,
+        offsets: &[Vector3<f64>],
         systems: Vec<BlockBanded>,
         damping: f64,
-    ) -> Option<Reduced> {
+    ) -> Option<Vec<Eliminated>> {
         let model = self.table.applied(self.context.model, offsets);
         let person = |((member, pixels), mut system): ((&Member, &DetectedPixels), BlockBanded)| {
             let own = with_bones(&model, &member.bones);
@@ -202,7 +189,18 @@ impl JointProblem<'_> {
             self.bone_prior.add_to(&flat(&member.bones), first, &mut system.corner);
             system.eliminated(damping)
         };
-        let people: Vec<Eliminated> = members.par_iter().zip(pixels).zip(systems).map(person).collect::<Option<_>>()?;
+        members.par_iter().zip(pixels).zip(systems).map(person).collect()
+    }
+
+    /// The normal equations of the session's unknowns, with each person's own eliminated, in the memory of `systems`.
+    fn reduced(
+        &self,
+        (members, pixels): (&[Member], &[DetectedPixels]),
+        SessionState { offsets, cameras }: &SessionState,
+        systems: Vec<BlockBanded>,
+        damping: f64,
+    ) -> Option<Reduced> {
+        let people = self.eliminated((members, pixels), offsets, systems, damping)?;
         let border = self.border(cameras.len());
         let (n_own, n) = (border.person().len(), border.session().len());
         let mut session = Corner::zeros(n);
@@ -212,15 +210,11 @@ impl JointProblem<'_> {
         }
         let Corner { mut hessian, gradient } = session;
         let mut right = -gradient;
-        let bias = 0..border.keypoint_bias().len();
-        let mut log_volume = -0.5 * hessian.diagonal().rows_range(bias).iter().map(|weight| weight.ln()).sum::<f64>();
-        let log_bone_prior = 0.5 * border.bones().len() as f64 * self.bone_prior.precision(0).ln();
         let mut own_parts = Vec::with_capacity(people.len());
         for person in &people {
             let (own, across) =
                 (person.corner.view((0, 0), (n_own, n_own)), person.corner.view((0, n_own), (n_own, n)));
             let own = damped(&own.into_owned(), damping).cholesky()?;
-            log_volume += half_log_det(&own) - log_bone_prior;
             let (by_session, rest) = (own.solve(&across), own.solve(&person.right.rows(0, n_own)));
             hessian += person.corner.view((n_own, n_own), (n, n)) - across.tr_mul(&by_session);
             right += person.right.rows(n_own, n) - across.tr_mul(&rest);
@@ -232,8 +226,7 @@ impl JointProblem<'_> {
             right = basis.tr_mul(&right);
         }
         let factor = hessian.clone().cholesky()?;
-        log_volume += half_log_det(&factor);
-        Some(Reduced { people, own_parts, basis, hessian, factor, right, log_volume })
+        Some(Reduced { people, own_parts, basis, hessian, factor, right })
     }
 
     fn moved(&self, (members, pixels): (&[Member], &[DetectedPixels]), step: &Step) -> Vec<(MotionState, BoneOffsets)> {
@@ -248,19 +241,12 @@ impl JointProblem<'_> {
 
 impl Member {
     /// Every `stride`-th frame of a run of the track.
-    pub(super) fn of(
-        context: &FitContext,
-        observations: &Observations,
-        started: &StartedMotion,
-        run: Range<usize>,
-        stride: usize,
-    ) -> Self {
+    pub(super) fn of(observations: &Observations, started: &StartedMotion, run: Range<usize>, stride: usize) -> Self {
         let observations = observations.thinned(run.clone(), stride);
         let fitted = &started.fitted.state;
         let poses = fitted.poses[run.clone()].iter().step_by(stride).copied().collect();
         let state = MotionState { betas: fitted.betas, poses };
-        let share = pixel_share(context, &observations, &state);
-        Self { run, stride, observations, state, bones: BoneOffsets::default(), share }
+        Self { run, stride, observations, state, bones: BoneOffsets::default() }
     }
 
     /// Takes another motion, skeleton and cameras; returns the previous motion and skeleton.
@@ -294,9 +280,6 @@ pub(super) struct Reduced {
     /// Of the Hessian without damping.
     factor: Cholesky<f64, Dyn>,
     right: DVector<f64>,
-    /// `log |H| / 2 - log |prior| / 2` over bones, betas and offsets: how much the session narrows the prior. The part of the
-    /// motions is nearly the same for all hypotheses.
-    pub log_volume: f64,
 }
 
 impl Reduced {
@@ -315,12 +298,6 @@ impl Reduced {
         };
         let motions = self.people.iter().zip(&self.own_parts).map(motion).collect::<Option<_>>()?;
         Some(Step { free, session, motions })
-    }
-
-    /// Covariance of the session's unknowns if the cost is a negative log likelihood.
-    pub(super) fn covariance(&self) -> DMatrix<f64> {
-        let free = self.factor.inverse();
-        self.basis.as_ref().map_or_else(|| free.clone(), |basis| basis * &free * basis.transpose())
     }
 
     /// Root mean square of a step over the session's unknowns in their standard deviations.

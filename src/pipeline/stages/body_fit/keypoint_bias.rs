@@ -1,18 +1,19 @@
-//! The keypoint bias that the fit applies: the detector's offsets under the likeliest hypothesis.
+//! The keypoint bias that the fit applies: the detector's offsets as the session shows them.
 //!
 //! Points of the skin (face, feet) lie where a detector's annotators clicked, and nothing else of the body depends on them:
-//! their offsets are always applied. Joints are less free: a body whose joints lie elsewhere looks the same as a detector that
-//! places them elsewhere, so that they move only where that is the likelier hypothesis, and by at most the largest offsets
-//! reported for detectors.
+//! their offsets are always applied. Joints are less free: a body whose joints lie elsewhere looks nearly the same, so that they
+//! move only where a bias is much the likelier ([`likeliest_bias`]).
 
 use super::context::FitContext;
-use super::joint_problem::Member;
+use super::joint_problem::{JointProblem, Member, Minimum, ProportionEvidence, Stopping};
+use super::noise_measurement::measured_noise;
 use super::observations::Observations;
 use super::person_fit::StartedMotion;
-use super::session_bias::{Hypothesis, SessionBias, session_bias};
+use super::session_bias::{BONE_SIGMA, SessionBias, likeliest_bias};
+use super::terms::border_priors::{BoneLengthPrior, KeypointBiasPrior};
 use super::thinned_motion::rough_stride;
 use crate::body::BodyModel;
-use crate::body::detector_offsets::{OffsetKind, OffsetTable};
+use crate::body::detector_offsets::OffsetTable;
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention};
 use crate::progress::Canceled;
 use crate::session::reconstruction::{DetectorOffset, KeypointBias};
@@ -23,6 +24,9 @@ pub(super) struct EstimatedBias {
     pub model: BodyModel,
     pub report: KeypointBias,
 }
+
+/// A step that lowers the cost by less than half a unit, which is negligible, is the last.
+const STOPPING: Stopping = Stopping { max_iterations: 7, min_decrease: 0.5, min_sigmas: 0.0 };
 
 /// Fewest frames of all persons that are left by thinning: 80 numbers are estimated.
 const MIN_LEFT: usize = 100;
@@ -44,58 +48,61 @@ pub(super) fn estimated_bias(
     let stride = rough_stride(context.frame_interval).min(n_seen / MIN_LEFT).max(1);
     let member = |(observations, started): &&(Observations, StartedMotion)| {
         let run = observations.most_seen(started.window.clone(), n_frames);
-        Member::of(context, observations, started, run, stride)
+        Member::of(observations, started, run, stride)
     };
     let thinned = FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context };
-    let found = likeliest(&table, started.iter().map(member).collect(), &thinned)?;
-    let (moves_joints, reason) = decision(&table, &found);
-    let is_applied = |kind: &OffsetKind| moves_joints || !kind.is_joint;
-    let rows = || table.kinds.iter().zip(&found.offsets);
+    let members = started.iter().map(member).collect();
+    let Some(evidence) = evidence_of(&table, members, &thinned)? else { return Ok(None) };
+    let Some(found) = likeliest_bias(&evidence, &table) else { return Ok(None) };
+    let is_applied = |k: usize| !table.kinds[k].is_joint || found.biased.contains(&k);
     let applied: Vec<Vector3<f64>> =
-        rows().map(|(kind, offset)| if is_applied(kind) { *offset } else { Vector3::zeros() }).collect();
-    let reported = |((kind, offset), sigma): ((&OffsetKind, &Vector3<f64>), &Vector3<f64>)| DetectorOffset {
-        keypoint: kind.name.clone(),
-        bone: JOINT_NAMES[kind.joint].to_owned(),
-        offset_mm: (offset * 1e3).into(),
-        sigma_mm: (sigma * 1e3).into(),
-        applied: is_applied(kind),
+        (0..table.kinds.len()).map(|k| if is_applied(k) { found.offsets[k] } else { Vector3::zeros() }).collect();
+    let reported = |k: usize| DetectorOffset {
+        keypoint: table.kinds[k].name.clone(),
+        bone: JOINT_NAMES[table.kinds[k].joint].to_owned(),
+        offset_mm: (found.offsets[k] * 1e3).into(),
+        sigma_mm: (found.sigmas[k] * 1e3).into(),
+        applied: is_applied(k),
     };
-    let offsets = rows().zip(&found.sigmas).map(reported).collect();
-    let report = KeypointBias { applied: moves_joints, reason, offsets };
+    let offsets = (0..table.kinds.len()).map(reported).collect();
+    let report = KeypointBias { applied: !found.biased.is_empty(), reason: reason(&table, &found), offsets };
     Ok(Some(EstimatedBias { model: table.applied(context.model, &applied), report }))
 }
 
-/// The session's offsets under the hypothesis of the largest evidence, which charges each for what it leaves open: with clean
-/// detections of ordinary bodies 80 free numbers fit some of the noise, and the bones of every person fit more of it than offsets that all
-/// persons share.
-fn likeliest(table: &OffsetTable, mut members: Vec<Member>, context: &FitContext) -> Result<SessionBias, Canceled> {
+/// What the session says of bones and offsets, about a fit in which both are free.
+///
+/// The errors are measured twice: what the body does not explain yet looks like slow errors of the detector.
+fn evidence_of(
+    table: &OffsetTable,
+    mut members: Vec<Member>,
+    context: &FitContext,
+) -> Result<Option<ProportionEvidence>, Canceled> {
+    let noise = measured_noise(context, &members);
+    let sigmas = table.kinds.iter().map(|kind| kind.prior_sigma).collect();
+    let problem = JointProblem {
+        context,
+        table,
+        noise: &noise,
+        shape_prior: context.config.shape_prior,
+        bone_prior: BoneLengthPrior { sigma: BONE_SIGMA },
+        bias_prior: KeypointBiasPrior { sigmas },
+        cameras: None,
+    };
     let none = vec![Vector3::zeros(); table.kinds.len()];
-    let no_bias = session_bias(table, Hypothesis::NoBias, none, &mut members, context)?;
-    // The others start from the solution of the simplest.
-    let under = |hypothesis| session_bias(table, hypothesis, no_bias.offsets.clone(), &mut members.clone(), context);
-    let (proportions, detector) = (under(Hypothesis::BodyProportions)?, under(Hypothesis::DetectorBias)?);
-    let mut likeliest = no_bias;
-    for found in [proportions, detector] {
-        if found.negative_log_evidence() < likeliest.negative_log_evidence() {
-            likeliest = found;
-        }
-    }
-    Ok(likeliest)
+    let Minimum { session, .. } = problem.minimised(&mut members, none, &STOPPING)?;
+    let model = table.applied(context.model, &session.offsets);
+    let noise = measured_noise(&FitContext { model: &model, ..*context }, &members);
+    Ok(JointProblem { noise: &noise, ..problem }.proportion_evidence(&members, &session.offsets))
 }
 
-/// Whether the offsets of joints are applied, and the reason.
-fn decision(table: &OffsetTable, found: &SessionBias) -> (bool, String) {
-    match (found.hypothesis, table.implausible(&found.offsets)) {
-        (Hypothesis::NoBias, _) => (false, "the unchanged body model explains the session".to_owned()),
-        (Hypothesis::BodyProportions, _) => {
-            (false, "the persons' own body proportions explain the session better".to_owned())
-        }
-        (Hypothesis::DetectorBias, Some(kind)) => (
-            false,
-            format!("the offset of {} is larger than any known detector bias; the body does not fit there", kind.name),
+/// Why offsets of joints are applied, or not.
+fn reason(table: &OffsetTable, found: &SessionBias) -> String {
+    let names: Vec<&str> = found.biased.iter().map(|&kind| table.kinds[kind].name.as_str()).collect();
+    match names.is_empty() {
+        true => "the bodies' own proportions explain the session without a bias of the detector's joints".to_owned(),
+        false => format!(
+            "a bias of the detector explains the session better than the bodies' proportions: {}",
+            names.join(", ")
         ),
-        (Hypothesis::DetectorBias, None) => {
-            (true, "a bias of the detector explains the session better than unusual body proportions".to_owned())
-        }
     }
 }

@@ -20,42 +20,38 @@ impl BorderTerm for ShapePrior {
     }
 }
 
-/// `frames |offsets|^2 / (2 sigma^2)` over the person's offsets of all kinds of bones: bones are nearly as long as the betas
+/// `|offsets|^2 / (2 sigma^2)` over the person's offsets of all kinds of bones: bones are nearly as long as the betas
 /// say.
 pub(crate) struct BoneLengthPrior {
     /// Standard deviation per axis, m.
     pub sigma: f64,
-    /// Number of frames that carry as much information as one independent frame.
-    pub correlated_frames: f64,
 }
 
 impl BorderTerm for BoneLengthPrior {
     fn cost(&self, offsets: &[f64]) -> f64 {
         let squares = offsets.chunks_exact(3).map(|d| Vector3::from_column_slice(d).norm_squared());
-        0.5 * self.correlated_frames * squares.sum::<f64>() / self.sigma.powi(2)
+        0.5 * squares.sum::<f64>() / self.sigma.powi(2)
     }
 
     fn precision(&self, _: usize) -> f64 {
-        self.correlated_frames / self.sigma.powi(2)
+        self.sigma.powi(-2)
     }
 }
 
-/// `frames |offset / sigma|^2 / 2` over the offsets of all kinds of keypoints, which all persons of a session share.
+/// `|offset / sigma|^2 / 2` over the offsets of all kinds of keypoints, which all persons of a session share.
 pub(crate) struct KeypointBiasPrior {
     /// Standard deviations by kind, per axis of the bone's frame, m.
     pub sigmas: Vec<Vector3<f64>>,
-    /// Number of frames that carry as much information as one independent frame.
-    pub correlated_frames: f64,
 }
 
 impl BorderTerm for KeypointBiasPrior {
     fn cost(&self, offsets: &[f64]) -> f64 {
         let in_sigmas = |(offset, sigma): (&[f64], _)| Vector3::from_column_slice(offset).component_div(sigma);
         let standardised = offsets.chunks_exact(3).zip(&self.sigmas).map(in_sigmas);
-        self.correlated_frames * standardised.map(|o| 0.5 * o.norm_squared()).sum::<f64>()
+        standardised.map(|o| 0.5 * o.norm_squared()).sum()
     }
 
     fn precision(&self, k: usize) -> f64 {
-        self.correlated_frames / self.sigmas[k / 3][k % 3].powi(2)
+        self.sigmas[k / 3][k % 3].powi(-2)
     }
 }

@@ -213,8 +213,8 @@ fn gradients_of_border_terms_match_differences() {
     let values: Vec<f64> = (0..12).map(wave).collect();
     let sigmas = vec![Vector3::new(0.02, 0.03, 0.04); 4];
     let shape = ShapePrior { weight: 3.0 };
-    let bones = BoneLengthPrior { sigma: 0.2, correlated_frames: 5.0 };
-    let bias = KeypointBiasPrior { sigmas, correlated_frames: 5.0 };
+    let bones = BoneLengthPrior { sigma: 0.2 };
+    let bias = KeypointBiasPrior { sigmas };
     for (term, n) in [(&shape as &dyn BorderTerm, 10), (&bones, 12), (&bias, 12)] {
         let values = &values[..n];
         let mut corner = Corner::zeros(n + 2);
