@@ -164,13 +164,7 @@ mod tests {
         let preset = SimulationConfig::preset(Preset::Paper);
         let config = SimulationConfig { frames: 60, convention: KeypointConvention::Body25, ..preset };
         let right = simulate(&config).unwrap().session;
-        for name in [
-            "cx and cy exchanged",
-            "K x 1.5",
-            "body25 declared as body25b",
-            "confidences x 0.1",
-            "coordinates from 0 to 1",
-        ] {
+        for name in ["cx and cy exchanged", "K x 1.5", "body25 declared as body25b", "confidences x 0.1"] {
             let mistake = MISTAKES.iter().find(|mistake| mistake.name == name).unwrap();
             let wrong = (mistake.inject)(&right).unwrap();
             let named = suspicions(&wrong).into_iter().find(|s| mistake.codes.contains(&s.code)).unwrap();

@@ -341,9 +341,11 @@ mod tests {
             serde_json::from_slice(&std::fs::read(out.join("mistakes.json")).unwrap()).unwrap();
         let outcomes: Vec<_> =
             cases.as_array().unwrap().iter().map(|case| (&case["mistake"], &case["outcome"])).collect();
-        let [none, copied, halved] = &outcomes[..] else { panic!("{outcomes:?}") };
+        let [none, copied, halved, combined] = &outcomes[..] else { panic!("{outcomes:?}") };
         assert_eq!((none.0.is_null(), none.1.as_str()), (true, Some("clean")));
         assert_eq!((copied.0.as_str(), copied.1.as_str()), (Some("keypoints of a second camera"), Some("named")));
         assert_eq!((halved.0.as_str(), halved.1.as_str()), (Some("every second frame missing"), Some("named")));
+        assert_eq!(combined.0.as_str(), Some("every second frame missing, focal length +20 %"));
+        assert_ne!(combined.1.as_str(), Some("silent"));
     }
 }

@@ -2,8 +2,7 @@
 //!
 //! Known limit: cameras with equal calibrations cannot be distinguished, whatever their files are named.
 
-use super::parameters::{MAX_KEYFRAMES, bones};
-use super::solved::Solved;
+use super::solved::{MAX_KEYFRAMES, Solved};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::pipeline::calibration::CameraFreedom;
 use crate::pipeline::focal_spread::OVERCOUNT;
@@ -153,7 +152,7 @@ fn cost(
         intrinsics,
         keyframes: select_keyframes(solved.repaired, solved.calibration, &cameras, MAX_KEYFRAMES, ALL_FRAMES),
         cameras,
-        bones: &bones(solved),
+        bones: &solved.bones(),
         camera_freedom: CameraFreedom::Adjusted,
         refine_focal: focal == Focal::Free,
         refine_delays: false,

@@ -1,13 +1,12 @@
 //! Delays and focal lengths that an adjustment of all cameras finds.
 
 use super::lenses::{lies_within, misplaced_lenses};
-use super::solved::Solved;
-use crate::body::bones::LENGTH_SIGMA;
+use super::solved::{MAX_KEYFRAMES, Solved};
 use crate::pipeline::calibration::{Adjusted, CameraFreedom};
 use crate::pipeline::config::{IntrinsicsMode, Sync};
 use crate::pipeline::passes::adjustment::ALL_FRAMES;
 use crate::pipeline::stages::bundle_adjustment::adjust;
-use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput, Bone};
+use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput};
 use crate::pipeline::stages::keyframe_selection::{select_keyframes, set_image_velocities};
 use crate::pipeline::stages::recording_check::lens::resected;
 use crate::pipeline::stages::recording_check::parameters::{
@@ -16,9 +15,6 @@ use crate::pipeline::stages::recording_check::parameters::{
 use crate::progress::{Canceled, Progress};
 use crate::session::{Suspicion, SuspicionCode as Code};
 
-/// Keyframes of the adjustment: half of those of the last adjustment give standard errors that are 1.4 times as large, still far
-/// below what counts.
-pub(super) const MAX_KEYFRAMES: usize = 250;
 /// Length of an independent block of one person, s.
 const BLOCK_SECS: f64 = 2.0;
 
@@ -77,7 +73,7 @@ fn adjusted_freely(solved: &Solved, progress: &Progress) -> Result<(Adjusted, Ve
             origins[view] = lens.factor.ln();
         }
     }
-    let bones = bones(solved);
+    let bones = solved.bones();
     let input = AdjustmentInput {
         intrinsics: &intrinsics,
         cameras,
@@ -91,11 +87,6 @@ fn adjusted_freely(solved: &Solved, progress: &Progress) -> Result<(Adjusted, Ve
     let defaults = AdjustmentConfig::default();
     let config = AdjustmentConfig { relative_decrease: 1e-6, uncertainty_block_frames: Some(block), ..defaults };
     Ok((adjust(&input, &config, progress)?.0, origins))
-}
-
-/// Bones of all people.
-pub(super) fn bones(solved: &Solved) -> Vec<Bone> {
-    solved.given.bones.iter().map(|b| Bone { a: b.a, b: b.b, sigma: LENGTH_SIGMA }).collect()
 }
 
 fn of_delay(solved: &Solved, delay: &Delay) -> Suspicion {

@@ -93,6 +93,10 @@ pub(super) fn too_few_people(solved: &Solved, found: &mut Vec<Suspicion>) {
     found.push(Suspicion { suggested_option, ..Suspicion::new(Code::PeopleLimit, Vec::new(), evidence, remedy) });
 }
 
+/// Steps whose length times duration is this many times the usual one are slow: one standard deviation between recordings of people
+/// who move freely.
+const SLOW_STEPS: f64 = 1.3;
+
 /// Steps that are too quick or too slow for their length, or movements that are too fast or too slow for people.
 pub(super) fn wrong_frame_rate(solved: &Solved, found: &mut Vec<Suspicion>) {
     let session = solved.session();
@@ -117,12 +121,16 @@ fn of_steps(fps: f64, shown: Option<Steps>) -> Option<String> {
     ))
 }
 
-/// Runners are faster than the people of the statistics; where steps are seen, they must point the same way.
+/// Runners are faster than the people of the statistics, and whoever likes moves slowly: slow movements count where steps are slow for
+/// their length too, fast ones unless steps are slow.
 fn of_movements(fps: f64, shown: Option<Steps>, moved: MotionRate) -> Option<String> {
     let runs = shown.is_some_and(|shown| shown.is_running);
-    let of_steps = shown.filter(|shown| shown.n >= MIN_STEPS).map(|shown| (shown.ratio / USUAL_RATIO).ln());
-    let contradicts = of_steps.is_some_and(|log_factor| log_factor * moved.factor.ln() < 0.0);
-    (moved.is_wrong() && !runs && !contradicts).then(|| {
+    let of_steps = shown.filter(|shown| shown.n >= MIN_STEPS).map(|shown| shown.ratio / USUAL_RATIO);
+    let is_confirmed = match moved.factor > 1.0 {
+        true => of_steps.is_some_and(|factor| factor > SLOW_STEPS),
+        false => of_steps.is_none_or(|factor| factor < SLOW_STEPS),
+    };
+    (moved.is_wrong() && !runs && is_confirmed).then(|| {
         format!(
             "people move too {} for people: their speeds and accelerations suit {:.0} to {:.0} frames per second",
             if moved.factor > 1.0 { "slowly" } else { "fast" },
