@@ -67,12 +67,11 @@ fn too_few_people_were_blamed_on_cameras() {
     assert_eq!(suspected(&session, &options(2)), []);
 }
 
-/// No two cameras fitted together, and nothing said why.
+/// Two cameras found a compromise that explained four fifths of the keypoints, with limbs 215 mm off.
 #[test]
-fn mirrored_images_of_one_of_two_cameras_had_no_name() {
+fn exchanged_labels_of_one_of_two_cameras_passed() {
     let right = session(2);
-    let wrong = with_mistake(&right, "images mirrored in one camera");
-    let found = suspected(&wrong, &Options::default());
-    // Two cameras alone do not tell which of them is mirrored.
-    assert!(matches!(&found[..], [(Code::Mirrored, cameras)] if cameras.len() == 1), "{found:?}");
+    assert_eq!(suspected(&right, &Options::default()), []);
+    let wrong = with_mistake(&right, "left and right exchanged in one camera");
+    assert_eq!(suspected(&wrong, &Options::default()), [(Code::LabelsExchanged, ids(&right, &[1]))]);
 }

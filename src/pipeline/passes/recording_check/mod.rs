@@ -28,6 +28,9 @@ pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, C
     if found.is_empty() {
         cameras::other_readings(solved, &mut found, &step)?;
         whole::other_take(solved, &mut found, &step)?;
+        if found.is_empty() {
+            found.extend(unsolved::mistake_of_pair(solved, &step)?);
+        }
     }
     let step = steps.begin("testing delays and focal lengths");
     if found.is_empty() {

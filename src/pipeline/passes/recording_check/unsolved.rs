@@ -1,12 +1,13 @@
-//! Mistakes in a recording whose cameras cannot be placed: readings of its files under which they can be.
+//! Mistakes in a recording whose cameras cannot be placed, or that has but two: readings of its files under which they agree.
 
 use super::cameras::MOST;
+use super::solved::Solved;
 use crate::pipeline::capture::Capture;
 use crate::pipeline::config::{IntrinsicsMode, Options, Sync};
 use crate::pipeline::passes::cameras::{FinalAdjustment, first_arrangement};
 use crate::pipeline::passes::synchronisation::estimated_timing;
 use crate::pipeline::repair::repaired;
-use crate::pipeline::stages::recording_check::handedness::upside_down;
+use crate::pipeline::stages::recording_check::handedness::{handedness, upside_down};
 use crate::progress::{Canceled, Progress};
 use crate::session::{Session, Suspicion, SuspicionCode as Code};
 
@@ -27,8 +28,29 @@ struct Reading {
     options: Options,
 }
 
+/// Two cameras that are placed are doubtful below this share: no third one judges them, and right ones have 0.99. Another reading
+/// must explain so much more.
+const DOUBTFUL: f64 = 0.9;
+const MIN_GAIN: f64 = 0.1;
+
 /// The mistake under whose repair the cameras can be placed, the one that explains most; `None` where none can.
 pub fn mistake_of_unsolved(given: &Capture, progress: &Progress) -> Result<Option<Suspicion>, Canceled> {
+    better_reading(given, 0.0, progress)
+}
+
+/// The mistake under whose repair a pair of cameras explains much more of its people.
+pub(super) fn mistake_of_pair(solved: &Solved, progress: &Progress) -> Result<Option<Suspicion>, Canceled> {
+    let explained = solved.calibration.association.explained;
+    let is_doubtful = solved.given.views.len() == 2 && explained < DOUBTFUL;
+    if is_doubtful { better_reading(solved.given, explained, progress) } else { Ok(None) }
+}
+
+/// The reading of the files that explains most, and more than is `explained` as they are.
+fn better_reading(
+    given: &Capture,
+    explained_as_given: f64,
+    progress: &Progress,
+) -> Result<Option<Suspicion>, Canceled> {
     let n_cameras = given.views.len();
     if !given.estimates_extrinsics() || !(2..=MAX_CAMERAS).contains(&n_cameras) {
         return Ok(None);
@@ -44,7 +66,11 @@ pub fn mistake_of_unsolved(given: &Capture, progress: &Progress) -> Result<Optio
         };
         let (n_placed, explained) = (placed.n_placed(), placed.association.explained);
         tracing::debug!(?suspicion.code, ?suspicion.cameras, n_placed, explained, "another reading of the files");
-        let is_right = n_placed >= (n_cameras - 1).max(2) && explained > RIGHT_SHARE;
+        // Of two cameras the one is mirrored against the other; people who look backwards tell which.
+        let shown = handedness(session.convention, &placed.association.points, session.fps);
+        let is_right = n_placed >= (n_cameras - 1).max(2)
+            && explained > RIGHT_SHARE.max(explained_as_given + MIN_GAIN)
+            && !shown.is_some_and(|shown| shown.is_mirrored());
         if is_right && best.as_ref().is_none_or(|(most, _)| explained > *most) {
             let evidence = format!(
                 "{}: then {n_placed} of {n_cameras} cameras fit together, and people explain {:.0} % of their keypoints",
