@@ -22,6 +22,9 @@ const BLOCK_SECS: f64 = 2.0;
 /// and the next smaller format has two thirds.
 const SMALLER: f64 = 0.72;
 
+/// Largest difference of logarithms of focal factors that an exchange of two calibrations explains.
+const SAME_FOCAL: f64 = 0.03;
+
 /// Delays and focal lengths against those given.
 pub(super) fn other_parameters(
     solved: &Solved,
@@ -104,6 +107,10 @@ fn of_lenses(solved: &Solved, lenses: &WrongLenses) -> Option<Suspicion> {
     if resized.is_some() || lenses.log_evidence < MIN_LOG_EVIDENCE {
         return resized;
     }
+    let exchanged = exchanged_cameras(solved, &lenses.factors);
+    if exchanged.is_some() {
+        return exchanged;
+    }
     let listed = lenses.factors.iter().map(|&(v, factor)| {
         let change = 100.0 * (factor - 1.0);
         format!("{} {change:+.0} %", solved.session().views[v].id)
@@ -115,6 +122,20 @@ fn of_lenses(solved: &Solved, lenses: &WrongLenses) -> Option<Suspicion> {
     let remedy = "check the matrix K, or let focal lengths be refined";
     let suggested_option = Some(r#"{"intrinsics": "refine_focal"}"#.to_owned());
     Some(Suspicion { suggested_option, ..Suspicion::new(Code::FocalLength, cameras, evidence, remedy) })
+}
+
+/// Two cameras of which each has the focal length of the other: where principal points are alike, [`misplaced_lenses`] cannot tell an
+/// exchange from two wrong focal lengths.
+fn exchanged_cameras(solved: &Solved, factors: &[(usize, f64)]) -> Option<Suspicion> {
+    let focal = |v: usize| solved.session().views[v].intrinsics.focal();
+    let [(a, on_a), (b, on_b)] = factors[..] else { return None };
+    let ratio = (focal(b) / focal(a)).ln();
+    let is_exchanged = (on_a.ln() - ratio).abs() < SAME_FOCAL && (on_b.ln() + ratio).abs() < SAME_FOCAL;
+    is_exchanged.then(|| {
+        let evidence = "each has the focal length of the other".to_owned();
+        let remedy = "exchange their keypoint files, or their calibrations";
+        Suspicion::new(Code::CamerasExchanged, solved.ids(&[a, b]), evidence, remedy)
+    })
 }
 
 /// Cameras whose focal length and keypoints both belong to smaller images.
