@@ -75,6 +75,19 @@ impl Intrinsics {
         Self { fx: self.fx * factor, fy: self.fy * factor, skew: self.skew * factor, ..*self }
     }
 
+    /// The same lens with images `factor` times as large.
+    pub fn resized(&self, factor: f64) -> Self {
+        let size = |n: u32| (f64::from(n) * factor).round() as u32;
+        let centre = |c: f64| (c + 0.5) * factor - 0.5;
+        Self {
+            width: size(self.width),
+            height: size(self.height),
+            cx: centre(self.cx),
+            cy: centre(self.cy),
+            ..self.with_focal_factor(factor)
+        }
+    }
+
     /// The 3x3 matrix K.
     pub fn matrix(&self) -> Matrix3<f64> {
         Matrix3::new(self.fx, self.skew, self.cx, 0.0, self.fy, self.cy, 0.0, 0.0, 1.0)

@@ -92,6 +92,8 @@ pub struct Association {
     pub explained: f64,
     /// Number of views that were placed at the time of the association.
     pub n_views_placed: usize,
+    /// Number of persons who are as well supported as those above, but more than were to be found.
+    pub n_left_out: usize,
 }
 
 /// What bundle adjustment may change about the cameras.

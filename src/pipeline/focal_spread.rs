@@ -25,10 +25,10 @@ const LEVELS: [f64; 4] = [0.003, 0.01, 0.03, 0.1];
 /// Raftery (JASA 1995, section 3.2). On realistic noise right lenses reach 0.7, each its own 3 % 0.5 to 11, and 10 % 14 to 120.
 const MIN_LOG_EVIDENCE: f64 = 1.0;
 
-/// How many times bundle adjustment counts what it shows of the focal lengths: constant errors of the detector are in none of its
+/// How many times bundle adjustment counts what it shows of lenses: constant errors of the detector are in none of its
 /// blocks. On realistic noise the mean square error of the factors is 13 times their stated variance with three cameras, twice
 /// with five, 6 times over all of them.
-const OVERCOUNT: f64 = 6.0;
+pub const OVERCOUNT: f64 = 6.0;
 
 impl FocalSpread {
     /// Nothing is known beside the order of magnitude.

@@ -62,8 +62,8 @@ use passes::cameras::{FinalAdjustment, calibrated};
 use passes::denoising::denoised_capture;
 use passes::focal_lengths::refined_focal_lengths;
 use passes::held_out_check::heldout_px;
-use passes::recording_check::checked;
 use passes::recording_check::solved::Solved;
+use passes::recording_check::{checked, mistake_of_unsolved};
 use passes::synchronisation::{Timing, estimated_timing};
 use passes::unknown_lenses::estimated_focal_lengths;
 use repair::{MAX_REPAIRS, repaired};
@@ -224,6 +224,12 @@ impl Attempt<'_> {
         let last = if freedom == CameraFreedom::Held { FinalAdjustment::Elsewhere } else { last };
         let calibration = checkpoints.stage("cameras", || calibrated(&given, last, &step))?;
         if calibration.n_placed() < 2 && session.views.len() > 1 {
+            if !suspicions.iter().any(|suspicion| suspicion.code.affects_cameras()) {
+                suspicions.extend(mistake_of_unsolved(&given, &step)?);
+            }
+            if let Some(repair) = self.repair(&suspicions) {
+                return Ok(repair);
+            }
             return Err(CameraEvidence::of(&given, calibration.n_placed()).error(suspicions));
         }
 

@@ -5,12 +5,16 @@
 
 use super::config::Options;
 use crate::geometry::Intrinsics;
+use crate::session::recording_tests::{best_confidence, centred, likelier_convention};
 use crate::session::{Session, Suspicion, SuspicionCode as Code, View};
 use nalgebra::Vector2;
 use serde_json::Value;
 
 /// Most repairs one after another, each of one kind of mistake: a recording with more needs a look.
 pub const MAX_REPAIRS: usize = 2;
+
+/// The confidence that 95 % of the keypoints of common detectors do not exceed.
+const USUAL_BEST: f64 = 0.95;
 
 /// Recording and options without the mistake; `None` where it has no single remedy.
 pub fn repaired(session: &Session, options: &Options, suspicion: &Suspicion) -> Option<(Session, Options)> {
@@ -24,7 +28,14 @@ pub fn repaired(session: &Session, options: &Options, suspicion: &Suspicion) -> 
             read_anew(|lens, p| Vector2::new(p.x * f64::from(lens.width), p.y * f64::from(lens.height)))
         }
         Code::LabelsExchanged => Some((with_labels_exchanged(session, suspicion), options.clone())),
-        Code::TimeOffset | Code::FocalLength => {
+        Code::CamerasExchanged => Some((with_keypoints_exchanged(session, suspicion)?, options.clone())),
+        Code::PrincipalPoint | Code::Resolution => Some((with_centred_images(session, suspicion)?, options.clone())),
+        Code::Convention => {
+            let convention = likelier_convention(session)?;
+            Some((Session { convention, ..session.clone() }, options.clone()))
+        }
+        Code::LowConfidence => Some((with_usual_confidences(session)?, options.clone())),
+        Code::TimeOffset | Code::FocalLength | Code::GivenPoses => {
             Some((session.clone(), with_option(options, suspicion.suggested_option.as_deref()?)?))
         }
         _ => None,
@@ -59,8 +70,41 @@ fn with_labels_exchanged(session: &Session, suspicion: &Suspicion) -> Session {
     repaired
 }
 
+/// Two cameras with the keypoints of each other.
+fn with_keypoints_exchanged(session: &Session, suspicion: &Suspicion) -> Option<Session> {
+    let position = |id: &String| session.views.iter().position(|view| view.id == *id);
+    let [a, b] = suspicion.cameras.as_slice() else { return None };
+    let (a, b) = (position(a)?, position(b)?);
+    let mut repaired = session.clone();
+    for (to, from) in [(a, b), (b, a)] {
+        repaired.views[to].frames.clone_from(&session.views[from].frames);
+        repaired.views[to].delivered.clone_from(&session.views[from].delivered);
+    }
+    Some(repaired)
+}
+
+/// Principal points near the centres of the images, where one change of K explains why they are not.
+fn with_centred_images(session: &Session, suspicion: &Suspicion) -> Option<Session> {
+    let mut repaired = session.clone();
+    for view in concerned(&mut repaired, suspicion) {
+        view.intrinsics = centred(&view.intrinsics)?;
+    }
+    Some(repaired)
+}
+
+/// Confidences whose best are as usual.
+fn with_usual_confidences(session: &Session) -> Option<Session> {
+    let factor = USUAL_BEST / best_confidence(session).filter(|best| *best > 0.0)?;
+    let mut repaired = session.clone();
+    let detections = repaired.views.iter_mut().flat_map(|view| view.frames.iter_mut().flatten());
+    detections
+        .flat_map(|detection| &mut detection.keypoints)
+        .for_each(|k| k.confidence = (factor * k.confidence).min(1.0));
+    Some(repaired)
+}
+
 /// The options with those of a JSON object; `None` where they do not change.
-fn with_option(options: &Options, changes: &str) -> Option<Options> {
+pub fn with_option(options: &Options, changes: &str) -> Option<Options> {
     let mut merged = serde_json::to_value(options).ok()?;
     let Value::Object(changes) = serde_json::from_str(changes).ok()? else { return None };
     changes.into_iter().for_each(|(name, value)| merged[name] = value);
@@ -72,7 +116,9 @@ fn with_option(options: &Options, changes: &str) -> Option<Options> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::body::skeleton::KeypointConvention;
     use crate::pipeline::config::Sync;
+    use crate::session::recording_tests::suspicions;
     use crate::simulation::mistakes::MISTAKES;
     use crate::simulation::{Preset, SimulationConfig, simulate};
 
@@ -98,6 +144,7 @@ mod tests {
             ("y counted upwards", Code::YUpwards, vec![]),
             ("left and right exchanged in one camera", Code::LabelsExchanged, vec![id]),
             ("coordinates from 0 to 1", Code::NormalizedCoordinates, vec![]),
+            ("keypoints of two cameras exchanged", Code::CamerasExchanged, vec![id, right.views[2].id.as_str()]),
         ];
         for (name, code, cameras) in cases {
             let mistake = MISTAKES.iter().find(|mistake| mistake.name == name).unwrap();
@@ -109,6 +156,25 @@ mod tests {
             };
             let off = pixels(&found).iter().zip(pixels(&right)).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
             assert!(off < 1e-9, "{name}: {off} px");
+        }
+    }
+
+    #[test]
+    fn a_repair_undoes_what_the_files_state() {
+        let preset = SimulationConfig::preset(Preset::Paper);
+        let config = SimulationConfig { frames: 60, convention: KeypointConvention::Body25, ..preset };
+        let right = simulate(&config).unwrap().session;
+        for name in ["cx and cy exchanged", "K x 1.5", "body25 declared as body25b", "confidences x 0.1"] {
+            let mistake = MISTAKES.iter().find(|mistake| mistake.name == name).unwrap();
+            let wrong = (mistake.inject)(&right).unwrap();
+            let named = suspicions(&wrong).into_iter().find(|s| mistake.codes.contains(&s.code)).unwrap();
+            let (found, _) = repaired(&wrong, &Options::default(), &named).unwrap();
+            assert_eq!(suspicions(&found).iter().filter(|s| s.code == named.code).count(), 0, "{name}");
+            assert_eq!(found.convention, right.convention, "{name}");
+            let lens = |session: &Session| session.views[1].intrinsics;
+            let ratio = lens(&found).focal() / lens(&right).focal();
+            let centre = (lens(&found).cx - lens(&right).cx).hypot(lens(&found).cy - lens(&right).cy);
+            assert!((ratio - 1.0).abs() < 1e-9 && centre < 1e-6, "{name}: {ratio} {centre}");
         }
     }
 

@@ -7,7 +7,7 @@ use crate::body::skeleton::KeypointConvention;
 use crate::geometry::{Intrinsics, rotation};
 use crate::session::recording::{Detection, FrameIndex, Keypoint, Session, View};
 use crate::session::suspicion::SuspicionCode as Code;
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 /// One mistake.
 #[derive(Debug, Clone, Copy)]
@@ -18,9 +18,20 @@ pub struct Mistake {
     pub codes: &'static [Code],
     /// The cameras concerned, by position; empty where all are.
     pub cameras: &'static [usize],
+    /// Options of the job that has it, JSON.
+    pub options: &'static str,
     /// Makes it; `None` where the session cannot have it.
     pub inject: fn(&Session) -> Option<Session>,
 }
+
+/// Two mistakes at once, by their names: of different cameras, or of one and all.
+pub const COMBINATIONS: [[&str; 2]; 5] = [
+    ["left and right exchanged", "7 frames late"],
+    ["focal lengths +20 %", "2 frames late"],
+    ["images mirrored in one camera", "coordinates from 0 to 1"],
+    ["every second frame missing", "focal length +20 %"],
+    ["body25 declared as body25b", "images mirrored in one camera"],
+];
 
 /// The camera of most mistakes, and its partner where there are two.
 const ODD: usize = 1;
@@ -37,10 +48,10 @@ pub const MISTAKES: &[Mistake] = &[
     }),
     all("y counted upwards", &[Code::YUpwards], |s| Some(moved(s, &everywhere(s), upwards))),
     odd("K x 1.5", &[Code::Resolution], |s| {
-        lens_changed(s, &[ODD], |lens, _| Intrinsics { width: lens.width, height: lens.height, ..resized(lens, 1.5) })
+        lens_changed(s, &[ODD], |lens, _| Intrinsics { width: lens.width, height: lens.height, ..lens.resized(1.5) })
     }),
     odd("calibration of 1.5 times the resolution", &[Code::Resolution], |s| {
-        lens_changed(s, &[ODD], |lens, _| resized(lens, 1.5))
+        lens_changed(s, &[ODD], |lens, _| lens.resized(1.5))
     }),
     odd("focal length +20 %", &[Code::FocalLength], |s| lens_changed(s, &[ODD], |lens, _| lens.with_focal_factor(1.2))),
     all("focal lengths +20 %", &[Code::FocalLength], |s| {
@@ -75,7 +86,7 @@ pub const MISTAKES: &[Mistake] = &[
     odd("y counted upwards in one camera", &[Code::YUpwards], |s| Some(moved(s, &[ODD], upwards))),
     odd("left and right exchanged in one camera", &[Code::LabelsExchanged], |s| Some(labels_exchanged(s, &[ODD]))),
     all("calibration of half the resolution", &[Code::Resolution], |s| {
-        lens_changed(s, &everywhere(s), |lens, _| resized(lens, 0.5))
+        lens_changed(s, &everywhere(s), |lens, _| lens.resized(0.5))
     }),
     all("coordinates from 0 to 1", &[Code::NormalizedCoordinates], |s| {
         let share = |lens: &Intrinsics, p: Vector2<f64>| {
@@ -89,20 +100,25 @@ pub const MISTAKES: &[Mistake] = &[
     }),
     all("every second frame missing", &[Code::PeriodicGaps], |s| Some(halved(s))),
     odd("camera knocked by 0.5 degrees", &[Code::CameraMoved], |s| knocked(s, ODD)),
+    Mistake { options: r#"{"people": 1}"#, ..all("one of several people wanted", &[Code::PeopleLimit], crowded) },
+    Mistake {
+        options: r#"{"extrinsics": "refine"}"#,
+        ..all("given poses in the axes of OpenGL", &[Code::GivenPoses], opengl)
+    },
 ];
 
 type Inject = fn(&Session) -> Option<Session>;
 
 const fn all(name: &'static str, codes: &'static [Code], inject: Inject) -> Mistake {
-    Mistake { name, codes, cameras: &[], inject }
+    Mistake { name, codes, cameras: &[], options: "{}", inject }
 }
 
 const fn odd(name: &'static str, codes: &'static [Code], inject: Inject) -> Mistake {
-    Mistake { name, codes, cameras: &[ODD], inject }
+    Mistake { name, codes, cameras: &[ODD], options: "{}", inject }
 }
 
 const fn two(name: &'static str, codes: &'static [Code], inject: Inject) -> Mistake {
-    Mistake { name, codes, cameras: &[ODD, PARTNER], inject }
+    Mistake { name, codes, cameras: &[ODD, PARTNER], options: "{}", inject }
 }
 
 fn everywhere(session: &Session) -> Vec<usize> {
@@ -152,19 +168,6 @@ fn lens_changed(session: &Session, views: &[usize], lens: fn(&Intrinsics, usize)
         *intrinsics = lens(intrinsics, v);
     }
     Some(changed)
-}
-
-/// The intrinsics of the same lens with images `factor` times as large.
-fn resized(lens: &Intrinsics, factor: f64) -> Intrinsics {
-    let size = |n: u32| (f64::from(n) * factor).round() as u32;
-    let centre = |c: f64| (c + 0.5) * factor - 0.5;
-    Intrinsics {
-        width: size(lens.width),
-        height: size(lens.height),
-        cx: centre(lens.cx),
-        cy: centre(lens.cy),
-        ..lens.with_focal_factor(factor)
-    }
 }
 
 /// A video turned by 90 degrees after its camera was calibrated.
@@ -243,6 +246,24 @@ fn knocked(session: &Session, view: usize) -> Option<Session> {
     Some(changed)
 }
 
+/// The session as it is where two people and more are seen in most frames.
+fn crowded(session: &Session) -> Option<Session> {
+    let n_people = |frame: usize| session.views.iter().map(|view| view.frames[frame].len()).max().unwrap_or(0);
+    let n_crowded = (0..session.n_frames).filter(|&frame| n_people(frame) > 1).count();
+    (2 * n_crowded > session.n_frames).then(|| session.clone())
+}
+
+/// Given poses of cameras that look along -z with y up.
+fn opengl(session: &Session) -> Option<Session> {
+    let flip = Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0));
+    let mut changed = session.clone();
+    for view in &mut changed.views {
+        let pose = view.camera_from_world.as_mut()?;
+        (pose.rotation, pose.translation) = (flip * pose.rotation, flip * pose.translation);
+    }
+    Some(changed)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -252,7 +273,22 @@ mod tests {
     fn session() -> Session {
         let preset = SimulationConfig::preset(Preset::Hard);
         let config = SimulationConfig { frames: 60, convention: KeypointConvention::Body25, ..preset };
-        simulate(&config).unwrap().session
+        let simulated = simulate(&config).unwrap();
+        let mut session = simulated.session;
+        let poses = simulated.truth.cameras.into_iter().map(Some);
+        session.views.iter_mut().zip(poses).for_each(|(view, pose)| view.camera_from_world = pose);
+        session
+    }
+
+    #[test]
+    fn combinations_name_mistakes_of_different_cameras() {
+        let find = |name: &str| MISTAKES.iter().find(|mistake| mistake.name == name).unwrap();
+        for [first, second] in COMBINATIONS {
+            let (first, second) = (find(first), find(second));
+            assert!(first.cameras.is_empty() || second.cameras.is_empty(), "{} {}", first.name, second.name);
+            let session = session();
+            assert!((first.inject)(&session).and_then(|changed| (second.inject)(&changed)).is_some());
+        }
     }
 
     #[test]
@@ -260,7 +296,7 @@ mod tests {
         let session = session();
         for mistake in MISTAKES {
             let changed = (mistake.inject)(&session).unwrap();
-            assert!(changed != session, "{}", mistake.name);
+            assert!(changed != session || mistake.options != "{}", "{}", mistake.name);
             assert_eq!(changed.views.len(), session.views.len());
         }
     }
@@ -280,6 +316,7 @@ mod tests {
             "coordinates from 0 to 1",
             "confidences x 0.1",
             "every second frame missing",
+            "given poses in the axes of OpenGL",
         ];
         for name in names {
             let mistake = MISTAKES.iter().find(|mistake| mistake.name == name).unwrap();

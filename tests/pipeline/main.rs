@@ -4,6 +4,7 @@
 mod edge_cases;
 mod fast_people;
 mod joint_adjustment;
+mod mistakes;
 mod monocular;
 mod presets;
 mod progress;

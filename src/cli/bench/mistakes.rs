@@ -1,20 +1,22 @@
 //! `wandless bench mistakes`: which mistakes in a recording's files a solve recognises, on sessions with ground truth.
 //!
-//! Every session is solved as it is and with every mistake. A case is *named* where a suspicion has the right code and
-//! cameras, *detected* where the verdict is worse than that of the session as it is or the solve fails, *harmless* where
+//! Every session is solved as it is, with every mistake and with some combinations of two. A case is *named* where a suspicion has
+//! the right code and cameras (of both of a combination), *detected* where the verdict is worse than that of the session as it is or the solve fails, *harmless* where
 //! the result is as good as without the mistake, and *silent* otherwise.
 
 use crate::cli::bad_input::BadInput;
 use crate::cli::solve::use_threads;
+use crate::evaluation::documents::read_cameras;
 use crate::evaluation::{Evaluation, EvaluationOptions, evaluate};
 use crate::export::{ResultContext, write_result};
 use crate::pipeline::config::Repair;
+use crate::pipeline::repair::with_option;
 use crate::pipeline::{Options, PipelineError, reconstruct};
 use crate::progress::Progress;
 use crate::session::reconstruction::Verdict;
 use crate::session::upload::{UploadLimits, read_path};
 use crate::session::{Reconstruction, Session, Suspicion};
-use crate::simulation::mistakes::{MISTAKES, Mistake};
+use crate::simulation::mistakes::{COMBINATIONS, MISTAKES, Mistake};
 use anyhow::Context;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -57,7 +59,7 @@ const NEGLIGIBLE: [f64; 3] = [5.0, 0.05, 2.0];
 struct Case {
     session: String,
     /// `None`: the session as it is.
-    mistake: Option<&'static str>,
+    mistake: Option<String>,
     outcome: Outcome,
     /// Where a repair was applied: whether the result is as good as without the mistake.
     is_repaired: Option<bool>,
@@ -72,7 +74,7 @@ enum Outcome {
     Clean,
     /// The session as it is, with a suspicion.
     FalseAlarm,
-    /// A suspicion with the right code and cameras.
+    /// A suspicion with the right code and cameras for each mistake.
     Named,
     /// A worse verdict, or no result.
     Detected,
@@ -103,30 +105,37 @@ pub(super) fn run(args: &MistakesArgs) -> anyhow::Result<()> {
     if args.out.exists() {
         return Err(BadInput(format!("{}: the folder exists; choose a new one", args.out.display())).into());
     }
-    let is_chosen = |m: &&Mistake| args.only.is_empty() || args.only.iter().any(|text| m.name.contains(text));
+    let is_chosen = |i: &Injection| args.only.is_empty() || args.only.iter().any(|text| i.name.contains(text.as_str()));
     let mut cases = Vec::new();
     for (k, path) in args.sessions.iter().enumerate() {
         let loaded =
             read_path(path, &UploadLimits::default()).map_err(|e| BadInput(format!("{}: {e}", path.display())))?;
         let session = &loaded.session;
+        let posed = with_true_poses(session, path)?;
         let name = path.file_name().map_or_else(|| k.to_string(), |name| name.to_string_lossy().into_owned());
-        let case = |mistake: Option<&'static str>, outcome, is_repaired, solved| {
+        let case = |mistake: Option<String>, outcome, is_repaired, solved| {
             let session = name.clone();
             Case { session, mistake, outcome, is_repaired, solved }
         };
         let options =
             Options { repair: if args.repair { Repair::Auto } else { Repair::Suggest }, ..Options::default() };
-        let solve =
-            |session: &Session, n: usize| solved(session, &options, path, &args.out.join(format!("{k}-{name}/{n}")));
-        let clean = solve(session, 0)?;
+        let solve = |session: &Session, options: &Options, n: usize| {
+            solved(session, options, path, &args.out.join(format!("{k}-{name}/{n}")))
+        };
+        let clean = solve(session, &options, 0)?;
         let outcome = if clean.suspicions.is_empty() { Outcome::Clean } else { Outcome::FalseAlarm };
         cases.push(reported(case(None, outcome, None, clean.clone())));
-        for (n, mistake) in MISTAKES.iter().enumerate().filter(|(_, mistake)| is_chosen(mistake)) {
-            let Some(changed) = (mistake.inject)(session) else { continue };
-            let solved = solve(&changed, n + 1)?;
-            let outcome = judged(mistake, session, &clean, &solved);
+        for (n, injection) in injections().iter().enumerate().filter(|(_, injection)| is_chosen(injection)) {
+            // Some mistakes need poses that most sessions do not give.
+            let Some(changed) = injection.inject(session).or_else(|| injection.inject(&posed)) else { continue };
+            let options = injection
+                .mistakes
+                .iter()
+                .fold(options.clone(), |options, mistake| with_option(&options, mistake.options).unwrap_or(options));
+            let solved = solve(&changed, &options, n + 1)?;
+            let outcome = judged(&injection.mistakes, session, &clean, &solved);
             let is_repaired = solved.suspicions.iter().any(|s| s.applied).then(|| is_as_good(&clean, &solved));
-            cases.push(reported(case(Some(mistake.name), outcome, is_repaired, solved)));
+            cases.push(reported(case(Some(injection.name.clone()), outcome, is_repaired, solved)));
         }
     }
     let table = markdown(&cases);
@@ -135,6 +144,36 @@ pub(super) fn run(args: &MistakesArgs) -> anyhow::Result<()> {
     std::fs::write(args.out.join("mistakes.md"), table)?;
     std::fs::write(args.out.join("mistakes.json"), serde_json::to_string_pretty(&cases)?)?;
     Ok(())
+}
+
+/// A mistake, or several at once.
+struct Injection {
+    name: String,
+    mistakes: Vec<&'static Mistake>,
+}
+
+impl Injection {
+    fn inject(&self, session: &Session) -> Option<Session> {
+        self.mistakes.iter().try_fold(session.clone(), |session, mistake| (mistake.inject)(&session))
+    }
+}
+
+/// Every mistake, then the combinations.
+fn injections() -> Vec<Injection> {
+    let singles = MISTAKES.iter().map(|mistake| Injection { name: mistake.name.to_owned(), mistakes: vec![mistake] });
+    let combined = COMBINATIONS.iter().map(|names| Injection {
+        name: names.join(", "),
+        mistakes: names.iter().flat_map(|name| MISTAKES.iter().find(|mistake| mistake.name == *name)).collect(),
+    });
+    singles.chain(combined).collect()
+}
+
+/// The session with the true poses of its cameras.
+fn with_true_poses(session: &Session, path: &Path) -> anyhow::Result<Session> {
+    let truth = read_cameras(&path.join("gt/cameras.json")).map_err(|e| BadInput(e.to_string()))?;
+    let mut posed = session.clone();
+    posed.views.iter_mut().for_each(|view| view.camera_from_world = truth.get(&view.id).copied());
+    Ok(posed)
 }
 
 /// Solves a session and compares the result with the truth of `path`.
@@ -182,15 +221,18 @@ fn with_errors(result: &Reconstruction, errors: &Evaluation) -> Solved {
     }
 }
 
-fn judged(mistake: &Mistake, session: &Session, clean: &Solved, solved: &Solved) -> Outcome {
-    let mut expected: Vec<&str> = mistake.cameras.iter().map(|&v| session.views[v].id.as_str()).collect();
-    expected.sort_unstable();
-    let is_right = |suspicion: &Suspicion| {
-        let mut cameras: Vec<&str> = suspicion.cameras.iter().map(String::as_str).collect();
-        cameras.sort_unstable();
-        mistake.codes.contains(&suspicion.code) && (expected.is_empty() || cameras == expected)
+fn judged(mistakes: &[&Mistake], session: &Session, clean: &Solved, solved: &Solved) -> Outcome {
+    let is_named = |mistake: &&Mistake| {
+        let mut expected: Vec<&str> = mistake.cameras.iter().map(|&v| session.views[v].id.as_str()).collect();
+        expected.sort_unstable();
+        let is_right = |suspicion: &Suspicion| {
+            let mut cameras: Vec<&str> = suspicion.cameras.iter().map(String::as_str).collect();
+            cameras.sort_unstable();
+            mistake.codes.contains(&suspicion.code) && (expected.is_empty() || cameras == expected)
+        };
+        solved.suspicions.iter().any(is_right)
     };
-    if solved.suspicions.iter().any(is_right) {
+    if mistakes.iter().all(is_named) {
         Outcome::Named
     } else if solved.verdict.is_none_or(|verdict| Some(verdict) > clean.verdict) {
         Outcome::Detected
@@ -227,7 +269,7 @@ fn reported(case: Case) -> Case {
     eprintln!(
         "{} | {} | {:?} | {} mm, {} deg, limbs {} mm, sigma {} mm, {secs:.1} s",
         case.session,
-        case.mistake.unwrap_or("as it is"),
+        case.mistake.as_deref().unwrap_or("as it is"),
         case.outcome,
         number(*position_mm, 0),
         number(*angle_deg, 2),
@@ -254,12 +296,12 @@ fn markdown(cases: &[Case]) -> String {
     ];
     let heads: Vec<&str> = COLUMNS.iter().map(|(head, _)| *head).collect();
     let mut table = format!("| mistake | {} |\n|---|---|---|---|---|\n", heads.join(" | "));
-    for mistake in MISTAKES {
-        let of_mistake: Vec<&Case> = cases.iter().filter(|case| case.mistake == Some(mistake.name)).collect();
+    for Injection { name, .. } in injections() {
+        let of_mistake: Vec<&Case> = cases.iter().filter(|case| case.mistake.as_ref() == Some(&name)).collect();
         if !of_mistake.is_empty() {
             let count = |outcome| of_mistake.iter().filter(|case| case.outcome == outcome).count().to_string();
             let cells: Vec<String> = COLUMNS.iter().map(|(_, outcome)| count(*outcome)).collect();
-            table.push_str(&format!("| {} | {} |\n", mistake.name, cells.join(" | ")));
+            table.push_str(&format!("| {name} | {} |\n", cells.join(" | ")));
         }
     }
     let clean: Vec<&Case> = cases.iter().filter(|case| case.mistake.is_none()).collect();
@@ -299,9 +341,11 @@ mod tests {
             serde_json::from_slice(&std::fs::read(out.join("mistakes.json")).unwrap()).unwrap();
         let outcomes: Vec<_> =
             cases.as_array().unwrap().iter().map(|case| (&case["mistake"], &case["outcome"])).collect();
-        let [none, copied, halved] = &outcomes[..] else { panic!("{outcomes:?}") };
+        let [none, copied, halved, combined] = &outcomes[..] else { panic!("{outcomes:?}") };
         assert_eq!((none.0.is_null(), none.1.as_str()), (true, Some("clean")));
         assert_eq!((copied.0.as_str(), copied.1.as_str()), (Some("keypoints of a second camera"), Some("named")));
         assert_eq!((halved.0.as_str(), halved.1.as_str()), (Some("every second frame missing"), Some("named")));
+        assert_eq!(combined.0.as_str(), Some("every second frame missing, focal length +20 %"));
+        assert_ne!(combined.1.as_str(), Some("silent"));
     }
 }

@@ -30,16 +30,20 @@ const EDGES: [(&str, &str); 12] = [
     ("right_knee", "right_ankle"),
 ];
 
-/// Confidences that even at their best are below what detectors give correct keypoints.
-pub(super) fn low_confidence(session: &Session) -> Option<Suspicion> {
+/// The confidence that 95 % of the present keypoints do not exceed; `None` with few keypoints.
+pub fn best_confidence(session: &Session) -> Option<f64> {
     let keypoints = session.views.iter().flat_map(|view| view.frames.iter().flatten()).flat_map(|d| &d.keypoints);
     let mut confidences: Vec<f64> = keypoints.filter(|k| k.is_present()).map(|k| k.confidence).collect();
     if confidences.len() < MIN_KEYPOINTS {
         return None;
     }
     let at = confidences.len() * 19 / 20;
-    let (_, best, _) = confidences.select_nth_unstable_by(at, f64::total_cmp);
-    let best = *best;
+    Some(*confidences.select_nth_unstable_by(at, f64::total_cmp).1)
+}
+
+/// Confidences that even at their best are below what detectors give correct keypoints.
+pub(super) fn low_confidence(session: &Session) -> Option<Suspicion> {
+    let best = best_confidence(session)?;
     (best < DETECTOR.judged).then(|| {
         Suspicion::new(
             SuspicionCode::LowConfidence,
@@ -53,22 +57,33 @@ pub(super) fn low_confidence(session: &Session) -> Option<Suspicion> {
     })
 }
 
-/// A convention with as many keypoints that makes bodies much more compact than the declared one.
-pub(super) fn convention(session: &Session) -> Option<Suspicion> {
+/// The convention with as many keypoints that makes bodies most compact, and the mean lengths of edges under the declared one and
+/// under it.
+fn most_compact(session: &Session) -> Option<(KeypointConvention, [f64; 2])> {
     let declared = session.convention;
     let others =
         KeypointConvention::ALL.into_iter().filter(|c| *c != declared && c.n_keypoints() == declared.n_keypoints());
     let own = edge_length(session, declared)?;
     let lengths = others.filter_map(|other| Some((edge_length(session, other)?, other)));
     let (length, best) = lengths.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    (length < SHORTER * own).then(|| {
+    (length < SHORTER * own).then_some((best, [own, length]))
+}
+
+/// The convention that the keypoints are in, where it is clearly not the declared one.
+pub fn likelier_convention(session: &Session) -> Option<KeypointConvention> {
+    most_compact(session).map(|(convention, _)| convention)
+}
+
+/// A convention with as many keypoints that makes bodies much more compact than the declared one.
+pub(super) fn convention(session: &Session) -> Option<Suspicion> {
+    most_compact(session).map(|(best, [own, length])| {
         Suspicion::new(
             SuspicionCode::Convention,
             Vec::new(),
             format!(
                 "neighbouring keypoints are {:.0} % of a person's size apart as {}, but only {:.0} % as {}",
                 100.0 * own,
-                declared.name(),
+                session.convention.name(),
                 100.0 * length,
                 best.name()
             ),

@@ -1,6 +1,7 @@
 //! The keypoints against the image: size, orientation, principal point and unit of the coordinates.
 
 use crate::body::detector_profile::DETECTOR;
+use crate::geometry::Intrinsics;
 use crate::session::recording::{Keypoint, View};
 use crate::session::suspicion::{Suspicion, SuspicionCode};
 use nalgebra::Vector2;
@@ -72,24 +73,65 @@ fn of_keypoints(view: &View, size: Vector2<f64>) -> Option<Found> {
     })
 }
 
+/// Usual sizes of images over each other, and how far a principal point that is off the centre moves their ratio.
+const SIZES: [f64; 10] = [0.25, 1.0 / 3.0, 0.5, 2.0 / 3.0, 0.75, 4.0 / 3.0, 1.5, 2.0, 3.0, 4.0];
+const NEAR_SIZE: f64 = 0.05;
+
+/// What explains a principal point that is far from the centre.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Centre {
+    Exchanged,
+    OtherSize(f64),
+    Unexplained,
+}
+
 fn of_principal_point(view: &View, size: Vector2<f64>) -> Option<Found> {
     let (cx, cy) = (view.intrinsics.cx + 0.5, view.intrinsics.cy + 0.5);
+    let off = format!("the principal point ({cx:.0}, {cy:.0}) is far from the centre");
+    Some(match centre(&view.intrinsics, size)? {
+        Centre::Exchanged => {
+            let evidence = format!("{off}, and near it with cx and cy exchanged");
+            let remedy = "exchange cx and cy, or calibrate the video in the orientation of its keypoints";
+            (SuspicionCode::PrincipalPoint, evidence, remedy)
+        }
+        Centre::OtherSize(factor) => {
+            let evidence = format!("{off}: K belongs to images {factor:.2} times as large");
+            (SuspicionCode::Resolution, evidence, "give K for the resolution of the keypoints")
+        }
+        Centre::Unexplained => {
+            (SuspicionCode::PrincipalPoint, off, "check the matrix K, and whether the images were cropped")
+        }
+    })
+}
+
+/// `None` where the principal point is as usual.
+fn centre(intrinsics: &Intrinsics, size: Vector2<f64>) -> Option<Centre> {
+    let (cx, cy) = (intrinsics.cx + 0.5, intrinsics.cy + 0.5);
     let distance = |x: f64, y: f64| (x / size.x - 0.5).abs().max((y / size.y - 0.5).abs());
     let (given, exchanged) = (distance(cx, cy), distance(cy, cx));
     let is_exchanged = given > SHIFTED && exchanged < WELL_CENTRED;
     if given < OFF_CENTRE && !is_exchanged {
         return None;
     }
-    let off = format!("the principal point ({cx:.0}, {cy:.0}) is far from the centre");
     if is_exchanged || exchanged < CENTRED {
-        let evidence = format!("{off}, and near it with cx and cy exchanged");
-        let remedy = "exchange cx and cy, or calibrate the video in the orientation of its keypoints";
-        return Some((SuspicionCode::PrincipalPoint, evidence, remedy));
+        return Some(Centre::Exchanged);
     }
     let factor = cx / size.x + cy / size.y;
-    if factor > 0.0 && distance(cx / factor, cy / factor) < CENTRED {
-        let evidence = format!("{off}: K belongs to images {factor:.2} times as large");
-        return Some((SuspicionCode::Resolution, evidence, "give K for the resolution of the keypoints"));
+    let is_of_other_size = factor > 0.0 && distance(cx / factor, cy / factor) < CENTRED;
+    Some(if is_of_other_size { Centre::OtherSize(factor) } else { Centre::Unexplained })
+}
+
+/// The intrinsics with the principal point near the centre, where that has one explanation.
+pub fn centred(intrinsics: &Intrinsics) -> Option<Intrinsics> {
+    let size = Vector2::new(f64::from(intrinsics.width), f64::from(intrinsics.height));
+    match centre(intrinsics, size)? {
+        Centre::Exchanged => Some(Intrinsics { cx: intrinsics.cy, cy: intrinsics.cx, ..*intrinsics }),
+        Centre::OtherSize(factor) => {
+            let (width, height) = (intrinsics.width, intrinsics.height);
+            let usual = SIZES.into_iter().find(|usual| (factor / usual).ln().abs() < NEAR_SIZE);
+            let factor = usual.unwrap_or(factor);
+            Some(Intrinsics { width, height, ..intrinsics.resized(1.0 / factor) })
+        }
+        Centre::Unexplained => None,
     }
-    Some((SuspicionCode::PrincipalPoint, off, "check the matrix K, and whether the images were cropped"))
 }

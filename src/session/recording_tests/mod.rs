@@ -14,6 +14,9 @@ mod repetition;
 #[cfg(test)]
 mod tests;
 
+pub use detector::{best_confidence, likelier_convention};
+pub use image::centred;
+
 use super::recording::Session;
 use super::suspicion::Suspicion;
 

@@ -4,18 +4,21 @@
 //! Cameras that are named once are left to that name: their errors spill over to the others, and one mistake has one name.
 
 mod cameras;
+mod lenses;
 mod parameters;
 pub mod solved;
+mod unsolved;
 mod whole;
 
 use crate::progress::{Canceled, Progress};
 use crate::session::Suspicion;
 use solved::Solved;
+pub use unsolved::mistake_of_unsolved;
 
 /// Every suspicion that the solution raises.
 pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, Canceled> {
     let spoils_all = |s: &Suspicion| s.cameras.is_empty() && s.code.affects_cameras();
-    if solved.calibration.n_placed() < 2 || solved.known.iter().any(spoils_all) {
+    if solved.unnamed(&[]).len() < 2 || solved.known.iter().any(spoils_all) {
         return Ok(Vec::new());
     }
     let mut steps = progress.steps([1.0, 1.0, 0.5]);
@@ -25,15 +28,19 @@ pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, C
     if found.is_empty() {
         cameras::other_readings(solved, &mut found, &step)?;
         whole::other_take(solved, &mut found, &step)?;
+        if found.is_empty() {
+            found.extend(unsolved::mistake_of_pair(solved, &step)?);
+        }
     }
     let step = steps.begin("testing delays and focal lengths");
     if found.is_empty() {
         parameters::other_parameters(solved, &mut found, &step)?;
     }
-    steps.begin("testing movements of cameras");
+    let step = steps.begin("testing movements of cameras");
     cameras::exchanged_labels(solved, &mut found);
-    cameras::moved_camera(solved, &mut found);
+    cameras::moved_camera(solved, &mut found, &step)?;
     whole::mirrored_world(solved, &mut found);
+    whole::too_few_people(solved, &mut found);
     whole::wrong_frame_rate(solved, &mut found);
     Ok(found)
 }

@@ -1,33 +1,29 @@
 //! Delays and focal lengths that an adjustment of all cameras finds.
 
-use super::solved::Solved;
-use crate::body::bones::LENGTH_SIGMA;
+use super::lenses::{lies_within, misplaced_lenses};
+use super::solved::{MAX_KEYFRAMES, Solved};
 use crate::pipeline::calibration::{Adjusted, CameraFreedom};
 use crate::pipeline::config::{IntrinsicsMode, Sync};
 use crate::pipeline::passes::adjustment::ALL_FRAMES;
 use crate::pipeline::stages::bundle_adjustment::adjust;
-use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput, Bone};
+use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput};
 use crate::pipeline::stages::keyframe_selection::{select_keyframes, set_image_velocities};
 use crate::pipeline::stages::recording_check::lens::resected;
 use crate::pipeline::stages::recording_check::parameters::{
     Delay, MIN_LOG_EVIDENCE, WrongLenses, delays, wrong_lenses,
 };
 use crate::progress::{Canceled, Progress};
-use crate::session::{Suspicion, SuspicionCode as Code, View};
+use crate::session::{Suspicion, SuspicionCode as Code};
 
-/// Keyframes of the adjustment: half of those of the last adjustment give standard errors that are 1.4 times as large, still far
-/// below what counts.
-const MAX_KEYFRAMES: usize = 250;
 /// Length of an independent block of one person, s.
 const BLOCK_SECS: f64 = 2.0;
 
+/// Images are smaller than stated where keypoints stay within this share of width and height: people walk through more of an image,
+/// and the next smaller format has two thirds.
+const SMALLER: f64 = 0.72;
+
 /// Largest difference of logarithms of focal factors that an exchange of two calibrations explains.
 const SAME_FOCAL: f64 = 0.03;
-
-/// Images are smaller than stated where keypoints stay within this share of width and height, but for this share of them: people
-/// walk through more of an image, and the next smaller format has two thirds.
-const SMALLER: f64 = 0.72;
-const OUTSIDE: f64 = 0.01;
 
 /// Delays and focal lengths against those given.
 pub(super) fn other_parameters(
@@ -36,6 +32,14 @@ pub(super) fn other_parameters(
     progress: &Progress,
 ) -> Result<(), Canceled> {
     let options = solved.given.options;
+    let mut steps = progress.steps([1.0, 1.0]);
+    if options.intrinsics_of(solved.session()) == IntrinsicsMode::Fixed {
+        found.extend(misplaced_lenses(solved, &steps.begin("testing calibrations of other images"))?);
+    }
+    let progress = &steps.begin("testing delays and focal lengths");
+    if !found.is_empty() {
+        return Ok(());
+    }
     let (adjusted, origins) = adjusted_freely(solved, progress)?;
     for (view, camera) in adjusted.cameras.iter().enumerate() {
         let sigma = camera.uncertainty.and_then(|u| u.sigma_delay);
@@ -45,7 +49,7 @@ pub(super) fn other_parameters(
         let late = delays(&adjusted).into_iter().filter(|delay| !solved.is_named(delay.view, &[]));
         found.extend(late.map(|delay| of_delay(solved, &delay)));
     }
-    if options.intrinsics_of(solved.session()) == IntrinsicsMode::Fixed && found.is_empty() {
+    if options.intrinsics_of(solved.session()) == IntrinsicsMode::Fixed {
         let prior = AdjustmentConfig::default().focal_sigma;
         found.extend(wrong_lenses(&adjusted, &origins, prior).and_then(|lenses| of_lenses(solved, &lenses)));
     }
@@ -72,7 +76,7 @@ fn adjusted_freely(solved: &Solved, progress: &Progress) -> Result<(Adjusted, Ve
             origins[view] = lens.factor.ln();
         }
     }
-    let bones: Vec<Bone> = solved.given.bones.iter().map(|b| Bone { a: b.a, b: b.b, sigma: LENGTH_SIGMA }).collect();
+    let bones = solved.bones();
     let input = AdjustmentInput {
         intrinsics: &intrinsics,
         cameras,
@@ -120,7 +124,8 @@ fn of_lenses(solved: &Solved, lenses: &WrongLenses) -> Option<Suspicion> {
     Some(Suspicion { suggested_option, ..Suspicion::new(Code::FocalLength, cameras, evidence, remedy) })
 }
 
-/// Two cameras of which each has the focal length of the other.
+/// Two cameras of which each has the focal length of the other: where principal points are alike, [`misplaced_lenses`] cannot tell an
+/// exchange from two wrong focal lengths.
 fn exchanged_cameras(solved: &Solved, factors: &[(usize, f64)]) -> Option<Suspicion> {
     let focal = |v: usize| solved.session().views[v].intrinsics.focal();
     let [(a, on_a), (b, on_b)] = factors[..] else { return None };
@@ -135,13 +140,7 @@ fn exchanged_cameras(solved: &Solved, factors: &[(usize, f64)]) -> Option<Suspic
 
 /// Cameras whose focal length and keypoints both belong to smaller images.
 fn other_resolution(solved: &Solved, factors: &[(usize, f64)]) -> Option<Suspicion> {
-    let is_smaller = |view: usize| {
-        let View { intrinsics, frames, .. } = &solved.session().views[view];
-        let (width, height) = (SMALLER * f64::from(intrinsics.width), SMALLER * f64::from(intrinsics.height));
-        let keypoints = || frames.iter().flatten().flat_map(|d| &d.keypoints).filter(|k| k.is_present());
-        let outside = keypoints().filter(|k| k.pixel.x > width || k.pixel.y > height).count();
-        outside as f64 <= OUTSIDE * keypoints().count() as f64
-    };
+    let is_smaller = |view: usize| lies_within(&solved.session().views[view], SMALLER);
     let smaller = factors.iter().filter(|(view, factor)| *factor < 1.0 && is_smaller(*view));
     let views: Vec<usize> = smaller.map(|(view, _)| *view).collect();
     (!views.is_empty()).then(|| {

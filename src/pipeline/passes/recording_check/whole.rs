@@ -5,16 +5,16 @@ use super::solved::Solved;
 use crate::pipeline::capture::Capture;
 use crate::pipeline::config::{Extrinsics, Options};
 use crate::pipeline::stages::camera_init::initial_rigs;
-use crate::pipeline::stages::recording_check::frame_rate::{MIN_STEPS, POSSIBLE_RATIOS, USUAL_RATIO, steps};
+use crate::pipeline::stages::recording_check::frame_rate::{MIN_STEPS, POSSIBLE_RATIOS, Steps, USUAL_RATIO, steps};
 use crate::pipeline::stages::recording_check::handedness::{handedness, upside_down};
+use crate::pipeline::stages::recording_check::motion_rate::{MotionRate, motion_rate};
 use crate::pipeline::stages::recording_check::takes::groups;
 use crate::progress::{Canceled, Progress};
 use crate::session::{Session, Suspicion, SuspicionCode as Code};
 
 /// Groups of cameras that see different people.
 pub(super) fn separate_takes(solved: &Solved, found: &mut Vec<Suspicion>) {
-    let (cameras, tracks) = (&solved.calibration.cameras, &solved.calibration.association.tracks);
-    let groups = groups(solved.session(), cameras, tracks);
+    let groups = groups(&solved.people());
     tracing::debug!(?groups, "cameras that see the same people");
     if groups.iter().filter(|group| group.len() >= 2).count() >= 2 {
         let listed: Vec<String> = groups.iter().map(|group| solved.ids(group).join(", ")).collect();
@@ -79,22 +79,63 @@ pub(super) fn mirrored_world(solved: &Solved, found: &mut Vec<Suspicion>) {
     });
 }
 
-/// Steps that are too quick or too slow for their length.
+/// People beyond the given number who are seen as well as those of the result.
+pub(super) fn too_few_people(solved: &Solved, found: &mut Vec<Suspicion>) {
+    let n_left_out = solved.calibration.association.n_left_out;
+    let Some(n) = solved.given.options.people.filter(|_| n_left_out > 0) else { return };
+    let evidence = format!(
+        "{} people are followed by two cameras and more for about as long as those kept, but {n} {} to be found",
+        n + n_left_out,
+        if n == 1 { "is" } else { "are" }
+    );
+    let remedy = "give the number of all people whom the cameras see, or leave it open";
+    let suggested_option = Some(r#"{"people": null}"#.to_owned());
+    found.push(Suspicion { suggested_option, ..Suspicion::new(Code::PeopleLimit, Vec::new(), evidence, remedy) });
+}
+
+/// Steps whose length times duration is this many times the usual one are slow: one standard deviation between recordings of people
+/// who move freely.
+const SLOW_STEPS: f64 = 1.3;
+
+/// Steps that are too quick or too slow for their length, or movements that are too fast or too slow for people.
 pub(super) fn wrong_frame_rate(solved: &Solved, found: &mut Vec<Suspicion>) {
     let session = solved.session();
-    let Some(shown) = steps(session.convention, solved.paths, session.fps) else { return };
-    tracing::debug!(?shown, "steps of people");
-    let factor = shown.ratio / USUAL_RATIO;
+    let shown = steps(session.convention, solved.paths, session.fps);
+    let moved = motion_rate(session.convention, solved.paths, session.fps);
+    tracing::debug!(?shown, ?moved, "steps and movements of people");
+    let evidence = of_steps(session.fps, shown).or_else(|| of_movements(session.fps, shown, moved?));
+    let remedy = "give the frame rate of the videos (fps)";
+    found.extend(evidence.map(|evidence| Suspicion::new(Code::FrameRate, Vec::new(), evidence, remedy)));
+}
+
+fn of_steps(fps: f64, shown: Option<Steps>) -> Option<String> {
     let [least, most] = POSSIBLE_RATIOS;
-    if shown.n < MIN_STEPS || (least..most).contains(&shown.ratio) {
-        return;
-    }
-    let evidence = format!(
+    let shown = shown.filter(|shown| shown.n >= MIN_STEPS && !(least..most).contains(&shown.ratio))?;
+    let factor = shown.ratio / USUAL_RATIO;
+    Some(format!(
         "{} steps of people are {:.1} times too {} for their length, which suits some {:.0} frames per second",
         shown.n,
         factor.max(1.0 / factor),
         if factor > 1.0 { "slow" } else { "quick" },
-        session.fps * factor
-    );
-    found.push(Suspicion::new(Code::FrameRate, Vec::new(), evidence, "give the frame rate of the videos (fps)"));
+        fps * factor
+    ))
+}
+
+/// Runners are faster than the people of the statistics, and whoever likes moves slowly: slow movements count where steps are slow for
+/// their length too, fast ones unless steps are slow.
+fn of_movements(fps: f64, shown: Option<Steps>, moved: MotionRate) -> Option<String> {
+    let runs = shown.is_some_and(|shown| shown.is_running);
+    let of_steps = shown.filter(|shown| shown.n >= MIN_STEPS).map(|shown| shown.ratio / USUAL_RATIO);
+    let is_confirmed = match moved.factor > 1.0 {
+        true => of_steps.is_some_and(|factor| factor > SLOW_STEPS),
+        false => of_steps.is_none_or(|factor| factor < SLOW_STEPS),
+    };
+    (moved.is_wrong() && !runs && is_confirmed).then(|| {
+        format!(
+            "people move too {} for people: their speeds and accelerations suit {:.0} to {:.0} frames per second",
+            if moved.factor > 1.0 { "slowly" } else { "fast" },
+            fps * moved.range[0],
+            fps * moved.range[1]
+        )
+    })
 }

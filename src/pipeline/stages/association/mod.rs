@@ -14,6 +14,10 @@ use crate::session::reconstruction::StageReport;
 use crate::session::recording::{FrameIndex, PersonId, Session};
 use crate::session::{JointTrajectory, PersonTrack};
 
+/// A person is as real as another of whom there are this many times as many detections: pieces of a person that the tracker does not
+/// join, reflections and bystanders at the edge have fewer.
+const AS_WELL: f64 = 0.5;
+
 /// Assigns each detection to one person or rejects it; where the number of persons is known, the best supported are kept.
 pub fn associate(
     capture: &Capture,
@@ -22,9 +26,8 @@ pub fn associate(
 ) -> Result<(Association, StageReport), Canceled> {
     let scene = &capture.scene(cameras);
     let mut people = track(scene, &TrackerConfig::default(), progress)?;
-    if let Some(n) = capture.options.people {
-        people.truncate(n);
-    }
+    let n_left_out = capture.options.people.map_or(0, |n| left_out(&people, n));
+    people.truncate(capture.options.people.unwrap_or(people.len()));
     let explained = explained(scene, &people);
     let n_views = scene.views.len();
     let tracks: Vec<PersonTrack> = people.iter().enumerate().map(|(i, p)| as_track(i, p, n_views)).collect();
@@ -32,7 +35,13 @@ pub fn associate(
     let metrics = [("people", people.len() as f64), ("explained_share", explained)];
     let report = StageReport::new("association", scene.n_frames, "all_frames", metrics);
     let n_views_placed = scene.cameras.iter().flatten().count();
-    Ok((Association { tracks, points, explained, n_views_placed }, report))
+    Ok((Association { tracks, points, explained, n_views_placed, n_left_out }, report))
+}
+
+/// Number of the persons after the first `n` who have at least half as many detections as the last of these.
+fn left_out(people: &[TrackedPerson], n: usize) -> usize {
+    let Some(last) = people.get(n.wrapping_sub(1)) else { return 0 };
+    people[n..].iter().filter(|person| person.support() as f64 >= AS_WELL * last.support() as f64).count()
 }
 
 /// The association of groups of tracklets: the start, before persons are tracked in 3D.
@@ -55,7 +64,13 @@ pub fn from_clusters(scene: &TrackerScene, tracklets: &[Vec<Tracklet>], groups: 
         points.push(JointTrajectory { person: id, first, points: skeletons.into_iter().map(whole).collect(), n_views });
         tracks.push(PersonTrack { person: id, first, detections });
     }
-    Association { tracks, points, explained: 0.0, n_views_placed: scene.cameras.iter().flatten().count() }
+    Association {
+        tracks,
+        points,
+        explained: 0.0,
+        n_views_placed: scene.cameras.iter().flatten().count(),
+        n_left_out: 0,
+    }
 }
 
 fn as_track(person: usize, tracked: &TrackedPerson, n_views: usize) -> PersonTrack {

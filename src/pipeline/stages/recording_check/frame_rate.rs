@@ -20,8 +20,11 @@ pub const MIN_STEPS: usize = 5;
 const TRAVEL_SECS: f64 = 0.25;
 /// The feet have passed each other when one is this far in front, m: ten times a detector's noise on their difference of means.
 const IN_FRONT_M: f64 = 0.12;
-/// Lengths of steps from place to place: shorter ones shuffle or turn, longer ones are jumps, or exchanged persons.
+/// Lengths of steps from place to place: shorter ones shuffle or turn, longer ones are runners' or jumps, or exchanged persons.
 const STEP_M: [f64; 2] = [0.3, 1.5];
+/// People whose steps are longer run: walkers' reach 0.9 m, whatever the frame rate. A single step may be a jump.
+const RUNNING_STEP_M: f64 = 1.1;
+const MIN_RUNNING_STEPS: usize = 3;
 
 /// Steps of all people.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -30,6 +33,8 @@ pub struct Steps {
     pub n: usize,
     /// Median of length times duration, m s.
     pub ratio: f64,
+    /// Whether people run, at any frame rate.
+    pub is_running: bool,
 }
 
 /// Steps of all people; `None` without any, or where the convention lacks hips, shoulders or ankles.
@@ -43,20 +48,23 @@ pub fn steps(convention: KeypointConvention, people: &[JointTrajectory], fps: f6
     });
     let up = trunks.sum::<Vector3<f64>>().try_normalize(1e-6)?;
     let level = |v: Vector3<f64>| v - up * v.dot(&up);
-    let mut ratios = Vec::new();
+    let mut steps = Vec::new();
     for person in people {
         let middle: Vec<Option<Vector3<f64>>> =
             person.points.iter().map(|points| at(points, hips).map(|(a, b)| level(0.5 * (a + b)))).collect();
         let spread: Vec<Option<Vector3<f64>>> =
             person.points.iter().map(|points| at(points, ankles).map(|(a, b)| level(a - b))).collect();
-        ratios.extend(ratios_of_person(&middle, &spread, fps));
+        steps.extend(steps_of_person(&middle, &spread, fps));
     }
-    let n = ratios.len();
-    median(&mut ratios).map(|ratio| Steps { n, ratio })
+    let length = median(&mut steps.iter().map(|(length, _)| *length).collect::<Vec<_>>())?;
+    let is_running = steps.len() >= MIN_RUNNING_STEPS && length > RUNNING_STEP_M;
+    let usual = steps.iter().filter(|(length, _)| *length < STEP_M[1]);
+    let mut ratios: Vec<f64> = usual.map(|(length, secs)| length * secs).collect();
+    Some(Steps { n: ratios.len(), ratio: median(&mut ratios).unwrap_or(USUAL_RATIO), is_running })
 }
 
-/// Length times duration of each step; `spread`: from the right to the left ankle.
-fn ratios_of_person(middle: &[Option<Vector3<f64>>], spread: &[Option<Vector3<f64>>], fps: f64) -> Vec<f64> {
+/// Length, m, and duration, s, of each step from place to place; `spread`: from the right to the left ankle.
+fn steps_of_person(middle: &[Option<Vector3<f64>>], spread: &[Option<Vector3<f64>>], fps: f64) -> Vec<(f64, f64)> {
     let reach = ((TRAVEL_SECS * fps).round() as usize).max(1);
     // Frames in which a foot gets in front, and which.
     let mut passages: Vec<(usize, bool)> = Vec::new();
@@ -72,7 +80,7 @@ fn ratios_of_person(middle: &[Option<Vector3<f64>>], spread: &[Option<Vector3<f6
     let step = |pair: &[(usize, bool)]| {
         let (start, end) = (pair[0].0, pair[1].0);
         let length = (middle[end]? - middle[start]?).norm();
-        (STEP_M[0]..STEP_M[1]).contains(&length).then_some(length * (end - start) as f64 / fps)
+        (length >= STEP_M[0]).then_some((length, (end - start) as f64 / fps))
     };
     passages.windows(2).filter_map(step).collect()
 }

@@ -1,15 +1,18 @@
 //! A camera's focal length by resection: people's points fit best under one focal length, with its own pose.
 //!
-//! The points are those of all cameras, so the result is a start for an adjustment of all, not a measurement. An adjustment alone
+//! The points rest on the other cameras as they are, so the result is a start for an adjustment of all, not a measurement. An adjustment alone
 //! reaches a focal length that is 20 % off after hundreds of steps, since focal length and distance trade against each other.
 
 use crate::body::detector_profile::DETECTOR;
 use crate::estimation::pnp::refine_pose;
-use crate::geometry::Rigid;
+use crate::estimation::triangulation::triangulate_reweighted;
 use crate::geometry::p3p::PointCorrespondence;
 use crate::geometry::projection::project_normalized;
+use crate::geometry::triangulation::PointObservation;
+use crate::geometry::{Intrinsics, Rigid};
 use crate::optim::robust::geman_mcclure_rho;
 use crate::pipeline::calibration::TrackedPeople;
+use crate::session::View;
 use nalgebra::{Vector2, Vector3};
 
 /// Logarithms of the focal factors that are tried: `-N_STEPS..=N_STEPS` times `STEP`.
@@ -21,6 +24,8 @@ const MIN_POINTS: usize = 60;
 /// Reprojection error from which a point hardly counts, rad under the given focal length: 10 px at 1,060 px.
 const TOLERANCE: f64 = 0.01;
 const ITERATIONS: usize = 12;
+/// Residual of a ray, m, from which it hardly counts in a point: three times a detector's noise.
+const ROBUST_SCALE_M: f64 = 0.1;
 /// The cost must fall to this share of that of the given focal length: else the given one is the better start.
 const BETTER: f64 = 0.95;
 
@@ -31,6 +36,8 @@ pub struct Lens {
     pub factor: f64,
     /// Pose of the camera.
     pub camera_from_world: Rigid,
+    /// Robust cost, squared angles under the given focal length.
+    pub cost: f64,
 }
 
 /// The focal length under which the camera shows the people best; `None` where the given one is as good.
@@ -40,12 +47,14 @@ pub fn resected(people: &TrackedPeople, view: usize) -> Option<Lens> {
     if points.len() < MIN_POINTS {
         return None;
     }
-    let given = fit(people, view, camera, &points, 0);
+    let lens = people.session.views[view].intrinsics;
+    let given = fit(&lens, 1.0, camera, &points);
     let mut best = (0, given);
     for direction in [-1, 1] {
         let mut pose = given.0;
         for step in 1..=N_STEPS {
-            let found = fit(people, view, &pose, &points, direction * step);
+            let factor = factor(direction * step);
+            let found = fit(&lens.with_focal_factor(factor), factor, &pose, &points);
             pose = found.0;
             if found.1 < best.1.1 {
                 best = (direction * step, found);
@@ -53,35 +62,53 @@ pub fn resected(people: &TrackedPeople, view: usize) -> Option<Lens> {
         }
     }
     let (step, (camera_from_world, cost)) = best;
-    (cost < BETTER * given.1).then(|| Lens { factor: factor(step), camera_from_world })
+    (cost < BETTER * given.1).then(|| Lens { factor: factor(step), camera_from_world, cost })
+}
+
+/// The pose of a camera under another lens, and its robust cost, squared angles under the given focal length.
+pub fn under_lens(people: &TrackedPeople, view: usize, lens: &Intrinsics) -> Option<(Rigid, f64)> {
+    let camera = people.cameras[view].as_ref()?;
+    let points = points(people, view);
+    let factor = lens.focal() / people.session.views[view].intrinsics.focal();
+    (points.len() >= MIN_POINTS).then(|| fit(lens, factor, camera, &points))
 }
 
 fn factor(step: i32) -> f64 {
     (f64::from(step) * STEP).exp()
 }
 
-/// Points in space with their pixels.
+/// Points in space, as the other cameras locate them, with their pixels: points that the camera itself takes part in would follow
+/// its lens.
 fn points(people: &TrackedPeople, view: usize) -> Vec<(Vector3<f64>, Vector2<f64>)> {
-    let mut found = Vec::new();
-    for (_, points, detection) in people.seen_by(view) {
-        let seen = points.iter().zip(&detection.keypoints);
-        let confident = seen.filter(|(_, k)| k.confidence > DETECTOR.confident);
-        found.extend(confident.filter_map(|(point, k)| Some(((*point)?, k.pixel))));
+    let mut seen = Vec::new();
+    for (track, tracked) in people.tracks.iter().enumerate() {
+        for (t, assigned) in tracked.detections.iter().enumerate() {
+            let detection = assigned[view].and_then(|d| people.session.views[view].frames[tracked.first.0 + t].get(d));
+            let keypoints = detection.iter().flat_map(|detection| detection.keypoints.iter().enumerate());
+            let confident = keypoints.filter(|(_, k)| k.confidence > DETECTOR.confident);
+            seen.extend(confident.map(|(k, keypoint)| (track, t, k, keypoint.pixel)));
+        }
     }
-    let stride = found.len().div_ceil(MAX_POINTS).max(1);
-    found.into_iter().step_by(stride).collect()
+    let stride = seen.len().div_ceil(MAX_POINTS).max(1);
+    let located = seen.into_iter().step_by(stride);
+    located.filter_map(|(track, t, k, pixel)| Some((by_others(people, view, track, t, k)?, pixel))).collect()
 }
 
-/// The pose under a focal length, and the robust cost in squared angles under the given one.
-fn fit(
-    people: &TrackedPeople,
-    view: usize,
-    start: &Rigid,
-    points: &[(Vector3<f64>, Vector2<f64>)],
-    step: i32,
-) -> (Rigid, f64) {
-    let factor = factor(step);
-    let lens = people.session.views[view].intrinsics.with_focal_factor(factor);
+/// A person's keypoint from the cameras other than `view`; `None` with fewer than two.
+fn by_others(people: &TrackedPeople, view: usize, track: usize, t: usize, keypoint: usize) -> Option<Vector3<f64>> {
+    let tracked = &people.tracks[track];
+    let ray = |(other, assigned): (usize, &Option<usize>)| {
+        let camera_from_world = people.cameras[other].as_ref().filter(|_| other != view)?;
+        let View { frames, intrinsics, .. } = &people.session.views[other];
+        let seen = frames[tracked.first.0 + t].get((*assigned)?)?.keypoints[keypoint];
+        let normalized = intrinsics.normalized_from_pixel(&seen.pixel);
+        (seen.confidence > DETECTOR.judged).then_some(PointObservation { camera_from_world, normalized, weight: 1.0 })
+    };
+    triangulate_reweighted(tracked.detections[t].iter().enumerate().filter_map(ray).collect(), ROBUST_SCALE_M)
+}
+
+/// The pose under a lens whose focal length is `factor` times the given one, and the robust cost in squared angles under that.
+fn fit(lens: &Intrinsics, factor: f64, start: &Rigid, points: &[(Vector3<f64>, Vector2<f64>)]) -> (Rigid, f64) {
     let seen: Vec<PointCorrespondence> =
         points.iter().map(|(x, pixel)| (*x, lens.normalized_from_pixel(pixel))).collect();
     let threshold = TOLERANCE / factor;

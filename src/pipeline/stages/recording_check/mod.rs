@@ -9,6 +9,7 @@
 //! - `movement`: a camera that turns during the recording
 //! - `handedness`: noses, toes and knees that point backwards
 //! - `frame_rate`: steps that are too quick or too slow for their length
+//! - `motion_rate`: people who move faster or slower than people do, with the statistics of `motion_statistics`
 //! - `takes`: cameras that show other people than the rest
 //!
 //! Each test compares with what the recording itself shows as usual, and returns a suspicion where the difference is large and
@@ -19,9 +20,13 @@ pub mod frame_rate;
 pub mod handedness;
 pub mod labels;
 pub mod lens;
+pub mod motion_rate;
+mod motion_statistics;
 pub mod movement;
 pub mod parameters;
 pub mod reading;
 pub mod takes;
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod tests_rate;

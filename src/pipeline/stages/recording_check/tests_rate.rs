@@ -1,0 +1,64 @@
+//! Steps and movements show the frame rate.
+
+use super::frame_rate::{POSSIBLE_RATIOS, steps};
+use super::motion_rate::{MotionRate, motion_rate};
+use crate::body::skeleton::KeypointConvention;
+use crate::session::{FrameIndex, JointTrajectory, PersonId};
+use crate::simulation::{MotionSource, Preset, SimulationConfig, simulate};
+
+/// Keypoints of simulated people, their convention and frame rate.
+fn people(config: &SimulationConfig) -> (Vec<JointTrajectory>, KeypointConvention, f64) {
+    let simulated = simulate(config).unwrap();
+    let keypoints = &simulated.truth.keypoints;
+    let person = |i: usize| JointTrajectory {
+        person: PersonId(i),
+        first: FrameIndex(0),
+        points: keypoints.iter().map(|people| people[i].iter().map(|p| Some(*p)).collect()).collect(),
+        n_views: Vec::new(),
+    };
+    let people = (0..simulated.truth.people.len()).map(person).collect();
+    (people, simulated.session.convention, simulated.session.fps)
+}
+
+#[test]
+fn steps_show_the_frame_rate() {
+    let (people, convention, fps) = people(&SimulationConfig { frames: 300, ..SimulationConfig::preset(Preset::Easy) });
+    let ratio = |rate: f64| steps(convention, &people, rate * fps).unwrap().ratio;
+    let [least, most] = POSSIBLE_RATIOS;
+    assert!((least..most).contains(&ratio(1.0)), "{}", ratio(1.0));
+    assert!(ratio(0.25) > most && ratio(2.4) < least, "{} {}", ratio(0.25), ratio(2.4));
+}
+
+/// The seed's people take too few steps from place to place.
+#[test]
+fn a_wrong_rate_passed_where_nobody_walks() {
+    for seed in 0..3 {
+        let (people, convention, fps) =
+            people(&SimulationConfig { frames: 300, seed, ..SimulationConfig::preset(Preset::Paper) });
+        let found = |rate: f64| motion_rate(convention, &people, rate * fps).unwrap();
+        let right = found(1.0);
+        assert!(!right.is_wrong() && right.range[0] < 1.0 && right.range[1] > 1.0, "{seed}: {right:?}");
+        let is_wrong = |rate: f64| {
+            let MotionRate { factor, .. } = found(rate);
+            found(rate).is_wrong() && (factor * rate).ln().abs() < 0.6
+        };
+        assert!(is_wrong(0.25) && is_wrong(4.0), "{seed}: {:?} {:?}", found(0.25), found(4.0));
+    }
+}
+
+#[test]
+fn runners_are_known_at_any_frame_rate() {
+    let running = SimulationConfig {
+        people: 1,
+        frames: 120,
+        motion: MotionSource::Running { speed: 6.0 },
+        ..SimulationConfig::preset(Preset::Easy)
+    };
+    let (people, convention, fps) = people(&running);
+    for rate in [0.5, 1.0, 2.0] {
+        assert!(steps(convention, &people, rate * fps).is_some_and(|steps| steps.is_running), "{rate}");
+    }
+    let (walkers, convention, fps) =
+        self::people(&SimulationConfig { frames: 300, ..SimulationConfig::preset(Preset::Easy) });
+    assert!(steps(convention, &walkers, 2.0 * fps).is_some_and(|steps| !steps.is_running));
+}
