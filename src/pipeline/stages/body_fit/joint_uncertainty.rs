@@ -109,12 +109,12 @@ fn between(sigmas: &[JointSigmas], t: usize, stride: usize) -> JointSigmas {
 
 /// Standard deviation per axis of where a joint lies in another body of the same person, beside [`BONE_SIGMA`], m: no keypoint
 /// shows these joints, and bodies place them by definitions of their own. Between the default body and skeletons of recorded people
-/// upper spine and collars lie 65 mm apart, hands and toes 50 mm, the middle of the spine 40 mm.
+/// upper spine and collars lie 65 mm apart, hands 50 mm, the middle of the spine 40 mm, toes and head 20 mm.
 fn definition_sigma(joint: usize) -> f64 {
     match JOINT_NAMES[joint] {
         "spine3" | "left_collar" | "right_collar" => 0.035,
-        "spine2" | "left_foot" | "right_foot" | "left_hand" | "right_hand" => 0.02,
-        "spine1" | "head" => 0.01,
+        "spine2" | "left_hand" | "right_hand" => 0.02,
+        "spine1" | "head" | "left_foot" | "right_foot" => 0.01,
         _ => 0.0,
     }
 }
