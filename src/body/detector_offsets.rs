@@ -53,7 +53,7 @@ pub struct OffsetKind {
     pub is_joint: bool,
     /// Standard deviation of the offset's prior per axis, m.
     pub prior_sigma: Vector3<f64>,
-    /// Whether the motion tells its bias from the body's proportions, see [`SEPARABLE`].
+    /// Whether the motion separates its bias from the body's proportions, see [`SEPARABLE`].
     pub can_be_biased: bool,
     /// Largest plausible length of the offset, m.
     pub largest: f64,

@@ -27,7 +27,7 @@ pub(super) const MOST: f64 = 0.5;
 const MIN_DECIDING: usize = 30;
 const EXCHANGED: f64 = 0.8;
 
-/// A step of a camera's rotation counts from this angle, rad, and this many standard errors, against people whom the others locate:
+/// A step of a camera's rotation counts from this angle, rad, and this many standard errors, against people as the others locate them:
 /// 0.17 degrees move a person at 4 m by 12 mm, half a detector's noise.
 const MIN_STEP: f64 = 0.003;
 const STEP_SIGMAS: f64 = 5.0;
@@ -161,7 +161,7 @@ pub(super) fn moved_camera(solved: &Solved, found: &mut Vec<Suspicion>, progress
     Ok(())
 }
 
-/// The step of a camera against people whom the other cameras alone have located: its own detections would hide most of it.
+/// The step of a camera against people as the other cameras alone have located them: its own detections would hide most of it.
 fn step_against_others(solved: &Solved, view: usize, progress: &Progress) -> Result<Option<Step>, Canceled> {
     let people = solved.people();
     let mut others = people.cameras.to_vec();

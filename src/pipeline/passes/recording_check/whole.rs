@@ -79,7 +79,7 @@ pub(super) fn mirrored_world(solved: &Solved, found: &mut Vec<Suspicion>) {
     });
 }
 
-/// People beyond the given number who are seen as well as those of the result.
+/// People beyond the given number, seen as well as those of the result.
 pub(super) fn too_few_people(solved: &Solved, found: &mut Vec<Suspicion>) {
     let n_left_out = solved.calibration.association.n_left_out;
     let Some(n) = solved.given.options.people.filter(|_| n_left_out > 0) else { return };
@@ -88,7 +88,7 @@ pub(super) fn too_few_people(solved: &Solved, found: &mut Vec<Suspicion>) {
         n + n_left_out,
         if n == 1 { "is" } else { "are" }
     );
-    let remedy = "give the number of all people whom the cameras see, or leave it open";
+    let remedy = "give the number of all people that the cameras see, or leave it open";
     let suggested_option = Some(r#"{"people": null}"#.to_owned());
     found.push(Suspicion { suggested_option, ..Suspicion::new(Code::PeopleLimit, Vec::new(), evidence, remedy) });
 }
@@ -121,7 +121,7 @@ fn of_steps(fps: f64, shown: Option<Steps>) -> Option<String> {
     ))
 }
 
-/// Runners are faster than the people of the statistics, and whoever likes moves slowly: slow movements count where steps are slow for
+/// Runners are faster than the people of the statistics, and anyone may move slowly: slow movements count where steps are slow for
 /// their length too, fast ones unless steps are slow.
 fn of_movements(fps: f64, shown: Option<Steps>, moved: MotionRate) -> Option<String> {
     let runs = shown.is_some_and(|shown| shown.is_running);

@@ -14,7 +14,7 @@ use crate::session::reconstruction::StageReport;
 use crate::session::recording::{FrameIndex, PersonId, Session};
 use crate::session::{JointTrajectory, PersonTrack};
 
-/// A person is as real as another of whom there are this many times as many detections: pieces of a person that the tracker does not
+/// A person is as real as another with this many times as many detections: pieces of a person that the tracker does not
 /// join, reflections and bystanders at the edge have fewer.
 const AS_WELL: f64 = 0.5;
 
@@ -38,7 +38,7 @@ pub fn associate(
     Ok((Association { tracks, points, explained, n_views_placed, n_left_out }, report))
 }
 
-/// Number of the persons after the first `n` who have at least half as many detections as the last of these.
+/// Number of the persons after the first `n` with at least half as many detections as the last of these.
 fn left_out(people: &[TrackedPerson], n: usize) -> usize {
     let Some(last) = people.get(n.wrapping_sub(1)) else { return 0 };
     people[n..].iter().filter(|person| person.support() as f64 >= AS_WELL * last.support() as f64).count()

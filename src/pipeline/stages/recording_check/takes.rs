@@ -3,7 +3,7 @@
 use crate::pipeline::calibration::TrackedPeople;
 use nalgebra::Vector3;
 
-/// Two cameras see the same people where this share of the people of one who stand in the image of the other are seen there too:
+/// Two cameras see the same people where this share of the people of one, standing in the image of the other, are seen there too:
 /// right recordings have 0.6 and more, chance alignments of people of two takes 0.05 to 0.1.
 const SHARED: f64 = 0.25;
 /// Fewer people in the images of both show nothing.

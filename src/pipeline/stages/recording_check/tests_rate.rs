@@ -31,7 +31,7 @@ fn steps_show_the_frame_rate() {
 
 /// The seed's people take too few steps from place to place.
 #[test]
-fn a_wrong_rate_passed_where_nobody_walks() {
+fn a_wrong_rate_passed_where_people_hardly_walk() {
     for seed in 0..3 {
         let (people, convention, fps) =
             people(&SimulationConfig { frames: 300, seed, ..SimulationConfig::preset(Preset::Paper) });
