@@ -53,14 +53,14 @@ pub struct OffsetKind {
     pub is_joint: bool,
     /// Standard deviation of the offset's prior per axis, m.
     pub prior_sigma: Vector3<f64>,
-    /// Whether the motion separates its bias from the body's proportions, see [`SEPARABLE`].
+    /// Whether the motion separates its bias from the body's proportions: limbs of hips and shoulders turn about all axes.
     pub can_be_biased: bool,
     /// Largest plausible length of the offset, m.
     pub largest: f64,
 }
 
 impl OffsetKind {
-    /// Whether an offset can be a detector's bias: not too long, and not [`INWARD`] the body, since annotators click between the joint's
+    /// Whether an offset can be a detector's bias: not too long, and not inward of the joint, since annotators click between the joint's
     /// centre and the outline.
     pub fn is_plausible(&self, offset: &Vector3<f64>) -> bool {
         offset.norm() <= self.largest && offset.x >= -INWARD
