@@ -5,7 +5,9 @@ use super::solved::Solved;
 use crate::pipeline::capture::Capture;
 use crate::pipeline::config::{Extrinsics, Options};
 use crate::pipeline::stages::camera_init::initial_rigs;
-use crate::pipeline::stages::recording_check::frame_rate::{MIN_STEPS, POSSIBLE_RATIOS, Steps, USUAL_RATIO, steps};
+use crate::pipeline::stages::recording_check::frame_rate::{
+    MIN_STEPS, MIN_STEPS_ALONE, POSSIBLE_RATIOS, Steps, USUAL_RATIO, steps,
+};
 use crate::pipeline::stages::recording_check::handedness::{handedness, upside_down};
 use crate::pipeline::stages::recording_check::motion_rate::{MotionRate, motion_rate};
 use crate::pipeline::stages::recording_check::takes::groups;
@@ -110,7 +112,7 @@ pub(super) fn wrong_frame_rate(solved: &Solved, found: &mut Vec<Suspicion>) {
 
 fn of_steps(fps: f64, shown: Option<Steps>) -> Option<String> {
     let [least, most] = POSSIBLE_RATIOS;
-    let shown = shown.filter(|shown| shown.n >= MIN_STEPS && !(least..most).contains(&shown.ratio))?;
+    let shown = shown.filter(|shown| shown.n >= MIN_STEPS_ALONE && !(least..most).contains(&shown.ratio))?;
     let factor = shown.ratio / USUAL_RATIO;
     Some(format!(
         "{} steps of people are {:.1} times too {} for their length, which suits some {:.0} frames per second",

@@ -1,7 +1,7 @@
 //! The frame rate by how people move: how far hips, ankles and wrists get within fixed times, and how much they turn on the way.
 //!
 //! Speeds grow with the rate, accelerations with its square, and the times after which limbs swing back fall with it. Under each
-//! rate the statistics are compared with those of recorded motion ([`super::motion_statistics`]); the likeliest rate of right
+//! rate the statistics are compared with those of recorded motion (`motion_statistics`); the likeliest rate of right
 //! recordings is within 1.8 times of the true one. Unlike steps, this needs no walking, but people who do no more than breathe
 //! show nothing.
 
