@@ -55,15 +55,13 @@ pub struct OffsetKind {
     pub prior_sigma: Vector3<f64>,
     /// Whether the motion separates its bias from the body's proportions: limbs of hips and shoulders turn about all axes.
     pub can_be_biased: bool,
-    /// Largest plausible length of the offset, m.
-    pub largest: f64,
 }
 
 impl OffsetKind {
     /// Whether an offset can be a detector's bias: not too long, and not inward of the joint, since annotators click between the joint's
     /// centre and the outline.
     pub fn is_plausible(&self, offset: &Vector3<f64>) -> bool {
-        offset.norm() <= self.largest && offset.x >= -INWARD
+        offset.norm() <= MAX_SIGMAS * self.prior_sigma.x && offset.x >= -INWARD
     }
 
     /// Whether it lies on the midline, so that its offset is not sideways.
@@ -115,9 +113,7 @@ impl OffsetTable {
             let known = table.kinds.iter().position(|kind| kind.name == name);
             let kind = known.unwrap_or_else(|| {
                 let joint = if side == Side::Right { mirrored(joint) } else { joint };
-                let sideways = sideways_sigma(name);
-                let prior_sigma = prior_sigma(sideways, side);
-                let largest = MAX_SIGMAS * sideways.unwrap_or(SURFACE_SIGMA_M);
+                let prior_sigma = prior_sigma(name, side);
                 let can_be_biased = SEPARABLE.contains(&name);
                 table.kinds.push(OffsetKind {
                     name: name.to_owned(),
@@ -125,7 +121,6 @@ impl OffsetTable {
                     is_joint: is_joint(shown),
                     prior_sigma,
                     can_be_biased,
-                    largest,
                 });
                 table.kinds.len() - 1
             });
@@ -160,13 +155,9 @@ enum Side {
     Middle,
 }
 
-/// Of a joint.
-fn sideways_sigma(name: &str) -> Option<f64> {
-    SIGMAS_M.iter().find(|(part, _)| name.ends_with(part)).map(|(_, sigma)| *sigma)
-}
-
-fn prior_sigma(sideways: Option<f64>, side: Side) -> Vector3<f64> {
-    let (sigma, upright) = sideways.map_or((SURFACE_SIGMA_M, SURFACE_SIGMA_M), |sigma| (sigma, UPRIGHT_SIGMA_M));
+fn prior_sigma(name: &str, side: Side) -> Vector3<f64> {
+    let of_joint = SIGMAS_M.iter().find(|(part, _)| name.ends_with(part)).map(|(_, sigma)| *sigma);
+    let (sigma, upright) = of_joint.map_or((SURFACE_SIGMA_M, SURFACE_SIGMA_M), |sigma| (sigma, UPRIGHT_SIGMA_M));
     let lateral = if side == Side::Middle { MIDDLE_SIGMA_M } else { sigma };
     Vector3::new(lateral, upright, upright)
 }
