@@ -128,13 +128,14 @@ fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Refined, Cance
     let table = OffsetTable::empty(context.model);
     let mut priors = CameraPriors::new(&context.config.known_cameras);
     let mut noise = measured_noise(context, members);
-    let mut focal = None;
+    let (mut focal, mut has_settled) = (None, true);
+    let slow = |noise: &PathNoise| noise.typical().autocorrelation;
     for round in 1..=N_ROUNDS {
         let problem = problem(context, &table, &noise, Some(&priors));
         problem.minimised(members, Vec::new(), &STOPPING)?;
-        let slow = noise.typical().autocorrelation;
-        if let Some((found, likeliest)) = refined_focal(&problem, members, slow) {
+        if let Some((found, likeliest)) = refined_focal(&problem, members, slow(&noise)) {
             focal = Some(found);
+            has_settled = priors.has_spread_of(&likeliest);
             priors = likeliest;
         }
         if round < N_ROUNDS {
@@ -142,7 +143,12 @@ fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Refined, Cance
         }
     }
     let last = problem(context, &table, &noise, Some(&priors));
-    Ok((last.camera_covariance(members, noise.typical().autocorrelation), focal))
+    if !has_settled {
+        // What the last round showed of the lenses is not what the round before had shown.
+        last.minimised(members, Vec::new(), &STOPPING)?;
+        focal = refined_focal(&last, members, slow(&noise)).map(|(found, _)| found);
+    }
+    Ok((last.camera_covariance(members, slow(&noise)), focal))
 }
 
 /// One step of the motions alone.

@@ -34,6 +34,12 @@ impl CameraPriors {
         Self { focal: known.focal_px.as_ref().map(focal), poses: known.poses.as_ref().map(poses), overcount: OVERCOUNT }
     }
 
+    /// Whether the focal lengths of both spread alike.
+    pub(super) fn has_spread_of(&self, other: &Self) -> bool {
+        let spread = |priors: &Self| priors.focal.as_ref().map(|prior| prior.spread);
+        spread(self) == spread(other)
+    }
+
     /// The unknowns of `n_cameras` cameras.
     pub(super) fn columns(&self, n_cameras: usize) -> CameraColumns {
         CameraColumns { n_cameras, unknowns: CameraUnknowns { focal: self.focal.is_some() } }
