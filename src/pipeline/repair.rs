@@ -74,13 +74,7 @@ fn with_labels_exchanged(session: &Session, suspicion: &Suspicion) -> Session {
 fn with_keypoints_exchanged(session: &Session, suspicion: &Suspicion) -> Option<Session> {
     let position = |id: &String| session.views.iter().position(|view| view.id == *id);
     let [a, b] = suspicion.cameras.as_slice() else { return None };
-    let (a, b) = (position(a)?, position(b)?);
-    let mut repaired = session.clone();
-    for (to, from) in [(a, b), (b, a)] {
-        repaired.views[to].frames.clone_from(&session.views[from].frames);
-        repaired.views[to].delivered.clone_from(&session.views[from].delivered);
-    }
-    Some(repaired)
+    Some(session.with_keypoints_exchanged(position(a)?, position(b)?))
 }
 
 /// Principal points near the centres of the images, where one change of K explains why they are not.

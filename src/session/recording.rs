@@ -109,4 +109,14 @@ impl Session {
     pub fn frame_interval(&self) -> f64 {
         1.0 / self.fps
     }
+
+    /// The session with the keypoints of two views exchanged, whose positions are `a` and `b`.
+    pub(crate) fn with_keypoints_exchanged(&self, a: usize, b: usize) -> Self {
+        let mut exchanged = self.clone();
+        for (to, from) in [(a, b), (b, a)] {
+            exchanged.views[to].frames.clone_from(&self.views[from].frames);
+            exchanged.views[to].delivered.clone_from(&self.views[from].delivered);
+        }
+        exchanged
+    }
 }

@@ -205,13 +205,7 @@ const OTHER_FOCAL: f64 = 0.02;
 fn exchanged(session: &Session) -> Option<Session> {
     let focal = |view: usize| session.views.get(view).map(|view| view.intrinsics.focal());
     let difference = (focal(ODD)? / focal(PARTNER)?).ln().abs();
-    if difference < OTHER_FOCAL {
-        return None;
-    }
-    let mut changed = session.clone();
-    let frames = std::mem::take(&mut changed.views.get_mut(PARTNER)?.frames);
-    changed.views[PARTNER].frames = std::mem::replace(&mut changed.views[ODD].frames, frames);
-    Some(changed)
+    (difference >= OTHER_FOCAL).then(|| session.with_keypoints_exchanged(ODD, PARTNER))
 }
 
 /// The second half of the cameras shows another take: the same one backwards and half of its length later.

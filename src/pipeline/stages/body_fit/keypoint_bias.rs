@@ -9,7 +9,7 @@ use super::joint_problem::{JointProblem, Member, Minimum, ProportionEvidence, St
 use super::noise_measurement::measured_noise;
 use super::observations::Observations;
 use super::person_fit::StartedMotion;
-use super::session_bias::{BONE_SIGMA, SessionBias, likeliest_bias};
+use super::session_bias::{PROPORTION_SIGMA, SessionBias, likeliest_bias};
 use super::terms::border_priors::{BoneLengthPrior, KeypointBiasPrior};
 use super::thinned_motion::rough_stride;
 use crate::body::BodyModel;
@@ -84,7 +84,7 @@ fn evidence_of(
         table,
         noise: &noise,
         shape_prior: context.config.shape_prior,
-        bone_prior: BoneLengthPrior { sigma: BONE_SIGMA },
+        bone_prior: BoneLengthPrior { sigma: PROPORTION_SIGMA },
         bias_prior: KeypointBiasPrior { sigmas },
         cameras: None,
     };

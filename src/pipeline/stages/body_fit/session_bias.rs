@@ -12,7 +12,7 @@ use nalgebra::{DVector, Vector3};
 
 /// Standard deviation of a person's bones against those of the betas, m per axis: joint centres of another definition, unusual
 /// proportions.
-pub(super) const BONE_SIGMA: f64 = 0.030;
+pub(super) const PROPORTION_SIGMA: f64 = 0.030;
 
 /// Axis of a bias: upwards and forwards the pose makes up for an offset (longer legs, more bent knees), so that smoothness alone
 /// would decide on it.
@@ -64,7 +64,7 @@ fn under(evidence: &ProportionEvidence, table: &OffsetTable, biased: &[usize]) -
     let share = |k: usize, axis: usize| if is_open(k, axis) { 1.0 } else { UNBIASED_SHARE };
     let precision = |role: &Role| match *role {
         Role::Shape => 0.0,
-        Role::Bone => BONE_SIGMA.powi(-2),
+        Role::Bone => PROPORTION_SIGMA.powi(-2),
         Role::Offset(number) => {
             let (k, axis) = (number / 3, number % 3);
             (share(k, axis) * table.kinds[k].prior_sigma[axis]).powi(-2)
