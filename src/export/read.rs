@@ -1,10 +1,11 @@
 //! Reads a finished result back as a [`Take`], from which further formats can be written.
 
-use super::take::{Take, TakeCamera, carry_over_non_finite};
+use super::take::{Take, TakeCamera, carry_over_non_finite, free_body};
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
 use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
 use crate::session::json_file::{JsonFileError, read_json_file};
 use crate::session::people::BodyPose;
+use crate::session::reconstruction::BodyModelId;
 use crate::session::recording::UpAxis;
 use crate::session::{BodyMotion, FrameIndex, PersonId};
 use nalgebra::{Matrix3, Vector3};
@@ -73,6 +74,7 @@ struct Camera {
 
 #[derive(Deserialize)]
 struct PeopleFile {
+    body_model: BodyModelId,
     people: Vec<Person>,
 }
 
@@ -132,6 +134,8 @@ pub fn read_take(dir: &Path) -> Result<Take, ReadError> {
         cameras: Vec::new(),
         unsolved: Vec::new(),
         motions: Vec::new(),
+        body: free_body(&people.body_model),
+        body_model: people.body_model.clone(),
     };
     for camera in cameras.cameras {
         match solved_camera(&camera)? {

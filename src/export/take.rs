@@ -4,8 +4,10 @@
 //! numbers, so that a format written later has the same bytes.
 
 use super::files::micro;
-use crate::body::skeleton::{N_JOINTS, PARENTS};
+use crate::body::{BodyModel, default_body};
 use crate::geometry::{Intrinsics, Rigid, rotation};
+use crate::session::people::BodyPose;
+use crate::session::reconstruction::BodyModelId;
 use crate::session::recording::UpAxis;
 use crate::session::{BodyMotion, Reconstruction, Session};
 use nalgebra::{Matrix3, Vector3};
@@ -27,8 +29,24 @@ pub struct Take {
     pub cameras: Vec<TakeCamera>,
     /// Names of the other cameras.
     pub unsolved: Vec<String>,
-    /// Motions of all people; every number is finite.
+    /// Motions of all people; every number is finite, and every motion has a frame.
     pub motions: Vec<BodyMotion>,
+    /// The body model that the motions refer to.
+    pub body_model: BodyModelId,
+    /// That model, where its mesh may be exported: the default body, or one that the caller holds ([`Take::with_body`]).
+    pub body: Option<BodyModel>,
+}
+
+/// A body model that is not the one of a take.
+#[derive(Debug, thiserror::Error)]
+#[error("the body has the digest {found}, the result was solved with {expected} ({name}); pass that body's file")]
+pub struct OtherBody {
+    /// Name of the result's body model.
+    pub name: String,
+    /// Its digest.
+    pub expected: String,
+    /// Digest of the given body.
+    pub found: String,
 }
 
 /// A camera with a solved pose.
@@ -57,6 +75,26 @@ impl Take {
     pub fn presence(&self, motion: &BodyMotion) -> [i64; 2] {
         let first = motion.first.0;
         [self.frame_number(first), self.frame_number(first + motion.frames.len().saturating_sub(1))]
+    }
+
+    /// The person's pose in every frame of the time line: the nearest one in frames in which the person is absent.
+    pub fn on_time_line<'a>(&self, motion: &'a BodyMotion) -> impl Iterator<Item = &'a BodyPose> {
+        let last = motion.frames.len().saturating_sub(1);
+        let first = motion.first.0;
+        (0..self.n_frames).filter_map(move |index| motion.frames.get(index.saturating_sub(first).min(last)))
+    }
+
+    /// The take with the mesh of `body`, which the caller may use under its own licence.
+    ///
+    /// # Errors
+    /// [`OtherBody`] where the result was solved with another one; the name does not count.
+    pub fn with_body(self, body: BodyModel) -> Result<Self, OtherBody> {
+        let body = BodyModel { name: self.body_model.name.clone(), ..body };
+        let found = body.sha256();
+        if found != self.body_model.sha256 {
+            return Err(OtherBody { name: self.body_model.name, expected: self.body_model.sha256, found });
+        }
+        Ok(Self { body: Some(body), ..self })
     }
 
     /// The take in a world with `up_axis` up.
@@ -89,6 +127,8 @@ pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Tak
         cameras: Vec::new(),
         unsolved: Vec::new(),
         motions: Vec::new(),
+        body: free_body(&reconstruction.body_model),
+        body_model: reconstruction.body_model.clone(),
     };
     for (view, solved) in session.views.iter().zip(&reconstruction.cameras) {
         match solved.camera_from_world {
@@ -116,6 +156,12 @@ pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Tak
     take
 }
 
+/// The default body, where a result refers to it: the only body whose mesh everyone may distribute.
+pub(super) fn free_body(model: &BodyModelId) -> Option<BodyModel> {
+    let body = default_body();
+    (body.sha256() == model.sha256).then_some(body)
+}
+
 /// Replaces every pose that is not finite by the nearest earlier (at the start: later) finite one, marked as not valid;
 /// `None` without any finite pose. Betas that are not finite become 0.
 pub(super) fn carry_over_non_finite(mut motion: BodyMotion) -> Option<BodyMotion> {
@@ -139,30 +185,6 @@ pub(super) fn carry_over_non_finite(mut motion: BodyMotion) -> Option<BodyMotion
     }
     motion.betas = motion.betas.map(|beta| if beta.is_finite() { beta } else { 0.0 });
     Some(motion)
-}
-
-/// Joints of the person in SMPL's rest pose, y up, m: `J_0 = p_0 - T`, `J_j = J_par + G_par^T (p_j - p_par)`, mean over the
-/// frames.
-pub(super) fn rest_joints(motion: &BodyMotion) -> [Vector3<f64>; N_JOINTS] {
-    let mut offsets = [Vector3::zeros(); N_JOINTS];
-    for pose in &motion.frames {
-        let mut world_from_joint = pose.rotations;
-        offsets[0] += pose.joints[0] - pose.translation;
-        for (j, parent) in PARENTS.iter().enumerate() {
-            if let Some(p) = *parent {
-                offsets[j] += world_from_joint[p].transpose() * (pose.joints[j] - pose.joints[p]);
-                world_from_joint[j] = world_from_joint[p] * pose.rotations[j];
-            }
-        }
-    }
-    let n_frames = motion.frames.len().max(1) as f64;
-    let mut rest = offsets.map(|sum| sum / n_frames);
-    for (j, parent) in PARENTS.iter().enumerate() {
-        if let Some(p) = *parent {
-            rest[j] += rest[p];
-        }
-    }
-    rest
 }
 
 /// The rotation `target_from_source` between two worlds given by their up axes: y and z by a quarter turn about x, as

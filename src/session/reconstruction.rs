@@ -102,6 +102,7 @@ pub enum ExportFormat {
     Easymocap,
     Glb,
     Bvh,
+    Fbx,
     Usd,
     Trc,
     C3d,
@@ -115,11 +116,12 @@ pub enum ExportFormat {
 
 impl ExportFormat {
     /// Every format, in the order of the contract.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::SmplNpz,
         Self::Easymocap,
         Self::Glb,
         Self::Bvh,
+        Self::Fbx,
         Self::Usd,
         Self::Trc,
         Self::C3d,

@@ -95,6 +95,7 @@ fn media_type(name: &str) -> &'static str {
         Some("json") => "application/json",
         Some("glb") => "model/gltf-binary",
         Some("usda") => "model/vnd.usda",
+        Some("usdz") => "model/vnd.usdz+zip",
         Some("yml" | "yaml") => "application/yaml",
         Some("toml") => "application/toml",
         Some("bvh" | "trc" | "txt" | "chan") => "text/plain",
