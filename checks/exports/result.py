@@ -18,6 +18,9 @@ class Result:
         publish = read("manifest.json")["publish"]
         self.up, self.fps, self.frame_range = publish["up_axis"], publish["fps"], publish["frame_range"]
         self.joint_names = poses["joint_names"]
+        keypoints = read("keypoints3d.json")
+        self.keypoint_names, self.keypoints = keypoints["joint_names"], keypoints["frames"]
+        self.marker_names = self.joint_names + [f"detected_{name}" for name in self.keypoint_names]
         self.cameras = [camera for camera in cameras["cameras"] if camera["status"] == "solved"]
         self.skin = read("vertices.json")  # of vertices.py
         self.people = []
@@ -33,6 +36,13 @@ class Result:
         if (self.up, up) == ("z", "y"):
             return np.stack([x, z, -y], -1)
         return np.asarray(points)
+
+    def markers(self, person):
+        """Joints and keypoints of a person's frames, NaN where a keypoint is unknown: [frames, markers, 3]."""
+        unknown = [None] * len(self.keypoint_names)
+        points = [self.keypoints.get(str(frame), {}).get(str(person["id"]), unknown) for frame in person["frames"]]
+        points = [[point or [np.nan] * 3 for point in frame] for frame in points]
+        return np.concatenate([person["joints"], np.array(points, float)], 1)
 
     def all_joints(self):
         return np.concatenate([person["joints"].reshape(-1, 3) for person in self.people])

@@ -5,7 +5,7 @@ wandless=$(realpath "$1")
 work=$2
 here=$(realpath "$(dirname "$0")")
 python=${PYTHON:-python3}
-formats=smpl_npz,easymocap,glb,bvh,fbx,usd,trc,c3d,opencv_yaml,calib_toml,anipose_toml,colmap,chan,blender
+formats=smpl_npz,easymocap,glb,bvh,fbx,usd,trc,c3d,joint_angles,opencv_yaml,calib_toml,anipose_toml,colmap,chan,blender
 
 mkdir "$work"
 "$wandless" simulate --out "$work/session" --seed 3 --people 2 --views 6 --frames 90
@@ -19,7 +19,7 @@ for up in y z; do
     "$python" "$here/crooked.py" "$result"
     "$python" "$here/vertices.py" "$result" "$work/body.npz"
     "$wandless" export "$result" --to "$formats" --out "$exports" > /dev/null
-    for check in amass usd points opensim colmap opencv; do
+    for check in amass usd points markers angles colmap opencv; do
         "$python" "$here/$check.py" "$result" "$exports" || failed=1
     done
     for check in gltf fbx; do

@@ -9,9 +9,9 @@
 use super::files::ResultFiles;
 use super::joint_names::profiles;
 use super::rig::{children, rest_joints};
-use super::rotation_forms::{EulerAngles, nearest_angles, zxy_angles};
 use super::take::Take;
 use crate::body::skeleton::{N_JOINTS, PARENTS};
+use crate::geometry::euler::{EulerAngles, nearest_angles, zxy_angles};
 use crate::session::BodyMotion;
 use crate::session::formats::rounded;
 use crate::session::recording::UpAxis;

@@ -9,8 +9,8 @@
 use super::files::ResultFiles;
 use super::film::{vertical_view, world_from_film};
 use super::names::file_names;
-use super::rotation_forms::yxz_angles;
 use super::take::Take;
+use crate::geometry::euler::yxz_angles;
 use crate::session::formats::rounded;
 use crate::session::recording::UpAxis;
 use std::io;

@@ -30,7 +30,7 @@ fn support(format: F) -> Option<CameraSupport> {
     };
     let no_lens = CameraSupport { n_distortions: 0, rational: false, fisheye: false, ..all };
     match format {
-        F::SmplNpz | F::Bvh | F::Fbx | F::Trc | F::C3d => None,
+        F::SmplNpz | F::Bvh | F::Fbx | F::Trc | F::C3d | F::JointAngles => None,
         F::AniposeToml => Some(all),
         F::Easymocap | F::OpencvYaml => Some(CameraSupport { fisheye: false, ..all }),
         F::CalibToml => Some(CameraSupport { n_distortions: 4, rational: false, ..all }),
@@ -153,6 +153,8 @@ mod tests {
             cameras: vec![camera],
             unsolved: vec!["b".to_owned()],
             motions: Vec::new(),
+            keypoint_names: Vec::new(),
+            keypoints: std::collections::BTreeMap::new(),
             body_model: BodyModelId { name: "studio".to_owned(), sha256: String::new() },
             body: None,
         }

@@ -5,9 +5,16 @@
 
 use crate::body::model::Betas;
 use crate::body::surface::JointWeight;
-use crate::body::{BodyModel, skeleton::N_JOINTS};
+use crate::body::{BodyModel, default_body, skeleton::N_JOINTS};
 use crate::session::BodyMotion;
+use crate::session::reconstruction::BodyModelId;
 use nalgebra::Vector3;
+
+/// The default body, where a result refers to it: the only body whose mesh everyone may distribute.
+pub(super) fn free_body(model: &BodyModelId) -> Option<BodyModel> {
+    let body = default_body();
+    (body.sha256() == model.sha256).then_some(body)
+}
 
 /// Largest number of joints of a vertex: what a graphics card takes in one attribute. The default body has no vertex with more.
 pub(super) const MAX_JOINTS_PER_VERTEX: usize = 4;

@@ -4,13 +4,16 @@
 //! numbers, so that a format written later has the same bytes.
 
 use super::files::micro;
-use crate::body::{BodyModel, default_body};
+use super::people::millimetres;
+use super::skin::free_body;
+use crate::body::BodyModel;
 use crate::geometry::{Intrinsics, Rigid, rotation};
 use crate::session::people::BodyPose;
 use crate::session::reconstruction::BodyModelId;
 use crate::session::recording::UpAxis;
-use crate::session::{BodyMotion, Reconstruction, Session};
+use crate::session::{BodyMotion, PersonId, Reconstruction, Session};
 use nalgebra::{Matrix3, Vector3};
+use std::collections::BTreeMap;
 
 /// Cameras and people of a result. World: right-handed, metres.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,11 +34,19 @@ pub struct Take {
     pub unsolved: Vec<String>,
     /// Motions of all people; every number is finite, and every motion has a frame.
     pub motions: Vec<BodyMotion>,
+    /// Names of the detector's keypoints.
+    pub keypoint_names: Vec<String>,
+    /// The detector's own keypoints in space by person and frame index, world metres: `None` where a point is unknown. Frames
+    /// without any point are left out.
+    pub keypoints: BTreeMap<PersonId, KeypointFrames>,
     /// The body model that the motions refer to.
     pub body_model: BodyModelId,
     /// That model, where its mesh may be exported: the default body, or one that the caller holds ([`Take::with_body`]).
     pub body: Option<BodyModel>,
 }
+
+/// Points by frame index and keypoint.
+pub type KeypointFrames = BTreeMap<usize, Vec<Option<Vector3<f64>>>>;
 
 /// A body model that is not the one of a take.
 #[derive(Debug, thiserror::Error)]
@@ -84,6 +95,13 @@ impl Take {
         (0..self.n_frames).filter_map(move |index| motion.frames.get(index.saturating_sub(first).min(last)))
     }
 
+    /// The keypoints of a person in every frame of the motion: `names.len()` each, none where the take has none of the person.
+    pub fn keypoints_of<'a>(&'a self, motion: &'a BodyMotion) -> impl Iterator<Item = &'a [Option<Vector3<f64>>]> {
+        let frames = self.keypoints.get(&motion.person);
+        let of_frame = move |i: usize| frames.and_then(|frames| frames.get(&(motion.first.0 + i)));
+        (0..motion.frames.len()).map(move |i| of_frame(i).map_or(&[][..], Vec::as_slice))
+    }
+
     /// The take with the mesh of `body`, which the caller may use under its own licence.
     ///
     /// # Errors
@@ -103,6 +121,9 @@ impl Take {
         let mut take = Take { up_axis, ..self.clone() };
         for camera in &mut take.cameras {
             camera.camera_from_world.rotation *= target_from_world.transpose();
+        }
+        for point in take.keypoints.values_mut().flat_map(BTreeMap::values_mut).flatten().flatten() {
+            *point = target_from_world * *point;
         }
         for pose in take.motions.iter_mut().flat_map(|motion| &mut motion.frames) {
             // SMPL rotates about the rest pelvis J_0 and adds the translation: J_0 = p_0 - T is constant, p_0 is rotated.
@@ -127,6 +148,8 @@ pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Tak
         cameras: Vec::new(),
         unsolved: Vec::new(),
         motions: Vec::new(),
+        keypoint_names: session.convention.names().iter().map(|name| (*name).to_owned()).collect(),
+        keypoints: BTreeMap::new(),
         body: free_body(&reconstruction.body_model),
         body_model: reconstruction.body_model.clone(),
     };
@@ -150,16 +173,25 @@ pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Tak
             pose.translation = pose.translation.map(micro);
             pose.joints = pose.joints.map(|joint| joint.map(micro));
         }
+        let sigmas = motion.joint_sigmas.iter_mut().flatten();
+        sigmas.for_each(|sigmas| *sigmas = millimetres(sigmas).map(|mm| 1e-3 * mm));
         carry_over_non_finite(motion)
     };
     take.motions = reconstruction.motions.iter().filter_map(rounded).collect();
+    for path in &reconstruction.keypoints {
+        for (i, points) in path.points.iter().enumerate() {
+            let points: Vec<_> = points.iter().map(known_point).collect();
+            if points.iter().any(Option::is_some) {
+                take.keypoints.entry(path.person).or_default().insert(path.first.0 + i, points);
+            }
+        }
+    }
     take
 }
 
-/// The default body, where a result refers to it: the only body whose mesh everyone may distribute.
-pub(super) fn free_body(model: &BodyModelId) -> Option<BodyModel> {
-    let body = default_body();
-    (body.sha256() == model.sha256).then_some(body)
+/// A point as `keypoints3d.json` has it.
+fn known_point(point: &Option<Vector3<f64>>) -> Option<Vector3<f64>> {
+    point.filter(|point| point.iter().all(|c| c.is_finite())).map(|point| point.map(micro))
 }
 
 /// Replaces every pose that is not finite by the nearest earlier (at the start: later) finite one, marked as not valid;

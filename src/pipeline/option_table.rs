@@ -316,8 +316,15 @@ pub const OPTION_TABLE: &[OptionRow] = &[
                 "people, skinned and animated, as FBX: all in one file, and one file per person with these names",
             ),
             choice("usd", "cameras and people, skinned and animated, as a USD scene and as a package"),
-            choice("trc", "joint centres as OpenSim's TRC, one file per person"),
-            choice("c3d", "joint centres as C3D, one file per person"),
+            choice(
+                "trc",
+                "joint centres and keypoints as OpenSim's TRC with a set-up of its inverse kinematics, one file per person",
+            ),
+            choice("c3d", "joint centres and keypoints as C3D, one file per person"),
+            choice(
+                "joint_angles",
+                "joint angles with standard deviations as CSV, and OpenSim's .mot, one file per person",
+            ),
             choice("opencv_yaml", "cameras as OpenCV's intri.yml and extri.yml"),
             choice("calib_toml", "cameras as Pose2Sim's Calib.toml"),
             choice("anipose_toml", "cameras as anipose's calibration.toml"),

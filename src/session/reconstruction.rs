@@ -106,6 +106,7 @@ pub enum ExportFormat {
     Usd,
     Trc,
     C3d,
+    JointAngles,
     OpencvYaml,
     CalibToml,
     AniposeToml,
@@ -116,7 +117,7 @@ pub enum ExportFormat {
 
 impl ExportFormat {
     /// Every format, in the order of the contract.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::SmplNpz,
         Self::Easymocap,
         Self::Glb,
@@ -125,6 +126,7 @@ impl ExportFormat {
         Self::Usd,
         Self::Trc,
         Self::C3d,
+        Self::JointAngles,
         Self::OpencvYaml,
         Self::CalibToml,
         Self::AniposeToml,

@@ -10,7 +10,7 @@ use wandless::body::skinning::skinned;
 use wandless::body::{Betas, default_body, kinematics};
 use wandless::export::{ResultContext, write_result};
 use wandless::geometry::{Distortion, Intrinsics, Rigid, rotation};
-use wandless::session::people::{BodyMotion, BodyPose};
+use wandless::session::people::{BodyMotion, BodyPose, JointTrajectory};
 use wandless::session::reconstruction::*;
 use wandless::session::recording::UpAxis;
 use wandless::session::{FrameIndex, PersonId, Reconstruction, Session, View};
@@ -76,18 +76,14 @@ impl WrittenCamera {
     }
 }
 
-pub(crate) fn both_up_axes() -> [Written; 2] {
-    [UpAxis::Y, UpAxis::Z].map(written)
+/// The result in these formats, with y and with z up.
+pub(crate) fn both_up_axes(formats: &[ExportFormat]) -> [Written; 2] {
+    [UpAxis::Y, UpAxis::Z].map(|up_axis| written(up_axis, formats))
 }
 
-fn written(up_axis: UpAxis) -> Written {
+fn written(up_axis: UpAxis, formats: &[ExportFormat]) -> Written {
     let dir = tempfile::tempdir().unwrap();
-    let context = ResultContext {
-        input_sha256: "00",
-        options: Value::Null,
-        solver_version: "0.0.0",
-        exports: &ExportFormat::ALL,
-    };
+    let context = ResultContext { input_sha256: "00", options: Value::Null, solver_version: "0.0.0", exports: formats };
     write_result(dir.path(), &session(), &context, &reconstruction(up_axis)).unwrap();
     Written { dir, up_axis }
 }
@@ -292,10 +288,11 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
         Rigid { rotation, translation: -(rotation * center) }
     };
     let placed = (0..6).map(|i| camera(Some(look(i))));
+    let motions = vec![motion(0, 0, N_FRAMES, up_axis), motion(1, 7, 20, up_axis)];
     Reconstruction {
         cameras: placed.chain([camera(None)]).collect(),
-        keypoints: Vec::new(),
-        motions: vec![motion(0, 0, N_FRAMES, up_axis), motion(1, 7, 20, up_axis)],
+        keypoints: motions.iter().map(keypoints).collect(),
+        motions,
         identities: Vec::new(),
         up_axis,
         body_model: BodyModelId { name: "default".to_owned(), sha256: default_body().sha256() },
@@ -315,6 +312,24 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
             suspicions: Vec::new(),
             quality: Quality { verdict: Verdict::Pass, reasons: Vec::new() },
         },
+    }
+}
+
+/// The keypoint `k` of the fixture is this vector from joint `k`; `None` in every fourth frame of keypoint 3.
+pub(crate) fn keypoint_offset(frame: usize, keypoint: usize) -> Option<Vector3<f64>> {
+    (keypoint != 3 || !frame.is_multiple_of(4)).then(|| Vector3::new(0.01, 0.02, 0.001 * keypoint as f64))
+}
+
+fn keypoints(motion: &BodyMotion) -> JointTrajectory {
+    let n_keypoints = KeypointConvention::Coco17.n_keypoints();
+    let frame = |(i, pose): (usize, &BodyPose)| {
+        (0..n_keypoints).map(|k| keypoint_offset(i, k).map(|offset| pose.joints[k] + offset)).collect()
+    };
+    JointTrajectory {
+        person: motion.person,
+        first: motion.first,
+        points: motion.frames.iter().enumerate().map(frame).collect(),
+        n_views: vec![vec![3; n_keypoints]; motion.frames.len()],
     }
 }
 
@@ -352,7 +367,7 @@ fn motion(person: usize, first: usize, n_frames: usize, up_axis: UpAxis) -> Body
 
 #[test]
 fn the_manifest_describes_every_format() {
-    for written in both_up_axes() {
+    for written in both_up_axes(&ExportFormat::ALL) {
         let manifest = written.json("manifest.json");
         let publish = &manifest["publish"];
         assert_eq!(publish["people"][1]["frame_range"], serde_json::json!([107, 126]));

@@ -5,8 +5,8 @@ use super::objects::{ObjectId, Objects, integer, properties, property};
 use super::person::{CM, Person};
 use super::skeleton::Models;
 use crate::body::skeleton::N_JOINTS;
-use crate::export::rotation_forms::{EulerAngles, nearest_angles, zyx_angles};
 use crate::export::take::Take;
+use crate::geometry::euler::{EulerAngles, nearest_angles, zyx_angles};
 use crate::session::people::BodyPose;
 
 /// Units of FBX's clock per second.

@@ -4,7 +4,7 @@ use super::node::{Node, Property as P};
 use super::objects::{ObjectId, Objects, integer, properties, property, text, vector};
 use super::person::{CM, Person};
 use crate::body::skeleton::{N_JOINTS, PARENTS};
-use crate::export::rotation_forms::zyx_angles;
+use crate::geometry::euler::zyx_angles;
 use crate::session::formats::entries;
 use nalgebra::Matrix3;
 

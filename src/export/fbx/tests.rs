@@ -29,6 +29,8 @@ fn take() -> Take {
         cameras: Vec::new(),
         unsolved: Vec::new(),
         motions: vec![whole(motion()), second],
+        keypoint_names: Vec::new(),
+        keypoints: BTreeMap::new(),
         body_model: BodyModelId { name: "default".to_owned(), sha256: String::new() },
         body: Some(default_body()),
     }

@@ -21,6 +21,9 @@ const DESCRIPTIONS: [RegExp, string][] = [
   [/\.bvh$/, 'motion: BVH'],
   [/\.trc$/, 'markers: TRC'],
   [/\.c3d$/, 'markers: C3D'],
+  [/\.angles\.csv$/, 'joint angles with standard deviations'],
+  [/\.mot$/, 'joint angles: OpenSim'],
+  [/\.ik\.xml$/, 'set-up of inverse kinematics: OpenSim'],
   [/^colmap\//, 'cameras: COLMAP'],
   [/^stages\//, 'data of this viewer'],
 ]
