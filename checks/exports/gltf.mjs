@@ -38,7 +38,8 @@ let worstPixel = 0;
 for (const [i, person] of people.people.entries()) {
   const bones = skins[i].skeleton.bones;
   for (const frame of person.frames) {
-    mixer.setTime((frame - publish.frame_range[0]) / publish.fps);
+    // At its end the animation starts again.
+    mixer.setTime(Math.min((frame - publish.frame_range[0]) / publish.fps, gltf.animations[0].duration - 1e-6));
     gltf.scene.updateMatrixWorld(true);
     poses.frames[frame][person.id].forEach((joint, j) => {
       const place = new THREE.Vector3().setFromMatrixPosition(bones[j].matrixWorld);
