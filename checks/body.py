@@ -27,8 +27,8 @@ def rotations(vectors):
     return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
 
 
-def joints(body, betas, poses, trans):
-    """Joints of every frame: [frames, 24, 3]."""
+def posed(body, betas, poses, trans):
+    """Rest vertices [V, 3], rest joints [24, 3], and of every frame `world_from_joint` and joints [frames, 24, ...]."""
     shaped = body["v_template"].astype(float) + body["shapedirs"].astype(float)[..., : len(betas)] @ betas
     rest = body["J_regressor"].astype(float) @ shaped
     parents = body["kintree_table"][0]
@@ -38,7 +38,21 @@ def joints(body, betas, poses, trans):
         p = int(parents[j])
         place.append(place[p] + turn[p] @ (rest[j] - rest[p]))
         turn.append(turn[p] @ local[:, j])
-    return np.stack(place, 1) + trans[:, None]
+    return shaped, rest, np.stack(turn, 1), np.stack(place, 1) + trans[:, None]
+
+
+def joints(body, betas, poses, trans):
+    """Joints of every frame: [frames, 24, 3]."""
+    return posed(body, betas, poses, trans)[3]
+
+
+def vertices(body, betas, poses, trans):
+    """Vertices of every frame by linear blend skinning, without pose directions: [frames, V, 3]."""
+    shaped, rest, turn, place = posed(body, betas, poses, trans)
+    weights = body["weights"].astype(float)
+    offset = place - np.einsum("fjab,jb->fja", turn, rest)
+    turned = np.einsum("fjab,vb->fvja", turn, shaped)
+    return np.einsum("vj,fvja->fva", weights, turned + offset[:, None])
 
 
 def main():

@@ -1,15 +1,20 @@
-"""Opens BVH, GLB, the script and the .chan files in Blender: blender --background --python blender.py -- RESULT EXPORTS."""
+"""Opens BVH, GLB, FBX, USD, the script and the .chan files in Blender: blender --background --python blender.py -- RESULT EXPORTS.
+
+With Blender as a Python module: python blender.py -- RESULT EXPORTS.
+"""
 
 import json
+import os
 import sys
 
-import addon_utils
 import bpy
+import addon_utils  # of Blender's own folder, which exists once bpy is imported
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Matrix, Vector
 
 RESULT, EXPORTS = sys.argv[sys.argv.index("--") + 1 :][:2]
 JOINT_TOLERANCE = 0.5e-3  # m
+VERTEX_TOLERANCE = 1e-3  # m
 PIXEL_TOLERANCE = 0.1
 
 
@@ -20,7 +25,8 @@ def read(name):
 
 PUBLISH, POSES, PEOPLE = read("manifest.json")["publish"], read("poses3d.json"), read("people.json")["people"]
 CAMERAS = [camera for camera in read("cameras.json")["cameras"] if camera["status"] == "solved"]
-FIRST = PUBLISH["frame_range"][0]
+FIRST, LAST = PUBLISH["frame_range"]
+SKIN = read("vertices.json")  # of vertices.py
 
 
 def z_up(point):
@@ -34,15 +40,44 @@ def empty_scene():
     bpy.context.scene.render.fps_base = round(PUBLISH["fps"]) / PUBLISH["fps"]
 
 
-def worst_joint(person, armature, first_shown):
-    """Largest distance of bone heads; `first_shown`: the scene's frame at which the session's first is shown."""
+def show(frame, first_shown):
+    """Shows a frame of the session; `first_shown`: the scene's frame at which the session's first is shown."""
+    bpy.context.scene.frame_set(frame - FIRST + first_shown)
+
+
+def worst_joint(person, armature, first_shown, namespace=""):
+    """Largest distance of bone heads."""
     worst = 0.0
     for frame in person["frames"]:
-        bpy.context.scene.frame_set(frame - FIRST + first_shown)
+        show(frame, first_shown)
         for name, joint in zip(POSES["joint_names"], POSES["frames"][str(frame)][str(person["id"])]):
-            place = armature.matrix_world @ armature.pose.bones[name].head
+            place = armature.matrix_world @ armature.pose.bones[namespace + name].head
             worst = max(worst, (place - z_up(joint)).length)
     return worst
+
+
+def worst_vertex(person, mesh, first_shown):
+    """Largest distance of vertices after all modifiers."""
+    worst = 0.0
+    for frame, expected in SKIN["people"][str(person["id"])].items():
+        show(int(frame), first_shown)
+        shown = mesh.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        for vertex, place in zip(SKIN["vertices"], expected):
+            worst = max(worst, (shown.matrix_world @ shown.data.vertices[vertex].co - z_up(place)).length)
+    return worst
+
+
+def worst_gap(armature):
+    """Largest distance of a bone's tail from its only child's head: the skeleton looks connected."""
+    bones = [bone for bone in armature.data.bones if len(bone.children) == 1]
+    assert len(bones) >= 14
+    return max((bone.tail_local - bone.children[0].head_local).length for bone in bones)
+
+
+def keyed_frames(*objects):
+    """First and last key of all actions."""
+    ranges = [thing.animation_data.action.frame_range for thing in objects]
+    return min(start for start, _ in ranges), max(end for _, end in ranges)
 
 
 def worst_pixel(camera, thing, principal_point, pixel_aspect=True):
@@ -69,14 +104,17 @@ def worst_pixel(camera, thing, principal_point, pixel_aspect=True):
     return worst
 
 
-def report(name, joint, pixel=0.0):
-    good = joint <= JOINT_TOLERANCE and pixel <= PIXEL_TOLERANCE
-    print(f"{'ok' if good else 'FAILED'} blender {name}: {1e3 * joint:.5f} mm, {pixel:.6f} px", flush=True)
+def report(name, joint, pixel=0.0, vertex=0.0, gap=0.0):
+    good = max(joint, gap) <= JOINT_TOLERANCE and vertex <= VERTEX_TOLERANCE and pixel <= PIXEL_TOLERANCE
+    lengths = f"joints {1e3 * joint:.5f} mm, vertices {1e3 * vertex:.5f} mm, bones' tails {1e3 * gap:.5f} mm"
+    print(f"{'ok' if good else 'FAILED'} blender {name}: {lengths}, {pixel:.6f} px", flush=True)
     return good
 
 
 def patch_readers():
     """Blender 3.4 opens BVH files with a mode that Python 3.11 removed, and uses a type that numpy removed."""
+    for reader in ["io_anim_bvh", "io_scene_gltf2", "io_scene_fbx"]:
+        addon_utils.enable(reader)
     import numpy
     from io_anim_bvh import import_bvh
 
@@ -89,9 +127,10 @@ def check_bvh():
     joint = 0.0
     for person in PEOPLE:
         empty_scene()
-        start = person["frames"][0] - FIRST + 1  # Blender starts no BVH before frame 1
-        bpy.ops.import_anim.bvh(filepath=f"{EXPORTS}/{person['id']}.bvh", global_scale=0.01, frame_start=start)
-        joint = max(joint, worst_joint(person, bpy.context.object, 1))
+        bpy.ops.import_anim.bvh(filepath=f"{EXPORTS}/{person['id']}.bvh", global_scale=0.01, frame_start=1)
+        armature = bpy.context.object
+        assert keyed_frames(armature) == (1, LAST - FIRST + 1), keyed_frames(armature)
+        joint = max(joint, worst_joint(person, armature, 1))
     return report("bvh", joint)
 
 
@@ -99,9 +138,60 @@ def check_glb():
     empty_scene()
     bpy.ops.import_scene.gltf(filepath=f"{EXPORTS}/scene.glb")
     objects = bpy.data.objects
-    joint = max(worst_joint(person, objects[f"person_{person['id']}"], 0) for person in PEOPLE)
+    joint = vertex = gap = 0.0
+    for person in PEOPLE:
+        name = f"person_{person['id']}"
+        start, end = keyed_frames(objects[name])
+        assert abs(start) < 1e-3 and abs(end - (LAST - FIRST)) < 1e-3, (start, end)
+        joint = max(joint, worst_joint(person, objects[name], 0))
+        vertex = max(vertex, worst_vertex(person, objects[f"{name}_body"], 0))
+        gap = max(gap, worst_gap(objects[name]))
     pixel = max(worst_pixel(camera, objects[camera["id"]], False) for camera in CAMERAS)
-    return report("glb", joint, pixel)
+    return report("glb", joint, pixel, vertex, gap)
+
+
+def check_fbx():
+    """All people from one file; Blender puts time 0 at frame 1."""
+    empty_scene()
+    bpy.ops.import_scene.fbx(filepath=f"{EXPORTS}/scene.fbx")
+    joint = vertex = gap = 0.0
+    for person in PEOPLE:
+        name = f"person_{person['id']}"
+        armature, mesh = bpy.data.objects[name], bpy.data.objects[f"{name}_body"]
+        start, end = keyed_frames(armature)
+        assert abs(start - FIRST - 1) < 1e-3 and abs(end - LAST - 1) < 1e-3, (start, end)
+        joint = max(joint, worst_joint(person, armature, FIRST + 1, f"{name}:"))
+        vertex = max(vertex, worst_vertex(person, mesh, FIRST + 1))
+        gap = max(gap, worst_gap(armature))
+    return report("fbx", joint, 0.0, vertex, gap)
+
+
+def check_fbx_names():
+    """One person with the names that retargeting expects."""
+    profiles = {"humanik": "LeftForeArm", "mixamo": "mixamorig:LeftForeArm", "unreal": "lowerarm_l"}
+    for profile, elbow in profiles.items():
+        empty_scene()
+        bpy.ops.import_scene.fbx(filepath=f"{EXPORTS}/{PEOPLE[0]['id']}.{profile}.fbx")
+        armatures = [thing for thing in bpy.data.objects if thing.type == "ARMATURE"]
+        assert len(armatures) == 1 and elbow in armatures[0].pose.bones, profile
+    return report("fbx names", 0.0)
+
+
+def check_usd():
+    """Blender shows USD's time codes at the frames of the same number."""
+    if bpy.app.version < (4, 1):
+        print("skipped: blender usd: this version reads no skeletons")
+        return True
+    empty_scene()
+    bpy.ops.wm.usd_import(filepath=f"{EXPORTS}/scene.usda")
+    joint = vertex = gap = 0.0
+    for person in PEOPLE:
+        name = f"person_{person['id']}"
+        armature, mesh = bpy.data.objects[f"{name}_skeleton"], bpy.data.objects[f"{name}_body"]
+        joint = max(joint, worst_joint(person, armature, FIRST))
+        vertex = max(vertex, worst_vertex(person, mesh, FIRST))
+        gap = max(gap, worst_gap(armature))
+    return report("usd", joint, 0.0, vertex, gap)
 
 
 def check_script():
@@ -123,6 +213,9 @@ def check_script():
 
 
 def check_chan():
+    if "io_anim_nuke_chan" not in {module.__name__ for module in addon_utils.modules()}:
+        print("skipped: blender chan: its reader is not installed")
+        return True
     pixel = 0.0
     for camera in CAMERAS:
         empty_scene()
@@ -139,5 +232,6 @@ def check_chan():
 
 
 patch_readers()
-if not all([check_bvh(), check_glb(), check_script(), check_chan()]):
-    sys.exit(1)
+scenes = [check_bvh(), check_glb(), check_fbx(), check_fbx_names(), check_usd(), check_script(), check_chan()]
+sys.stdout.flush()
+os._exit(0 if all(scenes) else 1)  # Blender as a module can crash while Python ends it

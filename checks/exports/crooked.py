@@ -29,8 +29,9 @@ path = f"{sys.argv[1]}/people.json"
 with open(path) as file:
     people = json.load(file)
 person = people["people"][-1]
-for key in ["frames", "global_orient", "body_pose", "transl", "valid"]:
-    person[key] = person[key][12:70]
+for key in ["frames", "global_orient", "body_pose", "transl", "valid", "joint_sigma_mm"]:
+    if key in person:
+        person[key] = person[key][12:70]
 person["valid"][20:25] = [False] * 5
 with open(path, "w") as file:
     json.dump(people, file)

@@ -29,16 +29,25 @@ const mixer = new THREE.AnimationMixer(gltf.scene);
 mixer.clipAction(gltf.animations[0]).play();
 const skins = gltf.scene.children.filter((node) => node.isSkinnedMesh);
 if (skins.length !== people.people.length) fail(`${skins.length} skins`);
+const { vertices, people: skin } = json('vertices.json');
+const seconds = (publish.frame_range[1] - publish.frame_range[0]) / publish.fps;
+if (Math.abs(gltf.animations[0].duration - seconds) > 1e-4) fail(`the animation lasts ${gltf.animations[0].duration} s`);
 let worstJoint = 0;
+let worstVertex = 0;
 let worstPixel = 0;
 for (const [i, person] of people.people.entries()) {
   const bones = skins[i].skeleton.bones;
   for (const frame of person.frames) {
-    mixer.setTime((frame - publish.frame_range[0]) / publish.fps);
+    // At its end the animation starts again.
+    mixer.setTime(Math.min((frame - publish.frame_range[0]) / publish.fps, gltf.animations[0].duration - 1e-6));
     gltf.scene.updateMatrixWorld(true);
     poses.frames[frame][person.id].forEach((joint, j) => {
       const place = new THREE.Vector3().setFromMatrixPosition(bones[j].matrixWorld);
       worstJoint = Math.max(worstJoint, place.distanceTo(yUp(joint)));
+    });
+    skin[person.id][frame]?.forEach((vertex, v) => {
+      const place = skins[i].localToWorld(skins[i].getVertexPosition(vertices[v], new THREE.Vector3()));
+      worstVertex = Math.max(worstVertex, place.distanceTo(yUp(vertex)));
     });
   }
 }
@@ -59,7 +68,8 @@ for (const [i, camera] of cameras.entries()) {
     }
   }
 }
-const good = worstJoint <= 0.5e-3 && worstPixel <= 0.1;
-const figures = `${numErrors} errors, ${(1e3 * worstJoint).toFixed(5)} mm, ${worstPixel.toFixed(6)} px`;
+const good = worstJoint <= 0.5e-3 && worstVertex <= 1e-3 && worstPixel <= 0.1;
+const lengths = `joints ${(1e3 * worstJoint).toFixed(5)} mm, vertices ${(1e3 * worstVertex).toFixed(5)} mm`;
+const figures = `${numErrors} errors, ${lengths}, ${worstPixel.toFixed(6)} px`;
 console.log(`${good ? 'ok' : 'FAILED'} gltf: ${figures}`);
 process.exit(good ? 0 : 1);

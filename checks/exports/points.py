@@ -8,14 +8,16 @@ result, worst = Result(), Worst("c3d")
 for person in result.people:
     c3d = ezc3d.c3d(f"{result.exports}/{person['id']}.c3d")
     point = c3d["parameters"]["POINT"]
-    assert point["LABELS"]["value"] == result.joint_names and point["UNITS"]["value"] == ["mm"]
+    assert point["LABELS"]["value"] == result.marker_names and point["UNITS"]["value"] == ["mm"]
     assert (point["X_SCREEN"]["value"], point["Y_SCREEN"]["value"]) == (["+X"], ["+Z"])
     assert abs(c3d["header"]["points"]["frame_rate"] - result.fps) < 1e-4
     if person["frames"][0] >= 1:
         assert c3d["header"]["points"]["first_frame"] + 1 == person["frames"][0]  # ezc3d counts from 0
-    places = np.moveaxis(c3d["data"]["points"][:3], 0, -1).swapaxes(0, 1) / 1000.0  # [frames, 24, 3]
+    places = np.moveaxis(c3d["data"]["points"][:3], 0, -1).swapaxes(0, 1) / 1000.0  # [frames, markers, 3]
     residuals = c3d["data"]["meta_points"]["residuals"][0].T
     valid = np.array(person["valid"])
-    assert len(places) == len(valid) and ((residuals >= 0).all(1) == valid).all()
-    worst.joints(result.turned("z", person["joints"])[valid], places[valid])
+    markers = result.turned("z", result.markers(person))
+    known = valid[:, None] & np.isfinite(markers).all(-1)
+    assert len(places) == len(valid) and ((residuals >= 0) == known).all()
+    worst.joints(markers[known], places[known])
 worst.end()

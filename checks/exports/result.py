@@ -6,6 +6,7 @@ import sys
 import numpy as np
 
 JOINT_TOLERANCE = 0.5e-3  # m
+VERTEX_TOLERANCE = 1e-3  # m
 PIXEL_TOLERANCE = 0.1
 
 
@@ -17,7 +18,11 @@ class Result:
         publish = read("manifest.json")["publish"]
         self.up, self.fps, self.frame_range = publish["up_axis"], publish["fps"], publish["frame_range"]
         self.joint_names = poses["joint_names"]
+        keypoints = read("keypoints3d.json")
+        self.keypoint_names, self.keypoints = keypoints["joint_names"], keypoints["frames"]
+        self.marker_names = self.joint_names + [f"detected_{name}" for name in self.keypoint_names]
         self.cameras = [camera for camera in cameras["cameras"] if camera["status"] == "solved"]
+        self.skin = read("vertices.json")  # of vertices.py
         self.people = []
         for person in people["people"]:
             joints = [poses["frames"][str(frame)][str(person["id"])] for frame in person["frames"]]
@@ -31,6 +36,13 @@ class Result:
         if (self.up, up) == ("z", "y"):
             return np.stack([x, z, -y], -1)
         return np.asarray(points)
+
+    def markers(self, person):
+        """Joints and keypoints of a person's frames, NaN where a keypoint is unknown: [frames, markers, 3]."""
+        unknown = [None] * len(self.keypoint_names)
+        points = [self.keypoints.get(str(frame), {}).get(str(person["id"]), unknown) for frame in person["frames"]]
+        points = [[point or [np.nan] * 3 for point in frame] for frame in points]
+        return np.concatenate([person["joints"], np.array(points, float)], 1)
 
     def all_joints(self):
         return np.concatenate([person["joints"].reshape(-1, 3) for person in self.people])
@@ -70,22 +82,26 @@ class Worst:
 
     def __init__(self, name, joint_tolerance=JOINT_TOLERANCE):
         self.name, self.joint_tolerance = name, joint_tolerance
-        self.joint, self.pixel, self.n = 0.0, 0.0, 0
+        self.joint, self.vertex, self.pixel, self.n = 0.0, 0.0, 0.0, 0
 
     def joints(self, ours, theirs):
-        ours, theirs = np.asarray(ours, float), np.asarray(theirs, float)
-        assert ours.shape == theirs.shape, f"{ours.shape} and {theirs.shape}"
-        self.n += ours.size // 3
-        self.joint = max(self.joint, float(np.linalg.norm(ours - theirs, axis=-1).max(initial=0.0)))
+        self.joint = max(self.joint, self.distance(ours, theirs))
+
+    def vertices(self, ours, theirs):
+        self.vertex = max(self.vertex, self.distance(ours, theirs))
 
     def pixels(self, ours, theirs):
+        self.pixel = max(self.pixel, self.distance(ours, theirs))
+
+    def distance(self, ours, theirs):
         ours, theirs = np.asarray(ours, float), np.asarray(theirs, float)
         assert ours.shape == theirs.shape, f"{ours.shape} and {theirs.shape}"
-        self.n += ours.size // 2
-        self.pixel = max(self.pixel, float(np.linalg.norm(ours - theirs, axis=-1).max(initial=0.0)))
+        self.n += ours.size // ours.shape[-1]
+        return float(np.linalg.norm(ours - theirs, axis=-1).max(initial=0.0))
 
     def end(self):
         good = self.n > 0 and self.joint <= self.joint_tolerance and self.pixel <= PIXEL_TOLERANCE
-        word = "ok" if good else "FAILED"
-        print(f"{word} {self.name}: {1e3 * self.joint:.5f} mm, {self.pixel:.6f} px over {self.n} points", flush=True)
+        good = good and self.vertex <= VERTEX_TOLERANCE
+        lengths = f"joints {1e3 * self.joint:.5f} mm, vertices {1e3 * self.vertex:.5f} mm"
+        print(f"{'ok' if good else 'FAILED'} {self.name}: {lengths}, {self.pixel:.6f} px over {self.n} points", flush=True)
         sys.exit(0 if good else 1)

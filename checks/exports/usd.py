@@ -1,7 +1,7 @@
 """usd.py RESULT EXPORTS: opens the stage with OpenUSD: skeletons with UsdSkel's queries, cameras as GfCamera's frusta."""
 
 import numpy as np
-from pxr import Gf, Usd, UsdGeom, UsdSkel
+from pxr import Gf, Usd, UsdGeom, UsdSkel, UsdValidation
 from result import Result, Worst, project
 
 result, worst = Result(), Worst("usd")
@@ -13,7 +13,8 @@ cache = UsdSkel.Cache()
 for person in result.people:
     prim = stage.GetPrimAtPath(f"/World/person_{person['id']}")
     assert cache.Populate(UsdSkel.Root(prim), Usd.PrimDefaultPredicate)
-    query = cache.GetSkelQuery(UsdSkel.Skeleton(stage.GetPrimAtPath(prim.GetPath().AppendChild("Skeleton"))))
+    name = prim.GetName()
+    query = cache.GetSkelQuery(UsdSkel.Skeleton(stage.GetPrimAtPath(f"/World/{name}/{name}_skeleton")))
     assert [path.split("/")[-1] for path in query.GetJointOrder()] == result.joint_names
     visibility = UsdGeom.Imageable(prim).GetVisibilityAttr()
     valid = prim.GetAttribute("userProperties:valid")
@@ -25,6 +26,19 @@ for person in result.people:
         assert visibility.Get(person["frames"][0] - 1) == "invisible"
     if person["frames"][-1] < result.frame_range[1]:
         assert visibility.Get(person["frames"][-1] + 1) == "invisible"
+
+# The package holds the same scene, complies with OpenUSD's rules, and its skin follows the skeleton.
+package = Usd.Stage.Open(f"{result.exports}/scene.usdz")
+rules = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
+broken = [f"{error.GetName()}: {error.GetMessage()}" for error in rules.Validate(package)]
+assert not broken, broken
+for person in result.people:
+    root = UsdSkel.Root(package.GetPrimAtPath(f"/World/person_{person['id']}"))
+    mesh = UsdGeom.Mesh(root.GetPrim().GetChild(f"person_{person['id']}_body"))
+    assert UsdSkel.BakeSkinning(root, Gf.Interval(person["frames"][0], person["frames"][-1]))
+    for frame, vertices in result.skin["people"][str(person["id"])].items():
+        points = np.array(mesh.GetPointsAttr().Get(int(frame)))[result.skin["vertices"]]
+        worst.vertices(result.turned("y", vertices), points)
 
 prims = {p.GetAttribute("userProperties:id").Get(): p for p in stage.Traverse() if p.IsA(UsdGeom.Camera)}
 points = result.all_joints()

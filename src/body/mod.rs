@@ -10,6 +10,7 @@ pub mod detector_offsets;
 pub mod detector_profile;
 pub mod generator;
 pub mod human_speeds;
+pub mod joint_angles;
 pub mod joint_ranges;
 pub mod keypoint_accelerations;
 pub mod kinematics;

@@ -3,6 +3,7 @@
 mod ablation;
 mod bodies;
 mod coverage;
+mod joint_angles;
 mod markers;
 mod mistakes;
 mod rigs;

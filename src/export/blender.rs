@@ -9,8 +9,9 @@
 
 use super::files::{ResultFiles, micro, micro_entries};
 use super::film::{film_lens, world_from_film};
+use super::rig::rest_joints;
 use super::rotation_forms::{quaternion_xyzw, quaternions_xyzw};
-use super::take::{Take, TakeCamera, rest_joints};
+use super::take::{Take, TakeCamera};
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
 use crate::session::BodyMotion;
 use crate::session::formats::{entries, rounded, rows};
@@ -64,7 +65,7 @@ fn person(take: &Take, motion: &BodyMotion) -> Value {
     // [joints][frames][4]
     let turns: Vec<Vec<[f64; 4]>> = (0..N_JOINTS)
         .map(|joint| {
-            let turns = quaternions_xyzw(motion.frames.iter().map(|pose| &pose.rotations[joint]));
+            let turns = quaternions_xyzw(motion.frames.iter().map(|pose| pose.rotations[joint]));
             turns.into_iter().map(|q| q.map(|c| rounded(c, 9))).collect()
         })
         .collect();

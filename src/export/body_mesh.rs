@@ -9,6 +9,7 @@
 //! - `faces` `[F, 3]`: triangles, anticlockwise from outside
 
 use super::buffers::{Array, Payload};
+use super::skin::{MAX_JOINTS_PER_VERTEX, strongest_joints};
 use crate::body::model::ShapeDirections;
 use crate::body::surface::JointWeight;
 use crate::body::{BodyModel, default_body};
@@ -18,9 +19,6 @@ use std::io;
 
 /// Version of the layout described above.
 const VERSION: u32 = 1;
-
-/// Largest number of joints of a vertex; the default body has no vertex with more.
-const MAX_JOINTS_PER_VERTEX: usize = 4;
 
 #[derive(Serialize)]
 struct Header<'a> {
@@ -95,17 +93,10 @@ fn row_by_row(directions: &ShapeDirections) -> impl Iterator<Item = f64> {
 /// The joints of a vertex with the largest weights, in descending order, with weights as shares of 255; the remainder of the
 /// rounding is added to the first.
 fn skin_weights_of(row: &[JointWeight]) -> [(u8, u8); MAX_JOINTS_PER_VERTEX] {
-    let mut strongest = row.to_vec();
-    strongest.sort_by(|a, b| b.weight.total_cmp(&a.weight).then(a.joint.cmp(&b.joint)));
-    strongest.truncate(MAX_JOINTS_PER_VERTEX);
-    let total: f64 = strongest.iter().map(|one| one.weight).sum();
-    let mut skin_weights_of = [(0, 0); MAX_JOINTS_PER_VERTEX];
-    for (pair, one) in skin_weights_of.iter_mut().zip(&strongest) {
-        *pair = (one.joint as u8, (255.0 * one.weight / total.max(f64::MIN_POSITIVE)).floor() as u8);
-    }
-    let given: u32 = skin_weights_of.iter().map(|pair| u32::from(pair.1)).sum();
-    skin_weights_of[0].1 += (255 - given) as u8;
-    skin_weights_of
+    let mut pairs = strongest_joints(row).map(|one| (one.joint as u8, (255.0 * one.weight).floor() as u8));
+    let given: u32 = pairs.iter().map(|pair| u32::from(pair.1)).sum();
+    pairs[0].1 += (255 - given) as u8;
+    pairs
 }
 
 #[cfg(test)]

@@ -1,15 +1,17 @@
-//! `<person>.bvh`, `<person>.humanik.bvh`, `<person>.mixamo.bvh`: the same skeleton and motion with three sets of joint
-//! names.
+//! `<person>.bvh`, and `<person>.humanik.bvh`, `<person>.mixamo.bvh`, `<person>.unreal.bvh` with the joint names of other
+//! programs ([`super::joint_names`]).
 //!
 //! Centimetres, degrees, y up; rest pose: SMPL's T-pose with all joint frames parallel to the world. Rotation channels are `Z
 //! X Y` (`R = R_z R_x R_y`), without jumps of full turns. The root's offset is zero: its channels contain the pelvis
-//! position. The file starts with the person's first frame, whose number the format cannot represent (see `publish.people` of
-//! the manifest), nor can it mark frames in which no camera detected the person.
+//! position. Every file has all frames of the take, so that several people share one clock; the format has no frame numbers. It
+//! cannot hide a person either: before the person's first frame and after the last one the nearest pose is held.
 
 use super::files::ResultFiles;
-use super::rotation_forms::{ZxyAngles, nearest_angles, zxy_angles};
-use super::take::{Take, rest_joints};
-use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
+use super::joint_names::profiles;
+use super::rig::{children, rest_joints};
+use super::take::Take;
+use crate::body::skeleton::{N_JOINTS, PARENTS};
+use crate::geometry::euler::{EulerAngles, nearest_angles, zxy_angles};
 use crate::session::BodyMotion;
 use crate::session::formats::rounded;
 use crate::session::recording::UpAxis;
@@ -21,29 +23,17 @@ const CM: f64 = 100.0;
 /// Length of the end site of a leaf joint, as a share of the leaf's own bone.
 const END_SHARE: f64 = 0.5;
 
-/// HumanIK's names, as MotionBuilder uses them; Mixamo's are the same with the prefix `mixamorig:`.
-const HUMANIK_NAMES: [&str; N_JOINTS] = [
-    "Hips", "LeftUpLeg", "RightUpLeg", "Spine", "LeftLeg", "RightLeg", "Spine1", "LeftFoot", "RightFoot", "Spine2",
-    "LeftToeBase", "RightToeBase", "Neck", "LeftShoulder", "RightShoulder", "Head", "LeftArm", "RightArm",
-    "LeftForeArm", "RightForeArm", "LeftHand", "RightHand", "LeftHandMiddle1", "RightHandMiddle1",
-];
-
-/// Writes three files per person.
+/// Writes a file per person and set of joint names.
 pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
     let take = take.with_up_axis(UpAxis::Y);
-    let profiles = [
-        ("", JOINT_NAMES.map(str::to_owned)),
-        (".humanik", HUMANIK_NAMES.map(str::to_owned)),
-        (".mixamo", HUMANIK_NAMES.map(|name| format!("mixamorig:{name}"))),
-    ];
     for motion in &take.motions {
         let rest = rest_joints(motion);
         let motion_text = motion_section(&take, motion);
-        for (suffix, names) in &profiles {
+        for profile in profiles() {
             let mut text = "HIERARCHY\n".to_owned();
-            add_joint(&mut text, names, &rest, 0, 0);
+            add_joint(&mut text, &profile.names, &rest, 0, 0);
             text += &motion_text;
-            files.bytes(&format!("{}{suffix}.bvh", motion.person.0), "text/plain", text.as_bytes())?;
+            files.bytes(&format!("{}{}.bvh", motion.person.0, profile.suffix), "text/plain", text.as_bytes())?;
         }
     }
     Ok(())
@@ -75,10 +65,6 @@ fn add_joint(
     *text += &format!("{indent}}}\n");
 }
 
-fn children(joint: usize) -> impl Iterator<Item = usize> {
-    (0..N_JOINTS).filter(move |&child| PARENTS[child] == Some(joint))
-}
-
 /// The joints in the order of the hierarchy.
 fn hierarchy_order() -> Vec<usize> {
     fn visit(joint: usize, order: &mut Vec<usize>) {
@@ -92,14 +78,14 @@ fn hierarchy_order() -> Vec<usize> {
 
 fn motion_section(take: &Take, motion: &BodyMotion) -> String {
     let order = hierarchy_order();
-    let mut before = [ZxyAngles { z: 0.0, x: 0.0, y: 0.0 }; N_JOINTS];
-    let mut text = format!("MOTION\nFrames: {}\nFrame Time: {:.9}\n", motion.frames.len(), 1.0 / take.fps);
-    for pose in &motion.frames {
+    let mut before = [EulerAngles::default(); N_JOINTS];
+    let mut text = format!("MOTION\nFrames: {}\nFrame Time: {:.9}\n", take.n_frames, 1.0 / take.fps);
+    for pose in take.on_time_line(motion) {
         text += &place(&pose.joints[0]);
         for &joint in &order {
             let angles = nearest_angles(zxy_angles(&pose.rotations[joint]), before[joint]);
             before[joint] = angles;
-            let [z, x, y] = [angles.z, angles.x, angles.y].map(|angle| rounded(angle.to_degrees(), 6));
+            let [z, x, y] = [angles.outer, angles.middle, angles.inner].map(|angle| rounded(angle.to_degrees(), 6));
             text += &format!(" {z:.6} {x:.6} {y:.6}");
         }
         text.push('\n');

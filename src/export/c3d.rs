@@ -1,17 +1,19 @@
-//! `<person>.c3d`: the 24 joints as points, in the layout of the C3D user's guide (c3d.org).
+//! `<person>.c3d`: the 24 joints and the detector's own keypoints as points, in the layout of the C3D user's guide (c3d.org).
 //!
-//! Little-endian, 32-bit floats; millimetres, z up (`POINT:X_SCREEN` +X, `Y_SCREEN` +Z). A point's residual is -1 where no
-//! camera detected the person: its coordinates are then zero. Frames have the session's frame numbers where the 16 bits of
+//! Little-endian, 32-bit floats; millimetres, z up (`POINT:X_SCREEN` +X, `Y_SCREEN` +Z). Keypoints have the
+//! prefix `detected_`. A point's residual is -1 where no camera detected the person or the keypoint is unknown: its coordinates
+//! are then zero. Frames have the session's frame numbers where the 16 bits of
 //! the header can represent them (1 to 65535), else they count from 1; `TRIAL:ACTUAL_START_FIELD` contains the same in 32
 //! bits.
 //!
 //! Known limit: the header counts at most 65535 frames; `POINT:LONG_FRAMES` contains the number of a longer motion.
 
 use super::files::ResultFiles;
+use super::markers::markers;
 use super::take::Take;
-use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
 use crate::session::BodyMotion;
 use crate::session::recording::UpAxis;
+use nalgebra::Vector3;
 use std::io;
 
 const BLOCK_BYTES: usize = 512;
@@ -39,15 +41,16 @@ pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
 }
 
 fn points(take: &Take, motion: &BodyMotion) -> Vec<u8> {
-    let range = frame_range(take, motion);
+    let (range, markers) = (frame_range(take, motion), markers(take, motion));
     // The parameters contain the number of the data block behind them, which does not change their length.
-    let n_parameter_blocks = parameters(take, motion, &range, 0).len() / BLOCK_BYTES;
+    let n_parameter_blocks = parameters(take, motion, &markers.names, &range, 0).len() / BLOCK_BYTES;
     let data_block = u16::from(FIRST_PARAMETER_BLOCK) + n_parameter_blocks as u16;
-    let mut bytes = header(take, &range, data_block);
-    bytes.extend(parameters(take, motion, &range, data_block));
-    for pose in &motion.frames {
-        for joint in &pose.joints {
-            let (point, residual) = if pose.valid { (joint * MM, 0.0) } else { (joint * 0.0, -1.0) };
+    let mut bytes = header(take, markers.names.len(), &range, data_block);
+    bytes.extend(parameters(take, motion, &markers.names, &range, data_block));
+    for (pose, points) in motion.frames.iter().zip(&markers.frames) {
+        for point in points {
+            let known = point.filter(|_| pose.valid);
+            let (point, residual) = known.map_or((Vector3::zeros(), -1.0), |point| (point * MM, 0.0));
             for value in [point.x, point.y, point.z, residual] {
                 bytes.extend((value as f32 + 0.0).to_le_bytes()); // never a negative zero
             }
@@ -65,10 +68,10 @@ fn frame_range(take: &Take, motion: &BodyMotion) -> FrameRange {
     }
 }
 
-fn header(take: &Take, range: &FrameRange, data_block: u16) -> Vec<u8> {
+fn header(take: &Take, n_points: usize, range: &FrameRange, data_block: u16) -> Vec<u8> {
     let mut bytes = vec![FIRST_PARAMETER_BLOCK, KEY];
     let word = |value: u32| u16::try_from(value).unwrap_or(u16::MAX).to_le_bytes();
-    bytes.extend((N_JOINTS as u16).to_le_bytes());
+    bytes.extend((n_points as u16).to_le_bytes());
     bytes.extend(0u16.to_le_bytes()); // analog values a frame
     bytes.extend(word(range.first));
     bytes.extend(word(range.last));
@@ -89,22 +92,24 @@ enum Value<'a> {
     Texts(&'a [&'a str]),
 }
 
-fn parameters(take: &Take, motion: &BodyMotion, range: &FrameRange, data_block: u16) -> Vec<u8> {
+fn parameters(take: &Take, motion: &BodyMotion, names: &[String], range: &FrameRange, data_block: u16) -> Vec<u8> {
     let n_frames = u16::try_from(motion.frames.len()).unwrap_or(u16::MAX);
     let halves = |value: u32| [value as u16, (value >> 16) as u16]; // the low 16 bits come first
     let rate = take.fps as f32;
+    let labels: Vec<&str> = names.iter().map(String::as_str).collect();
+    let descriptions = vec![""; names.len()];
     let groups: [(&str, &[(&str, Value)]); 3] = [
         (
             "POINT",
             &[
-                ("USED", Value::Integers(&[N_JOINTS as u16])),
+                ("USED", Value::Integers(&[names.len() as u16])),
                 ("FRAMES", Value::Integers(&[n_frames])),
                 ("LONG_FRAMES", Value::Floats(&[motion.frames.len() as f32])),
                 ("SCALE", Value::Floats(&[-1.0])),
                 ("RATE", Value::Floats(&[rate])),
                 ("DATA_START", Value::Integers(&[data_block])),
-                ("LABELS", Value::Texts(&JOINT_NAMES)),
-                ("DESCRIPTIONS", Value::Texts(&[""; N_JOINTS])),
+                ("LABELS", Value::Texts(&labels)),
+                ("DESCRIPTIONS", Value::Texts(&descriptions)),
                 ("UNITS", Value::Text("mm")),
                 ("X_SCREEN", Value::Text("+X")),
                 ("Y_SCREEN", Value::Text("+Z")),

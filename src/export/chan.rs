@@ -9,8 +9,8 @@
 use super::files::ResultFiles;
 use super::film::{vertical_view, world_from_film};
 use super::names::file_names;
-use super::rotation_forms::yxz_angles;
 use super::take::Take;
+use crate::geometry::euler::yxz_angles;
 use crate::session::formats::rounded;
 use crate::session::recording::UpAxis;
 use std::io;
@@ -22,7 +22,8 @@ pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
     for (camera, name) in take.cameras.iter().zip(names) {
         let world_from_film = world_from_film(camera);
         let (t, angles) = (world_from_film.translation, yxz_angles(&world_from_film.rotation));
-        let degrees = [angles.x, angles.y, angles.z, vertical_view(&camera.intrinsics)].map(f64::to_degrees);
+        let degrees =
+            [angles.middle, angles.outer, angles.inner, vertical_view(&camera.intrinsics)].map(f64::to_degrees);
         // Rounded to 1e-9 m and degrees, far below a thousandth of a pixel.
         let values = [t.x, t.y, t.z].into_iter().chain(degrees).map(|value| format!("{:.9}", rounded(value, 9)));
         let values = values.collect::<Vec<_>>().join("\t");

@@ -9,7 +9,8 @@
 use super::files::{ResultFiles, micro};
 use super::opencv_yaml;
 use super::people::axis_angles;
-use super::take::{Take, rest_joints};
+use super::rig::rest_joints;
+use super::take::Take;
 use crate::session::people::BodyPose;
 use nalgebra::Vector3;
 use serde::Serialize;

@@ -3,7 +3,8 @@
 use super::files::ResultFiles;
 use super::take::Take;
 use super::{
-    blender, bvh, c3d, calibration_toml, chan, colmap, easymocap, glb, losses, opencv_yaml, smpl_npz, trc, usd,
+    blender, bvh, c3d, calibration_toml, chan, colmap, easymocap, fbx, glb, joint_angles, losses, opencv_yaml,
+    smpl_npz, trc, usd,
 };
 use crate::session::reconstruction::ExportFormat as F;
 use crate::session::recording::UpAxis;
@@ -63,9 +64,11 @@ pub(super) fn write(format: F, files: &mut ResultFiles, take: &Take) -> io::Resu
         F::Easymocap => easymocap::write(files, take),
         F::Glb => glb::write(files, take),
         F::Bvh => bvh::write(files, take),
+        F::Fbx => fbx::write(files, take),
         F::Usd => usd::write(files, take),
         F::Trc => trc::write(files, take),
         F::C3d => c3d::write(files, take),
+        F::JointAngles => joint_angles::write(files, take),
         F::OpencvYaml => opencv_yaml::write(files, take, ""),
         F::CalibToml => calibration_toml::write_pose2sim(files, take),
         F::AniposeToml => calibration_toml::write_anipose(files, take),
@@ -99,8 +102,10 @@ fn layout(format: F) -> (&'static str, Option<UpAxis>, f64) {
         F::Easymocap => ("json", None, 1.0),
         F::Glb => ("glb", Some(UpAxis::Y), 1.0),
         F::Bvh => ("bvh", Some(UpAxis::Y), 0.01),
+        F::Fbx => ("fbx", Some(UpAxis::Y), 0.01),
         F::Usd => ("usda", Some(UpAxis::Y), 1.0),
         F::Trc => ("trc", Some(UpAxis::Y), 1.0),
+        F::JointAngles => ("csv", Some(UpAxis::Y), 1.0),
         F::C3d => ("c3d", Some(UpAxis::Z), 0.001),
         F::OpencvYaml => ("yml", None, 1.0),
         F::CalibToml | F::AniposeToml => ("toml", None, 1.0),

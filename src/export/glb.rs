@@ -1,18 +1,23 @@
 //! `scene.glb`: binary glTF 2.0 with a skinned skeleton and its animation per person and a node per camera.
 //!
-//! Metres, y up; time 0 s is the session's first frame. Every person has a skin whose joints are SMPL's, bound in the T-pose,
-//! and a mesh of one small octahedron per bone that makes the skeleton visible. A glTF camera has neither principal point nor
+//! Metres, y up; time 0 s is the session's first frame, and all people have the times of the whole take. Every person has a
+//! skin whose joints are SMPL's with axes along the bones ([`super::rig`]), bound in the T-pose, and the mesh of the body; where
+//! the body may not be exported, one small octahedron per bone makes the skeleton visible. While a person is absent the
+//! person's node has the scale 0, since glTF cannot hide a node. A glTF camera has neither principal point nor
 //! distortion: `extras` of its node contain K, `distortion_model`, `dist` and the image size; those of a person's node
 //! contain `frame_presence` and the frames in which no camera detected the person (`carried`), as frame numbers.
 
 mod buffer;
+mod mesh;
 mod sticks;
 
 use super::files::{ResultFiles, micro};
 use super::film::{vertical_view, world_from_film};
+use super::rig::{Rig, children, person_name};
 use super::rotation_forms::{quaternion_xyzw, quaternions_xyzw};
-use super::take::{Take, TakeCamera, rest_joints};
-use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
+use super::skin::skin_mesh;
+use super::take::{Take, TakeCamera};
+use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
 use crate::session::BodyMotion;
 use crate::session::formats::{entries, rows};
 use crate::session::recording::UpAxis;
@@ -31,6 +36,7 @@ struct Document {
     scene_nodes: Vec<usize>,
     skins: Vec<Value>,
     meshes: Vec<Value>,
+    materials: Vec<Value>,
     cameras: Vec<Value>,
     samplers: Vec<Value>,
     channels: Vec<Value>,
@@ -40,8 +46,10 @@ struct Document {
 pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
     let take = take.with_up_axis(UpAxis::Y);
     let mut document = Document::default();
-    for motion in &take.motions {
-        document.add_person(&take, motion);
+    if !take.motions.is_empty() {
+        let times: Vec<f32> = (0..take.n_frames).map(|t| (t as f64 / take.fps) as f32).collect();
+        let times = document.buffer.floats(&times, Element::Scalar);
+        take.motions.iter().for_each(|motion| document.add_person(&take, motion, times));
     }
     for camera in &take.cameras {
         document.add_camera(camera);
@@ -55,14 +63,13 @@ impl Document {
         self.nodes.len() - 1
     }
 
-    fn add_person(&mut self, take: &Take, motion: &BodyMotion) {
-        let rest = rest_joints(motion);
+    fn add_person(&mut self, take: &Take, motion: &BodyMotion, times: usize) {
+        let rig = Rig::of(motion);
         let root = self.nodes.len();
         let pelvis = root + 1; // joint j is node pelvis + j
-        let id = motion.person.0;
         self.scene_nodes.push(root);
         self.add_node(json!({
-            "name": format!("person_{id}"),
+            "name": person_name(motion),
             "children": [pelvis],
             "extras": {
                 "frame_presence": take.presence(motion),
@@ -71,51 +78,80 @@ impl Document {
             },
         }));
         for joint in 0..N_JOINTS {
-            let offset = PARENTS[joint].map_or(rest[joint], |parent| rest[joint] - rest[parent]);
-            let children: Vec<usize> =
-                (0..N_JOINTS).filter(|&c| PARENTS[c] == Some(joint)).map(|c| pelvis + c).collect();
-            let mut node = json!({ "name": JOINT_NAMES[joint], "translation": entries(&offset).map(micro) });
+            let mut node = json!({
+                "name": JOINT_NAMES[joint],
+                "translation": entries(&rig.offset(joint)).map(micro),
+                "rotation": quaternion_xyzw(&rig.rest(joint)),
+            });
+            let children: Vec<usize> = children(joint).map(|child| pelvis + child).collect();
             if !children.is_empty() {
                 node["children"] = json!(children);
             }
             self.add_node(node);
         }
-        self.add_skin(&rest, pelvis, id);
-        self.add_animation(take, motion, pelvis);
+        self.add_skin(take, motion, &rig, pelvis);
+        self.add_animation(take, motion, &rig, pelvis, times);
+        self.hide_while_absent(take, motion, root);
     }
 
-    fn add_skin(&mut self, rest: &[nalgebra::Vector3<f64>; N_JOINTS], pelvis: usize, id: usize) {
-        // Column-major: joint_from_mesh moves the rest joint to the origin.
-        let inverse = |joint: &nalgebra::Vector3<f64>| {
-            let [x, y, z] = entries(joint).map(|c| micro(-c) as f32);
-            [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, x, y, z, 1.0]
-        };
-        let inverse_bind: Vec<f32> = rest.iter().flat_map(inverse).collect();
+    fn add_skin(&mut self, take: &Take, motion: &BodyMotion, rig: &Rig, pelvis: usize) {
+        let inverse_bind: Vec<f32> = (0..N_JOINTS).flat_map(|joint| inverse_bind(rig, joint)).collect();
         let inverse_bind = self.buffer.floats(&inverse_bind, Element::Mat4);
         let joints: Vec<usize> = (0..N_JOINTS).map(|joint| pelvis + joint).collect();
+        let person = person_name(motion);
         self.skins.push(json!({
-            "name": format!("person_{id}"), "inverseBindMatrices": inverse_bind, "joints": joints, "skeleton": pelvis,
+            "name": person, "inverseBindMatrices": inverse_bind, "joints": joints, "skeleton": pelvis,
         }));
-        let primitive = sticks::primitive(&mut self.buffer, rest);
-        self.meshes.push(json!({ "name": format!("person_{id}_sticks"), "primitives": [primitive] }));
+        let (kind, mut primitive) = match &take.body {
+            Some(body) => ("body", mesh::primitive(&mut self.buffer, &skin_mesh(body, motion))),
+            None => ("sticks", sticks::primitive(&mut self.buffer, &rig.joints)),
+        };
+        primitive["material"] = json!(self.materials.len());
+        let colour = mesh::colour(self.materials.len());
+        self.materials.push(json!({
+            "name": person,
+            "pbrMetallicRoughness": { "baseColorFactor": colour, "metallicFactor": 0.0, "roughnessFactor": 0.8 },
+        }));
+        let name = format!("{person}_{kind}");
+        self.meshes.push(json!({ "name": name, "primitives": [primitive] }));
         let (mesh, skin) = (self.meshes.len() - 1, self.skins.len() - 1);
-        let node = self.add_node(json!({ "name": format!("person_{id}_sticks"), "mesh": mesh, "skin": skin }));
+        let node = self.add_node(json!({ "name": name, "mesh": mesh, "skin": skin }));
         self.scene_nodes.push(node);
     }
 
-    fn add_animation(&mut self, take: &Take, motion: &BodyMotion, pelvis: usize) {
-        let times: Vec<f32> =
-            (0..motion.frames.len()).map(|t| ((motion.first.0 + t) as f64 / take.fps) as f32).collect();
-        let input = self.buffer.floats(&times, Element::Scalar);
-        let places: Vec<f32> =
-            motion.frames.iter().flat_map(|pose| entries(&pose.joints[0]).map(|c| micro(c) as f32)).collect();
+    fn add_animation(&mut self, take: &Take, motion: &BodyMotion, rig: &Rig, pelvis: usize, times: usize) {
+        let poses = || take.on_time_line(motion);
+        let places: Vec<f32> = poses().flat_map(|pose| entries(&pose.joints[0]).map(|c| micro(c) as f32)).collect();
         let output = self.buffer.floats(&places, Element::Vec3);
-        self.add_channel(input, output, pelvis, "translation");
+        self.add_channel(times, output, pelvis, "translation");
         for joint in 0..N_JOINTS {
-            let turns = quaternions_xyzw(motion.frames.iter().map(|pose| &pose.rotations[joint]));
+            let turns = quaternions_xyzw(poses().map(|pose| rig.local(joint, &pose.rotations[joint])));
             let turns: Vec<f32> = turns.iter().flatten().map(|c| *c as f32).collect();
             let output = self.buffer.floats(&turns, Element::Vec4);
-            self.add_channel(input, output, pelvis + joint, "rotation");
+            self.add_channel(times, output, pelvis + joint, "rotation");
+        }
+    }
+
+    /// Steps between the scales 0 and 1, half a frame before and after the person's frames: rounded times are on the right side.
+    fn hide_while_absent(&mut self, take: &Take, motion: &BodyMotion, root: usize) {
+        let (first, n_frames) = (motion.first.0, motion.frames.len());
+        let secs = |frame: f64| (frame / take.fps) as f32;
+        let mut keys = vec![(secs((first as f64 - 0.5).max(0.0)), 1.0_f32)];
+        if first > 0 {
+            keys.insert(0, (0.0, 0.0));
+        }
+        if first + n_frames < take.n_frames {
+            keys.push((secs((first + n_frames) as f64 - 0.5), 0.0));
+        }
+        if keys.len() == 1 {
+            return;
+        }
+        let input = self.buffer.floats(&keys.iter().map(|key| key.0).collect::<Vec<_>>(), Element::Scalar);
+        let scales: Vec<f32> = keys.iter().flat_map(|key| [key.1; 3]).collect();
+        let output = self.buffer.floats(&scales, Element::Vec3);
+        self.add_channel(input, output, root, "scale");
+        if let Some(sampler) = self.samplers.last_mut() {
+            sampler["interpolation"] = json!("STEP");
         }
     }
 
@@ -174,6 +210,7 @@ impl Document {
         set("nodes", self.nodes);
         set("skins", self.skins);
         set("meshes", self.meshes);
+        set("materials", self.materials);
         set("cameras", self.cameras);
         if !self.channels.is_empty() {
             set("animations", vec![json!({ "name": "take", "samplers": self.samplers, "channels": self.channels })]);
@@ -183,6 +220,20 @@ impl Document {
         }
         self.buffer.into_glb(root)
     }
+}
+
+/// `bone_from_body` in the rest pose, column by column.
+fn inverse_bind(rig: &Rig, joint: usize) -> [f32; 16] {
+    let bone_from_body = rig.axes[joint].transpose();
+    let shift = -(bone_from_body * rig.joints[joint]);
+    let column = |c: usize| -> [f64; 4] {
+        if c == 3 {
+            [shift.x, shift.y, shift.z, 1.0]
+        } else {
+            [bone_from_body[(0, c)], bone_from_body[(1, c)], bone_from_body[(2, c)], 0.0]
+        }
+    };
+    std::array::from_fn(|i| column(i / 4)[i % 4] as f32)
 }
 
 /// Ranges of frame numbers, ends included, in which no camera detected the person.

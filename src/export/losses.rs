@@ -2,6 +2,7 @@
 
 use super::take::{Take, TakeCamera};
 use crate::geometry::{Distortion, Intrinsics};
+use crate::session::BodyMotion;
 use crate::session::reconstruction::ExportFormat as F;
 
 /// Camera parameters that a format can represent.
@@ -29,7 +30,7 @@ fn support(format: F) -> Option<CameraSupport> {
     };
     let no_lens = CameraSupport { n_distortions: 0, rational: false, fisheye: false, ..all };
     match format {
-        F::SmplNpz | F::Bvh | F::Trc | F::C3d => None,
+        F::SmplNpz | F::Bvh | F::Fbx | F::Trc | F::C3d | F::JointAngles => None,
         F::AniposeToml => Some(all),
         F::Easymocap | F::OpencvYaml => Some(CameraSupport { fisheye: false, ..all }),
         F::CalibToml => Some(CameraSupport { n_distortions: 4, rational: false, ..all }),
@@ -41,8 +42,56 @@ fn support(format: F) -> Option<CameraSupport> {
     }
 }
 
-/// One sentence for each camera that the format lacks or represents incompletely.
+/// How a scene with its own clock shows people in frames in which they are absent; `None`: its files end there.
+fn absence(format: F) -> Option<&'static str> {
+    match format {
+        F::Bvh => Some("the nearest pose is held, since the format cannot hide a person"),
+        F::Glb => Some("the person has the size 0, since the format cannot hide a person"),
+        F::Fbx => Some("the nearest pose is held and hidden, which some programs ignore"),
+        _ => None,
+    }
+}
+
+/// One sentence for each person and camera that the format lacks or represents incompletely.
 pub(super) fn losses(format: F, take: &Take) -> Vec<String> {
+    let mut lost = lost_meshes(format, take);
+    lost.extend(take.motions.iter().filter_map(|motion| lost_absence(format, take, motion)));
+    lost.extend(lost_cameras(format, take));
+    lost
+}
+
+fn lost_meshes(format: F, take: &Take) -> Vec<String> {
+    let name = &take.body_model.name;
+    match &take.body {
+        _ if !matches!(format, F::Glb | F::Usd | F::Fbx) || take.motions.is_empty() => Vec::new(),
+        None => vec![format!(
+            "people: skeletons without mesh, since the body {name} may not be distributed with results; `wandless export --body \
+             FILE` adds the mesh of a body that you hold"
+        )],
+        Some(body) if !body.surface.pose_directions.is_empty() => {
+            vec![format!("people: the format does not support the pose directions of the body {name}")]
+        }
+        Some(_) => Vec::new(),
+    }
+}
+
+fn lost_absence(format: F, take: &Take, motion: &BodyMotion) -> Option<String> {
+    let ([start, end], [first, last]) = (take.frame_range(), take.presence(motion));
+    let mut absent = Vec::new();
+    if first > start {
+        absent.push(format!("before frame {first}"));
+    }
+    if last < end {
+        absent.push(format!("after frame {last}"));
+    }
+    let how = absence(format).filter(|_| !absent.is_empty())?;
+    Some(format!("person {}: absent {}; {how}", motion.person.0, absent.join(" and ")))
+}
+
+fn lost_cameras(format: F, take: &Take) -> Vec<String> {
+    if format == F::Fbx && !take.cameras.is_empty() {
+        return vec!["cameras: left out; see cameras.json, or the formats glb and usd".to_owned()];
+    }
     let Some(support) = support(format) else { return Vec::new() };
     let unsolved =
         take.unsolved.iter().map(|id| format!("camera {id}: its pose was not solved, and the camera is left out"));
@@ -87,8 +136,11 @@ fn sentence(camera: &TakeCamera, lost: &[&str]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::body::default_body;
     use crate::geometry::Rigid;
+    use crate::session::reconstruction::BodyModelId;
     use crate::session::recording::UpAxis;
+    use crate::session::{FrameIndex, PersonId};
 
     fn take(lens: Intrinsics) -> Take {
         let camera = TakeCamera { id: "a".to_owned(), intrinsics: lens, camera_from_world: Rigid::identity() };
@@ -101,21 +153,46 @@ mod tests {
             cameras: vec![camera],
             unsolved: vec!["b".to_owned()],
             motions: Vec::new(),
+            keypoint_names: Vec::new(),
+            keypoints: std::collections::BTreeMap::new(),
+            body_model: BodyModelId { name: "studio".to_owned(), sha256: String::new() },
+            body: None,
         }
+    }
+
+    fn plain() -> Intrinsics {
+        Intrinsics { width: 101, height: 51, fx: 80.0, fy: 80.0, cx: 50.0, cy: 25.0, skew: 0.0, dist: Distortion::None }
+    }
+
+    #[test]
+    fn reports_absent_people_and_bodies_that_are_not_free() {
+        let mut take = Take { n_frames: 10, first_frame: 300, unsolved: Vec::new(), ..take(plain()) };
+        let rest = crate::session::people::BodyPose {
+            rotations: [nalgebra::Matrix3::identity(); 24],
+            translation: nalgebra::Vector3::zeros(),
+            joints: default_body().rest_joints,
+            valid: true,
+        };
+        let motion = |first: usize, n: usize| BodyMotion {
+            person: PersonId(first),
+            first: FrameIndex(first),
+            betas: [0.0; 10],
+            frames: vec![rest.clone(); n],
+            joint_sigmas: None,
+        };
+        take.motions = vec![motion(0, 10), motion(2, 3)];
+        let bvh = losses(F::Bvh, &take);
+        assert_eq!(bvh.len(), 1);
+        assert!(bvh[0].starts_with("person 2: absent before frame 302 and after frame 304; the nearest pose is held"));
+        assert!(losses(F::Usd, &take)[0].contains("the body studio may not be distributed"));
+        assert!(losses(F::Trc, &take).is_empty());
+        take.body = Some(default_body());
+        assert!(losses(F::Usd, &take).is_empty(), "the default body is free, and visibility hides people");
     }
 
     #[test]
     fn reports_only_parameters_in_use() {
-        let plain = Intrinsics {
-            width: 101,
-            height: 51,
-            fx: 80.0,
-            fy: 80.0,
-            cx: 50.0,
-            cy: 25.0,
-            skew: 0.0,
-            dist: Distortion::None,
-        };
+        let plain = plain();
         assert_eq!(losses(F::Chan, &take(plain)), ["camera b: its pose was not solved, and the camera is left out"]);
         assert!(losses(F::Bvh, &take(plain)).is_empty());
         let k3 = Intrinsics { dist: Distortion::OpenCv5([0.1, 0.0, 0.0, 0.0, 0.01]), ..plain };

@@ -49,7 +49,8 @@ struct Publish<'a> {
     representations: Vec<Representation>,
 }
 
-/// Frames in which a person is present; files of formats without frame numbers start with the first of them.
+/// Frames in which a person is present. Scenes (`bvh`, `fbx`, `glb`, `usd`, `blender`) have all frames of the take for every person,
+/// other files the person's own.
 #[derive(Serialize)]
 struct Presence {
     id: usize,

@@ -19,25 +19,34 @@ mod colmap;
 mod context;
 mod detections_bin;
 mod easymocap;
+mod fbx;
 mod files;
 mod film;
 mod formats;
 mod glb;
 mod identities;
+mod inverse_kinematics;
+mod joint_angles;
+mod joint_names;
 mod joints;
 mod losses;
 mod manifest;
+mod markers;
 mod motion_bin;
 mod names;
 mod opencv_yaml;
 mod people;
 mod read;
+mod rig;
 mod rotation_forms;
+mod skin;
 mod smpl_npz;
 mod take;
 mod trc;
 mod usd;
 
+#[cfg(test)]
+mod sample_motion;
 #[cfg(test)]
 mod tests;
 
@@ -46,7 +55,7 @@ pub use body_mesh::{BodyMesh, default_body_mesh};
 pub use context::ResultContext;
 pub use formats::{Representation, RepresentationData, name};
 pub use read::{ReadError, read_take};
-pub use take::{Take, TakeCamera};
+pub use take::{KeypointFrames, OtherBody, Take, TakeCamera};
 
 use crate::session::reconstruction::ExportFormat;
 use crate::session::{Reconstruction, Session};

@@ -1,7 +1,9 @@
 //! `people.json`: shape and motion of every person in SMPL's convention.
 
 use super::files::{micro, micro_entries};
+use super::skin::free_body;
 use crate::body::skeleton::N_JOINTS;
+use crate::body::{Betas, BodyModel};
 use crate::geometry::rotation;
 use crate::session::formats::rounded;
 use crate::session::people::{BodyPose, JointSigmas};
@@ -22,6 +24,9 @@ pub(super) struct People<'a> {
 struct Person {
     id: usize,
     betas: [f64; 10],
+    /// Height of the body in its rest pose, m, of the default body.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    stature_m: Option<f64>,
     frames: Vec<i64>,
     global_orient: Vec<[f64; 3]>,
     body_pose: Vec<Vec<f64>>,
@@ -34,11 +39,12 @@ struct Person {
 
 /// The content of `people.json`.
 pub(super) fn people<'a>(session: &Session, reconstruction: &'a Reconstruction) -> People<'a> {
+    let body = free_body(&reconstruction.body_model);
     People {
         units: "m",
         fps: session.fps,
         body_model: &reconstruction.body_model,
-        people: reconstruction.motions.iter().map(|motion| person(session, motion)).collect(),
+        people: reconstruction.motions.iter().map(|motion| person(session, motion, body.as_ref())).collect(),
     }
 }
 
@@ -53,17 +59,18 @@ pub(super) fn axis_angles(pose: &BodyPose) -> Vec<f64> {
 }
 
 /// Standard deviations in mm, to a hundredth.
-fn millimetres(sigmas: &JointSigmas) -> [f64; N_JOINTS] {
+pub(super) fn millimetres(sigmas: &JointSigmas) -> [f64; N_JOINTS] {
     sigmas.map(|sigma| rounded(1e3 * sigma, 2))
 }
 
-fn person(session: &Session, motion: &BodyMotion) -> Person {
+fn person(session: &Session, motion: &BodyMotion, body: Option<&BodyModel>) -> Person {
     // [frames, 72]
     let poses: Vec<Vec<f64>> =
         motion.frames.iter().map(|pose| axis_angles(pose).into_iter().map(micro).collect()).collect();
     Person {
         id: motion.person.0,
         betas: motion.betas.map(micro),
+        stature_m: body.map(|body| rounded(body.surface.stature(&Betas::from(motion.betas)), 3)),
         frames: frame_numbers(session, motion),
         global_orient: poses.iter().map(|pose| [pose[0], pose[1], pose[2]]).collect(),
         body_pose: poses.iter().map(|pose| pose[3..].to_vec()).collect(),

@@ -1,10 +1,12 @@
 //! Reads a finished result back as a [`Take`], from which further formats can be written.
 
+use super::skin::free_body;
 use super::take::{Take, TakeCamera, carry_over_non_finite};
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
 use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
 use crate::session::json_file::{JsonFileError, read_json_file};
 use crate::session::people::BodyPose;
+use crate::session::reconstruction::BodyModelId;
 use crate::session::recording::UpAxis;
 use crate::session::{BodyMotion, FrameIndex, PersonId};
 use nalgebra::{Matrix3, Vector3};
@@ -73,6 +75,7 @@ struct Camera {
 
 #[derive(Deserialize)]
 struct PeopleFile {
+    body_model: BodyModelId,
     people: Vec<Person>,
 }
 
@@ -89,6 +92,7 @@ struct Person {
     joint_sigma_mm: Option<Vec<[Option<f64>; N_JOINTS]>>,
 }
 
+/// `poses3d.json` or `keypoints3d.json`.
 #[derive(Deserialize)]
 struct PosesFile {
     joint_names: Vec<String>,
@@ -101,7 +105,7 @@ type JointsByPerson = BTreeMap<usize, Vec<Option<[f64; 3]>>>;
 /// Longest time line that is read, frames: nine hours at 30 fps, the limit of sessions.
 const MAX_FRAMES: i64 = 1_000_000;
 
-/// Reads `manifest.json`, `cameras.json`, `people.json` and `poses3d.json` of a result.
+/// Reads `manifest.json`, `cameras.json`, `people.json`, `poses3d.json` and `keypoints3d.json` of a result.
 ///
 /// # Errors
 /// [`ReadError`] where the folder is not a result, or was changed inconsistently.
@@ -110,6 +114,7 @@ pub fn read_take(dir: &Path) -> Result<Take, ReadError> {
     let cameras: CamerasFile = read_json_file(&dir.join("cameras.json"))?;
     let people: PeopleFile = read_json_file(&dir.join("people.json"))?;
     let poses: PosesFile = read_json_file(&dir.join("poses3d.json"))?;
+    let keypoints: PosesFile = read_json_file(&dir.join("keypoints3d.json"))?;
     let Publish { up_axis, frame_range: [first, last], fps } = manifest.publish;
     let length = last.checked_sub(first).filter(|length| (0..MAX_FRAMES).contains(length));
     let Some(length) = length else {
@@ -132,6 +137,10 @@ pub fn read_take(dir: &Path) -> Result<Take, ReadError> {
         cameras: Vec::new(),
         unsolved: Vec::new(),
         motions: Vec::new(),
+        keypoint_names: Vec::new(),
+        keypoints: BTreeMap::new(),
+        body: free_body(&people.body_model),
+        body_model: people.body_model.clone(),
     };
     for camera in cameras.cameras {
         match solved_camera(&camera)? {
@@ -147,7 +156,25 @@ pub fn read_take(dir: &Path) -> Result<Take, ReadError> {
         }
         take.motions.extend(carry_over_non_finite(motion(&take, person, &poses)?));
     }
+    add_keypoints(&mut take, keypoints)?;
     Ok(take)
+}
+
+fn add_keypoints(take: &mut Take, file: PosesFile) -> Result<(), ReadError> {
+    let [start, end] = take.frame_range();
+    for (frame, people) in file.frames {
+        for (person, points) in people {
+            if points.len() != file.joint_names.len() || !(start..=end).contains(&frame) {
+                let what = format!("frame {frame}: person {person}");
+                let expected = format!("{} points in a frame from {start} to {end}", file.joint_names.len());
+                return Err(contradiction("keypoints3d.json", &what, &expected, points.len().to_string()));
+            }
+            let points = points.into_iter().map(|point| point.map(Vector3::from)).collect();
+            take.keypoints.entry(PersonId(person)).or_default().insert(frame.abs_diff(start) as usize, points);
+        }
+    }
+    take.keypoint_names = file.joint_names;
+    Ok(())
 }
 
 fn solved_camera(camera: &Camera) -> Result<Option<TakeCamera>, ReadError> {

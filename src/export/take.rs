@@ -4,11 +4,16 @@
 //! numbers, so that a format written later has the same bytes.
 
 use super::files::micro;
-use crate::body::skeleton::{N_JOINTS, PARENTS};
+use super::people::millimetres;
+use super::skin::free_body;
+use crate::body::BodyModel;
 use crate::geometry::{Intrinsics, Rigid, rotation};
+use crate::session::people::BodyPose;
+use crate::session::reconstruction::BodyModelId;
 use crate::session::recording::UpAxis;
-use crate::session::{BodyMotion, Reconstruction, Session};
+use crate::session::{BodyMotion, PersonId, Reconstruction, Session};
 use nalgebra::{Matrix3, Vector3};
+use std::collections::BTreeMap;
 
 /// Cameras and people of a result. World: right-handed, metres.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,8 +32,32 @@ pub struct Take {
     pub cameras: Vec<TakeCamera>,
     /// Names of the other cameras.
     pub unsolved: Vec<String>,
-    /// Motions of all people; every number is finite.
+    /// Motions of all people; every number is finite, and every motion has a frame.
     pub motions: Vec<BodyMotion>,
+    /// Names of the detector's keypoints.
+    pub keypoint_names: Vec<String>,
+    /// The detector's own keypoints in space by person and frame index, world metres: `None` where a point is unknown. Frames
+    /// without any point are left out.
+    pub keypoints: BTreeMap<PersonId, KeypointFrames>,
+    /// The body model that the motions refer to.
+    pub body_model: BodyModelId,
+    /// That model, where its mesh may be exported: the default body, or one that the caller holds ([`Take::with_body`]).
+    pub body: Option<BodyModel>,
+}
+
+/// Points by frame index and keypoint.
+pub type KeypointFrames = BTreeMap<usize, Vec<Option<Vector3<f64>>>>;
+
+/// A body model that is not the one of a take.
+#[derive(Debug, thiserror::Error)]
+#[error("the body has the digest {found}, the result was solved with {expected} ({name}); pass that body's file")]
+pub struct OtherBody {
+    /// Name of the result's body model.
+    pub name: String,
+    /// Its digest.
+    pub expected: String,
+    /// Digest of the given body.
+    pub found: String,
 }
 
 /// A camera with a solved pose.
@@ -59,12 +88,42 @@ impl Take {
         [self.frame_number(first), self.frame_number(first + motion.frames.len().saturating_sub(1))]
     }
 
+    /// The person's pose in every frame of the time line: the nearest one in frames in which the person is absent.
+    pub fn on_time_line<'a>(&self, motion: &'a BodyMotion) -> impl Iterator<Item = &'a BodyPose> {
+        let last = motion.frames.len().saturating_sub(1);
+        let first = motion.first.0;
+        (0..self.n_frames).filter_map(move |index| motion.frames.get(index.saturating_sub(first).min(last)))
+    }
+
+    /// The keypoints of a person in every frame of the motion: `names.len()` each, none where the take has none of the person.
+    pub fn keypoints_of<'a>(&'a self, motion: &'a BodyMotion) -> impl Iterator<Item = &'a [Option<Vector3<f64>>]> {
+        let frames = self.keypoints.get(&motion.person);
+        let of_frame = move |i: usize| frames.and_then(|frames| frames.get(&(motion.first.0 + i)));
+        (0..motion.frames.len()).map(move |i| of_frame(i).map_or(&[][..], Vec::as_slice))
+    }
+
+    /// The take with the mesh of `body`, which the caller may use under its own licence.
+    ///
+    /// # Errors
+    /// [`OtherBody`] where the result was solved with another one; the name does not count.
+    pub fn with_body(self, body: BodyModel) -> Result<Self, OtherBody> {
+        let body = BodyModel { name: self.body_model.name.clone(), ..body };
+        let found = body.sha256();
+        if found != self.body_model.sha256 {
+            return Err(OtherBody { name: self.body_model.name, expected: self.body_model.sha256, found });
+        }
+        Ok(Self { body: Some(body), ..self })
+    }
+
     /// The take in a world with `up_axis` up.
     pub fn with_up_axis(&self, up_axis: UpAxis) -> Take {
         let target_from_world = rotation_between(up_axis, self.up_axis);
         let mut take = Take { up_axis, ..self.clone() };
         for camera in &mut take.cameras {
             camera.camera_from_world.rotation *= target_from_world.transpose();
+        }
+        for point in take.keypoints.values_mut().flat_map(BTreeMap::values_mut).flatten().flatten() {
+            *point = target_from_world * *point;
         }
         for pose in take.motions.iter_mut().flat_map(|motion| &mut motion.frames) {
             // SMPL rotates about the rest pelvis J_0 and adds the translation: J_0 = p_0 - T is constant, p_0 is rotated.
@@ -89,6 +148,10 @@ pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Tak
         cameras: Vec::new(),
         unsolved: Vec::new(),
         motions: Vec::new(),
+        keypoint_names: session.convention.names().iter().map(|name| (*name).to_owned()).collect(),
+        keypoints: BTreeMap::new(),
+        body: free_body(&reconstruction.body_model),
+        body_model: reconstruction.body_model.clone(),
     };
     for (view, solved) in session.views.iter().zip(&reconstruction.cameras) {
         match solved.camera_from_world {
@@ -110,10 +173,25 @@ pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Tak
             pose.translation = pose.translation.map(micro);
             pose.joints = pose.joints.map(|joint| joint.map(micro));
         }
+        let sigmas = motion.joint_sigmas.iter_mut().flatten();
+        sigmas.for_each(|sigmas| *sigmas = millimetres(sigmas).map(|mm| 1e-3 * mm));
         carry_over_non_finite(motion)
     };
     take.motions = reconstruction.motions.iter().filter_map(rounded).collect();
+    for path in &reconstruction.keypoints {
+        for (i, points) in path.points.iter().enumerate() {
+            let points: Vec<_> = points.iter().map(known_point).collect();
+            if points.iter().any(Option::is_some) {
+                take.keypoints.entry(path.person).or_default().insert(path.first.0 + i, points);
+            }
+        }
+    }
     take
+}
+
+/// A point as `keypoints3d.json` has it.
+fn known_point(point: &Option<Vector3<f64>>) -> Option<Vector3<f64>> {
+    point.filter(|point| point.iter().all(|c| c.is_finite())).map(|point| point.map(micro))
 }
 
 /// Replaces every pose that is not finite by the nearest earlier (at the start: later) finite one, marked as not valid;
@@ -139,30 +217,6 @@ pub(super) fn carry_over_non_finite(mut motion: BodyMotion) -> Option<BodyMotion
     }
     motion.betas = motion.betas.map(|beta| if beta.is_finite() { beta } else { 0.0 });
     Some(motion)
-}
-
-/// Joints of the person in SMPL's rest pose, y up, m: `J_0 = p_0 - T`, `J_j = J_par + G_par^T (p_j - p_par)`, mean over the
-/// frames.
-pub(super) fn rest_joints(motion: &BodyMotion) -> [Vector3<f64>; N_JOINTS] {
-    let mut offsets = [Vector3::zeros(); N_JOINTS];
-    for pose in &motion.frames {
-        let mut world_from_joint = pose.rotations;
-        offsets[0] += pose.joints[0] - pose.translation;
-        for (j, parent) in PARENTS.iter().enumerate() {
-            if let Some(p) = *parent {
-                offsets[j] += world_from_joint[p].transpose() * (pose.joints[j] - pose.joints[p]);
-                world_from_joint[j] = world_from_joint[p] * pose.rotations[j];
-            }
-        }
-    }
-    let n_frames = motion.frames.len().max(1) as f64;
-    let mut rest = offsets.map(|sum| sum / n_frames);
-    for (j, parent) in PARENTS.iter().enumerate() {
-        if let Some(p) = *parent {
-            rest[j] += rest[p];
-        }
-    }
-    rest
 }
 
 /// The rotation `target_from_source` between two worlds given by their up axes: y and z by a quarter turn about x, as

@@ -295,6 +295,7 @@ fn rejects_inconsistent_results() {
         ("people.json", "[true,false]", "[true]", "2 entries in every list"),
         ("people.json", "\"joint_sigma_mm\":[", "\"joint_sigma_mm\":[],\"was\":[", "2 entries in every list"),
         ("poses3d.json", "\"302\"", "\"309\"", "24 joints"),
+        ("keypoints3d.json", "\"300\":", "\"299\":", "17 points in a frame from 300 to 302"),
         ("cameras.json", "\"width\":640", "\"width\":0", "camera b: size"),
         ("cameras.json", "[500.0,", "[-500.0,", "focal lengths"),
         ("cameras.json", "\"dist\":[0.0,0.0,", "\"dist\":[", "camera b: dist"),

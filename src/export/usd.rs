@@ -1,28 +1,38 @@
-//! `scene.usda`: USD as text, with a UsdSkel skeleton and animation per person and a camera per camera.
+//! `scene.usda`: USD as text, with a skinned UsdSkel skeleton and its animation per person and a camera per camera;
+//! `scene.usdz`: the same in a package.
 //!
-//! Metres (`metersPerUnit` 1), y up; time codes are the session's frame numbers. Lengths of a UsdGeomCamera are in tenths of
+//! Joint axes lie along the bones ([`super::rig`]). Metres (`metersPerUnit` 1), y up; time codes are the session's frame numbers. Lengths of a UsdGeomCamera are in tenths of
 //! a unit; the principal point is its aperture offset. Distortion model and coefficients, K and the image size are custom
 //! attributes (`userProperties:…`), since UsdGeomCamera has none. `visibility` marks the frames in which a person is present,
 //! `userProperties:valid` those in which a camera detected them.
 
-use super::files::{ResultFiles, micro};
+mod mesh;
+mod package;
+mod text;
+
+use super::files::ResultFiles;
 use super::film::{film_lens, world_from_film};
 use super::names::{identifiers, quoted};
+use super::rig::{Rig, person_name};
 use super::rotation_forms::quaternions_xyzw;
-use super::take::{Take, TakeCamera, rest_joints};
+use super::skin::skin_mesh;
+use super::take::{Take, TakeCamera};
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
 use crate::session::BodyMotion;
-use crate::session::formats::{entries, rounded};
+use crate::session::formats::rounded;
+use crate::session::people::BodyPose;
 use crate::session::recording::UpAxis;
-use nalgebra::Vector3;
 use std::io;
+use text::{list, matrix, tuple};
 
 /// Tenths of a unit per unit; a unit is a metre.
 const TENTHS: f64 = 10.0;
 
-/// Writes the file.
+/// Writes both files.
 pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
-    files.bytes("scene.usda", "model/vnd.usda", scene(&take.with_up_axis(UpAxis::Y)).as_bytes())
+    let scene = scene(&take.with_up_axis(UpAxis::Y));
+    files.bytes("scene.usda", "model/vnd.usda", scene.as_bytes())?;
+    files.bytes("scene.usdz", "model/vnd.usdz+zip", &package::package("scene.usda", scene.as_bytes())?)
 }
 
 fn scene(take: &Take) -> String {
@@ -43,26 +53,28 @@ fn scene(take: &Take) -> String {
 }
 
 fn person(take: &Take, motion: &BodyMotion) -> String {
-    let id = motion.person.0;
+    let (name, rig) = (person_name(motion), Rig::of(motion));
     let paths = list((0..N_JOINTS).map(|joint| quoted(&path(joint))));
-    let rest = rest_joints(motion).map(|joint| joint.map(micro));
-    let local = |joint: usize| PARENTS[joint].map_or(rest[joint], |parent| rest[joint] - rest[parent]);
+    let is_root = |joint: usize| PARENTS[joint].is_none();
+    let posed = |joint: usize, pose: &BodyPose| if is_root(joint) { pose.joints[joint] } else { rig.offset(joint) };
+    let mesh = take.body.as_ref().map(|body| mesh::prim(&name, &skin_mesh(body, motion))).unwrap_or_default();
     format!(
-        r#"    def SkelRoot "person_{id}"
+        r#"    def SkelRoot "{name}"
     {{
         token visibility.timeSamples = {visibility}
-        custom bool userProperties:valid.timeSamples = {valid}
+        custom bool userProperties:valid
+        bool userProperties:valid.timeSamples = {valid}
 
-        def Skeleton "Skeleton" (
+        def Skeleton "{name}_skeleton" (
             prepend apiSchemas = ["SkelBindingAPI"]
         )
         {{
             uniform token[] joints = {paths}
             uniform matrix4d[] bindTransforms = {bind}
-            uniform matrix4d[] restTransforms = {local}
-            rel skel:animationSource = </World/person_{id}/Skeleton/Animation>
+            uniform matrix4d[] restTransforms = {rest}
+            rel skel:animationSource = </World/{name}/{name}_skeleton/{name}_animation>
 
-            def SkelAnimation "Animation"
+            def SkelAnimation "{name}_animation"
             {{
                 uniform token[] joints = {paths}
                 half3[] scales = {scales}
@@ -70,20 +82,15 @@ fn person(take: &Take, motion: &BodyMotion) -> String {
                 quatf[] rotations.timeSamples = {rotations}
             }}
         }}
-    }}
+{mesh}    }}
 "#,
         visibility = visibility(take, motion),
         valid = valid(take, motion),
-        bind = list(rest.iter().map(shifted)),
-        local = list((0..N_JOINTS).map(|joint| shifted(&local(joint)))),
+        bind = list((0..N_JOINTS).map(|joint| matrix(&rig.axes[joint], &rig.joints[joint]))),
+        rest = list((0..N_JOINTS).map(|joint| matrix(&rig.rest(joint), &rig.offset(joint)))),
         scales = list((0..N_JOINTS).map(|_| "(1, 1, 1)".to_owned())),
-        translations = samples(take, motion, |t| {
-            list((0..N_JOINTS).map(|joint| match joint {
-                0 => tuple(&entries(&motion.frames[t].joints[0])),
-                _ => tuple(&entries(&local(joint))),
-            }))
-        }),
-        rotations = rotations(take, motion),
+        translations = samples(take, motion, |t| list((0..N_JOINTS).map(|j| tuple(&posed(j, &motion.frames[t]))))),
+        rotations = rotations(take, motion, &rig),
     )
 }
 
@@ -95,10 +102,10 @@ fn path(joint: usize) -> String {
     }
 }
 
-fn rotations(take: &Take, motion: &BodyMotion) -> String {
+fn rotations(take: &Take, motion: &BodyMotion, rig: &Rig) -> String {
+    let local = |joint: usize| motion.frames.iter().map(move |pose| rig.local(joint, &pose.rotations[joint]));
     // [joints][frames]
-    let by_joint: Vec<Vec<[f64; 4]>> =
-        (0..N_JOINTS).map(|j| quaternions_xyzw(motion.frames.iter().map(|pose| &pose.rotations[j]))).collect();
+    let by_joint: Vec<Vec<[f64; 4]>> = (0..N_JOINTS).map(|joint| quaternions_xyzw(local(joint))).collect();
     samples(take, motion, |t| {
         list(by_joint.iter().map(|quaternions| {
             let [x, y, z, w] = quaternions[t].map(|c| rounded(c, 9));
@@ -188,23 +195,4 @@ fn film_camera(camera: &TakeCamera, name: &str) -> String {
         lens.height,
         quoted(lens.dist.name()),
     )
-}
-
-/// A translation matrix for row vectors, which USD uses.
-fn shifted(by: &Vector3<f64>) -> String {
-    format!(
-        "( (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), ({:?}, {:?}, {:?}, 1) )",
-        micro(by.x),
-        micro(by.y),
-        micro(by.z)
-    )
-}
-
-fn tuple(values: &[f64; 3]) -> String {
-    let [x, y, z] = values.map(micro);
-    format!("({x:?}, {y:?}, {z:?})")
-}
-
-fn list(items: impl Iterator<Item = String>) -> String {
-    format!("[{}]", items.collect::<Vec<_>>().join(", "))
 }

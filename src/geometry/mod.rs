@@ -3,6 +3,7 @@
 pub mod camera;
 pub mod capsule;
 pub mod epipolar;
+pub mod euler;
 pub mod five_point;
 pub mod free_network;
 pub mod p3p;

@@ -306,11 +306,25 @@ pub const OPTION_TABLE: &[OptionRow] = &[
         kind: Kind::Choices(&[
             choice("smpl_npz", "poses and shapes of every person in AMASS's layout (72 and 156 wide)"),
             choice("easymocap", "EasyMocap's keypoints and SMPL parameters"),
-            choice("glb", "cameras and people as an animated glTF scene"),
-            choice("bvh", "one BVH skeleton per person"),
-            choice("usd", "cameras and people as a USD scene"),
-            choice("trc", "joint centres as OpenSim's TRC, one file per person"),
-            choice("c3d", "joint centres as C3D, one file per person"),
+            choice("glb", "cameras and people, skinned and animated, as a glTF scene"),
+            choice(
+                "bvh",
+                "skeletons as BVH, one file per person, also with HumanIK's, Mixamo's and Unreal's joint names",
+            ),
+            choice(
+                "fbx",
+                "people, skinned and animated, as FBX: all in one file, and one file per person with these names",
+            ),
+            choice("usd", "cameras and people, skinned and animated, as a USD scene and as a package"),
+            choice(
+                "trc",
+                "joint centres and keypoints as OpenSim's TRC with a set-up of its inverse kinematics, one file per person",
+            ),
+            choice("c3d", "joint centres and keypoints as C3D, one file per person"),
+            choice(
+                "joint_angles",
+                "joint angles with standard deviations as CSV, and OpenSim's .mot, one file per person",
+            ),
             choice("opencv_yaml", "cameras as OpenCV's intri.yml and extri.yml"),
             choice("calib_toml", "cameras as Pose2Sim's Calib.toml"),
             choice("anipose_toml", "cameras as anipose's calibration.toml"),

@@ -102,9 +102,11 @@ pub enum ExportFormat {
     Easymocap,
     Glb,
     Bvh,
+    Fbx,
     Usd,
     Trc,
     C3d,
+    JointAngles,
     OpencvYaml,
     CalibToml,
     AniposeToml,
@@ -115,14 +117,16 @@ pub enum ExportFormat {
 
 impl ExportFormat {
     /// Every format, in the order of the contract.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 15] = [
         Self::SmplNpz,
         Self::Easymocap,
         Self::Glb,
         Self::Bvh,
+        Self::Fbx,
         Self::Usd,
         Self::Trc,
         Self::C3d,
+        Self::JointAngles,
         Self::OpencvYaml,
         Self::CalibToml,
         Self::AniposeToml,

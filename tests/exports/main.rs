@@ -5,6 +5,7 @@
 
 #![allow(clippy::unwrap_used)] // a test may
 
+mod angles;
 mod bvh;
 mod calibrations;
 mod glb;

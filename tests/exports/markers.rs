@@ -1,37 +1,57 @@
 //! TRC and C3D, read according to their published layouts.
 
-use crate::result::{FIRST_FRAME, FPS, assert_near, both_up_axes};
+use crate::result::{FIRST_FRAME, FPS, assert_near, both_up_axes, keypoint_offset};
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::fs;
-use wandless::body::skeleton::JOINT_NAMES;
+use wandless::body::skeleton::{JOINT_NAMES, KeypointConvention};
+use wandless::session::reconstruction::ExportFormat;
 use wandless::session::recording::UpAxis;
+
+/// The joints, and the keypoints under their own names.
+fn marker_names() -> Vec<String> {
+    let keypoints = KeypointConvention::Coco17.names().iter().map(|name| format!("detected_{name}"));
+    JOINT_NAMES.iter().map(|name| (*name).to_owned()).chain(keypoints).collect()
+}
+
+/// A marker in the `i`th frame of a person, in the result's world.
+fn expected(joints: &[Vector3<f64>], i: usize, marker: usize) -> Option<Vector3<f64>> {
+    match marker.checked_sub(JOINT_NAMES.len()) {
+        None => Some(joints[marker]),
+        Some(k) => keypoint_offset(i, k).map(|offset| joints[k] + offset),
+    }
+}
 
 #[test]
 fn trc_joints_match_the_result() {
-    for written in both_up_axes() {
+    for written in both_up_axes(&[ExportFormat::Trc, ExportFormat::C3d]) {
         for person in written.people() {
             let text = written.text(&format!("{}.trc", person.id));
             let lines: Vec<Vec<&str>> = text.lines().map(|line| line.split('\t').collect()).collect();
             assert_eq!(lines[0][..3], ["PathFileType", "4", "(X/Y/Z)"]);
             let head: BTreeMap<&str, &str> = lines[1].iter().copied().zip(lines[2].iter().copied()).collect();
-            assert_eq!((head["Units"], head["NumMarkers"]), ("m", "24"));
+            assert_eq!((head["Units"], head["NumMarkers"]), ("m", "41"));
             assert_eq!(head["NumFrames"], person.frames.len().to_string());
             assert_eq!(head["OrigDataStartFrame"], person.frames[0].to_string());
             assert_eq!(head["DataRate"].parse::<f64>().unwrap(), FPS);
             let names: Vec<&str> = lines[3][2..].iter().copied().filter(|name| !name.is_empty()).collect();
-            assert_eq!(names, JOINT_NAMES);
+            assert_eq!(names, marker_names());
             assert_eq!(lines[4][2..5], ["X1", "Y1", "Z1"]);
             assert_eq!(lines[5], [""]);
             assert_eq!(lines.len(), 6 + person.frames.len());
-            for ((line, frame), joints) in lines[6..].iter().zip(&person.frames).zip(&person.joints) {
+            for (i, ((line, frame), joints)) in lines[6..].iter().zip(&person.frames).zip(&person.joints).enumerate() {
                 assert_eq!(line[0], frame.to_string());
                 let secs: f64 = line[1].parse().unwrap();
                 assert!((secs - (frame - FIRST_FRAME) as f64 / FPS).abs() < 1e-6);
-                let values: Vec<f64> = line[2..].iter().map(|v| v.parse().unwrap()).collect();
-                assert_eq!(values.len(), 72);
-                for (joint, place) in joints.iter().zip(values.chunks(3)) {
-                    assert_near(&written.turned(UpAxis::Y, joint), &Vector3::from_column_slice(place), "trc");
+                assert_eq!(line.len(), 2 + 3 * 41);
+                for (marker, cells) in line[2..].chunks(3).enumerate() {
+                    match expected(joints, i, marker) {
+                        None => assert_eq!(cells, ["", "", ""]),
+                        Some(point) => {
+                            let place = Vector3::from_iterator(cells.iter().map(|cell| cell.parse::<f64>().unwrap()));
+                            assert_near(&written.turned(UpAxis::Y, &point), &place, "trc");
+                        }
+                    }
                 }
             }
         }
@@ -74,11 +94,11 @@ fn parameters(bytes: &[u8]) -> BTreeMap<String, Vec<u8>> {
 
 #[test]
 fn c3d_joints_match_the_result() {
-    for written in both_up_axes() {
+    for written in both_up_axes(&[ExportFormat::Trc, ExportFormat::C3d]) {
         for person in written.people() {
             let bytes = fs::read(written.path(&format!("{}.c3d", person.id))).unwrap();
             assert_eq!((bytes.len() % 512, bytes[1]), (0, 0x50));
-            assert_eq!((word(&bytes, 2), word(&bytes, 4)), (24, 0));
+            assert_eq!((word(&bytes, 2), word(&bytes, 4)), (41, 0));
             assert_eq!(word(&bytes, 6) as i64, person.frames[0]);
             assert_eq!(word(&bytes, 8) as i64, *person.frames.last().unwrap());
             assert_eq!((float(&bytes, 12), float(&bytes, 20)), (-1.0, FPS as f32));
@@ -92,19 +112,20 @@ fn c3d_joints_match_the_result() {
             assert_eq!(word(&parameters["TRIAL:ACTUAL_START_FIELD"], 0) as i64, person.frames[0]);
             let labels = &parameters["POINT:LABELS"];
             let labels: Vec<&str> =
-                labels.chunks(labels.len() / 24).map(|l| std::str::from_utf8(l).unwrap().trim()).collect();
-            assert_eq!(labels, JOINT_NAMES);
+                labels.chunks(labels.len() / 41).map(|l| std::str::from_utf8(l).unwrap().trim()).collect();
+            assert_eq!(labels, marker_names());
             let data_block = word(&bytes, 16);
             assert_eq!(word(&parameters["POINT:DATA_START"], 0), data_block);
             let mut at = (data_block - 1) * 512;
-            for (valid, joints) in person.valid.iter().zip(&person.joints) {
-                for joint in joints {
+            for (i, (valid, joints)) in person.valid.iter().zip(&person.joints).enumerate() {
+                for marker in 0..41 {
+                    let point = expected(joints, i, marker).filter(|_| *valid);
                     let [x, y, z, residual] = [0, 4, 8, 12].map(|i| f64::from(float(&bytes, at + i)));
                     at += 16;
-                    assert_eq!(residual, if *valid { 0.0 } else { -1.0 });
-                    if *valid {
+                    assert_eq!(residual, if point.is_some() { 0.0 } else { -1.0 });
+                    if let Some(point) = point {
                         let place = Vector3::new(x, y, z) / 1000.0;
-                        assert_near(&written.turned(UpAxis::Z, joint), &place, "c3d");
+                        assert_near(&written.turned(UpAxis::Z, &point), &place, "c3d");
                     }
                 }
             }

@@ -6,16 +6,19 @@ use std::fs;
 use std::path::PathBuf;
 use tempfile::TempDir;
 use wandless::body::skeleton::{KeypointConvention, N_JOINTS};
+use wandless::body::skinning::skinned;
 use wandless::body::{Betas, default_body, kinematics};
 use wandless::export::{ResultContext, write_result};
 use wandless::geometry::{Distortion, Intrinsics, Rigid, rotation};
-use wandless::session::people::{BodyMotion, BodyPose};
+use wandless::session::people::{BodyMotion, BodyPose, JointTrajectory};
 use wandless::session::reconstruction::*;
 use wandless::session::recording::UpAxis;
 use wandless::session::{FrameIndex, PersonId, Reconstruction, Session, View};
 
 /// Largest distance between joints of exports and `poses3d.json`, m.
 pub(crate) const JOINT_TOLERANCE: f64 = 0.5e-3;
+/// Largest distance between a scene's skinned vertices and the body's own skinning, m.
+pub(crate) const SKIN_TOLERANCE: f64 = 1e-3;
 /// Largest distance between projections by exports and by `cameras.json`, px.
 pub(crate) const PIXEL_TOLERANCE: f64 = 0.1;
 pub(crate) const FIRST_FRAME: i64 = 100;
@@ -35,6 +38,28 @@ pub(crate) struct WrittenPerson {
     pub(crate) valid: Vec<bool>,
     /// [frames][24]
     pub(crate) joints: Vec<Vec<Vector3<f64>>>,
+    /// `people.json`'s entry.
+    entry: Value,
+}
+
+impl WrittenPerson {
+    /// Whether a frame of the time line is one of the person's, and the nearest of the person's frames.
+    pub(crate) fn at(&self, frame: i64) -> (bool, usize) {
+        let last = self.frames.len() as i64 - 1;
+        let index = frame - self.frames[0];
+        ((0..=last).contains(&index), index.clamp(0, last) as usize)
+    }
+
+    /// Vertices of the person's body in the `i`th frame by the body's own skinning, in the result's world.
+    pub(crate) fn skin(&self, i: usize) -> Vec<Vector3<f64>> {
+        let turns: Vec<f64> =
+            ["global_orient", "body_pose"].iter().flat_map(|name| numbers(&self.entry[name][i])).collect();
+        let pose = kinematics::Pose {
+            rotations: std::array::from_fn(|j| rotation::exp(&Vector3::from_column_slice(&turns[3 * j..3 * j + 3]))),
+            translation: Vector3::from_vec(numbers(&self.entry["transl"][i])),
+        };
+        skinned(&default_body(), &Betas::from_vec(numbers(&self.entry["betas"])), &pose)
+    }
 }
 
 /// One camera of `cameras.json`.
@@ -51,18 +76,14 @@ impl WrittenCamera {
     }
 }
 
-pub(crate) fn both_up_axes() -> [Written; 2] {
-    [UpAxis::Y, UpAxis::Z].map(written)
+/// The result in these formats, with y and with z up.
+pub(crate) fn both_up_axes(formats: &[ExportFormat]) -> [Written; 2] {
+    [UpAxis::Y, UpAxis::Z].map(|up_axis| written(up_axis, formats))
 }
 
-fn written(up_axis: UpAxis) -> Written {
+fn written(up_axis: UpAxis, formats: &[ExportFormat]) -> Written {
     let dir = tempfile::tempdir().unwrap();
-    let context = ResultContext {
-        input_sha256: "00",
-        options: Value::Null,
-        solver_version: "0.0.0",
-        exports: &ExportFormat::ALL,
-    };
+    let context = ResultContext { input_sha256: "00", options: Value::Null, solver_version: "0.0.0", exports: formats };
     write_result(dir.path(), &session(), &context, &reconstruction(up_axis)).unwrap();
     Written { dir, up_axis }
 }
@@ -100,7 +121,7 @@ impl Written {
                 joints.iter().map(|joint| Vector3::from_vec(numbers(joint))).collect()
             });
             let valid = person["valid"].as_array().unwrap().iter().map(|v| v.as_bool().unwrap()).collect();
-            WrittenPerson { id, valid, joints: joints.collect(), frames }
+            WrittenPerson { id, valid, joints: joints.collect(), frames, entry: person.clone() }
         };
         people["people"].as_array().unwrap().iter().map(person).collect()
     }
@@ -185,6 +206,14 @@ pub(crate) fn assert_near(ours: &Vector3<f64>, theirs: &Vector3<f64>, what: &str
     assert!(distance <= JOINT_TOLERANCE, "{what}: {distance} m");
 }
 
+/// Compares a scene's vertices, y up, with the body's own.
+pub(crate) fn assert_same_skin(written: &Written, ours: &[Vector3<f64>], theirs: &[Vector3<f64>], what: &str) {
+    assert_eq!(ours.len(), theirs.len());
+    let distance = |(a, b): (&Vector3<f64>, &Vector3<f64>)| (written.turned(UpAxis::Y, a) - b).norm();
+    let worst = ours.iter().zip(theirs).map(distance).fold(0.0, f64::max);
+    assert!(worst <= SKIN_TOLERANCE, "{what}: {worst} m");
+}
+
 /// Sets the principal point to the image centre, for formats without one.
 pub(crate) fn centred(lens: &mut Intrinsics) {
     lens.cx = (f64::from(lens.width) - 1.0) / 2.0;
@@ -259,13 +288,14 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
         Rigid { rotation, translation: -(rotation * center) }
     };
     let placed = (0..6).map(|i| camera(Some(look(i))));
+    let motions = vec![motion(0, 0, N_FRAMES, up_axis), motion(1, 7, 20, up_axis)];
     Reconstruction {
         cameras: placed.chain([camera(None)]).collect(),
-        keypoints: Vec::new(),
-        motions: vec![motion(0, 0, N_FRAMES, up_axis), motion(1, 7, 20, up_axis)],
+        keypoints: motions.iter().map(keypoints).collect(),
+        motions,
         identities: Vec::new(),
         up_axis,
-        body_model: BodyModelId { name: "default".to_owned(), sha256: "00".repeat(32) },
+        body_model: BodyModelId { name: "default".to_owned(), sha256: default_body().sha256() },
         repairs: None,
         report: Report {
             detector: Default::default(),
@@ -282,6 +312,24 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
             suspicions: Vec::new(),
             quality: Quality { verdict: Verdict::Pass, reasons: Vec::new() },
         },
+    }
+}
+
+/// The keypoint `k` of the fixture is this vector from joint `k`; `None` in every fourth frame of keypoint 3.
+pub(crate) fn keypoint_offset(frame: usize, keypoint: usize) -> Option<Vector3<f64>> {
+    (keypoint != 3 || !frame.is_multiple_of(4)).then(|| Vector3::new(0.01, 0.02, 0.001 * keypoint as f64))
+}
+
+fn keypoints(motion: &BodyMotion) -> JointTrajectory {
+    let n_keypoints = KeypointConvention::Coco17.n_keypoints();
+    let frame = |(i, pose): (usize, &BodyPose)| {
+        (0..n_keypoints).map(|k| keypoint_offset(i, k).map(|offset| pose.joints[k] + offset)).collect()
+    };
+    JointTrajectory {
+        person: motion.person,
+        first: motion.first,
+        points: motion.frames.iter().enumerate().map(frame).collect(),
+        n_views: vec![vec![3; n_keypoints]; motion.frames.len()],
     }
 }
 
@@ -319,7 +367,7 @@ fn motion(person: usize, first: usize, n_frames: usize, up_axis: UpAxis) -> Body
 
 #[test]
 fn the_manifest_describes_every_format() {
-    for written in both_up_axes() {
+    for written in both_up_axes(&ExportFormat::ALL) {
         let manifest = written.json("manifest.json");
         let publish = &manifest["publish"];
         assert_eq!(publish["people"][1]["frame_range"], serde_json::json!([107, 126]));
@@ -338,6 +386,9 @@ fn the_manifest_describes_every_format() {
         assert!(lists("calib_toml", "wide", "rational distortion"));
         assert!(lists("glb", "dome", "the principal point and fisheye distortion"));
         assert!(lists("opencv_yaml", "dome", "fisheye distortion") && lists("easymocap", "dome", "fisheye distortion"));
+        let absent = "person 1: absent before frame 107 and after frame 126; the nearest pose is held";
+        assert_eq!(written.lost("bvh"), [format!("{absent}, since the format cannot hide a person")]);
+        assert!(written.lost("fbx")[0].starts_with(absent));
         assert_eq!(written.lost("opencv_yaml").len(), 2);
         assert_eq!(written.lost("anipose_toml"), ["camera lost: its pose was not solved, and the camera is left out"]);
     }

@@ -4,11 +4,12 @@ use crate::result::{FIRST_FRAME, N_FRAMES, assert_near, both_up_axes, centred, n
 use nalgebra::{Isometry3, Point3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector2, Vector3};
 use serde_json::Value;
 use wandless::geometry::{Distortion, Intrinsics};
+use wandless::session::reconstruction::ExportFormat;
 use wandless::session::recording::UpAxis;
 
 #[test]
 fn chan_projects_like_cameras_json() {
-    for written in both_up_axes() {
+    for written in both_up_axes(&[ExportFormat::Chan, ExportFormat::Colmap, ExportFormat::Blender]) {
         let names = ["01", "left_front", "cam_c", "kamera-4", "wide", "dome"];
         for (camera, name) in written.cameras().iter().zip(names) {
             let text = written.text(&format!("{name}.chan"));
@@ -50,7 +51,7 @@ fn turn(xyzw: &Value) -> UnitQuaternion<f64> {
 
 #[test]
 fn script_joints_match_the_result() {
-    for written in both_up_axes() {
+    for written in both_up_axes(&[ExportFormat::Chan, ExportFormat::Colmap, ExportFormat::Blender]) {
         let take = take(&written.text("scene.py"));
         assert_eq!(take["name"], "a \"take\" \\ with 'quotes' ü\n");
         let parents: Vec<Option<usize>> =
@@ -78,7 +79,7 @@ fn script_joints_match_the_result() {
 
 #[test]
 fn script_cameras_project_like_cameras_json() {
-    for written in both_up_axes() {
+    for written in both_up_axes(&[ExportFormat::Chan, ExportFormat::Colmap, ExportFormat::Blender]) {
         let take = take(&written.text("scene.py"));
         for (camera, theirs) in written.cameras().iter().zip(take["cameras"].as_array().unwrap()) {
             assert_eq!(theirs["distortion_model"], camera.lens.dist.name());

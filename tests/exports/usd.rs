@@ -1,13 +1,27 @@
 //! The `.usda` file, parsed line by line and posed as UsdSkel does.
 
-use crate::result::{Written, assert_near, both_up_axes};
+use crate::result::{Written, assert_near, assert_same_skin, both_up_axes};
 use nalgebra::{Isometry3, Matrix4, Quaternion, Translation3, UnitQuaternion, Vector2, Vector3, Vector4};
 use std::collections::BTreeMap;
 use wandless::body::skeleton::JOINT_NAMES;
 use wandless::geometry::Intrinsics;
+use wandless::session::reconstruction::ExportFormat;
 use wandless::session::recording::UpAxis;
 
-/// Attributes by prim path and name: `World/person_0/Skeleton` to name to text. Samples have the name `name@frame`.
+#[test]
+fn the_package_holds_the_same_scene() {
+    let [written, _] = both_up_axes(&[ExportFormat::Usd]);
+    let mut package = zip::ZipArchive::new(std::fs::File::open(written.path("scene.usdz")).unwrap()).unwrap();
+    assert_eq!(package.len(), 1);
+    let mut member = package.by_index(0).unwrap();
+    assert_eq!(member.name().unwrap(), "scene.usda");
+    assert_eq!(member.compression(), zip::CompressionMethod::Stored);
+    let mut text = String::new();
+    std::io::Read::read_to_string(&mut member, &mut text).unwrap();
+    assert_eq!(text, written.text("scene.usda"));
+}
+
+/// Attributes by prim path and name: `World/person_0/person_0_skeleton` to name to text. Samples have the name `name@frame`.
 fn attributes(text: &str) -> BTreeMap<String, BTreeMap<String, String>> {
     let mut prims: BTreeMap<String, BTreeMap<String, String>> = BTreeMap::new();
     let mut path: Vec<String> = Vec::new();
@@ -51,8 +65,8 @@ fn matrices(text: &str) -> Vec<Matrix4<f64>> {
 }
 
 #[test]
-fn joints_match_the_result() {
-    for written in both_up_axes() {
+fn joints_and_vertices_match_the_result() {
+    for written in both_up_axes(&[ExportFormat::Usd]) {
         let text = written.text("scene.usda");
         assert!(
             text.starts_with("#usda 1.0\n") && text.contains("upAxis = \"Y\"") && text.contains("metersPerUnit = 1\n")
@@ -60,12 +74,17 @@ fn joints_match_the_result() {
         assert!(text.contains("startTimeCode = 100\n    endTimeCode = 139\n    timeCodesPerSecond = 30.0"));
         let prims = attributes(&text);
         for person in written.people() {
-            let skeleton = &prims[&format!("World/person_{}/Skeleton", person.id)];
-            let animation = &prims[&format!("World/person_{}/Skeleton/Animation", person.id)];
+            let path = format!("World/person_{0}/person_{0}_skeleton", person.id);
+            let (skeleton, animation) = (&prims[&path], &prims[&format!("{path}/person_{}_animation", person.id)]);
+            let mesh = &prims[&format!("World/person_{0}/person_{0}_body", person.id)];
+            assert_eq!(mesh["skel:skeleton"], format!("</{path}>"));
+            let [rest_vertices, joints_of, weights] =
+                ["points", "primvars:skel:jointIndices", "primvars:skel:jointWeights"].map(|name| numbers(&mesh[name]));
             let paths: Vec<&str> = skeleton["joints"].split('"').skip(1).step_by(2).collect();
             assert_eq!(skeleton["joints"], animation["joints"]);
             let parent = |j: usize| paths[j].rsplit_once('/').map(|(p, _)| paths.iter().position(|q| *q == p).unwrap());
-            for (frame, joints) in person.frames.iter().zip(&person.joints) {
+            let (bind, rest) = (matrices(&skeleton["bindTransforms"]), matrices(&skeleton["restTransforms"]));
+            for (i, (frame, joints)) in person.frames.iter().zip(&person.joints).enumerate() {
                 let turns = numbers(&animation[&format!("rotations@{frame}")]);
                 let places = numbers(&animation[&format!("translations@{frame}")]);
                 let mut posed: Vec<Isometry3<f64>> = Vec::new();
@@ -78,8 +97,18 @@ fn joints_match_the_result() {
                     posed.push(parent(j).map_or(local, |p| posed[p] * local));
                     assert_near(&written.turned(UpAxis::Y, &joints[j]), &posed[j].translation.vector, paths[j]);
                 }
+                if i % 9 == 0 {
+                    let world_from_rest: Vec<Matrix4<f64>> =
+                        (0..24).map(|j| posed[j].to_homogeneous() * bind[j].try_inverse().unwrap()).collect();
+                    let vertex = |v: usize| -> Vector3<f64> {
+                        let place = Vector3::from_column_slice(&rest_vertices[3 * v..3 * v + 3]).push(1.0);
+                        let share = |k: usize| (world_from_rest[joints_of[k] as usize] * place).xyz() * weights[k];
+                        (4 * v..4 * v + 4).map(share).sum()
+                    };
+                    let vertices: Vec<Vector3<f64>> = (0..rest_vertices.len() / 3).map(vertex).collect();
+                    assert_same_skin(&written, &person.skin(i), &vertices, "usd");
+                }
             }
-            let (bind, rest) = (matrices(&skeleton["bindTransforms"]), matrices(&skeleton["restTransforms"]));
             for j in 0..24 {
                 let world = parent(j).map_or(rest[j], |p| bind[p] * rest[j]);
                 assert!((bind[j] - world).norm() < 1e-5, "the rest and bind poses of {} differ", paths[j]);
@@ -90,7 +119,7 @@ fn joints_match_the_result() {
 
 #[test]
 fn people_are_visible_while_present() {
-    let [written, _] = both_up_axes();
+    let [written, _] = both_up_axes(&[ExportFormat::Usd]);
     let prims = attributes(&written.text("scene.usda"));
     let of = |person: usize, name: &str| prims[&format!("World/person_{person}")][name].clone();
     assert_eq!(of(0, "visibility.timeSamples"), r#"{ 100: "inherited" }"#);
@@ -123,7 +152,7 @@ fn check_camera(written: &Written, prim: &BTreeMap<String, String>, camera: &cra
 
 #[test]
 fn cameras_project_like_cameras_json() {
-    for written in both_up_axes() {
+    for written in both_up_axes(&[ExportFormat::Usd]) {
         let prims = attributes(&written.text("scene.usda"));
         let names = ["camera_01", "camera_left_front", "camera_cam_c", "camera_kamera_4", "camera_wide", "camera_dome"];
         for (camera, name) in written.cameras().iter().zip(names) {

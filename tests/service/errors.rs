@@ -85,7 +85,7 @@ fn rejects_impossible_jobs_with_a_pointer() {
         (json!({ "extrinsics": "fixed" }), 422, "option_impossible", "/options/extrinsics"),
         (json!({ "people": 0 }), 422, "option_impossible", "/options/people"),
         (json!({ "up_axis": "x" }), 422, "option_impossible", "/options/up_axis"),
-        (json!({ "exports": ["smpl_npz", "fbx"] }), 400, "option_malformed", "/options/exports"),
+        (json!({ "exports": ["smpl_npz", "mp3"] }), 400, "option_malformed", "/options/exports"),
         (json!({ "body": "other" }), 422, "option_impossible", "/options/body"),
         (
             json!({ "scale": { "from": "camera_distance", "cameras": ["cam0", "cam9"], "metres": 1 } }),

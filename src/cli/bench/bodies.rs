@@ -1,5 +1,6 @@
 //! `wandless bench bodies`: errors of the body fit and of the metric scale on simulated people with default bodies.
 
+use super::joint_angles::AngleErrors;
 use super::solved_cameras::solved_and_true;
 use crate::body::model::Betas;
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention, N_JOINTS};
@@ -41,8 +42,9 @@ pub(super) fn run(args: &BodiesArgs) -> anyhow::Result<()> {
     println!("## Body fit: `easy` noise, true cameras, 26 keypoints");
     let (mut statures, mut distances, [mut angles, mut biases]) =
         (Vec::new(), [const { Vec::new() }; N_JOINTS], [const { [const { Vec::new() }; N_JOINTS] }; 2]);
+    let mut isb = AngleErrors::none();
     for seed in args.seed..args.seed + args.count {
-        for fit in fitted_people(&simulate(&fit_config(args, seed))?, &model)? {
+        for fit in fitted_people(&simulate(&fit_config(args, seed))?, &model, &mut isb)? {
             println!("session {seed:3}: {}", fit.line());
             distances.iter_mut().zip(fit.joints_mm).for_each(|(all, one)| all.push(one));
             statures.push(fit.stature_mm.abs());
@@ -59,6 +61,8 @@ pub(super) fn run(args: &BodiesArgs) -> anyhow::Result<()> {
         println!("  {name:<16} {:5.2} {:5.2} {:5.2}", distances[joint], angles[joint], biases[joint]);
     }
     println!("  {:<16} {:5.2} {:5.2} {:5.2}", "mean", mean(&distances), mean(&angles), mean(&biases));
+
+    println!("{isb}");
 
     println!("## Metric scale: `paper` noise, cameras unknown, 2 to 4 people");
     for source in ["body", "height", "camera distance"] {
@@ -117,17 +121,19 @@ impl Fit {
     }
 }
 
-fn fitted_people(simulated: &Simulated, model: &BodyModel) -> anyhow::Result<Vec<Fit>> {
+/// The fits of all people, whose joint angles are added to `isb`.
+fn fitted_people(simulated: &Simulated, model: &BodyModel, isb: &mut AngleErrors) -> anyhow::Result<Vec<Fit>> {
     let mut session = simulated.session.clone();
     session.views.iter_mut().zip(&simulated.truth.cameras).for_each(|(v, c)| v.camera_from_world = Some(*c));
     let options = Options { extrinsics: Extrinsics::Fixed, ..Options::default() };
     let result = reconstruct(&session, &options, &Progress::silent())?;
-    let fit = |(index, person): (usize, &SimulatedPerson)| {
+    let mut fit = |(index, person): (usize, &SimulatedPerson)| {
         let betas = person.betas?;
         let motion = result.motions.iter().min_by(|a, b| {
             let distance = |m: &BodyMotion| joint_distance_mm(m, simulated, index, 0);
             distance(a).total_cmp(&distance(b))
         })?;
+        isb.add(model, motion, &betas, &person.poses);
         let stature_mm = 1e3 * (model.surface.stature(&Betas::from(motion.betas)) - model.surface.stature(&betas));
         let rotations: [_; N_JOINTS] = std::array::from_fn(|joint| rotation_errors(motion, person, joint));
         let angle =
@@ -142,7 +148,7 @@ fn fitted_people(simulated: &Simulated, model: &BodyModel) -> anyhow::Result<Vec
             biases_deg: rotations.each_ref().map(bias),
         })
     };
-    Ok(simulated.truth.people.iter().enumerate().filter_map(fit).collect())
+    Ok(simulated.truth.people.iter().enumerate().filter_map(&mut fit).collect())
 }
 
 /// Mean distance of a joint of the fitted motion to the joint of a true person, mm.

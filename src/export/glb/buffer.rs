@@ -9,7 +9,7 @@ const JSON_CHUNK: u32 = 0x4e4f_534a;
 const BINARY_CHUNK: u32 = 0x004e_4942;
 const FLOAT: u32 = 5126;
 const UNSIGNED_BYTE: u32 = 5121;
-const UNSIGNED_SHORT: u32 = 5123;
+const UNSIGNED_INT: u32 = 5125;
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
@@ -74,9 +74,9 @@ impl Buffer {
     }
 
     /// Adds indices of triangles.
-    pub(super) fn indices(&mut self, values: &[u16]) -> usize {
+    pub(super) fn indices(&mut self, values: &[u32]) -> usize {
         let bytes = values.iter().flat_map(|value| value.to_le_bytes());
-        self.add(bytes, Some(ELEMENT_ARRAY_BUFFER), UNSIGNED_SHORT, values.len(), Element::Scalar)
+        self.add(bytes, Some(ELEMENT_ARRAY_BUFFER), UNSIGNED_INT, values.len(), Element::Scalar)
     }
 
     fn add(

@@ -10,14 +10,14 @@ use serde_json::{Value, json};
 const WAIST_AT: f64 = 0.15;
 const WAIST_RADIUS: f64 = 0.1;
 /// Corners 0 (parent), 1 to 4 (waist), 5 (child); counter-clockwise from outside.
-const FACES: [[u16; 3]; 8] = [[0, 2, 1], [0, 3, 2], [0, 4, 3], [0, 1, 4], [5, 1, 2], [5, 2, 3], [5, 3, 4], [5, 4, 1]];
+const FACES: [[u32; 3]; 8] = [[0, 2, 1], [0, 3, 2], [0, 4, 3], [0, 1, 4], [5, 1, 2], [5, 2, 3], [5, 3, 4], [5, 4, 1]];
 
 /// The primitive in the rest pose; every octahedron is skinned to the joint at which its bone starts.
 pub(super) fn primitive(buffer: &mut Buffer, rest: &[Vector3<f64>; N_JOINTS]) -> Value {
     let (mut positions, mut joints, mut corners) = (Vec::new(), Vec::new(), Vec::new());
     for (joint, parent) in PARENTS.iter().enumerate() {
         let Some(parent) = *parent else { continue };
-        let first = joints.len() as u16;
+        let first = joints.len() as u32;
         for corner in octahedron(&rest[parent], &rest[joint]) {
             positions.extend([corner.x as f32, corner.y as f32, corner.z as f32]);
             joints.push([parent as u8, 0, 0, 0]);

@@ -95,9 +95,12 @@ fn media_type(name: &str) -> &'static str {
         Some("json") => "application/json",
         Some("glb") => "model/gltf-binary",
         Some("usda") => "model/vnd.usda",
+        Some("usdz") => "model/vnd.usdz+zip",
         Some("yml" | "yaml") => "application/yaml",
         Some("toml") => "application/toml",
-        Some("bvh" | "trc" | "txt" | "chan") => "text/plain",
+        Some("bvh" | "trc" | "mot" | "txt" | "chan") => "text/plain",
+        Some("csv") => "text/csv",
+        Some("xml") => "application/xml",
         Some("py") => "text/x-python",
         _ => "application/octet-stream",
     }
