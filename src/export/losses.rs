@@ -88,6 +88,7 @@ fn sentence(camera: &TakeCamera, lost: &[&str]) -> String {
 mod tests {
     use super::*;
     use crate::geometry::Rigid;
+    use crate::session::reconstruction::BodyModelId;
     use crate::session::recording::UpAxis;
 
     fn take(lens: Intrinsics) -> Take {
@@ -98,6 +99,7 @@ mod tests {
             first_frame: 0,
             n_frames: 1,
             up_axis: UpAxis::Y,
+            body_model: BodyModelId { name: String::new(), sha256: String::new() },
             cameras: vec![camera],
             unsolved: vec!["b".to_owned()],
             motions: Vec::new(),

@@ -5,6 +5,7 @@ use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
 use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
 use crate::session::json_file::{JsonFileError, read_json_file};
 use crate::session::people::BodyPose;
+use crate::session::reconstruction::BodyModelId;
 use crate::session::recording::UpAxis;
 use crate::session::{BodyMotion, FrameIndex, PersonId};
 use nalgebra::{Matrix3, Vector3};
@@ -35,12 +36,18 @@ pub enum ReadError {
 #[derive(Deserialize)]
 struct ManifestFile {
     input: Input,
+    models: Models,
     publish: Publish,
 }
 
 #[derive(Deserialize)]
 struct Input {
     name: String,
+}
+
+#[derive(Deserialize)]
+struct Models {
+    body: BodyModelId,
 }
 
 #[derive(Deserialize)]
@@ -129,6 +136,7 @@ pub fn read_take(dir: &Path) -> Result<Take, ReadError> {
         first_frame: first,
         n_frames: length as usize + 1,
         up_axis,
+        body_model: manifest.models.body,
         cameras: Vec::new(),
         unsolved: Vec::new(),
         motions: Vec::new(),

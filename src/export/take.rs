@@ -6,6 +6,7 @@
 use super::files::micro;
 use crate::body::skeleton::{N_JOINTS, PARENTS};
 use crate::geometry::{Intrinsics, Rigid, rotation};
+use crate::session::reconstruction::BodyModelId;
 use crate::session::recording::UpAxis;
 use crate::session::{BodyMotion, Reconstruction, Session};
 use nalgebra::{Matrix3, Vector3};
@@ -27,6 +28,8 @@ pub struct Take {
     pub cameras: Vec<TakeCamera>,
     /// Names of the other cameras.
     pub unsolved: Vec<String>,
+    /// The body model that the motions' betas refer to.
+    pub body_model: BodyModelId,
     /// Motions of all people; every number is finite.
     pub motions: Vec<BodyMotion>,
 }
@@ -86,6 +89,7 @@ pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Tak
         first_frame: session.first_frame,
         n_frames: session.n_frames,
         up_axis: reconstruction.up_axis,
+        body_model: reconstruction.body_model.clone(),
         cameras: Vec::new(),
         unsolved: Vec::new(),
         motions: Vec::new(),
