@@ -16,6 +16,7 @@ pub mod keypoint_accelerations;
 pub mod kinematics;
 pub mod landmarks;
 pub mod loader;
+pub mod measures;
 pub mod mocap_skeleton;
 pub mod model;
 pub mod scale;

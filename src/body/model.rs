@@ -2,6 +2,7 @@
 //! them.
 
 use super::landmarks::landmarks;
+use super::measures::girth_direction;
 use super::mocap_skeleton::mocap_from_body;
 use super::skeleton::{KeypointConvention, N_JOINTS};
 use super::surface::{Surface, VertexWeight};
@@ -27,6 +28,8 @@ pub struct BodyModel {
     pub shape_directions: [ShapeDirections; N_JOINTS],
     /// Named points on the body that detectors report.
     pub landmarks: Vec<Landmark>,
+    /// Direction of the betas that changes girths at a constant stature, unit length.
+    pub girth_direction: Betas,
     /// The mesh that defines joints and landmarks.
     pub surface: Arc<Surface>,
 }
@@ -50,7 +53,16 @@ impl BodyModel {
         let shape_directions = std::array::from_fn(|j| row(j).map(direction).sum());
         let landmarks = landmarks(&surface, &rest_joints, &shape_directions);
         let mocap_from_body = mocap_from_body(&rest_joints);
-        Self { name, rest_joints, mocap_from_body, shape_directions, landmarks, surface: Arc::new(surface) }
+        let girth_direction = girth_direction(&surface);
+        Self {
+            name,
+            rest_joints,
+            mocap_from_body,
+            shape_directions,
+            landmarks,
+            girth_direction,
+            surface: Arc::new(surface),
+        }
     }
 
     /// The model at shape `betas`.

@@ -1,13 +1,12 @@
 //! `people.json`: shape and motion of every person in SMPL's convention.
 
 use super::files::{micro, micro_entries};
-use super::skin::free_body;
+use crate::body::measures::BodyMeasures;
 use crate::body::skeleton::N_JOINTS;
-use crate::body::{Betas, BodyModel};
 use crate::geometry::rotation;
 use crate::session::formats::rounded;
 use crate::session::people::{BodyPose, JointSigmas};
-use crate::session::reconstruction::BodyModelId;
+use crate::session::reconstruction::{BodyModelId, Report};
 use crate::session::{BodyMotion, FrameIndex, Reconstruction, Session};
 use serde::Serialize;
 
@@ -24,9 +23,8 @@ pub(super) struct People<'a> {
 struct Person {
     id: usize,
     betas: [f64; 10],
-    /// Height of the body in its rest pose, m, of the default body.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    stature_m: Option<f64>,
+    #[serde(flatten)]
+    measures: Option<Measures>,
     frames: Vec<i64>,
     global_orient: Vec<[f64; 3]>,
     body_pose: Vec<Vec<f64>>,
@@ -37,14 +35,39 @@ struct Person {
     joint_sigma_mm: Option<Vec<[f64; N_JOINTS]>>,
 }
 
+/// Stature and mass, and standard deviations of the shape where the session shows them.
+#[derive(Serialize)]
+struct Measures {
+    stature_m: f64,
+    mass_kg: f64,
+    #[serde(flatten)]
+    sigmas: Option<Sigmas>,
+}
+
+#[derive(Serialize)]
+struct Sigmas {
+    betas_sigma: [f64; 10],
+    stature_sigma_m: f64,
+    mass_sigma_kg: f64,
+}
+
+/// In mm, hundredths of a kg and of a standard deviation.
+fn rounded_measures(measures: &BodyMeasures) -> Measures {
+    let sigmas = measures.sigmas.as_ref().map(|sigmas| Sigmas {
+        betas_sigma: sigmas.betas.map(|sigma| rounded(sigma, 2)),
+        stature_sigma_m: rounded(sigmas.stature_m, 3),
+        mass_sigma_kg: rounded(sigmas.mass_kg, 2),
+    });
+    Measures { stature_m: rounded(measures.stature_m, 3), mass_kg: rounded(measures.mass_kg, 2), sigmas }
+}
+
 /// The content of `people.json`.
 pub(super) fn people<'a>(session: &Session, reconstruction: &'a Reconstruction) -> People<'a> {
-    let body = free_body(&reconstruction.body_model);
     People {
         units: "m",
         fps: session.fps,
         body_model: &reconstruction.body_model,
-        people: reconstruction.motions.iter().map(|motion| person(session, motion, body.as_ref())).collect(),
+        people: reconstruction.motions.iter().map(|motion| person(session, motion, &reconstruction.report)).collect(),
     }
 }
 
@@ -63,19 +86,39 @@ pub(super) fn millimetres(sigmas: &JointSigmas) -> [f64; N_JOINTS] {
     sigmas.map(|sigma| rounded(1e3 * sigma, 2))
 }
 
-fn person(session: &Session, motion: &BodyMotion, body: Option<&BodyModel>) -> Person {
+fn person(session: &Session, motion: &BodyMotion, report: &Report) -> Person {
+    let measures =
+        report.people.iter().find(|person| person.id == motion.person.0).and_then(|person| person.body.as_ref());
     // [frames, 72]
     let poses: Vec<Vec<f64>> =
         motion.frames.iter().map(|pose| axis_angles(pose).into_iter().map(micro).collect()).collect();
     Person {
         id: motion.person.0,
         betas: motion.betas.map(micro),
-        stature_m: body.map(|body| rounded(body.surface.stature(&Betas::from(motion.betas)), 3)),
+        measures: measures.map(rounded_measures),
         frames: frame_numbers(session, motion),
         global_orient: poses.iter().map(|pose| [pose[0], pose[1], pose[2]]).collect(),
         body_pose: poses.iter().map(|pose| pose[3..].to_vec()).collect(),
         transl: motion.frames.iter().map(|pose| micro_entries(&pose.translation)).collect(),
         valid: motion.frames.iter().map(|pose| pose.valid).collect(),
         joint_sigma_mm: motion.joint_sigmas.as_ref().map(|sigmas| sigmas.iter().map(millimetres).collect()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::body::measures::MeasureSigmas;
+    use serde_json::json;
+
+    #[test]
+    fn measures_state_their_sigmas_where_known() {
+        let sigmas = MeasureSigmas { stature_m: 0.0525, mass_kg: 12.3456, betas: [0.123; 10] };
+        let known = BodyMeasures { stature_m: 1.788_49, mass_kg: 98.7654, sigmas: Some(sigmas) };
+        let written = serde_json::to_value(rounded_measures(&known)).unwrap();
+        assert_eq!((&written["stature_m"], &written["mass_kg"]), (&json!(1.788), &json!(98.77)));
+        assert_eq!((&written["mass_sigma_kg"], &written["betas_sigma"][9]), (&json!(12.35), &json!(0.12)));
+        let unknown = serde_json::to_value(rounded_measures(&BodyMeasures { sigmas: None, ..known })).unwrap();
+        assert_eq!(unknown, json!({ "stature_m": 1.788, "mass_kg": 98.77 }));
     }
 }

@@ -140,7 +140,7 @@ pub fn read_take(dir: &Path) -> Result<Take, ReadError> {
         keypoint_names: Vec::new(),
         keypoints: BTreeMap::new(),
         body: free_body(&people.body_model),
-        body_model: people.body_model.clone(),
+        body_model: people.body_model,
     };
     for camera in cameras.cameras {
         match solved_camera(&camera)? {

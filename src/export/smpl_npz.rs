@@ -1,7 +1,8 @@
 //! `smpl/<person>.npz` and `smplh/<person>.npz`: AMASS's layout in the result's world.
 //!
 //! `poses` (T, 72 or 156) axis-angle, rad; `trans` (T, 3) SMPL's `transl`, m; `betas` (10); `gender`; the frame rate under
-//! both of AMASS's spellings; `surface_model_type`. In addition: `up_axis`, `frames` (T) frame numbers, `valid` (T). AMASS
+//! both of AMASS's spellings; `surface_model_type`. In addition: `up_axis`, `frames` (T) frame numbers, `valid` (T),
+//! `body_model` and `body_model_sha256`: the model that the betas belong to (of another model they give another body). AMASS
 //! itself has z up: `up_axis` states the axis of this file.
 //!
 //! Known limit: SMPL-H has 30 finger joints in place of SMPL's two hands; they are written in the rest pose.
@@ -50,6 +51,8 @@ fn motion_npz(take: &Take, motion: &BodyMotion, model: &str, poses: &[Vec<f64>])
     npz.array("mocap_framerate", &[], [take.fps])?;
     npz.array("mocap_frame_rate", &[], [take.fps])?;
     npz.text("surface_model_type", model)?;
+    npz.text("body_model", &take.body_model.name)?;
+    npz.text("body_model_sha256", &take.body_model.sha256)?;
     npz.text("up_axis", &format!("{:?}", take.up_axis).to_lowercase())?;
     npz.array("frames", &[n_frames], frames)?;
     npz.array("valid", &[n_frames], motion.frames.iter().map(|pose| pose.valid))?;

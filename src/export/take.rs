@@ -145,13 +145,13 @@ pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Tak
         first_frame: session.first_frame,
         n_frames: session.n_frames,
         up_axis: reconstruction.up_axis,
+        body_model: reconstruction.body_model.clone(),
         cameras: Vec::new(),
         unsolved: Vec::new(),
         motions: Vec::new(),
         keypoint_names: session.convention.names().iter().map(|name| (*name).to_owned()).collect(),
         keypoints: BTreeMap::new(),
         body: free_body(&reconstruction.body_model),
-        body_model: reconstruction.body_model.clone(),
     };
     for (view, solved) in session.views.iter().zip(&reconstruction.cameras) {
         match solved.camera_from_world {

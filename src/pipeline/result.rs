@@ -19,7 +19,7 @@ use crate::body::scale::FittedStature;
 use crate::geometry::free_network::CameraCovariance;
 use crate::geometry::similarity::similarity_from_cameras;
 use crate::geometry::{Rigid, Similarity};
-use crate::optim::robust::{median, quantile};
+use crate::optim::robust::{INTERVAL_95, median, quantile};
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{
     BodyModelId, KeypointBias, PenetrationReport, Report, ScaleReport, SigmaSummary, SolvedCamera,
@@ -105,11 +105,13 @@ impl Solution {
             completes_gaps: capture.options.motion_prior == MotionPriorMode::Denoiser,
             correlated_errors: capture.options.adjust_with_bodies && config.correlated_errors,
             known_cameras: self.known_cameras(capture, focal_lengths),
+            sigma_log_scale: self.scale.as_ref().map_or(0.0, sigma_log_scale),
             adjust_cameras: capture.options.adjust_with_bodies && capture.options.extrinsics != Extrinsics::Fixed,
             ..config
         };
         let FittedBodies {
             motions,
+            measures,
             detector_model,
             mut detector,
             penetration,
@@ -145,7 +147,10 @@ impl Solution {
         let shown = TrackedPeople { tracks: &kept, ..self.calibration.people(&session, &self.trajectories) };
         let statistics = FitStatistics::new(&shown, camera_covariance.as_ref());
         let mut report = Report { detector, ..self.report(capture, &shown, &statistics, penetration) };
-        report.people.iter_mut().zip(&motions).for_each(|(person, motion)| person.joint_sigma_mm = joint_sigma(motion));
+        for ((person, motion), measures) in report.people.iter_mut().zip(&motions).zip(measures) {
+            person.joint_sigma_mm = joint_sigma(motion);
+            person.body = Some(measures);
+        }
         let mut keypoints = std::mem::take(&mut self.trajectories);
         for (trajectory, motion) in keypoints.iter_mut().zip(&motions) {
             fill_from_body(trajectory, &landmark_trajectory(&detector_model, motion, capture.session.convention));
@@ -323,4 +328,10 @@ fn fill_from_body(trajectory: &mut JointTrajectory, body: &JointTrajectory) {
             }
         }
     }
+}
+
+/// Standard deviation of the scale's logarithm.
+fn sigma_log_scale(scale: &ScaleReport) -> f64 {
+    let [low, high] = scale.interval95;
+    (high / low).ln() / (2.0 * INTERVAL_95)
 }

@@ -18,7 +18,7 @@ fn mass(surface: &Surface, vertices: &[Vector3<f64>]) -> f64 {
 }
 
 /// Length of the outline at height y, of the part with x > `from`.
-fn girth(surface: &Surface, y: f64, from: f64) -> f64 {
+pub(crate) fn girth(surface: &Surface, y: f64, from: f64) -> f64 {
     let mut total = 0.0;
     for face in &surface.faces {
         let corners = face.map(|v| surface.vertices[v]);

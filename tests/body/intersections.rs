@@ -10,7 +10,7 @@ use wandless::body::{Betas, default_body};
 use wandless::geometry::rotation::exp;
 
 /// Pairs of faces without a common vertex that intersect, by an edge of one through the other.
-fn n_intersections(vertices: &[Vector3<f64>], faces: &[[usize; 3]]) -> usize {
+pub(crate) fn n_intersections(vertices: &[Vector3<f64>], faces: &[[usize; 3]]) -> usize {
     const CELL: f64 = 0.03;
     let mut cells: BTreeMap<[i32; 3], Vec<usize>> = BTreeMap::new();
     for (f, face) in faces.iter().enumerate() {

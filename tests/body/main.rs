@@ -4,6 +4,7 @@
 
 mod anthropometry;
 mod capsules;
+mod hips;
 mod intersections;
 mod loader;
 mod mesh;

@@ -130,3 +130,16 @@ fn easymocap_joints_match_the_result() {
         assert_eq!(absent.as_array().unwrap().len(), 1, "the second person has left");
     }
 }
+
+/// Betas of one model are another body of another model.
+#[test]
+fn smpl_npz_names_the_body_of_its_betas() {
+    for written in both_up_axes(&[ExportFormat::SmplNpz]) {
+        let body = &written.json("manifest.json")["models"]["body"];
+        for file in ["smpl/0.npz", "smplh/0.npz"] {
+            let npz = members(&written, file);
+            assert_eq!(text(&npz, "body_model"), body["name"]);
+            assert_eq!(text(&npz, "body_model_sha256"), body["sha256"]);
+        }
+    }
+}

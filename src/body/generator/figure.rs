@@ -20,7 +20,7 @@ pub(super) fn figure(population: &Population) -> Vec<Tube> {
         stations: sections.iter().map(|s| s.in_population(population)).collect(),
     };
     vec![
-        tube(Axis::Y, 0.70, [0.045, 0.020], &trunk()),
+        tube(Axis::Y, 0.70, [0.042, 0.020], &trunk()),
         tube(Axis::Y, 0.0, [0.02, 0.02], &neck()),
         tube(Axis::Y, 0.30, [0.022, 0.062], &skull()),
         tube(Axis::Y, 0.0, [0.012, 0.014], &nose()),
@@ -73,10 +73,11 @@ fn midline(measure: Measure, up: f64, z: f64) -> Place {
 /// Heights depend on hip and neck, as the spine's joints do, so that mesh and joints agree at every shape.
 fn trunk() -> Vec<Section> {
     let at = |share: f64, z: f64| spine(share, z);
-    let hips = length(0.0, &[(0.110, ButtockGirth), (0.287, BicristalBreadth)]);
+    let hips = length(0.0, &[(0.104, ButtockGirth), (0.250, BicristalBreadth)]);
     vec![
-        of_girth(midline(CrotchHeight, 0.042, -0.010), ButtockGirth, 0.162, 0.119),
-        section(midline(TrochanterHeight, 0.012, -0.016), hips, share(0.149, ButtockGirth)),
+        of_girth(midline(CrotchHeight, 0.022, -0.012), ButtockGirth, 0.135, 0.100),
+        of_girth(midline(CrotchHeight, 0.044, -0.014), ButtockGirth, 0.167, 0.123),
+        section(midline(TrochanterHeight, 0.030, -0.012), hips, share(0.124, ButtockGirth)),
         of_girth(at(0.041, -0.006), WaistGirth, 0.180, 0.137),
         of_girth(at(0.181, 0.0), WaistGirth, 0.173, 0.129),
         of_girth(at(0.388, 0.004), ChestGirth, 0.162, 0.135),
@@ -167,7 +168,7 @@ fn leg_sections() -> Vec<Section> {
         of_girth(at(length(0.055, &[(1.0, KneeHeight)]), 0.0), LowerThighGirth, 0.154, 0.164),
         thigh(length(0.0, &[(0.5, KneeHeight), (0.5, CrotchHeight)]), -0.002, 0.122, 0.142),
         thigh(length(-0.040, &[(1.0, CrotchHeight)]), -0.008, 0.136, 0.181),
-        thigh(length(-0.020, &[(1.0, TrochanterHeight)]), -0.012, 0.124, 0.160),
+        thigh(length(-0.020, &[(1.0, TrochanterHeight)]), -0.013, 0.131, 0.186),
     ]
 }
 

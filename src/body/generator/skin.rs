@@ -9,8 +9,9 @@ use nalgebra::Vector3;
 /// Weights of all joints at one vertex.
 type Row = [f64; N_JOINTS];
 
-/// A bone farther away than the nearest one by this distance has no weight, m.
-const REACH: f64 = 0.060;
+/// A bone farther away than the nearest one by this distance has no weight, m. At 60 degrees of flexion the groin's sharpest edge has 66
+/// degrees, with 60 mm 83; with more, squats lose more volume.
+const REACH: f64 = 0.080;
 /// Smoothing rounds over the mesh.
 const SMOOTHING: usize = 6;
 /// Most joints of a vertex.

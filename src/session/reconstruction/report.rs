@@ -1,6 +1,7 @@
 //! `report.json`: what each stage did, how accurate the result is, and what a user must know before using it.
 
 use super::estimates::{ErrorSummary, SigmaSummary, TimeOffset};
+use crate::body::measures::BodyMeasures;
 use crate::session::suspicion::Suspicion;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -160,6 +161,9 @@ pub struct PersonReport {
     /// whole scene. `None` where the session does not show it.
     #[serde(default)]
     pub joint_sigma_mm: Option<SigmaSummary>,
+    /// Stature and mass of the fitted body; the sigmas include that of the scale. `None` in results of versions without it.
+    #[serde(default)]
+    pub body: Option<BodyMeasures>,
     /// Median angle between the rays to a keypoint, of the pair nearest to a right angle, 0 to 90 degrees.
     pub ray_angle_deg: Option<f64>,
     /// Median dilution of precision: standard deviation of a 3D keypoint divided by that of one ray; `sqrt(4.5 / n)` for `n`

@@ -145,6 +145,12 @@ export interface Report {
     share_in_two_views?: number
     sigma_mm?: SigmaSummary | null
     joint_sigma_mm?: SigmaSummary | null
+    /** Of the fitted body; the sigmas include the uncertainty of the scale. */
+    body?: {
+      stature_m: number
+      mass_kg: number
+      sigmas: { stature_m: number; mass_kg: number; betas: number[] } | null
+    } | null
     ray_angle_deg?: number | null
     dilution?: number | null
     keypoints?: KeypointStatistics[]

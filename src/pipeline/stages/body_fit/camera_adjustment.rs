@@ -172,7 +172,6 @@ fn problem<'a>(
         context,
         table,
         noise,
-        shape_prior: context.config.shape_prior,
         bone_prior: BoneLengthPrior { sigma: BONE_SIGMA },
         bias_prior: KeypointBiasPrior { sigmas: Vec::new() },
         cameras,

@@ -5,13 +5,14 @@ use super::collision_resolution::resolve_collisions;
 use super::config::BodyFitConfig;
 use super::context::FitContext;
 use super::focal_prior::RefinedFocal;
-use super::joint_uncertainty::joint_sigmas;
+use super::joint_uncertainty::{MotionUncertainty, motion_uncertainty};
 use super::keypoint_bias::estimated_bias;
 use super::monocular::lifting::lifted;
 use super::observations::{Observations, gather_observations};
 use super::person_fit::{StartedMotion, finish_motion, start_motion};
 use super::person_motion::{PersonFit, body_motion, stage_report, valid_frames};
 use crate::body::BodyModel;
+use crate::body::measures::BodyMeasures;
 use crate::body::scale::FittedStature;
 use crate::geometry::Rigid;
 use crate::geometry::free_network::CameraCovariance;
@@ -28,6 +29,8 @@ pub struct FittedBodies {
     /// One motion per track whose trunk was triangulated at least once, in the order of the tracks; a motion covers its
     /// track's frames without gaps.
     pub motions: Vec<BodyMotion>,
+    /// Stature and mass of each.
+    pub measures: Vec<BodyMeasures>,
     /// The fitted model: its landmarks lie where the session's detector has them, if that bias was applied.
     pub detector_model: BodyModel,
     /// The keypoint bias of the detector; empty where it was not estimated.
@@ -101,14 +104,21 @@ pub fn fit_bodies(
     let penetration = resolve_collisions(&context, &mut people, config.resolve_collisions, input.session.first_frame)?;
     let (cameras, camera_covariance) =
         adjusted.as_ref().map_or((None, None), |adjusted| (adjusted.cameras.clone(), adjusted.covariance.clone()));
-    let sigmas = |person: &PersonFit| joint_sigmas(&context, person, camera_covariance.as_ref());
-    let sigmas: Vec<_> = people.par_iter().map(sigmas).collect();
+    let uncertainty = |person: &PersonFit| motion_uncertainty(&context, person, camera_covariance.as_ref());
+    let uncertainties: Vec<_> = people.par_iter().map(uncertainty).collect();
+    let measures = |(person, uncertainty): (&PersonFit, &Option<MotionUncertainty>)| {
+        let covariance = uncertainty.as_ref().map(|uncertainty| &uncertainty.betas);
+        BodyMeasures::new(&model.surface, &person.fitted.state.betas, covariance, config.sigma_log_scale)
+    };
+    let measures = people.iter().zip(&uncertainties).map(measures).collect();
+    let sigmas = uncertainties.into_iter().map(|uncertainty| Some(uncertainty?.joint_sigmas));
     let focal = adjusted.as_ref().and_then(|adjusted| adjusted.focal.clone());
     let mut report = stage_report(&people, input.tracks.len());
     report.metrics.extend(focal.as_ref().map(|focal| ("focal_log_evidence".to_owned(), focal.log_evidence)));
     Ok(FittedBodies {
         report,
         motions: people.iter().zip(sigmas).map(|(person, sigmas)| body_motion(model, person, sigmas)).collect(),
+        measures,
         detector,
         detector_model,
         penetration,

@@ -51,8 +51,6 @@ pub(super) struct JointProblem<'a> {
     pub table: &'a OffsetTable,
     /// The detector's errors over time.
     pub noise: &'a PathNoise,
-    /// Weight of the prior of the betas against the data of one frame.
-    pub shape_prior: f64,
     pub bone_prior: BoneLengthPrior,
     pub bias_prior: KeypointBiasPrior,
     /// What is known of the cameras; `None`: they are held.
@@ -78,6 +76,10 @@ pub(super) struct Minimum {
     /// The system of the session before the last step; `None` where it could not be factored.
     pub reduced: Option<Reduced>,
 }
+
+/// Weight of the prior of the betas. Where bones, offsets or cameras are unknowns too, betas only have to explain what these leave:
+/// with the weights of the published bodies the cameras of realistic captures come up to 4 % worse.
+const SHAPE_PRIOR: f64 = 1.0;
 
 /// First damping of the diagonal.
 const DAMPING: f64 = 1e-4;
@@ -156,7 +158,7 @@ impl JointProblem<'_> {
         Objective {
             bias: Some(self.table),
             cameras: self.border_of(member).cameras,
-            shape_prior: self.shape_prior,
+            shape_prior: [SHAPE_PRIOR, 0.0],
             ..Objective::new(&context, context.config, &member.observations, pixels.source(), Shape::Free)
         }
         .problem()

@@ -16,6 +16,7 @@
 
 use super::camera_adjustment::BONE_SIGMA;
 use super::context::FitContext;
+use super::motion_problem::MotionProblem;
 use super::objective::Objective;
 use super::person_fit::windows;
 use super::person_motion::PersonFit;
@@ -23,38 +24,53 @@ use super::pixel_residuals::{DetectedPixels, variance_per_residual};
 use super::terms::camera_unknowns::CameraUnknowns;
 use super::terms::unknowns::{CameraColumns, MotionState, Shape, TRANSLATION_GROUP, Unknowns};
 use super::thinned_motion::rough_stride;
+use crate::body::anthropometry::N_BETAS;
 use crate::body::bone_offsets::joint_by_bones;
 use crate::body::detector_offsets::OffsetTable;
 use crate::body::kinematics::{PosedSkeleton, joint_by_rotation, joints_by_betas, posed};
+use crate::body::measures::BetaCovariance;
 use crate::body::model::ShapeDirections;
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
 use crate::geometry::free_network::CameraCovariance;
-use crate::optim::block_banded::BlockBanded;
+use crate::optim::block_banded::{BlockBanded, Eliminated};
 use crate::session::people::JointSigmas;
 use nalgebra::{DMatrix, Matrix3, Matrix3xX};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// By frame of the motion; `None` where the detector's errors over time were not measured.
+/// How sure a person's motion and shape are.
+pub(super) struct MotionUncertainty {
+    /// By frame of the motion.
+    pub joint_sigmas: Vec<JointSigmas>,
+    /// Of the betas, apart from the scale of the scene.
+    pub betas: BetaCovariance,
+}
+
+/// `None` where the detector's errors over time were not measured.
 ///
-/// `cameras`: of the observations' cameras; without it these are exact.
-pub(super) fn joint_sigmas(
+/// `cameras`: of the observations' cameras; without it these are exact. The betas' covariance is that of the window that says most.
+pub(super) fn motion_uncertainty(
     context: &FitContext,
     person: &PersonFit,
     cameras: Option<&CameraCovariance>,
-) -> Option<Vec<JointSigmas>> {
+) -> Option<MotionUncertainty> {
     context.noise?;
     let windows = windows(person.valid.len(), context.config.window_frames.max(3));
-    let of_window = |window: &Range<usize>| window_sigmas(context, person, cameras, window);
-    Some(windows.par_iter().map(of_window).collect::<Option<Vec<_>>>()?.concat())
+    let of_window = |window: &Range<usize>| window_uncertainty(context, person, cameras, window);
+    let of_windows: Vec<MotionUncertainty> = windows.par_iter().map(of_window).collect::<Option<_>>()?;
+    let betas = of_windows.iter().map(|window| window.betas).min_by(|a, b| a.trace().total_cmp(&b.trace()))?;
+    Some(MotionUncertainty {
+        joint_sigmas: of_windows.into_iter().flat_map(|window| window.joint_sigmas).collect(),
+        betas,
+    })
 }
 
-fn window_sigmas(
+fn window_uncertainty(
     context: &FitContext,
     person: &PersonFit,
     cameras: Option<&CameraCovariance>,
     window: &Range<usize>,
-) -> Option<Vec<JointSigmas>> {
+) -> Option<MotionUncertainty> {
     let halo = context.config.halo_frames;
     let frames = window.start.saturating_sub(halo)..(window.end + halo).min(person.valid.len());
     let stride = rough_stride(context.frame_interval);
@@ -97,7 +113,21 @@ fn window_sigmas(
             sigmas[t][joint] = (errors * measured + of_bones + of_definition + of_cameras).max(0.0).sqrt();
         }
     });
-    Some(window.clone().map(|t| between(&sigmas, t - frames.start, stride)).collect())
+    let joint_sigmas = window.clone().map(|t| between(&sigmas, t - frames.start, stride)).collect();
+    Some(MotionUncertainty { joint_sigmas, betas: beta_covariance(&problem, &eliminated)? })
+}
+
+/// Covariance of the betas, bones free within [`BONE_SIGMA`]: with the information I of the window without the prior of girths, and
+/// the weight w of the betas' prior, by which I counts too much, the betas' block of `(I / w + precision of bones)^-1`.
+fn beta_covariance(problem: &MotionProblem, eliminated: &Eliminated) -> Option<BetaCovariance> {
+    let (border, prior) = (problem.unknowns.border, &problem.shape_prior);
+    let own = border.person();
+    let mut information = eliminated.corner.view_range(own.clone(), own).into_owned();
+    let mut of_betas = information.fixed_view_mut::<N_BETAS, N_BETAS>(0, 0);
+    of_betas -= prior.girths * prior.girths.transpose() * prior.girth_weight;
+    information /= prior.weight;
+    border.bones().for_each(|bone| information[(bone, bone)] += BONE_SIGMA.powi(-2));
+    Some(information.cholesky()?.inverse().fixed_view::<N_BETAS, N_BETAS>(0, 0).into_owned())
 }
 
 /// At frame `t` between two of every `stride`-th frame.

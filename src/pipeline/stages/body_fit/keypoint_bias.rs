@@ -83,7 +83,6 @@ fn evidence_of(
         context,
         table,
         noise: &noise,
-        shape_prior: context.config.shape_prior,
         bone_prior: BoneLengthPrior { sigma: PROPORTION_SIGMA },
         bias_prior: KeypointBiasPrior { sigmas },
         cameras: None,

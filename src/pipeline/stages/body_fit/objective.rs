@@ -32,8 +32,8 @@ pub(super) struct Objective<'a> {
     pub frame_interval: f64,
     pub data: DataSource<'a>,
     pub shape: Shape,
-    /// Weight of the prior of the betas against the data of one frame.
-    pub shape_prior: f64,
+    /// Weights of the prior of the betas against the data: of each, and of girths.
+    pub shape_prior: [f64; 2],
     /// Keypoint offsets as unknowns, with the person's bone offsets; their values are in `model`.
     pub bias: Option<&'a OffsetTable>,
     /// The cameras, where they are unknowns.
@@ -73,7 +73,7 @@ impl<'a> Objective<'a> {
             frame_interval,
             data,
             shape,
-            shape_prior: config.shape_prior,
+            shape_prior: [config.shape_prior, config.girth_prior],
             bias: None,
             cameras: CameraColumns::default(),
             speeds: None,
@@ -101,6 +101,7 @@ impl<'a> Objective<'a> {
         let unknowns = Unknowns::new(observed.joints.iter().chain(self.extra_joints).copied(), self.border());
         let ranges = joint_ranges_of(model);
         let (n_frames, time_weight) = (observations.points.len(), self.time_weight());
+        let [weight, girth_weight] = self.shape_prior;
         let robust = RobustAcceleration { knee: config.acceleration_knee, time_weight };
 
         let completed = self.completion.map_or_else(Vec::new, GapCompletion::completed_frames);
@@ -142,7 +143,7 @@ impl<'a> Objective<'a> {
             frame_terms,
             window_terms,
             paths,
-            shape_prior: ShapePrior { weight: self.shape_prior },
+            shape_prior: ShapePrior { weight, girth_weight, girths: model.girth_direction },
             tracked,
             held: self.held,
             time_weight,

@@ -101,6 +101,7 @@ impl FitStatistics {
                 share_in_two_views: statistics.share_in_two_views,
                 sigma_mm: sigmas_mm(statistics.keypoints.iter().zip(&self.rays)),
                 joint_sigma_mm: None,
+                body: None,
                 ray_angle_deg: median_ray_angle_deg(statistics.keypoints.iter()),
                 dilution: median_dilution(statistics.keypoints.iter()),
                 keypoints: self.keypoint_reports(session, statistics),

@@ -60,6 +60,7 @@ fn person(id: usize) -> PersonReport {
         share_in_two_views: 0.95,
         sigma_mm: Some(SigmaSummary { median: 20.0, p95: 40.0 }),
         joint_sigma_mm: Some(SigmaSummary { median: 15.0, p95: 30.0 }),
+        body: None,
         ray_angle_deg: Some(80.0),
         dilution: Some(1.3),
         keypoints: vec![keypoint("nose"), keypoint("left_wrist")],

@@ -1,22 +1,46 @@
 //! Priors of the unknowns that all frames share: shape, bone offsets, keypoint offsets.
 
 use super::term::BorderTerm;
+use crate::body::anthropometry::N_BETAS;
 use crate::body::model::Betas;
+use crate::optim::block_banded::Corner;
 use nalgebra::Vector3;
 
-/// `weight |betas|^2 / 2`: betas have standard deviation 1 over the population.
+/// `(weight |betas|^2 + girth_weight (girths . betas)^2) / 2`: betas have standard deviation 1 over the population, and girths
+/// follow the stature.
 pub(crate) struct ShapePrior {
-    /// Weight against the data of one frame.
+    /// Weight against the data.
     pub weight: f64,
+    /// Weight of what changes girths at a constant stature.
+    pub girth_weight: f64,
+    /// Direction of that change, unit length.
+    pub girths: Betas,
+}
+
+impl ShapePrior {
+    fn by_girths(&self, betas: &[f64]) -> f64 {
+        self.girths.dot(&Betas::from_column_slice(betas))
+    }
 }
 
 impl BorderTerm for ShapePrior {
     fn cost(&self, betas: &[f64]) -> f64 {
-        0.5 * self.weight * Betas::from_column_slice(betas).norm_squared()
+        let squares = Betas::from_column_slice(betas).norm_squared();
+        0.5 * (self.weight * squares + self.girth_weight * self.by_girths(betas).powi(2))
     }
 
-    fn precision(&self, _: usize) -> f64 {
-        self.weight
+    fn precision(&self, k: usize) -> f64 {
+        self.weight + self.girth_weight * self.girths[k].powi(2)
+    }
+
+    fn add_to(&self, betas: &[f64], first: usize, corner: &mut Corner) {
+        let along = self.by_girths(betas);
+        let mut hessian = corner.hessian.fixed_view_mut::<N_BETAS, N_BETAS>(first, first);
+        hessian += self.girths * self.girths.transpose() * self.girth_weight;
+        for (k, beta) in betas.iter().enumerate() {
+            corner.hessian[(first + k, first + k)] += self.weight;
+            corner.gradient[first + k] += self.weight * beta + self.girth_weight * along * self.girths[k];
+        }
     }
 }
 

@@ -34,10 +34,10 @@ pub(crate) trait BorderTerm: Sync {
     /// Cost of `values`, the unknowns that the term is about.
     fn cost(&self, values: &[f64]) -> f64;
 
-    /// Second derivative of the cost by value `k`; the Hessian is diagonal.
+    /// Second derivative of the cost by value `k`.
     fn precision(&self, k: usize) -> f64;
 
-    /// Adds gradient and Hessian at `values`, the first of which has column `first` of `corner`.
+    /// Adds gradient and Hessian at `values`, the first of which has column `first` of `corner`; here those of a diagonal Hessian.
     fn add_to(&self, values: &[f64], first: usize, corner: &mut Corner) {
         for (k, value) in values.iter().enumerate() {
             let weight = self.precision(k);

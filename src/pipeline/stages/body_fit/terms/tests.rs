@@ -109,7 +109,7 @@ impl Fixture {
     fn problem<'a>(&'a self, model: &'a BodyModel, data: DataSource<'a>, only: Option<usize>) -> MotionProblem<'a> {
         let objective = self.objective(model, data, Shape::Free);
         // Typical accelerations: those scaled by speed would follow the model's bones, but are constants of the problem.
-        let mut problem = Objective { bias: Some(&self.table), shape_prior: 3.0, ..objective }.problem();
+        let mut problem = Objective { bias: Some(&self.table), shape_prior: [3.0, 7.0], ..objective }.problem();
         keep(&mut problem, only);
         problem
     }
@@ -149,7 +149,7 @@ pub(super) fn keep(problem: &mut MotionProblem, only: Option<usize>) {
     problem.frame_terms.retain(|_| index.next() == Some(only));
     problem.window_terms.retain(|_| index.next() == Some(only));
     if only != n_frame + n_window {
-        problem.shape_prior.weight = 0.0;
+        (problem.shape_prior.weight, problem.shape_prior.girth_weight) = (0.0, 0.0);
     }
 }
 
@@ -212,7 +212,8 @@ fn gradient_of_completed_joints_matches_differences() {
 fn gradients_of_border_terms_match_differences() {
     let values: Vec<f64> = (0..12).map(wave).collect();
     let sigmas = vec![Vector3::new(0.02, 0.03, 0.04); 4];
-    let shape = ShapePrior { weight: 3.0 };
+    let girths = Betas::from_fn(|k, _| 0.1 * (k as f64 + 1.0));
+    let shape = ShapePrior { weight: 3.0, girth_weight: 7.0, girths };
     let bones = BoneLengthPrior { sigma: 0.2 };
     let bias = KeypointBiasPrior { sigmas };
     for (term, n) in [(&shape as &dyn BorderTerm, 10), (&bones, 12), (&bias, 12)] {
