@@ -8,6 +8,7 @@ pub mod default_body;
 pub mod detector_noise;
 pub mod detector_offsets;
 pub mod detector_profile;
+pub mod gait;
 pub mod generator;
 pub mod human_speeds;
 pub mod joint_angles;

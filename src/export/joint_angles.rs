@@ -1,5 +1,6 @@
 //! `<person>.angles.csv`: joint angles of [`crate::body::joint_angles`] with their standard deviations, a row per frame of the
-//! person; `<person>.mot`: those that OpenSim's full-body models have, under their names of coordinates.
+//! person; `<person>.mot`: those that OpenSim's full-body models have, under their names of coordinates; `<person>.gait.csv`: heel
+//! strikes and toe-offs of [`crate::body::gait`], a row per event.
 //!
 //! Degrees and seconds; time 0 s is the take's first frame. `detected` is 0 where no camera detected the person: the pose is
 //! then carried over. Angles are continuous over full turns. Standard deviations are empty where the result has none for the
@@ -12,6 +13,7 @@
 use super::files::{ResultFiles, micro};
 use super::rig::rest_joints;
 use super::take::Take;
+use crate::body::gait::{Foot, GaitEventKind, gait_events};
 use crate::body::joint_angles::{N_ANGLES, angle_names, angle_sigmas, joint_angles};
 use crate::session::BodyMotion;
 use crate::session::formats::rounded;
@@ -49,7 +51,7 @@ struct FrameAngles {
     sigmas: Option<[f64; N_ANGLES]>,
 }
 
-/// Writes both files of every person.
+/// Writes the three files of every person.
 pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
     let take = take.with_up_axis(UpAxis::Y);
     for motion in &take.motions {
@@ -57,6 +59,7 @@ pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
         let person = motion.person.0;
         files.bytes(&format!("{person}.angles.csv"), "text/csv", table(&take, motion, &frames).as_bytes())?;
         files.bytes(&format!("{person}.mot"), "text/plain", coordinates(&take, motion, &frames).as_bytes())?;
+        files.bytes(&format!("{person}.gait.csv"), "text/csv", events(&take, motion).as_bytes())?;
     }
     Ok(())
 }
@@ -87,6 +90,31 @@ fn table(take: &Take, motion: &BodyMotion, frames: &[FrameAngles]) -> String {
             text += &format!(",{:.3},{sigma}", rounded(frame.angles[k], 3));
         }
         text.push('\n');
+    }
+    text
+}
+
+/// Events of the gait in frames where the person is detected.
+fn events(take: &Take, motion: &BodyMotion) -> String {
+    let joints: Vec<_> = motion.frames.iter().map(|pose| pose.joints).collect();
+    let mut text = "frame,time_s,foot,event,time_sd_s,confidence\n".to_owned();
+    for event in gait_events(&joints, motion.joint_sigmas.as_deref(), take.fps) {
+        let nearest = (event.time_s * take.fps).round() as usize;
+        if !motion.frames.get(nearest).is_some_and(|pose| pose.valid) {
+            continue;
+        }
+        let foot = match event.foot {
+            Foot::Left => "left",
+            Foot::Right => "right",
+        };
+        let kind = match event.kind {
+            GaitEventKind::HeelStrike => "heel_strike",
+            GaitEventKind::ToeOff => "toe_off",
+        };
+        let known = |value: Option<f64>| value.map_or_else(String::new, |value| format!("{value:.3}"));
+        let frame = take.frame_number(motion.first.0 + nearest);
+        let secs = motion.first.0 as f64 / take.fps + event.time_s;
+        text += &format!("{frame},{secs:.4},{foot},{kind},{},{}\n", known(event.sigma_s), known(event.confidence));
     }
     text
 }

@@ -68,3 +68,22 @@ fn opensim_files_have_the_times_and_names_of_the_others() {
         assert_eq!(range, format!("{:.6} {last:.6}", table["time_s"][0]));
     }
 }
+
+/// The people of the written result walk on: their events are in the frames in which they are detected, feet in turn.
+#[test]
+fn events_of_the_gait_lie_in_detected_frames() {
+    for written in both_up_axes(&[ExportFormat::JointAngles]) {
+        for person in written.people() {
+            let text = written.text(&format!("{}.gait.csv", person.id));
+            let (header, rows) = text.split_once('\n').unwrap();
+            assert_eq!(header, "frame,time_s,foot,event,time_sd_s,confidence");
+            for row in rows.lines() {
+                let cells: Vec<&str> = row.split(',').collect();
+                let (frame, secs): (i64, f64) = (cells[0].parse().unwrap(), cells[1].parse().unwrap());
+                assert!((secs * FPS - (frame - FIRST_FRAME) as f64).abs() <= 0.51, "{row}");
+                let at = person.frames.iter().position(|known| *known == frame).unwrap();
+                assert!(person.valid[at], "{row}");
+            }
+        }
+    }
+}

@@ -10,7 +10,7 @@ use crate::pipeline::passes::adjustment::ALL_FRAMES;
 use crate::pipeline::stages::bundle_adjustment::adjust;
 use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput};
 use crate::pipeline::stages::keyframe_selection::select_keyframes;
-use crate::pipeline::stages::recording_check::lens::{resected, under_lens};
+use crate::pipeline::stages::recording_check::lens::{Lens, under_lens};
 use crate::progress::{Canceled, Progress};
 use crate::session::{Suspicion, SuspicionCode as Code, View};
 
@@ -50,8 +50,12 @@ struct Proposal {
 }
 
 /// The calibrations that belong elsewhere; resections propose, two adjustments of all cameras decide.
-pub(super) fn misplaced_lenses(solved: &Solved, progress: &Progress) -> Result<Option<Suspicion>, Canceled> {
-    let Some(proposal) = likeliest(solved) else { return Ok(None) };
+pub(super) fn misplaced_lenses(
+    solved: &Solved,
+    resections: &[Option<Lens>],
+    progress: &Progress,
+) -> Result<Option<Suspicion>, Canceled> {
+    let Some(proposal) = likeliest(solved, resections) else { return Ok(None) };
     let given = solved.given.intrinsics();
     let (mut intrinsics, mut cameras) = (given.clone(), solved.calibration.cameras.clone());
     for (view, lens, pose) in &proposal.changed {
@@ -63,7 +67,7 @@ pub(super) fn misplaced_lenses(solved: &Solved, progress: &Progress) -> Result<O
     if log_evidence < MIN_LOG_EVIDENCE {
         return Ok(None);
     }
-    let (resected_lenses, cameras) = resected_cameras(solved, given);
+    let (resected_lenses, cameras) = solved.resected(resections, solved.calibration.cameras.clone());
     let focal_only = cost(solved, &resected_lenses, cameras, Focal::Free, progress)?;
     let log_ratio = (proposed - focal_only) / OVERCOUNT;
     let views: Vec<usize> = proposal.changed.iter().map(|(view, ..)| *view).collect();
@@ -87,26 +91,14 @@ pub(super) fn misplaced_lenses(solved: &Solved, progress: &Progress) -> Result<O
     Ok(Some(Suspicion::new(proposal.code, solved.ids(&views), evidence, remedy)))
 }
 
-/// The given lenses and poses, with the focal lengths and poses of resections where these are better.
-fn resected_cameras(solved: &Solved, mut lenses: Vec<Intrinsics>) -> (Vec<Intrinsics>, Vec<Option<Rigid>>) {
-    let (people, mut cameras) = (solved.people(), solved.calibration.cameras.clone());
-    for view in solved.unnamed(&[]) {
-        if let Some(lens) = resected(&people, view) {
-            lenses[view] = lenses[view].with_focal_factor(lens.factor);
-            cameras[view] = Some(lens.camera_from_world);
-        }
-    }
-    (lenses, cameras)
-}
-
 /// The proposal whose resections gain most.
-fn likeliest(solved: &Solved) -> Option<Proposal> {
+fn likeliest(solved: &Solved, resections: &[Option<Lens>]) -> Option<Proposal> {
     let (people, lenses) = (solved.people(), solved.given.intrinsics());
     let views = solved.unnamed(&[]);
     // Costs under the given lens, and under it with the best focal length.
     let costs = |view: usize| {
         let own = under_lens(&people, view, &lenses[view])?.1;
-        Some((own, resected(&people, view).map_or(own, |lens| lens.cost)))
+        Some((own, resections[view].map_or(own, |lens| lens.cost)))
     };
     let given: Vec<Option<(f64, f64)>> = (0..lenses.len()).map(|v| costs(v).filter(|_| views.contains(&v))).collect();
     let proposal = |code: Code, changes: &[(usize, Intrinsics)]| {

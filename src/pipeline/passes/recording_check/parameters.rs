@@ -8,7 +8,7 @@ use crate::pipeline::passes::adjustment::ALL_FRAMES;
 use crate::pipeline::stages::bundle_adjustment::adjust;
 use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput};
 use crate::pipeline::stages::keyframe_selection::{select_keyframes, set_image_velocities};
-use crate::pipeline::stages::recording_check::lens::resected;
+use crate::pipeline::stages::recording_check::lens::Lens;
 use crate::pipeline::stages::recording_check::parameters::{
     Delay, MIN_LOG_EVIDENCE, WrongLenses, delays, wrong_lenses,
 };
@@ -33,14 +33,17 @@ pub(super) fn other_parameters(
 ) -> Result<(), Canceled> {
     let options = solved.given.options;
     let mut steps = progress.steps([1.0, 1.0]);
+    let resections = solved.resections();
     if options.intrinsics_of(solved.session()) == IntrinsicsMode::Fixed {
-        found.extend(misplaced_lenses(solved, &steps.begin("testing calibrations of other images"))?);
+        let step = steps.begin("testing calibrations of other images");
+        found.extend(misplaced_lenses(solved, &resections, &step)?);
     }
     let progress = &steps.begin("testing delays and focal lengths");
     if !found.is_empty() {
         return Ok(());
     }
-    let (adjusted, origins) = adjusted_freely(solved, progress)?;
+    let adjusted = adjusted_freely(solved, &resections, progress)?;
+    let origins: Vec<f64> = resections.iter().map(|lens| lens.map_or(0.0, |lens| lens.factor.ln())).collect();
     for (view, camera) in adjusted.cameras.iter().enumerate() {
         let sigma = camera.uncertainty.and_then(|u| u.sigma_delay);
         tracing::debug!(view, camera.delay, sigma, camera.focal_factor, "found by the check");
@@ -56,26 +59,15 @@ pub(super) fn other_parameters(
     Ok(())
 }
 
-/// The adjustment of cameras and points, with a delay and a factor on the focal length of every camera, and the logarithms of the
-/// factors with which it began, per view.
-fn adjusted_freely(solved: &Solved, progress: &Progress) -> Result<(Adjusted, Vec<f64>), Canceled> {
+/// The adjustment of cameras and points, with a delay and a factor on the focal length of every camera, from the resections on.
+fn adjusted_freely(solved: &Solved, resections: &[Option<Lens>], progress: &Progress) -> Result<Adjusted, Canceled> {
     // A camera that has a name already would spoil the others.
     let unnamed = solved.unnamed(&[]);
     let mut cameras = solved.calibration.cameras.clone();
     (0..cameras.len()).filter(|view| !unnamed.contains(view)).for_each(|view| cameras[view] = None);
     let mut keyframes = select_keyframes(solved.repaired, solved.calibration, &cameras, MAX_KEYFRAMES, ALL_FRAMES);
     set_image_velocities(&mut keyframes, solved.repaired, &cameras, solved.paths);
-    let people = solved.people();
-    let mut intrinsics = solved.given.intrinsics();
-    let mut origins = vec![0.0; cameras.len()];
-    for view in unnamed {
-        if let Some(lens) = resected(&people, view) {
-            tracing::debug!(view, factor = lens.factor, "focal length by resection");
-            cameras[view] = Some(lens.camera_from_world);
-            intrinsics[view] = intrinsics[view].with_focal_factor(lens.factor);
-            origins[view] = lens.factor.ln();
-        }
-    }
+    let (intrinsics, cameras) = solved.resected(resections, cameras);
     let bones = solved.bones();
     let input = AdjustmentInput {
         intrinsics: &intrinsics,
@@ -89,7 +81,7 @@ fn adjusted_freely(solved: &Solved, progress: &Progress) -> Result<(Adjusted, Ve
     let block = ((BLOCK_SECS * solved.session().fps).round() as usize).max(1);
     let defaults = AdjustmentConfig::default();
     let config = AdjustmentConfig { relative_decrease: 1e-6, uncertainty_block_frames: Some(block), ..defaults };
-    Ok((adjust(&input, &config, progress)?.0, origins))
+    Ok(adjust(&input, &config, progress)?.0)
 }
 
 fn of_delay(solved: &Solved, delay: &Delay) -> Suspicion {

@@ -1,9 +1,11 @@
 //! The solution that the check tests.
 
 use crate::body::bones::LENGTH_SIGMA;
+use crate::geometry::{Intrinsics, Rigid};
 use crate::pipeline::calibration::{Calibration, TrackedPeople};
 use crate::pipeline::capture::Capture;
 use crate::pipeline::stages::bundle_adjustment::input::Bone;
+use crate::pipeline::stages::recording_check::lens::{Lens, resected};
 use crate::session::{JointTrajectory, Session, Suspicion};
 
 /// Keyframes of an adjustment that tests other parameters: half of those of the last adjustment give standard errors that are 1.4
@@ -54,5 +56,32 @@ impl Solved<'_> {
     /// Detections as given with the persons and trajectories of the solution.
     pub(super) fn people(&self) -> TrackedPeople<'_> {
         self.calibration.people(self.session(), self.paths)
+    }
+
+    /// Per view the focal length and pose under which the unnamed cameras show the people best; `None` where those given are as
+    /// good.
+    pub(super) fn resections(&self) -> Vec<Option<Lens>> {
+        let (people, mut lenses) = (self.people(), vec![None; self.calibration.cameras.len()]);
+        for view in self.unnamed(&[]) {
+            lenses[view] = resected(&people, view);
+            tracing::debug!(view, lens = ?lenses[view], "resection");
+        }
+        lenses
+    }
+
+    /// The given intrinsics and `cameras`, with those of `resections` where there are any.
+    pub(super) fn resected(
+        &self,
+        resections: &[Option<Lens>],
+        mut cameras: Vec<Option<Rigid>>,
+    ) -> (Vec<Intrinsics>, Vec<Option<Rigid>>) {
+        let mut intrinsics = self.given.intrinsics();
+        for ((lens, intrinsics), camera) in resections.iter().zip(&mut intrinsics).zip(&mut cameras) {
+            if let Some(lens) = lens {
+                *intrinsics = intrinsics.with_focal_factor(lens.factor);
+                *camera = Some(lens.camera_from_world);
+            }
+        }
+        (intrinsics, cameras)
     }
 }

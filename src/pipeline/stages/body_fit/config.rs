@@ -116,13 +116,15 @@ impl Default for BodyFitConfig {
             rest_weight: 0.1,
             // Frames count for less than they are: errors last longer than the process that whitens them, neighbouring keypoints share
             // them, and detectors define joints in their own way. The cameras' plain covariance is too small by 4 to 15 on realistic
-            // noise. On the Shelf recording, whose detector has hips 43 mm wider than adults, betas reach 4.0 with 1, 2.3 with 6, 1.7
-            // with 15, and limbs are off by 62.7, 62.2, 62.2 mm; on mocap skeletons, whose forearms are 7 standard deviations from
-            // those of adults, limbs come 0 to 1 % worse with 6, 1 to 3 % with 15.
-            shape_prior: 6.0,
+            // noise. On the Shelf recording, whose detector has hips 43 mm wider than adults, betas reach 4.0 with 1, 2.1 with 5, 1.7
+            // with 15, and limbs are off by 62.7, 62.5, 62.2 mm; on mocap skeletons, whose forearms are 7 standard deviations from
+            // those of adults, limbs come 0 to 1 % worse with 5, 1 to 3 % with 15.
+            shape_prior: 5.0,
             // No keypoint shows girths. Bones tell of them by the population's correlations, but a joint's centre is defined to 20 mm,
-            // three times the population's deviation of a hip: people of 1.79 m came out with 140 litres, with 30 with 94.
-            girth_prior: 30.0,
+            // three times the population's deviation of a hip: people of 1.79 m came out with 140 litres, with 15 with 98,
+            // with 30 with 94. Hips of unusual width come out nearer to the mean: 7 mm off, 8 with 30, where detections have no
+            // definition of their own.
+            girth_prior: 15.0,
             sigma_log_scale: 0.0,
             limit_width_deg: 5.0,
             resolve_collisions: true,

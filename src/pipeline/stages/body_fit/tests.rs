@@ -236,7 +236,7 @@ fn interpolates_a_hidden_arm() {
 }
 
 /// Keypoints show the betas only through the bones (body mass hardly at all), so that the rest skeleton is compared.
-/// Girths follow the stature: a drawn body that is heavier than that has shoulders 7 mm wider per standard deviation.
+/// Girths follow the stature: a drawn body that is heavier than that has hips and shoulders up to 7 mm wider than is found.
 #[test]
 fn recovers_the_bone_lengths_of_the_shape() {
     for seed in 0..4 {
@@ -303,8 +303,7 @@ fn separates_keypoint_bias_from_the_body() {
     }
     let error = |fitted: &FittedBodies| joint_error(&fitted.motions[0], &exact_motion(&truth), &LIMBS, 0..180);
     println!("with {:.1} mm, without {:.1} mm", error(&with) * 1e3, error(&without) * 1e3);
-    // Without the estimate the prior of the betas keeps hips from becoming as wide as the keypoints.
-    assert!(error(&with) < 0.012 && error(&with) < 0.85 * error(&without));
+    assert!(error(&with) < 0.012 && error(&with) < 0.8 * error(&without));
 }
 
 /// Focal lengths that differ from those given are found together with the cameras, and those that do not stay.
