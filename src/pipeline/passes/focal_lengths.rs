@@ -11,7 +11,7 @@ use crate::geometry::Rigid;
 use crate::pipeline::capture::Capture;
 use crate::pipeline::config::Options;
 use crate::pipeline::focal_lengths::FocalLengths;
-use crate::pipeline::focal_spread::{FocalSpread, FoundFactors};
+use crate::pipeline::focal_spread::{FocalSpread, FoundFactors, MIN_LOG_EVIDENCE};
 use crate::pipeline::passes::adjustment::{ALL_FRAMES, Effort, GUESSED_ANGLE, adjusted};
 use crate::pipeline::passes::cameras::{FinalAdjustment, roughly_calibrated};
 use crate::progress::{Canceled, Progress};
@@ -21,10 +21,6 @@ use std::collections::BTreeMap;
 
 /// Rounds at most: the first brings factors of 10 % to within 1 %.
 const ROUNDS: usize = 2;
-
-/// Logarithm of the likelihood ratio from which focal lengths are taken as other than given: 20 to 1, strong evidence by Kass and
-/// Raftery (JASA 1995, section 3.2).
-const MIN_LOG_EVIDENCE: f64 = 3.0;
 
 /// Estimates the factors.
 pub fn refined_focal_lengths(

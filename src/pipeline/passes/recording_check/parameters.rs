@@ -4,14 +4,13 @@ use super::lenses::{lies_within, misplaced_lenses};
 use super::solved::{MAX_KEYFRAMES, Solved};
 use crate::pipeline::calibration::{Adjusted, CameraFreedom};
 use crate::pipeline::config::{IntrinsicsMode, Sync};
+use crate::pipeline::focal_spread::MIN_LOG_EVIDENCE;
 use crate::pipeline::passes::adjustment::ALL_FRAMES;
 use crate::pipeline::stages::bundle_adjustment::adjust;
 use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput};
 use crate::pipeline::stages::keyframe_selection::{select_keyframes, set_image_velocities};
 use crate::pipeline::stages::recording_check::lens::Lens;
-use crate::pipeline::stages::recording_check::parameters::{
-    Delay, MIN_LOG_EVIDENCE, WrongLenses, delays, wrong_lenses,
-};
+use crate::pipeline::stages::recording_check::parameters::{Delay, WrongLenses, delays, wrong_lenses};
 use crate::progress::{Canceled, Progress};
 use crate::session::{Suspicion, SuspicionCode as Code};
 

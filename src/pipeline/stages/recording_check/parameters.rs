@@ -2,7 +2,7 @@
 
 use crate::optim::robust::median;
 use crate::pipeline::calibration::Adjusted;
-use crate::pipeline::focal_spread::{FocalSpread, FoundFactors};
+use crate::pipeline::focal_spread::{FocalSpread, FoundFactors, MIN_LOG_EVIDENCE};
 
 /// A delay counts from this size, frames: half a frame is the most that cameras without a common clock differ by when they are
 /// started together, and it moves a hand by 20 mm.
@@ -12,8 +12,7 @@ const CERTAIN: f64 = 5.0;
 
 /// A focal length counts from this difference: refocusing changes it by 1 %, and detectors' constant errors look like 2 %.
 const MIN_FOCAL: f64 = 0.05;
-/// Logarithm of the likelihood ratio from which focal lengths are not as given, and from which they may be not.
-pub const MIN_LOG_EVIDENCE: f64 = 8.0;
+/// Logarithm of the likelihood ratio from which focal lengths may be other than given.
 const HINT_LOG_EVIDENCE: f64 = 2.0;
 /// A camera whose frames are late.
 #[derive(Debug, Clone, Copy, PartialEq)]
