@@ -29,7 +29,14 @@ pub fn repaired(session: &Session, options: &Options, suspicion: &Suspicion) -> 
         }
         Code::LabelsExchanged => Some((with_labels_exchanged(session, suspicion), options.clone())),
         Code::CamerasExchanged => Some((with_keypoints_exchanged(session, suspicion)?, options.clone())),
-        Code::PrincipalPoint | Code::Resolution => Some((with_centred_images(session, suspicion)?, options.clone())),
+        Code::PrincipalPoint | Code::Resolution => {
+            let repaired = match suspicion.image_scale {
+                Some(scale) => with_lenses(session, suspicion, |lens| Some(lens.resized(scale)))?,
+                // Where one change of K explains why principal points are far from the centres of the images.
+                None => with_lenses(session, suspicion, centred)?,
+            };
+            Some((repaired, options.clone()))
+        }
         Code::Convention => {
             let convention = likelier_convention(session)?;
             Some((Session { convention, ..session.clone() }, options.clone()))
@@ -77,11 +84,14 @@ fn with_keypoints_exchanged(session: &Session, suspicion: &Suspicion) -> Option<
     Some(session.with_keypoints_exchanged(position(a)?, position(b)?))
 }
 
-/// Principal points near the centres of the images, where one change of K explains why they are not.
-fn with_centred_images(session: &Session, suspicion: &Suspicion) -> Option<Session> {
+fn with_lenses(
+    session: &Session,
+    suspicion: &Suspicion,
+    change: impl Fn(&Intrinsics) -> Option<Intrinsics>,
+) -> Option<Session> {
     let mut repaired = session.clone();
     for view in concerned(&mut repaired, suspicion) {
-        view.intrinsics = centred(&view.intrinsics)?;
+        view.intrinsics = change(&view.intrinsics)?;
     }
     Some(repaired)
 }
@@ -123,6 +133,7 @@ mod tests {
             evidence: String::new(),
             remedy: String::new(),
             suggested_option: (code == Code::TimeOffset).then(|| r#"{"sync": "estimate"}"#.to_owned()),
+            image_scale: None,
             applied: false,
         }
     }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 
 /// A probable mistake in the files of a recording, with what speaks for it and what to do.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
 pub struct Suspicion {
     /// What is probably wrong.
@@ -18,6 +18,9 @@ pub struct Suspicion {
     /// The option of a job that repairs it, as JSON such as `{"sync": "estimate"}`; null where the files must be changed.
     #[cfg_attr(feature = "service", schema(required))]
     pub suggested_option: Option<String>,
+    /// For `resolution`: size of the images in which people were detected over that of the calibration, where one size is likeliest.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub image_scale: Option<f64>,
     /// Whether the mistake was undone before the solve (`options.repair: auto`): the result is that of the repaired recording.
     #[serde(default)]
     pub applied: bool,
@@ -96,7 +99,7 @@ impl Suspicion {
         remedy: impl Into<String>,
     ) -> Self {
         let (evidence, remedy) = (evidence.into(), remedy.into());
-        Self { code, cameras, evidence, remedy, suggested_option: None, applied: false }
+        Self { code, cameras, evidence, remedy, suggested_option: None, image_scale: None, applied: false }
     }
 
     /// Whether the standard deviations of a camera's pose are void, since they rest on the files being right.

@@ -20,6 +20,8 @@ pub struct Mistake {
     pub cameras: &'static [usize],
     /// Options of the job that has it, JSON.
     pub options: &'static str,
+    /// Angle, rad, by which it turns the images of the cameras, about the optical axis: the poses that suit them are turned as well.
+    pub image_turn: f64,
     /// Makes it; `None` where the session cannot have it.
     pub inject: fn(&Session) -> Option<Session>,
 }
@@ -60,7 +62,10 @@ pub const MISTAKES: &[Mistake] = &[
     all("focal lengths +-10 %", &[Code::FocalLength], |s| {
         lens_changed(s, &everywhere(s), |lens, v| lens.with_focal_factor(if v % 2 == 0 { 1.1 } else { 0.9 }))
     }),
-    odd("portrait pixels with landscape K", &[Code::PrincipalPoint, Code::Rotated], |s| Some(portrait(s, ODD))),
+    Mistake {
+        image_turn: -std::f64::consts::FRAC_PI_2,
+        ..odd("portrait pixels with landscape K", &[Code::PrincipalPoint, Code::Rotated], |s| Some(portrait(s, ODD)))
+    },
     odd("cx and cy exchanged", &[Code::PrincipalPoint], |s| {
         lens_changed(s, &[ODD], |lens, _| Intrinsics { cx: lens.cy, cy: lens.cx, ..*lens })
     }),
@@ -110,15 +115,15 @@ pub const MISTAKES: &[Mistake] = &[
 type Inject = fn(&Session) -> Option<Session>;
 
 const fn all(name: &'static str, codes: &'static [Code], inject: Inject) -> Mistake {
-    Mistake { name, codes, cameras: &[], options: "{}", inject }
+    Mistake { name, codes, cameras: &[], options: "{}", image_turn: 0.0, inject }
 }
 
 const fn odd(name: &'static str, codes: &'static [Code], inject: Inject) -> Mistake {
-    Mistake { name, codes, cameras: &[ODD], options: "{}", inject }
+    Mistake { name, codes, cameras: &[ODD], options: "{}", image_turn: 0.0, inject }
 }
 
 const fn two(name: &'static str, codes: &'static [Code], inject: Inject) -> Mistake {
-    Mistake { name, codes, cameras: &[ODD, PARTNER], options: "{}", inject }
+    Mistake { name, codes, cameras: &[ODD, PARTNER], options: "{}", image_turn: 0.0, inject }
 }
 
 fn everywhere(session: &Session) -> Vec<usize> {

@@ -6,9 +6,11 @@
 
 use crate::cli::bad_input::BadInput;
 use crate::cli::solve::use_threads;
+use crate::evaluation::alignment::Alignment;
 use crate::evaluation::documents::read_cameras;
 use crate::evaluation::{Evaluation, EvaluationOptions, evaluate};
 use crate::export::{ResultContext, write_result};
+use crate::geometry::{Rigid, rotation};
 use crate::pipeline::config::Repair;
 use crate::pipeline::repair::with_option;
 use crate::pipeline::{Options, PipelineError, reconstruct};
@@ -18,6 +20,7 @@ use crate::session::upload::{UploadLimits, read_path};
 use crate::session::{Reconstruction, Session, Suspicion};
 use crate::simulation::mistakes::{COMBINATIONS, MISTAKES, Mistake};
 use anyhow::Context;
+use nalgebra::Vector3;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -95,6 +98,8 @@ struct Solved {
     position_mm: Option<f64>,
     angle_deg: Option<f64>,
     limbs_mm: Option<f64>,
+    /// The same after a similarity alignment, without the error of the metric scale.
+    shape_mm: Option<f64>,
     /// Largest stated standard deviation of a camera's centre.
     sigma_mm: Option<f64>,
     secs: f64,
@@ -119,10 +124,10 @@ pub(super) fn run(args: &MistakesArgs) -> anyhow::Result<()> {
         };
         let options =
             Options { repair: if args.repair { Repair::Auto } else { Repair::Suggest }, ..Options::default() };
-        let solve = |session: &Session, options: &Options, n: usize| {
-            solved(session, options, path, &args.out.join(format!("{k}-{name}/{n}")))
+        let solve = |session: &Session, options: &Options, turns: &Turns, n: usize| {
+            solved(session, options, turns, path, &args.out.join(format!("{k}-{name}/{n}")))
         };
-        let clean = solve(session, &options, 0)?;
+        let clean = solve(session, &options, &Turns::new(), 0)?;
         let outcome = if clean.suspicions.is_empty() { Outcome::Clean } else { Outcome::FalseAlarm };
         cases.push(reported(case(None, outcome, None, clean.clone())));
         for (n, injection) in injections().iter().enumerate().filter(|(_, injection)| is_chosen(injection)) {
@@ -132,7 +137,7 @@ pub(super) fn run(args: &MistakesArgs) -> anyhow::Result<()> {
                 .mistakes
                 .iter()
                 .fold(options.clone(), |options, mistake| with_option(&options, mistake.options).unwrap_or(options));
-            let solved = solve(&changed, &options, n + 1)?;
+            let solved = solve(&changed, &options, &injection.turns(), n + 1)?;
             let outcome = judged(&injection.mistakes, session, &clean, &solved);
             let is_repaired = solved.suspicions.iter().any(|s| s.applied).then(|| is_as_good(&clean, &solved));
             cases.push(reported(case(Some(injection.name.clone()), outcome, is_repaired, solved)));
@@ -152,7 +157,14 @@ struct Injection {
     mistakes: Vec<&'static Mistake>,
 }
 
+/// Views whose images a mistake turns, with the angles in radians.
+type Turns = Vec<(usize, f64)>;
+
 impl Injection {
+    fn turns(&self) -> Turns {
+        self.mistakes.iter().flat_map(|m| m.cameras.iter().map(|view| (*view, m.image_turn))).collect()
+    }
+
     fn inject(&self, session: &Session) -> Option<Session> {
         self.mistakes.iter().try_fold(session.clone(), |session, mistake| (mistake.inject)(&session))
     }
@@ -177,9 +189,9 @@ fn with_true_poses(session: &Session, path: &Path) -> anyhow::Result<Session> {
 }
 
 /// Solves a session and compares the result with the truth of `path`.
-fn solved(session: &Session, options: &Options, path: &Path, out: &Path) -> anyhow::Result<Solved> {
+fn solved(session: &Session, options: &Options, turns: &Turns, path: &Path, out: &Path) -> anyhow::Result<Solved> {
     let started = Instant::now();
-    let result = match reconstruct(session, options, &Progress::silent()) {
+    let mut result = match reconstruct(session, options, &Progress::silent()) {
         Ok(result) => result,
         Err(error) => {
             let message = Some(error.to_string());
@@ -189,6 +201,11 @@ fn solved(session: &Session, options: &Options, path: &Path, out: &Path) -> anyh
         }
     };
     let secs = started.elapsed().as_secs_f64();
+    for (view, angle) in turns {
+        let Some(pose) = result.cameras[*view].camera_from_world.as_mut() else { continue };
+        let turn = rotation::exp(&Vector3::new(0.0, 0.0, -angle));
+        *pose = Rigid { rotation: turn * pose.rotation, translation: turn * pose.translation };
+    }
     let context = ResultContext {
         input_sha256: "",
         options: serde_json::to_value(options)?,
@@ -199,8 +216,12 @@ fn solved(session: &Session, options: &Options, path: &Path, out: &Path) -> anyh
     write_result(out, session, &context, &result)?;
     // A mistake may change which detections there are; the truth's list of identities then no longer fits.
     std::fs::remove_file(out.join("identities.json"))?;
-    let errors = evaluate(out, &path.join("gt"), &EvaluationOptions::default()).map_err(|e| BadInput(e.to_string()))?;
-    Ok(Solved { secs, ..with_errors(&result, &errors) })
+    let errors = |align: Option<Alignment>| {
+        let options = EvaluationOptions { align, ..EvaluationOptions::default() };
+        evaluate(out, &path.join("gt"), &options).map_err(|e| BadInput(e.to_string()))
+    };
+    let shape_mm = limbs_mm(&errors(Some(Alignment::Sim3))?);
+    Ok(Solved { secs, shape_mm, ..with_errors(&result, &errors(None)?) })
 }
 
 fn with_errors(result: &Reconstruction, errors: &Evaluation) -> Solved {
@@ -215,10 +236,15 @@ fn with_errors(result: &Reconstruction, errors: &Evaluation) -> Solved {
         reasons: quality.reasons.clone(),
         position_mm: worst(|camera| camera.position_mm),
         angle_deg: worst(|camera| camera.angle_deg),
-        limbs_mm: errors.poses.as_ref().and_then(|poses| poses.mpjpe.root12),
+        limbs_mm: limbs_mm(errors),
         sigma_mm: result.cameras.iter().filter_map(|camera| camera.sigma_position_mm).reduce(f64::max),
         ..Solved::default()
     }
+}
+
+/// Mean error of the joints of the limbs relative to the hips.
+fn limbs_mm(errors: &Evaluation) -> Option<f64> {
+    errors.poses.as_ref()?.mpjpe.root12
 }
 
 fn judged(mistakes: &[&Mistake], session: &Session, clean: &Solved, solved: &Solved) -> Outcome {
@@ -254,7 +280,7 @@ fn is_wrong(clean: &Solved, solved: &Solved) -> bool {
 
 /// Whether a repaired result is as good as that of the session as it is.
 fn is_as_good(clean: &Solved, solved: &Solved) -> bool {
-    let errors = |of: &Solved| [of.position_mm, of.angle_deg, of.limbs_mm];
+    let errors = |of: &Solved| [of.position_mm, of.angle_deg, of.shape_mm];
     let pairs = errors(clean).into_iter().zip(errors(solved)).zip(NEGLIGIBLE);
     pairs.into_iter().all(|((usual, error), negligible)| {
         let bound = usual.map_or(negligible, |usual| negligible.max(REPAIRED * usual));

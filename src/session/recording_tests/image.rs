@@ -2,7 +2,7 @@
 
 use crate::body::detector_profile::DETECTOR;
 use crate::geometry::Intrinsics;
-use crate::session::recording::{Keypoint, View};
+use crate::session::recording::{Keypoint, Session, View};
 use crate::session::suspicion::{Suspicion, SuspicionCode};
 use nalgebra::Vector2;
 
@@ -25,17 +25,42 @@ const CENTRED: f64 = 0.1;
 const SHIFTED: f64 = 0.12;
 const WELL_CENTRED: f64 = 0.05;
 
-/// Compares a view's keypoints and principal point with its image.
-pub(super) fn suspicion(view: &View) -> Option<Suspicion> {
-    let size = Vector2::new(f64::from(view.intrinsics.width), f64::from(view.intrinsics.height));
-    let found = of_keypoints(view, size).or_else(|| of_principal_point(view, size));
-    found.map(|(code, evidence, remedy)| {
-        let evidence = format!("images of {}x{}: {evidence}", view.intrinsics.width, view.intrinsics.height);
-        Suspicion::new(code, vec![view.id.clone()], evidence, remedy)
-    })
+/// Compares the keypoints and the principal point of every view with its image.
+pub(super) fn suspicions(session: &Session) -> Vec<Suspicion> {
+    let size = |view: &View| (view.intrinsics.width, view.intrinsics.height);
+    let found: Vec<(&View, Found)> = session.views.iter().filter_map(|view| Some((view, found(view)?))).collect();
+    // Images that are stated alike were resized alike; people walk farther through some of them.
+    let largest_alike = |view: &View| {
+        let alike = found.iter().filter(|(other, _)| size(other) == size(view));
+        alike.filter_map(|(_, found)| found.image_scale).reduce(f64::max)
+    };
+    let suspicion = |(view, found): &(&View, Found)| {
+        let evidence = format!("images of {}x{}: {}", view.intrinsics.width, view.intrinsics.height, found.evidence);
+        let suspicion = Suspicion::new(found.code, vec![view.id.clone()], evidence, found.remedy);
+        Suspicion { image_scale: found.image_scale.and_then(|_| largest_alike(view)), ..suspicion }
+    };
+    found.iter().map(suspicion).collect()
 }
 
-type Found = (SuspicionCode, String, &'static str);
+/// A mistake in the files of one view.
+struct Found {
+    code: SuspicionCode,
+    evidence: String,
+    remedy: &'static str,
+    /// Smallest usual size of images that hold all keypoints, over the stated one.
+    image_scale: Option<f64>,
+}
+
+impl Found {
+    fn new(code: SuspicionCode, evidence: String, remedy: &'static str) -> Self {
+        Self { code, evidence, remedy, image_scale: None }
+    }
+}
+
+fn found(view: &View) -> Option<Found> {
+    let size = Vector2::new(f64::from(view.intrinsics.width), f64::from(view.intrinsics.height));
+    of_keypoints(view, size).or_else(|| of_principal_point(view, size))
+}
 
 fn of_keypoints(view: &View, size: Vector2<f64>) -> Option<Found> {
     let keypoints = view.frames.iter().flatten().flat_map(|detection| &detection.keypoints);
@@ -49,27 +74,29 @@ fn of_keypoints(view: &View, size: Vector2<f64>) -> Option<Found> {
         let outside = |p: &&Vector2<f64>| p.x < -1.0 || p.y < -1.0 || p.x > size.x || p.y > size.y;
         pixels.iter().filter(outside).count() as f64 / n as f64
     };
-    if view.intrinsics.width >= LEAST_WIDTH && share_outside(Vector2::repeat(UNIT_RANGE)) < 0.2 * OUTSIDE {
+    let holds_all = |size: Vector2<f64>| share_outside(size) < 0.2 * OUTSIDE;
+    if view.intrinsics.width >= LEAST_WIDTH && holds_all(Vector2::repeat(UNIT_RANGE)) {
         let evidence = format!("all its keypoints lie between 0 and {UNIT_RANGE}: they are shares of the image's size");
-        return Some((SuspicionCode::NormalizedCoordinates, evidence, "multiply them by the image's width and height"));
+        let remedy = "multiply them by the image's width and height";
+        return Some(Found::new(SuspicionCode::NormalizedCoordinates, evidence, remedy));
     }
+    let image_scale = SIZES.into_iter().find(|scale| holds_all(*scale * size));
     let outside = share_outside(size);
     if outside > OUTSIDE {
         let turned = size.yx();
-        if turned != size && share_outside(turned) < 0.2 * OUTSIDE {
+        if turned != size && holds_all(turned) {
             let evidence = "its keypoints fit an image with width and height exchanged".to_owned();
-            return Some((
-                SuspicionCode::Rotated,
-                evidence,
-                "was the video rotated by 90 degrees? calibrate it as it is",
-            ));
+            let remedy = "was the video rotated by 90 degrees? calibrate it as it is";
+            return Some(Found::new(SuspicionCode::Rotated, evidence, remedy));
         }
         let evidence = format!("its keypoints lie outside the image ({:.0} % of them)", 100.0 * outside);
-        return Some((SuspicionCode::Resolution, evidence, "does the calibration belong to another resolution?"));
+        let remedy = "does the calibration belong to another resolution?";
+        return Some(Found { image_scale, ..Found::new(SuspicionCode::Resolution, evidence, remedy) });
     }
-    (share_outside(NEAR_ORIGIN * size) < 0.2 * OUTSIDE).then(|| {
+    holds_all(NEAR_ORIGIN * size).then(|| {
         let evidence = "all its keypoints lie in the upper left quarter".to_owned();
-        (SuspicionCode::Resolution, evidence, "were they detected at half the calibration's resolution?")
+        let remedy = "were they detected at half the calibration's resolution?";
+        Found { image_scale, ..Found::new(SuspicionCode::Resolution, evidence, remedy) }
     })
 }
 
@@ -92,14 +119,14 @@ fn of_principal_point(view: &View, size: Vector2<f64>) -> Option<Found> {
         Centre::Exchanged => {
             let evidence = format!("{off}, and near it with cx and cy exchanged");
             let remedy = "exchange cx and cy, or calibrate the video in the orientation of its keypoints";
-            (SuspicionCode::PrincipalPoint, evidence, remedy)
+            Found::new(SuspicionCode::PrincipalPoint, evidence, remedy)
         }
         Centre::OtherSize(factor) => {
             let evidence = format!("{off}: K belongs to images {factor:.2} times as large");
-            (SuspicionCode::Resolution, evidence, "give K for the resolution of the keypoints")
+            Found::new(SuspicionCode::Resolution, evidence, "give K for the resolution of the keypoints")
         }
         Centre::Unexplained => {
-            (SuspicionCode::PrincipalPoint, off, "check the matrix K, and whether the images were cropped")
+            Found::new(SuspicionCode::PrincipalPoint, off, "check the matrix K, and whether the images were cropped")
         }
     })
 }

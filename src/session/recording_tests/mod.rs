@@ -22,7 +22,7 @@ use super::suspicion::Suspicion;
 
 /// Every suspicion that the keypoints and the calibration raise by themselves.
 pub fn suspicions(session: &Session) -> Vec<Suspicion> {
-    let mut found: Vec<Suspicion> = session.views.iter().filter_map(image::suspicion).collect();
+    let mut found = image::suspicions(session);
     found.extend(repetition::duplicate_cameras(session));
     found.extend(session.views.iter().filter_map(repetition::repeated_frames));
     found.extend(repetition::periodic_gaps(session));

@@ -15,7 +15,7 @@ use crate::progress::{Canceled, Progress};
 use crate::session::{Suspicion, SuspicionCode as Code, View};
 
 /// Sizes of images over those of the calibration: 1080 lines of 2160 or 1620, 720 of 1080, 1080 of 1440, 480 of 1080.
-const SMALLER: [f64; 4] = [0.5, 2.0 / 3.0, 0.75, 4.0 / 9.0];
+pub(super) const SMALLER: [f64; 4] = [0.5, 2.0 / 3.0, 0.75, 4.0 / 9.0];
 /// Share of the keypoints that a detector may place outside its images.
 const OUTSIDE: f64 = 0.01;
 
@@ -45,6 +45,8 @@ struct Proposal {
     code: Code,
     /// Views with their lenses and the poses that go with these.
     changed: Vec<(usize, Intrinsics, Rigid)>,
+    /// Size of the images over that of the calibration, where it differs.
+    image_scale: Option<f64>,
     /// Robust costs of the resections over those under the given lenses.
     cost_ratio: f64,
 }
@@ -88,7 +90,8 @@ pub(super) fn misplaced_lenses(
             "give K and the size of the images in which people were detected",
         ),
     };
-    Ok(Some(Suspicion::new(proposal.code, solved.ids(&views), evidence, remedy)))
+    let suspicion = Suspicion::new(proposal.code, solved.ids(&views), evidence, remedy);
+    Ok(Some(Suspicion { image_scale: proposal.image_scale, ..suspicion }))
 }
 
 /// The proposal whose resections gain most.
@@ -101,7 +104,7 @@ fn likeliest(solved: &Solved, resections: &[Option<Lens>]) -> Option<Proposal> {
         Some((own, resections[view].map_or(own, |lens| lens.cost)))
     };
     let given: Vec<Option<(f64, f64)>> = (0..lenses.len()).map(|v| costs(v).filter(|_| views.contains(&v))).collect();
-    let proposal = |code: Code, changes: &[(usize, Intrinsics)]| {
+    let proposal = |code: Code, image_scale: Option<f64>, changes: &[(usize, Intrinsics)]| {
         let (mut changed, mut sums) = (Vec::new(), (0.0, 0.0));
         for &(view, lens) in changes {
             let ((own, focal_only), (pose, cost)) = given[view].zip(under_lens(&people, view, &lens))?;
@@ -112,14 +115,17 @@ fn likeliest(solved: &Solved, resections: &[Option<Lens>]) -> Option<Proposal> {
             changed.push((view, lens, pose));
             sums = (sums.0 + cost, sums.1 + own);
         }
-        Some(Proposal { code, changed, cost_ratio: sums.0 / sums.1 }).filter(|proposal| proposal.cost_ratio < BETTER)
+        let cost_ratio = sums.0 / sums.1;
+        (cost_ratio < BETTER).then_some(Proposal { code, changed, image_scale, cost_ratio })
     };
     let pairs = views.iter().flat_map(|&b| views.iter().map(move |&a| (a, b))).filter(|&(a, b)| a < b);
     let differing = pairs.filter(|&(a, b)| lenses[a] != lenses[b]);
-    let exchanged = differing.filter_map(|(a, b)| proposal(Code::CamerasExchanged, &[(a, lenses[b]), (b, lenses[a])]));
+    let exchanged =
+        differing.filter_map(|(a, b)| proposal(Code::CamerasExchanged, None, &[(a, lenses[b]), (b, lenses[a])]));
     let sizes = views.iter().flat_map(|&view| SMALLER.map(|factor| (view, factor)));
     let smaller = sizes.filter(|&(view, factor)| lies_within(&solved.session().views[view], factor));
-    let resized = smaller.filter_map(|(v, factor)| proposal(Code::Resolution, &[(v, lenses[v].resized(factor))]));
+    let resized =
+        smaller.filter_map(|(v, factor)| proposal(Code::Resolution, Some(factor), &[(v, lenses[v].resized(factor))]));
     exchanged.chain(resized).min_by(|x, y| x.cost_ratio.total_cmp(&y.cost_ratio))
 }
 

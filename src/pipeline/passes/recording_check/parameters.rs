@@ -1,7 +1,8 @@
 //! Delays and focal lengths that an adjustment of all cameras finds.
 
-use super::lenses::{lies_within, misplaced_lenses};
+use super::lenses::{SMALLER, lies_within, misplaced_lenses};
 use super::solved::{MAX_KEYFRAMES, Solved};
+use crate::optim::robust::median;
 use crate::pipeline::calibration::{Adjusted, CameraFreedom};
 use crate::pipeline::config::{IntrinsicsMode, Sync};
 use crate::pipeline::focal_spread::MIN_LOG_EVIDENCE;
@@ -19,7 +20,10 @@ const BLOCK_SECS: f64 = 2.0;
 
 /// Images are smaller than stated where keypoints stay within this share of width and height: people walk through more of an image,
 /// and the next smaller format has two thirds.
-const SMALLER: f64 = 0.72;
+const SHOWN_BY_SMALLER: f64 = 0.72;
+/// Largest difference of logarithms between the factor on a focal length and the size of the images that it belongs to: less than
+/// half of the smallest between two usual sizes.
+const SAME_SIZE: f64 = 0.055;
 
 /// Largest difference of logarithms of focal factors that an exchange of two calibrations explains.
 const SAME_FOCAL: f64 = 0.03;
@@ -131,13 +135,13 @@ fn exchanged_cameras(solved: &Solved, factors: &[(usize, f64)]) -> Option<Suspic
 
 /// Cameras whose focal length and keypoints both belong to smaller images.
 fn other_resolution(solved: &Solved, factors: &[(usize, f64)]) -> Option<Suspicion> {
-    let is_smaller = |view: usize| lies_within(&solved.session().views[view], SMALLER);
+    let is_smaller = |view: usize| lies_within(&solved.session().views[view], SHOWN_BY_SMALLER);
     let smaller = factors.iter().filter(|(view, factor)| *factor < 1.0 && is_smaller(*view));
-    let views: Vec<usize> = smaller.map(|(view, _)| *view).collect();
-    (!views.is_empty()).then(|| {
-        let evidence = "the focal length is too long, and all keypoints lie in the upper left two thirds of the image: both suit \
-                        smaller images";
-        let remedy = "give K and the size of the images in which people were detected";
-        Suspicion::new(Code::Resolution, solved.ids(&views), evidence.to_owned(), remedy)
-    })
+    let (views, mut factors): (Vec<usize>, Vec<f64>) = smaller.copied().unzip();
+    let factor = median(&mut factors)?;
+    let evidence = "the focal length is too long, and all keypoints lie in the upper left two thirds of the image: both suit \
+                    smaller images";
+    let remedy = "give K and the size of the images in which people were detected";
+    let image_scale = SMALLER.into_iter().find(|size| (size / factor).ln().abs() < SAME_SIZE);
+    Some(Suspicion { image_scale, ..Suspicion::new(Code::Resolution, solved.ids(&views), evidence, remedy) })
 }

@@ -156,6 +156,7 @@ fn a_suspicion_replaces_other_reasons_about_its_camera() {
         evidence: "its frames are 7 frames late".to_owned(),
         remedy: "synchronise".to_owned(),
         suggested_option: None,
+        image_scale: None,
         applied: false,
     };
     assert_reason(Verdict::Warn, &["cam2", "7 frames", "synchronise"], |input| {
