@@ -171,6 +171,14 @@ impl FoundFactors {
         Some((posterior.solve(&self.linear), posterior.inverse()))
     }
 
+    /// Logarithm of the session's likelihood under lenses whose factors have these logarithms, each but for the errors of a
+    /// calibration, over that under lenses as given.
+    pub fn log_evidence_of(&self, log_factors: &DVector<f64>) -> f64 {
+        let at_factors = self.linear.dot(log_factors) - 0.5 * log_factors.dot(&(&self.information * log_factors));
+        let around = self.clone().shifted(&-log_factors).log_evidence(FocalSpread::CALIBRATED);
+        at_factors + around - self.log_evidence(FocalSpread::CALIBRATED)
+    }
+
     /// Logarithm of the session's likelihood under a prior, up to a constant: `b^T (A + S^-1)^-1 b / 2 - log |A + S^-1| / 2 -
     /// log |S| / 2`.
     fn log_evidence(&self, spread: FocalSpread) -> f64 {
@@ -263,6 +271,18 @@ mod tests {
         assert_eq!(spread, FocalSpread::alike(0.03, 0.5));
         let (mean, covariance) = shown.under(spread).unwrap();
         assert!((mean[0] - 0.4).abs() < 0.01 && covariance[(0, 0)].sqrt() > 0.02, "{mean}");
+    }
+
+    /// Measured to 1 %, lenses that are 5 % off as stated are likelier than those given by `(0.05 / 0.01)^2 / 2` each, a little less
+    /// for their own 0.3 %.
+    #[test]
+    fn named_factors_are_compared_with_the_given_lenses() {
+        let off = DVector::from_column_slice(&[0.05, -0.05, 0.0]);
+        let shown = found(off.as_slice());
+        assert!((shown.log_evidence_of(&off) - 25.0).abs() < 5.0, "{}", shown.log_evidence_of(&off));
+        assert!(shown.log_evidence_of(&-&off) < -50.0);
+        assert!(shown.log_evidence_of(&DVector::zeros(3)).abs() < 1e-9);
+        assert!(found(&[0.0; 3]).log_evidence_of(&off) < -15.0);
     }
 
     /// What a session shows does not depend on the prior under which it was solved, nor on where the unknowns began.

@@ -65,6 +65,8 @@ pub enum SuspicionCode {
     CamerasExchanged,
     /// The frames of a camera are early or late.
     TimeOffset,
+    /// The frames of a camera slip against the others during the recording: some were dropped or doubled, or its rate differs.
+    DroppedFrames,
     /// The frame rate is wrong.
     FrameRate,
     /// A camera was moved during the recording.

@@ -1,16 +1,13 @@
-//! Single cameras: files that need another reading, exchanged labels, a movement.
+//! Single cameras: files that need another reading, exchanged labels.
 
 use super::solved::Solved;
 use crate::optim::robust::median;
-use crate::pipeline::calibration::TrackedPeople;
-use crate::pipeline::stages::joint_trajectories::joint_trajectories;
 use crate::pipeline::stages::recording_check::agreement::explained_share;
 use crate::pipeline::stages::recording_check::handedness::upside_down;
 use crate::pipeline::stages::recording_check::labels::exchange;
-use crate::pipeline::stages::recording_check::movement::{Step, step};
 use crate::pipeline::stages::recording_check::reading::{Judged, Question, Reading};
 use crate::progress::{Canceled, Progress};
-use crate::session::{JointTrajectory, Suspicion, SuspicionCode as Code};
+use crate::session::{Suspicion, SuspicionCode as Code};
 
 /// A camera is read in other ways where its people explain this much less of its detections than is usual.
 const LOW_SHARE: f64 = 0.75;
@@ -26,17 +23,6 @@ pub(super) const MOST: f64 = 0.5;
 /// Detections that decide on exchanged labels, and the share of them that fit the other way round.
 const MIN_DECIDING: usize = 30;
 const EXCHANGED: f64 = 0.8;
-
-/// A step of a camera's rotation counts from this angle, rad, and this many standard errors, against people as the others locate them:
-/// 0.17 degrees move a person at 4 m by 12 mm, half a detector's noise.
-const MIN_STEP: f64 = 0.003;
-const STEP_SIGMAS: f64 = 5.0;
-/// Against all cameras' people a third of a step is left: from here on the largest ones are measured against the others.
-const HINT_SIGMAS: f64 = 3.5;
-const N_HINTS: usize = 2;
-/// Cameras from which the others locate people well enough: with two others, whose slow errors move every point, one still camera
-/// of ten seemed to turn by 0.3 degrees at 6 standard errors.
-const MIN_CAMERAS: usize = 4;
 
 /// Cameras of whose detections the people of the others explain little.
 pub(super) fn other_readings(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
@@ -130,50 +116,4 @@ pub(super) fn exchanged_labels(solved: &Solved, found: &mut Vec<Suspicion>) {
             found.push(Suspicion::new(Code::LabelsExchanged, solved.ids(&[view]), evidence, "exchange them back"));
         }
     }
-}
-
-/// The camera with the largest of the certain steps: it moves points, and with them all others a little, whose steps may be the more
-/// certain since their own errors are smaller.
-pub(super) fn moved_camera(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
-    // A wrong lens turns its camera with the people, and the others with it.
-    if solved.calibration.n_placed() < MIN_CAMERAS || found.iter().chain(solved.known).any(|s| s.code.affects_cameras())
-    {
-        return Ok(());
-    }
-    let people = solved.people();
-    let steps = solved.unnamed(found).into_iter().filter_map(|view| Some((view, step(&people, view)?)));
-    let mut steps: Vec<_> = steps.collect();
-    tracing::debug!(?steps, "rotations of cameras");
-    steps.retain(|(_, step)| step.sigmas >= HINT_SIGMAS);
-    steps.sort_by(|a, b| b.1.angle.total_cmp(&a.1.angle));
-    let mut certain = Vec::new();
-    for (view, _) in steps.into_iter().take(N_HINTS) {
-        let step = step_against_others(solved, view, progress)?;
-        tracing::debug!(view, ?step, "rotation of a camera against the people of the others");
-        certain
-            .extend(step.filter(|step| step.sigmas >= STEP_SIGMAS && step.angle >= MIN_STEP).map(|step| (view, step)));
-    }
-    let Some((view, step)) = certain.into_iter().max_by(|a, b| a.1.angle.total_cmp(&b.1.angle)) else { return Ok(()) };
-    let frame = solved.session().first_frame + step.frame as i64;
-    let evidence = format!(
-        "it moved during the recording: it turns by {:.2} degrees near frame {frame} ({:.0} standard errors)",
-        step.angle.to_degrees(),
-        step.sigmas
-    );
-    let remedy = "solve the frames before and after as two sessions, or leave the camera out";
-    found.push(Suspicion::new(Code::CameraMoved, solved.ids(&[view]), evidence, remedy));
-    Ok(())
-}
-
-/// The step of a camera against people as the other cameras alone have located them: its own detections would hide most of it.
-fn step_against_others(solved: &Solved, view: usize, progress: &Progress) -> Result<Option<Step>, Canceled> {
-    let people = solved.people();
-    let mut others = people.cameras.to_vec();
-    others[view] = None;
-    let mut points = joint_trajectories(&TrackedPeople { cameras: &others, ..people }, progress)?;
-    for JointTrajectory { points, n_views, .. } in &mut points {
-        let located = points.iter_mut().flatten().zip(n_views.iter().flatten());
-        located.filter(|(_, n)| **n < 2).for_each(|(point, _)| *point = None);
-    }
-    Ok(step(&TrackedPeople { points: &points, ..people }, view))
 }

@@ -33,6 +33,9 @@ const MIN_LOG_EVIDENCE: f64 = 43.0;
 /// the focal lengths that are wrong.
 const MAX_LOG_RATIO: f64 = 5.0;
 
+/// The remedy for two cameras with each other's files.
+pub(super) const EXCHANGE: &str = "exchange their keypoint files, or their calibrations";
+
 /// Whether focal lengths are adjusted.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Focal {
@@ -78,10 +81,7 @@ pub(super) fn misplaced_lenses(
         return Ok(None);
     }
     let (evidence, remedy) = match proposal.code {
-        Code::CamerasExchanged => (
-            "each shows the people better with the lens of the other".to_owned(),
-            "exchange their keypoint files, or their calibrations",
-        ),
+        Code::CamerasExchanged => ("each shows the people better with the lens of the other".to_owned(), EXCHANGE),
         _ => (
             format!(
                 "K and all keypoints suit images of {}x{} pixels",

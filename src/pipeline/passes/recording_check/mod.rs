@@ -7,6 +7,7 @@ mod cameras;
 mod lenses;
 mod parameters;
 pub mod solved;
+mod steps;
 mod unsolved;
 mod whole;
 
@@ -21,9 +22,9 @@ pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, C
     if solved.unnamed(&[]).len() < 2 || solved.known.iter().any(spoils_all) {
         return Ok(Vec::new());
     }
-    let mut steps = progress.steps([1.0, 1.0, 0.5]);
+    let mut weighted = progress.steps([1.0, 0.5, 1.0, 0.5]);
     let mut found = Vec::new();
-    let step = steps.begin("reading the files of cameras in other ways");
+    let step = weighted.begin("reading the files of cameras in other ways");
     whole::separate_takes(solved, &mut found);
     if found.is_empty() {
         cameras::other_readings(solved, &mut found, &step)?;
@@ -32,13 +33,15 @@ pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, C
             found.extend(unsolved::mistake_of_pair(solved, &step)?);
         }
     }
-    let step = steps.begin("testing delays and focal lengths");
+    let step = weighted.begin("testing clocks of cameras");
+    steps::slipping_clock(solved, &mut found, &step)?;
+    let step = weighted.begin("testing delays and focal lengths");
     if found.is_empty() {
         parameters::other_parameters(solved, &mut found, &step)?;
     }
-    let step = steps.begin("testing movements of cameras");
+    let step = weighted.begin("testing movements of cameras");
     cameras::exchanged_labels(solved, &mut found);
-    cameras::moved_camera(solved, &mut found, &step)?;
+    steps::moved_camera(solved, &mut found, &step)?;
     // One wrong camera of two turns the people between them around.
     let turns_people = |s: &Suspicion| matches!(s.code, Code::LabelsExchanged | Code::Mirrored | Code::YUpwards);
     if !found.iter().any(turns_people) {

@@ -1,17 +1,19 @@
 //! Delays and focal lengths that an adjustment of all cameras finds.
 
-use super::lenses::{SMALLER, lies_within, misplaced_lenses};
+use super::lenses::{EXCHANGE, SMALLER, lies_within, misplaced_lenses};
 use super::solved::{MAX_KEYFRAMES, Solved};
 use crate::optim::robust::median;
 use crate::pipeline::calibration::{Adjusted, CameraFreedom};
 use crate::pipeline::config::{IntrinsicsMode, Sync};
-use crate::pipeline::focal_spread::MIN_LOG_EVIDENCE;
+use crate::pipeline::focal_spread::{FoundFactors, MIN_LOG_EVIDENCE};
 use crate::pipeline::passes::adjustment::ALL_FRAMES;
 use crate::pipeline::stages::bundle_adjustment::adjust;
 use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput};
 use crate::pipeline::stages::keyframe_selection::{select_keyframes, set_image_velocities};
 use crate::pipeline::stages::recording_check::lens::Lens;
-use crate::pipeline::stages::recording_check::parameters::{Delay, WrongLenses, delays, wrong_lenses};
+use crate::pipeline::stages::recording_check::parameters::{
+    Delay, WrongLenses, delays, likeliest_exchange, wrong_lenses,
+};
 use crate::progress::{Canceled, Progress};
 use crate::session::{Suspicion, SuspicionCode as Code};
 
@@ -24,9 +26,6 @@ const SHOWN_BY_SMALLER: f64 = 0.72;
 /// Largest difference of logarithms between the factor on a focal length and the size of the images that it belongs to: less than
 /// half of the smallest between two usual sizes.
 const SAME_SIZE: f64 = 0.055;
-
-/// Largest difference of logarithms of focal factors that an exchange of two calibrations explains.
-const SAME_FOCAL: f64 = 0.03;
 
 /// Delays and focal lengths against those given.
 pub(super) fn other_parameters(
@@ -56,8 +55,7 @@ pub(super) fn other_parameters(
         found.extend(late.map(|delay| of_delay(solved, &delay)));
     }
     if options.intrinsics_of(solved.session()) == IntrinsicsMode::Fixed {
-        let prior = AdjustmentConfig::default().focal_sigma;
-        found.extend(wrong_lenses(&adjusted, &origins, prior).and_then(|lenses| of_lenses(solved, &lenses)));
+        found.extend(of_focal_factors(solved, &adjusted, &origins));
     }
     Ok(())
 }
@@ -97,14 +95,23 @@ fn of_delay(solved: &Solved, delay: &Delay) -> Suspicion {
     Suspicion { suggested_option, ..Suspicion::new(Code::TimeOffset, solved.ids(&[delay.view]), evidence, remedy) }
 }
 
+/// What the focal factors of an adjustment show, which began at those of logarithms `origins`.
+fn of_focal_factors(solved: &Solved, adjusted: &Adjusted, origins: &[f64]) -> Option<Suspicion> {
+    let estimate = adjusted.focal.as_ref()?;
+    let prior_sigma = AdjustmentConfig::default().focal_sigma;
+    let found = FoundFactors::of_adjustment(estimate, |view| origins[view], prior_sigma)?;
+    let focal = |view: usize| solved.session().views[view].intrinsics.focal();
+    if let Some(exchange) = likeliest_exchange(&found, &estimate.views, focal) {
+        let evidence = "each has the focal length of the other".to_owned();
+        return Some(Suspicion::new(Code::CamerasExchanged, solved.ids(&exchange.views), evidence, EXCHANGE));
+    }
+    of_lenses(solved, &wrong_lenses(&found, &estimate.views)?)
+}
+
 fn of_lenses(solved: &Solved, lenses: &WrongLenses) -> Option<Suspicion> {
     let resized = other_resolution(solved, &lenses.factors);
     if resized.is_some() || lenses.log_evidence < MIN_LOG_EVIDENCE {
         return resized;
-    }
-    let exchanged = exchanged_cameras(solved, &lenses.factors);
-    if exchanged.is_some() {
-        return exchanged;
     }
     let listed = lenses.factors.iter().map(|&(v, factor)| {
         let change = 100.0 * (factor - 1.0);
@@ -117,20 +124,6 @@ fn of_lenses(solved: &Solved, lenses: &WrongLenses) -> Option<Suspicion> {
     let remedy = "check the matrix K, or let focal lengths be refined";
     let suggested_option = Some(r#"{"intrinsics": "refine_focal"}"#.to_owned());
     Some(Suspicion { suggested_option, ..Suspicion::new(Code::FocalLength, cameras, evidence, remedy) })
-}
-
-/// Two cameras of which each has the focal length of the other: where principal points are alike, [`misplaced_lenses`] cannot tell an
-/// exchange from two wrong focal lengths.
-fn exchanged_cameras(solved: &Solved, factors: &[(usize, f64)]) -> Option<Suspicion> {
-    let focal = |v: usize| solved.session().views[v].intrinsics.focal();
-    let [(a, on_a), (b, on_b)] = factors[..] else { return None };
-    let ratio = (focal(b) / focal(a)).ln();
-    let is_exchanged = (on_a.ln() - ratio).abs() < SAME_FOCAL && (on_b.ln() + ratio).abs() < SAME_FOCAL;
-    is_exchanged.then(|| {
-        let evidence = "each has the focal length of the other".to_owned();
-        let remedy = "exchange their keypoint files, or their calibrations";
-        Suspicion::new(Code::CamerasExchanged, solved.ids(&[a, b]), evidence, remedy)
-    })
 }
 
 /// Cameras whose focal length and keypoints both belong to smaller images.

@@ -20,8 +20,10 @@ pub(super) fn separate_takes(solved: &Solved, found: &mut Vec<Suspicion>) {
     tracing::debug!(?groups, "cameras that see the same people");
     if groups.iter().filter(|group| group.len() >= 2).count() >= 2 {
         let listed: Vec<String> = groups.iter().map(|group| solved.ids(group).join(", ")).collect();
-        let evidence =
-            format!("no person is seen from two of these groups of cameras at one time: {}", listed.join("; "));
+        let evidence = format!(
+            "no person is seen, or moves alike, in two of these groups of cameras at one time: {}",
+            listed.join("; ")
+        );
         let remedy = "give the files of one take, and check whether some cameras started much later";
         found.push(Suspicion::new(Code::SeveralTakes, Vec::new(), evidence, remedy));
     }

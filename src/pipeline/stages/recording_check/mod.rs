@@ -7,6 +7,7 @@
 //! - `parameters`: delays and focal lengths that an adjustment of all cameras finds
 //! - `labels`: left and right exchanged in a camera whose pose is right
 //! - `movement`: a camera that turns during the recording
+//! - `clock`: a camera whose frames slip against the others; `block_step` finds the step of this and of the last
 //! - `handedness`: noses, toes and knees that point backwards
 //! - `frame_rate`: steps that are too quick or too slow for their length
 //! - `motion_rate`: people who move faster or slower than people do, with the statistics of `motion_statistics`
@@ -16,6 +17,8 @@
 //! certain; errors of a detector are correlated, so what counts as independent are seconds, not frames.
 
 pub mod agreement;
+pub mod block_step;
+pub mod clock;
 pub mod frame_rate;
 pub mod handedness;
 pub mod labels;

@@ -3,6 +3,7 @@
 use crate::optim::robust::median;
 use crate::pipeline::calibration::Adjusted;
 use crate::pipeline::focal_spread::{FocalSpread, FoundFactors, MIN_LOG_EVIDENCE};
+use nalgebra::DVector;
 
 /// A delay counts from this size, frames: half a frame is the most that cameras without a common clock differ by when they are
 /// started together, and it moves a hand by 20 mm.
@@ -14,6 +15,11 @@ const CERTAIN: f64 = 5.0;
 const MIN_FOCAL: f64 = 0.05;
 /// Logarithm of the likelihood ratio from which focal lengths may be other than given.
 const HINT_LOG_EVIDENCE: f64 = 2.0;
+/// Two lenses whose focal lengths differ by less need no exchange: refocusing changes them by as much.
+const MIN_DIFFERENCE: f64 = 0.01;
+/// Logarithm of the likelihood ratio from which two calibrations are exchanged, 150 to 1: it is one of few possible exchanges.
+const MIN_LOG_EVIDENCE_OF_EXCHANGE: f64 = 5.0;
+
 /// A camera whose frames are late.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Delay {
@@ -55,15 +61,38 @@ pub struct WrongLenses {
     pub log_evidence: f64,
 }
 
-/// The focal lengths as an adjustment under the given ones finds them; `None` where nothing speaks against the given ones.
+/// Two cameras with the focal length of each other.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Exchange {
+    /// Their views.
+    pub views: [usize; 2],
+    /// Logarithm of the likelihood ratio to lenses as given.
+    pub log_evidence: f64,
+}
+
+/// The likeliest exchange of two calibrations with different focal lengths; `None` where lenses as given, or with errors of any size,
+/// are likelier.
 ///
-/// `origins`: logarithms of the factors with which that adjustment began, per view; `prior_sigma`: of the logarithm of a factor
-/// in it.
-pub fn wrong_lenses(adjusted: &Adjusted, origins: &[f64], prior_sigma: f64) -> Option<WrongLenses> {
-    let estimate = adjusted.focal.as_ref()?;
-    let found = FoundFactors::of_adjustment(estimate, |view| origins[view], prior_sigma)?;
-    let (spread, log_evidence) = FocalSpread::likeliest(&found);
-    tracing::debug!(?estimate.log_factors, ?spread, log_evidence, "focal lengths found by the check");
+/// `found`: what an adjustment shows of the focal factors of `views`; `focal`: the given focal length of a view.
+pub fn likeliest_exchange(found: &FoundFactors, views: &[usize], focal: impl Fn(usize) -> f64) -> Option<Exchange> {
+    let pairs = (0..views.len()).flat_map(|b| (0..b).map(move |a| (a, b)));
+    let exchange = |(a, b): (usize, usize)| {
+        let mut log_factors = DVector::zeros(views.len());
+        log_factors[a] = (focal(views[b]) / focal(views[a])).ln();
+        log_factors[b] = -log_factors[a];
+        (log_factors[a].abs() > MIN_DIFFERENCE)
+            .then(|| Exchange { views: [views[a], views[b]], log_evidence: found.log_evidence_of(&log_factors) })
+    };
+    let likeliest = pairs.filter_map(exchange).max_by(|x, y| x.log_evidence.total_cmp(&y.log_evidence))?;
+    let of_errors = FocalSpread::likeliest(found).1;
+    tracing::debug!(?likeliest, of_errors, "exchanged calibrations");
+    (likeliest.log_evidence > MIN_LOG_EVIDENCE_OF_EXCHANGE.max(of_errors)).then_some(likeliest)
+}
+
+/// The focal lengths as an adjustment of `views` under the given ones finds them; `None` where nothing speaks against the given ones.
+pub fn wrong_lenses(found: &FoundFactors, views: &[usize]) -> Option<WrongLenses> {
+    let (spread, log_evidence) = FocalSpread::likeliest(found);
+    tracing::debug!(?spread, log_evidence, "focal lengths found by the check");
     if log_evidence < HINT_LOG_EVIDENCE {
         return None;
     }
@@ -75,10 +104,6 @@ pub fn wrong_lenses(adjusted: &Adjusted, origins: &[f64], prior_sigma: f64) -> O
         size > MIN_FOCAL && (is_hint || size > 2.0 * covariance[(*k, *k)].max(0.0).sqrt())
     };
     let factors: Vec<(usize, f64)> =
-        (0..estimate.views.len()).filter(is_wrong).map(|k| (estimate.views[k], log_factors[k].exp())).collect();
-    (!factors.is_empty()).then(|| WrongLenses {
-        is_common: 2 * factors.len() > estimate.views.len(),
-        factors,
-        log_evidence,
-    })
+        (0..views.len()).filter(is_wrong).map(|k| (views[k], log_factors[k].exp())).collect();
+    (!factors.is_empty()).then(|| WrongLenses { is_common: 2 * factors.len() > views.len(), factors, log_evidence })
 }

@@ -1,6 +1,11 @@
-//! Cameras that show other people than the rest: no person is seen from both groups at one time.
+//! Cameras that show other people than the rest, or another take of them: no person is seen from both groups at one time, or those at
+//! one place move differently.
 
+use crate::body::detector_profile::DETECTOR;
+use crate::geometry::Rigid;
+use crate::optim::robust::quantile;
 use crate::pipeline::calibration::TrackedPeople;
+use crate::session::Keypoint;
 use nalgebra::Vector3;
 
 /// Two cameras see the same people where this share of the people of one, standing in the image of the other, are seen there too:
@@ -9,28 +14,42 @@ const SHARED: f64 = 0.25;
 /// Fewer people in the images of both show nothing.
 const MIN_PEOPLE: usize = 20;
 
+/// Time over which keypoints' rays are compared with themselves, s: a gesturing hand has changed its direction.
+const CHANGE_SECS: f64 = 0.4;
+/// Fewer changes show nothing.
+const MIN_CHANGES: usize = 500;
+/// Rays at smaller angles (sine) have no certain distance.
+const MIN_RAY_SINE: f64 = 0.2;
+/// Motions are others' where they disagree this many times as much as usual. Another take of people who stand at the same places
+/// disagrees twice as much.
+const OTHER_MOTION: f64 = 1.5;
+
 /// Groups of placed cameras that are not connected by common people, largest first; one group in a right recording.
 pub fn groups(people: &TrackedPeople) -> Vec<Vec<usize>> {
-    let cameras = people.cameras;
-    let placed: Vec<usize> = (0..cameras.len()).filter(|&v| cameras[v].is_some()).collect();
+    let placed: Vec<usize> = (0..people.cameras.len()).filter(|&v| people.cameras[v].is_some()).collect();
+    let pairs = placed.iter().enumerate().flat_map(|(i, &a)| placed[..i].iter().map(move |&b| (a, b)));
+    let connected: Vec<(usize, usize)> = pairs.filter(|&(a, b)| are_connected(people, a, b)).collect();
+    let disagreements: Vec<Option<f64>> = connected.iter().map(|&(a, b)| disagreement(people, a, b)).collect();
+    // Cameras of two takes make up half of the pairs or more: those of one take are among the lowest.
+    let usual = quantile(&mut disagreements.iter().flatten().copied().collect::<Vec<_>>(), 0.25);
+    tracing::debug!(?connected, ?disagreements, "agreement of the cameras about motions");
     let mut groups: Vec<Vec<usize>> = placed.iter().map(|&v| vec![v]).collect();
-    for (i, &a) in placed.iter().enumerate() {
-        for &b in &placed[..i] {
-            if !are_connected(people, a, b) {
-                continue;
-            }
-            let position = |v: usize, groups: &[Vec<usize>]| groups.iter().position(|group| group.contains(&v));
-            let (Some(of_a), Some(of_b)) = (position(a, &groups), position(b, &groups)) else { continue };
-            if of_a != of_b {
-                let joined = groups.swap_remove(of_a.max(of_b));
-                groups[of_a.min(of_b)].extend(joined);
-            }
+    for ((a, b), disagreement) in connected.into_iter().zip(disagreements) {
+        if disagreement.zip(usual).is_some_and(|(disagreement, usual)| disagreement > OTHER_MOTION * usual) {
+            continue;
+        }
+        let position = |v: usize, groups: &[Vec<usize>]| groups.iter().position(|group| group.contains(&v));
+        let (Some(of_a), Some(of_b)) = (position(a, &groups), position(b, &groups)) else { continue };
+        if of_a != of_b {
+            let joined = groups.swap_remove(of_a.max(of_b));
+            groups[of_a.min(of_b)].extend(joined);
         }
     }
     groups.sort_by_key(|group| std::cmp::Reverse(group.len()));
     groups
 }
 
+/// Whether two cameras see people at the same places at the same times.
 fn are_connected(people: &TrackedPeople, a: usize, b: usize) -> bool {
     let (mut n_shared, mut n_expected) = (0, 0);
     for (track, person) in people.tracks.iter().zip(people.points) {
@@ -43,6 +62,40 @@ fn are_connected(people: &TrackedPeople, a: usize, b: usize) -> bool {
     }
     tracing::debug!(a, b, n_shared, n_expected, "people in the images of two cameras");
     n_expected >= MIN_PEOPLE && n_shared as f64 > SHARED * n_expected as f64
+}
+
+/// How much the motions that two cameras show disagree, m: 75 % quantile of the change over [`CHANGE_SECS`] of the distance between
+/// the rays of a keypoint. A wrong lens moves rays apart too, but slowly. `None` with fewer than [`MIN_CHANGES`].
+fn disagreement(people: &TrackedPeople, a: usize, b: usize) -> Option<f64> {
+    let lag = ((CHANGE_SECS * people.session.fps).round() as usize).max(1);
+    let (from_a, from_b) = (people.cameras[a].as_ref()?, people.cameras[b].as_ref()?);
+    let baseline = from_a.center() - from_b.center();
+    let ray = |view: usize, camera: &Rigid, keypoint: &Keypoint| {
+        let seen = (keypoint.confidence >= DETECTOR.judged).then_some(keypoint.pixel)?;
+        let ray = people.session.views[view].intrinsics.normalized_from_pixel(&seen).push(1.0);
+        Some(camera.rotation.tr_mul(&ray).normalize())
+    };
+    let mut changes = Vec::new();
+    for track in people.tracks {
+        let detection = |t: usize, view: usize| {
+            let index = track.detections[t][view]?;
+            people.session.views[view].frames[track.first.0 + t].get(index)
+        };
+        let distances = |t: usize| -> Option<Vec<Option<f64>>> {
+            let keypoints = detection(t, a)?.keypoints.iter().zip(&detection(t, b)?.keypoints);
+            let distance = |(in_a, in_b): (&Keypoint, &Keypoint)| {
+                let normal = ray(a, from_a, in_a)?.cross(&ray(b, from_b, in_b)?);
+                (normal.norm() > MIN_RAY_SINE).then(|| baseline.dot(&normal) / normal.norm())
+            };
+            Some(keypoints.map(distance).collect())
+        };
+        let distances: Vec<Option<Vec<Option<f64>>>> = (0..track.detections.len()).map(distances).collect();
+        for (before, after) in distances.iter().zip(distances.iter().skip(lag)) {
+            let (Some(before), Some(after)) = (before, after) else { continue };
+            changes.extend(before.iter().zip(after).filter_map(|(before, after)| Some(((*after)? - (*before)?).abs())));
+        }
+    }
+    (changes.len() >= MIN_CHANGES).then(|| quantile(&mut changes, 0.75)).flatten()
 }
 
 /// Whether a person's middle lies in the image of a camera.

@@ -1,11 +1,13 @@
 //! Each test sees its mistake, and nothing in a right recording.
 
 use super::agreement::explained_share;
+use super::block_step::Step;
+use super::clock::slip;
 use super::handedness::{handedness, upside_down};
 use super::labels::exchange;
 use super::lens::resected;
-use super::movement::step;
-use super::parameters::{delays, wrong_lenses};
+use super::movement::turn;
+use super::parameters::{delays, likeliest_exchange, wrong_lenses};
 use super::reading::{Question, Reading};
 use super::takes::groups;
 use crate::body::detector_noise::DetectorNoise;
@@ -13,7 +15,7 @@ use crate::geometry::Rigid;
 use crate::matching::normalized::normalized_views;
 use crate::matching::tracklets::{Tracklet, TrackletConfig, tracklets};
 use crate::pipeline::calibration::{Adjusted, AdjustedCamera, CameraUncertainty, FocalEstimate, TrackedPeople};
-use crate::pipeline::focal_spread::MIN_LOG_EVIDENCE;
+use crate::pipeline::focal_spread::{FoundFactors, MIN_LOG_EVIDENCE};
 use crate::session::{FrameIndex, JointTrajectory, PersonId, PersonTrack, Session};
 use crate::simulation::mistakes::MISTAKES;
 use crate::simulation::{Preset, SimulationConfig, simulate};
@@ -135,11 +137,41 @@ fn a_knocked_camera_has_a_step() {
         let noise = DetectorNoise::published(scene.session.convention);
         let Scene { session, cameras, people, tracks } = scene;
         let people = TrackedPeople { session, noise: &noise, cameras, tracks, points: people };
-        (0..cameras.len()).map(|view| step(&people, view).unwrap().sigmas).collect()
+        (0..cameras.len()).map(|view| turn(&people, view).unwrap().sigmas).collect()
     };
     assert!(steps(&scene()).iter().all(|sigmas| *sigmas < 6.0), "{:?}", steps(&scene()));
     let knocked = steps(&with_mistake(scene(), "camera knocked by 0.5 degrees"));
     assert!(knocked[1] > 8.0 && knocked.iter().all(|sigmas| *sigmas <= knocked[1]), "{knocked:?}");
+}
+
+/// A constant delay has no step, dropped frames have one of their number.
+#[test]
+fn a_camera_that_drops_frames_has_a_step() {
+    let slips = |scene: &Scene| -> Vec<Step> {
+        let noise = DetectorNoise::published(scene.session.convention);
+        let Scene { session, cameras, people, tracks } = scene;
+        let people = TrackedPeople { session, noise: &noise, cameras, tracks, points: people };
+        (0..cameras.len()).map(|view| slip(&people, view).unwrap()).collect()
+    };
+    let shifted = |n_before: i64, n_after: i64| {
+        let mut scene = scene();
+        let truth = (scene.session.views[1].frames.clone(), scene.tracks.clone());
+        for frame in 0..scene.session.n_frames {
+            let late = if frame < 75 { n_before } else { n_after };
+            let shown = (frame as i64 - late).clamp(0, 149) as usize;
+            scene.session.views[1].frames[frame] = truth.0[shown].clone();
+            for (track, right) in scene.tracks.iter_mut().zip(&truth.1) {
+                track.detections[frame][1] = right.detections[shown][1];
+            }
+        }
+        scene
+    };
+    for right in [slips(&scene()), slips(&shifted(2, 2))] {
+        assert!(right.iter().all(|step| step.size < 0.6 || step.sigmas < 5.0), "{right:?}");
+    }
+    let dropped = slips(&shifted(0, -2))[1];
+    assert!((dropped.size - 2.0).abs() < 0.5 && dropped.sigmas > 5.0, "{dropped:?}");
+    assert!(dropped.frame.abs_diff(75) <= 15, "{dropped:?}");
 }
 
 #[test]
@@ -212,12 +244,31 @@ fn a_late_camera_is_late_against_most_others() {
     assert!(delays(&adjusted(&[0.0, 0.3, -0.3, 0.1], &[])).is_empty());
 }
 
+/// Factors as an adjustment of five cameras finds them, each to 1 %.
+fn found(log_factors: &[f64; 5]) -> FoundFactors {
+    FoundFactors::of_adjustment(&adjusted(&[], log_factors).focal.unwrap(), |_| 0.0, 0.1).unwrap()
+}
+
 #[test]
 fn a_wrong_lens_is_named_and_errors_of_a_few_per_cent_are_not() {
-    let one = wrong_lenses(&adjusted(&[0.0; 5], &[0.005, -0.17, 0.01, -0.005, 0.0]), &[0.0; 5], 0.1).unwrap();
+    let lenses = |log_factors| wrong_lenses(&found(log_factors), &[0, 1, 2, 3, 4]);
+    let one = lenses(&[0.005, -0.17, 0.01, -0.005, 0.0]).unwrap();
     assert_eq!((one.factors.len(), one.factors[0].0, one.is_common), (1, 1, false));
-    let all = wrong_lenses(&adjusted(&[0.0; 5], &[-0.1, 0.1, -0.11, 0.09, -0.1]), &[0.0; 5], 0.1).unwrap();
-    assert!(all.is_common);
-    let few = wrong_lenses(&adjusted(&[0.0; 5], &[0.02, -0.02, 0.01, -0.01, 0.015]), &[0.0; 5], 0.1);
+    assert!(lenses(&[-0.1, 0.1, -0.11, 0.09, -0.1]).unwrap().is_common);
+    let few = lenses(&[0.02, -0.02, 0.01, -0.01, 0.015]);
     assert!(few.is_none_or(|lenses| lenses.log_evidence < MIN_LOG_EVIDENCE));
+}
+
+/// With focal lengths that differ by 8 %: an exchange has the factors that it must have, other errors have not.
+#[test]
+fn exchanged_calibrations_are_no_wrong_ones() {
+    let exchange = |log_factors| {
+        let focal = |view: usize| 1000.0 * (0.08 * view as f64).exp();
+        likeliest_exchange(&found(log_factors), &[0, 1, 2, 3, 4], focal).map(|exchange| exchange.views)
+    };
+    assert_eq!(exchange(&[0.005, 0.085, -0.075, -0.005, 0.0]), Some([1, 2]));
+    assert_eq!(exchange(&[0.005, 0.17, -0.005, -0.155, 0.0]), Some([1, 3]));
+    assert_eq!(exchange(&[0.005, -0.085, 0.075, -0.005, 0.0]), None, "the other way round");
+    assert_eq!(exchange(&[0.01, 0.08, 0.0, 0.005, -0.01]), None, "one lens alone");
+    assert_eq!(exchange(&[0.02, -0.02, 0.01, -0.01, 0.015]), None);
 }

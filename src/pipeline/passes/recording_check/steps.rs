@@ -1,0 +1,102 @@
+//! Cameras that change during the recording: one that was moved, one whose frames slip against the others.
+//!
+//! What changed moves the points as well, and with them the other cameras a little, whose steps may be the more certain since their
+//! own errors are smaller. So the largest of the likely steps are measured again against people as the other cameras alone
+//! locate them, and of the certain ones the largest counts.
+
+use super::solved::Solved;
+use crate::pipeline::calibration::TrackedPeople;
+use crate::pipeline::stages::joint_trajectories::joint_trajectories;
+use crate::pipeline::stages::recording_check::block_step::Step;
+use crate::pipeline::stages::recording_check::clock::slip;
+use crate::pipeline::stages::recording_check::movement::turn;
+use crate::progress::{Canceled, Progress};
+use crate::session::{JointTrajectory, Suspicion, SuspicionCode as Code};
+
+/// A step of a camera's rotation counts from this angle, rad: 0.17 degrees move a person at 4 m by 12 mm, half a detector's noise.
+const MIN_TURN: f64 = 0.003;
+/// A step of a camera's clock counts from this size, frames: the smallest that a dropped frame leaves is one.
+const MIN_SLIP: f64 = 0.6;
+/// Standard errors from which a step is certain, against people as the others locate them.
+const CERTAIN: f64 = 5.0;
+/// Against all cameras' people a third of a step is left: from here on the largest ones are measured against the others.
+const LIKELY: f64 = 3.5;
+const N_LIKELY: usize = 2;
+/// Cameras from which the others locate people well enough: with two others, whose slow errors move every point, one still camera
+/// of ten seemed to turn by 0.3 degrees at 6 standard errors.
+const MIN_CAMERAS: usize = 4;
+
+/// The camera that was moved.
+pub(super) fn moved_camera(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
+    let Some((view, frame, step)) = largest_step(solved, found, turn, MIN_TURN, progress)? else { return Ok(()) };
+    let evidence = format!(
+        "it moved during the recording: it turns by {:.2} degrees near frame {frame} ({:.0} standard errors)",
+        step.size.to_degrees(),
+        step.sigmas
+    );
+    let remedy = "solve the frames before and after as two sessions, or leave the camera out";
+    found.push(Suspicion::new(Code::CameraMoved, solved.ids(&[view]), evidence, remedy));
+    Ok(())
+}
+
+/// The camera whose frames slip against the others.
+pub(super) fn slipping_clock(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
+    let Some((view, frame, step)) = largest_step(solved, found, slip, MIN_SLIP, progress)? else { return Ok(()) };
+    let evidence = format!(
+        "its frames slip against those of the others, by {:.1} frames near frame {frame} ({:.0} standard errors): frames were \
+         dropped or doubled, or its frame rate differs",
+        step.size, step.sigmas
+    );
+    let remedy = "give every frame the number of its time, or solve the parts before and after as two sessions";
+    found.push(Suspicion::new(Code::DroppedFrames, solved.ids(&[view]), evidence, remedy));
+    Ok(())
+}
+
+type Test = fn(&TrackedPeople, usize) -> Option<Step>;
+
+/// The camera with the largest of the certain steps of at least `min_size`, and the number of the frame; a mistake that spoils
+/// cameras has no such step besides.
+fn largest_step(
+    solved: &Solved,
+    found: &[Suspicion],
+    test: Test,
+    min_size: f64,
+    progress: &Progress,
+) -> Result<Option<(usize, i64, Step)>, Canceled> {
+    if solved.calibration.n_placed() < MIN_CAMERAS || found.iter().chain(solved.known).any(|s| s.code.affects_cameras())
+    {
+        return Ok(None);
+    }
+    let people = solved.people();
+    let steps = solved.unnamed(found).into_iter().filter_map(|view| Some((view, test(&people, view)?)));
+    let mut steps: Vec<_> = steps.collect();
+    tracing::debug!(?steps, "steps of cameras");
+    steps.retain(|(_, step)| step.sigmas >= LIKELY);
+    steps.sort_by(|a, b| b.1.size.total_cmp(&a.1.size));
+    let mut certain = Vec::new();
+    for (view, _) in steps.into_iter().take(N_LIKELY) {
+        let step = step_against_others(solved, test, view, progress)?;
+        tracing::debug!(view, ?step, "step of a camera against the people of the others");
+        certain.extend(step.filter(|step| step.sigmas >= CERTAIN && step.size >= min_size).map(|step| (view, step)));
+    }
+    let largest = certain.into_iter().max_by(|a, b| a.1.size.total_cmp(&b.1.size));
+    Ok(largest.map(|(view, step)| (view, solved.session().first_frame + step.frame as i64, step)))
+}
+
+/// The step of a camera against people as the other cameras alone have located them: its own detections would hide most of it.
+fn step_against_others(
+    solved: &Solved,
+    test: Test,
+    view: usize,
+    progress: &Progress,
+) -> Result<Option<Step>, Canceled> {
+    let people = solved.people();
+    let mut others = people.cameras.to_vec();
+    others[view] = None;
+    let mut points = joint_trajectories(&TrackedPeople { cameras: &others, ..people }, progress)?;
+    for JointTrajectory { points, n_views, .. } in &mut points {
+        let located = points.iter_mut().flatten().zip(n_views.iter().flatten());
+        located.filter(|(_, n)| **n < 2).for_each(|(point, _)| *point = None);
+    }
+    Ok(test(&TrackedPeople { points: &points, ..people }, view))
+}
