@@ -6,7 +6,7 @@ use crate::pipeline::capture::Capture;
 use crate::pipeline::config::{Extrinsics, Options};
 use crate::pipeline::stages::camera_init::initial_rigs;
 use crate::pipeline::stages::recording_check::frame_rate::{
-    MIN_STEPS, MIN_STEPS_ALONE, POSSIBLE_RATIOS, Steps, USUAL_RATIO, steps,
+    MIN_STEPS_ALONE, POSSIBLE_RATIOS, Steps, USUAL_RATIO, steps,
 };
 use crate::pipeline::stages::recording_check::handedness::{handedness, upside_down};
 use crate::pipeline::stages::recording_check::motion_rate::{MotionRate, motion_rate};
@@ -97,15 +97,11 @@ pub(super) fn too_few_people(solved: &Solved, found: &mut Vec<Suspicion>) {
     found.push(Suspicion { suggested_option, ..Suspicion::new(Code::PeopleLimit, Vec::new(), evidence, remedy) });
 }
 
-/// Steps whose length times duration is this many times the usual one are slow: one standard deviation between recordings of people
-/// who move freely.
-const SLOW_STEPS: f64 = 1.3;
-
 /// Steps that are too quick or too slow for their length, or movements that are too fast or too slow for people.
 pub(super) fn wrong_frame_rate(solved: &Solved, found: &mut Vec<Suspicion>) {
     let session = solved.session();
     let shown = steps(session.convention, solved.paths, session.fps);
-    let moved = motion_rate(session.convention, solved.paths, session.fps);
+    let moved = motion_rate(session.convention, solved.paths, session.fps, shown);
     tracing::debug!(?shown, ?moved, "steps and movements of people");
     let evidence = of_steps(session.fps, shown).or_else(|| of_movements(session.fps, shown, moved?));
     let remedy = "give the frame rate of the videos (fps)";
@@ -125,16 +121,10 @@ fn of_steps(fps: f64, shown: Option<Steps>) -> Option<String> {
     ))
 }
 
-/// Runners are faster than the people of the statistics, and anyone may move slowly: slow movements count where steps are slow for
-/// their length too, fast ones unless steps are slow.
+/// Runners are faster than the people of the statistics.
 fn of_movements(fps: f64, shown: Option<Steps>, moved: MotionRate) -> Option<String> {
     let runs = shown.is_some_and(|shown| shown.is_running);
-    let of_steps = shown.filter(|shown| shown.n >= MIN_STEPS).map(|shown| shown.ratio / USUAL_RATIO);
-    let is_confirmed = match moved.factor > 1.0 {
-        true => of_steps.is_some_and(|factor| factor > SLOW_STEPS),
-        false => of_steps.is_none_or(|factor| factor < SLOW_STEPS),
-    };
-    (moved.is_wrong() && !runs && is_confirmed).then(|| {
+    (moved.is_wrong() && !runs).then(|| {
         format!(
             "people move too {} for people: their speeds and accelerations suit {:.0} to {:.0} frames per second",
             if moved.factor > 1.0 { "slowly" } else { "fast" },

@@ -13,10 +13,16 @@ use nalgebra::Vector3;
 pub const USUAL_RATIO: f64 = 0.33;
 /// Beyond these the rate is wrong: the 81 takes have 0.24 to 0.76 (1st and 99th percentile), small rooms 0.22 and more.
 pub const POSSIBLE_RATIOS: [f64; 2] = [0.16, 0.75];
-/// Fewer steps show no rate.
-pub const MIN_STEPS: usize = 5;
-/// Fewer steps show none by themselves: five and six steps of people who turn on the spot came 2.4 times too slow in 2 of 30 captures.
+/// Fewer steps show no rate by themselves: five and six steps of people who turn on the spot came 2.4 times too slow in 2 of 30
+/// captures.
 pub const MIN_STEPS_ALONE: usize = 10;
+
+/// Standard deviations of the logarithm of length times duration: of the median between recordings (takes of motion capture 0.26,
+/// and small rooms), and of a single step about it.
+const BETWEEN_RECORDINGS: f64 = 0.3;
+const OF_ONE_STEP: f64 = 0.6;
+/// Degrees of freedom of Student's distribution of that median: people who turn on the spot are off by 2.4 times now and then.
+const FREEDOM: f64 = 3.0;
 
 /// Time before and after for the direction of travel, s.
 const TRAVEL_SECS: f64 = 0.25;
@@ -37,6 +43,15 @@ pub struct Steps {
     pub ratio: f64,
     /// Whether people run, at any frame rate.
     pub is_running: bool,
+}
+
+impl Steps {
+    /// Logarithm of their likelihood, up to a constant, if the frame rate is this factor times the given one.
+    pub fn log_likelihood(&self, factor: f64) -> f64 {
+        let variance = BETWEEN_RECORDINGS.powi(2) + OF_ONE_STEP.powi(2) / self.n as f64;
+        let squared = (self.ratio / (factor * USUAL_RATIO)).ln().powi(2) / variance;
+        if self.n == 0 { 0.0 } else { -0.5 * (FREEDOM + 1.0) * (squared / FREEDOM).ln_1p() }
+    }
 }
 
 /// Steps of all people; `None` without any, or where the convention lacks hips, shoulders or ankles.

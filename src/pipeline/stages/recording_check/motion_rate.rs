@@ -2,19 +2,22 @@
 //!
 //! Speeds grow with the rate, accelerations with its square, and the times after which limbs swing back fall with it. Under each
 //! rate the statistics are compared with those of recorded motion (`motion_statistics`); the likeliest rate of right
-//! recordings is within 1.8 times of the true one. Unlike steps, this needs no walking, but people who do no more than breathe
-//! show nothing.
+//! recordings is within 1.8 times of the true one. Unlike steps, this needs no walking; where people walk, the likelihood of their
+//! steps is added. People who do no more than breathe show nothing.
 
+use super::frame_rate::Steps;
 use super::motion_statistics::{COMPONENTS, DIFFERENCE_SECS, MEAN, N, OTHER, PARTS, SECOND_DIFFERENCE_SECS};
 use crate::body::skeleton::KeypointConvention;
 use crate::session::JointTrajectory;
 use nalgebra::{Cholesky, Const, SMatrix, SVector, Vector3};
 
-/// A rate is wrong where the likeliest one is more than this many times as high or low, and the likelihood ratio has this logarithm
-/// (12 to 1). Of 49 simulated recordings none is; with 0.4, 2.4 and 4 times the rate 92, 80 and 100 % are.
-pub const WRONG_FACTOR: f64 = 1.65;
-/// See [`WRONG_FACTOR`].
-pub const MIN_LOG_RATIO: f64 = 2.5;
+/// A rate is wrong where the likeliest one is more than this many times as high or low.
+const WRONG_FACTOR: f64 = 1.5;
+/// Logarithm of the likelihood ratio from which people move too fast, 20 to 1 (strong evidence by Kass and Raftery, JASA 1995), and too
+/// slowly, 400 to 1: slow movements are at
+/// anyone's choice. Right recordings reach 2.7.
+const TOO_FAST: f64 = 3.0;
+const TOO_SLOW: f64 = 6.0;
 
 /// Logarithms of the factors on the given rate that are compared: from a sixth to six times, in steps of a tenth.
 const N_RATES: i32 = 18;
@@ -32,10 +35,10 @@ const LEAST_M: f64 = 1e-4;
 /// A point over time, frame by frame.
 type Series = Vec<Option<Vector3<f64>>>;
 
-/// What people's movements show of the frame rate.
+/// What people's movements and steps show of the frame rate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MotionRate {
-    /// Factor on the given rate under which people move most like people.
+    /// Factor on the given rate under which people move and step most like people.
     pub factor: f64,
     /// The smallest and the largest possible factor.
     pub range: [f64; 2],
@@ -46,12 +49,18 @@ pub struct MotionRate {
 impl MotionRate {
     /// Whether the given rate is wrong.
     pub fn is_wrong(&self) -> bool {
-        self.factor.ln().abs() > WRONG_FACTOR.ln() && self.log_ratio > MIN_LOG_RATIO
+        let needed = if self.factor < 1.0 { TOO_FAST } else { TOO_SLOW };
+        self.factor.ln().abs() > WRONG_FACTOR.ln() && self.log_ratio > needed
     }
 }
 
-/// The rate by the movements of all people; `None` where the convention lacks hips, ankles or wrists, or there is little to see.
-pub fn motion_rate(convention: KeypointConvention, people: &[JointTrajectory], fps: f64) -> Option<MotionRate> {
+/// The rate by the movements of all people, and their `steps` where there are any; `None` where the convention lacks hips, ankles or wrists, or there is little to see.
+pub fn motion_rate(
+    convention: KeypointConvention,
+    people: &[JointTrajectory],
+    fps: f64,
+    steps: Option<Steps>,
+) -> Option<MotionRate> {
     let parts = parts(convention, people)?;
     let n_seen = parts[0].iter().flatten().flatten().count();
     if n_seen < MIN_FRAMES {
@@ -60,7 +69,7 @@ pub fn motion_rate(convention: KeypointConvention, people: &[JointTrajectory], f
     let covariance = covariance();
     let log_likelihood = |factor: f64| {
         let off = statistics(&parts, factor * fps)? - SVector::from(MEAN);
-        Some(-0.5 * off.dot(&covariance.solve(&off)))
+        Some(steps.map_or(0.0, |steps| steps.log_likelihood(factor)) - 0.5 * off.dot(&covariance.solve(&off)))
     };
     let given = log_likelihood(1.0)?;
     let rates = (-N_RATES..=N_RATES).map(|k| (f64::from(k) * RATE_STEP).exp());

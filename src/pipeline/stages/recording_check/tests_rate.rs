@@ -35,14 +35,19 @@ fn a_wrong_rate_passed_where_people_hardly_walk() {
     for seed in 0..3 {
         let (people, convention, fps) =
             people(&SimulationConfig { frames: 300, seed, ..SimulationConfig::preset(Preset::Paper) });
-        let found = |rate: f64| motion_rate(convention, &people, rate * fps).unwrap();
+        let found = |rate: f64| {
+            let shown = steps(convention, &people, rate * fps);
+            motion_rate(convention, &people, rate * fps, shown).unwrap()
+        };
         let right = found(1.0);
         assert!(!right.is_wrong() && right.range[0] < 1.0 && right.range[1] > 1.0, "{seed}: {right:?}");
         let is_wrong = |rate: f64| {
             let MotionRate { factor, .. } = found(rate);
             found(rate).is_wrong() && (factor * rate).ln().abs() < 0.6
         };
-        assert!(is_wrong(0.25) && is_wrong(4.0), "{seed}: {:?} {:?}", found(0.25), found(4.0));
+        for rate in [0.25, 0.4, 2.4, 4.0] {
+            assert!(is_wrong(rate), "{seed}, {rate}: {:?}", found(rate));
+        }
     }
 }
 
