@@ -25,6 +25,8 @@ pub struct Calibration {
     pub rival_explained: f64,
     /// Reports of all stages so far.
     pub stages: Vec<StageReport>,
+    /// Views that a correction leaves out: they have no pose and no detections.
+    pub excluded: Vec<usize>,
 }
 
 impl Calibration {
@@ -37,6 +39,7 @@ impl Calibration {
             noise: DetectorNoise::published(capture.session.convention),
             rival_explained: 0.0,
             stages: Vec::new(),
+            excluded: Vec::new(),
         }
     }
 

@@ -248,7 +248,8 @@ impl Solution {
     ) -> Report {
         let session = capture.session;
         let geometry = statistics.geometry_report(people.points);
-        let cameras = statistics.camera_reports(people);
+        let mut cameras = statistics.camera_reports(people);
+        self.calibration.excluded.iter().for_each(|&view| cameras[view].excluded = true);
         let people = statistics.person_reports(people, &capture.bones);
         let n_detections: usize = cameras.iter().map(|c| c.n_detections).sum();
         let n_rejected: usize = cameras.iter().map(|c| c.n_rejected_detections).sum();
