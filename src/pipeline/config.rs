@@ -200,11 +200,10 @@ impl Options {
         if is_known { self.intrinsics } else { IntrinsicsMode::Estimate }
     }
 
-    /// The options on which the people of a solve without corrections depend; the others have their defaults.
-    pub fn of_identities(&self) -> Self {
-        let Self { people, fps, extrinsics, intrinsics, denoise, sync, repair, seed, adjust_with_bodies, .. } = *self;
-        let defaults = Self::default();
-        Self { people, fps, extrinsics, intrinsics, denoise, sync, repair, seed, adjust_with_bodies, ..defaults }
+    /// The options on which cameras and people of a solve without corrections depend; the others have their defaults.
+    pub fn without_corrections(&self) -> Self {
+        let Self { corrections, exports, collision, .. } = Self::default();
+        Self { corrections, exports, collision, ..self.clone() }
     }
 
     /// Checks what is known of corrections before the solve: cameras and heights.

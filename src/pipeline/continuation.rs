@@ -1,7 +1,7 @@
 //! What a solve with corrections continues from: cameras and people of the solve of the same session without them.
 //!
-//! It holds what the passes up to the check of the recording decided, and nothing that follows from it: points, trajectories and
-//! repaired detections are computed anew. Corrections are applied to its association, the one place where identities are
+//! It holds what the solve decided on cameras and people, and nothing that follows from it: points, trajectories and repaired
+//! detections are computed anew. Corrections are applied to its association, the one place where identities are
 //! decided. A corrected solve gives the same bytes whether its continuation was stored by an earlier solve or was computed by
 //! itself.
 
@@ -11,6 +11,7 @@ use super::config::Options;
 use super::focal_lengths::FocalLengths;
 use super::passes::synchronisation::Timing;
 use super::repair::repaired;
+use super::result::FittedResult;
 use crate::session::reconstruction::{ConsistencyReport, DetectionRepairs};
 use crate::session::{JointTrajectory, Session, Suspicion};
 use serde::{Deserialize, Serialize};
@@ -70,6 +71,13 @@ impl Continuation {
         }
     }
 
+    /// With the cameras and focal lengths that were adjusted together with the bodies.
+    pub(super) fn with_cameras(mut self, fitted: FittedResult, focal_lengths: FocalLengths) -> Self {
+        self.calibration.take_over(&fitted.cameras, fitted.covariance.as_ref(), 1.0);
+        self.calibration.with_bodies = fitted.covariance;
+        Self { focal_lengths, ..self }
+    }
+
     /// Session and options without the mistakes that were undone first.
     pub(super) fn repaired<'s>(&self, session: &'s Session, options: &Options) -> (Cow<'s, Session>, Options) {
         let (mut session, mut options) = (Cow::Borrowed(session), options.clone());
@@ -123,7 +131,7 @@ impl Continuation {
 
 /// Identifies the solve that a continuation is of.
 fn key(session_sha256: &str, options: &Options) -> String {
-    let options = serde_json::to_string(&options.of_identities()).unwrap_or_default(); // always serialises
+    let options = serde_json::to_string(&options.without_corrections()).unwrap_or_default(); // always serialises
     let run = [env!("CARGO_PKG_VERSION"), "continuation", session_sha256, &options].join("\n");
     hex::encode(Sha256::digest(run.as_bytes()))
 }

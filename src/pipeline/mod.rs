@@ -76,7 +76,7 @@ use passes::recording_check::{checked, mistake_of_unsolved};
 use passes::synchronisation::{Timing, estimated_timing};
 use passes::unknown_lenses::estimated_focal_lengths;
 use repair::{MAX_REPAIRS, repaired};
-use result::{Solution, statures};
+use result::{FittedResult, Solution, statures};
 use stages::joint_trajectories::joint_trajectories;
 use stages::metric_scale;
 use std::borrow::Cow;
@@ -126,7 +126,7 @@ pub struct SolvedSession {
 
 /// Solves a session as [`reconstruct_with_checkpoints`] does.
 ///
-/// `earlier`: from a solve of this session with the same [`Options::of_identities`]. With corrections it saves the passes that
+/// `earlier`: from a solve of this session with the same [`Options::without_corrections`]. With corrections it saves the passes that
 /// find cameras and people, and changes no bit of the result; without them it is not used.
 ///
 /// # Errors
@@ -234,23 +234,33 @@ impl Attempt<'_> {
             ControlFlow::Continue(placed) => placed,
         };
         let continuation = Continuation::of(&placed, self.applied);
-        let (placed, people) = match options.corrections.is_empty() {
-            true => (placed, CorrectedPeople::default()),
-            false => self.corrected_placement(session, &continuation, &mut stages)?,
-        };
-        let reconstruction = self.finished(session, placed, &people, &mut stages)?;
+        let people = CorrectedPeople::default();
+        let (fitted, focal_lengths) = self.finished(session, placed, &people, LAST_STAGES, &mut stages)?;
+        let reconstruction = fitted.reconstruction.clone();
+        let continuation = continuation.with_cameras(fitted, focal_lengths);
+        if options.corrections.is_empty() {
+            return Ok(Outcome::Solved(Box::new(SolvedSession { reconstruction, continuation })));
+        }
+        let reconstruction = self.corrected_result(session, &continuation, &mut stages)?;
         Ok(Outcome::Solved(Box::new(SolvedSession { reconstruction, continuation })))
     }
 
     /// The solution with corrections, from the cameras and people of the one without them.
     fn corrected(&self, continuation: &Continuation, progress: &Progress) -> Result<SolvedSession, PipelineError> {
         let session = &*self.options.at_rate(self.session);
-        let all = stage_weights(self.options, self.options.intrinsics_of(session));
-        let last = all.into_iter().filter(|(name, _)| ["corrections", "metric_scale", "body_fit"].contains(name));
-        let mut stages = progress.stages(last.collect());
-        let (placed, people) = self.corrected_placement(session, continuation, &mut stages)?;
-        let reconstruction = self.finished(session, placed, &people, &mut stages)?;
+        let mut stages = progress.stages(corrected_stage_weights(self.options));
+        let reconstruction = self.corrected_result(session, continuation, &mut stages)?;
         Ok(SolvedSession { reconstruction, continuation: continuation.clone() })
+    }
+
+    fn corrected_result(
+        &self,
+        session: &Session,
+        continuation: &Continuation,
+        stages: &mut Stages,
+    ) -> Result<Reconstruction, PipelineError> {
+        let (placed, people) = self.corrected_placement(session, continuation, stages)?;
+        self.finished(session, placed, &people, CORRECTED_STAGES, stages).map(|(fitted, _)| fitted.reconstruction)
     }
 
     /// Passes 1 to 7: cameras and people, or the recording without a mistake that can be repaired.
@@ -376,8 +386,9 @@ impl Attempt<'_> {
         session: &Session,
         placed: Placed,
         people: &CorrectedPeople,
+        [scale_stage, bodies_stage]: [&'static str; 2],
         stages: &mut Stages,
-    ) -> Result<Reconstruction, PipelineError> {
+    ) -> Result<(FittedResult, FocalLengths), PipelineError> {
         let Self { options, body, checkpoints, .. } = *self;
         let Placed { timing, mut focal_lengths, calibration, observed, repairs, heldout_px, paths, found } = placed;
         let timed = timing.applied_to(session);
@@ -389,31 +400,37 @@ impl Attempt<'_> {
 
 
         // 8. Metres per unit.
-        let step = stages.begin("metric_scale");
+        let step = stages.begin(scale_stage);
         let statures_at = |scale: f64| statures(capture, &calibration, &paths, scale, body, &step);
         let tracks = &calibration.association.tracks;
-        let scale = checkpoints.stage("metric_scale", || {
+        let scale = checkpoints.stage(scale_stage, || {
             metric_scale::metric_scale(capture, &calibration.cameras, tracks, &paths, &people.heights, &statures_at)
         })?;
 
         // 9. World frame, bodies, statistics and verdict.
-        let step = stages.begin("body_fit");
+        let step = stages.begin(bodies_stage);
         let solution = Solution::in_world(capture, calibration, paths, scale, heldout_px, suspicions);
-        let mut reconstruction = solution.with_bodies(capture, &mut focal_lengths, body, &step)?;
+        let mut fitted = solution.with_bodies(capture, &mut focal_lengths, body, &step)?;
+        let reconstruction = &mut fitted.reconstruction;
         (reconstruction.report.consistency, reconstruction.repairs) = repairs.unzip();
         for person in &mut reconstruction.report.people {
             person.name = people.names.get(&PersonId(person.id)).cloned();
         }
-        focal_lengths.add_to(&mut reconstruction);
-        timing.add_to(session, &mut reconstruction);
+        focal_lengths.add_to(reconstruction);
+        timing.add_to(session, reconstruction);
         step.report(1.0, "");
-        Ok(reconstruction)
+        Ok((fitted, focal_lengths))
     }
 }
 
+/// Passes 8 and 9, as a job reports them.
+const LAST_STAGES: [&str; 2] = ["metric_scale", "body_fit"];
+
+/// The same after corrections.
+const CORRECTED_STAGES: [&str; 2] = ["corrected_metric_scale", "corrected_body_fit"];
+
 /// The stages that a job reports, with their shares of the time.
 fn stage_weights(options: &Options, intrinsics: IntrinsicsMode) -> Vec<(&'static str, f64)> {
-    let excludes = options.corrections.iter().any(Correction::excludes);
     let stages = [
         ("synchronisation", 1.5, options.sync == Sync::Estimate),
         ("focal_lengths", 0.7, intrinsics == IntrinsicsMode::RefineFocal),
@@ -423,11 +440,20 @@ fn stage_weights(options: &Options, intrinsics: IntrinsicsMode) -> Vec<(&'static
         ("held_out_check", 0.1, true),
         ("joint_trajectories", 0.05, true),
         ("recording_check", 0.03, true),
-        ("corrections", if excludes { 0.3 } else { 0.1 }, !options.corrections.is_empty()),
-        ("metric_scale", 0.02, true),
-        ("body_fit", 0.28, true),
+        (LAST_STAGES[0], 0.02, true),
+        (LAST_STAGES[1], 0.28, true),
     ];
-    stages.into_iter().filter(|(_, _, runs)| *runs).map(|(name, weight, _)| (name, weight)).collect()
+    let stages = stages.into_iter().filter(|(_, _, runs)| *runs).map(|(name, weight, _)| (name, weight));
+    stages.chain(corrected_stage_weights(options)).collect()
+}
+
+/// Those of the corrections; none without any.
+fn corrected_stage_weights(options: &Options) -> Vec<(&'static str, f64)> {
+    if options.corrections.is_empty() {
+        return Vec::new();
+    }
+    let excludes = options.corrections.iter().any(Correction::excludes);
+    vec![("corrections", if excludes { 0.2 } else { 0.05 }), (CORRECTED_STAGES[0], 0.02), (CORRECTED_STAGES[1], 0.28)]
 }
 
 fn freedom(options: &Options) -> CameraFreedom {

@@ -109,6 +109,9 @@ fn start(given: &Capture, before: &Calibration, people: &CorrectedPeople) -> Cal
     for &view in &people.excluded_views {
         start.cameras[view] = None;
     }
+    if !people.excluded.is_empty() {
+        start.with_bodies = None; // the cameras are adjusted again
+    }
     start.excluded = people.excluded_views.iter().copied().collect();
     with_points_anew(given, start)
 }

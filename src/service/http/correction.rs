@@ -33,7 +33,7 @@ pub(super) fn with_options_of(earlier: &Job, given: Option<Value>) -> Result<Opt
         }
     }
     let [before, after] = [earlier.options.clone(), merged.clone()].map(|all| options::parse(Some(all)));
-    match changed_option(&before?.of_identities(), &after?.of_identities()) {
+    match changed_option(&before?.without_corrections(), &after?.without_corrections()) {
         None => Ok(Some(merged)),
         Some(name) => {
             let detail = format!("{name} differs from the corrected job's, on which the numbers of its people depend");

@@ -81,6 +81,17 @@ export interface Job {
   solver_version: string
 }
 
+/** A correction of identities; people have the numbers of the result, frames those of the session. */
+export type Correction =
+  | { action: 'rename'; person: number; name: string }
+  | { action: 'merge'; people: number[] }
+  | { action: 'split'; person: number; frame: number }
+  | { action: 'exchange'; people: number[]; frame: number; last_frame?: number }
+  | { action: 'exclude_camera'; camera: string }
+  | { action: 'exclude_person'; person: number }
+  | { action: 'exclude_frames'; frames: [number, number]; camera?: string; person?: number }
+  | { action: 'set_height'; person: number; metres: number }
+
 export interface FileEntry {
   name: string
   media_type: string
@@ -137,6 +148,8 @@ export interface Report {
   }[]
   people: {
     id: number
+    /** Given by a correction. */
+    name?: string
     first_frame: number
     last_frame: number
     n_detections: number

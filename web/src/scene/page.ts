@@ -9,6 +9,7 @@ import { el } from '../dom'
 import { showHelp } from '../pages/help'
 import { onThemeChange } from '../theme'
 import { Switches, Transport } from './controls'
+import { CorrectionEditor } from './corrections'
 import { press } from './keys'
 import { projectedJoints } from './overlay'
 import { CameraLine, Panel } from './panel'
@@ -32,8 +33,10 @@ export async function openScene(job: Job, signal: AbortSignal): Promise<OpenScen
   if (!motion) return closeSurface(surface), null
   const body = await mesh
   const view = new SceneView(motion, surface, () => draw(), () => change())
-  const timeline = new Timeline(motion, (frame) => view.set({ at: frame, isPlaying: false }))
+  const timeline = new Timeline(motion, (frame) => view.set({ at: frame, isPlaying: false }), (person) => view.set({ person, camera: null }))
   const panel = new Panel(view)
+  const editor = canCorrect(job) ? new CorrectionEditor(view, job, report, signal) : null
+  if (editor) panel.element.append(editor.element)
   const line = new CameraLine(view)
   const transport = new Transport(view)
   const switches = new Switches(view)
@@ -42,9 +45,11 @@ export async function openScene(job: Job, signal: AbortSignal): Promise<OpenScen
   const draw = () => {
     timeline.show(view.frame, transport.show())
     line.show()
+    editor?.show()
   }
   const change = () => {
     panel.show()
+    editor?.show()
     switches.show()
     transport.show()
     if (view.needsDetections && !isRequested) {
@@ -80,6 +85,11 @@ export async function openScene(job: Job, signal: AbortSignal): Promise<OpenScen
     exposeForChecks(null)
   }
   return { element, close }
+}
+
+/** A result folder that is shown without a service has no jobs to submit. */
+function canCorrect(job: Job) {
+  return !/^session_0+$/.test(job.session)
 }
 
 function addBodies(view: SceneView, panel: Panel, mesh: BodyMesh | null) {
