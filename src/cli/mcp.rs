@@ -61,12 +61,18 @@ fn answer(client: &Client, request: &Request, out: &mut impl Write) -> io::Resul
     Ok(Some(match request.method.as_str() {
         "initialize" => Answer::success(id, initialized(&request.params)),
         "ping" => Answer::success(id, json!({})),
-        "tools/list" => Answer::success(id, json!({ "tools": TOOLS.iter().map(tools::Tool::document).collect::<Vec<_>>() })),
+        "tools/list" => {
+            Answer::success(id, json!({ "tools": TOOLS.iter().map(tools::Tool::document).collect::<Vec<_>>() }))
+        }
         "tools/call" => match call(client, &request.params, out)? {
             Some(result) => Answer::success(id, result),
             None => {
                 let name = &request.params["name"];
-                Answer::failure(id, INVALID_PARAMS, format!("there is no tool {name}; tools/list names all tools"))
+                Answer::failure(
+                    id,
+                    INVALID_PARAMS,
+                    format!("the tool {name} does not exist; tools/list names all tools"),
+                )
             }
         },
         other => Answer::failure(id, METHOD_NOT_FOUND, format!("the method {other:?} is not supported")),
@@ -97,7 +103,8 @@ mod tests {
     #[test]
     fn negotiates_the_version_of_the_protocol() {
         let version = |wanted: &str| {
-            let message = json!({ "jsonrpc": "2.0", "id": 1, "method": "initialize", "params": { "protocolVersion": wanted } });
+            let message =
+                json!({ "jsonrpc": "2.0", "id": 1, "method": "initialize", "params": { "protocolVersion": wanted } });
             answered(&message.to_string()).unwrap()["result"]["protocolVersion"].clone()
         };
         assert_eq!(version("2024-11-05"), "2024-11-05");

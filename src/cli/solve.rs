@@ -67,8 +67,7 @@ pub(super) fn solve(
         true => None,
         false => earlier.iter().find_map(|result| read_continuation(result, &loaded.sha256, options)),
     };
-    let solved =
-        pipeline::solve(&loaded.session, options, body, &checkpoints, continuation.as_ref(), progress)?;
+    let solved = pipeline::solve(&loaded.session, options, body, &checkpoints, continuation.as_ref(), progress)?;
     let continuation = solved.continuation.to_text(&loaded.sha256, options).map_err(io::Error::from)?;
     let reconstruction = solved.reconstruction;
     let context = ResultContext {

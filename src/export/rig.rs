@@ -55,9 +55,8 @@ impl Rig {
 
 /// Name of a person in scenes, of ASCII letters, digits and `_`: the person's own where a correction gives one.
 pub(super) fn person_name(take: &Take, motion: &BodyMotion) -> String {
-    let plain = |name: &String| -> String {
-        name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect()
-    };
+    let plain =
+        |name: &String| -> String { name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect() };
     let number = motion.person.0;
     match take.names.get(&motion.person).map(plain) {
         Some(own) if own.starts_with(|c: char| c.is_ascii_alphabetic()) => {

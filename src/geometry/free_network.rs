@@ -2,8 +2,8 @@
 //!
 //! Increments are left increments `(rho, phi)` of `camera_from_world`, six per camera.
 
-use super::{Rigid, Similarity};
 use super::rotation::skew;
+use super::{Rigid, Similarity};
 use nalgebra::{DMatrix, Matrix3, Matrix3xX, SMatrix, Vector3};
 use serde::{Deserialize, Serialize};
 

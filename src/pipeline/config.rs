@@ -216,12 +216,11 @@ impl Options {
             let [min, max] = HEIGHT_RANGE;
             match correction {
                 Correction::SetHeight { metres, .. } if !(min..=max).contains(metres) => {
-                    return refuse(format!(
-                        "{metres} m is not a plausible height of a person; give {min} to {max} m"
-                    ));
+                    return refuse(format!("{metres} m is not a plausible height of a person; give {min} to {max} m"));
                 }
                 Correction::SetHeight { .. } if self.extrinsics != Extrinsics::Estimate => {
-                    let reason = "with given camera poses the scale is theirs; use extrinsics \"estimate\", or leave it out";
+                    let reason =
+                        "with given camera poses the scale is theirs; use extrinsics \"estimate\", or leave it out";
                     return refuse(reason.to_owned());
                 }
                 _ => {}

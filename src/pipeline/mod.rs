@@ -146,8 +146,14 @@ pub fn solve(
         let (session, options) = continuation.repaired(session, options);
         let checkpoints = checkpoints.after_repairs(continuation.repairs().len());
         let applied = continuation.repairs();
-        let attempt =
-            Attempt { session: &session, options: &options, body, checkpoints: &checkpoints, applied, may_repair: false };
+        let attempt = Attempt {
+            session: &session,
+            options: &options,
+            body,
+            checkpoints: &checkpoints,
+            applied,
+            may_repair: false,
+        };
         return attempt.corrected(continuation, progress);
     }
     let mut applied = Vec::new();
@@ -397,7 +403,6 @@ impl Attempt<'_> {
         let mut suspicions = suspicions(session);
         suspicions.extend(found);
         suspicions.extend_from_slice(self.applied);
-
 
         // 8. Metres per unit.
         let step = stages.begin(scale_stage);

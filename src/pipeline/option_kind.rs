@@ -109,7 +109,9 @@ impl Kind {
             Self::Number { range: [min, _], .. } => format!("above {min}"),
             Self::Text | Self::TwoCameras | Self::Frame | Self::Numbers => String::new(),
             Self::Choice(choices) | Self::Choices(choices) => names(choices),
-            Self::Forms(forms) | Self::Actions(forms) => forms.iter().map(|form| format!("`{}`", form.from)).collect::<Vec<_>>().join(", "),
+            Self::Forms(forms) | Self::Actions(forms) => {
+                forms.iter().map(|form| format!("`{}`", form.from)).collect::<Vec<_>>().join(", ")
+            }
         }
     }
 }

@@ -5,8 +5,8 @@
 
 use super::config::Options;
 use super::corrections::forms::CORRECTION_FORMS;
-pub use super::option_kind::{Choice, Field, Form, Kind};
 use super::option_kind::choice;
+pub use super::option_kind::{Choice, Field, Form, Kind};
 use crate::body::scale::HEIGHT_RANGE;
 use crate::session::recording::FPS_RANGE;
 use serde_json::Value;

@@ -87,7 +87,8 @@ fn joint_distance(simulated: &Simulated, a: &Reconstruction, b: &Reconstruction,
     let (a, b) = (motion(a), motion(b));
     let mut distances = Vec::new();
     for frame in (0..290).filter(|frame| !GAP.contains(frame)) {
-        let pose = |m: &wandless::session::BodyMotion| m.frames.get(frame.checked_sub(m.first.0)?).map(|pose| pose.joints);
+        let pose =
+            |m: &wandless::session::BodyMotion| m.frames.get(frame.checked_sub(m.first.0)?).map(|pose| pose.joints);
         let (Some(a), Some(b)) = (pose(&a), pose(&b)) else { continue };
         distances.extend(a.iter().zip(&b).map(|(a, b)| (a - b).norm()));
     }

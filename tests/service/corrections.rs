@@ -61,7 +61,7 @@ fn corrections_that_cannot_be_applied_are_explained() {
     let unknown = corrected(&server, id, &json!([{ "action": "exclude_person", "person": 9 }])).expect(202).json();
     let failed = server.wait_for_state(unknown["id"].as_str().unwrap(), "failed");
     assert_eq!(failed["error"]["code"], "option_impossible");
-    assert!(failed["error"]["detail"].as_str().unwrap().contains("there is no person 9"), "{failed}");
+    assert!(failed["error"]["detail"].as_str().unwrap().contains("person 9 does not exist"), "{failed}");
     let unfinished = corrected(&server, unknown["id"].as_str().unwrap(), &json!([]));
     unfinished.expect_problem(409, "job_not_succeeded");
 }

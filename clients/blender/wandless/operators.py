@@ -50,7 +50,7 @@ class Submission:
                 error = job["error"] or {}
                 reason = "; ".join(filter(None, [error.get("detail"), error.get("remedy")]))
                 self.news.put(("failed", f"the job is {job['state']}" + (f": {reason}" if reason else "")))
-        except Exception as error:  # every end of the thread is told to the user
+        except Exception as error:  # every end of the thread is shown to the user
             self.news.put(("failed", str(error)))
 
 

@@ -109,7 +109,7 @@ def test_people_are_corrected_after_the_solve(client, take):
     assert len(client.result(undone["id"]).people) == 2
     with pytest.raises(JobFailed) as failure:
         client.wait(client.correct(job["id"], [{"action": "exclude_person", "person": 9}])["id"])
-    assert "there is no person 9" in str(failure.value)
+    assert "person 9 does not exist" in str(failure.value)
     with pytest.raises(Problem) as refusal:
         client.correct(job["id"], [{"action": "exclude_camera", "camera": "nowhere"}])
     assert "nowhere" in str(refusal.value)

@@ -1,6 +1,6 @@
 //! What the tools do: calls of the job API.
 
-use super::tools::Progress;
+use super::messages::Progress;
 use crate::cli::client::{Client, JobAnswer, WAIT_S};
 use crate::cli::output_folder::require_free;
 use crate::cli::submit;
@@ -71,7 +71,8 @@ pub(super) fn report(client: &Client, arguments: &Arguments, _: Progress) -> any
         chosen(camera, &["id", "status", "position", "reprojection_px", "sigma_position_mm", "sigma_angle_deg"])
     };
     let of_person = |person: &Value| {
-        let names = ["id", "name", "first_frame", "last_frame", "n_detections", "reprojection_px", "joint_sigma_mm", "body"];
+        let names =
+            ["id", "name", "first_frame", "last_frame", "n_detections", "reprojection_px", "joint_sigma_mm", "body"];
         chosen(person, &names)
     };
     let rows = |document: &Value, of_row: &dyn Fn(&Value) -> Value| -> Vec<Value> {

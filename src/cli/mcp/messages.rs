@@ -37,6 +37,9 @@ impl Answer {
     }
 }
 
+/// Receives the completed share of a call, 0 to 1, and what is done.
+pub(super) type Progress<'a> = &'a mut dyn FnMut(f64, &str);
+
 /// A notification of the progress of a call that asked for it.
 pub(super) fn progress(token: &Value, fraction: f64, message: &str) -> Value {
     let params = json!({ "progressToken": token, "progress": fraction, "total": 1.0, "message": message });

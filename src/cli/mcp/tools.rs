@@ -1,7 +1,7 @@
 //! The tools that agents can call, with the schemas of their arguments.
 
 use super::jobs;
-use super::messages::progress;
+use super::messages::{Progress, progress};
 use crate::cli::client::Client;
 use serde_json::{Map, Value, json};
 use std::io::{self, Write};
@@ -23,9 +23,6 @@ struct Argument {
     description: &'static str,
 }
 
-/// Receives the completed share of a call, 0 to 1, and what is done.
-pub(super) type Progress<'a> = &'a mut dyn FnMut(f64, &str);
-
 const fn required(name: &'static str, kind: &'static str, description: &'static str) -> Argument {
     Argument { name, kind, is_required: true, description }
 }
@@ -44,7 +41,11 @@ pub(super) const TOOLS: &[Tool] = &[
                       its job. Returns the job.",
         arguments: &[
             required("session", "string", "path of the session"),
-            optional("options", "object", "options of the job that differ from their defaults; list_options describes them"),
+            optional(
+                "options",
+                "object",
+                "options of the job that differ from their defaults; list_options describes them",
+            ),
         ],
         run: jobs::submit,
     },
@@ -146,7 +147,7 @@ impl Tool {
     }
 }
 
-/// The result of a call; `None` if there is no such tool. A failed call is a result, too, which the agent reads.
+/// The result of a call; `None` for an unknown tool. A failed call is a result, too, which the agent reads.
 pub(super) fn call(client: &Client, params: &Value, out: &mut impl Write) -> io::Result<Option<Value>> {
     let Some(tool) = TOOLS.iter().find(|tool| params["name"] == tool.name) else { return Ok(None) };
     let arguments = params["arguments"].as_object().cloned().unwrap_or_default();

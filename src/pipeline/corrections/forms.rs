@@ -26,11 +26,11 @@ pub const CORRECTION_FORMS: &[Form] = &[
     action(
         "merge",
         "several people are one; the number of the first one stays",
-        &[field("people", Kind::Numbers, "two or more people, no two of whom one camera sees in the same frame")],
+        &[field("people", Kind::Numbers, "two or more people; a camera may not show two of them in the same frame")],
     ),
     action(
         "split",
-        "from a frame on a person is another one, who gets the next free number",
+        "from a frame on a person is another one, with the next free number",
         &[PERSON, field("frame", Kind::Frame, "number of the first frame of the new person")],
     ),
     action(

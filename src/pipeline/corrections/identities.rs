@@ -62,7 +62,7 @@ struct Edit<'a> {
     session: &'a Session,
     people: BTreeMap<usize, Detections>,
     next_number: usize,
-    /// Why a person is no longer there.
+    /// Why a person was removed.
     gone: BTreeMap<usize, String>,
     result: CorrectedPeople,
 }
@@ -102,7 +102,11 @@ impl<'a> Edit<'a> {
 
     fn rename(&mut self, person: usize, name: &str) -> Result<(), String> {
         self.known(person)?;
-        if name.trim() != name || name.is_empty() || name.chars().count() > MAX_NAME_CHARS || name.contains(char::is_control) {
+        if name.trim() != name
+            || name.is_empty()
+            || name.chars().count() > MAX_NAME_CHARS
+            || name.contains(char::is_control)
+        {
             return Err(format!(
                 "{name:?} is not a name; give 1 to {MAX_NAME_CHARS} characters without spaces at the ends"
             ));
@@ -143,7 +147,9 @@ impl<'a> Edit<'a> {
         let (first, last) = ends(own);
         if !(first + 1..=last).contains(&at) {
             let [from, to] = [first + 1, last].map(|f| self.session.frame_number(FrameIndex(f)));
-            return Err(format!("person {person} has no part on one side of frame {frame}; choose a frame from {from} to {to}"));
+            return Err(format!(
+                "person {person} has no part on one side of frame {frame}; choose a frame from {from} to {to}"
+            ));
         }
         let later = self.people.get_mut(&person).map(|own| own.split_off(&at)).unwrap_or_default();
         self.people.insert(self.next_number, later);
@@ -159,7 +165,10 @@ impl<'a> Edit<'a> {
         let range = self.frame_range([frame, last_frame.unwrap_or(self.last_number())])?;
         let parts = people.map(|person| self.take(person, &range));
         if parts.iter().all(BTreeMap::is_empty) {
-            return Err(format!("neither person {} nor person {} was detected there; choose other frames", people[0], people[1]));
+            return Err(format!(
+                "neither person {} nor person {} was detected there; choose other frames",
+                people[0], people[1]
+            ));
         }
         let [one, other] = parts;
         self.add(people[0], other);
@@ -197,7 +206,8 @@ impl<'a> Edit<'a> {
             Some(person) => places(self.known_detections(person)?).collect(),
             None => {
                 let views = self.session.views.iter().enumerate();
-                let frames = views.flat_map(|(v, view)| view.frames.iter().enumerate().map(move |(f, people)| (v, f, people.len())));
+                let frames = views
+                    .flat_map(|(v, view)| view.frames.iter().enumerate().map(move |(f, people)| (v, f, people.len())));
                 frames.flat_map(|(v, f, n)| (0..n).map(move |d| [v, f, d])).collect()
             }
         };
@@ -234,10 +244,10 @@ impl<'a> Edit<'a> {
 
     fn known_detections(&self, person: usize) -> Result<&Detections, String> {
         self.people.get(&person).ok_or_else(|| match self.gone.get(&person) {
-            Some(why) => format!("person {person} is no longer there: {why}"),
+            Some(why) => format!("person {person} was removed: {why}"),
             None => {
                 let numbers: Vec<String> = self.people.keys().map(usize::to_string).collect();
-                format!("there is no person {person}; the people are {}", numbers.join(", "))
+                format!("person {person} does not exist; the people are {}", numbers.join(", "))
             }
         })
     }
@@ -300,7 +310,11 @@ impl<'a> Edit<'a> {
         let track = |(person, detections): (&usize, &Detections)| {
             let (first, last) = ends(detections);
             let at = |frame: usize| detections.get(&frame).cloned().unwrap_or_else(|| vec![None; n_views]);
-            PersonTrack { person: PersonId(*person), first: FrameIndex(first), detections: (first..=last).map(at).collect() }
+            PersonTrack {
+                person: PersonId(*person),
+                first: FrameIndex(first),
+                detections: (first..=last).map(at).collect(),
+            }
         };
         CorrectedPeople { tracks: seen.map(track).collect(), ..self.result }
     }

@@ -89,7 +89,8 @@ fn excludes_detections() {
 
 #[test]
 fn names_and_heights_belong_to_people() {
-    let list = r#"[{"action": "rename", "person": 1, "name": "Ana"}, {"action": "set_height", "person": 1, "metres": 1.7}]"#;
+    let list =
+        r#"[{"action": "rename", "person": 1, "name": "Ana"}, {"action": "set_height", "person": 1, "metres": 1.7}]"#;
     let people = corrected(list).unwrap();
     assert_eq!(people.names[&PersonId(1)], "Ana");
     assert_eq!(people.heights[&PersonId(1)], 1.7);
@@ -100,8 +101,8 @@ fn refuses_what_cannot_be_applied() {
     let gone = r#"{"action": "merge", "people": [1, 2]}, {"action": "rename", "person": 2, "name": "x"}"#;
     let twice = r#"{"action": "rename", "person": 1, "name": "x"}, {"action": "rename", "person": 1, "name": "y"}"#;
     let cases = [
-        (r#"{"action": "exclude_person", "person": 7}"#, "there is no person 7; the people are 0, 1, 2"),
-        (gone, "correction 2 (rename): person 2 is no longer there: correction 1 merged it into person 1"),
+        (r#"{"action": "exclude_person", "person": 7}"#, "person 7 does not exist; the people are 0, 1, 2"),
+        (gone, "correction 2 (rename): person 2 was removed: correction 1 merged it into person 1"),
         (twice, "named \"x\" before"),
         (r#"{"action": "split", "person": 1, "frame": 99}"#, "frames are 100 to 109"),
         (r#"{"action": "split", "person": 1, "frame": 100}"#, "choose a frame from 101 to 104"),

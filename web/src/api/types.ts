@@ -189,6 +189,11 @@ export interface ConsistencyPair {
   swaps_repaired: [number, number][]
 }
 
+/** Whether a service has the job; the folder of `wandless view` is shown as a job of the session 0. */
+export function isStored(job: Job) {
+  return !/^session_0+$/.test(job.session)
+}
+
 const FINAL: State[] = ['succeeded', 'failed', 'canceled', 'dead']
 
 /** A final state never changes. */

@@ -72,8 +72,7 @@ pub fn from_tracks(scene: &TrackerScene, tracks: Vec<PersonTrack>) -> Associatio
 /// The points that the detections of a person agree on, frame by frame.
 fn triangulated(scene: &TrackerScene, track: &PersonTrack) -> JointTrajectory {
     let frames = track.detections.iter().enumerate();
-    let skeletons: Vec<_> =
-        frames.map(|(t, assignment)| skeleton(scene, track.first.0 + t, assignment)).collect();
+    let skeletons: Vec<_> = frames.map(|(t, assignment)| skeleton(scene, track.first.0 + t, assignment)).collect();
     let n_keypoints = skeletons.iter().map(Vec::len).max().unwrap_or(0);
     let whole = |s: Vec<_>| if s.is_empty() { vec![None; n_keypoints] } else { s };
     let n_views = vec![vec![0; n_keypoints]; skeletons.len()];

@@ -176,7 +176,9 @@ fn from_heights(
 fn unseen(heights: &Known, person: Option<PersonId>) -> PipelineError {
     let (option, who, remedy) = match (heights, person) {
         (Known::One(_, who), _) => ("/scale/who", format!("{who:?}"), "choose another track id or \"tallest\""),
-        (Known::People(_), Some(person)) => ("/corrections", person.0.to_string(), "state the height of another person"),
+        (Known::People(_), Some(person)) => {
+            ("/corrections", person.0.to_string(), "state the height of another person")
+        }
         (Known::People(_), None) => ("/corrections", "of known height".to_owned(), "leave set_height out"),
     };
     PipelineError::Option { option, reason: format!("person {who} was not seen by two cameras; {remedy}") }
