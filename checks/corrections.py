@@ -1,7 +1,7 @@
 """Corrections of planted identity errors: python3 checks/corrections.py WANDLESS WORK.
 
 A take is solved as recorded and with an error planted in its track numbers. The corrected result must have the identities of
-the take without the error, and cost at most half of the processor time of a fresh solve.
+the take without the error, and cost at most half of the processor time of another solve of the same session.
 """
 
 import json
@@ -58,11 +58,15 @@ def take(name, is_seen, number):
 
 def accuracy(session, result):
     _, output = run("evaluate", result, "--truth", session / "gt", "--json")
-    return json.loads(output)["identities"]["accuracy"]
+    return json.loads(output)["identity"]["accuracy"]
+
+
+def n_people(result):
+    return len(json.loads((result / "report.json").read_text())["people"])
 
 
 def person_of(session, result, truth, frames):
-    """The person of the result that shows a true person in most of its detections."""
+    """The person of the result that shows a true person in most of its detections; None without any."""
     expected = json.loads((session / "gt/identities.json").read_text())
     found, counts = json.loads((result / "identities.json").read_text()), {}
     for camera, people_by_frame in expected.items():
@@ -70,34 +74,57 @@ def person_of(session, result, truth, frames):
             for person, given in zip(people_by_frame[frame], found[camera][frame]):
                 if person == truth and given is not None:
                     counts[given] = counts.get(given, 0) + 1
-    return max(counts, key=counts.get)
+    return max(counts, key=counts.get, default=None)
 
 
 def corrected(name, clean, wrong, corrections_of):
     """Solves both takes and the correction; returns nothing, but checks identities and time."""
     base, fresh = WORK / f"{name}_base", WORK / f"{name}_clean"
-    fresh_s, _ = run("reconstruct", clean, "--out", fresh)
-    run("reconstruct", wrong, "--out", base)
-    planted = accuracy(wrong, base)
-    check(f"{name}: the error is planted", planted < 0.95, f"identity accuracy {planted:.3f}")
+    run("reconstruct", clean, "--out", fresh)
+    fresh_s, _ = run("reconstruct", wrong, "--out", base)
+    planted, people = accuracy(wrong, base), [n_people(result) for result in (base, fresh)]
+    is_planted = planted < 0.95 or people[0] > people[1]
+    check(f"{name}: the error is planted", is_planted, f"identity accuracy {planted:.3f}, {people[0]} people instead of {people[1]}")
     file, result = WORK / f"{name}.json", WORK / f"{name}_corrected"
-    file.write_text(json.dumps(corrections_of(base)))
+    corrections = corrections_of(base)
+    print(f"{name}: {', '.join(edit['action'] for edit in corrections)}")
+    file.write_text(json.dumps(corrections))
     seconds, _ = run("reconstruct", wrong, "--out", result, "--corrections", file, "--continue", base)
     before, after = accuracy(clean, fresh), accuracy(wrong, result)
     check(f"{name}: identities", round(after, 3) == 1.0 and round(before, 3) == 1.0, f"accuracy {after:.4f}, without the error {before:.4f}")
+    check(f"{name}: people", n_people(result) == people[1], n_people(result))
     share = seconds / fresh_s
     check(f"{name}: time", share <= MAX_SHARE, f"{seconds:.1f} s of {fresh_s:.1f} s, {100 * share:.0f} %")
 
 
+def put_right(session):
+    """What a person that looks at the result would state: who is exchanged, joined or separated at the gap."""
+
+    def corrections_of(base):
+        before = {p: person_of(session, base, p, FIRST) for p in (0, 1)}
+        after = {p: found for p in (0, 1) if (found := person_of(session, base, p, LAST)) is not None}
+        if after == {0: before[1], 1: before[0]}:
+            return [{"action": "exchange", "people": [before[0], before[1]], "frame": GAP.stop}]
+        edits, free = [], 1 + max(person["id"] for person in json.loads((base / "report.json").read_text())["people"])
+        for p, found in after.items():
+            if found == before[1 - p]:
+                edits.append({"action": "split", "person": found, "frame": GAP.stop})
+                found, free = free, free + 1
+            if found != before[p]:
+                edits.append({"action": "merge", "people": [before[p], found]})
+        return edits
+
+    return corrections_of
+
+
 WORK.mkdir()
-run("simulate", "--out", WORK / "simulated", "--seed", 4, "--people", 3, "--views", 5, "--frames", FRAMES, "--tracks", "per-view")
-FIRST = range(GAP.start)
+run("simulate", "--out", WORK / "simulated", "--seed", 11, "--people", 3, "--frames", FRAMES, "--tracks", "per-view")
+FIRST, LAST = range(GAP.start), range(GAP.stop, FRAMES)
 
 clean = take("exchange", lambda frame, person: person == 2 or frame not in GAP, lambda frame, person: person)
 wrong = take("exchange_wrong", lambda frame, person: person == 2 or frame not in GAP,
              lambda frame, person: 1 - person if frame >= GAP.stop and person < 2 else person)
-corrected("exchange", clean, wrong, lambda base: [
-    {"action": "exchange", "people": [person_of(wrong, base, p, FIRST) for p in (0, 1)], "frame": GAP.stop}])
+corrected("exchange", clean, wrong, put_right(wrong))
 
 
 def leaves(frame, person):
@@ -106,7 +133,10 @@ def leaves(frame, person):
 
 joined = take("joined", leaves, lambda frame, person: person)
 joined_wrong = take("joined_wrong", leaves, lambda frame, person: 1 if frame >= GAP.stop and person == 0 else person)
-corrected("split and merge", joined, joined_wrong, lambda base: [
-    {"action": "split", "person": person_of(joined_wrong, base, 1, FIRST), "frame": GAP.stop},
-    {"action": "merge", "people": [person_of(joined_wrong, base, 0, FIRST), 3]}])
+corrected("split and merge", joined, joined_wrong, put_right(joined_wrong))
+# A bystander that is left out, as if it had not been recorded.
+alone = take("alone", lambda frame, person: person != 2, lambda frame, person: person)
+crowd = take("crowd", lambda frame, person: True, lambda frame, person: person)
+corrected("exclude", alone, crowd, lambda base: [
+    {"action": "exclude_person", "person": person_of(crowd, base, 2, range(FRAMES))}])
 sys.exit(1 if FAILED else 0)

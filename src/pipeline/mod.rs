@@ -19,7 +19,7 @@
 //! | 7 | [`recording_check`](passes::recording_check) | mistakes in the files that the solution shows | several cameras; once |
 //! | | | in between: bundle adjustment with delays and focal lengths | once |
 //! | | [`correction`](passes::correction) | repair of detections, trajectories | `corrections`; once |
-//! | | | before: final bundle adjustment (not `fixed`); after: passes 5 and 7 | where they leave detections out |
+//! | | | pass 5 | where they leave cameras out |
 //! | 8 | [`metric_scale`] | scale; for `scale: height` statures by body fit | once; up to 4 fits |
 //! | 9 | [`result`] | world frame, body fit | once |
 //! | | | within it cameras and bodies together, then smooth trajectories again | not `fixed`, several cameras; once |
@@ -377,12 +377,13 @@ impl Attempt<'_> {
         let refined = continuation.focal_lengths().applied_to(&timed);
         let tracks = &continuation.calibration().association.tracks;
         let people = corrected_people(&refined, tracks, &self.options.corrections)?;
+        require_cameras(continuation, &people)?;
         let step = stages.begin("corrections");
         let left = people.without_excluded(&refined);
         let given = Capture::new(&left, self.options);
-        let corrected = self.checkpoints.stage("corrections", || {
-            corrected(&given, continuation, &people, freedom(self.options), &suspicions(session), &step)
-        })?;
+        let corrected = self
+            .checkpoints
+            .stage("corrections", || corrected(&given, continuation, &people, freedom(self.options), &step))?;
         Ok((corrected.placed(&given, continuation), people))
     }
 
@@ -459,6 +460,17 @@ fn corrected_stage_weights(options: &Options) -> Vec<(&'static str, f64)> {
     }
     let excludes = options.corrections.iter().any(Correction::excludes);
     vec![("corrections", if excludes { 0.2 } else { 0.05 }), (CORRECTED_STAGES[0], 0.02), (CORRECTED_STAGES[1], 0.28)]
+}
+
+/// Two of the cameras that were placed must stay.
+fn require_cameras(continuation: &Continuation, people: &CorrectedPeople) -> Result<(), PipelineError> {
+    let cameras = continuation.calibration().cameras.iter().enumerate();
+    let placed = cameras.filter(|(view, pose)| pose.is_some() && !people.excluded_views.contains(view));
+    if placed.count() >= 2 || people.excluded_views.is_empty() {
+        return Ok(());
+    }
+    let reason = "fewer than two of the cameras that could be placed would be left; leave more of them in".to_owned();
+    Err(PipelineError::Option { option: "/corrections", reason })
 }
 
 fn freedom(options: &Options) -> CameraFreedom {

@@ -27,7 +27,7 @@ fn with_detections(
     let mut session = simulated.session.clone();
     for (view, truth) in session.views.iter_mut().zip(&simulated.truth.identities) {
         let all = view.frames.iter().flatten().zip(truth.iter().flatten());
-        let mut numbers = vec![None; 3];
+        let mut numbers = [None; 3];
         all.for_each(|(detection, person)| numbers[person.unwrap()] = detection.track_id.or(numbers[person.unwrap()]));
         let number_of = |person: usize| numbers[person];
         for (frame, (detections, truth)) in view.frames.iter_mut().zip(truth).enumerate() {

@@ -131,7 +131,7 @@ def check_submission(session, work):
 def wait_for(url):
     for _ in range(300):
         try:
-            urllib.request.urlopen(f"{url}/health", timeout=1)
+            urllib.request.urlopen(f"{url}/healthz", timeout=1)
             return
         except OSError:
             time.sleep(0.1)

@@ -86,7 +86,7 @@ def service(tmp_path_factory):
 
 def is_up(url):
     try:
-        return httpx.get(f"{url}/health").status_code == 200
+        return httpx.get(f"{url}/healthz").status_code == 200
     except httpx.HTTPError:
         return False
 

@@ -7,7 +7,7 @@
 //!
 //! Merging, splitting and exchanging people leaves unchanged which detections of a frame show one person, on which the cameras
 //! depend: they, and what was measured under them, stay valid. Exclusions remove detections, so that cameras are adjusted again,
-//! from where they are.
+//! from where they are, together with the bodies.
 
 pub mod forms;
 mod identities;

@@ -1,7 +1,8 @@
 //! Cameras and people after corrections, from those of the solve without them.
 //!
 //! Identities alone leave the cameras as they are: the same detections of a frame show one person. Where detections are left
-//! out, the cameras are adjusted again, from where they are, cross-validated and checked for mistakes in the files.
+//! out, the cameras are adjusted again, from where they are: together with the bodies, or here where the options forbid that. Their
+//! cross-validation is repeated where a camera is left out.
 
 use crate::pipeline::calibration::{Calibration, CameraFreedom};
 use crate::pipeline::capture::Capture;
@@ -10,8 +11,6 @@ use crate::pipeline::corrections::CorrectedPeople;
 use crate::pipeline::passes::adjustment::{ALL_FRAMES, Effort, adjusted};
 use crate::pipeline::passes::denoising::{DenoisedCapture, corrected_capture};
 use crate::pipeline::passes::held_out_check::heldout_px;
-use crate::pipeline::passes::recording_check::checked;
-use crate::pipeline::passes::recording_check::solved::Solved;
 use crate::pipeline::stages::association::from_tracks;
 use crate::pipeline::stages::joint_trajectories::joint_trajectories;
 use crate::progress::{Canceled, Progress};
@@ -34,24 +33,29 @@ enum Solution {
     Repaired(Box<DenoisedCapture>),
 }
 
-/// Applies corrections. `given`: the recording without the detections that they leave out; `known`: mistakes that the files alone
-/// show.
+/// Applies corrections. `given`: the recording without the detections that they leave out.
+///
+/// Mistakes in the files stay those that the solve without corrections has shown, except for those of cameras that are left out.
 pub fn corrected(
     given: &Capture,
     continuation: &Continuation,
     people: &CorrectedPeople,
     freedom: CameraFreedom,
-    known: &[Suspicion],
     progress: &Progress,
 ) -> Result<Corrected, Canceled> {
-    let excludes = !people.excluded.is_empty();
-    let mut steps = progress.steps(if excludes { [0.55, 0.25, 0.1, 0.1] } else { [0.7, 0.0, 0.3, 0.0] });
+    let (excludes, excludes_cameras) = (!people.excluded.is_empty(), !people.excluded_views.is_empty());
+    let mut steps = progress.steps(if excludes_cameras { [0.4, 0.4, 0.2] } else { [0.7, 0.0, 0.3] });
     let start = start(given, continuation.calibration(), people);
-    let freedom = if excludes { freedom } else { CameraFreedom::Held };
+    let adjusts = excludes && !given.options.adjust_with_bodies && freedom == CameraFreedom::Adjusted;
     let step = steps.begin("repairing detections of the corrected people");
     let solution = if given.options.denoise {
-        Solution::Repaired(Box::new(corrected_capture(given, start, freedom, &step)?))
-    } else if freedom == CameraFreedom::Adjusted {
+        Solution::Repaired(Box::new(corrected_capture(
+            given,
+            start,
+            if adjusts { CameraFreedom::Adjusted } else { CameraFreedom::Held },
+            &step,
+        )?))
+    } else if adjusts {
         let after = adjusted(given, &start, Effort::FINAL, ALL_FRAMES, &step)?;
         Solution::Given(Box::new(with_points_anew(given, after)))
     } else {
@@ -64,18 +68,16 @@ pub fn corrected(
     let of_observed = observed.as_ref().map(|observed| Capture::new(observed, given.options));
     let capture = of_observed.as_ref().unwrap_or(given);
     let step = steps.begin("cross-validating cameras");
-    let heldout_px = match excludes {
+    let heldout_px = match excludes_cameras {
         true => heldout_px(capture, calibration, freedom, &step)?,
         false => continuation.heldout_px(),
     };
     let step = steps.begin("smoothing trajectories of the corrected people");
     let points = calibration.people(capture.session, &calibration.association.points);
     let paths = joint_trajectories(&points, &step)?;
-    let step = steps.begin("testing for mistakes in the files");
-    let found = match excludes {
-        true => checked(&Solved { given, repaired: capture.session, calibration, paths: &paths, known }, &step)?,
-        false => continuation.found().to_vec(),
-    };
+    let is_left = |id: &String| people.excluded_views.iter().all(|view| given.session.views[*view].id != *id);
+    let concerns = |suspicion: &&Suspicion| suspicion.cameras.is_empty() || suspicion.cameras.iter().any(is_left);
+    let found = continuation.found().iter().filter(concerns).cloned().collect();
     Ok(Corrected { solution, heldout_px, paths, found })
 }
 

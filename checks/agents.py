@@ -1,4 +1,4 @@
-"""`wandless mcp` with the reference client library: python checks/mcp.py WANDLESS WORK (pip install mcp)."""
+"""`wandless mcp` with the reference client library: python checks/agents.py WANDLESS WORK (pip install mcp)."""
 
 import asyncio
 import json
@@ -21,7 +21,7 @@ TOOLS = {"submit_session", "correct_job", "list_options", "list_jobs", "follow_j
 def wait_for_service():
     for _ in range(300):
         try:
-            urllib.request.urlopen(f"{URL}/health", timeout=1)
+            urllib.request.urlopen(f"{URL}/healthz", timeout=1)
             return
         except OSError:
             time.sleep(0.1)
