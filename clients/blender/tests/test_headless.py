@@ -29,7 +29,6 @@ def run(*arguments):
 
 def empty_scene():
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    wandless.register()
 
 
 def z_up(point, up_axis):
@@ -138,9 +137,12 @@ def wait_for(url):
     raise SystemExit("the service does not answer")
 
 
+wandless.register()
 with tempfile.TemporaryDirectory() as folder:
     folder = Path(folder)
     run("simulate", "--out", folder / "session", "--seed", "3", "--people", "2", "--views", "4", "--frames", "60")
     check_import(folder / "session", folder)
     check_errors(folder / "session", folder)
     check_submission(folder / "session", folder)
+wandless.unregister()
+assert not hasattr(bpy.types.Scene, "wandless")

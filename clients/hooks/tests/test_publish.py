@@ -21,6 +21,7 @@ import wandless
 
 HERE = Path(__file__).resolve().parent
 PROGRAM = os.path.abspath(os.environ["WANDLESS"])
+TASK, STATUS = "5f0f3a5e-6f0b-4b52-9a36-0a7e0a4f7c11", "0a6c9f1e-3f53-4a39-8f0b-4ac2a5d7b922"  # Kitsu's ids are UUIDs
 
 
 def parts_of(handler, body):
@@ -130,18 +131,19 @@ def solved(service, labels, webhook):
 def test_kitsu_gets_a_comment_with_the_scene(service, receiver, tmp_path):
     def answers(method, path, body):
         if "/data/task-status" in path:
-            return 200, [{"id": "status-1", "short_name": "wfa"}]
+            return 200, [{"id": STATUS, "short_name": "wfa"}]
         return 200, {"id": "comment-1"}
 
     stub = Stub(answers)
     url, log = receiver("kitsu", {"KITSU_HOST": f"{stub.url}/api", "KITSU_TOKEN": "token-7"})
-    job = solved(service, {"kitsu_task": "task-1"}, url)
-    wait_until(lambda: f"{job['id']}: published" in log())
+    job = solved(service, {"kitsu_task": TASK}, url)
+    wait_until(lambda: job["id"] in log())
+    assert f"{job['id']}: published" in log(), log()
     (_, _, body, handler), = stub.to("/comment")
-    assert handler.path == "/api/actions/tasks/task-1/comment"
+    assert handler.path == f"/api/actions/tasks/{TASK}/comment"
     assert handler.headers["Authorization"] == "Bearer token-7"
     form = parts_of(handler, body)
-    assert form["task_status_id"].get_payload() == "status-1"
+    assert form["task_status_id"].get_payload() == STATUS
     assert job["quality"]["verdict"] in form["comment"].get_payload()
     files = {part.get_filename(): part.get_payload(decode=True) for part in form.values() if part.get_filename()}
     assert set(files) == {"scene.glb", "report.json"} and files["scene.glb"].startswith(b"glTF")
@@ -154,7 +156,7 @@ def test_kitsu_gets_a_comment_with_the_scene(service, receiver, tmp_path):
 def test_shotgrid_gets_a_published_file(service, receiver, tmp_path):
     def answers(method, path, body):
         if path.startswith("/upload"):
-            return 200, b"1\n42"
+            return 200, b"1:42\n"
         call = json.loads(body)
         if call["method_name"] == "info":
             return 200, {"results": {"version": [8, 2, 1], "s3_uploads_enabled": False}}
