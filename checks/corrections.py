@@ -98,7 +98,7 @@ def corrected(name, clean, wrong, corrections_of):
 
 
 def put_right(session):
-    """What a person that looks at the result would state: who is exchanged, joined or separated at the gap."""
+    """What a person that looks at the result would state: which people are exchanged, joined or separated at the gap."""
 
     def corrections_of(base):
         before = {p: person_of(session, base, p, FIRST) for p in (0, 1)}
