@@ -31,6 +31,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         options: serde_json::to_value(&options)?,
         solver_version: env!("CARGO_PKG_VERSION"),
         exports: &options.exports,
+        continuation: None,
     };
     write_result(&out, &loaded.session, &context, &result)?;
     let manifest: serde_json::Value = serde_json::from_slice(&std::fs::read(out.join("manifest.json"))?)?;

@@ -43,6 +43,7 @@ fn solves_captures_without_track_numbers() {
             options: serde_json::to_value(&options).unwrap(),
             solver_version: "test",
             exports: &options.exports,
+            continuation: None,
         };
         write_result(result.path(), &session, &context, &found).unwrap();
         let errors = evaluate(result.path(), &folder.join("gt"), &EvaluationOptions::default()).unwrap();

@@ -47,9 +47,16 @@ options = models.Options(people=2, seed=22, fps=25.0, exports=[models.ExportForm
 new = models.NewJob(session=session.id, options=options)
 job = require(create_job.sync(client=client, body=new, idempotency_key="python"), models.Job)
 assert require(create_job.sync(client=client, body=new, idempotency_key="python"), models.Job).id == job.id
-while job.state.value not in FINAL:
-    job = require(get_job.sync(job.id, client=client, wait=30), models.Job)
-assert job.state.value == "succeeded" and job.progress.fraction == 1.0, job.error
+
+
+def followed(job):
+    while job.state.value not in FINAL:
+        job = require(get_job.sync(job.id, client=client, wait=30), models.Job)
+    assert job.state.value == "succeeded" and job.progress.fraction == 1.0, job.error
+    return job
+
+
+job = followed(job)
 assert job.id in [each.id for each in require(list_jobs.sync(client=client), models.JobPage).jobs]
 
 report = get_report.sync(job.id, client=client).to_dict()
@@ -59,6 +66,12 @@ assert "scene.glb" in [file["name"] for file in manifest["files"]]
 scene = require(get_artifact.sync(job.id, "scene.glb", client=client), File).payload.read()
 with zipfile.ZipFile(require(get_archive.sync(job.id, client=client), File).payload) as archive:
     assert archive.read("scene.glb") == scene
+
+named = {**options.to_dict(), "corrections": [{"action": "rename", "person": 0, "name": "Ada"}]}
+correction = models.NewJob(corrects=job.id, options=models.Options.from_dict(named))
+corrected = followed(require(create_job.sync(client=client, body=correction), models.Job))
+assert get_report.sync(corrected.id, client=client).to_dict()["people"][0]["name"] == "Ada"
+assert delete_job.sync_detailed(corrected.id, client=client).status_code == 204
 
 refusal = require(create_job.sync(client=client, body=models.NewJob(session="session_" + "0" * 32)), models.Problem)
 assert (refusal.status, refusal.code) == (404, "session_not_found") and refusal.remedy

@@ -22,17 +22,25 @@ console.assert(session.cameras === header.cameras.length)
 data(await client.GET('/v1/sessions/{id}/inspection', { params: { path: { id: session.id } } }))
 
 const options: components['schemas']['Options'] = { people: 2, seed: 21, scale: { from: 'height', metres: 1.8, who: 'tallest' } }
-let job = data(await client.POST('/v1/jobs', { body: { session: session.id, options }, params: { header: { 'Idempotency-Key': 'typescript' } } }))
-while (!['succeeded', 'failed', 'canceled', 'dead'].includes(job.state)) {
-  job = data(await client.GET('/v1/jobs/{id}', { params: { path: { id: job.id }, query: { wait: 30 } } }))
+async function followed(job: components['schemas']['Job']) {
+  while (!['succeeded', 'failed', 'canceled', 'dead'].includes(job.state)) {
+    job = data(await client.GET('/v1/jobs/{id}', { params: { path: { id: job.id }, query: { wait: 30 } } }))
+  }
+  if (job.state !== 'succeeded') throw new Error(JSON.stringify(job.error))
+  return job
 }
-const id = job.id
-if (job.state !== 'succeeded') throw new Error(JSON.stringify(job.error))
+
+const new_job = { body: { session: session.id, options }, params: { header: { 'Idempotency-Key': 'typescript' } } }
+const { id } = await followed(data(await client.POST('/v1/jobs', new_job)))
 data(await client.GET('/v1/jobs/{id}/report', { params: { path: { id } } }))
 const manifest = data(await client.POST('/v1/jobs/{id}/exports', { params: { path: { id } }, body: { exports: ['glb'] } }))
 if (!JSON.stringify(manifest).includes('scene.glb')) throw new Error('the format was not added')
 const archive = data(await client.GET('/v1/jobs/{id}/archive', { params: { path: { id } }, parseAs: 'arrayBuffer' })) as unknown as ArrayBuffer
 if (new TextDecoder().decode(archive.slice(0, 2)) !== 'PK') throw new Error('the archive is not a zip')
+
+const corrections: components['schemas']['Correction'][] = [{ action: 'rename', person: 0, name: 'Ada' }]
+const corrected = await followed(data(await client.POST('/v1/jobs', { body: { corrects: id, options: { corrections } } })))
+await client.DELETE('/v1/jobs/{id}', { params: { path: { id: corrected.id } } })
 
 const refused = await client.POST('/v1/jobs', { body: { session: `session_${'0'.repeat(32)}` } })
 if (refused.error?.code !== 'session_not_found') throw new Error('a job without a session was not refused')

@@ -5,6 +5,7 @@ import { readFileSync } from 'node:fs'
 import { join } from 'node:path'
 import { checkBodies } from './body.mjs'
 import { check, checkAccess, failed, hasBrowser, openBrowser, openPage, shot } from './browser.mjs'
+import { checkCorrections, checkCurvesAndZip, checkLinks, checkPhone } from './corrections.mjs'
 import { checkKeys } from './keys.mjs'
 import { LENSES, throughLenses } from './lenses.mjs'
 import { checkFirstView, checkLens, checkPlay, checkProjection, drawn, sceneReady } from './scene.mjs'
@@ -37,6 +38,10 @@ const job = await dropAndSolve()
 await scene()
 await report()
 await files()
+await checkCurvesAndZip({ page, base, job })
+await checkLinks({ browser, base, job })
+await checkPhone({ browser, base, job })
+await checkCorrections({ page, base, job })
 await cancelLongJob()
 await rejectedResult({ page, base, job })
 await jobsWithoutResult({ page, base, folder })
@@ -167,7 +172,7 @@ async function sideBySide() {
 async function report() {
   await page.getByRole('link', { name: 'Report' }).click()
   await page.locator('.chart').first().waitFor()
-  check('the report draws its charts', (await page.locator('.chart').count()) === 5)
+  check('the report draws its charts', (await page.locator('.chart').count()) === 7)
   await shot(page, 'report')
   await checkAccess(page, 'report')
   const pdf = await page.pdf({ format: 'A4', path: undefined })

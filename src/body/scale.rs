@@ -12,6 +12,9 @@ use super::segments::{MeasuredSegment, Segment};
 use crate::optim::robust::INTERVAL_95;
 use nalgebra::{DMatrix, DVector};
 
+/// Plausible heights of people, m.
+pub const HEIGHT_RANGE: [f64; 2] = [0.5, 2.6];
+
 /// Standard deviation of the detector's bias that all segments share, as a log ratio.
 const COMMON_BIAS: f64 = 0.01;
 

@@ -1,4 +1,4 @@
-//! Blocking HTTP client of `submit` and `demo`.
+//! Blocking HTTP client of `submit`, `demo` and `mcp`.
 
 use super::bad_input::BadInput;
 use crate::pipeline::CameraFacts;
@@ -14,7 +14,7 @@ use ureq::typestate::{WithBody, WithoutBody};
 use ureq::{Agent, Body, RequestBuilder};
 
 /// Seconds for which the service may hold one request for the state of a job (long polling).
-const WAIT: u32 = 30;
+pub(super) const WAIT_S: u64 = 30;
 
 /// Time for which a service that does not answer is asked again.
 const RETRY_TIME: Duration = Duration::from_secs(60);
@@ -105,7 +105,7 @@ impl Client {
         let config = Agent::config_builder()
             .http_status_as_error(false) // the client reads problem documents
             .timeout_connect(Some(Duration::from_secs(10)))
-            .timeout_recv_response(Some(Duration::from_secs(u64::from(WAIT) + 300))) // the service validates a large upload before it answers
+            .timeout_recv_response(Some(Duration::from_secs(WAIT_S + 300))) // the service validates a large upload before it answers
             .build();
         let authorization = key.map(|key| format!("Bearer {}", key.trim()));
         Self { agent: Agent::new_with_config(config), server: server.trim_end_matches('/').to_owned(), authorization }
@@ -141,16 +141,31 @@ impl Client {
 
     /// Creates a job. The idempotency key makes repeated requests create one job only.
     pub(super) fn create_job(&self, session: &str, options: &serde_json::Value) -> anyhow::Result<JobAnswer> {
+        self.create_job_of(&serde_json::json!({ "session": session, "options": options }))
+    }
+
+    /// Creates the job that a document describes.
+    pub(super) fn create_job_of(&self, job: &serde_json::Value) -> anyhow::Result<JobAnswer> {
         let key = uuid::Uuid::new_v4().to_string();
         self.with_retries(|| {
             let request = self.post("/v1/jobs").header("idempotency-key", &key);
-            request.send_json(serde_json::json!({ "session": session, "options": options }))
+            request.send_json(job)
         })
     }
 
-    /// Waits until the job has changed or [`WAIT`] seconds have passed, and returns it.
-    pub(super) fn wait_for_job(&self, id: &str) -> anyhow::Result<JobAnswer> {
-        self.with_retries(|| self.get(&format!("/v1/jobs/{id}?wait={WAIT}")).call())
+    /// Waits until the job has changed or `wait_s` seconds have passed, at most [`WAIT_S`], and returns it.
+    pub(super) fn wait_for_job(&self, id: &str, wait_s: u64) -> anyhow::Result<JobAnswer> {
+        self.with_retries(|| self.get(&format!("/v1/jobs/{id}?wait={wait_s}")).call())
+    }
+
+    /// The document at a path of the API.
+    pub(super) fn document_at<T: DeserializeOwned>(&self, path: &str) -> anyhow::Result<T> {
+        self.with_retries(|| self.get(path).call())
+    }
+
+    /// The answer to a document that is sent to a path of the API.
+    pub(super) fn send_document<T: DeserializeOwned>(&self, path: &str, body: &serde_json::Value) -> anyhow::Result<T> {
+        self.document(self.post(path).send_json(body).with_context(|| self.server.clone())?)
     }
 
     /// List of the files of a result.

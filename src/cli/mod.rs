@@ -30,6 +30,8 @@ mod demo;
 #[cfg(feature = "service")]
 mod key;
 #[cfg(feature = "service")]
+mod mcp;
+#[cfg(feature = "service")]
 mod operator;
 #[cfg(feature = "service")]
 mod read_upload;
@@ -83,6 +85,9 @@ enum Command {
     /// Upload a session to a service, follow its job and download the result
     #[cfg(feature = "service")]
     Submit(submit::Args),
+    /// Serve the job API to agents over the Model Context Protocol, on stdin and stdout
+    #[cfg(feature = "service")]
+    Mcp(mcp::Args),
     /// Open the viewer on a result folder, without a service
     #[cfg(feature = "service")]
     View(view::Args),
@@ -153,6 +158,8 @@ pub fn main() -> ExitCode {
         Command::Serve(args) => serve::run(args),
         #[cfg(feature = "service")]
         Command::Submit(args) => submit::run(args),
+        #[cfg(feature = "service")]
+        Command::Mcp(args) => mcp::run(&args),
         #[cfg(feature = "service")]
         Command::View(args) => view::run(args),
         #[cfg(feature = "service")]

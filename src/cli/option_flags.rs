@@ -103,6 +103,7 @@ fn arguments(row: &'static OptionRow) -> Vec<Arg> {
             let parser = PossibleValuesParser::new(values).map(Value::from);
             argument.value_parser(parser).value_delimiter(',').hide_possible_values(true)
         }
+        Kind::Actions(_) => argument.value_parser(|file: &str| list_in(Path::new(file))),
         _ => argument.value_parser(|text: &str| plain_value(&row.kind, text)),
     }]
 }
@@ -117,6 +118,14 @@ fn value_of(row: &OptionRow, matches: &ArgMatches) -> Option<Value> {
         Kind::Choices(_) => matches.get_many::<Value>(row.flag).map(|values| values.cloned().collect()),
         _ => matches.get_one::<Value>(row.flag).cloned(),
     }
+}
+
+/// The list in a JSON file.
+fn list_in(file: &Path) -> Result<Value, String> {
+    let text = std::fs::read(file).map_err(|error| error.to_string())?;
+    let list: Vec<Value> =
+        serde_json::from_slice(&text).map_err(|error| format!("{error}; expected a JSON list of objects"))?;
+    Ok(list.into())
 }
 
 /// The JSON value of a flag's text.

@@ -5,7 +5,7 @@ use super::body::read_body;
 use super::option_flags::OptionArgs;
 use super::output_folder::{publish, require_free, staging_folder};
 use super::progress_display::ProgressDisplay;
-use super::solve::{SolveError, solve, use_threads};
+use super::solve::{SolveError, SolveFiles, solve, use_threads};
 use super::summary::Summary;
 use crate::pipeline::config::DEFAULT_BODY;
 use crate::pipeline::{Options, PipelineError};
@@ -21,6 +21,9 @@ pub(super) struct Args {
     /// Result folder; must be empty or not exist
     #[arg(long)]
     out: PathBuf,
+    /// Result folder of the same session with the same options, from which a solve with --corrections continues
+    #[arg(long, value_name = "RESULT", requires = "corrections")]
+    r#continue: Option<PathBuf>,
     /// JSON file that maps face and foot keypoints to vertices of the body model of --body
     #[arg(long, requires = "body")]
     landmarks: Option<PathBuf>,
@@ -46,7 +49,10 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let shown = display.clone();
     let show = move |event: &ProgressEvent| shown.show(event.stage, event.fraction, &event.message);
     let staging = staging_folder(&args.out)?;
-    let solved = solve(&args.session, None, &options, &body, None, &staging, &Progress::new(show, Arc::default()));
+    let earlier = Vec::from_iter(args.r#continue);
+    let files =
+        SolveFiles { session: &args.session, sha256: None, checkpoints: None, earlier: &earlier, out: &staging };
+    let solved = solve(&files, &options, &body, &Progress::new(show, Arc::default()));
     display.finish();
     publish(&staging, &args.out, solved.map_err(input_or_failure))?;
     let summary = Summary::of_folder(&args.out)?;

@@ -5,7 +5,7 @@
 
 use super::child::{Kind, begin, send};
 use super::confinement::Access;
-use super::solve::{SolveError, solve, use_threads};
+use super::solve::{SolveError, SolveFiles, solve, use_threads};
 use crate::body::default_body;
 use crate::pipeline::PipelineError;
 use crate::pipeline::config::DEFAULT_BODY;
@@ -15,6 +15,7 @@ use crate::service::failpoint::{fault, linger};
 use crate::service::protocol::{JobTask, Message, RUN_JOB};
 use crate::service::queue::job::JobError;
 use crate::session::upload::UploadError;
+use std::path::PathBuf;
 use std::process::ExitCode;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -48,7 +49,8 @@ pub(super) fn run() -> ExitCode {
 }
 
 fn access(task: &JobTask) -> Access<'_> {
-    Access { reads: vec![&task.session, &task.bodies], writes: vec![&task.out, &task.checkpoints] }
+    let reads = [task.session.as_path(), &task.bodies].into_iter().chain(task.earlier.iter().map(PathBuf::as_path));
+    Access { reads: reads.collect(), writes: vec![&task.out, &task.checkpoints] }
 }
 
 fn run_task(task: &JobTask, progress: &Progress) -> Result<(), JobError> {
@@ -66,9 +68,14 @@ fn run_task(task: &JobTask, progress: &Progress) -> Result<(), JobError> {
     if fault("seed.random") {
         options.seed = u64::from(std::process::id());
     }
-    let sha256 = Some(task.session_sha256.as_str());
-    let solved = solve(&task.session, sha256, &options, &body, checkpoints, &task.out, progress);
-    solved.map(drop).map_err(job_error)
+    let files = SolveFiles {
+        session: &task.session,
+        sha256: Some(task.session_sha256.as_str()),
+        checkpoints,
+        earlier: &task.earlier,
+        out: &task.out,
+    };
+    solve(&files, &options, &body, progress).map(drop).map_err(job_error)
 }
 
 fn send_heartbeats() {

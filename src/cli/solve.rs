@@ -4,12 +4,12 @@ use crate::body::BodyModel;
 use crate::export::{self, ResultContext};
 use crate::pipeline::checkpoints::Checkpoints;
 use crate::pipeline::config::Extrinsics;
-use crate::pipeline::{self, CameraFacts, Options, PipelineError};
+use crate::pipeline::{self, CameraFacts, Continuation, Options, PipelineError};
 use crate::progress::Progress;
 use crate::session::reconstruction::Quality;
 use crate::session::upload::{self, UploadError, UploadLimits};
 use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Reasons why no result was written.
 #[derive(Debug, thiserror::Error)]
@@ -29,18 +29,28 @@ pub(super) enum SolveError {
     Write(#[from] io::Error),
 }
 
-/// Reads the session, solves it and writes the result into `out`.
-///
-/// `sha256`: expected digest of the session. `checkpoints`: folder of finished stages, from which interrupted work resumes.
+/// What a solve reads and writes.
+pub(super) struct SolveFiles<'a> {
+    /// The session.
+    pub(super) session: &'a Path,
+    /// Its expected digest.
+    pub(super) sha256: Option<&'a str>,
+    /// Folder of finished stages, from which interrupted work resumes.
+    pub(super) checkpoints: Option<&'a Path>,
+    /// Folders of results from which a solve with corrections continues: the first that fits.
+    pub(super) earlier: &'a [PathBuf],
+    /// Folder of the new result.
+    pub(super) out: &'a Path,
+}
+
+/// Reads the session, solves it and writes the result.
 pub(super) fn solve(
-    session: &Path,
-    sha256: Option<&str>,
+    files: &SolveFiles,
     options: &Options,
     body: &BodyModel,
-    checkpoints: Option<&Path>,
-    out: &Path,
     progress: &Progress,
 ) -> Result<Quality, SolveError> {
+    let SolveFiles { session, sha256, checkpoints, earlier, out } = *files;
     let mut loaded = upload::read_path(session, &UploadLimits::default())?;
     for warning in loaded.warnings.iter().cloned().chain(ignored_poses(options, &CameraFacts::of(&loaded.session))) {
         tracing::warn!("{warning}");
@@ -53,16 +63,28 @@ pub(super) fn solve(
         Some(folder) => Checkpoints::in_folder(folder, &loaded.sha256, options, body),
         None => Checkpoints::none(),
     };
-    let reconstruction =
-        pipeline::reconstruct_with_checkpoints(&loaded.session, options, body, &checkpoints, progress)?;
+    let continuation = match options.corrections.is_empty() {
+        true => None,
+        false => earlier.iter().find_map(|result| read_continuation(result, &loaded.sha256, options)),
+    };
+    let solved = pipeline::solve(&loaded.session, options, body, &checkpoints, continuation.as_ref(), progress)?;
+    let continuation = solved.continuation.to_text(&loaded.sha256, options).map_err(io::Error::from)?;
+    let reconstruction = solved.reconstruction;
     let context = ResultContext {
         input_sha256: &loaded.sha256,
         options: serde_json::to_value(options).map_err(io::Error::from)?,
         solver_version: env!("CARGO_PKG_VERSION"),
         exports: &options.exports,
+        continuation: Some(&continuation),
     };
     export::write_result(out, &loaded.session, &context, &reconstruction)?;
     Ok(reconstruction.report.quality)
+}
+
+/// What a result says of the cameras and people without corrections, if it is of this session and these options.
+pub(super) fn read_continuation(result: &Path, sha256: &str, options: &Options) -> Option<Continuation> {
+    let text = std::fs::read_to_string(result.join(export::CONTINUATION)).ok()?;
+    Continuation::from_text(&text, sha256, options)
 }
 
 /// A warning where the session gives camera poses that the options do not use.

@@ -1,7 +1,7 @@
 //! `wandless submit`: uploads a session, follows its job and downloads the result.
 
 use super::bad_input::BadInput;
-use super::client::{Client, JobAnswer};
+use super::client::{Client, JobAnswer, WAIT_S};
 use super::option_flags::OptionArgs;
 use super::output_folder::{publish, require_free, staging_folder};
 use super::progress_display::ProgressDisplay;
@@ -60,13 +60,18 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
 
 /// Uploads a session, creates its job and waits until the job has succeeded.
 pub(super) fn submit(client: &Client, session: &Path, options: &Options) -> anyhow::Result<JobAnswer> {
+    follow(client, submit_job(client, session, options)?)
+}
+
+/// Uploads a session and creates its job.
+pub(super) fn submit_job(client: &Client, session: &Path, options: &Options) -> anyhow::Result<JobAnswer> {
     let unreadable = |error: anyhow::Error| BadInput(format!("{}: {error:#}", session.display()));
     let upload = open(session).map_err(unreadable)?;
     let stored = client.upload(&upload.file, upload.media_type)?;
     for warning in stored.warnings.iter().cloned().chain(ignored_poses(options, &stored.camera_facts)) {
         eprintln!("warning: {warning}");
     }
-    follow(client, client.create_job(&stored.id, &serde_json::to_value(options)?)?)
+    client.create_job(&stored.id, &serde_json::to_value(options)?)
 }
 
 /// Shows the progress of the job until it ends.
@@ -78,7 +83,7 @@ fn follow(client: &Client, mut job: JobAnswer) -> anyhow::Result<JobAnswer> {
             stage => stage,
         };
         display.show(stage, job.progress.fraction, &job.progress.message);
-        job = client.wait_for_job(&job.id)?;
+        job = client.wait_for_job(&job.id, WAIT_S)?;
     }
     display.finish();
     match (job.state.as_str(), &job.error) {

@@ -9,7 +9,7 @@
 
 use super::files::{ResultFiles, micro, micro_entries};
 use super::film::{film_lens, world_from_film};
-use super::rig::rest_joints;
+use super::rig::{person_name, rest_joints};
 use super::rotation_forms::{quaternion_xyzw, quaternions_xyzw};
 use super::take::{Take, TakeCamera};
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
@@ -75,6 +75,7 @@ fn person(take: &Take, motion: &BodyMotion) -> Value {
         .collect();
     json!({
         "id": motion.person.0,
+        "name": person_name(take, motion),
         "first_frame": take.presence(motion)[0],
         "rest_joints": rest_joints(motion).map(|joint| entries(&joint).map(micro)),
         "pelvis": motion.frames.iter().map(|pose| micro_entries(&pose.joints[0])).collect::<Vec<_>>(),

@@ -13,4 +13,6 @@ pub struct ResultContext<'a> {
     pub solver_version: &'a str,
     /// Formats to write beside the JSON files.
     pub exports: &'a [ExportFormat],
+    /// Content of the file [`CONTINUATION`](super::CONTINUATION); without it no such file is written.
+    pub continuation: Option<&'a str>,
 }

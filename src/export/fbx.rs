@@ -37,7 +37,7 @@ const MEDIA_TYPE: &str = "application/octet-stream";
 /// Writes a file of all people, and a file per person and set of joint names.
 pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
     let take = take.with_up_axis(UpAxis::Y);
-    let names: Vec<String> = take.motions.iter().map(person_name).collect();
+    let names: Vec<String> = take.motions.iter().map(|motion| person_name(&take, motion)).collect();
     let person = |(motion, name)| Person {
         name,
         joint_names: JOINT_NAMES.map(|joint| format!("{name}:{joint}")),

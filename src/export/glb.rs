@@ -69,7 +69,7 @@ impl Document {
         let pelvis = root + 1; // joint j is node pelvis + j
         self.scene_nodes.push(root);
         self.add_node(json!({
-            "name": person_name(motion),
+            "name": person_name(take, motion),
             "children": [pelvis],
             "extras": {
                 "frame_presence": take.presence(motion),
@@ -98,7 +98,7 @@ impl Document {
         let inverse_bind: Vec<f32> = (0..N_JOINTS).flat_map(|joint| inverse_bind(rig, joint)).collect();
         let inverse_bind = self.buffer.floats(&inverse_bind, Element::Mat4);
         let joints: Vec<usize> = (0..N_JOINTS).map(|joint| pelvis + joint).collect();
-        let person = person_name(motion);
+        let person = person_name(take, motion);
         self.skins.push(json!({
             "name": person, "inverseBindMatrices": inverse_bind, "joints": joints, "skeleton": pelvis,
         }));

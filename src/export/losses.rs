@@ -153,6 +153,7 @@ mod tests {
             cameras: vec![camera],
             unsolved: vec!["b".to_owned()],
             motions: Vec::new(),
+            names: std::collections::BTreeMap::new(),
             keypoint_names: Vec::new(),
             keypoints: std::collections::BTreeMap::new(),
             body_model: BodyModelId { name: "studio".to_owned(), sha256: String::new() },

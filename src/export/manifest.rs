@@ -54,6 +54,8 @@ struct Publish<'a> {
 #[derive(Serialize)]
 struct Presence {
     id: usize,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    name: Option<String>,
     frame_range: [i64; 2],
 }
 
@@ -73,7 +75,11 @@ pub(super) fn manifest<'a>(
     take: &Take,
     written: Written,
 ) -> Manifest<'a> {
-    let present = |motion: &BodyMotion| Presence { id: motion.person.0, frame_range: take.presence(motion) };
+    let present = |motion: &BodyMotion| Presence {
+        id: motion.person.0,
+        name: take.names.get(&motion.person).cloned(),
+        frame_range: take.presence(motion),
+    };
     Manifest {
         input: Input { name: &session.name, sha256: context.input_sha256 },
         options: &context.options,

@@ -64,6 +64,9 @@ use manifest::Written;
 use std::io;
 use std::path::Path;
 
+/// The file from which a solve with corrections continues.
+pub const CONTINUATION: &str = "stages/continuation.txt";
+
 /// Media type of files that only the viewer reads.
 const OCTETS: &str = "application/octet-stream";
 
@@ -89,6 +92,9 @@ pub fn write_result(
     files.json("report.json", &reconstruction.report)?;
     files.bytes("stages/motion.bin", OCTETS, &motion_bin::motion_bin(session, reconstruction)?)?;
     files.bytes("stages/detections.bin", OCTETS, &detections_bin::detections_bin(session, reconstruction)?)?;
+    if let Some(continuation) = context.continuation {
+        files.bytes(CONTINUATION, "text/plain", continuation.as_bytes())?;
+    }
     let take = take::take_of(session, reconstruction);
     let representations = write_all(&mut files, &take, context.exports)?;
     let written = Written { representations, files: files.written().to_vec() };

@@ -22,6 +22,8 @@ pub(super) struct People<'a> {
 #[derive(Serialize)]
 struct Person {
     id: usize,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    name: Option<String>,
     betas: [f64; 10],
     #[serde(flatten)]
     measures: Option<Measures>,
@@ -87,13 +89,14 @@ pub(super) fn millimetres(sigmas: &JointSigmas) -> [f64; N_JOINTS] {
 }
 
 fn person(session: &Session, motion: &BodyMotion, report: &Report) -> Person {
-    let measures =
-        report.people.iter().find(|person| person.id == motion.person.0).and_then(|person| person.body.as_ref());
+    let own = report.people.iter().find(|person| person.id == motion.person.0);
+    let measures = own.and_then(|person| person.body.as_ref());
     // [frames, 72]
     let poses: Vec<Vec<f64>> =
         motion.frames.iter().map(|pose| axis_angles(pose).into_iter().map(micro).collect()).collect();
     Person {
         id: motion.person.0,
+        name: own.and_then(|person| person.name.clone()),
         betas: motion.betas.map(micro),
         measures: measures.map(rounded_measures),
         frames: frame_numbers(session, motion),

@@ -82,6 +82,8 @@ struct PeopleFile {
 #[derive(Deserialize)]
 struct Person {
     id: usize,
+    #[serde(default)]
+    name: Option<String>,
     betas: Vec<Option<f64>>,
     frames: Vec<i64>,
     global_orient: Vec<[Option<f64>; 3]>,
@@ -137,6 +139,7 @@ pub fn read_take(dir: &Path) -> Result<Take, ReadError> {
         cameras: Vec::new(),
         unsolved: Vec::new(),
         motions: Vec::new(),
+        names: BTreeMap::new(),
         keypoint_names: Vec::new(),
         keypoints: BTreeMap::new(),
         body: free_body(&people.body_model),
@@ -154,6 +157,7 @@ pub fn read_take(dir: &Path) -> Result<Take, ReadError> {
             let what = format!("person {}", person.id);
             return Err(contradiction("people.json", &what, "unique ids", "a repeated id".to_owned()));
         }
+        take.names.extend(person.name.clone().map(|name| (PersonId(person.id), name)));
         take.motions.extend(carry_over_non_finite(motion(&take, person, &poses)?));
     }
     add_keypoints(&mut take, keypoints)?;

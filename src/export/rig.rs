@@ -7,6 +7,7 @@
 //! `world_from_bone = G_j Q_j` with SMPL's `G_j` ([`crate::body::kinematics`]) and the rest axes `Q_j = body_from_bone`;
 //! local rotations are `Q_parent^T R_j Q_j`.
 
+use super::take::Take;
 use crate::body::skeleton::{N_JOINTS, PARENTS};
 use crate::geometry::rotation::any_perpendicular;
 use crate::session::BodyMotion;
@@ -52,9 +53,18 @@ impl Rig {
     }
 }
 
-/// Name of a person in scenes.
-pub(super) fn person_name(motion: &BodyMotion) -> String {
-    format!("person_{}", motion.person.0)
+/// Name of a person in scenes, of ASCII letters, digits and `_`: the person's own where a correction gives one.
+pub(super) fn person_name(take: &Take, motion: &BodyMotion) -> String {
+    let plain =
+        |name: &String| -> String { name.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '_' }).collect() };
+    let number = motion.person.0;
+    match take.names.get(&motion.person).map(plain) {
+        Some(own) if own.starts_with(|c: char| c.is_ascii_alphabetic()) => {
+            let is_taken = take.names.iter().any(|(other, name)| *other != motion.person && plain(name) == own);
+            if is_taken { format!("{own}_{number}") } else { own }
+        }
+        _ => format!("person_{number}"),
+    }
 }
 
 /// The joints below a joint, in order of their numbers.

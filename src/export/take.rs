@@ -34,6 +34,8 @@ pub struct Take {
     pub unsolved: Vec<String>,
     /// Motions of all people; every number is finite, and every motion has a frame.
     pub motions: Vec<BodyMotion>,
+    /// Names of the people that have one.
+    pub names: BTreeMap<PersonId, String>,
     /// Names of the detector's keypoints.
     pub keypoint_names: Vec<String>,
     /// The detector's own keypoints in space by person and frame index, world metres: `None` where a point is unknown. Frames
@@ -136,6 +138,11 @@ impl Take {
     }
 }
 
+fn names(reconstruction: &Reconstruction) -> BTreeMap<PersonId, String> {
+    let people = reconstruction.report.people.iter();
+    people.filter_map(|person| Some((PersonId(person.id), person.name.clone()?))).collect()
+}
+
 /// Converts a reconstruction: numbers are rounded as in the JSON files, and poses that are not finite are carried over from
 /// neighbouring frames.
 pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Take {
@@ -149,6 +156,7 @@ pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Tak
         cameras: Vec::new(),
         unsolved: Vec::new(),
         motions: Vec::new(),
+        names: names(reconstruction),
         keypoint_names: session.convention.names().iter().map(|name| (*name).to_owned()).collect(),
         keypoints: BTreeMap::new(),
         body: free_body(&reconstruction.body_model),

@@ -124,6 +124,7 @@ fn context() -> ResultContext<'static> {
         options: json!({"seed": 0, "people": null}),
         solver_version: "0.0.0",
         exports: &[ExportFormat::SmplNpz],
+        continuation: None,
     }
 }
 

@@ -53,7 +53,7 @@ fn scene(take: &Take) -> String {
 }
 
 fn person(take: &Take, motion: &BodyMotion) -> String {
-    let (name, rig) = (person_name(motion), Rig::of(motion));
+    let (name, rig) = (person_name(take, motion), Rig::of(motion));
     let paths = list((0..N_JOINTS).map(|joint| quoted(&path(joint))));
     let is_root = |joint: usize| PARENTS[joint].is_none();
     let posed = |joint: usize, pose: &BodyPose| if is_root(joint) { pose.joints[joint] } else { rig.offset(joint) };

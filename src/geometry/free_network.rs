@@ -2,9 +2,10 @@
 //!
 //! Increments are left increments `(rho, phi)` of `camera_from_world`, six per camera.
 
-use super::Rigid;
 use super::rotation::skew;
+use super::{Rigid, Similarity};
 use nalgebra::{DMatrix, Matrix3, Matrix3xX, SMatrix, Vector3};
+use serde::{Deserialize, Serialize};
 
 /// Weight of orientations in the alignment, in units of the rig's radius: small, so that centres decide as in evaluation,
 /// and orientations matter only for a rig whose centres lie on a line.
@@ -81,7 +82,7 @@ pub struct PoseSigma {
 }
 
 /// Covariance of the increments of all cameras, in whatever gauge.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CameraCovariance {
     poses: Vec<Rigid>,
     /// [6 cameras, 6 cameras]
@@ -95,6 +96,15 @@ impl CameraCovariance {
     pub fn new(poses: Vec<Rigid>, covariance: DMatrix<f64>) -> Option<Self> {
         let alignment = alignment(&poses)?;
         Some(Self { poses, covariance, alignment })
+    }
+
+    /// That of the same cameras in another world: increments of left perturbations do not turn with the world, and those of
+    /// positions take its unit. `None` as of [`alignment`].
+    pub fn moved(&self, target_from_world: &Similarity) -> Option<Self> {
+        let poses = self.poses.iter().map(|pose| target_from_world.move_camera(pose)).collect();
+        let unit = |i: usize| if i % 6 < 3 { target_from_world.scale } else { 1.0 };
+        let n = self.covariance.nrows();
+        Self::new(poses, DMatrix::from_fn(n, n, |i, j| unit(i) * self.covariance[(i, j)] * unit(j)))
     }
 
     /// Number of cameras.
@@ -159,6 +169,19 @@ mod tests {
             let found = pose.perturbed_left(&rho, &phi);
             assert!((found.center() - center).norm() < 1e-8, "{k}");
             assert!((found.rotation - turned).norm() < 1e-8, "{k}");
+        }
+    }
+
+    #[test]
+    fn covariance_moves_with_the_world() {
+        let (poses, n) = (rig(), 24);
+        let factor = DMatrix::from_fn(n, n, |i, j| ((3 * i + 7 * j) as f64).sin());
+        let before = CameraCovariance::new(poses, &factor * factor.transpose()).unwrap();
+        let rotation = rotation::exp(&Vector3::new(0.4, -1.0, 0.2));
+        let by = Similarity { scale: 2.5, rotation, translation: Vector3::new(1.0, -2.0, 0.5) };
+        let after = before.moved(&by).unwrap();
+        for (a, b) in before.pose_sigmas().iter().zip(after.pose_sigmas()) {
+            assert!((2.5 * a.position - b.position).abs() < 1e-9 && (a.angle - b.angle).abs() < 1e-9, "{a:?} {b:?}");
         }
     }
 

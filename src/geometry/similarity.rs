@@ -22,6 +22,12 @@ impl Similarity {
         Self { scale: 1.0, rotation: Matrix3::identity(), translation: Vector3::zeros() }
     }
 
+    /// From the target frame to the source frame.
+    pub fn inverse(&self) -> Self {
+        let (scale, rotation) = (1.0 / self.scale, self.rotation.transpose());
+        Self { scale, rotation, translation: -(rotation * self.translation * scale) }
+    }
+
     /// Maps a point of the source frame to the target frame.
     pub fn transform(&self, point: &Vector3<f64>) -> Vector3<f64> {
         self.rotation * point * self.scale + self.translation

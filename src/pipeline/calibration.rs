@@ -3,6 +3,7 @@
 use super::capture::Capture;
 use crate::body::detector_noise::DetectorNoise;
 use crate::geometry::Rigid;
+use crate::geometry::free_network::CameraCovariance;
 use crate::session::reconstruction::StageReport;
 use crate::session::recording::Detection;
 use crate::session::{JointTrajectory, PersonTrack, Session};
@@ -25,6 +26,10 @@ pub struct Calibration {
     pub rival_explained: f64,
     /// Reports of all stages so far.
     pub stages: Vec<StageReport>,
+    /// Of the placed cameras, where they have been adjusted together with bodies: they are not adjusted again.
+    pub with_bodies: Option<CameraCovariance>,
+    /// Views that a correction leaves out: they have no pose and no detections.
+    pub excluded: Vec<usize>,
 }
 
 impl Calibration {
@@ -37,6 +42,24 @@ impl Calibration {
             noise: DetectorNoise::published(capture.session.convention),
             rival_explained: 0.0,
             stages: Vec::new(),
+            with_bodies: None,
+            excluded: Vec::new(),
+        }
+    }
+
+    /// Takes cameras that were adjusted together with bodies, and their uncertainty where it is known.
+    ///
+    /// `placed`: poses of the placed cameras; `covariance`: theirs. Both in a world whose unit is `unit` of the calibration's.
+    pub fn take_over(&mut self, placed: &[Rigid], covariance: Option<&CameraCovariance>, unit: f64) {
+        self.cameras.iter_mut().flatten().zip(placed).for_each(|(camera, adjusted)| *camera = *adjusted);
+        let (Some(covariance), Some(adjusted)) = (covariance, &mut self.adjusted) else { return };
+        let cameras = adjusted.cameras.iter_mut().zip(&self.cameras).filter(|(_, pose)| pose.is_some());
+        for ((camera, _), sigma) in cameras.zip(covariance.pose_sigmas()) {
+            camera.uncertainty = Some(CameraUncertainty {
+                sigma_position: sigma.position * unit,
+                sigma_angle: sigma.angle,
+                sigma_delay: camera.uncertainty.and_then(|before| before.sigma_delay),
+            });
         }
     }
 

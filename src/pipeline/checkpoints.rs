@@ -1,6 +1,6 @@
 //! Checkpoints: results of finished stages on disk, so that an interrupted run resumes after its last finished stage.
 //!
-//! A file has four lines: `wandless-checkpoint 4`, the key of the run, the SHA-256 of key and result, and the result as JSON.
+//! A file has four lines: `wandless-checkpoint 6`, the key of the run, the SHA-256 of key and result, and the result as JSON.
 //! Numbers are read back exactly, so a resumed run gives the bytes of an uninterrupted one. A file that is damaged, of another
 //! release or of another run is ignored; a checkpoint that cannot be written is skipped with a warning.
 
@@ -29,7 +29,7 @@ struct RunFolder {
 }
 
 /// First line of a file; the number grows with every change of the stored types.
-const MAGIC: &str = "wandless-checkpoint 5";
+const MAGIC: &str = "wandless-checkpoint 6";
 
 impl Checkpoints {
     /// Stores nothing.
@@ -85,24 +85,36 @@ fn contents(text: &str) -> Option<(&str, &str)> {
     (digest_of(key, rest) == digest).then_some((key, rest))
 }
 
+/// The text of a file with a key and a result, from which [`opened`] reads it.
+///
+/// # Errors
+/// Where the result cannot be written as JSON.
+pub fn sealed<T: Serialize>(key: &str, result: &T) -> Result<String, serde_json::Error> {
+    let rest = serde_json::to_string(result)?;
+    Ok(format!("{MAGIC}\n{key}\n{}\n{rest}", digest_of(key, &rest)))
+}
+
+/// The result in a text of [`sealed`]; `None` where it is damaged, of another release or has another key.
+pub fn opened<T: DeserializeOwned>(text: &str, key: &str) -> Option<T> {
+    let (found, rest) = contents(text)?;
+    if found == key { serde_json::from_str(rest).ok() } else { None }
+}
+
 fn digest_of(key: &str, rest: &str) -> String {
     hex::encode(Sha256::new().chain_update(key).chain_update(rest).finalize())
 }
 
 impl RunFolder {
     fn read<T: DeserializeOwned>(&self, path: &Path) -> Option<T> {
-        let text = std::fs::read_to_string(path).ok()?;
-        let (key, rest) = contents(&text)?;
-        if key == self.key { serde_json::from_str(rest).ok() } else { None }
+        opened(&std::fs::read_to_string(path).ok()?, &self.key)
     }
 
     /// Writes to a temporary name and renames, so that a file is complete or absent.
     fn write<T: Serialize>(&self, path: &Path, result: &T) -> io::Result<()> {
-        let rest = serde_json::to_string(result)?;
-        let digest = digest_of(&self.key, &rest);
+        let text = sealed(&self.key, result)?;
         let staging = path.with_extension("tmp");
         let mut file = File::create(&staging)?;
-        write!(file, "{MAGIC}\n{}\n{digest}\n{rest}", self.key)?;
+        file.write_all(text.as_bytes())?;
         file.sync_all()?;
         std::fs::rename(&staging, path)
     }

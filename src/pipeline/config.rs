@@ -1,6 +1,8 @@
 //! Options of a job. They are stored with the job, so that a run can be repeated.
 
+use super::corrections::Correction;
 use super::error::PipelineError;
+use crate::body::scale::HEIGHT_RANGE;
 use crate::session::reconstruction::ExportFormat;
 use crate::session::recording::{FPS_RANGE, UpAxis};
 use crate::session::{Session, View};
@@ -42,6 +44,8 @@ pub struct Options {
     pub repair: Repair,
     /// Seed of every random choice.
     pub seed: u64,
+    /// Corrections of the people of a solve without corrections.
+    pub corrections: Vec<Correction>,
     /// Formats written in addition to the JSON files; repeated ones count once.
     #[serde(deserialize_with = "distinct")]
     pub exports: Vec<ExportFormat>,
@@ -74,6 +78,7 @@ impl Default for Options {
             sync: Sync::Given,
             repair: Repair::Suggest,
             seed: 0,
+            corrections: Vec::new(),
             exports: vec![ExportFormat::SmplNpz],
             adjust_with_bodies: true,
         }
@@ -137,9 +142,6 @@ impl CameraFacts {
     }
 }
 
-/// Plausible heights of people, m.
-pub const HEIGHT_RANGE: [f64; 2] = [0.5, 2.6];
-
 impl Options {
     /// The session at the frame rate of the options.
     pub fn at_rate<'s>(&self, session: &'s Session) -> Cow<'s, Session> {
@@ -188,13 +190,43 @@ impl Options {
         if self.up_axis == UpAxis::X {
             return refuse("/up_axis", "up axis x is not supported; use \"y\" or \"z\"");
         }
-        self.check_scale(cameras)
+        self.check_scale(cameras)?;
+        self.check_corrections(cameras)
     }
 
     /// Treatment of the intrinsics of a session: where a camera has no K they are estimated.
     pub fn intrinsics_of(&self, session: &Session) -> IntrinsicsMode {
         let is_known = session.views.iter().all(|view| view.has_intrinsics);
         if is_known { self.intrinsics } else { IntrinsicsMode::Estimate }
+    }
+
+    /// The options on which cameras and people of a solve without corrections depend; the others have their defaults.
+    pub fn without_corrections(&self) -> Self {
+        let Self { corrections, exports, collision, .. } = Self::default();
+        Self { corrections, exports, collision, ..self.clone() }
+    }
+
+    /// Checks what is known of corrections before the solve: cameras and heights.
+    fn check_corrections(&self, cameras: &[CameraFacts]) -> Result<(), PipelineError> {
+        for (i, correction) in self.corrections.iter().enumerate() {
+            let refuse = |reason: String| Err(PipelineError::from(correction.error(i, reason)));
+            if let Some(id) = correction.camera().filter(|id| cameras.iter().all(|camera| camera.id != *id)) {
+                return refuse(format!("the session has no camera {id:?}; name one of its cameras"));
+            }
+            let [min, max] = HEIGHT_RANGE;
+            match correction {
+                Correction::SetHeight { metres, .. } if !(min..=max).contains(metres) => {
+                    return refuse(format!("{metres} m is not a plausible height of a person; give {min} to {max} m"));
+                }
+                Correction::SetHeight { .. } if self.extrinsics != Extrinsics::Estimate => {
+                    let reason =
+                        "with given camera poses the scale is theirs; use extrinsics \"estimate\", or leave it out";
+                    return refuse(reason.to_owned());
+                }
+                _ => {}
+            }
+        }
+        Ok(())
     }
 
     fn check_unknown_lenses(&self, cameras: &[CameraFacts]) -> Result<(), PipelineError> {

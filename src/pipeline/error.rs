@@ -1,5 +1,6 @@
 //! Why a session cannot be solved.
 
+use super::corrections::CorrectionError;
 use crate::progress::Canceled;
 use crate::session::Suspicion;
 
@@ -27,6 +28,12 @@ pub enum PipelineError {
         /// Probable mistakes in the files of the recording.
         suspicions: Vec<Suspicion>,
     },
+}
+
+impl From<CorrectionError> for PipelineError {
+    fn from(error: CorrectionError) -> Self {
+        Self::Option { option: "/corrections", reason: error.to_string() }
+    }
 }
 
 impl PipelineError {

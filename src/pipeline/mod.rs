@@ -18,6 +18,8 @@
 //! | 6 | [`joint_trajectories`](stages::joint_trajectories) | smooth trajectories of the keypoints | once |
 //! | 7 | [`recording_check`](passes::recording_check) | mistakes in the files that the solution shows | several cameras; once |
 //! | | | in between: bundle adjustment with delays and focal lengths | once |
+//! | | [`correction`](passes::correction) | repair of detections, trajectories | `corrections`; once |
+//! | | | pass 5 | where they leave cameras out |
 //! | 8 | [`metric_scale`] | scale; for `scale: height` statures by body fit | once; up to 4 fits |
 //! | 9 | [`result`] | world frame, body fit | once |
 //! | | | within it cameras and bodies together, then smooth trajectories again | not `fixed`, several cameras; once |
@@ -27,18 +29,21 @@
 //! adjustment of estimated or refined cameras runs exactly once per calibration: in pass 4 on repaired detections, or
 //! without that pass at the end of pass 3.
 //!
-//! Nouns (`calibration`, `capture`, `config`, `error`, `focal_lengths`, `focal_spread`, `keyframe`, `option_table`, `unsolvable`) import no stage; stages import nouns and no other stage;
+//! Nouns (`calibration`, `capture`, `config`, `continuation`, `corrections`, `error`, `focal_lengths`, `focal_spread`, `keyframe`, `option_kind`, `option_table`, `unsolvable`) import no stage; stages import nouns and no other stage;
 //! passes import stages; this file imports passes.
 
 pub mod calibration;
 pub mod capture;
 pub mod checkpoints;
 pub mod config;
+pub mod continuation;
+pub mod corrections;
 pub mod error;
 pub mod focal_lengths;
 pub mod focal_spread;
 pub mod inspection;
 pub mod keyframe;
+pub mod option_kind;
 pub mod option_reference;
 pub mod option_table;
 pub mod passes;
@@ -48,17 +53,21 @@ pub mod stages;
 pub mod unsolvable;
 
 use crate::body::{BodyModel, default_body};
-use crate::progress::Progress;
+use crate::progress::{Progress, Stages};
 use crate::session::recording_tests::suspicions;
-use crate::session::{Reconstruction, Session, Suspicion};
+use crate::session::{PersonId, Reconstruction, Session, Suspicion};
 use calibration::CameraFreedom;
 use capture::Capture;
 use checkpoints::Checkpoints;
 pub use config::{CameraFacts, Options};
 use config::{Extrinsics, IntrinsicsMode, Repair, Sync};
+pub use continuation::Continuation;
+use continuation::Placed;
+use corrections::{CorrectedPeople, Correction, corrected_people};
 pub use error::PipelineError;
 use focal_lengths::FocalLengths;
 use passes::cameras::{FinalAdjustment, calibrated};
+use passes::correction::corrected;
 use passes::denoising::denoised_capture;
 use passes::focal_lengths::refined_focal_lengths;
 use passes::held_out_check::heldout_px;
@@ -67,10 +76,11 @@ use passes::recording_check::{checked, mistake_of_unsolved};
 use passes::synchronisation::{Timing, estimated_timing};
 use passes::unknown_lenses::estimated_focal_lengths;
 use repair::{MAX_REPAIRS, repaired};
-use result::{Solution, statures};
+use result::{FittedResult, Solution, statures};
 use stages::joint_trajectories::joint_trajectories;
 use stages::metric_scale;
 use std::borrow::Cow;
+use std::ops::ControlFlow;
 use unsolvable::CameraEvidence;
 
 /// [`reconstruct_with_body`] with the embedded body.
@@ -102,24 +112,65 @@ pub fn reconstruct_with_checkpoints(
     checkpoints: &Checkpoints,
     progress: &Progress,
 ) -> Result<Reconstruction, PipelineError> {
+    solve(session, options, body, checkpoints, None, progress).map(|solved| solved.reconstruction)
+}
+
+/// A result, and what solves of the same session with other corrections continue from.
+#[derive(Debug, Clone)]
+pub struct SolvedSession {
+    /// The result.
+    pub reconstruction: Reconstruction,
+    /// Cameras and people of the solve without corrections.
+    pub continuation: Continuation,
+}
+
+/// Solves a session as [`reconstruct_with_checkpoints`] does.
+///
+/// `earlier`: from a solve of this session with the same [`Options::without_corrections`]. With corrections it saves the passes that
+/// find cameras and people, and changes no bit of the result; without them it is not used.
+///
+/// # Errors
+/// Those of [`reconstruct_with_body`]; [`PipelineError::Option`] also for a correction that does not fit the people.
+pub fn solve(
+    session: &Session,
+    options: &Options,
+    body: &BodyModel,
+    checkpoints: &Checkpoints,
+    earlier: Option<&Continuation>,
+    progress: &Progress,
+) -> Result<SolvedSession, PipelineError> {
     // The caller has already looked up `options.body`.
     options.check(&CameraFacts::of(session), std::slice::from_ref(&options.body))?;
     require_detections(session)?;
-    let (mut applied, mut n_repairs) = (Vec::new(), 0);
+    if let Some(continuation) = earlier.filter(|_| !options.corrections.is_empty()) {
+        let (session, options) = continuation.repaired(session, options);
+        let checkpoints = checkpoints.after_repairs(continuation.repairs().len());
+        let applied = continuation.repairs();
+        let attempt = Attempt {
+            session: &session,
+            options: &options,
+            body,
+            checkpoints: &checkpoints,
+            applied,
+            may_repair: false,
+        };
+        return attempt.corrected(continuation, progress);
+    }
+    let mut applied = Vec::new();
     let (mut repaired_session, mut repaired_options) = (Cow::Borrowed(session), options.clone());
+    let mut n_repairs = 0;
     loop {
-        let may_repair = options.repair == Repair::Auto && n_repairs < MAX_REPAIRS;
-        let checkpoints = checkpoints.after_repairs(n_repairs);
+        let checkpoints = checkpoints.after_repairs(applied.len());
         let attempt = Attempt {
             session: &repaired_session,
             options: &repaired_options,
             body,
             checkpoints: &checkpoints,
             applied: &applied,
-            may_repair,
+            may_repair: options.repair == Repair::Auto && n_repairs < MAX_REPAIRS,
         };
         match attempt.outcome(progress)? {
-            Outcome::Solved(reconstruction) => return Ok(*reconstruction),
+            Outcome::Solved(solved) => return Ok(*solved),
             Outcome::Repaired(repair) => {
                 let Repaired { session, options, suspicions } = *repair;
                 for suspicion in suspicions {
@@ -146,7 +197,7 @@ struct Attempt<'a> {
 }
 
 enum Outcome {
-    Solved(Box<Reconstruction>),
+    Solved(Box<SolvedSession>),
     Repaired(Box<Repaired>),
 }
 
@@ -181,17 +232,51 @@ impl Attempt<'_> {
     }
 
     fn outcome(&self, progress: &Progress) -> Result<Outcome, PipelineError> {
-        let Self { options, body, checkpoints, .. } = *self;
+        let options = self.options;
         let session = &*options.at_rate(self.session);
-        let mut suspicions = suspicions(session);
-        if let Some(repair) = self.repair(&suspicions) {
-            return Ok(repair);
-        }
         let mut stages = progress.stages(stage_weights(options, options.intrinsics_of(session)));
-        let freedom = match options.extrinsics {
-            Extrinsics::Fixed => CameraFreedom::Held,
-            Extrinsics::Estimate | Extrinsics::Refine => CameraFreedom::Adjusted,
+        let placed = match self.placed(session, &mut stages)? {
+            ControlFlow::Break(repaired) => return Ok(repaired),
+            ControlFlow::Continue(placed) => placed,
         };
+        let continuation = Continuation::of(&placed, self.applied);
+        let people = CorrectedPeople::default();
+        let (fitted, focal_lengths) = self.finished(session, placed, &people, LAST_STAGES, &mut stages)?;
+        let reconstruction = fitted.reconstruction.clone();
+        let continuation = continuation.with_cameras(fitted, focal_lengths);
+        if options.corrections.is_empty() {
+            return Ok(Outcome::Solved(Box::new(SolvedSession { reconstruction, continuation })));
+        }
+        let reconstruction = self.corrected_result(session, &continuation, &mut stages)?;
+        Ok(Outcome::Solved(Box::new(SolvedSession { reconstruction, continuation })))
+    }
+
+    /// The solution with corrections, from the cameras and people of the one without them.
+    fn corrected(&self, continuation: &Continuation, progress: &Progress) -> Result<SolvedSession, PipelineError> {
+        let session = &*self.options.at_rate(self.session);
+        let mut stages = progress.stages(corrected_stage_weights(self.options));
+        let reconstruction = self.corrected_result(session, continuation, &mut stages)?;
+        Ok(SolvedSession { reconstruction, continuation: continuation.clone() })
+    }
+
+    fn corrected_result(
+        &self,
+        session: &Session,
+        continuation: &Continuation,
+        stages: &mut Stages,
+    ) -> Result<Reconstruction, PipelineError> {
+        let (placed, people) = self.corrected_placement(session, continuation, stages)?;
+        self.finished(session, placed, &people, CORRECTED_STAGES, stages).map(|(fitted, _)| fitted.reconstruction)
+    }
+
+    /// Passes 1 to 7: cameras and people, or the recording without a mistake that can be repaired.
+    fn placed(&self, session: &Session, stages: &mut Stages) -> Result<ControlFlow<Outcome, Placed>, PipelineError> {
+        let Self { options, checkpoints, .. } = *self;
+        let known = suspicions(session);
+        if let Some(repair) = self.repair(&known) {
+            return Ok(ControlFlow::Break(repair));
+        }
+        let freedom = freedom(options);
         let last = if options.denoise { FinalAdjustment::Elsewhere } else { FinalAdjustment::Here };
 
         // 1. The recording as synchronous cameras would have made it.
@@ -205,7 +290,7 @@ impl Attempt<'_> {
         let timed = timing.applied_to(session);
 
         // 2. Focal lengths.
-        let mut focal_lengths = match options.intrinsics_of(session) {
+        let focal_lengths = match options.intrinsics_of(session) {
             IntrinsicsMode::Fixed => FocalLengths::given(&timed),
             IntrinsicsMode::RefineFocal => {
                 let step = stages.begin("focal_lengths");
@@ -224,11 +309,12 @@ impl Attempt<'_> {
         let last = if freedom == CameraFreedom::Held { FinalAdjustment::Elsewhere } else { last };
         let calibration = checkpoints.stage("cameras", || calibrated(&given, last, &step))?;
         if calibration.n_placed() < 2 && session.views.len() > 1 {
+            let mut suspicions = known;
             if !suspicions.iter().any(|suspicion| suspicion.code.affects_cameras()) {
                 suspicions.extend(mistake_of_unsolved(&given, &step)?);
             }
             if let Some(repair) = self.repair(&suspicions) {
-                return Ok(repair);
+                return Ok(ControlFlow::Break(repair));
             }
             return Err(CameraEvidence::of(&given, calibration.n_placed()).error(suspicions));
         }
@@ -261,37 +347,93 @@ impl Attempt<'_> {
             repaired: capture.session,
             calibration: &calibration,
             paths: &paths,
-            known: &suspicions,
+            known: &known,
         };
         let found = checkpoints.stage("recording_check", || checked(&solved, &step))?;
         if let Some(repair) = self.repair(&found) {
-            return Ok(repair);
+            return Ok(ControlFlow::Break(repair));
         }
+        let (observed, repairs) = repaired.map(|r| (r.session, (r.report, r.repairs))).unzip();
+        Ok(ControlFlow::Continue(Placed {
+            timing,
+            focal_lengths,
+            calibration,
+            observed,
+            repairs,
+            heldout_px,
+            paths,
+            found,
+        }))
+    }
+
+    /// Cameras and people after the corrections of the options.
+    fn corrected_placement(
+        &self,
+        session: &Session,
+        continuation: &Continuation,
+        stages: &mut Stages,
+    ) -> Result<(Placed, CorrectedPeople), PipelineError> {
+        let timed = continuation.timing().applied_to(session);
+        let refined = continuation.focal_lengths().applied_to(&timed);
+        let tracks = &continuation.calibration().association.tracks;
+        let people = corrected_people(&refined, tracks, &self.options.corrections)?;
+        require_cameras(continuation, &people)?;
+        let step = stages.begin("corrections");
+        let left = people.without_excluded(&refined);
+        let given = Capture::new(&left, self.options);
+        let corrected = self
+            .checkpoints
+            .stage("corrections", || corrected(&given, continuation, &people, freedom(self.options), &step))?;
+        Ok((corrected.placed(&given, continuation), people))
+    }
+
+    /// Passes 8 and 9: scale, world frame, bodies, statistics and verdict.
+    fn finished(
+        &self,
+        session: &Session,
+        placed: Placed,
+        people: &CorrectedPeople,
+        [scale_stage, bodies_stage]: [&'static str; 2],
+        stages: &mut Stages,
+    ) -> Result<(FittedResult, FocalLengths), PipelineError> {
+        let Self { options, body, checkpoints, .. } = *self;
+        let Placed { timing, mut focal_lengths, calibration, observed, repairs, heldout_px, paths, found } = placed;
+        let timed = timing.applied_to(session);
+        let refined = focal_lengths.applied_to(&timed);
+        let capture = &Capture::new(observed.as_ref().unwrap_or(&refined), options);
+        let mut suspicions = suspicions(session);
         suspicions.extend(found);
         suspicions.extend_from_slice(self.applied);
 
         // 8. Metres per unit.
-        let step = stages.begin("metric_scale");
+        let step = stages.begin(scale_stage);
         let statures_at = |scale: f64| statures(capture, &calibration, &paths, scale, body, &step);
         let tracks = &calibration.association.tracks;
-        let scale = checkpoints.stage("metric_scale", || {
-            metric_scale::metric_scale(capture, &calibration.cameras, tracks, &paths, &statures_at)
+        let scale = checkpoints.stage(scale_stage, || {
+            metric_scale::metric_scale(capture, &calibration.cameras, tracks, &paths, &people.heights, &statures_at)
         })?;
 
         // 9. World frame, bodies, statistics and verdict.
-        let step = stages.begin("body_fit");
+        let step = stages.begin(bodies_stage);
         let solution = Solution::in_world(capture, calibration, paths, scale, heldout_px, suspicions);
-        let mut reconstruction = solution.with_bodies(capture, &mut focal_lengths, body, &step)?;
-        if let Some(repaired) = repaired {
-            reconstruction.report.consistency = Some(repaired.report);
-            reconstruction.repairs = Some(repaired.repairs);
+        let mut fitted = solution.with_bodies(capture, &mut focal_lengths, body, &step)?;
+        let reconstruction = &mut fitted.reconstruction;
+        (reconstruction.report.consistency, reconstruction.repairs) = repairs.unzip();
+        for person in &mut reconstruction.report.people {
+            person.name = people.names.get(&PersonId(person.id)).cloned();
         }
-        focal_lengths.add_to(&mut reconstruction);
-        timing.add_to(session, &mut reconstruction);
+        focal_lengths.add_to(reconstruction);
+        timing.add_to(session, reconstruction);
         step.report(1.0, "");
-        Ok(Outcome::Solved(Box::new(reconstruction)))
+        Ok((fitted, focal_lengths))
     }
 }
+
+/// Passes 8 and 9, as a job reports them.
+const LAST_STAGES: [&str; 2] = ["metric_scale", "body_fit"];
+
+/// The same after corrections.
+const CORRECTED_STAGES: [&str; 2] = ["corrected_metric_scale", "corrected_body_fit"];
 
 /// The stages that a job reports, with their shares of the time.
 fn stage_weights(options: &Options, intrinsics: IntrinsicsMode) -> Vec<(&'static str, f64)> {
@@ -304,10 +446,38 @@ fn stage_weights(options: &Options, intrinsics: IntrinsicsMode) -> Vec<(&'static
         ("held_out_check", 0.1, true),
         ("joint_trajectories", 0.05, true),
         ("recording_check", 0.03, true),
-        ("metric_scale", 0.02, true),
-        ("body_fit", 0.28, true),
+        (LAST_STAGES[0], 0.02, true),
+        (LAST_STAGES[1], 0.28, true),
     ];
-    stages.into_iter().filter(|(_, _, runs)| *runs).map(|(name, weight, _)| (name, weight)).collect()
+    let stages = stages.into_iter().filter(|(_, _, runs)| *runs).map(|(name, weight, _)| (name, weight));
+    stages.chain(corrected_stage_weights(options)).collect()
+}
+
+/// Those of the corrections; none without any.
+fn corrected_stage_weights(options: &Options) -> Vec<(&'static str, f64)> {
+    if options.corrections.is_empty() {
+        return Vec::new();
+    }
+    let excludes = options.corrections.iter().any(Correction::excludes);
+    vec![("corrections", if excludes { 0.2 } else { 0.05 }), (CORRECTED_STAGES[0], 0.02), (CORRECTED_STAGES[1], 0.28)]
+}
+
+/// Two of the cameras that were placed must stay.
+fn require_cameras(continuation: &Continuation, people: &CorrectedPeople) -> Result<(), PipelineError> {
+    let cameras = continuation.calibration().cameras.iter().enumerate();
+    let placed = cameras.filter(|(view, pose)| pose.is_some() && !people.excluded_views.contains(view));
+    if placed.count() >= 2 || people.excluded_views.is_empty() {
+        return Ok(());
+    }
+    let reason = "fewer than two of the cameras that could be placed would be left; leave more of them in".to_owned();
+    Err(PipelineError::Option { option: "/corrections", reason })
+}
+
+fn freedom(options: &Options) -> CameraFreedom {
+    match options.extrinsics {
+        Extrinsics::Fixed => CameraFreedom::Held,
+        Extrinsics::Estimate | Extrinsics::Refine => CameraFreedom::Adjusted,
+    }
 }
 
 fn require_detections(session: &Session) -> Result<(), PipelineError> {

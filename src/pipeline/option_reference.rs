@@ -39,6 +39,17 @@ pub fn options_page() -> String {
                     let _ = writeln!(page, "| `{}` | {} | {} |", form.from, form.meaning, fields.join("; "));
                 }
             }
+            Kind::Actions(forms) => {
+                let _ = write!(
+                    page,
+                    "\n## Actions of `{}`\n\n| `action` | effect | other fields |\n|---|---|---|\n",
+                    row.name
+                );
+                for form in forms {
+                    let fields: Vec<String> = form.fields.iter().map(field_text).collect();
+                    let _ = writeln!(page, "| `{}` | {} | {} |", form.from, form.meaning, fields.join("; "));
+                }
+            }
             _ => {}
         }
     }
@@ -89,7 +100,8 @@ pub fn value_name(row: &OptionRow) -> &'static str {
         Kind::Whole { .. } => "N",
         Kind::Number { .. } => "NUMBER",
         Kind::Choices(_) => "NAME,…",
-        Kind::Text | Kind::TwoCameras | Kind::Choice(_) | Kind::Forms(_) => "NAME",
+        Kind::Actions(_) => "FILE",
+        Kind::Text | Kind::TwoCameras | Kind::Frame | Kind::Numbers | Kind::Choice(_) | Kind::Forms(_) => "NAME",
     }
 }
 
@@ -98,7 +110,7 @@ pub fn paragraph(row: &OptionRow) -> String {
     let mut text = row.effect.to_owned();
     match row.kind {
         Kind::Choice(choices) | Kind::Choices(choices) => text.push_str(&values_text(choices)),
-        Kind::Forms(forms) => {
+        Kind::Forms(forms) | Kind::Actions(forms) => {
             let forms = forms.iter().map(|form| format!("`{}`: {}", form.from, form.meaning));
             let _ = write!(text, " {}.", forms.collect::<Vec<_>>().join("; "));
         }
@@ -107,7 +119,7 @@ pub fn paragraph(row: &OptionRow) -> String {
             text.truncate(text.trim_end().len());
             text.push('.');
         }
-        Kind::Switch | Kind::Text | Kind::TwoCameras => {}
+        Kind::Switch | Kind::Text | Kind::TwoCameras | Kind::Frame | Kind::Numbers => {}
     }
     let _ = write!(text, " Default: `{}`.", row.default());
     text
@@ -149,9 +161,12 @@ fn kind_document(kind: &Kind) -> Map<String, Value> {
         }
         Kind::Text => ("text", json!({})),
         Kind::TwoCameras => ("two_cameras", json!({})),
+        Kind::Frame => ("frame", json!({})),
+        Kind::Numbers => ("numbers", json!({})),
         Kind::Choice(values) => ("choice", json!({ "values": choices(values) })),
         Kind::Choices(values) => ("choices", json!({ "values": choices(values) })),
         Kind::Forms(forms) => ("forms", json!({ "forms": forms.iter().map(form_document).collect::<Vec<_>>() })),
+        Kind::Actions(forms) => ("actions", json!({ "forms": forms.iter().map(form_document).collect::<Vec<_>>() })),
     };
     let mut document = Map::from_iter([("kind".to_owned(), json!(name))]);
     document.extend(rest.as_object().cloned().unwrap_or_default());

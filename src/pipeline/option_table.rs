@@ -3,7 +3,11 @@
 //! OpenAPI, the flags of the command line, `docs/options.md` and the dialog of the viewer derive from this table, so that they
 //! cannot differ. Defaults are not repeated here: they come from [`Options::default`].
 
-use super::config::{HEIGHT_RANGE, Options};
+use super::config::Options;
+use super::corrections::forms::CORRECTION_FORMS;
+use super::option_kind::choice;
+pub use super::option_kind::{Choice, Field, Form, Kind};
+use crate::body::scale::HEIGHT_RANGE;
 use crate::session::recording::FPS_RANGE;
 use serde_json::Value;
 
@@ -24,76 +28,6 @@ pub struct OptionRow {
     pub flag: &'static str,
     /// Whether most recordings need a decision about it: the viewer's dialog shows the others on request.
     pub is_common: bool,
-}
-
-/// Type and range of an option's values.
-#[derive(Debug, Clone, Copy)]
-pub enum Kind {
-    /// `true` or `false`.
-    Switch,
-    /// A whole number of at least `min`.
-    Whole {
-        /// Smallest value.
-        min: u64,
-        /// Whether `null` is allowed.
-        or_null: bool,
-    },
-    /// A number within a range, limits included.
-    Number {
-        /// Smallest and largest value.
-        range: [f64; 2],
-        /// Whether `null` is allowed.
-        or_null: bool,
-    },
-    /// A text.
-    Text,
-    /// Ids of two cameras.
-    TwoCameras,
-    /// One of several names.
-    Choice(&'static [Choice]),
-    /// A list of names, each of which counts once.
-    Choices(&'static [Choice]),
-    /// An object whose field `from` selects one of several forms.
-    Forms(&'static [Form]),
-}
-
-/// One of the names that an option can have.
-#[derive(Debug, Clone, Copy)]
-pub struct Choice {
-    /// The name.
-    pub value: &'static str,
-    /// What it selects.
-    pub meaning: &'static str,
-}
-
-/// One form of an option that is an object.
-#[derive(Debug, Clone, Copy)]
-pub struct Form {
-    /// Value of the field `from`.
-    pub from: &'static str,
-    /// What it selects.
-    pub meaning: &'static str,
-    /// Name of its flag without `--`, and the flag's value as `--help` shows it; empty where it has none.
-    pub flag: [&'static str; 2],
-    /// The other fields.
-    pub fields: &'static [Field],
-}
-
-/// A field of a form.
-#[derive(Debug, Clone, Copy)]
-pub struct Field {
-    /// Key in the object.
-    pub name: &'static str,
-    /// Type and range.
-    pub kind: Kind,
-    /// Unit; empty where it has none.
-    pub unit: &'static str,
-    /// What the field states.
-    pub effect: &'static str,
-}
-
-const fn choice(value: &'static str, meaning: &'static str) -> Choice {
-    Choice { value, meaning }
 }
 
 /// Every option, in the order of its documentation.
@@ -301,6 +235,16 @@ pub const OPTION_TABLE: &[OptionRow] = &[
         is_common: false,
     },
     OptionRow {
+        name: "corrections",
+        label: "Corrections",
+        kind: Kind::Actions(CORRECTION_FORMS),
+        unit: "",
+        effect: "Corrections of identities and exclusions, applied in this order to the people of a solve without corrections. Numbers \
+                 of people stay as they are; frames have the session's numbers. With given camera poses a height is refused.",
+        flag: "corrections",
+        is_common: false,
+    },
+    OptionRow {
         name: "exports",
         label: "Export formats in addition to JSON",
         kind: Kind::Choices(&[
@@ -351,40 +295,6 @@ impl OptionRow {
     }
 }
 
-impl Kind {
-    /// Name of the type, as the documentation states it.
-    pub fn name(&self) -> &'static str {
-        match self {
-            Self::Switch => "boolean",
-            Self::Whole { or_null: true, .. } => "whole number or null",
-            Self::Whole { or_null: false, .. } => "whole number",
-            Self::Number { or_null: true, .. } => "number or null",
-            Self::Number { or_null: false, .. } => "number",
-            Self::Text => "text",
-            Self::TwoCameras => "two camera ids",
-            Self::Choice(_) => "one name",
-            Self::Choices(_) => "list of names",
-            Self::Forms(_) => "object",
-        }
-    }
-
-    /// The allowed values in words; empty for a text or an object.
-    pub fn range(&self) -> String {
-        let names = |choices: &[Choice]| {
-            choices.iter().map(|choice| format!("`{}`", choice.value)).collect::<Vec<_>>().join(", ")
-        };
-        match self {
-            Self::Switch => "`true`, `false`".to_owned(),
-            Self::Whole { min, .. } => format!("{min} or more"),
-            Self::Number { range: [min, max], .. } if max.is_finite() => format!("{min} to {max}"),
-            Self::Number { range: [min, _], .. } => format!("above {min}"),
-            Self::Text | Self::TwoCameras => String::new(),
-            Self::Choice(choices) | Self::Choices(choices) => names(choices),
-            Self::Forms(forms) => forms.iter().map(|form| format!("`{}`", form.from)).collect::<Vec<_>>().join(", "),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -396,9 +306,13 @@ mod tests {
             Kind::Switch => vec![json!(true), json!(false)],
             Kind::Whole { min, or_null } => [json!(min)].into_iter().chain(or_null.then_some(Value::Null)).collect(),
             Kind::Number { range, .. } => vec![json!(range[0])],
-            Kind::Text | Kind::TwoCameras => vec![json!("default")],
+            Kind::Text | Kind::TwoCameras | Kind::Frame | Kind::Numbers => vec![json!("default")],
             Kind::Choice(choices) => choices.iter().map(|choice| json!(choice.value)).collect(),
             Kind::Choices(choices) => choices.iter().map(|choice| json!([choice.value])).collect(),
+            Kind::Actions(forms) => {
+                let with_fields = |form: &Form| crate::pipeline::corrections::forms::example(form);
+                forms.iter().map(|form| json!([with_fields(form)])).collect()
+            }
             Kind::Forms(forms) => forms
                 .iter()
                 .map(|form| {

@@ -1,6 +1,6 @@
 //! Assembly of the result: cameras and trajectories in the world frame, bodies, fit statistics and verdict.
 
-use super::calibration::{Calibration, CameraUncertainty, TrackedPeople};
+use super::calibration::{Calibration, TrackedPeople};
 use super::capture::Capture;
 use super::config::{Extrinsics, IntrinsicsMode, MotionPriorMode};
 use super::error::PipelineError;
@@ -57,6 +57,18 @@ pub struct Solution {
     heldout_px: Option<f64>,
     suspicions: Vec<Suspicion>,
     up_axis: UpAxis,
+    /// From the calibration's world to that of the result.
+    world_from_solution: Similarity,
+}
+
+/// A result, and its cameras in the world of the calibration that it was fitted from.
+pub struct FittedResult {
+    /// The result.
+    pub reconstruction: Reconstruction,
+    /// Poses of the placed cameras.
+    pub cameras: Vec<Rigid>,
+    /// Theirs; `None` where they were not adjusted together with bodies, or the session does not determine them.
+    pub covariance: Option<CameraCovariance>,
 }
 
 impl Solution {
@@ -81,10 +93,15 @@ impl Solution {
             Extrinsics::Refine => given_from_solution(capture.session, cameras),
             Extrinsics::Fixed => None,
         };
-        if let Some(world_from_solution) = world_from_solution {
-            move_into(&world_from_solution, &mut calibration.cameras, &mut trajectories);
-        }
-        Self { calibration, trajectories, metres_per_unit, scale, heldout_px, suspicions, up_axis }
+        let world_from_solution = match world_from_solution {
+            Some(by) => {
+                move_into(&by, &mut calibration.cameras, &mut trajectories);
+                calibration.with_bodies = calibration.with_bodies.and_then(|covariance| covariance.moved(&by));
+                by
+            }
+            None => Similarity::identity(),
+        };
+        Self { calibration, trajectories, metres_per_unit, scale, heldout_px, suspicions, up_axis, world_from_solution }
     }
 
     /// Fits the bodies and assembles the result.
@@ -94,7 +111,7 @@ impl Solution {
         focal_lengths: &mut FocalLengths,
         model: &BodyModel,
         progress: &Progress,
-    ) -> Result<Reconstruction, PipelineError> {
+    ) -> Result<FittedResult, PipelineError> {
         let tracks = self.calibration.association.tracks.clone();
         let input = self.calibration.people(capture.session, &self.trajectories);
         let is_monocular = capture.session.views.len() == 1;
@@ -106,7 +123,10 @@ impl Solution {
             correlated_errors: capture.options.adjust_with_bodies && config.correlated_errors,
             known_cameras: self.known_cameras(capture, focal_lengths),
             sigma_log_scale: self.scale.as_ref().map_or(0.0, sigma_log_scale),
-            adjust_cameras: capture.options.adjust_with_bodies && capture.options.extrinsics != Extrinsics::Fixed,
+            adjust_cameras: capture.options.adjust_with_bodies
+                && capture.options.extrinsics != Extrinsics::Fixed
+                && self.calibration.with_bodies.is_none(),
+            known_covariance: self.calibration.with_bodies.clone(),
             ..config
         };
         let FittedBodies {
@@ -130,7 +150,7 @@ impl Solution {
             None => Cow::Borrowed(capture.session),
         };
         if let Some(cameras) = cameras {
-            self.take_over(cameras, camera_covariance.as_ref());
+            self.calibration.take_over(&cameras, camera_covariance.as_ref(), 1.0 / self.metres_per_unit);
             let start = std::mem::take(&mut self.trajectories);
             self.trajectories = joint_trajectories(&self.calibration.people(&session, &start), progress)?;
         }
@@ -155,7 +175,10 @@ impl Solution {
         for (trajectory, motion) in keypoints.iter_mut().zip(&motions) {
             fill_from_body(trajectory, &landmark_trajectory(&detector_model, motion, capture.session.convention));
         }
-        Ok(Reconstruction {
+        let solution_from_world = self.world_from_solution.inverse();
+        let placed = self.calibration.cameras.iter().flatten();
+        let placed = placed.map(|camera| solution_from_world.move_camera(camera)).collect();
+        let reconstruction = Reconstruction {
             cameras: self.solved_cameras(capture.session, &statistics),
             keypoints,
             motions,
@@ -164,22 +187,9 @@ impl Solution {
             body_model: BodyModelId { name: model.name.clone(), sha256: model.sha256() },
             repairs: None,
             report,
-        })
-    }
-
-    /// Takes the cameras that were adjusted together with the bodies, and their uncertainty where it is known.
-    fn take_over(&mut self, cameras: Vec<Rigid>, covariance: Option<&CameraCovariance>) {
-        let placed = self.calibration.cameras.iter_mut().flatten();
-        placed.zip(cameras).for_each(|(camera, adjusted)| *camera = adjusted);
-        let (Some(covariance), Some(adjusted)) = (covariance, &mut self.calibration.adjusted) else { return };
-        let placed = adjusted.cameras.iter_mut().zip(&self.calibration.cameras).filter(|(_, pose)| pose.is_some());
-        for ((camera, _), sigma) in placed.zip(covariance.pose_sigmas()) {
-            camera.uncertainty = Some(CameraUncertainty {
-                sigma_position: sigma.position / self.metres_per_unit,
-                sigma_angle: sigma.angle,
-                sigma_delay: camera.uncertainty.and_then(|before| before.sigma_delay),
-            });
-        }
+        };
+        let covariance = camera_covariance.and_then(|covariance| covariance.moved(&solution_from_world));
+        Ok(FittedResult { reconstruction, cameras: placed, covariance })
     }
 
     /// Indices of the views with a pose.
@@ -248,7 +258,8 @@ impl Solution {
     ) -> Report {
         let session = capture.session;
         let geometry = statistics.geometry_report(people.points);
-        let cameras = statistics.camera_reports(people);
+        let mut cameras = statistics.camera_reports(people);
+        self.calibration.excluded.iter().for_each(|&view| cameras[view].excluded = true);
         let people = statistics.person_reports(people, &capture.bones);
         let n_detections: usize = cameras.iter().map(|c| c.n_detections).sum();
         let n_rejected: usize = cameras.iter().map(|c| c.n_rejected_detections).sum();

@@ -43,6 +43,9 @@ pub struct JobTask {
     pub session_sha256: String,
     /// Options of the job.
     pub options: Options,
+    /// Results of the same session, from which a job with corrections continues.
+    #[serde(default)]
+    pub earlier: Vec<PathBuf>,
     /// Folder of the registered body models.
     pub bodies: PathBuf,
     /// An empty folder for the result.

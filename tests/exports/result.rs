@@ -83,7 +83,13 @@ pub(crate) fn both_up_axes(formats: &[ExportFormat]) -> [Written; 2] {
 
 fn written(up_axis: UpAxis, formats: &[ExportFormat]) -> Written {
     let dir = tempfile::tempdir().unwrap();
-    let context = ResultContext { input_sha256: "00", options: Value::Null, solver_version: "0.0.0", exports: formats };
+    let context = ResultContext {
+        input_sha256: "00",
+        options: Value::Null,
+        solver_version: "0.0.0",
+        exports: formats,
+        continuation: None,
+    };
     write_result(dir.path(), &session(), &context, &reconstruction(up_axis)).unwrap();
     Written { dir, up_axis }
 }

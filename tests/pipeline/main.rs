@@ -1,6 +1,7 @@
 //! End-to-end tests on seeded synthetic sessions with known truth.
 #![allow(clippy::unwrap_used)] // an unexpected value fails the test
 
+mod corrections;
 mod edge_cases;
 mod fast_people;
 mod joint_adjustment;

@@ -29,7 +29,8 @@ let closing = new AbortController()
 let open: { id: string; page: JobPage } | null = null
 
 function route() {
-  const [, kind, id, tab = 'scene'] = location.hash.split('/')
+  // What follows the question mark is read by the scene.
+  const [, kind, id, tab = 'scene'] = location.hash.split('?')[0].split('/')
   if (kind === 'jobs' && id && open?.id === id) return open.page.show(tab as Tab)
   closing.abort()
   closing = new AbortController()

@@ -97,6 +97,24 @@ def test_formats_are_added_after_the_solve(client, take, tmp_path):
     assert refusal.value.status == 400 and "smpl_npz" in refusal.value.detail
 
 
+def test_people_are_corrected_after_the_solve(client, take):
+    job = client.solve(take)
+    first, second = client.result(job["id"]).people[:2]
+    corrections = [{"action": "rename", "person": first["id"], "name": "Ada"}, {"action": "exclude_person", "person": second["id"]}]
+    corrected = client.wait(client.correct(job["id"], corrections)["id"])
+    assert corrected["session"] == job["session"] and "cameras" not in corrected["stage_seconds"], "it did not continue"
+    people = client.result(corrected["id"]).people
+    assert [person.get("name") for person in people] == ["Ada"]
+    undone = client.wait(client.correct(corrected["id"], corrections[:1])["id"])
+    assert len(client.result(undone["id"]).people) == 2
+    with pytest.raises(JobFailed) as failure:
+        client.wait(client.correct(job["id"], [{"action": "exclude_person", "person": 9}])["id"])
+    assert "person 9 does not exist" in str(failure.value)
+    with pytest.raises(Problem) as refusal:
+        client.correct(job["id"], [{"action": "exclude_camera", "camera": "nowhere"}])
+    assert "nowhere" in str(refusal.value)
+
+
 def test_errors_name_what_to_do(client, take, tmp_path):
     video = tmp_path / "take.mp4"
     video.write_bytes(b"\0\0\0\x20ftypisom" + bytes(100))

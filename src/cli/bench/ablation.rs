@@ -201,6 +201,7 @@ fn solve_and_evaluate(
         options: serde_json::to_value(options)?,
         solver_version: env!("CARGO_PKG_VERSION"),
         exports: &[],
+        continuation: None,
     };
     std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
     write_result(out, session, &context, &result)?;

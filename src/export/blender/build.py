@@ -111,7 +111,7 @@ def show_while_present(armature, person, frame_range):
 
 
 def add_person(person, take, world):
-    name = f"person_{person['id']}"
+    name = person["name"]
     armature = add_object(name, bpy.data.armatures.new(name), world)
     add_bones(armature, person, take["joint_names"], take["parents"])
     animate(armature, person, take["joint_names"])

@@ -29,6 +29,7 @@ fn take() -> Take {
         cameras: Vec::new(),
         unsolved: Vec::new(),
         motions: vec![whole(motion()), second],
+        names: BTreeMap::new(),
         keypoint_names: Vec::new(),
         keypoints: BTreeMap::new(),
         body_model: BodyModelId { name: "default".to_owned(), sha256: String::new() },
@@ -118,7 +119,7 @@ fn joints_and_vertices_match_the_body() {
     let scene = Scene::of(&std::fs::read(dir.path().join("scene.fbx")).unwrap());
     let body = default_body();
     for motion in &take.motions {
-        let person = person_name(motion);
+        let person = person_name(&take, motion);
         let joints = JOINT_NAMES.map(|joint| scene.id("Model", &format!("{person}:{joint}")));
         let geometry = &scene.objects[&scene.id("Geometry", &format!("{person}_body"))];
         let rest: Vec<Vector3<f64>> =

@@ -1,9 +1,9 @@
 //! Repair of detections and adjustment of the cameras to the repaired detections, in alternation.
 
-use crate::pipeline::calibration::{Calibration, CameraFreedom};
+use crate::pipeline::calibration::{Association, Calibration, CameraFreedom};
 use crate::pipeline::capture::Capture;
-use crate::pipeline::passes::adjustment::{Effort, adjusted_and_associated};
-use crate::pipeline::stages::association::{associate, identities};
+use crate::pipeline::passes::adjustment::{ALL_FRAMES, Effort, adjusted, adjusted_and_associated};
+use crate::pipeline::stages::association::{associate, from_tracks, identities};
 use crate::pipeline::stages::denoising::{Denoised, denoise};
 use crate::pipeline::stages::detector_noise::measured_noise;
 use crate::pipeline::stages::joint_trajectories::joint_trajectories;
@@ -45,6 +45,13 @@ struct Change {
     keypoints: Vec<[f64; 3]>,
 }
 
+impl Change {
+    fn repaired(&self) -> Vec<Keypoint> {
+        let point = |[x, y, confidence]: &[f64; 3]| Keypoint { pixel: Vector2::new(*x, *y), confidence: *confidence };
+        self.keypoints.iter().map(point).collect()
+    }
+}
+
 /// Repairs the detections under the cameras so far, measures the detector noise on the residuals, adjusts the cameras
 /// (unless they are held) and re-associates the detections, then repairs the original detections once more.
 pub fn denoised_capture(
@@ -70,7 +77,40 @@ pub fn denoised_capture(
             calibration.stages.push(report);
         }
     }
-    let second = repaired(capture, &calibration, &steps.begin("repairing detections under the new cameras"))?;
+    finally_repaired(capture, calibration, &steps.begin("repairing detections under the new cameras"))
+}
+
+/// Repairs the detections of people whose identities are known; before that the cameras are adjusted to them, unless they are
+/// held.
+pub fn corrected_capture(
+    capture: &Capture,
+    mut calibration: Calibration,
+    freedom: CameraFreedom,
+    progress: &Progress,
+) -> Result<DenoisedCapture, Canceled> {
+    let mut steps = progress.steps(if freedom == CameraFreedom::Held { [0.0, 0.0, 1.0] } else { [0.3, 0.4, 0.3] });
+    if freedom == CameraFreedom::Adjusted {
+        let first = repaired(capture, &calibration, &steps.begin("repairing detections"))?;
+        calibration.association.tracks = first.tracks;
+        measure_noise(&mut calibration, &first.session);
+        let repaired_capture = Capture::new(&first.session, capture.options);
+        let step = steps.begin("adjusting cameras to the repaired detections");
+        calibration = adjusted(&repaired_capture, &calibration, Effort::FINAL, ALL_FRAMES, &step)?;
+        let scene = repaired_capture.scene(&calibration.cameras);
+        let n_left_out = calibration.association.n_left_out;
+        let tracks = std::mem::take(&mut calibration.association.tracks);
+        calibration.association = Association { n_left_out, ..from_tracks(&scene, tracks) };
+    }
+    finally_repaired(capture, calibration, &steps.begin("repairing detections under the new cameras"))
+}
+
+/// The last repair of the original detections, and the detector noise on what it leaves.
+fn finally_repaired(
+    capture: &Capture,
+    mut calibration: Calibration,
+    progress: &Progress,
+) -> Result<DenoisedCapture, Canceled> {
+    let second = repaired(capture, &calibration, progress)?;
     let before = std::mem::replace(&mut calibration.association.tracks, second.tracks.clone());
     calibration.stages.push(second.stage_report.clone());
     measure_noise(&mut calibration, &second.session);
@@ -109,16 +149,27 @@ impl DenoisedCapture {
         Self { calibration, report, identities_before, changes }
     }
 
+    /// Cameras and people.
+    pub fn calibration(&self) -> &Calibration {
+        &self.calibration
+    }
+
+    /// The session `original` with repaired detections.
+    pub fn session(&self, original: &Session) -> Session {
+        let mut session = original.clone();
+        for change in &self.changes {
+            session.views[change.view].frames[change.frame][change.detection].keypoints = change.repaired();
+        }
+        session
+    }
+
     /// The calibration, and the session `original` with repaired detections.
     pub fn applied_to(self, original: &Session) -> (Calibration, RepairedSession) {
-        let mut session = original.clone();
+        let session = self.session(original);
         let n_keypoints = original.convention.names().len();
         let mut repaired_detections = Vec::with_capacity(self.changes.len());
-        for Change { view, frame, detection, keypoints } in self.changes {
-            let points =
-                keypoints.into_iter().map(|[x, y, confidence]| Keypoint { pixel: Vector2::new(x, y), confidence });
-            let repaired = &mut session.views[view].frames[frame][detection];
-            repaired.keypoints = points.collect();
+        for Change { view, frame, detection, .. } in self.changes {
+            let repaired = &session.views[view].frames[frame][detection];
             let sources = sources(&original.views[view].frames[frame][detection], repaired, n_keypoints);
             repaired_detections.push(RepairedDetection { view, frame: FrameIndex(frame), detection, sources });
         }

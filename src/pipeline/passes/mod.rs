@@ -2,6 +2,7 @@
 
 pub mod adjustment;
 pub mod cameras;
+pub mod correction;
 pub mod denoising;
 pub mod focal_lengths;
 pub mod held_out_check;

@@ -6,6 +6,7 @@ mod archive;
 mod body;
 mod conditions;
 mod connections;
+mod correction;
 mod cors;
 mod deliveries;
 mod descriptors;

@@ -3,6 +3,7 @@
 use super::access::Caller;
 use super::app::App;
 use super::body::GuardedBody;
+use super::correction::{corrected_job, with_options_of};
 use super::error::Problem;
 use super::jobs::{JobDocument, answer};
 use super::options;
@@ -39,8 +40,13 @@ const MAX_PRIORITY: i64 = 1000;
 #[serde(deny_unknown_fields)]
 #[schema(as = NewJob)]
 struct NewJobBody {
-    /// Id of the session.
-    session: String,
+    /// Id of the session; that of the corrected job where it is left out.
+    #[schema(nullable = false)]
+    session: Option<String>,
+    /// Id of a succeeded job whose people `options.corrections` correct. Its session and options are taken over, as far as the
+    /// request does not state others, and the new job continues from what the corrections leave valid.
+    #[schema(nullable = false)]
+    corrects: Option<String>,
     #[schema(value_type = Option<Options>)]
     options: Option<Value>,
     #[serde(default)]
@@ -165,22 +171,38 @@ async fn of_stored_session(
     let limits = &app.settings.limits;
     let body = unless_refused(GuardedBody::new(headers, body, limits, limits.max_json_bytes)).await?;
     let text = unless_refused(body.read_all().await).await?;
-    let asked: NewJobBody = serde_json::from_slice(&text).map_err(|error| {
+    let mut asked: NewJobBody = serde_json::from_slice(&text).map_err(|error| {
         Problem::malformed(
             format!("the body: {error}"),
             "send {\"session\": \"<id>\", \"options\"?: {…}, \"labels\"?: {…}, \"priority\"?: 0}",
         )
     })?;
-    if let Some(session) = sessions::get(&app.store, tenant, &asked.session).await? {
+    let id = take_over_corrected(app, tenant, &mut asked).await?;
+    if let Some(session) = sessions::get(&app.store, tenant, &id).await? {
         return Ok((asked, AskedSession::stored(session)));
     }
     let sha256 = match key {
-        Some(key) => app.queue.session_of_key(tenant, key, &asked.session).await?,
+        Some(key) => app.queue.session_of_key(tenant, key, &id).await?,
         None => None,
     };
     let sha256 = sha256.ok_or_else(|| session_missing().at("/session"))?;
-    let session = AskedSession { id: asked.session.clone(), sha256, cameras: None };
+    let session = AskedSession { id, sha256, cameras: None };
     Ok((asked, session))
+}
+
+/// Adds the options of the job that is corrected; returns the id of the session.
+async fn take_over_corrected(app: &App, tenant: &Tenant, asked: &mut NewJobBody) -> Result<String, Problem> {
+    let Some(corrects) = &asked.corrects else {
+        let missing = || Problem::malformed("the body names no session", "add `session`, or `corrects`");
+        return asked.session.clone().ok_or_else(|| missing().at("/session"));
+    };
+    let earlier = corrected_job(app, tenant, corrects).await?;
+    if asked.session.as_ref().is_some_and(|session| *session != earlier.session) {
+        let detail = format!("the corrected job is of the session {}", earlier.session);
+        return Err(Problem::malformed(detail, "leave `session` out").at("/session"));
+    }
+    asked.options = with_options_of(&earlier, asked.options.take())?;
+    Ok(earlier.session)
 }
 
 async fn of_uploaded_session(
@@ -199,8 +221,8 @@ async fn of_uploaded_session(
     })?;
     options::parse(options.clone())?; // before the upload is validated and stored
     let session = keep(app, tenant, received).await?.session;
-    let asked =
-        NewJobBody { session: session.id.clone(), options, labels: BTreeMap::new(), priority: 0, webhook: None };
+    let (labels, session_id) = (BTreeMap::new(), Some(session.id.clone()));
+    let asked = NewJobBody { session: session_id, corrects: None, options, labels, priority: 0, webhook: None };
     Ok((asked, AskedSession::stored(session)))
 }
 

@@ -34,9 +34,9 @@ The API is at <a href=\"/v1/jobs\">/v1</a>. To get the viewer, install Node.js 2
 ";
 
 /// `script-src` and `style-src` exclude `unsafe-inline`: HTML inside a name is not executed. Images that the page itself makes
-/// (downloads, favicons) are `blob:` and `data:`.
+/// (downloads, favicons) are `blob:` and `data:`, and so are videos that the user picks on the own disk.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: \
-     blob:; connect-src 'self'; font-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+     blob:; media-src blob:; connect-src 'self'; font-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// Whether the program contains the page.
 pub(super) fn has_page() -> bool {

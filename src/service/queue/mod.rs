@@ -9,6 +9,7 @@
 
 mod active;
 mod claim;
+mod continuation;
 mod deferral;
 mod enqueue;
 mod exports;

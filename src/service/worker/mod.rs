@@ -18,6 +18,7 @@ use super::store::{Store, StoreError, artifacts};
 use crate::pipeline::Options;
 use anyhow::Context;
 use rustix::process::Signal;
+use std::path::PathBuf;
 use std::time::Duration;
 use supervision::{ChildExit, Crash, supervise};
 use tokio_util::sync::CancellationToken;
@@ -78,10 +79,13 @@ async fn run_claim(
     claim: &Claim,
     draining: CancellationToken,
 ) -> ClaimOutcome<Published> {
-    let order = match order(store, settings, claim) {
+    let mut order = match order(store, settings, claim) {
         Ok(order) => order,
         Err(error) => return ClaimOutcome::Failed(error),
     };
+    if !order.task.options.corrections.is_empty() {
+        order.task.earlier = earlier_results(store, queue, claim).await;
+    }
     let kills = memory::group_kills();
     let mut child = match start(settings, queue, claim, &order).await {
         Ok(child) => child,
@@ -129,12 +133,24 @@ fn order(store: &Store, settings: &Settings, claim: &Claim) -> Result<Order<JobT
         session: store.folders.session(&claim.session),
         session_sha256: claim.session_sha256.clone(),
         options,
+        earlier: Vec::new(),
         bodies: store.folders.bodies(),
         out: store.folders.staging(&claim.job, claim.fence),
         checkpoints: store.folders.checkpoints(&claim.job),
         threads: settings.jobs.threads,
     };
     Ok(Order::new(task, memory::job_limit(&settings.jobs)))
+}
+
+/// Folders of results from which a job with corrections may continue; without one it solves the session from the start.
+async fn earlier_results(store: &Store, queue: &Queue, claim: &Claim) -> Vec<PathBuf> {
+    match queue.results_of_session(&claim.tenant, &claim.session).await {
+        Ok(results) => results.iter().map(|(job, fence)| store.folders.result(job, *fence)).collect(),
+        Err(error) => {
+            tracing::warn!(%error, "cannot look for earlier results; the job solves the session from the start");
+            Vec::new()
+        }
+    }
 }
 
 fn out_of_memory(limit: Option<u64>) -> JobError {

@@ -141,6 +141,9 @@ pub struct Quality {
 pub struct PersonReport {
     /// The person.
     pub id: usize,
+    /// The name that a correction gives the person.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
     /// First frame number.
     pub first_frame: i64,
     /// Last frame number.
@@ -213,6 +216,9 @@ pub struct CameraReport {
     pub id: String,
     /// Whether its pose was solved.
     pub solved: bool,
+    /// Whether a correction leaves it out.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub excluded: bool,
     /// Number of detections in its frames.
     pub n_detections: usize,
     /// Number of detections assigned to no person.

@@ -1,6 +1,6 @@
 // Requests to the service and their errors.
 
-import type { Cause, Inspection, Job, Manifest, Report, Session } from './types'
+import type { Cause, Correction, Inspection, Job, Manifest, Report, Session } from './types'
 
 /** Error of a request, with the explanation of the service if it gave one. */
 export class Problem extends Error {
@@ -90,6 +90,12 @@ export const deleteSession = (id: string) => request(`/v1/sessions/${id}`, { met
 export function startJob(session: string, options: Record<string, unknown>) {
   const headers = { 'Content-Type': 'application/json', 'Idempotency-Key': crypto.randomUUID() }
   return json<Job>('/v1/jobs', { method: 'POST', headers, body: JSON.stringify({ session, options }) })
+}
+
+/** Submits a job that corrects the people of another one, with its session and options. */
+export function correctJob(corrects: string, corrections: Correction[], labels: Record<string, string>) {
+  const headers = { 'Content-Type': 'application/json', 'Idempotency-Key': crypto.randomUUID() }
+  return json<Job>('/v1/jobs', { method: 'POST', headers, body: JSON.stringify({ corrects, options: { corrections }, labels }) })
 }
 
 /** The inspection of a session; null if the service does not offer inspections. */

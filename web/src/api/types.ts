@@ -81,6 +81,17 @@ export interface Job {
   solver_version: string
 }
 
+/** A correction of identities; people have the numbers of the result, frames those of the session. */
+export type Correction =
+  | { action: 'rename'; person: number; name: string }
+  | { action: 'merge'; people: number[] }
+  | { action: 'split'; person: number; frame: number }
+  | { action: 'exchange'; people: number[]; frame: number; last_frame?: number }
+  | { action: 'exclude_camera'; camera: string }
+  | { action: 'exclude_person'; person: number }
+  | { action: 'exclude_frames'; frames: [number, number]; camera?: string; person?: number }
+  | { action: 'set_height'; person: number; metres: number }
+
 export interface FileEntry {
   name: string
   media_type: string
@@ -137,6 +148,8 @@ export interface Report {
   }[]
   people: {
     id: number
+    /** Given by a correction. */
+    name?: string
     first_frame: number
     last_frame: number
     n_detections: number
@@ -174,6 +187,11 @@ export interface ConsistencyPair {
   rejected_joints: number
   flips_undone: number
   swaps_repaired: [number, number][]
+}
+
+/** Whether a service has the job; the folder of `wandless view` is shown as a job of the session 0. */
+export function isStored(job: Job) {
+  return !/^session_0+$/.test(job.session)
 }
 
 const FINAL: State[] = ['succeeded', 'failed', 'canceled', 'dead']

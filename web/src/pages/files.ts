@@ -1,7 +1,7 @@
 // Table of the files of a result with download links.
 
 import { artifactPath, getManifest, hasKey, request } from '../api/client'
-import type { FileEntry, Job } from '../api/types'
+import { type FileEntry, type Job, isStored } from '../api/types'
 import { button, el } from '../dom'
 import { bytes } from '../format'
 
@@ -38,6 +38,7 @@ export async function filesPage(job: Job, signal: AbortSignal) {
       el('td', { class: 'number' }, file.bytes ? bytes(file.bytes) : ''),
       el('td', { class: 'digest', title: file.sha256 }, file.sha256.slice(0, 12))))
   return el('section', { class: 'files', 'aria-label': 'Files' },
+    isStored(job) && el('p', {}, link(`/v1/jobs/${job.id}/archive`, `${job.id}.zip`, 'All files as one zip')),
     el('table', {},
       el('thead', {}, el('tr', {}, ...['File', 'Content', 'Size', 'SHA-256'].map((name) => el('th', { scope: 'col' }, name)))),
       el('tbody', {}, ...rows)),
@@ -46,10 +47,12 @@ export async function filesPage(job: Job, signal: AbortSignal) {
 
 /** Download link. With an API key it is a button that sends a request, because a link cannot send the key. */
 function download(job: Job, name: string) {
-  const path = artifactPath(job.id, name)
-  const file = name.split('/').pop() ?? name
-  if (!hasKey()) return el('a', { href: path, download: file }, name)
-  return button(name, async () => {
+  return link(artifactPath(job.id, name), name.split('/').pop() ?? name, name)
+}
+
+function link(path: string, file: string, text: string) {
+  if (!hasKey()) return el('a', { href: path, download: file }, text)
+  return button(text, async () => {
     const address = URL.createObjectURL(await (await request(path)).blob())
     el('a', { href: address, download: file }).click()
     setTimeout(() => URL.revokeObjectURL(address), 60_000)

@@ -45,7 +45,8 @@ export interface OptionInputs {
   values: () => Record<string, unknown>
 }
 
-const OPTIONS = table as Option[]
+/** Corrections belong to a result, whose page has an editor for them. */
+const OPTIONS = (table as Option[]).filter(({ kind }) => kind !== 'actions')
 
 export function optionInputs(session: Session): OptionInputs {
   const inputs = OPTIONS.map((option) => ({ option, input: inputOf(option, session) }))

@@ -10,6 +10,7 @@ import { NOTHING, acceleration, count, degrees, millimetres, percent, px, second
 import { verdictChip } from '../pages/chips'
 import { personColor } from '../scene/palette'
 import { barChart, lineChart } from './charts'
+import { jointCurves } from './joints'
 
 const CAMERA_COLORS = ['#3b82d6', '#c9791a', '#2f9a5d', '#b8487b', '#7a5fd0', '#1f9488', '#9c8715', '#c9503f']
 
@@ -42,6 +43,7 @@ export async function reportPage(job: Job, signal: AbortSignal): Promise<HTMLEle
         value: person.reprojection_px?.median ?? null,
         mark: person.reprojection_px?.mean,
       })))),
+    motion && motion.people.length > 0 && jointCurves(motion),
     cameraTable(report, motion),
     peopleTable(report),
     keypointTable(report),

@@ -3,6 +3,7 @@
 import { button, el, fill } from '../dom'
 import { showHelp } from '../pages/help'
 import { type Comparison, SPEEDS, SWITCHES, comparisonsOf } from './state'
+import { linkTo } from './link'
 import type { SceneView } from './view'
 
 /** Play, step, speed, marks and clock. */
@@ -11,6 +12,7 @@ export class Transport {
   private readonly play: HTMLButtonElement
   private readonly speed: HTMLSelectElement
   private readonly clock = el('span', { class: 'clock' })
+  private readonly notice = el('span', { class: 'hint', role: 'status' })
 
   constructor(private readonly view: SceneView) {
     const step = (by: number) => view.set({ at: view.frame + by, isPlaying: false })
@@ -32,8 +34,16 @@ export class Transport {
         el('span', {}, '◆ identity repaired'),
         el('span', {}, el('i', { class: 'mark repaired' }), 'detection repaired'),
         el('span', {}, el('i', { class: 'mark rejected' }), 'detection rejected')),
+      button('Copy link', () => void navigator.clipboard?.writeText(linkTo(view)).then(() => this.note('link copied')), { class: 'quiet', title: 'Link to this frame, camera and person' }),
+      this.notice,
       button('Shortcuts', showHelp, { class: 'quiet', title: '?' }),
     )
+  }
+
+  /** Shows a short notice for a moment. */
+  private note(text: string) {
+    this.notice.textContent = text
+    setTimeout(() => (this.notice.textContent = ''), 2000)
   }
 
   /** Updates the clock and returns its text. */

@@ -1,7 +1,7 @@
 // Scene page of a job: loads the result, assembles the parts and handles the keyboard.
 
 import { getArtifact, getReport, request } from '../api/client'
-import type { Job } from '../api/types'
+import { type Job, isStored } from '../api/types'
 import { type BodyMesh, readBodyMesh } from '../data/body_mesh'
 import { readDetections } from '../data/detections'
 import { readMotion } from '../data/motion'
@@ -9,7 +9,10 @@ import { el } from '../dom'
 import { showHelp } from '../pages/help'
 import { onThemeChange } from '../theme'
 import { Switches, Transport } from './controls'
+import { CorrectionEditor } from './corrections'
+import { FootageBar } from './footage'
 import { press } from './keys'
+import { followLink } from './link'
 import { projectedJoints } from './overlay'
 import { CameraLine, Panel } from './panel'
 import { closeSurface, openSurface } from './surface'
@@ -32,9 +35,13 @@ export async function openScene(job: Job, signal: AbortSignal): Promise<OpenScen
   if (!motion) return closeSurface(surface), null
   const body = await mesh
   const view = new SceneView(motion, surface, () => draw(), () => change())
-  const timeline = new Timeline(motion, (frame) => view.set({ at: frame, isPlaying: false }))
+  const timeline = new Timeline(motion, (frame) => view.set({ at: frame, isPlaying: false }), (person) => view.set({ person, camera: null }))
   const panel = new Panel(view)
+  const editor = isStored(job) ? new CorrectionEditor(view, job, report, signal) : null
+  if (editor) panel.element.append(editor.element)
   const line = new CameraLine(view)
+  const footage = new FootageBar(view)
+  view.addPictures(footage.frame)
   const transport = new Transport(view)
   const switches = new Switches(view)
   let isRequested = false
@@ -42,9 +49,12 @@ export async function openScene(job: Job, signal: AbortSignal): Promise<OpenScen
   const draw = () => {
     timeline.show(view.frame, transport.show())
     line.show()
+    footage.show()
+    editor?.show()
   }
   const change = () => {
     panel.show()
+    editor?.show()
     switches.show()
     transport.show()
     if (view.needsDetections && !isRequested) {
@@ -56,7 +66,7 @@ export async function openScene(job: Job, signal: AbortSignal): Promise<OpenScen
     'div',
     { class: 'scene' },
     el('div', { class: 'scene-main' },
-      el('div', { class: 'stage-frame' }, view.element, el('div', { class: 'stage-bar' }, switches.element, line.element)),
+      el('div', { class: 'stage-frame' }, view.element, el('div', { class: 'stage-bar' }, switches.element, line.element, footage.element)),
       el('div', { class: 'bottom' }, transport.element, timeline.element)),
     panel.element,
   )
@@ -64,16 +74,21 @@ export async function openScene(job: Job, signal: AbortSignal): Promise<OpenScen
     const isInFront = element.offsetParent !== null && !document.querySelector('dialog[open]')
     if (isInFront && press(view, event, showHelp)) event.preventDefault()
   }
+  const onlink = () => followLink(view)
   document.addEventListener('keydown', onkey)
+  window.addEventListener('hashchange', onlink)
   const observer = new ResizeObserver(() => (timeline.resize(), draw()))
   observer.observe(timeline.element)
   const unsubscribeTheme = onThemeChange(() => (view.repaint(), timeline.resize(), draw()))
   change()
+  followLink(view)
   report.then((found) => signal.aborted || panel.setReport(found))
   addBodies(view, panel, body)
   exposeForChecks(view)
   const close = () => {
     document.removeEventListener('keydown', onkey)
+    window.removeEventListener('hashchange', onlink)
+    footage.close()
     observer.disconnect()
     unsubscribeTheme()
     view.close()

@@ -76,6 +76,7 @@ export class Panel {
     this.people.forEach((row, index) => {
       const statistics = report?.people.find(({ id }) => id === this.view.motion.people[index].id)
       row.querySelector('.row-figure')!.textContent = px(statistics?.reprojection_px?.median)
+      if (statistics?.name) row.querySelector('.row-name')!.textContent = statistics.name
     })
     this.shown = ''
     this.show()

@@ -19,14 +19,24 @@ export class Timeline {
   private width = 0
   private readonly height: number
 
-  /** `onseek` receives the requested frame index. */
-  constructor(private readonly motion: Motion, onseek: (frame: number) => void) {
+  /** `onseek` receives the requested frame index, `onperson` the index of a person whose label is clicked. */
+  constructor(private readonly motion: Motion, onseek: (frame: number) => void, onperson: (person: number) => void) {
     this.height = TOP + motion.people.length * ROW + (motion.repaired ? 2 : 1) * MARKS + 10
     const last = Math.max(motion.n_frames - 1, 0)
     this.slider = el('input', { type: 'range', min: 0, max: last, step: 1, value: '0', 'aria-label': 'Frame' })
     this.slider.addEventListener('input', () => onseek(Number(this.slider.value)))
+    const personAt = (event: MouseEvent) => {
+      const box = this.canvas.getBoundingClientRect()
+      const row = Math.floor((event.clientY - box.top - TOP) / ROW)
+      const isLabel = event.clientX - box.left < LABELS
+      return isLabel && row >= 0 && row < motion.people.length ? row : null
+    }
+    this.canvas.addEventListener('click', (event) => {
+      const person = personAt(event)
+      if (person !== null) onperson(person)
+    })
     const seek = (event: PointerEvent) => {
-      if (event.buttons !== 1) return
+      if (event.buttons !== 1 || personAt(event) !== null) return
       const x = event.clientX - this.canvas.getBoundingClientRect().left
       onseek(Math.round(((x - LABELS) / (this.width - LABELS - 8)) * last))
     }

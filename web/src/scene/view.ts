@@ -83,6 +83,11 @@ export class SceneView {
     if (this.request === 0 && !this.isClosed) this.request = requestAnimationFrame((now) => this.tick(now))
   }
 
+  /** Adds an element between the 3D picture and the overlay. */
+  addPictures(element: HTMLElement) {
+    this.stage.canvas.after(element)
+  }
+
   repaint() {
     this.stage.repaint()
     this.invalidate()

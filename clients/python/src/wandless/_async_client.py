@@ -85,6 +85,10 @@ class AsyncClient:
         """Submits a job, see `Client.submit`."""
         return await self._run(operations.submit(session, options, labels, priority, webhook, key, self.patience_s))
 
+    async def correct(self, job: str, corrections: operations.Corrections, key: Optional[str] = None) -> Job:
+        """Submits a job that corrects a succeeded one, see `Client.correct`."""
+        return await self._run(operations.correct(job, corrections, key, self.patience_s))
+
     async def job(self, job: str) -> Job:
         """The job as it is now."""
         found: Job = await self._json("GET", f"/v1/jobs/{job}")

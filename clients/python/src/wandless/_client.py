@@ -90,6 +90,13 @@ class Client:
         """Submits a job. A repetition with the same idempotency `key` returns the same job; without it a new one is used."""
         return self._run(operations.submit(session, options, labels, priority, webhook, key, self.patience_s))
 
+    def correct(self, job: str, corrections: operations.Corrections, key: Optional[str] = None) -> Job:
+        """Submits a job that corrects the people of a succeeded job, such as `[{"action": "merge", "people": [1, 3]}]`.
+
+        The list replaces the corrections of that job. The new job continues from what they leave valid.
+        """
+        return self._run(operations.correct(job, corrections, key, self.patience_s))
+
     def job(self, job: str) -> Job:
         """The job as it is now."""
         found: Job = self._json("GET", f"/v1/jobs/{job}")

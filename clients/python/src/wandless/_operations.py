@@ -11,7 +11,7 @@ import os
 import random
 import time
 import uuid
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Callable, Optional, TypeVar, Union
 from urllib.parse import quote, urlencode
@@ -24,6 +24,8 @@ from ._types import FINAL, Job, Session
 T = TypeVar("T")
 #: Receives the job after each change.
 OnChange = Callable[[Job], None]
+#: Corrections in their order, see docs/corrections.md.
+Corrections = Iterable[Mapping[str, Any]]
 #: Longest time for which the service holds a request for a change of a job, s.
 WAIT_S = 30
 #: Statuses after which the same request can succeed: too many requests, busy.
@@ -116,6 +118,16 @@ def submit(
     wanted: dict[str, Any] = {"session": session, "options": dict(options or {}), "labels": dict(labels or {}), "priority": priority}
     if webhook is not None:
         wanted["webhook"] = {"url": webhook}
+    return (yield from created(wanted, key, patience_s))
+
+
+def correct(job: str, corrections: Corrections, key: Optional[str], patience_s: float) -> Operation[Job]:
+    wanted = {"corrects": job, "options": {"corrections": [dict(correction) for correction in corrections]}}
+    return (yield from created(wanted, key, patience_s))
+
+
+def created(wanted: Mapping[str, Any], key: Optional[str], patience_s: float) -> Operation[Job]:
+    """Creates the job that a document describes."""
     headers = {"Idempotency-Key": key or str(uuid.uuid4()), "Content-Type": "application/json"}
     job: Job = yield from document(Request("POST", "/v1/jobs", json.dumps(wanted).encode(), headers), patience_s)
     return job

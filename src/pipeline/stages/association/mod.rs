@@ -28,10 +28,10 @@ pub fn associate(
     let mut people = track(scene, &TrackerConfig::default(), progress)?;
     let n_left_out = capture.options.people.map_or(0, |n| left_out(&people, n));
     people.truncate(capture.options.people.unwrap_or(people.len()));
-    let explained = explained(scene, &people);
     let n_views = scene.views.len();
     let tracks: Vec<PersonTrack> = people.iter().enumerate().map(|(i, p)| as_track(i, p, n_views)).collect();
-    let points = people.iter().enumerate().map(|(i, p)| as_points(i, p)).collect();
+    let points: Vec<JointTrajectory> = people.iter().enumerate().map(|(i, p)| as_points(i, p)).collect();
+    let explained = explained(scene, &tracks, &points);
     let metrics = [("people", people.len() as f64), ("explained_share", explained)];
     let report = StageReport::new("association", scene.n_frames, "all_frames", metrics);
     let n_views_placed = scene.cameras.iter().flatten().count();
@@ -46,8 +46,7 @@ fn left_out(people: &[TrackedPerson], n: usize) -> usize {
 
 /// The association of groups of tracklets: the start, before persons are tracked in 3D.
 pub fn from_clusters(scene: &TrackerScene, tracklets: &[Vec<Tracklet>], groups: &[Cluster]) -> Association {
-    let (mut tracks, mut points) = (Vec::new(), Vec::new());
-    for (person, group) in groups.iter().enumerate() {
+    let of_group = |(person, group): (usize, &Cluster)| {
         let members = || group.iter().map(|&(view, t)| (view, &tracklets[view][t]));
         let first = members().map(|(_, t)| t.first()).min().unwrap_or(0);
         let last = members().map(|(_, t)| t.last()).max().unwrap_or(0);
@@ -55,22 +54,30 @@ pub fn from_clusters(scene: &TrackerScene, tracklets: &[Vec<Tracklet>], groups: 
         for (view, tracklet) in members() {
             tracklet.detections.iter().for_each(|&(frame, d)| detections[frame - first][view] = Some(d));
         }
-        let skeletons: Vec<_> =
-            detections.iter().enumerate().map(|(t, assignment)| skeleton(scene, first + t, assignment)).collect();
-        let n_keypoints = skeletons.iter().map(Vec::len).max().unwrap_or(0);
-        let whole = |s: Vec<_>| if s.is_empty() { vec![None; n_keypoints] } else { s };
-        let n_views = vec![vec![0; n_keypoints]; skeletons.len()];
-        let (id, first) = (PersonId(person), FrameIndex(first));
-        points.push(JointTrajectory { person: id, first, points: skeletons.into_iter().map(whole).collect(), n_views });
-        tracks.push(PersonTrack { person: id, first, detections });
-    }
-    Association {
-        tracks,
-        points,
-        explained: 0.0,
-        n_views_placed: scene.cameras.iter().flatten().count(),
-        n_left_out: 0,
-    }
+        PersonTrack { person: PersonId(person), first: FrameIndex(first), detections }
+    };
+    let tracks: Vec<PersonTrack> = groups.iter().enumerate().map(of_group).collect();
+    let points = tracks.iter().map(|track| triangulated(scene, track)).collect();
+    let n_views_placed = scene.cameras.iter().flatten().count();
+    Association { tracks, points, explained: 0.0, n_views_placed, n_left_out: 0 }
+}
+
+/// The association of people that are known.
+pub fn from_tracks(scene: &TrackerScene, tracks: Vec<PersonTrack>) -> Association {
+    let points: Vec<JointTrajectory> = tracks.iter().map(|track| triangulated(scene, track)).collect();
+    let explained = explained(scene, &tracks, &points);
+    Association { tracks, points, explained, n_views_placed: scene.cameras.iter().flatten().count(), n_left_out: 0 }
+}
+
+/// The points that the detections of a person agree on, frame by frame.
+fn triangulated(scene: &TrackerScene, track: &PersonTrack) -> JointTrajectory {
+    let frames = track.detections.iter().enumerate();
+    let skeletons: Vec<_> = frames.map(|(t, assignment)| skeleton(scene, track.first.0 + t, assignment)).collect();
+    let n_keypoints = skeletons.iter().map(Vec::len).max().unwrap_or(0);
+    let whole = |s: Vec<_>| if s.is_empty() { vec![None; n_keypoints] } else { s };
+    let n_views = vec![vec![0; n_keypoints]; skeletons.len()];
+    let points = skeletons.into_iter().map(whole).collect();
+    JointTrajectory { person: track.person, first: track.first, points, n_views }
 }
 
 fn as_track(person: usize, tracked: &TrackedPerson, n_views: usize) -> PersonTrack {
@@ -94,7 +101,7 @@ fn as_points(person: usize, tracked: &TrackedPerson) -> JointTrajectory {
 }
 
 /// Share of confident keypoints of all placed views that lie near a person's reprojection, 0 to 1.
-fn explained(scene: &TrackerScene, people: &[TrackedPerson]) -> f64 {
+fn explained(scene: &TrackerScene, tracks: &[PersonTrack], points: &[JointTrajectory]) -> f64 {
     let confident = |d: &NormalizedDetection| d.confidence.iter().filter(|c| **c > DETECTOR.confident).count();
     let all: usize = scene
         .views
@@ -105,14 +112,14 @@ fn explained(scene: &TrackerScene, people: &[TrackedPerson]) -> f64 {
         .map(confident)
         .sum();
     let mut near = 0usize;
-    for person in people {
-        for ((frame, assignment), skeleton) in person.assignments.iter().zip(&person.skeletons) {
+    for (track, person) in tracks.iter().zip(points) {
+        for (t, (assignment, skeleton)) in track.detections.iter().zip(&person.points).enumerate() {
             if assignment.iter().flatten().count() < 2 {
                 continue; // a single view always agrees with itself
             }
             for (view, detection) in assignment.iter().enumerate() {
                 let (Some(d), Some(camera)) = (detection, &scene.cameras[view]) else { continue };
-                let detection = &scene.views[view].frames[*frame][*d];
+                let detection = &scene.views[view].frames[track.first.0 + t][*d];
                 for (k, point) in skeleton.iter().enumerate() {
                     let Some(expected) = point.and_then(|p| project_normalized(camera, &p)) else { continue };
                     let offset = (expected.normalized - detection.normalized[k]).norm();

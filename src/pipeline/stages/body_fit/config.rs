@@ -1,6 +1,7 @@
 //! Settings of the fit.
 
 use crate::geometry::Rigid;
+use crate::geometry::free_network::CameraCovariance;
 use crate::residuals::pose_likelihood::PoseWeights;
 
 /// Every number of the fit.
@@ -61,6 +62,8 @@ pub struct BodyFitConfig {
     pub correlated_errors: bool,
     /// Whether the cameras are adjusted together with the motions under these errors.
     pub adjust_cameras: bool,
+    /// Covariance of cameras that are not adjusted, because they were before.
+    pub known_covariance: Option<CameraCovariance>,
     /// What is known of the cameras that are adjusted.
     pub known_cameras: KnownCameras,
     /// Whether the keypoint bias of the detector is estimated.
@@ -140,6 +143,7 @@ impl Default for BodyFitConfig {
             halo_frames: 30,
             correlated_errors: true,
             adjust_cameras: false,
+            known_covariance: None,
             known_cameras: KnownCameras::default(),
             estimate_keypoint_bias: true,
             // Six seconds of walking or talking turn every limb; offsets are shared, so that more people need less of each.

@@ -104,6 +104,7 @@ pub fn fit_bodies(
     let penetration = resolve_collisions(&context, &mut people, config.resolve_collisions, input.session.first_frame)?;
     let (cameras, camera_covariance) =
         adjusted.as_ref().map_or((None, None), |adjusted| (adjusted.cameras.clone(), adjusted.covariance.clone()));
+    let camera_covariance = camera_covariance.or_else(|| config.known_covariance.clone());
     let uncertainty = |person: &PersonFit| motion_uncertainty(&context, person, camera_covariance.as_ref());
     let uncertainties: Vec<_> = people.par_iter().map(uncertainty).collect();
     let measures = |(person, uncertainty): (&PersonFit, &Option<MotionUncertainty>)| {

@@ -18,7 +18,7 @@ use crate::session::reconstruction::{
     CameraReport, ErrorSummary, GeometryReport, KeypointReport, PersonReport, SigmaSummary,
 };
 use crate::session::recording::Session;
-use crate::session::{FrameIndex, JointTrajectory};
+use crate::session::{Detection, FrameIndex, JointTrajectory, Keypoint};
 use nalgebra::Vector3;
 use reprojections::{KeypointStatistics, Misfits, PersonStatistics, people_statistics};
 
@@ -69,12 +69,14 @@ impl FitStatistics {
             tracks.iter().flat_map(|t| &t.detections).filter(|assignment| assignment[view].is_some()).count()
         };
         let report = |(v, view): (usize, &crate::session::View)| {
-            let n_detections = view.frames.iter().map(Vec::len).sum();
+            let has_keypoints = |detection: &&Detection| detection.keypoints.iter().any(Keypoint::is_present);
+            let n_detections = view.frames.iter().flatten().filter(has_keypoints).count();
             CameraReport {
                 id: view.id.clone(),
                 solved: cameras[v].is_some(),
+                excluded: false,
                 n_detections,
-                n_rejected_detections: n_detections - given(v),
+                n_rejected_detections: n_detections.saturating_sub(given(v)),
                 reprojection_px: summary(&self.views[v].px),
                 reprojection_mm: summary(&self.views[v].mm),
                 rejected_keypoints: self.views[v].rejected(),
@@ -93,6 +95,7 @@ impl FitStatistics {
             let misfits = statistics.misfits();
             PersonReport {
                 id: track.person.0,
+                name: None,
                 first_frame: session.frame_number(track.first),
                 last_frame: session.frame_number(last),
                 n_detections: statistics.n_detections,

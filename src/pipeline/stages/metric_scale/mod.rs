@@ -10,7 +10,8 @@ use crate::pipeline::config::ScaleSource;
 use crate::pipeline::error::PipelineError;
 use crate::progress::Canceled;
 use crate::session::reconstruction::ScaleReport;
-use crate::session::{JointTrajectory, PersonTrack};
+use crate::session::{JointTrajectory, PersonId, PersonTrack};
+use std::collections::BTreeMap;
 
 /// Standard deviation of a stated height against the stature without shoes, log units: 17 mm of shoes, posture and memory.
 const HEIGHT_SIGMA: f64 = 0.01;
@@ -33,7 +34,15 @@ const DISTANCE_SIGMA: f64 = 0.01;
 /// Statures of all persons at a scale in metres per unit, by track; `None` where a body could not be fitted.
 pub type StaturesAt<'a> = &'a dyn Fn(f64) -> Result<Vec<Option<FittedStature>>, Canceled>;
 
-/// The scale with its interval; `None` where nothing determines it.
+/// Standing heights that are known, m.
+enum Known<'a> {
+    /// Of the tallest person, or of the one with most detections of a track id.
+    One(f64, &'a str),
+    /// Of these people.
+    People(&'a BTreeMap<PersonId, f64>),
+}
+
+/// The scale with its interval; `heights`: those that corrections state, which come before the option `scale`; `None` where nothing determines it.
 ///
 /// # Errors
 /// [`PipelineError::Option`] where the chosen source is not in the capture; [`PipelineError::Canceled`].
@@ -42,6 +51,7 @@ pub fn metric_scale(
     cameras: &[Option<Rigid>],
     tracks: &[PersonTrack],
     paths: &[JointTrajectory],
+    heights: &BTreeMap<PersonId, f64>,
     statures: StaturesAt,
 ) -> Result<Option<ScaleReport>, PipelineError> {
     if !capture.estimates_extrinsics() {
@@ -51,9 +61,15 @@ pub fn metric_scale(
         let evidence = "the given extrinsics".to_owned();
         return Ok(Some(ScaleReport { value: 1.0, interval95: [1.0, 1.0], evidence }));
     }
+    if !heights.is_empty() {
+        let known = Known::People(heights);
+        return from_heights(capture, tracks, paths, &known, statures).map(Some);
+    }
     match &capture.options.scale {
         ScaleSource::Body => Ok(scale_from_people(&default_body(), &measured_people(capture, paths)).map(report)),
-        ScaleSource::Height { metres, who } => from_height(capture, tracks, paths, (*metres, who), statures).map(Some),
+        ScaleSource::Height { metres, who } => {
+            from_heights(capture, tracks, paths, &Known::One(*metres, who), statures).map(Some)
+        }
         ScaleSource::CameraDistance { cameras: ids, metres } => from_distance(capture, cameras, ids, *metres).map(Some),
     }
 }
@@ -95,43 +111,77 @@ fn from_distance(
     }
 }
 
-/// From the height of one person that two cameras see and the stature of the body fitted to this person: first at the
-/// scale from all bodies, then again at the scale that the height gives.
-fn from_height(
+/// From heights of people that two cameras see and the statures of the bodies fitted to them: first at the scale from all bodies,
+/// then again at the scale that the heights give. Several people count alike.
+fn from_heights(
     capture: &Capture,
     tracks: &[PersonTrack],
     paths: &[JointTrajectory],
-    (metres, who): (f64, &str),
+    heights: &Known,
     statures: StaturesAt,
 ) -> Result<ScaleReport, PipelineError> {
     let people = measured_people(capture, paths);
-    let known = |statures: Vec<Option<FittedStature>>| {
+    let seen = |statures: Vec<Option<FittedStature>>| -> Vec<Option<FittedStature>> {
         let of_seen = |(stature, segments): (_, &Vec<_>)| Option::filter(stature, |_| !segments.is_empty());
-        let statures: Vec<Option<FittedStature>> = statures.into_iter().zip(&people).map(of_seen).collect();
-        match who.parse::<i64>() {
-            Ok(id) => person_of_track(capture, tracks, id).and_then(|person| statures[person]),
-            Err(_) => tallest(&statures),
+        statures.into_iter().zip(&people).map(of_seen).collect()
+    };
+    // Pairs of the known height and the fitted stature.
+    let pairs = |statures: Vec<Option<FittedStature>>| -> Result<Vec<[f64; 2]>, PipelineError> {
+        let statures = seen(statures);
+        match heights {
+            Known::One(metres, who) => {
+                let stature = match who.parse::<i64>() {
+                    Ok(id) => person_of_track(capture, tracks, id).and_then(|person| statures[person]),
+                    Err(_) => tallest(&statures),
+                };
+                Ok(vec![[*metres, stature.ok_or_else(|| unseen(heights, None))?.metres]])
+            }
+            Known::People(heights_of) => {
+                let pair = |(person, metres): (&PersonId, &f64)| {
+                    let stature = tracks.iter().position(|track| track.person == *person).and_then(|i| statures[i]);
+                    Ok([*metres, stature.ok_or_else(|| unseen(heights, Some(*person)))?.metres])
+                };
+                heights_of.iter().map(pair).collect()
+            }
         }
     };
-    let no_such_person = || PipelineError::Option {
-        option: "/scale/who",
-        reason: format!("person {who:?} was not seen by two cameras; choose another track id or \"tallest\""),
-    };
-    let mut scale = scale_from_people(&default_body(), &people).ok_or_else(no_such_person)?.scale;
+    let start = scale_from_people(&default_body(), &people).ok_or_else(|| unseen(heights, None))?;
+    let (mut scale, mut n) = (start.scale, 1);
     for _ in 0..MAX_HEIGHT_ROUNDS {
-        let factor = metres / known(statures(scale)?).ok_or_else(no_such_person)?.metres;
-        scale *= factor;
-        if factor.ln().abs() < CONVERGED {
+        let known = pairs(statures(scale)?)?;
+        n = known.len();
+        let change = known.iter().map(|[metres, stature]| (metres / stature).ln()).sum::<f64>() / n as f64;
+        scale *= change.exp();
+        if change.abs() < CONVERGED {
             break;
         }
     }
-    let half = INTERVAL_95 * HEIGHT_SIGMA.hypot(STATURE_BIAS);
+    let half = INTERVAL_95 * HEIGHT_SIGMA.hypot(STATURE_BIAS) / (n as f64).sqrt();
+    let known = match heights {
+        Known::One(metres, _) => format!("a height of {metres} m, and the body that fits this person"),
+        Known::People(heights) if n == 1 => {
+            let metres = heights.values().next().copied().unwrap_or_default();
+            format!("a height of {metres} m, and the body that fits this person")
+        }
+        Known::People(_) => format!("the heights of {n} people, and the bodies that fit them"),
+    };
     let evidence = format!(
-        "a height of {metres} m, and the body that fits this person; shoes, posture and keypoint bias of the detector leave \
-         the scale uncertain by {:.1} %",
+        "{known}; shoes, posture and keypoint bias of the detector leave the scale uncertain by {:.1} %",
         100.0 * half
     );
     Ok(ScaleReport { value: scale, interval95: [-half, half].map(|edge| scale * edge.exp()), evidence })
+}
+
+/// The error that a person of known height has no measurable body.
+fn unseen(heights: &Known, person: Option<PersonId>) -> PipelineError {
+    let (option, who, remedy) = match (heights, person) {
+        (Known::One(_, who), _) => ("/scale/who", format!("{who:?}"), "choose another track id or \"tallest\""),
+        (Known::People(_), Some(person)) => {
+            ("/corrections", person.0.to_string(), "state the height of another person")
+        }
+        (Known::People(_), None) => ("/corrections", "of known height".to_owned(), "leave set_height out"),
+    };
+    PipelineError::Option { option, reason: format!("person {who} was not seen by two cameras; {remedy}") }
 }
 
 /// The tallest of the persons with enough keypoints.

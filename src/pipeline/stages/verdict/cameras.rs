@@ -40,7 +40,7 @@ fn is_named(input: &VerdictInput, camera: &CameraReport) -> bool {
 
 fn unsolved(input: &VerdictInput) -> impl Iterator<Item = Reason> {
     let is_rest_solved = input.n_placed() >= 2;
-    let unsolved = input.cameras.iter().filter(|camera| !camera.solved && !is_named(input, camera));
+    let unsolved = input.cameras.iter().filter(|camera| !camera.solved && !camera.excluded && !is_named(input, camera));
     unsolved.map(move |camera| {
         let text = format!(
             "camera {} could not be placed: its detections agree with no other camera; check its frames, intrinsics and \

@@ -27,6 +27,7 @@ fn error(median: f64) -> Option<ErrorSummary> {
 
 fn camera(k: usize) -> CameraReport {
     CameraReport {
+        excluded: false,
         id: format!("cam{k}"),
         solved: true,
         n_detections: 1000,
@@ -51,6 +52,7 @@ fn keypoint(name: &str) -> KeypointReport {
 
 fn person(id: usize) -> PersonReport {
     PersonReport {
+        name: None,
         id,
         first_frame: 100,
         last_frame: 399,

@@ -23,7 +23,8 @@ pub(super) fn describe(schemas: &mut Value) {
                 property.as_object_mut().map(|property| property.remove("pattern"));
                 property["enum"] = choices.iter().map(|choice| choice.value).collect();
             }
-            (Kind::Forms(forms), Some(name)) => describe_forms(&mut schemas[name], forms),
+            (Kind::Forms(forms), Some(name)) => describe_forms(&mut schemas[name], forms, "from", "Scale"),
+            (Kind::Actions(forms), Some(name)) => describe_forms(&mut schemas[name], forms, "action", "Correction"),
             _ => {}
         }
     }
@@ -40,13 +41,13 @@ fn list(schema: &mut Value, choices: &[Choice]) {
     schema["description"] = json!(format!("{}.", meanings.join("; ")));
 }
 
-/// Describes each form and its fields.
-fn describe_forms(schema: &mut Value, forms: &[Form]) {
+/// Describes each form, which the field `tag` selects, and its fields; `noun` ends the names of the types.
+fn describe_forms(schema: &mut Value, forms: &[Form], tag: &str, noun: &str) {
     for described in schema["oneOf"].as_array_mut().into_iter().flatten() {
-        let from = described["properties"]["from"]["enum"][0].clone();
+        let from = described["properties"][tag]["enum"][0].clone();
         let Some(form) = forms.iter().find(|form| from == form.from) else { continue };
         described["description"] = json!(form.meaning);
-        described["title"] = json!(title(form.from)); // names the type in generated clients
+        described["title"] = json!(title(form.from, noun)); // names the type in generated clients
         described["additionalProperties"] = json!(false);
         for field in form.fields {
             let property = &mut described["properties"][field.name];
@@ -60,12 +61,12 @@ fn describe_forms(schema: &mut Value, forms: &[Form]) {
 }
 
 /// `camera_distance` as `CameraDistanceScale`.
-fn title(from: &str) -> String {
+fn title(from: &str, noun: &str) -> String {
     let capitalised = |word: &str| {
         let mut letters = word.chars();
         letters.next().map(|first| first.to_ascii_uppercase()).into_iter().chain(letters).collect::<String>()
     };
-    from.split('_').map(capitalised).chain(["Scale".to_owned()]).collect()
+    from.split('_').map(capitalised).chain([noun.to_owned()]).collect()
 }
 
 /// Adds the range of a number.

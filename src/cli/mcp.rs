@@ -1,0 +1,143 @@
+//! `wandless mcp`: a server of the Model Context Protocol over stdio, so that agents use the job API of a service.
+//!
+//! A line of stdin is a JSON-RPC 2.0 message, a line of stdout an answer. One call is worked on at a time; logs go to stderr.
+
+mod jobs;
+mod messages;
+mod tools;
+
+use super::client::Client;
+use messages::{Answer, INVALID_PARAMS, METHOD_NOT_FOUND, PARSE_ERROR, Request, read_request};
+use serde_json::{Value, json};
+use std::io::{self, BufRead, Write};
+use tools::{TOOLS, call};
+
+/// Arguments of `mcp`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// URL of the service
+    #[arg(long, default_value = "http://127.0.0.1:8700")]
+    server: String,
+    /// API key; an environment variable is not shown in the list of processes, unlike an argument
+    #[arg(long, env = "WANDLESS_KEY", hide_env_values = true)]
+    key: Option<String>,
+}
+
+/// Versions of the protocol whose messages are understood, newest first.
+const VERSIONS: [&str; 4] = ["2025-11-25", "2025-06-18", "2025-03-26", "2024-11-05"];
+
+/// What an agent is to know before its first call.
+const INSTRUCTIONS: &str = "Wandless reconstructs moving people and the cameras that filmed them from 2D poses. Submit a session with \
+    submit_session, wait with follow_job until its state is final, read verdict and figures with read_report before a result is \
+    used, and write files with download_result. A verdict `reject` means that the result is not to be used.";
+
+/// Answers messages until stdin ends.
+///
+/// # Errors
+/// When stdin or stdout fails.
+pub(super) fn run(args: &Args) -> anyhow::Result<()> {
+    let client = Client::new(&args.server, args.key.as_deref());
+    let mut out = io::stdout().lock();
+    for line in io::stdin().lock().lines() {
+        let line = line?;
+        if line.trim().is_empty() {
+            continue;
+        }
+        let answer = match read_request(&line) {
+            Ok(request) => answer(&client, &request, &mut out)?,
+            Err(error) => Some(Answer::failure(&Value::Null, PARSE_ERROR, error)),
+        };
+        if let Some(answer) = answer {
+            writeln!(out, "{}", answer.0)?;
+            out.flush()?;
+        }
+    }
+    Ok(())
+}
+
+/// The answer to a message; `None` for a notification.
+fn answer(client: &Client, request: &Request, out: &mut impl Write) -> io::Result<Option<Answer>> {
+    let Some(id) = &request.id else { return Ok(None) };
+    Ok(Some(match request.method.as_str() {
+        "initialize" => Answer::success(id, initialized(&request.params)),
+        "ping" => Answer::success(id, json!({})),
+        "tools/list" => {
+            Answer::success(id, json!({ "tools": TOOLS.iter().map(tools::Tool::document).collect::<Vec<_>>() }))
+        }
+        "tools/call" => match call(client, &request.params, out)? {
+            Some(result) => Answer::success(id, result),
+            None => {
+                let name = &request.params["name"];
+                Answer::failure(
+                    id,
+                    INVALID_PARAMS,
+                    format!("the tool {name} does not exist; tools/list names all tools"),
+                )
+            }
+        },
+        other => Answer::failure(id, METHOD_NOT_FOUND, format!("the method {other:?} is not supported")),
+    }))
+}
+
+fn initialized(params: &Value) -> Value {
+    let wanted = params["protocolVersion"].as_str();
+    let version = VERSIONS.into_iter().find(|version| Some(*version) == wanted).unwrap_or(VERSIONS[0]);
+    json!({
+        "protocolVersion": version,
+        "capabilities": { "tools": {} },
+        "serverInfo": { "name": "wandless", "version": env!("CARGO_PKG_VERSION") },
+        "instructions": INSTRUCTIONS,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn answered(message: &str) -> Option<Value> {
+        let client = Client::new("http://127.0.0.1:9", None);
+        let mut out = Vec::new();
+        answer(&client, &read_request(message).unwrap(), &mut out).unwrap().map(|answer| answer.0)
+    }
+
+    #[test]
+    fn negotiates_the_version_of_the_protocol() {
+        let version = |wanted: &str| {
+            let message =
+                json!({ "jsonrpc": "2.0", "id": 1, "method": "initialize", "params": { "protocolVersion": wanted } });
+            answered(&message.to_string()).unwrap()["result"]["protocolVersion"].clone()
+        };
+        assert_eq!(version("2024-11-05"), "2024-11-05");
+        assert_eq!(version("1999-01-01"), VERSIONS[0]);
+    }
+
+    #[test]
+    fn notifications_have_no_answer_and_unknown_methods_an_error() {
+        assert_eq!(answered(r#"{"jsonrpc": "2.0", "method": "notifications/initialized"}"#), None);
+        let unknown = answered(r#"{"jsonrpc": "2.0", "id": "a", "method": "resources/list"}"#).unwrap();
+        assert_eq!((&unknown["id"], &unknown["error"]["code"]), (&json!("a"), &json!(METHOD_NOT_FOUND)));
+        assert!(read_request("{").is_err());
+    }
+
+    #[test]
+    fn every_tool_has_a_schema_of_its_arguments() {
+        let list = answered(r#"{"jsonrpc": "2.0", "id": 1, "method": "tools/list"}"#).unwrap();
+        let tools = list["result"]["tools"].as_array().unwrap();
+        assert_eq!(tools.len(), TOOLS.len());
+        for tool in tools {
+            let schema = &tool["inputSchema"];
+            assert_eq!(schema["type"], "object");
+            let required = schema["required"].as_array().unwrap();
+            assert!(required.iter().all(|name| schema["properties"][name.as_str().unwrap()].is_object()), "{tool}");
+        }
+    }
+
+    #[test]
+    fn wrong_arguments_are_reported_to_the_agent() {
+        let message = json!({ "jsonrpc": "2.0", "id": 1, "method": "tools/call",
+            "params": { "name": "submit_session", "arguments": { "session": "no/such/folder" } } });
+        let result = answered(&message.to_string()).unwrap()["result"].clone();
+        assert_eq!(result["isError"], true);
+        assert!(result["content"][0]["text"].as_str().unwrap().contains("no/such/folder"), "{result}");
+    }
+}
