@@ -1,7 +1,7 @@
 //! `wandless key create|list|revoke`: API keys. Works on a data folder whether or not its service is running.
 
 use super::bad_input::BadInput;
-use crate::service::settings::DEFAULT_DATA;
+use super::serve::layers;
 use crate::service::store::keys::{self, Scope};
 use crate::service::store::{Store, Tenant};
 use anyhow::Context;
@@ -13,9 +13,12 @@ use std::path::PathBuf;
 pub(super) struct Args {
     #[command(subcommand)]
     action: Action,
-    /// Data folder of the service
-    #[arg(long, default_value = DEFAULT_DATA, global = true)]
-    data: PathBuf,
+    /// Data folder of the service [default: ./wandless-data]
+    #[arg(long, global = true)]
+    data: Option<PathBuf>,
+    /// TOML file with the settings of the service; environment variables (WANDLESS_STORE__URL=…) override it
+    #[arg(long, global = true)]
+    config: Option<PathBuf>,
 }
 
 #[derive(Debug, Subcommand)]
@@ -48,7 +51,10 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
 }
 
 async fn act(args: Args) -> anyhow::Result<()> {
-    let store = Store::open_beside(&args.data).await?;
+    let settings = layers(args.config.as_deref()).and_then(|layers| layers.settings());
+    let mut settings = settings.map_err(|error| BadInput(error.to_string()))?;
+    settings.data = args.data.unwrap_or(settings.data);
+    let store = Store::open_beside(&settings).await?;
     match args.action {
         Action::Create { tenant, name, scopes } => create(&store, &tenant, &name, &scopes).await?,
         Action::List => list(&store).await?,

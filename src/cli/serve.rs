@@ -1,10 +1,12 @@
 //! `wandless serve`: runs the service until a stop signal.
 
 use super::bad_input::BadInput;
+use crate::service::settings::Role;
 use crate::service::settings::layers::{Layers, SettingsError};
 use crate::service::{self, ServeError, Settings};
+use clap::ValueEnum;
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::runtime::Runtime;
 use tokio::signal::unix::{Signal, SignalKind, signal};
@@ -18,6 +20,9 @@ pub(super) struct Args {
     /// Address to listen on; port 0 picks a free port [default: 127.0.0.1:8700]
     #[arg(long)]
     listen: Option<SocketAddr>,
+    /// What this process does; other roles than `all` need a PostgreSQL server (store.url) [default: all]
+    #[arg(long, value_enum)]
+    role: Option<Role>,
     /// TOML file with settings; environment variables (WANDLESS_LIMITS__MAX_WAIT_S=…) and flags override it
     #[arg(long)]
     config: Option<PathBuf>,
@@ -60,21 +65,30 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
 
 /// Merges the settings; later sources override earlier ones: defaults, file, environment, flags.
 fn settings(args: Args) -> Result<Settings, SettingsError> {
-    let mut layers = Layers::default();
-    if let Some(file) = &args.config {
-        layers = layers.file(file)?;
-    }
-    let variables =
-        std::env::vars_os().filter_map(|(key, value)| Some((key.into_string().ok()?, value.into_string().ok()?)));
-    layers = layers.environment(variables)?;
+    let mut layers = layers(args.config.as_deref())?;
     for word in &args.set {
         let (key, value) = word.split_once('=').ok_or_else(|| SettingsError::Word { word: word.clone() })?;
         layers = layers.word(key.trim(), value.trim())?;
+    }
+    if let Some(role) = args.role {
+        let name = role.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
+        layers = layers.word("role", &name)?;
     }
     let mut settings = layers.settings()?;
     settings.data = args.data.unwrap_or(settings.data);
     settings.listen = args.listen.unwrap_or(settings.listen);
     Ok(settings)
+}
+
+/// The settings of the file and of the environment.
+pub(super) fn layers(config: Option<&Path>) -> Result<Layers, SettingsError> {
+    let mut layers = Layers::default();
+    if let Some(file) = config {
+        layers = layers.file(file)?;
+    }
+    let variables =
+        std::env::vars_os().filter_map(|(key, value)| Some((key.into_string().ok()?, value.into_string().ok()?)));
+    layers.environment(variables)
 }
 
 async fn serve(settings: Settings) -> anyhow::Result<()> {

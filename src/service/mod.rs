@@ -10,6 +10,7 @@
 //! - [`queue`]: the `jobs` table: accept, claim, finish, cancel, recover
 //! - [`protocol`]: messages between the service and its child processes
 //! - `child`: a child process: its order, its messages, its log, its end
+//! - `leader`, `leadership`: what one of several processes must do, and which does it
 //! - `memory`: memory limits of the child processes
 //! - [`validation`]: reads an upload in a child process
 //! - `exports`: formats that are added to a published result
@@ -25,6 +26,9 @@ mod child;
 mod exports;
 pub mod failpoint;
 pub mod http;
+#[cfg(feature = "scale")]
+mod leader;
+mod leadership;
 mod memory;
 pub mod metrics;
 pub mod protocol;
@@ -41,6 +45,8 @@ mod worker;
 pub use settings::Settings;
 
 use failpoint::{failpoint, fault};
+use http::HttpNetworks;
+use leadership::Leadership;
 use queue::Queue;
 use shared::Shared;
 use std::net::SocketAddr;
@@ -99,7 +105,8 @@ pub async fn start(settings: Settings) -> Result<Running, ServeError> {
         tokio::time::sleep(std::time::Duration::from_secs(3)).await;
     }
     let networks = Arc::new(Networks::parse(&settings.webhooks.allowed_networks)?);
-    let store = Store::open(&settings.data).await?.with_min_free_bytes(settings.limits.min_free_bytes);
+    let proxies = Arc::new(Networks::parse(&settings.limits.trusted_proxies)?);
+    let store = Store::open_for(&settings).await?.with_min_free_bytes(settings.limits.min_free_bytes);
     if !listen.ip().is_loopback() && !store::keys::any(&store).await? {
         return Err(ServeError::NotLoopback { listen });
     }
@@ -111,18 +118,39 @@ pub async fn start(settings: Settings) -> Result<Running, ServeError> {
     let address = listener.local_addr().map_err(cannot_listen)?;
 
     let draining = CancellationToken::new();
-    let shared =
-        Shared { store, queue, settings: Arc::new(settings), metrics: Arc::default(), draining: draining.clone() };
+    let leadership = Leadership::new(!store.is_shared());
+    let settings = Arc::new(settings);
+    let shared = Shared { store, queue, settings, metrics: Arc::default(), leadership, draining: draining.clone() };
+    let http_networks = HttpNetworks { webhooks: networks.clone(), proxies };
     let mut tasks = vec![
-        tokio::spawn(http::serve(shared.clone(), networks.clone(), listener)),
+        tokio::spawn(http::serve(shared.clone(), http_networks, listener)),
         tokio::spawn(webhooks::run(shared.clone(), networks)),
         tokio::spawn(retention::run(shared.clone())),
-        tokio::spawn(store::pages::run_checkpointer(shared.store.clone(), draining.clone())),
     ];
-    for _ in 0..shared.settings.jobs.concurrent {
-        tasks.push(tokio::spawn(worker::run(shared.clone())));
+    if !shared.store.is_shared() {
+        tasks.push(tokio::spawn(store::pages::run_checkpointer(shared.store.clone(), draining.clone())));
+    }
+    #[cfg(feature = "scale")]
+    tasks.extend(shared_tasks(&shared));
+    if shared.settings.role.works() {
+        for _ in 0..shared.settings.jobs.concurrent {
+            tasks.push(tokio::spawn(worker::run(shared.clone())));
+        }
     }
     Ok(Running { address, store: shared.store, draining, tasks })
+}
+
+/// Tasks of a process that shares its database.
+#[cfg(feature = "scale")]
+fn shared_tasks(shared: &Shared) -> Vec<JoinHandle<()>> {
+    if !shared.store.is_shared() {
+        return Vec::new();
+    }
+    vec![
+        tokio::spawn(leader::run(shared.clone())),
+        tokio::spawn(queue::wake::listen(shared.queue.clone(), shared.draining.clone())),
+        tokio::spawn(queue::wake::watch(shared.queue.clone(), shared.draining.clone())),
+    ]
 }
 
 impl Running {

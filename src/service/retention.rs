@@ -25,7 +25,9 @@ pub(super) async fn run(shared: Shared) {
     let start = (Instant::now(), SystemTime::now());
     let (mut last, mut is_reported) = (Instant::now(), false);
     while !shared.draining.is_cancelled() {
-        if is_clock_plausible(start) {
+        if !shared.leadership.is_held() {
+            last = Instant::now(); // another process removes what is old
+        } else if is_clock_plausible(start) {
             let ran_s = last.elapsed().as_secs() as i64;
             last = Instant::now();
             let suspect = clock::observe(&shared.store, ran_s).await;
@@ -83,7 +85,7 @@ async fn remove_old(shared: &Shared) -> Result<(), StoreError> {
 }
 
 async fn remove_jobs(shared: &Shared, days: f64) -> Result<usize, StoreError> {
-    const OLD: &str = "SELECT id, tenant FROM jobs WHERE finished_at < strftime('%Y-%m-%dT%H:%M:%fZ', 'now', ?) ORDER BY finished_at LIMIT ?";
+    const OLD: &str = "SELECT id, tenant FROM jobs WHERE finished_at < strftime('%Y-%m-%dT%H:%M:%fZ', 'now', $1) ORDER BY finished_at LIMIT $2";
     let old = next_batch(shared, OLD, days).await?;
     for (id, tenant) in &old {
         shared.queue.delete(tenant, id).await?;
@@ -94,9 +96,9 @@ async fn remove_jobs(shared: &Shared, days: f64) -> Result<usize, StoreError> {
 
 async fn remove_sessions(shared: &Shared, days: f64) -> Result<usize, StoreError> {
     const OLD: &str = "SELECT id, tenant FROM sessions
-         WHERE created_at < strftime('%Y-%m-%dT%H:%M:%fZ', 'now', ?)
+         WHERE created_at < strftime('%Y-%m-%dT%H:%M:%fZ', 'now', $1)
            AND NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.session_id = sessions.id)
-         ORDER BY seq LIMIT ?";
+         ORDER BY seq LIMIT $2";
     let old = next_batch(shared, OLD, days).await?;
     for (id, tenant) in &old {
         match sessions::remove(&shared.store, tenant, id).await {

@@ -29,6 +29,14 @@ pub struct Settings {
     /// Program that is started for each job and each upload; by default the running program.
     #[serde(skip)]
     pub program: PathBuf,
+    /// The database.
+    pub store: StoreSettings,
+    /// Where uploads and results are kept.
+    pub blobs: BlobSettings,
+    /// What this process does.
+    pub role: Role,
+    /// How processes that share a database notice each other.
+    pub worker: WorkerSettings,
     /// Limits of uploads and requests.
     pub limits: RequestLimits,
     /// Limits of one tenant.
@@ -47,6 +55,67 @@ pub struct Settings {
     /// How long a stop waits for open downloads before closing them.
     #[serde(rename = "drain_limit_s", with = "seconds")]
     pub drain_limit: Duration,
+}
+
+/// What a service process does. Several processes share a PostgreSQL server.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "snake_case")]
+pub enum Role {
+    /// Serve the API and run jobs
+    #[default]
+    All,
+    /// Serve the API
+    Api,
+    /// Run jobs; serves /healthz, /readyz and /metrics only
+    Worker,
+}
+
+impl Role {
+    /// Whether the process serves the API.
+    pub fn serves(self) -> bool {
+        self != Self::Worker
+    }
+
+    /// Whether the process runs jobs.
+    pub fn works(self) -> bool {
+        self != Self::Api
+    }
+}
+
+/// How processes that share a database notice each other.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WorkerSettings {
+    /// Interval in which a worker shows that the claim of its job is alive.
+    #[serde(rename = "beat_s", with = "seconds")]
+    pub beat: Duration,
+    /// A claim without a beat for this time is lost: its job is put back. No clock but the leader's own monotonic one counts.
+    #[serde(rename = "lease_s", with = "seconds")]
+    pub lease: Duration,
+}
+
+/// The database.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct StoreSettings {
+    /// `sqlite:` for a file in the data folder, or `postgres://user:password@host/database?sslmode=verify-full` for a PostgreSQL server
+    /// (15 or newer) that several services share; it is never printed.
+    #[serde(serialize_with = "without_secret")]
+    pub url: String,
+    /// Maximal number of connections of this process to a PostgreSQL server.
+    pub connections: u32,
+}
+
+/// Where uploads and results are kept.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BlobSettings {
+    /// `file:` for the data folder; `s3://bucket/prefix` for an S3-compatible store, whose keys, region and endpoint come from the
+    /// variables `AWS_*`; or `file:///folder` for a folder that several machines share.
+    pub url: String,
+    /// Maximal size of the local copies of objects, bytes.
+    pub cache_bytes: u64,
 }
 
 /// Limits of uploads, requests and connections.
@@ -97,6 +166,9 @@ pub struct RequestLimits {
     pub min_free_bytes: u64,
     /// Wrong keys per second that one address can try before it is answered 429.
     pub bad_keys_per_s: f64,
+    /// Proxies in front of the service, as `10.1.0.0/16` or one address. The limits of an address then count the clients that their
+    /// header `X-Forwarded-For` names, which is believed of no other sender.
+    pub trusted_proxies: Vec<String>,
 }
 
 /// Limits of one tenant.
@@ -182,6 +254,10 @@ impl Default for Settings {
             data: PathBuf::from(DEFAULT_DATA),
             listen: DEFAULT_LISTEN.parse().expect("the default address is valid"),
             program: PathBuf::new(),
+            store: StoreSettings::default(),
+            blobs: BlobSettings::default(),
+            role: Role::All,
+            worker: WorkerSettings::default(),
             limits: RequestLimits::default(),
             tenants: TenantLimits::default(),
             jobs: JobSettings::default(),
@@ -192,6 +268,30 @@ impl Default for Settings {
             drain_limit: Duration::from_secs(8), // together with ending the child well below the 10 s of a process supervisor
         }
     }
+}
+
+impl Default for StoreSettings {
+    fn default() -> Self {
+        Self { url: "sqlite:".to_owned(), connections: 16 } // a server has a hundred by default: room for six processes
+    }
+}
+
+impl Default for WorkerSettings {
+    fn default() -> Self {
+        Self { beat: Duration::from_secs(5), lease: Duration::from_secs(30) } // six beats: an upload of checkpoints delays one or two
+    }
+}
+
+impl Default for BlobSettings {
+    fn default() -> Self {
+        Self { url: "file:".to_owned(), cache_bytes: 20_000_000_000 } // some hundred sessions with their results
+    }
+}
+
+/// Serialises the URL of a database without its password.
+fn without_secret<S: serde::Serializer>(url: &str, serializer: S) -> Result<S::Ok, S::Error> {
+    let is_secret = url.contains('@') || url.contains("password=");
+    serializer.serialize_str(if is_secret { "postgres://…" } else { url })
 }
 
 impl Default for RequestLimits {
@@ -214,6 +314,7 @@ impl Default for RequestLimits {
             max_queued: 20_000,
             min_free_bytes: 256 << 20,
             bad_keys_per_s: 10.0, // enough for a script with an old key, far too few to guess 256 bits
+            trusted_proxies: Vec::new(),
         }
     }
 }

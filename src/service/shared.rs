@@ -1,5 +1,6 @@
 //! State that all parts of the service share.
 
+use super::leadership::Leadership;
 use super::metrics::Metrics;
 use super::queue::Queue;
 use super::settings::Settings;
@@ -14,6 +15,8 @@ pub(super) struct Shared {
     pub(super) queue: Queue,
     pub(super) settings: Arc<Settings>,
     pub(super) metrics: Arc<Metrics>,
+    /// Whether this process does what one of several must.
+    pub(super) leadership: Leadership,
     /// Cancelled when the service begins to stop.
     pub(super) draining: CancellationToken,
 }

@@ -42,6 +42,10 @@ pub(super) async fn run(shared: Shared, networks: Arc<Networks>) {
     loop {
         tokio::select! {
             _ = checks.tick() => {
+                if !shared.leadership.is_held() {
+                    waiting.clear();
+                    continue;
+                }
                 let start = Instant::now();
                 match due(&shared).await {
                     Ok(due) => {
@@ -76,10 +80,10 @@ async fn due(shared: &Shared) -> Result<Vec<Delivery>, StoreError> {
         "WITH due AS (
              SELECT *, row_number() OVER (PARTITION BY tenant, url ORDER BY tries > 0, seq) AS place_of_url
              FROM webhook_deliveries
-             WHERE state = 'waiting' AND (next_try_at <= unixepoch() OR next_try_at > unixepoch() + ?)),
+             WHERE state = 'waiting' AND (next_try_at <= unixepoch() OR next_try_at > unixepoch() + $1)),
          placed AS (
              SELECT *, row_number() OVER (PARTITION BY tenant ORDER BY tries > 0, place_of_url, seq) AS place FROM due)
-         SELECT * FROM placed ORDER BY place, seq LIMIT ?",
+         SELECT * FROM placed ORDER BY place, seq LIMIT $2",
     )
     .bind(longest as i64)
     .bind(MAX_WAITING)
@@ -154,9 +158,9 @@ async fn record(shared: &Shared, delivery: &Delivery, outcome: &CallOutcome) -> 
     let mut transaction = shared.store.write_relaxed().await?;
     sqlx::query(
         "UPDATE webhook_deliveries
-         SET state = ?, tries = ?, next_try_at = unixepoch() + ?, last_status = ?, last_error = ?,
+         SET state = $1, tries = $2, next_try_at = unixepoch() + $3, last_status = $4, last_error = $5,
              updated_at = strftime('%Y-%m-%dT%H:%M:%fZ', 'now')
-         WHERE id = ?",
+         WHERE id = $6",
     )
     .bind(state)
     .bind(tries)
@@ -180,7 +184,7 @@ fn wait_after(tries: i64, settings: &WebhookSettings) -> Duration {
 /// # Errors
 /// When the store fails.
 pub async fn deliveries_of(store: &Store, tenant: &Tenant, job: &str) -> Result<Vec<Delivery>, StoreError> {
-    let rows = sqlx::query_as("SELECT * FROM webhook_deliveries WHERE job_id = ? AND tenant = ? ORDER BY seq");
+    let rows = sqlx::query_as("SELECT * FROM webhook_deliveries WHERE job_id = $1 AND tenant = $2 ORDER BY seq");
     Ok(rows.bind(job).bind(tenant.name()).fetch_all(store.read()).await?)
 }
 
@@ -193,7 +197,7 @@ pub async fn redeliver(store: &Store, tenant: &Tenant, job: &str, id: &str) -> R
     let delivery = sqlx::query_as(
         "UPDATE webhook_deliveries
          SET state = 'waiting', tries = 0, next_try_at = 0, updated_at = strftime('%Y-%m-%dT%H:%M:%fZ', 'now')
-         WHERE id = ? AND job_id = ? AND tenant = ? RETURNING *",
+         WHERE id = $1 AND job_id = $2 AND tenant = $3 RETURNING *",
     )
     .bind(id)
     .bind(job)

@@ -2,6 +2,7 @@
 
 use crate::http::{JSON, send_raw};
 use crate::server::{Server, command};
+use crate::store::{is_of_sqlite_alone, program};
 use crate::take::{LONG, take};
 use crate::tenants::{ask, key};
 use serde_json::{Value, json};
@@ -95,6 +96,9 @@ fn inspection_is_not_computed_again() {
 
 #[test]
 fn parts_of_a_damaged_file_are_an_error() {
+    if is_of_sqlite_alone("a damaged copy is fetched again") {
+        return;
+    }
     let server = Server::start();
     let id = server.submit(&server.upload(20, 1));
     server.wait_for_state(&id, "succeeded");
@@ -164,7 +168,7 @@ fn running_answers_end_with_their_key() {
     let mut lines = BufReader::new(stream).lines().map_while(Result::ok);
     assert_eq!(lines.next().as_deref(), Some("HTTP/1.1 200 OK"));
     let id = token.split('_').nth(1).unwrap();
-    let mut revoke = Command::new(env!("CARGO_BIN_EXE_wandless"));
+    let mut revoke = program(server.data());
     let revoked = revoke.args(["key", "revoke", id, "--data"]).arg(server.data()).status().unwrap();
     assert!(revoked.success());
     let start = Instant::now();
@@ -197,7 +201,7 @@ fn rejects_values_at_the_ends_of_their_types() {
 #[test]
 fn log_names_tenant_key_and_job_of_a_request() {
     let data = tempfile::tempdir().unwrap();
-    let mut create = Command::new(env!("CARGO_BIN_EXE_wandless"));
+    let mut create = program(data.path());
     let made = create.args(["key", "create", "--tenant", "a", "--data"]).arg(data.path()).output().unwrap();
     let token = String::from_utf8(made.stdout).unwrap().trim().to_owned();
     let mut serve = command(data.path());

@@ -14,6 +14,7 @@ mod results;
 mod server;
 #[path = "../fixtures/stick_figure.rs"]
 mod stick_figure;
+mod store;
 mod take;
 mod tenants;
 mod uploads;

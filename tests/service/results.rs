@@ -2,6 +2,7 @@
 
 use crate::http::Answer;
 use crate::server::Server;
+use crate::store::is_of_sqlite_alone;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use sqlx::Row;
@@ -67,6 +68,9 @@ fn honours_ranges_and_conditions() {
 
 #[test]
 fn damaged_file_is_an_error() {
+    if is_of_sqlite_alone("a damaged copy is fetched again") {
+        return;
+    }
     let (server, id) = succeeded();
     let path = server.files("results").into_iter().find(|path| path.ends_with("report.json")).unwrap();
     let mut bytes = std::fs::read(&path).unwrap();
@@ -80,6 +84,9 @@ fn damaged_file_is_an_error() {
 
 #[test]
 fn summary_rows_match_the_files() {
+    if is_of_sqlite_alone("reads the rows from the database file") {
+        return;
+    }
     let (server, id) = succeeded();
     let report = server.get(&format!("/v1/jobs/{id}/report")).json();
     let cameras = server.get(&format!("/v1/jobs/{id}/cameras")).json();
@@ -153,6 +160,9 @@ fn exports_are_added_once_and_survive_a_restart() {
     assert_eq!(archive.header("content-type"), "application/zip");
     let archive = zip::ZipArchive::new(std::io::Cursor::new(archive.body)).unwrap();
     assert_eq!(archive.len(), names(&after).len() + 1);
+    if is_of_sqlite_alone("verify") {
+        return;
+    }
     let verified = std::process::Command::new(env!("CARGO_BIN_EXE_wandless")).arg("verify").arg(server.data()).output();
     let verified = verified.unwrap();
     assert!(verified.status.success(), "{}", String::from_utf8_lossy(&verified.stdout));
@@ -168,6 +178,9 @@ fn exports_of_other_jobs_and_formats_are_refused() {
     let other = format!("/v1/jobs/job_{}/exports", "0".repeat(32));
     server.post_json(&other, &json!({ "exports": ["glb"] })).expect_problem(404, "not_found");
     server.get(&format!("/v1/jobs/job_{}/archive", "0".repeat(32))).expect_problem(404, "not_found");
+    if is_of_sqlite_alone("a damaged copy is fetched again") {
+        return;
+    }
     let damaged = server.files("results").into_iter().find(|path| path.ends_with("people.json")).unwrap();
     std::fs::write(&damaged, b"{}").unwrap();
     server.post_json(&path, &json!({ "exports": ["glb"] })).expect_problem(500, "corrupt");

@@ -1,6 +1,7 @@
 //! A service under test: the real binary, its own data folder, a free port.
 
 use crate::http::{Answer, JSON, send};
+use crate::store::{folder_of, program};
 use crate::take::take;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader};
@@ -187,7 +188,7 @@ impl Server {
 
     /// Every file below a folder of the data folder.
     pub fn files(&self, folder: &str) -> Vec<PathBuf> {
-        files_below(&self.data.path().join(folder))
+        files_below(&self.data.path().join(folder_of(folder)))
     }
 }
 
@@ -228,7 +229,7 @@ pub fn files_below(folder: &Path) -> Vec<PathBuf> {
 
 /// `wandless serve` on a data folder and a free port.
 pub fn command(data: &Path) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wandless"));
+    let mut command = program(data);
     command.args(["serve", "--listen", "127.0.0.1:0", "--data"]).arg(data).env("WANDLESS_LOG", "warn");
     command
 }

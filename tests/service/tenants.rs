@@ -2,22 +2,17 @@
 
 use crate::http::{Answer, JSON, send, send_raw};
 use crate::server::Server;
+use crate::store::program;
 use crate::take::take;
 use serde_json::{Value, json};
 use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::process::Command;
 use std::time::{Duration, Instant};
 
 /// Creates a key of the service under test.
 pub fn key(server: &Server, words: &[&str]) -> String {
-    let output = Command::new(env!("CARGO_BIN_EXE_wandless"))
-        .args(["key", "create"])
-        .args(words)
-        .arg("--data")
-        .arg(server.data())
-        .output()
-        .unwrap();
+    let output =
+        program(server.data()).args(["key", "create"]).args(words).arg("--data").arg(server.data()).output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap().trim().to_owned()
 }
@@ -93,7 +88,7 @@ fn revoked_key_is_refused_and_its_job_continues() {
     let job = ask(&server, "POST", "/v1/jobs", &old, Some(&asked)).expect(202).json();
     let id = old.split('_').nth(1).unwrap();
     let revoke = || {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_wandless"));
+        let mut command = program(server.data());
         command.args(["key", "revoke", id, "--data"]).arg(server.data()).output().unwrap().status.code()
     };
     assert_eq!(revoke(), Some(0));
@@ -172,14 +167,14 @@ fn quotas_are_exact_and_released_on_delete() {
 fn public_address_requires_a_key() {
     let data = tempfile::tempdir().unwrap();
     let run = |words: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_wandless"));
+        let mut command = program(data.path());
         command.args(words).arg("--data").arg(data.path()).output().unwrap()
     };
     assert_eq!(run(&["serve", "--listen", "0.0.0.0:0"]).status.code(), Some(2));
     let token = String::from_utf8(run(&["key", "create"]).stdout).unwrap();
     let listed = String::from_utf8(run(&["key", "list"]).stdout).unwrap();
     assert!(!listed.contains(token.trim().rsplit('_').next().unwrap()), "{listed}");
-    let mut serve = Command::new(env!("CARGO_BIN_EXE_wandless"));
+    let mut serve = program(data.path());
     serve.args(["serve", "--listen", "0.0.0.0:0", "--data"]).arg(data.path()).env("WANDLESS_LOG", "warn");
     let server = Server::from_command(&mut serve);
     let address = server.address().to_owned();

@@ -14,6 +14,7 @@ use crate::service::failpoint::fault;
 use crate::service::queue::job::Submitter;
 use crate::service::store::keys::{self, Scope};
 use crate::service::store::{StoreError, Tenant};
+use crate::service::webhooks::Networks;
 use axum::extract::{FromRequestParts, Request, State};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
@@ -21,6 +22,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use std::net::IpAddr;
 use std::time::{Duration, Instant};
 use tracing::Span;
 
@@ -164,13 +166,29 @@ fn token(headers: &HeaderMap) -> Option<String> {
 
 /// 401, or 429 after too many wrong keys from one address.
 fn refuse_key(app: &App, head: &Parts) -> Problem {
-    let peer = head.extensions.get::<Peer>().map_or_else(String::new, |peer| network(peer.address.ip()).to_string());
+    let peer = head.extensions.get::<Peer>().map(|peer| client(peer.address.ip(), &head.headers, &app.trusted_proxies));
+    let peer = peer.map_or_else(String::new, |address| network(address).to_string());
     if let Err(wait) = app.bad_key_rates.take(&peer)
         && !fault("guesses.free")
     {
         return too_many("too many requests without a valid key", wait);
     }
     unauthorized(challenge(&head.headers))
+}
+
+/// The address of the client: that of the connection, or the last one in `X-Forwarded-For` that is not a trusted proxy. What stands before
+/// it can be written by anyone.
+fn client(peer: IpAddr, headers: &HeaderMap, proxies: &Networks) -> IpAddr {
+    let lines: Vec<&str> = headers.get_all("x-forwarded-for").iter().filter_map(|line| line.to_str().ok()).collect();
+    let mut client = peer;
+    for word in lines.join(",").rsplit(',') {
+        if !proxies.contain(client) {
+            break;
+        }
+        let Ok(before) = word.trim().parse() else { break };
+        client = before;
+    }
+    client
 }
 
 fn unauthorized(challenge: &'static str) -> Problem {
@@ -209,6 +227,27 @@ mod tests {
         };
         assert!(of("empty").starts_with("Bearer"));
         assert!(of("document").starts_with("Basic") && challenge(&HeaderMap::new()).starts_with("Basic"));
+    }
+
+    #[test]
+    fn only_trusted_proxies_name_the_client() {
+        let proxies = Networks::parse(&["10.0.0.0/8".to_owned(), "::1".to_owned()]).unwrap();
+        let of = |peer: &str, forwarded: &[&'static str]| {
+            let mut headers = HeaderMap::new();
+            for line in forwarded {
+                headers.append("x-forwarded-for", HeaderValue::from_static(line));
+            }
+            client(peer.parse().unwrap(), &headers, &proxies).to_string()
+        };
+        assert_eq!(of("203.0.113.9", &["198.51.100.1"]), "203.0.113.9", "no proxy: its header counts for nothing");
+        assert_eq!(
+            of("10.1.1.1", &["1.2.3.4, 198.51.100.1"]),
+            "198.51.100.1",
+            "the client can invent what stands before"
+        );
+        assert_eq!(of("10.1.1.1", &["198.51.100.1, 10.2.2.2"]), "198.51.100.1", "a chain of proxies");
+        assert_eq!(of("::1", &["1.2.3.4", "198.51.100.1"]), "198.51.100.1", "several lines are one list");
+        assert_eq!((of("10.1.1.1", &[]), of("10.1.1.1", &["unknown"])), ("10.1.1.1".to_owned(), "10.1.1.1".to_owned()));
     }
 
     #[test]

@@ -26,6 +26,8 @@ pub(super) struct App {
     pub(super) draining: CancellationToken,
     /// Private networks that webhooks may call.
     pub(super) allowed_networks: Arc<Networks>,
+    /// Proxies whose header names the client.
+    pub(super) trusted_proxies: Arc<Networks>,
     /// Limits the number of uploads that are held in memory at the same time.
     pub(super) validations: Arc<Semaphore>,
     /// Limits the number of lists that one tenant reads at the same time.
@@ -44,6 +46,15 @@ pub(super) struct App {
     pub(super) bad_key_rates: Arc<RateLimiter>,
 }
 
+/// Networks of the settings.
+#[derive(Debug, Clone)]
+pub(in crate::service) struct HttpNetworks {
+    /// Private networks that webhooks may call.
+    pub(in crate::service) webhooks: Arc<Networks>,
+    /// Trusted proxies.
+    pub(in crate::service) proxies: Arc<Networks>,
+}
+
 /// Uploads validated at the same time: each may hold a session of some hundred megabytes.
 const VALIDATIONS: usize = 2;
 
@@ -54,8 +65,8 @@ const ARCHIVES: usize = 8;
 const LISTS_PER_TENANT: usize = 4;
 
 impl App {
-    pub(super) fn new(shared: Shared, allowed_networks: Arc<Networks>) -> Self {
-        let Shared { store, queue, settings, metrics, draining } = shared;
+    pub(super) fn new(shared: Shared, networks: HttpNetworks) -> Self {
+        let Shared { store, queue, settings, metrics, draining, .. } = shared;
         let tenant_rates = Arc::new(RateLimiter::new(settings.tenants.requests_per_s));
         let bad_key_rates = Arc::new(RateLimiter::new(settings.limits.bad_keys_per_s));
         let validations = Arc::new(Semaphore::new(VALIDATIONS));
@@ -66,7 +77,8 @@ impl App {
             settings,
             metrics,
             draining,
-            allowed_networks,
+            allowed_networks: networks.webhooks,
+            trusted_proxies: networks.proxies,
             validations,
             lists,
             archives: Arc::new(Semaphore::new(ARCHIVES)),

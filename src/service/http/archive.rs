@@ -45,13 +45,14 @@ pub(super) async fn get(ApiPath(JobPath { id }): ApiPath<JobPath>, request: File
     }
     let turn = app.archives.clone().try_acquire_owned();
     let turn = turn.map_err(|_| Problem::unavailable("busy", "other archives are being sent"))?;
-    let folder = app.store.folders.result(&id, result_fence);
+    let folder = app.store.blobs.result(&id, result_fence, &files).await?;
     let (sender, mut receiver) = mpsc::channel(WAITING_CHUNKS);
     tokio::task::spawn_blocking(move || {
-        if let Err(error) = write_archive(&folder, &files, Chunks::new(sender.clone())) {
+        let folder = folder; // the whole value: the folder exists as long as it does
+        if let Err(error) = write_archive(&folder.path, &files, Chunks::new(sender.clone())) {
             // A client may leave early.
             if !sender.is_closed() {
-                tracing::error!(%error, folder = %folder.display(), "an archive ended early");
+                tracing::error!(%error, folder = %folder.path.display(), "an archive ended early");
                 let _ = sender.blocking_send(Err(error)); // fails if the client leaves now
             }
         }

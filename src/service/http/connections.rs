@@ -33,6 +33,8 @@ pub(super) struct Connections {
 /// State of one connection.
 struct Open {
     network: IpAddr,
+    /// A trusted proxy: its connections carry the requests of many clients, so they count as admitted.
+    is_proxy: bool,
     has_access: bool,
     /// Whether a complete request head has arrived.
     has_asked: bool,
@@ -63,13 +65,13 @@ impl Connections {
 
     /// Waits until the connection number `id` from `address` has a slot. If all slots are taken, the connection that was idle
     /// the longest is closed.
-    pub(super) async fn enter(self: &Arc<Self>, id: u64, address: IpAddr) -> Connection {
+    pub(super) async fn enter(self: &Arc<Self>, id: u64, address: IpAddr, is_proxy: bool) -> Connection {
         while !self.makes_room(Instant::now()) {
             // Every connection is busy, or idle for a moment only.
             let _ = tokio::time::timeout(GRACE, self.freed.notified()).await;
         }
         let close = CancellationToken::new();
-        self.open().insert(id, Open::new(network(address), close.clone()));
+        self.open().insert(id, Open::new(network(address), is_proxy, close.clone()));
         Connection { id, connections: self.clone(), close }
     }
 
@@ -150,8 +152,8 @@ fn close(open: &mut BTreeMap<u64, Open>, id: u64) {
 }
 
 impl Open {
-    fn new(network: IpAddr, close: CancellationToken) -> Self {
-        Self { network, has_access: false, has_asked: false, n_pending: 0, since: Instant::now(), close }
+    fn new(network: IpAddr, is_proxy: bool, close: CancellationToken) -> Self {
+        Self { network, is_proxy, has_access: is_proxy, has_asked: false, n_pending: 0, since: Instant::now(), close }
     }
 
     fn is_idle(&self) -> bool {
@@ -187,7 +189,7 @@ impl Connection {
 
     /// Notes whether the last request with access control was admitted.
     pub(super) fn note_access(&self, has_access: bool) {
-        self.connections.change(self.id, |one| one.has_access = has_access);
+        self.connections.change(self.id, |one| one.has_access = has_access || one.is_proxy);
     }
 
     /// Frees the slot.

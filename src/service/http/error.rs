@@ -203,14 +203,17 @@ impl Problem {
 impl From<StoreError> for Problem {
     fn from(error: StoreError) -> Self {
         match &error {
-            StoreError::Database(sqlx::Error::PoolTimedOut) => Self::unavailable("busy", "the database is busy"),
-            StoreError::Database(sqlx::Error::Database(cause)) => match cause.code().as_deref() {
-                Some("5" | "6" | "261" | "517") => Self::unavailable("busy", "the database is busy"), // BUSY, LOCKED
-                _ if error.is_disk_full() => Self::disk_full(DISK_FULL),
-                // Another request has just stored the same; a repetition finds it.
-                _ if cause.is_unique_violation() => Self::unavailable("busy", "another request is storing the same"),
-                _ => Self::internal(error),
-            },
+            _ if error.is_busy() => Self::unavailable("busy", "the database is busy"),
+            StoreError::Database(_) if error.is_disk_full() => Self::disk_full(DISK_FULL),
+            // Another request has just stored the same; a repetition finds it.
+            StoreError::Database(sqlx::Error::Database(cause)) if cause.is_unique_violation() => {
+                Self::unavailable("busy", "another request is storing the same")
+            }
+            StoreError::Blobs { .. } => {
+                tracing::error!(%error, "a request failed");
+                Self::unavailable("storage", "the store of the uploads and results does not answer")
+            }
+            StoreError::Folder { source, .. } => Self::from_io(source),
             StoreError::DiskFull { .. } => Self::disk_full(error.to_string()),
             _ => Self::internal(error),
         }

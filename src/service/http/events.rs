@@ -10,19 +10,16 @@ use super::error::Problem;
 use super::extract::{ApiPath, JobPath};
 use super::jobs::JobDocument;
 use crate::service::metrics::Held;
-use crate::service::queue::LogLine;
-use crate::service::queue::Phase;
 use crate::service::queue::job::{Job, JobProgress};
+use crate::service::queue::{Following, LogLine, Phase};
 use axum::extract::State;
 use axum::http::HeaderMap;
 use axum::response::sse::{Event, KeepAlive, Sse};
 use futures_util::Stream;
 use std::collections::VecDeque;
 use std::convert::Infallible;
-use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::broadcast::Receiver;
-use tokio::sync::broadcast::error::RecvError;
 use tokio::time::{Interval, MissedTickBehavior};
 
 /// A comment is sent after this time without an event: proxies keep the stream open, and a lost client is noticed.
@@ -42,7 +39,7 @@ pub(super) async fn stream(
     ApiPath(JobPath { id }): ApiPath<JobPath>,
     headers: HeaderMap,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Problem> {
-    let (changes, log) = (app.queue.listen(), app.queue.listen_to_logs()); // before the first read, so that no change is missed
+    let (changes, log) = (app.queue.follow(&id), app.queue.listen_to_logs()); // before the first read, so that no change is missed
     let job = app.queue.get(&caller.tenant, &id).await?.ok_or_else(|| Problem::not_found("job"))?;
     let mut key_checks = tokio::time::interval(KEY_CHECK_INTERVAL);
     key_checks.set_missed_tick_behavior(MissedTickBehavior::Delay); // a client that reads slowly causes no burst of checks
@@ -80,7 +77,7 @@ struct Follower {
     credential: Credential,
     key_checks: Interval,
     id: String,
-    changes: Receiver<Arc<str>>,
+    changes: Following,
     log: Receiver<LogLine>,
     phase: Option<Phase>,
     progress: JobProgress,
@@ -103,10 +100,9 @@ impl Follower {
             }
             let draining = self.app.draining.clone();
             tokio::select! {
-                changed = self.changes.recv() => match changed {
-                    Ok(changed) if *changed != *self.id => {}
-                    Ok(_) | Err(RecvError::Lagged(_)) => self.read_job().await,
-                    Err(RecvError::Closed) => self.is_at_end = true,
+                is_open = self.changes.changed() => match is_open {
+                    true => self.read_job().await,
+                    false => self.is_at_end = true,
                 },
                 line = self.log.recv() => {
                     if let Ok(line) = line && *line.job == *self.id {

@@ -68,9 +68,12 @@ async fn add_formats(app: &App, tenant: &Tenant, id: &str, formats: Vec<ExportFo
     let _space = app.store.reserve(tenant, app.settings.tenants.max_bytes, 0, false).await?;
     let known = artifacts::list(&app.store, id).await?;
     let folders = &app.store.folders;
-    let [result, extended] = [fence, fence + 1].map(|fence| folders.result(id, fence));
-    let staging = folders.staging(id, fence + 1);
-    let made = tokio::task::spawn_blocking(move || extend(&result, &known, &formats, &staging, &extended));
+    let result = app.store.blobs.result(id, fence, &known).await?;
+    let (staging, extended) = (folders.staging(id, fence + 1), folders.result(id, fence + 1));
+    let made = tokio::task::spawn_blocking(move || {
+        let result = result; // the whole value: the folder exists as long as it does
+        extend(&result.path, &known, &formats, &staging, &extended)
+    });
     let files = match made.await.map_err(Problem::internal)? {
         Ok(Some(files)) => files,
         Ok(None) => return Ok(()),
@@ -83,10 +86,11 @@ async fn add_formats(app: &App, tenant: &Tenant, id: &str, formats: Vec<ExportFo
             return Err(Problem::new(status, "corrupt", "the published result is damaged or cannot be read", remedy));
         }
     };
+    app.store.blobs.take_result(id, fence + 1, &files).await?;
     // An error leaves open whether the rows were written: the folder stays, and the next start removes it if no row refers to it.
     if app.queue.replace_result(tenant, id, fence, &files).await? {
         return Ok(());
     }
-    app.store.folders.remove_claim(id, fence + 1);
+    app.store.remove_claim(id, fence + 1).await;
     Err(Problem::not_found("job"))
 }

@@ -51,7 +51,8 @@ async fn inspected(app: &App, tenant: &Tenant, session: StoredSession) -> Result
     }
     let _turn = inspections.turn.acquire().await.map_err(Problem::internal)?;
     let _memory = app.validations.acquire().await.map_err(Problem::internal)?; // may take its whole limit, as an upload does
-    let document = Bytes::from(validation::inspect(&app.settings, &app.store.folders.session(&session.id)).await?);
+    let file = app.store.blobs.session(&session.id, &sha256).await?;
+    let document = Bytes::from(validation::inspect(&app.settings, &file.path).await?);
     inspections.insert(sha256, document.clone());
     Ok(document)
 }

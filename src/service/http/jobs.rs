@@ -139,7 +139,7 @@ async fn wait_for_change(
 ) -> Result<Job, Problem> {
     let _held = Held::new(&app.metrics);
     let deadline = Instant::now() + wait;
-    let mut changes = app.queue.listen(); // before the first read, so that no change is missed
+    let mut changes = app.queue.follow(id); // before the first read, so that no change is missed
     let draining = &app.draining;
     let mut first_tag = None;
     loop {
@@ -149,15 +149,10 @@ async fn wait_for_change(
         if tag != before || job.state.phase().is_final() || Instant::now() >= deadline || draining.is_cancelled() {
             return Ok(job);
         }
-        loop {
-            tokio::select! {
-                changed = changes.recv() => match changed {
-                    Ok(changed) if *changed != *id => {}
-                    _ => break, // this job has changed, or notifications were lost
-                },
-                () = tokio::time::sleep_until(deadline) => break,
-                () = draining.cancelled() => break,
-            }
+        tokio::select! {
+            _ = changes.changed() => {}
+            () = tokio::time::sleep_until(deadline) => {}
+            () = draining.cancelled() => {}
         }
     }
 }

@@ -37,6 +37,7 @@ mod upload;
 mod verified;
 mod viewer;
 
+pub(super) use app::HttpNetworks;
 pub use multipart::read_form;
 pub use routes::openapi_json;
 pub(super) use routes::serve;

@@ -8,8 +8,8 @@ use super::extract::{ApiPath, JobPath};
 use super::range::{Part, requested_part};
 use crate::service::metrics::Held;
 use crate::service::queue::job::JobState;
-use crate::service::store::Tenant;
 use crate::service::store::artifacts::{self, Artifact, digest_of};
+use crate::service::store::{StoreError, Tenant};
 use axum::body::Body;
 use axum::extract::FromRequestParts;
 use axum::http::request::Parts;
@@ -148,14 +148,13 @@ impl FileRequest {
         let Self { app, caller: Caller { tenant }, headers } = self;
         let result_fence = published_fence(&app, &tenant, id).await?;
         let artifact = artifacts::get(&app.store, id, name).await?.ok_or_else(|| no_such_file(id))?;
-        let path = app.store.folders.result(id, result_fence).join(&artifact.name);
         let tag = format!("\"{}\"", artifact.sha256);
         require_match(&headers, &tag)?;
         if is_unchanged(&headers, &tag) {
             return Ok((StatusCode::NOT_MODIFIED, [(header::ETAG, tag)]).into_response());
         }
         let part = requested_part(&headers, &tag, artifact.bytes)?;
-        match undamaged(&app, &artifact, path, part).await? {
+        match readable(&app, id, result_fence, &artifact, part).await? {
             Ok(file) => send(&artifact, file, &tag, part, Held::new(&app.metrics)).await,
             // Deleted meanwhile, or replaced by a result with further formats.
             Err(_) if published_fence(&app, &tenant, id).await? != result_fence => Err(replaced()),
@@ -193,6 +192,26 @@ pub(super) fn no_such_file(id: &str) -> Problem {
         "the result does not contain this file",
         format!("GET /v1/jobs/{id}/result lists all files"),
     )
+}
+
+/// Opens a published file whose digest was compared; a damaged local copy of an object is fetched again.
+async fn readable(
+    app: &App,
+    id: &str,
+    result_fence: i64,
+    artifact: &Artifact,
+    part: Part,
+) -> Result<Result<File, String>, Problem> {
+    loop {
+        let local = match app.store.blobs.artifact(id, result_fence, artifact).await {
+            Err(damage @ StoreError::BlobDamaged { .. }) => return Ok(Err(damage.to_string())),
+            local => local?,
+        };
+        let opened = undamaged(app, artifact, local.path.clone(), part).await?;
+        if opened.is_ok() || !app.store.blobs.forget(&artifact.sha256) {
+            return Ok(opened);
+        }
+    }
 }
 
 /// Opens the file and compares its digest before its first byte is sent: a damaged file gives an error, never wrong bytes.

@@ -1,6 +1,6 @@
 //! Every route and the layers around them.
 
-use super::app::App;
+use super::app::{App, HttpNetworks};
 use super::error::Problem;
 use super::openapi::{Description, LazyDescription};
 use super::{
@@ -8,7 +8,6 @@ use super::{
     server, sessions, submission, trace, viewer,
 };
 use crate::service::shared::Shared;
-use crate::service::webhooks::Networks;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::middleware::{from_fn, from_fn_with_state, map_response};
 use axum::response::Response;
@@ -20,12 +19,13 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 /// Serves the API until the service begins to stop.
-pub(in crate::service) async fn serve(shared: Shared, allowed_networks: Arc<Networks>, listener: TcpListener) {
-    let app = App::new(shared, allowed_networks);
+pub(in crate::service) async fn serve(shared: Shared, networks: HttpNetworks, listener: TcpListener) {
+    let app = App::new(shared, networks);
     let (settings, metrics, draining) = (app.settings.clone(), app.metrics.clone(), app.draining.clone());
-    let limits = &settings.limits;
+    let (limits, proxies) = (&settings.limits, app.trusted_proxies.clone());
     let max_connections = descriptors::allowed_connections(limits.max_connections, settings.jobs.concurrent);
-    server::serve(listener, router(app), limits, max_connections, settings.drain_limit, metrics, draining).await;
+    let router = if settings.role.serves() { router(app) } else { worker_router(app) };
+    server::serve(listener, router, limits, max_connections, proxies, settings.drain_limit, metrics, draining).await;
 }
 
 /// The OpenAPI document of this program as text.
@@ -89,6 +89,19 @@ fn router(app: App) -> Router {
         .layer(option_layer(cors::layer(&app.settings.cors_origins)))
         .layer(from_fn_with_state(app.clone(), trace::follow))
         .layer(map_response(without_sniffing))
+        .with_state(app)
+}
+
+/// The routes of a process that only runs jobs: for its supervisor and for Prometheus.
+fn worker_router(app: App) -> Router {
+    let monitoring = monitoring().layer(from_fn_with_state(app.clone(), access::to_the_metrics));
+    let probes = OpenApiRouter::new().routes(routes!(health::alive)).routes(routes!(health::ready));
+    let (router, _) = monitoring.merge(probes).split_for_parts();
+    router
+        .fallback(no_such_route)
+        .method_not_allowed_fallback(no_such_method)
+        .layer(from_fn(error::write_problems))
+        .layer(from_fn_with_state(app.clone(), trace::follow))
         .with_state(app)
 }
 

@@ -8,6 +8,7 @@ use super::connections::{Connection, Connections, Pending};
 use crate::service::failpoint::fault;
 use crate::service::metrics::Metrics;
 use crate::service::settings::RequestLimits;
+use crate::service::webhooks::Networks;
 use axum::Router;
 use axum::body::{Body, Bytes};
 use hyper::body::{Frame, Incoming, SizeHint};
@@ -38,11 +39,13 @@ pub(super) struct Peer {
 const ACCEPT_RETRY: Duration = Duration::from_millis(100);
 
 /// Serves until `draining` is cancelled; then accepts no more connections and gives open requests `drain_limit` to end.
+#[allow(clippy::too_many_arguments)] // each is one part of the service
 pub(super) async fn serve(
     listener: TcpListener,
     router: Router,
     limits: &RequestLimits,
     max_connections: usize,
+    proxies: Arc<Networks>,
     drain_limit: Duration,
     metrics: Arc<Metrics>,
     draining: CancellationToken,
@@ -52,7 +55,7 @@ pub(super) async fn serve(
     let accepting = async {
         for id in 0.. {
             let (stream, address) = accepted(&listener).await;
-            let connection = connections.enter(id, address.ip()).await;
+            let connection = connections.enter(id, address.ip(), proxies.contain(address.ip())).await;
             let peer = Peer { address, connection: connection.clone() };
             let served = serve_connection(stream, peer, router.clone(), limits.write_timeout, draining.clone());
             let metrics = metrics.clone();

@@ -172,6 +172,7 @@ pub(super) async fn keep(app: &App, tenant: &Tenant, received: Received) -> Resu
         Ok(id)
     });
     let id = kept.await.map_err(Problem::internal)??;
+    app.store.blobs.take_session(&id, &summary.sha256).await?;
     let added = sessions::add(&app.store, tenant, &id, &summary, app.settings.tenants.max_bytes).await;
     failpoint("upload.recorded");
     if added.as_ref().is_ok_and(|added| added.is_new) {

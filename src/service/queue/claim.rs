@@ -8,6 +8,7 @@ use super::rows::phase_from_row;
 use crate::service::failpoint::{failpoint, fault};
 use crate::service::store::database::WriteTransaction;
 use crate::service::store::error::StoreError;
+use crate::service::store::sql::{SqlRow, float};
 use sqlx::Row;
 use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
@@ -33,6 +34,20 @@ pub struct Claim {
     pub session_sha256: String,
     /// All options with their values, defaults included.
     pub options: serde_json::Value,
+}
+
+impl Claim {
+    pub(super) fn from_row(row: &SqlRow) -> Result<Self, StoreError> {
+        Ok(Self {
+            job: row.try_get("id")?,
+            fence: row.try_get("fence")?,
+            tenant: row.try_get("tenant")?,
+            submitter: Submitter { request: row.try_get("request_id")?, key: row.try_get("key_id")? },
+            session: row.try_get("session_id")?,
+            session_sha256: row.try_get("sha256")?,
+            options: serde_json::from_str(row.try_get("options")?)?,
+        })
+    }
 }
 
 /// Whether a claim is still valid.
@@ -76,34 +91,35 @@ impl Queue {
             return Ok(None);
         };
         let waiting = waiting?;
+        #[cfg(feature = "scale")]
+        if self.store.is_shared() {
+            return self.claim_shared(max_running, &waiting).await;
+        }
+        self.claim_alone(max_running, &waiting).await
+    }
+
+    /// The claim in SQLite, whose write transaction is the only one.
+    async fn claim_alone(&self, max_running: i64, waiting: &str) -> Result<Option<Claim>, StoreError> {
         let mut transaction = self.store.write().await?;
-        let Some(tenant) = next_tenant(&mut transaction, max_running, &waiting).await? else { return Ok(None) };
+        let Some(tenant) = next_tenant(&mut transaction, max_running, waiting).await? else { return Ok(None) };
         let row = sqlx::query(
-            "UPDATE jobs SET state = 'running', version = version + 1, fence = fence + 1, attempt = crashes + 1, boot = ?1,
+            "UPDATE jobs SET state = 'running', version = version + 1, fence = fence + 1, attempt = crashes + 1, boot = $1,
                              started_at = coalesce(started_at, strftime('%Y-%m-%dT%H:%M:%fZ', 'now')),
-                             solver_version = ?2, stage_seconds = '{}'
-             WHERE seq = (SELECT seq FROM jobs WHERE state = 'queued' AND tenant = ?3
-                            AND id NOT IN (SELECT value FROM json_each(?4))
+                             solver_version = $2, stage_seconds = '{}'
+             WHERE seq = (SELECT seq FROM jobs WHERE state = 'queued' AND tenant = $3
+                            AND id NOT IN (SELECT value FROM json_each($4))
                           ORDER BY priority DESC, seq LIMIT 1)
-             RETURNING id, fence, request_id, key_id, session_id, options,
+             RETURNING id, fence, tenant, request_id, key_id, session_id, options,
                        (SELECT sha256 FROM sessions WHERE sessions.id = jobs.session_id) AS sha256",
         )
         .bind(&self.store.boot)
         .bind(env!("CARGO_PKG_VERSION"))
         .bind(&tenant)
-        .bind(&waiting)
+        .bind(waiting)
         .fetch_optional(&mut *transaction)
         .await?;
         let Some(row) = row else { return Ok(None) };
-        let claim = Claim {
-            job: row.try_get("id")?,
-            fence: row.try_get("fence")?,
-            tenant,
-            submitter: Submitter { request: row.try_get("request_id")?, key: row.try_get("key_id")? },
-            session: row.try_get("session_id")?,
-            session_sha256: row.try_get("sha256")?,
-            options: serde_json::from_str(row.try_get("options")?)?,
-        };
+        let claim = Claim::from_row(&row)?;
         failpoint("claim.updated");
         self.active.add(&claim.job, claim.fence);
         if let Err(error) = self.store.commit(transaction).await {
@@ -134,8 +150,8 @@ impl Queue {
     }
 
     async fn has_queued_jobs(&self) -> Result<bool, StoreError> {
-        let any = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM jobs WHERE state = 'queued')");
-        Ok(any.fetch_one(self.store.read()).await?)
+        let any = "SELECT CASE WHEN EXISTS (SELECT 1 FROM jobs WHERE state = 'queued') THEN 1 ELSE 0 END";
+        Ok(sqlx::query_scalar::<_, i64>(any).fetch_one(self.store.read()).await? == 1)
     }
 
     /// Whether the disk has its minimum of free bytes; a change is logged once.
@@ -169,7 +185,7 @@ impl Queue {
     /// # Errors
     /// When the store fails.
     pub async fn claim_status(&self, claim: &Claim) -> Result<ClaimStatus, StoreError> {
-        let row = sqlx::query("SELECT state FROM jobs WHERE id = ? AND fence = ?").bind(&claim.job).bind(claim.fence);
+        let row = sqlx::query("SELECT state FROM jobs WHERE id = $1 AND fence = $2").bind(&claim.job).bind(claim.fence);
         let row = row.fetch_optional(self.store.read()).await?;
         Ok(match row.as_ref().map(phase_from_row).transpose()? {
             Some(Phase::Running) => ClaimStatus::Active,
@@ -190,16 +206,16 @@ impl Queue {
     ) -> Result<(), StoreError> {
         let mut transaction = self.store.write_relaxed().await?;
         sqlx::query(
-            "UPDATE jobs SET version = version + 1, stage = ?, stage_index = ?, stage_count = ?,
-                             fraction = max(fraction, ?), message = ?, eta_s = ?, stage_seconds = ?
-             WHERE id = ? AND fence = ? AND state IN ('running', 'canceling')",
+            "UPDATE jobs SET version = version + 1, stage = $1, stage_index = $2, stage_count = $3,
+                             fraction = CASE WHEN fraction < $4 THEN $4 ELSE fraction END, message = $5, eta_s = $6, stage_seconds = $7
+             WHERE id = $8 AND fence = $9 AND state IN ('running', 'canceling')",
         )
         .bind(&progress.stage)
         .bind(progress.stage_index)
         .bind(progress.stage_count)
         .bind(progress.fraction)
         .bind(&progress.message)
-        .bind(progress.eta_s)
+        .bind(float(progress.eta_s))
         .bind(serde_json::to_string(stage_seconds)?)
         .bind(&claim.job)
         .bind(claim.fence)
@@ -221,9 +237,9 @@ async fn next_tenant(
     let name = sqlx::query_scalar(
         "UPDATE tenants SET turn = 1 + (SELECT max(turn) FROM tenants)
          WHERE name = (SELECT name FROM tenants
-                       WHERE n_queued > 0 AND n_running + n_canceling < ?1
+                       WHERE n_queued > 0 AND n_running + n_canceling < $1
                          AND EXISTS (SELECT 1 FROM jobs WHERE state = 'queued' AND tenant = name
-                                       AND id NOT IN (SELECT value FROM json_each(?2)))
+                                       AND id NOT IN (SELECT value FROM json_each($2)))
                        ORDER BY turn, name LIMIT 1)
          RETURNING name",
     );

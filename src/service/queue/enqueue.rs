@@ -121,6 +121,7 @@ impl Queue {
             return self.get(&new.tenant, &known).await?.ok_or(EnqueueError::JobDeleted);
         }
         self.store.require_space()?;
+        tenants::lock(&self.store, &mut transaction, &new.tenant).await?;
         require_session(&mut transaction, new).await?;
         require_capacity(&mut transaction, &new.tenant, limits).await?;
         tenants::insert_if_missing(&mut transaction, &new.tenant).await?;
@@ -139,8 +140,7 @@ impl Queue {
             return Err(error.into()); // a job that is there was committed, and only the answer was lost
         }
         failpoint("enqueue.committed");
-        self.work.notify_one();
-        self.announce(&job.id);
+        self.announce_to_all(&job.id, true).await;
         Ok(job)
     }
 }
@@ -156,7 +156,7 @@ impl Queue {
         key: &str,
         session: &str,
     ) -> Result<Option<String>, StoreError> {
-        let sha256 = "SELECT session_sha256 FROM idempotency WHERE tenant = ? AND key = ? AND session_id = ?";
+        let sha256 = "SELECT session_sha256 FROM idempotency WHERE tenant = $1 AND key = $2 AND session_id = $3";
         let sha256 = sqlx::query_scalar::<_, Option<String>>(sha256).bind(tenant.name()).bind(key).bind(session);
         Ok(sha256.fetch_optional(self.store.read()).await?.flatten())
     }
@@ -168,7 +168,7 @@ impl Queue {
     pub(crate) async fn forget_keys(&self, days: f64) -> Result<u64, StoreError> {
         let mut transaction = self.store.write_relaxed().await?;
         let forgotten = sqlx::query(
-            "DELETE FROM idempotency WHERE created_at < strftime('%Y-%m-%dT%H:%M:%fZ', 'now', ?)
+            "DELETE FROM idempotency WHERE created_at < strftime('%Y-%m-%dT%H:%M:%fZ', 'now', $1)
                AND NOT EXISTS (SELECT 1 FROM jobs WHERE jobs.id = idempotency.job_id)",
         )
         .bind(format!("{} days", -days))
@@ -189,7 +189,7 @@ async fn take_key(
 ) -> Result<bool, EnqueueError> {
     let inserted = sqlx::query(
         "INSERT INTO idempotency (tenant, key, fingerprint, job_id, session_id, session_sha256, created_at)
-         VALUES (?1, ?2, ?3, ?4, ?5, (SELECT sha256 FROM sessions WHERE id = ?5),
+         VALUES ($1, $2, $3, $4, $5, (SELECT sha256 FROM sessions WHERE id = $5),
                  strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
          ON CONFLICT (tenant, key) DO NOTHING",
     )
@@ -209,14 +209,14 @@ async fn job_of_key(
     tenant: &Tenant,
     key: &IdempotencyKey,
 ) -> Result<String, EnqueueError> {
-    let row = sqlx::query_as("SELECT fingerprint, job_id FROM idempotency WHERE tenant = ? AND key = ?");
+    let row = sqlx::query_as("SELECT fingerprint, job_id FROM idempotency WHERE tenant = $1 AND key = $2");
     let row: (String, String) = row.bind(tenant.name()).bind(&key.key).fetch_one(&mut **transaction).await?;
     let (fingerprint, job) = row;
     if fingerprint == key.fingerprint { Ok(job) } else { Err(EnqueueError::KeyReused) }
 }
 
 async fn require_session(transaction: &mut WriteTransaction, new: &NewJob) -> Result<(), EnqueueError> {
-    let session = sqlx::query("SELECT 1 FROM sessions WHERE id = ? AND tenant = ?");
+    let session = sqlx::query("SELECT 1 FROM sessions WHERE id = $1 AND tenant = $2");
     let session = session.bind(&new.session).bind(new.tenant.name());
     session.fetch_optional(&mut **transaction).await?.map(|_| ()).ok_or(EnqueueError::SessionMissing)
 }
@@ -226,12 +226,12 @@ async fn require_capacity(
     tenant: &Tenant,
     limits: QueueLimits,
 ) -> Result<(), EnqueueError> {
-    let waiting = "SELECT coalesce(sum(n_queued), 0) FROM tenants WHERE n_queued > 0";
+    let waiting = "SELECT CAST(coalesce(sum(n_queued), 0) AS BIGINT) FROM tenants WHERE n_queued > 0";
     let waiting: i64 = sqlx::query_scalar(waiting).fetch_one(&mut **transaction).await?;
     if waiting >= limits.total {
         return Err(EnqueueError::Full { waiting });
     }
-    let own = "SELECT coalesce((SELECT n_queued FROM tenants WHERE name = ?), 0)";
+    let own = "SELECT coalesce((SELECT n_queued FROM tenants WHERE name = $1), 0)";
     let waiting: i64 = sqlx::query_scalar(own).bind(tenant.name()).fetch_one(&mut **transaction).await?;
     if waiting >= limits.tenant {
         return Err(EnqueueError::TenantFull { waiting });
@@ -247,7 +247,7 @@ async fn insert(transaction: &mut WriteTransaction, new: &NewJob, id: String) ->
     let row = sqlx::query(
         "INSERT INTO jobs (id, tenant, session_id, options, labels, priority, webhook, request_id, key_id, state,
                            created_at)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, 'queued', strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, 'queued', strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
          RETURNING *, NULL AS verdict, NULL AS reasons",
     )
     .bind(id)

@@ -23,8 +23,8 @@ impl Queue {
         let bytes: u64 = files.iter().map(|file| file.bytes).sum();
         let mut transaction = self.store.write().await?;
         let replaced = sqlx::query(
-            "UPDATE jobs SET fence = ?1 + 1, result_fence = ?1 + 1, version = version + 1, result_bytes = ?2
-             WHERE id = ?3 AND tenant = ?4 AND state = 'succeeded' AND result_fence = ?1",
+            "UPDATE jobs SET fence = $1 + 1, result_fence = $1 + 1, version = version + 1, result_bytes = $2
+             WHERE id = $3 AND tenant = $4 AND state = 'succeeded' AND result_fence = $1",
         )
         .bind(fence)
         .bind(bytes as i64)
@@ -35,12 +35,12 @@ impl Queue {
         if replaced.rows_affected() == 0 {
             return Ok(false);
         }
-        sqlx::query("DELETE FROM artifacts WHERE job_id = ?").bind(job).execute(&mut *transaction).await?;
+        sqlx::query("DELETE FROM artifacts WHERE job_id = $1").bind(job).execute(&mut *transaction).await?;
         artifacts::insert(&mut transaction, job, files).await?;
         failpoint("exports.written");
         transaction.commit().await?;
         failpoint("exports.committed");
-        self.announce(job);
+        self.announce_to_all(job, false).await;
         Ok(true)
     }
 }

@@ -91,7 +91,7 @@ impl Queue {
         }
         self.clear_files(claim, next).await;
         failpoint("finish.cleared");
-        self.announce(&claim.job);
+        self.announce_to_all(&claim.job, next == Phase::Queued).await;
         Ok(Finished::Recorded(next))
     }
 
@@ -112,10 +112,7 @@ impl Queue {
         }
         match next {
             Phase::Succeeded => {}
-            Phase::Queued => {
-                self.store.remove_claim(&claim.job, claim.fence).await;
-                self.work.notify_one();
-            }
+            Phase::Queued => self.store.remove_claim(&claim.job, claim.fence).await,
             _ => self.store.remove_files("results", &claim.job).await,
         }
     }
@@ -124,14 +121,14 @@ impl Queue {
 /// Locks the row of a running claim by its first change, so that nothing else changes the job until the commit.
 async fn lock_row(transaction: &mut WriteTransaction, claim: &Claim) -> Result<ClaimRow, StoreError> {
     let lock = sqlx::query(
-        "UPDATE jobs SET version = version + 1 WHERE id = ? AND fence = ? AND state IN ('running', 'canceling')
+        "UPDATE jobs SET version = version + 1 WHERE id = $1 AND fence = $2 AND state IN ('running', 'canceling')
          RETURNING state, crashes",
     );
     let open = lock.bind(&claim.job).bind(claim.fence).fetch_optional(&mut **transaction).await?;
     if let Some(row) = open {
         return Ok(ClaimRow::Open { phase: phase_from_row(&row)?, crashes: row.try_get("crashes")? });
     }
-    let ended = sqlx::query("SELECT state FROM jobs WHERE id = ? AND fence = ?");
+    let ended = sqlx::query("SELECT state FROM jobs WHERE id = $1 AND fence = $2");
     let ended = ended.bind(&claim.job).bind(claim.fence).fetch_optional(&mut **transaction).await?;
     Ok(match ended {
         Some(row) if !fault("commit.forgotten") => ClaimRow::Ended(phase_from_row(&row)?),
@@ -158,16 +155,16 @@ async fn write_outcome(
         _ => None,
     };
     sqlx::query(
-        "UPDATE jobs SET state = ?1, boot = NULL, eta_s = NULL, error = ?2,
-                         crashes = crashes + ?3, message = coalesce(?6, message),
-                         fraction = CASE ?1 WHEN 'succeeded' THEN 1.0 ELSE fraction END,
-                         result_fence = CASE ?1 WHEN 'succeeded' THEN fence END,
-                         finished_at = CASE ?1 WHEN 'queued' THEN NULL ELSE strftime('%Y-%m-%dT%H:%M:%fZ', 'now') END
-         WHERE id = ?4 AND fence = ?5",
+        "UPDATE jobs SET state = $1, boot = NULL, eta_s = NULL, error = $2,
+                         crashes = crashes + $3, message = coalesce($6, message),
+                         fraction = CASE $1 WHEN 'succeeded' THEN 1.0 ELSE fraction END,
+                         result_fence = CASE $1 WHEN 'succeeded' THEN fence END,
+                         finished_at = CASE $1 WHEN 'queued' THEN NULL ELSE strftime('%Y-%m-%dT%H:%M:%fZ', 'now') END
+         WHERE id = $4 AND fence = $5",
     )
     .bind(next.name())
     .bind(error)
-    .bind(matches!(outcome, ClaimOutcome::Crashed(_)) && !fault("crashes.uncounted"))
+    .bind(i64::from(matches!(outcome, ClaimOutcome::Crashed(_)) && !fault("crashes.uncounted")))
     .bind(&claim.job)
     .bind(claim.fence)
     .bind(message)
@@ -183,7 +180,7 @@ async fn write_result_size(
     artifacts: &[Artifact],
 ) -> Result<(), StoreError> {
     let bytes: u64 = artifacts.iter().map(|artifact| artifact.bytes).sum();
-    let update = sqlx::query("UPDATE jobs SET result_bytes = ? WHERE id = ?").bind(bytes as i64).bind(&claim.job);
+    let update = sqlx::query("UPDATE jobs SET result_bytes = $1 WHERE id = $2").bind(bytes as i64).bind(&claim.job);
     update.execute(&mut **transaction).await?;
     Ok(())
 }

@@ -2,6 +2,7 @@
 
 use super::active::ActiveClaims;
 use super::deferral::Deferrals;
+use super::follow::{Followed, Following};
 use super::job::Job;
 use super::phase::Phase;
 use super::rows::job_from_row;
@@ -10,7 +11,7 @@ use crate::service::store::database::Store;
 use crate::service::store::error::StoreError;
 use crate::service::store::listing::{Listed, read_page};
 use crate::service::store::tenants::Tenant;
-use sqlx::{QueryBuilder, Sqlite};
+use sqlx::AssertSqlSafe;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tokio::sync::{Notify, broadcast};
@@ -29,6 +30,8 @@ pub struct Queue {
     pub(super) lacks_space: Arc<AtomicBool>,
     /// Sends the id of each job whose row has changed.
     changes: broadcast::Sender<Arc<str>>,
+    /// Jobs that requests of this process follow.
+    pub(super) followed: Arc<Followed>,
     /// Sends the log lines of the jobs' child processes.
     log: broadcast::Sender<LogLine>,
 }
@@ -78,6 +81,38 @@ const ROW_BYTES: &str =
     "octet_length(options) + octet_length(labels) + octet_length(message) + octet_length(stage_seconds)
     + coalesce(octet_length(error), 0) + coalesce(octet_length(reasons), 0)";
 
+/// The statement of a list. `$1` to `$3` are tenant, `seq` and number of rows; the values of the filter follow in its order.
+fn list_statement(filter: &JobFilter, is_shared: bool) -> String {
+    // The table whose index has the order of the list comes first; SQLite keeps the order of a CROSS JOIN.
+    let (table, tables) = match filter.label {
+        Some(_) if is_shared => ("job_labels", "job_labels JOIN jobs ON jobs.seq = job_labels.seq"),
+        Some(_) => ("job_labels", "job_labels CROSS JOIN jobs ON jobs.seq = job_labels.seq"),
+        None => ("jobs", "jobs"),
+    };
+    let mut conditions = format!("{table}.tenant = $1 AND {table}.seq < $2");
+    let mut n_values = 3;
+    let mut require = |condition: &str| {
+        n_values += 1;
+        conditions.push_str(&format!(" AND {}", condition.replace('$', &format!("${n_values}"))));
+    };
+    if filter.state.is_some() {
+        require("jobs.state = $");
+    }
+    if let Some(label) = &filter.label {
+        require("job_labels.key = $");
+        match label.value {
+            // PostgreSQL's index holds digests: a value can be longer than its entries.
+            Some(_) if is_shared => require("md5(job_labels.value) = md5($) AND job_labels.value = $"),
+            Some(_) => require("job_labels.value = $"),
+            None => {}
+        }
+    }
+    format!(
+        "SELECT jobs.*, verdict, reasons, {ROW_BYTES} AS row_bytes FROM {tables}
+         LEFT JOIN verdicts ON verdicts.job_id = jobs.id WHERE {conditions} ORDER BY {table}.seq DESC LIMIT $3"
+    )
+}
+
 impl Queue {
     /// Creates the queue of a store.
     pub fn new(store: Store) -> Self {
@@ -88,6 +123,7 @@ impl Queue {
             deferrals: Arc::default(),
             lacks_space: Arc::default(),
             changes: broadcast::channel(1024).0,
+            followed: Arc::default(),
             log: broadcast::channel(256).0,
         }
     }
@@ -97,9 +133,9 @@ impl Queue {
         self.deferrals.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Subscribes to the ids of jobs whose rows change.
-    pub fn listen(&self) -> broadcast::Receiver<Arc<str>> {
-        self.changes.subscribe()
+    /// Follows the changes of a job from now on.
+    pub fn follow(&self, job: &str) -> Following {
+        Following::new(job, self.changes.subscribe(), self.followed.clone())
     }
 
     /// Subscribes to the log lines of all jobs' child processes.
@@ -112,9 +148,22 @@ impl Queue {
         let _ = self.log.send(LogLine { job: job.into(), line: line.into() }); // an error only means that there are no subscribers
     }
 
-    /// Sends the id of a changed job to all subscribers.
+    /// Sends the id of a changed job to all subscribers of this process.
     pub(super) fn announce(&self, job: &str) {
         let _ = self.changes.send(job.into()); // an error only means that there are no subscribers
+    }
+
+    /// Sends the id of a job that was accepted, canceled or deleted, or that has ended, to all processes. `is_work`: it may be
+    /// claimable.
+    pub(super) async fn announce_to_all(&self, job: &str, is_work: bool) {
+        if is_work {
+            self.work.notify_one();
+        }
+        self.announce(job);
+        #[cfg(feature = "scale")]
+        if self.store.is_shared() {
+            self.notify(job, is_work).await;
+        }
     }
 
     /// Returns a tenant's job by id.
@@ -124,7 +173,7 @@ impl Queue {
     pub async fn get(&self, tenant: &Tenant, id: &str) -> Result<Option<Job>, StoreError> {
         let row = sqlx::query(
             "SELECT jobs.*, verdict, reasons FROM jobs LEFT JOIN verdicts ON verdicts.job_id = jobs.id
-             WHERE jobs.id = ? AND tenant = ?",
+             WHERE jobs.id = $1 AND tenant = $2",
         )
         .bind(id)
         .bind(tenant.name())
@@ -138,27 +187,19 @@ impl Queue {
     /// # Errors
     /// When the store fails.
     pub async fn list(&self, tenant: &Tenant, filter: &JobFilter, max_rows: i64) -> Result<Listed<Job>, StoreError> {
-        // The table whose index has the order of the list comes first.
-        let (table, tables) = match filter.label {
-            Some(_) => ("job_labels", "job_labels CROSS JOIN jobs ON jobs.seq = job_labels.seq"),
-            None => ("jobs", "jobs"),
-        };
-        let mut query = QueryBuilder::<Sqlite>::new("SELECT jobs.*, verdict, reasons, ");
-        query.push(ROW_BYTES).push(" AS row_bytes FROM ").push(tables);
-        query.push(" LEFT JOIN verdicts ON verdicts.job_id = jobs.id WHERE ");
-        query.push(table).push(".tenant = ").push_bind(tenant.name());
-        query.push(" AND ").push(table).push(".seq < ").push_bind(filter.before.unwrap_or(i64::MAX));
+        let text = list_statement(filter, self.store.is_shared());
+        let mut query = sqlx::query(AssertSqlSafe(text)); // its parts are our own, values are bound
+        query = query.bind(tenant.name()).bind(filter.before.unwrap_or(i64::MAX)).bind(max_rows + 1);
         if let Some(state) = filter.state {
-            query.push(" AND jobs.state = ").push_bind(state.name());
+            query = query.bind(state.name());
         }
         if let Some(label) = &filter.label {
-            query.push(" AND job_labels.key = ").push_bind(&label.key);
+            query = query.bind(&label.key);
             if let Some(value) = &label.value {
-                query.push(" AND job_labels.value = ").push_bind(value);
+                query = query.bind(value);
             }
         }
-        query.push(" ORDER BY ").push(table).push(".seq DESC LIMIT ").push_bind(max_rows + 1);
-        read_page(query.build().fetch(self.store.read()), max_rows, job_from_row).await
+        read_page(query.fetch(self.store.read()), max_rows, job_from_row).await
     }
 
     /// Cancels a job: a queued job immediately, a running job through its worker.
@@ -182,7 +223,7 @@ impl Queue {
             "UPDATE jobs SET state = CASE state WHEN 'queued' THEN 'canceled' ELSE 'canceling' END, version = version + 1,
                              eta_s = CASE state WHEN 'queued' THEN NULL ELSE eta_s END,
                              finished_at = CASE state WHEN 'queued' THEN strftime('%Y-%m-%dT%H:%M:%fZ', 'now') END
-             WHERE id = ? AND tenant = ? AND state IN ('queued', 'running')",
+             WHERE id = $1 AND tenant = $2 AND state IN ('queued', 'running')",
         );
         cancel.bind(id).bind(tenant.name()).execute(&mut *transaction).await?;
         failpoint("cancel.marked");
@@ -193,7 +234,7 @@ impl Queue {
             return Err(error.into()); // otherwise only the answer to the commit was lost
         }
         self.deferrals().forget(id);
-        self.announce(id);
+        self.announce_to_all(id, false).await;
         if job.state.phase() == Phase::Canceled {
             self.store.remove_files("checkpoints", id).await; // left by an attempt before a restart
         }
@@ -220,7 +261,7 @@ impl Queue {
 
     async fn try_to_delete(&self, tenant: &Tenant, id: &str) -> Result<bool, StoreError> {
         let mut transaction = self.store.write().await?;
-        let deleted = sqlx::query("DELETE FROM jobs WHERE id = ? AND tenant = ?").bind(id).bind(tenant.name());
+        let deleted = sqlx::query("DELETE FROM jobs WHERE id = $1 AND tenant = $2").bind(id).bind(tenant.name());
         let deleted = deleted.execute(&mut *transaction).await?;
         failpoint("delete.marked");
         if let Err(error) = self.store.commit(transaction).await
@@ -233,7 +274,7 @@ impl Queue {
         }
         failpoint("delete.committed");
         self.deferrals().forget(id);
-        self.announce(id);
+        self.announce_to_all(id, false).await;
         self.store.remove_files("results", id).await;
         self.store.remove_files("checkpoints", id).await;
         failpoint("delete.removed");

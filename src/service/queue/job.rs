@@ -132,7 +132,7 @@ pub struct JobError {
 }
 
 /// Faults of the machine: code, errors of the operating system, and remedy.
-const MACHINE_FAULTS: [(&str, &[rustix::io::Errno], &str); 3] = [
+const MACHINE_FAULTS: [(&str, &[rustix::io::Errno], &str); 4] = [
     (
         "disk_full",
         &[rustix::io::Errno::NOSPC, rustix::io::Errno::DQUOT],
@@ -144,7 +144,11 @@ const MACHINE_FAULTS: [(&str, &[rustix::io::Errno], &str); 3] = [
         "raise the limit of open files of the service (ulimit -n)",
     ),
     ("disk_failed", &[rustix::io::Errno::IO], "check the disk and the log of the operating system"),
+    (OBJECT_STORE_FAILED, &[], "check the object store that blobs.url names, and the variables AWS_*"),
 ];
+
+/// Code of a failing object store.
+const OBJECT_STORE_FAILED: &str = "object_store_failed";
 
 impl JobError {
     /// Describes a failed file operation that is the fault of the machine: a full disk or disk quota, too many open files,
@@ -154,6 +158,13 @@ impl JobError {
         let (code, _, remedy) = MACHINE_FAULTS.iter().find(|(_, errors, _)| errors.contains(&errno))?;
         let (code, remedy) = ((*code).to_owned(), (*remedy).to_owned());
         Some(Self { code, detail: detail.to_owned(), remedy, ..Self::default() })
+    }
+
+    /// Describes a failing object store, which is not the fault of the job either.
+    pub fn of_object_store(detail: &str) -> Self {
+        let fault = MACHINE_FAULTS.iter().find(|(code, _, _)| *code == OBJECT_STORE_FAILED);
+        let remedy = fault.map_or("", |(_, _, remedy)| remedy).to_owned();
+        Self { code: OBJECT_STORE_FAILED.to_owned(), detail: detail.to_owned(), remedy, ..Self::default() }
     }
 
     /// Whether the machine is at fault: the same job can succeed later.

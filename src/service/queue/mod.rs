@@ -14,13 +14,20 @@ mod deferral;
 mod enqueue;
 mod exports;
 mod finish;
+mod follow;
 mod handle;
 pub mod job;
+#[cfg(feature = "scale")]
+pub(crate) mod lease;
 pub mod outcome;
 mod phase;
 pub mod recovery;
 mod rows;
+#[cfg(feature = "scale")]
+mod shared_claim;
 pub mod statistics;
+#[cfg(feature = "scale")]
+pub(crate) mod wake;
 
 #[cfg(test)]
 mod tests;
@@ -28,5 +35,6 @@ mod tests;
 pub use claim::{Claim, ClaimStatus};
 pub use enqueue::{EnqueueError, IdempotencyKey, NewJob, QueueLimits};
 pub use finish::{Finished, Published};
+pub use follow::Following;
 pub use handle::{Cancel, JobFilter, LabelFilter, LogLine, Queue};
 pub use phase::Phase;

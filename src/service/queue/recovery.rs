@@ -28,6 +28,9 @@ pub async fn recover(queue: &Queue) -> Result<Recovered, StoreError> {
     if fault("recovery.forgets") {
         return Ok(Recovered::default());
     }
+    if queue.store.is_shared() {
+        return Ok(Recovered { removed: clear_scratch(queue)?, ..Recovered::default() }); // other processes may run the jobs
+    }
     let has_orphans = has_orphans(queue).await?;
     let Orphans { requeued, canceled } = if has_orphans { release_orphans(queue).await? } else { Orphans::default() };
     failpoint("recover.committed");
@@ -47,8 +50,8 @@ pub(super) struct Orphans {
 
 /// Whether a job runs in another boot. A statement that changes jobs writes to the disk even if it finds none.
 async fn has_orphans(queue: &Queue) -> Result<bool, StoreError> {
-    let any = "SELECT EXISTS (SELECT 1 FROM jobs WHERE state IN ('running', 'canceling') AND boot <> ?)";
-    Ok(sqlx::query_scalar(any).bind(&queue.store.boot).fetch_one(queue.store.read()).await?)
+    let any = "SELECT count(*) FROM jobs WHERE state IN ('running', 'canceling') AND boot <> $1";
+    Ok(sqlx::query_scalar::<_, i64>(any).bind(&queue.store.boot).fetch_one(queue.store.read()).await? > 0)
 }
 
 /// Returns the running jobs that no worker of this process holds to the queue, and ends those that were being canceled.
@@ -64,7 +67,7 @@ pub(super) async fn release_orphans(queue: &Queue) -> Result<Orphans, StoreError
     }
     let requeued: Vec<String> = sqlx::query_scalar(
         "UPDATE jobs SET state = 'queued', version = version + 1, boot = NULL, eta_s = NULL
-         WHERE state = 'running' AND (boot <> ?1 OR id NOT IN (SELECT value FROM json_each(?2))) RETURNING id",
+         WHERE state = 'running' AND (boot <> $1 OR id NOT IN (SELECT value FROM json_each($2))) RETURNING id",
     )
     .bind(&queue.store.boot)
     .bind(&held)
@@ -73,7 +76,7 @@ pub(super) async fn release_orphans(queue: &Queue) -> Result<Orphans, StoreError
     let canceled: Vec<String> = sqlx::query_scalar(
         "UPDATE jobs SET state = 'canceled', version = version + 1, boot = NULL, eta_s = NULL,
                          finished_at = strftime('%Y-%m-%dT%H:%M:%fZ', 'now')
-         WHERE state = 'canceling' AND (boot <> ?1 OR id NOT IN (SELECT value FROM json_each(?2))) RETURNING id",
+         WHERE state = 'canceling' AND (boot <> $1 OR id NOT IN (SELECT value FROM json_each($2))) RETURNING id",
     )
     .bind(&queue.store.boot)
     .bind(&held)
@@ -87,8 +90,24 @@ pub(super) async fn release_orphans(queue: &Queue) -> Result<Orphans, StoreError
     Ok(Orphans { requeued: requeued.len() as u64, canceled: canceled.len() as u64 })
 }
 
+/// Removes what an earlier process was writing on this machine; whatever it has finished is in the object store.
+fn clear_scratch(queue: &Queue) -> Result<usize, StoreError> {
+    let folders = &queue.store.folders;
+    let mut removed = 0;
+    for folder in ["tmp", "sessions", "results", "checkpoints"] {
+        for name in folders.names(folder)? {
+            folders.remove(folder, &name);
+            removed += 1;
+        }
+    }
+    Ok(removed)
+}
+
 /// Removes unfinished uploads, uploads without a row, checkpoints of ended jobs, and all results but the published ones.
 async fn sweep(queue: &Queue) -> Result<usize, StoreError> {
+    if queue.store.blobs.are_remote() {
+        return clear_scratch(queue);
+    }
     let folders = &queue.store.folders;
     let mut removed = 0;
     let mut remove = |folder: &str, name: &str| {

@@ -3,11 +3,11 @@
 use super::job::{Job, JobProgress, JobQuality, JobState};
 use super::phase::Phase;
 use crate::service::store::error::StoreError;
+use crate::service::store::sql::SqlRow;
 use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
 
 /// Converts a row of `jobs` joined with its row of `verdicts`.
-pub(super) fn job_from_row(row: &SqliteRow) -> Result<Job, StoreError> {
+pub(super) fn job_from_row(row: &SqlRow) -> Result<Job, StoreError> {
     Ok(Job {
         id: row.try_get("id")?,
         seq: row.try_get("seq")?,
@@ -34,13 +34,13 @@ pub(super) fn job_from_row(row: &SqliteRow) -> Result<Job, StoreError> {
 }
 
 /// Reads the state's name from a row.
-pub(super) fn phase_from_row(row: &SqliteRow) -> Result<Phase, StoreError> {
+pub(super) fn phase_from_row(row: &SqlRow) -> Result<Phase, StoreError> {
     let name: &str = row.try_get("state")?;
     // The schema admits no other names; only a database edited by hand can fail here.
     Phase::parse(name).ok_or_else(|| sqlx::Error::Decode(format!("unknown job state `{name}`").into()).into())
 }
 
-fn state_from_row(row: &SqliteRow) -> Result<JobState, StoreError> {
+fn state_from_row(row: &SqlRow) -> Result<JobState, StoreError> {
     let fence = row.try_get("fence")?;
     let finished_at = row.try_get::<Option<String>, _>("finished_at")?.unwrap_or_default();
     let error = || -> Result<_, StoreError> { Ok(serde_json::from_str(row.try_get("error")?)?) };

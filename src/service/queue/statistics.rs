@@ -32,8 +32,11 @@ impl Queue {
         )
         .fetch_optional(self.store.read())
         .await?;
-        let running = sqlx::query_scalar("SELECT id FROM jobs WHERE state IN ('running', 'canceling') ORDER BY id");
-        let running = running.fetch_all(self.store.read()).await?;
+        // Where several processes share the database, each answers for the jobs that it has claimed.
+        let boot = if self.store.is_shared() { &*self.store.boot } else { "" };
+        let running =
+            "SELECT id FROM jobs WHERE state IN ('running', 'canceling') AND ($1 = '' OR boot = $1) ORDER BY id";
+        let running = sqlx::query_scalar(running).bind(boot).fetch_all(self.store.read()).await?;
         let waiting = sqlx::query_scalar("SELECT count(*) FROM webhook_deliveries WHERE state = 'waiting'");
         let webhooks_waiting = waiting.fetch_one(self.store.read()).await?;
         let by_state = self.count_by_state().await?;
@@ -44,7 +47,7 @@ impl Queue {
     async fn count_by_state(&self) -> Result<Vec<(String, i64)>, StoreError> {
         let mut phases = Phase::ALL;
         phases.sort_by_key(|phase| phase.name());
-        let sums = phases.map(|phase| format!("coalesce(sum(n_{}), 0)", phase.name())).join(", ");
+        let sums = phases.map(|phase| format!("CAST(coalesce(sum(n_{}), 0) AS BIGINT)", phase.name())).join(", ");
         let query = AssertSqlSafe(format!("SELECT {sums} FROM tenants")); // the names are our own
         let row = sqlx::query(query).fetch_one(self.store.read()).await?;
         let mut counts = Vec::new();

@@ -2,13 +2,15 @@
 
 mod depth;
 mod ends;
+#[cfg(feature = "scale")]
+mod shared;
 
 use super::job::{JobError, JobProgress, Submitter};
 use super::outcome::ClaimOutcome;
 use super::recovery::{Recovered, recover};
 use super::*;
 use crate::service::store::sessions::{self, SessionSummary};
-use crate::service::store::{Store, StoreError, Tenant, tenants};
+use crate::service::store::{Store, StoreError, Tenant, tenants, test_support};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode};
 use sqlx::{ConnectOptions, Connection};
 use std::collections::BTreeMap;
@@ -23,7 +25,7 @@ struct TestQueue {
 impl TestQueue {
     async fn new() -> Self {
         let folder = tempfile::tempdir().unwrap();
-        let queue = Queue::new(Store::open(folder.path()).await.unwrap());
+        let queue = Queue::new(test_support::open(folder.path()).await);
         let summary = SessionSummary {
             name: "take".to_owned(),
             sha256: "00".to_owned(),
@@ -46,7 +48,7 @@ impl TestQueue {
         let Self { folder, queue } = self;
         queue.store.close().await;
         drop(queue);
-        let queue = Queue::new(Store::open(folder.path()).await.unwrap());
+        let queue = Queue::new(test_support::open(folder.path()).await);
         Self { folder, queue }
     }
 
@@ -172,6 +174,9 @@ async fn three_crashes_make_a_job_dead() {
 
 #[tokio::test]
 async fn service_crash_requeues_jobs_without_counting() {
+    if test_support::is_of_sqlite_alone("the next start puts jobs back; there the leader does") {
+        return;
+    }
     let mut test = TestQueue::new().await;
     let id = test.enqueue(0).await;
     let canceled = test.enqueue(0).await;
@@ -193,6 +198,9 @@ async fn service_crash_requeues_jobs_without_counting() {
 
 #[tokio::test]
 async fn recovery_removes_files_without_a_row() {
+    if test_support::is_of_sqlite_alone("results in the data folder") {
+        return;
+    }
     let test = TestQueue::new().await;
     let id = test.enqueue(0).await;
     let folders = &test.queue.store.folders;
@@ -241,9 +249,9 @@ async fn database_rejects_leaving_a_final_state() {
     let test = TestQueue::new().await;
     let id = test.enqueue(0).await;
     test.queue.cancel(&tenant(), &id).await.unwrap();
-    let mut transaction = test.queue.store.write().await.unwrap();
     for phase in Phase::ALL {
-        let forced = sqlx::query("UPDATE jobs SET state = ? WHERE id = ?").bind(phase.name()).bind(&id);
+        let mut transaction = test.queue.store.write().await.unwrap(); // PostgreSQL ends a transaction at the first error
+        let forced = sqlx::query("UPDATE jobs SET state = $1 WHERE id = $2").bind(phase.name()).bind(&id);
         assert_eq!(forced.execute(&mut *transaction).await.is_ok(), phase == Phase::Canceled, "{phase:?}");
     }
 }
@@ -411,7 +419,7 @@ async fn running_totals_equal_the_rows() {
     test.queue.cancel(&tenant(), &ids[1]).await.unwrap();
     assert!(test.queue.delete(&tenant(), &ids[2]).await.unwrap());
     let mut transaction = test.queue.store.write().await.unwrap();
-    sqlx::query("UPDATE jobs SET result_bytes = 70 WHERE id = ?")
+    sqlx::query("UPDATE jobs SET result_bytes = 70 WHERE id = $1")
         .bind(&claim.job)
         .execute(&mut *transaction)
         .await
@@ -444,6 +452,9 @@ async fn a_full_queue_rejects_jobs() {
 
 #[tokio::test]
 async fn rejects_a_second_service_and_a_lost_database() {
+    if test_support::is_of_sqlite_alone("a lost database file") {
+        return;
+    }
     let test = TestQueue::new().await;
     let second = Store::open(test.folder.path()).await;
     assert!(matches!(second, Err(StoreError::InUse { .. })));

@@ -46,6 +46,7 @@ pub async fn back_up(data: &Path, to: &Path) -> Result<usize, BackupError> {
     database.close().await;
 
     let copied = open(&copy, true).await?;
+    require_files_in_folder(&copied).await?;
     let mut files = Vec::new();
     for file in named_files(&copied).await? {
         match copy_file(data, staging, &file)? {
@@ -68,6 +69,19 @@ pub async fn back_up(data: &Path, to: &Path) -> Result<usize, BackupError> {
     write_manifest(staging, &files)?;
     place.publish()?;
     Ok(files.len())
+}
+
+/// A backup copies files of the data folder; those of an object store have backups of their own.
+async fn require_files_in_folder(database: &SqlitePool) -> Result<(), BackupError> {
+    let tables = sqlx::query_scalar::<_, i64>("SELECT count(*) FROM sqlite_master WHERE name = 'storage'");
+    if tables.fetch_one(database).await? == 0 {
+        return Ok(()); // the database of an earlier release
+    }
+    let url: Option<String> = sqlx::query_scalar("SELECT blobs_url FROM storage").fetch_optional(database).await?;
+    match url.filter(|url| url != "file:") {
+        Some(url) => Err(BackupError::Elsewhere { url }),
+        None => Ok(()),
+    }
 }
 
 /// Creates the data folder `data` from the backup `from` and verifies every file. Returns the number of files.

@@ -31,6 +31,14 @@ pub enum BackupError {
     /// The registered bodies cannot be read.
     #[error(transparent)]
     Bodies(#[from] BodyRegistryError),
+    /// Uploads and results are not in the data folder.
+    #[error(
+        "the uploads and results are in {url}; back up the database with the tools of its system and the object store by versions of its objects (docs/operating.md)"
+    )]
+    Elsewhere {
+        /// URL of the object store.
+        url: String,
+    },
     /// A file differs from its digest.
     #[error("{name}: the file of {owner} is missing or damaged; the target folder was not created")]
     Damaged {

@@ -69,7 +69,7 @@ impl Layers {
         for (name, value) in ours {
             let key = name["WANDLESS_".len()..].to_ascii_lowercase().replace("__", ".");
             let is_setting = key.contains('.')
-                || ["data", "listen", "cors_origins", "allowed_hosts", "drain_limit_s"].contains(&&*key);
+                || ["data", "listen", "role", "cors_origins", "allowed_hosts", "drain_limit_s"].contains(&&*key);
             if is_setting {
                 self = self.word(&key, &value)?;
             }

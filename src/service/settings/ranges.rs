@@ -1,13 +1,32 @@
 //! Ranges of the settings: a value that its type allows can still make no sense.
 
-use super::Settings;
+use super::{Role, Settings};
 
 /// Checks that every value lies in its range.
 ///
 /// # Errors
 /// The first setting that does not, its value, and what to set.
 pub(super) fn check(settings: &Settings) -> Result<(), String> {
-    let Settings { limits, tenants, jobs, webhooks, retention, .. } = settings;
+    let Settings { store, blobs, role, worker, limits, tenants, jobs, webhooks, retention, .. } = settings;
+    if store.url != "sqlite:" && blobs.url == "file:" {
+        return Err("blobs.url is file:, the data folder of one process, but a PostgreSQL server is shared by several; set it to \
+                    s3://bucket/prefix or file:///folder of all machines"
+            .to_owned());
+    }
+    if store.url == "sqlite:" && *role != Role::All {
+        return Err(format!(
+            "role is {role:?}, but store.url is sqlite:, the database of one process; set store.url to a PostgreSQL server, or role to all"
+        ));
+    }
+    if worker.beat.is_zero() || worker.lease < 3 * worker.beat {
+        return Err(format!(
+            "worker.lease_s is {}; set it to 3 times worker.beat_s or more, which is above 0",
+            worker.lease.as_secs_f64()
+        ));
+    }
+    if store.connections < 4 {
+        return Err(format!("store.connections is {}; set it to 4 or more", store.connections));
+    }
     for (name, count) in [
         ("jobs.concurrent", jobs.concurrent),
         ("limits.max_connections", limits.max_connections),
@@ -67,10 +86,16 @@ mod tests {
             ("tenants.requests_per_s", "nan"),
             ("tenants.requests_per_s", "inf"),
             ("retention.jobs_days", "-0.5"),
+            ("store.connections", "3"),
+            ("worker.lease_s", "10"),
+            ("role", "worker"),
         ] {
             let error = checked(key, value).unwrap_err().to_string();
             assert!(error.starts_with(&format!("settings: {key} is ")), "{error}");
         }
+        let postgres = Layers::default().word("store.url", "postgres://u:secret@h/d").unwrap();
+        let error = postgres.settings().unwrap_err().to_string();
+        assert!(error.starts_with("settings: blobs.url is file:") && !error.contains("secret"), "{error}");
         for (key, value) in [("tenants.requests_per_s", "0.01"), ("retention.jobs_days", "0.0")] {
             assert!(checked(key, value).is_ok(), "{key}={value}");
         }

@@ -60,11 +60,14 @@ pub(crate) async fn observe(store: &Store, ran_s: i64) -> Result<Option<SuspectC
     let known =
         known.map_or(SeenClock { seen_at: now, suspect_s: 0 }, |(seen_at, suspect_s)| SeenClock { seen_at, suspect_s });
     let next = known.next(now, ran_s);
-    sqlx::query("INSERT OR REPLACE INTO clock (id, seen_at, suspect_s) VALUES (1, ?, ?)")
-        .bind(next.seen_at)
-        .bind(next.suspect_s)
-        .execute(&mut *transaction)
-        .await?;
+    sqlx::query(
+        "INSERT INTO clock (id, seen_at, suspect_s) VALUES (1, $1, $2)
+         ON CONFLICT (id) DO UPDATE SET seen_at = excluded.seen_at, suspect_s = excluded.suspect_s",
+    )
+    .bind(next.seen_at)
+    .bind(next.suspect_s)
+    .execute(&mut *transaction)
+    .await?;
     transaction.commit().await?;
     Ok(next.suspicion(now))
 }

@@ -1,41 +1,48 @@
-//! The database connections of a data folder.
+//! The database connections of a service process.
 
+use super::blobs::Blobs;
 use super::error::StoreError;
 use super::folders::Folders;
+use super::shrink;
 use super::space::Space;
-use super::{schema, shrink};
-use crate::service::failpoint::{failpoint, fault, lose_answer};
-use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous};
-use sqlx::{Connection, Sqlite, Transaction};
-use std::io;
-use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
-
-/// How long to wait for a database that another process has locked.
-const BUSY_PATIENCE: Duration = Duration::from_secs(10);
-
-/// SQLite 3.7.0 to 3.51.2 can corrupt the file if two connections write and checkpoint at the same time.
-const OLDEST_SOUND_SQLITE: [u32; 3] = [3, 51, 3];
-
-/// An open transaction that may write.
-pub(crate) type WriteTransaction = Transaction<'static, Sqlite>;
+use super::sql::SqlPool;
+pub(crate) use super::sql::WriteTransaction;
+use crate::service::failpoint::lose_answer;
+use sqlx::sqlite::SqlitePool;
+use std::path::PathBuf;
 
 /// The database and the folders of one service process.
 #[derive(Debug, Clone)]
 pub struct Store {
-    /// The only connection that changes job states: `synchronous = FULL`, so acknowledged changes survive a power cut.
-    writer: SqlitePool,
-    /// Connection for progress: `synchronous = NORMAL`; a power cut can lose the last second, but not damage the file.
-    progress_writer: SqlitePool,
-    readers: SqlitePool,
-    /// Copies the write-ahead log into the database; the only connection that does, see [`super::pages`].
-    pub(super) checkpointer: SqlitePool,
+    /// Changes job states: acknowledged changes survive a power cut. One connection of SQLite.
+    pub(super) writer: SqlPool,
+    /// Writes progress; a power cut can lose the last second, but not damage the database. One connection of SQLite.
+    pub(super) progress_writer: SqlPool,
+    /// Reads.
+    pub(super) readers: SqlPool,
+    /// The database behind the connections.
+    pub(super) engine: Engine,
     /// Free space of the disk and uploads that are arriving.
     pub(super) space: Space,
     /// Folders of the files.
     pub folders: Folders,
-    /// Id of this process: a running job of another boot is an orphan.
+    /// Where uploads and results are kept.
+    pub(crate) blobs: Blobs,
+    /// Id of this process: with SQLite a running job of another boot is an orphan.
     pub boot: String,
+}
+
+/// The database behind the connections.
+#[derive(Debug, Clone)]
+pub(super) enum Engine {
+    /// A file of the data folder.
+    Sqlite {
+        /// Copies the write-ahead log into the database; the only connection that does, see [`super::pages`].
+        checkpointer: SqlitePool,
+    },
+    /// A server that several processes share.
+    #[cfg(feature = "scale")]
+    Postgres(Box<super::postgres::server::Server>),
 }
 
 /// Disk usage of a data folder; values that the system does not report are 0.
@@ -50,83 +57,18 @@ pub struct DiskUsage {
 }
 
 impl Store {
-    /// Locks the folder for this process, opens the database and migrates it to this release's schema.
-    ///
-    /// # Errors
-    /// [`StoreError`].
-    pub async fn open(root: &Path) -> Result<Self, StoreError> {
-        Self::open_in(Folders::open(root)?).await
-    }
-
-    async fn open_in(folders: Folders) -> Result<Self, StoreError> {
-        let path = folders.database();
-        Self::open_database(folders).await.map_err(|error| error.of_file(&path))
-    }
-
-    /// Opens the store beside a running service, for a command; if no service is running, same as [`Store::open`].
-    ///
-    /// # Errors
-    /// Same as [`Store::open`].
-    pub async fn open_beside(root: &Path) -> Result<Self, StoreError> {
-        match Folders::open(root) {
-            Err(StoreError::InUse { .. }) => Self::open_in(Folders::beside(root)?).await,
-            folders => Self::open_in(folders?).await,
+    /// The connection that makes checkpoints, of a database in the data folder.
+    pub(super) fn checkpointer(&self) -> Option<&SqlitePool> {
+        match &self.engine {
+            Engine::Sqlite { checkpointer } => Some(checkpointer),
+            #[cfg(feature = "scale")]
+            Engine::Postgres(_) => None,
         }
     }
 
-    async fn open_database(folders: Folders) -> Result<Self, StoreError> {
-        failpoint("start.locked");
-        let database = folders.database();
-        let is_lost =
-            |is_empty: bool| Ok::<_, StoreError>(is_empty && folders.hold_files()? && !fault("damage.silent"));
-        let is_new = is_missing_or_empty(&database);
-        if is_lost(is_new)? {
-            return Err(StoreError::DatabaseLost { path: database });
-        }
-        let options = SqliteConnectOptions::new()
-            .filename(&database)
-            .journal_mode(SqliteJournalMode::Wal)
-            .foreign_keys(true)
-            .busy_timeout(if fault("busy.impatient") { Duration::ZERO } else { BUSY_PATIENCE })
-            .pragma("wal_autocheckpoint", "0")
-            .pragma("secure_delete", "ON");
-        match (is_new, folders.are_owned()) {
-            (true, true) => schema::create(&folders, &options).await?,
-            (true, false) => await_creation(&database).await?,
-            (false, _) => {}
-        }
-        let writer = pool(1).connect_with(options.clone().synchronous(SqliteSynchronous::Full)).await?;
-        require_sound_sqlite(&writer).await?;
-        if !is_new {
-            // A file without its write-ahead log can be a valid database without tables.
-            let n_tables: i64 = sqlx::query_scalar("SELECT count(*) FROM sqlite_master").fetch_one(&writer).await?;
-            if is_lost(n_tables == 0)? {
-                return Err(StoreError::DatabaseLost { path: database });
-            }
-            schema::migrate(&mut *writer.acquire().await?).await?;
-        }
-        failpoint("start.migrated");
-        if folders.are_owned() && !is_new {
-            shrink::rewrite_if_loose(&writer).await?;
-        }
-        if fault("claims.scanned") {
-            sqlx::query("DROP INDEX IF EXISTS jobs_by_state").execute(&writer).await?;
-        }
-        folders.create_reserve();
-        // The first checkpoint is made seconds after the start.
-        let checkpointer = pool(1).connect_lazy_with(options.clone().synchronous(SqliteSynchronous::Full));
-        let progress = options.clone().synchronous(SqliteSynchronous::Normal);
-        let opening = (pool(1).connect_with(progress), pool(4).connect_with(options.read_only(true)));
-        let (progress_writer, readers) = tokio::try_join!(opening.0, opening.1)?;
-        Ok(Self {
-            writer,
-            progress_writer,
-            readers,
-            checkpointer,
-            space: Space::default(),
-            folders,
-            boot: uuid::Uuid::new_v4().simple().to_string(),
-        })
+    /// Whether several processes share the database.
+    pub(crate) fn is_shared(&self) -> bool {
+        !matches!(self.engine, Engine::Sqlite { .. })
     }
 
     /// Starts a transaction that may change job states; durable once committed.
@@ -134,7 +76,11 @@ impl Store {
     /// # Errors
     /// When the database is locked or fails.
     pub(crate) async fn write(&self) -> Result<WriteTransaction, sqlx::Error> {
-        self.writer.begin_with("BEGIN IMMEDIATE").await
+        match self.engine {
+            Engine::Sqlite { .. } => self.writer.begin_with("BEGIN IMMEDIATE").await,
+            #[cfg(feature = "scale")]
+            Engine::Postgres(_) => self.writer.begin().await,
+        }
     }
 
     /// Commits a transaction of [`Store::write`]. After an error the transaction may be committed or not; a caller that
@@ -152,11 +98,15 @@ impl Store {
     /// # Errors
     /// When the database is locked or fails.
     pub(crate) async fn write_relaxed(&self) -> Result<WriteTransaction, sqlx::Error> {
-        self.progress_writer.begin_with("BEGIN IMMEDIATE").await
+        match self.engine {
+            Engine::Sqlite { .. } => self.progress_writer.begin_with("BEGIN IMMEDIATE").await,
+            #[cfg(feature = "scale")]
+            Engine::Postgres(_) => super::postgres::server::begin_relaxed(&self.progress_writer).await,
+        }
     }
 
-    /// Read-only connections.
-    pub(crate) fn read(&self) -> &SqlitePool {
+    /// Connections for reading.
+    pub(crate) fn read(&self) -> &SqlPool {
         &self.readers
     }
 
@@ -176,7 +126,7 @@ impl Store {
     /// # Errors
     /// When it does not.
     pub async fn check_writable(&self) -> Result<(), StoreError> {
-        let transaction = self.progress_writer.begin_with("BEGIN IMMEDIATE").await?;
+        let transaction = self.write_relaxed().await?;
         Ok(transaction.rollback().await?)
     }
 
@@ -184,6 +134,7 @@ impl Store {
     pub async fn remove_files(&self, folder: &'static str, name: &str) {
         let (folders, name) = (self.folders.clone(), name.to_owned());
         // Fails only when the process ends; the next start removes files without a row.
+        self.remove_objects(format!("{folder}/{name}"));
         let _ = tokio::task::spawn_blocking(move || folders.remove(folder, &name)).await;
     }
 
@@ -191,7 +142,16 @@ impl Store {
     pub async fn remove_claim(&self, job: &str, fence: i64) {
         let (folders, job) = (self.folders.clone(), job.to_owned());
         // Fails only when the process ends; the next start removes files without a row.
+        self.remove_objects(format!("results/{job}/{fence}"));
         let _ = tokio::task::spawn_blocking(move || folders.remove_claim(&job, fence)).await;
+    }
+
+    /// Removes what an object store has below a folder, without waiting for it: the sweep removes what stays.
+    fn remove_objects(&self, folder: String) {
+        if self.blobs.are_remote() {
+            let blobs = self.blobs.clone();
+            tokio::spawn(async move { blobs.remove(&folder).await });
+        }
     }
 
     /// Removes the reserve file, so that operations that free space also work on a full disk.
@@ -214,50 +174,18 @@ impl Store {
         Ok(shrink::step(&self.readers, &self.progress_writer).await?)
     }
 
-    /// Closes the connections after their last statement; the owner of the folder empties the write-ahead log first.
+    /// Closes the connections after their last statement; the owner of a folder with a database empties the write-ahead log first.
     pub async fn close(&self) {
         self.readers.close().await;
-        if self.folders.are_owned()
-            && let Err(error) = self.checkpoint().await
-        {
-            tracing::warn!(%error, "the last checkpoint failed; the write-ahead log stays beside the database");
+        if let Some(checkpointer) = self.checkpointer() {
+            if self.folders.are_owned()
+                && let Err(error) = self.checkpoint().await
+            {
+                tracing::warn!(%error, "the last checkpoint failed; the write-ahead log stays beside the database");
+            }
+            checkpointer.close().await;
         }
-        self.checkpointer.close().await;
         self.progress_writer.close().await;
         self.writer.close().await;
     }
-}
-
-/// A pool of at most `n` connections, which stay open.
-fn pool(n: u32) -> SqlitePoolOptions {
-    let pool = SqlitePoolOptions::new().max_connections(n).idle_timeout(None).max_lifetime(None);
-    // SQLite ends a transaction by itself when the disk is full; sqlx's connection would then assume forever that it is
-    // still inside a transaction, so it is replaced.
-    let pool = pool.before_acquire(|connection, _| Box::pin(async { Ok(!connection.is_in_transaction()) }));
-    pool.acquire_timeout(Duration::from_secs(30))
-}
-
-fn is_missing_or_empty(database: &Path) -> bool {
-    std::fs::metadata(database).map_or(0, |file| file.len()) == 0
-}
-
-/// Waits until the service that owns the folder has created the database.
-async fn await_creation(database: &Path) -> Result<(), StoreError> {
-    let deadline = Instant::now() + BUSY_PATIENCE;
-    while is_missing_or_empty(database) {
-        if Instant::now() >= deadline {
-            return Err(StoreError::Folder { path: database.to_owned(), source: io::ErrorKind::NotFound.into() });
-        }
-        tokio::time::sleep(Duration::from_millis(10)).await;
-    }
-    Ok(())
-}
-
-async fn require_sound_sqlite(pool: &SqlitePool) -> Result<(), StoreError> {
-    let found: String = sqlx::query_scalar("SELECT sqlite_version()").fetch_one(pool).await?;
-    let parts: Vec<u32> = found.split('.').filter_map(|part| part.parse().ok()).collect();
-    if parts.as_slice() < OLDEST_SOUND_SQLITE.as_slice() {
-        return Err(StoreError::UnsoundSqlite { found });
-    }
-    Ok(())
 }

@@ -64,6 +64,59 @@ pub enum StoreError {
         /// Minimum (`limits.min_free_bytes`).
         min: u64,
     },
+    /// The setting needs a feature of the build that is missing.
+    #[error(
+        "{setting} names {value}, but this program was built without the feature `scale`; set it to {embedded}, or use a build with PostgreSQL and S3"
+    )]
+    WithoutScale {
+        /// Name of the setting.
+        setting: &'static str,
+        /// Its value, without secrets.
+        value: String,
+        /// The value that needs nothing.
+        embedded: &'static str,
+    },
+    /// The URL of the database is not understood. It is not repeated: it can hold a password.
+    #[error("store.url: expected `sqlite:` or postgres://user:password@host/database")]
+    StoreUrl,
+    /// The PostgreSQL server is too old.
+    #[error("PostgreSQL {found} is too old; version 15 or newer is required")]
+    OldPostgres {
+        /// Major version of the server.
+        found: i64,
+    },
+    /// The URL of the object store is not understood.
+    #[error("blobs.url is {url}: {reason}")]
+    BlobsUrl {
+        /// The URL, which holds no secret.
+        url: String,
+        /// What was expected.
+        reason: String,
+    },
+    /// The files of the database are in another store.
+    #[error("blobs.url is {given}, but the uploads and results of this database are in {known}; set blobs.url to that")]
+    OtherBlobs {
+        /// URL of the store with the files.
+        known: String,
+        /// The setting.
+        given: String,
+    },
+    /// The object store fails or does not answer.
+    #[error("{key}: the object store failed: {source}")]
+    Blobs {
+        /// Key of the object.
+        key: String,
+        /// Its error.
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// An object is missing or has other bytes than those that were stored.
+    #[error("{key}: {reason}")]
+    BlobDamaged {
+        /// Key of the object.
+        key: String,
+        /// What is wrong.
+        reason: &'static str,
+    },
     /// The operating system provides no random numbers.
     #[error("the operating system provides no random numbers")]
     NoRandomness,
@@ -73,29 +126,56 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Whether the disk is full: below its minimum of free bytes, SQLite's FULL, or a failed write or shared memory allocation.
+    /// Whether the disk is full: below its minimum of free bytes, SQLite's FULL, or a failed write or shared memory allocation, or
+    /// PostgreSQL's `disk_full`.
     pub fn is_disk_full(&self) -> bool {
         match self {
             Self::DiskFull { .. } => true,
             Self::Database(sqlx::Error::Database(cause)) => {
-                matches!(cause.code().as_deref(), Some("13" | "778" | "4874"))
+                matches!(cause.code().as_deref(), Some("13" | "778" | "4874" | "53100"))
             }
             _ => false,
         }
     }
 
     /// Whether a repetition fails in the same way, because the values do not fit the tables: SQLite's TOOBIG, CONSTRAINT and
-    /// MISMATCH, or a value that cannot be converted.
+    /// MISMATCH, PostgreSQL's classes 22 and 23, or a value that cannot be converted.
     pub fn is_of_values(&self) -> bool {
         match self {
             Self::Database(sqlx::Error::Database(cause)) => {
-                let code = cause.code().and_then(|code| code.parse::<u32>().ok());
-                code.is_some_and(|code| matches!(code & 0xff, 18..=20))
+                let code = cause.code().unwrap_or_default();
+                match code.parse::<u32>() {
+                    Ok(code) if !is_sqlstate(&cause.code()) => matches!(code & 0xff, 18..=20),
+                    _ => ["22", "23"].iter().any(|class| code.starts_with(class)),
+                }
             }
             Self::Database(sqlx::Error::Encode(_) | sqlx::Error::Decode(_) | sqlx::Error::ColumnDecode { .. }) => true,
             Self::Json(_) => true,
             _ => false,
         }
+    }
+
+    /// Whether the database is busy or away for a moment, so that a repetition can succeed: SQLite's BUSY and LOCKED; of PostgreSQL a
+    /// lost connection, a full server, a restart, a lock that took too long, a deadlock.
+    pub fn is_busy(&self) -> bool {
+        match self {
+            Self::Database(sqlx::Error::PoolTimedOut) => true,
+            Self::Database(sqlx::Error::Io(_) | sqlx::Error::Tls(_)) => cfg!(feature = "scale"),
+            Self::Database(sqlx::Error::Database(cause)) => match cause.code().as_deref() {
+                Some("5" | "6" | "261" | "517") => true,
+                Some(code) if is_sqlstate(&cause.code()) => {
+                    ["08", "40", "53", "55", "57", "25P"].iter().any(|class| code.starts_with(class)) && code != "53100"
+                }
+                _ => false,
+            },
+            _ => false,
+        }
+    }
+
+    /// A setting that needs the feature `scale`.
+    #[cfg(not(feature = "scale"))]
+    pub(super) fn without_scale(setting: &'static str, value: &str, embedded: &'static str) -> Self {
+        Self::WithoutScale { setting, value: value.to_owned(), embedded }
     }
 
     /// Converts SQLite's CORRUPT and NOTADB to [`StoreError::DatabaseDamaged`] with the path of the file.
@@ -110,4 +190,9 @@ impl StoreError {
             None => self,
         }
     }
+}
+
+/// Whether a code is one of PostgreSQL, five characters; those of SQLite are numbers of up to four digits.
+fn is_sqlstate(code: &Option<std::borrow::Cow<'_, str>>) -> bool {
+    code.as_ref().is_some_and(|code| code.len() == 5)
 }

@@ -139,6 +139,18 @@ impl Folders {
         self.job(job).join(format!("{fence}.tmp"))
     }
 
+    /// Folder of the local copies of objects.
+    #[cfg(feature = "scale")]
+    pub(super) fn cache(&self) -> PathBuf {
+        self.root.join("cache")
+    }
+
+    /// Path of a folder in `tmp/`, which the next start clears.
+    #[cfg(feature = "scale")]
+    pub(super) fn scratch(&self, name: &str) -> PathBuf {
+        self.root.join("tmp").join(name)
+    }
+
     /// Returns a new path in `tmp/`.
     pub fn temporary(&self) -> TemporaryFile {
         TemporaryFile { path: self.root.join("tmp").join(new_id("upload")), kept: false }

@@ -1,10 +1,10 @@
 //! Pages of a list, bounded in rows and bytes: a page of long names or labels ends early instead of filling the memory.
 
 use super::error::StoreError;
+use super::sql::SqlRow;
 use crate::service::failpoint::fault;
 use futures_util::{Stream, TryStreamExt};
 use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
 
 /// Bytes of text that the rows of one page hold together. 500 usual jobs have about 400 KB; a single longer row is a page
 /// of its own.
@@ -24,9 +24,9 @@ pub struct Listed<T> {
 /// # Errors
 /// When the database fails or a row cannot be converted.
 pub(crate) async fn read_page<T>(
-    mut rows: impl Stream<Item = sqlx::Result<SqliteRow>> + Unpin,
+    mut rows: impl Stream<Item = sqlx::Result<SqlRow>> + Unpin,
     max_rows: i64,
-    convert: impl Fn(&SqliteRow) -> Result<T, StoreError>,
+    convert: impl Fn(&SqlRow) -> Result<T, StoreError>,
 ) -> Result<Listed<T>, StoreError> {
     let mut items = Vec::new();
     let mut bytes = 0;

@@ -82,11 +82,12 @@ impl Store {
     /// # Errors
     /// When the database fails; a failure to store the digests removes them and is only logged.
     pub(crate) async fn checkpoint(&self) -> Result<(), StoreError> {
+        let Some(checkpointer) = self.checkpointer() else { return Ok(()) };
         let lock = self.write_relaxed().await?; // from here on there are no other writers, and the log does not restart
         let log = self.folders.log();
         let log = tokio::task::spawn_blocking(move || Log::read(&log));
         let log = log.await.map_err(io::Error::other).and_then(|log| log);
-        sqlx::query("PRAGMA wal_checkpoint(PASSIVE)").execute(&self.checkpointer).await?;
+        sqlx::query("PRAGMA wal_checkpoint(PASSIVE)").execute(checkpointer).await?;
         let (database, pages) = (self.folders.database(), self.folders.pages());
         let updated = tokio::task::spawn_blocking(move || {
             let updated = log.and_then(|log| update_digests(&database, &pages, &log));

@@ -127,9 +127,10 @@ impl Drop for Reservation {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::service::store::test_support;
 
     async fn store(folder: &tempfile::TempDir) -> (Store, Tenant) {
-        (Store::open(folder.path()).await.unwrap(), Tenant::default_tenant())
+        (test_support::open(folder.path()).await, Tenant::default_tenant())
     }
 
     #[tokio::test]

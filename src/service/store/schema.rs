@@ -1,18 +1,18 @@
 //! The tables of the database: created at once in a new file, migrated step by step in the file of an earlier release.
-//! `migrations/` is the only text of them.
+//! `migrations/sqlite` is the only text of them.
 
 use super::error::StoreError;
 use super::folders::{Folders, publish};
 use super::private;
 use crate::service::failpoint::failpoint;
-use sqlx::migrate::{MigrateError, Migrator};
+use sqlx::migrate::{Migrate, MigrateError, Migrator};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqliteSynchronous};
-use sqlx::{ConnectOptions, Connection, SqliteConnection};
+use sqlx::{ConnectOptions, Connection};
 use std::fs::File;
 use std::io;
 use std::path::Path;
 
-pub(super) static MIGRATIONS: Migrator = sqlx::migrate!("./migrations");
+pub(super) static MIGRATIONS: Migrator = sqlx::migrate!("./migrations/sqlite");
 
 /// Endings of the files that SQLite keeps beside a database.
 const COMPANIONS: [&str; 3] = ["-journal", "-wal", "-shm"];
@@ -21,8 +21,8 @@ const COMPANIONS: [&str; 3] = ["-journal", "-wal", "-shm"];
 ///
 /// # Errors
 /// [`StoreError::Newer`] for a database of a later release, [`StoreError::Migration`] for a failed statement.
-pub(super) async fn migrate(database: &mut SqliteConnection) -> Result<(), StoreError> {
-    MIGRATIONS.run(database).await.map_err(|error| match error {
+pub(super) async fn migrate(database: &mut impl Migrate) -> Result<(), StoreError> {
+    MIGRATIONS.run_direct(None, database, false).await.map_err(|error| match error {
         MigrateError::VersionMissing(migration) => StoreError::Newer { migration },
         other => StoreError::Migration(other),
     })
@@ -48,7 +48,7 @@ pub(super) async fn create(folders: &Folders, options: &SqliteConnectOptions) ->
     // Only an empty file takes this setting. As an option of the connection it would be written before `synchronous` holds.
     sqlx::query("PRAGMA auto_vacuum = INCREMENTAL").execute(&mut database).await?;
     let mut transaction = database.begin().await?;
-    migrate(&mut transaction).await?;
+    migrate(&mut *transaction).await?;
     transaction.commit().await?;
     // The file keeps this setting; a later connection would change it with four writes to the disk.
     sqlx::query("PRAGMA journal_mode = WAL").execute(&mut database).await?;

@@ -3,12 +3,12 @@
 use super::database::Store;
 use super::error::StoreError;
 use super::listing::{Listed, read_page};
+use super::sql::SqlRow;
 use super::tenants::{self, Tenant};
 use crate::pipeline::CameraFacts;
 use crate::service::failpoint::{failpoint, fault};
 use serde::{Deserialize, Serialize};
 use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
 
 /// Longest name of a session, bytes: several lines of text. Lists return the name of each session.
 pub const MAX_NAME_BYTES: usize = 256;
@@ -130,11 +130,12 @@ pub async fn add(
         return Err(AddError::NameTooLong { bytes: summary.name.len() });
     }
     let mut transaction = store.write().await?;
+    tenants::lock(store, &mut transaction, tenant).await?;
     let stored = tenants::stored_bytes_in(&mut transaction, tenant).await?;
     let row = sqlx::query(
         "INSERT INTO sessions (id, tenant, sha256, bytes, name, cameras, n_frames, people_max, keypoint_convention,
                                format, warnings, created_at)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
          ON CONFLICT (tenant, sha256) DO NOTHING
          RETURNING *",
     )
@@ -152,7 +153,7 @@ pub async fn add(
     .fetch_optional(&mut *transaction)
     .await?;
     let Some(row) = row else {
-        let known = sqlx::query("SELECT * FROM sessions WHERE tenant = ? AND sha256 = ?");
+        let known = sqlx::query("SELECT * FROM sessions WHERE tenant = $1 AND sha256 = $2");
         let known = known.bind(tenant.name()).bind(&summary.sha256).fetch_one(&mut *transaction).await?;
         return Ok(Added { session: from_row(&known)?, is_new: false });
     };
@@ -169,7 +170,7 @@ pub async fn add(
 /// # Errors
 /// When the store fails.
 pub async fn get(store: &Store, tenant: &Tenant, id: &str) -> Result<Option<StoredSession>, StoreError> {
-    let row = sqlx::query("SELECT * FROM sessions WHERE id = ? AND tenant = ?").bind(id).bind(tenant.name());
+    let row = sqlx::query("SELECT * FROM sessions WHERE id = $1 AND tenant = $2").bind(id).bind(tenant.name());
     row.fetch_optional(store.read()).await?.as_ref().map(from_row).transpose()
 }
 
@@ -178,7 +179,7 @@ pub async fn get(store: &Store, tenant: &Tenant, id: &str) -> Result<Option<Stor
 /// # Errors
 /// When the store fails.
 pub async fn get_by_sha256(store: &Store, tenant: &Tenant, sha256: &str) -> Result<Option<StoredSession>, StoreError> {
-    let row = sqlx::query("SELECT * FROM sessions WHERE tenant = ? AND sha256 = ?").bind(tenant.name()).bind(sha256);
+    let row = sqlx::query("SELECT * FROM sessions WHERE tenant = $1 AND sha256 = $2").bind(tenant.name()).bind(sha256);
     row.fetch_optional(store.read()).await?.as_ref().map(from_row).transpose()
 }
 
@@ -194,7 +195,7 @@ pub async fn list(
 ) -> Result<Listed<StoredSession>, StoreError> {
     let rows = sqlx::query(
         "SELECT *, octet_length(name) + octet_length(cameras) + octet_length(warnings) AS row_bytes
-         FROM sessions WHERE tenant = ? AND seq < ? ORDER BY seq DESC LIMIT ?",
+         FROM sessions WHERE tenant = $1 AND seq < $2 ORDER BY seq DESC LIMIT $3",
     );
     let rows = rows.bind(tenant.name()).bind(before).bind(max_rows + 1).fetch(store.read());
     read_page(rows, max_rows, from_row).await
@@ -224,8 +225,9 @@ pub async fn remove(store: &Store, tenant: &Tenant, id: &str) -> Result<(), Remo
 
 async fn try_to_remove(store: &Store, tenant: &Tenant, id: &str) -> Result<(), RemoveError> {
     let mut transaction = store.write().await?;
+    tenants::lock(store, &mut transaction, tenant).await?;
     let job: Option<String> = sqlx::query_scalar(
-        "SELECT id FROM jobs WHERE session_id = ? AND tenant = ? AND state IN ('queued', 'running', 'canceling') LIMIT 1",
+        "SELECT id FROM jobs WHERE session_id = $1 AND tenant = $2 AND state IN ('queued', 'running', 'canceling') LIMIT 1",
     )
     .bind(id)
     .bind(tenant.name())
@@ -234,7 +236,7 @@ async fn try_to_remove(store: &Store, tenant: &Tenant, id: &str) -> Result<(), R
     if let Some(job) = job {
         return Err(RemoveError::InUse { job });
     }
-    let deleted = sqlx::query("DELETE FROM sessions WHERE id = ? AND tenant = ?").bind(id).bind(tenant.name());
+    let deleted = sqlx::query("DELETE FROM sessions WHERE id = $1 AND tenant = $2").bind(id).bind(tenant.name());
     let deleted = deleted.execute(&mut *transaction).await?;
     if deleted.rows_affected() == 0 {
         return Err(RemoveError::Missing);
@@ -252,7 +254,7 @@ async fn try_to_remove(store: &Store, tenant: &Tenant, id: &str) -> Result<(), R
     Ok(())
 }
 
-fn from_row(row: &SqliteRow) -> Result<StoredSession, StoreError> {
+fn from_row(row: &SqlRow) -> Result<StoredSession, StoreError> {
     let camera_facts: Vec<CameraFacts> = serde_json::from_str(row.try_get("cameras")?)?;
     let summary = SessionSummary {
         name: row.try_get("name")?,

@@ -1,6 +1,6 @@
 //! Returns the pages of deleted rows to the disk: SQLite alone keeps them in the file for later rows.
 
-use sqlx::SqlitePool;
+use super::sql::SqlPool;
 
 /// Free pages that are always kept: 4 MiB of 4 KiB pages, so that a queue that fills and empties does not resize its file.
 const MIN_FREE_PAGES: i64 = 1000;
@@ -9,7 +9,7 @@ const MIN_FREE_PAGES: i64 = 1000;
 const STEP: &str = "PRAGMA incremental_vacuum(2000)";
 
 /// Whether more than a quarter of the file is free.
-async fn is_loose(database: &SqlitePool) -> Result<bool, sqlx::Error> {
+async fn is_loose(database: &SqlPool) -> Result<bool, sqlx::Error> {
     let free: i64 = sqlx::query_scalar("PRAGMA freelist_count").fetch_one(database).await?;
     let pages: i64 = sqlx::query_scalar("PRAGMA page_count").fetch_one(database).await?;
     Ok(free > MIN_FREE_PAGES && free > pages / 4)
@@ -19,7 +19,7 @@ async fn is_loose(database: &SqlitePool) -> Result<bool, sqlx::Error> {
 ///
 /// # Errors
 /// When the database fails.
-pub(super) async fn step(readers: &SqlitePool, writer: &SqlitePool) -> Result<(), sqlx::Error> {
+pub(super) async fn step(readers: &SqlPool, writer: &SqlPool) -> Result<(), sqlx::Error> {
     if is_loose(readers).await? {
         let mut transaction = writer.begin_with("BEGIN IMMEDIATE").await?;
         sqlx::query(STEP).execute(&mut *transaction).await?;
@@ -33,7 +33,7 @@ pub(super) async fn step(readers: &SqlitePool, writer: &SqlitePool) -> Result<()
 ///
 /// # Errors
 /// When the database cannot be read.
-pub(super) async fn rewrite_if_loose(writer: &SqlitePool) -> Result<(), sqlx::Error> {
+pub(super) async fn rewrite_if_loose(writer: &SqlPool) -> Result<(), sqlx::Error> {
     const NONE: i64 = 0;
     let mode: i64 = sqlx::query_scalar("PRAGMA auto_vacuum").fetch_one(writer).await?;
     if mode != NONE || !is_loose(writer).await? {

@@ -2,6 +2,7 @@
 
 use super::database::WriteTransaction;
 use super::error::StoreError;
+use super::sql::float;
 use crate::session::reconstruction::{CameraReport, ErrorSummary, PersonReport, Quality, ScaleReport};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -119,15 +120,15 @@ async fn insert_verdict(transaction: &mut WriteTransaction, job: &str, report: &
     let scale = report.scale.as_ref();
     sqlx::query(
         "INSERT INTO verdicts (job_id, verdict, reasons, heldout_px, scale, scale_low95, scale_high95, rejected_detections)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8)",
     )
     .bind(job)
     .bind(verdict.as_str())
     .bind(serde_json::to_string(&report.quality.reasons)?)
-    .bind(report.heldout_px)
-    .bind(scale.map(|scale| scale.value))
-    .bind(scale.map(|scale| scale.interval95[0]))
-    .bind(scale.map(|scale| scale.interval95[1]))
+    .bind(float(report.heldout_px))
+    .bind(float(scale.map(|scale| scale.value)))
+    .bind(float(scale.map(|scale| scale.interval95[0])))
+    .bind(float(scale.map(|scale| scale.interval95[1])))
     .bind(report.rejected_detections)
     .execute(&mut **transaction)
     .await?;
@@ -142,23 +143,23 @@ async fn insert_stage(
 ) -> Result<(), StoreError> {
     sqlx::query(
         "INSERT INTO stage_metrics (job_id, stage_index, stage, iterations, cost_before, cost_after, termination)
-         VALUES (?, ?, ?, ?, ?, ?, ?)",
+         VALUES ($1, $2, $3, $4, $5, $6, $7)",
     )
     .bind(job)
     .bind(index as i64)
     .bind(&stage.stage)
     .bind(stage.iterations)
-    .bind(stage.cost_before)
-    .bind(stage.cost_after)
+    .bind(float(stage.cost_before))
+    .bind(float(stage.cost_after))
     .bind(&stage.termination)
     .execute(&mut **transaction)
     .await?;
     for (name, value) in &stage.metrics {
-        sqlx::query("INSERT INTO stage_metric_values (job_id, stage_index, name, value) VALUES (?, ?, ?, ?)")
+        sqlx::query("INSERT INTO stage_metric_values (job_id, stage_index, name, value) VALUES ($1, $2, $3, $4)")
             .bind(job)
             .bind(index as i64)
             .bind(name)
-            .bind(value)
+            .bind(float(*value))
             .execute(&mut **transaction)
             .await?;
     }
@@ -176,20 +177,20 @@ async fn insert_camera(
         "INSERT INTO camera_results (job_id, camera_index, camera, status, n_observations, reprojection_mean_px,
              reprojection_median_px, sigma_position_mm, sigma_angle_deg, position_x, position_y, position_z,
              n_detections, n_rejected_detections)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, $12, $13, $14)",
     )
     .bind(job)
     .bind(index as i64)
     .bind(&camera.id)
     .bind(&camera.status)
     .bind(camera.n_observations)
-    .bind(camera.reprojection_px.map(|error| error.mean))
-    .bind(camera.reprojection_px.map(|error| error.median))
-    .bind(camera.sigma_position_mm)
-    .bind(camera.sigma_angle_deg)
-    .bind(camera.position.map(|[x, _, _]| x))
-    .bind(camera.position.map(|[_, y, _]| y))
-    .bind(camera.position.map(|[_, _, z]| z))
+    .bind(float(camera.reprojection_px.map(|error| error.mean)))
+    .bind(float(camera.reprojection_px.map(|error| error.median)))
+    .bind(float(camera.sigma_position_mm))
+    .bind(float(camera.sigma_angle_deg))
+    .bind(float(camera.position.map(|[x, _, _]| x)))
+    .bind(float(camera.position.map(|[_, y, _]| y)))
+    .bind(float(camera.position.map(|[_, _, z]| z)))
     .bind(report.map(|report| report.n_detections as i64))
     .bind(report.map(|report| report.n_rejected_detections as i64))
     .execute(&mut **transaction)
@@ -206,7 +207,7 @@ async fn insert_person(
     sqlx::query(
         "INSERT INTO person_results (job_id, person, first_frame, last_frame, n_frames, n_valid_frames, n_detections,
              reprojection_mean_px, reprojection_median_px, bone_length_spread, jitter_m_per_s2)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11)",
     )
     .bind(job)
     .bind(person.id)
@@ -215,10 +216,10 @@ async fn insert_person(
     .bind(person.frames.len() as i64)
     .bind(person.valid.iter().filter(|valid| **valid).count() as i64)
     .bind(report.map(|report| report.n_detections as i64))
-    .bind(report.and_then(|report| report.reprojection_px).map(|error| error.mean))
-    .bind(report.and_then(|report| report.reprojection_px).map(|error| error.median))
-    .bind(report.and_then(|report| report.bone_length_spread))
-    .bind(report.and_then(|report| report.jitter_m_per_s2))
+    .bind(float(report.and_then(|report| report.reprojection_px).map(|error| error.mean)))
+    .bind(float(report.and_then(|report| report.reprojection_px).map(|error| error.median)))
+    .bind(float(report.and_then(|report| report.bone_length_spread)))
+    .bind(float(report.and_then(|report| report.jitter_m_per_s2)))
     .execute(&mut **transaction)
     .await?;
     Ok(())

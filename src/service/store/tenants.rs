@@ -51,14 +51,25 @@ pub(crate) async fn stored_bytes_in(transaction: &mut WriteTransaction, tenant: 
 }
 
 /// The running total, which triggers keep.
-const STORED_BYTES: &str = "SELECT coalesce((SELECT stored_bytes FROM tenants WHERE name = ?), 0)";
+const STORED_BYTES: &str = "SELECT coalesce((SELECT stored_bytes FROM tenants WHERE name = $1), 0)";
 
 /// Inserts the row of a tenant unless it exists.
 pub(crate) async fn insert_if_missing(transaction: &mut WriteTransaction, tenant: &Tenant) -> Result<(), StoreError> {
-    sqlx::query("INSERT INTO tenants (name) VALUES (?) ON CONFLICT (name) DO NOTHING")
+    sqlx::query("INSERT INTO tenants (name) VALUES ($1) ON CONFLICT (name) DO NOTHING")
         .bind(tenant.name())
         .execute(&mut **transaction)
         .await?;
+    Ok(())
+}
+
+/// Locks the row of a tenant until the transaction ends, so that what its limits allow and which sessions it has cannot change in
+/// between. A write transaction of SQLite locks the whole database anyway. A transaction with this lock waits for no job's row.
+pub(crate) async fn lock(store: &Store, transaction: &mut WriteTransaction, tenant: &Tenant) -> Result<(), StoreError> {
+    if store.is_shared() {
+        insert_if_missing(transaction, tenant).await?;
+        let lock = sqlx::query("SELECT name FROM tenants WHERE name = $1 FOR UPDATE").bind(tenant.name());
+        lock.execute(&mut **transaction).await?;
+    }
     Ok(())
 }
 
@@ -73,14 +84,15 @@ const OVERLAP_S: i64 = 24 * 3600;
 /// # Errors
 /// When the store or the system's source of randomness fails.
 pub async fn webhook_secret(store: &Store, tenant: &Tenant) -> Result<String, StoreError> {
-    let known: Option<Option<String>> = sqlx::query_scalar("SELECT webhook_secret FROM tenants WHERE name = ?")
+    let known: Option<Option<String>> = sqlx::query_scalar("SELECT webhook_secret FROM tenants WHERE name = $1")
         .bind(tenant.name())
         .fetch_optional(store.read())
         .await?;
     if let Some(Some(secret)) = known {
         return Ok(secret);
     }
-    let set = "UPDATE tenants SET webhook_secret = coalesce(webhook_secret, ?) WHERE name = ? RETURNING webhook_secret";
+    let set =
+        "UPDATE tenants SET webhook_secret = coalesce(webhook_secret, $1) WHERE name = $2 RETURNING webhook_secret";
     set_secret(store, tenant, set).await
 }
 
@@ -90,7 +102,7 @@ pub async fn webhook_secret(store: &Store, tenant: &Tenant) -> Result<String, St
 /// When the store or the system's source of randomness fails.
 pub async fn rotate_webhook_secret(store: &Store, tenant: &Tenant) -> Result<String, StoreError> {
     let set = "UPDATE tenants SET previous_webhook_secret = webhook_secret, webhook_secret_set_at = unixepoch(),
-                                  webhook_secret = ? WHERE name = ? RETURNING webhook_secret";
+                                  webhook_secret = $1 WHERE name = $2 RETURNING webhook_secret";
     set_secret(store, tenant, set).await
 }
 
@@ -102,7 +114,7 @@ pub async fn signing_secrets(store: &Store, tenant: &Tenant) -> Result<Vec<Strin
     let mut secrets = vec![webhook_secret(store, tenant).await?];
     let previous: Option<String> = sqlx::query_scalar(
         "SELECT previous_webhook_secret FROM tenants
-         WHERE name = ? AND previous_webhook_secret IS NOT NULL AND abs(unixepoch() - webhook_secret_set_at) < ?",
+         WHERE name = $1 AND previous_webhook_secret IS NOT NULL AND abs(unixepoch() - webhook_secret_set_at) < $2",
     )
     .bind(tenant.name())
     .bind(OVERLAP_S)
@@ -129,11 +141,12 @@ async fn set_secret(store: &Store, tenant: &Tenant, statement: &'static str) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::service::store::test_support;
 
     #[tokio::test]
     async fn replaced_webhook_secret_signs_for_another_day() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(folder.path()).await.unwrap();
+        let store = test_support::open(folder.path()).await;
         let tenant = Tenant::parse("a").unwrap();
         let first = webhook_secret(&store, &tenant).await.unwrap();
         assert_eq!(signing_secrets(&store, &tenant).await.unwrap(), std::slice::from_ref(&first));
@@ -142,7 +155,7 @@ mod tests {
         assert_eq!(webhook_secret(&store, &tenant).await.unwrap(), second);
         assert_eq!(signing_secrets(&store, &tenant).await.unwrap(), [second.clone(), first]);
         let mut transaction = store.write().await.unwrap();
-        let a_day_later = sqlx::query("UPDATE tenants SET webhook_secret_set_at = unixepoch() - ?").bind(OVERLAP_S);
+        let a_day_later = sqlx::query("UPDATE tenants SET webhook_secret_set_at = unixepoch() - $1").bind(OVERLAP_S);
         a_day_later.execute(&mut *transaction).await.unwrap();
         transaction.commit().await.unwrap();
         assert_eq!(signing_secrets(&store, &tenant).await.unwrap(), [second]);

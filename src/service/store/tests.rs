@@ -34,8 +34,8 @@ async fn counters_of_an_earlier_release_are_taken_over() {
     for (id, tenant, state) in [("a", "x", "queued"), ("b", "x", "queued"), ("c", "y", "canceled")] {
         sqlx::query(
             "INSERT INTO jobs (id, tenant, session_id, options, labels, priority, state, created_at, finished_at)
-             VALUES (?1, ?2, 's', '{}', '{}', 0, ?3, '2026-01-01T00:00:00.000Z',
-                     CASE ?3 WHEN 'queued' THEN NULL ELSE '2026-01-01T00:00:00.000Z' END)",
+             VALUES ($1, $2, 's', '{}', '{}', 0, $3, '2026-01-01T00:00:00.000Z',
+                     CASE $3 WHEN 'queued' THEN NULL ELSE '2026-01-01T00:00:00.000Z' END)",
         )
         .bind(id)
         .bind(tenant)
@@ -96,7 +96,7 @@ async fn fill_and_empty(store: &Store, pages: i64) -> Result<(), StoreError> {
     let mut transaction = store.write().await?;
     sqlx::query("CREATE TABLE IF NOT EXISTS filler (bytes BLOB)").execute(&mut *transaction).await?;
     sqlx::query(
-        "WITH RECURSIVE n (i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < ?)
+        "WITH RECURSIVE n (i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < $1)
          INSERT INTO filler SELECT randomblob(4000) FROM n",
     )
     .bind(pages)

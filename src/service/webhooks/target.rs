@@ -123,9 +123,14 @@ impl Networks {
     /// # Errors
     /// [`TargetError::Private`].
     pub fn check(&self, address: IpAddr) -> Result<(), TargetError> {
-        let bits = bits(address);
-        let is_listed = self.0.iter().any(|network| network.contains(bits)) || fault("webhooks.anywhere");
+        let is_listed = self.contain(address) || fault("webhooks.anywhere");
         if is_listed || is_public(address) { Ok(()) } else { Err(TargetError::Private { host: address.to_string() }) }
+    }
+
+    /// Whether an address is in one of the networks.
+    pub fn contain(&self, address: IpAddr) -> bool {
+        let bits = bits(address);
+        self.0.iter().any(|network| network.contains(bits))
     }
 
     /// Checks all addresses of a name; one private address rejects the name.

@@ -1,5 +1,6 @@
 //! Workers: each claims a job, runs it in a supervised child process of this program, and records the outcome.
 
+mod heart;
 mod supervision;
 
 use super::child::Child;
@@ -12,13 +13,16 @@ use super::queue::outcome::ClaimOutcome;
 use super::queue::{Claim, Finished, Phase, Published, Queue};
 use super::settings::Settings;
 use super::shared::Shared;
+use super::store::blobs::local::LocalResult;
 use super::store::folders::publish;
 use super::store::summary::Summary;
 use super::store::{Store, StoreError, artifacts};
+use crate::export::CONTINUATION;
 use crate::pipeline::Options;
 use anyhow::Context;
 use rustix::process::Signal;
-use std::path::PathBuf;
+use std::collections::BTreeSet;
+use std::path::Path;
 use std::time::Duration;
 use supervision::{ChildExit, Crash, supervise};
 use tokio_util::sync::CancellationToken;
@@ -32,17 +36,21 @@ const MAX_TRIES_WHILE_STOPPING: usize = 3;
 
 /// Claims and runs jobs one after the other until `draining` is canceled; the running job then returns to the queue.
 pub(super) async fn run(shared: Shared) {
-    let Shared { store, queue, settings, metrics, draining } = shared;
+    let Shared { store, queue, settings, metrics, draining, .. } = shared;
     while !draining.is_cancelled() {
         match queue.claim(settings.tenants.max_running).await {
             Ok(Some(claim)) => {
                 metrics.note_heartbeat(&claim.job);
                 let span = span(&claim);
+                let _heart = heart::beating(&store, &queue, &claim, settings.worker.beat);
                 let run = async {
                     let outcome = run_claim(&store, &queue, &settings, &metrics, &claim, draining.clone()).await;
                     record(&store, &queue, &settings, &claim, outcome, &draining).await
                 };
                 metrics.note_end(&claim.job, run.instrument(span).await);
+                if store.blobs.are_remote() {
+                    store.folders.remove("checkpoints", &claim.job); // another worker may end the job: nothing is missed here
+                }
             }
             Ok(None) => tokio::select! {
                 () = queue.work() => {}
@@ -79,13 +87,21 @@ async fn run_claim(
     claim: &Claim,
     draining: CancellationToken,
 ) -> ClaimOutcome<Published> {
-    let mut order = match order(store, settings, claim) {
+    let session = match store.blobs.session(&claim.session, &claim.session_sha256).await {
+        Ok(session) => session,
+        Err(error) => return ClaimOutcome::Failed(unreadable(&error)),
+    };
+    let mut order = match order(store, settings, claim, &session.path) {
         Ok(order) => order,
         Err(error) => return ClaimOutcome::Failed(error),
     };
-    if !order.task.options.corrections.is_empty() {
-        order.task.earlier = earlier_results(store, queue, claim).await;
-    }
+    // The folders exist as long as this list does: to the end of the claim.
+    let earlier = match order.task.options.corrections.is_empty() {
+        true => Vec::new(),
+        false => earlier_results(store, queue, claim).await,
+    };
+    order.task.earlier = earlier.iter().map(|result| result.path.clone()).collect();
+    store.blobs.fetch_checkpoints(&claim.job).await;
     let kills = memory::group_kills();
     let mut child = match start(settings, queue, claim, &order).await {
         Ok(child) => child,
@@ -97,14 +113,22 @@ async fn run_claim(
     };
     tracing::info!(pid = child.pid(), "job started");
     failpoint("child.started");
-    let exit = supervise(&mut child, queue, &settings.jobs, metrics, claim, draining).await;
+    let keeping = heart::keeping_checkpoints(store, claim, settings.worker.beat);
+    let exit = supervise(&mut child, queue, &settings.jobs, metrics, claim, draining.clone()).await;
+    drop(keeping);
     failpoint("child.ended");
     match exit {
         ChildExit::Crashed(_) if child.ran_out_of_memory() => ClaimOutcome::Failed(out_of_memory(order.memory_bytes)),
         ChildExit::Done => publish_result(store, claim).await,
         ChildExit::Failed(error) => ClaimOutcome::Failed(error),
         ChildExit::Crashed(crash) => crashed(crash, order.memory_bytes, kills),
-        ChildExit::Stopped => ClaimOutcome::Released,
+        ChildExit::Stopped => {
+            if draining.is_cancelled() {
+                // Another machine goes on after the last finished stage.
+                store.blobs.keep_checkpoints(&claim.job, &mut BTreeSet::new()).await;
+            }
+            ClaimOutcome::Released
+        }
     }
 }
 
@@ -122,7 +146,7 @@ fn crashed(crash: Crash, limit: Option<u64>, kills: Option<u64>) -> ClaimOutcome
     }
 }
 
-fn order(store: &Store, settings: &Settings, claim: &Claim) -> Result<Order<JobTask>, JobError> {
+fn order(store: &Store, settings: &Settings, claim: &Claim, session: &Path) -> Result<Order<JobTask>, JobError> {
     let options: Options = serde_json::from_value(claim.options.clone()).map_err(|error| JobError {
         code: "option_unknown".to_owned(),
         detail: format!("this release cannot read the job's options: {error}"),
@@ -130,7 +154,7 @@ fn order(store: &Store, settings: &Settings, claim: &Claim) -> Result<Order<JobT
         ..JobError::default()
     })?;
     let task = JobTask {
-        session: store.folders.session(&claim.session),
+        session: session.to_owned(),
         session_sha256: claim.session_sha256.clone(),
         options,
         earlier: Vec::new(),
@@ -143,14 +167,20 @@ fn order(store: &Store, settings: &Settings, claim: &Claim) -> Result<Order<JobT
 }
 
 /// Folders of results from which a job with corrections may continue; without one it solves the session from the start.
-async fn earlier_results(store: &Store, queue: &Queue, claim: &Claim) -> Vec<PathBuf> {
-    match queue.results_of_session(&claim.tenant, &claim.session).await {
-        Ok(results) => results.iter().map(|(job, fence)| store.folders.result(job, *fence)).collect(),
-        Err(error) => {
-            tracing::warn!(%error, "cannot look for earlier results; the job solves the session from the start");
-            Vec::new()
+async fn earlier_results(store: &Store, queue: &Queue, claim: &Claim) -> Vec<LocalResult> {
+    let found = async {
+        let mut results = Vec::new();
+        for (job, fence) in queue.results_of_session(&claim.tenant, &claim.session).await? {
+            let mut files = artifacts::list(store, &job).await?;
+            files.retain(|file| file.name == CONTINUATION);
+            results.push(store.blobs.result(&job, fence, &files).await?);
         }
-    }
+        Ok::<_, StoreError>(results)
+    };
+    found.await.unwrap_or_else(|error| {
+        tracing::warn!(%error, "cannot look for earlier results; the job solves the session from the start");
+        Vec::new()
+    })
 }
 
 fn out_of_memory(limit: Option<u64>) -> JobError {
@@ -191,10 +221,31 @@ async fn publish_result(store: &Store, claim: &Claim) -> ClaimOutcome<Published>
         Ok(Published { artifacts, summary })
     })
     .await;
-    match published.map_err(anyhow::Error::from).and_then(std::convert::identity) {
-        Ok(published) => ClaimOutcome::Succeeded(published),
-        Err(error) => ClaimOutcome::Failed(unpublished(&error)),
+    let published = match published.map_err(anyhow::Error::from).and_then(std::convert::identity) {
+        Ok(published) => published,
+        Err(error) => return ClaimOutcome::Failed(unpublished(&error)),
+    };
+    match store.blobs.take_result(&claim.job, claim.fence, &published.artifacts).await {
+        Ok(()) => ClaimOutcome::Succeeded(published),
+        Err(error @ StoreError::Blobs { .. }) => ClaimOutcome::Failed(JobError::of_object_store(&error.to_string())),
+        Err(error) => ClaimOutcome::Failed(unpublished(&error.into())),
     }
+}
+
+/// Why the upload of a job cannot be read from its store.
+fn unreadable(error: &StoreError) -> JobError {
+    let detail = format!("the upload cannot be read: {error}");
+    let disk = match error {
+        StoreError::Blobs { .. } => return JobError::of_object_store(&detail),
+        StoreError::Folder { source, .. } => JobError::of_machine(source, &detail),
+        _ => None,
+    };
+    disk.unwrap_or_else(|| JobError {
+        code: "session_damaged".to_owned(),
+        detail,
+        remedy: "upload the session again".to_owned(),
+        ..JobError::default()
+    })
 }
 
 fn unpublished(error: &anyhow::Error) -> JobError {

@@ -10,10 +10,7 @@ use crate::service::settings::JobSettings;
 use std::collections::BTreeMap;
 use std::os::unix::process::ExitStatusExt;
 use std::process::ExitStatus;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
-use tokio::sync::broadcast;
-use tokio::sync::broadcast::error::RecvError;
 use tokio_util::sync::CancellationToken;
 
 /// How a child process ended.
@@ -65,7 +62,7 @@ pub(super) async fn supervise(
     claim: &Claim,
     draining: CancellationToken,
 ) -> ChildExit {
-    let mut changes = queue.listen();
+    let mut changes = queue.follow(&claim.job);
     let mut tracker = ProgressTracker::new();
     let mut tick = tokio::time::interval(WRITE_INTERVAL);
     tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
@@ -81,7 +78,7 @@ pub(super) async fn supervise(
                 Some(message) => last_message = Some(message),
                 None => break None,
             },
-            () = own_change(&mut changes, &claim.job) => {
+            true = changes.changed() => {
                 if !is_active(queue, claim).await {
                     break Some(ChildExit::Stopped);
                 }
@@ -126,17 +123,6 @@ async fn wait_for_exit(child: &mut Child, settings: &JobSettings, last_message: 
         (Err(_), _) => {
             child.stop(settings.kill_grace).await;
             ChildExit::Crashed("it closed its output but did not exit".to_owned().into())
-        }
-    }
-}
-
-/// Waits until the job's row may have changed.
-async fn own_change(changes: &mut broadcast::Receiver<Arc<str>>, job: &str) {
-    loop {
-        match changes.recv().await {
-            Ok(changed) if *changed != *job => {}
-            Ok(_) | Err(RecvError::Lagged(_)) => return,
-            Err(RecvError::Closed) => std::future::pending().await,
         }
     }
 }

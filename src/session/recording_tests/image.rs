@@ -42,7 +42,7 @@ pub(super) fn suspicions(session: &Session) -> Vec<Suspicion> {
     found.iter().map(suspicion).collect()
 }
 
-/// A mistake in the files of one view.
+/// A mistake in the files of a view.
 struct Found {
     code: SuspicionCode,
     evidence: String,

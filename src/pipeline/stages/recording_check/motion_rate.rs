@@ -14,7 +14,7 @@ use nalgebra::{Cholesky, Const, SMatrix, SVector, Vector3};
 /// A rate is wrong where the likeliest one is more than this many times as high or low.
 const WRONG_FACTOR: f64 = 1.5;
 /// Logarithm of the likelihood ratio from which people move too fast, 20 to 1 (strong evidence by Kass and Raftery, JASA 1995), and
-/// too slowly, 400 to 1: slow movements are at anyone's choice, and people of right recordings who seem too slow reach 2.7.
+/// too slowly, 400 to 1: slow movements are at anyone's choice, and right recordings in which people seem slow reach 2.7.
 const TOO_FAST: f64 = 3.0;
 const TOO_SLOW: f64 = 6.0;
 

@@ -8,7 +8,7 @@ fn connections(max: usize, per_address: usize) -> Arc<Connections> {
 }
 
 async fn entered(all: &Arc<Connections>, id: u64) -> Connection {
-    all.enter(id, IpAddr::from([127, 0, 0, 1])).await
+    all.enter(id, IpAddr::from([127, 0, 0, 1]), false).await
 }
 
 fn in_seconds(seconds: u64) -> Instant {
@@ -70,7 +70,7 @@ async fn idle_time_without_access_is_short() {
 async fn one_address_has_a_limited_number_without_access() {
     let all = connections(10, 2);
     let [first, second, third] = [entered(&all, 0).await, entered(&all, 1).await, entered(&all, 2).await];
-    let elsewhere = all.enter(3, IpAddr::from([127, 0, 0, 2])).await;
+    let elsewhere = all.enter(3, IpAddr::from([127, 0, 0, 2]), false).await;
     all.close_superfluous(in_seconds(2));
     assert_eq!(are_closed([&first, &second, &third, &elsewhere]), [true, false, false, false]);
     let [fourth, fifth] = [entered(&all, 4).await, entered(&all, 5).await];

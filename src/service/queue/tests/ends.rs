@@ -75,6 +75,9 @@ async fn a_requeued_job_keeps_the_files_of_its_next_claim() {
 
 #[tokio::test]
 async fn a_late_report_leaves_the_next_claim_held() {
+    if test_support::is_of_sqlite_alone("strays are found by the boot id; there by their beats") {
+        return;
+    }
     let test = TestQueue::new().await;
     test.enqueue(0).await;
     let first = test.queue.claim(i64::MAX).await.unwrap().unwrap();
@@ -89,7 +92,7 @@ async fn a_late_report_leaves_the_next_claim_held() {
 /// Claims a job as a process does that never hears of its COMMIT.
 async fn claim_without_answer(test: &TestQueue, id: &str) {
     let mut transaction = test.queue.store.write().await.unwrap();
-    let claim = sqlx::query("UPDATE jobs SET state = 'running', fence = fence + 1, boot = ? WHERE id = ?");
+    let claim = sqlx::query("UPDATE jobs SET state = 'running', fence = fence + 1, boot = $1 WHERE id = $2");
     claim.bind(&test.queue.store.boot).bind(id).execute(&mut *transaction).await.unwrap();
     transaction.commit().await.unwrap();
     test.queue.active.note_strays();
@@ -97,6 +100,9 @@ async fn claim_without_answer(test: &TestQueue, id: &str) {
 
 #[tokio::test]
 async fn a_claim_without_an_answer_heals_without_a_restart() {
+    if test_support::is_of_sqlite_alone("strays are found by the boot id; there by their beats") {
+        return;
+    }
     let test = TestQueue::new().await;
     let (held, stray, canceled) = (test.enqueue(0).await, test.enqueue(0).await, test.enqueue(0).await);
     let claim = test.queue.claim(i64::MAX).await.unwrap().unwrap();

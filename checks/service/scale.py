@@ -1,0 +1,310 @@
+"""A service of several machines: PostgreSQL, an object store, API nodes and workers. Each row is one promise.
+
+    cargo build --release --features scale
+    python3 checks/service/scale.py --program target/release/wandless [--s3 s3s-fs] [--row 3] [--jobs 40 --kills 30]
+
+Needs PostgreSQL 15 or newer (initdb, pg_ctl, psql). The S3 server is s3s-fs; without it the objects are in a folder that all nodes
+share, which is said.
+"""
+
+import argparse
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+
+from cluster import Cluster, Postgres, find, wait_for
+from harness import Failed, Service, percentile, require, sha256, take, until, wandless
+
+FIXED = {"extrinsics": "fixed", "exports": []}
+
+
+def final_states(cluster):
+    return dict((state, int(n)) for state, n in cluster.postgres.ask("SELECT state, count(*) FROM jobs GROUP BY state"))
+
+
+def at_work(node):
+    """Process ids of the node's children that run a job."""
+    found = subprocess.run(["ps", "-o", "pid=,args=", "--ppid", str(node.process.pid)], capture_output=True, text=True)
+    return [int(line.split()[0]) for line in found.stdout.splitlines() if "run-job" in line]
+
+
+def check_objects(cluster):
+    """Every file that a row names is there with its digest; of each job one claim has published."""
+    require(not cluster.counters_differ(), f"counters differ from the jobs: {cluster.counters_differ()}")
+    objects = cluster.store.objects("results")
+    named = cluster.postgres.ask(
+        "SELECT 'results/' || jobs.id || '/' || result_fence || '/' || sha256, sha256 FROM artifacts JOIN jobs ON jobs.id = job_id")
+    for key, digest in named:
+        require(key in objects, f"{key} is missing")
+        with open(objects[key], "rb") as file:
+            require(sha256(file.read()) == digest, f"{key} has other bytes")
+    return len(named), len(set(objects) - {key for key, _ in named})
+
+
+def two_api_nodes(options):
+    """Two API nodes and two workers are one service, and give the bytes of the embedded default."""
+    alone = Service(options.program)
+    require(alone.start() is not None, "the embedded service does not start")
+    client = alone.client()
+    expected = client.manifest(client.wait(client.submit(client.upload(take(30))["id"], FIXED)["id"])["id"])
+    alone.kill()
+    alone.remove()
+    cluster = Cluster(options.program, options.s3)
+    try:
+        nodes = [cluster.node("api") for _ in range(2)]
+        api = [node.client() for node in nodes]
+        workers = [cluster.node("worker") for _ in range(2)]
+        session = api[0].upload(take(30))["id"]
+        jobs = [api[n % 2].submit(session, FIXED)["id"] for n in range(4)]
+        manifests = [api[(n + 1) % 2].manifest(api[n % 2].wait(job)["id"]) for n, job in enumerate(jobs)]
+        require(all(manifest == expected for manifest in manifests), "a manifest differs from that of the embedded service")
+        boots = cluster.postgres.ask("SELECT count(*) FROM jobs WHERE state = 'succeeded'")
+        require(boots == [["4"]], f"jobs: {boots}")
+        status, _ = probe(workers[0], "/v1/jobs")
+        require(status == 404 and probe(workers[0], "/readyz")[0] == 200, "a worker serves the probes only")
+        seen, cancels = [], []
+        for n in range(options.changes):
+            job = api[0].submit(session, FIXED)["id"]
+            api[1].job(job)
+            noticed = threading.Event()
+            threading.Thread(target=lambda job=job, noticed=noticed: (follow_to_end(nodes[1].client(), job), noticed.set()), daemon=True).start()
+            time.sleep(random.uniform(0.1, 0.6))
+            start = time.monotonic()
+            api[0].cancel(job)
+            require(until(lambda job=job: api[0].job(job)["state"] in wandless.FINAL, 10), "a canceled job does not end")
+            cancels.append(time.monotonic() - start)
+            ended = time.monotonic()
+            require(noticed.wait(10), "the other API node does not notice the end")
+            seen.append(max(0.0, time.monotonic() - ended))
+        require(percentile(seen, 0.99) <= 1.5 and max(cancels) <= 2.0, f"noticed after {max(seen):.2f} s, canceled after {max(cancels):.2f} s")
+        n_files, strays = check_objects(cluster)
+        return (f"4 manifests equal; {n_files} objects, {strays} strays; end noticed on the other node: p50 {percentile(seen, 0.5) * 1000:.0f} ms, "
+                f"p99 {percentile(seen, 0.99) * 1000:.0f} ms; cancel: max {max(cancels):.2f} s")
+    finally:
+        cluster.remove()
+
+
+def probe(node, path):
+    from harness import get
+    return get(node.port, path)
+
+
+def follow_to_end(client, job):
+    state = None
+    while state not in wandless.FINAL:
+        state = client.job(job, wait_s=30)["state"]
+
+
+def kills(options):
+    """Nodes are killed at random: every job ends once, no crash is counted, no object is lost."""
+    cluster = Cluster(options.program, options.s3)
+    try:
+        api = cluster.node("api")
+        workers = [cluster.node("worker") for _ in range(options.workers)]
+        client = api.client()
+        session = client.upload(take(30))["id"]
+        jobs = [client.submit(session, FIXED)["id"] for _ in range(options.jobs)]
+        dice, n_kills, start = random.Random(options.seed), 0, time.monotonic()
+        while n_kills < options.kills and not all_final(cluster):
+            time.sleep(dice.uniform(0.2, 1.5))
+            victim = dice.choice(workers if dice.random() < 0.85 else [api])
+            victim.kill()
+            n_kills += 1
+            cluster.restart(victim)
+        wait_for(lambda: all_final(cluster), 600, "all jobs end")
+        states = final_states(cluster)
+        require(states == {"succeeded": options.jobs}, f"states: {states}")
+        crashes = cluster.postgres.ask("SELECT count(*) FROM jobs WHERE crashes > 0 OR attempt > 1")
+        require(crashes == [["0"]], f"a kill was counted as a crash: {crashes}")
+        manifests = {repr(client.manifest(job)) for job in jobs[:5]}
+        require(len(manifests) == 1, "results differ")
+        n_files, strays = check_objects(cluster)
+        return (f"{options.jobs} jobs, {n_kills} kills in {time.monotonic() - start:.0f} s: 0 lost, 0 doubled, {n_files} objects right, "
+                f"{strays} strays for the sweep, counters exact")
+    finally:
+        cluster.remove()
+
+
+def all_final(cluster):
+    return not {"queued", "running", "canceling"} & set(final_states(cluster))
+
+
+def frozen_worker(options):
+    """A worker that stood still for two leases publishes nothing when it goes on, and ends its child."""
+    cluster = Cluster(options.program, options.s3, beat_s=0.3, lease_s=1.5)
+    try:
+        api = cluster.node("api")
+        workers = [cluster.node("worker") for _ in range(2)]
+        client = api.client()
+        session = client.upload(take(300, 4))["id"]
+        slowest = 0.0
+        for n in range(options.freezes):
+            job = client.submit(session, FIXED)["id"]
+            require(until(lambda: any(at_work(worker) for worker in workers), 30), "no worker takes the job")
+            frozen = next(worker for worker in workers if at_work(worker))
+            fence = cluster.postgres.ask(f"SELECT fence FROM jobs WHERE id = '{job}'")[0][0]
+            frozen.process.send_signal(signal.SIGSTOP)
+            time.sleep(2 * cluster.lease_s + 1)
+            require(cluster.postgres.ask(f"SELECT fence FROM jobs WHERE id = '{job}'")[0][0] != fence, "the job was not put back")
+            frozen.process.send_signal(signal.SIGCONT)
+            slowest = max(slowest, wait_for(lambda: not at_work(frozen) or other_claim(cluster, job, fence, frozen), 3, "the stale child ends"))
+            client.wait(job)
+        states = final_states(cluster)
+        require(states == {"succeeded": options.freezes}, f"states: {states}")
+        check_objects(cluster)
+        return f"{options.freezes} freezes: 0 stale publications, child ended after {slowest:.2f} s at most"
+    finally:
+        cluster.remove()
+
+
+def other_claim(cluster, job, fence, worker):
+    """Whether the frozen worker itself has claimed the job again: its child is then a new one."""
+    return len(at_work(worker)) <= 1 and cluster.postgres.ask(f"SELECT state FROM jobs WHERE id = '{job}'")[0][0] == "running"
+
+
+def database_away(options):
+    """PostgreSQL dies under running jobs and comes back: no claim is lost, every result is published, requests get 503 meanwhile."""
+    cluster = Cluster(options.program, options.s3)
+    try:
+        api = cluster.node("api")
+        for _ in range(2):
+            cluster.node("worker")
+        client = api.client()
+        session = client.upload(take(400, 4))["id"]
+        jobs = [client.submit(session, FIXED)["id"] for _ in range(4)]
+        require(until(lambda: final_states(cluster).get("running") == 2, 30), "no worker takes a job")
+        fences = dict(cluster.postgres.ask("SELECT id, fence FROM jobs WHERE state = 'running'"))
+        cluster.postgres.kill()
+        time.sleep(1)
+        start = time.monotonic()
+        status, _ = probe(api, f"/v1/jobs/{jobs[0]}")
+        require(status == 503 and time.monotonic() - start < 8, f"{status} after {time.monotonic() - start:.1f} s without a database")
+        time.sleep(max(0.0, options.away - (time.monotonic() - start)))
+        cluster.postgres.start()
+        back = time.monotonic()
+        require(until(lambda: probe(api, "/readyz")[0] == 200, 15), "the API does not come back")
+        ready = time.monotonic() - back
+        wait_for(lambda: all_final(cluster), 300, "all jobs end")
+        require(final_states(cluster) == {"succeeded": 4}, f"states: {final_states(cluster)}")
+        now = dict(cluster.postgres.ask("SELECT id, result_fence FROM jobs"))
+        lost = [job for job, fence in fences.items() if now[job] != fence]
+        require(not lost, f"{len(lost)} running jobs were put back")
+        check_objects(cluster)
+        return f"away for {options.away:.0f} s: 0 of {len(fences)} running jobs put back, ready {ready:.1f} s after its return"
+    finally:
+        cluster.remove()
+
+
+def leader_killed(options):
+    """Another node becomes the leader, and puts back the jobs of the dead one."""
+    cluster = Cluster(options.program, options.s3)
+    try:
+        nodes = [cluster.node("all") for _ in range(3)]
+        client = nodes[0].client()
+        wait_for(lambda: cluster.leader() is not None, 10, "a leader")
+        slowest = 0.0
+        for _ in range(options.leaders):
+            old = cluster.leader()
+            victim = next(node for node in nodes if holds(node, cluster, old))
+            victim.kill()
+            slowest = max(slowest, wait_for(lambda old=old: cluster.leader() not in (None, old), 10, "the next leader"))
+            cluster.restart(victim)
+        client = nodes[0].client()
+        job = client.submit(client.upload(take(20))["id"], FIXED)["id"]
+        require(client.wait(job)["state"] == "succeeded", "the job fails")
+        return f"{options.leaders} leaders killed: the next one after {slowest:.1f} s at most"
+    finally:
+        cluster.remove()
+
+
+def holds(node, cluster, backend):
+    """Whether the connection of the server belongs to the node: by the port of its socket."""
+    port = cluster.postgres.ask(f"SELECT client_port FROM pg_stat_activity WHERE pid = {backend}")[0][0]
+    sockets = subprocess.run(["ls", "-l", f"/proc/{node.process.pid}/fd"], capture_output=True, text=True).stdout
+    with open("/proc/net/tcp") as table:
+        for line in table:
+            words = line.split()
+            if words[1].endswith(f":{int(port):04X}") and f"socket:[{words[9]}]" in sockets:
+                return True
+    return False
+
+
+def refused(options):
+    """Combinations that would lose data are refused with one clear line that has no secret."""
+    server = Postgres(durable=False)
+    try:
+        server.create("wandless")
+        url = f"postgres://postgres:pass-word@127.0.0.1:{server.port}/wandless"
+        folder = tempfile.mkdtemp(prefix="wandless-objects-")
+
+        def start(words, environment, expected, code=2):
+            data = tempfile.mkdtemp(prefix="wandless-check-")
+            done = subprocess.run([options.program, "serve", "--listen", "127.0.0.1:0", "--data", data, *words], capture_output=True, text=True,
+                                  env={**os.environ, "WANDLESS_LOG": "error", **environment}, timeout=60)
+            shutil.rmtree(data)
+            text = done.stderr.strip()
+            require(done.returncode == code and expected in text and "pass-word" not in text, f"{words} {done.returncode}: {text}")
+            require(len(text.splitlines()) == 1, f"more than one line: {text}")
+
+        start(["--role", "worker"], {}, "store.url is sqlite:")
+        start([], {"WANDLESS_STORE__URL": url}, "blobs.url is file:")
+        start([], {"WANDLESS_STORE__URL": "mysql://a:pass-word@b/c", "WANDLESS_BLOBS__URL": f"file://{folder}"}, "store.url: expected", 1)
+        start([], {"WANDLESS_STORE__URL": url, "WANDLESS_BLOBS__URL": "ftp://x"}, "blobs.url is ftp://x", 1)
+        start(["--set", "worker.lease_s=6"], {}, "worker.lease_s is 6")
+        printed = subprocess.run([options.program, "serve", "--print-settings"], capture_output=True, text=True,
+                                 env={**os.environ, "WANDLESS_STORE__URL": url, "WANDLESS_BLOBS__URL": f"file://{folder}"})
+        require("pass-word" not in printed.stdout and "postgres://" in printed.stdout, "--print-settings prints the password")
+        node = Service(options.program, environment={"WANDLESS_STORE__URL": url, "WANDLESS_BLOBS__URL": f"file://{folder}"})
+        require(node.start() is not None, "the service does not start")
+        node.client().upload(take(10))
+        node.kill()
+        other = tempfile.mkdtemp(prefix="wandless-objects-")
+        start([], {"WANDLESS_STORE__URL": url, "WANDLESS_BLOBS__URL": f"file://{other}"}, f"the uploads and results of this database are in file://{folder}", 1)
+        node.remove()
+        for place in (folder, other):
+            shutil.rmtree(place)
+        return "7 combinations refused, one line each, no password shown"
+    finally:
+        server.remove()
+
+
+ROWS = [two_api_nodes, kills, frozen_worker, database_away, leader_killed, refused]
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--program", default="target/release/wandless")
+    parser.add_argument("--s3", default=shutil.which("s3s-fs"), help="the program s3s-fs")
+    parser.add_argument("--seed", type=int, default=int(time.time()))
+    parser.add_argument("--row", type=int, help="one row, from 1")
+    for name, default in {"jobs": 12, "kills": 10, "workers": 3, "changes": 10, "freezes": 3, "leaders": 5}.items():
+        parser.add_argument(f"--{name}", type=int, default=default)
+    parser.add_argument("--away", type=float, default=10.0, help="seconds without a database")
+    options = parser.parse_args()
+    missing = [name for name in ("initdb", "pg_ctl", "psql") if not find(name)]
+    if missing:
+        print(f"SKIPPED: {', '.join(missing)} of PostgreSQL are not installed", flush=True)
+        sys.exit(0)
+    print(f"seed {options.seed}", flush=True)
+    failed = False
+    for number, row in enumerate(ROWS, 1):
+        if options.row not in (None, number):
+            continue
+        start = time.monotonic()
+        try:
+            print(f"{number} {row.__name__}: {row(options)} ({time.monotonic() - start:.0f} s)", flush=True)
+        except (Failed, wandless.Problem, wandless.JobFailed) as fault:
+            failed = True
+            print(f"{number} {row.__name__}: FAULT {fault}", flush=True)
+    print("FAILED" if failed else "passed")
+    sys.exit(int(failed))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,49 @@
+//! The claim in PostgreSQL: one statement, so that several processes claim at the same time and none holds a lock between two
+//! messages.
+
+use super::claim::Claim;
+use super::handle::Queue;
+use crate::service::failpoint::{failpoint, lose_answer};
+use crate::service::store::error::StoreError;
+
+/// The tenant's row is waited for: skipped, a claim would find no work while another one takes its turn. A job that another statement
+/// holds is passed over. `$1`, `$2`: boot, release; `$3`: most running jobs of a tenant; `$4`: jobs that wait after a fault of the
+/// machine, a JSON list.
+const CLAIM: &str = "
+    WITH next AS MATERIALIZED (
+        SELECT name FROM tenants
+        WHERE n_queued > 0 AND n_running + n_canceling < $3
+          AND EXISTS (SELECT 1 FROM jobs WHERE state = 'queued' AND tenant = name
+                        AND id NOT IN (SELECT value FROM json_each($4)))
+        ORDER BY turn, name LIMIT 1 FOR UPDATE),
+    job AS MATERIALIZED (
+        SELECT seq FROM jobs WHERE state = 'queued' AND tenant = (SELECT name FROM next)
+                               AND id NOT IN (SELECT value FROM json_each($4))
+        ORDER BY priority DESC, seq LIMIT 1 FOR UPDATE SKIP LOCKED),
+    turn AS (UPDATE tenants SET turn = nextval('turns') WHERE name = (SELECT name FROM next) RETURNING name)
+    UPDATE jobs SET state = 'running', version = version + 1, fence = fence + 1, beat = 0, attempt = crashes + 1, boot = $1,
+                    started_at = coalesce(started_at, strftime('%Y-%m-%dT%H:%M:%fZ', 'now')),
+                    solver_version = $2, stage_seconds = '{}'
+    WHERE seq = (SELECT seq FROM job)
+    RETURNING id, fence, tenant, request_id, key_id, session_id, options,
+              (SELECT sha256 FROM sessions WHERE sessions.id = jobs.session_id) AS sha256";
+
+impl Queue {
+    /// Claims a job of the tenant whose turn it is. A claim whose answer is lost has no beat, and the leader puts it back.
+    pub(super) async fn claim_shared(&self, max_running: i64, waiting: &str) -> Result<Option<Claim>, StoreError> {
+        let row = sqlx::query(CLAIM)
+            .bind(&self.store.boot)
+            .bind(env!("CARGO_PKG_VERSION"))
+            .bind(max_running)
+            .bind(waiting)
+            .fetch_optional(self.store.read())
+            .await?;
+        let Some(row) = row else { return Ok(None) };
+        lose_answer().map_err(sqlx::Error::from)?;
+        let claim = Claim::from_row(&row)?;
+        failpoint("claim.committed");
+        self.active.add(&claim.job, claim.fence);
+        self.announce(&claim.job);
+        Ok(Some(claim))
+    }
+}

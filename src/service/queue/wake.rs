@@ -1,0 +1,96 @@
+//! Notifications between the processes that share a PostgreSQL server. They are hints: workers look for jobs once a second or two, and
+//! followed jobs are read once a second, whether or not a notification comes.
+
+use super::handle::Queue;
+use crate::service::store::error::StoreError;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio_util::sync::CancellationToken;
+
+/// Channel of the notifications.
+const CHANNEL: &str = "wandless";
+
+/// First character of a notification about a job that may be claimable.
+const WORK: char = '+';
+
+/// Wait before another try after the connection was lost; time between two reads of the followed jobs.
+const INTERVAL: Duration = Duration::from_secs(1);
+
+impl Queue {
+    /// Notifies the other processes. It is not part of the transaction of the change: with it, commits would wait for each other.
+    pub(super) async fn notify(&self, job: &str, is_work: bool) {
+        let payload = if is_work { format!("{WORK}{job}") } else { job.to_owned() };
+        let notify = sqlx::query("SELECT pg_notify($1, $2)").bind(CHANNEL).bind(payload);
+        if let Err(error) = notify.execute(self.store.read()).await {
+            tracing::debug!(%error, "other processes were not notified; they look for changes themselves");
+        }
+    }
+
+    fn note(&self, payload: &str) {
+        if let Some(job) = payload.strip_prefix(WORK) {
+            self.work.notify_one();
+            self.announce(job);
+        } else {
+            self.announce(payload);
+        }
+    }
+}
+
+/// Passes on the notifications of other processes until the service stops.
+pub(crate) async fn listen(queue: Queue, draining: CancellationToken) {
+    tokio::select! {
+        () = draining.cancelled() => {}
+        () = async {
+            loop {
+                if let Err(error) = pass_on(&queue).await {
+                    tracing::warn!(%error, "notifications of other processes are not received; trying again");
+                }
+                tokio::time::sleep(INTERVAL).await;
+            }
+        } => {}
+    }
+}
+
+async fn pass_on(queue: &Queue) -> Result<(), StoreError> {
+    let Some(mut listener) = queue.store.listener(CHANNEL).await? else { return Ok(()) };
+    // `None`: the connection was lost, and with it perhaps notifications.
+    while let Some(notification) = listener.try_recv().await? {
+        queue.note(notification.payload());
+    }
+    Ok(())
+}
+
+/// Reads the followed jobs once a second and announces those that have changed, until the service stops.
+pub(crate) async fn watch(queue: Queue, draining: CancellationToken) {
+    let mut seen: BTreeMap<Arc<str>, i64> = BTreeMap::new();
+    while !draining.is_cancelled() {
+        tokio::select! {
+            () = tokio::time::sleep(INTERVAL) => {}
+            () = draining.cancelled() => return,
+        }
+        let ids = queue.followed.ids();
+        seen.retain(|job, _| ids.contains(job));
+        if ids.is_empty() {
+            continue;
+        }
+        let list = serde_json::json!(ids.iter().map(|id| &**id).collect::<Vec<_>>()).to_string();
+        let rows = sqlx::query_as("SELECT id, version FROM jobs WHERE id IN (SELECT value FROM json_each($1))");
+        let rows: Result<Vec<(String, i64)>, _> = rows.bind(list).fetch_all(queue.store.read()).await;
+        match rows {
+            Ok(rows) => announce_changes(&queue, &ids, &mut seen, &rows.into_iter().collect()),
+            Err(error) => tracing::warn!(%error, "the followed jobs cannot be read; trying again"),
+        }
+    }
+}
+
+/// Announces the jobs whose version differs from the one seen, and those that were deleted. A job is read by its follower first, so the
+/// first version seen here is announced, too: it may be a later one.
+fn announce_changes(queue: &Queue, ids: &[Arc<str>], seen: &mut BTreeMap<Arc<str>, i64>, now: &BTreeMap<String, i64>) {
+    for id in ids {
+        let version = now.get(&**id).copied().unwrap_or(-1);
+        if seen.insert(id.clone(), version) != Some(version) {
+            queue.announce(id);
+        }
+    }
+}
