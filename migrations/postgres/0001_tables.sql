@@ -76,7 +76,7 @@ CREATE INDEX sessions_by_tenant ON sessions (tenant, seq);
 CREATE TABLE jobs (
     seq            BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
     id             TEXT COLLATE "C" NOT NULL UNIQUE,
-    tenant         TEXT NOT NULL DEFAULT 'default',
+    tenant         TEXT COLLATE "C" NOT NULL DEFAULT 'default',
     session_id     TEXT NOT NULL,
     options        TEXT NOT NULL,
     labels         TEXT NOT NULL,

@@ -8,13 +8,14 @@ use crate::service::store::error::StoreError;
 
 /// The tenant's row is waited for: skipped, a claim would find no work while another one takes its turn. A job that another statement
 /// holds is passed over. `$1`, `$2`: boot, release; `$3`: most running jobs of a tenant; `$4`: jobs that wait after a fault of the
-/// machine, a JSON list.
+/// machine, a JSON list. Whether a tenant has another job is asked with a LIMIT: an EXISTS becomes a join that reads every waiting job.
 const CLAIM: &str = "
     WITH next AS MATERIALIZED (
         SELECT name FROM tenants
         WHERE n_queued > 0 AND n_running + n_canceling < $3
-          AND EXISTS (SELECT 1 FROM jobs WHERE state = 'queued' AND tenant = name
-                        AND id NOT IN (SELECT value FROM json_each($4)))
+          AND (SELECT seq FROM jobs WHERE state = 'queued' AND tenant = name
+                 AND id NOT IN (SELECT value FROM json_each($4))
+               ORDER BY priority DESC, seq LIMIT 1) IS NOT NULL
         ORDER BY turn, name LIMIT 1 FOR UPDATE),
     job AS MATERIALIZED (
         SELECT seq FROM jobs WHERE state = 'queued' AND tenant = (SELECT name FROM next)
