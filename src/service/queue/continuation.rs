@@ -13,8 +13,8 @@ impl Queue {
     /// When the store fails.
     pub async fn results_of_session(&self, tenant: &str, session: &str) -> Result<Vec<(String, i64)>, StoreError> {
         let rows = sqlx::query_as(
-            "SELECT id, result_fence FROM jobs WHERE session_id = ? AND tenant = ? AND state = 'succeeded'
-             ORDER BY seq DESC LIMIT ?",
+            "SELECT id, result_fence FROM jobs WHERE session_id = $1 AND tenant = $2 AND state = 'succeeded'
+             ORDER BY seq DESC LIMIT $3",
         );
         Ok(rows.bind(session).bind(tenant).bind(MAX_RESULTS).fetch_all(self.store.read()).await?)
     }
