@@ -11,11 +11,21 @@ use crate::session::{Suspicion, SuspicionCode as Code};
 
 /// A camera is read in other ways where its people explain this much less of its detections than is usual.
 const LOW_SHARE: f64 = 0.75;
+/// Or where they leave this share unexplained, and this many times as much as is usual: seen from afar, mirrored people look much like
+/// people from behind the image, and a mirrored camera found a place that explained 88 % where the others had 99.8 %.
+const MIN_UNEXPLAINED: f64 = 0.05;
+const UNUSUAL: f64 = 4.0;
 /// Another reading is right where it explains this share of what is usual, and this much more than the files as they are.
 const RIGHT_SHARE: f64 = 0.7;
 const MIN_GAIN: f64 = 0.15;
+/// Or, but for factors on focal lengths, where it leaves at most this share of what they leave unexplained: the second best reading of a
+/// right camera leaves more than the first.
+const MAX_LEFT: f64 = 0.33;
 /// The same of a factor on the focal length, which fits some of anything: 86 % of a camera that was moved.
 const RIGHT_SHARE_OF_FACTOR: f64 = 0.9;
+
+/// A factor on the focal length comes before other readings where it explains this much more.
+const MIN_LEAD: f64 = 0.02;
 
 /// Most of the people in an image are upside down.
 pub(super) const MOST: f64 = 0.5;
@@ -33,7 +43,8 @@ pub(super) fn other_readings(solved: &Solved, found: &mut Vec<Suspicion>, progre
     let placed = (0..views.len()).filter(|&v| cameras[v].is_some());
     let Some(usual) = median(&mut placed.map(|v| shares[v]).collect::<Vec<_>>()) else { return Ok(()) };
     tracing::debug!(?shares, usual, "shares of explained keypoints");
-    let is_doubtful = |v: &usize| shares[*v] < LOW_SHARE * usual && !solved.is_named(*v, found);
+    let is_low = |share: f64| share < LOW_SHARE * usual || 1.0 - share > MIN_UNEXPLAINED.max(UNUSUAL * (1.0 - usual));
+    let is_doubtful = |v: &usize| is_low(shares[*v]) && !solved.is_named(*v, found);
     let doubtful: Vec<usize> = (0..views.len()).filter(is_doubtful).collect();
     if doubtful.is_empty() {
         return Ok(());
@@ -49,17 +60,27 @@ pub(super) fn other_readings(solved: &Solved, found: &mut Vec<Suspicion>, progre
             camera: cameras[view].as_ref(),
             seed: solved.given.options.seed,
         };
-        let [given, best] = question.judged();
-        tracing::debug!(view, ?given, ?best, usual, "readings of a camera's files");
-        let right_share = match best.reading {
-            Reading::FocalFactor(_) => RIGHT_SHARE_OF_FACTOR,
-            _ => RIGHT_SHARE,
-        };
-        if best.explained > right_share * usual && best.explained > given.explained + MIN_GAIN {
-            found.extend(of_reading(solved, view, given, best));
+        let [given, other, factor] = question.judged();
+        tracing::debug!(view, ?given, ?other, ?factor, usual, "readings of a camera's files");
+        // A factor fits some of anything: it has to explain clearly more than what has no free parameter.
+        let order = if factor.explained > other.explained + MIN_LEAD { [factor, other] } else { [other, factor] };
+        if let Some(right) = order.into_iter().find(|reading| is_right(*reading, given, usual)) {
+            found.extend(of_reading(solved, view, given, right));
         }
     }
     Ok(())
+}
+
+/// Whether the files of a camera are to be read otherwise than given.
+fn is_right(best: Judged, given: Judged, usual: f64) -> bool {
+    let gains = best.explained > given.explained + MIN_GAIN;
+    match best.reading {
+        Reading::FocalFactor(_) => best.explained > RIGHT_SHARE_OF_FACTOR * usual && gains,
+        _ => {
+            let leaves_little = 1.0 - best.explained < MAX_LEFT * (1.0 - given.explained);
+            best.explained > RIGHT_SHARE * usual && (gains || leaves_little)
+        }
+    }
 }
 
 fn of_reading(solved: &Solved, view: usize, given: Judged, best: Judged) -> Option<Suspicion> {

@@ -79,18 +79,23 @@ pub struct Question<'a> {
 }
 
 impl Question<'_> {
-    /// The files as they are, and the best of all other readings.
-    pub fn judged(&self) -> [Judged; 2] {
-        let given = self.under(R::AsGiven);
-        let fixed = [R::Mirrored, R::LabelsExchanged].into_iter().chain(FOCAL_FACTORS.map(R::FocalFactor));
+    /// The files as they are, the best of the other readings, and the best of the factors on the focal length.
+    pub fn judged(&self) -> [Judged; 3] {
         let coarse = (1..=MAX_LATE / LATE_STEP).flat_map(|n| [R::Late(n * LATE_STEP), R::Late(-n * LATE_STEP)]);
-        let near = [R::Late(1), R::Late(-1)];
-        let first = best(fixed.chain(coarse).chain(near).map(|reading| self.under(reading)));
+        let fixed = [R::Mirrored, R::LabelsExchanged, R::Late(1), R::Late(-1)];
+        let first = self.best(fixed.into_iter().chain(coarse));
         let second = match first.reading {
-            R::Late(n) => best((n - LATE_STEP + 1..n + LATE_STEP).filter(|m| *m != 0).map(|m| self.under(R::Late(m)))),
+            R::Late(n) => self.best((n - LATE_STEP + 1..n + LATE_STEP).filter(|m| *m != 0).map(R::Late)),
             _ => first,
         };
-        [given, best([first, second].into_iter())]
+        let other = if second.explained > first.explained { second } else { first };
+        [self.under(R::AsGiven), other, self.best(FOCAL_FACTORS.into_iter().map(R::FocalFactor))]
+    }
+
+    fn best(&self, readings: impl Iterator<Item = Reading>) -> Judged {
+        let none = Judged { reading: R::AsGiven, explained: 0.0 };
+        let judged = readings.map(|reading| self.under(reading));
+        judged.fold(none, |best, next| if next.explained > best.explained { next } else { best })
     }
 
     fn under(&self, reading: Reading) -> Judged {
@@ -121,11 +126,6 @@ impl Question<'_> {
         found.sort_by(|a, b| b.support.total_cmp(&a.support));
         found.into_iter().take(N_JUDGED).map(|pose| pose.camera_from_world).collect()
     }
-}
-
-fn best(judged: impl Iterator<Item = Judged>) -> Judged {
-    let none = Judged { reading: R::AsGiven, explained: 0.0 };
-    judged.fold(none, |best, next| if next.explained > best.explained { next } else { best })
 }
 
 /// The detections of a view, read in another way.

@@ -11,8 +11,9 @@ use nalgebra::Vector3;
 /// Two cameras see the same people where this share of the people of one, standing in the image of the other, are seen there too:
 /// right recordings have 0.6 and more, chance alignments of people of two takes 0.05 to 0.1.
 const SHARED: f64 = 0.25;
-/// Fewer people in the images of both show nothing.
-const MIN_PEOPLE: usize = 20;
+/// Fewer people seen in both images may be chance. Where two cameras hardly see the same place, nothing is shown against them either: the
+/// seconds of a runner were two takes while 20 people were needed.
+const MIN_SHARED: usize = 5;
 
 /// Time over which keypoints' rays are compared with themselves, s: a gesturing hand has changed its direction.
 const CHANGE_SECS: f64 = 0.4;
@@ -61,7 +62,7 @@ fn are_connected(people: &TrackedPeople, a: usize, b: usize) -> bool {
         }
     }
     tracing::debug!(a, b, n_shared, n_expected, "people in the images of two cameras");
-    n_expected >= MIN_PEOPLE && n_shared as f64 > SHARED * n_expected as f64
+    n_shared >= MIN_SHARED && n_shared as f64 > SHARED * n_expected as f64
 }
 
 /// How much the motions that two cameras show disagree, m: 75 % quantile of the change over [`CHANGE_SECS`] of the distance between
