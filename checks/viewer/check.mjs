@@ -8,6 +8,7 @@ import { check, checkAccess, failed, hasBrowser, openBrowser, openPage, shot } f
 import { checkCorrections, checkCurvesAndZip, checkLinks, checkPhone } from './corrections.mjs'
 import { checkKeys } from './keys.mjs'
 import { LENSES, throughLenses } from './lenses.mjs'
+import { checkProvisional } from './provisional.mjs'
 import { checkFirstView, checkLens, checkPlay, checkProjection, drawn, sceneReady } from './scene.mjs'
 import { PROGRAM, asDocument, simulate, solve, startService, temporaryFolder, uploaded } from './service.mjs'
 import { HOSTILE, rejectedResult, hostileNames, jobsWithoutResult, policy, checkEscaped } from './states.mjs'
@@ -205,7 +206,7 @@ async function files() {
 
 /** Cancels and deletes a long job. */
 async function cancelLongJob() {
-  const long = await simulate(join(folder, 'long'), { people: 4, views: 5, frames: 600, name: 'long take' })
+  const long = await simulate(join(folder, 'long'), { people: 4, views: 5, frames: 1200, name: 'long take' })
   await uploaded(base, asDocument(long))
   await page.goto(`${base}/#/`)
   await page.getByRole('button', { name: 'Solve long take' }).click()
@@ -221,9 +222,11 @@ async function cancelLongJob() {
   await shot(page, 'home-running')
   await checkAccess(page, 'list with a running job')
   await row.getByRole('link').click()
+  await checkProvisional(page)
   await page.getByRole('button', { name: 'Cancel' }).click()
   await page.getByRole('heading', { name: 'Canceled' }).waitFor({ timeout: 10_000 })
   check('a running job is canceled', true)
+  check('the provisional scene ends with the job', (await page.locator('.provisional').count()) === 0)
   await shot(page, 'canceled')
   await checkAccess(page, 'canceled job')
   await page.getByRole('button', { name: 'Delete' }).click()

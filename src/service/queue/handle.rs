@@ -6,6 +6,7 @@ use super::follow::{Followed, Following};
 use super::job::Job;
 use super::phase::Phase;
 use super::rows::job_from_row;
+use super::scenes::Scenes;
 use crate::service::failpoint::failpoint;
 use crate::service::store::database::Store;
 use crate::service::store::error::StoreError;
@@ -34,6 +35,8 @@ pub struct Queue {
     pub(super) followed: Arc<Followed>,
     /// Sends the log lines of the jobs' child processes.
     log: broadcast::Sender<LogLine>,
+    /// Cameras and people of the jobs that this process runs.
+    pub(super) scenes: Arc<Scenes>,
 }
 
 /// One log line of a job's child process.
@@ -125,6 +128,7 @@ impl Queue {
             changes: broadcast::channel(1024).0,
             followed: Arc::default(),
             log: broadcast::channel(256).0,
+            scenes: Arc::default(),
         }
     }
 
