@@ -29,7 +29,7 @@
 //! adjustment of estimated or refined cameras runs exactly once per calibration: in pass 4 on repaired detections, or
 //! without that pass at the end of pass 3.
 //!
-//! Nouns (`calibration`, `capture`, `config`, `continuation`, `corrections`, `error`, `focal_lengths`, `focal_spread`, `keyframe`, `option_kind`, `option_table`, `provisional`, `unsolvable`) import no stage; stages import nouns and no other stage;
+//! Nouns (`calibration`, `capture`, `config`, `continuation`, `corrections`, `error`, `focal_lengths`, `focal_spread`, `keyframe`, `option_kind`, `option_table`, `planned_stages`, `provisional`, `unsolvable`) import no stage; stages import nouns and no other stage;
 //! passes import stages; this file imports passes.
 
 pub mod calibration;
@@ -47,6 +47,7 @@ pub mod option_kind;
 pub mod option_reference;
 pub mod option_table;
 pub mod passes;
+mod planned_stages;
 pub mod provisional;
 pub mod repair;
 pub mod result;
@@ -64,7 +65,7 @@ pub use config::{CameraFacts, Options};
 use config::{Extrinsics, IntrinsicsMode, Repair, Sync};
 pub use continuation::Continuation;
 use continuation::Placed;
-use corrections::{CorrectedPeople, Correction, corrected_people};
+use corrections::{CorrectedPeople, corrected_people};
 pub use error::PipelineError;
 use focal_lengths::FocalLengths;
 use passes::cameras::{FinalAdjustment, calibrated};
@@ -76,6 +77,7 @@ use passes::recording_check::solved::Solved;
 use passes::recording_check::{checked, mistake_of_unsolved};
 use passes::synchronisation::{Timing, estimated_timing};
 use passes::unknown_lenses::estimated_focal_lengths;
+use planned_stages::{CORRECTED_STAGES, LAST_STAGES, corrected_stage_weights, stage_weights};
 use provisional::{ProvisionalScene, Watcher};
 use repair::{MAX_REPAIRS, repaired};
 use result::{FittedResult, Solution, statures};
@@ -456,39 +458,6 @@ impl Attempt<'_> {
         step.report(1.0, "");
         Ok((fitted, focal_lengths))
     }
-}
-
-/// Passes 8 and 9, as a job reports them.
-const LAST_STAGES: [&str; 2] = ["metric_scale", "body_fit"];
-
-/// The same after corrections.
-const CORRECTED_STAGES: [&str; 2] = ["corrected_metric_scale", "corrected_body_fit"];
-
-/// The stages that a job reports, with their shares of the time.
-fn stage_weights(options: &Options, intrinsics: IntrinsicsMode) -> Vec<(&'static str, f64)> {
-    let stages = [
-        ("synchronisation", 1.5, options.sync == Sync::Estimate),
-        ("focal_lengths", 0.7, intrinsics == IntrinsicsMode::RefineFocal),
-        ("focal_lengths", 3.0, intrinsics == IntrinsicsMode::Estimate),
-        ("cameras", 0.4, true),
-        ("denoising", 0.15, options.denoise),
-        ("held_out_check", 0.1, true),
-        ("joint_trajectories", 0.05, true),
-        ("recording_check", 0.03, true),
-        (LAST_STAGES[0], 0.02, true),
-        (LAST_STAGES[1], 0.28, true),
-    ];
-    let stages = stages.into_iter().filter(|(_, _, runs)| *runs).map(|(name, weight, _)| (name, weight));
-    stages.chain(corrected_stage_weights(options)).collect()
-}
-
-/// Those of the corrections; none without any.
-fn corrected_stage_weights(options: &Options) -> Vec<(&'static str, f64)> {
-    if options.corrections.is_empty() {
-        return Vec::new();
-    }
-    let excludes = options.corrections.iter().any(Correction::excludes);
-    vec![("corrections", if excludes { 0.2 } else { 0.05 }), (CORRECTED_STAGES[0], 0.02), (CORRECTED_STAGES[1], 0.28)]
 }
 
 /// Two of the cameras that were placed must stay.

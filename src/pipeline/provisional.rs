@@ -130,7 +130,7 @@ fn to_millimetres(point: &Vector3<f64>) -> [f64; 3] {
 pub struct Watcher<'a>(Option<&'a dyn Fn(ProvisionalScene)>);
 
 impl<'a> Watcher<'a> {
-    /// Nobody: no scene is made.
+    /// No watcher: no scene is made.
     pub fn none() -> Self {
         Self(None)
     }

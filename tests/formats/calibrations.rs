@@ -189,7 +189,7 @@ fn qualisys(dist: Distortion, resolution: f64, first: [f64; 2]) -> Files {
             on_sensor(k.cy, first[1]),
         );
     }
-    // A marker camera has no video: it is no camera of the take.
+    // A marker camera records no video and is left out.
     let marker = "<camera active=\"1\" serial=\"9\" model=\"Miqus M3\" viewrotation=\"0\"/>";
     let text = format!(
         "<?xml version=\"1.0\"?>\n<calibration qtm-version=\"2024.3\" type=\"regular\"><cameras>{marker}{cameras}</cameras></calibration>"

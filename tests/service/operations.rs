@@ -171,7 +171,7 @@ fn cameras_and_points_are_shown_while_a_job_runs() {
     let request = format!("GET /v1/jobs/{id}/events HTTP/1.1\r\nHost: localhost\r\n\r\n");
     (&stream).write_all(request.as_bytes()).unwrap();
     let mut lines = BufReader::new(stream).lines().map_while(Result::ok);
-    assert!(lines.any(|line| line == "event: scene"), "a client that comes later is not told of the scene");
+    assert!(lines.any(|line| line == "event: scene"), "a client that comes later does not hear of the scene");
     server.post(&format!("/v1/jobs/{id}/cancel"), &[], b"").expect(202);
     server.wait_for_state(&id, "canceled");
     server.get(&path).expect_problem(409, "not_ready");

@@ -3,7 +3,6 @@
 //! Why not in the store: a scene is worth nothing after the job, changes three times in it, and is found anew by the next
 //! attempt. Where several processes share the jobs, the one that runs a job has its scene, as it has the log lines.
 
-use super::handle::Queue;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -26,26 +25,23 @@ pub(super) struct Scenes {
 }
 
 impl Scenes {
+    /// Replaces the scene of a job.
+    pub(super) fn put(&self, job: &str, stage: String, document: String) {
+        let sha256 = hex::encode(Sha256::digest(&document));
+        self.by_job().insert(job.to_owned(), Arc::new(Scene { stage, document, sha256 }));
+    }
+
+    /// The newest scene of a job.
+    pub(super) fn get(&self, job: &str) -> Option<Arc<Scene>> {
+        self.by_job().get(job).cloned()
+    }
+
+    /// Removes the scene of a job.
+    pub(super) fn remove(&self, job: &str) {
+        self.by_job().remove(job);
+    }
+
     fn by_job(&self) -> MutexGuard<'_, BTreeMap<String, Arc<Scene>>> {
         self.by_job.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl Queue {
-    /// Replaces the scene of a running job and announces it to all followers of this process.
-    pub fn show_scene(&self, job: &str, stage: String, document: String) {
-        let sha256 = hex::encode(Sha256::digest(&document));
-        self.scenes.by_job().insert(job.to_owned(), Arc::new(Scene { stage, document, sha256 }));
-        self.announce(job);
-    }
-
-    /// The newest scene of a job; `None` before the first one and after the end, and in processes that do not run the job.
-    pub fn scene(&self, job: &str) -> Option<Arc<Scene>> {
-        self.scenes.by_job().get(job).cloned()
-    }
-
-    /// Removes the scene of a job that this process no longer runs.
-    pub fn remove_scene(&self, job: &str) {
-        self.scenes.by_job().remove(job);
     }
 }
