@@ -127,15 +127,16 @@ class Shell:
 
     def serve(self, command, pattern):
         """Runs a command until it names an address that answers, then interrupts it."""
-        self.process.stdin.write(f"{command} &\nserving=$!\n")
+        watch = "(while kill -0 $serving 2>/dev/null; do sleep 0.5; done; echo 'it ended')"
+        self.process.stdin.write(f"{command} &\nserving=$!\n{watch} &\n")
         output, deadline = "", time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
             line = self.process.stdout.readline()
             output += line
             address = re.search(pattern, line)
-            if address:
+            if address or line.startswith("it ended"):
                 break
-        else:
+        if not address:
             return 1, output + "it named no address"
         is_answered = self.answers(address[1])
         # A job in the background of a shell without job control ignores SIGINT.
