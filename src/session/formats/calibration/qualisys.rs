@@ -1,6 +1,6 @@
 //! Qualisys Track Manager's `.qca.txt`, an XML file: the video cameras of a calibrated system.
 //!
-//! Lengths on the sensor are in 64ths of a pixel and counted from 0, as `sensorMinU` and `sensorMaxU` show (122,879 for 1,920
+//! Lengths on the sensor are in parts of 1/64 of a pixel and counted from 0, as `sensorMinU` and `sensorMaxU` show (122,879 for 1,920
 //! pixels), so the centre of the first pixel is at 31.5. `fov_video` is the part of the sensor that is recorded, in pixels;
 //! `video_resolution` states a smaller image of it by its height, full is 1080p. `transform` is `camera_from_world` row by
 //! row with the camera's y axis up and its z axis backwards, and the camera's centre in millimetres of a world with z up.
