@@ -206,12 +206,13 @@ async function files() {
 
 /** Cancels and deletes a long job. */
 async function cancelLongJob() {
-  const long = await simulate(join(folder, 'long'), { people: 4, views: 5, frames: 1200, name: 'long take' })
+  const long = await simulate(join(folder, 'long'), { people: 4, views: 5, frames: 2400, name: 'long take' })
   await uploaded(base, asDocument(long))
   await page.goto(`${base}/#/`)
   await page.getByRole('button', { name: 'Solve long take' }).click()
   await page.getByRole('button', { name: 'Start', exact: true }).click()
   await page.locator('.job-page .state-running').waitFor()
+  await checkProvisional(page)
   await page.goto(`${base}/#/`)
   const row = page.locator('.job', { hasText: 'long take' })
   await row.locator('progress').waitFor()
@@ -222,7 +223,6 @@ async function cancelLongJob() {
   await shot(page, 'home-running')
   await checkAccess(page, 'list with a running job')
   await row.getByRole('link').click()
-  await checkProvisional(page)
   await page.getByRole('button', { name: 'Cancel' }).click()
   await page.getByRole('heading', { name: 'Canceled' }).waitFor({ timeout: 10_000 })
   check('a running job is canceled', true)
