@@ -4,7 +4,13 @@ import { check, checkAccess, shot } from './browser.mjs'
 import { drawn } from './scene.mjs'
 
 /** Picture of the scene; two of them are equal while it is paused. */
-const picture = async (page) => (await page.locator('.provisional .stage').screenshot()).toString('base64')
+async function picture(page) {
+  const clip = await page.locator('.provisional .stage').evaluate((stage) => {
+    const { x, y, width, height } = stage.getBoundingClientRect()
+    return { x, y, width, height }
+  })
+  return (await page.screenshot({ clip })).toString('base64')
+}
 
 /** Cameras and people are shown while the job of the page runs; the scene plays, pauses, and fits a phone. */
 export async function checkProvisional(page) {

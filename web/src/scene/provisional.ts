@@ -13,8 +13,8 @@ import { openSurface } from './surface'
 /** Slowest playback, shown frames per second; long takes show few of their frames. */
 const MIN_FPS = 8
 
-/** Most pictures per second: the machine that draws may be the one that solves. */
-const MAX_FPS = 12
+/** Most pictures per second, and with software rendering: the machine that draws may be the one that solves. */
+const [MAX_FPS, MAX_SLOW_FPS] = [12, 4]
 
 const LOOK = { body: false, skeleton: false, points: true, selected: null, isMuted: false }
 
@@ -31,6 +31,7 @@ export class ProvisionalView {
   private people: People | null = null
   private rig: Rig | null = null
   private isPlaying = !matchMedia('(prefers-reduced-motion: reduce)').matches
+  private maxFps = MAX_FPS
   private timer = 0
   private at = 0
 
@@ -56,7 +57,9 @@ export class ProvisionalView {
   }
 
   private opened(motion: Motion) {
-    const stage = new Stage(motion, openSurface(), () => this.isPlaying || this.draw())
+    const surface = openSurface()
+    if (surface.isSlow) this.maxFps = MAX_SLOW_FPS
+    const stage = new Stage(motion, surface, () => this.isPlaying || this.draw())
     this.box.append(stage.canvas)
     this.observer.observe(this.box)
     return stage
@@ -67,7 +70,7 @@ export class ProvisionalView {
     this.toggle.textContent = isPlaying ? 'Pause' : 'Play'
     clearInterval(this.timer)
     const fps = Math.max(this.motion?.fps ?? 0, MIN_FPS)
-    const step = Math.max(1, fps / MAX_FPS)
+    const step = Math.max(1, fps / this.maxFps)
     if (isPlaying) this.timer = window.setInterval(() => this.advance(step), (1000 * step) / fps)
   }
 
