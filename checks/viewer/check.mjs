@@ -8,7 +8,7 @@ import { check, checkAccess, failed, hasBrowser, openBrowser, openPage, shot } f
 import { checkCorrections, checkCurvesAndZip, checkLinks, checkPhone } from './corrections.mjs'
 import { checkKeys } from './keys.mjs'
 import { LENSES, throughLenses } from './lenses.mjs'
-import { checkProvisional } from './provisional.mjs'
+import { checkProvisional, liveScene } from './provisional.mjs'
 import { checkFirstView, checkLens, checkPlay, checkProjection, drawn, sceneReady } from './scene.mjs'
 import { PROGRAM, asDocument, simulate, solve, startService, temporaryFolder, uploaded } from './service.mjs'
 import { HOSTILE, rejectedResult, hostileNames, jobsWithoutResult, policy, checkEscaped } from './states.mjs'
@@ -206,13 +206,13 @@ async function files() {
 
 /** Cancels and deletes a long job. */
 async function cancelLongJob() {
-  const long = await simulate(join(folder, 'long'), { people: 4, views: 5, frames: 2400, name: 'long take' })
+  const long = await simulate(join(folder, 'long'), { people: 4, views: 5, frames: 1200, name: 'long take' })
   await uploaded(base, asDocument(long))
   await page.goto(`${base}/#/`)
   await page.getByRole('button', { name: 'Solve long take' }).click()
   await page.getByRole('button', { name: 'Start', exact: true }).click()
   await page.locator('.job-page .state-running').waitFor()
-  await checkProvisional(page)
+  const live = await liveScene(page, base)
   await page.goto(`${base}/#/`)
   const row = page.locator('.job', { hasText: 'long take' })
   await row.locator('progress').waitFor()
@@ -227,6 +227,10 @@ async function cancelLongJob() {
   await page.getByRole('heading', { name: 'Canceled' }).waitFor({ timeout: 10_000 })
   check('a running job is canceled', true)
   check('the provisional scene ends with the job', (await page.locator('.provisional').count()) === 0)
+  await checkProvisional(page, base, live)
+  await page.goto(`${base}/#/`)
+  await page.goto(`${base}/#/jobs/${live.job.id}`)
+  await page.getByRole('heading', { name: 'Canceled' }).waitFor({ timeout: 10_000 })
   await shot(page, 'canceled')
   await checkAccess(page, 'canceled job')
   await page.getByRole('button', { name: 'Delete' }).click()
