@@ -67,11 +67,22 @@ scene = require(get_artifact.sync(job.id, "scene.glb", client=client), File).pay
 with zipfile.ZipFile(require(get_archive.sync(job.id, client=client), File).payload) as archive:
     assert archive.read("scene.glb") == scene
 
-named = {**options.to_dict(), "corrections": [{"action": "rename", "person": 0, "name": "Ada"}]}
-correction = models.NewJob(corrects=job.id, options=models.Options.from_dict(named))
-corrected = followed(require(create_job.sync(client=client, body=correction), models.Job))
-assert get_report.sync(corrected.id, client=client).to_dict()["people"][0]["name"] == "Ada"
-assert delete_job.sync_detailed(corrected.id, client=client).status_code == 204
+def corrected(*edits):
+    """The corrected job and the names of its people by their numbers."""
+    wanted = models.Options.from_dict({**options.to_dict(), "corrections": list(edits)})
+    done = followed(require(create_job.sync(client=client, body=models.NewJob(corrects=job.id, options=wanted)), models.Job))
+    assert "cameras" not in done.stage_seconds.to_dict(), "it did not continue from the first job"
+    return done, {person["id"]: person.get("name") for person in get_report.sync(done.id, client=client).to_dict()["people"]}
+
+
+named = {"action": "rename", "person": 0, "name": "Ada"}
+both, people = corrected(named, {"action": "exclude_person", "person": 1})
+assert people == {0: "Ada"}, people
+undone, people = corrected(named)
+assert people == {0: "Ada", 1: None}, people
+for done in (both, undone):
+    assert require(get_artifact.sync(done.id, "people.json", client=client), File).payload.read()
+    assert delete_job.sync_detailed(done.id, client=client).status_code == 204
 
 refusal = require(create_job.sync(client=client, body=models.NewJob(session="session_" + "0" * 32)), models.Problem)
 assert (refusal.status, refusal.code) == (404, "session_not_found") and refusal.remedy

@@ -38,9 +38,16 @@ if (!JSON.stringify(manifest).includes('scene.glb')) throw new Error('the format
 const archive = data(await client.GET('/v1/jobs/{id}/archive', { params: { path: { id } }, parseAs: 'arrayBuffer' })) as unknown as ArrayBuffer
 if (new TextDecoder().decode(archive.slice(0, 2)) !== 'PK') throw new Error('the archive is not a zip')
 
-const corrections: components['schemas']['Correction'][] = [{ action: 'rename', person: 0, name: 'Ada' }]
+const corrections: components['schemas']['Correction'][] = [
+  { action: 'rename', person: 0, name: 'Ada' },
+  { action: 'exclude_person', person: 1 },
+]
 const corrected = await followed(data(await client.POST('/v1/jobs', { body: { corrects: id, options: { corrections } } })))
-await client.DELETE('/v1/jobs/{id}', { params: { path: { id: corrected.id } } })
+if ('cameras' in corrected.stage_seconds) throw new Error('the corrected job did not continue from the first one')
+const people = { params: { path: { id: corrected.id } } }
+const found = data(await client.GET('/v1/jobs/{id}/people', people)) as unknown as { people: { id: number; name?: string }[] }
+if (JSON.stringify(found.people.map(({ id, name }) => [id, name])) !== '[[0,"Ada"]]') throw new Error('the corrections were not applied')
+await client.DELETE('/v1/jobs/{id}', people)
 
 const refused = await client.POST('/v1/jobs', { body: { session: `session_${'0'.repeat(32)}` } })
 if (refused.error?.code !== 'session_not_found') throw new Error('a job without a session was not refused')

@@ -231,7 +231,9 @@ def check_chan():
     return report("chan", 0.0, pixel)
 
 
-patch_readers()
-scenes = [check_bvh(), check_glb(), check_fbx(), check_fbx_names(), check_usd(), check_script(), check_chan()]
-sys.stdout.flush()
-os._exit(0 if all(scenes) else 1)  # Blender as a module can crash while Python ends it
+if __name__ == "__main__":
+    patch_readers()
+    checks = [check_bvh, check_glb, check_fbx, check_fbx_names, check_usd, check_script, check_chan]
+    scenes = [check() for check in checks]
+    sys.stdout.flush()
+    os._exit(0 if all(scenes) else 1)  # Blender as a module can crash while Python ends it

@@ -8,6 +8,7 @@ import { check, checkAccess, failed, hasBrowser, openBrowser, openPage, shot } f
 import { checkCorrections, checkCurvesAndZip, checkLinks, checkPhone } from './corrections.mjs'
 import { checkKeys } from './keys.mjs'
 import { LENSES, throughLenses } from './lenses.mjs'
+import { checkProvisional, liveScene } from './provisional.mjs'
 import { checkFirstView, checkLens, checkPlay, checkProjection, drawn, sceneReady } from './scene.mjs'
 import { PROGRAM, asDocument, simulate, solve, startService, temporaryFolder, uploaded } from './service.mjs'
 import { HOSTILE, rejectedResult, hostileNames, jobsWithoutResult, policy, checkEscaped } from './states.mjs'
@@ -205,12 +206,13 @@ async function files() {
 
 /** Cancels and deletes a long job. */
 async function cancelLongJob() {
-  const long = await simulate(join(folder, 'long'), { people: 4, views: 5, frames: 600, name: 'long take' })
+  const long = await simulate(join(folder, 'long'), { people: 4, views: 5, frames: 1200, name: 'long take' })
   await uploaded(base, asDocument(long))
   await page.goto(`${base}/#/`)
   await page.getByRole('button', { name: 'Solve long take' }).click()
   await page.getByRole('button', { name: 'Start', exact: true }).click()
   await page.locator('.job-page .state-running').waitFor()
+  const live = await liveScene(page, base)
   await page.goto(`${base}/#/`)
   const row = page.locator('.job', { hasText: 'long take' })
   await row.locator('progress').waitFor()
@@ -224,6 +226,11 @@ async function cancelLongJob() {
   await page.getByRole('button', { name: 'Cancel' }).click()
   await page.getByRole('heading', { name: 'Canceled' }).waitFor({ timeout: 10_000 })
   check('a running job is canceled', true)
+  check('the provisional scene ends with the job', (await page.locator('.provisional').count()) === 0)
+  await checkProvisional(page, base, live)
+  await page.goto(`${base}/#/`)
+  await page.goto(`${base}/#/jobs/${live.job.id}`)
+  await page.getByRole('heading', { name: 'Canceled' }).waitFor({ timeout: 10_000 })
   await shot(page, 'canceled')
   await checkAccess(page, 'canceled job')
   await page.getByRole('button', { name: 'Delete' }).click()
@@ -236,7 +243,9 @@ async function cancelLongJob() {
 }
 
 async function lenses() {
-  const session = throughLenses(await simulate(join(folder, 'lenses'), { people: 3, views: 5, frames: 240, name: 'three lenses' }))
+  // Cameras so near that people reach the edges of the images, where lenses bend most.
+  const near = { people: 3, views: 5, frames: 240, radius: 2.5, name: 'three lenses' }
+  const session = throughLenses(await simulate(join(folder, 'lenses'), near))
   const job = await solve(base, asDocument(session))
   await page.goto(`${base}/#/jobs/${job.id}`)
   await sceneReady(page)

@@ -126,6 +126,26 @@ export async function checkCurvesAndZip({ page, base, job }) {
   check('all files are downloaded as one zip', name.endsWith('.zip') && (await download.failure()) === null, name)
 }
 
+/** A link to a moment and the editor for corrections on a phone. */
+async function phoneCorrections(page, base, job) {
+  await page.goto(`${base}/#/jobs/${job.id}/scene?frame=42&camera=cam01&person=0`)
+  await page.locator('.camera-line strong', { hasText: 'cam01' }).waitFor()
+  check('on a phone a link opens its frame', (await page.evaluate(() => window.wandless.frame())) === 42)
+  await shot(page, 'phone-link')
+  await checkAccess(page, 'link to a moment on a phone')
+  const box = page.locator('.correction-box')
+  await box.locator('summary', { hasText: 'Corrections' }).click()
+  await box.getByRole('button', { name: /^Split at frame/ }).click()
+  await box.scrollIntoViewIfNeeded()
+  const [left, right] = await box.evaluate((element) => {
+    const { left, right } = element.getBoundingClientRect()
+    return [left, right]
+  })
+  check('on a phone corrections fit the screen', left >= 0 && right <= 390 && (await box.locator('.corrections li').count()) === 1, `${left} to ${right} px`)
+  await shot(page, 'phone-corrections')
+  await checkAccess(page, 'corrections on a phone')
+}
+
 /** On a phone the scene keeps half of the screen. */
 export async function checkPhone({ browser, base, job }) {
   const page = await openPage(browser)
@@ -141,6 +161,7 @@ export async function checkPhone({ browser, base, job }) {
   check('on a phone nothing is wider than the screen', overflow <= 0, `${overflow} px`)
   await shot(page, 'phone')
   await checkAccess(page, 'scene on a phone')
+  await phoneCorrections(page, base, job)
   for (const tab of ['report', 'files']) {
     await page.goto(`${base}/#/jobs/${job.id}/${tab}`)
     await page.locator(tab === 'report' ? '.chart' : '.files').first().waitFor()

@@ -19,7 +19,7 @@ export async function checkFirstView(open, base, job, what) {
   for (let i = 0; i < VIEWS; i++) views.push(await firstView(await open(), base, job))
   const times = views.map(({ secs }) => secs.toFixed(2)).join(', ')
   const [secs, bytes] = [Math.min(...views.map(({ secs }) => secs)), Math.max(...views.map(({ bytes }) => bytes))]
-  check(`${what}: first view within 2 s`, secs <= 2, `${times} s`)
+  check(`${what}: first view within 1.5 s`, secs <= 1.5, `${times} s`)
   check(`${what}: at most 15 MB`, bytes <= 15e6, `${(bytes / 1e6).toFixed(2)} MB`)
 }
 

@@ -31,9 +31,10 @@ export function startService(data) {
   })
 }
 
-/** Simulates a session; `name` replaces its name. */
-export async function simulate(folder, { people, views, frames, name }) {
+/** Simulates a session; `name` replaces its name, `radius` is the distance of the cameras from the centre, m. */
+export async function simulate(folder, { people, views, frames, name, radius }) {
   const words = ['--people', people, '--views', views, '--frames', frames, '--seed', 1, '--out', folder]
+  if (radius) words.push('--radius', radius)
   await promisify(execFile)(PROGRAM, ['simulate', ...words.map(String)])
   const path = join(folder, 'session.json')
   const session = JSON.parse(readFileSync(path, 'utf8'))

@@ -8,6 +8,7 @@ use super::progress_display::ProgressDisplay;
 use super::solve::{SolveError, SolveFiles, solve, use_threads};
 use super::summary::Summary;
 use crate::pipeline::config::DEFAULT_BODY;
+use crate::pipeline::provisional::Watcher;
 use crate::pipeline::{Options, PipelineError};
 use crate::progress::{Progress, ProgressEvent};
 use std::path::PathBuf;
@@ -52,7 +53,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let earlier = Vec::from_iter(args.r#continue);
     let files =
         SolveFiles { session: &args.session, sha256: None, checkpoints: None, earlier: &earlier, out: &staging };
-    let solved = solve(&files, &options, &body, &Progress::new(show, Arc::default()));
+    let solved = solve(&files, &options, &body, &Watcher::none(), &Progress::new(show, Arc::default()));
     display.finish();
     publish(&staging, &args.out, solved.map_err(input_or_failure))?;
     let summary = Summary::of_folder(&args.out)?;

@@ -9,6 +9,7 @@ use super::solve::{SolveError, SolveFiles, solve, use_threads};
 use crate::body::default_body;
 use crate::pipeline::PipelineError;
 use crate::pipeline::config::DEFAULT_BODY;
+use crate::pipeline::provisional::{ProvisionalScene, Watcher};
 use crate::progress::{Progress, ProgressEvent};
 use crate::service::bodies;
 use crate::service::failpoint::{fault, linger};
@@ -75,7 +76,12 @@ fn run_task(task: &JobTask, progress: &Progress) -> Result<(), JobError> {
         earlier: &task.earlier,
         out: &task.out,
     };
-    solve(&files, &options, &body, progress).map(drop).map_err(job_error)
+    solve(&files, &options, &body, &Watcher::new(&send_scene), progress).map(drop).map_err(job_error)
+}
+
+fn send_scene(scene: ProvisionalScene) {
+    let document = serde_json::to_string(&scene).expect("a scene is strings and numbers, which always serialise");
+    send(&Message::Scene { stage: scene.stage.to_owned(), document });
 }
 
 fn send_heartbeats() {

@@ -4,6 +4,7 @@ use crate::body::BodyModel;
 use crate::export::{self, ResultContext};
 use crate::pipeline::checkpoints::Checkpoints;
 use crate::pipeline::config::Extrinsics;
+use crate::pipeline::provisional::Watcher;
 use crate::pipeline::{self, CameraFacts, Continuation, Options, PipelineError};
 use crate::progress::Progress;
 use crate::session::reconstruction::Quality;
@@ -48,6 +49,7 @@ pub(super) fn solve(
     files: &SolveFiles,
     options: &Options,
     body: &BodyModel,
+    watcher: &Watcher,
     progress: &Progress,
 ) -> Result<Quality, SolveError> {
     let SolveFiles { session, sha256, checkpoints, earlier, out } = *files;
@@ -67,7 +69,8 @@ pub(super) fn solve(
         true => None,
         false => earlier.iter().find_map(|result| read_continuation(result, &loaded.sha256, options)),
     };
-    let solved = pipeline::solve(&loaded.session, options, body, &checkpoints, continuation.as_ref(), progress)?;
+    let solved =
+        pipeline::solve(&loaded.session, options, body, &checkpoints, continuation.as_ref(), watcher, progress)?;
     let continuation = solved.continuation.to_text(&loaded.sha256, options).map_err(io::Error::from)?;
     let reconstruction = solved.reconstruction;
     let context = ResultContext {

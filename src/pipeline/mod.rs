@@ -29,7 +29,7 @@
 //! adjustment of estimated or refined cameras runs exactly once per calibration: in pass 4 on repaired detections, or
 //! without that pass at the end of pass 3.
 //!
-//! Nouns (`calibration`, `capture`, `config`, `continuation`, `corrections`, `error`, `focal_lengths`, `focal_spread`, `keyframe`, `option_kind`, `option_table`, `unsolvable`) import no stage; stages import nouns and no other stage;
+//! Nouns (`calibration`, `capture`, `config`, `continuation`, `corrections`, `error`, `focal_lengths`, `focal_spread`, `keyframe`, `option_kind`, `option_table`, `planned_stages`, `provisional`, `unsolvable`) import no stage; stages import nouns and no other stage;
 //! passes import stages; this file imports passes.
 
 pub mod calibration;
@@ -47,6 +47,8 @@ pub mod option_kind;
 pub mod option_reference;
 pub mod option_table;
 pub mod passes;
+mod planned_stages;
+pub mod provisional;
 pub mod repair;
 pub mod result;
 pub mod stages;
@@ -55,15 +57,15 @@ pub mod unsolvable;
 use crate::body::{BodyModel, default_body};
 use crate::progress::{Progress, Stages};
 use crate::session::recording_tests::suspicions;
-use crate::session::{PersonId, Reconstruction, Session, Suspicion};
-use calibration::CameraFreedom;
+use crate::session::{JointTrajectory, PersonId, Reconstruction, Session, Suspicion};
+use calibration::{Calibration, CameraFreedom};
 use capture::Capture;
 use checkpoints::Checkpoints;
 pub use config::{CameraFacts, Options};
 use config::{Extrinsics, IntrinsicsMode, Repair, Sync};
 pub use continuation::Continuation;
 use continuation::Placed;
-use corrections::{CorrectedPeople, Correction, corrected_people};
+use corrections::{CorrectedPeople, corrected_people};
 pub use error::PipelineError;
 use focal_lengths::FocalLengths;
 use passes::cameras::{FinalAdjustment, calibrated};
@@ -75,6 +77,8 @@ use passes::recording_check::solved::Solved;
 use passes::recording_check::{checked, mistake_of_unsolved};
 use passes::synchronisation::{Timing, estimated_timing};
 use passes::unknown_lenses::estimated_focal_lengths;
+use planned_stages::{CORRECTED_STAGES, LAST_STAGES, corrected_stage_weights, stage_weights};
+use provisional::{ProvisionalScene, Watcher};
 use repair::{MAX_REPAIRS, repaired};
 use result::{FittedResult, Solution, statures};
 use stages::joint_trajectories::joint_trajectories;
@@ -112,7 +116,7 @@ pub fn reconstruct_with_checkpoints(
     checkpoints: &Checkpoints,
     progress: &Progress,
 ) -> Result<Reconstruction, PipelineError> {
-    solve(session, options, body, checkpoints, None, progress).map(|solved| solved.reconstruction)
+    solve(session, options, body, checkpoints, None, &Watcher::none(), progress).map(|solved| solved.reconstruction)
 }
 
 /// A result, and what solves of the same session with other corrections continue from.
@@ -127,7 +131,8 @@ pub struct SolvedSession {
 /// Solves a session as [`reconstruct_with_checkpoints`] does.
 ///
 /// `earlier`: from a solve of this session with the same [`Options::without_corrections`]. With corrections it saves the passes that
-/// find cameras and people, and changes no bit of the result; without them it is not used.
+/// find cameras and people, and changes no bit of the result; without them it is not used. `watcher`: sees cameras and people
+/// as they are known after passes 3, 4 and 6, and after corrections.
 ///
 /// # Errors
 /// Those of [`reconstruct_with_body`]; [`PipelineError::Option`] also for a correction that does not fit the people.
@@ -137,6 +142,7 @@ pub fn solve(
     body: &BodyModel,
     checkpoints: &Checkpoints,
     earlier: Option<&Continuation>,
+    watcher: &Watcher,
     progress: &Progress,
 ) -> Result<SolvedSession, PipelineError> {
     // The caller has already looked up `options.body`.
@@ -153,6 +159,7 @@ pub fn solve(
             checkpoints: &checkpoints,
             applied,
             may_repair: false,
+            watcher,
         };
         return attempt.corrected(continuation, progress);
     }
@@ -168,6 +175,7 @@ pub fn solve(
             checkpoints: &checkpoints,
             applied: &applied,
             may_repair: options.repair == Repair::Auto && n_repairs < MAX_REPAIRS,
+            watcher,
         };
         match attempt.outcome(progress)? {
             Outcome::Solved(solved) => return Ok(*solved),
@@ -194,6 +202,7 @@ struct Attempt<'a> {
     applied: &'a [Suspicion],
     /// Whether a mistake that can be repaired ends the attempt.
     may_repair: bool,
+    watcher: &'a Watcher<'a>,
 }
 
 enum Outcome {
@@ -318,6 +327,7 @@ impl Attempt<'_> {
             }
             return Err(CameraEvidence::of(&given, calibration.n_placed()).error(suspicions));
         }
+        self.show("cameras", &given, &calibration, &calibration.association.points);
 
         // 4. Repaired detections, and the cameras adjusted to them.
         let (calibration, repaired) = if options.denoise {
@@ -330,6 +340,9 @@ impl Attempt<'_> {
         };
         let of_repaired = repaired.as_ref().map(|repaired| Capture::new(&repaired.session, options));
         let capture = of_repaired.as_ref().unwrap_or(&given);
+        if of_repaired.is_some() {
+            self.show("denoising", capture, &calibration, &calibration.association.points);
+        }
 
         // 5. Cross-validation of the cameras.
         let step = stages.begin("held_out_check");
@@ -339,6 +352,7 @@ impl Attempt<'_> {
         let step = stages.begin("joint_trajectories");
         let start = calibration.people(capture.session, &calibration.association.points);
         let paths = checkpoints.stage("joint_trajectories", || joint_trajectories(&start, &step))?;
+        self.show("joint_trajectories", capture, &calibration, &paths);
 
         // 7. Mistakes in the files that the solution shows.
         let step = stages.begin("recording_check");
@@ -384,7 +398,24 @@ impl Attempt<'_> {
         let corrected = self
             .checkpoints
             .stage("corrections", || corrected(&given, continuation, &people, freedom(self.options), &step))?;
-        Ok((corrected.placed(&given, continuation), people))
+        let placed = corrected.placed(&given, continuation);
+        self.show("corrections", &given, &placed.calibration, &placed.paths);
+        Ok((placed, people))
+    }
+
+    /// Shows cameras and points as they are known after a stage to those who watch.
+    fn show(&self, stage: &'static str, capture: &Capture, calibration: &Calibration, points: &[JointTrajectory]) {
+        self.watcher.show(|| {
+            let (calibration, points) = (calibration.clone(), points.to_vec());
+            let solution = Solution::in_world(capture, calibration, points, None, None, Vec::new());
+            ProvisionalScene::new(
+                stage,
+                capture.session,
+                solution.cameras(),
+                solution.trajectories(),
+                solution.up_axis(),
+            )
+        });
     }
 
     /// Passes 8 and 9: scale, world frame, bodies, statistics and verdict.
@@ -427,39 +458,6 @@ impl Attempt<'_> {
         step.report(1.0, "");
         Ok((fitted, focal_lengths))
     }
-}
-
-/// Passes 8 and 9, as a job reports them.
-const LAST_STAGES: [&str; 2] = ["metric_scale", "body_fit"];
-
-/// The same after corrections.
-const CORRECTED_STAGES: [&str; 2] = ["corrected_metric_scale", "corrected_body_fit"];
-
-/// The stages that a job reports, with their shares of the time.
-fn stage_weights(options: &Options, intrinsics: IntrinsicsMode) -> Vec<(&'static str, f64)> {
-    let stages = [
-        ("synchronisation", 1.5, options.sync == Sync::Estimate),
-        ("focal_lengths", 0.7, intrinsics == IntrinsicsMode::RefineFocal),
-        ("focal_lengths", 3.0, intrinsics == IntrinsicsMode::Estimate),
-        ("cameras", 0.4, true),
-        ("denoising", 0.15, options.denoise),
-        ("held_out_check", 0.1, true),
-        ("joint_trajectories", 0.05, true),
-        ("recording_check", 0.03, true),
-        (LAST_STAGES[0], 0.02, true),
-        (LAST_STAGES[1], 0.28, true),
-    ];
-    let stages = stages.into_iter().filter(|(_, _, runs)| *runs).map(|(name, weight, _)| (name, weight));
-    stages.chain(corrected_stage_weights(options)).collect()
-}
-
-/// Those of the corrections; none without any.
-fn corrected_stage_weights(options: &Options) -> Vec<(&'static str, f64)> {
-    if options.corrections.is_empty() {
-        return Vec::new();
-    }
-    let excludes = options.corrections.iter().any(Correction::excludes);
-    vec![("corrections", if excludes { 0.2 } else { 0.05 }), (CORRECTED_STAGES[0], 0.02), (CORRECTED_STAGES[1], 0.28)]
 }
 
 /// Two of the cameras that were placed must stay.

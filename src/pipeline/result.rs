@@ -104,6 +104,21 @@ impl Solution {
         Self { calibration, trajectories, metres_per_unit, scale, heldout_px, suspicions, up_axis, world_from_solution }
     }
 
+    /// `camera_from_world` per view, world of the result.
+    pub fn cameras(&self) -> &[Option<Rigid>] {
+        &self.calibration.cameras
+    }
+
+    /// Points of each person, world of the result.
+    pub fn trajectories(&self) -> &[JointTrajectory] {
+        &self.trajectories
+    }
+
+    /// Up axis of the world of the result.
+    pub fn up_axis(&self) -> UpAxis {
+        self.up_axis
+    }
+
     /// Fits the bodies and assembles the result.
     pub fn with_bodies(
         mut self,

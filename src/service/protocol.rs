@@ -75,6 +75,13 @@ pub enum Message {
         /// What the stage is doing, one sentence.
         message: String,
     },
+    /// Cameras and people as they are known after a stage.
+    Scene {
+        /// Name of the stage.
+        stage: String,
+        /// A [`ProvisionalScene`](crate::pipeline::provisional::ProvisionalScene) as a JSON document.
+        document: String,
+    },
     /// The result folder is complete; the child then exits with code 0.
     Done,
     /// The job has failed; the child then exits with code 1.

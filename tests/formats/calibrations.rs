@@ -155,6 +155,48 @@ fn agisoft(dist: Distortion) -> Files {
     vec![("cameras.xml".to_owned(), text.into_bytes())]
 }
 
+/// `resolution`: height of the videos; `first`: first pixel of the recorded part of the sensor, right and down.
+fn qualisys(dist: Distortion, resolution: f64, first: [f64; 2]) -> Files {
+    let mut cameras = String::new();
+    let scale = resolution / 1080.0;
+    for (id, camera) in rig(dist) {
+        let (k, centre) = (&camera.intrinsics, camera.pose.inverse().translation * 1000.0);
+        let on_sensor = |px: f64, first: f64| ((px + 0.5) / scale + first) * 64.0 - 0.5;
+        let last = |first: f64, size: u32| first + f64::from(size) / scale - 1.0;
+        let [k1, k2, p1, p2, k3] = match dist {
+            Distortion::OpenCv5(coefficients) => coefficients,
+            _ => [0.0; 5],
+        };
+        let mut pose = format!("x=\"{:?}\" y=\"{:?}\" z=\"{:?}\"", centre.x, centre.y, centre.z);
+        for (i, entry) in row_major(&camera).iter().enumerate() {
+            // Its y axis is up, its z axis backwards.
+            let sign = if i < 3 { 1.0 } else { -1.0 };
+            pose += &format!(" r{}{}=\"{:?}\"", i / 3 + 1, i % 3 + 1, sign * entry);
+        }
+        cameras += &format!(
+            "<camera active=\"1\" serial=\"{id}\" model=\"Miqus Video\" viewrotation=\"0\" video_resolution=\"{resolution}p\">\
+             <fov_video left=\"{:?}\" top=\"{:?}\" right=\"{:?}\" bottom=\"{:?}\"/><transform {pose}/>\
+             <intrinsic focalLengthU=\"{:?}\" focalLengthV=\"{:?}\" centerPointU=\"{:?}\" centerPointV=\"{:?}\" skew=\"0\" \
+             radialDistortion1=\"{k1:?}\" radialDistortion2=\"{k2:?}\" radialDistortion3=\"{k3:?}\" \
+             tangentalDistortion1=\"{p1:?}\" tangentalDistortion2=\"{p2:?}\"/></camera>",
+            first[0],
+            first[1],
+            last(first[0], WIDTH),
+            last(first[1], HEIGHT),
+            64.0 * k.fx / scale,
+            64.0 * k.fy / scale,
+            on_sensor(k.cx, first[0]),
+            on_sensor(k.cy, first[1]),
+        );
+    }
+    // A marker camera records no video and is left out.
+    let marker = "<camera active=\"1\" serial=\"9\" model=\"Miqus M3\" viewrotation=\"0\"/>";
+    let text = format!(
+        "<?xml version=\"1.0\"?>\n<calibration qtm-version=\"2024.3\" type=\"regular\"><cameras>{marker}{cameras}</cameras></calibration>"
+    );
+    vec![("take.qca.txt".to_owned(), text.into_bytes())]
+}
+
 fn dmmr() -> Files {
     let mut text = String::new();
     for (i, (_, camera)) in rig(Distortion::None).into_iter().enumerate() {
@@ -228,6 +270,8 @@ fn every_calibration_projects_like_its_source() {
         ("ros_camera_info", ros(FISHEYE), FISHEYE, false),
         ("agisoft_xml", agisoft(OPENCV5), OPENCV5, true),
         ("agisoft_xml", agisoft(FISHEYE), FISHEYE, true),
+        ("qualisys_qca", qualisys(Distortion::None, 1080.0, [0.0, 0.0]), Distortion::None, true),
+        ("qualisys_qca", qualisys(OPENCV5, 540.0, [64.0, 32.0]), OPENCV5, true),
         ("native", vec![native(RATIONAL, |_| {})], RATIONAL, true),
         ("native", vec![native(FISHEYE, |_| {})], FISHEYE, true),
     ];
@@ -262,6 +306,12 @@ fn warns_about_values_that_a_format_lacks() {
     );
     assert_warns(toml(OPENCV5, 5, "cam_#", 1.0, "rotation_count = 1"), "rotation_count 1");
     assert_warns(colmap(Distortion::None), "COLMAP's poses have no unit");
+    let mut turned = qualisys(OPENCV5, 1080.0, [0.0, 0.0]);
+    turned[0].1 = String::from_utf8(turned[0].1.clone())
+        .unwrap()
+        .replacen("rotation=\"0\" video", "rotation=\"90\" video", 1)
+        .into_bytes();
+    assert_warns(turned, "Track Manager shows its video turned");
     let refused = |files: Files| read(&with_poses(files)).map_err(|e| e.code).unwrap_err();
     let fov = b"1 FOV 1280 720 800 800 640 360 0.9\n".to_vec();
     assert_eq!(refused(vec![("cameras.txt".to_owned(), fov)]), "distortion_unsupported");

@@ -7,7 +7,7 @@ use crate::take::{LONG, take};
 use rustix::process::Signal;
 use serde_json::{Value, json};
 use std::io::{BufRead, BufReader, Read, Write};
-use std::net::TcpListener;
+use std::net::{TcpListener, TcpStream};
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
@@ -140,6 +140,42 @@ fn event_stream_ends_with_the_job() {
     assert_eq!(states.last().unwrap()["state"], "succeeded");
     assert!(text.contains("event: progress") && text.contains("id: "), "{text}");
     server.get("/v1/jobs/job_0/events").expect_problem(404, "not_found");
+}
+
+#[test]
+fn cameras_and_points_are_shown_while_a_job_runs() {
+    let server = Server::start();
+    let id = server.submit(&server.upload(LONG, 1));
+    let path = format!("/v1/jobs/{id}/scene");
+    let answer = loop {
+        let answer = server.get(&path);
+        if answer.status == 200 {
+            break answer;
+        }
+        assert_eq!((answer.status, &answer.json()["code"]), (409, &json!("not_ready")));
+        assert_eq!(server.job(&id)["finished_at"], Value::Null, "the job ended without a scene");
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    let tag = answer.header("etag").to_owned();
+    let scene = answer.json();
+    assert_eq!((scene["units"].as_str(), scene["stage"].as_str()), (Some("m"), Some("cameras")));
+    let cameras = scene["cameras"].as_array().unwrap();
+    assert!(cameras.len() == 4 && cameras.iter().all(|camera| camera["K"].is_array() && camera["position"].is_array()));
+    let points = scene["people"][0]["points"].as_array().unwrap();
+    assert_eq!(points.len(), scene["frames"].as_array().unwrap().len());
+    let known = points.iter().find(|frame| frame.is_array()).expect("no frame shows the person");
+    assert_eq!(known.as_array().unwrap().len(), scene["keypoint_names"].as_array().unwrap().len());
+    assert!(matches!(server.get_with(&path, &[("If-None-Match", &tag)]).status, 304 | 200));
+    let stream = TcpStream::connect(server.address()).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    let request = format!("GET /v1/jobs/{id}/events HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    (&stream).write_all(request.as_bytes()).unwrap();
+    let mut lines = BufReader::new(stream).lines().map_while(Result::ok);
+    assert!(lines.any(|line| line == "event: scene"), "a client that comes later does not hear of the scene");
+    server.post(&format!("/v1/jobs/{id}/cancel"), &[], b"").expect(202);
+    server.wait_for_state(&id, "canceled");
+    server.get(&path).expect_problem(409, "not_ready");
+    server.get("/v1/jobs/job_0/scene").expect_problem(404, "not_found");
 }
 
 #[test]

@@ -1,6 +1,7 @@
 """The whole way of a take through a real service, with both clients."""
 
 import asyncio
+import datetime
 import http.server
 import json
 import subprocess
@@ -64,6 +65,31 @@ def test_result_as_arrays_and_tables(client, take):
     assert len(result.to_pandas("people")) == n
     with pytest.raises(ValueError):
         result.to_pandas("nothing")
+
+
+def test_result_as_neurodata_without_borders(client, take, tmp_path):
+    ndx_pose = pytest.importorskip("ndx_pose")
+    pynwb = pytest.importorskip("pynwb")
+    result = client.result(client.solve(take)["id"])
+    start = datetime.datetime(2024, 5, 1, 9, 30, tzinfo=datetime.timezone.utc)
+    result.to_nwb(tmp_path / "take.nwb", start, identifier="take 7")
+    arrays = result.to_numpy()
+    with pynwb.NWBHDF5IO(tmp_path / "take.nwb", "r") as opened:
+        file = opened.read()
+        assert file.identifier == "take 7" and file.session_start_time == start
+        found = file.processing["behavior"]
+        skeleton = found["Skeletons"]["smpl"]
+        assert list(skeleton.nodes[:]) == list(arrays["joint_names"]) and len(skeleton.edges) == 23
+        for row, person in enumerate(result.people):
+            estimate = found[f"person_{person['id']}"]
+            assert isinstance(estimate, ndx_pose.PoseEstimation) and estimate.skeleton.name == "smpl"
+            series = estimate["left_knee"]
+            begin = person["frames"][0] - arrays["frames"][0]
+            expected = arrays["joints"][row, begin : begin + len(person["frames"]), 4]
+            assert np.array_equal(series.data[:], expected) and series.rate == result.fps
+            assert list(series.confidence[:]) == [float(valid) for valid in person["valid"]]
+    with pytest.raises(ValueError):
+        result.to_nwb(tmp_path / "naive.nwb", start.replace(tzinfo=None))
 
 
 def test_sessions_in_memory(client, take):

@@ -1,7 +1,7 @@
 //! `GET /v1/jobs/{id}/events`: the progress of a job as server-sent events.
 //!
 //! `state` holds the whole job and is sent first, at every change of state, and last; `progress` holds the progress, `log` one
-//! line of the job's process. The id of an event is the version of the job: a client that reconnects with `Last-Event-ID`
+//! line of the job's process, `scene` the stage after which there is a new provisional scene. The id of an event is the version of the job: a client that reconnects with `Last-Event-ID`
 //! receives the state again only if it has changed.
 
 use super::access::{Caller, Credential};
@@ -30,7 +30,7 @@ const KEY_CHECK_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Follow a job.
 #[utoipa::path(get, path = "/v1/jobs/{id}/events", operation_id = "followJob", tag = "jobs", params(JobPath),
-    responses((status = 200, description = "Events `state`, `progress` and `log` until the final state", body = String,
+    responses((status = 200, description = "Events `state`, `progress`, `scene` and `log` until the final state", body = String,
         content_type = "text/event-stream")))]
 pub(super) async fn stream(
     State(app): State<App>,
@@ -55,6 +55,7 @@ pub(super) async fn stream(
         log,
         phase: None,
         progress: JobProgress::default(),
+        scene: None,
         waiting: VecDeque::new(),
         is_at_end: false,
     };
@@ -81,6 +82,8 @@ struct Follower {
     log: Receiver<LogLine>,
     phase: Option<Phase>,
     progress: JobProgress,
+    /// Digest of the scene that was announced last.
+    scene: Option<String>,
     waiting: VecDeque<Event>,
     is_at_end: bool,
     /// Counts the stream as open while it lives.
@@ -136,6 +139,12 @@ impl Follower {
         if self.progress != job.progress {
             self.progress = job.progress.clone();
             self.waiting.extend(event("progress", version, &job.progress));
+        }
+        if let Some(scene) = self.app.queue.scene(&self.id)
+            && self.scene.as_ref() != Some(&scene.sha256)
+        {
+            self.scene = Some(scene.sha256.clone());
+            self.waiting.extend(event("scene", None, &serde_json::json!({ "stage": scene.stage })));
         }
         if self.phase != Some(phase) {
             self.phase = Some(phase);

@@ -28,6 +28,7 @@ mod rate_limit;
 pub mod result_viewer;
 mod results;
 mod routes;
+mod scene;
 mod server;
 mod sessions;
 mod submission;

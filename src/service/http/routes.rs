@@ -5,7 +5,7 @@ use super::error::Problem;
 use super::openapi::{Description, LazyDescription};
 use super::{
     access, archive, cors, deliveries, descriptors, error, events, exports, health, inspection, jobs, openapi, results,
-    server, sessions, submission, trace, viewer,
+    scene, server, sessions, submission, trace, viewer,
 };
 use crate::service::shared::Shared;
 use axum::http::{HeaderValue, StatusCode, header};
@@ -43,6 +43,7 @@ fn api() -> OpenApiRouter<App> {
         .routes(routes!(submission::create, jobs::list))
         .routes(routes!(jobs::get, jobs::delete))
         .routes(routes!(events::stream))
+        .routes(routes!(scene::get))
         .routes(routes!(jobs::cancel))
         .routes(routes!(results::manifest))
         .routes(routes!(results::artifact))

@@ -6,6 +6,7 @@ use super::follow::{Followed, Following};
 use super::job::Job;
 use super::phase::Phase;
 use super::rows::job_from_row;
+use super::scenes::{Scene, Scenes};
 use crate::service::failpoint::failpoint;
 use crate::service::store::database::Store;
 use crate::service::store::error::StoreError;
@@ -34,6 +35,8 @@ pub struct Queue {
     pub(super) followed: Arc<Followed>,
     /// Sends the log lines of the jobs' child processes.
     log: broadcast::Sender<LogLine>,
+    /// Cameras and people of the jobs that this process runs.
+    scenes: Arc<Scenes>,
 }
 
 /// One log line of a job's child process.
@@ -125,6 +128,7 @@ impl Queue {
             changes: broadcast::channel(1024).0,
             followed: Arc::default(),
             log: broadcast::channel(256).0,
+            scenes: Arc::default(),
         }
     }
 
@@ -146,6 +150,22 @@ impl Queue {
     /// Sends a log line to all subscribers.
     pub fn send_line(&self, job: &str, line: &str) {
         let _ = self.log.send(LogLine { job: job.into(), line: line.into() }); // an error only means that there are no subscribers
+    }
+
+    /// Replaces the provisional scene of a running job and announces it to all followers of this process.
+    pub fn show_scene(&self, job: &str, stage: String, document: String) {
+        self.scenes.put(job, stage, document);
+        self.announce(job);
+    }
+
+    /// The newest provisional scene of a job; `None` before the first one and after the end, and in processes that do not run it.
+    pub fn scene(&self, job: &str) -> Option<Arc<Scene>> {
+        self.scenes.get(job)
+    }
+
+    /// Removes the provisional scene of a job that this process no longer runs.
+    pub fn remove_scene(&self, job: &str) {
+        self.scenes.remove(job);
     }
 
     /// Sends the id of a changed job to all subscribers of this process.

@@ -23,6 +23,7 @@ pub mod outcome;
 mod phase;
 pub mod recovery;
 mod rows;
+mod scenes;
 #[cfg(feature = "scale")]
 mod shared_claim;
 pub mod statistics;
@@ -38,3 +39,4 @@ pub use finish::{Finished, Published};
 pub use follow::Following;
 pub use handle::{Cancel, JobFilter, LabelFilter, LogLine, Queue};
 pub use phase::Phase;
+pub use scenes::Scene;

@@ -1,4 +1,4 @@
-//! Supervision of one child process: progress, cancellation, silence, exit.
+//! Supervision of one child process: progress, provisional scenes, cancellation, silence, exit.
 
 use crate::service::child::Child;
 use crate::service::failpoint::fault;
@@ -75,6 +75,10 @@ pub(super) async fn supervise(
                     metrics.note_heartbeat(&claim.job);
                 }
                 Some(progress @ Message::Progress { .. }) => tracker.note(progress),
+                Some(Message::Scene { stage, document }) => {
+                    tracker.last_message_at = Instant::now();
+                    queue.show_scene(&claim.job, stage, document);
+                }
                 Some(message) => last_message = Some(message),
                 None => break None,
             },
@@ -102,6 +106,7 @@ pub(super) async fn supervise(
         }
         None => wait_for_exit(child, settings, last_message).await,
     };
+    queue.remove_scene(&claim.job);
     if let ChildExit::Crashed(Crash { how, signal }) = &exit {
         metrics.child_crashes.inc();
         tracing::warn!(signal, how, "the job's process crashed");

@@ -34,12 +34,18 @@ pub(crate) fn distortion_model(dist: &Distortion) -> Option<&'static str> {
 
 /// Image size, K and distortion of a camera, as `session.json` and `cameras.json` hold them.
 #[derive(Serialize)]
+#[cfg_attr(feature = "service", derive(utoipa::ToSchema))]
 pub(crate) struct LensFields {
+    /// Width of the images, px.
     width: u32,
+    /// Height of the images, px.
     height: u32,
+    /// Camera matrix, px.
     #[serde(rename = "K", skip_serializing_if = "Option::is_none")]
     matrix: Option<[[f64; 3]; 3]>,
+    /// Distortion coefficients in OpenCV's order.
     dist: Vec<f64>,
+    /// `rational` or `fisheye`; absent for the polynomial model.
     #[serde(skip_serializing_if = "Option::is_none")]
     distortion_model: Option<&'static str>,
 }

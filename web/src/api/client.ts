@@ -1,5 +1,6 @@
 // Requests to the service and their errors.
 
+import type { ProvisionalScene } from '../data/provisional'
 import type { Cause, Correction, Inspection, Job, Manifest, Report, Session } from './types'
 
 /** Error of a request, with the explanation of the service if it gave one. */
@@ -83,6 +84,7 @@ export const getSession = (id: string, signal?: AbortSignal) => json<Session>(`/
 export const getJob = (id: string, signal?: AbortSignal) => json<Job>(`/v1/jobs/${id}`, { signal })
 export const getReport = (id: string, signal?: AbortSignal) => json<Report>(`/v1/jobs/${id}/report`, { signal })
 export const getManifest = (id: string, signal?: AbortSignal) => json<Manifest>(`/v1/jobs/${id}/result`, { signal })
+export const getScene = (id: string, signal?: AbortSignal) => json<ProvisionalScene>(`/v1/jobs/${id}/scene`, { signal })
 export const cancelJob = (id: string) => request(`/v1/jobs/${id}/cancel`, { method: 'POST' })
 export const deleteJob = (id: string) => request(`/v1/jobs/${id}`, { method: 'DELETE' })
 export const deleteSession = (id: string) => request(`/v1/sessions/${id}`, { method: 'DELETE' })

@@ -12,6 +12,8 @@ export interface Follower {
   onJob: (job: Job) => void
   /** A log line of the job process. */
   onLog?: (line: string) => void
+  /** There is a new provisional scene. */
+  onScene?: () => void
   /** A connection problem; null as soon as the service answers again. */
   onProblem: (problem: Problem | null) => void
 }
@@ -33,6 +35,7 @@ export async function follow(id: string, follower: Follower, signal: AbortSignal
         if (signal.aborted) return
         last = version ?? last
         if (name === 'log') follower.onLog?.(String(JSON.parse(data).line))
+        else if (name === 'scene') follower.onScene?.()
         else if (name === 'state') report(JSON.parse(data))
         // Progress events do not contain the times of finished stages.
         else if (name === 'progress' && job) report(await withProgress(job, JSON.parse(data), signal))

@@ -1,12 +1,14 @@
 // Page of a job: progress, then scene, report and files of its result.
 
-import { Problem, cancelJob, deleteJob, getSession, startJob } from '../api/client'
+import { Problem, cancelJob, deleteJob, getScene, getSession, startJob } from '../api/client'
 import { follow } from '../api/follow'
 import { type Job, isFinal } from '../api/types'
+import type { ProvisionalScene } from '../data/provisional'
 import { button, el, fill } from '../dom'
 import { localTime, seconds, words } from '../format'
 import { reportPage } from '../report/report'
 import { type OpenScene, openScene } from '../scene/page'
+import { ProvisionalView } from '../scene/provisional'
 import { duration, progressBar, stateChip, verdictChip } from './chips'
 import { confirmDeletion } from './dialog'
 import { filesPage } from './files'
@@ -33,7 +35,7 @@ export function openJob(id: string, tab: Tab, signal: AbortSignal, onproblem: (p
   let job: Job | null = null
   let shown: Tab | null = null
   let scene: OpenScene | null = null
-  signal.addEventListener('abort', () => scene?.close())
+  signal.addEventListener('abort', () => (scene?.close(), progress.close()))
 
   const act = async (title: string, action: () => Promise<unknown>) => {
     try {
@@ -73,6 +75,7 @@ export function openJob(id: string, tab: Tab, signal: AbortSignal, onproblem: (p
     document.title = `${name || 'job'} · ${now.state} · wandless`
     drawHead(now)
     tabs.hidden = now.state !== 'succeeded'
+    if (isFinal(now.state)) progress.close()
     if (now.state === 'succeeded') show(tab)
     else if (isFinal(now.state)) fill(body, endNotice(now))
     else {
@@ -87,6 +90,8 @@ export function openJob(id: string, tab: Tab, signal: AbortSignal, onproblem: (p
       changed(now)
     },
     onLog: (line) => progress.log(line),
+    // A scene can be gone when it is asked for: the job has ended.
+    onScene: () => getScene(id, signal).then((found) => signal.aborted || (job && isFinal(job.state)) || progress.scene(found), () => {}),
     onProblem: (problem) => {
       if (problem?.status === 404) fill(body, problemCard('This job does not exist', problem))
       else onproblem(problem)
@@ -149,13 +154,15 @@ function endNotice(job: Job) {
   return causeCard(job.state === 'dead' ? 'The job crashed three times' : 'This session could not be solved', { ...cause, remedy })
 }
 
-/** Progress and log of a job without a result. */
+/** Progress, provisional scene and log of a job without a result. */
 class ProgressView {
   private readonly progress = el('div', { role: 'status' })
   private readonly stages = el('ol', { class: 'stages' })
   private readonly lines = el('pre', { class: 'log', tabindex: 0, 'aria-label': 'Log lines' })
   private readonly logBox = el('details', { hidden: true }, el('summary', {}, 'Log'), this.lines)
-  readonly element = el('section', { class: 'waiting', 'aria-label': 'Progress' }, this.progress, this.stages, this.logBox)
+  private readonly provisional = new ProvisionalView()
+  readonly element = el('section', { class: 'waiting', 'aria-label': 'Progress' },
+    this.progress, this.provisional.element, this.stages, this.logBox)
 
   show(job: Job) {
     fill(this.progress, progressBar(job))
@@ -163,6 +170,14 @@ class ProgressView {
     if (done.length !== this.stages.childElementCount) {
       fill(this.stages, ...done.map(([stage, time]) => el('li', {}, `${words(stage)}: ${seconds(time)}`)))
     }
+  }
+
+  scene(scene: ProvisionalScene) {
+    this.provisional.show(scene)
+  }
+
+  close() {
+    this.provisional.close()
   }
 
   log(line: string) {

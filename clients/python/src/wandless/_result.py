@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 import os
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, Union
+from typing import TYPE_CHECKING, Any, ClassVar, Optional, Union
 
 if TYPE_CHECKING:
     import numpy
@@ -111,6 +112,21 @@ class Result:
             figures = ("id", "first_frame", "last_frame", "n_detections", "bone_length_spread", "jitter_m_per_s2")
             return pd.DataFrame([{key: person.get(key) for key in figures} for person in self.report["people"]])
         raise ValueError(f"{table!r} is not a table: use joints, cameras or people")
+
+    def to_nwb(
+        self,
+        path: Union[str, os.PathLike[str]],
+        start: datetime.datetime,
+        identifier: Optional[str] = None,
+        description: str = "markerless motion capture",
+    ) -> None:
+        """Writes an NWB file with the joints of all people as `ndx-pose` estimates; needs the extra `nwb`.
+
+        `start`: time of the session's first frame, with a time zone. `identifier`: of the file; random without it.
+        """
+        from ._nwb import write_nwb
+
+        write_nwb(self, path, start, identifier, description)
 
 
 def _position(camera: Mapping[str, Any]) -> dict[str, Any]:

@@ -26,7 +26,7 @@ curl -s -O $S/v1/jobs/job_…/artifacts/scene.glb
 curl -s -F session=@take.zip -F 'options={"people": 3}' $S/v1/jobs</pre>
 <h2>Layouts of a session</h2>
 <pre>native                              another detector, unchanged
-  session.json                        Calib.toml            cameras: Pose2Sim, anipose, OpenCV YAML, COLMAP, ROS, …
+  session.json                        Calib.toml            cameras: Pose2Sim, anipose, OpenCV YAML, COLMAP, Qualisys, …
     {"name", "fps", "n_frames",       session.json          optional: {"fps": 25}
      "keypoint_convention",           cam1/                 named as the camera in the calibration
      "cameras": [{"id", "width",        cam1_000000000000_keypoints.json

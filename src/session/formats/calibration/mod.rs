@@ -7,6 +7,7 @@ mod dmmr;
 mod format;
 mod opencap;
 mod opencv_yaml;
+mod qualisys;
 mod ros;
 mod toml_cameras;
 mod values;
@@ -36,6 +37,9 @@ pub(crate) fn recognise(head: &str) -> Option<CalibrationFormat> {
     let start = head.trim_start();
     let has_line = |prefix: &str| head.lines().any(|line| line.trim_start().starts_with(prefix));
     if start.starts_with('<') {
+        if qualisys::recognise(head) {
+            return Some(F::Qualisys);
+        }
         return (head.contains("<sensor") || head.contains("<chunk")).then_some(F::Agisoft);
     }
     if start.starts_with("%YAML") || head.contains("!!opencv-matrix") {
@@ -77,6 +81,7 @@ impl Calibration {
             F::ColmapCameras => self.colmap.add_cameras(text).map(|()| Vec::new())?,
             F::ColmapImages => self.colmap.add_images(text).map(|()| Vec::new())?,
             F::Agisoft => agisoft::read(text, warnings)?,
+            F::Qualisys => qualisys::read(text, warnings)?,
             F::Dmmr => dmmr::read(text)?,
             F::Assoc4d => assoc4d::read(text)?,
             F::OpenCap => vec![opencap::read(file, bytes)?],
