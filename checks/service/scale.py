@@ -19,33 +19,10 @@ import threading
 import time
 
 from cluster import Cluster, Postgres, find, wait_for
-from harness import Failed, Service, percentile, require, sha256, take, until, wandless
-
-FIXED = {"extrinsics": "fixed", "exports": []}
-
-
-def final_states(cluster):
-    return dict((state, int(n)) for state, n in cluster.postgres.ask("SELECT state, count(*) FROM jobs GROUP BY state"))
-
-
-def at_work(node):
-    """Process ids of the node's children that run a job."""
-    found = subprocess.run(["ps", "-o", "pid=,args=", "--ppid", str(node.process.pid)], capture_output=True, text=True)
-    return [int(line.split()[0]) for line in found.stdout.splitlines() if "run-job" in line]
-
-
-def check_objects(cluster):
-    """Every file that a row names is there with its digest; of each job one claim has published."""
-    require(not cluster.counters_differ(), f"counters differ from the jobs: {cluster.counters_differ()}")
-    objects = cluster.store.objects("results")
-    named = cluster.postgres.ask(
-        "SELECT 'results/' || jobs.id || '/' || result_fence || '/' || sha256, sha256 FROM artifacts JOIN jobs ON jobs.id = job_id")
-    for key, digest in named:
-        require(key in objects, f"{key} is missing")
-        with open(objects[key], "rb") as file:
-            require(sha256(file.read()) == digest, f"{key} has other bytes")
-    return len(named), len(set(objects) - {key for key, _ in named})
-
+from broken import broken_store, cut_off, large_upload, lost_answers, paused_transaction, wrong_clocks
+from harness import Failed, Service, percentile, require, take, until, wandless
+from moved import moved
+from states import FIXED, all_final, at_work, check_objects, final_states
 
 def two_api_nodes(options):
     """Two API nodes and two workers are one service, and give the bytes of the embedded default."""
@@ -130,10 +107,6 @@ def kills(options):
                 f"{strays} strays for the sweep, counters exact")
     finally:
         cluster.remove()
-
-
-def all_final(cluster):
-    return not {"queued", "running", "canceling"} & set(final_states(cluster))
 
 
 def frozen_worker(options):
@@ -275,7 +248,8 @@ def refused(options):
         server.remove()
 
 
-ROWS = [two_api_nodes, kills, frozen_worker, database_away, leader_killed, refused]
+ROWS = [two_api_nodes, kills, frozen_worker, database_away, leader_killed, refused, moved, lost_answers, paused_transaction, wrong_clocks,
+        broken_store, cut_off, large_upload]
 
 
 def main():
@@ -284,8 +258,11 @@ def main():
     parser.add_argument("--s3", default=shutil.which("s3s-fs"), help="the program s3s-fs")
     parser.add_argument("--seed", type=int, default=int(time.time()))
     parser.add_argument("--row", type=int, help="one row, from 1")
-    for name, default in {"jobs": 12, "kills": 10, "workers": 3, "changes": 10, "freezes": 3, "leaders": 5}.items():
+    for name, default in {"jobs": 12, "kills": 10, "workers": 3, "changes": 10, "freezes": 3, "leaders": 5, "eaten": 5,
+                          "pauses": 2, "uploads": 6, "upload-mib": 2048}.items():
         parser.add_argument(f"--{name}", type=int, default=default)
+    parser.add_argument("--previous", help="the program of the previous release, which makes the folder that is moved")
+    parser.add_argument("--cut", type=float, default=20.0, help="seconds without one of the servers")
     parser.add_argument("--away", type=float, default=10.0, help="seconds without a database")
     options = parser.parse_args()
     missing = [name for name in ("initdb", "pg_ctl", "psql") if not find(name)]
