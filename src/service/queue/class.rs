@@ -43,6 +43,7 @@ impl Queue {
     }
 
     /// The largest class that this process claims.
+    #[cfg(feature = "scale")]
     pub(super) fn largest_class(&self) -> i64 {
         self.class.unwrap_or(LARGEST)
     }
