@@ -175,6 +175,38 @@ def database_away(options):
         cluster.remove()
 
 
+def turns_of_tenants(options):
+    """The one job of a tenant has the second turn beside the many of another, of which never more than three run at once."""
+    cluster = Cluster(options.program, options.s3)
+    try:
+        words = ["--set", "tenants.max_running=3", "--set", "jobs.concurrent=4"]
+        api = cluster.node("api", *words)
+        clients = {}
+        for tenant in ("many", "one"):
+            environment = {**os.environ, "WANDLESS_STORE__URL": cluster.postgres.url("wandless"), "WANDLESS_BLOBS__URL": cluster.store.url,
+                           **cluster.store.environment, "WANDLESS_DATA": api.data}
+            created = subprocess.run([options.program, "key", "create", "--tenant", tenant], capture_output=True, text=True, env=environment)
+            clients[tenant] = api.client(key=created.stdout.strip())
+        sessions = {tenant: client.upload(take(8))["id"] for tenant, client in clients.items()}
+        for _ in range(options.jobs):
+            clients["many"].submit(sessions["many"], FIXED)
+        one = clients["one"].submit(sessions["one"], FIXED)["id"]
+        for _ in range(3):
+            cluster.node("worker", *words)
+        most = 0
+        while not all_final(cluster):
+            rows = cluster.postgres.ask("SELECT count(*) FROM jobs WHERE tenant = 'many' AND state IN ('running', 'canceling')")
+            most = max(most, int(rows[0][0]))
+            time.sleep(0.02)
+        require(most <= 3, f"{most} jobs of a tenant ran at once")
+        order = [row[0] for row in cluster.postgres.ask("SELECT id FROM jobs ORDER BY started_at, seq")]
+        require(order.index(one) <= 2, f"the only job of a tenant was claimed as number {order.index(one) + 1}")
+        check_objects(cluster)
+        return f"the only job was claimed as number {order.index(one) + 1} of {len(order)}; at most {most} of a tenant at once"
+    finally:
+        cluster.remove()
+
+
 def leader_killed(options):
     """Another node becomes the leader, and puts back the jobs of the dead one."""
     cluster = Cluster(options.program, options.s3)
@@ -249,7 +281,7 @@ def refused(options):
 
 
 ROWS = [two_api_nodes, kills, frozen_worker, database_away, leader_killed, refused, moved, lost_answers, paused_transaction, wrong_clocks,
-        broken_store, cut_off, large_upload]
+        broken_store, cut_off, large_upload, turns_of_tenants]
 
 
 def main():
