@@ -20,8 +20,10 @@ import time
 
 from cluster import Cluster, Postgres, find, wait_for
 from broken import broken_store, cut_off, large_upload, lost_answers, paused_transaction, wrong_clocks
+from growth import more_workers
 from harness import Failed, Service, percentile, require, take, until, wandless
 from moved import moved
+from restored import brought_back
 from states import FIXED, all_final, at_work, check_objects, final_states
 
 def two_api_nodes(options):
@@ -281,7 +283,11 @@ def refused(options):
 
 
 ROWS = [two_api_nodes, kills, frozen_worker, database_away, leader_killed, refused, moved, lost_answers, paused_transaction, wrong_clocks,
-        broken_store, cut_off, large_upload, turns_of_tenants]
+        broken_store, cut_off, large_upload, turns_of_tenants,
+        brought_back]
+
+#: Rows that need a program with the feature `failpoints`, run by `--row` alone.
+SIMULATED = [more_workers]
 
 
 def main():
@@ -291,9 +297,10 @@ def main():
     parser.add_argument("--seed", type=int, default=int(time.time()))
     parser.add_argument("--row", type=int, help="one row, from 1")
     for name, default in {"jobs": 12, "kills": 10, "workers": 3, "changes": 10, "freezes": 3, "leaders": 5, "eaten": 5,
-                          "pauses": 2, "uploads": 6, "upload-mib": 2048}.items():
+                          "pauses": 2, "uploads": 6, "upload-mib": 2048, "growth-jobs": 12}.items():
         parser.add_argument(f"--{name}", type=int, default=default)
     parser.add_argument("--previous", help="the program of the previous release, which makes the folder that is moved")
+    parser.add_argument("--growth", type=float, default=7.5, help="least ratio of the rates of 8 workers and of one")
     parser.add_argument("--cut", type=float, default=20.0, help="seconds without one of the servers")
     parser.add_argument("--away", type=float, default=10.0, help="seconds without a database")
     options = parser.parse_args()
@@ -303,8 +310,8 @@ def main():
         sys.exit(0)
     print(f"seed {options.seed}", flush=True)
     failed = False
-    for number, row in enumerate(ROWS, 1):
-        if options.row not in (None, number):
+    for number, row in enumerate([*ROWS, *SIMULATED], 1):
+        if options.row != number and (options.row is not None or row in SIMULATED):
             continue
         start = time.monotonic()
         try:
