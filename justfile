@@ -24,7 +24,7 @@ build:
 
 # The program with named points at which it can be made to end
 build-failpoints:
-    cargo build --release --features failpoints --target-dir target/failpoints
+    cargo build --release --features failpoints,scale --target-dir target/failpoints
 
 # Kernels, stages, end to end
 bench *filter:

@@ -89,20 +89,21 @@ class Postgres:
 class ObjectStore:
     """An S3 server (`cargo install s3s-fs --features binary`); without it a folder that all nodes share."""
 
-    def __init__(self, program):
-        self.folder = tempfile.mkdtemp(prefix="wandless-objects-")
+    def __init__(self, program, bucket=BUCKET, access_key="check", secret_key="check-secret"):
+        self.folder, self.bucket = tempfile.mkdtemp(prefix="wandless-objects-"), bucket
         self.process, self.environment = None, {}
         if not program:
             print("SKIPPED: S3, because s3s-fs is not installed (cargo install s3s-fs --features binary --locked); a shared folder is used",
                   flush=True)
             self.url = f"file://{self.folder}"
             return
-        os.mkdir(os.path.join(self.folder, BUCKET))
+        os.mkdir(os.path.join(self.folder, bucket))
         port = free_port()
-        self.command = [program, "--host", "127.0.0.1", "--port", str(port), "--access-key", "check", "--secret-key", "check-secret", self.folder]
-        self.environment = {"AWS_ACCESS_KEY_ID": "check", "AWS_SECRET_ACCESS_KEY": "check-secret", "AWS_REGION": "us-east-1",
+        self.command = [program, "--host", "127.0.0.1", "--port", str(port), "--access-key", access_key, "--secret-key", secret_key,
+                        self.folder]
+        self.environment = {"AWS_ACCESS_KEY_ID": access_key, "AWS_SECRET_ACCESS_KEY": secret_key, "AWS_REGION": "us-east-1",
                             "AWS_ENDPOINT": f"http://127.0.0.1:{port}", "AWS_ALLOW_HTTP": "true"}
-        self.url = f"s3://{BUCKET}/service"
+        self.url = f"s3://{bucket}/service"
         self.port = port
         self.start()
 
@@ -112,7 +113,7 @@ class ObjectStore:
 
     def objects(self, folder):
         """Path by key below a folder of the store."""
-        root = os.path.join(self.folder, BUCKET, "service") if self.process else self.folder
+        root = os.path.join(self.folder, self.bucket, "service") if self.process else self.folder
         found = {}
         for place, _, names in os.walk(os.path.join(root, folder)):
             for name in names:
@@ -143,11 +144,11 @@ class Cluster:
         self.lease_s = lease_s
         self.nodes = []
 
-    def node(self, role, *words, **environment):
+    def node(self, role, *words, prefix=(), **environment):
         """A started node."""
         settings = {"WANDLESS_STORE__URL": self.postgres.url("wandless"), "WANDLESS_BLOBS__URL": self.store.url}
         node = Service(self.program, words=["--role", role, *self.words, *words],
-                       environment={**settings, **self.store.environment, **environment})
+                       environment={**settings, **self.store.environment, **environment}, prefix=prefix)
         require(node.start() is not None, f"a node of the role {role} does not start")
         self.nodes.append(node)
         return node

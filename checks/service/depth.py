@@ -30,7 +30,7 @@ def main():
         service.start()
         session = service.client().upload(take(10, 2))["id"]
         service.stop()
-        fill(service, args.jobs, n_tenants, args.idle)
+        fill(service, session, args.jobs, n_tenants, args.idle)
         key = create_key(service)
         started = service.start()
         print(f"{args.jobs} jobs of {n_tenants} tenants: start {1000 * started:.0f} ms", flush=True)
@@ -41,7 +41,7 @@ def main():
     faults.end()
 
 
-def fill(service, n_jobs, n_tenants, n_idle):
+def fill(service, session, n_jobs, n_tenants, n_idle):
     """Adds jobs that end as soon as they are claimed, and tenants without jobs."""
     with sqlite3.connect(os.path.join(service.data, "wandless.db")) as database:
         database.execute("PRAGMA synchronous = OFF")
@@ -49,8 +49,8 @@ def fill(service, n_jobs, n_tenants, n_idle):
         database.executemany("INSERT INTO tenants (name) VALUES (?)", ((name,) for name in names))
         database.executemany(
             """INSERT INTO jobs (id, tenant, session_id, options, labels, priority, state, created_at)
-               VALUES (?, ?, 'none', '{"unreadable": true}', '{}', 0, 'queued', '2026-01-01T00:00:00.000Z')""",
-            ((f"job_{uuid.uuid4().hex}", f"tenant{n % n_tenants}") for n in range(n_jobs)))
+               VALUES (?, ?, ?, '{"unreadable": true}', '{}', 0, 'queued', '2026-01-01T00:00:00.000Z')""",
+            ((f"job_{uuid.uuid4().hex}", f"tenant{n % n_tenants}", session) for n in range(n_jobs)))
 
 
 def create_key(service):
@@ -88,7 +88,7 @@ def claims(service, args, faults):
     """Rate of claims, and time between one claim and the next."""
     with sqlite3.connect(os.path.join(service.data, "wandless.db")) as database:
         rows = database.execute("""SELECT 86400.0 * (julianday(started_at) - 2440587.5) FROM jobs
-                                   WHERE started_at IS NOT NULL AND session_id = 'none' ORDER BY 1""")
+                                   WHERE started_at IS NOT NULL AND state = 'failed' ORDER BY 1""")
         moments = [moment for (moment,) in rows]
         kept, = database.execute("SELECT sum(n_queued + n_running + n_failed) FROM tenants").fetchone()
         counted, = database.execute("SELECT count(*) FROM jobs WHERE state IN ('queued', 'running', 'failed')").fetchone()

@@ -19,33 +19,12 @@ import threading
 import time
 
 from cluster import Cluster, Postgres, find, wait_for
-from harness import Failed, Service, percentile, require, sha256, take, until, wandless
-
-FIXED = {"extrinsics": "fixed", "exports": []}
-
-
-def final_states(cluster):
-    return dict((state, int(n)) for state, n in cluster.postgres.ask("SELECT state, count(*) FROM jobs GROUP BY state"))
-
-
-def at_work(node):
-    """Process ids of the node's children that run a job."""
-    found = subprocess.run(["ps", "-o", "pid=,args=", "--ppid", str(node.process.pid)], capture_output=True, text=True)
-    return [int(line.split()[0]) for line in found.stdout.splitlines() if "run-job" in line]
-
-
-def check_objects(cluster):
-    """Every file that a row names is there with its digest; of each job one claim has published."""
-    require(not cluster.counters_differ(), f"counters differ from the jobs: {cluster.counters_differ()}")
-    objects = cluster.store.objects("results")
-    named = cluster.postgres.ask(
-        "SELECT 'results/' || jobs.id || '/' || result_fence || '/' || sha256, sha256 FROM artifacts JOIN jobs ON jobs.id = job_id")
-    for key, digest in named:
-        require(key in objects, f"{key} is missing")
-        with open(objects[key], "rb") as file:
-            require(sha256(file.read()) == digest, f"{key} has other bytes")
-    return len(named), len(set(objects) - {key for key, _ in named})
-
+from broken import broken_store, cut_off, large_upload, lost_answers, paused_transaction, wrong_clocks
+from growth import more_workers
+from harness import Failed, Service, percentile, require, take, until, wandless
+from moved import moved
+from restored import brought_back
+from states import FIXED, all_final, at_work, check_objects, final_states
 
 def two_api_nodes(options):
     """Two API nodes and two workers are one service, and give the bytes of the embedded default."""
@@ -132,10 +111,6 @@ def kills(options):
         cluster.remove()
 
 
-def all_final(cluster):
-    return not {"queued", "running", "canceling"} & set(final_states(cluster))
-
-
 def frozen_worker(options):
     """A worker that stood still for two leases publishes nothing when it goes on, and ends its child."""
     cluster = Cluster(options.program, options.s3, beat_s=0.3, lease_s=1.5)
@@ -198,6 +173,38 @@ def database_away(options):
         require(not lost, f"{len(lost)} running jobs were put back")
         check_objects(cluster)
         return f"away for {options.away:.0f} s: 0 of {len(fences)} running jobs put back, ready {ready:.1f} s after its return"
+    finally:
+        cluster.remove()
+
+
+def turns_of_tenants(options):
+    """The one job of a tenant has the second turn beside the many of another, of which never more than three run at once."""
+    cluster = Cluster(options.program, options.s3)
+    try:
+        words = ["--set", "tenants.max_running=3", "--set", "jobs.concurrent=4"]
+        api = cluster.node("api", *words)
+        clients = {}
+        for tenant in ("many", "one"):
+            environment = {**os.environ, "WANDLESS_STORE__URL": cluster.postgres.url("wandless"), "WANDLESS_BLOBS__URL": cluster.store.url,
+                           **cluster.store.environment, "WANDLESS_DATA": api.data}
+            created = subprocess.run([options.program, "key", "create", "--tenant", tenant], capture_output=True, text=True, env=environment)
+            clients[tenant] = api.client(key=created.stdout.strip())
+        sessions = {tenant: client.upload(take(8))["id"] for tenant, client in clients.items()}
+        for _ in range(options.jobs):
+            clients["many"].submit(sessions["many"], FIXED)
+        one = clients["one"].submit(sessions["one"], FIXED)["id"]
+        for _ in range(3):
+            cluster.node("worker", *words)
+        most = 0
+        while not all_final(cluster):
+            rows = cluster.postgres.ask("SELECT count(*) FROM jobs WHERE tenant = 'many' AND state IN ('running', 'canceling')")
+            most = max(most, int(rows[0][0]))
+            time.sleep(0.02)
+        require(most <= 3, f"{most} jobs of a tenant ran at once")
+        order = [row[0] for row in cluster.postgres.ask("SELECT id FROM jobs ORDER BY started_at, seq")]
+        require(order.index(one) <= 2, f"the only job of a tenant was claimed as number {order.index(one) + 1}")
+        check_objects(cluster)
+        return f"the only job was claimed as number {order.index(one) + 1} of {len(order)}; at most {most} of a tenant at once"
     finally:
         cluster.remove()
 
@@ -275,7 +282,12 @@ def refused(options):
         server.remove()
 
 
-ROWS = [two_api_nodes, kills, frozen_worker, database_away, leader_killed, refused]
+ROWS = [two_api_nodes, kills, frozen_worker, database_away, leader_killed, refused, moved, lost_answers, paused_transaction, wrong_clocks,
+        broken_store, cut_off, large_upload, turns_of_tenants,
+        brought_back]
+
+#: Rows that need a program with the feature `failpoints`, run by `--row` alone.
+SIMULATED = [more_workers]
 
 
 def main():
@@ -284,8 +296,12 @@ def main():
     parser.add_argument("--s3", default=shutil.which("s3s-fs"), help="the program s3s-fs")
     parser.add_argument("--seed", type=int, default=int(time.time()))
     parser.add_argument("--row", type=int, help="one row, from 1")
-    for name, default in {"jobs": 12, "kills": 10, "workers": 3, "changes": 10, "freezes": 3, "leaders": 5}.items():
+    for name, default in {"jobs": 12, "kills": 10, "workers": 3, "changes": 10, "freezes": 3, "leaders": 5, "eaten": 5,
+                          "pauses": 2, "uploads": 6, "upload-mib": 2048, "growth-jobs": 12}.items():
         parser.add_argument(f"--{name}", type=int, default=default)
+    parser.add_argument("--previous", help="the program of the previous release, which makes the folder that is moved")
+    parser.add_argument("--growth", type=float, default=7.5, help="least ratio of the rates of 8 workers and of one")
+    parser.add_argument("--cut", type=float, default=20.0, help="seconds without one of the servers")
     parser.add_argument("--away", type=float, default=10.0, help="seconds without a database")
     options = parser.parse_args()
     missing = [name for name in ("initdb", "pg_ctl", "psql") if not find(name)]
@@ -294,8 +310,8 @@ def main():
         sys.exit(0)
     print(f"seed {options.seed}", flush=True)
     failed = False
-    for number, row in enumerate(ROWS, 1):
-        if options.row not in (None, number):
+    for number, row in enumerate([*ROWS, *SIMULATED], 1):
+        if options.row != number and (options.row is not None or row in SIMULATED):
             continue
         start = time.monotonic()
         try:

@@ -1,6 +1,6 @@
 """Runs each check against the fault that it must detect; a check that passes on a broken guarantee is ineffective.
 
-    cargo build --release --features failpoints --target-dir target/failpoints
+    cargo build --release --features failpoints,scale --target-dir target/failpoints
     python3 checks/service/selftest.py --program target/failpoints/release/wandless
 
 The faults are listed in `src/service/failpoint.rs`; each needs an entry here.
@@ -57,6 +57,10 @@ FAULTS = {
     "uploads.spilled": ("D3", "hostile.py", "--flips", "500"),
     "webhooks.unfair": ("row 9", "workers.py", "--row", "9"),
     "children.free": ("row 19", "workers.py", "--row", "19"),
+    "fence.none": ("FAULT", "scale.py", "--row", "3", "--freezes", "2"),
+    "beat.none": ("states", "scale.py", "--row", "4"),
+    "sweep.eager": ("states", "scale.py", "--row", "2", "--kills", "1"),
+    "row.unlocked": ("ran at once", "scale.py", "--row", "14", "--jobs", "40"),
     "descriptors.unreserved": ("row 2", "front.py", "--row", "2"),
     "idlers.kept": ("row 3", "front.py", "--row", "3"),
     "hosts.any": ("row 6", "front.py", "--row", "6"),
@@ -79,7 +83,7 @@ def main():
         command = [sys.executable, os.path.join(HERE, check), "--program", args.program, "--seed", str(args.seed), *words]
         try:
             run = subprocess.run(command, env={**os.environ, "WANDLESS_FAULT": fault}, capture_output=True, text=True, timeout=args.limit)
-            found = [line for line in run.stdout.splitlines() if line.startswith("FAULT") or ": FAILED: " in line]
+            found = [line for line in run.stdout.splitlines() if line.startswith("FAULT") or ": FAILED: " in line or ": FAULT " in line]
             matching = [line for line in found if mark in line]
             detected = run.returncode == 1 and bool(matching)
             how = (matching or found or run.stderr.strip().splitlines()[-1:] or ["no output"])[0][:110]

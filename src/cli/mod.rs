@@ -32,6 +32,8 @@ mod key;
 #[cfg(feature = "service")]
 mod mcp;
 #[cfg(feature = "service")]
+mod migrate;
+#[cfg(feature = "service")]
 mod operator;
 #[cfg(feature = "service")]
 mod read_upload;
@@ -103,6 +105,9 @@ enum Command {
     /// Restore a data folder from a backup
     #[cfg(feature = "service")]
     Restore(operator::RestoreArgs),
+    /// Bring a database to this release's tables, or move a service to PostgreSQL and an object store
+    #[cfg(feature = "service")]
+    Migrate(migrate::Args),
     /// Verify every file of a data folder or a backup
     #[cfg(feature = "service")]
     Verify(operator::VerifyArgs),
@@ -170,6 +175,8 @@ pub fn main() -> ExitCode {
         Command::Backup(args) => operator::back_up(args),
         #[cfg(feature = "service")]
         Command::Restore(args) => operator::restore(args),
+        #[cfg(feature = "service")]
+        Command::Migrate(args) => migrate::run(args),
         #[cfg(feature = "service")]
         Command::Verify(args) => operator::verify(args),
         #[cfg(feature = "service")]

@@ -12,11 +12,11 @@ use crate::pipeline::config::DEFAULT_BODY;
 use crate::pipeline::provisional::{ProvisionalScene, Watcher};
 use crate::progress::{Progress, ProgressEvent};
 use crate::service::bodies;
-use crate::service::failpoint::{fault, linger};
+use crate::service::failpoint::{fault, linger, simulated_job};
 use crate::service::protocol::{JobTask, Message, RUN_JOB};
 use crate::service::queue::job::JobError;
 use crate::session::upload::UploadError;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -50,11 +50,17 @@ pub(super) fn run() -> ExitCode {
 }
 
 fn access(task: &JobTask) -> Access<'_> {
+    let simulated = simulated_job().map(|(_, result)| &*Box::leak(result.into_boxed_path())); // once in a process
     let reads = [task.session.as_path(), &task.bodies].into_iter().chain(task.earlier.iter().map(PathBuf::as_path));
-    Access { reads: reads.collect(), writes: vec![&task.out, &task.checkpoints] }
+    Access { reads: reads.chain(simulated).collect(), writes: vec![&task.out, &task.checkpoints] }
 }
 
 fn run_task(task: &JobTask, progress: &Progress) -> Result<(), JobError> {
+    if let Some((duration, result)) = simulated_job() {
+        std::thread::sleep(duration);
+        let copied = copy_files(&result, &task.out);
+        return copied.map_err(|error| JobError { detail: error.to_string(), ..JobError::default() });
+    }
     let body = match task.options.body.as_str() {
         DEFAULT_BODY => default_body(),
         name => bodies::load(&task.bodies, name).map_err(|error| JobError {
@@ -82,6 +88,21 @@ fn run_task(task: &JobTask, progress: &Progress) -> Result<(), JobError> {
 fn send_scene(scene: ProvisionalScene) {
     let document = serde_json::to_string(&scene).expect("a scene is strings and numbers, which always serialise");
     send(&Message::Scene { stage: scene.stage.to_owned(), document });
+}
+
+/// Copies a result for [`simulated_job`].
+fn copy_files(from: &Path, to: &Path) -> std::io::Result<()> {
+    for entry in std::fs::read_dir(from)? {
+        let entry = entry?;
+        let target = to.join(entry.file_name());
+        if entry.file_type()?.is_dir() {
+            std::fs::create_dir_all(&target)?;
+            copy_files(&entry.path(), &target)?;
+        } else {
+            std::fs::copy(entry.path(), target)?;
+        }
+    }
+    Ok(())
 }
 
 fn send_heartbeats() {

@@ -37,11 +37,10 @@ impl Checkpoints {
         Self::default()
     }
 
-    /// Stores stages in `folder`, which must exist, for one run: this session, these options, this body, this release.
+    /// Stores stages in `folder`, which must exist, for one run: this session, these options, this body, this release, this instruction
+    /// set.
     pub fn in_folder(folder: &Path, session_sha256: &str, options: &Options, body: &BodyModel) -> Self {
-        let options = serde_json::to_string(options).unwrap_or_default(); // always serialises
-        let run = [env!("CARGO_PKG_VERSION"), session_sha256, &options, &body.sha256()].join("\n");
-        let key = hex::encode(Sha256::digest(run.as_bytes()));
+        let key = run_key(instruction_set(), session_sha256, options, body);
         Self { folder: Some(RunFolder { path: folder.to_owned(), key, n_repairs: 0 }) }
     }
 
@@ -71,6 +70,26 @@ impl Checkpoints {
         }
         Ok(result)
     }
+}
+
+/// Key of a run on a machine with these vector instructions.
+fn run_key(instructions: &str, session_sha256: &str, options: &Options, body: &BodyModel) -> String {
+    let options = serde_json::to_string(options).unwrap_or_default(); // always serialises
+    let run = [env!("CARGO_PKG_VERSION"), instructions, session_sha256, &options, &body.sha256()].join("\n");
+    hex::encode(Sha256::digest(run.as_bytes()))
+}
+
+/// The vector instructions with which this processor computes: products are fused and summed in another order with others, so that a run
+/// that continues on another kind of machine would give other bytes.
+fn instruction_set() -> &'static str {
+    #[cfg(target_arch = "x86_64")]
+    return match (is_x86_feature_detected!("avx512f"), is_x86_feature_detected!("fma")) {
+        (true, _) => "x86_64 avx512",
+        (false, true) => "x86_64 fma",
+        (false, false) => "x86_64",
+    };
+    #[cfg(not(target_arch = "x86_64"))]
+    std::env::consts::ARCH
 }
 
 /// Whether a file is an undamaged checkpoint, of any run.
@@ -146,6 +165,13 @@ mod tests {
         assert!(first.iter().zip(&again).all(|(a, b)| a.to_bits() == b.to_bits()));
         resumed(&of(1), &runs);
         assert_eq!(runs.get(), 2, "other options are another run");
+    }
+
+    #[test]
+    fn machines_with_other_instructions_run_their_stages_themselves() {
+        let key = |instructions| run_key(instructions, "00", &Options::default(), &default_body());
+        assert_eq!(key(instruction_set()), key(instruction_set()));
+        assert_ne!(key("x86_64 fma"), key("x86_64 avx512"));
     }
 
     #[test]

@@ -4,6 +4,7 @@
 //! between step i and i + 1 is met every time. `WANDLESS_FAULT=name` breaks one guarantee, so that a check that does not
 //! notice is known to be ineffective (`checks/service/selftest.py`). `WANDLESS_LINGER_MS=150` delays the start of every
 //! stage of a job. `WANDLESS_LOST_ANSWERS=3` makes one in three COMMITs of sessions and jobs look failed although it was made.
+//! `WANDLESS_SIMULATED_JOB=500:FOLDER` makes a job wait for 500 ms and publish the files of a folder in place of solving its session.
 //! Without the feature `failpoints` none of these variables has an effect.
 
 /// Names of all failpoints, in the order of a job's life.
@@ -61,6 +62,10 @@ pub const FAULTS: &[(&str, &str)] = &[
     ("descriptors.unreserved", "connections can take every file descriptor"),
     ("idlers.kept", "idle connections keep their slots"),
     ("hosts.any", "a service without keys answers requests to any host"),
+    ("fence.none", "a claim that was put back can still publish"),
+    ("beat.none", "workers send no beats"),
+    ("sweep.eager", "the sweep removes objects that rows name"),
+    ("row.unlocked", "claims do not wait for each other's tenant"),
     ("origins.any", "pages of other sites can change anything"),
 ];
 
@@ -89,6 +94,16 @@ pub(crate) fn linger() {
     if let Some(milliseconds) = std::env::var("WANDLESS_LINGER_MS").ok().and_then(|text| text.parse().ok()) {
         std::thread::sleep(std::time::Duration::from_millis(milliseconds));
     }
+}
+
+/// Duration and result folder of `WANDLESS_SIMULATED_JOB`, with which checks measure the service without the solver.
+pub(crate) fn simulated_job() -> Option<(std::time::Duration, std::path::PathBuf)> {
+    #[cfg(feature = "failpoints")]
+    if let Ok(text) = std::env::var("WANDLESS_SIMULATED_JOB") {
+        let (milliseconds, folder) = text.split_once(':')?;
+        return Some((std::time::Duration::from_millis(milliseconds.parse().ok()?), folder.into()));
+    }
+    None
 }
 
 /// An error after one in `WANDLESS_LOST_ANSWERS` commits, as if its answer were lost. Which ones follows from their number in

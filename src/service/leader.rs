@@ -5,6 +5,7 @@
 //! never two leaders for longer than the time in which a lost connection is noticed; what a leader does is safe even then: jobs are
 //! put back by compare-and-set, and a webhook that is called twice has the same id.
 
+use crate::service::failpoint::fault;
 use crate::service::queue::lease::SeenBeats;
 use crate::service::shared::Shared;
 use crate::service::store::StoreError;
@@ -51,12 +52,14 @@ async fn lead(shared: &Shared) -> Result<(), StoreError> {
     let (mut seen, mut last_sweep) = (SeenBeats::default(), Instant::now());
     let settings = &shared.settings.worker;
     loop {
-        let look = shared.queue.put_back_silent(&mut connection, &mut seen, settings.lease);
+        let max_losses = i64::from(shared.settings.jobs.max_losses);
+        let look = shared.queue.put_back_silent(&mut connection, &mut seen, settings.lease, max_losses);
         match tokio::time::timeout(ANSWER_LIMIT, look).await {
             Ok(looked) => looked?,
             Err(_) => return Ok(()), // the connection ends here, and the lock with it
         }
-        if last_sweep.elapsed() >= SWEEP_INTERVAL {
+        shared.metrics.note_beats(seen.longest_silence());
+        if last_sweep.elapsed() >= SWEEP_INTERVAL || fault("sweep.eager") {
             last_sweep = Instant::now();
             sweep(shared.clone());
         }

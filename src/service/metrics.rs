@@ -13,6 +13,8 @@ use prometheus_client::registry::{Metric, Registry};
 use std::collections::BTreeMap;
 use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+#[cfg(feature = "scale")]
+use std::time::Duration;
 use std::time::Instant;
 
 /// Media type of the metrics page.
@@ -38,6 +40,11 @@ pub struct Metrics {
     silence_s: Seconds,
     unattended_jobs: Gauge,
     webhooks_waiting: Gauge,
+    work_wanted: Family<Labels<1>, Gauge>,
+    is_leader: Gauge,
+    beat_age_s: Seconds,
+    dead_tuples: Seconds,
+    longest_transaction_s: Seconds,
     disk_free_bytes: Gauge,
     database_bytes: Gauge,
     wal_bytes: Gauge,
@@ -74,6 +81,21 @@ impl Default for Metrics {
                 Gauge::default(),
             ),
             webhooks_waiting: add(r, "webhooks_waiting", waiting, Gauge::default()),
+            work_wanted: add(r, "work_wanted", "Jobs without a final state, by class of memory", Family::default()),
+            is_leader: add(
+                r,
+                "leader",
+                "Whether this process is the leader; the sum over all must be 1",
+                Gauge::default(),
+            ),
+            beat_age_s: add(r, "beat_age_seconds", "Longest silence of a worker, seen by the leader", Gauge::default()),
+            dead_tuples: add(r, "dead_tuples_ratio", "Largest share of dead rows of a table", Gauge::default()),
+            longest_transaction_s: add(
+                r,
+                "longest_transaction_seconds",
+                "Age of the oldest open transaction of the database",
+                Gauge::default(),
+            ),
             disk_free_bytes: add(r, "disk_free_bytes", "Free bytes of the data folder's disk", Gauge::default()),
             database_bytes: add(r, "database_bytes", "Size of the database file", Gauge::default()),
             wal_bytes: add(r, "wal_bytes", "Size of the write-ahead log", Gauge::default()),
@@ -146,6 +168,12 @@ impl Metrics {
         self.heartbeats().insert(job.to_owned(), Instant::now());
     }
 
+    /// Notes for how long the most silent worker has sent no beat; called by the leader.
+    #[cfg(feature = "scale")]
+    pub(super) fn note_beats(&self, silence: Duration) {
+        self.beat_age_s.set(silence.as_secs_f64());
+    }
+
     /// Counts a claim that ended in `state`.
     pub(super) fn note_end(&self, job: &str, state: &'static str) {
         self.heartbeats().remove(job);
@@ -160,7 +188,7 @@ impl Metrics {
     }
 
     /// Writes all metrics as OpenMetrics text.
-    pub(super) fn page(&self, queue: &QueueStatistics, disk: &DiskUsage) -> String {
+    pub(super) fn page(&self, queue: &QueueStatistics, disk: &DiskUsage, is_leader: bool) -> String {
         self.jobs.clear();
         for (state, count) in &queue.by_state {
             self.jobs.get_or_create(&[("state", state.clone())]).set(*count);
@@ -171,6 +199,15 @@ impl Metrics {
         self.unattended_jobs.set(queue.running.iter().filter(|job| !heartbeats.contains_key(*job)).count() as i64);
         self.queue_age_s.set(queue.oldest_queued_s);
         self.webhooks_waiting.set(queue.webhooks_waiting);
+        self.is_leader.set(i64::from(is_leader));
+        if !is_leader {
+            self.beat_age_s.set(0.0);
+        }
+        for (class, wanted) in queue.server.work_wanted.iter().enumerate() {
+            self.work_wanted.get_or_create(&[("class", class.to_string())]).set(*wanted);
+        }
+        self.dead_tuples.set(queue.server.dead_tuples_ratio);
+        self.longest_transaction_s.set(queue.server.longest_transaction_s);
         self.disk_free_bytes.set(disk.free_bytes as i64);
         self.database_bytes.set(disk.database_bytes as i64);
         self.wal_bytes.set(disk.wal_bytes as i64);
@@ -187,6 +224,7 @@ impl Metrics {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::service::queue::statistics::ServerStatistics;
 
     #[test]
     fn page_contains_all_counts() {
@@ -197,13 +235,16 @@ mod tests {
         metrics.note_stages(&BTreeMap::from([("cameras".to_owned(), 2.5)]));
         let by_state = vec![("running".to_owned(), 2)];
         let running = vec!["job_1".to_owned(), "job_3".to_owned()];
-        let queue = QueueStatistics { by_state, running, ..QueueStatistics::default() };
-        let page = metrics.page(&queue, &DiskUsage::default());
+        let server = ServerStatistics { work_wanted: vec![0, 7], ..ServerStatistics::default() };
+        let queue = QueueStatistics { by_state, running, server, ..QueueStatistics::default() };
+        let page = metrics.page(&queue, &DiskUsage::default(), true);
         for line in [
             "# HELP wandless_jobs Jobs in the database, by state.",
             "wandless_jobs{state=\"running\"} 2",
             "wandless_jobs_running_without_live_worker 1",
             "wandless_child_crashes_total 0",
+            "wandless_leader 1",
+            "wandless_work_wanted{class=\"1\"} 7",
             "wandless_refused_total{code=\"not_found\"} 1",
             "wandless_stage_seconds_sum{stage=\"cameras\"} 2.5",
             "wandless_claims_ended_total{state=\"succeeded\"} 1",

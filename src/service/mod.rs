@@ -17,6 +17,7 @@
 //! - [`metrics`]: Prometheus metrics
 //! - [`webhooks`]: HTTP calls that report the end of a job
 //! - [`safety`]: backup, restore, verify
+//! - [`transfer`]: moves the service of a data folder to a PostgreSQL server and an object store
 //! - `retention`: automatic removal of old jobs and sessions
 //! - `worker`: runs one claimed job in one child process and records its outcome
 //! - [`http`]: the HTTP API
@@ -38,6 +39,8 @@ pub mod safety;
 pub mod settings;
 mod shared;
 pub mod store;
+#[cfg(feature = "scale")]
+pub mod transfer;
 pub mod validation;
 pub mod webhooks;
 mod worker;
@@ -110,7 +113,7 @@ pub async fn start(settings: Settings) -> Result<Running, ServeError> {
     if !listen.ip().is_loopback() && !store::keys::any(&store).await? {
         return Err(ServeError::NotLoopback { listen });
     }
-    let queue = Queue::new(store.clone());
+    let queue = Queue::new(store.clone()).with_class(settings.worker.class);
     let recovered = queue::recovery::recover(&queue).await?;
     tracing::info!(boot = store.boot, ?recovered, "data folder opened");
     let cannot_listen = |source| ServeError::Listen { listen, source };

@@ -10,7 +10,13 @@ mod inventory;
 mod source;
 mod staging;
 mod verify;
+#[cfg(feature = "scale")]
+mod verify_shared;
 
+#[cfg(feature = "scale")]
+pub(in crate::service) use backup::copy_database;
 pub use backup::{back_up, restore};
 pub use error::BackupError;
 pub use verify::{Report, verify};
+#[cfg(feature = "scale")]
+pub use verify_shared::{SharedReport, verify_shared};

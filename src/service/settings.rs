@@ -93,6 +93,10 @@ pub struct WorkerSettings {
     /// A claim without a beat for this time is lost: its job is put back. No clock but the leader's own monotonic one counts.
     #[serde(rename = "lease_s", with = "seconds")]
     pub lease: Duration,
+    /// The largest class of jobs that this worker claims, 0 to 3 for machines that give a job 2, 8, 32 or 128 GiB; without it, every
+    /// job. A job that runs out of memory is run again in the next class.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub class: Option<i64>,
 }
 
 /// The database.
@@ -196,6 +200,9 @@ pub struct JobSettings {
     /// Crashes of a job's process after which the job is `dead`.
     #[serde(alias = "max_deaths")]
     pub max_crashes: u32,
+    /// Workers that a job may lose, one after the other, before it finishes a further stage; then it is `failed` with `worker_lost`.
+    /// Counted where several processes share the database: the machine of a worker can be what the job takes down.
+    pub max_losses: u32,
     /// Time between the termination request (SIGTERM) to a child process and killing it.
     #[serde(rename = "kill_grace_s", with = "seconds")]
     pub kill_grace: Duration,
@@ -278,7 +285,11 @@ impl Default for StoreSettings {
 
 impl Default for WorkerSettings {
     fn default() -> Self {
-        Self { beat: Duration::from_secs(5), lease: Duration::from_secs(30) } // six beats: an upload of checkpoints delays one or two
+        Self {
+            beat: Duration::from_secs(5),
+            lease: Duration::from_secs(30), // six beats: an upload of checkpoints delays one or two
+            class: None,
+        }
     }
 }
 
@@ -336,6 +347,7 @@ impl Default for JobSettings {
             concurrent: 1, // one job already uses all cores
             threads: 0,
             max_crashes: 3,
+            max_losses: 10, // machines that are taken away at any time lose a job of an hour a few times
             kill_grace: Duration::from_secs(1), // a cancel must take effect within 2 s
             silence_limit: Duration::from_secs(30),
             stall_limit: Duration::from_secs(3600), // no stage of any known capture runs an hour without progress

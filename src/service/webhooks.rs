@@ -19,12 +19,16 @@ use super::settings::WebhookSettings;
 use super::shared::Shared;
 use super::store::{Store, StoreError, Tenant, tenants};
 use call::{Call, CallOutcome};
+use sqlx::AssertSqlSafe;
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::task::{Id, JoinSet};
 use tokio::time::MissedTickBehavior;
 use turns::{Turns, Waiting};
+
+/// The columns of a delivery, named as those of jobs and sessions.
+const COLUMNS: &str = "id, job_id, tenant, event, url, state, tries, last_status, last_error, created_at, updated_at";
 
 /// Shortest interval between two checks for due deliveries.
 const CHECK_INTERVAL: Duration = Duration::from_secs(1);
@@ -76,15 +80,15 @@ pub(super) async fn run(shared: Shared, networks: Arc<Networks>) {
 /// ones of all tenants before the second ones, so that no tenant and no URL fills the list.
 async fn due(shared: &Shared) -> Result<Vec<Delivery>, StoreError> {
     let longest = 2 * wait_after(shared.settings.webhooks.max_tries, &shared.settings.webhooks).as_secs();
-    let rows = sqlx::query_as(
+    let rows = sqlx::query_as(AssertSqlSafe(format!(
         "WITH due AS (
              SELECT *, row_number() OVER (PARTITION BY tenant, url ORDER BY tries > 0, seq) AS place_of_url
              FROM webhook_deliveries
              WHERE state = 'waiting' AND (next_try_at <= unixepoch() OR next_try_at > unixepoch() + $1)),
          placed AS (
              SELECT *, row_number() OVER (PARTITION BY tenant ORDER BY tries > 0, place_of_url, seq) AS place FROM due)
-         SELECT * FROM placed ORDER BY place, seq LIMIT $2",
-    )
+         SELECT {COLUMNS} FROM placed ORDER BY place, seq LIMIT $2"
+    )))
     .bind(longest as i64)
     .bind(MAX_WAITING)
     .fetch_all(shared.store.read());
@@ -184,7 +188,8 @@ fn wait_after(tries: i64, settings: &WebhookSettings) -> Duration {
 /// # Errors
 /// When the store fails.
 pub async fn deliveries_of(store: &Store, tenant: &Tenant, job: &str) -> Result<Vec<Delivery>, StoreError> {
-    let rows = sqlx::query_as("SELECT * FROM webhook_deliveries WHERE job_id = $1 AND tenant = $2 ORDER BY seq");
+    let rows = format!("SELECT {COLUMNS} FROM webhook_deliveries WHERE job_id = $1 AND tenant = $2 ORDER BY seq");
+    let rows = sqlx::query_as(AssertSqlSafe(rows));
     Ok(rows.bind(job).bind(tenant.name()).fetch_all(store.read()).await?)
 }
 
@@ -194,11 +199,11 @@ pub async fn deliveries_of(store: &Store, tenant: &Tenant, job: &str) -> Result<
 /// When the store fails.
 pub async fn redeliver(store: &Store, tenant: &Tenant, job: &str, id: &str) -> Result<Option<Delivery>, StoreError> {
     let mut transaction = store.write().await?;
-    let delivery = sqlx::query_as(
+    let delivery = sqlx::query_as(AssertSqlSafe(format!(
         "UPDATE webhook_deliveries
          SET state = 'waiting', tries = 0, next_try_at = 0, updated_at = strftime('%Y-%m-%dT%H:%M:%fZ', 'now')
-         WHERE id = $1 AND job_id = $2 AND tenant = $3 RETURNING *",
-    )
+         WHERE id = $1 AND job_id = $2 AND tenant = $3 RETURNING {COLUMNS}"
+    )))
     .bind(id)
     .bind(job)
     .bind(tenant.name())

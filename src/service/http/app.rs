@@ -5,6 +5,7 @@ use super::inspections::Inspections;
 use super::rate_limit::RateLimiter;
 use super::turns::Turns;
 use super::verified::VerifiedFiles;
+use crate::service::leadership::Leadership;
 use crate::service::metrics::Metrics;
 use crate::service::queue::Queue;
 use crate::service::settings::Settings;
@@ -24,6 +25,8 @@ pub(super) struct App {
     pub(super) metrics: Arc<Metrics>,
     /// Cancelled when the service begins to stop.
     pub(super) draining: CancellationToken,
+    /// Whether this process does what one of several must.
+    pub(super) leadership: Leadership,
     /// Private networks that webhooks may call.
     pub(super) allowed_networks: Arc<Networks>,
     /// Proxies whose header names the client.
@@ -66,7 +69,7 @@ const LISTS_PER_TENANT: usize = 4;
 
 impl App {
     pub(super) fn new(shared: Shared, networks: HttpNetworks) -> Self {
-        let Shared { store, queue, settings, metrics, draining, .. } = shared;
+        let Shared { store, queue, settings, metrics, leadership, draining } = shared;
         let tenant_rates = Arc::new(RateLimiter::new(settings.tenants.requests_per_s));
         let bad_key_rates = Arc::new(RateLimiter::new(settings.limits.bad_keys_per_s));
         let validations = Arc::new(Semaphore::new(VALIDATIONS));
@@ -77,6 +80,7 @@ impl App {
             settings,
             metrics,
             draining,
+            leadership,
             allowed_networks: networks.webhooks,
             trusted_proxies: networks.proxies,
             validations,

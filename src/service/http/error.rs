@@ -233,6 +233,7 @@ impl From<AddError> for Problem {
                 Self::new(StatusCode::UNPROCESSABLE_ENTITY, "name_too_long", error.to_string(), "shorten the name")
                     .at("/name")
             }
+            AddError::NameUnstorable => Self::malformed(error.to_string(), "write the name without it").at("/name"),
             AddError::Store(error) => error.into(),
         }
     }

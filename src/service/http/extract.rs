@@ -17,6 +17,7 @@ impl<T: DeserializeOwned + Send, S: Sync + Send> FromRequestParts<S> for ApiPath
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        require_storable(parts)?;
         let path = Path::from_request_parts(parts, state).await;
         path.map(|Path(path)| Self(path)).map_err(|error| Problem::malformed(error.body_text(), "check the path"))
     }
@@ -26,8 +27,17 @@ impl<T: DeserializeOwned, S: Sync + Send> FromRequestParts<S> for ApiQuery<T> {
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+        require_storable(parts)?;
         let query = Query::from_request_parts(parts, state).await;
         query.map(|Query(query)| Self(query)).map_err(|error| Problem::malformed(error.body_text(), "check the query"))
+    }
+}
+
+/// Refuses the character U+0000, which PostgreSQL takes in no text, with every database.
+fn require_storable(parts: &Parts) -> Result<(), Problem> {
+    match parts.uri.path_and_query().is_some_and(|path| path.as_str().contains("%00")) {
+        true => Err(Problem::malformed("the path or the query has the character U+0000", "leave it out")),
+        false => Ok(()),
     }
 }
 

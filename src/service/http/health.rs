@@ -36,6 +36,6 @@ pub(super) async fn ready(State(app): State<App>) -> Result<Json<Value>, Problem
     responses((status = 200, description = "The metrics", body = String, content_type = "application/openmetrics-text")))]
 pub(super) async fn metrics(State(app): State<App>) -> Result<Response, Problem> {
     let queue = app.queue.statistics().await?;
-    let page = app.metrics.page(&queue, &app.store.disk_usage());
+    let page = app.metrics.page(&queue, &app.store.disk_usage(), app.leadership.is_held());
     Ok(([(header::CONTENT_TYPE, MEDIA_TYPE)], page).into_response())
 }

@@ -253,6 +253,10 @@ fn check_labels_and_priority(labels: &BTreeMap<String, String>, priority: i64) -
             Problem::malformed("there are too many labels, or a label is too long or empty", remedy).at("/labels")
         );
     }
+    if labels.iter().any(|(key, value)| key.contains('\0') || value.contains('\0')) {
+        let detail = "a label has the character U+0000";
+        return Err(Problem::malformed(detail, "write the labels without it").at("/labels"));
+    }
     let bytes: usize = labels.iter().map(|(key, value)| key.len() + value.len()).sum();
     if bytes > MAX_LABEL_BYTES {
         let detail = format!("the labels have {bytes} bytes");

@@ -1,14 +1,17 @@
 //! Accepting a job from a client, once per Idempotency-Key.
 
+use super::class::{self, OPTIONS_LEVEL};
 use super::handle::Queue;
 use super::job::{Job, Submitter};
-use super::rows::job_from_row;
+use super::rows::{JOB_COLUMNS, job_from_row};
 use crate::service::failpoint::{failpoint, fault};
 use crate::service::settings::{RequestLimits, TenantLimits};
 use crate::service::store::database::WriteTransaction;
 use crate::service::store::error::StoreError;
 use crate::service::store::random::new_id;
+use crate::service::store::sessions;
 use crate::service::store::tenants::{self, Tenant};
+use sqlx::AssertSqlSafe;
 use std::collections::BTreeMap;
 
 /// A validated request for a job.
@@ -122,10 +125,10 @@ impl Queue {
         }
         self.store.require_space()?;
         tenants::lock(&self.store, &mut transaction, &new.tenant).await?;
-        require_session(&mut transaction, new).await?;
+        let class = class_of_session(&mut transaction, new).await?;
         require_capacity(&mut transaction, &new.tenant, limits).await?;
         tenants::insert_if_missing(&mut transaction, &new.tenant).await?;
-        let job = insert(&mut transaction, new, id).await?;
+        let job = insert(&mut transaction, new, id, class).await?;
         failpoint("enqueue.inserted");
         if fault("enqueue.early") {
             tokio::spawn(async move {
@@ -215,10 +218,10 @@ async fn job_of_key(
     if fingerprint == key.fingerprint { Ok(job) } else { Err(EnqueueError::KeyReused) }
 }
 
-async fn require_session(transaction: &mut WriteTransaction, new: &NewJob) -> Result<(), EnqueueError> {
-    let session = sqlx::query("SELECT 1 FROM sessions WHERE id = $1 AND tenant = $2");
-    let session = session.bind(&new.session).bind(new.tenant.name());
-    session.fetch_optional(&mut **transaction).await?.map(|_| ()).ok_or(EnqueueError::SessionMissing)
+/// The class of a job on the session, which must exist.
+async fn class_of_session(transaction: &mut WriteTransaction, new: &NewJob) -> Result<i64, EnqueueError> {
+    let session = sessions::get_in(transaction, &new.tenant, &new.session).await?;
+    Ok(class::of_session(&session.ok_or(EnqueueError::SessionMissing)?.summary))
 }
 
 async fn require_capacity(
@@ -243,13 +246,13 @@ async fn require_capacity(
     Ok(())
 }
 
-async fn insert(transaction: &mut WriteTransaction, new: &NewJob, id: String) -> Result<Job, EnqueueError> {
-    let row = sqlx::query(
-        "INSERT INTO jobs (id, tenant, session_id, options, labels, priority, webhook, request_id, key_id, state,
-                           created_at)
-         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, 'queued', strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
-         RETURNING *, NULL AS verdict, NULL AS reasons",
-    )
+async fn insert(transaction: &mut WriteTransaction, new: &NewJob, id: String, class: i64) -> Result<Job, EnqueueError> {
+    let row = sqlx::query(AssertSqlSafe(format!(
+        "INSERT INTO jobs (id, tenant, session_id, options, labels, priority, webhook, request_id, key_id, class,
+                           needs, state, created_at)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, 'queued', strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
+         RETURNING {JOB_COLUMNS}, NULL AS verdict, NULL AS reasons"
+    )))
     .bind(id)
     .bind(new.tenant.name())
     .bind(&new.session)
@@ -259,6 +262,8 @@ async fn insert(transaction: &mut WriteTransaction, new: &NewJob, id: String) ->
     .bind(&new.webhook)
     .bind(&new.submitter.request)
     .bind(&new.submitter.key)
+    .bind(class)
+    .bind(OPTIONS_LEVEL)
     .fetch_one(&mut **transaction)
     .await?;
     Ok(job_from_row(&row)?)

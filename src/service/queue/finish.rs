@@ -59,9 +59,13 @@ impl Queue {
         let mut transaction = self.store.write().await?;
         let (next, wait) = match lock_row(&mut transaction, claim).await? {
             ClaimRow::Open { phase, crashes } => {
-                let wait = if phase == Phase::Running { self.wait_after(claim, outcome) } else { None };
-                let next = wait.map_or_else(|| next_phase(phase, outcome, crashes, max_crashes), |_| Phase::Queued);
-                write_outcome(&mut transaction, claim, outcome, next, wait).await?;
+                let (wait, class) = match phase {
+                    Phase::Running => (self.wait_after(claim, outcome), self.class_after(outcome)),
+                    _ => (None, None),
+                };
+                let is_run_again = wait.is_some() || class.is_some();
+                let next = if is_run_again { Phase::Queued } else { next_phase(phase, outcome, crashes, max_crashes) };
+                write_outcome(&mut transaction, claim, outcome, &Next { phase: next, wait, class }).await?;
                 failpoint("finish.written");
                 if let (Phase::Succeeded, ClaimOutcome::Succeeded(published)) = (next, outcome) {
                     write_result_size(&mut transaction, claim, &published.artifacts).await?;
@@ -120,10 +124,13 @@ impl Queue {
 
 /// Locks the row of a running claim by its first change, so that nothing else changes the job until the commit.
 async fn lock_row(transaction: &mut WriteTransaction, claim: &Claim) -> Result<ClaimRow, StoreError> {
-    let lock = sqlx::query(
+    let lock = sqlx::query(if fault("fence.none") {
+        "UPDATE jobs SET version = version + 1, boot = coalesce(boot, ''), state = 'running', fence = $2
+         WHERE id = $1 AND fence >= $2 AND state IN ('queued', 'running') RETURNING state, crashes"
+    } else {
         "UPDATE jobs SET version = version + 1 WHERE id = $1 AND fence = $2 AND state IN ('running', 'canceling')
-         RETURNING state, crashes",
-    );
+         RETURNING state, crashes"
+    });
     let open = lock.bind(&claim.job).bind(claim.fence).fetch_optional(&mut **transaction).await?;
     if let Some(row) = open {
         return Ok(ClaimRow::Open { phase: phase_from_row(&row)?, crashes: row.try_get("crashes")? });
@@ -136,38 +143,51 @@ async fn lock_row(transaction: &mut WriteTransaction, claim: &Claim) -> Result<C
     })
 }
 
+/// What follows from the end of a claim.
+struct Next {
+    /// State of the job.
+    phase: Phase,
+    /// Time until the next try after a fault of the machine.
+    wait: Option<Duration>,
+    /// Class in which the job is run again.
+    class: Option<i64>,
+}
+
 async fn write_outcome(
     transaction: &mut WriteTransaction,
     claim: &Claim,
     outcome: &ClaimOutcome<Published>,
-    next: Phase,
-    wait: Option<Duration>,
+    next: &Next,
 ) -> Result<(), StoreError> {
-    let message = match (wait, outcome) {
-        (Some(wait), ClaimOutcome::Failed(error)) => {
+    let message = match (next, outcome) {
+        (Next { wait: Some(wait), .. }, ClaimOutcome::Failed(error)) => {
             Some(format!("waiting {} s for the next try: {}", wait.as_secs(), error.detail))
+        }
+        (Next { class: Some(class), .. }, ClaimOutcome::Failed(error)) => {
+            Some(format!("waiting for a worker of class {class}: {}", error.detail))
         }
         _ => None,
     };
-    let error = match (next, outcome) {
+    let error = match (next.phase, outcome) {
         (Phase::Failed, ClaimOutcome::Failed(error)) => Some(serde_json::to_string(error)?),
         (Phase::Dead, ClaimOutcome::Crashed(how)) => Some(serde_json::to_string(&crashed_too_often(how))?),
         _ => None,
     };
     sqlx::query(
         "UPDATE jobs SET state = $1, boot = NULL, eta_s = NULL, error = $2,
-                         crashes = crashes + $3, message = coalesce($6, message),
+                         crashes = crashes + $3, message = coalesce($6, message), class = coalesce($7, class),
                          fraction = CASE $1 WHEN 'succeeded' THEN 1.0 ELSE fraction END,
                          result_fence = CASE $1 WHEN 'succeeded' THEN fence END,
                          finished_at = CASE $1 WHEN 'queued' THEN NULL ELSE strftime('%Y-%m-%dT%H:%M:%fZ', 'now') END
          WHERE id = $4 AND fence = $5",
     )
-    .bind(next.name())
+    .bind(next.phase.name())
     .bind(error)
     .bind(i64::from(matches!(outcome, ClaimOutcome::Crashed(_)) && !fault("crashes.uncounted")))
     .bind(&claim.job)
     .bind(claim.fence)
     .bind(message)
+    .bind(next.class)
     .execute(&mut **transaction)
     .await?;
     Ok(())

@@ -5,7 +5,7 @@ use super::deferral::Deferrals;
 use super::follow::{Followed, Following};
 use super::job::Job;
 use super::phase::Phase;
-use super::rows::job_from_row;
+use super::rows::{JOB_COLUMNS, job_from_row};
 use super::scenes::{Scene, Scenes};
 use crate::service::failpoint::failpoint;
 use crate::service::store::database::Store;
@@ -23,6 +23,8 @@ pub struct Queue {
     pub(super) store: Store,
     /// Wakes a worker when a job may be claimable.
     pub(super) work: Arc<Notify>,
+    /// The largest class that the workers of this process claim; `None`: every class.
+    pub(super) class: Option<i64>,
     /// Claims of the workers of this process.
     pub(super) active: Arc<ActiveClaims>,
     /// Jobs that wait after a fault of the machine.
@@ -33,6 +35,9 @@ pub struct Queue {
     changes: broadcast::Sender<Arc<str>>,
     /// Jobs that requests of this process follow.
     pub(super) followed: Arc<Followed>,
+    /// Log lines that were sent to other processes.
+    #[cfg(feature = "scale")]
+    pub(super) lines: Arc<super::lines::LineCount>,
     /// Sends the log lines of the jobs' child processes.
     log: broadcast::Sender<LogLine>,
     /// Cameras and people of the jobs that this process runs.
@@ -111,7 +116,7 @@ fn list_statement(filter: &JobFilter, is_shared: bool) -> String {
         }
     }
     format!(
-        "SELECT jobs.*, verdict, reasons, {ROW_BYTES} AS row_bytes FROM {tables}
+        "SELECT {JOB_COLUMNS}, verdict, reasons, {ROW_BYTES} AS row_bytes FROM {tables}
          LEFT JOIN verdicts ON verdicts.job_id = jobs.id WHERE {conditions} ORDER BY {table}.seq DESC LIMIT $3"
     )
 }
@@ -121,12 +126,15 @@ impl Queue {
     pub fn new(store: Store) -> Self {
         Self {
             store,
+            class: None,
             work: Arc::default(),
             active: Arc::default(),
             deferrals: Arc::default(),
             lacks_space: Arc::default(),
             changes: broadcast::channel(1024).0,
             followed: Arc::default(),
+            #[cfg(feature = "scale")]
+            lines: Arc::default(),
             log: broadcast::channel(256).0,
             scenes: Arc::default(),
         }
@@ -147,8 +155,17 @@ impl Queue {
         self.log.subscribe()
     }
 
-    /// Sends a log line to all subscribers.
+    /// Sends a log line to the subscribers of all processes.
     pub fn send_line(&self, job: &str, line: &str) {
+        self.pass_line(job, line);
+        #[cfg(feature = "scale")]
+        if self.store.is_shared() {
+            self.notify_line(job, line);
+        }
+    }
+
+    /// Sends a log line to the subscribers of this process.
+    pub(super) fn pass_line(&self, job: &str, line: &str) {
         let _ = self.log.send(LogLine { job: job.into(), line: line.into() }); // an error only means that there are no subscribers
     }
 
@@ -191,10 +208,10 @@ impl Queue {
     /// # Errors
     /// When the store fails.
     pub async fn get(&self, tenant: &Tenant, id: &str) -> Result<Option<Job>, StoreError> {
-        let row = sqlx::query(
-            "SELECT jobs.*, verdict, reasons FROM jobs LEFT JOIN verdicts ON verdicts.job_id = jobs.id
-             WHERE jobs.id = $1 AND tenant = $2",
-        )
+        let row = sqlx::query(AssertSqlSafe(format!(
+            "SELECT {JOB_COLUMNS}, verdict, reasons FROM jobs LEFT JOIN verdicts ON verdicts.job_id = jobs.id
+             WHERE jobs.id = $1 AND tenant = $2"
+        )))
         .bind(id)
         .bind(tenant.name())
         .fetch_optional(self.store.read())

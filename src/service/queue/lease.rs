@@ -4,6 +4,7 @@
 
 use super::claim::{Claim, ClaimStatus};
 use super::handle::Queue;
+use super::job::JobError;
 use super::phase::Phase;
 use super::rows::phase_from_row;
 use crate::service::failpoint::fault;
@@ -44,6 +45,37 @@ impl SeenBeats {
         let silent = self.claims.values().filter(|(_, since)| now.duration_since(*since) >= lease);
         silent.map(|(beat, _)| beat.clone()).collect()
     }
+
+    /// For how long the longest unchanged beat has stood still; zero without a running job.
+    pub(crate) fn longest_silence(&self) -> Duration {
+        self.claims.values().map(|(_, since)| since.elapsed()).max().unwrap_or_default()
+    }
+}
+
+/// The fence grows, too: what the silent worker reports later is lost, whatever became of the job. A job that was lost in a further
+/// stage than ever before gets on, so its losses are counted anew. `$4`, `$5`: limit of the losses, and the error of a job that
+/// reaches it.
+const PUT_BACK: &str = "
+    UPDATE jobs SET state = CASE WHEN state = 'canceling' THEN 'canceled' WHEN lost.losses >= $4 THEN 'failed' ELSE 'queued' END,
+                    error = CASE WHEN state = 'running' AND lost.losses >= $4 THEN $5 END,
+                    losses = lost.losses, lost_stage = greatest(lost_stage, stage_index),
+                    version = version + 1, fence = fence + 1, boot = NULL, eta_s = NULL,
+                    finished_at = CASE WHEN state = 'canceling' OR lost.losses >= $4
+                                  THEN strftime('%Y-%m-%dT%H:%M:%fZ', 'now') END
+    FROM (SELECT id AS job, CASE WHEN stage_index > lost_stage THEN 1 ELSE losses + 1 END AS losses FROM jobs WHERE id = $1) AS lost
+    WHERE id = lost.job AND fence = $2 AND beat = $3 AND state IN ('running', 'canceling')
+    RETURNING state, jobs.losses";
+
+/// The error of a job that may be what ends its workers.
+fn too_often_lost(max_losses: i64) -> JobError {
+    JobError {
+        code: "worker_lost".to_owned(),
+        detail: format!("{max_losses} workers of the job fell silent, one after the other, before they had finished a further stage"),
+        remedy: "ask the operator whether machines run out of memory (jobs.memory_bytes) or are taken away (jobs.max_losses); then \
+                 submit the job again, or a shorter take"
+            .to_owned(),
+        ..JobError::default()
+    }
 }
 
 impl Queue {
@@ -64,7 +96,8 @@ impl Queue {
         })
     }
 
-    /// Puts back the claims whose beat stands still. Called by the leader, on the connection that makes it the leader.
+    /// Puts back the claims whose beat stands still; a job that has lost `max_losses` workers in the same stage fails. Called by the
+    /// leader, on the connection that makes it the leader.
     ///
     /// # Errors
     /// When the connection fails.
@@ -73,6 +106,7 @@ impl Queue {
         leader: &mut PgConnection,
         seen: &mut SeenBeats,
         lease: Duration,
+        max_losses: i64,
     ) -> Result<(), StoreError> {
         let running = "SELECT id, fence, beat FROM jobs WHERE state IN ('running', 'canceling')";
         let rows = sqlx::query(running).fetch_all(&mut *leader).await?;
@@ -88,17 +122,17 @@ impl Queue {
             if fault("recovery.forgets") {
                 continue;
             }
-            // The fence grows, too: what the silent worker reports later is lost, whatever became of the job.
-            let put_back = "UPDATE jobs SET state = CASE state WHEN 'canceling' THEN 'canceled' ELSE 'queued' END,
-                                            version = version + 1, fence = fence + 1, boot = NULL, eta_s = NULL,
-                                            finished_at = CASE state WHEN 'canceling'
-                                                          THEN strftime('%Y-%m-%dT%H:%M:%fZ', 'now') END
-                            WHERE id = $1 AND fence = $2 AND beat = $3 AND state IN ('running', 'canceling')";
-            let put_back = sqlx::query(put_back).bind(&silent.job).bind(silent.fence).bind(silent.beat);
-            if put_back.execute(&mut *leader).await?.rows_affected() == 1 {
+            let lost = too_often_lost(max_losses);
+            let put_back = sqlx::query(PUT_BACK).bind(&silent.job).bind(silent.fence).bind(silent.beat);
+            let put_back = put_back.bind(max_losses).bind(serde_json::to_string(&lost)?);
+            if let Some(row) = put_back.fetch_optional(&mut *leader).await? {
+                let (state, losses): (String, i64) = (row.try_get("state")?, row.try_get("losses")?);
+                let (id, fence) = (&silent.job, silent.fence);
                 tracing::warn!(
-                    job.id = silent.job,
-                    fence = silent.fence,
+                    job.id = id,
+                    fence,
+                    state,
+                    losses,
                     "the worker of the job is silent; the job was put back"
                 );
                 self.announce_to_all(&silent.job, true).await;

@@ -9,6 +9,7 @@
 
 mod active;
 mod claim;
+pub mod class;
 mod continuation;
 mod deferral;
 mod enqueue;
@@ -19,6 +20,8 @@ mod handle;
 pub mod job;
 #[cfg(feature = "scale")]
 pub(crate) mod lease;
+#[cfg(feature = "scale")]
+mod lines;
 pub mod outcome;
 mod phase;
 pub mod recovery;

@@ -6,6 +6,12 @@ use crate::service::store::error::StoreError;
 use crate::service::store::sql::SqlRow;
 use sqlx::Row;
 
+/// The columns that [`job_from_row`] reads, beside those of `verdicts`. They are named, here and in every statement: a server refuses a
+/// prepared `*` once a newer release has added a column.
+pub(super) const JOB_COLUMNS: &str =
+    "id, jobs.seq AS seq, version, session_id, options, labels, priority, state, fence, attempt, stage, stage_index, stage_count,
+     fraction, message, eta_s, stage_seconds, solver_version, error, result_fence, created_at, started_at, finished_at";
+
 /// Converts a row of `jobs` joined with its row of `verdicts`.
 pub(super) fn job_from_row(row: &SqlRow) -> Result<Job, StoreError> {
     Ok(Job {

@@ -2,25 +2,36 @@
 //! messages.
 
 use super::claim::Claim;
+use super::class::OPTIONS_LEVEL;
 use super::handle::Queue;
-use crate::service::failpoint::{failpoint, lose_answer};
+use crate::service::failpoint::{failpoint, fault, lose_answer};
 use crate::service::store::error::StoreError;
+use sqlx::AssertSqlSafe;
 
-/// The tenant's row is waited for: skipped, a claim would find no work while another one takes its turn. A job that another statement
-/// holds is passed over. `$1`, `$2`: boot, release; `$3`: most running jobs of a tenant; `$4`: jobs that wait after a fault of the
-/// machine, a JSON list. Whether a tenant has another job is asked with a LIMIT: an EXISTS becomes a join that reads every waiting job.
+/// The tenant's row is locked (`{lock}`): claims of the same moment take tenants in turn. A job that another statement
+/// holds is passed over. Of the jobs with the highest priority the one of the largest class is taken: smaller ones find a worker anywhere.
+/// Each class is looked up by itself, so that jobs that do not fit cost nothing.
+///
+/// `$1`, `$2`: boot, release; `$3`: most running jobs of a tenant; `$4`: jobs that wait after a fault of the machine, a JSON list; `$5`:
+/// largest class; `$6`: level of options. Whether a tenant has another job is asked with a LIMIT: an EXISTS becomes a join that reads
+/// every waiting job.
 const CLAIM: &str = "
     WITH next AS MATERIALIZED (
         SELECT name FROM tenants
         WHERE n_queued > 0 AND n_running + n_canceling < $3
-          AND (SELECT seq FROM jobs WHERE state = 'queued' AND tenant = name
-                 AND id NOT IN (SELECT value FROM json_each($4))
-               ORDER BY priority DESC, seq LIMIT 1) IS NOT NULL
-        ORDER BY turn, name LIMIT 1 FOR UPDATE),
+          AND (SELECT found.seq FROM generate_series(CAST(0 AS BIGINT), $5) AS fitting (class) CROSS JOIN LATERAL
+                   (SELECT seq FROM jobs
+                    WHERE state = 'queued' AND tenant = name AND class = fitting.class AND needs <= $6
+                      AND id NOT IN (SELECT value FROM json_each($4))
+                    ORDER BY priority DESC, seq LIMIT 1) AS found LIMIT 1) IS NOT NULL
+        ORDER BY turn, name LIMIT 1 {lock}),
     job AS MATERIALIZED (
-        SELECT seq FROM jobs WHERE state = 'queued' AND tenant = (SELECT name FROM next)
-                               AND id NOT IN (SELECT value FROM json_each($4))
-        ORDER BY priority DESC, seq LIMIT 1 FOR UPDATE SKIP LOCKED),
+        SELECT found.seq FROM generate_series(CAST(0 AS BIGINT), $5) AS fitting (class) CROSS JOIN LATERAL
+            (SELECT seq, priority FROM jobs
+             WHERE state = 'queued' AND tenant = (SELECT name FROM next) AND class = fitting.class AND needs <= $6
+               AND id NOT IN (SELECT value FROM json_each($4))
+             ORDER BY priority DESC, seq LIMIT 1 FOR UPDATE SKIP LOCKED) AS found
+        ORDER BY found.priority DESC, fitting.class DESC LIMIT 1),
     turn AS (UPDATE tenants SET turn = nextval('turns') WHERE name = (SELECT name FROM next) RETURNING name)
     UPDATE jobs SET state = 'running', version = version + 1, fence = fence + 1, beat = 0, attempt = crashes + 1, boot = $1,
                     started_at = coalesce(started_at, strftime('%Y-%m-%dT%H:%M:%fZ', 'now')),
@@ -30,21 +41,28 @@ const CLAIM: &str = "
               (SELECT sha256 FROM sessions WHERE sessions.id = jobs.session_id) AS sha256";
 
 impl Queue {
-    /// Claims a job of the tenant whose turn it is. A claim whose answer is lost has no beat, and the leader puts it back.
+    /// Claims a job of the tenant whose turn it is. A tenant that another claim is taking has had its turn and is passed over; where there is
+    /// only that one, its row is waited for. A claim whose answer is lost has no beat, and the leader puts it back.
     pub(super) async fn claim_shared(&self, max_running: i64, waiting: &str) -> Result<Option<Claim>, StoreError> {
-        let row = sqlx::query(CLAIM)
-            .bind(&self.store.boot)
-            .bind(env!("CARGO_PKG_VERSION"))
-            .bind(max_running)
-            .bind(waiting)
-            .fetch_optional(self.store.read())
-            .await?;
-        let Some(row) = row else { return Ok(None) };
-        lose_answer().map_err(sqlx::Error::from)?;
-        let claim = Claim::from_row(&row)?;
-        failpoint("claim.committed");
-        self.active.add(&claim.job, claim.fence);
-        self.announce(&claim.job);
-        Ok(Some(claim))
+        let locks = if fault("row.unlocked") { ["", ""] } else { ["FOR UPDATE SKIP LOCKED", "FOR UPDATE"] };
+        for lock in locks {
+            let row = sqlx::query(AssertSqlSafe(CLAIM.replace("{lock}", lock))) // the text is our own
+                .bind(&self.store.boot)
+                .bind(env!("CARGO_PKG_VERSION"))
+                .bind(max_running)
+                .bind(waiting)
+                .bind(self.largest_class())
+                .bind(OPTIONS_LEVEL)
+                .fetch_optional(self.store.read())
+                .await?;
+            let Some(row) = row else { continue };
+            lose_answer().map_err(sqlx::Error::from)?;
+            let claim = Claim::from_row(&row)?;
+            failpoint("claim.committed");
+            self.active.add(&claim.job, claim.fence);
+            self.announce(&claim.job);
+            return Ok(Some(claim));
+        }
+        Ok(None)
     }
 }

@@ -5,7 +5,7 @@ use super::handle::Queue;
 use crate::service::store::error::StoreError;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 
 /// Channel of the notifications.
@@ -13,6 +13,12 @@ const CHANNEL: &str = "wandless";
 
 /// First character of a notification about a job that may be claimable.
 const WORK: char = '+';
+
+/// First character of a notification with a log line of a job.
+const LINE: char = '|';
+
+/// Longest log line of a notification, bytes; the server takes less than 8000.
+const MAX_LINE_BYTES: usize = 4000;
 
 /// Wait before another try after the connection was lost; time between two reads of the followed jobs.
 const INTERVAL: Duration = Duration::from_secs(1);
@@ -27,12 +33,43 @@ impl Queue {
         }
     }
 
+    /// Sends a log line to the other processes, unless they have received enough in this second.
+    pub(super) fn notify_line(&self, job: &str, line: &str) {
+        if !self.lines.take(Instant::now()) {
+            return;
+        }
+        let (queue, payload) = (self.clone(), line_payload(&self.store.boot, job, line));
+        tokio::spawn(async move {
+            let notify = sqlx::query("SELECT pg_notify($1, $2)").bind(CHANNEL).bind(payload);
+            let _ = notify.execute(queue.store.read()).await; // clients of this process have the line
+        });
+    }
+
     fn note(&self, payload: &str) {
-        if let Some(job) = payload.strip_prefix(WORK) {
+        if let Some(line) = payload.strip_prefix(LINE) {
+            self.note_line(line);
+        } else if let Some(job) = payload.strip_prefix(WORK) {
             self.work.notify_one();
             self.announce(job);
         } else {
             self.announce(payload);
+        }
+    }
+}
+
+/// A line, its job, and the process that has sent it to its own clients.
+fn line_payload(boot: &str, job: &str, line: &str) -> String {
+    let line = &line[..line.floor_char_boundary(MAX_LINE_BYTES)];
+    format!("{LINE}{boot} {job} {}", line.replace('\0', ""))
+}
+
+impl Queue {
+    fn note_line(&self, payload: &str) {
+        let mut words = payload.splitn(3, ' ');
+        if let (Some(boot), Some(job), Some(line)) = (words.next(), words.next(), words.next())
+            && boot != self.store.boot
+        {
+            self.pass_line(job, line);
         }
     }
 }
@@ -92,5 +129,17 @@ fn announce_changes(queue: &Queue, ids: &[Arc<str>], seen: &mut BTreeMap<Arc<str
         if seen.insert(id.clone(), version) != Some(version) {
             queue.announce(id);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_line_is_cut_between_two_characters() {
+        let payload = line_payload("boot", "job", &"ä".repeat(5000));
+        assert!(payload.len() <= MAX_LINE_BYTES + 10 && payload.ends_with('ä'));
+        assert_eq!(line_payload("boot", "job", "a\0b"), "|boot job ab");
     }
 }

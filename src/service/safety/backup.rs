@@ -40,10 +40,7 @@ pub async fn back_up(data: &Path, to: &Path) -> Result<usize, BackupError> {
     let place = Staging::create(to)?;
     let staging = place.path();
     let copy = staging.join(DATABASE);
-    private::create_file(&copy).map_err(|source| BackupError::File { path: copy.clone(), source })?;
-    let database = open(&data.join(DATABASE), false).await?;
-    sqlx::query("VACUUM INTO ?").bind(copy.display().to_string()).execute(&database).await?;
-    database.close().await;
+    copy_database(data, &copy).await?;
 
     let copied = open(&copy, true).await?;
     require_files_in_folder(&copied).await?;
@@ -69,6 +66,18 @@ pub async fn back_up(data: &Path, to: &Path) -> Result<usize, BackupError> {
     write_manifest(staging, &files)?;
     place.publish()?;
     Ok(files.len())
+}
+
+/// Copies the database of a data folder, as it is at one moment, to a new file.
+///
+/// # Errors
+/// When the file exists or cannot be written, or the database fails.
+pub(in crate::service) async fn copy_database(data: &Path, copy: &Path) -> Result<(), BackupError> {
+    private::create_file(copy).map_err(|source| BackupError::File { path: copy.to_owned(), source })?;
+    let database = open(&data.join(DATABASE), false).await?;
+    sqlx::query("VACUUM INTO $1").bind(copy.display().to_string()).execute(&database).await?;
+    database.close().await;
+    Ok(())
 }
 
 /// A backup copies files of the data folder; those of an object store have backups of their own.

@@ -24,6 +24,12 @@ pub(super) fn check(settings: &Settings) -> Result<(), String> {
             worker.lease.as_secs_f64()
         ));
     }
+    if let Some(class) = worker.class.filter(|class| !(0..=3).contains(class)) {
+        return Err(format!("worker.class is {class}; set it to 0, 1, 2 or 3, or leave it out"));
+    }
+    if jobs.max_losses == 0 {
+        return Err("jobs.max_losses is 0, with which every lost worker ends its job; set it to 1 or more".to_owned());
+    }
     if store.connections < 4 {
         return Err(format!("store.connections is {}; set it to 4 or more", store.connections));
     }
@@ -89,6 +95,8 @@ mod tests {
             ("store.connections", "3"),
             ("worker.lease_s", "10"),
             ("role", "worker"),
+            ("worker.class", "4"),
+            ("jobs.max_losses", "0"),
         ] {
             let error = checked(key, value).unwrap_err().to_string();
             assert!(error.starts_with(&format!("settings: {key} is ")), "{error}");

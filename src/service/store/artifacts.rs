@@ -27,7 +27,9 @@ pub async fn insert(transaction: &mut WriteTransaction, job: &str, artifacts: &[
 /// # Errors
 /// When the store fails.
 pub async fn get(store: &Store, job: &str, name: &str) -> Result<Option<Artifact>, StoreError> {
-    let row = sqlx::query_as("SELECT * FROM artifacts WHERE job_id = $1 AND name = $2").bind(job).bind(name);
+    let row = sqlx::query_as("SELECT name, media_type, bytes, sha256 FROM artifacts WHERE job_id = $1 AND name = $2")
+        .bind(job)
+        .bind(name);
     Ok(row.fetch_optional(store.read()).await?)
 }
 
@@ -36,6 +38,7 @@ pub async fn get(store: &Store, job: &str, name: &str) -> Result<Option<Artifact
 /// # Errors
 /// When the store fails.
 pub async fn list(store: &Store, job: &str) -> Result<Vec<Artifact>, StoreError> {
-    let rows = sqlx::query_as("SELECT * FROM artifacts WHERE job_id = $1 ORDER BY name").bind(job);
+    let rows = sqlx::query_as("SELECT name, media_type, bytes, sha256 FROM artifacts WHERE job_id = $1 ORDER BY name")
+        .bind(job);
     Ok(rows.fetch_all(store.read()).await?)
 }

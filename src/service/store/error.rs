@@ -42,6 +42,14 @@ pub enum StoreError {
         /// Number of the unknown migration.
         migration: i64,
     },
+    /// Only newer releases may use the database.
+    #[error(
+        "the database needs wandless {oldest} or newer, this is {}; upgrade this node", env!("CARGO_PKG_VERSION")
+    )]
+    TooOld {
+        /// The oldest release that may use it.
+        oldest: String,
+    },
     /// The linked SQLite library has a known corruption bug.
     #[error("SQLite {found} can corrupt the database file; version 3.51.3 or newer is required")]
     UnsoundSqlite {
@@ -116,6 +124,12 @@ pub enum StoreError {
         key: String,
         /// What is wrong.
         reason: &'static str,
+    },
+    /// The object store keeps no versions of objects.
+    #[error("no object can be brought back: {reason}")]
+    Unversioned {
+        /// Why.
+        reason: String,
     },
     /// The operating system provides no random numbers.
     #[error("the operating system provides no random numbers")]

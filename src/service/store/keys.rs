@@ -9,7 +9,7 @@ use super::tenants::{self, Tenant};
 use crate::service::failpoint::fault;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use sqlx::Row;
+use sqlx::{AssertSqlSafe, Row};
 use subtle::ConstantTimeEq;
 
 /// Permission of a key.
@@ -71,6 +71,9 @@ pub struct NewKey {
 
 const PREFIX: &str = "wl_";
 
+/// The columns of a key, named as those of jobs and sessions.
+const COLUMNS: &str = "id, tenant, name, scopes, digest, created_at, revoked_at";
+
 /// Creates a key.
 ///
 /// # Errors
@@ -101,7 +104,8 @@ pub async fn create(store: &Store, tenant: &Tenant, name: &str, scopes: &[Scope]
 /// # Errors
 /// When the store fails.
 pub async fn list(store: &Store) -> Result<Vec<ApiKey>, StoreError> {
-    let rows = sqlx::query("SELECT * FROM api_keys ORDER BY created_at, id").fetch_all(store.read()).await?;
+    let rows = sqlx::query(AssertSqlSafe(format!("SELECT {COLUMNS} FROM api_keys ORDER BY created_at, id")));
+    let rows = rows.fetch_all(store.read()).await?;
     rows.iter().map(from_row).collect()
 }
 
@@ -148,8 +152,9 @@ pub async fn is_active(store: &Store, id: &str) -> Result<bool, StoreError> {
 /// When the store fails.
 pub async fn check(store: &Store, token: &str) -> Result<Option<ApiKey>, StoreError> {
     let Some((id, secret)) = token.strip_prefix(PREFIX).and_then(|rest| rest.split_once('_')) else { return Ok(None) };
-    let row = sqlx::query("SELECT * FROM api_keys WHERE id = $1 AND revoked_at IS NULL").bind(id);
-    let Some(row) = row.fetch_optional(store.read()).await? else { return Ok(None) };
+    let row =
+        sqlx::query(AssertSqlSafe(format!("SELECT {COLUMNS} FROM api_keys WHERE id = $1 AND revoked_at IS NULL")));
+    let Some(row) = row.bind(id).fetch_optional(store.read()).await? else { return Ok(None) };
     let is_right = is_same_digest(row.try_get("digest")?, &digest(secret));
     if is_right { from_row(&row).map(Some) } else { Ok(None) }
 }

@@ -46,6 +46,15 @@ impl Store {
         Self::connect(settings, folders).await
     }
 
+    /// Number of the newest migration that this release knows, and the database has.
+    pub fn newest_migration(&self) -> i64 {
+        #[cfg(feature = "scale")]
+        if self.is_shared() {
+            return super::postgres::newest_migration();
+        }
+        super::schema::MIGRATIONS.iter().map(|migration| migration.version).max().unwrap_or(0)
+    }
+
     pub(super) async fn connect(settings: &Settings, folders: Folders) -> Result<Self, StoreError> {
         let url = &settings.store.url;
         if url == IN_FOLDER {

@@ -1,6 +1,6 @@
 //! Rows of uploaded sessions; the uploaded bytes are stored in the folder `sessions/`.
 
-use super::database::Store;
+use super::database::{Store, WriteTransaction};
 use super::error::StoreError;
 use super::listing::{Listed, read_page};
 use super::sql::SqlRow;
@@ -8,7 +8,11 @@ use super::tenants::{self, Tenant};
 use crate::pipeline::CameraFacts;
 use crate::service::failpoint::{failpoint, fault};
 use serde::{Deserialize, Serialize};
-use sqlx::Row;
+use sqlx::{AssertSqlSafe, Row};
+
+/// The columns that [`from_row`] reads; named, since a server refuses a prepared `*` once a newer release has added a column.
+const COLUMNS: &str =
+    "seq, id, sha256, bytes, name, cameras, n_frames, people_max, keypoint_convention, format, warnings, created_at";
 
 /// Longest name of a session, bytes: several lines of text. Lists return the name of each session.
 pub const MAX_NAME_BYTES: usize = 256;
@@ -81,6 +85,9 @@ pub enum AddError {
         /// Bytes of the name.
         bytes: usize,
     },
+    /// The name has a character that PostgreSQL cannot store.
+    #[error("the session's name has the character U+0000")]
+    NameUnstorable,
     /// The store failed.
     #[error(transparent)]
     Store(#[from] StoreError),
@@ -129,16 +136,19 @@ pub async fn add(
     if summary.name.len() > MAX_NAME_BYTES {
         return Err(AddError::NameTooLong { bytes: summary.name.len() });
     }
+    if summary.name.contains('\0') {
+        return Err(AddError::NameUnstorable);
+    }
     let mut transaction = store.write().await?;
     tenants::lock(store, &mut transaction, tenant).await?;
     let stored = tenants::stored_bytes_in(&mut transaction, tenant).await?;
-    let row = sqlx::query(
+    let row = sqlx::query(AssertSqlSafe(format!(
         "INSERT INTO sessions (id, tenant, sha256, bytes, name, cameras, n_frames, people_max, keypoint_convention,
                                format, warnings, created_at)
          VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11, strftime('%Y-%m-%dT%H:%M:%fZ', 'now'))
          ON CONFLICT (tenant, sha256) DO NOTHING
-         RETURNING *",
-    )
+         RETURNING {COLUMNS}"
+    )))
     .bind(id)
     .bind(tenant.name())
     .bind(&summary.sha256)
@@ -153,7 +163,8 @@ pub async fn add(
     .fetch_optional(&mut *transaction)
     .await?;
     let Some(row) = row else {
-        let known = sqlx::query("SELECT * FROM sessions WHERE tenant = $1 AND sha256 = $2");
+        let known =
+            sqlx::query(AssertSqlSafe(format!("SELECT {COLUMNS} FROM sessions WHERE tenant = $1 AND sha256 = $2")));
         let known = known.bind(tenant.name()).bind(&summary.sha256).fetch_one(&mut *transaction).await?;
         return Ok(Added { session: from_row(&known)?, is_new: false });
     };
@@ -170,8 +181,23 @@ pub async fn add(
 /// # Errors
 /// When the store fails.
 pub async fn get(store: &Store, tenant: &Tenant, id: &str) -> Result<Option<StoredSession>, StoreError> {
-    let row = sqlx::query("SELECT * FROM sessions WHERE id = $1 AND tenant = $2").bind(id).bind(tenant.name());
-    row.fetch_optional(store.read()).await?.as_ref().map(from_row).transpose()
+    let row = sqlx::query(AssertSqlSafe(format!("SELECT {COLUMNS} FROM sessions WHERE id = $1 AND tenant = $2")));
+    let row = row.bind(id).bind(tenant.name()).fetch_optional(store.read()).await?;
+    row.as_ref().map(from_row).transpose()
+}
+
+/// Returns a tenant's session by id, as a transaction sees it.
+///
+/// # Errors
+/// When the store fails.
+pub(crate) async fn get_in(
+    transaction: &mut WriteTransaction,
+    tenant: &Tenant,
+    id: &str,
+) -> Result<Option<StoredSession>, StoreError> {
+    let row = sqlx::query(AssertSqlSafe(format!("SELECT {COLUMNS} FROM sessions WHERE id = $1 AND tenant = $2")));
+    let row = row.bind(id).bind(tenant.name()).fetch_optional(&mut **transaction).await?;
+    row.as_ref().map(from_row).transpose()
 }
 
 /// Returns a tenant's session by the digest of its bytes.
@@ -179,7 +205,8 @@ pub async fn get(store: &Store, tenant: &Tenant, id: &str) -> Result<Option<Stor
 /// # Errors
 /// When the store fails.
 pub async fn get_by_sha256(store: &Store, tenant: &Tenant, sha256: &str) -> Result<Option<StoredSession>, StoreError> {
-    let row = sqlx::query("SELECT * FROM sessions WHERE tenant = $1 AND sha256 = $2").bind(tenant.name()).bind(sha256);
+    let row = sqlx::query(AssertSqlSafe(format!("SELECT {COLUMNS} FROM sessions WHERE tenant = $1 AND sha256 = $2")));
+    let row = row.bind(tenant.name()).bind(sha256);
     row.fetch_optional(store.read()).await?.as_ref().map(from_row).transpose()
 }
 
@@ -193,10 +220,10 @@ pub async fn list(
     before: i64,
     max_rows: i64,
 ) -> Result<Listed<StoredSession>, StoreError> {
-    let rows = sqlx::query(
-        "SELECT *, octet_length(name) + octet_length(cameras) + octet_length(warnings) AS row_bytes
-         FROM sessions WHERE tenant = $1 AND seq < $2 ORDER BY seq DESC LIMIT $3",
-    );
+    let rows = sqlx::query(AssertSqlSafe(format!(
+        "SELECT {COLUMNS}, octet_length(name) + octet_length(cameras) + octet_length(warnings) AS row_bytes
+         FROM sessions WHERE tenant = $1 AND seq < $2 ORDER BY seq DESC LIMIT $3"
+    )));
     let rows = rows.bind(tenant.name()).bind(before).bind(max_rows + 1).fetch(store.read());
     read_page(rows, max_rows, from_row).await
 }

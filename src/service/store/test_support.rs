@@ -24,15 +24,37 @@ pub(crate) fn is_of_sqlite_alone(what: &str) -> bool {
     is_left_out
 }
 
+/// Opens the database of a test once more, as another process does; `None` with SQLite.
+#[cfg(feature = "scale")]
+pub(crate) async fn open_again(folder: &Path) -> Option<Result<Store, super::StoreError>> {
+    use super::folders::Folders;
+    let server = std::env::var(VARIABLE).ok()?;
+    Some(Store::connect(&settings_of(&server, folder), Folders::beside(folder).unwrap()).await)
+}
+
+/// The settings of the test's database on a server.
+#[cfg(feature = "scale")]
+fn settings_of(server: &str, folder: &Path) -> crate::service::Settings {
+    let mut settings = crate::service::Settings::default();
+    let (place, query) = server.split_once('?').unwrap_or((server, ""));
+    let place = place.rsplit_once('/').unwrap().0;
+    settings.store.url = format!("{place}/{}?{query}", name_of(folder));
+    settings
+}
+
+#[cfg(feature = "scale")]
+fn name_of(folder: &Path) -> String {
+    use sha2::{Digest, Sha256};
+    format!("test_{}", &hex::encode(Sha256::digest(folder.as_os_str().as_encoded_bytes()))[..16])
+}
+
 #[cfg(feature = "scale")]
 async fn open_postgres(server: &str, folder: &Path) -> Store {
     use super::folders::Folders;
-    use crate::service::Settings;
-    use sha2::{Digest, Sha256};
     use sqlx::postgres::PgConnectOptions;
     use sqlx::{AssertSqlSafe, ConnectOptions, Connection};
 
-    let name = format!("test_{}", &hex::encode(Sha256::digest(folder.as_os_str().as_encoded_bytes()))[..16]);
+    let name = name_of(folder);
     let options: PgConnectOptions = server.parse().unwrap();
     let mut connection = options.connect().await.unwrap();
     match sqlx::query(AssertSqlSafe(format!("CREATE DATABASE {name}"))).execute(&mut connection).await {
@@ -40,9 +62,5 @@ async fn open_postgres(server: &str, folder: &Path) -> Store {
         created => _ = created.unwrap(),
     }
     connection.close().await.unwrap();
-    let mut settings = Settings::default();
-    let (place, query) = server.split_once('?').unwrap_or((server, ""));
-    let place = place.rsplit_once('/').unwrap().0;
-    settings.store.url = format!("{place}/{name}?{query}");
-    Store::connect(&settings, Folders::open(folder).unwrap()).await.unwrap()
+    Store::connect(&settings_of(server, folder), Folders::open(folder).unwrap()).await.unwrap()
 }

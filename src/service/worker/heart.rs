@@ -1,6 +1,8 @@
 //! What a worker does beside its job in a service of several machines: it shows that the claim is alive, from the claim to the recorded
 //! end, and hands over the checkpoints of finished stages.
 
+#[cfg(feature = "scale")]
+use crate::service::failpoint::fault;
 use crate::service::queue::{Claim, Queue};
 use crate::service::store::Store;
 use std::collections::BTreeSet;
@@ -22,7 +24,7 @@ impl Drop for Heart {
 #[cfg(feature = "scale")]
 pub(super) fn beating(store: &Store, queue: &Queue, claim: &Claim, beat: Duration) -> Heart {
     let mut tasks = Vec::new();
-    if store.is_shared() {
+    if store.is_shared() && !fault("beat.none") {
         let (queue, claim) = (queue.clone(), claim.clone());
         tasks.push(tokio::spawn(async move {
             loop {

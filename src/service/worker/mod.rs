@@ -8,6 +8,7 @@ use super::failpoint::{failpoint, fault};
 use super::memory;
 use super::metrics::Metrics;
 use super::protocol::{JobTask, Order, RUN_JOB};
+use super::queue::class::OUT_OF_MEMORY;
 use super::queue::job::JobError;
 use super::queue::outcome::ClaimOutcome;
 use super::queue::{Claim, Finished, Phase, Published, Queue};
@@ -30,6 +31,9 @@ use tracing::Instrument;
 
 /// Wait before another try after a failure of the system or the disk.
 const RETRY_INTERVAL: Duration = Duration::from_secs(2);
+
+/// Wait before another claim where the database was busy, with a row that another process holds, for example.
+const BUSY_INTERVAL: Duration = Duration::from_millis(300);
 
 /// Tries to record an outcome while the service stops.
 const MAX_TRIES_WHILE_STOPPING: usize = 3;
@@ -58,7 +62,7 @@ pub(super) async fn run(shared: Shared) {
             },
             Err(error) => {
                 tracing::error!(%error, "cannot claim a job; trying again");
-                tokio::time::sleep(RETRY_INTERVAL).await;
+                tokio::time::sleep(if error.is_busy() { BUSY_INTERVAL } else { RETRY_INTERVAL }).await;
             }
         }
     }
@@ -186,7 +190,7 @@ async fn earlier_results(store: &Store, queue: &Queue, claim: &Claim) -> Vec<Loc
 fn out_of_memory(limit: Option<u64>) -> JobError {
     let limit = limit.map_or("the machine has".to_owned(), |bytes| format!("{} MiB", bytes >> 20));
     JobError {
-        code: "out_of_memory".to_owned(),
+        code: OUT_OF_MEMORY.to_owned(),
         detail: format!("the job needs more memory than {limit}"),
         remedy: "submit a shorter take or fewer cameras, or ask the operator to raise jobs.memory_bytes".to_owned(),
         ..JobError::default()

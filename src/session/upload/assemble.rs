@@ -141,6 +141,12 @@ fn check_ids(cameras: &[RawCamera], limits: &UploadLimits) -> Result<(), UploadE
     for (i, camera) in cameras.iter().enumerate() {
         let at = |error| UploadError { pointer: Some(format!("/cameras/{i}/id")), ..error };
         Fault::CameraIdInvalid.when(camera.id.is_empty(), || "the camera's id is empty").map_err(at)?;
+        Fault::CameraIdInvalid
+            .when(
+                camera.id.contains('\0'),
+                || "the camera's id has the character U+0000, which not every database stores",
+            )
+            .map_err(at)?;
         if camera.id.len() > MAX_ID_BYTES {
             return Err(at(Fault::CameraIdInvalid
                 .with(format!("the camera's id has {} bytes, at most {MAX_ID_BYTES} are read", camera.id.len()))));

@@ -10,6 +10,8 @@
 
 #[cfg(feature = "scale")]
 mod cache;
+#[cfg(feature = "scale")]
+mod checked;
 pub(crate) mod local;
 #[cfg(feature = "scale")]
 mod objects;
@@ -20,11 +22,15 @@ pub(crate) mod strays;
 #[cfg(test)]
 #[cfg(feature = "scale")]
 mod tests;
+#[cfg(feature = "scale")]
+mod versions;
 
 use super::error::StoreError;
 use super::folders::Folders;
 use super::published::Artifact;
 use crate::service::settings::BlobSettings;
+#[cfg(feature = "scale")]
+pub(crate) use checked::Checked;
 use local::{LocalFile, LocalResult};
 
 /// The value of `blobs.url` that keeps everything in the data folder.
@@ -102,6 +108,43 @@ impl Blobs {
             }
             #[cfg(feature = "scale")]
             Self::Remote(remote) => remote.take_result(job, fence, files).await,
+        }
+    }
+
+    /// Stores a file of another data folder under its key, and compares what the store has then with the digest. Returns whether it
+    /// was there already.
+    ///
+    /// # Errors
+    /// When the object store fails or gives other bytes.
+    #[cfg(feature = "scale")]
+    pub(crate) async fn import(&self, key: &str, file: &std::path::Path, sha256: &str) -> Result<bool, StoreError> {
+        match self {
+            Self::Folder(_) => Ok(true), // settings with a server name another store
+            Self::Remote(remote) => remote.import(key, file, sha256).await,
+        }
+    }
+
+    /// Fails unless the object store keeps versions of objects.
+    ///
+    /// # Errors
+    /// [`StoreError::Unversioned`], or when the object store fails.
+    #[cfg(feature = "scale")]
+    pub(crate) async fn require_versions(&self) -> Result<(), StoreError> {
+        match self {
+            Self::Folder(_) => Err(StoreError::Unversioned { reason: "the files are in the data folder".to_owned() }),
+            Self::Remote(remote) => remote.require_versions().await,
+        }
+    }
+
+    /// Reads an object and compares its digest; with `undelete`, a version with that digest takes the place of a missing or damaged one.
+    ///
+    /// # Errors
+    /// When the object store fails.
+    #[cfg(feature = "scale")]
+    pub(crate) async fn check(&self, key: &str, sha256: &str, undelete: bool) -> Result<Checked, StoreError> {
+        match self {
+            Self::Folder(_) => Ok(Checked::Damaged), // settings with a server name another store
+            Self::Remote(remote) => remote.check(key, sha256, undelete).await,
         }
     }
 

@@ -1,17 +1,18 @@
 //! The object store itself: put, get, list, remove, each under the prefix of the URL.
 
 use super::super::error::StoreError;
+use super::versions::Versions;
 use futures_util::{StreamExt, TryStreamExt};
 use object_store::aws::{AmazonS3Builder, Checksum};
 use object_store::local::LocalFileSystem;
 use object_store::path::Path as Key;
 use object_store::prefix::PrefixStore;
-use object_store::{ClientOptions, ObjectMeta, ObjectStore, ObjectStoreExt, RetryConfig, WriteMultipart};
+use object_store::{ClientOptions, GetOptions, ObjectMeta, ObjectStore, ObjectStoreExt, RetryConfig, WriteMultipart};
 use sha2::{Digest, Sha256};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::io::{AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio_util::bytes::BytesMut;
 
 /// Bytes of one part of an upload; parts in flight. 46 MiB are resident with these.
@@ -36,6 +37,8 @@ const CLOCK: &str = "clock";
 #[derive(Debug, Clone)]
 pub(super) struct Objects {
     store: Arc<dyn ObjectStore>,
+    /// Earlier versions of objects; `None` where the objects are files of a folder.
+    pub(super) versions: Option<Versions>,
 }
 
 /// One object of a list.
@@ -77,16 +80,17 @@ impl Objects {
             .with_retry(RetryConfig { retry_timeout: RETRY_TIME, ..RetryConfig::default() })
             .with_client_options(client)
             .build();
-        let store = store.map_err(|error| invalid(error.to_string()))?;
+        let store = Arc::new(store.map_err(|error| invalid(error.to_string()))?);
         let prefix = prefix.trim_end_matches('/');
+        let versions = Some(Versions::new(store.clone(), prefix));
         Ok(match prefix {
-            "" => Self::new(Arc::new(store)),
-            prefix => Self::new(Arc::new(PrefixStore::new(store, prefix))),
+            "" => Self { store, versions },
+            prefix => Self { store: Arc::new(PrefixStore::new(store, prefix)), versions },
         })
     }
 
     pub(super) fn new(store: Arc<dyn ObjectStore>) -> Self {
-        Self { store }
+        Self { store, versions: None }
     }
 
     /// Time of the object store's clock, Unix seconds; also proof that it can be written and read.
@@ -120,10 +124,35 @@ impl Objects {
 
     /// Writes an object into a new file. Returns its SHA-256, hex, which is computed while it is written.
     pub(super) async fn get_file(&self, key: &str, file: &Path) -> Result<String, StoreError> {
-        let unwritable = |source| StoreError::Folder { path: file.to_owned(), source };
-        let object = self.store.get(&Key::from(key)).await.map_err(|error| failed(key, error))?;
-        let to = super::super::private::create_file(file).map_err(unwritable)?;
-        let mut to = tokio::io::BufWriter::with_capacity(1 << 20, tokio::fs::File::from_std(to));
+        let to = super::super::private::create_file(file);
+        let to = to.map_err(|source| StoreError::Folder { path: file.to_owned(), source })?;
+        self.read(key, None, &mut tokio::fs::File::from_std(to), file).await
+    }
+
+    /// The SHA-256 of an object, hex; reads all of it.
+    pub(super) async fn digest(&self, key: &str) -> Result<String, StoreError> {
+        self.read(key, None, &mut tokio::io::sink(), Path::new(key)).await
+    }
+
+    /// Writes a version of an object into a new file. Returns its SHA-256, hex.
+    pub(super) async fn get_version(&self, key: &str, version: String, file: &Path) -> Result<String, StoreError> {
+        let to = super::super::private::create_file(file);
+        let to = to.map_err(|source| StoreError::Folder { path: file.to_owned(), source })?;
+        self.read(key, Some(version), &mut tokio::fs::File::from_std(to), file).await
+    }
+
+    /// Reads an object, or one of its versions. Returns its SHA-256, hex. `name` is that of the place in errors.
+    async fn read(
+        &self,
+        key: &str,
+        version: Option<String>,
+        to: &mut (impl AsyncWrite + Unpin),
+        name: &Path,
+    ) -> Result<String, StoreError> {
+        let unwritable = |source| StoreError::Folder { path: name.to_owned(), source };
+        let options = GetOptions { version, ..GetOptions::default() };
+        let object = self.store.get_opts(&Key::from(key), options).await.map_err(|error| failed(key, error))?;
+        let mut to = tokio::io::BufWriter::with_capacity(READ_BYTES, to);
         let mut hasher = Sha256::new();
         let mut bytes = object.into_stream();
         while let Some(part) = bytes.next().await {

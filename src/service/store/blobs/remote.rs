@@ -5,6 +5,7 @@ use super::super::folders::Folders;
 use super::super::published::Artifact;
 use super::super::random::new_id;
 use super::cache::Cache;
+use super::checked::Checked;
 use super::local::{Assembled, LocalFile, LocalResult};
 use super::objects::{Listed, Objects};
 use crate::service::settings::BlobSettings;
@@ -97,6 +98,51 @@ impl Remote {
         Ok(())
     }
 
+    pub(super) async fn import(&self, key: &str, file: &Path, sha256: &str) -> Result<bool, StoreError> {
+        if self.has(key, sha256).await? {
+            return Ok(true);
+        }
+        self.objects.put_file(key, file).await?;
+        match self.has(key, sha256).await? {
+            true => Ok(false),
+            false => Err(damaged(key)),
+        }
+    }
+
+    /// Whether the object is there with these bytes, all of which are read.
+    pub(super) async fn has(&self, key: &str, sha256: &str) -> Result<bool, StoreError> {
+        match self.objects.digest(key).await {
+            Ok(found) => Ok(found == sha256),
+            Err(StoreError::BlobDamaged { .. }) => Ok(false),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Whether the object store keeps versions of objects.
+    pub(super) async fn require_versions(&self) -> Result<(), StoreError> {
+        let reason = match &self.objects.versions {
+            None => "the objects are files of a folder, which has no versions",
+            Some(versions) if versions.are_kept().await? => return Ok(()),
+            Some(_) => "the bucket keeps no versions; switch its versioning on",
+        };
+        Err(StoreError::Unversioned { reason: reason.to_owned() })
+    }
+
+    pub(super) async fn check(&self, key: &str, sha256: &str, undelete: bool) -> Result<Checked, StoreError> {
+        if self.has(key, sha256).await? {
+            return Ok(Checked::Whole);
+        }
+        let Some(versions) = self.objects.versions.as_ref().filter(|_| undelete) else { return Ok(Checked::Damaged) };
+        for version in versions.of(key).await? {
+            let file = self.folders.temporary();
+            if self.objects.get_version(key, version, &file.path).await.is_ok_and(|found| found == sha256) {
+                self.objects.put_file(key, &file.path).await?;
+                return Ok(Checked::Restored);
+            }
+        }
+        Ok(Checked::Damaged)
+    }
+
     pub(super) async fn artifact(&self, job: &str, fence: i64, file: &Artifact) -> Result<LocalFile, StoreError> {
         self.local(&result_key(job, fence, &file.sha256), &file.sha256).await
     }
@@ -184,10 +230,7 @@ impl Remote {
         }
         let file = self.folders.temporary();
         if self.objects.get_file(key, &file.path).await? != sha256 {
-            return Err(StoreError::BlobDamaged {
-                key: key.to_owned(),
-                reason: "the digest differs from the stored one",
-            });
+            return Err(damaged(key));
         }
         let adopted = self.cache.adopt(&file.path, sha256);
         let (path, pin) = adopted.map_err(|source| StoreError::Folder { path: file.path.clone(), source })?;
@@ -199,6 +242,10 @@ impl Remote {
         let found = blocking(move || Ok(cache.get(&sha256))).await;
         found.ok().flatten().map(|(path, pin)| LocalFile { path, pin: Some(pin) })
     }
+}
+
+fn damaged(key: &str) -> StoreError {
+    StoreError::BlobDamaged { key: key.to_owned(), reason: "the digest differs from the stored one" }
 }
 
 /// Gives a file a second name; copies it on file systems without links.

@@ -1,5 +1,6 @@
 //! The PostgreSQL server that the processes of a service share.
 
+mod schema;
 pub(super) mod server;
 
 use super::blobs::Blobs;
@@ -9,13 +10,11 @@ use super::folders::Folders;
 use super::space::Space;
 use super::sql::{SqlOptions, SqlPool, SqlPoolOptions};
 use crate::service::settings::StoreSettings;
+pub(super) use schema::newest as newest_migration;
 use server::Server;
-use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgListener, PgPoolOptions};
 use sqlx::{ConnectOptions, Executor};
 use std::time::Duration;
-
-static MIGRATIONS: Migrator = sqlx::migrate!("./migrations/postgres");
 
 /// Statements need functions and planner behaviour of this release.
 const OLDEST_SERVER: i64 = 15;
@@ -23,10 +22,10 @@ const OLDEST_SERVER: i64 = 15;
 /// Longest wait for a free connection; a request is answered 503 then.
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Settings of every connection. A process that stops inside a transaction, and a row that stays locked, hold up others for five
-/// seconds at most. No statement of a request takes longer than thirty.
+/// Settings of every connection. A process that stops inside a transaction loses its locks after four seconds, before those that wait for
+/// them give up. No statement of a request takes longer than thirty.
 const SESSION: &str =
-    "SET idle_in_transaction_session_timeout = '5s'; SET lock_timeout = '5s'; SET statement_timeout = '30s';
+    "SET idle_in_transaction_session_timeout = '4s'; SET lock_timeout = '5s'; SET statement_timeout = '30s';
                        SET client_min_messages = 'warning'; SET timezone = 'UTC'";
 
 impl Store {
@@ -55,17 +54,17 @@ impl Store {
     }
 }
 
-/// Connects to the server and migrates the database to this release's schema.
+/// Connects to the server and runs the migrations that the database does not have yet.
 ///
 /// # Errors
-/// When the URL is malformed, the server does not answer or is too old, or a migration fails. No message has the URL, which can hold
+/// When the URL is malformed, the server does not answer or is too old, a migration fails, or the database needs a newer release. No message has the URL, which can hold
 /// a password.
 pub(super) async fn open(settings: &StoreSettings, folders: Folders) -> Result<Store, StoreError> {
     let options = parsed(&settings.url)?;
     let any = settings.url.parse::<SqlOptions>().map_err(|_| StoreError::StoreUrl)?;
     let pool = connect(any, settings.connections).await?;
     require_server(&pool).await?;
-    migrate(&pool).await?;
+    schema::migrate(&options).await?;
     Ok(Store {
         writer: pool.clone(),
         progress_writer: pool.clone(),
@@ -99,13 +98,4 @@ async fn require_server(pool: &SqlPool) -> Result<(), StoreError> {
         return Err(StoreError::OldPostgres { found });
     }
     Ok(())
-}
-
-/// Runs the migrations that the database does not have yet; of several processes one does.
-async fn migrate(pool: &SqlPool) -> Result<(), StoreError> {
-    let mut connection = pool.acquire().await?;
-    MIGRATIONS.run_direct(None, &mut *connection, false).await.map_err(|error| match error {
-        MigrateError::VersionMissing(migration) => StoreError::Newer { migration },
-        other => StoreError::Migration(other),
-    })
 }

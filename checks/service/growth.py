@@ -1,0 +1,61 @@
+"""Row of `scale.py`: more workers end more jobs. Needs a program with the feature `failpoints`, which simulates jobs."""
+
+import os
+import shutil
+import tempfile
+
+from cluster import Cluster, wait_for
+from harness import Service, require, take
+from states import FIXED, all_final, check_objects
+
+#: Duration of a simulated job, ms.
+JOB_MS = 500
+
+
+def result_folder(options):
+    """The files of one real result, which simulated jobs publish."""
+    alone, folder = Service(options.program), tempfile.mkdtemp(prefix="wandless-result-")
+    os.chmod(folder, 0o755)
+    try:
+        require(alone.start() is not None, "the embedded service does not start")
+        client = alone.client()
+        client.download(client.wait(client.submit(client.upload(take(8))["id"], FIXED)["id"])["id"], folder)
+        os.remove(os.path.join(folder, "manifest.json"))
+    finally:
+        alone.kill()
+        alone.remove()
+    return folder
+
+
+def more_workers(options):
+    """Eight workers end simulated jobs at 7.5 times the rate of one."""
+    folder = result_folder(options)
+    rates = {}
+    try:
+        for n_workers in (1, 8):
+            cluster = Cluster(options.program, options.s3)
+            try:
+                client = cluster.node("api").client()
+                session = client.upload(take(8))["id"]
+                simulated = {"WANDLESS_SIMULATED_JOB": f"{JOB_MS}:{folder}"}
+                n_jobs = options.growth_jobs * n_workers
+                for _ in range(n_jobs):
+                    client.submit(session, FIXED)
+                for _ in range(n_workers):
+                    cluster.node("worker", **simulated)
+                wait_for(lambda cluster=cluster: all_final(cluster), 300, "all jobs end")
+                span = cluster.postgres.ask(
+                    "SELECT extract(epoch FROM max(finished_at::timestamptz) - min(started_at::timestamptz)) FROM jobs WHERE state = 'succeeded'")
+                ended = int(cluster.postgres.ask("SELECT count(*) FROM jobs WHERE state = 'succeeded'")[0][0])
+                require(ended == n_jobs, f"{ended} of {n_jobs} jobs succeeded")
+                rates[n_workers] = n_jobs / float(span[0][0])
+                if rates[n_workers] > n_workers * 1000 / JOB_MS:
+                    return "skipped: the program was built without the feature failpoints, so that jobs are not simulated"
+                check_objects(cluster)
+            finally:
+                cluster.remove()
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+    ratio = rates[8] / rates[1]
+    require(ratio >= options.growth, f"8 workers are {ratio:.1f} times as fast as one: {rates}")
+    return f"1 worker {rates[1]:.2f} jobs/s, 8 workers {rates[8]:.2f}: {ratio:.2f} times"
