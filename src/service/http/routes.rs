@@ -159,7 +159,7 @@ mod tests {
         let n_operations = ids.len();
         ids.sort_unstable();
         ids.dedup();
-        assert_eq!((ids.len(), n_operations), (27, 27));
+        assert_eq!((ids.len(), n_operations), (28, 28));
         assert!(!references.is_empty());
         for flattened in ["sha256", "id"] {
             assert!(document["components"]["schemas"]["Session"]["properties"].get(flattened).is_some(), "{flattened}");
