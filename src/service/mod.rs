@@ -17,7 +17,7 @@
 //! - [`metrics`]: Prometheus metrics
 //! - [`webhooks`]: HTTP calls that report the end of a job
 //! - [`safety`]: backup, restore, verify
-//! - [`transfer`]: moves the service of a data folder to a PostgreSQL server and an object store
+//! - `transfer` (feature `scale`): moves the service of a data folder to a PostgreSQL server and an object store
 //! - `retention`: automatic removal of old jobs and sessions
 //! - `worker`: runs one claimed job in one child process and records its outcome
 //! - [`http`]: the HTTP API
