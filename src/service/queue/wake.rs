@@ -55,15 +55,7 @@ impl Queue {
             self.announce(payload);
         }
     }
-}
 
-/// A line, its job, and the process that has sent it to its own clients.
-fn line_payload(boot: &str, job: &str, line: &str) -> String {
-    let line = &line[..line.floor_char_boundary(MAX_LINE_BYTES)];
-    format!("{LINE}{boot} {job} {}", line.replace('\0', ""))
-}
-
-impl Queue {
     fn note_line(&self, payload: &str) {
         let mut words = payload.splitn(3, ' ');
         if let (Some(boot), Some(job), Some(line)) = (words.next(), words.next(), words.next())
@@ -72,6 +64,12 @@ impl Queue {
             self.pass_line(job, line);
         }
     }
+}
+
+/// A line, its job, and the process that has sent it to its own clients.
+fn line_payload(boot: &str, job: &str, line: &str) -> String {
+    let line = &line[..line.floor_char_boundary(MAX_LINE_BYTES)];
+    format!("{LINE}{boot} {job} {}", line.replace('\0', ""))
 }
 
 /// Passes on the notifications of other processes until the service stops.
