@@ -128,27 +128,32 @@ fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Refined, Cance
     let table = OffsetTable::empty(context.model);
     let mut priors = CameraPriors::new(&context.config.known_cameras);
     let mut noise = measured_noise(context, members);
-    let (mut focal, mut has_settled) = (None, true);
     let slow = |noise: &PathNoise| noise.typical().autocorrelation;
     for round in 1..=N_ROUNDS {
-        let problem = problem(context, &table, &noise, Some(&priors));
-        problem.minimised(members, Vec::new(), &STOPPING)?;
-        if let Some((found, likeliest)) = refined_focal(&problem, members, slow(&noise)) {
-            focal = Some(found);
-            has_settled = priors.has_spread_of(&likeliest);
-            priors = likeliest;
-        }
+        problem(context, &table, &noise, Some(&priors)).minimised(members, Vec::new(), &STOPPING)?;
         if round < N_ROUNDS {
+            if let Some((_, likeliest)) =
+                refined_focal(&problem(context, &table, &noise, Some(&priors)), members, slow(&noise))
+            {
+                priors.overcount = likeliest.overcount;
+            }
             noise = measured_noise(context, members);
         }
     }
-    let last = problem(context, &table, &noise, Some(&priors));
-    if !has_settled {
-        // What the last round showed of the lenses is not what the round before had shown.
+    // Whether lenses are as given is decided where they are free: held to the given lengths, the noise that is measured there
+    // has absorbed their errors.
+    let free = problem(context, &table, &noise, Some(&priors));
+    let Some((mut focal, likeliest)) = refined_focal(&free, members, slow(&noise)) else {
+        return Ok((free.camera_covariance(members, slow(&noise)), None));
+    };
+    let last = problem(context, &table, &noise, Some(&likeliest));
+    if !priors.has_spread_of(&likeliest) {
         last.minimised(members, Vec::new(), &STOPPING)?;
-        focal = refined_focal(&last, members, slow(&noise)).map(|(found, _)| found);
+        if let Some((found, _)) = refined_focal(&last, members, slow(&noise)) {
+            focal = RefinedFocal { log_evidence: focal.log_evidence, ..found };
+        }
     }
-    Ok((last.camera_covariance(members, slow(&noise)), focal))
+    Ok((last.camera_covariance(members, slow(&noise)), Some(focal)))
 }
 
 /// One step of the motions alone.
