@@ -28,6 +28,9 @@ pub struct Calibration {
     pub stages: Vec<StageReport>,
     /// Of the placed cameras, where they have been adjusted together with bodies: they are not adjusted again.
     pub with_bodies: Option<CameraCovariance>,
+    /// Whether they have been, with people that a correction leaves out: they are adjusted again, from near the minimum.
+    #[serde(default)]
+    pub with_other_bodies: bool,
     /// Views that a correction leaves out: they have no pose and no detections.
     pub excluded: Vec<usize>,
 }
@@ -43,6 +46,7 @@ impl Calibration {
             rival_explained: 0.0,
             stages: Vec::new(),
             with_bodies: None,
+            with_other_bodies: false,
             excluded: Vec::new(),
         }
     }

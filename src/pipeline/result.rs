@@ -2,7 +2,7 @@
 
 use super::calibration::{Calibration, TrackedPeople};
 use super::capture::Capture;
-use super::config::{Extrinsics, IntrinsicsMode, MotionPriorMode};
+use super::config::{Extrinsics, IntrinsicsMode, MotionPriorMode, Options};
 use super::error::PipelineError;
 use super::focal_lengths::FocalLengths;
 use super::stages::association::identities;
@@ -138,9 +138,7 @@ impl Solution {
             correlated_errors: capture.options.adjust_with_bodies && config.correlated_errors,
             known_cameras: self.known_cameras(capture, focal_lengths),
             sigma_log_scale: self.scale.as_ref().map_or(0.0, sigma_log_scale),
-            adjust_cameras: capture.options.adjust_with_bodies
-                && capture.options.extrinsics != Extrinsics::Fixed
-                && self.calibration.with_bodies.is_none(),
+            camera_rounds: self.camera_rounds(capture.options),
             known_covariance: self.calibration.with_bodies.clone(),
             ..config
         };
@@ -225,6 +223,21 @@ impl Solution {
                 Extrinsics::Refine => self.placed_views().map(|view| views[view].camera_from_world).collect(),
                 Extrinsics::Estimate | Extrinsics::Fixed => None,
             },
+        }
+    }
+
+    /// Rounds in which the bodies adjust the cameras.
+    ///
+    /// The detector's errors are measured on the first fit, then on the adjusted one; a third round changes the cameras by a
+    /// tenth of their standard deviation. Cameras that were adjusted with other people start where a first round ends.
+    fn camera_rounds(&self, options: &Options) -> usize {
+        let is_due = options.adjust_with_bodies
+            && options.extrinsics != Extrinsics::Fixed
+            && self.calibration.with_bodies.is_none();
+        match (is_due, self.calibration.with_other_bodies) {
+            (false, _) => 0,
+            (true, true) => 1,
+            (true, false) => 2,
         }
     }
 

@@ -112,7 +112,7 @@ fn start(given: &Capture, before: &Calibration, people: &CorrectedPeople) -> Cal
         start.cameras[view] = None;
     }
     if !people.excluded.is_empty() {
-        start.with_bodies = None; // the cameras are adjusted again
+        start.with_other_bodies = start.with_bodies.take().is_some();
     }
     start.excluded = people.excluded_views.iter().copied().collect();
     with_points_anew(given, start)

@@ -41,10 +41,6 @@ const MAX_FRAMES: usize = 1200;
 /// proportions that the betas do not span.
 pub(super) const BONE_SIGMA: f64 = 0.01;
 
-/// The noise is measured on the first fit, then on the adjusted one; a third round changes the cameras by a tenth of their
-/// standard deviation.
-const N_ROUNDS: usize = 2;
-
 /// A step of less than a tenth of a standard deviation is the last: the next would be a hundredth.
 const STOPPING: Stopping = Stopping { max_iterations: 8, min_decrease: 0.5, min_sigmas: 0.1 };
 
@@ -64,7 +60,7 @@ const MIN_SHARED: f64 = 0.7;
 /// Fewest frames of all persons that are left by thinning: with 150 instead of 300 cameras come a fifth worse.
 const MIN_LEFT: usize = 300;
 
-/// Measures the detector's errors on the first fits of all persons. Where `config.adjust_cameras`, cameras and first fits are
+/// Measures the detector's errors on the first fits of all persons. Where `config.camera_rounds` is not 0, cameras and first fits are
 /// adjusted together under these errors, and replaced. `None` with fewer than two cameras, or without persons.
 pub(super) fn correlated_errors(
     context: &FitContext,
@@ -83,7 +79,7 @@ pub(super) fn correlated_errors(
         started.iter().flatten().map(member).collect()
     };
     let (mut cameras, mut focal, mut covariance, mut measured) = (None, None, None, None);
-    if context.config.adjust_cameras {
+    if context.config.camera_rounds > 0 {
         let n_tracked: usize = started.iter().flatten().map(|(observations, _)| observations.pixels.len()).sum();
         let informative = informative_stride(context, &seen_most(started));
         let stride = n_tracked.div_ceil(MAX_FRAMES).max(informative);
@@ -129,9 +125,10 @@ fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Refined, Cance
     let mut priors = CameraPriors::new(&context.config.known_cameras);
     let mut noise = measured_noise(context, members);
     let slow = |noise: &PathNoise| noise.typical().autocorrelation;
-    for round in 1..=N_ROUNDS {
+    let n_rounds = context.config.camera_rounds;
+    for round in 1..=n_rounds {
         problem(context, &table, &noise, Some(&priors)).minimised(members, Vec::new(), &STOPPING)?;
-        if round < N_ROUNDS {
+        if round < n_rounds {
             if let Some((_, likeliest)) =
                 refined_focal(&problem(context, &table, &noise, Some(&priors)), members, slow(&noise))
             {

@@ -60,8 +60,8 @@ pub struct BodyFitConfig {
     pub halo_frames: usize,
     /// Whether the last fit takes the detector's errors as correlated in time.
     pub correlated_errors: bool,
-    /// Whether the cameras are adjusted together with the motions under these errors.
-    pub adjust_cameras: bool,
+    /// Rounds in which the cameras are adjusted together with the motions under these errors; 0: they are held.
+    pub camera_rounds: usize,
     /// Covariance of cameras that are not adjusted, because they were before.
     pub known_covariance: Option<CameraCovariance>,
     /// What is known of the cameras that are adjusted.
@@ -142,7 +142,7 @@ impl Default for BodyFitConfig {
             window_frames: 480,
             halo_frames: 30,
             correlated_errors: true,
-            adjust_cameras: false,
+            camera_rounds: 0,
             known_covariance: None,
             known_cameras: KnownCameras::default(),
             estimate_keypoint_bias: true,

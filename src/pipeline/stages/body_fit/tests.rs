@@ -319,7 +319,7 @@ fn focal_lengths_are_found_with_the_cameras() {
         }
         let focal_px = scene.session.views.iter().map(|view| view.intrinsics.focal()).collect();
         let config = BodyFitConfig {
-            adjust_cameras: true,
+            camera_rounds: 2,
             known_cameras: KnownCameras { focal_px: Some(focal_px), ..KnownCameras::default() },
             ..BodyFitConfig::default()
         };
