@@ -17,6 +17,10 @@ MAX_SHARE = 0.5  # of a solve's time
 FAILED = []
 
 
+#: Times of the two runs that are compared, of which the shortest count: other work on the machine slows single runs by a third.
+N_TIMED = 3
+
+
 def run(*arguments):
     """Runs the program; returns its processor seconds and its output."""
     before = os.times()
@@ -81,7 +85,7 @@ def corrected(name, clean, wrong, corrections_of):
     """Solves both takes and the correction; returns nothing, but checks identities and time."""
     base, fresh = WORK / f"{name}_base", WORK / f"{name}_clean"
     run("reconstruct", clean, "--out", fresh)
-    fresh_s, _ = run("reconstruct", wrong, "--out", base)
+    run("reconstruct", wrong, "--out", base)
     planted, people = accuracy(wrong, base), [n_people(result) for result in (base, fresh)]
     is_planted = planted < 0.95 or people[0] > people[1]
     check(f"{name}: the error is planted", is_planted, f"identity accuracy {planted:.3f}, {people[0]} people instead of {people[1]}")
@@ -89,12 +93,16 @@ def corrected(name, clean, wrong, corrections_of):
     corrections = corrections_of(base)
     print(f"{name}: {', '.join(edit['action'] for edit in corrections)}")
     file.write_text(json.dumps(corrections))
-    seconds, _ = run("reconstruct", wrong, "--out", result, "--corrections", file, "--continue", base)
+    fresh_s, seconds = [], []
+    for again in range(N_TIMED):
+        shutil.rmtree(result, ignore_errors=True)
+        fresh_s.append(run("reconstruct", wrong, "--out", WORK / f"{name}_again{again}")[0])
+        seconds.append(run("reconstruct", wrong, "--out", result, "--corrections", file, "--continue", base)[0])
     before, after = accuracy(clean, fresh), accuracy(wrong, result)
     check(f"{name}: identities", round(after, 3) == 1.0 and round(before, 3) == 1.0, f"accuracy {after:.4f}, without the error {before:.4f}")
     check(f"{name}: people", n_people(result) == people[1], n_people(result))
-    share = seconds / fresh_s
-    check(f"{name}: time", share <= MAX_SHARE, f"{seconds:.1f} s of {fresh_s:.1f} s, {100 * share:.1f} %")
+    share = min(seconds) / min(fresh_s)
+    check(f"{name}: time", share <= MAX_SHARE, f"{min(seconds):.1f} s of {min(fresh_s):.1f} s, {100 * share:.1f} %")
 
 
 def put_right(session):
