@@ -180,6 +180,7 @@ mod tests {
             betas: [0.0; 10],
             frames: vec![rest.clone(); n],
             joint_sigmas: None,
+            hands: None,
         };
         take.motions = vec![motion(0, 10), motion(2, 3)];
         let bvh = losses(F::Bvh, &take);

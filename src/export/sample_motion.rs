@@ -17,5 +17,5 @@ pub(super) fn motion() -> BodyMotion {
         BodyPose { rotations: pose.rotations, translation: pose.translation, joints, valid: true }
     };
     let frames = (0..3).map(frame).collect();
-    BodyMotion { person: PersonId(0), first: FrameIndex(0), betas: [0.4; 10], frames, joint_sigmas: None }
+    BodyMotion { person: PersonId(0), first: FrameIndex(0), betas: [0.4; 10], frames, joint_sigmas: None, hands: None }
 }

@@ -134,6 +134,10 @@ impl Take {
             pose.joints = pose.joints.map(|joint| target_from_world * joint);
             pose.translation = pose.joints[0] - rest_pelvis;
         }
+        let hands = take.motions.iter_mut().flat_map(|motion| motion.hands.iter_mut().flatten());
+        for pose in hands.flat_map(|hand| &mut hand.frames) {
+            pose.joints = pose.joints.map(|joint| target_from_world * joint);
+        }
         take
     }
 }
@@ -181,6 +185,10 @@ pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Tak
             pose.translation = pose.translation.map(micro);
             pose.joints = pose.joints.map(|joint| joint.map(micro));
         }
+        for pose in motion.hands.iter_mut().flatten().flat_map(|hand| &mut hand.frames) {
+            pose.rotations = pose.rotations.map(|r| rotation::exp(&rotation::log(&r).map(micro)));
+            pose.joints = pose.joints.map(|joint| joint.map(micro));
+        }
         let sigmas = motion.joint_sigmas.iter_mut().flatten();
         sigmas.for_each(|sigmas| *sigmas = millimetres(sigmas).map(|mm| 1e-3 * mm));
         carry_over_non_finite(motion)
@@ -221,6 +229,9 @@ pub(super) fn carry_over_non_finite(mut motion: BodyMotion) -> Option<BodyMotion
         } else {
             motion.frames[t] = motion.frames[source].clone();
             motion.frames[t].valid = false;
+            for hand in motion.hands.iter_mut().flatten() {
+                hand.frames[t] = hand.frames[source].clone();
+            }
         }
     }
     motion.betas = motion.betas.map(|beta| if beta.is_finite() { beta } else { 0.0 });
