@@ -97,6 +97,12 @@ impl Take {
         (0..self.n_frames).filter_map(move |index| motion.frames.get(index.saturating_sub(first).min(last)))
     }
 
+    /// Index of [`Self::on_time_line`]'s pose in the motion, for every frame of the time line.
+    pub(super) fn frames_on_time_line(&self, motion: &BodyMotion) -> impl Iterator<Item = usize> {
+        let (first, last) = (motion.first.0, motion.frames.len().saturating_sub(1));
+        (0..self.n_frames).map(move |index| index.saturating_sub(first).min(last))
+    }
+
     /// The keypoints of a person in every frame of the motion: `names.len()` each, none where the take has none of the person.
     pub fn keypoints_of<'a>(&'a self, motion: &'a BodyMotion) -> impl Iterator<Item = &'a [Option<Vector3<f64>>]> {
         let frames = self.keypoints.get(&motion.person);

@@ -220,7 +220,8 @@ impl SimulationConfig {
             ("image_height", r.image_height as f64, 16.0, 65536.0, "16 to 65536 px"),
         ];
         let real = n.real.map_or_else(Vec::new, |real| real.ranges().to_vec());
-        for (field, value, low, high, expected) in ranges.into_iter().chain(real) {
+        let hands = self.hands.map_or_else(Vec::new, |hands| hands.ranges().to_vec());
+        for (field, value, low, high, expected) in ranges.into_iter().chain(real).chain(hands) {
             // NaN is outside every range.
             if !(low..=high).contains(&value) {
                 return Err(SimulationError::Config { field, value, expected });

@@ -41,6 +41,19 @@ impl Default for HandNoise {
     }
 }
 
+impl HandNoise {
+    /// Field, value, smallest and largest value, range in words.
+    pub(in crate::simulation) fn ranges(&self) -> [(&'static str, f64, f64, f64, &'static str); 5] {
+        [
+            ("hands.jitter_of_size", self.jitter_of_size, 0.0, 1.0, "0 to 1"),
+            ("hands.outlier_rate", self.outlier_rate, 0.0, 1.0, "0 to 1"),
+            ("hands.missed_point_rate", self.missed_point_rate, 0.0, 1.0, "0 to 1"),
+            ("hands.missed_rate", self.missed_rate, 0.0, 1.0, "0 to 1"),
+            ("hands.swap_rate", self.swap_rate, 0.0, 1.0, "0 to 1"),
+        ]
+    }
+}
+
 /// Whose hand a detection's hand is: person and side.
 pub type HandSource = (usize, Side);
 
