@@ -43,16 +43,35 @@ def rest_joints(poses, trans, joints):
     return np.stack(rest)
 
 
+def fingers(wrists, places, poses):
+    """Finger joints of a hand by a forward pass; rest offsets are those of the first frame. [frames, 15, 3]"""
+    local = rotation(poses.reshape(len(poses), 15, 3))
+    world, joints = [], []
+    for j in range(15):
+        first = j % 3 == 0
+        outer, at = (wrists, places[:, 0]) if first else (world[j - 1], joints[j - 1])
+        offset = outer[0].T @ (places[0, 1 + j] - (places[0, 0] if first else places[0, j]))
+        joints.append(at + outer @ offset)
+        world.append(outer @ local[:, j])
+    return np.stack(joints, 1)
+
+
 result, worst = Result(), Worst("amass", joint_tolerance=1e-4)
 for person in result.people:
     npz = np.load(f"{result.exports}/smpl/{person['id']}.npz", allow_pickle=False)
     wide = np.load(f"{result.exports}/smplh/{person['id']}.npz", allow_pickle=False)
     assert npz["poses"].shape[1] == 72 and wide["poses"].shape[1] == 156
-    assert (npz["poses"][:, :66] == wide["poses"][:, :66]).all() and not wide["poses"][:, 66:].any()
+    assert (npz["poses"][:, :66] == wide["poses"][:, :66]).all()
+    assert person.get("hands") or not wide["poses"][:, 66:].any()
     assert str(npz["gender"]) == "neutral" and npz["gender"].dtype.kind == "U"
     assert float(npz["mocap_framerate"]) == float(npz["mocap_frame_rate"]) == result.fps
     assert str(npz["up_axis"]) == result.up and str(wide["surface_model_type"]) == "smplh"
     assert npz["frames"].tolist() == person["frames"] and npz["valid"].tolist() == person["valid"]
     rest = rest_joints(npz["poses"], npz["trans"], person["joints"])
     worst.joints(person["joints"], forward(rest, npz["poses"], npz["trans"]))
+    for i, hand in enumerate(("left", "right") if person.get("hands") else ()):
+        wrists, columns = chain(npz["poses"])[:, 20 + i], slice(66 + 45 * i, 111 + 45 * i)
+        first = 24 + 15 * i
+        places = np.concatenate([person["joints"][:, 20 + i : 21 + i], person["bones"][:, first : first + 15]], 1)
+        worst.joints(places[:, 1:], fingers(wrists, places, wide["poses"][:, columns]))
 worst.end()

@@ -18,7 +18,9 @@ const people = json('people.json').people;
 const publish = json('manifest.json').publish;
 const yUp = ([x, y, z]) => publish.up_axis === 'z' ? new THREE.Vector3(x, z, -y) : new THREE.Vector3(x, y, z);
 // three.js drops the namespace's colon, since it addresses tracks by path.
-const bones = (id) => poses.joint_names.map((name) => {
+const fingers = ['index', 'middle', 'pinky', 'ring', 'thumb'].flatMap((name) => [1, 2, 3].map((place) => `${name}${place}`));
+const fingerNames = ['left', 'right'].flatMap((side) => fingers.map((name) => `${side}_${name}`));
+const bones = ({ id, hands }) => [...poses.joint_names, ...(hands ? fingerNames : [])].map((name) => {
   const bone = scene.getObjectByName(THREE.PropertyBinding.sanitizeNodeName(`person_${id}:${name}`));
   return bone?.isBone ? bone : fail(`person ${id} has no bone ${name}`);
 });
@@ -32,11 +34,13 @@ const last = publish.frame_range[1] / publish.fps;
 if (Math.abs(scene.animations[0].duration - last) > 1e-3) fail(`the animation ends at ${scene.animations[0].duration} s`);
 let worst = 0;
 for (const person of people) {
-  const joints = bones(person.id);
+  const joints = bones(person);
   for (const frame of person.frames) {
     mixer.setTime(Math.min(frame / publish.fps, last - 1e-6)); // at its end the animation starts again
     scene.updateMatrixWorld(true);
-    poses.frames[frame][person.id].forEach((joint, j) => {
+    const t = frame - person.frames[0];
+    const ends = person.hands ? [...person.hands.left.joints[t], ...person.hands.right.joints[t]] : [];
+    [...poses.frames[frame][person.id], ...ends].forEach((joint, j) => {
       const place = new THREE.Vector3().setFromMatrixPosition(joints[j].matrixWorld).multiplyScalar(0.01);
       worst = Math.max(worst, place.distanceTo(yUp(joint)));
     });

@@ -41,7 +41,11 @@ for (const [i, person] of people.people.entries()) {
     // At its end the animation starts again.
     mixer.setTime(Math.min((frame - publish.frame_range[0]) / publish.fps, gltf.animations[0].duration - 1e-6));
     gltf.scene.updateMatrixWorld(true);
-    poses.frames[frame][person.id].forEach((joint, j) => {
+    const t = frame - person.frames[0];
+    const fingers = person.hands ? [...person.hands.left.joints[t], ...person.hands.right.joints[t]] : [];
+    const joints = [...poses.frames[frame][person.id], ...fingers];
+    if (bones.length !== joints.length) fail(`${bones.length} bones`);
+    joints.forEach((joint, j) => {
       const place = new THREE.Vector3().setFromMatrixPosition(bones[j].matrixWorld);
       worstJoint = Math.max(worstJoint, place.distanceTo(yUp(joint)));
     });

@@ -26,7 +26,15 @@ class Result:
         self.people = []
         for person in people["people"]:
             joints = [poses["frames"][str(frame)][str(person["id"])] for frame in person["frames"]]
-            self.people.append({**person, "joints": np.array(joints)})  # [frames, 24, 3]
+            joints, hands = np.array(joints), person.get("hands")  # [frames, 24, 3]
+            fingers = [np.array(hands[side]["joints"]) for side in ("left", "right")] if hands else []
+            self.people.append({**person, "joints": joints, "bones": np.concatenate([joints, *fingers], 1)})
+
+    def bone_names(self, person):
+        """Names of a person's joints, with SMPL-H's finger joints where hands were fitted."""
+        fingers = [f"{finger}{place}" for finger in ("index", "middle", "pinky", "ring", "thumb") for place in (1, 2, 3)]
+        sides = ("left", "right") if person.get("hands") else ()
+        return self.joint_names + [f"{side}_{name}" for side in sides for name in fingers]
 
     def turned(self, up, points):
         """Converts points of the result's world to a world with another up axis."""

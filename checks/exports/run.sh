@@ -50,8 +50,9 @@ check_session() {
 mkdir "$work"
 "$wandless" simulate --out "$work/simulated" --seed 3 --people 2 --views 6 --frames 90 > /dev/null
 "$wandless" simulate --out "$work/dance" --seed 1 --dance --views 5 --frames 240 > /dev/null
+"$wandless" simulate --out "$work/hands" --seed 3 --people 2 --views 6 --frames 90 --convention coco_wholebody133 > /dev/null
 "$wandless" body export --out "$work/body.npz"
-for session in "$work/simulated" "$work/dance" "${@:3}"; do
+for session in "$work/simulated" "$work/dance" "$work/hands" "${@:3}"; do
     for up in y z; do check_session "$session" "$up"; done
 done
 exit $failed

@@ -15,10 +15,10 @@ for person in result.people:
     assert cache.Populate(UsdSkel.Root(prim), Usd.PrimDefaultPredicate)
     name = prim.GetName()
     query = cache.GetSkelQuery(UsdSkel.Skeleton(stage.GetPrimAtPath(f"/World/{name}/{name}_skeleton")))
-    assert [path.split("/")[-1] for path in query.GetJointOrder()] == result.joint_names
+    assert [path.split("/")[-1] for path in query.GetJointOrder()] == result.bone_names(person)
     visibility = UsdGeom.Imageable(prim).GetVisibilityAttr()
     valid = prim.GetAttribute("userProperties:valid")
-    for frame, is_valid, joints in zip(person["frames"], person["valid"], person["joints"]):
+    for frame, is_valid, joints in zip(person["frames"], person["valid"], person["bones"]):
         posed = query.ComputeJointSkelTransforms(frame)
         worst.joints(result.turned("y", joints), [m.ExtractTranslation() for m in posed])
         assert visibility.Get(frame) == "inherited" and valid.Get(frame) == is_valid

@@ -10,6 +10,7 @@ pub mod detector_offsets;
 pub mod detector_profile;
 pub mod gait;
 pub mod generator;
+pub mod hand;
 pub mod human_speeds;
 pub mod joint_angles;
 pub mod joint_ranges;

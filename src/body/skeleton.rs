@@ -59,7 +59,8 @@ pub enum KeypointConvention {
     Body25b,
     /// Halpe, 26 body points.
     Halpe26,
-    /// COCO-WholeBody, 133 points; the first 23 (body and feet) are used, face and hands are stored but ignored.
+    /// COCO-WholeBody, 133 points: the first 23 (body and feet) are used everywhere, hands and some points of the face
+    /// ([`super::hand`]) in the fits of bodies and hands.
     #[serde(rename = "coco_wholebody133")]
     CocoWholebody133,
     /// MediaPipe BlazePose, 33 points.
@@ -113,7 +114,8 @@ impl KeypointConvention {
         }
     }
 
-    /// Names of the leading body keypoints, in order; the points after them (face, hands) have no names and are not used.
+    /// Names of the leading body keypoints, in order; the points after them (face, hands) have no names: association, cameras and
+    /// repair go without them.
     pub fn names(self) -> &'static [&'static str] {
         match self {
             C::Coco17 => &HALPE26_NAMES[..17],

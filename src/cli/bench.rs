@@ -3,6 +3,7 @@
 mod ablation;
 mod bodies;
 mod coverage;
+mod hands;
 mod joint_angles;
 mod markers;
 mod mistakes;
@@ -44,6 +45,8 @@ enum Bench {
     },
     /// Errors of body shape, joint angles and metric scale on simulated people with default bodies
     Bodies(bodies::BodiesArgs),
+    /// Errors of fingers, wrists, cameras and bodies on simulated sessions with 133 points, against 17 points of the same detections
+    Hands(hands::HandsArgs),
     /// Ablation study on given or simulated sessions with ground truth; a table as Markdown and as JSON
     Ablation(ablation::AblationArgs),
     /// Errors of virtual skin markers on two dancing people with 1 to 12 cameras; a table as Markdown and as JSON
@@ -62,6 +65,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
             rigs::run(seed..seed + count, limit_deg, noise)
         }
         Bench::Bodies(args) => bodies::run(&args),
+        Bench::Hands(args) => hands::run(&args),
         Bench::Ablation(args) => ablation::run(&args),
         Bench::Markers(args) => markers::run(&args),
         Bench::Mistakes(args) => mistakes::run(&args),

@@ -3,7 +3,7 @@
 use super::noise::NoiseName;
 use crate::body::skeleton::KeypointConvention;
 use crate::session::formats::native;
-use crate::simulation::{Bodies, Lens, MotionSource, Preset, SimulationConfig, Statistics, Tracks, random_rig_config};
+use crate::simulation::{Bodies, HandNoise, Lens, MotionSource, Preset, SimulationConfig, Statistics, Tracks, random_rig_config};
 use crate::simulation::{simulate, write_truth};
 use anyhow::Context;
 use clap::ValueEnum;
@@ -77,6 +77,9 @@ pub(super) struct Args {
     /// Identity swaps per view per minute
     #[arg(long)]
     swaps_per_minute: Option<f64>,
+    /// Share of the frames of a view in which two hands are exchanged, for conventions with hands
+    #[arg(long, value_name = "SHARE")]
+    hand_swaps: Option<f64>,
     /// Lens distortion
     #[arg(long, value_enum)]
     lens: Option<LensName>,
@@ -169,6 +172,9 @@ fn config(args: &Args) -> SimulationConfig {
     set(&mut config.rig.height, args.height);
     set(&mut config.rig.fov_deg, args.fov);
     set(&mut config.noise.swaps_per_minute, args.swaps_per_minute);
+    if let Some(swap_rate) = args.hand_swaps {
+        config.hands = Some(HandNoise { swap_rate, ..HandNoise::default() });
+    }
     let lens = args.lens.map(|name| match name {
         LensName::Pinhole => Lens::Pinhole,
         LensName::WideAngle => Lens::WideAngle,

@@ -8,9 +8,8 @@
 
 use super::files::ResultFiles;
 use super::joint_names::profiles;
-use super::rig::{children, rest_joints};
+use super::rig::{Rig, joint_turn};
 use super::take::Take;
-use crate::body::skeleton::{N_JOINTS, PARENTS};
 use crate::geometry::euler::{EulerAngles, nearest_angles, zxy_angles};
 use crate::session::BodyMotion;
 use crate::session::formats::rounded;
@@ -27,11 +26,11 @@ const END_SHARE: f64 = 0.5;
 pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
     let take = take.with_up_axis(UpAxis::Y);
     for motion in &take.motions {
-        let rest = rest_joints(motion);
-        let motion_text = motion_section(&take, motion);
-        for profile in profiles() {
+        let rig = Rig::of(motion);
+        let motion_text = motion_section(&take, motion, &rig);
+        for profile in profiles(&rig) {
             let mut text = "HIERARCHY\n".to_owned();
-            add_joint(&mut text, &profile.names, &rest, 0, 0);
+            add_joint(&mut text, &profile.names, &rig, 0, 0);
             text += &motion_text;
             files.bytes(&format!("{}{}.bvh", motion.person.0, profile.suffix), "text/plain", text.as_bytes())?;
         }
@@ -42,48 +41,48 @@ pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
 /// Adds a joint and its descendants, children in order of their numbers.
 fn add_joint(
     text: &mut String,
-    names: &[String; N_JOINTS],
-    rest: &[Vector3<f64>; N_JOINTS],
+    names: &[String],
+    rig: &Rig,
     joint: usize,
     depth: usize,
 ) {
     let indent = "\t".repeat(depth);
-    let offset = PARENTS[joint].map_or_else(Vector3::zeros, |parent| rest[joint] - rest[parent]);
-    let (kind, channels) = match PARENTS[joint] {
+    let offset = rig.parents[joint].map_or_else(Vector3::zeros, |parent| rig.joints[joint] - rig.joints[parent]);
+    let (kind, channels) = match rig.parents[joint] {
         None => ("ROOT", "6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"),
         Some(_) => ("JOINT", "3 Zrotation Xrotation Yrotation"),
     };
     *text += &format!("{indent}{kind} {}\n{indent}{{\n{indent}\tOFFSET {}\n", names[joint], place(&offset));
     *text += &format!("{indent}\tCHANNELS {channels}\n");
-    if children(joint).next().is_none() {
+    if rig.children(joint).next().is_none() {
         let end = place(&(offset * END_SHARE));
         *text += &format!("{indent}\tEnd Site\n{indent}\t{{\n{indent}\t\tOFFSET {end}\n{indent}\t}}\n");
     }
-    for child in children(joint) {
-        add_joint(text, names, rest, child, depth + 1);
+    for child in rig.children(joint) {
+        add_joint(text, names, rig, child, depth + 1);
     }
     *text += &format!("{indent}}}\n");
 }
 
 /// The joints in the order of the hierarchy.
-fn hierarchy_order() -> Vec<usize> {
-    fn visit(joint: usize, order: &mut Vec<usize>) {
+fn hierarchy_order(rig: &Rig) -> Vec<usize> {
+    fn visit(rig: &Rig, joint: usize, order: &mut Vec<usize>) {
         order.push(joint);
-        children(joint).for_each(|child| visit(child, order));
+        rig.children(joint).for_each(|child| visit(rig, child, order));
     }
-    let mut order = Vec::with_capacity(N_JOINTS);
-    visit(0, &mut order);
+    let mut order = Vec::with_capacity(rig.n_joints());
+    visit(rig, 0, &mut order);
     order
 }
 
-fn motion_section(take: &Take, motion: &BodyMotion) -> String {
-    let order = hierarchy_order();
-    let mut before = [EulerAngles::default(); N_JOINTS];
+fn motion_section(take: &Take, motion: &BodyMotion, rig: &Rig) -> String {
+    let order = hierarchy_order(rig);
+    let mut before = vec![EulerAngles::default(); rig.n_joints()];
     let mut text = format!("MOTION\nFrames: {}\nFrame Time: {:.9}\n", take.n_frames, 1.0 / take.fps);
-    for pose in take.on_time_line(motion) {
-        text += &place(&pose.joints[0]);
+    for t in take.frames_on_time_line(motion) {
+        text += &place(&motion.frames[t].joints[0]);
         for &joint in &order {
-            let angles = nearest_angles(zxy_angles(&pose.rotations[joint]), before[joint]);
+            let angles = nearest_angles(zxy_angles(&joint_turn(motion, t, joint)), before[joint]);
             before[joint] = angles;
             let [z, x, y] = [angles.outer, angles.middle, angles.inner].map(|angle| rounded(angle.to_degrees(), 6));
             text += &format!(" {z:.6} {x:.6} {y:.6}");

@@ -26,7 +26,6 @@ use super::joint_names::profiles;
 use super::rig::{Rig, person_name};
 use super::skin::skin_mesh;
 use super::take::Take;
-use crate::body::skeleton::JOINT_NAMES;
 use crate::session::recording::UpAxis;
 use objects::{Objects, SCENE};
 use person::Person;
@@ -38,16 +37,14 @@ const MEDIA_TYPE: &str = "application/octet-stream";
 pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
     let take = take.with_up_axis(UpAxis::Y);
     let names: Vec<String> = take.motions.iter().map(|motion| person_name(&take, motion)).collect();
-    let person = |(motion, name)| Person {
-        name,
-        joint_names: JOINT_NAMES.map(|joint| format!("{name}:{joint}")),
-        motion,
-        rig: Rig::of(motion),
+    let person = |(motion, name)| {
+        let rig = Rig::of(motion);
+        Person { name, joint_names: rig.names.iter().map(|joint| format!("{name}:{joint}")).collect(), motion, rig }
     };
     let people: Vec<Person> = take.motions.iter().zip(names.iter().map(String::as_str)).map(person).collect();
     files.bytes("scene.fbx", MEDIA_TYPE, &scene(&take, &people)?)?;
     for (motion, name) in take.motions.iter().zip(&names) {
-        for profile in profiles().into_iter().filter(|profile| !profile.suffix.is_empty()) {
+        for profile in profiles(&Rig::of(motion)).into_iter().filter(|profile| !profile.suffix.is_empty()) {
             let person = Person { name, joint_names: profile.names, motion, rig: Rig::of(motion) };
             let file_name = format!("{}{}.fbx", motion.person.0, profile.suffix);
             files.bytes(&file_name, MEDIA_TYPE, &scene(&take, &[person])?)?;

@@ -13,11 +13,10 @@ mod sticks;
 
 use super::files::{ResultFiles, micro};
 use super::film::{vertical_view, world_from_film};
-use super::rig::{Rig, children, person_name};
+use super::rig::{Rig, joint_turn, person_name};
 use super::rotation_forms::{quaternion_xyzw, quaternions_xyzw};
 use super::skin::skin_mesh;
 use super::take::{Take, TakeCamera};
-use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
 use crate::session::BodyMotion;
 use crate::session::formats::{entries, rows};
 use crate::session::recording::UpAxis;
@@ -77,13 +76,13 @@ impl Document {
                 "betas": motion.betas,
             },
         }));
-        for joint in 0..N_JOINTS {
+        for joint in 0..rig.n_joints() {
             let mut node = json!({
-                "name": JOINT_NAMES[joint],
+                "name": rig.names[joint],
                 "translation": entries(&rig.offset(joint)).map(micro),
                 "rotation": quaternion_xyzw(&rig.rest(joint)),
             });
-            let children: Vec<usize> = children(joint).map(|child| pelvis + child).collect();
+            let children: Vec<usize> = rig.children(joint).map(|child| pelvis + child).collect();
             if !children.is_empty() {
                 node["children"] = json!(children);
             }
@@ -95,16 +94,16 @@ impl Document {
     }
 
     fn add_skin(&mut self, take: &Take, motion: &BodyMotion, rig: &Rig, pelvis: usize) {
-        let inverse_bind: Vec<f32> = (0..N_JOINTS).flat_map(|joint| inverse_bind(rig, joint)).collect();
+        let inverse_bind: Vec<f32> = (0..rig.n_joints()).flat_map(|joint| inverse_bind(rig, joint)).collect();
         let inverse_bind = self.buffer.floats(&inverse_bind, Element::Mat4);
-        let joints: Vec<usize> = (0..N_JOINTS).map(|joint| pelvis + joint).collect();
+        let joints: Vec<usize> = (0..rig.n_joints()).map(|joint| pelvis + joint).collect();
         let person = person_name(take, motion);
         self.skins.push(json!({
             "name": person, "inverseBindMatrices": inverse_bind, "joints": joints, "skeleton": pelvis,
         }));
         let (kind, mut primitive) = match &take.body {
             Some(body) => ("body", mesh::primitive(&mut self.buffer, &skin_mesh(body, motion))),
-            None => ("sticks", sticks::primitive(&mut self.buffer, &rig.joints)),
+            None => ("sticks", sticks::primitive(&mut self.buffer, rig)),
         };
         primitive["material"] = json!(self.materials.len());
         let colour = mesh::colour(self.materials.len());
@@ -124,8 +123,9 @@ impl Document {
         let places: Vec<f32> = poses().flat_map(|pose| entries(&pose.joints[0]).map(|c| micro(c) as f32)).collect();
         let output = self.buffer.floats(&places, Element::Vec3);
         self.add_channel(times, output, pelvis, "translation");
-        for joint in 0..N_JOINTS {
-            let turns = quaternions_xyzw(poses().map(|pose| rig.local(joint, &pose.rotations[joint])));
+        for joint in 0..rig.n_joints() {
+            let local = |t: usize| rig.local(joint, &joint_turn(motion, t, joint));
+            let turns = quaternions_xyzw(take.frames_on_time_line(motion).map(local));
             let turns: Vec<f32> = turns.iter().flatten().map(|c| *c as f32).collect();
             let output = self.buffer.floats(&turns, Element::Vec4);
             self.add_channel(times, output, pelvis + joint, "rotation");

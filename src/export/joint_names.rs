@@ -7,16 +7,18 @@
 //! | `.unreal` | the mannequin of Unreal Engine 5 |
 //!
 //! Known limits: SMPL has three joints in the spine, Unreal's mannequin five: `spine_02` and `spine_04` are left out. SMPL's
-//! hands are the knuckles of the middle fingers; there are no other fingers.
+//! hands are the knuckles of the middle fingers; other fingers exist where hands were fitted.
 
-use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
+use super::rig::Rig;
+use crate::body::hand::{FINGERS, N_FINGER_JOINTS, Side};
+use crate::body::skeleton::N_JOINTS;
 
 /// A set of joint names.
 pub(super) struct Profile {
     /// Stands in file names before the extension.
     pub(super) suffix: &'static str,
-    /// In SMPL's order.
-    pub(super) names: [String; N_JOINTS],
+    /// In the order of the [`Rig`].
+    pub(super) names: Vec<String>,
 }
 
 const HUMANIK_NAMES: [&str; N_JOINTS] = [
@@ -32,18 +34,44 @@ const UNREAL_NAMES: [&str; N_JOINTS] = [
 ];
 
 /// All sets, SMPL's first.
-pub(super) fn profiles() -> [Profile; 4] {
+pub(super) fn profiles(rig: &Rig) -> [Profile; 4] {
+    let has_fingers = rig.n_joints() > N_JOINTS;
+    let named = |body: &[&str; N_JOINTS], palms: [&str; 2], finger: fn(Side, usize) -> String| {
+        let mut names: Vec<String> = body.map(str::to_owned).to_vec();
+        if has_fingers {
+            // What was the knuckle of the middle finger now lies between the wrist and it.
+            names[N_JOINTS - 2..].clone_from_slice(&palms.map(str::to_owned));
+            names.extend(Side::BOTH.iter().flat_map(|side| (0..N_FINGER_JOINTS).map(|joint| finger(*side, joint))));
+        }
+        names
+    };
+    let humanik = named(&HUMANIK_NAMES, ["LeftInHandMiddle", "RightInHandMiddle"], humanik_finger);
+    let unreal = named(&UNREAL_NAMES, ["middle_metacarpal_l", "middle_metacarpal_r"], unreal_finger);
     [
-        Profile { suffix: "", names: JOINT_NAMES.map(str::to_owned) },
-        Profile { suffix: ".humanik", names: HUMANIK_NAMES.map(str::to_owned) },
-        Profile { suffix: ".mixamo", names: HUMANIK_NAMES.map(|name| format!("mixamorig:{name}")) },
-        Profile { suffix: ".unreal", names: UNREAL_NAMES.map(str::to_owned) },
+        Profile { suffix: "", names: rig.names.clone() },
+        Profile { suffix: ".humanik", names: humanik.clone() },
+        Profile { suffix: ".mixamo", names: humanik.iter().map(|name| format!("mixamorig:{name}")).collect() },
+        Profile { suffix: ".unreal", names: unreal },
     ]
+}
+
+/// `LeftHandIndex1`
+fn humanik_finger(side: Side, joint: usize) -> String {
+    let side = if side == Side::Left { "Left" } else { "Right" };
+    let finger = ["Index", "Middle", "Pinky", "Ring", "Thumb"][joint / 3];
+    format!("{side}Hand{finger}{}", joint % 3 + 1)
+}
+
+/// `index_01_l`
+fn unreal_finger(side: Side, joint: usize) -> String {
+    let side = if side == Side::Left { "l" } else { "r" };
+    format!("{}_0{}_{side}", FINGERS[joint / 3], joint % 3 + 1)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::export::sample_motion::{motion, motion_with_fingers};
     use std::collections::BTreeSet;
 
     /// Side of a joint by the spelling of each program: -1 left, 1 right, 0 neither.
@@ -60,10 +88,13 @@ mod tests {
 
     #[test]
     fn names_are_distinct_and_keep_the_side() {
-        for profile in profiles() {
-            assert_eq!(profile.names.iter().collect::<BTreeSet<_>>().len(), N_JOINTS, "{}", profile.suffix);
-            for (name, smpl) in profile.names.iter().zip(JOINT_NAMES) {
-                assert_eq!(side(name), side(smpl), "{name} and {smpl}");
+        for rig in [motion(), motion_with_fingers()].map(|motion| Rig::of(&motion)) {
+            for profile in profiles(&rig) {
+                let distinct: BTreeSet<_> = profile.names.iter().collect();
+                assert_eq!(distinct.len(), rig.n_joints(), "{}", profile.suffix);
+                for (name, smpl) in profile.names.iter().zip(&rig.names) {
+                    assert_eq!(side(name), side(smpl), "{name} and {smpl}");
+                }
             }
         }
     }

@@ -56,8 +56,21 @@ fn absence(format: F) -> Option<&'static str> {
 pub(super) fn losses(format: F, take: &Take) -> Vec<String> {
     let mut lost = lost_meshes(format, take);
     lost.extend(take.motions.iter().filter_map(|motion| lost_absence(format, take, motion)));
+    lost.extend(lost_fingers(format, take));
     lost.extend(lost_cameras(format, take));
     lost
+}
+
+fn lost_fingers(format: F, take: &Take) -> Option<String> {
+    take.motions.iter().find(|motion| motion.hands.is_some())?;
+    let sentence = match format {
+        F::Easymocap | F::Blender | F::Trc | F::C3d | F::JointAngles => {
+            "people: fingers are left out; see people.json, or the formats smpl_npz, glb, usd, fbx and bvh"
+        }
+        F::Glb | F::Usd | F::Fbx => "people: fingers are bones; the hands of the mesh do not bend",
+        _ => return None,
+    };
+    Some(sentence.to_owned())
 }
 
 fn lost_meshes(format: F, take: &Take) -> Vec<String> {
@@ -180,6 +193,7 @@ mod tests {
             betas: [0.0; 10],
             frames: vec![rest.clone(); n],
             joint_sigmas: None,
+            hands: None,
         };
         take.motions = vec![motion(0, 10), motion(2, 3)];
         let bvh = losses(F::Bvh, &take);
@@ -189,6 +203,14 @@ mod tests {
         assert!(losses(F::Trc, &take).is_empty());
         take.body = Some(default_body());
         assert!(losses(F::Usd, &take).is_empty(), "the default body is free, and visibility hides people");
+    }
+
+    #[test]
+    fn reports_fingers_where_they_are_lost() {
+        let mut take = take(plain());
+        take.motions = vec![crate::export::sample_motion::motion_with_fingers()];
+        let lost = |format: F| losses(format, &take).iter().any(|loss| loss.contains("fingers"));
+        assert!(lost(F::Trc) && lost(F::Glb) && !lost(F::Bvh) && !lost(F::SmplNpz));
     }
 
     #[test]

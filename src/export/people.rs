@@ -5,7 +5,7 @@ use crate::body::measures::BodyMeasures;
 use crate::body::skeleton::N_JOINTS;
 use crate::geometry::rotation;
 use crate::session::formats::rounded;
-use crate::session::people::{BodyPose, JointSigmas};
+use crate::session::people::{BodyPose, HandMotion, HandPose, JointSigmas};
 use crate::session::reconstruction::{BodyModelId, Report};
 use crate::session::{BodyMotion, FrameIndex, Reconstruction, Session};
 use serde::Serialize;
@@ -35,6 +35,26 @@ struct Person {
     /// By frame and joint, three axes together.
     #[serde(skip_serializing_if = "Option::is_none")]
     joint_sigma_mm: Option<Vec<[f64; N_JOINTS]>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    hands: Option<Hands>,
+}
+
+/// Fingers of both hands, where they were fitted.
+#[derive(Serialize)]
+struct Hands {
+    left: Hand,
+    right: Hand,
+}
+
+/// Fingers of a hand by frame, joints in SMPL-H's order.
+#[derive(Serialize)]
+struct Hand {
+    /// Axis-angle of the 15 joints, rad.
+    pose: Vec<Vec<f64>>,
+    /// World, m.
+    joints: Vec<Vec<[f64; 3]>>,
+    /// Number of views that saw the hand.
+    n_views: Vec<u8>,
 }
 
 /// Stature and mass, and standard deviations of the shape where the session shows them.
@@ -83,9 +103,23 @@ pub(super) fn axis_angles(pose: &BodyPose) -> Vec<f64> {
     pose.rotations.iter().flat_map(|r| <[f64; 3]>::from(rotation::log(r))).collect()
 }
 
+/// The 15 local rotations of a hand as axis-angle, radians: 45 numbers.
+pub(super) fn finger_axis_angles(pose: &HandPose) -> Vec<f64> {
+    pose.rotations.iter().flat_map(|r| <[f64; 3]>::from(rotation::log(r))).collect()
+}
+
 /// Standard deviations in mm, to a hundredth.
 pub(super) fn millimetres(sigmas: &JointSigmas) -> [f64; N_JOINTS] {
     sigmas.map(|sigma| rounded(1e3 * sigma, 2))
+}
+
+fn hand(motion: &HandMotion) -> Hand {
+    let frames = || motion.frames.iter();
+    Hand {
+        pose: frames().map(|pose| finger_axis_angles(pose).into_iter().map(micro).collect()).collect(),
+        joints: frames().map(|pose| pose.joints.iter().map(micro_entries).collect()).collect(),
+        n_views: frames().map(|pose| pose.n_views).collect(),
+    }
 }
 
 fn person(session: &Session, motion: &BodyMotion, report: &Report) -> Person {
@@ -104,6 +138,7 @@ fn person(session: &Session, motion: &BodyMotion, report: &Report) -> Person {
         body_pose: poses.iter().map(|pose| pose[3..].to_vec()).collect(),
         transl: motion.frames.iter().map(|pose| micro_entries(&pose.translation)).collect(),
         valid: motion.frames.iter().map(|pose| pose.valid).collect(),
+        hands: motion.hands.as_ref().map(|[left, right]| Hands { left: hand(left), right: hand(right) }),
         joint_sigma_mm: motion.joint_sigmas.as_ref().map(|sigmas| sigmas.iter().map(millimetres).collect()),
     }
 }

@@ -2,10 +2,11 @@
 
 use super::skin::free_body;
 use super::take::{Take, TakeCamera, carry_over_non_finite};
+use crate::body::hand::N_FINGER_JOINTS;
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
 use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
 use crate::session::json_file::{JsonFileError, read_json_file};
-use crate::session::people::BodyPose;
+use crate::session::people::{BodyPose, HandMotion, HandPose};
 use crate::session::reconstruction::BodyModelId;
 use crate::session::recording::UpAxis;
 use crate::session::{BodyMotion, FrameIndex, PersonId};
@@ -92,6 +93,23 @@ struct Person {
     valid: Vec<bool>,
     #[serde(default)]
     joint_sigma_mm: Option<Vec<[Option<f64>; N_JOINTS]>>,
+    #[serde(default)]
+    hands: Option<Hands>,
+}
+
+/// Fingers of both hands.
+#[derive(Deserialize)]
+struct Hands {
+    left: Hand,
+    right: Hand,
+}
+
+/// Fingers of a hand by frame.
+#[derive(Deserialize)]
+struct Hand {
+    pose: Vec<Vec<f64>>,
+    joints: Vec<Vec<[f64; 3]>>,
+    n_views: Vec<u8>,
 }
 
 /// `poses3d.json` or `keypoints3d.json`.
@@ -257,7 +275,33 @@ fn motion(take: &Take, person: &Person, poses: &PosesFile) -> Result<BodyMotion,
     let first = FrameIndex(first.abs_diff(start) as usize);
     let metres = |sigmas: &[Option<f64>; N_JOINTS]| sigmas.map(|mm| 1e-3 * number(mm));
     let joint_sigmas = person.joint_sigma_mm.as_ref().map(|frames| frames.iter().map(metres).collect());
-    Ok(BodyMotion { person: PersonId(person.id), first, betas, frames, joint_sigmas })
+    let hands = match &person.hands {
+        Some(Hands { left, right }) => {
+            let hand = |hand: &Hand| {
+                hand_motion(hand, n_frames).ok_or_else(|| {
+                    let lengths = [hand.pose.len(), hand.joints.len(), hand.n_views.len()];
+                    fault("hands", format!("{n_frames} frames of 45 angles and 15 joints"), format!("{lengths:?} frames"))
+                })
+            };
+            Some([hand(left)?, hand(right)?])
+        }
+        None => None,
+    };
+    Ok(BodyMotion { person: PersonId(person.id), first, betas, frames, joint_sigmas, hands })
+}
+
+/// The fingers of a hand; `None` where a number of frames, angles or joints is not the expected one.
+fn hand_motion(hand: &Hand, n_frames: usize) -> Option<HandMotion> {
+    let has_all = |n: usize| n == n_frames;
+    let is_whole = has_all(hand.pose.len()) && has_all(hand.joints.len()) && has_all(hand.n_views.len());
+    let frame = |((angles, joints), n_views): ((&Vec<f64>, &Vec<[f64; 3]>), &u8)| {
+        let turns: Vec<_> = angles.as_chunks::<3>().0.iter().map(|turn| rotation::exp(&Vector3::from(*turn))).collect();
+        let joints: Vec<_> = joints.iter().map(|joint| Vector3::from(*joint)).collect();
+        let (rotations, joints) = (turns.try_into().ok()?, joints.try_into().ok()?);
+        (angles.len() == 3 * N_FINGER_JOINTS).then_some(HandPose { rotations, joints, n_views: *n_views })
+    };
+    let frames = hand.pose.iter().zip(&hand.joints).zip(&hand.n_views).map(frame).collect::<Option<_>>()?;
+    is_whole.then_some(HandMotion { frames })
 }
 
 /// Null in JSON is a number that is not finite.

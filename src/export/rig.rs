@@ -8,30 +8,57 @@
 //! local rotations are `Q_parent^T R_j Q_j`.
 
 use super::take::Take;
-use crate::body::skeleton::{N_JOINTS, PARENTS};
+use crate::body::hand::{N_FINGER_JOINTS, Side, finger_joint_name, finger_parent};
+use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS, chain_to_root};
 use crate::geometry::rotation::any_perpendicular;
 use crate::session::BodyMotion;
-use crate::session::people::BodyPose;
+use crate::session::people::HandMotion;
 use nalgebra::{Matrix3, Vector3};
 
-/// The skeleton of one person in the rest pose: y up, facing +z, metres.
+/// The skeleton of one person in the rest pose: y up, facing +z, metres. SMPL's joints come first; where hands were fitted, the
+/// 15 finger joints of the left hand follow, then those of the right one.
 pub(super) struct Rig {
     /// Rest joints, m.
-    pub(super) joints: [Vector3<f64>; N_JOINTS],
+    pub(super) joints: Vec<Vector3<f64>>,
     /// `body_from_bone`: axes of the joints in the rest pose.
-    pub(super) axes: [Matrix3<f64>; N_JOINTS],
+    pub(super) axes: Vec<Matrix3<f64>>,
+    /// Parents; the root has none.
+    pub(super) parents: Vec<Option<usize>>,
+    /// Names as in SMPL and SMPL-H.
+    pub(super) names: Vec<String>,
 }
 
 impl Rig {
     /// The skeleton of a motion.
     pub(super) fn of(motion: &BodyMotion) -> Self {
-        let joints = rest_joints(motion);
-        Self { joints, axes: std::array::from_fn(|joint| bone_axes(&joints, joint)) }
+        let mut joints = rest_joints(motion).to_vec();
+        let (mut parents, mut names) = (PARENTS.to_vec(), JOINT_NAMES.map(str::to_owned).to_vec());
+        for (side, hand) in Side::BOTH.into_iter().zip(motion.hands.iter().flatten()) {
+            let first = joints.len();
+            for (joint, offset) in finger_offsets(motion, hand, side).into_iter().enumerate() {
+                let parent = finger_parent(joint).map_or(side.wrist(), |parent| first + parent);
+                joints.push(joints[parent] + offset);
+                parents.push(Some(parent));
+                names.push(finger_joint_name(side, joint));
+            }
+        }
+        let axes = (0..joints.len()).map(|joint| bone_axes(&joints, &parents, joint)).collect();
+        Self { joints, axes, parents, names }
+    }
+
+    /// Number of joints.
+    pub(super) fn n_joints(&self) -> usize {
+        self.joints.len()
+    }
+
+    /// The joints below a joint, in order of their numbers.
+    pub(super) fn children(&self, joint: usize) -> impl Iterator<Item = usize> {
+        (0..self.n_joints()).filter(move |&child| self.parents[child] == Some(joint))
     }
 
     /// Position of a joint in its parent's axes, of the root in the body's, m.
     pub(super) fn offset(&self, joint: usize) -> Vector3<f64> {
-        PARENTS[joint].map_or(self.joints[joint], |parent| {
+        self.parents[joint].map_or(self.joints[joint], |parent| {
             self.axes[parent].transpose() * (self.joints[joint] - self.joints[parent])
         })
     }
@@ -39,7 +66,7 @@ impl Rig {
     /// `parent_from_bone` for a local rotation in SMPL's axes; the identity gives the rest pose.
     pub(super) fn local(&self, joint: usize, rotation: &Matrix3<f64>) -> Matrix3<f64> {
         let turned = rotation * self.axes[joint];
-        PARENTS[joint].map_or(turned, |parent| self.axes[parent].transpose() * turned)
+        self.parents[joint].map_or(turned, |parent| self.axes[parent].transpose() * turned)
     }
 
     /// `parent_from_bone` in the rest pose.
@@ -48,9 +75,39 @@ impl Rig {
     }
 
     /// `rest_from_bone` of a pose: the rotation away from the rest pose, in the joint's own axes.
-    pub(super) fn away_from_rest(&self, joint: usize, pose: &BodyPose) -> Matrix3<f64> {
-        self.axes[joint].transpose() * pose.rotations[joint] * self.axes[joint]
+    pub(super) fn away_from_rest(&self, joint: usize, rotation: &Matrix3<f64>) -> Matrix3<f64> {
+        self.axes[joint].transpose() * rotation * self.axes[joint]
     }
+}
+
+/// Local rotation of a joint of the [`Rig`] in a frame of the motion, in SMPL's axes.
+pub(super) fn joint_turn(motion: &BodyMotion, t: usize, joint: usize) -> Matrix3<f64> {
+    match (joint.checked_sub(N_JOINTS), &motion.hands) {
+        (Some(finger), Some(hands)) => {
+            hands[finger / N_FINGER_JOINTS].frames[t].rotations[finger % N_FINGER_JOINTS]
+        }
+        _ => motion.frames[t].rotations[joint],
+    }
+}
+
+/// Offsets of finger joints from their parents in the rest pose, m: mean over the frames.
+fn finger_offsets(motion: &BodyMotion, hand: &HandMotion, side: Side) -> [Vector3<f64>; N_FINGER_JOINTS] {
+    let mut offsets = [Vector3::zeros(); N_FINGER_JOINTS];
+    for (pose, fingers) in motion.frames.iter().zip(&hand.frames) {
+        let chain: Vec<usize> = chain_to_root(side.wrist()).collect();
+        let wrist = chain.iter().rev().fold(Matrix3::identity(), |world, &joint| world * pose.rotations[joint]);
+        let mut world_from_joint = [wrist; N_FINGER_JOINTS];
+        for joint in 0..N_FINGER_JOINTS {
+            let parent = finger_parent(joint);
+            let (world_from_parent, at) = match parent {
+                Some(parent) => (world_from_joint[parent], fingers.joints[parent]),
+                None => (wrist, pose.joints[side.wrist()]),
+            };
+            offsets[joint] += world_from_parent.transpose() * (fingers.joints[joint] - at);
+            world_from_joint[joint] = world_from_parent * fingers.rotations[joint];
+        }
+    }
+    offsets.map(|sum| sum / motion.frames.len().max(1) as f64)
 }
 
 /// Name of a person in scenes, of ASCII letters, digits and `_`: the person's own where a correction gives one.
@@ -67,13 +124,8 @@ pub(super) fn person_name(take: &Take, motion: &BodyMotion) -> String {
     }
 }
 
-/// The joints below a joint, in order of their numbers.
-pub(super) fn children(joint: usize) -> impl Iterator<Item = usize> {
-    (0..N_JOINTS).filter(move |&child| PARENTS[child] == Some(joint))
-}
-
 /// The joint at the tail of a joint's bone; where several meet, the next one of the spine.
-fn next_joint(joint: usize) -> Option<usize> {
+fn next_joint(parents: &[Option<usize>], joint: usize) -> Option<usize> {
     const PELVIS: usize = 0;
     const SPINE1: usize = 3;
     const SPINE3: usize = 9;
@@ -81,13 +133,13 @@ fn next_joint(joint: usize) -> Option<usize> {
     match joint {
         PELVIS => Some(SPINE1),
         SPINE3 => Some(NECK),
-        _ => children(joint).next(),
+        _ => parents.iter().position(|parent| *parent == Some(joint)),
     }
 }
 
 /// `body_from_bone`; the last bone of a limb continues the one before.
-fn bone_axes(joints: &[Vector3<f64>; N_JOINTS], joint: usize) -> Matrix3<f64> {
-    let bone = match (next_joint(joint), PARENTS[joint]) {
+fn bone_axes(joints: &[Vector3<f64>], parents: &[Option<usize>], joint: usize) -> Matrix3<f64> {
+    let bone = match (next_joint(parents, joint), parents[joint]) {
         (Some(next), _) => joints[next] - joints[joint],
         (None, Some(parent)) => joints[joint] - joints[parent],
         (None, None) => Vector3::y(),
@@ -125,7 +177,7 @@ pub(super) fn rest_joints(motion: &BodyMotion) -> [Vector3<f64>; N_JOINTS] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::export::sample_motion::motion;
+    use crate::export::sample_motion::{motion, motion_with_fingers};
 
     #[test]
     fn bones_along_y_reach_the_next_joint_in_every_pose() {
@@ -136,7 +188,7 @@ mod tests {
             let mut places = [pose.joints[0]; N_JOINTS];
             for joint in 0..N_JOINTS {
                 world_from_bone[joint] = rig.local(joint, &pose.rotations[joint]);
-                let about_rest = rig.rest(joint) * rig.away_from_rest(joint, pose);
+                let about_rest = rig.rest(joint) * rig.away_from_rest(joint, &pose.rotations[joint]);
                 assert!((about_rest - world_from_bone[joint]).norm() < 1e-12);
                 if let Some(parent) = PARENTS[joint] {
                     places[joint] = places[parent] + world_from_bone[parent] * rig.offset(joint);
@@ -144,7 +196,7 @@ mod tests {
                 }
                 assert!((places[joint] - pose.joints[joint]).norm() < 1e-9);
             }
-            for (joint, next) in (0..N_JOINTS).filter_map(|joint| Some((joint, next_joint(joint)?))) {
+            for (joint, next) in (0..N_JOINTS).filter_map(|joint| Some((joint, next_joint(&PARENTS, joint)?))) {
                 let length = (places[next] - places[joint]).norm();
                 let tail = places[joint] + world_from_bone[joint] * Vector3::y() * length;
                 assert!((tail - places[next]).norm() < 1e-9);
@@ -153,8 +205,31 @@ mod tests {
     }
 
     #[test]
+    fn fingers_reach_their_places_in_every_pose() {
+        let motion = motion_with_fingers();
+        let (rig, hands) = (Rig::of(&motion), motion.hands.as_ref().unwrap());
+        assert_eq!((rig.n_joints(), rig.names[N_JOINTS + 15].as_str()), (54, "right_index1"));
+        for (t, pose) in motion.frames.iter().enumerate() {
+            let mut world_from_bone = vec![Matrix3::identity(); rig.n_joints()];
+            let mut places = vec![pose.joints[0]; rig.n_joints()];
+            for joint in 0..rig.n_joints() {
+                world_from_bone[joint] = rig.local(joint, &joint_turn(&motion, t, joint));
+                if let Some(parent) = rig.parents[joint] {
+                    places[joint] = places[parent] + world_from_bone[parent] * rig.offset(joint);
+                    world_from_bone[joint] = world_from_bone[parent] * world_from_bone[joint];
+                }
+            }
+            for (side, hand) in hands.iter().enumerate() {
+                for (joint, place) in hand.frames[t].joints.iter().enumerate() {
+                    assert!((places[N_JOINTS + 15 * side + joint] - place).norm() < 1e-9);
+                }
+            }
+        }
+    }
+
+    #[test]
     fn axes_are_rotations_even_of_joints_in_one_place() {
-        let axes = |joints: &[Vector3<f64>; N_JOINTS]| (0..N_JOINTS).map(|j| bone_axes(joints, j)).collect::<Vec<_>>();
+        let axes = |joints: &[Vector3<f64>; N_JOINTS]| (0..N_JOINTS).map(|j| bone_axes(joints, &PARENTS, j)).collect::<Vec<_>>();
         let forwards = std::array::from_fn(|joint| Vector3::z() * joint as f64);
         for axes in axes(&[Vector3::zeros(); N_JOINTS]).iter().chain(&axes(&forwards)) {
             assert!((axes.transpose() * axes - Matrix3::identity()).norm() < 1e-12);

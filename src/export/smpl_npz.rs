@@ -5,10 +5,10 @@
 //! `body_model` and `body_model_sha256`: the model that the betas belong to (of another model they give another body). AMASS
 //! itself has z up: `up_axis` states the axis of this file.
 //!
-//! Known limit: SMPL-H has 30 finger joints in place of SMPL's two hands; they are written in the rest pose.
+//! SMPL-H has 30 finger joints in place of SMPL's two hands; where hands were not fitted they are written in the rest pose.
 
 use super::files::ResultFiles;
-use super::people::axis_angles;
+use super::people::{axis_angles, finger_axis_angles};
 use super::take::Take;
 use crate::formats::npz::{CompressionMethod, NpzWriter};
 use crate::session::BodyMotion;
@@ -24,7 +24,7 @@ pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
     for motion in &take.motions {
         // [frames, 72]
         let smpl: Vec<Vec<f64>> = motion.frames.iter().map(axis_angles).collect();
-        let smplh: Vec<Vec<f64>> = smpl.iter().map(|pose| with_fingers_at_rest(pose)).collect();
+        let smplh: Vec<Vec<f64>> = smpl.iter().enumerate().map(|(t, pose)| with_fingers(pose, motion, t)).collect();
         for (model, poses) in [("smpl", smpl), ("smplh", smplh)] {
             let bytes = motion_npz(take, motion, model, &poses)?;
             files.bytes(&format!("{model}/{}.npz", motion.person.0), "application/octet-stream", &bytes)?;
@@ -33,9 +33,11 @@ pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
     Ok(())
 }
 
-fn with_fingers_at_rest(pose: &[f64]) -> Vec<f64> {
-    let mut wide = vec![0.0; SMPLH_WIDTH];
-    wide[..SHARED_WIDTH].copy_from_slice(&pose[..SHARED_WIDTH]);
+fn with_fingers(pose: &[f64], motion: &BodyMotion, t: usize) -> Vec<f64> {
+    let mut wide = pose[..SHARED_WIDTH].to_vec();
+    let hands = motion.hands.iter().flatten();
+    hands.for_each(|hand| wide.extend(finger_axis_angles(&hand.frames[t])));
+    wide.resize(SMPLH_WIDTH, 0.0);
     wide
 }
 

@@ -97,6 +97,12 @@ impl Take {
         (0..self.n_frames).filter_map(move |index| motion.frames.get(index.saturating_sub(first).min(last)))
     }
 
+    /// Index of [`Self::on_time_line`]'s pose in the motion, for every frame of the time line.
+    pub(super) fn frames_on_time_line(&self, motion: &BodyMotion) -> impl Iterator<Item = usize> {
+        let (first, last) = (motion.first.0, motion.frames.len().saturating_sub(1));
+        (0..self.n_frames).map(move |index| index.saturating_sub(first).min(last))
+    }
+
     /// The keypoints of a person in every frame of the motion: `names.len()` each, none where the take has none of the person.
     pub fn keypoints_of<'a>(&'a self, motion: &'a BodyMotion) -> impl Iterator<Item = &'a [Option<Vector3<f64>>]> {
         let frames = self.keypoints.get(&motion.person);
@@ -133,6 +139,10 @@ impl Take {
             pose.rotations[0] = target_from_world * pose.rotations[0];
             pose.joints = pose.joints.map(|joint| target_from_world * joint);
             pose.translation = pose.joints[0] - rest_pelvis;
+        }
+        let hands = take.motions.iter_mut().flat_map(|motion| motion.hands.iter_mut().flatten());
+        for pose in hands.flat_map(|hand| &mut hand.frames) {
+            pose.joints = pose.joints.map(|joint| target_from_world * joint);
         }
         take
     }
@@ -181,6 +191,10 @@ pub(super) fn take_of(session: &Session, reconstruction: &Reconstruction) -> Tak
             pose.translation = pose.translation.map(micro);
             pose.joints = pose.joints.map(|joint| joint.map(micro));
         }
+        for pose in motion.hands.iter_mut().flatten().flat_map(|hand| &mut hand.frames) {
+            pose.rotations = pose.rotations.map(|r| rotation::exp(&rotation::log(&r).map(micro)));
+            pose.joints = pose.joints.map(|joint| joint.map(micro));
+        }
         let sigmas = motion.joint_sigmas.iter_mut().flatten();
         sigmas.for_each(|sigmas| *sigmas = millimetres(sigmas).map(|mm| 1e-3 * mm));
         carry_over_non_finite(motion)
@@ -221,6 +235,9 @@ pub(super) fn carry_over_non_finite(mut motion: BodyMotion) -> Option<BodyMotion
         } else {
             motion.frames[t] = motion.frames[source].clone();
             motion.frames[t].valid = false;
+            for hand in motion.hands.iter_mut().flatten() {
+                hand.frames[t] = hand.frames[source].clone();
+            }
         }
     }
     motion.betas = motion.betas.map(|beta| if beta.is_finite() { beta } else { 0.0 });

@@ -81,6 +81,7 @@ fn reconstruction() -> Reconstruction {
             betas: [0.5; 10],
             frames: vec![pose(0.25), pose(0.75)],
             joint_sigmas: Some(vec![[0.0125; 24], [0.02; 24]]),
+            hands: None,
         }],
         identities: vec![
             vec![vec![Some(PersonId(0))], vec![], vec![None, Some(PersonId(0))]],
@@ -88,6 +89,7 @@ fn reconstruction() -> Reconstruction {
         ],
         up_axis: UpAxis::Y,
         body_model: BodyModelId { name: "default".to_owned(), sha256: "00".repeat(32) },
+        hand_sources: None,
         repairs: Some(DetectionRepairs {
             identities_before: vec![
                 vec![vec![Some(PersonId(0))], vec![], vec![Some(PersonId(0)), Some(PersonId(1))]],

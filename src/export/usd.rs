@@ -13,11 +13,10 @@ mod text;
 use super::files::ResultFiles;
 use super::film::{film_lens, world_from_film};
 use super::names::{identifiers, quoted};
-use super::rig::{Rig, person_name};
+use super::rig::{Rig, joint_turn, person_name};
 use super::rotation_forms::quaternions_xyzw;
 use super::skin::skin_mesh;
 use super::take::{Take, TakeCamera};
-use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
 use crate::session::BodyMotion;
 use crate::session::formats::rounded;
 use crate::session::people::BodyPose;
@@ -54,8 +53,9 @@ fn scene(take: &Take) -> String {
 
 fn person(take: &Take, motion: &BodyMotion) -> String {
     let (name, rig) = (person_name(take, motion), Rig::of(motion));
-    let paths = list((0..N_JOINTS).map(|joint| quoted(&path(joint))));
-    let is_root = |joint: usize| PARENTS[joint].is_none();
+    let joints = 0..rig.n_joints();
+    let paths = list(joints.clone().map(|joint| quoted(&path(&rig, joint))));
+    let is_root = |joint: usize| rig.parents[joint].is_none();
     let posed = |joint: usize, pose: &BodyPose| if is_root(joint) { pose.joints[joint] } else { rig.offset(joint) };
     let mesh = take.body.as_ref().map(|body| mesh::prim(&name, &skin_mesh(body, motion))).unwrap_or_default();
     format!(
@@ -86,26 +86,26 @@ fn person(take: &Take, motion: &BodyMotion) -> String {
 "#,
         visibility = visibility(take, motion),
         valid = valid(take, motion),
-        bind = list((0..N_JOINTS).map(|joint| matrix(&rig.axes[joint], &rig.joints[joint]))),
-        rest = list((0..N_JOINTS).map(|joint| matrix(&rig.rest(joint), &rig.offset(joint)))),
-        scales = list((0..N_JOINTS).map(|_| "(1, 1, 1)".to_owned())),
-        translations = samples(take, motion, |t| list((0..N_JOINTS).map(|j| tuple(&posed(j, &motion.frames[t]))))),
+        bind = list(joints.clone().map(|joint| matrix(&rig.axes[joint], &rig.joints[joint]))),
+        rest = list(joints.clone().map(|joint| matrix(&rig.rest(joint), &rig.offset(joint)))),
+        scales = list(joints.clone().map(|_| "(1, 1, 1)".to_owned())),
+        translations = samples(take, motion, |t| list(joints.clone().map(|j| tuple(&posed(j, &motion.frames[t]))))),
         rotations = rotations(take, motion, &rig),
     )
 }
 
 /// `pelvis/left_hip/left_knee`
-fn path(joint: usize) -> String {
-    match PARENTS[joint] {
-        Some(parent) => format!("{}/{}", path(parent), JOINT_NAMES[joint]),
-        None => JOINT_NAMES[joint].to_owned(),
+fn path(rig: &Rig, joint: usize) -> String {
+    match rig.parents[joint] {
+        Some(parent) => format!("{}/{}", path(rig, parent), rig.names[joint]),
+        None => rig.names[joint].clone(),
     }
 }
 
 fn rotations(take: &Take, motion: &BodyMotion, rig: &Rig) -> String {
-    let local = |joint: usize| motion.frames.iter().map(move |pose| rig.local(joint, &pose.rotations[joint]));
+    let local = |joint: usize| (0..motion.frames.len()).map(move |t| rig.local(joint, &joint_turn(motion, t, joint)));
     // [joints][frames]
-    let by_joint: Vec<Vec<[f64; 4]>> = (0..N_JOINTS).map(|joint| quaternions_xyzw(local(joint))).collect();
+    let by_joint: Vec<Vec<[f64; 4]>> = (0..rig.n_joints()).map(|joint| quaternions_xyzw(local(joint))).collect();
     samples(take, motion, |t| {
         list(by_joint.iter().map(|quaternions| {
             let [x, y, z, w] = quaternions[t].map(|c| rounded(c, 9));

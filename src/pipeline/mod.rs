@@ -21,8 +21,9 @@
 //! | | [`correction`](passes::correction) | repair of detections, trajectories | `corrections`; once |
 //! | | | pass 5 | where they leave cameras out |
 //! | 8 | [`metric_scale`] | scale; for `scale: height` statures by body fit | once; up to 4 fits |
-//! | 9 | [`result`] | world frame, body fit | once |
+//! | 9 | [`result`] | world frame, hands given to people and sides where the convention has hands, body fit | once |
 //! | | | within it cameras and bodies together, then smooth trajectories again | not `fixed`, several cameras; once |
+//! | | | fit of hands | conventions with hands, several cameras; once |
 //! | | | fit statistics, verdict | once |
 //!
 //! In passes 1 and 2 the rounds after the first keep the cameras of the round before and only associate. The final bundle

@@ -10,11 +10,14 @@ use super::stages::body_fit::{
     BodyFitConfig, FittedBodies, KnownCameras, fit_bodies, fitted_statures, landmark_trajectory,
 };
 use super::stages::fit_statistics::FitStatistics;
+use super::stages::hand_association::associated_hands;
+use super::stages::hand_fit::fit_hands;
 use super::stages::joint_trajectories::joint_trajectories;
 use super::stages::verdict::input::VerdictInput;
 use super::stages::verdict::quality;
 use super::stages::world_frame::world_from_solution;
 use crate::body::BodyModel;
+use crate::body::hand::with_hand_landmarks;
 use crate::body::scale::FittedStature;
 use crate::geometry::free_network::CameraCovariance;
 use crate::geometry::similarity::similarity_from_cameras;
@@ -128,7 +131,11 @@ impl Solution {
         progress: &Progress,
     ) -> Result<FittedResult, PipelineError> {
         let tracks = self.calibration.association.tracks.clone();
-        let input = self.calibration.people(capture.session, &self.trajectories);
+        let hands = associated_hands(&self.calibration.people(capture.session, &self.trajectories));
+        // With every hand at its person and side; without hands the session as it is.
+        let observed = hands.as_ref().map_or(capture.session, |hands| &hands.session);
+        let with_knuckles = hands.as_ref().map(|_| with_hand_landmarks(model));
+        let input = self.calibration.people(observed, &self.trajectories);
         let is_monocular = capture.session.views.len() == 1;
         let config = if is_monocular { BodyFitConfig::monocular() } else { BodyFitConfig::default() };
         let config = BodyFitConfig {
@@ -143,7 +150,7 @@ impl Solution {
             ..config
         };
         let FittedBodies {
-            motions,
+            mut motions,
             measures,
             detector_model,
             mut detector,
@@ -152,21 +159,24 @@ impl Solution {
             cameras,
             camera_covariance,
             focal,
-        } = fit_bodies(&input, &self.upright(capture), model, &config, progress)?;
+        } = fit_bodies(&input, &self.upright(capture), with_knuckles.as_ref().unwrap_or(model), &config, progress)?;
         if is_monocular {
             detector.reason =
                 "a single view cannot separate keypoint bias of the detector from the poses of people".to_owned();
         }
         self.calibration.stages.push(report);
+        self.calibration.stages.extend(hands.as_ref().map(|hands| hands.report.clone()));
         let session = match focal {
-            Some(focal) => Cow::Owned(focal_lengths.replace(self.placed_views().zip(focal.factors), capture.session)),
-            None => Cow::Borrowed(capture.session),
+            Some(focal) => Cow::Owned(focal_lengths.replace(self.placed_views().zip(focal.factors), observed)),
+            None => Cow::Borrowed(observed),
         };
         if let Some(cameras) = cameras {
             self.calibration.take_over(&cameras, camera_covariance.as_ref(), 1.0 / self.metres_per_unit);
             let start = std::mem::take(&mut self.trajectories);
             self.trajectories = joint_trajectories(&self.calibration.people(&session, &start), progress)?;
         }
+        let hand_reports =
+            fit_hands(&self.calibration.people(&session, &self.trajectories), model, &mut motions, progress)?;
         // A track whose trunk was never triangulated has no body and is left out of the result.
         let kept: Vec<PersonTrack> =
             tracks.into_iter().filter(|t| motions.iter().any(|m| m.person == t.person)).collect();
@@ -184,6 +194,9 @@ impl Solution {
             person.joint_sigma_mm = joint_sigma(motion);
             person.body = Some(measures);
         }
+        for (person, hands) in report.people.iter_mut().zip(hand_reports) {
+            person.hands = hands;
+        }
         let mut keypoints = std::mem::take(&mut self.trajectories);
         for (trajectory, motion) in keypoints.iter_mut().zip(&motions) {
             fill_from_body(trajectory, &landmark_trajectory(&detector_model, motion, capture.session.convention));
@@ -199,6 +212,7 @@ impl Solution {
             up_axis: self.up_axis,
             body_model: BodyModelId { name: model.name.clone(), sha256: model.sha256() },
             repairs: None,
+            hand_sources: hands.map(|hands| hands.sources),
             report,
         };
         let covariance = camera_covariance.and_then(|covariance| covariance.moved(&solution_from_world));

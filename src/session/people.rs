@@ -1,6 +1,7 @@
 //! Tracks, trajectories and body motions of people: the data that the pipeline's stages exchange.
 
 use super::recording::{FrameIndex, PersonId};
+use crate::body::hand::N_FINGER_JOINTS;
 use crate::body::skeleton::N_JOINTS;
 use nalgebra::{Matrix3, Vector3};
 
@@ -43,6 +44,26 @@ pub struct BodyMotion {
     /// Standard deviations of the joints' positions by frame, three axes together, m; apart from a similarity of the whole
     /// scene. `None` where the session does not show them.
     pub joint_sigmas: Option<Vec<JointSigmas>>,
+    /// The fingers of the left and the right hand, where hands were fitted.
+    pub hands: Option<[HandMotion; 2]>,
+}
+
+/// Motion of a hand's fingers: one entry per frame of the [`BodyMotion`] that it belongs to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HandMotion {
+    /// By frame.
+    pub frames: Vec<HandPose>,
+}
+
+/// One frame of a [`HandMotion`]: finger joints in SMPL-H's order ([`crate::body::hand`]).
+#[derive(Debug, Clone, PartialEq)]
+pub struct HandPose {
+    /// Local rotations, `parent_from_joint`; a finger's first joint has the wrist as parent.
+    pub rotations: [Matrix3<f64>; N_FINGER_JOINTS],
+    /// Positions in the world, m.
+    pub joints: [Vector3<f64>; N_FINGER_JOINTS],
+    /// Number of views that saw the hand.
+    pub n_views: u8,
 }
 
 /// A standard deviation for each joint, m.

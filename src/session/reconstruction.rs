@@ -5,10 +5,11 @@ mod report;
 
 use super::people::{BodyMotion, JointTrajectory};
 use super::recording::{FrameIndex, PersonId, UpAxis};
+use crate::body::hand::Side;
 use crate::geometry::{Intrinsics, Rigid};
 pub use estimates::{ErrorSummary, FocalFactor, SigmaSummary, TimeOffset};
 pub use report::{
-    CameraReport, ConsistencyPair, ConsistencyReport, DetectorOffset, GeometryReport, KeypointBias, KeypointReport,
+    CameraReport, ConsistencyPair, ConsistencyReport, DetectorOffset, GeometryReport, HandReport, KeypointBias, KeypointReport,
     NoiseAtConfidence, Overlap, PenetrationReport, PersonReport, Quality, Report, ScaleReport, StageReport, Verdict,
 };
 use serde::{Deserialize, Serialize};
@@ -56,6 +57,9 @@ pub struct Reconstruction {
     pub body_model: BodyModelId,
     /// Repairs of the detections; `None` where the consistency stage is switched off.
     pub repairs: Option<DetectionRepairs>,
+    /// `hand_sources[view][frame][detection]`: detection and side of the same view and frame that show its person's left and right hand;
+    /// `None` where the convention has no hands.
+    pub hand_sources: Option<Vec<Vec<Vec<[(usize, Side); 2]>>>>,
     /// Statistics and verdict.
     pub report: Report,
 }

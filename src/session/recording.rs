@@ -41,9 +41,11 @@ pub struct Detection {
 }
 
 impl Detection {
-    /// The same with left and right exchanged; `twins`: [`KeypointConvention::mirror`].
+    /// The same with left and right exchanged; `twins`: [`KeypointConvention::mirror`]. Points after those stay as they are: hands
+    /// are given to their sides later.
     pub fn with_sides_exchanged(&self, twins: &[usize]) -> Self {
-        Self { keypoints: twins.iter().map(|&twin| self.keypoints[twin]).collect(), ..self.clone() }
+        let rest = self.keypoints.iter().skip(twins.len());
+        Self { keypoints: twins.iter().map(|&twin| &self.keypoints[twin]).chain(rest).copied().collect(), ..self.clone() }
     }
 }
 

@@ -1,6 +1,7 @@
 //! Configuration of a simulated session: people, cameras, noise; every number with its unit.
 
 use super::error::SimulationError;
+use super::hands::HandNoise;
 use super::real_noise::RealNoise;
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::Distortion;
@@ -34,6 +35,9 @@ pub struct SimulationConfig {
     pub time_offsets: Vec<f64>,
     /// The people's bodies.
     pub bodies: Bodies,
+    /// Noise of hands and faces, where the convention has their points; `None`: the usual one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hands: Option<HandNoise>,
     /// Source of the motion.
     #[serde(skip)]
     pub motion: MotionSource,
@@ -216,7 +220,8 @@ impl SimulationConfig {
             ("image_height", r.image_height as f64, 16.0, 65536.0, "16 to 65536 px"),
         ];
         let real = n.real.map_or_else(Vec::new, |real| real.ranges().to_vec());
-        for (field, value, low, high, expected) in ranges.into_iter().chain(real) {
+        let hands = self.hands.map_or_else(Vec::new, |hands| hands.ranges().to_vec());
+        for (field, value, low, high, expected) in ranges.into_iter().chain(real).chain(hands) {
             // NaN is outside every range.
             if !(low..=high).contains(&value) {
                 return Err(SimulationError::Config { field, value, expected });

@@ -2,6 +2,7 @@
 
 use super::config::SimulationConfig;
 use super::ghosts::Ghosts;
+use super::hands::{DetailDetector, SeenHands};
 use super::merged_limbs::LimbMerging;
 use super::observer::Observer;
 use super::rig::RigCamera;
@@ -20,11 +21,15 @@ pub fn record(scene: &SimulatedScene, view: usize, camera: &RigCamera, config: &
     let mut observers: Vec<Observer> = (0..config.people).map(|person| Observer::new(view, person, config)).collect();
     let mut real =
         config.noise.real.map(|real| (LimbMerging::new(real, view, config), Ghosts::new(real, view, config)));
+    let mut details = DetailDetector::new(view, config);
     for frame in 0..scene.joints.len() {
         recording.tally.swaps += usize::from(tracker.step());
         let (mut people, mut detections) = (Vec::new(), Vec::new());
         for (person, observer) in observers.iter_mut().enumerate() {
-            let seen_as = observer.observe(scene, frame, camera, &mut recording.tally);
+            let mut seen_as = observer.observe(scene, frame, camera, &mut recording.tally);
+            if let Some(details) = &mut details {
+                details.observe(scene, frame, person, camera, seen_as.as_mut());
+            }
             if let Some(keypoints) = seen_as.filter(|_| scene.exists[frame]) {
                 people.push(Some(person));
                 detections.push(Detection { track_id: tracker.track_id(person), keypoints });
@@ -38,9 +43,18 @@ pub fn record(scene: &SimulatedScene, view: usize, camera: &RigCamera, config: &
                 recording.tally.ghosts += 1;
             }
         }
-        let mut seen: Vec<(Option<usize>, Detection)> = people.into_iter().zip(detections).collect();
+        let hands = match &mut details {
+            Some(details) => details.swap(&people, &mut detections),
+            None => vec![SeenHands::default(); detections.len()],
+        };
+        let mut seen: Vec<((Option<usize>, SeenHands), Detection)> =
+            people.into_iter().zip(hands).zip(detections).collect();
         seen.shuffle(tracker.rng());
-        let (identities, detections) = seen.into_iter().unzip();
+        let (sources, detections): (Vec<_>, Vec<_>) = seen.into_iter().unzip();
+        let (identities, hands) = sources.into_iter().unzip();
+        if details.is_some() {
+            recording.hands.push(hands);
+        }
         recording.identities.push(identities);
         recording.frames.push(detections);
     }

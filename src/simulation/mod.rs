@@ -15,6 +15,7 @@
 //! - `observer`, [`detector`]: the detections of each camera
 //! - `preset_errors`: independent errors of keypoints, the noise of the presets
 //! - [`real_noise`], `real_errors`, `ghosts`, `merged_limbs`: the noise of a real detector; `processes`: what lasts
+//! - [`hands`]: fingers, hands and faces, where the convention has their points
 //! - [`truth`]: the exact truth, and its files
 //! - [`mistakes`]: mistakes that users make with the files of a recording
 //!
@@ -30,6 +31,7 @@ mod drawn;
 mod error;
 pub mod gait;
 mod ghosts;
+pub mod hands;
 mod individual;
 mod keypoint_errors;
 pub mod landmarks;
@@ -55,6 +57,7 @@ pub mod truth;
 
 pub use config::{Arrangement, Bodies, Lens, MotionSource, NoiseConfig, RigConfig, SimulationConfig, Tracks};
 pub use error::SimulationError;
+pub use hands::HandNoise;
 pub use presets::{Preset, random_rig_config};
 pub use real_noise::RealNoise;
 pub use simulate::simulate;

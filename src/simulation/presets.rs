@@ -37,6 +37,7 @@ impl SimulationConfig {
             tracks: Tracks::Consistent,
             time_offsets: Vec::new(),
             bodies: Bodies::Own,
+            hands: None,
             motion: MotionSource::Procedural,
         }
     }

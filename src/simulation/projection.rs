@@ -87,20 +87,25 @@ impl HeadSide {
 
 /// Cosines of the head's directions with the direction to the camera.
 #[derive(Debug, Clone, Copy)]
-struct HeadDirections {
+pub(super) struct HeadDirections {
     forward: f64,
     left: f64,
 }
 
 impl HeadDirections {
     /// From nose, left and right ear in the world; `None` where points coincide.
-    fn new([nose, left_ear, right_ear]: [Vector3<f64>; 3], camera: &Vector3<f64>) -> Option<Self> {
+    pub(super) fn new([nose, left_ear, right_ear]: [Vector3<f64>; 3], camera: &Vector3<f64>) -> Option<Self> {
         let middle = (left_ear + right_ear) / 2.0;
         let left = (left_ear - right_ear).try_normalize(1e-9)?;
         let to_nose = nose - middle;
         let forward = (to_nose - left * to_nose.dot(&left)).try_normalize(1e-9)?;
         let to_camera = (camera - middle).try_normalize(1e-9)?;
         Some(Self { forward: forward.dot(&to_camera), left: left.dot(&to_camera) })
+    }
+
+    /// Whether the camera does not see the face.
+    pub(super) fn is_averted(self) -> bool {
+        self.is_turned_away(HeadSide::Face)
     }
 
     fn is_turned_away(self, side: HeadSide) -> bool {

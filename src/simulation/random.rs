@@ -19,6 +19,11 @@ pub(super) enum Purpose {
     KeypointBias,
     Ghosts,
     MergedLimbs,
+    Hand,
+    Fingers,
+    Wrists,
+    Details,
+    HandSwaps,
 }
 
 /// The stream of one purpose and one item; `view` or `person` is 0 where the item has none.

@@ -52,6 +52,7 @@ fn series_of(simulated: &Simulated) -> Vec<Series> {
     let (session, truth) = (&simulated.session, &simulated.truth);
     let projector = Projector::new(session.convention);
     let scene = SimulatedScene {
+        details: Vec::new(),
         joints: truth.joints.clone(),
         keypoints: truth.keypoints.clone(),
         convention: session.convention,

@@ -2,6 +2,7 @@
 
 use super::config::SimulationConfig;
 use super::error::SimulationError;
+use super::hands::{Details, HandSource};
 use super::landmarks::Detectable;
 use super::skeleton::SimulatedPerson;
 use crate::body::skeleton::{KeypointConvention, N_JOINTS};
@@ -15,6 +16,8 @@ pub struct SimulatedScene {
     pub joints: Vec<Vec<[Vector3<f64>; N_JOINTS]>>,
     /// `keypoints[frame][person][keypoint]`: the true keypoints, including the keypoint bias, world, m.
     pub keypoints: Vec<Vec<Vec<Vector3<f64>>>>,
+    /// `details[frame][person]`: true points of face and hands, where the convention has them, else none; world, m.
+    pub details: Vec<Vec<Vec<Vector3<f64>>>>,
     /// Convention of the keypoints.
     pub convention: KeypointConvention,
     /// Whether each frame lies within the simulated time.
@@ -28,6 +31,8 @@ pub struct ViewRecording {
     pub frames: Vec<Vec<Detection>>,
     /// The true person of each detection; `None` for a ghost.
     pub identities: Vec<Vec<Option<usize>>>,
+    /// Whose hands each detection has; empty where the convention has no hands.
+    pub hands: Vec<Vec<[Option<HandSource>; 2]>>,
     /// Counts of detections and noise.
     pub tally: Tally,
 }
@@ -64,10 +69,13 @@ impl SimulatedScene {
         let n_frames = people.iter().map(|p| p.poses.len()).min().unwrap_or(0);
         let detected = people.iter().map(|p| Detectable::new(p, config)).collect::<Result<Vec<_>, _>>()?;
         let (convention, exists) = (config.convention, vec![true; n_frames]);
-        let mut scene = Self { joints: Vec::new(), keypoints: Vec::new(), convention, exists };
+        let details: Vec<Option<Details>> = people.iter().enumerate().map(|(i, p)| Details::new(config, i, p)).collect();
+        let mut scene = Self { joints: Vec::new(), keypoints: Vec::new(), details: Vec::new(), convention, exists };
         for frame in 0..n_frames {
             let posed: Vec<_> = people.iter().map(|p| p.skeleton.pose(&p.poses[frame])).collect();
             scene.keypoints.push(posed.iter().zip(&detected).map(|(posed, body)| body.points(posed)).collect());
+            let of_person = |(posed, details): (_, &Option<Details>)| details.as_ref().map_or_else(Vec::new, |d| d.points(frame, posed));
+            scene.details.push(posed.iter().zip(&details).map(of_person).collect());
             scene.joints.push(posed.iter().map(|p| p.joints).collect());
         }
         Ok(scene)
@@ -81,15 +89,16 @@ impl SimulatedScene {
         let joints = |frame: usize, person: usize| {
             std::array::from_fn(|j| between(time(frame), last, |f| self.joints[f][person][j]))
         };
-        let points = |frame: usize, person: usize| {
-            let one = |k: usize| between(time(frame), last, |f| self.keypoints[f][person][k]);
-            (0..self.keypoints[frame][person].len()).map(one).collect()
+        let moved = |points: &[Vec<Vec<Vector3<f64>>>], frame: usize, person: usize| -> Vec<Vector3<f64>> {
+            let one = |k: usize| between(time(frame), last, |f| points[f][person][k]);
+            (0..points[frame][person].len()).map(one).collect()
         };
         let people = |frame: usize| 0..self.joints[frame].len();
         let frames = 0..self.joints.len();
         Self {
             joints: frames.clone().map(|f| people(f).map(|p| joints(f, p)).collect()).collect(),
-            keypoints: frames.clone().map(|f| people(f).map(|p| points(f, p)).collect()).collect(),
+            keypoints: frames.clone().map(|f| people(f).map(|p| moved(&self.keypoints, f, p)).collect()).collect(),
+            details: frames.clone().map(|f| people(f).map(|p| moved(&self.details, f, p)).collect()).collect(),
             convention: self.convention,
             exists: frames.map(|f| (0.0..=last).contains(&time(f))).collect(),
         }

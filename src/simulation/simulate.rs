@@ -3,6 +3,7 @@
 use super::config::{MotionSource, SimulationConfig};
 use super::detector::record;
 use super::error::SimulationError;
+use super::hands::{first_detail, turn_wrists};
 use super::rig::{self, RigCamera};
 use super::scene::{SimulatedScene, ViewRecording};
 use super::skeleton::SimulatedPerson;
@@ -23,10 +24,13 @@ pub fn simulate(config: &SimulationConfig) -> Result<Simulated, SimulationError>
         (0..cameras.len()).map(|view| record(&scene, view, &cameras[view], config)).collect();
     let statistics = truth::statistics(config, &scene, &recordings, &people);
     let identities = recordings.iter().map(|r| r.identities.clone()).collect();
+    let hands = recordings.iter().map(|r| r.hands.clone()).collect();
     let truth = Truth {
         cameras: cameras.iter().map(|c| c.camera_from_world).collect(),
         joints: scene.joints,
         keypoints: scene.keypoints,
+        details: scene.details,
+        hands,
         identities,
         people,
         statistics,
@@ -35,13 +39,17 @@ pub fn simulate(config: &SimulationConfig) -> Result<Simulated, SimulationError>
 }
 
 fn simulated_people(config: &SimulationConfig) -> Result<Vec<SimulatedPerson>, SimulationError> {
-    match &config.motion {
+    let mut people = match &config.motion {
         MotionSource::Procedural => Ok(choreography::procedural_people(config)),
         MotionSource::Dance => Ok(dance::dancing_people(config)),
         MotionSource::Running { speed } => Ok(running::running_people(config, *speed)),
         MotionSource::Prior => Ok(placement::people_from_prior(config)),
         MotionSource::Files(paths) => placement::people_from_files(paths, config),
+    }?;
+    if first_detail(config.convention).is_some() {
+        people.iter_mut().enumerate().for_each(|(i, person)| turn_wrists(&mut person.poses, config, i));
     }
+    Ok(people)
 }
 
 fn session(

@@ -1,6 +1,7 @@
 //! Ground truth of a simulated session, and its files.
 
 use super::config::{Bodies, SimulationConfig};
+use super::hands::{HandSource, first_detail};
 use super::scene::{SimulatedScene, ViewRecording};
 use super::skeleton::SimulatedPerson;
 use crate::body::default_body;
@@ -37,6 +38,10 @@ pub struct Truth {
     pub keypoints: Vec<Vec<Vec<Vector3<f64>>>>,
     /// `identities[view][frame][detection]`: the true person; `None` for a ghost.
     pub identities: Vec<Vec<Vec<Option<usize>>>>,
+    /// `details[frame][person]`: points of face, left and right hand, where the convention has them.
+    pub details: Vec<Vec<Vec<Vector3<f64>>>>,
+    /// `hands[view][frame][detection]`: whose left and right hand a detection has; empty where the convention has no hands.
+    pub hands: Vec<Vec<Vec<[Option<HandSource>; 2]>>>,
     /// Bodies and their motion.
     pub people: Vec<SimulatedPerson>,
     /// Counts and errors of the detections.
@@ -125,7 +130,8 @@ pub(super) fn statistics(
 }
 
 /// Writes `gt/cameras.json`, `gt/poses3d.json`, `gt/keypoints3d.json`, `gt/identities.json`, `gt/simulation.json`, and
-/// `gt/bodies.json` if people are default bodies, under `session_folder`, which is created if it does not exist. Points are
+/// `gt/bodies.json` if people are default bodies, `gt/hands3d.json` (points of face, left and right hand) and `gt/hands.json` (whose
+/// hands a detection has) if the convention has hands, under `session_folder`, which is created if it does not exist. Points are
 /// rounded to a thousandth of a millimetre; the identity of a ghost is `null`.
 ///
 /// # Errors
@@ -151,6 +157,12 @@ pub fn write_truth(simulated: &Simulated, session_folder: &Path) -> io::Result<(
     let points = frames(truth.keypoints.iter().map(|people| people.iter().map(Vec::as_slice)));
     let names = session.convention.names();
     write("keypoints3d.json", &json!({"keypoint_names": names, "units": "m", "up": "y", "frames": points}))?;
+    if first_detail(session.convention).is_some() {
+        let points = frames(truth.details.iter().map(|people| people.iter().map(Vec::as_slice)));
+        let hands: BTreeMap<&str, _> = ids().zip(&truth.hands).collect();
+        write("hands3d.json", &json!({"units": "m", "up": "y", "face": 68, "hand": 21, "frames": points}))?;
+        write("hands.json", &json!(hands))?;
+    }
     let identities: BTreeMap<&str, &Vec<Vec<Option<usize>>>> = ids().zip(&truth.identities).collect();
     write("identities.json", &json!(identities))?;
     let model = default_body();

@@ -302,6 +302,7 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
         identities: Vec::new(),
         up_axis,
         body_model: BodyModelId { name: "default".to_owned(), sha256: default_body().sha256() },
+        hand_sources: None,
         repairs: None,
         report: Report {
             detector: Default::default(),

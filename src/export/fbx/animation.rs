@@ -4,7 +4,7 @@ use super::node::{Node, Property as P};
 use super::objects::{ObjectId, Objects, integer, properties, property};
 use super::person::{CM, Person};
 use super::skeleton::Models;
-use crate::body::skeleton::N_JOINTS;
+use crate::export::rig::joint_turn;
 use crate::export::take::Take;
 use crate::geometry::euler::{EulerAngles, nearest_angles, zyx_angles};
 use crate::session::people::BodyPose;
@@ -52,8 +52,9 @@ impl Animation {
         let place = |axis: usize| poses.iter().map(|pose| (pose.joints[0][axis] * CM) as f32).collect();
         let places = [("d|X", place(0)), ("d|Y", place(1)), ("d|Z", place(2))];
         self.add_curves(objects, models.joints[0], ("T", "Lcl Translation"), places.into(), LINEAR);
-        for joint in 0..N_JOINTS {
-            let turns = rotation_curves(person, joint, &poses);
+        let frames: Vec<usize> = take.frames_on_time_line(person.motion).collect();
+        for joint in 0..person.rig.n_joints() {
+            let turns = rotation_curves(person, joint, &frames);
             self.add_curves(objects, models.joints[joint], ("R", "Lcl Rotation"), turns.into(), LINEAR);
         }
     }
@@ -103,11 +104,12 @@ impl Animation {
 }
 
 /// Rotations away from the rest pose, `R = R_z R_y R_x`, degrees, without jumps of full turns.
-fn rotation_curves(person: &Person<'_>, joint: usize, poses: &[&BodyPose]) -> [(&'static str, Vec<f32>); 3] {
+fn rotation_curves(person: &Person<'_>, joint: usize, frames: &[usize]) -> [(&'static str, Vec<f32>); 3] {
     let mut before = EulerAngles::default();
     let mut curves = [("d|X", Vec::new()), ("d|Y", Vec::new()), ("d|Z", Vec::new())];
-    for pose in poses {
-        before = nearest_angles(zyx_angles(&person.rig.away_from_rest(joint, pose)), before);
+    for t in frames {
+        let turn = joint_turn(person.motion, *t, joint);
+        before = nearest_angles(zyx_angles(&person.rig.away_from_rest(joint, &turn)), before);
         let angles = [before.inner, before.middle, before.outer];
         curves.iter_mut().zip(angles).for_each(|((_, curve), angle)| curve.push(angle.to_degrees() as f32));
     }

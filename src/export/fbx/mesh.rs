@@ -4,7 +4,6 @@ use super::node::{Node, Property as P};
 use super::objects::{ObjectId, Objects, integer, text};
 use super::person::{CM, Person};
 use super::skeleton::{Models, model};
-use crate::body::skeleton::N_JOINTS;
 use crate::export::skin::{SkinMesh, vertices_by_joint};
 use nalgebra::{Isometry3, Matrix4, Rotation3, UnitQuaternion, Vector3};
 
@@ -75,11 +74,11 @@ fn add_bind_pose(objects: &mut Objects, person: &Person<'_>, models: &Models, me
     let mut content = vec![
         Node::leaf("Type", [text("BindPose")]),
         integer("Version", 100),
-        integer("NbPoseNodes", N_JOINTS as i32 + 2),
+        integer("NbPoseNodes", person.rig.n_joints() as i32 + 2),
         entry(models.root, &Isometry3::identity()),
         entry(mesh_model, &Isometry3::identity()),
     ];
-    content.extend((0..N_JOINTS).map(|joint| entry(models.joints[joint], &rest_pose(person, joint))));
+    content.extend((0..person.rig.n_joints()).map(|joint| entry(models.joints[joint], &rest_pose(person, joint))));
     objects.add("Pose", person.name, "Pose", "BindPose", content);
 }
 

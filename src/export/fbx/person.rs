@@ -1,6 +1,5 @@
 //! A person of a scene, and the scene's unit.
 
-use crate::body::skeleton::N_JOINTS;
 use crate::export::rig::Rig;
 use crate::session::BodyMotion;
 
@@ -10,7 +9,7 @@ pub(super) const CM: f64 = 100.0;
 /// A person under names that a program expects.
 pub(super) struct Person<'a> {
     pub(super) name: &'a str,
-    pub(super) joint_names: [String; N_JOINTS],
+    pub(super) joint_names: Vec<String>,
     pub(super) motion: &'a BodyMotion,
     pub(super) rig: Rig,
 }

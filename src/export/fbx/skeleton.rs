@@ -3,7 +3,6 @@
 use super::node::{Node, Property as P};
 use super::objects::{ObjectId, Objects, integer, properties, property, text, vector};
 use super::person::{CM, Person};
-use crate::body::skeleton::{N_JOINTS, PARENTS};
 use crate::geometry::euler::zyx_angles;
 use crate::session::formats::entries;
 use nalgebra::Matrix3;
@@ -12,7 +11,7 @@ use nalgebra::Matrix3;
 pub(super) struct Models {
     /// Parent of the skeleton and the mesh.
     pub(super) root: ObjectId,
-    pub(super) joints: [ObjectId; N_JOINTS],
+    pub(super) joints: Vec<ObjectId>,
 }
 
 /// Adds the models below `parent`. Rotations of zero are the rest pose: `local = T R_pre R`, where the pre-rotation gives
@@ -22,8 +21,8 @@ pub(super) fn add_models(objects: &mut Objects, person: &Person<'_>, parent: Obj
     let root = objects.add("Model", person.name, "Model", "Null", model(vec![]));
     objects.connect(root_attribute, root);
     objects.connect(root, parent);
-    let mut joints = [root; N_JOINTS];
-    for joint in 0..N_JOINTS {
+    let mut joints = vec![root; person.rig.n_joints()];
+    for joint in 0..person.rig.n_joints() {
         let name = &person.joint_names[joint];
         let attribute = objects.add("NodeAttribute", name, "NodeAttribute", "LimbNode", vec![flags("Skeleton")]);
         let at = entries(&(person.rig.offset(joint) * CM));
@@ -34,7 +33,7 @@ pub(super) fn add_models(objects: &mut Objects, person: &Person<'_>, parent: Obj
         ];
         joints[joint] = objects.add("Model", name, "Model", "LimbNode", model(placement));
         objects.connect(attribute, joints[joint]);
-        objects.connect(joints[joint], PARENTS[joint].map_or(root, |parent| joints[parent]));
+        objects.connect(joints[joint], person.rig.parents[joint].map_or(root, |parent| joints[parent]));
     }
     Models { root, joints }
 }

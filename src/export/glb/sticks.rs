@@ -1,7 +1,7 @@
 //! A mesh of octahedra, one per bone, which makes a skeleton without skin visible.
 
 use super::buffer::{Buffer, Element};
-use crate::body::skeleton::{N_JOINTS, PARENTS};
+use crate::export::rig::Rig;
 use crate::geometry::rotation::any_perpendicular;
 use nalgebra::Vector3;
 use serde_json::{Value, json};
@@ -13,9 +13,10 @@ const WAIST_RADIUS: f64 = 0.1;
 const FACES: [[u32; 3]; 8] = [[0, 2, 1], [0, 3, 2], [0, 4, 3], [0, 1, 4], [5, 1, 2], [5, 2, 3], [5, 3, 4], [5, 4, 1]];
 
 /// The primitive in the rest pose; every octahedron is skinned to the joint at which its bone starts.
-pub(super) fn primitive(buffer: &mut Buffer, rest: &[Vector3<f64>; N_JOINTS]) -> Value {
+pub(super) fn primitive(buffer: &mut Buffer, rig: &Rig) -> Value {
     let (mut positions, mut joints, mut corners) = (Vec::new(), Vec::new(), Vec::new());
-    for (joint, parent) in PARENTS.iter().enumerate() {
+    let rest = &rig.joints;
+    for (joint, parent) in rig.parents.iter().enumerate() {
         let Some(parent) = *parent else { continue };
         let first = joints.len() as u32;
         for corner in octahedron(&rest[parent], &rest[joint]) {

@@ -8,6 +8,8 @@ pub mod camera_registration;
 pub mod denoising;
 pub mod detector_noise;
 pub mod fit_statistics;
+pub mod hand_association;
+pub mod hand_fit;
 pub mod joint_trajectories;
 pub mod keyframe_selection;
 pub mod metric_scale;

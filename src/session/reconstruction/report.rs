@@ -1,6 +1,7 @@
 //! `report.json`: what each stage did, how accurate the result is, and what a user must know before using it.
 
 use super::estimates::{ErrorSummary, SigmaSummary, TimeOffset};
+use crate::body::hand::Side;
 use crate::body::measures::BodyMeasures;
 use crate::session::suspicion::Suspicion;
 use serde::{Deserialize, Serialize};
@@ -179,6 +180,26 @@ pub struct PersonReport {
     pub bone_length_spread: Option<f64>,
     /// Mean joint acceleration, m/s^2.
     pub jitter_m_per_s2: Option<f64>,
+    /// Statistics of the hands, where they were fitted.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub hands: Vec<HandReport>,
+}
+
+/// Statistics of one hand of one person.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct HandReport {
+    /// The hand.
+    pub side: Side,
+    /// Share of the person's frames in which at least two solved cameras saw the hand, 0 to 1.
+    pub share_in_two_views: f64,
+    /// Mean number of solved cameras that saw it.
+    pub mean_views: f64,
+    /// Median reprojection error of its points, px.
+    pub reprojection_px: Option<f64>,
+    /// Measured standard deviation of its points, as a share of the image of the hand.
+    pub noise_of_size: f64,
+    /// From the wrist to the tip of the middle finger, m; the same for both hands.
+    pub size_m: f64,
 }
 
 /// Statistics of one kind of keypoint of one person.

@@ -3,6 +3,9 @@
 use crate::body::BodyModel;
 use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_profile::DETECTOR;
+use crate::body::hand::rigid_points;
+use crate::estimation::triangulation::triangulate_reweighted;
+use crate::geometry::triangulation::PointObservation as RayToPoint;
 use crate::geometry::{Intrinsics, Rigid};
 use crate::pipeline::calibration::TrackedPeople;
 use crate::session::{Detection, JointTrajectory, PersonTrack, Session};
@@ -95,6 +98,7 @@ pub(super) fn gather_observations(people: &TrackedPeople, track: &PersonTrack, m
     let TrackedPeople { session, noise, cameras, points, .. } = *people;
     let points = points.iter().find(|p| p.person == track.person);
     let landmarks = model.landmarks_of(session.convention);
+    let rigid = rigid_points(model, session.convention);
     let camera_of_view: Vec<Option<usize>> = cameras
         .iter()
         .scan(0, |n_posed, camera| {
@@ -107,11 +111,17 @@ pub(super) fn gather_observations(people: &TrackedPeople, track: &PersonTrack, m
     });
     let at_frame = |offset: usize| FrameSource { session, noise, track, points, frame: track.first.0 + offset };
     let n_frames = track.detections.len();
-    Observations {
-        cameras: posed.collect(),
-        points: (0..n_frames).map(|t| at_frame(t).points(&landmarks)).collect(),
-        pixels: (0..n_frames).map(|t| at_frame(t).pixels(&landmarks, &camera_of_view)).collect(),
-    }
+    let cameras: Vec<PosedCamera> = posed.collect();
+    let keypoints: Vec<(usize, usize)> =
+        landmarks.iter().enumerate().filter_map(|(k, landmark)| Some((k, (*landmark)?))).chain(rigid.clone()).collect();
+    let pixels: Vec<Vec<PixelObservation>> =
+        (0..n_frames).map(|t| at_frame(t).pixels(&keypoints, &camera_of_view)).collect();
+    let points = |t: usize| {
+        let mut points = at_frame(t).points(&landmarks);
+        points.extend(rigid.iter().filter_map(|(_, landmark)| triangulated(*landmark, &cameras, &pixels[t])));
+        points
+    };
+    Observations { points: (0..n_frames).map(points).collect(), cameras, pixels }
 }
 
 /// One frame of the inputs.
@@ -136,22 +146,40 @@ impl FrameSource<'_> {
             .collect()
     }
 
-    fn pixels(&self, landmarks: &[Option<usize>], camera_of_view: &[Option<usize>]) -> Vec<PixelObservation> {
+    /// `keypoints`: index of a keypoint and the landmark that it shows.
+    fn pixels(&self, keypoints: &[(usize, usize)], camera_of_view: &[Option<usize>]) -> Vec<PixelObservation> {
         let mut pixels: Vec<PixelObservation> = Vec::new();
         let of_views = &self.track.detections[self.frame - self.track.first.0];
         for ((view, index), camera) in self.session.views.iter().zip(of_views).zip(camera_of_view) {
             let detection = view.frames.get(self.frame).zip(*index).and_then(|(people, index)| people.get(index));
             let (Some(detection), Some(camera)) = (detection, *camera) else { continue };
             let size_px = apparent_size_px(detection);
-            for (keypoint, landmark) in detection.keypoints.iter().zip(landmarks) {
-                let Some(landmark) = landmark.filter(|_| keypoint.is_present()) else { continue };
-                let scale_px = size_px * self.noise.factor(keypoint.confidence.max(DETECTOR.comparable));
+            for &(k, landmark) in keypoints {
+                let Some(keypoint) = detection.keypoints.get(k).filter(|keypoint| keypoint.is_present()) else { continue };
+                // The measured noise is about the named keypoints: detectors of hands have confidences of their own.
+                let is_named = k < self.session.convention.names().len();
+                let factor = |confidence: f64| self.noise.factor(confidence.max(DETECTOR.comparable));
+                let scale_px = size_px * if is_named { factor(keypoint.confidence) } else { 1.0 };
                 pixels.push(PixelObservation { landmark, camera, pixel: keypoint.pixel, scale_px });
             }
         }
         pixels.sort_by_key(|pixel| pixel.landmark);
         pixels
     }
+}
+
+/// Scale of the robust cost of a triangulated point, m: half of a hand.
+const ROBUST_SCALE_M: f64 = 0.1;
+
+/// A landmark from its pixels in a frame; `None` where fewer than two cameras see it.
+fn triangulated(landmark: usize, cameras: &[PosedCamera], pixels: &[PixelObservation]) -> Option<PointObservation> {
+    let rays = pixels.iter().filter(|pixel| pixel.landmark == landmark).map(|pixel| {
+        let camera = &cameras[pixel.camera];
+        let normalized = camera.intrinsics.normalized_from_pixel(&pixel.pixel);
+        RayToPoint { camera_from_world: &camera.camera_from_world, normalized, weight: 1.0 }
+    });
+    let position = triangulate_reweighted(rays.collect(), ROBUST_SCALE_M)?;
+    Some(PointObservation { landmark, position })
 }
 
 /// Least apparent size, so that two close points of a distant person do not get a standard deviation of fractions of a

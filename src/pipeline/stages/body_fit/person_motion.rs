@@ -58,7 +58,7 @@ pub(super) fn body_motion(model: &BodyModel, person: &PersonFit, joint_sigmas: O
     };
     let betas: [f64; N_BETAS] = fitted.state.betas.into();
     let frames = fitted.state.poses.iter().zip(valid).map(frame).collect();
-    BodyMotion { person: person.person, first: FrameIndex(person.first), betas, frames, joint_sigmas }
+    BodyMotion { person: person.person, first: FrameIndex(person.first), betas, frames, joint_sigmas, hands: None }
 }
 
 /// The keypoints of a motion's body, in the order of `convention`, by frame.

@@ -180,6 +180,7 @@ fn exact_motion(truth: &Truth) -> BodyMotion {
         betas: truth.betas.into(),
         frames: truth.poses.iter().map(frame).collect(),
         joint_sigmas: None,
+        hands: None,
     }
 }
 

@@ -110,6 +110,7 @@ impl FitStatistics {
                 keypoints: self.keypoint_reports(session, statistics),
                 bone_length_spread: bone_spread(bones, path),
                 jitter_m_per_s2: mean_acceleration(path, session.fps),
+                hands: Vec::new(),
             }
         })
         .collect()

@@ -53,7 +53,9 @@ fn accumulate(people: &TrackedPeople, view: usize, block: usize, delays: &mut [D
                 continue;
             };
             let delay = &mut delays[frame / block];
-            for (k, keypoint) in seen.keypoints.iter().enumerate().filter(|(_, k)| k.confidence >= DETECTOR.judged) {
+            // Points after the named ones have no trajectory.
+            let named = seen.keypoints.iter().take(person.points[t].len()).enumerate();
+            for (k, keypoint) in named.filter(|(_, k)| k.confidence >= DETECTOR.judged) {
                 let at = |t: usize| project_normalized(camera, person.points[t][k].as_ref()?);
                 let Some(((before, now), after)) = at(t - 1).zip(at(t)).zip(at(t + 1)) else { continue };
                 let velocity: Vector2<f64> = 0.5 * (after.normalized - before.normalized);

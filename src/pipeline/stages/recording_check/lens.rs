@@ -80,11 +80,11 @@ fn factor(step: i32) -> f64 {
 /// Points in space, as the other cameras locate them, with their pixels: points that the camera itself takes part in would follow
 /// its lens.
 fn points(people: &TrackedPeople, view: usize) -> Vec<(Vector3<f64>, Vector2<f64>)> {
-    let mut seen = Vec::new();
+    let (mut seen, n_named) = (Vec::new(), people.session.convention.names().len());
     for (track, tracked) in people.tracks.iter().enumerate() {
         for (t, assigned) in tracked.detections.iter().enumerate() {
             let detection = assigned[view].and_then(|d| people.session.views[view].frames[tracked.first.0 + t].get(d));
-            let keypoints = detection.iter().flat_map(|detection| detection.keypoints.iter().enumerate());
+            let keypoints = detection.iter().flat_map(|detection| detection.keypoints[..n_named].iter().enumerate());
             let confident = keypoints.filter(|(_, k)| k.confidence > DETECTOR.confident);
             seen.extend(confident.map(|(k, keypoint)| (track, t, k, keypoint.pixel)));
         }

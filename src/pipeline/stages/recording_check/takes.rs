@@ -83,7 +83,8 @@ fn disagreement(people: &TrackedPeople, a: usize, b: usize) -> Option<f64> {
             people.session.views[view].frames[track.first.0 + t].get(index)
         };
         let distances = |t: usize| -> Option<Vec<Option<f64>>> {
-            let keypoints = detection(t, a)?.keypoints.iter().zip(&detection(t, b)?.keypoints);
+            let n_named = people.session.convention.names().len();
+            let keypoints = detection(t, a)?.keypoints[..n_named].iter().zip(&detection(t, b)?.keypoints);
             let distance = |(in_a, in_b): (&Keypoint, &Keypoint)| {
                 let normal = ray(a, from_a, in_a)?.cross(&ray(b, from_b, in_b)?);
                 (normal.norm() > MIN_RAY_SINE).then(|| baseline.dot(&normal) / normal.norm())

@@ -68,6 +68,7 @@ fn person(id: usize) -> PersonReport {
         keypoints: vec![keypoint("nose"), keypoint("left_wrist")],
         bone_length_spread: Some(0.05),
         jitter_m_per_s2: Some(5.0),
+        hands: Vec::new(),
     }
 }
 

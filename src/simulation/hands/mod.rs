@@ -1,0 +1,17 @@
+//! Hands and faces of simulated people, for conventions that have their points.
+//!
+//! - `motion`: smooth random angles of fingers and wrists
+//! - `details`: the true points of face and hands
+//! - `detector`: their detections, with errors relative to the size of the hand or the face, misses and swaps
+//!
+//! Sessions of other conventions do not change by a byte: all random numbers come from streams of their own.
+
+mod details;
+mod detector;
+mod motion;
+
+pub(super) use details::Details;
+pub use details::{N_DETAILS, N_FACE_POINTS, first_detail};
+pub use detector::{HandNoise, HandSource};
+pub(super) use detector::{DetailDetector, SeenHands};
+pub(super) use motion::{FingerMotion, turn_wrists};
