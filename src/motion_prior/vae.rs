@@ -11,7 +11,7 @@ use candle_core::{Result, Tensor};
 use candle_nn::{Linear, Module, VarBuilder, linear};
 
 /// Width of a GRU's state in each direction where nothing else is said.
-pub const DEFAULT_WIDTH: usize = 128;
+pub const DEFAULT_WIDTH: usize = 64;
 
 /// Logarithm of the codes' variance before training: standard deviations of 0.1, which leave a joint where it is to some mm.
 const FIRST_LOG_VARIANCE: f64 = -4.6;

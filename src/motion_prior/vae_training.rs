@@ -21,7 +21,7 @@ use rayon::prelude::*;
 
 /// The configuration where nothing else is said.
 pub(super) const DEFAULTS: TrainingConfig =
-    TrainingConfig { model: NetworkKind::Latent, seed: 1, steps: 6000, width: DEFAULT_WIDTH };
+    TrainingConfig { model: NetworkKind::Latent, seed: 1, steps: 1000, width: DEFAULT_WIDTH };
 
 /// Frames of a stretch, and stretches of a step.
 const N_FRAMES: usize = 64;
