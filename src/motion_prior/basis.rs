@@ -38,6 +38,14 @@ pub struct Basis {
     pub features_from_code: Vec<f32>,
 }
 
+/// A basis with its encoder, which only training needs.
+pub struct FittedBasis {
+    /// The basis.
+    pub basis: Basis,
+    /// `S^-1 V^T L^T`, `[32, 57]`: a code from features less the mean.
+    pub code_from_features: Vec<f32>,
+}
+
 /// Mean rotations over a training set.
 pub fn mean_rotations(takes: &[Vec<LocalRotations>]) -> Chart {
     let mut sums = [Matrix3::zeros(); LATENT_JOINTS.len()];
@@ -50,7 +58,7 @@ pub fn mean_rotations(takes: &[Vec<LocalRotations>]) -> Chart {
 }
 
 /// Measures the basis on the features of a training set. `None` if there are fewer frames than features.
-pub fn fit_basis(chart: Chart, takes: &[Vec<Features>]) -> Option<Basis> {
+pub fn fit_basis(chart: Chart, takes: &[Vec<Features>]) -> Option<FittedBasis> {
     let n_frames: usize = takes.iter().map(Vec::len).sum();
     if n_frames <= N_FEATURES {
         return None;
@@ -75,12 +83,15 @@ pub fn fit_basis(chart: Chart, takes: &[Vec<Features>]) -> Option<Basis> {
     let sd = |k: usize| eigen.eigenvalues[order[k]].max(1e-12).sqrt();
     let decode = factor.transpose().solve_upper_triangular(&leading)?;
     let row_major = |n: usize, m: usize| (0..n).flat_map(move |i| (0..m).map(move |j| (i, j)));
-    Some(Basis {
+    let encode = (factor * leading).transpose(); // V^T L^T
+    let basis = Basis {
         chart,
         mean: mean.map(|v| v as f32),
         spread: spread.map(|v| v as f32),
         features_from_code: row_major(LATENT_DIM, N_FEATURES).map(|(k, i)| (decode[(i, k)] * sd(k)) as f32).collect(),
-    })
+    };
+    let code_from_features = row_major(LATENT_DIM, N_FEATURES).map(|(k, i)| (encode[(k, i)] / sd(k)) as f32).collect();
+    Some(FittedBasis { basis, code_from_features })
 }
 
 impl Basis {

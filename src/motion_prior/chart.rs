@@ -62,10 +62,15 @@ impl Chart {
     /// Rotations of one frame; identity for joints outside the latent and for the pelvis.
     pub fn rotations(&self, features: &Features) -> LocalRotations {
         let mut rotations = [Matrix3::identity(); N_JOINTS];
+        self.write(features, &mut rotations);
+        rotations
+    }
+
+    /// Replaces the rotations of [`LATENT_JOINTS`].
+    pub fn write(&self, features: &Features, rotations: &mut LocalRotations) {
         for (i, (joint, mean)) in LATENT_JOINTS.iter().zip(&self.means).enumerate() {
             rotations[*joint] = mean * rotation::exp(&Vector3::from_column_slice(&features[3 * i..3 * i + 3]));
         }
-        rotations
     }
 }
 

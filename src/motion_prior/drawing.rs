@@ -1,9 +1,11 @@
-//! Motions drawn from the linear code: random poses that change smoothly.
+//! Motions drawn from the linear code or the autoencoder: random poses that change smoothly.
 
-use super::MotionPrior;
 use super::basis::LATENT_DIM;
 use super::chart::{LocalRotations, N_FEATURES};
+use super::dataset::GRID_FPS;
 use super::joints::frame;
+use super::latent_prior::Code;
+use super::{LatentPrior, MotionPrior};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
@@ -15,6 +17,16 @@ impl MotionPrior {
         let codes = smooth_code(n_frames, &mut ChaCha8Rng::seed_from_u64(seed));
         let features = self.basis().features(&codes);
         features.chunks_exact(N_FEATURES).map(|row| self.chart().rotations(&frame(row))).collect()
+    }
+}
+
+impl LatentPrior {
+    /// The same, decoded by the network.
+    pub fn drawn(&self, n_frames: usize, seed: u64) -> Vec<LocalRotations> {
+        let codes = smooth_code(n_frames, &mut ChaCha8Rng::seed_from_u64(seed));
+        let code = |row: &[f32]| -> Code { std::array::from_fn(|k| f64::from(row[k])) };
+        let codes: Vec<Code> = codes.chunks_exact(LATENT_DIM).map(code).collect();
+        self.decoded(&codes, GRID_FPS).iter().map(|features| self.chart().rotations(features)).collect()
     }
 }
 

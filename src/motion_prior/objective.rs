@@ -169,7 +169,7 @@ impl Rows {
 
 /// Derivative of the joints by the described joints' corrections, `[69, 60]` row by row: a right increment d of joint a moves
 /// the joints below it by `-[p - p_a]x G_a d`, and `exp(u + e) = exp(u) exp(J_r(u) e)` at the true correction u.
-fn levers(bones: &Bones, rotations: &LocalRotations, corrections: &[Vector3<f64>; N_DESCRIBED]) -> Vec<f32> {
+pub(super) fn levers(bones: &Bones, rotations: &LocalRotations, corrections: &[Vector3<f64>; N_DESCRIBED]) -> Vec<f32> {
     let posed = bones.posed(rotations);
     let mut rows = vec![0.0; N_COORDINATES * 3 * N_DESCRIBED];
     for (described, &joint) in DESCRIBED_JOINTS.iter().enumerate() {

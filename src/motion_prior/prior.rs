@@ -6,7 +6,7 @@ use super::denoiser::Denoiser;
 use super::denoiser_input::{DenoiserInput, N_INPUT, denoiser_input};
 use super::joints::frame;
 use super::observed::{DESCRIBED_JOINTS, N_DESCRIBED, ObservedMotion};
-use super::weights::{Provenance, Weights, WeightsError};
+use super::weights::{NetworkKind, Provenance, Weights, WeightsError};
 use crate::geometry::rotation::{exp, right_jacobian_inverse};
 use candle_core::{Device, Tensor};
 use nalgebra::{Matrix3, Vector3};
@@ -58,7 +58,8 @@ impl MotionPrior {
     /// # Errors
     /// A variable of the network is missing or has another shape.
     pub fn new(weights: Weights) -> Result<Self, WeightsError> {
-        Ok(Self { denoiser: weights.network()?, provenance: weights.provenance, basis: weights.basis })
+        let denoiser = Denoiser::new(weights.provenance.width, weights.variables(NetworkKind::Denoiser)?)?;
+        Ok(Self { denoiser, provenance: weights.provenance, basis: weights.basis })
     }
 
     /// Origin of the weights.

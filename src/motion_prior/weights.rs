@@ -1,11 +1,10 @@
 //! The file of a trained prior: safetensors with its provenance as metadata.
 //!
-//! Tensors `pose.*` hold the linear code, `denoiser.*` the network's variables. The same prior gives the same bytes: names
-//! are sorted, and metadata is one JSON text.
+//! Tensors `pose.*` hold the linear code, `denoiser.*` or `latent.*` the network's variables. The same prior gives the same
+//! bytes: names are sorted, and metadata is one JSON text.
 
 use super::basis::{Basis, LATENT_DIM};
 use super::chart::{Chart, LATENT_JOINTS, N_FEATURES};
-use super::denoiser::Denoiser;
 use crate::geometry::svd::nearest_rotation;
 use candle_core::{DType, Device, Tensor};
 use candle_nn::VarBuilder;
@@ -14,21 +13,50 @@ use safetensors::{SafeTensors, tensor::TensorView};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 
+/// The networks of this program.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum NetworkKind {
+    /// [`Denoiser`](super::denoiser::Denoiser): completes unseen joints.
+    #[default]
+    Denoiser,
+    /// [`Vae`](super::vae::Vae): motions as latent codes.
+    Latent,
+}
+
+impl NetworkKind {
+    /// The name, with which those of the variables begin.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Denoiser => "denoiser",
+            Self::Latent => "latent",
+        }
+    }
+
+    fn prefix(self) -> String {
+        format!("{}.", self.name())
+    }
+}
+
 /// Origin and facts of the weights.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Provenance {
+    /// The network.
+    #[serde(default)]
+    pub model: NetworkKind,
     /// SHA-256 over the training files.
     pub data_sha256: String,
     /// Seed of every random choice.
     pub seed: u64,
     /// Training steps.
     pub steps: usize,
-    /// Width of the denoiser's layers.
+    /// Width of the network's layers.
     pub width: usize,
-    /// Mean error of hidden joints on the held-out subjects, mm.
+    /// Mean error on the held-out subjects, mm: of hidden joints by a denoiser, of all joints after encoding and decoding.
     pub held_out_error_mm: f64,
-    /// Factor of the denoiser's covariances that makes 95 % ellipsoids hold 95 % of the held-out subjects' hidden joints.
+    /// Factor of the denoiser's covariances that makes 95 % ellipsoids hold 95 % of the held-out subjects' hidden joints; 1
+    /// of other networks.
     pub temperature: f64,
 }
 
@@ -39,8 +67,8 @@ pub struct Weights {
     pub provenance: Provenance,
     /// The linear code of single poses.
     pub basis: Basis,
-    /// The denoiser's variables by name.
-    pub denoiser: BTreeMap<String, Tensor>,
+    /// The network's variables by name.
+    pub network: BTreeMap<String, Tensor>,
 }
 
 /// Why a file cannot be read as a prior.
@@ -62,8 +90,16 @@ pub enum WeightsError {
         /// Expected type.
         dtype: &'static str,
     },
+    /// The file holds another network.
+    #[error("a {} expected, the file holds a {}", expected.name(), found.name())]
+    Kind {
+        /// The expected network.
+        expected: NetworkKind,
+        /// That of the file.
+        found: NetworkKind,
+    },
     /// The network's variables do not fit its width.
-    #[error("denoiser: {0}")]
+    #[error("network: {0}")]
     Network(#[from] candle_core::Error),
     /// A number is not finite.
     #[error("tensor {0}: finite numbers expected")]
@@ -76,7 +112,6 @@ const CHART: &str = "pose.mean_rotations";
 const MEAN: &str = "pose.mean";
 const SPREAD: &str = "pose.spread";
 const CODE: &str = "pose.features_from_code";
-const NETWORK: &str = "denoiser.";
 /// Largest width that is accepted: a file cannot demand more memory than it has bytes for.
 const MAX_WIDTH: usize = 2048;
 
@@ -93,9 +128,10 @@ impl Weights {
             (SPREAD.to_owned(), Stored::f32(&[N_FEATURES], &self.basis.spread)),
             (CODE.to_owned(), Stored::f32(&[LATENT_DIM, N_FEATURES], &self.basis.features_from_code)),
         ]);
-        for (name, tensor) in &self.denoiser {
+        let prefix = self.provenance.model.prefix();
+        for (name, tensor) in &self.network {
             let values = tensor.flatten_all()?.to_vec1::<f32>()?;
-            stored.insert(format!("{NETWORK}{name}"), Stored::f32(tensor.dims(), &values));
+            stored.insert(format!("{prefix}{name}"), Stored::f32(tensor.dims(), &values));
         }
         let views = stored.iter().map(|(name, stored)| Ok((name, stored.view()?)));
         let views = views.collect::<Result<Vec<_>, safetensors::SafeTensorError>>()?;
@@ -133,31 +169,30 @@ impl Weights {
             features_from_code: code.into_iter().map(|x| x as f32).collect(),
         };
         let all = candle_core::safetensors::load_buffer(bytes, &Device::Cpu)?;
-        let network =
-            all.into_iter().filter_map(|(name, tensor)| Some((name.strip_prefix(NETWORK)?.to_owned(), tensor)));
-        let denoiser: BTreeMap<String, Tensor> = network.collect();
-        for (name, tensor) in &denoiser {
+        let prefix = provenance.model.prefix();
+        let named = all.into_iter().filter_map(|(name, tensor)| Some((name.strip_prefix(&prefix)?.to_owned(), tensor)));
+        let network: BTreeMap<String, Tensor> = named.collect();
+        for (name, tensor) in &network {
             if !tensor.sum_all()?.to_dtype(DType::F32)?.to_scalar::<f32>()?.is_finite() {
-                return Err(WeightsError::Values(format!("{NETWORK}{name}")));
+                return Err(WeightsError::Values(format!("{prefix}{name}")));
             }
         }
-        Ok(Self { provenance, basis, denoiser })
+        Ok(Self { provenance, basis, network })
     }
 
-    /// The network with these variables, on their device.
+    /// The variables as `expected` reads them, on their device.
     ///
     /// # Errors
-    /// A variable is missing or has another shape.
-    pub fn network(&self) -> Result<Denoiser, WeightsError> {
-        Ok(network(self.provenance.width, &self.denoiser)?)
+    /// The file holds another network.
+    pub(super) fn variables(&self, expected: NetworkKind) -> Result<VarBuilder<'static>, WeightsError> {
+        let found = self.provenance.model;
+        if found != expected {
+            return Err(WeightsError::Kind { expected, found });
+        }
+        let device = self.network.values().next().map_or(Device::Cpu, |tensor| tensor.device().clone());
+        let variables = self.network.iter().map(|(name, tensor)| (name.clone(), tensor.clone())).collect();
+        Ok(VarBuilder::from_tensors(variables, DType::F32, &device))
     }
-}
-
-/// The network of a width with variables by name.
-pub(super) fn network(width: usize, variables: &BTreeMap<String, Tensor>) -> candle_core::Result<Denoiser> {
-    let device = variables.values().next().map_or(Device::Cpu, |tensor| tensor.device().clone());
-    let variables = variables.iter().map(|(name, tensor)| (name.clone(), tensor.clone())).collect();
-    Denoiser::new(width, VarBuilder::from_tensors(variables, DType::F32, &device))
 }
 
 /// Numbers of one tensor, all finite.

@@ -108,7 +108,7 @@ fn named_or_switched<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Motio
         name => MotionPriorMode::deserialize(name).ok(),
     };
     named.ok_or_else(|| {
-        let remedy = "use \"denoiser\", \"pose\", \"none\", true or false";
+        let remedy = "use \"denoiser\", \"latent\", \"pose\", \"none\", true or false";
         serde::de::Error::custom(format!("motion_prior: {found} is not a motion prior; {remedy}"))
     })
 }
@@ -338,6 +338,8 @@ pub enum ScaleSource {
 pub enum MotionPriorMode {
     /// Likely poses and standing feet; joints that no camera shows for a while are completed from the rest of the motion.
     Denoiser,
+    /// The motions are codes of a latent motion prior, fitted together with the cameras.
+    Latent,
     /// Likely poses and standing feet.
     Pose,
     /// Smoothness alone.
@@ -390,12 +392,18 @@ mod tests {
     #[test]
     fn the_motion_prior_has_names_and_switches() {
         let read = |text: &str| serde_json::from_str::<Options>(&format!(r#"{{"motion_prior": {text}}}"#));
-        let cases = [("true", "denoiser"), ("false", "none"), (r#""denoiser""#, "denoiser"), (r#""pose""#, "pose")];
+        let cases = [
+            ("true", "denoiser"),
+            ("false", "none"),
+            (r#""denoiser""#, "denoiser"),
+            (r#""pose""#, "pose"),
+            (r#""latent""#, "latent"),
+        ];
         for (given, name) in cases {
             let options = read(given).unwrap();
             assert_eq!(serde_json::to_value(&options).unwrap()["motion_prior"], name);
         }
-        for wrong in [r#""latent""#, "1", "null"] {
+        for wrong in [r#""spline""#, "1", "null"] {
             let refused = read(wrong).unwrap_err().to_string();
             assert!(refused.contains("motion_prior") && refused.contains("\"pose\""), "{refused}");
         }

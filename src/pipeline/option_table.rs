@@ -208,6 +208,10 @@ pub const OPTION_TABLE: &[OptionRow] = &[
         label: "Motion prior",
         kind: Kind::Choice(&[
             choice("denoiser", "likely poses and standing feet; joints that no camera shows for a while are completed"),
+            choice(
+                "latent",
+                "codes of a motion autoencoder, fitted together with the cameras, as in the paper; for comparison",
+            ),
             choice("pose", "likely poses and standing feet"),
             choice("none", "smoothness alone"),
         ]),

@@ -142,6 +142,7 @@ impl Solution {
             resolve_collisions: capture.options.collision,
             motion_prior: capture.options.motion_prior != MotionPriorMode::None,
             completes_gaps: capture.options.motion_prior == MotionPriorMode::Denoiser,
+            latent_motions: capture.options.motion_prior == MotionPriorMode::Latent,
             correlated_errors: capture.options.adjust_with_bodies && config.correlated_errors,
             known_cameras: self.known_cameras(capture, focal_lengths),
             sigma_log_scale: self.scale.as_ref().map_or(0.0, sigma_log_scale),

@@ -3,11 +3,12 @@
 use super::{pelvis, rotations, waving};
 use std::path::Path;
 use wandless::geometry::rotation::angle_between;
-use wandless::motion_prior::MotionPrior;
 use wandless::motion_prior::chart::{LATENT_JOINTS, LocalRotations};
 use wandless::motion_prior::dataset::{Take, read_dataset};
 use wandless::motion_prior::evaluation::gap_errors;
 use wandless::motion_prior::observed::{DESCRIBED_JOINTS, N_DESCRIBED, ObservedMotion};
+use wandless::motion_prior::reconstruction::reconstruction_errors;
+use wandless::motion_prior::{LatentPrior, MotionPrior};
 
 /// Mean angle between latent joints of two takes, degrees.
 fn mean_angle_deg(a: &[LocalRotations], b: &[LocalRotations]) -> f64 {
@@ -82,6 +83,37 @@ fn completion_has_the_same_bytes_with_any_threads() {
         pool.install(|| MotionPrior::embedded().completed(&motion))
     };
     assert_eq!(completed(1), completed(4));
+}
+
+/// The autoencoder at other frame rates, over several windows, and with any number of threads.
+#[test]
+fn latent_motions_are_decoded_at_any_rate_and_length() {
+    let prior = LatentPrior::embedded();
+    for (n_frames, fps) in [(1, 30.0), (2, 25.0), (90, 60.0), (400, 30.0), (350, 25.0)] {
+        let motion = rotations(&waving(n_frames, fps, 0.3));
+        let reconstructed = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| prior.reconstructed(&motion, fps))
+        };
+        let found = reconstructed(1);
+        assert_eq!(found, reconstructed(3));
+        assert!(mean_angle_deg(&motion, &found) < 4.0, "{n_frames} {fps}: {}", mean_angle_deg(&motion, &found));
+    }
+    assert!(prior.encoded(&[], 30.0).is_empty() && prior.drawn(0, 1).is_empty());
+    assert_eq!(prior.drawn(50, 1), prior.drawn(50, 1));
+}
+
+/// Bounds on real takes; the model card has the figures.
+#[test]
+fn the_autoencoder_reconstructs_test_takes() {
+    let Ok(data) = std::env::var("WANDLESS_TEST_DATA") else {
+        eprintln!("SKIPPED the_autoencoder_reconstructs_test_takes: WANDLESS_TEST_DATA is not set");
+        return;
+    };
+    let data = read_dataset(&Path::new(&data).join("motion/valid")).unwrap();
+    let takes: Vec<&Take> = data.takes.iter().collect();
+    let errors = reconstruction_errors(LatentPrior::embedded(), &takes);
+    assert!(errors.network.mean_mm < 9.0, "{errors:?}");
 }
 
 /// Bounds on real takes; the model card has the figures.

@@ -61,13 +61,17 @@ const INITIAL: &str = "initial";
 /// Keypoints of the full solve.
 const POINTS: &str = "bundle adjustment only";
 
-const ARMS: [Arm; 6] = [
+const ARMS: [Arm; 7] = [
     Arm { name: FULL, options: Options::default },
     Arm {
         name: "cameras held at bundle adjustment",
         options: || Options { adjust_with_bodies: false, ..Options::default() },
     },
     Arm { name: "without consistency", options: || Options { denoise: false, ..Options::default() } },
+    Arm {
+        name: "latent motion prior",
+        options: || Options { motion_prior: MotionPriorMode::Latent, ..Options::default() },
+    },
     Arm {
         name: "motion prior of single poses",
         options: || Options { motion_prior: MotionPriorMode::Pose, ..Options::default() },

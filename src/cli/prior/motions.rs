@@ -1,6 +1,6 @@
 //! `wandless prior sample | reconstruct`: write motions of the prior as files in the AMASS layout.
 
-use super::prior_file::read_prior;
+use super::prior_file::{Model, read_latent_prior, read_prior};
 use crate::body::skeleton::JOINT_NAMES;
 use crate::cli::bad_input::BadInput;
 use crate::geometry::rotation::{exp, log};
@@ -24,12 +24,16 @@ pub(super) struct SampleArgs {
     /// Length in frames at 30 Hz
     #[arg(long, default_value_t = 300, value_parser = clap::value_parser!(u32).range(1..=20_000))]
     frames: u32,
+    /// Network of the prior: denoiser decodes linearly
+    #[arg(long, value_enum, default_value_t = Model::Denoiser)]
+    model: Model,
     /// Prior file [default: the embedded prior]
     #[arg(long)]
     prior: Option<PathBuf>,
 }
 
-/// Removes noise and completes hidden joints; collars, hands and the pelvis position are copied from the input.
+/// Removes noise and completes hidden joints by the denoiser, or encodes and decodes the motion by the autoencoder; collars,
+/// hands and the pelvis position are copied from the input.
 #[derive(Debug, clap::Args)]
 pub(super) struct ReconstructArgs {
     /// Motion file in the AMASS layout
@@ -49,6 +53,9 @@ pub(super) struct ReconstructArgs {
     /// Frame after the last hidden one
     #[arg(long)]
     to: Option<usize>,
+    /// Network of the prior; latent takes neither noise nor hidden joints
+    #[arg(long, value_enum, default_value_t = Model::Denoiser)]
+    model: Model,
     /// Prior file [default: the embedded prior]
     #[arg(long)]
     prior: Option<PathBuf>,
@@ -58,14 +65,17 @@ pub(super) struct ReconstructArgs {
 const PELVIS_HEIGHT: f64 = 0.94;
 
 pub(super) fn sample(args: SampleArgs) -> anyhow::Result<()> {
-    let prior = read_prior(args.prior.as_deref())?;
+    let (n_frames, file) = (args.frames as usize, args.prior.as_deref());
+    let drawn = match args.model {
+        Model::Denoiser => read_prior(file)?.drawn(n_frames, args.seed),
+        Model::Latent => read_latent_prior(file)?.drawn(n_frames, args.seed),
+    };
     let pose = |rotations| MotionPose { rotations, pelvis: Vector3::new(0.0, PELVIS_HEIGHT, 0.0) };
-    let poses = prior.drawn(args.frames as usize, args.seed).into_iter().map(pose).collect();
+    let poses = drawn.into_iter().map(pose).collect();
     write(&args.out, &MotionTake { rest_joints: None, poses, fps: GRID_FPS })
 }
 
 pub(super) fn reconstruct(args: ReconstructArgs) -> anyhow::Result<()> {
-    let prior = read_prior(args.prior.as_deref())?;
     if !(0.0..=60.0).contains(&args.noise_deg) {
         return Err(BadInput(format!("--noise-deg {}: give 0 to 60 degrees", args.noise_deg)).into());
     }
@@ -88,8 +98,13 @@ pub(super) fn reconstruct(args: ReconstructArgs) -> anyhow::Result<()> {
     for row in &mut sigma[frames] {
         hidden.iter().for_each(|&described| row[described] = f64::INFINITY);
     }
-    let completed = prior.completed_at(&rotations, &pelvis, &sigma, take.fps);
-    for (pose, rotations) in take.poses.iter_mut().zip(completed.rotations) {
+    let file = args.prior.as_deref();
+    let found = match args.model {
+        Model::Denoiser => read_prior(file)?.completed_at(&rotations, &pelvis, &sigma, take.fps).rotations,
+        Model::Latent if hidden.is_empty() => read_latent_prior(file)?.reconstructed(&rotations, take.fps),
+        Model::Latent => return Err(BadInput("--hide: the latent prior completes no joints".to_owned()).into()),
+    };
+    for (pose, rotations) in take.poses.iter_mut().zip(found) {
         pose.rotations = rotations.map(|r| exp(&log(&r)));
     }
     write(&args.out, &take)

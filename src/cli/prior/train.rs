@@ -1,5 +1,6 @@
 //! `wandless prior train`: trains a motion prior.
 
+use super::prior_file::Model;
 use crate::cli::bad_input::BadInput;
 use crate::cli::progress_display::ProgressDisplay;
 use crate::motion_prior::dataset::read_dataset;
@@ -19,15 +20,19 @@ pub(super) struct Args {
     /// Output file; it holds the best weights so far while the training runs
     #[arg(long)]
     out: PathBuf,
+    /// Network: denoiser completes hidden joints, latent is an autoencoder of motions
+    #[arg(long, value_enum, default_value_t = Model::Denoiser)]
+    model: Model,
     /// Seed of all random numbers
-    #[arg(long, default_value_t = TrainingConfig::default().seed)]
+    #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Number of training steps, each on about 2,000 frames; with 0 the correction stays zero and only the uncertainty is calibrated
-    #[arg(long, default_value_t = TrainingConfig::default().steps)]
-    steps: usize,
-    /// Width of the network's layers
-    #[arg(long, default_value_t = TrainingConfig::default().width, value_parser = width)]
-    width: usize,
+    /// Number of training steps, each on about 2,000 frames of the denoiser and 1,000 of the autoencoder; with 0 the denoiser's
+    /// correction stays zero and only its uncertainty is calibrated, and the autoencoder is a linear code [default: 1200, 1000]
+    #[arg(long)]
+    steps: Option<usize>,
+    /// Width of the network's layers [default: 96, 64]
+    #[arg(long, value_parser = width)]
+    width: Option<usize>,
 }
 
 /// A width that the prior's file may have.
@@ -37,7 +42,9 @@ fn width(text: &str) -> Result<usize, String> {
 
 pub(super) fn run(args: Args) -> anyhow::Result<()> {
     let data = read_dataset(&args.data).map_err(|error| BadInput(error.to_string()))?;
-    let config = TrainingConfig { seed: args.seed, steps: args.steps, width: args.width };
+    let defaults = TrainingConfig::of(args.model.kind());
+    let (steps, width) = (args.steps.unwrap_or(defaults.steps), args.width.unwrap_or(defaults.width));
+    let config = TrainingConfig { seed: args.seed, steps, width, ..defaults };
     let last_line = Arc::new(Mutex::new(String::new()));
     let display = ProgressDisplay::new();
     let lines = last_line.clone();

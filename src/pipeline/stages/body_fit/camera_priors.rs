@@ -34,6 +34,11 @@ impl CameraPriors {
         Self { focal: known.focal_px.as_ref().map(focal), poses: known.poses.as_ref().map(poses), overcount: OVERCOUNT }
     }
 
+    /// Those of the poses alone: focal lengths are held.
+    pub(super) fn of_poses(known: &KnownCameras) -> Self {
+        Self { focal: None, ..Self::new(known) }
+    }
+
     /// Whether the focal lengths of both spread alike.
     pub(super) fn has_spread_of(&self, other: &Self) -> bool {
         let spread = |priors: &Self| priors.focal.as_ref().map(|prior| prior.spread);

@@ -28,6 +28,8 @@ pub struct BodyFitConfig {
     pub motion_prior_refines: bool,
     /// Whether the motion prior completes joints that no camera shows for a while from the rest of the motion.
     pub completes_gaps: bool,
+    /// Whether the last fit is that of the paper, to latent codes of the motions.
+    pub latent_motions: bool,
     /// Weight and knee of the pose prior.
     pub pose_weights: PoseWeights,
     /// Standard deviation of the ankles' accelerations in the world at their typical speed, m/s^2.
@@ -108,6 +110,7 @@ impl Default for BodyFitConfig {
             // `paper` cut to two views, mean of ten: 16.9 mm, 17.8 with the prior from the start, 17.2 without it.
             motion_prior_refines: true,
             completes_gaps: true,
+            latent_motions: false,
             // Two new poses a second, at 30 frames a second. `hard` (10 seeds) 17.2 mm with it and with half of it, 17.5 without
             // the prior; `paper` 9.3 and 9.6; two views (5 seeds) 17.9 with half, 17.8 with one and a half times, 18.2 with
             // 4.5 times of it.

@@ -7,6 +7,7 @@ use super::context::FitContext;
 use super::focal_prior::RefinedFocal;
 use super::joint_uncertainty::{MotionUncertainty, motion_uncertainty};
 use super::keypoint_bias::estimated_bias;
+use super::latent_fit::latent_motions;
 use super::monocular::lifting::lifted;
 use super::observations::{Observations, gather_observations};
 use super::person_fit::{StartedMotion, finish_motion, start_motion};
@@ -90,11 +91,22 @@ pub fn fit_bodies(
     let slow = noise.map_or(0.0, |noise| noise.typical().autocorrelation);
     let last_config = config.under_correlated_errors(slow);
     let context = FitContext { noise, config: &last_config, ..context };
+    let cameras = adjusted.as_ref().and_then(|adjusted| adjusted.cameras.clone());
+    let cameras = match config.latent_motions {
+        true => {
+            progress.report(0.75, "fitting latent motions and cameras together");
+            latent_motions(&context, &mut started)?.or(cameras)
+        }
+        false => cameras,
+    };
     let gap_limit = (config.gap_limit_secs / frame_interval).round() as usize;
     let finish_person = |(track, started): (&PersonTrack, Option<(Observations, StartedMotion)>)| {
         progress.check()?;
         let Some((observations, started)) = started else { return Ok(None) };
-        let fitted = finish_motion(&context, &observations, started, has_changed)?;
+        let fitted = match config.latent_motions {
+            true => started.fitted,
+            false => finish_motion(&context, &observations, started, has_changed)?,
+        };
         let valid = valid_frames(&observations, gap_limit);
         Ok(Some(PersonFit { person: track.person, first: track.first.0, observations, fitted, valid }))
     };
@@ -102,8 +114,7 @@ pub fn fit_bodies(
     let mut people: Vec<PersonFit> = people.into_iter().flatten().collect();
     progress.report(0.9, "resolving collisions between bodies");
     let penetration = resolve_collisions(&context, &mut people, config.resolve_collisions, input.session.first_frame)?;
-    let (cameras, camera_covariance) =
-        adjusted.as_ref().map_or((None, None), |adjusted| (adjusted.cameras.clone(), adjusted.covariance.clone()));
+    let camera_covariance = adjusted.as_ref().and_then(|adjusted| adjusted.covariance.clone());
     let camera_covariance = camera_covariance.or_else(|| config.known_covariance.clone());
     let uncertainty = |person: &PersonFit| motion_uncertainty(&context, person, camera_covariance.as_ref());
     let uncertainties: Vec<_> = people.par_iter().map(uncertainty).collect();

@@ -123,7 +123,7 @@ fn rotation_sigmas(context: &FitContext, observations: &Observations, state: &Mo
 }
 
 /// Local rotations of the mocap skeleton in a world with y up, `Q_p R_j Q_j^T`, the inverse of [`retargeted`].
-fn mocap_rotations(
+pub(super) fn mocap_rotations(
     rotations: &LocalRotations,
     mocap_from_body: &[Matrix3<f64>; N_JOINTS],
     up: &Matrix3<f64>,

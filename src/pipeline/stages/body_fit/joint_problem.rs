@@ -204,31 +204,14 @@ impl JointProblem<'_> {
     ) -> Option<Reduced> {
         let people = self.eliminated((members, pixels), offsets, systems, damping)?;
         let border = self.border(cameras.len());
-        let (n_own, n) = (border.person().len(), border.session().len());
-        let mut session = Corner::zeros(n);
+        let n_own = border.person().len();
+        let mut session = Corner::zeros(border.session().len());
         self.bias_prior.add_to(&flat(offsets), 0, &mut session);
         if let Some(priors) = self.cameras {
             priors.add_to(cameras, border.keypoint_bias().len(), &mut session);
         }
-        let Corner { mut hessian, gradient } = session;
-        let mut right = -gradient;
-        let mut own_parts = Vec::with_capacity(people.len());
-        for person in &people {
-            let (own, across) =
-                (person.corner.view((0, 0), (n_own, n_own)), person.corner.view((0, n_own), (n_own, n)));
-            let own = damped(&own.into_owned(), damping).cholesky()?;
-            let (by_session, rest) = (own.solve(&across), own.solve(&person.right.rows(0, n_own)));
-            hessian += person.corner.view((n_own, n_own), (n, n)) - across.tr_mul(&by_session);
-            right += person.right.rows(n_own, n) - across.tr_mul(&rest);
-            own_parts.push((by_session, rest));
-        }
         let basis = self.cameras.map(|priors| priors.basis(3 * offsets.len(), cameras));
-        if let Some(basis) = &basis {
-            hessian = basis.tr_mul(&(hessian * basis));
-            right = basis.tr_mul(&right);
-        }
-        let factor = hessian.clone().cholesky()?;
-        Some(Reduced { people, own_parts, basis, hessian, factor, right })
+        Reduced::new(people, n_own, session, basis, damping)
     }
 
     fn moved(&self, (members, pixels): (&[Member], &[DetectedPixels]), step: &Step) -> Vec<(MotionState, BoneOffsets)> {
@@ -263,10 +246,10 @@ impl Member {
 }
 
 /// A step of all unknowns.
-struct Step {
+pub(super) struct Step {
     /// The session's: offsets, then cameras.
-    session: DVector<f64>,
-    motions: Vec<BandedStep>,
+    pub session: DVector<f64>,
+    pub motions: Vec<BandedStep>,
 }
 
 /// All persons eliminated: `hessian * free = right` with the session's unknowns `basis * free`; per person
@@ -283,12 +266,43 @@ pub(super) struct Reduced {
 }
 
 impl Reduced {
+    /// Adds up the systems of persons, each with its first `n_own` unknowns eliminated, and that of the session alone; the
+    /// session's unknowns move in the directions of `basis`.
+    pub(super) fn new(
+        people: Vec<Eliminated>,
+        n_own: usize,
+        session: Corner,
+        basis: Option<DMatrix<f64>>,
+        damping: f64,
+    ) -> Option<Self> {
+        let Corner { mut hessian, gradient } = session;
+        let n = gradient.len();
+        let mut right = -gradient;
+        let mut own_parts = Vec::with_capacity(people.len());
+        for person in &people {
+            let (own, across) =
+                (person.corner.view((0, 0), (n_own, n_own)), person.corner.view((0, n_own), (n_own, n)));
+            let own = damped(&own.into_owned(), damping).cholesky()?;
+            let (by_session, rest) = (own.solve(&across), own.solve(&person.right.rows(0, n_own)));
+            hessian += person.corner.view((n_own, n_own), (n, n)) - across.tr_mul(&by_session);
+            right += person.right.rows(n_own, n) - across.tr_mul(&rest);
+            own_parts.push((by_session, rest));
+        }
+        if let Some(basis) = &basis {
+            hessian = basis.tr_mul(&(hessian * basis));
+            right = basis.tr_mul(&right);
+        }
+        let factor = hessian.clone().cholesky()?;
+        Some(Self { people, own_parts, basis, hessian, factor, right })
+    }
+
     /// The persons' systems, for the next ones.
     fn into_systems(self) -> Vec<BlockBanded> {
         self.people.into_iter().map(Eliminated::into_system).collect()
     }
 
-    fn solved(&self, damping: f64) -> Option<Step> {
+    /// The step under a damping; `None` where the damped system is not positive definite.
+    pub(super) fn solved(&self, damping: f64) -> Option<Step> {
         let free = damped(&self.hessian, damping).cholesky()?.solve(&self.right);
         let session = match &self.basis {
             Some(basis) => basis * free,

@@ -14,6 +14,7 @@
 //! | `terms`, `objective`, `motion_problem`, `minimisation` | the terms, their list, its sum, the damped Gauss-Newton steps |
 //! | `thinned_motion` | fits to every few frames, from which those between follow |
 //! | `gap_completion` | joints that no camera shows for a while, completed by the motion prior |
+//! | `latent_fit` | in place of the last pass the paper's: motions as latent codes, together with the cameras |
 //! | `joint_problem` | all persons as one problem, with the detector's offsets and the cameras |
 //! | `keypoint_bias`, `session_bias` | the detector's offsets, with the cameras held |
 //! | `camera_adjustment`, `noise_measurement` | cameras and motions together, under errors correlated in time |
@@ -35,6 +36,7 @@ mod initial_motion;
 mod joint_problem;
 mod joint_uncertainty;
 mod keypoint_bias;
+mod latent_fit;
 mod local_fit;
 mod minimisation;
 mod monocular;

@@ -99,10 +99,10 @@ enum Pass {
 
 /// The fit of a window and its halo.
 #[derive(Clone)]
-struct FittedWindow {
-    whole: FittedMotion,
+pub(super) struct FittedWindow {
+    pub whole: FittedMotion,
     /// The frames fitted.
-    frames: Range<usize>,
+    pub frames: Range<usize>,
 }
 
 impl FittedWindow {
@@ -124,7 +124,7 @@ fn n_observations(observations: &Observations, window: &Range<usize>) -> usize {
 
 /// One motion of all windows, which fade into each other over their halos: a jump between them would look like fast motion to
 /// terms that are scaled by speed.
-fn joined(windows: &[Range<usize>], fits: Vec<FittedWindow>, halo: usize) -> FittedMotion {
+pub(super) fn joined(windows: &[Range<usize>], fits: Vec<FittedWindow>, halo: usize) -> FittedMotion {
     let mut poses: Vec<Pose> =
         windows.iter().zip(&fits).flat_map(|(window, fit)| window.clone().map(|t| *fit.pose(t))).collect();
     let fade = windows.iter().map(|window| window.len() / 2).min().unwrap_or(0).min(halo);

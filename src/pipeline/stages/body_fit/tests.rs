@@ -359,10 +359,15 @@ fn windows_join_without_a_seam() {
 #[test]
 fn the_number_of_threads_does_not_change_the_result() {
     let scene = scene(&smooth_motion(8, 1.0, 30.0), KeypointConvention::Coco17, &NOISY, 2);
-    let run = |n_threads: usize| {
-        rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap().install(|| fitted(&scene))
+    let input = scene.input();
+    let run = |n_threads: usize, latent_motions: bool| {
+        let config = BodyFitConfig { latent_motions, camera_rounds: 1, ..BodyFitConfig::default() };
+        let fit = || fit_bodies(&input, &Vector3::y(), &default_body(), &config, &Progress::silent()).unwrap();
+        rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap().install(|| fit().motions.remove(0))
     };
-    assert_eq!(run(1), run(2));
+    for latent_motions in [false, true] {
+        assert_eq!(run(1, latent_motions), run(2, latent_motions));
+    }
 }
 
 #[test]
