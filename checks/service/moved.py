@@ -1,6 +1,7 @@
 """A service of one machine that is moved to PostgreSQL and an object store (`wandless migrate --from`)."""
 
 import http.server
+import json
 import os
 import shutil
 import signal
@@ -22,18 +23,19 @@ LABELS = {"take": "07", "ä": "ö" * 200}
 
 
 class Receiver:
-    """Refuses every webhook, and counts them by id."""
+    """Answers every webhook with a status; counts them by id, and keeps the ids of each job."""
 
-    def __init__(self):
-        self.calls = {}
+    def __init__(self, status=503):
+        self.calls, self.ids = {}, {}
         receiver = self
 
         class Handler(http.server.BaseHTTPRequestHandler):
             def do_POST(self):
-                self.rfile.read(int(self.headers["content-length"]))
+                job = json.loads(self.rfile.read(int(self.headers["content-length"])))["data"]["id"]
                 name = self.headers["webhook-id"]
                 receiver.calls[name] = receiver.calls.get(name, 0) + 1
-                self.send_response(503)
+                receiver.ids.setdefault(job, set()).add(name)
+                self.send_response(status)
                 self.end_headers()
 
             def log_message(self, *_):

@@ -1,7 +1,10 @@
 """What the rows of `scale.py` read of a service of several machines."""
 
+import os
 import subprocess
+import time
 
+from cluster import wait_for
 from harness import require, sha256
 
 FIXED = {"extrinsics": "fixed", "exports": []}
@@ -32,3 +35,37 @@ def check_objects(cluster):
 
 def all_final(cluster):
     return not {"queued", "running", "canceling"} & set(final_states(cluster))
+
+
+def manifests_differ(cluster):
+    """How many different lists of files the results of all jobs have: one where all jobs are the same."""
+    lists = cluster.postgres.ask(
+        "SELECT count(DISTINCT files) FROM (SELECT string_agg(name || sha256, ',' ORDER BY name) AS files FROM artifacts GROUP BY job_id) AS all_of")
+    return int(lists[0][0])
+
+
+def sweep(cluster):
+    """Makes all objects two days old and lets a new leader sweep; returns how many it has removed. What rows name stays.
+    Needs the feature `failpoints`, without which a leader sweeps once an hour."""
+    for node in cluster.nodes:
+        if node.process.poll() is None:
+            node.kill()
+    old, n_before = time.time() - 48 * 3600, 0
+    for folder in ("sessions", "results", "checkpoints"):
+        for path in cluster.store.objects(folder).values():
+            os.utime(path, (old, old))
+            n_before += 1
+    node = cluster.node("api", WANDLESS_SWEEP_S="1")
+    wait_for(lambda: not strays(cluster), 300, f"{len(strays(cluster))} strays are swept")
+    check_objects(cluster)
+    node.kill()
+    return n_before - sum(len(cluster.store.objects(folder)) for folder in ("sessions", "results", "checkpoints"))
+
+
+def strays(cluster):
+    """Keys of the objects that no row names."""
+    named = cluster.postgres.ask(
+        """SELECT 'sessions/' || id FROM sessions
+           UNION SELECT 'results/' || jobs.id || '/' || result_fence || '/' || sha256 FROM artifacts JOIN jobs ON jobs.id = job_id""")
+    found = {key for folder in ("sessions", "results", "checkpoints") for key in cluster.store.objects(folder)}
+    return found - {key for key, in named}

@@ -5,6 +5,9 @@
 //! notice is known to be ineffective (`checks/service/selftest.py`). `WANDLESS_LINGER_MS=150` delays the start of every
 //! stage of a job. `WANDLESS_LOST_ANSWERS=3` makes one in three COMMITs of sessions and jobs look failed although it was made.
 //! `WANDLESS_SIMULATED_JOB=500:FOLDER` makes a job wait for 500 ms and publish the files of a folder in place of solving its session.
+//! `WANDLESS_STANDSTILL=name` stops the process (SIGSTOP) whenever it passes that point, until a check lets it go on.
+//! `WANDLESS_SWEEP_S=2` is the time between two sweeps of the object store. `WANDLESS_NEXT_RELEASE=1` makes this program the
+//! release after itself: its API nodes write an option that this release does not know, and its workers read it.
 //! Without the feature `failpoints` none of these variables has an effect.
 
 /// Names of all failpoints, in the order of a job's life.
@@ -66,20 +69,24 @@ pub const FAULTS: &[(&str, &str)] = &[
     ("beat.none", "workers send no beats"),
     ("sweep.eager", "the sweep removes objects that rows name"),
     ("row.unlocked", "claims do not wait for each other's tenant"),
+    ("drain.abrupt", "a stopping node closes the idle connections of its proxy at once"),
     ("origins.any", "pages of other sites can change anything"),
 ];
 
-/// Kills the process if the environment names this failpoint.
+/// Kills or stops the process if the environment names this failpoint.
 #[cfg(not(feature = "failpoints"))]
 #[inline]
 pub(crate) fn failpoint(_name: &str) {}
 
-/// Kills the process if the environment names this failpoint.
+/// Kills or stops the process if the environment names this failpoint.
 #[cfg(feature = "failpoints")]
 pub(crate) fn failpoint(name: &str) {
     use std::sync::atomic::{AtomicU32, Ordering};
     static PASSES: AtomicU32 = AtomicU32::new(0);
     debug_assert!(FAILPOINTS.contains(&name), "{name} is listed");
+    if std::env::var("WANDLESS_STANDSTILL").is_ok_and(|point| point == name) {
+        let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::STOP);
+    }
     let Ok(requested) = std::env::var("WANDLESS_FAILPOINT") else { return };
     let (point, pass) = requested.split_once(':').unwrap_or((&requested, "1"));
     if point == name && PASSES.fetch_add(1, Ordering::SeqCst) + 1 == pass.parse().unwrap_or(1) {
@@ -104,6 +111,24 @@ pub(crate) fn simulated_job() -> Option<(std::time::Duration, std::path::PathBuf
         return Some((std::time::Duration::from_millis(milliseconds.parse().ok()?), folder.into()));
     }
     None
+}
+
+/// `WANDLESS_SWEEP_S`, the time between two sweeps of the object store, in place of `usual`.
+#[cfg(feature = "scale")]
+pub(crate) fn sweep_interval(usual: std::time::Duration) -> std::time::Duration {
+    #[cfg(feature = "failpoints")]
+    if let Some(seconds) = std::env::var("WANDLESS_SWEEP_S").ok().and_then(|text| text.parse().ok()) {
+        return std::time::Duration::from_secs(seconds);
+    }
+    usual
+}
+
+/// An option that only the release after this one has; see [`is_next_release`].
+pub(crate) const OPTION_OF_NEXT_RELEASE: &str = "of_the_next_release";
+
+/// Whether this program takes the part of the release after itself, in a check of upgrades.
+pub(crate) fn is_next_release() -> bool {
+    cfg!(feature = "failpoints") && std::env::var_os("WANDLESS_NEXT_RELEASE").is_some()
 }
 
 /// An error after one in `WANDLESS_LOST_ANSWERS` commits, as if its answer were lost. Which ones follows from their number in

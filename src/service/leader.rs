@@ -5,7 +5,7 @@
 //! never two leaders for longer than the time in which a lost connection is noticed; what a leader does is safe even then: jobs are
 //! put back by compare-and-set, and a webhook that is called twice has the same id.
 
-use crate::service::failpoint::fault;
+use crate::service::failpoint::{fault, sweep_interval};
 use crate::service::queue::lease::SeenBeats;
 use crate::service::shared::Shared;
 use crate::service::store::StoreError;
@@ -59,7 +59,7 @@ async fn lead(shared: &Shared) -> Result<(), StoreError> {
             Err(_) => return Ok(()), // the connection ends here, and the lock with it
         }
         shared.metrics.note_beats(seen.longest_silence());
-        if last_sweep.elapsed() >= SWEEP_INTERVAL || fault("sweep.eager") {
+        if last_sweep.elapsed() >= sweep_interval(SWEEP_INTERVAL) || fault("sweep.eager") {
             last_sweep = Instant::now();
             sweep(shared.clone());
         }

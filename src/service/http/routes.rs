@@ -3,29 +3,39 @@
 use super::app::{App, HttpNetworks};
 use super::error::Problem;
 use super::openapi::{Description, LazyDescription};
+use super::server::Stop;
 use super::{
     access, archive, cors, deliveries, descriptors, error, events, exports, health, inspection, jobs, openapi, results,
     scene, server, sessions, submission, trace, viewer,
 };
+use crate::service::failpoint::fault;
 use crate::service::shared::Shared;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::middleware::{from_fn, from_fn_with_state, map_response};
 use axum::response::Response;
 use axum::{Extension, Router};
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::net::TcpListener;
 use tower::util::option_layer;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+/// Time in which a proxy notices at `/readyz` that a node stops, and closes connections that it no longer uses.
+const PROXY_GRACE: Duration = Duration::from_secs(10);
+
 /// Serves the API until the service begins to stop.
 pub(in crate::service) async fn serve(shared: Shared, networks: HttpNetworks, listener: TcpListener) {
     let app = App::new(shared, networks);
-    let (settings, metrics, draining) = (app.settings.clone(), app.metrics.clone(), app.draining.clone());
+    let (settings, metrics) = (app.settings.clone(), app.metrics.clone());
     let (limits, proxies) = (&settings.limits, app.trusted_proxies.clone());
     let max_connections = descriptors::allowed_connections(limits.max_connections, settings.jobs.concurrent);
+    // Of several nodes behind a proxy; a proxy in front of one alone has no other to turn to.
+    let has_others = app.store.is_shared() && settings.role.serves() && !settings.limits.trusted_proxies.is_empty();
+    let grace = if has_others && !fault("drain.abrupt") { PROXY_GRACE } else { Duration::ZERO };
+    let stop = Stop { draining: app.draining.clone(), grace, limit: settings.drain_limit };
     let router = if settings.role.serves() { router(app) } else { worker_router(app) };
-    server::serve(listener, router, limits, max_connections, proxies, settings.drain_limit, metrics, draining).await;
+    server::serve(listener, router, limits, max_connections, proxies, metrics, stop).await;
 }
 
 /// The OpenAPI document of this program as text.

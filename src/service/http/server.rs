@@ -11,10 +11,12 @@ use crate::service::settings::RequestLimits;
 use crate::service::webhooks::Networks;
 use axum::Router;
 use axum::body::{Body, Bytes};
+use axum::http::{HeaderValue, header};
 use hyper::body::{Frame, Incoming, SizeHint};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::TokioIo;
+use std::convert::Infallible;
 use std::io;
 use std::net::SocketAddr;
 use std::pin::Pin;
@@ -38,18 +40,27 @@ pub(super) struct Peer {
 /// Time between two attempts to accept a connection, for example after the process ran out of file descriptors.
 const ACCEPT_RETRY: Duration = Duration::from_millis(100);
 
-/// Serves until `draining` is cancelled; then accepts no more connections and gives open requests `drain_limit` to end.
-#[allow(clippy::too_many_arguments)] // each is one part of the service
+/// How a server stops. While it is draining it serves on for `grace` and closes each connection with its next answer: a proxy that holds
+/// connections open would send requests into those that are closed at once, and repeats only requests that change nothing.
+pub(super) struct Stop {
+    pub(super) draining: CancellationToken,
+    pub(super) grace: Duration,
+    /// Longest time for open requests after that.
+    pub(super) limit: Duration,
+}
+
+/// Serves until the service drains and the grace is over; then accepts no more connections and lets open requests end.
 pub(super) async fn serve(
     listener: TcpListener,
     router: Router,
     limits: &RequestLimits,
     max_connections: usize,
     proxies: Arc<Networks>,
-    drain_limit: Duration,
     metrics: Arc<Metrics>,
-    draining: CancellationToken,
+    stop: Stop,
 ) {
+    let stops = [stop.draining, CancellationToken::new()];
+    let [draining, closing] = &stops;
     let connections = Connections::new(limits.clone(), max_connections);
     let mut tasks = JoinSet::new();
     let accepting = async {
@@ -57,7 +68,7 @@ pub(super) async fn serve(
             let (stream, address) = accepted(&listener).await;
             let connection = connections.enter(id, address.ip(), proxies.contain(address.ip())).await;
             let peer = Peer { address, connection: connection.clone() };
-            let served = serve_connection(stream, peer, router.clone(), limits.write_timeout, draining.clone());
+            let served = serve_connection(stream, peer, router.clone(), limits.write_timeout, stops.clone());
             let metrics = metrics.clone();
             tasks.spawn(async move {
                 metrics.connections.inc();
@@ -71,10 +82,11 @@ pub(super) async fn serve(
     tokio::select! {
         () = accepting => {}
         () = connections.sweep() => {}
-        () = draining.cancelled() => {}
+        () = async { draining.cancelled().await; tokio::time::sleep(stop.grace).await } => {}
     }
+    closing.cancel();
     drop(listener);
-    let drain_limit = if fault("stop.endless") { Duration::MAX } else { drain_limit };
+    let drain_limit = if fault("stop.endless") { Duration::MAX } else { stop.limit };
     let ended = async { while tasks.join_next().await.is_some() {} };
     if tokio::time::timeout(drain_limit, ended).await.is_err() {
         tracing::warn!("closing connections that are still open after the drain limit");
@@ -98,7 +110,7 @@ async fn serve_connection(
     peer: Peer,
     router: Router,
     write_timeout: Duration,
-    draining: CancellationToken,
+    [draining, closing]: [CancellationToken; 2],
 ) {
     let _ = stream.set_nodelay(true); // avoids delays of small answers; an error only keeps the delay
     let io = TokioIo::new(TimedStream::new(stream, write_timeout));
@@ -106,15 +118,21 @@ async fn serve_connection(
     let service = service_fn(move |mut request: hyper::Request<Incoming>| {
         let pending = peer.connection.begin_request();
         request.extensions_mut().insert(peer.clone());
-        let answer = router.clone().oneshot(request);
-        async move { answer.await.map(|answer| answer.map(|body| PendingBody { body, _pending: pending })) }
+        let (answer, draining) = (router.clone().oneshot(request), draining.clone());
+        async move {
+            let mut answer = answer.await?.map(|body| PendingBody { body, _pending: pending });
+            if draining.is_cancelled() {
+                answer.headers_mut().insert(header::CONNECTION, HeaderValue::from_static("close"));
+            }
+            Ok::<_, Infallible>(answer)
+        }
     });
     let connection = http1::Builder::new().max_buf_size(64 << 10).serve_connection(io, service);
     let mut connection = std::pin::pin!(connection);
     let result = tokio::select! {
         result = connection.as_mut() => result,
         () = close.cancelled() => return,
-        () = draining.cancelled() => {
+        () = closing.cancelled() => {
             connection.as_mut().graceful_shutdown();
             connection.await
         }

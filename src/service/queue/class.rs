@@ -4,6 +4,7 @@
 use super::handle::Queue;
 use super::job::JobError;
 use super::outcome::ClaimOutcome;
+use crate::service::failpoint::is_next_release;
 use crate::service::store::sessions::SessionSummary;
 
 /// The largest class.
@@ -33,6 +34,11 @@ pub fn of_size(cameras: u64, frames: u64, people: u64) -> i64 {
     let detections = cameras.saturating_mul(frames).saturating_mul(people);
     let bytes = BASE_BYTES.saturating_add(detections.saturating_mul(DETECTION_BYTES));
     MEMORY_BYTES.iter().position(|limit| bytes <= *limit).map_or(LARGEST, |class| class as i64)
+}
+
+/// [`OPTIONS_LEVEL`] of this process; a check of upgrades lets a process be the next release.
+pub(super) fn options_level() -> i64 {
+    OPTIONS_LEVEL + i64::from(is_next_release())
 }
 
 impl Queue {

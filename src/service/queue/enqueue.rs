@@ -1,10 +1,10 @@
 //! Accepting a job from a client, once per Idempotency-Key.
 
-use super::class::{self, OPTIONS_LEVEL};
+use super::class::{self, options_level};
 use super::handle::Queue;
 use super::job::{Job, Submitter};
 use super::rows::{JOB_COLUMNS, job_from_row};
-use crate::service::failpoint::{failpoint, fault};
+use crate::service::failpoint::{OPTION_OF_NEXT_RELEASE, failpoint, fault, is_next_release};
 use crate::service::settings::{RequestLimits, TenantLimits};
 use crate::service::store::database::WriteTransaction;
 use crate::service::store::error::StoreError;
@@ -246,6 +246,15 @@ async fn require_capacity(
     Ok(())
 }
 
+/// The options as they are stored; in a check of upgrades with one that only the next release knows.
+fn written_options(new: &NewJob) -> String {
+    let mut options = new.options.clone();
+    if let (true, Some(all)) = (is_next_release(), options.as_object_mut()) {
+        all.insert(OPTION_OF_NEXT_RELEASE.to_owned(), true.into());
+    }
+    options.to_string()
+}
+
 async fn insert(transaction: &mut WriteTransaction, new: &NewJob, id: String, class: i64) -> Result<Job, EnqueueError> {
     let row = sqlx::query(AssertSqlSafe(format!(
         "INSERT INTO jobs (id, tenant, session_id, options, labels, priority, webhook, request_id, key_id, class,
@@ -256,14 +265,14 @@ async fn insert(transaction: &mut WriteTransaction, new: &NewJob, id: String, cl
     .bind(id)
     .bind(new.tenant.name())
     .bind(&new.session)
-    .bind(new.options.to_string())
+    .bind(written_options(new))
     .bind(serde_json::to_string(&new.labels).map_err(StoreError::from)?)
     .bind(new.priority)
     .bind(&new.webhook)
     .bind(&new.submitter.request)
     .bind(&new.submitter.key)
     .bind(class)
-    .bind(OPTIONS_LEVEL)
+    .bind(options_level())
     .fetch_one(&mut **transaction)
     .await?;
     Ok(job_from_row(&row)?)

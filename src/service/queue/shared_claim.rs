@@ -2,7 +2,7 @@
 //! messages.
 
 use super::claim::Claim;
-use super::class::OPTIONS_LEVEL;
+use super::class::options_level;
 use super::handle::Queue;
 use crate::service::failpoint::{failpoint, fault, lose_answer};
 use crate::service::store::error::StoreError;
@@ -52,7 +52,7 @@ impl Queue {
                 .bind(max_running)
                 .bind(waiting)
                 .bind(self.largest_class())
-                .bind(OPTIONS_LEVEL)
+                .bind(options_level())
                 .fetch_optional(self.store.read())
                 .await?;
             let Some(row) = row else { continue };

@@ -4,7 +4,7 @@ mod heart;
 mod supervision;
 
 use super::child::Child;
-use super::failpoint::{failpoint, fault};
+use super::failpoint::{OPTION_OF_NEXT_RELEASE, failpoint, fault, is_next_release};
 use super::memory;
 use super::metrics::Metrics;
 use super::protocol::{JobTask, Order, RUN_JOB};
@@ -151,7 +151,11 @@ fn crashed(crash: Crash, limit: Option<u64>, kills: Option<u64>) -> ClaimOutcome
 }
 
 fn order(store: &Store, settings: &Settings, claim: &Claim, session: &Path) -> Result<Order<JobTask>, JobError> {
-    let options: Options = serde_json::from_value(claim.options.clone()).map_err(|error| JobError {
+    let mut options = claim.options.clone();
+    if let (true, Some(all)) = (is_next_release(), options.as_object_mut()) {
+        all.remove(OPTION_OF_NEXT_RELEASE);
+    }
+    let options: Options = serde_json::from_value(options).map_err(|error| JobError {
         code: "option_unknown".to_owned(),
         detail: format!("this release cannot read the job's options: {error}"),
         remedy: "submit the job again".to_owned(),
