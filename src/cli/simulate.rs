@@ -3,7 +3,9 @@
 use super::noise::NoiseName;
 use crate::body::skeleton::KeypointConvention;
 use crate::session::formats::native;
-use crate::simulation::{Bodies, HandNoise, Lens, MotionSource, Preset, SimulationConfig, Statistics, Tracks, random_rig_config};
+use crate::simulation::{
+    Bodies, HandNoise, Lens, MotionSource, Preset, SimulationConfig, Statistics, Tracks, random_rig_config,
+};
 use crate::simulation::{simulate, write_truth};
 use anyhow::Context;
 use clap::ValueEnum;

@@ -39,13 +39,7 @@ pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
 }
 
 /// Adds a joint and its descendants, children in order of their numbers.
-fn add_joint(
-    text: &mut String,
-    names: &[String],
-    rig: &Rig,
-    joint: usize,
-    depth: usize,
-) {
+fn add_joint(text: &mut String, names: &[String], rig: &Rig, joint: usize, depth: usize) {
     let indent = "\t".repeat(depth);
     let offset = rig.parents[joint].map_or_else(Vector3::zeros, |parent| rig.joints[joint] - rig.joints[parent]);
     let (kind, channels) = match rig.parents[joint] {

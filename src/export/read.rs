@@ -280,7 +280,11 @@ fn motion(take: &Take, person: &Person, poses: &PosesFile) -> Result<BodyMotion,
             let hand = |hand: &Hand| {
                 hand_motion(hand, n_frames).ok_or_else(|| {
                     let lengths = [hand.pose.len(), hand.joints.len(), hand.n_views.len()];
-                    fault("hands", format!("{n_frames} frames of 45 angles and 15 joints"), format!("{lengths:?} frames"))
+                    fault(
+                        "hands",
+                        format!("{n_frames} frames of 45 angles and 15 joints"),
+                        format!("{lengths:?} frames"),
+                    )
                 })
             };
             Some([hand(left)?, hand(right)?])

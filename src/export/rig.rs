@@ -83,9 +83,7 @@ impl Rig {
 /// Local rotation of a joint of the [`Rig`] in a frame of the motion, in SMPL's axes.
 pub(super) fn joint_turn(motion: &BodyMotion, t: usize, joint: usize) -> Matrix3<f64> {
     match (joint.checked_sub(N_JOINTS), &motion.hands) {
-        (Some(finger), Some(hands)) => {
-            hands[finger / N_FINGER_JOINTS].frames[t].rotations[finger % N_FINGER_JOINTS]
-        }
+        (Some(finger), Some(hands)) => hands[finger / N_FINGER_JOINTS].frames[t].rotations[finger % N_FINGER_JOINTS],
         _ => motion.frames[t].rotations[joint],
     }
 }
@@ -229,7 +227,9 @@ mod tests {
 
     #[test]
     fn axes_are_rotations_even_of_joints_in_one_place() {
-        let axes = |joints: &[Vector3<f64>; N_JOINTS]| (0..N_JOINTS).map(|j| bone_axes(joints, &PARENTS, j)).collect::<Vec<_>>();
+        let axes = |joints: &[Vector3<f64>; N_JOINTS]| {
+            (0..N_JOINTS).map(|j| bone_axes(joints, &PARENTS, j)).collect::<Vec<_>>()
+        };
         let forwards = std::array::from_fn(|joint| Vector3::z() * joint as f64);
         for axes in axes(&[Vector3::zeros(); N_JOINTS]).iter().chain(&axes(&forwards)) {
             assert!((axes.transpose() * axes - Matrix3::identity()).norm() < 1e-12);

@@ -45,7 +45,10 @@ impl Detection {
     /// are given to their sides later.
     pub fn with_sides_exchanged(&self, twins: &[usize]) -> Self {
         let rest = self.keypoints.iter().skip(twins.len());
-        Self { keypoints: twins.iter().map(|&twin| &self.keypoints[twin]).chain(rest).copied().collect(), ..self.clone() }
+        Self {
+            keypoints: twins.iter().map(|&twin| &self.keypoints[twin]).chain(rest).copied().collect(),
+            ..self.clone()
+        }
     }
 }
 

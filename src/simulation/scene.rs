@@ -69,12 +69,15 @@ impl SimulatedScene {
         let n_frames = people.iter().map(|p| p.poses.len()).min().unwrap_or(0);
         let detected = people.iter().map(|p| Detectable::new(p, config)).collect::<Result<Vec<_>, _>>()?;
         let (convention, exists) = (config.convention, vec![true; n_frames]);
-        let details: Vec<Option<Details>> = people.iter().enumerate().map(|(i, p)| Details::new(config, i, p)).collect();
+        let details: Vec<Option<Details>> =
+            people.iter().enumerate().map(|(i, p)| Details::new(config, i, p)).collect();
         let mut scene = Self { joints: Vec::new(), keypoints: Vec::new(), details: Vec::new(), convention, exists };
         for frame in 0..n_frames {
             let posed: Vec<_> = people.iter().map(|p| p.skeleton.pose(&p.poses[frame])).collect();
             scene.keypoints.push(posed.iter().zip(&detected).map(|(posed, body)| body.points(posed)).collect());
-            let of_person = |(posed, details): (_, &Option<Details>)| details.as_ref().map_or_else(Vec::new, |d| d.points(frame, posed));
+            let of_person = |(posed, details): (_, &Option<Details>)| {
+                details.as_ref().map_or_else(Vec::new, |d| d.points(frame, posed))
+            };
             scene.details.push(posed.iter().zip(&details).map(of_person).collect());
             scene.joints.push(posed.iter().map(|p| p.joints).collect());
         }

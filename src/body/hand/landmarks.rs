@@ -88,9 +88,8 @@ mod tests {
         let betas = Betas::from_fn(|i, _| 0.2 * i as f64 - 0.5);
         let body = with_hands.shaped(&betas);
         let skeleton = posed(&body, &pose);
-        let place = |name: &str| {
-            landmark_position(&with_hands, &body, &skeleton, with_hands.landmark_index(name).unwrap())
-        };
+        let place =
+            |name: &str| landmark_position(&with_hands, &body, &skeleton, with_hands.landmark_index(name).unwrap());
         let size = relative_hand_size(&model, Side::Left, &betas);
         let expected = skeleton.rotations[20] * HandShape::average(Side::Left).places[0][0] * size;
         assert!((place("left_index1") - place("left_hand_root") - expected).norm() < 1e-12);

@@ -1,8 +1,8 @@
 //! `wandless bench hands`: fingers, wrists, cameras and bodies of sessions with 133 points, against the same with 17.
 
 use super::solved_cameras::solved_and_true;
-use crate::body::hand::{N_FINGER_JOINTS, N_HAND_POINTS, Side, hand_keypoints, hand_points};
 use crate::body::hand::HandPoint;
+use crate::body::hand::{N_FINGER_JOINTS, N_HAND_POINTS, Side, hand_keypoints, hand_points};
 use crate::body::kinematics::PosedSkeleton;
 use crate::body::skeleton::{KeypointConvention, chain_to_root};
 use crate::cli::solve::use_threads;
@@ -83,7 +83,10 @@ pub(super) fn run(args: &HandsArgs) -> anyhow::Result<()> {
         all.push(errors);
     }
     let means = means(&all);
-    println!("{}", if args.json { serde_json::to_string(&means)? } else { format!("means: {}", serde_json::to_string(&means)?) });
+    println!(
+        "{}",
+        if args.json { serde_json::to_string(&means)? } else { format!("means: {}", serde_json::to_string(&means)?) }
+    );
     Ok(())
 }
 
@@ -144,7 +147,9 @@ impl<'a> Compared<'a> {
         let nearest = |motion: &BodyMotion| {
             let off = |person: &usize| -> f64 {
                 let frames = motion.frames.iter().zip(&simulated.truth.joints[motion.first.0..]);
-                frames.map(|(pose, truth)| (truth_from_solved.transform(&pose.joints[0]) - truth[*person][0]).norm()).sum()
+                frames
+                    .map(|(pose, truth)| (truth_from_solved.transform(&pose.joints[0]) - truth[*person][0]).norm())
+                    .sum()
             };
             (0..simulated.truth.people.len()).min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(0)
         };
@@ -173,7 +178,8 @@ impl<'a> Compared<'a> {
         let mut errors = Vec::new();
         for (motion, t, pose, person) in self.poses() {
             let truth = &self.simulated.truth.joints[motion.first.0 + t][person];
-            let found: Vec<Vector3<f64>> = pose.joints.iter().map(|joint| self.truth_from_solved.transform(joint)).collect();
+            let found: Vec<Vector3<f64>> =
+                pose.joints.iter().map(|joint| self.truth_from_solved.transform(joint)).collect();
             let shift = hips(truth) - hips(&found);
             errors.extend(LIMBS.iter().map(|&j| 1e3 * (found[j] + shift - truth[j]).norm()));
         }
@@ -186,7 +192,7 @@ impl<'a> Compared<'a> {
         person.skeleton.pose(&person.poses[frame])
     }
 
-    /// Number of views that reported a point of a person's hand, whoever it was given to.
+    /// Number of views that reported a point of a person's hand, at any place.
     fn n_views(&self, frame: usize, person: usize, side: Side, point: usize) -> usize {
         let Simulated { session, truth, .. } = self.simulated;
         let sees = |view: usize| {
@@ -255,7 +261,9 @@ impl<'a> Compared<'a> {
                         let place = seen.iter().enumerate().find_map(|(d, hands)| {
                             Side::BOTH.into_iter().find(|s| hands[*s as usize] == own).map(|s| (d, s))
                         });
-                        let Some((at, shown_as)) = place.filter(|place| self.is_detected(view, frame, *place)) else { continue };
+                        let Some((at, shown_as)) = place.filter(|place| self.is_detected(view, frame, *place)) else {
+                            continue;
+                        };
                         if is_assigned(at).is_none() {
                             continue;
                         }

@@ -39,9 +39,14 @@ pub(in crate::simulation) struct Details {
 
 impl Details {
     /// `None` where the convention has no such points.
-    pub(in crate::simulation) fn new(config: &SimulationConfig, index: usize, person: &SimulatedPerson) -> Option<Self> {
+    pub(in crate::simulation) fn new(
+        config: &SimulationConfig,
+        index: usize,
+        person: &SimulatedPerson,
+    ) -> Option<Self> {
         first_detail(config.convention)?;
-        let hands = Side::BOTH.map(|side| (individual_hand(config, index, side), FingerMotion::new(config, index, side)));
+        let hands =
+            Side::BOTH.map(|side| (individual_hand(config, index, side), FingerMotion::new(config, index, side)));
         Some(Self { face: face(), hands, scale: person.skeleton.scale, fps: config.fps })
     }
 

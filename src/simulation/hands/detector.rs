@@ -1,6 +1,7 @@
 //! Detections of hands and face: errors relative to their own size, misses, and hands that are swapped.
 
 use super::details::{N_DETAILS, N_FACE_POINTS, first_detail};
+use super::noise::{HandNoise, SeenHands};
 use crate::body::hand::{HandShape, N_HAND_POINTS, Side};
 use crate::body::skeleton::N_JOINTS;
 use crate::session::{Detection, Keypoint};
@@ -15,50 +16,7 @@ use crate::simulation::scene::SimulatedScene;
 use nalgebra::{Vector2, Vector3};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
-use serde::Serialize;
 use std::ops::Range;
-
-/// Noise of the points of hands and face. A share "of size" is relative to the image of the whole hand or face.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct HandNoise {
-    /// Standard deviation of a point's error, of size. COCO-WholeBody states the deviations of its annotators as 1.7 to 4.7 %
-    /// of the hand's box, and 0.7 to 4.2 % of the face's (Jin et al., ECCV 2020, and its evaluation code): detectors are
-    /// hardly better.
-    pub jitter_of_size: f64,
-    /// Share of points that are outliers.
-    pub outlier_rate: f64,
-    /// Share of points missing at random.
-    pub missed_point_rate: f64,
-    /// Share of hands and faces missing at random; x 20 where the middle knuckle is hidden.
-    pub missed_rate: f64,
-    /// Share of the frames of a view in which two hands are exchanged: of one person, or of two.
-    pub swap_rate: f64,
-}
-
-impl Default for HandNoise {
-    fn default() -> Self {
-        Self { jitter_of_size: 0.04, outlier_rate: 0.02, missed_point_rate: 0.02, missed_rate: 0.04, swap_rate: 0.0 }
-    }
-}
-
-impl HandNoise {
-    /// Field, value, smallest and largest value, range in words.
-    pub(in crate::simulation) fn ranges(&self) -> [(&'static str, f64, f64, f64, &'static str); 5] {
-        [
-            ("hands.jitter_of_size", self.jitter_of_size, 0.0, 1.0, "0 to 1"),
-            ("hands.outlier_rate", self.outlier_rate, 0.0, 1.0, "0 to 1"),
-            ("hands.missed_point_rate", self.missed_point_rate, 0.0, 1.0, "0 to 1"),
-            ("hands.missed_rate", self.missed_rate, 0.0, 1.0, "0 to 1"),
-            ("hands.swap_rate", self.swap_rate, 0.0, 1.0, "0 to 1"),
-        ]
-    }
-}
-
-/// Whose hand a detection's hand is: person and side.
-pub type HandSource = (usize, Side);
-
-/// Sources of the left and the right hand of a detection; `None` for ghosts.
-pub(in crate::simulation) type SeenHands = [Option<HandSource>; 2];
 
 /// Correlation of the drift after 1/30 s, its share and that of white noise: as of the body's points.
 const DRIFT_MEMORY_30HZ: f64 = 0.9;
@@ -94,7 +52,7 @@ fn parts() -> [Part; 3] {
     [face, hand(N_FACE_POINTS), hand(N_FACE_POINTS + N_HAND_POINTS)]
 }
 
-/// The detector of one view.
+/// The detector of a view.
 pub(in crate::simulation) struct DetailDetector {
     first: usize,
     noise: HandNoise,
@@ -141,7 +99,9 @@ impl DetailDetector {
         for (i, part) in parts().into_iter().enumerate() {
             let is_missed = rng.random::<f64>();
             let hidden = is_hidden(&center, &points[part.middle], person, &people);
-            let is_away = i == 0 && HeadDirections::new([points[30], points[16], points[0]], &center).is_some_and(HeadDirections::is_averted);
+            let is_away = i == 0
+                && HeadDirections::new([points[30], points[16], points[0]], &center)
+                    .is_some_and(HeadDirections::is_averted);
             let rate = self.noise.missed_rate * if hidden { HIDDEN_MISSES } else { 1.0 };
             let depth = camera.camera_from_world.transform(&points[part.middle]).z;
             let size = camera.intrinsics.focal() * part.size / depth.max(0.2);

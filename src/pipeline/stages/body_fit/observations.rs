@@ -155,7 +155,9 @@ impl FrameSource<'_> {
             let (Some(detection), Some(camera)) = (detection, *camera) else { continue };
             let size_px = apparent_size_px(detection);
             for &(k, landmark) in keypoints {
-                let Some(keypoint) = detection.keypoints.get(k).filter(|keypoint| keypoint.is_present()) else { continue };
+                let Some(keypoint) = detection.keypoints.get(k).filter(|keypoint| keypoint.is_present()) else {
+                    continue;
+                };
                 // The measured noise is about the named keypoints: detectors of hands have confidences of their own.
                 let is_named = k < self.session.convention.names().len();
                 let factor = |confidence: f64| self.noise.factor(confidence.max(DETECTOR.comparable));

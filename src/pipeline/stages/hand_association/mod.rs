@@ -53,7 +53,8 @@ pub fn associated_hands(people: &TrackedPeople) -> Option<AssociatedHands> {
                 places.iter().map(|(_, arm)| hands.iter().map(|from| misfit(arm, from)).collect()).collect();
             let order = exchanged(&misfits);
             n_hands += hands.iter().filter(|place| hand(place).is_some()).count();
-            n_moved += order.iter().enumerate().filter(|&(to, &from)| to != from && hand(&hands[from]).is_some()).count();
+            n_moved +=
+                order.iter().enumerate().filter(|&(to, &from)| to != from && hand(&hands[from]).is_some()).count();
             hands = order.iter().map(|&from| hands[from]).collect();
             for (((detection, side), _), from) in places.iter().zip(&hands) {
                 sources[*detection][*side as usize] = *from;

@@ -17,7 +17,9 @@ fn cameras() -> Vec<PlacedCamera> {
         rotation: exp(&(Vector3::y() * angle)),
         translation: Vector3::new(0.1 * angle, -1.2, 3.0),
     };
-    [-1.0, 0.2, 1.3].map(|angle| PlacedCamera { intrinsics: Intrinsics::PLAIN, camera_from_world: turned(angle) }).to_vec()
+    [-1.0, 0.2, 1.3]
+        .map(|angle| PlacedCamera { intrinsics: Intrinsics::PLAIN, camera_from_world: turned(angle) })
+        .to_vec()
 }
 
 fn wrist(t: usize) -> Wrist {
