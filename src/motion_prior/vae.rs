@@ -1,8 +1,9 @@
 //! The variational autoencoder of motions, the paper's latent motion prior (section 3.2).
 //!
-//! Encoder and decoder are alike: a skip connection from frame to frame, and a bidirectional GRU that adds what the whole
-//! motion tells. The code has 32 numbers a frame, so that the network is trained on short stretches and decodes motions of any
-//! length. Unlike in the paper, the skip connections are the frozen linear code ([`super::basis`]): the GRUs begin at zero.
+//! Encoder and decoder are alike: a skip connection from frame to frame, and a bidirectional GRU that adds what follows from
+//! the whole motion. The code has 32 numbers a frame, so that the network is trained on short stretches and decodes motions
+//! of any length. Unlike in the paper, the skip connections are the frozen linear code ([`super::basis`]), and the GRUs begin
+//! at zero.
 
 use super::basis::LATENT_DIM;
 use super::chart::N_FEATURES;

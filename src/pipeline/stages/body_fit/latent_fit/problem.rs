@@ -26,9 +26,9 @@ use rayon::prelude::*;
 
 /// Weight of `|z_t|^2 / 2` in a frame at 30 Hz. Codes are alike over some ten frames.
 const CODE_WEIGHT: f64 = 0.1;
-/// Weight of the local linear term (Eq. 11) `|z_{t+1} - 2 z_t + z_{t-1}|^2 / 2` in a frame at 30 Hz: the inverse of its mean square over
-/// recorded motions, 0.148^2 in each of the 32 numbers.
-const LINEAR_WEIGHT: f64 = 45.0;
+/// Weight of the local linear term (Eq. 11) `|z_{t+1} - 2 z_t + z_{t-1}|^2 / 2` in a frame at 30 Hz, of the order of the inverse of
+/// its mean square over recorded motions, 45.
+const LINEAR_WEIGHT: f64 = 30.0;
 /// Added to every diagonal entry: a frame that no camera saw keeps its root.
 const FLOOR: f64 = 1e-4;
 /// A step that lowers the cost by less than this share is the last.
