@@ -101,7 +101,7 @@ def away_from_many(options):
     """PostgreSQL is away under a hundred running jobs, all of which end meanwhile: none is put back, and claims go on when it is back.
     Needs the feature `failpoints`."""
     folder = result_folder(options)
-    cluster = Cluster(options.program, options.s3)
+    cluster = Cluster(options.program, options.s3, beat_s=2.0, lease_s=12.0)  # a hundred claims that beat again need some seconds
     try:
         client = cluster.node("api").client()
         session = client.upload(take(8))["id"]

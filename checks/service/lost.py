@@ -29,7 +29,8 @@ def upload_cut(options):
         with_points = has_failpoints(options.program)
         points = POINTS if with_points else []
         api = cluster.node("api")
-        body = json.dumps(take(400, 4)).encode()
+        document = take(400, 4)
+        body = json.dumps(document).encode()
         start = time.monotonic()
         first = sent(api.port, body, len(body))
         require(json.loads(first.getresponse().read())["id"], "an upload is refused")
@@ -40,6 +41,7 @@ def upload_cut(options):
         random.Random(options.seed).shuffle(places)
         acknowledged = 0
         for n, (kind, place) in enumerate(places):
+            body = json.dumps({**document, "name": f"place {n}"}).encode()  # the same bytes would be the same session
             if kind == "point":
                 api.kill()
                 require(api.start(WANDLESS_FAILPOINT=place) is not None, "a node does not start")
@@ -142,4 +144,4 @@ def resumed(worker):
     time.sleep(0.2)  # the last lines
     log = re.sub(r"(\x1b|\\x1b|\\u\{1b\})\[[0-9;]*m", "", "".join(worker.stderr)).replace("\\", "")
     lines = [line for line in log.splitlines() if "resumed from its checkpoint" in line]
-    return {name for name in STAGES if any(f'stage="{name}"' in line for line in lines)}
+    return {stage for line in lines for stage in re.findall(r'stage="(\w+)"', line)}

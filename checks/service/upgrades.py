@@ -52,8 +52,9 @@ class Proxy:
 class Load:
     """Clients that submit and read through the proxy, and never repeat a request."""
 
-    def __init__(self, url, session, n_clients):
-        self.url, self.session = url, session
+    def __init__(self, url, session, ended, n_clients):
+        """`ended`: a job that has ended, whose cancel is a POST that changes nothing."""
+        self.url, self.session, self.ended = url, session, ended
         self.statuses, self.faults, self.jobs = {}, [], []
         self.over = threading.Event()
         self.threads = [threading.Thread(target=self.run, args=(seed,), daemon=True) for seed in range(n_clients)]
@@ -64,13 +65,16 @@ class Load:
         client, dice = wandless.Client(self.url), random.Random(seed)
         body = wandless.json.dumps({"session": self.session, "options": FIXED}).encode()
         while not self.over.is_set():
-            if dice.random() < 0.3 or not self.jobs:
+            kind = dice.random()
+            if kind < 0.03 or not self.jobs:  # as many jobs as workers of one release can end
                 answer = self.ask(client, "POST", "/v1/jobs", body, {"Content-Type": "application/json"})
                 if answer and answer.status == 202:
                     self.jobs.append(wandless.json.loads(answer.body)["id"])
+            elif kind < 0.3:
+                self.ask(client, "POST", f"/v1/jobs/{self.ended}/cancel", None, {})
             else:
                 job = dice.choice(self.jobs[-200:])
-                path = dice.choice([f"/v1/jobs/{job}", "/v1/jobs?page_size=20", f"/v1/jobs/{job}/result", f"/v1/sessions/{self.session}"])
+                path = dice.choice([f"/v1/jobs/{job}", "/v1/jobs?page_size=20", f"/v1/jobs/{job}/artifacts/people.json", f"/v1/sessions/{self.session}"])
                 self.ask(client, "GET", path, None, {})
             time.sleep(dice.expovariate(10.0))
 
@@ -105,8 +109,10 @@ def two_releases(options):
         api = [cluster.node("api", *words) for _ in range(2)]
         workers = [cluster.node("worker", **simulated) for _ in range(3)]
         session = api[0].client().upload(take(8))["id"]
+        client = api[0].client()
+        ended = client.wait(client.submit(session, FIXED)["id"])["id"]
         proxy = Proxy(nginx, {"api-1": api[0].port, "api-2": api[1].port})
-        load = Load(f"http://127.0.0.1:{proxy.port}", session, 8)
+        load = Load(f"http://127.0.0.1:{proxy.port}", session, ended, 8)
         time.sleep(2)
         newer_tables(cluster)
         n_restarts = 0

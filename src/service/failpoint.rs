@@ -86,6 +86,7 @@ pub(crate) fn failpoint(name: &str) {
     debug_assert!(FAILPOINTS.contains(&name), "{name} is listed");
     if std::env::var("WANDLESS_STANDSTILL").is_ok_and(|point| point == name) {
         let _ = rustix::process::kill_process(rustix::process::getpid(), rustix::process::Signal::STOP);
+        std::thread::sleep(std::time::Duration::from_millis(50)); // the signal needs a moment to stop every thread
     }
     let Ok(requested) = std::env::var("WANDLESS_FAILPOINT") else { return };
     let (point, pass) = requested.split_once(':').unwrap_or((&requested, "1"));
