@@ -2,7 +2,9 @@
 
 mod ablation;
 mod bodies;
+mod covariances;
 mod coverage;
+mod evaluated;
 mod joint_angles;
 mod markers;
 mod mistakes;
@@ -44,6 +46,8 @@ enum Bench {
     },
     /// Errors of body shape, joint angles and metric scale on simulated people with default bodies
     Bodies(bodies::BodiesArgs),
+    /// What the covariances that a detector states are worth: errors with them, with wrong ones and without, on simulated sessions
+    Covariances(covariances::CovariancesArgs),
     /// Ablation study on given or simulated sessions with ground truth; a table as Markdown and as JSON
     Ablation(ablation::AblationArgs),
     /// Errors of virtual skin markers on two dancing people with 1 to 12 cameras; a table as Markdown and as JSON
@@ -62,6 +66,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
             rigs::run(seed..seed + count, limit_deg, noise)
         }
         Bench::Bodies(args) => bodies::run(&args),
+        Bench::Covariances(args) => covariances::run(&args),
         Bench::Ablation(args) => ablation::run(&args),
         Bench::Markers(args) => markers::run(&args),
         Bench::Mistakes(args) => mistakes::run(&args),

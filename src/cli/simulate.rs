@@ -23,6 +23,9 @@ pub(super) struct Args {
     /// Kind of the errors; their rates are those of the preset
     #[arg(long, value_enum, default_value_t = NoiseName::Presets)]
     noise: NoiseName,
+    /// Anisotropic errors of changing size, whose covariances the detector states
+    #[arg(long)]
+    covariances: bool,
     /// Seed of all random numbers
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -144,6 +147,7 @@ fn config(args: &Args) -> SimulationConfig {
     };
     config.seed = args.seed;
     config.noise = args.noise.of(config.noise);
+    config.noise.covariances = args.covariances;
     if args.default_bodies {
         config.bodies = Bodies::Default;
     }
@@ -232,9 +236,9 @@ mod tests {
     #[test]
     fn written_session_reads_back_unchanged() {
         let folder = tempfile::tempdir().unwrap();
-        for noise in ["presets", "real"] {
+        for (k, noise) in ["presets", "real", "presets --covariances", "real --covariances"].into_iter().enumerate() {
             let mut args = args(&format!("--out x --preset hard --frames 40 --noise {noise}"));
-            args.out = folder.path().join(noise);
+            args.out = folder.path().join(k.to_string());
             let out = args.out.clone();
             let simulated = simulate(&config(&args)).unwrap();
             run(args).unwrap();

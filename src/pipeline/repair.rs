@@ -63,7 +63,7 @@ fn with_pixels(
     let mut repaired = session.clone();
     for View { intrinsics, frames, .. } in concerned(&mut repaired, suspicion) {
         let keypoints = frames.iter_mut().flatten().flat_map(|detection| &mut detection.keypoints);
-        keypoints.filter(|k| k.is_present()).for_each(|k| k.pixel = change(intrinsics, k.pixel));
+        keypoints.filter(|k| k.is_present()).for_each(|k| *k = k.mapped(|pixel| change(intrinsics, pixel)));
     }
     repaired
 }

@@ -1,8 +1,8 @@
 //! The recording: a session of views, each with its camera's intrinsics and the people detected in every frame.
 
 use crate::body::skeleton::KeypointConvention;
-use crate::geometry::{Intrinsics, Rigid};
-use nalgebra::Vector2;
+use crate::geometry::{Intrinsics, PixelCovariance, Rigid};
+use nalgebra::{Matrix2, Vector2};
 
 /// Range of frame rates, frames per second: from time lapse to high speed.
 pub const FPS_RANGE: [f64; 2] = [0.1, 2000.0];
@@ -22,9 +22,27 @@ pub struct Keypoint {
     pub pixel: Vector2<f64>,
     /// Confidence of the detector, 0 (missing) to 1.
     pub confidence: f64,
+    /// Covariance of the position as the detector states it, px^2; `None` where it states none.
+    pub covariance: Option<PixelCovariance>,
 }
 
 impl Keypoint {
+    /// A point that was not detected.
+    pub const MISSING: Self = Self::new(Vector2::new(0.0, 0.0), 0.0);
+
+    /// A point at `pixel`, without a covariance.
+    pub const fn new(pixel: Vector2<f64>, confidence: f64) -> Self {
+        Self { pixel, confidence, covariance: None }
+    }
+
+    /// The point after an affine map of the image's pixels.
+    pub fn mapped(&self, map: impl Fn(Vector2<f64>) -> Vector2<f64>) -> Self {
+        let pixel = map(self.pixel);
+        let along = |axis: Vector2<f64>| map(self.pixel + axis) - pixel;
+        let jacobian = || Matrix2::from_columns(&[along(Vector2::x()), along(Vector2::y())]);
+        Self { pixel, covariance: self.covariance.and_then(|covariance| covariance.mapped(&jacobian())), ..*self }
+    }
+
     /// Whether the detector reported the point.
     pub fn is_present(&self) -> bool {
         self.confidence > 0.0

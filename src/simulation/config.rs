@@ -64,6 +64,9 @@ pub struct NoiseConfig {
     /// are independent, except for the drift of `jitter_of_size`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub real: Option<RealNoise>,
+    /// Whether errors are anisotropic, of sizes that change by three times, and the detector states their covariances.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub covariances: bool,
 }
 
 impl NoiseConfig {
@@ -79,6 +82,7 @@ impl NoiseConfig {
         swaps_per_minute: 0.0,
         flip_rate: 0.0,
         real: None,
+        covariances: false,
     };
 }
 

@@ -32,10 +32,12 @@ pub(super) trait KeypointErrors {
 pub(super) struct Disturbed {
     pub(super) pixel: Vector2<f64>,
     pub(super) is_outlier: bool,
+    /// Standard deviation of the error per axis, but for outliers, px.
+    pub(super) sigma_px: f64,
 }
 
 /// A keypoint that is not reported.
-pub(super) const MISSING: Keypoint = Keypoint { pixel: Vector2::new(0.0, 0.0), confidence: 0.0 };
+pub(super) const MISSING: Keypoint = Keypoint::MISSING;
 
 /// Hidden points have errors of this relative size. Chosen.
 const HIDDEN_JITTER: f64 = 2.5;
@@ -92,5 +94,5 @@ impl Confidences {
 
 /// The keypoint of a point: pixels to a hundredth.
 pub(super) fn keypoint(pixel: &Vector2<f64>, confidence: f64) -> Keypoint {
-    Keypoint { pixel: pixel.map(|v| (v * 1e2).round() / 1e2), confidence }
+    Keypoint::new(pixel.map(|v| (v * 1e2).round() / 1e2), confidence)
 }

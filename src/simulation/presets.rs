@@ -62,6 +62,7 @@ impl NoiseConfig {
                 swaps_per_minute: 0.0,
                 flip_rate: 0.001,
                 real: None,
+                covariances: false,
             },
             Preset::Paper => Self {
                 jitter_of_size: 0.012,
@@ -74,6 +75,7 @@ impl NoiseConfig {
                 swaps_per_minute: 4.0,
                 flip_rate: 0.006,
                 real: None,
+                covariances: false,
             },
             Preset::Hard => Self {
                 jitter_of_size: 0.022,
@@ -86,6 +88,7 @@ impl NoiseConfig {
                 swaps_per_minute: 10.0,
                 flip_rate: 0.02,
                 real: None,
+                covariances: false,
             },
         }
     }

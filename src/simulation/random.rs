@@ -19,6 +19,7 @@ pub(super) enum Purpose {
     KeypointBias,
     Ghosts,
     MergedLimbs,
+    Covariances,
 }
 
 /// The stream of one purpose and one item; `view` or `person` is 0 where the item has none.

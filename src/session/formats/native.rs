@@ -1,6 +1,7 @@
 //! The native layout: `session.json` with `poses/<camera id>.json` beside it, as one document with inline poses, or as
 //! NDJSON.
 
+mod covariances;
 mod frames;
 mod header;
 mod write;

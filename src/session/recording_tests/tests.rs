@@ -26,7 +26,7 @@ fn walker(time: usize) -> Detection {
         Vector2::new(x, 190.0 + height + 5.0 * (time as f64 * 0.61).sin())
     };
     let names = KeypointConvention::Coco17.names();
-    let keypoint = |name: &&str| Keypoint { pixel: place(name), confidence: 0.8 };
+    let keypoint = |name: &&str| Keypoint::new(place(name), 0.8);
     Detection { track_id: None, keypoints: names.iter().map(keypoint).collect() }
 }
 

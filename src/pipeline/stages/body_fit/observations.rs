@@ -3,10 +3,10 @@
 use crate::body::BodyModel;
 use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_profile::DETECTOR;
-use crate::geometry::{Intrinsics, Rigid};
+use crate::geometry::{Intrinsics, PixelCovariance, Rigid};
 use crate::pipeline::calibration::TrackedPeople;
 use crate::session::{Detection, JointTrajectory, PersonTrack, Session};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix2, Vector2, Vector3};
 use std::ops::Range;
 
 /// A triangulated point.
@@ -30,6 +30,10 @@ pub(super) struct PixelObservation {
     /// Apparent size of the person times the detector's noise factor at this confidence, px; the detector's error is
     /// proportional to it.
     pub scale_px: f64,
+    /// What the detector states of its error here.
+    pub stated: Option<PixelCovariance>,
+    /// Makes the error round where its stated shape counts (determinant 1).
+    pub rounding: Option<Matrix2<f64>>,
 }
 
 /// A camera with a pose.
@@ -146,7 +150,8 @@ impl FrameSource<'_> {
             for (keypoint, landmark) in detection.keypoints.iter().zip(landmarks) {
                 let Some(landmark) = landmark.filter(|_| keypoint.is_present()) else { continue };
                 let scale_px = size_px * self.noise.factor(keypoint.confidence.max(DETECTOR.comparable));
-                pixels.push(PixelObservation { landmark, camera, pixel: keypoint.pixel, scale_px });
+                let (pixel, stated) = (keypoint.pixel, keypoint.covariance);
+                pixels.push(PixelObservation { landmark, camera, pixel, scale_px, stated, rounding: None });
             }
         }
         pixels.sort_by_key(|pixel| pixel.landmark);

@@ -73,7 +73,7 @@ mod tests {
     fn a_flip_is_its_own_inverse_and_moves_only_its_part() {
         let convention = KeypointConvention::Body25;
         let names = convention.names();
-        let keypoint = |k: usize| Keypoint { pixel: Vector2::new(k as f64, 0.0), confidence: 1.0 };
+        let keypoint = |k: usize| Keypoint::new(Vector2::new(k as f64, 0.0), 1.0);
         let before: Vec<Keypoint> = (0..names.len()).map(keypoint).collect();
         for (i, flip) in flips(convention).iter().enumerate() {
             let mut keypoints = before.clone();

@@ -1,5 +1,6 @@
 //! Writer of the native layout: the inverse of reading, rounded to a detector's precision.
 
+use crate::geometry::PixelCovariance;
 use crate::session::formats::{LensFields, entries, rounded, rows};
 use crate::session::recording::{Detection, FrameIndex, Keypoint, Session, View};
 use serde::Serialize;
@@ -15,7 +16,7 @@ const CONFIDENCE_DECIMALS: i32 = 3;
 /// Writes `session.json` and `poses/<camera id>.json` into `dir`, which is created where it is missing.
 ///
 /// Keypoints are rounded to 0.01 px and confidences to 0.001 (never to 0 where a point is present); a missing keypoint
-/// is `[0, 0, 0]`.
+/// is `[0, 0, 0]`. Covariances are written to the last digit.
 ///
 /// # Errors
 /// The error of the file system; `InvalidInput` where a camera's id is not a valid file name.
@@ -96,6 +97,8 @@ struct Frame {
 struct Person {
     track_id: Option<i64>,
     keypoints: Vec<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    covariances: Option<Vec<Option<PixelCovariance>>>,
 }
 
 fn document_of<'a>(session: &'a Session, poses: Option<BTreeMap<&'a str, Poses>>) -> Document<'a> {
@@ -135,7 +138,10 @@ fn poses_of(session: &Session, view: &View) -> Poses {
 }
 
 fn person_of(detection: &Detection) -> Person {
-    Person { track_id: detection.track_id, keypoints: detection.keypoints.iter().map(triple).collect() }
+    let keypoints = &detection.keypoints;
+    let has_covariances = keypoints.iter().any(|keypoint| keypoint.covariance.is_some());
+    let covariances = has_covariances.then(|| keypoints.iter().map(|keypoint| keypoint.covariance).collect());
+    Person { track_id: detection.track_id, keypoints: keypoints.iter().map(triple).collect(), covariances }
 }
 
 fn triple(keypoint: &Keypoint) -> [f64; 3] {
