@@ -1,13 +1,16 @@
 //! `wandless simulate`: simulates a session with exact ground truth.
 
+use super::bad_input::BadInput;
 use super::noise::NoiseName;
+use crate::body::dense_landmarks::checked_table;
 use crate::body::skeleton::KeypointConvention;
-use crate::session::formats::native;
+use crate::session::formats::native::{self, landmarks_from_json};
 use crate::simulation::{Bodies, Lens, MotionSource, Preset, SimulationConfig, Statistics, Tracks, random_rig_config};
 use crate::simulation::{simulate, write_truth};
 use anyhow::Context;
 use clap::ValueEnum;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// Simulates people, cameras and detectors; writes a session with its ground truth in `gt/`.
 ///
@@ -44,6 +47,9 @@ pub(super) struct Args {
     /// Keypoint convention
     #[arg(long, value_parser = parse_convention)]
     convention: Option<KeypointConvention>,
+    /// Landmarks behind the keypoints: a file of `body landmarks`; needs --default-bodies or --individual-bodies
+    #[arg(long, value_name = "FILE")]
+    landmarks: Option<PathBuf>,
     /// Scope of track ids: the same person in all views, per view, or none
     #[arg(long, value_enum)]
     tracks: Option<TracksName>,
@@ -130,7 +136,14 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
 /// # Errors
 /// As [`run`].
 pub(super) fn simulate_into_folder(args: &Args) -> anyhow::Result<Statistics> {
-    let config = config(args);
+    let mut config = config(args);
+    if let Some(path) = &args.landmarks {
+        let shown = |error: &dyn std::fmt::Display| BadInput(format!("{}: {error}", path.display()));
+        let bytes = std::fs::read(path).map_err(|error| shown(&error))?;
+        let (name, stated) = landmarks_from_json(&bytes).map_err(|error| shown(&error))?;
+        let table = checked_table(&name, &stated).map_err(|error| shown(&error))?;
+        (config.convention, config.dense) = (table.base, table.dense.map(Arc::new));
+    }
     let simulated = simulate(&config)?;
     let write =
         || native::write_folder(&simulated.session, &args.out).and_then(|()| write_truth(&simulated, &args.out));
@@ -201,7 +214,7 @@ fn set<T>(field: &mut T, given: Option<T>) {
     }
 }
 
-fn parse_convention(name: &str) -> Result<KeypointConvention, String> {
+pub(super) fn parse_convention(name: &str) -> Result<KeypointConvention, String> {
     KeypointConvention::parse(name).ok_or_else(|| {
         let known: Vec<&str> = KeypointConvention::ALL.into_iter().map(KeypointConvention::name).collect();
         format!("one of {} expected", known.join(", "))

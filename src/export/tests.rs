@@ -39,6 +39,7 @@ fn session() -> Session {
         fps: 25.0,
         first_frame: 300,
         n_frames: 3,
+        dense: None,
         convention: KeypointConvention::Coco17,
         up_axis: None,
         start_timecode: None,
@@ -101,6 +102,7 @@ fn reconstruction() -> Reconstruction {
         }),
         report: Report {
             detector: KeypointBias::default(),
+            landmarks: None,
             consistency: None,
             geometry: GeometryReport::default(),
             penetration: PenetrationReport::default(),

@@ -53,10 +53,10 @@ impl PixelCovariance {
         self.matrix().determinant().sqrt().sqrt()
     }
 
-    /// The symmetric matrix of determinant 1 that makes a share of the covariance's shape round: `(C / sqrt(det C))^(-share / 2)`.
+    /// The symmetric matrix of determinant 1 that whitens a share of the shape of the covariance: `(C / sqrt(det C))^(-share / 2)`.
     ///
     /// With `M = C / sqrt(det C)`, whose eigenvalues are `exp(t)` and `exp(-t)`, `M^p = cosh(p t) I + sinh(p t) / sinh(t) (M - cosh(t) I)`.
-    pub fn rounding(&self, share: f64) -> Matrix2<f64> {
+    pub fn whitening(&self, share: f64) -> Matrix2<f64> {
         let covariance = self.matrix();
         let shape = covariance / covariance.determinant().sqrt();
         let (power, cosh) = (-0.5 * share, (0.5 * shape.trace()).max(1.0));
@@ -89,13 +89,13 @@ mod tests {
         let covariance = PixelCovariance::new([9.0, 3.0, 4.0]).unwrap();
         let (size, matrix) = (covariance.size(), covariance.matrix());
         assert!((size.powi(4) - 27.0).abs() < 1e-9);
-        let round = covariance.rounding(1.0);
+        let round = covariance.whitening(1.0);
         assert!((round * matrix * round - Matrix2::identity() * size * size).norm() < 1e-9);
         assert!((round.determinant() - 1.0).abs() < 1e-12 && (round - round.transpose()).norm() < 1e-12);
-        let half = covariance.rounding(0.5);
+        let half = covariance.whitening(0.5);
         assert!((half * half - round).norm() < 1e-12);
-        assert!((covariance.rounding(0.0) - Matrix2::identity()).norm() < 1e-12);
-        assert!((PixelCovariance::isotropic(3.0).unwrap().rounding(1.0) - Matrix2::identity()).norm() < 1e-9);
+        assert!((covariance.whitening(0.0) - Matrix2::identity()).norm() < 1e-12);
+        assert!((PixelCovariance::isotropic(3.0).unwrap().whitening(1.0) - Matrix2::identity()).norm() < 1e-9);
     }
 
     #[test]

@@ -69,7 +69,7 @@ fn with_pixels(
 }
 
 fn with_labels_exchanged(session: &Session, suspicion: &Suspicion) -> Session {
-    let twins = session.convention.mirror();
+    let twins = session.mirror();
     let mut repaired = session.clone();
     for detection in concerned(&mut repaired, suspicion).flat_map(|view| view.frames.iter_mut().flatten()) {
         *detection = detection.with_sides_exchanged(&twins);

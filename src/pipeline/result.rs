@@ -22,7 +22,7 @@ use crate::geometry::{Rigid, Similarity};
 use crate::optim::robust::{INTERVAL_95, median, quantile};
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{
-    BodyModelId, KeypointBias, PenetrationReport, Report, ScaleReport, SigmaSummary, SolvedCamera,
+    BodyModelId, KeypointBias, LandmarkTableId, PenetrationReport, Report, ScaleReport, SigmaSummary, SolvedCamera,
 };
 use crate::session::recording::UpAxis;
 use crate::session::{BodyMotion, JointTrajectory, PersonTrack, Reconstruction, Session, Suspicion};
@@ -142,6 +142,8 @@ impl Solution {
             known_covariance: self.calibration.with_bodies.clone(),
             ..config
         };
+        let extended = capture.session.dense.as_ref().map(|dense| dense.on(model));
+        let fitted_model = extended.as_ref().unwrap_or(model);
         let FittedBodies {
             motions,
             measures,
@@ -152,7 +154,7 @@ impl Solution {
             cameras,
             camera_covariance,
             focal,
-        } = fit_bodies(&input, &self.upright(capture), model, &config, progress)?;
+        } = fit_bodies(&input, &self.upright(capture), fitted_model, &config, progress)?;
         if is_monocular {
             detector.reason =
                 "a single view cannot separate keypoint bias of the detector from the poses of people".to_owned();
@@ -316,6 +318,7 @@ impl Solution {
             heldout_px: self.heldout_px,
             suspicions: self.suspicions.clone(),
             scale: self.scale.clone(),
+            landmarks: session.dense.as_ref().map(|dense| LandmarkTableId::of(dense, session.convention)),
             detector: KeypointBias::default(),
             consistency: None,
             penetration,

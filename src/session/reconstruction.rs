@@ -9,7 +9,8 @@ use crate::geometry::{Intrinsics, Rigid};
 pub use estimates::{ErrorSummary, FocalFactor, SigmaSummary, TimeOffset};
 pub use report::{
     CameraReport, ConsistencyPair, ConsistencyReport, DetectorOffset, GeometryReport, KeypointBias, KeypointReport,
-    NoiseAtConfidence, Overlap, PenetrationReport, PersonReport, Quality, Report, ScaleReport, StageReport, Verdict,
+    LandmarkTableId, NoiseAtConfidence, Overlap, PenetrationReport, PersonReport, Quality, Report, ScaleReport,
+    StageReport, Verdict,
 };
 use serde::{Deserialize, Serialize};
 

@@ -2,10 +2,12 @@
 
 use super::error::SimulationError;
 use super::real_noise::RealNoise;
+use crate::body::dense_landmarks::DenseLandmarks;
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::Distortion;
 use serde::Serialize;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// Configuration of one simulated session. The same configuration gives the same session, byte for byte.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -26,6 +28,9 @@ pub struct SimulationConfig {
     pub rig: RigConfig,
     /// Keypoint convention of the detector.
     pub convention: KeypointConvention,
+    /// Landmarks that the detector reports behind the keypoints of the convention; needs default bodies.
+    #[serde(skip)]
+    pub dense: Option<Arc<DenseLandmarks>>,
     /// Track numbers of the tracker.
     pub tracks: Tracks,
     /// Time offset of each camera, frames: its frame `n` shows the scene at `n + time_offset` (views beyond the list: 0).
@@ -191,6 +196,12 @@ pub enum MotionSource {
 }
 
 impl SimulationConfig {
+    /// Names of all points that the detector reports: of the convention, then of the dense landmarks.
+    pub(super) fn point_names(&self) -> Vec<&str> {
+        let dense = self.dense.iter().flat_map(|dense| dense.names());
+        self.convention.names().iter().copied().chain(dense).collect()
+    }
+
     /// Rejects values out of range.
     ///
     /// # Errors
@@ -225,6 +236,9 @@ impl SimulationConfig {
             if !(low..=high).contains(&value) {
                 return Err(SimulationError::Config { field, value, expected });
             }
+        }
+        if self.dense.is_some() && self.bodies == Bodies::Own {
+            return Err(SimulationError::Config { field: "dense", value: 0.0, expected: "default bodies" });
         }
         if self.motion == MotionSource::Dance && self.people != 2 {
             let value = self.people as f64;

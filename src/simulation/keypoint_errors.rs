@@ -3,6 +3,7 @@
 use super::config::NoiseConfig;
 use super::projection::Projected;
 use super::random::normal;
+use crate::body::skeleton::KeypointConvention;
 use crate::session::Keypoint;
 use nalgebra::Vector2;
 use rand::RngExt;
@@ -75,6 +76,12 @@ pub(super) fn is_dropped(point: &Projected, noise: &NoiseConfig, rng: &mut ChaCh
     let dropped = rng.random::<f64>() < noise.missed_joint_rate;
     let dropped_hidden = rng.random::<f64>() < noise.occluded_joint_missing_rate && point.hidden;
     dropped || dropped_hidden || !point.in_view
+}
+
+/// Inserts the points of a convention that have no names, behind those that have.
+pub(super) fn with_unnamed(keypoints: &mut Vec<Keypoint>, convention: KeypointConvention) {
+    let n_named = convention.names().len();
+    keypoints.splice(n_named..n_named, std::iter::repeat_n(MISSING, convention.n_keypoints() - n_named));
 }
 
 /// Distribution of a confidence.

@@ -156,7 +156,7 @@ fn moved(session: &Session, views: &[usize], pixel: fn(&Intrinsics, Vector2<f64>
 }
 
 fn labels_exchanged(session: &Session, views: &[usize]) -> Session {
-    let twins = session.convention.mirror();
+    let twins = session.mirror();
     let mut changed = session.clone();
     for &v in views {
         let Some(View { frames, .. }) = changed.views.get_mut(v) else { continue };

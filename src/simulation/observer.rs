@@ -1,7 +1,7 @@
 //! Simulated detections of one person in a view: missing detections, errors of the keypoints, left/right flips.
 
 use super::config::{NoiseConfig, SimulationConfig};
-use super::keypoint_errors::{Disturbed, KeypointErrors, MISSING};
+use super::keypoint_errors::{Disturbed, KeypointErrors, with_unnamed};
 use super::preset_errors::PresetErrors;
 use super::projection::{Projector, apparent_size};
 use super::random::{Purpose, stream};
@@ -89,7 +89,7 @@ impl Observer {
         if reported.len() < 3 {
             return None;
         }
-        keypoints.resize(scene.convention.n_keypoints(), MISSING);
+        with_unnamed(&mut keypoints, scene.convention);
         tally.joints += reported.len();
         tally.joints_in_view += n_in_view;
         tally.outliers += reported.iter().filter(|&&k| disturbed[k].is_outlier).count();

@@ -29,7 +29,7 @@ impl PresetErrors {
         Self {
             noise: config.noise,
             process: Drift::with_memory(DRIFT_MEMORY_30HZ.powf(30.0 / config.fps)),
-            drift: config.convention.names().iter().map(|_| white(rng)).collect(),
+            drift: config.point_names().iter().map(|_| white(rng)).collect(),
         }
     }
 }

@@ -34,6 +34,7 @@ impl SimulationConfig {
             noise: NoiseConfig::preset(preset),
             rig: RigConfig { radius, height, ..RigConfig::default() },
             convention: KeypointConvention::Coco17,
+            dense: None,
             tracks: Tracks::Consistent,
             time_offsets: Vec::new(),
             bodies: Bodies::Own,

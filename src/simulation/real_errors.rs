@@ -116,7 +116,7 @@ struct KeypointState {
 
 impl RealErrors {
     pub(super) fn new(real: RealNoise, config: &SimulationConfig, rng: &mut ChaCha8Rng) -> Self {
-        let names = config.convention.names();
+        let names = config.point_names();
         Self {
             noise: config.noise,
             real,

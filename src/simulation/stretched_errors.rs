@@ -32,7 +32,7 @@ pub(super) struct StretchedErrors {
 impl StretchedErrors {
     pub(super) fn new(view: usize, person: usize, config: &SimulationConfig) -> Self {
         let mut rng = stream(config.seed, Purpose::Covariances, view, person);
-        let n = config.convention.names().len();
+        let n = config.point_names().len();
         let mut numbers = || (0..n).map(|_| normal(&mut rng, 1.0)).collect();
         let (sizes, elongations) = (numbers(), numbers());
         let directions = (0..n).map(|_| white(&mut rng)).collect();
@@ -89,8 +89,8 @@ mod tests {
                 for (exact, found) in exact.keypoints.iter().zip(&stretched.keypoints) {
                     assert_eq!(found.covariance.is_some(), found.is_present());
                     let Some(covariance) = found.covariance.filter(|_| exact.is_present()) else { continue };
-                    let rounded = covariance.rounding(1.0) * (found.pixel - exact.pixel) / covariance.size();
-                    (squares, n) = (squares + rounded.norm_squared(), n + 2.0);
+                    let whitened = covariance.whitening(1.0) * (found.pixel - exact.pixel) / covariance.size();
+                    (squares, n) = (squares + whitened.norm_squared(), n + 2.0);
                     sizes.push(covariance.size());
                 }
             }

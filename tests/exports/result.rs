@@ -261,6 +261,7 @@ fn session() -> Session {
         first_frame: FIRST_FRAME,
         n_frames: N_FRAMES,
         convention: KeypointConvention::Coco17,
+        dense: None,
         up_axis: None,
         start_timecode: None,
         views: ["01", "left/front", "cam c", "kamera-4", "wide", "dome", "lost"]
@@ -304,6 +305,7 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
         body_model: BodyModelId { name: "default".to_owned(), sha256: default_body().sha256() },
         repairs: None,
         report: Report {
+            landmarks: None,
             detector: Default::default(),
             consistency: None,
             geometry: Default::default(),

@@ -25,6 +25,7 @@ fn session(centers: &[[f64; 3]], n_frames: usize, step: f64) -> Session {
         fps: 25.0,
         first_frame: 0,
         n_frames,
+        dense: None,
         convention: KeypointConvention::Coco17,
         up_axis: None,
         start_timecode: None,

@@ -45,6 +45,7 @@ fn session() -> Session {
         fps: 25.0,
         first_frame: 0,
         n_frames: N_FRAMES,
+        dense: None,
         convention: KeypointConvention::Coco17,
         up_axis: None,
         start_timecode: None,

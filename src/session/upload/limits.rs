@@ -48,6 +48,8 @@ impl Default for UploadLimits {
     }
 }
 
+/// Largest number of keypoints of a person, beyond every convention; longer lists are refused while they are read.
+pub(crate) const MAX_KEYPOINTS_PER_PERSON: usize = 1000;
 /// Memory of a person besides their keypoints, in keypoints of 40 bytes, rounded up: 40 bytes and an allocation. Without it,
 /// millions of people without keypoints would cost nothing.
 pub(crate) const PERSON_AS_KEYPOINTS: usize = 4;

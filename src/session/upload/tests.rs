@@ -47,6 +47,7 @@ fn small_session() -> Session {
         fps: 29.97,
         first_frame: -3,
         n_frames: 5,
+        dense: None,
         convention: KeypointConvention::Coco17,
         up_axis: Some(UpAxis::Z),
         start_timecode: Some("10:00:00:12".to_owned()),

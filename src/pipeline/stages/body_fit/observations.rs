@@ -32,8 +32,8 @@ pub(super) struct PixelObservation {
     pub scale_px: f64,
     /// What the detector states of its error here.
     pub stated: Option<PixelCovariance>,
-    /// Makes the error round where its stated shape counts (determinant 1).
-    pub rounding: Option<Matrix2<f64>>,
+    /// Whitens the shape of the error as far as its stated covariance counts (determinant 1).
+    pub whitening: Option<Matrix2<f64>>,
 }
 
 /// A camera with a pose.
@@ -98,7 +98,7 @@ impl Observations {
 pub(super) fn gather_observations(people: &TrackedPeople, track: &PersonTrack, model: &BodyModel) -> Observations {
     let TrackedPeople { session, noise, cameras, points, .. } = *people;
     let points = points.iter().find(|p| p.person == track.person);
-    let landmarks = model.landmarks_of(session.convention);
+    let landmarks = session.landmarks_on(model);
     let camera_of_view: Vec<Option<usize>> = cameras
         .iter()
         .scan(0, |n_posed, camera| {
@@ -151,7 +151,7 @@ impl FrameSource<'_> {
                 let Some(landmark) = landmark.filter(|_| keypoint.is_present()) else { continue };
                 let scale_px = size_px * self.noise.factor(keypoint.confidence.max(DETECTOR.comparable));
                 let (pixel, stated) = (keypoint.pixel, keypoint.covariance);
-                pixels.push(PixelObservation { landmark, camera, pixel, scale_px, stated, rounding: None });
+                pixels.push(PixelObservation { landmark, camera, pixel, scale_px, stated, whitening: None });
             }
         }
         pixels.sort_by_key(|pixel| pixel.landmark);

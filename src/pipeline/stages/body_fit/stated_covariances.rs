@@ -132,7 +132,7 @@ fn apply(observations: &mut Observations, exponent: f64, log_ratios: &[f64]) {
     for pixel in observations.pixels.iter_mut().flatten() {
         let (Some(stated), Some(ratio)) = (pixel.stated, log_ratio(pixel)) else { continue };
         pixel.scale_px *= (exponent * (ratio - log_ratios[pixel.landmark])).exp();
-        pixel.rounding = Some(stated.rounding(exponent));
+        pixel.whitening = Some(stated.whitening(exponent));
     }
 }
 

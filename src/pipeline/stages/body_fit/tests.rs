@@ -155,6 +155,7 @@ fn scene_of(model: &BodyModel, truth: &Truth, convention: KeypointConvention, qu
         fps: truth.fps,
         first_frame: 0,
         n_frames,
+        dense: None,
         convention,
         up_axis: None,
         start_timecode: None,

@@ -6,6 +6,9 @@ use crate::geometry::projection::NormalizedProjection;
 use crate::matching::consistency::{PosedDetection, physics_affinity};
 use crate::session::Keypoint;
 
+/// Index of the flip that changes nothing.
+pub(super) const UNCHANGED: usize = 0;
+
 /// A permutation of keypoints.
 pub(super) struct Flip {
     /// For every keypoint of the body the index of the detection's keypoint that shows it.

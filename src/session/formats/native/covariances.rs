@@ -1,11 +1,11 @@
 //! Reader of what a detector states of its own errors: beside `keypoints` either `covariances`, `[[xx, xy, yy], …]` in px^2,
 //! or `sigmas`, `[s, …]` in px; one entry per keypoint, `null` where it is unknown.
 
-use super::frames::MAX_KEYPOINTS_PER_PERSON;
 use crate::geometry::PixelCovariance;
 use crate::session::recording::Keypoint;
 use crate::session::upload::error::{Fault, UploadError};
 use crate::session::upload::json::{Items, Numbers, Reading};
+use crate::session::upload::limits::MAX_KEYPOINTS_PER_PERSON;
 use serde::de::SeqAccess;
 
 /// The part of a person's statements that has been read.

@@ -6,12 +6,9 @@ use crate::session::recording::{Detection, Keypoint};
 use crate::session::upload::detections::{add_frame, check_frame_number, checked_keypoint};
 use crate::session::upload::error::{Fault, UploadError, shown};
 use crate::session::upload::json::{Fields, Items, List, Numbers, Object, Reading};
-use crate::session::upload::limits::PERSON_AS_KEYPOINTS;
+use crate::session::upload::limits::{MAX_KEYPOINTS_PER_PERSON, PERSON_AS_KEYPOINTS};
 use crate::session::upload::raw::{RawPoses, RawSession};
 use serde::de::{MapAccess, SeqAccess};
-
-/// Largest number of keypoints of a person, beyond every convention; longer lists are refused while they are read.
-pub(super) const MAX_KEYPOINTS_PER_PERSON: usize = 1000;
 
 /// The part of one camera's poses that has been read.
 pub(super) struct PosesFields {

@@ -1,5 +1,6 @@
 //! Writer of the native layout: the inverse of reading, rounded to a detector's precision.
 
+use super::landmarks::{Points, points_of};
 use crate::geometry::PixelCovariance;
 use crate::session::formats::{LensFields, entries, rounded, rows};
 use crate::session::recording::{Detection, FrameIndex, Keypoint, Session, View};
@@ -59,7 +60,7 @@ struct Document<'a> {
     fps: f64,
     n_frames: usize,
     first_frame: i64,
-    keypoint_convention: &'static str,
+    keypoint_convention: Points<'a>,
     #[serde(skip_serializing_if = "Option::is_none")]
     up_axis: Option<crate::session::recording::UpAxis>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -107,7 +108,7 @@ fn document_of<'a>(session: &'a Session, poses: Option<BTreeMap<&'a str, Poses>>
         fps: session.fps,
         n_frames: session.n_frames,
         first_frame: session.first_frame,
-        keypoint_convention: session.convention.name(),
+        keypoint_convention: points_of(session),
         up_axis: session.up_axis,
         start_timecode: session.start_timecode.as_deref(),
         cameras: session.views.iter().map(camera_of).collect(),

@@ -52,8 +52,8 @@ struct Seen {
     frame: usize,
     pixel: Vector2<f64>,
     sigma_px: f64,
-    /// Makes the error round, see [`PixelObservation::rounding`].
-    rounding: Option<Matrix2<f64>>,
+    /// Whitens the shape of the error, see [`PixelObservation::whitening`].
+    whitening: Option<Matrix2<f64>>,
     parts: Parts,
 }
 
@@ -153,7 +153,7 @@ impl WhitenedPixels {
                     frame,
                     pixel: pixel.pixel,
                     sigma_px: noise.shares[pixel.landmark] * pixel.scale_px,
-                    rounding: pixel.rounding,
+                    whitening: pixel.whitening,
                     parts,
                 });
             }
@@ -267,7 +267,7 @@ impl Channel {
         let residual = |seen: &Seen| {
             let position = &positions[seen.frame][landmark];
             let found = residual(&camera.intrinsics, &camera.camera_from_world, position, &seen.pixel, seen.sigma_px)?;
-            Some(seen.rounding.map_or(found, |rounding| rounding * found))
+            Some(seen.whitening.map_or(found, |whitening| whitening * found))
         };
         self.seen.iter().map(residual).collect()
     }
@@ -277,7 +277,7 @@ impl Channel {
         let linear = |seen: &Seen| {
             let position = &positions[seen.frame][landmark];
             let found = linearize(&camera.intrinsics, &camera.camera_from_world, position, &seen.pixel, seen.sigma_px)?;
-            Some(seen.rounding.map_or(found, |rounding| found.rounded(&rounding)))
+            Some(seen.whitening.map_or(found, |whitening| found.whitened(&whitening)))
         };
         self.seen.iter().map(linear).collect()
     }
