@@ -56,11 +56,12 @@ fn with_exchanged_covariances(session: &Session) -> Session {
 fn covariances_count_as_far_as_residuals_confirm_them() {
     let simulated = simulated(|config| config.noise.covariances = true);
     let right = solved(&simulated.session);
-    let names = ["covariance_exponent", "covariance_scale"];
-    let [exponent, scale] = names.map(|name| metric(&right, name).unwrap());
-    assert!(exponent > 0.2 && (0.5..2.0).contains(&scale), "exponent {exponent}, scale {scale}");
-    let exchanged = metric(&solved(&with_exchanged_covariances(&simulated.session)), names[0]).unwrap();
-    assert!(exchanged < 0.1, "covariances of other keypoints: exponent {exchanged}");
+    let names = ["covariance_size_exponent", "covariance_shape_exponent", "covariance_scale"];
+    let [size, shape, scale] = names.map(|name| metric(&right, name).unwrap());
+    assert!(size > 0.3 && shape > 0.5 && (0.5..2.0).contains(&scale), "size {size}, shape {shape}, scale {scale}");
+    let exchanged = solved(&with_exchanged_covariances(&simulated.session));
+    let exchanged = names.map(|name| metric(&exchanged, name).unwrap());
+    assert!(exchanged[0] < 0.3 && exchanged[1] < 0.2, "covariances of other keypoints: {exchanged:?}");
     let mut without = simulated.session.clone();
     let detections = without.views.iter_mut().flat_map(|view| view.frames.iter_mut().flatten());
     detections.flat_map(|detection| &mut detection.keypoints).for_each(|keypoint| keypoint.covariance = None);

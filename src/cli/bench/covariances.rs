@@ -72,8 +72,8 @@ const VARIANTS: [Variant; 5] = [
 struct Errors {
     camera_deg: f64,
     root12_mm: f64,
-    /// How far the covariances counted, 0 to 1.
-    exponent: f64,
+    /// How far stated sizes and shapes counted, 0 to 1.
+    exponents: [f64; 2],
 }
 
 /// The errors of a variant over those without covariances, means over the sessions (geometric).
@@ -82,7 +82,7 @@ struct Row {
     variant: &'static str,
     camera_angle_ratio: f64,
     root12_ratio: f64,
-    exponent: f64,
+    exponents: [f64; 2],
 }
 
 pub(super) fn run(args: &CovariancesArgs) -> anyhow::Result<()> {
@@ -92,7 +92,7 @@ pub(super) fn run(args: &CovariancesArgs) -> anyhow::Result<()> {
     }
     let is_wanted = |variant: &&Variant| args.only.is_empty() || args.only.iter().any(|name| *name == variant.name);
     let variants: Vec<&Variant> = VARIANTS.iter().filter(is_wanted).collect();
-    let mut ratios: Vec<Vec<[f64; 3]>> = vec![Vec::new(); variants.len()];
+    let mut ratios: Vec<Vec<[f64; 4]>> = vec![Vec::new(); variants.len()];
     for seed in args.seed..args.seed + args.count {
         let (session, folder) = simulated(args, seed)?;
         let errors = |name: &str, change: fn(&mut Detection)| {
@@ -106,30 +106,30 @@ pub(super) fn run(args: &CovariancesArgs) -> anyhow::Result<()> {
             let with = errors(variant.name, variant.change)?;
             let (camera, root12) = (with.camera_deg / without.camera_deg, with.root12_mm / without.root12_mm);
             println!(
-                "seed {seed}: {}: camera {camera:.3}, root12 {root12:.3} times, exponent {:.2}",
-                variant.name, with.exponent
+                "seed {seed}: {}: camera {camera:.3}, root12 {root12:.3} times, exponents {:.2?}",
+                variant.name, with.exponents
             );
-            ratios.push([camera, root12, with.exponent]);
+            ratios.push([camera, root12, with.exponents[0], with.exponents[1]]);
         }
     }
     let rows: Vec<Row> = variants.iter().zip(&ratios).map(|(variant, ratios)| row(variant.name, ratios)).collect();
     for row in &rows {
         println!(
-            "{}: camera angle {:.3}, root12 {:.3} times, exponent {:.2}",
-            row.variant, row.camera_angle_ratio, row.root12_ratio, row.exponent
+            "{}: camera angle {:.3}, root12 {:.3} times, exponents {:.2?}",
+            row.variant, row.camera_angle_ratio, row.root12_ratio, row.exponents
         );
     }
     let path = args.out.join("covariances.json");
     std::fs::write(&path, serde_json::to_string_pretty(&rows)? + "\n").with_context(|| path.display().to_string())
 }
 
-fn row(variant: &'static str, ratios: &[[f64; 3]]) -> Row {
-    let mean = |value: &dyn Fn(&[f64; 3]) -> f64| ratios.iter().map(value).sum::<f64>() / ratios.len().max(1) as f64;
+fn row(variant: &'static str, ratios: &[[f64; 4]]) -> Row {
+    let mean = |value: &dyn Fn(&[f64; 4]) -> f64| ratios.iter().map(value).sum::<f64>() / ratios.len().max(1) as f64;
     Row {
         variant,
         camera_angle_ratio: mean(&|ratios| ratios[0].ln()).exp(),
         root12_ratio: mean(&|ratios| ratios[1].ln()).exp(),
-        exponent: mean(&|ratios| ratios[2]),
+        exponents: [mean(&|ratios| ratios[2]), mean(&|ratios| ratios[3])],
     }
 }
 
@@ -159,11 +159,11 @@ fn solved(session: &Session, folder: &Path, name: &str) -> anyhow::Result<Errors
     let out = folder.join(name.replace(' ', "-"));
     let found = evaluated(session, &Options::default(), "", &folder.join("gt"), Alignment::Sim3, &out)?;
     let stages = &found.result.report.stages;
-    let exponent = stages.iter().find_map(|stage| stage.metrics.get("covariance_exponent"));
+    let exponent = |name: &str| stages.iter().find_map(|stage| stage.metrics.get(name)).copied().unwrap_or(0.0);
     Ok(Errors {
         camera_deg: found.errors.cameras.and_then(|cameras| cameras.sim3.angle_deg).unwrap_or(f64::NAN),
         root12_mm: found.errors.poses.and_then(|poses| poses.mpjpe.root12).unwrap_or(f64::NAN),
-        exponent: exponent.copied().unwrap_or(0.0),
+        exponents: ["covariance_size_exponent", "covariance_shape_exponent"].map(exponent),
     })
 }
 

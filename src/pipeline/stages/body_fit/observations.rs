@@ -31,9 +31,17 @@ pub(super) struct PixelObservation {
     /// proportional to it.
     pub scale_px: f64,
     /// What the detector states of its error here.
-    pub stated: Option<PixelCovariance>,
+    pub stated: Option<StatedError>,
     /// Whitens the shape of the error as far as its stated covariance counts (determinant 1).
     pub whitening: Option<Matrix2<f64>>,
+}
+
+/// A covariance as the detector states it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct StatedError {
+    pub covariance: PixelCovariance,
+    /// Apparent size of the person, px.
+    pub size_px: f64,
 }
 
 /// A camera with a pose.
@@ -150,7 +158,8 @@ impl FrameSource<'_> {
             for (keypoint, landmark) in detection.keypoints.iter().zip(landmarks) {
                 let Some(landmark) = landmark.filter(|_| keypoint.is_present()) else { continue };
                 let scale_px = size_px * self.noise.factor(keypoint.confidence.max(DETECTOR.comparable));
-                let (pixel, stated) = (keypoint.pixel, keypoint.covariance);
+                let stated = keypoint.covariance.map(|covariance| StatedError { covariance, size_px });
+                let pixel = keypoint.pixel;
                 pixels.push(PixelObservation { landmark, camera, pixel, scale_px, stated, whitening: None });
             }
         }

@@ -1,13 +1,14 @@
 //! How far the covariances that a detector states decide.
 //!
 //! Detectors are overconfident, or state something that has little to do with their errors. Their covariances `C` are therefore
-//! never taken as they are: a pixel's error has the covariance
+//! never taken as they are: a pixel of landmark l, whose scale is the person's size times the noise factor f of its confidence, has
+//! an error of the covariance
 //!
-//! `share_l^2 (scale^2 I)^(1 - a) (C / g_l^2)^a`
+//! `(share_l scale x^a y^-c)^2 (C / sqrt|C|)^b`, `x = |C|^(1/4) / size / g_l`, `y = f / f_l`
 //!
-//! with the size `share_l` that the session's own residuals show of landmark l, the scale of a pixel without a stated covariance,
-//! `g_l` the mean (of logarithms) of the stated sizes over those scales, so that sizes far off by a common factor change nothing,
-//! and `0 <= a <= 1` the exponent under which the innovations of the first fit are likeliest. 0 is a covariance that is ignored.
+//! with the share that the session's own residuals show, and geometric means `g_l`, `f_l` over the landmark's pixels: sizes that are
+//! off by a common factor change nothing. The exponents a of sizes, b of shapes, and `c <= a` of what the confidence no longer has
+//! to say, are those from 0 to 1 under which the innovations of the first fit are likeliest. All at 0: covariances are ignored.
 
 use super::context::FitContext;
 use super::joint_problem::Member;
@@ -18,22 +19,42 @@ use super::terms::noise_process::PathNoise;
 use super::terms::whitened_pixels::WhitenedPixels;
 use crate::optim::robust::median;
 
+/// How far the stated covariances count, 0 (not at all) to 1.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+struct Exponents {
+    /// Of the stated sizes: `a`.
+    size: f64,
+    /// Of the stated shapes: `b`.
+    shape: f64,
+    /// Of the confidence, which is taken back by this: `c`.
+    confidence: f64,
+}
+
 /// What the session shows of the stated covariances.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct StatedCovariances {
-    /// Exponent `a`, 0 to 1.
-    pub exponent: f64,
+    exponents: Exponents,
     /// Standard deviation that the residuals show over the stated one; the median of the landmarks.
-    pub scale: f64,
-    /// Mean logarithm of stated sizes over scales, by landmark: `ln g_l`.
-    log_ratios: Vec<f64>,
+    scale: f64,
 }
 
-/// Exponents that are tried; the maximum of the parabola through the best and its neighbours is taken.
-const N_STEPS: usize = 8;
+/// Means over a landmark's pixels with a stated covariance: of the logarithms of stated size over apparent size, and of the factor of
+/// the confidence.
+#[derive(Debug, Clone, Copy, Default)]
+struct Means {
+    log_ratio: f64,
+    log_factor: f64,
+    n: f64,
+}
 
-/// Most frames of all persons on which the exponent is measured: errors of a thousand frames tell it to a hundredth.
-const MAX_FRAMES: usize = 1200;
+/// Values that are tried of an exponent, from 0 to 1; the maximum of the parabola through the best and its neighbours is taken.
+const N_STEPS: usize = 4;
+
+/// Rounds over the exponents: after the first, sizes and shapes are right to a tenth.
+const N_ROUNDS: usize = 2;
+
+/// Most frames of all persons on which the exponents are measured: errors of some hundred frames tell them to a few hundredths.
+const MAX_FRAMES: usize = 500;
 
 /// Fewest frames of one person.
 const MIN_FRAMES: usize = 60;
@@ -52,24 +73,38 @@ pub(super) fn weigh_stated_covariances(
     if n_cameras < 2 || !pixels().any(|pixel| pixel.stated.is_some()) {
         return None;
     }
-    let log_ratios = log_ratios(context.model.landmarks.len(), pixels());
+    let means = means(context.model.landmarks.len(), pixels());
     let n_frames = (MAX_FRAMES / started.iter().flatten().count()).max(MIN_FRAMES);
     let member = |(observations, fit): &(Observations, StartedMotion)| {
         Member::of(observations, fit, observations.most_seen(fit.window.clone(), n_frames), 1)
     };
     let members: Vec<Member> = started.iter().flatten().map(member).collect();
-    let exponent = likeliest(|exponent| likelihood(context, &weighed(&members, exponent, &log_ratios)).0);
-    let noise = likelihood(context, &weighed(&members, exponent, &log_ratios)).1;
-    let stated = StatedCovariances { exponent, scale: scale(&noise, &log_ratios), log_ratios };
+    let exponents = likeliest_exponents(|exponents| likelihood(context, &weighed(&members, &exponents, &means)).0);
+    let noise = likelihood(context, &weighed(&members, &exponents, &means)).1;
     for (observations, _) in started.iter_mut().flatten() {
-        stated.apply(observations);
+        apply(observations, &exponents, &means);
     }
-    Some(stated)
+    Some(StatedCovariances { exponents, scale: scale(&noise, &means) })
 }
 
-/// The exponent at which `log_likelihood` is largest.
-fn likeliest(log_likelihood: impl Fn(f64) -> f64) -> f64 {
-    let at = |step: usize| step as f64 / N_STEPS as f64;
+/// One exponent after the other, in rounds.
+fn likeliest_exponents(log_likelihood: impl Fn(Exponents) -> f64) -> Exponents {
+    let mut best = Exponents::default();
+    for _ in 0..N_ROUNDS {
+        best.shape = likeliest(1.0, |shape| log_likelihood(Exponents { shape, ..best }));
+        best.size =
+            likeliest(1.0, |size| log_likelihood(Exponents { size, confidence: best.confidence.min(size), ..best }));
+        best.confidence = likeliest(best.size, |confidence| log_likelihood(Exponents { confidence, ..best }));
+    }
+    best
+}
+
+/// The value from 0 to `largest` at which `log_likelihood` is largest.
+fn likeliest(largest: f64, log_likelihood: impl Fn(f64) -> f64) -> f64 {
+    if largest == 0.0 {
+        return 0.0;
+    }
+    let at = |step: usize| largest * step as f64 / N_STEPS as f64;
     let values: Vec<f64> = (0..=N_STEPS).map(|step| log_likelihood(at(step))).collect();
     let best = (0..=N_STEPS).max_by(|&a, &b| values[a].total_cmp(&values[b]).then(b.cmp(&a))).unwrap_or(0);
     let exponent = match best {
@@ -94,56 +129,64 @@ fn likelihood(context: &FitContext, members: &[Member]) -> (f64, PathNoise) {
     (innovations.log_likelihood(), noise)
 }
 
-fn weighed(members: &[Member], exponent: f64, log_ratios: &[f64]) -> Vec<Member> {
+fn weighed(members: &[Member], exponents: &Exponents, means: &[Means]) -> Vec<Member> {
     let weighed = |member: &Member| {
         let mut member = member.clone();
-        apply(&mut member.observations, exponent, log_ratios);
+        apply(&mut member.observations, exponents, means);
         member
     };
     members.iter().map(weighed).collect()
 }
 
-fn log_ratio(pixel: &PixelObservation) -> Option<f64> {
-    Some((pixel.stated?.size() / pixel.scale_px).ln())
+/// Logarithms of the stated size over the apparent one, and of the factor of the confidence.
+fn logarithms(pixel: &PixelObservation) -> Option<[f64; 2]> {
+    let stated = pixel.stated?;
+    Some([(stated.covariance.size() / stated.size_px).ln(), (pixel.scale_px / stated.size_px).ln()])
 }
 
-fn log_ratios<'a>(n_landmarks: usize, pixels: impl Iterator<Item = &'a PixelObservation>) -> Vec<f64> {
-    let mut sums = vec![(0.0, 0.0); n_landmarks];
+fn means<'a>(n_landmarks: usize, pixels: impl Iterator<Item = &'a PixelObservation>) -> Vec<Means> {
+    let mut sums = vec![Means::default(); n_landmarks];
     for pixel in pixels {
-        if let Some(ratio) = log_ratio(pixel) {
-            let (sum, n) = &mut sums[pixel.landmark];
-            (*sum, *n) = (*sum + ratio, *n + 1.0);
+        if let Some([log_ratio, log_factor]) = logarithms(pixel) {
+            let sum = &mut sums[pixel.landmark];
+            sum.log_ratio += log_ratio;
+            sum.log_factor += log_factor;
+            sum.n += 1.0;
         }
     }
-    sums.into_iter().map(|(sum, n)| if n > 0.0 { sum / n } else { 0.0 }).collect()
+    let mean = |sum: Means| {
+        let n = sum.n.max(1.0);
+        Means { log_ratio: sum.log_ratio / n, log_factor: sum.log_factor / n, n: sum.n }
+    };
+    sums.into_iter().map(mean).collect()
 }
 
-/// Median over the landmarks of the measured over the stated standard deviation; of two sizes of a pixel, the mean logarithms are
-/// compared.
-fn scale(noise: &PathNoise, log_ratios: &[f64]) -> f64 {
-    let stated = noise.shares.iter().zip(log_ratios).filter(|(_, log_ratio)| **log_ratio != 0.0);
-    median(&mut stated.map(|(share, log_ratio)| share / log_ratio.exp()).collect::<Vec<_>>()).unwrap_or(1.0)
+/// Median over the landmarks of the measured over the stated standard deviation, by their mean logarithms.
+fn scale(noise: &PathNoise, means: &[Means]) -> f64 {
+    let stated = noise.shares.iter().zip(means).filter(|(_, means)| means.n > 0.0);
+    let ratio = |(share, means): (&f64, &Means)| share * (means.log_factor - means.log_ratio).exp();
+    median(&mut stated.map(ratio).collect::<Vec<_>>()).unwrap_or(1.0)
 }
 
-fn apply(observations: &mut Observations, exponent: f64, log_ratios: &[f64]) {
-    if exponent == 0.0 {
-        return;
-    }
+fn apply(observations: &mut Observations, exponents: &Exponents, means: &[Means]) {
     for pixel in observations.pixels.iter_mut().flatten() {
-        let (Some(stated), Some(ratio)) = (pixel.stated, log_ratio(pixel)) else { continue };
-        pixel.scale_px *= (exponent * (ratio - log_ratios[pixel.landmark])).exp();
-        pixel.whitening = Some(stated.whitening(exponent));
+        let (Some(stated), Some([log_ratio, log_factor])) = (pixel.stated, logarithms(pixel)) else { continue };
+        let means = &means[pixel.landmark];
+        let by_size = exponents.size * (log_ratio - means.log_ratio);
+        pixel.scale_px *= (by_size - exponents.confidence * (log_factor - means.log_factor)).exp();
+        pixel.whitening = (exponents.shape > 0.0).then(|| stated.covariance.whitening(exponents.shape));
     }
 }
 
 impl StatedCovariances {
-    fn apply(&self, observations: &mut Observations) {
-        apply(observations, self.exponent, &self.log_ratios);
-    }
-
     /// For the report.
-    pub(super) fn metrics(&self) -> [(String, f64); 2] {
-        [("covariance_exponent".to_owned(), self.exponent), ("covariance_scale".to_owned(), self.scale)]
+    pub(super) fn metrics(&self) -> [(String, f64); 3] {
+        let Exponents { size, shape, .. } = self.exponents;
+        [
+            ("covariance_size_exponent".to_owned(), size),
+            ("covariance_shape_exponent".to_owned(), shape),
+            ("covariance_scale".to_owned(), self.scale),
+        ]
     }
 }
 
@@ -153,13 +196,25 @@ mod tests {
 
     #[test]
     fn the_likeliest_exponent_is_that_of_the_parabola() {
-        for wanted in [0.3, 0.55, 0.9] {
-            let found = likeliest(|a| -40.0 * (a - wanted) * (a - wanted));
+        for wanted in [0.3, 0.55, 0.8] {
+            let found = likeliest(1.0, |a| -40.0 * (a - wanted) * (a - wanted));
             assert!((found - wanted).abs() < 1e-9, "{found}");
         }
-        assert_eq!(likeliest(|a| -a), 0.0);
-        assert_eq!(likeliest(|a| a), 1.0);
-        assert_eq!(likeliest(|a| -(a - 0.02) * (a - 0.02)), 0.0, "what chance explains is ignored");
-        assert_eq!(likeliest(|_| 0.0), 0.0);
+        assert_eq!(likeliest(1.0, |a| -a), 0.0);
+        assert_eq!(likeliest(0.6, |a| a), 0.6);
+        assert_eq!(likeliest(1.0, |a| -(a - 0.02) * (a - 0.02)), 0.0, "what chance explains is ignored");
+        assert_eq!(likeliest(1.0, |_| 0.0), 0.0);
+    }
+
+    #[test]
+    fn confidence_gives_way_to_stated_sizes_alone() {
+        let cost = |e: Exponents, [size, shape, confidence]: [f64; 3]| {
+            -(e.size - size).powi(2) - (e.shape - shape).powi(2) - (e.confidence - confidence).powi(2)
+        };
+        let found = likeliest_exponents(|e| cost(e, [0.8, 0.5, 0.4]));
+        assert!((found.size - 0.8).abs() < 1e-9 && (found.shape - 0.5).abs() < 1e-9, "{found:?}");
+        assert!((found.confidence - 0.4).abs() < 1e-9, "{found:?}");
+        let ignored = likeliest_exponents(|e| cost(e, [0.0, 0.0, 0.9]));
+        assert_eq!(ignored, Exponents::default());
     }
 }
