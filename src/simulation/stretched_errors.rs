@@ -18,7 +18,7 @@ const RANGE: f64 = 3.0;
 /// Time after which sizes and directions are correlated by 1/e, s. Chosen: between motion blur and occlusion.
 const STRETCH_SECS: f64 = 0.5;
 
-/// The stretches of one person's errors in one view.
+/// The stretches of one person's errors in a view.
 pub(super) struct StretchedErrors {
     rng: ChaCha8Rng,
     drift: Drift,

@@ -172,7 +172,7 @@ fn of_column(keypoint: &Keypoint) -> f64 {
     if keypoint.pixel.x.rem_euclid(2.0) < 1.0 { 10.0 } else { 0.1 }
 }
 
-/// Multiplies the covariance of each keypoint; by what is no number it is removed.
+/// Multiplies the covariance of each keypoint; NaN removes it.
 fn scale(detection: &mut Detection, factor: fn(&Keypoint) -> f64) {
     for keypoint in &mut detection.keypoints {
         let jacobian = Matrix2::identity() * factor(keypoint).sqrt();

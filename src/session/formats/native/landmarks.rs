@@ -145,7 +145,7 @@ pub fn landmarks_json(name: &str, stated: &[StatedLandmark]) -> serde_json::Resu
 /// Name and landmarks of a document that [`landmarks_json`] wrote; to be checked as of an upload.
 ///
 /// # Errors
-/// [`UploadError`] where the text is no such document.
+/// [`UploadError`] where the text differs from such a document.
 pub fn landmarks_from_json(text: &[u8]) -> Result<(String, Vec<StatedLandmark>), UploadError> {
     let (limits, mut warnings) = (UploadLimits::default(), Warnings::default());
     let (mut reading, mut points) = (Reading::new(&limits, &mut warnings), PointsFields::default());
