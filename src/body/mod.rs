@@ -5,6 +5,7 @@ pub mod bone_offsets;
 pub mod bones;
 pub mod capsules;
 pub mod default_body;
+pub mod dense_landmarks;
 pub mod detector_noise;
 pub mod detector_offsets;
 pub mod detector_profile;

@@ -2,7 +2,9 @@
 
 mod ablation;
 mod bodies;
+mod covariances;
 mod coverage;
+mod evaluated;
 mod hands;
 mod joint_angles;
 mod markers;
@@ -47,6 +49,8 @@ enum Bench {
     Bodies(bodies::BodiesArgs),
     /// Errors of fingers, wrists, cameras and bodies on simulated sessions with 133 points, against 17 points of the same detections
     Hands(hands::HandsArgs),
+    /// What the covariances that a detector states are worth: errors with them, with wrong ones and without, on simulated sessions
+    Covariances(covariances::CovariancesArgs),
     /// Ablation study on given or simulated sessions with ground truth; a table as Markdown and as JSON
     Ablation(ablation::AblationArgs),
     /// Errors of virtual skin markers on two dancing people with 1 to 12 cameras; a table as Markdown and as JSON
@@ -66,6 +70,7 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
         }
         Bench::Bodies(args) => bodies::run(&args),
         Bench::Hands(args) => hands::run(&args),
+        Bench::Covariances(args) => covariances::run(&args),
         Bench::Ablation(args) => ablation::run(&args),
         Bench::Markers(args) => markers::run(&args),
         Bench::Mistakes(args) => mistakes::run(&args),

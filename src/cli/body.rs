@@ -1,11 +1,14 @@
 //! `wandless body`: inspects, registers and exports body models.
 
 use super::bad_input::BadInput;
+use super::simulate::parse_convention;
+use crate::body::dense_landmarks::{checked_table, spread_over_skin};
 use crate::body::loader::{LandmarkTable, body_glb, body_npz, body_obj, load_body};
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention, PARENTS};
 use crate::body::{Betas, BodyModel, default_body};
 #[cfg(feature = "service")]
 use crate::service::{bodies, settings::DEFAULT_DATA};
+use crate::session::formats::native::landmarks_json;
 use anyhow::Context;
 use std::path::{Path, PathBuf};
 
@@ -47,6 +50,24 @@ enum Action {
         #[arg(long, default_value = DEFAULT_DATA)]
         data: PathBuf,
     },
+    /// Write a table of landmarks that are spread over a body's skin, behind the keypoints of a convention
+    Landmarks {
+        /// Number of landmarks
+        #[arg(long, default_value_t = 150)]
+        count: usize,
+        /// Output file; beside session.json it is read as landmarks.json
+        #[arg(long)]
+        out: PathBuf,
+        /// Keypoint convention that comes first
+        #[arg(long, value_parser = parse_convention, default_value = "coco17")]
+        base: KeypointConvention,
+        /// Number of the vertex to begin with
+        #[arg(long, default_value_t = 0)]
+        seed: usize,
+        /// SMPL .npz or .pkl file [default: the embedded body]
+        #[arg(long)]
+        body: Option<PathBuf>,
+    },
     /// Export a body in its rest pose
     Export {
         /// Output file: .npz (SMPL layout), .obj or .glb (mesh)
@@ -79,6 +100,12 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
                 println!("{}: {}", body.name, body.file);
             }
             Ok(())
+        }
+        Action::Landmarks { count, out, base, seed, body } => {
+            let table = spread_over_skin(&read_body(body.as_deref(), None)?, base, count, seed);
+            let name = format!("{}+{count}", base.name());
+            checked_table(&name, &table).map_err(|error| BadInput(error.to_string()))?;
+            std::fs::write(&out, landmarks_json(&name, &table)?).with_context(|| out.display().to_string())
         }
         Action::Export { out, body } => {
             let bytes = exported(&read_body(body.as_deref(), None)?, &out)?;

@@ -1,8 +1,10 @@
 //! `wandless simulate`: simulates a session with exact ground truth.
 
+use super::bad_input::BadInput;
 use super::noise::NoiseName;
+use crate::body::dense_landmarks::checked_table;
 use crate::body::skeleton::KeypointConvention;
-use crate::session::formats::native;
+use crate::session::formats::native::{self, landmarks_from_json};
 use crate::simulation::{
     Bodies, HandNoise, Lens, MotionSource, Preset, SimulationConfig, Statistics, Tracks, random_rig_config,
 };
@@ -10,6 +12,7 @@ use crate::simulation::{simulate, write_truth};
 use anyhow::Context;
 use clap::ValueEnum;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// Simulates people, cameras and detectors; writes a session with its ground truth in `gt/`.
 ///
@@ -25,6 +28,9 @@ pub(super) struct Args {
     /// Kind of the errors; their rates are those of the preset
     #[arg(long, value_enum, default_value_t = NoiseName::Presets)]
     noise: NoiseName,
+    /// Anisotropic errors of changing size, whose covariances the detector states
+    #[arg(long)]
+    covariances: bool,
     /// Seed of all random numbers
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -43,6 +49,9 @@ pub(super) struct Args {
     /// Keypoint convention
     #[arg(long, value_parser = parse_convention)]
     convention: Option<KeypointConvention>,
+    /// Landmarks behind the keypoints: a file of `body landmarks`; needs --default-bodies or --individual-bodies
+    #[arg(long, value_name = "FILE")]
+    landmarks: Option<PathBuf>,
     /// Scope of track ids: the same person in all views, per view, or none
     #[arg(long, value_enum)]
     tracks: Option<TracksName>,
@@ -132,7 +141,14 @@ pub(super) fn run(args: Args) -> anyhow::Result<()> {
 /// # Errors
 /// As [`run`].
 pub(super) fn simulate_into_folder(args: &Args) -> anyhow::Result<Statistics> {
-    let config = config(args);
+    let mut config = config(args);
+    if let Some(path) = &args.landmarks {
+        let shown = |error: &dyn std::fmt::Display| BadInput(format!("{}: {error}", path.display()));
+        let bytes = std::fs::read(path).map_err(|error| shown(&error))?;
+        let (name, stated) = landmarks_from_json(&bytes).map_err(|error| shown(&error))?;
+        let table = checked_table(&name, &stated).map_err(|error| shown(&error))?;
+        (config.convention, config.dense) = (table.base, table.dense.map(Arc::new));
+    }
     let simulated = simulate(&config)?;
     let write =
         || native::write_folder(&simulated.session, &args.out).and_then(|()| write_truth(&simulated, &args.out));
@@ -149,6 +165,7 @@ fn config(args: &Args) -> SimulationConfig {
     };
     config.seed = args.seed;
     config.noise = args.noise.of(config.noise);
+    config.noise.covariances = args.covariances;
     if args.default_bodies {
         config.bodies = Bodies::Default;
     }
@@ -205,7 +222,7 @@ fn set<T>(field: &mut T, given: Option<T>) {
     }
 }
 
-fn parse_convention(name: &str) -> Result<KeypointConvention, String> {
+pub(super) fn parse_convention(name: &str) -> Result<KeypointConvention, String> {
     KeypointConvention::parse(name).ok_or_else(|| {
         let known: Vec<&str> = KeypointConvention::ALL.into_iter().map(KeypointConvention::name).collect();
         format!("one of {} expected", known.join(", "))
@@ -240,9 +257,9 @@ mod tests {
     #[test]
     fn written_session_reads_back_unchanged() {
         let folder = tempfile::tempdir().unwrap();
-        for noise in ["presets", "real"] {
+        for (k, noise) in ["presets", "real", "presets --covariances", "real --covariances"].into_iter().enumerate() {
             let mut args = args(&format!("--out x --preset hard --frames 40 --noise {noise}"));
-            args.out = folder.path().join(noise);
+            args.out = folder.path().join(k.to_string());
             let out = args.out.clone();
             let simulated = simulate(&config(&args)).unwrap();
             run(args).unwrap();

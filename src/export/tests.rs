@@ -15,8 +15,7 @@ use std::io::Read;
 const TURN: Vector3<f64> = Vector3::new(0.3, -0.2, 0.1);
 
 fn session() -> Session {
-    let detection =
-        Detection { track_id: None, keypoints: vec![Keypoint { pixel: Vector2::new(1.0, 2.0), confidence: 1.0 }; 17] };
+    let detection = Detection { track_id: None, keypoints: vec![Keypoint::new(Vector2::new(1.0, 2.0), 1.0); 17] };
     let view = |id: &str| View {
         id: id.to_owned(),
         intrinsics: Intrinsics {
@@ -40,6 +39,7 @@ fn session() -> Session {
         fps: 25.0,
         first_frame: 300,
         n_frames: 3,
+        dense: None,
         convention: KeypointConvention::Coco17,
         up_axis: None,
         start_timecode: None,
@@ -104,6 +104,7 @@ fn reconstruction() -> Reconstruction {
         }),
         report: Report {
             detector: KeypointBias::default(),
+            landmarks: None,
             consistency: None,
             geometry: GeometryReport::default(),
             penetration: PenetrationReport::default(),

@@ -7,6 +7,7 @@ pub mod euler;
 pub mod five_point;
 pub mod free_network;
 pub mod p3p;
+pub mod pixel_covariance;
 pub mod polynomial;
 pub mod projection;
 pub mod rigid;
@@ -16,5 +17,6 @@ pub mod svd;
 pub mod triangulation;
 
 pub use camera::{Distortion, Intrinsics};
+pub use pixel_covariance::PixelCovariance;
 pub use rigid::Rigid;
 pub use similarity::Similarity;

@@ -63,13 +63,13 @@ fn with_pixels(
     let mut repaired = session.clone();
     for View { intrinsics, frames, .. } in concerned(&mut repaired, suspicion) {
         let keypoints = frames.iter_mut().flatten().flat_map(|detection| &mut detection.keypoints);
-        keypoints.filter(|k| k.is_present()).for_each(|k| k.pixel = change(intrinsics, k.pixel));
+        keypoints.filter(|k| k.is_present()).for_each(|k| *k = k.mapped(|pixel| change(intrinsics, pixel)));
     }
     repaired
 }
 
 fn with_labels_exchanged(session: &Session, suspicion: &Suspicion) -> Session {
-    let twins = session.convention.mirror();
+    let twins = session.mirror();
     let mut repaired = session.clone();
     for detection in concerned(&mut repaired, suspicion).flat_map(|view| view.frames.iter_mut().flatten()) {
         *detection = detection.with_sides_exchanged(&twins);

@@ -25,7 +25,7 @@ use crate::geometry::{Rigid, Similarity};
 use crate::optim::robust::{INTERVAL_95, median, quantile};
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{
-    BodyModelId, KeypointBias, PenetrationReport, Report, ScaleReport, SigmaSummary, SolvedCamera,
+    BodyModelId, KeypointBias, LandmarkTableId, PenetrationReport, Report, ScaleReport, SigmaSummary, SolvedCamera,
 };
 use crate::session::recording::UpAxis;
 use crate::session::{BodyMotion, JointTrajectory, PersonTrack, Reconstruction, Session, Suspicion};
@@ -134,7 +134,6 @@ impl Solution {
         let hands = associated_hands(&self.calibration.people(capture.session, &self.trajectories));
         // With every hand at its person and side; without hands the session as it is.
         let observed = hands.as_ref().map_or(capture.session, |hands| &hands.session);
-        let with_knuckles = hands.as_ref().map(|_| with_hand_landmarks(model));
         let input = self.calibration.people(observed, &self.trajectories);
         let is_monocular = capture.session.views.len() == 1;
         let config = if is_monocular { BodyFitConfig::monocular() } else { BodyFitConfig::default() };
@@ -150,6 +149,12 @@ impl Solution {
             known_covariance: self.calibration.with_bodies.clone(),
             ..config
         };
+        // No convention with hands is the base of a dense table.
+        let extended = match &capture.session.dense {
+            Some(dense) => Some(dense.on(model)),
+            None => hands.as_ref().map(|_| with_hand_landmarks(model)),
+        };
+        let fitted_model = extended.as_ref().unwrap_or(model);
         let FittedBodies {
             mut motions,
             measures,
@@ -160,7 +165,7 @@ impl Solution {
             cameras,
             camera_covariance,
             focal,
-        } = fit_bodies(&input, &self.upright(capture), with_knuckles.as_ref().unwrap_or(model), &config, progress)?;
+        } = fit_bodies(&input, &self.upright(capture), fitted_model, &config, progress)?;
         if is_monocular {
             detector.reason =
                 "a single view cannot separate keypoint bias of the detector from the poses of people".to_owned();
@@ -331,6 +336,7 @@ impl Solution {
             heldout_px: self.heldout_px,
             suspicions: self.suspicions.clone(),
             scale: self.scale.clone(),
+            landmarks: session.dense.as_ref().map(|dense| LandmarkTableId::of(dense, session.convention)),
             detector: KeypointBias::default(),
             consistency: None,
             penetration,

@@ -3,7 +3,7 @@
 use super::position_cost::PositionCost;
 use crate::geometry::{Intrinsics, Rigid};
 use crate::optim::robust::{Robust, geman_mcclure, geman_mcclure_ceiling};
-use nalgebra::{Matrix2x3, Matrix2x6, Matrix3, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Matrix3, Vector2, Vector3};
 
 /// A reprojection residual and its derivatives.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -16,6 +16,18 @@ pub struct Reprojection {
     pub by_camera: Matrix2x6<f64>,
     /// By the logarithm of a common factor on both focal lengths (and the skew): pixel from the principal point.
     pub by_log_focal: Vector2<f64>,
+}
+
+impl Reprojection {
+    /// The residual and its derivatives times `whitening`, the square root of the inverse of an anisotropic error's covariance.
+    pub fn whitened(&self, whitening: &Matrix2<f64>) -> Self {
+        Self {
+            residual: whitening * self.residual,
+            by_point: whitening * self.by_point,
+            by_camera: whitening * self.by_camera,
+            by_log_focal: whitening * self.by_log_focal,
+        }
+    }
 }
 
 /// The residual alone; `None` where the point lies behind the camera.
@@ -103,7 +115,8 @@ mod tests {
         let camera =
             Rigid { rotation: rotation::exp(&Vector3::new(0.3, -0.8, 0.2)), translation: Vector3::new(0.2, -0.4, 4.0) };
         let (point, pixel) = (Vector3::new(0.5, -0.3, 0.6), Vector2::new(500.0, 300.0));
-        let found = linearize(&INTRINSICS, &camera, &point, &pixel, 2.5).unwrap();
+        let whitening = Matrix2::new(1.5, -0.4, -0.4, 0.8);
+        let found = linearize(&INTRINSICS, &camera, &point, &pixel, 2.5).unwrap().whitened(&whitening);
         let mut jacobian = DMatrix::zeros(2, 10);
         jacobian.view_mut((0, 0), (2, 3)).copy_from(&found.by_point);
         jacobian.view_mut((0, 3), (2, 6)).copy_from(&found.by_camera);
@@ -118,7 +131,7 @@ mod tests {
             };
             let moved = camera.perturbed_left(&Vector3::new(d[3], d[4], d[5]), &Vector3::new(d[6], d[7], d[8]));
             let point = point + Vector3::new(d[0], d[1], d[2]);
-            residual(&lens, &moved, &point, &pixel, 2.5).unwrap().as_slice().to_vec()
+            (whitening * residual(&lens, &moved, &point, &pixel, 2.5).unwrap()).as_slice().to_vec()
         });
     }
 

@@ -1,7 +1,7 @@
 //! Sessions built in memory, with the checks of an upload.
 
 use super::formats::distortion_model;
-use super::recording::{Detection, Session, UpAxis};
+use super::recording::{Detection, Keypoint, Session, UpAxis};
 use super::upload::assemble::assemble;
 use super::upload::detections::{add_frame, check_frame_number, checked_keypoint};
 use super::upload::error::{Fault, UploadError};
@@ -22,7 +22,7 @@ use crate::geometry::{Intrinsics, Rigid};
 ///
 /// let (fx, fy, cx, cy) = (1000.0, 1000.0, 639.5, 359.5); // px
 /// let lens = Intrinsics { width: 1280, height: 720, fx, fy, cx, cy, skew: 0.0, dist: Distortion::None };
-/// let keypoints = vec![Keypoint { pixel: Vector2::new(640.0, 360.0), confidence: 0.9 }; 17];
+/// let keypoints = vec![Keypoint::new(Vector2::new(640.0, 360.0), 0.9); 17];
 /// let person = Detection { track_id: None, keypoints };
 /// let session = SessionBuilder::new(30.0, KeypointConvention::Coco17)
 ///     .name("two cameras")
@@ -140,7 +140,8 @@ fn add_checked(
     for (i, person) in people.iter_mut().enumerate() {
         reading.place.person = Some(i);
         for keypoint in &mut person.keypoints {
-            *keypoint = checked_keypoint(keypoint.pixel.x, keypoint.pixel.y, keypoint.confidence, reading.warnings)?;
+            let Keypoint { pixel, confidence, covariance } = *keypoint;
+            *keypoint = Keypoint { covariance, ..checked_keypoint(pixel.x, pixel.y, confidence, reading.warnings)? };
         }
     }
     reading.place.person = None;
@@ -160,7 +161,7 @@ mod tests {
     const LENS: Intrinsics = Intrinsics { dist: Distortion::Fisheye4([0.01, 0.0, 0.0, 0.0]), ..Intrinsics::PLAIN };
 
     fn person(confidence: f64) -> Detection {
-        let keypoint = |k: usize| Keypoint { pixel: Vector2::new(10.25 * k as f64, 300.5), confidence };
+        let keypoint = |k: usize| Keypoint::new(Vector2::new(10.25 * k as f64, 300.5), confidence);
         Detection { track_id: Some(3), keypoints: (0..17).map(keypoint).collect() }
     }
 

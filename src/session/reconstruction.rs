@@ -10,8 +10,8 @@ use crate::geometry::{Intrinsics, Rigid};
 pub use estimates::{ErrorSummary, FocalFactor, SigmaSummary, TimeOffset};
 pub use report::{
     CameraReport, ConsistencyPair, ConsistencyReport, DetectorOffset, GeometryReport, HandReport, KeypointBias,
-    KeypointReport, NoiseAtConfidence, Overlap, PenetrationReport, PersonReport, Quality, Report, ScaleReport,
-    StageReport, Verdict,
+    KeypointReport, LandmarkTableId, NoiseAtConfidence, Overlap, PenetrationReport, PersonReport, Quality, Report,
+    ScaleReport, StageReport, Verdict,
 };
 use serde::{Deserialize, Serialize};
 

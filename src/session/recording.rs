@@ -1,8 +1,11 @@
 //! The recording: a session of views, each with its camera's intrinsics and the people detected in every frame.
 
+use crate::body::BodyModel;
+use crate::body::dense_landmarks::DenseLandmarks;
 use crate::body::skeleton::KeypointConvention;
-use crate::geometry::{Intrinsics, Rigid};
-use nalgebra::Vector2;
+use crate::geometry::{Intrinsics, PixelCovariance, Rigid};
+use nalgebra::{Matrix2, Vector2};
+use std::sync::Arc;
 
 /// Range of frame rates, frames per second: from time lapse to high speed.
 pub const FPS_RANGE: [f64; 2] = [0.1, 2000.0];
@@ -22,9 +25,27 @@ pub struct Keypoint {
     pub pixel: Vector2<f64>,
     /// Confidence of the detector, 0 (missing) to 1.
     pub confidence: f64,
+    /// Covariance of the position as the detector states it, px^2; `None` where it states none.
+    pub covariance: Option<PixelCovariance>,
 }
 
 impl Keypoint {
+    /// A point that was not detected.
+    pub const MISSING: Self = Self::new(Vector2::new(0.0, 0.0), 0.0);
+
+    /// A point at `pixel`, without a covariance.
+    pub const fn new(pixel: Vector2<f64>, confidence: f64) -> Self {
+        Self { pixel, confidence, covariance: None }
+    }
+
+    /// The point after an affine map of the image's pixels.
+    pub fn mapped(&self, map: impl Fn(Vector2<f64>) -> Vector2<f64>) -> Self {
+        let pixel = map(self.pixel);
+        let along = |axis: Vector2<f64>| map(self.pixel + axis) - pixel;
+        let jacobian = || Matrix2::from_columns(&[along(Vector2::x()), along(Vector2::y())]);
+        Self { pixel, covariance: self.covariance.and_then(|covariance| covariance.mapped(&jacobian())), ..*self }
+    }
+
     /// Whether the detector reported the point.
     pub fn is_present(&self) -> bool {
         self.confidence > 0.0
@@ -36,13 +57,13 @@ impl Keypoint {
 pub struct Detection {
     /// Track number that the detector assigned, if any. Used as an observation, since detectors swap numbers.
     pub track_id: Option<i64>,
-    /// One entry per keypoint of the session's convention.
+    /// One entry per keypoint of the session's convention, then one per dense landmark.
     pub keypoints: Vec<Keypoint>,
 }
 
 impl Detection {
-    /// The same with left and right exchanged; `twins`: [`KeypointConvention::mirror`]. Points after those stay as they are: hands
-    /// are given to their sides later.
+    /// The same with left and right exchanged; `twins`: [`Session::mirror`]. Points after those stay as they are: hands are given to
+    /// their sides later.
     pub fn with_sides_exchanged(&self, twins: &[usize]) -> Self {
         let rest = self.keypoints.iter().skip(twins.len());
         Self {
@@ -96,6 +117,9 @@ pub struct Session {
     pub n_frames: usize,
     /// Keypoint convention of all detections.
     pub convention: KeypointConvention,
+    /// Points of every detection behind those of the convention; people are found by the convention's points, bodies and cameras
+    /// are fitted to all.
+    pub dense: Option<Arc<DenseLandmarks>>,
     /// Up axis of the given world, where extrinsics are given.
     pub up_axis: Option<UpAxis>,
     /// SMPTE time code of frame number 0, `HH:MM:SS:FF` (drop frame: `HH:MM:SS;FF`), where given.
@@ -108,6 +132,29 @@ impl Session {
     /// Frame number of a frame index.
     pub fn frame_number(&self, frame: FrameIndex) -> i64 {
         self.first_frame + frame.0 as i64
+    }
+
+    /// Number of points of every detection.
+    pub fn n_points(&self) -> usize {
+        self.convention.n_keypoints() + self.dense.as_ref().map_or(0, |dense| dense.landmarks.len())
+    }
+
+    /// For every point the index of its landmark, if the body has one; `model` has dense landmarks where
+    /// [`DenseLandmarks::on`] has added them.
+    pub fn landmarks_on(&self, model: &BodyModel) -> Vec<Option<usize>> {
+        let mut landmarks = model.landmarks_of(self.convention);
+        if let Some(dense) = &self.dense {
+            landmarks.resize(self.convention.n_keypoints(), None);
+            landmarks.extend(dense.places(model));
+        }
+        landmarks
+    }
+
+    /// For each point its left/right counterpart: of the convention's named keypoints, then of the dense landmarks.
+    pub fn mirror(&self) -> Vec<usize> {
+        let (of_convention, n) = (self.convention.mirror(), self.convention.n_keypoints());
+        let Some(dense) = &self.dense else { return of_convention };
+        of_convention.into_iter().chain(dense.mirror().into_iter().map(|twin| n + twin)).collect()
     }
 
     /// Duration of one frame, s.

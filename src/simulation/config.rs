@@ -3,10 +3,12 @@
 use super::error::SimulationError;
 use super::hands::HandNoise;
 use super::real_noise::RealNoise;
+use crate::body::dense_landmarks::DenseLandmarks;
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::Distortion;
 use serde::Serialize;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 /// Configuration of one simulated session. The same configuration gives the same session, byte for byte.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -27,6 +29,9 @@ pub struct SimulationConfig {
     pub rig: RigConfig,
     /// Keypoint convention of the detector.
     pub convention: KeypointConvention,
+    /// Landmarks that the detector reports behind the keypoints of the convention; needs default bodies.
+    #[serde(skip)]
+    pub dense: Option<Arc<DenseLandmarks>>,
     /// Track numbers of the tracker.
     pub tracks: Tracks,
     /// Time offset of each camera, frames: its frame `n` shows the scene at `n + time_offset` (views beyond the list: 0).
@@ -68,6 +73,9 @@ pub struct NoiseConfig {
     /// are independent, except for the drift of `jitter_of_size`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub real: Option<RealNoise>,
+    /// Whether errors are anisotropic, of sizes that change by three times, and the detector states their covariances.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub covariances: bool,
 }
 
 impl NoiseConfig {
@@ -83,6 +91,7 @@ impl NoiseConfig {
         swaps_per_minute: 0.0,
         flip_rate: 0.0,
         real: None,
+        covariances: false,
     };
 }
 
@@ -191,6 +200,12 @@ pub enum MotionSource {
 }
 
 impl SimulationConfig {
+    /// Names of all points that the detector reports: of the convention, then of the dense landmarks.
+    pub(super) fn point_names(&self) -> Vec<&str> {
+        let dense = self.dense.iter().flat_map(|dense| dense.names());
+        self.convention.names().iter().copied().chain(dense).collect()
+    }
+
     /// Rejects values out of range.
     ///
     /// # Errors
@@ -226,6 +241,9 @@ impl SimulationConfig {
             if !(low..=high).contains(&value) {
                 return Err(SimulationError::Config { field, value, expected });
             }
+        }
+        if self.dense.is_some() && self.bodies == Bodies::Own {
+            return Err(SimulationError::Config { field: "dense", value: 0.0, expected: "default bodies" });
         }
         if self.motion == MotionSource::Dance && self.people != 2 {
             let value = self.people as f64;

@@ -1,7 +1,7 @@
 //! Ghosts: detections without a person, such as a coat on a rack or a reflection.
 
 use super::config::SimulationConfig;
-use super::keypoint_errors::{MISSING, keypoint};
+use super::keypoint_errors::{MISSING, keypoint, with_unnamed};
 use super::processes::{Episode, Odds, white};
 use super::projection::{pixel_of, size_of};
 use super::random::{Purpose, normal, stream};
@@ -79,7 +79,7 @@ impl Ghosts {
         if keypoints.iter().filter(|keypoint| keypoint.is_present()).count() < MIN_REPORTED {
             return None;
         }
-        keypoints.resize(scene.convention.n_keypoints(), MISSING);
+        with_unnamed(&mut keypoints, scene.convention);
         Some(Ghost { index: self.n - 1, keypoints })
     }
 }

@@ -3,6 +3,7 @@
 use super::config::NoiseConfig;
 use super::projection::Projected;
 use super::random::normal;
+use crate::body::skeleton::KeypointConvention;
 use crate::session::Keypoint;
 use nalgebra::Vector2;
 use rand::RngExt;
@@ -32,10 +33,12 @@ pub(super) trait KeypointErrors {
 pub(super) struct Disturbed {
     pub(super) pixel: Vector2<f64>,
     pub(super) is_outlier: bool,
+    /// Standard deviation of the error per axis, but for outliers, px.
+    pub(super) sigma_px: f64,
 }
 
 /// A keypoint that is not reported.
-pub(super) const MISSING: Keypoint = Keypoint { pixel: Vector2::new(0.0, 0.0), confidence: 0.0 };
+pub(super) const MISSING: Keypoint = Keypoint::MISSING;
 
 /// Hidden points have errors of this relative size. Chosen.
 const HIDDEN_JITTER: f64 = 2.5;
@@ -75,6 +78,12 @@ pub(super) fn is_dropped(point: &Projected, noise: &NoiseConfig, rng: &mut ChaCh
     dropped || dropped_hidden || !point.in_view
 }
 
+/// Inserts the points of a convention that have no names, behind those that have.
+pub(super) fn with_unnamed(keypoints: &mut Vec<Keypoint>, convention: KeypointConvention) {
+    let n_named = convention.names().len();
+    keypoints.splice(n_named..n_named, std::iter::repeat_n(MISSING, convention.n_keypoints() - n_named));
+}
+
 /// Distribution of a confidence.
 pub(super) struct Confidences {
     /// Standard deviation of its white noise.
@@ -92,5 +101,5 @@ impl Confidences {
 
 /// The keypoint of a point: pixels to a hundredth.
 pub(super) fn keypoint(pixel: &Vector2<f64>, confidence: f64) -> Keypoint {
-    Keypoint { pixel: pixel.map(|v| (v * 1e2).round() / 1e2), confidence }
+    Keypoint::new(pixel.map(|v| (v * 1e2).round() / 1e2), confidence)
 }

@@ -90,11 +90,13 @@ impl Detectable {
             return Ok(Self::Rules(rules(convention)?, person.skeleton.scale));
         };
         let body = as_detected(body, config);
+        let body = config.dense.as_ref().map_or_else(|| body.clone(), |dense| dense.on(&body));
         let landmarks = body.landmarks_of(convention).into_iter().zip(convention.names());
         let known = |(landmark, keypoint): (Option<usize>, &&'static str)| {
             landmark.ok_or(SimulationError::UnknownKeypoint { convention, keypoint })
         };
-        let landmarks = landmarks.map(known).collect::<Result<_, _>>()?;
+        let mut landmarks = landmarks.map(known).collect::<Result<Vec<_>, _>>()?;
+        landmarks.extend(config.dense.iter().flat_map(|dense| dense.places(&body)).flatten());
         let shaped = body.shaped(&betas);
         Ok(Self::Body(Box::new((body, shaped)), landmarks))
     }

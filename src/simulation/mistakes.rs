@@ -152,11 +152,11 @@ fn mapped(session: &Session, views: &[usize], change: impl Fn(&Intrinsics, Keypo
 }
 
 fn moved(session: &Session, views: &[usize], pixel: fn(&Intrinsics, Vector2<f64>) -> Vector2<f64>) -> Session {
-    mapped(session, views, |lens, k| Keypoint { pixel: pixel(lens, k.pixel), ..k })
+    mapped(session, views, |lens, k| k.mapped(|at| pixel(lens, at)))
 }
 
 fn labels_exchanged(session: &Session, views: &[usize]) -> Session {
-    let twins = session.convention.mirror();
+    let twins = session.mirror();
     let mut changed = session.clone();
     for &v in views {
         let Some(View { frames, .. }) = changed.views.get_mut(v) else { continue };

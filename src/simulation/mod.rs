@@ -52,6 +52,7 @@ mod running;
 pub mod scene;
 mod simulate;
 pub mod skeleton;
+mod stretched_errors;
 mod tracker;
 pub mod truth;
 

@@ -1,14 +1,16 @@
 //! Simulated detections of one person in a view: missing detections, errors of the keypoints, left/right flips.
 
 use super::config::{NoiseConfig, SimulationConfig};
-use super::keypoint_errors::{Disturbed, KeypointErrors, MISSING};
+use super::keypoint_errors::{Disturbed, KeypointErrors, with_unnamed};
 use super::preset_errors::PresetErrors;
 use super::projection::{Projector, apparent_size};
 use super::random::{Purpose, stream};
 use super::real_errors::RealErrors;
 use super::rig::RigCamera;
 use super::scene::{SimulatedScene, Tally};
+use super::stretched_errors::StretchedErrors;
 use crate::body::skeleton::KeypointConvention;
+use crate::geometry::PixelCovariance;
 use crate::session::Keypoint;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -28,6 +30,7 @@ pub(super) struct Observer {
     noise: NoiseConfig,
     projector: Projector,
     errors: Box<dyn KeypointErrors>,
+    stretched: Option<StretchedErrors>,
     missed_frames_left: usize,
     mirror: Vec<usize>,
 }
@@ -45,6 +48,7 @@ impl Observer {
             noise: config.noise,
             projector: Projector::new(config.convention),
             errors,
+            stretched: config.noise.covariances.then(|| StretchedErrors::new(view, person, config)),
             missed_frames_left: 0,
             mirror: config.convention.mirror(),
         }
@@ -62,6 +66,7 @@ impl Observer {
         let n_in_view = points.iter().filter(|p| p.in_view).count();
         tally.detections_possible += usize::from(n_in_view >= 4);
         self.errors.advance(&points, &mut self.rng);
+        self.stretched.iter_mut().for_each(StretchedErrors::advance);
         if self.is_missed() || n_in_view < 4 {
             return None;
         }
@@ -71,16 +76,20 @@ impl Observer {
         }
         let size = apparent_size(&points);
         let mut disturbed = self.errors.disturbed(&points, size, &mut self.rng);
+        let mut covariances = self.stretched.as_ref().map(|stretched| stretched.apply(&points, &mut disturbed));
         if self.happens(self.noise.flip_rate) {
-            self.flip(&mut disturbed, scene.convention);
+            self.flip(&mut disturbed, covariances.as_deref_mut(), scene.convention);
             tally.flips += 1;
         }
         let mut keypoints = self.errors.reported(&points, &disturbed, size, &mut self.rng);
+        for (keypoint, covariance) in keypoints.iter_mut().zip(covariances.into_iter().flatten()) {
+            keypoint.covariance = covariance.filter(|_| keypoint.is_present());
+        }
         let reported: Vec<usize> = (0..points.len()).filter(|&k| keypoints[k].is_present()).collect();
         if reported.len() < 3 {
             return None;
         }
-        keypoints.resize(scene.convention.n_keypoints(), MISSING);
+        with_unnamed(&mut keypoints, scene.convention);
         tally.joints += reported.len();
         tally.joints_in_view += n_in_view;
         tally.outliers += reported.iter().filter(|&&k| disturbed[k].is_outlier).count();
@@ -105,7 +114,12 @@ impl Observer {
         starts
     }
 
-    fn flip(&mut self, disturbed: &mut [Disturbed], convention: KeypointConvention) {
+    fn flip(
+        &mut self,
+        disturbed: &mut [Disturbed],
+        covariances: Option<&mut [Option<PixelCovariance>]>,
+        convention: KeypointConvention,
+    ) {
         let flip = match self.rng.random::<f64>() {
             share if share < 0.5 => Flip::Body,
             share if share < 0.75 => Flip::Legs,
@@ -115,6 +129,12 @@ impl Observer {
         for (k, name) in convention.names().iter().enumerate() {
             if flip.exchanges(name) {
                 disturbed[k].pixel = original[self.mirror[k]].pixel;
+            }
+        }
+        if let Some(covariances) = covariances {
+            let original = covariances.to_vec();
+            for (k, _) in convention.names().iter().enumerate().filter(|(_, name)| flip.exchanges(name)) {
+                covariances[k] = original[self.mirror[k]];
             }
         }
     }

@@ -29,7 +29,7 @@ impl PresetErrors {
         Self {
             noise: config.noise,
             process: Drift::with_memory(DRIFT_MEMORY_30HZ.powf(30.0 / config.fps)),
-            drift: config.convention.names().iter().map(|_| white(rng)).collect(),
+            drift: config.point_names().iter().map(|_| white(rng)).collect(),
         }
     }
 }
@@ -46,7 +46,7 @@ impl KeypointErrors for PresetErrors {
             let jitter = (drift * DRIFT_SHARE + white(rng) * WHITE_SHARE) * sigma;
             let is_outlier = rng.random::<f64>() < point.outlier_rate(noise);
             let error = if is_outlier { jitter + gross_error(noise, size, rng) } else { jitter };
-            Disturbed { pixel: point.pixel + error, is_outlier }
+            Disturbed { pixel: point.pixel + error, is_outlier, sigma_px: sigma }
         };
         points.iter().zip(&self.drift).map(disturb).collect()
     }

@@ -34,6 +34,7 @@ impl SimulationConfig {
             noise: NoiseConfig::preset(preset),
             rig: RigConfig { radius, height, ..RigConfig::default() },
             convention: KeypointConvention::Coco17,
+            dense: None,
             tracks: Tracks::Consistent,
             time_offsets: Vec::new(),
             bodies: Bodies::Own,
@@ -63,6 +64,7 @@ impl NoiseConfig {
                 swaps_per_minute: 0.0,
                 flip_rate: 0.001,
                 real: None,
+                covariances: false,
             },
             Preset::Paper => Self {
                 jitter_of_size: 0.012,
@@ -75,6 +77,7 @@ impl NoiseConfig {
                 swaps_per_minute: 4.0,
                 flip_rate: 0.006,
                 real: None,
+                covariances: false,
             },
             Preset::Hard => Self {
                 jitter_of_size: 0.022,
@@ -87,6 +90,7 @@ impl NoiseConfig {
                 swaps_per_minute: 10.0,
                 flip_rate: 0.02,
                 real: None,
+                covariances: false,
             },
         }
     }

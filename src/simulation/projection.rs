@@ -71,7 +71,7 @@ impl Projector {
             let turned_away = head.zip(*side).is_some_and(|(head, side)| head.is_turned_away(side));
             Projected { pixel, in_view, hidden, turned_away }
         };
-        points.iter().zip(&self.sides).map(point).collect()
+        points.iter().zip(self.sides.iter().chain(std::iter::repeat(&None))).map(point).collect()
     }
 }
 

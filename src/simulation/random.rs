@@ -24,6 +24,7 @@ pub(super) enum Purpose {
     Wrists,
     Details,
     HandSwaps,
+    Covariances,
 }
 
 /// The stream of one purpose and one item; `view` or `person` is 0 where the item has none.

@@ -116,7 +116,7 @@ struct KeypointState {
 
 impl RealErrors {
     pub(super) fn new(real: RealNoise, config: &SimulationConfig, rng: &mut ChaCha8Rng) -> Self {
-        let names = config.convention.names();
+        let names = config.point_names();
         Self {
             noise: config.noise,
             real,
@@ -183,7 +183,7 @@ impl KeypointErrors for RealErrors {
             let sigma = self.noise.jitter_of_size * LEVEL * size * point.jitter() * keypoint.level * difficulty;
             let is_outlier = keypoint.outlier.is_on();
             let offset = if is_outlier { keypoint.offset * size } else { Vector2::zeros() };
-            Disturbed { pixel: point.pixel + relative * sigma + offset, is_outlier }
+            Disturbed { pixel: point.pixel + relative * sigma + offset, is_outlier, sigma_px: sigma }
         };
         points.iter().enumerate().map(disturb).collect()
     }

@@ -73,6 +73,7 @@ fn session(
         first_frame: 0,
         n_frames,
         convention: config.convention,
+        dense: config.dense.clone(),
         up_axis: None,
         start_timecode: None,
         views: cameras.into_iter().zip(recordings).map(view).collect(),

@@ -261,6 +261,7 @@ fn session() -> Session {
         first_frame: FIRST_FRAME,
         n_frames: N_FRAMES,
         convention: KeypointConvention::Coco17,
+        dense: None,
         up_axis: None,
         start_timecode: None,
         views: ["01", "left/front", "cam c", "kamera-4", "wide", "dome", "lost"]
@@ -305,6 +306,7 @@ fn reconstruction(up_axis: UpAxis) -> Reconstruction {
         hand_sources: None,
         repairs: None,
         report: Report {
+            landmarks: None,
             detector: Default::default(),
             consistency: None,
             geometry: Default::default(),
@@ -369,6 +371,7 @@ fn motion(person: usize, first: usize, n_frames: usize, up_axis: UpAxis) -> Body
         betas: betas.into(),
         frames: (0..n_frames).map(pose).collect(),
         joint_sigmas: Some(vec![[0.01; N_JOINTS]; n_frames]),
+        hands: None,
     }
 }
 

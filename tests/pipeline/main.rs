@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)] // an unexpected value fails the test
 
 mod corrections;
+mod detailed_input;
 mod edge_cases;
 mod fast_people;
 mod joint_adjustment;

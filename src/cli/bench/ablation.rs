@@ -4,19 +4,19 @@
 //! bundle adjustment evaluates the keypoints of the full solve, to which its bodies are fitted. With unknown cameras, a
 //! further row evaluates camera initialisation alone: the keypoints of a solve that keeps the initial cameras fixed.
 
+use super::evaluated::{Evaluated, evaluated};
 use super::table::{Column, Reference, Statistics, Table, statistics};
 use crate::cli::bad_input::BadInput;
 use crate::cli::noise::NoiseName;
 use crate::cli::solve::use_threads;
+use crate::evaluation::Evaluation;
 use crate::evaluation::alignment::Alignment;
 use crate::evaluation::documents::read_cameras;
 use crate::evaluation::report::PoseErrors;
-use crate::evaluation::{Evaluation, EvaluationOptions, evaluate};
-use crate::export::{ResultContext, write_result};
+use crate::pipeline::Options;
 use crate::pipeline::capture::Capture;
 use crate::pipeline::config::{Extrinsics, MotionPriorMode};
 use crate::pipeline::passes::cameras::initial_cameras;
-use crate::pipeline::{Options, reconstruct};
 use crate::progress::Progress;
 use crate::session::Session;
 use crate::session::formats::native::write_folder;
@@ -199,18 +199,7 @@ fn solve_and_evaluate(
     out: &Path,
 ) -> anyhow::Result<(Evaluation, f64)> {
     let session = &case.session;
-    let result = reconstruct(session, options, &Progress::silent())?;
-    let context = ResultContext {
-        input_sha256,
-        options: serde_json::to_value(options)?,
-        solver_version: env!("CARGO_PKG_VERSION"),
-        exports: &[],
-        continuation: None,
-    };
-    std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
-    write_result(out, session, &context, &result)?;
-    let options = EvaluationOptions { align: Some(case.align), ..EvaluationOptions::default() };
-    let errors = evaluate(out, truth, &options).map_err(|e| BadInput(e.to_string()))?;
+    let Evaluated { errors, result } = evaluated(session, options, input_sha256, truth, case.align, out)?;
     Ok((errors, result.report.penetration.deepest.map_or(0.0, |overlap| overlap.depth_mm)))
 }
 

@@ -2,6 +2,7 @@
 
 use super::joint_angles::AngleErrors;
 use super::solved_cameras::solved_and_true;
+use crate::body::dense_landmarks::{checked_table, spread_over_skin};
 use crate::body::model::Betas;
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention, N_JOINTS};
 use crate::body::{BodyModel, default_body};
@@ -18,6 +19,8 @@ use crate::simulation::skeleton::SimulatedPerson;
 use crate::simulation::{Bodies, MotionSource, Preset, Simulated, SimulationConfig, simulate};
 use nalgebra::Vector3;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
 
 /// Arguments of `bench bodies`.
 #[derive(Debug, clap::Args)]
@@ -31,6 +34,9 @@ pub(super) struct BodiesArgs {
     /// Motion files in the AMASS layout to choose from, instead of procedural motion
     #[arg(long, num_args = 1..)]
     motion: Vec<PathBuf>,
+    /// Fit with 26 keypoints and with 17 and this many landmarks on the skin, and compare the errors; without the other parts
+    #[arg(long)]
+    landmarks: Option<usize>,
     /// Number of solver threads; 0 uses all cores
     #[arg(long, default_value_t = 0)]
     threads: usize,
@@ -39,6 +45,9 @@ pub(super) struct BodiesArgs {
 pub(super) fn run(args: &BodiesArgs) -> anyhow::Result<()> {
     use_threads(args.threads);
     let model = default_body();
+    if let Some(count) = args.landmarks {
+        return compare_landmarks(args, count, &model);
+    }
     println!("## Body fit: `easy` noise, true cameras, 26 keypoints");
     let (mut statures, mut distances, [mut angles, mut biases]) =
         (Vec::new(), [const { Vec::new() }; N_JOINTS], [const { [const { Vec::new() }; N_JOINTS] }; 2]);
@@ -77,6 +86,34 @@ pub(super) fn run(args: &BodiesArgs) -> anyhow::Result<()> {
         let middle = median(&mut errors).unwrap_or(f64::NAN);
         println!("{source}: median {middle:.2} %, truth in the 95 % interval in {n_covered} of {}", errors.len());
     }
+    Ok(())
+}
+
+/// Errors with a dense table of landmarks over those with 26 keypoints.
+fn compare_landmarks(args: &BodiesArgs, count: usize, model: &BodyModel) -> anyhow::Result<()> {
+    println!("## Body fit: `easy` noise, true cameras, 26 keypoints and 17 with {count} landmarks");
+    let table = checked_table("skin", &spread_over_skin(model, KeypointConvention::Coco17, count, 0))?;
+    let dense = table.dense.map(Arc::new);
+    let mut logs: Vec<[f64; 3]> = Vec::new();
+    for seed in args.seed..args.seed + args.count {
+        let sparse = fit_config(args, seed);
+        let with_dense = SimulationConfig { convention: table.base, dense: dense.clone(), ..sparse.clone() };
+        let [few, many] = [sparse, with_dense].map(|config| -> anyhow::Result<[f64; 3]> {
+            let simulated = simulate(&config)?;
+            let started = Instant::now();
+            let fits = fitted_people(&simulated, model, &mut AngleErrors::none())?;
+            let seconds = started.elapsed().as_secs_f64();
+            let of = |value: &dyn Fn(&Fit) -> f64| mean(&fits.iter().map(value).collect::<Vec<_>>());
+            Ok([of(&|fit| mean(&fit.angles_deg)), of(&|fit| mean(&fit.joints_mm)), seconds])
+        });
+        let ([few_deg, few_mm, few_s], [deg, mm, s]) = (few?, many?);
+        println!(
+            "session {seed:3}: {few_deg:.2} and {deg:.2} deg, {few_mm:.2} and {mm:.2} mm, {few_s:.1} and {s:.1} s"
+        );
+        logs.push([(deg / few_deg).ln(), (mm / few_mm).ln(), (s / few_s).ln()]);
+    }
+    let ratio = |k: usize| mean(&logs.iter().map(|logs| logs[k]).collect::<Vec<_>>()).exp();
+    println!("angles {:.3} times, joints {:.3} times, time {:.2} times", ratio(0), ratio(1), ratio(2));
     Ok(())
 }
 

@@ -11,7 +11,7 @@ const N_FRAMES: usize = 10;
 
 /// Three cameras, frames 100 to 109, two detections each.
 fn session() -> Session {
-    let keypoint = Keypoint { pixel: Vector2::new(600.0, 300.0), confidence: 0.9 };
+    let keypoint = Keypoint::new(Vector2::new(600.0, 300.0), 0.9);
     let detection = Detection { track_id: None, keypoints: vec![keypoint; 17] };
     let mut builder = SessionBuilder::new(30.0, KeypointConvention::Coco17).time_line(100, N_FRAMES);
     for camera in ["a", "b", "c"] {

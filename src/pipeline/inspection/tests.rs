@@ -8,7 +8,7 @@ fn session(centers: &[[f64; 3]], n_frames: usize, step: f64) -> Session {
     let person = |frame: usize| {
         let x = 500.0 + step * frame as f64;
         let point = |i: usize| Vector2::new(x, 200.0 + 300.0 * i as f64 / 16.0);
-        let keypoints = (0..17).map(|i| Keypoint { pixel: point(i), confidence: 0.9 }).collect();
+        let keypoints = (0..17).map(|i| Keypoint::new(point(i), 0.9)).collect();
         vec![Detection { track_id: None, keypoints }]
     };
     let view = |(i, center): (usize, &[f64; 3])| View {
@@ -25,6 +25,7 @@ fn session(centers: &[[f64; 3]], n_frames: usize, step: f64) -> Session {
         fps: 25.0,
         first_frame: 0,
         n_frames,
+        dense: None,
         convention: KeypointConvention::Coco17,
         up_axis: None,
         start_timecode: None,

@@ -46,9 +46,15 @@ struct Change {
 }
 
 impl Change {
-    fn repaired(&self) -> Vec<Keypoint> {
-        let point = |[x, y, confidence]: &[f64; 3]| Keypoint { pixel: Vector2::new(*x, *y), confidence: *confidence };
-        self.keypoints.iter().map(point).collect()
+    /// The keypoints of `before` after the repair: where each lies and how sure the detector was of it move together.
+    fn repaired(&self, before: &Detection) -> Vec<Keypoint> {
+        let point = |(k, [x, y, confidence]): (usize, &[f64; 3])| {
+            let pixel = Vector2::new(*x, *y);
+            let is_source = |from: &&Keypoint| from.pixel == pixel;
+            let same = before.keypoints.get(k).filter(is_source).or_else(|| before.keypoints.iter().find(is_source));
+            Keypoint { covariance: same.and_then(|from| from.covariance), ..Keypoint::new(pixel, *confidence) }
+        };
+        self.keypoints.iter().enumerate().map(point).collect()
     }
 }
 
@@ -158,7 +164,8 @@ impl DenoisedCapture {
     pub fn session(&self, original: &Session) -> Session {
         let mut session = original.clone();
         for change in &self.changes {
-            session.views[change.view].frames[change.frame][change.detection].keypoints = change.repaired();
+            let detection = &mut session.views[change.view].frames[change.frame][change.detection];
+            detection.keypoints = change.repaired(detection);
         }
         session
     }

@@ -33,7 +33,8 @@ struct SessionDocument {
     name: Value,
     fps: f64,
     n_frames: Option<u64>,
-    keypoint_convention: String,
+    /// Name of a keypoint convention, or a table of landmarks `{"name", "landmarks": [{"name", "terms": [{"joint", "weight", "offset"}]}]}`.
+    keypoint_convention: Value,
     #[schema(value_type = Vec<Object>)]
     cameras: Value,
     #[schema(value_type = Object)]

@@ -2,7 +2,6 @@
 
 use crate::body::skeleton::KeypointConvention;
 use crate::session::recording::Keypoint;
-use nalgebra::Vector2;
 
 /// Order in which a source writes a person's points: one canonical joint name each, `None` for unused points.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -80,8 +79,7 @@ impl JointOrder {
 
 /// A person's points in a convention's order; points that the source does not have are missing.
 pub(crate) fn mapped(points: &[Keypoint], map: &[Option<usize>]) -> Vec<Keypoint> {
-    let missing = Keypoint { pixel: Vector2::zeros(), confidence: 0.0 };
-    map.iter().map(|place| place.and_then(|i| points.get(i)).copied().unwrap_or(missing)).collect()
+    map.iter().map(|place| place.and_then(|i| points.get(i)).copied().unwrap_or(Keypoint::MISSING)).collect()
 }
 
 /// The canonical name of a joint from a detector's name: `LShoulder`, `l_shoulder`, `Left Shoulder`, `shoulder_left`.

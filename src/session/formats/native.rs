@@ -1,10 +1,13 @@
 //! The native layout: `session.json` with `poses/<camera id>.json` beside it, as one document with inline poses, or as
 //! NDJSON.
 
+mod covariances;
 mod frames;
 mod header;
+mod landmarks;
 mod write;
 
+pub use landmarks::{landmarks_from_json, landmarks_json};
 pub use write::{to_json, write_folder};
 
 use crate::session::upload::error::{Fault, UploadError, shown};
@@ -49,6 +52,12 @@ pub(crate) fn read_members<R: Read + Seek>(
     reading.place.file = Some(file.clone());
     let mut document = DocumentFields::default();
     read_whole(members, &file, &mut document, reading)?;
+    let table = format!("{root}{LANDMARKS}");
+    if members.contains(&table) {
+        reading.place.file = Some(table.clone());
+        read_whole(members, &table, &mut document.points, reading)?;
+        reading.place.file = Some(file.clone());
+    }
     if let Some(poses) = document.poses.take() {
         return document.finish(reading, poses);
     }
@@ -79,10 +88,13 @@ pub(crate) fn read_poses<R: Read + Seek>(
     poses.finish(reading)
 }
 
+/// File with the table of landmarks, where `keypoint_convention` does not hold it.
+const LANDMARKS: &str = "landmarks.json";
+
 /// The files of a session folder that [`read_members`] may have read.
 pub(crate) fn member_names(raw: &RawSession, root: &str) -> Vec<String> {
     let poses = raw.cameras.iter().map(|camera| format!("{root}poses/{}.json", camera.id));
-    std::iter::once(format!("{root}session.json")).chain(poses).collect()
+    ["session.json", LANDMARKS].map(|name| format!("{root}{name}")).into_iter().chain(poses).collect()
 }
 
 fn read_whole<R: Read + Seek>(

@@ -1,8 +1,10 @@
 //! `report.json`: what each stage did, how accurate the result is, and what a user must know before using it.
 
 use super::estimates::{ErrorSummary, SigmaSummary, TimeOffset};
+use crate::body::dense_landmarks::DenseLandmarks;
 use crate::body::hand::Side;
 use crate::body::measures::BodyMeasures;
+use crate::body::skeleton::KeypointConvention;
 use crate::session::suspicion::Suspicion;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -272,6 +274,9 @@ pub struct Report {
     pub heldout_px: Option<f64>,
     /// Metric scale.
     pub scale: Option<ScaleReport>,
+    /// The table of landmarks that the session brought; `None` where its keypoints are those of a convention.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub landmarks: Option<LandmarkTableId>,
     /// Keypoint bias of the detector.
     #[serde(default)]
     pub detector: KeypointBias,
@@ -289,6 +294,27 @@ pub struct Report {
     pub suspicions: Vec<Suspicion>,
     /// Verdict and reasons.
     pub quality: Quality,
+}
+
+/// A table of landmarks.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct LandmarkTableId {
+    /// Its name.
+    pub name: String,
+    /// The convention whose points are among its own.
+    pub base: String,
+    /// Number of points beyond these.
+    pub n_dense: usize,
+    /// SHA-256 digest of its names and numbers.
+    pub sha256: String,
+}
+
+impl LandmarkTableId {
+    /// Of a session's dense landmarks.
+    pub fn of(dense: &DenseLandmarks, base: KeypointConvention) -> Self {
+        let (name, sha256) = (dense.name.clone(), dense.sha256.clone());
+        Self { name, base: base.name().to_owned(), n_dense: dense.landmarks.len(), sha256 }
+    }
 }
 
 /// Overlaps between people's bodies, measured with 21 capsules per body.

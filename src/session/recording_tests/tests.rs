@@ -26,7 +26,7 @@ fn walker(time: usize) -> Detection {
         Vector2::new(x, 190.0 + height + 5.0 * (time as f64 * 0.61).sin())
     };
     let names = KeypointConvention::Coco17.names();
-    let keypoint = |name: &&str| Keypoint { pixel: place(name), confidence: 0.8 };
+    let keypoint = |name: &&str| Keypoint::new(place(name), 0.8);
     Detection { track_id: None, keypoints: names.iter().map(keypoint).collect() }
 }
 
@@ -45,6 +45,7 @@ fn session() -> Session {
         fps: 25.0,
         first_frame: 0,
         n_frames: N_FRAMES,
+        dense: None,
         convention: KeypointConvention::Coco17,
         up_axis: None,
         start_timecode: None,

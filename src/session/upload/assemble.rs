@@ -5,10 +5,12 @@ use super::error::{Fault, UploadError, shown};
 use super::limits::UploadLimits;
 use super::raw::{RawCamera, RawPoses, RawSession};
 use super::warnings::Warnings;
+use crate::body::dense_landmarks::{DenseLandmarks, checked_table};
 use crate::body::skeleton::KeypointConvention;
 use crate::session::formats::time::is_timecode;
-use crate::session::recording::{Detection, FPS_RANGE, FrameIndex, Session, UpAxis, View};
+use crate::session::recording::{Detection, FPS_RANGE, FrameIndex, Keypoint, Session, UpAxis, View};
 use crate::session::recording_tests::suspicions;
+use std::sync::Arc;
 
 /// Largest length of a camera's id, bytes: 256 characters of four bytes, and more than any file name, from which ids come.
 const MAX_ID_BYTES: usize = 1024;
@@ -24,7 +26,7 @@ pub(crate) fn assemble(
 ) -> Result<Session, UploadError> {
     let in_header = |error: UploadError| UploadError { file: Some(raw.file.clone()), ..error };
     let fps = checked_fps(raw.fps).map_err(in_header)?;
-    let convention = checked_convention(&raw.keypoint_convention).map_err(in_header)?;
+    let points = checked_points(&raw).map_err(in_header)?;
     let up_axis = raw.up_axis.as_deref().map(checked_up_axis).transpose().map_err(in_header)?;
     let start_timecode =
         raw.start_timecode.take().map(|code| checked_timecode(code, fps)).transpose().map_err(in_header)?;
@@ -38,8 +40,9 @@ pub(crate) fn assemble(
         let intrinsics = checked_intrinsics(camera, warnings).map_err(in_camera)?;
         let camera_from_world = checked_extrinsics(camera, warnings).map_err(in_camera)?;
         let poses = raw.poses.remove(&camera.id).ok_or_else(|| in_camera(Fault::PosesMissing.with("no poses")))?;
-        check_poses(&poses, &camera.id, &time_line, convention)?;
-        let (frames, delivered) = dense(poses, &time_line);
+        check_poses(&poses, &camera.id, &time_line, &points)?;
+        let (mut frames, delivered) = dense(poses, &time_line);
+        points.reorder(&mut frames);
         let time_offset = checked_time_offset(camera.time_offset.unwrap_or(0.0)).map_err(in_camera)?;
         let (id, has_intrinsics) = (camera.id.clone(), camera.matrix.is_some());
         views.push(View { id, intrinsics, has_intrinsics, camera_from_world, time_offset, frames, delivered });
@@ -55,7 +58,8 @@ pub(crate) fn assemble(
         warnings.add(format!("poses of unknown camera {} are ignored", shown(id)));
     }
     let (name, first_frame) = (raw.name, raw.first_frame);
-    let session = Session { name, fps, first_frame, n_frames, convention, up_axis, start_timecode, views };
+    let (convention, dense) = (points.convention, points.dense);
+    let session = Session { name, fps, first_frame, n_frames, convention, dense, up_axis, start_timecode, views };
     for suspicion in suspicions(&session) {
         warnings.add(suspicion.sentence());
     }
@@ -123,6 +127,47 @@ fn checked_convention(name: &str) -> Result<KeypointConvention, UploadError> {
     })
 }
 
+/// The points of a session's detections.
+struct SessionPoints {
+    /// Of the convention or of the table, for messages.
+    name: String,
+    n: usize,
+    convention: KeypointConvention,
+    dense: Option<Arc<DenseLandmarks>>,
+    /// Place of every point of the table: those of the convention first; `None` where the files are in this order.
+    places: Option<Vec<usize>>,
+}
+
+fn checked_points(raw: &RawSession) -> Result<SessionPoints, UploadError> {
+    let name = &raw.keypoint_convention;
+    let Some(stated) = &raw.landmarks else {
+        let convention = checked_convention(name)?;
+        let (name, n) = (convention.name().to_owned(), convention.n_keypoints());
+        return Ok(SessionPoints { name, n, convention, dense: None, places: None });
+    };
+    let table = checked_table(name, stated).map_err(|error| Fault::LandmarksInvalid.with(error.to_string()))?;
+    let is_in_order = table.places.iter().enumerate().all(|(k, place)| k == *place);
+    Ok(SessionPoints {
+        name: name.clone(),
+        n: stated.len(),
+        convention: table.base,
+        dense: table.dense.map(Arc::new),
+        places: (!is_in_order).then_some(table.places),
+    })
+}
+
+impl SessionPoints {
+    /// Puts the points of all detections into the order of the session.
+    fn reorder(&self, frames: &mut [Vec<Detection>]) {
+        let Some(places) = &self.places else { return };
+        for detection in frames.iter_mut().flatten() {
+            let mut ordered = vec![Keypoint::MISSING; self.n];
+            places.iter().zip(&detection.keypoints).for_each(|(place, keypoint)| ordered[*place] = *keypoint);
+            detection.keypoints = ordered;
+        }
+    }
+}
+
 fn checked_up_axis(name: &str) -> Result<UpAxis, UploadError> {
     match name {
         "x" | "X" => Ok(UpAxis::X),
@@ -185,7 +230,7 @@ fn check_poses(
     poses: &RawPoses,
     camera: &str,
     time_line: &TimeLine,
-    convention: KeypointConvention,
+    points: &SessionPoints,
 ) -> Result<(), UploadError> {
     for (&frame, people) in &poses.detections {
         let at_frame = |error| UploadError { frame: Some(frame), ..in_camera_of(&poses.file, camera, error) };
@@ -197,9 +242,9 @@ fn check_poses(
             return Err(at_frame(Fault::FrameOutOfRange.with(detail)));
         }
         for (person, detection) in people.iter().enumerate() {
-            let (found, expected) = (detection.keypoints.len(), convention.n_keypoints());
+            let (found, expected) = (detection.keypoints.len(), points.n);
             if found != expected {
-                let detail = format!("{expected} keypoints of {} expected, found {found}", convention.name());
+                let detail = format!("{expected} keypoints of {} expected, found {found}", points.name);
                 return Err(UploadError { person: Some(person), ..at_frame(Fault::KeypointCount.with(detail)) });
             }
         }

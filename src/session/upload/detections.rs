@@ -33,7 +33,7 @@ pub(crate) fn checked_keypoint(
     if confidence > 1.0 {
         warnings.clamped_confidence(confidence);
     }
-    Ok(Keypoint { pixel: Vector2::new(x, y), confidence: confidence.min(1.0) })
+    Ok(Keypoint::new(Vector2::new(x, y), confidence.min(1.0)))
 }
 
 /// Refuses frame numbers that a JSON writer of doubles may have rounded.

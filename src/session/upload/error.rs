@@ -141,6 +141,11 @@ faults! {
     FrameDuplicate, "frame_duplicate", Impossible, "write every frame of a camera only once";
     KeypointCount, "keypoint_count", Impossible, "correct `keypoint_convention` or the detector's output";
     KeypointInvalid, "keypoint_invalid", Impossible, "write keypoints as [x px, y px, confidence 0 to 1]";
+    LandmarksInvalid, "landmarks_invalid", Impossible,
+        "give every landmark a unique name and `terms` [{joint, weight, offset}] whose weights sum to 1, and all points of a \
+         convention, such as coco17, by name";
+    CovarianceInvalid, "covariance_invalid", Impossible,
+        "give `covariances` as [xx, xy, yy] in px^2, positive definite, or `sigmas` in px; one per keypoint, null where unknown";
     CalibrationInvalid, "calibration_invalid", Malformed, "export the file again with the tool that wrote it";
     TableInvalid, "table_invalid", Malformed, "export the table again with the tool that wrote it";
     SkeletonUnknown, "skeleton_unknown", Impossible,

@@ -269,7 +269,7 @@ pub(crate) type Numbers = ShortList<f64>;
 pub(crate) type Rows = ShortList<Numbers>;
 
 /// A list that is refused where it is longer than any vector of a session.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub(crate) struct ShortList<T>(pub Vec<T>);
 
 /// Largest length: distortion models have up to 14 coefficients; all other vectors are shorter.

@@ -41,15 +41,17 @@ impl Default for UploadLimits {
             max_frames: 1_000_000,       // nine hours at 30 fps
             max_view_frames: 10_000_000, // an empty frame takes 24 bytes: 240 MB
             max_people_per_frame: 200,   // a crowd; association is designed for about ten
-            max_keypoints: 50_000_000,   // 24 bytes each: 1.2 GB
+            max_keypoints: 50_000_000,   // 40 bytes each: 2 GB
             max_json_depth: 32,          // the layout has 8 levels; the rest is for ignored keys
             max_string_bytes: 1 << 20,   // longest name; longer strings occur only under ignored keys
         }
     }
 }
 
-/// Memory of a person besides their keypoints, in keypoints of 24 bytes: 40 bytes and an allocation. Without it, millions
-/// of people without keypoints would cost nothing.
+/// Largest number of keypoints of a person, beyond every convention; longer lists are refused while they are read.
+pub(crate) const MAX_KEYPOINTS_PER_PERSON: usize = 1000;
+/// Memory of a person besides their keypoints, in keypoints of 40 bytes, rounded up: 40 bytes and an allocation. Without it,
+/// millions of people without keypoints would cost nothing.
 pub(crate) const PERSON_AS_KEYPOINTS: usize = 4;
-/// Memory of a frame besides its people, in keypoints of 24 bytes: 32 bytes and a share of a map node.
+/// Memory of a frame besides its people, in keypoints of 40 bytes, rounded up: 32 bytes and a share of a map node.
 pub(crate) const FRAME_AS_KEYPOINTS: usize = 3;

@@ -1,6 +1,7 @@
 //! A session as a reader produces it: typed and within limits, but not yet checked for consistency.
 
 use super::json::{Numbers, Rows, ShortList};
+use crate::body::dense_landmarks::StatedLandmark;
 use crate::session::formats::rows;
 use crate::session::recording::Detection;
 use nalgebra::Matrix3;
@@ -16,6 +17,8 @@ pub(crate) struct RawSession {
     pub first_frame: i64,
     pub n_frames: Option<u64>,
     pub keypoint_convention: String,
+    /// The keypoints as a table of landmarks, in place of a convention.
+    pub landmarks: Option<Vec<StatedLandmark>>,
     pub up_axis: Option<String>,
     pub start_timecode: Option<String>,
     pub cameras: Vec<RawCamera>,

@@ -15,8 +15,8 @@ fn small_session() -> Session {
         let mut frames = vec![Vec::new(); 5];
         for &i in delivered {
             let keypoint = |k: usize| match k {
-                3 => Keypoint { pixel: Vector2::zeros(), confidence: 0.0 },
-                _ => Keypoint { pixel: Vector2::new(10.25 * k as f64, 300.5 - i as f64), confidence: 0.875 },
+                3 => Keypoint::MISSING,
+                _ => Keypoint::new(Vector2::new(10.25 * k as f64, 300.5 - i as f64), 0.875),
             };
             frames[i] = vec![Detection { track_id: Some(7 - i as i64), keypoints: (0..17).map(keypoint).collect() }];
         }
@@ -47,6 +47,7 @@ fn small_session() -> Session {
         fps: 29.97,
         first_frame: -3,
         n_frames: 5,
+        dense: None,
         convention: KeypointConvention::Coco17,
         up_axis: Some(UpAxis::Z),
         start_timecode: Some("10:00:00:12".to_owned()),
@@ -120,7 +121,7 @@ fn round_trips_as_ndjson() {
 #[test]
 fn rounds_keypoints_and_keeps_weak_ones() {
     let mut session = small_session();
-    session.views[1].frames[1][0].keypoints[0] = Keypoint { pixel: Vector2::new(1.006, -0.001), confidence: 1e-5 };
+    session.views[1].frames[1][0].keypoints[0] = Keypoint::new(Vector2::new(1.006, -0.001), 1e-5);
     let read = read_bytes(to_json(&session).unwrap().as_bytes()).unwrap().session;
     let keypoint = read.views[1].frames[1][0].keypoints[0];
     assert_eq!((keypoint.pixel, keypoint.confidence), (Vector2::new(1.01, 0.0), 1e-3));

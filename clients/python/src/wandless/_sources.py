@@ -63,30 +63,44 @@ def session_document(
     cameras: Sequence[Mapping[str, Any]],
     keypoints: Mapping[str, Any],
     fps: float,
-    keypoint_convention: str,
+    keypoint_convention: Union[str, Mapping[str, Any]],
     name: str = "session",
+    covariances: Optional[Mapping[str, Any]] = None,
 ) -> dict[str, Any]:
     """A session from arrays in memory, for `upload`.
 
     `cameras`: `{"id", "width", "height", "K", "dist"?, "R"?, "t"?}` each. `keypoints`: by camera id an array
     `[frame][person][keypoint][x px, y px, confidence 0 to 1]`; the number of people may differ from frame to frame. A person
-    whose confidences are all 0 or NaN is left out.
+    whose confidences are all 0 or NaN is left out. `keypoint_convention`: a name, or a table of landmarks
+    `{"name", "landmarks": [{"name", "terms": [{"joint", "weight", "offset"}]}]}`. `covariances`: of the same shape as `keypoints`,
+    `[xx, xy, yy]` in px^2 each as the detector states them, NaN where it does not; cameras may be left out.
     """
     def point(values: Any) -> list[float]:
         x, y, confidence = (float(value) for value in values)
         is_missing = x != x or y != y or not confidence > 0
         return [0.0, 0.0, 0.0] if is_missing else [x, y, confidence]
 
-    def people(frame: Any) -> list[dict[str, Any]]:
-        listed = [[point(values) for values in person] for person in frame]
-        return [{"keypoints": points} for points in listed if any(values[2] > 0 for values in points)]
+    def covariance(values: Any) -> Optional[list[float]]:
+        entries = [float(value) for value in values]
+        return None if any(value != value for value in entries) else entries
+
+    def people(frame: Any, stated: Any) -> list[dict[str, Any]]:
+        listed = [{"keypoints": [point(values) for values in person]} for person in frame]
+        if stated is not None:
+            for person, of_person in zip(listed, stated):
+                person["covariances"] = [covariance(values) for values in of_person]
+        return [person for person in listed if any(values[2] > 0 for values in person["keypoints"])]
+
+    def frames_of(camera: str, frames: Any) -> list[dict[str, Any]]:
+        stated = (covariances or {}).get(camera)
+        of_frame = lambda number: None if stated is None else stated[number]
+        return [{"frame": number, "people": people(frame, of_frame(number))} for number, frame in enumerate(frames)]
 
     def plain(value: Any) -> Any:
         return value.tolist() if hasattr(value, "tolist") else value
 
     poses = {
-        camera: {"frames": [{"frame": number, "people": people(frame)} for number, frame in enumerate(frames)]}
-        for camera, frames in keypoints.items()
+        camera: {"frames": frames_of(camera, frames)} for camera, frames in keypoints.items()
     }
     return {
         "name": name, "fps": fps, "n_frames": max(len(frames) for frames in keypoints.values()),

@@ -12,6 +12,7 @@ use super::monocular::lifting::lifted;
 use super::observations::{Observations, gather_observations};
 use super::person_fit::{StartedMotion, finish_motion, start_motion};
 use super::person_motion::{PersonFit, body_motion, stage_report, valid_frames};
+use super::stated_covariances::{StatedCovariances, weigh_stated_covariances};
 use crate::body::BodyModel;
 use crate::body::measures::BodyMeasures;
 use crate::body::scale::FittedStature;
@@ -63,7 +64,8 @@ pub fn fit_bodies(
     let first_config = config.without_refinement();
     let context =
         FitContext { model, config, first_config: &first_config, frame_interval, up: *up, progress, noise: None };
-    let started = started_people(input, up, &context)?;
+    let mut started = started_people(input, up, &context)?;
+    let stated = weigh_stated_covariances(&context, &mut started);
     progress.report(0.5, "estimating the keypoint bias of the detector");
 
     let people: Vec<&(Observations, StartedMotion)> = started.iter().flatten().collect();
@@ -78,7 +80,6 @@ pub fn fit_bodies(
     let (detector_model, detector) =
         bias.map_or_else(|| (model.clone(), KeypointBias::default()), |bias| (bias.model, bias.report));
     let context = FitContext { model: &detector_model, ..context };
-    let mut started = started;
     let adjusted = match config.correlated_errors {
         true => {
             progress.report(0.7, "adjusting cameras and motions together");
@@ -126,6 +127,7 @@ pub fn fit_bodies(
     let sigmas = uncertainties.into_iter().map(|uncertainty| Some(uncertainty?.joint_sigmas));
     let focal = adjusted.as_ref().and_then(|adjusted| adjusted.focal.clone());
     let mut report = stage_report(&people, input.tracks.len());
+    report.metrics.extend(stated.iter().flat_map(StatedCovariances::metrics));
     report.metrics.extend(focal.as_ref().map(|focal| ("focal_log_evidence".to_owned(), focal.log_evidence)));
     Ok(FittedBodies {
         report,

@@ -50,7 +50,7 @@ pub(super) fn measured_noise(context: &FitContext, members: &[Member]) -> PathNo
 }
 
 /// Positions of `landmarks` in the frames of a member, `[frame][landmark]`.
-fn positions(model: &BodyModel, member: &Member, landmarks: &[usize]) -> Positions {
+pub(super) fn positions(model: &BodyModel, member: &Member, landmarks: &[usize]) -> Positions {
     let own = with_bones(model, &member.bones);
     let body = own.shaped(&member.state.betas);
     let at = |pose| {

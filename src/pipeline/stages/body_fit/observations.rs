@@ -6,10 +6,10 @@ use crate::body::detector_profile::DETECTOR;
 use crate::body::hand::rigid_points;
 use crate::estimation::triangulation::triangulate_reweighted;
 use crate::geometry::triangulation::PointObservation as RayToPoint;
-use crate::geometry::{Intrinsics, Rigid};
+use crate::geometry::{Intrinsics, PixelCovariance, Rigid};
 use crate::pipeline::calibration::TrackedPeople;
 use crate::session::{Detection, JointTrajectory, PersonTrack, Session};
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix2, Vector2, Vector3};
 use std::ops::Range;
 
 /// A triangulated point.
@@ -33,6 +33,18 @@ pub(super) struct PixelObservation {
     /// Apparent size of the person times the detector's noise factor at this confidence, px; the detector's error is
     /// proportional to it.
     pub scale_px: f64,
+    /// What the detector states of its error here.
+    pub stated: Option<StatedError>,
+    /// Whitens the shape of the error as far as its stated covariance counts (determinant 1).
+    pub whitening: Option<Matrix2<f64>>,
+}
+
+/// A covariance as the detector states it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct StatedError {
+    pub covariance: PixelCovariance,
+    /// Apparent size of the person, px.
+    pub size_px: f64,
 }
 
 /// A camera with a pose.
@@ -97,7 +109,7 @@ impl Observations {
 pub(super) fn gather_observations(people: &TrackedPeople, track: &PersonTrack, model: &BodyModel) -> Observations {
     let TrackedPeople { session, noise, cameras, points, .. } = *people;
     let points = points.iter().find(|p| p.person == track.person);
-    let landmarks = model.landmarks_of(session.convention);
+    let landmarks = session.landmarks_on(model);
     let rigid = rigid_points(model, session.convention);
     let camera_of_view: Vec<Option<usize>> = cameras
         .iter()
@@ -158,11 +170,13 @@ impl FrameSource<'_> {
                 let Some(keypoint) = detection.keypoints.get(k).filter(|keypoint| keypoint.is_present()) else {
                     continue;
                 };
-                // The measured noise is about the named keypoints: detectors of hands have confidences of their own.
-                let is_named = k < self.session.convention.names().len();
+                // The measured noise is not about hands and faces: their detectors have confidences of their own.
+                let is_detail = self.session.dense.is_none() && k >= self.session.convention.names().len();
                 let factor = |confidence: f64| self.noise.factor(confidence.max(DETECTOR.comparable));
-                let scale_px = size_px * if is_named { factor(keypoint.confidence) } else { 1.0 };
-                pixels.push(PixelObservation { landmark, camera, pixel: keypoint.pixel, scale_px });
+                let scale_px = size_px * if is_detail { 1.0 } else { factor(keypoint.confidence) };
+                let stated = keypoint.covariance.map(|covariance| StatedError { covariance, size_px });
+                let pixel = keypoint.pixel;
+                pixels.push(PixelObservation { landmark, camera, pixel, scale_px, stated, whitening: None });
             }
         }
         pixels.sort_by_key(|pixel| pixel.landmark);

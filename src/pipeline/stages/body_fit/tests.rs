@@ -131,7 +131,7 @@ fn scene_of(model: &BodyModel, truth: &Truth, convention: KeypointConvention, qu
             let mut keypoint = |k: usize| -> Keypoint {
                 let seen = row[k].and_then(|_| intrinsics.pixel_from_camera(&camera.transform(&exact.points[t][k]?)));
                 let noise = Vector2::from_fn(|_, _| pixels.sample(&mut rng));
-                Keypoint { pixel: seen.unwrap_or_default() + noise, confidence: if seen.is_some() { 0.9 } else { 0.0 } }
+                Keypoint::new(seen.unwrap_or_default() + noise, if seen.is_some() { 0.9 } else { 0.0 })
             };
             let keypoints = (0..names.len()).map(&mut keypoint).collect();
             frames.push(vec![Detection { track_id: None, keypoints }]);
@@ -155,6 +155,7 @@ fn scene_of(model: &BodyModel, truth: &Truth, convention: KeypointConvention, qu
         fps: truth.fps,
         first_frame: 0,
         n_frames,
+        dense: None,
         convention,
         up_axis: None,
         start_timecode: None,

@@ -6,6 +6,9 @@ use crate::geometry::projection::NormalizedProjection;
 use crate::matching::consistency::{PosedDetection, physics_affinity};
 use crate::session::Keypoint;
 
+/// Index of the flip that changes nothing.
+pub(super) const UNCHANGED: usize = 0;
+
 /// A permutation of keypoints.
 pub(super) struct Flip {
     /// For every keypoint of the body the index of the detection's keypoint that shows it.
@@ -73,7 +76,7 @@ mod tests {
     fn a_flip_is_its_own_inverse_and_moves_only_its_part() {
         let convention = KeypointConvention::Body25;
         let names = convention.names();
-        let keypoint = |k: usize| Keypoint { pixel: Vector2::new(k as f64, 0.0), confidence: 1.0 };
+        let keypoint = |k: usize| Keypoint::new(Vector2::new(k as f64, 0.0), 1.0);
         let before: Vec<Keypoint> = (0..names.len()).map(keypoint).collect();
         for (i, flip) in flips(convention).iter().enumerate() {
             let mut keypoints = before.clone();

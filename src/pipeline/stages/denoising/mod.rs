@@ -18,8 +18,9 @@ use crate::matching::normalized::NormalizedView;
 use crate::pipeline::calibration::TrackedPeople;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{ConsistencyReport, StageReport};
-use crate::session::{PersonTrack, Session};
+use crate::session::{Keypoint, PersonTrack, Session};
 use context::{Context, DetectionIndex, FrameRepairs, Repair};
+use flips::UNCHANGED;
 use frame_view::FrameView;
 use identity::FrameIdentities;
 use rayon::prelude::*;
@@ -58,6 +59,10 @@ pub fn denoise(input: TrackedPeople, views: &[NormalizedView], progress: &Progre
         track.detections[frame - track.first.0][view] = Some(detection);
         let keypoints = &mut session.views[view].frames[frame][detection].keypoints;
         context.flips[repair.flip].apply(keypoints);
+        if repair.flip != UNCHANGED && input.session.dense.is_some() {
+            // Which of the dense landmarks were exchanged is unknown.
+            keypoints[input.session.convention.n_keypoints()..].fill(Keypoint::MISSING);
+        }
         repair.rejected.iter().for_each(|&k| keypoints[k].confidence = 0.0);
     }
     let report = report::consistency_report(&input, &tracks, &solved);

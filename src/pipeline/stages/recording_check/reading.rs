@@ -135,7 +135,7 @@ fn read(session: &Session, view: usize, reading: Reading) -> NormalizedView {
         R::FocalFactor(factor) => given.intrinsics.with_focal_factor(factor),
         _ => given.intrinsics,
     };
-    let twins = session.convention.mirror();
+    let twins = session.mirror();
     let lens = View {
         id: String::new(),
         intrinsics,

@@ -19,7 +19,8 @@ pub fn retimed(session: &Session, offsets: &[f64]) -> Session {
     let rays = normalized_views(session);
     let views = session.views.iter().zip(&rays).zip(offsets);
     let views = views.map(|((view, rays), &offset)| retimed_view(view, rays, session.fps, offset)).collect();
-    Session { name: session.name.clone(), start_timecode: session.start_timecode.clone(), views, ..*session }
+    let (name, start_timecode) = (session.name.clone(), session.start_timecode.clone());
+    Session { name, start_timecode, dense: session.dense.clone(), views, ..*session }
 }
 
 fn retimed_view(view: &View, rays: &NormalizedView, fps: f64, offset: f64) -> View {

@@ -36,7 +36,11 @@ curl -s -F session=@take.zip -F 'options={"people": 3}' $S/v1/jobs</pre>
     {"frames": [{"frame": 0, "people": [{"track_id": null, "keypoints": [[x, y, confidence], …]}]}]}</pre>
 <p>A session is sent as a zip of such a folder, as one JSON document (<code>session.json</code> with the member
 <code>poses: {"&lt;camera id&gt;": {"frames": […]}}</code>), or as NDJSON: the document without poses in the first line, then one
-line <code>{"camera", "frame", "people"}</code> per camera and frame.</p>
+line <code>{"camera", "frame", "people"}</code> per camera and frame. Beside <code>keypoints</code> a person may have
+<code>covariances</code>, <code>[[xx, xy, yy], …]</code> in px², or <code>sigmas</code> in px, <code>null</code> where unknown: they
+count as far as the residuals confirm them. <code>keypoint_convention</code> (or the file <code>landmarks.json</code>) may be a table
+of landmarks <code>{"name", "landmarks": [{"name", "terms": [{"joint", "weight", "offset": [x, y, z]}]}]}</code> that contains all
+points of a convention by name.</p>
 "#;
 
 /// Text for HTML.

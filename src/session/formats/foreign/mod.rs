@@ -84,6 +84,7 @@ pub(crate) fn read_members<R: Read + Seek>(
         first_frame,
         n_frames: header.n_frames.or(Some(n_found)),
         keypoint_convention: convention.name().to_owned(),
+        landmarks: None,
         up_axis: header.up_axis,
         start_timecode: header.start_timecode,
         poses: cameras.iter().map(|camera| camera.id.clone()).zip(sources.into_iter().map(|s| s.poses)).collect(),

@@ -1,15 +1,15 @@
-//! Reader of frames: `{"frames": [{"frame", "people": [{"track_id", "keypoints": [[x, y, confidence]]}]}]}`.
+//! Reader of frames: `{"frames": [{"frame", "people": [{"track_id", "keypoints": [[x, y, confidence]]}]}]}`; beside
+//! `keypoints` may stand `covariances` or `sigmas` ([`super::covariances`]).
 
+use super::covariances::Covariances;
 use crate::session::recording::{Detection, Keypoint};
 use crate::session::upload::detections::{add_frame, check_frame_number, checked_keypoint};
 use crate::session::upload::error::{Fault, UploadError, shown};
 use crate::session::upload::json::{Fields, Items, List, Numbers, Object, Reading};
-use crate::session::upload::limits::PERSON_AS_KEYPOINTS;
+use crate::session::upload::limits::{MAX_KEYPOINTS_PER_PERSON, PERSON_AS_KEYPOINTS};
 use crate::session::upload::raw::{RawPoses, RawSession};
 use serde::de::{MapAccess, SeqAccess};
 
-/// Largest number of keypoints of a person, beyond every convention; longer lists are refused while they are read.
-const MAX_KEYPOINTS_PER_PERSON: usize = 1000;
 /// The part of one camera's poses that has been read.
 pub(super) struct PosesFields {
     poses: RawPoses,
@@ -137,9 +137,10 @@ impl Items for People<'_> {
             return Err(reading.refuse(Fault::TooManyPeople.with(format!("the frame has more than {i} people"))));
         }
         reading.spend(PERSON_AS_KEYPOINTS).map_err(|e| reading.refuse(e))?;
-        let Some(keypoints) = fields.keypoints else {
+        let Some(mut keypoints) = fields.keypoints else {
             return Err(reading.refuse(Fault::MissingField.with("the person has no `keypoints`")));
         };
+        fields.covariances.add_to(&mut keypoints).map_err(|e| reading.refuse(e))?;
         self.0.push(Detection { track_id: fields.track_id, keypoints });
         Ok(true)
     }
@@ -149,6 +150,7 @@ impl Items for People<'_> {
 struct PersonFields {
     track_id: Option<i64>,
     keypoints: Option<Vec<Keypoint>>,
+    covariances: Covariances,
 }
 
 impl Fields for PersonFields {
@@ -162,6 +164,8 @@ impl Fields for PersonFields {
                 map.next_value_seed(List(&mut Keypoints(keypoints), reading))?;
                 keypoints.shrink_to_fit();
             }
+            "covariances" => map.next_value_seed(List(&mut self.covariances.of_entries(), reading))?,
+            "sigmas" => map.next_value_seed(List(&mut self.covariances.of_sigmas(), reading))?,
             _ => return Ok(false),
         }
         Ok(true)

@@ -1,6 +1,7 @@
 //! Reader of `session.json`: the session's properties and its cameras.
 
 use super::frames::PosesFields;
+use super::landmarks::{NameOrTable, PointsFields};
 use crate::session::formats::time::FrameRate;
 use crate::session::upload::detections::check_frame_number;
 use crate::session::upload::error::{Fault, UploadError, shown};
@@ -16,7 +17,8 @@ pub(super) struct DocumentFields {
     fps: Option<f64>,
     n_frames: Option<u64>,
     first_frame: Option<i64>,
-    keypoint_convention: Option<String>,
+    /// Of the convention, or a table.
+    pub(super) points: PointsFields,
     up_axis: Option<String>,
     start_timecode: Option<String>,
     cameras: Option<Vec<RawCamera>>,
@@ -38,7 +40,8 @@ impl DocumentFields {
             fps: self.fps.ok_or_else(|| missing("fps"))?,
             first_frame: self.first_frame.unwrap_or(0),
             n_frames: self.n_frames,
-            keypoint_convention: self.keypoint_convention.ok_or_else(|| missing("keypoint_convention"))?,
+            keypoint_convention: self.points.name.ok_or_else(|| missing("keypoint_convention"))?,
+            landmarks: self.points.landmarks,
             up_axis: self.up_axis,
             start_timecode: self.start_timecode,
             cameras: self.cameras.ok_or_else(|| missing("cameras"))?,
@@ -61,7 +64,7 @@ impl Fields for DocumentFields {
                     check_frame_number(frame).map_err(|e| reading.refuse(e))?;
                 }
             }
-            "keypoint_convention" => self.keypoint_convention = Some(map.next_value()?),
+            "keypoint_convention" => map.next_value_seed(NameOrTable(&mut self.points, reading))?,
             "up_axis" => self.up_axis = map.next_value()?,
             "start_timecode" => self.start_timecode = map.next_value()?,
             "cameras" => map.next_value_seed(List(&mut Cameras(self.cameras.insert(Vec::new())), reading))?,

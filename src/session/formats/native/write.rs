@@ -1,5 +1,7 @@
 //! Writer of the native layout: the inverse of reading, rounded to a detector's precision.
 
+use super::landmarks::{Points, points_of};
+use crate::geometry::PixelCovariance;
 use crate::session::formats::{LensFields, entries, rounded, rows};
 use crate::session::recording::{Detection, FrameIndex, Keypoint, Session, View};
 use serde::Serialize;
@@ -15,7 +17,7 @@ const CONFIDENCE_DECIMALS: i32 = 3;
 /// Writes `session.json` and `poses/<camera id>.json` into `dir`, which is created where it is missing.
 ///
 /// Keypoints are rounded to 0.01 px and confidences to 0.001 (never to 0 where a point is present); a missing keypoint
-/// is `[0, 0, 0]`.
+/// is `[0, 0, 0]`. Covariances are written to the last digit.
 ///
 /// # Errors
 /// The error of the file system; `InvalidInput` where a camera's id is not a valid file name.
@@ -58,7 +60,7 @@ struct Document<'a> {
     fps: f64,
     n_frames: usize,
     first_frame: i64,
-    keypoint_convention: &'static str,
+    keypoint_convention: Points<'a>,
     #[serde(skip_serializing_if = "Option::is_none")]
     up_axis: Option<crate::session::recording::UpAxis>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -96,6 +98,8 @@ struct Frame {
 struct Person {
     track_id: Option<i64>,
     keypoints: Vec<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    covariances: Option<Vec<Option<PixelCovariance>>>,
 }
 
 fn document_of<'a>(session: &'a Session, poses: Option<BTreeMap<&'a str, Poses>>) -> Document<'a> {
@@ -104,7 +108,7 @@ fn document_of<'a>(session: &'a Session, poses: Option<BTreeMap<&'a str, Poses>>
         fps: session.fps,
         n_frames: session.n_frames,
         first_frame: session.first_frame,
-        keypoint_convention: session.convention.name(),
+        keypoint_convention: points_of(session),
         up_axis: session.up_axis,
         start_timecode: session.start_timecode.as_deref(),
         cameras: session.views.iter().map(camera_of).collect(),
@@ -135,7 +139,10 @@ fn poses_of(session: &Session, view: &View) -> Poses {
 }
 
 fn person_of(detection: &Detection) -> Person {
-    Person { track_id: detection.track_id, keypoints: detection.keypoints.iter().map(triple).collect() }
+    let keypoints = &detection.keypoints;
+    let has_covariances = keypoints.iter().any(|keypoint| keypoint.covariance.is_some());
+    let covariances = has_covariances.then(|| keypoints.iter().map(|keypoint| keypoint.covariance).collect());
+    Person { track_id: detection.track_id, keypoints: keypoints.iter().map(triple).collect(), covariances }
 }
 
 fn triple(keypoint: &Keypoint) -> [f64; 3] {

@@ -25,12 +25,12 @@ pub(super) fn checked_point(x: f64, y: f64, confidence: f64) -> Result<Keypoint,
             "a keypoint lies at ({x:e}, {y:e}) px with confidence {confidence}, expected at most {MAX_COORDINATE_PX:e} px and a finite confidence"
         ));
     }
-    Ok(Keypoint { pixel: Vector2::new(x, y), confidence })
+    Ok(Keypoint::new(Vector2::new(x, y), confidence))
 }
 
 /// A point that was not detected.
 pub(super) fn missing() -> Keypoint {
-    Keypoint { pixel: Vector2::zeros(), confidence: 0.0 }
+    Keypoint::MISSING
 }
 
 impl<'de> Deserialize<'de> for Points {
@@ -134,7 +134,7 @@ mod tests {
     #[test]
     fn reads_three_layouts_alike() {
         let read = |text: &str| serde_json::from_str::<Points>(text).map(|points| points.0).map_err(|e| e.to_string());
-        let expected = vec![Keypoint { pixel: Vector2::new(1.0, 2.5), confidence: 0.5 }, missing()];
+        let expected = vec![Keypoint::new(Vector2::new(1.0, 2.5), 0.5), missing()];
         assert_eq!(read("[1, 2.5, 0.5, 7, 7, 0]"), Ok(expected.clone()));
         assert_eq!(read("[[1, 2.5, 0.5], [null, null]]"), Ok(expected.clone()));
         assert_eq!(read("[[1, 2.5, 0.5], [3, 4, -1]]"), Ok(expected));

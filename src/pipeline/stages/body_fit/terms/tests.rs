@@ -60,6 +60,8 @@ impl Fixture {
             camera: 0,
             pixel: Vector2::new(960.0 + 300.0 * wave(t + landmark), 540.0 + 300.0 * wave(landmark + 3)),
             scale_px: 400.0,
+            stated: None,
+            whitening: (t % 2 == 0).then(|| nalgebra::Matrix2::new(1.4, 0.3, 0.3, 0.8)),
         };
         let camera = PosedCamera {
             intrinsics: Intrinsics::PLAIN,

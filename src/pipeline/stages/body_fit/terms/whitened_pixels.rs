@@ -4,8 +4,11 @@
 //! ([`NoiseProcess`](super::noise_process::NoiseProcess)), which depends on the landmark in up to three successive frames, on
 //! the camera, and on what shapes the body.
 
+mod likelihood;
 pub(crate) mod scores;
 
+#[cfg(doc)]
+use super::super::observations::PixelObservation;
 use super::super::observations::{Observations, PosedCamera};
 use super::camera_unknowns::{ByCamera, CameraUnknowns, MAX_UNKNOWNS};
 use super::noise_process::{NoiseProcess, PathNoise};
@@ -13,7 +16,7 @@ use super::unknowns::CameraColumns;
 use crate::optim::block_banded::Corner;
 use crate::optim::robust::{geman_mcclure, geman_mcclure_ceiling};
 use crate::residuals::reprojection::{Reprojection, linearize, residual};
-use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
+use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use rayon::prelude::*;
 
 /// World positions, m: `[frame][observed landmark]`.
@@ -49,6 +52,8 @@ struct Seen {
     frame: usize,
     pixel: Vector2<f64>,
     sigma_px: f64,
+    /// Whitens the shape of the error, see [`PixelObservation::whitening`].
+    whitening: Option<Matrix2<f64>>,
     parts: Parts,
 }
 
@@ -148,6 +153,7 @@ impl WhitenedPixels {
                     frame,
                     pixel: pixel.pixel,
                     sigma_px: noise.shares[pixel.landmark] * pixel.scale_px,
+                    whitening: pixel.whitening,
                     parts,
                 });
             }
@@ -260,7 +266,8 @@ impl Channel {
         let camera = &cameras[self.camera];
         let residual = |seen: &Seen| {
             let position = &positions[seen.frame][landmark];
-            residual(&camera.intrinsics, &camera.camera_from_world, position, &seen.pixel, seen.sigma_px)
+            let found = residual(&camera.intrinsics, &camera.camera_from_world, position, &seen.pixel, seen.sigma_px)?;
+            Some(seen.whitening.map_or(found, |whitening| whitening * found))
         };
         self.seen.iter().map(residual).collect()
     }
@@ -269,7 +276,8 @@ impl Channel {
         let camera = &cameras[self.camera];
         let linear = |seen: &Seen| {
             let position = &positions[seen.frame][landmark];
-            linearize(&camera.intrinsics, &camera.camera_from_world, position, &seen.pixel, seen.sigma_px)
+            let found = linearize(&camera.intrinsics, &camera.camera_from_world, position, &seen.pixel, seen.sigma_px)?;
+            Some(seen.whitening.map_or(found, |whitening| found.whitened(&whitening)))
         };
         self.seen.iter().map(linear).collect()
     }

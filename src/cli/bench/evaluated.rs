@@ -1,0 +1,41 @@
+//! A solve whose result is written and compared with the truth.
+
+use crate::cli::bad_input::BadInput;
+use crate::evaluation::alignment::Alignment;
+use crate::evaluation::{Evaluation, EvaluationOptions, evaluate};
+use crate::export::{ResultContext, write_result};
+use crate::pipeline::{Options, reconstruct};
+use crate::progress::Progress;
+use crate::session::{Reconstruction, Session};
+use anyhow::Context;
+use std::path::Path;
+
+/// A result with its errors.
+pub(super) struct Evaluated {
+    pub(super) errors: Evaluation,
+    pub(super) result: Reconstruction,
+}
+
+/// Solves `session`, writes the result into the folder `out` and compares it with the folder `truth`.
+pub(super) fn evaluated(
+    session: &Session,
+    options: &Options,
+    input_sha256: &str,
+    truth: &Path,
+    align: Alignment,
+    out: &Path,
+) -> anyhow::Result<Evaluated> {
+    let result = reconstruct(session, options, &Progress::silent())?;
+    let context = ResultContext {
+        input_sha256,
+        options: serde_json::to_value(options)?,
+        solver_version: env!("CARGO_PKG_VERSION"),
+        exports: &[],
+        continuation: None,
+    };
+    std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
+    write_result(out, session, &context, &result)?;
+    let options = EvaluationOptions { align: Some(align), ..EvaluationOptions::default() };
+    let errors = evaluate(out, truth, &options).map_err(|e| BadInput(e.to_string()))?;
+    Ok(Evaluated { errors, result })
+}
