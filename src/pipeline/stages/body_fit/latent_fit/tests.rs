@@ -59,7 +59,15 @@ fn observations(model: &BodyModel, truth: &MotionState) -> Observations {
             for (camera, posed) in cameras.iter().enumerate() {
                 let seen = posed.intrinsics.pixel_from_camera(&posed.camera_from_world.transform(&position)).unwrap();
                 let error = Vector2::new((7 * t + landmark) as f64, (3 * landmark + camera) as f64).map(f64::sin);
-                pixels.push(PixelObservation { landmark, camera, pixel: seen + error * 2.0, scale_px: 300.0 });
+                let pixel = seen + error * 2.0;
+                pixels.push(PixelObservation {
+                    landmark,
+                    camera,
+                    pixel,
+                    scale_px: 300.0,
+                    stated: None,
+                    whitening: None,
+                });
             }
         }
         pixels
