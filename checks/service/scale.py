@@ -277,8 +277,8 @@ def main():
                           "job-ms": 800, "running": 100, "losses": 1, "upgrades": 1, "restores": 3, "restore-s": 20}.items():
         parser.add_argument(f"--{name}", type=int, default=default)
     parser.add_argument("--previous", help="the program of the previous release, which makes the folder that is moved")
-    parser.add_argument("--pace", type=float, default=0.5, help="mean seconds between two kills of the storm")
-    parser.add_argument("--between", type=float, default=1.0, help="seconds between two restarts of an upgrade")
+    parser.add_argument("--every", type=float, default=0.5, help="mean seconds between two kills of the storm")
+    parser.add_argument("--between", type=float, default=2.0, help="seconds between two restarts of an upgrade")
     parser.add_argument("--growth", type=float, default=7.5, help="least ratio of the rates of 8 workers and of one")
     parser.add_argument("--cut", type=float, default=20.0, help="seconds without one of the servers")
     parser.add_argument("--away", type=float, default=10.0, help="seconds without a database")

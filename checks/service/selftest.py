@@ -58,7 +58,7 @@ FAULTS = {
     "webhooks.unfair": ("row 9", "workers.py", "--row", "9"),
     "children.free": ("row 19", "workers.py", "--row", "19"),
     "fence.none": ("stale", "scale.py", "--row", "frozen_at_the_end", "--freezes", "3"),
-    "beat.none": ("put back", "scale.py", "--row", "database_away"),
+    "beat.none": ("states", "scale.py", "--row", "database_away"),
     "sweep.eager": ("states", "scale.py", "--row", "kills", "--kills", "1"),
     "row.unlocked": ("ran at once", "scale.py", "--row", "turns_of_tenants", "--jobs", "40"),
     "drain.abrupt": ("requests failed", "scale.py", "--row", "two_releases"),

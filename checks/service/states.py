@@ -55,7 +55,7 @@ def sweep(cluster):
         for path in cluster.store.objects(folder).values():
             os.utime(path, (old, old))
             n_before += 1
-    node = cluster.node("api", WANDLESS_SWEEP_S="1")
+    node = cluster.node("api", WANDLESS_SWEEP_S="10")
     wait_for(lambda: not strays(cluster), 300, f"{len(strays(cluster))} strays are swept")
     check_objects(cluster)
     node.kill()

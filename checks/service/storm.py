@@ -20,8 +20,8 @@ from states import FIXED, check_objects, final_states, manifests_differ, sweep
 #: What a result needs at least; few objects a job, so that ten thousand jobs take minutes.
 NEEDED = {"report.json", "cameras.json", "people.json"}
 
-#: Deaths of PostgreSQL, spread over the kills.
-DEATHS = 4
+#: Times that PostgreSQL is killed, spread over the kills.
+OUTAGES = 4
 
 #: At several kills a second a job can lose ten workers in a row, after which it would be `failed` with `worker_lost`.
 MAX_LOSSES = "jobs.max_losses=1000"
@@ -40,7 +40,7 @@ class Storm:
         self.workers = [cluster.node("worker", "--set", MAX_LOSSES, **simulated) for _ in range(options.workers)]
         self.session = self.api[0].client().upload(take(8))["id"]
         self.up, self.lock = set(cluster.nodes), threading.Lock()
-        self.ids, self.faults, self.n_kills, self.n_deaths, self.starts = {}, [], 0, 0, 0
+        self.ids, self.faults, self.n_kills, self.n_outages, self.starts = {}, [], 0, 0, 0
         self.over = threading.Event()
 
     def submit(self, part, parts):
@@ -78,7 +78,7 @@ class Storm:
 
     def database_dies(self):
         self.cluster.postgres.kill()
-        self.n_deaths += 1
+        self.n_outages += 1
         time.sleep(self.dice.uniform(1.0, 5.0))
         self.cluster.postgres.start()
 
@@ -89,9 +89,9 @@ class Storm:
             thread.start()
         start, reported = time.monotonic(), 0.0
         while self.n_kills < self.options.kills and not (self.faults or self.has_ended()):
-            until_next = time.monotonic() + self.dice.expovariate(1.0 / self.options.pace)
+            until_next = time.monotonic() + self.dice.expovariate(1.0 / self.options.every)
             self.kill()
-            if self.n_kills * (DEATHS + 1) >= (self.n_deaths + 1) * self.options.kills and self.n_deaths < DEATHS:
+            if self.n_kills * (OUTAGES + 1) >= (self.n_outages + 1) * self.options.kills and self.n_outages < OUTAGES:
                 self.database_dies()
             if time.monotonic() - reported > REPORT_S:
                 reported = time.monotonic()
@@ -145,7 +145,7 @@ def storm(options):
         sample = {client.artifact(job, "people.json") for job in running.dice.sample(sorted(running.ids.values()), min(100, options.jobs))}
         require(len(sample) == 1, "files differ")
         swept = sweep(cluster)
-        return (f"{options.jobs} jobs, {running.n_kills} kills in {stormed:.0f} s, PostgreSQL died {running.n_deaths} times, {total:.0f} s to the last "
+        return (f"{options.jobs} jobs, {running.n_kills} kills in {stormed:.0f} s, PostgreSQL died {running.n_outages} times, {total:.0f} s to the last "
                 f"end: 0 lost, 0 doubled; fences {fences}, at most {worst} losses of a job; {n_files} objects right, {n_strays} strays, "
                 f"{swept} swept; counters exact")
     finally:

@@ -89,6 +89,11 @@ class Load:
             self.faults.append(f"{method} {path}: {answer.status} {answer.body[:100]}")
         return answer
 
+    def require_answers(self, proxy):
+        """Fails where a request had no answer, or one of 5xx."""
+        total = sum(self.statuses.values())
+        require(not self.faults, f"{len(self.faults)} of {total} requests failed, {self.statuses}: {self.faults[:3]} {proxy.errors()}")
+
     def stop(self):
         self.over.set()
         for thread in self.threads:
@@ -126,14 +131,15 @@ def two_releases(options):
                     require(node.start(**(NEXT if is_next else {})) is not None, "a node does not start")
                     n_restarts += 1
                     time.sleep(options.between)
+                    load.require_answers(proxy)
         load.stop()
+        load.require_answers(proxy)
         wait_for(lambda: all_final(cluster), 300, f"all jobs end, now {final_states(cluster)}")
         unknown = cluster.postgres.ask("SELECT count(*) FROM jobs WHERE error LIKE '%option_unknown%'")
         require(unknown == [["0"]], f"{unknown[0][0]} jobs ended with option_unknown")
         newer = cluster.postgres.ask("SELECT count(*) FROM jobs WHERE needs = (SELECT max(needs) FROM jobs) AND options LIKE '%of_the_next_release%'")
         require(int(newer[0][0]) > 0, "no API node was the next release")
         require(set(final_states(cluster)) == {"succeeded"}, f"states: {final_states(cluster)}")
-        require(not load.faults, f"{len(load.faults)} of {sum(load.statuses.values())} requests failed, {load.statuses}: {load.faults[:3]} {proxy.errors()}")
         missing = set(load.jobs) - {row[0] for row in cluster.postgres.ask("SELECT id FROM jobs")}
         require(not missing, f"{len(missing)} accepted jobs are not there")
         check_objects(cluster)

@@ -12,6 +12,7 @@ use crate::service::store::StoreError;
 use crate::service::store::blobs::strays;
 use sqlx::postgres::PgConnection;
 use std::time::{Duration, Instant};
+use tokio::task::JoinHandle;
 
 /// Number of the lock.
 const LOCK: i64 = 0x7761_6e64; // "wand" in ASCII
@@ -50,6 +51,7 @@ async fn lead(shared: &Shared) -> Result<(), StoreError> {
     tracing::info!("this process is the leader");
     shared.leadership.set(true);
     let (mut seen, mut last_sweep) = (SeenBeats::default(), Instant::now());
+    let mut sweeping: Option<JoinHandle<()>> = None; // a large bucket takes longer than the interval
     let settings = &shared.settings.worker;
     loop {
         let max_losses = i64::from(shared.settings.jobs.max_losses);
@@ -59,9 +61,10 @@ async fn lead(shared: &Shared) -> Result<(), StoreError> {
             Err(_) => return Ok(()), // the connection ends here, and the lock with it
         }
         shared.metrics.note_beats(seen.longest_silence());
-        if last_sweep.elapsed() >= sweep_interval(SWEEP_INTERVAL) || fault("sweep.eager") {
+        let is_due = last_sweep.elapsed() >= sweep_interval(SWEEP_INTERVAL) || fault("sweep.eager");
+        if is_due && sweeping.as_ref().is_none_or(JoinHandle::is_finished) {
             last_sweep = Instant::now();
-            sweep(shared.clone());
+            sweeping = Some(sweep(shared.clone()));
         }
         tokio::time::sleep(settings.beat).await;
     }
@@ -72,12 +75,12 @@ async fn is_locked(connection: &mut PgConnection) -> Result<bool, StoreError> {
 }
 
 /// Sweeps the object store beside the leader's work.
-fn sweep(shared: Shared) {
+fn sweep(shared: Shared) -> JoinHandle<()> {
     tokio::spawn(async move {
         match strays::sweep(&shared.store).await {
             Ok(0) => {}
             Ok(removed) => tracing::info!(removed, "objects without a row were removed"),
             Err(error) => tracing::warn!(%error, "the object store cannot be swept; trying again in an hour"),
         }
-    });
+    })
 }

@@ -22,6 +22,10 @@ const AT_ONCE: usize = 4;
 /// Fetches of one process at the same time.
 const FETCHES: usize = 8;
 
+/// Fetches of an object that came with other bytes: what was damaged on its way is right the next time, and a job whose session is
+/// damaged fails for good.
+const MAX_FETCHES: usize = 3;
+
 /// The object store of a service process; clones share it.
 #[derive(Debug, Clone)]
 pub(crate) struct Remote {
@@ -228,13 +232,15 @@ impl Remote {
         if let Some(copy) = self.cached(sha256).await {
             return Ok(copy); // another request has fetched it meanwhile
         }
-        let file = self.folders.temporary();
-        if self.objects.get_file(key, &file.path).await? != sha256 {
-            return Err(damaged(key));
+        for _ in 0..MAX_FETCHES {
+            let file = self.folders.temporary();
+            if self.objects.get_file(key, &file.path).await? == sha256 {
+                let adopted = self.cache.adopt(&file.path, sha256);
+                let (path, pin) = adopted.map_err(|source| StoreError::Folder { path: file.path.clone(), source })?;
+                return Ok(LocalFile { path, pin: Some(pin) });
+            }
         }
-        let adopted = self.cache.adopt(&file.path, sha256);
-        let (path, pin) = adopted.map_err(|source| StoreError::Folder { path: file.path.clone(), source })?;
-        Ok(LocalFile { path, pin: Some(pin) })
+        Err(damaged(key))
     }
 
     async fn cached(&self, sha256: &str) -> Option<LocalFile> {
