@@ -142,7 +142,8 @@ pub fn checked_table(name: &str, stated: &[StatedLandmark]) -> Result<CheckedTab
 
 fn checked_landmark(stated: &StatedLandmark, hash: &mut Sha256) -> Result<Landmark, LandmarkError> {
     let landmark = || stated.name.clone();
-    let sum: f64 = stated.terms.iter().map(|(_, weight, _)| weight).sum();
+    // The sum of no numbers would be -0.
+    let sum = stated.terms.iter().fold(0.0, |sum, (_, weight, _)| sum + weight);
     let is_share = |(_, weight, _): &(String, f64, [f64; 3])| (0.0..=1.0 + WEIGHT_TOLERANCE).contains(weight);
     if !(sum - 1.0).abs().le(&WEIGHT_TOLERANCE) || !stated.terms.iter().all(is_share) {
         return Err(LandmarkError::Weights { landmark: landmark(), sum });

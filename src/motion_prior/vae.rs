@@ -54,7 +54,7 @@ impl Half {
     }
 
     /// What the whole motion `[T, B, in]` adds, `[T, B, out]`.
-    fn from_motion(&self, x: &Tensor) -> Result<Tensor> {
+    fn residual(&self, x: &Tensor) -> Result<Tensor> {
         self.head.forward(&self.gru.forward(x)?)
     }
 }
@@ -84,7 +84,7 @@ impl Vae {
     /// # Errors
     /// The input has another shape.
     pub fn encoder_residual(&self, features: &Tensor) -> Result<Tensor> {
-        self.encoder.from_motion(features)
+        self.encoder.residual(features)
     }
 
     /// Features of frames without regard to the motion, `[N, 57]` from codes `[N, 32]`.
@@ -100,7 +100,7 @@ impl Vae {
     /// # Errors
     /// The input has another shape.
     pub fn decoder_residual(&self, codes: &Tensor) -> Result<Tensor> {
-        self.decoder.from_motion(codes)
+        self.decoder.residual(codes)
     }
 
     /// The posterior of motions `[T, B, 57]`.

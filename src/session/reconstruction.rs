@@ -58,12 +58,14 @@ pub struct Reconstruction {
     pub body_model: BodyModelId,
     /// Repairs of the detections; `None` where the consistency stage is switched off.
     pub repairs: Option<DetectionRepairs>,
-    /// `hand_sources[view][frame][detection]`: detection and side of the same view and frame that show its person's left and right hand;
-    /// `None` where the convention has no hands.
-    pub hand_sources: Option<Vec<Vec<Vec<[(usize, Side); 2]>>>>,
+    /// Where the hands of every detection's person are shown; `None` where the convention has no hands.
+    pub hand_sources: Option<HandSources>,
     /// Statistics and verdict.
     pub report: Report,
 }
+
+/// `[view][frame][detection]`: detection and side of the same view and frame that show its person's left and right hand.
+pub type HandSources = Vec<Vec<Vec<[(usize, Side); 2]>>>;
 
 /// Changes that the consistency stage made to the detections.
 #[derive(Debug, Clone, Default, PartialEq)]

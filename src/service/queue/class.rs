@@ -22,7 +22,7 @@ const DETECTION_BYTES: u64 = 10_000;
 
 /// The level of options that this release knows. It grows whenever an option, or a value of one, is added: a worker of a lower level
 /// passes over the jobs of a newer API node, which it would end as `option_unknown`.
-pub const OPTIONS_LEVEL: i64 = 1;
+pub const OPTIONS_LEVEL: i64 = 2;
 
 /// The class of a job on a session: the smallest with enough memory.
 pub fn of_session(session: &SessionSummary) -> i64 {
@@ -95,7 +95,7 @@ mod tests {
         let digest = hex::encode(&Sha256::digest(format!("{kinds:?}{known}"))[..4]);
         assert_eq!(
             (OPTIONS_LEVEL, digest.as_str()),
-            (1, "c8af13df"),
+            (2, "e31d4ca0"),
             "the options have changed: raise OPTIONS_LEVEL where a value was added, and note the digest here"
         );
     }

@@ -101,7 +101,8 @@ mod tests {
 
     /// One camera, one person of 17 points, the third of which is missing; `stated` stands beside the keypoints.
     fn read(stated: &str) -> Result<Session, UploadError> {
-        let points: Vec<String> = (0..17).map(|k| format!("[{}, 300, {}]", 100 + k, u8::from(k != 2))).collect();
+        let point = |k| if k == 2 { "[0, 0, 0]".to_owned() } else { format!("[{}, 300, 1]", 100 + k) };
+        let points: Vec<String> = (0..17).map(point).collect();
         let document = format!(
             r#"{{"fps": 25, "n_frames": 8, "keypoint_convention": "coco17",
                 "cameras": [{{"id": "left", "width": 1280, "height": 720, "K": [[900, 0, 640], [0, 900, 360], [0, 0, 1]]}}],

@@ -61,7 +61,7 @@ impl Fixture {
             pixel: Vector2::new(960.0 + 300.0 * wave(t + landmark), 540.0 + 300.0 * wave(landmark + 3)),
             scale_px: 400.0,
             stated: None,
-            whitening: (t % 2 == 0).then(|| nalgebra::Matrix2::new(1.4, 0.3, 0.3, 0.8)),
+            whitening: t.is_multiple_of(2).then(|| nalgebra::Matrix2::new(1.4, 0.3, 0.3, 0.8)),
         };
         let camera = PosedCamera {
             intrinsics: Intrinsics::PLAIN,
