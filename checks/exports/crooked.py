@@ -32,6 +32,9 @@ person = people["people"][-1]
 for key in ["frames", "global_orient", "body_pose", "transl", "valid", "joint_sigma_mm"]:
     if key in person:
         person[key] = person[key][12:70]
+for hand in person.get("hands", {}).values():
+    for key, frames in hand.items():
+        hand[key] = frames[12:70]
 person["valid"][20:25] = [False] * 5
 with open(path, "w") as file:
     json.dump(people, file)
