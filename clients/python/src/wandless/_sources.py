@@ -85,7 +85,7 @@ def session_document(
         return None if any(value != value for value in entries) else entries
 
     def people(frame: Any, stated: Any) -> list[dict[str, Any]]:
-        listed = [{"keypoints": [point(values) for values in person]} for person in frame]
+        listed: list[dict[str, Any]] = [{"keypoints": [point(values) for values in person]} for person in frame]
         if stated is not None:
             for person, of_person in zip(listed, stated):
                 person["covariances"] = [covariance(values) for values in of_person]
@@ -93,8 +93,9 @@ def session_document(
 
     def frames_of(camera: str, frames: Any) -> list[dict[str, Any]]:
         stated = (covariances or {}).get(camera)
-        of_frame = lambda number: None if stated is None else stated[number]
-        return [{"frame": number, "people": people(frame, of_frame(number))} for number, frame in enumerate(frames)]
+        if stated is None:
+            stated = [None] * len(frames)
+        return [{"frame": n, "people": people(frame, stated[n])} for n, frame in enumerate(frames)]
 
     def plain(value: Any) -> Any:
         return value.tolist() if hasattr(value, "tolist") else value
