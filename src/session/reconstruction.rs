@@ -64,8 +64,11 @@ pub struct Reconstruction {
     pub report: Report,
 }
 
-/// `[view][frame][detection]`: detection and side of the same view and frame that show its person's left and right hand.
-pub type HandSources = Vec<Vec<Vec<[(usize, Side); 2]>>>;
+/// A detection of a view and frame, and one of its sides.
+pub type HandPlace = (usize, Side);
+
+/// `[view][frame][detection]`: where the same view and frame show its person's left and right hand.
+pub type HandSources = Vec<Vec<Vec<[HandPlace; 2]>>>;
 
 /// Changes that the consistency stage made to the detections.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -8,7 +8,7 @@ mod likelihood;
 
 use crate::body::hand::{N_HAND_POINTS, Side, hand_keypoints};
 use crate::pipeline::calibration::TrackedPeople;
-use crate::session::reconstruction::StageReport;
+use crate::session::reconstruction::{HandPlace, HandSources, StageReport};
 use crate::session::{Keypoint, Session};
 use likelihood::{Arm, SeenHand};
 
@@ -16,14 +16,11 @@ use likelihood::{Arm, SeenHand};
 pub struct AssociatedHands {
     /// Its other keypoints are as before.
     pub session: Session,
-    /// `sources[view][frame][detection]`: detection and side from which its left and its right hand were taken.
-    pub sources: Vec<Vec<Vec<[HandPlace; 2]>>>,
+    /// From where every hand was taken.
+    pub sources: HandSources,
     /// Numbers of hands, and of those that were moved.
     pub report: StageReport,
 }
-
-/// A detection of a view and frame, and one of its sides.
-pub type HandPlace = (usize, Side);
 
 /// Twice the logarithm of the odds against an exchange: detectors exchange hands in some 5 % of the frames.
 const MIN_GAIN: f64 = 6.0;
@@ -34,7 +31,7 @@ pub fn associated_hands(people: &TrackedPeople) -> Option<AssociatedHands> {
     hand_keypoints(convention, Side::Left)?;
     let mut session = people.session.clone();
     let own = |n: usize| (0..n).map(|detection| Side::BOTH.map(|side| (detection, side))).collect();
-    let mut sources: Vec<Vec<Vec<[HandPlace; 2]>>> =
+    let mut sources: HandSources =
         session.views.iter().map(|view| view.frames.iter().map(|frame| own(frame.len())).collect()).collect();
     let (mut n_hands, mut n_moved) = (0, 0);
     for (view, camera) in people.cameras.iter().enumerate() {
