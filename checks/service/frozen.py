@@ -10,7 +10,7 @@ from harness import require, take, until
 from states import FIXED, at_work, check_objects, final_states
 
 #: Points between the end of a job's process and the recorded end, at each of which a worker is stopped (`failpoint.rs`).
-POINTS = ["child.ended", "result.hashed", "result.published", "finish.written", "finish.filled"]
+POINTS = ["child.ended", "result.hashed", "result.published", "finish.filled", "finish.written"]
 
 
 def frozen_worker(options):

@@ -59,3 +59,38 @@ def more_workers(options):
     ratio = rates[8] / rates[1]
     require(ratio >= options.growth, f"8 workers are {ratio:.1f} times as fast as one: {rates}")
     return f"1 worker {rates[1]:.2f} jobs/s, 8 workers {rates[8]:.2f}: {ratio:.2f} times"
+
+
+def more_cores(options):
+    """Two workers of one core each end real solves at 1.9 times the rate of one, and give the bytes of the embedded default."""
+    if not options.capture:
+        return "skipped: --capture names no session"
+    folder = tempfile.mkdtemp(prefix="wandless-capture-")
+    upload = options.capture if os.path.isfile(options.capture) else shutil.make_archive(os.path.join(folder, "session"), "zip", options.capture)
+    alone = Service(options.program)
+    require(alone.start() is not None, "the embedded service does not start")
+    client = alone.client()
+    expected = client.manifest(client.wait(client.submit(client.upload(upload)["id"], {})["id"])["id"])
+    alone.kill()
+    alone.remove()
+    rates = {}
+    for n_workers in (1, 2):
+        cluster = Cluster(options.program, options.s3)
+        try:
+            client = cluster.node("api").client()
+            session = client.upload(upload)["id"]
+            jobs = [client.submit(session, {})["id"] for _ in range(options.solves)]
+            words = ["--set", "jobs.concurrent=1", "--set", "jobs.threads=1"]
+            for core in range(n_workers):
+                cluster.node("worker", *words, prefix=["taskset", "-c", str(core)])
+            wait_for(lambda cluster=cluster: all_final(cluster), 1800, "all jobs end")
+            require(all(client.manifest(job) == expected for job in jobs), "a manifest differs from that of the embedded service")
+            span = cluster.postgres.ask("SELECT extract(epoch FROM max(finished_at::timestamptz) - min(started_at::timestamptz)) FROM jobs")
+            rates[n_workers] = options.solves / float(span[0][0])
+            check_objects(cluster)
+        finally:
+            cluster.remove()
+    shutil.rmtree(folder)
+    ratio = rates[2] / rates[1]
+    require(ratio >= 1.9, f"two workers are {ratio:.2f} times as fast as one: {rates}")
+    return f"{options.solves} solves each: {rates[1]:.3f} and {rates[2]:.3f} a second, {ratio:.2f} times; every manifest equal to the embedded default's"

@@ -20,7 +20,7 @@ import time
 from cluster import Cluster, Postgres, find, wait_for
 from broken import broken_store, cut_off, large_upload, lost_answers, paused_transaction, wrong_clocks
 from frozen import away_from_many, frozen_at_the_end, frozen_worker
-from growth import more_workers
+from growth import more_cores, more_workers
 from harness import Failed, Service, percentile, require, take, until, wandless
 from lost import upload_cut, worker_lost
 from moved import Receiver, moved
@@ -262,8 +262,8 @@ def refused(options):
 ROWS = [two_api_nodes, kills, frozen_worker, database_away, leader_killed, refused, moved, lost_answers, paused_transaction, wrong_clocks,
         broken_store, cut_off, large_upload, turns_of_tenants, upload_cut, brought_back, restores]
 
-#: Rows that need a program with the feature `failpoints`, run by `--row` alone.
-SIMULATED = [more_workers, storm, frozen_at_the_end, away_from_many, worker_lost, two_releases]
+#: Rows that are run by `--row` alone: the first needs a capture, the others a program with the feature `failpoints`.
+ALONE = [more_cores, more_workers, storm, frozen_at_the_end, away_from_many, worker_lost, two_releases]
 
 
 def main():
@@ -271,11 +271,12 @@ def main():
     parser.add_argument("--program", default="target/release/wandless")
     parser.add_argument("--s3", default=shutil.which("s3s-fs"), help="the program s3s-fs")
     parser.add_argument("--seed", type=int, default=int(time.time()))
-    parser.add_argument("--row", choices=[row.__name__ for row in [*ROWS, *SIMULATED]], help="one row")
+    parser.add_argument("--row", choices=[row.__name__ for row in [*ROWS, *ALONE]], help="one row")
     for name, default in {"jobs": 12, "kills": 10, "workers": 3, "changes": 10, "freezes": 3, "leaders": 5, "eaten": 5,
-                          "pauses": 2, "uploads": 6, "upload-mib": 2048, "growth-jobs": 12,
+                          "pauses": 2, "uploads": 6, "upload-mib": 2048, "growth-jobs": 12, "solves": 20,
                           "job-ms": 800, "running": 100, "losses": 1, "upgrades": 1, "restores": 3, "restore-s": 20}.items():
         parser.add_argument(f"--{name}", type=int, default=default)
+    parser.add_argument("--capture", help="a session, folder or zip, for the solves of `more_cores`")
     parser.add_argument("--previous", help="the program of the previous release, which makes the folder that is moved")
     parser.add_argument("--every", type=float, default=0.5, help="mean seconds between two kills of the storm")
     parser.add_argument("--between", type=float, default=2.0, help="seconds between two restarts of an upgrade")
@@ -289,8 +290,8 @@ def main():
         sys.exit(0)
     print(f"seed {options.seed}", flush=True)
     failed = False
-    for row in [*ROWS, *SIMULATED]:
-        if options.row != row.__name__ and (options.row is not None or row in SIMULATED):
+    for row in [*ROWS, *ALONE]:
+        if options.row != row.__name__ and (options.row is not None or row in ALONE):
             continue
         start = time.monotonic()
         try:

@@ -43,11 +43,11 @@ pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
     };
     let people: Vec<Person> = take.motions.iter().zip(names.iter().map(String::as_str)).map(person).collect();
     files.bytes("scene.fbx", MEDIA_TYPE, &scene(&take, &people)?)?;
-    for (motion, name) in take.motions.iter().zip(&names) {
-        for profile in profiles(&Rig::of(motion)).into_iter().filter(|profile| !profile.suffix.is_empty()) {
-            let person = Person { name, joint_names: profile.names, motion, rig: Rig::of(motion) };
-            let file_name = format!("{}{}.fbx", motion.person.0, profile.suffix);
-            files.bytes(&file_name, MEDIA_TYPE, &scene(&take, &[person])?)?;
+    for mut person in people {
+        for profile in profiles(&person.rig).into_iter().filter(|profile| !profile.suffix.is_empty()) {
+            person.joint_names = profile.names;
+            let file_name = format!("{}{}.fbx", person.motion.person.0, profile.suffix);
+            files.bytes(&file_name, MEDIA_TYPE, &scene(&take, std::slice::from_ref(&person))?)?;
         }
     }
     Ok(())

@@ -8,7 +8,7 @@ use crate::session::formats::rounded;
 use crate::session::people::{BodyPose, HandMotion, HandPose, JointSigmas};
 use crate::session::reconstruction::{BodyModelId, Report};
 use crate::session::{BodyMotion, FrameIndex, Reconstruction, Session};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 /// The file.
 #[derive(Serialize)]
@@ -40,21 +40,21 @@ struct Person {
 }
 
 /// Fingers of both hands, where they were fitted.
-#[derive(Serialize)]
-struct Hands {
-    left: Hand,
-    right: Hand,
+#[derive(Serialize, Deserialize)]
+pub(super) struct Hands {
+    pub(super) left: Hand,
+    pub(super) right: Hand,
 }
 
 /// Fingers of a hand by frame, joints in SMPL-H's order.
-#[derive(Serialize)]
-struct Hand {
+#[derive(Serialize, Deserialize)]
+pub(super) struct Hand {
     /// Axis-angle of the 15 joints, rad.
-    pose: Vec<Vec<f64>>,
+    pub(super) pose: Vec<Vec<f64>>,
     /// World, m.
-    joints: Vec<Vec<[f64; 3]>>,
+    pub(super) joints: Vec<Vec<[f64; 3]>>,
     /// Number of views that saw the hand.
-    n_views: Vec<u8>,
+    pub(super) n_views: Vec<u8>,
 }
 
 /// Stature and mass, and standard deviations of the shape where the session shows them.

@@ -1,5 +1,6 @@
 //! Reads a finished result back as a [`Take`], from which further formats can be written.
 
+use super::people::{Hand, Hands};
 use super::skin::free_body;
 use super::take::{Take, TakeCamera, carry_over_non_finite};
 use crate::body::hand::N_FINGER_JOINTS;
@@ -95,21 +96,6 @@ struct Person {
     joint_sigma_mm: Option<Vec<[Option<f64>; N_JOINTS]>>,
     #[serde(default)]
     hands: Option<Hands>,
-}
-
-/// Fingers of both hands.
-#[derive(Deserialize)]
-struct Hands {
-    left: Hand,
-    right: Hand,
-}
-
-/// Fingers of a hand by frame.
-#[derive(Deserialize)]
-struct Hand {
-    pose: Vec<Vec<f64>>,
-    joints: Vec<Vec<[f64; 3]>>,
-    n_views: Vec<u8>,
 }
 
 /// `poses3d.json` or `keypoints3d.json`.

@@ -91,8 +91,8 @@ pub(super) fn joint_turn(motion: &BodyMotion, t: usize, joint: usize) -> Matrix3
 /// Offsets of finger joints from their parents in the rest pose, m: mean over the frames.
 fn finger_offsets(motion: &BodyMotion, hand: &HandMotion, side: Side) -> [Vector3<f64>; N_FINGER_JOINTS] {
     let mut offsets = [Vector3::zeros(); N_FINGER_JOINTS];
+    let chain: Vec<usize> = chain_to_root(side.wrist()).collect();
     for (pose, fingers) in motion.frames.iter().zip(&hand.frames) {
-        let chain: Vec<usize> = chain_to_root(side.wrist()).collect();
         let wrist = chain.iter().rev().fold(Matrix3::identity(), |world, &joint| world * pose.rotations[joint]);
         let mut world_from_joint = [wrist; N_FINGER_JOINTS];
         for joint in 0..N_FINGER_JOINTS {

@@ -16,7 +16,7 @@ pub const FAILPOINTS: [&str; 40] = [
     "recover.swept", "upload.spooled", "upload.synced", "publish.renamed", "upload.published", "upload.recorded",
     "session.marked", "session.committed", "session.removed", "enqueue.inserted", "enqueue.committed", "claim.updated",
     "claim.committed", "child.started", "progress.noted", "child.ended", "result.hashed", "result.published",
-    "finish.written", "finish.filled", "finish.committed", "finish.cleared", "cancel.marked", "cancel.committed",
+    "finish.filled", "finish.written", "finish.committed", "finish.cleared", "cancel.marked", "cancel.committed",
     "delete.marked", "delete.committed", "delete.removed", "exports.written", "exports.committed", "webhook.due",
     "webhook.called", "webhook.noted", "stop.drained", "stop.closed",
 ];

@@ -26,6 +26,20 @@ pub(super) fn evaluated(
     out: &Path,
 ) -> anyhow::Result<Evaluated> {
     let result = reconstruct(session, options, &Progress::silent())?;
+    write_into(out, session, options, input_sha256, &result)?;
+    let options = EvaluationOptions { align: Some(align), ..EvaluationOptions::default() };
+    let errors = evaluate(out, truth, &options).map_err(|e| BadInput(e.to_string()))?;
+    Ok(Evaluated { errors, result })
+}
+
+/// Writes a result into the folder `out`.
+pub(super) fn write_into(
+    out: &Path,
+    session: &Session,
+    options: &Options,
+    input_sha256: &str,
+    result: &Reconstruction,
+) -> anyhow::Result<()> {
     let context = ResultContext {
         input_sha256,
         options: serde_json::to_value(options)?,
@@ -34,8 +48,5 @@ pub(super) fn evaluated(
         continuation: None,
     };
     std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
-    write_result(out, session, &context, &result)?;
-    let options = EvaluationOptions { align: Some(align), ..EvaluationOptions::default() };
-    let errors = evaluate(out, truth, &options).map_err(|e| BadInput(e.to_string()))?;
-    Ok(Evaluated { errors, result })
+    Ok(write_result(out, session, &context, result)?)
 }

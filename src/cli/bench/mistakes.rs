@@ -4,12 +4,12 @@
 //! the right code and cameras (of both of a combination), *detected* where the verdict is worse than that of the session as it is or the solve fails, *harmless* where
 //! the result is as good as without the mistake, and *silent* otherwise.
 
+use super::evaluated::write_into;
 use crate::cli::bad_input::BadInput;
 use crate::cli::solve::use_threads;
 use crate::evaluation::alignment::Alignment;
 use crate::evaluation::documents::read_cameras;
 use crate::evaluation::{Evaluation, EvaluationOptions, evaluate};
-use crate::export::{ResultContext, write_result};
 use crate::geometry::{Rigid, rotation};
 use crate::pipeline::config::Repair;
 use crate::pipeline::repair::with_option;
@@ -206,15 +206,7 @@ fn solved(session: &Session, options: &Options, turns: &Turns, path: &Path, out:
         let turn = rotation::exp(&Vector3::new(0.0, 0.0, -angle));
         *pose = Rigid { rotation: turn * pose.rotation, translation: turn * pose.translation };
     }
-    let context = ResultContext {
-        input_sha256: "",
-        options: serde_json::to_value(options)?,
-        solver_version: env!("CARGO_PKG_VERSION"),
-        exports: &[],
-        continuation: None,
-    };
-    std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
-    write_result(out, session, &context, &result)?;
+    write_into(out, session, options, "", &result)?;
     // A mistake may change which detections there are; the truth's list of identities then no longer fits.
     std::fs::remove_file(out.join("identities.json"))?;
     let errors = |align: Option<Alignment>| {

@@ -65,14 +65,14 @@ impl Queue {
                 };
                 let is_run_again = wait.is_some() || class.is_some();
                 let next = if is_run_again { Phase::Queued } else { next_phase(phase, outcome, crashes, max_crashes) };
-                write_outcome(&mut transaction, claim, outcome, &Next { phase: next, wait, class }).await?;
-                failpoint("finish.written");
                 if let (Phase::Succeeded, ClaimOutcome::Succeeded(published)) = (next, outcome) {
-                    write_result_size(&mut transaction, claim, &published.artifacts).await?;
                     artifacts::insert(&mut transaction, &claim.job, &published.artifacts).await?;
                     published.summary.insert(&mut transaction, &claim.job).await?;
                 }
                 failpoint("finish.filled");
+                // Last: from here to the commit the tenant's counters are locked, and all ends of its jobs wait for each other.
+                write_outcome(&mut transaction, claim, outcome, &Next { phase: next, wait, class }).await?;
+                failpoint("finish.written");
                 self.store.commit(transaction).await?;
                 failpoint("finish.committed");
                 (next, wait)
@@ -173,9 +173,17 @@ async fn write_outcome(
         (Phase::Dead, ClaimOutcome::Crashed(how)) => Some(serde_json::to_string(&crashed_too_often(how))?),
         _ => None,
     };
+    // The size of the result counts towards the tenant's quota.
+    let result_bytes = match (next.phase, outcome) {
+        (Phase::Succeeded, ClaimOutcome::Succeeded(published)) => {
+            Some(published.artifacts.iter().map(|artifact| artifact.bytes).sum::<u64>() as i64)
+        }
+        _ => None,
+    };
     sqlx::query(
         "UPDATE jobs SET state = $1, boot = NULL, eta_s = NULL, error = $2,
                          crashes = crashes + $3, message = coalesce($6, message), class = coalesce($7, class),
+                         result_bytes = coalesce($8, result_bytes),
                          fraction = CASE $1 WHEN 'succeeded' THEN 1.0 ELSE fraction END,
                          result_fence = CASE $1 WHEN 'succeeded' THEN fence END,
                          finished_at = CASE $1 WHEN 'queued' THEN NULL ELSE strftime('%Y-%m-%dT%H:%M:%fZ', 'now') END
@@ -188,20 +196,9 @@ async fn write_outcome(
     .bind(claim.fence)
     .bind(message)
     .bind(next.class)
+    .bind(result_bytes)
     .execute(&mut **transaction)
     .await?;
-    Ok(())
-}
-
-/// Writes the size of the result, which counts towards the tenant's quota.
-async fn write_result_size(
-    transaction: &mut WriteTransaction,
-    claim: &Claim,
-    artifacts: &[Artifact],
-) -> Result<(), StoreError> {
-    let bytes: u64 = artifacts.iter().map(|artifact| artifact.bytes).sum();
-    let update = sqlx::query("UPDATE jobs SET result_bytes = $1 WHERE id = $2").bind(bytes as i64).bind(&claim.job);
-    update.execute(&mut **transaction).await?;
     Ok(())
 }
 

@@ -3,22 +3,25 @@
 use super::database::{Store, WriteTransaction};
 use super::error::StoreError;
 pub use super::published::{Artifact, FileDigest, digest_file, digest_of, scan};
+use super::sql::places;
+use sqlx::AssertSqlSafe;
 
 /// Inserts the rows of a job that is about to succeed.
 ///
 /// # Errors
 /// When the database fails.
 pub async fn insert(transaction: &mut WriteTransaction, job: &str, artifacts: &[Artifact]) -> Result<(), StoreError> {
-    for artifact in artifacts {
-        sqlx::query("INSERT INTO artifacts (job_id, name, media_type, bytes, sha256) VALUES ($1, $2, $3, $4, $5)")
-            .bind(job)
-            .bind(&artifact.name)
-            .bind(&artifact.media_type)
-            .bind(artifact.bytes as i64)
-            .bind(&artifact.sha256)
-            .execute(&mut **transaction)
-            .await?;
+    if artifacts.is_empty() {
+        return Ok(());
     }
+    let insert = "INSERT INTO artifacts (job_id, name, media_type, bytes, sha256) VALUES";
+    let insert = format!("{insert} {}", places(artifacts.len(), 5)); // the text is our own
+    let mut query = sqlx::query(AssertSqlSafe(insert)).persistent(false);
+    for artifact in artifacts {
+        let Artifact { name, media_type, bytes, sha256 } = artifact;
+        query = query.bind(job).bind(name).bind(media_type).bind(*bytes as i64).bind(sha256);
+    }
+    query.execute(&mut **transaction).await?;
     Ok(())
 }
 

@@ -62,3 +62,21 @@ pub(crate) fn float(value: Option<f64>) -> Option<Float> {
     #[cfg(not(feature = "scale"))]
     value
 }
+
+/// Places of the values of several rows: `($1, $2), ($3, $4)`. One statement for many rows, since a server far away answers each one
+/// after a round trip.
+pub(super) fn places(rows: usize, columns: usize) -> String {
+    let row = |row: usize| {
+        let places: Vec<String> = (1..=columns).map(|column| format!("${}", row * columns + column)).collect();
+        format!("({})", places.join(", "))
+    };
+    (0..rows).map(row).collect::<Vec<_>>().join(", ")
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn places_count_on_through_the_rows() {
+        assert_eq!(super::places(2, 3), "($1, $2, $3), ($4, $5, $6)");
+    }
+}

@@ -2,12 +2,16 @@
 
 use super::database::WriteTransaction;
 use super::error::StoreError;
-use super::sql::float;
+use super::sql::{float, places};
 use crate::session::reconstruction::{CameraReport, ErrorSummary, PersonReport, Quality, ScaleReport};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
+use sqlx::AssertSqlSafe;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+
+/// Far below the parameters that a statement may have: 32,766 with SQLite, 65,535 with PostgreSQL.
+const METRICS_IN_ONE_STATEMENT: usize = 1000;
 
 /// Summary of one result.
 #[derive(Debug)]
@@ -95,9 +99,7 @@ impl Summary {
     /// When the database fails.
     pub async fn insert(&self, transaction: &mut WriteTransaction, job: &str) -> Result<(), StoreError> {
         insert_verdict(transaction, job, &self.report).await?;
-        for (index, stage) in self.report.stages.iter().enumerate() {
-            insert_stage(transaction, job, index, stage).await?;
-        }
+        insert_stages(transaction, job, &self.report.stages).await?;
         for (index, camera) in self.cameras.iter().enumerate() {
             let report = self.report.cameras.iter().find(|report| report.id == camera.id);
             insert_camera(transaction, job, index, camera, report).await?;
@@ -135,33 +137,32 @@ async fn insert_verdict(transaction: &mut WriteTransaction, job: &str, report: &
     Ok(())
 }
 
-async fn insert_stage(
-    transaction: &mut WriteTransaction,
-    job: &str,
-    index: usize,
-    stage: &StageFile,
-) -> Result<(), StoreError> {
-    sqlx::query(
-        "INSERT INTO stage_metrics (job_id, stage_index, stage, iterations, cost_before, cost_after, termination)
-         VALUES ($1, $2, $3, $4, $5, $6, $7)",
-    )
-    .bind(job)
-    .bind(index as i64)
-    .bind(&stage.stage)
-    .bind(stage.iterations)
-    .bind(float(stage.cost_before))
-    .bind(float(stage.cost_after))
-    .bind(&stage.termination)
-    .execute(&mut **transaction)
-    .await?;
-    for (name, value) in &stage.metrics {
-        sqlx::query("INSERT INTO stage_metric_values (job_id, stage_index, name, value) VALUES ($1, $2, $3, $4)")
-            .bind(job)
-            .bind(index as i64)
-            .bind(name)
-            .bind(float(*value))
-            .execute(&mut **transaction)
-            .await?;
+/// The rows of all stages, and of all their metrics.
+async fn insert_stages(transaction: &mut WriteTransaction, job: &str, stages: &[StageFile]) -> Result<(), StoreError> {
+    if stages.is_empty() {
+        return Ok(());
+    }
+    let insert = "INSERT INTO stage_metrics (job_id, stage_index, stage, iterations, cost_before, cost_after, termination) VALUES";
+    let insert = format!("{insert} {}", places(stages.len(), 7)); // the text is our own
+    let mut query = sqlx::query(AssertSqlSafe(insert)).persistent(false);
+    for (index, stage) in stages.iter().enumerate() {
+        query = query.bind(job).bind(index as i64).bind(&stage.stage).bind(stage.iterations);
+        query = query.bind(float(stage.cost_before)).bind(float(stage.cost_after)).bind(&stage.termination);
+    }
+    query.execute(&mut **transaction).await?;
+    let metrics: Vec<_> = stages
+        .iter()
+        .enumerate()
+        .flat_map(|(index, stage)| stage.metrics.iter().map(move |metric| (index, metric)))
+        .collect();
+    for metrics in metrics.chunks(METRICS_IN_ONE_STATEMENT) {
+        let insert = "INSERT INTO stage_metric_values (job_id, stage_index, name, value) VALUES";
+        let insert = format!("{insert} {}", places(metrics.len(), 4)); // the text is our own
+        let mut query = sqlx::query(AssertSqlSafe(insert)).persistent(false);
+        for (index, (name, value)) in metrics {
+            query = query.bind(job).bind(*index as i64).bind(*name).bind(float(**value));
+        }
+        query.execute(&mut **transaction).await?;
     }
     Ok(())
 }
