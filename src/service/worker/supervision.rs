@@ -9,8 +9,11 @@ use crate::service::queue::{Claim, ClaimStatus, Queue};
 use crate::service::settings::JobSettings;
 use std::collections::BTreeMap;
 use std::os::unix::process::ExitStatusExt;
+use std::pin::pin;
 use std::process::ExitStatus;
 use std::time::{Duration, Instant};
+use tokio::sync::watch;
+use tokio::time::{Interval, MissedTickBehavior};
 use tokio_util::sync::CancellationToken;
 
 /// How a child process ended.
@@ -47,13 +50,14 @@ impl From<String> for Crash {
     }
 }
 
-/// Minimal interval between two writes of progress.
+/// Time between two writes of progress, and between two looks for a hang.
 const WRITE_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Smallest completed share from which the remaining time is estimated.
 const MIN_FRACTION_FOR_ETA: f64 = 0.02;
 
-/// Supervises the child process until it has ended.
+/// Supervises the child process until it has ended. Its messages are read beside every use of the database: while that is away, no
+/// child counts as silent.
 pub(super) async fn supervise(
     child: &mut Child,
     queue: &Queue,
@@ -62,39 +66,33 @@ pub(super) async fn supervise(
     claim: &Claim,
     draining: CancellationToken,
 ) -> ChildExit {
-    let mut changes = queue.follow(&claim.job);
     let mut tracker = ProgressTracker::new();
-    let mut tick = tokio::time::interval(WRITE_INTERVAL);
-    tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+    let mut unwritten = tracker.notes.subscribe();
     let mut last_message = None;
-    let exit = loop {
-        tokio::select! {
-            message = child.message() => match message {
-                Some(Message::Alive) => {
-                    tracker.last_message_at = Instant::now();
-                    metrics.note_heartbeat(&claim.job);
-                }
-                Some(progress @ Message::Progress { .. }) => tracker.note(progress),
-                Some(Message::Scene { stage, document }) => {
-                    tracker.last_message_at = Instant::now();
-                    queue.show_scene(&claim.job, stage, document);
-                }
-                Some(message) => last_message = Some(message),
-                None => break None,
-            },
-            true = changes.changed() => {
-                if !is_active(queue, claim).await {
-                    break Some(ChildExit::Stopped);
-                }
-            }
-            () = draining.cancelled() => break Some(ChildExit::Stopped),
-            _ = tick.tick() => {
-                tracker.write(queue, claim).await;
-                if !is_active(queue, claim).await {
-                    break Some(ChildExit::Stopped);
-                }
-                if let Some(how) = tracker.hang(settings) {
-                    break Some(ChildExit::Crashed(how.into()));
+    let exit = {
+        let mut end_of_claim = pin!(end_of_claim(queue, claim, &mut unwritten));
+        let mut tick = ticks();
+        loop {
+            tokio::select! {
+                message = child.message() => match message {
+                    Some(Message::Alive) => {
+                        tracker.last_message_at = Instant::now();
+                        metrics.note_heartbeat(&claim.job);
+                    }
+                    Some(progress @ Message::Progress { .. }) => tracker.note(progress),
+                    Some(Message::Scene { stage, document }) => {
+                        tracker.last_message_at = Instant::now();
+                        queue.show_scene(&claim.job, stage, document);
+                    }
+                    Some(message) => last_message = Some(message),
+                    None => break None,
+                },
+                () = &mut end_of_claim => break Some(ChildExit::Stopped),
+                () = draining.cancelled() => break Some(ChildExit::Stopped),
+                _ = tick.tick() => {
+                    if let Some(how) = tracker.hang(settings) {
+                        break Some(ChildExit::Crashed(how.into()));
+                    }
                 }
             }
         }
@@ -112,9 +110,41 @@ pub(super) async fn supervise(
         tracing::warn!(signal, how, "the job's process crashed");
     }
     tracker.close_stage();
-    metrics.note_stages(&tracker.stage_seconds);
-    tracker.write(queue, claim).await;
+    metrics.note_stages(&tracker.notes.borrow().stage_seconds);
+    write_notes(queue, claim, &mut unwritten).await;
     exit
+}
+
+/// Writes progress once a second until the claim is no longer valid.
+async fn end_of_claim(queue: &Queue, claim: &Claim, unwritten: &mut watch::Receiver<Notes>) {
+    let mut changes = queue.follow(&claim.job);
+    let mut tick = ticks();
+    loop {
+        tokio::select! {
+            true = changes.changed() => {}
+            _ = tick.tick() => write_notes(queue, claim, unwritten).await,
+        }
+        if !is_active(queue, claim).await {
+            return;
+        }
+    }
+}
+
+/// Ticks of [`WRITE_INTERVAL`].
+fn ticks() -> Interval {
+    let mut tick = tokio::time::interval(WRITE_INTERVAL);
+    tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    tick
+}
+
+async fn write_notes(queue: &Queue, claim: &Claim, unwritten: &mut watch::Receiver<Notes>) {
+    if !unwritten.has_changed().unwrap_or(true) {
+        return;
+    }
+    let Notes { progress, stage_seconds } = unwritten.borrow_and_update().clone();
+    if let Err(error) = queue.heartbeat(claim, &progress, &stage_seconds).await {
+        tracing::warn!(%error, "cannot write progress");
+    }
 }
 
 /// Waits for a child that has closed its stdout; its last message counts only if the exit status agrees with it.
@@ -143,15 +173,20 @@ async fn is_active(queue: &Queue, claim: &Claim) -> bool {
     }
 }
 
+/// What the row of the job shows of the child process.
+#[derive(Debug, Clone, Default)]
+struct Notes {
+    progress: JobProgress,
+    stage_seconds: BTreeMap<String, f64>,
+}
+
 /// Progress of the child process and when it last reported.
 struct ProgressTracker {
     started: Instant,
     last_message_at: Instant,
     last_progress_at: Instant,
-    progress: JobProgress,
     stage_started: Instant,
-    stage_seconds: BTreeMap<String, f64>,
-    is_dirty: bool,
+    notes: watch::Sender<Notes>,
 }
 
 impl ProgressTracker {
@@ -161,51 +196,39 @@ impl ProgressTracker {
             started: now,
             last_message_at: now,
             last_progress_at: now,
-            progress: JobProgress::default(),
             stage_started: now,
-            stage_seconds: BTreeMap::new(),
-            is_dirty: false,
+            notes: watch::Sender::default(),
         }
     }
 
     fn note(&mut self, message: Message) {
         let Message::Progress { stage, stage_index, stage_count, fraction, message } = message else { return };
         let now = Instant::now();
-        (self.last_message_at, self.last_progress_at, self.is_dirty) = (now, now, true);
-        if stage != self.progress.stage {
+        (self.last_message_at, self.last_progress_at) = (now, now);
+        if stage != self.notes.borrow().progress.stage {
             self.close_stage();
         }
-        let fraction = fraction.clamp(self.progress.fraction, 1.0);
         let elapsed_s = now.duration_since(self.started).as_secs_f64();
-        let eta_s = (fraction > MIN_FRACTION_FOR_ETA).then(|| (elapsed_s * (1.0 - fraction) / fraction).round());
-        self.progress = JobProgress {
-            stage,
-            stage_index: stage_index as i64,
-            stage_count: stage_count as i64,
-            fraction,
-            message,
-            eta_s,
-        };
+        self.notes.send_modify(|Notes { progress, .. }| {
+            let fraction = fraction.clamp(progress.fraction, 1.0);
+            let eta_s = (fraction > MIN_FRACTION_FOR_ETA).then(|| (elapsed_s * (1.0 - fraction) / fraction).round());
+            let (stage_index, stage_count) = (stage_index as i64, stage_count as i64);
+            *progress = JobProgress { stage, stage_index, stage_count, fraction, message, eta_s };
+        });
     }
 
     /// Adds the elapsed time to the current stage; a stage can run again in a later round.
     fn close_stage(&mut self) {
         let now = Instant::now();
-        if !self.progress.stage.is_empty() {
-            let seconds = now.duration_since(self.stage_started).as_secs_f64();
-            *self.stage_seconds.entry(self.progress.stage.clone()).or_default() += seconds;
-            self.is_dirty = true;
-        }
+        let seconds = now.duration_since(self.stage_started).as_secs_f64();
         self.stage_started = now;
-    }
-
-    async fn write(&mut self, queue: &Queue, claim: &Claim) {
-        if !std::mem::take(&mut self.is_dirty) {
-            return;
-        }
-        if let Err(error) = queue.heartbeat(claim, &self.progress, &self.stage_seconds).await {
-            tracing::warn!(%error, "cannot write progress");
-        }
+        self.notes.send_if_modified(|Notes { progress, stage_seconds }| {
+            let is_open = !progress.stage.is_empty();
+            if is_open {
+                *stage_seconds.entry(progress.stage.clone()).or_default() += seconds;
+            }
+            is_open
+        });
     }
 
     /// Returns a description if the child process is silent or stalled.

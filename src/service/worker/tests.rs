@@ -2,6 +2,7 @@
 
 use super::super::queue::job::Submitter;
 use super::super::queue::{NewJob, QueueLimits};
+use super::super::settings::JobSettings;
 use super::super::store::sessions::{self, SessionSummary};
 use super::super::store::{Tenant, test_support};
 use super::*;
@@ -20,7 +21,7 @@ fn a_crash_without_lack_of_memory_counts_as_a_crash() {
 
 /// A queue with one claimed job.
 struct Claimed {
-    _folder: tempfile::TempDir,
+    folder: tempfile::TempDir,
     store: Store,
     queue: Queue,
     claim: Claim,
@@ -56,7 +57,7 @@ impl Claimed {
         };
         queue.enqueue(&new, None, QueueLimits { total: 9, tenant: 9, max_bytes: i64::MAX }).await.unwrap();
         let claim = queue.claim(9).await.unwrap().unwrap();
-        Self { _folder: folder, store, queue, claim }
+        Self { folder, store, queue, claim }
     }
 
     /// A published result whose files have these names.
@@ -113,4 +114,38 @@ async fn an_end_on_a_full_database_is_recorded_later() {
     assert_eq!(claimed.record(outcome).await, "succeeded"); // sqlx replaces the connection after SQLITE_FULL
     assert!(start.elapsed() >= RETRY_INTERVAL, "the first try failed");
     assert!(claimed.store.folders.result(&claimed.claim.job, 1).join("report.json").exists());
+}
+
+/// A child whose messages come every 0.1 s, for 3 s.
+async fn talkative_child(folder: &Path) -> Child {
+    use std::os::unix::fs::PermissionsExt;
+    let script = folder.join("child.sh");
+    let messages = r#"{"event":"alive"}
+{"event":"progress","stage":"s","stage_index":0,"stage_count":1,"fraction":0.5,"message":"m"}"#;
+    let text = format!(
+        "#!/bin/sh\nfor n in $(seq 30); do\necho '{messages}'\nsleep 0.1\ndone\necho '{{\"event\":\"done\"}}'\n"
+    );
+    std::fs::write(&script, text).unwrap();
+    std::fs::set_permissions(&script, std::fs::Permissions::from_mode(0o700)).unwrap();
+    Child::start(&script, "run", &Order::new((), None), |_| ()).await.unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_database_that_is_away_makes_no_child_silent() {
+    let claimed = Claimed::new().await;
+    let settings = JobSettings { silence_limit: Duration::from_secs(1), ..JobSettings::default() };
+    let mut child = talkative_child(claimed.folder.path()).await;
+    let mut locked = claimed.store.write().await.unwrap();
+    let lock = sqlx::query("UPDATE jobs SET version = version WHERE id = $1").bind(&claimed.claim.job);
+    lock.execute(&mut *locked).await.unwrap();
+    let unlock = async {
+        tokio::time::sleep(Duration::from_millis(2500)).await;
+        locked.rollback().await.unwrap();
+    };
+    let metrics = Metrics::default();
+    let supervised =
+        supervise(&mut child, &claimed.queue, &settings, &metrics, &claimed.claim, CancellationToken::new());
+    let (exit, ()) = tokio::join!(supervised, unlock);
+    assert!(matches!(exit, ChildExit::Done), "{exit:?}");
+    assert_eq!(claimed.job().await.progress.stage, "s");
 }
