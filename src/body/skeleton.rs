@@ -67,14 +67,26 @@ pub enum KeypointConvention {
     Blazepose33,
     /// The 24 SMPL joints.
     Smpl24,
+    /// OpenPose BODY_25 with its 21 points of the left and of the right hand, 67 points; hands as of COCO-WholeBody.
+    #[serde(rename = "body25_hands")]
+    Body25Hands,
 }
 
 use KeypointConvention as C;
 
 impl KeypointConvention {
     /// Every convention, for messages and tests.
-    pub const ALL: [Self; 8] =
-        [C::Coco17, C::Coco18, C::Body25, C::Body25b, C::Halpe26, C::CocoWholebody133, C::Blazepose33, C::Smpl24];
+    pub const ALL: [Self; 9] = [
+        C::Coco17,
+        C::Coco18,
+        C::Body25,
+        C::Body25b,
+        C::Halpe26,
+        C::CocoWholebody133,
+        C::Blazepose33,
+        C::Smpl24,
+        C::Body25Hands,
+    ];
 
     /// The canonical name.
     pub fn name(self) -> &'static str {
@@ -87,6 +99,7 @@ impl KeypointConvention {
             C::CocoWholebody133 => "coco_wholebody133",
             C::Blazepose33 => "blazepose33",
             C::Smpl24 => "smpl24",
+            C::Body25Hands => "body25_hands",
         }
     }
 
@@ -102,6 +115,7 @@ impl KeypointConvention {
             "cocowholebody133" | "cocowholebody" | "wholebody133" | "coco133" => C::CocoWholebody133,
             "blazepose33" | "blazepose" | "mediapipe" | "mediapipe33" => C::Blazepose33,
             "smpl24" | "smpl" => C::Smpl24,
+            "body25hands" | "openposebody25hands" | "openposehands" => C::Body25Hands,
             _ => return None,
         })
     }
@@ -110,6 +124,7 @@ impl KeypointConvention {
     pub fn n_keypoints(self) -> usize {
         match self {
             C::CocoWholebody133 => 133,
+            C::Body25Hands => 67,
             _ => self.names().len(),
         }
     }
@@ -120,7 +135,7 @@ impl KeypointConvention {
         match self {
             C::Coco17 => &HALPE26_NAMES[..17],
             C::Coco18 => &COCO18_NAMES,
-            C::Body25 => &BODY25_NAMES,
+            C::Body25 | C::Body25Hands => &BODY25_NAMES,
             C::Body25b => &BODY25B_NAMES,
             C::Halpe26 => &HALPE26_NAMES,
             C::CocoWholebody133 => &WHOLEBODY_NAMES,

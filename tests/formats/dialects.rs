@@ -314,6 +314,64 @@ fn distinguishes_orders_of_twenty_five_points() {
     }
 }
 
+/// Writes a hand of OpenPose into the files of a camera, in every second frame: 21 points right of the person's wrist.
+fn add_hands(files: &mut Files, camera: &str, field: &str, wrist: &str) {
+    let wrist = KeypointConvention::Body25.index_of(wrist).unwrap();
+    let frames = files.iter_mut().filter(|(name, _)| name.contains(&format!("{camera}_0")));
+    for (_, content) in frames.step_by(2) {
+        let mut document: Value = serde_json::from_slice(content).unwrap();
+        for person in document["people"].as_array_mut().unwrap() {
+            let at = |c: usize| person["pose_keypoints_2d"][3 * wrist + c].as_f64().unwrap();
+            let hand: Vec<f64> = (0..21).flat_map(|k| [at(0) + k as f64, at(1), 0.75]).collect();
+            person[field] = json!(hand);
+        }
+        *content = document.to_string().into_bytes();
+    }
+}
+
+/// Where any file has a detected hand, the session has hands; files without them and zeros are missing points.
+#[test]
+fn reads_hands_of_openpose() {
+    let convention = KeypointConvention::Body25;
+    let mut files = openpose(convention.names());
+    add_hands(&mut files, "cam2", "hand_right_keypoints_2d", "right_wrist");
+    let loaded = read(&files).unwrap();
+    let session = &loaded.session;
+    assert_eq!(session.convention, KeypointConvention::Body25Hands);
+    check(&loaded, "body25_hands", convention.names(), None);
+    let wrist = convention.index_of("right_wrist").unwrap();
+    for (view, frame) in [(0, 0), (1, 0), (1, 1)] {
+        for person in &session.views[view].frames[frame] {
+            let hand = &person.keypoints[46..67];
+            assert_eq!(person.keypoints.len(), 67);
+            assert!(person.keypoints[25..46].iter().all(|keypoint| !keypoint.is_present()));
+            assert!(hand.iter().all(|keypoint| keypoint.is_present() == ((view, frame) == (1, 0))));
+        }
+    }
+    let person = &session.views[1].frames[0][0];
+    let shift = person.keypoints[46 + 20].pixel - person.keypoints[wrist].pixel;
+    assert!((shift.x - 20.0).abs() < 1e-9 && shift.y == 0.0, "{shift}");
+    // Hands that no file shows: as OpenPose writes them without a find.
+    let mut files = openpose(convention.names());
+    for (_, content) in files.iter_mut().filter(|(name, _)| name.ends_with("keypoints.json")) {
+        let zeros = format!("\"hand_left_keypoints_2d\":{}", json!(vec![0; 63]));
+        let text = String::from_utf8(content.clone()).unwrap().replace("\"hand_left_keypoints_2d\":[]", &zeros);
+        *content = text.into_bytes();
+    }
+    assert_eq!(read(&files).unwrap().session.convention, convention);
+}
+
+#[test]
+fn rejects_a_hand_of_another_number_of_points() {
+    let mut files = openpose(&COCO17);
+    let (name, content) = files.iter_mut().find(|(name, _)| name.ends_with("keypoints.json")).unwrap();
+    let text = String::from_utf8(content.clone()).unwrap();
+    *content = text.replace("\"hand_left_keypoints_2d\":[]", "\"hand_left_keypoints_2d\":[5,6,0.5]").into_bytes();
+    let name = name.clone();
+    let error = read(&files).unwrap_err();
+    assert_eq!((error.code, error.file.as_ref(), error.frame), ("keypoint_count", Some(&name), Some(0)));
+}
+
 #[test]
 fn merges_mixed_skeletons_into_the_widest_convention() {
     let halpe = KeypointConvention::Halpe26.names();

@@ -4,7 +4,7 @@ use crate::session::formats::joints::JointOrder;
 use crate::session::recording::{Detection, Keypoint};
 
 /// Neighbouring joints of every body; in a wrong order some of them are far apart.
-const NEAR: [(&str, &str); 18] = [
+const NEAR: [(&str, &str); 20] = [
     ("left_hip", "left_knee"),
     ("right_hip", "right_knee"),
     ("left_knee", "left_ankle"),
@@ -23,6 +23,9 @@ const NEAR: [(&str, &str); 18] = [
     ("right_eye", "right_ear"),
     ("left_ankle", "left_heel"),
     ("right_ankle", "right_heel"),
+    // A hand begins with its own wrist.
+    ("left_wrist", "left_hand_0"),
+    ("right_wrist", "right_hand_0"),
 ];
 /// Number of people examined.
 const MAX_PEOPLE: usize = 300;
