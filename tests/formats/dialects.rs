@@ -507,21 +507,19 @@ fn reads_a_64_bit_zip_of_frame_files() {
     assert_eq!(read(&files).unwrap().session.n_frames, 22_000);
 }
 
-/// MediaPipe's array of all cameras, `[cameras, frames, points, x y]`, little-endian doubles in numpy's layout.
-#[test]
-fn reads_an_array_of_all_cameras_as_blazepose() {
-    let (n_frames, n_points) = (3, 35);
+/// MediaPipe's array of two cameras, `[cameras, frames, points, x y]`, little-endian doubles in numpy's layout.
+fn array_of(n_frames: usize, n_points: usize, numbers: impl Iterator<Item = f64>) -> Vec<u8> {
     let shape = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': (2, {n_frames}, {n_points}, 2), }}");
     let header = format!("{shape:<117}\n");
     let mut array = b"\x93NUMPY\x01\x00".to_vec();
     array.extend((header.len() as u16).to_le_bytes());
     array.extend(header.as_bytes());
-    for i in 0..2 * n_frames * n_points {
-        let (frame, point) = (i / n_points, i % n_points);
-        let seen = if frame == 1 || point == 4 { f64::NAN } else { 100.0 + i as f64 };
-        array.extend(seen.to_le_bytes());
-        array.extend((seen + 0.5).to_le_bytes());
-    }
+    numbers.for_each(|number| array.extend(number.to_le_bytes()));
+    array
+}
+
+/// A folder with the array and a calibration of its cameras.
+fn folder_of(array: &[u8]) -> tempfile::TempDir {
     let camera = |name: &str| {
         format!(
             "[{name}]\nname = \"{name}\"\nsize = [1280, 720]\nmatrix = [[800, 0, 640], [0, 800, 360], [0, 0, 1]]\n\
@@ -530,7 +528,21 @@ fn reads_an_array_of_all_cameras_as_blazepose() {
     };
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("Calib.toml"), camera("0") + &camera("1")).unwrap();
-    std::fs::write(folder.path().join("mediapipe2dData.npy"), &array).unwrap();
+    std::fs::write(folder.path().join("mediapipe2dData.npy"), array).unwrap();
+    folder
+}
+
+#[test]
+fn reads_an_array_of_all_cameras_as_blazepose() {
+    let (n_frames, n_points) = (3, 35);
+    let mut numbers = Vec::new();
+    for i in 0..2 * n_frames * n_points {
+        let (frame, point) = (i / n_points, i % n_points);
+        let seen = if frame == 1 || point == 4 { f64::NAN } else { 100.0 + i as f64 };
+        numbers.extend([seen, seen + 0.5]);
+    }
+    let array = array_of(n_frames, n_points, numbers.into_iter());
+    let folder = folder_of(&array);
     let loaded = wandless::session::upload::read_path(folder.path(), &Default::default()).unwrap();
     let session = &loaded.session;
     assert!(loaded.format.starts_with("mediapipe"), "{}", loaded.format);
@@ -542,6 +554,70 @@ fn reads_an_array_of_all_cameras_as_blazepose() {
     assert!(!person.keypoints[4].is_present() && person.keypoints[5].is_present());
     std::fs::write(folder.path().join("mediapipe2dData.npy"), &array[..array.len() - 8]).unwrap();
     assert!(wandless::session::upload::read_path(folder.path(), &Default::default()).is_err(), "it is truncated");
+}
+
+/// Hands follow the body in either order; each is assigned to the arm at whose wrist it begins.
+#[test]
+fn reads_hands_of_an_array_in_either_order() {
+    let convention = KeypointConvention::Blazepose33;
+    let (n_frames, n_points) = (3, 80);
+    for sides in [["left", "right"], ["right", "left"]] {
+        let mut numbers = Vec::new();
+        for camera in 0..2 {
+            for frame in 0..n_frames {
+                let body = &people(camera, frame as i64, convention.names())[0];
+                let missing = |[x, y, c]: &Point| if *c > 0.0 { [*x, *y] } else { [f64::NAN; 2] };
+                let mut points: Vec<[f64; 2]> = body.iter().map(missing).collect();
+                for side in sides {
+                    let [x, y, _] = body[convention.index_of(&format!("{side}_wrist")).unwrap()];
+                    // In the second frame no hand was detected.
+                    let at = |k: usize| if frame == 1 { [f64::NAN; 2] } else { [x + k as f64, y] };
+                    points.extend((0..21).map(at));
+                }
+                points.resize(n_points, [1.0; 2]);
+                numbers.extend(points.into_iter().flatten());
+            }
+        }
+        let folder = folder_of(&array_of(n_frames, n_points, numbers.into_iter()));
+        let session = wandless::session::upload::read_path(folder.path(), &Default::default()).unwrap().session;
+        assert_eq!(session.convention, KeypointConvention::Blazepose75, "{sides:?}");
+        for (view, frame) in [(0, 0), (1, 2)] {
+            let keypoints = &session.views[view].frames[frame][0].keypoints;
+            for (wrist, hand) in [("left_wrist", 33), ("right_wrist", 54)] {
+                let wrist = keypoints[convention.index_of(wrist).unwrap()].pixel;
+                assert_eq!((keypoints[hand].pixel, keypoints[hand + 20].pixel.x), (wrist, wrist.x + 20.0), "{sides:?}");
+            }
+        }
+        let without = &session.views[0].frames[1][0].keypoints;
+        assert!(without.len() == 75 && without[33..].iter().all(|keypoint| !keypoint.is_present()));
+    }
+}
+
+/// AlphaPose's 136 points, and its 68 without face.
+#[test]
+fn reads_whole_bodies_of_halpe() {
+    let body = KeypointConvention::Halpe26.names();
+    for (n_points, hand) in [(136, 94), (68, 26)] {
+        let mut files = vec![header(), calib_toml()];
+        for (i, camera) in CAMERAS.iter().enumerate() {
+            let item = |frame: i64| {
+                let mut points = people(i, frame, body).remove(0);
+                let [x, y, _] = points[10];
+                points.extend((26..n_points).map(|k| [x + k as f64, y, 0.5]));
+                json!({"image_id": format!("{frame}.jpg"), "category_id": 1, "keypoints": flat(&points), "score": 2.9})
+            };
+            let items: Vec<Value> = (0..N_FRAMES).map(item).collect();
+            files.push((format!("{camera}/alphapose-results.json"), Value::Array(items).to_string().into_bytes()));
+        }
+        let session = read(&files).unwrap().session;
+        assert_eq!(session.convention, KeypointConvention::Halpe136);
+        let keypoints = &session.views[1].frames[3][0].keypoints;
+        let wrist = keypoints[10].pixel;
+        // The last point of the right hand, and the tip of the left thumb.
+        assert!((keypoints[135].pixel.x - wrist.x - n_points as f64 + 1.0).abs() < 1e-9);
+        assert!((keypoints[94 + 4].pixel.x - wrist.x - (hand + 4) as f64).abs() < 1e-9);
+        assert_eq!(keypoints[40].is_present(), n_points == 136);
+    }
 }
 
 /// DeepLabCut's HDF5 is refused with instructions for a conversion.

@@ -84,7 +84,11 @@ mod tests {
         let convention = KeypointConvention::CocoWholebody133;
         assert!(rigid_points(&model, convention).is_empty());
         assert_eq!(rigid_points(&with_hands, convention).len(), 18);
-        assert_eq!(rigid_points(&with_hands, KeypointConvention::Body25Hands).len(), 12);
+        for (other, n) in [(KeypointConvention::Body25Hands, 12), (KeypointConvention::Halpe136, 18)] {
+            assert_eq!(rigid_points(&with_hands, other).len(), n);
+        }
+        let corner = with_hands.landmark_index("left_mouth").unwrap();
+        assert!(rigid_points(&with_hands, KeypointConvention::Halpe136).contains(&(26 + 54, corner)));
         assert!(rigid_points(&with_hands, KeypointConvention::Halpe26).is_empty());
         let mut pose = Pose::rest();
         pose.rotations[20] = exp(&Vector3::new(0.7, 0.0, 0.0));

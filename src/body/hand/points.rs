@@ -39,11 +39,12 @@ pub const N_FACE_POINTS: usize = 68;
 /// Points of the face that follow a convention's body; left and right hand come after them. `None` where it has no hands.
 ///
 /// COCO-WholeBody (Jin et al., ECCV 2020): 17 points of the body, 6 of the feet, 68 of the face, 21 of each hand. OpenPose
-/// (Simon et al., CVPR 2017): 25 of the body, 21 of each hand; its 70 points of the face are not read.
+/// (Simon et al., CVPR 2017): 25 of the body, 21 of each hand; its 70 points of the face are not read. Halpe (Fang et al.,
+/// PAMI 2022): 26 of the body, 68 of the face, 21 of each hand. MediaPipe Holistic: 33 of the body, 21 of each hand.
 fn face_size(convention: KeypointConvention) -> Option<usize> {
     match convention {
-        KeypointConvention::CocoWholebody133 => Some(N_FACE_POINTS),
-        KeypointConvention::Body25Hands => Some(0),
+        KeypointConvention::CocoWholebody133 | KeypointConvention::Halpe136 => Some(N_FACE_POINTS),
+        KeypointConvention::Body25Hands | KeypointConvention::Blazepose75 => Some(0),
         _ => None,
     }
 }
@@ -92,11 +93,14 @@ mod tests {
     #[test]
     fn hands_begin_where_detectors_write_them() {
         use KeypointConvention as C;
-        for (convention, left) in [(C::CocoWholebody133, 91), (C::Body25Hands, 25)] {
+        for (convention, left) in
+            [(C::CocoWholebody133, 91), (C::Body25Hands, 25), (C::Halpe136, 94), (C::Blazepose75, 33)]
+        {
             assert_eq!(hand_keypoints(convention, Side::Left), Some(left..left + 21));
             assert_eq!(hand_keypoints(convention, Side::Right), Some(left + 21..left + 42));
         }
         assert_eq!((face_keypoints(C::CocoWholebody133), face_keypoints(C::Body25Hands)), (Some(23..91), Some(25..25)));
+        assert_eq!((face_keypoints(C::Halpe136), face_keypoints(C::Blazepose75)), (Some(26..94), Some(33..33)));
         assert_eq!(hand_keypoints(C::Halpe26, Side::Left), None);
     }
 

@@ -38,8 +38,12 @@ impl JointOrder {
 
     /// The order with the points of the left hand and those of the right hand after its own.
     pub(crate) fn with_hands(self) -> Self {
-        let hands = Side::BOTH.into_iter().flat_map(hand_names);
-        Self { name: format!("{}_hands", self.name), joints: self.joints.into_iter().chain(hands).collect() }
+        let name = format!("{}_hands", self.name);
+        self.with_hands_in_order(name, Side::BOTH)
+    }
+
+    fn with_hands_in_order(self, name: String, sides: [Side; 2]) -> Self {
+        Self { name, joints: self.joints.into_iter().chain(sides.into_iter().flat_map(hand_names)).collect() }
     }
 
     /// An order given by a detector's joint names; unknown names become unused points.
@@ -53,16 +57,17 @@ impl JointOrder {
 
     /// All orders in which detectors write this number of points, the most common first.
     pub(crate) fn candidates(n_points: usize) -> Vec<Self> {
-        let bodies = Self::bodies(n_points);
+        let whole = Self::whole(n_points);
         match n_points.checked_sub(N_HANDS_POINTS) {
-            Some(n_body) if bodies.is_empty() && n_body <= N_LARGEST_BODY => {
-                Self::bodies(n_body).into_iter().map(Self::with_hands).collect()
+            Some(n_body) if whole.is_empty() && n_body <= N_LARGEST_BODY => {
+                Self::whole(n_body).into_iter().map(Self::with_hands).collect()
             }
-            _ => bodies,
+            _ => whole,
         }
     }
 
-    fn bodies(n_points: usize) -> Vec<Self> {
+    /// The orders of bodies alone, and those of conventions with hands.
+    fn whole(n_points: usize) -> Vec<Self> {
         use KeypointConvention as C;
         let of = |conventions: &[C]| conventions.iter().map(|c| Self::of_convention(*c)).collect();
         match n_points {
@@ -78,13 +83,14 @@ impl JointOrder {
             }
             26 => of(&[C::Halpe26]),
             33 => of(&[C::Blazepose33]),
-            133 => of(&[C::CocoWholebody133]),
-            // Halpe's face and hands follow its body and are not used.
-            136 => {
-                let mut order = Self::of_body("halpe136", C::Halpe26.names());
-                order.joints.resize(n_points, None);
-                vec![order]
+            // Exporters of MediaPipe write either hand first; the hand's wrist is at the end of its own arm.
+            75 => {
+                let right_first = Self::of_convention(C::Blazepose33)
+                    .with_hands_in_order("blazepose75_right_first".to_owned(), [Side::Right, Side::Left]);
+                vec![Self::of_convention(C::Blazepose75), right_first]
             }
+            133 => of(&[C::CocoWholebody133]),
+            136 => of(&[C::Halpe136]),
             _ => Vec::new(),
         }
     }
@@ -98,7 +104,7 @@ impl JointOrder {
 
 /// Number of points of both hands, and of the largest body that detectors write before them.
 pub(crate) const N_HANDS_POINTS: usize = 2 * N_HAND_POINTS;
-const N_LARGEST_BODY: usize = 33;
+const N_LARGEST_BODY: usize = 26;
 
 /// Names of the points of a hand.
 fn hand_names(side: Side) -> impl Iterator<Item = Option<String>> {
@@ -180,7 +186,7 @@ mod tests {
 
     #[test]
     fn maps_limbs_from_every_order_to_every_convention() {
-        for n in [17, 18, 19, 25, 26, 33, 59, 60, 67, 68, 133, 136] {
+        for n in [17, 18, 19, 25, 26, 33, 59, 60, 67, 68, 75, 133, 136] {
             assert!(!JointOrder::candidates(n).is_empty(), "{n}");
             for order in JointOrder::candidates(n) {
                 assert_eq!(order.joints.len(), n);

@@ -48,11 +48,13 @@ fn assert_hands_are_those_of_the_truth(convention: KeypointConvention) {
 #[test]
 fn hands_are_those_that_the_truth_names() {
     assert_hands_are_those_of_the_truth(KeypointConvention::CocoWholebody133);
+    assert_hands_are_those_of_the_truth(KeypointConvention::Halpe136);
 }
 
 #[test]
 fn hands_without_a_face_are_those_that_the_truth_names() {
     assert_hands_are_those_of_the_truth(KeypointConvention::Body25Hands);
+    assert_hands_are_those_of_the_truth(KeypointConvention::Blazepose75);
 }
 
 #[test]
