@@ -9,7 +9,7 @@ import { checkCorrections, checkCurvesAndZip, checkLinks, checkPhone } from './c
 import { checkKeys } from './keys.mjs'
 import { LENSES, throughLenses } from './lenses.mjs'
 import { checkProvisional, liveScene } from './provisional.mjs'
-import { checkFirstView, checkLens, checkPlay, checkProjection, drawn, sceneReady } from './scene.mjs'
+import { checkFingers, checkFirstView, checkLens, checkPlay, checkProjection, drawn, sceneReady } from './scene.mjs'
 import { PROGRAM, asDocument, simulate, solve, startService, temporaryFolder, uploaded } from './service.mjs'
 import { HOSTILE, rejectedResult, hostileNames, jobsWithoutResult, policy, checkEscaped } from './states.mjs'
 
@@ -37,6 +37,7 @@ await noJobs()
 await rejectedUpload()
 const job = await dropAndSolve()
 await scene()
+await fingers()
 await report()
 await files()
 await checkCurvesAndZip({ page, base, job })
@@ -240,6 +241,18 @@ async function cancelLongJob() {
   await page.getByRole('heading', { name: 'Jobs', exact: true }).waitFor()
   await page.waitForFunction(() => ![...document.querySelectorAll('.job')].some((one) => one.textContent.includes('long take')))
   check('a job is deleted', true)
+}
+
+/** A session whose detector reports hands. */
+async function fingers() {
+  const size = { people: 2, views: 4, frames: 90, convention: 'coco_wholebody133', name: 'hands' }
+  const job = await solve(base, asDocument(await simulate(join(folder, 'hands'), size)))
+  const fresh = await openPage(browser)
+  await fresh.goto(`${base}/#/jobs/${job.id}`)
+  await sceneReady(fresh)
+  await checkFingers(fresh, base, job)
+  await shot(fresh, 'fingers')
+  await fresh.context().close()
 }
 
 async function lenses() {

@@ -107,6 +107,27 @@ function residentOfBrowser() {
   return [...sizes].filter(([id]) => isOurs(id)).reduce((sum, [, size]) => sum + size, 0)
 }
 
+/** Every finger joint of a person at a frame is the end of a drawn bone, where the skeleton is shown. */
+export async function checkFingers(page, base, job) {
+  const { people } = await (await fetch(`${base}/v1/jobs/${job.id}/artifacts/people.json`)).json()
+  const first = people.map(({ frames }) => frames[0]).reduce((a, b) => Math.min(a, b))
+  await page.keyboard.press('s')
+  let [worst, n] = [0, 0]
+  for (const person of people.filter(({ hands }) => hands)) {
+    for (const row of [0, person.frames.length - 1]) {
+      await page.evaluate((frame) => window.wandless.seek(frame), person.frames[row] - first)
+      await drawn(page)
+      const ends = await page.evaluate(() => window.wandless.skeletonEnds())
+      for (const joint of [person.hands.left, person.hands.right].flatMap(({ joints }) => joints[row])) {
+        const apart = ends.map((end) => Math.hypot(...end.map((c, i) => c - joint[i])))
+        worst = Math.max(worst, Math.min(Infinity, ...apart))
+        n++
+      }
+    }
+  }
+  check('fingers are drawn with the skeleton, within 0.1 mm of people.json', n > 0 && worst <= 1e-4, `${(1000 * worst).toFixed(4)} mm over ${n} joints`)
+}
+
 /** Joints that are rarely occluded: wrists and ankles. */
 const ENDS = [20, 21, 7, 8]
 

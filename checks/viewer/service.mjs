@@ -31,10 +31,11 @@ export function startService(data) {
   })
 }
 
-/** Simulates a session; `name` replaces its name, `radius` is the distance of the cameras from the centre, m. */
-export async function simulate(folder, { people, views, frames, name, radius }) {
+/** Simulates a session; `name` replaces its name, `radius` is the distance of the cameras from the centre, m, `convention` that of the keypoints. */
+export async function simulate(folder, { people, views, frames, name, radius, convention }) {
   const words = ['--people', people, '--views', views, '--frames', frames, '--seed', 1, '--out', folder]
   if (radius) words.push('--radius', radius)
+  if (convention) words.push('--convention', convention)
   await promisify(execFile)(PROGRAM, ['simulate', ...words.map(String)])
   const path = join(folder, 'session.json')
   const session = JSON.parse(readFileSync(path, 'utf8'))

@@ -67,14 +67,32 @@ pub enum KeypointConvention {
     Blazepose33,
     /// The 24 SMPL joints.
     Smpl24,
+    /// OpenPose BODY_25 with its 21 points of the left and of the right hand, 67 points; hands as of COCO-WholeBody.
+    #[serde(rename = "body25_hands")]
+    Body25Hands,
+    /// Halpe, 136 points: 26 of the body, face and hands as of COCO-WholeBody.
+    Halpe136,
+    /// MediaPipe Holistic, 75 points: BlazePose's 33, then left and right hand in the order of COCO-WholeBody.
+    Blazepose75,
 }
 
 use KeypointConvention as C;
 
 impl KeypointConvention {
     /// Every convention, for messages and tests.
-    pub const ALL: [Self; 8] =
-        [C::Coco17, C::Coco18, C::Body25, C::Body25b, C::Halpe26, C::CocoWholebody133, C::Blazepose33, C::Smpl24];
+    pub const ALL: [Self; 11] = [
+        C::Coco17,
+        C::Coco18,
+        C::Body25,
+        C::Body25b,
+        C::Halpe26,
+        C::CocoWholebody133,
+        C::Blazepose33,
+        C::Smpl24,
+        C::Body25Hands,
+        C::Halpe136,
+        C::Blazepose75,
+    ];
 
     /// The canonical name.
     pub fn name(self) -> &'static str {
@@ -87,6 +105,9 @@ impl KeypointConvention {
             C::CocoWholebody133 => "coco_wholebody133",
             C::Blazepose33 => "blazepose33",
             C::Smpl24 => "smpl24",
+            C::Body25Hands => "body25_hands",
+            C::Halpe136 => "halpe136",
+            C::Blazepose75 => "blazepose75",
         }
     }
 
@@ -102,6 +123,9 @@ impl KeypointConvention {
             "cocowholebody133" | "cocowholebody" | "wholebody133" | "coco133" => C::CocoWholebody133,
             "blazepose33" | "blazepose" | "mediapipe" | "mediapipe33" => C::Blazepose33,
             "smpl24" | "smpl" => C::Smpl24,
+            "body25hands" | "openposebody25hands" | "openposehands" => C::Body25Hands,
+            "halpe136" | "halpefullbody" | "halpefullbody136" | "alphaposehalpe136" => C::Halpe136,
+            "blazepose75" | "mediapipe75" | "mediapipeholistic" | "holistic" => C::Blazepose75,
             _ => return None,
         })
     }
@@ -110,6 +134,9 @@ impl KeypointConvention {
     pub fn n_keypoints(self) -> usize {
         match self {
             C::CocoWholebody133 => 133,
+            C::Body25Hands => 67,
+            C::Halpe136 => 136,
+            C::Blazepose75 => 75,
             _ => self.names().len(),
         }
     }
@@ -120,11 +147,11 @@ impl KeypointConvention {
         match self {
             C::Coco17 => &HALPE26_NAMES[..17],
             C::Coco18 => &COCO18_NAMES,
-            C::Body25 => &BODY25_NAMES,
+            C::Body25 | C::Body25Hands => &BODY25_NAMES,
             C::Body25b => &BODY25B_NAMES,
-            C::Halpe26 => &HALPE26_NAMES,
+            C::Halpe26 | C::Halpe136 => &HALPE26_NAMES,
             C::CocoWholebody133 => &WHOLEBODY_NAMES,
-            C::Blazepose33 => &BLAZEPOSE_NAMES,
+            C::Blazepose33 | C::Blazepose75 => &BLAZEPOSE_NAMES,
             C::Smpl24 => &JOINT_NAMES,
         }
     }

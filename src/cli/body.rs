@@ -23,7 +23,7 @@ pub(super) struct Args {
 enum Action {
     /// Validate a body file and print its properties
     Info {
-        /// SMPL .npz or .pkl file [default: the embedded body]
+        /// SMPL .npz or .pkl file, or SMPL-H or SMPL-X .npz file [default: the embedded body]
         file: Option<PathBuf>,
         /// JSON file that maps face and foot keypoints to vertices of the body
         #[arg(long, requires = "file")]
@@ -34,7 +34,7 @@ enum Action {
     Add {
         /// Name of the body: a-z, 0-9, - and _
         name: String,
-        /// SMPL .npz or .pkl file
+        /// SMPL .npz or .pkl file, or SMPL-H or SMPL-X .npz file
         file: PathBuf,
         /// JSON file that maps face and foot keypoints to vertices of the body
         #[arg(long)]
@@ -64,7 +64,7 @@ enum Action {
         /// Number of the vertex to begin with
         #[arg(long, default_value_t = 0)]
         seed: usize,
-        /// SMPL .npz or .pkl file [default: the embedded body]
+        /// SMPL .npz or .pkl file, or SMPL-H or SMPL-X .npz file [default: the embedded body]
         #[arg(long)]
         body: Option<PathBuf>,
     },
@@ -73,7 +73,7 @@ enum Action {
         /// Output file: .npz (SMPL layout), .obj or .glb (mesh)
         #[arg(long)]
         out: PathBuf,
-        /// SMPL .npz or .pkl file [default: the embedded body]
+        /// SMPL .npz or .pkl file, or SMPL-H or SMPL-X .npz file [default: the embedded body]
         #[arg(long)]
         body: Option<PathBuf>,
     },

@@ -108,7 +108,9 @@ mod tests {
     fn converts_every_convention_to_all_joints() {
         for convention in KeypointConvention::ALL {
             let skeleton = Skeleton::from_names(&names(convention)).unwrap();
-            assert_eq!(skeleton, Skeleton::Keypoints(convention));
+            // Conventions that differ in their hands alone have the same names.
+            let same = |skeleton| matches!(skeleton, Skeleton::Keypoints(found) if found.names() == convention.names());
+            assert!(same(skeleton), "{}", convention.name());
             let points: Vec<Point> =
                 (0..convention.names().len()).map(|k| Some(Vector3::new(k as f64, 0.1 * k as f64, 1.0))).collect();
             assert!(to_shelf14(&points, skeleton, &Vector3::y()).iter().all(Option::is_some), "{}", convention.name());

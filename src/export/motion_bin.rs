@@ -10,18 +10,22 @@
 //! - `valid` `[frames]`: 0 where the pose is carried over
 //! - `keypoints` `[frames, K, 3]`: the keypoints in the world, metres, NaN where unknown
 //! - `n_views` `[frames, K]`: number of cameras that observe each of them
+//! - `fingers` `[frames, 2, 15, 3]`, where hands were fitted: finger joints of the left and the right hand, world metres
 //! - `repairs`: `[frame index, camera index]` where the detector's track of this person ended and the result continues it
 //!   with another, or where detections that would have been another person's are assigned to this one from here on
 //!
 //! and `rejected` `[cameras, n_frames]`: number of detections assigned to no person; `repaired`, same shape, where the
-//! consistency stage ran: number of detections with exchanged or rejected keypoints. Both are at most 255.
+//! consistency stage ran: number of detections with exchanged or rejected keypoints. Both are at most 255. `hands`, where any
+//! person has `fingers`: `wrists`, the body's joints that carry the left and the right hand, and `parents` of the finger
+//! joints, null for the wrist.
 
 use super::buffers::{Array, Payload};
 use super::cameras::{Cameras, cameras};
 use super::files::micro;
 use super::rotation_forms::quaternion_xyzw;
+use crate::body::hand::{N_FINGER_JOINTS, Side, finger_parent};
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS, PARENTS};
-use crate::session::people::BodyPose;
+use crate::session::people::{BodyPose, HandMotion};
 use crate::session::reconstruction::{BodyModelId, DetectionRepairs};
 use crate::session::{BodyMotion, JointTrajectory, PersonId, Reconstruction, Session};
 use serde::Serialize;
@@ -43,10 +47,18 @@ struct Header<'a> {
     keypoint_names: &'static [&'static str],
     world: Cameras<'a>,
     body_model: &'a BodyModelId,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    hands: Option<Hands>,
     people: Vec<Person>,
     rejected: Array,
     #[serde(skip_serializing_if = "Option::is_none")]
     repaired: Option<Array>,
+}
+
+#[derive(Serialize)]
+struct Hands {
+    wrists: [usize; 2],
+    parents: [Option<usize>; N_FINGER_JOINTS],
 }
 
 #[derive(Serialize)]
@@ -59,6 +71,8 @@ struct Person {
     valid: Array,
     keypoints: Array,
     n_views: Array,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fingers: Option<Array>,
     repairs: Vec<[usize; 2]>,
 }
 
@@ -88,6 +102,11 @@ pub(super) fn motion_bin(session: &Session, reconstruction: &Reconstruction) -> 
         keypoint_names: session.convention.names(),
         world: cameras(session, reconstruction),
         body_model: &reconstruction.body_model,
+        hands: reconstruction
+            .motions
+            .iter()
+            .any(|motion| motion.hands.is_some())
+            .then(|| Hands { wrists: Side::BOTH.map(Side::wrist), parents: std::array::from_fn(finger_parent) }),
         people,
         rejected: rejected(session, reconstruction, &mut payload),
         repaired: reconstruction.repairs.as_ref().map(|repairs| repaired(session, repairs, &mut payload)),
@@ -121,8 +140,17 @@ fn person(
             cells().flat_map(|(i, k)| point(i, k).map_or([f64::NAN; 3], <[f64; 3]>::from)),
         ),
         n_views: payload.u8(&[n_frames, n_keypoints], cells().map(|(i, k)| count(i, k))),
+        fingers: motion.hands.as_ref().map(|hands| fingers(hands, payload)),
         repairs: repairs(session, reconstruction, motion.person),
     }
+}
+
+/// Finger joints in the world, m: `[frames, 2, 15, 3]`.
+fn fingers(hands: &[HandMotion; 2], payload: &mut Payload) -> Array {
+    let [left, right] = hands;
+    let frames = left.frames.iter().zip(&right.frames).flat_map(|(left, right)| [left, right]);
+    let joints = frames.flat_map(|pose| pose.joints.iter().flat_map(|joint| [joint.x, joint.y, joint.z]));
+    payload.f32(&[left.frames.len().min(right.frames.len()), 2, N_FINGER_JOINTS, 3], joints)
 }
 
 /// Quaternions `world_from_joint` of all joints, four numbers each; the identity where a pose is not finite.

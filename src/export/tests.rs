@@ -3,7 +3,7 @@
 use super::*;
 use crate::body::skeleton::{JOINT_NAMES, KeypointConvention, N_JOINTS};
 use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
-use crate::session::people::{BodyMotion, BodyPose, JointTrajectory};
+use crate::session::people::{BodyMotion, BodyPose, HandMotion, HandPose, JointTrajectory};
 use crate::session::reconstruction::*;
 use crate::session::recording::UpAxis;
 use crate::session::{Detection, FrameIndex, Keypoint, PersonId, View};
@@ -361,6 +361,32 @@ fn motion_bin_reads_back() {
     assert_eq!(turn(3), (half.cos() * f64::from(i16::MAX)).round() as i16);
     let x = TURN.x / TURN.norm() * half.sin();
     assert_eq!(turn(0), (x * f64::from(i16::MAX)).round() as i16);
+}
+
+#[test]
+fn motion_bin_has_fingers_where_hands_were_fitted() {
+    let dir = written();
+    let (header, _) = opened(dir.path(), "stages/motion.bin");
+    assert!(header.get("hands").is_none() && header["people"][0].get("fingers").is_none());
+    let mut solved = reconstruction();
+    let hand = |x: f64| {
+        let joints = |frame: usize| std::array::from_fn(|j| Vector3::new(x, frame as f64, j as f64));
+        let pose = |frame| HandPose { rotations: [Matrix3::identity(); 15], joints: joints(frame), n_views: 2 };
+        HandMotion { frames: (0..2).map(pose).collect() }
+    };
+    solved.motions[0].hands = Some([hand(0.5), hand(-0.5)]);
+    write_result(dir.path(), &session(), &context(), &solved).unwrap();
+    let (header, payload) = opened(dir.path(), "stages/motion.bin");
+    assert_eq!(header["hands"]["wrists"], json!([20, 21]));
+    assert_eq!(
+        header["hands"]["parents"].as_array().unwrap()[..5],
+        [json!(null), json!(0), json!(1), json!(null), json!(3)]
+    );
+    let fingers = &header["people"][0]["fingers"];
+    assert_eq!(fingers["shape"], json!([2, 2, 15, 3]));
+    // Right hand of the second frame, joint 14.
+    let at = ((2 + 1) * 15 + 14) * 3;
+    assert_eq!([0, 1, 2].map(|c| f32_at(&payload, fingers, at + c)), [-0.5, 1.0, 14.0]);
 }
 
 #[test]

@@ -63,6 +63,15 @@ pub struct NumberType {
     pub is_big_endian: bool,
 }
 
+/// How many numbers an array may have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// In the file.
+    pub read: usize,
+    /// In memory.
+    pub kept: usize,
+}
+
 /// What the header of a `.npy` file says.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Header {
@@ -141,17 +150,54 @@ impl Array {
     /// # Errors
     /// [`NpyError::TooLarge`] before anything is read, [`NpyError::Length`] where the reader ends early.
     pub fn read_contents(header: Header, reader: &mut impl Read, limit: usize) -> Result<Self, NpyError> {
-        let Header { shape, number, is_fortran } = header;
-        let Some(count) = n_elements(&shape, limit) else { return Err(NpyError::TooLarge { shape, limit }) };
-        let mut values = Vec::with_capacity(count.min(MAX_RESERVED));
-        let mut chunk = vec![0; CHUNK_BYTES];
-        while values.len() < count {
-            let chunk = &mut chunk[..CHUNK_BYTES.min((count - values.len()) * number.size)];
+        let n_last = header.shape.last().copied().unwrap_or(1);
+        Self::read_leading_contents(header, reader, n_last, Limits { read: limit, kept: limit })
+    }
+
+    /// Reads a `.npy` file and keeps the first `n_leading` entries of its last axis, or all where there are fewer. The others are
+    /// never in memory.
+    ///
+    /// # Errors
+    /// As [`Self::read_contents`].
+    pub fn read_leading(reader: &mut impl Read, n_leading: usize, limits: Limits) -> Result<Self, NpyError> {
+        Self::read_leading_contents(Header::read(reader)?, reader, n_leading, limits)
+    }
+
+    fn read_leading_contents(
+        header: Header,
+        reader: &mut impl Read,
+        n_leading: usize,
+        limits: Limits,
+    ) -> Result<Self, NpyError> {
+        let Header { mut shape, number, is_fortran } = header;
+        let too_large = |shape: &[usize], limit| NpyError::TooLarge { shape: shape.to_vec(), limit };
+        let count = n_elements(&shape, limits.read).ok_or_else(|| too_large(&shape, limits.read))?;
+        let n_last = shape.last().copied().unwrap_or(1).max(1);
+        let n_kept = n_leading.min(n_last);
+        let n_values = count / n_last * n_kept;
+        if n_values > limits.kept {
+            return Err(too_large(&shape, limits.kept));
+        }
+        let is_kept = |element: usize| match is_fortran {
+            _ if n_kept == n_last => true,
+            true => element < n_values,
+            false => element % n_last < n_kept,
+        };
+        let mut values = Vec::with_capacity(n_values.min(MAX_RESERVED));
+        let (mut chunk, mut n_read) = (vec![0; CHUNK_BYTES], 0);
+        while n_read < count {
+            let chunk = &mut chunk[..CHUNK_BYTES.min((count - n_read) * number.size)];
             match reader.read_exact(chunk) {
                 Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Err(NpyError::Length { shape }),
                 read => read?,
             }
-            values.extend(chunk.chunks_exact(number.size).map(|word| number.number(word)));
+            let words = chunk.chunks_exact(number.size).enumerate();
+            let kept = words.filter(|(i, _)| is_kept(n_read + i));
+            values.extend(kept.map(|(_, word)| number.number(word)));
+            n_read += chunk.len() / number.size;
+        }
+        if let Some(last) = shape.last_mut() {
+            *last = n_kept.min(*last);
         }
         let values = if is_fortran { in_c_order(&shape, &values) } else { values };
         Ok(Self { shape, values })
@@ -254,6 +300,22 @@ mod tests {
         let mut long = fine.clone();
         long[6] = 2; // the length is then read from the text that follows: far too long
         assert!(header(&long).is_err());
+    }
+
+    /// Of `[[0, 1, 2], [3, 4, 5]]` the first two columns.
+    #[test]
+    fn keeps_leading_entries_of_the_last_axis() {
+        for (order, elements) in [("False", [0, 1, 2, 3, 4, 5]), ("True", [0, 3, 1, 4, 2, 5])] {
+            let words = elements.into_iter().flat_map(|v| (v as f32).to_le_bytes());
+            let bytes: Vec<u8> = file("(2, 3)", order).into_iter().chain(words).collect();
+            let read = |n, kept| Array::read_leading(&mut bytes.as_slice(), n, Limits { read: 6, kept });
+            assert_eq!(read(2, 4).unwrap(), Array { shape: vec![2, 2], values: vec![0.0, 1.0, 3.0, 4.0] }, "{order}");
+            assert_eq!(read(9, 6).unwrap().shape, [2, 3]);
+            assert!(matches!(read(2, 3), Err(NpyError::TooLarge { limit: 3, .. })));
+            let short = &bytes[..bytes.len() - 1];
+            let cut = Array::read_leading(&mut &*short, 2, Limits { read: 6, kept: 6 });
+            assert!(matches!(cut, Err(NpyError::Length { .. })));
+        }
     }
 
     #[test]

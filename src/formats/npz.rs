@@ -1,6 +1,6 @@
 //! `.npz` archives: named NumPy arrays in a zip. The same arrays give the same bytes: members have no timestamps.
 
-use super::npy::{Array, NpyError};
+use super::npy::{Array, Limits, NpyError};
 use std::io::{self, Read, Seek, Write};
 use zip::write::SimpleFileOptions;
 use zip::{DateTime, System, ZipArchive, ZipWriter};
@@ -24,10 +24,18 @@ impl<R: Read + Seek> NpzReader<R> {
     /// # Errors
     /// [`NpyError`].
     pub fn array(&mut self, name: &str, limit: usize) -> Result<Option<Array>, NpyError> {
+        self.leading(name, usize::MAX, Limits { read: limit, kept: limit })
+    }
+
+    /// The array of a name with the first `n_leading` entries of its last axis; `None` where the archive has none of that name.
+    ///
+    /// # Errors
+    /// [`NpyError`].
+    pub fn leading(&mut self, name: &str, n_leading: usize, limits: Limits) -> Result<Option<Array>, NpyError> {
         match self.0.by_name(&format!("{name}.npy")) {
             Err(zip::result::ZipError::FileNotFound) => Ok(None),
             Err(error) => Err(error.into()),
-            Ok(mut member) => Array::read(&mut member, limit).map(Some),
+            Ok(mut member) => Array::read_leading(&mut member, n_leading, limits).map(Some),
         }
     }
 }

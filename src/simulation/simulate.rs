@@ -3,7 +3,7 @@
 use super::config::{MotionSource, SimulationConfig};
 use super::detector::record;
 use super::error::SimulationError;
-use super::hands::{first_detail, turn_wrists};
+use super::hands::{has_details, turn_wrists};
 use super::rig::{self, RigCamera};
 use super::scene::{SimulatedScene, ViewRecording};
 use super::skeleton::SimulatedPerson;
@@ -46,7 +46,7 @@ fn simulated_people(config: &SimulationConfig) -> Result<Vec<SimulatedPerson>, S
         MotionSource::Prior => Ok(placement::people_from_prior(config)),
         MotionSource::Files(paths) => placement::people_from_files(paths, config),
     }?;
-    if first_detail(config.convention).is_some() {
+    if has_details(config.convention) {
         people.iter_mut().enumerate().for_each(|(i, person)| turn_wrists(&mut person.poses, config, i));
     }
     Ok(people)

@@ -1,7 +1,7 @@
 //! Ground truth of a simulated session, and its files.
 
 use super::config::{Bodies, SimulationConfig};
-use super::hands::{HandSource, first_detail};
+use super::hands::{HandSource, has_details};
 use super::scene::{SimulatedScene, ViewRecording};
 use super::skeleton::SimulatedPerson;
 use crate::body::default_body;
@@ -157,7 +157,7 @@ pub fn write_truth(simulated: &Simulated, session_folder: &Path) -> io::Result<(
     let points = frames(truth.keypoints.iter().map(|people| people.iter().map(Vec::as_slice)));
     let names = session.convention.names();
     write("keypoints3d.json", &json!({"keypoint_names": names, "units": "m", "up": "y", "frames": points}))?;
-    if first_detail(session.convention).is_some() {
+    if has_details(session.convention) {
         let points = frames(truth.details.iter().map(|people| people.iter().map(Vec::as_slice)));
         let hands: BTreeMap<&str, _> = ids().zip(&truth.hands).collect();
         write("hands3d.json", &json!({"units": "m", "up": "y", "face": 68, "hand": 21, "frames": points}))?;

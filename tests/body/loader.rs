@@ -153,6 +153,68 @@ fn rejects_calls_by_name_without_executing_them() {
     assert!(!mark.exists());
 }
 
+/// The small body as SMPL-H (52 joints) or SMPL-X (55): every vertex is shared by the pelvis and the last finger joint, and
+/// the first vertex by the joint 22 as well.
+fn larger_npz(n_joints: usize, parents: &[i64], n_features: usize) -> Vec<u8> {
+    use wandless::formats::npz::{CompressionMethod, NpzWriter};
+    let surface = small_body();
+    let mut file = NpzWriter::new(std::io::Cursor::new(Vec::new()), CompressionMethod::Deflated);
+    file.array("v_template", &[8, 3], surface.vertices.iter().flat_map(|v| [v.x, v.y, v.z])).unwrap();
+    file.array("shapedirs", &[8, 3, 12], (0..288).map(|k| f64::from(k) * 0.01)).unwrap();
+    let weight = |vertex: usize, joint: usize| match (vertex, joint) {
+        (0, 22) => 0.125,
+        (0, 0) => 0.625,
+        (_, 0) => 0.75,
+        (_, joint) if joint == n_joints - 1 => 0.25,
+        _ => 0.0,
+    };
+    let weights = (0..8 * n_joints).map(|k| weight(k / n_joints, k % n_joints));
+    file.array("weights", &[8, n_joints], weights).unwrap();
+    // Joint j lies at the vertex j % 8.
+    let regressor = (0..n_joints * 8).map(|k| f64::from(u8::from(k / 8 % 8 == k % 8)));
+    file.array("J_regressor", &[n_joints, 8], regressor).unwrap();
+    let tree = parents.iter().copied().chain(0..n_joints as i64);
+    file.array("kintree_table", &[2, n_joints], tree).unwrap();
+    file.array("f", &[3, 3], surface.faces.iter().flatten().map(|v| *v as u32)).unwrap();
+    let features = (0..8 * 3 * n_features).map(|k| (k % n_features) as f64);
+    file.array("posedirs", &[8, 3, n_features], features).unwrap();
+    file.finish().unwrap().into_inner()
+}
+
+/// Parents of SMPL's first 22 joints, `face` joints of the head, and 15 of each hand.
+fn larger_parents(face: i64) -> Vec<i64> {
+    let shared = wandless::body::skeleton::PARENTS[..22].iter().map(|p| p.map_or(-1, |p| p as i64));
+    let finger = |first: i64, wrist: i64| (0..15).map(move |j| if j % 3 == 0 { wrist } else { first + j - 1 });
+    let first = 22 + face;
+    shared.chain((0..face).map(|_| 15)).chain(finger(first, 20)).chain(finger(first + 15, 21)).collect()
+}
+
+#[test]
+fn reads_smplh_and_smplx_as_24_joints() {
+    for (n_joints, face, n_features, carrier) in [(52, 0, 459, 22), (55, 3, 486, 15)] {
+        let parents = larger_parents(face);
+        let body = read(&larger_npz(n_joints, &parents, n_features)).unwrap();
+        assert_eq!(body.surface.vertices, small_body().vertices);
+        let share = |vertex: usize| -> Vec<(usize, f64)> {
+            body.surface.skin[vertex].iter().map(|share| (share.joint, share.weight)).collect()
+        };
+        assert_eq!(share(1), [(0, 0.75), (23, 0.25)], "{n_joints}");
+        assert_eq!(share(0), [(0, 0.625), (carrier, 0.125), (23, 0.25)], "{n_joints}");
+        // The hands lie at the first joints of the middle fingers.
+        let middle = [25, 40].map(|joint: usize| (joint + face as usize) % 8);
+        assert_eq!([22, 23].map(|j| body.rest_joints[j]), middle.map(|v| body.surface.vertices[v]), "{n_joints}");
+        assert_eq!(body.rest_joints[21], body.surface.vertices[5]);
+        // Component 9 of axis 1 of vertex 2, of twelve.
+        assert_eq!(body.surface.shape_directions[2][(1, 9)], f64::from(2 * 36 + 12 + 9) * 0.01);
+        let directions = &body.surface.pose_directions;
+        assert_eq!((directions.len(), directions[188], directions[189]), (8 * 3 * 207, 188.0, 0.0));
+        let mut wrong = parents.clone();
+        wrong[n_joints - 1] = 3;
+        let error = read(&larger_npz(n_joints, &wrong, n_features)).unwrap_err().to_string();
+        assert!(error.contains(&format!("kintree_table, row {}", n_joints - 1)), "{error}");
+    }
+}
+
 /// Hostile files: name, bytes, a word of the expected error.
 fn hostile_files() -> Vec<(&'static str, Vec<u8>, &'static str)> {
     let own_x = |p: &mut Pickler| {

@@ -314,6 +314,64 @@ fn distinguishes_orders_of_twenty_five_points() {
     }
 }
 
+/// Writes a hand of OpenPose into the files of a camera, in every second frame: 21 points right of the person's wrist.
+fn add_hands(files: &mut Files, camera: &str, field: &str, wrist: &str) {
+    let wrist = KeypointConvention::Body25.index_of(wrist).unwrap();
+    let frames = files.iter_mut().filter(|(name, _)| name.contains(&format!("{camera}_0")));
+    for (_, content) in frames.step_by(2) {
+        let mut document: Value = serde_json::from_slice(content).unwrap();
+        for person in document["people"].as_array_mut().unwrap() {
+            let at = |c: usize| person["pose_keypoints_2d"][3 * wrist + c].as_f64().unwrap();
+            let hand: Vec<f64> = (0..21).flat_map(|k| [at(0) + k as f64, at(1), 0.75]).collect();
+            person[field] = json!(hand);
+        }
+        *content = document.to_string().into_bytes();
+    }
+}
+
+/// Where any file has a detected hand, the session has hands; files without them and zeros are missing points.
+#[test]
+fn reads_hands_of_openpose() {
+    let convention = KeypointConvention::Body25;
+    let mut files = openpose(convention.names());
+    add_hands(&mut files, "cam2", "hand_right_keypoints_2d", "right_wrist");
+    let loaded = read(&files).unwrap();
+    let session = &loaded.session;
+    assert_eq!(session.convention, KeypointConvention::Body25Hands);
+    check(&loaded, "body25_hands", convention.names(), None);
+    let wrist = convention.index_of("right_wrist").unwrap();
+    for (view, frame) in [(0, 0), (1, 0), (1, 1)] {
+        for person in &session.views[view].frames[frame] {
+            let hand = &person.keypoints[46..67];
+            assert_eq!(person.keypoints.len(), 67);
+            assert!(person.keypoints[25..46].iter().all(|keypoint| !keypoint.is_present()));
+            assert!(hand.iter().all(|keypoint| keypoint.is_present() == ((view, frame) == (1, 0))));
+        }
+    }
+    let person = &session.views[1].frames[0][0];
+    let shift = person.keypoints[46 + 20].pixel - person.keypoints[wrist].pixel;
+    assert!((shift.x - 20.0).abs() < 1e-9 && shift.y == 0.0, "{shift}");
+    // Hands that no file shows: as OpenPose writes them without a find.
+    let mut files = openpose(convention.names());
+    for (_, content) in files.iter_mut().filter(|(name, _)| name.ends_with("keypoints.json")) {
+        let zeros = format!("\"hand_left_keypoints_2d\":{}", json!(vec![0; 63]));
+        let text = String::from_utf8(content.clone()).unwrap().replace("\"hand_left_keypoints_2d\":[]", &zeros);
+        *content = text.into_bytes();
+    }
+    assert_eq!(read(&files).unwrap().session.convention, convention);
+}
+
+#[test]
+fn rejects_a_hand_of_another_number_of_points() {
+    let mut files = openpose(&COCO17);
+    let (name, content) = files.iter_mut().find(|(name, _)| name.ends_with("keypoints.json")).unwrap();
+    let text = String::from_utf8(content.clone()).unwrap();
+    *content = text.replace("\"hand_left_keypoints_2d\":[]", "\"hand_left_keypoints_2d\":[5,6,0.5]").into_bytes();
+    let name = name.clone();
+    let error = read(&files).unwrap_err();
+    assert_eq!((error.code, error.file.as_ref(), error.frame), ("keypoint_count", Some(&name), Some(0)));
+}
+
 #[test]
 fn merges_mixed_skeletons_into_the_widest_convention() {
     let halpe = KeypointConvention::Halpe26.names();
@@ -449,21 +507,19 @@ fn reads_a_64_bit_zip_of_frame_files() {
     assert_eq!(read(&files).unwrap().session.n_frames, 22_000);
 }
 
-/// MediaPipe's array of all cameras, `[cameras, frames, points, x y]`, little-endian doubles in numpy's layout.
-#[test]
-fn reads_an_array_of_all_cameras_as_blazepose() {
-    let (n_frames, n_points) = (3, 35);
+/// MediaPipe's array of two cameras, `[cameras, frames, points, x y]`, little-endian doubles in numpy's layout.
+fn array_of(n_frames: usize, n_points: usize, numbers: impl Iterator<Item = f64>) -> Vec<u8> {
     let shape = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': (2, {n_frames}, {n_points}, 2), }}");
     let header = format!("{shape:<117}\n");
     let mut array = b"\x93NUMPY\x01\x00".to_vec();
     array.extend((header.len() as u16).to_le_bytes());
     array.extend(header.as_bytes());
-    for i in 0..2 * n_frames * n_points {
-        let (frame, point) = (i / n_points, i % n_points);
-        let seen = if frame == 1 || point == 4 { f64::NAN } else { 100.0 + i as f64 };
-        array.extend(seen.to_le_bytes());
-        array.extend((seen + 0.5).to_le_bytes());
-    }
+    numbers.for_each(|number| array.extend(number.to_le_bytes()));
+    array
+}
+
+/// A folder with the array and a calibration of its cameras.
+fn folder_of(array: &[u8]) -> tempfile::TempDir {
     let camera = |name: &str| {
         format!(
             "[{name}]\nname = \"{name}\"\nsize = [1280, 720]\nmatrix = [[800, 0, 640], [0, 800, 360], [0, 0, 1]]\n\
@@ -472,7 +528,21 @@ fn reads_an_array_of_all_cameras_as_blazepose() {
     };
     let folder = tempfile::tempdir().unwrap();
     std::fs::write(folder.path().join("Calib.toml"), camera("0") + &camera("1")).unwrap();
-    std::fs::write(folder.path().join("mediapipe2dData.npy"), &array).unwrap();
+    std::fs::write(folder.path().join("mediapipe2dData.npy"), array).unwrap();
+    folder
+}
+
+#[test]
+fn reads_an_array_of_all_cameras_as_blazepose() {
+    let (n_frames, n_points) = (3, 35);
+    let mut numbers = Vec::new();
+    for i in 0..2 * n_frames * n_points {
+        let (frame, point) = (i / n_points, i % n_points);
+        let seen = if frame == 1 || point == 4 { f64::NAN } else { 100.0 + i as f64 };
+        numbers.extend([seen, seen + 0.5]);
+    }
+    let array = array_of(n_frames, n_points, numbers.into_iter());
+    let folder = folder_of(&array);
     let loaded = wandless::session::upload::read_path(folder.path(), &Default::default()).unwrap();
     let session = &loaded.session;
     assert!(loaded.format.starts_with("mediapipe"), "{}", loaded.format);
@@ -484,6 +554,70 @@ fn reads_an_array_of_all_cameras_as_blazepose() {
     assert!(!person.keypoints[4].is_present() && person.keypoints[5].is_present());
     std::fs::write(folder.path().join("mediapipe2dData.npy"), &array[..array.len() - 8]).unwrap();
     assert!(wandless::session::upload::read_path(folder.path(), &Default::default()).is_err(), "it is truncated");
+}
+
+/// Hands follow the body in either order; each is assigned to the arm at whose wrist it begins.
+#[test]
+fn reads_hands_of_an_array_in_either_order() {
+    let convention = KeypointConvention::Blazepose33;
+    let (n_frames, n_points) = (3, 80);
+    for sides in [["left", "right"], ["right", "left"]] {
+        let mut numbers = Vec::new();
+        for camera in 0..2 {
+            for frame in 0..n_frames {
+                let body = &people(camera, frame as i64, convention.names())[0];
+                let missing = |[x, y, c]: &Point| if *c > 0.0 { [*x, *y] } else { [f64::NAN; 2] };
+                let mut points: Vec<[f64; 2]> = body.iter().map(missing).collect();
+                for side in sides {
+                    let [x, y, _] = body[convention.index_of(&format!("{side}_wrist")).unwrap()];
+                    // In the second frame no hand was detected.
+                    let at = |k: usize| if frame == 1 { [f64::NAN; 2] } else { [x + k as f64, y] };
+                    points.extend((0..21).map(at));
+                }
+                points.resize(n_points, [1.0; 2]);
+                numbers.extend(points.into_iter().flatten());
+            }
+        }
+        let folder = folder_of(&array_of(n_frames, n_points, numbers.into_iter()));
+        let session = wandless::session::upload::read_path(folder.path(), &Default::default()).unwrap().session;
+        assert_eq!(session.convention, KeypointConvention::Blazepose75, "{sides:?}");
+        for (view, frame) in [(0, 0), (1, 2)] {
+            let keypoints = &session.views[view].frames[frame][0].keypoints;
+            for (wrist, hand) in [("left_wrist", 33), ("right_wrist", 54)] {
+                let wrist = keypoints[convention.index_of(wrist).unwrap()].pixel;
+                assert_eq!((keypoints[hand].pixel, keypoints[hand + 20].pixel.x), (wrist, wrist.x + 20.0), "{sides:?}");
+            }
+        }
+        let without = &session.views[0].frames[1][0].keypoints;
+        assert!(without.len() == 75 && without[33..].iter().all(|keypoint| !keypoint.is_present()));
+    }
+}
+
+/// AlphaPose's 136 points, and its 68 without face.
+#[test]
+fn reads_whole_bodies_of_halpe() {
+    let body = KeypointConvention::Halpe26.names();
+    for (n_points, hand) in [(136, 94), (68, 26)] {
+        let mut files = vec![header(), calib_toml()];
+        for (i, camera) in CAMERAS.iter().enumerate() {
+            let item = |frame: i64| {
+                let mut points = people(i, frame, body).remove(0);
+                let [x, y, _] = points[10];
+                points.extend((26..n_points).map(|k| [x + k as f64, y, 0.5]));
+                json!({"image_id": format!("{frame}.jpg"), "category_id": 1, "keypoints": flat(&points), "score": 2.9})
+            };
+            let items: Vec<Value> = (0..N_FRAMES).map(item).collect();
+            files.push((format!("{camera}/alphapose-results.json"), Value::Array(items).to_string().into_bytes()));
+        }
+        let session = read(&files).unwrap().session;
+        assert_eq!(session.convention, KeypointConvention::Halpe136);
+        let keypoints = &session.views[1].frames[3][0].keypoints;
+        let wrist = keypoints[10].pixel;
+        // The last point of the right hand, and the tip of the left thumb.
+        assert!((keypoints[135].pixel.x - wrist.x - n_points as f64 + 1.0).abs() < 1e-9);
+        assert!((keypoints[94 + 4].pixel.x - wrist.x - (hand + 4) as f64).abs() < 1e-9);
+        assert_eq!(keypoints[40].is_present(), n_points == 136);
+    }
 }
 
 /// DeepLabCut's HDF5 is refused with instructions for a conversion.

@@ -1,7 +1,7 @@
 //! The points of hands and face that are rigid with a joint of the body, as landmarks of the body fit.
 
 use super::geometry::HandShape;
-use super::points::{FACE_POINTS, HandPoint, hand_keypoints, hand_points};
+use super::points::{FACE_POINTS, HandPoint, face_keypoints, hand_keypoints, hand_points};
 use super::{FINGERS, Side};
 use crate::body::model::{Betas, BodyModel, Landmark, LandmarkTerm};
 use crate::body::shape::ShapeDirections;
@@ -62,7 +62,9 @@ pub fn rigid_points(model: &BodyModel, convention: KeypointConvention) -> Vec<(u
     let known = |(keypoint, name): (usize, String)| Some((keypoint, model.landmark_index(&name)?));
     let mut points: Vec<(usize, usize)> = of_hands.filter_map(known).collect();
     if !points.is_empty() {
-        points.extend(FACE_POINTS.iter().filter_map(|(keypoint, name)| Some((*keypoint, model.landmark_index(name)?))));
+        let face = face_keypoints(convention).unwrap_or_default();
+        let of_face = |(place, name): &(usize, &str)| Some((face.clone().nth(*place)?, model.landmark_index(name)?));
+        points.extend(FACE_POINTS.iter().filter_map(of_face));
     }
     points
 }
@@ -82,6 +84,11 @@ mod tests {
         let convention = KeypointConvention::CocoWholebody133;
         assert!(rigid_points(&model, convention).is_empty());
         assert_eq!(rigid_points(&with_hands, convention).len(), 18);
+        for (other, n) in [(KeypointConvention::Body25Hands, 12), (KeypointConvention::Halpe136, 18)] {
+            assert_eq!(rigid_points(&with_hands, other).len(), n);
+        }
+        let corner = with_hands.landmark_index("left_mouth").unwrap();
+        assert!(rigid_points(&with_hands, KeypointConvention::Halpe136).contains(&(26 + 54, corner)));
         assert!(rigid_points(&with_hands, KeypointConvention::Halpe26).is_empty());
         let mut pose = Pose::rest();
         pose.rotations[20] = exp(&Vector3::new(0.7, 0.0, 0.0));

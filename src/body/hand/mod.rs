@@ -23,5 +23,5 @@ pub use finger::{FINGERS, N_FINGER_JOINTS, Side, finger_joint_name, finger_paren
 pub use geometry::{HandShape, Hinge, N_HINGES, hinges};
 pub use kinematics::{FingerAngles, PosedHand, finger_rotations, posed_hand};
 pub use landmarks::{relative_hand_size, rigid_points, with_hand_landmarks};
-pub use points::{FACE_POINTS, HandPoint, N_HAND_POINTS, hand_keypoints, hand_points};
+pub use points::{FACE_POINTS, HandPoint, N_FACE_POINTS, N_HAND_POINTS, face_keypoints, hand_keypoints, hand_points};
 pub use ranges::{HingeRange, hinge_ranges};

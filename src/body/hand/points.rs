@@ -33,29 +33,45 @@ pub fn hand_points() -> [HandPoint; N_HAND_POINTS] {
     })
 }
 
-/// The keypoints of a hand in a convention; `None` where it has no hands.
+/// Points of a face in detectors' order.
+pub const N_FACE_POINTS: usize = 68;
+
+/// Points of the face that follow a convention's body; left and right hand come after them. `None` where it has no hands.
 ///
-/// COCO-WholeBody (Jin et al., ECCV 2020): 17 of the body, 6 of the feet, 68 of the face, then left and right hand.
+/// COCO-WholeBody (Jin et al., ECCV 2020): 17 points of the body, 6 of the feet, 68 of the face, 21 of each hand. OpenPose
+/// (Simon et al., CVPR 2017): 25 of the body, 21 of each hand; its 70 points of the face are not read. Halpe (Fang et al.,
+/// PAMI 2022): 26 of the body, 68 of the face, 21 of each hand. MediaPipe Holistic: 33 of the body, 21 of each hand.
+fn face_size(convention: KeypointConvention) -> Option<usize> {
+    match convention {
+        KeypointConvention::CocoWholebody133 | KeypointConvention::Halpe136 => Some(N_FACE_POINTS),
+        KeypointConvention::Body25Hands | KeypointConvention::Blazepose75 => Some(0),
+        _ => None,
+    }
+}
+
+/// The keypoints of the face in a convention; empty where it has hands and no face, `None` where it has neither.
+pub fn face_keypoints(convention: KeypointConvention) -> Option<Range<usize>> {
+    let first = convention.names().len();
+    Some(first..first + face_size(convention)?)
+}
+
+/// The keypoints of a hand in a convention; `None` where it has no hands.
 pub fn hand_keypoints(convention: KeypointConvention, side: Side) -> Option<Range<usize>> {
-    let first = match (convention, side) {
-        (KeypointConvention::CocoWholebody133, Side::Left) => 91,
-        (KeypointConvention::CocoWholebody133, Side::Right) => 112,
-        _ => return None,
-    };
+    let first = face_keypoints(convention)?.end + N_HAND_POINTS * side as usize;
     Some(first..first + N_HAND_POINTS)
 }
 
-/// The points of COCO-WholeBody's face that lie where the body has a landmark: index of the keypoint and name.
+/// The points of the face that lie where the body has a landmark: index in the face and name.
 ///
 /// The corners of eyes and mouth of the 68-point layout (Sagonas et al., ICCV Workshops 2013), which counts from the person's
 /// right. Outline, brows and lips have no fixed place on the head.
 pub const FACE_POINTS: [(usize, &str); 6] = [
-    (59, "right_eye_outer"),
-    (62, "right_eye_inner"),
-    (65, "left_eye_inner"),
-    (68, "left_eye_outer"),
-    (71, "right_mouth"),
-    (77, "left_mouth"),
+    (36, "right_eye_outer"),
+    (39, "right_eye_inner"),
+    (42, "left_eye_inner"),
+    (45, "left_eye_outer"),
+    (48, "right_mouth"),
+    (54, "left_mouth"),
 ];
 
 #[cfg(test)]
@@ -63,11 +79,29 @@ mod tests {
     use super::*;
 
     #[test]
-    fn hands_end_a_wholebody_detection() {
-        let convention = KeypointConvention::CocoWholebody133;
-        let [left, right] = Side::BOTH.map(|side| hand_keypoints(convention, side).unwrap());
-        assert_eq!((left.end, right.end), (right.start, convention.n_keypoints()));
-        assert_eq!(hand_keypoints(KeypointConvention::Halpe26, Side::Left), None);
+    fn hands_end_a_detection() {
+        for convention in KeypointConvention::ALL {
+            let hands = Side::BOTH.map(|side| hand_keypoints(convention, side));
+            let [Some(left), Some(right)] = hands else {
+                assert_eq!(convention.n_keypoints(), convention.names().len(), "{}", convention.name());
+                continue;
+            };
+            assert_eq!((left.end, right.end), (right.start, convention.n_keypoints()), "{}", convention.name());
+        }
+    }
+
+    #[test]
+    fn hands_begin_where_detectors_write_them() {
+        use KeypointConvention as C;
+        for (convention, left) in
+            [(C::CocoWholebody133, 91), (C::Body25Hands, 25), (C::Halpe136, 94), (C::Blazepose75, 33)]
+        {
+            assert_eq!(hand_keypoints(convention, Side::Left), Some(left..left + 21));
+            assert_eq!(hand_keypoints(convention, Side::Right), Some(left + 21..left + 42));
+        }
+        assert_eq!((face_keypoints(C::CocoWholebody133), face_keypoints(C::Body25Hands)), (Some(23..91), Some(25..25)));
+        assert_eq!((face_keypoints(C::Halpe136), face_keypoints(C::Blazepose75)), (Some(26..94), Some(33..33)));
+        assert_eq!(hand_keypoints(C::Halpe26, Side::Left), None);
     }
 
     #[test]

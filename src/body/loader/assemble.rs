@@ -55,7 +55,12 @@ fn take(fields: &mut Fields, field: &'static str) -> Result<Array, BodyFileError
     fields.remove(field).ok_or(BodyFileError::Missing { field })
 }
 
-fn shaped(field: &'static str, array: &Array, expected: &'static str, fits: bool) -> Result<(), BodyFileError> {
+pub(super) fn shaped(
+    field: &'static str,
+    array: &Array,
+    expected: &'static str,
+    fits: bool,
+) -> Result<(), BodyFileError> {
     if !fits {
         return Err(BodyFileError::Shape { field, expected, found: array.shape.clone() });
     }
@@ -98,15 +103,6 @@ fn shape_directions(array: &Array, n: usize) -> Result<Vec<ShapeDirections>, Bod
         false => 0.0,
     };
     Ok((0..n).map(|vertex| ShapeDirections::from_fn(|axis, k| entry(vertex, axis, k))).collect())
-}
-
-/// Rejects other models of the family by the shape of their weights, before their larger arrays are read.
-pub(super) fn refuse_other_models(field: &str, array: &Array) -> Result<(), BodyFileError> {
-    match array.shape[..] {
-        [_, 52] if field == "weights" => Err(BodyFileError::OtherModel { model: "SMPL-H", joints: 52 }),
-        [_, 55] if field == "weights" => Err(BodyFileError::OtherModel { model: "SMPL-X", joints: 55 }),
-        _ => Ok(()),
-    }
 }
 
 fn skin(array: &Array, n: usize) -> Result<Vec<Vec<JointWeight>>, BodyFileError> {

@@ -61,8 +61,8 @@ pub enum BodyFileError {
         /// Shape in the file.
         found: Vec<usize>,
     },
-    /// The file holds another model of the SMPL family.
-    #[error("this is {model} ({joints} joints), which is not supported; use the SMPL file of 24 joints")]
+    /// The pickle holds a larger model of the SMPL family.
+    #[error("this pickle holds {model} ({joints} joints), which is read as .npz only; use the model's .npz file")]
     OtherModel {
         /// Name of the model.
         model: &'static str,

@@ -1,8 +1,8 @@
 //! The arrays of an `.npz` body file.
 
-use super::assemble::refuse_other_models;
 use super::error::BodyFileError;
 use super::fields::{FIELDS, Fields, max_elements};
+use super::larger_models::LargerModel;
 use crate::formats::npz::NpzReader;
 use std::io::Cursor;
 
@@ -10,12 +10,24 @@ use std::io::Cursor;
 pub(super) fn read_fields(bytes: &[u8]) -> Result<Fields, BodyFileError> {
     let mut archive = NpzReader::new(Cursor::new(bytes)).map_err(|error| BodyFileError::of_array("", error))?;
     let mut fields = Fields::new();
+    let mut larger = None;
     for field in FIELDS {
-        let array = archive.array(field, max_elements(field)).map_err(|error| BodyFileError::of_array(field, error))?;
-        if let Some(array) = array {
-            refuse_other_models(field, &array)?;
+        let array = match larger {
+            None => archive.array(field, max_elements(field)),
+            Some(_) => {
+                let (n_leading, limits) = LargerModel::leading(field);
+                archive.leading(field, n_leading, limits)
+            }
+        };
+        if let Some(array) = array.map_err(|error| BodyFileError::of_array(field, error))? {
+            if field == "weights" {
+                larger = LargerModel::of_weights(&array);
+            }
             fields.insert(field.to_owned(), array);
         }
     }
-    Ok(fields)
+    match larger {
+        Some(model) => model.folded(fields),
+        None => Ok(fields),
+    }
 }

@@ -1,8 +1,8 @@
 //! Numeric arrays from a pickle's tree: numpy arrays, scipy's sparse matrices, chumpy's `Ch` and `Select`.
 
-use super::assemble::refuse_other_models;
 use super::error::BodyFileError;
 use super::fields::{FIELDS, Fields, MAX_ELEMENTS, max_elements};
+use super::larger_models::LargerModel;
 use super::pickle::{Global, Node, NodeId, Pickle, parse};
 use crate::formats::npy::{Array, Header, NumberType, n_elements};
 use std::borrow::Cow;
@@ -13,6 +13,14 @@ const MAX_DEPTH: usize = 64;
 /// Reads the fields of a body model from a pickle.
 pub(super) fn read_fields(bytes: &[u8]) -> Result<Fields, BodyFileError> {
     dictionary_arrays(bytes, &FIELDS, max_elements, refuse_other_models)
+}
+
+/// Rejects larger models of the family by their weights, before their larger arrays are read.
+fn refuse_other_models(field: &str, array: &Array) -> Result<(), BodyFileError> {
+    match LargerModel::of_weights(array).filter(|_| field == "weights") {
+        Some(model) => Err(BodyFileError::OtherModel { model: model.name, joints: model.n_joints }),
+        None => Ok(()),
+    }
 }
 
 /// Small numeric arrays of a pickled dictionary, by field; missing fields are left out.

@@ -2,7 +2,7 @@
 
 use super::solved_cameras::solved_and_true;
 use crate::body::hand::HandPoint;
-use crate::body::hand::{N_FINGER_JOINTS, N_HAND_POINTS, Side, hand_keypoints, hand_points};
+use crate::body::hand::{N_FACE_POINTS, N_FINGER_JOINTS, N_HAND_POINTS, Side, hand_keypoints, hand_points};
 use crate::body::kinematics::PosedSkeleton;
 use crate::body::skeleton::{KeypointConvention, chain_to_root};
 use crate::cli::solve::use_threads;
@@ -13,7 +13,6 @@ use crate::pipeline::{Options, reconstruct};
 use crate::progress::Progress;
 use crate::session::people::BodyPose;
 use crate::session::{BodyMotion, PersonId, Reconstruction, Session};
-use crate::simulation::hands::N_FACE_POINTS;
 use crate::simulation::{HandNoise, Preset, Simulated, SimulationConfig, simulate};
 use nalgebra::{Matrix3, Vector3};
 use serde::Serialize;

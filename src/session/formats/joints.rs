@@ -1,5 +1,6 @@
 //! Joint names and keypoint orders of detectors, and the mapping from one order to another.
 
+use crate::body::hand::{N_HAND_POINTS, Side, face_keypoints};
 use crate::body::skeleton::KeypointConvention;
 use crate::session::recording::Keypoint;
 
@@ -26,9 +27,23 @@ const VITPOSE25: [&str; 25] = [
 ];
 
 impl JointOrder {
-    /// The order of a keypoint convention.
+    /// The order of a keypoint convention. Points of face and hands have names here, so that they are mapped between conventions.
     pub(crate) fn of_convention(convention: KeypointConvention) -> Self {
-        Self::padded(convention.name(), convention.names(), convention.n_keypoints())
+        let body = Self::of_body(convention.name(), convention.names());
+        let Some(face) = face_keypoints(convention) else { return body };
+        let face = (0..face.len()).map(|k| Some(format!("face_{k}")));
+        let joints = body.joints.into_iter().chain(face).chain(Side::BOTH.into_iter().flat_map(hand_names));
+        Self { joints: joints.collect(), ..body }
+    }
+
+    /// The order with the points of the left hand and those of the right hand after its own.
+    pub(crate) fn with_hands(self) -> Self {
+        let name = format!("{}_hands", self.name);
+        self.with_hands_in_order(name, Side::BOTH)
+    }
+
+    fn with_hands_in_order(self, name: String, sides: [Side; 2]) -> Self {
+        Self { name, joints: self.joints.into_iter().chain(sides.into_iter().flat_map(hand_names)).collect() }
     }
 
     /// An order given by a detector's joint names; unknown names become unused points.
@@ -36,45 +51,64 @@ impl JointOrder {
         Self { name: name.to_owned(), joints: names.into_iter().map(canonical).collect() }
     }
 
-    fn padded(name: &str, names: &[&str], n_points: usize) -> Self {
-        let named = names.iter().map(|joint| Some((*joint).to_owned()));
-        Self { name: name.to_owned(), joints: named.chain(std::iter::repeat(None)).take(n_points).collect() }
+    fn of_body(name: &str, names: &[&str]) -> Self {
+        Self { name: name.to_owned(), joints: names.iter().map(|joint| Some((*joint).to_owned())).collect() }
     }
 
     /// All orders in which detectors write this number of points, the most common first.
     pub(crate) fn candidates(n_points: usize) -> Vec<Self> {
+        let whole = Self::whole(n_points);
+        match n_points.checked_sub(N_HANDS_POINTS) {
+            Some(n_body) if whole.is_empty() && n_body <= N_LARGEST_BODY => {
+                Self::whole(n_body).into_iter().map(Self::with_hands).collect()
+            }
+            _ => whole,
+        }
+    }
+
+    /// The orders of bodies alone, and those of conventions with hands.
+    fn whole(n_points: usize) -> Vec<Self> {
         use KeypointConvention as C;
         let of = |conventions: &[C]| conventions.iter().map(|c| Self::of_convention(*c)).collect();
         match n_points {
             17 => of(&[C::Coco17]),
             18 => of(&[C::Coco18]),
-            19 => vec![Self::padded("panoptic19", &PANOPTIC19, 19)],
-            23 => vec![Self::padded("coco_wholebody23", C::CocoWholebody133.names(), 23)],
+            19 => vec![Self::of_body("panoptic19", &PANOPTIC19)],
+            23 => vec![Self::of_body("coco_wholebody23", C::CocoWholebody133.names())],
             24 => of(&[C::Smpl24]),
             25 => {
                 let mut orders: Vec<Self> = of(&[C::Body25, C::Body25b]);
-                orders.push(Self::padded("vitpose25", &VITPOSE25, 25));
+                orders.push(Self::of_body("vitpose25", &VITPOSE25));
                 orders
             }
             26 => of(&[C::Halpe26]),
             33 => of(&[C::Blazepose33]),
+            // Exporters of MediaPipe write either hand first; the hand's wrist is at the end of its own arm.
+            75 => {
+                let right_first = Self::of_convention(C::Blazepose33)
+                    .with_hands_in_order("blazepose75_right_first".to_owned(), [Side::Right, Side::Left]);
+                vec![Self::of_convention(C::Blazepose75), right_first]
+            }
             133 => of(&[C::CocoWholebody133]),
-            // Halpe's face and hands follow its body and are not used.
-            68 | 136 => vec![Self::padded(&format!("halpe{n_points}"), C::Halpe26.names(), n_points)],
+            136 => of(&[C::Halpe136]),
             _ => Vec::new(),
         }
     }
 
     /// Index in this order of each point of a convention.
     pub(crate) fn map_to(&self, convention: KeypointConvention) -> Vec<Option<usize>> {
-        if *self == Self::of_convention(convention) {
-            return (0..convention.n_keypoints()).map(Some).collect();
-        }
-        let place = |joint: &str| self.joints.iter().position(|own| own.as_deref() == Some(joint));
-        let mut map: Vec<Option<usize>> = convention.names().iter().map(|joint| place(joint)).collect();
-        map.resize(convention.n_keypoints(), None);
-        map
+        let place = |joint: Option<String>| self.joints.iter().position(|own| own.is_some() && *own == joint);
+        Self::of_convention(convention).joints.into_iter().map(place).collect()
     }
+}
+
+/// Number of points of both hands, and of the largest body that detectors write before them.
+pub(crate) const N_HANDS_POINTS: usize = 2 * N_HAND_POINTS;
+const N_LARGEST_BODY: usize = 26;
+
+/// Names of the points of a hand.
+fn hand_names(side: Side) -> impl Iterator<Item = Option<String>> {
+    (0..N_HAND_POINTS).map(move |k| Some(format!("{}_hand_{k}", side.name())))
 }
 
 /// A person's points in a convention's order; points that the source does not have are missing.
@@ -152,7 +186,8 @@ mod tests {
 
     #[test]
     fn maps_limbs_from_every_order_to_every_convention() {
-        for n in [17, 18, 19, 25, 26, 33, 133, 136] {
+        for n in [17, 18, 19, 25, 26, 33, 59, 60, 67, 68, 75, 133, 136] {
+            assert!(!JointOrder::candidates(n).is_empty(), "{n}");
             for order in JointOrder::candidates(n) {
                 assert_eq!(order.joints.len(), n);
                 for convention in KeypointConvention::ALL {
@@ -167,9 +202,21 @@ mod tests {
     }
 
     #[test]
-    fn maps_a_convention_to_itself_with_unnamed_points() {
-        let convention = KeypointConvention::CocoWholebody133;
-        let map = JointOrder::of_convention(convention).map_to(convention);
-        assert!(map.iter().enumerate().all(|(i, place)| *place == Some(i)));
+    fn maps_a_convention_to_itself_with_face_and_hands() {
+        for convention in KeypointConvention::ALL {
+            let order = JointOrder::of_convention(convention);
+            assert_eq!(order.joints.len(), convention.n_keypoints());
+            assert!(order.map_to(convention).into_iter().eq((0..convention.n_keypoints()).map(Some)));
+            assert!(JointOrder::candidates(convention.n_keypoints()).contains(&order), "{}", convention.name());
+        }
+    }
+
+    #[test]
+    fn maps_hands_between_conventions() {
+        let order = JointOrder::candidates(60).remove(0);
+        let map = order.map_to(KeypointConvention::CocoWholebody133);
+        assert_eq!(order.name, "coco18_hands");
+        // The tip of the left thumb and the wrist of the right hand; the order has no face.
+        assert_eq!((map[91 + 4], map[112], map[30]), (Some(18 + 4), Some(18 + 21), None));
     }
 }

@@ -1,7 +1,7 @@
 //! The true points of a person's face and hands.
 
 use super::FingerMotion;
-use crate::body::hand::{HandShape, N_HAND_POINTS, Side, posed_hand};
+use crate::body::hand::{HandShape, N_FACE_POINTS, N_HAND_POINTS, Side, face_keypoints, posed_hand};
 use crate::body::kinematics::PosedSkeleton;
 use crate::body::skeleton::KeypointConvention;
 use crate::simulation::config::SimulationConfig;
@@ -10,15 +10,19 @@ use crate::simulation::skeleton::{SimulatedPerson, joint};
 use nalgebra::Vector3;
 use std::f64::consts::FRAC_PI_2;
 
-/// Points of a face.
-pub const N_FACE_POINTS: usize = 68;
-
 /// Points of a face and both hands, left first.
 pub const N_DETAILS: usize = N_FACE_POINTS + 2 * N_HAND_POINTS;
 
-/// Index of the first of these keypoints in a convention; `None` where it has none.
-pub fn first_detail(convention: KeypointConvention) -> Option<usize> {
-    (convention == KeypointConvention::CocoWholebody133).then(|| convention.names().len())
+/// Whether a convention has points of hands.
+pub fn has_details(convention: KeypointConvention) -> bool {
+    face_keypoints(convention).is_some()
+}
+
+/// The first of a convention's keypoints of face and hands and the detail that it is; where a convention has no face, its
+/// hands are the last of [`N_DETAILS`]. `None` where it has no hands.
+pub(super) fn first_detail(convention: KeypointConvention) -> Option<(usize, usize)> {
+    let face = face_keypoints(convention)?;
+    Some((face.start, N_FACE_POINTS - face.len()))
 }
 
 /// Standard deviation of the logarithm of a hand's size at given stature (ANSUR II: 4 % with men and women apart).
@@ -44,7 +48,9 @@ impl Details {
         index: usize,
         person: &SimulatedPerson,
     ) -> Option<Self> {
-        first_detail(config.convention)?;
+        if !has_details(config.convention) {
+            return None;
+        }
         let hands =
             Side::BOTH.map(|side| (individual_hand(config, index, side), FingerMotion::new(config, index, side)));
         Some(Self { face: face(), hands, scale: person.skeleton.scale, fps: config.fps })
@@ -118,10 +124,9 @@ mod tests {
 
     #[test]
     fn corners_of_the_face_lie_on_their_sides() {
-        let first = first_detail(KeypointConvention::CocoWholebody133).unwrap();
         let face = face();
-        for (keypoint, name) in FACE_POINTS {
-            let point = face[keypoint - first];
+        for (place, name) in FACE_POINTS {
+            let point = face[place];
             assert_eq!(point.x > 0.0, name.starts_with("left"), "{name}: {point}");
             let high = if name.ends_with("mouth") { 0.005 } else { 0.080 };
             assert!((point.y - high).abs() < 1e-9, "{name}: {point}");

@@ -1,8 +1,8 @@
 //! Detections of hands and face: errors relative to their own size, misses, and hands that are swapped.
 
-use super::details::{N_DETAILS, N_FACE_POINTS, first_detail};
+use super::details::{N_DETAILS, first_detail};
 use super::noise::{HandNoise, SeenHands};
-use crate::body::hand::{HandShape, N_HAND_POINTS, Side};
+use crate::body::hand::{HandShape, N_FACE_POINTS, N_HAND_POINTS, Side};
 use crate::body::skeleton::N_JOINTS;
 use crate::session::{Detection, Keypoint};
 use crate::simulation::config::{NoiseConfig, SimulationConfig};
@@ -54,7 +54,8 @@ fn parts() -> [Part; 3] {
 
 /// The detector of a view.
 pub(in crate::simulation) struct DetailDetector {
-    first: usize,
+    /// As [`first_detail`].
+    first: (usize, usize),
     noise: HandNoise,
     gross: NoiseConfig,
     process: Drift,
@@ -119,7 +120,8 @@ impl DetailDetector {
             }
         }
         if let Some(keypoints) = detection {
-            keypoints[self.first..self.first + N_DETAILS].copy_from_slice(&seen);
+            let (keypoint, detail) = self.first;
+            keypoints[keypoint..keypoint + N_DETAILS - detail].copy_from_slice(&seen[detail..]);
         }
     }
 
@@ -143,7 +145,7 @@ impl DetailDetector {
             false => (first, 1 - side),
         };
         for k in 0..N_HAND_POINTS {
-            let at = |side: usize| self.first + N_FACE_POINTS + side * N_HAND_POINTS + k;
+            let at = |side: usize| self.first.0 + N_FACE_POINTS - self.first.1 + side * N_HAND_POINTS + k;
             let (one, two) = (detections[first].keypoints[at(side)], detections[second].keypoints[at(other)]);
             detections[first].keypoints[at(side)] = two;
             detections[second].keypoints[at(other)] = one;

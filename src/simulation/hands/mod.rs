@@ -15,7 +15,7 @@ mod noise;
 mod tests;
 
 pub(super) use details::Details;
-pub use details::{N_DETAILS, N_FACE_POINTS, first_detail};
+pub use details::{N_DETAILS, has_details};
 pub(super) use detector::DetailDetector;
 pub(super) use motion::{FingerMotion, turn_wrists};
 pub(super) use noise::SeenHands;

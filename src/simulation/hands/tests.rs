@@ -1,17 +1,17 @@
 //! Detected hands against their truth.
 
-use super::{HandNoise, N_FACE_POINTS, first_detail};
-use crate::body::hand::{N_HAND_POINTS, Side, hand_keypoints};
+use super::{HandNoise, has_details};
+use crate::body::hand::{N_FACE_POINTS, N_HAND_POINTS, Side, hand_keypoints};
 use crate::body::skeleton::KeypointConvention;
 use crate::simulation::{NoiseConfig, Preset, SimulationConfig, simulate};
 
-fn config(swap_rate: f64) -> SimulationConfig {
+fn config(convention: KeypointConvention, swap_rate: f64) -> SimulationConfig {
     let hands =
         HandNoise { jitter_of_size: 0.0, outlier_rate: 0.0, missed_point_rate: 0.0, missed_rate: 0.0, swap_rate };
     SimulationConfig {
         frames: 40,
         views: 3,
-        convention: KeypointConvention::CocoWholebody133,
+        convention,
         noise: NoiseConfig::NONE,
         hands: Some(hands),
         ..SimulationConfig::preset(Preset::Paper)
@@ -19,9 +19,8 @@ fn config(swap_rate: f64) -> SimulationConfig {
 }
 
 /// Every reported point of a hand is the projection of that of the person and side that the truth names.
-#[test]
-fn hands_are_those_that_the_truth_names() {
-    let simulated = simulate(&config(0.3)).unwrap();
+fn assert_hands_are_those_of_the_truth(convention: KeypointConvention) {
+    let simulated = simulate(&config(convention, 0.3)).unwrap();
     let (session, truth) = (&simulated.session, &simulated.truth);
     let (mut n_points, mut n_swapped) = (0, 0);
     for (v, view) in session.views.iter().enumerate() {
@@ -47,9 +46,21 @@ fn hands_are_those_that_the_truth_names() {
 }
 
 #[test]
+fn hands_are_those_that_the_truth_names() {
+    assert_hands_are_those_of_the_truth(KeypointConvention::CocoWholebody133);
+    assert_hands_are_those_of_the_truth(KeypointConvention::Halpe136);
+}
+
+#[test]
+fn hands_without_a_face_are_those_that_the_truth_names() {
+    assert_hands_are_those_of_the_truth(KeypointConvention::Body25Hands);
+    assert_hands_are_those_of_the_truth(KeypointConvention::Blazepose75);
+}
+
+#[test]
 fn other_conventions_have_no_details() {
-    let config = SimulationConfig { convention: KeypointConvention::Coco17, ..config(0.3) };
-    assert_eq!(first_detail(config.convention), None);
+    let config = config(KeypointConvention::Coco17, 0.3);
+    assert!(!has_details(config.convention));
     let truth = simulate(&config).unwrap().truth;
     assert!(truth.hands.iter().all(Vec::is_empty) && truth.details.iter().flatten().all(Vec::is_empty));
 }

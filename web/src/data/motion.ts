@@ -36,6 +36,8 @@ export interface Person {
   keypoints: Float32Array
   /** [frames, K]: cameras that saw each keypoint. */
   n_views: Uint8Array
+  /** [frames, 2, 15, 3]: finger joints of the left and the right hand, world metres; null where hands were not fitted. */
+  fingers: Float32Array | null
   /** [frame index, camera index] where the track of the detector changed person and was repaired. */
   repairs: [number, number][]
 }
@@ -51,6 +53,8 @@ export interface Motion {
   keypoint_names: string[]
   cameras: Camera[]
   people: Person[]
+  /** Body joints that carry the left and the right hand, and parents of the finger joints (null: that body joint); null without hands. */
+  hands: { wrists: number[]; parents: (number | null)[] } | null
   /** Body model of the fit; null in results of earlier versions. */
   body_model: { name: string; sha256: string } | null
   /** [cameras, n_frames]: number of detections that were not assigned to a person. */
@@ -65,7 +69,7 @@ export const QUATERNION_UNIT = 32767
 interface Header extends Omit<Motion, 'cameras' | 'people' | 'rejected' | 'repaired' | 'up_axis'> {
   world: { up_axis: 'y' | 'z'; cameras: Camera[] }
   people: (Pick<Person, 'id' | 'first' | 'repairs'> &
-    Record<'joints' | 'valid' | 'keypoints' | 'n_views', ArrayRef> & { betas?: number[]; turns?: ArrayRef })[]
+    Record<'joints' | 'valid' | 'keypoints' | 'n_views', ArrayRef> & { betas?: number[]; turns?: ArrayRef; fingers?: ArrayRef })[]
   rejected: ArrayRef
   repaired?: ArrayRef
 }
@@ -76,6 +80,7 @@ export function readMotion(bytes: ArrayBuffer): Motion {
   return {
     ...rest,
     body_model: rest.body_model ?? null,
+    hands: rest.hands ?? null,
     up_axis: world.up_axis,
     cameras: world.cameras,
     people: people.map((person) => ({
@@ -89,6 +94,7 @@ export function readMotion(bytes: ArrayBuffer): Motion {
       valid: file.u8(person.valid),
       keypoints: file.f32(person.keypoints),
       n_views: file.u8(person.n_views),
+      fingers: person.fingers ? file.f32(person.fingers) : null,
     })),
     rejected: file.u8(rejected),
     repaired: repaired ? file.u8(repaired) : null,
@@ -99,6 +105,24 @@ export function readMotion(bytes: ArrayBuffer): Motion {
 export function rowAt(person: Person, frame: number) {
   const row = frame - person.first
   return row >= 0 && row < person.n_frames ? row : -1
+}
+
+/** Number of finger bones of a person. */
+export const N_FINGER_BONES = 30
+
+/** Calls `draw` with both ends of every finger bone: an array of points and the index of the first coordinate in it. */
+export function forEachFingerBone(
+  { hands }: Motion, { fingers, joints }: Person, row: number,
+  draw: (from: Float32Array, i: number, to: Float32Array, j: number) => void,
+) {
+  if (!hands || !fingers) return
+  hands.wrists.forEach((wrist, hand) => {
+    const at = (row * hands.wrists.length + hand) * hands.parents.length
+    hands.parents.forEach((parent, joint) => {
+      if (parent === null) draw(joints, 3 * (row * N_JOINTS + wrist), fingers, 3 * (at + joint))
+      else draw(fingers, 3 * (at + parent), fingers, 3 * (at + joint))
+    })
+  })
 }
 
 /** Edges between keypoint names; a convention may lack some of them. */

@@ -33,7 +33,7 @@ export function motionOf(scene: ProvisionalScene): Motion {
     keypoint_names: scene.keypoint_names,
     cameras: scene.cameras,
     people: scene.people.map(({ id, points }) => person(id, points, scene.keypoint_names.length)),
-    body_model: null,
+    body_model: null, hands: null,
     rejected: new Uint8Array(0),
     repaired: null,
   }
@@ -52,7 +52,7 @@ function person(id: number, points: (Point[] | null)[], n_keypoints: number): Pe
   })
   return {
     id, first: 0, n_frames, betas: null, joints, rotations: null, valid: new Uint8Array(n_frames).fill(1), keypoints,
-    n_views: new Uint8Array(n_frames * n_keypoints), repairs: [],
+    n_views: new Uint8Array(n_frames * n_keypoints), fingers: null, repairs: [],
   }
 }
 

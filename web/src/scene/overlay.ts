@@ -1,7 +1,7 @@
 // Overlay of a camera view: detections, the reprojected body and the distances between them.
 
 import { type CameraDetections, changesOf, sourceOf } from '../data/detections'
-import { type Motion, N_JOINTS, keypointEdges, rowAt } from '../data/motion'
+import { type Motion, N_JOINTS, forEachFingerBone, keypointEdges, rowAt } from '../data/motion'
 import { project } from '../data/projection'
 import { errorColor, personColor } from './palette'
 import type { Rectangle } from './stage'
@@ -88,10 +88,25 @@ export class Overlay {
   private drawBody(index: number, view: number, frame: number) {
     const pixels = projectedJoints(this.motion, view, frame, index)
     if (!pixels) return
+    const fingers = projectedFingers(this.motion, view, frame, index)
     this.pen('#0b0f14', 4.6, 0.55)
     this.strokeBones(pixels)
     this.pen(personColor(index), 2.4, 1)
     this.strokeBones(pixels)
+    if (fingers.length === 0) return
+    this.pen(personColor(index), 1.2, 1)
+    this.strokeLines(fingers)
+  }
+
+  /** Draws lines of four numbers each, px. */
+  private strokeLines(lines: [number, number, number, number][]) {
+    const { context } = this
+    context.beginPath()
+    for (const [a, b, c, d] of lines) {
+      context.moveTo(a, b)
+      context.lineTo(c, d)
+    }
+    context.stroke()
   }
 
   private strokeBones(pixels: Float32Array) {
@@ -214,6 +229,18 @@ export class Overlay {
 
 function isShown(look: OverlayLook, index: number) {
   return look.selected === null || look.selected === index || index < 0
+}
+
+/** Finger bones in a camera image, both ends, px; without those that reach behind the camera. */
+function projectedFingers(motion: Motion, view: number, frame: number, index: number) {
+  const lines: [number, number, number, number][] = []
+  const [a, b]: [number, number][] = [[0, 0], [0, 0]]
+  const camera = motion.cameras[view]
+  forEachFingerBone(motion, motion.people[index], rowAt(motion.people[index], frame), (from, i, to, j) => {
+    const isSeen = project(camera, from[i], from[i + 1], from[i + 2], a) && project(camera, to[j], to[j + 1], to[j + 2], b)
+    if (isSeen) lines.push([...a, ...b])
+  })
+  return lines
 }
 
 /** The 24 body joints in a camera image, [24, 2] px; NaN behind the camera; null where the person is absent. */

@@ -133,6 +133,8 @@ function exposeForChecks(view: SceneView | null) {
     pictureOf: (camera: number) => view.pictureOf(camera),
     /** A vertex of the drawn body of a person, world metres; null without a body. */
     bodyVertex: (person: number, vertex: number) => view.people.bodies?.vertex(person, vertex) ?? null,
+    /** Ends of the drawn bones of all skeletons, world metres. */
+    skeletonEnds: () => view.people.skeletonEnds,
     hasDetections: () => view.detections !== null,
     frameTimes: () => [...view.frameTimes],
     memory: () => view.stage.memory,

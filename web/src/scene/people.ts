@@ -2,7 +2,7 @@
 
 import { Color, type Object3D } from 'three'
 import type { BodyMesh } from '../data/body_mesh'
-import { type Motion, type Person, N_JOINTS, keypointEdges, rowAt } from '../data/motion'
+import { type Motion, type Person, N_FINGER_BONES, N_JOINTS, forEachFingerBone, keypointEdges, rowAt } from '../data/motion'
 import { Bodies } from './bodies'
 import type { Lens } from './lens'
 import { type SceneColors, personColor } from './palette'
@@ -10,6 +10,7 @@ import { RoundCones } from './round_cones'
 
 const BONE_RADIUS = 0.013
 const JOINT_RADIUS = 0.024
+const FINGER_RADIUS = 0.005
 const POINT_RADIUS = 0.024
 const EDGE_RADIUS = 0.009
 
@@ -39,7 +40,8 @@ export class People {
     const n = Math.max(motion.people.length, 1)
     this.edges = keypointEdges(motion.keypoint_names)
     const n_parts = n * (this.edges.length + motion.keypoint_names.length)
-    this.skeletons = new RoundCones(n * 2 * N_JOINTS, 6, LAYERS.body, lens)
+    const n_fingers = N_FINGER_BONES * motion.people.filter(({ fingers }) => fingers).length
+    this.skeletons = new RoundCones(n * 2 * N_JOINTS + n_fingers, 6, LAYERS.body, lens)
     this.points = new RoundCones(n_parts, 5, LAYERS.points, lens)
     this.raw = new RoundCones(n_parts, 5, LAYERS.raw, lens)
     parent.add(this.skeletons.mesh, this.points.mesh, this.raw.mesh)
@@ -76,6 +78,11 @@ export class People {
     all.forEach((cones) => cones.show())
   }
 
+  /** Ends of the drawn bones of all skeletons, world metres. */
+  get skeletonEnds() {
+    return this.skeletons.ends
+  }
+
   private addSkeleton(person: Person, row: number) {
     const at = row * N_JOINTS
     this.motion.joint_parents.forEach((parent, joint) => {
@@ -83,6 +90,9 @@ export class People {
         this.skeletons.add(person.joints, at + parent, at + joint, BONE_RADIUS, BONE_RADIUS, this.color)
       }
       this.skeletons.add(person.joints, at + joint, at + joint, JOINT_RADIUS, JOINT_RADIUS, this.color)
+    })
+    forEachFingerBone(this.motion, person, row, (from, i, to, j) => {
+      this.skeletons.put(from[i], from[i + 1], from[i + 2], FINGER_RADIUS, to[j], to[j + 1], to[j + 2], FINGER_RADIUS, this.color)
     })
   }
 

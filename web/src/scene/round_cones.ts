@@ -108,6 +108,11 @@ export class RoundCones {
     this.n++
   }
 
+  /** Second ends of the added cones. */
+  get ends(): [number, number, number][] {
+    return Array.from({ length: this.n }, (_, i) => [this.tips.getX(i), this.tips.getY(i), this.tips.getZ(i)])
+  }
+
   /** Uploads the added cones for the next picture. */
   show() {
     this.geometry.instanceCount = this.n

@@ -4,7 +4,7 @@ use crate::session::formats::joints::JointOrder;
 use crate::session::recording::{Detection, Keypoint};
 
 /// Neighbouring joints of every body; in a wrong order some of them are far apart.
-const NEAR: [(&str, &str); 18] = [
+const NEAR: [(&str, &str); 20] = [
     ("left_hip", "left_knee"),
     ("right_hip", "right_knee"),
     ("left_knee", "left_ankle"),
@@ -23,8 +23,11 @@ const NEAR: [(&str, &str); 18] = [
     ("right_eye", "right_ear"),
     ("left_ankle", "left_heel"),
     ("right_ankle", "right_heel"),
+    // A hand begins with its own wrist.
+    ("left_wrist", "left_hand_0"),
+    ("right_wrist", "right_hand_0"),
 ];
-/// Number of people examined.
+/// Number of people examined, evenly over all: hands may be detected late.
 const MAX_PEOPLE: usize = 300;
 /// Largest ratio of bone lengths of the best order to the second best for an unambiguous selection.
 const MARGIN: f64 = 0.85;
@@ -40,7 +43,9 @@ pub(super) fn best_order<'d>(
     candidates: Vec<JointOrder>,
     people: impl Iterator<Item = &'d Detection>,
 ) -> Option<Evidence> {
-    let people: Vec<&Detection> = people.take(MAX_PEOPLE).collect();
+    let all: Vec<&Detection> = people.collect();
+    let step = all.len().div_ceil(MAX_PEOPLE).max(1);
+    let people: Vec<&Detection> = all.into_iter().step_by(step).collect();
     let mut scored: Vec<(f64, JointOrder)> =
         candidates.into_iter().map(|order| (score(&order, &people), order)).collect();
     // A stable sort: of equal candidates the more common order comes first.

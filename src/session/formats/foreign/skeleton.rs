@@ -4,7 +4,7 @@ use super::header::Header;
 use super::order_evidence::{Evidence, best_order};
 use super::sources::Source;
 use crate::body::skeleton::KeypointConvention;
-use crate::session::formats::joints::{JointOrder, mapped};
+use crate::session::formats::joints::{JointOrder, N_HANDS_POINTS, mapped};
 use crate::session::formats::poses::PoseDialect;
 use crate::session::upload::error::{Fault, UploadError, shown};
 use crate::session::upload::warnings::Warnings;
@@ -119,7 +119,13 @@ fn order_of(source: &Source, header: &Header, warnings: &mut Warnings) -> Result
         header.keypoint_names.as_ref().map(|names| JointOrder::of_names("named", names.iter().map(String::as_str)));
     let convention = header.keypoint_convention.as_deref().and_then(KeypointConvention::parse);
     let declared = names.or_else(|| convention.map(JointOrder::of_convention));
-    let own = declared.into_iter().chain(source.order.clone()).find(|order| order.joints.len() == n_points);
+    // Names are those of the body; detectors write hands after it.
+    let whole = |order: JointOrder| match n_points.checked_sub(order.joints.len()) {
+        Some(0) => Some(order),
+        Some(N_HANDS_POINTS) => Some(order.with_hands()),
+        _ => None,
+    };
+    let own = declared.into_iter().chain(source.order.clone()).find_map(whole);
     if let Some(order) = own {
         Fault::SkeletonUnknown
             .when(order.joints.iter().flatten().count() < 4, || "fewer than 4 of the joint names are known")?;
@@ -141,13 +147,7 @@ fn order_of(source: &Source, header: &Header, warnings: &mut Warnings) -> Result
 fn widest_convention(orders: &[JointOrder]) -> KeypointConvention {
     let score = |convention: &KeypointConvention| {
         let own = JointOrder::of_convention(*convention);
-        let kept: usize = orders
-            .iter()
-            .map(|order| {
-                let map = order.map_to(*convention);
-                map.iter().take(convention.names().len()).flatten().count()
-            })
-            .sum();
+        let kept: usize = orders.iter().map(|order| order.map_to(*convention).iter().flatten().count()).sum();
         let is_own = orders.iter().filter(|order| **order == own).count();
         (kept, is_own, std::cmp::Reverse(convention.n_keypoints()))
     };
@@ -164,7 +164,7 @@ fn widest_convention(orders: &[JointOrder]) -> KeypointConvention {
 fn report(sources: &[Source], orders: &[JointOrder], convention: KeypointConvention, warnings: &mut Warnings) {
     let mut lines: BTreeMap<String, Vec<String>> = BTreeMap::new();
     for (source, order) in sources.iter().zip(orders) {
-        let kept = order.map_to(convention).iter().take(convention.names().len()).flatten().count();
+        let kept = order.map_to(convention).iter().flatten().count();
         let finding = format!(
             "{} with {} points in the order of {}, {kept} joints kept as {}",
             source.dialect.name(),

@@ -4,8 +4,8 @@ use super::survey::{FrameGroup, Survey};
 use crate::session::formats::joints::JointOrder;
 use crate::session::formats::native;
 use crate::session::formats::poses::{
-    FoundPoses, FrameContent, ImageTable, PoseDialect, read_array, read_caliscope, read_deeplabcut, read_frame,
-    read_list, read_mmpose, read_timestamps,
+    FoundPoses, FrameContent, ImageTable, PoseDialect, level_hands, read_array, read_caliscope, read_deeplabcut,
+    read_frame, read_list, read_mmpose, read_timestamps,
 };
 use crate::session::recording::Detection;
 use crate::session::upload::detections::add_frame;
@@ -42,7 +42,7 @@ pub(super) struct Sources {
     pub(super) fps: Option<f64>,
 }
 
-/// Largest file of one frame, bytes: a thousand people of 133 points.
+/// Largest file of one frame, bytes: a thousand people of 136 points.
 const MAX_FRAME_FILE_BYTES: u64 = 16 << 20;
 /// Number of bytes and files that are in memory at a time while they are parsed.
 const BATCH_BYTES: usize = 16 << 20;
@@ -182,7 +182,15 @@ fn read_group<R: Read + Seek>(
             added.map_err(|e| UploadError { file: Some((*name).to_owned()), frame: Some(*frame), ..e })?;
         }
     }
+    let n_before = n_points(&source);
+    level_hands(source.poses.detections.values_mut().flatten());
+    reading.spend(n_points(&source) - n_before)?;
     Ok(source)
+}
+
+/// Number of points of all people.
+fn n_points(source: &Source) -> usize {
+    source.poses.detections.values().flatten().map(|person| person.keypoints.len()).sum()
 }
 
 fn add_content(

@@ -1,14 +1,20 @@
 //! Poses as one array, as tools based on MediaPipe save them: `[cameras, frames, points, x y (…)]`, px.
+//!
+//! 33 points of the body; from 75 points on, 21 of each hand follow, and the face after them is not read. Which hand is first
+//! is found by the joint orders of 75 points ([`JointOrder::candidates`](crate::session::formats::joints::JointOrder)).
 
 use super::found::FoundPoses;
+use super::hands::{level_hands, with_hands};
 use super::points::{checked_point, missing};
+use crate::body::hand::N_HAND_POINTS;
 use crate::formats::npy::Header;
-use crate::session::recording::Detection;
+use crate::session::formats::joints::N_HANDS_POINTS;
+use crate::session::recording::{Detection, Keypoint};
 use crate::session::upload::error::{Fault, UploadError};
 use crate::session::upload::json::{Reading, fault_of_io};
 use std::io::Read;
 
-/// Points of BlazePose's body; hands and face follow.
+/// Points of BlazePose's body.
 const N_BODY: usize = 33;
 /// Largest number of points: body, hands and face with irises have fewer.
 const MAX_POINTS: usize = 1000;
@@ -44,6 +50,7 @@ pub(crate) fn read_array(mut reader: impl Read, reading: &mut Reading<'_>) -> Re
     if header.number.kind != b'f' {
         return Err(invalid("integers, expected floating point numbers".to_owned()));
     }
+    let has_hands = n_points >= N_BODY + N_HANDS_POINTS;
     let size = header.number.size;
     let mut found = FoundPoses::default();
     let mut row = vec![0; n_points * width * size];
@@ -56,10 +63,13 @@ pub(crate) fn read_array(mut reader: impl Read, reading: &mut Reading<'_>) -> Re
                 let [x, y] = [0, 1].map(|c| number(k * width + c));
                 if x.is_nan() || y.is_nan() { Ok(missing()) } else { checked_point(x, y, 1.0) }
             };
-            let keypoints: Vec<_> = (0..N_BODY)
-                .map(point)
-                .collect::<Result<_, _>>()
-                .map_err(|why| UploadError { frame: Some(frame), ..Fault::KeypointInvalid.with(why) })?;
+            let points = |first: usize, n: usize| {
+                let read: Result<Vec<Keypoint>, String> = (first..first + n).map(point).collect();
+                read.map_err(|why| UploadError { frame: Some(frame), ..Fault::KeypointInvalid.with(why) })
+            };
+            let hand = |first: usize| if has_hands { points(first, N_HAND_POINTS) } else { Ok(Vec::new()) };
+            let hands = [hand(N_BODY)?, hand(N_BODY + N_HAND_POINTS)?];
+            let keypoints = with_hands(points(0, N_BODY)?, hands)?;
             if keypoints.iter().any(|keypoint| keypoint.is_present()) {
                 found.add(Some(&name), frame, Detection { track_id: None, keypoints }, reading)?;
             } else {
@@ -67,6 +77,12 @@ pub(crate) fn read_array(mut reader: impl Read, reading: &mut Reading<'_>) -> Re
             }
         }
     }
+    let people = || found.by_camera.values().flat_map(|poses| poses.detections.values().flatten());
+    let n_without = people().filter(|person| person.keypoints.len() == N_BODY).count();
+    if n_without < people().count() {
+        reading.spend(n_without * N_HANDS_POINTS)?;
+    }
+    level_hands(found.by_camera.values_mut().flat_map(|poses| poses.detections.values_mut().flatten()));
     Ok(found)
 }
 

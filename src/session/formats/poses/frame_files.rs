@@ -1,5 +1,6 @@
 //! One file per frame: OpenPose and similar layouts, EasyMocap's annotations, MMPose's images.
 
+use super::hands::with_hands;
 use super::points::Points;
 use super::sniff::PoseDialect;
 use crate::session::recording::{Detection, Keypoint};
@@ -27,7 +28,7 @@ pub(crate) fn read_frame(dialect: PoseDialect, bytes: &[u8]) -> Result<FrameCont
         PoseDialect::AlphaPoseCmu => document_from_bytes(bytes).map(cmu),
         PoseDialect::EasyMocap => document_from_bytes(bytes).map(easymocap),
         PoseDialect::MmposeFrame => document_from_bytes::<Vec<Instance>>(bytes).and_then(mmpose),
-        _ => document_from_bytes(bytes).map(openpose),
+        _ => document_from_bytes(bytes).and_then(openpose),
     }
 }
 
@@ -54,6 +55,11 @@ struct OpenPosePerson {
     pose_keypoints_2d: Option<Points>,
     /// Version 0.1.
     pose_keypoints: Option<Points>,
+    /// Empty where the detector looks for no hands, zeros where it found none.
+    #[serde(default, alias = "hand_left_keypoints")]
+    hand_left_keypoints_2d: Option<Points>,
+    #[serde(default, alias = "hand_right_keypoints")]
+    hand_right_keypoints_2d: Option<Points>,
 }
 
 /// A track number: a number, or a list that contains it (`[-1]`, AlphaPose's list of one).
@@ -75,14 +81,16 @@ impl Track {
     }
 }
 
-fn openpose(file: OpenPose) -> FrameContent {
-    let person = |person: OpenPosePerson| Detection {
-        track_id: person.person_id.and_then(|track| track.id()),
-        keypoints: person.pose_keypoints_2d.or(person.pose_keypoints).unwrap_or_default().0,
+fn openpose(file: OpenPose) -> Result<FrameContent, UploadError> {
+    let person = |person: OpenPosePerson| {
+        let body = person.pose_keypoints_2d.or(person.pose_keypoints).unwrap_or_default().0;
+        let hands = [person.hand_left_keypoints_2d, person.hand_right_keypoints_2d];
+        let keypoints = with_hands(body, hands.map(|hand| hand.unwrap_or_default().0))?;
+        Ok(Detection { track_id: person.person_id.and_then(|track| track.id()), keypoints })
     };
     let is_alphapose = matches!(file.version, Some(Version::Text(text)) if text.starts_with("AlphaPose"));
-    let people = file.people.into_iter().map(|entry| entry.map(person)).collect();
-    FrameContent { people, image_size: None, is_alphapose }
+    let people: Result<_, UploadError> = file.people.into_iter().map(|entry| entry.map(person).transpose()).collect();
+    Ok(FrameContent { people: people?, image_size: None, is_alphapose })
 }
 
 #[derive(Deserialize)]
