@@ -179,8 +179,8 @@ class Cluster:
         self.postgres.remove()
 
 
-def wait_for(truth, seconds, what):
+def wait_for(truth, seconds, what, pause=0.02):
     """Fails unless `truth` holds within `seconds`; returns the time that it took."""
     start = time.monotonic()
-    require(until(truth, seconds), f"{what}: not within {seconds} s")
+    require(until(truth, seconds, pause), f"{what}: not within {seconds} s")
     return time.monotonic() - start

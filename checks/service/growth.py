@@ -11,6 +11,9 @@ from states import FIXED, all_final, check_objects
 #: Duration of a simulated job, ms.
 JOB_MS = 500
 
+#: Seconds between two looks at the jobs: the rows measure how busy machines are, and looking costs a part of one.
+PAUSE_S = 1.0
+
 
 def result_folder(options):
     """The files of one real result, which simulated jobs publish."""
@@ -43,7 +46,7 @@ def more_workers(options):
                     client.submit(session, FIXED)
                 for _ in range(n_workers):
                     cluster.node("worker", **simulated)
-                wait_for(lambda cluster=cluster: all_final(cluster), 300, "all jobs end")
+                wait_for(lambda cluster=cluster: all_final(cluster), 300, "all jobs end", PAUSE_S)
                 span = cluster.postgres.ask(
                     "SELECT extract(epoch FROM max(finished_at::timestamptz) - min(started_at::timestamptz)) FROM jobs WHERE state = 'succeeded'")
                 ended = int(cluster.postgres.ask("SELECT count(*) FROM jobs WHERE state = 'succeeded'")[0][0])
@@ -83,7 +86,7 @@ def more_cores(options):
             words = ["--set", "jobs.concurrent=1", "--set", "jobs.threads=1"]
             for core in range(n_workers):
                 cluster.node("worker", *words, prefix=["taskset", "-c", str(core)])
-            wait_for(lambda cluster=cluster: all_final(cluster), 1800, "all jobs end")
+            wait_for(lambda cluster=cluster: all_final(cluster), 1800, "all jobs end", PAUSE_S)
             require(all(client.manifest(job) == expected for job in jobs), "a manifest differs from that of the embedded service")
             span = cluster.postgres.ask("SELECT extract(epoch FROM max(finished_at::timestamptz) - min(started_at::timestamptz)) FROM jobs")
             rates[n_workers] = options.solves / float(span[0][0])

@@ -174,13 +174,13 @@ def require(truth, what):
         raise Failed(what)
 
 
-def until(truth, seconds):
-    """Whether `truth` holds within `seconds`."""
+def until(truth, seconds, pause=0.02):
+    """Whether `truth` holds within `seconds`; asked again after each pause."""
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         if truth():
             return True
-        time.sleep(0.02)
+        time.sleep(pause)
     return truth()
 
 

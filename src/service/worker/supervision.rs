@@ -115,7 +115,7 @@ pub(super) async fn supervise(
     exit
 }
 
-/// Writes progress once a second until the claim is no longer valid.
+/// Writes progress once a second until the claim ends.
 async fn end_of_claim(queue: &Queue, claim: &Claim, unwritten: &mut watch::Receiver<Notes>) {
     let mut changes = queue.follow(&claim.job);
     let mut tick = ticks();

@@ -105,13 +105,21 @@ async fn an_end_on_a_full_database_is_recorded_later() {
         return;
     }
     let claimed = Claimed::new().await;
-    let mut transaction = claimed.store.write().await.unwrap();
-    sqlx::query("PRAGMA max_page_count = 1").fetch_all(&mut *transaction).await.unwrap(); // the present size is the limit
-    transaction.rollback().await.unwrap();
+    let limit_pages = async |limit: &'static str| {
+        let mut transaction = claimed.store.write().await.unwrap();
+        sqlx::query(limit).fetch_all(&mut *transaction).await.unwrap();
+        transaction.rollback().await.unwrap();
+    };
+    limit_pages("PRAGMA max_page_count = 1").await; // the present size is the limit
     let names: Vec<String> = (0..300).map(|n| format!("{n:0500}")).collect();
     let outcome = claimed.published(&names);
     let start = Instant::now();
-    assert_eq!(claimed.record(outcome).await, "succeeded"); // sqlx replaces the connection after SQLITE_FULL
+    let space_comes = async {
+        tokio::time::sleep(RETRY_INTERVAL / 2).await;
+        limit_pages("PRAGMA max_page_count = 4294967294").await;
+    };
+    let (end, ()) = tokio::join!(claimed.record(outcome), space_comes);
+    assert_eq!(end, "succeeded");
     assert!(start.elapsed() >= RETRY_INTERVAL, "the first try failed");
     assert!(claimed.store.folders.result(&claimed.claim.job, 1).join("report.json").exists());
 }
