@@ -6,7 +6,7 @@ import tempfile
 
 from cluster import Cluster, wait_for
 from harness import Service, require, take
-from states import FIXED, all_final, check_objects
+from states import FIXED, all_final, check_objects, manifest_of_default
 
 #: Duration of a simulated job, ms.
 JOB_MS = 500
@@ -68,14 +68,14 @@ def more_cores(options):
     """Two workers of one core each end real solves at 1.9 times the rate of one, and give the bytes of the embedded default."""
     if not options.capture:
         return "skipped: --capture names no session"
-    folder = tempfile.mkdtemp(prefix="wandless-capture-")
-    upload = options.capture if os.path.isfile(options.capture) else shutil.make_archive(os.path.join(folder, "session"), "zip", options.capture)
-    alone = Service(options.program)
-    require(alone.start() is not None, "the embedded service does not start")
-    client = alone.client()
-    expected = client.manifest(client.wait(client.submit(client.upload(upload)["id"], {})["id"])["id"])
-    alone.kill()
-    alone.remove()
+    if os.path.isfile(options.capture):
+        return of_cores(options, options.capture)
+    with tempfile.TemporaryDirectory(prefix="wandless-capture-") as folder:
+        return of_cores(options, shutil.make_archive(os.path.join(folder, "session"), "zip", options.capture))
+
+
+def of_cores(options, upload):
+    expected = manifest_of_default(options.program, upload, {})
     rates = {}
     for n_workers in (1, 2):
         cluster = Cluster(options.program, options.s3)
@@ -93,7 +93,6 @@ def more_cores(options):
             check_objects(cluster)
         finally:
             cluster.remove()
-    shutil.rmtree(folder)
     ratio = rates[2] / rates[1]
     require(ratio >= 1.9, f"two workers are {ratio:.2f} times as fast as one: {rates}")
     return f"{options.solves} solves each: {rates[1]:.3f} and {rates[2]:.3f} a second, {ratio:.2f} times; every manifest equal to the embedded default's"

@@ -25,18 +25,13 @@ from harness import Failed, Service, percentile, require, take, until, wandless
 from lost import upload_cut, worker_lost
 from moved import Receiver, moved
 from restored import brought_back, restores
-from states import FIXED, all_final, check_objects, final_states
+from states import FIXED, all_final, check_objects, final_states, manifest_of_default
 from storm import storm
 from upgrades import two_releases
 
 def two_api_nodes(options):
     """Two API nodes and two workers are one service, and give the bytes of the embedded default."""
-    alone = Service(options.program)
-    require(alone.start() is not None, "the embedded service does not start")
-    client = alone.client()
-    expected = client.manifest(client.wait(client.submit(client.upload(take(30))["id"], FIXED)["id"])["id"])
-    alone.kill()
-    alone.remove()
+    expected = manifest_of_default(options.program, take(30), FIXED)
     cluster = Cluster(options.program, options.s3)
     try:
         nodes = [cluster.node("api") for _ in range(2)]

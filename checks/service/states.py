@@ -5,9 +5,21 @@ import subprocess
 import time
 
 from cluster import wait_for
-from harness import require, sha256
+from harness import Service, require, sha256
 
 FIXED = {"extrinsics": "fixed", "exports": []}
+
+
+def manifest_of_default(program, upload, options):
+    """The manifest that the embedded default gives."""
+    service = Service(program)
+    try:
+        require(service.start() is not None, "the embedded service does not start")
+        client = service.client()
+        return client.manifest(client.wait(client.submit(client.upload(upload)["id"], options)["id"])["id"])
+    finally:
+        service.kill()
+        service.remove()
 
 
 def final_states(cluster):

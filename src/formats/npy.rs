@@ -150,8 +150,7 @@ impl Array {
     /// # Errors
     /// [`NpyError::TooLarge`] before anything is read, [`NpyError::Length`] where the reader ends early.
     pub fn read_contents(header: Header, reader: &mut impl Read, limit: usize) -> Result<Self, NpyError> {
-        let n_last = header.shape.last().copied().unwrap_or(1);
-        Self::read_leading_contents(header, reader, n_last, Limits { read: limit, kept: limit })
+        Self::read_leading_contents(header, reader, usize::MAX, Limits { read: limit, kept: limit })
     }
 
     /// Reads a `.npy` file and keeps the first `n_leading` entries of its last axis, or all where there are fewer. The others are

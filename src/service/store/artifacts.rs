@@ -3,25 +3,21 @@
 use super::database::{Store, WriteTransaction};
 use super::error::StoreError;
 pub use super::published::{Artifact, FileDigest, digest_file, digest_of, scan};
-use super::sql::places;
-use sqlx::AssertSqlSafe;
+use super::sql::{ROWS_IN_ONE_STATEMENT, insert_rows};
 
 /// Inserts the rows of a job that is about to succeed.
 ///
 /// # Errors
 /// When the database fails.
 pub async fn insert(transaction: &mut WriteTransaction, job: &str, artifacts: &[Artifact]) -> Result<(), StoreError> {
-    if artifacts.is_empty() {
-        return Ok(());
+    for artifacts in artifacts.chunks(ROWS_IN_ONE_STATEMENT) {
+        let columns = ["job_id", "name", "media_type", "bytes", "sha256"];
+        let mut insert = insert_rows("artifacts", &columns, artifacts.len());
+        for Artifact { name, media_type, bytes, sha256 } in artifacts {
+            insert = insert.bind(job).bind(name).bind(media_type).bind(*bytes as i64).bind(sha256);
+        }
+        insert.execute(&mut **transaction).await?;
     }
-    let insert = "INSERT INTO artifacts (job_id, name, media_type, bytes, sha256) VALUES";
-    let insert = format!("{insert} {}", places(artifacts.len(), 5)); // the text is our own
-    let mut query = sqlx::query(AssertSqlSafe(insert)).persistent(false);
-    for artifact in artifacts {
-        let Artifact { name, media_type, bytes, sha256 } = artifact;
-        query = query.bind(job).bind(name).bind(media_type).bind(*bytes as i64).bind(sha256);
-    }
-    query.execute(&mut **transaction).await?;
     Ok(())
 }
 

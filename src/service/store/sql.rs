@@ -9,7 +9,8 @@ use sqlx::Any as Db;
 use sqlx::Database;
 #[cfg(not(feature = "scale"))]
 use sqlx::Sqlite as Db;
-use sqlx::{Pool, Transaction};
+use sqlx::query::Query;
+use sqlx::{AssertSqlSafe, Pool, Transaction};
 
 /// A pool of connections.
 pub(crate) type SqlPool = Pool<Db>;
@@ -63,14 +64,27 @@ pub(crate) fn float(value: Option<f64>) -> Option<Float> {
     value
 }
 
-/// Places of the values of several rows: `($1, $2), ($3, $4)`. One statement for many rows, since a server far away answers each one
-/// after a round trip.
-pub(super) fn places(rows: usize, columns: usize) -> String {
+/// Most rows of one statement: with ten columns far below the parameters that it may have (32,766 with SQLite, 65,535 with PostgreSQL).
+pub(super) const ROWS_IN_ONE_STATEMENT: usize = 1000;
+
+/// The statement that inserts so many rows, whose values are bound row by row. One for many rows, since a server far away answers each
+/// one after a round trip.
+pub(super) fn insert_rows<'q>(
+    table: &'static str,
+    columns: &[&'static str],
+    n_rows: usize,
+) -> Query<'q, Db, <Db as Database>::Arguments> {
+    let text = format!("INSERT INTO {table} ({}) VALUES {}", columns.join(", "), places(n_rows, columns.len()));
+    sqlx::query(AssertSqlSafe(text)).persistent(false) // the text is our own; it depends on the number of rows
+}
+
+/// Places of the values of several rows: `($1, $2), ($3, $4)`.
+fn places(n_rows: usize, n_columns: usize) -> String {
     let row = |row: usize| {
-        let places: Vec<String> = (1..=columns).map(|column| format!("${}", row * columns + column)).collect();
+        let places: Vec<String> = (1..=n_columns).map(|column| format!("${}", row * n_columns + column)).collect();
         format!("({})", places.join(", "))
     };
-    (0..rows).map(row).collect::<Vec<_>>().join(", ")
+    (0..n_rows).map(row).collect::<Vec<_>>().join(", ")
 }
 
 #[cfg(test)]

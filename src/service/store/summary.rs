@@ -2,16 +2,12 @@
 
 use super::database::WriteTransaction;
 use super::error::StoreError;
-use super::sql::{float, places};
+use super::sql::{ROWS_IN_ONE_STATEMENT, float, insert_rows};
 use crate::session::reconstruction::{CameraReport, ErrorSummary, PersonReport, Quality, ScaleReport};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
-use sqlx::AssertSqlSafe;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-
-/// Far below the parameters that a statement may have: 32,766 with SQLite, 65,535 with PostgreSQL.
-const METRICS_IN_ONE_STATEMENT: usize = 1000;
 
 /// Summary of one result.
 #[derive(Debug)]
@@ -139,30 +135,24 @@ async fn insert_verdict(transaction: &mut WriteTransaction, job: &str, report: &
 
 /// The rows of all stages, and of all their metrics.
 async fn insert_stages(transaction: &mut WriteTransaction, job: &str, stages: &[StageFile]) -> Result<(), StoreError> {
-    if stages.is_empty() {
-        return Ok(());
-    }
-    let insert = "INSERT INTO stage_metrics (job_id, stage_index, stage, iterations, cost_before, cost_after, termination) VALUES";
-    let insert = format!("{insert} {}", places(stages.len(), 7)); // the text is our own
-    let mut query = sqlx::query(AssertSqlSafe(insert)).persistent(false);
-    for (index, stage) in stages.iter().enumerate() {
-        query = query.bind(job).bind(index as i64).bind(&stage.stage).bind(stage.iterations);
-        query = query.bind(float(stage.cost_before)).bind(float(stage.cost_after)).bind(&stage.termination);
-    }
-    query.execute(&mut **transaction).await?;
-    let metrics: Vec<_> = stages
-        .iter()
-        .enumerate()
-        .flat_map(|(index, stage)| stage.metrics.iter().map(move |metric| (index, metric)))
-        .collect();
-    for metrics in metrics.chunks(METRICS_IN_ONE_STATEMENT) {
-        let insert = "INSERT INTO stage_metric_values (job_id, stage_index, name, value) VALUES";
-        let insert = format!("{insert} {}", places(metrics.len(), 4)); // the text is our own
-        let mut query = sqlx::query(AssertSqlSafe(insert)).persistent(false);
-        for (index, (name, value)) in metrics {
-            query = query.bind(job).bind(*index as i64).bind(*name).bind(float(**value));
+    let stages: Vec<(i64, &StageFile)> = (0..).zip(stages).collect();
+    for stages in stages.chunks(ROWS_IN_ONE_STATEMENT) {
+        let columns = ["job_id", "stage_index", "stage", "iterations", "cost_before", "cost_after", "termination"];
+        let mut insert = insert_rows("stage_metrics", &columns, stages.len());
+        for (index, stage) in stages {
+            insert = insert.bind(job).bind(index).bind(&stage.stage).bind(stage.iterations);
+            insert = insert.bind(float(stage.cost_before)).bind(float(stage.cost_after)).bind(&stage.termination);
         }
-        query.execute(&mut **transaction).await?;
+        insert.execute(&mut **transaction).await?;
+    }
+    let metrics = stages.iter().flat_map(|(index, stage)| stage.metrics.iter().map(move |metric| (index, metric)));
+    for metrics in metrics.collect::<Vec<_>>().chunks(ROWS_IN_ONE_STATEMENT) {
+        let columns = ["job_id", "stage_index", "name", "value"];
+        let mut insert = insert_rows("stage_metric_values", &columns, metrics.len());
+        for (index, (name, value)) in metrics {
+            insert = insert.bind(job).bind(*index).bind(*name).bind(float(**value));
+        }
+        insert.execute(&mut **transaction).await?;
     }
     Ok(())
 }

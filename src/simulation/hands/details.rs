@@ -18,13 +18,6 @@ pub fn has_details(convention: KeypointConvention) -> bool {
     face_keypoints(convention).is_some()
 }
 
-/// The first of a convention's keypoints of face and hands and the detail that it is; where a convention has no face, its
-/// hands are the last of [`N_DETAILS`]. `None` where it has no hands.
-pub(super) fn first_detail(convention: KeypointConvention) -> Option<(usize, usize)> {
-    let face = face_keypoints(convention)?;
-    Some((face.start, N_FACE_POINTS - face.len()))
-}
-
 /// Standard deviation of the logarithm of a hand's size at given stature (ANSUR II: 4 % with men and women apart).
 const SIZE_SD: f64 = 0.04;
 /// The same of a finger's length at given size of the hand.

@@ -1,8 +1,8 @@
 //! Detections of hands and face: errors relative to their own size, misses, and hands that are swapped.
 
-use super::details::{N_DETAILS, first_detail};
+use super::details::N_DETAILS;
 use super::noise::{HandNoise, SeenHands};
-use crate::body::hand::{HandShape, N_FACE_POINTS, N_HAND_POINTS, Side};
+use crate::body::hand::{HandShape, N_FACE_POINTS, N_HAND_POINTS, Side, face_keypoints};
 use crate::body::skeleton::N_JOINTS;
 use crate::session::{Detection, Keypoint};
 use crate::simulation::config::{NoiseConfig, SimulationConfig};
@@ -54,8 +54,8 @@ fn parts() -> [Part; 3] {
 
 /// The detector of a view.
 pub(in crate::simulation) struct DetailDetector {
-    /// As [`first_detail`].
-    first: (usize, usize),
+    /// Keypoints of the face, after which those of the hands follow; empty in a convention without face.
+    face: Range<usize>,
     noise: HandNoise,
     gross: NoiseConfig,
     process: Drift,
@@ -73,7 +73,7 @@ impl DetailDetector {
             (rng, drift)
         };
         Some(Self {
-            first: first_detail(config.convention)?,
+            face: face_keypoints(config.convention)?,
             noise: config.hands.unwrap_or_default(),
             gross: config.noise,
             process: Drift::with_memory(DRIFT_MEMORY_30HZ.powf(30.0 / config.fps)),
@@ -120,8 +120,8 @@ impl DetailDetector {
             }
         }
         if let Some(keypoints) = detection {
-            let (keypoint, detail) = self.first;
-            keypoints[keypoint..keypoint + N_DETAILS - detail].copy_from_slice(&seen[detail..]);
+            let seen = &seen[N_FACE_POINTS - self.face.len()..];
+            keypoints[self.face.start..][..seen.len()].copy_from_slice(seen);
         }
     }
 
@@ -145,7 +145,7 @@ impl DetailDetector {
             false => (first, 1 - side),
         };
         for k in 0..N_HAND_POINTS {
-            let at = |side: usize| self.first.0 + N_FACE_POINTS - self.first.1 + side * N_HAND_POINTS + k;
+            let at = |side: usize| self.face.end + side * N_HAND_POINTS + k;
             let (one, two) = (detections[first].keypoints[at(side)], detections[second].keypoints[at(other)]);
             detections[first].keypoints[at(side)] = two;
             detections[second].keypoints[at(other)] = one;

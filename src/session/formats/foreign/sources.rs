@@ -182,15 +182,8 @@ fn read_group<R: Read + Seek>(
             added.map_err(|e| UploadError { file: Some((*name).to_owned()), frame: Some(*frame), ..e })?;
         }
     }
-    let n_before = n_points(&source);
-    level_hands(source.poses.detections.values_mut().flatten());
-    reading.spend(n_points(&source) - n_before)?;
+    level_hands(source.poses.detections.values_mut().flatten(), reading)?;
     Ok(source)
-}
-
-/// Number of points of all people.
-fn n_points(source: &Source) -> usize {
-    source.poses.detections.values().flatten().map(|person| person.keypoints.len()).sum()
 }
 
 fn add_content(

@@ -77,12 +77,7 @@ pub(crate) fn read_array(mut reader: impl Read, reading: &mut Reading<'_>) -> Re
             }
         }
     }
-    let people = || found.by_camera.values().flat_map(|poses| poses.detections.values().flatten());
-    let n_without = people().filter(|person| person.keypoints.len() == N_BODY).count();
-    if n_without < people().count() {
-        reading.spend(n_without * N_HANDS_POINTS)?;
-    }
-    level_hands(found.by_camera.values_mut().flat_map(|poses| poses.detections.values_mut().flatten()));
+    level_hands(found.by_camera.values_mut().flat_map(|poses| poses.detections.values_mut().flatten()), reading)?;
     Ok(found)
 }
 

@@ -5,6 +5,7 @@ use crate::body::hand::{N_HAND_POINTS, Side};
 use crate::session::formats::joints::N_HANDS_POINTS;
 use crate::session::recording::{Detection, Keypoint};
 use crate::session::upload::error::{Fault, UploadError};
+use crate::session::upload::json::Reading;
 
 /// The points of a body, followed by those of left and right hand where any of them was detected.
 ///
@@ -26,14 +27,23 @@ pub(super) fn with_hands(mut body: Vec<Keypoint>, hands: [Vec<Keypoint>; 2]) -> 
 }
 
 /// Adds missing hands to people without hands where others of the same source have them.
-pub(crate) fn level_hands<'d>(people: impl Iterator<Item = &'d mut Detection>) {
+///
+/// # Errors
+/// When the session then has too many keypoints.
+pub(crate) fn level_hands<'d>(
+    people: impl Iterator<Item = &'d mut Detection>,
+    reading: &mut Reading<'_>,
+) -> Result<(), UploadError> {
     let people: Vec<&mut Detection> = people.filter(|person| !person.keypoints.is_empty()).collect();
     let sizes = || people.iter().map(|person| person.keypoints.len());
     let (least, most) = (sizes().min().unwrap_or(0), sizes().max().unwrap_or(0));
     if most == least + N_HANDS_POINTS {
-        let without = people.into_iter().filter(|person| person.keypoints.len() == least);
-        without.for_each(|person| person.keypoints.resize(most, missing()));
+        for person in people.into_iter().filter(|person| person.keypoints.len() == least) {
+            reading.spend(N_HANDS_POINTS)?;
+            person.keypoints.resize(most, missing());
+        }
     }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -67,7 +77,8 @@ mod tests {
         let person = |n: usize| Detection { track_id: None, keypoints: seen(n) };
         let sizes = |sizes: &[usize]| {
             let mut people: Vec<Detection> = sizes.iter().map(|n| person(*n)).collect();
-            level_hands(people.iter_mut());
+            let (limits, mut warnings) = Default::default();
+            level_hands(people.iter_mut(), &mut Reading::new(&limits, &mut warnings)).unwrap();
             people.iter().map(|person| person.keypoints.len()).collect::<Vec<_>>()
         };
         assert_eq!(sizes(&[25, 67, 0, 25]), [67, 67, 0, 67]);
