@@ -8,7 +8,8 @@ use crate::service::failpoint::{failpoint, fault, lose_answer};
 use crate::service::store::error::StoreError;
 use sqlx::AssertSqlSafe;
 
-/// The tenant's row is locked (`{lock}`): claims of the same moment take tenants in turn. A job that another statement
+/// The tenant's row is locked (`{lock}`): claims of the same moment take tenants in turn. A row that another claim changed after this
+/// statement began is checked again when it is locked, but not sorted again: `{unserved}` passes over a tenant whose turn has moved. A job that another statement
 /// holds is passed over. Of the jobs with the highest priority the one of the largest class is taken: smaller ones find a worker anywhere.
 /// Each class is looked up by itself, so that jobs that do not fit cost nothing.
 ///
@@ -24,6 +25,7 @@ const CLAIM: &str = "
                     WHERE state = 'queued' AND tenant = name AND class = fitting.class AND needs <= $6
                       AND id NOT IN (SELECT value FROM json_each($4))
                     ORDER BY priority DESC, seq LIMIT 1) AS found LIMIT 1) IS NOT NULL
+          {unserved}
         ORDER BY turn, name LIMIT 1 {lock}),
     job AS MATERIALIZED (
         SELECT found.seq FROM generate_series(CAST(0 AS BIGINT), $5) AS fitting (class) CROSS JOIN LATERAL
@@ -40,13 +42,17 @@ const CLAIM: &str = "
     RETURNING id, fence, tenant, request_id, key_id, session_id, options,
               (SELECT sha256 FROM sessions WHERE sessions.id = jobs.session_id) AS sha256";
 
+/// The turn in the statement's snapshot: a subquery is not read anew when a locked row is checked again.
+const UNSERVED: &str = "AND turn = (SELECT seen.turn FROM tenants AS seen WHERE seen.name = tenants.name)";
+
 impl Queue {
     /// Claims a job of the tenant whose turn it is. A tenant that another claim is taking has had its turn and is passed over; where there is
     /// only that one, its row is waited for. A claim whose answer is lost has no beat, and the leader puts it back.
     pub(super) async fn claim_shared(&self, max_running: i64, waiting: &str) -> Result<Option<Claim>, StoreError> {
         let locks = if fault("row.unlocked") { ["", ""] } else { ["FOR UPDATE SKIP LOCKED", "FOR UPDATE"] };
-        for lock in locks {
-            let row = sqlx::query(AssertSqlSafe(CLAIM.replace("{lock}", lock))) // the text is our own
+        for (lock, unserved) in locks.into_iter().zip([UNSERVED, ""]) {
+            let claim = CLAIM.replace("{lock}", lock).replace("{unserved}", unserved);
+            let row = sqlx::query(AssertSqlSafe(claim)) // the text is our own
                 .bind(&self.store.boot)
                 .bind(env!("CARGO_PKG_VERSION"))
                 .bind(max_running)

@@ -95,19 +95,21 @@ async fn simultaneous_claims_take_each_job_once_within_the_limit() {
     assert_eq!(all.len(), 60, "each job once, none left out");
 }
 
-/// Claims that waited for the tenant of the first one took its next jobs, and the other tenant came last.
+/// Claims that waited for the tenant of the first one took its next jobs, and the other tenant came last; and a claim that began before
+/// another one ended, and locked the tenant after it, took that tenant's next job.
 #[tokio::test(flavor = "multi_thread")]
 async fn simultaneous_claims_take_tenants_in_turn() {
     let Some((test, _)) = shared().await else { return };
     let other = Tenant::parse("other").unwrap();
     let summary = sessions::get(&test.queue.store, &tenant(), "s").await.unwrap().unwrap().summary;
     sessions::add(&test.queue.store, &other, "t", &summary, i64::MAX).await.unwrap();
-    for _ in 0..10 {
+    const ROUNDS: usize = 45; // two jobs each: the queue takes 100
+    for _ in 0..ROUNDS {
         test.enqueue(0).await;
         let new = NewJob { tenant: other.clone(), session: "t".to_owned(), ..new_job(0) };
         test.queue.enqueue(&new, None, LIMITS).await.unwrap();
     }
-    for round in 0..10 {
+    for round in 0..ROUNDS {
         let claim = || async { test.queue.claim(i64::MAX).await.unwrap().unwrap().session };
         let (first, second) = tokio::join!(claim(), claim());
         assert_ne!(first, second, "round {round}");
