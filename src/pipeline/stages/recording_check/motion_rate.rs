@@ -15,9 +15,10 @@ use nalgebra::{Cholesky, Const, SMatrix, SVector, Vector3};
 
 /// A rate is wrong where the likeliest one is more than this many times as high or low.
 const WRONG_FACTOR: f64 = 1.5;
-/// Logarithm of the likelihood ratio from which a rate is wrong, 400 to 1: right rates are far more common than wrong ones, and right
-/// recordings of slow or quick people reach 5.
-const WRONG_RATIO: f64 = 6.0;
+/// Logarithms of the likelihood ratio from which people move too fast, 400 to 1, and too slowly, 22,000 to 1: right rates are far more
+/// common than wrong ones, and slow movements are at anyone's choice: right recordings of slow dancers reach 8.
+const TOO_FAST: f64 = 6.0;
+const TOO_SLOW: f64 = 10.0;
 
 /// Logarithms of the factors on the given rate that are compared: from a sixth to six times, in steps of a tenth.
 const N_RATES: i32 = 18;
@@ -52,7 +53,8 @@ pub struct MotionRate {
 impl MotionRate {
     /// Whether the given rate is wrong.
     pub fn is_wrong(&self) -> bool {
-        self.is_human && self.factor.ln().abs() > WRONG_FACTOR.ln() && self.log_ratio > WRONG_RATIO
+        let needed = if self.factor < 1.0 { TOO_FAST } else { TOO_SLOW };
+        self.is_human && self.factor.ln().abs() > WRONG_FACTOR.ln() && self.log_ratio > needed
     }
 }
 
