@@ -40,7 +40,7 @@ pub(super) struct CovariancesArgs {
     #[arg(long, default_value_t = 300)]
     frames: usize,
     /// Kind of the detector's errors; their rates are those of the preset `paper`
-    #[arg(long, value_enum, default_value_t = NoiseName::Presets)]
+    #[arg(long, value_enum, default_value_t = NoiseName::Real)]
     noise: NoiseName,
     /// Only the variants whose names are given, besides the one without covariances
     #[arg(long, num_args = 1..)]

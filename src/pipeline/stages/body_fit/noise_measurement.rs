@@ -16,6 +16,11 @@ const POOLED_PROCESS: f64 = 1000.0;
 /// The same for its standard deviation: four seconds of one camera, in which a slow error has changed once.
 const POOLED_SIGMA: f64 = 100.0;
 
+/// Least standard deviation of an innovation, as a share of the person's apparent size: a quarter of the best detector's error
+/// (`pixel_share_bounds`), 2 mm on an adult. No body model fits a person any closer, and pixels without errors would otherwise take each
+/// start for an outlier of thousands of standard deviations.
+const LEAST_SHARE: f64 = 0.001;
+
 /// Measures the processes of all landmarks on the residuals of `members`.
 ///
 /// The variance of the innovations is measured, too: it decides the weights, and real errors have heavier tails than their
@@ -45,7 +50,7 @@ pub(super) fn measured_noise(context: &FitContext, members: &[Member]) -> PathNo
     let noise = PathNoise { processes, shares: levels, ..unit };
 
     let factors = sigmas(n_landmarks, members.iter().flat_map(|member| paths(&noise, member).1));
-    let shares = noise.shares.iter().zip(factors).map(|(share, factor)| share * factor).collect();
+    let shares = noise.shares.iter().zip(factors).map(|(share, factor)| (share * factor).max(LEAST_SHARE)).collect();
     PathNoise { shares, ..noise }
 }
 
