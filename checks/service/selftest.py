@@ -16,7 +16,7 @@ from harness import arguments
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 
-# Fault: text that the check must report; the check and its arguments, as few repetitions as suffice to detect the fault.
+# Fault: text that the check must report (a regular expression); the check and its arguments, as few repetitions as suffice to detect the fault.
 FAULTS = {
     "enqueue.early": ("is lost", "crashes.py", "--kills", "20"),
     "publish.late": ("no whole result", "crashes.py", "--kills", "0", "--only", "finish.committed"),
@@ -59,7 +59,7 @@ FAULTS = {
     "children.free": ("row 19", "workers.py", "--row", "19"),
     "fence.none": ("stale", "scale.py", "--row", "frozen_at_the_end", "--freezes", "3"),
     "beat.none": ("fell silent", "scale.py", "--row", "frozen_at_the_end", "--freezes", "3"),
-    "sweep.eager": ("states", "scale.py", "--row", "kills", "--kills", "1"),
+    "sweep.eager": ("states|corrupt", "scale.py", "--row", "kills", "--kills", "1"),
     "row.unlocked": ("ran at once", "scale.py", "--row", "turns_of_tenants", "--jobs", "300"),
     "drain.abrupt": ("requests failed", "scale.py", "--row", "two_releases"),
     "descriptors.unreserved": ("row 2", "front.py", "--row", "2"),
@@ -85,7 +85,7 @@ def main():
         try:
             run = subprocess.run(command, env={**os.environ, "WANDLESS_FAULT": fault}, capture_output=True, text=True, timeout=args.limit)
             found = [line for line in run.stdout.splitlines() if line.startswith("FAULT") or ": FAILED: " in line or ": FAULT " in line]
-            matching = [line for line in found if mark in line]
+            matching = [line for line in found if re.search(mark, line)]
             detected = run.returncode == 1 and bool(matching)
             how = (matching or found or run.stderr.strip().splitlines()[-1:] or ["no output"])[0][:110]
         except subprocess.TimeoutExpired:
