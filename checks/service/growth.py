@@ -11,8 +11,9 @@ from states import FIXED, all_final, check_objects, manifest_of_default
 #: Duration of a simulated job, ms.
 JOB_MS = 500
 
-#: Seconds between two looks at the jobs: the rows measure how busy machines are, and looking costs a part of one.
+#: Seconds between two looks at simulated jobs and at real ones: the rows measure how busy machines are, and looking costs a part of one.
 PAUSE_S = 1.0
+LONG_PAUSE_S = 10.0
 
 
 def result_folder(options):
@@ -31,7 +32,8 @@ def result_folder(options):
 
 
 def more_workers(options):
-    """Eight workers end simulated jobs at 7.5 times the rate of one."""
+    """Eight workers end simulated jobs at 7.5 times the rate of one. They and the object store share this machine's disk, whose file
+    system may be the limit (TMPDIR on one in memory shows it)."""
     folder = result_folder(options)
     rates = {}
     try:
@@ -86,7 +88,7 @@ def of_cores(options, upload):
             words = ["--set", "jobs.concurrent=1", "--set", "jobs.threads=1"]
             for core in range(n_workers):
                 cluster.node("worker", *words, prefix=["taskset", "-c", str(core)])
-            wait_for(lambda cluster=cluster: all_final(cluster), 1800, "all jobs end", PAUSE_S)
+            wait_for(lambda cluster=cluster: all_final(cluster), 1800, "all jobs end", LONG_PAUSE_S)
             require(all(client.manifest(job) == expected for job in jobs), "a manifest differs from that of the embedded service")
             span = cluster.postgres.ask("SELECT extract(epoch FROM max(finished_at::timestamptz) - min(started_at::timestamptz)) FROM jobs")
             rates[n_workers] = options.solves / float(span[0][0])
