@@ -67,6 +67,11 @@ for person in result.people:
     assert float(npz["mocap_framerate"]) == float(npz["mocap_frame_rate"]) == result.fps
     assert str(npz["up_axis"]) == result.up and str(wide["surface_model_type"]) == "smplh"
     assert npz["frames"].tolist() == person["frames"] and npz["valid"].tolist() == person["valid"]
+    if person.get("hands"):
+        widest = np.load(f"{result.exports}/smplx/{person['id']}.npz", allow_pickle=False)
+        assert str(widest["surface_model_type"]) == "smplx" and widest["poses"].shape[1] == 165
+        assert (np.delete(widest["poses"], range(66, 75), axis=1) == wide["poses"]).all()
+        assert not widest["poses"][:, 66:75].any() and widest["expression"].shape[1] == 10 and not widest["expression"].any()
     rest = rest_joints(npz["poses"], npz["trans"], person["joints"])
     worst.joints(person["joints"], forward(rest, npz["poses"], npz["trans"]))
     for i, hand in enumerate(("left", "right") if person.get("hands") else ()):

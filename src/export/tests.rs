@@ -218,6 +218,34 @@ fn npz_reads_back() {
 }
 
 #[test]
+fn jaw_and_eyes_of_smplx_come_before_the_fingers() {
+    let dir = written();
+    assert!(!dir.path().join("smplx").exists(), "no hands were fitted");
+    let mut solved = reconstruction();
+    let turn = |angle: f64| rotation::exp(&(Vector3::x() * angle));
+    let hand = |angle: f64| {
+        let pose = HandPose { rotations: [turn(angle); 15], joints: [Vector3::zeros(); 15], n_views: 2 };
+        HandMotion { frames: vec![pose; 2] }
+    };
+    solved.motions[0].hands = Some([hand(0.5), hand(-0.25)]);
+    write_result(dir.path(), &session(), &context(), &solved).unwrap();
+    let npz = fs::File::open(dir.path().join("smplx/0.npz")).unwrap();
+    let mut npz = zip::ZipArchive::new(npz).unwrap();
+    let mut array = |name: &str| {
+        let mut bytes = Vec::new();
+        npz.by_name(&format!("{name}.npy")).unwrap().read_to_end(&mut bytes).unwrap();
+        let array = npyz::NpyFile::new(&bytes[..]).unwrap();
+        (array.shape().to_vec(), array.into_vec::<f64>().unwrap())
+    };
+    let (shape, poses) = array("poses");
+    assert_eq!(shape, [2, 165]);
+    assert!(poses[66..75].iter().all(|angle| *angle == 0.0));
+    assert!((poses[75] - 0.5).abs() < 1e-12 && (poses[75 + 45] + 0.25).abs() < 1e-12, "left hand first");
+    let (shape, expression) = array("expression");
+    assert!(shape == [2, 10] && expression.iter().all(|x| *x == 0.0));
+}
+
+#[test]
 fn the_manifest_lists_every_file_but_itself() {
     let dir = written();
     let mut manifest = read(dir.path(), "manifest.json");

@@ -252,7 +252,10 @@ pub const OPTION_TABLE: &[OptionRow] = &[
         name: "exports",
         label: "Export formats in addition to JSON",
         kind: Kind::Choices(&[
-            choice("smpl_npz", "poses and shapes of every person in AMASS's layout (72 and 156 wide)"),
+            choice(
+                "smpl_npz",
+                "poses and shapes of every person in AMASS's layout (72 and 156 wide, with hands also SMPL-X's 165)",
+            ),
             choice("easymocap", "EasyMocap's keypoints and SMPL parameters"),
             choice("glb", "cameras and people, skinned and animated, as a glTF scene"),
             choice(
