@@ -23,6 +23,8 @@ const BLOCK_SECS: f64 = 2.0;
 /// Images are smaller than stated where keypoints stay within this share of width and height: people walk through more of an image,
 /// and the next smaller format has two thirds.
 const SHOWN_BY_SMALLER: f64 = 0.72;
+/// Factor on a focal length below which it belongs to smaller images: halfway, in logarithms, to the next smaller usual size.
+const OF_SMALLER: f64 = 0.866;
 /// Largest difference of logarithms between the factor on a focal length and the size of the images that it belongs to: less than
 /// half of the smallest between two usual sizes.
 const SAME_SIZE: f64 = 0.055;
@@ -129,7 +131,7 @@ fn of_lenses(solved: &Solved, lenses: &WrongLenses) -> Option<Suspicion> {
 /// Cameras whose focal length and keypoints both belong to smaller images.
 fn other_resolution(solved: &Solved, factors: &[(usize, f64)]) -> Option<Suspicion> {
     let is_smaller = |view: usize| lies_within(&solved.session().views[view], SHOWN_BY_SMALLER);
-    let smaller = factors.iter().filter(|(view, factor)| *factor < 1.0 && is_smaller(*view));
+    let smaller = factors.iter().filter(|(view, factor)| *factor < OF_SMALLER && is_smaller(*view));
     let (views, mut factors): (Vec<usize>, Vec<f64>) = smaller.copied().unzip();
     let factor = median(&mut factors)?;
     let evidence = "the focal length is too long, and all keypoints lie in the upper left two thirds of the image: both suit \
