@@ -80,7 +80,8 @@ pub(super) fn solve(
         exports: &options.exports,
         continuation: Some(&continuation),
     };
-    export::write_result(out, &loaded.session, &context, &reconstruction)?;
+    let session = pipeline::as_solved(&loaded.session, options, &reconstruction);
+    export::write_result(out, &session, &context, &reconstruction)?;
     Ok(reconstruction.report.quality)
 }
 

@@ -10,7 +10,7 @@ use super::checkpoints::{opened, sealed};
 use super::config::Options;
 use super::focal_lengths::FocalLengths;
 use super::passes::synchronisation::Timing;
-use super::repair::repaired;
+use super::repair::with_repairs;
 use super::result::FittedResult;
 use crate::session::reconstruction::{ConsistencyReport, DetectionRepairs};
 use crate::session::{JointTrajectory, Session, Suspicion};
@@ -80,13 +80,7 @@ impl Continuation {
 
     /// Session and options without the mistakes that were undone first.
     pub(super) fn repaired<'s>(&self, session: &'s Session, options: &Options) -> (Cow<'s, Session>, Options) {
-        let (mut session, mut options) = (Cow::Borrowed(session), options.clone());
-        for suspicion in &self.repairs {
-            if let Some((next, changed)) = repaired(&session, &options, suspicion) {
-                (session, options) = (Cow::Owned(next), changed);
-            }
-        }
-        (session, options)
+        with_repairs(session, options, &self.repairs)
     }
 
     pub(super) fn repairs(&self) -> &[Suspicion] {

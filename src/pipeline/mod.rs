@@ -80,7 +80,7 @@ use passes::synchronisation::{Timing, estimated_timing};
 use passes::unknown_lenses::estimated_focal_lengths;
 use planned_stages::{CORRECTED_STAGES, LAST_STAGES, corrected_stage_weights, stage_weights};
 use provisional::{ProvisionalScene, Watcher};
-use repair::{MAX_REPAIRS, repaired};
+use repair::{MAX_REPAIRS, repaired, with_repairs};
 use result::{FittedResult, Solution, statures};
 use stages::joint_trajectories::joint_trajectories;
 use stages::metric_scale;
@@ -191,6 +191,13 @@ pub fn solve(
             }
         }
     }
+}
+
+/// The session that a result belongs to: `session` with the repairs that were applied ([`Repair::Auto`]), or as it is. Keypoints of the
+/// result have its names, its pixels are those that the result's cameras explain.
+pub fn as_solved<'s>(session: &'s Session, options: &Options, result: &Reconstruction) -> Cow<'s, Session> {
+    let applied: Vec<Suspicion> = result.report.suspicions.iter().filter(|s| s.applied).cloned().collect();
+    with_repairs(session, options, &applied).0
 }
 
 /// One way through all passes.

@@ -9,6 +9,7 @@ use crate::session::recording_tests::{best_confidence, centred, likelier_convent
 use crate::session::{Session, Suspicion, SuspicionCode as Code, View};
 use nalgebra::Vector2;
 use serde_json::Value;
+use std::borrow::Cow;
 
 /// Most repairs one after another, each of one kind of mistake: a recording with more needs a look.
 pub const MAX_REPAIRS: usize = 2;
@@ -47,6 +48,17 @@ pub fn repaired(session: &Session, options: &Options, suspicion: &Suspicion) -> 
         }
         _ => None,
     }
+}
+
+/// Recording and options without the mistakes `repairs`, one after the other.
+pub fn with_repairs<'s>(session: &'s Session, options: &Options, repairs: &[Suspicion]) -> (Cow<'s, Session>, Options) {
+    let (mut session, mut options) = (Cow::Borrowed(session), options.clone());
+    for suspicion in repairs {
+        if let Some((next, changed)) = repaired(&session, &options, suspicion) {
+            (session, options) = (Cow::Owned(next), changed);
+        }
+    }
+    (session, options)
 }
 
 /// The views that a suspicion names; all where it names none.

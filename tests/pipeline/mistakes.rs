@@ -1,6 +1,8 @@
 //! Mistakes in the files that a solve named wrongly, or not at all.
 
-use wandless::pipeline::{Options, PipelineError, reconstruct};
+use wandless::body::skeleton::KeypointConvention;
+use wandless::pipeline::config::Repair;
+use wandless::pipeline::{Options, PipelineError, as_solved, reconstruct};
 use wandless::progress::Progress;
 use wandless::session::{Session, Suspicion, SuspicionCode as Code};
 use wandless::simulation::mistakes::MISTAKES;
@@ -74,4 +76,23 @@ fn exchanged_labels_of_one_of_two_cameras_passed() {
     assert_eq!(suspected(&right, &Options::default()), []);
     let wrong = with_mistake(&right, "left and right exchanged in one camera");
     assert_eq!(suspected(&wrong, &Options::default()), [(Code::LabelsExchanged, ids(&right, &[1]))]);
+}
+
+/// Keypoints of a repaired result were written with the names of the wrong convention, and with pixels that its cameras do not explain.
+#[test]
+fn repaired_results_had_the_names_of_the_mistake() {
+    let preset = SimulationConfig::preset(Preset::Paper);
+    let config = SimulationConfig { views: 4, frames: 60, convention: KeypointConvention::Body25, ..preset };
+    let right = simulate(&config).unwrap().session;
+    let options = Options { repair: Repair::Auto, ..Options::default() };
+    for name in ["body25 declared as body25b", "coordinates from 0 to 1"] {
+        let wrong = with_mistake(&right, name);
+        let found = reconstruct(&wrong, &options, &Progress::silent()).unwrap();
+        let solved = as_solved(&wrong, &options, &found);
+        assert_eq!(solved.convention, right.convention, "{name}");
+        let pixels =
+            |session: &Session| session.views[1].frames[10][0].keypoints.iter().map(|k| k.pixel).collect::<Vec<_>>();
+        let farthest = pixels(&solved).iter().zip(pixels(&right)).map(|(a, b)| (a - b).norm()).fold(0.0, f64::max);
+        assert!(farthest < 0.01, "{name}: {farthest} px");
+    }
 }

@@ -4,7 +4,7 @@ use crate::cli::bad_input::BadInput;
 use crate::evaluation::alignment::Alignment;
 use crate::evaluation::{Evaluation, EvaluationOptions, evaluate};
 use crate::export::{ResultContext, write_result};
-use crate::pipeline::{Options, reconstruct};
+use crate::pipeline::{Options, as_solved, reconstruct};
 use crate::progress::Progress;
 use crate::session::{Reconstruction, Session};
 use anyhow::Context;
@@ -48,5 +48,5 @@ pub(super) fn write_into(
         continuation: None,
     };
     std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
-    Ok(write_result(out, session, &context, result)?)
+    Ok(write_result(out, &as_solved(session, options, result), &context, result)?)
 }
