@@ -45,8 +45,8 @@ pub struct MotionRate {
     pub range: [f64; 2],
     /// Logarithm of the likelihood of the best factor over that of the given rate.
     pub log_ratio: f64,
-    /// Whether people move like people under the best factor. Under the largest one they do not: who stands still moves more, however
-    /// much the rate is raised.
+    /// Whether people move like people under the best factor. Never under the largest one: people who stand still move too
+    /// little at any rate.
     pub is_human: bool,
 }
 
