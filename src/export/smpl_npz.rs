@@ -19,8 +19,8 @@ use std::io::{self, Cursor};
 
 /// Numbers of a frame that SMPL and SMPL-H share: the root and 21 body joints.
 const SHARED_WIDTH: usize = 66;
-/// Numbers of a frame's 30 finger joints.
-const FINGERS_WIDTH: usize = 90;
+/// Numbers of an SMPL-H frame: the shared ones and 30 finger joints.
+const SMPLH_WIDTH: usize = 156;
 /// Numbers of SMPL-X's jaw and eyes.
 const FACE_WIDTH: usize = 9;
 /// Numbers of an expression of SMPL-X.
@@ -31,14 +31,8 @@ pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
     for motion in &take.motions {
         // [frames, 72]
         let smpl: Vec<Vec<f64>> = motion.frames.iter().map(axis_angles).collect();
-        let with_fingers = |width_between: usize| -> Vec<Vec<f64>> {
-            let wide = |(t, pose): (usize, &Vec<f64>)| {
-                [&pose[..SHARED_WIDTH], &vec![0.0; width_between], &fingers(motion, t)].concat()
-            };
-            smpl.iter().enumerate().map(wide).collect()
-        };
-        let smplh = with_fingers(0);
-        let smplx = motion.hands.is_some().then(|| with_fingers(FACE_WIDTH));
+        let smplh: Vec<Vec<f64>> = smpl.iter().enumerate().map(|(t, pose)| with_fingers(pose, motion, t)).collect();
+        let smplx = motion.hands.is_some().then(|| smplh.iter().map(|pose| with_resting_face(pose)).collect());
         let layouts = [("smpl", smpl), ("smplh", smplh)].into_iter().chain(smplx.map(|poses| ("smplx", poses)));
         for (model, poses) in layouts {
             let bytes = motion_npz(take, motion, model, &poses)?;
@@ -48,12 +42,18 @@ pub(super) fn write(files: &mut ResultFiles, take: &Take) -> io::Result<()> {
     Ok(())
 }
 
-/// Axis-angles of a frame's fingers, left hand first; at rest where hands were not fitted.
-fn fingers(motion: &BodyMotion, t: usize) -> Vec<f64> {
+fn with_fingers(pose: &[f64], motion: &BodyMotion, t: usize) -> Vec<f64> {
+    let mut wide = pose[..SHARED_WIDTH].to_vec();
     let hands = motion.hands.iter().flatten();
-    let mut angles: Vec<f64> = hands.flat_map(|hand| finger_axis_angles(&hand.frames[t])).collect();
-    angles.resize(FINGERS_WIDTH, 0.0);
-    angles
+    hands.for_each(|hand| wide.extend(finger_axis_angles(&hand.frames[t])));
+    wide.resize(SMPLH_WIDTH, 0.0);
+    wide
+}
+
+/// SMPL-X's frame of an SMPL-H frame.
+fn with_resting_face(smplh: &[f64]) -> Vec<f64> {
+    let (body, fingers) = smplh.split_at(SHARED_WIDTH);
+    [body, &[0.0; FACE_WIDTH], fingers].concat()
 }
 
 fn motion_npz(take: &Take, motion: &BodyMotion, model: &str, poses: &[Vec<f64>]) -> io::Result<Vec<u8>> {

@@ -2,6 +2,9 @@
 //!
 //! Every simulated session has anisotropic errors of changing size. It is solved with their true covariances, with wrong ones and
 //! without any; printed are the errors over those without.
+//!
+//! The confidences of the presets' noise fall with the errors themselves and tell most of what stated sizes would: with them true
+//! covariances are worth 3 %, with realistic errors two fifths.
 
 use super::evaluated::evaluated;
 use crate::cli::bad_input::BadInput;

@@ -10,8 +10,8 @@ use sqlx::AssertSqlSafe;
 
 /// The tenant's row is locked (`{lock}`): claims of the same moment take tenants in turn. A row that another claim changed after this
 /// statement began is checked again when it is locked, but not sorted again: `{unserved}` passes over a tenant whose turn has moved. A job
-/// that another statement holds is passed over. Of the jobs with the highest priority the one of the largest class is taken: smaller ones find a worker anywhere.
-/// Each class is looked up by itself, so that jobs that do not fit cost nothing.
+/// that another statement holds is passed over. Of the jobs with the highest priority the one of the largest class is taken: smaller
+/// ones find a worker anywhere. Each class is looked up by itself, so that jobs that do not fit cost nothing.
 ///
 /// `$1`, `$2`: boot, release; `$3`: most running jobs of a tenant; `$4`: jobs that wait after a fault of the machine, a JSON list; `$5`:
 /// largest class; `$6`: level of options. Whether a tenant has another job is asked with a LIMIT: an EXISTS becomes a join that reads

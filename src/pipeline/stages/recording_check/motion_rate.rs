@@ -2,8 +2,8 @@
 //!
 //! Speeds grow with the rate, accelerations with its square, and the times after which limbs swing back fall with it. Under each
 //! rate the statistics are compared with those of recorded motion (`motion_statistics`); the likeliest rate of right
-//! recordings is within 2 times of the true one for most (standard deviation of its logarithm 0.4). Unlike steps, this needs no walking; where people walk, the likelihood of their
-//! steps is added. People who do no more than breathe show nothing.
+//! recordings is within 2 times of the true one for most (standard deviation of its logarithm 0.4). Unlike steps, this needs no
+//! walking; where people walk, the likelihood of their steps is added. People who do no more than breathe show nothing.
 
 use super::frame_rate::Steps;
 use super::motion_statistics::{
