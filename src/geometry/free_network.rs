@@ -121,12 +121,17 @@ impl CameraCovariance {
         (0..self.poses.len()).map(|k| PoseSigma { position: sigma(6 * k), angle: sigma(6 * k + 3) }).collect()
     }
 
-    /// Variance of a point's position, three axes together, after a similarity alignment of all cameras.
+    /// Variances of the positions of points, three axes together, after a similarity alignment of all cameras.
     ///
-    /// `by_cameras`: movement of the point by the cameras' increments. [3, 6 cameras]
-    pub fn point_variance(&self, point: &Vector3<f64>, by_cameras: &Matrix3xX<f64>) -> f64 {
-        let after = by_cameras - point_directions(&self.poses, point) * &self.alignment;
-        (&after * &self.covariance).component_mul(&after).sum()
+    /// `points`: each with its movement by the cameras' increments. [3, 6 cameras]
+    pub fn point_variances(&self, points: &[(Vector3<f64>, Matrix3xX<f64>)]) -> Vec<f64> {
+        let mut after = DMatrix::zeros(3 * points.len(), self.covariance.ncols());
+        for (k, (point, by_cameras)) in points.iter().enumerate() {
+            let by_world = point_directions(&self.poses, point) * &self.alignment;
+            after.rows_mut(3 * k, 3).copy_from(&(by_cameras - by_world));
+        }
+        let products = (&after * &self.covariance).component_mul(&after);
+        (0..points.len()).map(|k| products.rows(3 * k, 3).sum()).collect()
     }
 }
 
@@ -207,8 +212,8 @@ mod tests {
         // A point that follows a similarity as all cameras do.
         let follows = point_directions(&poses, &point) * alignment(&poses).unwrap();
         let follows = Matrix3xX::from_iterator(24, follows.iter().copied());
-        assert!(of_similarity.point_variance(&point, &follows) < 1e-9);
-        assert!(of_similarity.point_variance(&point, &Matrix3xX::zeros(24)) > 1.0);
+        let variances = of_similarity.point_variances(&[(point, follows), (point, Matrix3xX::zeros(24))]);
+        assert!(variances[0] < 1e-9 && variances[1] > 1.0, "{variances:?}");
 
         let mut one = DMatrix::zeros(24, 24);
         one[(5, 5)] = 0.01 * 0.01;

@@ -16,7 +16,7 @@ pub struct Rig {
     pub quality: f64,
 }
 
-/// Hypotheses and observations of every pair `(first, second)` with `first < second`.
+/// Hypotheses and observations of every compared pair `(first, second)` with `first < second`.
 pub struct ViewGraph<'a> {
     /// Number of cameras.
     pub n_views: usize,

@@ -18,6 +18,9 @@ use rayon::prelude::*;
 /// Number of portions of blocks: enough to keep every core busy, few enough to keep their sums small.
 const MAX_PORTIONS: usize = 64;
 
+/// Eliminated unknowns that are subtracted from the border at once; their factors fit registers.
+const ROWS: usize = 4;
+
 /// A pivot below this share of its diagonal entry is rounding error: the unknown is unobserved and does not move.
 const NO_INFORMATION: f64 = 1e-13;
 
@@ -141,14 +144,31 @@ impl Block {
         for a in 0..m {
             self.border_hessian[a * m + a] *= 1.0 + damping;
         }
-        for (row, &gradient) in self.coupling.chunks_exact(m.max(1)).zip(&self.gradient) {
-            for (a, &factor) in row.iter().enumerate() {
-                if factor != 0.0 {
-                    let target = &mut self.border_hessian[a * m..=a * m + a];
-                    target.iter_mut().zip(row).for_each(|(b, w)| *b -= factor * w);
-                    self.border_gradient[a] -= factor * gradient;
-                }
+        let n_whole = self.n_local - self.n_local % ROWS;
+        for first in (0..n_whole).step_by(ROWS) {
+            self.subtract_rows::<ROWS>(first);
+        }
+        for row in n_whole..self.n_local {
+            self.subtract_rows::<1>(row);
+        }
+    }
+
+    /// Subtracts `N` rows of the eliminated unknowns, one after another in every entry: several at once read and write the border's
+    /// Hessian once, and give the same bits.
+    fn subtract_rows<const N: usize>(&mut self, first: usize) {
+        let m = self.columns.len();
+        let rows: [&[f64]; N] = std::array::from_fn(|k| &self.coupling[(first + k) * m..(first + k + 1) * m]);
+        for a in 0..m {
+            let factors = rows.map(|row| row[a]);
+            if factors == [0.0; N] {
+                continue;
             }
+            let upto = rows.map(|row| &row[..=a]);
+            for (j, target) in self.border_hessian[a * m..=a * m + a].iter_mut().enumerate() {
+                *target = (0..N).fold(*target, |sum, k| sum - factors[k] * upto[k][j]);
+            }
+            let gradients = &self.gradient[first..first + N];
+            self.border_gradient[a] = (0..N).fold(self.border_gradient[a], |sum, k| sum - factors[k] * gradients[k]);
         }
     }
 

@@ -7,6 +7,7 @@ mod elimination;
 mod frame_factor;
 mod kernel;
 mod layout;
+mod pool;
 mod responses;
 mod selected_inverse;
 mod substitution;
@@ -18,6 +19,7 @@ use kernel::vectorised;
 pub use layout::FramePanel;
 use layout::{Layout, STRIP};
 use nalgebra::{DMatrix, DVector, Matrix3};
+pub use pool::SystemPool;
 use substitution::Substitution;
 
 /// Half of a symmetric system `H x = -gradient` over frames of `3 * n_groups` unknowns and a border.
@@ -68,11 +70,20 @@ impl BlockBanded {
 
     /// Makes it the zero system of this size. A system that served before keeps its memory.
     pub fn reset(&mut self, n_frames: usize, n_groups: usize, n_border: usize) {
+        self.resize(n_frames, n_groups, n_border);
+        self.frames().iter_mut().for_each(FramePanel::clear);
+    }
+
+    /// [`reset`](Self::reset), but for the frames: what they held stays until each is [cleared](FramePanel::clear). A panel that is
+    /// cleared where it is filled does not leave the processor's cache in between.
+    pub fn resize(&mut self, n_frames: usize, n_groups: usize, n_border: usize) {
         self.layout = Layout { n: 3 * n_groups, n_border };
-        self.panels.clear();
-        self.panels.resize(n_frames * self.layout.panel_len(), 0.0);
-        self.starts.clear();
-        self.starts.resize(n_frames * self.layout.frame_strips(), self.layout.n);
+        let n_panels = n_frames * self.layout.panel_len();
+        if n_panels > self.panels.capacity() {
+            self.panels = vec![0.0; n_panels]; // nothing is copied
+        }
+        self.panels.resize(n_panels, 0.0);
+        self.starts.resize(n_frames * self.layout.frame_strips(), 0);
         self.corner = Corner::zeros(n_border);
     }
 

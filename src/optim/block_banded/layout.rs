@@ -65,6 +65,12 @@ pub struct FramePanel<'a> {
 }
 
 impl FramePanel<'_> {
+    /// Makes it zero.
+    pub fn clear(&mut self) {
+        self.values.fill(0.0);
+        self.starts.fill(self.layout.n);
+    }
+
     /// Adds to `H[t][t]` at two groups; only the lower triangle is read.
     pub fn add_own<const R: usize, const C: usize>(&mut self, row: usize, column: usize, block: &SMatrix<f64, R, C>) {
         self.add(row, column, block);

@@ -18,7 +18,7 @@ use std::sync::{Arc, LazyLock};
 use utoipa::PartialSchema;
 
 /// A description that is written when it is first asked for: few starts of the service need it.
-pub(super) type LazyDescription = LazyLock<Description, Box<dyn FnOnce() -> Description + Send>>;
+pub(super) type LazyDescription = LazyLock<Description>;
 
 /// The description of the API.
 pub(super) struct Description {

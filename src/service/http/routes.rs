@@ -40,8 +40,11 @@ pub(in crate::service) async fn serve(shared: Shared, networks: HttpNetworks, li
 
 /// The OpenAPI document of this program as text.
 pub fn openapi_json() -> String {
-    let api = api().merge(secrets()).merge(monitoring()).merge(open());
-    Description::of(api.into_openapi()).json
+    description().json
+}
+
+fn description() -> Description {
+    Description::of(api().merge(secrets()).merge(monitoring()).merge(open()).into_openapi())
 }
 
 /// Routes that need an API key where keys are required.
@@ -89,13 +92,13 @@ fn router(app: App) -> Router {
     let api = api().layer(from_fn_with_state(app.clone(), access::to_the_api));
     let monitoring = monitoring().layer(from_fn_with_state(app.clone(), access::to_the_metrics));
     let secrets = secrets().layer(from_fn_with_state(app.clone(), access::to_the_secrets));
-    let (router, derived) = api.merge(secrets).merge(monitoring).merge(open()).split_for_parts();
-    let description = LazyDescription::new(Box::new(move || Description::of(derived)));
+    // What the routes derive of the document takes a megabyte: it is derived again when it is asked for.
+    let (router, _) = api.merge(secrets).merge(monitoring).merge(open()).split_for_parts();
     router
         .merge(viewer::routes())
         .fallback(no_such_route)
         .method_not_allowed_fallback(no_such_method)
-        .layer(Extension(Arc::new(description)))
+        .layer(Extension(Arc::new(LazyDescription::new(description))))
         .layer(from_fn(error::write_problems))
         .layer(option_layer(cors::layer(&app.settings.cors_origins)))
         .layer(from_fn_with_state(app.clone(), trace::follow))

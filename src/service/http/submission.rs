@@ -21,7 +21,6 @@ use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use serde_json::{Value, json};
-use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use utoipa::openapi::schema::{AdditionalProperties, Object, ObjectBuilder, Type};
 use utoipa::{IntoParams, ToSchema};
@@ -138,7 +137,7 @@ pub(super) async fn create(
     let options = serde_json::to_value(&parsed).map_err(Problem::internal)?;
     let (labels, priority) = (asked.labels, asked.priority);
     let new = NewJob { tenant, session: session.id, options, labels, priority, webhook, submitter };
-    let key = key.map(|key| IdempotencyKey { key, fingerprint: fingerprint(&new, &session.sha256) });
+    let key = key.map(|key| IdempotencyKey { key, fingerprint: new.fingerprint(&session.sha256) });
     let limits = QueueLimits::of(&app.settings.limits, &app.settings.tenants);
     let job = app.queue.enqueue(&new, key.as_ref(), limits).await?;
     tracing::Span::current().record("job.id", job.id.as_str());
@@ -277,12 +276,6 @@ fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
             Problem::malformed("the Idempotency-Key is empty, too long or not ASCII", "use a new UUID")
         })?;
     Ok(Some(key.to_owned()))
-}
-
-/// Digest of the canonical request, which ignores form boundaries and white space.
-fn fingerprint(new: &NewJob, sha256: &str) -> String {
-    let request = json!([sha256, new.options, new.labels, new.priority, new.webhook]).to_string();
-    hex::encode(Sha256::digest(request.as_bytes()))
 }
 
 impl From<EnqueueError> for Problem {

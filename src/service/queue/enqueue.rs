@@ -1,9 +1,11 @@
 //! Accepting a job from a client, once per Idempotency-Key.
 
 use super::class::{self, options_level};
+use super::fingerprint::Request;
 use super::handle::Queue;
 use super::job::{Job, Submitter};
 use super::rows::{JOB_COLUMNS, job_from_row};
+use crate::pipeline::Options;
 use crate::service::failpoint::{OPTION_OF_NEXT_RELEASE, failpoint, fault, is_next_release};
 use crate::service::settings::{RequestLimits, TenantLimits};
 use crate::service::store::database::WriteTransaction;
@@ -33,12 +35,21 @@ pub struct NewJob {
     pub submitter: Submitter,
 }
 
+impl NewJob {
+    /// What separates this request from another one under the same `Idempotency-Key`: SHA-256 of its canonical form.
+    pub fn fingerprint(&self, session_sha256: &str) -> String {
+        let Self { options, labels, priority, .. } = self;
+        let webhook = self.webhook.as_deref();
+        Request { session_sha256, options, labels, priority: *priority, webhook }.fingerprint()
+    }
+}
+
 /// An `Idempotency-Key` and the request that used it.
 #[derive(Debug, Clone)]
 pub struct IdempotencyKey {
     /// Value of the header.
     pub key: String,
-    /// SHA-256 of the canonical form of the request.
+    /// [`NewJob::fingerprint`].
     pub fingerprint: String,
 }
 
@@ -212,10 +223,33 @@ async fn job_of_key(
     tenant: &Tenant,
     key: &IdempotencyKey,
 ) -> Result<String, EnqueueError> {
-    let row = sqlx::query_as("SELECT fingerprint, job_id FROM idempotency WHERE tenant = $1 AND key = $2");
-    let row: (String, String) = row.bind(tenant.name()).bind(&key.key).fetch_one(&mut **transaction).await?;
-    let (fingerprint, job) = row;
-    if fingerprint == key.fingerprint { Ok(job) } else { Err(EnqueueError::KeyReused) }
+    let row =
+        sqlx::query_as("SELECT fingerprint, job_id, session_sha256 FROM idempotency WHERE tenant = $1 AND key = $2");
+    let row: (String, String, Option<String>) =
+        row.bind(tenant.name()).bind(&key.key).fetch_one(&mut **transaction).await?;
+    let (fingerprint, job, session) = row;
+    if fingerprint == key.fingerprint {
+        return Ok(job);
+    }
+    // The fingerprint may be that of an older release; the stored job shows what was asked.
+    let of_job = fingerprint_of_job(transaction, &job, session.as_deref().unwrap_or_default()).await?;
+    if of_job.as_ref() == Some(&key.fingerprint) { Ok(job) } else { Err(EnqueueError::KeyReused) }
+}
+
+/// The fingerprint of the request that made a job, from what is stored of it; `None` where the job was deleted, or where this release
+/// does not know its options. Fingerprints of older releases have all their options, defaults included.
+async fn fingerprint_of_job(
+    transaction: &mut WriteTransaction,
+    job: &str,
+    session_sha256: &str,
+) -> Result<Option<String>, StoreError> {
+    let row = sqlx::query_as("SELECT options, labels, priority, webhook FROM jobs WHERE id = $1").bind(job);
+    let row: Option<(String, String, i64, Option<String>)> = row.fetch_optional(&mut **transaction).await?;
+    let Some((options, labels, priority, webhook)) = row else { return Ok(None) };
+    let Ok(options) = serde_json::from_str::<Options>(&options) else { return Ok(None) };
+    let (options, labels) = (&serde_json::to_value(options)?, &serde_json::from_str(&labels)?);
+    let webhook = webhook.as_deref();
+    Ok(Some(Request { session_sha256, options, labels, priority, webhook }.fingerprint()))
 }
 
 /// The class of a job on the session, which must exist.

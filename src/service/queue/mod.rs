@@ -14,6 +14,7 @@ mod continuation;
 mod deferral;
 mod enqueue;
 mod exports;
+mod fingerprint;
 mod finish;
 mod follow;
 mod handle;

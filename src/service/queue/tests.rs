@@ -271,6 +271,21 @@ async fn an_idempotency_key_is_one_job_forever() {
 }
 
 #[tokio::test]
+async fn a_key_of_an_older_release_knows_its_request() {
+    let test = TestQueue::new().await;
+    let older = IdempotencyKey { key: "k".to_owned(), fingerprint: "of all options of that release".to_owned() };
+    let job = test.queue.enqueue(&new_job(0), Some(&older), LIMITS).await.unwrap();
+    let key = |new: &NewJob| IdempotencyKey { key: "k".to_owned(), fingerprint: new.fingerprint("00") };
+    let same = new_job(0);
+    assert_eq!(test.queue.enqueue(&same, Some(&key(&same)), LIMITS).await.unwrap().id, job.id);
+    let options = serde_json::json!({ "people": 3 });
+    for other in [new_job(1), NewJob { options, ..new_job(0) }] {
+        let refused = test.queue.enqueue(&other, Some(&key(&other)), LIMITS).await;
+        assert!(matches!(refused, Err(EnqueueError::KeyReused)));
+    }
+}
+
+#[tokio::test]
 async fn rejects_removing_a_session_in_use() {
     let test = TestQueue::new().await;
     let id = test.enqueue(0).await;

@@ -10,7 +10,7 @@ use crate::pipeline::passes::adjustment::ALL_FRAMES;
 use crate::pipeline::stages::bundle_adjustment::adjust;
 use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput};
 use crate::pipeline::stages::keyframe_selection::select_keyframes;
-use crate::pipeline::stages::recording_check::lens::{Lens, under_lens};
+use crate::pipeline::stages::recording_check::lens::{Lens, SeenPeople};
 use crate::progress::{Canceled, Progress};
 use crate::session::{Suspicion, SuspicionCode as Code, View};
 
@@ -98,16 +98,18 @@ pub(super) fn misplaced_lenses(
 fn likeliest(solved: &Solved, resections: &[Option<Lens>]) -> Option<Proposal> {
     let (people, lenses) = (solved.people(), solved.given.intrinsics());
     let views = solved.unnamed(&[]);
-    // Costs under the given lens, and under it with the best focal length.
+    // What each camera sees, with its costs under the given lens, and under it with the best focal length.
     let costs = |view: usize| {
-        let own = under_lens(&people, view, &lenses[view])?.1;
-        Some((own, resections[view].map_or(own, |lens| lens.cost)))
+        let seen = SeenPeople::of(&people, view).filter(|_| views.contains(&view))?;
+        let own = seen.under_lens(&lenses[view]).1;
+        Some((seen, own, resections[view].map_or(own, |lens| lens.cost)))
     };
-    let given: Vec<Option<(f64, f64)>> = (0..lenses.len()).map(|v| costs(v).filter(|_| views.contains(&v))).collect();
+    let given: Vec<Option<(SeenPeople, f64, f64)>> = (0..lenses.len()).map(costs).collect();
     let proposal = |code: Code, image_scale: Option<f64>, changes: &[(usize, Intrinsics)]| {
         let (mut changed, mut sums) = (Vec::new(), (0.0, 0.0));
         for &(view, lens) in changes {
-            let ((own, focal_only), (pose, cost)) = given[view].zip(under_lens(&people, view, &lens))?;
+            let (seen, own, focal_only) = given[view].as_ref()?;
+            let (pose, cost) = seen.under_lens(&lens);
             tracing::trace!(view, ?code, own, focal_only, cost, "resection with another lens");
             if cost > NOT_WORSE * focal_only {
                 return None;

@@ -5,7 +5,7 @@ use crate::geometry::{Intrinsics, Rigid};
 use crate::pipeline::calibration::{Calibration, TrackedPeople};
 use crate::pipeline::capture::Capture;
 use crate::pipeline::stages::bundle_adjustment::input::Bone;
-use crate::pipeline::stages::recording_check::lens::{Lens, resected};
+use crate::pipeline::stages::recording_check::lens::{Lens, SeenPeople};
 use crate::session::{JointTrajectory, Session, Suspicion};
 
 /// Keyframes of an adjustment that tests other parameters: half of those of the last adjustment give standard errors that are 1.4
@@ -63,7 +63,7 @@ impl Solved<'_> {
     pub(super) fn resections(&self) -> Vec<Option<Lens>> {
         let (people, mut lenses) = (self.people(), vec![None; self.calibration.cameras.len()]);
         for view in self.unnamed(&[]) {
-            lenses[view] = resected(&people, view);
+            lenses[view] = SeenPeople::of(&people, view).and_then(|seen| seen.resected());
             tracing::debug!(view, lens = ?lenses[view], "resection");
         }
         lenses

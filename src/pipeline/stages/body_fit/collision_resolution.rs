@@ -145,6 +145,7 @@ mod tests {
     use crate::body::joint_ranges::natural_pose;
     use crate::body::kinematics::Pose;
     use crate::body::model::Betas;
+    use crate::optim::block_banded::SystemPool;
     use crate::progress::Progress;
     use crate::session::PersonId;
     use nalgebra::Vector3;
@@ -176,6 +177,7 @@ mod tests {
             up: Vector3::y(),
             progress: &progress,
             noise: None,
+            systems: &SystemPool::default(),
         };
         let mut people = make();
         let kept = resolve_collisions(&context, &mut people, false, 100).unwrap();

@@ -3,6 +3,7 @@
 use super::config::BodyFitConfig;
 use super::terms::noise_process::PathNoise;
 use crate::body::BodyModel;
+use crate::optim::block_banded::SystemPool;
 use crate::progress::Progress;
 use nalgebra::Vector3;
 
@@ -20,6 +21,7 @@ pub(super) struct FitContext<'a> {
     pub progress: &'a Progress,
     /// The detector's errors over time, once they have been measured.
     pub noise: Option<&'a PathNoise>,
+    pub systems: &'a SystemPool,
 }
 
 impl FitContext<'_> {

@@ -18,6 +18,7 @@ use crate::body::measures::BodyMeasures;
 use crate::body::scale::FittedStature;
 use crate::geometry::Rigid;
 use crate::geometry::free_network::CameraCovariance;
+use crate::optim::block_banded::SystemPool;
 use crate::pipeline::calibration::TrackedPeople;
 use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::{KeypointBias, PenetrationReport, StageReport};
@@ -62,9 +63,10 @@ pub fn fit_bodies(
 ) -> Result<FittedBodies, Canceled> {
     let frame_interval = input.session.frame_interval();
     let first_config = config.without_refinement();
+    let (noise, systems, up) = (None, &SystemPool::default(), *up);
     let context =
-        FitContext { model, config, first_config: &first_config, frame_interval, up: *up, progress, noise: None };
-    let mut started = started_people(input, up, &context)?;
+        FitContext { model, config, first_config: &first_config, frame_interval, up, progress, noise, systems };
+    let mut started = started_people(input, &up, &context)?;
     let stated = weigh_stated_covariances(&context, &mut started);
     progress.report(0.5, "estimating the keypoint bias of the detector");
 
@@ -171,8 +173,9 @@ pub fn fitted_statures(
     let frame_interval = input.session.frame_interval();
     // Without the motion prior the way up is of no account.
     let up = Vector3::y();
+    let (noise, systems) = (None, &SystemPool::default());
     let context =
-        FitContext { model, config: &config, first_config: &config, frame_interval, up, progress, noise: None };
+        FitContext { model, config: &config, first_config: &config, frame_interval, up, progress, noise, systems };
     let fit = |track: &PersonTrack| {
         progress.check()?;
         let observations = gather_observations(input, track, model);

@@ -72,8 +72,6 @@ pub(super) struct Stopping {
 pub(super) struct Minimum {
     pub session: SessionState,
     pub cost: f64,
-    /// The system of the session before the last step; `None` where it could not be factored.
-    pub reduced: Option<Reduced>,
 }
 
 /// Weight of the prior of the betas. Where bones, offsets or cameras are unknowns too, betas only have to explain what these leave:
@@ -96,17 +94,15 @@ impl JointProblem<'_> {
         let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
         let session = SessionState { offsets, cameras };
         let cost = self.cost(members, &pixels, &session);
-        let mut minimum = Minimum { session, cost, reduced: None };
-        let mut damping = DAMPING;
+        let mut minimum = Minimum { session, cost };
+        let (mut damping, mut systems) = (DAMPING, self.systems(members));
         for _ in 0..stopping.max_iterations {
             self.context.progress.check()?;
-            let none = || vec![BlockBanded::default(); members.len()];
-            let systems = minimum.reduced.take().map_or_else(none, Reduced::into_systems);
-            let reduced = self.reduced((members, &pixels), &minimum.session, systems, damping);
+            let reduced = self.reduced((members, &pixels), &minimum.session, std::mem::take(&mut systems), damping);
             let Some(reduced) = reduced else { break };
             let step = reduced.solved(damping);
             let is_near = reduced.rms_sigmas() < stopping.min_sigmas;
-            minimum.reduced = Some(reduced);
+            systems = reduced.into_systems();
             let Some(step) = step else { break };
             let session = minimum.session.moved(&step.session, self.camera_columns(minimum.session.cameras.len()));
             let moved = self.moved((members, &pixels), &step);
@@ -115,7 +111,7 @@ impl JointProblem<'_> {
             let cost = self.cost(members, &pixels, &session);
             if cost < minimum.cost {
                 let is_done = is_near || minimum.cost - cost < stopping.min_decrease;
-                minimum = Minimum { session, cost, ..minimum };
+                minimum = Minimum { session, cost };
                 damping *= 0.1;
                 if is_done {
                     break;
@@ -127,7 +123,13 @@ impl JointProblem<'_> {
                 damping = (damping * 20.0).max(1e-6);
             }
         }
+        systems.into_iter().for_each(|system| self.context.systems.put_back(system));
         Ok(minimum)
+    }
+
+    /// Memory for the systems of all members.
+    fn systems(&self, members: &[Member]) -> Vec<BlockBanded> {
+        members.iter().map(|_| self.context.systems.take()).collect()
     }
 
     fn border(&self, n_cameras: usize) -> Border<'_> {

@@ -32,7 +32,7 @@ use crate::body::measures::BetaCovariance;
 use crate::body::model::ShapeDirections;
 use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
 use crate::geometry::free_network::CameraCovariance;
-use crate::optim::block_banded::{BlockBanded, Eliminated};
+use crate::optim::block_banded::Eliminated;
 use crate::session::people::JointSigmas;
 use nalgebra::{DMatrix, Matrix3, Matrix3xX};
 use rayon::prelude::*;
@@ -88,7 +88,7 @@ fn window_uncertainty(
     let columns = CameraColumns { n_cameras, unknowns: CameraUnknowns::default() };
     let problem = Objective { bias: Some(&table), cameras: columns, speeds: Some(&state), ..objective }.problem();
     let (unknowns, border) = (&problem.unknowns, problem.unknowns.border);
-    let mut system = BlockBanded::default();
+    let mut system = context.systems.take();
     problem.linearise(&state, &mut system);
     let eliminated = system.eliminated(0.0)?;
     let responses = eliminated.responses(&DMatrix::identity(border.len(), border.len()));
@@ -100,6 +100,7 @@ fn window_uncertainty(
     eliminated.for_each_inverse_block(|t, of_frame| {
         let skeleton = posed(&body, &state.poses[t]);
         let by_betas = joints_by_betas(context.model, &skeleton);
+        let mut by_cameras = Vec::new();
         for joint in 0..N_JOINTS {
             let by_frame = by_frame(unknowns, &skeleton, joint);
             let by_border = by_own_border(unknowns, &by_betas[joint], &skeleton, joint) + &by_frame * &responses[t];
@@ -107,14 +108,19 @@ fn window_uncertainty(
             let measured = variance(&by_frame, of_frame) + variance(&by(border.betas()), &of_betas);
             let of_bones = BONE_SIGMA * BONE_SIGMA * by(border.bones()).norm_squared();
             let of_definition = 3.0 * definition_sigma(joint).powi(2);
-            let position = &skeleton.joints[joint];
-            let of_cameras =
-                cameras.map_or(0.0, |cameras| cameras.point_variance(position, &by(border.camera_columns())));
-            sigmas[t][joint] = (errors * measured + of_bones + of_definition + of_cameras).max(0.0).sqrt();
+            by_cameras.push((skeleton.joints[joint], by(border.camera_columns())));
+            sigmas[t][joint] = errors * measured + of_bones + of_definition;
+        }
+        let of_cameras = cameras.map(|cameras| cameras.point_variances(&by_cameras));
+        for (joint, sigma) in sigmas[t].iter_mut().enumerate() {
+            let of_cameras = of_cameras.as_ref().map_or(0.0, |variances| variances[joint]);
+            *sigma = (*sigma + of_cameras).max(0.0).sqrt();
         }
     });
     let joint_sigmas = window.clone().map(|t| between(&sigmas, t - frames.start, stride)).collect();
-    Some(MotionUncertainty { joint_sigmas, betas: beta_covariance(&problem, &eliminated)? })
+    let betas = beta_covariance(&problem, &eliminated)?;
+    context.systems.put_back(eliminated.into_system());
+    Some(MotionUncertainty { joint_sigmas, betas })
 }
 
 /// Covariance of the betas, bones free within [`BONE_SIGMA`]: with the information I of the window without the prior of girths, and

@@ -10,7 +10,6 @@ use super::observations::Observations;
 use super::pixel_residuals::DetectedPixels;
 use super::terms::collision::Collisions;
 use super::terms::unknowns::{MotionState, Shape};
-use crate::optim::block_banded::BlockBanded;
 use crate::progress::Canceled;
 use std::ops::Range;
 
@@ -36,7 +35,7 @@ pub(super) fn refitted(
     steps: usize,
     collisions: Collisions,
 ) -> Result<MotionState, Canceled> {
-    let mut system = BlockBanded::default();
+    let mut system = context.systems.take();
     for run in runs {
         let (observations, collisions) = (observations.slice(run.clone()), collisions.slice(run.clone()));
         let start = MotionState { betas: state.betas, poses: state.poses[run.clone()].to_vec() };
@@ -57,6 +56,7 @@ pub(super) fn refitted(
             state.poses[run].copy_from_slice(&moved.poses);
         }
     }
+    context.systems.put_back(system);
     Ok(state)
 }
 

@@ -69,11 +69,12 @@ impl MotionProblem<'_> {
 
     /// Makes `system` the Gauss-Newton system at `state`.
     pub(super) fn linearise(&self, state: &MotionState, system: &mut BlockBanded) {
-        system.reset(state.poses.len(), self.unknowns.n_groups(), self.unknowns.border.len());
+        system.resize(state.poses.len(), self.unknowns.n_groups(), self.unknowns.border.len());
         let body = self.model.shaped(&state.betas);
         let add_run = |(run, (frames, poses)): (usize, (&mut [FramePanel], &[Pose]))| {
             let mut corner = Corner::zeros(self.unknowns.border.len());
             let add = |(i, (frame, pose)): (usize, (&mut FramePanel, &Pose))| {
+                frame.clear();
                 let posed = PosedFrame::new(&self.landmarks, (&body, &state.betas), RUN * run + i, pose);
                 self.add_frame(&posed.linearised(), frame, &mut corner)
             };

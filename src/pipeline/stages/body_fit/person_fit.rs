@@ -159,7 +159,7 @@ fn fit_window(
     let observations = observations.slice(frames.clone());
     let state = MotionState { betas: start.betas, poses: start.poses[frames.clone()].to_vec() };
     let has_pixels = observations.pixels.iter().any(|frame| !frame.is_empty());
-    let (mut whole, mut system) = (FittedMotion::initial(state), BlockBanded::default());
+    let (mut whole, mut system) = (FittedMotion::initial(state), context.systems.take());
     for pass in if has_pixels { passes } else { &[Pass::Points] } {
         let is_rough = has_pixels && matches!(pass, Pass::Points | Pass::Rough);
         let fitted = match if is_rough { stride(context, &observations) } else { 1 } {
@@ -168,6 +168,7 @@ fn fit_window(
         };
         whole = FittedMotion { iterations: whole.iterations + fitted.iterations, ..fitted };
     }
+    context.systems.put_back(system);
     Ok(FittedWindow { whole, frames })
 }
 

@@ -5,6 +5,7 @@ use crate::matching::pair_hypotheses::{CameraPair, HypothesisConfig, mix, pair_h
 use crate::matching::pair_score::PairObservations;
 use crate::matching::tracklets::Tracklet;
 use crate::matching::view_graph::{Rig, ViewGraph, assemble};
+use crate::matching::view_pairs::compared_pairs;
 use crate::pipeline::capture::Capture;
 use crate::pipeline::config::Options;
 use crate::progress::{Canceled, Progress};
@@ -26,7 +27,7 @@ pub fn initial_rigs(
 ) -> Result<(Vec<Rig>, StageReport), Canceled> {
     let Capture { views, bones, options: Options { seed, .. }, .. } = capture;
     let frames = judged_frames(views, *seed);
-    let pairs: Vec<(usize, usize)> = (0..views.len()).flat_map(|b| (0..b).map(move |a| (a, b))).collect();
+    let pairs = compared_pairs(views, &frames, *seed);
     let config = HypothesisConfig::default();
     let found: Vec<Result<_, Canceled>> = pairs
         .par_iter()

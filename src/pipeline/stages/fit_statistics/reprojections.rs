@@ -116,12 +116,19 @@ fn person_statistics(
         let detections = placed_detections(session, cameras, assignment, track.first.0 + t);
         n_detections += detections.len();
         n_in_two_views += usize::from(detections.len() >= 2);
+        let (mut located, mut movements) = (Vec::new(), Vec::new());
         for (k, (point, statistics)) in points.iter().zip(&mut keypoints).enumerate() {
-            if let Some(point) = point {
-                let rays = detections.iter().filter_map(|s| s.ray(noise, k, point)).collect();
-                statistics.add(t, point, rays, covariance);
+            let Some(point) = point else { continue };
+            let rays = detections.iter().filter_map(|s| s.ray(noise, k, point)).collect();
+            if let Some(by_cameras) = statistics.add(t, point, rays, covariance.map_or(0, CameraCovariance::n_cameras))
+            {
+                located.push(k);
+                movements.push((*point, by_cameras));
             }
         }
+        let variances =
+            covariance.map_or_else(|| vec![0.0; located.len()], |cameras| cameras.point_variances(&movements));
+        located.iter().zip(variances).for_each(|(&k, variance)| keypoints[k].camera_variances.push(variance));
     }
     let share_in_two_views = n_in_two_views as f64 / track.detections.len().max(1) as f64;
     PersonStatistics { keypoints, n_detections, share_in_two_views }
@@ -194,8 +201,15 @@ impl PointRay<'_> {
 }
 
 impl KeypointStatistics {
-    /// Adds the detections of a point in frame `t`.
-    fn add(&mut self, t: usize, point: &Vector3<f64>, mut rays: Vec<PointRay>, cameras: Option<&CameraCovariance>) {
+    /// Adds the detections of a point in frame `t`. Where two views or more agree, returns the movement of the point by the placed
+    /// cameras. [3, 6 `n_cameras`]
+    fn add(
+        &mut self,
+        t: usize,
+        point: &Vector3<f64>,
+        mut rays: Vec<PointRay>,
+        n_cameras: usize,
+    ) -> Option<Matrix3xX<f64>> {
         for ray in &rays {
             let misfits = &mut self.by_view[ray.view];
             if ray.is_explained() {
@@ -206,10 +220,8 @@ impl KeypointStatistics {
             }
         }
         rays.retain(PointRay::is_explained);
-        let Some(of_unit_rays) = covariance(point, rays.iter().map(|ray| &ray.observation)) else { return };
+        let of_unit_rays = covariance(point, rays.iter().map(|ray| &ray.observation))?;
         self.dilutions.push(of_unit_rays.trace().sqrt());
-        self.camera_variances
-            .push(cameras.map_or(0.0, |cameras| camera_variance(point, &rays, &of_unit_rays, cameras)));
         self.ray_angles.push(widest_crossing(point, &rays));
         let factor = error_per_residual(rays.len());
         self.ray_errors.extend(rays.iter().map(|ray| factor * ray.distance_px() / ray.observation.sigma_px));
@@ -221,23 +233,24 @@ impl KeypointStatistics {
             }
             self.latest[ray.view] = Some((t, error));
         }
+        Some(by_cameras(point, &rays, &of_unit_rays, n_cameras))
     }
 }
 
-/// Variance of a point from that of its cameras, m^2; `of_unit_rays`: its covariance from unit rays.
-fn camera_variance(
+/// Movement of a point by its cameras; `of_unit_rays`: its covariance from unit rays. Empty without cameras.
+fn by_cameras(
     point: &Vector3<f64>,
     rays: &[PointRay],
     of_unit_rays: &Matrix3<f64>,
-    cameras: &CameraCovariance,
-) -> f64 {
-    let mut by_cameras = Matrix3xX::zeros(6 * cameras.n_cameras());
-    for ray in rays {
+    n_cameras: usize,
+) -> Matrix3xX<f64> {
+    let mut by_cameras = Matrix3xX::zeros(6 * n_cameras);
+    for ray in rays.iter().filter(|ray| ray.placed < n_cameras) {
         if let Some(by_camera) = point_by_camera(point, &ray.observation, of_unit_rays) {
             by_cameras.fixed_columns_mut::<6>(6 * ray.placed).copy_from(&by_camera);
         }
     }
-    cameras.point_variance(point, &by_cameras)
+    by_cameras
 }
 
 /// Ratio of error to residual of a point triangulated from `n` views: the point absorbs three of `2 n` degrees of freedom,
@@ -302,7 +315,7 @@ mod tests {
             let cameras = cameras(&[0.0, angle_deg]);
             let mut found = statistics(2);
             let middle = [Vector2::new(LENS.cx, LENS.cy); 2];
-            found.add(0, &Vector3::zeros(), rays(&cameras, &middle, &Vector3::zeros()), None);
+            found.add(0, &Vector3::zeros(), rays(&cameras, &middle, &Vector3::zeros()), 0);
             // Information of two planes across the rays: 2, 1 + cos a, 1 - cos a.
             let cosine = f64::to_radians(angle_deg).cos();
             let expected = (0.5 + 1.0 / (1.0 + cosine) + 1.0 / (1.0 - cosine)).sqrt();
@@ -331,7 +344,7 @@ mod tests {
             let observations: Vec<PointObservation> = cameras.iter().zip(&pixels).map(observation).collect();
             let point = triangulate_linear(&observations).unwrap();
             squared += point.norm_squared();
-            found.add(0, &point, rays(&cameras, &pixels, &point), None);
+            found.add(0, &point, rays(&cameras, &pixels, &point), 0);
         }
         let scatter = (squared / n as f64).sqrt();
         let ray_sigma = median(&mut found.ray_errors).unwrap() / MEDIAN_LENGTH_IN_PLANE;
@@ -346,7 +359,7 @@ mod tests {
         let cameras = cameras(&[0.0, 90.0]);
         let mut found = statistics(2);
         let pixels = [Vector2::new(LENS.cx, LENS.cy), Vector2::new(LENS.cx + 30.0, LENS.cy)];
-        found.add(0, &Vector3::zeros(), rays(&cameras, &pixels, &Vector3::zeros()), None);
+        found.add(0, &Vector3::zeros(), rays(&cameras, &pixels, &Vector3::zeros()), 0);
         assert_eq!((found.by_view[0].px.len(), found.by_view[1].n_rejected), (1, 1));
         assert!(found.dilutions.is_empty());
         assert_eq!(Misfits::together(found.by_view.iter()).rejected(), 0.5);
@@ -357,7 +370,7 @@ mod tests {
         let cameras = cameras(&[0.0, 90.0]);
         let mut found = statistics(2);
         let pixels = [Vector2::new(LENS.cx + 10.0, LENS.cy), Vector2::new(LENS.cx, LENS.cy)];
-        found.add(0, &Vector3::zeros(), rays(&cameras, &pixels, &Vector3::zeros()), None);
+        found.add(0, &Vector3::zeros(), rays(&cameras, &pixels, &Vector3::zeros()), 0);
         assert!((found.by_view[0].mm[0] - 40.0).abs() < 1e-9, "10 px at 4 m and 1000 px");
     }
 }

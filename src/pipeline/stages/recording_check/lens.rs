@@ -40,37 +40,45 @@ pub struct Lens {
     pub cost: f64,
 }
 
-/// The focal length under which the camera shows the people best; `None` where the given one is as good.
-pub fn resected(people: &TrackedPeople, view: usize) -> Option<Lens> {
-    let camera = people.cameras[view].as_ref()?;
-    let points = points(people, view);
-    if points.len() < MIN_POINTS {
-        return None;
-    }
-    let lens = people.session.views[view].intrinsics;
-    let given = fit(&lens, 1.0, camera, &points);
-    let mut best = (0, given);
-    for direction in [-1, 1] {
-        let mut pose = given.0;
-        for step in 1..=N_STEPS {
-            let factor = factor(direction * step);
-            let found = fit(&lens.with_focal_factor(factor), factor, &pose, &points);
-            pose = found.0;
-            if found.1 < best.1.1 {
-                best = (direction * step, found);
-            }
-        }
-    }
-    let (step, (camera_from_world, cost)) = best;
-    (cost < BETTER * given.1).then(|| Lens { factor: factor(step), camera_from_world, cost })
+/// A camera beside the people's points in space, as the other cameras locate them.
+pub struct SeenPeople {
+    lens: Intrinsics,
+    camera_from_world: Rigid,
+    points: Vec<(Vector3<f64>, Vector2<f64>)>,
 }
 
-/// The pose of a camera under another lens, and its robust cost, squared angles under the given focal length.
-pub fn under_lens(people: &TrackedPeople, view: usize, lens: &Intrinsics) -> Option<(Rigid, f64)> {
-    let camera = people.cameras[view].as_ref()?;
-    let points = points(people, view);
-    let factor = lens.focal() / people.session.views[view].intrinsics.focal();
-    (points.len() >= MIN_POINTS).then(|| fit(lens, factor, camera, &points))
+impl SeenPeople {
+    /// `None` for a camera that has no place or sees too few points.
+    pub fn of(people: &TrackedPeople, view: usize) -> Option<Self> {
+        let camera_from_world = people.cameras[view]?;
+        let points = points(people, view);
+        let lens = people.session.views[view].intrinsics;
+        (points.len() >= MIN_POINTS).then_some(Self { lens, camera_from_world, points })
+    }
+
+    /// The focal length under which the camera shows the people best; `None` where the given one is as good.
+    pub fn resected(&self) -> Option<Lens> {
+        let given = fit(&self.lens, 1.0, &self.camera_from_world, &self.points);
+        let mut best = (0, given);
+        for direction in [-1, 1] {
+            let mut pose = given.0;
+            for step in 1..=N_STEPS {
+                let factor = factor(direction * step);
+                let found = fit(&self.lens.with_focal_factor(factor), factor, &pose, &self.points);
+                pose = found.0;
+                if found.1 < best.1.1 {
+                    best = (direction * step, found);
+                }
+            }
+        }
+        let (step, (camera_from_world, cost)) = best;
+        (cost < BETTER * given.1).then(|| Lens { factor: factor(step), camera_from_world, cost })
+    }
+
+    /// The pose of the camera under another lens, and its robust cost, squared angles under the given focal length.
+    pub fn under_lens(&self, lens: &Intrinsics) -> (Rigid, f64) {
+        fit(lens, lens.focal() / self.lens.focal(), &self.camera_from_world, &self.points)
+    }
 }
 
 fn factor(step: i32) -> f64 {

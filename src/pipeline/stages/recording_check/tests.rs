@@ -5,7 +5,7 @@ use super::block_step::Step;
 use super::clock::slip;
 use super::handedness::{handedness, upside_down};
 use super::labels::exchange;
-use super::lens::resected;
+use super::lens::SeenPeople;
 use super::movement::turn;
 use super::parameters::{delays, likeliest_exchange, wrong_lenses};
 use super::reading::{Question, Reading};
@@ -220,7 +220,8 @@ fn a_resection_finds_a_wrong_focal_length() {
     let found = |scene: &Scene| {
         let noise = DetectorNoise::published(scene.session.convention);
         let Scene { session, cameras, people, tracks } = scene;
-        resected(&TrackedPeople { session, noise: &noise, cameras, tracks, points: people }, 1).map(|lens| lens.factor)
+        let people = TrackedPeople { session, noise: &noise, cameras, tracks, points: people };
+        SeenPeople::of(&people, 1).unwrap().resected().map(|lens| lens.factor)
     };
     assert_eq!(found(&scene()), None);
     let factor = found(&with_mistake(scene(), "focal length +20 %")).unwrap();

@@ -25,7 +25,6 @@ use super::super::terms::whitened_pixels::scores::Movements;
 use super::super::terms::window::TrackedLandmark;
 use super::{JointProblem, Member, Reduced, with_bones};
 use crate::geometry::free_network::CameraCovariance;
-use crate::optim::block_banded::BlockBanded;
 use nalgebra::{DMatrix, DVector, Matrix3xX};
 
 /// Correlation of slow errors of two landmarks of a face, of the legs, or of trunk and arms: on real detections 0.38 for the hips
@@ -53,8 +52,7 @@ impl JointProblem<'_> {
         let cameras = &members.first()?.observations.cameras;
         let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
         let session = SessionState { offsets: Vec::new(), cameras: cameras.clone() };
-        let systems = vec![BlockBanded::default(); members.len()];
-        let reduced = self.reduced((members, &pixels), &session, systems, 0.0)?;
+        let reduced = self.reduced((members, &pixels), &session, self.systems(members), 0.0)?;
         let basis = reduced.basis.as_ref()?;
         let n_free = basis.ncols();
         let (mut spread, mut n_independent) = (DMatrix::zeros(n_free, n_free), 0.0);
@@ -68,7 +66,9 @@ impl JointProblem<'_> {
             return None;
         }
         spread *= n_independent / n_left;
-        Some(CameraSpread { basis: basis.clone(), inverse_hessian: reduced.factor.inverse(), scores: spread })
+        let found = CameraSpread { basis: basis.clone(), inverse_hessian: reduced.factor.inverse(), scores: spread };
+        reduced.into_systems().into_iter().for_each(|system| self.context.systems.put_back(system));
+        Some(found)
     }
 
     /// Scores of one person's channels by the free directions of the session.

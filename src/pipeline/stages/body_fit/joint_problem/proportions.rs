@@ -1,7 +1,7 @@
 //! What a recording says of people's bones and the detector's offsets, whatever is known of them beforehand.
 
 use super::super::terms::term::BorderTerm;
-use super::{BlockBanded, DetectedPixels, JointProblem, Member, flat};
+use super::{DetectedPixels, Eliminated, JointProblem, Member, flat};
 use nalgebra::{DMatrix, DVector, Vector3};
 
 /// What a number of [`ProportionEvidence`] is.
@@ -33,8 +33,7 @@ impl JointProblem<'_> {
         offsets: &[Vector3<f64>],
     ) -> Option<ProportionEvidence> {
         let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
-        let systems = vec![BlockBanded::default(); members.len()];
-        let people = self.eliminated((members, &pixels), offsets, systems, 0.0)?;
+        let people = self.eliminated((members, &pixels), offsets, self.systems(members), 0.0)?;
         let border = self.border(0);
         let (n_own, bones) = (border.person().len(), border.bones());
         let shared = n_own * people.len();
@@ -60,6 +59,7 @@ impl JointProblem<'_> {
         for (k, value) in flat(offsets).into_iter().enumerate() {
             (roles[shared + k], place[shared + k]) = (Role::Offset(k), value);
         }
+        people.into_iter().map(Eliminated::into_system).for_each(|system| self.context.systems.put_back(system));
         Some(ProportionEvidence { hessian, right, place, roles })
     }
 }

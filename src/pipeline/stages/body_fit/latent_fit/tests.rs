@@ -6,7 +6,7 @@ use crate::body::kinematics::{Pose, landmark_position, posed};
 use crate::body::model::{Betas, BodyModel};
 use crate::geometry::{Intrinsics, rotation};
 use crate::motion_prior::MotionPrior;
-use crate::optim::block_banded::BandedStep;
+use crate::optim::block_banded::{BandedStep, SystemPool};
 use crate::pipeline::stages::body_fit::BodyFitConfig;
 use crate::pipeline::stages::body_fit::observations::PixelObservation;
 use crate::progress::Progress;
@@ -98,6 +98,7 @@ fn with_problem<T>(test: impl FnOnce(&LatentProblem, &BodyModel) -> T) -> T {
         up,
         progress: &progress,
         noise,
+        systems: &SystemPool::default(),
     };
     let priors = CameraPriors::of_poses(&config.known_cameras);
     test(&problem(&context, true, Some(&priors)), &model)

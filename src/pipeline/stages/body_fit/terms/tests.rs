@@ -20,7 +20,7 @@ use crate::body::kinematics::Pose;
 use crate::body::model::{Betas, BodyModel};
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::{Intrinsics, Rigid, rotation};
-use crate::optim::block_banded::{BandedStep, BlockBanded, Corner};
+use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, SystemPool};
 use crate::progress::Progress;
 use crate::residuals::derivative_check::assert_gradient;
 use crate::residuals::rotation_likelihood::RotationGaussian;
@@ -42,6 +42,7 @@ pub(super) struct Fixture {
     pub state: MotionState,
     pub config: BodyFitConfig,
     progress: Progress,
+    systems: SystemPool,
 }
 
 impl Fixture {
@@ -75,7 +76,8 @@ impl Fixture {
         };
         let state = MotionState { betas: Betas::from_fn(|k, _| wave(k)), poses: (0..N_FRAMES).map(pose).collect() };
         let table = OffsetTable::new(&model, KeypointConvention::Body25);
-        Self { model, table, observations, state, config: BodyFitConfig::default(), progress: Progress::silent() }
+        let (config, progress, systems) = (BodyFitConfig::default(), Progress::silent(), SystemPool::default());
+        Self { model, table, observations, state, config, progress, systems }
     }
 
     fn border(&self) -> Border<'_> {
@@ -103,6 +105,7 @@ impl Fixture {
             up: Vector3::y(),
             progress,
             noise: None,
+            systems: &self.systems,
         };
         Objective::new(&context, config, &self.observations, data, shape)
     }

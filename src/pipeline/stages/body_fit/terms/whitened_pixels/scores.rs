@@ -1,9 +1,9 @@
 //! What the errors of each channel ask of unknowns that landmarks and cameras follow.
 
-use super::super::camera_unknowns::{ByCamera, CameraUnknowns};
+use super::super::camera_unknowns::{ByCamera, CameraUnknowns, MAX_UNKNOWNS};
 use super::{Channel, PosedCamera, Positions, WhitenedPixels};
 use crate::optim::robust::geman_mcclure;
-use nalgebra::{DMatrix, DVector, Matrix2xX, Matrix3xX};
+use nalgebra::{DMatrix, DVector, Matrix3xX, SVector, Vector3};
 use rayon::prelude::*;
 
 /// Derivatives of all that a residual depends on by some unknowns.
@@ -41,23 +41,31 @@ impl WhitenedPixels {
     ) -> [DVector<f64>; 2] {
         let linear = channel.linearised(landmark, cameras, positions);
         let n = movements.of_camera.len();
-        let of_camera = movements.cameras.rows(n * channel.camera, n);
-        let mut axes = [0, 1].map(|_| DVector::zeros(movements.cameras.ncols()));
+        // What is asked of the landmark's position in each frame, and of the camera, comes first: the movements are the larger part
+        // of the work, and each is then read once.
+        let mut of_positions = vec![[Vector3::zeros(); 2]; channel.seen.len()];
+        let mut of_camera = [SVector::<f64, MAX_UNKNOWNS>::zeros(); 2];
         for seen in &channel.seen {
             let Some(e) = seen.parts.combined(|i| linear[i].map(|l| l.residual)) else { continue };
             let weight = channel.weight * geman_mcclure(e.norm_squared(), self.robust_scale).weight;
-            let mut by_unknowns = Matrix2xX::zeros(movements.cameras.ncols());
             for &(i, factor) in seen.parts.iter() {
                 let Some(l) = linear[i] else { continue };
-                let of_landmark = &movements.landmarks[channel.seen[i].frame][landmark];
                 let mut by_camera = ByCamera::zeros();
-                movements.of_camera.add(&l, 1.0, &mut by_camera);
-                by_unknowns += (l.by_point * of_landmark + by_camera.columns(0, n) * of_camera) * factor;
-            }
-            for (axis, score) in axes.iter_mut().enumerate() {
-                score.axpy(weight * e[axis], &by_unknowns.row(axis).transpose(), 1.0);
+                movements.of_camera.add(&l, factor, &mut by_camera);
+                for axis in 0..2 {
+                    let asked = weight * e[axis];
+                    of_positions[i][axis] += l.by_point.row(axis).transpose() * (asked * factor);
+                    of_camera[axis] += by_camera.row(axis).transpose() * asked;
+                }
             }
         }
-        axes
+        [0, 1].map(|axis| {
+            let camera = movements.cameras.rows(n * channel.camera, n);
+            let mut score = camera.tr_mul(&of_camera[axis].rows(0, n));
+            for (seen, asked) in channel.seen.iter().zip(&of_positions) {
+                score.gemv_tr(1.0, &movements.landmarks[seen.frame][landmark], &asked[axis], 1.0);
+            }
+            score
+        })
     }
 }
