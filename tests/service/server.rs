@@ -190,6 +190,15 @@ impl Server {
     pub fn files(&self, folder: &str) -> Vec<PathBuf> {
         files_below(&self.data.path().join(folder_of(folder)))
     }
+
+    /// Number of files below a folder, as soon as it is not above `expected`: object stores remove after the client was answered.
+    pub fn n_files_left(&self, folder: &str, expected: usize) -> usize {
+        let deadline = Instant::now() + PATIENCE;
+        while self.files(folder).len() > expected && Instant::now() < deadline {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        self.files(folder).len()
+    }
 }
 
 /// Whether a command line, its words ended by zeros, has this word.

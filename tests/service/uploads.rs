@@ -39,7 +39,7 @@ fn concurrent_identical_uploads_give_one_session() {
     });
     ids.dedup();
     assert_eq!(ids.len(), 1);
-    assert_eq!(server.files("sessions").len(), 1);
+    assert_eq!(server.n_files_left("sessions", 1), 1);
 }
 
 #[test]
