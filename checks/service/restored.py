@@ -67,7 +67,9 @@ def brought_back(options):
         code, text = verify("--undelete")
         require(code == 1 and "keeps no versions" in text, f"without versions: {code} {text}")
         bucket.keep_versions()
-        keys = [one["Key"] for one in s3.list_objects_v2(Bucket="versions")["Contents"] if "/clock" not in one["Key"]]
+        # Checkpoints of an ended job may still be there: their removal stops with the node, and the sweep makes up for it.
+        is_named = lambda key: "/clock" not in key and not key.endswith(".ckpt")
+        keys = [one["Key"] for one in s3.list_objects_v2(Bucket="versions")["Contents"] if is_named(one["Key"])]
         for key in keys:  # written again, so that each has a version
             s3.put_object(Bucket="versions", Key=key, Body=s3.get_object(Bucket="versions", Key=key)["Body"].read())
         removed, changed = keys[::2], keys[1]
