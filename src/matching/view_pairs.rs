@@ -10,7 +10,7 @@ use std::cmp::Reverse;
 const MAX_PARTNERS: usize = 8;
 
 /// Pairs `(first, second)` with `first < second`, ascending: those who see most people at the same time in `frames` (of `seed` where
-/// they see as many), each camera with at most [`MAX_PARTNERS`], and those without which parts of the rig would stay apart.
+/// they see as many), each camera with at most eight partners, and those without which parts of the rig would stay apart.
 pub fn compared_pairs(views: &[NormalizedView], frames: &[usize], seed: u64) -> Vec<(usize, usize)> {
     let n = views.len();
     let mut pairs: Vec<(usize, usize)> = (0..n).flat_map(|b| (0..b).map(move |a| (a, b))).collect();
