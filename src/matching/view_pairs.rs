@@ -61,7 +61,7 @@ impl PairGraph {
     }
 
     fn add(&mut self, (a, b): (usize, usize)) {
-        self.pairs.push((a.min(b), a.max(b)));
+        self.pairs.push((a, b));
         self.n_partners[a] += 1;
         self.n_partners[b] += 1;
         let (kept, merged) = (self.part[a], self.part[b]);

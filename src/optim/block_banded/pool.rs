@@ -14,9 +14,9 @@ impl SystemPool {
         self.free().pop().unwrap_or_default()
     }
 
-    /// Keeps the memory of a system that was used up.
-    pub fn put_back(&self, system: BlockBanded) {
-        self.free().push(system);
+    /// Keeps the memory of systems that were used up.
+    pub fn put_back(&self, systems: impl IntoIterator<Item = BlockBanded>) {
+        self.free().extend(systems);
     }
 
     fn free(&self) -> MutexGuard<'_, Vec<BlockBanded>> {

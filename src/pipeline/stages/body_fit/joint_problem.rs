@@ -123,7 +123,7 @@ impl JointProblem<'_> {
                 damping = (damping * 20.0).max(1e-6);
             }
         }
-        systems.into_iter().for_each(|system| self.context.systems.put_back(system));
+        self.context.systems.put_back(systems);
         Ok(minimum)
     }
 

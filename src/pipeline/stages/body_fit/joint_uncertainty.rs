@@ -111,15 +111,14 @@ fn window_uncertainty(
             by_cameras.push((skeleton.joints[joint], by(border.camera_columns())));
             sigmas[t][joint] = errors * measured + of_bones + of_definition;
         }
-        let of_cameras = cameras.map(|cameras| cameras.point_variances(&by_cameras));
-        for (joint, sigma) in sigmas[t].iter_mut().enumerate() {
-            let of_cameras = of_cameras.as_ref().map_or(0.0, |variances| variances[joint]);
+        let of_cameras = cameras.map_or_else(|| vec![0.0; N_JOINTS], |cameras| cameras.point_variances(&by_cameras));
+        for (sigma, of_cameras) in sigmas[t].iter_mut().zip(of_cameras) {
             *sigma = (*sigma + of_cameras).max(0.0).sqrt();
         }
     });
     let joint_sigmas = window.clone().map(|t| between(&sigmas, t - frames.start, stride)).collect();
     let betas = beta_covariance(&problem, &eliminated)?;
-    context.systems.put_back(eliminated.into_system());
+    context.systems.put_back([eliminated.into_system()]);
     Some(MotionUncertainty { joint_sigmas, betas })
 }
 

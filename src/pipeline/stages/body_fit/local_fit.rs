@@ -56,7 +56,7 @@ pub(super) fn refitted(
             state.poses[run].copy_from_slice(&moved.poses);
         }
     }
-    context.systems.put_back(system);
+    context.systems.put_back([system]);
     Ok(state)
 }
 

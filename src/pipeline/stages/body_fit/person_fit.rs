@@ -168,7 +168,7 @@ fn fit_window(
         };
         whole = FittedMotion { iterations: whole.iterations + fitted.iterations, ..fitted };
     }
-    context.systems.put_back(system);
+    context.systems.put_back([system]);
     Ok(FittedWindow { whole, frames })
 }
 

@@ -67,7 +67,7 @@ impl JointProblem<'_> {
         }
         spread *= n_independent / n_left;
         let found = CameraSpread { basis: basis.clone(), inverse_hessian: reduced.factor.inverse(), scores: spread };
-        reduced.into_systems().into_iter().for_each(|system| self.context.systems.put_back(system));
+        self.context.systems.put_back(reduced.into_systems());
         Some(found)
     }
 

@@ -59,7 +59,7 @@ impl JointProblem<'_> {
         for (k, value) in flat(offsets).into_iter().enumerate() {
             (roles[shared + k], place[shared + k]) = (Role::Offset(k), value);
         }
-        people.into_iter().map(Eliminated::into_system).for_each(|system| self.context.systems.put_back(system));
+        self.context.systems.put_back(people.into_iter().map(Eliminated::into_system));
         Some(ProportionEvidence { hessian, right, place, roles })
     }
 }

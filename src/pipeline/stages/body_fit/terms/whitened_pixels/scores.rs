@@ -47,15 +47,14 @@ impl WhitenedPixels {
         let mut of_camera = [SVector::<f64, MAX_UNKNOWNS>::zeros(); 2];
         for seen in &channel.seen {
             let Some(e) = seen.parts.combined(|i| linear[i].map(|l| l.residual)) else { continue };
-            let weight = channel.weight * geman_mcclure(e.norm_squared(), self.robust_scale).weight;
+            let asked = e * (channel.weight * geman_mcclure(e.norm_squared(), self.robust_scale).weight);
             for &(i, factor) in seen.parts.iter() {
                 let Some(l) = linear[i] else { continue };
                 let mut by_camera = ByCamera::zeros();
                 movements.of_camera.add(&l, factor, &mut by_camera);
                 for axis in 0..2 {
-                    let asked = weight * e[axis];
-                    of_positions[i][axis] += l.by_point.row(axis).transpose() * (asked * factor);
-                    of_camera[axis] += by_camera.row(axis).transpose() * asked;
+                    of_positions[i][axis] += l.by_point.row(axis).transpose() * (asked[axis] * factor);
+                    of_camera[axis] += by_camera.row(axis).transpose() * asked[axis];
                 }
             }
         }
