@@ -87,14 +87,14 @@ class Postgres:
 
 
 class ObjectStore:
-    """An S3 server (`cargo install s3s-fs --features binary`); without it a folder that all nodes share."""
+    """An S3 server (`cargo install s3s-fs --version 0.14.1 --features binary --locked`); without it a folder that all nodes share."""
 
     def __init__(self, program, bucket=BUCKET, access_key="check", secret_key="check-secret"):
         self.folder, self.bucket = tempfile.mkdtemp(prefix="wandless-objects-"), bucket
         self.process, self.environment = None, {}
         if not program:
-            print("SKIPPED: S3, because s3s-fs is not installed (cargo install s3s-fs --features binary --locked); a shared folder is used",
-                  flush=True)
+            print("SKIPPED: S3, because s3s-fs is not installed (cargo install s3s-fs --version 0.14.1 --features binary --locked); "
+                  "a shared folder is used", flush=True)
             self.url = f"file://{self.folder}"
             return
         os.mkdir(os.path.join(self.folder, bucket))
