@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 from tables import INSIDE_95, judge, read
 
 PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21]
-#: Keypoints, joints whose rotation they show, and joints that those move; left and right.
-ARM = [([7, 9], [16, 18, 20], [18, 20, 22]), ([8, 10], [17, 19, 21], [19, 21, 23])]
-LEG = [([13, 15], [1, 4, 7, 10], [4, 7, 10]), ([14, 16], [2, 5, 8, 11], [5, 8, 11])]
+#: Keypoints, joints whose rotation is unseen without them, and joints that those move and keypoints show; left and right.
+ARM = [([7, 9], [16, 18, 20], [18, 20]), ([8, 10], [17, 19, 21], [19, 21])]
+LEG = [([13, 15], [1, 4, 7], [4, 7]), ([14, 16], [2, 5, 8], [5, 8])]
 BOTH = [tuple(a + b for a, b in zip(*LEG))] * 2
 CELLS = [(kind, n) for n in (15, 30, 60, 90) for kind in ("arm", "leg", "legs")]
 PARTS = {"arm": ARM, "leg": LEG, "legs": BOTH}
