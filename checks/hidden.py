@@ -57,7 +57,7 @@ def gaps_of_people(dice, n_frames):
     start = lambda n: dice.randint(MARGIN, n_frames - n - MARGIN)
     a, b = start(60), start(90)
     return [{"kind": "person", "length": 60, "person": 0, "frames": [a, a + 60]},
-            {"kind": "one view", "length": 90, "person": 1, "frames": [b, b + 90]}]
+            {"kind": "single view", "length": 90, "person": 1, "frames": [b, b + 90]}]
 
 
 def make(arguments):
@@ -73,7 +73,7 @@ def make(arguments):
             gaps = gaps_of_people(dice, n_frames) if part == "w" else gaps_of_limbs(dice, n_frames, n_people, cell)
             poses, who = copy.deepcopy(original), copy.deepcopy(identities)
             for gap in gaps:
-                kept = dice.choice(cameras) if gap["kind"] == "one view" else None
+                kept = dice.choice(cameras) if gap["kind"] == "single view" else None
                 for camera in set(cameras) - {kept}:
                     take_out(poses, who, camera, gap["person"], gap["frames"], gap.get("keypoints"))
             out = pathlib.Path(arguments.out) / f"{session.name}_{part}"
@@ -186,7 +186,8 @@ def table(arguments):
                 cells.append(f"{found:.1f}, {found / baseline:.2f}, {100 * of(run, 'inside'):.0f}")
             else:
                 same = sum(bool(run[n].get("same")) for n in names)
-                cells.append(f"{found:.1f}, root {of(run, 'root_mm'):.1f}, {100 * of(run, 'inside'):.0f}, same {same}, there {100 * of(run, 'share'):.0f}")
+                inside, there = (100 * of(run, key) for key in ("inside", "share"))
+                cells.append(f"{found:.1f}, root {of(run, 'root_mm'):.1f}, {inside:.0f}, same {same}, there {there:.0f}")
         print(f"{kind} | {length} | {len(names)} | {baseline and round(baseline, 1)} |", " | ".join(cells))
     for run, values in zip(arguments.captures, pooled):
         found, baseline, inside = np.nanmean(np.array(values), axis=0)
