@@ -5,11 +5,12 @@
     python3 checks/hidden.py solve --program target/release/wandless --score SCORE.py --out RUN FOLDER/* [-j 2] [-- OPTIONS]
     python3 checks/hidden.py table RUN RUN...
 
-SESSION is a session of 17 COCO keypoints with `gt/` as `simulate.py` writes it. `make` takes the keypoints of one arm, one leg or both
-legs of a person out of every view for 15, 30, 60 or 90 frames (two gaps a person; SESSION_a and SESSION_b), and in SESSION_w one
-person out of all views for 60 frames and another out of all views but one for 90. `solve` keeps one line a gap in RUN.jsonl. `table`
-prints for every kind of gap the mean error of the hidden joints relative to the pelvis, beside that of the better of a spherical and a
-cubic interpolation of the TRUE local rotations over the gap, and the share of errors inside the stated 95 % ellipsoid. Needs numpy, scipy.
+SESSION is a session of two people and 17 COCO keypoints with `gt/` as `simulate.py` writes it. `make` takes the keypoints of one arm,
+one leg or both legs of a person out of every view for 15, 30, 60 or 90 frames (two gaps a person; SESSION_a and SESSION_b), and in
+SESSION_w one person out of all views for 60 frames and another out of all views but one for 90. `solve` keeps one line a gap in
+RUN.jsonl. `table` prints for every kind of gap the mean error of the hidden joints relative to the pelvis, beside that of the better
+of a spherical and a cubic interpolation of the TRUE local rotations over the gap, and the share of errors inside the stated 95 %
+ellipsoid. Needs numpy, scipy.
 """
 import argparse, concurrent.futures, copy, json, pathlib, random, shutil, subprocess, sys, tempfile
 import numpy as np
@@ -24,13 +25,14 @@ BOTH = [tuple(a + b for a, b in zip(*LEG))] * 2
 CELLS = [(kind, n) for n in (15, 30, 60, 90) for kind in ("arm", "leg", "legs")]
 PARTS = {"arm": ARM, "leg": LEG, "legs": BOTH}
 MARGIN = 20  # frames that are seen beside a gap
+LEAST_FRAMES = 2 * 90 + 3 * MARGIN
 
 
 def take_out(poses, identities, camera, person, frames, keypoints):
     """Removes keypoints of a person, or with None the whole detection, from a camera."""
     for f in range(*frames):
         people, who = poses[camera]["frames"][f]["people"], identities[camera][f]
-        for n in [n for n, p in enumerate(who) if p == person and n < len(people)][::-1]:
+        for n in [n for n, p in enumerate(who) if p == person][::-1]:
             if keypoints is None:
                 del people[n], who[n]
                 continue
@@ -44,7 +46,7 @@ def gaps_of_limbs(dice, n_frames, n_people, cell):
     for person in range(n_people):
         lengths = [CELLS[(cell + 2 * person + i) % len(CELLS)] for i in range(2)]
         free = n_frames - sum(n for _, n in lengths) - 3 * MARGIN
-        cuts = sorted(dice.randint(0, max(free, 0)) for _ in range(2))
+        cuts = sorted(dice.randint(0, free) for _ in range(2))
         for i, (kind, n) in enumerate(lengths):
             start = MARGIN * (i + 1) + cuts[i] + sum(m for _, m in lengths[:i])
             keypoints, turned, moved = PARTS[kind][dice.randint(0, 1)]
@@ -64,6 +66,8 @@ def make(arguments):
     for number, session in enumerate(map(pathlib.Path, arguments.captures)):
         document = json.loads((session / "session.json").read_text())
         cameras, n_frames = [c["id"] for c in document["cameras"]], document["n_frames"]
+        if n_frames < LEAST_FRAMES:
+            sys.exit(f"{session}: {n_frames} frames; two gaps of up to 90 frames and what is seen beside them take {LEAST_FRAMES}")
         identities = json.loads((session / "gt/identities.json").read_text())
         n_people = len(np.load(session / "gt/motion.npz")["poses"])
         original = {c: json.loads((session / f"poses/{c}.json").read_text()) for c in cameras}
@@ -93,25 +97,28 @@ def joints_of(rotations, translation, rest):
     return np.array(places)
 
 
+#: Increments from a gap's first edge at the share s of the gap, by that to the other edge and the velocities at both, a gap's length.
+PATHS = {"spherical": lambda s, off, start, end: off * s,
+         "cubic": lambda s, off, start, end: start * (s**3 - 2 * s**2 + s) + off * (3 * s**2 - 2 * s**3) + end * (s**3 - s**2)}
+
+
 def interpolation_mm(motion, gap):
     """Mean error of the better interpolation of the true local rotations, mm."""
     p, (start, end) = gap["person"], gap["frames"]
     poses, trans, rest = motion["poses"][p].reshape(-1, 24, 3).astype(float), motion["trans"][p].astype(float), motion["rest_joints"][p]
-    at = lambda f, j: Rotation.from_rotvec(poses[min(f, len(poses) - 1), j])
-    errors = {"spherical": [], "cubic": []}
+    at = lambda f, j: Rotation.from_rotvec(poses[f, j])
+    step = lambda a, b, j: (at(a, j).inv() * at(b, j)).as_rotvec()
+    before, after, n = start - 1, end, end - start + 1
+    edges = {j: (at(before, j), step(before, after, j), n * step(before - 1, before, j), n * step(after, after + 1, j))
+             for j in gap["turned"]}
+    errors = {path: [] for path in PATHS}
     for f in range(start, end):
         true = [at(f, j) for j in range(24)]
-        truth, s, n = joints_of(true, trans[f], rest), (f - start + 1) / (end - start + 1), end - start + 1
-        for path in errors:
+        truth = joints_of(true, trans[f], rest)
+        for path, increment in PATHS.items():
             rotations = list(true)
-            for j in gap["turned"]:
-                first, off = at(start - 1, j), (at(start - 1, j).inv() * at(end, j)).as_rotvec()
-                if path == "cubic":
-                    v0, v1 = n * (at(start - 2, j).inv() * first).as_rotvec(), n * (at(end, j).inv() * at(end + 1, j)).as_rotvec()
-                    off = v0 * (s**3 - 2 * s**2 + s) + off * (3 * s**2 - 2 * s**3) + v1 * (s**3 - s**2)
-                else:
-                    off = off * s
-                rotations[j] = first * Rotation.from_rotvec(off)
+            for j, (first, *course) in edges.items():
+                rotations[j] = first * Rotation.from_rotvec(increment((f - before) / n, *course))
             errors[path] += list(np.linalg.norm((joints_of(rotations, trans[f], rest) - truth)[gap["moved"]], axis=1))
     return 1e3 * min(map(np.mean, errors.values()))
 

@@ -87,7 +87,7 @@ class Postgres:
 
 
 class ObjectStore:
-    """An S3 server (`cargo install s3s-fs --version 0.14.1 --features binary --locked`); without it a folder that all nodes share."""
+    """An S3 server, s3s-fs; without it a folder that all nodes share."""
 
     def __init__(self, program, bucket=BUCKET, access_key="check", secret_key="check-secret"):
         self.folder, self.bucket = tempfile.mkdtemp(prefix="wandless-objects-"), bucket
