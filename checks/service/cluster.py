@@ -164,11 +164,14 @@ class Cluster:
         return rows[0][0] if rows else None
 
     def counters_differ(self):
-        """The tenants whose counters are not those of their jobs."""
+        """The tenants whose counters are not those of their jobs, and the totals if they are not those of all jobs."""
         states = ["queued", "running", "canceling", "succeeded", "failed", "canceled", "dead"]
         kept = " || ',' || ".join(f"n_{state}" for state in states)
         counted = " || ',' || ".join(f"(SELECT count(*) FROM jobs WHERE tenant = name AND state = '{state}')" for state in states)
-        return self.postgres.ask(f"SELECT name, {kept}, {counted} FROM tenants WHERE ({kept}) <> ({counted})")
+        totals = " || ',' || ".join(f"sum(n_{state})" for state in states)
+        jobs = " || ',' || ".join(f"(SELECT count(*) FROM jobs WHERE state = '{state}')" for state in states)
+        return self.postgres.ask(f"SELECT name, {kept}, {counted} FROM tenants WHERE ({kept}) <> ({counted}) UNION ALL"
+                                 f" SELECT 'totals', {totals}, {jobs} FROM job_totals HAVING ({totals}) <> ({jobs})")
 
     def remove(self):
         for node in self.nodes:

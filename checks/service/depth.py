@@ -85,7 +85,8 @@ class Machines:
         jobs = JOBS.format(id="md5(random()::text || n)", n_tenants=n_tenants, session=self.session, numbers=f"generate_series(0, {n_jobs - 1}) AS n")
         self.ask(f"ALTER TABLE jobs DISABLE TRIGGER USER; {jobs}; ALTER TABLE jobs ENABLE TRIGGER USER;"
                  "UPDATE tenants SET n_queued = waiting.n, n_wanted_0 = waiting.n"
-                 " FROM (SELECT tenant, count(*) AS n FROM jobs GROUP BY tenant) AS waiting WHERE name = waiting.tenant")
+                 " FROM (SELECT tenant, count(*) AS n FROM jobs GROUP BY tenant) AS waiting WHERE name = waiting.tenant;"
+                 "SELECT add_up_totals()")
         self.ask("VACUUM ANALYZE jobs")
         self.ask("VACUUM ANALYZE tenants")
 

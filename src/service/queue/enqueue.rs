@@ -12,7 +12,7 @@ use crate::service::store::database::WriteTransaction;
 use crate::service::store::error::StoreError;
 use crate::service::store::random::new_id;
 use crate::service::store::sessions;
-use crate::service::store::tenants::{self, Tenant};
+use crate::service::store::tenants::{self, Tenant, Usage};
 use sqlx::AssertSqlSafe;
 use std::collections::BTreeMap;
 
@@ -135,10 +135,9 @@ impl Queue {
             return self.get(&new.tenant, &known).await?.ok_or(EnqueueError::JobDeleted);
         }
         self.store.require_space()?;
-        tenants::lock(&self.store, &mut transaction, &new.tenant).await?;
+        let usage = tenants::lock(&self.store, &mut transaction, &new.tenant).await?;
         let class = class_of_session(&mut transaction, new).await?;
-        require_capacity(&mut transaction, &new.tenant, limits).await?;
-        tenants::insert_if_missing(&mut transaction, &new.tenant).await?;
+        require_capacity(usage, limits)?;
         let job = insert(&mut transaction, new, id, class).await?;
         failpoint("enqueue.inserted");
         if fault("enqueue.early") {
@@ -154,7 +153,7 @@ impl Queue {
             return Err(error.into()); // a job that is there was committed, and only the answer was lost
         }
         failpoint("enqueue.committed");
-        self.announce_to_all(&job.id, true).await;
+        self.announce_to_all(&job.id, true);
         Ok(job)
     }
 }
@@ -258,24 +257,15 @@ async fn class_of_session(transaction: &mut WriteTransaction, new: &NewJob) -> R
     Ok(class::of_session(&session.ok_or(EnqueueError::SessionMissing)?.summary))
 }
 
-async fn require_capacity(
-    transaction: &mut WriteTransaction,
-    tenant: &Tenant,
-    limits: QueueLimits,
-) -> Result<(), EnqueueError> {
-    let waiting = "SELECT CAST(coalesce(sum(n_queued), 0) AS BIGINT) FROM tenants WHERE n_queued > 0";
-    let waiting: i64 = sqlx::query_scalar(waiting).fetch_one(&mut **transaction).await?;
-    if waiting >= limits.total {
-        return Err(EnqueueError::Full { waiting });
+fn require_capacity(usage: Usage, limits: QueueLimits) -> Result<(), EnqueueError> {
+    if usage.n_queued_of_all >= limits.total {
+        return Err(EnqueueError::Full { waiting: usage.n_queued_of_all });
     }
-    let own = "SELECT coalesce((SELECT n_queued FROM tenants WHERE name = $1), 0)";
-    let waiting: i64 = sqlx::query_scalar(own).bind(tenant.name()).fetch_one(&mut **transaction).await?;
-    if waiting >= limits.tenant {
-        return Err(EnqueueError::TenantFull { waiting });
+    if usage.n_queued >= limits.tenant {
+        return Err(EnqueueError::TenantFull { waiting: usage.n_queued });
     }
-    let stored = tenants::stored_bytes_in(transaction, tenant).await?;
-    if stored >= limits.max_bytes && !fault("quota.none") {
-        return Err(EnqueueError::QuotaExceeded { stored, max: limits.max_bytes });
+    if usage.stored_bytes >= limits.max_bytes && !fault("quota.none") {
+        return Err(EnqueueError::QuotaExceeded { stored: usage.stored_bytes, max: limits.max_bytes });
     }
     Ok(())
 }

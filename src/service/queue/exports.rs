@@ -40,7 +40,7 @@ impl Queue {
         failpoint("exports.written");
         transaction.commit().await?;
         failpoint("exports.committed");
-        self.announce_to_all(job, false).await;
+        self.announce_to_all(job, false);
         Ok(true)
     }
 }

@@ -70,7 +70,6 @@ impl Queue {
                     published.summary.insert(&mut transaction, &claim.job).await?;
                 }
                 failpoint("finish.filled");
-                // Last: from here to the commit the tenant's counters are locked, and all ends of its jobs wait for each other.
                 write_outcome(&mut transaction, claim, outcome, &Next { phase: next, wait, class }).await?;
                 failpoint("finish.written");
                 self.store.commit(transaction).await?;
@@ -95,7 +94,7 @@ impl Queue {
         }
         self.clear_files(claim, next).await;
         failpoint("finish.cleared");
-        self.announce_to_all(&claim.job, next == Phase::Queued).await;
+        self.announce_to_all(&claim.job, next == Phase::Queued);
         Ok(Finished::Recorded(next))
     }
 

@@ -192,14 +192,14 @@ impl Queue {
 
     /// Sends the id of a job that was accepted, canceled or deleted, or that has ended, to all processes. `is_work`: it may be
     /// claimable.
-    pub(super) async fn announce_to_all(&self, job: &str, is_work: bool) {
+    pub(super) fn announce_to_all(&self, job: &str, is_work: bool) {
         if is_work {
             self.work.notify_one();
         }
         self.announce(job);
         #[cfg(feature = "scale")]
         if self.store.is_shared() {
-            self.notify(job, is_work).await;
+            self.notify(job, is_work);
         }
     }
 
@@ -271,7 +271,7 @@ impl Queue {
             return Err(error.into()); // otherwise only the answer to the commit was lost
         }
         self.deferrals().forget(id);
-        self.announce_to_all(id, false).await;
+        self.announce_to_all(id, false);
         if job.state.phase() == Phase::Canceled {
             self.store.remove_files("checkpoints", id).await; // left by an attempt before a restart
         }
@@ -311,7 +311,7 @@ impl Queue {
         }
         failpoint("delete.committed");
         self.deferrals().forget(id);
-        self.announce_to_all(id, false).await;
+        self.announce_to_all(id, false);
         self.store.remove_files("results", id).await;
         self.store.remove_files("checkpoints", id).await;
         failpoint("delete.removed");

@@ -135,7 +135,7 @@ impl Queue {
                     losses,
                     "the worker of the job is silent; the job was put back"
                 );
-                self.announce_to_all(&silent.job, true).await;
+                self.announce_to_all(&silent.job, true);
             }
         }
         Ok(())

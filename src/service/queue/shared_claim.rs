@@ -13,24 +13,25 @@ use sqlx::AssertSqlSafe;
 /// that another statement holds is passed over. Of the jobs with the highest priority the one of the largest class is taken: smaller
 /// ones find a worker anywhere. Each class is looked up by itself, so that jobs that do not fit cost nothing.
 ///
-/// `$1`, `$2`: boot, release; `$3`: most running jobs of a tenant; `$4`: jobs that wait after a fault of the machine, a JSON list; `$5`:
-/// largest class; `$6`: level of options. Whether a tenant has another job is asked with a LIMIT: an EXISTS becomes a join that reads
-/// every waiting job.
+/// `$1`, `$2`: boot, release; `$3`: most running jobs of a tenant; `$4`: jobs that wait after a fault of the machine, a JSON list. What is
+/// the same for every claim of a process is part of the text: with the largest class or the level of options unknown, the server expects so
+/// many more rows that it plans each claim anew, which takes as long as the claim. Whether a tenant has another job is asked with a LIMIT:
+/// an EXISTS becomes a join that reads every waiting job.
 const CLAIM: &str = "
     WITH next AS MATERIALIZED (
         SELECT name FROM tenants
         WHERE n_queued > 0 AND n_running + n_canceling < $3
-          AND (SELECT found.seq FROM generate_series(CAST(0 AS BIGINT), $5) AS fitting (class) CROSS JOIN LATERAL
+          AND (SELECT found.seq FROM generate_series(CAST(0 AS BIGINT), {largest_class}) AS fitting (class) CROSS JOIN LATERAL
                    (SELECT seq FROM jobs
-                    WHERE state = 'queued' AND tenant = name AND class = fitting.class AND needs <= $6
+                    WHERE state = 'queued' AND tenant = name AND class = fitting.class AND needs <= {level}
                       AND id NOT IN (SELECT value FROM json_each($4))
                     ORDER BY priority DESC, seq LIMIT 1) AS found LIMIT 1) IS NOT NULL
           {unserved}
         ORDER BY turn, name LIMIT 1 {lock}),
     job AS MATERIALIZED (
-        SELECT found.seq FROM generate_series(CAST(0 AS BIGINT), $5) AS fitting (class) CROSS JOIN LATERAL
+        SELECT found.seq FROM generate_series(CAST(0 AS BIGINT), {largest_class}) AS fitting (class) CROSS JOIN LATERAL
             (SELECT seq, priority FROM jobs
-             WHERE state = 'queued' AND tenant = (SELECT name FROM next) AND class = fitting.class AND needs <= $6
+             WHERE state = 'queued' AND tenant = (SELECT name FROM next) AND class = fitting.class AND needs <= {level}
                AND id NOT IN (SELECT value FROM json_each($4))
              ORDER BY priority DESC, seq LIMIT 1 FOR UPDATE SKIP LOCKED) AS found
         ORDER BY found.priority DESC, fitting.class DESC LIMIT 1),
@@ -50,15 +51,15 @@ impl Queue {
     /// only that one, its row is waited for. A claim whose answer is lost has no beat, and the leader puts it back.
     pub(super) async fn claim_shared(&self, max_running: i64, waiting: &str) -> Result<Option<Claim>, StoreError> {
         let locks = if fault("row.unlocked") { ["", ""] } else { ["FOR UPDATE SKIP LOCKED", "FOR UPDATE"] };
+        let (largest_class, level) = (self.largest_class().to_string(), options_level().to_string());
+        let of_process = CLAIM.replace("{largest_class}", &largest_class).replace("{level}", &level);
         for (lock, unserved) in locks.into_iter().zip([UNSERVED, ""]) {
-            let claim = CLAIM.replace("{lock}", lock).replace("{unserved}", unserved);
+            let claim = of_process.replace("{lock}", lock).replace("{unserved}", unserved);
             let row = sqlx::query(AssertSqlSafe(claim)) // the text is our own
                 .bind(&self.store.boot)
                 .bind(env!("CARGO_PKG_VERSION"))
                 .bind(max_running)
                 .bind(waiting)
-                .bind(self.largest_class())
-                .bind(options_level())
                 .fetch_optional(self.store.read())
                 .await?;
             let Some(row) = row else { continue };

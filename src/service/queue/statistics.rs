@@ -3,7 +3,10 @@
 use super::class;
 use super::handle::Queue;
 use super::phase::Phase;
+use crate::service::store::Store;
 use crate::service::store::error::StoreError;
+use crate::service::store::sql::SqlRow;
+use crate::service::store::tenants::counters_of_all;
 use sqlx::{AssertSqlSafe, Row};
 
 /// Current counts of the queue.
@@ -38,57 +41,65 @@ impl Queue {
     /// # Errors
     /// When the store fails.
     pub async fn statistics(&self) -> Result<QueueStatistics, StoreError> {
-        let oldest: Option<f64> = sqlx::query_scalar(
-            "SELECT (julianday('now') - julianday(created_at)) * 86400.0 FROM jobs
-             WHERE seq = (SELECT min(seq) FROM jobs WHERE state = 'queued')",
-        )
-        .fetch_optional(self.store.read())
-        .await?;
         // Where several processes share the database, each answers for the jobs that it has claimed.
         let boot = if self.store.is_shared() { &*self.store.boot } else { "" };
         let running =
             "SELECT id FROM jobs WHERE state IN ('running', 'canceling') AND ($1 = '' OR boot = $1) ORDER BY id";
         let running = sqlx::query_scalar(running).bind(boot).fetch_all(self.store.read()).await?;
-        let waiting = sqlx::query_scalar("SELECT count(*) FROM webhook_deliveries WHERE state = 'waiting'");
-        let webhooks_waiting = waiting.fetch_one(self.store.read()).await?;
-        let (by_state, work_wanted) = self.count_jobs().await?;
-        let server = self.server_statistics(work_wanted).await?;
-        let oldest_queued_s = oldest.unwrap_or(0.0).max(0.0);
-        Ok(QueueStatistics { by_state, oldest_queued_s, running, webhooks_waiting, server })
+        let figures = figures(&self.store);
+        let row = sqlx::query(AssertSqlSafe(figures)).fetch_one(self.store.read()).await?; // the text is our own
+        Ok(QueueStatistics { running, ..from_row(&row, self.store.is_shared())? })
     }
+}
 
-    /// Number of jobs by state, in alphabetical order, without zeros; with PostgreSQL also those without a final state by class.
-    async fn count_jobs(&self) -> Result<(Vec<(String, i64)>, Vec<i64>), StoreError> {
-        let mut phases = Phase::ALL;
-        phases.sort_by_key(|phase| phase.name());
-        let mut columns: Vec<String> = phases.iter().map(|phase| format!("n_{}", phase.name())).collect();
-        if self.store.is_shared() {
-            columns.extend((0..=class::LARGEST).map(|class| format!("n_wanted_{class}")));
-        }
-        let sums: Vec<String> =
-            columns.iter().map(|column| format!("CAST(coalesce(sum({column}), 0) AS BIGINT)")).collect();
-        let query = AssertSqlSafe(format!("SELECT {} FROM tenants", sums.join(", "))); // the names are our own
-        let row = sqlx::query(query).fetch_one(self.store.read()).await?;
-        let counts = (0..columns.len()).map(|column| row.try_get::<i64, _>(column)).collect::<Result<Vec<_>, _>>()?;
-        let (of_states, wanted) = counts.split_at(phases.len());
-        let by_state = phases.iter().map(|phase| phase.name().to_owned()).zip(of_states.iter().copied());
-        Ok((by_state.filter(|(_, n_jobs)| *n_jobs > 0).collect(), wanted.to_vec()))
+/// One statement for all figures, since a busy server lets each one wait. `n_{state}` and `n_wanted_{class}` are sums
+/// over the counters.
+fn figures(store: &Store) -> String {
+    let mut sums: Vec<String> = Phase::ALL.iter().map(|phase| format!("n_{}", phase.name())).collect();
+    let mut figures = vec![
+        "(SELECT (julianday('now') - julianday(created_at)) * 86400.0 FROM jobs
+          WHERE seq = (SELECT min(seq) FROM jobs WHERE state = 'queued')) AS oldest_queued_s",
+        "(SELECT count(*) FROM webhook_deliveries WHERE state = 'waiting') AS webhooks_waiting",
+    ];
+    if store.is_shared() {
+        sums.extend((0..=class::LARGEST).map(wanted));
+        figures.extend([DEAD_TUPLES_RATIO, LONGEST_TRANSACTION_S]);
     }
+    let sums: Vec<String> =
+        sums.iter().map(|sum| format!("CAST(coalesce(sum({sum}), 0) AS BIGINT) AS {sum}")).collect();
+    format!("SELECT {}, {} FROM {}", sums.join(", "), figures.join(", "), counters_of_all(store))
+}
 
-    async fn server_statistics(&self, work_wanted: Vec<i64>) -> Result<ServerStatistics, StoreError> {
-        if !self.store.is_shared() {
-            return Ok(ServerStatistics::default());
-        }
-        let dead = "SELECT CAST(coalesce(max(n_dead_tup / CAST(n_live_tup + n_dead_tup AS DOUBLE PRECISION)), 0) AS DOUBLE PRECISION)
-                    FROM pg_stat_user_tables WHERE n_live_tup + n_dead_tup > 10000";
-        let transaction =
-            "SELECT CAST(coalesce(max(extract(epoch FROM clock_timestamp() - xact_start)), 0) AS DOUBLE PRECISION)
-             FROM pg_stat_activity
-             WHERE datname = current_database() AND backend_type = 'client backend' AND pid <> pg_backend_pid()";
-        Ok(ServerStatistics {
-            work_wanted,
-            dead_tuples_ratio: sqlx::query_scalar(dead).fetch_one(self.store.read()).await?,
-            longest_transaction_s: sqlx::query_scalar(transaction).fetch_one(self.store.read()).await?,
-        })
+fn wanted(class: i64) -> String {
+    format!("n_wanted_{class}")
+}
+
+const DEAD_TUPLES_RATIO: &str = "
+    (SELECT CAST(coalesce(max(n_dead_tup / CAST(n_live_tup + n_dead_tup AS DOUBLE PRECISION)), 0) AS DOUBLE PRECISION)
+     FROM pg_stat_user_tables WHERE n_live_tup + n_dead_tup > 10000) AS dead_tuples_ratio";
+
+const LONGEST_TRANSACTION_S: &str = "
+    (SELECT CAST(coalesce(max(extract(epoch FROM clock_timestamp() - xact_start)), 0) AS DOUBLE PRECISION)
+     FROM pg_stat_activity
+     WHERE datname = current_database() AND backend_type = 'client backend' AND pid <> pg_backend_pid()) AS longest_transaction_s";
+
+/// The figures of [`figures`]; without the running jobs.
+fn from_row(row: &SqlRow, is_shared: bool) -> Result<QueueStatistics, StoreError> {
+    let mut by_state = Vec::new();
+    for phase in Phase::ALL {
+        by_state.push((phase.name().to_owned(), row.try_get::<i64, _>(&*format!("n_{}", phase.name()))?));
     }
+    by_state.retain(|(_, n_jobs)| *n_jobs > 0);
+    by_state.sort();
+    let mut server = ServerStatistics::default();
+    if is_shared {
+        for class in 0..=class::LARGEST {
+            server.work_wanted.push(row.try_get(&*wanted(class))?);
+        }
+        server.dead_tuples_ratio = row.try_get("dead_tuples_ratio")?;
+        server.longest_transaction_s = row.try_get("longest_transaction_s")?;
+    }
+    let oldest_queued_s = row.try_get::<Option<f64>, _>("oldest_queued_s")?.unwrap_or(0.0).max(0.0);
+    let webhooks_waiting = row.try_get("webhooks_waiting")?;
+    Ok(QueueStatistics { by_state, oldest_queued_s, running: Vec::new(), webhooks_waiting, server })
 }

@@ -25,23 +25,25 @@ const INTERVAL: Duration = Duration::from_secs(1);
 
 impl Queue {
     /// Notifies the other processes. It is not part of the transaction of the change: with it, commits would wait for each other.
-    pub(super) async fn notify(&self, job: &str, is_work: bool) {
-        let payload = if is_work { format!("{WORK}{job}") } else { job.to_owned() };
-        let notify = sqlx::query("SELECT pg_notify($1, $2)").bind(CHANNEL).bind(payload);
-        if let Err(error) = notify.execute(self.store.read()).await {
-            tracing::debug!(%error, "other processes were not notified; they look for changes themselves");
-        }
+    pub(super) fn notify(&self, job: &str, is_work: bool) {
+        self.send(if is_work { format!("{WORK}{job}") } else { job.to_owned() });
     }
 
     /// Sends a log line to the other processes, unless they have received enough in this second.
     pub(super) fn notify_line(&self, job: &str, line: &str) {
-        if !self.lines.take(Instant::now()) {
-            return;
+        if self.lines.take(Instant::now()) {
+            self.send(line_payload(&self.store.boot, job, line));
         }
-        let (queue, payload) = (self.clone(), line_payload(&self.store.boot, job, line));
+    }
+
+    /// Sends a notification without waiting for it: clients of this process are answered first.
+    fn send(&self, payload: String) {
+        let store = self.store.clone();
         tokio::spawn(async move {
             let notify = sqlx::query("SELECT pg_notify($1, $2)").bind(CHANNEL).bind(payload);
-            let _ = notify.execute(queue.store.read()).await; // clients of this process have the line
+            if let Err(error) = notify.execute(store.read()).await {
+                tracing::debug!(%error, "other processes were not notified; they look for changes themselves");
+            }
         });
     }
 

@@ -140,8 +140,7 @@ pub async fn add(
         return Err(AddError::NameUnstorable);
     }
     let mut transaction = store.write().await?;
-    tenants::lock(store, &mut transaction, tenant).await?;
-    let stored = tenants::stored_bytes_in(&mut transaction, tenant).await?;
+    let stored = tenants::lock(store, &mut transaction, tenant).await?.stored_bytes;
     let row = sqlx::query(AssertSqlSafe(format!(
         "INSERT INTO sessions (id, tenant, sha256, bytes, name, cameras, n_frames, people_max, keypoint_convention,
                                format, warnings, created_at)

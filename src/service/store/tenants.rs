@@ -5,6 +5,7 @@ use super::error::StoreError;
 use super::random::random_bytes;
 use base64::Engine;
 use serde::Serialize;
+use sqlx::AssertSqlSafe;
 
 /// Name of a tenant: 1 to 64 letters, digits, `-`, `_` and `.`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, sqlx::Type)]
@@ -34,24 +35,14 @@ impl Tenant {
     }
 }
 
-/// Returns the bytes of a tenant's uploads and results.
+/// Returns the bytes of a tenant's uploads and results, a running total that triggers keep.
 ///
 /// # Errors
 /// When the store fails.
 pub async fn stored_bytes(store: &Store, tenant: &Tenant) -> Result<i64, StoreError> {
-    Ok(sqlx::query_scalar(STORED_BYTES).bind(tenant.name()).fetch_one(store.read()).await?)
+    let bytes = "SELECT coalesce((SELECT stored_bytes FROM tenants WHERE name = $1), 0)";
+    Ok(sqlx::query_scalar(bytes).bind(tenant.name()).fetch_one(store.read()).await?)
 }
-
-/// Same as [`stored_bytes`], inside a transaction.
-///
-/// # Errors
-/// When the store fails.
-pub(crate) async fn stored_bytes_in(transaction: &mut WriteTransaction, tenant: &Tenant) -> Result<i64, StoreError> {
-    Ok(sqlx::query_scalar(STORED_BYTES).bind(tenant.name()).fetch_one(&mut **transaction).await?)
-}
-
-/// The running total, which triggers keep.
-const STORED_BYTES: &str = "SELECT coalesce((SELECT stored_bytes FROM tenants WHERE name = $1), 0)";
 
 /// Inserts the row of a tenant unless it exists.
 pub(crate) async fn insert_if_missing(transaction: &mut WriteTransaction, tenant: &Tenant) -> Result<(), StoreError> {
@@ -62,15 +53,55 @@ pub(crate) async fn insert_if_missing(transaction: &mut WriteTransaction, tenant
     Ok(())
 }
 
-/// Locks the row of a tenant until the transaction ends, so that what its limits allow and which sessions it has cannot change in
-/// between. A write transaction of SQLite locks the whole database anyway. A transaction with this lock waits for no job's row.
-pub(crate) async fn lock(store: &Store, transaction: &mut WriteTransaction, tenant: &Tenant) -> Result<(), StoreError> {
-    if store.is_shared() {
-        insert_if_missing(transaction, tenant).await?;
-        let lock = sqlx::query("SELECT name FROM tenants WHERE name = $1 FOR UPDATE").bind(tenant.name());
-        lock.execute(&mut **transaction).await?;
-    }
-    Ok(())
+/// The table with the counters of all jobs: those of the tenants, and where many processes share the database, which may have ten thousand
+/// tenants, the totals that its triggers keep.
+pub(crate) fn counters_of_all(store: &Store) -> &'static str {
+    if store.is_shared() { "job_totals" } else { "tenants" }
+}
+
+/// What the limits of a tenant, and of all together, apply to.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Usage {
+    /// Waiting jobs.
+    pub n_queued: i64,
+    /// Waiting jobs of all tenants.
+    pub n_queued_of_all: i64,
+    /// Bytes of uploads and results.
+    pub stored_bytes: i64,
+}
+
+/// Locks the row of a tenant, inserted if it is missing, until the transaction ends, so that what its limits allow and which sessions it
+/// has cannot change in between. A write transaction of SQLite locks the whole database anyway. A transaction with this lock waits for no
+/// job's row.
+pub(crate) async fn lock(
+    store: &Store,
+    transaction: &mut WriteTransaction,
+    tenant: &Tenant,
+) -> Result<Usage, StoreError> {
+    let usage = match usage(store, transaction, tenant).await? {
+        Some(usage) => Some(usage),
+        None => {
+            insert_if_missing(transaction, tenant).await?;
+            usage(store, transaction, tenant).await?
+        }
+    };
+    Ok(usage.unwrap_or_default()) // no row of a tenant is deleted
+}
+
+async fn usage(
+    store: &Store,
+    transaction: &mut WriteTransaction,
+    tenant: &Tenant,
+) -> Result<Option<Usage>, StoreError> {
+    let lock = if store.is_shared() { "FOR UPDATE" } else { "" };
+    let all = counters_of_all(store);
+    let row = format!(
+        "SELECT n_queued, (SELECT CAST(coalesce(sum(n_queued), 0) AS BIGINT) FROM {all} WHERE n_queued <> 0), stored_bytes
+         FROM tenants WHERE name = $1 {lock}"
+    );
+    let row = sqlx::query_as(AssertSqlSafe(row)).bind(tenant.name()); // the text is our own
+    let row: Option<(i64, i64, i64)> = row.fetch_optional(&mut **transaction).await?;
+    Ok(row.map(|(n_queued, n_queued_of_all, stored_bytes)| Usage { n_queued, n_queued_of_all, stored_bytes }))
 }
 
 /// Prefix of a webhook secret (Standard Webhooks).

@@ -29,6 +29,7 @@ const COMPLETE: &str = "
                                count(*) FILTER (WHERE class = 2), count(*) FILTER (WHERE class = 3)] AS n
           FROM jobs WHERE state IN ('queued', 'running', 'canceling') GROUP BY tenant) AS open
     WHERE name = open.tenant;
+    SELECT add_up_totals();
     ALTER TABLE jobs ENABLE TRIGGER USER; ALTER TABLE sessions ENABLE TRIGGER USER;
     SELECT setval('turns', 1 + (SELECT coalesce(max(turn), 0) FROM tenants))";
 

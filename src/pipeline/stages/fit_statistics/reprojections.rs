@@ -245,7 +245,10 @@ fn by_cameras(
     n_cameras: usize,
 ) -> Matrix3xX<f64> {
     let mut by_cameras = Matrix3xX::zeros(6 * n_cameras);
-    for ray in rays.iter().filter(|_| n_cameras > 0) {
+    if n_cameras == 0 {
+        return by_cameras;
+    }
+    for ray in rays {
         if let Some(by_camera) = point_by_camera(point, &ray.observation, of_unit_rays) {
             by_cameras.fixed_columns_mut::<6>(6 * ray.placed).copy_from(&by_camera);
         }

@@ -13,7 +13,7 @@ use crate::service::settings::StoreSettings;
 pub(super) use schema::newest as newest_migration;
 use server::Server;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgListener, PgPoolOptions};
-use sqlx::{ConnectOptions, Executor};
+use sqlx::{ConnectOptions, Connection, Executor};
 use std::time::Duration;
 
 /// Statements need functions and planner behaviour of this release.
@@ -21,6 +21,9 @@ const OLDEST_SERVER: i64 = 15;
 
 /// Longest wait for a free connection; a request is answered 503 then.
 const PATIENCE: Duration = Duration::from_secs(5);
+
+/// A connection that was idle for less is used without asking the server whether it is still there: the pool asked when it was put back.
+const UNTESTED: Duration = Duration::from_secs(1);
 
 /// Settings of every connection. A process that stops inside a transaction loses its locks after four seconds, before those that wait for
 /// them give up. No statement of a request takes longer than thirty.
@@ -84,7 +87,15 @@ fn parsed(url: &str) -> Result<PgConnectOptions, StoreError> {
 
 async fn connect(options: SqlOptions, connections: u32) -> Result<SqlPool, StoreError> {
     sqlx::any::install_default_drivers();
-    let pool = SqlPoolOptions::new().max_connections(connections).acquire_timeout(PATIENCE);
+    let pool = SqlPoolOptions::new().max_connections(connections).acquire_timeout(PATIENCE).test_before_acquire(false);
+    let pool = pool.before_acquire(|connection, metadata| {
+        Box::pin(async move {
+            if metadata.idle_for >= UNTESTED {
+                connection.ping().await?;
+            }
+            Ok(true)
+        })
+    });
     let pool = pool.after_connect(|connection, _| {
         Box::pin(async move { connection.execute(sqlx::raw_sql(SESSION)).await.map(drop) })
     });
