@@ -50,10 +50,10 @@ impl MotionProblem<'_> {
         let body = self.model.shaped(&state.betas);
         let frame_cost = |(index, pose): (usize, &Pose)| {
             let frame = PosedFrame::new(&self.landmarks, (&body, &state.betas), index, pose);
-            let at =
-                |landmarks: &[usize]| landmarks.iter().map(|&landmark| frame.position(landmark)).collect::<Vec<_>>();
+            let tracked = self.tracked.iter().map(|&landmark| frame.position(landmark)).collect();
+            let paths = self.path_landmarks().iter().map(|&landmark| frame.observed_position(landmark)).collect();
             let cost = self.frame_terms.iter().map(|term| term.cost(&frame)).sum::<f64>();
-            (cost, (at(&self.tracked), at(self.path_landmarks())))
+            (cost, (tracked, paths))
         };
         let (frames, (tracked, paths)): (Vec<f64>, (Positions, Positions)) =
             state.poses.par_iter().enumerate().map(frame_cost).unzip();
@@ -113,10 +113,13 @@ impl MotionProblem<'_> {
         self.frame_terms.iter().for_each(|term| term.add_to(frame, system, corner));
         system.add_to_diagonal(FLOOR);
         system.scale(self.time_weight);
-        let linear = |&landmark: &usize| tracked(frame, landmark);
+        let tracked = |&landmark: &usize| TrackedLandmark {
+            position: frame.posed.position(landmark),
+            jacobian: frame.jacobian(landmark),
+        };
         FrameLandmarks {
-            tracked: self.tracked.iter().map(linear).collect(),
-            paths: self.path_landmarks().iter().map(linear).collect(),
+            tracked: self.tracked.iter().map(tracked).collect(),
+            paths: self.path_landmarks().iter().map(|&landmark| observed(frame, landmark)).collect(),
         }
     }
 
@@ -125,7 +128,7 @@ impl MotionProblem<'_> {
         let body = self.model.shaped(&state.betas);
         let frame = |(index, pose): (usize, &Pose)| {
             let frame = PosedFrame::new(&self.landmarks, (&body, &state.betas), index, pose).linearised();
-            self.path_landmarks().iter().map(|&landmark| tracked(&frame, landmark)).collect()
+            self.path_landmarks().iter().map(|&landmark| observed(&frame, landmark)).collect()
         };
         state.poses.par_iter().enumerate().map(frame).collect()
     }
@@ -141,8 +144,8 @@ struct FrameLandmarks {
     paths: Vec<TrackedLandmark>,
 }
 
-fn tracked(frame: &LinearisedFrame, landmark: usize) -> TrackedLandmark {
-    TrackedLandmark { position: frame.posed.position(landmark), jacobian: frame.jacobian(landmark) }
+fn observed(frame: &LinearisedFrame, landmark: usize) -> TrackedLandmark {
+    TrackedLandmark { position: frame.posed.observed_position(landmark), jacobian: frame.observed_jacobian(landmark) }
 }
 
 /// The frames that have a frame on either side.

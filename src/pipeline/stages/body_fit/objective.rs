@@ -1,8 +1,8 @@
 //! The objective of one person's motion: which terms it is the sum of.
 
+use super::completed_joints::GapCompletion;
 use super::config::BodyFitConfig;
 use super::context::FitContext;
-use super::gap_completion::GapCompletion;
 use super::motion_problem::MotionProblem;
 use super::observations::Observations;
 use super::terms::border_priors::ShapePrior;
@@ -104,8 +104,8 @@ impl<'a> Objective<'a> {
         let [weight, girth_weight] = self.shape_prior;
         let robust = RobustAcceleration { knee: config.acceleration_knee, time_weight };
 
-        let completed = self.completion.map_or_else(Vec::new, GapCompletion::completed_frames);
-        let prior = config.motion_prior.then(|| PosePrior::new(model, config, &unknowns).without(completed));
+        let completed = self.completion.map_or_else(Vec::new, GapCompletion::completed_joints);
+        let prior = config.motion_prior.then(|| PosePrior::new(model, config, &unknowns, &completed));
         let with_prior = prior.as_ref().map_or(&[] as &[usize], PosePrior::joints);
         let robust_scale = config.robust_scale;
         let mut frame_terms: Vec<Box<dyn FrameTerm + 'a>> = Vec::new();
@@ -138,7 +138,7 @@ impl<'a> Objective<'a> {
         }
         MotionProblem {
             model,
-            landmarks: Landmarks::new(model, &unknowns),
+            landmarks: Landmarks::new(model, &unknowns, self.completion),
             unknowns,
             frame_terms,
             window_terms,

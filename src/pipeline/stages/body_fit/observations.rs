@@ -1,5 +1,6 @@
 //! One person's observations by frame: triangulated points and detected pixels of the body's landmarks.
 
+use super::gaps::{MIN_GAP, gaps};
 use crate::body::BodyModel;
 use crate::body::detector_noise::DetectorNoise;
 use crate::body::detector_profile::DETECTOR;
@@ -10,6 +11,7 @@ use crate::geometry::{Intrinsics, PixelCovariance, Rigid};
 use crate::pipeline::calibration::TrackedPeople;
 use crate::session::{Detection, JointTrajectory, PersonTrack, Session};
 use nalgebra::{Matrix2, Vector2, Vector3};
+use std::collections::BTreeSet;
 use std::ops::Range;
 
 /// A triangulated point.
@@ -85,6 +87,22 @@ impl Observations {
         first..first + length
     }
 
+    /// The same without the points of a landmark that no view shows for [`MIN_GAP`] or longer while views show others: the smooth
+    /// path of a single point knows nothing of the body, and limbs that follow it turn about themselves.
+    fn without_unseen_points(mut self, frame_interval: f64) -> Self {
+        let landmarks: BTreeSet<usize> = self.points.iter().flatten().map(|point| point.landmark).collect();
+        for landmark in landmarks {
+            let is_shown = |frame: &Vec<PixelObservation>| frame.iter().any(|pixel| pixel.landmark == landmark);
+            let shown: Vec<bool> = self.pixels.iter().map(is_shown).collect();
+            for gap in gaps(&shown).into_iter().filter(|gap| gap.len() as f64 * frame_interval >= MIN_GAP) {
+                for frame in gap.filter(|&frame| !self.pixels[frame].is_empty()) {
+                    self.points[frame].retain(|point| point.landmark != landmark);
+                }
+            }
+        }
+        self
+    }
+
     /// The observations of every `stride`-th frame of a run.
     pub(super) fn thinned(&self, run: Range<usize>, stride: usize) -> Self {
         let every = || run.clone().step_by(stride);
@@ -133,7 +151,8 @@ pub(super) fn gather_observations(people: &TrackedPeople, track: &PersonTrack, m
         points.extend(rigid.iter().filter_map(|(_, landmark)| triangulated(*landmark, &cameras, &pixels[t])));
         points
     };
-    Observations { points: (0..n_frames).map(points).collect(), cameras, pixels }
+    let points = (0..n_frames).map(points).collect();
+    Observations { points, cameras, pixels }.without_unseen_points(1.0 / session.fps)
 }
 
 /// One frame of the inputs.
@@ -208,4 +227,38 @@ fn apparent_size_px(detection: &Detection) -> f64 {
     let Some(first) = present().next() else { return MIN_SIZE_PX };
     let (low, high) = present().fold((first, first), |(low, high), p| (low.inf(&p), high.sup(&p)));
     (high - low).max().max(MIN_SIZE_PX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Limbs that followed the paths of unseen points turned about themselves.
+    #[test]
+    fn points_that_no_view_shows_are_left_out_of_long_gaps() {
+        let pixel = |landmark| PixelObservation {
+            landmark,
+            camera: 0,
+            pixel: Vector2::zeros(),
+            scale_px: 1.0,
+            stated: None,
+            whitening: None,
+        };
+        let point = |landmark| PointObservation { landmark, position: Vector3::zeros() };
+        // Landmark 1 is hidden for 3 frames and for 6; in the last two of these nothing is seen.
+        let pixels = |t: usize| match t {
+            18..20 => vec![],
+            4..7 | 14..18 => vec![pixel(0)],
+            _ => vec![pixel(0), pixel(1)],
+        };
+        let observations = Observations {
+            cameras: vec![],
+            points: vec![vec![point(0), point(1)]; 30],
+            pixels: (0..30).map(pixels).collect(),
+        };
+        let kept = observations.without_unseen_points(1.0 / 30.0).points;
+        let short: Vec<usize> = (0..30).filter(|&t| kept[t].len() < 2).collect();
+        assert_eq!(short, [14, 15, 16, 17]);
+        assert!(kept[14..18].iter().all(|points| points[0].landmark == 0));
+    }
 }

@@ -1,5 +1,6 @@
 //! The fit of one person's motion, whole or window by window.
 
+use super::completed_joints::GapCompletion;
 use super::context::FitContext;
 use super::gap_completion::completed_gaps;
 use super::initial_motion::initial_motion;
@@ -219,14 +220,19 @@ fn fit_pass(
         None => (DataSource::Points { sigma: config.point_sigma }, on_points),
     };
     let config = if pass == Pass::Last { config } else { first_config };
-    let completion =
-        (pass == Pass::Last && config.completes_gaps).then(|| completed_gaps(context, observations, &start)).flatten();
-    let start = match &completion {
-        Some(gaps) => gaps.applied_to(start),
-        None => start,
+    let minimised_with = |completion: Option<&GapCompletion>, start: MotionState, system: &mut BlockBanded| {
+        let start = completion.map_or(start.clone(), |gaps| gaps.applied_to(start));
+        let speeds = (pass != Pass::Points).then_some(&start);
+        let objective = Objective { speeds, completion, ..Objective::new(context, config, observations, data, shape) };
+        minimised(context, &objective.problem(), start.clone(), max_iterations, system)
     };
-    let speeds = (pass != Pass::Points).then_some(&start);
-    let completion = completion.as_ref();
-    let objective = Objective { speeds, completion, ..Objective::new(context, config, observations, data, shape) };
-    minimised(context, &objective.problem(), start.clone(), max_iterations, system)
+    let completed = |state: &MotionState| {
+        let completes = pass == Pass::Last && config.completes_gaps;
+        completes.then(|| completed_gaps(context, observations, state)).flatten()
+    };
+    let Some(rough) = completed(&start) else { return minimised_with(None, start, system) };
+    // The first fit has no pose prior, so that what it states at the edges of gaps (twists about bones above all) is rough, too.
+    let fitted = minimised_with(Some(&rough), start, system)?;
+    let again = minimised_with(completed(&fitted.state).as_ref(), fitted.state, system)?;
+    Ok(FittedMotion { iterations: fitted.iterations + again.iterations, cost_before: fitted.cost_before, ..again })
 }

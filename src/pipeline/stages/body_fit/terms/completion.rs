@@ -1,6 +1,6 @@
 //! Joints that no camera shows for a while: Gaussians about what the motion prior states from the rest of the motion.
 
-use super::super::gap_completion::GapCompletion;
+use super::super::completed_joints::GapCompletion;
 use super::frame::{LinearisedFrame, PosedFrame};
 use super::term::FrameTerm;
 use super::unknowns::Unknowns;

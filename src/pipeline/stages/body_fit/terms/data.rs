@@ -35,13 +35,16 @@ impl DataTerm<'_> {
         match self.source {
             DataSource::Points { sigma } => {
                 for PointObservation { landmark, position } in &self.observations.points[frame.index] {
-                    visit(*landmark, point_cost(&frame.position(*landmark), position, sigma, self.robust_scale));
+                    visit(
+                        *landmark,
+                        point_cost(&frame.observed_position(*landmark), position, sigma, self.robust_scale),
+                    );
                 }
             }
             DataSource::Pixels { share } => {
                 for pixels in self.observations.pixels[frame.index].chunk_by(|a, b| a.landmark == b.landmark) {
                     let landmark = pixels[0].landmark;
-                    let position = frame.position(landmark);
+                    let position = frame.observed_position(landmark);
                     let cost = |pixel: &PixelObservation| {
                         let camera = &self.observations.cameras[pixel.camera];
                         let (sigma_px, scale) = (share * pixel.scale_px, self.robust_scale);
@@ -67,6 +70,8 @@ impl FrameTerm for DataTerm<'_> {
     }
 
     fn add_to(&self, frame: &LinearisedFrame, system: &mut FramePanel, corner: &mut Corner) {
-        self.for_each_landmark(&frame.posed, |landmark, at| frame.jacobian(landmark).add_cost(&at, system, corner));
+        self.for_each_landmark(&frame.posed, |landmark, at| {
+            frame.observed_jacobian(landmark).add_cost(&at, system, corner)
+        });
     }
 }

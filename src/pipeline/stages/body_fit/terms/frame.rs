@@ -1,5 +1,6 @@
 //! One frame of a motion as terms see it: the posed body and its landmarks.
 
+use super::super::completed_joints::GapCompletion;
 use super::landmark_jacobian::{BorderJacobian, LandmarkJacobian};
 use super::unknowns::{Border, TRANSLATION_GROUP, Unknowns};
 use crate::body::kinematics::{Pose, PosedSkeleton, joints_by_betas, landmark_by_rotation, landmark_position, posed};
@@ -13,11 +14,12 @@ pub(crate) struct Landmarks<'a> {
     border: Border<'a>,
     /// By landmark: groups and joints, see [`Unknowns::moving`].
     moving: Vec<Vec<(usize, usize)>>,
+    completion: Option<&'a GapCompletion>,
 }
 
 impl<'a> Landmarks<'a> {
-    pub(crate) fn new(model: &'a BodyModel, unknowns: &Unknowns<'a>) -> Self {
-        Self { model, border: unknowns.border, moving: unknowns.moving(model) }
+    pub(crate) fn new(model: &'a BodyModel, unknowns: &Unknowns<'a>, completion: Option<&'a GapCompletion>) -> Self {
+        Self { model, border: unknowns.border, moving: unknowns.moving(model), completion }
     }
 }
 
@@ -27,6 +29,8 @@ pub(crate) struct PosedFrame<'a> {
     pub pose: &'a Pose,
     pub betas: &'a Betas,
     pub skeleton: PosedSkeleton,
+    /// With the joints that no keypoint shows as the motion prior states them; `None` without such joints.
+    completed: Option<PosedSkeleton>,
     body: &'a ShapedBody,
     landmarks: &'a Landmarks<'a>,
 }
@@ -39,12 +43,25 @@ impl<'a> PosedFrame<'a> {
         index: usize,
         pose: &'a Pose,
     ) -> Self {
-        Self { index, pose, betas, skeleton: posed(body, pose), body, landmarks }
+        let completed = landmarks.completion.and_then(|completion| completion.with_hidden(index, pose));
+        let completed = completed.map(|pose| posed(body, &pose));
+        Self { index, pose, betas, skeleton: posed(body, pose), completed, body, landmarks }
     }
 
     /// Position of a landmark in the world, m.
     pub(crate) fn position(&self, landmark: usize) -> Vector3<f64> {
         landmark_position(self.landmarks.model, self.body, &self.skeleton, landmark)
+    }
+
+    /// Position of a landmark that is observed, m. A keypoint shows no rotation of a hidden joint, but may turn with it: hips and
+    /// shoulders lie 4 to 8 cm beside their joints. A hidden limb would turn to where the detector's errors at its upper end are smallest,
+    /// so that those of its joints are taken as the motion prior states them.
+    pub(crate) fn observed_position(&self, landmark: usize) -> Vector3<f64> {
+        landmark_position(self.landmarks.model, self.body, self.observed_skeleton(), landmark)
+    }
+
+    fn observed_skeleton(&self) -> &PosedSkeleton {
+        self.completed.as_ref().unwrap_or(&self.skeleton)
     }
 
     /// The same with what derivatives need.
@@ -65,12 +82,29 @@ pub(crate) struct LinearisedFrame<'a> {
 impl LinearisedFrame<'_> {
     /// Derivatives of a landmark's position.
     pub(crate) fn jacobian(&self, landmark: usize) -> LandmarkJacobian {
-        let PosedFrame { skeleton, body, landmarks: Landmarks { model, border, moving }, .. } = &self.posed;
+        self.derivatives(landmark, &self.posed.skeleton, |_| true)
+    }
+
+    /// Derivatives of [`PosedFrame::observed_position`].
+    pub(crate) fn observed_jacobian(&self, landmark: usize) -> LandmarkJacobian {
+        let PosedFrame { index, landmarks, .. } = self.posed;
+        let moves = |joint| !landmarks.completion.is_some_and(|completion| completion.hides(index, joint));
+        self.derivatives(landmark, self.posed.observed_skeleton(), moves)
+    }
+
+    fn derivatives(
+        &self,
+        landmark: usize,
+        skeleton: &PosedSkeleton,
+        moves: impl Fn(usize) -> bool,
+    ) -> LandmarkJacobian {
+        let PosedFrame { body, landmarks: Landmarks { model, border, moving, .. }, .. } = &self.posed;
         let by_rotation =
             |&(group, joint): &(usize, usize)| (group, landmark_by_rotation(model, body, skeleton, landmark, joint));
         let by_translation = std::iter::once((TRANSLATION_GROUP, Matrix3::identity()));
+        let moving = moving[landmark].iter().filter(|(_, joint)| moves(*joint));
         LandmarkJacobian {
-            by_frame: by_translation.chain(moving[landmark].iter().map(by_rotation)).collect(),
+            by_frame: by_translation.chain(moving.map(by_rotation)).collect(),
             by_border: BorderJacobian::new(border, model, landmark, skeleton, self.joint_directions.as_ref()),
         }
     }

@@ -12,54 +12,70 @@ use crate::residuals::pose_likelihood::{PoseWeights, pose_cost, pose_derivatives
 
 /// The motion prior's Gaussian over the rotations of the free joints, in the body's own skeleton.
 pub(crate) struct PosePrior {
-    poses: PoseGaussian,
-    /// Group of each of the Gaussian's joints.
-    groups: Vec<usize>,
+    /// The Gaussian over all of its joints, then its marginals.
+    gaussians: Vec<Marginal>,
+    /// Which of them each frame has; the first where this is shorter.
+    of_frame: Vec<usize>,
     weights: PoseWeights,
-    /// Frames that it leaves to other terms; none where it is shorter.
-    left_out: Vec<bool>,
+}
+
+/// The Gaussian over some joints.
+struct Marginal {
+    poses: PoseGaussian,
+    /// Group of each of its joints.
+    groups: Vec<usize>,
 }
 
 impl PosePrior {
-    pub(crate) fn new(model: &BodyModel, config: &BodyFitConfig, unknowns: &Unknowns) -> Self {
-        let mocap = PoseGaussian::over(MotionPrior::embedded().basis(), &unknowns.joints);
-        let poses = mocap.retargeted_to(&model.mocap_from_body);
-        let groups = poses.joints.iter().filter_map(|&joint| unknowns.group(joint)).collect();
-        Self { poses, groups, weights: config.pose_weights, left_out: Vec::new() }
-    }
-
-    /// The same without the frames in which the motion prior completes joints: likely single poses would draw them from the
-    /// motion's course to the mean pose.
-    pub(crate) fn without(self, left_out: Vec<bool>) -> Self {
-        Self { left_out, ..self }
-    }
-
-    fn leaves_out(&self, frame: usize) -> bool {
-        self.left_out.get(frame).is_some_and(|left_out| *left_out)
+    /// `completed`: by frame the joints that the motion prior completes, to which the Gaussian over the others is indifferent:
+    /// likely single poses would draw them from the motion's course to the mean pose.
+    pub(crate) fn new(
+        model: &BodyModel,
+        config: &BodyFitConfig,
+        unknowns: &Unknowns,
+        completed: &[Vec<usize>],
+    ) -> Self {
+        let without = |left_out: &[usize]| {
+            let joints: Vec<usize> =
+                unknowns.joints.iter().copied().filter(|joint| !left_out.contains(joint)).collect();
+            let poses =
+                PoseGaussian::over(MotionPrior::embedded().basis(), &joints).retargeted_to(&model.mocap_from_body);
+            let groups = poses.joints.iter().filter_map(|&joint| unknowns.group(joint)).collect();
+            Marginal { poses, groups }
+        };
+        let mut left_out: Vec<&[usize]> = vec![&[]];
+        let mut of_frame = Vec::with_capacity(completed.len());
+        for joints in completed {
+            let known = left_out.iter().position(|known| known == joints);
+            of_frame.push(known.unwrap_or(left_out.len()));
+            left_out.extend(known.is_none().then_some(joints.as_slice()));
+        }
+        Self { gaussians: left_out.into_iter().map(without).collect(), of_frame, weights: config.pose_weights }
     }
 
     /// The joints that it describes.
     pub(crate) fn joints(&self) -> &[usize] {
-        &self.poses.joints
+        &self.gaussians[0].poses.joints
+    }
+
+    /// The Gaussian of a frame; `None` where all of its joints are completed.
+    fn at(&self, frame: usize) -> Option<&Marginal> {
+        let marginal = &self.gaussians[self.of_frame.get(frame).copied().unwrap_or(0)];
+        (!marginal.groups.is_empty()).then_some(marginal)
     }
 }
 
 impl FrameTerm for PosePrior {
     fn cost(&self, frame: &PosedFrame) -> f64 {
-        if self.leaves_out(frame.index) {
-            return 0.0;
-        }
-        pose_cost(&frame.pose.rotations, &self.poses, &self.weights)
+        self.at(frame.index).map_or(0.0, |own| pose_cost(&frame.pose.rotations, &own.poses, &self.weights))
     }
 
     fn add_to(&self, frame: &LinearisedFrame, system: &mut FramePanel, _: &mut Corner) {
-        if self.leaves_out(frame.posed.index) {
-            return;
-        }
-        let found = pose_derivatives(&frame.posed.pose.rotations, &self.poses, &self.weights);
-        for (i, &row) in self.groups.iter().enumerate() {
+        let Some(Marginal { poses, groups }) = self.at(frame.posed.index) else { return };
+        let found = pose_derivatives(&frame.posed.pose.rotations, poses, &self.weights);
+        for (i, &row) in groups.iter().enumerate() {
             system.add_gradient(3 * row, &found.gradient.fixed_rows::<3>(3 * i).into_owned());
-            for (k, &column) in self.groups.iter().enumerate().take(i + 1) {
+            for (k, &column) in groups.iter().enumerate().take(i + 1) {
                 system.add_own(3 * row, 3 * column, &found.hessian.fixed_view::<3, 3>(3 * i, 3 * k).into_owned());
             }
         }

@@ -1,9 +1,9 @@
 //! The shared check of the terms: gradient against central differences of the cost, each term alone and all together.
 
 use super::super::capsule_overlaps::CapsuleBody;
+use super::super::completed_joints::GapCompletion;
 use super::super::config::BodyFitConfig;
 use super::super::context::FitContext;
-use super::super::gap_completion::GapCompletion;
 use super::super::motion_problem::MotionProblem;
 use super::super::objective::Objective;
 use super::super::observations::{Observations, PixelObservation, PointObservation, PosedCamera};
@@ -204,13 +204,28 @@ fn gradient_of_completed_joints_matches_differences() {
         let mean = rotation::exp(&Vector3::new(0.1, wave(joint), 0.2));
         (joint, RotationGaussian { mean, precision: factor.tr_mul(&factor) })
     };
-    let of_frame = |t: usize| if t.is_multiple_of(2) { vec![completed(4), completed(16)] } else { Vec::new() };
+    let of_frame =
+        |t: usize| if t.is_multiple_of(2) { vec![completed(3), completed(4), completed(16)] } else { Vec::new() };
     let gaps = GapCompletion { frames: (0..N_FRAMES).map(of_frame).collect() };
-    let objective = fixture.objective(&fixture.model, DataSource::Points { sigma: 0.5 }, Shape::Held);
-    let mut problem = Objective { completion: Some(&gaps), ..objective }.problem();
-    let last = problem.frame_terms.len() - 1;
-    keep(&mut problem, Some(last));
-    assert_gradient_of(&problem, &fixture.state, |step| problem.cost(&problem.moved(&fixture.state, step)));
+    let problem = || {
+        let objective = fixture.objective(&fixture.model, DataSource::Points { sigma: 0.5 }, Shape::Held);
+        Objective { completion: Some(&gaps), ..objective }.problem()
+    };
+    // Observed landmarks; at the end the likely poses of the other joints, and the completed ones.
+    let n_terms = problem().frame_terms.len();
+    for term in [0, n_terms - 2, n_terms - 1] {
+        let mut problem = problem();
+        keep(&mut problem, Some(term));
+        assert_gradient_of(&problem, &fixture.state, |step| problem.cost(&problem.moved(&fixture.state, step)));
+    }
+    // A hidden arm turned to where the detector's errors at its shoulder were smallest.
+    let mut observed = problem();
+    keep(&mut observed, Some(0));
+    let mut turned = MotionState { betas: fixture.state.betas, poses: fixture.state.poses.clone() };
+    turned.poses[0].rotations[16] *= rotation::exp(&Vector3::new(0.3, -0.2, 0.5));
+    assert_eq!(observed.cost(&turned), observed.cost(&fixture.state));
+    turned.poses[1].rotations[16] *= rotation::exp(&Vector3::new(0.3, -0.2, 0.5));
+    assert_ne!(observed.cost(&turned), observed.cost(&fixture.state));
 }
 
 #[test]

@@ -1,0 +1,51 @@
+//! The joints of a window that the motion prior completes.
+
+use super::terms::unknowns::MotionState;
+use crate::body::kinematics::Pose;
+use crate::residuals::rotation_likelihood::RotationGaussian;
+
+/// Joints of the spine. Keypoints of the trunk turn with them, also where they are completed.
+pub(super) const SPINE: [usize; 3] = [3, 6, 9];
+
+/// What the motion prior states about the unseen joints of a window.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct GapCompletion {
+    /// By frame: joint, and the Gaussian over its rotation on the body.
+    pub frames: Vec<Vec<(usize, RotationGaussian)>>,
+}
+
+impl GapCompletion {
+    /// The motion with the mean rotations of the completed joints.
+    pub(super) fn applied_to(&self, mut state: MotionState) -> MotionState {
+        for (frame, pose) in state.poses.iter_mut().enumerate() {
+            *pose = self.completed(frame, pose).unwrap_or(*pose);
+        }
+        state
+    }
+
+    /// A frame's pose with the mean rotations of the completed joints; `None` without such joints.
+    pub(crate) fn completed(&self, frame: usize, pose: &Pose) -> Option<Pose> {
+        let joints = self.frames.get(frame).filter(|joints| !joints.is_empty())?;
+        let mut completed = *pose;
+        joints.iter().for_each(|(joint, gaussian)| completed.rotations[*joint] = gaussian.mean);
+        Some(completed)
+    }
+
+    /// A frame's pose with the mean rotations of the joints that no keypoint shows; `None` without such joints.
+    pub(crate) fn with_hidden(&self, frame: usize, pose: &Pose) -> Option<Pose> {
+        let mut completed = self.completed(frame, pose)?;
+        SPINE.into_iter().for_each(|joint| completed.rotations[joint] = pose.rotations[joint]);
+        Some(completed)
+    }
+
+    /// Whether no keypoint shows a joint in a frame.
+    pub(crate) fn hides(&self, frame: usize, joint: usize) -> bool {
+        let is_completed = |joints: &Vec<(usize, _)>| joints.iter().any(|(completed, _)| *completed == joint);
+        !SPINE.contains(&joint) && self.frames.get(frame).is_some_and(is_completed)
+    }
+
+    /// By frame: the completed joints.
+    pub(super) fn completed_joints(&self) -> Vec<Vec<usize>> {
+        self.frames.iter().map(|joints| joints.iter().map(|(joint, _)| *joint).collect()).collect()
+    }
+}
