@@ -95,8 +95,10 @@ async fn usage(
 ) -> Result<Option<Usage>, StoreError> {
     let lock = if store.is_shared() { "FOR UPDATE" } else { "" };
     let all = counters_of_all(store);
+    // An index of the tenants with waiting jobs; a row of the totals may be negative.
+    let some = if store.is_shared() { "" } else { "WHERE n_queued > 0" };
     let row = format!(
-        "SELECT n_queued, (SELECT CAST(coalesce(sum(n_queued), 0) AS BIGINT) FROM {all} WHERE n_queued <> 0), stored_bytes
+        "SELECT n_queued, (SELECT CAST(coalesce(sum(n_queued), 0) AS BIGINT) FROM {all} {some}), stored_bytes
          FROM tenants WHERE name = $1 {lock}"
     );
     let row = sqlx::query_as(AssertSqlSafe(row)).bind(tenant.name()); // the text is our own
