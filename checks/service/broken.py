@@ -7,7 +7,7 @@ import threading
 import time
 
 from cluster import Cluster, wait_for
-from harness import require, take, until, wandless
+from harness import faketime_library, require, take, until, wandless
 from proxies import PostgresProxy, StoreProxy
 from states import FIXED, all_final, check_objects, final_states
 
@@ -90,14 +90,15 @@ def submit_quietly(client, session):
 
 def wrong_clocks(options):
     """Nodes whose clocks are an hour or ten years off: no job is put back, and the order of the jobs is kept."""
-    if not shutil.which("faketime"):
+    library = faketime_library()
+    if not library:
         print("SKIPPED: clocks that are off, because faketime is not installed", flush=True)
         return "skipped"
     cluster = Cluster(options.program, None, beat_s=0.3, lease_s=1.5)  # a store with signed requests refuses such clocks
     try:
         api = cluster.node("api").client()
         for shift in ("+1h", "-1h", "+10y"):
-            node = cluster.node("all", prefix=["faketime", "-f", shift], DONT_FAKE_MONOTONIC="1", FAKETIME_DONT_FAKE_MONOTONIC="1")
+            node = cluster.node("all", LD_PRELOAD=library, FAKETIME=shift, FAKETIME_DONT_FAKE_MONOTONIC="1")
             require(node.process.poll() is None, "a node with another clock does not start")
         session = api.upload(take(30))["id"]
         jobs = [api.submit(session, FIXED)["id"] for _ in range(9)]

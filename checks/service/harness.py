@@ -1,6 +1,7 @@
 """Shared parts of the service checks: a service under test, small sessions, and a list of found faults."""
 
 import argparse
+import glob
 import hashlib
 import http.client
 import json
@@ -33,6 +34,11 @@ def arguments(description, **counts):
     found = parser.parse_args()
     print(f"seed {found.seed}", flush=True)
     return found
+
+
+def faketime_library():
+    """The library that shifts the clock of a program, to be preloaded; None where it is not installed."""
+    return next(iter(glob.glob("/usr/lib/*/faketime/libfaketime.so.1")), None)
 
 
 def take(n_frames=10, n_cameras=2, seed=0):

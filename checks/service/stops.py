@@ -7,7 +7,6 @@ The full disk needs permission to mount a tmpfs, the clock changes need `faketim
 with a message. `--only NAME` runs one check.
 """
 
-import glob
 import os
 import random
 import shutil
@@ -19,7 +18,7 @@ import tempfile
 import threading
 import time
 
-from harness import Faults, Service, arguments, take, until, wandless
+from harness import Faults, Service, arguments, faketime_library, take, until, wandless
 
 LONG = 4000
 
@@ -271,7 +270,7 @@ JUMPS = ("+1h", "-1h", "+10y", "-5y", "+0")
 
 def clocks(args, faults):
     """B4: the wall clock jumps while jobs are queued and running, and between two starts."""
-    library = next(iter(glob.glob("/usr/lib/*/faketime/libfaketime.so.1")), None)
+    library = faketime_library()
     if not library:
         print("B4: SKIPPED, faketime is not installed")
         return

@@ -26,16 +26,18 @@ impl RealRoots {
 
 /// All real roots of `sum_i coefficients[i] x^i`: those within [-1, 1] ascending, then the others ascending in `1 / x`.
 ///
-/// Between two neighbouring critical points a polynomial is monotone, so the roots of every derivative bracket those
-/// of the one before. Roots beyond 1 are reciprocals of roots of the reversed polynomial; all arithmetic stays
-/// on [-1, 1], where powers do not overflow. Coefficients beyond [`MAX_DEGREE`] are not read.
+/// Roots are isolated by the signs of Bernstein coefficients (Lane and Riesenfeld, "Bounds on a polynomial", BIT 21, 1981):
+/// a piece of the interval without a change of sign has no root, one with a single change has one; others are divided.
+/// Roots beyond 1 are reciprocals of roots of the reversed polynomial; all arithmetic stays on [-1, 1], where powers do not
+/// overflow. Coefficients beyond [`MAX_DEGREE`] are not read.
 ///
-/// Two roots that rounding cannot separate are returned as one root or as two equal ones.
+/// Two roots that rounding cannot separate, 1e-8 apart, are returned as one root or as two within that distance.
 pub fn real_roots(coefficients: &[f64]) -> RealRoots {
-    let degree = coefficients.len().saturating_sub(1).min(MAX_DEGREE);
-    let mut polynomial = Polynomial { coefficients: [0.0; MAX_DEGREE + 1], degree };
     let used = coefficients.len().min(MAX_DEGREE + 1);
-    polynomial.coefficients[..used].copy_from_slice(&coefficients[..used]);
+    // A leading zero would be a root of the reversed polynomial at zero.
+    let Some(degree) = coefficients[..used].iter().rposition(|c| *c != 0.0) else { return RealRoots::default() };
+    let mut polynomial = Polynomial { coefficients: [0.0; MAX_DEGREE + 1], degree };
+    polynomial.coefficients[..=degree].copy_from_slice(&coefficients[..=degree]);
 
     let mut roots = RealRoots::default();
     for &x in polynomial.roots_near_unit_interval().as_slice() {
@@ -55,61 +57,117 @@ pub fn real_roots(coefficients: &[f64]) -> RealRoots {
 /// End of the searched interval, a little beyond 1: a root at exactly 1 still changes the sign.
 const END: f64 = 1.0 + 1e-9;
 
-/// An extremum is a double root where its value is below this share of the sum of all absolute coefficients.
+/// A piece with two changes of sign has a double root where it is below this share of the sum of all absolute coefficients.
 const DOUBLE_ROOT_TOLERANCE: f64 = 1e-13;
+
+/// Share of a piece at which it is divided: round numbers, where double roots of exact input lie, should lie within pieces.
+const SPLIT: f64 = 0.48;
+
+/// Most divisions of the interval; it is then 1e-9 wide, and two roots in it are equal to rounding.
+const MAX_DIVISIONS: usize = 32;
+
+/// Bernstein coefficients of powers: `x^i = sum_j BERNSTEIN[n][i][j] B_j^n((x + 1) / 2)`, the mean product of i of n numbers of which
+/// j are 1 and the others -1.
+const BERNSTEIN: [[[f64; MAX_DEGREE + 1]; MAX_DEGREE + 1]; MAX_DEGREE + 1] = bernstein_of_powers();
+
+const fn bernstein_of_powers() -> [[[f64; MAX_DEGREE + 1]; MAX_DEGREE + 1]; MAX_DEGREE + 1] {
+    let mut table = [[[0.0; MAX_DEGREE + 1]; MAX_DEGREE + 1]; MAX_DEGREE + 1];
+    let mut n = 0;
+    while n <= MAX_DEGREE {
+        let mut j = 0;
+        while j <= n {
+            // (1 + s)^j (1 - s)^(n - j): its i-th coefficient is the sum of the products, of which there are n over i.
+            let mut sums = [0.0; MAX_DEGREE + 1];
+            sums[0] = 1.0;
+            let mut factor = 0;
+            while factor < n {
+                let sign = if factor < j { 1.0 } else { -1.0 };
+                let mut i = factor + 1;
+                while i > 0 {
+                    sums[i] += sign * sums[i - 1];
+                    i -= 1;
+                }
+                factor += 1;
+            }
+            let (mut i, mut binomial) = (0, 1.0);
+            while i <= n {
+                table[n][i][j] = sums[i] / binomial;
+                binomial *= (n - i) as f64 / (i + 1) as f64;
+                i += 1;
+            }
+            j += 1;
+        }
+        n += 1;
+    }
+    table
+}
 
 struct Polynomial {
     coefficients: [f64; MAX_DEGREE + 1],
     degree: usize,
 }
 
-impl Polynomial {
-    fn value(&self, x: f64) -> f64 {
-        self.coefficients[..=self.degree].iter().rev().fold(0.0, |sum, c| sum * x + c)
-    }
+/// A polynomial on a piece of the interval.
+#[derive(Clone, Copy, Default)]
+struct Piece {
+    bernstein: [f64; MAX_DEGREE + 1],
+    low: f64,
+    high: f64,
+    divisions: usize,
+}
 
+impl Polynomial {
     fn value_and_slope(&self, x: f64) -> (f64, f64) {
         self.coefficients[..=self.degree].iter().rev().fold((0.0, 0.0), |(f, d), c| (f * x + c, d * x + f))
     }
 
-    /// The `order`-th derivative divided by `order!`, which keeps the coefficients small.
-    fn scaled_derivative(&self, order: usize) -> Polynomial {
-        let mut derivative = Polynomial { coefficients: [0.0; MAX_DEGREE + 1], degree: self.degree - order };
-        let mut binomial = 1.0; // (i + order) over order
-        for i in 0..=derivative.degree {
-            derivative.coefficients[i] = binomial * self.coefficients[i + order];
-            binomial *= (i + order + 1) as f64 / (i + 1) as f64;
-        }
-        derivative
-    }
-
     fn roots_near_unit_interval(&self) -> RealRoots {
         let mut roots = RealRoots::default();
-        for order in (0..self.degree).rev() {
-            roots = self.scaled_derivative(order).roots_between(&roots, order == 0);
+        let zero = DOUBLE_ROOT_TOLERANCE * self.coefficients[..=self.degree].iter().map(|c| c.abs()).sum::<f64>();
+        let mut pieces = [Piece::default(); MAX_DIVISIONS + 2];
+        pieces[0] = self.whole();
+        let mut waiting = 1;
+        while waiting > 0 {
+            waiting -= 1;
+            let piece = pieces[waiting];
+            let bernstein = &piece.bernstein[..=self.degree];
+            // A root where two pieces meet; parts of the right one begin with it again.
+            if bernstein[0] == 0.0 && piece.divisions > 0 && roots.as_slice().last() != Some(&piece.low) {
+                roots.push(piece.low);
+            }
+            match sign_changes(bernstein) {
+                0 => {}
+                1 => roots.push(self.root_within(&piece)),
+                _ if piece.divisions == MAX_DIVISIONS || bernstein.iter().all(|b| b.abs() < zero) => {
+                    roots.push(self.extremum_within(&piece));
+                }
+                _ => {
+                    let [left, right] = piece.parts(self.degree);
+                    pieces[waiting] = right;
+                    pieces[waiting + 1] = left;
+                    waiting += 2;
+                }
+            }
         }
         roots
     }
 
-    /// One root per sign change between neighbouring critical points.
-    fn roots_between(&self, critical: &RealRoots, keep_double: bool) -> RealRoots {
-        let mut roots = RealRoots::default();
-        let scale: f64 = self.coefficients[..=self.degree].iter().map(|c| c.abs()).sum();
-        let (mut low, mut low_value) = (-END, self.value(-END));
-        for &high in critical.as_slice().iter().chain(&[END]) {
-            let high_value = self.value(high);
-            if (low_value < 0.0) != (high_value < 0.0) {
-                roots.push(self.root_within(low, high, low_value < 0.0));
-            } else if keep_double && high < END && high_value.abs() < DOUBLE_ROOT_TOLERANCE * scale {
-                roots.push(high);
+    fn whole(&self) -> Piece {
+        let mut whole = Piece { low: -END, high: END, ..Piece::default() };
+        let mut power = 1.0;
+        for (c, of_power) in self.coefficients[..=self.degree].iter().zip(&BERNSTEIN[self.degree]) {
+            for (sum, b) in whole.bernstein.iter_mut().zip(of_power) {
+                *sum += c * power * b;
             }
-            (low, low_value) = (high, high_value);
+            power *= END;
         }
-        roots
+        whole
     }
 
     /// Newton's method, kept inside a bracket by bisection.
-    fn root_within(&self, mut low: f64, mut high: f64, rising: bool) -> f64 {
+    fn root_within(&self, piece: &Piece) -> f64 {
+        let (mut low, mut high) = (piece.low, piece.high);
+        let rising = piece.bernstein.iter().find(|b| **b != 0.0).is_some_and(|b| *b < 0.0);
         let mut x = 0.5 * (low + high);
         for _ in 0..100 {
             let (value, slope) = self.value_and_slope(x);
@@ -128,6 +186,40 @@ impl Polynomial {
         }
         x
     }
+
+    /// The extremum in a piece that is too small to tell two roots apart. The slope is linear there.
+    fn extremum_within(&self, piece: &Piece) -> f64 {
+        let [low, high] = [piece.low, piece.high].map(|x| self.value_and_slope(x).1);
+        let share = if low == high { 0.5 } else { (low / (low - high)).clamp(0.0, 1.0) };
+        piece.low + share * (piece.high - piece.low)
+    }
+}
+
+impl Piece {
+    /// De Casteljau's subdivision.
+    fn parts(&self, degree: usize) -> [Piece; 2] {
+        let middle = self.low + SPLIT * (self.high - self.low);
+        let divisions = self.divisions + 1;
+        let mut left = Piece { low: self.low, high: middle, divisions, ..Piece::default() };
+        let mut right = Piece { low: middle, high: self.high, divisions, ..*self };
+        for level in 0..=degree {
+            left.bernstein[level] = right.bernstein[0];
+            for i in 0..degree - level {
+                right.bernstein[i] += SPLIT * (right.bernstein[i + 1] - right.bernstein[i]);
+            }
+        }
+        [left, right]
+    }
+}
+
+/// Changes of sign in a sequence, zeros left out.
+fn sign_changes(values: &[f64]) -> usize {
+    let (mut changes, mut last) = (0, 0.0);
+    for &value in values.iter().filter(|value| **value != 0.0) {
+        changes += usize::from(value * last < 0.0);
+        last = value.signum();
+    }
+    changes
 }
 
 #[cfg(test)]
@@ -164,8 +256,12 @@ mod tests {
         assert_roots(&[-6.0, 1.0, 1.0], &[-3.0, 2.0]);
         assert_roots(&[1.0, 0.0, 1.0], &[]);
         assert_roots(&[-1.0, 0.0, 1.0], &[-1.0, 1.0]);
-        assert_roots(&[0.25, -1.0, 1.0], &[0.5]); // double
         assert_roots(&[-3.0, 2.0, 0.0, 0.0], &[1.5]); // leading zeros
+        for double in [0.5, 0.3, -0.7, 0.0, 4.0] {
+            let found = sorted(real_roots(&[double * double, -2.0 * double, 1.0]));
+            assert!((1..=2).contains(&found.len()), "{double}: {found:?}");
+            assert!(found.iter().all(|root| (root - double).abs() < 2e-8 * (1.0 + double.abs())), "{found:?}");
+        }
         assert_eq!(real_roots(&[]).as_slice().len() + real_roots(&[1.0]).as_slice().len(), 0);
     }
 

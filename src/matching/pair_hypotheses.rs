@@ -30,6 +30,8 @@ pub struct HypothesisConfig {
     pub n_unions: usize,
     /// Number of hypotheses that are re-fitted on all detections that match under them.
     pub n_refits: usize,
+    /// Most point pairs of one re-fit, evenly spread over the frames: four times those of a fit.
+    pub max_refit_points: usize,
     /// Number of hypotheses kept for a pair of views.
     pub n_kept: usize,
 }
@@ -45,6 +47,7 @@ impl Default for HypothesisConfig {
             iterations: 150,
             n_unions: 24,
             n_refits: 14,
+            max_refit_points: 600,
             n_kept: 6,
         }
     }
@@ -174,7 +177,7 @@ fn refit(pair: &CameraPair, hypothesis: &PairHypothesis, config: &HypothesisConf
     let mut pose = hypothesis.second_from_first;
     for radius in [VOTE_RADIUS, config.tolerance] {
         let (matches, _) = vote(&pair.observations, &essential_from_pose(&pose));
-        let points = matched_points(&matches);
+        let points = evenly_spread(matched_points(&matches), config.max_refit_points);
         if points.len() < MIN_REFIT_POINTS {
             break;
         }
@@ -192,6 +195,12 @@ fn matched_points(matches: &[MatchedPair]) -> PointPairs {
         points.extend(seen.map(|k| (m.first.normalized[k], m.second.normalized[k])));
     }
     points
+}
+
+/// At most `n` of some pairs.
+fn evenly_spread(points: PointPairs, n: usize) -> PointPairs {
+    let stride = points.len().div_ceil(n).max(1);
+    points.into_iter().step_by(stride).collect()
 }
 
 fn sort_best_first(hypotheses: &mut [PairHypothesis]) {

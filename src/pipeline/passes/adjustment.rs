@@ -5,6 +5,7 @@ use crate::geometry::Rigid;
 use crate::optim::robust::median;
 use crate::pipeline::calibration::{Adjusted, Calibration, CameraFreedom};
 use crate::pipeline::capture::Capture;
+use crate::pipeline::config::Options;
 use crate::pipeline::stages::association::associate;
 use crate::pipeline::stages::bundle_adjustment::adjust;
 use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput, Bone};
@@ -44,6 +45,9 @@ impl Effort {
     /// block must span several such times.
     pub const FINAL: Self =
         Self { max_keyframes: 500, relative_decrease: 1e-6, uncertainty_block_secs: Some(2.0), ..Self::TRIAL };
+    /// For cameras that are adjusted once more together with the bodies: on fifteen captures of all presets and Shelf their angles
+    /// are then within 1 % of those after [`Self::FINAL`], errors of joints within 0.1 %, in 7 % less time of the whole solve.
+    const BEFORE_BODIES: Self = Self { max_keyframes: 250, relative_decrease: 1e-4, ..Self::FINAL };
     /// With delays: only moving points show them, and there are fewer of those.
     pub const DELAYS: Self = Self { max_keyframes: 1500, relative_decrease: 1e-5, refine_delays: true, ..Self::FINAL };
     /// With focal lengths: a focal length trades against distance, so convergence is slow and matters.
@@ -52,6 +56,11 @@ impl Effort {
     pub const UNKNOWN_FOCAL: Self = Self { focal_sigma: Some(UNKNOWN_ANGLE), relative_decrease: 1e-4, ..Self::TRIAL };
     /// See [`Self::UNKNOWN_FOCAL`].
     pub const LAST_UNKNOWN_FOCAL: Self = Self { focal_sigma: Some(UNKNOWN_ANGLE), ..Self::FINAL };
+
+    /// For the last adjustment of cameras and points.
+    pub fn last(options: &Options) -> Self {
+        if options.adjust_with_bodies { Self::BEFORE_BODIES } else { Self::FINAL }
+    }
 }
 
 /// A guessed angle of view. How far the focal lengths really are off is decided afterwards.

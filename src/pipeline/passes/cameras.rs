@@ -20,7 +20,7 @@ const TRIAL_SHARE: f64 = 0.5;
 /// third in none.
 const N_ROUNDS: usize = 2;
 
-/// Where the final bundle adjustment runs, [`Effort::FINAL`].
+/// Where the final bundle adjustment runs, [`Effort::last`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FinalAdjustment {
     /// At the end of this pass, on the detections as given.
@@ -40,7 +40,8 @@ pub fn calibrated(capture: &Capture, last: FinalAdjustment, progress: &Progress)
     };
     match last {
         FinalAdjustment::Here => {
-            adjusted_and_associated(capture, calibration, Effort::FINAL, &steps.begin("adjusting cameras"))
+            let effort = Effort::last(capture.options);
+            adjusted_and_associated(capture, calibration, effort, &steps.begin("adjusting cameras"))
         }
         FinalAdjustment::Elsewhere => Ok(calibration),
     }

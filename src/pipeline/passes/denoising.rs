@@ -74,7 +74,8 @@ pub fn denoised_capture(
     match freedom {
         CameraFreedom::Adjusted => {
             let step = steps.begin("adjusting cameras to the repaired detections");
-            calibration = adjusted_and_associated(&repaired_capture, calibration, Effort::FINAL, &step)?;
+            let effort = Effort::last(capture.options);
+            calibration = adjusted_and_associated(&repaired_capture, calibration, effort, &step)?;
         }
         CameraFreedom::Held => {
             let step = steps.begin("re-associating detections");

@@ -44,6 +44,9 @@ pub(super) const BONE_SIGMA: f64 = 0.01;
 /// A step of less than a tenth of a standard deviation is the last: the next would be a hundredth.
 const STOPPING: Stopping = Stopping { max_iterations: 8, min_decrease: 0.5, min_sigmas: 0.1 };
 
+/// In a round that another follows, under errors that are measured anew.
+const ROUND_STOPPING: Stopping = Stopping { min_sigmas: 0.3, ..STOPPING };
+
 /// Fewest frames of one person.
 const MIN_FRAMES: usize = 60;
 
@@ -127,7 +130,8 @@ fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Refined, Cance
     let slow = |noise: &PathNoise| noise.typical().autocorrelation;
     let n_rounds = context.config.camera_rounds;
     for round in 1..=n_rounds {
-        problem(context, &table, &noise, Some(&priors)).minimised(members, Vec::new(), &STOPPING)?;
+        let stopping = if round < n_rounds { &ROUND_STOPPING } else { &STOPPING };
+        problem(context, &table, &noise, Some(&priors)).minimised(members, Vec::new(), stopping)?;
         if round < n_rounds {
             if let Some((_, likeliest)) =
                 refined_focal(&problem(context, &table, &noise, Some(&priors)), members, slow(&noise))

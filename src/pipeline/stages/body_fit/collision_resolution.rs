@@ -5,7 +5,7 @@
 
 use super::capsule_overlaps::{BodyOverlap, CapsuleBody, CapsuleOverlap, REACH};
 use super::context::FitContext;
-use super::local_fit::{refitted, runs_around};
+use super::local_fit::{Refitted, refitted, runs_around};
 use super::person_motion::PersonFit;
 use super::terms::collision::Collisions;
 use super::terms::unknowns::MotionState;
@@ -15,6 +15,7 @@ use crate::body::skeleton::JOINT_NAMES;
 use crate::progress::Canceled;
 use crate::session::reconstruction::{Overlap, PenetrationReport};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Each round halves the overlaps that the observations do not hold in place; more rounds change less than a millimetre.
 const ROUNDS: usize = 6;
@@ -22,6 +23,9 @@ const ROUNDS: usize = 6;
 const STEPS: usize = 3;
 /// Overlaps up to this depth are errors of the capsules against the skin, m.
 const TOLERATED: f64 = 0.01;
+/// An overlap that a person's observations hold in place is tried again once the other person has moved out of a quarter of it:
+/// the other's first step leaves half, and what is left of that answers again as it did.
+const TRIED_AGAIN: f64 = 0.75;
 
 /// Moves overlapping persons apart if `resolve`, and reports the depth of overlaps before and after. `first_frame`: number of
 /// the session's first frame.
@@ -38,20 +42,30 @@ pub(super) fn resolve_collisions(
     let mut found = overlaps(context.model, &capsules, people, first_frame);
     let deepest_before = found.deepest.clone();
     let before: Vec<MotionState> = people.iter().map(|person| person.fitted.state.clone()).collect();
+    // By person and frame the depth at which the observations last held an overlap in place, m.
+    let mut held: Vec<Vec<f64>> = found.depths.iter().map(|depths| vec![f64::INFINITY; depths.len()]).collect();
     for _ in 0..if resolve { ROUNDS } else { 0 } {
-        if found.deepest.as_ref().is_none_or(|overlap| 1e-3 * overlap.depth_mm <= TOLERATED) {
+        let needs_change = |(depth, held): (&f64, &f64)| *depth > TOLERATED && *depth <= TRIED_AGAIN * held;
+        let runs_of =
+            |(depths, held): (&Vec<f64>, &Vec<f64>)| runs_around(context, depths.iter().zip(held).map(needs_change));
+        let runs: Vec<Vec<Range<usize>>> = found.depths.iter().zip(&held).map(runs_of).collect();
+        if runs.iter().all(Vec::is_empty) {
             break;
         }
-        let resolved = |(k, person): (usize, &PersonFit)| {
+        let resolved = |(k, (person, runs)): (usize, (&PersonFit, Vec<Range<usize>>))| {
             let collisions =
                 Collisions { capsules: &capsules, by_frame: &found.by_frame[k], sigma: context.config.overlap_sigma };
-            let runs = runs_around(context, found.depths[k].iter().map(|depth| *depth > TOLERATED));
             let state = person.fitted.state.clone();
             refitted(context, &person.observations, &before[k], state, runs, STEPS, collisions)
         };
-        let states: Vec<MotionState> =
-            people.par_iter().enumerate().map(resolved).collect::<Result<Vec<_>, Canceled>>()?;
-        people.iter_mut().zip(states).for_each(|(person, state)| person.fitted.state = state);
+        let resolved: Vec<Refitted> =
+            people.par_iter().zip(runs).enumerate().map(resolved).collect::<Result<_, Canceled>>()?;
+        for (k, Refitted { state, rejected }) in resolved.into_iter().enumerate() {
+            people[k].fitted.state = state;
+            for t in rejected.into_iter().flatten().filter(|&t| found.depths[k][t] > TOLERATED) {
+                held[k][t] = found.depths[k][t];
+            }
+        }
         found = overlaps(context.model, &capsules, people, first_frame);
     }
     let n_frames = |depths: &Vec<f64>| depths.iter().filter(|depth| **depth > TOLERATED).count();

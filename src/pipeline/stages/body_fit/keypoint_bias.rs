@@ -25,8 +25,9 @@ pub(super) struct EstimatedBias {
     pub report: KeypointBias,
 }
 
-/// A step that lowers the cost by less than half a unit, which is negligible, is the last.
-const STOPPING: Stopping = Stopping { max_iterations: 7, min_decrease: 0.5, min_sigmas: 0.0 };
+/// A step that lowers the cost by less than half a unit, which is negligible, or of less than a third of a standard deviation is the
+/// last: the evidence is taken from one linearisation, which holds over such distances.
+const STOPPING: Stopping = Stopping { max_iterations: 7, min_decrease: 0.5, min_sigmas: 0.3 };
 
 /// Fewest frames of all persons that are left by thinning: 80 numbers are estimated.
 const MIN_LEFT: usize = 100;

@@ -24,6 +24,13 @@ pub(super) fn runs_around(context: &FitContext, needs_change: impl Iterator<Item
     runs(&needs_change.collect::<Vec<_>>(), approach.max(HELD + 1), context.config.window_frames)
 }
 
+/// A motion whose runs were fitted again.
+pub(super) struct Refitted {
+    pub state: MotionState,
+    /// The runs that the observations ruled out, which are as before.
+    pub rejected: Vec<Range<usize>>,
+}
+
 /// A motion with its runs fitted again to pixels and against collisions, shape held, `steps` steps each. A run is rejected
 /// where this raises the other terms too much over those of `before`, the motion fitted without collisions.
 pub(super) fn refitted(
@@ -34,8 +41,9 @@ pub(super) fn refitted(
     runs: Vec<Range<usize>>,
     steps: usize,
     collisions: Collisions,
-) -> Result<MotionState, Canceled> {
+) -> Result<Refitted, Canceled> {
     let mut system = context.systems.take();
+    let mut rejected = Vec::new();
     for run in runs {
         let (observations, collisions) = (observations.slice(run.clone()), collisions.slice(run.clone()));
         let start = MotionState { betas: state.betas, poses: state.poses[run.clone()].to_vec() };
@@ -52,12 +60,13 @@ pub(super) fn refitted(
         let before = MotionState { betas: before.betas, poses: before.poses[run.clone()].to_vec() };
         let others = alone.problem();
         let increase = others.cost(&moved) - others.cost(&before);
-        if !is_rejected(context, increase, collisions.n_frames_with_overlap() as f64 * alone.time_weight()) {
-            state.poses[run].copy_from_slice(&moved.poses);
+        match is_rejected(context, increase, collisions.n_frames_with_overlap() as f64 * alone.time_weight()) {
+            true => rejected.push(run),
+            false => state.poses[run].copy_from_slice(&moved.poses),
         }
     }
     context.systems.put_back([system]);
-    Ok(state)
+    Ok(Refitted { state, rejected })
 }
 
 /// Whether the other terms rule out a resolution that raises their cost by `increase`: by much in every frame of the
