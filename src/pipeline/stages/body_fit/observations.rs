@@ -35,10 +35,27 @@ pub(super) struct PixelObservation {
     /// Apparent size of the person times the detector's noise factor at this confidence, px; the detector's error is
     /// proportional to it.
     pub scale_px: f64,
-    /// What the detector states of its error here.
-    pub stated: Option<StatedError>,
-    /// Whitens the shape of the error as far as its stated covariance counts (determinant 1).
-    pub whitening: Option<Matrix2<f64>>,
+    pub error: ErrorShape,
+}
+
+/// The shape of a pixel's error: as the detector states it, until that is weighed against the residuals.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum ErrorShape {
+    /// Equal in all directions.
+    Round,
+    Stated(StatedError),
+    /// Whitened by this matrix as far as the stated covariance counts (determinant 1).
+    Whitened(Matrix2<f64>),
+}
+
+impl ErrorShape {
+    pub(super) fn stated(&self) -> Option<&StatedError> {
+        if let Self::Stated(stated) = self { Some(stated) } else { None }
+    }
+
+    pub(super) fn whitening(&self) -> Option<Matrix2<f64>> {
+        if let Self::Whitened(whitening) = self { Some(*whitening) } else { None }
+    }
 }
 
 /// A covariance as the detector states it.
@@ -193,12 +210,14 @@ impl FrameSource<'_> {
                 let is_detail = self.session.dense.is_none() && k >= self.session.convention.names().len();
                 let factor = |confidence: f64| self.noise.factor(confidence.max(DETECTOR.comparable));
                 let scale_px = size_px * if is_detail { 1.0 } else { factor(keypoint.confidence) };
-                let stated = keypoint.covariance.map(|covariance| StatedError { covariance, size_px });
-                let pixel = keypoint.pixel;
-                pixels.push(PixelObservation { landmark, camera, pixel, scale_px, stated, whitening: None });
+                let stated = |covariance| ErrorShape::Stated(StatedError { covariance, size_px });
+                let error = keypoint.covariance.map_or(ErrorShape::Round, stated);
+                pixels.push(PixelObservation { landmark, camera, pixel: keypoint.pixel, scale_px, error });
             }
         }
         pixels.sort_by_key(|pixel| pixel.landmark);
+        // They are kept for the whole take: what growing has left over was 0.4 GiB of 30,000 frames of two people.
+        pixels.shrink_to_fit();
         pixels
     }
 }
@@ -241,8 +260,7 @@ mod tests {
             camera: 0,
             pixel: Vector2::zeros(),
             scale_px: 1.0,
-            stated: None,
-            whitening: None,
+            error: ErrorShape::Round,
         };
         let point = |landmark| PointObservation { landmark, position: Vector3::zeros() };
         // Landmark 1 is hidden for 3 frames and for 6; in the last two of these nothing is seen.

@@ -13,7 +13,7 @@
 use super::context::FitContext;
 use super::joint_problem::Member;
 use super::noise_measurement::{measured_noise, positions};
-use super::observations::{Observations, PixelObservation};
+use super::observations::{ErrorShape, Observations, PixelObservation};
 use super::person_fit::StartedMotion;
 use super::terms::noise_process::PathNoise;
 use super::terms::whitened_pixels::WhitenedPixels;
@@ -70,7 +70,7 @@ pub(super) fn weigh_stated_covariances(
 ) -> Option<StatedCovariances> {
     let n_cameras = started.iter().flatten().next().map_or(0, |(observations, _)| observations.cameras.len());
     let pixels = || started.iter().flatten().flat_map(|(observations, _)| observations.pixels.iter().flatten());
-    if n_cameras < 2 || !pixels().any(|pixel| pixel.stated.is_some()) {
+    if n_cameras < 2 || !pixels().any(|pixel| pixel.error.stated().is_some()) {
         return None;
     }
     let means = means(context.model.landmarks.len(), pixels());
@@ -140,7 +140,7 @@ fn weighed(members: &[Member], exponents: &Exponents, means: &[Means]) -> Vec<Me
 
 /// Logarithms of the stated size over the apparent one, and of the factor of the confidence.
 fn logarithms(pixel: &PixelObservation) -> Option<[f64; 2]> {
-    let stated = pixel.stated?;
+    let stated = pixel.error.stated()?;
     Some([(stated.covariance.size() / stated.size_px).ln(), (pixel.scale_px / stated.size_px).ln()])
 }
 
@@ -170,11 +170,16 @@ fn scale(noise: &PathNoise, means: &[Means]) -> f64 {
 
 fn apply(observations: &mut Observations, exponents: &Exponents, means: &[Means]) {
     for pixel in observations.pixels.iter_mut().flatten() {
-        let (Some(stated), Some([log_ratio, log_factor])) = (pixel.stated, logarithms(pixel)) else { continue };
+        let (Some(stated), Some([log_ratio, log_factor])) = (pixel.error.stated().copied(), logarithms(pixel)) else {
+            continue;
+        };
         let means = &means[pixel.landmark];
         let by_size = exponents.size * (log_ratio - means.log_ratio);
         pixel.scale_px *= (by_size - exponents.confidence * (log_factor - means.log_factor)).exp();
-        pixel.whitening = (exponents.shape > 0.0).then(|| stated.covariance.whitening(exponents.shape));
+        pixel.error = match exponents.shape > 0.0 {
+            true => ErrorShape::Whitened(stated.covariance.whitening(exponents.shape)),
+            false => ErrorShape::Round,
+        };
     }
 }
 

@@ -8,7 +8,7 @@ use crate::geometry::{Intrinsics, rotation};
 use crate::motion_prior::MotionPrior;
 use crate::optim::block_banded::{BandedStep, SystemPool};
 use crate::pipeline::stages::body_fit::BodyFitConfig;
-use crate::pipeline::stages::body_fit::observations::PixelObservation;
+use crate::pipeline::stages::body_fit::observations::{ErrorShape, PixelObservation};
 use crate::progress::Progress;
 use nalgebra::{DVector, Matrix3, Vector2, Vector3};
 
@@ -60,14 +60,7 @@ fn observations(model: &BodyModel, truth: &MotionState) -> Observations {
                 let seen = posed.intrinsics.pixel_from_camera(&posed.camera_from_world.transform(&position)).unwrap();
                 let error = Vector2::new((7 * t + landmark) as f64, (3 * landmark + camera) as f64).map(f64::sin);
                 let pixel = seen + error * 2.0;
-                pixels.push(PixelObservation {
-                    landmark,
-                    camera,
-                    pixel,
-                    scale_px: 300.0,
-                    stated: None,
-                    whitening: None,
-                });
+                pixels.push(PixelObservation { landmark, camera, pixel, scale_px: 300.0, error: ErrorShape::Round });
             }
         }
         pixels

@@ -6,7 +6,7 @@ use super::super::config::BodyFitConfig;
 use super::super::context::FitContext;
 use super::super::motion_problem::MotionProblem;
 use super::super::objective::Objective;
-use super::super::observations::{Observations, PixelObservation, PointObservation, PosedCamera};
+use super::super::observations::{ErrorShape, Observations, PixelObservation, PointObservation, PosedCamera};
 use super::border_priors::{BoneLengthPrior, KeypointBiasPrior, ShapePrior};
 use super::collision::Collisions;
 use super::data::DataSource;
@@ -61,8 +61,10 @@ impl Fixture {
             camera: 0,
             pixel: Vector2::new(960.0 + 300.0 * wave(t + landmark), 540.0 + 300.0 * wave(landmark + 3)),
             scale_px: 400.0,
-            stated: None,
-            whitening: t.is_multiple_of(2).then(|| nalgebra::Matrix2::new(1.4, 0.3, 0.3, 0.8)),
+            error: match t.is_multiple_of(2) {
+                true => ErrorShape::Whitened(nalgebra::Matrix2::new(1.4, 0.3, 0.3, 0.8)),
+                false => ErrorShape::Round,
+            },
         };
         let camera = PosedCamera {
             intrinsics: Intrinsics::PLAIN,

@@ -8,7 +8,7 @@ mod likelihood;
 pub(crate) mod scores;
 
 #[cfg(doc)]
-use super::super::observations::PixelObservation;
+use super::super::observations::ErrorShape;
 use super::super::observations::{Observations, PosedCamera};
 use super::camera_unknowns::{ByCamera, CameraUnknowns, MAX_UNKNOWNS};
 use super::noise_process::{NoiseProcess, PathNoise};
@@ -52,7 +52,7 @@ struct Seen {
     frame: usize,
     pixel: Vector2<f64>,
     sigma_px: f64,
-    /// Whitens the shape of the error, see [`PixelObservation::whitening`].
+    /// Whitens the shape of the error, see [`ErrorShape::Whitened`].
     whitening: Option<Matrix2<f64>>,
     parts: Parts,
 }
@@ -153,7 +153,7 @@ impl WhitenedPixels {
                     frame,
                     pixel: pixel.pixel,
                     sigma_px: noise.shares[pixel.landmark] * pixel.scale_px,
-                    whitening: pixel.whitening,
+                    whitening: pixel.error.whitening(),
                     parts,
                 });
             }
