@@ -221,7 +221,10 @@ fn fit_pass(
     };
     let config = if pass == Pass::Last { config } else { first_config };
     let minimised_with = |completion: Option<&GapCompletion>, start: MotionState, system: &mut BlockBanded| {
-        let start = completion.map_or(start.clone(), |gaps| gaps.applied_to(start));
+        let start = match completion {
+            Some(gaps) => gaps.applied_to(start),
+            None => start,
+        };
         let speeds = (pass != Pass::Points).then_some(&start);
         let objective = Objective { speeds, completion, ..Objective::new(context, config, observations, data, shape) };
         minimised(context, &objective.problem(), start.clone(), max_iterations, system)
