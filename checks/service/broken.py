@@ -221,8 +221,9 @@ def large_upload(options):
 
         threading.Thread(target=watch, daemon=True).start()
         size = options.upload_mib << 20
-        # A zip by its first bytes, so that the whole body is taken before the reader refuses it.
-        command = f"(printf 'PK\\003\\004'; head -c {size - 4} /dev/zero) | curl -s -o /dev/null -w '%{{http_code}}' -T - -X POST -H 'Content-Type: application/zip' -H 'Transfer-Encoding:' -H 'Content-Length: {size}' {node.url}/v1/sessions"
+        # A zip by its first bytes, so that the whole body is taken before the reader refuses it. It pauses a mebibyte before
+        # its end: on a fast disk the last tenth was written and removed between two looks of `watch`.
+        command = f"(printf 'PK\\003\\004'; head -c {size - (1 << 20) - 4} /dev/zero; sleep 1; head -c {1 << 20} /dev/zero) | curl -s -o /dev/null -w '%{{http_code}}' -T - -X POST -H 'Content-Type: application/zip' -H 'Transfer-Encoding:' -H 'Content-Length: {size}' {node.url}/v1/sessions"
         answer = subprocess.run(["bash", "-c", command], capture_output=True, text=True).stdout
         done.set()
         require(answer in ("400", "413", "422"), f"the upload was answered {answer}")
