@@ -94,6 +94,7 @@ impl Intrinsics {
     }
 
     /// Projects a point in the camera frame; `None` behind or on the camera plane.
+    #[inline]
     pub fn pixel_from_camera(&self, point: &Vector3<f64>) -> Option<Vector2<f64>> {
         if point.z < MIN_DEPTH {
             return None;
@@ -102,12 +103,14 @@ impl Intrinsics {
     }
 
     /// The pixel of ideal (undistorted) normalised coordinates.
+    #[inline]
     pub fn pixel_from_normalized(&self, n: &Vector2<f64>) -> Vector2<f64> {
         let d = self.dist.distort_with_jacobian(n).point;
         Vector2::new(self.fx * d.x + self.skew * d.y + self.cx, self.fy * d.y + self.cy)
     }
 
     /// Projection with its derivative to the point in the camera frame (px per m).
+    #[inline]
     pub fn project_with_jacobian(&self, point: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
         if point.z < MIN_DEPTH {
             return None;

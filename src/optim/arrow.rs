@@ -8,18 +8,24 @@
 //! ```
 //!
 //! Blocks are linearised twice, to eliminate and to substitute back, and not stored: the memory does not grow with their
-//! number. A block is stored densely, but zeros are skipped, so the work depends on the fill-in and hence on the order of
-//! the local unknowns ([`elimination_order`]); independent points and coupled skeletons need no special cases. Blocks are
-//! divided into fixed portions and summed in order: the result is the same to the last bit for any number of threads.
+//! number. The second time the border's step is known and part of the residuals, `-H_i local_step_i = J_i^T W (r_i + J_b
+//! border_step)`, which needs no coupling. A block is stored densely, but zeros of its own Hessian are skipped, so the work
+//! depends on the fill-in and hence on the order of the local unknowns ([`elimination_order`]); independent points and coupled
+//! skeletons need no special cases. Blocks are divided into fixed portions and summed in order: the result is the same to the
+//! last bit for any number of threads.
 
+use super::vectors::vectorised;
 use nalgebra::{DMatrix, DVector};
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Number of portions of blocks: enough to keep every core busy, few enough to keep their sums small.
 const MAX_PORTIONS: usize = 64;
 
-/// Eliminated unknowns that are subtracted from the border at once; their factors fit registers.
-const ROWS: usize = 4;
+/// Size of the tiles in which eliminated unknowns are subtracted from the border: 8 registers of four numbers.
+const TILE_ROWS: usize = 4;
+const TILE_COLUMNS: usize = 8;
 
 /// A pivot below this share of its diagonal entry is rounding error: the unknown is unobserved and does not move.
 const NO_INFORMATION: f64 = 1e-13;
@@ -33,34 +39,63 @@ pub struct Column<const R: usize> {
     pub derivative: [f64; R],
 }
 
+/// How a residual of `R` components depends on `N` unknowns of a block that follow each other.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Span<const R: usize, const N: usize> {
+    /// The first of the unknowns, counted as in [`Column::index`].
+    pub first: usize,
+    /// Derivatives by component of the residual.
+    pub derivatives: [[f64; N]; R],
+}
+
 /// The normal equations of one block: its own unknowns, and the border unknowns that it touches.
+///
+/// Rows over the border are padded to whole tiles with zeros. Where the step of the border is known, a block has no border: the
+/// step is put into its residuals.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Block {
     n_local: usize,
     columns: Vec<usize>,
+    width: usize, // length of a row over the border; 0 where its step is known
     cost: f64,
     hessian: Vec<f64>,        // [local, local], lower triangle; its Cholesky factor L after elimination
-    coupling: Vec<f64>,       // [local, columns]; L^-1 W after elimination
+    reach: Vec<usize>,        // [local]; end of the rows with an entry in the column of an unknown
+    coupling: Vec<f64>,       // [local, width]; L^-1 W after elimination
     gradient: Vec<f64>,       // [local]; L^-1 g after elimination
-    border_hessian: Vec<f64>, // [columns, columns], lower triangle
-    border_gradient: Vec<f64>, // [columns]
+    border_hessian: Vec<f64>, // [width, width], lower triangle
+    border_gradient: Vec<f64>, // [width]
+    known_step: Option<DVector<f64>>, // of the whole border
+    columns_step: Vec<f64>,   // of `columns`, where it is known
+    diagonal: Vec<f64>,       // scratch: of the Hessian before elimination
     below: Vec<usize>,        // scratch: rows with an entry below the pivot
 }
 
 impl Block {
+    /// A block that is reset and filled for the step of its local unknowns, given that of the whole border.
+    fn with_known_step(border_step: &DVector<f64>) -> Self {
+        Self { known_step: Some(border_step.clone()), ..Self::default() }
+    }
+
     /// Empties the block for `n_local` unknowns that touch the border unknowns `columns` (distinct).
     pub fn reset(&mut self, n_local: usize, columns: &[usize]) {
         self.n_local = n_local;
         self.cost = 0.0;
         self.columns.clear();
         self.columns.extend_from_slice(columns);
-        let m = columns.len();
+        self.columns_step.clear();
+        self.width = columns.len().next_multiple_of(TILE_COLUMNS);
+        if let Some(step) = &self.known_step {
+            self.columns_step.extend(columns.iter().map(|&column| step[column]));
+            self.width = 0;
+        }
+        self.reach.clear();
+        self.reach.extend(1..=n_local);
         for (values, length) in [
             (&mut self.hessian, n_local * n_local),
-            (&mut self.coupling, n_local * m),
+            (&mut self.coupling, n_local * self.width),
             (&mut self.gradient, n_local),
-            (&mut self.border_hessian, m * m),
-            (&mut self.border_gradient, m),
+            (&mut self.border_hessian, self.width * self.width),
+            (&mut self.border_gradient, self.width),
         ] {
             values.clear();
             values.resize(length, 0.0);
@@ -68,6 +103,7 @@ impl Block {
     }
 
     /// Adds to the block's cost.
+    #[inline(always)]
     pub fn add_cost(&mut self, cost: f64) {
         self.cost += cost;
     }
@@ -80,13 +116,20 @@ impl Block {
         local: &[Column<R>],
         border: &[Column<R>],
     ) {
-        let (n, m) = (self.n_local, self.columns.len());
+        let (n, m) = (self.n_local, self.width);
+        let mut residual = *residual;
+        let is_known = self.known_step.is_some();
+        for column in border.iter().filter(|_| is_known) {
+            (0..R).for_each(|k| residual[k] += column.derivative[k] * self.columns_step[column.index]);
+        }
+        let border = if is_known { &[] } else { border };
         for (i, a) in local.iter().enumerate() {
             let weighted = a.derivative.map(|d| weight * d);
-            self.gradient[a.index] += dot(&weighted, residual);
+            self.gradient[a.index] += dot(&weighted, &residual);
             for b in &local[..=i] {
                 let (row, col) = (a.index.max(b.index), a.index.min(b.index));
                 self.hessian[row * n + col] += dot(&weighted, &b.derivative);
+                self.reach[col] = self.reach[col].max(row + 1);
             }
             for b in border {
                 self.coupling[a.index * m + b.index] += dot(&weighted, &b.derivative);
@@ -94,7 +137,7 @@ impl Block {
         }
         for (i, a) in border.iter().enumerate() {
             let weighted = a.derivative.map(|d| weight * d);
-            self.border_gradient[a.index] += dot(&weighted, residual);
+            self.border_gradient[a.index] += dot(&weighted, &residual);
             for b in &border[..=i] {
                 let (row, col) = (a.index.max(b.index), a.index.min(b.index));
                 self.border_hessian[row * m + col] += dot(&weighted, &b.derivative);
@@ -102,22 +145,60 @@ impl Block {
         }
     }
 
+    /// The same for a residual of unknowns that follow each other, in loops of fixed length.
+    #[inline(always)]
+    pub fn add_spans<const R: usize, const L: usize, const B: usize>(
+        &mut self,
+        weight: f64,
+        residual: &[f64; R],
+        local: &Span<R, L>,
+        border: &Span<R, B>,
+    ) {
+        let mut residual = *residual;
+        let is_known = self.known_step.is_some();
+        if is_known {
+            let step: &[f64] = &self.columns_step[border.first..border.first + B];
+            for (value, derivatives) in residual.iter_mut().zip(&border.derivatives) {
+                *value = derivatives.iter().zip(step).fold(*value, |sum, (d, s)| sum + d * s);
+            }
+        }
+        for (k, weighted) in weighted(weight, local).iter().enumerate() {
+            let row = local.first + k;
+            self.gradient[row] += dot(weighted, &residual);
+            add_row(&mut self.hessian[row * self.n_local + local.first..], weighted, local);
+            self.reach[row] = self.reach[row].max(local.first + L);
+            if !is_known {
+                add_row(&mut self.coupling[row * self.width + border.first..], weighted, border);
+            }
+        }
+        if is_known {
+            return;
+        }
+        for (k, weighted) in weighted(weight, border).iter().enumerate() {
+            let row = border.first + k;
+            self.border_gradient[row] += dot(weighted, &residual);
+            add_row(&mut self.border_hessian[row * self.width + border.first..], weighted, border);
+        }
+    }
+
     /// Factors `H + damping diag(H) = L L^T` and carries the coupling and the gradient along: one pass per pivot.
+    #[inline(always)]
     fn eliminate(&mut self, damping: f64) {
-        let (n, m) = (self.n_local, self.columns.len());
+        let (n, m) = (self.n_local, self.width);
         for k in 0..n {
             self.hessian[k * n + k] *= 1.0 + damping;
         }
-        let diagonal: Vec<f64> = (0..n).map(|k| self.hessian[k * n + k]).collect();
+        self.diagonal.clear();
+        self.diagonal.extend((0..n).map(|k| self.hessian[k * n + k]));
         for k in 0..n {
             let pivot = self.hessian[k * n + k];
             // A semi-definite matrix has zeros below a zero pivot: dropping them is exact, not a repair.
-            let inverse = if pivot > NO_INFORMATION * diagonal[k] { pivot.sqrt().recip() } else { 0.0 };
+            let inverse = if pivot > NO_INFORMATION * self.diagonal[k] { pivot.sqrt().recip() } else { 0.0 };
             self.hessian[k * n + k] = if inverse > 0.0 { pivot * inverse } else { 0.0 };
             self.gradient[k] *= inverse;
             self.coupling[k * m..(k + 1) * m].iter_mut().for_each(|w| *w *= inverse);
             self.below.clear();
-            for i in k + 1..n {
+            for i in k + 1..self.reach[k] {
                 let entry = &mut self.hessian[i * n + k];
                 *entry *= inverse;
                 if *entry != 0.0 {
@@ -126,8 +207,10 @@ impl Block {
             }
             let (head, tail) = self.coupling.split_at_mut((k + 1) * m);
             let pivot_row = &head[k * m..];
+            let end = self.reach[k];
             for (position, &i) in self.below.iter().enumerate() {
                 let factor = self.hessian[i * n + k];
+                self.reach[i] = self.reach[i].max(end);
                 for &j in &self.below[..=position] {
                     self.hessian[i * n + j] -= factor * self.hessian[j * n + k];
                 }
@@ -139,52 +222,95 @@ impl Block {
     }
 
     /// Subtracts the eliminated unknowns from the border: `B - (L^-1 W)^T L^-1 W`, and its gradient likewise.
-    fn reduce_border(&mut self, damping: f64) {
-        let m = self.columns.len();
-        for a in 0..m {
+    #[inline(always)]
+    fn reduce_border<S: Simd>(&mut self, simd: S, damping: f64) {
+        let m = self.width;
+        if m == 0 {
+            return;
+        }
+        for a in 0..self.columns.len() {
             self.border_hessian[a * m + a] *= 1.0 + damping;
         }
-        let n_whole = self.n_local - self.n_local % ROWS;
-        for first in (0..n_whole).step_by(ROWS) {
-            self.subtract_rows::<ROWS>(first);
+        for first_row in (0..m).step_by(TILE_ROWS) {
+            for first_column in (0..first_row + TILE_ROWS).step_by(TILE_COLUMNS) {
+                self.subtract_tile(simd, first_row, first_column);
+            }
         }
-        for row in n_whole..self.n_local {
-            self.subtract_rows::<1>(row);
+        for (row, gradient) in self.coupling.chunks_exact(m).zip(&self.gradient) {
+            self.border_gradient.iter_mut().zip(row).for_each(|(sum, w)| *sum -= w * gradient);
         }
     }
 
-    /// Subtracts `N` rows of the eliminated unknowns, one after another in every entry: several at once read and write the border's
-    /// Hessian once, and give the same bits.
-    fn subtract_rows<const N: usize>(&mut self, first: usize) {
-        let m = self.columns.len();
-        let rows: [&[f64]; N] = std::array::from_fn(|k| &self.coupling[(first + k) * m..(first + k + 1) * m]);
-        for a in 0..m {
-            let factors = rows.map(|row| row[a]);
-            if factors == [0.0; N] {
-                continue;
+    /// Subtracts all eliminated unknowns from one tile of the border's Hessian, which stays in registers meanwhile.
+    #[inline(always)]
+    fn subtract_tile<S: Simd>(&mut self, simd: S, first_row: usize, first_column: usize) {
+        let (m, n_vectors) = (self.width, TILE_COLUMNS / S::F64_LANES);
+        let columns = first_column..first_column + TILE_COLUMNS;
+        // Places for vectors of one number; longer ones leave the rest unused.
+        let mut tile = [[simd.splat_f64s(0.0); TILE_COLUMNS]; TILE_ROWS];
+        for coupling in self.coupling.chunks_exact(m) {
+            let factors: &[f64] = &coupling[first_row..first_row + TILE_ROWS];
+            let values = S::as_simd_f64s(&coupling[columns.clone()]).0;
+            for (row, factor) in tile.iter_mut().zip(factors) {
+                let factor = simd.splat_f64s(*factor);
+                for k in 0..n_vectors {
+                    row[k] = simd.mul_add_e_f64s(factor, values[k], row[k]);
+                }
             }
-            let upto = rows.map(|row| &row[..=a]);
-            for (j, target) in self.border_hessian[a * m..=a * m + a].iter_mut().enumerate() {
-                *target = (0..N).fold(*target, |sum, k| sum - factors[k] * upto[k][j]);
+        }
+        for (row, sums) in tile.iter().enumerate() {
+            let place = (first_row + row) * m + first_column;
+            let entries = S::as_mut_simd_f64s(&mut self.border_hessian[place..place + TILE_COLUMNS]).0;
+            for k in 0..n_vectors {
+                entries[k] = simd.sub_f64s(entries[k], sums[k]);
             }
-            let gradients = &self.gradient[first..first + N];
-            self.border_gradient[a] = (0..N).fold(self.border_gradient[a], |sum, k| sum - factors[k] * gradients[k]);
         }
     }
 
-    /// The local step, given the step of the whole border.
-    fn back_substitute(&self, border_step: &DVector<f64>) -> Vec<f64> {
-        let (n, m) = (self.n_local, self.columns.len());
+    /// The local step, after elimination with a known step of the border.
+    fn back_substitute(&self) -> Vec<f64> {
+        let n = self.n_local;
         let mut step: Vec<f64> = self.gradient.iter().map(|g| -g).collect();
-        for i in 0..n {
-            step[i] -= (0..m).map(|a| self.coupling[i * m + a] * border_step[self.columns[a]]).sum::<f64>();
-        }
         for k in (0..n).rev() {
             let pivot = self.hessian[k * n + k];
-            let explained: f64 = (k + 1..n).map(|i| self.hessian[i * n + k] * step[i]).sum();
+            let explained: f64 = (k + 1..self.reach[k]).map(|i| self.hessian[i * n + k] * step[i]).sum();
             step[k] = if pivot > 0.0 { (step[k] - explained) / pivot } else { 0.0 };
         }
         step
+    }
+}
+
+/// Eliminates a block's own unknowns.
+struct Elimination<'a> {
+    block: &'a mut Block,
+    damping: f64,
+}
+
+impl WithSimd for Elimination<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        self.block.eliminate(self.damping);
+        self.block.reduce_border(simd, self.damping);
+    }
+}
+
+/// Columns of a span times the weight: `weight * J^T`, row by row.
+#[inline(always)]
+fn weighted<const R: usize, const N: usize>(weight: f64, span: &Span<R, N>) -> [[f64; R]; N] {
+    let mut rows = [[0.0; R]; N];
+    for (k, row) in rows.iter_mut().enumerate() {
+        row.iter_mut().zip(&span.derivatives).for_each(|(value, derivatives)| *value = weight * derivatives[k]);
+    }
+    rows
+}
+
+/// Adds `weighted^T J` to the first entries of a row.
+#[inline(always)]
+fn add_row<const R: usize, const N: usize>(row: &mut [f64], weighted: &[f64; R], span: &Span<R, N>) {
+    for (k, entry) in row[..N].iter_mut().enumerate() {
+        *entry += (0..R).fold(0.0, |sum, r| sum + weighted[r] * span.derivatives[r][k]);
     }
 }
 
@@ -210,8 +336,7 @@ pub fn reduce(n_blocks: usize, n_border: usize, damping: f64, linearize: impl Fn
         let (mut sum, mut block) = (zero(), Block::default());
         for i in blocks {
             linearize(i, &mut block);
-            block.eliminate(damping);
-            block.reduce_border(damping);
+            vectorised(Elimination { block: &mut block, damping });
             add_border(&mut sum, &block);
         }
         sum
@@ -222,11 +347,11 @@ pub fn reduce(n_blocks: usize, n_border: usize, damping: f64, linearize: impl Fn
         total.gradient += partial.gradient;
         total.cost += partial.cost;
     }
-    total.hessian.fill_upper_triangle_with_lower_triangle();
+    total.hessian.fill_lower_triangle_with_upper_triangle();
     total
 }
 
-/// Applies `apply` to every block's local step and collects the results in order of the blocks.
+/// Applies `apply` to every block's cost before the step and its local step, and collects the results in order of the blocks.
 ///
 /// `damping` and `linearize` must be those of [`reduce`].
 pub fn back_substitute<T: Send>(
@@ -234,17 +359,17 @@ pub fn back_substitute<T: Send>(
     damping: f64,
     border_step: &DVector<f64>,
     linearize: impl Fn(usize, &mut Block) + Sync,
-    apply: impl Fn(usize, &[f64]) -> T + Sync,
+    apply: impl Fn(usize, f64, &[f64]) -> T + Sync,
 ) -> Vec<T> {
     let portions = by_portion(n_blocks, |blocks| {
-        let mut block = Block::default();
-        blocks
-            .map(|i| {
-                linearize(i, &mut block);
-                block.eliminate(damping);
-                apply(i, &block.back_substitute(border_step))
-            })
-            .collect::<Vec<T>>()
+        let mut block = Block::with_known_step(border_step);
+        let mut results = Vec::with_capacity(blocks.len());
+        for i in blocks {
+            linearize(i, &mut block);
+            vectorised(Elimination { block: &mut block, damping });
+            results.push(apply(i, block.cost, &block.back_substitute()));
+        }
+        results
     });
     portions.into_iter().flatten().collect()
 }
@@ -274,22 +399,43 @@ pub fn elimination_order(n: usize, edges: impl IntoIterator<Item = (usize, usize
 }
 
 /// Runs `work` on fixed portions of `0..n_blocks` in parallel; results in order.
-fn by_portion<T: Send>(n_blocks: usize, work: impl Fn(std::ops::Range<usize>) -> T + Sync) -> Vec<T> {
+fn by_portion<T: Send>(n_blocks: usize, work: impl Fn(Range<usize>) -> T + Sync) -> Vec<T> {
     let size = n_blocks.div_ceil(MAX_PORTIONS).max(1);
     (0..n_blocks.div_ceil(size)).into_par_iter().map(|p| work(p * size..((p + 1) * size).min(n_blocks))).collect()
 }
 
+/// Adds a block's border to the upper triangle of the sum, whose columns are contiguous.
+#[inline(always)]
 fn add_border(sum: &mut Reduced, block: &Block) {
-    let m = block.columns.len();
+    let (m, runs) = (block.width, runs(&block.columns));
     for (a, &column_a) in block.columns.iter().enumerate() {
         sum.gradient[column_a] += block.border_gradient[a];
-        for (b, &column_b) in block.columns[..=a].iter().enumerate() {
-            sum.hessian[(column_a.max(column_b), column_a.min(column_b))] += block.border_hessian[a * m + b];
+        for run in runs.iter().take_while(|run| run.start <= a) {
+            let positions = run.start..run.end.min(a + 1);
+            let (first, values) = (block.columns[positions.start], &block.border_hessian[a * m..][positions]);
+            if first <= column_a {
+                let mut entries = sum.hessian.view_mut((first, column_a), (values.len(), 1));
+                entries.iter_mut().zip(values).for_each(|(entry, value)| *entry += value);
+            } else {
+                let mut entries = sum.hessian.view_mut((column_a, first), (1, values.len()));
+                entries.iter_mut().zip(values).for_each(|(entry, value)| *entry += value);
+            }
         }
     }
     sum.cost += block.cost;
 }
 
+/// Ranges of positions at which columns follow each other.
+fn runs(columns: &[usize]) -> Vec<Range<usize>> {
+    let mut start = 0;
+    let of_run = |run: &[usize]| {
+        start += run.len();
+        start - run.len()..start
+    };
+    columns.chunk_by(|a, b| a + 1 == *b).map(of_run).collect()
+}
+
+#[inline(always)]
 fn dot<const R: usize>(a: &[f64; R], b: &[f64; R]) -> f64 {
     let mut sum = 0.0;
     for k in 0..R {

@@ -14,8 +14,8 @@ mod substitution;
 #[cfg(test)]
 mod tests;
 
+use crate::optim::vectors::vectorised;
 use elimination::Elimination;
-use kernel::vectorised;
 pub use layout::FramePanel;
 use layout::{Layout, STRIP};
 use nalgebra::{DMatrix, DVector, Matrix3};

@@ -6,6 +6,7 @@
 //! - [`point_chain`]: banded Cholesky of a trajectory of points, 3x3 blocks coupled by multiples of the identity
 //! - [`block_banded`]: banded Cholesky with one dense block per frame, coupled over two frames, and a border
 //! - [`arrow`]: many small systems coupled only through a few shared unknowns
+//! - [`vectors`]: vector instructions of the processor at hand
 //! - [`determinant`]: determinants of factored matrices
 //! - [`viterbi`]: the cheapest path through a few states per step
 
@@ -16,4 +17,5 @@ pub mod determinant;
 pub mod levenberg_marquardt;
 pub mod point_chain;
 pub mod robust;
+pub mod vectors;
 pub mod viterbi;

@@ -30,7 +30,8 @@ impl Reprojection {
     }
 }
 
-/// The residual alone; `None` where the point lies behind the camera.
+/// The residual alone, with the roundings of [`linearize`]; `None` where the point lies behind the camera.
+#[inline(always)]
 pub fn residual(
     intrinsics: &Intrinsics,
     camera_from_world: &Rigid,
@@ -38,13 +39,14 @@ pub fn residual(
     pixel: &Vector2<f64>,
     sigma_px: f64,
 ) -> Option<Vector2<f64>> {
-    let predicted = intrinsics.pixel_from_camera(&camera_from_world.transform(point_in_world))?;
-    Some((predicted - pixel) / sigma_px)
+    let (predicted, _) = intrinsics.project_with_jacobian(&camera_from_world.transform(point_in_world))?;
+    Some((predicted - pixel) * sigma_px.recip())
 }
 
 /// The residual with its derivatives (method.md 9.1); `None` where the point lies behind the camera.
 ///
 /// `pixel`: as detected, distorted. `sigma_px`: its standard deviation per axis, positive.
+#[inline(always)]
 pub fn linearize(
     intrinsics: &Intrinsics,
     camera_from_world: &Rigid,

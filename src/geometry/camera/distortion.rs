@@ -88,7 +88,16 @@ impl Distortion {
     }
 
     /// Distorted coordinates with their derivative.
+    #[inline(always)]
     pub(super) fn distort_with_jacobian(&self, n: &Vector2<f64>) -> Distorted {
+        // Most lenses are given without distortion: only this case is worth a place in every caller's loop.
+        match self {
+            Self::None => Distorted { point: *n, jacobian: [1.0, 0.0, 0.0, 1.0] },
+            lens => lens.distort_by_model(n),
+        }
+    }
+
+    fn distort_by_model(&self, n: &Vector2<f64>) -> Distorted {
         match *self {
             Self::None => Distorted { point: *n, jacobian: [1.0, 0.0, 0.0, 1.0] },
             Self::OpenCv5([k1, k2, p1, p2, k3]) => {

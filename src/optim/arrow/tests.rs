@@ -30,7 +30,7 @@ fn dense_system(n_blocks: usize, damping: f64) -> (DMatrix<f64>, DVector<f64>) {
         linearize(i, &mut block);
         let place: Vec<usize> =
             (0..N_LOCAL).map(|k| N_BORDER + i * N_LOCAL + k).chain(block.columns.iter().copied()).collect();
-        let m = block.columns.len();
+        let m = block.width;
         let value = |a: usize, b: usize| match (a.checked_sub(N_LOCAL), b.checked_sub(N_LOCAL)) {
             (None, None) => block.hessian[a.max(b) * N_LOCAL + a.min(b)],
             (None, Some(b)) => block.coupling[a * m + b],
@@ -58,7 +58,7 @@ fn elimination_solves_the_whole_system_exactly() {
 
     let reduced = reduce(n_blocks, N_BORDER, damping, linearize);
     let border_step = reduced.hessian.cholesky().unwrap().solve(&-reduced.gradient);
-    let local = back_substitute(n_blocks, damping, &border_step, linearize, |_, step| step.to_vec());
+    let local = back_substitute(n_blocks, damping, &border_step, linearize, |_, _, step| step.to_vec());
 
     let found = DVector::from_iterator(expected.len(), border_step.iter().copied().chain(local.into_iter().flatten()));
     assert!((found - expected).amax() < 1e-9);
@@ -84,7 +84,7 @@ fn an_unobserved_unknown_does_not_move() {
     };
     let reduced = reduce(4, 1, 0.0, with_idle);
     let step = reduced.hessian.clone().cholesky().unwrap().solve(&-&reduced.gradient);
-    for local in back_substitute(4, 0.0, &step, with_idle, |_, step| step.to_vec()) {
+    for local in back_substitute(4, 0.0, &step, with_idle, |_, _, step| step.to_vec()) {
         assert!(local[1] == 0.0 && local.iter().all(|v| v.is_finite()));
     }
 }
@@ -99,4 +99,39 @@ fn elimination_of_a_tree_has_no_fill_in() {
         let later = edges.iter().filter(|&&(a, b)| (a == v && place(b) > place(v)) || (b == v && place(a) > place(v)));
         assert!(later.count() <= 1);
     }
+}
+
+/// Two blocks that differ in how their residuals are added.
+fn with_spans(i: usize, block: &mut Block, in_spans: bool) {
+    let mut rng = ChaCha8Rng::seed_from_u64(i as u64);
+    block.reset(N_LOCAL, &[4, 5, 6, 0, 1, 2]);
+    for r in 0..12 {
+        let mut by = || [0, 1].map(|_| [0, 1, 2].map(|_| rng.random_range(-1.0..1.0)));
+        let local = Span { first: 3 * (r % 2), derivatives: by() };
+        let border = Span { first: 3 * (r / 2 % 2), derivatives: by() };
+        let residual = [rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0)];
+        let columns = |span: &Span<2, 3>| {
+            [0, 1, 2].map(|k| Column { index: span.first + k, derivative: span.derivatives.map(|row| row[k]) })
+        };
+        if in_spans {
+            block.add_spans(0.7, &residual, &local, &border);
+        } else {
+            block.add_residual(0.7, &residual, &columns(&local), &columns(&border));
+        }
+    }
+}
+
+#[test]
+fn spans_are_columns_that_follow_each_other() {
+    let of = |in_spans: bool| {
+        let linearize = |i: usize, block: &mut Block| with_spans(i, block, in_spans);
+        let reduced = reduce(3, N_BORDER, 0.01, linearize);
+        let border_step = DVector::from_fn(N_BORDER, |k, _| 0.3 * k as f64 - 1.0);
+        let local = back_substitute(3, 0.01, &border_step, linearize, |_, _, step| step.to_vec());
+        (reduced.hessian, reduced.gradient, DVector::from_vec(local.concat()))
+    };
+    let (spans, columns) = (of(true), of(false));
+    assert!((spans.0 - columns.0).amax() < 1e-12);
+    assert!((spans.1 - columns.1).amax() < 1e-12);
+    assert!((spans.2 - columns.2).amax() < 1e-12);
 }

@@ -1,18 +1,7 @@
 //! The inner loops of the elimination: tiles of one strip of rows by a few columns, held in registers.
 
 use super::layout::STRIP;
-use pulp::{Simd, WithSimd};
-
-/// Runs `work` with the widest vectors of this processor that have fused multiply-add in four lanes.
-///
-/// The processor decides about the last digits of a result, the number of threads does not.
-pub(super) fn vectorised<Work: WithSimd>(work: Work) -> Work::Output {
-    #[cfg(target_arch = "x86_64")]
-    if let Some(simd) = pulp::x86::V3::try_new() {
-        return Simd::vectorize(simd, work);
-    }
-    pulp::Arch::new().dispatch(work)
-}
+use pulp::Simd;
 
 /// `V` vectors of a strip's rows by `W` columns.
 pub(super) type Tile<S, const V: usize, const W: usize> = [[<S as Simd>::f64s; V]; W];

@@ -2,15 +2,18 @@
 
 use super::gauge::Gauge;
 use super::input::{AdjustmentConfig, AdjustmentInput};
-use super::variables::{self, CameraState, Layout, State, Variables};
+use super::variables::{self, CameraState, Layout, SlotObservation, State, Variables};
 use crate::geometry::{Intrinsics, Rigid};
-use crate::optim::arrow::{self, Block, Column};
+use crate::optim::arrow::{self, Block, Column, Span};
 use crate::optim::levenberg_marquardt::{LeastSquares, Trial};
 use crate::optim::robust::{geman_mcclure, geman_mcclure_ceiling, median};
+use crate::optim::vectors::vectorised;
 use crate::pipeline::keyframe::Keyframe;
 use crate::progress::Progress;
-use crate::residuals::{bone_length, reprojection};
+use crate::residuals::bone_length;
+use crate::residuals::reprojection::{self, Reprojection};
 use nalgebra::{DMatrix, DVector, Vector3};
+use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 /// Shares of a local step that are tried where the whole step raises the cost.
@@ -95,8 +98,8 @@ impl LeastSquares for Problem<'_> {
         reduced.gradient += self.prior_gradient(state);
         let border_step = self.gauge.basis(&self.layout, state).solve(&reduced.hessian, &reduced.gradient)?;
         let mut moved = self.move_border(state, &border_step);
-        let keyframes = arrow::back_substitute(n_keyframes, damping, &border_step, linearize, |i, step| {
-            self.move_points(i, state, &moved, step)
+        let keyframes = arrow::back_substitute(n_keyframes, damping, &border_step, linearize, |i, cost, step| {
+            self.move_points(i, &state.points[i], cost, &moved, step)
         });
         let cost = keyframes.iter().map(|(_, cost)| cost).sum::<f64>() + self.prior_cost(&moved);
         moved.points = keyframes.into_iter().map(|(points, _)| points).collect();
@@ -107,6 +110,11 @@ impl LeastSquares for Problem<'_> {
 impl Problem<'_> {
     /// Normal equations of one keyframe at `state`.
     pub(super) fn linearize(&self, i: usize, state: &State, block: &mut Block) {
+        vectorised(Linearization { problem: self, i, state, block });
+    }
+
+    #[inline(always)]
+    fn add_residuals(&self, i: usize, state: &State, block: &mut Block) {
         let (variables, points) = (&self.variables[i], &state.points[i]);
         block.reset(3 * variables.keypoints.len(), &variables.columns);
         if self.progress.check().is_err() {
@@ -128,21 +136,7 @@ impl Problem<'_> {
             };
             let robust = geman_mcclure(linear.residual.norm_squared(), self.robust_scale);
             block.add_cost(robust.cost);
-            let local: [Column<2>; 3] = std::array::from_fn(|k| Column {
-                index: 3 * slot + k,
-                derivative: linear.by_point.column(k).into_owned().into(),
-            });
-            let first = observed.column.unwrap_or(0);
-            let border: [Column<2>; 8] = std::array::from_fn(|k| Column {
-                index: first + k,
-                derivative: match k {
-                    0..6 => linear.by_camera.column(k).into_owned().into(),
-                    _ if self.layout.focal == Some(k) => linear.by_log_focal.into(),
-                    _ => (o.velocity / o.sigma_px).into(),
-                },
-            });
-            let n_border = observed.column.map_or(0, |_| self.layout.per_camera);
-            block.add_residual(robust.weight, &linear.residual.into(), &local, &border[..n_border]);
+            self.add_observation(block, robust.weight, &linear, observed);
         }
         for limb in &variables.limbs {
             let (a, b) = (&points[limb.slot_a], &points[limb.slot_b]);
@@ -161,31 +155,62 @@ impl Problem<'_> {
         }
     }
 
+    /// Adds an observation to the normal equations: its point, and its camera with the unknowns that this has.
+    #[inline(always)]
+    fn add_observation(&self, block: &mut Block, weight: f64, linear: &Reprojection, observed: &SlotObservation) {
+        let o = &observed.observation;
+        let by_unknown = |k: usize| match k {
+            0..6 => [linear.by_camera[(0, k)], linear.by_camera[(1, k)]],
+            _ if self.layout.focal == Some(k) => linear.by_log_focal.into(),
+            _ => (o.velocity / o.sigma_px).into(),
+        };
+        let residual = linear.residual.into();
+        let local = span::<3>(3 * observed.slot, |k| [linear.by_point[(0, k)], linear.by_point[(1, k)]]);
+        match (observed.column, self.layout.per_camera) {
+            (None, _) => block.add_spans(weight, &residual, &local, &span::<0>(0, by_unknown)),
+            (Some(first), 6) => block.add_spans(weight, &residual, &local, &span::<6>(first, by_unknown)),
+            (Some(first), 7) => block.add_spans(weight, &residual, &local, &span::<7>(first, by_unknown)),
+            (Some(first), _) => block.add_spans(weight, &residual, &local, &span::<8>(first, by_unknown)),
+        }
+    }
+
     /// The points of one keyframe after a step, with their cost. The step is shortened where the whole one raises the
     /// cost of the keyframe; otherwise a few badly observed points would cause the whole step to be rejected.
-    fn move_points(&self, i: usize, before: &State, border: &State, step: &[f64]) -> (Vec<Vector3<f64>>, f64) {
+    fn move_points(
+        &self,
+        i: usize,
+        before: &[Vector3<f64>],
+        cost_before: f64,
+        border: &State,
+        step: &[f64],
+    ) -> (Vec<Vector3<f64>>, f64) {
         let by = |share: f64| {
             let moved = |(x, d): (&Vector3<f64>, &[f64])| x + Vector3::new(d[0], d[1], d[2]) * share;
-            let points: Vec<_> = before.points[i].iter().zip(step.chunks_exact(3)).map(moved).collect();
+            let points: Vec<_> = before.iter().zip(step.chunks_exact(3)).map(moved).collect();
             let cost = self.keyframe_cost(i, border, &points);
             (points, cost)
         };
         let whole = by(1.0);
-        if whole.1 <= self.keyframe_cost(i, before, &before.points[i]) {
+        if whole.1 <= cost_before {
             return whole;
         }
         SHORTENED.iter().map(|&share| by(share)).fold(whole, |best, next| if best.1 <= next.1 { best } else { next })
     }
 
-    /// Cost of one keyframe with the border of `state` and these points.
+    /// Cost of one keyframe with the border of `state` and these points; summed as [`Self::linearize`] does, to be compared.
     fn keyframe_cost(&self, i: usize, state: &State, points: &[Vector3<f64>]) -> f64 {
+        vectorised(Evaluation { problem: self, i, state, points })
+    }
+
+    #[inline(always)]
+    fn sum_costs(&self, i: usize, state: &State, points: &[Vector3<f64>]) -> f64 {
         let charge = |squared: Option<f64>| {
             squared.map_or(geman_mcclure_ceiling(self.robust_scale), |e2| geman_mcclure(e2, self.robust_scale).cost)
         };
         let variables = &self.variables[i];
         let observations = variables.observations.iter().map(|observed| {
             let o = &observed.observation;
-            let residual = state.cameras[o.view].and_then(|camera| {
+            let residual = state.cameras[o.view].as_ref().and_then(|camera| {
                 let point = &points[observed.slot];
                 let pixel = o.pixel_without(camera.delay);
                 reprojection::residual(&camera.intrinsics, &camera.camera_from_world, point, &pixel, o.sigma_px)
@@ -197,7 +222,7 @@ impl Problem<'_> {
             let linear = bone_length::linearize(a, b, state.log_lengths[limb.length], limb.sigma);
             charge(linear.map(|l| l.residual * l.residual))
         });
-        observations.sum::<f64>() + limbs.sum::<f64>()
+        observations.chain(limbs).sum()
     }
 
     /// Priors of the cameras' further unknowns: column, value and standard deviation about 0.
@@ -258,4 +283,48 @@ impl Problem<'_> {
         let log_lengths = state.log_lengths.iter().enumerate().map(|(k, l)| l + step[first + k]).collect();
         State { cameras, log_lengths, points: Vec::new() }
     }
+}
+
+/// Normal equations of one keyframe, with the vectors of the processor.
+struct Linearization<'a, 'p> {
+    problem: &'a Problem<'p>,
+    i: usize,
+    state: &'a State,
+    block: &'a mut Block,
+}
+
+impl WithSimd for Linearization<'_, '_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        self.problem.add_residuals(self.i, self.state, self.block);
+    }
+}
+
+/// Cost of one keyframe, likewise.
+struct Evaluation<'a, 'p> {
+    problem: &'a Problem<'p>,
+    i: usize,
+    state: &'a State,
+    points: &'a [Vector3<f64>],
+}
+
+impl WithSimd for Evaluation<'_, '_> {
+    type Output = f64;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> f64 {
+        self.problem.sum_costs(self.i, self.state, self.points)
+    }
+}
+
+/// Derivatives of a residual by `N` unknowns from `first` on.
+#[inline(always)]
+fn span<const N: usize>(first: usize, by_unknown: impl Fn(usize) -> [f64; 2]) -> Span<2, N> {
+    let mut derivatives = [[0.0; N]; 2];
+    for k in 0..N {
+        [derivatives[0][k], derivatives[1][k]] = by_unknown(k);
+    }
+    Span { first, derivatives }
 }
