@@ -1,8 +1,7 @@
 //! The gauge: seven degrees of freedom that no observation fixes, held exactly.
 //!
 //! Columns are dropped instead of constraints added: the anchor camera loses all six, its partner the one along the
-//! baseline. The reduced system stays positive definite and needs no prior, and the full one remains available for the
-//! covariance. A step moves the partner's centre off its sphere about the anchor by second order only; it is moved back.
+//! baseline. The reduced system stays positive definite and needs no prior. A step moves the partner's centre off its sphere about the anchor by second order only; it is moved back.
 
 use super::variables::{CameraState, Layout, State, Variables};
 use crate::geometry::Rigid;
@@ -12,7 +11,7 @@ use nalgebra::{DMatrix, DVector, Vector3};
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Gauge {
     /// The view that keeps its pose.
-    anchor: Option<usize>,
+    pub(super) anchor: Option<usize>,
     partner: Option<Partner>,
 }
 

@@ -19,6 +19,9 @@ use rayon::prelude::*;
 /// Shares of a local step that are tried where the whole step raises the cost.
 const SHORTENED: [f64; 3] = [0.5, 0.1, 0.0];
 
+/// Unknowns of a camera whose focal factor and delay are fixed.
+const POSE_UNKNOWNS: usize = 6;
+
 /// The problem at one robust scale.
 pub(super) struct Problem<'a> {
     pub(super) variables: Vec<Variables>,
@@ -42,7 +45,7 @@ pub(super) fn formulate<'a>(
     let is_placed =
         |(view, pose): (usize, &Option<Rigid>)| view < input.intrinsics.len() && pose.is_some_and(is_finite);
     let mut placed: Vec<bool> = input.cameras.iter().enumerate().map(is_placed).collect();
-    let (layout, variables) = variables::choose(input, &mut placed);
+    let (layout, mut variables) = variables::choose(input, &mut placed);
     let camera = |(view, given): (usize, &Option<Rigid>)| {
         let camera_from_world = given.filter(|_| placed[view])?;
         Some(CameraState { intrinsics: input.intrinsics[view], log_focal: 0.0, delay: 0.0, camera_from_world })
@@ -54,6 +57,10 @@ pub(super) fn formulate<'a>(
     let points: Vec<_> = input.keyframes.iter().zip(&variables).map(start_of).collect();
     let log_lengths = median_log_lengths(&layout, &variables, &points);
     let gauge = Gauge::choose(&layout, &variables, &cameras);
+    // The anchor keeps its pose: the sums over its unknowns would be dropped, unless it has others.
+    if let Some(anchor) = gauge.anchor.filter(|_| layout.per_camera == POSE_UNKNOWNS) {
+        variables.iter_mut().for_each(|variables| variables.hold(anchor, POSE_UNKNOWNS));
+    }
     let problem = Problem {
         variables,
         layout,

@@ -25,6 +25,20 @@ pub(super) struct Variables {
     pub(super) columns: Vec<usize>,
 }
 
+impl Variables {
+    /// Takes the unknowns of a view's camera, `n` from its first one on, out of the keyframe's system.
+    pub(super) fn hold(&mut self, view: usize, n: usize) {
+        let of_view = |observed: &&SlotObservation| observed.observation.view == view;
+        let Some(first) = self.observations.iter().find(of_view).and_then(|observed| observed.column) else { return };
+        self.columns.drain(first..first + n);
+        let moved = |column: usize| if column > first { column - n } else { column };
+        for observed in &mut self.observations {
+            observed.column = observed.column.filter(|_| observed.observation.view != view).map(moved);
+        }
+        self.limbs.iter_mut().for_each(|limb| limb.column = moved(limb.column));
+    }
+}
+
 /// An observation of an unknown point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct SlotObservation {
