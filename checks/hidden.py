@@ -8,7 +8,8 @@
 SESSION is a session of two people and 17 COCO keypoints with `gt/` as `simulate.py` writes it. `make` takes the keypoints of one arm,
 one leg or both legs of a person out of every view for 15, 30, 60 or 90 frames (two gaps a person; SESSION_a and SESSION_b), and in
 SESSION_w one person out of all views for 60 frames and another out of all views but one for 90. `solve` keeps one line a gap in
-RUN.jsonl. `table` prints for every kind of gap the mean error of the hidden joints relative to the pelvis, beside that of the better
+RUN.jsonl. `table` prints for every kind of gap the mean error of the hidden joints after the root alignment of SCORE.py (the middle of
+the hips, which keypoints show; the joint "pelvis" is a point inside the body that models place differently), beside that of the better
 of a spherical and a cubic interpolation of the TRUE local rotations over the gap, and the share of errors inside the stated 95 %
 ellipsoid. Needs numpy, scipy.
 """
@@ -18,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from tables import INSIDE_95, judge, read
 
 PARENTS = [-1, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 9, 9, 12, 13, 14, 16, 17, 18, 19, 20, 21]
+HIPS = [1, 2]
 #: Keypoints, joints whose rotation is unseen without them, and joints that those move and keypoints show; left and right.
 ARM = [([7, 9], [16, 18, 20], [18, 20]), ([8, 10], [17, 19, 21], [19, 21])]
 LEG = [([13, 15], [1, 4, 7], [4, 7]), ([14, 16], [2, 5, 8], [5, 8])]
@@ -140,14 +142,15 @@ def rows_of(score, capture, result):
         own = lambda f: truth[f][person]
         before, after = (nearest(poses.get(f, {}), own(f)) for f in (start - 1, end))
         moved = gap.get("moved") or list(range(24))
+        root = lambda joints: joints[HIPS].mean(axis=0)
         relative, absolute, inside = [], [], []
         for f in range(start, end):
             found = poses.get(f, {}).get(before)
             if found is None:
                 continue
             off = found - own(f)
-            relative += list(np.linalg.norm(off - off[0], axis=1)[moved])
-            absolute.append(float(np.linalg.norm(off[0])))
+            relative += list(np.linalg.norm(off - root(off), axis=1)[moved])
+            absolute.append(float(np.linalg.norm(root(off))))
             stated = sigmas.get((before, f))
             if stated:
                 inside += [1e3 * np.linalg.norm(off[j]) <= INSIDE_95 * stated[j] for j in moved if stated[j]]

@@ -145,6 +145,29 @@ pub fn bridge(motion: &ObservedMotion, rest: &LocalRotations, decay: f64) -> Bri
     found
 }
 
+/// The longest gap of each frame that has a seen edge; `None` where every joint is seen or has neither edge.
+pub fn longest_gaps(motion: &BridgedMotion) -> Vec<Option<Place>> {
+    let edges = |place: &Place| (place.before.is_some() || place.after.is_some()).then_some(*place);
+    let length =
+        |place: &Place| place.after.unwrap_or(motion.places.len()) - place.before.map_or(0, |before| before + 1);
+    motion.places.iter().map(|row| row.iter().flatten().filter_map(edges).max_by_key(length)).collect()
+}
+
+/// Rotations and path of the pelvis where every joint, seen or not, goes over the gaps as a bridge does.
+pub fn bridged_throughout(
+    motion: &BridgedMotion,
+    gaps: &[Option<Place>],
+    decay: f64,
+) -> (Vec<LocalRotations>, Vec<Vector3<f64>>) {
+    let mut rotations = motion.rotations.clone();
+    for joint in DESCRIBED_JOINTS {
+        let path: Vec<Matrix3<f64>> = motion.rotations.iter().map(|frame| frame[joint]).collect();
+        let expected = bridged(&path, gaps, Matrix3::identity(), decay);
+        rotations.iter_mut().zip(expected).for_each(|(frame, expected)| frame[joint] = expected);
+    }
+    (rotations, bridged(&motion.pelvis, gaps, Vector3::zeros(), decay))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -173,6 +196,25 @@ mod tests {
         }
         assert_eq!(found.places[20][0], Some(Place { before: Some(14), after: Some(25) }));
         assert_eq!(found.places[20][0].unwrap().reach(20), 5);
+    }
+
+    #[test]
+    fn seen_joints_are_bridged_over_the_longest_gap() {
+        let mut observed = turning(40, 0.02);
+        observed.hide(&[16], 15..25);
+        observed.hide(&[18], 18..20);
+        observed.hide(&[4], 0..40);
+        let truth = observed.clone();
+        (15..25).for_each(|t| observed.rotations[t][17] *= exp(&Vector3::new(0.0, 0.3, 0.0)));
+        let motion = bridge(&observed, &REST, 1e6);
+        let gaps = longest_gaps(&motion);
+        assert_eq!((gaps[14], gaps[19]), (None, Some(Place { before: Some(14), after: Some(25) })));
+        let (rotations, pelvis) = bridged_throughout(&motion, &gaps, 1e6);
+        for t in 0..40 {
+            let off = |joint: usize| log(&(truth.rotations[t][joint].transpose() * rotations[t][joint])).norm();
+            assert!(off(16) < 1e-6 && off(17) < 1e-6 && off(0) < 1e-6, "{t}");
+            assert!((pelvis[t] - truth.pelvis[t]).norm() < 1e-4, "{t}");
+        }
     }
 
     #[test]

@@ -1,25 +1,34 @@
-//! What the denoiser reads: the bridged motion, and how well each joint of each frame is known.
+//! What the denoiser reads: how the seen joints and the pelvis depart from a motion in which all go over the gap as a bridge does.
 //!
-//! Everything is relative to the pelvis or to the parent joint, so that neither the place nor the heading of a person
-//! matters and no pose is singular: the way up, the velocity and the angular velocity in the pelvis's frame stand for the
-//! motion of the root.
+//! The network learns how the departure of an unseen joint follows from those of the seen ones: how a leg swings while the other
+//! leg and the arms swing. The pose itself is left out: with it the network knew its own subjects by their postures, and
+//! erred by more than the bridge on others. Joints are read by their positions: keypoints do not show how a limb twists or
+//! how the spine's joints share what the trunk does, and recorded skeletons share it in ways of their own.
 
-use super::bridge::{BridgedMotion, DECAY_FRAMES, Place, bridge};
-use super::chart::{LATENT_JOINTS, LocalRotations};
+use super::bridge::{BridgedMotion, DECAY_FRAMES, Place, bridge, bridged_throughout, longest_gaps};
+use super::chart::LocalRotations;
 use super::dataset::GRID_FPS;
-use super::observed::{DESCRIBED_JOINTS, N_DESCRIBED, ObservedMotion};
-use crate::geometry::rotation::{log, to_6d};
+use super::joints::Bones;
+use super::observed::{N_DESCRIBED, ObservedMotion};
+use crate::geometry::rotation::log;
 use nalgebra::Vector3;
+use std::sync::OnceLock;
 
-/// Two columns of each rotation; up, velocity (m/s) and angular velocity (tenths of rad/s) of the pelvis; the bridge's
-/// difference from the shortest rotation; and for each joint four numbers of its gap.
-pub const N_INPUT: usize = 6 * LATENT_JOINTS.len() + 9 + 3 * N_DESCRIBED + 4 * N_DESCRIBED;
+/// Joints whose positions are read: knees, ankles, head, shoulders, elbows, wrists.
+const READ_JOINTS: [usize; 11] = [4, 5, 7, 8, 15, 16, 17, 18, 19, 20, 21];
+
+/// Departures of the joints and of the pelvis's rotation and position; way up and velocity (m/s) of the pelvis in its own frame;
+/// which joints are unseen; and four numbers of the gap.
+pub const N_INPUT: usize = 3 * READ_JOINTS.len() + 6 + 6 + N_DESCRIBED + 4;
 
 /// Frames beyond which the distance from an edge makes no difference.
 const FAR: usize = 120;
 
-/// Factor of the bridge's difference from the shortest rotation, which is some 0.2 rad: all inputs are of the order of 1.
-const DIFFERENCE_GAIN: f64 = 5.0;
+/// Factors of departures, which are some 0.2 rad and 0.1 m: all inputs are of the order of 1.
+const ROTATION_GAIN: f64 = 5.0;
+const POSITION_GAIN: f64 = 10.0;
+/// Typical length of a gap, frames.
+const USUAL_GAP: f64 = 30.0;
 
 /// The input of a motion, with what its output refers to.
 #[derive(Debug, Clone, PartialEq)]
@@ -47,44 +56,44 @@ fn expected_error(sigma: f64, reach: Option<usize>) -> f64 {
 /// The input of a motion. `rest`: rotations of joints that are never seen.
 pub fn denoiser_input(motion: &ObservedMotion, rest: &LocalRotations) -> DenoiserInput {
     let bridged = bridge(motion, rest, DECAY_FRAMES);
-    let shortest = bridge(motion, rest, 0.0);
+    let gaps = longest_gaps(&bridged);
+    let (rotations, pelvis) = bridged_throughout(&bridged, &gaps, DECAY_FRAMES);
+    static BONES: OnceLock<Bones> = OnceLock::new();
+    let bones = BONES.get_or_init(Bones::of_default_body);
     let mut values = Vec::with_capacity(motion.n_frames() * N_INPUT);
     let mut units = Vec::with_capacity(motion.n_frames() * N_DESCRIBED);
     for t in 0..motion.n_frames() {
-        let frame = &bridged.rotations[t];
-        values.extend(LATENT_JOINTS.iter().flat_map(|&joint| to_6d(&frame[joint])).map(|x| x as f32));
-        values.extend(root_motion(&bridged, t).iter().flat_map(|v| v.iter().map(|x| *x as f32)));
-        for (described, &joint) in DESCRIBED_JOINTS.iter().enumerate() {
-            let off = match bridged.places[t][described] {
-                Some(_) => log(&(shortest.rotations[t][joint].transpose() * frame[joint])),
-                None => Vector3::zeros(),
-            };
-            values.extend(off.iter().map(|x| (x * DIFFERENCE_GAIN) as f32));
-        }
-        for described in 0..N_DESCRIBED {
-            let place = bridged.places[t][described];
-            let sigma = motion.sigma[t][described];
-            values.extend(gap_numbers(t, place, sigma));
-            units.push(expected_error(sigma, place.map(|place| place.reach(t))) as f32);
+        let own_from_world = bridged.rotations[t][0].transpose();
+        let next = (t + 1).min(motion.n_frames() - 1);
+        let velocity = own_from_world * (bridged.pelvis[next] - bridged.pelvis[t]) * GRID_FPS;
+        let (own, expected) = (bones.posed(&bridged.rotations[t]).joints, bones.posed(&rotations[t]).joints);
+        values.extend(READ_JOINTS.iter().flat_map(|&joint| three((own[joint] - expected[joint]) * POSITION_GAIN)));
+        let of_pelvis = [
+            log(&(rotations[t][0].transpose() * bridged.rotations[t][0])) * ROTATION_GAIN,
+            own_from_world * (bridged.pelvis[t] - pelvis[t]) * POSITION_GAIN,
+            own_from_world * Vector3::y(),
+            velocity,
+        ];
+        values.extend(of_pelvis.into_iter().flat_map(three));
+        values.extend((0..N_DESCRIBED).map(|described| f32::from(u8::from(!motion.is_seen(t, described)))));
+        values.extend(gap_numbers(t, gaps[t]));
+        for (described, place) in bridged.places[t].iter().enumerate() {
+            units.push(expected_error(motion.sigma[t][described], place.map(|place| place.reach(t))) as f32);
         }
     }
     DenoiserInput { values, units, bridged }
 }
 
-/// Up, velocity in m/s and angular velocity in 10 rad/s of the pelvis, in its own frame.
-fn root_motion(motion: &BridgedMotion, t: usize) -> [Vector3<f64>; 3] {
-    let own_from_world = motion.rotations[t][0].transpose();
-    let next = (t + 1).min(motion.pelvis.len() - 1);
-    let velocity = own_from_world * (motion.pelvis[next] - motion.pelvis[t]) * GRID_FPS;
-    let turning = log(&(own_from_world * motion.rotations[next][0])) * (0.1 * GRID_FPS);
-    [own_from_world * Vector3::y(), velocity, turning]
+fn three(v: Vector3<f64>) -> [f32; 3] {
+    [v.x as f32, v.y as f32, v.z as f32]
 }
 
-/// Whether a joint is unseen, how well it is known, its place in the gap and the gap's length.
-fn gap_numbers(frame: usize, place: Option<Place>, sigma: f64) -> [f32; 4] {
-    let Some(place) = place else { return [0.0, (1.0 + (sigma + 1e-3).ln() / 5.0) as f32, 0.0, 0.0] };
+/// Whether a frame lies in a gap, its place there, how far it is from both edges, and the gap's length.
+fn gap_numbers(frame: usize, gap: Option<Place>) -> [f32; 4] {
+    let Some(gap) = gap else { return [0.0; 4] };
     let far = |distance: usize| distance.min(FAR) as f64;
-    let before = place.before.map_or(FAR as f64, |edge| far(frame - edge));
-    let after = place.after.map_or(FAR as f64, |edge| far(edge - frame));
-    [1.0, 1.0, (before / (before + after) - 0.5) as f32, ((before + after).ln() / 5.0) as f32]
+    let before = gap.before.map_or(FAR as f64, |edge| far(frame - edge));
+    let after = gap.after.map_or(FAR as f64, |edge| far(edge - frame));
+    let share = before / (before + after);
+    [1.0, share as f32, (4.0 * share * (1.0 - share)) as f32, ((before + after) / USUAL_GAP).ln() as f32]
 }

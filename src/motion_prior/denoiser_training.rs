@@ -2,7 +2,7 @@
 
 use super::chart::LocalRotations;
 use super::dataset::{Dataset, Take};
-use super::denoiser::{DEFAULT_WIDTH, Denoiser};
+use super::denoiser::{DEFAULT_WIDTH, Denoiser, Dropout};
 use super::denoiser_input::{DenoiserInput, denoiser_input};
 use super::descent::{
     LONGEST_MOTION, Split, Trainee, TrainingConfig, TrainingError, initialise, named, on_cpu, provenance, trained,
@@ -13,7 +13,7 @@ use super::joints::Bones;
 use super::objective::{Batch, TrueMotion};
 use super::observed::ObservedMotion;
 use super::prior::MotionPrior;
-use super::stretches::Stretches;
+use super::stretches::{MAX_MOTIONS, Stretches};
 use super::weights::{NetworkKind, Weights, WeightsError};
 use crate::progress::Progress;
 use candle_core::{DType, Device, Tensor};
@@ -22,7 +22,7 @@ use rayon::prelude::*;
 
 /// The configuration where nothing else is said; a step is some 2,000 frames.
 pub(super) const DEFAULTS: TrainingConfig =
-    TrainingConfig { model: NetworkKind::Denoiser, seed: 1, steps: 1200, width: DEFAULT_WIDTH };
+    TrainingConfig { model: NetworkKind::Denoiser, seed: 1, steps: 4000, width: DEFAULT_WIDTH };
 
 /// Lengths of the motions of a step and their numbers: 2,048 frames or a little less.
 const MOTIONS: [(usize, usize); 3] = [(96, 21), (144, 14), (LONGEST_MOTION, 10)];
@@ -98,7 +98,9 @@ impl Trainee for Training<'_> {
 
     fn loss(&self, step: usize) -> candle_core::Result<Tensor> {
         let batch = Batch::new(&self.bones, &self.motions(step), self.device)?;
-        batch.loss(&self.denoiser.forward(&batch.input)?)
+        // The last stream of a step: motions take the first ones.
+        let mut dropout = Dropout(Some(self.stretches.stream(step, MAX_MOTIONS - 1)));
+        batch.loss(&self.denoiser.forward_without(&batch.input, &mut dropout)?)
     }
 
     fn held_out_mm(&self, candidate: &Weights) -> Result<f64, WeightsError> {
@@ -116,7 +118,7 @@ fn mean_mm(errors: &[GapErrors]) -> f64 {
 /// The smallest factor of the covariances with which 95 % of all errors lie inside their 95 % ellipsoids.
 fn temperature(errors: &[GapErrors]) -> f64 {
     let ellipsoids: Vec<_> = errors.iter().flat_map(|kind| kind.ellipsoids.iter().copied()).collect();
-    let (mut low, mut high) = (0.05_f64, 20.0_f64);
+    let (mut low, mut high) = (0.05_f64, 50.0_f64);
     for _ in 0..30 {
         let middle = (low * high).sqrt();
         if share_inside(&ellipsoids, middle) < 0.95 { low = middle } else { high = middle }

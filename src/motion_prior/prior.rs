@@ -83,7 +83,7 @@ impl MotionPrior {
         self.chart().rotations(&mean)
     }
 
-    /// Completes and denoises a motion at 30 Hz of any length. A frame's result depends on the 84 frames around it, and on
+    /// Completes and denoises a motion at 30 Hz of any length. A frame's result depends on the 36 frames around it, and on
     /// the edges of the gaps in them.
     ///
     /// # Panics

@@ -9,8 +9,8 @@ use rand_chacha::ChaCha8Rng;
 /// Tempo relative to the take.
 const TEMPO: std::ops::Range<f64> = 0.7..1.4;
 
-/// Most motions of a step.
-const MAX_MOTIONS: usize = 64;
+/// Random streams of a step, one for each of its motions.
+pub(super) const MAX_MOTIONS: usize = 64;
 
 /// Where the motions of a training come from.
 pub(super) struct Stretches<'a> {
