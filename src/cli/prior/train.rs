@@ -27,10 +27,10 @@ pub(super) struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Number of training steps, each on about 2,000 frames of the denoiser and 1,000 of the autoencoder; with 0 the denoiser's
-    /// correction stays zero and only its uncertainty is calibrated, and the autoencoder is a linear code [default: 1200, 1000]
+    /// correction stays zero and only its uncertainty is calibrated, and the autoencoder is a linear code [default: 4000, 1000]
     #[arg(long)]
     steps: Option<usize>,
-    /// Width of the network's layers [default: 96, 64]
+    /// Width of the network's layers [default: 48, 64]
     #[arg(long, value_parser = width)]
     width: Option<usize>,
 }
