@@ -86,16 +86,14 @@ def solve_ours(work, views, ours):
 
 
 def solve_theirs(work, views, problem, solver, derivatives):
-    """Solves the problem by Ceres; returns what it says about the solve."""
-    paths = [work / f"{views}.problem", work / f"{views}.{solver.name}"]
-    write_problem(problem, paths[0])
-    command = [work / "solve", *paths, solver.name, derivatives, str(MAX_ITERATIONS), str(RUNS)]
+    """Solves the written problem by Ceres."""
+    solution = work / f"{views}.{solver.name}"
+    command = [work / "solve", work / f"{views}.problem", solution, solver.name, derivatives, str(MAX_ITERATIONS), str(RUNS)]
     said = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
-    values = np.fromfile(paths[1])
+    values = np.fromfile(solution)
     poses, points = np.split(values, [6 * len(problem["lenses"])])
     poses = np.array([np.column_stack([rotation_matrix(pose[:3]), pose[3:]]) for pose in poses.reshape(-1, 6)])
     solver.add(said["seconds"], said["iterations"], robust_cost(problem, poses, points.reshape(-1, 3)))
-    return said
 
 
 def compared(work, views, args):
@@ -103,6 +101,7 @@ def compared(work, views, args):
     ours, theirs = Fastest("ours"), [Fastest(name) for name in SOLVERS]
     for _ in range(args.rounds):
         problem = solve_ours(work, views, ours)
+        write_problem(problem, work / f"{views}.problem")
         for solver in theirs:
             solve_theirs(work, views, problem, solver, args.derivatives)
     n = len(problem["view"])

@@ -1,7 +1,8 @@
 //! The gauge: seven degrees of freedom that no observation fixes, held exactly.
 //!
 //! Columns are dropped instead of constraints added: the anchor camera loses all six, its partner the one along the
-//! baseline. The reduced system stays positive definite and needs no prior. A step moves the partner's centre off its sphere about the anchor by second order only; it is moved back.
+//! baseline. The reduced system stays positive definite and needs no prior. A step moves the partner's centre off its sphere
+//! about the anchor by second order only; it is moved back.
 
 use super::variables::{CameraState, Layout, State, Variables};
 use crate::geometry::Rigid;
