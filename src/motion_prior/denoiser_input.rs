@@ -67,9 +67,12 @@ pub fn denoiser_input(motion: &ObservedMotion, rest: &LocalRotations) -> Denoise
         let next = (t + 1).min(motion.n_frames() - 1);
         let velocity = own_from_world * (bridged.pelvis[next] - bridged.pelvis[t]) * GRID_FPS;
         let (own, expected) = (bones.posed(&bridged.rotations[t]).joints, bones.posed(&rotations[t]).joints);
-        values.extend(READ_JOINTS.iter().flat_map(|&joint| three((own[joint] - expected[joint]) * POSITION_GAIN)));
+        // Both as seen from the pelvis that goes over the gap as a bridge: where it is fitted wrongly the joints stay where they are.
+        let turned = rotations[t][0].transpose() * bridged.rotations[t][0];
+        let departure = |&joint: &usize| three((turned * own[joint] - expected[joint]) * POSITION_GAIN);
+        values.extend(READ_JOINTS.iter().flat_map(departure));
         let of_pelvis = [
-            log(&(rotations[t][0].transpose() * bridged.rotations[t][0])) * ROTATION_GAIN,
+            log(&turned) * ROTATION_GAIN,
             own_from_world * (bridged.pelvis[t] - pelvis[t]) * POSITION_GAIN,
             own_from_world * Vector3::y(),
             velocity,

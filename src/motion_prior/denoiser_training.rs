@@ -8,7 +8,7 @@ use super::descent::{
     LONGEST_MOTION, Split, Trainee, TrainingConfig, TrainingError, initialise, named, on_cpu, provenance, trained,
 };
 use super::evaluation::{GapErrors, gap_errors, share_inside};
-use super::gaps::{add_noise, hide_randomly};
+use super::gaps::{add_noise, aims, hide_randomly};
 use super::joints::Bones;
 use super::objective::{Batch, TrueMotion};
 use super::observed::ObservedMotion;
@@ -83,10 +83,11 @@ impl Training<'_> {
             let mut rng = self.stretches.stream(step, place);
             let truth = self.stretches.draw(n_frames, &mut rng);
             let mut observed = ObservedMotion::exact(truth.rotations.clone(), truth.pelvis.clone());
-            add_noise(&mut observed, &mut rng);
+            add_noise(&mut observed, &self.bones, &mut rng);
             hide_randomly(&mut observed, &mut rng);
             let input = denoiser_input(&observed, &self.rest);
-            (observed, input, truth)
+            let aimed = TrueMotion { rotations: aims(&truth.rotations, &observed), ..truth };
+            (observed, input, aimed)
         };
         (0..n_motions).into_par_iter().map(motion).collect()
     }

@@ -19,22 +19,39 @@ impl MotionPrior {
         fps: f64,
     ) -> Completion {
         let on_grid = self.completed(&on_grid(rotations, pelvis, sigma, fps));
-        let n_grid = on_grid.rotations.len();
-        let mut found = Completion::default();
-        for (frame, given) in rotations.iter().enumerate() {
-            let place = grid_place(frame as f64 * GRID_FPS / fps, n_grid);
-            let nearest = place.samples[if place.share < 0.5 { 1 } else { 2 }];
-            found.rotations.push(std::array::from_fn(|joint| match DESCRIBED_JOINTS.contains(&joint) {
-                true => interpolate(&place.samples.map(|s| on_grid.rotations[s][joint]), place.share),
-                false => given[joint],
-            }));
-            found.precision.push(on_grid.precision[nearest]);
-            found.velocity.push(on_grid.velocity[nearest]);
-            found.velocity_sigma.push(on_grid.velocity_sigma[nearest]);
-            found.contact.push(on_grid.contact[nearest]);
-        }
-        found
+        at_frames_of(rotations, fps, &on_grid)
     }
+
+    /// The same with [`Self::bridged`].
+    pub fn bridged_at(
+        &self,
+        rotations: &[LocalRotations],
+        pelvis: &[Vector3<f64>],
+        sigma: &[[f64; N_DESCRIBED]],
+        fps: f64,
+    ) -> Completion {
+        let on_grid = self.bridged(&on_grid(rotations, pelvis, sigma, fps));
+        at_frames_of(rotations, fps, &on_grid)
+    }
+}
+
+/// What is stated on the grid, at the frames of the motion that it is stated of.
+fn at_frames_of(rotations: &[LocalRotations], fps: f64, on_grid: &Completion) -> Completion {
+    let n_grid = on_grid.rotations.len();
+    let mut found = Completion::default();
+    for (frame, given) in rotations.iter().enumerate() {
+        let place = grid_place(frame as f64 * GRID_FPS / fps, n_grid);
+        let nearest = place.samples[if place.share < 0.5 { 1 } else { 2 }];
+        found.rotations.push(std::array::from_fn(|joint| match DESCRIBED_JOINTS.contains(&joint) {
+            true => interpolate(&place.samples.map(|s| on_grid.rotations[s][joint]), place.share),
+            false => given[joint],
+        }));
+        found.precision.push(on_grid.precision[nearest]);
+        found.velocity.push(on_grid.velocity[nearest]);
+        found.velocity_sigma.push(on_grid.velocity_sigma[nearest]);
+        found.contact.push(on_grid.contact[nearest]);
+    }
+    found
 }
 
 /// A motion at `fps` on the 30 Hz grid. A joint is seen where it is seen in both neighbouring frames; an unseen one of the

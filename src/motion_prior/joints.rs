@@ -33,6 +33,19 @@ impl Bones {
         Self(std::array::from_fn(|j| PARENTS[j].map_or_else(Vector3::zeros, |p| rest[j] - rest[p])))
     }
 
+    /// The direction of a joint's bone in its own frame: that to its first child; for the last joints of a limb and the head that from
+    /// their parent, which is parallel at rest.
+    pub fn axis(&self, joint: usize) -> Vector3<f64> {
+        let child = PARENTS.iter().position(|parent| *parent == Some(joint)).unwrap_or(joint);
+        // The hips and collars beside the trunk's axis come first among the children of their joints.
+        let along = match joint {
+            0 => 3,
+            9 => 12,
+            _ => child,
+        };
+        self.0[along].normalize()
+    }
+
     /// Forward kinematics (docs/method.md) from local rotations without the root.
     pub fn posed(&self, local: &[Matrix3<f64>; N_JOINTS]) -> Posed {
         let mut posed = Posed { joints: [Vector3::zeros(); N_JOINTS], rotations: [Matrix3::identity(); N_JOINTS] };

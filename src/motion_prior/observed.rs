@@ -57,6 +57,19 @@ impl ObservedMotion {
     }
 }
 
+/// Joints of the thighs, and of the spine.
+const HIPS: [usize; 2] = [1, 2];
+pub(crate) const SPINE: [usize; 3] = [3, 6, 9];
+
+/// Makes the spine of a frame unseen where both thighs are: the keypoints of the trunk show how it leans, but not how much of that
+/// the pelvis does and how much the spine; the pelvis may tilt about the line through the hips, and hidden legs with it.
+pub(crate) fn leave_spine_open(sigma: &mut [f64; N_DESCRIBED]) {
+    let of = |joint: usize| DESCRIBED_JOINTS.iter().position(|described| *described == joint);
+    if HIPS.into_iter().filter_map(of).all(|hip| sigma[hip].is_infinite()) {
+        SPINE.into_iter().filter_map(of).for_each(|joint| sigma[joint] = f64::INFINITY);
+    }
+}
+
 /// All joints of the skeleton below `joint`, without it.
 pub fn joints_below(joint: usize) -> impl Iterator<Item = usize> {
     (0..N_JOINTS).filter(move |&j| j != joint && crate::body::skeleton::chain_to_root(j).any(|above| above == joint))

@@ -15,6 +15,11 @@ use std::sync::OnceLock;
 /// The embedded weights; their model card is `assets/motion-prior-v2.md`.
 const WEIGHTS: &[u8] = include_bytes!("../../assets/motion-prior-v2.safetensors");
 
+/// Share of the network's corrections that is kept. It learns from recordings; joints that a fit has found are off by some degrees, and
+/// what follows from them overshoots. Hidden joints in 240 gaps of 30 fits, which the bridge makes 48.3 mm off, are 46.8 off with
+/// all of the corrections, 46.3 with 0.7, 46.5 with half.
+const KEPT: f64 = 0.6;
+
 /// A trained prior over motions on the 30 Hz grid.
 #[derive(Debug, Clone)]
 pub struct MotionPrior {
@@ -83,6 +88,21 @@ impl MotionPrior {
         self.chart().rotations(&mean)
     }
 
+    /// Bridges the gaps of a motion at 30 Hz. The covariances are those of a bridge's usual error, the same about all axes.
+    pub fn bridged(&self, motion: &ObservedMotion) -> Completion {
+        let DenoiserInput { units, bridged, .. } = denoiser_input(motion, &self.mean_pose());
+        let of_joint = |unit: &f32| Matrix3::identity() / f64::from(unit * unit);
+        let of_frame = |row: &[f32]| std::array::from_fn(|described| of_joint(&row[described]));
+        let n_frames = motion.n_frames();
+        Completion {
+            rotations: bridged.rotations,
+            precision: units.chunks_exact(N_DESCRIBED).map(of_frame).collect(),
+            velocity: vec![Vector3::zeros(); n_frames],
+            velocity_sigma: vec![Vector3::repeat(f64::INFINITY); n_frames],
+            contact: vec![[0.5; 2]; n_frames],
+        }
+    }
+
     /// Completes and denoises a motion at 30 Hz of any length. A frame's result depends on the 36 frames around it, and on
     /// the edges of the gaps in them.
     ///
@@ -113,7 +133,7 @@ impl MotionPrior {
             for (described, &joint) in DESCRIBED_JOINTS.iter().enumerate() {
                 let row = t * N_DESCRIBED + described;
                 let unit = f64::from(input.units[row]);
-                let off = three(&correction, row) * unit;
+                let off = three(&correction, row) * (unit * KEPT);
                 frame[joint] *= exp(&off);
                 let factor = factor(&three(&diagonal, row), &three(&below, row)) * right_jacobian_inverse(&off);
                 precision[t][described] = factor.tr_mul(&factor) / (unit * unit * self.provenance.temperature);

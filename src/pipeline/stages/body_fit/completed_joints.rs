@@ -2,10 +2,8 @@
 
 use super::terms::unknowns::MotionState;
 use crate::body::kinematics::Pose;
+use crate::motion_prior::observed::SPINE;
 use crate::residuals::rotation_likelihood::RotationGaussian;
-
-/// Joints of the spine. Keypoints of the trunk turn with them, also where they are completed.
-pub(super) const SPINE: [usize; 3] = [3, 6, 9];
 
 /// What the motion prior states about the unseen joints of a window.
 #[derive(Debug, Clone, PartialEq)]
@@ -31,7 +29,8 @@ impl GapCompletion {
         Some(completed)
     }
 
-    /// A frame's pose with the mean rotations of the joints that no keypoint shows; `None` without such joints.
+    /// A frame's pose with the mean rotations of the joints that no keypoint shows; `None` without such joints. Keypoints of the
+    /// trunk turn with the spine, also where it is completed.
     pub(crate) fn with_hidden(&self, frame: usize, pose: &Pose) -> Option<Pose> {
         let mut completed = self.completed(frame, pose)?;
         SPINE.into_iter().for_each(|joint| completed.rotations[joint] = pose.rotations[joint]);

@@ -1,6 +1,6 @@
 //! Joints that no camera shows for a while, completed by the motion prior from the rest of a fitted motion.
 
-use super::completed_joints::{GapCompletion, SPINE};
+use super::completed_joints::GapCompletion;
 use super::context::FitContext;
 use super::gaps::{MIN_GAP, gaps};
 use super::observations::Observations;
@@ -11,18 +11,35 @@ use crate::body::skeleton::{N_JOINTS, PARENTS};
 use crate::geometry::rotation::rotation_between;
 use crate::motion_prior::MotionPrior;
 use crate::motion_prior::chart::LocalRotations;
-use crate::motion_prior::observed::{DESCRIBED_JOINTS, N_DESCRIBED};
+use crate::motion_prior::observed::{DESCRIBED_JOINTS, N_DESCRIBED, leave_spine_open};
 use crate::residuals::rotation_likelihood::RotationGaussian;
 use nalgebra::{Matrix3, Vector3};
 
 /// Keypoints nearer to a joint than this tell nothing of its rotation, m: elbows and knees lie 0.2 to 0.45 m from the next
 /// joint, and a landmark's own offset from its joint is below 0.1 m.
 const MIN_LEVER: f64 = 0.1;
-/// Joints of the thighs.
-const HIPS: [usize; 2] = [1, 2];
-/// Share of a frame's information that counts, at 30 frames a second: the prior's errors have a correlation time of some ten frames
-/// to each side. (Ten gaps each of arms and legs on `paper`: hidden joints 51.1 mm off with 0.1, 50.4 with 0.025.)
-const INDEPENDENT_SHARE: f64 = 0.05;
+
+/// What a completion is for, and hence how much of a frame's stated information counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Purpose {
+    /// A fit from a rough motion, whose joints are off at the edges of gaps: a bridge that does not hold them there. Where it counted
+    /// as much as the network's mean later does, arms that were hidden for 90 frames came out 73 mm off instead of 22.
+    FromRough,
+    /// A fit from a good motion. What the network states is a whole motion, which the smoothness terms only join to the seen frames.
+    FromGood,
+    /// Standard deviations: errors of the prior have a correlation time of some ten frames to each side, at 30 frames a second.
+    Uncertainty,
+}
+
+impl Purpose {
+    fn share(self) -> f64 {
+        match self {
+            Self::FromRough => 6e-5,
+            Self::FromGood => 10.0,
+            Self::Uncertainty => 0.05,
+        }
+    }
+}
 
 /// Completes the joints that no keypoint shows for [`MIN_GAP`] or longer, but some keypoint shows elsewhere in the window;
 /// `None` if there are none.
@@ -30,6 +47,7 @@ pub(super) fn completed_gaps(
     context: &FitContext,
     observations: &Observations,
     state: &MotionState,
+    purpose: Purpose,
 ) -> Option<GapCompletion> {
     let mut sigma = rotation_sigmas(context, observations, state);
     sigma.iter_mut().for_each(leave_spine_open);
@@ -58,26 +76,21 @@ pub(super) fn completed_gaps(
     let rotations: Vec<LocalRotations> =
         state.poses.iter().map(|pose| mocap_rotations(&pose.rotations, turns, &up)).collect();
     let pelvis: Vec<Vector3<f64>> = state.poses.iter().map(|pose| up * pose.translation).collect();
-    let found = MotionPrior::embedded().completed_at(&rotations, &pelvis, &sigma, 1.0 / context.frame_interval);
+    let (prior, fps) = (MotionPrior::embedded(), 1.0 / context.frame_interval);
+    let found = match purpose {
+        Purpose::FromRough => prior.bridged_at(&rotations, &pelvis, &sigma, fps),
+        Purpose::FromGood | Purpose::Uncertainty => prior.completed_at(&rotations, &pelvis, &sigma, fps),
+    };
     let on_body = |frame: usize, described: usize| {
         let joint = DESCRIBED_JOINTS[described];
         let mean = retargeted(&found.rotations[frame][joint], joint, turns);
-        let own = turns[joint].tr_mul(&found.precision[frame][described]) * turns[joint] * INDEPENDENT_SHARE;
+        let own = turns[joint].tr_mul(&found.precision[frame][described]) * turns[joint] * purpose.share();
         (joint, RotationGaussian { mean: if joint == 0 { up.tr_mul(&mean) } else { mean }, precision: own })
     };
     let completed = |(frame, row): (usize, &[bool; N_DESCRIBED])| {
         (0..N_DESCRIBED).filter(|&described| row[described]).map(|described| on_body(frame, described)).collect()
     };
     Some(GapCompletion { frames: is_completed.iter().enumerate().map(completed).collect() })
-}
-
-/// Without a keypoint below the hips, those of the trunk show how it leans, but not how much of that the pelvis does and how much the
-/// spine: the pelvis may tilt about the line through the hips, and hidden legs with it.
-fn leave_spine_open(sigma: &mut [f64; N_DESCRIBED]) {
-    let of = |joint: usize| DESCRIBED_JOINTS.iter().position(|described| *described == joint);
-    if HIPS.into_iter().filter_map(of).all(|hip| sigma[hip].is_infinite()) {
-        SPINE.into_iter().filter_map(of).for_each(|joint| sigma[joint] = f64::INFINITY);
-    }
 }
 
 /// How well keypoints determine each joint's rotation, rad per axis: keypoints that it moves, each with the error of a

@@ -16,7 +16,7 @@
 
 use super::camera_adjustment::BONE_SIGMA;
 use super::context::FitContext;
-use super::gap_completion::completed_gaps;
+use super::gap_completion::{Purpose, completed_gaps};
 use super::motion_problem::MotionProblem;
 use super::objective::Objective;
 use super::person_fit::windows;
@@ -87,7 +87,8 @@ fn window_uncertainty(
     let objective = Objective::new(context, context.config, &observations, pixels.source(), Shape::Free);
     let n_cameras = cameras.map_or(0, CameraCovariance::n_cameras);
     let columns = CameraColumns { n_cameras, unknowns: CameraUnknowns::default() };
-    let completion = context.config.completes_gaps.then(|| completed_gaps(context, &observations, &state)).flatten();
+    let completed = || completed_gaps(context, &observations, &state, Purpose::Uncertainty);
+    let completion = context.config.completes_gaps.then(completed).flatten();
     let completion = completion.as_ref();
     let problem =
         Objective { bias: Some(&table), cameras: columns, speeds: Some(&state), completion, ..objective }.problem();

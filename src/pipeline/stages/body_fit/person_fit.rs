@@ -2,7 +2,7 @@
 
 use super::completed_joints::GapCompletion;
 use super::context::FitContext;
-use super::gap_completion::completed_gaps;
+use super::gap_completion::{Purpose, completed_gaps};
 use super::initial_motion::initial_motion;
 use super::minimisation::{FittedMotion, minimised};
 use super::objective::Objective;
@@ -229,13 +229,14 @@ fn fit_pass(
         let objective = Objective { speeds, completion, ..Objective::new(context, config, observations, data, shape) };
         minimised(context, &objective.problem(), start.clone(), max_iterations, system)
     };
-    let completed = |state: &MotionState| {
+    let completed = |state: &MotionState, purpose: Purpose| {
         let completes = pass == Pass::Last && config.completes_gaps;
-        completes.then(|| completed_gaps(context, observations, state)).flatten()
+        completes.then(|| completed_gaps(context, observations, state, purpose)).flatten()
     };
-    let Some(rough) = completed(&start) else { return minimised_with(None, start, system) };
-    // The first fit has no pose prior, so that what it states at the edges of gaps (twists about bones above all) is rough, too.
+    // The first fit has no pose prior, so that what it states at the edges of gaps (twists about bones above all) is rough.
+    let Some(rough) = completed(&start, Purpose::FromRough) else { return minimised_with(None, start, system) };
     let fitted = minimised_with(Some(&rough), start, system)?;
-    let again = minimised_with(completed(&fitted.state).as_ref(), fitted.state, system)?;
+    let good = completed(&fitted.state, Purpose::FromGood);
+    let again = minimised_with(good.as_ref(), fitted.state, system)?;
     Ok(FittedMotion { iterations: fitted.iterations + again.iterations, cost_before: fitted.cost_before, ..again })
 }
