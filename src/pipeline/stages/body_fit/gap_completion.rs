@@ -22,8 +22,8 @@ const MIN_LEVER: f64 = 0.1;
 /// What a completion is for, and hence how much of a frame's stated information counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Purpose {
-    /// A fit from a rough motion, whose joints are off at the edges of gaps: a bridge that does not hold them there. Where it counted
-    /// as much as the network's mean later does, arms that were hidden for 90 frames came out 73 mm off instead of 22.
+    /// A fit from a rough motion, whose joints are off at the edges of gaps: a bridge that does not hold them there. With a
+    /// hundred times this weight an arm that was hidden for 90 frames came out 73 mm off instead of 22.
     FromRough,
     /// A fit from a good motion. What the network states is a whole motion, which the smoothness terms only join to the seen frames.
     FromGood,
