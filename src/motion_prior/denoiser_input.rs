@@ -35,7 +35,7 @@ const USUAL_GAP: f64 = 30.0;
 pub struct DenoiserInput {
     /// `[T, N_INPUT]`.
     pub values: Vec<f32>,
-    /// Unit of the corrections, `[T, 20]`, rad: the expected error of the bridge.
+    /// Unit of the corrections: [`expected_errors`].
     pub units: Vec<f32>,
     /// The motion that the output corrects.
     pub bridged: BridgedMotion,
@@ -53,6 +53,16 @@ fn expected_error(sigma: f64, reach: Option<usize>) -> f64 {
     }
 }
 
+/// Expected error per axis of every joint of a bridged motion, `[T, 20]`, rad.
+pub fn expected_errors(motion: &ObservedMotion, bridged: &BridgedMotion) -> Vec<f32> {
+    let of_frame = |(t, (sigma, places)): (usize, (&[f64; N_DESCRIBED], &[Option<Place>; N_DESCRIBED]))| {
+        std::array::from_fn::<f32, N_DESCRIBED, _>(|described| {
+            expected_error(sigma[described], places[described].map(|place| place.reach(t))) as f32
+        })
+    };
+    motion.sigma.iter().zip(&bridged.places).enumerate().flat_map(of_frame).collect()
+}
+
 /// The input of a motion. `rest`: rotations of joints that are never seen.
 pub fn denoiser_input(motion: &ObservedMotion, rest: &LocalRotations) -> DenoiserInput {
     let bridged = bridge(motion, rest, DECAY_FRAMES);
@@ -61,7 +71,6 @@ pub fn denoiser_input(motion: &ObservedMotion, rest: &LocalRotations) -> Denoise
     static BONES: OnceLock<Bones> = OnceLock::new();
     let bones = BONES.get_or_init(Bones::of_default_body);
     let mut values = Vec::with_capacity(motion.n_frames() * N_INPUT);
-    let mut units = Vec::with_capacity(motion.n_frames() * N_DESCRIBED);
     for t in 0..motion.n_frames() {
         let own_from_world = bridged.rotations[t][0].transpose();
         let next = (t + 1).min(motion.n_frames() - 1);
@@ -80,11 +89,8 @@ pub fn denoiser_input(motion: &ObservedMotion, rest: &LocalRotations) -> Denoise
         values.extend(of_pelvis.into_iter().flat_map(three));
         values.extend((0..N_DESCRIBED).map(|described| f32::from(u8::from(!motion.is_seen(t, described)))));
         values.extend(gap_numbers(t, gaps[t]));
-        for (described, place) in bridged.places[t].iter().enumerate() {
-            units.push(expected_error(motion.sigma[t][described], place.map(|place| place.reach(t))) as f32);
-        }
     }
-    DenoiserInput { values, units, bridged }
+    DenoiserInput { values, units: expected_errors(motion, &bridged), bridged }
 }
 
 fn three(v: Vector3<f64>) -> [f32; 3] {

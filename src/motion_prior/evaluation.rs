@@ -5,7 +5,7 @@ use super::chart::LocalRotations;
 use super::dataset::Take;
 use super::gaps::{LEGS, LIMBS};
 use super::joints::{Bones, JointPositions};
-use super::observed::{DESCRIBED_JOINTS, N_DESCRIBED, ObservedMotion, joints_below};
+use super::observed::{N_DESCRIBED, ObservedMotion, described_place, joints_below};
 use super::prior::{Completion, MotionPrior};
 use crate::body::skeleton::chain_to_root;
 use crate::geometry::rotation::{exp, log, right_jacobian_inverse, skew};
@@ -180,7 +180,7 @@ fn ellipsoid(
     let posed = bones.posed(&completion.rotations[t]);
     let mut covariance = Matrix3::zeros();
     for above in chain_to_root(joint).skip(1).filter(|above| hidden.contains(above)) {
-        let Some(described) = DESCRIBED_JOINTS.iter().position(|&j| j == above) else { continue };
+        let Some(described) = described_place(above) else { continue };
         let lever = -skew(&(posed.joints[joint] - posed.joints[above])) * posed.rotations[above];
         let own = completion.precision[t][described].try_inverse().unwrap_or_else(Matrix3::zeros);
         covariance += lever * own * lever.transpose();

@@ -1,8 +1,8 @@
 //! Gaps and noise for training: what cameras do not see, and errors as fits have them.
 
 use super::chart::LocalRotations;
-use super::joints::Bones;
-use super::observed::{DESCRIBED_JOINTS, N_DESCRIBED, ObservedMotion, leave_spine_open};
+use super::joints::{Bones, orientations};
+use super::observed::{DESCRIBED_JOINTS, N_DESCRIBED, ObservedMotion, described_place, leave_spine_open};
 use crate::body::skeleton::{N_JOINTS, PARENTS};
 use crate::geometry::rotation::exp;
 use nalgebra::Vector3;
@@ -127,7 +127,7 @@ fn disturbed(pose: &LocalRotations, errors: &[Vector3<f64>; N_JOINTS]) -> LocalR
     let mut wrong = right;
     for joint in 0..N_JOINTS {
         wrong[joint] = match PARENTS[joint] {
-            Some(parent) if place(joint).is_none() => wrong[parent] * pose[joint],
+            Some(parent) if described_place(joint).is_none() => wrong[parent] * pose[joint],
             _ => right[joint] * exp(&errors[joint]),
         };
     }
@@ -141,31 +141,18 @@ pub(crate) fn aims(truth: &[LocalRotations], observed: &ObservedMotion) -> Vec<L
         let right = orientations(truth);
         let mut known = orientations(&observed.rotations[frame]);
         for joint in 0..N_JOINTS {
-            match place(joint) {
+            match described_place(joint) {
                 Some(described) if !observed.is_seen(frame, described) => known[joint] = right[joint],
                 None => known[joint] = PARENTS[joint].map_or(known[joint], |parent| known[parent] * truth[joint]),
                 Some(_) => {}
             }
         }
         std::array::from_fn(|joint| match PARENTS[joint] {
-            Some(parent) if place(joint).is_some() => known[parent].transpose() * right[joint],
+            Some(parent) if described_place(joint).is_some() => known[parent].transpose() * right[joint],
             _ => truth[joint],
         })
     };
     truth.iter().enumerate().map(of_frame).collect()
-}
-
-/// `world_from_joint`.
-fn orientations(pose: &LocalRotations) -> LocalRotations {
-    let mut found = *pose;
-    for joint in 1..N_JOINTS {
-        found[joint] = PARENTS[joint].map_or(pose[joint], |parent| found[parent] * pose[joint]);
-    }
-    found
-}
-
-fn place(joint: usize) -> Option<usize> {
-    DESCRIBED_JOINTS.iter().position(|described| *described == joint)
 }
 
 #[cfg(test)]
@@ -191,7 +178,7 @@ mod tests {
     #[test]
     fn hidden_limbs_are_aimed_where_they_pointed() {
         let mut rng = ChaCha8Rng::seed_from_u64(5);
-        let bent: LocalRotations = std::array::from_fn(|joint| match place(joint) {
+        let bent: LocalRotations = std::array::from_fn(|joint| match described_place(joint) {
             Some(_) => exp(&Vector3::new(0.02 * joint as f64, -0.3, 0.2)),
             None => Matrix3::identity(),
         });

@@ -4,35 +4,12 @@ use super::chart::LocalRotations;
 use super::dataset::GRID_FPS;
 use super::interpolation::{GridPlace, grid_place, interpolate, resampled_len};
 use super::observed::{DESCRIBED_JOINTS, N_DESCRIBED, ObservedMotion};
-use super::prior::{Completion, MotionPrior};
-use nalgebra::Vector3;
+use super::prior::Completion;
 
-impl MotionPrior {
-    /// Completes and denoises a motion at `fps`; the result has the motion's own frames.
-    ///
-    /// `pelvis`: positions, m; `sigma`: standard deviation of each described joint, rad, infinite where it is unseen.
-    pub fn completed_at(
-        &self,
-        rotations: &[LocalRotations],
-        pelvis: &[Vector3<f64>],
-        sigma: &[[f64; N_DESCRIBED]],
-        fps: f64,
-    ) -> Completion {
-        let on_grid = self.completed(&on_grid(rotations, pelvis, sigma, fps));
-        at_frames_of(rotations, fps, &on_grid)
-    }
-
-    /// The same with [`Self::bridged`].
-    pub fn bridged_at(
-        &self,
-        rotations: &[LocalRotations],
-        pelvis: &[Vector3<f64>],
-        sigma: &[[f64; N_DESCRIBED]],
-        fps: f64,
-    ) -> Completion {
-        let on_grid = self.bridged(&on_grid(rotations, pelvis, sigma, fps));
-        at_frames_of(rotations, fps, &on_grid)
-    }
+/// What `complete` ([`MotionPrior::completed`](super::MotionPrior::completed) or [`MotionPrior::bridged`](super::MotionPrior::bridged)) states of a motion at `fps`,
+/// at the motion's own frames.
+pub fn at_rate(motion: &ObservedMotion, fps: f64, complete: impl FnOnce(&ObservedMotion) -> Completion) -> Completion {
+    at_frames_of(&motion.rotations, fps, &complete(&on_grid(motion, fps)))
 }
 
 /// What is stated on the grid, at the frames of the motion that it is stated of.
@@ -56,12 +33,8 @@ fn at_frames_of(rotations: &[LocalRotations], fps: f64, on_grid: &Completion) ->
 
 /// A motion at `fps` on the 30 Hz grid. A joint is seen where it is seen in both neighbouring frames; an unseen one of the
 /// cubic's outer frames is replaced by its neighbour. The grid ends at or after the last frame, which it repeats there.
-fn on_grid(
-    rotations: &[LocalRotations],
-    pelvis: &[Vector3<f64>],
-    sigma: &[[f64; N_DESCRIBED]],
-    fps: f64,
-) -> ObservedMotion {
+fn on_grid(motion: &ObservedMotion, fps: f64) -> ObservedMotion {
+    let ObservedMotion { rotations, pelvis, sigma } = motion;
     let n_frames = rotations.len();
     let n_samples = resampled_len(n_frames, fps, GRID_FPS);
     let ends_before = (n_samples as f64 - 1.0) * fps / GRID_FPS < n_frames as f64 - 1.0 - 1e-6;
@@ -95,27 +68,29 @@ fn seen_samples(place: &GridPlace, is_seen: impl Fn(usize) -> bool) -> [usize; 4
 
 #[cfg(test)]
 mod tests {
+    use super::super::MotionPrior;
+    use super::super::observed::N_DESCRIBED;
     use super::*;
     use crate::geometry::rotation::{angle_between, exp};
-    use nalgebra::Matrix3;
+    use nalgebra::{Matrix3, Vector3};
 
-    fn waving(n_frames: usize, fps: f64) -> (Vec<LocalRotations>, Vec<Vector3<f64>>) {
+    fn waving(n_frames: usize, fps: f64) -> ObservedMotion {
         let frame = |t: usize| {
             let mut rotations = [Matrix3::identity(); 24];
             rotations[16] = exp(&Vector3::new(0.0, (2.0 * t as f64 / fps).sin(), -0.8));
             rotations
         };
-        ((0..n_frames).map(frame).collect(), vec![Vector3::new(0.0, 0.9, 0.0); n_frames])
+        let pelvis = vec![Vector3::new(0.0, 0.9, 0.0); n_frames];
+        ObservedMotion::exact((0..n_frames).map(frame).collect(), pelvis)
     }
 
     #[test]
     fn the_grid_has_the_motion_at_its_own_times() {
-        let (rotations, pelvis) = waving(51, 25.0);
-        let mut sigma = vec![[0.01; N_DESCRIBED]; 51];
-        sigma[20..30].iter_mut().for_each(|row| row[14] = f64::INFINITY);
-        let grid = on_grid(&rotations, &pelvis, &sigma, 25.0);
+        let mut motion = waving(51, 25.0);
+        motion.sigma[20..30].iter_mut().for_each(|row| row[14] = f64::INFINITY);
+        let grid = on_grid(&motion, 25.0);
         assert_eq!(grid.n_frames(), 61);
-        let (thirty, _) = waving(61, 30.0);
+        let thirty = waving(61, 30.0).rotations;
         for t in (0..61).filter(|&t| grid.is_seen(t, 14)) {
             assert!(angle_between(&grid.rotations[t][16], &thirty[t][16]) < 2e-3, "{t}");
         }
@@ -127,9 +102,9 @@ mod tests {
     #[test]
     fn completions_have_the_frames_of_their_motion() {
         for (n_frames, fps) in [(0, 30.0), (1, 25.0), (2, 60.0), (77, 25.0), (130, 59.94)] {
-            let (rotations, pelvis) = waving(n_frames, fps);
-            let sigma = vec![[0.02; N_DESCRIBED]; n_frames];
-            let found = MotionPrior::embedded().completed_at(&rotations, &pelvis, &sigma, fps);
+            let mut motion = waving(n_frames, fps);
+            motion.sigma.fill([0.02; N_DESCRIBED]);
+            let found = at_rate(&motion, fps, |grid| MotionPrior::embedded().completed(grid));
             assert_eq!((found.rotations.len(), found.precision.len()), (n_frames, n_frames));
             assert!(found.precision.iter().flatten().all(|p| p.iter().all(|x| x.is_finite())));
         }

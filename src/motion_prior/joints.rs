@@ -2,7 +2,7 @@
 //!
 //! The root is ignored: the pelvis is at the origin with rotation identity. Collars and hands are at identity.
 
-use super::chart::{Chart, Features, N_FEATURES};
+use super::chart::{Chart, Features, LocalRotations, N_FEATURES};
 use crate::body::skeleton::{N_JOINTS, PARENTS};
 use crate::body::{Betas, default_body};
 use nalgebra::{Matrix3, Vector3};
@@ -13,6 +13,11 @@ pub type JointPositions = [Vector3<f64>; N_JOINTS];
 /// Offsets from the parent joints of the default body at its mean shape, m.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bones([Vector3<f64>; N_JOINTS]);
+
+/// By joint, the joint at the other end of its bone: along the trunk, or its child; for the last joints of a limb and the head
+/// their own, since the bone from their parent is parallel to theirs at rest.
+const BONE_ENDS: [usize; N_JOINTS] =
+    [3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 10, 11, 15, 16, 17, 15, 18, 19, 20, 21, 22, 23, 22, 23];
 
 /// A posed skeleton.
 pub struct Posed {
@@ -33,35 +38,40 @@ impl Bones {
         Self(std::array::from_fn(|j| PARENTS[j].map_or_else(Vector3::zeros, |p| rest[j] - rest[p])))
     }
 
-    /// The direction of a joint's bone in its own frame: that to its first child; for the last joints of a limb and the head that from
-    /// their parent, which is parallel at rest.
+    /// The direction of a joint's bone in its own frame, see [`BONE_ENDS`].
     pub fn axis(&self, joint: usize) -> Vector3<f64> {
-        let child = PARENTS.iter().position(|parent| *parent == Some(joint)).unwrap_or(joint);
-        // The hips and collars beside the trunk's axis come first among the children of their joints.
-        let along = match joint {
-            0 => 3,
-            9 => 12,
-            _ => child,
-        };
-        self.0[along].normalize()
+        self.0[BONE_ENDS[joint]].normalize()
     }
 
     /// Forward kinematics (docs/method.md) from local rotations without the root.
-    pub fn posed(&self, local: &[Matrix3<f64>; N_JOINTS]) -> Posed {
-        let mut posed = Posed { joints: [Vector3::zeros(); N_JOINTS], rotations: [Matrix3::identity(); N_JOINTS] };
+    pub fn posed(&self, local: &LocalRotations) -> Posed {
+        let mut turned = *local;
+        turned[0] = Matrix3::identity();
+        let rotations = orientations(&turned);
+        let mut joints = [Vector3::zeros(); N_JOINTS];
         for (j, parent) in PARENTS.iter().enumerate() {
             if let Some(p) = *parent {
-                posed.joints[j] = posed.joints[p] + posed.rotations[p] * self.0[j];
-                posed.rotations[j] = posed.rotations[p] * local[j];
+                joints[j] = joints[p] + rotations[p] * self.0[j];
             }
         }
-        posed
+        Posed { joints, rotations }
     }
 
     /// Joints from features, m.
     pub fn joints(&self, chart: &Chart, features: &Features) -> JointPositions {
         self.posed(&chart.rotations(features)).joints
     }
+}
+
+/// Rotations from the frame that the root is given in, of every joint: `G_0 = R_0`, `G_j = G_par R_j`.
+pub(crate) fn orientations(local: &LocalRotations) -> LocalRotations {
+    let mut found = *local;
+    for (j, parent) in PARENTS.iter().enumerate() {
+        if let Some(p) = *parent {
+            found[j] = found[p] * local[j];
+        }
+    }
+    found
 }
 
 /// Single precision rows of features as double precision frames.

@@ -9,7 +9,7 @@
 //! - [`drawing`]: motions drawn from it
 //! - [`observed`], [`bridge`]: motions with gaps; paths through the gaps that need no network
 //! - [`denoiser_input`], [`denoiser`]: the network that corrects them and states its uncertainty
-//! - [`weights`], [`prior`]: its file; the operations of a trained prior, at any frame rate (`grid`)
+//! - [`weights`], [`prior`]: its file; the operations of a trained prior, at any frame rate ([`grid`])
 //! - [`gru`], [`vae`]: the paper's latent motion prior, an autoencoder
 //! - [`latent_prior`]: its operations once it is trained, in windows (`time_windows`)
 //! - [`gaps`], [`objective`], [`vae_objective`], [`training`]: training of both (`denoiser_training`, `vae_training`) on
@@ -27,7 +27,7 @@ mod descent;
 pub mod drawing;
 pub mod evaluation;
 pub mod gaps;
-mod grid;
+pub mod grid;
 pub mod gru;
 pub mod interpolation;
 pub mod joints;

@@ -10,6 +10,11 @@ pub const DESCRIBED_JOINTS: [usize; 1 + LATENT_JOINTS.len()] = described_joints(
 /// Number of [`DESCRIBED_JOINTS`].
 pub const N_DESCRIBED: usize = DESCRIBED_JOINTS.len();
 
+/// Place of a joint among [`DESCRIBED_JOINTS`].
+pub fn described_place(joint: usize) -> Option<usize> {
+    DESCRIBED_JOINTS.iter().position(|described| *described == joint)
+}
+
 const fn described_joints() -> [usize; 1 + LATENT_JOINTS.len()] {
     let mut joints = [0; 1 + LATENT_JOINTS.len()];
     let mut i = 0;
@@ -51,7 +56,7 @@ impl ObservedMotion {
 
     /// Makes joints unseen; those outside [`DESCRIBED_JOINTS`] have no entry and are left out.
     pub fn hide(&mut self, joints: &[usize], frames: std::ops::Range<usize>) {
-        for place in (0..N_DESCRIBED).filter(|&place| joints.contains(&DESCRIBED_JOINTS[place])) {
+        for place in joints.iter().filter_map(|&joint| described_place(joint)) {
             self.sigma[frames.clone()].iter_mut().for_each(|sigma| sigma[place] = f64::INFINITY);
         }
     }
@@ -64,9 +69,8 @@ pub(crate) const SPINE: [usize; 3] = [3, 6, 9];
 /// Makes the spine of a frame unseen where both thighs are: the keypoints of the trunk show how it leans, but not how much of that
 /// the pelvis does and how much the spine; the pelvis may tilt about the line through the hips, and hidden legs with it.
 pub(crate) fn leave_spine_open(sigma: &mut [f64; N_DESCRIBED]) {
-    let of = |joint: usize| DESCRIBED_JOINTS.iter().position(|described| *described == joint);
-    if HIPS.into_iter().filter_map(of).all(|hip| sigma[hip].is_infinite()) {
-        SPINE.into_iter().filter_map(of).for_each(|joint| sigma[joint] = f64::INFINITY);
+    if HIPS.into_iter().filter_map(described_place).all(|hip| sigma[hip].is_infinite()) {
+        SPINE.into_iter().filter_map(described_place).for_each(|joint| sigma[joint] = f64::INFINITY);
     }
 }
 

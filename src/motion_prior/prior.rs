@@ -1,9 +1,10 @@
 //! The trained prior and its operations.
 
 use super::basis::Basis;
+use super::bridge::{DECAY_FRAMES, bridge};
 use super::chart::{Chart, Features, LocalRotations};
 use super::denoiser::Denoiser;
-use super::denoiser_input::{DenoiserInput, N_INPUT, denoiser_input};
+use super::denoiser_input::{DenoiserInput, N_INPUT, denoiser_input, expected_errors};
 use super::joints::frame;
 use super::observed::{DESCRIBED_JOINTS, N_DESCRIBED, ObservedMotion};
 use super::weights::{NetworkKind, Provenance, Weights, WeightsError};
@@ -90,13 +91,13 @@ impl MotionPrior {
 
     /// Bridges the gaps of a motion at 30 Hz. The covariances are those of a bridge's usual error, the same about all axes.
     pub fn bridged(&self, motion: &ObservedMotion) -> Completion {
-        let DenoiserInput { units, bridged, .. } = denoiser_input(motion, &self.mean_pose());
+        let bridged = bridge(motion, &self.mean_pose(), DECAY_FRAMES);
         let of_joint = |unit: &f32| Matrix3::identity() / f64::from(unit * unit);
         let of_frame = |row: &[f32]| std::array::from_fn(|described| of_joint(&row[described]));
         let n_frames = motion.n_frames();
         Completion {
+            precision: expected_errors(motion, &bridged).chunks_exact(N_DESCRIBED).map(of_frame).collect(),
             rotations: bridged.rotations,
-            precision: units.chunks_exact(N_DESCRIBED).map(of_frame).collect(),
             velocity: vec![Vector3::zeros(); n_frames],
             velocity_sigma: vec![Vector3::repeat(f64::INFINITY); n_frames],
             contact: vec![[0.5; 2]; n_frames],

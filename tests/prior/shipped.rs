@@ -6,7 +6,8 @@ use wandless::geometry::rotation::angle_between;
 use wandless::motion_prior::chart::{LATENT_JOINTS, LocalRotations};
 use wandless::motion_prior::dataset::{Take, read_dataset};
 use wandless::motion_prior::evaluation::gap_errors;
-use wandless::motion_prior::observed::{DESCRIBED_JOINTS, N_DESCRIBED, ObservedMotion};
+use wandless::motion_prior::grid::at_rate;
+use wandless::motion_prior::observed::{DESCRIBED_JOINTS, N_DESCRIBED, ObservedMotion, described_place};
 use wandless::motion_prior::reconstruction::reconstruction_errors;
 use wandless::motion_prior::{LatentPrior, MotionPrior};
 
@@ -41,7 +42,7 @@ fn uncertainty_grows_into_a_gap() {
     let mut motion = observed(200, 30.0);
     motion.hide(&[16, 18, 20], 70..130);
     let found = MotionPrior::embedded().completed(&motion);
-    let shoulder = DESCRIBED_JOINTS.iter().position(|&joint| joint == 16).unwrap();
+    let shoulder = described_place(16).unwrap();
     let sigma = |t: usize| found.precision[t][shoulder].try_inverse().unwrap().trace().sqrt();
     assert!(sigma(100) > 2.0 * sigma(71) && sigma(100) > 5.0 * sigma(40), "{} {} {}", sigma(40), sigma(71), sigma(100));
     assert!(found.precision.iter().flatten().all(|p| p.symmetric_eigenvalues().min() > 0.0));
@@ -52,7 +53,7 @@ fn a_motion_is_the_same_at_25_30_and_60_hz() {
     let prior = MotionPrior::embedded();
     let at = |n: usize, fps: f64| {
         let motion = observed(n, fps);
-        prior.completed_at(&motion.rotations, &motion.pelvis, &motion.sigma, fps).rotations
+        at_rate(&motion, fps, |grid| prior.completed(grid)).rotations
     };
     let thirty: Vec<LocalRotations> = at(181, 30.0).into_iter().step_by(6).collect();
     for (n, fps, step) in [(151, 25.0, 5), (361, 60.0, 12)] {

@@ -5,9 +5,10 @@ use crate::body::skeleton::JOINT_NAMES;
 use crate::cli::bad_input::BadInput;
 use crate::geometry::rotation::{exp, log};
 use crate::motion_prior::dataset::GRID_FPS;
+use crate::motion_prior::grid::at_rate;
 use crate::motion_prior::motion_file::{MotionPose, MotionTake, read_take};
 use crate::motion_prior::motion_writer::write_take;
-use crate::motion_prior::observed::{DESCRIBED_JOINTS, N_DESCRIBED};
+use crate::motion_prior::observed::{DESCRIBED_JOINTS, N_DESCRIBED, ObservedMotion};
 use anyhow::Context;
 use nalgebra::Vector3;
 use std::path::{Path, PathBuf};
@@ -100,7 +101,10 @@ pub(super) fn reconstruct(args: ReconstructArgs) -> anyhow::Result<()> {
     }
     let file = args.prior.as_deref();
     let found = match args.model {
-        Model::Denoiser => read_prior(file)?.completed_at(&rotations, &pelvis, &sigma, take.fps).rotations,
+        Model::Denoiser => {
+            let prior = read_prior(file)?;
+            at_rate(&ObservedMotion { rotations, pelvis, sigma }, take.fps, |motion| prior.completed(motion)).rotations
+        }
         Model::Latent if hidden.is_empty() => read_latent_prior(file)?.reconstructed(&rotations, take.fps),
         Model::Latent => return Err(BadInput("--hide: the latent prior completes no joints".to_owned()).into()),
     };

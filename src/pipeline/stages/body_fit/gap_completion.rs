@@ -11,7 +11,8 @@ use crate::body::skeleton::{N_JOINTS, PARENTS};
 use crate::geometry::rotation::rotation_between;
 use crate::motion_prior::MotionPrior;
 use crate::motion_prior::chart::LocalRotations;
-use crate::motion_prior::observed::{DESCRIBED_JOINTS, N_DESCRIBED, leave_spine_open};
+use crate::motion_prior::grid::at_rate;
+use crate::motion_prior::observed::{DESCRIBED_JOINTS, N_DESCRIBED, ObservedMotion, leave_spine_open};
 use crate::residuals::rotation_likelihood::RotationGaussian;
 use nalgebra::{Matrix3, Vector3};
 
@@ -73,14 +74,16 @@ pub(super) fn completed_gaps(
     }
     let turns = &context.model.mocap_from_body;
     let up = rotation_between(&context.up, &Vector3::y());
-    let rotations: Vec<LocalRotations> =
-        state.poses.iter().map(|pose| mocap_rotations(&pose.rotations, turns, &up)).collect();
-    let pelvis: Vec<Vector3<f64>> = state.poses.iter().map(|pose| up * pose.translation).collect();
-    let (prior, fps) = (MotionPrior::embedded(), 1.0 / context.frame_interval);
-    let found = match purpose {
-        Purpose::FromRough => prior.bridged_at(&rotations, &pelvis, &sigma, fps),
-        Purpose::FromGood | Purpose::Uncertainty => prior.completed_at(&rotations, &pelvis, &sigma, fps),
+    let motion = ObservedMotion {
+        rotations: state.poses.iter().map(|pose| mocap_rotations(&pose.rotations, turns, &up)).collect(),
+        pelvis: state.poses.iter().map(|pose| up * pose.translation).collect(),
+        sigma,
     };
+    let prior = MotionPrior::embedded();
+    let found = at_rate(&motion, 1.0 / context.frame_interval, |motion| match purpose {
+        Purpose::FromRough => prior.bridged(motion),
+        Purpose::FromGood | Purpose::Uncertainty => prior.completed(motion),
+    });
     let on_body = |frame: usize, described: usize| {
         let joint = DESCRIBED_JOINTS[described];
         let mean = retargeted(&found.rotations[frame][joint], joint, turns);

@@ -220,23 +220,28 @@ fn fit_pass(
         None => (DataSource::Points { sigma: config.point_sigma }, on_points),
     };
     let config = if pass == Pass::Last { config } else { first_config };
-    let minimised_with = |completion: Option<&GapCompletion>, start: MotionState, system: &mut BlockBanded| {
-        let start = match completion {
-            Some(gaps) => gaps.applied_to(start),
-            None => start,
+    let minimised_within =
+        |max_iterations: usize, completion: Option<&GapCompletion>, start: MotionState, system: &mut BlockBanded| {
+            let start = match completion {
+                Some(gaps) => gaps.applied_to(start),
+                None => start,
+            };
+            let speeds = (pass != Pass::Points).then_some(&start);
+            let objective =
+                Objective { speeds, completion, ..Objective::new(context, config, observations, data, shape) };
+            minimised(context, &objective.problem(), start.clone(), max_iterations, system)
         };
-        let speeds = (pass != Pass::Points).then_some(&start);
-        let objective = Objective { speeds, completion, ..Objective::new(context, config, observations, data, shape) };
-        minimised(context, &objective.problem(), start.clone(), max_iterations, system)
-    };
     let completed = |state: &MotionState, purpose: Purpose| {
         let completes = pass == Pass::Last && config.completes_gaps;
         completes.then(|| completed_gaps(context, observations, state, purpose)).flatten()
     };
     // The first fit has no pose prior, so that what it states at the edges of gaps (twists about bones above all) is rough.
-    let Some(rough) = completed(&start, Purpose::FromRough) else { return minimised_with(None, start, system) };
-    let fitted = minimised_with(Some(&rough), start, system)?;
+    let Some(rough) = completed(&start, Purpose::FromRough) else {
+        return minimised_within(max_iterations, None, start, system);
+    };
+    // Which only has to be good enough to start from: with all steps hidden joints come no closer.
+    let fitted = minimised_within(max_iterations / 2, Some(&rough), start, system)?;
     let good = completed(&fitted.state, Purpose::FromGood);
-    let again = minimised_with(good.as_ref(), fitted.state, system)?;
+    let again = minimised_within(max_iterations, good.as_ref(), fitted.state, system)?;
     Ok(FittedMotion { iterations: fitted.iterations + again.iterations, cost_before: fitted.cost_before, ..again })
 }

@@ -33,8 +33,9 @@ fn hypotheses_of_one_offset() -> HypothesisConfig {
     HypothesisConfig {
         n_tracklets: 4,
         max_points: 100,
-        iterations: 60,
-        n_unions: 6,
+        iterations: [20, 60],
+        n_singles: 6,
+        n_unions: [6, 3],
         n_refits: 4,
         n_kept: 1,
         ..HypothesisConfig::default()
