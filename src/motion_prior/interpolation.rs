@@ -43,6 +43,13 @@ pub fn interpolate(samples: &[Matrix3<f64>; 4], share: f64) -> Matrix3<f64> {
     samples[1] * rotation::exp(&increment(samples, share))
 }
 
+/// The position at `share` between samples 1 and 2, by the same weights.
+pub fn interpolate_positions(samples: &[Vector3<f64>; 4], share: f64) -> Vector3<f64> {
+    let [c0, c2, c3] = weights(share);
+    let from_first = |k: usize| samples[k] - samples[1];
+    samples[1] + from_first(0) * c0 + from_first(2) * c2 + from_first(3) * c3
+}
+
 fn increment(samples: &[Matrix3<f64>; 4], share: f64) -> Vector3<f64> {
     let [c0, c2, c3] = weights(share);
     let from_first = |k: usize| rotation::log(&(samples[1].transpose() * samples[k]));

@@ -1,25 +1,40 @@
 //! How the frames follow the border: many back substitutions at once.
 
 use super::Eliminated;
+use super::frame_factor::FrameFactor;
 use nalgebra::DMatrix;
+
+/// The movements of the two frames behind the next one of a back substitution.
+#[derive(Default)]
+pub(super) struct Following {
+    next: DMatrix<f64>,
+    after_next: DMatrix<f64>,
+}
+
+impl Following {
+    /// The movement of a frame with this factor, by column of `border`; frames come from the last to the first.
+    pub(super) fn step(&mut self, factor: &FrameFactor, border: &DMatrix<f64>) -> DMatrix<f64> {
+        // Products of transposed copies are several times faster than those of columns with columns.
+        let mut y = factor.to_border.transpose() * border;
+        for (to_later, later) in [(&factor.to_next, &self.next), (&factor.to_after_next, &self.after_next)] {
+            if !to_later.is_empty() {
+                y.gemm(1.0, &to_later.transpose(), later, 1.0);
+            }
+        }
+        let own = -(factor.inverse.transpose() * y);
+        self.after_next = std::mem::replace(&mut self.next, own.clone());
+        own
+    }
+}
 
 impl Eliminated {
     /// Movement of each frame per unit of each column of `border`, with the frames at their minimum given the border:
     /// `-H[frames][frames]^-1 H[frames][border] border`. [frame: (unknowns, columns)]
     pub fn responses(&self, border: &DMatrix<f64>) -> Vec<DMatrix<f64>> {
-        let n_frames = self.n_frames();
-        let mut frames = vec![DMatrix::zeros(self.factor.layout.n, border.ncols()); n_frames];
-        for t in (0..n_frames).rev() {
-            let factor = self.frame_factor(t);
-            // Products of transposed copies are several times faster than those of columns with columns.
-            let mut y = factor.to_border.transpose() * border;
-            for (later, to_later) in [(t + 1, &factor.to_next), (t + 2, &factor.to_after_next)] {
-                if later < n_frames {
-                    y.gemm(1.0, &to_later.transpose(), &frames[later], 1.0);
-                }
-            }
-            frames[t].gemm(-1.0, &factor.inverse.transpose(), &y, 0.0);
-        }
+        let mut following = Following::default();
+        let mut frames: Vec<_> =
+            (0..self.n_frames()).rev().map(|t| following.step(&self.frame_factor(t), border)).collect();
+        frames.reverse();
         frames
     }
 }

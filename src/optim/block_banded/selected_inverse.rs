@@ -11,17 +11,21 @@
 //! of two a frame.
 
 use super::Eliminated;
+use super::responses::Following;
 use nalgebra::DMatrix;
 
 impl Eliminated {
-    /// Calls `visit` with each frame and `(H[frames][frames]^-1)[t][t]`, from the last frame to the first.
-    pub fn for_each_inverse_block(&self, mut visit: impl FnMut(usize, &DMatrix<f64>)) {
+    /// Calls `visit` with each frame, `(H[frames][frames]^-1)[t][t]` and the frame's [response](Self::responses) to each unknown of the
+    /// border, from the last frame to the first.
+    pub fn for_each_inverse_block(&self, mut visit: impl FnMut(usize, &DMatrix<f64>, &DMatrix<f64>)) {
         // Z[t+1][t+1], Z[t+2][t+2] and Z[t+2][t+1] of the frames behind.
         let (mut one, mut two, mut across): (DMatrix<f64>, DMatrix<f64>, DMatrix<f64>) = Default::default();
         let n_frames = self.n_frames();
+        let n_border = self.factor.layout.n_border;
+        let (border, mut following) = (DMatrix::identity(n_border, n_border), Following::default());
         for t in (0..n_frames).rev() {
             let factor = self.frame_factor(t);
-            let mut own = factor.inverse.tr_mul(&factor.inverse);
+            let mut own = factor.inverse.transpose() * &factor.inverse;
             let mut next = DMatrix::zeros(factor.to_next.nrows(), own.ncols());
             if t + 1 < n_frames {
                 let to_next = &factor.to_next * &factor.inverse;
@@ -36,7 +40,7 @@ impl Eliminated {
                 own.gemm(-1.0, &next.transpose(), &to_next, 1.0);
             }
             make_symmetric(&mut own);
-            visit(t, &own);
+            visit(t, &own, &following.step(&factor, &border));
             (two, across, one) = (one, next, own);
         }
     }

@@ -35,7 +35,7 @@ use crate::body::skeleton::{JOINT_NAMES, N_JOINTS};
 use crate::geometry::free_network::CameraCovariance;
 use crate::optim::block_banded::Eliminated;
 use crate::session::people::JointSigmas;
-use nalgebra::{DMatrix, Matrix3, Matrix3xX};
+use nalgebra::{DMatrix, Matrix3};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -96,25 +96,25 @@ fn window_uncertainty(
     let mut system = context.systems.take();
     problem.linearise(&state, &mut system);
     let eliminated = system.eliminated(0.0)?;
-    let responses = eliminated.responses(&DMatrix::identity(border.len(), border.len()));
     let of_betas = eliminated.corner.view_range(border.betas(), border.betas()).into_owned().cholesky()?.inverse();
     let errors = variance_per_residual(observations.equations_per_frame(), (3 * unknowns.n_groups()) as f64);
     let body = context.model.shaped(&state.betas);
 
     let mut sigmas = vec![[0.0; N_JOINTS]; state.poses.len()];
-    eliminated.for_each_inverse_block(|t, of_frame| {
+    eliminated.for_each_inverse_block(|t, of_frame, response| {
         let skeleton = posed(&body, &state.poses[t]);
-        let by_betas = joints_by_betas(context.model, &skeleton);
-        let mut by_cameras = Vec::new();
+        let by_frame = joints_by_frame(unknowns, &skeleton);
+        let by_border =
+            joints_by_border(unknowns, &joints_by_betas(context.model, &skeleton), &skeleton) + &by_frame * response;
+        let of_pose = variances(&by_frame, of_frame);
+        let of_shape = variances(&by_border.columns_range(border.betas()).into_owned(), &of_betas);
+        let mut by_cameras = Vec::with_capacity(N_JOINTS);
         for joint in 0..N_JOINTS {
-            let by_frame = by_frame(unknowns, &skeleton, joint);
-            let by_border = by_own_border(unknowns, &by_betas[joint], &skeleton, joint) + &by_frame * &responses[t];
-            let by = |columns: Range<usize>| by_border.columns_range(columns).into_owned();
-            let measured = variance(&by_frame, of_frame) + variance(&by(border.betas()), &of_betas);
-            let of_bones = BONE_SIGMA * BONE_SIGMA * by(border.bones()).norm_squared();
+            let rows = by_border.fixed_rows::<3>(3 * joint);
+            let of_bones = BONE_SIGMA * BONE_SIGMA * rows.columns_range(border.bones()).norm_squared();
             let of_definition = 3.0 * definition_sigma(joint).powi(2);
-            by_cameras.push((skeleton.joints[joint], by(border.camera_columns())));
-            sigmas[t][joint] = errors * measured + of_bones + of_definition;
+            by_cameras.push((skeleton.joints[joint], rows.columns_range(border.camera_columns()).into_owned()));
+            sigmas[t][joint] = errors * (of_pose[joint] + of_shape[joint]) + of_bones + of_definition;
         }
         let of_cameras = cameras.map_or_else(|| vec![0.0; N_JOINTS], |cameras| cameras.point_variances(&by_cameras));
         for (sigma, of_cameras) in sigmas[t].iter_mut().zip(of_cameras) {
@@ -159,34 +159,40 @@ fn definition_sigma(joint: usize) -> f64 {
     }
 }
 
-/// The trace of `by covariance by^T`.
-fn variance(by: &Matrix3xX<f64>, covariance: &DMatrix<f64>) -> f64 {
-    (by * covariance).component_mul(by).sum()
+/// By joint, the trace of `by covariance by^T` over its three rows of `by`.
+fn variances(by: &DMatrix<f64>, covariance: &DMatrix<f64>) -> JointSigmas {
+    let products = (by * covariance).component_mul(by).column_sum();
+    std::array::from_fn(|joint| products.fixed_rows::<3>(3 * joint).sum())
 }
 
-/// Derivatives of a joint's position by the unknowns of its frame.
-fn by_frame(unknowns: &Unknowns, skeleton: &PosedSkeleton, joint: usize) -> Matrix3xX<f64> {
-    let mut by_frame = Matrix3xX::zeros(3 * unknowns.n_groups());
-    by_frame.fixed_columns_mut::<3>(3 * TRANSLATION_GROUP).copy_from(&Matrix3::identity());
-    for (group, ancestor) in unknowns.rotations() {
-        by_frame.fixed_columns_mut::<3>(3 * group).copy_from(&joint_by_rotation(skeleton, joint, ancestor));
+/// Derivatives of the joints' positions by the unknowns of their frame, three rows a joint.
+fn joints_by_frame(unknowns: &Unknowns, skeleton: &PosedSkeleton) -> DMatrix<f64> {
+    let mut by_frame = DMatrix::zeros(3 * N_JOINTS, 3 * unknowns.n_groups());
+    for joint in 0..N_JOINTS {
+        let mut rows = by_frame.fixed_rows_mut::<3>(3 * joint);
+        rows.fixed_columns_mut::<3>(3 * TRANSLATION_GROUP).copy_from(&Matrix3::identity());
+        for (group, ancestor) in unknowns.rotations() {
+            rows.fixed_columns_mut::<3>(3 * group).copy_from(&joint_by_rotation(skeleton, joint, ancestor));
+        }
     }
     by_frame
 }
 
 /// The same by the unknowns of the border, the frames held.
-fn by_own_border(
+fn joints_by_border(
     unknowns: &Unknowns,
-    by_betas: &ShapeDirections,
+    by_betas: &[ShapeDirections; N_JOINTS],
     skeleton: &PosedSkeleton,
-    joint: usize,
-) -> Matrix3xX<f64> {
+) -> DMatrix<f64> {
     let border = unknowns.border;
-    let mut by_border = Matrix3xX::zeros(border.len());
-    by_border.columns_range_mut(border.betas()).copy_from(by_betas);
-    for (kind, block) in joint_by_bones(joint, &skeleton.rotations) {
-        let mut columns = by_border.fixed_columns_mut::<3>(border.bones().start + 3 * kind);
-        columns += block;
+    let mut by_border = DMatrix::zeros(3 * N_JOINTS, border.len());
+    for joint in 0..N_JOINTS {
+        let mut rows = by_border.fixed_rows_mut::<3>(3 * joint);
+        rows.columns_range_mut(border.betas()).copy_from(&by_betas[joint]);
+        for (kind, block) in joint_by_bones(joint, &skeleton.rotations) {
+            let mut columns = rows.fixed_columns_mut::<3>(border.bones().start + 3 * kind);
+            columns += block;
+        }
     }
     by_border
 }

@@ -10,7 +10,7 @@ use super::observations::Observations;
 use super::pixel_residuals::{DetectedPixels, median_distance_px};
 use super::terms::data::DataSource;
 use super::terms::unknowns::{MotionState, Shape};
-use super::thinned_motion::{carry_along, rough_stride};
+use super::thinned_motion::{lead_through, rough_stride};
 use crate::body::kinematics::Pose;
 use crate::optim::block_banded::BlockBanded;
 use crate::progress::Canceled;
@@ -180,7 +180,7 @@ fn stride(context: &FitContext, observations: &Observations) -> usize {
     if has_enough { stride } else { 1 }
 }
 
-/// A pass over every `stride`-th frame; those between are carried along.
+/// A pass over every `stride`-th frame; those between follow.
 fn fit_thinned(
     context: &FitContext,
     observations: &Observations,
@@ -195,7 +195,7 @@ fn fit_thinned(
     let few = MotionState { betas, poses: poses.iter().step_by(stride).copied().collect() };
     let thinned = observations.thinned(0..observations.pixels.len(), stride);
     let fitted = fit_pass(&context, &thinned, few, shape, pass, system)?;
-    carry_along(&mut poses, &fitted.state.poses, stride);
+    lead_through(&mut poses, &fitted.state.poses, stride);
     Ok(FittedMotion { state: MotionState { poses, ..fitted.state }, ..fitted })
 }
 
