@@ -9,7 +9,7 @@
 //! | | | keyframe selection, bundle adjustment with focal lengths, association | 3 candidates, then up to 4 rounds |
 //! | 3 | [`cameras`](passes::cameras) | camera initialisation | `extrinsics: estimate`; once |
 //! | | | keyframe selection, bundle adjustment, association | up to 3 arrangements |
-//! | | | camera registration, keyframes, bundle adjustment, association | 2 rounds |
+//! | | | camera registration, keyframes, bundle adjustment, association | 1 or 2 rounds |
 //! | | | association under the given cameras | `extrinsics: fixed` or `refine`; once |
 //! | | | final bundle adjustment, association | `denoise: false`, not `fixed`; once |
 //! | 4 | [`denoising`](passes::denoising) | trajectories, repair of detections, detector noise | `denoise: true`; twice |

@@ -16,9 +16,13 @@ use crate::progress::{Canceled, Progress};
 const MAX_TRIALS: usize = 3;
 const TRIAL_SHARE: f64 = 0.5;
 
-/// Rounds of adjustment and association before the final one: the second changed associations in half of the trials, a
+/// Most rounds of adjustment and association before the final one: the second changed associations in half of the trials, a
 /// third in none.
 const N_ROUNDS: usize = 2;
+
+/// With all cameras placed, a round that changes the share of explained detections by less is the last, since the final adjustment and
+/// association follow. On 95 captures of all presets cameras and joints came as close as with two rounds throughout.
+const SETTLED_SHARE: f64 = 0.002;
 
 /// Where the final bundle adjustment runs, [`Effort::last`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -90,8 +94,13 @@ fn estimated(capture: &Capture, progress: &Progress) -> Result<Calibration, Canc
     calibration.stages.insert(0, report);
     for _ in 0..N_ROUNDS {
         let round = steps.begin("registering the remaining cameras");
+        let (n_placed, explained) = (calibration.n_placed(), calibration.association.explained);
         register_remaining(capture, &tracklets, &mut calibration);
         calibration = adjusted_and_associated(capture, calibration, Effort::ROUND, &round)?;
+        let is_settled = (calibration.association.explained - explained).abs() < SETTLED_SHARE;
+        if n_placed == capture.views.len() && is_settled {
+            break;
+        }
     }
     Ok(calibration)
 }
