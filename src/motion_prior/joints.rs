@@ -14,8 +14,7 @@ pub type JointPositions = [Vector3<f64>; N_JOINTS];
 #[derive(Debug, Clone, PartialEq)]
 pub struct Bones([Vector3<f64>; N_JOINTS]);
 
-/// By joint, the joint at the other end of its bone: along the trunk, or its child; for the last joints of a limb and the head
-/// their own, since the bone from their parent is parallel to theirs at rest.
+/// By joint, the end of its bone. The bone from their parent is parallel at rest to those of the last joints of a limb and the head.
 const BONE_ENDS: [usize; N_JOINTS] =
     [3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 10, 11, 15, 16, 17, 15, 18, 19, 20, 21, 22, 23, 22, 23];
 
@@ -38,7 +37,8 @@ impl Bones {
         Self(std::array::from_fn(|j| PARENTS[j].map_or_else(Vector3::zeros, |p| rest[j] - rest[p])))
     }
 
-    /// The direction of a joint's bone in its own frame, see [`BONE_ENDS`].
+    /// The direction of a joint's bone in its own frame: along the trunk or to its child; for the last joints of a limb and the head that
+    /// from their parent.
     pub fn axis(&self, joint: usize) -> Vector3<f64> {
         self.0[BONE_ENDS[joint]].normalize()
     }
