@@ -6,8 +6,8 @@ use super::interpolation::{GridPlace, grid_place, interpolate, resampled_len};
 use super::observed::{DESCRIBED_JOINTS, N_DESCRIBED, ObservedMotion};
 use super::prior::Completion;
 
-/// What `complete` ([`MotionPrior::completed`](super::MotionPrior::completed) or [`MotionPrior::bridged`](super::MotionPrior::bridged)) states of a motion at `fps`,
-/// at the motion's own frames.
+/// What `complete` states of a motion at `fps`, at the motion's own frames: [`completed`](super::MotionPrior::completed) or
+/// [`bridged`](super::MotionPrior::bridged).
 pub fn at_rate(motion: &ObservedMotion, fps: f64, complete: impl FnOnce(&ObservedMotion) -> Completion) -> Completion {
     at_frames_of(&motion.rotations, fps, &complete(&on_grid(motion, fps)))
 }

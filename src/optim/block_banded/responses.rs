@@ -13,7 +13,7 @@ pub(super) struct Following {
 
 impl Following {
     /// The movement of a frame with this factor, by column of `border`; frames come from the last to the first.
-    pub(super) fn step(&mut self, factor: &FrameFactor, border: &DMatrix<f64>) -> DMatrix<f64> {
+    pub(super) fn step(&mut self, factor: &FrameFactor, border: &DMatrix<f64>) -> &DMatrix<f64> {
         // Products of transposed copies are several times faster than those of columns with columns.
         let mut y = factor.to_border.transpose() * border;
         for (to_later, later) in [(&factor.to_next, &self.next), (&factor.to_after_next, &self.after_next)] {
@@ -22,8 +22,8 @@ impl Following {
             }
         }
         let own = -(factor.inverse.transpose() * y);
-        self.after_next = std::mem::replace(&mut self.next, own.clone());
-        own
+        self.after_next = std::mem::replace(&mut self.next, own);
+        &self.next
     }
 }
 
@@ -33,7 +33,7 @@ impl Eliminated {
     pub fn responses(&self, border: &DMatrix<f64>) -> Vec<DMatrix<f64>> {
         let mut following = Following::default();
         let mut frames: Vec<_> =
-            (0..self.n_frames()).rev().map(|t| following.step(&self.frame_factor(t), border)).collect();
+            (0..self.n_frames()).rev().map(|t| following.step(&self.frame_factor(t), border).clone()).collect();
         frames.reverse();
         frames
     }

@@ -40,7 +40,7 @@ impl Eliminated {
                 own.gemm(-1.0, &next.transpose(), &to_next, 1.0);
             }
             make_symmetric(&mut own);
-            visit(t, &own, &following.step(&factor, &border));
+            visit(t, &own, following.step(&factor, &border));
             (two, across, one) = (one, next, own);
         }
     }

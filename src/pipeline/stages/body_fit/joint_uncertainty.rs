@@ -160,7 +160,7 @@ fn definition_sigma(joint: usize) -> f64 {
 }
 
 /// By joint, the trace of `by covariance by^T` over its three rows of `by`.
-fn variances(by: &DMatrix<f64>, covariance: &DMatrix<f64>) -> JointSigmas {
+fn variances(by: &DMatrix<f64>, covariance: &DMatrix<f64>) -> [f64; N_JOINTS] {
     let products = (by * covariance).component_mul(by).column_sum();
     std::array::from_fn(|joint| products.fixed_rows::<3>(3 * joint).sum())
 }
