@@ -8,6 +8,7 @@ mod frame_factor;
 mod kernel;
 mod layout;
 mod pool;
+mod products;
 mod responses;
 mod selected_inverse;
 mod substitution;
@@ -20,6 +21,8 @@ pub use layout::FramePanel;
 use layout::{Layout, STRIP};
 use nalgebra::{DMatrix, DVector, Matrix3};
 pub use pool::SystemPool;
+pub use products::{ColumnBlock, StripRows};
+use std::ops::Range;
 use substitution::Substitution;
 
 /// Half of a symmetric system `H x = -gradient` over frames of `3 * n_groups` unknowns and a border.
@@ -33,7 +36,13 @@ pub struct BlockBanded {
     starts: Vec<usize>,
     /// The border's own Hessian and gradient.
     pub corner: Corner,
+    /// What eliminated frames add to the corner: strips of the border by as many columns.
+    difference: Vec<f64>,
 }
+
+/// Frames that are filled while those before them are eliminated: with their panels, and the two before these, they fit into two
+/// megabytes of cache.
+const RUN: usize = 4;
 
 /// The system of the border's unknowns among themselves.
 #[derive(Debug, Clone, Default)]
@@ -89,10 +98,7 @@ impl BlockBanded {
 
     /// The frames, for terms that add to one each.
     pub fn frames(&mut self) -> Vec<FramePanel<'_>> {
-        let layout = self.layout;
-        let panels = self.panels.chunks_exact_mut(layout.panel_len());
-        let starts = self.starts.chunks_exact_mut(layout.frame_strips());
-        panels.zip(starts).map(|(values, starts)| FramePanel { layout, values, starts }).collect()
+        self.layout.frames(&mut self.panels, &mut self.starts)
     }
 
     /// One frame.
@@ -115,11 +121,7 @@ impl BlockBanded {
 
     /// Adds a block at groups `row` of frame `later` and `column` of frame `earlier`, the same or at most two before it.
     pub fn add_block(&mut self, [later, earlier]: [usize; 2], [row, column]: [usize; 2], block: &Matrix3<f64>) {
-        let mut frame = self.frame(earlier);
-        match later - earlier {
-            0 => frame.add_own(3 * row, 3 * column, block),
-            lag => frame.add_coupling(lag, 3 * row, 3 * column, block),
-        }
+        self.frame(earlier).add_block(later - earlier, [3 * row, 3 * column], block);
     }
 
     /// Solves with every diagonal entry multiplied by `1 + damping` (Marquardt 1963). The system is used up: before the next one
@@ -127,7 +129,21 @@ impl BlockBanded {
     ///
     /// Returns `None` where the damped system is not positive definite, or not finite.
     pub fn solve(&mut self, damping: f64) -> Option<BandedStep> {
-        let (mut corner, right) = self.eliminate(damping)?;
+        self.eliminate(damping)?;
+        self.solved(damping)
+    }
+
+    /// Eliminates the frames, with their diagonal multiplied by `1 + damping`; a system of the border remains.
+    ///
+    /// Systems that share unknowns of their borders are solved together by adding up the remaining systems.
+    pub fn eliminated(mut self, damping: f64) -> Option<Eliminated> {
+        self.eliminate(damping)?;
+        Some(self.into_eliminated())
+    }
+
+    /// [`solve`](Self::solve) of a system whose frames were [eliminated](Self::fill_and_eliminate), and whose corner is complete.
+    pub fn solved(&self, damping: f64) -> Option<BandedStep> {
+        let (mut corner, right) = self.schur_complement();
         for k in 0..corner.nrows() {
             corner[(k, k)] += damping * self.corner.hessian[(k, k)];
         }
@@ -138,31 +154,65 @@ impl BlockBanded {
         self.substituted(border)
     }
 
-    /// Eliminates the frames, with their diagonal multiplied by `1 + damping`; a system of the border remains.
-    ///
-    /// Systems that share unknowns of their borders are solved together by adding up the remaining systems.
-    pub fn eliminated(mut self, damping: f64) -> Option<Eliminated> {
-        let (corner, right) = self.eliminate(damping)?;
-        Some(Eliminated { factor: self, corner, right })
+    /// [`eliminated`](Self::eliminated) of a system whose frames were [eliminated](Self::fill_and_eliminate), and whose corner is
+    /// complete.
+    pub fn into_eliminated(self) -> Eliminated {
+        let (corner, right) = self.schur_complement();
+        Eliminated { factor: self, corner, right }
     }
 
-    /// Replaces the panels by those of the factor; returns the Schur complement of the corner, and its right-hand side.
-    fn eliminate(&mut self, damping: f64) -> Option<(DMatrix<f64>, DVector<f64>)> {
+    /// Fills a [resized](Self::resize) system and eliminates its frames, each soon after it is filled: a panel is larger than a
+    /// processor's nearest cache, and many do not fit into any.
+    ///
+    /// `fill(frames, panels)` adds all terms whose last frame is among `frames`. `panels`: those of `frames`, which it
+    /// [clears](FramePanel::clear), and of up to two frames before them, which such terms may reach.
+    pub fn fill_and_eliminate(
+        &mut self,
+        damping: f64,
+        mut fill: impl FnMut(Range<usize>, &mut [FramePanel]) + Send,
+    ) -> Option<()> {
         let layout = self.layout;
-        let n_rows = STRIP * layout.border_strips().len();
-        let mut difference = vec![0.0; n_rows * n_rows];
-        vectorised(Elimination {
-            layout,
-            panels: &mut self.panels,
-            starts: &self.starts,
-            corner: &mut difference,
-            damping,
-        })?;
-        let at = |row: usize, column: usize| difference[STRIP * ((row / STRIP) * n_rows + column) + row % STRIP];
+        let (length, n_strips) = (layout.panel_len(), layout.frame_strips());
+        let n_frames = self.n_frames();
+        self.difference = layout.zero_difference();
+        let (mut n_eliminated, difference) = (0, &mut self.difference);
+        for first in (0..n_frames).step_by(RUN) {
+            let (frames, n_full) = (first..(first + RUN).min(n_frames), first.saturating_sub(2));
+            let (panels, open) = self.panels.split_at_mut(n_full * length);
+            let (starts, open_starts) = self.starts.split_at_mut(n_full * n_strips);
+            let n_open = frames.end - n_full;
+            let mut open = layout.frames(&mut open[..n_open * length], &mut open_starts[..n_open * n_strips]);
+            let elimination =
+                Elimination { layout, panels, starts, frames: n_eliminated..n_full, corner: difference, damping };
+            rayon::join(|| vectorised(elimination), || fill(frames, &mut open)).0?;
+            n_eliminated = n_full;
+        }
+        self.eliminate_frames(n_eliminated..n_frames, damping)
+    }
+
+    /// Replaces the panels by those of the factor.
+    fn eliminate(&mut self, damping: f64) -> Option<()> {
+        self.difference = self.layout.zero_difference();
+        self.eliminate_frames(0..self.n_frames(), damping)
+    }
+
+    fn eliminate_frames(&mut self, frames: Range<usize>, damping: f64) -> Option<()> {
+        let Self { layout, panels, starts, difference, .. } = self;
+        vectorised(Elimination { layout: *layout, panels, starts, frames, corner: difference, damping })
+    }
+
+    fn n_frames(&self) -> usize {
+        self.panels.len().checked_div(self.layout.panel_len()).unwrap_or(0)
+    }
+
+    /// The system of the border that remains after elimination: Schur complement of the undamped corner, right-hand side.
+    fn schur_complement(&self) -> (DMatrix<f64>, DVector<f64>) {
+        let n_rows = STRIP * self.layout.border_strips().len();
+        let at = |row: usize, column: usize| self.difference[STRIP * ((row / STRIP) * n_rows + column) + row % STRIP];
         let Corner { hessian, gradient } = &self.corner;
-        let n = layout.n_border;
+        let n = self.layout.n_border;
         let corner = DMatrix::from_fn(n, n, |i, j| hessian[(i, j)] + at(i.max(j), i.min(j)));
-        Some((corner, DVector::from_fn(n, |i, _| -(gradient[i] + at(n, i)))))
+        (corner, DVector::from_fn(n, |i, _| -(gradient[i] + at(n, i))))
     }
 
     /// The step of all frames of a factored system, given the border's.

@@ -5,6 +5,7 @@ use crate::geometry::rotation;
 use crate::motion_prior::pose_gaussian::PoseGaussian;
 use crate::optim::robust::{Robust, charbonnier};
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+use std::ops::Range;
 
 /// Weight and robust knee of the pose cost.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,11 +19,27 @@ pub struct PoseWeights {
 
 /// Derivatives of a pose cost by the right increments `R_j <- R_j exp(d_j)` of the Gaussian's joints.
 #[derive(Debug, Clone, PartialEq)]
-pub struct PoseDerivatives {
-    /// Gradient of the cost; three numbers a joint, per rad.
-    pub gradient: DVector<f64>,
-    /// Gauss-Newton approximation of the second derivative, per rad^2; positive semi-definite.
-    pub hessian: DMatrix<f64>,
+pub struct PoseDerivatives<'a> {
+    precision: &'a DMatrix<f64>,
+    /// Of the features, by joint.
+    jacobians: Vec<Matrix3<f64>>,
+    /// Precision times the deviation.
+    pulled: DVector<f64>,
+    /// Of half the squared distance in standard deviations.
+    weight: f64,
+}
+
+impl PoseDerivatives<'_> {
+    /// Gradient of the cost by the Gaussian's joint `i`, per rad.
+    pub fn gradient(&self, i: usize) -> Vector3<f64> {
+        self.jacobians[i].tr_mul(&self.pulled.fixed_rows::<3>(3 * i)) * self.weight
+    }
+
+    /// Gauss-Newton approximation of the second derivative by joint `i` and each of `others`, per rad^2; positive semi-definite.
+    pub fn hessian(&self, i: usize, others: Range<usize>) -> impl Iterator<Item = Matrix3<f64>> {
+        let left = self.jacobians[i].transpose() * self.weight;
+        others.map(move |k| left * self.precision.fixed_view::<3, 3>(3 * i, 3 * k) * self.jacobians[k])
+    }
 }
 
 /// Cost of a pose.
@@ -35,27 +52,17 @@ pub fn pose_cost(rotations: &[Matrix3<f64>; N_JOINTS], poses: &PoseGaussian, wei
 }
 
 /// Derivatives of [`pose_cost`]; those of the features are `d u / d d = J_r^-1(u)` (method.md 9.2).
-pub fn pose_derivatives(
+pub fn pose_derivatives<'a>(
     rotations: &[Matrix3<f64>; N_JOINTS],
-    poses: &PoseGaussian,
+    poses: &'a PoseGaussian,
     weights: &PoseWeights,
-) -> PoseDerivatives {
-    let n = poses.mean.len();
+) -> PoseDerivatives<'a> {
     let features = features(rotations, poses);
     let off = deviation(&features, poses);
-    let jacobians: Vec<Matrix3<f64>> = features.iter().map(rotation::right_jacobian_inverse).collect();
+    let jacobians = features.iter().map(rotation::right_jacobian_inverse).collect();
     let pulled = &poses.precision * &off;
-    let weight = robust(off.dot(&pulled), n, weights).weight;
-    let (mut gradient, mut hessian) = (DVector::zeros(n), DMatrix::zeros(n, n));
-    for (i, a) in jacobians.iter().enumerate() {
-        let left = a.transpose() * weight;
-        gradient.fixed_rows_mut::<3>(3 * i).copy_from(&(left * pulled.fixed_rows::<3>(3 * i)));
-        for (k, b) in jacobians.iter().enumerate() {
-            let block = left * poses.precision.fixed_view::<3, 3>(3 * i, 3 * k) * b;
-            hessian.fixed_view_mut::<3, 3>(3 * i, 3 * k).copy_from(&block);
-        }
-    }
-    PoseDerivatives { gradient, hessian }
+    let weight = robust(off.dot(&pulled), off.len(), weights).weight;
+    PoseDerivatives { precision: &poses.precision, jacobians, pulled, weight }
 }
 
 /// `u_j = log(M_j^T R_j)`, rad.
@@ -94,7 +101,9 @@ mod tests {
         for size in [0.2, 1.2] {
             let turn = |j: usize| rotation::exp(&(Vector3::new((j as f64).sin(), (j as f64).cos(), 0.3) * size));
             let rotations: [Matrix3<f64>; N_JOINTS] = std::array::from_fn(turn);
-            assert_gradient(pose_derivatives(&rotations, &poses, &weights).gradient.as_slice(), |d| {
+            let found = pose_derivatives(&rotations, &poses, &weights);
+            let gradient: Vec<f64> = (0..poses.joints.len()).flat_map(|i| found.gradient(i).data.0[0]).collect();
+            assert_gradient(&gradient, |d| {
                 let mut moved = rotations;
                 for (joint, d) in poses.joints.iter().zip(d.chunks_exact(3)) {
                     moved[*joint] *= rotation::exp(&Vector3::from_column_slice(d));
@@ -113,6 +122,7 @@ mod tests {
         }
         let weights = PoseWeights { weight: 1.0, knee: 2.0 };
         assert!(pose_cost(&rotations, &poses, &weights) < 1e-12);
-        assert!(pose_derivatives(&rotations, &poses, &weights).gradient.norm() < 1e-9);
+        let found = pose_derivatives(&rotations, &poses, &weights);
+        assert!((0..poses.joints.len()).all(|i| found.gradient(i).norm() < 1e-9));
     }
 }

@@ -7,6 +7,7 @@
 use super::kernel::{SmallFactor, Tile, add_product, divide, loaded, pack_negated, store};
 use super::layout::{Layout, STRIP};
 use pulp::{Simd, WithSimd};
+use std::ops::Range;
 
 /// Columns that are eliminated together: with strips of two vectors, twelve sums and what feeds them fit sixteen registers.
 const WIDTH: usize = 6;
@@ -17,13 +18,15 @@ const GROUP: usize = 3;
 /// Columns of the corner that are computed together; they divide a strip.
 const CORNER_WIDTH: usize = 4;
 
-/// The elimination of all frames; `None` where a diagonal block is not positive definite, or not finite.
+/// The elimination of successive frames; `None` where a diagonal block is not positive definite, or not finite.
 pub(super) struct Elimination<'a> {
     pub layout: Layout,
-    /// Of all frames; afterwards those of the factor.
+    /// From the first frame on; afterwards those of the factor.
     pub panels: &'a mut [f64],
     /// By frame and strip, see [`super::layout::FramePanel`].
     pub starts: &'a [usize],
+    /// To be eliminated; those before them are.
+    pub frames: Range<usize>,
     /// Strips of the border by as many columns, to which the Schur complement's difference is added.
     pub corner: &'a mut [f64],
     /// The diagonal is multiplied by one plus this.
@@ -47,10 +50,10 @@ impl WithSimd for Elimination<'_> {
 impl Elimination<'_> {
     #[inline(always)]
     fn run<S: Simd, const V: usize>(self, simd: S) -> Option<()> {
-        let Self { layout, panels, starts, corner, damping } = self;
+        let Self { layout, panels, starts, frames, corner, damping } = self;
         let (length, n_strips) = (layout.panel_len(), layout.frame_strips());
         let mut packed = Packed::new(layout);
-        for t in 0..panels.len() / length {
+        for t in frames {
             let (before, own) = panels.split_at_mut(t * length);
             let earlier = |lag: usize| {
                 let t = t.checked_sub(lag)?;

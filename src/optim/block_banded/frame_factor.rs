@@ -18,8 +18,7 @@ pub(super) struct FrameFactor {
 
 impl Eliminated {
     pub(super) fn n_frames(&self) -> usize {
-        let BlockBanded { layout, panels, .. } = &self.factor;
-        panels.len() / layout.panel_len()
+        self.factor.n_frames()
     }
 
     pub(super) fn frame_factor(&self, t: usize) -> FrameFactor {

@@ -63,7 +63,7 @@ pub(super) fn divide<S: Simd, const V: usize, const W: usize>(simd: S, tile: &mu
 
 /// Vectors of a strip, column by column.
 #[inline(always)]
-fn vectors<S: Simd, const V: usize>(columns: &[f64]) -> &[[S::f64s; V]] {
+pub(super) fn vectors<S: Simd, const V: usize>(columns: &[f64]) -> &[[S::f64s; V]] {
     S::as_simd_f64s(columns).0.as_chunks::<V>().0
 }
 

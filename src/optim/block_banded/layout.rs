@@ -4,7 +4,7 @@
 //! its columns are the frame's unknowns. Eight rows form a strip, column after column, so that the kernels read nothing but
 //! successive numbers. Each of the four parts begins with a strip of its own; what it leaves of its last one stays zero.
 
-use nalgebra::SMatrix;
+use nalgebra::{Matrix3, SMatrix};
 use std::ops::Range;
 
 /// Rows of a strip: a whole number of vectors on every processor (two of AVX2).
@@ -38,6 +38,18 @@ impl Layout {
     /// Numbers of a panel.
     pub(super) fn panel_len(self) -> usize {
         self.strip_len() * self.border_strips().end
+    }
+
+    /// Panels of successive frames, one after another.
+    pub(super) fn frames<'a>(self, panels: &'a mut [f64], starts: &'a mut [usize]) -> Vec<FramePanel<'a>> {
+        let panels = panels.chunks_exact_mut(self.panel_len());
+        let starts = starts.chunks_exact_mut(self.frame_strips());
+        panels.zip(starts).map(|(values, starts)| FramePanel { layout: self, values, starts }).collect()
+    }
+
+    /// Zeros for strips of the border by as many columns.
+    pub(super) fn zero_difference(self) -> Vec<f64> {
+        vec![0.0; (STRIP * self.border_strips().len()).pow(2)]
     }
 
     /// Place of a row in a panel: that of its first column.
@@ -90,6 +102,14 @@ impl FramePanel<'_> {
             }
         }
         self.add(self.layout.frame_rows(lag) + row, column, block);
+    }
+
+    /// Adds to `H[t + lag][t]` at a row of the later frame and a column of this one; `lag`: at most two.
+    pub fn add_block(&mut self, lag: usize, [row, column]: [usize; 2], block: &Matrix3<f64>) {
+        match lag {
+            0 => self.add_own(row, column, block),
+            lag => self.add_coupling(lag, row, column, block),
+        }
     }
 
     /// Adds to `H[border][t]` at a row of the border.

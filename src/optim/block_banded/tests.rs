@@ -87,6 +87,36 @@ fn random_system([n_frames, n_groups, n_border]: [usize; 3], mixes: bool, seed: 
     both
 }
 
+/// In runs of any length, with what reaches back to the two frames before.
+#[test]
+fn filled_frame_by_frame_is_the_same_factor() {
+    for n_frames in [1, 2, 3, 9, 13] {
+        let whole = random_system([n_frames, 5, 4], true, 11).system;
+        let mut filled = BlockBanded::default();
+        filled.resize(n_frames, 5, 4);
+        let mut source = whole.clone();
+        let (mut next, mut sources) = (0, source.frames());
+        let fill = |frames: std::ops::Range<usize>, panels: &mut [FramePanel]| {
+            assert_eq!(frames.start, next);
+            assert_eq!(panels.len(), frames.end - frames.start.saturating_sub(2));
+            next = frames.end;
+            for panel in &mut panels[frames.start.min(2)..] {
+                panel.clear();
+            }
+            // Each panel is completed by the frame two after it.
+            let ready = frames.start.saturating_sub(2)..if frames.end == n_frames { n_frames } else { frames.end - 2 };
+            for (target, source) in panels.iter_mut().zip(&mut sources[ready]) {
+                target.values.copy_from_slice(source.values);
+                target.starts.copy_from_slice(source.starts);
+            }
+        };
+        filled.fill_and_eliminate(0.01, fill).unwrap();
+        filled.corner = whole.corner.clone();
+        let (found, expected) = (filled.solved(0.01).unwrap(), whole.clone().solve(0.01).unwrap());
+        assert_eq!((found.frames, found.border), (expected.frames, expected.border));
+    }
+}
+
 #[test]
 fn the_banded_solution_equals_the_dense_one() {
     let sizes = [[1, 2, 3], [2, 3, 0], [7, 9, 4], [5, 21, 10], [4, 17, 30], [6, 8, 7]];
@@ -168,4 +198,37 @@ fn inverse_blocks_of_a_long_smooth_path_stay_exact() {
         let expected = inverse.view((6 * t, 6 * t), (6, 6));
         assert!((block - expected).norm() < 1e-6 * expected.norm(), "frame {t}");
     });
+}
+
+/// Of blocks that lie within a strip, over two, and in any order of rows, against blocks added one by one.
+#[test]
+fn products_of_derivatives_are_blocks() {
+    let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
+    let mut block = |first: usize| (first, Matrix3::from_fn(|_, _| rng.random_range(-1.0..1.0)));
+    let [later, earlier] = [[21, 0, 6, 9], [0, 6, 12, 21]].map(|places| places.map(&mut block));
+    let (_, by_positions) = block(0);
+    let [mut found, mut expected] = [0; 2].map(|_| BlockBanded::zeros(3, 8, 5));
+    let rows: StripRows = later.into_iter().collect();
+    let mut border = StripRows::default();
+    border.add(1, &later[0].1);
+    for lag in 0..3 {
+        found.frame(0).add_product(lag, &rows, &by_positions, &earlier);
+        for (row, a) in &later {
+            for (column, b) in &earlier {
+                expected.frame(0).add_block(lag, [*row, *column], &(a.tr_mul(&by_positions) * b));
+            }
+        }
+    }
+    found.frame(0).add_border_product(&border, &by_positions, &earlier);
+    for (column, b) in &earlier {
+        expected.frame(0).add_border(1, *column, &(later[0].1.tr_mul(&by_positions) * b));
+    }
+    let layout = found.layout;
+    for column in 0..layout.n {
+        for row in (column..layout.n).chain(layout.frame_rows(1)..layout.border_rows() + layout.n_border) {
+            let at = layout.row(row) + layout::STRIP * column;
+            assert!((found.panels[at] - expected.panels[at]).abs() < 1e-12, "row {row}, column {column}");
+        }
+    }
+    assert!(found.starts.iter().zip(&expected.starts).all(|(found, expected)| found <= expected));
 }

@@ -72,8 +72,8 @@ pub struct BodyFitConfig {
     pub estimate_keypoint_bias: bool,
     /// Most frames of one person, and of all together, that the estimate of the keypoint bias uses.
     pub bias_frames: [usize; 2],
-    /// Most iterations on points, and on pixels.
-    pub max_iterations: [usize; 2],
+    /// Most steps of a fit.
+    pub max_iterations: usize,
     /// A step that lowers the cost by less than this share is the last.
     pub min_decrease: f64,
 }
@@ -151,7 +151,7 @@ impl Default for BodyFitConfig {
             estimate_keypoint_bias: true,
             // Six seconds of walking or talking turn every limb; offsets are shared, so that more people need less of each.
             bias_frames: [180, 360],
-            max_iterations: [6, 8],
+            max_iterations: 8,
             min_decrease: 2e-3,
         }
     }

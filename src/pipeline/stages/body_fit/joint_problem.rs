@@ -188,10 +188,10 @@ impl JointProblem<'_> {
         let model = self.table.applied(self.context.model, offsets);
         let person = |((member, pixels), mut system): ((&Member, &DetectedPixels), BlockBanded)| {
             let own = with_bones(&model, &member.bones);
-            self.problem(&own, member, pixels).linearise(&member.state, &mut system);
+            self.problem(&own, member, pixels).eliminate(&member.state, damping, &mut system)?;
             let first = self.border_of(member).bones().start;
             self.bone_prior.add_to(&flat(&member.bones), first, &mut system.corner);
-            system.eliminated(damping)
+            Some(system.into_eliminated())
         };
         members.par_iter().zip(pixels).zip(systems).map(person).collect()
     }

@@ -94,8 +94,8 @@ fn window_uncertainty(
         Objective { bias: Some(&table), cameras: columns, speeds: Some(&state), completion, ..objective }.problem();
     let (unknowns, border) = (&problem.unknowns, problem.unknowns.border);
     let mut system = context.systems.take();
-    problem.linearise(&state, &mut system);
-    let eliminated = system.eliminated(0.0)?;
+    problem.eliminate(&state, 0.0, &mut system)?;
+    let eliminated = system.into_eliminated();
     let of_betas = eliminated.corner.view_range(border.betas(), border.betas()).into_owned().cholesky()?.inverse();
     let errors = variance_per_residual(observations.equations_per_frame(), (3 * unknowns.n_groups()) as f64);
     let body = context.model.shaped(&state.betas);

@@ -4,7 +4,7 @@
 //! seam.
 
 use super::context::FitContext;
-use super::minimisation::minimised;
+use super::minimisation::{Budget, minimised};
 use super::objective::Objective;
 use super::observations::Observations;
 use super::pixel_residuals::DetectedPixels;
@@ -56,7 +56,8 @@ pub(super) fn refitted(
             ..Objective::new(context, context.config, &observations, pixels.source(), Shape::Held)
         };
         let problem = Objective { collisions: Some(collisions), ..alone }.problem();
-        let moved = minimised(context, &problem, start.clone(), steps, &mut system)?.state;
+        let budget = Budget { max_iterations: steps, min_decrease: context.config.min_decrease };
+        let moved = minimised(context, &problem, start.clone(), budget, &mut system)?.state;
         let before = MotionState { betas: before.betas, poses: before.poses[run.clone()].to_vec() };
         let others = alone.problem();
         let increase = others.cost(&moved) - others.cost(&before);

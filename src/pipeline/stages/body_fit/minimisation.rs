@@ -30,12 +30,21 @@ impl FittedMotion {
 /// Dampings tried before a state counts as the minimum: 1e-4 to 1e3 and beyond.
 const MAX_TRIALS: usize = 6;
 
-/// Lowers the cost of `problem` from `start` in at most `max_iterations` accepted steps, in the memory of `system`.
+/// When a minimisation ends.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Budget {
+    /// Most accepted steps.
+    pub max_iterations: usize,
+    /// A step that lowers the cost by less than this share is the last.
+    pub min_decrease: f64,
+}
+
+/// Lowers the cost of `problem` from `start`, in the memory of `system`.
 pub(super) fn minimised(
     context: &FitContext,
     problem: &MotionProblem,
     start: MotionState,
-    max_iterations: usize,
+    Budget { max_iterations, min_decrease }: Budget,
     system: &mut BlockBanded,
 ) -> Result<FittedMotion, Canceled> {
     let mut state = start;
@@ -47,12 +56,12 @@ pub(super) fn minimised(
         let mut is_better = false;
         for _ in 0..MAX_TRIALS {
             // The solution takes the system's place.
-            problem.linearise(&state, system);
-            if let Some(step) = system.solve(damping) {
+            let eliminated = problem.eliminate(&state, damping, system);
+            if let Some(step) = eliminated.and_then(|()| system.solved(damping)) {
                 let moved = problem.moved(&state, &step);
                 let moved_cost = problem.cost(&moved);
                 if moved_cost < cost {
-                    converged = cost - moved_cost < context.config.min_decrease * cost;
+                    converged = cost - moved_cost < min_decrease * cost;
                     (state, cost, damping, is_better) = (moved, moved_cost, damping * 0.1, true);
                     break;
                 }

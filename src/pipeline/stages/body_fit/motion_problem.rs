@@ -3,13 +3,14 @@
 use super::observations::PosedCamera;
 use super::terms::border_priors::ShapePrior;
 use super::terms::frame::{Landmarks, LinearisedFrame, PosedFrame};
-use super::terms::path_system::add_paths;
-use super::terms::term::{BorderTerm, FrameTerm, RUN, WindowTerm};
+use super::terms::path_system::LinearPaths;
+use super::terms::term::{BorderTerm, FrameTerm, WindowTerm};
 use super::terms::unknowns::{MotionState, Unknowns};
 use super::terms::whitened_pixels::{Positions, WhitenedPixels};
 use super::terms::window::{TrackedLandmark, Window};
 use crate::body::BodyModel;
 use crate::body::kinematics::Pose;
+use crate::body::model::ShapedBody;
 use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, FramePanel};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -67,60 +68,52 @@ impl MotionProblem<'_> {
             + self.time_weight * windows.fold(frames.iter().sum::<f64>(), |sum, cost| sum + cost)
     }
 
-    /// Makes `system` the Gauss-Newton system at `state`.
-    pub(super) fn linearise(&self, state: &MotionState, system: &mut BlockBanded) {
+    /// Makes `system` the Gauss-Newton system at `state`, and eliminates its frames with this damping; `None` where it is not
+    /// positive definite.
+    pub(super) fn eliminate(&self, state: &MotionState, damping: f64, system: &mut BlockBanded) -> Option<()> {
         system.resize(state.poses.len(), self.unknowns.n_groups(), self.unknowns.border.len());
-        let body = self.model.shaped(&state.betas);
-        let add_run = |(run, (frames, poses)): (usize, (&mut [FramePanel], &[Pose]))| {
-            let mut corner = Corner::zeros(self.unknowns.border.len());
-            let add = |(i, (frame, pose)): (usize, (&mut FramePanel, &Pose))| {
-                frame.clear();
-                let posed = PosedFrame::new(&self.landmarks, (&body, &state.betas), RUN * run + i, pose);
-                self.add_frame(&posed.linearised(), frame, &mut corner)
-            };
-            let landmarks: Vec<FrameLandmarks> = frames.iter_mut().zip(poses).enumerate().map(add).collect();
-            (landmarks, corner)
-        };
-        let mut frames = system.frames();
-        let runs = frames.par_chunks_mut(RUN).zip(state.poses.par_chunks(RUN)).enumerate();
-        let runs: Vec<(Vec<FrameLandmarks>, Corner)> = runs.map(add_run).collect();
-
-        let (mut tracked, mut paths) = (Vec::with_capacity(state.poses.len()), Vec::with_capacity(state.poses.len()));
-        for (landmarks, corner) in runs {
-            system.corner.hessian += corner.hessian * self.time_weight;
-            system.corner.gradient += corner.gradient * self.time_weight;
-            for frame in landmarks {
-                tracked.push(frame.tracked);
-                paths.push(frame.paths);
-            }
-        }
-        let betas = self.unknowns.border.betas();
-        if !betas.is_empty() {
-            self.shape_prior.add_to(state.betas.as_slice(), betas.start, &mut system.corner);
-        }
-        if let Some(term) = self.paths {
-            add_paths(term, &self.unknowns, &paths, system);
-        }
-        for middle in middles(state) {
-            let window = Window::new(middle, &state.poses, &tracked);
-            self.window_terms.iter().for_each(|term| term.add_to(&window, system));
-        }
-        self.held.iter().for_each(|&t| system.frame(t).add_to_diagonal(HOLD));
+        self.with_filling(state, |filling| {
+            let is_definite = system.fill_and_eliminate(damping, |frames, panels| filling.add(frames, panels));
+            system.corner = filling.corner();
+            is_definite
+        })
     }
 
-    /// Adds the terms of one frame; returns its landmarks that other terms look at.
-    fn add_frame(&self, frame: &LinearisedFrame, system: &mut FramePanel, corner: &mut Corner) -> FrameLandmarks {
-        self.frame_terms.iter().for_each(|term| term.add_to(frame, system, corner));
-        system.add_to_diagonal(FLOOR);
-        system.scale(self.time_weight);
-        let tracked = |&landmark: &usize| TrackedLandmark {
-            position: frame.posed.position(landmark),
-            jacobian: frame.jacobian(landmark),
-        };
-        FrameLandmarks {
-            tracked: self.tracked.iter().map(tracked).collect(),
-            paths: self.path_landmarks().iter().map(|&landmark| observed(frame, landmark)).collect(),
+    /// Calls `work` with what fills a system at `state`.
+    pub(super) fn with_filling<T>(&self, state: &MotionState, work: impl FnOnce(&mut Filling) -> T) -> T {
+        let body = self.model.shaped(&state.betas);
+        let linear = self.linearised(state, &body);
+        let paths = self.paths.map(|term| LinearPaths::new(term, &self.unknowns.border, &linear.paths));
+        let zeros = || Corner::zeros(self.unknowns.border.len());
+        let (of_frames, corner) = (zeros(), zeros());
+        work(&mut Filling { problem: self, state, linear: &linear, paths, of_frames, corner })
+    }
+
+    /// Makes `panel` that of the terms of one frame.
+    fn add_frame(&self, frame: &LinearisedFrame, panel: &mut FramePanel, corner: &mut Corner) {
+        panel.clear();
+        self.frame_terms.iter().for_each(|term| term.add_to(frame, panel, corner));
+        panel.add_to_diagonal(FLOOR);
+        panel.scale(self.time_weight);
+        if self.held.contains(&frame.posed.index) {
+            panel.add_to_diagonal(HOLD);
         }
+    }
+
+    /// All frames with derivatives of the landmarks that other terms look at.
+    fn linearised<'b>(&'b self, state: &'b MotionState, body: &'b ShapedBody) -> LinearisedMotion<'b> {
+        let linearised = |(index, pose): (usize, &'b Pose)| {
+            let frame = PosedFrame::new(&self.landmarks, (body, &state.betas), index, pose).linearised();
+            let tracked = |&landmark: &usize| TrackedLandmark {
+                position: frame.posed.position(landmark),
+                jacobian: frame.jacobian(landmark),
+            };
+            let tracked = self.tracked.iter().map(tracked).collect();
+            let paths = self.path_landmarks().iter().map(|&landmark| observed(&frame, landmark)).collect();
+            (frame, (tracked, paths))
+        };
+        let (frames, (tracked, paths)) = state.poses.par_iter().enumerate().map(linearised).unzip();
+        LinearisedMotion { frames, tracked, paths }
     }
 
     /// The landmarks of the paths with derivatives, `[frame][observed landmark]`.
@@ -138,10 +131,58 @@ impl MotionProblem<'_> {
     }
 }
 
-/// The landmarks of one frame that window terms and paths look at.
-struct FrameLandmarks {
-    tracked: Vec<TrackedLandmark>,
-    paths: Vec<TrackedLandmark>,
+/// A motion with derivatives of the landmarks that window terms and paths look at.
+struct LinearisedMotion<'a> {
+    frames: Vec<LinearisedFrame<'a>>,
+    tracked: Vec<Vec<TrackedLandmark>>,
+    paths: Vec<Vec<TrackedLandmark>>,
+}
+
+/// Fills a system frame by frame, so that a panel takes all that concerns it while it is in the processor's cache.
+pub(super) struct Filling<'a> {
+    problem: &'a MotionProblem<'a>,
+    state: &'a MotionState,
+    linear: &'a LinearisedMotion<'a>,
+    paths: Option<LinearPaths<'a>>,
+    /// From frame terms, per unit of time weight.
+    of_frames: Corner,
+    /// From all others.
+    corner: Corner,
+}
+
+impl Filling<'_> {
+    /// Adds all terms whose last frame is among `frames`; `panels`: those of `frames`, and of up to two frames before them.
+    pub(super) fn add(&mut self, frames: Range<usize>, panels: &mut [FramePanel]) {
+        let first = frames.end - panels.len();
+        for t in frames {
+            let panel = &mut panels[t - first];
+            self.problem.add_frame(&self.linear.frames[t], panel, &mut self.of_frames);
+            if let Some(paths) = &self.paths {
+                paths.add_frame(t, panel, &mut self.corner);
+            }
+            if t >= 2 {
+                let window = Window::new(t - 1, &self.state.poses, &self.linear.tracked);
+                let panels = &mut panels[t - 2 - first..=t - first];
+                self.problem.window_terms.iter().for_each(|term| term.add_to(&window, panels, &mut self.corner));
+            }
+        }
+    }
+
+    /// The border's own part, once all frames are added.
+    pub(super) fn corner(&self) -> Corner {
+        let MotionProblem { unknowns, time_weight, shape_prior, .. } = self.problem;
+        let mut corner = self.corner.clone();
+        corner.hessian += &self.of_frames.hessian * *time_weight;
+        corner.gradient += &self.of_frames.gradient * *time_weight;
+        if let Some(paths) = &self.paths {
+            paths.add_cameras(&mut corner);
+        }
+        let betas = unknowns.border.betas();
+        if !betas.is_empty() {
+            shape_prior.add_to(self.state.betas.as_slice(), betas.start, &mut corner);
+        }
+        corner
+    }
 }
 
 fn observed(frame: &LinearisedFrame, landmark: usize) -> TrackedLandmark {

@@ -86,8 +86,8 @@ impl JointProblem<'_> {
         let paths = problem.linearised_paths(&member.state);
         let movement = |t: usize, landmark: &TrackedLandmark| {
             let mut movement: Matrix3xX<f64> = landmark.jacobian.by_border.dense(own.nrows()) * &own;
-            for (group, block) in &landmark.jacobian.by_frame {
-                movement += block * frames[t].fixed_rows::<3>(3 * group);
+            for (first, block) in &landmark.jacobian.by_frame {
+                movement += block * frames[t].fixed_rows::<3>(*first);
             }
             movement
         };

@@ -11,7 +11,7 @@ use super::super::joint_problem::Reduced;
 use super::super::observations::{Observations, PosedCamera};
 use super::super::session_state::SessionState;
 use super::super::terms::border_priors::ShapePrior;
-use super::super::terms::term::{BorderTerm, RUN};
+use super::super::terms::term::BorderTerm;
 use super::super::terms::unknowns::CameraColumns;
 use super::decoder::{CODE, LatentMotion, MotionDecoder, N_GROUPS};
 use super::frame_system::{BorderColumns, FrameData};
@@ -31,6 +31,8 @@ const CODE_WEIGHT: f64 = 0.1;
 const LINEAR_WEIGHT: f64 = 30.0;
 /// Added to every diagonal entry: a frame that no camera saw keeps its root.
 const FLOOR: f64 = 1e-4;
+/// Frames that are linearised one after another; they share one corner.
+const RUN: usize = 16;
 /// A step that lowers the cost by less than this share is the last.
 const MIN_DECREASE: f64 = 1e-4;
 /// Steps tried, the budget of a fit.

@@ -11,7 +11,7 @@ use super::unknowns::MotionState;
 use super::window::{RobustAcceleration, TrackedLandmark, Window};
 use crate::body::kinematics::{landmark_position, posed};
 use crate::body::model::BodyModel;
-use crate::optim::block_banded::BlockBanded;
+use crate::optim::block_banded::{Corner, FramePanel, StripRows};
 use crate::residuals::acceleration::{SECOND_DIFFERENCE, second_difference};
 use nalgebra::{Matrix3, Vector3};
 
@@ -65,20 +65,25 @@ impl FootContact {
         1.0 / (self.frame_interval.powi(2) * self.sigmas[ankle][middle])
     }
 
-    fn add_ankle(&self, middle: usize, scale: f64, around: [&TrackedLandmark; 3], system: &mut BlockBanded) {
+    fn add_ankle(&self, scale: f64, around: [&TrackedLandmark; 3], panels: &mut [FramePanel], corner: &mut Corner) {
         let residual = second_difference(around.map(|landmark| landmark.position)) * scale;
-        let factors = SECOND_DIFFERENCE.map(|c| c * scale);
-        let by_frame = around.map(|landmark| landmark.jacobian.by_frame.as_slice());
-        let weight = self.robust.add_to(middle, &residual, factors, by_frame, system);
-        let by_border =
-            BorderJacobian::sum(&[0, 1, 2].map(|i| (Matrix3::identity() * factors[i], &around[i].jacobian.by_border)));
-        for (i, (groups, factor)) in by_frame.iter().zip(factors).enumerate() {
-            for (group, jacobian) in *groups {
-                let left = jacobian.transpose() * (factor * weight);
-                by_border.add_to_border(3 * group, &left, &mut system.frame(middle - 1 + i));
+        let factors = SECOND_DIFFERENCE.map(|c| Matrix3::identity() * (c * scale));
+        let jacobians = around.map(|landmark| &landmark.jacobian);
+        let by_border = BorderJacobian::sum([0, 1, 2].map(|i| (factors[i], &jacobians[i].by_border)));
+        let mut border_rows = StripRows::default();
+        by_border.add_to_rows(&mut border_rows);
+        let weight = self.robust.weight(&residual);
+        for (i, (jacobian, factor)) in jacobians.iter().zip(&factors).enumerate() {
+            let weighted = factor * weight;
+            for (first, derivatives) in &jacobian.by_frame {
+                panels[i].add_gradient(*first, &derivatives.tr_mul(&(weighted * residual)));
             }
+            for (k, (earlier, factor)) in jacobians.iter().zip(&factors).enumerate().take(i + 1) {
+                panels[k].add_product(i - k, &jacobian.rows, &(weighted * factor), &earlier.by_frame);
+            }
+            panels[i].add_border_product(&border_rows, &weighted, &jacobian.by_frame);
         }
-        by_border.add_to_corner(&(residual * weight), &(Matrix3::identity() * weight), &mut system.corner);
+        by_border.add_to_corner(&(residual * weight), &(Matrix3::identity() * weight), corner);
     }
 }
 
@@ -91,10 +96,10 @@ impl WindowTerm for FootContact {
         (0..self.sigmas.len()).map(cost).sum()
     }
 
-    fn add_to(&self, window: &Window<TrackedLandmark>, system: &mut BlockBanded) {
+    fn add_to(&self, window: &Window<TrackedLandmark>, panels: &mut [FramePanel], corner: &mut Corner) {
         for ankle in 0..self.sigmas.len() {
             let scale = self.scale(ankle, window.middle);
-            self.add_ankle(window.middle, scale, window.tracked.map(|landmarks| &landmarks[ankle]), system);
+            self.add_ankle(scale, window.tracked.map(|landmarks| &landmarks[ankle]), panels, corner);
         }
     }
 }

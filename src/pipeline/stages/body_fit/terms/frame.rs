@@ -6,6 +6,7 @@ use super::unknowns::{Border, TRANSLATION_GROUP, Unknowns};
 use crate::body::kinematics::{Pose, PosedSkeleton, joints_by_betas, landmark_by_rotation, landmark_position, posed};
 use crate::body::model::{Betas, BodyModel, ShapeDirections, ShapedBody};
 use crate::body::skeleton::N_JOINTS;
+use crate::optim::block_banded::ColumnBlock;
 use nalgebra::{Matrix3, Vector3};
 
 /// The landmarks of the body model and which unknowns move each.
@@ -99,12 +100,16 @@ impl LinearisedFrame<'_> {
         moves: impl Fn(usize) -> bool,
     ) -> LandmarkJacobian {
         let PosedFrame { body, landmarks: Landmarks { model, border, moving, .. }, .. } = &self.posed;
-        let by_rotation =
-            |&(group, joint): &(usize, usize)| (group, landmark_by_rotation(model, body, skeleton, landmark, joint));
-        let by_translation = std::iter::once((TRANSLATION_GROUP, Matrix3::identity()));
-        let moving = moving[landmark].iter().filter(|(_, joint)| moves(*joint));
+        let by_rotation = |&(group, joint): &(usize, usize)| {
+            (3 * group, landmark_by_rotation(model, body, skeleton, landmark, joint))
+        };
+        let by_translation = std::iter::once((3 * TRANSLATION_GROUP, Matrix3::identity()));
+        let moving = moving[landmark].as_slice();
+        let mut by_frame: Vec<ColumnBlock> = Vec::with_capacity(1 + moving.len());
+        by_frame.extend(by_translation.chain(moving.iter().filter(|(_, joint)| moves(*joint)).map(by_rotation)));
         LandmarkJacobian {
-            by_frame: by_translation.chain(moving.map(by_rotation)).collect(),
+            rows: by_frame.iter().copied().collect(),
+            by_frame,
             by_border: BorderJacobian::new(border, model, landmark, skeleton, self.joint_directions.as_ref()),
         }
     }

@@ -6,14 +6,16 @@ use crate::body::bone_offsets::landmark_by_bones;
 use crate::body::kinematics::{PosedSkeleton, landmark_by_betas};
 use crate::body::model::{BodyModel, ShapeDirections};
 use crate::body::skeleton::N_JOINTS;
-use crate::optim::block_banded::{Corner, FramePanel};
+use crate::optim::block_banded::{ColumnBlock, Corner, FramePanel, StripRows};
 use crate::residuals::position_cost::PositionCost;
 use nalgebra::{Matrix3, Matrix3xX, SMatrix, Vector3};
 
 /// Derivatives of one landmark's position.
 pub(crate) struct LandmarkJacobian {
-    /// Groups of the frame that move it, ascending, and the derivatives by them.
-    pub by_frame: Vec<(usize, Matrix3<f64>)>,
+    /// First unknowns of the groups of the frame that move it, ascending, and the derivatives by these.
+    pub by_frame: Vec<ColumnBlock>,
+    /// The same as rows of panels.
+    pub rows: StripRows,
     pub by_border: BorderJacobian,
 }
 
@@ -22,20 +24,17 @@ impl LandmarkJacobian {
     pub(crate) fn add_cost(&self, at: &PositionCost, system: &mut FramePanel, corner: &mut Corner) {
         self.by_border.add_to_corner(&at.gradient, &at.hessian, corner);
         self.add_to_frame(&at.gradient, &at.hessian, system);
-        for (row, a) in &self.by_frame {
-            self.by_border.add_to_border(3 * row, &a.tr_mul(&at.hessian), system);
-        }
+        let mut across = StripRows::default();
+        self.by_border.add_to_rows(&mut across);
+        system.add_border_product(&across, &at.hessian, &self.by_frame);
     }
 
     /// Adds a cost over the position, given by its gradient and Hessian, to what concerns the frame alone.
     pub(crate) fn add_to_frame(&self, by_position: &Vector3<f64>, hessian: &Matrix3<f64>, system: &mut FramePanel) {
-        for (i, (row, a)) in self.by_frame.iter().enumerate() {
-            system.add_gradient(3 * row, &a.tr_mul(by_position));
-            let left = a.tr_mul(hessian);
-            for (column, b) in &self.by_frame[..=i] {
-                system.add_own(3 * row, 3 * column, &(left * b));
-            }
+        for (first, a) in &self.by_frame {
+            system.add_gradient(*first, &a.tr_mul(by_position));
         }
+        system.add_product(0, &self.rows, hessian, &self.by_frame);
     }
 }
 
@@ -89,7 +88,7 @@ impl BorderJacobian {
     }
 
     /// Sum of derivatives of one landmark, in several frames, each times its factor from the left.
-    pub(crate) fn sum(parts: &[(Matrix3<f64>, &Self)]) -> Self {
+    pub(crate) fn sum<'a>(parts: impl IntoIterator<Item = (Matrix3<f64>, &'a Self)>) -> Self {
         let mut sum = Self { betas: None, blocks: Vec::new() };
         for (factor, part) in parts {
             sum.betas = part.betas.map(|betas| factor * betas + sum.betas.unwrap_or_else(ShapeDirections::zeros));
@@ -107,7 +106,7 @@ impl BorderJacobian {
         corner: &mut Corner,
     ) {
         self.add_gradient(by_position, corner);
-        self.add_product(&Self::sum(&[(*position_hessian, self)]), corner);
+        self.add_product(&Self::sum([(*position_hessian, self)]), corner);
     }
 
     /// Adds `B^T g` to the gradient, where `B` are these derivatives.
@@ -151,14 +150,11 @@ impl BorderJacobian {
         }
     }
 
-    /// Adds the blocks between the border and three unknowns of the frame from `first` on; `left`: derivative by these,
-    /// transposed, times the Hessian of the position.
-    pub(crate) fn add_to_border(&self, first: usize, left: &Matrix3<f64>, system: &mut FramePanel) {
+    /// Adds these derivatives to rows of the border.
+    pub(crate) fn add_to_rows(&self, rows: &mut StripRows) {
         if let Some(betas) = &self.betas {
-            system.add_border(0, first, &(left * betas).transpose());
+            rows.add(0, betas);
         }
-        for (row, b) in &self.blocks {
-            system.add_border(*row, first, &(left * b).transpose());
-        }
+        self.blocks.iter().for_each(|(first, block)| rows.add(*first, block));
     }
 }

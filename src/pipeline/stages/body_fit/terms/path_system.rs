@@ -3,59 +3,20 @@
 use super::super::observations::PosedCamera;
 use super::camera_unknowns::{FOCAL, POSE};
 use super::landmark_jacobian::BorderJacobian;
-use super::term::RUN;
-use super::unknowns::{CameraColumns, Unknowns};
+use super::unknowns::{Border, CameraColumns};
 use super::whitened_pixels::{PathBlocks, Positions, WhitenedPixels};
 use super::window::TrackedLandmark;
-use crate::optim::block_banded::{BlockBanded, Corner, FramePanel};
+use crate::optim::block_banded::{Corner, FramePanel, StripRows};
 use nalgebra::Matrix3;
-use rayon::prelude::*;
 
-/// Adds the term at the landmarks `paths`, `[frame][observed landmark]`.
+/// The term to second order by positions, and the derivatives of these.
 ///
 /// With `J` the derivatives of a position by its frame, `B` by the border, and `M_k` the second derivatives by the positions of
 /// a frame and of the one `k` frames earlier: blocks `J_t^T M_k J_{t-k}` between frames, `J_t^T N_t` and `B_t^T N_t` to the border,
 /// where `N_t = sum_k M_k B_{t-k} + M_k^T B_{t+k}`.
-pub(crate) fn add_paths(
-    (term, cameras): (&WhitenedPixels, &[PosedCamera]),
-    unknowns: &Unknowns,
-    paths: &[Vec<TrackedLandmark>],
-    system: &mut BlockBanded,
-) {
-    let border = &unknowns.border;
-    let positions: Positions =
-        paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect();
-    let blocks = term.blocks(cameras, &positions, border.cameras);
-    let (n_border, cameras) = (border.len(), border.camera_columns());
-    let linear = LinearPaths {
-        blocks: &blocks,
-        paths,
-        cameras: border.cameras,
-        first_camera: cameras.start,
-        has_border: n_border > 0,
-    };
-    let add_run = |(run, frames): (usize, &mut [FramePanel])| {
-        let mut corner = Corner::zeros(n_border);
-        frames.iter_mut().enumerate().for_each(|(i, frame)| linear.add_frame(RUN * run + i, frame, &mut corner));
-        corner
-    };
-    let corners: Vec<Corner> = system.frames().par_chunks_mut(RUN).enumerate().map(add_run).collect();
-    let mut corner = Corner::zeros(n_border);
-    for part in corners {
-        corner.hessian += part.hessian;
-        corner.gradient += part.gradient;
-    }
-    // Rows of the cameras against what moves points: the transpose of the columns.
-    let crossed = corner.hessian.view((0, cameras.start), (cameras.start, cameras.len())).transpose();
-    corner.hessian.view_mut((cameras.start, 0), (cameras.len(), cameras.start)).copy_from(&crossed);
-    system.corner.hessian += corner.hessian;
-    system.corner.gradient += corner.gradient;
-    blocks.add_cameras_to(cameras.start, &mut system.corner);
-}
-
-/// The term to second order by positions, and the derivatives of these.
-struct LinearPaths<'a> {
-    blocks: &'a PathBlocks,
+pub(crate) struct LinearPaths<'a> {
+    blocks: PathBlocks,
+    /// `[frame][observed landmark]`.
     paths: &'a [Vec<TrackedLandmark>],
     cameras: CameraColumns,
     /// Column of the first camera.
@@ -63,14 +24,40 @@ struct LinearPaths<'a> {
     has_border: bool,
 }
 
-impl LinearPaths<'_> {
+impl<'a> LinearPaths<'a> {
+    /// The term at the landmarks `paths`.
+    pub(crate) fn new(
+        (term, cameras): (&WhitenedPixels, &[PosedCamera]),
+        border: &Border,
+        paths: &'a [Vec<TrackedLandmark>],
+    ) -> Self {
+        let positions: Positions =
+            paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect();
+        Self {
+            blocks: term.blocks(cameras, &positions, border.cameras),
+            paths,
+            cameras: border.cameras,
+            first_camera: border.camera_columns().start,
+            has_border: border.len() > 0,
+        }
+    }
+
+    /// Adds what concerns the cameras alone, once all frames have been added to `corner`.
+    pub(crate) fn add_cameras(&self, corner: &mut Corner) {
+        let (first, n) = (self.first_camera, self.cameras.len());
+        // Rows of the cameras against what moves points: the transpose of the columns.
+        let crossed = corner.hessian.view((0, first), (first, n)).transpose();
+        corner.hessian.view_mut((first, 0), (n, first)).copy_from(&crossed);
+        self.blocks.add_cameras_to(first, corner);
+    }
+
     /// First column of a camera in the border.
     fn column(&self, camera: usize) -> usize {
         self.first_camera + self.cameras.unknowns.len() * camera
     }
 
     /// Adds what concerns frame `t`: its own blocks, those of later frames with it, and its rows of the border.
-    fn add_frame(&self, t: usize, system: &mut FramePanel, corner: &mut Corner) {
+    pub(crate) fn add_frame(&self, t: usize, system: &mut FramePanel, corner: &mut Corner) {
         for (l, landmark) in self.paths[t].iter().enumerate() {
             let of_landmark = &self.blocks.landmarks[l];
             let Some(block) = of_landmark.frames.get(t).filter(|block| block.hessian[0] != Matrix3::zeros()) else {
@@ -82,12 +69,8 @@ impl LinearPaths<'_> {
                 if *hessian == Matrix3::zeros() {
                     continue;
                 }
-                for (row, a) in &self.paths[t + lag][l].jacobian.by_frame {
-                    let left = a.tr_mul(hessian);
-                    for (column, b) in &landmark.jacobian.by_frame {
-                        system.add_coupling(lag, 3 * row, 3 * column, &(left * b));
-                    }
-                }
+                let later = &self.paths[t + lag][l].jacobian.rows;
+                system.add_product(lag, later, hessian, &landmark.jacobian.by_frame);
             }
             if self.has_border {
                 self.add_border(t, l, system, corner);
@@ -100,31 +83,28 @@ impl LinearPaths<'_> {
         let (landmark, of_landmark) = (&self.paths[t][l], &self.blocks.landmarks[l]);
         let by_border = |t: usize| &self.paths[t][l].jacobian.by_border;
         let block = &of_landmark.frames[t];
-        let mut parts = vec![(block.hessian[0], by_border(t))];
-        for lag in 1..=2 {
-            parts.extend(t.checked_sub(lag).map(|earlier| (block.hessian[lag], by_border(earlier))));
-            parts.extend(of_landmark.frames.get(t + lag).map(|b| (b.hessian[lag].transpose(), by_border(t + lag))));
-        }
-        let across = BorderJacobian::sum(&parts);
+        let earlier = |lag: usize| t.checked_sub(lag).map(|earlier| (block.hessian[lag], by_border(earlier)));
+        let later = |lag: usize| {
+            of_landmark.frames.get(t + lag).map(|later| (later.hessian[lag].transpose(), by_border(t + lag)))
+        };
+        let others = [earlier(1), later(1), earlier(2), later(2)].into_iter().flatten();
+        let across = BorderJacobian::sum(std::iter::once((block.hessian[0], by_border(t))).chain(others));
         let own = &landmark.jacobian.by_border;
         own.add_gradient(&block.gradient, corner);
         own.add_product(&across, corner);
+        let mut rows = StripRows::default();
+        across.add_to_rows(&mut rows);
         for (camera, by_camera) in of_landmark.by_cameras(t).iter().enumerate() {
             let first = self.column(camera);
-            own.add_columns(first, &by_camera.fixed_columns::<POSE>(0).into_owned(), corner);
+            let by_pose = by_camera.fixed_columns::<POSE>(0).into_owned();
+            own.add_columns(first, &by_pose, corner);
+            rows.add(first, &by_pose);
             if self.cameras.unknowns.focal {
-                own.add_columns(first + FOCAL, &by_camera.fixed_columns::<1>(FOCAL).into_owned(), corner);
+                let by_focal = by_camera.fixed_columns::<1>(FOCAL).into_owned();
+                own.add_columns(first + FOCAL, &by_focal, corner);
+                rows.add(first + FOCAL, &by_focal);
             }
         }
-        for (group, a) in &landmark.jacobian.by_frame {
-            across.add_to_border(3 * group, &a.transpose(), system);
-            for (camera, by_camera) in of_landmark.by_cameras(t).iter().enumerate() {
-                let (first, rows) = (self.column(camera), by_camera.tr_mul(a));
-                system.add_border(first, 3 * group, &rows.fixed_rows::<POSE>(0).into_owned());
-                if self.cameras.unknowns.focal {
-                    system.add_border(first + FOCAL, 3 * group, &rows.fixed_rows::<1>(FOCAL).into_owned());
-                }
-            }
-        }
+        system.add_border_product(&rows, &Matrix3::identity(), &landmark.jacobian.by_frame);
     }
 }

@@ -74,9 +74,9 @@ impl FrameTerm for PosePrior {
         let Some(Marginal { poses, groups }) = self.at(frame.posed.index) else { return };
         let found = pose_derivatives(&frame.posed.pose.rotations, poses, &self.weights);
         for (i, &row) in groups.iter().enumerate() {
-            system.add_gradient(3 * row, &found.gradient.fixed_rows::<3>(3 * i).into_owned());
-            for (k, &column) in groups.iter().enumerate().take(i + 1) {
-                system.add_own(3 * row, 3 * column, &found.hessian.fixed_view::<3, 3>(3 * i, 3 * k).into_owned());
+            system.add_gradient(3 * row, &found.gradient(i));
+            for (&column, block) in groups.iter().zip(found.hessian(i, 0..i + 1)) {
+                system.add_own(3 * row, 3 * column, &block);
             }
         }
     }

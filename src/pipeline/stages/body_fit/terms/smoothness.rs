@@ -7,7 +7,7 @@ use super::unknowns::{MotionState, TRANSLATION_GROUP, Unknowns};
 use super::window::{RobustAcceleration, TrackedLandmark, Window};
 use crate::body::joint_ranges::JointRange;
 use crate::body::skeleton::N_JOINTS;
-use crate::optim::block_banded::BlockBanded;
+use crate::optim::block_banded::{Corner, FramePanel};
 use crate::residuals::acceleration::{
     SECOND_DIFFERENCE, linearized_rotation_change, rotation_change, second_difference,
 };
@@ -100,17 +100,16 @@ impl WindowTerm for Smoothness {
         self.robust.cost(&self.pelvis(window).0) + self.rotations.iter().map(joint_cost).sum::<f64>()
     }
 
-    fn add_to(&self, window: &Window<TrackedLandmark>, system: &mut BlockBanded) {
+    fn add_to(&self, window: &Window<TrackedLandmark>, panels: &mut [FramePanel], _: &mut Corner) {
         let (residual, scale) = self.pelvis(window);
-        let itself: &[(usize, Matrix3<f64>)] = &[(TRANSLATION_GROUP, Matrix3::identity())];
-        self.robust.add_to(window.middle, &residual, SECOND_DIFFERENCE.map(|c| c * scale), [itself; 3], system);
+        let jacobians = SECOND_DIFFERENCE.map(|c| Matrix3::identity() * (c * scale));
+        self.robust.add_to(&residual, 3 * TRANSLATION_GROUP, &jacobians, panels);
         for &(group, joint) in &self.rotations {
             let [a, b, c] = window.poses.map(|pose| &pose.rotations[joint]);
             let change = linearized_rotation_change(a, b, c);
             let scale = self.rotation_scale(window.middle, joint);
-            let jacobians = change.jacobians.map(|jacobian| [(group, jacobian)]);
-            let by_frame = jacobians.each_ref().map(<[_; 1]>::as_slice);
-            self.robust.add_to(window.middle, &(change.value * scale), [scale; 3], by_frame, system);
+            let jacobians = change.jacobians.map(|jacobian| jacobian * scale);
+            self.robust.add_to(&(change.value * scale), 3 * group, &jacobians, panels);
         }
     }
 }

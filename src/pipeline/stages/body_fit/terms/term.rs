@@ -5,11 +5,8 @@
 
 use super::frame::{LinearisedFrame, PosedFrame};
 use super::window::{TrackedLandmark, Window};
-use crate::optim::block_banded::{BlockBanded, Corner, FramePanel};
+use crate::optim::block_banded::{Corner, FramePanel};
 use nalgebra::Vector3;
-
-/// Frames that are linearised one after another; they share one corner.
-pub(crate) const RUN: usize = 16;
 
 /// A term of single frames; its cost is per unit of time weight.
 pub(crate) trait FrameTerm: Sync {
@@ -25,8 +22,8 @@ pub(crate) trait WindowTerm: Sync {
     /// Cost of one window.
     fn cost(&self, window: &Window<Vector3<f64>>) -> f64;
 
-    /// Adds gradient and Gauss-Newton blocks of one window, times the time weight.
-    fn add_to(&self, window: &Window<TrackedLandmark>, system: &mut BlockBanded);
+    /// Adds gradient and Gauss-Newton blocks of one window to its three frames, times the time weight.
+    fn add_to(&self, window: &Window<TrackedLandmark>, panels: &mut [FramePanel], corner: &mut Corner);
 }
 
 /// A quadratic term of the border alone: of unknowns of the person, or of the whole session.

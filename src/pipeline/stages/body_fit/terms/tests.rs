@@ -124,9 +124,12 @@ impl Fixture {
 
 /// Checks the gradient of `problem` along directions of all unknowns; `cost_at`: the cost after a step.
 pub(super) fn assert_gradient_of(problem: &MotionProblem, state: &MotionState, cost_at: impl Fn(&BandedStep) -> f64) {
-    let mut system = BlockBanded::default();
-    problem.linearise(state, &mut system);
     let (n, n_border) = (3 * problem.unknowns.n_groups(), problem.unknowns.border.len());
+    let mut system = BlockBanded::zeros(N_FRAMES, problem.unknowns.n_groups(), n_border);
+    problem.with_filling(state, |filling| {
+        filling.add(0..N_FRAMES, &mut system.frames());
+        system.corner = filling.corner();
+    });
     let direction = |d: usize| BandedStep {
         frames: (0..N_FRAMES).map(|t| DVector::from_fn(n, |i, _| wave(11 * t + 13 * i + d))).collect(),
         border: DVector::from_fn(n_border, |i, _| wave(17 * i + d)),

@@ -149,8 +149,8 @@ fn one_step_from_nearby_removes_the_cost_of_paths() {
     }
     let before = problem.cost(&nearby);
     let mut system = BlockBanded::default();
-    problem.linearise(&nearby, &mut system);
-    let step = system.solve(0.0).unwrap();
+    problem.eliminate(&nearby, 0.0, &mut system).unwrap();
+    let step = system.solved(0.0).unwrap();
     assert_eq!(step.frames.len(), N_FRAMES);
     let after = problem.cost(&problem.moved(&nearby, &step));
     assert!(after < 1e-3 * before, "{before} -> {after}");

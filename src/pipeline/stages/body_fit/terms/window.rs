@@ -2,7 +2,7 @@
 
 use super::landmark_jacobian::LandmarkJacobian;
 use crate::body::kinematics::Pose;
-use crate::optim::block_banded::BlockBanded;
+use crate::optim::block_banded::FramePanel;
 use crate::residuals::acceleration::acceleration_cost;
 use nalgebra::{Matrix3, Vector3};
 
@@ -44,28 +44,27 @@ impl RobustAcceleration {
         acceleration_cost(residual.norm_squared(), self.knee).cost
     }
 
-    /// Adds the acceleration `residual` about frame `middle`, over its standard deviation. Its derivatives are `factors` times
-    /// those of `by_frame`, each by group. Returns the weight that its square has in the system.
+    /// The weight of the square of an acceleration over its standard deviation.
+    pub(crate) fn weight(&self, residual: &Vector3<f64>) -> f64 {
+        acceleration_cost(residual.norm_squared(), self.knee).weight * self.time_weight
+    }
+
+    /// Adds an acceleration over its standard deviation, `residual`, to its three frames; `jacobians`: its derivatives by three
+    /// unknowns from `first` on of each.
     pub(crate) fn add_to(
         &self,
-        middle: usize,
         residual: &Vector3<f64>,
-        factors: [f64; 3],
-        by_frame: [&[(usize, Matrix3<f64>)]; 3],
-        system: &mut BlockBanded,
-    ) -> f64 {
-        let weight = acceleration_cost(residual.norm_squared(), self.knee).weight * self.time_weight;
-        for (i, (groups, factor)) in by_frame.iter().zip(factors).enumerate() {
-            for (row, jacobian) in *groups {
-                let left = jacobian.transpose() * (factor * weight);
-                system.frame(middle - 1 + i).add_gradient(3 * row, &(left * residual));
-                for (k, (earlier, factor)) in by_frame.iter().zip(factors).enumerate().take(i + 1) {
-                    for (column, other) in *earlier {
-                        system.add_block([middle - 1 + i, middle - 1 + k], [*row, *column], &(left * other * factor));
-                    }
-                }
+        first: usize,
+        jacobians: &[Matrix3<f64>; 3],
+        panels: &mut [FramePanel],
+    ) {
+        let weight = self.weight(residual);
+        for (i, jacobian) in jacobians.iter().enumerate() {
+            let left = jacobian.transpose() * weight;
+            panels[i].add_gradient(first, &(left * residual));
+            for (k, earlier) in jacobians.iter().enumerate().take(i + 1) {
+                panels[k].add_block(i - k, [first; 2], &(left * earlier));
             }
         }
-        weight
     }
 }
