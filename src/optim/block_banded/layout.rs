@@ -137,9 +137,12 @@ impl FramePanel<'_> {
         }
     }
 
-    /// Multiplies all that was added so far.
-    pub fn scale(&mut self, factor: f64) {
-        self.values.iter_mut().for_each(|value| *value *= factor);
+    /// Multiplies what was added to the frame itself, to its rows of the border, and to its gradient.
+    pub fn scale_own(&mut self, factor: f64) {
+        let (own, border) = (self.layout.row(self.layout.frame_rows(1)), self.layout.row(self.layout.border_rows()));
+        for values in [0..own, border..self.values.len()] {
+            self.values[values].iter_mut().for_each(|value| *value *= factor);
+        }
     }
 
     fn add<const R: usize, const C: usize>(&mut self, row: usize, column: usize, block: &SMatrix<f64, R, C>) {

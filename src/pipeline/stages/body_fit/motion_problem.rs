@@ -94,7 +94,7 @@ impl MotionProblem<'_> {
         panel.clear();
         self.frame_terms.iter().for_each(|term| term.add_to(frame, panel, corner));
         panel.add_to_diagonal(FLOOR);
-        panel.scale(self.time_weight);
+        panel.scale_own(self.time_weight);
         if self.held.contains(&frame.posed.index) {
             panel.add_to_diagonal(HOLD);
         }
