@@ -96,7 +96,7 @@ fn filled_frame_by_frame_is_the_same_factor() {
         filled.resize(n_frames, 5, 4);
         let mut source = whole.clone();
         let (mut next, mut sources) = (0, source.frames());
-        let fill = |frames: std::ops::Range<usize>, panels: &mut [FramePanel]| {
+        let fill = |frames: Range<usize>, panels: &mut [FramePanel]| {
             assert_eq!(frames.start, next);
             assert_eq!(panels.len(), frames.end - frames.start.saturating_sub(2));
             next = frames.end;

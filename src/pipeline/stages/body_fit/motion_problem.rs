@@ -73,9 +73,9 @@ impl MotionProblem<'_> {
     pub(super) fn eliminate(&self, state: &MotionState, damping: f64, system: &mut BlockBanded) -> Option<()> {
         system.resize(state.poses.len(), self.unknowns.n_groups(), self.unknowns.border.len());
         self.with_filling(state, |filling| {
-            let is_definite = system.fill_and_eliminate(damping, |frames, panels| filling.add(frames, panels));
+            let eliminated = system.fill_and_eliminate(damping, |frames, panels| filling.add(frames, panels));
             system.corner = filling.corner();
-            is_definite
+            eliminated
         })
     }
 
@@ -118,12 +118,7 @@ impl MotionProblem<'_> {
 
     /// The landmarks of the paths with derivatives, `[frame][observed landmark]`.
     pub(super) fn linearised_paths(&self, state: &MotionState) -> Vec<Vec<TrackedLandmark>> {
-        let body = self.model.shaped(&state.betas);
-        let frame = |(index, pose): (usize, &Pose)| {
-            let frame = PosedFrame::new(&self.landmarks, (&body, &state.betas), index, pose).linearised();
-            self.path_landmarks().iter().map(|&landmark| observed(&frame, landmark)).collect()
-        };
-        state.poses.par_iter().enumerate().map(frame).collect()
+        self.linearised(state, &self.model.shaped(&state.betas)).paths
     }
 
     fn path_landmarks(&self) -> &[usize] {
