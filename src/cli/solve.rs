@@ -71,8 +71,8 @@ pub(super) fn solve(
     };
     let solved =
         pipeline::solve(&loaded.session, options, body, &checkpoints, continuation.as_ref(), watcher, progress)?;
-    let continuation = solved.continuation.to_text(&loaded.sha256, options).map_err(io::Error::from)?;
-    let reconstruction = solved.reconstruction;
+    let pipeline::SolvedSession { reconstruction, continuation } = solved;
+    let continuation = || continuation.to_text(&loaded.sha256, options).map_err(io::Error::from);
     let context = ResultContext {
         input_sha256: &loaded.sha256,
         options: serde_json::to_value(options).map_err(io::Error::from)?,

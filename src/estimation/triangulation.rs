@@ -1,14 +1,18 @@
 //! Robust triangulation from several views, and the covariance of triangulated points.
 
-use crate::geometry::projection::project_normalized;
+use crate::geometry::projection::NEAR_PLANE;
 use crate::geometry::rotation::skew;
-use crate::geometry::triangulation::{PointObservation, triangulate_linear};
+use crate::geometry::triangulation::{PointObservation, RayConstraint, nearest_point, triangulate_linear};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::optim::robust::geman_mcclure_weight;
 use nalgebra::{Matrix2x3, Matrix3, Matrix3x6, Vector2, Vector3};
 
-/// Re-weightings of a point; its weights settle in two or three.
+/// Most re-weightings of a point; its weights settle in two or three.
 const REWEIGHTINGS: usize = 3;
+
+/// Weights are settled where the last one moved the point by less than this share of the robust scale: a weight changes by less
+/// than 1 %.
+const SETTLED: f64 = 0.003;
 
 /// Residual of a ray whose camera has the point behind it, m: far beyond every robust scale.
 const BEHIND_CAMERA_M: f64 = 1.0;
@@ -17,25 +21,42 @@ const BEHIND_CAMERA_M: f64 = 1.0;
 ///
 /// Iteratively re-weighted least squares from [`triangulate_linear`]: each ray's weight is its own times Geman and
 /// McClure's, of the residual `depth |projection - normalized|` (m at the point) and `robust_scale_m`. `None` with fewer than two
-/// rays or where [`triangulate_linear`] has no solution. Two rays are not re-weighted: they do not show which one is wrong.
-pub fn triangulate_reweighted(mut rays: Vec<PointObservation<'_>>, robust_scale_m: f64) -> Option<Vector3<f64>> {
-    if rays.len() < 2 {
-        return None;
+/// rays or where a point is undetermined or behind one of its cameras. Two rays are not re-weighted: they do not show which one
+/// is wrong.
+pub fn triangulate_reweighted(rays: &[PointObservation<'_>], robust_scale_m: f64) -> Option<Vector3<f64>> {
+    if rays.len() <= 2 {
+        return if rays.len() == 2 { triangulate_linear(rays) } else { None };
     }
-    let mut point = triangulate_linear(&rays)?;
-    if rays.len() == 2 {
-        return Some(point);
-    }
-    let own_weights: Vec<f64> = rays.iter().map(|r| r.weight).collect();
+    let constraints: Vec<(&PointObservation<'_>, RayConstraint)> =
+        rays.iter().filter(|ray| ray.weight > 0.0).map(|ray| (ray, RayConstraint::of(ray))).collect();
+    let is_in_front = |point: &Vector3<f64>| constraints.iter().all(|(ray, _)| depth(ray, point) > 0.0);
+    let nearest = |weight: &dyn Fn(&PointObservation<'_>) -> f64| {
+        let weighted = constraints.iter().map(|(ray, constraint)| (*constraint, weight(ray)));
+        nearest_point(weighted).filter(is_in_front)
+    };
+    let mut point = nearest(&|ray| ray.weight)?;
     for _ in 0..REWEIGHTINGS {
-        for (ray, own_weight) in rays.iter_mut().zip(&own_weights) {
-            let expected = project_normalized(ray.camera_from_world, &point);
-            let residual = expected.map_or(BEHIND_CAMERA_M, |e| (e.normalized - ray.normalized).norm() * e.depth);
-            ray.weight = own_weight * geman_mcclure_weight(residual * residual, robust_scale_m * robust_scale_m);
+        let weight = |ray: &PointObservation<'_>| {
+            ray.weight * geman_mcclure_weight(squared_residual(ray, &point), robust_scale_m * robust_scale_m)
+        };
+        let next = nearest(&weight)?;
+        let moved = (next - point).norm();
+        point = next;
+        if moved < SETTLED * robust_scale_m {
+            break;
         }
-        point = triangulate_linear(&rays)?;
     }
     Some(point)
+}
+
+fn depth(ray: &PointObservation<'_>, point: &Vector3<f64>) -> f64 {
+    ray.camera_from_world.transform(point).z
+}
+
+/// `(depth |projection - normalized|)^2` of a point, m^2: without a division by the depth.
+fn squared_residual(ray: &PointObservation<'_>, point: &Vector3<f64>) -> f64 {
+    let x = ray.camera_from_world.transform(point);
+    if x.z > NEAR_PLANE { (x.xy() - ray.normalized * x.z).norm_squared() } else { BEHIND_CAMERA_M * BEHIND_CAMERA_M }
 }
 
 /// The detected pixel of a point in one of the views.
@@ -94,6 +115,7 @@ fn whitened_jacobian(point: &Vector3<f64>, observation: &RayObservation<'_>) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::projection::project_normalized;
     use crate::geometry::{free_network, rotation};
     use nalgebra::SMatrix;
     use rand::{RngExt, SeedableRng};
@@ -131,10 +153,10 @@ mod tests {
         for trial in 0..100 {
             let point = random_point(&mut rng);
             let mut rays = observe(&cameras, &point, || 0.0);
-            assert!((triangulate_reweighted(rays.clone(), 0.06).unwrap() - point).norm() < 1e-9);
+            assert!((triangulate_reweighted(&rays, 0.06).unwrap() - point).norm() < 1e-9);
             rays[trial % 5].normalized += Vector2::repeat(0.03);
             let linear = (triangulate_linear(&rays).unwrap() - point).norm();
-            let reweighted = (triangulate_reweighted(rays, 0.06).unwrap() - point).norm();
+            let reweighted = (triangulate_reweighted(&rays, 0.06).unwrap() - point).norm();
             assert!(reweighted < 0.5 * linear, "{reweighted} {linear}");
         }
     }
@@ -143,9 +165,9 @@ mod tests {
     fn too_few_or_parallel_rays_give_none() {
         let cameras = cameras(5);
         let rays = observe(&cameras, &Vector3::new(0.3, 0.2, -0.1), || 0.0);
-        assert_eq!(triangulate_reweighted(Vec::new(), 0.06), None);
-        assert_eq!(triangulate_reweighted(vec![rays[0]], 0.06), None);
-        assert_eq!(triangulate_reweighted(vec![rays[0]; 200], 0.06), None);
+        assert_eq!(triangulate_reweighted(&[], 0.06), None);
+        assert_eq!(triangulate_reweighted(&[rays[0]], 0.06), None);
+        assert_eq!(triangulate_reweighted(&[rays[0]; 200], 0.06), None);
     }
 
     /// Images stay as they are when cameras and point move by the same similarity.

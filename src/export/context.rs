@@ -1,9 +1,10 @@
 //! Provenance of a result, as the manifest states it.
 
 use crate::session::reconstruction::ExportFormat;
+use std::io;
 
 /// Provenance of a result.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Clone)]
 pub struct ResultContext<'a> {
     /// SHA-256 digest of the input (`LoadedSession::sha256`).
     pub input_sha256: &'a str,
@@ -13,6 +14,6 @@ pub struct ResultContext<'a> {
     pub solver_version: &'a str,
     /// Formats to write beside the JSON files.
     pub exports: &'a [ExportFormat],
-    /// Content of the file [`CONTINUATION`](super::CONTINUATION); without it no such file is written.
-    pub continuation: Option<&'a str>,
+    /// Makes the content of the file [`CONTINUATION`](super::CONTINUATION); without it no such file is written.
+    pub continuation: Option<&'a (dyn Fn() -> io::Result<String> + Sync)>,
 }

@@ -56,9 +56,8 @@ pub fn name(format: F) -> String {
     }
 }
 
-/// Writes the files of a format and describes them.
+/// Writes the files of a format and describes them; `files` lists no others.
 pub(super) fn write(format: F, files: &mut ResultFiles, take: &Take) -> io::Result<Representation> {
-    let n_before = files.written().len();
     match format {
         F::SmplNpz => smpl_npz::write(files, take),
         F::Easymocap => easymocap::write(files, take),
@@ -81,7 +80,7 @@ pub(super) fn write(format: F, files: &mut ResultFiles, take: &Take) -> io::Resu
     Ok(Representation {
         name: name(format),
         ext,
-        files: files.names_from(n_before),
+        files: files.names(),
         frame_start,
         frame_end,
         fps: take.fps,

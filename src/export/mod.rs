@@ -59,8 +59,9 @@ pub use take::{KeypointFrames, OtherBody, Take, TakeCamera};
 
 use crate::session::reconstruction::ExportFormat;
 use crate::session::{Reconstruction, Session};
-use files::ResultFiles;
+use files::{Draft, ResultFiles};
 use manifest::Written;
+use rayon::prelude::*;
 use std::io;
 use std::path::Path;
 
@@ -84,17 +85,20 @@ pub fn write_result(
     reconstruction: &Reconstruction,
 ) -> io::Result<()> {
     let mut files = ResultFiles::create(dir)?;
-    files.json("cameras.json", &cameras::cameras(session, reconstruction))?;
-    files.json("people.json", &people::people(session, reconstruction))?;
-    files.json("poses3d.json", &joints::body_joints(session, reconstruction))?;
-    files.json("keypoints3d.json", &joints::keypoints(session, reconstruction))?;
-    files.json("identities.json", &identities::Identities { session, reconstruction })?;
-    files.json("report.json", &reconstruction.report)?;
-    files.bytes("stages/motion.bin", OCTETS, &motion_bin::motion_bin(session, reconstruction)?)?;
-    files.bytes("stages/detections.bin", OCTETS, &detections_bin::detections_bin(session, reconstruction)?)?;
+    let mut drafts = vec![
+        Draft::json("cameras.json", || cameras::cameras(session, reconstruction)),
+        Draft::json("people.json", || people::people(session, reconstruction)),
+        Draft::json("poses3d.json", || joints::body_joints(session, reconstruction)),
+        Draft::json("keypoints3d.json", || joints::keypoints(session, reconstruction)),
+        Draft::json("identities.json", || identities::Identities { session, reconstruction }),
+        Draft::json("report.json", || &reconstruction.report),
+        Draft::bytes("stages/motion.bin", OCTETS, || motion_bin::motion_bin(session, reconstruction)),
+        Draft::bytes("stages/detections.bin", OCTETS, || detections_bin::detections_bin(session, reconstruction)),
+    ];
     if let Some(continuation) = context.continuation {
-        files.bytes(CONTINUATION, "text/plain", continuation.as_bytes())?;
+        drafts.push(Draft::bytes(CONTINUATION, "text/plain", || Ok(continuation()?.into_bytes())));
     }
+    files.drafts(&drafts)?;
     let take = take::take_of(session, reconstruction);
     let representations = write_all(&mut files, &take, context.exports)?;
     let written = Written { representations, files: files.written().to_vec() };
@@ -115,6 +119,13 @@ pub fn write_formats(dir: &Path, take: &Take, formats: &[ExportFormat]) -> io::R
 /// Writes each format once, even where it is requested twice.
 fn write_all(files: &mut ResultFiles, take: &Take, formats: &[ExportFormat]) -> io::Result<Vec<Representation>> {
     let is_new = |i: usize| !formats[..i].contains(&formats[i]);
-    let formats = (0..formats.len()).filter(|&i| is_new(i)).map(|i| formats[i]);
-    formats.map(|format| formats::write(format, files, take)).collect()
+    let formats: Vec<ExportFormat> = (0..formats.len()).filter(|&i| is_new(i)).map(|i| formats[i]).collect();
+    let write = |format: &ExportFormat| {
+        let mut own = files.beside();
+        Ok((formats::write(*format, &mut own, take)?, own))
+    };
+    let of_formats: Vec<(Representation, ResultFiles)> = formats.par_iter().map(write).collect::<io::Result<_>>()?;
+    let (representations, lists): (Vec<_>, Vec<_>) = of_formats.into_iter().unzip();
+    lists.into_iter().for_each(|list| files.append(list));
+    Ok(representations)
 }

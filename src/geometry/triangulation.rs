@@ -18,29 +18,49 @@ pub struct PointObservation<'a> {
 /// angle of some 0.06 degrees.
 const MIN_DETERMINANT: f64 = 1e-6;
 
+/// What a ray asks of a point x: `P (x - C)` is to vanish, with `P = I - n n^T` for the ray's direction n and the camera's centre C.
+#[derive(Debug, Clone, Copy)]
+pub struct RayConstraint {
+    /// `P`.
+    across: Matrix3<f64>,
+    /// `P C`.
+    right: Vector3<f64>,
+}
+
+impl RayConstraint {
+    /// Of the ray that an observation shows.
+    pub fn of(observation: &PointObservation<'_>) -> Self {
+        let camera = observation.camera_from_world;
+        let direction = camera.rotation.tr_mul(&observation.normalized.push(1.0)).normalize();
+        let across = Matrix3::identity() - direction * direction.transpose();
+        Self { across, right: across * camera.center() }
+    }
+}
+
 /// The point nearest to all rays: `min_x sum w |(I - n n^T)(x - C)|^2`, metres in the world.
 ///
 /// `None` with fewer than two rays, with nearly parallel rays, or where the point is behind one of the cameras. Errors
 /// are metric, not angular: distant cameras weigh as much as near ones.
 pub fn triangulate_linear(observations: &[PointObservation<'_>]) -> Option<Vector3<f64>> {
-    let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
-    for observation in observations.iter().filter(|s| s.weight > 0.0) {
-        let camera = observation.camera_from_world;
-        let direction = (camera.rotation.transpose() * observation.normalized.push(1.0)).normalize();
-        let across = (Matrix3::identity() - direction * direction.transpose()) * observation.weight;
-        normal += across;
-        right += across * camera.center();
-    }
-    let point = solve_rays(&normal, &right)?;
-    let in_front = |s: &PointObservation<'_>| s.weight <= 0.0 || s.camera_from_world.transform(&point).z > 0.0;
-    observations.iter().all(in_front).then_some(point)
+    let seen = || observations.iter().filter(|s| s.weight > 0.0);
+    let point = nearest_point(seen().map(|s| (RayConstraint::of(s), s.weight)))?;
+    seen().all(|s| s.camera_from_world.transform(&point).z > 0.0).then_some(point)
 }
 
-/// Solves the normal equations of rays; `None` where the rays do not determine a point.
-fn solve_rays(normal: &Matrix3<f64>, right: &Vector3<f64>) -> Option<Vector3<f64>> {
-    let mean = normal.trace() / 3.0;
-    let solvable = normal.determinant() > MIN_DETERMINANT * mean * mean * mean;
-    if solvable { Some(normal.cholesky()?.solve(right)) } else { None }
+/// The point nearest to all rays with their weights; `None` where they do not determine one.
+pub fn nearest_point(rays: impl Iterator<Item = (RayConstraint, f64)>) -> Option<Vector3<f64>> {
+    let (mut normal, mut right) = (Matrix3::zeros(), Vector3::zeros());
+    for (ray, weight) in rays {
+        normal += ray.across * weight;
+        right += ray.right * weight;
+    }
+    // Cramer's rule: the rows of the adjugate of a symmetric matrix are cross products of its columns.
+    let [a, b, c] = [0, 1, 2].map(|i| normal.column(i).into_owned());
+    let (bc, mean) = (b.cross(&c), normal.trace() / 3.0);
+    let determinant = a.dot(&bc);
+    let is_solvable = determinant > MIN_DETERMINANT * mean * mean * mean;
+    let products = Vector3::new(bc.dot(&right), c.cross(&a).dot(&right), a.cross(&b).dot(&right));
+    is_solvable.then(|| products / determinant)
 }
 
 /// The midpoint of the shortest segment between two rays (first camera's frame), and whether it is in front of both cameras.

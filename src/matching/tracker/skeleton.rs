@@ -5,7 +5,7 @@ use crate::body::bones::LimbBone;
 use crate::body::detector_profile::DETECTOR;
 use crate::estimation::triangulation::triangulate_reweighted;
 use crate::geometry::Rigid;
-use crate::geometry::projection::project_normalized;
+use crate::geometry::projection::NEAR_PLANE;
 use crate::geometry::triangulation::PointObservation;
 use crate::matching::normalized::NormalizedDetection;
 use crate::optim::robust::{median, median_and_spread};
@@ -41,16 +41,15 @@ pub(super) fn distance_to_detection(
     camera: &Rigid,
     detection: &NormalizedDetection,
 ) -> Option<f64> {
-    let mut distances: Vec<f64> = Vec::with_capacity(skeleton.len());
+    let mut squares: Vec<f64> = Vec::with_capacity(skeleton.len());
     for (k, point) in skeleton.iter().enumerate() {
         if detection.confidence[k] < DETECTOR.comparable {
             continue;
         }
-        if let Some(expected) = point.and_then(|p| project_normalized(camera, &p)) {
-            distances.push((expected.normalized - detection.normalized[k]).norm() * expected.depth);
-        }
+        let Some(x) = point.map(|p| camera.transform(&p)).filter(|x| x.z > NEAR_PLANE) else { continue };
+        squares.push((x.xy() - detection.normalized[k] * x.z).norm_squared());
     }
-    if distances.len() < MIN_SHARED { None } else { median(&mut distances) }
+    if squares.len() < MIN_SHARED { None } else { median(&mut squares).map(f64::sqrt) }
 }
 
 /// The keypoints that at least two views see, triangulated so that one wrong view does not move them.
@@ -68,7 +67,7 @@ fn triangulated_point(scene: &TrackerScene, seen: &[(usize, &NormalizedDetection
             rays.push(PointObservation { camera_from_world, normalized, weight });
         }
     }
-    triangulate_reweighted(rays, ROBUST_SCALE_M)
+    triangulate_reweighted(&rays, ROBUST_SCALE_M)
 }
 
 /// Fills the keypoints that were not triangulated with predicted ones. A single ray corrects a prediction across the ray

@@ -11,9 +11,9 @@ pub use landmarks::{landmarks_from_json, landmarks_json};
 pub use write::{to_json, write_folder};
 
 use crate::session::upload::error::{Fault, UploadError, shown};
-use crate::session::upload::json::{Fields, JsonStream, Reading};
+use crate::session::upload::json::{Fields, JsonStream, Place, Reading, fault_of_io};
 use crate::session::upload::members::Members;
-use crate::session::upload::raw::{RawPoses, RawSession};
+use crate::session::upload::raw::{RawCamera, RawPoses, RawSession};
 use frames::{LineFields, PosesFields};
 use header::DocumentFields;
 use std::collections::BTreeMap;
@@ -62,19 +62,80 @@ pub(crate) fn read_members<R: Read + Seek>(
         return document.finish(reading, poses);
     }
     let mut raw = document.finish(reading, BTreeMap::new())?;
-    for camera in raw.cameras.iter().take(reading.limits.max_cameras) {
-        let name = format!("{root}poses/{}.json", camera.id);
-        if !members.contains(&name) {
-            let error = Fault::PosesMissing.with(format!("file {} does not exist", shown(&name)));
-            return Err(UploadError { file: Some(file), camera: Some(camera.id.clone()), ..error });
-        }
-        reading.place.file = Some(name.clone());
-        reading.place.camera = Some(camera.id.clone());
-        let poses = read_poses(members, &name, reading)?;
-        raw.poses.insert(camera.id.clone(), poses);
+    let cameras = raw.cameras.iter().take(reading.limits.max_cameras);
+    let of_camera =
+        |camera: &RawCamera| PosesFile { camera: camera.id.clone(), name: format!("{root}poses/{}.json", camera.id) };
+    let poses_files: Vec<PosesFile> = cameras.map(of_camera).collect();
+    if let Some(PosesFile { camera, name }) = poses_files.iter().find(|poses| !members.contains(&poses.name)) {
+        let error = Fault::PosesMissing.with(format!("file {} does not exist", shown(name)));
+        return Err(UploadError { file: Some(file), camera: Some(camera.clone()), ..error });
     }
+    raw.poses = read_all_poses(members, &poses_files, reading)?;
     warn_of_unused_files(members, root, &raw, reading);
     Ok(raw)
+}
+
+/// One camera's file of poses.
+struct PosesFile {
+    camera: String,
+    name: String,
+}
+
+/// Files of at most this many bytes, together at most twice as many, are held in memory and parsed side by side; larger ones are
+/// parsed as they are read, one by one.
+const HELD_BYTES: u64 = 64 << 20;
+
+fn read_all_poses<R: Read + Seek>(
+    members: &mut Members<R>,
+    mut files: &[PosesFile],
+    reading: &mut Reading<'_>,
+) -> Result<BTreeMap<String, RawPoses>, UploadError> {
+    let mut all = BTreeMap::new();
+    while let Some(next) = files.first() {
+        let batch = held_files(members, files, reading)?;
+        if batch.is_empty() {
+            reading.place = next.place();
+            all.insert(next.camera.clone(), read_poses(members, &next.name, reading)?);
+        } else {
+            let parsed = reading.side_by_side(&batch, |(file, bytes), reading| {
+                reading.place = file.place();
+                poses_of(bytes.as_slice(), &file.name, reading)
+            })?;
+            all.extend(batch.iter().map(|(file, _)| file.camera.clone()).zip(parsed));
+        }
+        files = &files[batch.len().max(1)..];
+    }
+    Ok(all)
+}
+
+/// The contents of the first of some files, as many as may be held; none where the first one is too large.
+fn held_files<'f, R: Read + Seek>(
+    members: &mut Members<R>,
+    files: &'f [PosesFile],
+    reading: &mut Reading<'_>,
+) -> Result<Vec<(&'f PosesFile, Vec<u8>)>, UploadError> {
+    let (mut held, mut n_held) = (Vec::new(), 0);
+    for file in files {
+        reading.place = file.place();
+        let mut bytes = Vec::new();
+        let read = members.open(&file.name)?.take(HELD_BYTES + 1).read_to_end(&mut bytes);
+        let n = read.map_err(|e| reading.place.of(fault_of_io(e)))? as u64;
+        if n > HELD_BYTES {
+            break;
+        }
+        held.push((file, bytes));
+        n_held += n;
+        if n_held >= HELD_BYTES {
+            break;
+        }
+    }
+    Ok(held)
+}
+
+impl PosesFile {
+    fn place(&self) -> Place {
+        Place { file: Some(self.name.clone()), camera: Some(self.camera.clone()), ..Place::default() }
+    }
 }
 
 /// Reads one camera's poses from its own file.
@@ -83,8 +144,12 @@ pub(crate) fn read_poses<R: Read + Seek>(
     name: &str,
     reading: &mut Reading<'_>,
 ) -> Result<RawPoses, UploadError> {
+    poses_of(members.open(name)?, name, reading)
+}
+
+fn poses_of(reader: impl Read, name: &str, reading: &mut Reading<'_>) -> Result<RawPoses, UploadError> {
     let mut poses = PosesFields::new(name);
-    read_whole(members, name, &mut poses, reading)?;
+    read_document_into(reader, &mut poses, reading)?;
     poses.finish(reading)
 }
 
@@ -103,7 +168,15 @@ fn read_whole<R: Read + Seek>(
     fields: &mut impl Fields,
     reading: &mut Reading<'_>,
 ) -> Result<(), UploadError> {
-    let mut stream = JsonStream::new(members.open(name)?, reading.limits);
+    read_document_into(members.open(name)?, fields, reading)
+}
+
+fn read_document_into(
+    reader: impl Read,
+    fields: &mut impl Fields,
+    reading: &mut Reading<'_>,
+) -> Result<(), UploadError> {
+    let mut stream = JsonStream::new(reader, reading.limits);
     stream.next(fields, reading)?;
     stream.expect_end(reading)
 }

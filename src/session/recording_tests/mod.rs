@@ -19,15 +19,17 @@ pub use image::centred;
 
 use super::recording::Session;
 use super::suspicion::Suspicion;
+use rayon::prelude::*;
 
 /// Every suspicion that the keypoints and the calibration raise by themselves.
 pub fn suspicions(session: &Session) -> Vec<Suspicion> {
-    let mut found = image::suspicions(session);
-    found.extend(repetition::duplicate_cameras(session));
-    found.extend(session.views.iter().filter_map(repetition::repeated_frames));
-    found.extend(repetition::periodic_gaps(session));
-    found.extend(detector::low_confidence(session));
-    found.extend(detector::convention(session));
-    found.extend(given_poses::suspicion(session));
-    found
+    let tests: [fn(&Session) -> Vec<Suspicion>; 6] = [
+        image::suspicions,
+        repetition::suspicions,
+        |session| repetition::periodic_gaps(session).into_iter().collect(),
+        |session| detector::low_confidence(session).into_iter().collect(),
+        |session| detector::convention(session).into_iter().collect(),
+        |session| given_poses::suspicion(session).into_iter().collect(),
+    ];
+    tests.par_iter().flat_map_iter(|test| test(session)).collect()
 }

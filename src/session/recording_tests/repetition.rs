@@ -2,6 +2,7 @@
 
 use crate::session::recording::{Detection, Session, View};
 use crate::session::suspicion::{Suspicion, SuspicionCode};
+use rayon::prelude::*;
 use std::collections::BTreeSet;
 
 /// Fewer present keypoints than this may agree by chance where coordinates are whole pixels.
@@ -27,30 +28,43 @@ fn fingerprint(detection: &Detection) -> Option<Vec<[u64; 2]>> {
     (prints.len() >= MIN_KEYPOINTS).then_some(prints)
 }
 
+/// The fingerprints of the detections of every frame.
+type Prints = Vec<Vec<Vec<[u64; 2]>>>;
+
+/// Keypoints that occur twice: in two cameras, or in successive frames of one.
+pub(super) fn suspicions(session: &Session) -> Vec<Suspicion> {
+    let of_frame = |people: &Vec<Detection>| people.iter().filter_map(fingerprint).collect();
+    let of_view = |view: &View| {
+        let prints: Prints = view.frames.iter().map(of_frame).collect();
+        let distinct: BTreeSet<Vec<[u64; 2]>> = prints.iter().flatten().cloned().collect();
+        (repeated_frames(view, &prints), distinct)
+    };
+    let (repeated, distinct): (Vec<Option<Suspicion>>, Vec<_>) = session.views.par_iter().map(of_view).unzip();
+    duplicate_cameras(session, &distinct).into_iter().chain(repeated.into_iter().flatten()).collect()
+}
+
 /// Pairs of cameras with the same keypoints, at the same or at another time.
-pub(super) fn duplicate_cameras(session: &Session) -> Vec<Suspicion> {
-    let prints: Vec<BTreeSet<Vec<[u64; 2]>>> =
-        session.views.iter().map(|view| view.frames.iter().flatten().filter_map(fingerprint).collect()).collect();
-    let mut found = Vec::new();
-    for (i, a) in prints.iter().enumerate() {
-        for (j, b) in prints.iter().enumerate().skip(i + 1) {
-            let common = a.intersection(b).count();
-            let least = a.len().min(b.len());
-            if common >= MIN_REPEATED && common as f64 >= DUPLICATE * least as f64 {
-                found.push(Suspicion::new(SuspicionCode::DuplicateCamera, vec![session.views[i].id.clone(), session.views[j].id.clone()], format!(
-                        "{:.0} % of the detections are the same to the last digit: one camera has the keypoints of the other",
-                        100.0 * common as f64 / least as f64
-                    ), "give each camera its own keypoints, or leave one of the two out"));
-            }
-        }
-    }
-    found
+fn duplicate_cameras(session: &Session, prints: &[BTreeSet<Vec<[u64; 2]>>]) -> Vec<Suspicion> {
+    let pairs: Vec<(usize, usize)> =
+        (0..prints.len()).flat_map(|i| (i + 1..prints.len()).map(move |j| (i, j))).collect();
+    let duplicate = |&(i, j): &(usize, usize)| {
+        let common = prints[i].intersection(&prints[j]).count();
+        let share = common as f64 / prints[i].len().min(prints[j].len()) as f64;
+        (common >= MIN_REPEATED && share >= DUPLICATE).then(|| {
+            let evidence = format!(
+                "{:.0} % of the detections are the same to the last digit: one camera has the keypoints of the other",
+                100.0 * share
+            );
+            let remedy = "give each camera its own keypoints, or leave one of the two out";
+            let cameras = [i, j].map(|view| session.views[view].id.clone());
+            Suspicion::new(SuspicionCode::DuplicateCamera, cameras.to_vec(), evidence, remedy)
+        })
+    };
+    pairs.par_iter().filter_map(duplicate).collect()
 }
 
 /// A camera whose keypoints do not change from frame to frame.
-pub(super) fn repeated_frames(view: &View) -> Option<Suspicion> {
-    let frames: Vec<Vec<_>> =
-        view.frames.iter().map(|people| people.iter().filter_map(fingerprint).collect()).collect();
+fn repeated_frames(view: &View, frames: &Prints) -> Option<Suspicion> {
     let n = frames.iter().filter(|prints| !prints.is_empty()).count();
     let repeats = |pair: &&[Vec<Vec<[u64; 2]>>]| !pair[1].is_empty() && pair[0] == pair[1];
     let repeated = frames.windows(2).filter(repeats).count();

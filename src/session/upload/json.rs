@@ -8,6 +8,7 @@ use super::error::{Fault, UploadError, shown};
 use super::guard::JsonGuard;
 use super::limits::UploadLimits;
 use super::warnings::Warnings;
+use rayon::prelude::*;
 use serde::Deserialize;
 use serde::de::{
     DeserializeOwned, DeserializeSeed, Deserializer, Error as _, IgnoredAny, MapAccess, SeqAccess, Visitor,
@@ -93,6 +94,31 @@ impl<'a> Reading<'a> {
             return Ok(());
         }
         Err(Fault::TooManyKeypoints.with(format!("the session has more than {} keypoints", self.limits.max_keypoints)))
+    }
+
+    /// Reads parts of the upload side by side: each with the limits, the location and the counts as they stand, and with warnings
+    /// of its own. The first error in the order of the parts is the one that is returned.
+    pub(crate) fn side_by_side<P: Sync, T: Send>(
+        &mut self,
+        parts: &[P],
+        read: impl Fn(&P, &mut Reading<'_>) -> Result<T, UploadError> + Sync,
+    ) -> Result<Vec<T>, UploadError> {
+        let (limits, place, n_before) = (self.limits, &self.place, self.n_keypoints);
+        let of_part = |part: &P| {
+            let mut warnings = Warnings::default();
+            let mut own =
+                Reading { place: place.clone(), n_keypoints: n_before, ..Reading::new(limits, &mut warnings) };
+            let read = read(part, &mut own);
+            let (n_keypoints, place) = (own.n_keypoints - n_before, own.place);
+            (read, n_keypoints, place, warnings)
+        };
+        let mut all = Vec::with_capacity(parts.len());
+        for (read, n_keypoints, place, warnings) in parts.par_iter().map(of_part).collect::<Vec<_>>() {
+            self.warnings.append(warnings);
+            all.push(read?);
+            self.spend(n_keypoints).map_err(|error| place.of(error))?;
+        }
+        Ok(all)
     }
 
     /// The typed error behind a parser's error.

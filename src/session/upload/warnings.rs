@@ -36,6 +36,14 @@ impl Warnings {
         self.largest_confidence = self.largest_confidence.max(confidence);
     }
 
+    /// Adds those of another part of the upload.
+    pub(crate) fn append(&mut self, other: Self) {
+        other.lines.into_iter().for_each(|line| self.add(line));
+        self.n_omitted += other.n_omitted;
+        self.n_clamped += other.n_clamped;
+        self.largest_confidence = self.largest_confidence.max(other.largest_confidence);
+    }
+
     /// All warnings.
     pub(crate) fn into_lines(mut self) -> Vec<String> {
         if self.n_clamped > 0 {

@@ -7,6 +7,7 @@ use crate::pipeline::capture::Capture;
 use crate::pipeline::stages::bundle_adjustment::input::Bone;
 use crate::pipeline::stages::recording_check::lens::{Lens, SeenPeople};
 use crate::session::{JointTrajectory, Session, Suspicion};
+use rayon::prelude::*;
 
 /// Keyframes of an adjustment that tests other parameters: half of those of the last adjustment give standard errors that are 1.4
 /// times as large, still far below what counts.
@@ -61,11 +62,13 @@ impl Solved<'_> {
     /// Per view the focal length and pose under which the unnamed cameras show the people best; `None` where those given are as
     /// good.
     pub(super) fn resections(&self) -> Vec<Option<Lens>> {
-        let (people, mut lenses) = (self.people(), vec![None; self.calibration.cameras.len()]);
-        for view in self.unnamed(&[]) {
-            lenses[view] = SeenPeople::of(&people, view).and_then(|seen| seen.resected());
-            tracing::debug!(view, lens = ?lenses[view], "resection");
-        }
+        let (people, unnamed) = (self.people(), self.unnamed(&[]));
+        let lens = |view: usize| {
+            let seen = unnamed.contains(&view).then(|| SeenPeople::of(&people, view)).flatten()?;
+            seen.resected()
+        };
+        let lenses: Vec<Option<Lens>> = (0..self.calibration.cameras.len()).into_par_iter().map(lens).collect();
+        tracing::debug!(?lenses, "resections");
         lenses
     }
 

@@ -12,6 +12,7 @@ use crate::pipeline::stages::recording_check::clock::slip;
 use crate::pipeline::stages::recording_check::movement::turn;
 use crate::progress::{Canceled, Progress};
 use crate::session::{JointTrajectory, Suspicion, SuspicionCode as Code};
+use rayon::prelude::*;
 
 /// A step of a camera's rotation counts from this angle, rad: 0.17 degrees move a person at 4 m by 12 mm, half a detector's noise.
 const MIN_TURN: f64 = 0.003;
@@ -84,18 +85,18 @@ fn largest_step(
         return Ok(None);
     }
     let people = solved.people();
-    let steps = solved.unnamed(found).into_iter().filter_map(|view| Some((view, test(&people, view)?)));
+    let steps = solved.unnamed(found).into_par_iter().filter_map(|view| Some((view, test(&people, view)?)));
     let mut steps: Vec<_> = steps.collect();
     tracing::debug!(?steps, "steps of cameras");
     steps.retain(|(_, step)| step.sigmas >= LIKELY);
     steps.sort_by(|a, b| b.1.size.total_cmp(&a.1.size));
-    let mut certain = Vec::new();
-    for (view, _) in steps.into_iter().take(N_LIKELY) {
-        let step = step_against_others(solved, test, view, progress)?;
-        tracing::debug!(view, ?step, "step of a camera against the people of the others");
-        certain.extend(step.filter(|step| step.sigmas >= CERTAIN && step.size >= min_size).map(|step| (view, step)));
-    }
-    let largest = certain.into_iter().max_by(|a, b| a.1.size.total_cmp(&b.1.size));
+    steps.truncate(N_LIKELY);
+    let measured_again = |&(view, _): &(usize, Step)| Ok((view, step_against_others(solved, test, view, progress)?));
+    let measured: Vec<(usize, Option<Step>)> = steps.par_iter().map(measured_again).collect::<Result<_, Canceled>>()?;
+    tracing::debug!(?measured, "steps of cameras against the people of the others");
+    let measured = measured.into_iter().filter_map(|(view, step)| Some((view, step?)));
+    let certain = measured.filter(|(_, step)| step.sigmas >= CERTAIN && step.size >= min_size);
+    let largest = certain.max_by(|a, b| a.1.size.total_cmp(&b.1.size));
     Ok(largest.map(|(view, step)| (view, solved.session().first_frame + step.frame as i64, step)))
 }
 

@@ -13,6 +13,8 @@ use crate::progress::{Canceled, Progress};
 use crate::session::reconstruction::StageReport;
 use crate::session::recording::{FrameIndex, PersonId, Session};
 use crate::session::{JointTrajectory, PersonTrack};
+use nalgebra::Vector3;
+use rayon::prelude::*;
 
 /// A person is as real as another with this many times as many detections: pieces of a person that the tracker does not
 /// join, reflections and bystanders at the edge have fewer.
@@ -71,7 +73,7 @@ pub fn from_tracks(scene: &TrackerScene, tracks: Vec<PersonTrack>) -> Associatio
 
 /// The points that the detections of a person agree on, frame by frame.
 fn triangulated(scene: &TrackerScene, track: &PersonTrack) -> JointTrajectory {
-    let frames = track.detections.iter().enumerate();
+    let frames = track.detections.par_iter().enumerate();
     let skeletons: Vec<_> = frames.map(|(t, assignment)| skeleton(scene, track.first.0 + t, assignment)).collect();
     let n_keypoints = skeletons.iter().map(Vec::len).max().unwrap_or(0);
     let whole = |s: Vec<_>| if s.is_empty() { vec![None; n_keypoints] } else { s };
@@ -111,25 +113,31 @@ fn explained(scene: &TrackerScene, tracks: &[PersonTrack], points: &[JointTrajec
         .flat_map(|(v, _)| v.frames.iter().flatten())
         .map(confident)
         .sum();
-    let mut near = 0usize;
-    for (track, person) in tracks.iter().zip(points) {
-        for (t, (assignment, skeleton)) in track.detections.iter().zip(&person.points).enumerate() {
-            if assignment.iter().flatten().count() < 2 {
-                continue; // a single view always agrees with itself
-            }
-            for (view, detection) in assignment.iter().enumerate() {
-                let (Some(d), Some(camera)) = (detection, &scene.cameras[view]) else { continue };
-                let detection = &scene.views[view].frames[track.first.0 + t][*d];
-                for (k, point) in skeleton.iter().enumerate() {
-                    let Some(expected) = point.and_then(|p| project_normalized(camera, &p)) else { continue };
-                    let offset = (expected.normalized - detection.normalized[k]).norm();
-                    near +=
-                        usize::from(detection.confidence[k] > DETECTOR.confident && offset < DETECTOR.explained_radius);
-                }
-            }
+    let near_in = |track: &PersonTrack, t: usize, skeleton: &[Option<Vector3<f64>>]| -> usize {
+        let assignment = &track.detections[t];
+        if assignment.iter().flatten().count() < 2 {
+            return 0; // a single view always agrees with itself
         }
-    }
+        let seen = assignment.iter().enumerate().filter_map(|(view, detection)| {
+            Some((scene.cameras[view].as_ref()?, &scene.views[view].frames[track.first.0 + t][(*detection)?]))
+        });
+        seen.map(|(camera, detection)| n_near(camera, detection, skeleton)).sum()
+    };
+    let near_person = |(track, person): (&PersonTrack, &JointTrajectory)| -> usize {
+        person.points.par_iter().enumerate().map(|(t, skeleton)| near_in(track, t, skeleton)).sum()
+    };
+    let near: usize = tracks.iter().zip(points).map(near_person).sum();
     near as f64 / all.max(1) as f64
+}
+
+/// Number of a detection's confident keypoints near the projection of a skeleton.
+fn n_near(camera: &Rigid, detection: &NormalizedDetection, skeleton: &[Option<Vector3<f64>>]) -> usize {
+    let is_near = |(k, point): &(usize, &Option<Vector3<f64>>)| {
+        let Some(expected) = point.and_then(|p| project_normalized(camera, &p)) else { return false };
+        let offset = (expected.normalized - detection.normalized[*k]).norm();
+        detection.confidence[*k] > DETECTOR.confident && offset < DETECTOR.explained_radius
+    };
+    skeleton.iter().enumerate().filter(is_near).count()
 }
 
 /// The person of every detection: `identities[view][frame][detection]`.

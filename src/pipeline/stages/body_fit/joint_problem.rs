@@ -315,7 +315,7 @@ impl Reduced {
             let border = own.iter().chain(session.iter()).copied();
             person.step(DVector::from_iterator(own.len() + session.len(), border))
         };
-        let motions = self.people.iter().zip(&self.own_parts).map(motion).collect::<Option<_>>()?;
+        let motions = self.people.par_iter().zip(&self.own_parts).map(motion).collect::<Option<_>>()?;
         Some(Step { session, motions })
     }
 

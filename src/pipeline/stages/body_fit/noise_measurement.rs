@@ -3,11 +3,12 @@
 use super::context::FitContext;
 use super::joint_problem::Member;
 use super::terms::noise_process::{LagSums, NoiseProcess, PathNoise};
-use super::terms::whitened_pixels::{Positions, WhitenedPixels};
+use super::terms::whitened_pixels::{Positions, Run, WhitenedPixels};
 use crate::body::BodyModel;
 use crate::body::bone_offsets::with_bones;
 use crate::body::kinematics::{landmark_position, posed};
 use crate::optim::robust::{MEDIAN_LENGTH_IN_PLANE, median};
+use rayon::prelude::*;
 
 /// Number of residuals of all landmarks that count as much as one landmark's own for its process. Slow errors change every thirty
 /// frames or so, so that 1,000 residuals know an autocorrelation of 0.85 to 0.03, about as much as landmarks differ by.
@@ -31,11 +32,14 @@ pub(super) fn measured_noise(context: &FitContext, members: &[Member]) -> PathNo
     let paths = |noise: &PathNoise, member: &Member| {
         let paths = WhitenedPixels::new(&member.observations, noise, context.config.robust_scale);
         let positions = positions(model, member, &paths.landmarks);
-        let cameras = &member.observations.cameras;
-        (paths.residuals(cameras, &positions), paths.innovations(cameras, &positions))
+        (paths, positions)
     };
     let unit = PathNoise::white(n_landmarks, 1.0);
-    let residuals: Vec<_> = members.iter().flat_map(|member| paths(&unit, member).0).collect();
+    let residuals_of = |member: &Member| {
+        let (paths, positions) = paths(&unit, member);
+        paths.residuals(&member.observations.cameras, &positions)
+    };
+    let residuals: Vec<(usize, Run)> = members.par_iter().flat_map_iter(residuals_of).collect();
     let lengths = residuals.iter().map(|(landmark, run)| (*landmark, run.iter().map(|(_, r)| r.norm()).collect()));
     let levels = sigmas(n_landmarks, lengths);
 
@@ -49,7 +53,12 @@ pub(super) fn measured_noise(context: &FitContext, members: &[Member]) -> PathNo
     let processes = sums.iter().map(|sums| NoiseProcess::of(&sums.pooled(&all, POOLED_PROCESS))).collect();
     let noise = PathNoise { processes, shares: levels, ..unit };
 
-    let factors = sigmas(n_landmarks, members.iter().flat_map(|member| paths(&noise, member).1));
+    let innovations_of = |member: &Member| {
+        let (paths, positions) = paths(&noise, member);
+        paths.innovations(&member.observations.cameras, &positions)
+    };
+    let innovations: Vec<(usize, Vec<f64>)> = members.par_iter().flat_map_iter(innovations_of).collect();
+    let factors = sigmas(n_landmarks, innovations.into_iter());
     let shares = noise.shares.iter().zip(factors).map(|(share, factor)| (share * factor).max(LEAST_SHARE)).collect();
     PathNoise { shares, ..noise }
 }

@@ -232,7 +232,7 @@ fn triangulated(landmark: usize, cameras: &[PosedCamera], pixels: &[PixelObserva
         let normalized = camera.intrinsics.normalized_from_pixel(&pixel.pixel);
         RayToPoint { camera_from_world: &camera.camera_from_world, normalized, weight: 1.0 }
     });
-    let position = triangulate_reweighted(rays.collect(), ROBUST_SCALE_M)?;
+    let position = triangulate_reweighted(&rays.collect::<Vec<_>>(), ROBUST_SCALE_M)?;
     Some(PointObservation { landmark, position })
 }
 

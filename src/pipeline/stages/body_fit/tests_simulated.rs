@@ -56,7 +56,7 @@ fn triangulated(capture: &Capture, track: &PersonTrack) -> JointTrajectory {
                 keypoint.is_present().then_some(PointObservation { camera_from_world, normalized, weight })
             })
             .collect();
-        triangulate_reweighted(seen, 0.06)
+        triangulate_reweighted(&seen, 0.06)
     };
     let n_frames = capture.session.n_frames;
     JointTrajectory {

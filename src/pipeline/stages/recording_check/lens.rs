@@ -112,7 +112,8 @@ fn by_others(people: &TrackedPeople, view: usize, track: usize, t: usize, keypoi
         let normalized = intrinsics.normalized_from_pixel(&seen.pixel);
         (seen.confidence > DETECTOR.judged).then_some(PointObservation { camera_from_world, normalized, weight: 1.0 })
     };
-    triangulate_reweighted(tracked.detections[t].iter().enumerate().filter_map(ray).collect(), ROBUST_SCALE_M)
+    let rays: Vec<PointObservation> = tracked.detections[t].iter().enumerate().filter_map(ray).collect();
+    triangulate_reweighted(&rays, ROBUST_SCALE_M)
 }
 
 /// The pose under a lens whose focal length is `factor` times the given one, and the robust cost in squared angles under that.

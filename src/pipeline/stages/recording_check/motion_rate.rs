@@ -12,6 +12,7 @@ use super::motion_statistics::{
 use crate::body::skeleton::KeypointConvention;
 use crate::session::JointTrajectory;
 use nalgebra::{Cholesky, Const, SMatrix, SVector, Vector3};
+use rayon::prelude::*;
 
 /// A rate is wrong where the likeliest one is more than this many times as high or low.
 const WRONG_FACTOR: f64 = 1.5;
@@ -81,8 +82,8 @@ pub fn motion_rate(
     };
     let given = log_likelihood(1.0)?;
     let rate = |k: i32| (f64::from(k) * RATE_STEP).exp();
-    let compared: Vec<(f64, f64)> =
-        (-N_RATES..=N_RATES).map(rate).filter_map(|factor| Some((factor, log_likelihood(factor)?))).collect();
+    let rates = (-N_RATES..=N_RATES).into_par_iter().map(rate);
+    let compared: Vec<(f64, f64)> = rates.filter_map(|factor| Some((factor, log_likelihood(factor)?))).collect();
     let (factor, best) = compared.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1))?;
     let possible = || compared.iter().filter(|(_, value)| *value > best - POSSIBLE).map(|(factor, _)| *factor);
     let range = [possible().fold(factor, f64::min), possible().fold(factor, f64::max)];
@@ -142,7 +143,7 @@ fn at_lag(frames: f64, power: i32, mean_square: impl Fn(usize) -> Option<f64>) -
 }
 
 fn mean_square(series: &[Series], change: impl Fn(&Series, usize) -> Option<Vector3<f64>>) -> Option<f64> {
-    let changes = series.iter().flat_map(|x| (0..x.len()).filter_map(|t| change(x, t)).collect::<Vec<_>>());
+    let changes = series.iter().flat_map(|x| (0..x.len()).filter_map(|t| change(x, t)));
     let (n, sum) = changes.fold((0, 0.0), |(n, sum), change| (n + 1, sum + change.norm_squared()));
     (n >= MIN_PAIRS).then(|| sum / n as f64)
 }

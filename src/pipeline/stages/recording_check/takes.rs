@@ -7,6 +7,7 @@ use crate::optim::robust::quantile;
 use crate::pipeline::calibration::TrackedPeople;
 use crate::session::Keypoint;
 use nalgebra::Vector3;
+use rayon::prelude::*;
 
 /// Two cameras see the same people where this share of the people of one, standing in the image of the other, are seen there too:
 /// right recordings have 0.6 and more, chance alignments of people of two takes 0.05 to 0.1.
@@ -28,9 +29,10 @@ const OTHER_MOTION: f64 = 1.5;
 /// Groups of placed cameras that are not connected by common people, largest first; one group in a right recording.
 pub fn groups(people: &TrackedPeople) -> Vec<Vec<usize>> {
     let placed: Vec<usize> = (0..people.cameras.len()).filter(|&v| people.cameras[v].is_some()).collect();
-    let pairs = placed.iter().enumerate().flat_map(|(i, &a)| placed[..i].iter().map(move |&b| (a, b)));
-    let connected: Vec<(usize, usize)> = pairs.filter(|&(a, b)| are_connected(people, a, b)).collect();
-    let disagreements: Vec<Option<f64>> = connected.iter().map(|&(a, b)| disagreement(people, a, b)).collect();
+    let pairs: Vec<(usize, usize)> =
+        placed.iter().enumerate().flat_map(|(i, &a)| placed[..i].iter().map(move |&b| (a, b))).collect();
+    let connected: Vec<(usize, usize)> = pairs.into_par_iter().filter(|&(a, b)| are_connected(people, a, b)).collect();
+    let disagreements: Vec<Option<f64>> = connected.par_iter().map(|&(a, b)| disagreement(people, a, b)).collect();
     // Cameras of two takes make up half of the pairs or more: those of one take are among the lowest.
     let usual = quantile(&mut disagreements.iter().flatten().copied().collect::<Vec<_>>(), 0.25);
     tracing::debug!(?connected, ?disagreements, "agreement of the cameras about motions");

@@ -26,6 +26,7 @@ use super::super::terms::window::TrackedLandmark;
 use super::{JointProblem, Member, Reduced, with_bones};
 use crate::geometry::free_network::CameraCovariance;
 use nalgebra::{DMatrix, DVector, Matrix3xX};
+use rayon::prelude::*;
 
 /// Correlation of slow errors of two landmarks of a face, of the legs, or of trunk and arms: on real detections 0.38 for the hips
 /// and 0.49 for nose and eyes, 0.2 as the mean of a region (docs/method.md 15). Limbs exchanged with those of others and half
@@ -56,8 +57,9 @@ impl JointProblem<'_> {
         let basis = reduced.basis.as_ref()?;
         let n_free = basis.ncols();
         let (mut spread, mut n_independent) = (DMatrix::zeros(n_free, n_free), 0.0);
-        for (person, (member, pixels)) in members.iter().zip(&pixels).enumerate() {
-            let PersonScores { channels, design, followed } = self.scores(&reduced, person, (member, pixels), slow)?;
+        let scores_of = |(person, of_member)| self.scores(&reduced, person, of_member, slow);
+        let scores = members.par_iter().zip(&pixels).enumerate().map(scores_of).collect::<Option<Vec<_>>>()?;
+        for PersonScores { channels, design, followed } in scores {
             n_independent += channels.len() as f64 / design;
             channels.iter().for_each(|score| spread.ger(design * followed, score, score, 1.0));
         }
@@ -93,7 +95,7 @@ impl JointProblem<'_> {
         };
         let of_frame =
             |(t, landmarks): (usize, &Vec<TrackedLandmark>)| landmarks.iter().map(|l| movement(t, l)).collect();
-        let landmarks: Vec<Vec<Matrix3xX<f64>>> = paths.iter().enumerate().map(of_frame).collect();
+        let landmarks: Vec<Vec<Matrix3xX<f64>>> = paths.par_iter().enumerate().map(of_frame).collect();
         let positions = paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect();
         let of_camera = self.camera_columns(member.observations.cameras.len()).unknowns;
         let movements = Movements { landmarks: &landmarks, cameras: basis, of_camera };

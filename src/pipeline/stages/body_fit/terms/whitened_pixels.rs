@@ -139,11 +139,16 @@ impl WhitenedPixels {
         let mut landmarks: Vec<usize> = observations.pixels.iter().flatten().map(|pixel| pixel.landmark).collect();
         landmarks.sort_unstable();
         landmarks.dedup();
-        let empty = |landmark: &usize| {
+        let mut n_seen = vec![vec![0; n_cameras]; landmarks.len()];
+        for pixel in observations.pixels.iter().flatten() {
+            landmarks.binary_search(&pixel.landmark).into_iter().for_each(|l| n_seen[l][pixel.camera] += 1);
+        }
+        let empty = |(landmark, n_seen): (&usize, &Vec<usize>)| {
             let weight = noise.weights[*landmark];
-            (0..n_cameras).map(|camera| Channel { camera, weight, seen: Vec::new() }).collect::<Vec<_>>()
+            let channel = |(camera, &n)| Channel { camera, weight, seen: Vec::with_capacity(n) };
+            n_seen.iter().enumerate().map(channel).collect::<Vec<_>>()
         };
-        let mut channels: Vec<Vec<Channel>> = landmarks.iter().map(empty).collect();
+        let mut channels: Vec<Vec<Channel>> = landmarks.iter().zip(&n_seen).map(empty).collect();
         for (frame, pixels) in observations.pixels.iter().enumerate() {
             for pixel in pixels {
                 let Ok(landmark) = landmarks.binary_search(&pixel.landmark) else { continue };
