@@ -22,6 +22,7 @@ use layout::{Layout, STRIP};
 use nalgebra::{DMatrix, DVector, Matrix3};
 pub use pool::SystemPool;
 pub use products::{ColumnBlock, StripRows};
+use rayon::prelude::*;
 use std::ops::Range;
 use substitution::Substitution;
 
@@ -40,9 +41,40 @@ pub struct BlockBanded {
     difference: Vec<f64>,
 }
 
-/// Frames that are filled while those before them are eliminated: with their panels, and the two before these, they fit into two
-/// megabytes of cache.
+/// Frames that are filled together: with their panels, and the two before these, they fit into two megabytes of cache.
 const RUN: usize = 4;
+
+/// Number of sums beside the panels; each takes every so-manieth run. So many runs may be filled side by side.
+pub const N_RESTS: usize = 4;
+
+/// What fills a system, run by run.
+pub trait Fill: Sync {
+    /// What terms add to beside the panels.
+    type Rest: Send;
+
+    /// Makes `panels` what all terms within `frames` ask of these.
+    fn within(&self, frames: Range<usize>, panels: &mut [FramePanel], rest: &mut Self::Rest);
+
+    /// Adds the terms over frames before `first` that end there or a frame later. `panels`: those of the two frames before
+    /// `first`, of `first`, and of the one after it where there is one.
+    fn across(&self, first: usize, panels: &mut [FramePanel], rest: &mut Self::Rest);
+}
+
+/// Fills at most [`N_RESTS`] runs side by side. `open`: the panels of `frames` and of up to two frames before them.
+fn fill_runs<F: Fill>(fill: &F, frames: Range<usize>, open: &mut [FramePanel], rests: &mut [F::Rest; N_RESTS]) {
+    let rest_of = |first: usize| first / RUN % N_RESTS;
+    let n_before = open.len() - frames.len();
+    let runs = open[n_before..].par_chunks_mut(RUN).zip(rests[rest_of(frames.start)..].par_iter_mut());
+    runs.enumerate().for_each(|(run, (panels, rest))| {
+        let first = frames.start + RUN * run;
+        fill.within(first..first + panels.len(), panels, rest);
+    });
+    for first in frames.clone().step_by(RUN).filter(|first| *first > 0) {
+        let at = first - frames.start + n_before;
+        let end = (at + 2).min(open.len());
+        fill.across(first, &mut open[at - 2..end], &mut rests[rest_of(first)]);
+    }
+}
 
 /// The system of the border's unknowns among themselves.
 #[derive(Debug, Clone, Default)]
@@ -162,29 +194,29 @@ impl BlockBanded {
     }
 
     /// Fills a [resized](Self::resize) system and eliminates its frames, each soon after it is filled: a panel is larger than a
-    /// processor's nearest cache, and many do not fit into any.
-    ///
-    /// `fill(frames, panels)` adds all terms whose last frame is among `frames`. `panels`: those of `frames`, which it
-    /// [clears](FramePanel::clear), and of up to two frames before them, which such terms may reach.
-    pub fn fill_and_eliminate(
+    /// processor's nearest cache, and many do not fit into any. With threads to spare some runs are filled side by side; every
+    /// number of threads adds up in the same order.
+    pub fn fill_and_eliminate<F: Fill>(
         &mut self,
         damping: f64,
-        mut fill: impl FnMut(Range<usize>, &mut [FramePanel]) + Send,
+        fill: &F,
+        rests: &mut [F::Rest; N_RESTS],
     ) -> Option<()> {
         let layout = self.layout;
         let (length, n_strips) = (layout.panel_len(), layout.frame_strips());
         let n_frames = self.n_frames();
+        let at_once = RUN * if rayon::current_num_threads() > 2 { N_RESTS } else { 1 };
         self.difference = layout.zero_difference();
         let (mut n_eliminated, difference) = (0, &mut self.difference);
-        for first in (0..n_frames).step_by(RUN) {
-            let (frames, n_full) = (first..(first + RUN).min(n_frames), first.saturating_sub(2));
+        for first in (0..n_frames).step_by(at_once) {
+            let (frames, n_full) = (first..(first + at_once).min(n_frames), first.saturating_sub(2));
             let (panels, open) = self.panels.split_at_mut(n_full * length);
             let (starts, open_starts) = self.starts.split_at_mut(n_full * n_strips);
             let n_open = frames.end - n_full;
             let mut open = layout.frames(&mut open[..n_open * length], &mut open_starts[..n_open * n_strips]);
             let elimination =
                 Elimination { layout, panels, starts, frames: n_eliminated..n_full, corner: difference, damping };
-            rayon::join(|| vectorised(elimination), || fill(frames, &mut open)).0?;
+            rayon::join(|| vectorised(elimination), || fill_runs(fill, frames, &mut open, rests)).0?;
             n_eliminated = n_full;
         }
         self.eliminate_frames(n_eliminated..n_frames, damping)

@@ -78,6 +78,9 @@ pub(super) fn completed(
     mut skeleton: Skeleton,
     predicted: &Skeleton,
 ) -> Skeleton {
+    if skeleton.iter().all(Option::is_some) {
+        return skeleton;
+    }
     let moves: Vec<Vector3<f64>> = skeleton.iter().zip(predicted).filter_map(|(a, b)| Some((*a)? - (*b)?)).collect();
     let drift = componentwise_median(&moves);
     for (k, point) in skeleton.iter_mut().enumerate() {

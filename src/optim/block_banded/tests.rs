@@ -87,33 +87,56 @@ fn random_system([n_frames, n_groups, n_border]: [usize; 3], mixes: bool, seed: 
     both
 }
 
-/// In runs of any length, with what reaches back to the two frames before.
+/// A system whose terms across runs ask something of the diagonals of the two frames before.
+struct Copied<'a> {
+    whole: &'a BlockBanded,
+}
+
+const ACROSS: f64 = 0.25;
+
+impl Fill for Copied<'_> {
+    type Rest = usize;
+
+    fn within(&self, frames: Range<usize>, panels: &mut [FramePanel], n_frames: &mut usize) {
+        let mut whole = self.whole.clone();
+        let is_last = frames.end == whole.n_frames();
+        let rows = frames.len();
+        *n_frames += rows;
+        for (i, (panel, source)) in panels.iter_mut().zip(&mut whole.frames()[frames]).enumerate() {
+            panel.clear();
+            panel.values.copy_from_slice(source.values);
+            panel.starts.copy_from_slice(source.starts);
+            if i + 2 >= rows && !is_last {
+                panel.add_to_diagonal(-ACROSS);
+            }
+        }
+    }
+
+    fn across(&self, first: usize, panels: &mut [FramePanel], _n_frames: &mut usize) {
+        assert_eq!(panels.len(), 4 - usize::from(first + 1 == self.whole.n_frames()));
+        panels[..2].iter_mut().for_each(|panel| panel.add_to_diagonal(ACROSS));
+    }
+}
+
 #[test]
-fn filled_frame_by_frame_is_the_same_factor() {
-    for n_frames in [1, 2, 3, 9, 13] {
+fn filled_run_by_run_is_the_same_factor_with_any_number_of_threads() {
+    for n_frames in [1, 2, 3, 4, 5, 9, 16, 17, 38] {
         let whole = random_system([n_frames, 5, 4], true, 11).system;
-        let mut filled = BlockBanded::default();
-        filled.resize(n_frames, 5, 4);
-        let mut source = whole.clone();
-        let (mut next, mut sources) = (0, source.frames());
-        let fill = |frames: Range<usize>, panels: &mut [FramePanel]| {
-            assert_eq!(frames.start, next);
-            assert_eq!(panels.len(), frames.end - frames.start.saturating_sub(2));
-            next = frames.end;
-            for panel in &mut panels[frames.start.min(2)..] {
-                panel.clear();
-            }
-            // Each panel is completed by the frame two after it.
-            let ready = frames.start.saturating_sub(2)..if frames.end == n_frames { n_frames } else { frames.end - 2 };
-            for (target, source) in panels.iter_mut().zip(&mut sources[ready]) {
-                target.values.copy_from_slice(source.values);
-                target.starts.copy_from_slice(source.starts);
-            }
-        };
-        filled.fill_and_eliminate(0.01, fill).unwrap();
-        filled.corner = whole.corner.clone();
-        let (found, expected) = (filled.solved(0.01).unwrap(), whole.clone().solve(0.01).unwrap());
-        assert_eq!((found.frames, found.border), (expected.frames, expected.border));
+        let expected = whole.clone().solve(0.01).unwrap();
+        let by_threads = [1, 2, 8].map(|n_threads| {
+            let (mut filled, mut n_filled) = (BlockBanded::default(), [0; N_RESTS]);
+            filled.resize(n_frames, 5, 4);
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(n_threads).build().unwrap();
+            pool.install(|| filled.fill_and_eliminate(0.01, &Copied { whole: &whole }, &mut n_filled)).unwrap();
+            assert_eq!(n_filled.iter().sum::<usize>(), n_frames);
+            filled.corner = whole.corner.clone();
+            filled.solved(0.01).unwrap()
+        });
+        for found in &by_threads {
+            assert_eq!((&found.frames, &found.border), (&by_threads[0].frames, &by_threads[0].border));
+            let error: f64 = found.frames.iter().zip(&expected.frames).map(|(a, b)| (a - b).norm()).sum();
+            assert!(error < 1e-9 && (&found.border - &expected.border).norm() < 1e-9, "{n_frames}: {error}");
+        }
     }
 }
 

@@ -125,7 +125,7 @@ pub fn fit_bodies(
         let covariance = uncertainty.as_ref().map(|uncertainty| &uncertainty.betas);
         BodyMeasures::new(&model.surface, &person.fitted.state.betas, covariance, config.sigma_log_scale)
     };
-    let measures = people.iter().zip(&uncertainties).map(measures).collect();
+    let measures = people.par_iter().zip(&uncertainties).map(measures).collect();
     let sigmas = uncertainties.into_iter().map(|uncertainty| Some(uncertainty?.joint_sigmas));
     let focal = adjusted.as_ref().and_then(|adjusted| adjusted.focal.clone());
     let mut report = stage_report(&people, input.tracks.len());

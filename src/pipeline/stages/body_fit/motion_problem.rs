@@ -11,7 +11,7 @@ use super::terms::window::{TrackedLandmark, Window};
 use crate::body::BodyModel;
 use crate::body::kinematics::Pose;
 use crate::body::model::ShapedBody;
-use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, FramePanel};
+use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, Fill, FramePanel, N_RESTS};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -73,20 +73,19 @@ impl MotionProblem<'_> {
     pub(super) fn eliminate(&self, state: &MotionState, damping: f64, system: &mut BlockBanded) -> Option<()> {
         system.resize(state.poses.len(), self.unknowns.n_groups(), self.unknowns.border.len());
         self.with_filling(state, |filling| {
-            let eliminated = system.fill_and_eliminate(damping, |frames, panels| filling.add(frames, panels));
-            system.corner = filling.corner();
+            let mut corners = filling.corners();
+            let eliminated = system.fill_and_eliminate(damping, filling, &mut corners);
+            system.corner = filling.corner(&corners);
             eliminated
         })
     }
 
     /// Calls `work` with what fills a system at `state`.
-    pub(super) fn with_filling<T>(&self, state: &MotionState, work: impl FnOnce(&mut Filling) -> T) -> T {
+    pub(super) fn with_filling<T>(&self, state: &MotionState, work: impl FnOnce(&Filling) -> T) -> T {
         let body = self.model.shaped(&state.betas);
         let linear = self.linearised(state, &body);
         let paths = self.paths.map(|term| LinearPaths::new(term, &self.unknowns.border, &linear.paths));
-        let zeros = || Corner::zeros(self.unknowns.border.len());
-        let (of_frames, corner) = (zeros(), zeros());
-        work(&mut Filling { problem: self, state, linear: &linear, paths, of_frames, corner })
+        work(&Filling { problem: self, state, linear: &linear, paths })
     }
 
     /// Makes `panel` that of the terms of one frame.
@@ -133,42 +132,66 @@ struct LinearisedMotion<'a> {
     paths: Vec<Vec<TrackedLandmark>>,
 }
 
-/// Fills a system frame by frame, so that a panel takes all that concerns it while it is in the processor's cache.
+/// Fills a system run by run.
 pub(super) struct Filling<'a> {
     problem: &'a MotionProblem<'a>,
     state: &'a MotionState,
     linear: &'a LinearisedMotion<'a>,
     paths: Option<LinearPaths<'a>>,
-    /// From frame terms, per unit of time weight.
-    of_frames: Corner,
-    /// From all others.
-    corner: Corner,
 }
 
-impl Filling<'_> {
-    /// Adds all terms whose last frame is among `frames`; `panels`: those of `frames`, and of up to two frames before them.
-    pub(super) fn add(&mut self, frames: Range<usize>, panels: &mut [FramePanel]) {
-        let first = frames.end - panels.len();
-        for t in frames {
-            let panel = &mut panels[t - first];
-            self.problem.add_frame(&self.linear.frames[t], panel, &mut self.of_frames);
+/// What terms ask of the border alone.
+pub(super) struct Corners {
+    /// Frame terms, per unit of time weight.
+    of_frames: Corner,
+    /// All others.
+    of_others: Corner,
+}
+
+impl Fill for Filling<'_> {
+    type Rest = Corners;
+
+    fn within(&self, frames: Range<usize>, panels: &mut [FramePanel], corners: &mut Corners) {
+        let first = frames.start;
+        for (t, panel) in frames.clone().zip(panels.iter_mut()) {
+            self.problem.add_frame(&self.linear.frames[t], panel, &mut corners.of_frames);
             if let Some(paths) = &self.paths {
-                paths.add_frame(t, panel, &mut self.corner);
+                paths.add_frame(t, panel, &mut corners.of_others);
             }
-            if t >= 2 {
-                let window = Window::new(t - 1, &self.state.poses, &self.linear.tracked);
-                let panels = &mut panels[t - 2 - first..=t - first];
-                self.problem.window_terms.iter().for_each(|term| term.add_to(&window, panels, &mut self.corner));
-            }
+        }
+        for last in first + 2..frames.end {
+            self.add_window(last, &mut panels[last - 2 - first..=last - first], corners);
         }
     }
 
+    fn across(&self, first: usize, panels: &mut [FramePanel], corners: &mut Corners) {
+        for (i, window) in (0..panels.len() - 2).map(|i| (i, i..i + 3)) {
+            self.add_window(first + i, &mut panels[window], corners);
+        }
+    }
+}
+
+impl Filling<'_> {
+    /// Adds the window terms of three frames.
+    fn add_window(&self, last: usize, panels: &mut [FramePanel], corners: &mut Corners) {
+        let window = Window::new(last - 1, &self.state.poses, &self.linear.tracked);
+        self.problem.window_terms.iter().for_each(|term| term.add_to(&window, panels, &mut corners.of_others));
+    }
+
+    /// Zeros for what terms ask of the border alone.
+    pub(super) fn corners(&self) -> [Corners; N_RESTS] {
+        let zeros = || Corner::zeros(self.problem.unknowns.border.len());
+        std::array::from_fn(|_| Corners { of_frames: zeros(), of_others: zeros() })
+    }
+
     /// The border's own part, once all frames are added.
-    pub(super) fn corner(&self) -> Corner {
+    pub(super) fn corner(&self, corners: &[Corners]) -> Corner {
         let MotionProblem { unknowns, time_weight, shape_prior, .. } = self.problem;
-        let mut corner = self.corner.clone();
-        corner.hessian += &self.of_frames.hessian * *time_weight;
-        corner.gradient += &self.of_frames.gradient * *time_weight;
+        let mut corner = Corner::zeros(unknowns.border.len());
+        for Corners { of_frames, of_others } in corners {
+            corner.hessian += &of_frames.hessian * *time_weight + &of_others.hessian;
+            corner.gradient += &of_frames.gradient * *time_weight + &of_others.gradient;
+        }
         if let Some(paths) = &self.paths {
             paths.add_cameras(&mut corner);
         }

@@ -20,7 +20,7 @@ use crate::body::kinematics::Pose;
 use crate::body::model::{Betas, BodyModel};
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::{Intrinsics, Rigid, rotation};
-use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, SystemPool};
+use crate::optim::block_banded::{BandedStep, BlockBanded, Corner, Fill, SystemPool};
 use crate::progress::Progress;
 use crate::residuals::derivative_check::assert_gradient;
 use crate::residuals::rotation_likelihood::RotationGaussian;
@@ -127,8 +127,9 @@ pub(super) fn assert_gradient_of(problem: &MotionProblem, state: &MotionState, c
     let (n, n_border) = (3 * problem.unknowns.n_groups(), problem.unknowns.border.len());
     let mut system = BlockBanded::zeros(N_FRAMES, problem.unknowns.n_groups(), n_border);
     problem.with_filling(state, |filling| {
-        filling.add(0..N_FRAMES, &mut system.frames());
-        system.corner = filling.corner();
+        let mut corners = filling.corners();
+        filling.within(0..N_FRAMES, &mut system.frames(), &mut corners[0]);
+        system.corner = filling.corner(&corners);
     });
     let direction = |d: usize| BandedStep {
         frames: (0..N_FRAMES).map(|t| DVector::from_fn(n, |i, _| wave(11 * t + 13 * i + d))).collect(),
