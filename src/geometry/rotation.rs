@@ -30,8 +30,44 @@ pub fn log(r: &Matrix3<f64>) -> Vector3<f64> {
     let q = nalgebra::UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(*r));
     // The quaternion's half angle is well conditioned both near 0 and near pi, where the trace is not.
     let (w, v) = if q.w < 0.0 { (-q.w, -q.imag()) } else { (q.w, q.imag()) };
-    let s = v.norm();
-    if s < 1e-12 { v * 2.0 } else { v * (2.0 * s.atan2(w) / s) }
+    let s2 = v.norm_squared();
+    if s2 < MAX_SQUARED_SINE {
+        return v * (2.0 * series(&ARC_SINE, s2));
+    }
+    let s = s2.sqrt();
+    v * (2.0 * s.atan2(w) / s)
+}
+
+/// Power series of `asin(s) / s` in `s^2`, exact to rounding below this `s^2`: most rotations from frame to frame are below the 16
+/// degrees that it stands for.
+const MAX_SQUARED_SINE: f64 = 0.02;
+const ARC_SINE: [f64; 9] = [
+    1.0,
+    1.0 / 6.0,
+    3.0 / 40.0,
+    5.0 / 112.0,
+    35.0 / 1152.0,
+    63.0 / 2816.0,
+    231.0 / 13312.0,
+    143.0 / 10240.0,
+    6435.0 / 557056.0,
+];
+
+/// Power series of `(1 - (t / 2) cot(t / 2)) / t^2` in `t^2`, `|B_2k| t^(2k-2) / (2k)!`, exact to rounding below this `t^2`.
+const MAX_SQUARED_ANGLE: f64 = 0.5;
+const HALF_COTANGENT: [f64; 8] = [
+    1.0 / 12.0,
+    1.0 / 720.0,
+    1.0 / 30_240.0,
+    1.0 / 1_209_600.0,
+    1.0 / 47_900_160.0,
+    691.0 / 1_307_674_368_000.0,
+    1.0 / 74_724_249_600.0,
+    3617.0 / 10_670_622_842_880_000.0,
+];
+
+fn series<const N: usize>(coefficients: &[f64; N], x: f64) -> f64 {
+    coefficients.iter().rev().fold(0.0, |sum, coefficient| sum * x + coefficient)
 }
 
 /// `J_l(w) = I + (1 - cos t) / t^2 [w]x + (t - sin t) / t^3 [w]x^2`, `t = |w|`: `exp(w + d) = exp(J_l d) exp(w)` to
@@ -58,8 +94,12 @@ pub fn right_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
 /// order in d. It does not exist at `t = 2 pi`; regular at pi.
 pub fn left_jacobian_inverse(w: &Vector3<f64>) -> Matrix3<f64> {
     let t2 = w.norm_squared();
-    let t = t2.sqrt();
-    let b = if t < SMALL_ANGLE { 1.0 / 12.0 + t2 / 720.0 } else { (1.0 - 0.5 * t / (0.5 * t).tan()) / t2 };
+    let b = if t2 < MAX_SQUARED_ANGLE {
+        series(&HALF_COTANGENT, t2)
+    } else {
+        let half = 0.5 * t2.sqrt();
+        (1.0 - half / half.tan()) / t2
+    };
     let k = skew(w);
     Matrix3::identity() - k * 0.5 + k * k * b
 }

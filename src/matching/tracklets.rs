@@ -92,6 +92,9 @@ pub fn tracklets(view: &NormalizedView, fps: f64, config: &TrackletConfig) -> Ve
     closed
 }
 
+/// Cost of a pair that is at least this many gates apart: no matter how far, it is no match and no rival of one.
+const FAR: f64 = 2.0;
+
 /// Cost of each pair of open tracklet and detection; 1 at the gate.
 fn gate_costs(
     view: &NormalizedView,
@@ -105,7 +108,7 @@ fn gate_costs(
         let (last_frame, last_person) = open[t].detections[open[t].detections.len() - 1];
         let seconds = (frame - last_frame) as f64 / fps;
         let gate = config.noise + config.max_speed / BODY_SPAN_M * seconds;
-        step_distance(&view.frames[last_frame][last_person], &people[p], config.min_shared).map_or(2.0, |d| d / gate)
+        gate_cost(&view.frames[last_frame][last_person], &people[p], config.min_shared, gate)
     };
     (0..open.len()).map(|t| (0..people.len()).map(|p| cost(t, p)).collect()).collect()
 }
@@ -134,12 +137,12 @@ fn lone_matches(
     if !(0..open.len()).any(|t| (0..people.len()).any(|p| is_outside(t, p))) {
         return Vec::new();
     }
-    let distance = |t: usize, p: usize| {
-        let expected = expected(view, &open[t], frame, config.min_shared);
-        step_distance(&expected, &people[p], config.min_shared).unwrap_or(f64::INFINITY)
+    let distances_of = |tracklet: &Tracklet| {
+        let expected = expected(view, tracklet, frame, config.min_shared);
+        let distance = |person| step_distance(&expected, person, config.min_shared).unwrap_or(f64::INFINITY);
+        people.iter().map(distance).collect()
     };
-    let distances: Vec<Vec<f64>> =
-        (0..open.len()).map(|t| (0..people.len()).map(|p| distance(t, p)).collect()).collect();
+    let distances: Vec<Vec<f64>> = open.iter().map(distances_of).collect();
     lone_pairs(&distances, config.lone_reach, config.uniqueness, is_outside)
 }
 
@@ -165,6 +168,18 @@ fn median_step(from: &NormalizedDetection, to: &NormalizedDetection, min_shared:
     if x.len() < min_shared { None } else { Some(Vector2::new(median(&mut x)?, median(&mut y)?)) }
 }
 
+/// [`step_distance`] in gates, at most [`FAR`]: most pairs show two people, and whether half of the keypoints are far is soon
+/// counted.
+fn gate_cost(a: &NormalizedDetection, b: &NormalizedDetection, min_shared: usize, gate: f64) -> f64 {
+    let far = FAR * gate * a.size.max(b.size);
+    let (mut n_shared, mut n_near) = (0, 0);
+    for k in shared_keypoints(a, b) {
+        n_shared += 1;
+        n_near += usize::from((a.normalized[k] - b.normalized[k]).norm_squared() < far * far);
+    }
+    if n_near <= n_shared / 2 { FAR } else { step_distance(a, b, min_shared).map_or(FAR, |d| (d / gate).min(FAR)) }
+}
+
 fn shared_keypoints<'a>(a: &'a NormalizedDetection, b: &'a NormalizedDetection) -> impl Iterator<Item = usize> + 'a {
     let comparable = |d: &NormalizedDetection, k: usize| d.confidence[k] > DETECTOR.comparable;
     (0..a.normalized.len()).filter(move |&k| comparable(a, k) && comparable(b, k))
@@ -179,6 +194,8 @@ pub fn step_distance(a: &NormalizedDetection, b: &NormalizedDetection, min_share
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
 
     /// A detection of six keypoints, one apparent size high, at `x` sizes.
     fn at(x: f64) -> NormalizedDetection {
@@ -200,6 +217,23 @@ mod tests {
         assert_eq!(lengths(two), [12, 12]);
         let past_a_standing_one = (0..12).map(|f| vec![at(0.25 * f64::from(f)), at(1.37)]).collect();
         assert_eq!(lengths(past_a_standing_one).into_iter().max(), Some(12));
+    }
+
+    #[test]
+    fn the_cost_in_gates_is_the_median_distance_up_to_where_it_is_far() {
+        let mut rng = ChaCha8Rng::seed_from_u64(1);
+        for trial in 0..500 {
+            let n = 4 + trial % 5;
+            let mut spread = |scale: f64| NormalizedDetection {
+                normalized: (0..n).map(|_| Vector2::from_fn(|_, _| scale * rng.random_range(-1.0..1.0))).collect(),
+                confidence: (0..n).map(|_| rng.random_range(0.2..1.0)).collect(),
+                size: 0.4,
+                track_id: None,
+            };
+            let (a, b) = (spread(0.05), spread(0.05));
+            let expected = step_distance(&a, &b, 4).map_or(FAR, |d| (d / 0.06).min(FAR));
+            assert_eq!(gate_cost(&a, &b, 4, 0.06), expected);
+        }
     }
 
     #[test]

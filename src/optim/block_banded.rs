@@ -15,6 +15,7 @@ mod substitution;
 #[cfg(test)]
 mod tests;
 
+use crate::optim::large_array::LargeArray;
 use crate::optim::vectors::vectorised;
 use elimination::Elimination;
 pub use layout::FramePanel;
@@ -31,7 +32,7 @@ use substitution::Substitution;
 pub struct BlockBanded {
     layout: Layout,
     /// A panel per frame.
-    panels: Vec<f64>,
+    panels: LargeArray,
     /// By frame and strip of rows of the frame after the next, the first column that is not zero: smooth motions couple a
     /// joint's rotation with itself alone.
     starts: Vec<usize>,
@@ -121,9 +122,9 @@ impl BlockBanded {
         self.layout = Layout { n: 3 * n_groups, n_border };
         let n_panels = n_frames * self.layout.panel_len();
         if n_panels > self.panels.capacity() {
-            self.panels = vec![0.0; n_panels]; // nothing is copied
+            self.panels = LargeArray::zeros(n_panels); // nothing is copied
         }
-        self.panels.resize(n_panels, 0.0);
+        self.panels.set_len(n_panels);
         self.starts.resize(n_frames * self.layout.frame_strips(), 0);
         self.corner = Corner::zeros(n_border);
     }

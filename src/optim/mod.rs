@@ -7,6 +7,7 @@
 //! - [`block_banded`]: banded Cholesky with one dense block per frame, coupled over two frames, and a border
 //! - [`arrow`]: many small systems coupled only through a few shared unknowns
 //! - [`vectors`]: vector instructions of the processor at hand
+//! - [`large_array`]: arrays of many megabytes in large pages
 //! - [`determinant`]: determinants of factored matrices
 //! - [`viterbi`]: the cheapest path through a few states per step
 
@@ -14,6 +15,7 @@ pub mod arrow;
 pub mod block_banded;
 pub mod dense_levenberg_marquardt;
 pub mod determinant;
+pub mod large_array;
 pub mod levenberg_marquardt;
 pub mod point_chain;
 pub mod robust;

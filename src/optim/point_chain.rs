@@ -63,7 +63,7 @@ impl PointChain {
                 b[t] = b[t] - far * b[t - 2];
             }
             inverse_two_before = inverse_before;
-            inverse_before = pivot.cholesky()?.inverse();
+            inverse_before = inverse_of_positive(&pivot)?;
             scaled[t] = inverse_before * b[t];
         }
         for t in (0..n).rev() {
@@ -78,6 +78,16 @@ impl PointChain {
         }
         Some(scaled)
     }
+}
+
+/// The inverse of a symmetric matrix by its cofactors; `None` where it is not positive definite (Sylvester's criterion).
+fn inverse_of_positive(a: &Matrix3<f64>) -> Option<Matrix3<f64>> {
+    let minor = |i: [usize; 2], j: [usize; 2]| a[(i[0], j[0])] * a[(i[1], j[1])] - a[(i[0], j[1])] * a[(i[1], j[0])];
+    let (c11, c12, c13) = (minor([1, 2], [1, 2]), -minor([1, 2], [0, 2]), minor([1, 2], [0, 1]));
+    let (c22, c23, c33) = (minor([0, 2], [0, 2]), -minor([0, 2], [0, 1]), minor([0, 1], [0, 1]));
+    let determinant = a.m11 * c11 + a.m12 * c12 + a.m13 * c13;
+    let is_positive = a.m11 > 0.0 && c33 > 0.0 && determinant > 0.0;
+    is_positive.then(|| Matrix3::new(c11, c12, c13, c12, c22, c23, c13, c23, c33) / determinant)
 }
 
 /// Frequencies of the integral of [`smoothing_gain`].
@@ -137,6 +147,16 @@ mod tests {
             let back = chain.times(&found);
             assert!(back.iter().zip(&b).all(|(a, b)| (a - b).norm() < 1e-10));
         }
+    }
+
+    #[test]
+    fn indefinite_pivots_are_none() {
+        let a = Matrix3::new(4.0, 1.0, 0.5, 1.0, 3.0, -1.0, 0.5, -1.0, 2.0);
+        assert!((inverse_of_positive(&a).unwrap() * a - Matrix3::identity()).norm() < 1e-14);
+        for wrong in [Vector3::new(-1.0, 2.0, -3.0), Vector3::new(1.0, -2.0, -3.0), Vector3::new(1.0, f64::NAN, 1.0)] {
+            assert_eq!(inverse_of_positive(&Matrix3::from_diagonal(&wrong)), None);
+        }
+        assert_eq!(inverse_of_positive(&Matrix3::zeros()), None);
     }
 
     #[test]

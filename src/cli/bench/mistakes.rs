@@ -64,7 +64,7 @@ struct Case {
     /// `None`: the session as it is.
     mistake: Option<String>,
     outcome: Outcome,
-    /// Where a repair was applied: whether the result is as good as without the mistake.
+    /// Where all that was found was repaired: whether the result is as good as without the mistake.
     is_repaired: Option<bool>,
     #[serde(flatten)]
     solved: Solved,
@@ -139,7 +139,7 @@ pub(super) fn run(args: &MistakesArgs) -> anyhow::Result<()> {
                 .fold(options.clone(), |options, mistake| with_option(&options, mistake.options).unwrap_or(options));
             let solved = solve(&changed, &options, &injection.turns(), n + 1)?;
             let outcome = judged(&injection.mistakes, session, &clean, &solved);
-            let is_repaired = solved.suspicions.iter().any(|s| s.applied).then(|| is_as_good(&clean, &solved));
+            let is_repaired = is_repairable(&solved).then(|| is_as_good(&clean, &solved));
             cases.push(reported(case(Some(injection.name.clone()), outcome, is_repaired, solved)));
         }
     }
@@ -269,6 +269,11 @@ fn is_wrong(clean: &Solved, solved: &Solved) -> bool {
     exceeds(solved.angle_deg, clean.angle_deg, WRONG_ANGLE_DEG)
         || exceeds(solved.position_mm, clean.position_mm, WRONG_POSITION_MM)
         || exceeds(solved.limbs_mm, clean.limbs_mm, WRONG_LIMBS_MM)
+}
+
+/// Whether all that was found could be repaired: of two mistakes at once one may be left, such as exchanged labels.
+fn is_repairable(solved: &Solved) -> bool {
+    !solved.suspicions.is_empty() && solved.suspicions.iter().all(|suspicion| suspicion.applied)
 }
 
 /// Whether a repaired result is as good as that of the session as it is.

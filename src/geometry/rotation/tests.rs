@@ -30,6 +30,17 @@ fn log_undoes_exp_near_zero_and_near_pi() {
     assert!((log(&half).norm() - PI).abs() < 1e-14);
 }
 
+/// On either side of where the power series end.
+#[test]
+fn series_meet_the_closed_forms() {
+    let direction = Vector3::new(2.0, 1.0, -2.0) / 3.0;
+    for k in 1..400 {
+        let w = direction * (0.005 * f64::from(k));
+        assert!((log(&exp(&w)) - w).norm() < 2e-15, "{w}");
+        assert!((left_jacobian_inverse(&w) * left_jacobian(&w) - Matrix3::identity()).norm() < 1e-14, "{w}");
+    }
+}
+
 #[test]
 fn jacobians_agree_with_central_differences() {
     let step = 1e-6;

@@ -153,14 +153,15 @@ impl Fill for Filling<'_> {
 
     fn within(&self, frames: Range<usize>, panels: &mut [FramePanel], corners: &mut Corners) {
         let first = frames.start;
-        for (t, panel) in frames.clone().zip(panels.iter_mut()) {
+        for t in frames {
+            let panel = &mut panels[t - first];
             self.problem.add_frame(&self.linear.frames[t], panel, &mut corners.of_frames);
             if let Some(paths) = &self.paths {
                 paths.add_frame(t, panel, &mut corners.of_others);
             }
-        }
-        for last in first + 2..frames.end {
-            self.add_window(last, &mut panels[last - 2 - first..=last - first], corners);
+            if t >= first + 2 {
+                self.add_window(t, &mut panels[t - 2 - first..=t - first], corners);
+            }
         }
     }
 

@@ -136,23 +136,17 @@ impl WhitenedPixels {
     pub(crate) fn new(observations: &Observations, noise: &PathNoise, robust_scale: f64) -> Self {
         let n_frames = observations.pixels.len();
         let n_cameras = observations.cameras.len();
-        let mut landmarks: Vec<usize> = observations.pixels.iter().flatten().map(|pixel| pixel.landmark).collect();
-        landmarks.sort_unstable();
-        landmarks.dedup();
-        let mut n_seen = vec![vec![0; n_cameras]; landmarks.len()];
-        for pixel in observations.pixels.iter().flatten() {
-            landmarks.binary_search(&pixel.landmark).into_iter().for_each(|l| n_seen[l][pixel.camera] += 1);
-        }
-        let empty = |(landmark, n_seen): (&usize, &Vec<usize>)| {
-            let weight = noise.weights[*landmark];
+        let mut n_seen = vec![vec![0; n_cameras]; noise.weights.len()];
+        observations.pixels.iter().flatten().for_each(|pixel| n_seen[pixel.landmark][pixel.camera] += 1);
+        let empty = |(landmark, n_seen): (usize, &Vec<usize>)| {
+            let weight = noise.weights[landmark];
             let channel = |(camera, &n)| Channel { camera, weight, seen: Vec::with_capacity(n) };
             n_seen.iter().enumerate().map(channel).collect::<Vec<_>>()
         };
-        let mut channels: Vec<Vec<Channel>> = landmarks.iter().zip(&n_seen).map(empty).collect();
+        let mut by_landmark: Vec<Vec<Channel>> = n_seen.iter().enumerate().map(empty).collect();
         for (frame, pixels) in observations.pixels.iter().enumerate() {
             for pixel in pixels {
-                let Ok(landmark) = landmarks.binary_search(&pixel.landmark) else { continue };
-                let seen = &mut channels[landmark][pixel.camera].seen;
+                let seen = &mut by_landmark[pixel.landmark][pixel.camera].seen;
                 let parts = Parts::new(seen, frame, &noise.processes[pixel.landmark]);
                 seen.push(Seen {
                     frame,
@@ -163,9 +157,10 @@ impl WhitenedPixels {
                 });
             }
         }
-        for of_landmark in &mut channels {
-            of_landmark.retain(|channel| !channel.seen.is_empty());
-        }
+        let seen = |channels: Vec<Channel>| channels.into_iter().filter(|channel| !channel.seen.is_empty()).collect();
+        let by_landmark = by_landmark.into_iter().map(seen).enumerate();
+        let (landmarks, channels) =
+            by_landmark.filter(|(_, channels): &(usize, Vec<Channel>)| !channels.is_empty()).unzip();
         Self { landmarks, channels, robust_scale, n_frames }
     }
 
