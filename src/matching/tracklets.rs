@@ -92,7 +92,7 @@ pub fn tracklets(view: &NormalizedView, fps: f64, config: &TrackletConfig) -> Ve
     closed
 }
 
-/// Cost of a pair that is at least this many gates apart: no matter how far, it is no match and no rival of one.
+/// Cost of a pair that lies at least this many gates apart: however far, it cannot match, nor rival a match.
 const FAR: f64 = 2.0;
 
 /// Cost of each pair of open tracklet and detection; 1 at the gate.
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn the_cost_in_gates_is_the_median_distance_up_to_where_it_is_far() {
+    fn costs_in_gates_are_median_distances_until_these_are_far() {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         for trial in 0..500 {
             let n = 4 + trial % 5;

@@ -119,7 +119,7 @@ impl Fill for Copied<'_> {
 }
 
 #[test]
-fn filled_run_by_run_is_the_same_factor_with_any_number_of_threads() {
+fn filled_run_by_run_is_the_same_factor_with_any_threads() {
     for n_frames in [1, 2, 3, 4, 5, 9, 16, 17, 38] {
         let whole = random_system([n_frames, 5, 4], true, 11).system;
         let expected = whole.clone().solve(0.01).unwrap();
