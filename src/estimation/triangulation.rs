@@ -1,6 +1,6 @@
 //! Robust triangulation from several views, and the covariance of triangulated points.
 
-use crate::geometry::projection::NEAR_PLANE;
+use crate::geometry::projection::squared_offset;
 use crate::geometry::rotation::skew;
 use crate::geometry::triangulation::{PointObservation, RayConstraint, nearest_point, triangulate_linear};
 use crate::geometry::{Intrinsics, Rigid};
@@ -37,7 +37,9 @@ pub fn triangulate_reweighted(rays: &[PointObservation<'_>], robust_scale_m: f64
     let mut point = nearest(&|ray| ray.weight)?;
     for _ in 0..REWEIGHTINGS {
         let weight = |ray: &PointObservation<'_>| {
-            ray.weight * geman_mcclure_weight(squared_residual(ray, &point), robust_scale_m * robust_scale_m)
+            let squared = squared_offset(ray.camera_from_world, &point, &ray.normalized);
+            let squared = squared.unwrap_or(BEHIND_CAMERA_M * BEHIND_CAMERA_M);
+            ray.weight * geman_mcclure_weight(squared, robust_scale_m * robust_scale_m)
         };
         let next = nearest(&weight)?;
         let moved = (next - point).norm();
@@ -51,12 +53,6 @@ pub fn triangulate_reweighted(rays: &[PointObservation<'_>], robust_scale_m: f64
 
 fn depth(ray: &PointObservation<'_>, point: &Vector3<f64>) -> f64 {
     ray.camera_from_world.transform(point).z
-}
-
-/// `(depth |projection - normalized|)^2` of a point, m^2: without a division by the depth.
-fn squared_residual(ray: &PointObservation<'_>, point: &Vector3<f64>) -> f64 {
-    let x = ray.camera_from_world.transform(point);
-    if x.z > NEAR_PLANE { (x.xy() - ray.normalized * x.z).norm_squared() } else { BEHIND_CAMERA_M * BEHIND_CAMERA_M }
 }
 
 /// The detected pixel of a point in one of the views.

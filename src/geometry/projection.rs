@@ -21,3 +21,14 @@ pub fn project_normalized(camera_from_world: &Rigid, point_in_world: &Vector3<f6
     let x = camera_from_world.transform(point_in_world);
     (x.z > NEAR_PLANE).then(|| NormalizedProjection { normalized: x.xy() / x.z, depth: x.z })
 }
+
+/// `(depth |projection - normalized|)^2`: how far a point lies beside a ray at its own depth, squared, without a division by the
+/// depth. `None` behind the near plane.
+pub fn squared_offset(
+    camera_from_world: &Rigid,
+    point_in_world: &Vector3<f64>,
+    normalized: &Vector2<f64>,
+) -> Option<f64> {
+    let x = camera_from_world.transform(point_in_world);
+    (x.z > NEAR_PLANE).then(|| (x.xy() - normalized * x.z).norm_squared())
+}

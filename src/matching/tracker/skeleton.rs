@@ -5,7 +5,7 @@ use crate::body::bones::LimbBone;
 use crate::body::detector_profile::DETECTOR;
 use crate::estimation::triangulation::triangulate_reweighted;
 use crate::geometry::Rigid;
-use crate::geometry::projection::NEAR_PLANE;
+use crate::geometry::projection::squared_offset;
 use crate::geometry::triangulation::PointObservation;
 use crate::matching::normalized::NormalizedDetection;
 use crate::optim::robust::{median, median_and_spread};
@@ -46,8 +46,7 @@ pub(super) fn distance_to_detection(
         if detection.confidence[k] < DETECTOR.comparable {
             continue;
         }
-        let Some(x) = point.map(|p| camera.transform(&p)).filter(|x| x.z > NEAR_PLANE) else { continue };
-        squares.push((x.xy() - detection.normalized[k] * x.z).norm_squared());
+        squares.extend(point.and_then(|p| squared_offset(camera, &p, &detection.normalized[k])));
     }
     if squares.len() < MIN_SHARED { None } else { median(&mut squares).map(f64::sqrt) }
 }
