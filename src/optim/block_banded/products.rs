@@ -51,6 +51,8 @@ impl FromIterator<ColumnBlock> for StripRows {
     fn from_iter<I: IntoIterator<Item = ColumnBlock>>(blocks: I) -> Self {
         let mut rows = Self { strips: Vec::with_capacity(EXPECTED_STRIPS) };
         blocks.into_iter().for_each(|(first, derivatives)| rows.add(first, &derivatives));
+        // Kept for every landmark of every frame.
+        rows.strips.shrink_to_fit();
         rows
     }
 }

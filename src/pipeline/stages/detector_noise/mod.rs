@@ -56,12 +56,12 @@ fn knots(gaps: Vec<Gap>) -> Option<Vec<[f64; 2]>> {
     Some(pooled(groups).into_iter().map(|g| [g.confidence, g.ln_factor]).collect())
 }
 
-/// Gap between two rays of one keypoint.
+/// Gap between two rays of one keypoint; in single precision, since there are many, whose median is known to 2 %.
 #[derive(Debug, Clone, Copy)]
 struct Gap {
-    confidences: [f64; 2],
+    confidences: [f32; 2],
     /// Distance of the rays in units of the keypoint's published standard deviation.
-    sigmas: f64,
+    sigmas: f32,
 }
 
 fn gaps(session: &Session, cameras: &[Option<Rigid>], tracks: &[PersonTrack], sigmas_m: &[f64]) -> Vec<Gap> {
@@ -116,7 +116,8 @@ fn add_gaps(sigmas_m: &[f64], one: &[KeypointRay], other: &[KeypointRay], gaps: 
     for ((one, other), sigma_m) in one.iter().zip(other).zip(sigmas_m) {
         let (Some((first, a)), Some((second, b))) = (one, other) else { continue };
         if first.direction.cross(&second.direction).norm() > MIN_SINE {
-            gaps.push(Gap { confidences: [*a, *b], sigmas: ray_ray_distance(first, second) / sigma_m });
+            let sigmas = (ray_ray_distance(first, second) / sigma_m) as f32;
+            gaps.push(Gap { confidences: [*a as f32, *b as f32], sigmas });
         }
     }
 }
@@ -124,28 +125,28 @@ fn add_gaps(sigmas_m: &[f64], one: &[KeypointRay], other: &[KeypointRay], gaps: 
 /// Confidences divided into groups of equal size.
 struct Groups {
     /// Upper bounds of all groups but the last.
-    bounds: Vec<f64>,
+    bounds: Vec<f32>,
     means: Vec<f64>,
     sizes: Vec<usize>,
 }
 
 impl Groups {
     fn cut(gaps: &[Gap], n_groups: usize) -> Self {
-        let mut all: Vec<f64> = gaps.iter().flat_map(|gap| gap.confidences).collect();
-        all.par_sort_unstable_by(f64::total_cmp);
-        let mut bounds: Vec<f64> = (1..n_groups).map(|i| all[i * all.len() / n_groups]).collect();
+        let mut all: Vec<f32> = gaps.iter().flat_map(|gap| gap.confidences).collect();
+        all.par_sort_unstable_by(f32::total_cmp);
+        let mut bounds: Vec<f32> = (1..n_groups).map(|i| all[i * all.len() / n_groups]).collect();
         bounds.dedup();
         let mut groups = Self { means: vec![0.0; bounds.len() + 1], sizes: vec![0; bounds.len() + 1], bounds };
         for confidence in all {
             let group = groups.of(confidence);
-            groups.means[group] += confidence;
+            groups.means[group] += f64::from(confidence);
             groups.sizes[group] += 1;
         }
         groups.means.iter_mut().zip(&groups.sizes).for_each(|(sum, n)| *sum /= (*n).max(1) as f64);
         groups
     }
 
-    fn of(&self, confidence: f64) -> usize {
+    fn of(&self, confidence: f32) -> usize {
         self.bounds.partition_point(|bound| *bound < confidence)
     }
 }
@@ -160,7 +161,7 @@ fn variances(groups: &Groups, gaps: Vec<Gap>) -> Vec<f64> {
     let mut cells = vec![Vec::new(); n * n];
     for gap in gaps {
         let [a, b] = gap.confidences.map(|c| groups.of(c));
-        cells[a.max(b) * n + a.min(b)].push(gap.sigmas);
+        cells[a.max(b) * n + a.min(b)].push(f64::from(gap.sigmas));
     }
     let sums: Vec<(usize, usize, f64, f64)> = cells
         .par_iter_mut()
@@ -233,7 +234,7 @@ mod tests {
             let confidences = [confidence(&mut rng), confidence(&mut rng)];
             let wrong = if rng.random_bool(0.05) { 20.0 } else { 1.0 };
             let error: f64 = confidences.map(|c| factor(c) * normal.sample(&mut rng)).iter().sum();
-            Gap { confidences, sigmas: (error * wrong).abs() }
+            Gap { confidences: confidences.map(|c| c as f32), sigmas: (error * wrong).abs() as f32 }
         };
         (0..n).map(gap).collect()
     }

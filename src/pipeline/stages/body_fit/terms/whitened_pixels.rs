@@ -52,16 +52,17 @@ struct Seen {
     frame: usize,
     pixel: Vector2<f64>,
     sigma_px: f64,
-    /// Whitens the shape of the error, see [`ErrorShape::Whitened`].
-    whitening: Option<Matrix2<f64>>,
+    /// Whitens the shape of the error, see [`ErrorShape::Whitened`]. On the heap, since few detectors state a shape.
+    whitening: Option<Box<Matrix2<f64>>>,
     parts: Parts,
 }
 
 /// Positions in the channel and factors of the residuals that make an innovation: the newest, and up to two before it.
 #[derive(Debug, Clone, Copy)]
 struct Parts {
-    parts: [(usize, f64); 3],
-    len: usize,
+    factors: [f64; 3],
+    positions: [u32; 3],
+    len: u32,
 }
 
 /// What the innovations ask of one landmark in one frame, to second order.
@@ -152,7 +153,7 @@ impl WhitenedPixels {
                     frame,
                     pixel: pixel.pixel,
                     sigma_px: noise.shares[pixel.landmark] * pixel.scale_px,
-                    whitening: pixel.error.whitening(),
+                    whitening: pixel.error.whitening().map(Box::new),
                     parts,
                 });
             }
@@ -239,7 +240,7 @@ impl WhitenedPixels {
             let Some(e) = seen.parts.combined(|i| linear[i].map(|l| l.residual)) else { continue };
             let weight = channel.weight * geman_mcclure(e.norm_squared(), self.robust_scale).weight;
             let parts =
-                || seen.parts.iter().filter_map(|&(i, factor)| Some((channel.seen[i].frame, linear[i]?, factor)));
+                || seen.parts.iter().filter_map(|(i, factor)| Some((channel.seen[i].frame, linear[i]?, factor)));
             let mut by_camera = ByCamera::zeros();
             if n_cameras > 0 {
                 parts().for_each(|(_, l, factor)| unknowns.add(&l, factor, &mut by_camera));
@@ -267,7 +268,7 @@ impl Channel {
         let residual = |seen: &Seen| {
             let position = &positions[seen.frame][landmark];
             let found = residual(&camera.intrinsics, &camera.camera_from_world, position, &seen.pixel, seen.sigma_px)?;
-            Some(seen.whitening.map_or(found, |whitening| whitening * found))
+            Some(seen.whitening.as_ref().map_or(found, |whitening| **whitening * found))
         };
         self.seen.iter().map(residual).collect()
     }
@@ -277,7 +278,7 @@ impl Channel {
         let linear = |seen: &Seen| {
             let position = &positions[seen.frame][landmark];
             let found = linearize(&camera.intrinsics, &camera.camera_from_world, position, &seen.pixel, seen.sigma_px)?;
-            Some(seen.whitening.map_or(found, |whitening| found.whitened(&whitening)))
+            Some(seen.whitening.as_ref().map_or(found, |whitening| found.whitened(whitening)))
         };
         self.seen.iter().map(linear).collect()
     }
@@ -290,20 +291,28 @@ impl Parts {
         let (one, two) = (ago(1), ago(2));
         let gap = seen.last().map(|last| frame - last.frame);
         let [own, by_one, by_two] = process.innovation([one.is_some(), two.is_some()], gap);
-        let mut parts = Self { parts: [(seen.len(), own); 3], len: 1 };
-        for (i, factor) in one.map(|i| (i, by_one)).into_iter().chain(two.map(|i| (i, by_two))) {
-            parts.parts[parts.len] = (i, factor);
+        let mut parts = Self { factors: [0.0; 3], positions: [0; 3], len: 0 };
+        for (i, factor) in [(Some(seen.len()), own), (one, by_one), (two, by_two)] {
+            let Some(i) = i else { continue };
+            parts.factors[parts.len as usize] = factor;
+            parts.positions[parts.len as usize] = i as u32;
             parts.len += 1;
         }
         parts
     }
 
-    fn iter(&self) -> impl Iterator<Item = &(usize, f64)> {
-        self.parts[..self.len].iter()
+    /// Factor of the newest residual.
+    fn own(&self) -> f64 {
+        self.factors[0]
+    }
+
+    fn iter(&self) -> impl Iterator<Item = (usize, f64)> {
+        let positions = self.positions.iter().map(|i| *i as usize);
+        positions.zip(self.factors).take(self.len as usize)
     }
 
     /// The sum of residuals times their factors; `None` where one of them has no residual.
     fn combined(&self, residual: impl Fn(usize) -> Option<Vector2<f64>>) -> Option<Vector2<f64>> {
-        self.iter().try_fold(Vector2::zeros(), |sum, &(i, factor)| Some(sum + residual(i)? * factor))
+        self.iter().try_fold(Vector2::zeros(), |sum, (i, factor)| Some(sum + residual(i)? * factor))
     }
 }

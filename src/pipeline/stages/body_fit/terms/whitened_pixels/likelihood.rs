@@ -22,7 +22,7 @@ impl WhitenedPixels {
     pub(crate) fn collect(&self, cameras: &[PosedCamera], positions: &Positions, into: &mut Innovations) {
         let of_channels = self.for_channels(cameras, positions, |channel: &Channel, residuals| {
             let innovation = |seen: &Seen| {
-                let own = seen.parts.parts[0].1;
+                let own = seen.parts.own();
                 let squared = seen.parts.combined(|i| residuals[i])?.norm_squared();
                 (own > 0.0).then(|| (squared, 2.0 * (own / seen.sigma_px).ln()))
             };

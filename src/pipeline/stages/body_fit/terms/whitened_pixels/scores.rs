@@ -48,7 +48,7 @@ impl WhitenedPixels {
         for seen in &channel.seen {
             let Some(e) = seen.parts.combined(|i| linear[i].map(|l| l.residual)) else { continue };
             let asked = e * (channel.weight * geman_mcclure(e.norm_squared(), self.robust_scale).weight);
-            for &(i, factor) in seen.parts.iter() {
+            for (i, factor) in seen.parts.iter() {
                 let Some(l) = linear[i] else { continue };
                 let mut by_camera = ByCamera::zeros();
                 movements.of_camera.add(&l, factor, &mut by_camera);
