@@ -19,8 +19,9 @@ pub fn assign(
     let entry = |i: usize, j: usize| if j < n_columns { cost(i, j).min(forbidden) } else { forbidden };
     let (mut u, mut v) = (vec![0.0; n + 1], vec![0.0; m + 1]);
     let mut row_of = vec![0usize; m + 1]; // 1-based; 0 is "none"
+    let mut columns = vec![Column::default(); m + 1];
     for i in 1..=n {
-        augment(i, m, &entry, &mut u, &mut v, &mut row_of);
+        augment(i, &mut columns, &entry, &mut u, &mut v, &mut row_of);
     }
     let mut column_of = vec![None; n];
     for j in 1..=n_columns {
@@ -31,10 +32,18 @@ pub fn assign(
     column_of
 }
 
-/// Adds row `start` (1-based) to the matching along the cheapest alternating path.
+/// A column in the search of a path.
+#[derive(Debug, Clone, Copy, Default)]
+struct Column {
+    slack: f64,
+    came_from: usize,
+    is_done: bool,
+}
+
+/// Adds row `start` (1-based) to the matching along the cheapest alternating path; `columns`: scratch, that of the start first.
 fn augment(
     start: usize,
-    m: usize,
+    columns: &mut [Column],
     entry: &impl Fn(usize, usize) -> f64,
     u: &mut [f64],
     v: &mut [f64],
@@ -42,39 +51,32 @@ fn augment(
 ) {
     row_of[0] = start;
     let mut column = 0;
-    let mut slack = vec![f64::INFINITY; m + 1];
-    let mut came_from = vec![0usize; m + 1];
-    let mut done = vec![false; m + 1];
+    columns.fill(Column { slack: f64::INFINITY, ..Column::default() });
     while row_of[column] != 0 {
-        done[column] = true;
+        columns[column].is_done = true;
         let row = row_of[column];
         let (mut delta, mut next) = (f64::INFINITY, 0);
-        for j in 1..=m {
-            if done[j] {
-                continue;
-            }
+        for (j, found) in columns.iter_mut().enumerate().skip(1).filter(|(_, found)| !found.is_done) {
             let reduced = entry(row - 1, j - 1) - u[row] - v[j];
-            if reduced < slack[j] {
-                slack[j] = reduced;
-                came_from[j] = column;
+            if reduced < found.slack {
+                (found.slack, found.came_from) = (reduced, column);
             }
-            if slack[j] < delta {
-                delta = slack[j];
-                next = j;
+            if found.slack < delta {
+                (delta, next) = (found.slack, j);
             }
         }
-        for j in 0..=m {
-            if done[j] {
+        for (j, found) in columns.iter_mut().enumerate() {
+            if found.is_done {
                 u[row_of[j]] += delta;
                 v[j] -= delta;
             } else {
-                slack[j] -= delta;
+                found.slack -= delta;
             }
         }
         column = next;
     }
     while column != 0 {
-        let previous = came_from[column];
+        let previous = columns[column].came_from;
         row_of[column] = row_of[previous];
         column = previous;
     }
