@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, SMatrix};
 use pulp::{Simd, WithSimd};
 
 /// Derivatives of a point by unknowns of one frame or of the border, `R`, in strips as panels have their rows.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct StripRows {
     /// Strips that are not zero, ascending.
     strips: Vec<(usize, [[f64; STRIP]; 3])>,
@@ -19,13 +19,23 @@ pub struct StripRows {
 /// Derivatives by three successive unknowns: the first of them, and the block.
 pub type ColumnBlock = (usize, Matrix3<f64>);
 
-/// Strips of the longest chain of joints.
+/// Strips of the longest chain of joints, and of a border with bones and five cameras.
 const EXPECTED_STRIPS: usize = 9;
 
 /// Blocks that are multiplied together; a chain of joints has fewer.
 const MAX_BLOCKS: usize = 12;
 
 impl StripRows {
+    /// No rows yet, with room for those of a border.
+    pub fn with_room() -> Self {
+        Self { strips: Vec::with_capacity(EXPECTED_STRIPS) }
+    }
+
+    /// Takes all rows away.
+    pub fn clear(&mut self) {
+        self.strips.clear();
+    }
+
     /// Adds the derivatives by the unknowns from `first` on.
     pub fn add<const C: usize>(&mut self, first: usize, derivatives: &SMatrix<f64, 3, C>) {
         for (k, column) in derivatives.column_iter().enumerate() {
@@ -49,7 +59,7 @@ impl StripRows {
 
 impl FromIterator<ColumnBlock> for StripRows {
     fn from_iter<I: IntoIterator<Item = ColumnBlock>>(blocks: I) -> Self {
-        let mut rows = Self { strips: Vec::with_capacity(EXPECTED_STRIPS) };
+        let mut rows = Self::with_room();
         blocks.into_iter().for_each(|(first, derivatives)| rows.add(first, &derivatives));
         // Kept for every landmark of every frame.
         rows.strips.shrink_to_fit();

@@ -232,7 +232,7 @@ fn products_of_derivatives_are_blocks() {
     let (_, by_positions) = block(0);
     let [mut found, mut expected] = [0; 2].map(|_| BlockBanded::zeros(3, 8, 5));
     let rows: StripRows = later.into_iter().collect();
-    let mut border = StripRows::default();
+    let mut border = StripRows::with_room();
     border.add(1, &later[0].1);
     for lag in 0..3 {
         found.frame(0).add_product(lag, &rows, &by_positions, &earlier);

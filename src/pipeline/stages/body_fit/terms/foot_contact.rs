@@ -70,7 +70,7 @@ impl FootContact {
         let factors = SECOND_DIFFERENCE.map(|c| Matrix3::identity() * (c * scale));
         let jacobians = around.map(|landmark| &landmark.jacobian);
         let by_border = BorderJacobian::sum([0, 1, 2].map(|i| (factors[i], &jacobians[i].by_border)));
-        let mut border_rows = StripRows::default();
+        let mut border_rows = StripRows::with_room();
         by_border.add_to_rows(&mut border_rows);
         let weight = self.robust.weight(&residual);
         for (i, (jacobian, factor)) in jacobians.iter().zip(&factors).enumerate() {

@@ -24,7 +24,7 @@ impl LandmarkJacobian {
     pub(crate) fn add_cost(&self, at: &PositionCost, system: &mut FramePanel, corner: &mut Corner) {
         self.by_border.add_to_corner(&at.gradient, &at.hessian, corner);
         self.add_to_frame(&at.gradient, &at.hessian, system);
-        let mut across = StripRows::default();
+        let mut across = StripRows::with_room();
         self.by_border.add_to_rows(&mut across);
         system.add_border_product(&across, &at.hessian, &self.by_frame);
     }

@@ -4,7 +4,7 @@ use super::super::observations::PosedCamera;
 use super::camera_unknowns::{FOCAL, POSE};
 use super::landmark_jacobian::BorderJacobian;
 use super::unknowns::{Border, CameraColumns};
-use super::whitened_pixels::{PathBlocks, Positions, WhitenedPixels};
+use super::whitened_pixels::{PathBlocks, PointByCamera, Positions, WhitenedPixels};
 use super::window::TrackedLandmark;
 use crate::optim::block_banded::{Corner, FramePanel, StripRows};
 use nalgebra::Matrix3;
@@ -58,6 +58,7 @@ impl<'a> LinearPaths<'a> {
 
     /// Adds what concerns frame `t`: its own blocks, those of later frames with it, and its rows of the border.
     pub(crate) fn add_frame(&self, t: usize, system: &mut FramePanel, corner: &mut Corner) {
+        let mut rows = StripRows::with_room();
         for (l, landmark) in self.paths[t].iter().enumerate() {
             let of_landmark = &self.blocks.landmarks[l];
             let Some(block) = of_landmark.frames.get(t).filter(|block| block.hessian[0] != Matrix3::zeros()) else {
@@ -73,13 +74,14 @@ impl<'a> LinearPaths<'a> {
                 system.add_product(lag, later, hessian, &landmark.jacobian.by_frame);
             }
             if self.has_border {
-                self.add_border(t, l, system, corner);
+                rows.clear();
+                self.add_border(t, l, &mut rows, system, corner);
             }
         }
     }
 
-    /// Adds the rows of the border of one landmark in frame `t`.
-    fn add_border(&self, t: usize, l: usize, system: &mut FramePanel, corner: &mut Corner) {
+    /// Adds the rows of the border of one landmark in frame `t`; `rows`: their place, empty.
+    fn add_border(&self, t: usize, l: usize, rows: &mut StripRows, system: &mut FramePanel, corner: &mut Corner) {
         let (landmark, of_landmark) = (&self.paths[t][l], &self.blocks.landmarks[l]);
         let by_border = |t: usize| &self.paths[t][l].jacobian.by_border;
         let block = &of_landmark.frames[t];
@@ -92,9 +94,10 @@ impl<'a> LinearPaths<'a> {
         let own = &landmark.jacobian.by_border;
         own.add_gradient(&block.gradient, corner);
         own.add_product(&across, corner);
-        let mut rows = StripRows::default();
-        across.add_to_rows(&mut rows);
-        for (camera, by_camera) in of_landmark.by_cameras(t).iter().enumerate() {
+        across.add_to_rows(rows);
+        let seeing =
+            of_landmark.by_cameras(t).iter().enumerate().filter(|(_, block)| **block != PointByCamera::zeros());
+        for (camera, by_camera) in seeing {
             let first = self.column(camera);
             let by_pose = by_camera.fixed_columns::<POSE>(0).into_owned();
             own.add_columns(first, &by_pose, corner);
@@ -105,6 +108,6 @@ impl<'a> LinearPaths<'a> {
                 rows.add(first + FOCAL, &by_focal);
             }
         }
-        system.add_border_product(&rows, &Matrix3::identity(), &landmark.jacobian.by_frame);
+        system.add_border_product(rows, &Matrix3::identity(), &landmark.jacobian.by_frame);
     }
 }
