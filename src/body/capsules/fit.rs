@@ -2,8 +2,8 @@
 //!
 //! Every sampled vertex is assigned to its nearest capsule, in the frame of the capsule's joint; per capsule
 //! `min sum w d(v_i)^2` over two ends and two radii by damped Gauss-Newton, with new assignments after each step; most steps look
-//! among the capsules that were nearly nearest before. With fixed assignments, the change per beta at rest is linear: `min sum (D_i x + n_i . S_i)^2`, where `D_i` are the derivatives of the
-//! distance to the eight numbers.
+//! among the capsules that were nearly nearest before. With fixed assignments, the change per beta at rest is linear:
+//! `min sum (D_i x + n_i . S_i)^2`, where `D_i` are the derivatives of the distance to the eight numbers.
 //!
 //! A vertex may be assigned to a capsule only if its skin weights include a joint near the capsule's: a hand that hangs at a
 //! hip is not assigned to the hip.
@@ -92,8 +92,12 @@ impl Candidates {
         Self((0..N_CAPSULES).filter(|&k| chosen(k)).fold(0, |bits, k| bits | 1 << k))
     }
 
+    fn has(self, capsule: usize) -> bool {
+        self.0 >> capsule & 1 == 1
+    }
+
     fn iter(self) -> impl Iterator<Item = usize> {
-        (0..N_CAPSULES).filter(move |k| self.0 >> k & 1 == 1)
+        (0..N_CAPSULES).filter(move |&k| self.has(k))
     }
 }
 
@@ -166,7 +170,7 @@ impl View {
                 distances[k] = capsules[k].distance_to(&in_joint(&self.skeleton, joints[k], place)).distance;
             }
             let least = candidates.iter().map(|k| distances[k]).fold(f64::INFINITY, f64::min);
-            *near = Candidates::of(|k| candidates.0 >> k & 1 == 1 && distances[k] <= least + NEARLY);
+            *near = Candidates::of(|k| candidates.has(k) && distances[k] <= least + NEARLY);
         }
     }
 
