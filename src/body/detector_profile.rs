@@ -16,10 +16,19 @@ pub struct DetectorProfile {
     /// Keypoints from here on are correct as a rule: minimal samples are drawn from them, and a result has to explain them.
     pub confident: f64,
     /// A keypoint within this angle of its reprojection is explained, rad: 24 px at a focal length of 1,060 px, six times
-    /// a detector's own noise on persons 4 m away. Beyond it the detection is wrong: counted as rejected, not averaged.
+    /// a detector's own noise on persons 4 m away; it grows with [`error_scale`]. Beyond it the detection is wrong: counted as rejected, not averaged.
     pub explained_radius: f64,
 }
 
 /// Good for OpenPose, AlphaPose and detectors trained on COCO, whose confidences are heat map peaks.
 pub const DETECTOR: DetectorProfile =
     DetectorProfile { min_confidence: 0.1, comparable: 0.2, judged: 0.3, confident: 0.4, explained_radius: 0.0225 };
+
+/// Distance for which angular tolerances are stated, m.
+const REFERENCE_DISTANCE_M: f64 = 4.0;
+
+/// How many times larger a detector's errors are on people at a distance (m) than 4 m away, as angles: they are a share of the
+/// apparent size. At least 1: on people farther away pixels and blur leave about as much.
+pub fn error_scale(distance: f64) -> f64 {
+    (REFERENCE_DISTANCE_M / distance).max(1.0)
+}

@@ -1,6 +1,6 @@
 //! Detections of every view in ideal normalised coordinates: undistorted, over the focal length, with an apparent size.
 
-use crate::body::detector_profile::DETECTOR;
+use crate::body::detector_profile::{DETECTOR, error_scale};
 use crate::session::{Detection, Session, View};
 use nalgebra::Vector2;
 
@@ -38,6 +38,11 @@ impl NormalizedDetection {
         }
         let size = if low.x.is_finite() { (high - low).max().max(MIN_SIZE) } else { MIN_SIZE };
         Self { normalized, confidence, size, track_id: detection.track_id }
+    }
+
+    /// How many times larger its errors are than on people 4 m away, by its apparent size.
+    pub fn error_scale(&self) -> f64 {
+        error_scale(BODY_SPAN_M / self.size)
     }
 
     /// Number of usable keypoints.

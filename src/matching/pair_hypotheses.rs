@@ -1,7 +1,7 @@
 //! Hypotheses of the relative pose of two cameras, each fitted to whole tracklets and scored on sampled frames of both views.
 
-use super::normalized::NormalizedView;
-use super::pair_score::{MatchedPair, PairObservations, PairScore, VOTE_RADIUS, score_pair, vote};
+use super::normalized::{NormalizedDetection, NormalizedView};
+use super::pair_score::{MatchedPair, PairObservations, PairScore, VOTE_RADIUS, error_scale, score_pair, vote};
 use super::tracklets::{Tracklet, longest};
 use crate::body::detector_profile::DETECTOR;
 use crate::estimation::essential::{EssentialEstimate, estimate_essential, refine_essential};
@@ -22,7 +22,7 @@ pub struct HypothesisConfig {
     pub max_frames: usize,
     /// Most point pairs of one robust fit, drawn at random: bounds the cost of a fit.
     pub max_points: usize,
-    /// Epipolar tolerance of the fit, rad: 6 px at a focal length of 1,060 px.
+    /// Epipolar tolerance of the fit, rad: 6 px at a focal length of 1,060 px. It grows with the errors on people nearer than 4 m.
     pub tolerance: f64,
     /// Minimal samples of a rough fit, and of a thorough one.
     pub iterations: [usize; 2],
@@ -79,7 +79,47 @@ pub struct CameraPair<'a> {
 /// Fewest point pairs of a re-fit: four times the five of a minimal sample.
 const MIN_REFIT_POINTS: usize = 20;
 
-type PointPairs = Vec<(Vector2<f64>, Vector2<f64>)>;
+/// Points of two views that a pose is fitted to.
+#[derive(Default)]
+struct PointPairs {
+    pairs: Vec<(Vector2<f64>, Vector2<f64>)>,
+    /// Sum over the pairs of how much larger their errors are than 4 m away.
+    error_scales: f64,
+}
+
+impl PointPairs {
+    /// Adds the points of two detections whose confidences in both views are above the least.
+    fn add(&mut self, first: &NormalizedDetection, second: &NormalizedDetection, least_confidence: f64) {
+        let n_before = self.pairs.len();
+        let seen = (0..first.normalized.len())
+            .filter(|&k| first.confidence[k] > least_confidence && second.confidence[k] > least_confidence);
+        self.pairs.extend(seen.map(|k| (first.normalized[k], second.normalized[k])));
+        self.error_scales += (self.pairs.len() - n_before) as f64 * error_scale(first, second);
+    }
+
+    /// Keeps only some of the pairs; the mean of their errors is taken for that of all.
+    fn reduced(self, reduce: impl FnOnce(&mut Vec<(Vector2<f64>, Vector2<f64>)>)) -> Self {
+        let mean = self.mean_error_scale();
+        let mut pairs = self.pairs;
+        reduce(&mut pairs);
+        Self { error_scales: mean * pairs.len() as f64, pairs }
+    }
+
+    fn joined(&self, other: &Self) -> Self {
+        let pairs = self.pairs.iter().chain(&other.pairs).copied().collect();
+        Self { pairs, error_scales: self.error_scales + other.error_scales }
+    }
+
+    /// How much larger the errors are than on people 4 m away.
+    fn mean_error_scale(&self) -> f64 {
+        self.error_scales / self.pairs.len().max(1) as f64
+    }
+
+    /// A robust fit with this tolerance 4 m away; `None` where no pose has any support.
+    fn fit(&self, tolerance: f64, iterations: usize, seed: u64) -> Option<EssentialEstimate> {
+        estimate_essential(&self.pairs, None, tolerance * self.mean_error_scale(), iterations, seed)
+    }
+}
 
 /// Proposes relative poses of a camera pair, best first.
 pub fn pair_hypotheses(pair: &CameraPair, seed: u64, config: &HypothesisConfig) -> Vec<PairHypothesis> {
@@ -107,7 +147,7 @@ struct TrackletFit {
 impl TrackletFit {
     /// From few samples; `None` where no pose has any support.
     fn rough(pairs: Vec<[usize; 2]>, points: PointPairs, seed: u64, config: &HypothesisConfig) -> Option<Self> {
-        let fit = estimate_essential(&points, None, config.tolerance, config.iterations[0], seed)?;
+        let fit = points.fit(config.tolerance, config.iterations[0], seed)?;
         Some(Self { pairs, points, seed, fit })
     }
 
@@ -121,7 +161,7 @@ fn most_supported(mut fits: Vec<TrackletFit>, n: usize, config: &HypothesisConfi
     sort_most_supported(&mut fits);
     fits.truncate(n);
     for TrackletFit { points, seed, fit, .. } in &mut fits {
-        let thorough = estimate_essential(points, None, config.tolerance, config.iterations[1], *seed);
+        let thorough = points.fit(config.tolerance, config.iterations[1], *seed);
         *fit = thorough.filter(|thorough| thorough.support > fit.support).unwrap_or(*fit);
     }
     sort_most_supported(&mut fits);
@@ -158,7 +198,7 @@ fn union_fits(singles: &[TrackletFit], seed: u64, config: &HypothesisConfig) -> 
     unions.truncate(config.n_unions[0]);
     let rough = |(_, i, j): (f64, usize, usize)| {
         let (one, other) = (&singles[i], &singles[j]);
-        let points = one.points.iter().chain(&other.points).copied().collect();
+        let points = one.points.joined(&other.points);
         let pairs = one.pairs.iter().chain(&other.pairs).copied().collect();
         TrackletFit::rough(pairs, points, mix(seed, 1 << 63 | (i as u64) << 32 | j as u64), config)
     };
@@ -170,24 +210,22 @@ fn point_pairs(pair: &CameraPair, a: usize, b: usize, seed: u64, config: &Hypoth
     let (first, second) = (&pair.tracklets[0][a], &pair.tracklets[1][b]);
     let shared = first.shared_with(second);
     if shared.len() < config.min_overlap {
-        return Vec::new();
+        return PointPairs::default();
     }
     let n_frames = shared.len().min(config.max_frames);
-    let mut points = Vec::new();
+    let mut points = PointPairs::default();
     for i in 0..n_frames {
         let (frame, p, q) = shared[i * shared.len() / n_frames];
-        let (s, t) = (&pair.views[0].frames[frame][p], &pair.views[1].frames[frame][q]);
-        let confident = (0..s.normalized.len())
-            .filter(|&k| s.confidence[k] > DETECTOR.confident && t.confidence[k] > DETECTOR.confident);
-        points.extend(confident.map(|k| (s.normalized[k], t.normalized[k])));
+        points.add(&pair.views[0].frames[frame][p], &pair.views[1].frames[frame][q], DETECTOR.confident);
     }
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    for i in 0..points.len().min(config.max_points) {
-        let j = rng.random_range(i..points.len());
-        points.swap(i, j);
-    }
-    points.truncate(config.max_points);
-    points
+    points.reduced(|pairs| {
+        for i in 0..pairs.len().min(config.max_points) {
+            let j = rng.random_range(i..pairs.len());
+            pairs.swap(i, j);
+        }
+        pairs.truncate(config.max_points);
+    })
 }
 
 /// Scores a pose and scales its translation to metres by the lengths of bones.
@@ -204,29 +242,25 @@ fn refit(pair: &CameraPair, hypothesis: &PairHypothesis, config: &HypothesisConf
     for radius in [VOTE_RADIUS, config.tolerance] {
         let (matches, _) = vote(&pair.observations, &essential_from_pose(&pose));
         let points = evenly_spread(matched_points(&matches), config.max_refit_points);
-        if points.len() < MIN_REFIT_POINTS {
+        if points.pairs.len() < MIN_REFIT_POINTS {
             break;
         }
         let unit = Rigid { translation: pose.translation.normalize(), ..pose };
-        pose = refine_essential(&unit, &points, None, radius, 10);
+        pose = refine_essential(&unit, &points.pairs, None, radius * points.mean_error_scale(), 10);
     }
     scored(pair, pose)
 }
 
 fn matched_points(matches: &[MatchedPair]) -> PointPairs {
-    let mut points = Vec::new();
-    for m in matches {
-        let seen = (0..m.first.normalized.len())
-            .filter(|&k| m.first.confidence[k] > DETECTOR.judged && m.second.confidence[k] > DETECTOR.judged);
-        points.extend(seen.map(|k| (m.first.normalized[k], m.second.normalized[k])));
-    }
+    let mut points = PointPairs::default();
+    matches.iter().for_each(|m| points.add(m.first, m.second, DETECTOR.judged));
     points
 }
 
 /// At most `n` of some pairs.
 fn evenly_spread(points: PointPairs, n: usize) -> PointPairs {
-    let stride = points.len().div_ceil(n).max(1);
-    points.into_iter().step_by(stride).collect()
+    let stride = points.pairs.len().div_ceil(n).max(1);
+    points.reduced(|pairs| *pairs = pairs.iter().copied().step_by(stride).collect())
 }
 
 fn sort_best_first(hypotheses: &mut [PairHypothesis]) {

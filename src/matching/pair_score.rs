@@ -11,11 +11,16 @@ use crate::optim::robust::median_and_spread;
 use nalgebra::{Matrix3, Vector3};
 
 /// Distance from the epipolar line beyond which a point has no vote, rad: 16 px at a focal length of 1,060 px, four
-/// times the detectors' own noise on people 4 m away.
+/// times the detectors' own noise on people 4 m away; it grows with [`error_scale`].
 pub const VOTE_RADIUS: f64 = 0.015;
 
 /// Pairs of detections below this similarity do not match: two standing people agree by chance up to 0.4.
 const MIN_SIMILARITY: f64 = 0.4;
+
+/// How many times larger epipolar distances of two detections are than on people 4 m away: they follow the nearer one.
+pub fn error_scale(a: &NormalizedDetection, b: &NormalizedDetection) -> f64 {
+    a.error_scale().max(b.error_scale())
+}
 
 /// Spread (MAD) of log bone ratios at which the factor of a score falls to 1/e: true pairs have 0.05 to 0.07, wrong ones
 /// 0.1 to 1.
@@ -77,8 +82,10 @@ pub fn vote<'a>(observations: &PairObservations<'a>, essential: &Matrix3<f64>) -
     let mut matches = Vec::new();
     let (mut sum, mut possible) = (0.0, 0.0);
     for (first, second) in &observations.frames {
-        let table: Vec<Vec<f64>> =
-            first.iter().map(|a| second.iter().map(|b| similarity(essential, a, b, VOTE_RADIUS)).collect()).collect();
+        let agreement = |a: &NormalizedDetection, b: &NormalizedDetection| {
+            similarity(essential, a, b, VOTE_RADIUS * error_scale(a, b))
+        };
+        let table: Vec<Vec<f64>> = first.iter().map(|a| second.iter().map(|b| agreement(a, b)).collect()).collect();
         let columns = assign(first.len(), second.len(), 1.0 - MIN_SIMILARITY, |i, j| 1.0 - table[i][j]);
         for (i, column) in columns.iter().enumerate() {
             let Some(j) = *column else { continue };

@@ -30,6 +30,12 @@ impl Tracklet {
         self.detections.binary_search_by_key(&frame, |s| s.0).ok().map(|i| self.detections[i].1)
     }
 
+    /// How many times larger its errors are than on people 4 m away, in the mean of its detections.
+    pub fn error_scale(&self, view: &NormalizedView) -> f64 {
+        let scales = self.detections.iter().map(|&(frame, person)| view.frames[frame][person].error_scale());
+        scales.sum::<f64>() / self.detections.len().max(1) as f64
+    }
+
     /// Frames in which both tracklets have a detection, with the index of each.
     pub(super) fn shared_with(&self, other: &Self) -> Vec<(usize, usize, usize)> {
         self.detections.iter().filter_map(|&(f, p)| other.at(f).map(|q| (f, p, q))).collect()

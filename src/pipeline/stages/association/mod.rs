@@ -132,10 +132,11 @@ fn explained(scene: &TrackerScene, tracks: &[PersonTrack], points: &[JointTrajec
 
 /// Number of a detection's confident keypoints near the projection of a skeleton.
 fn n_near(camera: &Rigid, detection: &NormalizedDetection, skeleton: &[Option<Vector3<f64>>]) -> usize {
+    let radius = DETECTOR.explained_radius * detection.error_scale();
     let is_near = |(k, point): &(usize, &Option<Vector3<f64>>)| {
         let Some(expected) = point.and_then(|p| project_normalized(camera, &p)) else { return false };
         let offset = (expected.normalized - detection.normalized[*k]).norm();
-        detection.confidence[*k] > DETECTOR.confident && offset < DETECTOR.explained_radius
+        detection.confidence[*k] > DETECTOR.confident && offset < radius
     };
     skeleton.iter().enumerate().filter(is_near).count()
 }

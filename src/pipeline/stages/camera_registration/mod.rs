@@ -19,7 +19,7 @@ const MAX_POINTS: usize = 300;
 /// Fewer correspondences than this do not identify a person.
 const MIN_POINTS: usize = 40;
 
-/// Reprojection error from which a point has no weight, rad: 10 px at a focal length of 1,060 px.
+/// Reprojection error from which a point has no weight, rad: 10 px at a focal length of 1,060 px, of people at 4 m or farther.
 const TOLERANCE: f64 = 0.01;
 
 /// A tracklet shows the person when this share of points agrees; chance poses of another person reach a third.
@@ -47,8 +47,9 @@ fn pose_of(capture: &Capture, tracklets: &[Tracklet], calibration: &Calibration,
         .par_iter()
         .map(|&(t, person)| {
             let points = correspondences(capture, &tracklets[t], calibration, view, person);
+            let tolerance = TOLERANCE * tracklets[t].error_scale(&capture.views[view]);
             let seed = mix(capture.options.seed, (view * 1_000_003 + t * 1009 + person) as u64);
-            (points.len() >= MIN_POINTS).then(|| estimate_pose(&points, TOLERANCE, 300, seed)).flatten()
+            (points.len() >= MIN_POINTS).then(|| estimate_pose(&points, tolerance, 300, seed)).flatten()
         })
         .collect();
     let good = poses.into_iter().flatten().filter(|p| p.inlier_ratio >= MIN_INLIERS);

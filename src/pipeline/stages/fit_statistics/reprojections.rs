@@ -1,7 +1,7 @@
 //! Detections of every keypoint against its reprojection, and the accuracy of its triangulation.
 
 use crate::body::detector_noise::DetectorNoise;
-use crate::body::detector_profile::DETECTOR;
+use crate::body::detector_profile::{DETECTOR, error_scale};
 use crate::estimation::triangulation::{RayObservation, covariance, point_by_camera};
 use crate::geometry::Rigid;
 use crate::geometry::free_network::CameraCovariance;
@@ -191,7 +191,9 @@ impl PointRay<'_> {
     }
 
     fn is_explained(&self) -> bool {
-        self.distance_px() < DETECTOR.explained_radius * self.observation.intrinsics.focal()
+        let focal = self.observation.intrinsics.focal();
+        let scale = error_scale(self.metres_per_px * focal);
+        self.distance_px() < scale * DETECTOR.explained_radius * focal
     }
 
     /// Unit vector from the camera to the point.

@@ -41,7 +41,8 @@ fn projected(camera: &Rigid, points: &[Option<nalgebra::Vector3<f64>>]) -> Vec<O
 }
 
 fn n_near(detection: &NormalizedDetection, expected: &[Option<Vector2<f64>>]) -> usize {
+    let radius = DETECTOR.explained_radius * detection.error_scale();
     let seen = detection.normalized.iter().zip(&detection.confidence).zip(expected);
     let confident = seen.filter(|((_, confidence), _)| **confidence > DETECTOR.confident);
-    confident.filter(|((at, _), e)| e.is_some_and(|e| (e - *at).norm() < DETECTOR.explained_radius)).count()
+    confident.filter(|((at, _), e)| e.is_some_and(|e| (e - *at).norm() < radius)).count()
 }

@@ -44,7 +44,7 @@ const N_PEOPLE: usize = 5;
 const MAX_POINTS: usize = 150;
 /// Fewer points than this do not identify a person.
 const MIN_POINTS: usize = 40;
-/// Reprojection error from which a point has no weight, rad: 10 px at a focal length of 1,060 px.
+/// Reprojection error from which a point has no weight, rad: 10 px at a focal length of 1,060 px, of people at 4 m or farther.
 const TOLERANCE: f64 = 0.01;
 /// Samples of three points: a sixth of outlier-free points is found with 99 %, and the right person has half.
 const SAMPLES: usize = 100;
@@ -118,7 +118,8 @@ impl Question<'_> {
             for person in people.iter().take(N_PEOPLE) {
                 let points = correspondences(view, tracklet, person, late);
                 if points.len() >= MIN_POINTS {
-                    found.extend(estimate_pose(&points, TOLERANCE, SAMPLES, self.seed));
+                    let tolerance = TOLERANCE * tracklet.error_scale(view);
+                    found.extend(estimate_pose(&points, tolerance, SAMPLES, self.seed));
                 }
             }
         }
