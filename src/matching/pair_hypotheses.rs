@@ -131,8 +131,13 @@ pub fn pair_hypotheses(pair: &CameraPair, seed: u64, config: &HypothesisConfig) 
     hypotheses.truncate(config.n_refits);
     let mut refitted: Vec<PairHypothesis> = hypotheses.iter().map(|h| refit(pair, h, config)).collect();
     refitted.extend(hypotheses);
-    sort_best_first(&mut refitted);
-    distinct(refitted, config.n_kept)
+    best_of(refitted, config.n_kept)
+}
+
+/// The best `n` that differ, best first.
+pub fn best_of(mut hypotheses: Vec<PairHypothesis>, n: usize) -> Vec<PairHypothesis> {
+    sort_best_first(&mut hypotheses);
+    distinct(hypotheses, n)
 }
 
 /// A robust fit to the points of one or two pairs of tracklets.

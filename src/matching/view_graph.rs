@@ -1,8 +1,8 @@
 //! One pose per camera from relative poses of pairs: cameras are added one by one, each by the hypothesis that agrees best
 //! with all cameras added so far.
 
-use super::pair_hypotheses::{PairHypothesis, SAME_POSE_DEG, is_same_pose};
-use super::pair_score::{PairObservations, score_pair};
+use super::pair_hypotheses::{CameraPair, PairHypothesis, SAME_POSE_DEG, is_same_pose};
+use super::pair_score::score_pair;
 use crate::geometry::Rigid;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -16,14 +16,14 @@ pub struct Rig {
     pub quality: f64,
 }
 
-/// Hypotheses and observations of every compared pair `(first, second)` with `first < second`.
+/// Hypotheses and detections of every compared pair `(first, second)` with `first < second`.
 pub struct ViewGraph<'a> {
     /// Number of cameras.
     pub n_views: usize,
     /// Hypotheses by pair, best first.
     pub hypotheses: BTreeMap<(usize, usize), Vec<PairHypothesis>>,
     /// Detections of both cameras of a pair.
-    pub observations: BTreeMap<(usize, usize), PairObservations<'a>>,
+    pub pairs: BTreeMap<(usize, usize), CameraPair<'a>>,
 }
 
 /// Spread of log scale between chained pairs at which the factor of a quality falls to 1/e: bones give each baseline to
@@ -147,10 +147,10 @@ fn agreement(graph: &ViewGraph, cameras: &[Option<Rigid>], other: usize, candida
         (candidate.camera_from_world, other_from_world)
     };
     let second_from_first = second * first.inverse();
-    let Some(observations) = graph.observations.get(&pair) else { return 0.0 };
+    let Some(pair) = graph.pairs.get(&pair) else { return 0.0 };
     if second_from_first.translation.norm() < 1e-3 {
         return 0.0; // two cameras in one place have no epipolar geometry
     }
-    let score = score_pair(observations, &second_from_first);
+    let score = score_pair(&pair.observations, &second_from_first);
     score.quality * (-(score.log_metres / SCALE_SPREAD).powi(2)).exp()
 }

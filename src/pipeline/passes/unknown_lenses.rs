@@ -12,7 +12,7 @@ use crate::pipeline::config::Options;
 use crate::pipeline::focal_lengths::FocalLengths;
 use crate::pipeline::passes::adjustment::{ALL_FRAMES, Effort, adjusted};
 use crate::pipeline::passes::cameras::{FinalAdjustment, first_arrangement, roughly_calibrated};
-use crate::pipeline::stages::camera_init::initial_rigs;
+use crate::pipeline::stages::camera_init::first_quality;
 use crate::progress::{Canceled, Progress};
 use crate::session::Session;
 use crate::session::reconstruction::{FocalFactor, StageReport};
@@ -67,9 +67,7 @@ fn promising(session: &Session, options: &Options, progress: &Progress) -> Resul
         let lengths = FocalLengths::all(session, factor);
         let scaled = lengths.applied_to(session);
         let capture = Capture::new(&scaled, options);
-        let (rigs, _) = initial_rigs(&capture, &capture.tracklets(), progress)?;
-        let quality = rigs.first().map_or(0.0, |rig| rig.quality);
-        found.push((quality, lengths));
+        found.push((first_quality(&capture, progress)?, lengths));
     }
     found.sort_by(|a, b| b.0.total_cmp(&a.0));
     Ok(found.into_iter().filter(|(quality, _)| *quality > 0.0).map(|(_, lengths)| lengths).take(N_ADJUSTED).collect())
