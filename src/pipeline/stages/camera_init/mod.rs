@@ -127,3 +127,6 @@ fn report(graph: &ViewGraph, rigs: &[Rig]) -> StageReport {
     metrics.extend(rigs.get(1).map(|second| ("runner_up_quality", second.quality)));
     StageReport::new("camera_init", rigs.len(), "hypotheses_exhausted", metrics)
 }
+
+#[cfg(test)]
+mod tests;
