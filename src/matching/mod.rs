@@ -19,6 +19,7 @@ pub mod convex;
 pub mod normalized;
 pub mod pair_hypotheses;
 pub mod pair_score;
+mod point_pairs;
 pub mod tracker;
 pub mod tracklets;
 pub mod view_graph;

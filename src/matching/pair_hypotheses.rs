@@ -1,13 +1,13 @@
 //! Hypotheses of the relative pose of two cameras, each fitted to whole tracklets and scored on sampled frames of both views.
 
-use super::normalized::{NormalizedDetection, NormalizedView};
-use super::pair_score::{MatchedPair, PairObservations, PairScore, VOTE_RADIUS, error_scale, score_pair, vote};
+use super::normalized::NormalizedView;
+use super::pair_score::{MatchedPair, PairObservations, PairScore, VOTE_RADIUS, score_pair, vote};
+use super::point_pairs::PointPairs;
 use super::tracklets::{Tracklet, longest};
 use crate::body::detector_profile::DETECTOR;
-use crate::estimation::essential::{EssentialEstimate, estimate_essential, refine_essential};
+use crate::estimation::essential::{EssentialEstimate, refine_essential};
 use crate::geometry::epipolar::essential_from_pose;
 use crate::geometry::{Rigid, rotation};
-use nalgebra::Vector2;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -78,48 +78,6 @@ pub struct CameraPair<'a> {
 
 /// Fewest point pairs of a re-fit: four times the five of a minimal sample.
 const MIN_REFIT_POINTS: usize = 20;
-
-/// Points of two views that a pose is fitted to.
-#[derive(Default)]
-struct PointPairs {
-    pairs: Vec<(Vector2<f64>, Vector2<f64>)>,
-    /// Sum over the pairs of how much larger their errors are than 4 m away.
-    error_scales: f64,
-}
-
-impl PointPairs {
-    /// Adds the points of two detections whose confidences in both views are above the least.
-    fn add(&mut self, first: &NormalizedDetection, second: &NormalizedDetection, least_confidence: f64) {
-        let n_before = self.pairs.len();
-        let seen = (0..first.normalized.len())
-            .filter(|&k| first.confidence[k] > least_confidence && second.confidence[k] > least_confidence);
-        self.pairs.extend(seen.map(|k| (first.normalized[k], second.normalized[k])));
-        self.error_scales += (self.pairs.len() - n_before) as f64 * error_scale(first, second);
-    }
-
-    /// Keeps only some of the pairs; the mean of their errors is taken for that of all.
-    fn reduced(self, reduce: impl FnOnce(&mut Vec<(Vector2<f64>, Vector2<f64>)>)) -> Self {
-        let mean = self.mean_error_scale();
-        let mut pairs = self.pairs;
-        reduce(&mut pairs);
-        Self { error_scales: mean * pairs.len() as f64, pairs }
-    }
-
-    fn joined(&self, other: &Self) -> Self {
-        let pairs = self.pairs.iter().chain(&other.pairs).copied().collect();
-        Self { pairs, error_scales: self.error_scales + other.error_scales }
-    }
-
-    /// How much larger the errors are than on people 4 m away.
-    fn mean_error_scale(&self) -> f64 {
-        self.error_scales / self.pairs.len().max(1) as f64
-    }
-
-    /// A robust fit with this tolerance 4 m away; `None` where no pose has any support.
-    fn fit(&self, tolerance: f64, iterations: usize, seed: u64) -> Option<EssentialEstimate> {
-        estimate_essential(&self.pairs, None, tolerance * self.mean_error_scale(), iterations, seed)
-    }
-}
 
 /// Proposes relative poses of a camera pair, best first.
 pub fn pair_hypotheses(pair: &CameraPair, seed: u64, config: &HypothesisConfig) -> Vec<PairHypothesis> {

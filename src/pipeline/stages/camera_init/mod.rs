@@ -18,9 +18,12 @@ use rayon::prelude::*;
 /// of a longer recording are nearly independent; more cost time and do not change the ranking.
 const N_JUDGED_FRAMES: usize = 60;
 
-/// Below this mean quality further hypotheses are drawn, with tolerances so many times as wide. The true poses of one person who stands
+/// Where the pairs of a camera have less than this quality, further hypotheses are drawn. The true poses of one person who stands
 /// still before a bad detector have 0.37 to 0.45 where fits miss them and 0.23 is found; usual recordings have 0.35 to 0.9.
 const GOOD_QUALITY: f64 = 0.3;
+/// Of a camera with more pairs, so many of good quality are enough: one alone leaves doubts, and a third one confirms two.
+const ENOUGH_PAIRS: usize = 3;
+/// Tolerances of the further fits over that of the first, draw by draw.
 const FURTHER_TOLERANCES: [f64; 3] = [2.0, 1.4, 2.0];
 
 /// Proposes arrangements of the cameras, best first; each places at least two cameras.
@@ -33,7 +36,7 @@ pub fn initial_rigs(
     let (mut graph, mut rigs) = first_rigs(capture, tracklets, progress)?;
     let config = HypothesisConfig::default();
     for (draw, wider) in (1..).zip(FURTHER_TOLERANCES) {
-        if mean_quality(&graph, &rigs) >= GOOD_QUALITY {
+        if agree_well(graph.n_views, &rigs) {
             break;
         }
         let config = HypothesisConfig { tolerance: wider * config.tolerance, ..config.clone() };
@@ -95,9 +98,10 @@ fn add_hypotheses(
     Ok(())
 }
 
-/// Quality of the best rig, in the mean of all compared pairs.
-fn mean_quality(graph: &ViewGraph, rigs: &[Rig]) -> f64 {
-    rigs.first().map_or(0.0, |rig| rig.quality / graph.pairs.len().max(1) as f64)
+/// Whether the pairs of a camera of the best rig have a good quality, in the mean of all cameras.
+fn agree_well(n_cameras: usize, rigs: &[Rig]) -> bool {
+    let of_camera = rigs.first().map_or(0.0, |rig| 2.0 * rig.quality / n_cameras as f64);
+    of_camera >= GOOD_QUALITY * n_cameras.saturating_sub(1).min(ENOUGH_PAIRS) as f64
 }
 
 /// Frames in which at least two cameras have detections, one drawn from each equal stretch of time.
