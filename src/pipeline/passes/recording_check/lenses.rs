@@ -11,11 +11,10 @@ use crate::pipeline::stages::bundle_adjustment::adjust;
 use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput};
 use crate::pipeline::stages::keyframe_selection::select_keyframes;
 use crate::pipeline::stages::recording_check::lens::{Lens, SeenPeople};
+use crate::pipeline::stages::recording_check::parameters::SMALLER;
 use crate::progress::{Canceled, Progress};
 use crate::session::{Suspicion, SuspicionCode as Code, View};
 
-/// Sizes of images over those of the calibration: 1080 lines of 2160 or 1620, 720 of 1080, 1080 of 1440, 480 of 1080.
-pub(super) const SMALLER: [f64; 4] = [0.5, 2.0 / 3.0, 0.75, 4.0 / 9.0];
 /// Share of the keypoints that a detector may place outside its images.
 const OUTSIDE: f64 = 0.01;
 

@@ -1,6 +1,6 @@
 //! Delays and focal lengths that an adjustment of all cameras finds.
 
-use super::lenses::{EXCHANGE, SMALLER, lies_within, misplaced_lenses};
+use super::lenses::{EXCHANGE, lies_within, misplaced_lenses};
 use super::solved::{MAX_KEYFRAMES, Solved};
 use crate::optim::robust::median;
 use crate::pipeline::calibration::{Adjusted, CameraFreedom};
@@ -12,7 +12,7 @@ use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, Adjust
 use crate::pipeline::stages::keyframe_selection::{select_keyframes, set_image_velocities};
 use crate::pipeline::stages::recording_check::lens::Lens;
 use crate::pipeline::stages::recording_check::parameters::{
-    Delay, WrongLenses, delays, likeliest_exchange, wrong_lenses,
+    Delay, WrongLenses, delays, likeliest_exchange, smaller_images, wrong_lenses,
 };
 use crate::progress::{Canceled, Progress};
 use crate::session::{Suspicion, SuspicionCode as Code};
@@ -25,9 +25,6 @@ const BLOCK_SECS: f64 = 2.0;
 const SHOWN_BY_SMALLER: f64 = 0.72;
 /// Factor on a focal length below which it belongs to smaller images: halfway, in logarithms, to the next smaller usual size.
 const OF_SMALLER: f64 = 0.866;
-/// Largest difference of logarithms between the factor on a focal length and the size of the images that it belongs to: less than
-/// half of the smallest between two usual sizes.
-const SAME_SIZE: f64 = 0.055;
 
 /// Delays and focal lengths against those given.
 pub(super) fn other_parameters(
@@ -107,13 +104,14 @@ fn of_focal_factors(solved: &Solved, adjusted: &Adjusted, origins: &[f64]) -> Op
         let evidence = "each has the focal length of the other".to_owned();
         return Some(Suspicion::new(Code::CamerasExchanged, solved.ids(&exchange.views), evidence, EXCHANGE));
     }
-    of_lenses(solved, &wrong_lenses(&found, &estimate.views)?)
+    let lenses = wrong_lenses(&found, &estimate.views)?;
+    let resized = other_resolution(solved, &found, &estimate.views, &lenses);
+    resized.or_else(|| of_lenses(solved, &lenses))
 }
 
 fn of_lenses(solved: &Solved, lenses: &WrongLenses) -> Option<Suspicion> {
-    let resized = other_resolution(solved, &lenses.factors);
-    if resized.is_some() || lenses.log_evidence < MIN_LOG_EVIDENCE {
-        return resized;
+    if lenses.log_evidence < MIN_LOG_EVIDENCE {
+        return None;
     }
     let listed = lenses.factors.iter().map(|&(v, factor)| {
         let change = 100.0 * (factor - 1.0);
@@ -129,14 +127,19 @@ fn of_lenses(solved: &Solved, lenses: &WrongLenses) -> Option<Suspicion> {
 }
 
 /// Cameras whose focal length and keypoints both belong to smaller images.
-fn other_resolution(solved: &Solved, factors: &[(usize, f64)]) -> Option<Suspicion> {
+fn other_resolution(
+    solved: &Solved,
+    found: &FoundFactors,
+    adjusted: &[usize],
+    lenses: &WrongLenses,
+) -> Option<Suspicion> {
     let is_smaller = |view: usize| lies_within(&solved.session().views[view], SHOWN_BY_SMALLER);
-    let smaller = factors.iter().filter(|(view, factor)| *factor < OF_SMALLER && is_smaller(*view));
+    let smaller = lenses.factors.iter().filter(|(view, factor)| *factor < OF_SMALLER && is_smaller(*view));
     let (views, mut factors): (Vec<usize>, Vec<f64>) = smaller.copied().unzip();
-    let factor = median(&mut factors)?;
+    let image_scale = smaller_images(found, adjusted, &views, median(&mut factors)?, lenses.log_evidence)?;
     let evidence = "the focal length is too long, and all keypoints lie in the upper left two thirds of the image: both suit \
                     smaller images";
     let remedy = "give K and the size of the images in which people were detected";
-    let image_scale = SMALLER.into_iter().find(|size| (size / factor).ln().abs() < SAME_SIZE);
-    Some(Suspicion { image_scale, ..Suspicion::new(Code::Resolution, solved.ids(&views), evidence, remedy) })
+    let suspicion = Suspicion::new(Code::Resolution, solved.ids(&views), evidence, remedy);
+    Some(Suspicion { image_scale: Some(image_scale), ..suspicion })
 }

@@ -14,8 +14,9 @@ use crate::progress::{Canceled, Progress};
 use crate::session::{JointTrajectory, Suspicion, SuspicionCode as Code};
 use rayon::prelude::*;
 
-/// A step of a camera's rotation counts from this angle, rad: 0.17 degrees move a person at 4 m by 12 mm, half a detector's noise.
-const MIN_TURN: f64 = 0.003;
+/// A step of a camera's rotation counts from this angle, rad: 0.25 degrees move a person at 4 m by 17 mm, a detector's noise. Slow
+/// errors of two people turned a still camera by 0.17 degrees at 5 standard errors.
+const MIN_TURN: f64 = 0.0044;
 /// The same beside one person: its slow errors turn with it, and with no second person to average them still cameras seem to turn
 /// by up to 0.3 degrees at 10 standard errors (4 of 30 recordings).
 const MIN_TURN_ALONE: f64 = 0.006;

@@ -17,8 +17,15 @@ const MIN_FOCAL: f64 = 0.05;
 const HINT_LOG_EVIDENCE: f64 = 2.0;
 /// Two lenses whose focal lengths differ by less need no exchange: refocusing changes them by as much.
 const MIN_DIFFERENCE: f64 = 0.01;
-/// Logarithm of the likelihood ratio from which two calibrations are exchanged, 150 to 1: it is one of few possible exchanges.
-const MIN_LOG_EVIDENCE_OF_EXCHANGE: f64 = 5.0;
+/// Logarithm of the likelihood ratio from which two calibrations are exchanged, or belong to smaller images, 150 to 1: it is one of few
+/// possible mistakes.
+const MIN_LOG_EVIDENCE_OF_MISTAKE: f64 = 5.0;
+
+/// Usual sizes of images over those of their calibration: 1080 lines of 2160 or 1620, 720 of 1080, 1080 of 1440, 480 of 1080.
+pub const SMALLER: [f64; 4] = [0.5, 2.0 / 3.0, 0.75, 4.0 / 9.0];
+/// Largest difference of logarithms between the factor on a focal length and the size of the images that it belongs to: less than
+/// half of the smallest between two usual sizes.
+const SAME_SIZE: f64 = 0.055;
 
 /// A camera whose frames are late.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -86,7 +93,26 @@ pub fn likeliest_exchange(found: &FoundFactors, views: &[usize], focal: impl Fn(
     let likeliest = pairs.filter_map(exchange).max_by(|x, y| x.log_evidence.total_cmp(&y.log_evidence))?;
     let of_errors = FocalSpread::likeliest(found).1;
     tracing::debug!(?likeliest, of_errors, "exchanged calibrations");
-    (likeliest.log_evidence > MIN_LOG_EVIDENCE_OF_EXCHANGE.max(of_errors)).then_some(likeliest)
+    (likeliest.log_evidence > MIN_LOG_EVIDENCE_OF_MISTAKE.max(of_errors)).then_some(likeliest)
+}
+
+/// The size of smaller images, over that of the calibration, to which the lenses of `smaller` belong by their common `factor`; `None`
+/// where it is no usual size, or where lenses as given, or with errors of any size, are likelier.
+///
+/// `found`: what an adjustment shows of the focal factors of `views`; `of_errors`: logarithm of the likelihood of lenses with
+/// errors of any size over that of the given ones.
+pub fn smaller_images(
+    found: &FoundFactors,
+    views: &[usize],
+    smaller: &[usize],
+    factor: f64,
+    of_errors: f64,
+) -> Option<f64> {
+    let size = SMALLER.into_iter().find(|size| (size / factor).ln().abs() < SAME_SIZE)?;
+    let log_factor = |view: &usize| if smaller.contains(view) { size.ln() } else { 0.0 };
+    let log_evidence = found.log_evidence_of(&DVector::from_iterator(views.len(), views.iter().map(log_factor)));
+    tracing::debug!(?smaller, size, log_evidence, of_errors, "lenses of smaller images");
+    (log_evidence > MIN_LOG_EVIDENCE_OF_MISTAKE.max(of_errors)).then_some(size)
 }
 
 /// The focal lengths as an adjustment of `views` under the given ones finds them; `None` where nothing speaks against the given ones.

@@ -7,7 +7,7 @@ use super::handedness::{handedness, upside_down};
 use super::labels::exchange;
 use super::lens::SeenPeople;
 use super::movement::turn;
-use super::parameters::{delays, likeliest_exchange, wrong_lenses};
+use super::parameters::{delays, likeliest_exchange, smaller_images, wrong_lenses};
 use super::reading::{Question, Reading};
 use super::takes::groups;
 use crate::body::detector_noise::DetectorNoise;
@@ -263,6 +263,21 @@ fn a_late_camera_is_late_against_most_others() {
 /// Factors as an adjustment of five cameras finds them, each to 1 %.
 fn found(log_factors: &[f64; 5]) -> FoundFactors {
     FoundFactors::of_adjustment(&adjusted(&[], log_factors).focal.unwrap(), |_| 0.0, 0.1).unwrap()
+}
+
+/// One of six cameras whose people stayed in a corner was given smaller images when all lenses were 20 % too long.
+#[test]
+fn wrong_lenses_were_taken_for_smaller_images() {
+    let views = [0, 1, 2, 3, 4];
+    let size = |log_factors: &[f64; 5], smaller: &[usize]| {
+        let shown = found(log_factors);
+        let lenses = wrong_lenses(&shown, &views)?;
+        smaller_images(&shown, &views, smaller, log_factors[smaller[0]].exp(), lenses.log_evidence)
+    };
+    assert_eq!(size(&[-0.18; 5], &[2]), None);
+    assert_eq!(size(&[-0.29; 5], &[2]), None, "three quarters, but so are all others");
+    assert_eq!(size(&[0.005, -0.40, 0.01, -0.005, 0.0], &[1]), Some(2.0 / 3.0));
+    assert_eq!(size(&[0.005, -0.17, 0.01, -0.005, 0.0], &[1]), None, "no usual size");
 }
 
 #[test]
