@@ -97,7 +97,7 @@ pub fn likeliest_exchange(found: &FoundFactors, views: &[usize], focal: impl Fn(
 }
 
 /// The size of smaller images, over that of the calibration, to which the lenses of `smaller` belong by their common `factor`; `None`
-/// where it is no usual size, or where lenses as given, or with errors of any size, are likelier.
+/// where it is not a usual size, or where lenses as given, or with errors of any size, are likelier.
 ///
 /// `found`: what an adjustment shows of the focal factors of `views`; `of_errors`: logarithm of the likelihood of lenses with
 /// errors of any size over that of the given ones.
