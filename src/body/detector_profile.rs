@@ -16,7 +16,8 @@ pub struct DetectorProfile {
     /// Keypoints from here on are correct as a rule: minimal samples are drawn from them, and a result has to explain them.
     pub confident: f64,
     /// A keypoint within this angle of its reprojection is explained, rad: 24 px at a focal length of 1,060 px, six times
-    /// a detector's own noise on persons 4 m away; it grows with [`error_scale`]. Beyond it the detection is wrong: counted as rejected, not averaged.
+    /// a detector's own noise on persons 4 m away; it grows with [`error_scale`]. Beyond it the detection is wrong: counted as
+    /// rejected, not averaged.
     pub explained_radius: f64,
 }
 

@@ -1,7 +1,7 @@
 //! Clusters of tracklets of one person, across views: agglomeration under approximate camera poses.
 
 use super::normalized::NormalizedView;
-use super::pair_score::{VOTE_RADIUS, error_scale, similarity};
+use super::pair_score::agreement;
 use super::tracklets::{Tracklet, longest};
 use crate::geometry::Rigid;
 use crate::geometry::epipolar::essential_from_pose;
@@ -63,8 +63,7 @@ fn affinities(
                 let sum: f64 = (0..n)
                     .map(|k| {
                         let (f, p, q) = shared[k * shared.len() / n];
-                        let (s, t) = (&views[v].frames[f][p], &views[w].frames[f][q]);
-                        similarity(&essential, s, t, VOTE_RADIUS * error_scale(s, t)) - NEUTRAL
+                        agreement(&essential, &views[v].frames[f][p], &views[w].frames[f][q]) - NEUTRAL
                     })
                     .sum();
                 if n == 0 { 0.0 } else { sum * shared.len() as f64 / n as f64 }

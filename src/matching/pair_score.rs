@@ -77,15 +77,18 @@ pub fn similarity(essential: &Matrix3<f64>, a: &NormalizedDetection, b: &Normali
     if n < MIN_SHARED { 0.0 } else { sum / n as f64 }
 }
 
+/// [`similarity`] within [`VOTE_RADIUS`] of the nearer detection.
+pub fn agreement(essential: &Matrix3<f64>, a: &NormalizedDetection, b: &NormalizedDetection) -> f64 {
+    similarity(essential, a, b, VOTE_RADIUS * error_scale(a, b))
+}
+
 /// The best one-to-one matches of every frame under an essential matrix, and their vote (0 to 1).
 pub fn vote<'a>(observations: &PairObservations<'a>, essential: &Matrix3<f64>) -> (Vec<MatchedPair<'a>>, f64) {
     let mut matches = Vec::new();
     let (mut sum, mut possible) = (0.0, 0.0);
     for (first, second) in &observations.frames {
-        let agreement = |a: &NormalizedDetection, b: &NormalizedDetection| {
-            similarity(essential, a, b, VOTE_RADIUS * error_scale(a, b))
-        };
-        let table: Vec<Vec<f64>> = first.iter().map(|a| second.iter().map(|b| agreement(a, b)).collect()).collect();
+        let table: Vec<Vec<f64>> =
+            first.iter().map(|a| second.iter().map(|b| agreement(essential, a, b)).collect()).collect();
         let columns = assign(first.len(), second.len(), 1.0 - MIN_SIMILARITY, |i, j| 1.0 - table[i][j]);
         for (i, column) in columns.iter().enumerate() {
             let Some(j) = *column else { continue };

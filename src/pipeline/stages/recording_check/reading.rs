@@ -115,10 +115,10 @@ impl Question<'_> {
         people.sort_by_key(|person| std::cmp::Reverse(person.points.len()));
         let mut found = Vec::new();
         for tracklet in tracklets.into_iter().take(N_TRACKLETS) {
+            let tolerance = TOLERANCE * tracklet.error_scale(view);
             for person in people.iter().take(N_PEOPLE) {
                 let points = correspondences(view, tracklet, person, late);
                 if points.len() >= MIN_POINTS {
-                    let tolerance = TOLERANCE * tracklet.error_scale(view);
                     found.extend(estimate_pose(&points, tolerance, SAMPLES, self.seed));
                 }
             }
