@@ -97,13 +97,18 @@ pub(super) fn too_few_people(solved: &Solved, found: &mut Vec<Suspicion>) {
     found.push(Suspicion { suggested_option, ..Suspicion::new(Code::PeopleLimit, Vec::new(), evidence, remedy) });
 }
 
-/// Steps that are too quick or too slow for their length, or movements that are too fast or too slow for people.
+/// Movements and steps that are too quick or too slow for people.
 pub(super) fn wrong_frame_rate(solved: &Solved, found: &mut Vec<Suspicion>) {
     let session = solved.session();
     let shown = steps(session.convention, solved.paths, session.fps);
-    let moved = motion_rate(session.convention, solved.paths, session.fps, shown);
+    // Runners are faster than the people of the statistics.
+    let runs = shown.is_some_and(|shown| shown.is_running);
+    let moved = motion_rate(session.convention, solved.paths, session.fps, shown).filter(|_| !runs);
     tracing::debug!(?shown, ?moved, "steps and movements of people");
-    let evidence = of_steps(session.fps, shown).or_else(|| of_movements(session.fps, shown, moved?));
+    let evidence = match moved {
+        Some(moved) => moved.is_wrong().then(|| of_movements(session.fps, moved)),
+        None => of_steps(session.fps, shown),
+    };
     let remedy = "give the frame rate of the videos (fps)";
     found.extend(evidence.map(|evidence| Suspicion::new(Code::FrameRate, Vec::new(), evidence, remedy)));
 }
@@ -121,15 +126,11 @@ fn of_steps(fps: f64, shown: Option<Steps>) -> Option<String> {
     ))
 }
 
-/// Runners are faster than the people of the statistics.
-fn of_movements(fps: f64, shown: Option<Steps>, moved: MotionRate) -> Option<String> {
-    let runs = shown.is_some_and(|shown| shown.is_running);
-    (moved.is_wrong() && !runs).then(|| {
-        format!(
-            "people move too {} for people: their speeds and accelerations suit {:.0} to {:.0} frames per second",
-            if moved.factor > 1.0 { "slowly" } else { "fast" },
-            fps * moved.range[0],
-            fps * moved.range[1]
-        )
-    })
+fn of_movements(fps: f64, moved: MotionRate) -> String {
+    format!(
+        "people move too {} for people: their speeds and accelerations suit {:.0} to {:.0} frames per second",
+        if moved.factor > 1.0 { "slowly" } else { "fast" },
+        fps * moved.range[0],
+        fps * moved.range[1]
+    )
 }

@@ -11,6 +11,7 @@
 //! - `handedness`: noses, toes and knees that point backwards
 //! - `frame_rate`: steps that are too quick or too slow for their length
 //! - `motion_rate`: people who move faster or slower than people do, with the statistics of `motion_statistics`
+//! - `gravity`: people who fall faster or slower than g, or whom no floor could push as they move
 //! - `takes`: cameras that show other people than the rest
 //!
 //! Each test compares with what the recording itself shows as usual, and returns a suspicion where the difference is large and
@@ -20,6 +21,7 @@ pub mod agreement;
 pub mod block_step;
 pub mod clock;
 pub mod frame_rate;
+pub mod gravity;
 pub mod handedness;
 pub mod labels;
 pub mod lens;

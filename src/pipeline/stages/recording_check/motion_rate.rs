@@ -3,9 +3,11 @@
 //! Speeds grow with the rate, accelerations with its square, and the times after which limbs swing back fall with it. Under each
 //! rate the statistics are compared with those of recorded motion (`motion_statistics`); the likeliest rate of right
 //! recordings is within 2 times of the true one for most (standard deviation of its logarithm 0.4). Unlike steps, this needs no
-//! walking; where people walk, the likelihood of their steps is added. People who do no more than breathe show nothing.
+//! walking; where people walk, the likelihood of their steps is added, and where they jump, that of `gravity`. People who do no more
+//! than breathe show nothing.
 
 use super::frame_rate::Steps;
+use super::gravity::Accelerations;
 use super::motion_statistics::{
     COMPONENTS, DIFFERENCE_SECS, FREEDOM, MEAN, N, OTHER, PARTS, SECOND_DIFFERENCE_SECS, USUAL_DISTANCE,
 };
@@ -16,15 +18,20 @@ use rayon::prelude::*;
 
 /// A rate is wrong where the likeliest one is more than this many times as high or low.
 const WRONG_FACTOR: f64 = 1.5;
-/// Logarithms of the likelihood ratio from which people move too fast, 400 to 1, and too slowly, 22,000 to 1: right rates are far more
-/// common than wrong ones, and slow movements are at anyone's choice: right recordings of slow dancers reach 8.
-const TOO_FAST: f64 = 6.0;
-const TOO_SLOW: f64 = 10.0;
+/// Logarithms of the ratio of posteriors from which people move too fast, 250 to 1, and too slowly, 13,000 to 1: right rates are far
+/// more common than wrong ones, and slow movements are at anyone's choice. None of 196 recordings goes beyond at its right rate.
+const TOO_FAST: f64 = 5.5;
+const TOO_SLOW: f64 = 9.5;
 
-/// Logarithms of the factors on the given rate that are compared: from a sixth to six times, in steps of a tenth.
-const N_RATES: i32 = 18;
+/// Frame rates of videos before people are seen: median and standard deviation of the logarithm. Nine of ten are between 15 (webcams)
+/// and 80 per second, most of them 24 to 60.
+const USUAL_FPS: f64 = 35.0;
+const FPS_SIGMA: f64 = 0.5;
+
+/// Logarithms of the factors on the given rate that are compared: from a sixth to 5.5 times, in steps of a tenth.
+const RATES: std::ops::RangeInclusive<i32> = -18..=17;
 const RATE_STEP: f64 = 0.1;
-/// Half the 95 % quantile of chi squared with one degree of freedom: factors within this of the best likelihood are possible.
+/// Half the 95 % quantile of chi squared with one degree of freedom: factors within this of the best posterior are possible.
 const POSSIBLE: f64 = 1.92;
 
 /// Fewer pairs of frames give no mean square.
@@ -40,14 +47,14 @@ type Series = Vec<Option<Vector3<f64>>>;
 /// What people's movements and steps show of the frame rate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MotionRate {
-    /// Factor on the given rate under which people move and step most like people.
+    /// The likeliest factor on the given rate: people move and step like people, at a usual frame rate.
     pub factor: f64,
     /// The smallest and the largest possible factor.
     pub range: [f64; 2],
-    /// Logarithm of the likelihood of the best factor over that of the given rate.
+    /// Logarithm of the posterior of that factor over that of the given rate.
     pub log_ratio: f64,
-    /// Whether people move like people under the best factor. Never under the largest one: people who stand still move too
-    /// little at any rate.
+    /// Whether people move like people under that factor. Never where their movements suit the largest one best: people who stand
+    /// still move too little at any rate.
     pub is_human: bool,
 }
 
@@ -59,7 +66,8 @@ impl MotionRate {
     }
 }
 
-/// The rate by the movements of all people, and their `steps` where there are any; `None` where the convention lacks hips, ankles or wrists, or there is little to see.
+/// The rate by the movements of all people, by gravity, and by their `steps` where there are any; `None` where the convention lacks hips, ankles or
+/// wrists, or there is little to see.
 pub fn motion_rate(
     convention: KeypointConvention,
     people: &[JointTrajectory],
@@ -72,23 +80,42 @@ pub fn motion_rate(
         return None;
     }
     let covariance = covariance();
+    let accelerations = Accelerations::of_people(convention, people);
     let squared_distance = |factor: f64| {
         let off = statistics(&parts, factor * fps)? - SVector::from(MEAN);
         Some(off.dot(&covariance.solve(&off)))
     };
     let log_likelihood = |factor: f64| {
         let of_movements = -0.5 * (FREEDOM + N as f64) * (squared_distance(factor)? / FREEDOM).ln_1p();
-        Some(steps.map_or(0.0, |steps| steps.log_likelihood(factor)) + of_movements)
+        let of_gravity = accelerations.as_ref().map_or(0.0, |a| a.log_likelihood(factor * fps));
+        let of_steps = steps.map_or(0.0, |steps| steps.log_likelihood(factor));
+        Some(of_movements + of_steps + of_gravity)
     };
-    let given = log_likelihood(1.0)?;
     let rate = |k: i32| (f64::from(k) * RATE_STEP).exp();
-    let rates = (-N_RATES..=N_RATES).into_par_iter().map(rate);
-    let compared: Vec<(f64, f64)> = rates.filter_map(|factor| Some((factor, log_likelihood(factor)?))).collect();
-    let (factor, best) = compared.iter().copied().max_by(|a, b| a.1.total_cmp(&b.1))?;
-    let possible = || compared.iter().filter(|(_, value)| *value > best - POSSIBLE).map(|(factor, _)| *factor);
+    let compared = RATES.into_par_iter().map(rate).filter_map(|factor| {
+        let likelihood = log_likelihood(factor)?;
+        Some(Compared { factor, likelihood, posterior: likelihood + log_prior(factor * fps) })
+    });
+    let compared: Vec<Compared> = compared.collect();
+    let best = |value: fn(&Compared) -> f64| compared.iter().max_by(|a, b| value(a).total_cmp(&value(b)));
+    let Compared { factor, posterior, .. } = *best(|compared| compared.posterior)?;
+    let possible = || compared.iter().filter(|other| other.posterior > posterior - POSSIBLE).map(|other| other.factor);
     let range = [possible().fold(factor, f64::min), possible().fold(factor, f64::max)];
-    let is_human = factor < rate(N_RATES) && squared_distance(factor)? < USUAL_DISTANCE;
-    Some(MotionRate { factor, range, log_ratio: best - given, is_human })
+    let moves = best(|compared| compared.likelihood)?.factor < rate(*RATES.end());
+    let is_human = moves && squared_distance(factor)? < USUAL_DISTANCE;
+    let given = log_likelihood(1.0)? + log_prior(fps);
+    Some(MotionRate { factor, range, log_ratio: posterior - given, is_human })
+}
+
+/// Logarithms of likelihood and posterior of a factor on the given rate.
+struct Compared {
+    factor: f64,
+    likelihood: f64,
+    posterior: f64,
+}
+
+fn log_prior(fps: f64) -> f64 {
+    -0.5 * ((fps / USUAL_FPS).ln() / FPS_SIGMA).powi(2)
 }
 
 fn covariance() -> Cholesky<f64, Const<N>> {

@@ -4,9 +4,9 @@
 //! playing, gymnastics, directing traffic, everyday chores), with noise of 3 to 12 mm as of a detector; every group counts the same. The
 //! covariance is that of the eight largest principal components, and [`OTHER`] beside them.
 //!
-//! Groups that were left out of the statistics are judged right in 98 % of their recordings at the right rate; the others show gymnasts,
-//! and people who run and jump all the time; these are known by their steps. A rate 2.5 times too high is recognised in 77 %, 4 times in 91 %,
-//! one 2.5 times too low in 10 %: people may be slow, and only their steps tell.
+//! By these statistics alone, groups that were left out of them are judged right in 98 % of their recordings at the right rate; the
+//! others show gymnasts, and people who run and jump all the time; these are known by their steps and flights. A rate 2.5 times too high
+//! is recognised in 77 %, 4 times in 91 %, one 2.5 times too low in 10 %: people may be slow.
 
 /// Parts whose change is measured: hips in the room, ankles and wrists from the hips.
 pub(super) const PARTS: usize = 3;

@@ -1,10 +1,12 @@
 //! Steps and movements show the frame rate.
 
 use super::frame_rate::{POSSIBLE_RATIOS, steps};
+use super::gravity::Accelerations;
 use super::motion_rate::{MotionRate, motion_rate};
 use crate::body::skeleton::KeypointConvention;
 use crate::session::{FrameIndex, JointTrajectory, PersonId};
 use crate::simulation::{MotionSource, Preset, SimulationConfig, simulate};
+use nalgebra::Vector3;
 
 /// Keypoints of simulated people, their convention and frame rate.
 fn people(config: &SimulationConfig) -> (Vec<JointTrajectory>, KeypointConvention, f64) {
@@ -60,7 +62,7 @@ fn people_who_stand_still_show_no_rate() {
         let first = person.points[0].clone();
         for (t, points) in person.points.iter_mut().enumerate() {
             let breath = 0.005 * (0.25 * std::f64::consts::TAU * t as f64 / fps).sin(); // 15 breaths a minute, 5 mm
-            *points = first.iter().map(|p| p.map(|p| p + nalgebra::Vector3::repeat(breath))).collect();
+            *points = first.iter().map(|p| p.map(|p| p + Vector3::repeat(breath))).collect();
         }
     }
     let shown = steps(convention, &people, fps);
@@ -83,4 +85,44 @@ fn runners_are_known_at_any_frame_rate() {
     let (walkers, convention, fps) =
         self::people(&SimulationConfig { frames: 300, ..SimulationConfig::preset(Preset::Easy) });
     assert!(steps(convention, &walkers, 2.0 * fps).is_some_and(|steps| !steps.is_running));
+}
+
+/// A person of stiff pose who goes up and down as `height` says, m by s.
+fn moving_up_and_down(height: impl Fn(f64) -> f64) -> (Vec<JointTrajectory>, KeypointConvention, f64) {
+    let (mut people, convention, fps) =
+        people(&SimulationConfig { people: 1, frames: 250, ..SimulationConfig::preset(Preset::Easy) });
+    let standing = people[0].points[0].clone();
+    let trunk = |part: &str| convention.sides_of(part).map(|[a, b]| standing[a].unwrap() + standing[b].unwrap());
+    let up = (trunk("shoulder").unwrap() - trunk("hip").unwrap()).normalize();
+    for (t, points) in people[0].points.iter_mut().enumerate() {
+        let moved = up * height(t as f64 / fps);
+        *points = standing.iter().map(|p| p.map(|p| p + moved)).collect();
+    }
+    (people, convention, fps)
+}
+
+/// Jumps of 0.5 s every 2 s: height from falls, $h = g t (T - t) / 2$.
+#[test]
+fn flights_show_the_frame_rate() {
+    let jumps = |secs: f64| {
+        let (t, flight) = (secs.rem_euclid(2.0), 0.5);
+        if t < flight { 0.5 * 9.81 * t * (flight - t) } else { 0.0 }
+    };
+    let (people, convention, fps) = moving_up_and_down(jumps);
+    let shown = Accelerations::of_people(convention, &people).unwrap();
+    assert_eq!([0.5, 0.7, 1.0, 1.4, 2.0].map(|rate| shown.n_flights(rate * fps)), [0, 0, 5, 0, 0]);
+    let strongest = |rate: f64| shown.strongest(rate * fps).unwrap();
+    assert!((0.8..1.0).contains(&strongest(1.0)) && strongest(1.4) > 1.5, "{} {}", strongest(1.0), strongest(1.4));
+    assert!(shown.log_likelihood(1.4 * fps) < shown.log_likelihood(fps) - 5.0);
+}
+
+/// Knees that bend 10 cm once a second: 2 m/s^2 at most, which four times the rate makes 32.
+#[test]
+fn no_floor_pulls_people_down() {
+    let (people, convention, fps) = moving_up_and_down(|secs| 0.05 * (secs * std::f64::consts::TAU).cos());
+    let shown = Accelerations::of_people(convention, &people).unwrap();
+    assert!(shown.strongest(fps).unwrap() < 0.25, "{:?}", shown.strongest(fps));
+    assert!(shown.strongest(4.0 * fps).unwrap() > 1.3, "{:?}", shown.strongest(4.0 * fps));
+    assert_eq!(shown.log_likelihood(fps), 0.0);
+    assert!(shown.log_likelihood(4.0 * fps) < -2.0);
 }
