@@ -100,7 +100,7 @@ impl Accelerations {
         windows.filter_map(|window| window.strongest).map(|a| a * fps * fps / G).reduce(f64::max)
     }
 
-    /// Flights of all people at a frame rate, up to [`MAX_FLIGHTS`].
+    /// Flights of all people at a frame rate, up to six.
     pub fn n_flights(&self, fps: f64) -> usize {
         let off = |window: &&Window| (window.frames as f64 / (FLIGHT_SECS * fps)).ln().abs();
         let window = self.windows.iter().min_by(|a, b| off(a).total_cmp(&off(b)));

@@ -11,7 +11,7 @@
 //! - `handedness`: noses, toes and knees that point backwards
 //! - `frame_rate`: steps that are too quick or too slow for their length
 //! - `motion_rate`: people who move faster or slower than people do, with the statistics of `motion_statistics`
-//! - `gravity`: people who fall faster or slower than g, or whom no floor could push as they move
+//! - `gravity`: people who fall faster or slower than g, or move as no floor could push them
 //! - `takes`: cameras that show other people than the rest
 //!
 //! Each test compares with what the recording itself shows as usual, and returns a suspicion where the difference is large and

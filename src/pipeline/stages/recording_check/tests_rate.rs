@@ -87,7 +87,7 @@ fn runners_are_known_at_any_frame_rate() {
     assert!(steps(convention, &walkers, 2.0 * fps).is_some_and(|steps| !steps.is_running));
 }
 
-/// A person of stiff pose who goes up and down as `height` says, m by s.
+/// A stiff person who goes up and down as `height` says, m by s.
 fn moving_up_and_down(height: impl Fn(f64) -> f64) -> (Vec<JointTrajectory>, KeypointConvention, f64) {
     let (mut people, convention, fps) =
         people(&SimulationConfig { people: 1, frames: 250, ..SimulationConfig::preset(Preset::Easy) });
