@@ -17,11 +17,11 @@ use rayon::prelude::*;
 /// A step of a camera's rotation counts from this angle, rad: 0.25 degrees move a person at 4 m by 17 mm, a detector's noise. Slow
 /// errors of two people turned a still camera by 0.17 degrees at 5 standard errors.
 const MIN_TURN: f64 = 0.0044;
-/// The same beside one person: its slow errors turn with it, and with no second person to average them still cameras seem to turn
-/// by up to 0.3 degrees at 10 standard errors (4 of 30 recordings).
-const MIN_TURN_ALONE: f64 = 0.006;
-/// People seen at a time, on average, below which one is alone.
-const ALONE: f64 = 1.5;
+/// The same beside one or two people: their slow errors turn with them, and with few to average them still cameras seem to turn by up
+/// to 0.3 degrees at 10 standard errors (4 of 30 recordings of one person, 1 of 80 of two). Knocks of 0.5 degrees show as 0.39 and more.
+const MIN_TURN_OF_FEW: f64 = 0.006;
+/// People seen at a time, on average, below which they are few.
+const FEW: f64 = 2.5;
 /// A step of a camera's clock counts from this size, frames: the smallest that a dropped frame leaves is one.
 const MIN_SLIP: f64 = 0.6;
 /// Standard errors from which a step is certain, against people as the others locate them.
@@ -35,7 +35,7 @@ const MIN_CAMERAS: usize = 4;
 
 /// The camera that was moved.
 pub(super) fn moved_camera(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
-    let min_turn = if n_people(&solved.people()) < ALONE { MIN_TURN_ALONE } else { MIN_TURN };
+    let min_turn = if n_people(&solved.people()) < FEW { MIN_TURN_OF_FEW } else { MIN_TURN };
     let Some((view, frame, step)) = largest_step(solved, found, turn, min_turn, progress)? else { return Ok(()) };
     let evidence = format!(
         "it moved during the recording: it turns by {:.2} degrees near frame {frame} ({:.0} standard errors)",
