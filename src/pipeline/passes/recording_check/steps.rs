@@ -18,8 +18,8 @@ use rayon::prelude::*;
 /// errors of two people turned a still camera by 0.17 degrees at 5 standard errors.
 const MIN_TURN: f64 = 0.0044;
 /// The same beside one or two people: their slow errors turn with them, and with few to average them still cameras seem to turn by up
-/// to 0.3 degrees at 10 standard errors (4 of 30 recordings of one person, 1 of 80 of two). Knocks of 0.5 degrees show as 0.39 and more.
-const MIN_TURN_OF_FEW: f64 = 0.006;
+/// to 0.3 degrees at 10 standard errors (4 of 30 recordings of one person, 1 of 80 of two). Knocks of 0.5 degrees show as 0.34 and more.
+const MIN_TURN_OF_FEW: f64 = 0.0054;
 /// People seen at a time, on average, below which they are few.
 const FEW: f64 = 2.5;
 /// A step of a camera's clock counts from this size, frames: the smallest that a dropped frame leaves is one.
