@@ -30,9 +30,9 @@ const TRAVEL_SECS: f64 = 0.25;
 const IN_FRONT_M: f64 = 0.12;
 /// Lengths of steps from place to place: shorter ones shuffle or turn, longer ones are runners' or jumps, or exchanged persons.
 const STEP_M: [f64; 2] = [0.3, 1.5];
-/// People whose steps are longer run: walkers' reach 0.9 m, whatever the frame rate. A single step may be a jump.
+/// People run where most steps are longer: walkers' reach 0.9 m, whatever the frame rate. A single step may be a jump.
 const RUNNING_STEP_M: f64 = 1.1;
-const MIN_RUNNING_STEPS: usize = 3;
+const MIN_RUNNING_STEPS: usize = 2;
 
 /// Steps of all people.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,8 +69,11 @@ pub fn steps(convention: KeypointConvention, people: &[JointTrajectory], fps: f6
             person.points.iter().map(|points| at(points, ankles).map(|(a, b)| level(a - b))).collect();
         steps.extend(steps_of_person(&middle, &spread, fps));
     }
-    let length = median(&mut steps.iter().map(|(length, _)| *length).collect::<Vec<_>>())?;
-    let is_running = steps.len() >= MIN_RUNNING_STEPS && length > RUNNING_STEP_M;
+    if steps.is_empty() {
+        return None;
+    }
+    let n_long = steps.iter().filter(|(length, _)| *length > RUNNING_STEP_M).count();
+    let is_running = n_long >= MIN_RUNNING_STEPS && 2 * n_long > steps.len();
     let usual = steps.iter().filter(|(length, _)| *length < STEP_M[1]);
     let mut ratios: Vec<f64> = usual.map(|(length, secs)| length * secs).collect();
     Some(Steps { n: ratios.len(), ratio: median(&mut ratios).unwrap_or(USUAL_RATIO), is_running })

@@ -87,6 +87,23 @@ fn runners_are_known_at_any_frame_rate() {
     assert!(steps(convention, &walkers, 2.0 * fps).is_some_and(|steps| !steps.is_running));
 }
 
+/// A runner who crossed the images in 1.5 s was too fast for people.
+#[test]
+fn two_steps_of_a_runner_were_too_few() {
+    let running = SimulationConfig {
+        people: 1,
+        frames: 120,
+        motion: MotionSource::Running { speed: 6.0 },
+        ..SimulationConfig::preset(Preset::Easy)
+    };
+    let (mut people, convention, fps) = people(&running);
+    let n_steps = |people: &[JointTrajectory]| steps(convention, people, fps).map_or(0, |steps| steps.n);
+    while n_steps(&people) > 2 {
+        people[0].points.pop();
+    }
+    assert!(steps(convention, &people, fps).is_some_and(|steps| steps.is_running));
+}
+
 /// A stiff person who goes up and down as `height` says, m by s.
 fn moving_up_and_down(height: impl Fn(f64) -> f64) -> (Vec<JointTrajectory>, KeypointConvention, f64) {
     let (mut people, convention, fps) =
