@@ -10,7 +10,8 @@ use nalgebra::Vector2;
 const MIN_POINTS: usize = 200;
 /// Share of points that a detector may place outside its image.
 const OUTSIDE: f64 = 0.05;
-/// If all people stay within this share of the image's width and height, the image probably has half the size.
+/// If all people stay within this share of the image's width and height, the image probably has half the size, unless they are nearer to
+/// its middle than to that of its upper left quarter: cameras are aimed at people.
 const NEAR_ORIGIN: f64 = 0.55;
 /// Coordinates below this are no pixels of an image of at least [`LEAST_WIDTH`] px: people fill more than its corner.
 const UNIT_RANGE: f64 = 2.0;
@@ -93,7 +94,8 @@ fn of_keypoints(view: &View, size: Vector2<f64>) -> Option<Found> {
         let remedy = "does the calibration belong to another resolution?";
         return Some(Found { image_scale, ..Found::new(SuspicionCode::Resolution, evidence, remedy) });
     }
-    holds_all(NEAR_ORIGIN * size).then(|| {
+    let middle = pixels.iter().sum::<Vector2<f64>>().component_div(&size) / n as f64;
+    (holds_all(NEAR_ORIGIN * size) && middle.sum() < 0.75).then(|| {
         let evidence = "all its keypoints lie in the upper left quarter".to_owned();
         let remedy = "were they detected at half the calibration's resolution?";
         Found { image_scale, ..Found::new(SuspicionCode::Resolution, evidence, remedy) }

@@ -83,6 +83,15 @@ fn names_wrong_coordinates() {
     assert_eq!(found(|s| pixels(s, |p| Vector2::new(p.y, 1279.0 - p.x))), second(Code::Rotated));
 }
 
+/// A person who stood far away in the middle of an image was taken for one in an image of half the size.
+#[test]
+fn a_small_person_in_the_middle_needs_no_smaller_image() {
+    let far = |p: Vector2<f64>| Vector2::new(640.0, 330.0) + 0.08 * (p - Vector2::new(640.0, 360.0));
+    assert_eq!(found(|s| pixels(s, far)), []);
+    let of_half = |p: Vector2<f64>| Vector2::new(320.0, 165.0) + 0.04 * (p - Vector2::new(640.0, 360.0));
+    assert_eq!(found(|s| pixels(s, of_half)), second(Code::Resolution));
+}
+
 #[test]
 fn names_a_wrong_principal_point() {
     let lens = |change: fn(&mut Intrinsics)| found(|s| change(&mut s.views[1].intrinsics));
