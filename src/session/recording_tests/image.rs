@@ -94,6 +94,7 @@ fn of_keypoints(view: &View, size: Vector2<f64>) -> Option<Found> {
         let remedy = "does the calibration belong to another resolution?";
         return Some(Found { image_scale, ..Found::new(SuspicionCode::Resolution, evidence, remedy) });
     }
+    // Halfway, along the diagonal, between the middles of the quarter and of the image.
     let middle = pixels.iter().sum::<Vector2<f64>>().component_div(&size) / n as f64;
     (holds_all(NEAR_ORIGIN * size) && middle.sum() < 0.75).then(|| {
         let evidence = "all its keypoints lie in the upper left quarter".to_owned();

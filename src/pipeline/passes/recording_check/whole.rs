@@ -103,7 +103,7 @@ pub(super) fn wrong_frame_rate(solved: &Solved, found: &mut Vec<Suspicion>) {
     let shown = steps(session.convention, solved.paths, session.fps);
     // Runners are faster than the people of the statistics.
     let runs = shown.is_some_and(|shown| shown.is_running);
-    let moved = motion_rate(session.convention, solved.paths, session.fps, shown).filter(|_| !runs);
+    let moved = if runs { None } else { motion_rate(session.convention, solved.paths, session.fps, shown) };
     tracing::debug!(?shown, ?moved, "steps and movements of people");
     let evidence = match moved {
         Some(moved) => moved.is_wrong().then(|| of_movements(session.fps, moved)),

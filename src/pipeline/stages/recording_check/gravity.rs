@@ -67,7 +67,7 @@ struct Acceleration {
 }
 
 impl Accelerations {
-    /// Of all people; `None` where the convention lacks a keypoint that carries mass, or people are not upright.
+    /// Of all people; `None` where the convention lacks a keypoint that carries mass, or shows no trunk.
     pub fn of_people(convention: KeypointConvention, people: &[JointTrajectory]) -> Option<Self> {
         let up = upward(convention, people)?;
         let shares: Vec<([usize; 2], f64)> = MASS_SHARES

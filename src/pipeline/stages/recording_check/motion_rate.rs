@@ -66,8 +66,8 @@ impl MotionRate {
     }
 }
 
-/// The rate by the movements of all people, by gravity, and by their `steps` where there are any; `None` where the convention lacks hips, ankles or
-/// wrists, or there is little to see.
+/// The rate by the movements of all people, by gravity, and by their `steps` where there are any; `None` where the convention lacks
+/// hips, ankles or wrists, or there is little to see.
 pub fn motion_rate(
     convention: KeypointConvention,
     people: &[JointTrajectory],
