@@ -9,7 +9,7 @@ use super::stages::association::identities;
 use super::stages::body_fit::{
     BodyFitConfig, FittedBodies, KnownCameras, fit_bodies, fitted_statures, landmark_trajectory,
 };
-use super::stages::fit_statistics::FitStatistics;
+use super::stages::fit_statistics::{FitStatistics, uncertain_frames};
 use super::stages::hand_association::associated_hands;
 use super::stages::hand_fit::fit_hands;
 use super::stages::joint_trajectories::joint_trajectories;
@@ -195,9 +195,8 @@ impl Solution {
         }
         let shown = TrackedPeople { tracks: &kept, ..self.calibration.people(&session, &self.trajectories) };
         let statistics = FitStatistics::new(&shown, camera_covariance.as_ref());
-        let mut report = Report { detector, ..self.report(capture, &shown, &statistics, penetration) };
-        for ((person, motion), measures) in report.people.iter_mut().zip(&motions).zip(measures) {
-            person.joint_sigma_mm = joint_sigma(motion);
+        let mut report = Report { detector, ..self.report(capture, &shown, &motions, &statistics, penetration) };
+        for (person, measures) in report.people.iter_mut().zip(measures) {
             person.body = Some(measures);
         }
         for (person, hands) in report.people.iter_mut().zip(hand_reports) {
@@ -300,15 +299,20 @@ impl Solution {
     fn report(
         &self,
         capture: &Capture,
-        people: &TrackedPeople,
+        tracked: &TrackedPeople,
+        motions: &[BodyMotion],
         statistics: &FitStatistics,
         penetration: PenetrationReport,
     ) -> Report {
         let session = capture.session;
-        let geometry = statistics.geometry_report(people.points);
-        let mut cameras = statistics.camera_reports(people);
+        let geometry = statistics.geometry_report(tracked.points);
+        let mut cameras = statistics.camera_reports(tracked);
         self.calibration.excluded.iter().for_each(|&view| cameras[view].excluded = true);
-        let people = statistics.person_reports(people, &capture.bones);
+        let mut people = statistics.person_reports(tracked, &capture.bones);
+        for ((person, track), motion) in people.iter_mut().zip(tracked.tracks).zip(motions) {
+            person.joint_sigma_mm = joint_sigma(motion);
+            person.uncertain_frames = uncertain_frames(session, track, motion);
+        }
         let n_detections: usize = cameras.iter().map(|c| c.n_detections).sum();
         let n_rejected: usize = cameras.iter().map(|c| c.n_rejected_detections).sum();
         let adjusted = self.calibration.adjusted.as_ref();

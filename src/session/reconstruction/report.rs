@@ -167,6 +167,9 @@ pub struct PersonReport {
     /// whole scene. `None` where the session does not show it.
     #[serde(default)]
     pub joint_sigma_mm: Option<SigmaSummary>,
+    /// Stretches of frames in which the joints are uncertain, ascending.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub uncertain_frames: Vec<UncertainFrames>,
     /// Stature and mass of the fitted body; the sigmas include that of the scale. `None` in results of versions without it.
     #[serde(default)]
     pub body: Option<BodyMeasures>,
@@ -185,6 +188,25 @@ pub struct PersonReport {
     /// Statistics of the hands, where they were fitted.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub hands: Vec<HandReport>,
+}
+
+/// Successive frames of at least a second in which half of a person's joints are uncertain by more than
+/// [`BOUND_MM`](Self::BOUND_MM): mostly where a single camera shows the person, or none.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct UncertainFrames {
+    /// First frame number.
+    pub first_frame: i64,
+    /// Last frame number.
+    pub last_frame: i64,
+    /// Median over frames and joints of the joints' standard deviation, mm, three axes together.
+    pub joint_sigma_mm: f64,
+    /// Cameras that show the person in more than half of the frames.
+    pub cameras: Vec<String>,
+}
+
+impl UncertainFrames {
+    /// Standard deviation of a point of the body from which poses are uncertain, mm: a bent arm looks like a straight one.
+    pub const BOUND_MM: f64 = 80.0;
 }
 
 /// Statistics of one hand of one person.

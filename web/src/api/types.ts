@@ -158,6 +158,8 @@ export interface Report {
     share_in_two_views?: number
     sigma_mm?: SigmaSummary | null
     joint_sigma_mm?: SigmaSummary | null
+    /** Stretches in which half of the joints are uncertain by more than 80 mm; absent where there are none. */
+    uncertain_frames?: { first_frame: number; last_frame: number; joint_sigma_mm: number; cameras: string[] }[]
     /** Of the fitted body; the sigmas include the uncertainty of the scale. */
     body?: {
       stature_m: number

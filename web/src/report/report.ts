@@ -97,11 +97,15 @@ function withSign(text: string) {
 }
 
 function peopleTable(report: Report) {
-  return table('People', ['Person', 'Frames', 'Seen by 2+ cameras', 'Median error', 'Mean error', 'Keypoint sigma', 'Joint sigma', 'Bone length variation', 'Mean acceleration', 'Detections'],
+  return table('People', ['Person', 'Frames', 'Seen by 2+ cameras', 'Median error', 'Mean error', 'Keypoint sigma', 'Joint sigma', 'Uncertain frames', 'Bone length variation', 'Mean acceleration', 'Detections'],
     report.people.map((person) => [`Person ${person.id}`, `${person.first_frame} to ${person.last_frame}`,
       percent(person.share_in_two_views), px(person.reprojection_px?.median, 2), px(person.reprojection_px?.mean, 2),
-      withSign(millimetres(person.sigma_mm?.median)), withSign(millimetres(person.joint_sigma_mm?.median)), percent(person.bone_length_spread, 1),
+      withSign(millimetres(person.sigma_mm?.median)), withSign(millimetres(person.joint_sigma_mm?.median)), uncertainFrames(person), percent(person.bone_length_spread, 1),
       acceleration(person.jitter_m_per_s2), person.n_detections]))
+}
+
+function uncertainFrames({ uncertain_frames }: Report['people'][number]) {
+  return uncertain_frames?.map(({ first_frame, last_frame }) => `${first_frame} to ${last_frame}`).join(', ') ?? NOTHING
 }
 
 /** Per keypoint: median reprojection error at the distance of the body, and standard deviation of the 3D position. */

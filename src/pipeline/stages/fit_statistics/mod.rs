@@ -7,6 +7,7 @@
 //! limits: errors of different views are taken as independent, and a bias that all views share does not show.
 
 mod reprojections;
+mod uncertain_frames;
 
 use crate::body::bones::LimbBone;
 use crate::body::keypoint_accelerations::{acceleration_density, second_difference_variance};
@@ -21,6 +22,7 @@ use crate::session::recording::Session;
 use crate::session::{Detection, FrameIndex, JointTrajectory, Keypoint};
 use nalgebra::Vector3;
 use reprojections::{KeypointStatistics, Misfits, PersonStatistics, people_statistics};
+pub use uncertain_frames::uncertain_frames;
 
 /// Errors of a result against the detections.
 #[derive(Debug, Clone)]
@@ -104,6 +106,7 @@ impl FitStatistics {
                 share_in_two_views: statistics.share_in_two_views,
                 sigma_mm: sigmas_mm(statistics.keypoints.iter().zip(&self.rays)),
                 joint_sigma_mm: None,
+                uncertain_frames: Vec::new(),
                 body: None,
                 ray_angle_deg: median_ray_angle_deg(statistics.keypoints.iter()),
                 dilution: median_dilution(statistics.keypoints.iter()),

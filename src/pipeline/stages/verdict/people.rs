@@ -3,14 +3,13 @@
 use super::geometry::RAY_ANGLE_DEG;
 use super::input::VerdictInput;
 use super::reason::{Bounds, Reason};
-use crate::session::reconstruction::{KeypointReport, PersonReport, Verdict};
+use crate::session::reconstruction::{KeypointReport, PersonReport, UncertainFrames, Verdict};
 
 /// Share of a person's frames in which two cameras see them; the rest depends on one ray and on smoothness.
 const IN_TWO_VIEWS: Bounds = Bounds { warn: 0.6, reject: 0.2 };
 
-/// Median standard deviation of a person's keypoints in space, mm. Four cameras all around and a detector of 20 mm give 22;
-/// at 80 a bent arm looks like a straight one.
-const SIGMA_MM: Bounds = Bounds { warn: 80.0, reject: 250.0 };
+/// Median standard deviation of a person's keypoints in space, mm. Four cameras all around and a detector of 20 mm give 22.
+const SIGMA_MM: Bounds = Bounds { warn: UncertainFrames::BOUND_MM, reject: 250.0 };
 
 /// Share of a keypoint's detections that contradict the result: outliers of detectors are 0.05, hidden keypoints 0.3.
 const REJECTED_WARN: f64 = 0.4;
@@ -28,8 +27,16 @@ const JITTER_WARN: f64 = 25.0;
 const PENETRATION_WARN_MM: f64 = 60.0;
 
 pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
-    let of_person =
-        |person| [hardly_seen(person), uncertain(person), contradicted(person), stretching(person), shaking(person)];
+    let of_person = |person| {
+        [
+            hardly_seen(person),
+            uncertain(person),
+            uncertain_for_a_while(person),
+            contradicted(person),
+            stretching(person),
+            shaking(person),
+        ]
+    };
     let mut of_each: Vec<Vec<Reason>> =
         input.people.iter().map(|person| of_person(person).into_iter().flatten().collect()).collect();
     let is_rejected = |reasons: &Vec<Reason>| reasons.iter().any(|reason| reason.verdict == Verdict::Reject);
@@ -74,6 +81,29 @@ fn uncertain(person: &PersonReport) -> Option<Reason> {
         SIGMA_MM.warn
     );
     Some(Reason { verdict, text })
+}
+
+/// The longest stretch of uncertain frames, with the number of the others.
+fn uncertain_for_a_while(person: &PersonReport) -> Option<Reason> {
+    let longest = person.uncertain_frames.iter().max_by_key(|stretch| stretch.last_frame - stretch.first_frame)?;
+    let UncertainFrames { first_frame, last_frame, joint_sigma_mm, cameras } = longest;
+    let shown_by = match cameras.as_slice() {
+        [] => "no camera shows".to_owned(),
+        [camera] => format!("camera {camera} alone shows"),
+        cameras => format!("cameras {} show", cameras.join(", ")),
+    };
+    let others = match person.uncertain_frames.len() - 1 {
+        0 => String::new(),
+        1 => " (and in 1 other stretch)".to_owned(),
+        n => format!(" (and in {n} other stretches)"),
+    };
+    Some(Reason::warn(format!(
+        "the joints of person {} are uncertain by {joint_sigma_mm:.0} mm in frames {first_frame} to {last_frame}{others}, \
+         where {shown_by} this person (expected below {} mm); do not use these frames unchecked, and aim another camera at \
+         that place",
+        person.id,
+        UncertainFrames::BOUND_MM
+    )))
 }
 
 fn contradicted(person: &PersonReport) -> Option<Reason> {

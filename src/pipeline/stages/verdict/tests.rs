@@ -3,6 +3,7 @@
 use super::*;
 use crate::session::reconstruction::{
     CameraReport, ErrorSummary, GeometryReport, KeypointReport, Overlap, PenetrationReport, PersonReport, SigmaSummary,
+    UncertainFrames,
 };
 use crate::session::{Suspicion, SuspicionCode};
 
@@ -62,6 +63,7 @@ fn person(id: usize) -> PersonReport {
         share_in_two_views: 0.95,
         sigma_mm: Some(SigmaSummary { median: 20.0, p95: 40.0 }),
         joint_sigma_mm: Some(SigmaSummary { median: 15.0, p95: 30.0 }),
+        uncertain_frames: Vec::new(),
         body: None,
         ray_angle_deg: Some(80.0),
         dilution: Some(1.3),
@@ -208,6 +210,23 @@ fn names_a_person_seen_by_single_cameras() {
     assert_reason(Verdict::Reject, &words, |input| {
         input.people.remove(0);
         input.people[0].share_in_two_views = 0.1;
+    });
+}
+
+/// A capture of three cameras had been a `pass` with a person 0.4 m off for the two seconds that one of them showed.
+#[test]
+fn names_frames_that_one_camera_alone_shows() {
+    let stretch = |first_frame, last_frame, cameras: &[&str]| UncertainFrames {
+        first_frame,
+        last_frame,
+        joint_sigma_mm: 143.2,
+        cameras: cameras.iter().map(|id| (*id).to_owned()).collect(),
+    };
+    let words = ["person 1", "143 mm", "frames 202 to 255, where camera cam2 alone shows", "aim another camera"];
+    assert_reason(Verdict::Warn, &words, |input| input.people[1].uncertain_frames = vec![stretch(202, 255, &["cam2"])]);
+    let words = ["frames 150 to 170 (and in 1 other stretch), where no camera shows", "aim another camera"];
+    assert_reason(Verdict::Warn, &words, |input| {
+        input.people[0].uncertain_frames = vec![stretch(120, 139, &["cam0", "cam1"]), stretch(150, 170, &[])];
     });
 }
 
