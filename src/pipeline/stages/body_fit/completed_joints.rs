@@ -8,21 +8,28 @@ use crate::residuals::rotation_likelihood::RotationGaussian;
 /// What the motion prior states about the unseen joints of a window.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct GapCompletion {
-    /// By frame: joint, and the Gaussian over its rotation on the body.
+    /// By frame: joint that no keypoint shows, and the Gaussian over its rotation on the body.
     pub frames: Vec<Vec<(usize, RotationGaussian)>>,
+    /// The same of joints that one camera alone shows.
+    pub guided: Vec<Vec<(usize, RotationGaussian)>>,
 }
 
 impl GapCompletion {
-    /// The motion with the mean rotations of the completed joints.
+    /// The motion with the mean rotations of the completed and guided joints.
     pub(super) fn applied_to(&self, mut state: MotionState) -> MotionState {
         for (frame, pose) in state.poses.iter_mut().enumerate() {
-            *pose = self.completed(frame, pose).unwrap_or(*pose);
+            self.stated(frame).for_each(|(joint, gaussian)| pose.rotations[*joint] = gaussian.mean);
         }
         state
     }
 
+    /// All that is stated of a frame.
+    pub(crate) fn stated(&self, frame: usize) -> impl Iterator<Item = &(usize, RotationGaussian)> {
+        [&self.frames, &self.guided].into_iter().filter_map(move |frames| frames.get(frame)).flatten()
+    }
+
     /// A frame's pose with the mean rotations of the completed joints; `None` without such joints.
-    pub(crate) fn completed(&self, frame: usize, pose: &Pose) -> Option<Pose> {
+    fn completed(&self, frame: usize, pose: &Pose) -> Option<Pose> {
         let joints = self.frames.get(frame).filter(|joints| !joints.is_empty())?;
         let mut completed = *pose;
         joints.iter().for_each(|(joint, gaussian)| completed.rotations[*joint] = gaussian.mean);

@@ -1,9 +1,11 @@
-//! Joints that no camera shows for a while, completed by the motion prior from the rest of a fitted motion.
+//! Joints that no camera shows for a while, completed by the motion prior from the rest of a fitted motion; and joints that one camera
+//! alone shows, which leaves their side in depth open, guided by it.
 
 use super::completed_joints::GapCompletion;
 use super::context::FitContext;
 use super::gaps::{MIN_GAP, gaps};
 use super::observations::Observations;
+use super::single_camera::SingleCamera;
 use super::terms::unknowns::MotionState;
 use crate::body::kinematics::{Pose, landmark_position, moving_joints, posed};
 use crate::body::mocap_skeleton::retargeted;
@@ -28,22 +30,31 @@ pub(super) enum Purpose {
     FromRough,
     /// A fit from a good motion. What the network states is a whole motion, which the smoothness terms only join to the seen frames.
     FromGood,
-    /// Standard deviations: errors of the prior have a correlation time of some ten frames to each side, at 30 frames a second.
+    /// Standard deviations.
     Uncertainty,
 }
 
+/// Errors of the prior last some ten frames to each side, at 30 frames a second.
+const INDEPENDENT: f64 = 0.05;
+
 impl Purpose {
+    /// Of completed joints.
     fn share(self) -> f64 {
         match self {
             Self::FromRough => 6e-5,
             Self::FromGood => 10.0,
-            Self::Uncertainty => 0.05,
+            Self::Uncertainty => INDEPENDENT,
         }
+    }
+
+    /// Of guided joints, for which pixels speak as well.
+    fn share_of_guided(self) -> f64 {
+        if self == Self::FromRough { self.share() } else { INDEPENDENT }
     }
 }
 
-/// Completes the joints that no keypoint shows for [`MIN_GAP`] or longer, but some keypoint shows elsewhere in the window;
-/// `None` if there are none.
+/// Completes the joints that no keypoint shows for [`MIN_GAP`] or longer, but some keypoint shows elsewhere in the window, and guides
+/// those that one camera alone shows as long; `None` if there are none of either.
 pub(super) fn completed_gaps(
     context: &FitContext,
     observations: &Observations,
@@ -69,7 +80,8 @@ pub(super) fn completed_gaps(
             }
         }
     }
-    if !is_completed.iter().flatten().any(|is_completed| *is_completed) {
+    let is_guided = guided(context, observations, &mut sigma);
+    if !is_completed.iter().chain(&is_guided).flatten().any(|is_stated| *is_stated) {
         return None;
     }
     let turns = &context.model.mocap_from_body;
@@ -84,16 +96,55 @@ pub(super) fn completed_gaps(
         Purpose::FromRough => prior.bridged(motion),
         Purpose::FromGood | Purpose::Uncertainty => prior.completed(motion),
     });
-    let on_body = |frame: usize, described: usize| {
+    let on_body = |frame: usize, described: usize, share: f64| {
         let joint = DESCRIBED_JOINTS[described];
         let mean = retargeted(&found.rotations[frame][joint], joint, turns);
-        let own = turns[joint].tr_mul(&found.precision[frame][described]) * turns[joint] * purpose.share();
+        let own = turns[joint].tr_mul(&found.precision[frame][described]) * turns[joint] * share;
         (joint, RotationGaussian { mean: if joint == 0 { up.tr_mul(&mean) } else { mean }, precision: own })
     };
-    let completed = |(frame, row): (usize, &[bool; N_DESCRIBED])| {
-        (0..N_DESCRIBED).filter(|&described| row[described]).map(|described| on_body(frame, described)).collect()
+    let stated = |wanted: &[[bool; N_DESCRIBED]], share: f64| -> Vec<Vec<(usize, RotationGaussian)>> {
+        let of_frame = |(frame, row): (usize, &[bool; N_DESCRIBED])| {
+            (0..N_DESCRIBED)
+                .filter(|&described| row[described])
+                .map(|described| on_body(frame, described, share))
+                .collect()
+        };
+        wanted.iter().enumerate().map(of_frame).collect()
     };
-    Some(GapCompletion { frames: is_completed.iter().enumerate().map(completed).collect() })
+    Some(GapCompletion {
+        frames: stated(&is_completed, purpose.share()),
+        guided: stated(&is_guided, purpose.share_of_guided()),
+    })
+}
+
+/// The joints of bones that one camera alone shows for [`MIN_GAP`] or longer, but several elsewhere in the window, by frame; they become
+/// unseen in `sigma`.
+fn guided(
+    context: &FitContext,
+    observations: &Observations,
+    sigma: &mut [[f64; N_DESCRIBED]],
+) -> Vec<[bool; N_DESCRIBED]> {
+    let mut is_guided = vec![[false; N_DESCRIBED]; sigma.len()];
+    if observations.cameras.len() < 2 {
+        return is_guided;
+    }
+    let alone = SingleCamera::new(context.model, observations, context.frame_interval);
+    for (described, joint) in DESCRIBED_JOINTS.into_iter().enumerate() {
+        let is_sure = |(frame, row): (usize, &[f64; N_DESCRIBED])| {
+            row[described].is_infinite() || !alone.shows_bone(frame, joint)
+        };
+        let sure: Vec<bool> = sigma.iter().enumerate().map(is_sure).collect();
+        if !sigma.iter().zip(&sure).any(|(row, sure)| *sure && row[described].is_finite()) {
+            continue;
+        }
+        for run in gaps(&sure).into_iter().filter(|run| run.len() as f64 * context.frame_interval >= MIN_GAP) {
+            for frame in run {
+                is_guided[frame][described] = true;
+                sigma[frame][described] = f64::INFINITY;
+            }
+        }
+    }
+    is_guided
 }
 
 /// How well keypoints determine each joint's rotation, rad per axis: keypoints that it moves, each with the error of a

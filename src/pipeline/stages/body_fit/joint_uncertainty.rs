@@ -7,9 +7,10 @@
 //! with `J = dx/d(frame)`, `Z` the frame's block of the inverse of the motion's system, and `R = dx/d(border) + J X` the movement
 //! by an unknown that all frames share while the frames follow it by `X = -H_ff^-1 H_fb`: by the betas, whose covariance `C_b` is
 //! that of the window; by proportions that the betas do not span, which the fit leaves out (bone offsets of standard deviation
-//! `sigma`); and by the cameras. What bodies define differently is added. `f = n / (n - p)`: n equations a frame determine p
-//! unknowns, and leave residuals, by which errors are measured, smaller than these. What no view sees is as uncertain as smoothness
-//! and the pose prior leave it. Collision resolution is left out.
+//! `sigma`); and by the cameras. What one camera alone shows is less sure than that: keypoints share errors, which other cameras would
+//! show, and bones may be mirrored in depth ([`super::single_camera`]). What bodies define differently is added. `f = n / (n - p)`: n
+//! equations a frame determine p unknowns, and leave residuals, by which errors are measured, smaller than these. What no view sees is
+//! as uncertain as smoothness and the pose prior leave it. Collision resolution is left out.
 //!
 //! Standard deviations change no faster than poses: they are those of every few frames, whose pixels count for those of the frames
 //! between, and linear between them.
@@ -21,7 +22,8 @@ use super::motion_problem::MotionProblem;
 use super::objective::Objective;
 use super::person_fit::windows;
 use super::person_motion::PersonFit;
-use super::pixel_residuals::{DetectedPixels, variance_per_residual};
+use super::pixel_residuals::{DetectedPixels, shared_error_variance, variance_per_residual};
+use super::single_camera::SingleCamera;
 use super::terms::camera_unknowns::CameraUnknowns;
 use super::terms::unknowns::{CameraColumns, MotionState, Shape, TRANSLATION_GROUP, Unknowns};
 use super::thinned_motion::rough_stride;
@@ -79,10 +81,14 @@ fn window_uncertainty(
     let whole = &person.fitted.state;
     let poses = whole.poses[frames.clone()].iter().step_by(stride).copied().collect();
     let state = MotionState { betas: whole.betas, poses };
+    let slow = context.noise.map_or(0.0, |noise| noise.typical().autocorrelation);
     let noise = context.noise.map(|noise| noise.thinned(stride));
     let frame_interval = stride as f64 * context.frame_interval;
     let context = &FitContext { noise: noise.as_ref(), frame_interval, ..*context };
     let pixels = DetectedPixels::new(context, &observations, &state);
+    let DetectedPixels::Correlated(paths) = &pixels else { return None };
+    let shared = shared_error_variance(paths.landmarks.len(), slow);
+    let alone = SingleCamera::new(context.model, &observations, frame_interval);
     let table = OffsetTable::empty(context.model);
     let objective = Objective::new(context, context.config, &observations, pixels.source(), Shape::Free);
     let n_cameras = cameras.map_or(0, CameraCovariance::n_cameras);
@@ -108,13 +114,16 @@ fn window_uncertainty(
             joints_by_border(unknowns, &joints_by_betas(context.model, &skeleton), &skeleton) + &by_frame * response;
         let of_pose = variances(&by_frame, of_frame);
         let of_shape = variances(&by_border.columns_range(border.betas()).into_owned(), &of_betas);
+        let of_sides = alone.mirrored_variances(t, &skeleton);
+        let of_sharing = if alone.shows_person(t) { shared } else { 1.0 };
         let mut by_cameras = Vec::with_capacity(N_JOINTS);
         for joint in 0..N_JOINTS {
             let rows = by_border.fixed_rows::<3>(3 * joint);
             let of_bones = BONE_SIGMA * BONE_SIGMA * rows.columns_range(border.bones()).norm_squared();
             let of_definition = 3.0 * definition_sigma(joint).powi(2);
             by_cameras.push((skeleton.joints[joint], rows.columns_range(border.camera_columns()).into_owned()));
-            sigmas[t][joint] = errors * (of_pose[joint] + of_shape[joint]) + of_bones + of_definition;
+            let of_errors = errors * (of_sharing * of_pose[joint] + of_shape[joint]);
+            sigmas[t][joint] = of_errors + of_sides[joint] + of_bones + of_definition;
         }
         let of_cameras = cameras.map_or_else(|| vec![0.0; N_JOINTS], |cameras| cameras.point_variances(&by_cameras));
         for (sigma, of_cameras) in sigmas[t].iter_mut().zip(of_cameras) {

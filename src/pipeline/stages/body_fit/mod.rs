@@ -19,7 +19,7 @@
 //! | `keypoint_bias`, `session_bias` | the detector's offsets, with the cameras held |
 //! | `camera_adjustment`, `noise_measurement` | cameras and motions together, under errors correlated in time |
 //! | `stated_covariances` | how far the covariances that a detector states decide |
-//! | `joint_uncertainty` | standard deviations of the joints |
+//! | `joint_uncertainty`, `single_camera` | standard deviations of the joints; what one camera alone leaves open |
 //! | `collision_resolution`, `capsule_overlaps` | overlaps between bodies |
 //! | `person_motion` | a fit on the session's time line, its published motion and statistics |
 
@@ -52,6 +52,7 @@ mod person_motion;
 mod pixel_residuals;
 mod session_bias;
 mod session_state;
+mod single_camera;
 mod stated_covariances;
 mod terms;
 #[cfg(test)]

@@ -14,11 +14,10 @@
 //!   White 1985), as many as there are over the design effect;
 //! - `1 + rho p / (n - p)` for a person's n equations a frame: a motion of p unknowns a frame follows errors that are as slow as it,
 //!   of which it leaves `(n - p) / n`, but not those that change from frame to frame;
-//! - `(1 + s (m - 1)) / (1 - s)`, the design effect (Kish 1965) of m landmarks of one region whose errors correlate by `s = 0.25 rho`,
-//!   with the measured autocorrelation `rho` from frame to frame as their slow part, over the part `1 - s` that is each landmark's
-//!   own: cameras and motions follow what a region shares, so that hardly any of it is left in the residuals.
+//! - what landmarks of one region share ([`shared_error_variance`]): cameras and motions follow it, so that hardly any of it is left in
+//!   the residuals.
 
-use super::super::pixel_residuals::{DetectedPixels, variance_per_residual};
+use super::super::pixel_residuals::{DetectedPixels, shared_error_variance, variance_per_residual};
 use super::super::session_state::SessionState;
 use super::super::terms::camera_unknowns::POSE;
 use super::super::terms::whitened_pixels::scores::Movements;
@@ -27,14 +26,6 @@ use super::{JointProblem, Member, Reduced, with_bones};
 use crate::geometry::free_network::CameraCovariance;
 use nalgebra::{DMatrix, DVector, Matrix3xX};
 use rayon::prelude::*;
-
-/// Correlation of slow errors of two landmarks of a face, of the legs, or of trunk and arms: on real detections 0.38 for the hips
-/// and 0.49 for nose and eyes, 0.2 as the mean of a region (docs/method.md 15). Limbs exchanged with those of others and half
-/// bodies, which err together as well, make it more: with 0.2 the cameras' errors are 1.14 times as stated on realistic noise.
-const SHARED: f64 = 0.25;
-
-/// Face; legs; trunk and arms.
-const N_REGIONS: f64 = 3.0;
 
 impl JointProblem<'_> {
     /// Of the poses, at the minimum; see [`Self::spread_of_cameras`].
@@ -101,11 +92,9 @@ impl JointProblem<'_> {
         let movements = Movements { landmarks: &landmarks, cameras: basis, of_camera };
         let channels = over_time.scores(&member.observations.cameras, &positions, &movements);
         let n_unknowns = (3 * problem.unknowns.n_groups()) as f64;
-        let of_region = (over_time.landmarks.len() as f64 / N_REGIONS).max(1.0);
-        let shared = SHARED * slow;
         let of_slow = variance_per_residual(member.observations.equations_per_frame(), n_unknowns);
         let followed = 1.0 + slow * (of_slow - 1.0);
-        let design = (1.0 + shared * (of_region - 1.0)) / (1.0 - shared);
+        let design = shared_error_variance(over_time.landmarks.len(), slow);
         Some(PersonScores { channels, design, followed })
     }
 }

@@ -1,4 +1,4 @@
-//! Joints that no camera shows for a while: Gaussians about what the motion prior states from the rest of the motion.
+//! Joints that no camera, or one alone, shows for a while: Gaussians about what the motion prior states from the rest of the motion.
 
 use super::super::completed_joints::GapCompletion;
 use super::frame::{LinearisedFrame, PosedFrame};
@@ -7,7 +7,7 @@ use super::unknowns::Unknowns;
 use crate::optim::block_banded::{Corner, FramePanel};
 use crate::residuals::rotation_likelihood::{RotationGaussian, rotation_cost, rotation_derivatives};
 
-/// The term of the completed joints that are unknowns.
+/// The term of the completed and guided joints that are unknowns.
 pub(crate) struct Completion {
     /// By frame: joint, its group, and the Gaussian over its rotation.
     frames: Vec<Vec<(usize, usize, RotationGaussian)>>,
@@ -15,10 +15,12 @@ pub(crate) struct Completion {
 
 impl Completion {
     pub(crate) fn new(gaps: &GapCompletion, unknowns: &Unknowns) -> Self {
-        let of_frame = |joints: &Vec<(usize, RotationGaussian)>| {
-            joints.iter().filter_map(|&(joint, gaussian)| Some((joint, unknowns.group(joint)?, gaussian))).collect()
+        let of_frame = |frame: usize| {
+            gaps.stated(frame)
+                .filter_map(|&(joint, gaussian)| Some((joint, unknowns.group(joint)?, gaussian)))
+                .collect()
         };
-        Self { frames: gaps.frames.iter().map(of_frame).collect() }
+        Self { frames: (0..gaps.frames.len()).map(of_frame).collect() }
     }
 }
 
