@@ -89,6 +89,7 @@ fn window_uncertainty(
     let DetectedPixels::Correlated(paths) = &pixels else { return None };
     let shared = shared_error_variance(paths.landmarks.len(), slow);
     let alone = SingleCamera::new(context.model, &observations, frame_interval);
+    let is_open = alone.open_frames();
     let table = OffsetTable::empty(context.model);
     let objective = Objective::new(context, context.config, &observations, pixels.source(), Shape::Free);
     let n_cameras = cameras.map_or(0, CameraCovariance::n_cameras);
@@ -96,8 +97,15 @@ fn window_uncertainty(
     let completed = || completed_gaps(context, &observations, &state, Purpose::Uncertainty);
     let completion = context.config.completes_gaps.then(completed).flatten();
     let completion = completion.as_ref();
-    let problem =
-        Objective { bias: Some(&table), cameras: columns, speeds: Some(&state), completion, ..objective }.problem();
+    let problem = Objective {
+        bias: Some(&table),
+        cameras: columns,
+        speeds: Some(&state),
+        is_open: &is_open,
+        completion,
+        ..objective
+    }
+    .problem();
     let (unknowns, border) = (&problem.unknowns, problem.unknowns.border);
     let mut system = context.systems.take();
     problem.eliminate(&state, 0.0, &mut system)?;

@@ -40,6 +40,8 @@ pub(super) struct Objective<'a> {
     pub cameras: CameraColumns,
     /// The motion whose speeds scale the sigmas of accelerations; without one they are those of typical speeds.
     pub speeds: Option<&'a MotionState>,
+    /// By frame, whether fewer than two cameras show the person, where the pelvis is free to accelerate for longer; empty: nowhere.
+    pub is_open: &'a [bool],
     /// Joints that the motion prior completes, where it does.
     pub completion: Option<&'a GapCompletion>,
     /// Overlaps with other persons' bodies.
@@ -77,6 +79,7 @@ impl<'a> Objective<'a> {
             bias: None,
             cameras: CameraColumns::default(),
             speeds: None,
+            is_open: &[],
             completion: None,
             collisions: None,
             extra_joints: &[],
@@ -127,6 +130,7 @@ impl<'a> Objective<'a> {
         if let Some(speeds) = speeds {
             smoothness = smoothness.speed_scaled(speeds, &observed.joints, &ranges);
         }
+        let smoothness = smoothness.loosened(self.is_open);
         let mut window_terms: Vec<Box<dyn WindowTerm + 'a>> = vec![Box::new(smoothness)];
         let tracked = if config.motion_prior { ankles(model) } else { Vec::new() };
         if config.motion_prior {

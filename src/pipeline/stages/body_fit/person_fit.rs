@@ -9,6 +9,7 @@ use super::minimisation::{Budget, FittedMotion, minimised};
 use super::objective::Objective;
 use super::observations::Observations;
 use super::pixel_residuals::{DetectedPixels, median_distance_px};
+use super::single_camera::SingleCamera;
 use super::terms::data::DataSource;
 use super::terms::unknowns::{MotionState, Shape};
 use super::thinned_motion::{lead_through, rough_stride};
@@ -231,6 +232,10 @@ fn fit_pass(
     let data = pixels.as_ref().map_or(DataSource::Points { sigma: config.point_sigma }, DetectedPixels::source);
     let budget = pass.budget(config);
     let config = if pass == Pass::Last { config } else { first_config };
+    let is_open = match pass {
+        Pass::Last => SingleCamera::new(context.model, observations, context.frame_interval).open_frames(),
+        _ => Vec::new(),
+    };
     let minimised_within =
         |budget: Budget, completion: Option<&GapCompletion>, start: MotionState, system: &mut BlockBanded| {
             let start = match completion {
@@ -238,8 +243,12 @@ fn fit_pass(
                 None => start,
             };
             let speeds = (pass != Pass::Points).then_some(&start);
-            let objective =
-                Objective { speeds, completion, ..Objective::new(context, config, observations, data, shape) };
+            let objective = Objective {
+                speeds,
+                completion,
+                is_open: &is_open,
+                ..Objective::new(context, config, observations, data, shape)
+            };
             minimised(context, &objective.problem(), start.clone(), budget, system)
         };
     let completed = |state: &MotionState, purpose: Purpose| {

@@ -74,6 +74,11 @@ impl<'a> SingleCamera<'a> {
         matches!(self.frames[frame].0, Shown::By(_))
     }
 
+    /// By frame, whether fewer than two cameras show the person; nowhere in a session of a single camera.
+    pub(super) fn open_frames(&self) -> Vec<bool> {
+        self.frames.iter().map(|(person, _)| self.cameras.len() > 1 && *person != Shown::BySeveral).collect()
+    }
+
     /// Whether one camera alone shows the bone that a joint turns.
     pub(super) fn shows_bone(&self, frame: usize, joint: usize) -> bool {
         let bone = BONES.iter().position(|[turned, _]| *turned == joint);
@@ -110,7 +115,7 @@ mod tests {
 
     /// Forty frames at 20 a second; the second camera shows the left arm in the first twenty, and nothing after.
     #[test]
-    fn bones_along_the_ray_may_be_mirrored_where_one_camera_shows_them() {
+    fn bones_along_the_ray_may_be_mirrored_beside_one_camera() {
         let model = default_body();
         let pixel = |name: &str, camera: usize| PixelObservation {
             landmark: model.landmark_index(name).unwrap(),
@@ -135,6 +140,9 @@ mod tests {
         };
         let alone = SingleCamera::new(&model, &observations, 0.05);
         assert!([0, 24].iter().all(|&t| !alone.shows_person(t)) && [25, 39].iter().all(|&t| alone.shows_person(t)));
+        assert_eq!([24, 25].map(|t| alone.shows_bone(t, 16)), [false, true]);
+        assert!(alone.shows_bone(0, 1) && !alone.shows_bone(0, 4), "a knee is seen, nothing below it");
+        assert_eq!(alone.open_frames(), (0..40).map(|t| t >= 25).collect::<Vec<_>>());
 
         // At rest arms lie across the view, and legs as well.
         let mut pose = Pose::rest();
