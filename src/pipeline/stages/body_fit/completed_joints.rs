@@ -5,11 +5,11 @@ use crate::body::kinematics::Pose;
 use crate::motion_prior::observed::SPINE;
 use crate::residuals::rotation_likelihood::RotationGaussian;
 
-/// What the motion prior states about the unseen joints of a window.
+/// What the motion prior states about the joints of a window that no camera shows, and those that one alone does.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct GapCompletion {
     /// By frame: joint that no keypoint shows, and the Gaussian over its rotation on the body.
-    pub frames: Vec<Vec<(usize, RotationGaussian)>>,
+    pub hidden: Vec<Vec<(usize, RotationGaussian)>>,
     /// The same of joints that one camera alone shows.
     pub guided: Vec<Vec<(usize, RotationGaussian)>>,
 }
@@ -25,33 +25,27 @@ impl GapCompletion {
 
     /// All that is stated of a frame.
     pub(crate) fn stated(&self, frame: usize) -> impl Iterator<Item = &(usize, RotationGaussian)> {
-        [&self.frames, &self.guided].into_iter().filter_map(move |frames| frames.get(frame)).flatten()
-    }
-
-    /// A frame's pose with the mean rotations of the completed joints; `None` without such joints.
-    fn completed(&self, frame: usize, pose: &Pose) -> Option<Pose> {
-        let joints = self.frames.get(frame).filter(|joints| !joints.is_empty())?;
-        let mut completed = *pose;
-        joints.iter().for_each(|(joint, gaussian)| completed.rotations[*joint] = gaussian.mean);
-        Some(completed)
+        [&self.hidden, &self.guided].into_iter().filter_map(move |frames| frames.get(frame)).flatten()
     }
 
     /// A frame's pose with the mean rotations of the joints that no keypoint shows; `None` without such joints. Keypoints of the
     /// trunk turn with the spine, also where it is completed.
     pub(crate) fn with_hidden(&self, frame: usize, pose: &Pose) -> Option<Pose> {
-        let mut completed = self.completed(frame, pose)?;
-        SPINE.into_iter().for_each(|joint| completed.rotations[joint] = pose.rotations[joint]);
+        let joints = self.hidden.get(frame).filter(|joints| !joints.is_empty())?;
+        let mut completed = *pose;
+        let limbs = joints.iter().filter(|(joint, _)| !SPINE.contains(joint));
+        limbs.for_each(|(joint, gaussian)| completed.rotations[*joint] = gaussian.mean);
         Some(completed)
     }
 
     /// Whether no keypoint shows a joint in a frame.
     pub(crate) fn hides(&self, frame: usize, joint: usize) -> bool {
         let is_completed = |joints: &Vec<(usize, _)>| joints.iter().any(|(completed, _)| *completed == joint);
-        !SPINE.contains(&joint) && self.frames.get(frame).is_some_and(is_completed)
+        !SPINE.contains(&joint) && self.hidden.get(frame).is_some_and(is_completed)
     }
 
     /// By frame: the completed joints.
     pub(super) fn completed_joints(&self) -> Vec<Vec<usize>> {
-        self.frames.iter().map(|joints| joints.iter().map(|(joint, _)| *joint).collect()).collect()
+        self.hidden.iter().map(|joints| joints.iter().map(|(joint, _)| *joint).collect()).collect()
     }
 }

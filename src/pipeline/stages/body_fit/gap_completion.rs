@@ -112,7 +112,7 @@ pub(super) fn completed_gaps(
         wanted.iter().enumerate().map(of_frame).collect()
     };
     Some(GapCompletion {
-        frames: stated(&is_completed, purpose.share()),
+        hidden: stated(&is_completed, purpose.share()),
         guided: stated(&is_guided, purpose.share_of_guided()),
     })
 }

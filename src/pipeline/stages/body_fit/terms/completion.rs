@@ -20,7 +20,7 @@ impl Completion {
                 .filter_map(|&(joint, gaussian)| Some((joint, unknowns.group(joint)?, gaussian)))
                 .collect()
         };
-        Self { frames: (0..gaps.frames.len()).map(of_frame).collect() }
+        Self { frames: (0..gaps.hidden.len()).map(of_frame).collect() }
     }
 }
 

@@ -214,7 +214,7 @@ fn gradient_of_completed_joints_matches_differences() {
         |t: usize| if t.is_multiple_of(2) { vec![completed(3), completed(4), completed(16)] } else { Vec::new() };
     let guided_in = |t: usize| if t.is_multiple_of(3) { vec![completed(17)] } else { Vec::new() };
     let guided = (0..N_FRAMES).map(guided_in).collect();
-    let gaps = GapCompletion { frames: (0..N_FRAMES).map(of_frame).collect(), guided };
+    let gaps = GapCompletion { hidden: (0..N_FRAMES).map(of_frame).collect(), guided };
     let problem = || {
         let objective = fixture.objective(&fixture.model, DataSource::Points { sigma: 0.5 }, Shape::Held);
         Objective { completion: Some(&gaps), ..objective }.problem()
