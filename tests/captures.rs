@@ -1,10 +1,9 @@
 //! Solves the captures in the folder that `WANDLESS_TEST_DATA` names; skipped with a message where it is unset.
 #![allow(clippy::unwrap_used)] // a test may
 
-use nalgebra::{Matrix3, Vector3};
-use serde_json::Value;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use wandless::evaluation::documents::{read_cameras, read_identities, read_poses};
 use wandless::evaluation::{EvaluationOptions, evaluate};
 use wandless::export::{ResultContext, write_result};
 use wandless::pipeline::config::MotionPriorMode;
@@ -65,34 +64,28 @@ fn solves_captures_without_track_numbers() {
     }
 }
 
-fn document(path: PathBuf) -> Value {
-    serde_json::from_slice(&std::fs::read(path).unwrap()).unwrap()
-}
-
 /// Removes a person's detections in `frames` from all views but the first.
-fn leave_to_first_view(session: &mut Session, truth: &Path, person: u64, frames: &Range<usize>) {
-    let identities = document(truth.join("identities.json"));
+fn leave_to_first_view(session: &mut Session, truth: &Path, person: usize, frames: &Range<usize>) {
+    let identities = read_identities(&truth.join("identities.json")).unwrap();
     for view in &mut session.views[1..] {
         for t in frames.clone() {
-            let people = identities[&view.id][t].as_array().unwrap();
-            let mut index = 0..;
-            view.frames[t].retain(|_| people[index.next().unwrap()] != person);
+            let mut people = identities[&view.id][t].iter();
+            view.frames[t].retain(|_| people.next().unwrap().as_deref() != Some(&person.to_string()));
         }
     }
 }
 
 /// Mean distance of a person's limb joints from the truth in `frames`, both from the middle of the hips, mm.
-fn limb_error(session: &Session, options: &Options, truth: &Path, stretches: &[(u64, Range<usize>)]) -> f64 {
+fn limb_error(session: &Session, options: &Options, truth: &Path, stretches: &[(usize, Range<usize>)]) -> f64 {
     const LIMBS: [usize; 12] = [1, 2, 4, 5, 7, 8, 16, 17, 18, 19, 20, 21];
     let found = reconstruct(session, options, &Progress::silent()).unwrap();
-    let numbers = |value: &Value| Vector3::from_fn(|i, _| value[i].as_f64().unwrap());
-    let rotation = &document(truth.join("cameras.json"))[0]["R"];
-    let camera_from_truth = Matrix3::from_rows(&[0, 1, 2].map(|row| numbers(&rotation[row]).transpose()));
-    let truth_from_found = camera_from_truth.transpose() * found.cameras[0].camera_from_world.unwrap().rotation;
-    let poses = document(truth.join("poses3d.json"));
-    let of_frame = |person: u64, t: usize| {
-        let truth = &poses["frames"][t.to_string()][person.to_string()];
-        let at_truth = |j: usize| numbers(&truth[j]);
+    let true_camera = read_cameras(&truth.join("cameras.json")).unwrap()[&session.views[0].id];
+    let found_camera = found.cameras[0].camera_from_world.unwrap();
+    let truth_from_found = true_camera.rotation.transpose() * found_camera.rotation;
+    let poses = read_poses(&truth.join("poses3d.json")).unwrap().frames;
+    let of_frame = |person: usize, t: usize| {
+        let truth = &poses[&(t as i64)][&person.to_string()];
+        let at_truth = |j: usize| truth[j].unwrap();
         let of_motion = |motion: &BodyMotion| {
             let at = |j: usize| truth_from_found * motion.frames[t - motion.first.0].joints[j];
             let off = |j: usize| at(j) - (at(1) + at(2)) / 2.0 - at_truth(j) + (at_truth(1) + at_truth(2)) / 2.0;

@@ -54,10 +54,11 @@ impl Purpose {
 }
 
 /// Completes the joints that no keypoint shows for [`MIN_GAP`] or longer, but some keypoint shows elsewhere in the window, and guides
-/// those that one camera alone shows as long; `None` if there are none of either.
+/// those that one camera alone shows as long; `None` if there are none of either. `alone`: of the same observations.
 pub(super) fn completed_gaps(
     context: &FitContext,
     observations: &Observations,
+    alone: &SingleCamera,
     state: &MotionState,
     purpose: Purpose,
 ) -> Option<GapCompletion> {
@@ -80,7 +81,7 @@ pub(super) fn completed_gaps(
             }
         }
     }
-    let is_guided = guided(context, observations, &mut sigma);
+    let is_guided = guided(alone, &mut sigma, context.frame_interval);
     if !is_completed.iter().chain(&is_guided).flatten().any(|is_stated| *is_stated) {
         return None;
     }
@@ -119,16 +120,8 @@ pub(super) fn completed_gaps(
 
 /// The joints of bones that one camera alone shows for [`MIN_GAP`] or longer, but several elsewhere in the window, by frame; they become
 /// unseen in `sigma`.
-fn guided(
-    context: &FitContext,
-    observations: &Observations,
-    sigma: &mut [[f64; N_DESCRIBED]],
-) -> Vec<[bool; N_DESCRIBED]> {
+fn guided(alone: &SingleCamera, sigma: &mut [[f64; N_DESCRIBED]], frame_interval: f64) -> Vec<[bool; N_DESCRIBED]> {
     let mut is_guided = vec![[false; N_DESCRIBED]; sigma.len()];
-    if observations.cameras.len() < 2 {
-        return is_guided;
-    }
-    let alone = SingleCamera::new(context.model, observations, context.frame_interval);
     for (described, joint) in DESCRIBED_JOINTS.into_iter().enumerate() {
         let is_sure = |(frame, row): (usize, &[f64; N_DESCRIBED])| {
             row[described].is_infinite() || !alone.shows_bone(frame, joint)
@@ -137,7 +130,7 @@ fn guided(
         if !sigma.iter().zip(&sure).any(|(row, sure)| *sure && row[described].is_finite()) {
             continue;
         }
-        for run in gaps(&sure).into_iter().filter(|run| run.len() as f64 * context.frame_interval >= MIN_GAP) {
+        for run in gaps(&sure).into_iter().filter(|run| run.len() as f64 * frame_interval >= MIN_GAP) {
             for frame in run {
                 is_guided[frame][described] = true;
                 sigma[frame][described] = f64::INFINITY;

@@ -94,7 +94,7 @@ fn window_uncertainty(
     let objective = Objective::new(context, context.config, &observations, pixels.source(), Shape::Free);
     let n_cameras = cameras.map_or(0, CameraCovariance::n_cameras);
     let columns = CameraColumns { n_cameras, unknowns: CameraUnknowns::default() };
-    let completed = || completed_gaps(context, &observations, &state, Purpose::Uncertainty);
+    let completed = || completed_gaps(context, &observations, &alone, &state, Purpose::Uncertainty);
     let completion = context.config.completes_gaps.then(completed).flatten();
     let completion = completion.as_ref();
     let problem = Objective {

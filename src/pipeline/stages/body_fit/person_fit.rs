@@ -232,10 +232,8 @@ fn fit_pass(
     let data = pixels.as_ref().map_or(DataSource::Points { sigma: config.point_sigma }, DetectedPixels::source);
     let budget = pass.budget(config);
     let config = if pass == Pass::Last { config } else { first_config };
-    let is_open = match pass {
-        Pass::Last => SingleCamera::new(context.model, observations, context.frame_interval).open_frames(),
-        _ => Vec::new(),
-    };
+    let alone = (pass == Pass::Last).then(|| SingleCamera::new(context.model, observations, context.frame_interval));
+    let is_open = alone.as_ref().map_or_else(Vec::new, SingleCamera::open_frames);
     let minimised_within =
         |budget: Budget, completion: Option<&GapCompletion>, start: MotionState, system: &mut BlockBanded| {
             let start = match completion {
@@ -252,8 +250,8 @@ fn fit_pass(
             minimised(context, &objective.problem(), start.clone(), budget, system)
         };
     let completed = |state: &MotionState, purpose: Purpose| {
-        let completes = pass == Pass::Last && config.completes_gaps;
-        completes.then(|| completed_gaps(context, observations, state, purpose)).flatten()
+        let alone = alone.as_ref().filter(|_| config.completes_gaps)?;
+        completed_gaps(context, observations, alone, state, purpose)
     };
     // The first fit has no pose prior, so that what it states at the edges of gaps (twists about bones above all) is rough.
     let Some(rough) = completed(&start, Purpose::FromRough) else {
