@@ -75,6 +75,12 @@ impl Intrinsics {
         Self { fx: self.fx * factor, fy: self.fy * factor, skew: self.skew * factor, ..*self }
     }
 
+    /// The same intrinsics with pixels of another shape: `fy / fx` multiplied by `factor`, and the product of the two as it is.
+    pub fn with_aspect_factor(&self, factor: f64) -> Self {
+        let root = factor.sqrt();
+        Self { fx: self.fx / root, fy: self.fy * root, ..*self }
+    }
+
     /// The same lens with images `factor` times as large.
     pub fn resized(&self, factor: f64) -> Self {
         let size = |n: u32| (f64::from(n) * factor).round() as u32;

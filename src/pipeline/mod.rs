@@ -182,12 +182,12 @@ pub fn solve(
             Outcome::Solved(solved) => return Ok(*solved),
             Outcome::Repaired(repair) => {
                 let Repaired { session, options, suspicions } = *repair;
+                n_repairs += usize::from(!suspicions.iter().all(|suspicion| suspicion.code.is_always_undone()));
                 for suspicion in suspicions {
                     tracing::info!(%suspicion, "the recording is repaired and solved again");
                     applied.push(Suspicion { applied: true, ..suspicion });
                 }
                 (repaired_session, repaired_options) = (Cow::Owned(session), options);
-                n_repairs += 1;
             }
         }
     }
@@ -208,7 +208,7 @@ struct Attempt<'a> {
     checkpoints: &'a Checkpoints,
     /// The repairs so far.
     applied: &'a [Suspicion],
-    /// Whether a mistake that can be repaired ends the attempt.
+    /// Whether every mistake that can be repaired ends the attempt.
     may_repair: bool,
     watcher: &'a Watcher<'a>,
 }
@@ -235,7 +235,7 @@ impl Attempt<'_> {
                 suspicions: vec![suspicion.clone()],
             })
         };
-        let mut rest = found.iter().filter(|_| self.may_repair);
+        let mut rest = found.iter().filter(|suspicion| self.may_repair || suspicion.code.is_always_undone());
         let mut first = rest.find_map(|suspicion| repair((self.session, self.options), suspicion))?;
         let code = first.suspicions[0].code;
         for suspicion in rest.filter(|suspicion| suspicion.code == code) {

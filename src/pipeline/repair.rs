@@ -1,11 +1,11 @@
-//! Repairs: the recording and the options with a probable mistake undone (`options.repair: auto`).
+//! Repairs: the recording and the options with a probable mistake undone (`options.repair: auto`; double detections always).
 //!
 //! Only what has one remedy is repaired. A mirrored world has two, exchanged labels and mirrored images, and a wrong frame rate is
 //! known to some ten per cent only: those are left to the user.
 
 use super::config::Options;
 use crate::geometry::Intrinsics;
-use crate::session::recording_tests::{best_confidence, centred, likelier_convention};
+use crate::session::recording_tests::{best_confidence, centred, likelier_convention, without_doubles};
 use crate::session::{Session, Suspicion, SuspicionCode as Code, View};
 use nalgebra::Vector2;
 use serde_json::Value;
@@ -42,6 +42,7 @@ pub fn repaired(session: &Session, options: &Options, suspicion: &Suspicion) -> 
             let convention = likelier_convention(session)?;
             Some((Session { convention, ..session.clone() }, options.clone()))
         }
+        Code::DoubleDetections => Some((without_doubles(session), options.clone())),
         Code::LowConfidence => Some((with_usual_confidences(session)?, options.clone())),
         Code::TimeOffset | Code::FocalLength | Code::GivenPoses => {
             Some((session.clone(), with_option(options, suspicion.suggested_option.as_deref()?)?))

@@ -11,7 +11,7 @@ pub use estimates::{ErrorSummary, FocalFactor, SigmaSummary, TimeOffset};
 pub use report::{
     CameraReport, ConsistencyPair, ConsistencyReport, DetectorOffset, GeometryReport, HandReport, KeypointBias,
     KeypointReport, LandmarkTableId, NoiseAtConfidence, Overlap, PenetrationReport, PersonReport, Quality, Report,
-    ScaleReport, StageReport, UncertainFrames, Verdict,
+    ScaleReport, StageReport, StillDetections, UncertainFrames, Verdict,
 };
 use serde::{Deserialize, Serialize};
 

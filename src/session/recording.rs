@@ -71,6 +71,30 @@ impl Detection {
             ..self.clone()
         }
     }
+
+    /// Whether both are of one person or thing at one place: three quarters of their common points among the first `n` are nearer to
+    /// each other than 8 % of its size. A detector errs by up to 4 % per axis (Rayleigh's third quartile of the difference is 9 %);
+    /// of 1.1 million detections of people who pass each other 54 were so near to another one, at most 0.2 % of a recording.
+    pub fn coincides_with(&self, other: &Self, n: usize) -> bool {
+        const NEAR: f64 = 0.08;
+        const MIN_COMMON: usize = 4;
+        let n_present = |detection: &Self| detection.keypoints[..n].iter().filter(|k| k.is_present()).count();
+        let common = self.keypoints[..n].iter().zip(&other.keypoints).filter(|(a, b)| a.is_present() && b.is_present());
+        let mut distances: Vec<f64> = common.map(|(a, b)| (a.pixel - b.pixel).norm()).collect();
+        let n_common = distances.len();
+        if n_common < MIN_COMMON || 2 * n_common < n_present(self).min(n_present(other)) {
+            return false;
+        }
+        let third_quartile = *distances.select_nth_unstable_by(3 * n_common / 4, f64::total_cmp).1;
+        third_quartile < NEAR * self.size_px(n).max(other.size_px(n))
+    }
+
+    /// Larger side of the bounding box of the first `n` points, px; 0 without any.
+    fn size_px(&self, n: usize) -> f64 {
+        let points = || self.keypoints[..n].iter().filter(|k| k.is_present()).map(|k| k.pixel);
+        let (low, high) = (points().reduce(|a, b| a.inf(&b)), points().reduce(|a, b| a.sup(&b)));
+        low.zip(high).map_or(0.0, |(low, high)| (high - low).max())
+    }
 }
 
 /// One camera and its detections.

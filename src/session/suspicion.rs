@@ -37,6 +37,8 @@ pub enum SuspicionCode {
     RepeatedFrames,
     /// A camera has keypoints in every second, third, fourth or fifth frame only.
     PeriodicGaps,
+    /// People are detected twice in the same image.
+    DoubleDetections,
     /// Coordinates are shares of the image's size instead of pixels.
     NormalizedCoordinates,
     /// Keypoints were detected in images of another size than the calibrated ones.
@@ -71,6 +73,10 @@ pub enum SuspicionCode {
     FrameRate,
     /// A camera was moved during the recording.
     CameraMoved,
+    /// A camera zoomed during the recording.
+    CameraZoomed,
+    /// The images of a camera were stretched after its calibration, or before it.
+    PixelAspect,
     /// The cameras fall into groups that show different takes.
     SeveralTakes,
     /// More people move through the scene than the options allow.
@@ -82,8 +88,18 @@ impl SuspicionCode {
     pub fn affects_cameras(self) -> bool {
         !matches!(
             self,
-            Self::LowConfidence | Self::PeriodicGaps | Self::LabelsExchanged | Self::FrameRate | Self::PeopleLimit
+            Self::LowConfidence
+                | Self::PeriodicGaps
+                | Self::DoubleDetections
+                | Self::LabelsExchanged
+                | Self::FrameRate
+                | Self::PeopleLimit
         )
+    }
+
+    /// Whether it is undone without being asked for: of two detections of one person either is right.
+    pub fn is_always_undone(self) -> bool {
+        self == Self::DoubleDetections
     }
 
     /// Its name in files and answers.

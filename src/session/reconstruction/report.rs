@@ -268,6 +268,9 @@ pub struct CameraReport {
     pub n_detections: usize,
     /// Number of detections assigned to no person.
     pub n_rejected_detections: usize,
+    /// Detections of no person of the result that stay at one place.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub still_detections: Vec<StillDetections>,
     /// Reprojection error, px.
     pub reprojection_px: Option<ErrorSummary>,
     /// The same at the keypoints' depths, mm: `px * depth / focal`.
@@ -278,6 +281,20 @@ pub struct CameraReport {
     /// Time offset, where it differs from 0 or was estimated.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_offset: Option<TimeOffset>,
+}
+
+/// Detections of a camera that show no person of the result and stay at one place for five seconds and longer: a picture, a mannequin,
+/// a mirror image, or a person who sits still where no other camera looks.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StillDetections {
+    /// Number of detections.
+    pub n_detections: usize,
+    /// Frame number of the first one.
+    pub first_frame: i64,
+    /// Frame number of the last one.
+    pub last_frame: i64,
+    /// Middle of the first one, px.
+    pub pixel: [f64; 2],
 }
 
 /// Content of `report.json`. Contains no wall-clock times: the same input gives the same bytes.

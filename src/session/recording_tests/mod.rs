@@ -4,10 +4,12 @@
 //!
 //! - `image`: pixels outside or in a corner of the image, principal point, normalised coordinates
 //! - `repetition`: the same keypoints in two cameras or in successive frames, periodic gaps
+//! - `doubles`: people who are detected twice in an image
 //! - `detector`: confidences, order of the keypoints
 //! - `given_poses`: given poses of the cameras against epipolar lines
 
 mod detector;
+mod doubles;
 mod given_poses;
 mod image;
 mod repetition;
@@ -15,6 +17,7 @@ mod repetition;
 mod tests;
 
 pub use detector::{best_confidence, likelier_convention};
+pub use doubles::without_doubles;
 pub use image::centred;
 
 use super::recording::Session;
@@ -23,9 +26,10 @@ use rayon::prelude::*;
 
 /// Every suspicion that the keypoints and the calibration raise by themselves.
 pub fn suspicions(session: &Session) -> Vec<Suspicion> {
-    let tests: [fn(&Session) -> Vec<Suspicion>; 6] = [
+    let tests: [fn(&Session) -> Vec<Suspicion>; 7] = [
         image::suspicions,
         repetition::suspicions,
+        |session| doubles::suspicion(session).into_iter().collect(),
         |session| repetition::periodic_gaps(session).into_iter().collect(),
         |session| detector::low_confidence(session).into_iter().collect(),
         |session| detector::convention(session).into_iter().collect(),

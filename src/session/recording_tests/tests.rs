@@ -1,6 +1,6 @@
 //! Each mistake is named, and a recording without one raises no suspicion.
 
-use super::suspicions;
+use super::{suspicions, without_doubles};
 use crate::body::skeleton::KeypointConvention;
 use crate::geometry::Intrinsics;
 use crate::session::recording::{Detection, FrameIndex, Keypoint, Session, View};
@@ -114,6 +114,31 @@ fn names_repeated_keypoints() {
     assert!(found(frozen).contains(&second(Code::RepeatedFrames)[0]));
     let doubled = |s: &mut Session| s.views[1].frames = (0..N_FRAMES).map(|f| vec![walker(LAG + f / 2)]).collect();
     assert_eq!(found(doubled), second(Code::RepeatedFrames), "a video stored at twice its rate");
+}
+
+/// A second detection of everybody ended every track after some frames; no camera was found.
+#[test]
+fn people_who_are_detected_twice_are_one() {
+    let beside = |detection: &Detection, size: f64| {
+        let mut second = detection.clone();
+        for (k, keypoint) in second.keypoints.iter_mut().enumerate() {
+            keypoint.confidence -= 0.1;
+            keypoint.pixel.x += if k % 2 == 0 { size } else { -size };
+        }
+        second
+    };
+    let double = |s: &mut Session, size: f64| {
+        s.views[1].frames.iter_mut().step_by(2).for_each(|people| people.insert(0, beside(&people[0], size)));
+    };
+    assert_eq!(found(|s| double(s, 20.0)), second(Code::DoubleDetections));
+    assert_eq!(found(|s| double(s, 60.0)), [], "another person close by");
+    let mut doubled = session();
+    double(&mut doubled, 20.0);
+    let single = without_doubles(&doubled);
+    assert_eq!(suspicions(&single), []);
+    let seen = |people: &Vec<Detection>| people.iter().filter(|d| d.keypoints[0].is_present()).cloned().collect();
+    let shown: Vec<Vec<Detection>> = single.views[1].frames.iter().map(seen).collect();
+    assert_eq!(shown, session().views[1].frames, "the more confident one stays, in its place");
 }
 
 #[test]

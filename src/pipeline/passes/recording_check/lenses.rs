@@ -1,4 +1,4 @@
-//! Calibrations that belong elsewhere: to the images of another camera, or to images of another size.
+//! Calibrations that belong elsewhere: to the images of another camera, to images of another size, or of another shape.
 //!
 //! Known limit: cameras with equal calibrations cannot be distinguished, whatever their files are named.
 
@@ -23,6 +23,9 @@ const OUTSIDE: f64 = 0.01;
 /// exchanged gain 2 %, and two whose lenses are as published, which is off by 1 to 3 %, gain 0.6 %.
 const BETTER: f64 = 0.987;
 const NOT_WORSE: f64 = 1.05;
+
+/// Smallest difference between the shapes of pixels, of logarithms: calibrations state `fy / fx` to 0.5 %.
+const MIN_STRETCH: f64 = 0.03;
 
 /// Logarithm of the likelihood ratio from which calibrations belong elsewhere: published lenses of real cameras, which are off by 1 to
 /// 3 %, reach 36 against those of their neighbours over four seconds, exchanged files 50 and more.
@@ -81,6 +84,10 @@ pub(super) fn misplaced_lenses(
     }
     let (evidence, remedy) = match proposal.code {
         Code::CamerasExchanged => ("each shows the people better with the lens of the other".to_owned(), EXCHANGE),
+        Code::PixelAspect => (
+            format!("the people agree with images that are {} than K says", shape(&given, &proposal.changed[0])),
+            "give fx and cx, or fy and cy, of the images in which people were detected: they follow width and height",
+        ),
         _ => (
             format!(
                 "K and all keypoints suit images of {}x{} pixels",
@@ -127,7 +134,19 @@ fn likeliest(solved: &Solved, resections: &[Option<Lens>]) -> Option<Proposal> {
     let smaller = sizes.filter(|&(view, factor)| lies_within(&solved.session().views[view], factor));
     let resized =
         smaller.filter_map(|(v, factor)| proposal(Code::Resolution, Some(factor), &[(v, lenses[v].resized(factor))]));
-    exchanged.chain(resized).min_by(|x, y| x.cost_ratio.total_cmp(&y.cost_ratio))
+    let stretched = views.iter().filter_map(|&view| {
+        let aspect = given[view].as_ref()?.0.likeliest_aspect();
+        let is_other = aspect.ln().abs() > MIN_STRETCH;
+        is_other.then(|| proposal(Code::PixelAspect, None, &[(view, lenses[view].with_aspect_factor(aspect))]))?
+    });
+    exchanged.chain(resized).chain(stretched).min_by(|x, y| x.cost_ratio.total_cmp(&y.cost_ratio))
+}
+
+/// In words, the shape of a view's images against the given lens.
+fn shape(given: &[Intrinsics], (view, lens, _): &(usize, Intrinsics, Rigid)) -> String {
+    let stretch = lens.fy / lens.fx / (given[*view].fy / given[*view].fx);
+    let (percent, direction) = if stretch > 1.0 { (stretch - 1.0, "higher") } else { (1.0 / stretch - 1.0, "wider") };
+    format!("{:.0} % {direction}", 100.0 * percent)
 }
 
 /// Whether all keypoints lie in this share of the image's width and height.

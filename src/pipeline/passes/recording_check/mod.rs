@@ -41,6 +41,8 @@ pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, C
     }
     let step = weighted.begin("testing movements of cameras");
     cameras::exchanged_labels(solved, &mut found);
+    // Where people stand beside the middle of the image, it turns as well.
+    steps::zoomed_camera(solved, &mut found, &step)?;
     steps::moved_camera(solved, &mut found, &step)?;
     // One wrong camera of two turns the people between them around.
     let turns_people = |s: &Suspicion| matches!(s.code, Code::LabelsExchanged | Code::Mirrored | Code::YUpwards);

@@ -10,7 +10,8 @@
 //! `sigma`); and by the cameras. What one camera alone shows is less sure than that: keypoints share errors, which other cameras would
 //! show, and bones may be mirrored in depth ([`super::single_camera`]). What bodies define differently is added. `f = n / (n - p)`: n
 //! equations a frame determine p unknowns, and leave residuals, by which errors are measured, smaller than these. What no view sees is
-//! as uncertain as smoothness and the pose prior leave it. Collision resolution is left out.
+//! as uncertain as smoothness and the pose prior leave it, a limb that the whole window does not show as poses are
+//! ([`super::unseen_limbs`]). Collision resolution is left out.
 //!
 //! Standard deviations change no faster than poses: they are those of every few frames, whose pixels count for those of the frames
 //! between, and linear between them.
@@ -27,6 +28,7 @@ use super::single_camera::SingleCamera;
 use super::terms::camera_unknowns::CameraUnknowns;
 use super::terms::unknowns::{CameraColumns, MotionState, Shape, TRANSLATION_GROUP, Unknowns};
 use super::thinned_motion::rough_stride;
+use super::unseen_limbs::UnseenLimbs;
 use crate::body::anthropometry::N_BETAS;
 use crate::body::bone_offsets::joint_by_bones;
 use crate::body::detector_offsets::OffsetTable;
@@ -107,6 +109,7 @@ fn window_uncertainty(
     }
     .problem();
     let (unknowns, border) = (&problem.unknowns, problem.unknowns.border);
+    let unseen = UnseenLimbs::new(context.model, unknowns);
     let mut system = context.systems.take();
     problem.eliminate(&state, 0.0, &mut system)?;
     let eliminated = system.into_eliminated();
@@ -123,6 +126,7 @@ fn window_uncertainty(
         let of_pose = variances(&by_frame, of_frame);
         let of_shape = variances(&by_border.columns_range(border.betas()).into_owned(), &of_betas);
         let of_sides = alone.mirrored_variances(t, &skeleton);
+        let of_unseen = unseen.as_ref().map_or([0.0; N_JOINTS], |limbs| limbs.variances(&state.poses[t], &skeleton));
         let of_sharing = if alone.shows_person(t) { shared } else { 1.0 };
         let mut by_cameras = Vec::with_capacity(N_JOINTS);
         for joint in 0..N_JOINTS {
@@ -131,7 +135,7 @@ fn window_uncertainty(
             let of_definition = 3.0 * definition_sigma(joint).powi(2);
             by_cameras.push((skeleton.joints[joint], rows.columns_range(border.camera_columns()).into_owned()));
             let of_errors = errors * (of_sharing * of_pose[joint] + of_shape[joint]);
-            sigmas[t][joint] = of_errors + of_sides[joint] + of_bones + of_definition;
+            sigmas[t][joint] = of_errors + of_sides[joint] + of_unseen[joint] + of_bones + of_definition;
         }
         let of_cameras = cameras.map_or_else(|| vec![0.0; N_JOINTS], |cameras| cameras.point_variances(&by_cameras));
         for (sigma, of_cameras) in sigmas[t].iter_mut().zip(of_cameras) {

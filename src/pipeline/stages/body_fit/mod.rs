@@ -19,7 +19,7 @@
 //! | `keypoint_bias`, `session_bias` | the detector's offsets, with the cameras held |
 //! | `camera_adjustment`, `noise_measurement` | cameras and motions together, under errors correlated in time |
 //! | `stated_covariances` | how far the covariances that a detector states decide |
-//! | `joint_uncertainty`, `single_camera` | standard deviations of the joints; what one camera alone leaves open |
+//! | `joint_uncertainty`, `single_camera`, `unseen_limbs` | standard deviations of the joints; what one camera alone, and none, leaves open |
 //! | `collision_resolution`, `capsule_overlaps` | overlaps between bodies |
 //! | `person_motion` | a fit on the session's time line, its published motion and statistics |
 
@@ -60,6 +60,7 @@ mod tests;
 #[cfg(test)]
 mod tests_simulated;
 mod thinned_motion;
+mod unseen_limbs;
 
 pub use config::{BodyFitConfig, KnownCameras};
 pub use fit::{FittedBodies, fit_bodies, fitted_statures};

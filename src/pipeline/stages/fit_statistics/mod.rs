@@ -7,6 +7,7 @@
 //! limits: errors of different views are taken as independent, and a bias that all views share does not show.
 
 mod reprojections;
+mod still_detections;
 mod uncertain_frames;
 
 use crate::body::bones::LimbBone;
@@ -22,6 +23,7 @@ use crate::session::recording::Session;
 use crate::session::{Detection, FrameIndex, JointTrajectory, Keypoint};
 use nalgebra::Vector3;
 use reprojections::{KeypointStatistics, Misfits, PersonStatistics, people_statistics};
+use still_detections::still_detections;
 pub use uncertain_frames::uncertain_frames;
 
 /// Errors of a result against the detections.
@@ -79,6 +81,7 @@ impl FitStatistics {
                 excluded: false,
                 n_detections,
                 n_rejected_detections: n_detections.saturating_sub(given(v)),
+                still_detections: still_detections(session, tracks, v),
                 reprojection_px: summary(&self.views[v].px),
                 reprojection_mm: summary(&self.views[v].mm),
                 rejected_keypoints: self.views[v].rejected(),

@@ -18,6 +18,10 @@ use nalgebra::{Vector2, Vector3};
 /// Logarithms of the focal factors that are tried: `-N_STEPS..=N_STEPS` times `STEP`.
 const STEP: f64 = 0.1;
 const N_STEPS: i32 = 7;
+/// Difference of logarithms between the factors on `fy / fx` that are tried, and their largest number: formats with pixels that are not
+/// square are 7, 9 and 33 % wide.
+const ASPECT_STEP: f64 = 0.05;
+const MAX_ASPECT_STEPS: f64 = 7.0;
 /// Points of a resection, evenly over all.
 const MAX_POINTS: usize = 500;
 const MIN_POINTS: usize = 60;
@@ -73,6 +77,25 @@ impl SeenPeople {
         }
         let (step, (camera_from_world, cost)) = best;
         (cost < BETTER * given.1).then(|| Lens { factor: factor(step), camera_from_world, cost })
+    }
+
+    /// The factor on `fy / fx` under which the camera shows the people best: downhill from the given one step by step, then the lowest
+    /// point of the parabola through the last three costs.
+    pub fn likeliest_aspect(&self) -> f64 {
+        let cost = |step: f64| self.under_lens(&self.lens.with_aspect_factor((step * ASPECT_STEP).exp())).1;
+        let (mut at, mut sides) = (0.0, [cost(-1.0), cost(1.0)]);
+        let mut own = cost(0.0);
+        let direction = if sides[0] < sides[1] { -1.0 } else { 1.0 };
+        while sides[0].min(sides[1]) < own && f64::abs(at) < MAX_ASPECT_STEPS {
+            at += direction;
+            let next = cost(at + direction);
+            let lowest = sides[0].min(sides[1]);
+            sides = if direction < 0.0 { [next, own] } else { [own, next] };
+            own = lowest;
+        }
+        let curvature = sides[0] - 2.0 * own + sides[1];
+        let off = if curvature > 0.0 { (0.5 * (sides[0] - sides[1]) / curvature).clamp(-1.0, 1.0) } else { 0.0 };
+        ((at + off) * ASPECT_STEP).exp()
     }
 
     /// The pose of the camera under another lens, and its robust cost, squared angles under the given focal length.

@@ -6,7 +6,7 @@ use super::clock::slip;
 use super::handedness::{handedness, upside_down};
 use super::labels::exchange;
 use super::lens::SeenPeople;
-use super::movement::turn;
+use super::movement::{turn, zoom};
 use super::parameters::{delays, likeliest_exchange, smaller_images, wrong_lenses};
 use super::reading::{Question, Reading};
 use super::takes::groups;
@@ -51,6 +51,13 @@ fn track(session: &Session, identities: &[Vec<Vec<Option<usize>>>], person: usiz
     let of_frame = |frame| (0..session.views.len()).map(|view| at(view, frame)).collect();
     let detections = (0..session.n_frames).map(of_frame).collect();
     PersonTrack { person: PersonId(person), first: FrameIndex(0), detections }
+}
+
+/// What a test finds in the people of a scene.
+fn of_people<T>(scene: &Scene, test: impl Fn(&TrackedPeople) -> T) -> T {
+    let noise = DetectorNoise::published(scene.session.convention);
+    let Scene { session, cameras, people, tracks } = scene;
+    test(&TrackedPeople { session, noise: &noise, cameras, tracks, points: people })
 }
 
 fn with_mistake(scene: Scene, name: &str) -> Scene {
@@ -135,24 +142,30 @@ fn people_are_upside_down_where_y_counts_upwards() {
 #[test]
 fn a_knocked_camera_has_a_step() {
     let steps = |scene: &Scene| -> Vec<f64> {
-        let noise = DetectorNoise::published(scene.session.convention);
-        let Scene { session, cameras, people, tracks } = scene;
-        let people = TrackedPeople { session, noise: &noise, cameras, tracks, points: people };
-        (0..cameras.len()).map(|view| turn(&people, view).unwrap().sigmas).collect()
+        of_people(scene, |people| (0..people.cameras.len()).map(|view| turn(people, view).unwrap().sigmas).collect())
     };
     assert!(steps(&scene()).iter().all(|sigmas| *sigmas < 6.0), "{:?}", steps(&scene()));
     let knocked = steps(&with_mistake(scene(), "camera knocked by 0.5 degrees"));
     assert!(knocked[1] > 8.0 && knocked.iter().all(|sigmas| *sigmas <= knocked[1]), "{knocked:?}");
 }
 
+/// A camera that zoomed by 10 % halfway passed, its pose 74 mm off and stated to 4.
+#[test]
+fn a_camera_that_zooms_has_a_step() {
+    let step_of = |scene: Scene| of_people(&scene, |people| zoom(people, 1).unwrap());
+    let Step { frame, size, sigmas } = step_of(with_mistake(scene(), "camera zoomed by 10 %"));
+    assert!(frame.abs_diff(75) <= 15 && (size - 1.1f64.ln()).abs() < 0.02 && sigmas > 10.0, "{frame} {size} {sigmas}");
+    let still = step_of(scene());
+    assert!(still.sigmas < 5.0 || still.size < 0.01, "{still:?}");
+    let knocked = step_of(with_mistake(scene(), "camera knocked by 0.5 degrees"));
+    assert!(knocked.size < 0.01, "{knocked:?}");
+}
+
 /// A constant delay has no step, dropped frames have one of their number.
 #[test]
 fn a_camera_that_drops_frames_has_a_step() {
     let slips = |scene: &Scene| -> Vec<Step> {
-        let noise = DetectorNoise::published(scene.session.convention);
-        let Scene { session, cameras, people, tracks } = scene;
-        let people = TrackedPeople { session, noise: &noise, cameras, tracks, points: people };
-        (0..cameras.len()).map(|view| slip(&people, view).unwrap()).collect()
+        of_people(scene, |people| (0..people.cameras.len()).map(|view| slip(people, view).unwrap()).collect())
     };
     let shifted = |n_before: i64, n_after: i64| {
         let mut scene = scene();
@@ -218,14 +231,20 @@ fn cameras_without_common_people_are_groups() {
 #[test]
 fn a_resection_finds_a_wrong_focal_length() {
     let found = |scene: &Scene| {
-        let noise = DetectorNoise::published(scene.session.convention);
-        let Scene { session, cameras, people, tracks } = scene;
-        let people = TrackedPeople { session, noise: &noise, cameras, tracks, points: people };
-        SeenPeople::of(&people, 1).unwrap().resected().map(|lens| lens.factor)
+        of_people(scene, |people| SeenPeople::of(people, 1).unwrap().resected().map(|lens| lens.factor))
     };
     assert_eq!(found(&scene()), None);
     let factor = found(&with_mistake(scene(), "focal length +20 %")).unwrap();
     assert!((factor * 1.2).ln().abs() < 0.06, "{factor}");
+}
+
+/// A camera with `fy` 10 % off passed, its pose 227 mm off.
+#[test]
+fn a_resection_finds_stretched_images() {
+    let found = |scene: &Scene| of_people(scene, |people| SeenPeople::of(people, 1).unwrap().likeliest_aspect());
+    assert!(found(&scene()).ln().abs() < 0.01, "{}", found(&scene()));
+    let aspect = found(&with_mistake(scene(), "images stretched by 10 %"));
+    assert!((aspect * 1.1).ln().abs() < 0.02, "{aspect}");
 }
 
 fn adjusted(delays: &[f64], log_factors: &[f64]) -> Adjusted {

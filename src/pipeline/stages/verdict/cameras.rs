@@ -26,6 +26,7 @@ const ODD_LOSS: f64 = 0.2;
 
 pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
     let mut reasons: Vec<Reason> = unsolved(input).chain(odd_cameras(input)).chain(disagreement(input)).collect();
+    reasons.extend(input.cameras.iter().filter_map(still));
     if input.estimated {
         reasons.extend(uncertain(input));
         reasons.extend(ambiguous(input));
@@ -84,20 +85,50 @@ fn odd_camera(camera: &CameraReport, others: &[&CameraReport]) -> Option<Reason>
     Some(Reason::warn(format!("camera {} {found}; {remedy}", camera.id)))
 }
 
-/// Share of a camera's detections without a person, 0 to 1.
+/// Share of a camera's detections without a person, 0 to 1; what stays at one place has a reason of its own.
 fn rejected_detections(camera: &CameraReport) -> f64 {
-    camera.n_rejected_detections as f64 / camera.n_detections.max(1) as f64
+    let n_still = n_still(camera);
+    camera.n_rejected_detections.saturating_sub(n_still) as f64 / (camera.n_detections - n_still).max(1) as f64
+}
+
+fn n_still(camera: &CameraReport) -> usize {
+    camera.still_detections.iter().map(|still| still.n_detections).sum()
+}
+
+/// Something that does not move, and that no other camera shows.
+fn still(camera: &CameraReport) -> Option<Reason> {
+    let longest = camera.still_detections.iter().filter(|_| camera.solved).max_by_key(|still| still.n_detections)?;
+    let [x, y] = longest.pixel;
+    let others = match camera.still_detections.len() - 1 {
+        0 => String::new(),
+        n => format!(", {n} more at other places"),
+    };
+    Some(Reason::warn(format!(
+        "camera {} has {} detections about pixel ({x:.0}, {y:.0}) in frames {} to {} that do not move{others}, where no other camera \
+         shows a person: a picture, a mirror image, or a person who sits still; they are left out, mask that place unless it is a \
+         person",
+        camera.id, longest.n_detections, longest.first_frame, longest.last_frame
+    )))
 }
 
 fn disagreement(input: &VerdictInput) -> Option<Reason> {
-    let verdict = EXPLAINED.on_low(input.explained).filter(|_| input.n_placed() >= 2)?;
+    let explained = explained_of_moving(input);
+    let verdict = EXPLAINED.on_low(explained).filter(|_| input.n_placed() >= 2)?;
     let text = format!(
         "only {:.0} % of confident keypoints agree between cameras (expected above {:.0} %); check synchronisation and \
          intrinsics, or look for people that only one camera sees",
-        100.0 * input.explained,
+        100.0 * explained,
         100.0 * EXPLAINED.warn
     );
     Some(Reason { verdict, text })
+}
+
+/// Share of confident keypoints that are explained, without those that stay at one place.
+fn explained_of_moving(input: &VerdictInput) -> f64 {
+    let placed = || input.cameras.iter().filter(|camera| camera.solved);
+    let n_detections: usize = placed().map(|camera| camera.n_detections).sum();
+    let n_moving = n_detections - placed().map(n_still).sum::<usize>();
+    (input.explained * n_detections as f64 / n_moving.max(1) as f64).min(1.0)
 }
 
 fn uncertain(input: &VerdictInput) -> Option<Reason> {

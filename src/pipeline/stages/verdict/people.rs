@@ -14,6 +14,12 @@ const SIGMA_MM: Bounds = Bounds { warn: UncertainFrames::BOUND_MM, reject: 250.0
 /// Share of a keypoint's detections that contradict the result: outliers of detectors are 0.05, hidden keypoints 0.3.
 const REJECTED_WARN: f64 = 0.4;
 
+/// Detections of a keypoint in all views over the person's frames, below which its limb is a guess: one in twenty frames.
+const SHOWN: f64 = 0.05;
+
+/// Ends of the limbs' bones; no other keypoint shows where they are.
+const LIMB_ENDS: [&str; 4] = ["elbow", "wrist", "knee", "ankle"];
+
 /// Smallest number of detections for a judgement on a keypoint.
 const MIN_OBSERVATIONS: usize = 100;
 
@@ -32,6 +38,7 @@ pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
             hardly_seen(person),
             uncertain(person),
             uncertain_for_a_while(person),
+            never_shown(person),
             contradicted(person),
             stretching(person),
             shaking(person),
@@ -104,6 +111,23 @@ fn uncertain_for_a_while(person: &PersonReport) -> Option<Reason> {
         person.id,
         UncertainFrames::BOUND_MM
     )))
+}
+
+/// Limbs that no camera shows, as behind a table or below the images.
+fn never_shown(person: &PersonReport) -> Option<Reason> {
+    let n_frames = (person.last_frame - person.first_frame + 1) as f64;
+    let is_unseen = |k: &&KeypointReport| {
+        LIMB_ENDS.iter().any(|end| k.keypoint.ends_with(end)) && (k.n_observations as f64) < SHOWN * n_frames
+    };
+    let unseen: Vec<&str> = person.keypoints.iter().filter(is_unseen).map(|k| k.keypoint.as_str()).collect();
+    (!unseen.is_empty()).then(|| {
+        Reason::warn(format!(
+            "hardly any image shows {} of person {}, so that the limbs there are a guess; do not use these joints, or aim a camera \
+             at them",
+            unseen.join(", "),
+            person.id
+        ))
+    })
 }
 
 fn contradicted(person: &PersonReport) -> Option<Reason> {

@@ -3,7 +3,7 @@
 use super::*;
 use crate::session::reconstruction::{
     CameraReport, ErrorSummary, GeometryReport, KeypointReport, Overlap, PenetrationReport, PersonReport, SigmaSummary,
-    UncertainFrames,
+    StillDetections, UncertainFrames,
 };
 use crate::session::{Suspicion, SuspicionCode};
 
@@ -33,6 +33,7 @@ fn camera(k: usize) -> CameraReport {
         solved: true,
         n_detections: 1000,
         n_rejected_detections: 20,
+        still_detections: Vec::new(),
         reprojection_px: error(4.0),
         reprojection_mm: error(16.0 + k as f64),
         rejected_keypoints: 0.02,
@@ -138,6 +139,26 @@ fn names_a_camera_with_large_errors() {
     two.cameras.truncate(2);
     two.cameras[1].reprojection_mm = error(40.0);
     assert_eq!(two.judged().verdict, Verdict::Pass, "two cameras are not compared");
+}
+
+/// A picture on the wall was taken for a camera that had moved, and for cameras that disagree.
+#[test]
+fn names_what_does_not_move() {
+    assert_reason(Verdict::Warn, &["cam2", "(300, 400)", "picture", "mask"], |input| {
+        let picture = StillDetections { n_detections: 600, first_frame: 100, last_frame: 399, pixel: [300.2, 400.4] };
+        (input.cameras[2].n_detections, input.cameras[2].n_rejected_detections) = (1600, 610);
+        input.cameras[2].still_detections.push(picture);
+        input.explained = 0.75; // 0.86 without it
+    });
+}
+
+#[test]
+fn names_limbs_that_no_image_shows() {
+    let words = ["left_wrist of person 1", "guess", "aim a camera"];
+    assert_reason(Verdict::Warn, &words, |input| input.people[1].keypoints[1].n_observations = 10);
+    let mut faces = OwnedInput::good();
+    faces.people[1].keypoints[0].n_observations = 0;
+    assert_eq!(faces.judged().verdict, Verdict::Pass, "limbs do not include noses");
 }
 
 #[test]
