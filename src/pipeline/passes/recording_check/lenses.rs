@@ -4,6 +4,7 @@
 
 use super::solved::{MAX_KEYFRAMES, Solved};
 use crate::geometry::{Intrinsics, Rigid};
+use crate::optim::robust::median;
 use crate::pipeline::calibration::CameraFreedom;
 use crate::pipeline::focal_spread::OVERCOUNT;
 use crate::pipeline::passes::adjustment::ALL_FRAMES;
@@ -26,6 +27,9 @@ const NOT_WORSE: f64 = 1.05;
 
 /// Smallest difference between the shapes of pixels, of logarithms: calibrations state `fy / fx` to 0.5 %.
 const MIN_STRETCH: f64 = 0.03;
+
+/// Share of detections without a person, beyond the usual one, from which a camera has lost its people.
+const LOST: f64 = 0.2;
 
 /// Logarithm of the likelihood ratio from which calibrations belong elsewhere: published lenses of real cameras, which are off by 1 to
 /// 3 %, reach 36 against those of their neighbours over four seconds, exchanged files 50 and more.
@@ -134,7 +138,10 @@ fn likeliest(solved: &Solved, resections: &[Option<Lens>]) -> Option<Proposal> {
     let smaller = sizes.filter(|&(view, factor)| lies_within(&solved.session().views[view], factor));
     let resized =
         smaller.filter_map(|(v, factor)| proposal(Code::Resolution, Some(factor), &[(v, lenses[v].resized(factor))]));
-    let stretched = views.iter().filter_map(|&view| {
+    // A camera that was moved has lost its people for a while, and what is left suits any shape.
+    let assigned = solved.assigned_shares();
+    let usual = median(&mut views.iter().map(|&view| assigned[view]).collect::<Vec<_>>())?;
+    let stretched = views.iter().filter(|&&view| assigned[view] > usual - LOST).filter_map(|&view| {
         let aspect = given[view].as_ref()?.0.likeliest_aspect();
         let is_other = aspect.ln().abs() > MIN_STRETCH;
         is_other.then(|| proposal(Code::PixelAspect, None, &[(view, lenses[view].with_aspect_factor(aspect))]))?

@@ -6,7 +6,7 @@ use crate::pipeline::calibration::{Calibration, TrackedPeople};
 use crate::pipeline::capture::Capture;
 use crate::pipeline::stages::bundle_adjustment::input::Bone;
 use crate::pipeline::stages::recording_check::lens::{Lens, SeenPeople};
-use crate::session::{JointTrajectory, Session, Suspicion};
+use crate::session::{JointTrajectory, Session, Suspicion, View};
 use rayon::prelude::*;
 
 /// Keyframes of an adjustment that tests other parameters: half of those of the last adjustment give standard errors that are 1.4
@@ -47,6 +47,17 @@ impl Solved<'_> {
     pub(super) fn unnamed(&self, found: &[Suspicion]) -> Vec<usize> {
         let placed = (0..self.calibration.cameras.len()).filter(|&v| self.calibration.cameras[v].is_some());
         placed.filter(|&v| !self.is_named(v, found)).collect()
+    }
+
+    /// By view the share of its detections that show a person.
+    pub(super) fn assigned_shares(&self) -> Vec<f64> {
+        let tracks = &self.calibration.association.tracks;
+        let share = |(view, seen): (usize, &View)| {
+            let n_seen = seen.frames.iter().flatten().filter(|d| d.keypoints.iter().any(|k| k.is_present())).count();
+            let assigned = tracks.iter().flat_map(|track| &track.detections).filter(|people| people[view].is_some());
+            assigned.count() as f64 / n_seen.max(1) as f64
+        };
+        self.session().views.iter().enumerate().map(share).collect()
     }
 
     /// Bones of all people.

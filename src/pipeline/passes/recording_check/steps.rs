@@ -30,8 +30,8 @@ const MIN_SLIP: f64 = 0.6;
 const CERTAIN: f64 = 5.0;
 /// Against all cameras' people a third of a step is left: from here on the largest ones are measured against the others.
 const LIKELY: f64 = 3.5;
-/// The same of focal lengths: of zooms by 10 % between 6 and 21 standard errors are left, and right recordings have fewer than 5.
-const LIKELY_ZOOM: f64 = 5.0;
+/// Against all cameras' people a sixth of a zoom is left at least, where the smallest certain one has 3 %.
+const LIKELY_ZOOM_SIZE: f64 = 0.005;
 const N_LIKELY: usize = 2;
 /// Cameras from which the others locate people well enough: with two others, whose slow errors move every point, one still camera
 /// of ten seemed to turn by 0.3 degrees at 6 standard errors.
@@ -43,7 +43,7 @@ const MIN_CAMERAS_OF_ZOOM: usize = 3;
 /// The camera that was moved.
 pub(super) fn moved_camera(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
     let min_turn = if n_people(&solved.people()) < FEW { MIN_TURN_OF_FEW } else { MIN_TURN };
-    let test = StepTest { step: turn, likely: LIKELY, min_size: min_turn, min_cameras: MIN_CAMERAS };
+    let test = StepTest { step: turn, likely_size: 0.0, min_size: min_turn, min_cameras: MIN_CAMERAS };
     let Some((view, frame, step)) = largest_step(solved, found, &test, progress)? else { return Ok(()) };
     let evidence = format!(
         "it moved during the recording: it turns by {:.2} degrees near frame {frame} ({:.0} standard errors)",
@@ -57,7 +57,8 @@ pub(super) fn moved_camera(solved: &Solved, found: &mut Vec<Suspicion>, progress
 
 /// The camera that zoomed.
 pub(super) fn zoomed_camera(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
-    let test = StepTest { step: zoom, likely: LIKELY_ZOOM, min_size: MIN_ZOOM, min_cameras: MIN_CAMERAS_OF_ZOOM };
+    let test =
+        StepTest { step: zoom, likely_size: LIKELY_ZOOM_SIZE, min_size: MIN_ZOOM, min_cameras: MIN_CAMERAS_OF_ZOOM };
     let Some((view, frame, step)) = largest_step(solved, found, &test, progress)? else { return Ok(()) };
     let evidence = format!(
         "it zoomed during the recording: its focal length changes by {:.0} % near frame {frame} ({:.0} standard errors)",
@@ -71,7 +72,7 @@ pub(super) fn zoomed_camera(solved: &Solved, found: &mut Vec<Suspicion>, progres
 
 /// The camera whose frames slip against the others.
 pub(super) fn slipping_clock(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
-    let test = StepTest { step: slip, likely: LIKELY, min_size: MIN_SLIP, min_cameras: MIN_CAMERAS };
+    let test = StepTest { step: slip, likely_size: 0.0, min_size: MIN_SLIP, min_cameras: MIN_CAMERAS };
     let Some((view, frame, step)) = largest_step(solved, found, &test, progress)? else { return Ok(()) };
     let evidence = format!(
         "its frames slip against those of the others, by {:.1} frames near frame {frame} ({:.0} standard errors): frames were \
@@ -97,8 +98,8 @@ fn n_people(people: &TrackedPeople) -> f64 {
 struct StepTest {
     /// The most certain step of a view.
     step: fn(&TrackedPeople, usize) -> Option<Step>,
-    /// Standard errors from which it is measured again.
-    likely: f64,
+    /// Size from which a likely one is measured again.
+    likely_size: f64,
     /// Size from which it counts.
     min_size: f64,
     /// Cameras from which it is tested.
@@ -122,7 +123,7 @@ fn largest_step(
     let steps = solved.unnamed(found).into_par_iter().filter_map(|view| Some((view, (test.step)(&people, view)?)));
     let mut steps: Vec<_> = steps.collect();
     tracing::debug!(?steps, "steps of cameras");
-    steps.retain(|(_, step)| step.sigmas >= test.likely);
+    steps.retain(|(_, step)| step.sigmas >= LIKELY && step.size >= test.likely_size);
     steps.sort_by(|a, b| b.1.size.total_cmp(&a.1.size));
     steps.truncate(N_LIKELY);
     let measured_again = |&(view, _): &(usize, Step)| Ok((view, step_against_others(solved, test, view, progress)?));
