@@ -323,6 +323,7 @@ impl Solution {
             cameras: &cameras,
             people: &people,
             geometry: &geometry,
+            scale: self.scale.as_ref(),
             penetration: &penetration,
             resolves_collisions: capture.options.collision,
             explained: self.calibration.association.explained,

@@ -62,6 +62,11 @@ pub struct Detection {
 }
 
 impl Detection {
+    /// Whether any keypoint was detected.
+    pub fn has_points(&self) -> bool {
+        self.keypoints.iter().any(Keypoint::is_present)
+    }
+
     /// The same with left and right exchanged; `twins`: [`Session::mirror`]. Points after those stay as they are: hands are given to
     /// their sides later.
     pub fn with_sides_exchanged(&self, twins: &[usize]) -> Self {

@@ -13,7 +13,7 @@ const SUSPICIOUS: f64 = 0.01;
 pub(super) fn suspicion(session: &Session) -> Option<Suspicion> {
     let n_keypoints = session.convention.names().len();
     let share = |view: &View| {
-        let n = view.frames.iter().flatten().filter(|detection| has_points(detection)).count();
+        let n = view.frames.iter().flatten().filter(|detection| detection.has_points()).count();
         let n_doubles: usize = view.frames.iter().map(|people| doubles(people, n_keypoints).len()).sum();
         (n_doubles >= MIN_DOUBLES).then_some(n_doubles as f64 / n as f64).filter(|share| *share >= SUSPICIOUS)
     };
@@ -40,10 +40,6 @@ pub fn without_doubles(session: &Session) -> Session {
         }
     }
     single
-}
-
-fn has_points(detection: &Detection) -> bool {
-    detection.keypoints.iter().any(Keypoint::is_present)
 }
 
 /// The detections of one image that show the same person as a more confident one.

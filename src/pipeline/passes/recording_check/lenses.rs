@@ -144,7 +144,8 @@ fn likeliest(solved: &Solved, resections: &[Option<Lens>]) -> Option<Proposal> {
     let stretched = views.iter().filter(|&&view| assigned[view] > usual - LOST).filter_map(|&view| {
         let aspect = given[view].as_ref()?.0.likeliest_aspect();
         let is_other = aspect.ln().abs() > MIN_STRETCH;
-        is_other.then(|| proposal(Code::PixelAspect, None, &[(view, lenses[view].with_aspect_factor(aspect))]))?
+        let stretched = || proposal(Code::PixelAspect, None, &[(view, lenses[view].with_aspect_factor(aspect))]);
+        is_other.then(stretched).flatten()
     });
     exchanged.chain(resized).chain(stretched).min_by(|x, y| x.cost_ratio.total_cmp(&y.cost_ratio))
 }

@@ -53,7 +53,7 @@ impl Solved<'_> {
     pub(super) fn assigned_shares(&self) -> Vec<f64> {
         let tracks = &self.calibration.association.tracks;
         let share = |(view, seen): (usize, &View)| {
-            let n_seen = seen.frames.iter().flatten().filter(|d| d.keypoints.iter().any(|k| k.is_present())).count();
+            let n_seen = seen.frames.iter().flatten().filter(|d| d.has_points()).count();
             let assigned = tracks.iter().flat_map(|track| &track.detections).filter(|people| people[view].is_some());
             assigned.count() as f64 / n_seen.max(1) as f64
         };

@@ -26,7 +26,7 @@ use crate::geometry::free_network::CameraCovariance;
 use crate::optim::arrow::{self, Block};
 use crate::optim::robust::geman_mcclure;
 use crate::pipeline::calibration::{CameraUncertainty, FocalEstimate};
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, Vector3};
 use std::collections::BTreeMap;
 
 /// Smallest ratio of curvature to weight, reached where half of the residuals are as large as the robust scale.
@@ -58,8 +58,10 @@ pub(super) fn camera_uncertainties(problem: &Problem, state: &State, block_frame
     let poses: Vec<Rigid> = moving.iter().map(|&(_, _, pose)| pose).collect();
     let border = border_covariance(problem, state, block_frames);
     let rows: Vec<usize> = moving.iter().flat_map(|&(_, first, _)| first..first + 6).collect();
+    let points = || state.points.iter().flatten();
+    let scene = points().sum::<Vector3<f64>>() / points().count().max(1) as f64;
     let of_cameras =
-        |border: &DMatrix<f64>| CameraCovariance::new(poses, border.select_rows(&rows).select_columns(&rows));
+        |border: &DMatrix<f64>| CameraCovariance::new(poses, border.select_rows(&rows).select_columns(&rows), &scene);
     if let Some((border, covariance)) = border.as_ref().and_then(|border| Some((border, of_cameras(border)?))) {
         for (&(view, first, _), sigma) in moving.iter().zip(covariance.pose_sigmas()) {
             let sigma_delay = sigma_delay(border, problem.layout.delay, moving[0].1, first);

@@ -20,7 +20,7 @@ use crate::session::reconstruction::{
     CameraReport, ErrorSummary, GeometryReport, KeypointReport, PersonReport, SigmaSummary,
 };
 use crate::session::recording::Session;
-use crate::session::{Detection, FrameIndex, JointTrajectory, Keypoint};
+use crate::session::{FrameIndex, JointTrajectory};
 use nalgebra::Vector3;
 use reprojections::{KeypointStatistics, Misfits, PersonStatistics, people_statistics};
 use still_detections::still_detections;
@@ -73,8 +73,7 @@ impl FitStatistics {
             tracks.iter().flat_map(|t| &t.detections).filter(|assignment| assignment[view].is_some()).count()
         };
         let report = |(v, view): (usize, &crate::session::View)| {
-            let has_keypoints = |detection: &&Detection| detection.keypoints.iter().any(Keypoint::is_present);
-            let n_detections = view.frames.iter().flatten().filter(has_keypoints).count();
+            let n_detections = view.frames.iter().flatten().filter(|detection| detection.has_points()).count();
             CameraReport {
                 id: view.id.clone(),
                 solved: cameras[v].is_some(),

@@ -1,7 +1,7 @@
 //! Detections of no known person that stay at one place.
 
 use crate::session::reconstruction::StillDetections;
-use crate::session::{Detection, FrameIndex, Keypoint, PersonTrack, Session};
+use crate::session::{Detection, FrameIndex, PersonTrack, Session};
 use nalgebra::Vector2;
 
 /// Shortest time at one place, s.
@@ -31,7 +31,7 @@ pub(super) fn still_detections(session: &Session, tracks: &[PersonTrack], view: 
     for (frame, people) in session.views[view].frames.iter().enumerate() {
         let assigned: Vec<usize> = tracks.iter().filter_map(|track| assigned(track, frame, view)).collect();
         for (index, detection) in people.iter().enumerate().filter(|(index, _)| !assigned.contains(index)) {
-            if !detection.keypoints.iter().any(Keypoint::is_present) {
+            if !detection.has_points() {
                 continue;
             }
             match places

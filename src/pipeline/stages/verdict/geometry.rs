@@ -1,4 +1,4 @@
-//! Problems of the recording as a whole: its length, the movement of people, and the angles between views.
+//! Problems of the recording as a whole: its length, the movement of people, the angles between views, and the scale.
 
 use super::input::VerdictInput;
 use super::reason::{Bounds, Reason};
@@ -14,10 +14,13 @@ const SPREAD_WARN: f64 = 0.15;
 /// them: 2.7 sigma at 30 degrees, 16 sigma at 5.
 pub(super) const RAY_ANGLE_DEG: Bounds = Bounds { warn: 30.0, reject: 5.0 };
 
+/// Half of the 95 % interval of the scale's logarithm. One adult gives 0.11; more is a group of which it is not known who is a child.
+const SCALE_WARN: f64 = 0.15;
+
 pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
     let of_estimate = || short_recording(input).into_iter().chain(static_people(input));
     let of_estimate = input.estimated.then(of_estimate).into_iter().flatten();
-    of_estimate.chain(narrow_angles(input)).collect()
+    of_estimate.chain(narrow_angles(input)).chain(uncertain_scale(input)).collect()
 }
 
 fn short_recording(input: &VerdictInput) -> Option<Reason> {
@@ -48,4 +51,17 @@ fn narrow_angles(input: &VerdictInput) -> Option<Reason> {
         RAY_ANGLE_DEG.warn
     );
     Some(Reason { verdict, text })
+}
+
+/// People of whom it is not known who is a child.
+fn uncertain_scale(input: &VerdictInput) -> Option<Reason> {
+    let [low, high] = input.scale?.interval95;
+    let half = (high / low).ln() / 2.0;
+    let text = format!(
+        "metric scale: all lengths are uncertain by {:.0} % (expected below {:.0} %), as where one of two people may be a child; give \
+         the height of a person or the distance of two cameras (option scale)",
+        100.0 * half,
+        100.0 * SCALE_WARN
+    );
+    (half > SCALE_WARN).then(|| Reason::warn(text))
 }

@@ -1,7 +1,7 @@
 //! Input of the verdict.
 
 use crate::session::Suspicion;
-use crate::session::reconstruction::{CameraReport, GeometryReport, PenetrationReport, PersonReport};
+use crate::session::reconstruction::{CameraReport, GeometryReport, PenetrationReport, PersonReport, ScaleReport};
 
 /// Everything that the verdict depends on.
 #[derive(Debug, Clone, Copy)]
@@ -14,6 +14,8 @@ pub struct VerdictInput<'a> {
     pub people: &'a [PersonReport],
     /// Coverage of the persons by the views.
     pub geometry: &'a GeometryReport,
+    /// The metric scale; `None` where nothing determines it.
+    pub scale: Option<&'a ScaleReport>,
     /// Overlaps between bodies.
     pub penetration: &'a PenetrationReport,
     /// Whether collisions were resolved (`options.collision`).

@@ -2,8 +2,8 @@
 
 use super::*;
 use crate::session::reconstruction::{
-    CameraReport, ErrorSummary, GeometryReport, KeypointReport, Overlap, PenetrationReport, PersonReport, SigmaSummary,
-    StillDetections, UncertainFrames,
+    CameraReport, ErrorSummary, GeometryReport, KeypointReport, Overlap, PenetrationReport, PersonReport, ScaleReport,
+    SigmaSummary, StillDetections, UncertainFrames,
 };
 use crate::session::{Suspicion, SuspicionCode};
 
@@ -13,6 +13,7 @@ struct OwnedInput {
     cameras: Vec<CameraReport>,
     people: Vec<PersonReport>,
     geometry: GeometryReport,
+    scale: ScaleReport,
     penetration: PenetrationReport,
     resolves_collisions: bool,
     explained: f64,
@@ -81,6 +82,7 @@ impl OwnedInput {
             cameras: (0..4).map(camera).collect(),
             people: (0..2).map(person).collect(),
             geometry: GeometryReport { people_spread_m: Some(1.0), ray_angle_deg: Some(80.0), dilution: Some(1.3) },
+            scale: ScaleReport { value: 2.0, interval95: [1.8, 2.2], evidence: "2 people".to_owned() },
             penetration: PenetrationReport::default(),
             resolves_collisions: true,
             explained: 0.97,
@@ -97,6 +99,7 @@ impl OwnedInput {
             cameras: &self.cameras,
             people: &self.people,
             geometry: &self.geometry,
+            scale: Some(&self.scale),
             penetration: &self.penetration,
             resolves_collisions: self.resolves_collisions,
             explained: self.explained,
@@ -211,6 +214,7 @@ fn reports_weak_geometry() {
         input.geometry.ray_angle_deg = Some(15.0)
     });
     assert_reason(Verdict::Reject, &["3 degrees", "across"], |input| input.geometry.ray_angle_deg = Some(3.0));
+    assert_reason(Verdict::Warn, &["metric scale", "22 %", "height"], |input| input.scale.interval95 = [1.6, 2.5]);
     assert_reason(Verdict::Warn, &["1.0 s", "longer"], |input| {
         input.people.iter_mut().for_each(|person| person.last_frame = person.first_frame + 14);
     });

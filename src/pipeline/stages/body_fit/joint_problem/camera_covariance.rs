@@ -20,11 +20,12 @@
 use super::super::pixel_residuals::{DetectedPixels, shared_error_variance, variance_per_residual};
 use super::super::session_state::SessionState;
 use super::super::terms::camera_unknowns::POSE;
+use super::super::terms::whitened_pixels::Positions;
 use super::super::terms::whitened_pixels::scores::Movements;
 use super::super::terms::window::TrackedLandmark;
 use super::{JointProblem, Member, Reduced, with_bones};
 use crate::geometry::free_network::CameraCovariance;
-use nalgebra::{DMatrix, DVector, Matrix3xX};
+use nalgebra::{DMatrix, DVector, Matrix3xX, Vector3};
 use rayon::prelude::*;
 
 impl JointProblem<'_> {
@@ -34,7 +35,19 @@ impl JointProblem<'_> {
         let n = self.camera_columns(cameras.len()).unknowns.len();
         let poses: Vec<usize> = (0..cameras.len()).flat_map(|camera| n * camera..n * camera + POSE).collect();
         let covariance = self.spread_of_cameras(members, slow)?.covariance(&poses);
-        CameraCovariance::new(cameras.iter().map(|camera| camera.camera_from_world).collect(), covariance)
+        let cameras = cameras.iter().map(|camera| camera.camera_from_world).collect();
+        CameraCovariance::new(cameras, covariance, &self.middle_of_people(members))
+    }
+
+    /// Mean position of all members' pelvises.
+    fn middle_of_people(&self, members: &[Member]) -> Vector3<f64> {
+        let (mut sum, mut n) = (Vector3::zeros(), 0);
+        for Member { state, .. } in members {
+            let pelvis_at_rest = self.context.model.shaped(&state.betas).rest_joints[0];
+            sum += state.poses.iter().map(|pose| pelvis_at_rest + pose.translation).sum::<Vector3<f64>>();
+            n += state.poses.len();
+        }
+        sum / n.max(1) as f64
     }
 
     /// At the minimum; the cameras are the only unknowns of the session. `None` where the channels do not determine them.
@@ -73,21 +86,11 @@ impl JointProblem<'_> {
         slow: f64,
     ) -> Option<PersonScores> {
         let (DetectedPixels::Correlated(over_time), Some(basis)) = (pixels, &reduced.basis) else { return None };
-        let (own, frames) = reduced.responses(person, basis);
         let model = with_bones(self.context.model, &member.bones);
         let problem = self.problem(&model, member, pixels);
         let paths = problem.linearised_paths(&member.state);
-        let movement = |t: usize, landmark: &TrackedLandmark| {
-            let mut movement: Matrix3xX<f64> = landmark.jacobian.by_border.dense(own.nrows()) * &own;
-            for (first, block) in &landmark.jacobian.by_frame {
-                movement += block * frames[t].fixed_rows::<3>(*first);
-            }
-            movement
-        };
-        let of_frame =
-            |(t, landmarks): (usize, &Vec<TrackedLandmark>)| landmarks.iter().map(|l| movement(t, l)).collect();
-        let landmarks: Vec<Vec<Matrix3xX<f64>>> = paths.par_iter().enumerate().map(of_frame).collect();
-        let positions = paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect();
+        let landmarks = reduced.landmark_movements(person, basis, &paths);
+        let positions = positions_of(&paths);
         let of_camera = self.camera_columns(member.observations.cameras.len()).unknowns;
         let movements = Movements { landmarks: &landmarks, cameras: basis, of_camera };
         let channels = over_time.scores(&member.observations.cameras, &positions, &movements);
@@ -131,7 +134,33 @@ struct PersonScores {
     followed: f64,
 }
 
+/// World positions of the landmarks.
+pub(super) fn positions_of(paths: &[Vec<TrackedLandmark>]) -> Positions {
+    paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect()
+}
+
 impl Reduced {
+    /// Movement of a person's landmarks per unit of each free direction of the session, which the person follows.
+    /// `[frame][observed landmark]`
+    pub(super) fn landmark_movements(
+        &self,
+        person: usize,
+        basis: &DMatrix<f64>,
+        paths: &[Vec<TrackedLandmark>],
+    ) -> Vec<Vec<Matrix3xX<f64>>> {
+        let (own, frames) = self.responses(person, basis);
+        let movement = |t: usize, landmark: &TrackedLandmark| {
+            let mut movement: Matrix3xX<f64> = landmark.jacobian.by_border.dense(own.nrows()) * &own;
+            for (first, block) in &landmark.jacobian.by_frame {
+                movement += block * frames[t].fixed_rows::<3>(*first);
+            }
+            movement
+        };
+        let of_frame =
+            |(t, landmarks): (usize, &Vec<TrackedLandmark>)| landmarks.iter().map(|l| movement(t, l)).collect();
+        paths.par_iter().enumerate().map(of_frame).collect()
+    }
+
     /// Movement of a person's own border and frames per unit of each free direction of the session.
     pub(super) fn responses(&self, person: usize, basis: &DMatrix<f64>) -> (DMatrix<f64>, Vec<DMatrix<f64>>) {
         let own = -(&self.own_parts[person].0 * basis);
