@@ -58,7 +58,7 @@ pub struct FittedStature {
 /// People who differ from the others (a duplicate) get Huber's weight at 2 standard deviations.
 ///
 /// Beside adults the smallest people may be children ([`CHILD_SIZE`]), so that the scale is the mean over their number, by the
-/// probability of each: of two people of whom one is a third smaller, the larger one is the adult. Known limit: children alone
+/// probability of each: of two people, one a third smaller than the other, the larger one is the adult. Known limit: children alone
 /// count as adults.
 pub fn scale_from_people(model: &BodyModel, people: &[Vec<MeasuredSegment>]) -> Option<ScaleEstimate> {
     let rows = segment_rows(model, people);

@@ -211,7 +211,7 @@ mod tests {
     /// Cameras on a line, each off by 10 mm and 0.2 degrees of its own: by centres alone they were uncertain by 3 degrees, people in
     /// front of them by 0.3 m, and the verdict rejected results that were right to 2 cm.
     #[test]
-    fn cameras_along_a_wall_leave_the_turn_about_their_line_to_the_world() {
+    fn the_turn_about_a_line_of_cameras_is_that_of_the_world() {
         let wall = |k: usize| {
             let center = Vector3::new(-3.0 + 2.0 * k as f64, 0.05 * (k % 2) as f64, -4.5);
             let rotation = rotation::exp(&Vector3::new(0.0, (center.x / 4.5).atan(), 0.0));

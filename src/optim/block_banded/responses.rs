@@ -1,8 +1,10 @@
-//! How the frames follow the border: many back substitutions at once.
+//! How the frames follow the border, and how they spread: many back substitutions at once.
 
 use super::Eliminated;
 use super::frame_factor::FrameFactor;
 use nalgebra::DMatrix;
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
 
 /// The movements of the two frames behind the next one of a back substitution.
 #[derive(Default)]
@@ -15,7 +17,11 @@ impl Following {
     /// The movement of a frame with this factor, by column of `border`; frames come from the last to the first.
     pub(super) fn step(&mut self, factor: &FrameFactor, border: &DMatrix<f64>) -> &DMatrix<f64> {
         // Products of transposed copies are several times faster than those of columns with columns.
-        let mut y = factor.to_border.transpose() * border;
+        self.substituted(factor, factor.to_border.transpose() * border)
+    }
+
+    /// `-(L^-T y)` of a frame.
+    fn substituted(&mut self, factor: &FrameFactor, mut y: DMatrix<f64>) -> &DMatrix<f64> {
         for (to_later, later) in [(&factor.to_next, &self.next), (&factor.to_after_next, &self.after_next)] {
             if !to_later.is_empty() {
                 y.gemm(1.0, &to_later.transpose(), later, 1.0);
@@ -34,6 +40,27 @@ impl Eliminated {
         let mut following = Following::default();
         let mut frames: Vec<_> =
             (0..self.n_frames()).rev().map(|t| following.step(&self.frame_factor(t), border).clone()).collect();
+        frames.reverse();
+        frames
+    }
+
+    /// [`Self::responses`], and as further columns draws from the normal distribution of covariance `H[frames][frames]^-1`, which is
+    /// that of the frames' errors given the border.
+    pub fn responses_and_samples(
+        &self,
+        border: &DMatrix<f64>,
+        n_samples: usize,
+        rng: &mut impl Rng,
+    ) -> Vec<DMatrix<f64>> {
+        let mut following = Following::default();
+        let mut of_frame = |t: usize| {
+            let factor = self.frame_factor(t);
+            let mut right = factor.to_border.transpose() * border;
+            right = right.resize_horizontally(border.ncols() + n_samples, 0.0);
+            right.columns_mut(border.ncols(), n_samples).apply(|white| *white = StandardNormal.sample(rng));
+            following.substituted(&factor, right).clone()
+        };
+        let mut frames: Vec<_> = (0..self.n_frames()).rev().map(&mut of_frame).collect();
         frames.reverse();
         frames
     }

@@ -145,16 +145,17 @@ fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Refined, Cance
     // has absorbed their errors.
     let free = problem(context, &table, &noise, Some(&priors));
     let Some((mut focal, likeliest)) = refined_focal(&free, members, slow(&noise)) else {
-        return Ok((free.camera_covariance(members, slow(&noise)), None));
+        return Ok((free.marginalised(members, slow(&noise)), None));
     };
     let last = problem(context, &table, &noise, Some(&likeliest));
     if !priors.has_spread_of(&likeliest) {
         last.minimised(members, Vec::new(), &STOPPING)?;
-        if let Some((found, _)) = refined_focal(&last, members, slow(&noise)) {
-            focal = RefinedFocal { log_evidence: focal.log_evidence, ..found };
-        }
     }
-    Ok((last.camera_covariance(members, slow(&noise)), Some(focal)))
+    let covariance = last.marginalised(members, slow(&noise));
+    if let Some((found, _)) = refined_focal(&last, members, slow(&noise)) {
+        focal = RefinedFocal { log_evidence: focal.log_evidence, ..found };
+    }
+    Ok((covariance, Some(focal)))
 }
 
 /// One step of the motions alone.

@@ -5,6 +5,7 @@
 //! shows, keep their values.
 
 mod camera_covariance;
+mod marginal_step;
 mod proportions;
 
 pub(super) use proportions::{ProportionEvidence, Role};

@@ -14,7 +14,7 @@ const SPREAD_WARN: f64 = 0.15;
 /// them: 2.7 sigma at 30 degrees, 16 sigma at 5.
 pub(super) const RAY_ANGLE_DEG: Bounds = Bounds { warn: 30.0, reject: 5.0 };
 
-/// Half of the 95 % interval of the scale's logarithm. One adult gives 0.11; more is a group of which it is not known who is a child.
+/// Half of the 95 % interval of the scale's logarithm. One adult gives 0.11, a group that may hold a child more.
 const SCALE_WARN: f64 = 0.15;
 
 pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
@@ -53,7 +53,7 @@ fn narrow_angles(input: &VerdictInput) -> Option<Reason> {
     Some(Reason { verdict, text })
 }
 
-/// People of whom it is not known who is a child.
+/// A group that may hold children or not.
 fn uncertain_scale(input: &VerdictInput) -> Option<Reason> {
     let [low, high] = input.scale?.interval95;
     let half = (high / low).ln() / 2.0;

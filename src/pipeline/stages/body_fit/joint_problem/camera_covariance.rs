@@ -19,37 +19,16 @@
 
 use super::super::pixel_residuals::{DetectedPixels, shared_error_variance, variance_per_residual};
 use super::super::session_state::SessionState;
-use super::super::terms::camera_unknowns::POSE;
 use super::super::terms::whitened_pixels::Positions;
 use super::super::terms::whitened_pixels::scores::Movements;
 use super::super::terms::window::TrackedLandmark;
 use super::{JointProblem, Member, Reduced, with_bones};
-use crate::geometry::free_network::CameraCovariance;
-use nalgebra::{DMatrix, DVector, Matrix3xX, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix3xX};
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 impl JointProblem<'_> {
-    /// Of the poses, at the minimum; see [`Self::spread_of_cameras`].
-    pub(in super::super) fn camera_covariance(&self, members: &[Member], slow: f64) -> Option<CameraCovariance> {
-        let cameras = &members.first()?.observations.cameras;
-        let n = self.camera_columns(cameras.len()).unknowns.len();
-        let poses: Vec<usize> = (0..cameras.len()).flat_map(|camera| n * camera..n * camera + POSE).collect();
-        let covariance = self.spread_of_cameras(members, slow)?.covariance(&poses);
-        let cameras = cameras.iter().map(|camera| camera.camera_from_world).collect();
-        CameraCovariance::new(cameras, covariance, &self.middle_of_people(members))
-    }
-
-    /// Mean position of all members' pelvises.
-    fn middle_of_people(&self, members: &[Member]) -> Vector3<f64> {
-        let (mut sum, mut n) = (Vector3::zeros(), 0);
-        for Member { state, .. } in members {
-            let pelvis_at_rest = self.context.model.shaped(&state.betas).rest_joints[0];
-            sum += state.poses.iter().map(|pose| pelvis_at_rest + pose.translation).sum::<Vector3<f64>>();
-            n += state.poses.len();
-        }
-        sum / n.max(1) as f64
-    }
-
     /// At the minimum; the cameras are the only unknowns of the session. `None` where the channels do not determine them.
     ///
     /// `slow`: autocorrelation of the errors from frame to frame.
@@ -58,11 +37,25 @@ impl JointProblem<'_> {
         let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
         let session = SessionState { offsets: Vec::new(), cameras: cameras.clone() };
         let reduced = self.reduced((members, &pixels), &session, self.systems(members), 0.0)?;
+        let following = self.following(&reduced, (members, &pixels), 0)?;
+        let found = self.spread(&reduced, (members, &pixels), &following, slow);
+        self.context.systems.put_back(reduced.into_systems());
+        found
+    }
+
+    /// [`Self::spread_of_cameras`] of a system that is reduced already.
+    pub(super) fn spread(
+        &self,
+        reduced: &Reduced,
+        (members, pixels): (&[Member], &[DetectedPixels]),
+        following: &[Following],
+        slow: f64,
+    ) -> Option<CameraSpread> {
         let basis = reduced.basis.as_ref()?;
         let n_free = basis.ncols();
         let (mut spread, mut n_independent) = (DMatrix::zeros(n_free, n_free), 0.0);
-        let scores_of = |(person, of_member)| self.scores(&reduced, person, of_member, slow);
-        let scores = members.par_iter().zip(&pixels).enumerate().map(scores_of).collect::<Option<Vec<_>>>()?;
+        let scores_of = |((member, pixels), following)| self.scores(basis, (member, pixels), following, slow);
+        let scores = members.par_iter().zip(pixels).zip(following).map(scores_of).collect::<Option<Vec<_>>>()?;
         for PersonScores { channels, design, followed } in scores {
             n_independent += channels.len() as f64 / design;
             channels.iter().for_each(|score| spread.ger(design * followed, score, score, 1.0));
@@ -72,33 +65,72 @@ impl JointProblem<'_> {
             return None;
         }
         spread *= n_independent / n_left;
-        let found = CameraSpread { basis: basis.clone(), inverse_hessian: reduced.factor.inverse(), scores: spread };
-        self.context.systems.put_back(reduced.into_systems());
-        Some(found)
+        Some(CameraSpread { basis: basis.clone(), inverse_hessian: reduced.factor.inverse(), scores: spread })
+    }
+
+    /// All persons' landmarks as they follow the free directions of the session, and `n_samples` of their errors.
+    pub(super) fn following(
+        &self,
+        reduced: &Reduced,
+        (members, pixels): (&[Member], &[DetectedPixels]),
+        n_samples: usize,
+    ) -> Option<Vec<Following>> {
+        let basis = reduced.basis.as_ref()?;
+        let of_person = |(person, (member, pixels)): (usize, (&Member, &DetectedPixels))| {
+            let model = with_bones(self.context.model, &member.bones);
+            let problem = self.problem(&model, member, pixels);
+            let paths = problem.linearised_paths(&member.state);
+            let (movements, samples) = reduced.landmark_movements(person, basis, &paths, n_samples);
+            Following { paths, movements, samples, n_unknowns: 3 * problem.unknowns.n_groups() }
+        };
+        Some(members.par_iter().zip(pixels).enumerate().map(of_person).collect())
     }
 
     /// Scores of one person's channels by the free directions of the session.
     fn scores(
         &self,
-        reduced: &Reduced,
-        person: usize,
+        basis: &DMatrix<f64>,
         (member, pixels): (&Member, &DetectedPixels),
+        following: &Following,
         slow: f64,
     ) -> Option<PersonScores> {
-        let (DetectedPixels::Correlated(over_time), Some(basis)) = (pixels, &reduced.basis) else { return None };
-        let model = with_bones(self.context.model, &member.bones);
-        let problem = self.problem(&model, member, pixels);
-        let paths = problem.linearised_paths(&member.state);
-        let landmarks = reduced.landmark_movements(person, basis, &paths);
-        let positions = positions_of(&paths);
-        let of_camera = self.camera_columns(member.observations.cameras.len()).unknowns;
-        let movements = Movements { landmarks: &landmarks, cameras: basis, of_camera };
-        let channels = over_time.scores(&member.observations.cameras, &positions, &movements);
-        let n_unknowns = (3 * problem.unknowns.n_groups()) as f64;
-        let of_slow = variance_per_residual(member.observations.equations_per_frame(), n_unknowns);
+        let DetectedPixels::Correlated(over_time) = pixels else { return None };
+        let movements = self.movements(basis, member, following);
+        let channels = over_time.scores(&member.observations.cameras, &following.positions(), &movements);
+        let of_slow = variance_per_residual(member.observations.equations_per_frame(), following.n_unknowns as f64);
         let followed = 1.0 + slow * (of_slow - 1.0);
         let design = shared_error_variance(over_time.landmarks.len(), slow);
         Some(PersonScores { channels, design, followed })
+    }
+
+    /// By the free directions of the session.
+    pub(super) fn movements<'b>(
+        &self,
+        basis: &'b DMatrix<f64>,
+        member: &Member,
+        following: &'b Following,
+    ) -> Movements<'b> {
+        let of_camera = self.camera_columns(member.observations.cameras.len()).unknowns;
+        Movements { landmarks: &following.movements, cameras: basis, of_camera }
+    }
+}
+
+/// One person's landmarks, and how they follow the free directions of the session.
+pub(super) struct Following {
+    /// `[frame][observed landmark]`, as the next.
+    pub paths: Vec<Vec<TrackedLandmark>>,
+    /// Per unit of each free direction. [3, free directions]
+    movements: ByLandmark,
+    /// Errors of the positions while the session stays, drawn from what the motion's system leaves open. [3, samples]
+    pub samples: ByLandmark,
+    /// Of a frame.
+    n_unknowns: usize,
+}
+
+impl Following {
+    /// World positions of the landmarks.
+    pub(super) fn positions(&self) -> Positions {
+        self.paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect()
     }
 }
 
@@ -134,40 +166,36 @@ struct PersonScores {
     followed: f64,
 }
 
-/// World positions of the landmarks.
-pub(super) fn positions_of(paths: &[Vec<TrackedLandmark>]) -> Positions {
-    paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect()
-}
+/// By frame and observed landmark.
+type ByLandmark = Vec<Vec<Matrix3xX<f64>>>;
 
 impl Reduced {
-    /// Movement of a person's landmarks per unit of each free direction of the session, which the person follows.
-    /// `[frame][observed landmark]`
-    pub(super) fn landmark_movements(
+    /// Movement of a person's landmarks per unit of each free direction of the session, which the person follows, and samples of
+    /// their errors.
+    fn landmark_movements(
         &self,
         person: usize,
         basis: &DMatrix<f64>,
         paths: &[Vec<TrackedLandmark>],
-    ) -> Vec<Vec<Matrix3xX<f64>>> {
-        let (own, frames) = self.responses(person, basis);
-        let movement = |t: usize, landmark: &TrackedLandmark| {
-            let mut movement: Matrix3xX<f64> = landmark.jacobian.by_border.dense(own.nrows()) * &own;
-            for (first, block) in &landmark.jacobian.by_frame {
-                movement += block * frames[t].fixed_rows::<3>(*first);
-            }
-            movement
-        };
-        let of_frame =
-            |(t, landmarks): (usize, &Vec<TrackedLandmark>)| landmarks.iter().map(|l| movement(t, l)).collect();
-        paths.par_iter().enumerate().map(of_frame).collect()
-    }
-
-    /// Movement of a person's own border and frames per unit of each free direction of the session.
-    pub(super) fn responses(&self, person: usize, basis: &DMatrix<f64>) -> (DMatrix<f64>, Vec<DMatrix<f64>>) {
+        n_samples: usize,
+    ) -> (ByLandmark, ByLandmark) {
         let own = -(&self.own_parts[person].0 * basis);
         let mut border = DMatrix::zeros(own.nrows() + basis.nrows(), basis.ncols());
         border.rows_mut(0, own.nrows()).copy_from(&own);
         border.rows_mut(own.nrows(), basis.nrows()).copy_from(basis);
-        let frames = self.people[person].responses(&border);
-        (own, frames)
+        let mut rng = ChaCha8Rng::seed_from_u64(person as u64);
+        let frames = self.people[person].responses_and_samples(&border, n_samples, &mut rng);
+        let movement = |t: usize, landmark: &TrackedLandmark| {
+            let mut by_frame = Matrix3xX::zeros(basis.ncols() + n_samples);
+            for (first, block) in &landmark.jacobian.by_frame {
+                by_frame += block * frames[t].fixed_rows::<3>(*first);
+            }
+            let samples = by_frame.columns(basis.ncols(), n_samples).into_owned();
+            let by_border = landmark.jacobian.by_border.dense(own.nrows()) * &own;
+            (by_border + by_frame.columns(0, basis.ncols()), samples)
+        };
+        let of_frame =
+            |(t, landmarks): (usize, &Vec<TrackedLandmark>)| landmarks.iter().map(|l| movement(t, l)).unzip();
+        paths.par_iter().enumerate().map(of_frame).unzip()
     }
 }

@@ -6,6 +6,7 @@
 
 mod likelihood;
 pub(crate) mod scores;
+pub(crate) mod spread;
 
 #[cfg(doc)]
 use super::super::observations::ErrorShape;
