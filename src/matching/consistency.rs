@@ -116,7 +116,13 @@ mod tests {
             Vector2::new(x.x / x.z, x.y / x.z)
         };
         let normalized = points.iter().map(normalized).collect();
-        NormalizedDetection { normalized, confidence: vec![1.0; points.len()], size: 0.4, track_id: None }
+        NormalizedDetection {
+            normalized,
+            confidence: vec![1.0; points.len()],
+            size: 0.4,
+            least_error_scale: 1.0,
+            track_id: None,
+        }
     }
 
     #[test]

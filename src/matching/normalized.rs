@@ -1,6 +1,6 @@
 //! Detections of every view in ideal normalised coordinates: undistorted, over the focal length, with an apparent size.
 
-use crate::body::detector_profile::{DETECTOR, error_scale};
+use crate::body::detector_profile::{DETECTOR, error_scale, least_error_scale};
 use crate::session::{Detection, Session, View};
 use nalgebra::Vector2;
 
@@ -16,6 +16,8 @@ pub struct NormalizedDetection {
     pub confidence: Vec<f64>,
     /// Larger side of the bounding box of all keypoints, normalised units.
     pub size: f64,
+    /// See [`least_error_scale`].
+    pub least_error_scale: f64,
     /// The detector's track number.
     pub track_id: Option<i64>,
 }
@@ -37,12 +39,13 @@ impl NormalizedDetection {
             confidence.push(if usable { keypoint.confidence } else { 0.0 });
         }
         let size = if low.x.is_finite() { (high - low).max().max(MIN_SIZE) } else { MIN_SIZE };
-        Self { normalized, confidence, size, track_id: detection.track_id }
+        let least_error_scale = least_error_scale(&view.intrinsics);
+        Self { normalized, confidence, size, least_error_scale, track_id: detection.track_id }
     }
 
     /// How many times larger its errors are than on people 4 m away, by its apparent size.
     pub fn error_scale(&self) -> f64 {
-        error_scale(BODY_SPAN_M / self.size)
+        error_scale(BODY_SPAN_M / self.size, self.least_error_scale)
     }
 
     /// Number of usable keypoints.

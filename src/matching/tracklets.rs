@@ -206,7 +206,7 @@ mod tests {
     /// A detection of six keypoints, one apparent size high, at `x` sizes.
     fn at(x: f64) -> NormalizedDetection {
         let normalized = (0..6).map(|k| Vector2::new(0.4 * x, 0.08 * f64::from(k))).collect();
-        NormalizedDetection { normalized, confidence: vec![0.9; 6], size: 0.4, track_id: None }
+        NormalizedDetection { normalized, confidence: vec![0.9; 6], size: 0.4, least_error_scale: 1.0, track_id: None }
     }
 
     fn lengths(frames: Vec<Vec<NormalizedDetection>>) -> Vec<usize> {
@@ -234,6 +234,7 @@ mod tests {
                 normalized: (0..n).map(|_| Vector2::from_fn(|_, _| scale * rng.random_range(-1.0..1.0))).collect(),
                 confidence: (0..n).map(|_| rng.random_range(0.2..1.0)).collect(),
                 size: 0.4,
+                least_error_scale: 1.0,
                 track_id: None,
             };
             let (a, b) = (spread(0.05), spread(0.05));

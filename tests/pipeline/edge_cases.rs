@@ -53,6 +53,20 @@ fn exact_pixels_lost_the_limbs() {
     }
 }
 
+/// Tolerances of a sixth of people's height let wrong poses of cameras pass for right ones.
+#[test]
+fn solves_long_lenses_from_far_away() {
+    for seed in 1..=3 {
+        let mut config = SimulationConfig { seed, ..paper(2, 5, 200) };
+        config.rig.arrangement = Arrangement::Arc { span_deg: 120.0 };
+        (config.rig.radius, config.rig.height, config.rig.fov_deg) = (18.0, 3.0, 18.0);
+        (config.rig.image_width, config.rig.image_height) = (1920, 1080);
+        let (simulated, found) = solved(&config);
+        let worst = worst_pair_deg(&simulated, &found);
+        assert!(worst < 1.5 && found.motions.len() == 2, "seed {seed}: {worst} degrees");
+    }
+}
+
 #[test]
 fn a_camera_without_detections_stays_unsolved() {
     let mut simulated = simulate(&paper(2, 5, 150)).unwrap();

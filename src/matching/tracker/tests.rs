@@ -15,6 +15,7 @@ fn hanging(camera: &Rigid, top: Vector3<f64>, size: f64) -> NormalizedDetection 
         normalized: heights.iter().map(point).collect(),
         confidence: vec![0.9; 17],
         size,
+        least_error_scale: 1.0,
         track_id: None,
     }
 }

@@ -1,7 +1,7 @@
 //! Detections of every keypoint against its reprojection, and the accuracy of its triangulation.
 
 use crate::body::detector_noise::DetectorNoise;
-use crate::body::detector_profile::{DETECTOR, error_scale};
+use crate::body::detector_profile::{DETECTOR, error_scale, least_error_scale};
 use crate::estimation::triangulation::{RayObservation, covariance, point_by_camera};
 use crate::geometry::Rigid;
 use crate::geometry::free_network::CameraCovariance;
@@ -191,8 +191,9 @@ impl PointRay<'_> {
     }
 
     fn is_explained(&self) -> bool {
-        let focal = self.observation.intrinsics.focal();
-        let scale = error_scale(self.metres_per_px * focal);
+        let intrinsics = self.observation.intrinsics;
+        let focal = intrinsics.focal();
+        let scale = error_scale(self.metres_per_px * focal, least_error_scale(intrinsics));
         self.distance_px() < scale * DETECTOR.explained_radius * focal
     }
 
