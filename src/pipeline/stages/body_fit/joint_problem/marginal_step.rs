@@ -22,9 +22,11 @@
 use super::super::pixel_residuals::DetectedPixels;
 use super::super::session_state::SessionState;
 use super::super::terms::camera_unknowns::POSE;
+use super::super::terms::unknowns::MotionState;
 use super::super::terms::whitened_pixels::spread::Spread;
 use super::camera_covariance::Following;
-use super::{JointProblem, Member, Reduced};
+use super::{JointProblem, Member, Reduced, Step};
+use crate::body::bone_offsets::BoneOffsets;
 use crate::geometry::Rigid;
 use crate::geometry::free_network::CameraCovariance;
 use nalgebra::{DVector, Matrix3, Matrix3xX, Vector3};
@@ -34,6 +36,11 @@ use rayon::prelude::*;
 /// errors alone leave a part of it. Measured over three kinds of noise (white; slow; slow with outliers, holes and ghosts) the bias is
 /// 0.43, 0.33 and 0.43 of the whole step.
 const SHARE: f64 = 0.4;
+
+/// Rise of the cost over the expected one beyond which the step is not taken, and a rise that never stops it: half of a squared
+/// standard deviation, as the minimisation's last step.
+const MAX_RISE: f64 = 3.0;
+const ROUNDING: f64 = 0.5;
 
 /// Draws from the spread of the motions: `g` sums thousands of independent directions, and errs by some hundredths of a standard deviation of
 /// the cameras. The exact spread (Takahashi's recursion) costs ten times as much.
@@ -52,18 +59,37 @@ impl JointProblem<'_> {
         let spread = self.spread(&reduced, (members, &pixels), &following, slow);
         let gradient = self.spread_gradient(&reduced, (members, &pixels), &following)?;
         reduced.right.axpy(-SHARE, &gradient, 1.0);
+        let expected_rise = 0.5 * SHARE * SHARE * gradient.dot(&reduced.factor.solve(&gradient));
         let step = reduced.solved(0.0);
         self.context.systems.put_back(reduced.into_systems());
-        let step = step?;
-        let session = session.moved(&step.session, self.camera_columns(session.cameras.len()));
-        let moved = self.moved((members, &pixels), &step);
-        for (member, moved) in members.iter_mut().zip(moved) {
-            member.replaced(moved, &session.cameras);
-        }
-        let n = self.camera_columns(session.cameras.len()).unknowns.len();
-        let poses: Vec<usize> = (0..session.cameras.len()).flat_map(|camera| n * camera..n * camera + POSE).collect();
-        let cameras: Vec<Rigid> = session.cameras.iter().map(|camera| camera.camera_from_world).collect();
+        self.take((members, &pixels), &session, &step?, expected_rise);
+        let cameras = &members.first()?.observations.cameras;
+        let n = self.camera_columns(cameras.len()).unknowns.len();
+        let poses: Vec<usize> = (0..cameras.len()).flat_map(|camera| n * camera..n * camera + POSE).collect();
+        let cameras: Vec<Rigid> = cameras.iter().map(|camera| camera.camera_from_world).collect();
         CameraCovariance::new(cameras, spread?.covariance(&poses), &self.middle_of_people(members))
+    }
+
+    /// Takes a step unless the cost rises by far more than its curvature lets expect: then it leads out of where that holds.
+    fn take(
+        &self,
+        (members, pixels): (&mut [Member], &[DetectedPixels]),
+        session: &SessionState,
+        step: &Step,
+        expected_rise: f64,
+    ) {
+        let cost = self.cost(members, pixels, session);
+        let after = session.moved(&step.session, self.camera_columns(session.cameras.len()));
+        let moved = self.moved((members, pixels), step);
+        let before: Vec<(MotionState, BoneOffsets)> =
+            members.iter_mut().zip(moved).map(|(member, moved)| member.replaced(moved, &after.cameras)).collect();
+        let rise = self.cost(members, pixels, &after) - cost;
+        tracing::debug!(rise, expected_rise, "step to cameras whatever the motions");
+        if rise.is_nan() || rise > MAX_RISE * expected_rise + ROUNDING {
+            for (member, before) in members.iter_mut().zip(before) {
+                member.replaced(before, &session.cameras);
+            }
+        }
     }
 
     /// `g`, by the free directions of the session.
