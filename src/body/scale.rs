@@ -57,9 +57,9 @@ pub struct FittedStature {
 /// measurements therefore counts more, and several people narrow the interval down to the detector's bias, not below it.
 /// People who differ from the others (a duplicate) get Huber's weight at 2 standard deviations.
 ///
-/// Beside adults the smallest people may be children (a size of 0.72 of adults, 16 % either way), so that the scale is the mean over their number, by the
-/// probability of each: of two people, one a third smaller than the other, the larger one is the adult. Known limit: children alone
-/// count as adults.
+/// Beside adults the smallest people may be children (a size of 0.72 of adults, 16 % either way), so that the scale is the mean over
+/// their number, by the probability of each: of two people, one a third smaller than the other, the larger one is the adult.
+/// Known limit: children alone count as adults.
 pub fn scale_from_people(model: &BodyModel, people: &[Vec<MeasuredSegment>]) -> Option<ScaleEstimate> {
     let rows = segment_rows(model, people);
     let seen: Vec<usize> = (0..people.len()).filter(|&p| !people[p].is_empty()).collect();
@@ -85,11 +85,9 @@ pub fn scale_from_people(model: &BodyModel, people: &[Vec<MeasuredSegment>]) -> 
 
 /// The mean over the number of children, and the likeliest number. `seen`: people with rows.
 fn mean_over_children(rows: &[Row], seen: &[usize], n_people: usize) -> Option<(Mean, usize)> {
-    let size = |&p: &usize| -> Option<(usize, f64)> {
-        let own: Vec<&Row> = rows.iter().filter(|row| row.person == p).collect();
-        Some((p, solve_mean(&own, &vec![Kin::ADULT; n_people])?.value))
-    };
-    let mut by_size: Vec<(usize, f64)> = seen.iter().filter_map(size).collect();
+    let all: Vec<&Row> = rows.iter().collect();
+    let mean_of = |&p: &usize| Some((p, own_mean(rows, p, &vec![Kin::ADULT; n_people])?.value));
+    let mut by_size: Vec<(usize, f64)> = seen.iter().filter_map(mean_of).collect();
     // Ratios to the reference: the smallest people first.
     by_size.sort_by(|a, b| b.1.total_cmp(&a.1));
     let largest = by_size.last()?.1;
@@ -98,8 +96,8 @@ fn mean_over_children(rows: &[Row], seen: &[usize], n_people: usize) -> Option<(
         let mut kin = vec![Kin::ADULT; n_people];
         by_size[..n_children].iter().for_each(|&(p, _)| kin[p] = Kin::CHILD);
         let prior = n_children as f64 * (CHILD_SHARE / (1.0 - CHILD_SHARE)).ln();
-        let log_probability = prior + solve_mean(&rows.iter().collect::<Vec<_>>(), &kin)?.log_evidence;
-        Some((n_children, log_probability, robust_mean(rows, kin)?))
+        let mean = solve_mean(&all, &kin)?;
+        Some((n_children, prior + mean.log_evidence, robust_mean(rows, kin, mean)?))
     };
     let hypotheses: Vec<(usize, f64, Mean)> = (0..=n_smaller).filter_map(hypothesis).collect();
     let likeliest = hypotheses.iter().max_by(|a, b| a.1.total_cmp(&b.1))?;
@@ -112,21 +110,25 @@ fn mean_over_children(rows: &[Row], seen: &[usize], n_people: usize) -> Option<(
     Some((Mean { value, variance, log_evidence: likeliest.1 }, likeliest.0))
 }
 
-/// With Huber's weights of adults who differ from the others.
-fn robust_mean(rows: &[Row], mut kin: Vec<Kin>) -> Option<Mean> {
+/// From the mean of all with Huber's weights of people who differ from the others.
+fn robust_mean(rows: &[Row], mut kin: Vec<Kin>, mut mean: Mean) -> Option<Mean> {
     let all: Vec<&Row> = rows.iter().collect();
-    let mut mean = solve_mean(&all, &kin)?;
+    let own: Vec<Option<Mean>> = (0..kin.len()).map(|p| own_mean(rows, p, &kin)).collect();
     for _ in 0..ROBUST_ROUNDS {
-        let exact = kin.iter().map(|kin| Kin { looseness: 1.0, ..*kin }).collect::<Vec<_>>();
-        for (p, kin) in kin.iter_mut().enumerate() {
-            let own: Vec<&Row> = rows.iter().filter(|row| row.person == p).collect();
-            let Some(person) = solve_mean(&own, &exact) else { continue };
-            let distance = (person.value - mean.value).abs() / person.variance.sqrt();
+        for (kin, own) in kin.iter_mut().zip(&own) {
+            let Some(own) = own else { continue };
+            let distance = (own.value - mean.value).abs() / own.variance.sqrt();
             kin.looseness = (distance / 2.0).max(1.0);
         }
         mean = solve_mean(&all, &kin)?;
     }
     Some(mean)
+}
+
+/// By one person alone.
+fn own_mean(rows: &[Row], person: usize, kin: &[Kin]) -> Option<Mean> {
+    let own: Vec<&Row> = rows.iter().filter(|row| row.person == person).collect();
+    solve_mean(&own, kin)
 }
 
 /// The scale under the assumption that people are average adults, for a single view, in which a small near person looks

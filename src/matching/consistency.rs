@@ -115,14 +115,7 @@ mod tests {
             let x = camera.transform(p);
             Vector2::new(x.x / x.z, x.y / x.z)
         };
-        let normalized = points.iter().map(normalized).collect();
-        NormalizedDetection {
-            normalized,
-            confidence: vec![1.0; points.len()],
-            size: 0.4,
-            least_error_scale: 1.0,
-            track_id: None,
-        }
+        NormalizedDetection::of_points(points.iter().map(normalized).collect(), 0.4)
     }
 
     #[test]

@@ -43,6 +43,13 @@ impl NormalizedDetection {
         Self { normalized, confidence, size, least_error_scale, track_id: detection.track_id }
     }
 
+    /// All keypoints seen by a common lens.
+    #[cfg(test)]
+    pub fn of_points(normalized: Vec<Vector2<f64>>, size: f64) -> Self {
+        let confidence = vec![0.9; normalized.len()];
+        Self { normalized, confidence, size, least_error_scale: 1.0, track_id: None }
+    }
+
     /// How many times larger its errors are than on people 4 m away, by its apparent size.
     pub fn error_scale(&self) -> f64 {
         error_scale(BODY_SPAN_M / self.size, self.least_error_scale)

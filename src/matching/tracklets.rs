@@ -205,8 +205,7 @@ mod tests {
 
     /// A detection of six keypoints, one apparent size high, at `x` sizes.
     fn at(x: f64) -> NormalizedDetection {
-        let normalized = (0..6).map(|k| Vector2::new(0.4 * x, 0.08 * f64::from(k))).collect();
-        NormalizedDetection { normalized, confidence: vec![0.9; 6], size: 0.4, least_error_scale: 1.0, track_id: None }
+        NormalizedDetection::of_points((0..6).map(|k| Vector2::new(0.4 * x, 0.08 * f64::from(k))).collect(), 0.4)
     }
 
     fn lengths(frames: Vec<Vec<NormalizedDetection>>) -> Vec<usize> {
@@ -230,12 +229,10 @@ mod tests {
         let mut rng = ChaCha8Rng::seed_from_u64(1);
         for trial in 0..500 {
             let n = 4 + trial % 5;
-            let mut spread = |scale: f64| NormalizedDetection {
-                normalized: (0..n).map(|_| Vector2::from_fn(|_, _| scale * rng.random_range(-1.0..1.0))).collect(),
-                confidence: (0..n).map(|_| rng.random_range(0.2..1.0)).collect(),
-                size: 0.4,
-                least_error_scale: 1.0,
-                track_id: None,
+            let mut spread = |scale: f64| {
+                let points = (0..n).map(|_| Vector2::from_fn(|_, _| scale * rng.random_range(-1.0..1.0))).collect();
+                let confidence = (0..n).map(|_| rng.random_range(0.2..1.0)).collect();
+                NormalizedDetection { confidence, ..NormalizedDetection::of_points(points, 0.4) }
             };
             let (a, b) = (spread(0.05), spread(0.05));
             let expected = step_distance(&a, &b, 4).map_or(FAR, |d| (d / 0.06).min(FAR));

@@ -71,14 +71,8 @@ mod tests {
         let bones = limb_bones(KeypointConvention::Coco17);
         let mut heights = [0.0; 17];
         bones.iter().for_each(|b| heights[b.b] = heights[b.a] + b.length);
-        let normalized: Vec<_> = heights.iter().map(|y| Vector2::new(0.5, *y) / 3.0).collect();
-        let hanging = NormalizedDetection {
-            normalized,
-            confidence: vec![0.9; 17],
-            size: 0.27,
-            least_error_scale: 1.0,
-            track_id: None,
-        };
+        let points = heights.iter().map(|y| Vector2::new(0.5, *y) / 3.0).collect();
+        let hanging = NormalizedDetection::of_points(points, 0.27);
         assert!((depth_of_limbs(&bones, &hanging).unwrap() - 3.0).abs() < 1e-9);
         let blind = NormalizedDetection { confidence: vec![0.0; 17], ..hanging };
         assert!(depth_of_limbs(&bones, &blind).is_none());

@@ -11,13 +11,7 @@ fn hanging(camera: &Rigid, top: Vector3<f64>, size: f64) -> NormalizedDetection 
     let mut heights = [0.0; 17];
     limb_bones(KeypointConvention::Coco17).iter().for_each(|b| heights[b.b] = heights[b.a] + b.length);
     let point = |y: &f64| project_normalized(camera, &(top + Vector3::y() * *y)).unwrap().normalized;
-    NormalizedDetection {
-        normalized: heights.iter().map(point).collect(),
-        confidence: vec![0.9; 17],
-        size,
-        least_error_scale: 1.0,
-        track_id: None,
-    }
+    NormalizedDetection::of_points(heights.iter().map(point).collect(), size)
 }
 
 fn tracked(views: &[NormalizedView], cameras: &[Option<Rigid>]) -> Vec<TrackedPerson> {

@@ -69,7 +69,7 @@ pub(super) struct Stopping {
     pub min_sigmas: f64,
 }
 
-/// The unknowns of the session at the minimum.
+/// The unknowns of the session at the minimum, or as near to it as the steps have led.
 pub(super) struct Minimum {
     pub session: SessionState,
     pub cost: f64,
@@ -105,22 +105,16 @@ impl JointProblem<'_> {
             let is_near = reduced.rms_sigmas() < stopping.min_sigmas;
             systems = reduced.into_systems();
             let Some(step) = step else { break };
-            let session = minimum.session.moved(&step.session, self.camera_columns(minimum.session.cameras.len()));
-            let moved = self.moved((members, &pixels), &step);
-            let before: Vec<(MotionState, BoneOffsets)> =
-                members.iter_mut().zip(moved).map(|(member, moved)| member.replaced(moved, &session.cameras)).collect();
-            let cost = self.cost(members, &pixels, &session);
-            if cost < minimum.cost {
-                let is_done = is_near || minimum.cost - cost < stopping.min_decrease;
-                minimum = Minimum { session, cost };
+            let (next, before) = self.stepped((members, &pixels), &minimum.session, &step);
+            if next.cost < minimum.cost {
+                let is_done = is_near || minimum.cost - next.cost < stopping.min_decrease;
+                minimum = next;
                 damping *= 0.1;
                 if is_done {
                     break;
                 }
             } else {
-                for (member, before) in members.iter_mut().zip(before) {
-                    member.replaced(before, &minimum.session.cameras);
-                }
+                replace_all(members, before, &minimum.session.cameras);
                 damping = (damping * 20.0).max(1e-6);
             }
         }
@@ -217,7 +211,21 @@ impl JointProblem<'_> {
         Reduced::new(people, n_own, session, basis, damping)
     }
 
-    fn moved(&self, (members, pixels): (&[Member], &[DetectedPixels]), step: &Step) -> Vec<(MotionState, BoneOffsets)> {
+    /// Moves `members` by a step. Returns the session after it with its cost, and what the members were before.
+    fn stepped(
+        &self,
+        (members, pixels): (&mut [Member], &[DetectedPixels]),
+        session: &SessionState,
+        step: &Step,
+    ) -> (Minimum, Vec<MotionAndBones>) {
+        let session = session.moved(&step.session, self.camera_columns(session.cameras.len()));
+        let moved = self.moved((members, pixels), step);
+        let before = replace_all(members, moved, &session.cameras);
+        let cost = self.cost(members, pixels, &session);
+        (Minimum { session, cost }, before)
+    }
+
+    fn moved(&self, (members, pixels): (&[Member], &[DetectedPixels]), step: &Step) -> Vec<MotionAndBones> {
         let moved = |((member, pixels), step): ((&Member, &DetectedPixels), &BandedStep)| {
             let first = self.border_of(member).bones().start;
             let bone = |k: usize| member.bones[k] + step.border.fixed_rows::<3>(first + 3 * k);
@@ -238,14 +246,18 @@ impl Member {
     }
 
     /// Takes another motion, skeleton and cameras; returns the previous motion and skeleton.
-    fn replaced(
-        &mut self,
-        (state, bones): (MotionState, BoneOffsets),
-        cameras: &[PosedCamera],
-    ) -> (MotionState, BoneOffsets) {
+    fn replaced(&mut self, (state, bones): MotionAndBones, cameras: &[PosedCamera]) -> MotionAndBones {
         self.observations.cameras.copy_from_slice(cameras);
         (std::mem::replace(&mut self.state, state), std::mem::replace(&mut self.bones, bones))
     }
+}
+
+/// What a step changes of a member besides the cameras.
+type MotionAndBones = (MotionState, BoneOffsets);
+
+/// Gives every member another motion, skeleton and cameras; returns the previous motions and skeletons.
+fn replace_all(members: &mut [Member], by: Vec<MotionAndBones>, cameras: &[PosedCamera]) -> Vec<MotionAndBones> {
+    members.iter_mut().zip(by).map(|(member, by)| member.replaced(by, cameras)).collect()
 }
 
 /// A step of all unknowns.
@@ -306,11 +318,7 @@ impl Reduced {
 
     /// The step under a damping; `None` where the damped system is not positive definite.
     pub(super) fn solved(&self, damping: f64) -> Option<Step> {
-        let free = damped(&self.hessian, damping).cholesky()?.solve(&self.right);
-        let session = match &self.basis {
-            Some(basis) => basis * free,
-            None => free,
-        };
+        let session = self.session_step(damped(&self.hessian, damping).cholesky()?.solve(&self.right));
         let motion = |(person, (by_session, rest)): (&Eliminated, &(DMatrix<f64>, DVector<f64>))| {
             let own = rest - by_session * &session;
             let border = own.iter().chain(session.iter()).copied();
@@ -318,6 +326,27 @@ impl Reduced {
         };
         let motions = self.people.par_iter().zip(&self.own_parts).map(motion).collect::<Option<_>>()?;
         Some(Step { session, motions })
+    }
+
+    /// The session moved in its free directions, and motions that follow it: those at their minimum stay at it.
+    fn followed(&self, free: DVector<f64>) -> Step {
+        let session = self.session_step(free);
+        let motion = |(person, (by_session, _)): (&Eliminated, &(DMatrix<f64>, DVector<f64>))| {
+            let own = -(by_session * &session);
+            let border = DVector::from_iterator(own.len() + session.len(), own.iter().chain(&session).copied());
+            let frames = person.responses(&DMatrix::from_columns(std::slice::from_ref(&border)));
+            BandedStep { frames: frames.iter().map(|frame| frame.column(0).into_owned()).collect(), border }
+        };
+        let motions = self.people.par_iter().zip(&self.own_parts).map(motion).collect();
+        Step { session, motions }
+    }
+
+    /// The session's unknowns by its free directions.
+    fn session_step(&self, free: DVector<f64>) -> DVector<f64> {
+        match &self.basis {
+            Some(basis) => basis * free,
+            None => free,
+        }
     }
 
     /// How far the session's unknowns are from the minimum, in their standard deviations, root mean square: by the step without

@@ -81,7 +81,9 @@ impl JointProblem<'_> {
             let problem = self.problem(&model, member, pixels);
             let paths = problem.linearised_paths(&member.state);
             let (movements, samples) = reduced.landmark_movements(person, basis, &paths, n_samples);
-            Following { paths, movements, samples, n_unknowns: 3 * problem.unknowns.n_groups() }
+            let positions =
+                paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect();
+            Following { positions, movements, samples, n_unknowns: 3 * problem.unknowns.n_groups() }
         };
         Some(members.par_iter().zip(pixels).enumerate().map(of_person).collect())
     }
@@ -96,7 +98,7 @@ impl JointProblem<'_> {
     ) -> Option<PersonScores> {
         let DetectedPixels::Correlated(over_time) = pixels else { return None };
         let movements = self.movements(basis, member, following);
-        let channels = over_time.scores(&member.observations.cameras, &following.positions(), &movements);
+        let channels = over_time.scores(&member.observations.cameras, &following.positions, &movements);
         let of_slow = variance_per_residual(member.observations.equations_per_frame(), following.n_unknowns as f64);
         let followed = 1.0 + slow * (of_slow - 1.0);
         let design = shared_error_variance(over_time.landmarks.len(), slow);
@@ -117,21 +119,14 @@ impl JointProblem<'_> {
 
 /// One person's landmarks, and how they follow the free directions of the session.
 pub(super) struct Following {
-    /// `[frame][observed landmark]`, as the next.
-    pub paths: Vec<Vec<TrackedLandmark>>,
+    /// In the world. `[frame][observed landmark]`, as the next two.
+    pub positions: Positions,
     /// Per unit of each free direction. [3, free directions]
     movements: ByLandmark,
     /// Errors of the positions while the session stays, drawn from what the motion's system leaves open. [3, samples]
     pub samples: ByLandmark,
     /// Of a frame.
     n_unknowns: usize,
-}
-
-impl Following {
-    /// World positions of the landmarks.
-    pub(super) fn positions(&self) -> Positions {
-        self.paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect()
-    }
 }
 
 /// How far the cameras may be from where they are, in the free directions of the session.

@@ -22,11 +22,9 @@
 use super::super::pixel_residuals::DetectedPixels;
 use super::super::session_state::SessionState;
 use super::super::terms::camera_unknowns::POSE;
-use super::super::terms::unknowns::MotionState;
 use super::super::terms::whitened_pixels::spread::Spread;
 use super::camera_covariance::Following;
-use super::{JointProblem, Member, Reduced, Step};
-use crate::body::bone_offsets::BoneOffsets;
+use super::{JointProblem, Member, Reduced, replace_all};
 use crate::geometry::Rigid;
 use crate::geometry::free_network::CameraCovariance;
 use nalgebra::{DVector, Matrix3, Matrix3xX, Vector3};
@@ -37,10 +35,13 @@ use rayon::prelude::*;
 /// 0.43, 0.33 and 0.43 of the whole step.
 const SHARE: f64 = 0.4;
 
-/// Rise of the cost over the expected one beyond which the step is not taken, and a rise that never stops it: half of a squared
+/// Rise of the cost over the expected one beyond which a step is not taken, and a rise that never stops it: half of a squared
 /// standard deviation, as the minimisation's last step.
 const MAX_RISE: f64 = 3.0;
 const ROUNDING: f64 = 0.5;
+
+/// Parts of the step that are tried, the first one first.
+const PARTS: [f64; 3] = [1.0, 0.5, 0.25];
 
 /// Draws from the spread of the motions: `g` sums thousands of independent directions, and errs by some hundredths of a standard deviation of
 /// the cameras. The exact spread (Takahashi's recursion) costs ten times as much.
@@ -54,42 +55,29 @@ impl JointProblem<'_> {
     pub(in super::super) fn marginalised(&self, members: &mut [Member], slow: f64) -> Option<CameraCovariance> {
         let session = SessionState { offsets: Vec::new(), cameras: members.first()?.observations.cameras.clone() };
         let pixels: Vec<DetectedPixels> = members.iter().map(|member| self.pixels(member)).collect();
-        let mut reduced = self.reduced((members, &pixels), &session, self.systems(members), 0.0)?;
+        let reduced = self.reduced((members, &pixels), &session, self.systems(members), 0.0)?;
         let following = self.following(&reduced, (members, &pixels), N_SAMPLES)?;
         let spread = self.spread(&reduced, (members, &pixels), &following, slow);
         let gradient = self.spread_gradient(&reduced, (members, &pixels), &following)?;
-        reduced.right.axpy(-SHARE, &gradient, 1.0);
-        let expected_rise = 0.5 * SHARE * SHARE * gradient.dot(&reduced.factor.solve(&gradient));
-        let step = reduced.solved(0.0);
+        let cost = self.cost(members, &pixels, &session);
+        for part in PARTS {
+            let to_likeliest = -part * SHARE * reduced.factor.solve(&gradient);
+            let expected_rise = -0.5 * part * SHARE * gradient.dot(&to_likeliest);
+            let (after, before) = self.stepped((members, &pixels), &session, &reduced.followed(to_likeliest));
+            let rise = after.cost - cost;
+            tracing::debug!(part, rise, expected_rise, "step to the cameras whatever the motions");
+            // Where the cost rises by far more than its curvature lets expect, the step leads out of where that holds.
+            if rise <= MAX_RISE * expected_rise + ROUNDING {
+                break;
+            }
+            replace_all(members, before, &session.cameras);
+        }
         self.context.systems.put_back(reduced.into_systems());
-        self.take((members, &pixels), &session, &step?, expected_rise);
         let cameras = &members.first()?.observations.cameras;
         let n = self.camera_columns(cameras.len()).unknowns.len();
         let poses: Vec<usize> = (0..cameras.len()).flat_map(|camera| n * camera..n * camera + POSE).collect();
         let cameras: Vec<Rigid> = cameras.iter().map(|camera| camera.camera_from_world).collect();
         CameraCovariance::new(cameras, spread?.covariance(&poses), &self.middle_of_people(members))
-    }
-
-    /// Takes a step unless the cost rises by far more than its curvature lets expect: then it leads out of where that holds.
-    fn take(
-        &self,
-        (members, pixels): (&mut [Member], &[DetectedPixels]),
-        session: &SessionState,
-        step: &Step,
-        expected_rise: f64,
-    ) {
-        let cost = self.cost(members, pixels, session);
-        let after = session.moved(&step.session, self.camera_columns(session.cameras.len()));
-        let moved = self.moved((members, pixels), step);
-        let before: Vec<(MotionState, BoneOffsets)> =
-            members.iter_mut().zip(moved).map(|(member, moved)| member.replaced(moved, &after.cameras)).collect();
-        let rise = self.cost(members, pixels, &after) - cost;
-        tracing::debug!(rise, expected_rise, "step to cameras whatever the motions");
-        if rise.is_nan() || rise > MAX_RISE * expected_rise + ROUNDING {
-            for (member, before) in members.iter_mut().zip(before) {
-                member.replaced(before, &session.cameras);
-            }
-        }
     }
 
     /// `g`, by the free directions of the session.
@@ -103,8 +91,8 @@ impl JointProblem<'_> {
         let of_person = |((member, pixels), following): ((&Member, &DetectedPixels), &Following)| {
             let DetectedPixels::Correlated(over_time) = pixels else { return None };
             let movements = self.movements(basis, member, following);
-            let (positions, spreads) = (following.positions(), following.spreads());
-            Some(over_time.spread_gradient(&member.observations.cameras, &positions, &spreads, &movements))
+            let cameras = &member.observations.cameras;
+            Some(over_time.spread_gradient(cameras, &following.positions, &following.spreads(), &movements))
         };
         let of_people: Option<Vec<DVector<f64>>> =
             members.par_iter().zip(pixels).zip(following).map(of_person).collect();
