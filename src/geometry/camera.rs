@@ -81,6 +81,17 @@ impl Intrinsics {
         Self { fx: self.fx / root, fy: self.fy * root, ..*self }
     }
 
+    /// The same intrinsics with `change` added to the first radial coefficient of the lens.
+    pub fn with_radial(&self, change: f64) -> Self {
+        Self { dist: self.dist.with_radial(change), ..*self }
+    }
+
+    /// Derivative of the pixel of ideal normalised coordinates by the first radial coefficient, px.
+    pub fn by_radial(&self, n: &Vector2<f64>) -> Vector2<f64> {
+        let d = self.dist.by_radial(n);
+        Vector2::new(self.fx * d.x + self.skew * d.y, self.fy * d.y)
+    }
+
     /// The same lens with images `factor` times as large.
     pub fn resized(&self, factor: f64) -> Self {
         let size = |n: u32| (f64::from(n) * factor).round() as u32;

@@ -63,6 +63,7 @@ impl Calibration {
                 sigma_position: sigma.position * unit,
                 sigma_angle: sigma.angle,
                 sigma_delay: camera.uncertainty.and_then(|before| before.sigma_delay),
+                sigma_radial: camera.uncertainty.and_then(|before| before.sigma_radial),
             });
         }
     }
@@ -166,6 +167,8 @@ pub struct AdjustedCamera {
     pub focal_factor: f64,
     /// Delay of its frames against their numbers, frames; 0 unless refined.
     pub delay: f64,
+    /// Change of the first radial coefficient of its lens; 0 unless refined.
+    pub radial: f64,
     /// Whether any of its observations lies within the last robust scale.
     pub is_observed: bool,
     /// Uncertainty of the pose; `None` where it did not move or the data do not determine it.
@@ -181,4 +184,6 @@ pub struct CameraUncertainty {
     pub sigma_angle: f64,
     /// Standard deviation of the delay against the first moving camera's, frames; where delays are refined.
     pub sigma_delay: Option<f64>,
+    /// Standard deviation of the change of the lens's first radial coefficient; where these are refined.
+    pub sigma_radial: Option<f64>,
 }

@@ -4,7 +4,7 @@
 //! known to some ten per cent only: those are left to the user.
 
 use super::config::Options;
-use crate::geometry::Intrinsics;
+use crate::geometry::{Distortion, Intrinsics};
 use crate::session::recording_tests::{best_confidence, centred, likelier_convention, without_doubles};
 use crate::session::{Session, Suspicion, SuspicionCode as Code, View};
 use nalgebra::Vector2;
@@ -37,6 +37,13 @@ pub fn repaired(session: &Session, options: &Options, suspicion: &Suspicion) -> 
                 None => with_lenses(session, suspicion, centred)?,
             };
             Some((repaired, options.clone()))
+        }
+        Code::LensDistortion => {
+            let lens = |lens: &Intrinsics| match suspicion.radial_change {
+                Some(change) => lens.with_radial(change),
+                None => Intrinsics { dist: Distortion::None, ..*lens },
+            };
+            Some((with_lenses(session, suspicion, |given| Some(lens(given)))?, options.clone()))
         }
         Code::Convention => {
             let convention = likelier_convention(session)?;
@@ -147,6 +154,7 @@ mod tests {
             remedy: String::new(),
             suggested_option: (code == Code::TimeOffset).then(|| r#"{"sync": "estimate"}"#.to_owned()),
             image_scale: None,
+            radial_change: None,
             applied: false,
         }
     }

@@ -1,6 +1,7 @@
 //! The image of a point against its detection.
 
 use super::position_cost::PositionCost;
+use crate::geometry::projection::project_normalized;
 use crate::geometry::{Intrinsics, Rigid};
 use crate::optim::robust::{Robust, geman_mcclure, geman_mcclure_ceiling};
 use nalgebra::{Matrix2, Matrix2x3, Matrix2x6, Matrix3, Vector2, Vector3};
@@ -72,6 +73,18 @@ pub fn linearize(
     })
 }
 
+/// Derivative of the residual by the first radial coefficient of the lens; zero where the point lies behind the camera.
+#[inline(always)]
+pub fn by_radial(
+    intrinsics: &Intrinsics,
+    camera_from_world: &Rigid,
+    point_in_world: &Vector3<f64>,
+    sigma_px: f64,
+) -> Vector2<f64> {
+    let normalized = project_normalized(camera_from_world, point_in_world).map(|seen| seen.normalized);
+    normalized.map_or_else(Vector2::zeros, |n| intrinsics.by_radial(&n) * sigma_px.recip())
+}
+
 /// Geman-McClure cost of the residual as a function of the point alone.
 ///
 /// A point behind the camera costs as much as an outlier can, with zero derivatives. `robust_scale`: in standard deviations.
@@ -119,17 +132,19 @@ mod tests {
         let (point, pixel) = (Vector3::new(0.5, -0.3, 0.6), Vector2::new(500.0, 300.0));
         let whitening = Matrix2::new(1.5, -0.4, -0.4, 0.8);
         let found = linearize(&INTRINSICS, &camera, &point, &pixel, 2.5).unwrap().whitened(&whitening);
-        let mut jacobian = DMatrix::zeros(2, 10);
+        let mut jacobian = DMatrix::zeros(2, 11);
         jacobian.view_mut((0, 0), (2, 3)).copy_from(&found.by_point);
         jacobian.view_mut((0, 3), (2, 6)).copy_from(&found.by_camera);
         jacobian.view_mut((0, 9), (2, 1)).copy_from(&found.by_log_focal);
+        let by_radial = whitening * by_radial(&INTRINSICS, &camera, &point, 2.5);
+        jacobian.view_mut((0, 10), (2, 1)).copy_from(&by_radial);
         assert_derivative(&jacobian, |d| {
             let factor = d[9].exp();
             let lens = Intrinsics {
                 fx: INTRINSICS.fx * factor,
                 fy: INTRINSICS.fy * factor,
                 skew: INTRINSICS.skew * factor,
-                ..INTRINSICS
+                ..INTRINSICS.with_radial(d[10])
             };
             let moved = camera.perturbed_left(&Vector3::new(d[3], d[4], d[5]), &Vector3::new(d[6], d[7], d[8]));
             let point = point + Vector3::new(d[0], d[1], d[2]);

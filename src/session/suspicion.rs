@@ -21,6 +21,9 @@ pub struct Suspicion {
     /// For `resolution`: size of the images in which people were detected over that of the calibration, where one size is likeliest.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub image_scale: Option<f64>,
+    /// For `lens_distortion`: the first radial coefficient less the given one; absent where the images look undistorted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub radial_change: Option<f64>,
     /// Whether the mistake was undone before the solve (`options.repair: auto`): the result is that of the repaired recording.
     #[serde(default)]
     pub applied: bool,
@@ -77,6 +80,8 @@ pub enum SuspicionCode {
     CameraZoomed,
     /// The images of a camera were stretched after its calibration, or before it.
     PixelAspect,
+    /// The images are distorted otherwise than the lens says: it was left out, or images were undistorted after the calibration.
+    LensDistortion,
     /// The cameras fall into groups that show different takes.
     SeveralTakes,
     /// More people move through the scene than the options allow.
@@ -117,7 +122,16 @@ impl Suspicion {
         remedy: impl Into<String>,
     ) -> Self {
         let (evidence, remedy) = (evidence.into(), remedy.into());
-        Self { code, cameras, evidence, remedy, suggested_option: None, image_scale: None, applied: false }
+        Self {
+            code,
+            cameras,
+            evidence,
+            remedy,
+            suggested_option: None,
+            image_scale: None,
+            radial_change: None,
+            applied: false,
+        }
     }
 
     /// Whether the standard deviations of a camera's pose are void, since they rest on the files being right.

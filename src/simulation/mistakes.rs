@@ -71,6 +71,14 @@ pub const MISTAKES: &[Mistake] = &[
     odd("images stretched by 10 %", &[Code::PixelAspect], |s| {
         lens_changed(s, &[ODD], |lens, _| Intrinsics { fy: 1.1 * lens.fy, ..*lens })
     }),
+    all("distortion of the lenses left out", &[Code::LensDistortion], |s| {
+        Some(moved(s, &everywhere(s), |lens, p| {
+            lens.with_radial(ACTION_CAMERA).pixel_from_normalized(&lens.normalized_from_pixel(&p))
+        }))
+    }),
+    odd("distortion of a lens left for undistorted images", &[Code::LensDistortion], |s| {
+        lens_changed(s, &[ODD], |lens, _| lens.with_radial(ACTION_CAMERA))
+    }),
     two("keypoints of a second camera", &[Code::DuplicateCamera], |s| {
         let mut copied = s.clone();
         copied.views.get_mut(PARTNER)?.frames.clone_from(&s.views[ODD].frames);
@@ -116,6 +124,9 @@ pub const MISTAKES: &[Mistake] = &[
         ..all("given poses in the axes of OpenGL", &[Code::GivenPoses], opengl)
     },
 ];
+
+/// First radial coefficient of action cameras.
+const ACTION_CAMERA: f64 = -0.3;
 
 type Inject = fn(&Session) -> Option<Session>;
 

@@ -1,6 +1,8 @@
 //! Mistakes in the files that a solve named wrongly, or not at all.
 
+use nalgebra::Vector2;
 use wandless::body::skeleton::KeypointConvention;
+use wandless::geometry::Intrinsics;
 use wandless::pipeline::config::Repair;
 use wandless::pipeline::{Options, PipelineError, as_solved, reconstruct};
 use wandless::progress::Progress;
@@ -47,7 +49,7 @@ fn exchanged_cameras_with_similar_focal_lengths_passed() {
     let lens = right.views[1].intrinsics;
     let partner = &mut right.views[2];
     let other = partner.intrinsics;
-    let moved = wandless::geometry::Intrinsics { cx: lens.cx + 60.0, cy: lens.cy - 20.0, ..other };
+    let moved = Intrinsics { cx: lens.cx + 60.0, cy: lens.cy - 20.0, ..other };
     for keypoint in partner.frames.iter_mut().flatten().flat_map(|d| &mut d.keypoints).filter(|k| k.is_present()) {
         keypoint.pixel.x += moved.cx - other.cx;
         keypoint.pixel.y += moved.cy - other.cy;
@@ -76,6 +78,29 @@ fn exchanged_labels_of_one_of_two_cameras_passed() {
     assert_eq!(suspected(&right, &Options::default()), []);
     let wrong = with_mistake(&right, "left and right exchanged in one camera");
     assert_eq!(suspected(&wrong, &Options::default()), [(Code::LabelsExchanged, ids(&right, &[1]))]);
+}
+
+/// Every camera fitted as well as the others, with cameras 3 to 9 cm off.
+#[test]
+fn bent_images_passed() {
+    let right = session(5);
+    for (name, views) in
+        [("distortion of the lenses left out", vec![]), ("distortion of a lens left for undistorted images", vec![1])]
+    {
+        let wrong = with_mistake(&right, name);
+        assert_eq!(suspected(&wrong, &Options::default()), [(Code::LensDistortion, ids(&right, &views))], "{name}");
+        let repaired = Options { repair: Repair::Auto, ..Options::default() };
+        let found = reconstruct(&wrong, &repaired, &Progress::silent()).unwrap();
+        let truth = match views.is_empty() {
+            true => right.views[1].intrinsics.with_radial(-0.3),
+            false => right.views[1].intrinsics,
+        };
+        let repaired = as_solved(&wrong, &repaired, &found).views[1].intrinsics;
+        // The distortion moves this point by 0.3 * 0.34 * 0.58 focal lengths of 1,000 px, 59 px: a fifth may be left.
+        let at = |lens: &Intrinsics| lens.pixel_from_normalized(&Vector2::new(0.5, 0.3));
+        let left = (at(&repaired) - at(&truth)).norm();
+        assert!(left < 12.0, "{name}: {left} px");
+    }
 }
 
 /// Keypoints of a repaired result were written with the names of the wrong convention, and with pixels that its cameras do not explain.

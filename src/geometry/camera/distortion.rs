@@ -119,6 +119,32 @@ impl Distortion {
         }
     }
 
+    /// The lens with `change` added to its first radial coefficient.
+    pub fn with_radial(self, change: f64) -> Self {
+        match self {
+            Self::None => [change, 0.0, 0.0, 0.0, 0.0].into(),
+            Self::OpenCv5([k1, k2, p1, p2, k3]) => [k1 + change, k2, p1, p2, k3].into(),
+            Self::Rational8([k1, rest @ ..]) => {
+                let mut coefficients = [k1 + change; 8];
+                coefficients[1..].copy_from_slice(&rest);
+                Self::Rational8(coefficients)
+            }
+            Self::Fisheye4([k1, k2, k3, k4]) => Self::Fisheye4([k1 + change, k2, k3, k4]),
+        }
+    }
+
+    /// Derivative of the distorted coordinates by the first radial coefficient: `n r^2`, over the lower polynomial of a rational lens;
+    /// of a fisheye `n theta^3 / r`.
+    pub(super) fn by_radial(&self, n: &Vector2<f64>) -> Vector2<f64> {
+        let r2 = n.norm_squared();
+        match *self {
+            Self::None | Self::OpenCv5(_) => n * r2,
+            Self::Rational8([_, _, _, _, _, k4, k5, k6]) => n * (r2 / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)))),
+            Self::Fisheye4(_) if r2 < SMALL_SQUARED_RADIUS => n * r2,
+            Self::Fisheye4(_) => n * (r2.sqrt().atan().powi(3) / r2.sqrt()),
+        }
+    }
+
     /// Ideal normalised coordinates of distorted ones.
     ///
     /// Known limit: beyond the radius where the polynomial folds over it has no inverse; the last iterate is returned.

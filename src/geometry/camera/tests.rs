@@ -91,6 +91,18 @@ fn the_projections_derivative_agrees_with_central_differences() {
     }
 }
 
+#[test]
+fn the_derivative_by_the_radial_coefficient_matches_differences() {
+    for dist in LENSES {
+        let camera = camera(dist);
+        for point in [Vector2::new(0.3, -0.2), Vector2::new(-0.6, 0.4), Vector2::new(1e-5, 2e-5)] {
+            let moved = |change: f64| camera.with_radial(change).pixel_from_normalized(&point);
+            let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+            assert!((slope - camera.by_radial(&point)).norm() < 1e-6, "{dist:?} {point}");
+        }
+    }
+}
+
 fn without_lens(distorted: &Intrinsics) -> Intrinsics {
     Intrinsics { dist: Distortion::None, ..*distorted }
 }

@@ -118,6 +118,7 @@ pub fn adjusted(
         camera_freedom: CameraFreedom::Adjusted,
         refine_focal: effort.focal_sigma.is_some(),
         refine_delays: effort.refine_delays,
+        refine_radial: false,
     };
     let uncertainty_block_frames = effort.uncertainty_block_secs.map(|s| ((s * session.fps).round() as usize).max(1));
     let relative_decrease = effort.relative_decrease;

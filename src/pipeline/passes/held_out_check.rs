@@ -64,6 +64,7 @@ fn error_px(
         camera_freedom: CameraFreedom::Held,
         refine_focal: false,
         refine_delays: false,
+        refine_radial: false,
     };
     let config =
         AdjustmentConfig { relative_decrease: 1e-4, uncertainty_block_frames: None, ..AdjustmentConfig::default() };

@@ -182,6 +182,7 @@ fn cost(
         camera_freedom: CameraFreedom::Adjusted,
         refine_focal: focal == Focal::Free,
         refine_delays: false,
+        refine_radial: false,
     };
     let config = AdjustmentConfig { uncertainty_block_frames: None, ..AdjustmentConfig::default() };
     Ok(adjust(&input, &config, progress)?.1.cost_after.unwrap_or(0.0))

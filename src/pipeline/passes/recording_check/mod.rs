@@ -4,6 +4,8 @@
 //! Cameras that are named once are left to that name: their errors spill over to the others, and one mistake has one name.
 
 mod cameras;
+mod distortion;
+mod free_adjustment;
 mod lenses;
 mod parameters;
 pub mod solved;
@@ -15,6 +17,11 @@ use crate::progress::{Canceled, Progress};
 use crate::session::{Suspicion, SuspicionCode as Code};
 use solved::Solved;
 pub use unsolved::mistake_of_unsolved;
+
+/// Mistakes about the shape of images.
+fn shapes_images(code: Code) -> bool {
+    matches!(code, Code::PixelAspect | Code::LensDistortion)
+}
 
 /// Every suspicion that the solution raises.
 pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, Canceled> {
@@ -35,14 +42,14 @@ pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, C
     }
     let step = weighted.begin("testing clocks of cameras");
     steps::slipping_clock(solved, &mut found, &step)?;
-    let step = weighted.begin("testing delays and focal lengths");
+    let step = weighted.begin("testing delays and lenses");
     if found.is_empty() {
         parameters::other_parameters(solved, &mut found, &step)?;
     }
     let step = weighted.begin("testing movements of cameras");
     cameras::exchanged_labels(solved, &mut found);
     // The mean of two poses or focal lengths may look like another shape of the images.
-    let of_shape = found.pop_if(|suspicion| suspicion.code == Code::PixelAspect);
+    let of_shape: Vec<Suspicion> = found.extract_if(.., |suspicion| shapes_images(suspicion.code)).collect();
     // Where people stand beside the middle of the image, a camera that zooms turns as well.
     steps::zoomed_camera(solved, &mut found, &step)?;
     steps::moved_camera(solved, &mut found, &step)?;

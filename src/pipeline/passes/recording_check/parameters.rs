@@ -1,24 +1,19 @@
-//! Delays and focal lengths that an adjustment of all cameras finds.
+//! Delays, distortions and focal lengths that an adjustment of all cameras finds.
 
+use super::distortion::other_distortions;
+use super::free_adjustment::FreeAdjustment;
 use super::lenses::{EXCHANGE, lies_within, misplaced_lenses};
-use super::solved::{MAX_KEYFRAMES, Solved};
+use super::solved::Solved;
 use crate::optim::robust::median;
-use crate::pipeline::calibration::{Adjusted, CameraFreedom};
+use crate::pipeline::calibration::Adjusted;
 use crate::pipeline::config::{IntrinsicsMode, Sync};
 use crate::pipeline::focal_spread::{FoundFactors, MIN_LOG_EVIDENCE};
-use crate::pipeline::passes::adjustment::ALL_FRAMES;
-use crate::pipeline::stages::bundle_adjustment::adjust;
-use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput};
-use crate::pipeline::stages::keyframe_selection::{select_keyframes, set_image_velocities};
-use crate::pipeline::stages::recording_check::lens::Lens;
+use crate::pipeline::stages::bundle_adjustment::input::AdjustmentConfig;
 use crate::pipeline::stages::recording_check::parameters::{
     Delay, WrongLenses, delays, likeliest_exchange, smaller_images, wrong_lenses,
 };
 use crate::progress::{Canceled, Progress};
 use crate::session::{Suspicion, SuspicionCode as Code};
-
-/// Length of an independent block of one person, s.
-const BLOCK_SECS: f64 = 2.0;
 
 /// Images are smaller than stated where keypoints stay within this share of width and height: people walk through more of an image,
 /// and the next smaller format has two thirds.
@@ -26,7 +21,7 @@ const SHOWN_BY_SMALLER: f64 = 0.72;
 /// Factor on a focal length below which it belongs to smaller images: halfway, in logarithms, to the next smaller usual size.
 const OF_SMALLER: f64 = 0.866;
 
-/// Delays and focal lengths against those given.
+/// Delays, distortions and focal lengths against those given.
 pub(super) fn other_parameters(
     solved: &Solved,
     found: &mut Vec<Suspicion>,
@@ -39,49 +34,29 @@ pub(super) fn other_parameters(
         let step = steps.begin("testing calibrations of other images");
         found.extend(misplaced_lenses(solved, &resections, &step)?);
     }
-    let progress = &steps.begin("testing delays and focal lengths");
+    let progress = &steps.begin("testing delays and lenses");
     if !found.is_empty() {
         return Ok(());
     }
-    let adjusted = adjusted_freely(solved, &resections, progress)?;
+    let free = FreeAdjustment::from_resections(solved, &resections, progress)?;
+    let adjusted = &free.adjusted;
     let origins: Vec<f64> = resections.iter().map(|lens| lens.map_or(0.0, |lens| lens.factor.ln())).collect();
     for (view, camera) in adjusted.cameras.iter().enumerate() {
         let sigma = camera.uncertainty.and_then(|u| u.sigma_delay);
         tracing::debug!(view, camera.delay, sigma, camera.focal_factor, "found by the check");
     }
     if options.sync == Sync::Given {
-        let late = delays(&adjusted).into_iter().filter(|delay| !solved.is_named(delay.view, &[]));
+        let late = delays(adjusted).into_iter().filter(|delay| !solved.is_named(delay.view, &[]));
         found.extend(late.map(|delay| of_delay(solved, &delay)));
     }
-    if options.intrinsics_of(solved.session()) == IntrinsicsMode::Fixed {
-        found.extend(of_focal_factors(solved, &adjusted, &origins));
+    // Before focal lengths, which follow a distortion in the middle of the image.
+    if found.is_empty() {
+        found.extend(other_distortions(solved, &free, progress)?);
+    }
+    if found.is_empty() && options.intrinsics_of(solved.session()) == IntrinsicsMode::Fixed {
+        found.extend(of_focal_factors(solved, adjusted, &origins));
     }
     Ok(())
-}
-
-/// The adjustment of cameras and points, with a delay and a factor on the focal length of every camera, from the resections on.
-fn adjusted_freely(solved: &Solved, resections: &[Option<Lens>], progress: &Progress) -> Result<Adjusted, Canceled> {
-    // A camera that has a name already would spoil the others.
-    let unnamed = solved.unnamed(&[]);
-    let mut cameras = solved.calibration.cameras.clone();
-    (0..cameras.len()).filter(|view| !unnamed.contains(view)).for_each(|view| cameras[view] = None);
-    let mut keyframes = select_keyframes(solved.repaired, solved.calibration, &cameras, MAX_KEYFRAMES, ALL_FRAMES);
-    set_image_velocities(&mut keyframes, solved.repaired, &cameras, solved.paths);
-    let (intrinsics, cameras) = solved.resected(resections, cameras);
-    let bones = solved.bones();
-    let input = AdjustmentInput {
-        intrinsics: &intrinsics,
-        cameras,
-        keyframes,
-        bones: &bones,
-        camera_freedom: CameraFreedom::Adjusted,
-        refine_focal: true,
-        refine_delays: true,
-    };
-    let block = ((BLOCK_SECS * solved.session().fps).round() as usize).max(1);
-    let defaults = AdjustmentConfig::default();
-    let config = AdjustmentConfig { relative_decrease: 1e-6, uncertainty_block_frames: Some(block), ..defaults };
-    Ok(adjust(&input, &config, progress)?.0)
 }
 
 fn of_delay(solved: &Solved, delay: &Delay) -> Suspicion {

@@ -13,6 +13,9 @@ use rayon::prelude::*;
 /// times as large, still far below what counts.
 pub(super) const MAX_KEYFRAMES: usize = 250;
 
+/// Length of an independent block of one person, s.
+const BLOCK_SECS: f64 = 2.0;
+
 /// The solution that is tested.
 pub struct Solved<'a> {
     /// The recording as given, before detections were repaired.
@@ -58,6 +61,11 @@ impl Solved<'_> {
             assigned.count() as f64 / n_seen.max(1) as f64
         };
         self.session().views.iter().enumerate().map(share).collect()
+    }
+
+    /// Length of an independent block of one person, frames.
+    pub(super) fn independent_frames(&self) -> usize {
+        ((BLOCK_SECS * self.session().fps).round() as usize).max(1)
     }
 
     /// Bones of all people.

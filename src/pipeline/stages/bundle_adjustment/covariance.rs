@@ -65,8 +65,10 @@ pub(super) fn camera_uncertainties(problem: &Problem, state: &State, block_frame
     if let Some((border, covariance)) = border.as_ref().and_then(|border| Some((border, of_cameras(border)?))) {
         for (&(view, first, _), sigma) in moving.iter().zip(covariance.pose_sigmas()) {
             let sigma_delay = sigma_delay(border, problem.layout.delay, moving[0].1, first);
+            let variance = |column: usize| border[(column, column)];
+            let sigma_radial = problem.layout.radial.map(|place| variance(first + place).max(0.0).sqrt());
             let (sigma_position, sigma_angle) = (sigma.position, sigma.angle);
-            uncertainties[view] = Some(CameraUncertainty { sigma_position, sigma_angle, sigma_delay });
+            uncertainties[view] = Some(CameraUncertainty { sigma_position, sigma_angle, sigma_delay, sigma_radial });
         }
     }
     let focal = problem.layout.focal.zip(border).map(|(place, border)| {

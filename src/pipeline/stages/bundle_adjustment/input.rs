@@ -33,6 +33,8 @@ pub struct AdjustmentInput<'a> {
     pub refine_focal: bool,
     /// Whether each moving camera has a delay; only differences between cameras are determined.
     pub refine_delays: bool,
+    /// Whether the first radial coefficient of each moving camera's lens is changed.
+    pub refine_radial: bool,
 }
 
 /// Settings of [`adjust`](super::adjust).
@@ -50,6 +52,8 @@ pub struct AdjustmentConfig {
     pub focal_sigma: f64,
     /// Standard deviation of a delay, frames; used where delays are refined.
     pub delay_sigma: f64,
+    /// Standard deviation of the change of a radial coefficient; used where these are refined.
+    pub radial_sigma: f64,
     /// Length of a block of one person's frames, the unit with independent errors in the cameras' uncertainty; `None`: the
     /// uncertainty is not computed, which saves as much time as some ten iterations.
     pub uncertainty_block_frames: Option<usize>,
@@ -69,6 +73,8 @@ impl Default for AdjustmentConfig {
             focal_sigma: 0.1,
             // The path of a keypoint is straight for some two frames.
             delay_sigma: 2.0,
+            // Lenses of action cameras have -0.3, others between -0.2 and 0.1.
+            radial_sigma: 0.2,
             // 2 s at 25 Hz: detector errors are correlated over some 10 frames (AR(0.9)); a block must span several.
             uncertainty_block_frames: Some(50),
         }

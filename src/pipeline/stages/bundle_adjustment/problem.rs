@@ -2,7 +2,7 @@
 
 use super::gauge::Gauge;
 use super::input::{AdjustmentConfig, AdjustmentInput};
-use super::variables::{self, CameraState, Layout, SlotObservation, State, Variables};
+use super::variables::{self, CameraState, Layout, POSE_UNKNOWNS, SlotObservation, State, Variables};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::optim::arrow::{self, Block, Column, Span};
 use crate::optim::levenberg_marquardt::{LeastSquares, Trial};
@@ -12,15 +12,12 @@ use crate::pipeline::keyframe::Keyframe;
 use crate::progress::Progress;
 use crate::residuals::bone_length;
 use crate::residuals::reprojection::{self, Reprojection};
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{DMatrix, DVector, Vector2, Vector3};
 use pulp::{Simd, WithSimd};
 use rayon::prelude::*;
 
 /// Shares of a local step that are tried where the whole step raises the cost.
 const SHORTENED: [f64; 3] = [0.5, 0.1, 0.0];
-
-/// Unknowns of a camera whose focal factor and delay are fixed.
-const POSE_UNKNOWNS: usize = 6;
 
 /// The problem at one robust scale.
 pub(super) struct Problem<'a> {
@@ -32,6 +29,7 @@ pub(super) struct Problem<'a> {
     intrinsics: &'a [Intrinsics],
     focal_sigma: f64,
     delay_sigma: f64,
+    radial_sigma: f64,
     progress: &'a Progress,
 }
 
@@ -48,7 +46,8 @@ pub(super) fn formulate<'a>(
     let (layout, mut variables) = variables::choose(input, &mut placed);
     let camera = |(view, given): (usize, &Option<Rigid>)| {
         let camera_from_world = given.filter(|_| placed[view])?;
-        Some(CameraState { intrinsics: input.intrinsics[view], log_focal: 0.0, delay: 0.0, camera_from_world })
+        let intrinsics = input.intrinsics[view];
+        Some(CameraState { intrinsics, log_focal: 0.0, delay: 0.0, radial: 0.0, camera_from_world })
     };
     let cameras: Vec<_> = input.cameras.iter().enumerate().map(camera).collect();
     let start_of = |(keyframe, variables): (&Keyframe, &Variables)| {
@@ -69,6 +68,7 @@ pub(super) fn formulate<'a>(
         intrinsics: input.intrinsics,
         focal_sigma: config.focal_sigma,
         delay_sigma: config.delay_sigma,
+        radial_sigma: config.radial_sigma,
         progress,
     };
     (problem, State { cameras, log_lengths, points })
@@ -143,7 +143,10 @@ impl Problem<'_> {
             };
             let robust = geman_mcclure(linear.residual.norm_squared(), self.robust_scale);
             block.add_cost(robust.cost);
-            self.add_observation(block, robust.weight, &linear, observed);
+            let by_radial = self.layout.radial.map_or_else(Vector2::zeros, |_| {
+                reprojection::by_radial(&camera.intrinsics, &camera.camera_from_world, &points[slot], o.sigma_px)
+            });
+            self.add_observation(block, robust.weight, (&linear, &by_radial), observed);
         }
         for limb in &variables.limbs {
             let (a, b) = (&points[limb.slot_a], &points[limb.slot_b]);
@@ -164,11 +167,18 @@ impl Problem<'_> {
 
     /// Adds an observation to the normal equations: its point, and its camera with the unknowns that this has.
     #[inline(always)]
-    fn add_observation(&self, block: &mut Block, weight: f64, linear: &Reprojection, observed: &SlotObservation) {
+    fn add_observation(
+        &self,
+        block: &mut Block,
+        weight: f64,
+        (linear, by_radial): (&Reprojection, &Vector2<f64>),
+        observed: &SlotObservation,
+    ) {
         let o = &observed.observation;
         let by_unknown = |k: usize| match k {
             0..6 => [linear.by_camera[(0, k)], linear.by_camera[(1, k)]],
             _ if self.layout.focal == Some(k) => linear.by_log_focal.into(),
+            _ if self.layout.radial == Some(k) => (*by_radial).into(),
             _ => (o.velocity / o.sigma_px).into(),
         };
         let residual = linear.residual.into();
@@ -177,7 +187,8 @@ impl Problem<'_> {
             (None, _) => block.add_spans(weight, &residual, &local, &span::<0>(0, by_unknown)),
             (Some(first), 6) => block.add_spans(weight, &residual, &local, &span::<6>(first, by_unknown)),
             (Some(first), 7) => block.add_spans(weight, &residual, &local, &span::<7>(first, by_unknown)),
-            (Some(first), _) => block.add_spans(weight, &residual, &local, &span::<8>(first, by_unknown)),
+            (Some(first), 8) => block.add_spans(weight, &residual, &local, &span::<8>(first, by_unknown)),
+            (Some(first), _) => block.add_spans(weight, &residual, &local, &span::<9>(first, by_unknown)),
         }
     }
 
@@ -240,11 +251,12 @@ impl Problem<'_> {
             };
             let focal = of(self.layout.focal, |c| c.log_focal, self.focal_sigma);
             let delay = of(self.layout.delay, |c| c.delay, self.delay_sigma);
-            focal.into_iter().chain(delay)
+            let radial = of(self.layout.radial, |c| c.radial, self.radial_sigma);
+            focal.into_iter().chain(delay).chain(radial)
         })
     }
 
-    /// Cost of the priors, focal factors near 1 and delays near 0: `(value / sigma)^2 / 2` each.
+    /// Cost of the priors, focal factors near 1, delays and changes of lenses near 0: `(value / sigma)^2 / 2` each.
     fn prior_cost(&self, state: &State) -> f64 {
         self.priors(state).map(|(_, value, sigma)| 0.5 * (value / sigma).powi(2)).sum()
     }
@@ -253,7 +265,8 @@ impl Problem<'_> {
     pub(super) fn prior_information(&self) -> DMatrix<f64> {
         let mut information = DMatrix::zeros(self.layout.n_border, self.layout.n_border);
         for first in self.layout.camera_columns.iter().flatten() {
-            for (place, sigma) in [(self.layout.focal, self.focal_sigma), (self.layout.delay, self.delay_sigma)] {
+            let Layout { focal, delay, radial, .. } = self.layout;
+            for (place, sigma) in [(focal, self.focal_sigma), (delay, self.delay_sigma), (radial, self.radial_sigma)] {
                 if let Some(place) = place {
                     information[(first + place, first + place)] = sigma.powi(-2);
                 }
@@ -277,11 +290,13 @@ impl Problem<'_> {
             let phi = Vector3::new(step[first + 3], step[first + 4], step[first + 5]);
             let moved_by = |place: Option<usize>| place.map_or(0.0, |place| step[first + place]);
             let log_focal = camera.log_focal + moved_by(self.layout.focal);
+            let radial = camera.radial + moved_by(self.layout.radial);
             Some(CameraState {
                 delay: camera.delay + moved_by(self.layout.delay),
                 camera_from_world: camera.camera_from_world.perturbed_left(&rho, &phi),
                 log_focal,
-                intrinsics: self.intrinsics[view].with_focal_factor(log_focal.exp()),
+                radial,
+                intrinsics: self.intrinsics[view].with_focal_factor(log_focal.exp()).with_radial(radial),
             })
         };
         let mut cameras: Vec<_> = state.cameras.iter().enumerate().map(move_camera).collect();

@@ -166,6 +166,7 @@ fn input(scene: &StickScene, cameras: Vec<Option<Rigid>>, keyframes: Vec<Keyfram
         camera_freedom: CameraFreedom::Adjusted,
         refine_focal: false,
         refine_delays: false,
+        refine_radial: false,
     }
 }
 
@@ -325,6 +326,22 @@ fn finds_a_wrong_focal_length() {
     let others = (factors.iter().sum::<f64>() - factors[1]) / 4.0;
     // Focal length trades against distance: 1300 points a camera leave some 0.7 %.
     assert!((factors[1] / others - 1.06).abs() < 0.02, "{factors:?}");
+}
+
+#[test]
+fn finds_a_distortion_that_was_left_out() {
+    let mut scene = scene(5, 2, 60);
+    scene.intrinsics[1] = scene.intrinsics[1].with_radial(-0.3);
+    let keyframes = observe(&scene, NOISE, 0.05, 4);
+    scene.intrinsics[1] = scene.intrinsics[1].with_radial(0.3);
+    let start = perturbed(&scene.cameras, 0.5, 0.03, 4);
+    let (adjusted, _) =
+        solve(&AdjustmentInput { refine_focal: true, refine_radial: true, ..input(&scene, start, keyframes) });
+    for (v, camera) in adjusted.cameras.iter().enumerate() {
+        let off = camera.radial + if v == 1 { 0.3 } else { 0.0 };
+        let sigma = camera.uncertainty.unwrap().sigma_radial.unwrap();
+        assert!(off.abs() < 4.0 * sigma && sigma < 0.05, "view {v}: {} +- {sigma}", camera.radial);
+    }
 }
 
 #[test]

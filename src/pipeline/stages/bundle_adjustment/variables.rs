@@ -8,6 +8,9 @@ use crate::pipeline::keyframe::{Keyframe, Observation};
 use nalgebra::Vector3;
 use std::collections::{BTreeMap, BTreeSet};
 
+/// Unknowns of a camera whose lens and delay are fixed.
+pub(super) const POSE_UNKNOWNS: usize = 6;
+
 /// Smallest number of observations of a camera that is adjusted: six unknowns, and some to spare.
 const MIN_OBSERVATIONS: usize = 8;
 
@@ -60,17 +63,19 @@ pub(super) struct Limb {
     pub(super) column: usize,
 }
 
-/// Columns of the border's unknowns: `[6 to 8 per moving camera | bone lengths by person]`.
+/// Columns of the border's unknowns: `[6 to 9 per moving camera | bone lengths by person]`.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Layout {
     /// First unknown of each moving camera.
     pub(super) camera_columns: Vec<Option<usize>>,
-    /// 6 for the pose, and 1 for each of the next two that is present.
+    /// 6 for the pose, and 1 for each of the next three that is present.
     pub(super) per_camera: usize,
     /// Index of the focal factor's logarithm among a camera's unknowns; `None` where it is fixed.
     pub(super) focal: Option<usize>,
     /// Index of the delay.
     pub(super) delay: Option<usize>,
+    /// Index of the change of the first radial coefficient.
+    pub(super) radial: Option<usize>,
     /// Column of the first bone length.
     pub(super) first_length: usize,
     /// The persons in the order of their bone lengths.
@@ -86,6 +91,8 @@ pub(super) struct CameraState {
     pub(super) log_focal: f64,
     /// Frames.
     pub(super) delay: f64,
+    /// Change of the lens's first radial coefficient.
+    pub(super) radial: f64,
     pub(super) camera_from_world: Rigid,
 }
 
@@ -177,9 +184,12 @@ fn drop_weak_views(input: &AdjustmentInput, supported: &[BTreeSet<usize>], place
 }
 
 fn layout(input: &AdjustmentInput, bones: &[Bone], placed: &[bool]) -> Layout {
-    let focal = input.refine_focal.then_some(6);
-    let delay = input.refine_delays.then_some(6 + usize::from(input.refine_focal));
-    let per_camera = 6 + usize::from(input.refine_focal) + usize::from(input.refine_delays);
+    let mut per_camera = POSE_UNKNOWNS;
+    let mut place = |is_refined: bool| {
+        per_camera += usize::from(is_refined);
+        is_refined.then_some(per_camera - 1)
+    };
+    let [focal, delay, radial] = [input.refine_focal, input.refine_delays, input.refine_radial].map(&mut place);
     let mut first_length = 0;
     let mut column_of = |&is_placed: &bool| {
         (is_placed && input.camera_freedom == CameraFreedom::Adjusted).then(|| {
@@ -190,7 +200,7 @@ fn layout(input: &AdjustmentInput, bones: &[Bone], placed: &[bool]) -> Layout {
     let camera_columns = placed.iter().map(&mut column_of).collect();
     let persons: Vec<usize> = input.keyframes.iter().map(|i| i.person).collect::<BTreeSet<_>>().into_iter().collect();
     let n_border = first_length + persons.len() * bones.len();
-    Layout { camera_columns, per_camera, focal, delay, first_length, persons, n_bones: bones.len(), n_border }
+    Layout { camera_columns, per_camera, focal, delay, radial, first_length, persons, n_bones: bones.len(), n_border }
 }
 
 fn variables(

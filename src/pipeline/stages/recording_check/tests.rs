@@ -248,11 +248,13 @@ fn a_resection_finds_stretched_images() {
 }
 
 fn adjusted(delays: &[f64], log_factors: &[f64]) -> Adjusted {
-    let uncertainty = CameraUncertainty { sigma_position: 0.01, sigma_angle: 0.001, sigma_delay: Some(0.05) };
+    let uncertainty =
+        CameraUncertainty { sigma_position: 0.01, sigma_angle: 0.001, sigma_delay: Some(0.05), sigma_radial: None };
     let camera = |delay: &f64| AdjustedCamera {
         camera_from_world: None,
         focal_factor: 1.0,
         delay: *delay,
+        radial: 0.0,
         is_observed: true,
         uncertainty: Some(uncertainty),
     };

@@ -186,6 +186,7 @@ fn a_suspicion_replaces_other_reasons_about_its_camera() {
         remedy: "synchronise".to_owned(),
         suggested_option: None,
         image_scale: None,
+        radial_change: None,
         applied: false,
     };
     assert_reason(Verdict::Warn, &["cam2", "7 frames", "synchronise"], |input| {

@@ -1,0 +1,54 @@
+//! The adjustment that tests parameters of the recording: all cameras at once, each with a delay and a focal length of its own.
+
+use super::solved::{MAX_KEYFRAMES, Solved};
+use crate::geometry::Intrinsics;
+use crate::pipeline::calibration::{Adjusted, CameraFreedom};
+use crate::pipeline::keyframe::Keyframe;
+use crate::pipeline::passes::adjustment::ALL_FRAMES;
+use crate::pipeline::stages::bundle_adjustment::adjust;
+use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput};
+use crate::pipeline::stages::keyframe_selection::{select_keyframes, set_image_velocities};
+use crate::pipeline::stages::recording_check::lens::Lens;
+use crate::progress::{Canceled, Progress};
+
+/// Cameras and points with a delay and a factor on the focal length of every camera.
+pub(super) struct FreeAdjustment {
+    /// Where the focal factors began.
+    pub(super) intrinsics: Vec<Intrinsics>,
+    /// With the points as they were.
+    pub(super) keyframes: Vec<Keyframe>,
+    pub(super) adjusted: Adjusted,
+}
+
+impl FreeAdjustment {
+    /// From the resections on.
+    pub(super) fn from_resections(
+        solved: &Solved,
+        resections: &[Option<Lens>],
+        progress: &Progress,
+    ) -> Result<Self, Canceled> {
+        // A camera that has a name already would spoil the others.
+        let unnamed = solved.unnamed(&[]);
+        let mut cameras = solved.calibration.cameras.clone();
+        (0..cameras.len()).filter(|view| !unnamed.contains(view)).for_each(|view| cameras[view] = None);
+        let mut keyframes = select_keyframes(solved.repaired, solved.calibration, &cameras, MAX_KEYFRAMES, ALL_FRAMES);
+        set_image_velocities(&mut keyframes, solved.repaired, &cameras, solved.paths);
+        let (intrinsics, cameras) = solved.resected(resections, cameras);
+        let input = AdjustmentInput {
+            intrinsics: &intrinsics,
+            cameras,
+            keyframes,
+            bones: &solved.bones(),
+            camera_freedom: CameraFreedom::Adjusted,
+            refine_focal: true,
+            refine_delays: true,
+            refine_radial: false,
+        };
+        let block = solved.independent_frames();
+        let defaults = AdjustmentConfig::default();
+        let config = AdjustmentConfig { relative_decrease: 1e-6, uncertainty_block_frames: Some(block), ..defaults };
+        let (adjusted, _) = adjust(&input, &config, progress)?;
+        let keyframes = input.keyframes;
+        Ok(Self { intrinsics, keyframes, adjusted })
+    }
+}
