@@ -10,6 +10,7 @@ use super::solved::Solved;
 use crate::geometry::{Distortion, Intrinsics};
 use crate::optim::robust::{GraduatedScale, median};
 use crate::pipeline::calibration::{Adjusted, AdjustedCamera, CameraFreedom};
+use crate::pipeline::focal_spread::OVERCOUNT;
 use crate::pipeline::keyframe::Keyframe;
 use crate::pipeline::stages::bundle_adjustment::adjust;
 use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput};
@@ -21,9 +22,8 @@ use std::ops::Range;
 /// Change of a first radial coefficient from which it counts. At half a focal length from the middle of the image 0.1 moves a point by
 /// 1.25 % of the focal length. Published lenses of real cameras are up to 0.065 off.
 const MIN_CHANGE: f64 = 0.1;
-/// Standard errors from which a change is certain: three, of which each is 2.45 times as large as stated (see
-/// [`OVERCOUNT`](crate::pipeline::focal_spread::OVERCOUNT)). In 176 recordings with right lenses cameras reach 5.6, and their mean 6.8.
-const CERTAIN: f64 = 7.35;
+/// Standard errors from which a change is certain. In 176 recordings with right lenses cameras reach 2.3, and their mean 2.8.
+const CERTAIN: f64 = 3.0;
 /// Steps after which a radial coefficient is known to a fraction of its standard error.
 const FIRST_STEPS: usize = 3;
 
@@ -64,7 +64,8 @@ pub(super) fn other_distortions(
     }
     let to_the_end = AdjustmentConfig { uncertainty_block_frames: Some(solved.independent_frames()), ..at_end() };
     let change = |(view, camera): (usize, &AdjustedCamera)| {
-        Some(Change { view, value: camera.radial, sigma: camera.uncertainty?.sigma_radial? })
+        let sigma = OVERCOUNT.sqrt() * camera.uncertainty?.sigma_radial?;
+        Some(Change { view, value: camera.radial, sigma })
     };
     let found = adjusted(solved, free, &to_the_end, progress)?;
     let changes: Vec<Change> = found.cameras.iter().enumerate().filter_map(change).collect();
@@ -122,7 +123,7 @@ fn suspicion(solved: &Solved, changes: &[Change], common: Change) -> Suspicion {
     let size = format!("{:+.2} +- {:.2}", common.value, common.sigma);
     let (evidence, remedy) = if is_undistorted {
         (
-            "the images look undistorted, though dist states a lens".to_owned(),
+            "the images look undistorted, though dist states a distortion".to_owned(),
             "leave dist out, or detect people in the images as recorded",
         )
     } else if is_plain {

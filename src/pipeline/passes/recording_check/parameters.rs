@@ -30,15 +30,17 @@ pub(super) fn other_parameters(
     let options = solved.given.options;
     let mut steps = progress.steps([1.0, 1.0]);
     let resections = solved.resections();
-    if options.intrinsics_of(solved.session()) == IntrinsicsMode::Fixed {
-        let step = steps.begin("testing calibrations of other images");
-        found.extend(misplaced_lenses(solved, &resections, &step)?);
-    }
+    let step = steps.begin("testing calibrations of other images");
+    let is_fixed = options.intrinsics_of(solved.session()) == IntrinsicsMode::Fixed;
+    let misplaced = if is_fixed { misplaced_lenses(solved, &resections, &step)? } else { None };
     let progress = &steps.begin("testing delays and lenses");
-    if !found.is_empty() {
+    let free = FreeAdjustment::from_resections(solved, &resections, progress)?;
+    if let Some(misplaced) = misplaced {
+        // Where all lenses distort otherwise than given, some suit other cameras better.
+        let of_all = other_distortions(solved, &free, progress)?.into_iter().find(|found| found.cameras.is_empty());
+        found.push(of_all.unwrap_or(misplaced));
         return Ok(());
     }
-    let free = FreeAdjustment::from_resections(solved, &resections, progress)?;
     let adjusted = &free.adjusted;
     let origins: Vec<f64> = resections.iter().map(|lens| lens.map_or(0.0, |lens| lens.factor.ln())).collect();
     for (view, camera) in adjusted.cameras.iter().enumerate() {
@@ -53,7 +55,7 @@ pub(super) fn other_parameters(
     if found.is_empty() {
         found.extend(other_distortions(solved, &free, progress)?);
     }
-    if found.is_empty() && options.intrinsics_of(solved.session()) == IntrinsicsMode::Fixed {
+    if found.is_empty() && is_fixed {
         found.extend(of_focal_factors(solved, adjusted, &origins));
     }
     Ok(())
