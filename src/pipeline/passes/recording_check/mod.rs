@@ -18,11 +18,6 @@ use crate::session::{Suspicion, SuspicionCode as Code};
 use solved::Solved;
 pub use unsolved::mistake_of_unsolved;
 
-/// Mistakes about the shape of images.
-fn shapes_images(code: Code) -> bool {
-    matches!(code, Code::PixelAspect | Code::LensDistortion)
-}
-
 /// Every suspicion that the solution raises.
 pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, Canceled> {
     let spoils_all = |s: &Suspicion| s.cameras.is_empty() && s.code.affects_cameras();
@@ -48,13 +43,9 @@ pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, C
     }
     let step = weighted.begin("testing movements of cameras");
     cameras::exchanged_labels(solved, &mut found);
-    // The mean of two poses or focal lengths may look like another shape of the images.
-    let of_shape: Vec<Suspicion> = found.extract_if(.., |suspicion| shapes_images(suspicion.code)).collect();
-    // Where people stand beside the middle of the image, a camera that zooms turns as well.
-    steps::zoomed_camera(solved, &mut found, &step)?;
-    steps::moved_camera(solved, &mut found, &step)?;
-    if found.is_empty() {
-        found.extend(of_shape);
+    // People who walk through images that are bent in all cameras are seen as if cameras turned.
+    if !found.iter().any(|suspicion| suspicion.code == Code::LensDistortion && suspicion.cameras.is_empty()) {
+        changing_camera(solved, &mut found, &step)?;
     }
     // One wrong camera of two turns the people between them around.
     let turns_people = |s: &Suspicion| matches!(s.code, Code::LabelsExchanged | Code::Mirrored | Code::YUpwards);
@@ -64,4 +55,17 @@ pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, C
     whole::too_few_people(solved, &mut found);
     whole::wrong_frame_rate(solved, &mut found);
     Ok(found)
+}
+
+/// A camera that zoomed or was moved: the mean of two poses or focal lengths may look like another shape of its images.
+fn changing_camera(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
+    let is_of_shape = |suspicion: &mut Suspicion| matches!(suspicion.code, Code::PixelAspect | Code::LensDistortion);
+    let of_shape: Vec<Suspicion> = found.extract_if(.., is_of_shape).collect();
+    // Where people stand beside the middle of the image, a camera that zooms turns as well.
+    steps::zoomed_camera(solved, found, progress)?;
+    steps::moved_camera(solved, found, progress)?;
+    if found.is_empty() {
+        found.extend(of_shape);
+    }
+    Ok(())
 }
