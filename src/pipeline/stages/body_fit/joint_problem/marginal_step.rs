@@ -16,7 +16,7 @@
 //!
 //! Of the term [`SHARE`] counts. On 24 captures of cameras along a wall or on an arc of 30 to 80 degrees (realistic noise) people
 //! had been 0.4 to 4.8 % of their distance too near, orientations 0.4 and 0.65 degrees off at 1.7 and 1.8 times the stated
-//! deviation; now they are 0.25 and 0.56 off at 1.0 and 1.4 times. Cameras all around move by less than a tenth of their
+//! deviation; now they are 0.22 and 0.52 off at 1.0 and 1.3 times. Cameras all around move by less than a tenth of their
 //! errors.
 
 use super::super::pixel_residuals::DetectedPixels;
