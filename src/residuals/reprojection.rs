@@ -115,14 +115,12 @@ mod tests {
     use nalgebra::DMatrix;
 
     const INTRINSICS: Intrinsics = Intrinsics {
-        width: 1280,
-        height: 720,
         fx: 900.0,
         fy: 910.0,
-        cx: 640.0,
         cy: 350.0,
         skew: 3.0,
         dist: Distortion::OpenCv5([-0.2, 0.07, 0.002, -0.001, -0.01]),
+        ..Intrinsics::PLAIN
     };
 
     #[test]

@@ -123,13 +123,18 @@ impl Distortion {
     pub fn with_radial(self, change: f64) -> Self {
         match self {
             Self::None => [change, 0.0, 0.0, 0.0, 0.0].into(),
-            Self::OpenCv5([k1, k2, p1, p2, k3]) => [k1 + change, k2, p1, p2, k3].into(),
-            Self::Rational8([k1, rest @ ..]) => {
-                let mut coefficients = [k1 + change; 8];
-                coefficients[1..].copy_from_slice(&rest);
-                Self::Rational8(coefficients)
+            Self::OpenCv5(mut k) => {
+                k[0] += change;
+                k.into()
             }
-            Self::Fisheye4([k1, k2, k3, k4]) => Self::Fisheye4([k1 + change, k2, k3, k4]),
+            Self::Rational8(mut k) => {
+                k[0] += change;
+                Self::Rational8(k)
+            }
+            Self::Fisheye4(mut k) => {
+                k[0] += change;
+                Self::Fisheye4(k)
+            }
         }
     }
 

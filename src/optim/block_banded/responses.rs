@@ -37,11 +37,7 @@ impl Eliminated {
     /// Movement of each frame per unit of each column of `border`, with the frames at their minimum given the border:
     /// `-H[frames][frames]^-1 H[frames][border] border`. [frame: (unknowns, columns)]
     pub fn responses(&self, border: &DMatrix<f64>) -> Vec<DMatrix<f64>> {
-        let mut following = Following::default();
-        let mut frames: Vec<_> =
-            (0..self.n_frames()).rev().map(|t| following.step(&self.frame_factor(t), border).clone()).collect();
-        frames.reverse();
-        frames
+        self.substituted_backwards(|factor| factor.to_border.transpose() * border)
     }
 
     /// [`Self::responses`], and as further columns draws from the normal distribution of covariance `H[frames][frames]^-1`, which is
@@ -52,13 +48,20 @@ impl Eliminated {
         n_samples: usize,
         rng: &mut impl Rng,
     ) -> Vec<DMatrix<f64>> {
-        let mut following = Following::default();
-        let mut of_frame = |t: usize| {
-            let factor = self.frame_factor(t);
+        self.substituted_backwards(|factor| {
             let mut right = factor.to_border.transpose() * border;
             right = right.resize_horizontally(border.ncols() + n_samples, 0.0);
             right.columns_mut(border.ncols(), n_samples).apply(|white| *white = StandardNormal.sample(rng));
-            following.substituted(&factor, right).clone()
+            right
+        })
+    }
+
+    /// `-(L^-T y)` with the rows `right` of `y` that belong to each frame, asked for from the last frame to the first.
+    fn substituted_backwards(&self, mut right: impl FnMut(&FrameFactor) -> DMatrix<f64>) -> Vec<DMatrix<f64>> {
+        let mut following = Following::default();
+        let mut of_frame = |t: usize| {
+            let factor = self.frame_factor(t);
+            following.substituted(&factor, right(&factor)).clone()
         };
         let mut frames: Vec<_> = (0..self.n_frames()).rev().map(&mut of_frame).collect();
         frames.reverse();

@@ -7,16 +7,14 @@
 
 use super::free_adjustment::FreeAdjustment;
 use super::solved::Solved;
-use crate::geometry::{Distortion, Intrinsics};
+use crate::geometry::Distortion;
 use crate::optim::robust::{GraduatedScale, median};
 use crate::pipeline::calibration::{Adjusted, AdjustedCamera, CameraFreedom};
 use crate::pipeline::focal_spread::OVERCOUNT;
-use crate::pipeline::keyframe::Keyframe;
 use crate::pipeline::stages::bundle_adjustment::adjust;
 use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput};
 use crate::progress::{Canceled, Progress};
 use crate::session::{Suspicion, SuspicionCode as Code};
-use nalgebra::Vector3;
 use std::ops::Range;
 
 /// Change of a first radial coefficient from which it counts. At half a focal length from the middle of the image 0.1 moves a point by
@@ -85,16 +83,10 @@ fn adjusted(
     progress: &Progress,
 ) -> Result<Adjusted, Canceled> {
     let FreeAdjustment { intrinsics, keyframes, adjusted } = free;
-    let with_points = |(keyframe, points): (&Keyframe, &Vec<Option<Vector3<f64>>>)| Keyframe {
-        points: points.clone(),
-        ..keyframe.clone()
-    };
-    let lens = |(lens, camera): (&Intrinsics, &AdjustedCamera)| lens.with_focal_factor(camera.focal_factor);
-    let intrinsics: Vec<Intrinsics> = intrinsics.iter().zip(&adjusted.cameras).map(lens).collect();
     let input = AdjustmentInput {
-        intrinsics: &intrinsics,
+        intrinsics,
         cameras: adjusted.cameras.iter().map(|camera| camera.camera_from_world).collect(),
-        keyframes: keyframes.iter().zip(&adjusted.points).map(with_points).collect(),
+        keyframes: keyframes.clone(),
         bones: &solved.bones(),
         camera_freedom: CameraFreedom::Adjusted,
         refine_focal: true,

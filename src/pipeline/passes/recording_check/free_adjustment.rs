@@ -2,7 +2,7 @@
 
 use super::solved::{MAX_KEYFRAMES, Solved};
 use crate::geometry::Intrinsics;
-use crate::pipeline::calibration::{Adjusted, CameraFreedom};
+use crate::pipeline::calibration::{Adjusted, AdjustedCamera, CameraFreedom};
 use crate::pipeline::keyframe::Keyframe;
 use crate::pipeline::passes::adjustment::ALL_FRAMES;
 use crate::pipeline::stages::bundle_adjustment::adjust;
@@ -13,9 +13,9 @@ use crate::progress::{Canceled, Progress};
 
 /// Cameras and points with a delay and a factor on the focal length of every camera.
 pub(super) struct FreeAdjustment {
-    /// Where the focal factors began.
+    /// With the adjusted focal lengths.
     pub(super) intrinsics: Vec<Intrinsics>,
-    /// With the points as they were.
+    /// With the adjusted points.
     pub(super) keyframes: Vec<Keyframe>,
     pub(super) adjusted: Adjusted,
 }
@@ -48,7 +48,10 @@ impl FreeAdjustment {
         let defaults = AdjustmentConfig::default();
         let config = AdjustmentConfig { relative_decrease: 1e-6, uncertainty_block_frames: Some(block), ..defaults };
         let (adjusted, _) = adjust(&input, &config, progress)?;
-        let keyframes = input.keyframes;
+        let mut keyframes = input.keyframes;
+        keyframes.iter_mut().zip(&adjusted.points).for_each(|(keyframe, points)| keyframe.points.clone_from(points));
+        let lens = |(lens, camera): (&Intrinsics, &AdjustedCamera)| lens.with_focal_factor(camera.focal_factor);
+        let intrinsics = intrinsics.iter().zip(&adjusted.cameras).map(lens).collect();
         Ok(Self { intrinsics, keyframes, adjusted })
     }
 }

@@ -320,9 +320,7 @@ impl Reduced {
     pub(super) fn solved(&self, damping: f64) -> Option<Step> {
         let session = self.session_step(damped(&self.hessian, damping).cholesky()?.solve(&self.right));
         let motion = |(person, (by_session, rest)): (&Eliminated, &(DMatrix<f64>, DVector<f64>))| {
-            let own = rest - by_session * &session;
-            let border = own.iter().chain(session.iter()).copied();
-            person.step(DVector::from_iterator(own.len() + session.len(), border))
+            person.step(joined(&(rest - by_session * &session), &session))
         };
         let motions = self.people.par_iter().zip(&self.own_parts).map(motion).collect::<Option<_>>()?;
         Some(Step { session, motions })
@@ -332,8 +330,7 @@ impl Reduced {
     fn followed(&self, free: DVector<f64>) -> Step {
         let session = self.session_step(free);
         let motion = |(person, (by_session, _)): (&Eliminated, &(DMatrix<f64>, DVector<f64>))| {
-            let own = -(by_session * &session);
-            let border = DVector::from_iterator(own.len() + session.len(), own.iter().chain(&session).copied());
+            let border = joined(&-(by_session * &session), &session);
             let frames = person.responses(&DMatrix::from_columns(std::slice::from_ref(&border)));
             BandedStep { frames: frames.iter().map(|frame| frame.column(0).into_owned()).collect(), border }
         };
@@ -355,6 +352,11 @@ impl Reduced {
         let free = self.factor.solve(&self.right);
         (free.dot(&self.right) / free.len().max(1) as f64).max(0.0).sqrt()
     }
+}
+
+/// A step of the border: a person's own unknowns, then the session's.
+fn joined(own: &DVector<f64>, session: &DVector<f64>) -> DVector<f64> {
+    DVector::from_iterator(own.len() + session.len(), own.iter().chain(session).copied())
 }
 
 /// The numbers of offsets, three each.

@@ -112,23 +112,14 @@ fn asked(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::{Distortion, Intrinsics, Rigid, rotation};
+    use crate::geometry::{Intrinsics, Rigid, rotation};
     use crate::residuals::derivative_check::assert_gradient;
     use crate::residuals::reprojection::linearize;
     use nalgebra::Vector2;
 
     #[test]
     fn derivatives_match_central_differences() {
-        let lens = Intrinsics {
-            width: 1280,
-            height: 720,
-            fx: 900.0,
-            fy: 910.0,
-            cx: 640.0,
-            cy: 350.0,
-            skew: 0.0,
-            dist: Distortion::OpenCv5([0.0; 5]),
-        };
+        let lens = Intrinsics { fx: 900.0, fy: 910.0, cy: 350.0, ..Intrinsics::PLAIN };
         let camera =
             Rigid { rotation: rotation::exp(&Vector3::new(0.3, -0.8, 0.2)), translation: Vector3::new(0.2, -0.4, 4.0) };
         let (point, pixel) = (Vector3::new(0.5, -0.3, 0.6), Vector2::new(500.0, 300.0));
