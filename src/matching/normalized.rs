@@ -3,6 +3,7 @@
 use crate::body::detector_profile::{DETECTOR, error_scale, least_error_scale};
 use crate::session::{Detection, Session, View};
 use nalgebra::Vector2;
+use rayon::prelude::*;
 
 /// Height from ankles to eyes of an average standing person, m: relates apparent size to depth.
 pub const BODY_SPAN_M: f64 = 1.6;
@@ -80,9 +81,9 @@ pub fn normalized_views(session: &Session) -> Vec<NormalizedView> {
         focal: view.intrinsics.focal(),
         frames: view
             .frames
-            .iter()
+            .par_iter()
             .map(|people| people.iter().map(|d| NormalizedDetection::from_detection(view, d, n_keypoints)).collect())
             .collect(),
     };
-    session.views.iter().map(of_view).collect()
+    session.views.par_iter().map(of_view).collect()
 }

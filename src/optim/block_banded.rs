@@ -22,7 +22,7 @@ pub use layout::FramePanel;
 use layout::{Layout, STRIP};
 use nalgebra::{DMatrix, DVector, Matrix3};
 pub use pool::SystemPool;
-pub use products::{ColumnBlock, StripRows};
+pub use products::{ColumnBlock, Strip, StripRows, append_rows};
 use rayon::prelude::*;
 use std::ops::Range;
 use substitution::Substitution;

@@ -2,9 +2,10 @@
 //!
 //! A person is a predicted skeleton (`person`). In each frame every view assigns its detections to the nearest
 //! predictions; persons held by a single view are re-acquired by the others (`reacquisition`); unassigned detections start
-//! new persons (`initialisation`), or continue a person that is lost where no other person can be meant (`continuation`). At
-//! the end duplicates are merged (`duplicate_merging`), and fragments of one person are joined (`stitching`) by position,
-//! build and the detectors' track numbers (`reidentification`).
+//! new persons (`initialisation`), or continue a person that is lost where no other person can be meant (`continuation`).
+//! Long takes are followed in windows side by side (`time_windows`). At the end duplicates are merged (`duplicate_merging`),
+//! and fragments of one person are joined (`stitching`) by position, build and the detectors' track numbers
+//! (`reidentification`).
 
 mod continuation;
 mod duplicate_merging;
@@ -16,12 +17,16 @@ mod reidentification;
 mod scene;
 mod skeleton;
 mod stitching;
+mod time_windows;
 
 use super::assignment::assign;
 use crate::progress::{Canceled, Progress};
 pub use person::TrackedPerson;
+use rayon::prelude::*;
 pub use scene::{Assignment, TrackerConfig, TrackerScene};
 pub use skeleton::Skeleton;
+use std::ops::Range;
+use time_windows::TimeWindows;
 
 /// A person that is not confirmed yet must be this many times as near.
 const UNCONFIRMED_FACTOR: f64 = 1.3;
@@ -41,23 +46,37 @@ pub fn track(
     config: &TrackerConfig,
     progress: &Progress,
 ) -> Result<Vec<TrackedPerson>, Canceled> {
-    let mut people: Vec<TrackedPerson> = Vec::new();
-    let mut finished: Vec<TrackedPerson> = Vec::new();
-    for frame in 0..scene.n_frames {
-        if frame % 64 == 0 {
-            progress.check()?;
-        }
-        let max_gap = (config.max_gap * scene.fps) as usize;
-        let (present, gone): (Vec<_>, Vec<_>) = people.into_iter().partition(|p| frame - p.last_seen() <= max_gap);
-        finished.extend(gone.into_iter().filter(|p| p.is_real(scene, config)));
-        people = present;
-        step(scene, config, frame, &mut people);
-    }
-    finished.extend(people.into_iter().filter(|p| p.is_real(scene, config)));
-    let mut people = stitching::stitch(scene, finished);
+    let windows = TimeWindows::of(scene, config);
+    let follow = |frames: &Range<usize>| follow(scene, config, frames.clone(), progress);
+    let followed = windows.frames().par_iter().map(follow).collect::<Result<_, Canceled>>()?;
+    let mut followed = windows.joined(scene, followed);
+    followed.retain(|p| p.is_real(scene, config));
+    let mut people = stitching::stitch(scene, followed);
     people.retain(|p| p.is_real(scene, config));
     people.sort_by_key(|p| (std::cmp::Reverse(p.support()), p.first()));
     Ok(people)
+}
+
+/// Follows persons through some frames; what is seen too briefly to be a person is among them.
+fn follow(
+    scene: &TrackerScene,
+    config: &TrackerConfig,
+    frames: Range<usize>,
+    progress: &Progress,
+) -> Result<Vec<TrackedPerson>, Canceled> {
+    let max_gap = (config.max_gap * scene.fps) as usize;
+    let (mut people, mut finished): (Vec<TrackedPerson>, Vec<TrackedPerson>) = Default::default();
+    for frame in frames {
+        if frame % 64 == 0 {
+            progress.check()?;
+        }
+        let (present, gone): (Vec<_>, Vec<_>) = people.into_iter().partition(|p| frame - p.last_seen() <= max_gap);
+        finished.extend(gone);
+        people = present;
+        step(scene, config, frame, &mut people);
+    }
+    finished.extend(people);
+    Ok(finished)
 }
 
 /// One frame: assigns its detections, updates the persons, starts new ones.

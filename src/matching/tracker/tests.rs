@@ -82,3 +82,35 @@ fn a_runner_was_a_new_person_in_every_frame() {
         }
     }
 }
+
+/// Three people turn about two cameras' middle for 25 s, which is two windows; one is out of sight at their seam for a second.
+#[test]
+fn people_of_a_long_take_go_on_from_window_to_window() {
+    let aside = Matrix3::new(0.0, 0.0, 1.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0);
+    let cameras = [Some(Rigid::identity()), Some(Rigid { rotation: aside, translation: Vector3::new(-5.0, 0.0, 5.0) })];
+    let hidden = 360..390;
+    let shown = |frame: usize| {
+        let order = if frame.is_multiple_of(2) { [0, 1, 2] } else { [2, 1, 0] };
+        order.into_iter().filter(|person| *person != 2 || !hidden.contains(&frame)).collect::<Vec<usize>>()
+    };
+    let at = |camera: &Rigid, frame: usize| -> Vec<NormalizedDetection> {
+        let angle = |person: usize| 0.02 * frame as f64 + 2.1 * person as f64;
+        let top = |person: usize| Vector3::new(angle(person).cos(), -0.8, 5.0 + angle(person).sin());
+        shown(frame).into_iter().map(|person| hanging(camera, top(person), 0.2)).collect()
+    };
+    let views = cameras
+        .map(|c| NormalizedView { focal: 1000.0, frames: (0..750).map(|frame| at(&c.unwrap(), frame)).collect() });
+    let bones = limb_bones(KeypointConvention::Coco17);
+    let scene = TrackerScene { views: &views, cameras: &cameras, bones: &bones, fps: 30.0, n_frames: 750 };
+    let config = TrackerConfig::default();
+    assert_eq!(TimeWindows::of(&scene, &config).frames(), [0..375, 345..750]);
+    let people = track(&scene, &config, &Progress::silent()).unwrap();
+    let n_frames: Vec<usize> = people.iter().map(|person| person.assignments.len()).collect();
+    assert_eq!(n_frames, [750, 750, 720]);
+    for person in people {
+        let first = shown(0)[person.assignments[0].1[0].unwrap()];
+        let is_first =
+            |(frame, seen): &(usize, Assignment)| seen.iter().all(|d| d.map(|d| shown(*frame)[d]) == Some(first));
+        assert!(person.assignments.iter().all(is_first) && person.assignments.is_sorted_by_key(|(frame, _)| *frame));
+    }
+}

@@ -8,12 +8,16 @@ use super::layout::{FramePanel, STRIP};
 use crate::optim::vectors::vectorised;
 use nalgebra::{Matrix3, SMatrix};
 use pulp::{Simd, WithSimd};
+use std::ops::Deref;
 
-/// Derivatives of a point by unknowns of one frame or of the border, `R`, in strips as panels have their rows.
+/// Derivatives of a point by as many unknowns as a strip of a panel has rows: its number, and x, y and z by each.
+pub type Strip = (usize, [[f64; STRIP]; 3]);
+
+/// Derivatives of a point by unknowns of the border, `R`, in strips as panels have their rows.
 #[derive(Debug, Clone)]
 pub struct StripRows {
     /// Strips that are not zero, ascending.
-    strips: Vec<(usize, [[f64; STRIP]; 3])>,
+    strips: Vec<Strip>,
 }
 
 /// Derivatives by three successive unknowns: the first of them, and the block.
@@ -38,52 +42,61 @@ impl StripRows {
 
     /// Adds the derivatives by the unknowns from `first` on.
     pub fn add<const C: usize>(&mut self, first: usize, derivatives: &SMatrix<f64, 3, C>) {
-        for (k, column) in derivatives.column_iter().enumerate() {
-            let strip = self.strip((first + k) / STRIP);
-            for (values, derivative) in strip.iter_mut().zip(&column) {
-                values[(first + k) % STRIP] += derivative;
-            }
-        }
-    }
-
-    fn strip(&mut self, strip: usize) -> &mut [[f64; STRIP]; 3] {
-        // Mostly the last one, since unknowns are ascending.
-        let is_before = |(known, _): &(usize, [[f64; STRIP]; 3])| *known < strip;
-        let place = self.strips.iter().rposition(is_before).map_or(0, |before| before + 1);
-        if self.strips.get(place).is_none_or(|(known, _)| *known != strip) {
-            self.strips.insert(place, (strip, [[0.0; STRIP]; 3]));
-        }
-        &mut self.strips[place].1
+        add_rows(&mut self.strips, 0, first, derivatives);
     }
 }
 
-impl FromIterator<ColumnBlock> for StripRows {
-    fn from_iter<I: IntoIterator<Item = ColumnBlock>>(blocks: I) -> Self {
-        let mut rows = Self::with_room();
-        blocks.into_iter().for_each(|(first, derivatives)| rows.add(first, &derivatives));
-        // Kept for every landmark of every frame.
-        rows.strips.shrink_to_fit();
-        rows
+impl Deref for StripRows {
+    type Target = [Strip];
+
+    fn deref(&self) -> &[Strip] {
+        &self.strips
     }
+}
+
+/// Appends a point's derivatives by the unknowns of its frame to the strips of other points.
+pub fn append_rows(strips: &mut Vec<Strip>, blocks: &[ColumnBlock]) {
+    let start = strips.len();
+    blocks.iter().for_each(|(first, derivatives)| add_rows(strips, start, *first, derivatives));
+}
+
+/// Adds derivatives by the unknowns from `first` on to the strips of a point, which are those from `start` on.
+fn add_rows<const C: usize>(strips: &mut Vec<Strip>, start: usize, first: usize, derivatives: &SMatrix<f64, 3, C>) {
+    for (k, column) in derivatives.column_iter().enumerate() {
+        let strip = strip_of(strips, start, (first + k) / STRIP);
+        for (values, derivative) in strip.iter_mut().zip(&column) {
+            values[(first + k) % STRIP] += derivative;
+        }
+    }
+}
+
+fn strip_of(strips: &mut Vec<Strip>, start: usize, strip: usize) -> &mut [[f64; STRIP]; 3] {
+    // Mostly the last one, since unknowns are ascending.
+    let is_before = |(known, _): &Strip| *known < strip;
+    let place = strips[start..].iter().rposition(is_before).map_or(start, |before| start + before + 1);
+    if strips.get(place).is_none_or(|(known, _)| *known != strip) {
+        strips.insert(place, (strip, [[0.0; STRIP]; 3]));
+    }
+    &mut strips[place].1
 }
 
 impl FramePanel<'_> {
     /// Adds `R^T M C` to `H[t + lag][t]`: `rows` are derivatives by the later frame, `columns` by this one, and `M` is the second
     /// derivative by the positions. `lag`: at most two; with 0 only what the lower triangle needs.
-    pub fn add_product(&mut self, lag: usize, rows: &StripRows, by_positions: &Matrix3<f64>, columns: &[ColumnBlock]) {
+    pub fn add_product(&mut self, lag: usize, rows: &[Strip], by_positions: &Matrix3<f64>, columns: &[ColumnBlock]) {
         if lag == 2 {
             let first = columns.iter().map(|(first, _)| *first).min().unwrap_or(self.layout.n);
-            rows.strips.iter().for_each(|(strip, _)| self.starts[*strip] = first.min(self.starts[*strip]));
+            rows.iter().for_each(|(strip, _)| self.starts[*strip] = first.min(self.starts[*strip]));
         }
         self.add_strips(lag * self.layout.frame_strips(), lag == 0, (rows, by_positions, columns));
     }
 
     /// The same for `H[border][t]`.
-    pub fn add_border_product(&mut self, rows: &StripRows, by_positions: &Matrix3<f64>, columns: &[ColumnBlock]) {
+    pub fn add_border_product(&mut self, rows: &[Strip], by_positions: &Matrix3<f64>, columns: &[ColumnBlock]) {
         self.add_strips(self.layout.border_strips().start, false, (rows, by_positions, columns));
     }
 
-    fn add_strips(&mut self, first_strip: usize, is_lower: bool, factors: (&StripRows, &Matrix3<f64>, &[ColumnBlock])) {
+    fn add_strips(&mut self, first_strip: usize, is_lower: bool, factors: (&[Strip], &Matrix3<f64>, &[ColumnBlock])) {
         let strip_len = self.layout.strip_len();
         let (rows, by_positions, columns) = factors;
         for columns in columns.chunks(MAX_BLOCKS) {
@@ -105,7 +118,7 @@ struct Product<'a> {
     first_strip: usize,
     /// Whether strips above the diagonal are left out.
     is_lower: bool,
-    rows: &'a StripRows,
+    rows: &'a [Strip],
     /// First column, and three columns of derivatives.
     columns: &'a [(usize, [[f64; 3]; 3])],
 }
@@ -127,7 +140,7 @@ impl WithSimd for Product<'_> {
 impl Product<'_> {
     #[inline(always)]
     fn run<S: Simd, const V: usize>(self, simd: S) {
-        for (strip, rows) in &self.rows.strips {
+        for (strip, rows) in self.rows {
             let [x, y, z] = rows.each_ref().map(|row| vectors::<S, V>(row)[0]);
             let at = (self.first_strip + strip) * self.strip_len;
             let values = &mut self.values[at..at + self.strip_len];

@@ -256,11 +256,15 @@ fn products_of_derivatives_are_blocks() {
     let [later, earlier] = [[21, 0, 6, 9], [0, 6, 12, 21]].map(|places| places.map(&mut block));
     let (_, by_positions) = block(0);
     let [mut found, mut expected] = [0; 2].map(|_| BlockBanded::zeros(3, 8, 5));
-    let rows: StripRows = later.into_iter().collect();
+    // After those of another point, in the same memory.
+    let mut rows = Vec::new();
+    append_rows(&mut rows, &earlier);
+    let start = rows.len();
+    append_rows(&mut rows, &later);
     let mut border = StripRows::with_room();
     border.add(1, &later[0].1);
     for lag in 0..3 {
-        found.frame(0).add_product(lag, &rows, &by_positions, &earlier);
+        found.frame(0).add_product(lag, &rows[start..], &by_positions, &earlier);
         for (row, a) in &later {
             for (column, b) in &earlier {
                 expected.frame(0).add_block(lag, [*row, *column], &(a.tr_mul(&by_positions) * b));

@@ -8,6 +8,7 @@ use crate::pipeline::stages::recording_check::labels::exchange;
 use crate::pipeline::stages::recording_check::reading::{Judged, Question, Reading};
 use crate::progress::{Canceled, Progress};
 use crate::session::{Suspicion, SuspicionCode as Code};
+use rayon::prelude::*;
 
 /// A camera is read in other ways where its people explain this much less of its detections than is usual.
 const LOW_SHARE: f64 = 0.75;
@@ -125,9 +126,12 @@ fn of_reading(solved: &Solved, view: usize, given: Judged, best: Judged) -> Opti
 pub(super) fn exchanged_labels(solved: &Solved, found: &mut Vec<Suspicion>) {
     let convention = solved.session().convention;
     let tracks = &solved.calibration.association.tracks;
-    for view in solved.unnamed(found) {
-        let Some(camera) = &solved.calibration.cameras[view] else { continue };
-        let counted = exchange(convention, view, &solved.given.views[view], camera, tracks, solved.paths);
+    let counted = |view: usize| {
+        let camera = solved.calibration.cameras[view].as_ref()?;
+        Some((view, exchange(convention, view, &solved.given.views[view], camera, tracks, solved.paths)))
+    };
+    let counted: Vec<_> = solved.unnamed(found).into_par_iter().filter_map(counted).collect();
+    for (view, counted) in counted {
         tracing::debug!(view, ?counted, "left and right");
         if counted.n >= MIN_DECIDING && counted.exchanged > EXCHANGED {
             let evidence = format!(

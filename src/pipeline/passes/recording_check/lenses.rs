@@ -15,6 +15,7 @@ use crate::pipeline::stages::recording_check::lens::{Lens, SeenPeople};
 use crate::pipeline::stages::recording_check::parameters::SMALLER;
 use crate::progress::{Canceled, Progress};
 use crate::session::{Suspicion, SuspicionCode as Code, View};
+use rayon::prelude::*;
 
 /// Share of the keypoints that a detector may place outside its images.
 const OUTSIDE: f64 = 0.01;
@@ -114,10 +115,10 @@ fn likeliest(solved: &Solved, resections: &[Option<Lens>]) -> Option<Proposal> {
         let own = seen.under_lens(&lenses[view]).1;
         Some((seen, own, resections[view].map_or(own, |lens| lens.cost)))
     };
-    let given: Vec<Option<(SeenPeople, f64, f64)>> = (0..lenses.len()).map(costs).collect();
-    let proposal = |code: Code, image_scale: Option<f64>, changes: &[(usize, Intrinsics)]| {
+    let given: Vec<Option<(SeenPeople, f64, f64)>> = (0..lenses.len()).into_par_iter().map(costs).collect();
+    let proposal = |code: Code, image_scale: Option<f64>, changes: Vec<(usize, Intrinsics)>| {
         let (mut changed, mut sums) = (Vec::new(), (0.0, 0.0));
-        for &(view, lens) in changes {
+        for (view, lens) in changes {
             let (seen, own, focal_only) = given[view].as_ref()?;
             let (pose, cost) = seen.under_lens(&lens);
             tracing::trace!(view, ?code, own, focal_only, cost, "resection with another lens");
@@ -132,22 +133,26 @@ fn likeliest(solved: &Solved, resections: &[Option<Lens>]) -> Option<Proposal> {
     };
     let pairs = views.iter().flat_map(|&b| views.iter().map(move |&a| (a, b))).filter(|&(a, b)| a < b);
     let differing = pairs.filter(|&(a, b)| lenses[a] != lenses[b]);
-    let exchanged =
-        differing.filter_map(|(a, b)| proposal(Code::CamerasExchanged, None, &[(a, lenses[b]), (b, lenses[a])]));
+    let exchanged = differing.map(|(a, b)| (Code::CamerasExchanged, None, vec![(a, lenses[b]), (b, lenses[a])]));
     let sizes = views.iter().flat_map(|&view| SMALLER.map(|factor| (view, factor)));
     let smaller = sizes.filter(|&(view, factor)| lies_within(&solved.session().views[view], factor));
     let resized =
-        smaller.filter_map(|(v, factor)| proposal(Code::Resolution, Some(factor), &[(v, lenses[v].resized(factor))]));
+        smaller.map(|(view, factor)| (Code::Resolution, Some(factor), vec![(view, lenses[view].resized(factor))]));
     // A camera that was moved has lost its people for a while, and what is left suits any shape.
     let assigned = solved.assigned_shares();
     let usual = median(&mut views.iter().map(|&view| assigned[view]).collect::<Vec<_>>())?;
-    let stretched = views.iter().filter(|&&view| assigned[view] > usual - LOST).filter_map(|&view| {
+    let stretched = views.par_iter().filter(|&&view| assigned[view] > usual - LOST).filter_map(|&view| {
         let aspect = given[view].as_ref()?.0.likeliest_aspect();
-        let is_other = aspect.ln().abs() > MIN_STRETCH;
-        let stretched = || proposal(Code::PixelAspect, None, &[(view, lenses[view].with_aspect_factor(aspect))]);
-        is_other.then(stretched).flatten()
+        let changed = || (Code::PixelAspect, None, vec![(view, lenses[view].with_aspect_factor(aspect))]);
+        (aspect.ln().abs() > MIN_STRETCH).then(changed)
     });
-    exchanged.chain(resized).chain(stretched).min_by(|x, y| x.cost_ratio.total_cmp(&y.cost_ratio))
+    let all: Vec<_> = exchanged.chain(resized).collect();
+    let proposals: Vec<Proposal> = all
+        .into_par_iter()
+        .chain(stretched)
+        .filter_map(|(code, image_scale, changes)| proposal(code, image_scale, changes))
+        .collect();
+    proposals.into_iter().min_by(|x, y| x.cost_ratio.total_cmp(&y.cost_ratio))
 }
 
 /// In words, the shape of a view's images against the given lens.

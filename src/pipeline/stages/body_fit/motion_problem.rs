@@ -3,11 +3,12 @@
 use super::observations::PosedCamera;
 use super::terms::border_priors::ShapePrior;
 use super::terms::frame::{Landmarks, LinearisedFrame, PosedFrame};
+use super::terms::landmark_jacobian::LinearLandmarks;
 use super::terms::path_system::LinearPaths;
 use super::terms::term::{BorderTerm, FrameTerm, WindowTerm};
 use super::terms::unknowns::{MotionState, Unknowns};
 use super::terms::whitened_pixels::{Positions, WhitenedPixels};
-use super::terms::window::{TrackedLandmark, Window};
+use super::terms::window::Window;
 use crate::body::BodyModel;
 use crate::body::kinematics::Pose;
 use crate::body::model::ShapedBody;
@@ -103,20 +104,18 @@ impl MotionProblem<'_> {
     fn linearised<'b>(&'b self, state: &'b MotionState, body: &'b ShapedBody) -> LinearisedMotion<'b> {
         let linearised = |(index, pose): (usize, &'b Pose)| {
             let frame = PosedFrame::new(&self.landmarks, (body, &state.betas), index, pose).linearised();
-            let tracked = |&landmark: &usize| TrackedLandmark {
-                position: frame.posed.position(landmark),
-                jacobian: frame.jacobian(landmark),
-            };
-            let tracked = self.tracked.iter().map(tracked).collect();
-            let paths = self.path_landmarks().iter().map(|&landmark| observed(&frame, landmark)).collect();
+            let mut tracked = LinearLandmarks::with_room(self.tracked.len());
+            let mut paths = LinearLandmarks::with_room(self.path_landmarks().len());
+            self.tracked.iter().for_each(|landmark| frame.add_landmark(*landmark, &mut tracked));
+            self.path_landmarks().iter().for_each(|landmark| frame.add_observed(*landmark, &mut paths));
             (frame, (tracked, paths))
         };
         let (frames, (tracked, paths)) = state.poses.par_iter().enumerate().map(linearised).unzip();
         LinearisedMotion { frames, tracked, paths }
     }
 
-    /// The landmarks of the paths with derivatives, `[frame][observed landmark]`.
-    pub(super) fn linearised_paths(&self, state: &MotionState) -> Vec<Vec<TrackedLandmark>> {
+    /// By frame the landmarks of the paths with derivatives.
+    pub(super) fn linearised_paths(&self, state: &MotionState) -> Vec<LinearLandmarks> {
         self.linearised(state, &self.model.shaped(&state.betas)).paths
     }
 
@@ -128,8 +127,8 @@ impl MotionProblem<'_> {
 /// A motion with derivatives of the landmarks that window terms and paths look at.
 struct LinearisedMotion<'a> {
     frames: Vec<LinearisedFrame<'a>>,
-    tracked: Vec<Vec<TrackedLandmark>>,
-    paths: Vec<Vec<TrackedLandmark>>,
+    tracked: Vec<LinearLandmarks>,
+    paths: Vec<LinearLandmarks>,
 }
 
 /// Fills a system run by run.
@@ -202,10 +201,6 @@ impl Filling<'_> {
         }
         corner
     }
-}
-
-fn observed(frame: &LinearisedFrame, landmark: usize) -> TrackedLandmark {
-    TrackedLandmark { position: frame.posed.observed_position(landmark), jacobian: frame.observed_jacobian(landmark) }
 }
 
 /// The frames that have a frame on either side.

@@ -28,20 +28,19 @@ const DAMPING: f64 = 0.01;
 /// detector's 0.02 m is still reached within the steps.
 const MONOCULAR_DAMPING: f64 = 100.0;
 
-/// Estimates all trajectories, in parallel over keypoints; the points of `input` are the start, and may have gaps.
+/// Estimates all trajectories, in parallel over people and keypoints; the points of `input` are the start, and may have gaps.
 pub fn joint_trajectories(input: &TrackedPeople, progress: &Progress) -> Result<Vec<JointTrajectory>, Canceled> {
     let names = input.session.convention.names();
-    let mut people = Vec::with_capacity(input.tracks.len());
-    for (track, start) in input.tracks.iter().zip(input.points) {
+    let of_person = |(track, start): (&PersonTrack, &JointTrajectory)| {
         progress.check()?;
         let rays = rays_by_keypoint(input, track);
         let paths: Vec<Path> = (0..names.len())
             .into_par_iter()
             .map(|k| path(input, &rays[k], interpolated(start, k), acceleration_density(names[k])))
             .collect();
-        people.push(transposed(track, &rays, &paths));
-    }
-    Ok(people)
+        Ok(transposed(track, &rays, &paths))
+    };
+    input.tracks.par_iter().zip(input.points).map(of_person).collect()
 }
 
 /// Positions of one keypoint over time; empty where it has no start.

@@ -19,9 +19,9 @@
 
 use super::super::pixel_residuals::{DetectedPixels, shared_error_variance, variance_per_residual};
 use super::super::session_state::SessionState;
+use super::super::terms::landmark_jacobian::{LandmarkJacobian, LinearLandmarks};
 use super::super::terms::whitened_pixels::Positions;
 use super::super::terms::whitened_pixels::scores::Movements;
-use super::super::terms::window::TrackedLandmark;
 use super::{JointProblem, Member, Reduced, with_bones};
 use nalgebra::{DMatrix, DVector, Matrix3xX};
 use rand::SeedableRng;
@@ -81,8 +81,7 @@ impl JointProblem<'_> {
             let problem = self.problem(&model, member, pixels);
             let paths = problem.linearised_paths(&member.state);
             let (movements, samples) = reduced.landmark_movements(person, basis, &paths, n_samples);
-            let positions =
-                paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect();
+            let positions = paths.into_iter().map(|frame| frame.positions).collect();
             Following { positions, movements, samples, n_unknowns: 3 * problem.unknowns.n_groups() }
         };
         Some(members.par_iter().zip(pixels).enumerate().map(of_person).collect())
@@ -171,7 +170,7 @@ impl Reduced {
         &self,
         person: usize,
         basis: &DMatrix<f64>,
-        paths: &[Vec<TrackedLandmark>],
+        paths: &[LinearLandmarks],
         n_samples: usize,
     ) -> (ByLandmark, ByLandmark) {
         let own = -(&self.own_parts[person].0 * basis);
@@ -180,17 +179,18 @@ impl Reduced {
         border.rows_mut(own.nrows(), basis.nrows()).copy_from(basis);
         let mut rng = ChaCha8Rng::seed_from_u64(person as u64);
         let frames = self.people[person].responses_and_samples(&border, n_samples, &mut rng);
-        let movement = |t: usize, landmark: &TrackedLandmark| {
+        let movement = |t: usize, jacobian: LandmarkJacobian| {
             let mut by_frame = Matrix3xX::zeros(basis.ncols() + n_samples);
-            for (first, block) in &landmark.jacobian.by_frame {
+            for (first, block) in jacobian.by_frame {
                 by_frame += block * frames[t].fixed_rows::<3>(*first);
             }
             let samples = by_frame.columns(basis.ncols(), n_samples).into_owned();
-            let by_border = landmark.jacobian.by_border.dense(own.nrows()) * &own;
+            let by_border = jacobian.by_border.dense(own.nrows()) * &own;
             (by_border + by_frame.columns(0, basis.ncols()), samples)
         };
-        let of_frame =
-            |(t, landmarks): (usize, &Vec<TrackedLandmark>)| landmarks.iter().map(|l| movement(t, l)).unzip();
+        let of_frame = |(t, landmarks): (usize, &LinearLandmarks)| {
+            (0..landmarks.len()).map(|l| movement(t, landmarks.jacobian(l))).unzip()
+        };
         paths.par_iter().enumerate().map(of_frame).unzip()
     }
 }

@@ -2,6 +2,7 @@
 
 use super::super::observations::{Observations, PixelObservation, PointObservation};
 use super::frame::{LinearisedFrame, PosedFrame};
+use super::landmark_jacobian::LinearLandmarks;
 use super::term::FrameTerm;
 use super::whitened_pixels::WhitenedPixels;
 use crate::optim::block_banded::{Corner, FramePanel};
@@ -19,6 +20,9 @@ pub(crate) enum DataSource<'a> {
     /// Pixels whose errors are correlated in time.
     Paths(&'a WhitenedPixels),
 }
+
+/// Landmarks that are observed in a frame: of COCO's 17 keypoints or more.
+const USUAL_LANDMARKS: usize = 17;
 
 /// Robust distances between landmarks and their observations.
 pub(crate) struct DataTerm<'a> {
@@ -70,8 +74,13 @@ impl FrameTerm for DataTerm<'_> {
     }
 
     fn add_to(&self, frame: &LinearisedFrame, system: &mut FramePanel, corner: &mut Corner) {
+        let (mut landmarks, mut costs) =
+            (LinearLandmarks::with_room(USUAL_LANDMARKS), Vec::with_capacity(USUAL_LANDMARKS));
         self.for_each_landmark(&frame.posed, |landmark, at| {
-            frame.observed_jacobian(landmark).add_cost(&at, system, corner)
+            frame.add_observed(landmark, &mut landmarks);
+            costs.push(at);
         });
+        let costs = costs.iter().enumerate();
+        costs.for_each(|(index, at)| landmarks.jacobian(index).add_cost(at, system, corner));
     }
 }

@@ -4,11 +4,11 @@
 //! ankles accelerated two to three times as much as in truth, all other joints 0.8 to 1.3 times.
 
 use super::super::config::BodyFitConfig;
-use super::landmark_jacobian::BorderJacobian;
+use super::landmark_jacobian::{BorderJacobian, LinearLandmarks};
 use super::speed_scaling::{sigma_growth, speeds};
 use super::term::WindowTerm;
 use super::unknowns::MotionState;
-use super::window::{RobustAcceleration, TrackedLandmark, Window};
+use super::window::{RobustAcceleration, Window};
 use crate::body::kinematics::{landmark_position, posed};
 use crate::body::model::BodyModel;
 use crate::optim::block_banded::{Corner, FramePanel, StripRows};
@@ -65,30 +65,37 @@ impl FootContact {
         1.0 / (self.frame_interval.powi(2) * self.sigmas[ankle][middle])
     }
 
-    fn add_ankle(&self, scale: f64, around: [&TrackedLandmark; 3], panels: &mut [FramePanel], corner: &mut Corner) {
-        let residual = second_difference(around.map(|landmark| landmark.position)) * scale;
+    fn add_ankle(
+        &self,
+        ankle: usize,
+        window: &Window<LinearLandmarks>,
+        panels: &mut [FramePanel],
+        corner: &mut Corner,
+    ) {
+        let scale = self.scale(ankle, window.middle);
+        let residual = second_difference(window.tracked.map(|landmarks| landmarks.positions[ankle])) * scale;
         let factors = SECOND_DIFFERENCE.map(|c| Matrix3::identity() * (c * scale));
-        let jacobians = around.map(|landmark| &landmark.jacobian);
-        let by_border = BorderJacobian::sum([0, 1, 2].map(|i| (factors[i], &jacobians[i].by_border)));
+        let jacobians = window.tracked.map(|landmarks| landmarks.jacobian(ankle));
+        let by_border = BorderJacobian::sum([0, 1, 2].map(|i| (factors[i], jacobians[i].by_border)));
         let mut border_rows = StripRows::with_room();
         by_border.add_to_rows(&mut border_rows);
         let weight = self.robust.weight(&residual);
         for (i, (jacobian, factor)) in jacobians.iter().zip(&factors).enumerate() {
             let weighted = factor * weight;
-            for (first, derivatives) in &jacobian.by_frame {
+            for (first, derivatives) in jacobian.by_frame {
                 panels[i].add_gradient(*first, &derivatives.tr_mul(&(weighted * residual)));
             }
             for (k, (earlier, factor)) in jacobians.iter().zip(&factors).enumerate().take(i + 1) {
-                panels[k].add_product(i - k, &jacobian.rows, &(weighted * factor), &earlier.by_frame);
+                panels[k].add_product(i - k, jacobian.rows, &(weighted * factor), earlier.by_frame);
             }
-            panels[i].add_border_product(&border_rows, &weighted, &jacobian.by_frame);
+            panels[i].add_border_product(&border_rows, &weighted, jacobian.by_frame);
         }
         by_border.add_to_corner(&(residual * weight), &(Matrix3::identity() * weight), corner);
     }
 }
 
 impl WindowTerm for FootContact {
-    fn cost(&self, window: &Window<Vector3<f64>>) -> f64 {
+    fn cost(&self, window: &Window<Vec<Vector3<f64>>>) -> f64 {
         let cost = |ankle: usize| {
             let positions = window.tracked.map(|landmarks| landmarks[ankle]);
             self.robust.cost(&(second_difference(positions) * self.scale(ankle, window.middle)))
@@ -96,10 +103,7 @@ impl WindowTerm for FootContact {
         (0..self.sigmas.len()).map(cost).sum()
     }
 
-    fn add_to(&self, window: &Window<TrackedLandmark>, panels: &mut [FramePanel], corner: &mut Corner) {
-        for ankle in 0..self.sigmas.len() {
-            let scale = self.scale(ankle, window.middle);
-            self.add_ankle(scale, window.tracked.map(|landmarks| &landmarks[ankle]), panels, corner);
-        }
+    fn add_to(&self, window: &Window<LinearLandmarks>, panels: &mut [FramePanel], corner: &mut Corner) {
+        (0..self.sigmas.len()).for_each(|ankle| self.add_ankle(ankle, window, panels, corner));
     }
 }

@@ -1,12 +1,11 @@
 //! One frame of a motion as terms see it: the posed body and its landmarks.
 
 use super::super::completed_joints::GapCompletion;
-use super::landmark_jacobian::{BorderJacobian, LandmarkJacobian};
+use super::landmark_jacobian::{BorderJacobian, LinearLandmarks};
 use super::unknowns::{Border, TRANSLATION_GROUP, Unknowns};
 use crate::body::kinematics::{Pose, PosedSkeleton, joints_by_betas, landmark_by_rotation, landmark_position, posed};
 use crate::body::model::{Betas, BodyModel, ShapeDirections, ShapedBody};
 use crate::body::skeleton::N_JOINTS;
-use crate::optim::block_banded::ColumnBlock;
 use nalgebra::{Matrix3, Vector3};
 
 /// The landmarks of the body model and which unknowns move each.
@@ -81,36 +80,29 @@ pub(crate) struct LinearisedFrame<'a> {
 }
 
 impl LinearisedFrame<'_> {
-    /// Derivatives of a landmark's position.
-    pub(crate) fn jacobian(&self, landmark: usize) -> LandmarkJacobian {
-        self.derivatives(landmark, &self.posed.skeleton, |_| true)
+    /// Appends a landmark with derivatives of its position.
+    pub(crate) fn add_landmark(&self, landmark: usize, to: &mut LinearLandmarks) {
+        self.add(landmark, &self.posed.skeleton, |_| true, to);
     }
 
-    /// Derivatives of [`PosedFrame::observed_position`].
-    pub(crate) fn observed_jacobian(&self, landmark: usize) -> LandmarkJacobian {
+    /// The same of [`PosedFrame::observed_position`].
+    pub(crate) fn add_observed(&self, landmark: usize, to: &mut LinearLandmarks) {
         let PosedFrame { index, landmarks, .. } = self.posed;
         let moves = |joint| !landmarks.completion.is_some_and(|completion| completion.hides(index, joint));
-        self.derivatives(landmark, self.posed.observed_skeleton(), moves)
+        self.add(landmark, self.posed.observed_skeleton(), moves, to);
     }
 
-    fn derivatives(
-        &self,
-        landmark: usize,
-        skeleton: &PosedSkeleton,
-        moves: impl Fn(usize) -> bool,
-    ) -> LandmarkJacobian {
+    fn add(&self, landmark: usize, skeleton: &PosedSkeleton, moves: impl Fn(usize) -> bool, to: &mut LinearLandmarks) {
         let PosedFrame { body, landmarks: Landmarks { model, border, moving, .. }, .. } = &self.posed;
         let by_rotation = |&(group, joint): &(usize, usize)| {
             (3 * group, landmark_by_rotation(model, body, skeleton, landmark, joint))
         };
         let by_translation = std::iter::once((3 * TRANSLATION_GROUP, Matrix3::identity()));
-        let moving = moving[landmark].as_slice();
-        let mut by_frame: Vec<ColumnBlock> = Vec::with_capacity(1 + moving.len());
-        by_frame.extend(by_translation.chain(moving.iter().filter(|(_, joint)| moves(*joint)).map(by_rotation)));
-        LandmarkJacobian {
-            rows: by_frame.iter().copied().collect(),
-            by_frame,
-            by_border: BorderJacobian::new(border, model, landmark, skeleton, self.joint_directions.as_ref()),
-        }
+        let moving = moving[landmark].iter().filter(|(_, joint)| moves(*joint));
+        to.push(
+            landmark_position(model, body, skeleton, landmark),
+            by_translation.chain(moving.map(by_rotation)),
+            BorderJacobian::new(border, model, landmark, skeleton, self.joint_directions.as_ref()),
+        );
     }
 }

@@ -6,35 +6,95 @@ use crate::body::bone_offsets::landmark_by_bones;
 use crate::body::kinematics::{PosedSkeleton, landmark_by_betas};
 use crate::body::model::{BodyModel, ShapeDirections};
 use crate::body::skeleton::N_JOINTS;
-use crate::optim::block_banded::{ColumnBlock, Corner, FramePanel, StripRows};
+use crate::optim::block_banded::{ColumnBlock, Corner, FramePanel, Strip, StripRows, append_rows};
 use crate::residuals::position_cost::PositionCost;
 use nalgebra::{Matrix3, Matrix3xX, SMatrix, Vector3};
 
-/// Derivatives of one landmark's position.
-pub(crate) struct LandmarkJacobian {
-    /// First unknowns of the groups of the frame that move it, ascending, and the derivatives by these.
-    pub by_frame: Vec<ColumnBlock>,
-    /// The same as rows of panels.
-    pub rows: StripRows,
-    pub by_border: BorderJacobian,
+/// Landmarks of one frame with derivatives, in memory that they share: a motion has too many for some of each one's own.
+pub(crate) struct LinearLandmarks {
+    /// World, m.
+    pub positions: Vec<Vector3<f64>>,
+    by_frame: Vec<ColumnBlock>,
+    rows: Vec<Strip>,
+    by_border: Vec<BorderJacobian>,
+    /// By landmark, the end of its part of `by_frame` and of `rows`.
+    ends: Vec<[usize; 2]>,
 }
 
-impl LandmarkJacobian {
+/// Joints of the chain that moves a landmark, on average; its strips are about as many.
+const USUAL_CHAIN: usize = 6;
+
+impl LinearLandmarks {
+    /// No landmarks yet, with room for `n`.
+    pub(crate) fn with_room(n: usize) -> Self {
+        Self {
+            positions: Vec::with_capacity(n),
+            by_frame: Vec::with_capacity(USUAL_CHAIN * n),
+            rows: Vec::with_capacity(USUAL_CHAIN * n),
+            by_border: Vec::with_capacity(n),
+            ends: Vec::with_capacity(n),
+        }
+    }
+
+    /// Appends a landmark; `by_frame`: first unknowns of the groups of the frame that move it, ascending, and the derivatives by
+    /// these.
+    pub(crate) fn push(
+        &mut self,
+        position: Vector3<f64>,
+        by_frame: impl Iterator<Item = ColumnBlock>,
+        by_border: BorderJacobian,
+    ) {
+        let start = self.by_frame.len();
+        self.by_frame.extend(by_frame);
+        append_rows(&mut self.rows, &self.by_frame[start..]);
+        self.positions.push(position);
+        self.by_border.push(by_border);
+        self.ends.push([self.by_frame.len(), self.rows.len()]);
+    }
+
+    /// Number of landmarks.
+    pub(crate) fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Derivatives of the position of landmark `index`.
+    pub(crate) fn jacobian(&self, index: usize) -> LandmarkJacobian<'_> {
+        let [from, first_row] = index.checked_sub(1).map_or([0; 2], |before| self.ends[before]);
+        let [to, last_row] = self.ends[index];
+        LandmarkJacobian {
+            by_frame: &self.by_frame[from..to],
+            rows: &self.rows[first_row..last_row],
+            by_border: &self.by_border[index],
+        }
+    }
+}
+
+/// Derivatives of one landmark's position.
+#[derive(Clone, Copy)]
+pub(crate) struct LandmarkJacobian<'a> {
+    /// First unknowns of the groups of the frame that move it, ascending, and the derivatives by these.
+    pub by_frame: &'a [ColumnBlock],
+    /// The same as rows of panels.
+    pub rows: &'a [Strip],
+    pub by_border: &'a BorderJacobian,
+}
+
+impl LandmarkJacobian<'_> {
     /// Adds a cost over the position.
     pub(crate) fn add_cost(&self, at: &PositionCost, system: &mut FramePanel, corner: &mut Corner) {
         self.by_border.add_to_corner(&at.gradient, &at.hessian, corner);
         self.add_to_frame(&at.gradient, &at.hessian, system);
         let mut across = StripRows::with_room();
         self.by_border.add_to_rows(&mut across);
-        system.add_border_product(&across, &at.hessian, &self.by_frame);
+        system.add_border_product(&across, &at.hessian, self.by_frame);
     }
 
     /// Adds a cost over the position, given by its gradient and Hessian, to what concerns the frame alone.
     pub(crate) fn add_to_frame(&self, by_position: &Vector3<f64>, hessian: &Matrix3<f64>, system: &mut FramePanel) {
-        for (first, a) in &self.by_frame {
+        for (first, a) in self.by_frame {
             system.add_gradient(*first, &a.tr_mul(by_position));
         }
-        system.add_product(0, &self.rows, hessian, &self.by_frame);
+        system.add_product(0, self.rows, hessian, self.by_frame);
     }
 }
 

@@ -2,10 +2,9 @@
 
 use super::super::observations::PosedCamera;
 use super::camera_unknowns::{FOCAL, POSE};
-use super::landmark_jacobian::BorderJacobian;
+use super::landmark_jacobian::{BorderJacobian, LinearLandmarks};
 use super::unknowns::{Border, CameraColumns};
 use super::whitened_pixels::{PathBlocks, PointByCamera, Positions, WhitenedPixels};
-use super::window::TrackedLandmark;
 use crate::optim::block_banded::{Corner, FramePanel, StripRows};
 use nalgebra::Matrix3;
 
@@ -16,8 +15,8 @@ use nalgebra::Matrix3;
 /// where `N_t = sum_k M_k B_{t-k} + M_k^T B_{t+k}`.
 pub(crate) struct LinearPaths<'a> {
     blocks: PathBlocks,
-    /// `[frame][observed landmark]`.
-    paths: &'a [Vec<TrackedLandmark>],
+    /// By frame, the observed landmarks.
+    paths: &'a [LinearLandmarks],
     cameras: CameraColumns,
     /// Column of the first camera.
     first_camera: usize,
@@ -29,10 +28,9 @@ impl<'a> LinearPaths<'a> {
     pub(crate) fn new(
         (term, cameras): (&WhitenedPixels, &[PosedCamera]),
         border: &Border,
-        paths: &'a [Vec<TrackedLandmark>],
+        paths: &'a [LinearLandmarks],
     ) -> Self {
-        let positions: Positions =
-            paths.iter().map(|frame| frame.iter().map(|landmark| landmark.position).collect()).collect();
+        let positions: Positions = paths.iter().map(|frame| frame.positions.clone()).collect();
         Self {
             blocks: term.blocks(cameras, &positions, border.cameras),
             paths,
@@ -59,19 +57,19 @@ impl<'a> LinearPaths<'a> {
     /// Adds what concerns frame `t`: its own blocks, those of later frames with it, and its rows of the border.
     pub(crate) fn add_frame(&self, t: usize, system: &mut FramePanel, corner: &mut Corner) {
         let mut rows = StripRows::with_room();
-        for (l, landmark) in self.paths[t].iter().enumerate() {
+        for l in 0..self.paths[t].len() {
             let of_landmark = &self.blocks.landmarks[l];
             let Some(block) = of_landmark.frames.get(t).filter(|block| block.hessian[0] != Matrix3::zeros()) else {
                 continue;
             };
-            landmark.jacobian.add_to_frame(&block.gradient, &block.hessian[0], system);
+            let jacobian = self.paths[t].jacobian(l);
+            jacobian.add_to_frame(&block.gradient, &block.hessian[0], system);
             for lag in 1..=2 {
                 let Some(hessian) = of_landmark.frames.get(t + lag).map(|later| &later.hessian[lag]) else { continue };
                 if *hessian == Matrix3::zeros() {
                     continue;
                 }
-                let later = &self.paths[t + lag][l].jacobian.rows;
-                system.add_product(lag, later, hessian, &landmark.jacobian.by_frame);
+                system.add_product(lag, self.paths[t + lag].jacobian(l).rows, hessian, jacobian.by_frame);
             }
             if self.has_border {
                 rows.clear();
@@ -82,8 +80,8 @@ impl<'a> LinearPaths<'a> {
 
     /// Adds the rows of the border of one landmark in frame `t`; `rows`: their place, empty.
     fn add_border(&self, t: usize, l: usize, rows: &mut StripRows, system: &mut FramePanel, corner: &mut Corner) {
-        let (landmark, of_landmark) = (&self.paths[t][l], &self.blocks.landmarks[l]);
-        let by_border = |t: usize| &self.paths[t][l].jacobian.by_border;
+        let (jacobian, of_landmark) = (self.paths[t].jacobian(l), &self.blocks.landmarks[l]);
+        let by_border = |t: usize| self.paths[t].jacobian(l).by_border;
         let block = &of_landmark.frames[t];
         let earlier = |lag: usize| t.checked_sub(lag).map(|earlier| (block.hessian[lag], by_border(earlier)));
         let later = |lag: usize| {
@@ -91,7 +89,7 @@ impl<'a> LinearPaths<'a> {
         };
         let others = [earlier(1), later(1), earlier(2), later(2)].into_iter().flatten();
         let across = BorderJacobian::sum(std::iter::once((block.hessian[0], by_border(t))).chain(others));
-        let own = &landmark.jacobian.by_border;
+        let own = jacobian.by_border;
         own.add_gradient(&block.gradient, corner);
         own.add_product(&across, corner);
         across.add_to_rows(rows);
@@ -108,6 +106,6 @@ impl<'a> LinearPaths<'a> {
                 rows.add(first + FOCAL, &by_focal);
             }
         }
-        system.add_border_product(rows, &Matrix3::identity(), &landmark.jacobian.by_frame);
+        system.add_border_product(rows, &Matrix3::identity(), jacobian.by_frame);
     }
 }

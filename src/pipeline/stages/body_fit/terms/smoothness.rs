@@ -1,10 +1,11 @@
 //! Smoothness: accelerations of the pelvis and of the joint rotations.
 
 use super::super::config::BodyFitConfig;
+use super::landmark_jacobian::LinearLandmarks;
 use super::speed_scaling::{rotation_speeds, sigma_growth, speeds};
 use super::term::WindowTerm;
 use super::unknowns::{MotionState, TRANSLATION_GROUP, Unknowns};
-use super::window::{RobustAcceleration, TrackedLandmark, Window};
+use super::window::{RobustAcceleration, Window};
 use crate::body::joint_ranges::JointRange;
 use crate::body::skeleton::N_JOINTS;
 use crate::optim::block_banded::{Corner, FramePanel};
@@ -104,7 +105,7 @@ impl Smoothness {
 }
 
 impl WindowTerm for Smoothness {
-    fn cost(&self, window: &Window<Vector3<f64>>) -> f64 {
+    fn cost(&self, window: &Window<Vec<Vector3<f64>>>) -> f64 {
         let joint_cost = |&(_, joint): &(usize, usize)| {
             let [a, b, c] = window.poses.map(|pose| &pose.rotations[joint]);
             self.robust.cost(&(rotation_change(a, b, c) * self.rotation_scale(window.middle, joint)))
@@ -112,7 +113,7 @@ impl WindowTerm for Smoothness {
         self.robust.cost(&self.pelvis(window).0) + self.rotations.iter().map(joint_cost).sum::<f64>()
     }
 
-    fn add_to(&self, window: &Window<TrackedLandmark>, panels: &mut [FramePanel], _: &mut Corner) {
+    fn add_to(&self, window: &Window<LinearLandmarks>, panels: &mut [FramePanel], _: &mut Corner) {
         let (residual, scale) = self.pelvis(window);
         let jacobians = SECOND_DIFFERENCE.map(|c| Matrix3::identity() * (c * scale));
         self.robust.add_to(&residual, 3 * TRANSLATION_GROUP, &jacobians, panels);

@@ -1,6 +1,5 @@
 //! Three successive frames, on which terms of accelerations depend, and the Gauss-Newton blocks of an acceleration.
 
-use super::landmark_jacobian::LandmarkJacobian;
 use crate::body::kinematics::Pose;
 use crate::optim::block_banded::FramePanel;
 use crate::residuals::acceleration::acceleration_cost;
@@ -11,23 +10,17 @@ pub(crate) struct Window<'a, L> {
     /// Index of the middle frame.
     pub middle: usize,
     pub poses: [&'a Pose; 3],
-    /// By frame the landmarks whose paths terms look at, in the order of the problem's list of them.
-    pub tracked: [&'a [L]; 3],
+    /// By frame the landmarks whose paths terms look at, in the order of the problem's list of them: their positions (world, m),
+    /// or [`LinearLandmarks`](super::landmark_jacobian::LinearLandmarks).
+    pub tracked: [&'a L; 3],
 }
 
 impl<'a, L> Window<'a, L> {
     /// The window about frame `middle` of a motion.
-    pub(crate) fn new(middle: usize, poses: &'a [Pose], tracked: &'a [Vec<L>]) -> Self {
+    pub(crate) fn new(middle: usize, poses: &'a [Pose], tracked: &'a [L]) -> Self {
         let frames = [middle - 1, middle, middle + 1];
-        Self { middle, poses: frames.map(|t| &poses[t]), tracked: frames.map(|t| tracked[t].as_slice()) }
+        Self { middle, poses: frames.map(|t| &poses[t]), tracked: frames.map(|t| &tracked[t]) }
     }
-}
-
-/// A landmark in one frame with derivatives.
-pub(crate) struct TrackedLandmark {
-    /// World, m.
-    pub position: Vector3<f64>,
-    pub jacobian: LandmarkJacobian,
 }
 
 /// How accelerations are weighted, whatever accelerates.
