@@ -1,12 +1,14 @@
 //! The relative pose of two views from point pairs with many outliers.
 
+mod squares;
+
 use super::consensus::{ConsensusProblem, find_consensus};
 use crate::geometry::epipolar::{self, PointPair};
 use crate::geometry::five_point::five_point;
 use crate::geometry::{Rigid, rotation};
-use crate::optim::dense_levenberg_marquardt::{QuadraticModel, descend};
-use crate::optim::robust::{geman_mcclure_rho, geman_mcclure_weight};
+use crate::optim::dense_levenberg_marquardt::descend;
 use nalgebra::{Matrix3, Matrix3x2, SVector};
+use squares::PairLanes;
 
 /// An estimated relative pose, with statistics of the pairs.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,7 +44,8 @@ pub fn estimate_essential(
     seed: u64,
 ) -> Option<EssentialEstimate> {
     let problem = ConsensusProblem { n_data: pairs.len(), weights, threshold, iterations, seed };
-    let refit = |pose: &Rigid, n: usize| refine_essential(pose, pairs, weights, threshold, n);
+    let lanes = PairLanes::new(pairs, |i| weight_of(weights, i));
+    let refit = |pose: &Rigid, n: usize| refined(pose, &lanes, threshold, n);
     let found = find_consensus(
         &problem,
         |sample| five_point(&sample.map(|i| pairs[i])),
@@ -105,10 +108,15 @@ pub fn refine_essential(
     threshold: f64,
     iterations: usize,
 ) -> Rigid {
+    refined(start, &PairLanes::new(pairs, |i| weight_of(weights, i)), threshold, iterations)
+}
+
+/// As [`refine_essential`].
+fn refined(start: &Rigid, pairs: &PairLanes, threshold: f64, iterations: usize) -> Rigid {
     let Some(translation) = start.translation.try_normalize(0.0) else {
         return *start;
     };
-    let linearize = |pose: &Rigid| Some(linearize(pose, pairs, weights, threshold));
+    let linearize = |pose: &Rigid| Some(pairs.linearized(pose, &baseline_tangents(pose), threshold));
     descend(Rigid { translation, ..*start }, iterations, linearize, retract)
 }
 
@@ -122,27 +130,6 @@ fn retract(pose: &Rigid, step: &SVector<f64, 5>) -> Rigid {
     let turn = rotation::exp(&step.fixed_rows::<3>(0).into_owned());
     let moved = pose.translation + baseline_tangents(pose) * step.fixed_rows::<2>(3);
     Rigid { rotation: turn * pose.rotation, translation: moved.normalize() }
-}
-
-fn linearize(pose: &Rigid, pairs: &[PointPair], weights: Option<&[f64]>, threshold: f64) -> QuadraticModel<5> {
-    let tangents = baseline_tangents(pose);
-    let scale2 = threshold * threshold;
-    let mut model = QuadraticModel::zeros();
-    for (i, (a, b)) in pairs.iter().enumerate() {
-        let weight = weight_of(weights, i);
-        if weight <= 0.0 {
-            continue;
-        }
-        // A pair that is not finite is skipped: it would stop the descent for all others.
-        if let Some(sampson) = epipolar::sampson_gradient(pose, a, b).filter(|s| s.distance.is_finite()) {
-            let (turn, slide) = (sampson.rotation, tangents.tr_mul(&sampson.translation));
-            let jacobian = SVector::from([turn.x, turn.y, turn.z, slide.x, slide.y]);
-            let squared = sampson.distance * sampson.distance;
-            let robust_weight = weight * geman_mcclure_weight(squared, scale2);
-            model.add(sampson.distance, &jacobian, robust_weight, weight * geman_mcclure_rho(squared, scale2));
-        }
-    }
-    model
 }
 
 fn weight_of(weights: Option<&[f64]>, index: usize) -> f64 {

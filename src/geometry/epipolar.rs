@@ -28,41 +28,6 @@ pub fn sampson_squared(essential: &Matrix3<f64>, a: &Vector2<f64>, b: &Vector2<f
     if slope2 > 0.0 { algebraic * algebraic / slope2 } else { 0.0 }
 }
 
-/// A signed Sampson distance and its derivatives.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct SampsonGradient {
-    /// The signed distance; its square is [`sampson_squared`].
-    pub distance: f64,
-    /// Derivative by a left rotation, `R <- exp(phi) R` (the translation is not rotated).
-    pub rotation: Vector3<f64>,
-    /// Derivative by the translation; orthogonal to it, since the distance does not depend on its length.
-    pub translation: Vector3<f64>,
-}
-
-/// The Sampson distance of a relative pose with its derivatives.
-///
-/// With `q = R a`, `p = b x t`, `l = t x q = E a`, `m = R^T p = E^T b`, `r = (b . l) / sqrt(g)`:
-/// `dr = u . dl + v . dm`, `u = b / sqrt(g) - k (l_1, l_2, 0)`, `v = -k (m_1, m_2, 0)`, `k = (b . l) / g^(3/2)`;
-/// then `dr/dphi = q x (u x t) + (R v) x p` and `dr/dt = q x u + (R v) x b`. `None` where both points are epipoles: there g = 0.
-pub fn sampson_gradient(second_from_first: &Rigid, a: &Vector2<f64>, b: &Vector2<f64>) -> Option<SampsonGradient> {
-    let (r, t, b) = (&second_from_first.rotation, &second_from_first.translation, b.push(1.0));
-    let (q, p) = (r * a.push(1.0), b.cross(t));
-    let (l, m) = (t.cross(&q), r.transpose() * p);
-    let g = l.x * l.x + l.y * l.y + m.x * m.x + m.y * m.y;
-    if g <= 0.0 {
-        return None;
-    }
-    let (algebraic, inverse) = (b.dot(&l), 1.0 / g.sqrt());
-    let k = algebraic * inverse / g;
-    let u = b * inverse - Vector3::new(l.x, l.y, 0.0) * k;
-    let s = r * Vector3::new(-k * m.x, -k * m.y, 0.0);
-    Some(SampsonGradient {
-        distance: algebraic * inverse,
-        rotation: q.cross(&u.cross(t)) + s.cross(&p),
-        translation: q.cross(&u) + s.cross(&b),
-    })
-}
-
 /// The four relative poses (`second_from_first`, baseline 1) of an essential matrix; its sign does not matter.
 ///
 /// `R = U W V^T` or `U W^T V^T`, `t = +-u_3`: Hartley and Zisserman, result 9.19. A matrix with unequal singular values

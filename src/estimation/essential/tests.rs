@@ -119,3 +119,30 @@ fn degenerate_input_gives_none() {
     assert_eq!(estimate_essential(&[(nan, nan); 20], None, 6e-3, 20, 0), None);
     estimate_essential(&[(nalgebra::Vector2::zeros(), nalgebra::Vector2::zeros()); 20], None, 6e-3, 20, 0);
 }
+
+/// Of 13 pairs, which fill one group of lanes and part of another, with weights and wrong pairs.
+#[test]
+fn sums_over_lanes_are_the_derivatives_of_the_cost() {
+    let scene = scene(12, 13, 0.3);
+    let (threshold, step) = (0.05, 1e-6);
+    let lanes = PairLanes::new(&scene.pairs, |i| 1.0 + 0.1 * i as f64);
+    let pose = Rigid { translation: scene.pose.translation.normalize(), ..scene.pose };
+    let tangents = baseline_tangents(&pose);
+    let model = lanes.linearized(&pose, &tangents, threshold);
+    let squared =
+        scene.pairs.iter().map(|(a, b)| epipolar::sampson_squared(&epipolar::essential_from_pose(&pose), a, b));
+    let rho = squared
+        .enumerate()
+        .map(|(i, d2)| (1.0 + 0.1 * i as f64) * crate::optim::robust::geman_mcclure_rho(d2, threshold * threshold));
+    assert!((model.cost - rho.sum::<f64>()).abs() < 1e-12 * model.cost);
+    for k in 0..5 {
+        let moved = |sign: f64| {
+            let mut along = SVector::<f64, 5>::zeros();
+            along[k] = sign * step;
+            lanes.linearized(&retract(&pose, &along), &tangents, threshold).cost
+        };
+        let found = (moved(1.0) - moved(-1.0)) / (4.0 * step);
+        assert!((found - model.gradient[k]).abs() < 1e-7 * model.gradient.amax().max(1.0), "{k}: {found}");
+        assert!(model.hessian[(k, k)] > 0.0 && model.hessian == model.hessian.transpose());
+    }
+}
