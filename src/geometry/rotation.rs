@@ -27,15 +27,26 @@ pub fn exp(w: &Vector3<f64>) -> Matrix3<f64> {
 
 /// The axis-angle vector of a rotation, of norm at most pi; inverse of [`exp`].
 pub fn log(r: &Matrix3<f64>) -> Vector3<f64> {
-    let q = nalgebra::UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(*r));
-    // The quaternion's half angle is well conditioned both near 0 and near pi, where the trace is not.
-    let (w, v) = if q.w < 0.0 { (-q.w, -q.imag()) } else { (q.w, q.imag()) };
+    let (w, v) = half_turn(r);
     let s2 = v.norm_squared();
     if s2 < MAX_SQUARED_SINE {
         return v * (2.0 * series(&ARC_SINE, s2));
     }
     let s = s2.sqrt();
     v * (2.0 * s.atan2(w) / s)
+}
+
+/// Cosine of half the angle, not negative, and the axis times the sine of half the angle: a unit quaternion. Half angles are well
+/// conditioned both near 0 and near pi, where the trace is not.
+fn half_turn(r: &Matrix3<f64>) -> (f64, Vector3<f64>) {
+    let trace = r.trace();
+    // Below 120 degrees, as most rotations are.
+    if trace > 0.0 {
+        let w = 0.5 * (1.0 + trace).sqrt();
+        return (w, axial(r) * (0.25 / w));
+    }
+    let q = nalgebra::UnitQuaternion::from_rotation_matrix(&nalgebra::Rotation3::from_matrix_unchecked(*r));
+    if q.w < 0.0 { (-q.w, -q.imag()) } else { (q.w, q.imag()) }
 }
 
 /// Power series of `asin(s) / s` in `s^2`, exact to rounding below this `s^2`: most rotations from frame to frame are below the 16

@@ -2,7 +2,7 @@
 
 use crate::body::capsules::{BodyCapsules, N_CAPSULES};
 use crate::body::kinematics::{Pose, posed};
-use crate::body::model::{Betas, BodyModel};
+use crate::body::model::{Betas, ShapedBody};
 use crate::geometry::capsule::TaperedCapsule;
 use nalgebra::Vector3;
 
@@ -37,12 +37,16 @@ pub(super) struct BodyOverlap {
 pub(super) struct CapsuleBody {
     pelvis: Vector3<f64>,
     capsules: [TaperedCapsule; N_CAPSULES],
+    /// Around each capsule: centre and radius.
+    balls: [(Vector3<f64>, f64); N_CAPSULES],
 }
 
 impl CapsuleBody {
-    pub(super) fn new(model: &BodyModel, capsules: &BodyCapsules, betas: &Betas, pose: &Pose) -> Self {
-        let skeleton = posed(&model.shaped(betas), pose);
-        Self { pelvis: skeleton.joints[0], capsules: capsules.posed(betas, &skeleton) }
+    /// `body`: the model with the shape `betas`.
+    pub(super) fn new(capsules: &BodyCapsules, (body, betas): (&ShapedBody, &Betas), pose: &Pose) -> Self {
+        let skeleton = posed(body, pose);
+        let capsules = capsules.posed(betas, &skeleton);
+        Self { pelvis: skeleton.joints[0], balls: capsules.each_ref().map(ball_around), capsules }
     }
 
     /// All pairs of capsules nearer than [`WATCHED`].
@@ -51,8 +55,9 @@ impl CapsuleBody {
         if (self.pelvis - other.pelvis).norm_squared() > REACH * REACH {
             return found;
         }
-        for (i, a) in self.capsules.iter().enumerate() {
-            for (j, b) in other.capsules.iter().enumerate().filter(|(_, b)| are_balls_near(a, b)) {
+        for (i, (a, ball)) in self.capsules.iter().zip(&self.balls).enumerate() {
+            let others = other.capsules.iter().zip(&other.balls).enumerate();
+            for (j, (b, _)) in others.filter(|(_, (_, other))| are_near(ball, other)) {
                 let distance = a.distance_to_capsule(b).distance;
                 if distance > WATCHED {
                     continue;
@@ -70,14 +75,15 @@ impl CapsuleBody {
     }
 }
 
-/// Whether the balls around two capsules are near enough for the capsules to be.
-fn are_balls_near(a: &TaperedCapsule, b: &TaperedCapsule) -> bool {
-    let ball = |c: &TaperedCapsule| {
-        let half = 0.5 * (c.ends[1] - c.ends[0]).norm();
-        (c.centre(0.5), half + c.radii[0].max(c.radii[1]))
-    };
-    let ((at, reach), (other_at, other_reach)) = (ball(a), ball(b));
-    (at - other_at).norm() < reach + other_reach + WATCHED
+/// The ball around a capsule.
+fn ball_around(capsule: &TaperedCapsule) -> (Vector3<f64>, f64) {
+    let half = 0.5 * (capsule.ends[1] - capsule.ends[0]).norm();
+    (capsule.centre(0.5), half + capsule.radii[0].max(capsule.radii[1]))
+}
+
+/// Whether two balls are near enough for the capsules in them to be.
+fn are_near((at, reach): &(Vector3<f64>, f64), (other_at, other_reach): &(Vector3<f64>, f64)) -> bool {
+    (at - other_at).norm_squared() < (reach + other_reach + WATCHED).powi(2)
 }
 
 #[cfg(test)]
@@ -91,7 +97,7 @@ mod tests {
         let capsules = BodyCapsules::fitted(&model);
         let at = |x: f64| {
             let pose = Pose { translation: Vector3::x() * x, ..Pose::rest() };
-            CapsuleBody::new(&model, &capsules, &Betas::zeros(), &pose)
+            CapsuleBody::new(&capsules, (&model.shaped(&Betas::zeros()), &Betas::zeros()), &pose)
         };
         assert_eq!(at(0.0).overlap(&at(3.0), &capsules), BodyOverlap::default());
         assert_eq!(at(0.0).overlap(&at(2.0), &capsules), BodyOverlap::default());

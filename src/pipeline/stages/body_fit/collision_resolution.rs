@@ -109,8 +109,9 @@ struct SessionOverlaps {
 
 fn overlaps(model: &BodyModel, capsules: &BodyCapsules, people: &[PersonFit], first_frame: i64) -> SessionOverlaps {
     let bodies_of = |p: &PersonFit| -> Vec<CapsuleBody> {
-        let state = &p.fitted.state;
-        state.poses.iter().map(|pose| CapsuleBody::new(model, capsules, &state.betas, pose)).collect()
+        let MotionState { betas, poses } = &p.fitted.state;
+        let body = model.shaped(betas);
+        poses.iter().map(|pose| CapsuleBody::new(capsules, (&body, betas), pose)).collect()
     };
     let bodies: Vec<Vec<CapsuleBody>> = people.par_iter().map(bodies_of).collect();
     let mut found = SessionOverlaps {

@@ -11,6 +11,7 @@ use super::pixel_residuals::DetectedPixels;
 use super::terms::collision::Collisions;
 use super::terms::unknowns::{MotionState, Shape};
 use crate::progress::Canceled;
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Time on either side of a change over which the motion may adapt, s.
@@ -42,31 +43,46 @@ pub(super) fn refitted(
     steps: usize,
     collisions: Collisions,
 ) -> Result<Refitted, Canceled> {
-    let mut system = context.systems.take();
-    let mut rejected = Vec::new();
-    for run in runs {
-        let (observations, collisions) = (observations.slice(run.clone()), collisions.slice(run.clone()));
-        let start = MotionState { betas: state.betas, poses: state.poses[run.clone()].to_vec() };
-        let pixels = DetectedPixels::new(context, &observations, &start);
-        let extra_joints: Vec<usize> = collisions.joints().into_iter().collect();
-        let alone = Objective {
-            speeds: Some(&start),
-            extra_joints: &extra_joints,
-            held: &held_frames(&run, state.poses.len()),
-            ..Objective::new(context, context.config, &observations, pixels.source(), Shape::Held)
-        };
-        let problem = Objective { collisions: Some(collisions), ..alone }.problem();
-        let budget = Budget { max_iterations: steps, min_decrease: context.config.min_decrease };
-        let moved = minimised(context, &problem, start.clone(), budget, &mut system)?.state;
-        let before = MotionState { betas: before.betas, poses: before.poses[run.clone()].to_vec() };
-        let others = alone.problem();
-        let increase = others.cost(&moved) - others.cost(&before);
-        match is_rejected(context, increase, collisions.n_frames_with_overlap() as f64 * alone.time_weight()) {
-            true => rejected.push(run),
-            false => state.poses[run].copy_from_slice(&moved.poses),
+    // Runs that overlap follow each other, all others are independent.
+    let chains: Vec<&[Range<usize>]> = runs.chunk_by(|run, next| next.start < run.end).collect();
+    let of_chain = |chain: &&[Range<usize>]| -> Result<Refitted, Canceled> {
+        let mut system = context.systems.take();
+        let first = chain[0].start;
+        let whole = first..chain[chain.len() - 1].end;
+        let mut refitted = Refitted { state: state.of(&whole), rejected: Vec::new() };
+        for run in chain.iter() {
+            let own = run.start - first..run.end - first;
+            let start = refitted.state.of(&own);
+            let held = held_frames(run, state.poses.len());
+            let (observations, collisions) = (observations.slice(run.clone()), collisions.slice(run.clone()));
+            let pixels = DetectedPixels::new(context, &observations, &start);
+            let extra_joints: Vec<usize> = collisions.joints().into_iter().collect();
+            let alone = Objective {
+                speeds: Some(&start),
+                extra_joints: &extra_joints,
+                held: &held,
+                ..Objective::new(context, context.config, &observations, pixels.source(), Shape::Held)
+            };
+            let problem = Objective { collisions: Some(collisions), ..alone }.problem();
+            let budget = Budget { max_iterations: steps, min_decrease: context.config.min_decrease };
+            let moved = minimised(context, &problem, start.clone(), budget, &mut system)?.state;
+            let others = alone.problem();
+            let increase = others.cost(&moved) - others.cost(&before.of(run));
+            match is_rejected(context, increase, collisions.n_frames_with_overlap() as f64 * alone.time_weight()) {
+                true => refitted.rejected.push(run.clone()),
+                false => refitted.state.poses[own].copy_from_slice(&moved.poses),
+            }
         }
+        context.systems.put_back([system]);
+        Ok(refitted)
+    };
+    let of_chains: Vec<Refitted> = chains.par_iter().map(of_chain).collect::<Result<_, Canceled>>()?;
+    let mut rejected = Vec::new();
+    for (chain, refitted) in chains.iter().zip(of_chains) {
+        let first = chain[0].start;
+        state.poses[first..first + refitted.state.poses.len()].copy_from_slice(&refitted.state.poses);
+        rejected.extend(refitted.rejected);
     }
-    context.systems.put_back([system]);
     Ok(Refitted { state, rejected })
 }
 

@@ -173,7 +173,7 @@ fn fit_window(
     let halo = context.config.halo_frames;
     let frames = window.start.saturating_sub(halo)..(window.end + halo).min(start.poses.len());
     let observations = observations.slice(frames.clone());
-    let state = MotionState { betas: start.betas, poses: start.poses[frames.clone()].to_vec() };
+    let state = start.of(&frames);
     let has_pixels = observations.pixels.iter().any(|frame| !frame.is_empty());
     let (mut whole, mut system) = (FittedMotion::initial(state), context.systems.take());
     for pass in if has_pixels { passes } else { &[Pass::Points] } {

@@ -93,7 +93,7 @@ fn member<'a>(
     run: Range<usize>,
     share: f64,
 ) -> Member<'a> {
-    let part = MotionState { betas: state.betas, poses: state.poses[run.clone()].to_vec() };
+    let part = state.of(&run);
     Member { observations, first: run.start, share, motion: problem.decoder.encoded(&part), cost: 0.0 }
 }
 

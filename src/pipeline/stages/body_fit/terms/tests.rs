@@ -186,10 +186,11 @@ fn gradients_of_motion_terms_match_differences() {
 fn gradient_of_the_collision_term_matches_differences() {
     let fixture = Fixture::new();
     let (model, capsules) = (&fixture.model, BodyCapsules::fitted(&fixture.model));
+    let betas = &fixture.state.betas;
     let overlaps = |pose: &Pose| {
         let beside = Pose { translation: pose.translation + Vector3::new(0.25, 0.0, 0.1), ..Pose::rest() };
-        let other = CapsuleBody::new(model, &capsules, &Betas::zeros(), &beside);
-        let found = CapsuleBody::new(model, &capsules, &fixture.state.betas, pose).overlap(&other, &capsules);
+        let other = CapsuleBody::new(&capsules, (&model.shaped(&Betas::zeros()), &Betas::zeros()), &beside);
+        let found = CapsuleBody::new(&capsules, (&model.shaped(betas), betas), pose).overlap(&other, &capsules);
         assert!(found.depth > 0.02 && found.capsules[0].len() > 5, "{}", found.depth);
         found.capsules[0].clone()
     };

@@ -19,6 +19,13 @@ pub(crate) struct MotionState {
     pub poses: Vec<Pose>,
 }
 
+impl MotionState {
+    /// The motion in some of its frames.
+    pub(crate) fn of(&self, frames: &Range<usize>) -> Self {
+        Self { betas: self.betas, poses: self.poses[frames.clone()].to_vec() }
+    }
+}
+
 /// Whether the betas are unknowns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Shape {
