@@ -13,13 +13,14 @@ use std::ops::Range;
 /// Shortest window, s: the overlap, which is tracked twice, is a tenth of it.
 const WINDOW_SECS: f64 = 10.0;
 
-/// Joined persons share more than this part of the detections that either has in the overlap.
+/// Joined persons share more than this part of the detections of the one that has fewer in the overlap.
 const MIN_SHARED: f64 = 0.5;
 
-/// Frames of equal windows; each but the first begins before the end of the one before, which is its own first frame.
+/// Equal windows. All but the first are begun early, in the frames of the one before.
 pub(super) struct TimeWindows {
     /// The first frame that each window has to itself, and the end of the take.
     seams: Vec<usize>,
+    /// Frames by which a window is begun early.
     overlap: usize,
 }
 

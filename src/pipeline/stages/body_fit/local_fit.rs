@@ -10,6 +10,7 @@ use super::observations::Observations;
 use super::pixel_residuals::DetectedPixels;
 use super::terms::collision::Collisions;
 use super::terms::unknowns::{MotionState, Shape};
+use crate::optim::block_banded::BlockBanded;
 use crate::progress::Canceled;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -52,25 +53,12 @@ pub(super) fn refitted(
         let mut refitted = Refitted { state: state.of(&whole), rejected: Vec::new() };
         for run in chain.iter() {
             let own = run.start - first..run.end - first;
-            let start = refitted.state.of(&own);
+            let data = (&observations.slice(run.clone()), collisions.slice(run.clone()));
+            let states = [before.of(run), refitted.state.of(&own)];
             let held = held_frames(run, state.poses.len());
-            let (observations, collisions) = (observations.slice(run.clone()), collisions.slice(run.clone()));
-            let pixels = DetectedPixels::new(context, &observations, &start);
-            let extra_joints: Vec<usize> = collisions.joints().into_iter().collect();
-            let alone = Objective {
-                speeds: Some(&start),
-                extra_joints: &extra_joints,
-                held: &held,
-                ..Objective::new(context, context.config, &observations, pixels.source(), Shape::Held)
-            };
-            let problem = Objective { collisions: Some(collisions), ..alone }.problem();
-            let budget = Budget { max_iterations: steps, min_decrease: context.config.min_decrease };
-            let moved = minimised(context, &problem, start.clone(), budget, &mut system)?.state;
-            let others = alone.problem();
-            let increase = others.cost(&moved) - others.cost(&before.of(run));
-            match is_rejected(context, increase, collisions.n_frames_with_overlap() as f64 * alone.time_weight()) {
-                true => refitted.rejected.push(run.clone()),
-                false => refitted.state.poses[own].copy_from_slice(&moved.poses),
+            match fitted_run(context, data, &states, &held, steps, &mut system)? {
+                Some(moved) => refitted.state.poses[own].copy_from_slice(&moved.poses),
+                None => refitted.rejected.push(run.clone()),
             }
         }
         context.systems.put_back([system]);
@@ -84,6 +72,32 @@ pub(super) fn refitted(
         rejected.extend(refitted.rejected);
     }
     Ok(Refitted { state, rejected })
+}
+
+/// A run fitted from `start`, in the memory of `system`; `None` where the observations rule it out. `held`: its frames that stay.
+fn fitted_run(
+    context: &FitContext,
+    (observations, collisions): (&Observations, Collisions),
+    [before, start]: &[MotionState; 2],
+    held: &[usize],
+    steps: usize,
+    system: &mut BlockBanded,
+) -> Result<Option<MotionState>, Canceled> {
+    let pixels = DetectedPixels::new(context, observations, start);
+    let extra_joints: Vec<usize> = collisions.joints().into_iter().collect();
+    let alone = Objective {
+        speeds: Some(start),
+        extra_joints: &extra_joints,
+        held,
+        ..Objective::new(context, context.config, observations, pixels.source(), Shape::Held)
+    };
+    let problem = Objective { collisions: Some(collisions), ..alone }.problem();
+    let budget = Budget { max_iterations: steps, min_decrease: context.config.min_decrease };
+    let moved = minimised(context, &problem, start.clone(), budget, system)?.state;
+    let others = alone.problem();
+    let increase = others.cost(&moved) - others.cost(before);
+    let n_frames = collisions.n_frames_with_overlap() as f64 * alone.time_weight();
+    Ok((!is_rejected(context, increase, n_frames)).then_some(moved))
 }
 
 /// Whether the other terms rule out a resolution that raises their cost by `increase`: by much in every frame of the
