@@ -3,7 +3,7 @@
 //! A person is a predicted skeleton (`person`). In each frame every view assigns its detections to the nearest
 //! predictions; persons held by a single view are re-acquired by the others (`reacquisition`); unassigned detections start
 //! new persons (`initialisation`), or continue a person that is lost where no other person can be meant (`continuation`).
-//! Long takes are followed in windows side by side (`time_windows`). At the end duplicates are merged (`duplicate_merging`),
+//! Long takes are followed in windows side by side (`tracking_windows`). At the end duplicates are merged (`duplicate_merging`),
 //! and fragments of one person are joined (`stitching`) by position, build and the detectors' track numbers
 //! (`reidentification`).
 
@@ -17,7 +17,7 @@ mod reidentification;
 mod scene;
 mod skeleton;
 mod stitching;
-mod time_windows;
+mod tracking_windows;
 
 use super::assignment::assign;
 use crate::progress::{Canceled, Progress};
@@ -26,7 +26,7 @@ use rayon::prelude::*;
 pub use scene::{Assignment, TrackerConfig, TrackerScene};
 pub use skeleton::Skeleton;
 use std::ops::Range;
-use time_windows::TimeWindows;
+use tracking_windows::TrackingWindows;
 
 /// A person that is not confirmed yet must be this many times as near.
 const UNCONFIRMED_FACTOR: f64 = 1.3;
@@ -46,7 +46,7 @@ pub fn track(
     config: &TrackerConfig,
     progress: &Progress,
 ) -> Result<Vec<TrackedPerson>, Canceled> {
-    let windows = TimeWindows::of(scene, config);
+    let windows = TrackingWindows::of(scene, config);
     let follow = |frames: &Range<usize>| follow(scene, config, frames.clone(), progress);
     let followed = windows.frames().par_iter().map(follow).collect::<Result<_, Canceled>>()?;
     let mut followed = windows.joined(scene, followed);

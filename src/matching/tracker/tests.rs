@@ -103,7 +103,7 @@ fn people_of_a_long_take_go_on_from_window_to_window() {
     let bones = limb_bones(KeypointConvention::Coco17);
     let scene = TrackerScene { views: &views, cameras: &cameras, bones: &bones, fps: 30.0, n_frames: 750 };
     let config = TrackerConfig::default();
-    assert_eq!(TimeWindows::of(&scene, &config).frames(), [0..375, 345..750]);
+    assert_eq!(TrackingWindows::of(&scene, &config).frames(), [0..375, 345..750]);
     let people = track(&scene, &config, &Progress::silent()).unwrap();
     let n_frames: Vec<usize> = people.iter().map(|person| person.assignments.len()).collect();
     assert_eq!(n_frames, [750, 750, 720]);

@@ -23,7 +23,7 @@ pub struct StripRows {
 /// Derivatives by three successive unknowns: the first of them, and the block.
 pub type ColumnBlock = (usize, Matrix3<f64>);
 
-/// Strips of the longest chain of joints, and of a border with bones and five cameras.
+/// Strips of a border with bones and five cameras.
 const EXPECTED_STRIPS: usize = 9;
 
 /// Blocks that are multiplied together; a chain of joints has fewer.

@@ -1,4 +1,4 @@
-//! Time windows: long takes are tracked piece by piece, side by side, and persons joined by the detections that they share
+//! Tracking windows: long takes are tracked piece by piece, side by side, and persons joined by the detections that they share
 //! where two windows overlap.
 //!
 //! The grid is fixed by the take, not by the number of threads. Nothing is lost at its seams that would be kept elsewhere:
@@ -17,14 +17,14 @@ const WINDOW_SECS: f64 = 10.0;
 const MIN_SHARED: f64 = 0.5;
 
 /// Equal windows. All but the first are begun early, in the frames of the one before.
-pub(super) struct TimeWindows {
+pub(super) struct TrackingWindows {
     /// The first frame that each window has to itself, and the end of the take.
     seams: Vec<usize>,
     /// Frames by which a window is begun early.
     overlap: usize,
 }
 
-impl TimeWindows {
+impl TrackingWindows {
     /// By the end of an overlap new persons are confirmed, and lost ones were seen again or are gone.
     pub(super) fn of(scene: &TrackerScene, config: &TrackerConfig) -> Self {
         let count = ((scene.n_frames as f64 / (WINDOW_SECS * scene.fps)) as usize).max(1);
