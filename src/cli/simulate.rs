@@ -95,7 +95,7 @@ pub(super) struct Args {
     #[arg(long, value_enum)]
     lens: Option<LensName>,
     /// Time offset of each camera in frames, in the order of the cameras
-    #[arg(long, num_args = 1.., allow_hyphen_values = true, value_name = "FRAMES")]
+    #[arg(long, num_args = 1.., allow_negative_numbers = true, value_name = "FRAMES")]
     offset: Vec<f64>,
 }
 
@@ -247,6 +247,7 @@ mod tests {
         assert_eq!((given.people, given.views, given.rig.image_height), (2, 5, 480));
         assert_eq!((given.tracks, given.convention), (Tracks::PerView, KeypointConvention::Halpe26));
         assert_eq!(config(&args("--out x --preset random --seed 4 --procedural")), random_rig_config(4));
+        assert_eq!(config(&args("--offset 0 -14 6.3 --out x")).time_offsets, [0.0, -14.0, 6.3]);
         assert_eq!(config(&args("--out x")).motion, MotionSource::Prior);
         assert_eq!(config(&args("--out x")).noise, NoiseConfig::preset(Preset::Paper));
         let real = NoiseConfig::preset(Preset::Easy).with_real_errors();

@@ -3,7 +3,7 @@
 //! | # | pass | stages, in order | runs |
 //! |---|---|---|---|
 //! | 1 | [`synchronisation`](passes::synchronisation) | time offsets in whole frames | `sync: estimate`; once |
-//! | | | pass 3, keyframe selection, bundle adjustment with delays | 1 to 6 rounds |
+//! | | | pass 3, keyframe selection, bundle adjustment with delays, and with focal lengths where these are open | 1 to 6 rounds |
 //! | 2 | [`focal_lengths`](passes::focal_lengths) | pass 3, bundle adjustment with focal lengths | `refine_focal`; 1 or 2 rounds |
 //! | | [`unknown_lenses`](passes::unknown_lenses) | camera initialisation | `estimate`, or no K; 8 candidates |
 //! | | | keyframe selection, bundle adjustment with focal lengths, association | 3 candidates, then up to 4 rounds |

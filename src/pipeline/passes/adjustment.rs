@@ -5,7 +5,7 @@ use crate::geometry::Rigid;
 use crate::optim::robust::median;
 use crate::pipeline::calibration::{Adjusted, Calibration, CameraFreedom};
 use crate::pipeline::capture::Capture;
-use crate::pipeline::config::Options;
+use crate::pipeline::config::{IntrinsicsMode, Options};
 use crate::pipeline::stages::association::associate;
 use crate::pipeline::stages::bundle_adjustment::adjust;
 use crate::pipeline::stages::bundle_adjustment::input::{AdjustmentConfig, AdjustmentInput, Bone};
@@ -49,13 +49,24 @@ impl Effort {
     /// are then within 1 % of those after [`Self::FINAL`], errors of joints within 0.1 %, in 7 % less time of the whole solve.
     const BEFORE_BODIES: Self = Self { max_keyframes: 250, relative_decrease: 1e-4, ..Self::FINAL };
     /// With delays: only moving points show them, and there are fewer of those.
-    pub const DELAYS: Self = Self { max_keyframes: 1500, relative_decrease: 1e-5, refine_delays: true, ..Self::FINAL };
+    const DELAYS: Self = Self { max_keyframes: 1500, relative_decrease: 1e-5, refine_delays: true, ..Self::FINAL };
     /// With focal lengths: a focal length trades against distance, so convergence is slow and matters.
     pub const FOCAL_LENGTHS: Self = Self { focal_sigma: Some(GUESSED_ANGLE), ..Self::FINAL };
     /// With focal lengths of which the order of magnitude is known, for a candidate and for the last rounds.
     pub const UNKNOWN_FOCAL: Self = Self { focal_sigma: Some(UNKNOWN_ANGLE), relative_decrease: 1e-4, ..Self::TRIAL };
     /// See [`Self::UNKNOWN_FOCAL`].
     pub const LAST_UNKNOWN_FOCAL: Self = Self { focal_sigma: Some(UNKNOWN_ANGLE), ..Self::FINAL };
+
+    /// With delays, and with focal lengths where the options leave them open: held to wrong ones, points that move find their place
+    /// by delays.
+    pub fn delays(intrinsics: IntrinsicsMode) -> Self {
+        let focal_sigma = match intrinsics {
+            IntrinsicsMode::Fixed => None,
+            IntrinsicsMode::RefineFocal => Some(GUESSED_ANGLE),
+            IntrinsicsMode::Estimate => Some(UNKNOWN_ANGLE),
+        };
+        Self { focal_sigma, ..Self::DELAYS }
+    }
 
     /// For the last adjustment of cameras and points.
     pub fn last(options: &Options) -> Self {

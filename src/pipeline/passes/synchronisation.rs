@@ -12,7 +12,8 @@
 use crate::geometry::Rigid;
 use crate::pipeline::calibration::{AdjustedCamera, Calibration};
 use crate::pipeline::capture::Capture;
-use crate::pipeline::config::Options;
+use crate::pipeline::config::{IntrinsicsMode, Options};
+use crate::pipeline::focal_lengths::FocalLengths;
 use crate::pipeline::passes::adjustment::{ALL_FRAMES, Effort, adjusted};
 use crate::pipeline::passes::cameras::{FinalAdjustment, roughly_calibrated};
 use crate::pipeline::stages::time_offsets::{retiming, whole_frames};
@@ -59,16 +60,23 @@ pub fn estimated_timing(
     offsets.iter_mut().zip(&whole.offsets).for_each(|(offset, whole)| *offset += *whole as f64);
 
     let refining = steps.begin("refining time offsets");
+    let intrinsics = options.intrinsics_of(session);
+    let (effort, has_open_lenses) = (Effort::delays(intrinsics), intrinsics != IntrinsicsMode::Fixed);
+    let mut lengths = FocalLengths::given(session);
     let mut steps = refining.steps([3.0, 1.0].repeat(MAX_ROUNDS));
     let (mut cameras, mut sigmas): (Option<Vec<Option<Rigid>>>, _) = (None, vec![None; offsets.len()]);
     let (mut rounds, mut largest_step, mut cost) = (0, f64::INFINITY, [None; 2]);
     while rounds < MAX_ROUNDS && largest_step > CONVERGED {
         let retimed = retiming::retimed(session, &offsets);
-        let capture = Capture::new(&retimed, options);
+        let scaled = lengths.applied_to(&retimed);
+        let capture = Capture::new(&scaled, options);
         let step = steps.begin("estimating cameras at the current time offsets");
         let before = roughly_calibrated(&capture, cameras, last, &step)?;
         let step = steps.begin("adjusting cameras and time offsets");
-        let after = adjusted(&capture, &before, Effort::DELAYS, ALL_FRAMES, &step)?;
+        let after = adjusted(&capture, &before, effort, ALL_FRAMES, &step)?;
+        if has_open_lenses {
+            lengths.take_over(&after);
+        }
         let delays = delays(&after);
         sigmas = delays.iter().map(|d| d.and_then(|d| d.sigma)).collect();
         let corrections = delays.iter().map(|d| d.map_or(0.0, |d| d.frames.clamp(-MAX_STEP, MAX_STEP)));

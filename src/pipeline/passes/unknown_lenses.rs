@@ -6,7 +6,6 @@
 //! seen most alike by all cameras is refined in rounds, as focal lengths that are nearly right are.
 
 use crate::geometry::Rigid;
-use crate::pipeline::calibration::Calibration;
 use crate::pipeline::capture::Capture;
 use crate::pipeline::config::Options;
 use crate::pipeline::focal_lengths::FocalLengths;
@@ -15,7 +14,7 @@ use crate::pipeline::passes::cameras::{FinalAdjustment, first_arrangement, rough
 use crate::pipeline::stages::camera_init::first_quality;
 use crate::progress::{Canceled, Progress};
 use crate::session::Session;
-use crate::session::reconstruction::{FocalFactor, StageReport};
+use crate::session::reconstruction::StageReport;
 
 /// Candidates of the common factor, in steps that a refinement bridges: with the longer image side as the given length, angles of
 /// view from 90 to 23 degrees.
@@ -84,7 +83,7 @@ fn adjusted_candidate(
     let capture = Capture::new(&scaled, options);
     let first = first_arrangement(&capture, progress)?;
     let after = adjusted(&capture, &first, Effort::UNKNOWN_FOCAL, ALL_FRAMES, progress)?;
-    take_over(&mut lengths, &after);
+    lengths.take_over(&after);
     let scaled = lengths.applied_to(session);
     let capture = Capture::new(&scaled, options);
     let again = roughly_calibrated(&capture, Some(after.cameras.clone()), FinalAdjustment::Elsewhere, progress)?;
@@ -106,7 +105,7 @@ fn refined(
         let capture = Capture::new(&scaled, options);
         let before = roughly_calibrated(&capture, Some(cameras), last, progress)?;
         let after = adjusted(&capture, &before, Effort::LAST_UNKNOWN_FOCAL, ALL_FRAMES, progress)?;
-        let change = take_over(&mut lengths, &after);
+        let change = lengths.take_over(&after);
         lengths.report = after.stages.last().map(|adjustment| report(adjustment, round));
         cameras = after.cameras;
         if change < SETTLED {
@@ -115,27 +114,6 @@ fn refined(
     }
     Ok(lengths)
 }
-
-/// Multiplies the focal lengths by what an adjustment found; the largest change of a logarithm.
-fn take_over(lengths: &mut FocalLengths, after: &Calibration) -> f64 {
-    let Some(adjusted) = &after.adjusted else { return 0.0 };
-    let mut largest = 0.0f64;
-    let sigma_of = |view: usize| {
-        let focal = adjusted.focal.as_ref()?;
-        let k = focal.views.iter().position(|v| *v == view)?;
-        Some(focal.covariance[k][k].max(0.0).sqrt())
-    };
-    for (view, camera) in adjusted.cameras.iter().enumerate().filter(|(_, camera)| camera.camera_from_world.is_some()) {
-        let value = lengths.factor(view) * camera.focal_factor;
-        let sigma = value * sigma_of(view).unwrap_or(UNKNOWN_SIGMA);
-        lengths.factors[view] = Some(FocalFactor { value, sigma });
-        largest = largest.max(camera.focal_factor.ln().abs());
-    }
-    largest
-}
-
-/// Standard deviation of the logarithm of a focal length that no adjustment has determined: 0.6 to 2 image widths are within two.
-const UNKNOWN_SIGMA: f64 = 0.4;
 
 /// The report of an adjustment as that of this pass.
 fn report(adjustment: &StageReport, rounds: usize) -> StageReport {
