@@ -149,6 +149,7 @@ fn problem(n_views: usize) -> AdjustmentInput<'static> {
         camera_freedom: CameraFreedom::Adjusted,
         refine_focal: false,
         refine_delays: false,
+        drift_over: None,
         refine_radial: false,
     }
 }

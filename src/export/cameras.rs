@@ -39,6 +39,10 @@ struct Camera<'a> {
     time_offset_s: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     sigma_time_offset_s: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    clock_drift_ppm: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sigma_clock_drift_ppm: Option<f64>,
     status: &'static str,
 }
 
@@ -55,6 +59,7 @@ pub(super) fn cameras<'a>(session: &'a Session, reconstruction: &Reconstruction)
 
 fn camera<'a>(view: &'a View, solved: &SolvedCamera) -> Camera<'a> {
     let camera_from_world = solved.camera_from_world;
+    let drift = solved.time_offset.and_then(|offset| offset.drift);
     Camera {
         id: &view.id,
         lens: LensFields::of(&solved.lens(&view.intrinsics)),
@@ -69,6 +74,8 @@ fn camera<'a>(view: &'a View, solved: &SolvedCamera) -> Camera<'a> {
         sigma_focal_factor: solved.focal_factor.map(|factor| factor.sigma),
         time_offset_s: solved.time_offset.map(|offset| offset.secs),
         sigma_time_offset_s: solved.time_offset.and_then(|offset| offset.sigma_secs),
+        clock_drift_ppm: drift.map(|drift| 1e6 * drift.rate),
+        sigma_clock_drift_ppm: drift.and_then(|drift| drift.sigma).map(|sigma| 1e6 * sigma),
         status: if camera_from_world.is_some() { "solved" } else { "unsolved" },
     }
 }

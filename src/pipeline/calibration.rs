@@ -63,6 +63,7 @@ impl Calibration {
                 sigma_position: sigma.position * unit,
                 sigma_angle: sigma.angle,
                 sigma_delay: camera.uncertainty.and_then(|before| before.sigma_delay),
+                sigma_drift: camera.uncertainty.and_then(|before| before.sigma_drift),
                 sigma_radial: camera.uncertainty.and_then(|before| before.sigma_radial),
             });
         }
@@ -167,6 +168,8 @@ pub struct AdjustedCamera {
     pub focal_factor: f64,
     /// Delay of its frames against their numbers, frames; 0 unless refined.
     pub delay: f64,
+    /// Change of the delay from the middle to the end of the take, frames; 0 unless refined.
+    pub drift: f64,
     /// Change of the first radial coefficient of its lens; 0 unless refined.
     pub radial: f64,
     /// Whether any of its observations lies within the last robust scale.
@@ -184,6 +187,8 @@ pub struct CameraUncertainty {
     pub sigma_angle: f64,
     /// Standard deviation of the delay against the first moving camera's, frames; where delays are refined.
     pub sigma_delay: Option<f64>,
+    /// The same of the drift; where drifts are refined.
+    pub sigma_drift: Option<f64>,
     /// Standard deviation of the change of the lens's first radial coefficient; where these are refined.
     pub sigma_radial: Option<f64>,
 }

@@ -1,6 +1,6 @@
 //! Checkpoints: results of finished stages on disk, so that an interrupted run resumes after its last finished stage.
 //!
-//! A file has four lines: `wandless-checkpoint 6`, the key of the run, the SHA-256 of key and result, and the result as JSON.
+//! A file has four lines: `wandless-checkpoint 7`, the key of the run, the SHA-256 of key and result, and the result as JSON.
 //! Numbers are read back exactly, so a resumed run gives the bytes of an uninterrupted one. A file that is damaged, of another
 //! release or of another run is ignored; a checkpoint that cannot be written is skipped with a warning.
 
@@ -29,7 +29,7 @@ struct RunFolder {
 }
 
 /// First line of a file; the number grows with every change of the stored types.
-const MAGIC: &str = "wandless-checkpoint 6";
+const MAGIC: &str = "wandless-checkpoint 7";
 
 impl Checkpoints {
     /// Stores nothing.

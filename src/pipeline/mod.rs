@@ -30,10 +30,11 @@
 //! adjustment of estimated or refined cameras runs exactly once per calibration: in pass 4 on repaired detections, or
 //! without that pass at the end of pass 3.
 //!
-//! Nouns (`calibration`, `capture`, `config`, `continuation`, `corrections`, `error`, `focal_lengths`, `focal_spread`, `keyframe`, `option_kind`, `option_table`, `planned_stages`, `provisional`, `unsolvable`) import no stage; stages import nouns and no other stage;
+//! Nouns (`calibration`, `camera_clock`, `capture`, `config`, `continuation`, `corrections`, `error`, `focal_lengths`, `focal_spread`, `keyframe`, `option_kind`, `option_table`, `planned_stages`, `provisional`, `unsolvable`) import no stage; stages import nouns and no other stage;
 //! passes import stages; this file imports passes.
 
 pub mod calibration;
+pub mod camera_clock;
 pub mod capture;
 pub mod checkpoints;
 pub mod config;

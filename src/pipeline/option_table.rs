@@ -98,7 +98,7 @@ pub const OPTION_TABLE: &[OptionRow] = &[
             choice("given", "`time_offset_s` of the session's cameras; 0 where it is missing"),
             choice(
                 "estimate",
-                "estimated from the motion, to fractions of a frame, starting from those of the session",
+                "estimated from the motion, to fractions of a frame and with the drift of clocks, starting from those of the session",
             ),
         ]),
         unit: "",

@@ -7,7 +7,7 @@ use super::people::{BodyMotion, JointTrajectory};
 use super::recording::{FrameIndex, PersonId, UpAxis};
 use crate::body::hand::Side;
 use crate::geometry::{Intrinsics, Rigid};
-pub use estimates::{ErrorSummary, FocalFactor, SigmaSummary, TimeOffset};
+pub use estimates::{ClockDrift, ErrorSummary, FocalFactor, SigmaSummary, TimeOffset};
 pub use report::{
     CameraReport, ConsistencyPair, ConsistencyReport, DetectorOffset, GeometryReport, HandReport, KeypointBias,
     KeypointReport, LandmarkTableId, NoiseAtConfidence, Overlap, PenetrationReport, PersonReport, Quality, Report,

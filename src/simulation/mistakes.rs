@@ -11,7 +11,7 @@ use crate::session::recording::{Keypoint, Session};
 use crate::session::suspicion::SuspicionCode as Code;
 use changes::{
     ODD, PARTNER, crowded, doubled, dropped, everywhere, exchanged, frozen, halved, knocked, labels_exchanged, last,
-    late, lens_changed, mapped, moved, opengl, portrait, two_takes, upwards, zoomed,
+    late, lens_changed, mapped, moved, opengl, portrait, slowed, two_takes, upwards, zoomed,
 };
 use nalgebra::Vector2;
 
@@ -88,6 +88,7 @@ pub const MISTAKES: &[Mistake] = &[
     all("people detected twice", &[Code::DoubleDetections], |s| Some(doubled(s))),
     odd("7 frames late", &[Code::TimeOffset], |s| late(s, ODD, 7)),
     odd("2 frames late", &[Code::TimeOffset], |s| late(s, ODD, 2)),
+    odd("clock 2 % slow", &[Code::TimeOffset], |s| slowed(s, ODD, 0.02)),
     odd("2 frames dropped halfway", &[Code::DroppedFrames], |s| dropped(s, ODD, 2)),
     two("keypoints of two cameras exchanged", &[Code::CamerasExchanged], exchanged),
     all("fps 10", &[Code::FrameRate], |s| Some(Session { fps: 0.4 * s.fps, ..s.clone() })),
@@ -150,7 +151,7 @@ mod tests {
 
     fn session() -> Session {
         let preset = SimulationConfig::preset(Preset::Hard);
-        let config = SimulationConfig { frames: 60, convention: KeypointConvention::Body25, ..preset };
+        let config = SimulationConfig { frames: 120, convention: KeypointConvention::Body25, ..preset };
         let simulated = simulate(&config).unwrap();
         let mut session = simulated.session;
         let poses = simulated.truth.cameras.into_iter().map(Some);

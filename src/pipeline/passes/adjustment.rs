@@ -26,6 +26,8 @@ pub struct Effort {
     uncertainty_block_secs: Option<f64>,
     /// Whether delays of the cameras are estimated.
     refine_delays: bool,
+    /// Whether these change linearly over the take.
+    refine_drifts: bool,
     /// Standard deviation of the logarithms of the factors on the focal lengths; `None`: they are held.
     focal_sigma: Option<f64>,
 }
@@ -37,6 +39,7 @@ impl Effort {
         relative_decrease: 1e-3,
         uncertainty_block_secs: None,
         refine_delays: false,
+        refine_drifts: false,
         focal_sigma: None,
     };
     /// For a round that an association and another adjustment follow.
@@ -66,6 +69,16 @@ impl Effort {
             IntrinsicsMode::Estimate => Some(UNKNOWN_ANGLE),
         };
         Self { focal_sigma, ..Self::DELAYS }
+    }
+
+    /// The same with drifts.
+    pub fn with_drifts(self) -> Self {
+        Self { refine_drifts: true, ..self }
+    }
+
+    /// Whether there are any, which a sixth of the keyframes shows to a tenth of a frame.
+    pub fn testing_drifts(self) -> Self {
+        Self { max_keyframes: Self::ROUND.max_keyframes, ..self.with_drifts() }
     }
 
     /// For the last adjustment of cameras and points.
@@ -129,6 +142,7 @@ pub fn adjusted(
         camera_freedom: CameraFreedom::Adjusted,
         refine_focal: effort.focal_sigma.is_some(),
         refine_delays: effort.refine_delays,
+        drift_over: effort.refine_drifts.then_some(session.n_frames),
         refine_radial: false,
     };
     let uncertainty_block_frames = effort.uncertainty_block_secs.map(|s| ((s * session.fps).round() as usize).max(1));

@@ -64,6 +64,7 @@ fn error_px(
         camera_freedom: CameraFreedom::Held,
         refine_focal: false,
         refine_delays: false,
+        drift_over: None,
         refine_radial: false,
     };
     let config =

@@ -11,13 +11,25 @@ pub struct FocalFactor {
     pub sigma: f64,
 }
 
-/// Time offset of a camera: frame number `n` was taken at `n / fps + secs`.
+/// Time offset of a camera: frame number `n` was taken at `n / fps + secs`, and that much later again for which its clock is slow
+/// ([`ClockDrift`]).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TimeOffset {
     /// Offset, s; the reference camera keeps its given offset, usually 0.
     pub secs: f64,
     /// Standard deviation relative to the reference camera, s; `None` where the offset was given or could not be estimated.
     pub sigma_secs: Option<f64>,
+    /// `None` where the clock has the rate of the reference camera's.
+    pub drift: Option<ClockDrift>,
+}
+
+/// Drift of a camera's clock: its offset grows by `rate` seconds a second, and is [`TimeOffset::secs`] in the middle of the recording.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ClockDrift {
+    /// s/s; against the reference camera.
+    pub rate: f64,
+    /// Its standard deviation, s/s; `None` where the people do not show it.
+    pub sigma: Option<f64>,
 }
 
 /// Mean and median of a set of errors.

@@ -137,6 +137,25 @@ pub(super) fn dropped(session: &Session, view: usize, n: usize) -> Option<Sessio
     Some(changed)
 }
 
+/// A camera's clock is slow by `share`: its frames show later and later times, here those of the nearest frames.
+pub(super) fn slowed(session: &Session, view: usize, share: f64) -> Option<Session> {
+    let mut changed = session.clone();
+    let frames = &mut changed.views.get_mut(view)?.frames;
+    let middle = 0.5 * (frames.len() as f64 - 1.0);
+    if share * middle < LEAST_DRIFT {
+        return None;
+    }
+    let shown = |frame: usize| {
+        let time = (frame as f64 + share * (frame as f64 - middle)).round();
+        if time < 0.0 { None } else { session.views[view].frames.get(time as usize) }
+    };
+    *frames = (0..frames.len()).map(|frame| shown(frame).cloned().unwrap_or_default()).collect();
+    Some(changed)
+}
+
+/// Smallest drift to either end of a take that a slow clock has here, frames: less does no harm.
+const LEAST_DRIFT: f64 = 1.0;
+
 /// Smallest difference between the focal lengths of two cameras whose files are exchanged: with equal calibrations the result is
 /// right but for their names, which nothing in the files shows. Two people in ten seconds leave a focal length open to 2 to 3 %.
 const OTHER_FOCAL: f64 = 0.05;

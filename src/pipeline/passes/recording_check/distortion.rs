@@ -91,6 +91,7 @@ fn adjusted(
         camera_freedom: CameraFreedom::Adjusted,
         refine_focal: true,
         refine_delays: false,
+        drift_over: None,
         refine_radial: true,
     };
     Ok(adjust(&input, config, progress)?.0)

@@ -21,10 +21,11 @@ pub(super) struct FreeAdjustment {
 }
 
 impl FreeAdjustment {
-    /// From the resections on.
+    /// From the resections on; with a drift of every camera's clock over a take of `drift_over` frames, if given.
     pub(super) fn from_resections(
         solved: &Solved,
         resections: &[Option<Lens>],
+        drift_over: Option<usize>,
         progress: &Progress,
     ) -> Result<Self, Canceled> {
         // A camera that has a name already would spoil the others.
@@ -42,6 +43,7 @@ impl FreeAdjustment {
             camera_freedom: CameraFreedom::Adjusted,
             refine_focal: true,
             refine_delays: true,
+            drift_over,
             refine_radial: false,
         };
         let block = solved.independent_frames();

@@ -187,6 +187,7 @@ fn cost(
         camera_freedom: CameraFreedom::Adjusted,
         refine_focal: focal == Focal::Free,
         refine_delays: false,
+        drift_over: None,
         refine_radial: false,
     };
     let config = AdjustmentConfig { uncertainty_block_frames: None, ..AdjustmentConfig::default() };

@@ -10,7 +10,7 @@ use crate::pipeline::config::{IntrinsicsMode, Sync};
 use crate::pipeline::focal_spread::{FoundFactors, MIN_LOG_EVIDENCE};
 use crate::pipeline::stages::bundle_adjustment::input::AdjustmentConfig;
 use crate::pipeline::stages::recording_check::parameters::{
-    Delay, WrongLenses, delays, likeliest_exchange, smaller_images, wrong_lenses,
+    Delay, WrongLenses, delays, drifts, likeliest_exchange, smaller_images, wrong_lenses,
 };
 use crate::progress::{Canceled, Progress};
 use crate::session::{Suspicion, SuspicionCode as Code};
@@ -34,7 +34,7 @@ pub(super) fn other_parameters(
     let is_fixed = options.intrinsics_of(solved.session()) == IntrinsicsMode::Fixed;
     let misplaced = if is_fixed { misplaced_lenses(solved, &resections, &step)? } else { None };
     let progress = &steps.begin("testing delays and lenses");
-    let free = FreeAdjustment::from_resections(solved, &resections, progress)?;
+    let free = FreeAdjustment::from_resections(solved, &resections, None, progress)?;
     if let Some(misplaced) = misplaced {
         // Where all lenses distort otherwise than given, some suit other cameras better.
         let of_all = other_distortions(solved, &free, progress)?.into_iter().find(|found| found.cameras.is_empty());
@@ -66,9 +66,35 @@ fn of_delay(solved: &Solved, delay: &Delay) -> Suspicion {
     let direction = if delay.frames > 0.0 { "low" } else { "high" };
     let evidence =
         format!("its frame numbers are {:.1} +- {:.1} frames too {direction}", delay.frames.abs(), delay.sigma);
+    of_clock(solved, delay.view, evidence)
+}
+
+fn of_clock(solved: &Solved, view: usize, evidence: String) -> Suspicion {
     let remedy = "let the time offsets be estimated";
     let suggested_option = Some(r#"{"sync": "estimate"}"#.to_owned());
-    Suspicion { suggested_option, ..Suspicion::new(Code::TimeOffset, solved.ids(&[delay.view]), evidence, remedy) }
+    Suspicion { suggested_option, ..Suspicion::new(Code::TimeOffset, solved.ids(&[view]), evidence, remedy) }
+}
+
+/// Cameras whose clocks run at another rate than those of most others: delays at the end of the recording against those in its middle.
+pub(super) fn drifting_clocks(solved: &Solved, progress: &Progress) -> Result<Vec<Delay>, Canceled> {
+    let take = Some(solved.session().n_frames);
+    let free = FreeAdjustment::from_resections(solved, &solved.resections(), take, progress)?;
+    let drifts = drifts(&free.adjusted);
+    tracing::debug!(?drifts, "drifts of clocks found by the check");
+    Ok(drifts)
+}
+
+/// See [`drifting_clocks`].
+pub(super) fn of_drift(solved: &Solved, &Delay { view, frames, sigma }: &Delay) -> Suspicion {
+    // Frames that are taken later and later have too few numbers.
+    let direction = if frames > 0.0 { "slow" } else { "fast" };
+    let percent = 200.0 * frames.abs() / (solved.session().n_frames as f64 - 1.0);
+    let evidence = format!(
+        "its clock is {percent:.2} % {direction}: it drifts by {:.1} +- {:.1} frames over the recording",
+        2.0 * frames.abs(),
+        2.0 * sigma
+    );
+    of_clock(solved, view, evidence)
 }
 
 /// What the focal factors of an adjustment show, which began at those of logarithms `origins`.

@@ -4,8 +4,10 @@
 //! own errors are smaller. So the largest of the likely steps are measured again against people as the other cameras alone
 //! locate them, and of the certain ones the largest counts.
 
+use super::parameters::{drifting_clocks, of_drift};
 use super::solved::Solved;
 use crate::pipeline::calibration::TrackedPeople;
+use crate::pipeline::config::Sync;
 use crate::pipeline::stages::joint_trajectories::joint_trajectories;
 use crate::pipeline::stages::recording_check::block_step::Step;
 use crate::pipeline::stages::recording_check::clock::slip;
@@ -71,16 +73,34 @@ pub(super) fn zoomed_camera(solved: &Solved, found: &mut Vec<Suspicion>, progres
     Ok(())
 }
 
+/// Cameras whose clocks drift against the others, where the one that drifts most slips gradually: dropped frames are steps.
+pub(super) fn drifting_clock(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
+    if solved.given.options.sync != Sync::Given || !is_testable(solved, found, SLIPS.min_cameras) {
+        return Ok(());
+    }
+    let people = solved.people();
+    let slopes = solved.unnamed(found).into_par_iter().filter_map(|view| Some(slip(&people, view)?.slope_sigmas));
+    if slopes.max_by(f64::total_cmp).unwrap_or(0.0) < LIKELY {
+        return Ok(());
+    }
+    let drifting = drifting_clocks(solved, progress)?;
+    let Some(most) = drifting.iter().max_by(|a, b| a.frames.abs().total_cmp(&b.frames.abs())) else { return Ok(()) };
+    if step_against_others(solved, &SLIPS, most.view, progress)?.is_some_and(|course| course.is_gradual) {
+        found.extend(drifting.iter().map(|drift| of_drift(solved, drift)));
+    }
+    Ok(())
+}
+
 /// The camera whose frames slip against the others.
 pub(super) fn slipping_clock(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
-    let test = StepTest { step: slip, likely_size: 0.0, min_size: MIN_SLIP, min_cameras: MIN_CAMERAS };
-    let Some((view, frame, step)) = largest_step(solved, found, &test, progress)? else { return Ok(()) };
+    let Some((view, frame, step)) = largest_step(solved, found, &SLIPS, progress)? else { return Ok(()) };
     let evidence = format!(
         "its frames slip against those of the others, by {:.1} frames near frame {frame} ({:.0} standard errors): frames were \
          dropped or doubled, or its frame rate differs",
         step.size, step.sigmas
     );
-    let remedy = "give every frame the number of its time, or solve the parts before and after as two sessions";
+    let remedy = "give every frame the number of its time, or solve the parts before and after as two sessions; where the frame \
+                  rate differs, let the time offsets be estimated";
     found.push(Suspicion::new(Code::DroppedFrames, solved.ids(&[view]), evidence, remedy));
     Ok(())
 }
@@ -107,6 +127,9 @@ struct StepTest {
     min_cameras: usize,
 }
 
+/// Slips of clocks.
+const SLIPS: StepTest = StepTest { step: slip, likely_size: 0.0, min_size: MIN_SLIP, min_cameras: MIN_CAMERAS };
+
 /// The camera with the largest of the certain steps, and the number of the frame; a mistake that spoils cameras has no such step
 /// besides.
 fn largest_step(
@@ -115,9 +138,7 @@ fn largest_step(
     test: &StepTest,
     progress: &Progress,
 ) -> Result<Option<(usize, i64, Step)>, Canceled> {
-    if solved.calibration.n_placed() < test.min_cameras
-        || found.iter().chain(solved.known).any(|s| s.code.affects_cameras())
-    {
+    if !is_testable(solved, found, test.min_cameras) {
         return Ok(None);
     }
     let people = solved.people();
@@ -134,6 +155,10 @@ fn largest_step(
     let certain = measured.filter(|(_, step)| step.sigmas >= CERTAIN && step.size >= test.min_size);
     let largest = certain.max_by(|a, b| a.1.size.total_cmp(&b.1.size));
     Ok(largest.map(|(view, step)| (view, solved.session().first_frame + step.frame as i64, step)))
+}
+
+fn is_testable(solved: &Solved, found: &[Suspicion], min_cameras: usize) -> bool {
+    solved.calibration.n_placed() >= min_cameras && !found.iter().chain(solved.known).any(|s| s.code.affects_cameras())
 }
 
 /// The step of a camera against people as the other cameras alone have located them: its own detections would hide most of it.

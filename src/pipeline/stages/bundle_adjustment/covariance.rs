@@ -64,11 +64,13 @@ pub(super) fn camera_uncertainties(problem: &Problem, state: &State, block_frame
         |border: &DMatrix<f64>| CameraCovariance::new(poses, border.select_rows(&rows).select_columns(&rows), &scene);
     if let Some((border, covariance)) = border.as_ref().and_then(|border| Some((border, of_cameras(border)?))) {
         for (&(view, first, _), sigma) in moving.iter().zip(covariance.pose_sigmas()) {
-            let sigma_delay = sigma_delay(border, problem.layout.delay, moving[0].1, first);
+            let [sigma_delay, sigma_drift] = [problem.layout.delay, problem.layout.drift]
+                .map(|place| sigma_of_difference(border, place, moving[0].1, first));
             let variance = |column: usize| border[(column, column)];
             let sigma_radial = problem.layout.radial.map(|place| variance(first + place).max(0.0).sqrt());
             let (sigma_position, sigma_angle) = (sigma.position, sigma.angle);
-            uncertainties[view] = Some(CameraUncertainty { sigma_position, sigma_angle, sigma_delay, sigma_radial });
+            uncertainties[view] =
+                Some(CameraUncertainty { sigma_position, sigma_angle, sigma_delay, sigma_drift, sigma_radial });
         }
     }
     let focal = problem.layout.focal.zip(border).map(|(place, border)| {
@@ -89,8 +91,8 @@ pub(super) fn camera_uncertainties(problem: &Problem, state: &State, block_frame
     Uncertainties { cameras: uncertainties, focal }
 }
 
-/// Standard deviation of the difference of two cameras' delays; `reference`, `first`: columns of their first unknowns.
-fn sigma_delay(border: &DMatrix<f64>, place: Option<usize>, reference: usize, first: usize) -> Option<f64> {
+/// Standard deviation of the difference between two cameras' unknowns at `place`; `reference`, `first`: columns of their first ones.
+fn sigma_of_difference(border: &DMatrix<f64>, place: Option<usize>, reference: usize, first: usize) -> Option<f64> {
     let (a, b) = (first + place?, reference + place?);
     Some((border[(a, a)] + border[(b, b)] - 2.0 * border[(a, b)]).max(0.0).sqrt())
 }

@@ -33,6 +33,11 @@ pub struct AdjustmentInput<'a> {
     pub refine_focal: bool,
     /// Whether each moving camera has a delay; only differences between cameras are determined.
     pub refine_delays: bool,
+    /// Length of the take, frames, over which each moving camera's delay changes linearly ([`AdjustedCamera::drift`]); `None`: delays
+    /// are constant.
+    ///
+    /// [`AdjustedCamera::drift`]: crate::pipeline::calibration::AdjustedCamera::drift
+    pub drift_over: Option<usize>,
     /// Whether the first radial coefficient of each moving camera's lens is changed.
     pub refine_radial: bool,
 }
@@ -50,7 +55,7 @@ pub struct AdjustmentConfig {
     pub relative_decrease: f64,
     /// Standard deviation of the logarithm of a focal factor; used where focal lengths are refined.
     pub focal_sigma: f64,
-    /// Standard deviation of a delay, frames; used where delays are refined.
+    /// Standard deviation of a delay, and of a drift, frames; used where these are refined.
     pub delay_sigma: f64,
     /// Standard deviation of the change of a radial coefficient; used where these are refined.
     pub radial_sigma: f64,

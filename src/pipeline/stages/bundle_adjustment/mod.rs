@@ -70,6 +70,7 @@ pub fn adjust(
             camera_from_world: solved.as_ref().map(|c| c.camera_from_world).or(*given),
             focal_factor: solved.as_ref().map_or(1.0, |c| c.log_focal.exp()),
             delay: solved.as_ref().map_or(0.0, |c| c.delay),
+            drift: solved.as_ref().map_or(0.0, |c| c.drift),
             radial: solved.as_ref().map_or(0.0, |c| c.radial),
             is_observed,
             uncertainty,

@@ -47,7 +47,7 @@ pub(super) fn formulate<'a>(
     let camera = |(view, given): (usize, &Option<Rigid>)| {
         let camera_from_world = given.filter(|_| placed[view])?;
         let intrinsics = input.intrinsics[view];
-        Some(CameraState { intrinsics, log_focal: 0.0, delay: 0.0, radial: 0.0, camera_from_world })
+        Some(CameraState { intrinsics, log_focal: 0.0, delay: 0.0, drift: 0.0, radial: 0.0, camera_from_world })
     };
     let cameras: Vec<_> = input.cameras.iter().enumerate().map(camera).collect();
     let start_of = |(keyframe, variables): (&Keyframe, &Variables)| {
@@ -134,7 +134,7 @@ impl Problem<'_> {
                 &camera.intrinsics,
                 &camera.camera_from_world,
                 &points[slot],
-                &o.pixel_without(camera.delay),
+                &o.pixel_without(camera.delay_at(variables.time)),
                 o.sigma_px,
             );
             let Some(linear) = linear else {
@@ -146,7 +146,7 @@ impl Problem<'_> {
             let by_radial = self.layout.radial.map_or_else(Vector2::zeros, |_| {
                 reprojection::by_radial(&camera.intrinsics, &camera.camera_from_world, &points[slot], o.sigma_px)
             });
-            self.add_observation(block, robust.weight, (&linear, &by_radial), observed);
+            self.add_observation(block, robust.weight, (&linear, &by_radial), variables.time, observed);
         }
         for limb in &variables.limbs {
             let (a, b) = (&points[limb.slot_a], &points[limb.slot_b]);
@@ -172,6 +172,7 @@ impl Problem<'_> {
         block: &mut Block,
         weight: f64,
         (linear, by_radial): (&Reprojection, &Vector2<f64>),
+        time: f64,
         observed: &SlotObservation,
     ) {
         let o = &observed.observation;
@@ -179,6 +180,7 @@ impl Problem<'_> {
             0..6 => [linear.by_camera[(0, k)], linear.by_camera[(1, k)]],
             _ if self.layout.focal == Some(k) => linear.by_log_focal.into(),
             _ if self.layout.radial == Some(k) => (*by_radial).into(),
+            _ if self.layout.drift == Some(k) => (o.velocity * (time / o.sigma_px)).into(),
             _ => (o.velocity / o.sigma_px).into(),
         };
         let residual = linear.residual.into();
@@ -188,7 +190,8 @@ impl Problem<'_> {
             (Some(first), 6) => block.add_spans(weight, &residual, &local, &span::<6>(first, by_unknown)),
             (Some(first), 7) => block.add_spans(weight, &residual, &local, &span::<7>(first, by_unknown)),
             (Some(first), 8) => block.add_spans(weight, &residual, &local, &span::<8>(first, by_unknown)),
-            (Some(first), _) => block.add_spans(weight, &residual, &local, &span::<9>(first, by_unknown)),
+            (Some(first), 9) => block.add_spans(weight, &residual, &local, &span::<9>(first, by_unknown)),
+            (Some(first), _) => block.add_spans(weight, &residual, &local, &span::<10>(first, by_unknown)),
         }
     }
 
@@ -230,7 +233,7 @@ impl Problem<'_> {
             let o = &observed.observation;
             let residual = state.cameras[o.view].as_ref().and_then(|camera| {
                 let point = &points[observed.slot];
-                let pixel = o.pixel_without(camera.delay);
+                let pixel = o.pixel_without(camera.delay_at(variables.time));
                 reprojection::residual(&camera.intrinsics, &camera.camera_from_world, point, &pixel, o.sigma_px)
             });
             charge(residual.map(|r| r.norm_squared()))
@@ -252,11 +255,12 @@ impl Problem<'_> {
             let focal = of(self.layout.focal, |c| c.log_focal, self.focal_sigma);
             let delay = of(self.layout.delay, |c| c.delay, self.delay_sigma);
             let radial = of(self.layout.radial, |c| c.radial, self.radial_sigma);
-            focal.into_iter().chain(delay).chain(radial)
+            let drift = of(self.layout.drift, |c| c.drift, self.delay_sigma);
+            focal.into_iter().chain(delay).chain(drift).chain(radial)
         })
     }
 
-    /// Cost of the priors, focal factors near 1, delays and changes of lenses near 0: `(value / sigma)^2 / 2` each.
+    /// Cost of the priors, focal factors near 1, delays, drifts and changes of lenses near 0: `(value / sigma)^2 / 2` each.
     fn prior_cost(&self, state: &State) -> f64 {
         self.priors(state).map(|(_, value, sigma)| 0.5 * (value / sigma).powi(2)).sum()
     }
@@ -265,8 +269,9 @@ impl Problem<'_> {
     pub(super) fn prior_information(&self) -> DMatrix<f64> {
         let mut information = DMatrix::zeros(self.layout.n_border, self.layout.n_border);
         for first in self.layout.camera_columns.iter().flatten() {
-            let Layout { focal, delay, radial, .. } = self.layout;
-            for (place, sigma) in [(focal, self.focal_sigma), (delay, self.delay_sigma), (radial, self.radial_sigma)] {
+            let Layout { focal, delay, drift, radial, .. } = self.layout;
+            let of_clock = [delay, drift].map(|place| (place, self.delay_sigma));
+            for (place, sigma) in [(focal, self.focal_sigma), (radial, self.radial_sigma)].into_iter().chain(of_clock) {
                 if let Some(place) = place {
                     information[(first + place, first + place)] = sigma.powi(-2);
                 }
@@ -293,6 +298,7 @@ impl Problem<'_> {
             let radial = camera.radial + moved_by(self.layout.radial);
             Some(CameraState {
                 delay: camera.delay + moved_by(self.layout.delay),
+                drift: camera.drift + moved_by(self.layout.drift),
                 camera_from_world: camera.camera_from_world.perturbed_left(&rho, &phi),
                 log_focal,
                 radial,

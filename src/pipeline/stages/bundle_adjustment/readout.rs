@@ -23,7 +23,8 @@ impl Problem<'_> {
                 let camera = state.cameras[o.view].as_ref()?;
                 let point = camera.camera_from_world.transform(&points[observed.slot]);
                 let predicted = camera.intrinsics.pixel_from_camera(&point);
-                let distance_px = predicted.map_or(f64::INFINITY, |p| (p - o.pixel_without(camera.delay)).norm());
+                let distance_px =
+                    predicted.map_or(f64::INFINITY, |p| (p - o.pixel_without(camera.delay_at(variables.time))).norm());
                 Some(Misfit { view: o.view, distance_px, sigmas: distance_px / o.sigma_px })
             })
         })

@@ -5,6 +5,7 @@ use super::*;
 use crate::geometry::similarity::{ScaleMode, similarity_from_points};
 use crate::geometry::{Intrinsics, Rigid, rotation};
 use crate::pipeline::calibration::CameraFreedom;
+use crate::pipeline::camera_clock::take_time;
 use crate::pipeline::keyframe::{Keyframe, Observation};
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rand::{RngExt, SeedableRng};
@@ -166,6 +167,7 @@ fn input(scene: &StickScene, cameras: Vec<Option<Rigid>>, keyframes: Vec<Keyfram
         camera_freedom: CameraFreedom::Adjusted,
         refine_focal: false,
         refine_delays: false,
+        drift_over: None,
         refine_radial: false,
     }
 }
@@ -363,6 +365,34 @@ fn finds_delays_from_moving_points() {
         // and cameras take of it.
         assert!((found - (delays[v] - delays[0])).abs() < 0.06, "view {v}: {found}");
         assert!(v == 0 || (0.005..0.04).contains(&sigma), "view {v}: {sigma}");
+    }
+}
+
+/// A camera whose delay grows from -1 to 1 frame over the take.
+#[test]
+fn finds_drifts_of_clocks_from_moving_points() {
+    let scene = scene(4, 2, 60);
+    let (delays, drifts) = ([0.5, -0.4, 0.0, 0.8], [0.0, 0.0, 1.0, -0.3]);
+    let mut rng = ChaCha8Rng::seed_from_u64(8);
+    let mut keyframes = observe(&scene, NOISE, 0.05, 8);
+    for keyframe in &mut keyframes {
+        let time = take_time(keyframe.frame, 60);
+        for o in &mut keyframe.observations {
+            o.velocity = Vector2::new(gauss(&mut rng), gauss(&mut rng)) * 8.0;
+            o.pixel += o.velocity * (delays[o.view] + drifts[o.view] * time);
+        }
+    }
+    let start = perturbed(&scene.cameras, 1.0, 0.05, 8);
+    let free = AdjustmentInput { refine_delays: true, drift_over: Some(60), ..input(&scene, start, keyframes) };
+    let (adjusted, _) = solve(&free);
+    let first = &adjusted.cameras[0];
+    for (v, camera) in adjusted.cameras.iter().enumerate() {
+        let (delay, drift) = (camera.delay - first.delay, camera.drift - first.drift);
+        assert!((delay - (delays[v] - delays[0])).abs() < 0.06, "view {v}: {delay}");
+        let sigma = camera.uncertainty.unwrap().sigma_drift.unwrap();
+        // The square root of three times a delay's: times are spread evenly from -1 to 1.
+        assert!((drift - drifts[v]).abs() < 0.1, "view {v}: {drift}");
+        assert!(v == 0 || (0.008..0.07).contains(&sigma), "view {v}: {sigma}");
     }
 }
 

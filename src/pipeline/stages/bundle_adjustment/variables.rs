@@ -4,6 +4,7 @@ use super::input::{AdjustmentInput, Bone};
 use crate::geometry::{Intrinsics, Rigid};
 use crate::optim::arrow::elimination_order;
 use crate::pipeline::calibration::CameraFreedom;
+use crate::pipeline::camera_clock::take_time;
 use crate::pipeline::keyframe::{Keyframe, Observation};
 use nalgebra::Vector3;
 use std::collections::{BTreeMap, BTreeSet};
@@ -20,6 +21,8 @@ pub(super) struct Variables {
     /// Dense index of the person.
     pub(super) person: usize,
     pub(super) frame: usize,
+    /// Place in the take, from -1 to 1, if cameras' clocks drift.
+    pub(super) time: f64,
     /// Keypoints that are unknown, in order of elimination; a slot is a position in this list.
     pub(super) keypoints: Vec<usize>,
     pub(super) observations: Vec<SlotObservation>,
@@ -63,17 +66,19 @@ pub(super) struct Limb {
     pub(super) column: usize,
 }
 
-/// Columns of the border's unknowns: `[6 to 9 per moving camera | bone lengths by person]`.
+/// Columns of the border's unknowns: `[6 to 10 per moving camera | bone lengths by person]`.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Layout {
     /// First unknown of each moving camera.
     pub(super) camera_columns: Vec<Option<usize>>,
-    /// 6 for the pose, and 1 for each of the next three that is present.
+    /// 6 for the pose, and 1 for each of the next four that is present.
     pub(super) per_camera: usize,
     /// Index of the focal factor's logarithm among a camera's unknowns; `None` where it is fixed.
     pub(super) focal: Option<usize>,
     /// Index of the delay.
     pub(super) delay: Option<usize>,
+    /// Index of the drift.
+    pub(super) drift: Option<usize>,
     /// Index of the change of the first radial coefficient.
     pub(super) radial: Option<usize>,
     /// Column of the first bone length.
@@ -90,10 +95,20 @@ pub(super) struct CameraState {
     pub(super) intrinsics: Intrinsics,
     pub(super) log_focal: f64,
     /// Frames.
+    /// In the middle of the take.
     pub(super) delay: f64,
+    /// Change of the delay from the middle to the end of the take, frames.
+    pub(super) drift: f64,
     /// Change of the lens's first radial coefficient.
     pub(super) radial: f64,
     pub(super) camera_from_world: Rigid,
+}
+
+impl CameraState {
+    /// Delay at a place in the take, from -1 to 1, frames.
+    pub(super) fn delay_at(&self, time: f64) -> f64 {
+        self.delay + self.drift * time
+    }
 }
 
 /// All unknowns.
@@ -128,7 +143,8 @@ pub(super) fn choose(input: &AdjustmentInput, placed: &mut [bool]) -> (Layout, V
         .zip(&supported)
         .map(|(keyframe, supported)| {
             let keypoints = order.iter().copied().filter(|k| supported.contains(k)).collect();
-            variables(keyframe, dense[&keyframe.person], keypoints, &bones, placed, &layout)
+            let time = input.drift_over.map_or(0.0, |n_frames| take_time(keyframe.frame, n_frames));
+            Variables { time, ..variables(keyframe, dense[&keyframe.person], keypoints, &bones, placed, &layout) }
         })
         .collect();
     (layout, variables)
@@ -189,7 +205,8 @@ fn layout(input: &AdjustmentInput, bones: &[Bone], placed: &[bool]) -> Layout {
         per_camera += usize::from(is_refined);
         is_refined.then_some(per_camera - 1)
     };
-    let [focal, delay, radial] = [input.refine_focal, input.refine_delays, input.refine_radial].map(&mut place);
+    let [focal, delay] = [input.refine_focal, input.refine_delays].map(&mut place);
+    let [drift, radial] = [input.drift_over.is_some(), input.refine_radial].map(&mut place);
     let mut first_length = 0;
     let mut column_of = |&is_placed: &bool| {
         (is_placed && input.camera_freedom == CameraFreedom::Adjusted).then(|| {
@@ -200,7 +217,18 @@ fn layout(input: &AdjustmentInput, bones: &[Bone], placed: &[bool]) -> Layout {
     let camera_columns = placed.iter().map(&mut column_of).collect();
     let persons: Vec<usize> = input.keyframes.iter().map(|i| i.person).collect::<BTreeSet<_>>().into_iter().collect();
     let n_border = first_length + persons.len() * bones.len();
-    Layout { camera_columns, per_camera, focal, delay, radial, first_length, persons, n_bones: bones.len(), n_border }
+    Layout {
+        camera_columns,
+        per_camera,
+        focal,
+        delay,
+        drift,
+        radial,
+        first_length,
+        persons,
+        n_bones: bones.len(),
+        n_border,
+    }
 }
 
 fn variables(
@@ -232,5 +260,5 @@ fn variables(
         limbs.push(Limb { slot_a, slot_b, sigma: bone.sigma, length, column: columns.len() });
         columns.push(layout.first_length + length);
     }
-    Variables { person, frame: keyframe.frame, keypoints, observations, limbs, columns }
+    Variables { person, frame: keyframe.frame, time: 0.0, keypoints, observations, limbs, columns }
 }

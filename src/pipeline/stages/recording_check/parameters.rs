@@ -1,7 +1,7 @@
 //! Delays and focal lengths that an adjustment of all cameras finds: which cameras are not as given.
 
 use crate::optim::robust::median;
-use crate::pipeline::calibration::Adjusted;
+use crate::pipeline::calibration::{Adjusted, AdjustedCamera};
 use crate::pipeline::focal_spread::{FocalSpread, FoundFactors, MIN_LOG_EVIDENCE};
 use nalgebra::DVector;
 
@@ -40,17 +40,28 @@ pub struct Delay {
 
 /// Cameras whose frames are late or early against most others.
 pub fn delays(adjusted: &Adjusted) -> Vec<Delay> {
+    against_most(adjusted, |camera| Some([camera.delay, camera.uncertainty?.sigma_delay?]))
+}
+
+/// Cameras whose frames become later, or earlier, than those of most others: the delays at the end of the take against those in its
+/// middle.
+pub fn drifts(adjusted: &Adjusted) -> Vec<Delay> {
+    against_most(adjusted, |camera| Some([camera.drift, camera.uncertainty?.sigma_drift?]))
+}
+
+/// Cameras whose value differs from most others'; `of`: it and its standard error.
+fn against_most(adjusted: &Adjusted, of: impl Fn(&AdjustedCamera) -> Option<[f64; 2]>) -> Vec<Delay> {
     let moved = adjusted.cameras.iter().enumerate().filter(|(_, camera)| camera.is_observed);
-    let moved: Vec<_> =
-        moved.filter_map(|(v, camera)| Some((v, camera.delay, camera.uncertainty?.sigma_delay?))).collect();
-    let Some(usual) = median(&mut moved.iter().map(|(_, delay, _)| *delay).collect::<Vec<_>>()) else {
+    let moved: Vec<(usize, [f64; 2])> = moved.filter_map(|(v, camera)| Some((v, of(camera)?))).collect();
+    let Some(usual) = median(&mut moved.iter().map(|(_, [value, _])| *value).collect::<Vec<_>>()) else {
         return Vec::new();
     };
     // The first camera is the reference and has no error of its own; those of the others are against it.
-    let sigma_of_first = median(&mut moved.iter().map(|m| m.2).filter(|s| *s > 0.0).collect::<Vec<_>>()).unwrap_or(1.0);
-    let delay = |&(view, delay, sigma): &(usize, f64, f64)| Delay {
+    let mut sigmas: Vec<f64> = moved.iter().map(|(_, [_, sigma])| *sigma).filter(|sigma| *sigma > 0.0).collect();
+    let sigma_of_first = median(&mut sigmas).unwrap_or(1.0);
+    let delay = |&(view, [value, sigma]): &(usize, [f64; 2])| Delay {
         view,
-        frames: delay - usual,
+        frames: value - usual,
         sigma: if sigma > 0.0 { sigma } else { sigma_of_first },
     };
     let found = moved.iter().map(delay);

@@ -153,7 +153,7 @@ fn a_knocked_camera_has_a_step() {
 #[test]
 fn a_camera_that_zooms_has_a_step() {
     let step_of = |scene: Scene| of_people(&scene, |people| zoom(people, 1).unwrap());
-    let Step { frame, size, sigmas } = step_of(with_mistake(scene(), "camera zoomed by 10 %"));
+    let Step { frame, size, sigmas, .. } = step_of(with_mistake(scene(), "camera zoomed by 10 %"));
     assert!(frame.abs_diff(75) <= 15 && (size - 1.1f64.ln()).abs() < 0.02 && sigmas > 10.0, "{frame} {size} {sigmas}");
     let still = step_of(scene());
     assert!(still.sigmas < 5.0 || still.size < 0.01, "{still:?}");
@@ -248,12 +248,18 @@ fn a_resection_finds_stretched_images() {
 }
 
 fn adjusted(delays: &[f64], log_factors: &[f64]) -> Adjusted {
-    let uncertainty =
-        CameraUncertainty { sigma_position: 0.01, sigma_angle: 0.001, sigma_delay: Some(0.05), sigma_radial: None };
+    let uncertainty = CameraUncertainty {
+        sigma_position: 0.01,
+        sigma_angle: 0.001,
+        sigma_delay: Some(0.05),
+        sigma_drift: None,
+        sigma_radial: None,
+    };
     let camera = |delay: &f64| AdjustedCamera {
         camera_from_world: None,
         focal_factor: 1.0,
         delay: *delay,
+        drift: 0.0,
         radial: 0.0,
         is_observed: true,
         uncertainty: Some(uncertainty),

@@ -1,33 +1,33 @@
-//! Retiming: shifts a recording by time offsets to what synchronous cameras would have seen.
+//! Retiming: moves a recording by its cameras' clocks to what synchronous cameras would have seen.
 
 use crate::body::human_speeds::{RUN_M_S, THROWN_HAND_M_S};
 use crate::matching::assignment::assign;
 use crate::matching::normalized::{BODY_SPAN_M, NormalizedDetection, NormalizedView, normalized_views};
 use crate::matching::tracklets::step_distance;
+use crate::pipeline::camera_clock::CameraClock;
 use crate::session::{Detection, FrameIndex, Keypoint, PersonId, Session, View};
 use nalgebra::Vector2;
 
 /// Detector noise as a share of the apparent size: three times the 1 to 2 % of OpenPose and COCO detectors.
 const NOISE: f64 = 0.05;
 
-/// Shifts every view by its offset, in frames.
+/// Moves every view by its clock.
 ///
 /// The whole part moves detections to another frame; their index in the frame is kept. The fractional part moves keypoints
 /// along a straight line towards the same person in the neighbouring frame, or if the person is not detected there away
 /// from the neighbour on the other side; without both they stay. Frames beyond the ends of the time line are dropped.
-pub fn retimed(session: &Session, offsets: &[f64]) -> Session {
+pub fn retimed(session: &Session, clocks: &[CameraClock]) -> Session {
     let rays = normalized_views(session);
-    let views = session.views.iter().zip(&rays).zip(offsets);
-    let views = views.map(|((view, rays), &offset)| retimed_view(view, rays, session.fps, offset)).collect();
+    let views = session.views.iter().zip(&rays).zip(clocks);
+    let views = views.map(|((view, rays), clock)| retimed_view(view, rays, session.fps, clock)).collect();
     let (name, start_timecode) = (session.name.clone(), session.start_timecode.clone());
     Session { name, start_timecode, dense: session.dense.clone(), views, ..*session }
 }
 
-fn retimed_view(view: &View, rays: &NormalizedView, fps: f64, offset: f64) -> View {
-    let whole = offset.round();
-    let moved = moved_by(view, rays, fps, offset - whole);
+fn retimed_view(view: &View, rays: &NormalizedView, fps: f64, clock: &CameraClock) -> View {
+    let moved = moved_by(view, rays, fps, clock);
     let n_frames = view.frames.len();
-    let target = |frame: usize| shifted(frame, whole, n_frames);
+    let target = |frame: usize| clock.common_frame(frame, n_frames);
     let mut frames = vec![Vec::new(); n_frames];
     for (frame, people) in moved.into_iter().enumerate() {
         if let Some(target) = target(frame) {
@@ -38,19 +38,16 @@ fn retimed_view(view: &View, rays: &NormalizedView, fps: f64, offset: f64) -> Vi
     View { id: view.id.clone(), time_offset: 0.0, frames, delivered, ..*view }
 }
 
-/// Index on the common time line of a camera's frame, to the nearest frame; `None` beyond its ends.
-fn shifted(frame: usize, whole: f64, n_frames: usize) -> Option<usize> {
-    let target = frame as f64 + whole;
-    (0.0..n_frames as f64).contains(&target).then_some(target as usize)
-}
-
-/// Detections of a camera whose frames are `rest` frames late (at most half a frame), moved to their frame numbers.
-fn moved_by(view: &View, rays: &NormalizedView, fps: f64, rest: f64) -> Vec<Vec<Detection>> {
+/// Detections of a camera, moved by the fraction of a frame (at most half) that its clock leaves.
+fn moved_by(view: &View, rays: &NormalizedView, fps: f64, clock: &CameraClock) -> Vec<Vec<Detection>> {
     let mut frames = view.frames.clone();
-    if rest == 0.0 {
-        return frames;
-    }
+    let n_frames = frames.len();
     for (frame, people) in frames.iter_mut().enumerate() {
+        let offset = clock.offset_at(frame, n_frames);
+        let rest = offset - offset.round();
+        if rest == 0.0 {
+            continue;
+        }
         let now = &rays.frames[frame];
         let (before, after) = (frame.checked_sub(1), Some(frame + 1).filter(|next| *next < view.frames.len()));
         let (near, far) = if rest > 0.0 { (before, after) } else { (after, before) };
@@ -91,15 +88,14 @@ fn step_to(point: &Keypoint, other: &Keypoint, reach: f64) -> Option<Vector2<f64
     (point.is_present() && other.is_present() && step.norm() <= reach).then_some(step)
 }
 
-/// The frame number of the camera at `frame` of the common time line.
-pub fn recorded_frame(frame: usize, offset: f64, n_frames: usize) -> Option<usize> {
-    shifted(frame, -offset.round(), n_frames)
-}
-
 /// Moves the persons of a synchronous recording's detections (`[frame][detection]`) to the camera's frame numbers.
-pub fn as_recorded(view: &View, synchronous: Vec<Vec<Option<PersonId>>>, offset: f64) -> Vec<Vec<Option<PersonId>>> {
+pub fn as_recorded(
+    view: &View,
+    synchronous: Vec<Vec<Option<PersonId>>>,
+    clock: &CameraClock,
+) -> Vec<Vec<Option<PersonId>>> {
     let of_frame = |(frame, people): (usize, &Vec<Detection>)| {
-        let found = shifted(frame, offset.round(), synchronous.len()).map(|target| synchronous[target].clone());
+        let found = clock.common_frame(frame, synchronous.len()).map(|target| synchronous[target].clone());
         // Detections beyond the time line have no person.
         found.filter(|found| found.len() == people.len()).unwrap_or_else(|| vec![None; people.len()])
     };
@@ -126,9 +122,9 @@ mod tests {
     #[test]
     fn retimed_recording_matches_synchronous_cameras() {
         let (synchronous, offsets) = (recorded(&[]), [3.0, -2.6]);
-        let moved = retimed(&recorded(&offsets), &offsets);
+        let moved = retimed(&recorded(&offsets), &offsets.map(CameraClock::shifted));
         let (mut n, mut worst, mut worst_unmoved) = (0, 0.0_f64, 0.0_f64);
-        let late = retimed(&recorded(&offsets), &[3.0, -3.0]);
+        let late = retimed(&recorded(&offsets), &[3.0, -3.0].map(CameraClock::shifted));
         for frame in 8..50 {
             for (view, (a, b)) in synchronous.views.iter().zip(&moved.views).enumerate() {
                 for person in &a.frames[frame] {
@@ -152,10 +148,11 @@ mod tests {
     #[test]
     fn identities_return_to_the_recorded_frames() {
         let session = recorded(&[4.0]);
-        let moved = retimed(&session, &[4.0, 0.0]);
+        let clocks = [4.0, 0.0].map(CameraClock::shifted);
+        let moved = retimed(&session, &clocks);
         let numbered = |people: &Vec<Detection>| (0..people.len()).map(|i| Some(PersonId(i))).collect::<Vec<_>>();
         let synchronous: Vec<_> = moved.views[0].frames.iter().map(numbered).collect();
-        let recorded = as_recorded(&session.views[0], synchronous, 4.0);
+        let recorded = as_recorded(&session.views[0], synchronous, &clocks[0]);
         for (frame, people) in session.views[0].frames.iter().enumerate() {
             let is_lost = frame + 4 >= session.n_frames;
             let expected = if is_lost { vec![None; people.len()] } else { numbered(people) };
