@@ -1,6 +1,7 @@
 //! Time offsets of the cameras: given by the session, or estimated from the motion of people (`options.sync`).
 //!
-//! Frame `n` of a camera is taken at `n + offset` frames on the common time line ([`CameraClock`] with drifts). The estimate runs in this order:
+//! Frame `n` of a camera is taken at `n + offset` frames on the common time line; where clocks drift, offsets change linearly over
+//! the take ([`CameraClock`]). The estimate runs in this order:
 //!
 //! - `whole_frames`: offsets to whole frames, per pair of cameras the one with the best agreement on a relative pose,
 //!   reconciled over all pairs

@@ -11,8 +11,7 @@ pub struct FocalFactor {
     pub sigma: f64,
 }
 
-/// Time offset of a camera: frame number `n` was taken at `n / fps + secs`, and that much later again for which its clock is slow
-/// ([`ClockDrift`]).
+/// Time offset of a camera: frame number `n` was taken at `n / fps + secs`; with a drift that holds in the middle of the recording.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TimeOffset {
     /// Offset, s; the reference camera keeps its given offset, usually 0.
