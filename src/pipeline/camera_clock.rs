@@ -15,6 +15,17 @@ pub fn take_time(frame: usize, n_frames: usize) -> f64 {
     2.0 * frame as f64 / n_frames.saturating_sub(1).max(1) as f64 - 1.0
 }
 
+/// By how much a camera's frames last longer than those of the common time line, as a share, if its clock drifts by `drift` frames to
+/// either end of the take.
+pub fn rate_of_drift(drift: f64, n_frames: usize) -> f64 {
+    2.0 * drift / (n_frames as f64 - 1.0)
+}
+
+/// The inverse of [`rate_of_drift`].
+pub fn drift_of_rate(rate: f64, n_frames: usize) -> f64 {
+    0.5 * rate * (n_frames as f64 - 1.0)
+}
+
 impl CameraClock {
     /// A clock at the right rate.
     pub fn shifted(offset: f64) -> Self {
@@ -37,9 +48,9 @@ impl CameraClock {
 
     /// The camera's frame at a frame of the common time line, see [`Self::common_frame`].
     pub fn recorded_frame(&self, common: usize, n_frames: usize) -> Option<usize> {
-        // The offset changes by a frame at most within as many frames as it has itself.
         let near = common as f64 - self.offset_at(common, n_frames).round();
-        let reach = self.drift.abs().ceil() + 1.0;
+        // Offsets within the take differ by twice the drift at most.
+        let reach = (2.0 * self.drift.abs()).ceil() + 1.0;
         let frames = (near - reach).max(0.0) as usize..(near + reach + 1.0).clamp(0.0, n_frames as f64) as usize;
         frames.into_iter().find(|&frame| self.common_frame(frame, n_frames) == Some(common))
     }

@@ -12,7 +12,7 @@
 
 mod clock_rounds;
 
-use crate::pipeline::camera_clock::CameraClock;
+use crate::pipeline::camera_clock::{CameraClock, drift_of_rate};
 use crate::pipeline::capture::Capture;
 use crate::pipeline::config::Options;
 use crate::pipeline::passes::cameras::FinalAdjustment;
@@ -132,7 +132,7 @@ impl Timing {
     fn clocks(&self, session: &Session) -> Vec<CameraClock> {
         let clock = |offset: &TimeOffset| {
             let rate = offset.drift.map_or(0.0, |drift| drift.rate);
-            CameraClock { offset: offset.secs * session.fps, drift: 0.5 * rate * (session.n_frames as f64 - 1.0) }
+            CameraClock { offset: offset.secs * session.fps, drift: drift_of_rate(rate, session.n_frames) }
         };
         self.offsets.iter().map(clock).collect()
     }

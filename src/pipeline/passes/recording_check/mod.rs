@@ -36,8 +36,7 @@ pub fn checked(solved: &Solved, progress: &Progress) -> Result<Vec<Suspicion>, C
         }
     }
     let step = weighted.begin("testing clocks of cameras");
-    steps::drifting_clock(solved, &mut found, &step)?;
-    steps::slipping_clock(solved, &mut found, &step)?;
+    steps::other_clocks(solved, &mut found, &step)?;
     let step = weighted.begin("testing delays and lenses");
     if found.is_empty() {
         parameters::other_parameters(solved, &mut found, &step)?;

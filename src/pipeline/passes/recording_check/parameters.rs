@@ -6,6 +6,7 @@ use super::lenses::{EXCHANGE, lies_within, misplaced_lenses};
 use super::solved::Solved;
 use crate::optim::robust::median;
 use crate::pipeline::calibration::Adjusted;
+use crate::pipeline::camera_clock::rate_of_drift;
 use crate::pipeline::config::{IntrinsicsMode, Sync};
 use crate::pipeline::focal_spread::{FoundFactors, MIN_LOG_EVIDENCE};
 use crate::pipeline::stages::bundle_adjustment::input::AdjustmentConfig;
@@ -88,7 +89,7 @@ pub(super) fn drifting_clocks(solved: &Solved, progress: &Progress) -> Result<Ve
 pub(super) fn of_drift(solved: &Solved, &Delay { view, frames, sigma }: &Delay) -> Suspicion {
     // Frames that are taken later and later have too few numbers.
     let direction = if frames > 0.0 { "slow" } else { "fast" };
-    let percent = 200.0 * frames.abs() / (solved.session().n_frames as f64 - 1.0);
+    let percent = 100.0 * rate_of_drift(frames.abs(), solved.session().n_frames);
     let evidence = format!(
         "its clock is {percent:.2} % {direction}: it drifts by {:.1} +- {:.1} frames over the recording",
         2.0 * frames.abs(),

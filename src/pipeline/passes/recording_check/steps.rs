@@ -47,7 +47,9 @@ const MIN_CAMERAS_OF_ZOOM: usize = 3;
 pub(super) fn moved_camera(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
     let min_turn = if n_people(&solved.people()) < FEW { MIN_TURN_OF_FEW } else { MIN_TURN };
     let test = StepTest { step: turn, likely_size: 0.0, min_size: min_turn, min_cameras: MIN_CAMERAS };
-    let Some((view, frame, step)) = largest_step(solved, found, &test, progress)? else { return Ok(()) };
+    let Some((view, frame, step)) = largest_step(solved, steps_of(solved, found, &test), &test, progress)? else {
+        return Ok(());
+    };
     let evidence = format!(
         "it moved during the recording: it turns by {:.2} degrees near frame {frame} ({:.0} standard errors)",
         step.size.to_degrees(),
@@ -62,7 +64,9 @@ pub(super) fn moved_camera(solved: &Solved, found: &mut Vec<Suspicion>, progress
 pub(super) fn zoomed_camera(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
     let test =
         StepTest { step: zoom, likely_size: LIKELY_ZOOM_SIZE, min_size: MIN_ZOOM, min_cameras: MIN_CAMERAS_OF_ZOOM };
-    let Some((view, frame, step)) = largest_step(solved, found, &test, progress)? else { return Ok(()) };
+    let Some((view, frame, step)) = largest_step(solved, steps_of(solved, found, &test), &test, progress)? else {
+        return Ok(());
+    };
     let evidence = format!(
         "it zoomed during the recording: its focal length changes by {:.0} % near frame {frame} ({:.0} standard errors)",
         100.0 * step.size.exp_m1(),
@@ -73,27 +77,40 @@ pub(super) fn zoomed_camera(solved: &Solved, found: &mut Vec<Suspicion>, progres
     Ok(())
 }
 
-/// Cameras whose clocks drift against the others, where the one that drifts most slips gradually: dropped frames are steps.
-pub(super) fn drifting_clock(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
-    if solved.given.options.sync != Sync::Given || !is_testable(solved, found, SLIPS.min_cameras) {
-        return Ok(());
-    }
-    let people = solved.people();
-    let slopes = solved.unnamed(found).into_par_iter().filter_map(|view| Some(slip(&people, view)?.slope_sigmas));
-    if slopes.max_by(f64::total_cmp).unwrap_or(0.0) < LIKELY {
-        return Ok(());
-    }
-    let drifting = drifting_clocks(solved, progress)?;
-    let Some(most) = drifting.iter().max_by(|a, b| a.frames.abs().total_cmp(&b.frames.abs())) else { return Ok(()) };
-    if step_against_others(solved, &SLIPS, most.view, progress)?.is_some_and(|course| course.is_gradual) {
-        found.extend(drifting.iter().map(|drift| of_drift(solved, drift)));
-    }
+/// Cameras whose clocks drift, or the one whose frames slip against the others.
+pub(super) fn other_clocks(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
+    let slips = steps_of(solved, found, &SLIPS);
+    let drifting = clocks_that_drift(solved, &slips, progress)?;
+    found.extend(match drifting.is_empty() {
+        true => slipping_clock(solved, slips, progress)?.into_iter().collect(),
+        false => drifting,
+    });
     Ok(())
 }
 
-/// The camera whose frames slip against the others.
-pub(super) fn slipping_clock(solved: &Solved, found: &mut Vec<Suspicion>, progress: &Progress) -> Result<(), Canceled> {
-    let Some((view, frame, step)) = largest_step(solved, found, &SLIPS, progress)? else { return Ok(()) };
+/// Cameras whose clocks drift against the others, where the one that drifts most slips gradually: dropped frames are steps.
+fn clocks_that_drift(
+    solved: &Solved,
+    slips: &[(usize, Step)],
+    progress: &Progress,
+) -> Result<Vec<Suspicion>, Canceled> {
+    let is_likely = slips.iter().any(|(_, slip)| slip.slope_sigmas >= LIKELY);
+    if solved.given.options.sync != Sync::Given || !is_likely {
+        return Ok(Vec::new());
+    }
+    let drifting = drifting_clocks(solved, progress)?;
+    let most = drifting.iter().max_by(|a, b| a.frames.abs().total_cmp(&b.frames.abs()));
+    let course = most.map(|most| step_against_others(solved, &SLIPS, most.view, progress)).transpose()?.flatten();
+    let is_gradual = course.is_some_and(|course| course.is_gradual);
+    Ok(drifting.iter().filter(|_| is_gradual).map(|drift| of_drift(solved, drift)).collect())
+}
+
+fn slipping_clock(
+    solved: &Solved,
+    slips: Vec<(usize, Step)>,
+    progress: &Progress,
+) -> Result<Option<Suspicion>, Canceled> {
+    let Some((view, frame, step)) = largest_step(solved, slips, &SLIPS, progress)? else { return Ok(None) };
     let evidence = format!(
         "its frames slip against those of the others, by {:.1} frames near frame {frame} ({:.0} standard errors): frames were \
          dropped or doubled, or its frame rate differs",
@@ -101,8 +118,7 @@ pub(super) fn slipping_clock(solved: &Solved, found: &mut Vec<Suspicion>, progre
     );
     let remedy = "give every frame the number of its time, or solve the parts before and after as two sessions; where the frame \
                   rate differs, let the time offsets be estimated";
-    found.push(Suspicion::new(Code::DroppedFrames, solved.ids(&[view]), evidence, remedy));
-    Ok(())
+    Ok(Some(Suspicion::new(Code::DroppedFrames, solved.ids(&[view]), evidence, remedy)))
 }
 
 /// People at a time, averaged over the frames with any.
@@ -130,21 +146,26 @@ struct StepTest {
 /// Slips of clocks.
 const SLIPS: StepTest = StepTest { step: slip, likely_size: 0.0, min_size: MIN_SLIP, min_cameras: MIN_CAMERAS };
 
-/// The camera with the largest of the certain steps, and the number of the frame; a mistake that spoils cameras has no such step
-/// besides.
-fn largest_step(
-    solved: &Solved,
-    found: &[Suspicion],
-    test: &StepTest,
-    progress: &Progress,
-) -> Result<Option<(usize, i64, Step)>, Canceled> {
-    if !is_testable(solved, found, test.min_cameras) {
-        return Ok(None);
+/// Steps of the cameras that no suspicion names so far; none with too few cameras, and beside a mistake that spoils cameras.
+fn steps_of(solved: &Solved, found: &[Suspicion], test: &StepTest) -> Vec<(usize, Step)> {
+    let spoils_cameras = |suspicion: &Suspicion| suspicion.code.affects_cameras();
+    if solved.calibration.n_placed() < test.min_cameras || found.iter().chain(solved.known).any(spoils_cameras) {
+        return Vec::new();
     }
     let people = solved.people();
     let steps = solved.unnamed(found).into_par_iter().filter_map(|view| Some((view, (test.step)(&people, view)?)));
-    let mut steps: Vec<_> = steps.collect();
+    let steps = steps.collect();
     tracing::debug!(?steps, "steps of cameras");
+    steps
+}
+
+/// The camera with the largest of the certain steps, and the number of the frame.
+fn largest_step(
+    solved: &Solved,
+    mut steps: Vec<(usize, Step)>,
+    test: &StepTest,
+    progress: &Progress,
+) -> Result<Option<(usize, i64, Step)>, Canceled> {
     steps.retain(|(_, step)| step.sigmas >= LIKELY && step.size >= test.likely_size);
     steps.sort_by(|a, b| b.1.size.total_cmp(&a.1.size));
     steps.truncate(N_LIKELY);
@@ -155,10 +176,6 @@ fn largest_step(
     let certain = measured.filter(|(_, step)| step.sigmas >= CERTAIN && step.size >= test.min_size);
     let largest = certain.max_by(|a, b| a.1.size.total_cmp(&b.1.size));
     Ok(largest.map(|(view, step)| (view, solved.session().first_frame + step.frame as i64, step)))
-}
-
-fn is_testable(solved: &Solved, found: &[Suspicion], min_cameras: usize) -> bool {
-    solved.calibration.n_placed() >= min_cameras && !found.iter().chain(solved.known).any(|s| s.code.affects_cameras())
 }
 
 /// The step of a camera against people as the other cameras alone have located them: its own detections would hide most of it.

@@ -2,7 +2,7 @@
 
 use crate::geometry::Rigid;
 use crate::pipeline::calibration::{AdjustedCamera, Calibration};
-use crate::pipeline::camera_clock::CameraClock;
+use crate::pipeline::camera_clock::{CameraClock, rate_of_drift};
 use crate::pipeline::capture::Capture;
 use crate::pipeline::config::{IntrinsicsMode, Options};
 use crate::pipeline::focal_lengths::FocalLengths;
@@ -124,7 +124,7 @@ impl<'a> Rounds<'a> {
 
     pub(super) fn time_offsets(&self) -> Vec<TimeOffset> {
         let Session { fps, n_frames, .. } = *self.session;
-        let rate = |drift: f64| 2.0 * drift / (n_frames as f64 - 1.0);
+        let rate = |drift: f64| rate_of_drift(drift, n_frames);
         let of_view = |(clock, delay): (&CameraClock, &Option<Delay>)| TimeOffset {
             secs: clock.offset / fps,
             sigma_secs: delay.and_then(|delay| delay.sigma).map(|sigma| sigma / fps),
