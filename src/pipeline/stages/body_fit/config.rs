@@ -152,7 +152,8 @@ impl Default for BodyFitConfig {
             // Six seconds of walking or talking turn every limb; offsets are shared, so that more people need less of each.
             bias_frames: [180, 360],
             max_iterations: 8,
-            min_decrease: 2e-3,
+            // Joints come within 0.5 % of where steps end that lower the cost by 0.2 %; at 1 % up to 1.5 % farther from the truth.
+            min_decrease: 5e-3,
         }
     }
 }

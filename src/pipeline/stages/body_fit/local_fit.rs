@@ -4,7 +4,7 @@
 //! seam.
 
 use super::context::FitContext;
-use super::minimisation::{Budget, minimised};
+use super::minimisation::{Budget, DAMPING_FROM_FIT, minimised};
 use super::objective::Objective;
 use super::observations::Observations;
 use super::pixel_residuals::DetectedPixels;
@@ -92,7 +92,8 @@ fn fitted_run(
         ..Objective::new(context, context.config, observations, pixels.source(), Shape::Held)
     };
     let problem = Objective { collisions: Some(collisions), ..alone }.problem();
-    let budget = Budget { max_iterations: steps, min_decrease: context.config.min_decrease };
+    let min_decrease = context.config.min_decrease;
+    let budget = Budget { max_iterations: steps, min_decrease, damping: DAMPING_FROM_FIT };
     let moved = minimised(context, &problem, start.clone(), budget, system)?.state;
     let others = alone.problem();
     let increase = others.cost(&moved) - others.cost(before);
