@@ -12,7 +12,7 @@ use super::observations::{Observations, PosedCamera};
 use super::person_fit::StartedMotion;
 use super::terms::border_priors::{BoneLengthPrior, KeypointBiasPrior};
 use super::terms::noise_process::PathNoise;
-use super::thinned_motion::carry_along;
+use super::thinned_motion::{carry_along, rough_stride};
 use crate::body::detector_offsets::OffsetTable;
 use crate::geometry::Rigid;
 use crate::geometry::free_network::CameraCovariance;
@@ -91,6 +91,10 @@ pub(super) fn correlated_errors(
         };
         let mut adjusted: Vec<Member> = started.iter().flatten().map(spread).collect();
         let thinned = FitContext { frame_interval: stride as f64 * context.frame_interval, ..*context };
+        if !stride.is_multiple_of(rough_stride(context.frame_interval)) {
+            // Frames between those of the first fits do not show the detector's errors before they have settled.
+            settle(&thinned, &mut adjusted)?;
+        }
         (covariance, focal) = adjust(&thinned, &mut adjusted)?;
         cameras = adjusted.first().map(|member| member.observations.cameras.clone());
         for ((observations, started), member) in started.iter_mut().flatten().zip(&adjusted) {
@@ -101,7 +105,7 @@ pub(super) fn correlated_errors(
         let with_bones = |(member, adjusted): (Member, Member)| Member { bones: adjusted.bones, ..member };
         let mut members: Vec<Member> = seen_most(started).into_iter().zip(adjusted).map(with_bones).collect();
         if stride > 1 {
-            // Frames between adjusted ones do not show the detector's errors before they have settled.
+            // The same holds for frames between adjusted ones.
             settle(context, &mut members)?;
         }
         measured = Some(measured_noise(context, &members));
@@ -159,7 +163,7 @@ fn adjust(context: &FitContext, members: &mut [Member]) -> Result<Refined, Cance
 }
 
 /// One step of the motions alone.
-fn settle(context: &FitContext, members: &mut [Member]) -> Result<(), Canceled> {
+pub(super) fn settle(context: &FitContext, members: &mut [Member]) -> Result<(), Canceled> {
     let table = OffsetTable::empty(context.model);
     let noise = measured_noise(context, members);
     let once = Stopping { max_iterations: 1, ..STOPPING };

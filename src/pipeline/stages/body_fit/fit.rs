@@ -67,7 +67,7 @@ pub fn fit_bodies(
     let context =
         FitContext { model, config, first_config: &first_config, frame_interval, up, progress, noise, systems };
     let mut started = started_people(input, &up, &context)?;
-    let stated = weigh_stated_covariances(&context, &mut started);
+    let stated = weigh_stated_covariances(&context, &mut started)?;
     progress.report(0.5, "estimating the keypoint bias of the detector");
 
     let people: Vec<&(Observations, StartedMotion)> = started.iter().flatten().collect();

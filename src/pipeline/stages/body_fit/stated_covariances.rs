@@ -10,6 +10,7 @@
 //! off by a common factor change nothing. The exponents a of sizes, b of shapes, and `c <= a` of what the confidence no longer has
 //! to say, are those from 0 to 1 under which the innovations of the first fit are likeliest. All at 0: covariances are ignored.
 
+use super::camera_adjustment::settle;
 use super::context::FitContext;
 use super::joint_problem::Member;
 use super::noise_measurement::{measured_noise, positions};
@@ -18,6 +19,7 @@ use super::person_fit::StartedMotion;
 use super::terms::noise_process::PathNoise;
 use super::terms::whitened_pixels::WhitenedPixels;
 use crate::optim::robust::median;
+use crate::progress::Canceled;
 
 /// How far the stated covariances count, 0 (not at all) to 1.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -67,24 +69,26 @@ const MIN_EXPONENT: f64 = 0.05;
 pub(super) fn weigh_stated_covariances(
     context: &FitContext,
     started: &mut [Option<(Observations, StartedMotion)>],
-) -> Option<StatedCovariances> {
+) -> Result<Option<StatedCovariances>, Canceled> {
     let n_cameras = started.iter().flatten().next().map_or(0, |(observations, _)| observations.cameras.len());
     let pixels = || started.iter().flatten().flat_map(|(observations, _)| observations.pixels.iter().flatten());
     if n_cameras < 2 || !pixels().any(|pixel| pixel.error.stated().is_some()) {
-        return None;
+        return Ok(None);
     }
     let means = means(context.model.landmarks.len(), pixels());
     let n_frames = (MAX_FRAMES / started.iter().flatten().count()).max(MIN_FRAMES);
     let member = |(observations, fit): &(Observations, StartedMotion)| {
         Member::of(observations, fit, observations.most_seen(fit.window.clone(), n_frames), 1)
     };
-    let members: Vec<Member> = started.iter().flatten().map(member).collect();
+    let mut members: Vec<Member> = started.iter().flatten().map(member).collect();
+    // The first fits took every few frames.
+    settle(context, &mut members)?;
     let exponents = likeliest_exponents(|exponents| likelihood(context, &weighed(&members, &exponents, &means)).0);
     let noise = likelihood(context, &weighed(&members, &exponents, &means)).1;
     for (observations, _) in started.iter_mut().flatten() {
         apply(observations, &exponents, &means);
     }
-    Some(StatedCovariances { exponents, scale: scale(&noise, &means) })
+    Ok(Some(StatedCovariances { exponents, scale: scale(&noise, &means) }))
 }
 
 /// One exponent after the other, in rounds.
