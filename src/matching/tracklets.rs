@@ -137,18 +137,20 @@ fn lone_matches(
     config: &TrackletConfig,
 ) -> Vec<(usize, usize)> {
     let people = &view.frames[frame];
-    let is_outside = |t: usize, p: usize| {
-        gate_costs[t].iter().all(|c| *c >= 1.0) && gate_costs.iter().all(|of_track| of_track[p] >= 1.0)
-    };
-    if !(0..open.len()).any(|t| (0..people.len()).any(|p| is_outside(t, p))) {
+    let is_lost: Vec<bool> = gate_costs.iter().map(|row| row.iter().all(|c| *c >= 1.0)).collect();
+    let is_new: Vec<bool> = (0..people.len()).map(|p| gate_costs.iter().all(|row| row[p] >= 1.0)).collect();
+    if !is_lost.contains(&true) || !is_new.contains(&true) {
         return Vec::new();
     }
-    let distances_of = |tracklet: &Tracklet| {
+    let distances_of = |(t, tracklet): (usize, &Tracklet)| {
         let expected = expected(view, tracklet, frame, config.min_shared);
-        let distance = |person| step_distance(&expected, person, config.min_shared).unwrap_or(f64::INFINITY);
-        people.iter().map(distance).collect()
+        // Other pairs are neither outside every gate nor rivals of those that are.
+        let asked = |p: usize| (is_lost[t] || is_new[p]).then(|| &people[p]);
+        let distance = |p| step_distance(&expected, asked(p)?, config.min_shared);
+        (0..people.len()).map(|p| distance(p).unwrap_or(f64::INFINITY)).collect()
     };
-    let distances: Vec<Vec<f64>> = open.iter().map(distances_of).collect();
+    let distances: Vec<Vec<f64>> = open.iter().enumerate().map(distances_of).collect();
+    let is_outside = |t: usize, p: usize| is_lost[t] && is_new[p];
     lone_pairs(&distances, config.lone_reach, config.uniqueness, is_outside)
 }
 
@@ -182,6 +184,9 @@ fn gate_cost(a: &NormalizedDetection, b: &NormalizedDetection, min_shared: usize
     for k in shared_keypoints(a, b) {
         n_shared += 1;
         n_near += usize::from((a.normalized[k] - b.normalized[k]).norm_squared() < far * far);
+        if n_shared - n_near > a.normalized.len() / 2 {
+            return FAR;
+        }
     }
     if n_near <= n_shared / 2 { FAR } else { step_distance(a, b, min_shared).map_or(FAR, |d| (d / gate).min(FAR)) }
 }
