@@ -102,7 +102,7 @@ def fill(old, receiver):
     for client, job in [(studio, repeated), (studio, corrected), (studio, orphan), (other, theirs)]:
         require(client.wait(job)["state"] == "succeeded", "a job does not succeed")
     studio.delete_session(gone)
-    long = studio.upload(take(400, 4))["id"]
+    long = studio.upload(take(4000, 4))["id"]
     # The first one runs until the service stops, and both wait then.
     running = studio.submit(long, {"extrinsics": "fixed", "exports": []})["id"]
     require(until(lambda: studio.job(running)["state"] == "running", 30), "the long job does not start")

@@ -46,7 +46,7 @@ def two_api_nodes(options):
         status, _ = probe(workers[0], "/v1/jobs")
         require(status == 404 and probe(workers[0], "/readyz")[0] == 200, "a worker serves the probes only")
         seen, cancels = [], []
-        long = api[0].upload(take(400, 4))["id"]  # still being solved when it is canceled, on any machine
+        long = api[0].upload(take(2000, 4))["id"]  # still being solved when it is canceled, on any machine
         for n in range(options.changes):
             job = api[0].submit(long, FIXED)["id"]
             api[1].job(job)
