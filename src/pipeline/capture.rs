@@ -19,18 +19,21 @@ pub struct Capture<'a> {
     pub views: Vec<NormalizedView>,
     /// Limb bones with reference lengths.
     pub bones: Vec<LimbBone>,
+    /// For every keypoint its left or right counterpart, itself on the midline.
+    pub mirror: Vec<usize>,
 }
 
 impl<'a> Capture<'a> {
     /// Prepares a session.
     pub fn new(session: &'a Session, options: &'a Options) -> Self {
-        Self { session, options, views: normalized_views(session), bones: limb_bones(session.convention) }
+        let (bones, mirror) = (limb_bones(session.convention), session.convention.mirror());
+        Self { session, options, views: normalized_views(session), bones, mirror }
     }
 
     /// The tracker's input under these cameras (`camera_from_world` per view).
     pub fn scene<'b>(&'b self, cameras: &'b [Option<Rigid>]) -> TrackerScene<'b> {
         let (fps, n_frames) = (self.session.fps, self.session.n_frames);
-        TrackerScene { views: &self.views, cameras, bones: &self.bones, fps, n_frames }
+        TrackerScene { views: &self.views, cameras, bones: &self.bones, mirror: &self.mirror, fps, n_frames }
     }
 
     /// People followed within each view.

@@ -46,13 +46,13 @@ fn duplicate_distance(one: &TrackedPerson, other: &TrackedPerson) -> Option<f64>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::matching::tracker::scene::EMPTY_SCENE;
+    use crate::matching::tracker::scene::{EMPTY_SCENE, Shown};
     use nalgebra::Vector3;
 
     /// A person about `x` in some frames, seen by some of four views.
     fn person(frames: std::ops::Range<usize>, x: f64, views: &[usize]) -> TrackedPerson {
         let skeleton = || (0..6).map(|k| Some(Vector3::new(x, 0.2 * f64::from(k), 0.0))).collect();
-        let assignment = || (0..4).map(|v| views.contains(&v).then_some(0)).collect();
+        let assignment = || (0..4).map(|v| views.contains(&v).then(|| Shown::as_detected(0))).collect();
         let mut frames = frames.map(|frame| TrackedPerson::new(frame, assignment(), skeleton()));
         let mut whole = frames.next().unwrap();
         frames.for_each(|later| whole.append(later));

@@ -3,8 +3,10 @@
 
 use super::monocular::flat_figure;
 use super::person::TrackedPerson;
-use super::scene::{Assignment, TrackerConfig, TrackerScene};
-use super::skeleton::{SAME_PERSON_M, Skeleton, distance, distance_to_detection, is_human, triangulated};
+use super::scene::{Assignment, Seen, Shown, TrackerConfig, TrackerScene};
+use super::skeleton::{
+    SAME_PERSON_M, Skeleton, distance_to_detection, distance_to_either_side, is_human, triangulated,
+};
 use crate::matching::normalized::{BODY_SPAN_M, NormalizedDetection};
 use crate::matching::pair_score::similarity;
 use nalgebra::Matrix3;
@@ -41,8 +43,8 @@ fn from_single_view(
     order.sort_by_key(|d| (std::cmp::Reverse(detection(*d).n_points()), *d));
     order.into_iter().find_map(|d| {
         let skeleton = flat_figure(scene, detection(d), None)?;
-        let is_new = !is_known(&skeleton, people, frame);
-        is_new.then(|| TrackedPerson::new(frame, vec![Some(d)], skeleton))
+        let is_new = !is_known(scene, &skeleton, people, frame);
+        is_new.then(|| TrackedPerson::new(frame, vec![Some(Shown::as_detected(d))], skeleton))
     })
 }
 
@@ -59,7 +61,7 @@ fn from_agreeing_views(
     for (_, pair) in pairs {
         let assignment = extended(scene, config, frame, free, pair);
         let skeleton = triangulated(scene, &scene.detections_of(frame, &assignment));
-        if is_human(scene, &skeleton) && !is_known(&skeleton, people, frame) {
+        if is_human(scene, &skeleton) && !is_known(scene, &skeleton, people, frame) {
             return Some(TrackedPerson::new(frame, assignment, skeleton));
         }
     }
@@ -81,7 +83,7 @@ fn agreeing_pairs(
                 let (s, t) = (&scene.views[v].frames[frame][a], &scene.views[w].frames[frame][b]);
                 if let Some(agreement) = agreement(config, &essential, s, t) {
                     let mut assignment = vec![None; scene.views.len()];
-                    (assignment[v], assignment[w]) = (Some(a), Some(b));
+                    (assignment[v], assignment[w]) = (Some(Shown::as_detected(a)), Some(Shown::as_detected(b)));
                     pairs.push((agreement, assignment));
                 }
             }
@@ -114,15 +116,17 @@ fn extended(
     let skeleton = triangulated(scene, &scene.detections_of(frame, &assignment));
     for view in 0..scene.views.len() {
         let Some(camera) = scene.cameras[view].as_ref().filter(|_| assignment[view].is_none()) else { continue };
-        let distance = |d: &usize| distance_to_detection(&skeleton, camera, &scene.views[view].frames[frame][*d]);
+        let seen = |d: &usize| Seen::as_detected(&scene.views[view].frames[frame][*d]);
+        let distance = |d: &usize| distance_to_detection(&skeleton, camera, seen(d));
         let nearest = free[view].iter().filter_map(|d| Some((distance(d)?, *d))).min_by(|a, b| a.0.total_cmp(&b.0));
-        assignment[view] = nearest.filter(|(m, _)| *m < config.max_residual).map(|(_, d)| d);
+        assignment[view] = nearest.filter(|(m, _)| *m < config.max_residual).map(|(_, d)| Shown::as_detected(d));
     }
     assignment
 }
 
-/// Whether a tracked person already stands there: detectors report some people twice.
-fn is_known(skeleton: &Skeleton, people: &[TrackedPerson], frame: usize) -> bool {
+/// Whether a tracked person already stands there: detectors report some people twice, or exchange left and right.
+fn is_known(scene: &TrackerScene, skeleton: &Skeleton, people: &[TrackedPerson], frame: usize) -> bool {
     let mut present = people.iter().filter(|p| p.last_seen() == frame);
-    present.any(|p| distance(skeleton, p.last_skeleton()).is_some_and(|d| d < SAME_PERSON_M))
+    let distance = |p: &TrackedPerson| distance_to_either_side(scene, skeleton, p.last_skeleton());
+    present.any(|p| distance(p).is_some_and(|d| d < SAME_PERSON_M))
 }

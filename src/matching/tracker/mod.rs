@@ -23,7 +23,8 @@ use super::assignment::assign;
 use crate::progress::{Canceled, Progress};
 pub use person::TrackedPerson;
 use rayon::prelude::*;
-pub use scene::{Assignment, TrackerConfig, TrackerScene};
+use scene::Seen;
+pub use scene::{Assignment, Shown, TrackerConfig, TrackerScene};
 pub use skeleton::Skeleton;
 use std::ops::Range;
 use tracking_windows::TrackingWindows;
@@ -33,6 +34,13 @@ const UNCONFIRMED_FACTOR: f64 = 1.3;
 
 /// Negative log likelihood, nats, of a detection at the edge of a new gate, which lies at three standard deviations.
 const NATS_AT_GATE: f64 = 4.5;
+
+/// Cost of a detection whose left and right are exchanged: the negative log probability, of one in ten.
+const EXCHANGED_COST: f64 = 2.3 / NATS_AT_GATE;
+
+/// Distances, m, of a person's detection with exchanged sides from where the person is expected: beyond the detectors' errors,
+/// within the width of shoulders, which are farthest from their counterparts.
+const EXCHANGED_M: Range<f64> = 0.06..0.6;
 
 /// Cost of an impossible assignment; the limit is 1.
 const IMPOSSIBLE: f64 = 2.0;
@@ -76,7 +84,7 @@ fn follow(
         step(scene, config, frame, &mut people);
     }
     finished.extend(people);
-    Ok(finished)
+    Ok(finished.into_iter().map(|person| person.with_usual_sides(scene.mirror)).collect())
 }
 
 /// One frame: assigns its detections, updates the persons, starts new ones.
@@ -97,7 +105,8 @@ fn step(scene: &TrackerScene, config: &TrackerConfig, frame: usize, people: &mut
     continuation::continue_lost(scene, config, frame, people, n_known);
 }
 
-/// For each person the detection of every view that lies nearest to the prediction, one detection to one person.
+/// For each person the detection of every view that lies nearest to the prediction, one detection to one person. Several views
+/// show whether a detector has exchanged left and right, as it does from behind: a single one does not.
 fn nearest_detections(
     scene: &TrackerScene,
     config: &TrackerConfig,
@@ -112,13 +121,30 @@ fn nearest_detections(
         let cost = |p: usize, d: usize| {
             let gate = config.gate + config.gate_growth * (frame - people[p].last_seen() - 1) as f64 / scene.fps;
             let factor = if people[p].is_real(scene, config) { 1.0 } else { UNCONFIRMED_FACTOR };
-            let distance = skeleton::distance_to_detection(&predictions[p], camera, &detections[d]);
-            distance.map_or(IMPOSSIBLE, |m| assignment_cost(m * factor, gate, config.gate))
+            let distance = |seen: Seen| skeleton::distance_to_detection(&predictions[p], camera, seen);
+            let cost = |m: f64| assignment_cost(m * factor, gate, config.gate);
+            let Some(detected) = distance(Seen::as_detected(&detections[d])) else { return (IMPOSSIBLE, false) };
+            let may_be_exchanged = scene.n_confirming_views() > 1 && EXCHANGED_M.contains(&detected);
+            let before = people[p].last_assignment()[view].map(|shown| shown.is_exchanged);
+            if may_be_exchanged && skeleton::is_exchanged(scene, &predictions[p], camera, &detections[d], before) {
+                let exchanged = distance(Seen::exchanged(&detections[d], scene.mirror));
+                return (exchanged.map_or(IMPOSSIBLE, |m| EXCHANGED_COST + cost(m)), true);
+            }
+            (cost(detected), false)
         };
-        let costs: Vec<Vec<f64>> =
+        let costs: Vec<Vec<(f64, bool)>> =
             (0..people.len()).map(|p| (0..detections.len()).map(|d| cost(p, d)).collect()).collect();
-        for (p, d) in assign(people.len(), detections.len(), 1.0, |p, d| costs[p][d]).into_iter().enumerate() {
-            assignments[p][view] = d;
+        for (p, d) in assign(people.len(), detections.len(), 1.0, |p, d| costs[p][d].0).into_iter().enumerate() {
+            assignments[p][view] = d.map(|d| Shown { detection: d, is_exchanged: costs[p][d].1 });
+        }
+    }
+    // Errors of two views have nothing to do with each other: where all say so, the prediction is wrong.
+    for (person, assignment) in people.iter().zip(&mut assignments) {
+        let begins = |(now, before): (&Option<Shown>, &Option<Shown>)| {
+            now.is_none_or(|shown| shown.is_exchanged && before.is_none_or(|before| !before.is_exchanged))
+        };
+        if assignment.iter().zip(person.last_assignment()).all(begins) {
+            assignment.iter_mut().flatten().for_each(|shown| shown.is_exchanged = false);
         }
     }
     assignments
@@ -134,11 +160,12 @@ fn assignment_cost(distance: f64, gate: f64, new_gate: f64) -> f64 {
 
 /// The skeleton that the assigned detections of a frame agree on; `None` for keypoints that fewer than two views see.
 pub fn skeleton(scene: &TrackerScene, frame: usize, assignment: &[Option<usize>]) -> Skeleton {
-    let seen = scene.detections_of(frame, assignment);
+    let assignment: Assignment = assignment.iter().map(|d| d.map(Shown::as_detected)).collect();
+    let seen = scene.detections_of(frame, &assignment);
     match seen[..] {
         [] => Vec::new(),
         [(_, detection)] if scene.n_confirming_views() == 1 => {
-            monocular::flat_figure(scene, detection, None).unwrap_or_default()
+            monocular::flat_figure(scene, detection.detection, None).unwrap_or_default()
         }
         _ => skeleton::triangulated(scene, &seen),
     }

@@ -1,9 +1,8 @@
 //! One tracked person: assigned detections, skeletons, velocity.
 
 use super::monocular;
-use super::scene::{Assignment, TrackerConfig, TrackerScene};
+use super::scene::{Assignment, Seen, Shown, TrackerConfig, TrackerScene};
 use super::skeleton::{Skeleton, completed, distance_to_detection, triangulated};
-use crate::matching::normalized::NormalizedDetection;
 use crate::optim::robust::median;
 use nalgebra::Vector3;
 use std::collections::BTreeMap;
@@ -75,7 +74,7 @@ impl TrackedPerson {
         if *f != frame {
             return Vec::new();
         }
-        assignment.iter().enumerate().filter_map(|(v, d)| d.map(|d| (v, d))).collect()
+        assignment.iter().enumerate().filter_map(|(v, shown)| shown.map(|shown| (v, shown.detection))).collect()
     }
 
     /// Appends a fragment that begins later.
@@ -111,6 +110,19 @@ impl TrackedPerson {
             by_frame.into_iter().map(|(frame, (assignment, skeleton))| ((frame, assignment), skeleton)).unzip();
     }
 
+    /// The same with left and right as most of the detections have them: whom a detector first saw exchanged began so.
+    pub(super) fn with_usual_sides(mut self, mirror: &[usize]) -> Self {
+        let shown = self.assignments.iter().flat_map(|(_, assignment)| assignment.iter().flatten());
+        let (n_exchanged, n) = shown.fold((0, 0), |(m, n), shown| (m + usize::from(shown.is_exchanged), n + 1));
+        if 2 * n_exchanged > n {
+            let shown = self.assignments.iter_mut().flat_map(|(_, assignment)| assignment.iter_mut().flatten());
+            shown.for_each(|shown| shown.is_exchanged = !shown.is_exchanged);
+            let exchanged = |skeleton: &Skeleton| mirror.iter().map(|&twin| skeleton[twin]).collect();
+            self.skeletons.iter_mut().for_each(|skeleton| *skeleton = exchanged(skeleton));
+        }
+        self
+    }
+
     /// Some of the frames; the velocity is known at the end of the last piece only.
     pub(super) fn piece(&self, scene: &TrackerScene, range: std::ops::Range<usize>) -> Self {
         let (assignments, skeletons) =
@@ -135,7 +147,7 @@ impl TrackedPerson {
         scene: &TrackerScene,
         config: &TrackerConfig,
         frame: usize,
-        assignment: &mut [Option<usize>],
+        assignment: &mut [Option<Shown>],
     ) {
         let n = self.assignments.len();
         self.update(scene, config, frame, assignment);
@@ -152,18 +164,18 @@ impl TrackedPerson {
         scene: &TrackerScene,
         config: &TrackerConfig,
         frame: usize,
-        assignment: &mut [Option<usize>],
+        assignment: &mut [Option<Shown>],
     ) {
         let predicted = self.predict(frame, scene.fps);
         let skeleton = loop {
-            let seen: Vec<(usize, &NormalizedDetection)> = scene.detections_of(frame, assignment);
+            let seen: Vec<(usize, Seen)> = scene.detections_of(frame, assignment);
             if seen.is_empty() {
                 return;
             }
             if let [(_, detection)] = seen[..]
                 && scene.n_confirming_views() == 1
             {
-                let Some(figure) = monocular::flat_figure(scene, detection, Some(&predicted)) else { return };
+                let Some(figure) = monocular::flat_figure(scene, detection.detection, Some(&predicted)) else { return };
                 break figure;
             }
             let skeleton = triangulated(scene, &seen);
@@ -183,7 +195,7 @@ impl TrackedPerson {
         scene: &TrackerScene,
         skeleton: &Skeleton,
         frame: usize,
-        assignment: &[Option<usize>],
+        assignment: &[Option<Shown>],
     ) {
         // A single view does not show motion in depth: when a second view sees the person again, the shift since the
         // last confirmed frame appears at once.
@@ -213,17 +225,17 @@ fn shift(to: &Skeleton, from: &Skeleton) -> Vector3<f64> {
 fn worst_view(
     scene: &TrackerScene,
     config: &TrackerConfig,
-    seen: &[(usize, &NormalizedDetection)],
+    seen: &[(usize, Seen)],
     skeleton: &Skeleton,
     predicted: &Skeleton,
 ) -> Option<usize> {
     if seen.len() < 2 {
         return None;
     }
-    let residual = |skeleton: &Skeleton, view: usize, detection: &NormalizedDetection| {
+    let residual = |skeleton: &Skeleton, view: usize, detection: Seen| {
         scene.cameras[view].as_ref().and_then(|c| distance_to_detection(skeleton, c, detection)).unwrap_or(0.0)
     };
-    let worst = seen.iter().map(|(v, s)| residual(skeleton, *v, s)).fold(0.0, f64::max);
+    let worst = seen.iter().map(|(v, s)| residual(skeleton, *v, *s)).fold(0.0, f64::max);
     if worst <= config.max_residual {
         return None;
     }
@@ -232,10 +244,9 @@ fn worst_view(
         if seen.len() == 2 {
             return -residual(predicted, seen[out].0, seen[out].1);
         }
-        let rest: Vec<(usize, &NormalizedDetection)> =
-            seen.iter().enumerate().filter(|(i, _)| *i != out).map(|(_, s)| *s).collect();
+        let rest: Vec<(usize, Seen)> = seen.iter().enumerate().filter(|(i, _)| *i != out).map(|(_, s)| *s).collect();
         let without = triangulated(scene, &rest);
-        rest.iter().map(|(v, s)| residual(&without, *v, s)).fold(0.0, f64::max)
+        rest.iter().map(|(v, s)| residual(&without, *v, *s)).fold(0.0, f64::max)
     };
     let wrong = (0..seen.len()).min_by(|a, b| residual_without(*a).total_cmp(&residual_without(*b)))?;
     Some(seen[wrong].0)

@@ -4,7 +4,7 @@
 //! views expect it. Agreement of the rays of two views then counts more than the predicted position.
 
 use super::initialisation::agreement;
-use super::scene::{Assignment, TrackerConfig, TrackerScene};
+use super::scene::{Assignment, Seen, Shown, TrackerConfig, TrackerScene};
 use super::skeleton::{is_human, triangulated};
 
 /// An unassigned detection that fits a person.
@@ -24,12 +24,15 @@ pub(super) fn reacquire(scene: &TrackerScene, config: &TrackerConfig, frame: usi
     let mut candidates = Vec::new();
     for (person, assignment) in assignments.iter().enumerate().filter(|(_, a)| !scene.is_confirmed(a)) {
         let [(holder, held)] = scene.detections_of(frame, assignment)[..] else { continue };
+        if held.is_exchanged() {
+            continue;
+        }
         for view in (0..scene.views.len()).filter(|view| *view != holder) {
             let Some(essential) = scene.essential(holder, view) else { continue };
             for &detection in &free[view] {
                 let seen = &scene.views[view].frames[frame][detection];
-                let Some(agreement) = agreement(config, &essential, held, seen) else { continue };
-                if is_human(scene, &triangulated(scene, &[(holder, held), (view, seen)])) {
+                let Some(agreement) = agreement(config, &essential, held.detection, seen) else { continue };
+                if is_human(scene, &triangulated(scene, &[(holder, held), (view, Seen::as_detected(seen))])) {
                     candidates.push(Candidate { agreement, person, view, detection });
                 }
             }
@@ -37,9 +40,10 @@ pub(super) fn reacquire(scene: &TrackerScene, config: &TrackerConfig, frame: usi
     }
     candidates.sort_by(|a, b| b.agreement.total_cmp(&a.agreement));
     for Candidate { person, view, detection, .. } in candidates {
-        let is_taken = assignments.iter().any(|assignment| assignment[view] == Some(detection));
+        let is_taken =
+            assignments.iter().flat_map(|assignment| assignment[view]).any(|shown| shown.detection == detection);
         if !is_taken && assignments[person][view].is_none() {
-            assignments[person][view] = Some(detection);
+            assignments[person][view] = Some(Shown::as_detected(detection));
         }
     }
 }

@@ -132,7 +132,7 @@ fn track_ids(scene: &TrackerScene, person: &TrackedPerson) -> Vec<BTreeMap<i64, 
     let mut counts = vec![BTreeMap::new(); scene.views.len()];
     for (frame, assignment) in &person.assignments {
         for (view, detection) in scene.detections_of(*frame, assignment) {
-            if let Some(number) = detection.track_id {
+            if let Some(number) = detection.detection.track_id {
                 *counts[view].entry(number).or_default() += 1;
             }
         }

@@ -4,7 +4,7 @@ use crate::body::bones::LimbBone;
 use crate::geometry::Rigid;
 use crate::geometry::epipolar::essential_from_pose;
 use crate::matching::normalized::{NormalizedDetection, NormalizedView};
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, Vector2};
 
 /// Gates of the tracker. Lengths are metres on a body: the depth says what a pixel is worth.
 #[derive(Debug, Clone)]
@@ -31,8 +31,63 @@ impl Default for TrackerConfig {
     }
 }
 
-/// The detection of every view that shows one person in one frame, by its index in that view's list.
-pub type Assignment = Vec<Option<usize>>;
+/// A detection that shows a person.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Shown {
+    /// Index in the view's list of the frame.
+    pub detection: usize,
+    /// Whether the detector has exchanged the person's left and right.
+    pub is_exchanged: bool,
+}
+
+impl Shown {
+    /// A detection with its sides as the detector has them.
+    pub fn as_detected(detection: usize) -> Self {
+        Self { detection, is_exchanged: false }
+    }
+}
+
+/// The detection of every view that shows one person in one frame.
+pub type Assignment = Vec<Option<Shown>>;
+
+/// A detection with the sides that it has on the person it shows.
+#[derive(Clone, Copy)]
+pub(super) struct Seen<'a> {
+    pub(super) detection: &'a NormalizedDetection,
+    /// The keypoints' counterparts, where left and right are exchanged.
+    mirror: Option<&'a [usize]>,
+}
+
+impl<'a> Seen<'a> {
+    pub(super) fn as_detected(detection: &'a NormalizedDetection) -> Self {
+        Self { detection, mirror: None }
+    }
+
+    pub(super) fn exchanged(detection: &'a NormalizedDetection, mirror: &'a [usize]) -> Self {
+        Self { detection, mirror: Some(mirror) }
+    }
+
+    pub(super) fn is_exchanged(&self) -> bool {
+        self.mirror.is_some()
+    }
+
+    pub(super) fn n_keypoints(&self) -> usize {
+        self.detection.normalized.len()
+    }
+
+    /// Ideal normalised coordinates of a keypoint of the person.
+    pub(super) fn normalized(&self, keypoint: usize) -> Vector2<f64> {
+        self.detection.normalized[self.source(keypoint)]
+    }
+
+    pub(super) fn confidence(&self, keypoint: usize) -> f64 {
+        self.detection.confidence[self.source(keypoint)]
+    }
+
+    fn source(&self, keypoint: usize) -> usize {
+        self.mirror.map_or(keypoint, |mirror| mirror[keypoint])
+    }
+}
 
 /// What the tracker works on.
 pub struct TrackerScene<'a> {
@@ -42,6 +97,8 @@ pub struct TrackerScene<'a> {
     pub cameras: &'a [Option<Rigid>],
     /// Bones with reference lengths.
     pub bones: &'a [LimbBone],
+    /// For every keypoint its left or right counterpart, itself on the midline.
+    pub mirror: &'a [usize],
     /// Frames per second.
     pub fps: f64,
     /// Number of frames.
@@ -55,25 +112,26 @@ impl<'a> TrackerScene<'a> {
     }
 
     /// Whether enough views see a person to confirm it.
-    pub(super) fn is_confirmed(&self, assignment: &[Option<usize>]) -> bool {
+    pub(super) fn is_confirmed(&self, assignment: &[Option<Shown>]) -> bool {
         assignment.iter().flatten().count() >= self.n_confirming_views()
     }
 
     /// The assigned detections of a frame, with their views.
-    pub(super) fn detections_of(
-        &self,
-        frame: usize,
-        assignment: &[Option<usize>],
-    ) -> Vec<(usize, &'a NormalizedDetection)> {
-        let detection = |(v, d): (usize, &Option<usize>)| d.map(|d| (v, &self.views[v].frames[frame][d]));
-        assignment.iter().enumerate().filter_map(detection).collect()
+    pub(super) fn detections_of(&self, frame: usize, assignment: &[Option<Shown>]) -> Vec<(usize, Seen<'a>)> {
+        let seen = |(v, shown): (usize, &Option<Shown>)| shown.map(|shown| (v, self.seen(v, frame, shown)));
+        assignment.iter().enumerate().filter_map(seen).collect()
+    }
+
+    fn seen(&self, view: usize, frame: usize, shown: Shown) -> Seen<'a> {
+        let detection = &self.views[view].frames[frame][shown.detection];
+        if shown.is_exchanged { Seen::exchanged(detection, self.mirror) } else { Seen::as_detected(detection) }
     }
 
     /// The detections of a frame that are assigned to no person, per view; none of views without a camera pose.
     pub(super) fn unassigned(&self, frame: usize, assignments: &[Assignment]) -> Vec<Vec<usize>> {
         let of_view = |view: usize| {
             let n = if self.cameras[view].is_some() { self.views[view].frames[frame].len() } else { 0 };
-            (0..n).filter(|d| !assignments.iter().any(|a| a[view] == Some(*d))).collect()
+            (0..n).filter(|d| !assignments.iter().any(|a| a[view].is_some_and(|shown| shown.detection == *d))).collect()
         };
         (0..self.views.len()).map(of_view).collect()
     }
@@ -88,4 +146,4 @@ impl<'a> TrackerScene<'a> {
 /// A scene without cameras, for tests of tracked persons alone.
 #[cfg(test)]
 pub(super) const EMPTY_SCENE: TrackerScene =
-    TrackerScene { views: &[], cameras: &[], bones: &[], fps: 30.0, n_frames: 9 };
+    TrackerScene { views: &[], cameras: &[], bones: &[], mirror: &[], fps: 30.0, n_frames: 9 };

@@ -1,6 +1,6 @@
 //! Skeletons of tracked persons: triangulation, completion, distances and plausibility.
 
-use super::scene::TrackerScene;
+use super::scene::{Seen, TrackerScene};
 use crate::body::bones::LimbBone;
 use crate::body::detector_profile::DETECTOR;
 use crate::estimation::triangulation::triangulate_reweighted;
@@ -8,7 +8,7 @@ use crate::geometry::Rigid;
 use crate::geometry::projection::squared_offset;
 use crate::geometry::triangulation::PointObservation;
 use crate::matching::normalized::NormalizedDetection;
-use crate::optim::robust::{median, median_and_spread};
+use crate::optim::robust::{OUTLIER_SIGMAS, median, median_and_spread};
 use nalgebra::Vector3;
 
 /// Position of every keypoint in the world, m; `None` where it is unknown.
@@ -35,34 +35,75 @@ pub(super) fn distance(one: &Skeleton, other: &Skeleton) -> Option<f64> {
     median(&mut distances)
 }
 
+/// [`distance`] where the first may have left and right exchanged: the smaller one.
+pub(super) fn distance_to_either_side(scene: &TrackerScene, one: &Skeleton, other: &Skeleton) -> Option<f64> {
+    let exchanged: Skeleton = scene.mirror.iter().map(|&twin| one[twin]).collect();
+    [distance(one, other), distance(&exchanged, other)].into_iter().flatten().min_by(f64::total_cmp)
+}
+
 /// Median distance of a detection to a projected skeleton, in metres on the body; `None` with too few shared keypoints.
-pub(super) fn distance_to_detection(
-    skeleton: &Skeleton,
-    camera: &Rigid,
-    detection: &NormalizedDetection,
-) -> Option<f64> {
+pub(super) fn distance_to_detection(skeleton: &Skeleton, camera: &Rigid, seen: Seen) -> Option<f64> {
     let mut squares: Vec<f64> = Vec::with_capacity(skeleton.len());
     for (k, point) in skeleton.iter().enumerate() {
-        if detection.confidence[k] < DETECTOR.comparable {
+        if seen.confidence(k) < DETECTOR.comparable {
             continue;
         }
-        squares.extend(point.and_then(|p| squared_offset(camera, &p, &detection.normalized[k])));
+        squares.extend(point.and_then(|p| squared_offset(camera, &p, &seen.normalized(k))));
     }
     if squares.len() < MIN_SHARED { None } else { median(&mut squares).map(f64::sqrt) }
 }
 
+/// Standard deviation of a keypoint's distance from where it is expected, m per axis, and the number of keypoints that err together.
+const EXPECTED_SIGMA_M: f64 = 0.06;
+const N_CORRELATED: f64 = 3.0;
+
+/// Negative log probability ratios, nats, of exchanged sides: in the first frame of a view, and after a frame with sides as they
+/// are or exchanged. Detectors exchange sides for a second at a time.
+const EXCHANGED_AT_FIRST: f64 = 2.3;
+const EXCHANGE_BEGINS: f64 = 4.6;
+const EXCHANGE_GOES_ON: f64 = -2.9;
+
+/// Whether a detection shows the projected skeleton with left and right exchanged: log likelihoods of the keypoints, each limited to
+/// that of an outlier, against the probability of an exchange. `before`: whether they were in this view's last frame.
+pub(super) fn is_exchanged(
+    scene: &TrackerScene,
+    skeleton: &Skeleton,
+    camera: &Rigid,
+    detection: &NormalizedDetection,
+    before: Option<bool>,
+) -> bool {
+    let mirror = scene.mirror;
+    let prior = match before {
+        None => EXCHANGED_AT_FIRST,
+        Some(false) => EXCHANGE_BEGINS,
+        Some(true) => EXCHANGE_GOES_ON,
+    };
+    let outlier = OUTLIER_SIGMAS * OUTLIER_SIGMAS;
+    let misfit = |point: &Vector3<f64>, k: usize| {
+        let is_seen = detection.confidence[k] >= DETECTOR.comparable;
+        let offset = is_seen.then(|| squared_offset(camera, point, &detection.normalized[k]))?;
+        Some((offset? / (EXPECTED_SIGMA_M * EXPECTED_SIGMA_M)).min(outlier))
+    };
+    let gain = |(k, point): (usize, &Option<Vector3<f64>>)| {
+        let point = point.as_ref().filter(|_| mirror[k] != k)?;
+        Some(misfit(point, k)? - misfit(point, mirror[k])?)
+    };
+    let gains: f64 = skeleton.iter().enumerate().filter_map(gain).sum();
+    0.5 * gains > prior * N_CORRELATED
+}
+
 /// The keypoints that at least two views see, triangulated so that one wrong view does not move them.
-pub(super) fn triangulated(scene: &TrackerScene, seen: &[(usize, &NormalizedDetection)]) -> Skeleton {
-    let n = seen[0].1.normalized.len();
+pub(super) fn triangulated(scene: &TrackerScene, seen: &[(usize, Seen)]) -> Skeleton {
+    let n = seen[0].1.n_keypoints();
     (0..n).map(|k| triangulated_point(scene, seen, k)).collect()
 }
 
-fn triangulated_point(scene: &TrackerScene, seen: &[(usize, &NormalizedDetection)], k: usize) -> Option<Vector3<f64>> {
+fn triangulated_point(scene: &TrackerScene, seen: &[(usize, Seen)], k: usize) -> Option<Vector3<f64>> {
     let mut rays = Vec::with_capacity(seen.len());
     for (view, detection) in seen {
-        if detection.confidence[k] > 0.0 {
+        if detection.confidence(k) > 0.0 {
             let camera_from_world = scene.cameras[*view].as_ref()?;
-            let (normalized, weight) = (detection.normalized[k], detection.confidence[k]);
+            let (normalized, weight) = (detection.normalized(k), detection.confidence(k));
             rays.push(PointObservation { camera_from_world, normalized, weight });
         }
     }
@@ -73,7 +114,7 @@ fn triangulated_point(scene: &TrackerScene, seen: &[(usize, &NormalizedDetection
 /// and leaves its depth.
 pub(super) fn completed(
     scene: &TrackerScene,
-    seen: &[(usize, &NormalizedDetection)],
+    seen: &[(usize, Seen)],
     mut skeleton: Skeleton,
     predicted: &Skeleton,
 ) -> Skeleton {
@@ -87,8 +128,8 @@ pub(super) fn completed(
             continue;
         }
         let Some(start) = predicted[k].map(|p| p + drift) else { continue };
-        let ray = seen.iter().find(|(_, s)| s.confidence[k] > DETECTOR.comparable);
-        *point = Some(match ray.and_then(|(v, s)| Some((scene.cameras[*v].as_ref()?, s.normalized[k]))) {
+        let ray = seen.iter().find(|(_, s)| s.confidence(k) > DETECTOR.comparable);
+        *point = Some(match ray.and_then(|(v, s)| Some((scene.cameras[*v].as_ref()?, s.normalized(k)))) {
             Some((camera, normalized)) => {
                 let depth = camera.transform(&start).z;
                 camera.inverse().transform(&Vector3::new(normalized.x * depth, normalized.y * depth, depth))

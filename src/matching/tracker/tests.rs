@@ -16,7 +16,14 @@ fn hanging(camera: &Rigid, top: Vector3<f64>, size: f64) -> NormalizedDetection 
 
 fn tracked(views: &[NormalizedView], cameras: &[Option<Rigid>]) -> Vec<TrackedPerson> {
     let bones = limb_bones(KeypointConvention::Coco17);
-    let scene = TrackerScene { views, cameras, bones: &bones, fps: 30.0, n_frames: 60 };
+    let scene = TrackerScene {
+        views,
+        cameras,
+        bones: &bones,
+        mirror: &KeypointConvention::Coco17.mirror(),
+        fps: 30.0,
+        n_frames: 60,
+    };
     track(&scene, &TrackerConfig::default(), &Progress::silent()).unwrap()
 }
 
@@ -53,7 +60,7 @@ fn a_person_moving_along_the_rays_of_a_view_is_reacquired() {
     let people = tracked(&views, &cameras);
     assert_eq!(people.len(), 1);
     let assignments = &people[0].assignments;
-    assert!(assignments.len() == 60 && assignments[30..].iter().all(|(_, a)| *a == [Some(0), Some(0)]));
+    assert!(assignments.len() == 60 && assignments[30..].iter().all(|(_, a)| *a == [Some(Shown::as_detected(0)); 2]));
     let end = people[0].skeletons[59][0].unwrap();
     assert!((end.x - 0.5).abs() < 0.01, "{end}");
 }
@@ -73,7 +80,14 @@ fn a_runner_was_a_new_person_in_every_frame() {
         let frames = |camera: &Rigid| (0..20).map(|frame| at(camera, frame)).collect();
         let views = cameras.map(|c| NormalizedView { focal: 1000.0, frames: frames(&c.unwrap()) });
         let bones = limb_bones(KeypointConvention::Coco17);
-        let scene = TrackerScene { views: &views, cameras: &cameras, bones: &bones, fps: 25.0, n_frames: 20 };
+        let scene = TrackerScene {
+            views: &views,
+            cameras: &cameras,
+            bones: &bones,
+            mirror: &KeypointConvention::Coco17.mirror(),
+            fps: 25.0,
+            n_frames: 20,
+        };
         let people = track(&scene, &TrackerConfig::default(), &Progress::silent()).unwrap();
         assert_eq!(people.len(), n);
         for person in people {
@@ -101,16 +115,24 @@ fn people_of_a_long_take_go_on_from_window_to_window() {
     let views = cameras
         .map(|c| NormalizedView { focal: 1000.0, frames: (0..750).map(|frame| at(&c.unwrap(), frame)).collect() });
     let bones = limb_bones(KeypointConvention::Coco17);
-    let scene = TrackerScene { views: &views, cameras: &cameras, bones: &bones, fps: 30.0, n_frames: 750 };
+    let scene = TrackerScene {
+        views: &views,
+        cameras: &cameras,
+        bones: &bones,
+        mirror: &KeypointConvention::Coco17.mirror(),
+        fps: 30.0,
+        n_frames: 750,
+    };
     let config = TrackerConfig::default();
     assert_eq!(TrackingWindows::of(&scene, &config).frames(), [0..375, 345..750]);
     let people = track(&scene, &config, &Progress::silent()).unwrap();
     let n_frames: Vec<usize> = people.iter().map(|person| person.assignments.len()).collect();
     assert_eq!(n_frames, [750, 750, 720]);
     for person in people {
-        let first = shown(0)[person.assignments[0].1[0].unwrap()];
-        let is_first =
-            |(frame, seen): &(usize, Assignment)| seen.iter().all(|d| d.map(|d| shown(*frame)[d]) == Some(first));
+        let first = shown(0)[person.assignments[0].1[0].unwrap().detection];
+        let is_first = |(frame, seen): &(usize, Assignment)| {
+            seen.iter().all(|d| d.map(|d| shown(*frame)[d.detection]) == Some(first))
+        };
         assert!(person.assignments.iter().all(is_first) && person.assignments.is_sorted_by_key(|(frame, _)| *frame));
     }
 }

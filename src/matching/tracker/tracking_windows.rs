@@ -5,7 +5,7 @@
 //! persons out of sight for longer than a stitching gap are joined by evidence anyway, and an overlap is longer than that.
 
 use super::person::TrackedPerson;
-use super::scene::{TrackerConfig, TrackerScene};
+use super::scene::{Assignment, TrackerConfig, TrackerScene};
 use crate::matching::assignment::assign;
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -76,9 +76,12 @@ impl TrackingWindows {
 /// Frame, view and number of a person's detections in some frames.
 fn detections(person: &TrackedPerson, frames: &Range<usize>) -> BTreeSet<(usize, usize, usize)> {
     let [start, end] = [frames.start, frames.end].map(|frame| person.assignments.partition_point(|(f, _)| *f < frame));
-    let of_frame = |(frame, assignment): &(usize, Vec<Option<usize>>)| {
+    let of_frame = |(frame, assignment): &(usize, Assignment)| {
         let frame = *frame;
-        let seen = assignment.iter().enumerate().filter_map(move |(view, d)| d.map(|d| (frame, view, d)));
+        let seen = assignment
+            .iter()
+            .enumerate()
+            .filter_map(move |(view, shown)| shown.map(|shown| (frame, view, shown.detection)));
         seen.collect::<Vec<_>>()
     };
     person.assignments[start..end].iter().flat_map(of_frame).collect()

@@ -12,6 +12,7 @@ use crate::session::reconstruction::{ConsistencyReport, DetectionRepairs, NoiseA
 use crate::session::{Detection, FrameIndex, Keypoint, PersonId, PersonTrack, Session};
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
@@ -67,7 +68,7 @@ pub fn denoised_capture(
     progress: &Progress,
 ) -> Result<DenoisedCapture, Canceled> {
     let mut steps = progress.steps([0.3, 0.4, 0.3]);
-    let first = repaired(capture, &calibration, &steps.begin("repairing detections"))?;
+    let first = repaired(capture, capture.session, &calibration, &steps.begin("repairing detections"))?;
     calibration.association.tracks = first.tracks;
     measure_noise(&mut calibration, &first.session);
     let repaired_capture = Capture::new(&first.session, capture.options);
@@ -84,7 +85,7 @@ pub fn denoised_capture(
             calibration.stages.push(report);
         }
     }
-    finally_repaired(capture, calibration, &steps.begin("repairing detections under the new cameras"))
+    finally_repaired(capture, &first.unflipped, calibration, &steps.begin("repairing detections under the new cameras"))
 }
 
 /// Repairs the detections of people whose identities are known; before that the cameras are adjusted to them, unless they are
@@ -96,8 +97,9 @@ pub fn corrected_capture(
     progress: &Progress,
 ) -> Result<DenoisedCapture, Canceled> {
     let mut steps = progress.steps(if freedom == CameraFreedom::Held { [0.0, 0.0, 1.0] } else { [0.3, 0.4, 0.3] });
+    let mut known = Cow::Borrowed(capture.session);
     if freedom == CameraFreedom::Adjusted {
-        let first = repaired(capture, &calibration, &steps.begin("repairing detections"))?;
+        let first = repaired(capture, capture.session, &calibration, &steps.begin("repairing detections"))?;
         calibration.association.tracks = first.tracks;
         measure_noise(&mut calibration, &first.session);
         let repaired_capture = Capture::new(&first.session, capture.options);
@@ -107,25 +109,34 @@ pub fn corrected_capture(
         let n_left_out = calibration.association.n_left_out;
         let tracks = std::mem::take(&mut calibration.association.tracks);
         calibration.association = Association { n_left_out, ..from_tracks(&scene, tracks) };
+        known = Cow::Owned(first.unflipped);
     }
-    finally_repaired(capture, calibration, &steps.begin("repairing detections under the new cameras"))
+    finally_repaired(capture, &known, calibration, &steps.begin("repairing detections under the new cameras"))
 }
 
-/// The last repair of the original detections, and the detector noise on what it leaves.
+/// The last repair of the original detections, and the detector noise on what it leaves; `known`: see [`repaired`].
 fn finally_repaired(
     capture: &Capture,
+    known: &Session,
     mut calibration: Calibration,
     progress: &Progress,
 ) -> Result<DenoisedCapture, Canceled> {
-    let second = repaired(capture, &calibration, progress)?;
+    let second = repaired(capture, known, &calibration, progress)?;
     let before = std::mem::replace(&mut calibration.association.tracks, second.tracks.clone());
     calibration.stages.push(second.stage_report.clone());
     measure_noise(&mut calibration, &second.session);
     Ok(DenoisedCapture::new(capture.session, calibration, &before, second))
 }
 
-fn repaired(capture: &Capture, calibration: &Calibration, progress: &Progress) -> Result<Denoised, Canceled> {
-    let start = calibration.people(capture.session, &calibration.association.points);
+/// Repairs the original detections by trajectories through those of `known`, the session as far as it is repaired: where most views
+/// have exchanged left and right, original ones would lead astray.
+fn repaired(
+    capture: &Capture,
+    known: &Session,
+    calibration: &Calibration,
+    progress: &Progress,
+) -> Result<Denoised, Canceled> {
+    let start = calibration.people(known, &calibration.association.points);
     let trajectories = joint_trajectories(&start, progress)?;
     denoise(calibration.people(capture.session, &trajectories), &capture.views, progress)
 }

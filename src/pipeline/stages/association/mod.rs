@@ -5,7 +5,7 @@ use crate::geometry::Rigid;
 use crate::geometry::projection::project_normalized;
 use crate::matching::clusters::Cluster;
 use crate::matching::normalized::NormalizedDetection;
-use crate::matching::tracker::{TrackedPerson, TrackerConfig, TrackerScene, skeleton, track};
+use crate::matching::tracker::{Shown, TrackedPerson, TrackerConfig, TrackerScene, skeleton, track};
 use crate::matching::tracklets::Tracklet;
 use crate::pipeline::calibration::Association;
 use crate::pipeline::capture::Capture;
@@ -82,11 +82,13 @@ fn triangulated(scene: &TrackerScene, track: &PersonTrack) -> JointTrajectory {
     JointTrajectory { person: track.person, first: track.first, points, n_views }
 }
 
+/// Detections whose left and right are exchanged are left to the repair of detections.
 fn as_track(person: usize, tracked: &TrackedPerson, n_views: usize) -> PersonTrack {
     let first = tracked.first();
     let mut detections = vec![vec![None; n_views]; tracked.last_seen() - first + 1];
     for (frame, assignment) in &tracked.assignments {
-        detections[frame - first].clone_from(assignment);
+        let usable = |shown: &Option<Shown>| shown.filter(|shown| !shown.is_exchanged).map(|shown| shown.detection);
+        detections[frame - first] = assignment.iter().map(usable).collect();
     }
     PersonTrack { person: PersonId(person), first: FrameIndex(first), detections }
 }

@@ -30,6 +30,8 @@ pub struct Denoised {
     /// The repaired detections: same frames and order. Only keypoints of flipped parts move, and only rejected keypoints
     /// lose their confidence.
     pub session: Session,
+    /// The detections with flipped parts turned back alone.
+    pub unflipped: Session,
     /// The association after the repair.
     pub tracks: Vec<PersonTrack>,
     /// Repairs per camera and person.
@@ -53,21 +55,25 @@ pub fn denoise(input: TrackedPeople, views: &[NormalizedView], progress: &Progre
         .collect::<Result<_, Canceled>>()?;
     let mut session = input.session.clone();
     let mut tracks: Vec<PersonTrack> = input.tracks.iter().map(without_detections).collect();
-    for repair in solved.iter().flat_map(|frame| &frame.repairs) {
-        let DetectionIndex { view, frame, detection } = repair.at;
-        let track = &mut tracks[repair.track];
-        track.detections[frame - track.first.0][view] = Some(detection);
-        let keypoints = &mut session.views[view].frames[frame][detection].keypoints;
-        context.flips[repair.flip].apply(keypoints);
-        if repair.flip != UNCHANGED && input.session.dense.is_some() {
+    let repairs = || solved.iter().flat_map(|frame| &frame.repairs);
+    for Repair { track, at: DetectionIndex { view, frame, detection }, flip, .. } in repairs() {
+        let track = &mut tracks[*track];
+        track.detections[frame - track.first.0][*view] = Some(*detection);
+        let keypoints = &mut session.views[*view].frames[*frame][*detection].keypoints;
+        context.flips[*flip].apply(keypoints);
+        if *flip != UNCHANGED && input.session.dense.is_some() {
             // Which of the dense landmarks were exchanged is unknown.
             keypoints[input.session.convention.n_keypoints()..].fill(Keypoint::MISSING);
         }
-        repair.rejected.iter().for_each(|&k| keypoints[k].confidence = 0.0);
+    }
+    let unflipped = session.clone();
+    for Repair { at: DetectionIndex { view, frame, detection }, rejected, .. } in repairs() {
+        let keypoints = &mut session.views[*view].frames[*frame][*detection].keypoints;
+        rejected.iter().for_each(|&k| keypoints[k].confidence = 0.0);
     }
     let report = report::consistency_report(&input, &tracks, &solved);
     let stage_report = report::stage_report(&report, &solved);
-    Ok(Denoised { session, tracks, report, stage_report })
+    Ok(Denoised { session, unflipped, tracks, report, stage_report })
 }
 
 /// The same person and frames without detections.
