@@ -59,7 +59,7 @@ pub mod unsolvable;
 use crate::body::{BodyModel, default_body};
 use crate::progress::{Progress, Stages};
 use crate::session::recording_tests::suspicions;
-use crate::session::{JointTrajectory, PersonId, Reconstruction, Session, Suspicion};
+use crate::session::{JointTrajectory, PersonId, Reconstruction, Session, Suspicion, without_border_keypoints};
 use calibration::{Calibration, CameraFreedom};
 use capture::Capture;
 use checkpoints::Checkpoints;
@@ -150,6 +150,7 @@ pub fn solve(
     // The caller has already looked up `options.body`.
     options.check(&CameraFacts::of(session), std::slice::from_ref(&options.body))?;
     require_detections(session)?;
+    let session = &*without_border_keypoints(session);
     if let Some(continuation) = earlier.filter(|_| !options.corrections.is_empty()) {
         let (session, options) = continuation.repaired(session, options);
         let checkpoints = checkpoints.after_repairs(continuation.repairs().len());
@@ -198,7 +199,10 @@ pub fn solve(
 /// result have its names, its pixels are those that the result's cameras explain.
 pub fn as_solved<'s>(session: &'s Session, options: &Options, result: &Reconstruction) -> Cow<'s, Session> {
     let applied: Vec<Suspicion> = result.report.suspicions.iter().filter(|s| s.applied).cloned().collect();
-    with_repairs(session, options, &applied).0
+    match without_border_keypoints(session) {
+        Cow::Borrowed(session) => with_repairs(session, options, &applied).0,
+        Cow::Owned(session) => Cow::Owned(with_repairs(&session, options, &applied).0.into_owned()),
+    }
 }
 
 /// One way through all passes.

@@ -1,6 +1,7 @@
 //! The data of a session and its result: recording, tracks, motions, reconstruction; how sessions are read, built and
 //! written.
 
+mod border_keypoints;
 mod builder;
 pub mod digest;
 pub mod formats;
@@ -12,6 +13,7 @@ pub mod recording_tests;
 pub mod suspicion;
 pub mod upload;
 
+pub use border_keypoints::without_border_keypoints;
 pub use builder::SessionBuilder;
 pub use people::{BodyMotion, JointTrajectory, PersonTrack};
 pub use reconstruction::Reconstruction;

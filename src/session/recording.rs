@@ -95,7 +95,7 @@ impl Detection {
     }
 
     /// Larger side of the bounding box of the first `n` points, px; 0 without any.
-    fn size_px(&self, n: usize) -> f64 {
+    pub(super) fn size_px(&self, n: usize) -> f64 {
         let points = || self.keypoints[..n].iter().filter(|k| k.is_present()).map(|k| k.pixel);
         let (low, high) = (points().reduce(|a, b| a.inf(&b)), points().reduce(|a, b| a.sup(&b)));
         low.zip(high).map_or(0.0, |(low, high)| (high - low).max())

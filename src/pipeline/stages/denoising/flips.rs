@@ -25,17 +25,10 @@ const MIN_RISE: f64 = 0.12;
 
 /// All candidates: unchanged, whole body, legs, arms.
 pub(super) fn flips(convention: KeypointConvention) -> Vec<Flip> {
-    let names = convention.names();
-    let twin = |k: usize| {
-        let other = match names[k].strip_prefix("left_") {
-            Some(rest) => format!("right_{rest}"),
-            None => names[k].strip_prefix("right_").map(|rest| format!("left_{rest}"))?,
-        };
-        names.iter().position(|name| *name == other)
-    };
+    let (names, mirror) = (convention.names(), convention.mirror());
     let flipped = |parts: Option<&[&str]>| {
         let is_part = |k: usize| parts.is_none_or(|parts| parts.iter().any(|part| names[k].ends_with(part)));
-        Flip { order: (0..names.len()).map(|k| if is_part(k) { twin(k).unwrap_or(k) } else { k }).collect() }
+        Flip { order: (0..names.len()).map(|k| if is_part(k) { mirror[k] } else { k }).collect() }
     };
     vec![Flip { order: (0..names.len()).collect() }, flipped(None), flipped(Some(&LEGS)), flipped(Some(&ARMS))]
 }
