@@ -84,7 +84,7 @@ fn follow(
         step(scene, config, frame, &mut people);
     }
     finished.extend(people);
-    Ok(finished.into_iter().map(|person| person.with_usual_sides(scene.mirror)).collect())
+    Ok(finished.into_iter().map(|person| person.with_usual_sides(scene)).collect())
 }
 
 /// One frame: assigns its detections, updates the persons, starts new ones.

@@ -28,6 +28,9 @@ const VELOCITY_MEMORY: f64 = 0.15;
 /// runner takes off 1 to 2 m/s): the inverse, s^2/m. At a walk that is the memory of the velocity.
 const COASTING_S2_M: f64 = 0.125;
 
+/// Least [`Seen::sidedness`] of a detection whose sides can be told apart: eight pairs a twelfth of a body apart.
+const MIN_SIDEDNESS: f64 = 0.05;
+
 impl TrackedPerson {
     pub(super) fn new(frame: usize, assignment: Assignment, skeleton: Skeleton) -> Self {
         let (assignments, skeletons) = (vec![(frame, assignment)], vec![skeleton]);
@@ -110,14 +113,26 @@ impl TrackedPerson {
             by_frame.into_iter().map(|(frame, (assignment, skeleton))| ((frame, assignment), skeleton)).unzip();
     }
 
-    /// The same with left and right as most of the detections have them: whom a detector first saw exchanged began so.
-    pub(super) fn with_usual_sides(mut self, mirror: &[usize]) -> Self {
-        let shown = self.assignments.iter().flat_map(|(_, assignment)| assignment.iter().flatten());
-        let (n_exchanged, n) = shown.fold((0, 0), |(m, n), shown| (m + usize::from(shown.is_exchanged), n + 1));
-        if 2 * n_exchanged > n {
-            let shown = self.assignments.iter_mut().flat_map(|(_, assignment)| assignment.iter_mut().flatten());
-            shown.for_each(|shown| shown.is_exchanged = !shown.is_exchanged);
-            let exchanged = |skeleton: &Skeleton| mirror.iter().map(|&twin| skeleton[twin]).collect();
+    /// The same with left and right as the detections have them for the most part: somebody whom a detector first saw exchanged
+    /// began so. Each counts by how far its sides are apart, since from the side there are none.
+    pub(super) fn with_usual_sides(mut self, scene: &TrackerScene) -> Self {
+        let vote = |(frame, assignment): &(usize, Assignment)| -> f64 {
+            let sign = |seen: &Seen| if seen.is_exchanged() { -1.0 } else { 1.0 };
+            scene
+                .detections_of(*frame, assignment)
+                .iter()
+                .map(|(_, seen)| sign(seen) * seen.sidedness(scene.mirror))
+                .sum()
+        };
+        if self.assignments.iter().map(vote).sum::<f64>() < 0.0 {
+            for (frame, assignment) in &mut self.assignments {
+                for (view, shown) in assignment.iter_mut().enumerate() {
+                    let Some(shown) = shown else { continue };
+                    let is_clear = scene.seen(view, *frame, *shown).sidedness(scene.mirror) > MIN_SIDEDNESS;
+                    shown.is_exchanged = !shown.is_exchanged && is_clear;
+                }
+            }
+            let exchanged = |skeleton: &Skeleton| scene.mirror.iter().map(|&twin| skeleton[twin]).collect();
             self.skeletons.iter_mut().for_each(|skeleton| *skeleton = exchanged(skeleton));
         }
         self

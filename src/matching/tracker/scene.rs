@@ -84,6 +84,14 @@ impl<'a> Seen<'a> {
         self.detection.confidence[self.source(keypoint)]
     }
 
+    /// Sum of the squared distances of the keypoints of both sides, over the squared apparent size.
+    pub(super) fn sidedness(&self, mirror: &[usize]) -> f64 {
+        let NormalizedDetection { normalized, confidence, size, .. } = self.detection;
+        let is_pair = |k: &usize| mirror[*k] > *k && confidence[*k] > 0.0 && confidence[mirror[*k]] > 0.0;
+        let pairs = (0..normalized.len()).filter(is_pair);
+        pairs.map(|k| (normalized[k] - normalized[mirror[k]]).norm_squared()).sum::<f64>() / (size * size)
+    }
+
     fn source(&self, keypoint: usize) -> usize {
         self.mirror.map_or(keypoint, |mirror| mirror[keypoint])
     }
@@ -122,7 +130,7 @@ impl<'a> TrackerScene<'a> {
         assignment.iter().enumerate().filter_map(seen).collect()
     }
 
-    fn seen(&self, view: usize, frame: usize, shown: Shown) -> Seen<'a> {
+    pub(super) fn seen(&self, view: usize, frame: usize, shown: Shown) -> Seen<'a> {
         let detection = &self.views[view].frames[frame][shown.detection];
         if shown.is_exchanged { Seen::exchanged(detection, self.mirror) } else { Seen::as_detected(detection) }
     }

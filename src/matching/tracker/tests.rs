@@ -136,3 +136,64 @@ fn people_of_a_long_take_go_on_from_window_to_window() {
         assert!(person.assignments.iter().all(is_first) && person.assignments.is_sorted_by_key(|(frame, _)| *frame));
     }
 }
+
+/// Somebody who stands at `place` and faces along the z axis, 1.6 m high and 0.4 m wide; y points down.
+fn standing(camera: &Rigid, place: Vector3<f64>) -> NormalizedDetection {
+    const HEIGHTS: [f64; 17] = [1.6, 1.62, 1.62, 1.6, 1.6, 1.4, 1.4, 1.1, 1.1, 0.9, 0.9, 0.9, 0.9, 0.5, 0.5, 0.1, 0.1];
+    let side = |k: usize| if k == 0 { 0.0 } else { 0.4 * (k % 2) as f64 - 0.2 };
+    let point = |(k, height): (usize, &f64)| place + Vector3::new(side(k), -height, 0.0);
+    let seen = |point: Vector3<f64>| project_normalized(camera, &point).unwrap().normalized;
+    NormalizedDetection::of_points(HEIGHTS.iter().enumerate().map(point).map(seen).collect(), 0.3)
+}
+
+/// What a camera with exchanged sides reports.
+fn exchanged(seen: &NormalizedDetection) -> NormalizedDetection {
+    let normalized = KeypointConvention::Coco17.mirror().iter().map(|&twin| seen.normalized[twin]).collect();
+    NormalizedDetection { normalized, ..seen.clone() }
+}
+
+/// The third of three cameras exchanges left and right for half a second, then the first two do, at the same time.
+#[test]
+fn exchanged_sides_were_another_person_at_the_same_place() {
+    let turned = |angle: f64| {
+        let rotation = nalgebra::Rotation3::from_axis_angle(&Vector3::y_axis(), angle).into_inner();
+        Some(Rigid { rotation, translation: Vector3::new(0.0, 0.8, 5.0) })
+    };
+    let cameras = [-0.7, 0.7, 0.0].map(turned);
+    let is_exchanged = |view: usize, frame: usize| if view == 2 { 10..25 } else { 35..50 }.contains(&frame);
+    let frames = |view: usize| -> Vec<Vec<NormalizedDetection>> {
+        let at = |frame: usize| {
+            let seen = standing(cameras[view].as_ref().unwrap(), Vector3::new(0.01 * frame as f64, 0.0, 0.0));
+            vec![if is_exchanged(view, frame) { exchanged(&seen) } else { seen }]
+        };
+        (0..60).map(at).collect()
+    };
+    let views = [0, 1, 2].map(|view| NormalizedView { focal: 1000.0, frames: frames(view) });
+    let people = tracked(&views, &cameras);
+    assert_eq!(people.len(), 1);
+    for (frame, assignment) in &people[0].assignments {
+        let expected = [0, 1, 2].map(|view| Some(Shown { detection: 0, is_exchanged: is_exchanged(view, *frame) }));
+        assert_eq!(*assignment, expected, "{frame}");
+    }
+}
+
+/// Of a person whose sides were exchanged when it came into sight, those of most detections count.
+#[test]
+fn a_person_first_seen_exchanged_has_the_sides_of_most_detections() {
+    let aside = Matrix3::new(0.0, 0.0, 1.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0);
+    let oblique = Rigid { rotation: aside, translation: Vector3::new(-5.0, 0.8, 5.0) };
+    let cameras = [Some(Rigid { translation: Vector3::new(0.0, 0.8, 0.0), ..Rigid::identity() }), Some(oblique)];
+    let at = |view: usize, frame: usize| {
+        let seen = standing(cameras[view].as_ref().unwrap(), Vector3::new(0.0, 0.0, 5.0));
+        vec![if frame < 10 { exchanged(&seen) } else { seen }]
+    };
+    let views =
+        [0, 1].map(|view| NormalizedView { focal: 1000.0, frames: (0..60).map(|frame| at(view, frame)).collect() });
+    let people = tracked(&views, &cameras);
+    assert_eq!(people.len(), 1);
+    let n_exchanged = |person: &TrackedPerson| {
+        person.assignments.iter().filter(|(_, a)| a.iter().flatten().any(|shown| shown.is_exchanged)).count()
+    };
+    let left_shoulder = people[0].skeletons[30][5].unwrap();
+    assert!(left_shoulder.x > 0.15 && n_exchanged(&people[0]) < 15, "{left_shoulder} {}", n_exchanged(&people[0]));
+}
