@@ -85,7 +85,7 @@ mod tests {
 
     const N_FRAMES: usize = 30;
 
-    /// Somebody 400 px high, with both ankles at `ankles(frame)` px above the last row of the image.
+    /// A person 400 px high, with both ankles at `ankles(frame)` px above the last row of the image.
     fn session(ankles: impl Fn(usize) -> f64) -> Session {
         let convention = KeypointConvention::Coco17;
         let detection = |frame: usize| {

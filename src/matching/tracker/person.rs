@@ -28,7 +28,7 @@ const VELOCITY_MEMORY: f64 = 0.15;
 /// runner takes off 1 to 2 m/s): the inverse, s^2/m. At a walk that is the memory of the velocity.
 const COASTING_S2_M: f64 = 0.125;
 
-/// Least [`Seen::sidedness`] of a detection whose sides can be told apart: eight pairs a twelfth of a body apart.
+/// Least [`Seen::sidedness`] of a detection that has two sides to exchange: eight pairs a twelfth of a body apart.
 const MIN_SIDEDNESS: f64 = 0.05;
 
 impl TrackedPerson {
@@ -113,8 +113,8 @@ impl TrackedPerson {
             by_frame.into_iter().map(|(frame, (assignment, skeleton))| ((frame, assignment), skeleton)).unzip();
     }
 
-    /// The same with left and right as the detections have them for the most part: somebody whom a detector first saw exchanged
-    /// began so. Each counts by how far its sides are apart, since from the side there are none.
+    /// The same with left and right as the detections have them for the most part: a track that began with exchanged ones has them
+    /// the other way round. Each counts by how far its sides are apart, since from the side there are none.
     pub(super) fn with_usual_sides(mut self, scene: &TrackerScene) -> Self {
         let vote = |(frame, assignment): &(usize, Assignment)| -> f64 {
             let sign = |seen: &Seen| if seen.is_exchanged() { -1.0 } else { 1.0 };

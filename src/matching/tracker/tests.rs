@@ -137,7 +137,7 @@ fn people_of_a_long_take_go_on_from_window_to_window() {
     }
 }
 
-/// Somebody who stands at `place` and faces along the z axis, 1.6 m high and 0.4 m wide; y points down.
+/// A person who stands at `place` and faces along the z axis, 1.6 m high and 0.4 m wide; y points down.
 fn standing(camera: &Rigid, place: Vector3<f64>) -> NormalizedDetection {
     const HEIGHTS: [f64; 17] = [1.6, 1.62, 1.62, 1.6, 1.6, 1.4, 1.4, 1.1, 1.1, 0.9, 0.9, 0.9, 0.9, 0.5, 0.5, 0.1, 0.1];
     let side = |k: usize| if k == 0 { 0.0 } else { 0.4 * (k % 2) as f64 - 0.2 };
@@ -179,7 +179,7 @@ fn exchanged_sides_were_another_person_at_the_same_place() {
 
 /// Of a person whose sides were exchanged when it came into sight, those of most detections count.
 #[test]
-fn a_person_first_seen_exchanged_has_the_sides_of_most_detections() {
+fn sides_that_are_exchanged_at_first_are_not_kept() {
     let aside = Matrix3::new(0.0, 0.0, 1.0, 0.0, 1.0, 0.0, -1.0, 0.0, 0.0);
     let oblique = Rigid { rotation: aside, translation: Vector3::new(-5.0, 0.8, 5.0) };
     let cameras = [Some(Rigid { translation: Vector3::new(0.0, 0.8, 0.0), ..Rigid::identity() }), Some(oblique)];

@@ -104,8 +104,8 @@ fn repaired_frame(context: &Context, frame: &FrameView) -> FrameRepairs {
 
 /// Distance from the person's trajectory beyond which a keypoint is wrong, standard deviations. Errors of what is hidden or hard to
 /// see are up to 2.5 times the usual ones, and still say where it is: at 5, cameras come 1 to 5 % and the joints of a person in three
-/// views 3 % worse. From 10 on what is wrong remains: cameras from 4 s of real detections come a third worse.
-const MAX_SIGMAS: f64 = 7.0;
+/// views 2 % worse. From 7 on mistakes in the files are named less often, from 10 on cameras from 4 s of real detections come worse.
+const MAX_SIGMAS: f64 = 6.0;
 
 /// Smallest number of views of the keypoint: with fewer it is unknown which of them is wrong.
 const MIN_VIEWS: u8 = 3;

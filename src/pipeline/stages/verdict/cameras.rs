@@ -24,6 +24,11 @@ const ODD_ERROR: f64 = 1.6;
 /// 0.1, bystanders up to 0.16.
 const ODD_LOSS: f64 = 0.2;
 
+/// The same of both together, where the share of keypoints is a multiple of that of the others, which bystanders do not raise: right
+/// recordings reach 0.1.
+const ODD_LOSS_OF_BOTH: f64 = 0.12;
+const ODD_KEYPOINTS: f64 = 3.0;
+
 pub(super) fn reasons(input: &VerdictInput) -> Vec<Reason> {
     let mut reasons: Vec<Reason> = unsolved(input).chain(odd_cameras(input)).chain(disagreement(input)).collect();
     reasons.extend(input.cameras.iter().filter_map(still));
@@ -77,6 +82,15 @@ fn odd_camera(camera: &CameraReport, others: &[&CameraReport]) -> Option<Reason>
         format!("contradicts the others in {:.0} % of its keypoints (the others: {:.0} %)", 100.0 * own, 100.0 * usual)
     } else if let Some((own, usual)) = detections.filter(|(own, usual)| *own > usual + ODD_LOSS) {
         format!("shows no known person in {:.0} % of its detections (the others: {:.0} %)", 100.0 * own, 100.0 * usual)
+    } else if let (Some((own, usual)), Some((own_lost, usual_lost))) = (keypoints, detections)
+        && own > ODD_KEYPOINTS * usual
+        && own - usual + own_lost - usual_lost > ODD_LOSS_OF_BOTH
+    {
+        let percent = [own_lost, own, usual_lost, usual].map(|share| format!("{:.0} %", 100.0 * share));
+        format!(
+            "shows no known person in {} of its detections and contradicts the others in {} of its keypoints (the others: {} and {})",
+            percent[0], percent[1], percent[2], percent[3]
+        )
     } else {
         return None;
     };
