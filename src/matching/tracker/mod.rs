@@ -3,12 +3,14 @@
 //! A person is a predicted skeleton (`person`). In each frame every view assigns its detections to the nearest
 //! predictions; persons held by a single view are re-acquired by the others (`reacquisition`); unassigned detections start
 //! new persons (`initialisation`), or continue a person that is lost where no other person can be meant (`continuation`).
+//! A detector may have exchanged a person's left and right (`exchanged_sides`).
 //! Long takes are followed in windows side by side (`tracking_windows`). At the end duplicates are merged (`duplicate_merging`),
 //! and fragments of one person are joined (`stitching`) by position, build and the detectors' track numbers
 //! (`reidentification`).
 
 mod continuation;
 mod duplicate_merging;
+mod exchanged_sides;
 mod initialisation;
 mod monocular;
 mod person;
@@ -21,6 +23,7 @@ mod tracking_windows;
 
 use super::assignment::assign;
 use crate::progress::{Canceled, Progress};
+use exchanged_sides::{EXCHANGED_NATS, is_exchanged, with_usual_sides};
 pub use person::TrackedPerson;
 use rayon::prelude::*;
 use scene::Seen;
@@ -34,13 +37,6 @@ const UNCONFIRMED_FACTOR: f64 = 1.3;
 
 /// Negative log likelihood, nats, of a detection at the edge of a new gate, which lies at three standard deviations.
 const NATS_AT_GATE: f64 = 4.5;
-
-/// Cost of a detection whose left and right are exchanged: the negative log probability, of one in ten.
-const EXCHANGED_COST: f64 = 2.3 / NATS_AT_GATE;
-
-/// Distances, m, of a person's detection with exchanged sides from where the person is expected: beyond the detectors' errors,
-/// within the width of shoulders, which are farthest from their counterparts.
-const EXCHANGED_M: Range<f64> = 0.06..0.6;
 
 /// Cost of an impossible assignment; the limit is 1.
 const IMPOSSIBLE: f64 = 2.0;
@@ -84,7 +80,7 @@ fn follow(
         step(scene, config, frame, &mut people);
     }
     finished.extend(people);
-    Ok(finished.into_iter().map(|person| person.with_usual_sides(scene)).collect())
+    Ok(finished.into_iter().map(|person| with_usual_sides(person, scene)).collect())
 }
 
 /// One frame: assigns its detections, updates the persons, starts new ones.
@@ -105,8 +101,7 @@ fn step(scene: &TrackerScene, config: &TrackerConfig, frame: usize, people: &mut
     continuation::continue_lost(scene, config, frame, people, n_known);
 }
 
-/// For each person the detection of every view that lies nearest to the prediction, one detection to one person. Several views
-/// show whether a detector has exchanged left and right, as it does from behind: a single one does not.
+/// For each person the detection of every view that lies nearest to the prediction, one detection to one person.
 fn nearest_detections(
     scene: &TrackerScene,
     config: &TrackerConfig,
@@ -124,11 +119,10 @@ fn nearest_detections(
             let distance = |seen: Seen| skeleton::distance_to_detection(&predictions[p], camera, seen);
             let cost = |m: f64| assignment_cost(m * factor, gate, config.gate);
             let Some(detected) = distance(Seen::as_detected(&detections[d])) else { return (IMPOSSIBLE, false) };
-            let may_be_exchanged = scene.n_confirming_views() > 1 && EXCHANGED_M.contains(&detected);
             let before = people[p].last_assignment()[view].map(|shown| shown.is_exchanged);
-            if may_be_exchanged && skeleton::is_exchanged(scene, &predictions[p], camera, &detections[d], before) {
+            if is_exchanged(scene, &predictions[p], camera, &detections[d], detected, before) {
                 let exchanged = distance(Seen::exchanged(&detections[d], scene.mirror));
-                return (exchanged.map_or(IMPOSSIBLE, |m| EXCHANGED_COST + cost(m)), true);
+                return (exchanged.map_or(IMPOSSIBLE, |m| EXCHANGED_NATS / NATS_AT_GATE + cost(m)), true);
             }
             (cost(detected), false)
         };
@@ -138,15 +132,7 @@ fn nearest_detections(
             assignments[p][view] = d.map(|d| Shown { detection: d, is_exchanged: costs[p][d].1 });
         }
     }
-    // Errors of two views have nothing to do with each other: where all say so, the prediction is wrong.
-    for (person, assignment) in people.iter().zip(&mut assignments) {
-        let begins = |(now, before): (&Option<Shown>, &Option<Shown>)| {
-            now.is_none_or(|shown| shown.is_exchanged && before.is_none_or(|before| !before.is_exchanged))
-        };
-        if assignment.iter().zip(person.last_assignment()).all(begins) {
-            assignment.iter_mut().flatten().for_each(|shown| shown.is_exchanged = false);
-        }
-    }
+    exchanged_sides::withdraw_common(people, &mut assignments);
     assignments
 }
 

@@ -28,9 +28,6 @@ const VELOCITY_MEMORY: f64 = 0.15;
 /// runner takes off 1 to 2 m/s): the inverse, s^2/m. At a walk that is the memory of the velocity.
 const COASTING_S2_M: f64 = 0.125;
 
-/// Least [`Seen::sidedness`] of a detection that has two sides to exchange: eight pairs a twelfth of a body apart.
-const MIN_SIDEDNESS: f64 = 0.05;
-
 impl TrackedPerson {
     pub(super) fn new(frame: usize, assignment: Assignment, skeleton: Skeleton) -> Self {
         let (assignments, skeletons) = (vec![(frame, assignment)], vec![skeleton]);
@@ -111,31 +108,6 @@ impl TrackedPerson {
         self.n_confirmed = by_frame.values().filter(|(assignment, _)| scene.is_confirmed(assignment)).count();
         (self.assignments, self.skeletons) =
             by_frame.into_iter().map(|(frame, (assignment, skeleton))| ((frame, assignment), skeleton)).unzip();
-    }
-
-    /// The same with left and right as the detections have them for the most part: a track that began with exchanged ones has them
-    /// the other way round. Each counts by how far its sides are apart, since from the side there are none.
-    pub(super) fn with_usual_sides(mut self, scene: &TrackerScene) -> Self {
-        let vote = |(frame, assignment): &(usize, Assignment)| -> f64 {
-            let sign = |seen: &Seen| if seen.is_exchanged() { -1.0 } else { 1.0 };
-            scene
-                .detections_of(*frame, assignment)
-                .iter()
-                .map(|(_, seen)| sign(seen) * seen.sidedness(scene.mirror))
-                .sum()
-        };
-        if self.assignments.iter().map(vote).sum::<f64>() < 0.0 {
-            for (frame, assignment) in &mut self.assignments {
-                for (view, shown) in assignment.iter_mut().enumerate() {
-                    let Some(shown) = shown else { continue };
-                    let is_clear = scene.seen(view, *frame, *shown).sidedness(scene.mirror) > MIN_SIDEDNESS;
-                    shown.is_exchanged = !shown.is_exchanged && is_clear;
-                }
-            }
-            let exchanged = |skeleton: &Skeleton| scene.mirror.iter().map(|&twin| skeleton[twin]).collect();
-            self.skeletons.iter_mut().for_each(|skeleton| *skeleton = exchanged(skeleton));
-        }
-        self
     }
 
     /// Some of the frames; the velocity is known at the end of the last piece only.

@@ -7,8 +7,7 @@ use crate::estimation::triangulation::triangulate_reweighted;
 use crate::geometry::Rigid;
 use crate::geometry::projection::squared_offset;
 use crate::geometry::triangulation::PointObservation;
-use crate::matching::normalized::NormalizedDetection;
-use crate::optim::robust::{OUTLIER_SIGMAS, median, median_and_spread};
+use crate::optim::robust::{median, median_and_spread};
 use nalgebra::Vector3;
 
 /// Position of every keypoint in the world, m; `None` where it is unknown.
@@ -51,45 +50,6 @@ pub(super) fn distance_to_detection(skeleton: &Skeleton, camera: &Rigid, seen: S
         squares.extend(point.and_then(|p| squared_offset(camera, &p, &seen.normalized(k))));
     }
     if squares.len() < MIN_SHARED { None } else { median(&mut squares).map(f64::sqrt) }
-}
-
-/// Standard deviation of a keypoint's distance from where it is expected, m per axis, and the number of keypoints that err together.
-const EXPECTED_SIGMA_M: f64 = 0.06;
-const N_CORRELATED: f64 = 3.0;
-
-/// Negative log probability ratios, nats, of exchanged sides: in the first frame of a view, and after a frame with sides as they
-/// are or exchanged. Detectors exchange sides for a second at a time.
-const EXCHANGED_AT_FIRST: f64 = 2.3;
-const EXCHANGE_BEGINS: f64 = 4.6;
-const EXCHANGE_GOES_ON: f64 = -2.9;
-
-/// Whether a detection shows the projected skeleton with left and right exchanged: log likelihoods of the keypoints, each limited to
-/// that of an outlier, against the probability of an exchange. `before`: whether they were in this view's last frame.
-pub(super) fn is_exchanged(
-    scene: &TrackerScene,
-    skeleton: &Skeleton,
-    camera: &Rigid,
-    detection: &NormalizedDetection,
-    before: Option<bool>,
-) -> bool {
-    let mirror = scene.mirror;
-    let prior = match before {
-        None => EXCHANGED_AT_FIRST,
-        Some(false) => EXCHANGE_BEGINS,
-        Some(true) => EXCHANGE_GOES_ON,
-    };
-    let outlier = OUTLIER_SIGMAS * OUTLIER_SIGMAS;
-    let misfit = |point: &Vector3<f64>, k: usize| {
-        let is_seen = detection.confidence[k] >= DETECTOR.comparable;
-        let offset = is_seen.then(|| squared_offset(camera, point, &detection.normalized[k]))?;
-        Some((offset? / (EXPECTED_SIGMA_M * EXPECTED_SIGMA_M)).min(outlier))
-    };
-    let gain = |(k, point): (usize, &Option<Vector3<f64>>)| {
-        let point = point.as_ref().filter(|_| mirror[k] != k)?;
-        Some(misfit(point, k)? - misfit(point, mirror[k])?)
-    };
-    let gains: f64 = skeleton.iter().enumerate().filter_map(gain).sum();
-    0.5 * gains > prior * N_CORRELATED
 }
 
 /// The keypoints that at least two views see, triangulated so that one wrong view does not move them.
