@@ -13,10 +13,11 @@ pub struct PointChain {
 }
 
 impl PointChain {
-    /// The quadratic form `weight * sum |x_(t+1) - 2 x_t + x_(t-1)|^2` over `n` points.
-    pub fn of_second_differences(n: usize, weight: f64) -> Self {
+    /// The quadratic form `sum weight(t) |x_(t+1) - 2 x_t + x_(t-1)|^2` over `n` points.
+    pub fn of_second_differences(n: usize, weight: impl Fn(usize) -> f64) -> Self {
         let mut chain = Self { diagonal: vec![Matrix3::zeros(); n], couplings: vec![[0.0; 2]; n] };
         for last in 2..n {
+            let weight = weight(last - 1);
             for (t, w) in [(last - 2, 1.0), (last - 1, 4.0), (last, 1.0)] {
                 chain.diagonal[t] += Matrix3::from_diagonal_element(weight * w);
             }
@@ -126,7 +127,7 @@ mod tests {
     }
 
     fn chain(n: usize) -> PointChain {
-        let mut chain = PointChain::of_second_differences(n, 0.7);
+        let mut chain = PointChain::of_second_differences(n, |t| 0.7 + 0.1 * t as f64);
         for (t, block) in chain.diagonal.iter_mut().enumerate() {
             let direction = Vector3::new((t as f64).sin(), 0.5, (2.0 * t as f64).cos());
             *block += direction * direction.transpose() + Matrix3::identity() * 0.01;
@@ -161,7 +162,7 @@ mod tests {
 
     #[test]
     fn second_differences_cost_nothing_on_a_straight_line() {
-        let chain = PointChain::of_second_differences(6, 2.0);
+        let chain = PointChain::of_second_differences(6, |_| 2.0);
         let cost = |x: &[Vector3<f64>]| -> f64 { chain.times(x).iter().zip(x).map(|(a, b)| a.dot(b)).sum() };
         let line: Vec<Vector3<f64>> = (0..6).map(|t| Vector3::new(1.0, 2.0, 3.0) * t as f64).collect();
         assert!(cost(&line).abs() < 1e-10);
@@ -180,7 +181,7 @@ mod tests {
     fn smoothing_gain_is_that_of_a_long_path() {
         const N: usize = 401;
         for c in [1e-4, 0.3, 3.0, 300.0] {
-            let mut system = PointChain::of_second_differences(N, c);
+            let mut system = PointChain::of_second_differences(N, |_| c);
             system.diagonal.iter_mut().for_each(|block| *block += Matrix3::identity());
             let mut unit = vec![Vector3::zeros(); N];
             unit[N / 2] = Vector3::x();

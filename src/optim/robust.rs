@@ -49,6 +49,11 @@ pub fn geman_mcclure_weight(squared: f64, squared_scale: f64) -> f64 {
 /// two dimensions stays within it with 98.9 %. Adjustments that were tuned on simulated captures name their own (4).
 pub const OUTLIER_SIGMAS: f64 = 3.0;
 
+/// The weight `1 / (1 + e^2 / k^2)` of a residual under Cauchy's cost `k^2 / 2 log(1 + e^2 / k^2)`, which grows without bound, but hardly.
+pub fn cauchy_weight(squared: f64, scale: f64) -> f64 {
+    (1.0 + squared / (scale * scale)).recip()
+}
+
 /// The Charbonnier cost of a residual of squared norm `squared`: quadratic near zero, linear far beyond the knee k.
 ///
 /// `rho / 2 = factor k^2 (r - 1)` with `r = sqrt(1 + e^2 / k^2)`; weight `factor / r`, curvature `factor / r^3`: Charbonnier et al.
