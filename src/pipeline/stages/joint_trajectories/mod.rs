@@ -6,7 +6,7 @@
 //! ray. `q` is the spectral density of white acceleration (m^2/s^3), hence independent of the frame rate.
 //!
 //! $\rho_a$ is the square. Kicks, throws and punches accelerate ten times as much as usual motion, and smooth paths would take what
-//! all views show of them for errors: where enough views agree on a point and on those beside it, it is Cauchy's cost.
+//! all views show of them for errors: for accelerations that points show on which enough views agree, it is Cauchy's cost.
 
 use crate::body::detector_profile::DETECTOR;
 use crate::body::keypoint_accelerations::{acceleration_density, second_difference_variance};
@@ -41,11 +41,15 @@ pub fn joint_trajectories(input: &TrackedPeople, progress: &Progress) -> Result<
         let rays = rays_by_keypoint(input, track);
         let paths: Vec<Path> = (0..names.len())
             .into_par_iter()
-            .map(|k| path(input, &rays[k], interpolated(start, k), acceleration_density(names[k])))
+            .map(|k| path(input, &rays[k], interpolated(&of_keypoint(start, k)), acceleration_density(names[k])))
             .collect();
         Ok(transposed(track, &rays, &paths))
     };
     input.tracks.par_iter().zip(input.points).map(of_person).collect()
+}
+
+fn of_keypoint(points: &JointTrajectory, keypoint: usize) -> Vec<Option<Vector3<f64>>> {
+    points.points.iter().map(|of_frame| of_frame[keypoint]).collect()
 }
 
 /// Positions of one keypoint over time; empty where it has no start.
@@ -107,11 +111,9 @@ fn path(input: &TrackedPeople, rays: &[KeypointRay], start: Option<Path>, densit
     points
 }
 
-/// The start without gaps: linear between known points, constant at the ends; `None` without any point.
-fn interpolated(start: &JointTrajectory, keypoint: usize) -> Option<Path> {
-    let points = &start.points;
-    let known: Vec<(usize, Vector3<f64>)> =
-        points.iter().enumerate().filter_map(|(t, p)| p[keypoint].map(|p| (t, p))).collect();
+/// Points without gaps: linear between known ones, constant at the ends; `None` without any.
+fn interpolated(points: &[Option<Vector3<f64>>]) -> Option<Path> {
+    let known: Vec<(usize, Vector3<f64>)> = points.iter().enumerate().filter_map(|(t, p)| Some((t, (*p)?))).collect();
     let (first, last) = (known.first()?, known.last()?);
     let mut filled = Vec::with_capacity(points.len());
     filled.resize(first.0, first.1);
@@ -144,13 +146,18 @@ fn agreed(input: &TrackedPeople, rays: &[KeypointRay], points: &[Vector3<f64>]) 
 const ACCELERATION_SIGMAS: f64 = 3.0;
 
 /// The cost of accelerations, re-weighted at `points`; `precision`: inverse variance of a second difference.
+///
+/// An acceleration counts as one where the points that views agree on show it as well, those between them taken as linear: the start
+/// of others may be far off.
 fn smoothness(points: &[Vector3<f64>], is_agreed: &[bool], precision: f64) -> PointChain {
+    let agreed: Vec<Option<Vector3<f64>>> =
+        points.iter().zip(is_agreed).map(|(point, is_agreed)| is_agreed.then_some(*point)).collect();
+    let Some(agreed) = interpolated(&agreed) else {
+        return PointChain::of_second_differences(points.len(), |_| precision);
+    };
     PointChain::of_second_differences(points.len(), |t| {
-        if !is_agreed[t - 1..=t + 1].iter().all(|is_agreed| *is_agreed) {
-            return precision;
-        }
-        let difference = second_difference([points[t - 1], points[t], points[t + 1]]);
-        precision * cauchy_weight(difference.norm_squared() * precision, ACCELERATION_SIGMAS)
+        let squared = |path: &[Vector3<f64>]| second_difference([path[t - 1], path[t], path[t + 1]]).norm_squared();
+        precision * cauchy_weight(squared(points).min(squared(&agreed)) * precision, ACCELERATION_SIGMAS)
     })
 }
 
