@@ -100,10 +100,11 @@ fn path(input: &TrackedPeople, rays: &[KeypointRay], start: Option<Path>, densit
     let dt = input.session.frame_interval();
     let precision = second_difference_variance(density, dt).recip();
     let is_agreed = agreed(input, rays, &points);
+    let longest = (MAX_BRIDGED_SECS / dt).round() as usize;
     // From ten times the robust scale down: the start may be 0.2 m off.
     for iteration in 0..N_STEPS {
         let widening = (10.0f64).powf(1.0 - iteration as f64 / (N_STEPS - 1) as f64);
-        let smoothness = smoothness(&points, &is_agreed, precision);
+        let smoothness = smoothness(&points, &is_agreed, longest, precision);
         if !step(input, rays, &mut points, smoothness, OUTLIER_SIGMAS * widening) {
             break;
         }
@@ -113,16 +114,27 @@ fn path(input: &TrackedPeople, rays: &[KeypointRay], start: Option<Path>, densit
 
 /// Points without gaps: linear between known ones, constant at the ends; `None` without any.
 fn interpolated(points: &[Option<Vector3<f64>>]) -> Option<Path> {
+    let bridged = bridged(points, usize::MAX);
+    let first = bridged.iter().find_map(|point| *point)?;
+    let mut last = first;
+    let filled = bridged.into_iter().map(|point| {
+        last = point.unwrap_or(last);
+        last
+    });
+    Some(filled.collect())
+}
+
+/// The points with those between known ones at most `longest` frames apart, on the line through these.
+fn bridged(points: &[Option<Vector3<f64>>], longest: usize) -> Vec<Option<Vector3<f64>>> {
     let known: Vec<(usize, Vector3<f64>)> = points.iter().enumerate().filter_map(|(t, p)| Some((t, (*p)?))).collect();
-    let (first, last) = (known.first()?, known.last()?);
-    let mut filled = Vec::with_capacity(points.len());
-    filled.resize(first.0, first.1);
+    let mut bridged = points.to_vec();
     for pair in known.windows(2) {
         let ((s, a), (e, b)) = (pair[0], pair[1]);
-        filled.extend((s..e).map(|t| a + (b - a) * ((t - s) as f64 / (e - s) as f64)));
+        if e - s <= longest {
+            (s + 1..e).for_each(|t| bridged[t] = Some(a + (b - a) * ((t - s) as f64 / (e - s) as f64)));
+        }
     }
-    filled.resize(points.len(), last.1);
-    Some(filled)
+    bridged
 }
 
 /// Fewest views that agree on a point: of two, one may be wrong and the point still near both rays.
@@ -145,19 +157,22 @@ fn agreed(input: &TrackedPeople, rays: &[KeypointRay], points: &[Vector3<f64>]) 
 /// in its place joints in fast motion come 1 % closer or farther.
 const ACCELERATION_SIGMAS: f64 = 3.0;
 
+/// Longest time between points that views agree on over which they show an acceleration, s: a strike and its return take longer.
+const MAX_BRIDGED_SECS: f64 = 0.3;
+
 /// The cost of accelerations, re-weighted at `points`; `precision`: inverse variance of a second difference.
 ///
 /// An acceleration counts as one where the points that views agree on show it as well, those between them taken as linear: the start
 /// of others may be far off.
-fn smoothness(points: &[Vector3<f64>], is_agreed: &[bool], precision: f64) -> PointChain {
+fn smoothness(points: &[Vector3<f64>], is_agreed: &[bool], longest: usize, precision: f64) -> PointChain {
     let agreed: Vec<Option<Vector3<f64>>> =
         points.iter().zip(is_agreed).map(|(point, is_agreed)| is_agreed.then_some(*point)).collect();
-    let Some(agreed) = interpolated(&agreed) else {
-        return PointChain::of_second_differences(points.len(), |_| precision);
-    };
+    let agreed = bridged(&agreed, longest);
     PointChain::of_second_differences(points.len(), |t| {
-        let squared = |path: &[Vector3<f64>]| second_difference([path[t - 1], path[t], path[t + 1]]).norm_squared();
-        precision * cauchy_weight(squared(points).min(squared(&agreed)) * precision, ACCELERATION_SIGMAS)
+        let (Some(a), Some(b), Some(c)) = (agreed[t - 1], agreed[t], agreed[t + 1]) else { return precision };
+        let shown = second_difference([a, b, c]).norm_squared();
+        let own = second_difference([points[t - 1], points[t], points[t + 1]]).norm_squared();
+        precision * cauchy_weight(own.min(shown) * precision, ACCELERATION_SIGMAS)
     })
 }
 
