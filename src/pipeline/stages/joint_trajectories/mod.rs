@@ -153,9 +153,9 @@ fn agreed(input: &TrackedPeople, rays: &[KeypointRay], points: &[Vector3<f64>]) 
     n_agreeing.into_iter().map(|n| n >= MIN_AGREEING).collect()
 }
 
-/// Accelerations beyond this many standard deviations are those of a few moments: 30 m/s^2 of limbs at 30 frames a second. With 2 to 5
-/// in its place joints in fast motion come 1 % closer or farther.
-const ACCELERATION_SIGMAS: f64 = 3.0;
+/// Accelerations beyond this many standard deviations are those of a few moments: 50 m/s^2 of limbs, 20 of head and trunk at 30 frames
+/// a second. With 2 to 5 in its place joints in fast motion come 1 % closer or farther.
+const ACCELERATION_SIGMAS: f64 = 5.0;
 
 /// Longest time between points that views agree on over which they show an acceleration, s: a strike and its return take longer.
 const MAX_BRIDGED_SECS: f64 = 0.3;
