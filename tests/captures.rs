@@ -114,5 +114,5 @@ fn limbs_that_one_camera_shows_keep_their_side() {
     let error = |options: &Options| limb_error(&session, options, &truth, &stretches);
     let (guided, unguided) = (error(&Options::default()), error(&without));
     println!("limbs {guided:.1} mm, without the guidance of the motion prior {unguided:.1}");
-    assert!(guided < 0.9 * unguided, "{guided} {unguided}");
+    assert!(guided < 0.8 * unguided, "{guided} {unguided}");
 }
