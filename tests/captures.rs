@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 use wandless::evaluation::documents::{read_cameras, read_identities, read_poses};
 use wandless::evaluation::{EvaluationOptions, evaluate};
 use wandless::export::{ResultContext, write_result};
-use wandless::pipeline::config::MotionPriorMode;
 use wandless::pipeline::{Options, reconstruct};
 use wandless::progress::Progress;
 use wandless::session::reconstruction::{Quality, Verdict};
@@ -98,7 +97,8 @@ fn limb_error(session: &Session, options: &Options, truth: &Path, stretches: &[(
     errors.iter().sum::<f64>() / errors.len() as f64
 }
 
-/// Arms and legs had been mirrored in depth while one of the cameras showed a person.
+/// While one of the cameras showed a person, arms and legs had been mirrored in depth (106 mm), then the trunk turned to the wrong side
+/// (84 mm).
 #[test]
 fn limbs_that_one_camera_shows_keep_their_side() {
     let Some(data) = std::env::var_os("WANDLESS_TEST_DATA").map(PathBuf::from) else {
@@ -110,9 +110,7 @@ fn limbs_that_one_camera_shows_keep_their_side() {
     let mut session = read_path(&folder, &UploadLimits::default()).unwrap().session;
     let stretches = [(0, 60..130), (1, 160..230)];
     stretches.iter().for_each(|(person, frames)| leave_to_first_view(&mut session, &truth, *person, frames));
-    let without = Options { motion_prior: MotionPriorMode::Pose, ..Options::default() };
-    let error = |options: &Options| limb_error(&session, options, &truth, &stretches);
-    let (guided, unguided) = (error(&Options::default()), error(&without));
-    println!("limbs {guided:.1} mm, without the guidance of the motion prior {unguided:.1}");
-    assert!(guided < 0.8 * unguided, "{guided} {unguided}");
+    let error = limb_error(&session, &Options::default(), &truth, &stretches);
+    println!("limbs {error:.1} mm");
+    assert!(error < 65.0, "{error}");
 }

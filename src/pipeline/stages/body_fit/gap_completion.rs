@@ -51,6 +51,11 @@ impl Purpose {
     fn share_of_guided(self) -> f64 {
         if self == Self::FromRough { self.share() } else { INDEPENDENT }
     }
+
+    /// By which guidance that counts this much becomes all that is stated; zero where that is a bridge, which has no likelihood.
+    pub(super) fn whole_guidance(self) -> f64 {
+        if self == Self::FromRough { 0.0 } else { self.share_of_guided().recip() }
+    }
 }
 
 /// Completes the joints that no keypoint shows for [`MIN_GAP`] or longer, but some keypoint shows elsewhere in the window, and guides

@@ -12,7 +12,7 @@ use crate::optim::robust::median;
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
 /// Points of one frame by landmark, world, m.
-type LandmarkPoints = Vec<Option<Vector3<f64>>>;
+pub(super) type LandmarkPoints = Vec<Option<Vector3<f64>>>;
 
 /// The first motion of one person; `None` when no frame shows the trunk well enough to determine its rotation.
 pub(super) fn initial_motion(model: &BodyModel, observations: &Observations) -> Option<MotionState> {
@@ -105,7 +105,7 @@ const TRUNK: [&str; 9] =
     ["left_hip", "right_hip", "mid_hip", "left_shoulder", "right_shoulder", "neck", "pelvis", "spine2", "spine3"];
 
 /// `world_from_rest` of the trunk by least squares; `None` with fewer than three points well off one line.
-fn trunk_placement(model: &BodyModel, body: &ShapedBody, points: &LandmarkPoints) -> Option<Rigid> {
+pub(super) fn trunk_placement(model: &BodyModel, body: &ShapedBody, points: &LandmarkPoints) -> Option<Rigid> {
     let rest = posed(body, &Pose::rest());
     let pairs = TRUNK.iter().filter_map(|name| model.landmark_index(name)).filter_map(|l| {
         let point = points[l]?;
@@ -179,34 +179,32 @@ fn limbs(model: &BodyModel, body: &ShapedBody, points: &LandmarkPoints, world_fr
         let root_point = point(limb.joints[0]).unwrap_or_else(|| world_from_trunk.transform(&root));
         let upper = trunk_from_world * (middle_point - root_point);
         let lower = point(limb.joints[2]).map(|end_point| trunk_from_world * (end_point - middle_point));
-        let (turns, joints) = limb_rotations(body, &limb, &upper, lower.as_ref());
-        for (joint, turn) in joints.into_iter().zip(turns) {
-            pose.rotations[joint] = turn;
-        }
+        let (by_root, by_middle) = limb_rotations(body, &limb, &upper, lower.as_ref());
+        pose.rotations[joint_index(limb.joints[0])] = Some(by_root);
+        pose.rotations[joint_index(limb.joints[1])] = by_middle;
     }
     pose
 }
 
 /// Rotations of a limb's first two joints that point its bones along `upper` and `lower` (the trunk's frame, any
-/// length), with their indices; no rotation of the second where `lower` is missing.
+/// length); no rotation of the second where `lower` is missing.
 pub(super) fn limb_rotations(
     body: &ShapedBody,
     limb: &Limb,
     upper: &Vector3<f64>,
     lower: Option<&Vector3<f64>>,
-) -> ([Option<Matrix3<f64>>; 2], [usize; 2]) {
-    let joint = limb.joints.map(joint_index);
-    let [root, middle, end] = joint.map(|j| body.rest_joints[j]);
+) -> (Matrix3<f64>, Option<Matrix3<f64>>) {
+    let [root, middle, end] = limb.joints.map(|name| body.rest_joints[joint_index(name)]);
     let (upper_rest, lower_rest) = (middle - root, end - middle);
     let mut turn = rotation::rotation_between(&upper_rest, upper);
     let lower_turn = lower.map(|lower| {
         turn *= turn_about_bone(&upper_rest, &limb.bends_to, &(turn.transpose() * lower));
         rotation::rotation_between(&lower_rest, &(turn.transpose() * lower))
     });
-    ([Some(turn), lower_turn], [joint[0], joint[1]])
+    (turn, lower_turn)
 }
 
-fn joint_index(name: &str) -> usize {
+pub(super) fn joint_index(name: &str) -> usize {
     JOINT_NAMES.iter().position(|n| *n == name).expect("limbs are listed by names of joints")
 }
 
@@ -243,7 +241,8 @@ fn filled_translations(known: &[Option<Vector3<f64>>]) -> Option<Vec<Vector3<f64
     (0..known.len()).map(between).collect()
 }
 
-fn filled_rotations(known: &[Option<Matrix3<f64>>], rest: &Matrix3<f64>) -> Vec<Matrix3<f64>> {
+/// With those between known frames; `rest` without any.
+pub(super) fn filled_rotations(known: &[Option<Matrix3<f64>>], rest: &Matrix3<f64>) -> Vec<Matrix3<f64>> {
     let frames: Vec<usize> = (0..known.len()).filter(|&t| known[t].is_some()).collect();
     let between = |t: usize| {
         let (a, b, share) = neighbours(&frames, t)?;

@@ -31,6 +31,7 @@ mod collision_resolution;
 mod completed_joints;
 mod config;
 mod context;
+mod depth_sides;
 mod fit;
 mod focal_prior;
 mod gap_completion;
@@ -60,6 +61,7 @@ mod tests;
 #[cfg(test)]
 mod tests_simulated;
 mod thinned_motion;
+mod trunk_sides;
 mod unseen_limbs;
 
 pub use config::{BodyFitConfig, KnownCameras};

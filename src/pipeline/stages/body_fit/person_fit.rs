@@ -3,6 +3,7 @@
 use super::completed_joints::GapCompletion;
 use super::config::BodyFitConfig;
 use super::context::FitContext;
+use super::depth_sides::on_cheapest_sides;
 use super::gap_completion::{Purpose, completed_gaps};
 use super::initial_motion::initial_motion;
 use super::minimisation::{Budget, DAMPING_FROM_FIT, DAMPING_FROM_ROUGH, FittedMotion, minimised};
@@ -13,6 +14,7 @@ use super::single_camera::SingleCamera;
 use super::terms::data::DataSource;
 use super::terms::unknowns::{MotionState, Shape};
 use super::thinned_motion::{lead_through, rough_stride};
+use super::trunk_sides::with_trunk_on_its_side;
 use crate::body::kinematics::Pose;
 use crate::optim::block_banded::BlockBanded;
 use crate::progress::Canceled;
@@ -238,10 +240,6 @@ fn fit_pass(
     let is_open = alone.as_ref().map_or_else(Vec::new, SingleCamera::open_frames);
     let minimised_within =
         |budget: Budget, completion: Option<&GapCompletion>, start: MotionState, system: &mut BlockBanded| {
-            let start = match completion {
-                Some(gaps) => gaps.applied_to(start),
-                None => start,
-            };
             let speeds = (pass != Pass::Points).then_some(&start);
             let objective = Objective {
                 speeds,
@@ -251,18 +249,27 @@ fn fit_pass(
             };
             minimised(context, &objective.problem(), start.clone(), budget, system)
         };
-    let completed = |state: &MotionState, purpose: Purpose| {
-        let alone = alone.as_ref().filter(|_| config.completes_gaps)?;
-        completed_gaps(context, observations, alone, state, purpose)
+    let completed = |state: MotionState, purpose: Purpose| {
+        let alone = alone.as_ref().filter(|_| config.completes_gaps);
+        match alone.and_then(|alone| completed_gaps(context, observations, alone, &state, purpose)) {
+            Some(gaps) => {
+                let state = gaps.applied_to(state);
+                (on_cheapest_sides(context, observations, &gaps, purpose, state), Some(gaps))
+            }
+            None => (state, None),
+        }
     };
     // The first fit has no pose prior, so that what it states at the edges of gaps (twists about bones above all) is rough.
-    let Some(rough) = completed(&start, Purpose::FromRough) else {
-        return minimised_within(budget, None, start, system);
+    let start = match &alone {
+        Some(alone) => with_trunk_on_its_side(context, observations, alone, start),
+        None => start,
     };
+    let (start, rough) = completed(start, Purpose::FromRough);
+    let Some(rough) = rough else { return minimised_within(budget, None, start, system) };
     // Which only has to be good enough to start from: with all steps hidden joints come no closer.
     let half = Budget { max_iterations: budget.max_iterations / 2, ..budget };
     let fitted = minimised_within(half, Some(&rough), start, system)?;
-    let good = completed(&fitted.state, Purpose::FromGood);
-    let again = minimised_within(budget, good.as_ref(), fitted.state, system)?;
+    let (start, good) = completed(fitted.state, Purpose::FromGood);
+    let again = minimised_within(budget, good.as_ref(), start, system)?;
     Ok(FittedMotion { iterations: fitted.iterations + again.iterations, cost_before: fitted.cost_before, ..again })
 }

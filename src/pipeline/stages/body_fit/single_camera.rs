@@ -7,6 +7,7 @@ use super::observations::{Observations, PosedCamera};
 use crate::body::BodyModel;
 use crate::body::kinematics::{PosedSkeleton, moving_joints};
 use crate::body::skeleton::{N_JOINTS, chain_to_root};
+use std::ops::Range;
 
 /// The bones of the limbs, which may be mirrored: the joint that turns each, and the one at its end.
 pub(super) const BONES: [[usize; 2]; 8] = [[1, 4], [4, 7], [2, 5], [5, 8], [16, 18], [18, 20], [17, 19], [19, 21]];
@@ -72,6 +73,20 @@ impl<'a> SingleCamera<'a> {
     /// Whether one camera alone shows the person.
     pub(super) fn shows_person(&self, frame: usize) -> bool {
         matches!(self.frames[frame].0, Shown::By(_))
+    }
+
+    /// Runs of frames in which one camera alone shows the person, with that camera; none in a session of a single camera.
+    pub(super) fn stretches(&self) -> Vec<(usize, Range<usize>)> {
+        let mut start = 0;
+        let mut found = Vec::new();
+        for run in self.frames.chunk_by(|(a, _), (b, _)| a == b) {
+            let frames = start..start + run.len();
+            start = frames.end;
+            if let (Shown::By(camera), true) = (run[0].0, self.cameras.len() > 1) {
+                found.push((camera, frames));
+            }
+        }
+        found
     }
 
     /// By frame, whether fewer than two cameras show the person; nowhere in a session of a single camera.

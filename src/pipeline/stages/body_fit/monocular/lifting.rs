@@ -10,7 +10,7 @@
 //! or stands on the hands is treated as a leaning person; a limb that is not detected for long is guessed.
 
 use super::super::observations::{Observations, PointObservation};
-use super::limb_configurations::{BodyLimb, JointCosts, LimbConfiguration, body_limbs};
+use super::limb_configurations::{BodyLimb, JointCosts, LimbConfiguration, MOVE_COST, body_limbs};
 use super::trunk_pose::{Trunk, TrunkImage, TrunkPose};
 use crate::body::BodyModel;
 use crate::body::model::{Betas, ShapedBody};
@@ -18,17 +18,18 @@ use crate::geometry::projection::project_normalized;
 use crate::geometry::{Rigid, rotation};
 use crate::optim::robust::median;
 use crate::optim::viterbi::cheapest_path;
-use nalgebra::{Vector2, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
 
 /// Duration of a detector's error, s: frames within it count as one independent observation.
 const ERROR_SECS: f64 = 0.1;
 
-/// Cost of rotating the trunk, nats per rad, and of moving a limb's joint against its root, nats per m: jumps between poses are
-/// rare, motion is not. A motion costs the same at any speed, so that the frame rate does not matter; on ten
-/// simulated captures half and double of either change nothing (78 to 79 mm).
+/// Cost of rotating the trunk, nats per rad, as [`MOVE_COST`] is of moving limbs; on ten simulated captures half and double change
+/// nothing (78 to 79 mm).
 const TURN_COST: f64 = 4.0;
-const MOVE_COST: f64 = 10.0;
+
+/// Cost of differing from a known rotation, nats per rad: it decides.
+const KNOWN_COST: f64 = 100.0;
 
 /// Standard deviation of the logarithm of the trunk's depth, first about the depth of the flat points, then about its own
 /// median over time.
@@ -53,12 +54,13 @@ pub(in super::super) fn lifted(
     let Some(camera) = observations.cameras.first().map(|c| c.camera_from_world) else {
         return observations.points.clone();
     };
-    let lifting = Lifting::new(model, observations, &camera, up, frame_interval);
+    let body = model.shaped(&Betas::zeros());
+    let lifting = Lifting::new(model, &body, observations, &camera, up, frame_interval);
     let flat = lifting.flat_depths();
-    let rough = lifting.trunk_poses(&smoothed(&flat, frame_interval), ROUGH_DEPTH_SIGMA);
+    let rough = lifting.trunk_poses(&smoothed(&flat, frame_interval), ROUGH_DEPTH_SIGMA, &[]);
     let depth = |(pose, flat): (&Option<TrunkPose>, &f64)| pose.map_or(*flat, |pose| lifting.trunk.depth(&pose));
     let depths: Vec<f64> = rough.iter().zip(&flat).map(depth).collect();
-    let trunk_poses = lifting.trunk_poses(&smoothed(&depths, frame_interval), FINE_DEPTH_SIGMA);
+    let trunk_poses = lifting.trunk_poses(&smoothed(&depths, frame_interval), FINE_DEPTH_SIGMA, &[]);
     let mut points = lifting.trunk_points(&trunk_poses);
     for limb in &lifting.limbs {
         lifting.add_limb(limb, &trunk_poses, &mut points);
@@ -66,9 +68,33 @@ pub(in super::super) fn lifted(
     points
 }
 
+/// What a camera shows of a trunk.
+pub(in super::super) struct TrunkImages<'a> {
+    pub observations: &'a Observations,
+    /// `camera_from_world`.
+    pub camera: &'a Rigid,
+    /// By frame, m.
+    pub depths: &'a [f64],
+    /// `camera_from_body`, by frame, where it is known.
+    pub known: &'a [Option<Matrix3<f64>>],
+}
+
+/// `camera_from_body` of the trunk on the path of least cost, by frame; `None` where the image shows too little.
+pub(in super::super) fn trunk_rotations(
+    model: &BodyModel,
+    body: &ShapedBody,
+    images: &TrunkImages,
+    up: &Vector3<f64>,
+    frame_interval: f64,
+) -> Vec<Option<Matrix3<f64>>> {
+    let lifting = Lifting::new(model, body, images.observations, images.camera, up, frame_interval);
+    let poses = lifting.trunk_poses(images.depths, FINE_DEPTH_SIGMA, images.known);
+    poses.into_iter().map(|pose| Some(pose?.camera_from_body.rotation)).collect()
+}
+
 /// Body, camera and normalised points, which all steps read.
 struct Lifting<'a> {
-    body: ShapedBody,
+    body: &'a ShapedBody,
     trunk: Trunk,
     limbs: Vec<BodyLimb>,
     joints: JointCosts,
@@ -85,12 +111,12 @@ struct Lifting<'a> {
 impl<'a> Lifting<'a> {
     fn new(
         model: &BodyModel,
+        body: &'a ShapedBody,
         observations: &'a Observations,
         camera: &'a Rigid,
         up: &Vector3<f64>,
         frame_interval: f64,
     ) -> Self {
-        let body = model.shaped(&Betas::zeros());
         let by_landmark = |points: &Vec<PointObservation>| {
             let mut normalized = vec![None; model.landmarks.len()];
             for point in points {
@@ -99,8 +125,8 @@ impl<'a> Lifting<'a> {
             normalized
         };
         Self {
-            trunk: Trunk::new(model, &body),
-            limbs: body_limbs(model, &body),
+            trunk: Trunk::new(model, body),
+            limbs: body_limbs(model, body),
             joints: JointCosts::new(model, LIMIT_WIDTH_DEG.to_radians()),
             normalized: observations.points.iter().map(by_landmark).collect(),
             camera,
@@ -128,12 +154,16 @@ impl<'a> Lifting<'a> {
     }
 
     /// The pose of the trunk in every frame, given its depth: of the poses that the image allows those on the path of least
-    /// cost, the sum of their own cost, that of the limbs on them, and that of rotating.
-    fn trunk_poses(&self, depths: &[f64], depth_sigma: f64) -> Vec<Option<TrunkPose>> {
+    /// cost, the sum of their own cost, that of the limbs on them, that of rotating, and of differing from `known` ones.
+    fn trunk_poses(&self, depths: &[f64], depth_sigma: f64, known: &[Option<Matrix3<f64>>]) -> Vec<Option<TrunkPose>> {
+        let off_known = |t: usize, pose: &TrunkPose| {
+            let known = known.get(t).copied().flatten();
+            known.map_or(0.0, |known| KNOWN_COST * rotation::angle_between(&pose.camera_from_body.rotation, &known))
+        };
         let of_frame = |(t, depth): (usize, &f64)| {
             let image = TrunkImage { normalized: &self.normalized[t], up: self.up, depth: *depth, depth_sigma };
             let poses = self.trunk.poses(&image);
-            let own = |pose: &TrunkPose| self.frame_weight * (pose.cost + self.limb_cost(t, pose));
+            let own = |pose: &TrunkPose| self.frame_weight * (pose.cost + self.limb_cost(t, pose)) + off_known(t, pose);
             let costs = poses.iter().map(own).collect();
             (poses, costs)
         };
@@ -160,7 +190,7 @@ impl<'a> Lifting<'a> {
 
     fn configurations(&self, t: usize, limb: &BodyLimb, trunk: &TrunkPose) -> Vec<LimbConfiguration> {
         let Some(root) = self.root(t, limb, trunk) else { return Vec::new() };
-        limb.configurations(&self.joints, &self.body, &trunk.camera_from_body.rotation, &root, &self.normalized[t])
+        limb.configurations(&self.joints, self.body, &trunk.camera_from_body.rotation, &root, &self.normalized[t])
     }
 
     /// The points of trunk and head on their rays, at the depths of the posed trunk.

@@ -4,5 +4,5 @@
 //! on it; [`lifting`] chooses among both over time.
 
 pub(super) mod lifting;
-mod limb_configurations;
+pub(super) mod limb_configurations;
 mod trunk_pose;
