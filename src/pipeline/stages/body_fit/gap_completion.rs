@@ -35,7 +35,7 @@ pub(super) enum Purpose {
 }
 
 /// Errors of the prior last some ten frames to each side, at 30 frames a second.
-const INDEPENDENT: f64 = 0.05;
+pub(super) const INDEPENDENT: f64 = 0.05;
 
 impl Purpose {
     /// Of completed joints.
@@ -50,11 +50,6 @@ impl Purpose {
     /// Of guided joints, for which pixels speak as well.
     fn share_of_guided(self) -> f64 {
         if self == Self::FromRough { self.share() } else { INDEPENDENT }
-    }
-
-    /// By which guidance that counts this much becomes all that is stated; zero where that is a bridge, which has no likelihood.
-    pub(super) fn whole_guidance(self) -> f64 {
-        if self == Self::FromRough { 0.0 } else { self.share_of_guided().recip() }
     }
 }
 

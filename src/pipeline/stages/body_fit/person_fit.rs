@@ -249,27 +249,26 @@ fn fit_pass(
             };
             minimised(context, &objective.problem(), start.clone(), budget, system)
         };
-    let completed = |state: MotionState, purpose: Purpose| {
-        let alone = alone.as_ref().filter(|_| config.completes_gaps);
-        match alone.and_then(|alone| completed_gaps(context, observations, alone, &state, purpose)) {
-            Some(gaps) => {
-                let state = gaps.applied_to(state);
-                (on_cheapest_sides(context, observations, &gaps, purpose, state), Some(gaps))
-            }
-            None => (state, None),
-        }
+    let completed = |state: &MotionState, purpose: Purpose| {
+        let alone = alone.as_ref().filter(|_| config.completes_gaps)?;
+        completed_gaps(context, observations, alone, state, purpose)
     };
     // The first fit has no pose prior, so that what it states at the edges of gaps (twists about bones above all) is rough.
     let start = match &alone {
         Some(alone) => with_trunk_on_its_side(context, observations, alone, start),
         None => start,
     };
-    let (start, rough) = completed(start, Purpose::FromRough);
-    let Some(rough) = rough else { return minimised_within(budget, None, start, system) };
+    let Some(rough) = completed(&start, Purpose::FromRough) else {
+        return minimised_within(budget, None, start, system);
+    };
     // Which only has to be good enough to start from: with all steps hidden joints come no closer.
     let half = Budget { max_iterations: budget.max_iterations / 2, ..budget };
-    let fitted = minimised_within(half, Some(&rough), start, system)?;
-    let (start, good) = completed(fitted.state, Purpose::FromGood);
+    let fitted = minimised_within(half, Some(&rough), rough.applied_to(start), system)?;
+    let good = completed(&fitted.state, Purpose::FromGood);
+    let start = match &good {
+        Some(gaps) => on_cheapest_sides(context, observations, gaps, gaps.applied_to(fitted.state)),
+        None => fitted.state,
+    };
     let again = minimised_within(budget, good.as_ref(), start, system)?;
     Ok(FittedMotion { iterations: fitted.iterations + again.iterations, cost_before: fitted.cost_before, ..again })
 }
