@@ -183,17 +183,8 @@ mod tests {
         let rotations = natural_pose(&mut ChaCha8Rng::seed_from_u64(0), 0.0).rotations;
         let at = |x: f64| Pose { rotations, translation: Vector3::x() * x };
         let make = || [person_fit(3, 10, vec![at(0.0); 30]), person_fit(5, 10, vec![at(0.45); 30])];
-        let (config, progress) = (BodyFitConfig::default(), Progress::silent());
-        let context = FitContext {
-            model: &model,
-            config: &config,
-            first_config: &config,
-            frame_interval: 1.0 / 30.0,
-            up: Vector3::y(),
-            progress: &progress,
-            noise: None,
-            systems: &SystemPool::default(),
-        };
+        let (config, progress, systems) = (BodyFitConfig::default(), Progress::silent(), SystemPool::default());
+        let context = FitContext::plain(&model, &config, &progress, &systems);
         let mut people = make();
         let kept = resolve_collisions(&context, &mut people, false, 100).unwrap();
         let before = kept.deepest.clone().unwrap();

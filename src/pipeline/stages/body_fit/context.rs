@@ -24,7 +24,19 @@ pub(super) struct FitContext<'a> {
     pub systems: &'a SystemPool,
 }
 
-impl FitContext<'_> {
+impl<'a> FitContext<'a> {
+    /// At 30 frames a second in a world with y up, with one set of settings.
+    #[cfg(test)]
+    pub(super) fn plain(
+        model: &'a BodyModel,
+        config: &'a BodyFitConfig,
+        progress: &'a Progress,
+        systems: &'a SystemPool,
+    ) -> Self {
+        let (frame_interval, up, noise) = (1.0 / 30.0, Vector3::y(), None);
+        Self { model, config, first_config: config, frame_interval, up, progress, noise, systems }
+    }
+
     /// Whether the motion prior refines a first fit.
     pub(super) fn has_refinement(&self) -> bool {
         self.config.motion_prior && !self.first_config.motion_prior

@@ -10,7 +10,9 @@ use super::context::FitContext;
 use super::gap_completion::INDEPENDENT;
 use super::gaps::gaps;
 use super::initial_motion::filled_rotations;
-use super::monocular::limb_configurations::{BodyLimb, JointCosts, MOVE_COST, body_limbs, points_at_distance};
+use super::monocular::limb_configurations::{
+    BodyLimb, ERROR_SECS, JointCosts, MOVE_COST, body_limbs, points_at_distance,
+};
 use super::observations::{Observations, PixelObservation};
 use super::terms::unknowns::MotionState;
 use crate::body::kinematics::{PosedSkeleton, posed};
@@ -21,10 +23,6 @@ use crate::optim::viterbi::cheapest_path;
 use crate::residuals::rotation_likelihood::{RotationGaussian, rotation_cost};
 use nalgebra::{Matrix3, Vector3};
 use std::ops::Range;
-
-/// Duration of an error, s: frames within it count as one. The same for ranges of joints and for what the motion prior states; with a
-/// tenth and with six times this of the latter, joints of 58 stretches come out 2 % farther off, with 0.3 and 3 times of the former 1 to 2 %.
-const ERROR_SECS: f64 = 0.1;
 
 /// The motion with the limbs that the motion prior guides on their cheapest sides. Of a good motion: the ranges of joints on a rough trunk
 /// choose worse than the motion prior's bridge, by a tenth in what joints are off.
@@ -241,17 +239,8 @@ mod tests {
         let vague = RotationGaussian { mean: Matrix3::identity(), precision: Matrix3::zeros() };
         let guided = |t: usize| if stretch.contains(&t) { vec![(16, vague), (18, vague)] } else { vec![] };
         let completion = GapCompletion { hidden: vec![vec![]; N_FRAMES], guided: (0..N_FRAMES).map(guided).collect() };
-        let (config, progress) = (BodyFitConfig::default(), Progress::silent());
-        let context = FitContext {
-            model: &model,
-            config: &config,
-            first_config: &config,
-            frame_interval: 1.0 / 30.0,
-            up: Vector3::y(),
-            progress: &progress,
-            noise: None,
-            systems: &SystemPool::default(),
-        };
+        let (config, progress, systems) = (BodyFitConfig::default(), Progress::silent(), SystemPool::default());
+        let context = FitContext::plain(&model, &config, &progress, &systems);
         let error = |state: &MotionState| {
             let off = |t: usize| {
                 let wrists = [&state.poses[t], &swing(t)].map(|pose| posed(&body, pose).joints[20]);

@@ -30,8 +30,12 @@ pub(super) fn with_trunk_on_its_side(
     alone: &SingleCamera,
     mut state: MotionState,
 ) -> MotionState {
+    let stretches = alone.stretches();
+    if stretches.is_empty() {
+        return state;
+    }
     let body = context.model.shaped(&state.betas);
-    for (camera, stretch) in alone.stretches() {
+    for (camera, stretch) in stretches {
         turn(context, observations, &body, camera, stretch, &mut state);
     }
     state
@@ -53,7 +57,7 @@ fn turn(
         trunk_placement(context.model, body, &points.collect())
     };
     let fitted: Option<Vec<Rigid>> = state.poses[with_ends.clone()].iter().map(placed).collect();
-    let leans = |trunk: &Rigid| (trunk.rotation.column(1).dot(&context.up)) < MAX_LEAN.cos();
+    let leans = |trunk: &Rigid| trunk.rotation.column(1).dot(&context.up) < MAX_LEAN.cos();
     let Some(fitted) = fitted.filter(|fitted| !fitted.iter().any(leans)) else { return };
     let camera = &observations.cameras[camera].camera_from_world;
     let middle = body.rest_joints[0];
@@ -65,9 +69,10 @@ fn turn(
     let found = trunk_rotations(context.model, body, &images, &context.up, context.frame_interval);
     for ((t, trunk), found) in with_ends.zip(&fitted).zip(found) {
         let Some(found) = found.filter(|_| stretch.contains(&t)) else { continue };
-        let turned = camera.rotation.tr_mul(&found) * trunk.rotation.transpose();
-        if rotation::log(&turned).norm() > SAME_SIDE {
-            turn_about(&mut state.poses[t], body, &turned, &trunk.transform(&middle));
+        let found = camera.rotation.tr_mul(&found);
+        if rotation::angle_between(&found, &trunk.rotation) > SAME_SIDE {
+            let turn = found * trunk.rotation.transpose();
+            turn_about(&mut state.poses[t], body, &turn, &trunk.transform(&middle));
         }
     }
 }
@@ -146,17 +151,8 @@ mod tests {
         let frame_interval = 0.1;
         let alone = SingleCamera::new(&model, &observations, frame_interval);
         assert_eq!(alone.stretches(), [(0, 8..32)]);
-        let (config, progress) = (BodyFitConfig::default(), Progress::silent());
-        let context = FitContext {
-            model: &model,
-            config: &config,
-            first_config: &config,
-            frame_interval,
-            up: Vector3::y(),
-            progress: &progress,
-            noise: None,
-            systems: &SystemPool::default(),
-        };
+        let (config, progress, systems) = (BodyFitConfig::default(), Progress::silent(), SystemPool::default());
+        let context = FitContext { frame_interval, ..FitContext::plain(&model, &config, &progress, &systems) };
         let sense = |t: usize| if (8..32).contains(&t) { -1.0 } else { 1.0 };
         let poses = (0..N_FRAMES).map(|t| turned(t, sense(t))).collect();
         let found =

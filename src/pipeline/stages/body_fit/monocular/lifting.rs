@@ -10,7 +10,7 @@
 //! or stands on the hands is treated as a leaning person; a limb that is not detected for long is guessed.
 
 use super::super::observations::{Observations, PointObservation};
-use super::limb_configurations::{BodyLimb, JointCosts, LimbConfiguration, MOVE_COST, body_limbs};
+use super::limb_configurations::{BodyLimb, ERROR_SECS, JointCosts, LimbConfiguration, MOVE_COST, body_limbs};
 use super::trunk_pose::{Trunk, TrunkImage, TrunkPose};
 use crate::body::BodyModel;
 use crate::body::model::{Betas, ShapedBody};
@@ -20,9 +20,6 @@ use crate::optim::robust::median;
 use crate::optim::viterbi::cheapest_path;
 use nalgebra::{Matrix3, Vector2, Vector3};
 use rayon::prelude::*;
-
-/// Duration of a detector's error, s: frames within it count as one independent observation.
-const ERROR_SECS: f64 = 0.1;
 
 /// Cost of rotating the trunk, nats per rad, as [`MOVE_COST`] is of moving limbs; on ten simulated captures half and double change
 /// nothing (78 to 79 mm).
